@@ -1,0 +1,126 @@
+//! What the bridge and the CNC say to each other, apart from how it looks on the wire.
+
+use crate::units::{Nanometres, Rpm};
+
+/// A valid message from the CNC.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Command {
+    /// The CNC's sign of life, and what it allows the bridge to do.
+    Control(Control),
+    /// What the spindle does.
+    Spindle(Spindle),
+}
+
+/// The CNC's sign of life, and what it allows the bridge to do.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Control {
+    /// The operator wants offsets.
+    pub engage: bool,
+    /// The axes are referenced (homed): before that no offset is given.
+    pub referenced: bool,
+    /// Take the present error as the reference, at the moment this turns from false to true.
+    pub zero: bool,
+}
+
+/// What the spindle does.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Spindle {
+    /// Speed, whichever way it turns.
+    pub speed: Rpm,
+    /// Axial cutting force in newtons; pushing the tool back is positive.
+    pub load_n: i16,
+}
+
+/// How good an offset is. The numbers are those on the wire.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Quality {
+    /// Not engaged, the offset is 0.
+    #[default]
+    Off = 0,
+    /// Every configured input is fresh.
+    Live = 1,
+    /// From the temperature model.
+    TemperatureModel = 2,
+    /// From the warm-up model.
+    WarmUpModel = 3,
+    /// An input or the CNC is lost: the last offset is held for a while.
+    Hold = 4,
+    /// On the way to 0, at the slew limit.
+    RampingOut = 5,
+    /// No offset can be given: not available.
+    Fault = 6,
+}
+
+impl Quality {
+    /// The quality with this number on the wire.
+    #[must_use]
+    pub fn from_wire(number: u8) -> Option<Self> {
+        Some(match number {
+            0 => Self::Off,
+            1 => Self::Live,
+            2 => Self::TemperatureModel,
+            3 => Self::WarmUpModel,
+            4 => Self::Hold,
+            5 => Self::RampingOut,
+            6 => Self::Fault,
+            _ => return None,
+        })
+    }
+}
+
+/// Why an offset is not simply the full correction: one bit a reason, as on the wire.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Flags(pub u8);
+
+impl Flags {
+    /// Nothing to report.
+    pub const NONE: Self = Self(0);
+    /// An axis stands at its largest permitted offset.
+    pub const CLAMPED: Self = Self(1 << 0);
+    /// An axis is still on its way to its target at the slew limit.
+    pub const SLEWING: Self = Self(1 << 1);
+    /// The sensor reads outside its range, or a reading that never changes.
+    pub const SENSOR_FAULT: Self = Self(1 << 2);
+    /// Samples are missing: the converter has stopped or was overrun.
+    pub const SAMPLES_MISSING: Self = Self(1 << 3);
+    /// The CNC was heard before and is silent now.
+    pub const CNC_LOST: Self = Self(1 << 4);
+    /// No fresh spindle speed: run-out is averaged over 200 ms, not over revolutions.
+    pub const SPEED_UNKNOWN: Self = Self(1 << 5);
+    /// Reserved: a position is outside its table and the end value is held.
+    pub const OUTSIDE_TABLE: Self = Self(1 << 6);
+    /// The board runs on a fall-back: a dead crystal, PLL or CAN controller.
+    pub const BOARD_DEGRADED: Self = Self(1 << 7);
+
+    /// These flags and `other`.
+    #[must_use]
+    pub const fn with(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
+    /// These flags, and `other` if `condition` holds.
+    #[must_use]
+    pub const fn with_if(self, condition: bool, other: Self) -> Self {
+        if condition { self.with(other) } else { self }
+    }
+
+    /// Whether every flag of `other` is set.
+    #[must_use]
+    pub const fn contains(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+}
+
+/// What one tick gives the CNC.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Output {
+    /// What the CNC adds to its command on X, Y and Z; `None`: not available.
+    pub offset: Option<[Nanometres; 3]>,
+    /// How good it is.
+    pub quality: Quality,
+    /// Why it is not simply the full correction.
+    pub flags: Flags,
+    /// Milliseconds since the newest sample that the offset rests on; 255 stands for all beyond.
+    pub age_ms: u8,
+}
