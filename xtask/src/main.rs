@@ -1,1 +1,145 @@
-fn main(){}
+//! The project's own commands. What they do is in `trueup-emulator`; here is only what is said.
+
+use std::{
+    fs,
+    path::PathBuf,
+    process::ExitCode,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+};
+
+use anyhow::{Context as _, Result, bail};
+use clap::{Args, Parser, Subcommand};
+use trueup_emulator::{
+    demo,
+    firmware::{self, Board},
+    front_end::FrontEnd,
+    plant::Plant,
+    replay::{self, Replay},
+    report,
+    serve::{self, Source},
+    setup, size, verify,
+};
+use trueup_machine::{BadInput, MachineFile, RunFile, compile};
+
+#[derive(Parser)]
+#[command(name = "cargo xtask", about = "The project's own commands")]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Plays a measured spindle run through the real firmware on an emulated board.
+    Demo,
+    /// Runs every test: host, emulated board, real clients.
+    Verify,
+    /// Runs a virtual bridge for any client, until Ctrl-C.
+    Virtual(Virtual),
+    /// Prints the size of the firmware images.
+    Size,
+    /// Gets what this machine lacks: target, QEMU, Python clients.
+    Setup,
+}
+
+#[derive(Args)]
+struct Virtual {
+    /// The machine file.
+    #[arg(long, value_name = "M.toml")]
+    machine: Option<PathBuf>,
+    /// Where the bridge listens for the CNC (SLCAN).
+    #[arg(long, value_name = "tcp:HOST:PORT", default_value = "tcp:127.0.0.1:3333")]
+    cnc: String,
+    /// The run file to replay; it starts when a client opens the channel.
+    #[arg(long, value_name = "R.csv", conflicts_with = "plant", required_unless_present = "plant")]
+    run: Option<PathBuf>,
+    /// Board time in multiples of real time, or "max".
+    #[arg(long, value_name = "N", default_value = "1", value_parser = speed)]
+    speed: Speed,
+    /// Seconds that a row lasts in a run file without time_s.
+    #[arg(long, value_name = "S", default_value_t = replay::DEFAULT_ROW_S)]
+    row_s: f64,
+    /// Where a plant listens that plays the machine, in JSON lines.
+    #[arg(long, value_name = "tcp:HOST:PORT")]
+    plant: Option<String>,
+    /// Seed of the front end's noise.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+#[derive(Clone, Copy)]
+struct Speed(Option<f64>);
+
+fn speed(text: &str) -> Result<Speed, String> {
+    if text == "max" {
+        return Ok(Speed(None));
+    }
+    match text.parse::<f64>() {
+        Ok(speed) if speed > 0.0 && speed.is_finite() => Ok(Speed(Some(speed))),
+        _ => Err("a speed is a number above 0, or \"max\"".into()),
+    }
+}
+
+fn main() -> ExitCode {
+    let result = match Cli::parse().command {
+        Command::Demo => run_demo(),
+        Command::Verify => verify::run(),
+        Command::Virtual(options) => run_virtual(options),
+        Command::Size => size::report().map(|report| print!("{report}")),
+        Command::Setup => setup::everything(),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            // What the user can mend in a file is told apart from everything else.
+            ExitCode::from(if error.is::<BadInput>() { 2 } else { 1 })
+        }
+    }
+}
+
+fn run_demo() -> Result<()> {
+    let image = firmware::build(Board::Virtual)?;
+    let findings = demo::run(&image)?;
+    let folder = setup::root().join("target/demo");
+    fs::create_dir_all(&folder)?;
+    fs::write(folder.join("summary.json"), serde_json::to_string_pretty(&findings)? + "\n")?;
+    fs::write(folder.join("report.html"), report::page(&findings)?)?;
+    println!("{}", findings.table());
+    for line in findings.answer() {
+        println!("{line}");
+    }
+    println!(
+        "\n{} frames read as a CNC reads them, {} damaged or lost.\n\
+         The picture: target/demo/report.html   The figures: target/demo/summary.json",
+        findings.frames, findings.e2e_errors
+    );
+    Ok(())
+}
+
+fn run_virtual(options: Virtual) -> Result<()> {
+    let machine = options.machine.unwrap_or(setup::root().join("data/paper_spindle.toml"));
+    let machine = MachineFile::read(&machine)?;
+    let compiled = compile(&machine)?;
+    let sensor = machine.inputs.as_ref().and_then(|inputs| inputs.sensor.as_ref());
+    let sensor = sensor
+        .ok_or_else(|| machine.places.bad("inputs", "needs `sensor`: how the sensor is wired"))?;
+    let run = options.run.map(|path| RunFile::read(&path)).transpose()?;
+    let replay = run.map(|run| Replay::new(&run, sensor, options.row_s)).transpose()?;
+    let listener = serve::listen(&options.cnc)?;
+    let image = firmware::build(Board::Virtual)?;
+    let source = match (replay, options.plant) {
+        (Some(replay), _) => Source::Run { replay, speed: options.speed.0 },
+        (None, Some(plant)) => Source::Plant(Plant::connect(serve::tcp_address(&plant)?)?),
+        (None, None) => bail!("either --run or --plant"),
+    };
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = stop.clone();
+    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
+    eprintln!("the CNC's line is at {} (SLCAN)", options.cnc);
+    let front_end = FrontEnd::new(sensor.divider, options.seed);
+    serve::serve(&image, &compiled.calibration, front_end, listener, source, &stop)
+}

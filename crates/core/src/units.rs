@@ -3,8 +3,6 @@
 //! Lengths are nanometres, time is milliseconds of the sample clock, a sensor reading is a
 //! 1/1024 of an ADC code. The user's units (µm, °C, counts) exist on the host alone.
 
-use core::ops::Neg;
-
 /// An error, an elongation or an offset in nanometres: ±2.147 m.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Nanometres(pub i32);
@@ -22,13 +20,10 @@ impl Nanometres {
         let held = value.clamp(i64::from(i32::MIN), i64::from(i32::MAX));
         Self(i32::try_from(held).expect("clamped to the range of i32 above"))
     }
-}
 
-impl Neg for Nanometres {
-    type Output = Self;
-
-    /// Saturates: the opposite of −2.147 483 648 m is +2.147 483 647 m.
-    fn neg(self) -> Self {
+    /// The same length the other way; −2.147 483 648 m gives +2.147 483 647 m.
+    #[must_use]
+    pub const fn opposite(self) -> Self {
         Self(self.0.saturating_neg())
     }
 }
@@ -90,6 +85,6 @@ mod tests {
     fn lengths_saturate_at_both_ends() {
         assert_eq!(Nanometres::saturating(i64::MAX).0, i32::MAX);
         assert_eq!(Nanometres::saturating(i64::MIN).0, i32::MIN);
-        assert_eq!(-Nanometres(i32::MIN), Nanometres(i32::MAX));
+        assert_eq!(Nanometres(i32::MIN).opposite(), Nanometres(i32::MAX));
     }
 }

@@ -1,1 +1,26 @@
-//! to come
+//! The bridge on the bench: its real firmware in QEMU, an analogue front end before it, and the
+//! CNC's end of its link.
+//!
+//! ```text
+//!  run file, plant ─► replay ─► front_end ─► board (QEMU) ─► cnc ─► demo, serve, tests
+//! ```
+//!
+//! `setup` gets what a fresh machine lacks and `firmware` builds the images, so that each command
+//! of the project does its own preparation.
+#![forbid(unsafe_code)]
+
+pub mod board;
+pub mod cnc;
+pub mod demo;
+pub mod firmware;
+pub mod front_end;
+pub mod log;
+pub mod plant;
+pub mod process;
+pub mod qemu;
+pub mod replay;
+pub mod report;
+pub mod serve;
+pub mod setup;
+pub mod size;
+pub mod verify;

@@ -1,1 +1,36 @@
-//! to come
+//! How the bridge, the CNC and the host speak to each other: the one definition that the board,
+//! the host tool and the tests share.
+//!
+//! ```text
+//!            Output                          Command
+//!              │                                ▲
+//!   frames ────▼── encode           decode ─────┴──── frames      layout = trueup.dbc
+//!   e2e    ────▼── protect           check ─────▲──── receiver
+//!   frame  ────▼──────── CAN 2.0 ───────────────┴──── frame
+//!   slcan  ────▼──────── ASCII lines ───────────┴──── slcan
+//! ```
+//!
+//! `calibration` is the layout of what the host compiles for the board, `bench` the stream
+//! between the host and the emulated board, `node` the whole bridge as it stands on the bus. Nothing here touches hardware, allocates, reads a
+//! clock, or panics on any input.
+#![no_std]
+#![forbid(unsafe_code)]
+// A test that overflows fails, which is what a test is for.
+#![cfg_attr(test, allow(clippy::arithmetic_side_effects))]
+
+#[cfg(test)]
+extern crate std;
+
+pub mod bench;
+pub mod bits;
+pub mod calibration;
+pub mod e2e;
+pub mod frame;
+pub mod frames;
+pub mod layout;
+pub mod node;
+pub mod receiver;
+pub mod slcan;
+
+/// The signal description that CAN tools read; `layout` holds the same numbers for the code.
+pub const DBC: &str = include_str!("../trueup.dbc");

@@ -1,1 +1,29 @@
-//! to come
+//! What the user believes about the machine, and what was measured on it.
+//!
+//! The user's side of the project: text files in, `f64` in the user's units (µm, °C, counts), and
+//! at the far end the integers that the board runs. Nothing here runs on the board.
+//!
+//! | module | does |
+//! |---|---|
+//! | [`place`] | where in a user's file something is wrong, and which rule it breaks |
+//! | [`machine_file`] | reads the machine file into a [`Machine`] |
+//! | [`inputs`] | from PLC counts to volts, ADC codes and readings |
+//! | [`run_file`] | reads a run file (CSV) into columns |
+//! | [`model`] | the reference: what the model says, in `f64` |
+//! | [`compile`](mod@compile) | a [`Machine`] in the integers of the board |
+//! | [`fit`] | a straight line by least squares, judged on left-out rows |
+#![forbid(unsafe_code)]
+
+pub mod compile;
+pub mod fit;
+pub mod inputs;
+pub mod machine_file;
+pub mod model;
+pub mod place;
+pub mod run_file;
+mod section;
+
+pub use compile::{Compiled, compile};
+pub use machine_file::{Machine, MachineFile};
+pub use place::{BadInput, Place};
+pub use run_file::RunFile;

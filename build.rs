@@ -1,0 +1,32 @@
+//! Hands the linker its scripts, and compiles the machine file that is linked into the image.
+//!
+//! The link arguments stand here and not in `.cargo/config.toml`, because `RUSTFLAGS` in the
+//! environment would replace those in silence and the image would come out empty.
+
+use std::{env, fs, path::Path, path::PathBuf, process::exit};
+
+use trueup_machine::{compile::compile, machine_file::MachineFile};
+
+fn main() {
+    let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
+    fs::copy("memory.x", out.join("memory.x")).expect("OUT_DIR can be written");
+    println!("cargo:rustc-link-search={}", out.display());
+    println!("cargo:rustc-link-arg-bins=--nmagic");
+    println!("cargo:rustc-link-arg-bins=-Tlink.x");
+    println!("cargo:rustc-link-arg-bins=-Tdefmt.x");
+    println!("cargo:rerun-if-changed=memory.x");
+
+    println!("cargo:rerun-if-env-changed=TRUEUP_MACHINE");
+    let machine = env::var("TRUEUP_MACHINE").unwrap_or("data/paper_spindle.toml".into());
+    println!("cargo:rerun-if-changed={machine}");
+    match MachineFile::read(Path::new(&machine)).and_then(|machine| compile(&machine)) {
+        Ok(compiled) => {
+            let bytes = trueup_link::calibration::encode(&compiled.calibration);
+            fs::write(out.join("calibration.bin"), bytes).expect("OUT_DIR can be written");
+        }
+        Err(error) => {
+            println!("cargo:warning={error}");
+            exit(1);
+        }
+    }
+}

@@ -1,0 +1,164 @@
+//! Is the sensor alive? A look at the raw codes before they reach the filter.
+//!
+//! Three ways in which a sensor lies, each from its own sign:
+//! - **At a rail**: a broken wire pulls the divider to 0 V, a short or a dead supply to full scale.
+//!   A single code at a rail is a spike: the last good code stands in for it. Four in a row are a
+//!   fault, which clears after 10 ms of good codes.
+//! - **Frozen**: a live converter is never quiet for 200 ms; a code that does not change for that
+//!   long is a hung converter or a disconnected chain.
+//!
+//! The noise is measured on the way, from second differences, because they pass over growth and
+//! run-out and keep the noise: their variance is six times that of the codes.
+
+use crate::{filter::CODES_PER_TICK, units::Code};
+
+/// Codes up to here are at the lower rail: 20 mV of 10 V.
+pub const LOW_RAIL: Code = Code(8);
+/// Codes from here on are at the upper rail.
+pub const HIGH_RAIL: Code = Code(4087);
+/// So many codes at a rail in a row are a fault, fewer are spikes.
+pub const FAULT_AFTER_CODES: u16 = 4;
+/// So many good codes in a row end a fault: 10 ms.
+pub const GOOD_AFTER_CODES: u16 = 200;
+/// So many equal codes in a row are a frozen converter: 200 ms.
+pub const FROZEN_AFTER_CODES: u16 = 4_000;
+
+/// What is remembered from code to code.
+#[derive(Clone, Debug, Default)]
+pub struct Health {
+    good: Code,
+    at_rail: u16,
+    not_at_rail: u16,
+    railed: bool,
+    last: Code,
+    equal: u16,
+    before: [Option<i32>; 2],
+    noise: Noise,
+}
+
+/// Noise of the raw codes since it was last asked for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Noise {
+    /// Sum of the squared second differences, in codes squared.
+    pub squares: u32,
+    /// How many there are. The RMS noise in codes is √(squares / (6·count)).
+    pub count: u32,
+}
+
+impl Health {
+    /// Looks at one tick of codes. Gives the codes for the filter, spikes replaced, or `None`
+    /// while the sensor cannot be believed.
+    pub fn check(&mut self, codes: &[Code; CODES_PER_TICK]) -> Option<[Code; CODES_PER_TICK]> {
+        let mut clean = *codes;
+        for code in &mut clean {
+            self.listen(*code);
+            if *code <= LOW_RAIL || *code >= HIGH_RAIL {
+                self.not_at_rail = 0;
+                self.at_rail = self.at_rail.saturating_add(1);
+                *code = self.good;
+            } else {
+                self.at_rail = 0;
+                self.not_at_rail = self.not_at_rail.saturating_add(1);
+                self.good = *code;
+            }
+            if self.at_rail >= FAULT_AFTER_CODES {
+                self.railed = true;
+            } else if self.not_at_rail >= GOOD_AFTER_CODES {
+                self.railed = false;
+            }
+        }
+        // Before the first good code there is nothing that could stand in for a spike.
+        let blind = self.good == Code(0);
+        (!self.railed && !blind && self.equal < FROZEN_AFTER_CODES).then_some(clean)
+    }
+
+    /// The noise since the last call.
+    pub fn take_noise(&mut self) -> Noise {
+        core::mem::take(&mut self.noise)
+    }
+
+    fn listen(&mut self, code: Code) {
+        self.equal = if code == self.last { self.equal.saturating_add(1) } else { 0 };
+        self.last = code;
+        let new = i32::from(code.0);
+        if let [Some(older), Some(old)] = self.before {
+            let curve =
+                new.saturating_sub(old.saturating_mul(2)).saturating_add(older).unsigned_abs();
+            self.noise.squares = self.noise.squares.saturating_add(curve.saturating_mul(curve));
+            self.noise.count = self.noise.count.saturating_add(1);
+        }
+        self.before = [self.before[1], Some(new)];
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    extern crate std;
+
+    /// Codes that never repeat, around `level`.
+    fn lively(level: u16) -> [Code; CODES_PER_TICK] {
+        core::array::from_fn(|n| Code(level + (n % 2) as u16))
+    }
+
+    #[test]
+    fn a_spike_is_replaced_by_the_last_good_code() {
+        let mut health = Health::default();
+        let mut codes = lively(700);
+        codes[5] = Code(4095);
+        codes[6] = Code(0);
+        let clean = health.check(&codes).expect("two codes are a spike");
+        assert_eq!(clean[5], codes[4]);
+        assert_eq!(clean[6], codes[4]);
+        assert_eq!(clean[7], codes[7]);
+    }
+
+    #[test]
+    fn four_codes_at_a_rail_are_a_fault_until_10_ms_are_good() {
+        for rail in [Code(0), Code(8), Code(4087), Code(4095)] {
+            let mut health = Health::default();
+            assert!(health.check(&lively(700)).is_some());
+            let mut codes = lively(700);
+            codes[..3].fill(rail);
+            assert!(health.check(&codes).is_some(), "three are not yet a fault");
+            codes[..4].fill(rail);
+            assert!(health.check(&codes).is_none(), "four are");
+            let blind = (0..).take_while(|_| health.check(&lively(700)).is_none()).count();
+            // 16 good codes came with the fault.
+            assert_eq!(blind * CODES_PER_TICK, 180);
+        }
+    }
+
+    #[test]
+    fn a_board_that_starts_with_a_broken_wire_is_blind() {
+        let mut health = Health::default();
+        for _ in 0..100 {
+            assert!(health.check(&[Code(0); CODES_PER_TICK]).is_none());
+        }
+    }
+
+    #[test]
+    fn a_frozen_converter_is_found_after_200_ms_and_a_lively_one_never() {
+        let mut health = Health::default();
+        let alive = (0..).take_while(|_| health.check(&[Code(700); CODES_PER_TICK]).is_some());
+        assert_eq!(alive.count(), 200);
+        assert!(health.check(&lively(700)).is_some(), "one change ends it");
+        for _ in 0..1000 {
+            assert!(health.check(&lively(700)).is_some());
+        }
+    }
+
+    #[test]
+    fn noise_is_measured_through_growth_and_run_out() {
+        // ±1 code alternating has an RMS of 1 and second differences of ±4, where white noise of
+        // the same RMS has √6: so the estimate of this stream is 4/√6.
+        let mut health = Health::default();
+        let codes = core::array::from_fn(|n| Code(if n % 2 == 0 { 999 } else { 1001 }));
+        health.check(&codes);
+        health.take_noise();
+        health.check(&codes);
+        let noise = health.take_noise();
+        assert_eq!((noise.squares, noise.count), (20 * 16, 20));
+        assert_eq!(health.take_noise(), Noise::default());
+    }
+}

@@ -1,0 +1,171 @@
+//! The average of a stream over exactly one revolution, which need not be a whole number of
+//! samples.
+//!
+//! With the running sum S(n) = x(1) + … + x(n), linear between samples, the mean over the last W
+//! samples is
+//!
+//! ```text
+//! m(n) = (S(n) − S(n − W)) / W,    S(n − W) between S(n − ⌊W⌋ − 1) and S(n − ⌊W⌋)
+//! ```
+//!
+//! The sums wrap modulo 2³² and their differences are exact, because 1000 values of 22 bits stay
+//! below 2³². So W may change from one sample to the next at no cost and with no transient of its
+//! own, and nothing drifts however long it runs.
+//!
+//! Values are Q10 ADC codes, 22 bits. Worst error against `f64`: 0.63 of the last place, 0.08 nm
+//! for the paper's sensor, measured over constant, full-scale square and random streams at all
+//! widths tried by the test below.
+
+use crate::window::Window;
+
+/// Sums kept: a power of two above the longest window and its fractional end.
+const KEPT: usize = 1024;
+/// How many values they can answer for.
+const LONGEST: u32 = 1023;
+
+/// A running average over one revolution.
+#[derive(Clone, Debug)]
+pub struct RevolutionMean {
+    sums: [u32; KEPT],
+    newest: usize,
+    /// How many values the sums hold, up to `LONGEST`.
+    filled: u32,
+}
+
+impl RevolutionMean {
+    /// An average that has seen nothing yet.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self { sums: [0; KEPT], newest: 0, filled: 0 }
+    }
+
+    /// Forgets everything, so that old values cannot reach the next mean.
+    pub fn clear(&mut self) {
+        self.filled = 0;
+    }
+
+    /// Takes the next value, at most 22 bits.
+    pub fn push(&mut self, value: u32) {
+        let sum = self.back(0).wrapping_add(value);
+        self.newest = self.newest.wrapping_add(1) % KEPT;
+        if let Some(slot) = self.sums.get_mut(self.newest) {
+            *slot = sum;
+        }
+        self.filled = self.filled.saturating_add(1).min(LONGEST);
+    }
+
+    /// The mean over the last revolution, or `None` while a whole one has not been seen.
+    ///
+    /// ```
+    /// use trueup_core::{revolution_mean::RevolutionMean, units::Rpm, window::Window};
+    /// let revolution = Window::for_speed(Some(Rpm(60_000))); // 5 samples
+    /// let mut mean = RevolutionMean::new();
+    /// for value in [10, 20, 30, 40, 50] {
+    ///     assert_eq!(mean.mean(revolution), None);
+    ///     mean.push(value);
+    /// }
+    /// assert_eq!(mean.mean(revolution), Some(30));
+    /// ```
+    #[must_use]
+    pub fn mean(&self, window: Window) -> Option<u32> {
+        let whole = window.samples_q16() >> 16;
+        let fraction = window.samples_q16() & 0xFFFF;
+        if self.filled < whole.saturating_add(u32::from(fraction > 0)) {
+            return None;
+        }
+        let edge = self.back(whole);
+        let inside = self.back(0).wrapping_sub(edge);
+        let end = edge.wrapping_sub(self.back(whole.saturating_add(1)));
+        // 32 + 16 bits and 22 + 16 bits; eight places are given back before the product, which
+        // then is the mean times 2⁴¹: at most 63 bits.
+        let area = (u64::from(inside) << 16)
+            .saturating_add(u64::from(end).saturating_mul(u64::from(fraction)));
+        let mean =
+            (area >> 8).saturating_mul(u64::from(window.reciprocal_q49())).saturating_add(1 << 40)
+                >> 41;
+        Some(u32::try_from(mean).unwrap_or(u32::MAX))
+    }
+
+    /// The sum as it was `age` values ago; `age` below `KEPT`.
+    fn back(&self, age: u32) -> u32 {
+        let index = self.newest.wrapping_sub(age as usize) % KEPT;
+        self.sums.get(index).copied().unwrap_or_default()
+    }
+}
+
+impl Default for RevolutionMean {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::units::Rpm;
+    extern crate std;
+    use std::vec::Vec;
+
+    const FULL_SCALE: u32 = 4095 * 1024;
+
+    /// The same mean in `f64`, straight from the definition.
+    fn reference(values: &[u32], window: f64) -> f64 {
+        let whole = window.floor() as usize;
+        let last = values.len();
+        let inside: f64 = values[last - whole..].iter().map(|&v| f64::from(v)).sum();
+        let end = if window.fract() > 0.0 { f64::from(values[last - whole - 1]) } else { 0.0 };
+        (inside + end * window.fract()) / window
+    }
+
+    #[test]
+    fn every_mean_is_within_one_place_of_f64_at_any_width_and_any_input() {
+        let mut random = 0x1234_5678_u32;
+        let mut streams: [Vec<u32>; 4] = Default::default();
+        for n in 0..3000_u32 {
+            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            streams[0].push(FULL_SCALE);
+            streams[1].push(if n / 7 % 2 == 0 { 0 } else { FULL_SCALE });
+            streams[2].push((random >> 10).min(FULL_SCALE));
+            streams[3].push(0);
+        }
+        let mut worst: f64 = 0.0;
+        for rpm in (300..=u16::MAX).step_by(97) {
+            let window = Window::for_speed(Some(Rpm(rpm)));
+            let width = f64::from(window.samples_q16()) / 65_536.0;
+            for stream in &streams {
+                let mut mean = RevolutionMean::new();
+                for (n, &value) in stream.iter().enumerate() {
+                    mean.push(value);
+                    if n % 379 == 378 {
+                        let Some(ours) = mean.mean(window) else { continue };
+                        let error = f64::from(ours) - reference(&stream[..=n], width);
+                        worst = worst.max(error.abs());
+                    }
+                }
+            }
+        }
+        std::println!("largest error of a mean: {worst:.3} of 1/1024 code");
+        assert!(worst <= 0.75, "{worst}");
+    }
+
+    #[test]
+    fn a_cleared_average_knows_nothing_of_what_came_before() {
+        let revolution = Window::for_speed(Some(Rpm(60_000)));
+        let mut mean = RevolutionMean::new();
+        (0..2000).for_each(|_| mean.push(FULL_SCALE));
+        mean.clear();
+        assert_eq!(mean.mean(revolution), None);
+        (0..5).for_each(|_| mean.push(7));
+        assert_eq!(mean.mean(revolution), Some(7));
+    }
+
+    #[test]
+    fn no_value_and_no_width_make_it_panic() {
+        let mut mean = RevolutionMean::new();
+        for value in [u32::MAX, 0, u32::MAX].into_iter().cycle().take(5000) {
+            mean.push(value);
+            let _ = mean.mean(Window::STANDSTILL);
+            let _ = mean.mean(Window::for_speed(Some(Rpm(u16::MAX))));
+        }
+    }
+}

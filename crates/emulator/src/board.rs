@@ -1,0 +1,153 @@
+//! The virtual board: the real firmware in QEMU, fed with blocks of one millisecond.
+//!
+//! The host puts blocks into a pipe, rings, and gets back the CAN frames that they caused, so both
+//! stay in step however fast or slow either is. The serial line is QEMU's own, a byte stream that
+//! lives beside it.
+
+use std::{
+    fs::{File, OpenOptions},
+    io::{Read, Write},
+    os::unix::net::UnixStream,
+    path::Path,
+    sync::{Arc, Mutex, PoisonError},
+    thread,
+};
+
+use anyhow::{Context as _, Result};
+use rustix::fs::{CWD, FileType, Mode, mknodat};
+use trueup_core::{calibration::Calibration, units::Millis};
+use trueup_link::{
+    bench::{Block, RECORD_SIZE, Record},
+    calibration,
+    frame::Frame,
+};
+
+use crate::{
+    log::Decoder,
+    qemu::{BOOT_TIMEOUT, Qemu},
+};
+
+/// Blocks that can be announced with one ring: a byte.
+pub const LARGEST_BATCH: usize = 255;
+
+/// A running virtual board.
+pub struct VirtualBoard {
+    // Fields are dropped in this order: the pipes close before QEMU is ended.
+    samples: File,
+    frames: File,
+    doorbell: UnixStream,
+    serial: UnixStream,
+    log: Arc<Mutex<Vec<String>>>,
+    qemu: Qemu,
+}
+
+impl VirtualBoard {
+    /// Boots an image with a calibration and waits until it is up.
+    ///
+    /// # Errors
+    /// QEMU is missing or ends, or the board does not come up in time.
+    pub fn boot(image: &Path, machine: &Calibration) -> Result<Self> {
+        Self::boot_with(image, &calibration::encode(machine))
+    }
+
+    /// Boots an image with these bytes as its calibration, valid or not.
+    ///
+    /// # Errors
+    /// As [`Self::boot`].
+    pub fn boot_with(image: &Path, calibration: &[u8]) -> Result<Self> {
+        let decoder = Decoder::of(image)?;
+        let mut qemu = Qemu::start(
+            image,
+            &[
+                "-serial",
+                "unix:serial.sock,server=on,wait=off",
+                "-serial",
+                "unix:doorbell.sock,server=on,wait=off",
+                "-chardev",
+                "socket,id=log,path=log.sock,server=on,wait=on",
+                "-semihosting-config",
+                "enable=on,target=native,chardev=log",
+            ],
+            |folder| {
+                std::fs::write(folder.join("calibration.bin"), calibration)?;
+                for pipe in ["samples", "frames"] {
+                    mknodat(CWD, folder.join(pipe), FileType::Fifo, Mode::RUSR | Mode::WUSR, 0)
+                        .context("cannot make a pipe")?;
+                }
+                Ok(())
+            },
+        )?;
+        // Held open both ways until the board has opened its ends, so that nobody waits in `open`.
+        let both = |name| OpenOptions::new().read(true).write(true).open(qemu.path(name));
+        let held = [both("samples")?, both("frames")?];
+
+        let log = Arc::new(Mutex::new(Vec::new()));
+        let lines = log.clone();
+        let source = qemu.connect("log.sock")?;
+        thread::spawn(move || {
+            let keep = |line| lines.lock().unwrap_or_else(PoisonError::into_inner).push(line);
+            if let Err(error) = decoder.follow(source, keep) {
+                eprintln!("the board's log ends: {error:#}");
+            }
+        });
+
+        let serial = qemu.connect("serial.sock")?;
+        let mut doorbell = qemu.connect("doorbell.sock")?;
+        doorbell.set_read_timeout(Some(BOOT_TIMEOUT))?;
+        let mut ready = [0];
+        if doorbell.read_exact(&mut ready).is_err() || ready != *b"R" {
+            return Err(qemu.broken("the board does not come up"));
+        }
+        let samples = OpenOptions::new().write(true).open(qemu.path("samples"))?;
+        let frames = File::open(qemu.path("frames"))?;
+        drop(held);
+        Ok(Self { samples, frames, doorbell, serial, log, qemu })
+    }
+
+    /// Lets the board live through these blocks, at most [`LARGEST_BATCH`], and gives what it sent
+    /// on its CAN meanwhile.
+    ///
+    /// # Errors
+    /// QEMU has ended.
+    pub fn step(&mut self, blocks: &[Block]) -> Result<Vec<(Millis, Frame)>> {
+        let count = u8::try_from(blocks.len()).context("too many blocks for one batch")?;
+        if count == 0 {
+            return Ok(Vec::new());
+        }
+        let bytes = blocks.iter().map(Block::encode).collect::<Result<Vec<_>, _>>()?.concat();
+        let rung = self.samples.write_all(&bytes).and_then(|()| self.doorbell.write_all(&[count]));
+        if rung.is_err() {
+            return Err(self.qemu.broken("the board no longer takes samples"));
+        }
+        let mut sent = Vec::with_capacity(blocks.len() * 3);
+        loop {
+            let mut bytes = [0; RECORD_SIZE];
+            if self.frames.read_exact(&mut bytes).is_err() {
+                return Err(self.qemu.broken("the board no longer sends frames"));
+            }
+            match Record::decode(&bytes).context("the board sent a broken record")? {
+                Record::Frame { time, frame } => sent.push((time, frame)),
+                Record::EndOfBatch { .. } => return Ok(sent),
+            }
+        }
+    }
+
+    /// The CNC's end of the serial line.
+    ///
+    /// # Errors
+    /// The socket cannot be shared.
+    pub fn serial(&self) -> Result<UnixStream> {
+        Ok(self.serial.try_clone()?)
+    }
+
+    /// The board's log so far.
+    #[must_use]
+    pub fn log(&self) -> Vec<String> {
+        self.log.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// The emulator it runs in.
+    pub fn qemu(&mut self) -> &mut Qemu {
+        &mut self.qemu
+    }
+}

@@ -1,0 +1,169 @@
+//! The CNC's end of the link: SLCAN over any byte stream, as a CNC would use it.
+
+use std::{
+    collections::VecDeque,
+    io::{Read, Write},
+};
+
+use anyhow::{Context as _, Result, bail};
+use trueup_core::cnc::{Command, Output};
+use trueup_link::{
+    frames,
+    receiver::OffsetReceiver,
+    slcan::{Client, Event, encode_line},
+};
+
+/// A CNC on an SLCAN line.
+pub struct Cnc<S> {
+    stream: S,
+    client: Client,
+    waiting: VecDeque<Event>,
+    counter: u8,
+    /// The pairing and checking of the offsets.
+    pub offsets: OffsetReceiver,
+}
+
+impl<S: Read + Write> Cnc<S> {
+    /// Opens the channel as every SLCAN program does: close, 1 Mbit/s, open.
+    ///
+    /// # Errors
+    /// The line breaks, or the board refuses.
+    pub fn open(stream: S) -> Result<Self> {
+        let mut cnc = Self {
+            stream,
+            client: Client::new(),
+            waiting: VecDeque::new(),
+            counter: 0,
+            offsets: OffsetReceiver::new(),
+        };
+        // Ends what an earlier client may have left on the line; that it was refused is no matter.
+        cnc.ask("").ok();
+        for command in ["C", "S8", "O"] {
+            cnc.ask(command)?;
+        }
+        Ok(cnc)
+    }
+
+    /// Sends a line and waits for its answer; frames that come meanwhile are kept.
+    ///
+    /// # Errors
+    /// The line breaks, or the board refuses.
+    pub fn ask(&mut self, line: &str) -> Result<String> {
+        self.write(format!("{line}\r").as_bytes())?;
+        let mut kept = VecDeque::new();
+        let answer = loop {
+            match self.next()? {
+                Event::Accepted => break String::new(),
+                Event::Other(text) => break String::from_utf8_lossy(&text).into_owned(),
+                Event::Refused => bail!("the board refuses the line {line:?}"),
+                event @ (Event::Frame(_) | Event::Malformed(_)) => kept.push_back(event),
+            }
+        };
+        kept.append(&mut self.waiting);
+        self.waiting = kept;
+        Ok(answer)
+    }
+
+    /// Sends bytes as they are.
+    ///
+    /// # Errors
+    /// The line breaks.
+    pub fn write(&mut self, bytes: &[u8]) -> Result<()> {
+        self.stream.write_all(bytes).context("the line to the board is broken")
+    }
+
+    /// Sends a command in its frame, and waits until the board has taken it.
+    ///
+    /// # Errors
+    /// The line breaks, or the board refuses.
+    pub fn send(&mut self, command: Command) -> Result<()> {
+        let frame = match command {
+            Command::Control(control) => frames::control(control, self.counter),
+            Command::Spindle(spindle) => frames::spindle(spindle, self.counter),
+        };
+        self.counter = self.counter.wrapping_add(1);
+        self.ask(encode_line(&frame).trim_end()).map(drop)
+    }
+
+    /// The next offsets of which both frames have come and are valid.
+    ///
+    /// # Errors
+    /// The line breaks.
+    pub fn next_output(&mut self) -> Result<Output> {
+        loop {
+            if let Event::Frame(frame) = self.next()? {
+                // What is refused is counted in `offsets`.
+                if let Ok(Some(output)) = self.offsets.accept(&frame) {
+                    return Ok(output);
+                }
+            }
+        }
+    }
+
+    /// The next thing that comes over the line.
+    ///
+    /// # Errors
+    /// The line breaks.
+    pub fn next(&mut self) -> Result<Event> {
+        let mut bytes = [0; 4096];
+        loop {
+            if let Some(event) = self.waiting.pop_front() {
+                return Ok(event);
+            }
+            let length = self.stream.read(&mut bytes).context("the line to the board is broken")?;
+            if length == 0 {
+                bail!("the board has closed the line");
+            }
+            let client = &mut self.client;
+            self.waiting.extend(bytes[..length].iter().filter_map(|&byte| client.receive(byte)));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io;
+    use trueup_link::frame::Frame;
+
+    /// A board that answers what the test says.
+    struct Script {
+        answers: io::Cursor<Vec<u8>>,
+        asked: Vec<u8>,
+    }
+
+    impl Read for Script {
+        fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+            // One byte at a time: lines are cut anywhere.
+            self.answers.read(&mut buffer[..1])
+        }
+    }
+
+    impl Write for Script {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.asked.write(bytes)
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn it_opens_as_every_slcan_program_does_and_keeps_frames_that_come_between() {
+        let answers = b"\x07\r\rt7011\x305\r\rV1013\r".to_vec();
+        let script = Script { answers: io::Cursor::new(answers), asked: Vec::new() };
+        let mut cnc = Cnc::open(script).expect("three answers");
+        assert_eq!(cnc.stream.asked, b"\rC\rS8\rO\r");
+        assert_eq!(cnc.ask("V").expect("an answer"), "V1013");
+        let heartbeat = Frame::new(0x701, &[5]).expect("valid");
+        assert_eq!(cnc.next().expect("kept"), Event::Frame(heartbeat));
+    }
+
+    #[test]
+    fn a_refusal_names_the_line() {
+        let script = Script { answers: io::Cursor::new(b"\r\x07".to_vec()), asked: Vec::new() };
+        let error = Cnc::open(script).err().expect("refused");
+        assert!(error.to_string().contains("\"C\""), "{error}");
+    }
+}

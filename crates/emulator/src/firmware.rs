@@ -1,0 +1,88 @@
+//! Builds the firmware images.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::Command,
+};
+
+use anyhow::{Context as _, Result};
+
+use crate::{
+    process,
+    setup::{self, TARGET, Toolchain},
+};
+
+/// The two boards, by the names of their features.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Board {
+    /// The flashable one.
+    Stm32f405,
+    /// The one for QEMU.
+    Virtual,
+}
+
+impl Board {
+    /// Both.
+    pub const ALL: [Self; 2] = [Self::Stm32f405, Self::Virtual];
+
+    /// The feature that chooses this board.
+    #[must_use]
+    pub fn feature(self) -> &'static str {
+        match self {
+            Self::Stm32f405 => "stm32f405",
+            Self::Virtual => "virtual",
+        }
+    }
+
+    /// Where its image is put. An image is also the key to its log, so it is worth keeping.
+    #[must_use]
+    pub fn image(self) -> PathBuf {
+        setup::root().join("target/firmware").join(format!("trueup-{}.elf", self.feature()))
+    }
+}
+
+/// A cargo command that compiles for the board: `cargo <verb> --target … --features …`.
+///
+/// # Errors
+/// There is no way to the target; see [`setup::toolchain`].
+pub fn cargo(verb: &str, board: Board) -> Result<(Command, PathBuf)> {
+    let root = setup::root();
+    let (mut command, folder) = match setup::toolchain()? {
+        Toolchain::Rustup => {
+            let cargo = std::env::var_os("CARGO").unwrap_or("cargo".into());
+            (Command::new(cargo), root.join("target"))
+        }
+        Toolchain::Distribution => {
+            let mut command = Command::new("/usr/bin/cargo");
+            command.env("RUSTC", "/usr/bin/rustc").env("RUSTC_BOOTSTRAP", "1");
+            command.env_remove("RUSTUP_TOOLCHAIN").env_remove("CARGO");
+            (command, root.join("target/distribution"))
+        }
+    };
+    let distribution = folder.ends_with("distribution");
+    command.arg(verb);
+    if distribution {
+        command.arg("-Zbuild-std=core");
+    }
+    command
+        .args(["--package", "trueup-firmware", "--profile", "firmware", "--target", TARGET])
+        .args(["--features", board.feature(), "--target-dir"])
+        .arg(&folder)
+        .current_dir(root);
+    Ok((command, folder))
+}
+
+/// Builds the image of a board and gives its path.
+///
+/// # Errors
+/// It does not compile, or there is no way to the target.
+pub fn build(board: Board) -> Result<PathBuf> {
+    let (mut command, folder) = cargo("build", board)?;
+    process::run(&mut command)?;
+    let built = folder.join(TARGET).join("firmware/trueup-firmware");
+    let image = board.image();
+    fs::create_dir_all(image.parent().unwrap_or(Path::new(".")))?;
+    fs::copy(&built, &image).with_context(|| format!("{} is missing", built.display()))?;
+    Ok(image)
+}

@@ -1,0 +1,135 @@
+//! One QEMU with one image in it, ended with its owner.
+
+use std::{
+    fs,
+    io::Read,
+    os::unix::net::UnixStream,
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+    thread,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context as _, Result, bail};
+
+use crate::{process, setup};
+
+/// How long QEMU may take to open its sockets, and the board to say that it is up.
+pub const BOOT_TIMEOUT: Duration = Duration::from_secs(30);
+
+/// A running emulator. Dropping it ends the process and removes its folder.
+pub struct Qemu {
+    child: Child,
+    folder: tempfile::TempDir,
+}
+
+impl Qemu {
+    /// Starts the image in a folder of its own, which `prepare` fills first. `arguments` are QEMU's
+    /// beyond machine and image; its working directory is the folder.
+    ///
+    /// # Errors
+    /// QEMU is missing and cannot be installed, or does not start.
+    pub fn start(
+        image: &Path,
+        arguments: &[&str],
+        prepare: impl FnOnce(&Path) -> Result<()>,
+    ) -> Result<Self> {
+        let qemu = setup::qemu()?;
+        let image = fs::canonicalize(image)
+            .with_context(|| format!("there is no firmware image {}", image.display()))?;
+        let folder = tempfile::Builder::new().prefix("trueup-").tempdir()?;
+        prepare(folder.path())?;
+        // With setpriv the kernel ends QEMU when this process dies, however it dies.
+        let mut command = match process::find("setpriv") {
+            Some(setpriv) => {
+                let mut command = Command::new(setpriv);
+                command.args(["--pdeathsig", "KILL"]).arg(qemu);
+                command
+            }
+            None => Command::new(qemu),
+        };
+        command
+            .args(["-machine", "netduinoplus2", "-display", "none", "-monitor", "none"])
+            .arg("-kernel")
+            .arg(image)
+            .args(arguments)
+            .current_dir(folder.path())
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(fs::File::create(folder.path().join("qemu.err"))?);
+        let child = command.spawn().context("cannot start QEMU")?;
+        Ok(Self { child, folder })
+    }
+
+    /// A path in the emulator's folder.
+    #[must_use]
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// The process id, for those who want to end it from outside.
+    #[must_use]
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Connects to a socket that QEMU opens.
+    ///
+    /// # Errors
+    /// QEMU has ended, or does not open it in time.
+    pub fn connect(&mut self, name: &str) -> Result<UnixStream> {
+        let end = Instant::now() + BOOT_TIMEOUT;
+        loop {
+            if let Ok(stream) = UnixStream::connect(self.path(name)) {
+                return Ok(stream);
+            }
+            self.check()?;
+            if Instant::now() > end {
+                bail!("QEMU does not open its socket {name}");
+            }
+            thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// Fails if QEMU has ended, with what it said.
+    ///
+    /// # Errors
+    /// It has.
+    pub fn check(&mut self) -> Result<()> {
+        if let Some(status) = self.child.try_wait()? {
+            bail!("QEMU has ended ({status}){}", self.said());
+        }
+        Ok(())
+    }
+
+    /// The error for a channel to the board that has broken off.
+    #[must_use]
+    pub fn broken(&mut self, what: &str) -> anyhow::Error {
+        // The pipes close a moment before the process can be seen to have ended.
+        for _ in 0..100 {
+            if let Err(error) = self.check() {
+                return error.context(what.to_owned());
+            }
+            thread::sleep(Duration::from_millis(10));
+        }
+        anyhow::anyhow!("{what}, though QEMU is still running{}", self.said())
+    }
+
+    fn said(&self) -> String {
+        let mut said = String::new();
+        let read =
+            fs::File::open(self.path("qemu.err")).and_then(|mut f| f.read_to_string(&mut said));
+        match (read, said.trim()) {
+            (Ok(_), "") | (Err(_), _) => String::new(),
+            (Ok(_), said) => format!(": {said}"),
+        }
+    }
+}
+
+impl Drop for Qemu {
+    fn drop(&mut self) {
+        // It may have ended already; there is nothing else to do about a failure here.
+        self.child.kill().ok();
+        self.child.wait().ok();
+    }
+}

@@ -1,0 +1,251 @@
+//! A running virtual bridge for any client: its serial line on a TCP port, fed by a run file or by
+//! a plant.
+//!
+//! The port is this process's own, with QEMU's line behind it, so that a port in use is a clear
+//! error, clients may come and go, and the first `O` can be seen: with it the replay starts.
+
+use std::{
+    io::{self, Read as _, Write as _},
+    net::{TcpListener, TcpStream},
+    os::unix::net::UnixStream,
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context as _, Result, bail};
+use trueup_core::{calibration::Calibration, cnc::Output, units::NANOMETRES_PER_MICROMETRE};
+use trueup_link::{bench::Block, receiver::OffsetReceiver, slcan::CR};
+
+use crate::{
+    board::VirtualBoard,
+    front_end::FrontEnd,
+    plant::{Answer, Plant},
+    replay::{Replay, Situation},
+};
+
+/// What makes the machine's time pass.
+pub enum Source {
+    /// A run file, at a multiple of real time, or as fast as it goes.
+    Run {
+        /// The run.
+        replay: Replay,
+        /// Milliseconds of the board in a millisecond of the clock; `None`: no pacing.
+        speed: Option<f64>,
+    },
+    /// A plant, in lock-step.
+    Plant(Plant),
+}
+
+/// Blocks handed over at once while time is not paced.
+const FREE_BATCH: u32 = 20;
+/// The board's clock may fall behind by so much before it slips.
+const LARGEST_BACKLOG_MS: f64 = 200.0;
+
+/// Serves until `stop` is set or the source ends.
+///
+/// # Errors
+/// QEMU ends, or the source is broken.
+pub fn serve(
+    image: &std::path::Path,
+    machine: &Calibration,
+    mut front_end: FrontEnd,
+    listener: TcpListener,
+    source: Source,
+    stop: &AtomicBool,
+) -> Result<()> {
+    let mut board = VirtualBoard::boot(image, machine)?;
+    eprintln!("the bridge is up in QEMU (process {})", board.qemu().id());
+    let opened = Arc::new(AtomicBool::new(false));
+    share_line(listener, board.serial()?, opened.clone())?;
+    let is_over = |board: &mut VirtualBoard| -> Result<bool> {
+        board.qemu().check()?;
+        Ok(stop.load(Ordering::Relaxed))
+    };
+    let mut play = |board: &mut VirtualBoard,
+                    situation: &dyn Fn(f64) -> Situation,
+                    count: u32|
+     -> Result<Option<Output>> {
+        let mut offsets = OffsetReceiver::new();
+        let mut last = None;
+        let blocks: Vec<Block> = (0..count)
+            .map(|_| {
+                let now = situation(front_end.time_s());
+                let codes = front_end.block(|_| now.sensor_volts);
+                Block { codes, speed: now.speed, frames: [None; 2] }
+            })
+            .collect();
+        for batch in blocks.chunks(crate::board::LARGEST_BATCH) {
+            for (_, frame) in board.step(batch)? {
+                last = offsets.accept(&frame).ok().flatten().or(last);
+            }
+        }
+        Ok(last)
+    };
+    match source {
+        Source::Run { replay, speed } => {
+            eprintln!("the replay starts when a client opens the channel");
+            while !opened.load(Ordering::Relaxed) {
+                if is_over(&mut board)? {
+                    return Ok(());
+                }
+                thread::sleep(Duration::from_millis(5));
+            }
+            let mut pace = Pace::new(speed);
+            while !stop.load(Ordering::Relaxed) {
+                match pace.due() {
+                    0 => thread::sleep(Duration::from_micros(300)),
+                    due => {
+                        play(&mut board, &|time| replay.at(time), due)?;
+                    }
+                }
+            }
+        }
+        Source::Plant(mut plant) => {
+            while let Some((situation, ms)) = plant.next(|| is_over(&mut board))? {
+                if let Some(output) = play(&mut board, &|_| situation, ms)? {
+                    plant.last_answer = Answer::from(&output);
+                }
+                plant.answer()?;
+                if is_over(&mut board)? {
+                    break;
+                }
+            }
+            eprintln!("the plant has closed its line");
+        }
+    }
+    Ok(())
+}
+
+impl From<&Output> for Answer {
+    fn from(output: &Output) -> Self {
+        let um = |nm: i32| f64::from(nm) / f64::from(NANOMETRES_PER_MICROMETRE);
+        Self {
+            offset_um: match output.offset {
+                None => [None; 3],
+                Some(offset) => offset.map(|axis| Some(um(axis.0))),
+            },
+            quality: output.quality as u8,
+        }
+    }
+}
+
+/// How much of the board's time is due.
+struct Pace {
+    speed: Option<f64>,
+    last: Instant,
+    owed_ms: f64,
+    slipped: bool,
+}
+
+impl Pace {
+    fn new(speed: Option<f64>) -> Self {
+        Self { speed, last: Instant::now(), owed_ms: 0.0, slipped: false }
+    }
+
+    /// Milliseconds of the board that are due now.
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0…backlog")]
+    fn due(&mut self) -> u32 {
+        let Some(speed) = self.speed else { return FREE_BATCH };
+        let now = Instant::now();
+        self.owed_ms += now.duration_since(self.last).as_secs_f64() * 1_000.0 * speed;
+        self.last = now;
+        let largest = LARGEST_BACKLOG_MS * speed.max(1.0);
+        if self.owed_ms > largest {
+            if !self.slipped {
+                eprintln!("this machine is too slow for {speed} times real time: time slips");
+                self.slipped = true;
+            }
+            self.owed_ms = largest;
+        }
+        let due = self.owed_ms.floor();
+        self.owed_ms -= due;
+        due as u32
+    }
+}
+
+/// Joins the clients of a port, one at a time, to the board's line.
+fn share_line(listener: TcpListener, line: UnixStream, opened: Arc<AtomicBool>) -> Result<()> {
+    let client: Arc<Mutex<Option<TcpStream>>> = Arc::default();
+    let mut from_board = line.try_clone()?;
+    let to_client = client.clone();
+    thread::spawn(move || {
+        let mut bytes = [0; 4096];
+        while let Ok(length @ 1..) = from_board.read(&mut bytes) {
+            let stream = lock(&to_client).as_ref().and_then(|stream| stream.try_clone().ok());
+            // With no client, or one that has just gone, the bytes have nobody to go to.
+            if let Some(mut stream) = stream {
+                stream.write_all(&bytes[..length]).ok();
+            }
+        }
+    });
+    thread::spawn(move || {
+        for stream in listener.incoming().flatten() {
+            if let Err(error) = serve_client(stream, &client, &line, &opened) {
+                eprintln!("a client is gone: {error}");
+            }
+            lock(&client).take();
+        }
+    });
+    Ok(())
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// One client, until it goes. The next one waits in the port's queue.
+fn serve_client(
+    mut stream: TcpStream,
+    client: &Mutex<Option<TcpStream>>,
+    mut line: &UnixStream,
+    opened: &AtomicBool,
+) -> io::Result<()> {
+    stream.set_nodelay(true)?;
+    let peer = stream.peer_addr()?;
+    eprintln!("client {peer} is connected");
+    *lock(client) = Some(stream.try_clone()?);
+    let mut bytes = [0; 4096];
+    let mut command: Vec<u8> = Vec::new();
+    loop {
+        let length = stream.read(&mut bytes)?;
+        if length == 0 {
+            eprintln!("client {peer} has closed its connection");
+            return Ok(());
+        }
+        line.write_all(&bytes[..length])?;
+        for &byte in &bytes[..length] {
+            if byte != CR {
+                command.push(byte);
+                command.truncate(32);
+            } else if std::mem::take(&mut command).trim_ascii_start() == b"O" {
+                opened.store(true, Ordering::Relaxed);
+            }
+        }
+    }
+}
+
+/// Opens the port of `tcp:HOST:PORT`.
+///
+/// # Errors
+/// It is no such address, or the port is in use.
+pub fn listen(address: &str) -> Result<TcpListener> {
+    let address = tcp_address(address)?;
+    TcpListener::bind(address).with_context(|| {
+        format!("cannot listen at tcp:{address}; is another program, or another bridge, using it?")
+    })
+}
+
+/// The `HOST:PORT` of `tcp:HOST:PORT`.
+///
+/// # Errors
+/// It has another form.
+pub fn tcp_address(address: &str) -> Result<&str> {
+    match address.strip_prefix("tcp:") {
+        Some(rest) if rest.contains(':') => Ok(rest),
+        _ => bail!("\"{address}\" is no address; it has the form tcp:HOST:PORT"),
+    }
+}

@@ -1,0 +1,202 @@
+//! What a fresh machine lacks: the compiler's target, QEMU, the Python clients.
+//!
+//! Nothing is installed in silence: a line says what is about to be, and where this may not be
+//! done, the error has the exact line to type.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::Command,
+};
+
+use anyhow::{Context as _, Result, bail};
+
+use crate::process;
+
+/// The processor of the STM32F405.
+pub const TARGET: &str = "thumbv7em-none-eabihf";
+/// Set to `distribution` it forces the second way to the target.
+pub const TOOLCHAIN_VARIABLE: &str = "TRUEUP_TOOLCHAIN";
+/// The oldest QEMU that has what the board needs.
+const OLDEST_QEMU: (u32, u32) = (7, 2);
+
+/// What compiles the firmware.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Toolchain {
+    /// The compiler that runs this, with the target added by rustup.
+    Rustup,
+    /// The distribution's compiler, which builds `core` from the distribution's source.
+    Distribution,
+}
+
+/// The root of the project, wherever the command was called.
+#[must_use]
+pub fn root() -> PathBuf {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    here.ancestors().nth(2).expect("this crate is two folders below the root").to_owned()
+}
+
+/// Makes sure that the firmware can be compiled.
+///
+/// # Errors
+/// Neither way works here; the error has both reasons.
+pub fn toolchain() -> Result<Toolchain> {
+    let forced = std::env::var(TOOLCHAIN_VARIABLE).unwrap_or_default();
+    match forced.as_str() {
+        "" | "rustup" => {}
+        "distribution" => return distribution().map(|()| Toolchain::Distribution),
+        other => {
+            bail!("{TOOLCHAIN_VARIABLE} is \"{other}\": it takes \"rustup\" or \"distribution\"")
+        }
+    }
+    match rustup() {
+        Ok(()) => Ok(Toolchain::Rustup),
+        Err(first) if forced.is_empty() => {
+            eprintln!("{first:#}; trying the distribution's compiler");
+            distribution().map_err(|second| {
+                second.context(format!("the target {TARGET} cannot be had; first way: {first:#}"))
+            })?;
+            Ok(Toolchain::Distribution)
+        }
+        Err(error) => Err(error),
+    }
+}
+
+fn rustup() -> Result<()> {
+    if target_is_there() {
+        return Ok(());
+    }
+    let mut add = Command::new("rustup");
+    add.args(["target", "add", TARGET]);
+    eprintln!("the compiler lacks {TARGET}; running `{}`", process::line(&add));
+    process::run(&mut add)?;
+    if !target_is_there() {
+        bail!("rustup added {TARGET}, but not to the compiler in use");
+    }
+    Ok(())
+}
+
+fn target_is_there() -> bool {
+    let rustc = std::env::var_os("RUSTC").unwrap_or("rustc".into());
+    process::output(Command::new(rustc).args(["--print", "target-libdir", "--target", TARGET]))
+        .is_ok_and(|folder| {
+            fs::read_dir(folder.trim()).is_ok_and(|mut files| {
+                files.any(|file| {
+                    file.is_ok_and(|file| {
+                        file.file_name().to_string_lossy().starts_with("libcore-")
+                    })
+                })
+            })
+        })
+}
+
+fn distribution() -> Result<()> {
+    let packages = ["rustc-web", "cargo-web", "rust-web-src"];
+    if !packages.iter().all(|package| is_installed(package)) {
+        install(&packages, "the distribution's compiler and library source")?;
+    }
+    Ok(())
+}
+
+/// Makes sure that QEMU is there and new enough; gives its path.
+///
+/// # Errors
+/// It is missing and cannot be installed, or it is too old.
+pub fn qemu() -> Result<PathBuf> {
+    const PROGRAM: &str = "qemu-system-arm";
+    if process::find(PROGRAM).is_none() {
+        install(&[PROGRAM], "QEMU, the emulator")?;
+    }
+    let path = process::find(PROGRAM).context("qemu-system-arm is installed but not on PATH")?;
+    let said = process::output(Command::new(&path).arg("--version"))?;
+    let version = said.split("version ").nth(1).unwrap_or_default();
+    let mut numbers = version.split('.').map(|number| number.parse::<u32>().unwrap_or(0));
+    let version = (numbers.next().unwrap_or(0), numbers.next().unwrap_or(0));
+    if version < OLDEST_QEMU {
+        bail!(
+            "{} is version {}.{}; {}.{} or newer is needed",
+            path.display(),
+            version.0,
+            version.1,
+            OLDEST_QEMU.0,
+            OLDEST_QEMU.1
+        );
+    }
+    Ok(path)
+}
+
+/// Makes sure that the Python clients of the tests are there, in an environment of the project's
+/// own; gives its interpreter.
+///
+/// # Errors
+/// No Python, or the packages cannot be had.
+pub fn python() -> Result<PathBuf> {
+    let requirements = root().join("host-tests/python/requirements.txt");
+    let wanted = fs::read_to_string(&requirements).context("the list of Python packages")?;
+    let folder = root().join("target/python");
+    let python = folder.join("bin/python");
+    let stamp = folder.join("installed.txt");
+    if fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) {
+        return Ok(python);
+    }
+    if process::find("python3").is_none() {
+        install(&["python3", "python3-venv"], "Python, for the CAN clients of the tests")?;
+    }
+    eprintln!("installing the Python CAN clients into target/python");
+    let make = |python: &str| {
+        process::run(Command::new(python).args(["-m", "venv", "--clear"]).arg(&folder))
+    };
+    if make("python3").is_err() {
+        install(&["python3-venv"], "Python's virtual environments")?;
+        // Another Python may stand before the distribution's on PATH.
+        make("python3").or_else(|_| make("/usr/bin/python3"))?;
+    }
+    let pip = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "-r"];
+    process::run(Command::new(&python).args(pip).arg(&requirements))?;
+    fs::write(stamp, wanted)?;
+    Ok(python)
+}
+
+/// Everything at once, for `cargo xtask setup` and `cargo verify`.
+///
+/// # Errors
+/// Something is missing and cannot be had here.
+pub fn everything() -> Result<()> {
+    toolchain()?;
+    qemu()?;
+    python()?;
+    Ok(())
+}
+
+fn is_installed(package: &str) -> bool {
+    process::output(Command::new("dpkg-query").args(["-W", "-f", "${Status}", package]))
+        .is_ok_and(|status| status == "install ok installed")
+}
+
+/// Installs packages of the distribution, or says how.
+fn install(packages: &[&str], what: &str) -> Result<()> {
+    let by_hand = format!("sudo apt-get update && sudo apt-get install -y {}", packages.join(" "));
+    if process::find("apt-get").is_none() {
+        bail!(
+            "{what} is missing, and this is no Debian or Ubuntu; install: {}",
+            packages.join(" ")
+        );
+    }
+    let root = process::output(Command::new("id").arg("-u")).is_ok_and(|id| id.trim() == "0");
+    let sudo = || process::output(Command::new("sudo").args(["-n", "true"])).is_ok();
+    if !root && !sudo() {
+        bail!("{what} is missing and this user may not install it; run:\n    {by_hand}");
+    }
+    let apt = |arguments: &[&str]| {
+        let mut command = if root { Command::new("apt-get") } else { Command::new("sudo") };
+        if !root {
+            command.args(["-n", "apt-get"]);
+        }
+        command.args(["-qq", "-o", "DPkg::Lock::Timeout=300"]).args(arguments);
+        process::run(command.env("DEBIAN_FRONTEND", "noninteractive"))
+    };
+    eprintln!("{what} is missing; installing: {}", packages.join(" "));
+    apt(&["update"])
+        .and_then(|()| apt(&[&["install", "-y", "--no-install-recommends"], packages].concat()))
+        .with_context(|| format!("{what} could not be installed; by hand:\n    {by_hand}"))
+}

@@ -1,0 +1,365 @@
+//! The stream between the host and the emulated board: samples and frames down, frames up. The
+//! chip never sees it.
+//!
+//! Down, 64 bytes for one millisecond, little-endian:
+//!
+//! | offset | type | field |
+//! |---|---|---|
+//! | 0 | 20 × `u16` | ADC codes, oldest first |
+//! | 40 | `u16` | spindle speed in r/min, 0xFFFF: none |
+//! | 42 | `u16` | 0 |
+//! | 44, 54 | `u16`, 8 bytes | CAN frame: identifier (0xFFFF: no frame), data |
+//!
+//! Up, 16 bytes for one frame, and one such record to end what the board has to say on a block:
+//!
+//! | offset | type | field |
+//! |---|---|---|
+//! | 0 | `u32` | sample clock in ms |
+//! | 4 | `u16` | identifier, 0xFFFF: end of batch |
+//! | 6 | `u8` | number of data bytes, 0…8; 0 at the end of a batch |
+//! | 7 | `u8` | 0 |
+//! | 8 | 8 bytes | data, padded with zeros |
+
+use core::{error::Error, fmt};
+
+use trueup_core::units::{Code, Millis, Rpm};
+
+use crate::frame::{Frame, FrameError};
+
+/// ADC samples in one millisecond.
+pub const SAMPLES: usize = 20;
+/// CAN frames that fit a block.
+pub const FRAMES: usize = 2;
+/// Bytes in a block.
+pub const BLOCK_SIZE: usize = 64;
+/// Bytes in a record.
+pub const RECORD_SIZE: usize = 16;
+
+/// In place of a speed or an identifier: there is none.
+const NONE: u16 = 0xFFFF;
+
+/// What happens to the board in one millisecond.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Block {
+    /// ADC codes, oldest first; 0…4095 on the chip, not checked here, so that a fault can be
+    /// played.
+    pub codes: [Code; SAMPLES],
+    /// Spindle speed; 0xFFFF r/min is sent as 0xFFFE.
+    pub speed: Option<Rpm>,
+    /// Frames from the CNC, of 8 bytes.
+    pub frames: [Option<Frame>; FRAMES],
+}
+
+impl Block {
+    /// The bytes of this block.
+    ///
+    /// # Errors
+    /// [`BlockError::FrameLength`] for a frame that has not 8 bytes.
+    pub fn encode(&self) -> Result<[u8; BLOCK_SIZE], BlockError> {
+        let speed = self.speed.map_or(NONE, |Rpm(rpm)| rpm.min(NONE - 1));
+        let mut words = self.codes.map(|code| code.0).into_iter().chain([speed, 0]);
+        let mut bytes = [0; BLOCK_SIZE];
+        let (head, slots) = bytes.split_at_mut(SLOTS);
+        for (place, word) in head.as_chunks_mut::<2>().0.iter_mut().zip(&mut words) {
+            *place = word.to_le_bytes();
+        }
+        for (place, (slot, frame)) in
+            slots.as_chunks_mut::<SLOT_SIZE>().0.iter_mut().zip(self.frames.iter().enumerate())
+        {
+            *place = encode_slot(slot, frame.as_ref())?;
+        }
+        Ok(bytes)
+    }
+
+    /// The block of these bytes.
+    ///
+    /// # Errors
+    /// [`BlockError`] for an identifier above 0x7FF, or reserved bytes that are not 0: the stream
+    /// is out of step.
+    pub fn decode(bytes: &[u8; BLOCK_SIZE]) -> Result<Self, BlockError> {
+        let mut words = [0; BLOCK_SIZE / 2];
+        for (word, place) in words.iter_mut().zip(bytes.as_chunks::<2>().0) {
+            *word = u16::from_le_bytes(*place);
+        }
+        let [codes @ .., speed, reserved, _, _, _, _, _, _, _, _, _, _] = words;
+        if reserved != 0 {
+            return Err(BlockError::Reserved(reserved));
+        }
+        let (_, slots) = bytes.split_at(SLOTS);
+        let mut frames = [None; FRAMES];
+        for (frame, (slot, place)) in
+            frames.iter_mut().zip(slots.as_chunks::<SLOT_SIZE>().0.iter().enumerate())
+        {
+            *frame = decode_slot(slot, place)?;
+        }
+        Ok(Self { codes: codes.map(Code), speed: (speed != NONE).then_some(Rpm(speed)), frames })
+    }
+}
+
+/// Offset of the first frame in a block.
+const SLOTS: usize = 44;
+/// Bytes of a frame in a block.
+const SLOT_SIZE: usize = 10;
+
+fn encode_slot(slot: usize, frame: Option<&Frame>) -> Result<[u8; SLOT_SIZE], BlockError> {
+    let (id, [a, b, c, d, e, f, g, h]) = match frame {
+        Some(frame) if usize::from(frame.len()) == Frame::MAX_LEN => (frame.id(), *frame.data()),
+        Some(frame) => {
+            return Err(BlockError::FrameLength { slot, len: frame.len() });
+        }
+        None => (NONE, [0; Frame::MAX_LEN]),
+    };
+    let [low, high] = id.to_le_bytes();
+    Ok([low, high, a, b, c, d, e, f, g, h])
+}
+
+fn decode_slot(slot: usize, place: &[u8; SLOT_SIZE]) -> Result<Option<Frame>, BlockError> {
+    let [low, high, data @ ..] = place;
+    match u16::from_le_bytes([*low, *high]) {
+        NONE => Ok(None),
+        id => Frame::new(id, data).map(Some).map_err(|_| BlockError::Identifier { slot, id }),
+    }
+}
+
+/// Why there is no such block.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BlockError {
+    /// A frame of a block must have 8 bytes.
+    FrameLength {
+        /// Which frame, from 0.
+        slot: usize,
+        /// Its length.
+        len: u8,
+    },
+    /// An identifier is above 0x7FF, and not the one that stands for no frame.
+    Identifier {
+        /// Which frame, from 0.
+        slot: usize,
+        /// The identifier.
+        id: u16,
+    },
+    /// Bytes 42 and 43 are not 0.
+    Reserved(u16),
+}
+
+impl fmt::Display for BlockError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::FrameLength { slot, len } => write!(f, "frame {slot} has {len} bytes, not 8"),
+            Self::Identifier { slot, id } => {
+                write!(f, "identifier 0x{id:X} of frame {slot} is above 0x{:X}", Frame::MAX_ID)
+            }
+            Self::Reserved(found) => write!(f, "reserved bytes hold 0x{found:04X}, not 0"),
+        }
+    }
+}
+
+impl Error for BlockError {}
+
+/// What the board says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Record {
+    /// It sends a frame to the CNC.
+    Frame {
+        /// When, on the sample clock.
+        time: Millis,
+        /// The frame.
+        frame: Frame,
+    },
+    /// It has nothing more to say and waits for the next samples.
+    EndOfBatch {
+        /// When, on the sample clock.
+        time: Millis,
+    },
+}
+
+impl Record {
+    /// The bytes of this record.
+    #[must_use]
+    pub fn encode(&self) -> [u8; RECORD_SIZE] {
+        let (time, id, len, [a, b, c, d, e, f, g, h]) = match self {
+            Self::Frame { time, frame } => (time, frame.id(), frame.len(), *frame.data()),
+            Self::EndOfBatch { time } => (time, NONE, 0, [0; Frame::MAX_LEN]),
+        };
+        let [t0, t1, t2, t3] = time.0.to_le_bytes();
+        let [low, high] = id.to_le_bytes();
+        [t0, t1, t2, t3, low, high, len, 0, a, b, c, d, e, f, g, h]
+    }
+
+    /// The record of these bytes.
+    ///
+    /// # Errors
+    /// [`RecordError`] for an identifier above 0x7FF, a length above 8, or padding that is not 0:
+    /// the stream is out of step.
+    pub fn decode(bytes: &[u8; RECORD_SIZE]) -> Result<Self, RecordError> {
+        let &[t0, t1, t2, t3, low, high, len, padding, ref data @ ..] = bytes;
+        let time = Millis(u32::from_le_bytes([t0, t1, t2, t3]));
+        let id = u16::from_le_bytes([low, high]);
+        let too_long = RecordError::Length(len);
+        let (payload, rest) = data.split_at_checked(len.into()).ok_or(too_long)?;
+        if let Some(&found) = rest.iter().chain([&padding]).find(|byte| **byte != 0) {
+            return Err(RecordError::Padding(found));
+        }
+        if id == NONE {
+            return match len {
+                0 => Ok(Self::EndOfBatch { time }),
+                _ => Err(too_long),
+            };
+        }
+        let frame = Frame::new(id, payload).map_err(|error| match error {
+            FrameError::Identifier(id) => RecordError::Identifier(id),
+            FrameError::Length(_) => too_long,
+        })?;
+        Ok(Self::Frame { time, frame })
+    }
+}
+
+/// Why there is no such record.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RecordError {
+    /// The identifier is above 0x7FF, and not the one that ends a batch.
+    Identifier(u16),
+    /// More than 8 bytes of data, or data at the end of a batch.
+    Length(u8),
+    /// A byte of the padding is not 0.
+    Padding(u8),
+}
+
+impl fmt::Display for RecordError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Identifier(id) => {
+                write!(f, "identifier 0x{id:X} is above 0x{:X}", Frame::MAX_ID)
+            }
+            Self::Length(len) => write!(f, "a record cannot hold {len} bytes of data"),
+            Self::Padding(found) => write!(f, "padding holds 0x{found:02X}, not 0"),
+        }
+    }
+}
+
+impl Error for RecordError {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn frame(id: u16, payload: &[u8]) -> Frame {
+        Frame::new(id, payload).unwrap()
+    }
+
+    #[test]
+    fn every_field_of_a_block_lies_where_the_table_says() {
+        let mut block = Block {
+            speed: Some(Rpm(0x1234)),
+            frames: [None, Some(frame(0x302, &[1, 2, 3, 4, 5, 6, 7, 8]))],
+            ..Block::default()
+        };
+        block.codes[0] = Code(0x0ABC);
+        block.codes[19] = Code(0x0DEF);
+        let bytes = block.encode().unwrap();
+        assert_eq!(bytes[..2], [0xBC, 0x0A]);
+        assert_eq!(bytes[38..44], [0xEF, 0x0D, 0x34, 0x12, 0, 0]);
+        assert_eq!(bytes[44..54], [0xFF, 0xFF, 0, 0, 0, 0, 0, 0, 0, 0]);
+        assert_eq!(bytes[54..], [0x02, 0x03, 1, 2, 3, 4, 5, 6, 7, 8]);
+    }
+
+    #[test]
+    fn every_field_of_a_record_lies_where_the_table_says() {
+        let time = Millis(0x0102_0304);
+        let record = Record::Frame { time, frame: frame(0x701, &[5]) };
+        let expected = [4, 3, 2, 1, 0x01, 0x07, 1, 0, 5, 0, 0, 0, 0, 0, 0, 0];
+        assert_eq!(record.encode(), expected);
+        let expected = [4, 3, 2, 1, 0xFF, 0xFF, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+        assert_eq!(Record::EndOfBatch { time }.encode(), expected);
+    }
+
+    #[test]
+    fn no_speed_and_the_largest_speed_are_told_apart() {
+        for (sent, came) in [
+            (None, None),
+            (Some(Rpm(0)), Some(Rpm(0))),
+            (Some(Rpm(0xFFFE)), Some(Rpm(0xFFFE))),
+            (Some(Rpm(0xFFFF)), Some(Rpm(0xFFFE))),
+        ] {
+            let block = Block { speed: sent, ..Block::default() };
+            let bytes = block.encode().unwrap();
+            assert_eq!(Block::decode(&bytes).map(|block| block.speed), Ok(came));
+        }
+    }
+
+    #[test]
+    fn a_block_that_is_out_of_step_is_refused_with_what_was_found() {
+        let good = Block::default().encode().unwrap();
+        let mut bad = good;
+        bad[43] = 1;
+        assert_eq!(Block::decode(&bad), Err(BlockError::Reserved(0x100)));
+        let mut bad = good;
+        bad[54..56].copy_from_slice(&[0x00, 0x08]);
+        let (slot, id) = (1, 0x800);
+        assert_eq!(Block::decode(&bad), Err(BlockError::Identifier { slot, id }));
+        let short = Block { frames: [Some(frame(0x701, &[5])), None], ..Block::default() };
+        let (slot, len) = (0, 1);
+        assert_eq!(short.encode(), Err(BlockError::FrameLength { slot, len }));
+    }
+
+    #[test]
+    fn a_record_that_is_out_of_step_is_refused_with_what_was_found() {
+        let good = Record::EndOfBatch { time: Millis(1) }.encode();
+        for (at, value, error) in [
+            (5, 0x08, RecordError::Identifier(0x8FF)),
+            (6, 1, RecordError::Length(1)),
+            (6, 9, RecordError::Length(9)),
+            (7, 2, RecordError::Padding(2)),
+            (15, 3, RecordError::Padding(3)),
+        ] {
+            let mut bad = good;
+            bad[at] = value;
+            assert_eq!(Record::decode(&bad), Err(error), "byte {at}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_block_comes_back_whole(
+            codes in prop::array::uniform20(any::<u16>()), speed in prop::option::of(0_u16..0xFFFF),
+            frames in prop::array::uniform2(prop::option::of((0_u16..0x800, any::<[u8; 8]>()))),
+        ) {
+            let block = Block {
+                codes: codes.map(Code),
+                speed: speed.map(Rpm),
+                frames: frames.map(|it| it.map(|(id, data)| frame(id, &data))),
+            };
+            prop_assert_eq!(Block::decode(&block.encode().unwrap()), Ok(block));
+        }
+
+        #[test]
+        fn a_record_comes_back_whole(
+            time: u32, id in 0_u16..0x800, payload in prop::collection::vec(any::<u8>(), 0..=8),
+        ) {
+            let time = Millis(time);
+            for record in [
+                Record::Frame { time, frame: frame(id, &payload) },
+                Record::EndOfBatch { time },
+            ] {
+                prop_assert_eq!(Record::decode(&record.encode()), Ok(record));
+            }
+        }
+
+        #[test]
+        fn no_bytes_panic_and_what_is_read_is_what_is_written(
+            first in prop::array::uniform32(any::<u8>()), second in prop::array::uniform32(any::<u8>()),
+            record in prop::array::uniform16(any::<u8>()),
+        ) {
+            let mut bytes = [0; BLOCK_SIZE];
+            bytes[..32].copy_from_slice(&first);
+            bytes[32..].copy_from_slice(&second);
+            let _ = Block::decode(&bytes);
+            bytes[42..44].copy_from_slice(&[0; 2]);
+            let _ = Block::decode(&bytes);
+            if let Ok(read) = Record::decode(&record) {
+                prop_assert_eq!(read.encode(), record);
+            }
+        }
+    }
+}

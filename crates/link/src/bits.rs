@@ -1,0 +1,112 @@
+//! Where a signal lies in a frame, and how it gets in and out: Intel byte order, as in the DBC.
+//!
+//! The eight bytes are one little-endian number of 64 bits; a signal is `length` bits of it from
+//! bit `start` upwards, two's complement if `signed`.
+
+/// A signal's place in an 8-byte frame. The raw value always fits an `i32`.
+///
+/// ```
+/// use trueup_link::layout::OFFSET_Y; // 20 bits from bit 44, signed
+/// let mut data = [0; 8];
+/// OFFSET_Y.insert(&mut data, -2);
+/// assert_eq!(data, [0, 0, 0, 0, 0, 0xE0, 0xFF, 0xFF]);
+/// assert_eq!(OFFSET_Y.extract(&data), -2);
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Signal {
+    /// Number of the lowest bit, 0…63: bit `n` is bit `n % 8` of byte `n / 8`.
+    pub start: u8,
+    /// Number of bits, 1…31.
+    pub length: u8,
+    /// Whether the raw value is two's complement.
+    pub signed: bool,
+}
+
+impl Signal {
+    /// A signal of 0 and up. A place outside the frame does not compile: every use is a constant.
+    pub(crate) const fn unsigned(start: u8, length: u8) -> Self {
+        assert!(start < 64 && 1 <= length && length <= 31 && length <= 64_u8.saturating_sub(start));
+        Self { start, length, signed: false }
+    }
+
+    /// A signal in two's complement, as `unsigned`.
+    pub(crate) const fn signed(start: u8, length: u8) -> Self {
+        let place = Self::unsigned(start, length);
+        Self { signed: true, ..place }
+    }
+
+    /// The smallest raw value.
+    #[must_use]
+    pub const fn min(self) -> i32 {
+        if self.signed { !self.max() } else { 0 }
+    }
+
+    /// The largest raw value.
+    #[must_use]
+    pub const fn max(self) -> i32 {
+        let magnitude_bits = self.length.saturating_sub(self.signed as u8);
+        1_i32.wrapping_shl(magnitude_bits as u32).wrapping_sub(1)
+    }
+
+    /// Writes a raw value, saturated to [`Self::min`]…[`Self::max`]; all other bits stay.
+    pub fn insert(self, data: &mut [u8; 8], raw: i32) {
+        let start = u32::from(self.start);
+        let mask = u64::MAX.wrapping_shr(64_u32.saturating_sub(self.length.into()));
+        let held = raw.clamp(self.min(), self.max()).cast_unsigned();
+        let others = u64::from_le_bytes(*data) & !mask.wrapping_shl(start);
+        *data = (others | (u64::from(held) & mask).wrapping_shl(start)).to_le_bytes();
+    }
+
+    /// Reads the raw value.
+    #[must_use]
+    pub fn extract(self, data: &[u8; 8]) -> i32 {
+        let from_start = u64::from_le_bytes(*data).wrapping_shr(self.start.into());
+        let [b0, b1, b2, b3, ..] = from_start.to_le_bytes();
+        let unused = 32_u32.saturating_sub(self.length.into());
+        let at_top = u32::from_le_bytes([b0, b1, b2, b3]).wrapping_shl(unused);
+        if self.signed {
+            at_top.cast_signed().wrapping_shr(unused)
+        } else {
+            at_top.wrapping_shr(unused).cast_signed()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn the_range_follows_from_length_and_sign() {
+        assert_eq!(Signal::signed(24, 20).min(), -524_288);
+        assert_eq!(Signal::signed(24, 20).max(), 524_287);
+        assert_eq!(Signal::unsigned(0, 31).max(), i32::MAX);
+        assert_eq!(Signal::unsigned(24, 1).max(), 1);
+        assert_eq!(Signal::signed(0, 1).min(), -1);
+        assert_eq!(Signal::signed(0, 1).max(), 0);
+    }
+
+    prop_compose! {
+        fn any_signal()(length in 1_u8..=31)
+            (length in Just(length), start in 0..=(64 - length), signed in any::<bool>()) -> Signal {
+            if signed { Signal::signed(start, length) } else { Signal::unsigned(start, length) }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_value_comes_back_saturated_and_its_neighbours_stay(
+            signal in any_signal(), before in any::<[u8; 8]>(), raw in any::<i32>(), shift in 0_u32..32,
+        ) {
+            let raw = raw >> shift;
+            let mut data = before;
+            signal.insert(&mut data, raw);
+            prop_assert_eq!(signal.extract(&data), raw.clamp(signal.min(), signal.max()));
+            // Writing back what was there before restores every bit only if no other bit moved.
+            signal.insert(&mut data, signal.extract(&before));
+            prop_assert_eq!(data, before);
+        }
+    }
+}

@@ -1,0 +1,231 @@
+//! AUTOSAR E2E profile 5: tells a receiver that a frame is whole, meant for it, new and in order.
+//!
+//! ```text
+//! byte   0      1      2        3 … 7
+//!        CRC low, high  counter  data
+//! CRC = CRC-16 (polynomial 0x1021, start 0xFFFF, not reflected, no final XOR)
+//!       over byte 2 … last, then the data ID's low byte, then its high byte
+//! ```
+//!
+//! The data ID is the CAN identifier: a frame that arrives under another identifier fails.
+
+use core::{error::Error, fmt};
+
+use crc::{CRC_16_IBM_3740, Crc};
+
+use crate::frame::Frame;
+
+/// CRC and counter, in bytes: what a protected frame has at least.
+pub const HEADER_LEN: usize = 3;
+
+/// The largest step of the counter that is still taken for lost frames.
+///
+/// 15 frames of 20 ms are 300 ms: shorter than the default silence after which the CNC counts as
+/// lost (500 ms), so that a stream is not doubted before it would be given up anyway. A restarted
+/// sender passes for one that lost frames in 15 of 256 cases; in the others one frame is refused.
+pub const MAX_DELTA: u8 = 15;
+
+static CRC: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_3740);
+
+/// Puts the counter and the CRC into the first three bytes of a frame.
+///
+/// ```
+/// let mut data = [0, 0, 0, 0x11, 0x22, 0x33, 0x44, 0x55];
+/// trueup_link::e2e::protect(0x0181, 0x00, &mut data);
+/// assert_eq!(data, [0x8B, 0xCB, 0x00, 0x11, 0x22, 0x33, 0x44, 0x55]);
+/// ```
+pub fn protect(data_id: u16, counter: u8, data: &mut [u8; 8]) {
+    data[2] = counter;
+    let [_, _, covered @ ..] = &*data;
+    let [low, high] = crc(data_id, covered).to_le_bytes();
+    data[0] = low;
+    data[1] = high;
+}
+
+/// The CRC over the bytes after the CRC field, and the data ID.
+fn crc(data_id: u16, covered: &[u8]) -> u16 {
+    let mut digest = CRC.digest();
+    digest.update(covered);
+    digest.update(&data_id.to_le_bytes());
+    digest.finalize()
+}
+
+/// Checks the frames of one identifier, one after the other.
+#[derive(Clone, Copy, Debug)]
+pub struct Checker {
+    data_id: u16,
+    last: Option<u8>,
+}
+
+impl Checker {
+    /// A checker that has seen no frame yet; `data_id` is the CAN identifier of its frames.
+    #[must_use]
+    pub const fn new(data_id: u16) -> Self {
+        Self { data_id, last: None }
+    }
+
+    /// How many frames were lost before this one, 0…[`MAX_DELTA`] − 1, if this one is to be used.
+    ///
+    /// The first whole frame sets the counter, whatever it is.
+    ///
+    /// # Errors
+    /// The frame must not be used. After [`E2eError::WrongSequence`] the checker has moved to the
+    /// counter of the refused frame, so the next in order is accepted: a restarted sender is back
+    /// after one frame. After every other error the checker is as before.
+    pub fn accept(&mut self, frame: &Frame) -> Result<u8, E2eError> {
+        let &[low, high, ref covered @ ..] = frame.payload() else {
+            return Err(E2eError::TooShort { len: frame.len() });
+        };
+        let &[counter, ..] = covered else {
+            return Err(E2eError::TooShort { len: frame.len() });
+        };
+        let received = u16::from_le_bytes([low, high]);
+        let computed = crc(self.data_id, covered);
+        if received != computed {
+            return Err(E2eError::Crc { received, computed });
+        }
+        let Some(last) = self.last.replace(counter) else {
+            return Ok(0);
+        };
+        match counter.wrapping_sub(last) {
+            0 => Err(E2eError::Repeated { counter }),
+            delta @ 1..=MAX_DELTA => Ok(delta.saturating_sub(1)),
+            _ => Err(E2eError::WrongSequence { last, counter }),
+        }
+    }
+}
+
+/// Why a frame must not be used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum E2eError {
+    /// Too short to hold CRC and counter.
+    TooShort {
+        /// Bytes in the frame.
+        len: u8,
+    },
+    /// Damaged, or sent under another identifier.
+    Crc {
+        /// The CRC in the frame.
+        received: u16,
+        /// The CRC over the frame as it arrived.
+        computed: u16,
+    },
+    /// The same counter as the frame before: a copy, or a sender that stands still.
+    Repeated {
+        /// The counter in both frames.
+        counter: u8,
+    },
+    /// The counter has moved by more than [`MAX_DELTA`].
+    WrongSequence {
+        /// The counter of the frame before.
+        last: u8,
+        /// The counter of this frame.
+        counter: u8,
+    },
+}
+
+impl fmt::Display for E2eError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::TooShort { len } => {
+                write!(f, "{len} bytes are too short for CRC and counter ({HEADER_LEN})")
+            }
+            Self::Crc { received, computed } => {
+                write!(f, "CRC is 0x{received:04X}, should be 0x{computed:04X}")
+            }
+            Self::Repeated { counter } => write!(f, "counter {counter} is repeated"),
+            Self::WrongSequence { last, counter } => {
+                write!(f, "counter {counter} after {last} is out of sequence")
+            }
+        }
+    }
+}
+
+impl Error for E2eError {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ID: u16 = 0x302;
+
+    fn frame(counter: u8) -> Frame {
+        let mut data = [0, 0, 0, 1, 2, 3, 4, 5];
+        protect(ID, counter, &mut data);
+        Frame::new(ID, &data).unwrap()
+    }
+
+    fn checker_after(counter: u8) -> Checker {
+        let mut checker = Checker::new(ID);
+        assert_eq!(checker.accept(&frame(counter)), Ok(0));
+        checker
+    }
+
+    #[test]
+    fn the_golden_vector_is_met() {
+        let mut data = [0xAA, 0xAA, 0xAA, 0x11, 0x22, 0x33, 0x44, 0x55];
+        protect(0x0181, 0, &mut data);
+        assert_eq!(data, [0x8B, 0xCB, 0x00, 0x11, 0x22, 0x33, 0x44, 0x55]);
+    }
+
+    #[test]
+    fn any_first_counter_is_accepted() {
+        for counter in 0..=u8::MAX {
+            checker_after(counter);
+        }
+    }
+
+    #[test]
+    fn every_single_bit_error_is_found_and_changes_nothing() {
+        let good = frame(7);
+        for bit in 0..64 {
+            let mut data = *good.data();
+            data[bit / 8] ^= 1 << (bit % 8);
+            let bad = Frame::new(ID, &data).unwrap();
+            let mut checker = checker_after(6);
+            assert!(matches!(checker.accept(&bad), Err(E2eError::Crc { .. })), "bit {bit}");
+            assert_eq!(checker.accept(&good), Ok(0));
+        }
+    }
+
+    #[test]
+    fn a_frame_under_another_identifier_is_refused() {
+        let mut checker = Checker::new(0x202);
+        assert!(matches!(checker.accept(&frame(0)), Err(E2eError::Crc { .. })));
+    }
+
+    #[test]
+    fn a_repeated_frame_is_refused_and_the_next_is_accepted() {
+        let mut checker = checker_after(9);
+        assert_eq!(checker.accept(&frame(9)), Err(E2eError::Repeated { counter: 9 }));
+        assert_eq!(checker.accept(&frame(10)), Ok(0));
+    }
+
+    #[test]
+    fn every_step_of_the_counter_is_judged_right_across_its_wrap() {
+        for last in 0..=u8::MAX {
+            for delta in 1..=u8::MAX {
+                let counter = last.wrapping_add(delta);
+                let mut checker = checker_after(last);
+                let expected = if delta <= MAX_DELTA {
+                    Ok(delta - 1)
+                } else {
+                    Err(E2eError::WrongSequence { last, counter })
+                };
+                assert_eq!(checker.accept(&frame(counter)), expected);
+                assert_eq!(checker.accept(&frame(counter.wrapping_add(1))), Ok(0));
+            }
+        }
+    }
+
+    #[test]
+    fn a_frame_without_room_for_the_header_is_refused() {
+        for len in 0..3 {
+            let short = Frame::new(ID, &[0; 8][..len]).unwrap();
+            assert_eq!(
+                Checker::new(ID).accept(&short),
+                Err(E2eError::TooShort { len: short.len() })
+            );
+        }
+    }
+}

@@ -1,0 +1,347 @@
+//! CAN frames as lines of text (LAWICEL ASCII), as `slcand`, python-can and a terminal speak it.
+//!
+//! ```text
+//! t 1 8 1 8 8 B C B 0 0 1 1 2 2 3 3 4 4 5 5 \r
+//! │ └─┬─┘ │ └──────────── data ───────────┘ └ every line ends with a carriage return
+//! │ 3 hex └ number of bytes, 0…8
+//! └ data frame with a standard identifier
+//! ```
+//!
+//! This file is the lines themselves; [`port`] is the adapter's end (the board), [`client`] the
+//! other (a host that listens to the board).
+
+use core::{error::Error, fmt};
+
+use heapless::{String, Vec};
+
+use crate::frame::{Frame, FrameError};
+
+pub mod client;
+pub mod port;
+
+pub use client::{Client, Event};
+pub use port::{Port, PortCounters};
+
+/// The answer to a line that was understood, and the end of every line.
+pub const CR: u8 = b'\r';
+/// The answer to a line that was refused.
+pub const BELL: u8 = 0x07;
+/// The longest line without its end: a frame with an extended identifier and 8 bytes.
+pub const MAX_LINE: usize = 26;
+/// The longest line of a standard frame, with its end.
+pub const MAX_FRAME_LINE: usize = 22;
+
+/// A line without its end.
+pub type Line = Vec<u8, MAX_LINE>;
+
+/// The line of a frame, with its end, in upper case.
+///
+/// ```
+/// use trueup_link::{frame::Frame, slcan};
+/// let frame = Frame::new(0x701, &[0x7F])?;
+/// assert_eq!(slcan::encode_line(&frame), "t70117F\r");
+/// assert_eq!(slcan::decode_line(b"t70117f"), Ok(frame));
+/// # Ok::<(), trueup_link::frame::FrameError>(())
+/// ```
+#[must_use]
+pub fn encode_line(frame: &Frame) -> String<MAX_FRAME_LINE> {
+    let [high, low] = frame.id().to_be_bytes();
+    let head = [b't', digit(high), digit(low >> 4), digit(low), digit(frame.len())];
+    let data = frame.payload().iter().flat_map(|byte| [digit(byte >> 4), digit(*byte)]);
+    let mut line = String::new();
+    for byte in head.into_iter().chain(data).chain([CR]) {
+        let pushed = line.push(char::from(byte));
+        debug_assert!(pushed.is_ok(), "5 characters, at most 16 of data, and the end");
+    }
+    line
+}
+
+/// The frame of a line; its end may be left out, and digits may be in lower case.
+///
+/// # Errors
+/// [`SlcanError`] with the character at fault; [`SlcanError::NotData`] for every line but `t`.
+pub fn decode_line(line: &[u8]) -> Result<Frame, SlcanError> {
+    let line = line.strip_suffix(&[CR]).unwrap_or(line);
+    match Fields::of(line)? {
+        (b't', mut fields) => fields.frame(),
+        (command, _) => Err(SlcanError::NotData(command)),
+    }
+}
+
+fn digit(nibble: u8) -> u8 {
+    match nibble & 0xF {
+        decimal @ 0..=9 => b'0' | decimal,
+        letter => (b'A' - 10).saturating_add(letter),
+    }
+}
+
+/// What follows the first character of a line, read from left to right.
+#[derive(Clone, Copy, Debug)]
+struct Fields<'a> {
+    line: &'a [u8],
+    at: usize,
+}
+
+impl<'a> Fields<'a> {
+    /// The first character, and the rest.
+    fn of(line: &'a [u8]) -> Result<(u8, Self), SlcanError> {
+        if line.len() > MAX_LINE {
+            return Err(SlcanError::TooLong);
+        }
+        let first = line.first().ok_or(SlcanError::Truncated { len: 0 })?;
+        Ok((*first, Self { line, at: 1 }))
+    }
+
+    fn next(&mut self) -> Result<u8, SlcanError> {
+        let len = self.line.len();
+        let byte = self.line.get(self.at).ok_or(SlcanError::Truncated { len })?;
+        self.at = self.at.saturating_add(1);
+        Ok(*byte)
+    }
+
+    /// A number of 1…8 hexadecimal digits.
+    fn hex(&mut self, digits: u8) -> Result<u32, SlcanError> {
+        let mut number = 0_u32;
+        for _ in 0..digits {
+            let at = self.at;
+            let found = self.next()?;
+            let value = char::from(found).to_digit(16);
+            number = number << 4 | value.ok_or(SlcanError::NotHex { at, found })?;
+        }
+        Ok(number)
+    }
+
+    fn end(&self) -> Result<(), SlcanError> {
+        match self.line.get(self.at) {
+            None => Ok(()),
+            Some(&found) => Err(SlcanError::Trailing { at: self.at, found }),
+        }
+    }
+
+    /// The number of data bytes.
+    fn len(&mut self) -> Result<u8, SlcanError> {
+        let found = self.next()?;
+        match found {
+            b'0'..=b'8' => Ok(found & 0xF),
+            _ => Err(SlcanError::DataLength(found)),
+        }
+    }
+
+    /// Identifier, length and data of a standard frame, up to the end of the line.
+    fn frame(&mut self) -> Result<Frame, SlcanError> {
+        let id = self.hex(3)?;
+        let mut data = [0; Frame::MAX_LEN];
+        let payload = self.data(&mut data)?;
+        // Three digits fit 16 bits.
+        let id = u16::try_from(id).unwrap_or(u16::MAX);
+        Frame::new(id, payload).map_err(|error| match error {
+            FrameError::Identifier(id) => SlcanError::Identifier(id.into()),
+            FrameError::Length(_) => SlcanError::TooLong,
+        })
+    }
+
+    /// The number of bytes, then the bytes, up to the end of the line.
+    fn data<'b>(&mut self, bytes: &'b mut [u8; Frame::MAX_LEN]) -> Result<&'b [u8], SlcanError> {
+        let len = usize::from(self.len()?);
+        let payload = bytes.get_mut(..len).unwrap_or_default();
+        for byte in &mut *payload {
+            let [low, ..] = self.hex(2)?.to_le_bytes();
+            *byte = low;
+        }
+        self.end()?;
+        Ok(payload)
+    }
+}
+
+/// Cuts a stream of bytes into lines. Line feeds are passed over, as terminals send them.
+#[derive(Clone, Debug, Default)]
+pub struct LineSplitter {
+    line: Line,
+    too_long: bool,
+}
+
+impl LineSplitter {
+    /// At the start of a line.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self { line: Line::new(), too_long: false }
+    }
+
+    /// Takes the next byte; the line, which may be empty, with the byte that ends it.
+    ///
+    /// # Errors
+    /// [`SlcanError::TooLong`], once for a line of more than [`MAX_LINE`] characters, at its end.
+    pub fn push(&mut self, byte: u8) -> Option<Result<Line, SlcanError>> {
+        match byte {
+            b'\n' => None,
+            CR => {
+                let line = core::mem::take(&mut self.line);
+                let too_long = core::mem::take(&mut self.too_long);
+                Some(if too_long { Err(SlcanError::TooLong) } else { Ok(line) })
+            }
+            byte => {
+                self.too_long |= self.line.push(byte).is_err();
+                None
+            }
+        }
+    }
+}
+
+/// Why a line is refused. Positions count from 0, the character of the command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SlcanError {
+    /// The line has more than [`MAX_LINE`] characters.
+    TooLong,
+    /// The line ends too early.
+    Truncated {
+        /// Characters in the line.
+        len: usize,
+    },
+    /// The line goes on where it should end.
+    Trailing {
+        /// Position of the first character too many.
+        at: usize,
+        /// That character.
+        found: u8,
+    },
+    /// There is no such command.
+    Command(u8),
+    /// The command is known, but not with this parameter.
+    Parameter {
+        /// The command.
+        command: u8,
+        /// Its parameter.
+        found: u8,
+    },
+    /// Not a hexadecimal digit.
+    NotHex {
+        /// Position of the character.
+        at: usize,
+        /// The character.
+        found: u8,
+    },
+    /// The identifier is too large: above 0x7FF, or 0x1FFF_FFFF if it is extended.
+    Identifier(u32),
+    /// The number of data bytes is not 0…8.
+    DataLength(u8),
+    /// Not a data frame with a standard identifier, but a line that starts with this character.
+    NotData(u8),
+    /// A frame to be sent while the channel is closed, or open to listen only.
+    NotOpen(u8),
+}
+
+impl fmt::Display for SlcanError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let shown = |byte: &u8| char::from(*byte).escape_default();
+        match self {
+            Self::TooLong => write!(f, "line has more than {MAX_LINE} characters"),
+            Self::Truncated { len } => write!(f, "line ends after {len} characters"),
+            Self::Trailing { at, found } => {
+                write!(f, "line goes on at {at} with '{}'", shown(found))
+            }
+            Self::Command(found) => write!(f, "no command '{}'", shown(found)),
+            Self::Parameter { command, found } => {
+                write!(f, "command '{}' does not take '{}'", shown(command), shown(found))
+            }
+            Self::NotHex { at, found } => {
+                write!(f, "'{}' at {at} is not a hexadecimal digit", shown(found))
+            }
+            Self::Identifier(id) => write!(f, "identifier 0x{id:X} is too large"),
+            Self::DataLength(found) => write!(f, "number of bytes '{}' is not 0…8", shown(found)),
+            Self::NotData(found) => {
+                write!(f, "'{}' does not start a standard data frame", shown(found))
+            }
+            Self::NotOpen(command) => {
+                write!(f, "'{}' while the channel is not open to send", shown(command))
+            }
+        }
+    }
+}
+
+impl Error for SlcanError {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::string::ToString;
+
+    fn frame(id: u16, payload: &[u8]) -> Frame {
+        Frame::new(id, payload).unwrap()
+    }
+
+    #[test]
+    fn lines_look_as_the_adapters_write_them() {
+        let data = [0x8B, 0xCB, 0x00, 0x11, 0x22, 0x33, 0x44, 0x55];
+        assert_eq!(encode_line(&frame(0x181, &data)), "t18188BCB001122334455\r");
+        assert_eq!(encode_line(&frame(0x7FF, &[])), "t7FF0\r");
+        assert_eq!(encode_line(&frame(0x00A, &[0xAF])), "t00A1AF\r");
+    }
+
+    #[test]
+    fn the_character_at_fault_is_named() {
+        for (line, error) in [
+            (&b""[..], SlcanError::Truncated { len: 0 }),
+            (b"t18", SlcanError::Truncated { len: 3 }),
+            (b"t1812AA", SlcanError::Truncated { len: 7 }),
+            (b"t1811xA", SlcanError::NotHex { at: 5, found: b'x' }),
+            (b"t1811AAB", SlcanError::Trailing { at: 7, found: b'B' }),
+            (b"t8000", SlcanError::Identifier(0x800)),
+            (b"t1819", SlcanError::DataLength(b'9')),
+            (b"t181F", SlcanError::DataLength(b'F')),
+            (b"t+810", SlcanError::NotHex { at: 1, found: b'+' }),
+            (b"T000001810", SlcanError::NotData(b'T')),
+            (&[b't'; 27], SlcanError::TooLong),
+        ] {
+            assert_eq!(decode_line(line), Err(error), "{}", line.escape_ascii());
+        }
+    }
+
+    #[test]
+    fn messages_show_unprintable_characters() {
+        let error = SlcanError::NotHex { at: 3, found: 0 };
+        assert_eq!(error.to_string(), "'\\u{0}' at 3 is not a hexadecimal digit");
+    }
+
+    #[test]
+    fn a_line_of_the_largest_length_passes_and_one_more_does_not() {
+        let mut splitter = LineSplitter::new();
+        for (len, passes) in [(MAX_LINE, true), (MAX_LINE + 1, false), (0, true), (500, false)] {
+            for _ in 0..len {
+                assert!(splitter.push(b'0').is_none());
+            }
+            assert!(splitter.push(b'\n').is_none());
+            let line = splitter.push(CR).expect("a carriage return ends the line");
+            assert_eq!(
+                line.map(|line| line.len()),
+                if passes { Ok(len) } else { Err(SlcanError::TooLong) }
+            );
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_frame_comes_back_from_its_line_in_either_case(
+            id in 0_u16..0x800, payload in prop::collection::vec(any::<u8>(), 0..=8),
+        ) {
+            let sent = frame(id, &payload);
+            let line = encode_line(&sent);
+            prop_assert_eq!(decode_line(line.as_bytes()), Ok(sent));
+            let lower = line.trim_end().to_ascii_lowercase();
+            prop_assert_eq!(decode_line(lower.as_bytes()), Ok(sent));
+        }
+
+        #[test]
+        fn any_line_that_is_read_is_the_line_that_is_written(line in "t[0-9A-F]{4,21}") {
+            if let Ok(frame) = decode_line(line.as_bytes()) {
+                let written = encode_line(&frame);
+                prop_assert_eq!(written.trim_end(), line);
+            }
+        }
+
+        #[test]
+        fn no_line_panics(line in prop::collection::vec(any::<u8>(), 0..40)) {
+            let _ = decode_line(&line);
+        }
+    }
+}

@@ -1,0 +1,133 @@
+//! The host's end of the line: frames and answers out of what an adapter sends.
+
+use super::{BELL, Line, LineSplitter, SlcanError, decode_line};
+use crate::frame::Frame;
+
+/// What a client sends to start over with an adapter in any state: ends a line that was left over,
+/// closes, sets 1 Mbit/s, opens. The first of the four answers may be a refusal.
+pub const OPEN: &[u8] = b"\rC\rS8\rO\r";
+/// What a client sends to leave.
+pub const CLOSE: &[u8] = b"C\r";
+
+/// What an adapter said.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Event {
+    /// A frame from the bus.
+    Frame(Frame),
+    /// The oldest line that is not answered yet was accepted.
+    Accepted,
+    /// The oldest line that is not answered yet was refused.
+    Refused,
+    /// Something else: version, serial number, status, or a frame that is not a standard data
+    /// frame.
+    Other(Line),
+    /// A data frame that cannot be read, or a line that is too long.
+    Malformed(SlcanError),
+}
+
+/// Reads what an adapter sends, byte by byte.
+///
+/// ```
+/// use trueup_link::slcan::{Client, Event};
+/// let mut client = Client::new();
+/// let mut heard = b"\r\x07t70117F\r".iter().filter_map(|byte| client.receive(*byte));
+/// assert_eq!(heard.next(), Some(Event::Accepted));
+/// assert_eq!(heard.next(), Some(Event::Refused));
+/// assert!(matches!(heard.next(), Some(Event::Frame(frame)) if frame.payload() == [0x7F]));
+/// ```
+#[derive(Clone, Debug, Default)]
+pub struct Client {
+    lines: LineSplitter,
+}
+
+impl Client {
+    /// At the start of a line.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self { lines: LineSplitter::new() }
+    }
+
+    /// Takes a byte from the adapter; what it said, with the byte that ends it.
+    pub fn receive(&mut self, byte: u8) -> Option<Event> {
+        if byte == BELL {
+            // A refusal is a line of its own, without an end; what stood before it is cut off.
+            self.lines = LineSplitter::new();
+            return Some(Event::Refused);
+        }
+        Some(match self.lines.push(byte)? {
+            Err(error) => Event::Malformed(error),
+            // `z` is how adapters with automatic polling accept a frame.
+            Ok(line) if line.is_empty() || line == b"z" => Event::Accepted,
+            Ok(line) if line.first() == Some(&b't') => {
+                decode_line(&line).map_or_else(Event::Malformed, Event::Frame)
+            }
+            Ok(line) => Event::Other(line),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::slcan::{CR, Port};
+    use proptest::prelude::*;
+    use std::vec::Vec;
+
+    fn heard(client: &mut Client, port: &mut Port) -> Vec<Event> {
+        let bytes = core::iter::from_fn(|| port.pop());
+        bytes.filter_map(|byte| client.receive(byte)).collect()
+    }
+
+    #[test]
+    fn a_client_opens_a_port_in_any_state_and_hears_its_frames() {
+        for left_over in [&b""[..], b"O\r", b"L\rt1", b"tttttttttttttttttttttttttttttttttttttt"] {
+            let (mut client, mut port) = (Client::new(), Port::new(1));
+            for byte in left_over {
+                port.receive(*byte);
+            }
+            heard(&mut client, &mut port);
+            for byte in OPEN {
+                port.receive(*byte);
+            }
+            let answers = heard(&mut client, &mut port);
+            assert_eq!(answers.len(), 4);
+            assert_eq!(answers[1..], [Event::Accepted, Event::Accepted, Event::Accepted]);
+            let frame = Frame::new(0x281, &[1, 2, 3]).unwrap();
+            assert!(port.send(&frame));
+            assert_eq!(heard(&mut client, &mut port), [Event::Frame(frame)]);
+            for byte in CLOSE {
+                port.receive(*byte);
+            }
+            assert!(!port.is_open());
+        }
+    }
+
+    #[test]
+    fn a_client_that_joins_in_mid_line_loses_that_line_alone() {
+        let mut client = Client::new();
+        let text = b"AABB\rt181\rt70105\rt701105\rV1013\rz\r";
+        let events: Vec<_> = text.iter().filter_map(|byte| client.receive(*byte)).collect();
+        assert_eq!(events.len(), 6);
+        assert!(matches!(events[0], Event::Other(_)));
+        assert_eq!(events[1], Event::Malformed(SlcanError::Truncated { len: 4 }));
+        assert_eq!(events[2], Event::Malformed(SlcanError::Trailing { at: 5, found: b'5' }));
+        assert_eq!(events[3], Event::Frame(Frame::new(0x701, &[5]).unwrap()));
+        assert!(matches!(&events[4], Event::Other(line) if line == b"V1013"));
+        assert_eq!(events[5], Event::Accepted);
+    }
+
+    proptest! {
+        #[test]
+        fn no_bytes_panic_and_every_end_is_one_event(
+            bytes in prop::collection::vec(
+                prop_oneof![any::<u8>(), prop::sample::select(&b"\r\x07t0123478AF"[..])],
+                0..400,
+            ),
+        ) {
+            let mut client = Client::new();
+            for byte in bytes {
+                prop_assert_eq!(client.receive(byte).is_some(), [CR, BELL].contains(&byte));
+            }
+        }
+    }
+}

@@ -1,0 +1,226 @@
+//! Where in a user's file something is wrong, and which rule it breaks.
+//!
+//! Every complaint about a file is one line, `file:line:column: rule`, the form that editors and
+//! terminals turn into a link.
+
+use std::{
+    collections::BTreeMap,
+    error::Error,
+    fmt::{self, Display, Write},
+    path::{Path, PathBuf},
+};
+
+/// A place in a text file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// The file as the user named it.
+    pub file: PathBuf,
+    /// Line, the first is 1.
+    pub line: usize,
+    /// Column in characters (not bytes), the first is 1; a byte order mark does not count.
+    pub column: usize,
+}
+
+impl Place {
+    /// The first character of `file`: for what is wrong with the file as a whole.
+    #[must_use]
+    pub fn start_of(file: &Path) -> Self {
+        Self { file: file.to_path_buf(), line: 1, column: 1 }
+    }
+
+    /// The place of the byte at `offset` in `text`, the whole content of `file`.
+    ///
+    /// An offset inside a character is that character's; one beyond the end is the end.
+    #[must_use]
+    pub fn at_byte(file: &Path, text: &str, offset: usize) -> Self {
+        let (line, column) = line_and_column(text, offset);
+        Self { file: file.to_path_buf(), line, column }
+    }
+}
+
+impl Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}:{}:{}", self.file.display(), self.line, self.column)
+    }
+}
+
+/// Line and column, both from 1, of the byte at `offset` in `text`.
+fn line_and_column(text: &str, offset: usize) -> (usize, usize) {
+    let mut end = offset.min(text.len());
+    while !text.is_char_boundary(end) {
+        end -= 1;
+    }
+    let before = &text[..end];
+    let line_start = before.rfind('\n').map_or(0, |newline| newline + 1);
+    let in_line = &before[line_start..];
+    let in_line = if line_start == 0 { without_byte_order_mark(in_line) } else { in_line };
+    (before.matches('\n').count() + 1, in_line.chars().count() + 1)
+}
+
+/// `text` without the byte order mark that some editors put first.
+pub(crate) fn without_byte_order_mark(text: &str) -> &str {
+    text.strip_prefix('\u{feff}').unwrap_or(text)
+}
+
+/// What a user's file says that it must not say.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BadInput {
+    /// Where.
+    pub place: Place,
+    /// The rule that is broken, with the name and the value at fault.
+    pub rule: String,
+}
+
+impl BadInput {
+    /// `rule` is broken at `place`.
+    #[must_use]
+    pub fn new(place: Place, rule: impl Into<String>) -> Self {
+        Self { place, rule: rule.into() }
+    }
+}
+
+impl Display for BadInput {
+    /// One line, whatever the user's text in the rule contains.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: ", self.place)?;
+        for c in self.rule.chars() {
+            if c.is_control() {
+                write!(f, "{}", c.escape_default())?;
+            } else {
+                f.write_char(c)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Error for BadInput {}
+
+/// Where each key of a file stands, so that a value found wrong long after reading has its place.
+///
+/// Keys are dotted, `spindle.sensor.k0_um`; elements of an array are `machine.tool_direction[0]`.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Places {
+    file: PathBuf,
+    line_and_column: BTreeMap<String, (usize, usize)>,
+}
+
+impl Places {
+    /// No key is known yet.
+    #[must_use]
+    pub fn new(file: &Path) -> Self {
+        Self { file: file.to_path_buf(), line_and_column: BTreeMap::new() }
+    }
+
+    /// Notes that `key` stands at the byte `offset` of `text`, the whole content of the file.
+    pub(crate) fn note(&mut self, key: String, text: &str, offset: usize) {
+        self.line_and_column.insert(key, line_and_column(text, offset));
+    }
+
+    /// The place of `key`, else of the nearest section around it, else the start of the file: a
+    /// value that came by default has no place of its own.
+    #[must_use]
+    pub fn of(&self, key: &str) -> Place {
+        let mut around = key;
+        loop {
+            if let Some(&(line, column)) = self.line_and_column.get(around) {
+                return Place { file: self.file.clone(), line, column };
+            }
+            match around.rfind(['.', '[']) {
+                Some(end) => around = &around[..end],
+                None => return Place::start_of(&self.file),
+            }
+        }
+    }
+
+    /// `key` breaks a rule; `rule` goes on after the key: "must not be 0".
+    #[must_use]
+    pub fn bad(&self, key: &str, rule: impl Display) -> BadInput {
+        BadInput::new(self.of(key), format!("{key} {rule}"))
+    }
+}
+
+/// At most 40 characters of a user's text, to quote in a rule.
+pub(crate) fn shortened(text: &str) -> String {
+    const LONGEST: usize = 40;
+    match text.char_indices().nth(LONGEST) {
+        Some((end, _)) => format!("{}…", &text[..end]),
+        None => text.to_string(),
+    }
+}
+
+/// The candidate that `wrong` was probably meant to be, as an end of a sentence, or nothing.
+pub(crate) fn did_you_mean<'a>(
+    wrong: &str,
+    candidates: impl IntoIterator<Item = &'a str>,
+) -> String {
+    // 0.75 finds a forgotten letter or unit and keeps words apart that only share a suffix.
+    const NEAR: f64 = 0.75;
+    candidates
+        .into_iter()
+        .map(|candidate| (strsim::jaro_winkler(wrong, candidate), candidate))
+        .filter(|(likeness, _)| *likeness >= NEAR)
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .map_or_else(String::new, |(_, best)| format!("; did you mean {best}?"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(text: &str, offset: usize) -> (usize, usize) {
+        let place = Place::at_byte(Path::new("m.toml"), text, offset);
+        (place.line, place.column)
+    }
+
+    #[test]
+    fn lines_and_columns_start_at_one() {
+        assert_eq!(at("", 0), (1, 1));
+        assert_eq!(at("ab\ncd", 0), (1, 1));
+        assert_eq!(at("ab\ncd", 2), (1, 3));
+        assert_eq!(at("ab\ncd", 3), (2, 1));
+        assert_eq!(at("ab\r\ncd", 5), (2, 2));
+    }
+
+    #[test]
+    fn columns_count_characters_not_bytes() {
+        assert_eq!(at("µ°x", "µ°".len()), (1, 3));
+        assert_eq!(at("µ", 1), (1, 1));
+    }
+
+    #[test]
+    fn a_byte_order_mark_has_no_column() {
+        assert_eq!(at("\u{feff}ab", 3), (1, 1));
+        assert_eq!(at("\u{feff}ab", 4), (1, 2));
+        assert_eq!(at("\u{feff}ab\ncd", 7), (2, 2));
+    }
+
+    #[test]
+    fn beyond_the_end_is_the_end() {
+        assert_eq!(at("ab\n", 99), (2, 1));
+    }
+
+    #[test]
+    fn a_complaint_is_one_line_even_if_the_user_wrote_line_breaks() {
+        let place = Place { file: "a b.toml".into(), line: 3, column: 7 };
+        let bad = BadInput::new(place, "\"x\ny\r\" is unknown");
+        assert_eq!(bad.to_string(), "a b.toml:3:7: \"x\\ny\\r\" is unknown");
+    }
+
+    #[test]
+    fn a_key_that_is_not_there_has_the_place_of_its_section() {
+        let mut places = Places::new(Path::new("m.toml"));
+        places.note("limits".into(), "\n[limits]", 2);
+        assert_eq!(places.of("limits.max_um.x").line, 2);
+        assert_eq!(places.of("limits.max_um.x").column, 2);
+        assert_eq!(places.of("spindle.source"), Place::start_of(Path::new("m.toml")));
+    }
+
+    #[test]
+    fn a_suggestion_needs_a_likeness() {
+        let known = ["zero_counts", "um_per_count", "k0_um"];
+        assert_eq!(did_you_mean("zero_count", known), "; did you mean zero_counts?");
+        assert_eq!(did_you_mean("um_per_counts", known), "; did you mean um_per_count?");
+        assert_eq!(did_you_mean("colour", known), "");
+    }
+}

@@ -1,0 +1,262 @@
+//! One table of a TOML file, read strictly: a key that is unknown, missing, or of the wrong type is
+//! an error that names the key and its place.
+//!
+//! A derived deserialiser would be shorter, but it gives one place for a whole table where the rule
+//! is broken by one value, and it knows no "did you mean".
+
+use std::{collections::BTreeSet, fmt::Display, path::Path};
+
+use toml::{
+    Spanned,
+    de::{DeTable, DeValue},
+};
+
+use crate::place::{BadInput, Place, Places, did_you_mean, shortened};
+
+/// A TOML file and where its keys stand.
+pub(crate) struct Document<'t> {
+    file: &'t Path,
+    text: &'t str,
+    table: DeTable<'t>,
+    places: Places,
+}
+
+impl<'t> Document<'t> {
+    /// `text` is the whole content of `file`, without a byte order mark.
+    pub(crate) fn parse(text: &'t str, file: &'t Path) -> Result<Self, BadInput> {
+        let table = DeTable::parse(text).map_err(|error| {
+            let offset = error.span().map_or(0, |span| span.start);
+            let rule = format!("not valid TOML: {}", error.message());
+            BadInput::new(Place::at_byte(file, text, offset), rule)
+        })?;
+        let table = table.into_inner();
+        let mut places = Places::new(file);
+        note_table(&mut places, "", &table, text);
+        Ok(Self { file, text, table, places })
+    }
+
+    /// The file itself as a section.
+    pub(crate) fn root(&self) -> Section<'_> {
+        Section { document: self, table: &self.table, name: String::new() }
+    }
+
+    /// The place of every key.
+    pub(crate) fn into_places(self) -> Places {
+        self.places
+    }
+}
+
+fn note_table(places: &mut Places, name: &str, table: &DeTable<'_>, text: &str) {
+    for (key, value) in table {
+        let dotted = dotted(name, key.get_ref());
+        note_value(places, &dotted, value, text);
+        if value.get_ref().is_table() {
+            places.note(dotted, text, key.span().start);
+        }
+    }
+}
+
+fn note_value(places: &mut Places, dotted: &str, value: &Spanned<DeValue<'_>>, text: &str) {
+    places.note(dotted.to_string(), text, value.span().start);
+    match value.get_ref() {
+        DeValue::Table(inner) => note_table(places, dotted, inner, text),
+        DeValue::Array(elements) => {
+            for (index, element) in elements.iter().enumerate() {
+                note_value(places, &format!("{dotted}[{index}]"), element, text);
+            }
+        }
+        _ => {}
+    }
+}
+
+fn dotted(section: &str, key: &str) -> String {
+    if section.is_empty() { key.to_string() } else { format!("{section}.{key}") }
+}
+
+/// One table of the file.
+pub(crate) struct Section<'d> {
+    document: &'d Document<'d>,
+    table: &'d DeTable<'d>,
+    /// Its dotted name; empty for the file itself.
+    name: String,
+}
+
+impl<'d> Section<'d> {
+    /// `key` of this section breaks a rule; `rule` goes on after the key: "must not be 0".
+    pub(crate) fn bad(&self, key: &str, rule: impl Display) -> BadInput {
+        self.document.places.bad(&dotted(&self.name, key), rule)
+    }
+
+    /// Refuses every key that is in neither list: `known` is read by this version, `later` belongs
+    /// to the format but is not run by this version.
+    ///
+    /// Must come before anything is read, or a misspelt key would be reported as a missing one.
+    pub(crate) fn allow_only(&self, known: &[&str], later: &[&str]) -> Result<(), BadInput> {
+        for key in self.keys() {
+            if later.contains(&key) {
+                return Err(self.bad(key, "is not supported by this version"));
+            }
+            if !known.contains(&key) {
+                return Err(self.unknown(key, known.iter().chain(later).copied()));
+            }
+        }
+        Ok(())
+    }
+
+    /// `key` is none of the `known` keys of the format.
+    pub(crate) fn unknown<'k>(
+        &self,
+        key: &str,
+        known: impl IntoIterator<Item = &'k str>,
+    ) -> BadInput {
+        let offset = self.table.get_key_value(key).map_or(0, |(key, _)| key.span().start);
+        let place = Place::at_byte(self.document.file, self.document.text, offset);
+        let name = shortened(&dotted(&self.name, key));
+        BadInput::new(place, format!("unknown key {name}{}", did_you_mean(key, known)))
+    }
+
+    /// The names of all keys, in the order of the file.
+    pub(crate) fn keys(&self) -> Vec<&'d str> {
+        let in_order: BTreeSet<(usize, &str)> =
+            self.table.keys().map(|key| (key.span().start, key.get_ref().as_ref())).collect();
+        in_order.into_iter().map(|(_, key)| key).collect()
+    }
+
+    /// `value` if it is there.
+    ///
+    /// # Errors
+    /// The key is missing: at the place of the section.
+    pub(crate) fn required<T>(&self, key: &str, value: Option<T>) -> Result<T, BadInput> {
+        value.ok_or_else(|| self.bad(key, "is missing"))
+    }
+
+    /// The table `key`.
+    pub(crate) fn section(&self, key: &str) -> Result<Option<Section<'d>>, BadInput> {
+        match self.table.get(key).map(Spanned::get_ref) {
+            None => Ok(None),
+            Some(DeValue::Table(table)) => {
+                Ok(Some(Section { document: self.document, table, name: dotted(&self.name, key) }))
+            }
+            Some(other) => Err(self.wrong_type(key, "a table", other)),
+        }
+    }
+
+    /// The string `key`.
+    pub(crate) fn text(&self, key: &str) -> Result<Option<&'d str>, BadInput> {
+        match self.table.get(key).map(Spanned::get_ref) {
+            None => Ok(None),
+            Some(DeValue::String(text)) => Ok(Some(text)),
+            Some(other) => Err(self.wrong_type(key, "a string", other)),
+        }
+    }
+
+    /// The string `key`, which must be one of `choices`.
+    pub(crate) fn choice<T: Copy>(
+        &self,
+        key: &str,
+        choices: &[(&str, T)],
+    ) -> Result<Option<T>, BadInput> {
+        let Some(text) = self.text(key)? else { return Ok(None) };
+        if let Some((_, choice)) = choices.iter().find(|(name, _)| *name == text) {
+            return Ok(Some(*choice));
+        }
+        let names = || choices.iter().map(|(name, _)| *name);
+        let listed = names().map(|name| format!("\"{name}\"")).collect::<Vec<_>>().join(" or ");
+        let suggestion = did_you_mean(text, names());
+        let rule = format!("must be {listed}, not \"{}\"{suggestion}", shortened(text));
+        Err(self.bad(key, rule))
+    }
+
+    /// The number `key`, written as integer or float; never infinite or NaN.
+    pub(crate) fn number(&self, key: &str) -> Result<Option<f64>, BadInput> {
+        self.table.get(key).map(|value| self.finite(key, value.get_ref())).transpose()
+    }
+
+    /// The number `key`, which must be above 0.
+    pub(crate) fn positive(&self, key: &str) -> Result<Option<f64>, BadInput> {
+        match self.number(key)? {
+            Some(value) if value <= 0.0 => {
+                Err(self.bad(key, format!("must be above 0, not {value}")))
+            }
+            other => Ok(other),
+        }
+    }
+
+    /// The number `key`, which must be 0 or above.
+    pub(crate) fn not_negative(&self, key: &str) -> Result<Option<f64>, BadInput> {
+        match self.number(key)? {
+            Some(value) if value < 0.0 => {
+                Err(self.bad(key, format!("must not be negative, but is {value}")))
+            }
+            other => Ok(other),
+        }
+    }
+
+    /// The whole number `key` in `least..=most`.
+    pub(crate) fn whole(&self, key: &str, least: u32, most: u32) -> Result<Option<u32>, BadInput> {
+        let Some(value) = self.table.get(key).map(Spanned::get_ref) else { return Ok(None) };
+        let DeValue::Integer(digits) = value else {
+            return Err(self.wrong_type(key, "a whole number", value));
+        };
+        match i64::from_str_radix(digits.as_str(), digits.radix())
+            .ok()
+            .and_then(|value| u32::try_from(value).ok())
+        {
+            Some(value) if (least..=most).contains(&value) => Ok(Some(value)),
+            _ => Err(self.bad(key, format!("must be from {least} to {most}, not {digits}"))),
+        }
+    }
+
+    /// The array `key` of exactly three numbers.
+    pub(crate) fn vector(&self, key: &str) -> Result<Option<[f64; 3]>, BadInput> {
+        let Some(value) = self.table.get(key).map(Spanned::get_ref) else { return Ok(None) };
+        let DeValue::Array(elements) = value else {
+            return Err(self.wrong_type(key, "an array of three numbers", value));
+        };
+        if elements.len() != 3 {
+            return Err(self.bad(key, format!("must have 3 elements, not {}", elements.len())));
+        }
+        let mut vector = [0.0; 3];
+        for (index, (component, element)) in vector.iter_mut().zip(elements.iter()).enumerate() {
+            *component = self.finite(&format!("{key}[{index}]"), element.get_ref())?;
+        }
+        Ok(Some(vector))
+    }
+
+    /// The array `key` of strings.
+    pub(crate) fn texts(&self, key: &str) -> Result<Option<Vec<&'d str>>, BadInput> {
+        let Some(value) = self.table.get(key).map(Spanned::get_ref) else { return Ok(None) };
+        let DeValue::Array(elements) = value else {
+            return Err(self.wrong_type(key, "an array of strings", value));
+        };
+        let text = |(index, element): (usize, &'d Spanned<DeValue<'d>>)| match element.get_ref() {
+            DeValue::String(text) => Ok(text.as_ref()),
+            other => Err(self.wrong_type(&format!("{key}[{index}]"), "a string", other)),
+        };
+        elements.iter().enumerate().map(text).collect::<Result<_, _>>().map(Some)
+    }
+
+    fn finite(&self, key: &str, value: &DeValue<'_>) -> Result<f64, BadInput> {
+        let number = match value {
+            // Any integer of the file is taken as the nearest f64, as it would be with ".0".
+            DeValue::Integer(digits) => i128::from_str_radix(digits.as_str(), digits.radix())
+                .map_or(f64::INFINITY, |integer| integer as f64),
+            DeValue::Float(digits) => digits.as_str().parse().unwrap_or(f64::NAN),
+            other => return Err(self.wrong_type(key, "a number", other)),
+        };
+        if number.is_finite() { Ok(number) } else { Err(self.bad(key, "must be a finite number")) }
+    }
+
+    fn wrong_type(&self, key: &str, wanted: &str, there: &DeValue<'_>) -> BadInput {
+        let there = match there {
+            DeValue::String(_) => "a string",
+            DeValue::Integer(_) => "an integer",
+            DeValue::Float(_) => "a float",
+            DeValue::Boolean(_) => "a boolean",
+            DeValue::Datetime(_) => "a date",
+            DeValue::Array(_) => "an array",
+            DeValue::Table(_) => "a table",
+        };
+        self.bad(key, format!("must be {wanted}, not {there}"))
+    }
+}

@@ -1,0 +1,273 @@
+//! Machine files that must be refused, each with its place and the rule it breaks.
+
+use std::path::Path;
+
+use trueup_machine::{BadInput, MachineFile};
+
+/// Lines 1 to 3 of most files below.
+const MACHINE: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n";
+
+fn error_of(text: &str) -> BadInput {
+    match MachineFile::parse(text, Path::new("bad.toml")) {
+        Ok(_) => panic!("{text:?} was accepted"),
+        Err(error) => error,
+    }
+}
+
+/// Asserts each (source text, place `line:column`, phrase of the rule), the text after `before`.
+fn assert_refused(before: &str, cases: &[(&str, &str, &str)]) {
+    for (text, place, phrase) in cases {
+        let line = error_of(&format!("{before}{text}")).to_string();
+        assert!(line.starts_with(&format!("bad.toml:{place}: ")), "{text:?}: {line}");
+        assert!(line.contains(phrase), "{text:?}: {line}");
+        assert!(!line.contains('\n'), "{text:?}: {line}");
+    }
+}
+
+#[test]
+fn broken_toml_is_refused() {
+    assert_refused(
+        "",
+        &[
+            ("[machine\nname = 1\n", "1:9", "not valid TOML"),
+            ("[machine]\nname = \n", "2:8", "not valid TOML"),
+            ("[machine]\nname = \"a\"\nname = \"b\"\n", "3:1", "duplicate key"),
+            ("[machine]\n[machine]\n", "2:2", "duplicate key"),
+            ("[machine]\nname = 1,5\n", "2:9", "not valid TOML"),
+            ("\u{feff}machine\n", "1:8", "not valid TOML"),
+        ],
+    );
+}
+
+#[test]
+fn the_machine_section_is_checked() {
+    assert_refused(
+        "",
+        &[
+            ("", "1:1", "machine is missing"),
+            ("machine = 3\n", "1:11", "machine must be a table, not an integer"),
+            ("[machine]\nkind = \"3-axis\"\n", "1:2", "machine.name is missing"),
+            ("[machine]\nname = \"a\"\n", "1:2", "machine.kind is missing"),
+            ("[machine]\nname = 3\n", "2:8", "machine.name must be a string, not an integer"),
+            ("[machine]\nname = \" \"\nkind = \"3-axis\"\n", "2:8", "must not be empty"),
+            (
+                "[machine]\nname = \"a\"\nkind = \"3axis\"\n",
+                "3:8",
+                "\"head-table\", not \"3axis\"; did you mean 3-axis?",
+            ),
+            ("[machines]\n", "1:2", "unknown key machines; did you mean machine?"),
+            ("[machine]\nnaem = \"a\"\n", "2:1", "unknown key machine.naem; did you mean name?"),
+            ("[machine]\n\"\\n\" = 1\n", "2:1", "unknown key machine.\\n"),
+            ("[colour]\n", "1:2", "unknown key colour"),
+        ],
+    );
+}
+
+#[test]
+fn the_tool_direction_is_checked() {
+    let key = "machine.tool_direction";
+    assert_refused(
+        MACHINE,
+        &[
+            ("tool_direction = [0, 0, 0]\n", "4:18", &format!("{key} has no length")),
+            ("tool_direction = [0, 1]\n", "4:18", &format!("{key} must have 3 elements, not 2")),
+            ("tool_direction = [0, \"1\", 0]\n", "4:22", &format!("{key}[1] must be a number")),
+            (
+                "tool_direction = [0, 0, nan]\n",
+                "4:25",
+                &format!("{key}[2] must be a finite number"),
+            ),
+            ("tool_direction = 1.0\n", "4:18", "an array of three numbers, not a float"),
+        ],
+    );
+}
+
+#[test]
+fn the_inputs_are_checked() {
+    assert_refused(
+        &format!("{MACHINE}[inputs]\n"),
+        &[
+            ("sensr = {}\n", "5:1", "unknown key inputs.sensr; did you mean sensor?"),
+            (
+                "temp__c = {}\n",
+                "5:1",
+                "unknown key inputs.temp__c; the inputs are sensor and temp_<name>_c",
+            ),
+            ("sensor = 1\n", "5:10", "inputs.sensor must be a table, not an integer"),
+            ("sensor = {}\n", "5:1", "inputs.sensor.volts_full_scale is missing"),
+            ("sensor = { volts = 10 }\n", "5:12", "unknown key inputs.sensor.volts"),
+            (
+                "sensor = { volts_full_scale = 10, counts_full_scale = 32768, divider = 0 }\n",
+                "5:72",
+                "inputs.sensor.divider must be above 0, not 0",
+            ),
+            (
+                "sensor = { volts_full_scale = 10, counts_full_scale = -1, divider = 0.33 }\n",
+                "5:55",
+                "inputs.sensor.counts_full_scale must be above 0, not -1",
+            ),
+            (
+                "sensor = { volts_full_scale = 10, counts_full_scale = 1, divider = 0.331 }\n",
+                "5:68",
+                "divider 0.331 takes 10 V to 3.3100 V at the ADC, above its reference of 3.3 V",
+            ),
+            (
+                "sensor.volts_full_scale = inf\nsensor.counts_full_scale = 1\nsensor.divider = 1\n",
+                "5:27",
+                "inputs.sensor.volts_full_scale must be a finite number",
+            ),
+            ("temp_a_c = { kind = \"pt100\" }\n", "5:1", "inputs.temp_a_c.channel is missing"),
+            ("temp_a_c = { channel = 0 }\n", "5:1", "inputs.temp_a_c.kind is missing"),
+            (
+                "temp_a_c = { channel = 256, kind = \"pt100\" }\n",
+                "5:24",
+                "channel must be from 0 to 255, not 256",
+            ),
+            (
+                "temp_a_c = { channel = -1, kind = \"pt100\" }\n",
+                "5:24",
+                "channel must be from 0 to 255, not -1",
+            ),
+            (
+                "temp_a_c = { channel = 0.0, kind = \"pt100\" }\n",
+                "5:24",
+                "channel must be a whole number, not a float",
+            ),
+            (
+                "temp_a_c = { channel = 0, kind = \"pt1000\" }\n",
+                "5:34",
+                "must be \"pt100\" or \"linear\", not \"pt1000\"; did you mean pt100?",
+            ),
+            (
+                "temp_a_c = { channel = 0, kind = \"linear\", zero_counts = 1 }\n",
+                "5:1",
+                "inputs.temp_a_c.counts_per_c is missing",
+            ),
+            (
+                "temp_a_c = { channel = 0, kind = \"linear\", zero_counts = 1, counts_per_c = 0 }\n",
+                "5:76",
+                "counts_per_c must not be 0",
+            ),
+            (
+                "temp_a_c = { channel = 0, kind = \"pt100\", zero_counts = 1 }\n",
+                "5:57",
+                "zero_counts belongs to kind = \"linear\"",
+            ),
+            (
+                "temp_b_c = { channel = 1, kind = \"pt100\" }\n\
+                 temp_a_c = { channel = 1, kind = \"pt100\" }\n",
+                "6:24",
+                "inputs.temp_a_c.channel 1 is already that of temp_b_c",
+            ),
+        ],
+    );
+}
+
+#[test]
+fn the_spindle_is_checked() {
+    assert_refused(
+        MACHINE,
+        &[
+            (
+                "[spindle]\nsource = \"sensor\"\n",
+                "5:10",
+                "spindle.source is \"sensor\", but [spindle.sensor] is missing",
+            ),
+            ("[spindle]\nsource = \"sensors\"\n", "5:10", "did you mean sensor?"),
+            ("[spindle]\nsuorce = \"sensor\"\n", "5:1", "did you mean source?"),
+            ("[spindle.sensr]\n", "4:10", "unknown key spindle.sensr; did you mean sensor?"),
+            ("[spindle.sensor]\n", "4:10", "spindle.sensor.k0_um is missing"),
+            (
+                "[spindle.sensor]\nk0_um = 0\nzero_count = 5048\num_per_count = 1\n",
+                "6:1",
+                "unknown key spindle.sensor.zero_count; did you mean zero_counts?",
+            ),
+            (
+                "[spindle.sensor]\nk0_um = \"0\"\n",
+                "5:9",
+                "spindle.sensor.k0_um must be a number, not a string",
+            ),
+            (
+                "[spindle.sensor]\nk0_um = 1e400\n",
+                "5:9",
+                "spindle.sensor.k0_um must be a finite number",
+            ),
+            (
+                "[spindle.sensor]\nk0_um = 0\nzero_counts = 0\num_per_count = 0.0\n",
+                "7:16",
+                "spindle.sensor.um_per_count must not be 0",
+            ),
+            (
+                "[spindle.sensor]\nk0_um = 0\nzero_counts = 0\num_per_count = 1\n\
+                 temperature = \"coil\"\n",
+                "8:15",
+                "must name a column temp_<name>_c",
+            ),
+        ],
+    );
+}
+
+#[test]
+fn the_limits_are_checked() {
+    assert_refused(
+        &format!("{MACHINE}[limits]\n"),
+        &[
+            ("max_um = { x = -1.0 }\n", "5:16", "limits.max_um.x must not be negative, but is -1"),
+            ("max_um = { a = 1.0 }\n", "5:12", "unknown key limits.max_um.a"),
+            ("max_um = [1, 1, 1]\n", "5:10", "limits.max_um must be a table, not an array"),
+            ("max_um.z = nan\n", "5:12", "limits.max_um.z must be a finite number"),
+            ("slew_um_per_s = 0\n", "5:17", "limits.slew_um_per_s must be above 0, not 0"),
+            ("slew_um_per_s = true\n", "5:17", "must be a number, not a boolean"),
+            ("slew_um_s = 1\n", "5:1", "did you mean slew_um_per_s?"),
+            ("link_timeout_ms = 0\n", "5:19", "must be from 1 to 4294967295, not 0"),
+            ("link_timeout_ms = 0.5\n", "5:19", "must be a whole number, not a float"),
+            ("hold_ms = -1\n", "5:11", "must be from 0 to 4294967295, not -1"),
+            ("hold_ms = 4294967296\n", "5:11", "must be from 0 to 4294967295"),
+            ("hold_ms = 1979-05-27\n", "5:11", "must be a whole number, not a date"),
+        ],
+    );
+}
+
+#[test]
+fn what_this_version_does_not_run_is_refused_and_not_skipped() {
+    let later = "is not supported by this version";
+    assert_refused(
+        MACHINE,
+        &[
+            ("head_axes = [\"c\", \"a\"]\n", "4:13", "head_axes other than [] is not supported"),
+            ("[axis.x]\nfeedback = \"screw\"\n", "4:2", &format!("axis {later}")),
+            ("[straightness.z_of_x]\n", "4:2", &format!("straightness {later}")),
+            ("[squareness]\n", "4:2", &format!("squareness {later}")),
+            ("[[term]]\ncause = \"drift\"\n", "4:1", &format!("term {later}")),
+            ("[spindle.warmup]\n", "4:10", &format!("spindle.warmup {later}")),
+            ("[spindle.temperature]\n", "4:10", &format!("spindle.temperature {later}")),
+            (
+                "[spindle]\nsource = \"warmup\"\n",
+                "5:10",
+                "spindle.source other than \"sensor\" is not supported",
+            ),
+            (
+                "[spindle]\nsource = \"temperature\"\n",
+                "5:10",
+                "spindle.source other than \"sensor\" is not supported",
+            ),
+        ],
+    );
+    for kind in ["head-head", "table-table", "head-table"] {
+        let text = format!("[machine]\nname = \"a\"\nkind = \"{kind}\"\n");
+        assert_refused("", &[(&text, "3:8", "kind other than \"3-axis\" is not supported")]);
+    }
+}
+
+#[test]
+fn a_file_that_cannot_be_read_or_is_not_utf_8_is_refused() {
+    let missing = MachineFile::read(Path::new("no/such/m.toml")).expect_err("is not there");
+    assert!(missing.to_string().starts_with("no/such/m.toml:1:1: cannot be read: "));
+
+    let path = std::env::temp_dir().join(format!("trueup-latin1-{}.toml", std::process::id()));
+    std::fs::write(&path, b"[machine]\nname = \"\xc2\xb5\xb5\"\n").expect("a writable folder");
+    let latin_1 = MachineFile::read(&path).expect_err("is not UTF-8");
+    std::fs::remove_file(&path).expect("written above");
+    assert_eq!((latin_1.place.line, latin_1.place.column), (2, 10));
+    assert_eq!(latin_1.rule, "is not UTF-8 text");
+}

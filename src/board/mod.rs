@@ -1,0 +1,73 @@
+//! The seam: what the tasks ask of a board, and nothing more. Two boards stand behind it.
+//!
+//! | part | `stm32f405` | `virtual` |
+//! |---|---|---|
+//! | [`Samples`] | TIM3 → ADC1 → DMA2, 20 codes a block | blocks by semihosting from the host |
+//! | [`SerialIn`], [`SerialOut`] | USART1, 921 600 Bd | USART1 of the emulator |
+//! | [`CanIn`], [`CanOut`] | bxCAN, 1 Mbit/s, PB8/PB9 | frames in the same stream as the samples |
+//! | [`Watchdog`] | IWDG, 100 ms | none: the host watches |
+//! | [`Lamp`] | LED | none |
+//! | calibration | linked into the image | a file of the host |
+//!
+//! Both boards raise the same interrupts, so the tasks cannot tell them apart:
+//! `DMA2_STREAM0` with a block of samples (one millisecond of the sample clock), `CAN1_RX0` with
+//! frames from the bus, `USART1` with bytes from the serial line, `SysTick` every 10 ms. On
+//! `virtual` it is the samples that make time pass, so `SysTick` comes with every tenth block.
+
+use trueup_core::{
+    calibration::Calibration,
+    units::{Code, Rpm},
+};
+use trueup_link::calibration::BlobError;
+
+#[cfg(all(feature = "stm32f405", feature = "virtual"))]
+compile_error!("choose one board: --features stm32f405 or --features virtual");
+#[cfg(not(any(feature = "stm32f405", feature = "virtual")))]
+compile_error!("choose a board: --features stm32f405 or --features virtual");
+
+#[cfg(feature = "stm32f405")]
+mod stm32f405;
+#[cfg(feature = "stm32f405")]
+pub use stm32f405::*;
+
+#[cfg(feature = "virtual")]
+mod r#virtual;
+#[cfg(feature = "virtual")]
+pub use r#virtual::*;
+
+/// Conversions in one block: one millisecond at 20 kS/s.
+pub const BLOCK: usize = 20;
+
+/// One millisecond of samples.
+pub struct Block {
+    pub codes: [Code; BLOCK],
+    /// The spindle speed, where the board itself knows it; a fresh one from the CNC wins.
+    pub speed: Option<Rpm>,
+}
+
+/// What a board found out about itself at start-up.
+#[derive(Clone, Copy, Default, defmt::Format)]
+pub struct Faults {
+    /// The crystal did not start: the CPU runs from the internal oscillator, CAN stays silent.
+    pub crystal: bool,
+    /// The PLL did not lock: the CPU runs at 16 MHz.
+    pub pll: bool,
+    /// The CAN controller did not leave its reset state.
+    pub can: bool,
+    /// The last reset came from the watchdog.
+    pub watchdog_reset: bool,
+}
+
+/// A board that is up, in parts, each for one task.
+pub struct Parts {
+    pub samples: Samples,
+    pub serial_in: SerialIn,
+    pub serial_out: SerialOut,
+    pub can_in: CanIn,
+    pub can_out: CanOut,
+    pub watchdog: Watchdog,
+    pub lamp: Lamp,
+    pub idle: Idle,
+    pub calibration: Result<Calibration, BlobError>,
+    pub faults: Faults,
+}

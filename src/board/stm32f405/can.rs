@@ -1,0 +1,203 @@
+//! The CAN bus: bxCAN 1, 1 Mbit/s, on PB8 and PB9 (section 32).
+//!
+//! Straight on the registers, for two reasons. The driver `bxcan` queues frames: a free mailbox is
+//! taken for each, and an older frame of the same identifier goes out first. A CNC wants the
+//! newest value and no other, so here each cyclic identifier has a mailbox of its own, and a new
+//! frame takes the place of one that still waits there. And `bxcan` waits without a limit for the
+//! controller to answer; here a controller that does not answer is dead, and everything is inert.
+//!
+//! The controller waits for a quiet bus by itself before it takes part, and comes back by itself
+//! from bus-off (ABOM).
+
+use stm32f4xx_hal::{
+    gpio::{PB8, PB9, Pull},
+    pac::{CAN1, can1},
+    rcc::{Enable, Rcc, Reset},
+};
+use trueup_link::{
+    frame::Frame,
+    layout::{CONTROL_ID, OFFSET_XY_ID, OFFSET_Z_ID, SPINDLE_ID},
+};
+
+use super::{clocks::Source, within};
+
+/// 1 Mbit/s at 42 MHz: prescaler 3; 1 + 11 + 2 quanta, sampled at 86 %; jump width 1.
+const BIT_TIMING: u32 = 0x001a_0002;
+/// What the CNC says. The filter drops everything else.
+const HEARD: [u16; 2] = [SPINDLE_ID, CONTROL_ID];
+/// Identifiers in one filter bank, as a list of 16-bit entries.
+const IDS_IN_A_BANK: usize = 4;
+/// The controller answers within microseconds; this is about 10 ms.
+const ANSWER_POLLS: u32 = 100_000;
+/// A frame that waits is withdrawn within a few clocks of the controller; this is 3 µs.
+const WITHDRAW_POLLS: u32 = 32;
+
+/// Starts the controller, if its clock is exact enough for a bus; and whether it answers.
+pub fn start(can: CAN1, tx: PB9, rx: PB8, source: Source, rcc: &mut Rcc) -> (CanIn, CanOut, bool) {
+    CAN1::enable(rcc);
+    CAN1::reset(rcc);
+    let answers = enter_initialisation(&can);
+    if !answers {
+        defmt::error!("dead: CAN");
+    }
+    let on_the_bus = answers && source == Source::Crystal;
+    if on_the_bus {
+        // Only now does the controller get its pins: one with a wrong clock must not reach the
+        // bus. Pulled up, so that a missing transceiver looks like a quiet bus.
+        let _ = tx.into_alternate::<9>();
+        let _ = rx.into_alternate::<9>().internal_resistor(Pull::Up);
+        listen_to(&can, &HEARD);
+        join_bus(&can);
+        defmt::info!("CAN: 1 Mbit/s");
+    }
+    // SAFETY: `CanOut` uses the transmit registers alone, `CanIn` the receive registers alone.
+    let transmitter = unsafe { CAN1::steal() };
+    let can_in = CanIn { can, overruns: 0 };
+    (can_in, CanOut { can: transmitter, on_the_bus, late: 0 }, answers)
+}
+
+/// Out of sleep, into the initialisation mode, in which the controller is silent.
+fn enter_initialisation(can: &CAN1) -> bool {
+    can.mcr().modify(|_, w| w.sleep().clear_bit().inrq().set_bit());
+    within(ANSWER_POLLS, || can.msr().read().inak().bit_is_set())
+}
+
+/// Lets standard data frames with these identifiers into FIFO 0: lists of four 16-bit entries, of
+/// which the upper 11 bits are the identifier and the rest says "standard, data" (section 32.7.4).
+fn listen_to(can: &CAN1, ids: &[u16]) {
+    can.fmr().modify(|_, w| w.finit().set_bit());
+    for (number, ids) in (0..).zip(ids.chunks(IDS_IN_A_BANK)) {
+        // A slot that is left over repeats the first identifier of its bank.
+        let entry = |slot: usize| u32::from(*ids.get(slot).unwrap_or(&ids[0])) << 5;
+        let bank = can.fb(usize::from(number));
+        // SAFETY: any value is a valid list.
+        bank.fr1().write(|w| unsafe { w.bits(entry(1) << 16 | entry(0)) });
+        // SAFETY: as above.
+        bank.fr2().write(|w| unsafe { w.bits(entry(3) << 16 | entry(2)) });
+        can.fm1r().modify(|_, w| w.fbm(number).set_bit());
+        can.fa1r().modify(|_, w| w.fact(number).set_bit());
+    }
+    can.fmr().modify(|_, w| w.finit().clear_bit());
+}
+
+/// Leaves the initialisation mode; the controller itself waits for 11 recessive bits.
+fn join_bus(can: &CAN1) {
+    // SAFETY: a valid bit timing, in initialisation mode.
+    can.btr().write(|w| unsafe { w.bits(BIT_TIMING) });
+    can.ier().modify(|_, w| w.fmpie0().enabled());
+    can.mcr().modify(|_, w| w.abom().set_bit().inrq().clear_bit());
+}
+
+/// Frames from the bus.
+pub struct CanIn {
+    can: CAN1,
+    overruns: u32,
+}
+
+impl CanIn {
+    /// The oldest frame that waits. The interrupt comes again while another one does.
+    pub fn receive(&mut self) -> Option<Frame> {
+        let fifo = self.can.rf0r().read();
+        if fifo.fovr().bit_is_set() {
+            self.note_overrun();
+        }
+        // While the last frame is being released, the FIFO still shows it.
+        if fifo.fmp().bits() == 0 || fifo.rfom().bit_is_set() {
+            return None;
+        }
+        let frame = read(self.can.rx(0));
+        self.can.rf0r().write(|w| w.rfom().set_bit());
+        frame
+    }
+
+    fn note_overrun(&mut self) {
+        self.can.rf0r().write(|w| w.fovr().clear());
+        self.overruns = self.overruns.saturating_add(1);
+        // A flooded bus must not flood the log as well.
+        if self.overruns.is_power_of_two() {
+            defmt::warn!("CAN: frame lost to overrun, number {}", self.overruns);
+        }
+    }
+}
+
+/// The frame in a receive mailbox; the filter lets only standard data frames in.
+fn read(mailbox: &can1::RX) -> Option<Frame> {
+    let identifier = mailbox.rir().read();
+    if identifier.ide().bit_is_set() || identifier.rtr().bit_is_set() {
+        return None;
+    }
+    let mut data = [0; Frame::MAX_LEN];
+    data[..4].copy_from_slice(&mailbox.rdlr().read().bits().to_le_bytes());
+    data[4..].copy_from_slice(&mailbox.rdhr().read().bits().to_le_bytes());
+    // A length code above 8 means 8 (ISO 11898-1).
+    let len = usize::from(mailbox.rdtr().read().dlc().bits()).min(Frame::MAX_LEN);
+    Frame::new(identifier.stid().bits(), &data[..len]).ok()
+}
+
+/// Frames to the bus.
+pub struct CanOut {
+    can: CAN1,
+    on_the_bus: bool,
+    late: u32,
+}
+
+impl CanOut {
+    /// Hands over a frame, in the place of an older one with its identifier that still waits.
+    ///
+    /// A frame that is on the wire at this moment is not cut off, but will not be repeated if it
+    /// fails; the new one is dropped then, and the next cycle brings a newer one.
+    pub fn send(&mut self, frame: &Frame) {
+        if !self.on_the_bus {
+            return;
+        }
+        let mailbox = mailbox_of(frame.id());
+        if !self.is_empty(mailbox) && !self.withdraw(mailbox) {
+            self.note_late(frame.id());
+            return;
+        }
+        write(self.can.tx(usize::from(mailbox)), frame);
+    }
+
+    fn is_empty(&self, mailbox: u8) -> bool {
+        self.can.tsr().read().tme(mailbox).bit_is_set()
+    }
+
+    fn withdraw(&mut self, mailbox: u8) -> bool {
+        self.can.tsr().write(|w| match mailbox {
+            0 => w.abrq0().set_bit(),
+            1 => w.abrq1().set_bit(),
+            _ => w.abrq2().set_bit(),
+        });
+        within(WITHDRAW_POLLS, || self.is_empty(mailbox))
+    }
+
+    fn note_late(&mut self, id: u16) {
+        self.late = self.late.saturating_add(1);
+        // A bus without another node must not fill the log.
+        if self.late.is_power_of_two() {
+            defmt::warn!("CAN: {:#x} still on the wire, dropped frame number {}", id, self.late);
+        }
+    }
+}
+
+/// `OffsetXY` and `OffsetZ` have a mailbox each, the heartbeat shares the third with whatever else
+/// is sent seldom. Of two that wait, the lower identifier goes first.
+fn mailbox_of(id: u16) -> u8 {
+    match id {
+        OFFSET_XY_ID => 0,
+        OFFSET_Z_ID => 1,
+        _ => 2,
+    }
+}
+
+fn write(mailbox: &can1::TX, frame: &Frame) {
+    let [a, b, c, d, e, f, g, h] = *frame.data();
+    // SAFETY: a `Frame` has a length of 0…8 and an identifier of 11 bits. The mailbox is empty.
+    mailbox.tdtr().write(|w| unsafe { w.dlc().bits(frame.len()) });
+    // SAFETY: as above.
+    mailbox.tdlr().write(|w| unsafe { w.bits(u32::from_le_bytes([a, b, c, d])) });
+    // SAFETY: as above.
+    mailbox.tdhr().write(|w| unsafe { w.bits(u32::from_le_bytes([e, f, g, h])) });
+    // Last, because TXRQ hands the mailbox over. SAFETY: as above.
+    mailbox.tir().write(|w| unsafe { w.stid().bits(frame.id()) }.txrq().set_bit());
+}

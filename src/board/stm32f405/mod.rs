@@ -1,0 +1,115 @@
+//! The board that is flashed: an STM32F405RG with an 8 MHz crystal.
+//!
+//! | pin | signal |
+//! |---|---|
+//! | PA0 | displacement sensor behind its filter and divider, 0 V … VREF+ |
+//! | PA9, PA10 | serial transmit and receive, 921 600 Bd |
+//! | PB9, PB8 | CAN transmit and receive, to a transceiver |
+//! | PC12 | lamp, from the supply through a resistor: lit when low |
+//!
+//! A dead part must not hold up the others: every wait in this folder has a bound, and a part
+//! that does not answer is logged by name and reported in [`Faults`]. Section numbers are those
+//! of the reference manual RM0090, where nothing else is said.
+
+mod brown_out;
+mod can;
+mod clocks;
+mod lamp;
+mod panic;
+mod sampling;
+mod serial;
+mod watchdog;
+
+use cortex_m::peripheral::{SYST, syst::SystClkSource};
+use defmt_rtt as _;
+use stm32f4xx_hal::{pac, prelude::*};
+
+use super::{Faults, Parts};
+pub use can::{CanIn, CanOut};
+use clocks::Source;
+pub use lamp::Lamp;
+pub use sampling::Samples;
+pub use serial::{SerialIn, SerialOut};
+use watchdog::Reset;
+pub use watchdog::Watchdog;
+
+/// What the host compiled from the machine file, linked into the image.
+static CALIBRATION: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/calibration.bin"));
+
+/// Turns of the supervisor in one second.
+const SUPERVISOR_HZ: u32 = 100;
+
+/// Brings up every part, the watchdog last: from then on the supervisor has to keep it quiet.
+pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts {
+    let reset = watchdog::last_reset(&device.RCC);
+    defmt::info!("reset by {}", reset);
+    let (mut rcc, source) = clocks::start(device.RCC);
+    brown_out::protect(&device.FLASH, reset);
+    keep_debugger_connected(&device.DBGMCU);
+
+    let gpioa = device.GPIOA.split(&mut rcc);
+    let gpiob = device.GPIOB.split(&mut rcc);
+    let gpioc = device.GPIOC.split(&mut rcc);
+    let (serial_in, serial_out) = serial::start(device.USART1, gpioa.pa9, gpioa.pa10, &mut rcc);
+    let (can_in, can_out, can_answers) =
+        can::start(device.CAN1, gpiob.pb9, gpiob.pb8, source, &mut rcc);
+    let faults = Faults {
+        crystal: source != Source::Crystal,
+        pll: source == Source::Internal,
+        can: !can_answers,
+        watchdog_reset: reset == Reset::Watchdog,
+    };
+    let calibration = trueup_link::calibration::decode(CALIBRATION);
+    let chain = sampling::Chain {
+        tim3: device.TIM3,
+        tim2: device.TIM2,
+        adc: device.ADC1,
+        dma: device.DMA2,
+    };
+    let samples = sampling::start(chain, gpioa.pa0, &device.ADC_COMMON, &mut rcc);
+    start_supervisor_clock(&mut core.SYST, rcc.clocks.hclk().raw());
+    Parts {
+        samples,
+        serial_in,
+        serial_out,
+        can_in,
+        can_out,
+        lamp: Lamp::new(gpioc.pc12),
+        idle: Idle,
+        calibration,
+        faults,
+        watchdog: Watchdog::start(device.IWDG, &device.DBGMCU),
+    }
+}
+
+/// SysTick raises its interrupt a hundred times a second, whichever clock the core runs from.
+fn start_supervisor_clock(systick: &mut SYST, core_hz: u32) {
+    systick.set_clock_source(SystClkSource::Core);
+    systick.set_reload(core_hz / SUPERVISOR_HZ - 1);
+    systick.clear_current();
+    systick.enable_counter();
+    systick.enable_interrupt();
+}
+
+/// Keeps the clocks of a sleeping core on: without them a debugger loses the chip, and its log,
+/// at every `wfi` (section 38.16.1).
+fn keep_debugger_connected(dbgmcu: &pac::DBGMCU) {
+    dbgmcu.cr().modify(|_, w| w.dbg_sleep().set_bit());
+}
+
+/// Whether `ready` came true within `polls` polls: the only way to wait on this board.
+fn within(polls: u32, mut ready: impl FnMut() -> bool) -> bool {
+    (0..polls).any(|_| ready())
+}
+
+/// What the core does when no task has work.
+pub struct Idle;
+
+impl Idle {
+    /// Sleeps until the next interrupt; timers, converter and DMA go on.
+    pub fn run(&mut self) -> ! {
+        loop {
+            cortex_m::asm::wfi();
+        }
+    }
+}

@@ -1,0 +1,67 @@
+//! The watchdog, and what the last reset came from (sections 21 and 7.3.21).
+
+use stm32f4xx_hal::{
+    pac::{DBGMCU, IWDG, RCC},
+    prelude::*,
+    watchdog::IndependentWatchdog,
+};
+
+/// What the last reset came from.
+#[derive(Clone, Copy, PartialEq, Eq, defmt::Format)]
+pub enum Reset {
+    /// The supervisor had stopped.
+    Watchdog,
+    /// A panic, or the crystal stopped.
+    Software,
+    /// The supply came up.
+    PowerOn,
+    /// The supply had dipped.
+    BrownOut,
+    /// The reset pin.
+    Pin,
+    /// No flag is set, as in an emulator.
+    Unknown,
+}
+
+/// Reads and clears the reset flags. A reset of the chip pulls its own reset pin, and power-on
+/// counts as a brown-out as well, so the rarest cause is asked for first.
+pub fn last_reset(rcc: &RCC) -> Reset {
+    let flags = rcc.csr().read();
+    rcc.csr().modify(|_, w| w.rmvf().clear());
+    if flags.wdgrstf().bit_is_set() || flags.wwdgrstf().bit_is_set() {
+        Reset::Watchdog
+    } else if flags.sftrstf().bit_is_set() {
+        Reset::Software
+    } else if flags.porrstf().bit_is_set() {
+        Reset::PowerOn
+    } else if flags.borrstf().bit_is_set() {
+        Reset::BrownOut
+    } else if flags.padrstf().bit_is_set() {
+        Reset::Pin
+    } else {
+        Reset::Unknown
+    }
+}
+
+/// The independent watchdog: resets the chip unless it is fed.
+///
+/// 100 ms are ten turns of the supervisor that feeds it. Its oscillator is not exact (17…47 kHz,
+/// data sheet): the true limit lies between 70 and 196 ms, at least seven turns, and well below
+/// the 500 ms after which either end of the link counts the other as lost.
+pub struct Watchdog(IndependentWatchdog);
+
+impl Watchdog {
+    /// Starts it, and nothing but a reset stops it again; it pauses while a debugger halts the
+    /// core.
+    pub fn start(iwdg: IWDG, dbgmcu: &DBGMCU) -> Self {
+        let mut watchdog = IndependentWatchdog::new(iwdg);
+        watchdog.stop_on_debug(dbgmcu, true);
+        watchdog.start(100.millis());
+        Self(watchdog)
+    }
+
+    /// Another 100 ms.
+    pub fn feed(&mut self) {
+        self.0.feed();
+    }
+}

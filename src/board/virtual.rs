@@ -1,0 +1,291 @@
+//! The virtual board: the firmware's tasks in QEMU, fed by the host.
+//!
+//! One folder of the host holds what this board is wired to: `calibration.bin`, the pipe `samples`
+//! (blocks of one millisecond, CAN frames among them) and the pipe `frames` (what the board sends
+//! on its CAN). They are read and written by semihosting, which is fast but stops the whole
+//! emulator while it waits; so the board never reads before the host has rung: a byte on USART2
+//! says how many blocks are in the pipe. Between them the CPU sleeps and the serial line is free.
+//!
+//! Time is what the samples say. Nothing here depends on how fast the host is, so the same blocks
+//! give the same frames.
+
+use core::{
+    cell::RefCell,
+    sync::atomic::{AtomicU32, Ordering},
+};
+
+use cortex_m::{
+    asm,
+    interrupt::Mutex,
+    peripheral::{NVIC, SCB},
+};
+use embedded_hal_nb::serial::{Read as _, Write as _};
+use heapless::{Deque, Vec};
+use semihosting::{
+    fs::File,
+    io::{Read as _, Write as _},
+};
+use stm32f4xx_hal::{
+    interrupt,
+    pac::{self, Interrupt, USART1, USART2},
+    prelude::*,
+    rcc,
+    serial::{self, Rx, Serial, Tx},
+};
+use trueup_core::units::Millis;
+use trueup_link::{
+    bench::{self, Record},
+    calibration,
+    frame::Frame,
+};
+
+use super::{BLOCK, Block, Faults, Parts};
+
+use defmt_semihosting as _;
+
+/// Blocks that the host has announced and the board has not read.
+static ANNOUNCED: AtomicU32 = AtomicU32::new(0);
+/// The sample clock, for the time stamps of frames.
+static NOW_MS: AtomicU32 = AtomicU32::new(0);
+/// The block that `DMA2_STREAM0` is about to take.
+static ARRIVED: Mutex<RefCell<Option<Block>>> = Mutex::new(RefCell::new(None));
+/// Frames that `CAN1_RX0` is about to take.
+static FROM_BUS: Mutex<RefCell<Deque<Frame, 4>>> = Mutex::new(RefCell::new(Deque::new()));
+/// Frames on their way to the host: what one batch of 255 blocks can send, and its end mark.
+static TO_BUS: Mutex<RefCell<Vec<Record, 1024>>> = Mutex::new(RefCell::new(Vec::new()));
+
+/// Blocks per `SysTick`: 10 ms.
+const BLOCKS_PER_SUPERVISION: u32 = 10;
+
+/// Brings the board up.
+pub fn start(_core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts {
+    // QEMU has no RCC: its oscillator bits never come up, and the HAL waits for none on HSI.
+    let mut rcc = device.RCC.freeze(rcc::Config::hsi());
+    let port_a = device.GPIOA.split(&mut rcc);
+
+    let cnc = serial::Config::default().baudrate(921_600.bps());
+    let cnc: Serial<USART1> = Serial::new(device.USART1, (port_a.pa9, port_a.pa10), cnc, &mut rcc)
+        .expect("16 MHz reach 921 600 Bd");
+    let (serial_out, mut serial_in) = cnc.split();
+    serial_in.listen();
+
+    let doorbell = serial::Config::default();
+    let doorbell: Serial<USART2> =
+        Serial::new(device.USART2, (port_a.pa2, port_a.pa3), doorbell, &mut rcc)
+            .expect("16 MHz reach 115 200 Bd");
+    let (mut ready, mut doorbell) = doorbell.split();
+    doorbell.listen();
+    // SAFETY: the handler below touches nothing but an atomic and the receive register, so no
+    // critical section of the tasks relies on this interrupt being masked.
+    unsafe { NVIC::unmask(Interrupt::USART2) };
+
+    let mut bytes = [0; calibration::SIZE + 1];
+    let length = open(c"calibration.bin").map_or(0, |mut file| read_all(&mut file, &mut bytes));
+    let samples = open(c"samples").expect("the host makes this pipe before it starts the board");
+    let frames = File::create(c"frames").expect("the host makes this pipe before it starts the board");
+    // The host waits for this byte before it rings.
+    nb::block!(ready.write(b'R')).expect("a USART cannot fail to send");
+
+    Parts {
+        samples: Samples,
+        serial_in: SerialIn(serial_in),
+        serial_out: SerialOut(serial_out),
+        can_in: CanIn,
+        can_out: CanOut,
+        watchdog: Watchdog,
+        lamp: Lamp,
+        idle: Idle { samples, frames },
+        calibration: calibration::decode(&bytes[..length]),
+        faults: Faults::default(),
+    }
+}
+
+fn open(name: &core::ffi::CStr) -> Option<File> {
+    File::open(name).ok()
+}
+
+/// Reads until the buffer is full or the file ends; gives the number of bytes.
+fn read_all(file: &mut File, buffer: &mut [u8]) -> usize {
+    let mut length = 0;
+    while let Ok(more @ 1..) = file.read(&mut buffer[length..]) {
+        length += more;
+    }
+    length
+}
+
+/// The doorbell: how many blocks the host has put into the pipe.
+#[interrupt]
+fn USART2() {
+    // SAFETY: no other code reads the receive side of USART2; reading the data register is what
+    // clears the interrupt.
+    let usart = unsafe { &*USART2::ptr() };
+    if usart.sr().read().rxne().bit_is_set() {
+        ANNOUNCED.fetch_add(u32::from(usart.dr().read().dr().bits()), Ordering::Relaxed);
+    }
+}
+
+/// Where samples come from: what [`Idle`] has read.
+pub struct Samples;
+
+impl Samples {
+    pub fn take(&mut self) -> Option<Block> {
+        cortex_m::interrupt::free(|cs| ARRIVED.borrow(cs).take())
+    }
+
+    /// There is no converter that could have stopped.
+    pub fn restart(&mut self) {}
+}
+
+/// Bytes from the CNC.
+pub struct SerialIn(Rx<USART1>);
+
+impl SerialIn {
+    pub fn read(&mut self) -> Option<u8> {
+        self.0.read().ok()
+    }
+}
+
+/// Bytes to the CNC.
+pub struct SerialOut(Tx<USART1>);
+
+impl SerialOut {
+    /// The emulated USART is always ready.
+    pub fn write(&mut self, byte: u8) {
+        nb::block!(self.0.write(byte)).ok();
+    }
+}
+
+/// Frames from the bus, which on this board come with the samples.
+pub struct CanIn;
+
+impl CanIn {
+    pub fn receive(&mut self) -> Option<Frame> {
+        cortex_m::interrupt::free(|cs| FROM_BUS.borrow(cs).borrow_mut().pop_front())
+    }
+}
+
+/// Frames to the bus, which on this board go to the host by the batch.
+pub struct CanOut;
+
+impl CanOut {
+    pub fn send(&mut self, frame: &Frame) {
+        let time = Millis(NOW_MS.load(Ordering::Relaxed));
+        let record = Record::Frame { time, frame: *frame };
+        // A full buffer means a board that sends more than any batch can cause; the host sees the
+        // gap in the counters.
+        cortex_m::interrupt::free(|cs| TO_BUS.borrow(cs).borrow_mut().push(record).ok());
+    }
+}
+
+/// The host watches over its emulator.
+pub struct Watchdog;
+
+impl Watchdog {
+    pub fn feed(&mut self) {}
+}
+
+/// No lamp.
+pub struct Lamp;
+
+impl Lamp {
+    pub fn set(&mut self, _on: bool) {}
+}
+
+/// What the CPU does when no task has work: it makes time pass.
+pub struct Idle {
+    samples: File,
+    frames: File,
+}
+
+impl Idle {
+    pub fn run(&mut self) -> ! {
+        loop {
+            for _ in 0..Self::wait_for_blocks() {
+                self.one_block();
+            }
+            self.end_batch();
+        }
+    }
+
+    /// Sleeps until the host rings. With interrupts masked the bell cannot ring between the look
+    /// and the sleep: `wfi` wakes for a pending interrupt all the same.
+    fn wait_for_blocks() -> u32 {
+        loop {
+            cortex_m::interrupt::disable();
+            let announced = ANNOUNCED.swap(0, Ordering::Relaxed);
+            if announced == 0 {
+                asm::wfi();
+            }
+            // SAFETY: idle runs outside every critical section.
+            unsafe { cortex_m::interrupt::enable() };
+            if announced > 0 {
+                return announced;
+            }
+        }
+    }
+
+    /// Reads one block and raises the interrupts that it stands for. Every task has a higher
+    /// priority than this one, so they are done when the next line runs.
+    fn one_block(&mut self) {
+        let mut bytes = [0; bench::BLOCK_SIZE];
+        if read_all(&mut self.samples, &mut bytes) < bytes.len() {
+            defmt::panic!("the host closed the samples in the middle of a block");
+        }
+        let Ok(block) = bench::Block::decode(&bytes) else {
+            defmt::panic!("the host sent a block that is none");
+        };
+        let now = NOW_MS.load(Ordering::Relaxed).wrapping_add(1);
+        NOW_MS.store(now, Ordering::Relaxed);
+        let mut heard = false;
+        cortex_m::interrupt::free(|cs| {
+            let mut from_bus = FROM_BUS.borrow(cs).borrow_mut();
+            for frame in block.frames.into_iter().flatten() {
+                heard |= from_bus.push_back(frame).is_ok();
+            }
+            let codes: [_; BLOCK] = block.codes;
+            ARRIVED.borrow(cs).replace(Some(Block { codes, speed: block.speed }));
+        });
+        if heard {
+            raise(|| NVIC::pend(Interrupt::CAN1_RX0));
+        }
+        raise(|| NVIC::pend(Interrupt::DMA2_STREAM0));
+        if now % BLOCKS_PER_SUPERVISION == 0 {
+            raise(SCB::set_pendst);
+        }
+    }
+
+    /// Hands the host what the batch has sent, and says that it is done.
+    fn end_batch(&mut self) {
+        let records = cortex_m::interrupt::free(|cs| TO_BUS.borrow(cs).take());
+        let end = Record::EndOfBatch { time: Millis(NOW_MS.load(Ordering::Relaxed)) };
+        let mut bytes: Vec<u8, 4096> = Vec::new();
+        for record in records.iter().chain([&end]).map(Record::encode) {
+            if bytes.extend_from_slice(&record).is_err() {
+                self.write(&bytes);
+                bytes.clear();
+                bytes.extend_from_slice(&record).expect("it was just emptied");
+            }
+        }
+        self.write(&bytes);
+    }
+
+    fn write(&mut self, bytes: &[u8]) {
+        if self.frames.write_all(bytes).is_err() {
+            defmt::panic!("the host no longer takes frames");
+        }
+    }
+}
+
+/// Raises an interrupt and lets it in before the next instruction.
+fn raise(pend: impl FnOnce()) {
+    pend();
+    asm::dsb();
+    asm::isb();
+}
+
+/// Says why, and ends the emulator: the host then knows.
+#[panic_handler]
+fn panic(info: &core::panic::PanicInfo) -> ! {
+    defmt::error!("{}", defmt::Display2Format(info));
+    semihosting::process::exit(1)
+}
