@@ -33,20 +33,23 @@ use core::sync::atomic::{AtomicU32, Ordering};
 static NOW_MS: AtomicU32 = AtomicU32::new(0);
 defmt::timestamp!("{=u32} ms", NOW_MS.load(Ordering::Relaxed));
 
-#[rtic::app(device = stm32f4xx_hal::pac, peripherals = true, dispatchers = [SPI1, SPI2])]
+#[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
 mod app {
     use super::{NOW_MS, Ordering};
-    use crate::board::{
-        self, CanIn, CanOut, Idle, Lamp, Samples, SerialIn, SerialOut, Watchdog,
-    };
+    use crate::board::{self, CanIn, CanOut, Idle, Lamp, Samples, SerialIn, SerialOut, Watchdog};
     use heapless::spsc::{Consumer, Producer, Queue};
     use micromath::F32Ext as _;
+    use stm32f4xx_hal::pac::Interrupt;
     use trueup_core::{bridge::Input, cnc::Quality};
     use trueup_link::{
         node::{Frames, Node},
         slcan::Port,
     };
 
+    /// The two tasks that other tasks start have an interrupt that no pin uses. A pended interrupt
+    /// cannot be lost: raised while its task runs, it makes it run again.
+    const LISTEN: Interrupt = Interrupt::EXTI0;
+    const TRANSMIT: Interrupt = Interrupt::EXTI1;
     /// Bytes between the interrupt that takes them and the task that reads them.
     const QUEUE: usize = 256;
     /// What `N` answers on the serial line.
@@ -150,19 +153,18 @@ mod app {
             // A full queue loses the byte; the line it belongs to is then refused and counted.
             cx.local.to_listen.enqueue(byte).ok();
         }
-        // It fails if the task is waiting to run already, and then it will see the byte.
-        listen::spawn().ok();
+        rtic::pend(LISTEN);
     }
 
     /// Bytes become lines, lines become frames.
-    #[task(priority = 3, local = [from_serial], shared = [port, node])]
-    async fn listen(mut cx: listen::Context) {
+    #[task(binds = EXTI0, priority = 3, local = [from_serial], shared = [port, node])]
+    fn listen(mut cx: listen::Context) {
         while let Some(byte) = cx.local.from_serial.dequeue() {
             if let Some(frame) = cx.shared.port.lock(|port| port.receive(byte)) {
                 cx.shared.node.lock(|node| node.hear(&frame)).ok();
             }
         }
-        transmit::spawn().ok();
+        rtic::pend(TRANSMIT);
     }
 
     /// Every 10 ms: is all well? On a board whose converter is dead this is what keeps the CNC
@@ -171,7 +173,12 @@ mod app {
            shared = [node, port, can_out, samples, drained_ms])]
     fn supervise(cx: supervise::Context) {
         let supervise::SharedResources {
-            mut node, mut port, mut can_out, mut samples, mut drained_ms, ..
+            mut node,
+            mut port,
+            mut can_out,
+            mut samples,
+            mut drained_ms,
+            ..
         } = cx.shared;
         let Supervision { watchdog, lamp, blocks, silent_ms, until_log_ms } = cx.local.supervision;
 
@@ -209,13 +216,13 @@ mod app {
             *until_log_ms = LOG_PERIOD_MS;
             node.lock(log);
         }
-        transmit::spawn().ok();
+        rtic::pend(TRANSMIT);
     }
 
     /// Lines to the serial line, byte by byte. It polls, because the emulator has neither the
     /// interrupt nor the DMA for it, and because no task waits below it.
-    #[task(priority = 1, local = [serial_out], shared = [port, node, drained_ms])]
-    async fn transmit(mut cx: transmit::Context) {
+    #[task(binds = EXTI1, priority = 1, local = [serial_out], shared = [port, node, drained_ms])]
+    fn transmit(mut cx: transmit::Context) {
         while let Some(byte) = cx.shared.port.lock(Port::pop) {
             cx.local.serial_out.write(byte);
         }
@@ -235,7 +242,7 @@ mod app {
         }
         // All or none, so that a full port never splits a pair; what is dropped is counted.
         port.send_all(frames);
-        transmit::spawn().ok();
+        rtic::pend(TRANSMIT);
     }
 
     /// The live values, once a second.

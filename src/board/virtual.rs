@@ -82,7 +82,8 @@ pub fn start(_core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts {
     let mut bytes = [0; calibration::SIZE + 1];
     let length = open(c"calibration.bin").map_or(0, |mut file| read_all(&mut file, &mut bytes));
     let samples = open(c"samples").expect("the host makes this pipe before it starts the board");
-    let frames = File::create(c"frames").expect("the host makes this pipe before it starts the board");
+    let frames =
+        File::create(c"frames").expect("the host makes this pipe before it starts the board");
     // The host waits for this byte before it rings.
     nb::block!(ready.write(b'R')).expect("a USART cannot fail to send");
 

@@ -141,5 +141,5 @@ fn run_virtual(options: Virtual) -> Result<()> {
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
     eprintln!("the CNC's line is at {} (SLCAN)", options.cnc);
     let front_end = FrontEnd::new(sensor.divider, options.seed);
-    serve::serve(&image, &compiled.calibration, front_end, listener, source, &stop)
+    serve::serve(&image, &compiled.calibration, front_end, listener, source, stop)
 }

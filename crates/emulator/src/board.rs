@@ -5,12 +5,17 @@
 //! lives beside it.
 
 use std::{
+    collections::VecDeque,
     fs::{File, OpenOptions},
-    io::{Read, Write},
+    io::{self, Read, Write},
     os::unix::net::UnixStream,
     path::Path,
-    sync::{Arc, Mutex, PoisonError},
+    sync::{
+        Arc, Mutex, PoisonError,
+        mpsc::{self, RecvTimeoutError},
+    },
     thread,
+    time::Duration,
 };
 
 use anyhow::{Context as _, Result};
@@ -58,15 +63,19 @@ impl VirtualBoard {
         let decoder = Decoder::of(image)?;
         let mut qemu = Qemu::start(
             image,
+            // QEMU waits for the host at the log and the doorbell, in this order, so that nothing
+            // that the board says is lost.
             &[
+                "-chardev",
+                "socket,id=log,path=log.sock,server=on,wait=on",
+                "-chardev",
+                "socket,id=doorbell,path=doorbell.sock,server=on,wait=on",
+                "-semihosting-config",
+                "enable=on,target=native,chardev=log",
                 "-serial",
                 "unix:serial.sock,server=on,wait=off",
                 "-serial",
-                "unix:doorbell.sock,server=on,wait=off",
-                "-chardev",
-                "socket,id=log,path=log.sock,server=on,wait=on",
-                "-semihosting-config",
-                "enable=on,target=native,chardev=log",
+                "chardev:doorbell",
             ],
             |folder| {
                 std::fs::write(folder.join("calibration.bin"), calibration)?;
@@ -91,8 +100,8 @@ impl VirtualBoard {
             }
         });
 
-        let serial = qemu.connect("serial.sock")?;
         let mut doorbell = qemu.connect("doorbell.sock")?;
+        let serial = qemu.connect("serial.sock")?;
         doorbell.set_read_timeout(Some(BOOT_TIMEOUT))?;
         let mut ready = [0];
         if doorbell.read_exact(&mut ready).is_err() || ready != *b"R" {
@@ -132,12 +141,31 @@ impl VirtualBoard {
         }
     }
 
-    /// The CNC's end of the serial line.
+    /// The CNC's end of the serial line, as QEMU has it: whoever takes it must read on, because
+    /// QEMU stops when a few hundred bytes wait there.
     ///
     /// # Errors
     /// The socket cannot be shared.
     pub fn serial(&self) -> Result<UnixStream> {
         Ok(self.serial.try_clone()?)
+    }
+
+    /// The CNC's end of the serial line, for one who reads when it suits him.
+    ///
+    /// # Errors
+    /// The socket cannot be shared.
+    pub fn line(&self) -> Result<Line> {
+        let (sender, received) = mpsc::channel();
+        let mut source = self.serial()?;
+        thread::spawn(move || {
+            let mut bytes = [0; 4096];
+            while let Ok(length @ 1..) = source.read(&mut bytes) {
+                if sender.send(bytes[..length].to_vec()).is_err() {
+                    break;
+                }
+            }
+        });
+        Ok(Line { writer: self.serial()?, received, rest: VecDeque::new() })
     }
 
     /// The board's log so far.
@@ -149,5 +177,45 @@ impl VirtualBoard {
     /// The emulator it runs in.
     pub fn qemu(&mut self) -> &mut Qemu {
         &mut self.qemu
+    }
+}
+
+/// The CNC's end of the serial line: it takes in whatever comes, and a read waits at most
+/// [`Line::PATIENCE`].
+pub struct Line {
+    writer: UnixStream,
+    received: mpsc::Receiver<Vec<u8>>,
+    rest: VecDeque<u8>,
+}
+
+impl Line {
+    /// How long a board may take to say something.
+    pub const PATIENCE: Duration = Duration::from_secs(20);
+}
+
+impl Read for Line {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        if self.rest.is_empty() {
+            match self.received.recv_timeout(Self::PATIENCE) {
+                Ok(bytes) => self.rest.extend(bytes),
+                Err(RecvTimeoutError::Disconnected) => return Ok(0),
+                Err(RecvTimeoutError::Timeout) => {
+                    let seconds = Self::PATIENCE.as_secs();
+                    let said = format!("the board has said nothing for {seconds} s");
+                    return Err(io::Error::new(io::ErrorKind::TimedOut, said));
+                }
+            }
+        }
+        self.rest.read(buffer)
+    }
+}
+
+impl Write for Line {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.writer.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
     }
 }

@@ -204,7 +204,7 @@ fn play(
     let input = sensor_input(machine)?;
     let mut board = VirtualBoard::boot(image, &compile(machine)?.calibration)?;
     let mut front_end = FrontEnd::new(input.divider, SEED);
-    let mut cnc = Cnc::open(board.serial()?)?;
+    let mut cnc = Cnc::open(board.line()?)?;
     let mut means = Vec::new();
     for &row in rows {
         let speed = crate::replay::rpm(table.rpm[row]).context("a speed beyond the wire")?;

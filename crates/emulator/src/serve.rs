@@ -17,6 +17,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, bail};
+use rustix::process::{Pid, Signal, kill_process};
 use trueup_core::{calibration::Calibration, cnc::Output, units::NANOMETRES_PER_MICROMETRE};
 use trueup_link::{bench::Block, receiver::OffsetReceiver, slcan::CR};
 
@@ -52,20 +53,50 @@ const LARGEST_BACKLOG_MS: f64 = 200.0;
 pub fn serve(
     image: &std::path::Path,
     machine: &Calibration,
+    front_end: FrontEnd,
+    listener: TcpListener,
+    source: Source,
+    stop: Arc<AtomicBool>,
+) -> Result<()> {
+    let mut board = VirtualBoard::boot(image, machine)?;
+    eprintln!("the bridge is up in QEMU (process {})", board.qemu().id());
+    end_with(stop.clone(), board.qemu().id());
+    let result = play(&mut board, front_end, listener, source, &stop);
+    // Whatever broke because it was stopped is no error.
+    if stop.load(Ordering::Relaxed) { Ok(()) } else { result }
+}
+
+/// A client that does not read stops QEMU, and with it whoever waits for the board. So when this is
+/// to end and does not, QEMU is ended under it.
+fn end_with(stop: Arc<AtomicBool>, qemu: u32) {
+    const GRACE: Duration = Duration::from_secs(1);
+    thread::spawn(move || {
+        while !stop.load(Ordering::Relaxed) {
+            thread::sleep(Duration::from_millis(50));
+        }
+        thread::sleep(GRACE);
+        if let Some(pid) = i32::try_from(qemu).ok().and_then(Pid::from_raw) {
+            // It may have ended in the meantime.
+            kill_process(pid, Signal::KILL).ok();
+        }
+    });
+}
+
+/// Lets the board live through what the source has.
+fn play(
+    board: &mut VirtualBoard,
     mut front_end: FrontEnd,
     listener: TcpListener,
     source: Source,
     stop: &AtomicBool,
 ) -> Result<()> {
-    let mut board = VirtualBoard::boot(image, machine)?;
-    eprintln!("the bridge is up in QEMU (process {})", board.qemu().id());
     let opened = Arc::new(AtomicBool::new(false));
     share_line(listener, board.serial()?, opened.clone())?;
     let is_over = |board: &mut VirtualBoard| -> Result<bool> {
         board.qemu().check()?;
         Ok(stop.load(Ordering::Relaxed))
     };
-    let mut play = |board: &mut VirtualBoard,
+    let mut live = |board: &mut VirtualBoard,
                     situation: &dyn Fn(f64) -> Situation,
                     count: u32|
      -> Result<Option<Output>> {
@@ -89,7 +120,7 @@ pub fn serve(
         Source::Run { replay, speed } => {
             eprintln!("the replay starts when a client opens the channel");
             while !opened.load(Ordering::Relaxed) {
-                if is_over(&mut board)? {
+                if is_over(board)? {
                     return Ok(());
                 }
                 thread::sleep(Duration::from_millis(5));
@@ -99,18 +130,18 @@ pub fn serve(
                 match pace.due() {
                     0 => thread::sleep(Duration::from_micros(300)),
                     due => {
-                        play(&mut board, &|time| replay.at(time), due)?;
+                        live(board, &|time| replay.at(time), due)?;
                     }
                 }
             }
         }
         Source::Plant(mut plant) => {
-            while let Some((situation, ms)) = plant.next(|| is_over(&mut board))? {
-                if let Some(output) = play(&mut board, &|_| situation, ms)? {
+            while let Some((situation, ms)) = plant.next(|| is_over(board))? {
+                if let Some(output) = live(board, &|_| situation, ms)? {
                     plant.last_answer = Answer::from(&output);
                 }
                 plant.answer()?;
-                if is_over(&mut board)? {
+                if is_over(board)? {
                     break;
                 }
             }
