@@ -250,7 +250,7 @@ impl Idle {
             raise(|| NVIC::pend(Interrupt::CAN1_RX0));
         }
         raise(|| NVIC::pend(Interrupt::DMA2_STREAM0));
-        if now % BLOCKS_PER_SUPERVISION == 0 {
+        if now.is_multiple_of(BLOCKS_PER_SUPERVISION) {
             raise(SCB::set_pendst);
         }
     }

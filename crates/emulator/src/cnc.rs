@@ -52,7 +52,7 @@ impl<S: Read + Write> Cnc<S> {
         self.write(format!("{line}\r").as_bytes())?;
         let mut kept = VecDeque::new();
         let answer = loop {
-            match self.next()? {
+            match self.next_event()? {
                 Event::Accepted => break String::new(),
                 Event::Other(text) => break String::from_utf8_lossy(&text).into_owned(),
                 Event::Refused => bail!("the board refuses the line {line:?}"),
@@ -91,7 +91,7 @@ impl<S: Read + Write> Cnc<S> {
     /// The line breaks.
     pub fn next_output(&mut self) -> Result<Output> {
         loop {
-            if let Event::Frame(frame) = self.next()? {
+            if let Event::Frame(frame) = self.next_event()? {
                 // What is refused is counted in `offsets`.
                 if let Ok(Some(output)) = self.offsets.accept(&frame) {
                     return Ok(output);
@@ -104,7 +104,7 @@ impl<S: Read + Write> Cnc<S> {
     ///
     /// # Errors
     /// The line breaks.
-    pub fn next(&mut self) -> Result<Event> {
+    pub fn next_event(&mut self) -> Result<Event> {
         let mut bytes = [0; 4096];
         loop {
             if let Some(event) = self.waiting.pop_front() {
@@ -157,7 +157,7 @@ mod tests {
         assert_eq!(cnc.stream.asked, b"\rC\rS8\rO\r");
         assert_eq!(cnc.ask("V").expect("an answer"), "V1013");
         let heartbeat = Frame::new(0x701, &[5]).expect("valid");
-        assert_eq!(cnc.next().expect("kept"), Event::Frame(heartbeat));
+        assert_eq!(cnc.next_event().expect("kept"), Event::Frame(heartbeat));
     }
 
     #[test]

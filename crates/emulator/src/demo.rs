@@ -219,7 +219,7 @@ fn play(
                 .collect();
             // What the board sends on its bus it also sends on the line: so many lines are due.
             for _ in 0..board.step(&blocks)?.len() {
-                if let Event::Frame(frame) = cnc.next()? {
+                if let Event::Frame(frame) = cnc.next_event()? {
                     outputs.extend(cnc.offsets.accept(&frame).ok().flatten());
                 }
             }

@@ -82,7 +82,7 @@ impl Plant {
     /// # Errors
     /// A line that is no step, or time that runs back; with its number.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked before")]
-    pub fn next(
+    pub fn next_step(
         &mut self,
         mut is_over: impl FnMut() -> Result<bool>,
     ) -> Result<Option<(Situation, u32)>> {

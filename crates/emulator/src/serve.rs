@@ -136,7 +136,7 @@ fn play(
             }
         }
         Source::Plant(mut plant) => {
-            while let Some((situation, ms)) = plant.next(|| is_over(board))? {
+            while let Some((situation, ms)) = plant.next_step(|| is_over(board))? {
                 if let Some(output) = live(board, &|_| situation, ms)? {
                     plant.last_answer = Answer::from(&output);
                 }
