@@ -83,7 +83,7 @@ mod app {
         watchdog: Watchdog,
         lamp: Lamp,
         blocks: u32,
-        silent_ms: u32,
+        silent: bool,
         until_log_ms: u32,
     }
 
@@ -107,7 +107,7 @@ mod app {
             watchdog: parts.watchdog,
             lamp: parts.lamp,
             blocks: 0,
-            silent_ms: 0,
+            silent: false,
             until_log_ms: 0,
         };
         let local = Local {
@@ -180,14 +180,14 @@ mod app {
             mut drained_ms,
             ..
         } = cx.shared;
-        let Supervision { watchdog, lamp, blocks, silent_ms, until_log_ms } = cx.local.supervision;
+        let Supervision { watchdog, lamp, blocks, silent, until_log_ms } = cx.local.supervision;
 
         let blocks_now = node.lock(|node| node.blocks());
         if blocks_now == *blocks {
-            if *silent_ms % LOG_PERIOD_MS == 0 {
-                defmt::error!("no samples: the converter is restarted");
+            if !*silent {
+                defmt::error!("no samples: the converter is restarted until they come");
             }
-            *silent_ms += SUPERVISION_MS;
+            *silent = true;
             samples.lock(Samples::restart);
             let frames = node.lock(|node| {
                 let frames = node.tick(SUPERVISION_MS, Input { codes: None, speed: None });
@@ -196,7 +196,10 @@ mod app {
             });
             can_out.lock(|can| port.lock(|port| send(&frames, can, port)));
         } else {
-            *silent_ms = 0;
+            if *silent {
+                defmt::warn!("samples come again");
+            }
+            *silent = false;
         }
         *blocks = blocks_now;
 
@@ -248,14 +251,14 @@ mod app {
     /// The live values, once a second.
     fn log(node: &mut Node) {
         let noise = node.take_noise();
-        let rms = (noise.squares as f32 / (6 * noise.count.max(1)) as f32).sqrt();
+        let rms = (noise.squares as f32 / (6.0 * noise.count.max(1) as f32)).sqrt();
         let last = node.last();
         defmt::info!(
-            "quality {=u8}, z {=i32} nm, flags {=u8:#010b}, noise {=f32} codes RMS",
+            "quality {=u8}, z {=i32} nm, flags {=u8:#010b}, noise {=u32} thousandths of a code",
             last.quality as u8,
             last.offset.map_or(0, |offset| offset[2].0),
             last.flags.0,
-            rms,
+            (rms * 1_000.0) as u32,
         );
     }
 }
