@@ -110,8 +110,9 @@ fn a_step_has_settled_to_1_percent_after_5_revolutions_and_20_ms() {
             [ideal(100_000.0 + if ms > before { STEP_NM } else { 0.0 }); CODES_PER_TICK]
         });
         // The filter gives nothing for its first ticks: count them to place the step.
-        let readings: Vec<f64> =
-            filtered(blocks, Some(Rpm(rpm))).take(before + (8.0 * revolution_ms) as usize).collect();
+        let readings: Vec<f64> = filtered(blocks, Some(Rpm(rpm)))
+            .take(before + (8.0 * revolution_ms) as usize)
+            .collect();
         let end = *readings.last().expect("readings");
         let last_off = readings.iter().rposition(|nm| (nm - end).abs() > STEP_NM / 100.0);
         let first_given = (2.0 * revolution_ms).ceil() as usize;
@@ -207,7 +208,9 @@ fn an_inverters_carrier_leaves_60_nm_behind_the_low_pass_and_micrometres_without
             }
             without = without.max(shift(false, hz, 0.0, rpm).abs());
         }
-        println!("carrier at {hz:>6} Hz: {with:5.1} nm with the low-pass, {without:6.1} nm without");
+        println!(
+            "carrier at {hz:>6} Hz: {with:5.1} nm with the low-pass, {without:6.1} nm without"
+        );
         assert!(with <= 60.0, "{with}");
         // What folds onto 0 Hz is untouched by any digital filter: 0.1 V are 5 µm.
         if hz >= SAMPLE_HZ {

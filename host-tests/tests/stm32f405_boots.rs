@@ -1,1 +1,90 @@
-//! To come.
+//! The flashable image boots where nearly everything is dead: in QEMU the crystal, the PLL, the
+//! converter and the CAN controller never answer. It has to come up all the same, name each dead
+//! part in its log, and tell the CNC over the serial line that no offset is available.
+
+use std::{
+    io::{ErrorKind, Read as _, Write as _},
+    time::{Duration, Instant},
+};
+
+use anyhow::{Result, ensure};
+use trueup_core::cnc::{Flags, Output, Quality};
+use trueup_emulator::{
+    firmware::{self, Board},
+    qemu::Qemu,
+    rtt::{MONITOR_ARGUMENTS, Monitor},
+};
+use trueup_link::{
+    receiver::OffsetReceiver,
+    slcan::{Client, Event, client::OPEN},
+};
+
+/// Boots the image, opens the serial line and waits for offsets. Gives them with the time from the
+/// start of QEMU, and the log.
+fn boot() -> Result<(Output, Duration, Vec<String>)> {
+    let image = firmware::build(Board::Stm32f405)?;
+    let started = Instant::now();
+    let serial = ["-serial", "unix:serial.sock,server=on,wait=on"];
+    let mut qemu = Qemu::start(&image, &[serial, MONITOR_ARGUMENTS].concat(), |_| Ok(()))?;
+    let mut stream = qemu.connect("serial.sock")?;
+    stream.set_read_timeout(Some(Duration::from_millis(20)))?;
+    let (mut client, mut offsets) = (Client::new(), OffsetReceiver::new());
+    let mut bytes = [0; 4096];
+    let output = 'wait: loop {
+        ensure!(started.elapsed() < Duration::from_secs(20), "the board never says: not available");
+        // This board does not say when its line is ready; what comes too early is lost.
+        let length = match stream.read(&mut bytes) {
+            Ok(length) => length,
+            Err(error) if error.kind() == ErrorKind::WouldBlock => {
+                stream.write_all(OPEN)?;
+                continue;
+            }
+            Err(error) => return Err(error.into()),
+        };
+        for &byte in &bytes[..length] {
+            if let Some(Event::Frame(frame)) = client.receive(byte)
+                && let Some(output) = offsets.accept(&frame)?
+                // The first cycles come before the missing samples count as missing.
+                && output.quality == Quality::Fault
+            {
+                break 'wait output;
+            }
+        }
+    };
+    let took = started.elapsed();
+    // A line that nobody reads would stop QEMU, its monitor included.
+    drop(stream);
+    let log = Monitor::connect(&mut qemu)?.log(&qemu, &image)?;
+    Ok((output, took, log))
+}
+
+#[test]
+fn it_boots_with_everything_dead_says_so_and_sends_not_available() {
+    // Without -icount QEMU's virtual clock is the host's: the shortest of three boots is the one
+    // in which this machine was least busy with other things.
+    let (output, took, log) = (0..3)
+        .map(|_| boot().expect("the image boots"))
+        .min_by_key(|(_, took, _)| *took)
+        .expect("three boots");
+    println!("not available {} ms after QEMU was started; the log:", took.as_millis());
+    log.iter().for_each(|line| println!("  {line}"));
+
+    assert_eq!((output.offset, output.quality), (None, Quality::Fault));
+    assert_eq!(output.age_ms, 255);
+    assert!(output.flags.contains(Flags::SAMPLES_MISSING.with(Flags::BOARD_DEGRADED)));
+    assert!(took < Duration::from_secs(1), "{took:?}");
+    for dead in ["crystal", "PLL", "CAN", "no samples"] {
+        let said = log.iter().any(|line| line.to_lowercase().contains(&dead.to_lowercase()));
+        assert!(said, "the log does not name: {dead}");
+    }
+}
+
+#[test]
+fn the_images_have_code_and_leave_room() {
+    for board in Board::ALL {
+        let image = firmware::build(board).expect("it builds");
+        let size = trueup_emulator::size::of(&image).expect("it has code");
+        println!("{}: {size:?}", board.feature());
+        assert!(size.code > 10_000 && size.flash < 256 * 1024 && size.ram < 64 * 1024, "{size:?}");
+    }
+}

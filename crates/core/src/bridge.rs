@@ -66,9 +66,15 @@ pub struct State {
     applied: Applied,
 }
 
-/// Milliseconds since something happened; stays at its largest value.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+/// Milliseconds since something happened; stays at its largest value, where it also begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Age(u32);
+
+impl Default for Age {
+    fn default() -> Self {
+        Self(u32::MAX)
+    }
+}
 
 impl Age {
     fn grow(&mut self, elapsed_ms: u32) {
@@ -460,13 +466,11 @@ mod tests {
     }
 
     #[test]
-    fn a_board_without_samples_is_not_available_within_a_second() {
+    fn a_board_without_samples_is_not_available_from_the_first_tick() {
         let mut rig = Rig::new(CALIBRATION);
-        rig.run(0, 1050);
-        (0..30).for_each(|_| {
-            rig.tick(None);
-        });
-        assert_eq!((rig.last.quality, rig.last.offset), (Quality::Fault, None));
+        let output = rig.tick(None);
+        assert_eq!((output.quality, output.offset), (Quality::Fault, None));
+        assert_eq!((output.flags, output.age_ms), (Flags::SAMPLES_MISSING, 255));
     }
 
     #[test]

@@ -20,6 +20,7 @@ pub mod process;
 pub mod qemu;
 pub mod replay;
 pub mod report;
+pub mod rtt;
 pub mod serve;
 pub mod setup;
 pub mod size;

@@ -11,6 +11,8 @@
 //! | [`run_file`] | reads a run file (CSV) into columns |
 //! | [`model`] | the reference: what the model says, in `f64` |
 //! | [`compile`](mod@compile) | a [`Machine`] in the integers of the board |
+//! | [`show`] | from these integers back to a machine file |
+//! | [`predict`] | a run with what the model and the board's integers say of each row |
 //! | [`fit`] | a straight line by least squares, judged on left-out rows |
 #![forbid(unsafe_code)]
 
@@ -20,8 +22,10 @@ pub mod inputs;
 pub mod machine_file;
 pub mod model;
 pub mod place;
+pub mod predict;
 pub mod run_file;
 mod section;
+pub mod show;
 
 pub use compile::{Compiled, compile};
 pub use machine_file::{Machine, MachineFile};

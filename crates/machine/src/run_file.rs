@@ -157,7 +157,8 @@ impl RunFile {
         BadInput::new(self.place(row, column), format!("{column} {rule}"))
     }
 
-    fn header_place(&self) -> Place {
+    /// Where the header row begins: for what is wrong with the columns as a whole.
+    pub(crate) fn header_place(&self) -> Place {
         Place { file: self.path.clone(), line: self.header_line, column: 1 }
     }
 
