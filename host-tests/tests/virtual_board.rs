@@ -1,1 +1,200 @@
-//! To come.
+//! The real firmware on the emulated board: it computes what the host computes, to the bit, twice
+//! the same, and says the same on both of its wires.
+
+use std::time::Instant;
+
+use trueup_core::{
+    bridge::Input,
+    calibration::Calibration,
+    cnc::{Command, Control, Quality, Spindle},
+    units::{Code, Millis, Rpm},
+};
+use trueup_emulator::{
+    board::{LARGEST_BATCH, VirtualBoard},
+    cnc::Cnc,
+    firmware::{self, Board},
+    front_end::FrontEnd,
+    setup,
+};
+use trueup_link::{
+    bench::Block, frame::Frame, frames, node::Node, receiver::OffsetReceiver, slcan::Event,
+};
+use trueup_machine::{MachineFile, compile};
+
+type Sent = Vec<(Millis, Frame)>;
+
+fn calibration() -> Calibration {
+    let path = setup::root().join("data/paper_spindle.toml");
+    let mut machine = MachineFile::read(&path).expect("the project's own machine file");
+    machine.limits.slew_um_per_s = 1_000.0;
+    compile(&machine).expect("it compiles").calibration
+}
+
+fn boot() -> VirtualBoard {
+    let image = firmware::build(Board::Virtual).expect("the image builds");
+    VirtualBoard::boot(&image, &calibration()).expect("the board boots")
+}
+
+/// A life with everything in it: growth, a speed that changes, a broken wire, spikes, a CNC that
+/// engages, disengages, sends damaged and repeated frames, falls silent and comes back.
+fn eventful_life(ms: u32) -> Vec<Block> {
+    let mut front_end = FrontEnd::new(0.33, 42);
+    let mut random = 7_u32;
+    let mut counter = 0;
+    (0..ms)
+        .map(|n| {
+            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let chance = random >> 16;
+            let volts = 1.54 + 0.3 * (f64::from(n) / 900.0).sin();
+            let mut codes = front_end.block(|_| volts);
+            match n {
+                1_500..1_560 | 10_500.. => codes = [Code(0); 20],
+                2_900..3_150 => codes = [Code(631); 20],
+                _ if chance.is_multiple_of(50) => {
+                    codes[usize::from(chance as u8 % 20)] = Code(4095)
+                }
+                _ => {}
+            }
+            let mut sent = [None; 2];
+            let silent = (4_000..4_700).contains(&n) || (5_200..8_600).contains(&n);
+            if n % 20 == 7 && !silent {
+                let engage = !(3_300..3_600).contains(&n);
+                let zero = (3_700..3_800).contains(&n);
+                sent[0] =
+                    Some(frames::control(Control { engage, referenced: true, zero }, counter));
+                // Some are sent twice, some are damaged on the way.
+                if !chance.is_multiple_of(7) {
+                    counter = counter.wrapping_add(1);
+                }
+                if chance.is_multiple_of(11) {
+                    let mut data = *sent[0].expect("just made").data();
+                    data[3] ^= 0x10;
+                    sent[0] = Frame::new(frames::CONTROL_ID, &data).ok();
+                }
+            }
+            if n % 20 == 13 && chance.is_multiple_of(3) {
+                let speed = Rpm((chance % 24_000) as u16);
+                sent[1] = Some(frames::spindle(Spindle { speed, load_n: -5 }, (n / 20) as u8));
+            }
+            let speed = (n > 100).then_some(Rpm(12_000));
+            Block { codes, speed, frames: sent }
+        })
+        .collect()
+}
+
+fn on_the_board(blocks: &[Block]) -> Sent {
+    let mut board = boot();
+    let batches = blocks.chunks(LARGEST_BATCH);
+    batches.flat_map(|batch| board.step(batch).expect("the board lives")).collect()
+}
+
+fn on_the_host(blocks: &[Block]) -> Sent {
+    let mut node = Node::new(Some(calibration()), false);
+    let mut sent = Sent::new();
+    for block in blocks {
+        for frame in block.frames.iter().flatten() {
+            // What is refused is part of this life.
+            node.hear(frame).ok();
+        }
+        let frames = node.tick(1, Input { codes: Some(&block.codes), speed: block.speed });
+        sent.extend(frames.into_iter().map(|frame| (node.now(), frame)));
+    }
+    sent
+}
+
+#[test]
+fn board_and_host_send_the_same_frames_to_the_bit_through_an_eventful_life() {
+    let blocks = eventful_life(14_000);
+    let (board, host) = (on_the_board(&blocks), on_the_host(&blocks));
+    let first = board.iter().zip(&host).position(|(board, host)| board != host);
+    assert_eq!(first, None, "the first frame that differs");
+    assert_eq!(board.len(), host.len());
+
+    // The life is no sleep: every quality that a sensor can have has been there.
+    let mut receiver = OffsetReceiver::new();
+    let outputs = board.iter().filter_map(|(_, frame)| receiver.accept(frame).ok().flatten());
+    let mut seen = [0; 7];
+    outputs.for_each(|output| seen[output.quality as usize] += 1);
+    println!("{} frames the same; ticks by quality: {seen:?}", board.len());
+    for quality in [Quality::Off, Quality::Live, Quality::Hold, Quality::RampingOut, Quality::Fault]
+    {
+        assert!(seen[quality as usize] > 0, "never {quality:?}");
+    }
+}
+
+#[test]
+fn two_runs_on_the_board_are_the_same_to_the_bit() {
+    let blocks = eventful_life(3_000);
+    assert_eq!(on_the_board(&blocks), on_the_board(&blocks));
+}
+
+#[test]
+fn the_serial_line_says_what_the_bus_says_and_growth_lifts_the_tool() {
+    const SETTLED_VOLTS: f64 = 9_164.0 * 10.0 / 32_768.0;
+    let mut board = boot();
+    let mut front_end = FrontEnd::new(0.33, 1);
+    let mut cnc = Cnc::open(board.line().expect("a line")).expect("an open channel");
+    for _ in 0..20 {
+        let control = Control { engage: true, referenced: true, zero: false };
+        cnc.send(Command::Control(control)).expect("accepted");
+        let blocks: Vec<Block> = (0..20)
+            .map(|_| Block {
+                codes: front_end.block(|_| SETTLED_VOLTS),
+                speed: Some(Rpm(24_000)),
+                frames: [None; 2],
+            })
+            .collect();
+        for (_, on_the_bus) in board.step(&blocks).expect("the board lives") {
+            assert_eq!(cnc.next_event().expect("a frame"), Event::Frame(on_the_bus));
+            let output = cnc.offsets.accept(&on_the_bus).expect("valid");
+            // The paper: 9164 counts are 62.8 µm of growth. The tool tip is too low, so up: +Z.
+            if let Some(output) = output.filter(|output| output.flags.0 == 0) {
+                let [x, y, z] = output.offset.expect("available");
+                assert_eq!((x.0, y.0), (0, 0));
+                assert!(
+                    output.quality != Quality::Live || (z.0 - 62_805).abs() < 100,
+                    "{output:?}"
+                );
+            }
+        }
+    }
+    assert_eq!(cnc.offsets.counters().lost + cnc.offsets.unpaired(), 0);
+    let log = board.log();
+    println!("{}", log.join("\n"));
+    assert!(log.iter().any(|line| line.contains("is up")), "{log:?}");
+}
+
+#[test]
+fn the_log_measures_the_noise_of_the_front_end() {
+    let mut board = boot();
+    let mut front_end = FrontEnd::new(0.33, 1);
+    for _ in 0..12 {
+        let blocks: Vec<Block> = (0..LARGEST_BATCH)
+            .map(|_| Block { codes: front_end.block(|_| 3.0), speed: None, frames: [None; 2] })
+            .collect();
+        board.step(&blocks).expect("the board lives");
+    }
+    // The log has its own way to the host: give it a moment.
+    std::thread::sleep(std::time::Duration::from_millis(300));
+    let log = board.log();
+    let said = |line: &String| -> Option<u32> {
+        line.split("noise ").nth(1)?.split(' ').next()?.parse().ok()
+    };
+    let noise: Vec<u32> = log.iter().filter_map(said).skip(1).collect();
+    println!("noise in thousandths of a code, from second to second: {noise:?}");
+    // 1 LSB and the rounding of the converter: √(1 + 1/12) = 1.041.
+    assert!(noise.len() >= 2 && noise.iter().all(|n| (1_020..1_060).contains(n)), "{log:?}");
+}
+
+#[test]
+fn a_board_that_nobody_asks_is_much_faster_than_time() {
+    let blocks = eventful_life(20_000);
+    let mut board = boot();
+    let started = Instant::now();
+    for batch in blocks.chunks(LARGEST_BATCH) {
+        board.step(batch).expect("the board lives");
+    }
+    let ratio = 20.0 / started.elapsed().as_secs_f64();
+    println!("20 s of board time passed {ratio:.0} times faster than real time");
+    assert!(ratio > 5.0, "{ratio}");
+}

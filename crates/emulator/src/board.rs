@@ -63,15 +63,13 @@ impl VirtualBoard {
         let decoder = Decoder::of(image)?;
         let mut qemu = Qemu::start(
             image,
-            // QEMU waits for the host at the log and the doorbell, in this order, so that nothing
-            // that the board says is lost.
+            // QEMU waits for the host at the doorbell, so that the first word of the board is not
+            // lost. The board's log goes to QEMU's standard output.
             &[
-                "-chardev",
-                "socket,id=log,path=log.sock,server=on,wait=on",
                 "-chardev",
                 "socket,id=doorbell,path=doorbell.sock,server=on,wait=on",
                 "-semihosting-config",
-                "enable=on,target=native,chardev=log",
+                "enable=on,target=native",
                 "-serial",
                 "unix:serial.sock,server=on,wait=off",
                 "-serial",
@@ -92,7 +90,7 @@ impl VirtualBoard {
 
         let log = Arc::new(Mutex::new(Vec::new()));
         let lines = log.clone();
-        let source = qemu.connect("log.sock")?;
+        let source = qemu.stdout()?;
         thread::spawn(move || {
             let keep = |line| lines.lock().unwrap_or_else(PoisonError::into_inner).push(line);
             if let Err(error) = decoder.follow(source, keep) {

@@ -5,7 +5,7 @@ use std::{
     io::Read,
     os::unix::net::UnixStream,
     path::{Path, PathBuf},
-    process::{Child, Command, Stdio},
+    process::{Child, ChildStdout, Command, Stdio},
     thread,
     time::{Duration, Instant},
 };
@@ -55,7 +55,7 @@ impl Qemu {
             .args(arguments)
             .current_dir(folder.path())
             .stdin(Stdio::null())
-            .stdout(Stdio::null())
+            .stdout(Stdio::piped())
             .stderr(fs::File::create(folder.path().join("qemu.err"))?);
         let child = command.spawn().context("cannot start QEMU")?;
         Ok(Self { child, folder })
@@ -71,6 +71,14 @@ impl Qemu {
     #[must_use]
     pub fn id(&self) -> u32 {
         self.child.id()
+    }
+
+    /// What the image writes by semihosting; it can be taken once.
+    ///
+    /// # Errors
+    /// It was taken before.
+    pub fn stdout(&mut self) -> Result<ChildStdout> {
+        self.child.stdout.take().context("QEMU's standard output is taken")
     }
 
     /// Connects to a socket that QEMU opens.
