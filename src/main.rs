@@ -244,8 +244,9 @@ mod app {
             can.send(frame);
         }
         // All or none, so that a full port never splits a pair; what is dropped is counted.
-        port.send_all(frames);
-        rtic::pend(TRANSMIT);
+        if port.send_all(frames) {
+            rtic::pend(TRANSMIT);
+        }
     }
 
     /// The live values, once a second.

@@ -7,7 +7,7 @@
 use std::{
     collections::VecDeque,
     fs::{File, OpenOptions},
-    io::{self, Read, Write},
+    io::{self, BufReader, Read, Write},
     os::unix::net::UnixStream,
     path::Path,
     sync::{
@@ -39,7 +39,7 @@ pub const LARGEST_BATCH: usize = 255;
 pub struct VirtualBoard {
     // Fields are dropped in this order: the pipes close before QEMU is ended.
     samples: File,
-    frames: File,
+    frames: BufReader<File>,
     doorbell: UnixStream,
     serial: UnixStream,
     log: Arc<Mutex<Vec<String>>>,
@@ -106,7 +106,7 @@ impl VirtualBoard {
             return Err(qemu.broken("the board does not come up"));
         }
         let samples = OpenOptions::new().write(true).open(qemu.path("samples"))?;
-        let frames = File::open(qemu.path("frames"))?;
+        let frames = BufReader::new(File::open(qemu.path("frames"))?);
         drop(held);
         Ok(Self { samples, frames, doorbell, serial, log, qemu })
     }

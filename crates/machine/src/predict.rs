@@ -101,8 +101,7 @@ pub struct Written {
     pub rows: usize,
     /// Rows without a prediction, because their counts are missing.
     pub rows_without_counts: usize,
-    /// Rows whose counts the sensor cannot give, and where the first of them stands. They are
-    /// predicted like all others.
+    /// Rows whose counts the sensor cannot give. They are predicted like all others.
     pub rows_out_of_range: usize,
     /// Where the first of these stands.
     pub first_out_of_range: Option<Place>,
