@@ -139,7 +139,8 @@ fn run_virtual(options: Virtual) -> Result<()> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
-    eprintln!("the CNC's line is at {} (SLCAN)", options.cnc);
+    // Port 0 asks for any free one, so this is what was got, not what was asked for.
+    eprintln!("the CNC's line is at tcp:{} (SLCAN)", listener.local_addr()?);
     let front_end = FrontEnd::new(sensor.divider, options.seed);
     serve::serve(&image, &compiled.calibration, front_end, listener, source, stop)
 }

@@ -1,12 +1,13 @@
 //! Builds the firmware images.
 
 use std::{
-    fs,
-    path::{Path, PathBuf},
+    fs::{self, File},
+    path::PathBuf,
     process::Command,
 };
 
 use anyhow::{Context as _, Result};
+use rustix::fs::{FlockOperation, flock};
 
 use crate::{
     process,
@@ -34,12 +35,6 @@ impl Board {
             Self::Virtual => "virtual",
         }
     }
-
-    /// Where its image is put. An image is also the key to its log, so it is worth keeping.
-    #[must_use]
-    pub fn image(self) -> PathBuf {
-        setup::root().join("target/firmware").join(format!("trueup-{}.elf", self.feature()))
-    }
 }
 
 /// A cargo command that compiles for the board: `cargo <verb> --target … --features …`.
@@ -56,6 +51,7 @@ pub fn cargo(verb: &str, board: Board) -> Result<(Command, PathBuf)> {
         Toolchain::Distribution => {
             let mut command = Command::new("/usr/bin/cargo");
             command.env("RUSTC", "/usr/bin/rustc").env("RUSTC_BOOTSTRAP", "1");
+            command.env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", "ld.lld");
             command.env_remove("RUSTUP_TOOLCHAIN").env_remove("CARGO");
             (command, root.join("target/distribution"))
         }
@@ -79,10 +75,19 @@ pub fn cargo(verb: &str, board: Board) -> Result<(Command, PathBuf)> {
 /// It does not compile, or there is no way to the target.
 pub fn build(board: Board) -> Result<PathBuf> {
     let (mut command, folder) = cargo("build", board)?;
+    let images = folder.join("firmware");
+    fs::create_dir_all(&images)?;
+    // Cargo gives both boards the same file name, so nobody else may build until the copy is made;
+    // the lock ends with the file.
+    let lock = File::create(images.join("lock"))?;
+    flock(&lock, FlockOperation::LockExclusive)?;
     process::run(&mut command)?;
     let built = folder.join(TARGET).join("firmware/trueup-firmware");
-    let image = board.image();
-    fs::create_dir_all(image.parent().unwrap_or(Path::new(".")))?;
-    fs::copy(&built, &image).with_context(|| format!("{} is missing", built.display()))?;
+    // An image is also the key to its log, so it is worth a name of its own. It is put in place in
+    // one step, because another command may be reading the old one just now.
+    let copy = tempfile::NamedTempFile::new_in(&images)?;
+    fs::copy(&built, &copy).with_context(|| format!("{} is missing", built.display()))?;
+    let image = images.join(format!("trueup-{}.elf", board.feature()));
+    copy.persist(&image)?;
     Ok(image)
 }

@@ -91,7 +91,8 @@ fn target_is_there() -> bool {
 }
 
 fn distribution() -> Result<()> {
-    let packages = ["rustc-web", "cargo-web", "rust-web-src"];
+    // Debian's compiler comes without the linker that the target asks for.
+    let packages = ["rustc-web", "cargo-web", "rust-web-src", "lld"];
     if !packages.iter().all(|package| is_installed(package)) {
         install(&packages, "the distribution's compiler and library source")?;
     }

@@ -13,7 +13,9 @@ use anyhow::{Context as _, Result, bail};
 
 use crate::{
     firmware::{self, Board},
-    process, setup, size,
+    process,
+    setup::{self, TOOLCHAIN_VARIABLE},
+    size,
 };
 
 /// What came of the tests.
@@ -96,6 +98,15 @@ pub fn run() -> Result<()> {
         let emulated = ["--package", "trueup-host-tests", "--features", "emulator", "--tests"];
         let serial = ["--no-fail-fast", "--", "--show-output", "--test-threads=2"];
         tests(cargo("test").args(emulated).args(serial))
+    });
+    step("the board again, by the distribution's compiler", &mut || {
+        if process::find("apt-get").is_none() {
+            println!("skipped: this distribution has no such compiler");
+            return Ok(Count { skipped: 1, ..Count::default() });
+        }
+        let emulated = ["--package", "trueup-host-tests", "--features", "emulator"];
+        let one = ["--test", "virtual_board", "to_the_bit", "--", "--show-output"];
+        tests(cargo("test").args(emulated).args(one).env(TOOLCHAIN_VARIABLE, "distribution"))
     });
 
     eprintln!("\nafter {:.0} s", started.elapsed().as_secs_f64());
