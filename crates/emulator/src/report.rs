@@ -46,7 +46,7 @@ tr:nth-child(even) {{ background: #f4f4f2 }} th {{ border-bottom: 1px solid #888
 <h1>A spindle's growth: what the sensor says, what the dial gauge shows</h1>
 <p>Fifteen readings of a spindle displacement sensor (Table 1 of the paper named in
 <code>data/README.md</code>), played through the bridge's real firmware on an emulated board at
-24 000 r/min, with 1&nbsp;LSB of noise and ±5&nbsp;µm of run-out. {frames} frames were read as a CNC
+24&nbsp;000&nbsp;r/min, with 1&nbsp;LSB of noise and ±5&nbsp;µm of run-out. {frames} frames were read as a CNC
 reads them, {errors} of them damaged or lost.</p>
 <div class="figures">
 <div class="paper"><b>{paper_rms:.1} µm</b>RMS error with the paper's constants (largest {paper_max:.1})</div>
@@ -77,7 +77,8 @@ reads them, {errors} of them damaged or lost.</p>
 
 /// The bridge's elongation against the dial gauge's.
 fn growth(findings: &Findings) -> Result<String> {
-    draw(0.0..85.0, 0.0..85.0, "dial gauge, µm", "bridge, µm", |chart| {
+    let legend = SeriesLabelPosition::LowerRight;
+    draw(0.0..85.0, 0.0..85.0, "bridge, µm", legend, |chart| {
         let ideal = LineSeries::new([(0.0, 0.0), (85.0, 85.0)], BLACK.mix(0.4));
         chart.draw_series(ideal)?.label("what a true bridge shows").legend(line(BLACK));
         let paper = findings.rows.iter().map(|row| (row.dial_um, row.bridge_um));
@@ -89,7 +90,8 @@ fn growth(findings: &Findings) -> Result<String> {
 
 /// What is left of the error.
 fn left(findings: &Findings) -> Result<String> {
-    draw(0.0..85.0, -18.0..6.0, "dial gauge, µm", "bridge minus dial, µm", |chart| {
+    let legend = SeriesLabelPosition::LowerLeft;
+    draw(0.0..85.0, -18.0..6.0, "bridge minus dial, µm", legend, |chart| {
         let zero = LineSeries::new([(0.0, 0.0), (85.0, 0.0)], BLACK.mix(0.4));
         chart.draw_series(zero)?;
         let rows = findings.rows.iter();
@@ -105,8 +107,8 @@ type Drawn = Result<(), DrawingAreaErrorKind<std::io::Error>>;
 fn draw(
     x: std::ops::Range<f64>,
     y: std::ops::Range<f64>,
-    x_title: &str,
     y_title: &str,
+    legend: SeriesLabelPosition,
     content: impl FnOnce(&mut Chart) -> Drawn,
 ) -> Result<String> {
     let mut svg = String::new();
@@ -124,13 +126,13 @@ fn draw(
             .bold_line_style(BLACK.mix(0.1))
             .label_style(("sans-serif", 15))
             .axis_desc_style(("sans-serif", 16))
-            .x_desc(x_title)
+            .x_desc("dial gauge, µm")
             .y_desc(y_title)
             .draw()?;
         content(&mut chart)?;
         chart
             .configure_series_labels()
-            .position(SeriesLabelPosition::LowerRight)
+            .position(legend)
             .background_style(WHITE.mix(0.85))
             .label_font(("sans-serif", 15))
             .draw()?;
