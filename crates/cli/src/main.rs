@@ -21,6 +21,7 @@ use std::{path::PathBuf, process::ExitCode};
 
 use anyhow::Result;
 use clap::{Args, Parser, Subcommand};
+use trueup_machine::BadInput;
 
 /// Errors of a machine tool: what the model predicts, and what the bridge compensates.
 #[derive(Parser)]
@@ -113,7 +114,7 @@ enum Outcome {
     NotMet,
 }
 
-/// What the user has to mend, in the words that he reads: file, place and rule.
+/// What the user has to mend and has no line and column, as `BadInput` has: a port, a blob, a folder.
 #[derive(Debug)]
 struct Mend(String);
 
@@ -125,18 +126,12 @@ impl std::fmt::Display for Mend {
 
 impl std::error::Error for Mend {}
 
-impl From<trueup_machine::BadInput> for Mend {
-    fn from(bad: trueup_machine::BadInput) -> Self {
-        Self(bad.to_string())
-    }
-}
-
 fn main() -> ExitCode {
     let cli = Cli::parse();
     match run(&cli) {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::NotMet) => ExitCode::from(3),
-        Err(error) if error.is::<Mend>() => {
+        Err(error) if error.is::<BadInput>() || error.is::<Mend>() => {
             // Alone on its line and without a word before it, so that `file:line:column` is a link.
             eprintln!("{error}");
             ExitCode::from(2)

@@ -52,7 +52,7 @@ pub fn show(calibration: &Calibration) -> Shown {
     let largest_difference_nm = compiled_back(&toml, calibration);
     let verdict = match &largest_difference_nm {
         Ok(nm) => format!(
-            "Compiles back to the same calibration; the board's law is within {nm:.3} nm of this."
+            "Compiles back to the same calibration. Largest difference from the board's law: {nm:.3} nm"
         ),
         Err(reason) => format!("Does not compile back to this calibration: {reason}"),
     };
@@ -90,8 +90,14 @@ fn write_sensor(toml: &mut String, law: &SensorLaw) -> std::fmt::Result {
     let um_per_count = slope_nm * readings_per_count / NM_PER_UM;
     let codes = Code::FULL_SCALE;
     writeln!(toml, "\n[inputs]")?;
-    writeln!(toml, "# Counts are ADC codes here, {codes} for {REFERENCE_VOLTS} V at the ADC: a")?;
-    writeln!(toml, "# calibration does not hold the counts of the machine file it came from.")?;
+    writeln!(
+        toml,
+        "# Assumed: counts are ADC codes, {codes} for {REFERENCE_VOLTS} V at the ADC. A"
+    )?;
+    writeln!(
+        toml,
+        "# calibration does not hold the counts of the machine file that it came from."
+    )?;
     writeln!(
         toml,
         "sensor = {{ volts_full_scale = {volts_full_scale:?}, counts_full_scale = \
@@ -180,7 +186,7 @@ mod tests {
         let shown = show(&paper_but("", ""));
         assert_eq!(shown.largest_difference_nm, Ok(0.0));
         for line in [
-            "# Compiles back to the same calibration; the board's law is within 0.000 nm of this.",
+            "# Compiles back to the same calibration. Largest difference from the board's law: 0.000 nm",
             "tool_direction = [0.0, 0.0, -1.0]",
             "sensor = { volts_full_scale = 10.0, counts_full_scale = 4096.0, divider = 0.33 }",
             "source = \"sensor\"",

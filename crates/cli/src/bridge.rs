@@ -1,0 +1,115 @@
+//! Talking to a bridge: where it is, the SLCAN session, and what can be asked of it.
+
+pub mod info;
+pub mod monitor;
+mod port;
+mod session;
+
+use serde_json::{Value, json};
+use trueup_core::{
+    cnc::{Flags, Output, Quality},
+    units::NANOMETRES_PER_MICROMETRE,
+};
+use trueup_link::frames::State;
+
+/// A quality in a word.
+fn quality_word(quality: Quality) -> &'static str {
+    match quality {
+        Quality::Off => "off",
+        Quality::Live => "live",
+        Quality::TemperatureModel => "temperature-model",
+        Quality::WarmUpModel => "warm-up-model",
+        Quality::Hold => "hold",
+        Quality::RampingOut => "ramping-out",
+        Quality::Fault => "fault",
+    }
+}
+
+/// The flags that are set, in words.
+fn flag_words(flags: Flags) -> Vec<&'static str> {
+    const WORDS: [(Flags, &str); 8] = [
+        (Flags::CLAMPED, "clamped"),
+        (Flags::SLEWING, "slewing"),
+        (Flags::SENSOR_FAULT, "sensor-fault"),
+        (Flags::SAMPLES_MISSING, "samples-missing"),
+        (Flags::CNC_LOST, "cnc-lost"),
+        (Flags::SPEED_UNKNOWN, "speed-unknown"),
+        (Flags::OUTSIDE_TABLE, "outside-table"),
+        (Flags::BOARD_DEGRADED, "board-degraded"),
+    ];
+    WORDS.into_iter().filter(|(flag, _)| flags.contains(*flag)).map(|(_, word)| word).collect()
+}
+
+/// A heartbeat's state in a word, as CiA 301 names it.
+fn state_word(state: State) -> &'static str {
+    match state {
+        State::BootUp => "boot-up",
+        State::Stopped => "stopped",
+        State::Operational => "operational",
+        State::PreOperational => "pre-operational",
+    }
+}
+
+/// The offsets in µm, if they are available.
+fn offset_um(output: &Output) -> Option<[f64; 3]> {
+    let um = |nm: i32| f64::from(nm) / f64::from(NANOMETRES_PER_MICROMETRE);
+    output.offset.map(|offset| offset.map(|axis| um(axis.0)))
+}
+
+/// What the offsets' frames say, in one phrase.
+fn output_text(output: &Output) -> String {
+    let offset = match offset_um(output) {
+        Some([x, y, z]) => format!("x {x:+.2}  y {y:+.2}  z {z:+.2} µm"),
+        None => "not available".into(),
+    };
+    let quality = quality_word(output.quality);
+    let flags = match flag_words(output.flags)[..] {
+        [] => "no flags".into(),
+        ref words => words.join(" "),
+    };
+    // The largest age on the wire stands for all beyond.
+    let age = match output.age_ms {
+        u8::MAX => "255 ms or more".into(),
+        age_ms => format!("{age_ms} ms"),
+    };
+    format!("{offset}  {quality}  {flags}  age {age}")
+}
+
+/// The same as JSON members; `null` throughout without an output.
+fn output_json(output: Option<&Output>) -> Value {
+    json!({
+        "offset_um": output.and_then(offset_um).map_or([None; 3], |offset| offset.map(Some)),
+        "quality": output.map(|output| output.quality as u8),
+        "quality_word": output.map(|output| quality_word(output.quality)),
+        "flags": output.map(|output| flag_words(output.flags)),
+        "age_ms": output.map(|output| output.age_ms),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trueup_core::units::Nanometres;
+
+    #[test]
+    fn every_bit_of_the_flags_has_a_word() {
+        assert_eq!(flag_words(Flags(0xFF)).len(), 8);
+        assert_eq!(flag_words(Flags::NONE), [""; 0]);
+        assert_eq!(flag_words(Flags::SLEWING.with(Flags::CNC_LOST)), ["slewing", "cnc-lost"]);
+    }
+
+    #[test]
+    fn offsets_are_told_in_micrometres_with_the_resolution_of_the_wire() {
+        let mut output = Output {
+            offset: Some([0, -10, 62_800].map(Nanometres)),
+            quality: Quality::Live,
+            flags: Flags::SLEWING,
+            age_ms: 1,
+        };
+        assert_eq!(output_text(&output), "x +0.00  y -0.01  z +62.80 µm  live  slewing  age 1 ms");
+        output.offset = None;
+        output.age_ms = 255;
+        assert_eq!(output_text(&output), "not available  live  slewing  age 255 ms or more");
+        assert_eq!(output_json(Some(&output))["offset_um"], json!([null, null, null]));
+    }
+}

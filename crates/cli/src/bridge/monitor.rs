@@ -1,0 +1,152 @@
+//! `trueup bridge monitor`: the offsets once a second, and how well they arrive.
+
+use std::time::{Duration, Instant};
+
+use anyhow::{Result, bail};
+use serde_json::{Value, json};
+use trueup_core::cnc::Output;
+use trueup_link::{
+    receiver::{Counters, OffsetReceiver},
+    slcan::Event,
+};
+
+use super::{output_json, output_text, port::Port, session::Session};
+use crate::{Outcome, output};
+
+/// From one line to the next.
+const PERIOD: Duration = Duration::from_secs(1);
+/// Without any offsets for so many lines there is nothing to monitor.
+const SILENT_LINES: u32 = 3;
+
+/// Prints `count` lines, or lines without end.
+pub fn run(port: &str, count: Option<u64>, as_json: bool) -> Result<Outcome> {
+    let stream = Port::parse(port)?.open()?;
+    let mut session = Session::open(stream)?;
+    eprintln!("listening at {port}; nothing is engaged by it");
+    let mut tally = Tally::default();
+    let mut outcome = Outcome::Done;
+    let mut silent_lines = 0;
+    let start = Instant::now();
+    let mut line_start = start;
+    let mut lines = 0_u64;
+    while count.is_none_or(|count| lines < count) {
+        let line_end = line_start + PERIOD;
+        while let Some(event) = session.next_event(line_end)? {
+            tally.hear(&event);
+        }
+        let now = Instant::now();
+        let second = tally.take(now - line_start);
+        line_start = now;
+        lines += 1;
+        if as_json {
+            output::print(second.json(now - start))?;
+        } else {
+            output::print(second.text())?;
+        }
+        silent_lines = if second.output.is_none() { silent_lines + 1 } else { 0 };
+        if silent_lines == SILENT_LINES {
+            let hint = match tally.frames {
+                0 => "not a single frame came; does the board sample, does its plant run?",
+                _ => "frames came, but no valid pair of offsets",
+            };
+            bail!("no offsets for {} s: {hint}", SILENT_LINES);
+        }
+        if !second.is_sound() {
+            outcome = Outcome::NotMet;
+        }
+    }
+    session.close();
+    Ok(outcome)
+}
+
+/// What was heard since the start, and since the last line.
+#[derive(Default)]
+struct Tally {
+    offsets: OffsetReceiver,
+    frames: u64,
+    frames_at_last_line: u64,
+    /// Lines that carry no frame that can be read.
+    malformed_lines: u32,
+    output: Option<Output>,
+}
+
+/// A line of the monitor.
+struct Second {
+    /// The newest offsets; `None` if none came.
+    output: Option<Output>,
+    frames_per_s: f64,
+    /// Since the start.
+    counters: Counters,
+    /// Since the start.
+    malformed_lines: u32,
+    /// Since the start.
+    unpaired: u32,
+}
+
+impl Tally {
+    fn hear(&mut self, event: &Event) {
+        match event {
+            Event::Frame(frame) => {
+                self.frames += 1;
+                // What is refused is counted in `offsets`.
+                if let Ok(Some(output)) = self.offsets.accept(frame) {
+                    self.output = Some(output);
+                }
+            }
+            Event::Malformed(_) => self.malformed_lines = self.malformed_lines.saturating_add(1),
+            Event::Accepted | Event::Refused | Event::Other(_) => {}
+        }
+    }
+
+    fn take(&mut self, elapsed: Duration) -> Second {
+        let frames = self.frames - self.frames_at_last_line;
+        self.frames_at_last_line = self.frames;
+        Second {
+            output: self.output.take(),
+            frames_per_s: frames as f64 / elapsed.as_secs_f64(),
+            counters: self.offsets.counters(),
+            malformed_lines: self.malformed_lines,
+            unpaired: self.offsets.unpaired(),
+        }
+    }
+}
+
+impl Second {
+    /// Offsets came, and until now no frame was damaged or out of order.
+    fn is_sound(&self) -> bool {
+        let Counters { malformed, crc_errors, sequence_errors, .. } = self.counters;
+        self.output.is_some()
+            && malformed == 0
+            && crc_errors == 0
+            && sequence_errors == 0
+            && self.malformed_lines == 0
+    }
+
+    fn text(&self) -> String {
+        let output = match &self.output {
+            Some(output) => output_text(output),
+            None => "no offsets came".into(),
+        };
+        let Counters { malformed, crc_errors, sequence_errors, lost, .. } = self.counters;
+        format!(
+            "{output}  {:.0} frames/s  errors: crc {crc_errors}, sequence {sequence_errors}, \
+             malformed {}, lost {lost}, unpaired {}",
+            self.frames_per_s,
+            malformed.saturating_add(self.malformed_lines),
+            self.unpaired,
+        )
+    }
+
+    fn json(&self, since_start: Duration) -> Value {
+        let Counters { malformed, crc_errors, sequence_errors, lost, .. } = self.counters;
+        let mut line = output_json(self.output.as_ref());
+        line["time_s"] = json!(since_start.as_secs_f64());
+        line["frames_per_s"] = json!(self.frames_per_s);
+        line["crc_errors"] = json!(crc_errors);
+        line["sequence_errors"] = json!(sequence_errors);
+        line["malformed"] = json!(malformed.saturating_add(self.malformed_lines));
+        line["lost"] = json!(lost);
+        line["unpaired"] = json!(self.unpaired);
+        line
+    }
+}

@@ -1,0 +1,160 @@
+//! One client's time on the bridge's SLCAN line: open, hear, ask, close.
+
+use std::{
+    collections::VecDeque,
+    io::{self, Write as _},
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context as _, Result, bail};
+use trueup_link::slcan::{Client, Event, client};
+
+use super::port::Stream;
+
+/// How long a bridge may take to open its channel.
+const OPEN_TIMEOUT: Duration = Duration::from_secs(3);
+/// How long is waited for the last answer: what a leaving client does not read may be lost with
+/// what it has written.
+const CLOSE_TIMEOUT: Duration = Duration::from_millis(300);
+/// The lines in [`client::OPEN`], each of which is answered.
+const OPEN_LINES: usize = 4;
+
+/// An open channel. It only listens: no frame is ever sent.
+pub struct Session {
+    stream: Box<dyn Stream>,
+    client: Client,
+    heard: VecDeque<Event>,
+}
+
+impl Session {
+    /// Opens the channel, whatever an earlier client has left behind.
+    ///
+    /// All lines are written at once, as `slcand` and python-can do: a virtual bridge may answer
+    /// none of them before it has seen the last.
+    pub fn open(stream: Box<dyn Stream>) -> Result<Self> {
+        let mut session = Self { stream, client: Client::new(), heard: VecDeque::new() };
+        session.write(client::OPEN)?;
+        let deadline = Instant::now() + OPEN_TIMEOUT;
+        let mut answers = 0;
+        while answers < OPEN_LINES {
+            match session.next_event(deadline)? {
+                Some(Event::Accepted) => answers += 1,
+                // The first line ends what was left over, and is refused with it; the end of a
+                // frame may have passed for an answer before.
+                Some(Event::Refused) if answers <= 1 => answers += 1,
+                Some(Event::Refused) => bail!("the bridge refuses to open its channel"),
+                // What an earlier client was still being sent.
+                Some(Event::Frame(_) | Event::Malformed(_) | Event::Other(_)) => {}
+                None => bail!(
+                    "the bridge has answered {answers} of {OPEN_LINES} lines in {} s; is it a \
+                     bridge, and has it power?",
+                    OPEN_TIMEOUT.as_secs()
+                ),
+            }
+        }
+        Ok(session)
+    }
+
+    /// Sends lines, whose answers come as events.
+    pub fn write(&mut self, lines: &[u8]) -> Result<()> {
+        self.stream
+            .write_all(lines)
+            .and_then(|()| self.stream.flush())
+            .context("the line to the bridge is broken")
+    }
+
+    /// The next thing that the bridge says; `None` if there is nothing until `deadline`.
+    pub fn next_event(&mut self, deadline: Instant) -> Result<Option<Event>> {
+        let mut bytes = [0; 4096];
+        loop {
+            // Looked at first, so that a flood of frames does not postpone what is due.
+            if Instant::now() >= deadline {
+                return Ok(None);
+            }
+            if let Some(event) = self.heard.pop_front() {
+                return Ok(Some(event));
+            }
+            let length = match self.stream.read(&mut bytes) {
+                Ok(0) => bail!("the bridge has closed the line"),
+                Ok(length) => length,
+                Err(error) if is_only_late(&error) => continue,
+                Err(error) => return Err(error).context("the line to the bridge is broken"),
+            };
+            let client = &mut self.client;
+            self.heard.extend(bytes[..length].iter().filter_map(|&byte| client.receive(byte)));
+        }
+    }
+
+    /// Closes the channel. Whether the bridge hears of it is no matter to one who leaves.
+    pub fn close(mut self) {
+        if self.write(client::CLOSE).is_ok() {
+            let deadline = Instant::now() + CLOSE_TIMEOUT;
+            while let Ok(Some(event)) = self.next_event(deadline) {
+                if event == Event::Accepted {
+                    break;
+                }
+            }
+        }
+    }
+}
+
+fn is_only_late(error: &io::Error) -> bool {
+    use io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
+    matches!(error.kind(), Interrupted | TimedOut | WouldBlock)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::{Read, Write};
+
+    /// A bridge that says what the test says, a byte at a time, and then nothing.
+    struct Script(VecDeque<u8>);
+
+    impl Read for Script {
+        fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+            match self.0.pop_front() {
+                Some(byte) => buffer[0] = byte,
+                None => {
+                    std::thread::sleep(Duration::from_millis(5));
+                    return Err(io::ErrorKind::TimedOut.into());
+                }
+            }
+            Ok(1)
+        }
+    }
+
+    impl Write for Script {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    fn open(answers: &[u8]) -> Result<Session> {
+        Session::open(Box::new(Script(answers.iter().copied().collect())))
+    }
+
+    #[test]
+    fn a_channel_opens_whatever_was_left_on_the_line() {
+        for before in [&b"\r"[..], b"\x07", b"\r\x07", b"AABB\rt701105\r\r", b"t7011\x07"] {
+            let answers = [before, b"t701105\r\r\r\rt701105\rt701105\r"].concat();
+            let mut session = open(&answers).expect("opens");
+            let mut next = || session.next_event(Instant::now() + OPEN_TIMEOUT).expect("no fault");
+            // Where the end of a frame has passed for an answer, one answer is left over.
+            let events = [next(), next()];
+            assert!(matches!(events, [Some(Event::Frame(_)), _] | [_, Some(Event::Frame(_))]));
+        }
+    }
+
+    #[test]
+    fn a_refusal_or_silence_is_told() {
+        let refused = open(b"\r\r\x07\r").err().expect("refused").to_string();
+        assert!(refused.contains("refuses"), "{refused}");
+        let silent = open(b"\r\r").err().expect("silent").to_string();
+        assert!(silent.contains("2 of 4 lines in 3 s"), "{silent}");
+    }
+}

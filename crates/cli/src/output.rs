@@ -1,0 +1,81 @@
+//! What the tool leaves behind: files that are whole or untouched, and lines on standard output.
+
+use std::{
+    fs::{self, OpenOptions},
+    io::{self, BufWriter, Write},
+    path::{Path, PathBuf},
+    process,
+};
+
+use anyhow::{Context as _, Result};
+
+use crate::Mend;
+
+/// Writes `path` by `write`. Until that has succeeded nothing at `path` is changed: what is written
+/// stands in a file beside it, which then takes its name.
+///
+/// `inputs` are never written over.
+pub fn write_whole<T>(
+    path: &Path,
+    inputs: &[&Path],
+    write: impl FnOnce(&mut dyn Write) -> io::Result<T>,
+) -> Result<T> {
+    // A link is followed, so that the file it leads to is written and not the link.
+    let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
+    if inputs.iter().any(|input| fs::canonicalize(input).is_ok_and(|input| input == target)) {
+        return Err(
+            Mend(format!("{}: is read, and must not be written over", path.display())).into()
+        );
+    }
+    let cannot = |error: io::Error| Mend(format!("{}: cannot be written: {error}", path.display()));
+    let during = || format!("while writing {}", path.display());
+
+    match fs::metadata(&target) {
+        Ok(there) if there.is_dir() => {
+            return Err(Mend(format!("{}: is a folder", path.display())).into());
+        }
+        // A device or a pipe has no content to keep, and its name must stay its own.
+        Ok(there) if !there.is_file() => {
+            let out = OpenOptions::new().write(true).open(&target).map_err(cannot)?;
+            let mut out = BufWriter::new(out);
+            return write(&mut out)
+                .and_then(|result| out.flush().map(|()| result))
+                .with_context(during);
+        }
+        _ => {}
+    }
+    let beside = beside(&target).map_err(cannot)?;
+    let mut out = BufWriter::new(beside);
+    let result = write(&mut out).with_context(during)?;
+    let beside = out.into_inner().map_err(io::IntoInnerError::into_error).with_context(during)?;
+    beside.as_file().sync_all().with_context(during)?;
+    beside.persist(&target).map_err(|error| cannot(error.error))?;
+    Ok(result)
+}
+
+/// An empty file in the folder of `target`, removed unless it is given a name.
+fn beside(target: &Path) -> io::Result<tempfile::NamedTempFile> {
+    let folder = match target.parent() {
+        Some(folder) if folder != Path::new("") => folder.to_path_buf(),
+        _ => PathBuf::from("."),
+    };
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".trueup-");
+    #[cfg(unix)]
+    {
+        // As any new file, less the umask: temporary files are the owner's alone by default.
+        use std::os::unix::fs::PermissionsExt as _;
+        builder.permissions(fs::Permissions::from_mode(0o666));
+    }
+    builder.tempfile_in(folder)
+}
+
+/// Prints a result on a line of its own. A reader that has seen enough (`| head`) ends the program
+/// in peace.
+pub fn print(result: impl std::fmt::Display) -> Result<()> {
+    let mut out = io::stdout().lock();
+    match writeln!(out, "{result}").and_then(|()| out.flush()) {
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => process::exit(0),
+        other => other.context("standard output cannot be written"),
+    }
+}

@@ -1,0 +1,88 @@
+//! `trueup predict`: a run with what the model and the bridge say of each row.
+
+use std::{fs::File, io::BufReader, path::Path};
+
+use anyhow::Result;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use serde_json::json;
+use trueup_machine::{
+    BadInput, MachineFile, Place, RunFile,
+    predict::{Predictor, Written},
+};
+
+use crate::{Outcome, output};
+
+/// A run above this is worth a progress bar: about a second of work.
+const LONG_RUN_BYTES: u64 = 16 << 20;
+
+/// Predicts `run` by `machine`, to the file `to`.
+pub fn run(machine_path: &Path, run_path: &Path, to: &Path, as_json: bool) -> Result<Outcome> {
+    let machine = MachineFile::read(machine_path)?;
+    let run = read(run_path)?;
+    let predictor = Predictor::new(&machine, &run)?;
+    if !predictor.has_bridge() {
+        eprintln!(
+            "warning: {}: without [inputs] sensor the bridge's columns stay empty",
+            machine_path.display()
+        );
+    }
+    let bar = progress("writing", run.rows() as u64, run_bytes(run_path));
+    let written = output::write_whole(to, &[machine_path, run_path], |out| {
+        predictor.write(out, || bar.inc(1))
+    })?;
+    bar.finish_and_clear();
+    report(&written, to, as_json)
+}
+
+fn read(path: &Path) -> Result<RunFile, BadInput> {
+    let file = File::open(path).map_err(|error| {
+        BadInput::new(Place::start_of(path), format!("cannot be read: {error}"))
+    })?;
+    let bytes = run_bytes(path);
+    let bar = progress("reading", bytes, bytes);
+    let run = RunFile::from_reader(BufReader::with_capacity(1 << 16, bar.wrap_read(file)), path);
+    bar.finish_and_clear();
+    run
+}
+
+/// The size of the run; 0 where it is not a plain file.
+fn run_bytes(path: &Path) -> u64 {
+    path.metadata().map_or(0, |metadata| metadata.len())
+}
+
+/// A bar on standard error; none for a short run, or where nobody watches.
+fn progress(what: &'static str, steps: u64, run_bytes: u64) -> ProgressBar {
+    if run_bytes < LONG_RUN_BYTES {
+        return ProgressBar::hidden();
+    }
+    let style = ProgressStyle::with_template("{msg} {wide_bar} {percent} % {eta}");
+    ProgressBar::with_draw_target(Some(steps), ProgressDrawTarget::stderr())
+        .with_style(style.expect("the template is a constant"))
+        .with_message(what)
+}
+
+fn report(written: &Written, to: &Path, as_json: bool) -> Result<Outcome> {
+    if let Some(place) = &written.first_out_of_range {
+        let rows = written.rows_out_of_range;
+        eprintln!("warning: {place}: sensor_counts is outside the input's range in {rows} rows");
+    }
+    if as_json {
+        output::print(json!({
+            "output": to.to_string_lossy(),
+            "rows": written.rows,
+            "rows_without_counts": written.rows_without_counts,
+            "rows_out_of_range": written.rows_out_of_range,
+            "largest_difference_nm": written.largest_difference_nm,
+        }))?;
+        return Ok(Outcome::Done);
+    }
+    output::print(format_args!("{}: {} rows", to.display(), written.rows))?;
+    if written.rows_without_counts > 0 {
+        let rows = written.rows_without_counts;
+        output::print(format_args!("{rows} of them without sensor_counts, not predicted"))?;
+    }
+    if let Some(nm) = written.largest_difference_nm {
+        output::print(format_args!("largest difference of the bridge from the model: {nm:.3} nm"))?;
+    }
+    Ok(Outcome::Done)
+}

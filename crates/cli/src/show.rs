@@ -1,0 +1,39 @@
+//! `trueup show`: a blob back into a machine file.
+
+use std::{fs, path::Path};
+
+use anyhow::Result;
+use serde_json::json;
+use trueup_link::calibration::{SIZE, decode};
+use trueup_machine::show;
+
+use crate::{Mend, Outcome, output};
+
+/// Prints the calibration in the file `from`.
+pub fn run(from: &Path, as_json: bool) -> Result<Outcome> {
+    let bad = |rule: String| Mend(format!("{}: {rule}", from.display()));
+    let bytes = fs::read(from).map_err(|error| bad(format!("cannot be read: {error}")))?;
+    let calibration = decode(&bytes).map_err(|error| bad(error.to_string()))?;
+    if bytes.len() > SIZE {
+        let more = bytes.len() - SIZE;
+        eprintln!(
+            "warning: {}: {more} bytes after the calibration are not looked at",
+            from.display()
+        );
+    }
+    let shown = show::show(&calibration);
+    let not_met = shown.largest_difference_nm.as_ref().err();
+    if let Some(reason) = not_met {
+        eprintln!("warning: {}: does not compile back: {reason}", from.display());
+    }
+    if as_json {
+        output::print(json!({
+            "toml": shown.toml,
+            "largest_difference_nm": shown.largest_difference_nm.as_ref().ok(),
+            "does_not_compile_back": not_met,
+        }))?;
+    } else {
+        output::print(shown.toml.trim_end())?;
+    }
+    Ok(if not_met.is_none() { Outcome::Done } else { Outcome::NotMet })
+}

@@ -1,0 +1,305 @@
+//! `predict`, `compile` and `show` as a user runs them: what they print, write and leave alone,
+//! and how they end.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+
+use tempfile::TempDir;
+use trueup_core::units::Nanometres;
+use trueup_link::calibration::{SIZE, decode, encode};
+use trueup_machine::RunFile;
+
+const PAPER: &str = include_str!("../../../data/paper_spindle.toml");
+const TABLE: &str = include_str!("../../../data/spindle_paper_table1.csv");
+
+/// A folder with the paper's files, in which `trueup` is run.
+struct Desk(TempDir);
+
+impl Desk {
+    fn new() -> Self {
+        let desk = Self(tempfile::tempdir().expect("a writable folder for temporary files"));
+        desk.write("m.toml", PAPER);
+        desk.write("run.csv", TABLE);
+        desk
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn write(&self, name: &str, content: impl AsRef<[u8]>) {
+        fs::write(self.path(name), content).expect("a writable folder");
+    }
+
+    fn read(&self, name: &str) -> Vec<u8> {
+        fs::read(self.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
+    }
+
+    /// Runs the tool in this folder with the words of `line`.
+    fn trueup(&self, line: &str) -> Output {
+        Command::new(env!("CARGO_BIN_EXE_trueup"))
+            .args(line.split(' '))
+            .current_dir(self.0.path())
+            .output()
+            .expect("the tool was built for this test")
+    }
+
+    /// The same; standard output of a run that must end with `code`.
+    fn printed(&self, line: &str, code: i32) -> String {
+        let output = self.trueup(line);
+        let (out, err) = texts(&output);
+        assert_eq!(output.status.code(), Some(code), "{line}: {out}{err}");
+        out
+    }
+
+    /// The one line on standard error of a run that must refuse its input and print no result.
+    fn refused(&self, line: &str) -> String {
+        let output = self.trueup(line);
+        let (out, err) = texts(&output);
+        assert_eq!((output.status.code(), out.as_str()), (Some(2), ""), "{line}: {err}");
+        assert_eq!(err.lines().count(), 1, "{line}: {err}");
+        err
+    }
+
+    fn files(&self) -> Vec<String> {
+        let entries = fs::read_dir(self.0.path()).expect("a readable folder");
+        let name = |entry: fs::DirEntry| entry.file_name().to_string_lossy().into_owned();
+        let mut names: Vec<_> = entries.map(|entry| name(entry.expect("readable"))).collect();
+        names.sort();
+        names
+    }
+}
+
+fn texts(output: &Output) -> (String, String) {
+    let text = |bytes: &[u8]| String::from_utf8(bytes.to_vec()).expect("text");
+    (text(&output.stdout), text(&output.stderr))
+}
+
+fn json(text: &str) -> serde_json::Value {
+    serde_json::from_str(text).unwrap_or_else(|error| panic!("{error}: {text}"))
+}
+
+#[test]
+fn predict_writes_the_run_with_both_predictions() {
+    let desk = Desk::new();
+    let printed = desk.printed("predict --machine m.toml --run run.csv -o out.csv", 0);
+    assert!(printed.starts_with("out.csv: 15 rows\n"), "{printed}");
+
+    let before = RunFile::read(&desk.path("run.csv")).expect("the project's own file");
+    let after = RunFile::read(&desk.path("out.csv")).expect("what is written is a run file");
+    let names: Vec<&str> = after.columns().iter().map(|column| column.name.as_str()).collect();
+    assert_eq!(
+        names,
+        [
+            "sensor_counts",
+            "spindle_rpm",
+            "measured_elongation_um",
+            "predicted_elongation_um",
+            "bridge_elongation_um",
+            "predicted_dx_um",
+            "bridge_dx_um",
+            "predicted_dy_um",
+            "bridge_dy_um",
+            "predicted_dz_um",
+            "bridge_dz_um",
+        ]
+    );
+    let column = |name| after.column(name).expect("listed above");
+    for column in before.columns() {
+        assert_eq!(after.column(&column.name), Some(&column.values[..]));
+    }
+    let rows = column("sensor_counts").iter().enumerate();
+    for (row, counts) in rows {
+        let um = (counts - 5048.0) * 500.0 / 32768.0;
+        assert!((column("predicted_elongation_um")[row] - um).abs() < 1e-6);
+        assert!((column("bridge_elongation_um")[row] - um).abs() < 0.000_501);
+        assert_eq!(column("predicted_dz_um")[row], -column("predicted_elongation_um")[row]);
+        assert_eq!(column("bridge_dz_um")[row], -column("bridge_elongation_um")[row]);
+        assert_eq!((column("predicted_dx_um")[row], column("bridge_dy_um")[row]), (0.0, 0.0));
+    }
+    let text = String::from_utf8(desk.read("out.csv")).expect("CSV is text");
+    let first = text.lines().nth(1).expect("15 rows");
+    assert!(first.starts_with("5376,24000,3,5.004883,5.005000,"), "{first}");
+    assert_eq!(desk.files(), ["m.toml", "out.csv", "run.csv"], "nothing else is left");
+}
+
+#[test]
+fn predict_prints_json_if_asked() {
+    let desk = Desk::new();
+    desk.write("run.csv", "sensor_counts\n9164\nnan\n40000\n");
+    let output = desk.trueup("predict --json --machine m.toml --run run.csv -o out.csv");
+    let (out, err) = texts(&output);
+    assert_eq!(output.status.code(), Some(0), "{err}");
+    let told = json(&out);
+    assert_eq!(told["output"], "out.csv");
+    assert_eq!((&told["rows"], &told["rows_without_counts"]), (&3.into(), &1.into()));
+    assert_eq!(told["rows_out_of_range"], 1);
+    assert!(told["largest_difference_nm"].as_f64().expect("a number") < 1.0);
+    assert_eq!(err, "warning: run.csv:4:1: sensor_counts is outside the input's range in 1 rows\n");
+}
+
+#[test]
+fn predict_needs_no_inputs_but_says_what_is_missing() {
+    let desk = Desk::new();
+    let inputs = PAPER.find("[inputs]").expect("the paper's has inputs");
+    let spindle = PAPER.find("[spindle]").expect("the paper's has a spindle");
+    desk.write("m.toml", [&PAPER[..inputs], &PAPER[spindle..]].concat());
+    let output = desk.trueup("predict --machine m.toml --run run.csv -o out.csv");
+    let (out, err) = texts(&output);
+    assert_eq!((output.status.code(), out.as_str()), (Some(0), "out.csv: 15 rows\n"));
+    assert!(err.starts_with("warning: m.toml: without [inputs] sensor"), "{err}");
+    let after = RunFile::read(&desk.path("out.csv")).expect("a run file");
+    let bridge = after.column("bridge_elongation_um").expect("the column is there, but empty");
+    assert!(bridge.iter().all(|value| value.is_nan()));
+}
+
+#[test]
+fn bad_input_ends_with_2_its_place_and_an_untouched_output() {
+    let desk = Desk::new();
+    desk.write("typo.toml", PAPER.replace("zero_counts", "zero_count"));
+    desk.write("steep.toml", PAPER.replace("0.0152587890625", "9.0"));
+    desk.write("comma.csv", "time_s;sensor_counts\n0;1\n1;2,5\n");
+    desk.write("none.csv", "time_s\n0\n");
+    desk.write("out.csv", "keep me");
+    desk.write("cal.bin", "keep me too");
+    let files = desk.files();
+    for (line, complaint) in [
+        (
+            "predict --machine typo.toml --run run.csv -o out.csv",
+            "typo.toml:15:1: unknown key spindle.sensor.zero_count; did you mean zero_counts?",
+        ),
+        (
+            "predict --machine m.toml --run comma.csv -o out.csv",
+            "comma.csv:3:3: sensor_counts 2,5 has a decimal comma",
+        ),
+        (
+            "predict --machine m.toml --run none.csv -o out.csv",
+            "none.csv:1:1: column sensor_counts is missing",
+        ),
+        (
+            "predict --machine steep.toml --run run.csv -o out.csv",
+            "steep.toml:16:16: spindle.sensor.um_per_count 9 is",
+        ),
+        ("predict --machine no.toml --run run.csv -o out.csv", "no.toml:1:1: cannot be read: "),
+        ("predict --machine m.toml --run no.csv -o out.csv", "no.csv:1:1: cannot be read: "),
+        ("predict --machine m.toml --run run.csv -o no/out.csv", "no/out.csv: cannot be written: "),
+        ("predict --machine m.toml --run run.csv -o run.csv", "run.csv: is read, and must not"),
+        ("predict --machine m.toml --run run.csv -o .", ".: is a folder"),
+        ("compile typo.toml -o cal.bin", "typo.toml:15:1: unknown key"),
+        ("compile steep.toml -o cal.bin", "steep.toml:16:16: spindle.sensor.um_per_count 9 is"),
+        ("compile m.toml -o ./m.toml", "./m.toml: is read, and must not be written over"),
+        ("show m.toml", "m.toml: bytes "),
+        ("show no.bin", "no.bin: cannot be read: "),
+    ] {
+        let told = desk.refused(line);
+        assert!(told.starts_with(complaint), "{line}: {told}");
+    }
+    assert_eq!(desk.read("out.csv"), b"keep me");
+    assert_eq!(desk.read("cal.bin"), b"keep me too");
+    assert_eq!(desk.read("m.toml"), PAPER.as_bytes());
+    assert_eq!(desk.files(), files, "no remains of what was not finished");
+}
+
+#[test]
+fn a_wrong_command_line_ends_with_2() {
+    let desk = Desk::new();
+    for line in ["", "pridect", "compile m.toml", "predict --machine m.toml -o out.csv", "bridge"] {
+        assert_eq!(desk.trueup(line).status.code(), Some(2), "{line}");
+    }
+    for line in ["--help", "--version", "bridge monitor --help"] {
+        assert_eq!(desk.trueup(line).status.code(), Some(0), "{line}");
+    }
+}
+
+#[test]
+fn an_output_that_is_there_is_replaced_whole() {
+    let desk = Desk::new();
+    desk.write("cal.bin", [0_u8; 1000]);
+    desk.printed("compile m.toml -o cal.bin", 0);
+    assert_eq!(desk.read("cal.bin").len(), SIZE);
+}
+
+#[test]
+fn what_is_compiled_is_shown_and_compiles_to_the_same_bytes() {
+    let desk = Desk::new();
+    let printed = desk.printed("compile m.toml -o cal.bin", 0);
+    assert_eq!(
+        printed,
+        "cal.bin: calibration of \"paper\", 60 bytes\n\
+         largest difference from the model: 0.000 nm\n"
+    );
+    let blob = desk.read("cal.bin");
+    assert_eq!(decode(&blob).expect("a calibration").limits.max[2], Nanometres(500_000));
+
+    let shown = desk.printed("show cal.bin", 0);
+    assert!(shown.contains("\nzero_counts = 631.0\n"), "{shown}");
+    desk.write("shown.toml", &shown);
+    let told = json(&desk.printed("compile shown.toml -o again.bin --json", 0));
+    assert_eq!(told["bytes"], SIZE);
+    assert_eq!(told["largest_difference_nm"], 0.0);
+    assert_eq!(desk.read("again.bin"), blob);
+
+    let told = json(&desk.printed("--json show cal.bin", 0));
+    assert_eq!(told["toml"].as_str().expect("a text").trim_end(), shown.trim_end());
+    assert_eq!(told["does_not_compile_back"], serde_json::Value::Null);
+}
+
+#[test]
+fn a_damaged_calibration_is_refused_with_the_place_of_the_damage() {
+    let desk = Desk::new();
+    desk.printed("compile m.toml -o cal.bin", 0);
+    let blob = desk.read("cal.bin");
+    let mut flipped = blob.clone();
+    flipped[20] ^= 1;
+    desk.write("flipped.bin", flipped);
+    desk.write("cut.bin", &blob[..59]);
+    for (line, complaint) in [
+        ("show flipped.bin", "flipped.bin: CRC at 56 is "),
+        ("show cut.bin", "cut.bin: 59 bytes are too short, 60 are needed"),
+    ] {
+        let told = desk.refused(line);
+        assert!(told.starts_with(complaint), "{told}");
+    }
+}
+
+#[test]
+fn a_calibration_that_no_machine_file_gives_is_shown_and_ends_with_3() {
+    let desk = Desk::new();
+    desk.printed("compile m.toml -o cal.bin", 0);
+    let mut calibration = decode(&desk.read("cal.bin")).expect("just compiled");
+    calibration.limits.slew_nm_per_s = 0;
+    desk.write("stuck.bin", encode(&calibration));
+    let shown = desk.printed("show stuck.bin", 3);
+    assert!(shown.contains("\nslew_um_per_s = 0.0\n"), "{shown}");
+    let told = json(&desk.printed("show stuck.bin --json", 3));
+    let reason = told["does_not_compile_back"].as_str().expect("a reason");
+    assert!(reason.contains("slew_um_per_s"), "{reason}");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_new_file_has_the_usual_rights_and_a_device_stays_a_device() {
+    use std::os::unix::fs::{FileTypeExt as _, PermissionsExt as _};
+    let desk = Desk::new();
+    desk.printed("compile m.toml -o cal.bin", 0);
+    let rights =
+        |name: &str| fs::metadata(desk.path(name)).expect("written").permissions().mode() & 0o777;
+    assert_eq!(rights("cal.bin"), rights("run.csv"));
+    desk.printed("predict --machine m.toml --run run.csv -o /dev/null", 0);
+    let null = fs::metadata(Path::new("/dev/null")).expect("every unix has it");
+    assert!(null.file_type().is_char_device());
+}
+
+#[cfg(unix)]
+#[test]
+fn a_link_is_followed_and_stays_a_link() {
+    let desk = Desk::new();
+    desk.write("real.bin", "old");
+    std::os::unix::fs::symlink("real.bin", desk.path("cal.bin")).expect("links are allowed");
+    desk.printed("compile m.toml -o cal.bin", 0);
+    assert!(fs::symlink_metadata(desk.path("cal.bin")).expect("there").is_symlink());
+    assert_eq!(desk.read("real.bin").len(), SIZE);
+}
