@@ -15,7 +15,7 @@
 //! | `can_receive` | CAN1, a frame | 3 | 2 frames (94 µs) in a FIFO of 3 | CAN | node |
 //! | `listen` | bytes in the queue | 3 | 256 bytes (2.8 ms) | byte queue | port, node |
 //! | `supervise` | `SysTick`, 10 ms | 2 | 100 ms, the watchdog | node | samples, watchdog, lamp |
-//! | `transmit` | lines in the port | 1 | 10 ms of frames in the port | port | USART1 |
+//! | `transmit` | lines in the port | 1 | 5 ms of frames in the port | port | USART1 |
 //! | `idle` | nothing else to do | 0 | | | |
 //!
 //! The tasks are the same on every board; what a board is, is behind [`board`]. What the bridge

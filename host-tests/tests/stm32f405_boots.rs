@@ -80,6 +80,18 @@ fn it_boots_with_everything_dead_says_so_and_sends_not_available() {
 }
 
 #[test]
+fn the_plain_bytes_begin_with_a_stack_in_ram_and_an_entry_in_flash() {
+    let image = firmware::build(Board::Stm32f405).expect("it builds");
+    let bytes = std::fs::read(image.with_extension("bin")).expect("the bytes beside the image");
+    let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes"));
+    assert_eq!(word(0), 0x2000_0000 + 128 * 1024, "the stack begins at the end of the RAM");
+    assert!((0x0800_0000..0x0810_0000).contains(&word(4)) && word(4) % 2 == 1, "Thumb code");
+    let size = trueup_emulator::size::of(&image).expect("it has code");
+    // Between its parts are gaps of a word or two.
+    assert!((size.flash..size.flash + 64).contains(&(bytes.len() as u64)), "{size:?}");
+}
+
+#[test]
 fn the_images_have_code_and_leave_room() {
     for board in Board::ALL {
         let image = firmware::build(board).expect("it builds");

@@ -10,7 +10,7 @@ use anyhow::{Context as _, Result};
 use rustix::fs::{FlockOperation, flock};
 
 use crate::{
-    process,
+    binary, process,
     setup::{self, TARGET, Toolchain},
 };
 
@@ -69,13 +69,14 @@ pub fn cargo(verb: &str, board: Board) -> Result<(Command, PathBuf)> {
     Ok((command, folder))
 }
 
-/// Builds the image of a board and gives its path.
+/// Builds the image of a board and gives its path; for the one that is flashed, its plain bytes
+/// stand beside it (`.bin`).
 ///
 /// # Errors
 /// It does not compile, or there is no way to the target.
 pub fn build(board: Board) -> Result<PathBuf> {
     let (mut command, folder) = cargo("build", board)?;
-    let images = folder.join("firmware");
+    let images = folder.join("images");
     fs::create_dir_all(&images)?;
     // Cargo gives both boards the same file name, so nobody else may build until the copy is made;
     // the lock ends with the file.
@@ -89,5 +90,8 @@ pub fn build(board: Board) -> Result<PathBuf> {
     fs::copy(&built, &copy).with_context(|| format!("{} is missing", built.display()))?;
     let image = images.join(format!("trueup-{}.elf", board.feature()));
     copy.persist(&image)?;
+    if board == Board::Stm32f405 {
+        fs::write(image.with_extension("bin"), binary::of(&image)?)?;
+    }
     Ok(image)
 }

@@ -9,6 +9,7 @@
 //! of the project does its own preparation.
 #![forbid(unsafe_code)]
 
+pub mod binary;
 pub mod board;
 pub mod cnc;
 pub mod demo;
