@@ -10,7 +10,7 @@ use trueup_core::{
     units::{Code, Millis, Rpm},
 };
 use trueup_emulator::{
-    board::{LARGEST_BATCH, VirtualBoard},
+    board::{self, VirtualBoard},
     cnc::Cnc,
     firmware::{self, Board},
     front_end::FrontEnd,
@@ -20,6 +20,9 @@ use trueup_link::{
     bench::Block, frame::Frame, frames, node::Node, receiver::OffsetReceiver, slcan::Event,
 };
 use trueup_machine::{MachineFile, compile};
+
+/// Blocks handed over at once.
+const BATCH: usize = board::LARGEST_BATCH as usize;
 
 type Sent = Vec<(Millis, Frame)>;
 
@@ -84,7 +87,7 @@ fn eventful_life(ms: u32) -> Vec<Block> {
 
 fn on_the_board(blocks: &[Block]) -> Sent {
     let mut board = boot();
-    let batches = blocks.chunks(LARGEST_BATCH);
+    let batches = blocks.chunks(BATCH);
     batches.flat_map(|batch| board.step(batch).expect("the board lives")).collect()
 }
 
@@ -169,7 +172,7 @@ fn the_log_measures_the_noise_of_the_front_end() {
     let mut board = boot();
     let mut front_end = FrontEnd::new(0.33, 1);
     for _ in 0..12 {
-        let blocks: Vec<Block> = (0..LARGEST_BATCH)
+        let blocks: Vec<Block> = (0..BATCH)
             .map(|_| Block { codes: front_end.block(|_| 3.0), speed: None, frames: [None; 2] })
             .collect();
         board.step(&blocks).expect("the board lives");
@@ -191,7 +194,7 @@ fn a_board_that_nobody_asks_is_much_faster_than_time() {
     let blocks = eventful_life(20_000);
     let mut board = boot();
     let started = Instant::now();
-    for batch in blocks.chunks(LARGEST_BATCH) {
+    for batch in blocks.chunks(BATCH) {
         board.step(batch).expect("the board lives");
     }
     let ratio = 20.0 / started.elapsed().as_secs_f64();

@@ -33,7 +33,7 @@ use crate::{
 };
 
 /// Blocks that can be announced with one ring: a byte.
-pub const LARGEST_BATCH: usize = 255;
+pub const LARGEST_BATCH: u32 = u8::MAX as u32;
 
 /// A running virtual board.
 pub struct VirtualBoard {
@@ -170,6 +170,12 @@ impl VirtualBoard {
     #[must_use]
     pub fn log(&self) -> Vec<String> {
         self.log.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// The board's log since it was last taken.
+    #[must_use]
+    pub fn take_log(&self) -> Vec<String> {
+        std::mem::take(&mut self.log.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
     /// The emulator it runs in.

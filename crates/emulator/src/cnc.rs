@@ -18,7 +18,8 @@ pub struct Cnc<S> {
     stream: S,
     client: Client,
     waiting: VecDeque<Event>,
-    counter: u8,
+    control_counter: u8,
+    spindle_counter: u8,
     /// The pairing and checking of the offsets.
     pub offsets: OffsetReceiver,
 }
@@ -33,7 +34,8 @@ impl<S: Read + Write> Cnc<S> {
             stream,
             client: Client::new(),
             waiting: VecDeque::new(),
-            counter: 0,
+            control_counter: 0,
+            spindle_counter: 0,
             offsets: OffsetReceiver::new(),
         };
         // Ends what an earlier client may have left on the line; that it was refused is no matter.
@@ -77,11 +79,15 @@ impl<S: Read + Write> Cnc<S> {
     /// # Errors
     /// The line breaks, or the board refuses.
     pub fn send(&mut self, command: Command) -> Result<()> {
-        let frame = match command {
-            Command::Control(control) => frames::control(control, self.counter),
-            Command::Spindle(spindle) => frames::spindle(spindle, self.counter),
+        let (frame, counter) = match command {
+            Command::Control(control) => {
+                (frames::control(control, self.control_counter), &mut self.control_counter)
+            }
+            Command::Spindle(spindle) => {
+                (frames::spindle(spindle, self.spindle_counter), &mut self.spindle_counter)
+            }
         };
-        self.counter = self.counter.wrapping_add(1);
+        *counter = counter.wrapping_add(1);
         self.ask(encode_line(&frame).trim_end()).map(drop)
     }
 

@@ -41,26 +41,30 @@ impl Replay {
         let mut start = None;
         for (row, &count) in counts.iter().enumerate() {
             if count.is_nan() && row == 0 {
-                return Err(run.bad(row, "sensor_counts", "the first row needs a value"));
+                return Err(run.bad(row, "sensor_counts", "needs a value in the first row"));
             }
             if !count.is_nan() {
                 if !sensor.is_in_range(count) {
                     let largest = sensor.counts_full_scale;
-                    let rule = format!("sensor_counts {count} is outside 0…{largest}");
+                    let rule = format!("{count} is outside 0…{largest}");
                     return Err(run.bad(row, "sensor_counts", rule));
                 }
                 now.sensor_volts = sensor.volts_from_counts(count);
             }
             if let Some(speed) = speeds.map(|speeds| speeds[row]).filter(|speed| !speed.is_nan()) {
                 let rpm = rpm(speed).ok_or_else(|| {
-                    run.bad(row, "spindle_rpm", format!("spindle_rpm {speed} is outside 0…65535"))
+                    run.bad(row, "spindle_rpm", format!("{speed} is outside 0…65535"))
                 })?;
                 now.speed = Some(rpm);
             }
             let time = match times.map(|times| times[row]) {
                 None => row_s * row as f64,
                 Some(time) if time.is_nan() => {
-                    return Err(run.bad(row, "time_s", "a row without a time cannot be replayed"));
+                    return Err(run.bad(
+                        row,
+                        "time_s",
+                        "is missing: a row without a time cannot be replayed",
+                    ));
                 }
                 Some(time) => time,
             };

@@ -22,7 +22,7 @@ use trueup_core::{calibration::Calibration, cnc::Output, units::NANOMETRES_PER_M
 use trueup_link::{bench::Block, receiver::OffsetReceiver, slcan::CR};
 
 use crate::{
-    board::VirtualBoard,
+    board::{LARGEST_BATCH, VirtualBoard},
     front_end::FrontEnd,
     plant::{Answer, Plant},
     replay::{Replay, Situation},
@@ -93,6 +93,7 @@ fn play(
     let opened = Arc::new(AtomicBool::new(false));
     share_line(listener, board.serial()?, opened.clone())?;
     let is_over = |board: &mut VirtualBoard| -> Result<bool> {
+        tell(board);
         board.qemu().check()?;
         Ok(stop.load(Ordering::Relaxed))
     };
@@ -102,18 +103,22 @@ fn play(
      -> Result<Option<Output>> {
         let mut offsets = OffsetReceiver::new();
         let mut last = None;
-        let blocks: Vec<Block> = (0..count)
-            .map(|_| {
-                let now = situation(front_end.time_s());
-                let codes = front_end.block(|_| now.sensor_volts);
-                Block { codes, speed: now.speed, frames: [None; 2] }
-            })
-            .collect();
-        for batch in blocks.chunks(crate::board::LARGEST_BATCH) {
-            for (_, frame) in board.step(batch)? {
+        let mut left = count;
+        while left > 0 {
+            let batch = left.min(LARGEST_BATCH);
+            left -= batch;
+            let blocks: Vec<Block> = (0..batch)
+                .map(|_| {
+                    let now = situation(front_end.time_s());
+                    let codes = front_end.block(|_| now.sensor_volts);
+                    Block { codes, speed: now.speed, frames: [None; 2] }
+                })
+                .collect();
+            for (_, frame) in board.step(&blocks)? {
                 last = offsets.accept(&frame).ok().flatten().or(last);
             }
         }
+        tell(board);
         Ok(last)
     };
     match source {
@@ -195,6 +200,13 @@ impl Pace {
         let due = self.owed_ms.floor();
         self.owed_ms -= due;
         due as u32
+    }
+}
+
+/// Shows what the board has logged.
+fn tell(board: &VirtualBoard) {
+    for line in board.take_log() {
+        eprintln!("board: {line}");
     }
 }
 
