@@ -127,3 +127,100 @@ impl Node {
         self.state.take_noise()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        frames::{HEARTBEAT_ID, OFFSET_XY_ID, OFFSET_Z_ID},
+        receiver::OffsetReceiver,
+    };
+    use std::vec::Vec;
+    use trueup_core::{
+        cnc::Control,
+        filter::CODES_PER_TICK,
+        limits::Limits,
+        sensor::{SensorLaw, Slope},
+        tool::Direction,
+        units::{Code, Nanometres, Reading},
+    };
+
+    const CALIBRATION: Calibration = Calibration {
+        sensor: SensorLaw { k0: Nanometres(0), zero: Reading(0), slope: Slope(1 << 28) },
+        tool_direction: Direction::DOWN,
+        limits: Limits {
+            max: [Nanometres(500_000); 3],
+            slew_nm_per_s: 1_000,
+            link_timeout_ms: 500,
+            hold_ms: 2_000,
+        },
+    };
+    const BLIND: Input = Input { codes: None, speed: None };
+
+    #[test]
+    fn both_halves_of_a_cycle_share_a_counter_that_counts_the_cycles() {
+        let mut node = Node::new(Some(CALIBRATION), false);
+        for cycle in 0..600_u32 {
+            let sent = node.tick(1, BLIND);
+            let ids: Vec<u16> = sent.iter().take(2).map(Frame::id).collect();
+            assert_eq!(ids, [OFFSET_XY_ID, OFFSET_Z_ID]);
+            let counters: Vec<u32> =
+                sent.iter().take(2).map(|frame| frames::counter(frame).into()).collect();
+            assert_eq!(counters, [cycle % 256, cycle % 256]);
+        }
+    }
+
+    #[test]
+    fn the_heartbeat_comes_at_once_and_then_every_100_ms_whatever_a_tick_lasts() {
+        for tick_ms in [1, 10] {
+            let mut node = Node::new(Some(CALIBRATION), false);
+            let mut beats = Vec::new();
+            while node.now().0 < 1_000 {
+                let sent = node.tick(tick_ms, BLIND);
+                beats.extend(sent.iter().any(|f| f.id() == HEARTBEAT_ID).then(|| node.now().0));
+            }
+            assert_eq!(beats.len(), 10, "{beats:?}");
+            assert!(beats.windows(2).all(|pair| pair[1] - pair[0] == 100), "{beats:?}");
+        }
+    }
+
+    #[test]
+    fn without_a_calibration_nothing_is_available_and_the_node_is_stopped() {
+        let mut node = Node::new(None, false);
+        let codes = [Code(700); CODES_PER_TICK];
+        let sent = node.tick(1, Input { codes: Some(&codes), speed: None });
+        let mut receiver = OffsetReceiver::new();
+        let output = sent.iter().filter_map(|f| receiver.accept(f).unwrap_or_default()).next();
+        let output = output.expect("a whole cycle");
+        assert_eq!((output.offset, output.quality, output.age_ms), (None, Quality::Fault, 255));
+        assert_eq!(frames::decode_heartbeat(&sent[2]), Ok(State::Stopped));
+    }
+
+    #[test]
+    fn a_board_on_a_fall_back_marks_every_frame() {
+        for degraded in [false, true] {
+            let mut node = Node::new(Some(CALIBRATION), degraded);
+            node.tick(1, BLIND);
+            assert_eq!(node.last().flags.contains(Flags::BOARD_DEGRADED), degraded);
+        }
+    }
+
+    #[test]
+    fn a_damaged_control_is_counted_and_engages_nothing() {
+        let control = Control { engage: true, referenced: true, zero: false };
+        let good = frames::control(control, 0);
+        let mut data = *good.data();
+        data[3] ^= 1;
+        let damaged = Frame::new(good.id(), &data).unwrap();
+        for (frame, engages) in [(damaged, false), (good, true)] {
+            let mut node = Node::new(Some(CALIBRATION), false);
+            assert_eq!(node.hear(&frame).is_ok(), engages);
+            assert_eq!(node.receiver().counters().crc_errors, u32::from(!engages));
+            for tick in 0..450 {
+                let codes = core::array::from_fn(|n| Code(700 + ((n + tick) % 2) as u16));
+                node.tick(1, Input { codes: Some(&codes), speed: None });
+            }
+            assert_eq!(node.last().quality == Quality::Live, engages);
+        }
+    }
+}
