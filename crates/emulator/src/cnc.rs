@@ -25,7 +25,9 @@ pub struct Cnc<S> {
 }
 
 impl<S: Read + Write> Cnc<S> {
-    /// Opens the channel as every SLCAN program does: close, 1 Mbit/s, open.
+    /// Opens the channel as every SLCAN program does: close, 1 Mbit/s, open. The version is asked
+    /// for in between, because its answer can be told from everything that an earlier client may
+    /// have left: half a line either way, frames, answers.
     ///
     /// # Errors
     /// The line breaks, or the board refuses.
@@ -38,9 +40,9 @@ impl<S: Read + Write> Cnc<S> {
             spindle_counter: 0,
             offsets: OffsetReceiver::new(),
         };
-        // Ends what an earlier client may have left on the line; that it was refused is no matter.
-        cnc.ask("").ok();
-        for command in ["C", "S8", "O"] {
+        cnc.write(b"\rC\rV\r")?;
+        while !matches!(cnc.next_event()?, Event::Other(line) if line.starts_with(b"V")) {}
+        for command in ["S8", "O"] {
             cnc.ask(command)?;
         }
         Ok(cnc)
@@ -157,10 +159,11 @@ mod tests {
 
     #[test]
     fn it_opens_as_every_slcan_program_does_and_keeps_frames_that_come_between() {
-        let answers = b"\x07\r\rt7011\x305\r\rV1013\r".to_vec();
+        // The end of a line, the answer to half a line, to C and to V, then to S8 and O.
+        let answers = b"05\r\x07\rV1013\r\rt7011\x305\r\rV1013\r".to_vec();
         let script = Script { answers: io::Cursor::new(answers), asked: Vec::new() };
         let mut cnc = Cnc::open(script).expect("three answers");
-        assert_eq!(cnc.stream.asked, b"\rC\rS8\rO\r");
+        assert_eq!(cnc.stream.asked, b"\rC\rV\rS8\rO\r");
         assert_eq!(cnc.ask("V").expect("an answer"), "V1013");
         let heartbeat = Frame::new(0x701, &[5]).expect("valid");
         assert_eq!(cnc.next_event().expect("kept"), Event::Frame(heartbeat));
@@ -168,8 +171,9 @@ mod tests {
 
     #[test]
     fn a_refusal_names_the_line() {
-        let script = Script { answers: io::Cursor::new(b"\r\x07".to_vec()), asked: Vec::new() };
+        let script =
+            Script { answers: io::Cursor::new(b"\r\rV1013\r\x07".to_vec()), asked: Vec::new() };
         let error = Cnc::open(script).err().expect("refused");
-        assert!(error.to_string().contains("\"C\""), "{error}");
+        assert!(error.to_string().contains("\"S8\""), "{error}");
     }
 }

@@ -19,7 +19,11 @@ use std::{
 use anyhow::{Context as _, Result, bail};
 use rustix::process::{Pid, Signal, kill_process};
 use trueup_core::{calibration::Calibration, cnc::Output, units::NANOMETRES_PER_MICROMETRE};
-use trueup_link::{bench::Block, receiver::OffsetReceiver, slcan::CR};
+use trueup_link::{
+    bench::Block,
+    receiver::OffsetReceiver,
+    slcan::{BELL, CR},
+};
 
 use crate::{
     board::{LARGEST_BATCH, VirtualBoard},
@@ -210,18 +214,39 @@ fn tell(board: &VirtualBoard) {
     }
 }
 
+/// A client of the port.
+struct Client {
+    stream: TcpStream,
+    /// Has got nothing yet: what the board says first may be the end of a line that began for
+    /// another client. Some programs take that for a frame, so it is left out.
+    is_new: bool,
+}
+
 /// Joins the clients of a port, one at a time, to the board's line.
 fn share_line(listener: TcpListener, line: UnixStream, opened: Arc<AtomicBool>) -> Result<()> {
-    let client: Arc<Mutex<Option<TcpStream>>> = Arc::default();
+    let client: Arc<Mutex<Option<Client>>> = Arc::default();
     let mut from_board = line.try_clone()?;
     let to_client = client.clone();
     thread::spawn(move || {
         let mut bytes = [0; 4096];
+        let mut in_line = false;
         while let Ok(length @ 1..) = from_board.read(&mut bytes) {
-            let stream = lock(&to_client).as_ref().and_then(|stream| stream.try_clone().ok());
+            let mut said = &bytes[..length];
+            let is_end = |byte: &u8| [CR, BELL].contains(byte);
+            let stream = lock(&to_client).as_mut().and_then(|client| {
+                if client.is_new && in_line {
+                    let end = said.iter().position(is_end);
+                    said = end.map_or(&[], |end| &said[end + 1..]);
+                    client.is_new = end.is_none();
+                } else {
+                    client.is_new = false;
+                }
+                client.stream.try_clone().ok()
+            });
+            in_line = !is_end(&bytes[length - 1]);
             // With no client, or one that has just gone, the bytes have nobody to go to.
             if let Some(mut stream) = stream {
-                stream.write_all(&bytes[..length]).ok();
+                stream.write_all(said).ok();
             }
         }
     });
@@ -243,14 +268,14 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 /// One client, until it goes. The next one waits in the port's queue.
 fn serve_client(
     mut stream: TcpStream,
-    client: &Mutex<Option<TcpStream>>,
+    client: &Mutex<Option<Client>>,
     mut line: &UnixStream,
     opened: &AtomicBool,
 ) -> io::Result<()> {
     stream.set_nodelay(true)?;
     let peer = stream.peer_addr()?;
     eprintln!("client {peer} is connected");
-    *lock(client) = Some(stream.try_clone()?);
+    *lock(client) = Some(Client { stream: stream.try_clone()?, is_new: true });
     let mut bytes = [0; 4096];
     let mut command: Vec<u8> = Vec::new();
     loop {

@@ -1,0 +1,297 @@
+//! The project's command as a user starts it: a process of its own, with what it says, and with
+//! whatever it starts in turn. Nothing of it outlives the test.
+#![allow(dead_code, reason = "each test uses its share")]
+
+use std::{
+    fs,
+    io::{BufRead as _, BufReader},
+    net::TcpStream,
+    path::{Path, PathBuf},
+    process::{Child, Command, ExitStatus, Stdio},
+    sync::{
+        Arc, Mutex, OnceLock,
+        atomic::{AtomicU32, Ordering},
+    },
+    thread::{self, JoinHandle},
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context as _, Result, bail, ensure};
+use tempfile::TempDir;
+use trueup_emulator::{
+    firmware::{self, Board},
+    setup,
+};
+
+/// A machine whose offsets need no minutes to arrive.
+pub const FAST_MACHINE: &str = "\
+[machine]
+name = \"fast\"
+kind = \"3-axis\"
+
+[inputs]
+sensor = { volts_full_scale = 10.0, counts_full_scale = 32768, divider = 0.33 }
+
+[spindle]
+source = \"sensor\"
+
+[spindle.sensor]
+k0_um = 0.0
+zero_counts = 5048.0
+um_per_count = 0.0152587890625
+
+[limits]
+slew_um_per_s = 1000.0
+";
+/// A spindle that has grown and stays so: the last row is held.
+pub const GROWN_RUN: &str = "sensor_counts,spindle_rpm\n9164,24000\n";
+/// By how much it has grown.
+pub const GROWN_UM: f64 = (9164.0 - 5048.0) * 0.0152587890625;
+
+/// How long the command may take until it serves; it may have to wait for another's compiler.
+const START: Duration = Duration::from_secs(120);
+/// How long it may take to end.
+const END: Duration = Duration::from_secs(10);
+/// How long a board may keep silent on a socket.
+pub const PATIENCE: Duration = Duration::from_secs(10);
+/// By this variable the processes of one command are told from everybody else's.
+const MARK: &str = "TRUEUP_TEST_MARK";
+
+/// A command that runs.
+pub struct Running {
+    child: Child,
+    told: Arc<Mutex<Vec<String>>>,
+    listener: Option<JoinHandle<()>>,
+    mark: String,
+    /// Its folder for temporary files.
+    pub temporary: TempDir,
+}
+
+/// A command that has ended.
+#[derive(Debug)]
+pub struct Ended {
+    /// How.
+    pub status: ExitStatus,
+    /// What it said on standard error.
+    pub stderr: String,
+    /// How long it took, from when it was waited for.
+    pub took: Duration,
+}
+
+/// The command, not yet started. It is built once, and so is the image, so that whoever starts it
+/// need not wait for a compiler.
+pub fn xtask() -> Result<Command> {
+    static PROGRAM: OnceLock<Result<PathBuf, String>> = OnceLock::new();
+    let program = PROGRAM.get_or_init(|| {
+        let build = || {
+            firmware::build(Board::Virtual)?;
+            build_xtask()
+        };
+        build().map_err(|error| format!("{error:#}"))
+    });
+    match program {
+        Ok(program) => Ok(Command::new(program)),
+        Err(error) => bail!("{error}"),
+    }
+}
+
+fn build_xtask() -> Result<PathBuf> {
+    let cargo = std::env::var_os("CARGO").unwrap_or("cargo".into());
+    let output = Command::new(cargo)
+        .args(["build", "--package", "xtask", "--message-format", "json-render-diagnostics"])
+        .current_dir(setup::root())
+        .stderr(Stdio::inherit())
+        .output()?;
+    ensure!(output.status.success(), "xtask does not build");
+    let messages = String::from_utf8(output.stdout)?;
+    messages
+        .lines()
+        .filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok())
+        .filter(|message| message["target"]["name"] == "xtask")
+        .find_map(|message| message["executable"].as_str().map(PathBuf::from))
+        .context("cargo does not say where xtask is")
+}
+
+impl Running {
+    /// Starts a command.
+    pub fn start(command: &mut Command) -> Result<Self> {
+        static NUMBER: AtomicU32 = AtomicU32::new(0);
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let mark = format!("{}-{number}", std::process::id());
+        let temporary = tempfile::tempdir()?;
+        let mut child = command
+            .env(MARK, &mark)
+            .env("TMPDIR", temporary.path())
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()?;
+        let told = Arc::new(Mutex::new(Vec::new()));
+        let stderr = child.stderr.take().context("it was asked for")?;
+        let keep = told.clone();
+        let listener = thread::spawn(move || {
+            for line in BufReader::new(stderr).lines().map_while(Result::ok) {
+                keep.lock().expect("nobody panics with it").push(line);
+            }
+        });
+        Ok(Self { child, told, listener: Some(listener), mark, temporary })
+    }
+
+    /// What it has said so far.
+    pub fn said(&self) -> String {
+        self.told.lock().expect("nobody panics with it").join("\n")
+    }
+
+    /// Waits until it says something between these two; gives that.
+    pub fn wait_for(&mut self, before: &str, after: &str) -> Result<String> {
+        let end = Instant::now() + START;
+        loop {
+            let said = self.said();
+            let found = said.split_once(before).and_then(|(_, rest)| rest.split_once(after));
+            if let Some((found, _)) = found {
+                return Ok(found.to_owned());
+            }
+            if let Some(status) = self.child.try_wait()? {
+                bail!("it ended ({status}) and never said \"{before}\":\n{said}");
+            }
+            ensure!(Instant::now() < end, "it never said \"{before}\":\n{said}");
+            thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// Sends it a signal, by its name.
+    pub fn signal(&self, name: &str) -> Result<()> {
+        signal(name, self.child.id())
+    }
+
+    /// Waits for its end.
+    pub fn end(&mut self) -> Result<Ended> {
+        self.end_within(END)
+    }
+
+    fn end_within(&mut self, limit: Duration) -> Result<Ended> {
+        let started = Instant::now();
+        let status = loop {
+            if let Some(status) = self.child.try_wait()? {
+                break status;
+            }
+            let late = started.elapsed() > limit;
+            ensure!(!late, "it does not end within {limit:?}:\n{}", self.said());
+            thread::sleep(Duration::from_millis(5));
+        };
+        let took = started.elapsed();
+        // All that it said has come when its end of the pipe is closed.
+        if let Some(listener) = self.listener.take() {
+            listener.join().ok().context("the listener")?;
+        }
+        Ok(Ended { status, stderr: self.said(), took })
+    }
+
+    /// The emulators that it started and that still run. One that has just been killed may need a
+    /// moment.
+    pub fn emulators_left(&self) -> Vec<u32> {
+        let end = Instant::now() + Duration::from_secs(2);
+        loop {
+            let left = emulators(&self.mark);
+            if left.is_empty() || Instant::now() > end {
+                return left;
+            }
+            thread::sleep(Duration::from_millis(10));
+        }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // It has usually ended long ago.
+        self.child.kill().ok();
+        self.child.wait().ok();
+        for id in emulators(&self.mark) {
+            signal("KILL", id).ok();
+        }
+    }
+}
+
+/// Runs a command that is expected to end by itself; gives it with its end.
+pub fn run(command: &mut Command) -> Result<(Running, Ended)> {
+    let mut running = Running::start(command)?;
+    let ended = running.end_within(START)?;
+    Ok((running, ended))
+}
+
+/// Sends a process a signal, by its name.
+pub fn signal(name: &str, id: u32) -> Result<()> {
+    let id = id.to_string();
+    let kill = ["-c", "kill -s \"$1\" \"$2\"", "sh", name, &id];
+    let status = Command::new("sh").args(kill).status()?;
+    ensure!(status.success(), "process {id} takes no signal");
+    Ok(())
+}
+
+/// The processes with this mark that are emulators. One that is dead but not waited for has no
+/// environment any more.
+fn emulators(mark: &str) -> Vec<u32> {
+    let mark = format!("{MARK}={mark}");
+    let has = |folder: &Path| -> std::io::Result<bool> {
+        let environment = fs::read(folder.join("environ"))?;
+        let program = fs::read(folder.join("cmdline"))?;
+        Ok(environment.split(|&byte| byte == 0).any(|variable| variable == mark.as_bytes())
+            && String::from_utf8_lossy(&program).contains("qemu-system"))
+    };
+    let processes = fs::read_dir("/proc").expect("the emulated board needs Linux").flatten();
+    processes
+        .filter_map(|process| process.file_name().to_str()?.parse().ok())
+        // Another user's process, or one that has ended in the meantime, cannot be read.
+        .filter(|id: &u32| has(&Path::new("/proc").join(id.to_string())).unwrap_or(false))
+        .collect()
+}
+
+/// A virtual bridge that serves.
+pub struct Bridge {
+    /// The command.
+    pub command: Running,
+    /// The process of its emulator.
+    pub qemu: u32,
+    address: String,
+}
+
+impl Bridge {
+    /// Starts `virtual` with these arguments on a free port and waits until it serves.
+    pub fn start(arguments: &[&str]) -> Result<Self> {
+        let mut xtask = xtask()?;
+        xtask.args(["virtual", "--cnc", "tcp:127.0.0.1:0"]).args(arguments);
+        let mut command = Running::start(&mut xtask)?;
+        let address = command.wait_for("the CNC's line is at tcp:", " ")?;
+        let qemu = command.wait_for("the bridge is up in QEMU (process ", ")")?.parse()?;
+        Ok(Self { command, qemu, address })
+    }
+
+    /// The same with [`FAST_MACHINE`] and [`GROWN_RUN`]. The files are read before it serves.
+    pub fn start_grown() -> Result<Self> {
+        let folder = tempfile::tempdir()?;
+        let machine = file(&folder, "machine.toml", FAST_MACHINE)?;
+        let run = file(&folder, "run.csv", GROWN_RUN)?;
+        Self::start(&["--machine", &machine, "--run", &run])
+    }
+
+    /// Where it listens: `HOST:PORT`.
+    pub fn address(&self) -> &str {
+        &self.address
+    }
+
+    /// A client's connection, on which no wait is for ever.
+    pub fn connect(&self) -> Result<TcpStream> {
+        let stream = TcpStream::connect(&self.address)?;
+        stream.set_nodelay(true)?;
+        stream.set_read_timeout(Some(PATIENCE))?;
+        stream.set_write_timeout(Some(PATIENCE))?;
+        Ok(stream)
+    }
+}
+
+/// Writes a file; gives its path as an argument.
+pub fn file(folder: &TempDir, name: &str, text: &str) -> Result<String> {
+    let path = folder.path().join(name);
+    fs::write(&path, text)?;
+    path.into_os_string().into_string().ok().context("a path that is no text")
+}
