@@ -18,7 +18,9 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, ensure};
-use support::{Bridge, Ended, FAST_MACHINE, GROWN_RUN, PATIENCE, Running, run, signal, xtask};
+use support::{
+    Bridge, Ended, FAST_MACHINE, GROWN_RUN, PATIENCE, Running, run, signal, wait_until_stuck, xtask,
+};
 use tempfile::TempDir;
 use trueup_core::cnc::Quality;
 use trueup_emulator::{
@@ -325,11 +327,9 @@ fn ctrl_c_and_sigterm_end_it_in_peace_and_the_emulator_with_it() -> Result<()> {
         assert_ended_in_peace(&mut bridge)?;
         client.join().ok().context("the client's line ends with it")?;
         // With one that has stopped reading, so that everything is stuck behind it.
-        let run_file = setup::root().join("data/spindle_paper_table1.csv");
-        let run_file = run_file.to_str().context("a path that is text")?;
-        let mut bridge = Bridge::start(&["--run", run_file, "--speed", "max"])?;
-        let _deaf = opened(&bridge)?;
-        thread::sleep(Duration::from_secs(2));
+        let mut bridge = Bridge::start_grown_at("max")?;
+        let deaf = opened(&bridge)?;
+        wait_until_stuck(&deaf)?;
         bridge.command.signal(name)?;
         assert_ended_in_peace(&mut bridge)?;
     }

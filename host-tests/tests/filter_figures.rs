@@ -156,7 +156,8 @@ fn the_arithmetic_is_within_2_nm_of_f64_over_the_whole_input_range() {
     };
     const MS: u32 = 460;
     let noise: Vec<Code> = (0..MS * 20).map(|_| Code(next() as u16)).collect();
-    let signals: [(&str, Box<dyn Fn(u32) -> u16>); 5] = [
+    type Signal = Box<dyn Fn(u32) -> u16>;
+    let signals: [(&str, Signal); 5] = [
         ("full scale", Box::new(|_| 4095)),
         ("zero", Box::new(|_| 0)),
         ("ramp over the range", Box::new(|n| (n * 4095 / (MS * 20)) as u16)),

@@ -14,7 +14,7 @@ use std::{
 
 use anyhow::{Context as _, Result, bail, ensure};
 use serde_json::{Value, json};
-use support::{Bridge, FAST_MACHINE, GROWN_UM, PATIENCE, file};
+use support::{Bridge, FAST_MACHINE, GROWN_UM, PATIENCE, file, wait_until_stuck};
 use trueup_core::cnc::{Command as CncCommand, Control, Flags, Quality};
 use trueup_emulator::{cnc::Cnc, setup};
 use trueup_link::e2e;
@@ -253,14 +253,10 @@ fn whoever_goes_in_mid_line_leaves_no_half_line_to_the_next() -> Result<()> {
 
 #[test]
 fn a_client_that_never_reads_stops_nobody_once_it_has_gone() -> Result<()> {
-    let folder = tempfile::tempdir()?;
-    let machine = file(&folder, "machine.toml", FAST_MACHINE)?;
-    let run = file(&folder, "run.csv", support::GROWN_RUN)?;
-    let bridge = Bridge::start(&["--machine", &machine, "--run", &run, "--speed", "max"])?;
+    let bridge = Bridge::start_grown_at("max")?;
     let mut deaf = bridge.connect()?;
     deaf.write_all(b"O\r")?;
-    // Long enough to fill every buffer on the way.
-    std::thread::sleep(Duration::from_secs(3));
+    wait_until_stuck(&deaf)?;
     drop(deaf);
     Cnc::open(bridge.connect()?)?.next_output()?;
     Ok(())

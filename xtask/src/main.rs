@@ -128,6 +128,13 @@ fn run_virtual(options: Virtual) -> Result<()> {
     let sensor = sensor
         .ok_or_else(|| machine.places.bad("inputs", "needs `sensor`: how the sensor is wired"))?;
     let run = options.run.map(|path| RunFile::read(&path)).transpose()?;
+    if let Some(run) = &run {
+        let names = run.columns().iter().map(|column| column.name.as_str());
+        let unused: Vec<_> = names.filter(|name| !replay::USED_COLUMNS.contains(name)).collect();
+        if !unused.is_empty() {
+            eprintln!("not replayed, the board does not use them yet: {}", unused.join(", "));
+        }
+    }
     let replay = run.map(|run| Replay::new(&run, sensor, options.row_s)).transpose()?;
     let listener = serve::listen(&options.cnc)?;
     let image = firmware::build(Board::Virtual)?;

@@ -9,6 +9,9 @@ use trueup_machine::{inputs::SensorInput, place::BadInput, run_file::RunFile};
 /// How long a row lasts in a run without `time_s`, unless it is said otherwise.
 pub const DEFAULT_ROW_S: f64 = 1.0;
 
+/// The columns that a replay uses; the board has no use for others yet.
+pub const USED_COLUMNS: [&str; 3] = ["time_s", "sensor_counts", "spindle_rpm"];
+
 /// What the machine does at a moment.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Situation {

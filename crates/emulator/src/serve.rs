@@ -17,7 +17,10 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, bail};
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::{
+    net::sockopt::set_socket_send_buffer_size,
+    process::{Pid, Signal, kill_process},
+};
 use trueup_core::{calibration::Calibration, cnc::Output, units::NANOMETRES_PER_MICROMETRE};
 use trueup_link::{
     bench::Block,
@@ -47,6 +50,9 @@ pub enum Source {
 
 /// Blocks handed over at once while time is not paced.
 const FREE_BATCH: u32 = 20;
+/// Bytes that may wait for a client, a third of a second: offsets in a queue grow old. When it is
+/// full the board's time stands still until he reads.
+const CLIENT_QUEUE: usize = 16 * 1024;
 /// The board's clock may fall behind by so much before it slips.
 const LARGEST_BACKLOG_MS: f64 = 200.0;
 
@@ -273,6 +279,7 @@ fn serve_client(
     opened: &AtomicBool,
 ) -> io::Result<()> {
     stream.set_nodelay(true)?;
+    set_socket_send_buffer_size(&stream, CLIENT_QUEUE)?;
     let peer = stream.peer_addr()?;
     eprintln!("client {peer} is connected");
     *lock(client) = Some(Client { stream: stream.try_clone()?, is_new: true });

@@ -4,12 +4,13 @@
 //! done, the error has the exact line to type.
 
 use std::{
-    fs,
+    fs::{self, File},
     path::{Path, PathBuf},
     process::Command,
 };
 
 use anyhow::{Context as _, Result, bail};
+use rustix::fs::{FlockOperation, flock};
 
 use crate::process;
 
@@ -41,6 +42,7 @@ pub fn root() -> PathBuf {
 /// # Errors
 /// Neither way works here; the error has both reasons.
 pub fn toolchain() -> Result<Toolchain> {
+    let _alone = alone()?;
     let forced = std::env::var(TOOLCHAIN_VARIABLE).unwrap_or_default();
     match forced.as_str() {
         "" | "rustup" => {}
@@ -60,6 +62,16 @@ pub fn toolchain() -> Result<Toolchain> {
         }
         Err(error) => Err(error),
     }
+}
+
+/// Waits until no other command or test of the project is installing anything; as long as the file
+/// that it gives is open, none begins.
+fn alone() -> Result<File> {
+    let folder = root().join("target");
+    fs::create_dir_all(&folder)?;
+    let lock = File::create(folder.join("setup.lock"))?;
+    flock(&lock, FlockOperation::LockExclusive)?;
+    Ok(lock)
 }
 
 fn rustup() -> Result<()> {
@@ -105,6 +117,7 @@ fn distribution() -> Result<()> {
 /// It is missing and cannot be installed, or it is too old.
 pub fn qemu() -> Result<PathBuf> {
     const PROGRAM: &str = "qemu-system-arm";
+    let _alone = alone()?;
     if process::find(PROGRAM).is_none() {
         install(&[PROGRAM], "QEMU, the emulator")?;
     }
@@ -132,6 +145,7 @@ pub fn qemu() -> Result<PathBuf> {
 /// # Errors
 /// No Python, or the packages cannot be had.
 pub fn python() -> Result<PathBuf> {
+    let _alone = alone()?;
     let requirements = root().join("host-tests/python/requirements.txt");
     let wanted = fs::read_to_string(&requirements).context("the list of Python packages")?;
     let folder = root().join("target/python");

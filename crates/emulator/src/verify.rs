@@ -91,13 +91,9 @@ pub fn run() -> Result<()> {
         print!("{}", size::report()?);
         Ok(Count { passed: 2, ..Count::default() })
     });
-    step("tests, host", &mut || {
-        tests(cargo("test").args(["--no-fail-fast", "--", "--show-output"]))
-    });
-    step("tests, emulated board and real clients", &mut || {
-        let emulated = ["--package", "trueup-host-tests", "--features", "emulator", "--tests"];
-        let serial = ["--no-fail-fast", "--", "--show-output", "--test-threads=2"];
-        tests(cargo("test").args(emulated).args(serial))
+    step("tests: host, emulated board, real clients", &mut || {
+        let all = ["--all-features", "--no-fail-fast", "--", "--show-output", "--test-threads=2"];
+        tests(cargo("test").args(all))
     });
     step("the board again, by the distribution's compiler", &mut || {
         if process::find("apt-get").is_none() {

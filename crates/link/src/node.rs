@@ -216,8 +216,8 @@ mod tests {
             let mut node = Node::new(Some(CALIBRATION), false);
             assert_eq!(node.hear(&frame).is_ok(), engages);
             assert_eq!(node.receiver().counters().crc_errors, u32::from(!engages));
-            for tick in 0..450 {
-                let codes = core::array::from_fn(|n| Code(700 + ((n + tick) % 2) as u16));
+            for _ in 0..450 {
+                let codes = core::array::from_fn(|n| Code(if n % 2 == 0 { 700 } else { 701 }));
                 node.tick(1, Input { codes: Some(&codes), speed: None });
             }
             assert_eq!(node.last().quality == Quality::Live, engages);

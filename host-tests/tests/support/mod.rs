@@ -266,12 +266,18 @@ impl Bridge {
         Ok(Self { command, qemu, address })
     }
 
-    /// The same with [`FAST_MACHINE`] and [`GROWN_RUN`]. The files are read before it serves.
-    pub fn start_grown() -> Result<Self> {
+    /// The same with [`FAST_MACHINE`] and [`GROWN_RUN`], at this speed. The files are read before
+    /// it serves.
+    pub fn start_grown_at(speed: &str) -> Result<Self> {
         let folder = tempfile::tempdir()?;
         let machine = file(&folder, "machine.toml", FAST_MACHINE)?;
         let run = file(&folder, "run.csv", GROWN_RUN)?;
-        Self::start(&["--machine", &machine, "--run", &run])
+        Self::start(&["--machine", &machine, "--run", &run, "--speed", speed])
+    }
+
+    /// The same in real time.
+    pub fn start_grown() -> Result<Self> {
+        Self::start_grown_at("1")
     }
 
     /// Where it listens: `HOST:PORT`.
@@ -286,6 +292,25 @@ impl Bridge {
         stream.set_read_timeout(Some(PATIENCE))?;
         stream.set_write_timeout(Some(PATIENCE))?;
         Ok(stream)
+    }
+}
+
+/// Waits until what this client does not read has filled every buffer on the way, so that the
+/// bridge is stuck behind it.
+pub fn wait_until_stuck(deaf: &TcpStream) -> Result<()> {
+    // Once nothing comes any more, the queue before it is full within half of this.
+    const REST: Duration = Duration::from_secs(2);
+    let end = Instant::now() + START;
+    let mut bytes = vec![0; 8 << 20];
+    let mut before = 0;
+    loop {
+        let now = deaf.peek(&mut bytes)?;
+        if now == before {
+            return Ok(());
+        }
+        ensure!(Instant::now() < end, "{now} bytes wait, and it goes on");
+        before = now;
+        thread::sleep(REST);
     }
 }
 
