@@ -217,7 +217,7 @@ mod app {
         *until_log_ms = until_log_ms.saturating_sub(SUPERVISION_MS);
         if *until_log_ms == 0 {
             *until_log_ms = LOG_PERIOD_MS;
-            node.lock(log);
+            port.lock(|port| node.lock(|node| log(node, port)));
         }
         rtic::pend(TRANSMIT);
     }
@@ -249,8 +249,8 @@ mod app {
         }
     }
 
-    /// The live values, once a second.
-    fn log(node: &mut Node) {
+    /// The live values, once a second, and what was refused since the start.
+    fn log(node: &mut Node, port: &Port) {
         let noise = node.take_noise();
         let rms = (noise.squares as f32 / (6.0 * noise.count.max(1) as f32)).sqrt();
         let last = node.last();
@@ -261,5 +261,10 @@ mod app {
             last.flags.0,
             (rms * 1_000.0) as u32,
         );
+        let (frames, lines) = (node.receiver().counters(), port.counters());
+        let refused = [frames.crc_errors, frames.sequence_errors, lines.malformed, lines.dropped];
+        if refused != [0; 4] {
+            defmt::warn!("refused: CRC, sequence, lines; lines dropped: {}", refused);
+        }
     }
 }

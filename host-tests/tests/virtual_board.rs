@@ -201,3 +201,24 @@ fn a_board_that_nobody_asks_is_much_faster_than_time() {
     println!("20 s of board time passed {ratio:.0} times faster than real time");
     assert!(ratio > 5.0, "{ratio}");
 }
+
+#[test]
+fn a_malformed_line_rings_the_bell_and_is_counted_in_the_log() {
+    let mut board = boot();
+    let mut cnc = Cnc::open(board.line().expect("a line")).expect("an open channel");
+    for bad in ["t30", "X", "S9"] {
+        let refused = cnc.ask(bad).expect_err("a line that is none");
+        assert!(refused.to_string().contains(bad), "{refused}");
+    }
+    let mut front_end = FrontEnd::new(0.33, 1);
+    let blocks: Vec<Block> = (0..20)
+        .map(|_| Block { codes: front_end.block(|_| 3.0), speed: None, frames: [None; 2] })
+        .collect();
+    board.step(&blocks).expect("the board lives");
+    std::thread::sleep(std::time::Duration::from_millis(300));
+    let log = board.log();
+    assert!(
+        log.iter().any(|line| line.contains("refused") && line.contains("[0, 0, 3, 0]")),
+        "{log:?}"
+    );
+}
