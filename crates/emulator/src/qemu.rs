@@ -17,6 +17,9 @@ use crate::{process, setup};
 /// How long QEMU may take to open its sockets, and the board to say that it is up.
 pub const BOOT_TIMEOUT: Duration = Duration::from_secs(30);
 
+/// What the kernel takes for the name of a socket.
+const LONGEST_SOCKET_PATH: usize = 107;
+
 /// A running emulator. Dropping it ends the process and removes its folder.
 pub struct Qemu {
     child: Child,
@@ -38,6 +41,14 @@ impl Qemu {
         let image = fs::canonicalize(image)
             .with_context(|| format!("there is no firmware image {}", image.display()))?;
         let folder = tempfile::Builder::new().prefix("trueup-").tempdir()?;
+        let longest = folder.path().as_os_str().len() + "/doorbell.sock".len();
+        if longest > LONGEST_SOCKET_PATH {
+            bail!(
+                "the folder for temporary files, {}, is too long a name for a socket in it; set \
+                   TMPDIR to a shorter one",
+                folder.path().display()
+            );
+        }
         prepare(folder.path())?;
         // With setpriv the kernel ends QEMU when this process dies, however it dies.
         let mut command = match process::find("setpriv") {
