@@ -13,6 +13,7 @@ use std::{
     net::{TcpListener, TcpStream},
     os::unix::fs::{PermissionsExt as _, symlink},
     path::{Path, PathBuf},
+    process::Command,
     thread::{self, JoinHandle},
     time::{Duration, Instant, SystemTime},
 };
@@ -149,6 +150,19 @@ fn a_file_that_is_not_there_is_named() -> Result<()> {
     command.args(["virtual", "--machine", "no/such.toml", "--run", "no/such.csv"]);
     let (_, ended) = run(&mut command)?;
     assert_refused(&ended, 2, &["no/such.toml:1:1: cannot be read: No such file"]);
+    Ok(())
+}
+
+#[test]
+fn the_command_takes_its_options_as_the_documentation_writes_them() -> Result<()> {
+    for dashes in [&["--"][..], &[]] {
+        let mut command = Command::new(std::env::var_os("CARGO").unwrap_or("cargo".into()));
+        command.arg("virtual").args(dashes).args(["--run", "no/such.csv"]);
+        let ended = command.current_dir(setup::root()).output()?;
+        let said = String::from_utf8_lossy(&ended.stderr);
+        assert_eq!(ended.status.code(), Some(2), "{said}");
+        assert!(said.contains("error: no/such.csv:1:1: cannot be read"), "{said}");
+    }
     Ok(())
 }
 

@@ -84,7 +84,10 @@ fn speed(text: &str) -> Result<Speed, String> {
 }
 
 fn main() -> ExitCode {
-    let result = match Cli::parse().command {
+    // `cargo virtual -- --run R.csv`: the alias has had its own `--`, so this one arrives here, where
+    // it would turn all options behind it into words.
+    let words = std::env::args_os().filter(|word| word != "--");
+    let result = match Cli::parse_from(words).command {
         Command::Demo => run_demo(),
         Command::Verify => verify::run(),
         Command::Virtual(options) => run_virtual(options),

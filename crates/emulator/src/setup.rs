@@ -30,11 +30,19 @@ pub enum Toolchain {
     Distribution,
 }
 
-/// The root of the project, wherever the command was called.
+/// The root of the project, wherever the command was called. Cargo says at run time which package
+/// it runs; what was compiled in may be out of date, because a folder can be moved.
 #[must_use]
 pub fn root() -> PathBuf {
-    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
-    here.ancestors().nth(2).expect("this crate is two folders below the root").to_owned()
+    let compiled_in = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let running = std::env::var_os("CARGO_MANIFEST_DIR").map(PathBuf::from);
+    let above = |package: &Path| {
+        package.ancestors().find(|folder| folder.join("memory.x").is_file()).map(Path::to_owned)
+    };
+    running
+        .and_then(|package| above(&package))
+        .or_else(|| above(compiled_in))
+        .unwrap_or_else(|| compiled_in.to_owned())
 }
 
 /// Makes sure that the firmware can be compiled.
