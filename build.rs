@@ -7,6 +7,9 @@ use std::{env, fs, path::Path, path::PathBuf, process::exit};
 
 use trueup_machine::{compile::compile, machine_file::MachineFile};
 
+/// What an image is for that nobody gave a machine file.
+const EXAMPLE: &str = "data/paper_spindle.toml";
+
 fn main() {
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
     fs::copy("memory.x", out.join("memory.x")).expect("OUT_DIR can be written");
@@ -17,7 +20,13 @@ fn main() {
     println!("cargo:rerun-if-changed=memory.x");
 
     println!("cargo:rerun-if-env-changed=TRUEUP_MACHINE");
-    let machine = env::var("TRUEUP_MACHINE").unwrap_or("data/paper_spindle.toml".into());
+    let machine = env::var("TRUEUP_MACHINE").unwrap_or_else(|_| {
+        // A board must not take somebody else's spindle for its own without a word.
+        if env::var_os("CARGO_FEATURE_STM32F405").is_some() {
+            println!("cargo:warning=TRUEUP_MACHINE is not set: {EXAMPLE} is linked in");
+        }
+        EXAMPLE.into()
+    });
     println!("cargo:rerun-if-changed={machine}");
     match MachineFile::read(Path::new(&machine)).and_then(|machine| compile(&machine)) {
         Ok(compiled) => {
