@@ -1,7 +1,9 @@
 //! The quantities of the bridge, each in the one integer unit in which the board computes it.
 //!
-//! Lengths are nanometres, time is milliseconds of the sample clock, a sensor reading is a
-//! 1/1024 of an ADC code. The user's units (µm, °C, counts) exist on the host alone.
+//! Lengths are nanometres, and 1/256 nm while parts of an error are added up; positions are 10 nm,
+//! temperatures 1/4096 mK above 0 °C, angles micro-degrees, resistances micro-ohms; time is
+//! milliseconds of the sample clock, a sensor reading is a 1/1024 of an ADC code. The user's units
+//! (µm, °C, counts) exist on the host alone.
 
 /// An error, an elongation or an offset in nanometres: ±2.147 m.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
@@ -26,6 +28,74 @@ impl Nanometres {
     pub const fn opposite(self) -> Self {
         Self(self.0.saturating_neg())
     }
+}
+
+/// A part of an error in 1/256 nm (Q8): ±8.388 mm. Parts are added in this unit and rounded once,
+/// so that the rounding of many parts does not add up.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Fine(pub i32);
+
+impl Fine {
+    /// Nothing.
+    pub const ZERO: Self = Self(0);
+    /// Binary places of a nanometre.
+    pub const FRACTION_BITS: u32 = 8;
+    /// Fine units in one nanometre.
+    pub const PER_NANOMETRE: i32 = 1 << Self::FRACTION_BITS;
+
+    /// The nearest representable value: saturates, never wraps.
+    #[must_use]
+    pub fn saturating(value: i64) -> Self {
+        Self(Nanometres::saturating(value).0)
+    }
+
+    /// The sum; saturates.
+    #[must_use]
+    pub const fn plus(self, other: Self) -> Self {
+        Self(self.0.saturating_add(other.0))
+    }
+
+    /// The nearest nanometre, halves upwards.
+    #[must_use]
+    pub const fn rounded(self) -> Nanometres {
+        const HALF: i32 = Fine::PER_NANOMETRE / 2;
+        Nanometres(self.0.saturating_add(HALF) >> Self::FRACTION_BITS)
+    }
+}
+
+/// A position of an axis in machine coordinates, in units of 10 nm: ±21.47 m.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Position(pub i32);
+
+impl Position {
+    /// Position units in one millimetre.
+    pub const PER_MILLIMETRE: i32 = 100_000;
+}
+
+/// A temperature in 1/4096 mK above 0 °C (Q12 of a millikelvin): −524.288…+524.287 °C.
+///
+/// Finer than a millikelvin, because an axis of 15 m grows by 200 nm in one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Temperature(pub i32);
+
+impl Temperature {
+    /// Temperature units in one millikelvin.
+    pub const PER_MILLIKELVIN: i32 = 4_096;
+    /// Temperature units in one kelvin.
+    pub const PER_KELVIN: i32 = 1_000 * Self::PER_MILLIKELVIN;
+}
+
+/// An electrical resistance in micro-ohms: up to 2147 Ω.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct MicroOhms(pub i32);
+
+/// The angle of a rotary axis in micro-degrees, right-handed: ±2147°.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct MicroDegrees(pub i32);
+
+impl MicroDegrees {
+    /// Micro-degrees in one degree.
+    pub const PER_DEGREE: i32 = 1_000_000;
 }
 
 /// One raw conversion of the 12-bit ADC, 0…4095.
@@ -79,6 +149,15 @@ mod tests {
         let before = Millis(u32::MAX - 4);
         assert_eq!(before.after(10).since(before), 10);
         assert_eq!(before.after(10), Millis(5));
+    }
+
+    #[test]
+    fn fine_parts_round_to_the_nearest_nanometre() {
+        for (fine, nm) in [(0, 0), (127, 0), (128, 1), (-128, 0), (-129, -1), (256, 1)] {
+            assert_eq!(Fine(fine).rounded(), Nanometres(nm), "{fine}");
+        }
+        assert_eq!(Fine(i32::MAX).plus(Fine(1)).rounded(), Nanometres(8_388_607));
+        assert_eq!(Fine::saturating(i64::MIN), Fine(i32::MIN));
     }
 
     #[test]
