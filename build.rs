@@ -30,8 +30,8 @@ fn main() {
     println!("cargo:rerun-if-changed={machine}");
     match MachineFile::read(Path::new(&machine)).and_then(|machine| compile(&machine)) {
         Ok(compiled) => {
-            let bytes = trueup_link::calibration::encode(&compiled.calibration);
-            fs::write(out.join("calibration.bin"), bytes).expect("OUT_DIR can be written");
+            fs::write(out.join("calibration.bin"), compiled.blob())
+                .expect("OUT_DIR can be written");
         }
         Err(error) => {
             println!("cargo:warning={error}");

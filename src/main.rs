@@ -59,7 +59,7 @@ mod app {
 
     #[shared]
     struct Shared {
-        node: Node,
+        node: Node<'static>,
         port: Port,
         can_out: CanOut,
         samples: Samples,
@@ -128,7 +128,11 @@ mod app {
         let sample::SharedResources { mut node, mut port, mut can_out, mut samples, .. } =
             cx.shared;
         let Some(block) = samples.lock(Samples::take) else { return };
-        let input = Input { codes: Some(&block.codes), speed: block.speed };
+        let input = Input {
+            codes: Some(&block.codes),
+            speed: block.speed,
+            temperatures: block.temperatures.as_ref(),
+        };
         let frames = node.lock(|node| {
             let frames = node.tick(1, input);
             NOW_MS.store(node.now().0, Ordering::Relaxed);
@@ -190,7 +194,7 @@ mod app {
             *silent = true;
             samples.lock(Samples::restart);
             let frames = node.lock(|node| {
-                let frames = node.tick(SUPERVISION_MS, Input { codes: None, speed: None });
+                let frames = node.tick(SUPERVISION_MS, Input::default());
                 NOW_MS.store(node.now().0, Ordering::Relaxed);
                 frames
             });
@@ -250,7 +254,7 @@ mod app {
     }
 
     /// The live values, once a second, and what was refused since the start.
-    fn log(node: &mut Node, port: &Port) {
+    fn log(node: &mut Node<'_>, port: &Port) {
         let noise = node.take_noise();
         let rms = (noise.squares as f32 / (6.0 * noise.count.max(1) as f32)).sqrt();
         let last = node.last();

@@ -32,7 +32,6 @@ use trueup_emulator::{
 };
 use trueup_link::{
     bench::Block,
-    calibration,
     frames::{self, State},
     receiver::OffsetReceiver,
     slcan::client::OPEN,
@@ -380,7 +379,8 @@ fn even_sigkill_leaves_no_emulator() -> Result<()> {
 #[test]
 fn a_broken_calibration_gives_no_offset_and_the_log_says_why() -> Result<()> {
     let machine = MachineFile::read(&setup::root().join("data/paper_spindle.toml"))?;
-    let good = calibration::encode(&compile(&machine)?.calibration);
+    let compiled = compile(&machine)?;
+    let good = compiled.blob();
     let flipped = |at: usize| {
         let mut blob = good.to_vec();
         blob[at] ^= 0x04;
@@ -388,21 +388,21 @@ fn a_broken_calibration_gives_no_offset_and_the_log_says_why() -> Result<()> {
     };
     let image = firmware::build(Board::Virtual)?;
     let blobs = [
-        // The mark, the layout's number, the sensor's slope, a limit, the checksum itself.
+        // The mark, the layout's number, a limit, the sensor's slope, the checksum itself.
         (flipped(0), "are not the mark"),
-        (flipped(4), "schema 5 at 4 is not 1"),
-        (flipped(17), "CRC at 56 is"),
-        (flipped(45), "CRC at 56 is"),
-        (flipped(59), "CRC at 56 is"),
-        (good[..59].to_vec(), "59 bytes are too short"),
+        (flipped(4), "schema 6 at 4 is not 2"),
+        (flipped(17), "the CRC at the end is"),
+        (flipped(61), "the CRC at the end is"),
+        (flipped(571), "the CRC at the end is"),
+        (good[..571].to_vec(), "571 bytes are too short"),
         (Vec::new(), "0 bytes are too short"),
         (good.to_vec(), ""),
     ];
     for (blob, why) in blobs {
-        let mut board = VirtualBoard::boot_with(&image, &blob)?;
+        let mut board = VirtualBoard::boot(&image, &blob)?;
         let mut front_end = FrontEnd::new(0.33, 1);
         let blocks: Vec<Block> = (0..200)
-            .map(|_| Block { codes: front_end.block(|_| 2.0), speed: None, frames: [None; 2] })
+            .map(|_| Block { codes: front_end.block(|_| 2.0), ..Block::default() })
             .collect();
         let (mut offsets, mut outputs, mut states) = (OffsetReceiver::new(), 0, Vec::new());
         for (_, frame) in board.step(&blocks)? {

@@ -5,7 +5,6 @@ use std::time::Instant;
 
 use trueup_core::{
     bridge::Input,
-    calibration::Calibration,
     cnc::{Command, Control, Quality, Spindle},
     units::{Code, Millis, Rpm},
 };
@@ -17,25 +16,30 @@ use trueup_emulator::{
     setup,
 };
 use trueup_link::{
-    bench::Block, frame::Frame, frames, node::Node, receiver::OffsetReceiver, slcan::Event,
+    bench::{Block, FRAMES},
+    frame::Frame,
+    frames,
+    node::Node,
+    receiver::OffsetReceiver,
+    slcan::Event,
 };
-use trueup_machine::{MachineFile, compile};
+use trueup_machine::{Compiled, MachineFile, compile};
 
 /// Blocks handed over at once.
 const BATCH: usize = board::LARGEST_BATCH as usize;
 
 type Sent = Vec<(Millis, Frame)>;
 
-fn calibration() -> Calibration {
+fn compiled() -> Compiled {
     let path = setup::root().join("data/paper_spindle.toml");
     let mut machine = MachineFile::read(&path).expect("the project's own machine file");
     machine.limits.slew_um_per_s = 1_000.0;
-    compile(&machine).expect("it compiles").calibration
+    compile(&machine).expect("it compiles")
 }
 
 fn boot() -> VirtualBoard {
     let image = firmware::build(Board::Virtual).expect("the image builds");
-    VirtualBoard::boot(&image, &calibration()).expect("the board boots")
+    VirtualBoard::boot(&image, compiled().blob()).expect("the board boots")
 }
 
 /// A life with everything in it: growth, a speed that changes, a broken wire, spikes, a CNC that
@@ -58,7 +62,7 @@ fn eventful_life(ms: u32) -> Vec<Block> {
                 }
                 _ => {}
             }
-            let mut sent = [None; 2];
+            let mut sent = [None; FRAMES];
             let silent = (4_000..4_700).contains(&n) || (5_200..8_600).contains(&n);
             if n % 20 == 7 && !silent {
                 let engage = !(3_300..3_600).contains(&n);
@@ -80,7 +84,7 @@ fn eventful_life(ms: u32) -> Vec<Block> {
                 sent[1] = Some(frames::spindle(Spindle { speed, load_n: -5 }, (n / 20) as u8));
             }
             let speed = (n > 100).then_some(Rpm(12_000));
-            Block { codes, speed, frames: sent }
+            Block { codes, speed, frames: sent, ..Block::default() }
         })
         .collect()
 }
@@ -92,14 +96,20 @@ fn on_the_board(blocks: &[Block]) -> Sent {
 }
 
 fn on_the_host(blocks: &[Block]) -> Sent {
-    let mut node = Node::new(Some(calibration()), false);
+    let compiled = compiled();
+    let mut node = Node::new(Some(compiled.calibration()), false);
     let mut sent = Sent::new();
     for block in blocks {
         for frame in block.frames.iter().flatten() {
             // What is refused is part of this life.
             node.hear(frame).ok();
         }
-        let frames = node.tick(1, Input { codes: Some(&block.codes), speed: block.speed });
+        let input = Input {
+            codes: Some(&block.codes),
+            speed: block.speed,
+            temperatures: Some(&block.temperatures),
+        };
+        let frames = node.tick(1, input);
         sent.extend(frames.into_iter().map(|frame| (node.now(), frame)));
     }
     sent
@@ -144,7 +154,7 @@ fn the_serial_line_says_what_the_bus_says_and_growth_lifts_the_tool() {
             .map(|_| Block {
                 codes: front_end.block(|_| SETTLED_VOLTS),
                 speed: Some(Rpm(24_000)),
-                frames: [None; 2],
+                ..Block::default()
             })
             .collect();
         for (_, on_the_bus) in board.step(&blocks).expect("the board lives") {
@@ -173,7 +183,7 @@ fn the_log_measures_the_noise_of_the_front_end() {
     let mut front_end = FrontEnd::new(0.33, 1);
     for _ in 0..12 {
         let blocks: Vec<Block> = (0..BATCH)
-            .map(|_| Block { codes: front_end.block(|_| 3.0), speed: None, frames: [None; 2] })
+            .map(|_| Block { codes: front_end.block(|_| 3.0), ..Block::default() })
             .collect();
         board.step(&blocks).expect("the board lives");
     }
@@ -211,9 +221,8 @@ fn a_malformed_line_rings_the_bell_and_is_counted_in_the_log() {
         assert!(refused.to_string().contains(bad), "{refused}");
     }
     let mut front_end = FrontEnd::new(0.33, 1);
-    let blocks: Vec<Block> = (0..20)
-        .map(|_| Block { codes: front_end.block(|_| 3.0), speed: None, frames: [None; 2] })
-        .collect();
+    let blocks: Vec<Block> =
+        (0..20).map(|_| Block { codes: front_end.block(|_| 3.0), ..Block::default() }).collect();
     board.step(&blocks).expect("the board lives");
     std::thread::sleep(std::time::Duration::from_millis(300));
     let log = board.log();

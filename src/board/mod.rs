@@ -16,6 +16,7 @@
 
 use trueup_core::{
     calibration::Calibration,
+    thermometer::Raw,
     units::{Code, Rpm},
 };
 use trueup_link::calibration::BlobError;
@@ -37,12 +38,17 @@ pub use r#virtual::*;
 
 /// Conversions in one block: one millisecond at 20 kS/s.
 pub const BLOCK: usize = 20;
+/// Temperature channels.
+pub const TEMPERATURES: usize = 8;
 
 /// One millisecond of samples.
 pub struct Block {
     pub codes: [Code; BLOCK],
     /// The spindle speed, where the board itself knows it; a fresh one from the CNC wins.
     pub speed: Option<Rpm>,
+    /// What the temperature channels say, where the board has just asked them. A channel that
+    /// nothing is wired to is [`Raw::NONE`].
+    pub temperatures: Option<[Raw; TEMPERATURES]>,
 }
 
 /// What a board found out about itself at start-up.
@@ -68,6 +74,6 @@ pub struct Parts {
     pub watchdog: Watchdog,
     pub lamp: Lamp,
     pub idle: Idle,
-    pub calibration: Result<Calibration, BlobError>,
+    pub calibration: Result<Calibration<'static>, BlobError>,
     pub faults: Faults,
 }

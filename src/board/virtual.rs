@@ -5,6 +5,8 @@
 //! on its CAN). They are read and written by semihosting, which is fast but stops the whole
 //! emulator while it waits; so the board never reads before the host has rung: a byte on USART2
 //! says how many blocks are in the pipe. Between them the CPU sleeps and the serial line is free.
+//! Of the announced blocks as many as fit the buffer come with one call, because the call costs far
+//! more than the bytes; they are then lived through one by one.
 //!
 //! Time is what the samples say. Nothing here depends on how fast the host is, so the same blocks
 //! give the same frames.
@@ -39,7 +41,7 @@ use trueup_link::{
     frame::Frame,
 };
 
-use super::{BLOCK, Block, Faults, Parts};
+use super::{BLOCK, Block, Faults, Parts, TEMPERATURES};
 
 use defmt_semihosting as _;
 
@@ -49,11 +51,14 @@ static ANNOUNCED: AtomicU32 = AtomicU32::new(0);
 static NOW_MS: AtomicU32 = AtomicU32::new(0);
 /// The block that `DMA2_STREAM0` is about to take.
 static ARRIVED: Mutex<RefCell<Option<Block>>> = Mutex::new(RefCell::new(None));
-/// Frames that `CAN1_RX0` is about to take.
-static FROM_BUS: Mutex<RefCell<Deque<Frame, 4>>> = Mutex::new(RefCell::new(Deque::new()));
+/// Frames that `CAN1_RX0` is about to take: it empties this before the next block comes.
+static FROM_BUS: Mutex<RefCell<Deque<Frame, 8>>> = Mutex::new(RefCell::new(Deque::new()));
+const _: () = assert!(bench::FRAMES <= 8);
 /// Frames on their way to the host: what one batch of 255 blocks can send, and its end mark.
 static TO_BUS: Mutex<RefCell<Vec<Record, 1024>>> = Mutex::new(RefCell::new(Vec::new()));
 
+/// Blocks that are read at once: 4 KB.
+const BLOCKS_AT_ONCE: usize = 32;
 /// Blocks per `SysTick`: 10 ms.
 const BLOCKS_PER_SUPERVISION: u32 = 10;
 
@@ -79,8 +84,12 @@ pub fn start(_core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts {
     // critical section of the tasks relies on this interrupt being masked.
     unsafe { NVIC::unmask(Interrupt::USART2) };
 
-    let mut bytes = [0; calibration::SIZE + 1];
-    let length = open(c"calibration.bin").map_or(0, |mut file| read_all(&mut file, &mut bytes));
+    let buffer = cortex_m::singleton!(: Buffer = [0; _]).expect("the board starts once");
+    // The tables of the calibration are read where they lie, so it stays for good.
+    let blob: &'static mut [u8] = cortex_m::singleton!(: [u8; calibration::MAX_SIZE] = [0; _])
+        .expect("the board starts once");
+    let length = open(c"calibration.bin").map_or(0, |mut file| read_all(&mut file, blob));
+    let blob: &'static [u8] = blob;
     let samples = open(c"samples").expect("the host makes this pipe before it starts the board");
     let frames =
         File::create(c"frames").expect("the host makes this pipe before it starts the board");
@@ -95,8 +104,8 @@ pub fn start(_core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts {
         can_out: CanOut,
         watchdog: Watchdog,
         lamp: Lamp,
-        idle: Idle { samples, frames },
-        calibration: calibration::decode(&bytes[..length]),
+        idle: Idle { samples, frames, buffer },
+        calibration: calibration::decode(&blob[..length]),
         faults: Faults::default(),
     }
 }
@@ -192,17 +201,24 @@ impl Lamp {
     pub fn set(&mut self, _on: bool) {}
 }
 
+/// Announced blocks as they come from the pipe.
+type Buffer = [u8; BLOCKS_AT_ONCE * bench::BLOCK_SIZE];
+
 /// What the CPU does when no task has work: it makes time pass.
 pub struct Idle {
     samples: File,
     frames: File,
+    buffer: &'static mut Buffer,
 }
 
 impl Idle {
     pub fn run(&mut self) -> ! {
         loop {
-            for _ in 0..Self::wait_for_blocks() {
-                self.one_block();
+            let mut left = Self::wait_for_blocks() as usize;
+            while left > 0 {
+                let count = left.min(BLOCKS_AT_ONCE);
+                left -= count;
+                self.live_through(count);
             }
             self.end_batch();
         }
@@ -225,16 +241,23 @@ impl Idle {
         }
     }
 
-    /// Reads one block and raises the interrupts that it stands for. Every task has a higher
-    /// priority than this one, so they are done when the next line runs.
-    fn one_block(&mut self) {
-        let mut bytes = [0; bench::BLOCK_SIZE];
-        if read_all(&mut self.samples, &mut bytes) < bytes.len() {
+    /// Reads announced blocks, no more of them than fit the buffer, and lives through them.
+    fn live_through(&mut self, count: usize) {
+        let bytes = &mut self.buffer[..count * bench::BLOCK_SIZE];
+        if read_all(&mut self.samples, bytes) < bytes.len() {
             defmt::panic!("the host closed the samples in the middle of a block");
         }
-        let Ok(block) = bench::Block::decode(&bytes) else {
-            defmt::panic!("the host sent a block that is none");
-        };
+        for bytes in bytes.as_chunks().0 {
+            let Ok(block) = bench::Block::decode(bytes) else {
+                defmt::panic!("the host sent a block that is none");
+            };
+            Self::one_block(&block);
+        }
+    }
+
+    /// Raises the interrupts that one block stands for. Every task has a higher priority than this
+    /// one, so they are done when the next line runs.
+    fn one_block(block: &bench::Block) {
         let now = NOW_MS.load(Ordering::Relaxed).wrapping_add(1);
         NOW_MS.store(now, Ordering::Relaxed);
         let mut heard = false;
@@ -244,7 +267,8 @@ impl Idle {
                 heard |= from_bus.push_back(frame).is_ok();
             }
             let codes: [_; BLOCK] = block.codes;
-            ARRIVED.borrow(cs).replace(Some(Block { codes, speed: block.speed }));
+            let temperatures: Option<[_; TEMPERATURES]> = Some(block.temperatures);
+            ARRIVED.borrow(cs).replace(Some(Block { codes, speed: block.speed, temperatures }));
         });
         if heard {
             raise(|| NVIC::pend(Interrupt::CAN1_RX0));

@@ -128,22 +128,24 @@ fn run_virtual(options: Virtual) -> Result<()> {
     let machine = MachineFile::read(&machine)?;
     let compiled = compile(&machine)?;
     let sensor = machine.inputs.as_ref().and_then(|inputs| inputs.sensor.as_ref());
-    let sensor = sensor
-        .ok_or_else(|| machine.places.bad("inputs", "needs `sensor`: how the sensor is wired"))?;
     let run = options.run.map(|path| RunFile::read(&path)).transpose()?;
     if let Some(run) = &run {
         let names = run.columns().iter().map(|column| column.name.as_str());
-        let unused: Vec<_> = names.filter(|name| !replay::USED_COLUMNS.contains(name)).collect();
+        let unused: Vec<_> = names.filter(|name| !Replay::uses(&machine, name)).collect();
         if !unused.is_empty() {
-            eprintln!("not replayed, the board does not use them yet: {}", unused.join(", "));
+            eprintln!("not replayed, this machine has no input for them: {}", unused.join(", "));
         }
     }
-    let replay = run.map(|run| Replay::new(&run, sensor, options.row_s)).transpose()?;
+    let replay = run.map(|run| Replay::new(&run, &machine, options.row_s)).transpose()?;
     let listener = serve::listen(&options.cnc)?;
     let image = firmware::build(Board::Virtual)?;
     let source = match (replay, options.plant) {
         (Some(replay), _) => Source::Run { replay, speed: options.speed.0 },
-        (None, Some(plant)) => Source::Plant(Plant::connect(serve::tcp_address(&plant)?)?),
+        (None, Some(plant)) => {
+            let temperatures = machine.inputs.as_ref().map(|inputs| inputs.temperatures.clone());
+            let address = serve::tcp_address(&plant)?;
+            Source::Plant(Plant::connect(address, temperatures.unwrap_or_default())?)
+        }
         (None, None) => bail!("either --run or --plant"),
     };
     let stop = Arc::new(AtomicBool::new(false));
@@ -151,6 +153,6 @@ fn run_virtual(options: Virtual) -> Result<()> {
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
     // Port 0 asks for any free one, so this is what was got, not what was asked for.
     eprintln!("the CNC's line is at tcp:{} (SLCAN)", listener.local_addr()?);
-    let front_end = FrontEnd::new(sensor.divider, options.seed);
-    serve::serve(&image, &compiled.calibration, front_end, listener, source, stop)
+    let front_end = FrontEnd::new(sensor.map_or(0.0, |sensor| sensor.divider), options.seed);
+    serve::serve(&image, compiled.blob(), front_end, listener, source, stop)
 }

@@ -4,7 +4,7 @@ use std::{fs, path::Path};
 
 use anyhow::Result;
 use serde_json::json;
-use trueup_link::calibration::{SIZE, decode};
+use trueup_link::calibration::{decode, whole};
 use trueup_machine::show;
 
 use crate::{Mend, Outcome, output};
@@ -14,8 +14,8 @@ pub fn run(from: &Path, as_json: bool) -> Result<Outcome> {
     let bad = |rule: String| Mend(format!("{}: {rule}", from.display()));
     let bytes = fs::read(from).map_err(|error| bad(format!("cannot be read: {error}")))?;
     let calibration = decode(&bytes).map_err(|error| bad(error.to_string()))?;
-    if bytes.len() > SIZE {
-        let more = bytes.len() - SIZE;
+    let more = bytes.len() - whole(&bytes).map_or(bytes.len(), <[u8]>::len);
+    if more > 0 {
         eprintln!(
             "warning: {}: {more} bytes after the calibration are not looked at",
             from.display()

@@ -58,8 +58,8 @@ fn bridge(fault: Fault) -> (String, Arc<Mutex<Heard>>) {
 fn live(mut stream: impl Read + Write, fault: Fault, heard: &Mutex<Heard>) {
     let machine = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/paper_spindle.toml");
     let machine = MachineFile::read(&machine).expect("the project's own file");
-    let calibration = compile(&machine).expect("the paper's sensor fits").calibration;
-    let (mut node, mut port) = (Node::new(Some(calibration), false), Port::new(0x00A1));
+    let compiled = compile(&machine).expect("the paper's sensor fits");
+    let (mut node, mut port) = (Node::new(Some(compiled.calibration()), false), Port::new(0x00A1));
     // 100 codes above the paper's zero: 12.2 µm, which the slew limit reaches in 0.6 s.
     let codes: [Code; CODES_PER_TICK] = std::array::from_fn(|n| Code(731 + (n % 2) as u16));
     let start = Instant::now();
@@ -84,7 +84,8 @@ fn live(mut stream: impl Read + Write, fault: Fault, heard: &Mutex<Heard>) {
             let engaged = Control { engage: true, referenced: true, zero: false };
             node.hear(&frames::control(engaged, (ms / 20) as u8)).expect("in order");
         }
-        let sent = node.tick(1, Input { codes: Some(&codes), speed: Some(Rpm(24_000)) });
+        let speed = Some(Rpm(24_000));
+        let sent = node.tick(1, Input { codes: Some(&codes), speed, ..Input::default() });
         if fault != Fault::NoFrames {
             for frame in &sent {
                 let flip = fault == Fault::Noise && ms % 100 == 99;

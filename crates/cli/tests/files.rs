@@ -9,11 +9,13 @@ use std::{
 
 use tempfile::TempDir;
 use trueup_core::units::Nanometres;
-use trueup_link::calibration::{SIZE, decode, encode};
+use trueup_link::calibration::{MAX_SIZE, decode, encode};
 use trueup_machine::RunFile;
 
 const PAPER: &str = include_str!("../../../data/paper_spindle.toml");
 const TABLE: &str = include_str!("../../../data/spindle_paper_table1.csv");
+/// The fixed part of the calibration and its CRC: the paper has no tables.
+const PAPER_BYTES: usize = 572;
 
 /// A folder with the paper's files, in which `trueup` is run.
 struct Desk(TempDir);
@@ -219,7 +221,7 @@ fn an_output_that_is_there_is_replaced_whole() {
     let desk = Desk::new();
     desk.write("cal.bin", [0_u8; 1000]);
     desk.printed("compile m.toml -o cal.bin", 0);
-    assert_eq!(desk.read("cal.bin").len(), SIZE);
+    assert_eq!(desk.read("cal.bin").len(), PAPER_BYTES);
 }
 
 #[test]
@@ -228,7 +230,7 @@ fn what_is_compiled_is_shown_and_compiles_to_the_same_bytes() {
     let printed = desk.printed("compile m.toml -o cal.bin", 0);
     assert_eq!(
         printed,
-        "cal.bin: calibration of \"paper\", 60 bytes\n\
+        "cal.bin: calibration of \"paper\", 572 bytes\n\
          largest difference from the model: 0.000 nm\n"
     );
     let blob = desk.read("cal.bin");
@@ -238,7 +240,7 @@ fn what_is_compiled_is_shown_and_compiles_to_the_same_bytes() {
     assert!(shown.contains("\nzero_counts = 631.0\n"), "{shown}");
     desk.write("shown.toml", &shown);
     let told = json(&desk.printed("compile shown.toml -o again.bin --json", 0));
-    assert_eq!(told["bytes"], SIZE);
+    assert_eq!(told["bytes"], PAPER_BYTES);
     assert_eq!(told["largest_difference_nm"], 0.0);
     assert_eq!(desk.read("again.bin"), blob);
 
@@ -255,10 +257,10 @@ fn a_damaged_calibration_is_refused_with_the_place_of_the_damage() {
     let mut flipped = blob.clone();
     flipped[20] ^= 1;
     desk.write("flipped.bin", flipped);
-    desk.write("cut.bin", &blob[..59]);
+    desk.write("cut.bin", &blob[..PAPER_BYTES - 1]);
     for (line, complaint) in [
-        ("show flipped.bin", "flipped.bin: CRC at 56 is "),
-        ("show cut.bin", "cut.bin: 59 bytes are too short, 60 are needed"),
+        ("show flipped.bin", "flipped.bin: the CRC at the end is "),
+        ("show cut.bin", "cut.bin: 571 bytes are too short"),
     ] {
         let told = desk.refused(line);
         assert!(told.starts_with(complaint), "{told}");
@@ -269,9 +271,10 @@ fn a_damaged_calibration_is_refused_with_the_place_of_the_damage() {
 fn a_calibration_that_no_machine_file_gives_is_shown_and_ends_with_3() {
     let desk = Desk::new();
     desk.printed("compile m.toml -o cal.bin", 0);
-    let mut calibration = decode(&desk.read("cal.bin")).expect("just compiled");
+    let blob = desk.read("cal.bin");
+    let mut calibration = decode(&blob).expect("just compiled");
     calibration.limits.slew_nm_per_s = 0;
-    desk.write("stuck.bin", encode(&calibration));
+    desk.write("stuck.bin", encode(&calibration, &mut [0; MAX_SIZE]).expect("it fits"));
     let shown = desk.printed("show stuck.bin", 3);
     assert!(shown.contains("\nslew_um_per_s = 0.0\n"), "{shown}");
     let told = json(&desk.printed("show stuck.bin --json", 3));
@@ -301,5 +304,5 @@ fn a_link_is_followed_and_stays_a_link() {
     std::os::unix::fs::symlink("real.bin", desk.path("cal.bin")).expect("links are allowed");
     desk.printed("compile m.toml -o cal.bin", 0);
     assert!(fs::symlink_metadata(desk.path("cal.bin")).expect("there").is_symlink());
-    assert_eq!(desk.read("real.bin").len(), SIZE);
+    assert_eq!(desk.read("real.bin").len(), PAPER_BYTES);
 }

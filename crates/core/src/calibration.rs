@@ -1,14 +1,146 @@
 //! What the user writes, built once by the host into what the board runs.
+//!
+//! Scalars are values; tables are slices of the blob that the board was given, read in place.
 
-use crate::{limits::Limits, sensor::SensorLaw, tool::Direction};
+use crate::{
+    cnc::LinearAxis,
+    curve::Curve,
+    gradient::Gradient,
+    heat::CHANNELS,
+    kinematics::Kinematics,
+    lag::Share,
+    limits::Limits,
+    pitch::{Beam, Pitch},
+    sensor::SensorLaw,
+    thermal::Law,
+    thermometer::Thermometer,
+    travel,
+    units::{Fine, Position, Rpm},
+    warmup,
+};
 
 /// Everything that a tick needs to know about the machine; it never changes while the board runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Calibration {
-    /// The displacement sensor.
-    pub sensor: SensorLaw,
-    /// From the spindle nose to the tool tip.
-    pub tool_direction: Direction,
+pub struct Calibration<'a> {
+    /// What is connected to each temperature channel.
+    pub thermometers: [Option<Thermometer>; CHANNELS],
+    /// How the spindle grows.
+    pub spindle: Spindle<'a>,
+    /// From the spindle nose to the tool tip, and the axes that turn it.
+    pub kinematics: Kinematics,
+    /// What belongs to X, Y and Z alone.
+    pub axes: [Axis<'a>; 3],
+    /// Straightness, in the order of [`CROSSED`].
+    pub straightness: [Curve<'a>; 6],
+    /// Squareness, in the order of [`CROSSED`].
+    pub squareness: [Gradient; 6],
     /// How far and how fast an offset may go, and how long silence is tolerated.
     pub limits: Limits,
+}
+
+/// The six pairs of axes: the error is along the first while the second moves.
+pub const CROSSED: [(LinearAxis, LinearAxis); 6] = [
+    (LinearAxis::X, LinearAxis::Y),
+    (LinearAxis::X, LinearAxis::Z),
+    (LinearAxis::Y, LinearAxis::X),
+    (LinearAxis::Y, LinearAxis::Z),
+    (LinearAxis::Z, LinearAxis::X),
+    (LinearAxis::Z, LinearAxis::Y),
+];
+
+/// How the spindle grows: by up to three models, of which the first that has its input is used.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Spindle<'a> {
+    /// The models in the order in which they are asked.
+    pub chain: [Option<Source>; 3],
+    /// By the displacement sensor.
+    pub sensor: SensorLaw,
+    /// By a temperature.
+    pub temperature: Option<SpindleTemperature<'a>>,
+    /// By running time.
+    pub warmup: Option<Warmup<'a>>,
+}
+
+/// Where an elongation comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// The displacement sensor.
+    Sensor,
+    /// A temperature.
+    Temperature,
+    /// Running time.
+    Warmup,
+}
+
+/// Elongation by a temperature: k·(T − T₀), with a lag.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SpindleTemperature<'a> {
+    /// The channel of the temperature.
+    pub channel: u8,
+    /// Of its lag, for 100 ms.
+    pub share: Share,
+    /// The elongation is its K₀.
+    pub law: Law<'a>,
+}
+
+/// The warm-up model, and what drives it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Warmup<'a> {
+    /// The model.
+    pub law: warmup::Warmup,
+    /// (n/n_rated)^p in Q28 over n in r/min; empty where every speed heats fully.
+    pub power: Curve<'a>,
+}
+
+impl Warmup<'_> {
+    /// How hard the spindle heats at this speed, Q28. An unknown speed does not heat.
+    #[must_use]
+    pub fn drive(&self, speed: Option<Rpm>) -> i32 {
+        /// 1 in Q28.
+        const FULL: i32 = 1 << 28;
+        match speed {
+            None | Some(Rpm(0)) => 0,
+            Some(_) if self.power.is_empty() => FULL,
+            Some(Rpm(rpm)) => self.power.at(Position(i32::from(rpm))).0.0.max(1),
+        }
+    }
+}
+
+/// What belongs to one linear axis alone.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Axis<'a> {
+    /// Its expansion.
+    pub thermal: Option<AxisThermal<'a>>,
+    /// The error of its screw or scale.
+    pub pitch: Option<Pitch<'a>>,
+    /// The second drive of a gantry.
+    pub dual: Option<Dual<'a>>,
+    /// Its backlash: the error where it is approached in the negative direction.
+    pub backlash: Fine,
+    /// How a reversal is told from dither, and over which travel backlash comes in.
+    pub travel: travel::Config,
+}
+
+/// The expansion of an axis: ΔK = K₀(T) + tanβ(T)·(P − P₀).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct AxisThermal<'a> {
+    /// The channel of T.
+    pub channel: u8,
+    /// Of its lag, for 100 ms.
+    pub share: Share,
+    /// P₀.
+    pub origin: Position,
+    /// K₀(T) and tanβ(T).
+    pub law: Law<'a>,
+}
+
+/// The second drive of an axis that is driven at both ends of a beam.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Dual<'a> {
+    /// The axis along the beam.
+    pub across: LinearAxis,
+    /// Where along the beam the two drives are.
+    pub beam: Beam,
+    /// The second drive's own table.
+    pub pitch: Pitch<'a>,
 }

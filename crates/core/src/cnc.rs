@@ -1,6 +1,6 @@
 //! What the bridge and the CNC say to each other, apart from how it looks on the wire.
 
-use crate::units::{Nanometres, Rpm};
+use crate::units::{MicroDegrees, Nanometres, Position, Rpm};
 
 /// A valid message from the CNC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -9,6 +9,10 @@ pub enum Command {
     Control(Control),
     /// What the spindle does.
     Spindle(Spindle),
+    /// Where a linear axis is sent.
+    Position(AxisPosition),
+    /// Where the rotary axes of the head are sent.
+    Rotary(Rotary),
 }
 
 /// The CNC's sign of life, and what it allows the bridge to do.
@@ -29,6 +33,69 @@ pub struct Spindle {
     pub speed: Rpm,
     /// Axial cutting force in newtons; pushing the tool back is positive.
     pub load_n: i16,
+}
+
+/// A linear axis of the machine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LinearAxis {
+    /// X.
+    X,
+    /// Y.
+    Y,
+    /// Z.
+    Z,
+}
+
+impl LinearAxis {
+    /// All three, in their order everywhere.
+    pub const ALL: [Self; 3] = [Self::X, Self::Y, Self::Z];
+}
+
+/// Where a linear axis is sent.
+///
+/// The position is the commanded one *without* the external offset: with it, the offset would
+/// become the input of the next offset and chase itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct AxisPosition {
+    /// The axis.
+    pub axis: LinearAxis,
+    /// Commanded position in machine coordinates.
+    pub position: Position,
+    /// Which way the axis came there, as the CNC says.
+    pub direction: Heading,
+}
+
+/// Which way a linear axis heads. The numbers are those on the wire.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(i8)]
+pub enum Heading {
+    /// Towards smaller positions.
+    Negative = -1,
+    /// Nowhere, or the CNC does not say.
+    #[default]
+    Standing = 0,
+    /// Towards larger positions.
+    Positive = 1,
+}
+
+impl Heading {
+    /// The heading with this number on the wire.
+    #[must_use]
+    pub const fn from_wire(number: i8) -> Option<Self> {
+        Some(match number {
+            -1 => Self::Negative,
+            0 => Self::Standing,
+            1 => Self::Positive,
+            _ => return None,
+        })
+    }
+}
+
+/// Where the rotary axes of the head are sent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Rotary {
+    /// Commanded angles, in the order of the machine's head axes: from the frame to the tool.
+    pub angles: [MicroDegrees; 2],
 }
 
 /// How good an offset is. The numbers are those on the wire.

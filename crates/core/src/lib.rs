@@ -18,14 +18,27 @@
     )
 )]
 
+pub mod angle;
 pub mod bridge;
 pub mod calibration;
 pub mod cnc;
+pub mod curve;
 pub mod filter;
+pub mod geometry;
+pub mod gradient;
 pub mod health;
+pub mod heat;
+pub mod kinematics;
+pub mod lag;
 pub mod limits;
+pub mod pitch;
+pub mod pt100;
 pub mod revolution_mean;
 pub mod sensor;
+pub mod thermal;
+pub mod thermometer;
 pub mod tool;
+pub mod travel;
 pub mod units;
+pub mod warmup;
 pub mod window;

@@ -13,7 +13,7 @@ impl Direction {
     pub const DOWN: Self = Self([0, 0, -Self::ONE]);
 }
 
-use crate::units::Nanometres;
+use crate::units::{Fine, Nanometres};
 
 impl Direction {
     /// Lays an elongation s along the tool: the error s·V of the tool tip on X, Y and Z.
@@ -34,11 +34,34 @@ impl Direction {
             Nanometres::saturating(along.saturating_add(HALF) >> Self::FRACTION_BITS)
         })
     }
+
+    /// As [`error`](Self::error), in 1/256 nm, to be added to other parts and rounded with them.
+    ///
+    /// Each component is rounded to the nearest 1/256 nm and saturates at ±8.388 mm. Worst error
+    /// against `f64`: 0.5/256 nm, the rounding.
+    ///
+    /// ```
+    /// use trueup_core::{tool::Direction, units::{Fine, Nanometres}};
+    /// // 3 nm along a tool that points to −X by 1/1024: 3·256/1024 of a fine unit, so 1.
+    /// let leaning = Direction([-Direction::ONE / 1024, 0, -Direction::ONE]);
+    /// assert_eq!(leaning.fine_error(Nanometres(3)), [Fine(-1), Fine(0), Fine(-768)]);
+    /// ```
+    #[must_use]
+    pub fn fine_error(self, elongation: Nanometres) -> [Fine; 3] {
+        const EXCESS_BITS: u32 = Direction::FRACTION_BITS - Fine::FRACTION_BITS;
+        const HALF: i64 = 1 << (EXCESS_BITS - 1);
+        self.0.map(|component| {
+            // At most 2⁶², so that neither wraps.
+            let along = i64::from(component).wrapping_mul(i64::from(elongation.0));
+            Fine::saturating(along.wrapping_add(HALF) >> EXCESS_BITS)
+        })
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    extern crate std;
 
     #[test]
     fn half_a_millimetre_at_30_degrees_is_a_quarter_and_0_433() {
@@ -53,5 +76,44 @@ mod tests {
     fn the_extremes_neither_wrap_nor_panic() {
         let error = Direction([i32::MIN, i32::MAX, 0]).error(Nanometres(i32::MIN));
         assert_eq!(error, [Nanometres(i32::MAX), Nanometres(i32::MIN), Nanometres(0)]);
+    }
+
+    #[test]
+    fn a_fine_error_is_f64_rounded_to_a_256th_of_a_nanometre() {
+        let mut worst: f64 = 0.0;
+        for component in (-Direction::ONE..=Direction::ONE).step_by(1_234_567) {
+            for elongation in (-8_388_607..=8_388_607).step_by(9_973) {
+                let exact = f64::from(component) * f64::from(elongation) / 2f64.powi(22);
+                let [x, y, z] =
+                    Direction([component, 0, -component]).fine_error(Nanometres(elongation));
+                assert_eq!(y, Fine::ZERO);
+                worst = worst.max((f64::from(x.0) - exact).abs());
+                worst = worst.max((f64::from(z.0) + exact).abs());
+            }
+        }
+        std::println!("largest error of a fine error: {worst:.4}/256 nm");
+        assert!(worst <= 0.5);
+    }
+
+    #[test]
+    fn a_fine_error_rounds_to_the_error() {
+        let tilted = Direction([-123_456_789, 536_870_912, -919_000_000]);
+        for elongation in (-8_388_607..=8_388_607).step_by(997) {
+            let error = tilted.error(Nanometres(elongation));
+            let fine = tilted.fine_error(Nanometres(elongation)).map(Fine::rounded);
+            for (whole, rounded) in error.into_iter().zip(fine) {
+                assert!((whole.0 - rounded.0).abs() <= 1);
+            }
+        }
+    }
+
+    #[test]
+    fn a_fine_error_beyond_8_mm_saturates() {
+        for elongation in [8_388_608, i32::MAX] {
+            let error = Direction([Direction::ONE, i32::MIN, 0]).fine_error(Nanometres(elongation));
+            assert_eq!(error, [Fine(i32::MAX), Fine(i32::MIN), Fine(0)]);
+        }
+        let error = Direction([i32::MIN, i32::MAX, 0]).fine_error(Nanometres(i32::MIN));
+        assert_eq!(error, [Fine(i32::MAX), Fine(i32::MIN), Fine(0)]);
     }
 }

@@ -23,6 +23,12 @@ impl Nanometres {
         Self(i32::try_from(held).expect("clamped to the range of i32 above"))
     }
 
+    /// The same length in 1/256 nm; saturates at ±8.388 mm.
+    #[must_use]
+    pub const fn fine(self) -> Fine {
+        Fine(self.0.saturating_mul(Fine::PER_NANOMETRE))
+    }
+
     /// The same length the other way; −2.147 483 648 m gives +2.147 483 647 m.
     #[must_use]
     pub const fn opposite(self) -> Self {

@@ -20,10 +20,9 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use rustix::fs::{CWD, FileType, Mode, mknodat};
-use trueup_core::{calibration::Calibration, units::Millis};
+use trueup_core::units::Millis;
 use trueup_link::{
     bench::{Block, RECORD_SIZE, Record},
-    calibration,
     frame::Frame,
 };
 
@@ -47,19 +46,11 @@ pub struct VirtualBoard {
 }
 
 impl VirtualBoard {
-    /// Boots an image with a calibration and waits until it is up.
+    /// Boots an image with these bytes as its calibration, valid or not, and waits until it is up.
     ///
     /// # Errors
     /// QEMU is missing or ends, or the board does not come up in time.
-    pub fn boot(image: &Path, machine: &Calibration) -> Result<Self> {
-        Self::boot_with(image, &calibration::encode(machine))
-    }
-
-    /// Boots an image with these bytes as its calibration, valid or not.
-    ///
-    /// # Errors
-    /// As [`Self::boot`].
-    pub fn boot_with(image: &Path, calibration: &[u8]) -> Result<Self> {
+    pub fn boot(image: &Path, calibration: &[u8]) -> Result<Self> {
         let decoder = Decoder::of(image)?;
         let mut qemu = Qemu::start(
             image,

@@ -6,7 +6,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, bail};
-use trueup_core::cnc::{Command, Output};
+use trueup_core::cnc::{Command, LinearAxis, Output};
 use trueup_link::{
     frames,
     receiver::OffsetReceiver,
@@ -20,6 +20,8 @@ pub struct Cnc<S> {
     waiting: VecDeque<Event>,
     control_counter: u8,
     spindle_counter: u8,
+    position_counters: [u8; 3],
+    rotary_counter: u8,
     /// The pairing and checking of the offsets.
     pub offsets: OffsetReceiver,
 }
@@ -38,6 +40,8 @@ impl<S: Read + Write> Cnc<S> {
             waiting: VecDeque::new(),
             control_counter: 0,
             spindle_counter: 0,
+            position_counters: [0; 3],
+            rotary_counter: 0,
             offsets: OffsetReceiver::new(),
         };
         cnc.write(b"\rC\rV\r")?;
@@ -88,6 +92,18 @@ impl<S: Read + Write> Cnc<S> {
             Command::Spindle(spindle) => {
                 (frames::spindle(spindle, self.spindle_counter), &mut self.spindle_counter)
             }
+            Command::Position(position) => {
+                let [x, y, z] = &mut self.position_counters;
+                let counter = match position.axis {
+                    LinearAxis::X => x,
+                    LinearAxis::Y => y,
+                    LinearAxis::Z => z,
+                };
+                (frames::position(position, *counter), counter)
+            }
+            Command::Rotary(rotary) => {
+                (frames::rotary(rotary, self.rotary_counter), &mut self.rotary_counter)
+            }
         };
         *counter = counter.wrapping_add(1);
         self.ask(encode_line(&frame).trim_end()).map(drop)
@@ -132,7 +148,11 @@ impl<S: Read + Write> Cnc<S> {
 mod tests {
     use super::*;
     use std::io;
-    use trueup_link::frame::Frame;
+    use trueup_core::{
+        cnc::{AxisPosition, Heading, Rotary},
+        units::Position,
+    };
+    use trueup_link::{frame::Frame, receiver::Receiver};
 
     /// A board that answers what the test says.
     struct Script {
@@ -175,5 +195,29 @@ mod tests {
             Script { answers: io::Cursor::new(b"\r\rV1013\r\x07".to_vec()), asked: Vec::new() };
         let error = Cnc::open(script).err().expect("refused");
         assert!(error.to_string().contains("\"S8\""), "{error}");
+    }
+
+    #[test]
+    fn every_identifier_counts_for_itself() {
+        let answers = [&b"\rV1013\r\r\r"[..], &b"z\r".repeat(12)].concat();
+        let script = Script { answers: io::Cursor::new(answers), asked: Vec::new() };
+        let mut cnc = Cnc::open(script).expect("three answers");
+        for _ in 0..3 {
+            for axis in LinearAxis::ALL {
+                let direction = Heading::Positive;
+                let there = AxisPosition { axis, position: Position(5), direction };
+                cnc.send(Command::Position(there)).expect("accepted");
+            }
+            cnc.send(Command::Rotary(Rotary::default())).expect("accepted");
+        }
+        let mut receiver = Receiver::new();
+        let mut client = Client::new();
+        for &byte in &cnc.stream.asked {
+            if let Some(Event::Frame(frame)) = client.receive(byte) {
+                receiver.accept(&frame).expect("in order");
+            }
+        }
+        let counters = receiver.counters();
+        assert_eq!((counters.accepted, counters.lost), (12, 0));
     }
 }

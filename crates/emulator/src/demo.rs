@@ -202,7 +202,7 @@ fn play(
     tally: &mut Tally,
 ) -> Result<Vec<f64>> {
     let input = sensor_input(machine)?;
-    let mut board = VirtualBoard::boot(image, &compile(machine)?.calibration)?;
+    let mut board = VirtualBoard::boot(image, compile(machine)?.blob())?;
     let mut front_end = FrontEnd::new(input.divider, SEED);
     let mut cnc = Cnc::open(board.line()?)?;
     let mut means = Vec::new();
@@ -215,7 +215,7 @@ fn play(
             cnc.send(Command::Control(control))?;
             cnc.send(Command::Spindle(Spindle { speed, load_n: 0 }))?;
             let blocks: Vec<Block> = (0..BATCH_MS)
-                .map(|_| Block { codes: front_end.block(&volts), speed: None, frames: [None; 2] })
+                .map(|_| Block { codes: front_end.block(&volts), ..Block::default() })
                 .collect();
             // What the board sends on its bus it also sends on the line: so many lines are due.
             for _ in 0..board.step(&blocks)?.len() {

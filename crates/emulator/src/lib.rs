@@ -25,4 +25,5 @@ pub mod rtt;
 pub mod serve;
 pub mod setup;
 pub mod size;
+pub mod stand_in;
 pub mod verify;

@@ -13,6 +13,7 @@ use std::{
 
 use anyhow::{Context as _, Result, anyhow, bail};
 use serde::{Deserialize, Serialize};
+use trueup_machine::inputs::TemperatureInput;
 
 use crate::replay::{self, Situation};
 
@@ -23,7 +24,7 @@ pub struct Step {
     pub t_s: f64,
     /// The displacement sensor's output.
     pub sensor_v: f64,
-    /// Temperatures by column name; this version does not use them yet.
+    /// Temperatures by column name; those that the machine has no input for are not used.
     #[serde(default)]
     pub temps_c: BTreeMap<String, f64>,
     /// The spindle's speed.
@@ -47,6 +48,7 @@ pub struct Plant {
     number: usize,
     peer: String,
     last_s: Option<f64>,
+    temperatures: BTreeMap<String, TemperatureInput>,
     /// What the board last said; a step too short for a new word repeats it.
     pub last_answer: Answer,
 }
@@ -55,11 +57,15 @@ pub struct Plant {
 const PATIENCE: Duration = Duration::from_millis(200);
 
 impl Plant {
-    /// Connects to the plant, which listens.
+    /// Connects to the plant, which listens. `temperatures` are the machine's channels by the names
+    /// under which the plant states them.
     ///
     /// # Errors
     /// Nobody listens there.
-    pub fn connect(address: &str) -> Result<Self> {
+    pub fn connect(
+        address: &str,
+        temperatures: BTreeMap<String, TemperatureInput>,
+    ) -> Result<Self> {
         let stream = TcpStream::connect(address)
             .with_context(|| format!("no plant listens at tcp:{address}"))?;
         // A step is one short line: it must not wait for more.
@@ -72,6 +78,7 @@ impl Plant {
             number: 0,
             peer,
             last_s: None,
+            temperatures,
             last_answer: Answer::default(),
         })
     }
@@ -122,7 +129,13 @@ impl Plant {
             .transpose()?;
         // The sub-millisecond rest stays in the account, so no time is lost over many steps.
         self.last_s = Some(last_s + ms / 1_000.0);
-        Ok(Some((Situation { sensor_volts: step.sensor_v, speed }, ms as u32)))
+        let situation = Situation {
+            sensor_volts: step.sensor_v,
+            speed,
+            temperatures: replay::raw_temperatures(&self.temperatures, &step.temps_c),
+            ..Situation::default()
+        };
+        Ok(Some((situation, ms as u32)))
     }
 
     /// Sends the board's answer to the last step.

@@ -1,16 +1,34 @@
-//! A run file as the machine would live it: at each millisecond the sensor's volts and the speed.
+//! A run file as the machine would live it: at each millisecond the sensor's volts, the speed, what
+//! the temperature channels deliver, and where the axes stand.
 //!
 //! A row holds from its time until the next row's; the last one holds for ever. Without a column
 //! `time_s` each row lasts a fixed time. A missing value keeps the one before it.
 
-use trueup_core::units::Rpm;
-use trueup_machine::{inputs::SensorInput, place::BadInput, run_file::RunFile};
+use std::collections::BTreeMap;
+
+use trueup_core::{
+    cnc::{AxisPosition, Heading, LinearAxis, Rotary},
+    heat::{CHANNELS, RawTemperatures},
+    pt100,
+    thermometer::Raw,
+    units::{MicroDegrees, Position, Rpm, Temperature},
+};
+use trueup_machine::{
+    inputs::{TemperatureInput, TemperatureKind},
+    machine_file::{Machine, Source},
+    place::BadInput,
+    run_file::RunFile,
+};
 
 /// How long a row lasts in a run without `time_s`, unless it is said otherwise.
 pub const DEFAULT_ROW_S: f64 = 1.0;
 
-/// The columns that a replay uses; the board has no use for others yet.
-pub const USED_COLUMNS: [&str; 3] = ["time_s", "sensor_counts", "spindle_rpm"];
+/// The columns of X, Y and Z.
+const POSITIONS: [&str; 3] = ["x_mm", "y_mm", "z_mm"];
+/// The columns of the direction of approach of X, Y and Z.
+const DIRECTIONS: [&str; 3] = ["dir_x", "dir_y", "dir_z"];
+/// The largest angle that the wire carries, either way.
+const LARGEST_ANGLE_DEG: f64 = 262.143;
 
 /// What the machine does at a moment.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -19,6 +37,12 @@ pub struct Situation {
     pub sensor_volts: f64,
     /// The spindle's speed, where it is known.
     pub speed: Option<Rpm>,
+    /// What the temperature channels deliver.
+    pub temperatures: RawTemperatures,
+    /// Where X, Y and Z are sent, as far as the run says.
+    pub positions: [Option<AxisPosition>; 3],
+    /// Where the rotary axes of the head are sent, if the run says so.
+    pub rotary: Option<Rotary>,
 }
 
 /// A run, ready to be played.
@@ -30,29 +54,39 @@ pub struct Replay {
 }
 
 impl Replay {
-    /// Prepares a run for a machine whose sensor is wired like this.
+    /// Prepares a run for this machine. The sensor's counts are needed only where the spindle's
+    /// growth is measured by it; a machine without a sensor gets 0 V.
     ///
     /// # Errors
     /// A column that is needed is missing, empty at the start, or outside what the sensor or the
     /// wire can carry; with its place.
-    pub fn new(run: &RunFile, sensor: &SensorInput, row_s: f64) -> Result<Self, BadInput> {
-        let counts = run.require("sensor_counts")?;
+    pub fn new(run: &RunFile, machine: &Machine, row_s: f64) -> Result<Self, BadInput> {
+        let inputs = machine.inputs.as_ref();
+        let sensor = inputs.and_then(|inputs| inputs.sensor.as_ref());
+        let needs_sensor = machine.spindle.source == Some(Source::Sensor);
+        if needs_sensor {
+            run.require("sensor_counts")?;
+        }
+        let counts = sensor.zip(run.column("sensor_counts"));
         let speeds = run.column("spindle_rpm");
         let times = run.column("time_s");
+        let mut columns = Columns::of(run, machine);
         let mut replay = Self { from_s: Vec::new(), situations: Vec::new() };
         let mut now = Situation::default();
         let mut start = None;
-        for (row, &count) in counts.iter().enumerate() {
-            if count.is_nan() && row == 0 {
-                return Err(run.bad(row, "sensor_counts", "needs a value in the first row"));
-            }
-            if !count.is_nan() {
-                if !sensor.is_in_range(count) {
-                    let largest = sensor.counts_full_scale;
-                    let rule = format!("{count} is outside 0…{largest}");
-                    return Err(run.bad(row, "sensor_counts", rule));
+        for row in 0..run.rows() {
+            if let Some((sensor, count)) = counts.map(|(sensor, counts)| (sensor, counts[row])) {
+                if count.is_nan() && row == 0 && needs_sensor {
+                    return Err(run.bad(row, "sensor_counts", "needs a value in the first row"));
                 }
-                now.sensor_volts = sensor.volts_from_counts(count);
+                if !count.is_nan() {
+                    if !sensor.is_in_range(count) {
+                        let largest = sensor.counts_full_scale;
+                        let rule = format!("{count} is outside 0…{largest}");
+                        return Err(run.bad(row, "sensor_counts", rule));
+                    }
+                    now.sensor_volts = sensor.volts_from_counts(count);
+                }
             }
             if let Some(speed) = speeds.map(|speeds| speeds[row]).filter(|speed| !speed.is_nan()) {
                 let rpm = rpm(speed).ok_or_else(|| {
@@ -60,6 +94,7 @@ impl Replay {
                 })?;
                 now.speed = Some(rpm);
             }
+            columns.take(row, &mut now)?;
             let time = match times.map(|times| times[row]) {
                 None => row_s * row as f64,
                 Some(time) if time.is_nan() => {
@@ -78,6 +113,21 @@ impl Replay {
         Ok(replay)
     }
 
+    /// Whether a replay for this machine plays the column `name`.
+    #[must_use]
+    pub fn uses(machine: &Machine, name: &str) -> bool {
+        let inputs = machine.inputs.as_ref();
+        match name {
+            "time_s" | "spindle_rpm" => true,
+            "sensor_counts" => inputs.is_some_and(|inputs| inputs.sensor.is_some()),
+            _ if POSITIONS.contains(&name) || DIRECTIONS.contains(&name) => true,
+            _ => {
+                inputs.is_some_and(|inputs| inputs.temperatures.contains_key(name))
+                    || machine.head_axes.iter().any(|axis| angle_column(axis.name()) == name)
+            }
+        }
+    }
+
     /// What the machine does at a time in seconds from the start.
     #[must_use]
     pub fn at(&self, time_s: f64) -> Situation {
@@ -89,6 +139,145 @@ impl Replay {
     #[must_use]
     pub fn last_row_s(&self) -> f64 {
         self.from_s.last().copied().unwrap_or_default()
+    }
+}
+
+fn angle_column(axis: impl std::fmt::Display) -> String {
+    format!("{axis}_deg")
+}
+
+/// The positions of an axis, and its directions where the run has them.
+type Travelled<'r> = (&'r [f64], Option<&'r [f64]>);
+
+/// The columns of temperatures, positions and angles that a run has and the machine uses.
+struct Columns<'r> {
+    run: &'r RunFile,
+    temperatures: Vec<(&'r [f64], TemperatureInput)>,
+    /// Position, direction, and the position in the row before.
+    axes: [Option<Travelled<'r>>; 3],
+    before_mm: [Option<f64>; 3],
+    /// The head's axes in their order.
+    angles: Vec<(String, Option<&'r [f64]>)>,
+    angles_deg: [Option<f64>; 2],
+}
+
+impl<'r> Columns<'r> {
+    fn of(run: &'r RunFile, machine: &Machine) -> Self {
+        let inputs = machine.inputs.iter().flat_map(|inputs| &inputs.temperatures);
+        let heads = machine.head_axes.iter().map(|axis| angle_column(axis.name()));
+        Self {
+            run,
+            temperatures: inputs
+                .filter_map(|(name, input)| Some((run.column(name)?, *input)))
+                .collect(),
+            axes: std::array::from_fn(|axis| {
+                Some((run.column(POSITIONS[axis])?, run.column(DIRECTIONS[axis])))
+            }),
+            before_mm: [None; 3],
+            angles: heads.map(|name| (name.clone(), run.column(&name))).collect(),
+            angles_deg: [None; 2],
+        }
+    }
+
+    /// What a row changes.
+    fn take(&mut self, row: usize, now: &mut Situation) -> Result<(), BadInput> {
+        for (column, input) in &self.temperatures {
+            if !column[row].is_nan() {
+                deliver(&mut now.temperatures, input, column[row]);
+            }
+        }
+        for (n, column) in self.axes.iter().enumerate() {
+            let Some((positions, directions)) = column else { continue };
+            let mm = match positions[row] {
+                missing if missing.is_nan() => self.before_mm[n],
+                there => Some(there),
+            };
+            let Some(mm) = mm else { continue };
+            let position = whole(mm * f64::from(Position::PER_MILLIMETRE)).ok_or_else(|| {
+                self.run.bad(row, POSITIONS[n], format!("{mm} is beyond the wire's ±21 474 mm"))
+            })?;
+            let stated = directions.map(|directions| directions[row]);
+            let moved = mm - self.before_mm[n].unwrap_or(mm);
+            let direction = heading(stated.filter(|stated| !stated.is_nan()).unwrap_or(moved));
+            let axis = LinearAxis::ALL[n];
+            now.positions[n] = Some(AxisPosition { axis, position: Position(position), direction });
+            self.before_mm[n] = Some(mm);
+        }
+        for ((name, column), angle) in self.angles.iter().zip(&mut self.angles_deg) {
+            let Some(deg) = column.map(|column| column[row]).filter(|deg| !deg.is_nan()) else {
+                continue;
+            };
+            if deg.abs() > LARGEST_ANGLE_DEG {
+                let rule = format!("{deg} is beyond the wire's ±{LARGEST_ANGLE_DEG}°");
+                return Err(self.run.bad(row, name, rule));
+            }
+            *angle = Some(deg);
+        }
+        let known = self.angles_deg.iter().flatten().count();
+        if known > 0 && known == self.angles.len() {
+            let micro = |deg: Option<f64>| {
+                let micro_degrees = deg.unwrap_or(0.0) * f64::from(MicroDegrees::PER_DEGREE);
+                MicroDegrees(whole(micro_degrees).unwrap_or(0))
+            };
+            now.rotary = Some(Rotary { angles: self.angles_deg.map(micro) });
+        }
+        Ok(())
+    }
+}
+
+fn heading(sign: f64) -> Heading {
+    match sign {
+        sign if sign > 0.0 => Heading::Positive,
+        sign if sign < 0.0 => Heading::Negative,
+        _ => Heading::Standing,
+    }
+}
+
+/// The nearest integer, if the board has it.
+#[allow(clippy::cast_possible_truncation, reason = "checked to be in range")]
+fn whole(value: f64) -> Option<i32> {
+    let rounded = value.round();
+    (f64::from(i32::MIN)..=f64::from(i32::MAX)).contains(&rounded).then_some(rounded as i32)
+}
+
+/// Lets a channel deliver a temperature.
+fn deliver(temperatures: &mut RawTemperatures, input: &TemperatureInput, celsius: f64) {
+    if let Some(channel) = temperatures.get_mut(usize::from(input.channel)) {
+        *channel = raw(input.kind, celsius);
+    }
+}
+
+/// What the channels deliver at these temperatures, by the names of their columns. Those that are
+/// not named deliver nothing.
+#[must_use]
+pub fn raw_temperatures(
+    inputs: &BTreeMap<String, TemperatureInput>,
+    celsius: &BTreeMap<String, f64>,
+) -> RawTemperatures {
+    let mut delivered = [Raw::NONE; CHANNELS];
+    for (name, input) in inputs {
+        if let Some(&celsius) = celsius.get(name) {
+            deliver(&mut delivered, input, celsius);
+        }
+    }
+    delivered
+}
+
+/// What a channel delivers at a temperature in °C, at the resolution of the board's input. What is
+/// beyond its integer delivers the end of it, which no channel takes for a temperature.
+#[must_use]
+#[allow(clippy::cast_possible_truncation, reason = "a cast from f64 saturates")]
+pub fn raw(kind: TemperatureKind, celsius: f64) -> Raw {
+    match kind {
+        TemperatureKind::Pt100 => {
+            let t = Temperature((celsius * f64::from(Temperature::PER_KELVIN)).round() as i32);
+            Raw(pt100::resistance(t).0)
+        }
+        TemperatureKind::Linear { zero_counts, counts_per_c } => {
+            let counts = zero_counts + counts_per_c * celsius;
+            // The lowest number means that nothing was delivered.
+            Raw(((counts * 256.0).round() as i32).max(i32::MIN + 1))
+        }
     }
 }
 
@@ -108,13 +297,31 @@ pub fn rpm(speed: f64) -> Option<Rpm> {
 mod tests {
     use super::*;
     use std::path::Path;
+    use trueup_machine::MachineFile;
 
-    const SENSOR: SensorInput =
-        SensorInput { volts_full_scale: 10.0, counts_full_scale: 32768.0, divider: 0.33 };
+    const LIMITS: &str = "[limits]\nmax_um = { x = 200.0, y = 200.0, z = 500.0 }\n\
+        slew_um_per_s = 20.0\nlink_timeout_ms = 500\nhold_ms = 2000\n";
+
+    fn machine(text: &str) -> Machine {
+        MachineFile::parse(&format!("{text}{LIMITS}"), Path::new("m.toml")).expect("a good machine")
+    }
+
+    fn with_sensor() -> Machine {
+        machine(
+            "[machine]\nname = \"m\"\nkind = \"3-axis\"\n\
+             [inputs]\nsensor = { volts_full_scale = 10, counts_full_scale = 32768, divider = 0.33 }\n\
+             [spindle]\nsource = \"sensor\"\n\
+             [spindle.sensor]\nk0_um = 0.0\nzero_counts = 5048.0\num_per_count = 0.015\n",
+        )
+    }
+
+    fn replay_on(machine: &Machine, text: &str) -> Result<Replay, BadInput> {
+        let run = RunFile::from_reader(text.as_bytes(), Path::new("run.csv"))?;
+        Replay::new(&run, machine, DEFAULT_ROW_S)
+    }
 
     fn replay(text: &str) -> Result<Replay, BadInput> {
-        let run = RunFile::from_reader(text.as_bytes(), Path::new("run.csv"))?;
-        Replay::new(&run, &SENSOR, DEFAULT_ROW_S)
+        replay_on(&with_sensor(), text)
     }
 
     #[test]
@@ -138,5 +345,51 @@ mod tests {
         assert!(error.to_string().starts_with("run.csv:2:3: spindle_rpm 70000"), "{error}");
         let error = replay("spindle_rpm\n1\n").expect_err("no sensor");
         assert!(error.to_string().contains("sensor_counts"), "{error}");
+    }
+
+    fn without_sensor() -> Machine {
+        machine(
+            "[machine]\nname = \"m\"\nkind = \"head-head\"\nhead_axes = [\"c\", \"a\"]\n\
+             [inputs]\n\
+             temp_screw_c = { channel = 2, kind = \"pt100\" }\n\
+             temp_bed_c = { channel = 5, kind = \"linear\", zero_counts = 4000.0, \
+             counts_per_c = 16.0 }\n",
+        )
+    }
+
+    #[test]
+    fn temperatures_come_as_their_channels_deliver_them() {
+        let text = "temp_screw_c,temp_bed_c,temp_else_c\n25,23.5,1\n,24.5,1\n";
+        let replay = replay_on(&without_sensor(), text).expect("it needs no sensor");
+        let delivered = |time| replay.at(time).temperatures;
+        // IEC 60751: 109.734656 ohms at 25 °C; 4000 + 16·23.5 counts in 1/256.
+        assert!((delivered(0.0)[2].0 - 109_734_656).abs() <= 1);
+        assert_eq!(delivered(0.0)[5], Raw(4376 * 256));
+        assert_eq!(delivered(1.0)[5], Raw(4392 * 256));
+        assert_eq!(delivered(1.0)[2], delivered(0.0)[2], "a missing value keeps the one before");
+        assert_eq!(delivered(0.0)[0], Raw::NONE);
+        assert_eq!(replay.at(0.0).sensor_volts, 0.0);
+        let uses = |name| Replay::uses(&without_sensor(), name);
+        assert!(uses("temp_screw_c") && uses("a_deg") && uses("dir_x"));
+        assert!(!uses("temp_else_c") && !uses("b_deg") && !uses("sensor_counts"));
+    }
+
+    #[test]
+    fn an_axis_heads_where_the_run_says_or_else_where_it_moves() {
+        let text = "x_mm,y_mm,dir_y,a_deg,c_deg\n1,1,-1,,90\n3,1,-1,-33.3335,90\n2,1,1,,\n2,,1,,\n";
+        let replay = replay_on(&without_sensor(), text).expect("a good run");
+        let at = |row: f64, axis: usize| {
+            let there = replay.at(row).positions[axis].expect("a position");
+            (there.position.0, there.direction as i8)
+        };
+        let x: Vec<_> = (0..4).map(|row| at(f64::from(row), 0)).collect();
+        assert_eq!(x, [(100_000, 0), (300_000, 1), (200_000, -1), (200_000, 0)]);
+        let y: Vec<_> = (0..4).map(|row| at(f64::from(row), 1)).collect();
+        assert_eq!(y, [(100_000, -1), (100_000, -1), (100_000, 1), (100_000, 1)]);
+        assert_eq!(replay.at(0.0).positions[2], None);
+        assert_eq!(replay.at(0.0).rotary, None, "one angle is not yet known");
+        // In the order of the head's axes: C, then A.
+        let angles = [90_000_000, -33_333_500].map(MicroDegrees);
+        assert_eq!(replay.at(2.0).rotary, Some(Rotary { angles }));
     }
 }

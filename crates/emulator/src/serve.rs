@@ -21,7 +21,7 @@ use rustix::{
     net::sockopt::set_socket_send_buffer_size,
     process::{Pid, Signal, kill_process},
 };
-use trueup_core::{calibration::Calibration, cnc::Output, units::NANOMETRES_PER_MICROMETRE};
+use trueup_core::{cnc::Output, units::NANOMETRES_PER_MICROMETRE};
 use trueup_link::{
     bench::Block,
     receiver::OffsetReceiver,
@@ -33,6 +33,7 @@ use crate::{
     front_end::FrontEnd,
     plant::{Answer, Plant},
     replay::{Replay, Situation},
+    stand_in::{Heard, StandIn},
 };
 
 /// What makes the machine's time pass.
@@ -62,13 +63,13 @@ const LARGEST_BACKLOG_MS: f64 = 200.0;
 /// QEMU ends, or the source is broken.
 pub fn serve(
     image: &std::path::Path,
-    machine: &Calibration,
+    calibration: &[u8],
     front_end: FrontEnd,
     listener: TcpListener,
     source: Source,
     stop: Arc<AtomicBool>,
 ) -> Result<()> {
-    let mut board = VirtualBoard::boot(image, machine)?;
+    let mut board = VirtualBoard::boot(image, calibration)?;
     eprintln!("the bridge is up in QEMU (process {})", board.qemu().id());
     end_with(stop.clone(), board.qemu().id());
     let result = play(&mut board, front_end, listener, source, &stop);
@@ -101,7 +102,9 @@ fn play(
     stop: &AtomicBool,
 ) -> Result<()> {
     let opened = Arc::new(AtomicBool::new(false));
-    share_line(listener, board.serial()?, opened.clone())?;
+    let heard = Arc::new(Heard::default());
+    share_line(listener, board.serial()?, opened.clone(), heard.clone())?;
+    let mut stand_in = StandIn::default();
     let is_over = |board: &mut VirtualBoard| -> Result<bool> {
         tell(board);
         board.qemu().check()?;
@@ -120,8 +123,12 @@ fn play(
             let blocks: Vec<Block> = (0..batch)
                 .map(|_| {
                     let now = situation(front_end.time_s());
-                    let codes = front_end.block(|_| now.sensor_volts);
-                    Block { codes, speed: now.speed, frames: [None; 2] }
+                    Block {
+                        codes: front_end.block(|_| now.sensor_volts),
+                        speed: now.speed,
+                        temperatures: now.temperatures,
+                        frames: stand_in.frames(&now, &heard),
+                    }
                 })
                 .collect();
             for (_, frame) in board.step(&blocks)? {
@@ -229,7 +236,12 @@ struct Client {
 }
 
 /// Joins the clients of a port, one at a time, to the board's line.
-fn share_line(listener: TcpListener, line: UnixStream, opened: Arc<AtomicBool>) -> Result<()> {
+fn share_line(
+    listener: TcpListener,
+    line: UnixStream,
+    opened: Arc<AtomicBool>,
+    heard: Arc<Heard>,
+) -> Result<()> {
     let client: Arc<Mutex<Option<Client>>> = Arc::default();
     let mut from_board = line.try_clone()?;
     let to_client = client.clone();
@@ -258,7 +270,7 @@ fn share_line(listener: TcpListener, line: UnixStream, opened: Arc<AtomicBool>) 
     });
     thread::spawn(move || {
         for stream in listener.incoming().flatten() {
-            if let Err(error) = serve_client(stream, &client, &line, &opened) {
+            if let Err(error) = serve_client(stream, &client, &line, &opened, &heard) {
                 eprintln!("a client is gone: {error}");
             }
             lock(&client).take();
@@ -277,6 +289,7 @@ fn serve_client(
     client: &Mutex<Option<Client>>,
     mut line: &UnixStream,
     opened: &AtomicBool,
+    heard: &Heard,
 ) -> io::Result<()> {
     stream.set_nodelay(true)?;
     set_socket_send_buffer_size(&stream, CLIENT_QUEUE)?;
@@ -291,15 +304,19 @@ fn serve_client(
             eprintln!("client {peer} has closed its connection");
             return Ok(());
         }
-        line.write_all(&bytes[..length])?;
+        let mut opens = false;
         for &byte in &bytes[..length] {
             if byte != CR {
                 command.push(byte);
                 command.truncate(32);
-            } else if std::mem::take(&mut command).trim_ascii_start() == b"O" {
-                opened.store(true, Ordering::Relaxed);
+                continue;
             }
+            let said = std::mem::take(&mut command);
+            opens |= said.trim_ascii_start() == b"O";
+            heard.note(said.trim_ascii_start());
         }
+        line.write_all(&bytes[..length])?;
+        opened.fetch_or(opens, Ordering::Relaxed);
     }
 }
 

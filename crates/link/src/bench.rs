@@ -1,14 +1,19 @@
 //! The stream between the host and the emulated board: samples and frames down, frames up. The
 //! chip never sees it.
 //!
-//! Down, 64 bytes for one millisecond, little-endian:
+//! Down, 128 bytes for one millisecond, little-endian:
 //!
 //! | offset | type | field |
 //! |---|---|---|
 //! | 0 | 20 × `u16` | ADC codes, oldest first |
 //! | 40 | `u16` | spindle speed in r/min, 0xFFFF: none |
 //! | 42 | `u16` | 0 |
-//! | 44, 54 | `u16`, 8 bytes | CAN frame: identifier (0xFFFF: no frame), data |
+//! | 44 | 8 × `i32` | temperature channels, raw (below); −2³¹: none |
+//! | 76, 86, 96, 106, 116 | `u16`, 8 bytes | CAN frame: identifier (0xFFFF: no frame), data |
+//! | 126 | `u16` | 0 |
+//!
+//! A temperature comes as its channel delivers it: the resistance in micro-ohms of a PT100, 1/256
+//! counts of a linear chain. Which of the two a channel is, the calibration says.
 //!
 //! Up, 16 bytes for one frame, and one such record to end what the board has to say on a block:
 //!
@@ -22,16 +27,21 @@
 
 use core::{error::Error, fmt};
 
-use trueup_core::units::{Code, Millis, Rpm};
+use trueup_core::{
+    thermometer::Raw,
+    units::{Code, Millis, Rpm},
+};
 
 use crate::frame::{Frame, FrameError};
 
 /// ADC samples in one millisecond.
 pub const SAMPLES: usize = 20;
+/// Temperature channels.
+pub const TEMPERATURES: usize = 8;
 /// CAN frames that fit a block.
-pub const FRAMES: usize = 2;
+pub const FRAMES: usize = 5;
 /// Bytes in a block.
-pub const BLOCK_SIZE: usize = 64;
+pub const BLOCK_SIZE: usize = 128;
 /// Bytes in a record.
 pub const RECORD_SIZE: usize = 16;
 
@@ -39,15 +49,40 @@ pub const RECORD_SIZE: usize = 16;
 const NONE: u16 = 0xFFFF;
 
 /// What happens to the board in one millisecond.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+///
+/// ```
+/// use trueup_core::thermometer::Raw;
+/// use trueup_link::bench::Block;
+/// let mut block = Block::default();
+/// block.temperatures[1] = Raw(109_734_656); // a PT100 at 25 °C
+/// let bytes = block.encode()?;
+/// assert_eq!(bytes[44..52], [0x00, 0x00, 0x00, 0x80, 0x00, 0x6B, 0x8A, 0x06]);
+/// assert_eq!(Block::decode(&bytes), Ok(block));
+/// # Ok::<(), trueup_link::bench::BlockError>(())
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Block {
     /// ADC codes, oldest first; 0…4095 on the chip, not checked here, so that a fault can be
     /// played.
     pub codes: [Code; SAMPLES],
     /// Spindle speed; 0xFFFF r/min is sent as 0xFFFE.
     pub speed: Option<Rpm>,
+    /// Temperatures, as each channel delivers them.
+    pub temperatures: [Raw; TEMPERATURES],
     /// Frames from the CNC, of 8 bytes.
     pub frames: [Option<Frame>; FRAMES],
+}
+
+impl Default for Block {
+    /// Codes of 0, and nothing else: no speed, no temperature, no frame.
+    fn default() -> Self {
+        Self {
+            codes: [Code(0); SAMPLES],
+            speed: None,
+            temperatures: [Raw::NONE; TEMPERATURES],
+            frames: [None; FRAMES],
+        }
+    }
 }
 
 impl Block {
@@ -57,11 +92,15 @@ impl Block {
     /// [`BlockError::FrameLength`] for a frame that has not 8 bytes.
     pub fn encode(&self) -> Result<[u8; BLOCK_SIZE], BlockError> {
         let speed = self.speed.map_or(NONE, |Rpm(rpm)| rpm.min(NONE - 1));
-        let mut words = self.codes.map(|code| code.0).into_iter().chain([speed, 0]);
+        let words = self.codes.iter().map(|code| code.0).chain([speed, 0]);
         let mut bytes = [0; BLOCK_SIZE];
-        let (head, slots) = bytes.split_at_mut(SLOTS);
-        for (place, word) in head.as_chunks_mut::<2>().0.iter_mut().zip(&mut words) {
+        let (head, rest) = bytes.split_at_mut(HEAD_SIZE);
+        let (temperatures, slots) = rest.split_at_mut(TEMPERATURES_SIZE);
+        for (place, word) in head.as_chunks_mut().0.iter_mut().zip(words) {
             *place = word.to_le_bytes();
+        }
+        for (place, raw) in temperatures.as_chunks_mut().0.iter_mut().zip(self.temperatures) {
+            *place = raw.0.to_le_bytes();
         }
         for (place, (slot, frame)) in
             slots.as_chunks_mut::<SLOT_SIZE>().0.iter_mut().zip(self.frames.iter().enumerate())
@@ -77,29 +116,46 @@ impl Block {
     /// [`BlockError`] for an identifier above 0x7FF, or reserved bytes that are not 0: the stream
     /// is out of step.
     pub fn decode(bytes: &[u8; BLOCK_SIZE]) -> Result<Self, BlockError> {
-        let mut words = [0; BLOCK_SIZE / 2];
-        for (word, place) in words.iter_mut().zip(bytes.as_chunks::<2>().0) {
+        let (head, rest) = bytes.split_at(HEAD_SIZE);
+        let (temperatures, slots) = rest.split_at(TEMPERATURES_SIZE);
+        let mut words = [0; HEAD_SIZE / 2];
+        for (word, place) in words.iter_mut().zip(head.as_chunks().0) {
             *word = u16::from_le_bytes(*place);
         }
-        let [codes @ .., speed, reserved, _, _, _, _, _, _, _, _, _, _] = words;
-        if reserved != 0 {
-            return Err(BlockError::Reserved(reserved));
+        let [codes @ .., speed, reserved] = words;
+        let (slots, end) = slots.as_chunks::<SLOT_SIZE>();
+        let tail = end.first_chunk().map_or(0, |tail| u16::from_le_bytes(*tail));
+        for (at, found) in [(RESERVED_AT, reserved), (TAIL_AT, tail)] {
+            if found != 0 {
+                return Err(BlockError::Reserved { at, found });
+            }
         }
-        let (_, slots) = bytes.split_at(SLOTS);
-        let mut frames = [None; FRAMES];
-        for (frame, (slot, place)) in
-            frames.iter_mut().zip(slots.as_chunks::<SLOT_SIZE>().0.iter().enumerate())
-        {
+        let mut block = Self {
+            codes: codes.map(Code),
+            speed: (speed != NONE).then_some(Rpm(speed)),
+            ..Self::default()
+        };
+        for (raw, place) in block.temperatures.iter_mut().zip(temperatures.as_chunks().0) {
+            *raw = Raw(i32::from_le_bytes(*place));
+        }
+        for (frame, (slot, place)) in block.frames.iter_mut().zip(slots.iter().enumerate()) {
             *frame = decode_slot(slot, place)?;
         }
-        Ok(Self { codes: codes.map(Code), speed: (speed != NONE).then_some(Rpm(speed)), frames })
+        Ok(block)
     }
 }
 
-/// Offset of the first frame in a block.
-const SLOTS: usize = 44;
+/// Bytes of the codes, the speed, and what is reserved after them.
+const HEAD_SIZE: usize = 2 * SAMPLES + 4;
+/// Offset of what is reserved after the speed.
+const RESERVED_AT: usize = HEAD_SIZE - 2;
+/// Bytes of the temperatures.
+const TEMPERATURES_SIZE: usize = 4 * TEMPERATURES;
 /// Bytes of a frame in a block.
 const SLOT_SIZE: usize = 10;
+/// Offset of what is reserved after the frames.
+const TAIL_AT: usize = HEAD_SIZE + TEMPERATURES_SIZE + FRAMES * SLOT_SIZE;
+const _: () = assert!(TAIL_AT + 2 == BLOCK_SIZE);
 
 fn encode_slot(slot: usize, frame: Option<&Frame>) -> Result<[u8; SLOT_SIZE], BlockError> {
     let (id, [a, b, c, d, e, f, g, h]) = match frame {
@@ -138,8 +194,13 @@ pub enum BlockError {
         /// The identifier.
         id: u16,
     },
-    /// Bytes 42 and 43 are not 0.
-    Reserved(u16),
+    /// Reserved bytes are not 0.
+    Reserved {
+        /// Their offset.
+        at: usize,
+        /// What they hold.
+        found: u16,
+    },
 }
 
 impl fmt::Display for BlockError {
@@ -149,7 +210,9 @@ impl fmt::Display for BlockError {
             Self::Identifier { slot, id } => {
                 write!(f, "identifier 0x{id:X} of frame {slot} is above 0x{:X}", Frame::MAX_ID)
             }
-            Self::Reserved(found) => write!(f, "reserved bytes hold 0x{found:04X}, not 0"),
+            Self::Reserved { at, found } => {
+                write!(f, "reserved bytes at {at} hold 0x{found:04X}, not 0")
+            }
         }
     }
 }
@@ -250,18 +313,32 @@ mod tests {
 
     #[test]
     fn every_field_of_a_block_lies_where_the_table_says() {
-        let mut block = Block {
-            speed: Some(Rpm(0x1234)),
-            frames: [None, Some(frame(0x302, &[1, 2, 3, 4, 5, 6, 7, 8]))],
-            ..Block::default()
-        };
+        let mut block = Block { speed: Some(Rpm(0x1234)), ..Block::default() };
+        block.frames[1] = Some(frame(0x302, &[1, 2, 3, 4, 5, 6, 7, 8]));
+        block.frames[4] = Some(frame(0x501, &[9; 8]));
+        block.temperatures[0] = Raw(0x0102_0304);
+        block.temperatures[7] = Raw(-2);
         block.codes[0] = Code(0x0ABC);
         block.codes[19] = Code(0x0DEF);
         let bytes = block.encode().unwrap();
         assert_eq!(bytes[..2], [0xBC, 0x0A]);
         assert_eq!(bytes[38..44], [0xEF, 0x0D, 0x34, 0x12, 0, 0]);
-        assert_eq!(bytes[44..54], [0xFF, 0xFF, 0, 0, 0, 0, 0, 0, 0, 0]);
-        assert_eq!(bytes[54..], [0x02, 0x03, 1, 2, 3, 4, 5, 6, 7, 8]);
+        assert_eq!(bytes[44..52], [4, 3, 2, 1, 0, 0, 0, 0x80]);
+        assert_eq!(bytes[72..76], [0xFE, 0xFF, 0xFF, 0xFF]);
+        assert_eq!(bytes[76..86], [0xFF, 0xFF, 0, 0, 0, 0, 0, 0, 0, 0]);
+        assert_eq!(bytes[86..96], [0x02, 0x03, 1, 2, 3, 4, 5, 6, 7, 8]);
+        assert_eq!(bytes[96..98], [0xFF, 0xFF]);
+        assert_eq!(bytes[106..108], [0xFF, 0xFF]);
+        assert_eq!(bytes[116..], [0x01, 0x05, 9, 9, 9, 9, 9, 9, 9, 9, 0, 0]);
+    }
+
+    #[test]
+    fn a_block_that_says_nothing_brings_nothing() {
+        let block = Block::default();
+        assert_eq!(block.speed, None);
+        assert_eq!(block.temperatures, [Raw(i32::MIN); TEMPERATURES]);
+        assert_eq!(block.frames, [None; FRAMES]);
+        assert_eq!(Block::decode(&block.encode().unwrap()), Ok(block));
     }
 
     #[test]
@@ -291,16 +368,21 @@ mod tests {
     #[test]
     fn a_block_that_is_out_of_step_is_refused_with_what_was_found() {
         let good = Block::default().encode().unwrap();
-        let mut bad = good;
-        bad[43] = 1;
-        assert_eq!(Block::decode(&bad), Err(BlockError::Reserved(0x100)));
-        let mut bad = good;
-        bad[54..56].copy_from_slice(&[0x00, 0x08]);
-        let (slot, id) = (1, 0x800);
-        assert_eq!(Block::decode(&bad), Err(BlockError::Identifier { slot, id }));
-        let short = Block { frames: [Some(frame(0x701, &[5])), None], ..Block::default() };
-        let (slot, len) = (0, 1);
-        assert_eq!(short.encode(), Err(BlockError::FrameLength { slot, len }));
+        for (byte, at, found) in [(42, 42, 1), (43, 42, 0x100), (126, 126, 1), (127, 126, 0x100)] {
+            let mut bad = good;
+            bad[byte] = 1;
+            assert_eq!(Block::decode(&bad), Err(BlockError::Reserved { at, found }));
+        }
+        for slot in 0..FRAMES {
+            let mut bad = good;
+            bad[76 + 10 * slot..78 + 10 * slot].copy_from_slice(&[0x00, 0x08]);
+            let id = 0x800;
+            assert_eq!(Block::decode(&bad), Err(BlockError::Identifier { slot, id }));
+            let mut short = Block::default();
+            short.frames[slot] = Some(frame(0x701, &[5]));
+            let len = 1;
+            assert_eq!(short.encode(), Err(BlockError::FrameLength { slot, len }));
+        }
     }
 
     #[test]
@@ -323,11 +405,13 @@ mod tests {
         #[test]
         fn a_block_comes_back_whole(
             codes in prop::array::uniform20(any::<u16>()), speed in prop::option::of(0_u16..0xFFFF),
-            frames in prop::array::uniform2(prop::option::of((0_u16..0x800, any::<[u8; 8]>()))),
+            temperatures: [i32; TEMPERATURES],
+            frames in prop::array::uniform5(prop::option::of((0_u16..0x800, any::<[u8; 8]>()))),
         ) {
             let block = Block {
                 codes: codes.map(Code),
                 speed: speed.map(Rpm),
+                temperatures: temperatures.map(Raw),
                 frames: frames.map(|it| it.map(|(id, data)| frame(id, &data))),
             };
             prop_assert_eq!(Block::decode(&block.encode().unwrap()), Ok(block));
@@ -348,15 +432,20 @@ mod tests {
 
         #[test]
         fn no_bytes_panic_and_what_is_read_is_what_is_written(
-            first in prop::array::uniform32(any::<u8>()), second in prop::array::uniform32(any::<u8>()),
+            parts in prop::array::uniform4(prop::array::uniform32(any::<u8>())),
+            ids in prop::array::uniform5(0_u16..0x801),
             record in prop::array::uniform16(any::<u8>()),
         ) {
-            let mut bytes = [0; BLOCK_SIZE];
-            bytes[..32].copy_from_slice(&first);
-            bytes[32..].copy_from_slice(&second);
+            let mut bytes: [u8; BLOCK_SIZE] = parts.concat().try_into().unwrap();
             let _ = Block::decode(&bytes);
             bytes[42..44].copy_from_slice(&[0; 2]);
-            let _ = Block::decode(&bytes);
+            bytes[126..].copy_from_slice(&[0; 2]);
+            for (slot, id) in ids.into_iter().enumerate() {
+                bytes[76 + 10 * slot..78 + 10 * slot].copy_from_slice(&id.to_le_bytes());
+            }
+            if let Ok(read) = Block::decode(&bytes) {
+                prop_assert_eq!(read.encode(), Ok(bytes));
+            }
             if let Ok(read) = Record::decode(&record) {
                 prop_assert_eq!(read.encode(), record);
             }

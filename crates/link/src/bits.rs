@@ -17,7 +17,7 @@
 pub struct Signal {
     /// Number of the lowest bit, 0…63: bit `n` is bit `n % 8` of byte `n / 8`.
     pub start: u8,
-    /// Number of bits, 1…31.
+    /// Number of bits, 1…32, or 1…31 where the value is not signed.
     pub length: u8,
     /// Whether the raw value is two's complement.
     pub signed: bool,
@@ -26,14 +26,18 @@ pub struct Signal {
 impl Signal {
     /// A signal of 0 and up. A place outside the frame does not compile: every use is a constant.
     pub(crate) const fn unsigned(start: u8, length: u8) -> Self {
-        assert!(start < 64 && 1 <= length && length <= 31 && length <= 64_u8.saturating_sub(start));
+        assert!(length <= 31 && Self::is_in_frame(start, length));
         Self { start, length, signed: false }
     }
 
     /// A signal in two's complement, as `unsigned`.
     pub(crate) const fn signed(start: u8, length: u8) -> Self {
-        let place = Self::unsigned(start, length);
-        Self { signed: true, ..place }
+        assert!(length <= 32 && Self::is_in_frame(start, length));
+        Self { start, length, signed: true }
+    }
+
+    const fn is_in_frame(start: u8, length: u8) -> bool {
+        1 <= length && length <= 64_u8.saturating_sub(start)
     }
 
     /// The smallest raw value.
@@ -84,14 +88,19 @@ mod tests {
         assert_eq!(Signal::signed(24, 20).max(), 524_287);
         assert_eq!(Signal::unsigned(0, 31).max(), i32::MAX);
         assert_eq!(Signal::unsigned(24, 1).max(), 1);
+        assert_eq!(
+            (Signal::signed(24, 32).min(), Signal::signed(24, 32).max()),
+            (i32::MIN, i32::MAX)
+        );
+        assert_eq!((Signal::signed(56, 2).min(), Signal::signed(56, 2).max()), (-2, 1));
         assert_eq!(Signal::signed(0, 1).min(), -1);
         assert_eq!(Signal::signed(0, 1).max(), 0);
     }
 
     prop_compose! {
-        fn any_signal()(length in 1_u8..=31)
+        fn any_signal()(length in 1_u8..=32)
             (length in Just(length), start in 0..=(64 - length), signed in any::<bool>()) -> Signal {
-            if signed { Signal::signed(start, length) } else { Signal::unsigned(start, length) }
+            if signed || length == 32 { Signal::signed(start, length) } else { Signal::unsigned(start, length) }
         }
     }
 

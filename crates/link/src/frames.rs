@@ -7,21 +7,23 @@
 use core::{error::Error, fmt};
 
 use trueup_core::{
-    cnc::{Control, Flags, Output, Quality, Spindle},
-    units::{Nanometres, Rpm},
+    cnc::{AxisPosition, Control, Flags, Heading, LinearAxis, Output, Quality, Rotary, Spindle},
+    units::{MicroDegrees, Nanometres, Position, Rpm},
 };
 
 pub use crate::layout::{
     CONTROL_ID, CONTROL_PERIOD_MS, HEARTBEAT_ID, HEARTBEAT_PERIOD_MS, OFFSET_PERIOD_MS,
-    OFFSET_XY_ID, OFFSET_Z_ID, SPINDLE_ID, SPINDLE_PERIOD_MS,
+    OFFSET_XY_ID, OFFSET_Z_ID, POSITION_PERIOD_MS, POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID,
+    ROTARY_ID, ROTARY_PERIOD_MS, SPINDLE_ID, SPINDLE_PERIOD_MS,
 };
 use crate::{
     bits::Signal,
     e2e,
     frame::Frame,
     layout::{
-        AGE, ENGAGE, FLAGS, LOAD, NANOMETRES_PER_BIT, NOT_AVAILABLE_RAW, OFFSET_MAX_RAW, OFFSET_X,
-        OFFSET_Y, OFFSET_Z, QUALITY, REFERENCED, SPEED, STATE, ZERO,
+        AGE, ANGLE_1, ANGLE_2, DIRECTION, ENGAGE, FLAGS, LOAD, MICRO_DEGREES_PER_BIT,
+        NANOMETRES_PER_BIT, NOT_AVAILABLE_RAW, OFFSET_MAX_RAW, OFFSET_X, OFFSET_Y, OFFSET_Z,
+        POSITION, QUALITY, REFERENCED, SPEED, STATE, ZERO,
     },
 };
 
@@ -142,6 +144,51 @@ pub fn control(control: Control, counter: u8) -> Frame {
     protected(CONTROL_ID, counter, data)
 }
 
+/// The identifier of `PositionX`, `PositionY` or `PositionZ`.
+#[must_use]
+pub const fn position_id(axis: LinearAxis) -> u16 {
+    match axis {
+        LinearAxis::X => POSITION_X_ID,
+        LinearAxis::Y => POSITION_Y_ID,
+        LinearAxis::Z => POSITION_Z_ID,
+    }
+}
+
+/// `PositionX`, `PositionY` or `PositionZ`, from the CNC. `counter` counts the frames of this
+/// identifier.
+///
+/// ```
+/// use trueup_core::{cnc::{AxisPosition, Heading, LinearAxis}, units::Position};
+/// use trueup_link::frames;
+/// let sent = AxisPosition {
+///     axis: LinearAxis::X,
+///     position: Position(-Position::PER_MILLIMETRE), // -100 000 = 0xFFFE7960
+///     direction: Heading::Negative,                  // -1 in two bits: 3
+/// };
+/// let frame = frames::position(sent, 7);
+/// assert_eq!(frame.id(), 0x201);
+/// assert_eq!(frame.data()[2..], [0x07, 0x60, 0x79, 0xFE, 0xFF, 0x03]);
+/// assert_eq!(frames::decode_position(LinearAxis::X, &frame), Ok(sent));
+/// ```
+#[must_use]
+pub fn position(position: AxisPosition, counter: u8) -> Frame {
+    let mut data = [0; 8];
+    POSITION.insert(&mut data, position.position.0);
+    DIRECTION.insert(&mut data, position.direction as i32);
+    protected(position_id(position.axis), counter, data)
+}
+
+/// `Rotary`, from the CNC: angles are rounded to 0.0005°, halves away from zero, and saturate at
+/// −262.144° and +262.1435°. `counter` counts the frames of this identifier.
+#[must_use]
+pub fn rotary(rotary: Rotary, counter: u8) -> Frame {
+    let mut data = [0; 8];
+    let [first, second] = rotary.angles.map(|angle| nearest::<MICRO_DEGREES_PER_BIT>(angle.0));
+    ANGLE_1.insert(&mut data, first);
+    ANGLE_2.insert(&mut data, second);
+    protected(ROTARY_ID, counter, data)
+}
+
 /// What an `OffsetXY` frame says.
 ///
 /// # Errors
@@ -163,7 +210,7 @@ pub fn decode_offset_z(frame: &Frame) -> Result<OffsetZ, DecodeError> {
     Ok(OffsetZ {
         offset: offset_from_raw(OFFSET_Z.extract(data)),
         quality: Quality::from_wire(quality)
-            .ok_or(DecodeError::Value { signal: "Quality", raw: quality })?,
+            .ok_or(DecodeError::Value { signal: "Quality", raw: quality.into() })?,
         flags: Flags(byte(FLAGS, data)),
         age_ms: byte(AGE, data),
     })
@@ -175,7 +222,7 @@ pub fn decode_offset_z(frame: &Frame) -> Result<OffsetZ, DecodeError> {
 /// [`DecodeError`] for another identifier or length, or a state that CiA 301 does not define.
 pub fn decode_heartbeat(frame: &Frame) -> Result<State, DecodeError> {
     let state = byte(STATE, data_of(frame, HEARTBEAT_ID, 1)?);
-    State::from_wire(state).ok_or(DecodeError::Value { signal: "State", raw: state })
+    State::from_wire(state).ok_or(DecodeError::Value { signal: "State", raw: state.into() })
 }
 
 /// What a `Spindle` frame says.
@@ -205,6 +252,31 @@ pub fn decode_control(frame: &Frame) -> Result<Control, DecodeError> {
     })
 }
 
+/// What the position frame of this axis says.
+///
+/// # Errors
+/// [`DecodeError`] for another identifier or length, or a direction that has no meaning.
+pub fn decode_position(axis: LinearAxis, frame: &Frame) -> Result<AxisPosition, DecodeError> {
+    let data = data_of(frame, position_id(axis), 8)?;
+    let raw = DIRECTION.extract(data);
+    let direction = i8::try_from(raw).ok().and_then(Heading::from_wire);
+    Ok(AxisPosition {
+        axis,
+        position: Position(POSITION.extract(data)),
+        direction: direction.ok_or(DecodeError::Value { signal: "Direction", raw })?,
+    })
+}
+
+/// What a `Rotary` frame says.
+///
+/// # Errors
+/// [`DecodeError`] for another identifier or length.
+pub fn decode_rotary(frame: &Frame) -> Result<Rotary, DecodeError> {
+    let data = data_of(frame, ROTARY_ID, 8)?;
+    let angle = |it: Signal| MicroDegrees(it.extract(data).saturating_mul(MICRO_DEGREES_PER_BIT));
+    Ok(Rotary { angles: [angle(ANGLE_1), angle(ANGLE_2)] })
+}
+
 /// The E2E counter of a protected frame; 0 if the frame is too short to have one.
 #[must_use]
 pub fn counter(frame: &Frame) -> u8 {
@@ -232,11 +304,15 @@ fn byte(signal: Signal, data: &[u8; 8]) -> u8 {
     byte
 }
 
+/// The nearest number of bits of `UNIT` each, halves away from zero.
+fn nearest<const UNIT: i32>(value: i32) -> i32 {
+    let half = const { UNIT / 2 };
+    let half = if value < 0 { half.saturating_neg() } else { half };
+    value.saturating_add(half).checked_div(UNIT).unwrap_or(value)
+}
+
 fn offset_to_raw(offset: Nanometres) -> i32 {
-    const HALF_BIT: i32 = NANOMETRES_PER_BIT / 2;
-    let half = if offset.0 < 0 { -HALF_BIT } else { HALF_BIT };
-    let bits = offset.0.saturating_add(half) / NANOMETRES_PER_BIT;
-    bits.clamp(-OFFSET_MAX_RAW, OFFSET_MAX_RAW)
+    nearest::<NANOMETRES_PER_BIT>(offset.0).clamp(-OFFSET_MAX_RAW, OFFSET_MAX_RAW)
 }
 
 fn offset_from_raw(raw: i32) -> Option<Nanometres> {
@@ -265,7 +341,7 @@ pub enum DecodeError {
         /// The signal, as the DBC names it.
         signal: &'static str,
         /// Its raw value.
-        raw: u8,
+        raw: i32,
     },
 }
 
@@ -332,6 +408,70 @@ mod tests {
         assert_eq!(control(zero, 10).data(), &hex(0x8537_0a04_0000_0000));
     }
 
+    fn at(axis: LinearAxis, position: i32, direction: Heading) -> AxisPosition {
+        AxisPosition { axis, position: Position(position), direction }
+    }
+
+    fn angles(first: i32, second: i32) -> Rotary {
+        Rotary { angles: [first, second].map(MicroDegrees) }
+    }
+
+    #[test]
+    fn position_frames_match_other_tools() {
+        let x = at(LinearAxis::X, 123_456_789, Heading::Positive);
+        assert_eq!(position(x, 5).data(), &hex(0x8c4b_0515_cd5b_0701));
+        let y = at(LinearAxis::Y, -1_500_000_001, Heading::Negative);
+        assert_eq!(position(y, 200).data(), &hex(0xc3f3_c8ff_d097_a603));
+        let z = at(LinearAxis::Z, i32::MIN, Heading::Standing);
+        assert_eq!(position(z, 0).data(), &hex(0xb39f_0000_0000_8000));
+        let end = at(LinearAxis::Z, i32::MAX, Heading::Positive);
+        assert_eq!(position(end, 255).data(), &hex(0x0edc_ffff_ffff_7f01));
+        // 90° and -33.3335°; both ends.
+        assert_eq!(rotary(angles(90_000_000, -33_333_500), 17).data(), &hex(0x83a7_1120_bf52_b9ef));
+        let ends = angles(-262_144_000, 262_143_500);
+        assert_eq!(rotary(ends, 18).data(), &hex(0x5962_1200_00f8_ff7f));
+    }
+
+    #[test]
+    fn angles_round_half_away_from_zero_and_saturate_at_their_20_bits() {
+        for (sent, came) in [
+            (0, 0),
+            (249, 0),
+            (250, 500),
+            (-249, 0),
+            (-250, -500),
+            (-749, -500),
+            (-750, -1_000),
+            (262_143_749, 262_143_500),
+            (262_143_750, 262_143_500),
+            (-262_144_250, -262_144_000),
+            (i32::MAX, 262_143_500),
+            (i32::MIN, -262_144_000),
+        ] {
+            let frame = rotary(angles(sent, 0), 0);
+            assert_eq!(decode_rotary(&frame), Ok(angles(came, 0)), "{sent} micro-degrees");
+        }
+    }
+
+    #[test]
+    fn a_direction_that_is_none_is_refused() {
+        let mut data = *position(at(LinearAxis::Y, 1, Heading::Standing), 0).data();
+        DIRECTION.insert(&mut data, -2);
+        let error = decode_position(LinearAxis::Y, &Frame::full(POSITION_Y_ID, data));
+        assert_eq!(error, Err(DecodeError::Value { signal: "Direction", raw: -2 }));
+    }
+
+    #[test]
+    fn the_position_of_one_axis_is_none_of_another() {
+        for axis in LinearAxis::ALL {
+            let frame = position(at(axis, -5, Heading::Positive), 3);
+            for expected in LinearAxis::ALL {
+                let is_same = expected == axis;
+                assert_eq!(decode_position(expected, &frame).is_ok(), is_same, "{axis:?}");
+            }
+        }
+    }
+
     #[test]
     fn heartbeats_match_other_tools() {
         assert_eq!(heartbeat(State::BootUp).payload(), [0x00]);
@@ -390,7 +530,6 @@ mod tests {
             let mut data = [0; 8];
             QUALITY.insert(&mut data, raw);
             let error = decode_offset_z(&Frame::full(OFFSET_Z_ID, data)).unwrap_err();
-            let raw = u8::try_from(raw).unwrap();
             let signal = "Quality";
             assert_eq!(error, DecodeError::Value { signal, raw });
         }
@@ -434,14 +573,39 @@ mod tests {
         }
 
         #[test]
+        fn positions_come_back_whole_and_angles_to_the_nearest_half_millidegree(
+            place: i32, heading in -1_i8..=1, axis in 0_usize..3, count: u8,
+            sent in prop::array::uniform2(-262_144_249..=262_143_749),
+        ) {
+            let axis = LinearAxis::ALL[axis];
+            let there = at(axis, place, Heading::from_wire(heading).unwrap());
+            let frame = position(there, count);
+            prop_assert_eq!(counter(&frame), count);
+            prop_assert_eq!(decode_position(axis, &frame), Ok(there));
+            let came = decode_rotary(&rotary(angles(sent[0], sent[1]), count)).unwrap();
+            for (sent, MicroDegrees(came)) in sent.into_iter().zip(came.angles) {
+                prop_assert!((sent - came).abs() <= MICRO_DEGREES_PER_BIT / 2);
+                prop_assert_eq!(came % MICRO_DEGREES_PER_BIT, 0);
+            }
+        }
+
+        #[test]
         fn no_frame_makes_a_decoder_panic(id in 0_u16..0x800, data: [u8; 8], len in 0_usize..=8) {
-            for id in [id, OFFSET_XY_ID, OFFSET_Z_ID, HEARTBEAT_ID, SPINDLE_ID, CONTROL_ID] {
+            let ours = [
+                id, OFFSET_XY_ID, OFFSET_Z_ID, HEARTBEAT_ID, SPINDLE_ID, CONTROL_ID,
+                POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID,
+            ];
+            for id in ours {
                 let frame = Frame::new(id, &data[..len]).unwrap();
                 let _ = decode_offset_xy(&frame);
                 let _ = decode_offset_z(&frame);
                 let _ = decode_heartbeat(&frame);
                 let _ = decode_spindle(&frame);
                 let _ = decode_control(&frame);
+                let _ = decode_rotary(&frame);
+                for axis in LinearAxis::ALL {
+                    let _ = decode_position(axis, &frame);
+                }
             }
         }
     }

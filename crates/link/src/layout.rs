@@ -2,6 +2,26 @@
 //!
 //! The encoder and the decoder use these constants and no others, and a test holds them against
 //! the DBC, so the contract that CAN tools read and the frames on the wire cannot drift apart.
+//!
+//! # Load of the bus
+//!
+//! A standard frame of `n` data bytes has 47 + 8·n bits, the pause of 3 bits after it included.
+//! Of these, 34 + 8·n are stuffed: at worst one more bit after the first 4 of them and after every
+//! further 4 but the last, ⌊(34 + 8·n − 1) / 4⌋ in all. So 8 bytes are 111 bits, 135 at worst, and
+//! the heartbeat's single byte is 55 bits, 65 at worst. At 1 Mbit/s, with every frame as often as
+//! its period permits:
+//!
+//! | frames | a second | bits a second at worst | share |
+//! |---|---|---|---|
+//! | `OffsetXY`, `OffsetZ` | 2 × 1000 | 270 000 | 27.00 % |
+//! | `PositionX`, `PositionY`, `PositionZ` | 3 × 500 | 202 500 | 20.25 % |
+//! | `Rotary` | 500 | 67 500 | 6.75 % |
+//! | `Spindle`, `Control` | 2 × 50 | 13 500 | 1.35 % |
+//! | `Heartbeat` | 10 | 650 | 0.07 % |
+//! | all | | 554 150 | 55.42 % |
+//!
+//! Without any stuffing the sum is 45.57 %. A CNC that sends its positions every millisecond would
+//! bring the worst case to 82 %; an emergency or a bulk transfer has no room then.
 
 use crate::bits::Signal;
 
@@ -11,6 +31,14 @@ pub const OFFSET_XY_ID: u16 = 0x181;
 pub const OFFSET_Z_ID: u16 = 0x281;
 /// Identifier of the bridge's CANopen heartbeat.
 pub const HEARTBEAT_ID: u16 = 0x701;
+/// Identifier of where X is sent.
+pub const POSITION_X_ID: u16 = 0x201;
+/// Identifier of where Y is sent.
+pub const POSITION_Y_ID: u16 = 0x301;
+/// Identifier of where Z is sent.
+pub const POSITION_Z_ID: u16 = 0x401;
+/// Identifier of where the rotary axes are sent.
+pub const ROTARY_ID: u16 = 0x501;
 /// Identifier of what the spindle does.
 pub const SPINDLE_ID: u16 = 0x202;
 /// Identifier of the CNC's sign of life.
@@ -20,6 +48,10 @@ pub const CONTROL_ID: u16 = 0x302;
 pub const OFFSET_PERIOD_MS: u32 = 1;
 /// Milliseconds from one heartbeat to the next.
 pub const HEARTBEAT_PERIOD_MS: u32 = 100;
+/// Shortest time in milliseconds between two position frames of one axis.
+pub const POSITION_PERIOD_MS: u32 = 2;
+/// Shortest time in milliseconds between two `Rotary` frames.
+pub const ROTARY_PERIOD_MS: u32 = 2;
 /// Shortest time in milliseconds between two `Spindle` frames.
 pub const SPINDLE_PERIOD_MS: u32 = 20;
 /// Shortest time in milliseconds between two `Control` frames.
@@ -31,6 +63,8 @@ pub const NANOMETRES_PER_BIT: i32 = 10;
 pub const OFFSET_MAX_RAW: i32 = 524_287;
 /// The raw offset that means "not available".
 pub const NOT_AVAILABLE_RAW: i32 = -524_288;
+/// Micro-degrees in one bit of an angle.
+pub const MICRO_DEGREES_PER_BIT: i32 = 500;
 
 /// E2E CRC, in every protected frame.
 pub const CRC: Signal = Signal::unsigned(0, 16);
@@ -54,6 +88,14 @@ pub const STATE: Signal = Signal::unsigned(0, 7);
 pub const SPEED: Signal = Signal::unsigned(24, 16);
 /// Axial cutting force in newtons.
 pub const LOAD: Signal = Signal::signed(40, 16);
+/// Position of a linear axis: one bit is one unit of [`Position`](trueup_core::units::Position).
+pub const POSITION: Signal = Signal::signed(24, 32);
+/// Which way that axis travels.
+pub const DIRECTION: Signal = Signal::signed(56, 2);
+/// Angle of the first rotary axis, counted from the frame to the tool.
+pub const ANGLE_1: Signal = Signal::signed(24, 20);
+/// Angle of the second one.
+pub const ANGLE_2: Signal = Signal::signed(44, 20);
 /// The operator wants offsets.
 pub const ENGAGE: Signal = Signal::unsigned(24, 1);
 /// The axes are referenced.
@@ -69,7 +111,10 @@ mod tests {
 
     use super::*;
     use crate::{DBC, e2e, frames::State};
-    use trueup_core::{cnc::Quality, units::NANOMETRES_PER_MICROMETRE};
+    use trueup_core::{
+        cnc::{Heading, Quality},
+        units::{MicroDegrees, NANOMETRES_PER_MICROMETRE, Position},
+    };
 
     /// What the DBC must say of one frame: its name, sender, length, cycle, and signals with
     /// their place, scale and unit.
@@ -84,7 +129,26 @@ mod tests {
 
     const UM_PER_BIT: f64 = NANOMETRES_PER_BIT as f64 / NANOMETRES_PER_MICROMETRE as f64;
 
-    const CONTRACT: [Expected; 5] = [
+    const MM_PER_BIT: f64 = 1.0 / Position::PER_MILLIMETRE as f64;
+    const DEG_PER_BIT: f64 = MICRO_DEGREES_PER_BIT as f64 / MicroDegrees::PER_DEGREE as f64;
+
+    const fn position(id: u16, name: &'static str) -> Expected {
+        Expected {
+            id,
+            name,
+            sender: "CNC",
+            len: 8,
+            period_ms: POSITION_PERIOD_MS,
+            signals: &[
+                ("Crc", CRC, 1.0, ""),
+                ("Counter", COUNTER, 1.0, ""),
+                ("Position", POSITION, MM_PER_BIT, "mm"),
+                ("Direction", DIRECTION, 1.0, ""),
+            ],
+        }
+    }
+
+    const CONTRACT: [Expected; 9] = [
         Expected {
             id: OFFSET_XY_ID,
             name: "OffsetXY",
@@ -120,6 +184,22 @@ mod tests {
             len: 1,
             period_ms: HEARTBEAT_PERIOD_MS,
             signals: &[("State", STATE, 1.0, "")],
+        },
+        position(POSITION_X_ID, "PositionX"),
+        position(POSITION_Y_ID, "PositionY"),
+        position(POSITION_Z_ID, "PositionZ"),
+        Expected {
+            id: ROTARY_ID,
+            name: "Rotary",
+            sender: "CNC",
+            len: 8,
+            period_ms: ROTARY_PERIOD_MS,
+            signals: &[
+                ("Crc", CRC, 1.0, ""),
+                ("Counter", COUNTER, 1.0, ""),
+                ("Angle1", ANGLE_1, DEG_PER_BIT, "deg"),
+                ("Angle2", ANGLE_2, DEG_PER_BIT, "deg"),
+            ],
         },
         Expected {
             id: SPINDLE_ID,
@@ -196,6 +276,7 @@ mod tests {
                 let (min, max) = match signal.name.as_str() {
                     "OffsetX" | "OffsetY" | "OffsetZ" => (-OFFSET_MAX_RAW, OFFSET_MAX_RAW),
                     "Quality" => (0, Quality::Fault as i32),
+                    "Direction" => (Heading::Negative as i32, Heading::Positive as i32),
                     _ => (place.min(), place.max()),
                 };
                 let near = |raw: i32, bound| (f64::from(raw) * signal.factor - number(bound)).abs();
@@ -238,6 +319,13 @@ mod tests {
         let state = (0..=u8::MAX).filter_map(State::from_wire);
         let state = state.map(|it| (it as i32, format!("{it:?}"))).collect();
         assert_eq!(names(HEARTBEAT_ID, "State"), of(state));
+        let headings: BTreeMap<_, _> = (i8::MIN..=i8::MAX)
+            .filter_map(Heading::from_wire)
+            .map(|it| (it as i64, format!("{it:?}")))
+            .collect();
+        for id in [POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID] {
+            assert_eq!(names(id, "Direction"), headings);
+        }
         for (id, signal) in
             [(OFFSET_XY_ID, "OffsetX"), (OFFSET_XY_ID, "OffsetY"), (OFFSET_Z_ID, "OffsetZ")]
         {
@@ -271,6 +359,37 @@ mod tests {
         for offset in [OFFSET_X, OFFSET_Y, OFFSET_Z] {
             assert_eq!((offset.min(), offset.max()), (NOT_AVAILABLE_RAW, OFFSET_MAX_RAW));
         }
+    }
+
+    /// Bits of a frame with `len` data bytes, without stuffing and at worst stuffing.
+    fn bits(len: u64) -> [u64; 2] {
+        let stuffed = 34 + 8 * len;
+        // Delimiters, acknowledge, end of frame, and the pause before the next.
+        let plain = stuffed + 13;
+        [plain, plain + (stuffed - 1) / 4]
+    }
+
+    #[test]
+    fn every_frame_as_often_as_permitted_fills_55_percent_of_the_bus_at_worst_stuffing() {
+        const BITS_PER_SECOND: u64 = 1_000_000;
+        assert_eq!([bits(8), bits(1)], [[111, 135], [55, 65]]);
+        let load = |stuffing: usize| -> u64 {
+            let of = |it: &Expected| bits(it.len)[stuffing] * 1_000 / u64::from(it.period_ms);
+            CONTRACT.iter().map(of).sum()
+        };
+        assert_eq!([load(0), load(1)], [455_650, 554_150]);
+        assert!(load(1) * 100 < BITS_PER_SECOND * 60);
+        let positions = bits(8)[1] * 1_000 / u64::from(POSITION_PERIOD_MS) * 3;
+        let rotary = bits(8)[1] * 1_000 / u64::from(ROTARY_PERIOD_MS);
+        assert_eq!([positions, rotary], [202_500, 67_500]);
+        assert_eq!(load(1) + positions + rotary, 824_150, "positions every millisecond");
+    }
+
+    #[test]
+    fn positions_reach_15_m_in_steps_finer_than_1_um() {
+        assert!(f64::from(POSITION.max()) * MM_PER_BIT > 15_000.0);
+        assert!(f64::from(POSITION.min()) * MM_PER_BIT < -15_000.0);
+        const { assert!(MM_PER_BIT < 0.001) };
     }
 
     #[test]

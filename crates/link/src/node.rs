@@ -24,9 +24,9 @@ pub type Frames = Vec<Frame, 3>;
 
 /// The bridge, its memory, and its end of the link.
 #[derive(Debug)]
-pub struct Node {
+pub struct Node<'a> {
     /// `None` without a valid calibration: nothing can be computed then.
-    bridge: Option<Bridge>,
+    bridge: Option<Bridge<'a>>,
     state: bridge::State,
     receiver: Receiver,
     now: Millis,
@@ -37,11 +37,11 @@ pub struct Node {
     last: Output,
 }
 
-impl Node {
+impl<'a> Node<'a> {
     /// A node that has just been switched on. `degraded` marks every frame of a board that runs on
     /// a fall-back.
     #[must_use]
-    pub fn new(calibration: Option<Calibration>, degraded: bool) -> Self {
+    pub fn new(calibration: Option<Calibration<'a>>, degraded: bool) -> Self {
         Self {
             bridge: calibration.map(Bridge::new),
             state: bridge::State::default(),
@@ -69,7 +69,7 @@ impl Node {
     }
 
     /// One tick that ends `elapsed_ms` after the last one. Gives the frames to send.
-    pub fn tick(&mut self, elapsed_ms: u32, input: Input) -> Frames {
+    pub fn tick(&mut self, elapsed_ms: u32, input: Input<'_>) -> Frames {
         self.now = self.now.after(elapsed_ms);
         if input.codes.is_some() {
             self.blocks = self.blocks.wrapping_add(1);
@@ -137,29 +137,41 @@ mod tests {
     };
     use std::vec::Vec;
     use trueup_core::{
+        calibration::{Source, Spindle},
         cnc::Control,
         filter::CODES_PER_TICK,
+        kinematics::Kinematics,
         limits::Limits,
         sensor::{SensorLaw, Slope},
         tool::Direction,
         units::{Code, Nanometres, Reading},
     };
 
-    const CALIBRATION: Calibration = Calibration {
-        sensor: SensorLaw { k0: Nanometres(0), zero: Reading(0), slope: Slope(1 << 28) },
-        tool_direction: Direction::DOWN,
-        limits: Limits {
-            max: [Nanometres(500_000); 3],
-            slew_nm_per_s: 1_000,
-            link_timeout_ms: 500,
-            hold_ms: 2_000,
-        },
-    };
-    const BLIND: Input = Input { codes: None, speed: None };
+    fn calibration() -> Calibration<'static> {
+        Calibration {
+            thermometers: [None; 8],
+            spindle: Spindle {
+                chain: [Some(Source::Sensor), None, None],
+                sensor: SensorLaw { k0: Nanometres(0), zero: Reading(0), slope: Slope(1 << 28) },
+                ..Spindle::default()
+            },
+            kinematics: Kinematics { zero: Direction::DOWN, axes: [None; 2] },
+            axes: Default::default(),
+            straightness: Default::default(),
+            squareness: Default::default(),
+            limits: Limits {
+                max: [Nanometres(500_000); 3],
+                slew_nm_per_s: 1_000,
+                link_timeout_ms: 500,
+                hold_ms: 2_000,
+            },
+        }
+    }
+    const BLIND: Input<'static> = Input { codes: None, speed: None, temperatures: None };
 
     #[test]
     fn both_halves_of_a_cycle_share_a_counter_that_counts_the_cycles() {
-        let mut node = Node::new(Some(CALIBRATION), false);
+        let mut node = Node::new(Some(calibration()), false);
         for cycle in 0..600_u32 {
             let sent = node.tick(1, BLIND);
             let ids: Vec<u16> = sent.iter().take(2).map(Frame::id).collect();
@@ -173,7 +185,7 @@ mod tests {
     #[test]
     fn the_heartbeat_comes_at_once_and_then_every_100_ms_whatever_a_tick_lasts() {
         for tick_ms in [1, 10] {
-            let mut node = Node::new(Some(CALIBRATION), false);
+            let mut node = Node::new(Some(calibration()), false);
             let mut beats = Vec::new();
             while node.now().0 < 1_000 {
                 let sent = node.tick(tick_ms, BLIND);
@@ -188,7 +200,7 @@ mod tests {
     fn without_a_calibration_nothing_is_available_and_the_node_is_stopped() {
         let mut node = Node::new(None, false);
         let codes = [Code(700); CODES_PER_TICK];
-        let sent = node.tick(1, Input { codes: Some(&codes), speed: None });
+        let sent = node.tick(1, Input { codes: Some(&codes), ..Input::default() });
         let mut receiver = OffsetReceiver::new();
         let output = sent.iter().filter_map(|f| receiver.accept(f).unwrap_or_default()).next();
         let output = output.expect("a whole cycle");
@@ -199,7 +211,7 @@ mod tests {
     #[test]
     fn a_board_on_a_fall_back_marks_every_frame() {
         for degraded in [false, true] {
-            let mut node = Node::new(Some(CALIBRATION), degraded);
+            let mut node = Node::new(Some(calibration()), degraded);
             node.tick(1, BLIND);
             assert_eq!(node.last().flags.contains(Flags::BOARD_DEGRADED), degraded);
         }
@@ -213,12 +225,12 @@ mod tests {
         data[3] ^= 1;
         let damaged = Frame::new(good.id(), &data).unwrap();
         for (frame, engages) in [(damaged, false), (good, true)] {
-            let mut node = Node::new(Some(CALIBRATION), false);
+            let mut node = Node::new(Some(calibration()), false);
             assert_eq!(node.hear(&frame).is_ok(), engages);
             assert_eq!(node.receiver().counters().crc_errors, u32::from(!engages));
             for _ in 0..450 {
                 let codes = core::array::from_fn(|n| Code(if n % 2 == 0 { 700 } else { 701 }));
-                node.tick(1, Input { codes: Some(&codes), speed: None });
+                node.tick(1, Input { codes: Some(&codes), ..Input::default() });
             }
             assert_eq!(node.last().quality == Quality::Live, engages);
         }

@@ -6,13 +6,14 @@
 
 use core::{error::Error, fmt};
 
-use trueup_core::cnc::{Command, Output};
+use trueup_core::cnc::{Command, LinearAxis, Output};
 
 use crate::{
     e2e::{Checker, E2eError},
     frame::Frame,
     frames::{
-        self, CONTROL_ID, DecodeError, OFFSET_XY_ID, OFFSET_Z_ID, OffsetXy, OffsetZ, SPINDLE_ID,
+        self, CONTROL_ID, DecodeError, OFFSET_XY_ID, OFFSET_Z_ID, OffsetXy, OffsetZ, POSITION_X_ID,
+        POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID, SPINDLE_ID,
     },
 };
 
@@ -74,9 +75,13 @@ fn count(counter: &mut u32) {
     *counter = counter.saturating_add(1);
 }
 
-/// The board's ear for the CNC: `Spindle` and `Control`, each with its own sequence.
+/// The board's ear for the CNC: every frame that it sends, each identifier with its own sequence.
 #[derive(Clone, Copy, Debug)]
 pub struct Receiver {
+    position_x: Checker,
+    position_y: Checker,
+    position_z: Checker,
+    rotary: Checker,
     spindle: Checker,
     control: Checker,
     counters: Counters,
@@ -87,6 +92,10 @@ impl Receiver {
     #[must_use]
     pub const fn new() -> Self {
         Self {
+            position_x: Checker::new(POSITION_X_ID),
+            position_y: Checker::new(POSITION_Y_ID),
+            position_z: Checker::new(POSITION_Z_ID),
+            rotary: Checker::new(ROTARY_ID),
             spindle: Checker::new(SPINDLE_ID),
             control: Checker::new(CONTROL_ID),
             counters: Counters::NOTHING,
@@ -98,7 +107,21 @@ impl Receiver {
     /// # Errors
     /// A frame for the bridge that must not be used. It is counted.
     pub fn accept(&mut self, frame: &Frame) -> Result<Option<Command>, Refused> {
+        let counters = &mut self.counters;
+        let mut position = |axis: LinearAxis, checker: &mut Checker| {
+            counters
+                .admit(checker, frame, |frame| frames::decode_position(axis, frame))
+                .map(Command::Position)
+        };
         Ok(Some(match frame.id() {
+            POSITION_X_ID => position(LinearAxis::X, &mut self.position_x)?,
+            POSITION_Y_ID => position(LinearAxis::Y, &mut self.position_y)?,
+            POSITION_Z_ID => position(LinearAxis::Z, &mut self.position_z)?,
+            ROTARY_ID => Command::Rotary(self.counters.admit(
+                &mut self.rotary,
+                frame,
+                frames::decode_rotary,
+            )?),
             SPINDLE_ID => Command::Spindle(self.counters.admit(
                 &mut self.spindle,
                 frame,
@@ -256,13 +279,13 @@ mod tests {
     use super::*;
     use crate::{
         e2e,
-        frames::{State, control, heartbeat, offset_xy, offset_z, spindle},
-        layout::QUALITY,
+        frames::{State, control, heartbeat, offset_xy, offset_z, position, rotary, spindle},
+        layout::{DIRECTION, QUALITY},
     };
     use proptest::prelude::*;
     use trueup_core::{
-        cnc::{Control, Flags, Quality, Spindle},
-        units::{Nanometres, Rpm},
+        cnc::{AxisPosition, Control, Flags, Heading, Quality, Rotary, Spindle},
+        units::{MicroDegrees, Nanometres, Position, Rpm},
     };
 
     const TURNING: Spindle = Spindle { speed: Rpm(18_000), load_n: 120 };
@@ -295,6 +318,49 @@ mod tests {
         }
         let expected = Counters { accepted: 512, lost: 255 * 2, ..Counters::default() };
         assert_eq!(receiver.counters(), expected);
+    }
+
+    fn at(axis: LinearAxis, position: i32) -> AxisPosition {
+        AxisPosition { axis, position: Position(position), direction: Heading::Positive }
+    }
+
+    #[test]
+    fn each_axis_and_the_rotary_pair_has_its_own_sequence() {
+        let mut receiver = Receiver::new();
+        let turned = Rotary { angles: [90_000_000, -45_000_000].map(MicroDegrees) };
+        for step in 0..=u8::MAX {
+            for (axis, stride) in LinearAxis::ALL.into_iter().zip([1, 3, 5]) {
+                let there = at(axis, i32::from(step) * 1_000 - 64_000);
+                let frame = position(there, step.wrapping_mul(stride));
+                assert_eq!(receiver.accept(&frame), Ok(Some(Command::Position(there))));
+            }
+            let frame = rotary(turned, step.wrapping_mul(7));
+            assert_eq!(receiver.accept(&frame), Ok(Some(Command::Rotary(turned))));
+        }
+        let lost = 255 * (2 + 4 + 6);
+        let expected = Counters { accepted: 4 * 256, lost, ..Counters::default() };
+        assert_eq!(receiver.counters(), expected);
+    }
+
+    #[test]
+    fn the_frame_of_one_axis_under_the_identifier_of_another_is_refused() {
+        let mut receiver = Receiver::new();
+        let x = position(at(LinearAxis::X, 5), 0);
+        let moved = Frame::new(POSITION_Y_ID, x.data()).unwrap();
+        let refused = receiver.accept(&moved).unwrap_err();
+        assert!(matches!(refused, Refused::E2e(E2eError::Crc { .. })));
+        assert_eq!(receiver.counters().crc_errors, 1);
+    }
+
+    #[test]
+    fn a_direction_without_meaning_is_refused_although_its_protection_holds() {
+        let mut receiver = Receiver::new();
+        let mut data = *position(at(LinearAxis::Z, 5), 0).data();
+        DIRECTION.insert(&mut data, -2);
+        e2e::protect(POSITION_Z_ID, 0, &mut data);
+        let refused = receiver.accept(&Frame::new(POSITION_Z_ID, &data).unwrap());
+        assert!(matches!(refused, Err(Refused::Decode(DecodeError::Value { raw: -2, .. }))));
+        assert_eq!(receiver.counters().malformed, 1);
     }
 
     #[test]

@@ -18,6 +18,9 @@ use trueup_core::units::{Code, READINGS_PER_CODE, Reading};
 /// The ADC's reference: its full scale in volts.
 pub const REFERENCE_VOLTS: f64 = 3.3;
 
+/// The board's temperature channels are numbered from 0 to this one.
+pub const LAST_CHANNEL: u8 = 7;
+
 /// What is connected to the board. Needed to run there, not to predict.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Inputs {
@@ -30,7 +33,7 @@ pub struct Inputs {
 /// How a temperature comes in.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TemperatureInput {
-    /// The converter's number on the board, 0…255; no two temperatures share one.
+    /// The converter's number on the board, 0…[`LAST_CHANNEL`]; no two temperatures share one.
     pub channel: u8,
     /// What its counts mean.
     pub kind: TemperatureKind,

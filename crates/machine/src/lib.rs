@@ -9,7 +9,7 @@
 //! | [`machine_file`] | reads the machine file into a [`Machine`] |
 //! | [`inputs`] | from PLC counts to volts, ADC codes and readings |
 //! | [`run_file`] | reads a run file (CSV) into columns |
-//! | [`model`] | the reference: what the model says, in `f64` |
+//! | [`model`] | the reference: what the model says of a run, row by row, in `f64` |
 //! | [`compile`](mod@compile) | a [`Machine`] in the integers of the board |
 //! | [`show`] | from these integers back to a machine file |
 //! | [`predict`] | a run with what the model and the board's integers say of each row |

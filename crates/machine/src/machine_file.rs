@@ -2,20 +2,34 @@
 //!
 //! Each section is read by one function into one type, strictly: a misspelt key must not become a
 //! silent default, because the machine would then cut with it. What the format knows but this
-//! version does not run is refused by name, never skipped.
+//! version does not run is refused by name, never skipped. `[machine]`, `[inputs]` and `[limits]`
+//! are read here, the rest by one module for each.
+
+mod axis;
+mod spindle;
+mod straightness;
 
 use std::{collections::BTreeMap, fs, path::Path};
 
+pub use axis::{
+    Axis, Backlash, Dual, Feedback, LinearAxis, Pitch, RotaryAxis, Thermal, ThermalMode, ThermalRow,
+};
+pub use spindle::{SensorModel, Source, Spindle, TemperatureModel, Warmup};
+pub use straightness::{BSpline, SplineFault, Squareness, Straightness};
+
 use crate::{
-    inputs::{Inputs, REFERENCE_VOLTS, SensorInput, TemperatureInput, TemperatureKind},
-    place::{BadInput, Place, Places, without_byte_order_mark},
+    inputs::{
+        Inputs, LAST_CHANNEL, REFERENCE_VOLTS, SensorInput, TemperatureInput, TemperatureKind,
+    },
+    place::{BadInput, Place, Places, shortened, without_byte_order_mark},
     section::{Document, Section},
 };
 
+/// Sections of the format that this version reads.
+const SECTIONS: [&str; 7] =
+    ["machine", "inputs", "spindle", "axis", "straightness", "squareness", "limits"];
 /// Sections of the format that this version does not run yet.
-const LATER_SECTIONS: [&str; 4] = ["axis", "straightness", "squareness", "term"];
-/// Spindle models of the format that this version does not run yet.
-const LATER_SPINDLE_SECTIONS: [&str; 2] = ["warmup", "temperature"];
+const LATER_SECTIONS: [&str; 1] = ["term"];
 
 /// What the user believes about the machine.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,12 +38,21 @@ pub struct Machine {
     pub name: String,
     /// Which axes turn the tool or the table.
     pub kind: Kind,
+    /// The rotary axes that carry the spindle, from the frame to the tool; as many as
+    /// [`Kind::head_axes`] says, and no axis twice.
+    pub head_axes: Vec<RotaryAxis>,
     /// From the spindle nose to the tool tip with all angles at zero, of length 1.
     pub tool_direction: [f64; 3],
     /// What is connected to the board; absent where the machine is only used to predict.
     pub inputs: Option<Inputs>,
     /// How the spindle grows.
     pub spindle: Spindle,
+    /// What is known of X, Y and Z, by [`LinearAxis::index`].
+    pub axes: [Axis; 3],
+    /// The straightness curves; no pair of axes twice.
+    pub straightness: Vec<Straightness>,
+    /// The angles between the axes as they are written; no pair of axes twice.
+    pub squareness: Vec<Squareness>,
     /// How far and how fast an offset may go, and how long silence is tolerated.
     pub limits: Limits,
     /// Where in the file each key stands, for rules that are found broken later.
@@ -38,40 +61,38 @@ pub struct Machine {
 
 /// Which axes turn the tool or the table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[non_exhaustive]
 pub enum Kind {
     /// X, Y and Z only: the tool direction never changes.
     ThreeAxis,
+    /// Two rotary axes carry the spindle.
+    HeadHead,
+    /// Two rotary axes carry the workpiece: the spindle does not turn in machine coordinates.
+    TableTable,
+    /// One rotary axis carries the spindle, the other the workpiece.
+    HeadTable,
 }
 
-/// How the spindle grows.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Spindle {
-    /// The model in use; `None`: no elongation.
-    pub source: Option<Source>,
-    /// The displacement sensor. Always there if it is the `source`.
-    pub sensor: Option<SensorModel>,
-}
+impl Kind {
+    /// Its name in the machine file.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::ThreeAxis => "3-axis",
+            Self::HeadHead => "head-head",
+            Self::TableTable => "table-table",
+            Self::HeadTable => "head-table",
+        }
+    }
 
-/// Where the elongation comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum Source {
-    /// The displacement sensor.
-    Sensor,
-}
-
-/// The displacement sensor's law: ΔK = K₀ + (V − V₀)·tanβ.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SensorModel {
-    /// K₀: the elongation at the zero reading, in µm.
-    pub k0_um: f64,
-    /// V₀: the counts with the machine cold.
-    pub zero_counts: f64,
-    /// tanβ in µm for one count, not 0; negative where growth lowers the reading.
-    pub um_per_count: f64,
-    /// The run-file column of the sensor's own temperature, `temp_<name>_c`.
-    pub temperature: Option<String>,
+    /// How many rotary axes carry the spindle.
+    #[must_use]
+    pub fn head_axes(self) -> usize {
+        match self {
+            Self::ThreeAxis | Self::TableTable => 0,
+            Self::HeadTable => 1,
+            Self::HeadHead => 2,
+        }
+    }
 }
 
 /// How far and how fast an offset may go, and how long silence is tolerated.
@@ -128,49 +149,94 @@ impl MachineFile {
     pub fn parse(source: &str, path: &Path) -> Result<Machine, BadInput> {
         let document = Document::parse(without_byte_order_mark(source), path)?;
         let root = document.root();
-        root.allow_only(&["machine", "inputs", "spindle", "limits"], &LATER_SECTIONS)?;
+        root.allow_only(&SECTIONS, &LATER_SECTIONS)?;
 
         let machine = root.required("machine", root.section("machine")?)?;
-        let (name, kind, tool_direction) = read_machine(&machine)?;
+        let (name, kind, head_axes, tool_direction) = read_machine(&machine)?;
         let inputs = root.section("inputs")?.map(|inputs| read_inputs(&inputs)).transpose()?;
         let spindle = match root.section("spindle")? {
-            Some(spindle) => read_spindle(&spindle)?,
+            Some(spindle) => spindle::read(&spindle)?,
             None => Spindle::default(),
+        };
+        let axes = match root.section("axis")? {
+            Some(axes) => axis::read(&axes)?,
+            None => Default::default(),
+        };
+        let straightness = match root.section("straightness")? {
+            Some(curves) => straightness::read_straightness(&curves)?,
+            None => Vec::new(),
+        };
+        let squareness = match root.section("squareness")? {
+            Some(angles) => straightness::read_squareness(&angles)?,
+            None => Vec::new(),
         };
         let limits = match root.section("limits")? {
             Some(limits) => read_limits(&limits)?,
             None => Limits::default(),
         };
         let places = document.into_places();
-        Ok(Machine { name, kind, tool_direction, inputs, spindle, limits, places })
+        Ok(Machine {
+            name,
+            kind,
+            head_axes,
+            tool_direction,
+            inputs,
+            spindle,
+            axes,
+            straightness,
+            squareness,
+            limits,
+            places,
+        })
     }
 }
 
-fn read_machine(section: &Section<'_>) -> Result<(String, Kind, [f64; 3]), BadInput> {
+type MachineSection = (String, Kind, Vec<RotaryAxis>, [f64; 3]);
+
+fn read_machine(section: &Section<'_>) -> Result<MachineSection, BadInput> {
     section.allow_only(&["name", "kind", "head_axes", "tool_direction"], &[])?;
     let name = section.required("name", section.text("name")?)?;
     if name.trim().is_empty() {
         return Err(section.bad("name", "must not be empty"));
     }
-    let kinds = [
-        ("3-axis", Some(Kind::ThreeAxis)),
-        ("head-head", None),
-        ("table-table", None),
-        ("head-table", None),
-    ];
-    let Some(kind) = section.required("kind", section.choice("kind", &kinds)?)? else {
-        return Err(section.bad("kind", "other than \"3-axis\" is not supported by this version"));
-    };
-    if section.texts("head_axes")?.is_some_and(|axes| !axes.is_empty()) {
-        return Err(section.bad("head_axes", "other than [] is not supported by this version"));
-    }
+    let kinds = [Kind::ThreeAxis, Kind::HeadHead, Kind::TableTable, Kind::HeadTable]
+        .map(|kind| (kind.name(), kind));
+    let kind = section.required("kind", section.choice("kind", &kinds)?)?;
+    let head_axes = read_head_axes(section, kind)?;
     let tool_direction = match section.vector("tool_direction")? {
         Some(written) => normalised(written).ok_or_else(|| {
             section.bad("tool_direction", "has no length: it must point from the nose to the tip")
         })?,
         None => [0.0, 0.0, -1.0],
     };
-    Ok((name.to_string(), kind, tool_direction))
+    Ok((name.to_string(), kind, head_axes, tool_direction))
+}
+
+fn read_head_axes(section: &Section<'_>, kind: Kind) -> Result<Vec<RotaryAxis>, BadInput> {
+    let mut axes = Vec::new();
+    for (index, name) in section.texts("head_axes")?.unwrap_or_default().into_iter().enumerate() {
+        let axis =
+            RotaryAxis::ALL.into_iter().find(|axis| axis.name() == name).ok_or_else(|| {
+                let rule = format!("must be \"a\" or \"b\" or \"c\", not \"{}\"", shortened(name));
+                section.bad(&format!("head_axes[{index}]"), rule)
+            })?;
+        axes.push(axis);
+    }
+    let wanted = match kind {
+        Kind::ThreeAxis => "must be [], because no rotary axis carries the spindle",
+        Kind::TableTable => "must be [], because both rotary axes carry the workpiece",
+        Kind::HeadTable => "must name exactly one axis, the one that carries the spindle",
+        Kind::HeadHead => "must name exactly two different axes, from the frame to the tool",
+    };
+    let repeated = axes.len() == 2 && axes.first() == axes.last();
+    if axes.len() != kind.head_axes() || repeated {
+        // At most four of what may be a very long list.
+        let there = axes.iter().take(4).map(|axis| format!("\"{}\"", axis.name()));
+        let there = there.collect::<Vec<_>>().join(", ");
+        let rule = format!("{wanted} (kind = \"{}\"), not [{there}]", kind.name());
+        return Err(section.bad("head_axes", rule));
+    }
+    Ok(axes)
 }
 
 /// `vector` at length 1, or `None` if it has no direction.
@@ -209,6 +275,17 @@ fn read_inputs(section: &Section<'_>) -> Result<Inputs, BadInput> {
     Ok(inputs)
 }
 
+/// The run-file column of a temperature, which `key` names.
+fn read_temperature_column(section: &Section<'_>, key: &str) -> Result<Option<String>, BadInput> {
+    match section.text(key)? {
+        Some(column) if !is_temperature_column(column) => {
+            let rule = format!("must name a column temp_<name>_c, not \"{}\"", shortened(column));
+            Err(section.bad(key, rule))
+        }
+        column => Ok(column.map(str::to_string)),
+    }
+}
+
 /// Whether a run-file column of this name is a temperature: `temp_<name>_c`.
 #[must_use]
 pub fn is_temperature_column(name: &str) -> bool {
@@ -240,7 +317,7 @@ fn read_sensor_input(section: &Section<'_>) -> Result<SensorInput, BadInput> {
 
 fn read_temperature_input(section: &Section<'_>) -> Result<TemperatureInput, BadInput> {
     section.allow_only(&["channel", "kind", "zero_counts", "counts_per_c"], &[])?;
-    let channel = section.required("channel", section.whole("channel", 0, u8::MAX.into())?)?;
+    let channel = section.required("channel", section.whole("channel", 0, LAST_CHANNEL.into())?)?;
     let channel = u8::try_from(channel).expect("held to the range of u8 above");
     let zero_counts = section.number("zero_counts")?;
     let counts_per_c = section.number("counts_per_c")?;
@@ -261,47 +338,6 @@ fn read_temperature_input(section: &Section<'_>) -> Result<TemperatureInput, Bad
         TemperatureKind::Pt100
     };
     Ok(TemperatureInput { channel, kind })
-}
-
-fn read_spindle(section: &Section<'_>) -> Result<Spindle, BadInput> {
-    section.allow_only(&["source", "sensor"], &LATER_SPINDLE_SECTIONS)?;
-    let sources = [("sensor", Some(Source::Sensor)), ("warmup", None), ("temperature", None)];
-    let source = match section.choice("source", &sources)? {
-        Some(None) => {
-            let rule = "other than \"sensor\" is not supported by this version";
-            return Err(section.bad("source", rule));
-        }
-        Some(source) => source,
-        None => None,
-    };
-    let sensor = section.section("sensor")?.map(|sensor| read_sensor_model(&sensor)).transpose()?;
-    if source == Some(Source::Sensor) && sensor.is_none() {
-        return Err(section.bad("source", "is \"sensor\", but [spindle.sensor] is missing"));
-    }
-    Ok(Spindle { source, sensor })
-}
-
-fn read_sensor_model(section: &Section<'_>) -> Result<SensorModel, BadInput> {
-    section.allow_only(&["k0_um", "zero_counts", "um_per_count", "temperature"], &[])?;
-    let number = |key| section.required(key, section.number(key)?);
-    let k0_um = number("k0_um")?;
-    let zero_counts = number("zero_counts")?;
-    let um_per_count = number("um_per_count")?;
-    if um_per_count == 0.0 {
-        return Err(section.bad("um_per_count", "must not be 0"));
-    }
-    let temperature = section.text("temperature")?;
-    if let Some(column) = temperature
-        && !is_temperature_column(column)
-    {
-        return Err(section.bad("temperature", "must name a column temp_<name>_c"));
-    }
-    Ok(SensorModel {
-        k0_um,
-        zero_counts,
-        um_per_count,
-        temperature: temperature.map(str::to_string),
-    })
 }
 
 fn read_limits(section: &Section<'_>) -> Result<Limits, BadInput> {

@@ -1,49 +1,296 @@
 //! The reference model in `f64`: what the board's integers are measured against.
 //!
-//! Elongation by the displacement sensor (Shi, Gao and Mao, section 2.2.2):
+//! | module | part |
+//! |---|---|
+//! | `elongation` | the tool's growth, by sensor, warm-up or temperature |
+//! | `kinematics` | the tool direction, along which the growth is laid |
+//! | `thermal` | an axis's growth with a temperature |
+//! | `lag` | the first-order lag of a temperature |
+//! | `pitch` | an axis's position errors and its backlash |
+//! | `straightness` | the error of one axis along another, curved and straight |
+//!
+//! A run is stepped through row by row, because lags and the warm-up are states. The error of an
+//! axis, actual minus commanded, is the sum of its parts:
 //!
 //! ```text
-//! ΔK = K₀ + (V − V₀)·tanβ
+//! Δx = thermal + pitch + backlash + δx(y) + δx(z) + squareness + s·V_x
 //! ```
 //!
-//! It is positive when the tool grows out of the spindle, and an error of ΔK·V̂ in machine
-//! coordinates, V̂ the tool direction. The CNC adds the offset, the opposite of the error: with the
-//! tool pointing down, growth of +60 µm is an error of −60 µm in Z, and the offset lifts by +60 µm.
+//! and likewise on Y and Z. A value that is missing (NaN) makes what depends on it NaN, and nothing
+//! else.
 
-use crate::machine_file::{Machine, SensorModel, Source};
+mod elongation;
+mod kinematics;
+mod lag;
+mod pitch;
+mod straightness;
+mod thermal;
 
-/// The elongation in µm that the sensor's law gives for `sensor_counts`; NaN for a missing count.
-///
-/// ```
-/// use trueup_machine::{machine_file::SensorModel, model::elongation_um};
-/// let paper = SensorModel {
-///     k0_um: 0.0, zero_counts: 5048.0, um_per_count: 500.0 / 32768.0, temperature: None,
-/// };
-/// // (9164 − 5048) · 500/32768 = 4116 · 0.0152587890625
-/// assert_eq!(elongation_um(&paper, 9164.0), 62.80517578125);
-/// ```
-#[must_use]
-pub fn elongation_um(sensor: &SensorModel, sensor_counts: f64) -> f64 {
-    sensor.k0_um + (sensor_counts - sensor.zero_counts) * sensor.um_per_count
+pub use elongation::{WarmupState, elongation_um, heating, temperature_elongation_um, warmup_um};
+pub use kinematics::{error_um, offset_um, rotated, tool_direction};
+pub use lag::Lag;
+pub use pitch::{backlash_um, dual_pitch_um, is_reverse, pitch_um};
+pub use straightness::{spline_um, squareness_um};
+pub use thermal::{thermal_law, thermal_um};
+
+use crate::machine_file::{LinearAxis, Machine, Source};
+
+/// What is known of one row of a run. What is missing is NaN.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Situation<'a> {
+    /// `None` where the run has no such column.
+    pub time_s: Option<f64>,
+    /// The displacement sensor, in the PLC's counts.
+    pub sensor_counts: f64,
+    /// `None` where the run has no such column: the spindle runs from the first row.
+    pub spindle_rpm: Option<f64>,
+    /// Temperatures in °C by the name of their column.
+    pub temperatures_c: &'a [(&'a str, f64)],
+    /// X, Y and Z.
+    pub position_mm: [f64; 3],
+    /// A, B and C.
+    pub angle_deg: [f64; 3],
+    /// The direction of approach of X, Y and Z: +1 or −1; a missing one is +1.
+    pub direction: [f64; 3],
 }
 
-/// The error on X, Y and Z in µm of a tool that has grown by `elongation_um` along the unit vector
-/// `tool_direction`.
-#[must_use]
-pub fn error_um(elongation_um: f64, tool_direction: [f64; 3]) -> [f64; 3] {
-    // + 0.0 turns the −0 of a zero component into 0, which is what a table should show.
-    tool_direction.map(|component| elongation_um * component + 0.0)
+impl Situation<'_> {
+    /// Nothing is known.
+    pub const UNKNOWN: Self = Self {
+        time_s: None,
+        sensor_counts: f64::NAN,
+        spindle_rpm: None,
+        temperatures_c: &[],
+        position_mm: [f64::NAN; 3],
+        angle_deg: [f64::NAN; 3],
+        direction: [f64::NAN; 3],
+    };
+
+    /// The temperature of `column`; NaN if it is missing.
+    #[must_use]
+    pub fn temperature_c(&self, column: &str) -> f64 {
+        let found = self.temperatures_c.iter().find(|(name, _)| *name == column);
+        found.map_or(f64::NAN, |&(_, temperature_c)| temperature_c)
+    }
 }
 
-/// What the CNC must add to its command on X, Y and Z, in µm: the opposite of [`error_um`].
+impl Default for Situation<'_> {
+    fn default() -> Self {
+        Self::UNKNOWN
+    }
+}
+
+/// One side's values for one row, in µm.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Values {
+    /// Positive when the tool grows out of the spindle.
+    pub elongation_um: f64,
+    /// The error of the tool tip on X, Y and Z.
+    pub error_um: [f64; 3],
+}
+
+impl Values {
+    /// The quantities `elongation`, `dx`, `dy`, `dz`, in this order.
+    #[must_use]
+    pub fn all(self) -> [f64; 4] {
+        let [dx, dy, dz] = self.error_um;
+        [self.elongation_um, dx, dy, dz]
+    }
+}
+
+/// The model's values for one row by where they come from, in µm; arrays are X, Y and Z. A part
+/// that the machine does not have is 0.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Parts {
+    /// The tool's growth, along the tool.
+    pub elongation_um: f64,
+    /// The tool direction, of length 1.
+    pub tool_direction: [f64; 3],
+    /// The error of the tool's growth.
+    pub tool_um: [f64; 3],
+    /// The error of each axis's growth with its temperature.
+    pub thermal_um: [f64; 3],
+    /// The position errors of each axis.
+    pub pitch_um: [f64; 3],
+    /// The error of the approach in the negative direction.
+    pub backlash_um: [f64; 3],
+    /// The straightness of the two other axes, across them.
+    pub straightness_um: [f64; 3],
+    /// The angles to the two other axes.
+    pub squareness_um: [f64; 3],
+}
+
+impl Parts {
+    /// The error on X, Y and Z: the sum of the parts.
+    #[must_use]
+    pub fn error_um(&self) -> [f64; 3] {
+        let parts = [
+            self.thermal_um,
+            self.pitch_um,
+            self.backlash_um,
+            self.straightness_um,
+            self.squareness_um,
+            self.tool_um,
+        ];
+        [0, 1, 2].map(|axis| parts.iter().map(|part| part[axis]).sum())
+    }
+
+    /// Elongation and error.
+    #[must_use]
+    pub fn values(&self) -> Values {
+        Values { elongation_um: self.elongation_um, error_um: self.error_um() }
+    }
+}
+
+/// The model of a machine on its way through a run.
+#[derive(Clone, Debug)]
+pub struct Reference<'m> {
+    machine: &'m Machine,
+    /// The time of the newest row that had one.
+    time_s: Option<f64>,
+    state: State,
+}
+
+/// What the rows before have left behind.
+#[derive(Clone, Debug, Default)]
+struct State {
+    warmup: WarmupState,
+    spindle_lag: Lag,
+    axis_lags: [Lag; 3],
+}
+
+impl<'m> Reference<'m> {
+    /// At the start of a run: cold, and all lags settled at the first row.
+    #[must_use]
+    pub fn new(machine: &'m Machine) -> Self {
+        Self { machine, time_s: None, state: State::default() }
+    }
+
+    /// The model's values for the next row of the run. Where time runs back, the run starts anew.
+    pub fn step(&mut self, situation: &Situation<'_>) -> Parts {
+        let time_s = situation.time_s.unwrap_or(f64::NAN);
+        if !time_s.is_nan() {
+            if self.time_s.is_some_and(|before_s| time_s < before_s) {
+                self.state = State::default();
+            }
+            self.time_s = Some(time_s);
+        }
+        let mut parts = Parts {
+            elongation_um: self.elongation_um(time_s, situation),
+            tool_direction: tool_direction(
+                self.machine.tool_direction,
+                &self.machine.head_axes,
+                situation.angle_deg,
+            ),
+            ..Parts::default()
+        };
+        // Without a source there is no growth, wherever the tool may point.
+        if self.machine.spindle.source.is_some() {
+            parts.tool_um = error_um(parts.elongation_um, parts.tool_direction);
+        }
+        for axis in LinearAxis::ALL {
+            self.add_axis(axis, time_s, situation, &mut parts);
+        }
+        let at = |axis: LinearAxis| situation.position_mm[axis.index()];
+        for curve in &self.machine.straightness {
+            parts.straightness_um[curve.error.index()] += spline_um(&curve.spline, at(curve.along));
+        }
+        for angle in self.machine.angles() {
+            parts.squareness_um[angle.error.index()] += squareness_um(angle, at(angle.along));
+        }
+        parts
+    }
+
+    fn elongation_um(&mut self, time_s: f64, situation: &Situation<'_>) -> f64 {
+        let spindle = &self.machine.spindle;
+        match spindle.source {
+            None => 0.0,
+            Some(Source::Sensor) => spindle
+                .sensor
+                .as_ref()
+                .map_or(f64::NAN, |sensor| elongation_um(sensor, situation.sensor_counts)),
+            Some(Source::Warmup) => spindle.warmup.as_ref().map_or(f64::NAN, |model| {
+                // Without a column of speeds it runs, at the speed that the model is rated for.
+                let rated_rpm = model.rated_rpm.unwrap_or(1.0);
+                let spindle_rpm = situation.spindle_rpm.unwrap_or(rated_rpm);
+                self.state.warmup.step(model, time_s, spindle_rpm)
+            }),
+            Some(Source::Temperature) => spindle.temperature.as_ref().map_or(f64::NAN, |model| {
+                let measured_c = situation.temperature_c(&model.sensor);
+                let temperature_c = self.state.spindle_lag.step(model.lag_s, time_s, measured_c);
+                temperature_elongation_um(model, temperature_c)
+            }),
+        }
+    }
+
+    fn add_axis(
+        &mut self,
+        which: LinearAxis,
+        time_s: f64,
+        situation: &Situation<'_>,
+        parts: &mut Parts,
+    ) {
+        let index = which.index();
+        let axis = &self.machine.axes[index];
+        let position_mm = situation.position_mm[index];
+        let direction = situation.direction[index];
+        if let Some(thermal) = &axis.thermal {
+            let measured_c = situation.temperature_c(&thermal.sensor);
+            let temperature_c = self.state.axis_lags[index].step(thermal.lag_s, time_s, measured_c);
+            parts.thermal_um[index] = thermal_um(thermal, temperature_c, position_mm);
+        }
+        if let Some(pitch) = &axis.pitch {
+            parts.pitch_um[index] = match &axis.dual {
+                None => pitch_um(pitch, position_mm, direction),
+                Some(dual) => {
+                    let across_mm = situation.position_mm[dual.across.index()];
+                    dual_pitch_um(pitch, dual, position_mm, across_mm, direction)
+                }
+            };
+        }
+        if let Some(backlash) = &axis.backlash {
+            parts.backlash_um[index] = backlash_um(backlash, direction);
+        }
+    }
+}
+
+/// The columns of a run without which [`Reference`] has no values for `machine`: `time_s` where
+/// there is a lag or a warm-up, `sensor_counts`, temperatures, positions, angles, in this order.
+/// `dir_*` and `spindle_rpm` are never among them, because they may be missing.
 #[must_use]
-pub fn offset_um(elongation_um: f64, tool_direction: [f64; 3]) -> [f64; 3] {
-    error_um(-elongation_um, tool_direction)
+pub fn required_columns(machine: &Machine) -> Vec<String> {
+    let (mut is_timed, mut has_counts) = (false, false);
+    let mut temperatures = Vec::new();
+    let spindle = &machine.spindle;
+    match spindle.source {
+        None => {}
+        Some(Source::Sensor) => has_counts = true,
+        Some(Source::Warmup) => is_timed = true,
+        Some(Source::Temperature) => temperatures
+            .extend(spindle.temperature.as_ref().map(|model| (&model.sensor, model.lag_s))),
+    }
+    let thermal = machine.axes.iter().filter_map(|axis| axis.thermal.as_ref());
+    temperatures.extend(thermal.map(|thermal| (&thermal.sensor, thermal.lag_s)));
+    is_timed |= temperatures.iter().any(|&(_, lag_s)| lag_s != 0.0);
+    let mut names: Vec<String> = temperatures.into_iter().map(|(name, _)| name.clone()).collect();
+    names.sort_unstable();
+    names.dedup();
+
+    let mut columns = Vec::new();
+    columns.extend(is_timed.then(|| "time_s".to_string()));
+    columns.extend(has_counts.then(|| "sensor_counts".to_string()));
+    columns.append(&mut names);
+    let positions = LinearAxis::ALL.into_iter().filter(|&axis| machine.needs_position(axis));
+    columns.extend(positions.map(|axis| format!("{}_mm", axis.name())));
+    if spindle.source.is_some() {
+        columns.extend(machine.head_axes.iter().map(|axis| format!("{}_deg", axis.name())));
+    }
+    columns
 }
 
 impl Machine {
-    /// The elongation in µm from the configured source: 0 where there is none, NaN for a missing
-    /// count.
+    /// The elongation in µm by the displacement sensor: 0 where it is not the source, NaN for a
+    /// missing count.
     #[must_use]
     pub fn elongation_um(&self, sensor_counts: f64) -> f64 {
         match (self.spindle.source, &self.spindle.sensor) {
@@ -51,71 +298,22 @@ impl Machine {
             _ => 0.0,
         }
     }
-}
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    const DOWN: [f64; 3] = [0.0, 0.0, -1.0];
-
-    fn paper() -> SensorModel {
-        SensorModel {
-            k0_um: 0.0,
-            zero_counts: 5048.0,
-            um_per_count: 500.0 / 32768.0,
-            temperature: None,
-        }
+    /// The angles between axes that are not right: what is written as 0 needs no position.
+    fn angles(&self) -> impl Iterator<Item = &crate::machine_file::Squareness> {
+        self.squareness.iter().filter(|angle| angle.um_per_m != 0.0)
     }
 
-    #[test]
-    fn the_papers_readings_give_the_papers_micrometres() {
-        // Counts are whole, so a value printed to 0.1 µm comes back within half a count.
-        for (counts, um) in
-            [(5048.0, 0.0), (5376.0, 5.0), (6359.0, 20.0), (8194.0, 48.0), (9164.0, 62.8)]
-        {
-            assert!((elongation_um(&paper(), counts) - um).abs() < 0.0077, "{counts} counts");
-        }
-        assert_eq!(elongation_um(&paper(), 9164.0), 62.805_175_781_25);
-    }
-
-    #[test]
-    fn k0_is_the_elongation_at_the_zero_reading() {
-        let shifted = SensorModel { k0_um: 3.25, ..paper() };
-        assert_eq!(elongation_um(&shifted, 5048.0), 3.25);
-    }
-
-    #[test]
-    fn a_reading_below_zero_is_a_spindle_that_has_shrunk() {
-        assert_eq!(elongation_um(&paper(), 5048.0 - 64.0), -0.976_562_5);
-    }
-
-    #[test]
-    fn growth_lifts_the_tool() {
-        assert_eq!(error_um(62.8, DOWN), [0.0, 0.0, -62.8]);
-        assert_eq!(offset_um(62.8, DOWN), [0.0, 0.0, 62.8]);
-    }
-
-    #[test]
-    fn shrinking_lowers_the_tool() {
-        assert_eq!(offset_um(-5.0, DOWN), [0.0, 0.0, -5.0]);
-    }
-
-    #[test]
-    fn a_tool_swung_by_a_30_degrees_takes_the_papers_shares() {
-        // A = +30° turns (0, 0, −1) to (0, sin 30°, −cos 30°).
-        let swung = [0.0, 0.5, -(0.75_f64.sqrt())];
-        let error = error_um(500.0, swung);
-        assert_eq!(error[1], 250.0);
-        assert!((error[2] + 433.0).abs() < 0.02);
-        let offset = offset_um(500.0, swung);
-        assert_eq!(offset, error.map(|component| -component + 0.0));
-    }
-
-    #[test]
-    fn no_component_is_minus_zero() {
-        for component in offset_um(1.0, DOWN).into_iter().chain(error_um(1.0, DOWN)) {
-            assert!(component != 0.0 || component.is_sign_positive());
-        }
+    /// Whether any part of the model depends on where `axis` is.
+    fn needs_position(&self, axis: LinearAxis) -> bool {
+        let own = &self.axes[axis.index()];
+        own.pitch.is_some()
+            || own.thermal.as_ref().is_some_and(|thermal| thermal.mode.has_position())
+            || self
+                .axes
+                .iter()
+                .any(|other| other.dual.as_ref().is_some_and(|dual| dual.across == axis))
+            || self.straightness.iter().any(|curve| curve.along == axis)
+            || self.angles().any(|angle| angle.along == axis)
     }
 }

@@ -112,9 +112,9 @@ impl Places {
         Self { file: file.to_path_buf(), line_and_column: BTreeMap::new() }
     }
 
-    /// Notes that `key` stands at the byte `offset` of `text`, the whole content of the file.
-    pub(crate) fn note(&mut self, key: String, text: &str, offset: usize) {
-        self.line_and_column.insert(key, line_and_column(text, offset));
+    /// Notes that `key` stands at this line and column, both from 1.
+    pub(crate) fn note(&mut self, key: String, line_and_column: (usize, usize)) {
+        self.line_and_column.insert(key, line_and_column);
     }
 
     /// The place of `key`, else of the nearest section around it, else the start of the file: a
@@ -210,7 +210,7 @@ mod tests {
     #[test]
     fn a_key_that_is_not_there_has_the_place_of_its_section() {
         let mut places = Places::new(Path::new("m.toml"));
-        places.note("limits".into(), "\n[limits]", 2);
+        places.note("limits".into(), (2, 2));
         assert_eq!(places.of("limits.max_um.x").line, 2);
         assert_eq!(places.of("limits.max_um.x").column, 2);
         assert_eq!(places.of("spindle.source"), Place::start_of(Path::new("m.toml")));

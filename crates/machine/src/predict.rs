@@ -3,29 +3,41 @@
 //! Two columns a quantity, both before filter, limits, slew and wire rounding:
 //!
 //! ```text
-//! counts ─► model, f64 ──────────────────────────────► predicted_<quantity>_um
-//!        └► nearest reading ─► the board's own code ─► bridge_<quantity>_um
+//! row ─► model, f64 ─────────────────────────────────────────► predicted_<quantity>_um
+//!    └► nearest reading, position, temperature ─► the board's own code ─► bridge_<quantity>_um
 //! ```
 //!
-//! The bridge's side runs the functions of `trueup-core` that the firmware runs, on the integers
+//! The bridge's side runs the functions of `trueup-core` that the firmware runs, on the calibration
 //! that [`compile`](mod@crate::compile) gives the board, so the difference between the two columns
-//! is what fixed-point arithmetic costs. Errors are along the tool: elongation times tool direction.
+//! is what fixed-point arithmetic costs. Heat is stepped as the board steps it, every 100 ms of the
+//! run's time.
+//!
+//! A quantity that depends on a column that the run does not have stays empty; a run from which
+//! nothing can be predicted is refused.
 
 use std::io::{self, Write};
 
 use trueup_core::{
-    calibration::Calibration,
-    units::{NANOMETRES_PER_MICROMETRE, Nanometres},
+    calibration::{Calibration, Source as BoardSource},
+    geometry::Place as BoardPlace,
+    heat::{CHANNELS, Heat, ITEMS},
+    lag::{STEP_MS, Share},
+    travel::Travel,
+    units::{
+        Fine, MicroDegrees, NANOMETRES_PER_MICROMETRE, Nanometres, Position, Rpm, Temperature,
+    },
 };
 
 use crate::{
-    compile::compile,
-    inputs::SensorInput,
-    machine_file::{Machine, Source},
-    model,
+    compile::{Compiled, compile},
+    inputs::{Inputs, LAST_CHANNEL, SensorInput, TemperatureInput, TemperatureKind},
+    machine_file::{LinearAxis, Machine, RotaryAxis, Source},
+    model::{Reference, Situation, required_columns},
     place::{BadInput, Place},
     run_file::RunFile,
 };
+
+pub use crate::model::Values;
 
 /// The columns that a prediction adds to those of the run, in their order.
 pub const COLUMNS: [&str; 8] = [
@@ -40,24 +52,9 @@ pub const COLUMNS: [&str; 8] = [
 ];
 
 const NM_PER_UM: f64 = NANOMETRES_PER_MICROMETRE as f64;
+const UNITS_PER_MM: f64 = Position::PER_MILLIMETRE as f64;
 
-/// One side's values for one row, in µm.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Values {
-    /// Positive when the tool grows out of the spindle.
-    pub elongation_um: f64,
-    /// The error of the tool tip on X, Y and Z.
-    pub error_um: [f64; 3],
-}
-
-impl Values {
-    fn all(self) -> [f64; 4] {
-        let [dx, dy, dz] = self.error_um;
-        [self.elongation_um, dx, dy, dz]
-    }
-}
-
-/// Both sides for one row.
+/// Both sides for one row; a value that cannot be predicted is NaN on both.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prediction {
     /// The reference arithmetic.
@@ -67,12 +64,12 @@ pub struct Prediction {
 }
 
 impl Prediction {
-    /// The largest difference between the two sides, in nm.
+    /// The largest difference between the two sides, in nm; `None` without a bridge or a value.
     #[must_use]
     pub fn difference_nm(&self) -> Option<f64> {
         let bridge = self.bridge?.all();
         let apart = self.model.all().into_iter().zip(bridge).map(|(model, bridge)| model - bridge);
-        Some(apart.fold(0.0, |worst, um| worst.max(um.abs() * NM_PER_UM)))
+        apart.filter(|um| !um.is_nan()).map(|um| um.abs() * NM_PER_UM).reduce(f64::max)
     }
 }
 
@@ -81,17 +78,31 @@ impl Prediction {
 pub struct Predictor<'a> {
     machine: &'a Machine,
     run: &'a RunFile,
-    /// The counts that the source needs; `None` if it needs none.
-    sensor_counts: Option<&'a [f64]>,
+    columns: Columns<'a>,
+    missing: Vec<String>,
     bridge: Option<Bridge>,
 }
 
+/// The columns of the run that the model knows.
+#[derive(Clone, Debug)]
+struct Columns<'a> {
+    time_s: Option<&'a [f64]>,
+    sensor_counts: Option<&'a [f64]>,
+    spindle_rpm: Option<&'a [f64]>,
+    temperatures_c: Vec<(&'a str, &'a [f64])>,
+    position_mm: [Option<&'a [f64]>; 3],
+    angle_deg: [Option<&'a [f64]>; 3],
+    direction: [Option<&'a [f64]>; 3],
+}
+
 /// The board's side.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 struct Bridge {
-    /// `None` if the law needs no reading.
+    /// `None` if no law needs a reading.
     input: Option<SensorInput>,
-    calibration: Calibration,
+    /// The temperature column of each channel.
+    channels: [Option<String>; CHANNELS],
+    compiled: Compiled,
 }
 
 /// What was written.
@@ -99,7 +110,7 @@ struct Bridge {
 pub struct Written {
     /// Rows of the run.
     pub rows: usize,
-    /// Rows without a prediction, because their counts are missing.
+    /// Rows whose counts are missing, of which at least the elongation is not predicted.
     pub rows_without_counts: usize,
     /// Rows whose counts the sensor cannot give. They are predicted like all others.
     pub rows_out_of_range: usize,
@@ -112,11 +123,12 @@ pub struct Written {
 impl<'a> Predictor<'a> {
     /// The prediction of `machine` for `run`.
     ///
-    /// `[inputs]` may be missing: there is no bridge side then.
+    /// `[inputs]` may be missing: without the sensor that is the source there is no bridge side
+    /// then; temperatures are taken to be on channels of their own.
     ///
     /// # Errors
-    /// A column that the source needs is missing; a column of the run has the name of one that is
-    /// to be written; the machine describes its inputs but does not compile.
+    /// A column is missing without which nothing can be predicted; a column of the run has the name
+    /// of one that is to be written; the machine describes its inputs but does not compile.
     pub fn new(machine: &'a Machine, run: &'a RunFile) -> Result<Self, BadInput> {
         for name in COLUMNS {
             if run.column(name).is_some() {
@@ -124,15 +136,17 @@ impl<'a> Predictor<'a> {
                 return Err(BadInput::new(run.header_place(), rule));
             }
         }
-        let needs_counts = machine.spindle.source == Some(Source::Sensor);
-        let sensor_counts = needs_counts.then(|| run.require("sensor_counts")).transpose()?;
-        let input = machine.inputs.as_ref().and_then(|inputs| inputs.sensor);
-        let bridge = if needs_counts && input.is_none() {
-            None
-        } else {
-            Some(Bridge { input, calibration: compile(machine)?.calibration })
-        };
-        Ok(Self { machine, run, sensor_counts, bridge })
+        let missing: Vec<String> = required_columns(machine)
+            .into_iter()
+            .filter(|name| run.column(name).is_none())
+            .collect();
+        let columns = Columns::of(run);
+        if let Some(first) = missing.first()
+            && nothing_is_known(machine, &columns)
+        {
+            run.require(first)?;
+        }
+        Ok(Self { machine, run, columns, missing, bridge: Bridge::of(machine)? })
     }
 
     /// Whether there is a bridge side: the machine says how the sensor is connected.
@@ -141,17 +155,32 @@ impl<'a> Predictor<'a> {
         self.bridge.is_some()
     }
 
-    /// Both sides for `row` (from 0); `None` where the counts are missing.
+    /// Columns that the machine's model needs and the run does not have: what depends on them is
+    /// not predicted.
     #[must_use]
-    pub fn row(&self, row: usize) -> Option<Prediction> {
-        let counts = self.counts(row);
-        if self.sensor_counts.is_some() && counts.is_nan() {
-            return None;
-        }
-        let elongation_um = self.machine.elongation_um(counts);
-        let error_um = model::error_um(elongation_um, self.machine.tool_direction);
-        let model = Values { elongation_um, error_um };
-        Some(Prediction { model, bridge: self.bridge.map(|bridge| bridge.values(counts)) })
+    pub fn missing_columns(&self) -> &[String] {
+        &self.missing
+    }
+
+    /// Both sides, row by row: heat is a state.
+    pub fn rows(&self) -> impl Iterator<Item = Prediction> {
+        let mut model = Reference::new(self.machine);
+        let mut bridge = self.bridge.as_ref().map(|bridge| BridgeRun::new(self.machine, bridge));
+        (0..self.run.rows()).map(move |row| {
+            let temperatures = self.columns.temperatures(row);
+            let situation = self.columns.situation(row, &temperatures);
+            let model = model.step(&situation).values();
+            let bridge = bridge.as_mut().map(|bridge| {
+                let bridge = bridge.step(&situation);
+                // What the model cannot know the board does not know either.
+                let known = |model: f64, bridge: f64| if model.is_nan() { model } else { bridge };
+                Values {
+                    elongation_um: known(model.elongation_um, bridge.elongation_um),
+                    error_um: [0, 1, 2].map(|n| known(model.error_um[n], bridge.error_um[n])),
+                }
+            });
+            Prediction { model, bridge }
+        })
     }
 
     /// Writes the run as CSV with [`COLUMNS`] after its own; a value that is missing is an empty
@@ -172,7 +201,7 @@ impl<'a> Predictor<'a> {
             out.write_all(b",")?;
         }
         writeln!(out, "{}", COLUMNS.join(","))?;
-        for row in 0..self.run.rows() {
+        for (row, prediction) in self.rows().enumerate() {
             for column in self.run.columns() {
                 let value = column.values.get(row).copied().unwrap_or(f64::NAN);
                 if !value.is_nan() {
@@ -180,32 +209,29 @@ impl<'a> Predictor<'a> {
                 }
                 out.write_all(b",")?;
             }
-            let prediction = self.row(row);
-            write_prediction(&mut out, prediction)?;
-            self.note(row, prediction, &mut written);
+            write_prediction(&mut out, &prediction)?;
+            self.note(row, &prediction, &mut written);
             row_done();
         }
         out.flush()?;
         Ok(written)
     }
 
-    fn counts(&self, row: usize) -> f64 {
-        self.sensor_counts.and_then(|counts| counts.get(row)).copied().unwrap_or(f64::NAN)
-    }
-
-    fn note(&self, row: usize, prediction: Option<Prediction>, written: &mut Written) {
-        let Some(prediction) = prediction else {
-            written.rows_without_counts += 1;
-            return;
-        };
+    fn note(&self, row: usize, prediction: &Prediction, written: &mut Written) {
         if let Some(difference_nm) = prediction.difference_nm() {
             let before = written.largest_difference_nm.unwrap_or(0.0);
             written.largest_difference_nm = Some(before.max(difference_nm));
         }
-        let input = self.bridge.and_then(|bridge| bridge.input);
-        if self.sensor_counts.is_some()
-            && input.is_some_and(|input| !input.is_in_range(self.counts(row)))
-        {
+        if self.machine.spindle.source != Some(Source::Sensor) {
+            return;
+        }
+        let counts = at(self.columns.sensor_counts, row);
+        if counts.is_nan() {
+            written.rows_without_counts += 1;
+            return;
+        }
+        let input = self.bridge.as_ref().and_then(|bridge| bridge.input);
+        if input.is_some_and(|input| !input.is_in_range(counts)) {
             written.rows_out_of_range += 1;
             let place = || self.run.place(row, "sensor_counts");
             written.first_out_of_range.get_or_insert_with(place);
@@ -213,15 +239,224 @@ impl<'a> Predictor<'a> {
     }
 }
 
-impl Bridge {
-    fn values(&self, counts: f64) -> Values {
-        let um = |length: Nanometres| f64::from(length.0) / NM_PER_UM;
-        // Without a source the law is 0 at every reading.
-        let reading = self.input.map(|input| input.reading_from_counts(counts)).unwrap_or_default();
-        let elongation = self.calibration.sensor.elongation(reading);
-        let error = self.calibration.tool_direction.error(elongation);
-        Values { elongation_um: um(elongation), error_um: error.map(um) }
+/// Whether no quantity that the machine's model describes can be had from these columns.
+fn nothing_is_known(machine: &Machine, columns: &Columns<'_>) -> bool {
+    // A row in which every column that is there has a value.
+    let there = |column: &Option<&[f64]>| column.map_or(f64::NAN, |_| 1.0);
+    let temperatures: Vec<_> =
+        columns.temperatures_c.iter().map(|(name, _)| (*name, 20.0)).collect();
+    let situation = Situation {
+        time_s: columns.time_s.map(|_| 0.0),
+        sensor_counts: there(&columns.sensor_counts),
+        spindle_rpm: columns.spindle_rpm.map(|_| 1.0),
+        temperatures_c: &temperatures,
+        position_mm: columns.position_mm.each_ref().map(there),
+        angle_deg: columns.angle_deg.each_ref().map(there),
+        direction: [1.0; 3],
+    };
+    let nothing = Situation { temperatures_c: &[], ..Situation::UNKNOWN };
+    let known = Reference::new(machine).step(&situation).values().all();
+    let blind = Reference::new(machine).step(&nothing).values().all();
+    // Zero and known without any column is no quantity of this machine.
+    known.iter().zip(blind).all(|(known, blind)| known.is_nan() || !blind.is_nan())
+}
+
+fn at(column: Option<&[f64]>, row: usize) -> f64 {
+    column.and_then(|values| values.get(row)).copied().unwrap_or(f64::NAN)
+}
+
+impl<'a> Columns<'a> {
+    fn of(run: &'a RunFile) -> Self {
+        let linear =
+            |name: fn(&str) -> String| LinearAxis::ALL.map(|axis| run.column(&name(axis.name())));
+        let temperatures = run
+            .columns()
+            .iter()
+            .filter(|column| crate::machine_file::is_temperature_column(&column.name));
+        Self {
+            time_s: run.column("time_s"),
+            sensor_counts: run.column("sensor_counts"),
+            spindle_rpm: run.column("spindle_rpm"),
+            temperatures_c: temperatures
+                .map(|column| (column.name.as_str(), column.values.as_slice()))
+                .collect(),
+            position_mm: linear(|axis| format!("{axis}_mm")),
+            angle_deg: RotaryAxis::ALL.map(|axis| run.column(&format!("{}_deg", axis.name()))),
+            direction: linear(|axis| format!("dir_{axis}")),
+        }
     }
+
+    fn temperatures(&self, row: usize) -> Vec<(&'a str, f64)> {
+        self.temperatures_c.iter().map(|(name, values)| (*name, at(Some(values), row))).collect()
+    }
+
+    fn situation<'t>(&self, row: usize, temperatures_c: &'t [(&'a str, f64)]) -> Situation<'t> {
+        Situation {
+            time_s: self.time_s.map(|times| at(Some(times), row)),
+            sensor_counts: at(self.sensor_counts, row),
+            spindle_rpm: self.spindle_rpm.map(|speeds| at(Some(speeds), row)),
+            temperatures_c,
+            position_mm: self.position_mm.map(|values| at(values, row)),
+            angle_deg: self.angle_deg.map(|values| at(values, row)),
+            direction: self.direction.map(|values| at(values, row)),
+        }
+    }
+}
+
+impl Bridge {
+    /// `None`: the sensor is the source, and nobody says how it is connected.
+    fn of(machine: &Machine) -> Result<Option<Self>, BadInput> {
+        let input = machine.inputs.as_ref().and_then(|inputs| inputs.sensor);
+        if machine.spindle.source == Some(Source::Sensor) && input.is_none() {
+            return Ok(None);
+        }
+        let wired = with_all_temperatures(machine);
+        let compiled = compile(&wired)?;
+        let mut channels = [const { None }; CHANNELS];
+        for (name, temperature) in wired.inputs.iter().flat_map(|inputs| &inputs.temperatures) {
+            if let Some(channel) = channels.get_mut(usize::from(temperature.channel)) {
+                *channel = Some(name.clone());
+            }
+        }
+        Ok(Some(Self { input, channels, compiled }))
+    }
+}
+
+/// The machine with a channel for every temperature that its model uses: to predict, nobody need
+/// say how they are connected.
+fn with_all_temperatures(machine: &Machine) -> Machine {
+    let mut wired = machine.clone();
+    let axes = machine.axes.iter().filter_map(|axis| axis.thermal.as_ref());
+    let used = axes.map(|thermal| &thermal.sensor);
+    let used: Vec<&String> =
+        used.chain(machine.spindle.temperature.iter().map(|model| &model.sensor)).collect();
+    let inputs = wired.inputs.get_or_insert_with(Inputs::default);
+    for name in used {
+        let taken = |channel: &u8| inputs.temperatures.values().any(|it| it.channel == *channel);
+        if !inputs.temperatures.contains_key(name)
+            && let Some(channel) = (0..=LAST_CHANNEL).find(|channel| !taken(channel))
+        {
+            let input = TemperatureInput { channel, kind: TemperatureKind::Pt100 };
+            inputs.temperatures.insert(name.clone(), input);
+        }
+    }
+    wired
+}
+
+/// The board's side on its way through a run.
+struct BridgeRun<'b> {
+    bridge: &'b Bridge,
+    calibration: Calibration<'b>,
+    /// In the order of `head_axes`, each the place of its angle among A, B and C.
+    head_axes: Vec<usize>,
+    rated: Rpm,
+    heat: Heat,
+    /// The time of the first row, and the steps taken since.
+    clock: Option<(f64, u64)>,
+    last_s: f64,
+}
+
+impl<'b> BridgeRun<'b> {
+    fn new(machine: &Machine, bridge: &'b Bridge) -> Self {
+        let rated = machine.spindle.warmup.as_ref().and_then(|warmup| warmup.rated_rpm);
+        Self {
+            bridge,
+            calibration: bridge.compiled.calibration(),
+            head_axes: machine.head_axes.iter().map(|axis| axis.index()).collect(),
+            rated: rpm(rated.unwrap_or(1.0)),
+            heat: Heat::default(),
+            clock: None,
+            last_s: f64::NAN,
+        }
+    }
+
+    fn step(&mut self, situation: &Situation<'_>) -> Values {
+        self.heat_up(situation);
+        let calibration = &self.calibration;
+        let elongation = match calibration.spindle.chain[0] {
+            None => Nanometres::ZERO,
+            Some(BoardSource::Sensor) => {
+                let reading =
+                    self.bridge.input.map(|it| it.reading_from_counts(situation.sensor_counts));
+                calibration.spindle.sensor.elongation(reading.unwrap_or_default())
+            }
+            Some(BoardSource::Temperature) => self.heat.by_temperature(),
+            Some(BoardSource::Warmup) => self.heat.by_running_time(),
+        };
+        let mut place = BoardPlace::default();
+        for (n, axis) in calibration.axes.iter().enumerate() {
+            // A cast from f64 saturates and takes NaN to 0; what depends on it is not shown.
+            place.position[n] = Position((situation.position_mm[n] * UNITS_PER_MM).round() as i32);
+            place.travel[n] = Travel::new();
+            let direction = if situation.direction[n] < 0.0 { -1 } else { 1 };
+            place.travel[n].update(&axis.travel, place.position[n], direction);
+        }
+        let angle = |n: usize| {
+            let degrees = self.head_axes.get(n).map_or(0.0, |&axis| situation.angle_deg[axis]);
+            MicroDegrees((degrees * f64::from(MicroDegrees::PER_DEGREE)).round() as i32)
+        };
+        let direction = calibration.kinematics.direction([angle(0), angle(1)]);
+        let along = direction.fine_error(elongation);
+        let errors = calibration.errors(&self.heat, &place);
+        let um = |length: Nanometres| f64::from(length.0) / NM_PER_UM;
+        Values {
+            elongation_um: um(elongation),
+            error_um: [0, 1, 2].map(|n| {
+                // Without limits: what the tick would clamp is shown as it is.
+                let (sum, _) = errors.axes[n].sum(Fine(i32::MAX));
+                um(sum.plus(along[n]).rounded())
+            }),
+        }
+    }
+
+    /// Steps the heat up to the row, as often as the board would; a row that lacks something leaves
+    /// it to the next.
+    fn heat_up(&mut self, situation: &Situation<'_>) {
+        /// More steps than that (eleven days) leave no lag unsettled that the board can follow.
+        const MOST_STEPS: u64 = 10_000_000;
+        let temperatures: [Option<Temperature>; CHANNELS] = std::array::from_fn(|channel| {
+            let name = self.bridge.channels[channel].as_ref()?;
+            let units = situation.temperature_c(name) * f64::from(Temperature::PER_KELVIN);
+            (!units.is_nan()).then_some(Temperature(units.round() as i32))
+        });
+        let speed = match situation.spindle_rpm {
+            None => Some(self.rated),
+            Some(speed) if speed.is_nan() => return,
+            Some(speed) => Some(rpm(speed)),
+        };
+        if situation.time_s.is_some_and(f64::is_nan) {
+            return;
+        }
+        let time_s = situation.time_s.unwrap_or(0.0);
+        if time_s < self.last_s {
+            (self.heat, self.clock) = (Heat::default(), None);
+        }
+        self.last_s = time_s;
+        let is_first = self.clock.is_none();
+        let (start_s, done) = self.clock.get_or_insert((time_s, 0));
+        let due = ((time_s - *start_s) * 1_000.0 / f64::from(STEP_MS)).round() as u64;
+        let steps = due.saturating_sub(*done).min(MOST_STEPS);
+        *done = due;
+        for _ in 0..steps {
+            self.heat.step(&self.calibration, &temperatures, speed);
+        }
+        // Lags start settled; and what has none is not bound to the board's steps.
+        let follows = |share: Share| is_first || share == Share::ALL;
+        let axes = self.calibration.axes.iter().map(|axis| axis.thermal.map(|it| it.share));
+        let shares = axes.chain([self.calibration.spindle.temperature.map(|it| it.share)]);
+        for (item, share) in shares.enumerate().take(ITEMS) {
+            if share.is_some_and(follows) {
+                self.heat.step_item(&self.calibration, item, &temperatures, speed);
+            }
+        }
+    }
+}
+
+/// A speed as the board knows it.
+fn rpm(speed: f64) -> Rpm {
+    // Slower than half a turn a minute is still a spindle that runs.
+    let rounded = if speed == 0.0 { 0.0 } else { speed.abs().round().max(1.0) };
+    Rpm(rounded.min(f64::from(u16::MAX)) as u16)
 }
 
 /// A column's name, in quotes where it would otherwise be read as something else.
@@ -234,17 +469,16 @@ fn write_name(out: &mut impl Write, name: &str) -> io::Result<()> {
 }
 
 /// The cells of [`COLUMNS`], to 1 pm, and the end of the line.
-fn write_prediction(out: &mut impl Write, prediction: Option<Prediction>) -> io::Result<()> {
-    let model = prediction.map(|prediction| prediction.model.all());
-    let bridge = prediction.and_then(|prediction| prediction.bridge).map(Values::all);
-    for quantity in 0..COLUMNS.len() / 2 {
-        for (side, values) in [model, bridge].into_iter().enumerate() {
-            if quantity + side > 0 {
-                out.write_all(b",")?;
-            }
-            if let Some(values) = values {
-                write!(out, "{:.6}", values[quantity])?;
-            }
+fn write_prediction(out: &mut impl Write, prediction: &Prediction) -> io::Result<()> {
+    let bridge = prediction.bridge.map_or([f64::NAN; 4], Values::all);
+    let pairs = prediction.model.all().into_iter().zip(bridge);
+    for (number, value) in pairs.flat_map(|(model, bridge)| [model, bridge]).enumerate() {
+        if number > 0 {
+            out.write_all(b",")?;
+        }
+        if !value.is_nan() {
+            // + 0.0 turns −0 into 0.
+            write!(out, "{:.6}", value + 0.0)?;
         }
     }
     out.write_all(b"\n")
@@ -295,7 +529,12 @@ mod tests {
     #[test]
     fn a_row_without_counts_has_empty_cells() {
         let (csv, account) = written(PAPER, "x_mm;sensor_counts\n1;\n2;5048\n3;nan\n");
-        assert!(csv.contains("\n1,,,,,,,,,\n") && csv.contains("\n3,,,,,,,,,\n"), "{csv}");
+        // X and Y do not depend on a tool that points down.
+        let rest = format!(",,,,{},,\n", ["0.000000"; 4].join(","));
+        assert!(
+            csv.contains(&format!("\n1{rest}")) && csv.contains(&format!("\n3{rest}")),
+            "{csv}"
+        );
         assert_eq!((account.rows, account.rows_without_counts), (3, 2));
     }
 

@@ -13,6 +13,10 @@ use toml::{
 
 use crate::place::{BadInput, Place, Places, did_you_mean, shortened};
 
+/// The longest array that is read: 4096 points of a pitch table 1 mm apart are four metres, and
+/// more than this is more than the board could store.
+pub(crate) const MOST_ELEMENTS: usize = 4096;
+
 /// A TOML file and where its keys stand.
 pub(crate) struct Document<'t> {
     file: &'t Path,
@@ -31,7 +35,7 @@ impl<'t> Document<'t> {
         })?;
         let table = table.into_inner();
         let mut places = Places::new(file);
-        note_table(&mut places, "", &table, text);
+        note_table(&mut places, "", &table, &Lines::of(text));
         Ok(Self { file, text, table, places })
     }
 
@@ -46,23 +50,47 @@ impl<'t> Document<'t> {
     }
 }
 
-fn note_table(places: &mut Places, name: &str, table: &DeTable<'_>, text: &str) {
+/// Where the lines of a text begin: a table of thousands of numbers has thousands of places, and
+/// to count the lines before each of them would take the square of the file's length.
+struct Lines<'t> {
+    text: &'t str,
+    /// The byte at which each line begins; the first is 0.
+    starts: Vec<usize>,
+}
+
+impl<'t> Lines<'t> {
+    /// `text` has no byte order mark.
+    fn of(text: &'t str) -> Self {
+        let after_breaks = text.match_indices('\n').map(|(at, _)| at + 1);
+        Self { text, starts: std::iter::once(0).chain(after_breaks).collect() }
+    }
+
+    /// Line and column, both from 1, of the byte at `offset`.
+    fn at(&self, offset: usize) -> (usize, usize) {
+        let line = self.starts.partition_point(|&start| start <= offset);
+        let start = line.checked_sub(1).and_then(|before| self.starts.get(before)).unwrap_or(&0);
+        let column = self.text.get(*start..offset).map_or(0, |before| before.chars().count()) + 1;
+        (line, column)
+    }
+}
+
+fn note_table(places: &mut Places, name: &str, table: &DeTable<'_>, lines: &Lines<'_>) {
     for (key, value) in table {
         let dotted = dotted(name, key.get_ref());
-        note_value(places, &dotted, value, text);
+        note_value(places, &dotted, value, lines);
         if value.get_ref().is_table() {
-            places.note(dotted, text, key.span().start);
+            places.note(dotted, lines.at(key.span().start));
         }
     }
 }
 
-fn note_value(places: &mut Places, dotted: &str, value: &Spanned<DeValue<'_>>, text: &str) {
-    places.note(dotted.to_string(), text, value.span().start);
+fn note_value(places: &mut Places, dotted: &str, value: &Spanned<DeValue<'_>>, lines: &Lines<'_>) {
+    places.note(dotted.to_string(), lines.at(value.span().start));
     match value.get_ref() {
-        DeValue::Table(inner) => note_table(places, dotted, inner, text),
+        DeValue::Table(inner) => note_table(places, dotted, inner, lines),
         DeValue::Array(elements) => {
             for (index, element) in elements.iter().enumerate() {
-                note_value(places, &format!("{dotted}[{index}]"), element, text);
+                note_value(places, &format!("{dotted}[{index}]"), element, lines);
             }
         }
         _ => {}
@@ -210,6 +238,45 @@ impl<'d> Section<'d> {
     /// The array `key` of exactly three numbers.
     pub(crate) fn vector(&self, key: &str) -> Result<Option<[f64; 3]>, BadInput> {
         let Some(value) = self.table.get(key).map(Spanned::get_ref) else { return Ok(None) };
+        self.three(key, value).map(Some)
+    }
+
+    /// The array `key` of 1 to [`MOST_ELEMENTS`] numbers.
+    pub(crate) fn numbers(&self, key: &str) -> Result<Option<Vec<f64>>, BadInput> {
+        let number = |element: &str, value: &DeValue<'_>| self.finite(element, value);
+        self.elements(key, "an array of numbers", number)
+    }
+
+    /// The array `key` of 1 to [`MOST_ELEMENTS`] rows of exactly three numbers.
+    pub(crate) fn rows(&self, key: &str) -> Result<Option<Vec<[f64; 3]>>, BadInput> {
+        let row = |element: &str, value: &DeValue<'_>| self.three(element, value);
+        self.elements(key, "an array of rows", row)
+    }
+
+    /// The array `key`, each element read by `read` under its own name.
+    fn elements<T>(
+        &self,
+        key: &str,
+        wanted: &str,
+        read: impl Fn(&str, &DeValue<'_>) -> Result<T, BadInput>,
+    ) -> Result<Option<Vec<T>>, BadInput> {
+        let Some(value) = self.table.get(key).map(Spanned::get_ref) else { return Ok(None) };
+        let DeValue::Array(elements) = value else {
+            return Err(self.wrong_type(key, wanted, value));
+        };
+        if !(1..=MOST_ELEMENTS).contains(&elements.len()) {
+            let rule = format!("must have 1 to {MOST_ELEMENTS} elements, not {}", elements.len());
+            return Err(self.bad(key, rule));
+        }
+        elements
+            .iter()
+            .enumerate()
+            .map(|(index, element)| read(&format!("{key}[{index}]"), element.get_ref()))
+            .collect::<Result<_, _>>()
+            .map(Some)
+    }
+
+    fn three(&self, key: &str, value: &DeValue<'_>) -> Result<[f64; 3], BadInput> {
         let DeValue::Array(elements) = value else {
             return Err(self.wrong_type(key, "an array of three numbers", value));
         };
@@ -220,7 +287,7 @@ impl<'d> Section<'d> {
         for (index, (component, element)) in vector.iter_mut().zip(elements.iter()).enumerate() {
             *component = self.finite(&format!("{key}[{index}]"), element.get_ref())?;
         }
-        Ok(Some(vector))
+        Ok(vector)
     }
 
     /// The array `key` of strings.

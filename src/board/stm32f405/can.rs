@@ -16,7 +16,10 @@ use stm32f4xx_hal::{
 };
 use trueup_link::{
     frame::Frame,
-    layout::{CONTROL_ID, OFFSET_XY_ID, OFFSET_Z_ID, SPINDLE_ID},
+    layout::{
+        CONTROL_ID, OFFSET_XY_ID, OFFSET_Z_ID, POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID,
+        ROTARY_ID, SPINDLE_ID,
+    },
 };
 
 use super::{clocks::Source, within};
@@ -24,7 +27,8 @@ use super::{clocks::Source, within};
 /// 1 Mbit/s at 42 MHz: prescaler 3; 1 + 11 + 2 quanta, sampled at 86 %; jump width 1.
 const BIT_TIMING: u32 = 0x001a_0002;
 /// What the CNC says. The filter drops everything else.
-const HEARD: [u16; 2] = [SPINDLE_ID, CONTROL_ID];
+const HEARD: [u16; 6] =
+    [POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID, SPINDLE_ID, CONTROL_ID];
 /// Identifiers in one filter bank, as a list of 16-bit entries.
 const IDS_IN_A_BANK: usize = 4;
 /// The controller answers within microseconds; this is about 10 ms.

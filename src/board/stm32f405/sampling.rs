@@ -124,7 +124,7 @@ impl Samples {
             return None;
         }
         self.taken = self.taken.wrapping_add(u32::from(BLOCK_LENGTH));
-        Some(Block { codes, speed: None })
+        Some(Block { codes, speed: None, temperatures: None })
     }
 
     /// Starts the chain anew, whatever state it is in: called when blocks are missing.

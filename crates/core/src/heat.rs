@@ -1,0 +1,173 @@
+//! What the machine's temperatures and its running time make of it: a slow part of the bridge.
+//!
+//! Heat is slow, so this steps every 100 ms ([`lag::STEP_MS`](crate::lag::STEP_MS)) and keeps what
+//! the fast tick needs: K₀ and tanβ of each axis, and the elongation of the spindle by temperature
+//! and by running time. Between steps only the position moves: ΔK = K₀ + tanβ·(P − P₀).
+//!
+//! The work is divided into [`ITEMS`] items that may be done in different ticks of the 100, so that
+//! no tick carries it all.
+
+use crate::{
+    calibration::Calibration,
+    gradient::Gradient,
+    lag::Lag,
+    thermometer::Raw,
+    units::{Fine, Nanometres, Rpm, Temperature},
+    warmup,
+};
+
+/// Temperature channels of a board.
+pub const CHANNELS: usize = 8;
+/// A channel is given up after so many bad readings in a row, 100 ms apart.
+pub const FAULT_AFTER_READINGS: u8 = 4;
+/// Items of a step: three axes, the spindle by temperature, the spindle by running time.
+pub const ITEMS: usize = 5;
+
+/// A temperature channel: its last good reading, until it is given up.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Channel {
+    temperature: Option<Temperature>,
+    bad: u8,
+}
+
+impl Channel {
+    /// Takes what the channel's thermometer reads.
+    ///
+    /// A reading that is bad changes nothing at first: a spark is no fault.
+    pub fn hear(&mut self, reading: Option<Temperature>) {
+        if reading.is_some() {
+            *self = Self { temperature: reading, bad: 0 };
+        } else {
+            self.bad = self.bad.saturating_add(1);
+            if self.bad >= FAULT_AFTER_READINGS {
+                self.temperature = None;
+            }
+        }
+    }
+
+    /// Whether it has been read and has nothing believable: other than before the first reading.
+    #[must_use]
+    pub fn is_faulty(&self) -> bool {
+        self.temperature.is_none() && self.bad > 0
+    }
+
+    /// The temperature, `None` before the first reading and after a fault.
+    #[must_use]
+    pub fn temperature(&self) -> Option<Temperature> {
+        self.temperature
+    }
+}
+
+/// What an axis has become by its temperature.
+#[derive(Clone, Copy, Debug, Default)]
+struct AxisHeat {
+    lag: Option<Lag>,
+    constant: Fine,
+    gradient: Gradient,
+}
+
+/// The thermal state of the machine.
+#[derive(Clone, Debug, Default)]
+pub struct Heat {
+    axes: [AxisHeat; 3],
+    spindle: Option<Lag>,
+    by_temperature: Fine,
+    running: warmup::State,
+    by_running_time: Fine,
+}
+
+impl Heat {
+    /// One step of 100 ms with these temperatures, one a channel, and this speed.
+    pub fn step(
+        &mut self,
+        calibration: &Calibration<'_>,
+        temperatures: &[Option<Temperature>; CHANNELS],
+        speed: Option<Rpm>,
+    ) {
+        for item in 0..ITEMS {
+            self.step_item(calibration, item, temperatures, speed);
+        }
+    }
+
+    /// One item of a step. A temperature that is missing leaves its part as it is.
+    pub fn step_item(
+        &mut self,
+        calibration: &Calibration<'_>,
+        item: usize,
+        temperatures: &[Option<Temperature>; CHANNELS],
+        speed: Option<Rpm>,
+    ) {
+        if let (Some(heat), Some(axis)) = (self.axes.get_mut(item), calibration.axes.get(item)) {
+            if let Some(thermal) = &axis.thermal
+                && let Some(temperature) = channel(temperatures, thermal.channel)
+            {
+                let lagged = step_lag(&mut heat.lag, temperature, thermal.share);
+                (heat.constant, heat.gradient) = thermal.law.at(lagged);
+            }
+        } else if item == 3 {
+            if let Some(spindle) = &calibration.spindle.temperature
+                && let Some(temperature) = channel(temperatures, spindle.channel)
+            {
+                let lagged = step_lag(&mut self.spindle, temperature, spindle.share);
+                self.by_temperature = spindle.law.at(lagged).0;
+            }
+        } else if let Some(warmup) = &calibration.spindle.warmup {
+            let drive = warmup.drive(speed);
+            warmup.law.step(&mut self.running, drive);
+            self.by_running_time = warmup.law.elongation(&self.running);
+        }
+    }
+
+    /// K₀ and tanβ of an axis; both 0 without a law.
+    #[must_use]
+    pub fn axis(&self, axis: usize) -> (Fine, Gradient) {
+        self.axes.get(axis).map_or_else(Default::default, |heat| (heat.constant, heat.gradient))
+    }
+
+    /// Whether the law of an axis has had a temperature yet; an axis without one needs none.
+    #[must_use]
+    pub fn knows(&self, calibration: &Calibration<'_>) -> bool {
+        self.axes
+            .iter()
+            .zip(&calibration.axes)
+            .all(|(heat, axis)| axis.thermal.is_none() || heat.lag.is_some())
+    }
+
+    /// The elongation by the spindle's temperature.
+    #[must_use]
+    pub fn by_temperature(&self) -> Nanometres {
+        self.by_temperature.rounded()
+    }
+
+    /// The elongation by the warm-up model.
+    #[must_use]
+    pub fn by_running_time(&self) -> Nanometres {
+        self.by_running_time.rounded()
+    }
+}
+
+/// The temperature of a channel.
+fn channel(temperatures: &[Option<Temperature>; CHANNELS], number: u8) -> Option<Temperature> {
+    temperatures.get(usize::from(number)).copied().flatten()
+}
+
+/// The lagged temperature; a lag starts settled at the first temperature that it sees.
+fn step_lag(
+    lag: &mut Option<Lag>,
+    temperature: Temperature,
+    share: crate::lag::Share,
+) -> Temperature {
+    match lag {
+        Some(lag) => {
+            lag.step(temperature.0, share);
+            Temperature(lag.value())
+        }
+        None => {
+            *lag = Some(Lag::settled(temperature.0));
+            temperature
+        }
+    }
+}
+
+/// What every channel of a board delivers at one time.
+pub type RawTemperatures = [Raw; CHANNELS];

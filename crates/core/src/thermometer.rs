@@ -1,0 +1,232 @@
+//! What a temperature channel delivers, and the temperature it means.
+//!
+//! A PT100 delivers micro-ohms ([`pt100`]), a linear chain 1/256 counts (Q8):
+//!
+//! T = (raw − zero)·slope/2^shift.
+//!
+//! The slope is in temperature units per 1/256 count, 16 000/(counts per °C), with as many binary
+//! places (`shift`, at most 31) as 31 bits hold, because it reaches from 1.6 (10 000 counts/K) to
+//! 160 000 (0.1 counts/K). Seed 002's chain, 16 counts/K, has the slope 1000 exactly. Measured
+//! worst error of a linear chain against `f64` over ±500 °C: 0.0003 mK, with 0.1…10 000 counts/K.
+
+use crate::{
+    pt100,
+    units::{MicroOhms, Temperature},
+};
+
+/// What a temperature channel delivers: micro-ohms of a PT100, 1/256 counts of a linear chain.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Raw(pub i32);
+
+impl Default for Raw {
+    fn default() -> Self {
+        Self::NONE
+    }
+}
+
+impl Raw {
+    /// The channel has nothing to deliver: no converter, no answer, not yet measured.
+    pub const NONE: Self = Self(i32::MIN);
+}
+
+/// Why a channel has no temperature.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// Nothing came: [`Raw::NONE`].
+    Missing,
+    /// The resistance is above that of any temperature in range: a broken wire.
+    Open,
+    /// The resistance is below that of any temperature in range: a short circuit.
+    Short,
+    /// A linear chain is beyond ±500 °C.
+    OutOfRange,
+}
+
+impl From<pt100::Fault> for Fault {
+    fn from(fault: pt100::Fault) -> Self {
+        match fault {
+            pt100::Fault::Open => Self::Open,
+            pt100::Fault::Short => Self::Short,
+        }
+    }
+}
+
+/// How a channel's delivery becomes a temperature.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Thermometer {
+    /// A platinum resistance after IEC 60751.
+    Pt100,
+    /// A chain of which the counts are proportional to the temperature.
+    Linear {
+        /// The delivery at 0 °C, in 1/256 counts.
+        zero: i32,
+        /// Temperature units per 1/256 count, times 2^`shift`; negative where counts fall as it
+        /// grows warmer.
+        slope: i32,
+        /// Binary places of `slope`, at most [`Thermometer::MAX_SHIFT`]; more count as that many.
+        shift: u8,
+    },
+}
+
+impl Thermometer {
+    /// A linear chain beyond this, either way, is a fault.
+    pub const LIMIT: Temperature = Temperature(500 * Temperature::PER_KELVIN);
+    /// The most binary places of a slope.
+    pub const MAX_SHIFT: u8 = 31;
+
+    /// The temperature that a delivery means.
+    ///
+    /// ```
+    /// use trueup_core::{thermometer::{Fault, Raw, Thermometer}, units::Temperature};
+    /// // 4000 counts at 0 °C and 16 counts per kelvin: 4376 counts are 376/16 = 23.5 °C.
+    /// let chain = Thermometer::Linear { zero: 4000 * 256, slope: 1000, shift: 0 };
+    /// let warm = Temperature(23_500 * Temperature::PER_MILLIKELVIN);
+    /// assert_eq!(chain.read(Raw(4376 * 256)), Ok(warm));
+    /// assert_eq!(chain.read(Raw::NONE), Err(Fault::Missing));
+    /// ```
+    ///
+    /// # Errors
+    /// [`Fault`] when the channel has delivered nothing, or nothing that is a temperature.
+    pub fn read(&self, raw: Raw) -> Result<Temperature, Fault> {
+        if raw == Raw::NONE {
+            return Err(Fault::Missing);
+        }
+        match *self {
+            Self::Pt100 => Ok(pt100::temperature(MicroOhms(raw.0))?),
+            Self::Linear { zero, slope, shift } => {
+                let shift = u32::from(shift.min(Self::MAX_SHIFT));
+                let half = 1_i64.wrapping_shl(shift) >> 1;
+                let from_zero = i64::from(raw.0).wrapping_sub(i64::from(zero));
+                // 33 bits by 32, at most 2⁶³ − 2³¹, and half is at most 2³⁰: nothing can wrap.
+                let scaled = from_zero.wrapping_mul(i64::from(slope)).wrapping_add(half);
+                match i32::try_from(scaled.wrapping_shr(shift)) {
+                    Ok(t) if t.unsigned_abs() <= Self::LIMIT.0.unsigned_abs() => Ok(Temperature(t)),
+                    _ => Err(Fault::OutOfRange),
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    extern crate std;
+
+    /// Seed 002: 4000 counts at 0 °C, 16 counts per kelvin.
+    const PAPER: Thermometer = Thermometer::Linear { zero: 4000 * 256, slope: 1000, shift: 0 };
+
+    /// As the host fills it in: the largest shift with which the slope fits.
+    fn linear(zero_counts: f64, counts_per_c: f64) -> Thermometer {
+        let units = 16_000.0 / counts_per_c;
+        let fits = |shift: &u8| (units * 2.0_f64.powi(i32::from(*shift))).abs() < 2_147_483_647.0;
+        let shift = (0..=Thermometer::MAX_SHIFT).rev().find(fits).unwrap();
+        let slope = (units * 2.0_f64.powi(i32::from(shift))).round() as i32;
+        Thermometer::Linear { zero: (zero_counts * 256.0).round() as i32, slope, shift }
+    }
+
+    #[test]
+    fn the_papers_chain_steps_by_a_sixteenth_of_a_kelvin_exactly() {
+        for counts in 0..=12_000 {
+            // (counts − 4000)/16 K: 62.5 mK are 256 000 units.
+            let expected = Temperature((counts - 4000) * 256_000);
+            assert_eq!(PAPER.read(Raw(counts * 256)), Ok(expected));
+            assert_eq!(linear(4000.0, 16.0).read(Raw(counts * 256)), Ok(expected));
+        }
+        assert_eq!(256_000, Temperature::PER_KELVIN / 16);
+    }
+
+    #[test]
+    fn the_papers_listing_computes_another_temperature_than_the_paper() {
+        // 23.5 °C: 4376 counts, 376 above zero, 23 whole degrees and a remainder of 8.
+        let from_zero = 4376 - 4000;
+        let (whole, remainder) = (from_zero / 16, from_zero % 16);
+        assert_eq!((whole, remainder), (23, 8));
+
+        // "L B#16#10", commented "the remainder times ten", loads 16. The digit of tenths is then
+        // the remainder itself, here 8 and up to 15, where 8/16 of a degree are 5 tenths.
+        let loaded = 0x10;
+        assert_eq!(remainder * loaded / 16, 8);
+        assert_eq!(remainder * 10 / 16, 5);
+        // The whole degrees are multiplied by the same constant. Instead of 235 tenths there are
+        // 376, the counts unchanged, which read as tenths are 37.6 °C: 14.1 K or 200 µm/m too many.
+        assert_eq!(whole * loaded + remainder * loaded / 16, from_zero);
+        assert_eq!(whole * 10 + remainder * 10 / 16, 235);
+
+        // "L B#16#4000", commented "zero = 4000", loads 16384: 774 K too cold, and a fault here.
+        let listing = Thermometer::Linear { zero: 0x4000 * 256, slope: 1000, shift: 0 };
+        assert_eq!(0x4000 - 4000, 774 * 16);
+        assert_eq!(listing.read(Raw(4376 * 256)), Err(Fault::OutOfRange));
+
+        // Right is the formula in the text.
+        let right = Temperature(23_500 * Temperature::PER_MILLIKELVIN);
+        assert_eq!(PAPER.read(Raw(4376 * 256)), Ok(right));
+    }
+
+    #[test]
+    fn linear_chains_of_any_gain_and_either_sign_are_right_all_over() {
+        let mut worst = 0.0_f64;
+        for counts_per_c in [0.1, 0.37, 1.0, 9.99, 16.0, 27.648, 100.0, 1234.5, 10_000.0] {
+            for signed in [counts_per_c, -counts_per_c] {
+                for zero in [-1000.0, 0.0, 4000.0] {
+                    let chain = linear(zero, signed);
+                    for step in -3_000..=3_000 {
+                        let celsius = f64::from(step) / 6.0001;
+                        let raw = ((zero + celsius * signed) * 256.0).round();
+                        let exact = (raw / 256.0 - zero) / signed;
+                        let t = chain.read(Raw(raw as i32));
+                        if exact.abs() > 499.9999 {
+                            continue;
+                        }
+                        let t = f64::from(t.unwrap().0) / f64::from(Temperature::PER_KELVIN);
+                        worst = worst.max((t - exact).abs());
+                    }
+                }
+            }
+        }
+        std::println!("worst error of a linear chain: {:.6} mK", worst * 1e3);
+        assert!(worst < 1e-6);
+    }
+
+    #[test]
+    fn beyond_500_degrees_either_way_is_a_fault() {
+        let at = |counts: i32| PAPER.read(Raw(counts * 256));
+        assert_eq!(at(4000 + 8000), Ok(Thermometer::LIMIT));
+        assert_eq!(at(4000 - 8000), Ok(Temperature(-Thermometer::LIMIT.0)));
+        assert_eq!(PAPER.read(Raw(12_000 * 256 + 1)), Err(Fault::OutOfRange));
+        assert_eq!(PAPER.read(Raw(-4_000 * 256 - 1)), Err(Fault::OutOfRange));
+    }
+
+    #[test]
+    fn no_delivery_and_no_slope_panics_or_wraps() {
+        let ends = [i32::MIN, i32::MIN + 1, -1, 0, 1, i32::MAX];
+        for zero in ends {
+            for slope in ends {
+                for shift in [0, 1, 30, 31, 32, 63, 64, 255] {
+                    for raw in ends {
+                        let got = Thermometer::Linear { zero, slope, shift }.read(Raw(raw));
+                        let exact = (i128::from(raw) - i128::from(zero)) * i128::from(slope);
+                        let half = (1_i128 << shift.min(31)) >> 1;
+                        let exact = (exact + half) >> shift.min(31);
+                        let expected = if raw == i32::MIN {
+                            Err(Fault::Missing)
+                        } else if exact.abs() > i128::from(Thermometer::LIMIT.0) {
+                            Err(Fault::OutOfRange)
+                        } else {
+                            Ok(Temperature(exact as i32))
+                        };
+                        assert_eq!(got, expected);
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_pt100_passes_its_faults_on() {
+        assert_eq!(Thermometer::Pt100.read(Raw(100_000_000)), Ok(Temperature(0)));
+        assert_eq!(Thermometer::Pt100.read(Raw(i32::MAX)), Err(Fault::Open));
+        assert_eq!(Thermometer::Pt100.read(Raw(i32::MIN + 1)), Err(Fault::Short));
+        assert_eq!(Thermometer::Pt100.read(Raw::NONE), Err(Fault::Missing));
+    }
+}

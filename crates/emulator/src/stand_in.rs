@@ -1,0 +1,110 @@
+//! Stands in for a CNC that does not say where its axes are: sends the positions and angles of the
+//! run on the bus, as often as a CNC would, each until the CNC sends that frame itself.
+
+use std::sync::atomic::{AtomicU8, Ordering};
+
+use trueup_link::{
+    bench::FRAMES,
+    frame::Frame,
+    frames,
+    layout::{POSITION_PERIOD_MS, POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID},
+};
+
+use crate::replay::Situation;
+
+/// The frames that a run can stand in for.
+const IDS: [u16; 4] = [POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID];
+const _: () = assert!(IDS.len() <= FRAMES);
+
+/// Which of these frames the CNC has sent itself: a bit each.
+#[derive(Debug, Default)]
+pub struct Heard(AtomicU8);
+
+impl Heard {
+    /// Takes a line of the CNC, without its end.
+    pub fn note(&self, line: &[u8]) {
+        let Some(id) = line.strip_prefix(b"t").and_then(|rest| rest.get(..3)) else { return };
+        let id = str::from_utf8(id).ok().and_then(|id| u16::from_str_radix(id, 16).ok());
+        if let Some(place) = IDS.iter().position(|&known| Some(known) == id) {
+            self.0.fetch_or(1 << place, Ordering::Relaxed);
+        }
+    }
+
+    fn has(&self, place: usize) -> bool {
+        self.0.load(Ordering::Relaxed) & (1 << place) != 0
+    }
+}
+
+/// The run's end of the bus.
+#[derive(Debug, Default)]
+pub struct StandIn {
+    ms: u32,
+    /// Each identifier counts for itself.
+    counters: [u8; 4],
+}
+
+impl StandIn {
+    /// The frames of the next millisecond.
+    pub fn frames(&mut self, now: &Situation, heard: &Heard) -> [Option<Frame>; FRAMES] {
+        let is_due = self.ms.is_multiple_of(POSITION_PERIOD_MS);
+        self.ms = self.ms.wrapping_add(1);
+        let mut sent = [None; FRAMES];
+        if !is_due {
+            return sent;
+        }
+        let [x, y, z] = now.positions;
+        for (place, position) in [x, y, z].into_iter().enumerate() {
+            sent[place] = position.map(|there| frames::position(there, self.counters[place]));
+        }
+        sent[3] = now.rotary.map(|there| frames::rotary(there, self.counters[3]));
+        for (place, counter) in self.counters.iter_mut().enumerate() {
+            if heard.has(place) {
+                sent[place] = None;
+            } else if sent[place].is_some() {
+                *counter = counter.wrapping_add(1);
+            }
+        }
+        sent
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trueup_core::{
+        cnc::{AxisPosition, Heading, LinearAxis, Rotary},
+        units::Position,
+    };
+    use trueup_link::receiver::Receiver;
+
+    #[test]
+    fn the_run_is_heard_in_order_until_the_cnc_speaks_for_itself() {
+        let there =
+            |axis| AxisPosition { axis, position: Position(5), direction: Heading::Positive };
+        let now = Situation {
+            positions: [Some(there(LinearAxis::X)), None, Some(there(LinearAxis::Z))],
+            rotary: Some(Rotary::default()),
+            ..Situation::default()
+        };
+        let (mut stand_in, heard, mut receiver) =
+            (StandIn::default(), Heard::default(), Receiver::new());
+        let mut ids = |ms| {
+            let mut ids = Vec::new();
+            for _ in 0..ms {
+                for frame in stand_in.frames(&now, &heard).into_iter().flatten() {
+                    receiver.accept(&frame).expect("in order");
+                    ids.push(frame.id());
+                }
+            }
+            ids
+        };
+        assert_eq!(ids(2), [POSITION_X_ID, POSITION_Z_ID, ROTARY_ID]);
+        assert_eq!(ids(600).len(), 900);
+        for line in [&b"t30280000000000000000"[..], b"V", b"t20", b"txyz", b"O"] {
+            heard.note(line);
+        }
+        assert_eq!(ids(2).len(), 3, "none of these is a position");
+        heard.note(b"t20180000000000000000");
+        assert_eq!(ids(2), [POSITION_Z_ID, ROTARY_ID]);
+    }
+}

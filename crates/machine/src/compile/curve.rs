@@ -1,0 +1,263 @@
+//! Curves for the board: each polynomial piece of a curve as one cubic segment, its knots where the
+//! user has them.
+//!
+//! A segment ends at the knot, rounded to the board's 10 nm, and carries the very polynomial of
+//! the piece: a cubic through four points of a cubic is the cubic itself. The only differences are
+//! the rounding of the coefficients, and the 5 nm by which a knot may lie beside its polynomial's
+//! end, over which the polynomial is simply followed.
+
+use trueup_core::{
+    curve::{Curve, MAX_KNOTS_IN_BUCKET, Segment},
+    units::{Fine, Position},
+};
+
+use crate::machine_file::BSpline;
+
+/// A curve whose tables are owned.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct OwnedCurve {
+    segments: Vec<[u8; trueup_core::curve::SEGMENT_SIZE]>,
+    index: Vec<[u8; 2]>,
+    first: Position,
+    bucket_shift: u8,
+    /// Largest difference from what it was made of, in nm.
+    pub(super) largest_difference_nm: f64,
+}
+
+impl OwnedCurve {
+    /// No curve.
+    pub(super) const NONE: Self = Self {
+        segments: Vec::new(),
+        index: Vec::new(),
+        first: Position(0),
+        bucket_shift: 32,
+        largest_difference_nm: 0.0,
+    };
+
+    /// As the board sees it.
+    pub(super) fn view(&self) -> Curve<'_> {
+        Curve::new(self.first, &self.segments, &self.index, self.bucket_shift)
+    }
+}
+
+/// One piece of a curve: from `start` to `end` in position units it is `value`, in fine units of a
+/// place in position units, and a cubic at most.
+pub(super) struct Piece<'f> {
+    pub(super) start: i32,
+    pub(super) end: i32,
+    pub(super) value: Box<dyn Fn(f64) -> f64 + 'f>,
+}
+
+/// Why a curve cannot be made: goes on after its name.
+pub(super) type Reason = String;
+
+/// The pieces of a B-spline between its distinct knots.
+///
+/// # Errors
+/// A knot is outside the board's positions, or two are not a position unit apart.
+pub(super) fn pieces_of(spline: &BSpline) -> Result<Vec<Piece<'_>>, Reason> {
+    let BSpline { order, knots_mm, .. } = spline;
+    let mut pieces = Vec::new();
+    for span in order - 1..knots_mm.len() - order {
+        let (low, high) = (knots_mm[span], knots_mm[span + 1]);
+        if low == high {
+            continue;
+        }
+        let (start, end) = (units(low)?, units(high)?);
+        if start >= end {
+            return Err(format!("has knots at {low} and {high} mm, closer than the board's 10 nm"));
+        }
+        let value = move |place: f64| in_span(spline, span, place / UNITS_PER_MM) * FINE_PER_UM;
+        pieces.push(Piece { start, end, value: Box::new(value) });
+    }
+    Ok(pieces)
+}
+
+const UNITS_PER_MM: f64 = Position::PER_MILLIMETRE as f64;
+const FINE_PER_UM: f64 = Fine::PER_NANOMETRE as f64 * 1_000.0;
+
+fn units(mm: f64) -> Result<i32, Reason> {
+    super::rounded(mm * UNITS_PER_MM)
+        .ok_or_else(|| format!("reaches {mm} mm, beyond the board's ±21474 mm"))
+}
+
+/// The polynomial of one knot span by de Boor's recurrence, also beyond the span's ends.
+fn in_span(spline: &BSpline, span: usize, x: f64) -> f64 {
+    let degree = spline.order - 1;
+    let knots = &spline.knots_mm;
+    let mut points: Vec<f64> = spline.control_um[span - degree..=span].to_vec();
+    for level in 1..=degree {
+        for j in (level..=degree).rev() {
+            let left = knots[span - degree + j];
+            let right = knots[span + 1 + j - level];
+            let share = (x - left) / (right - left);
+            points[j] = (1.0 - share) * points[j - 1] + share * points[j];
+        }
+    }
+    points[degree]
+}
+
+/// Makes the board's curve of pieces that follow each other.
+///
+/// # Errors
+/// A coefficient does not fit, or the knots lie too irregularly for the index.
+pub(super) fn build(pieces: &[Piece<'_>]) -> Result<OwnedCurve, Reason> {
+    let Some(first) = pieces.first() else {
+        return Ok(OwnedCurve::NONE);
+    };
+    let mut segments = Vec::new();
+    for piece in pieces {
+        add_segments(&mut segments, piece, piece.start, piece.end)?;
+    }
+    let ends: Vec<i64> =
+        segments.iter().map(|it| i64::from(it.end.0) - i64::from(first.start)).collect();
+    let (bucket_shift, index) = index(&ends)?;
+    let mut curve = OwnedCurve {
+        segments: segments.iter().map(Segment::to_bytes).collect(),
+        index,
+        first: Position(first.start),
+        bucket_shift,
+        largest_difference_nm: 0.0,
+    };
+    curve.largest_difference_nm = largest_difference_nm(&curve.view(), pieces);
+    Ok(curve)
+}
+
+/// The segment of a piece from `start` to `end`; where its coefficients do not fit, those of its
+/// halves. The knots stay where they are.
+fn add_segments(
+    segments: &mut Vec<Segment>,
+    piece: &Piece<'_>,
+    start: i32,
+    end: i32,
+) -> Result<(), Reason> {
+    let length = end.abs_diff(start);
+    // The knot at its start belongs to the segment before, except at the first.
+    let reach = if segments.is_empty() { length } else { length.saturating_sub(1) };
+    let shift = Segment::shift_for(reach);
+    let dyadic = 2_f64.powi(32 - i32::from(shift));
+    // t runs backwards from the end.
+    let place = |t: f64| f64::from(end) - (t + 1.0) / 2.0 * dyadic;
+    // Four places inside the piece, in the segment's own variable.
+    let width = 2.0 * f64::from(length) / dyadic;
+    let t: [f64; 4] = std::array::from_fn(|n| -1.0 + width * n as f64 / 3.0);
+    let c = cubic_through(t, t.map(|t| (piece.value)(place(t))));
+    // A high word halves: what meets it twice is stored twice as large, and so on.
+    let stored = [c[0], c[1], c[2] * 2.0, c[3] * 4.0].map(super::rounded);
+    if let [Some(c0), Some(c1), Some(c2), Some(c3)] = stored {
+        let segment = Segment::new(Position(end), shift, [c0, c1, c2, c3]);
+        if segment.is_sound(reach) {
+            segments.push(segment);
+            return Ok(());
+        }
+    }
+    if length < 2 {
+        return Err(format!(
+            "is {:.0} µm at {} mm, beyond the board's ±8388 µm",
+            (piece.value)(f64::from(start)) / FINE_PER_UM,
+            f64::from(start) / UNITS_PER_MM
+        ));
+    }
+    let middle = start.midpoint(end);
+    add_segments(segments, piece, start, middle)?;
+    add_segments(segments, piece, middle, end)
+}
+
+/// The coefficients, constant first, of the cubic through four points (Newton's divided
+/// differences, multiplied out).
+fn cubic_through(x: [f64; 4], y: [f64; 4]) -> [f64; 4] {
+    let mut d = y;
+    for level in 1..4 {
+        for n in (level..4).rev() {
+            d[n] = (d[n] - d[n - 1]) / (x[n] - x[n - level]);
+        }
+    }
+    let mut c = [d[3], 0.0, 0.0, 0.0];
+    for n in (0..3).rev() {
+        // c = c·(t − x[n]) + d[n]
+        for power in (1..4).rev() {
+            c[power] = c[power - 1] - x[n] * c[power];
+        }
+        c[0] = d[n] - x[n] * c[0];
+    }
+    c
+}
+
+/// The bucket index over ends of segments, counted from the first knot: as few buckets as keep the
+/// search short. A bucket names the segment of its first position.
+fn index(ends: &[i64]) -> Result<(u8, Vec<[u8; 2]>), Reason> {
+    /// Entries that every curve may have for a segment: 4 bytes.
+    const ENTRIES_PER_SEGMENT: i64 = 2;
+    const MOST_ENTRIES: i64 = 4_096;
+    let length = ends.last().copied().unwrap_or_default();
+    let entries = |shift: u8| (length >> shift) + 1;
+    let named = |place: i64| ends.partition_point(|&end| end < place);
+    // The most steps from a bucket's segment to that of a place in the bucket.
+    let steps = |shift: u8| {
+        (0..entries(shift))
+            .map(|bucket| {
+                let last = (((bucket + 1) << shift) - 1).min(length);
+                named(last) - named(bucket << shift)
+            })
+            .max()
+            .unwrap_or(0)
+    };
+    let share = (ENTRIES_PER_SEGMENT * ends.len() as i64).max(4);
+    let shifts = || (1..=32_u8).rev().filter(|&shift| entries(shift) <= MOST_ENTRIES);
+    let within_share = || shifts().filter(|&shift| entries(shift) <= share);
+    let shift = within_share()
+        .find(|&shift| steps(shift) <= 1)
+        .or_else(|| within_share().next_back().filter(|&shift| steps(shift) <= MAX_KNOTS_IN_BUCKET))
+        .or_else(|| shifts().find(|&shift| steps(shift) <= MAX_KNOTS_IN_BUCKET))
+        .ok_or_else(|| {
+            format!(
+                "has more than {MAX_KNOTS_IN_BUCKET} knots within a {MOST_ENTRIES}th of its length"
+            )
+        })?;
+    let index = (0..entries(shift)).map(|bucket| {
+        let number = u16::try_from(named(bucket << shift));
+        number.expect("a curve of 65536 segments is larger than any blob").to_le_bytes()
+    });
+    Ok((shift, index.collect()))
+}
+
+/// At every end of a segment and at places between.
+fn largest_difference_nm(curve: &Curve<'_>, pieces: &[Piece<'_>]) -> f64 {
+    const PLACES: i64 = 48;
+    let mut worst: f64 = 0.0;
+    for (number, piece) in pieces.iter().enumerate() {
+        let length = i64::from(piece.end) - i64::from(piece.start);
+        for n in 0..=PLACES {
+            let place = i64::from(piece.start) + length * n / PLACES;
+            // The knot at a start belongs to the piece before.
+            if n == 0 && number > 0 {
+                continue;
+            }
+            let place = i32::try_from(place).expect("between two of i32");
+            let board = f64::from(curve.at(Position(place)).0.0);
+            let difference = board - (piece.value)(f64::from(place));
+            worst = worst.max(difference.abs() / f64::from(Fine::PER_NANOMETRE));
+        }
+    }
+    worst
+}
+
+/// The steepest slope of a curve in µm per mm, and where it is in mm.
+pub(super) fn steepest(pieces: &[Piece<'_>]) -> (f64, f64) {
+    let mut worst = (0.0, 0.0);
+    for piece in pieces {
+        let (start, end) = (f64::from(piece.start), f64::from(piece.end));
+        // The slope of a cubic is a parabola; by differences it is right at the middle of each.
+        const PLACES: u32 = 64;
+        let step = (end - start) / f64::from(PLACES);
+        for n in 0..PLACES {
+            let low = start + step * f64::from(n);
+            let rise = (piece.value)(low + step) - (piece.value)(low);
+            let slope = rise / FINE_PER_UM / (step / UNITS_PER_MM);
+            if slope.abs() > f64::abs(worst.0) {
+                worst = (slope, low / UNITS_PER_MM);
+            }
+        }
+    }
+    worst
+}

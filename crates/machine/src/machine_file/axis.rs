@@ -1,0 +1,332 @@
+//! `[axis.x]`, `[axis.y]`, `[axis.z]`: what is known of one linear axis along its own direction.
+
+use super::read_temperature_column;
+use crate::{place::BadInput, section::Section};
+
+/// A linear axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum LinearAxis {
+    /// X.
+    X,
+    /// Y.
+    Y,
+    /// Z.
+    Z,
+}
+
+impl LinearAxis {
+    /// X, Y and Z.
+    pub const ALL: [Self; 3] = [Self::X, Self::Y, Self::Z];
+
+    /// 0, 1 or 2: its place in an array of X, Y and Z.
+    #[must_use]
+    pub fn index(self) -> usize {
+        self as usize
+    }
+
+    /// Its name in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        ["x", "y", "z"][self.index()]
+    }
+}
+
+/// A rotary axis: it turns about X, Y or Z, by the right hand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum RotaryAxis {
+    /// About X.
+    A,
+    /// About Y.
+    B,
+    /// About Z.
+    C,
+}
+
+impl RotaryAxis {
+    /// A, B and C.
+    pub const ALL: [Self; 3] = [Self::A, Self::B, Self::C];
+
+    /// 0, 1 or 2: its place in an array of A, B and C.
+    #[must_use]
+    pub fn index(self) -> usize {
+        self as usize
+    }
+
+    /// Its name in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        ["a", "b", "c"][self.index()]
+    }
+}
+
+/// What is known of one linear axis.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Axis {
+    /// Where its position is measured.
+    pub feedback: Feedback,
+    /// How it grows with a temperature.
+    pub thermal: Option<Thermal>,
+    /// Its position errors; of the first of two drives where there is a `dual`.
+    pub pitch: Option<Pitch>,
+    /// Its backlash; only with feedback on the screw, and not beside a reverse table.
+    pub backlash: Option<Backlash>,
+    /// The second drive; only beside a `pitch`.
+    pub dual: Option<Dual>,
+}
+
+/// Where an axis's position is measured.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Feedback {
+    /// On the screw: what is behind it (backlash) is not seen.
+    #[default]
+    Screw,
+    /// By a scale on the axis.
+    Scale,
+}
+
+/// How an axis grows with a temperature: ΔK(T) = K₀(T) + tanβ(T)·(P − P₀).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Thermal {
+    /// Which of the two terms there are.
+    pub mode: ThermalMode,
+    /// The run-file column of T, `temp_<name>_c`.
+    pub sensor: String,
+    /// T₀: where ΔK is 0, in °C. Not used (and 0 if it is not written) where there is a table.
+    pub reference_c: f64,
+    /// K₀ = this · (T − T₀), in µm for one °C. Not used where there is a table.
+    pub constant_um_per_c: f64,
+    /// tanβ = this · (T − T₀), in µm/m for one °C. Not used where there is a table.
+    pub slope_um_per_m_per_c: f64,
+    /// P₀: where the second term is 0, in mm.
+    pub origin_mm: f64,
+    /// The time constant of the first-order lag behind the sensor, in s; 0: none.
+    pub lag_s: f64,
+    /// K₀ and tanβ over T instead of the two constants; at least one row, T rising.
+    pub table: Option<Vec<ThermalRow>>,
+}
+
+/// Which terms ΔK(T) has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ThermalMode {
+    /// K₀(T) alone: the same at every position.
+    Constant,
+    /// tanβ(T)·(P − P₀) alone.
+    Position,
+    /// Both.
+    Both,
+}
+
+impl ThermalMode {
+    /// Its name in the machine file.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Constant => "constant",
+            Self::Position => "position",
+            Self::Both => "both",
+        }
+    }
+
+    /// Whether K₀(T) counts.
+    #[must_use]
+    pub fn has_constant(self) -> bool {
+        self != Self::Position
+    }
+
+    /// Whether tanβ(T)·(P − P₀) counts, and so the position.
+    #[must_use]
+    pub fn has_position(self) -> bool {
+        self != Self::Constant
+    }
+}
+
+/// One row of a thermal table.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ThermalRow {
+    /// T in °C.
+    pub temperature_c: f64,
+    /// K₀(T) in µm.
+    pub constant_um: f64,
+    /// tanβ(T) in µm/m.
+    pub slope_um_per_m: f64,
+}
+
+/// Position errors at points of equal distance: actual minus commanded, linear between the points,
+/// the end values held outside.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pitch {
+    /// The first point, in mm.
+    pub start_mm: f64,
+    /// From point to point, in mm; above 0.
+    pub step_mm: f64,
+    /// The error at each point, in µm, approached in the positive direction; at least one.
+    pub forward_um: Vec<f64>,
+    /// The same in the negative direction, as many; `None`: the forward table serves both.
+    pub reverse_um: Option<Vec<f64>>,
+}
+
+/// How far the table is left behind where an axis is approached in the negative direction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Backlash {
+    /// The error of an approach in the negative direction, in µm; negative for a CNC that
+    /// over-compensates.
+    pub width_um: f64,
+    /// On the board it comes in over so much travel after a reversal, in mm; at least 0.
+    pub ramp_mm: f64,
+    /// On the board a reversal counts once the axis has moved so far, in µm; at least 0.
+    pub hysteresis_um: f64,
+}
+
+/// The second drive of a gantry that is driven at both ends.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Dual {
+    /// The axis along the beam from drive to drive; not the driven axis itself.
+    pub across: LinearAxis,
+    /// Where on it the first drive is, in mm: the axis's own `pitch` is true there.
+    pub first_mm: f64,
+    /// Where the second one is, in mm; not `first_mm`.
+    pub second_mm: f64,
+    /// The second drive's position errors.
+    pub pitch: Pitch,
+}
+
+pub(super) fn read(section: &Section<'_>) -> Result<[Axis; 3], BadInput> {
+    section.allow_only(&LinearAxis::ALL.map(LinearAxis::name), &[])?;
+    let mut axes = <[Axis; 3]>::default();
+    for (axis, of) in axes.iter_mut().zip(LinearAxis::ALL) {
+        if let Some(section) = section.section(of.name())? {
+            *axis = read_axis(&section, of)?;
+        }
+    }
+    Ok(axes)
+}
+
+fn read_axis(section: &Section<'_>, of: LinearAxis) -> Result<Axis, BadInput> {
+    section.allow_only(&["feedback", "thermal", "pitch", "backlash", "dual"], &[])?;
+    let feedbacks = [("screw", Feedback::Screw), ("scale", Feedback::Scale)];
+    let axis = Axis {
+        feedback: section.choice("feedback", &feedbacks)?.unwrap_or_default(),
+        thermal: section.section("thermal")?.map(|thermal| read_thermal(&thermal)).transpose()?,
+        pitch: section.section("pitch")?.map(|pitch| read_pitch(&pitch)).transpose()?,
+        backlash: section.section("backlash")?.map(|lash| read_backlash(&lash)).transpose()?,
+        dual: section.section("dual")?.map(|dual| read_dual(&dual, of)).transpose()?,
+    };
+    if axis.dual.is_some() && axis.pitch.is_none() {
+        let rule = format!(
+            "needs [axis.{}.pitch], the first drive's table: the error is shared between the two",
+            of.name()
+        );
+        return Err(section.bad("dual", rule));
+    }
+    if axis.backlash.is_some() {
+        if axis.feedback == Feedback::Scale {
+            let rule = "belongs to feedback = \"screw\": a scale on the axis sees the backlash, \
+                        and the CNC's own loop takes it out";
+            return Err(section.bad("backlash", rule));
+        }
+        let second = axis.dual.as_ref().map(|dual| &dual.pitch);
+        if axis.pitch.iter().chain(second).any(|pitch| pitch.reverse_um.is_some()) {
+            let rule = "cannot stand beside a reverse_um table on the same axis, which contains \
+                        the backlash already";
+            return Err(section.bad("backlash", rule));
+        }
+    }
+    Ok(axis)
+}
+
+fn read_thermal(section: &Section<'_>) -> Result<Thermal, BadInput> {
+    let text = ["mode", "sensor"];
+    let numbers =
+        ["reference_c", "constant_um_per_c", "slope_um_per_m_per_c", "origin_mm", "lag_s", "table"];
+    section.allow_only(&[&text[..], &numbers[..]].concat(), &[])?;
+    let modes = [ThermalMode::Constant, ThermalMode::Position, ThermalMode::Both]
+        .map(|mode| (mode.name(), mode));
+    let number = |key| section.number(key).map(Option::unwrap_or_default);
+    let mode = section.required("mode", section.choice("mode", &modes)?)?;
+    let sensor = section.required("sensor", read_temperature_column(section, "sensor")?)?;
+    let table = section.rows("table")?.map(|rows| read_thermal_rows(section, rows)).transpose()?;
+    let reference_c = match section.number("reference_c")? {
+        None if table.is_some() => 0.0,
+        reference_c => section.required("reference_c", reference_c)?,
+    };
+    Ok(Thermal {
+        mode,
+        sensor,
+        reference_c,
+        constant_um_per_c: number("constant_um_per_c")?,
+        slope_um_per_m_per_c: number("slope_um_per_m_per_c")?,
+        origin_mm: number("origin_mm")?,
+        lag_s: section.not_negative("lag_s")?.unwrap_or(0.0),
+        table,
+    })
+}
+
+fn read_thermal_rows(
+    section: &Section<'_>,
+    rows: Vec<[f64; 3]>,
+) -> Result<Vec<ThermalRow>, BadInput> {
+    for (row, pair) in rows.windows(2).enumerate() {
+        if let [[before, ..], [after, ..]] = pair
+            && after <= before
+        {
+            let rule =
+                format!("{after} is not above {before}: T must rise from each row to the next");
+            return Err(section.bad(&format!("table[{}][0]", row + 1), rule));
+        }
+    }
+    let row = |[temperature_c, constant_um, slope_um_per_m]: [f64; 3]| ThermalRow {
+        temperature_c,
+        constant_um,
+        slope_um_per_m,
+    };
+    Ok(rows.into_iter().map(row).collect())
+}
+
+fn read_pitch(section: &Section<'_>) -> Result<Pitch, BadInput> {
+    section.allow_only(&["start_mm", "step_mm", "forward_um", "reverse_um"], &[])?;
+    let start_mm = section.required("start_mm", section.number("start_mm")?)?;
+    let step_mm = section.required("step_mm", section.positive("step_mm")?)?;
+    let forward_um = section.required("forward_um", section.numbers("forward_um")?)?;
+    let reverse_um = section.numbers("reverse_um")?;
+    if let Some(reverse_um) = &reverse_um
+        && reverse_um.len() != forward_um.len()
+    {
+        let rule = format!(
+            "has {} elements, but forward_um has {}: both are measured at the same points",
+            reverse_um.len(),
+            forward_um.len()
+        );
+        return Err(section.bad("reverse_um", rule));
+    }
+    Ok(Pitch { start_mm, step_mm, forward_um, reverse_um })
+}
+
+fn read_backlash(section: &Section<'_>) -> Result<Backlash, BadInput> {
+    section.allow_only(&["width_um", "ramp_mm", "hysteresis_um"], &[])?;
+    Ok(Backlash {
+        width_um: section.required("width_um", section.number("width_um")?)?,
+        ramp_mm: section.not_negative("ramp_mm")?.unwrap_or(0.0),
+        hysteresis_um: section.not_negative("hysteresis_um")?.unwrap_or(0.0),
+    })
+}
+
+fn read_dual(section: &Section<'_>, driven: LinearAxis) -> Result<Dual, BadInput> {
+    section.allow_only(&["across", "first_mm", "second_mm", "pitch"], &[])?;
+    let names = LinearAxis::ALL.map(|axis| (axis.name(), axis));
+    let across = section.required("across", section.choice("across", &names)?)?;
+    if across == driven {
+        let rule = format!(
+            "must be another axis than \"{}\": the drives stand apart across the driven axis",
+            driven.name()
+        );
+        return Err(section.bad("across", rule));
+    }
+    let first_mm = section.required("first_mm", section.number("first_mm")?)?;
+    let second_mm = section.required("second_mm", section.number("second_mm")?)?;
+    if first_mm == second_mm {
+        let rule = format!("must not be first_mm = {first_mm}: the drives stand apart");
+        return Err(section.bad("second_mm", rule));
+    }
+    let pitch = section.required("pitch", section.section("pitch")?)?;
+    Ok(Dual { across, first_mm, second_mm, pitch: read_pitch(&pitch)? })
+}

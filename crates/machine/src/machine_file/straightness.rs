@@ -1,0 +1,183 @@
+//! `[straightness.z_of_x]` and `[squareness]`: the error of one linear axis while another moves.
+
+use super::LinearAxis::{self, X, Y, Z};
+use crate::{
+    place::BadInput,
+    section::{MOST_ELEMENTS, Section},
+};
+
+/// The error of one axis along another: δz(x) has `error` Z and `along` X.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Straightness {
+    /// The axis that is in error.
+    pub error: LinearAxis,
+    /// The axis that moves, another one.
+    pub along: LinearAxis,
+    /// The error over the position of the axis that moves.
+    pub spline: BSpline,
+}
+
+impl Straightness {
+    /// The six pairs (error, along), in the order of the format's description.
+    pub const PAIRS: [(LinearAxis, LinearAxis); 6] =
+        [(Y, X), (Z, X), (Z, Y), (X, Y), (X, Z), (Y, Z)];
+
+    /// The name of its section under `[straightness]`: `z_of_x`.
+    #[must_use]
+    pub fn name(&self) -> String {
+        pair_name((self.error, self.along))
+    }
+}
+
+/// The slope of one axis along another: an error of `error` that grows with the position of
+/// `along`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Squareness {
+    /// The axis that is in error.
+    pub error: LinearAxis,
+    /// The axis that moves, another one.
+    pub along: LinearAxis,
+    /// The error in µm for one metre of `along`.
+    pub um_per_m: f64,
+}
+
+impl Squareness {
+    /// Its key under `[squareness]`: `x_of_y_um_per_m`.
+    #[must_use]
+    pub fn name(&self) -> String {
+        format!("{}_um_per_m", pair_name((self.error, self.along)))
+    }
+}
+
+fn pair_name((error, along): (LinearAxis, LinearAxis)) -> String {
+    format!("{}_of_{}", error.name(), along.name())
+}
+
+/// A clamped B-spline: µm over mm.
+///
+/// Whatever is read from a machine file passes [`Self::check`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct BSpline {
+    /// The degree plus one: 2, 3 or 4.
+    pub order: usize,
+    /// As many as control points and order together, not falling; the first and the last one each
+    /// stand there `order` times, the ones between at most `order − 1` times.
+    pub knots_mm: Vec<f64>,
+    /// The control points, at least `order` of them.
+    pub control_um: Vec<f64>,
+}
+
+/// What is wrong with a spline.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SplineFault {
+    /// The field at fault, with the index of the element where one is: `knots_mm[3]`.
+    pub key: String,
+    /// The rule that is broken; it goes on after the key.
+    pub rule: String,
+}
+
+impl BSpline {
+    /// Whether it is a clamped, continuous spline of an order that the board runs.
+    ///
+    /// # Errors
+    /// The first rule that is broken, of those that the fields state.
+    pub fn check(&self) -> Result<(), SplineFault> {
+        let fault = |key: &str, rule: String| SplineFault { key: key.to_string(), rule };
+        let Self { order, knots_mm: knots, control_um: control } = self;
+        let order = *order;
+        if !(2..=4).contains(&order) {
+            let rule = format!("must be 2, 3 or 4, not {order}: the board runs cubics, of order 4");
+            return Err(fault("order", rule));
+        }
+        if control.len() < order {
+            let rule = format!(
+                "has {} elements, but a spline of order {order} needs at least {order}",
+                control.len()
+            );
+            return Err(fault("control_um", rule));
+        }
+        if knots.len() != control.len() + order {
+            let rule = format!(
+                "must have {} elements, {} of control_um and {order} of the order, not {}",
+                control.len() + order,
+                control.len(),
+                knots.len()
+            );
+            return Err(fault("knots_mm", rule));
+        }
+        let at = |index: usize| format!("knots_mm[{index}]");
+        if let Some(index) = (1..knots.len()).find(|&index| knots[index] < knots[index - 1]) {
+            let rule = format!("{} is below {} before it", knots[index], knots[index - 1]);
+            return Err(fault(&at(index), format!("{rule}: knots must not fall")));
+        }
+        // The lengths are checked: there are at least 2·order knots.
+        let inner = order..knots.len() - order;
+        let (first, last) = (knots[0], knots[knots.len() - 1]);
+        if first == last {
+            return Err(fault("knots_mm", format!("must not all be {first}: there is no length")));
+        }
+        let repeated = |end: &str, value: f64| {
+            format!("must be {value} as well: the {end} knot stands there exactly {order} times")
+        };
+        for (end, value, mut range) in
+            [("first", first, 1..order), ("last", last, inner.end..knots.len())]
+        {
+            if let Some(index) = range.find(|&index| knots[index] != value) {
+                return Err(fault(&at(index), repeated(end, value)));
+            }
+        }
+        for index in inner {
+            let value = knots[index];
+            if value == first || value == last {
+                let rule = format!("{value} repeats the end more than {order} times");
+                return Err(fault(&at(index), rule));
+            }
+            if knots[index + 1 - order] == value {
+                let rule = format!(
+                    "{value} stands there more than {} times: the curve would jump",
+                    order - 1
+                );
+                return Err(fault(&at(index), rule));
+            }
+        }
+        Ok(())
+    }
+}
+
+pub(super) fn read_straightness(section: &Section<'_>) -> Result<Vec<Straightness>, BadInput> {
+    let names = Straightness::PAIRS.map(pair_name);
+    section.allow_only(&names.each_ref().map(String::as_str), &[])?;
+    let mut curves = Vec::new();
+    for ((error, along), name) in Straightness::PAIRS.into_iter().zip(&names) {
+        if let Some(section) = section.section(name)? {
+            curves.push(Straightness { error, along, spline: read_spline(&section)? });
+        }
+    }
+    Ok(curves)
+}
+
+fn read_spline(section: &Section<'_>) -> Result<BSpline, BadInput> {
+    section.allow_only(&["order", "knots_mm", "control_um"], &[])?;
+    let order = section.required("order", section.whole("order", 0, u32::MAX)?)?;
+    let knots_mm = section.required("knots_mm", section.numbers("knots_mm")?)?;
+    let control_um = section.required("control_um", section.numbers("control_um")?)?;
+    // An order beyond every array is as wrong as any other that is not 2, 3 or 4.
+    let order = usize::try_from(order).unwrap_or(MOST_ELEMENTS);
+    let spline = BSpline { order, knots_mm, control_um };
+    spline.check().map_err(|fault| section.bad(&fault.key, fault.rule))?;
+    Ok(spline)
+}
+
+pub(super) fn read_squareness(section: &Section<'_>) -> Result<Vec<Squareness>, BadInput> {
+    let all = Straightness::PAIRS
+        .map(|(error, along)| Squareness { error, along, um_per_m: 0.0 })
+        .map(|angle| (angle.name(), angle));
+    section.allow_only(&all.each_ref().map(|(name, _)| name.as_str()), &[])?;
+    let mut angles = Vec::new();
+    for (name, angle) in all {
+        if let Some(um_per_m) = section.number(&name)? {
+            angles.push(Squareness { um_per_m, ..angle });
+        }
+    }
+    Ok(angles)
+}
