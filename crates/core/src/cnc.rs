@@ -155,7 +155,7 @@ impl Flags {
     pub const CNC_LOST: Self = Self(1 << 4);
     /// No fresh spindle speed: run-out is averaged over 200 ms, not over revolutions.
     pub const SPEED_UNKNOWN: Self = Self(1 << 5);
-    /// Reserved: a position is outside its table and the end value is held.
+    /// A position is outside its table, and the end value is held.
     pub const OUTSIDE_TABLE: Self = Self(1 << 6);
     /// The board runs on a fall-back: a dead crystal, PLL or CAN controller.
     pub const BOARD_DEGRADED: Self = Self(1 << 7);

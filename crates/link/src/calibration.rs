@@ -17,7 +17,7 @@
 //! | 76 | `u32` lag, `i32` largest (1/256 nm), 2 × `u32` shares, `i32` 1/(1 − e⁻ᵏ) of the warm-up; its power curve | |
 //! | 112 | 8 × temperature channel: `u8` kind (1 PT100, 2 linear), `u8` shift, 0, 0; `i32` zero, `i32` slope | |
 //! | 208 | 3 × linear axis, 80 bytes each | |
-//! | 448 | 6 × straightness curve, 16 bytes each, in the order of [`CROSSED`] | |
+//! | 448 | 6 × straightness curve, 16 bytes each, in the order of [`CROSSED`](trueup_core::calibration::CROSSED) | |
 //! | 544 | 6 × `i32` squareness, in the same order | 2⁻³⁶ nm per 10 nm |
 //! | 568 | the tables, each record on a multiple of 2 bytes | |
 //! | length − 4 | CRC-32/AUTOSAR of all bytes before it | |
