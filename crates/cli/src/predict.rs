@@ -26,6 +26,13 @@ pub fn run(machine_path: &Path, run_path: &Path, to: &Path, as_json: bool) -> Re
             machine_path.display()
         );
     }
+    if !predictor.missing_columns().is_empty() {
+        eprintln!(
+            "warning: {}: what depends on these columns stays empty, they are missing: {}",
+            run_path.display(),
+            predictor.missing_columns().join(", ")
+        );
+    }
     let bar = progress("writing", run.rows() as u64, run_bytes(run_path));
     let written = output::write_whole(to, &[machine_path, run_path], |out| {
         predictor.write(out, || bar.inc(1))
