@@ -16,6 +16,7 @@ use trueup_emulator::{
     demo,
     firmware::{self, Board},
     front_end::FrontEnd,
+    measure,
     plant::Plant,
     replay::{self, Replay},
     report,
@@ -41,6 +42,8 @@ enum Command {
     Virtual(Virtual),
     /// Prints the size of the firmware images.
     Size,
+    /// Counts instructions on the emulated board, and compares its frames with the host's.
+    Measure,
     /// Gets what this machine lacks: target, QEMU, Python clients.
     Setup,
 }
@@ -92,6 +95,7 @@ fn main() -> ExitCode {
         Command::Verify => verify::run(),
         Command::Virtual(options) => run_virtual(options),
         Command::Size => size::report().map(|report| print!("{report}")),
+        Command::Measure => measure::run(measure::VECTORS).and_then(|measured| measured.publish()),
         Command::Setup => setup::everything(),
     };
     match result {

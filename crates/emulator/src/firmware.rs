@@ -42,6 +42,20 @@ impl Board {
 /// # Errors
 /// There is no way to the target; see [`setup::toolchain`].
 pub fn cargo(verb: &str, board: Board) -> Result<(Command, PathBuf)> {
+    cargo_for(verb, board.feature())
+}
+
+/// Builds the benchmark's image and gives its path.
+///
+/// # Errors
+/// It does not compile, or there is no way to the target.
+pub fn build_measure() -> Result<PathBuf> {
+    let (mut command, folder) = cargo_for("build", "measure")?;
+    process::run(command.args(["--bin", "trueup-measure"]))?;
+    Ok(folder.join(TARGET).join("firmware/trueup-measure"))
+}
+
+fn cargo_for(verb: &str, feature: &str) -> Result<(Command, PathBuf)> {
     let root = setup::root();
     let (mut command, folder) = match setup::toolchain()? {
         Toolchain::Rustup => {
@@ -63,7 +77,7 @@ pub fn cargo(verb: &str, board: Board) -> Result<(Command, PathBuf)> {
     }
     command
         .args(["--package", "trueup-firmware", "--profile", "firmware", "--target", TARGET])
-        .args(["--features", board.feature(), "--target-dir"])
+        .args(["--features", feature, "--target-dir"])
         .arg(&folder)
         .current_dir(root);
     Ok((command, folder))

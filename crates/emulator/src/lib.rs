@@ -16,6 +16,7 @@ pub mod demo;
 pub mod firmware;
 pub mod front_end;
 pub mod log;
+pub mod measure;
 pub mod plant;
 pub mod process;
 pub mod qemu;

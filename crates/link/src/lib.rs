@@ -31,6 +31,7 @@ pub mod layout;
 pub mod node;
 pub mod receiver;
 pub mod slcan;
+pub mod vectors;
 
 /// The signal description that CAN tools read; `layout` holds the same numbers for the code.
 pub const DBC: &str = include_str!("../trueup.dbc");

@@ -1,0 +1,189 @@
+//! The benchmark on the emulated board: how many instructions its work takes, and whether it sends
+//! the same frames as the host.
+
+use std::{
+    collections::BTreeMap,
+    fmt::Write as _,
+    fs,
+    path::Path,
+    thread,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context as _, Result, bail, ensure};
+use rand::{Rng as _, SeedableRng as _};
+use serde_json::{Value, json};
+use trueup_core::curve::SEGMENT_SIZE;
+use trueup_link::vectors;
+use trueup_machine::{MachineFile, compile};
+
+use crate::{
+    firmware::{self, Board},
+    qemu::Qemu,
+    setup, size,
+};
+
+/// Vectors over which board and host are compared.
+pub const VECTORS: u32 = 1_000_000;
+/// Longer than the slowest machine needs for [`VECTORS`].
+const TIMEOUT: Duration = Duration::from_secs(1_200);
+
+/// What was measured, in the form of `measure.json`.
+pub struct Measured {
+    /// The figures.
+    pub json: Value,
+    /// Them, and what else the board has said, for people.
+    pub table: String,
+    /// Whether the checksums agree.
+    pub identical: bool,
+}
+
+impl Measured {
+    /// Prints the table and writes `target/measure/measure.json`.
+    ///
+    /// # Errors
+    /// Board and host disagree, or the file cannot be written.
+    pub fn publish(&self) -> Result<()> {
+        let folder = setup::root().join("target/measure");
+        fs::create_dir_all(&folder)?;
+        let text = serde_json::to_string_pretty(&self.json)? + "\n";
+        fs::write(folder.join("measure.json"), text)?;
+        println!("{}", self.table);
+        println!("The figures: target/measure/measure.json");
+        ensure!(self.identical, "the board does not send what the host sends");
+        Ok(())
+    }
+}
+
+/// Builds the image, runs it over so many vectors, and compares.
+///
+/// # Errors
+/// Something does not build, or the board does not come to its end.
+pub fn run(vectors: u32) -> Result<Measured> {
+    let machine = MachineFile::read(&setup::root().join("data/gantry.toml"))?;
+    let machine = compile(&machine)?;
+    let curves = MachineFile::parse(&curves(), Path::new("curves.toml"))?;
+    let curves = compile(&curves)?;
+    let image = firmware::build_measure()?;
+    let numbers = board(&image, machine.blob(), curves.blob(), vectors)?;
+    let identical =
+        number(&numbers, "checksum", 0)? == vectors::checksum(machine.calibration(), vectors);
+    let size = size::of(&firmware::build(Board::Stm32f405)?)?;
+
+    let (mut segments, mut bytes) = (0, 0);
+    for curve in machine.calibration().straightness {
+        segments += curve.segments().len();
+        bytes += curve.segments().len() * SEGMENT_SIZE + curve.index().len() * 2;
+    }
+    let at = |name: &str, place| number(&numbers, name, place);
+    let worst =
+        |name: &str, place| Ok::<_, anyhow::Error>(at(name, place)?.max(at(name, place + 4)?));
+    let per_segment = (bytes as f64 / segments as f64 * 100.0).round() / 100.0;
+    let per_sample = at("filter", 1)? as f64 / 20.0;
+    let json = json!({
+        "tick_instructions": {"min": at("tick", 0)?, "median": at("tick", 1)?, "max": at("tick", 2)?},
+        "parts": {
+            "filter_per_sample": per_sample,
+            "elongation": at("elongation", 1)?,
+            "thermal": at("thermal", 1)?,
+            "straightness6": at("straightness6", 1)?,
+            "pitch3": at("pitch3", 1)?,
+            "tool_direction": at("tool_direction", 1)?,
+            "limits": at("limits", 1)?,
+            "frames": at("frames", 1)?,
+        },
+        "spline_eval": {
+            "ours": worst("curve", 1)?,
+            "ours_max": worst("curve", 2)?,
+            "de_boor_f32": worst("de_boor", 1)?,
+            "linear_table_f32": worst("linear", 1)?,
+        },
+        "flash_bytes": size.flash,
+        "ram_bytes": size.ram,
+        "calibration_bytes_per_segment": per_segment,
+        "host_vectors_identical": if identical { vectors } else { 0 },
+    });
+
+    let mut table = String::from("instructions      min  median     max\n");
+    for (name, values) in &numbers {
+        if let [min, median, max] = values[..] {
+            writeln!(table, "{name:<14} {min:>6}  {median:>6}  {max:>6}")?;
+        }
+    }
+    for name in ["curve", "de_boor", "linear"] {
+        for part in numbers.get(name).context("curves")?.chunks(4) {
+            if let [min, median, max, segments] = part {
+                let name = format!("{name} {segments}");
+                writeln!(table, "{name:<14} {min:>6}  {median:>6}  {max:>6}")?;
+            }
+        }
+    }
+    let live = numbers.get("live").context("live")?;
+    let same = if identical { "the same" } else { "NOT THE SAME" };
+    writeln!(
+        table,
+        "live in {live:?} ticks; de Boor, table apart by {:?}/256 nm",
+        numbers["apart"]
+    )?;
+    writeln!(table, "flash {} B, RAM {} B, {per_segment} B a segment", size.flash, size.ram)?;
+    write!(table, "frames of {vectors} vectors: {same} as on the host")?;
+    Ok(Measured { json, table, identical })
+}
+
+/// Runs the image to its end and gives what it has written.
+fn board(image: &Path, blob: &[u8], curves: &[u8], vectors: u32) -> Result<Numbers> {
+    let arguments = ["-icount", "shift=0", "-semihosting-config", "enable=on,target=native"];
+    let mut qemu = Qemu::start(image, &arguments, |folder| {
+        fs::write(folder.join("calibration.bin"), blob)?;
+        fs::write(folder.join("curves.bin"), curves)?;
+        Ok(fs::write(folder.join("vectors"), vectors.to_le_bytes())?)
+    })?;
+    let end = Instant::now() + TIMEOUT;
+    let ended = loop {
+        match qemu.check() {
+            Err(ended) => break ended,
+            Ok(()) if Instant::now() > end => bail!("the board does not come to its end"),
+            Ok(()) => thread::sleep(Duration::from_millis(50)),
+        }
+    };
+    let Ok(text) = fs::read_to_string(qemu.path("numbers")) else { return Err(ended) };
+    let mut numbers = Numbers::new();
+    for line in text.lines() {
+        let mut words = line.split_whitespace();
+        let name = words.next().unwrap_or_default();
+        let values = numbers.entry(name.to_owned()).or_default();
+        for word in words {
+            values.push(word.parse().with_context(|| format!("the board wrote `{line}`"))?);
+        }
+    }
+    Ok(numbers)
+}
+
+type Numbers = BTreeMap<String, Vec<u64>>;
+
+fn number(numbers: &Numbers, name: &str, place: usize) -> Result<u64> {
+    let values = numbers.get(name).with_context(|| format!("the board does not say {name}"))?;
+    values.get(place).copied().with_context(|| format!("the board says too little of {name}"))
+}
+
+/// A machine with a curve of 8 segments and one of 512, knots 0.5 to 1.5 of their mean apart.
+fn curves() -> String {
+    let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
+    let mut text = String::from("[machine]\nname = \"curves\"\nkind = \"3-axis\"\n");
+    for (name, segments, mean_mm) in [("y_of_x", 512, 25.0), ("z_of_x", 8, 1_600.0)] {
+        let mut at = 0.0;
+        let mut knots = vec![0.0; 4];
+        for _ in 0..segments {
+            at += mean_mm * random.random_range(0.5..1.5);
+            at = f64::round(at * 1e4) / 1e4;
+            knots.push(at);
+        }
+        knots.extend([at; 3]);
+        let control: Vec<f64> =
+            (0..segments + 3).map(|_| random.random_range(-20.0..20.0)).collect();
+        text += &format!(
+            "\n[straightness.{name}]\norder = 4\nknots_mm = {knots:?}\ncontrol_um = {control:?}\n"
+        );
+    }
+    text
+}

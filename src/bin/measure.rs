@@ -1,0 +1,361 @@
+//! The benchmark: how many instructions the board's work takes, in the image of the board's own
+//! compiler settings.
+//!
+//! It runs in QEMU with `-icount shift=0`, where TIM2 runs at 1 GHz of emulated time and counts
+//! one for each executed instruction. Its working directory has `calibration.bin`, `curves.bin`
+//! and `vectors`; it writes `numbers`, one name and its values a line.
+//!
+//! Each piece of work is called through a pointer that the compiler cannot see through, so that
+//! nothing moves across the two readings of the clock. The same call of a function that only
+//! returns is subtracted: what is left is the work itself.
+#![no_std]
+#![no_main]
+#![deny(unsafe_code)]
+
+use core::{fmt::Write as _, hint::black_box};
+
+use cortex_m_rt::entry;
+use defmt as _;
+use heapless::String;
+use semihosting::{
+    fs::File,
+    io::{Read as _, Write as _},
+    process,
+};
+use stm32f4xx_hal as _;
+use trueup_core::{
+    calibration::Calibration,
+    cnc::{Flags, Output, Quality},
+    curve::Curve,
+    filter::{CODES_PER_TICK, Filter},
+    gradient::Gradient,
+    limits::Applied,
+    travel::Blend,
+    units::{Code, Fine, MicroDegrees, Nanometres, Position, Reading, Rpm},
+};
+use trueup_link::{
+    calibration::{MAX_SIZE, decode},
+    frames,
+    vectors::{self, Random, Vectors},
+};
+
+const TICKS: usize = 4_000;
+const PARTS: usize = 2_000;
+const POSITIONS: usize = 10_000;
+/// Ticks until the filter is full and everything is engaged.
+const WARM_UP: u32 = 1_000;
+/// Segments of the longest curve, and intervals of the linear table.
+const SEGMENTS: usize = 512;
+const TABLE: usize = 1_024;
+
+#[entry]
+fn main() -> ! {
+    static mut CALIBRATION: [u8; MAX_SIZE] = [0; MAX_SIZE];
+    static mut CURVES: [u8; MAX_SIZE] = [0; MAX_SIZE];
+    static mut COSTS: [u16; POSITIONS] = [0; POSITIONS];
+    start_clock();
+    let calibration = decode(read(c"calibration.bin", CALIBRATION)).expect("calibration.bin");
+    let curves = decode(read(c"curves.bin", CURVES)).expect("curves.bin");
+    let mut number = [0; 4];
+    read(c"vectors", &mut number);
+
+    let mut text = String::<4096>::new();
+    tick(&calibration, COSTS, &mut text);
+    parts(&calibration, COSTS, &mut text);
+    for curve in curves.straightness.iter().filter(|curve| !curve.is_empty()) {
+        spline(curve, COSTS, &mut text);
+    }
+    let checksum = vectors::checksum(calibration, u32::from_le_bytes(number));
+    writeln!(text, "checksum {checksum}").expect("space");
+    let mut file = File::create(c"numbers").expect("numbers");
+    file.write_all(text.as_bytes()).expect("numbers");
+    process::exit(0)
+}
+
+#[panic_handler]
+fn panic(_info: &core::panic::PanicInfo) -> ! {
+    process::exit(1)
+}
+
+fn read<'b>(name: &core::ffi::CStr, buffer: &'b mut [u8]) -> &'b [u8] {
+    let mut file = File::open(name).expect("a file of the host");
+    let mut length = 0;
+    while let Ok(more @ 1..) = file.read(&mut buffer[length..]) {
+        length += more;
+    }
+    &buffer[..length]
+}
+
+const TIM2: usize = 0x4000_0000;
+
+#[allow(unsafe_code, reason = "a register of the timer")]
+fn start_clock() {
+    // SAFETY: CR1 of TIM2, of which this program is the only user; 1 enables it.
+    unsafe { (TIM2 as *mut u32).write_volatile(1) }
+}
+
+#[inline(always)]
+#[allow(unsafe_code, reason = "a register of the timer")]
+fn clock() -> u32 {
+    // SAFETY: CNT of TIM2; reading it changes nothing.
+    unsafe { ((TIM2 + 0x24) as *const u32).read_volatile() }
+}
+
+/// Instructions from one reading of the clock to the next, around one call.
+#[inline(never)]
+fn cost_of(work: &mut dyn FnMut()) -> u16 {
+    let work = black_box(work);
+    let start = clock();
+    work();
+    let end = clock();
+    end.wrapping_sub(start).try_into().unwrap_or(u16::MAX)
+}
+
+/// The cost of `work` beyond that of nothing.
+fn cost(work: &mut dyn FnMut()) -> u16 {
+    cost_of(work).saturating_sub(cost_of(&mut || ()))
+}
+
+/// Smallest, median and largest.
+fn spread(costs: &mut [u16]) -> [u16; 3] {
+    costs.sort_unstable();
+    [costs[0], costs[costs.len() / 2], costs[costs.len() - 1]]
+}
+
+fn say(text: &mut String<4096>, name: &str, costs: &mut [u16]) {
+    let [min, median, max] = spread(costs);
+    writeln!(text, "{name} {min} {median} {max}").expect("space");
+}
+
+fn tick(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut String<4096>) {
+    let costs = &mut costs[..TICKS];
+    let mut run = Vectors::new(*calibration, 1, false);
+    for _ in 0..WARM_UP {
+        run.prepare();
+        run.tick();
+    }
+    let mut live = 0;
+    for place in costs.iter_mut() {
+        run.prepare();
+        *place = cost(&mut || {
+            black_box(&run.tick());
+        });
+        live += u32::from(run.node().last().quality == Quality::Live);
+    }
+    say(text, "tick", costs);
+    writeln!(text, "live {live} {TICKS}").expect("space");
+}
+
+fn parts(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut String<4096>) {
+    let costs = &mut costs[..PARTS];
+    let mut random = Random::new(2);
+    let mut part = |name: &str, once: &mut dyn FnMut(&mut Random) -> u16| {
+        for place in costs.iter_mut() {
+            *place = once(&mut random);
+        }
+        say(text, name, costs);
+    };
+
+    let mut filter = Filter::new();
+    for _ in 0..WARM_UP {
+        filter.tick(&[Code(700); CODES_PER_TICK], Some(Rpm(18_000)));
+    }
+    part("filter", &mut |random| {
+        let codes: [Code; CODES_PER_TICK] =
+            core::array::from_fn(|_| Code(700 + (random.next() & 7) as u16));
+        cost(&mut || {
+            black_box(filter.tick(&codes, Some(Rpm(18_000))));
+        })
+    });
+    let sensor = calibration.spindle.sensor;
+    part("elongation", &mut |random| {
+        let reading = Reading(random.below(4_095 << 10).cast_signed());
+        cost(&mut || {
+            black_box(sensor.elongation(reading));
+        })
+    });
+    let place = |random: &mut Random| {
+        [1_430_000_000, 300_000_000, 250_000_000].map(|reach| Position(random.below(reach) as i32))
+    };
+    part("thermal", &mut |random| {
+        let places = place(random);
+        let gradients = [(); 3].map(|()| Gradient(random.around(20_000_000)));
+        cost(&mut || {
+            let mut sums = [Fine::ZERO; 3];
+            for ((sum, gradient), at) in sums.iter_mut().zip(&gradients).zip(&places) {
+                *sum = gradient.over(Position(250_000_000), *at);
+            }
+            black_box(&sums);
+        })
+    });
+    let curves = calibration.straightness;
+    part("straightness6", &mut |random| {
+        let [x, y, z] = place(random);
+        let places = [y, z, x, z, x, y];
+        cost(&mut || {
+            let mut sum = Fine::ZERO;
+            for (curve, at) in curves.iter().zip(&places) {
+                sum = sum.plus(curve.at(*at).0);
+            }
+            black_box(sum);
+        })
+    });
+    // The three tables that the gantry has: X, its second drive, and Y in both directions.
+    let axes = &calibration.axes;
+    let tables = [axes[0].pitch, axes[0].dual.map(|dual| dual.pitch), axes[1].pitch];
+    let tables = tables.map(|table| table.expect("the gantry has three tables"));
+    part("pitch3", &mut |random| {
+        let [x, y, _] = place(random);
+        let places = [x, x, y];
+        let blend = Blend(random.next() >> 1);
+        cost(&mut || {
+            let mut sum = Fine::ZERO;
+            for (table, at) in tables.iter().zip(&places) {
+                sum = sum.plus(table.at(*at, blend).0);
+            }
+            black_box(sum);
+        })
+    });
+    let kinematics = calibration.kinematics;
+    part("tool_direction", &mut |random| {
+        let angles = [180_000_000, 110_000_000].map(|most| MicroDegrees(random.around(most)));
+        let elongation = Nanometres(random.around(200_000));
+        cost(&mut || {
+            black_box(&kinematics.direction(angles).fine_error(elongation));
+        })
+    });
+    let mut applied = Applied::default();
+    let limits = calibration.limits;
+    part("limits", &mut |random| {
+        let target = [(); 3].map(|()| Nanometres(random.around(400_000)));
+        cost(&mut || {
+            black_box(applied.step(&limits, target, 1));
+        })
+    });
+    part("frames", &mut |random| {
+        let offset = Some([(); 3].map(|()| Nanometres(random.around(400_000))));
+        let output = Output { offset, quality: Quality::Live, flags: Flags::NONE, age_ms: 1 };
+        let counter = random.next() as u8;
+        cost(&mut || {
+            black_box(&[frames::offset_xy(&output, counter), frames::offset_z(&output, counter)]);
+        })
+    });
+}
+
+/// A function of a position and what it is looked up in.
+type Lookup<T> = fn(Position, &T) -> i32;
+
+#[inline(never)]
+fn lookup_cost<T>(lookup: Lookup<T>, at: Position, of: &T) -> u16 {
+    let lookup = black_box(lookup);
+    let start = clock();
+    let value = lookup(at, of);
+    let end = clock();
+    black_box(value);
+    end.wrapping_sub(start).try_into().unwrap_or(u16::MAX)
+}
+
+#[inline(never)]
+fn nothing<T>(at: Position, _: &T) -> i32 {
+    at.0
+}
+
+#[inline(never)]
+fn ours(at: Position, curve: &Curve<'_>) -> i32 {
+    curve.at(at).0.0
+}
+
+/// A cubic B-spline as text books have it: f32, knots repeated at the ends.
+struct DeBoor {
+    knots: [f32; SEGMENTS + 8],
+    control: [f32; SEGMENTS + 4],
+    segments: usize,
+}
+
+#[inline(never)]
+fn de_boor(at: Position, spline: &DeBoor) -> i32 {
+    let x = at.0 as f32 * 1e-5;
+    let knots = &spline.knots[..spline.segments + 7];
+    let inner = &knots[4..spline.segments + 3];
+    let span = 3 + inner.partition_point(|knot| *knot <= x);
+    let mut d: [f32; 4] = core::array::from_fn(|n| spline.control[span - 3 + n]);
+    for degree in 1..4 {
+        for n in (degree..4).rev() {
+            let (low, high) = (knots[span - 3 + n], knots[span + 1 + n - degree]);
+            let share = (x - low) / (high - low);
+            d[n] = (1.0 - share) * d[n - 1] + share * d[n];
+        }
+    }
+    d[3] as i32
+}
+
+/// Values at equal distances, straight lines between.
+struct Table {
+    first: f32,
+    per_step: f32,
+    values: [f32; TABLE + 1],
+}
+
+#[inline(never)]
+fn linear(at: Position, table: &Table) -> i32 {
+    let x = (at.0 as f32 - table.first) * table.per_step;
+    let number = (x as usize).min(TABLE - 1);
+    let (low, high) = (table.values[number], table.values[number + 1]);
+    (low + (high - low) * (x - number as f32)) as i32
+}
+
+fn spline(curve: &Curve<'_>, costs: &mut [u16], text: &mut String<4096>) {
+    let ends = curve
+        .segments()
+        .iter()
+        .map(|bytes| i32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]));
+    let (first, last) = (curve.first().0, ends.clone().last().unwrap_or(0));
+    let span = (last - first).unsigned_abs();
+    let segments = curve.segments().len().min(SEGMENTS);
+
+    let mut deboor = DeBoor { knots: [0.0; SEGMENTS + 8], control: [0.0; SEGMENTS + 4], segments };
+    deboor.knots[..4].fill(first as f32 * 1e-5);
+    for (knot, end) in deboor.knots[4..].iter_mut().zip(ends.take(segments)) {
+        *knot = end as f32 * 1e-5;
+    }
+    deboor.knots[segments + 3..].fill(last as f32 * 1e-5);
+    for n in 0..segments + 3 {
+        // Near the curve itself: the value at the mean of three knots.
+        let mean = deboor.knots[n + 1..n + 4].iter().sum::<f32>() / 3.0;
+        deboor.control[n] = curve.at(Position((mean * 1e5) as i32)).0.0 as f32;
+    }
+    let mut table = Table {
+        first: first as f32,
+        per_step: TABLE as f32 / span as f32,
+        values: [0.0; TABLE + 1],
+    };
+    for (n, value) in table.values.iter_mut().enumerate() {
+        let at = u64::from(span) * n as u64 / TABLE as u64;
+        *value = curve.at(Position(first + at as i32)).0.0 as f32;
+    }
+
+    let segments = curve.segments().len();
+    let mut measure = |name: &str, once: &dyn Fn(Position) -> u16| {
+        let mut random = Random::new(3);
+        for place in costs.iter_mut() {
+            *place = once(Position(first + random.below(span + 1) as i32));
+        }
+        let [min, median, max] = spread(costs);
+        writeln!(text, "{name} {min} {median} {max} {segments}").expect("space");
+    };
+    let empty = |at: Position| lookup_cost(nothing, at, &());
+    measure("curve", &|at| lookup_cost(ours, at, curve).saturating_sub(empty(at)));
+    measure("de_boor", &|at| lookup_cost(de_boor, at, &deboor).saturating_sub(empty(at)));
+    measure("linear", &|at| lookup_cost(linear, at, &table).saturating_sub(empty(at)));
+    // How far the three are apart, so that none of them computes something else, in 1/256 nm.
+    let mut random = Random::new(4);
+    let mut apart = [0; 2];
+    for _ in 0..1_000 {
+        let at = Position(first + random.below(span + 1) as i32);
+        let right = ours(at, curve);
+        for (worst, other) in apart.iter_mut().zip([de_boor(at, &deboor), linear(at, &table)]) {
+            *worst = right.abs_diff(other).max(*worst);
+        }
+    }
+    writeln!(text, "apart {} {}", apart[0], apart[1]).expect("space");
+}
