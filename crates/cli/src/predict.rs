@@ -20,11 +20,8 @@ pub fn run(machine_path: &Path, run_path: &Path, to: &Path, as_json: bool) -> Re
     let machine = MachineFile::read(machine_path)?;
     let run = read(run_path)?;
     let predictor = Predictor::new(&machine, &run)?;
-    if !predictor.has_bridge() {
-        eprintln!(
-            "warning: {}: without [inputs] sensor the bridge's columns stay empty",
-            machine_path.display()
-        );
+    if let Some(why) = predictor.why_no_bridge() {
+        eprintln!("warning: {}: {why}: the bridge's columns stay empty", machine_path.display());
     }
     if !predictor.missing_columns().is_empty() {
         eprintln!(

@@ -146,6 +146,11 @@ impl Account<'_> {
 /// [`STEEPEST_UM_PER_MM`], or all of it does not fit the board; with the key and, for a machine that
 /// was read from a file, its place.
 pub fn compile(machine: &Machine) -> Result<Compiled, BadInput> {
+    let terms = machine.terms.iter().enumerate();
+    if let Some((index, _)) = terms.clone().find(|(_, it)| it.effect.cause().is_compensated()) {
+        let rule = "does not run on the board yet";
+        return Err(machine.places.bad(&format!("term[{index}]"), rule));
+    }
     let mut account = Account { machine, parts: Vec::new() };
     let limits = compile_limits(machine)?;
     let spindle = SpindleTables::of(machine, &mut account)?;

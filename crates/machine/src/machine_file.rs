@@ -8,6 +8,7 @@
 mod axis;
 mod spindle;
 mod straightness;
+mod term;
 
 use std::{collections::BTreeMap, fs, path::Path};
 
@@ -16,6 +17,7 @@ pub use axis::{
 };
 pub use spindle::{SensorModel, Source, Spindle, TemperatureModel, Warmup};
 pub use straightness::{BSpline, SplineFault, Squareness, Straightness};
+pub use term::{Cause, Effect, Quantity, Term, Wave};
 
 use crate::{
     inputs::{
@@ -26,10 +28,8 @@ use crate::{
 };
 
 /// Sections of the format that this version reads.
-const SECTIONS: [&str; 7] =
-    ["machine", "inputs", "spindle", "axis", "straightness", "squareness", "limits"];
-/// Sections of the format that this version does not run yet.
-const LATER_SECTIONS: [&str; 1] = ["term"];
+const SECTIONS: [&str; 8] =
+    ["machine", "inputs", "spindle", "axis", "straightness", "squareness", "limits", "term"];
 
 /// What the user believes about the machine.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,6 +55,8 @@ pub struct Machine {
     pub squareness: Vec<Squareness>,
     /// How far and how fast an offset may go, and how long silence is tolerated.
     pub limits: Limits,
+    /// What a diagnosis has added, in the order in which it applies.
+    pub terms: Vec<Term>,
     /// Where in the file each key stands, for rules that are found broken later.
     pub places: Places,
 }
@@ -149,7 +151,7 @@ impl MachineFile {
     pub fn parse(source: &str, path: &Path) -> Result<Machine, BadInput> {
         let document = Document::parse(without_byte_order_mark(source), path)?;
         let root = document.root();
-        root.allow_only(&SECTIONS, &LATER_SECTIONS)?;
+        root.allow_only(&SECTIONS)?;
 
         let machine = root.required("machine", root.section("machine")?)?;
         let (name, kind, head_axes, tool_direction) = read_machine(&machine)?;
@@ -174,8 +176,7 @@ impl MachineFile {
             Some(limits) => read_limits(&limits)?,
             None => Limits::default(),
         };
-        let places = document.into_places();
-        Ok(Machine {
+        let mut machine = Machine {
             name,
             kind,
             head_axes,
@@ -186,15 +187,23 @@ impl MachineFile {
             straightness,
             squareness,
             limits,
-            places,
-        })
+            terms: Vec::new(),
+            places: Places::default(),
+        };
+        for section in root.sections("term")? {
+            let term = term::read(&section)?;
+            term::check(&section, &term, &machine)?;
+            machine.terms.push(term);
+        }
+        machine.places = document.into_places();
+        Ok(machine)
     }
 }
 
 type MachineSection = (String, Kind, Vec<RotaryAxis>, [f64; 3]);
 
 fn read_machine(section: &Section<'_>) -> Result<MachineSection, BadInput> {
-    section.allow_only(&["name", "kind", "head_axes", "tool_direction"], &[])?;
+    section.allow_only(&["name", "kind", "head_axes", "tool_direction"])?;
     let name = section.required("name", section.text("name")?)?;
     if name.trim().is_empty() {
         return Err(section.bad("name", "must not be empty"));
@@ -295,7 +304,7 @@ pub fn is_temperature_column(name: &str) -> bool {
 }
 
 fn read_sensor_input(section: &Section<'_>) -> Result<SensorInput, BadInput> {
-    section.allow_only(&["volts_full_scale", "counts_full_scale", "divider"], &[])?;
+    section.allow_only(&["volts_full_scale", "counts_full_scale", "divider"])?;
     let positive = |key| section.required(key, section.positive(key)?);
     let sensor = SensorInput {
         volts_full_scale: positive("volts_full_scale")?,
@@ -316,7 +325,7 @@ fn read_sensor_input(section: &Section<'_>) -> Result<SensorInput, BadInput> {
 }
 
 fn read_temperature_input(section: &Section<'_>) -> Result<TemperatureInput, BadInput> {
-    section.allow_only(&["channel", "kind", "zero_counts", "counts_per_c"], &[])?;
+    section.allow_only(&["channel", "kind", "zero_counts", "counts_per_c"])?;
     let channel = section.required("channel", section.whole("channel", 0, LAST_CHANNEL.into())?)?;
     let channel = u8::try_from(channel).expect("held to the range of u8 above");
     let zero_counts = section.number("zero_counts")?;
@@ -341,11 +350,11 @@ fn read_temperature_input(section: &Section<'_>) -> Result<TemperatureInput, Bad
 }
 
 fn read_limits(section: &Section<'_>) -> Result<Limits, BadInput> {
-    section.allow_only(&["max_um", "slew_um_per_s", "link_timeout_ms", "hold_ms"], &[])?;
+    section.allow_only(&["max_um", "slew_um_per_s", "link_timeout_ms", "hold_ms"])?;
     let mut limits = Limits::default();
     if let Some(max) = section.section("max_um")? {
         let axes = ["x", "y", "z"];
-        max.allow_only(&axes, &[])?;
+        max.allow_only(&axes)?;
         for (limit, axis) in limits.max_um.iter_mut().zip(axes) {
             *limit = max.not_negative(axis)?.unwrap_or(*limit);
         }

@@ -8,6 +8,7 @@
 //! | `lag` | the first-order lag of a temperature |
 //! | `pitch` | an axis's position errors and its backlash |
 //! | `straightness` | the error of one axis along another, curved and straight |
+//! | `term` | what a diagnosis has added |
 //!
 //! A run is stepped through row by row, because lags and the warm-up are states. The error of an
 //! axis, actual minus commanded, is the sum of its parts:
@@ -16,7 +17,8 @@
 //! Δx = thermal + pitch + backlash + δx(y) + δx(z) + squareness + s·V_x
 //! ```
 //!
-//! and likewise on Y and Z. A value that is missing (NaN) makes what depends on it NaN, and nothing
+//! and likewise on Y and Z. Then come the terms of a diagnosis: those of the elongation before it is
+//! laid along the tool, those of an axis after the sum. A value that is missing (NaN) makes what depends on it NaN, and nothing
 //! else.
 
 mod elongation;
@@ -24,6 +26,7 @@ mod kinematics;
 mod lag;
 mod pitch;
 mod straightness;
+mod term;
 mod thermal;
 
 pub use elongation::{WarmupState, elongation_um, heating, temperature_elongation_um, warmup_um};
@@ -31,9 +34,14 @@ pub use kinematics::{error_um, offset_um, rotated, tool_direction};
 pub use lag::Lag;
 pub use pitch::{backlash_um, dual_pitch_um, is_reverse, pitch_um};
 pub use straightness::{spline_um, squareness_um};
+pub use term::{Falling, corrected, shifted, time_shift_s};
 pub use thermal::{thermal_law, thermal_um};
 
-use crate::machine_file::{LinearAxis, Machine, Source};
+use std::borrow::Cow;
+
+use term::TermLags;
+
+use crate::machine_file::{LinearAxis, Machine, Quantity, Source, Term};
 
 /// What is known of one row of a run. What is missing is NaN.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,6 +52,9 @@ pub struct Situation<'a> {
     pub sensor_counts: f64,
     /// `None` where the run has no such column: the spindle runs from the first row.
     pub spindle_rpm: Option<f64>,
+    /// The axial cutting force, pushing the tool back is positive; `None` where the run has no such
+    /// column.
+    pub load_n: Option<f64>,
     /// Temperatures in °C by the name of their column.
     pub temperatures_c: &'a [(&'a str, f64)],
     /// X, Y and Z.
@@ -60,6 +71,7 @@ impl Situation<'_> {
         time_s: None,
         sensor_counts: f64::NAN,
         spindle_rpm: None,
+        load_n: None,
         temperatures_c: &[],
         position_mm: [f64::NAN; 3],
         angle_deg: [f64::NAN; 3],
@@ -118,6 +130,9 @@ pub struct Parts {
     pub straightness_um: [f64; 3],
     /// The angles to the two other axes.
     pub squareness_um: [f64; 3],
+    /// What the terms of a diagnosis add to the error of each axis; those of the elongation are in
+    /// it.
+    pub terms_um: [f64; 3],
 }
 
 impl Parts {
@@ -131,6 +146,7 @@ impl Parts {
             self.straightness_um,
             self.squareness_um,
             self.tool_um,
+            self.terms_um,
         ];
         [0, 1, 2].map(|axis| parts.iter().map(|part| part[axis]).sum())
     }
@@ -145,7 +161,9 @@ impl Parts {
 /// The model of a machine on its way through a run.
 #[derive(Clone, Debug)]
 pub struct Reference<'m> {
-    machine: &'m Machine,
+    /// With the constants that its terms say are right.
+    machine: Cow<'m, Machine>,
+    falling: Falling,
     /// The time of the newest row that had one.
     time_s: Option<f64>,
     state: State,
@@ -157,16 +175,24 @@ struct State {
     warmup: WarmupState,
     spindle_lag: Lag,
     axis_lags: [Lag; 3],
+    terms: TermLags,
 }
 
 impl<'m> Reference<'m> {
     /// At the start of a run: cold, and all lags settled at the first row.
     #[must_use]
     pub fn new(machine: &'m Machine) -> Self {
-        Self { machine, time_s: None, state: State::default() }
+        Self::of(Cow::Borrowed(machine))
     }
 
-    /// The model's values for the next row of the run. Where time runs back, the run starts anew.
+    /// The same, of a machine that may be its own.
+    pub(crate) fn of(machine: Cow<'m, Machine>) -> Self {
+        let (machine, falling) = corrected(machine);
+        Self { machine, falling, time_s: None, state: State::default() }
+    }
+
+    /// The model's values for the next row of the run, but for a `time-shift`, which needs the whole
+    /// run ([`shifted`]). Where time runs back, the run starts anew.
     pub fn step(&mut self, situation: &Situation<'_>) -> Parts {
         let time_s = situation.time_s.unwrap_or(f64::NAN);
         if !time_s.is_nan() {
@@ -175,8 +201,12 @@ impl<'m> Reference<'m> {
             }
             self.time_s = Some(time_s);
         }
+        let elongation_um = self.elongation_um(time_s, situation);
+        let State { terms, .. } = &mut self.state;
+        let mut with_terms =
+            |quantity, p_um| terms.apply(&self.machine.terms, quantity, time_s, situation, p_um);
         let mut parts = Parts {
-            elongation_um: self.elongation_um(time_s, situation),
+            elongation_um: with_terms(Quantity::Elongation, elongation_um),
             tool_direction: tool_direction(
                 self.machine.tool_direction,
                 &self.machine.head_axes,
@@ -184,8 +214,8 @@ impl<'m> Reference<'m> {
             ),
             ..Parts::default()
         };
-        // Without a source there is no growth, wherever the tool may point.
-        if self.machine.spindle.source.is_some() {
+        // Without growth it does not matter where the tool points.
+        if self.machine.has_elongation() {
             parts.tool_um = error_um(parts.elongation_um, parts.tool_direction);
         }
         for axis in LinearAxis::ALL {
@@ -197,6 +227,13 @@ impl<'m> Reference<'m> {
         }
         for angle in self.machine.angles() {
             parts.squareness_um[angle.error.index()] += squareness_um(angle, at(angle.along));
+        }
+        let State { terms, .. } = &mut self.state;
+        let sum_um = parts.error_um();
+        for axis in LinearAxis::ALL {
+            let (of, p_um) = (Quantity::of_axis(axis), sum_um[axis.index()]);
+            let with_um = terms.apply(&self.machine.terms, of, time_s, situation, p_um);
+            parts.terms_um[axis.index()] = with_um - p_um;
         }
         parts
     }
@@ -217,7 +254,9 @@ impl<'m> Reference<'m> {
             }),
             Some(Source::Temperature) => spindle.temperature.as_ref().map_or(f64::NAN, |model| {
                 let measured_c = situation.temperature_c(&model.sensor);
-                let temperature_c = self.state.spindle_lag.step(model.lag_s, time_s, measured_c);
+                let lags_s = [model.lag_s, self.falling.spindle_s.unwrap_or(model.lag_s)];
+                let lag = &mut self.state.spindle_lag;
+                let temperature_c = lag.step_either_way(lags_s, time_s, measured_c);
                 temperature_elongation_um(model, temperature_c)
             }),
         }
@@ -236,7 +275,9 @@ impl<'m> Reference<'m> {
         let direction = situation.direction[index];
         if let Some(thermal) = &axis.thermal {
             let measured_c = situation.temperature_c(&thermal.sensor);
-            let temperature_c = self.state.axis_lags[index].step(thermal.lag_s, time_s, measured_c);
+            let lags_s = [thermal.lag_s, self.falling.axes_s[index].unwrap_or(thermal.lag_s)];
+            let lag = &mut self.state.axis_lags[index];
+            let temperature_c = lag.step_either_way(lags_s, time_s, measured_c);
             parts.thermal_um[index] = thermal_um(thermal, temperature_c, position_mm);
         }
         if let Some(pitch) = &axis.pitch {
@@ -255,11 +296,14 @@ impl<'m> Reference<'m> {
 }
 
 /// The columns of a run without which [`Reference`] has no values for `machine`: `time_s` where
-/// there is a lag or a warm-up, `sensor_counts`, temperatures, positions, angles, in this order.
-/// `dir_*` and `spindle_rpm` are never among them, because they may be missing.
+/// there is a lag or a warm-up, `sensor_counts`, temperatures, positions, angles, in this order,
+/// then what its terms need beyond that. `dir_*` is never among them, because it may be missing,
+/// and `spindle_rpm` only for a term.
 #[must_use]
 pub fn required_columns(machine: &Machine) -> Vec<String> {
-    let (mut is_timed, mut has_counts) = (false, false);
+    let (machine, falling) = corrected(Cow::Borrowed(machine));
+    let falls = falling.spindle_s.into_iter().chain(falling.axes_s.into_iter().flatten());
+    let (mut is_timed, mut has_counts) = (falls.count() > 0, false);
     let mut temperatures = Vec::new();
     let spindle = &machine.spindle;
     match spindle.source {
@@ -282,8 +326,13 @@ pub fn required_columns(machine: &Machine) -> Vec<String> {
     columns.append(&mut names);
     let positions = LinearAxis::ALL.into_iter().filter(|&axis| machine.needs_position(axis));
     columns.extend(positions.map(|axis| format!("{}_mm", axis.name())));
-    if spindle.source.is_some() {
+    if machine.has_elongation() {
         columns.extend(machine.head_axes.iter().map(|axis| format!("{}_deg", axis.name())));
+    }
+    for column in term::columns(&machine.terms) {
+        if !columns.contains(&column) {
+            columns.push(column);
+        }
     }
     columns
 }
@@ -297,6 +346,25 @@ impl Machine {
             (Some(Source::Sensor), Some(sensor)) => elongation_um(sensor, sensor_counts),
             _ => 0.0,
         }
+    }
+
+    /// Whether there is anything that the tool grows by.
+    #[must_use]
+    pub fn has_elongation(&self) -> bool {
+        self.spindle.source.is_some()
+            || self.terms.iter().any(|term| term.quantity == Quantity::Elongation)
+    }
+
+    /// The machine without the terms that only explain: what the board is to correct.
+    #[must_use]
+    pub fn compensated(&self) -> Cow<'_, Self> {
+        let is_compensated = |term: &Term| term.effect.cause().is_compensated();
+        if self.terms.iter().all(is_compensated) {
+            return Cow::Borrowed(self);
+        }
+        let mut machine = self.clone();
+        machine.terms.retain(is_compensated);
+        Cow::Owned(machine)
     }
 
     /// The angles between axes that are not right: what is written as 0 needs no position.

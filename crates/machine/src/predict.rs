@@ -15,7 +15,10 @@
 //! A quantity that depends on a column that the run does not have stays empty; a run from which
 //! nothing can be predicted is refused.
 
-use std::io::{self, Write};
+use std::{
+    borrow::Cow,
+    io::{self, Write},
+};
 
 use trueup_core::{
     calibration::{Calibration, Source as BoardSource},
@@ -31,8 +34,8 @@ use trueup_core::{
 use crate::{
     compile::{Compiled, compile},
     inputs::{Inputs, LAST_CHANNEL, SensorInput, TemperatureInput, TemperatureKind},
-    machine_file::{LinearAxis, Machine, RotaryAxis, Source},
-    model::{Reference, Situation, required_columns},
+    machine_file::{LinearAxis, Machine, Quantity, RotaryAxis, Source},
+    model::{Reference, Situation, required_columns, shifted, time_shift_s},
     place::{BadInput, Place},
     run_file::RunFile,
 };
@@ -59,16 +62,21 @@ const UNITS_PER_MM: f64 = Position::PER_MILLIMETRE as f64;
 pub struct Prediction {
     /// The reference arithmetic.
     pub model: Values,
+    /// The same without the terms that only explain (`drift`, `time-shift` and the like): what the
+    /// board is to correct.
+    pub compensated: Values,
     /// The board's arithmetic; `None` where the machine does not say how the sensor is connected.
     pub bridge: Option<Values>,
 }
 
 impl Prediction {
-    /// The largest difference between the two sides, in nm; `None` without a bridge or a value.
+    /// The largest difference between the bridge and what it is to correct, in nm; `None` without a
+    /// bridge or a value.
     #[must_use]
     pub fn difference_nm(&self) -> Option<f64> {
         let bridge = self.bridge?.all();
-        let apart = self.model.all().into_iter().zip(bridge).map(|(model, bridge)| model - bridge);
+        let apart =
+            self.compensated.all().into_iter().zip(bridge).map(|(model, bridge)| model - bridge);
         apart.filter(|um| !um.is_nan()).map(|um| um.abs() * NM_PER_UM).reduce(f64::max)
     }
 }
@@ -80,7 +88,7 @@ pub struct Predictor<'a> {
     run: &'a RunFile,
     columns: Columns<'a>,
     missing: Vec<String>,
-    bridge: Option<Bridge>,
+    bridge: Result<Bridge, String>,
 }
 
 /// The columns of the run that the model knows.
@@ -89,6 +97,7 @@ struct Columns<'a> {
     time_s: Option<&'a [f64]>,
     sensor_counts: Option<&'a [f64]>,
     spindle_rpm: Option<&'a [f64]>,
+    load_n: Option<&'a [f64]>,
     temperatures_c: Vec<(&'a str, &'a [f64])>,
     position_mm: [Option<&'a [f64]>; 3],
     angle_deg: [Option<&'a [f64]>; 3],
@@ -149,10 +158,11 @@ impl<'a> Predictor<'a> {
         Ok(Self { machine, run, columns, missing, bridge: Bridge::of(machine)? })
     }
 
-    /// Whether there is a bridge side: the machine says how the sensor is connected.
+    /// Why there is no bridge side, if there is none: the machine does not say how the sensor is
+    /// connected, or has a term that the board does not run.
     #[must_use]
-    pub fn has_bridge(&self) -> bool {
-        self.bridge.is_some()
+    pub fn why_no_bridge(&self) -> Option<&str> {
+        self.bridge.as_ref().err().map(String::as_str)
     }
 
     /// Columns that the machine's model needs and the run does not have: what depends on them is
@@ -164,23 +174,63 @@ impl<'a> Predictor<'a> {
 
     /// Both sides, row by row: heat is a state.
     pub fn rows(&self) -> impl Iterator<Item = Prediction> {
-        let mut model = Reference::new(self.machine);
-        let mut bridge = self.bridge.as_ref().map(|bridge| BridgeRun::new(self.machine, bridge));
+        let mut model = self.model();
+        let compensated = self.machine.compensated();
+        // Where nothing is left out it is the model, and is not computed twice.
+        let only_explains = matches!(compensated, Cow::Owned(_));
+        let mut compensated = only_explains.then(|| Reference::of(compensated));
+        let mut bridge =
+            self.bridge.as_ref().ok().map(|bridge| BridgeRun::new(self.machine, bridge));
         (0..self.run.rows()).map(move |row| {
             let temperatures = self.columns.temperatures(row);
             let situation = self.columns.situation(row, &temperatures);
-            let model = model.step(&situation).values();
+            let model = model.next().expect("one for each row");
+            let compensated = compensated.as_mut().map_or(model, |it| it.step(&situation).values());
             let bridge = bridge.as_mut().map(|bridge| {
                 let bridge = bridge.step(&situation);
                 // What the model cannot know the board does not know either.
                 let known = |model: f64, bridge: f64| if model.is_nan() { model } else { bridge };
                 Values {
-                    elongation_um: known(model.elongation_um, bridge.elongation_um),
-                    error_um: [0, 1, 2].map(|n| known(model.error_um[n], bridge.error_um[n])),
+                    elongation_um: known(compensated.elongation_um, bridge.elongation_um),
+                    error_um: [0, 1, 2].map(|n| known(compensated.error_um[n], bridge.error_um[n])),
                 }
             });
-            Prediction { model, bridge }
+            Prediction { model, compensated, bridge }
         })
+    }
+
+    /// The model's values row by row. A time shift looks ahead and back, so that all of them are
+    /// there before the first is given; otherwise none is kept.
+    fn model(&self) -> Box<dyn Iterator<Item = Values> + '_> {
+        let mut reference = Reference::new(self.machine);
+        let in_time = (0..self.run.rows()).map(move |row| {
+            let temperatures = self.columns.temperatures(row);
+            reference.step(&self.columns.situation(row, &temperatures)).values()
+        });
+        let shifts_s = Quantity::ALL.map(|it| time_shift_s(&self.machine.terms, it));
+        if shifts_s == [0.0; 4] {
+            return Box::new(in_time);
+        }
+        let mut columns = [const { Vec::new() }; 4];
+        for values in in_time {
+            for (column, value) in columns.iter_mut().zip(values.all()) {
+                column.push(value);
+            }
+        }
+        let never;
+        let time_s = match self.columns.time_s {
+            Some(time_s) => time_s,
+            None => {
+                never = vec![f64::NAN; self.run.rows()];
+                &never
+            }
+        };
+        let [elongation, dx, dy, dz] =
+            [0, 1, 2, 3].map(|n| shifted(time_s, &columns[n], shifts_s[n]));
+        Box::new((0..self.run.rows()).map(move |row| Values {
+            elongation_um: elongation[row],
+            error_um: [dx[row], dy[row], dz[row]],
+        }))
     }
 
     /// Writes the run as CSV with [`COLUMNS`] after its own; a value that is missing is an empty
@@ -230,7 +280,7 @@ impl<'a> Predictor<'a> {
             written.rows_without_counts += 1;
             return;
         }
-        let input = self.bridge.as_ref().and_then(|bridge| bridge.input);
+        let input = self.bridge.as_ref().ok().and_then(|bridge| bridge.input);
         if input.is_some_and(|input| !input.is_in_range(counts)) {
             written.rows_out_of_range += 1;
             let place = || self.run.place(row, "sensor_counts");
@@ -249,6 +299,7 @@ fn nothing_is_known(machine: &Machine, columns: &Columns<'_>) -> bool {
         time_s: columns.time_s.map(|_| 0.0),
         sensor_counts: there(&columns.sensor_counts),
         spindle_rpm: columns.spindle_rpm.map(|_| 1.0),
+        load_n: columns.load_n.map(|_| 1.0),
         temperatures_c: &temperatures,
         position_mm: columns.position_mm.each_ref().map(there),
         angle_deg: columns.angle_deg.each_ref().map(there),
@@ -277,6 +328,7 @@ impl<'a> Columns<'a> {
             time_s: run.column("time_s"),
             sensor_counts: run.column("sensor_counts"),
             spindle_rpm: run.column("spindle_rpm"),
+            load_n: run.column("load_n"),
             temperatures_c: temperatures
                 .map(|column| (column.name.as_str(), column.values.as_slice()))
                 .collect(),
@@ -295,6 +347,7 @@ impl<'a> Columns<'a> {
             time_s: self.time_s.map(|times| at(Some(times), row)),
             sensor_counts: at(self.sensor_counts, row),
             spindle_rpm: self.spindle_rpm.map(|speeds| at(Some(speeds), row)),
+            load_n: self.load_n.map(|loads| at(Some(loads), row)),
             temperatures_c,
             position_mm: self.position_mm.map(|values| at(values, row)),
             angle_deg: self.angle_deg.map(|values| at(values, row)),
@@ -304,21 +357,28 @@ impl<'a> Columns<'a> {
 }
 
 impl Bridge {
-    /// `None`: the sensor is the source, and nobody says how it is connected.
-    fn of(machine: &Machine) -> Result<Option<Self>, BadInput> {
+    /// The inner error says why there is none, which keeps nobody from predicting.
+    fn of(machine: &Machine) -> Result<Result<Self, String>, BadInput> {
         let input = machine.inputs.as_ref().and_then(|inputs| inputs.sensor);
         if machine.spindle.source == Some(Source::Sensor) && input.is_none() {
-            return Ok(None);
+            return Ok(Err("without [inputs] sensor".into()));
         }
         let wired = with_all_temperatures(machine);
-        let compiled = compile(&wired)?;
+        let compiled = match compile(&wired) {
+            Ok(compiled) => compiled,
+            Err(error) if !wired.terms.is_empty() => {
+                compile(&Machine { terms: Vec::new(), ..wired })?;
+                return Ok(Err(error.rule));
+            }
+            Err(error) => return Err(error),
+        };
         let mut channels = [const { None }; CHANNELS];
         for (name, temperature) in wired.inputs.iter().flat_map(|inputs| &inputs.temperatures) {
             if let Some(channel) = channels.get_mut(usize::from(temperature.channel)) {
                 *channel = Some(name.clone());
             }
         }
-        Ok(Some(Self { input, channels, compiled }))
+        Ok(Ok(Self { input, channels, compiled }))
     }
 }
 

@@ -115,20 +115,14 @@ impl<'d> Section<'d> {
         self.document.places.bad(&dotted(&self.name, key), rule)
     }
 
-    /// Refuses every key that is in neither list: `known` is read by this version, `later` belongs
-    /// to the format but is not run by this version.
+    /// Refuses every key that is not `known`.
     ///
     /// Must come before anything is read, or a misspelt key would be reported as a missing one.
-    pub(crate) fn allow_only(&self, known: &[&str], later: &[&str]) -> Result<(), BadInput> {
-        for key in self.keys() {
-            if later.contains(&key) {
-                return Err(self.bad(key, "is not supported by this version"));
-            }
-            if !known.contains(&key) {
-                return Err(self.unknown(key, known.iter().chain(later).copied()));
-            }
+    pub(crate) fn allow_only(&self, known: &[&str]) -> Result<(), BadInput> {
+        match self.keys().into_iter().find(|key| !known.contains(key)) {
+            Some(key) => Err(self.unknown(key, known.iter().copied())),
+            None => Ok(()),
         }
-        Ok(())
     }
 
     /// `key` is none of the `known` keys of the format.
@@ -167,6 +161,24 @@ impl<'d> Section<'d> {
             }
             Some(other) => Err(self.wrong_type(key, "a table", other)),
         }
+    }
+
+    /// The tables of the array of tables `key`; none where it is missing.
+    pub(crate) fn sections(&self, key: &str) -> Result<Vec<Section<'d>>, BadInput> {
+        let Some(value) = self.table.get(key).map(Spanned::get_ref) else { return Ok(Vec::new()) };
+        let DeValue::Array(elements) = value else {
+            return Err(self.wrong_type(key, "an array of tables ([[term]])", value));
+        };
+        let table = |(index, element): (usize, &'d Spanned<DeValue<'d>>)| {
+            let name = format!("{key}[{index}]");
+            match element.get_ref() {
+                DeValue::Table(table) => {
+                    Ok(Section { document: self.document, table, name: dotted(&self.name, &name) })
+                }
+                other => Err(self.wrong_type(&name, "a table", other)),
+            }
+        };
+        elements.iter().enumerate().map(table).collect()
     }
 
     /// The string `key`.
@@ -245,6 +257,14 @@ impl<'d> Section<'d> {
     pub(crate) fn numbers(&self, key: &str) -> Result<Option<Vec<f64>>, BadInput> {
         let number = |element: &str, value: &DeValue<'_>| self.finite(element, value);
         self.elements(key, "an array of numbers", number)
+    }
+
+    /// The same, or one number alone.
+    pub(crate) fn number_or_numbers(&self, key: &str) -> Result<Option<Vec<f64>>, BadInput> {
+        match self.table.get(key).map(Spanned::get_ref) {
+            Some(DeValue::Array(_)) | None => self.numbers(key),
+            Some(_) => Ok(self.number(key)?.map(|number| vec![number])),
+        }
     }
 
     /// The array `key` of 1 to [`MOST_ELEMENTS`] rows of exactly three numbers.

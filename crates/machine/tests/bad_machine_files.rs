@@ -229,12 +229,6 @@ fn the_limits_are_checked() {
 }
 
 #[test]
-fn what_this_version_does_not_run_is_refused_and_not_skipped() {
-    let later = "term is not supported by this version";
-    assert_refused(MACHINE, &[("[[term]]\ncause = \"drift\"\n", "4:1", later)]);
-}
-
-#[test]
 fn the_head_axes_fit_the_kind() {
     for (kind, head_axes, place, phrase) in [
         (

@@ -309,6 +309,7 @@ impl<'m> Bench<'m> {
             // A count of the paper's chain is an eighth of a code, 128 reading units.
             sensor_counts: f64::from(moment.reading.0) / 128.0,
             spindle_rpm: Some(moment.rpm.into()),
+            load_n: None,
             temperatures_c: &temperatures,
             position_mm: position.map(|units| f64::from(units) / UNITS_PER_MM),
             angle_deg: [a, f64::NAN, c],

@@ -103,7 +103,7 @@ pub struct TemperatureModel {
 }
 
 pub(super) fn read(section: &Section<'_>) -> Result<Spindle, BadInput> {
-    section.allow_only(&["source", "sensor", "warmup", "temperature"], &[])?;
+    section.allow_only(&["source", "sensor", "warmup", "temperature"])?;
     let sources =
         [Source::Sensor, Source::Warmup, Source::Temperature].map(|source| (source.name(), source));
     let spindle = Spindle {
@@ -128,7 +128,7 @@ pub(super) fn read(section: &Section<'_>) -> Result<Spindle, BadInput> {
 }
 
 fn read_sensor(section: &Section<'_>) -> Result<SensorModel, BadInput> {
-    section.allow_only(&["k0_um", "zero_counts", "um_per_count", "temperature"], &[])?;
+    section.allow_only(&["k0_um", "zero_counts", "um_per_count", "temperature"])?;
     let number = |key| section.required(key, section.number(key)?);
     let k0_um = number("k0_um")?;
     let zero_counts = number("zero_counts")?;
@@ -143,7 +143,7 @@ fn read_sensor(section: &Section<'_>) -> Result<SensorModel, BadInput> {
 fn read_warmup(section: &Section<'_>) -> Result<Warmup, BadInput> {
     let required = ["lag_s", "warm_s", "max_um", "exponent"];
     let optional = ["cool_s", "rated_rpm", "speed_exponent"];
-    section.allow_only(&[&required[..], &optional[..]].concat(), &[])?;
+    section.allow_only(&[&required[..], &optional[..]].concat())?;
     let warmup = Warmup {
         lag_s: section.required("lag_s", section.not_negative("lag_s")?)?,
         warm_s: section.required("warm_s", section.positive("warm_s")?)?,
@@ -168,7 +168,7 @@ fn read_warmup(section: &Section<'_>) -> Result<Warmup, BadInput> {
 }
 
 fn read_temperature(section: &Section<'_>) -> Result<TemperatureModel, BadInput> {
-    section.allow_only(&["sensor", "reference_c", "k_um_per_c", "lag_s"], &[])?;
+    section.allow_only(&["sensor", "reference_c", "k_um_per_c", "lag_s"])?;
     let number = |key| section.required(key, section.number(key)?);
     Ok(TemperatureModel {
         sensor: section.required("sensor", read_temperature_column(section, "sensor")?)?,

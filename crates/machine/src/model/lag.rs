@@ -43,7 +43,12 @@ impl Lag {
     /// assert!((lag.step(100.0, 100.0, 30.0) - 26.321_205_588).abs() < 1e-9);
     /// ```
     pub fn step(&mut self, lag_s: f64, time_s: f64, value: f64) -> f64 {
-        if lag_s == 0.0 {
+        self.step_either_way([lag_s; 2], time_s, value)
+    }
+
+    /// The same with two time constants, in s: while y rises, and while it falls.
+    pub fn step_either_way(&mut self, rise_fall_s: [f64; 2], time_s: f64, value: f64) -> f64 {
+        if rise_fall_s == [0.0; 2] {
             return value;
         }
         if time_s.is_nan() || value.is_nan() {
@@ -51,7 +56,11 @@ impl Lag {
         }
         let before = self.settled.unwrap_or(value);
         let elapsed_s = self.clock.elapsed_s(time_s);
-        let after = before - (value - before) * (-elapsed_s / lag_s).exp_m1();
+        let [rise_s, fall_s] = rise_fall_s;
+        let lag_s = if value < before { fall_s } else { rise_s };
+        // A constant of 0 is no lag: 0/0 at two rows of one time would be none either.
+        let share = if lag_s == 0.0 { 1.0 } else { -(-elapsed_s / lag_s).exp_m1() };
+        let after = before + (value - before) * share;
         self.settled = Some(after);
         after
     }

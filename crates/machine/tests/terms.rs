@@ -1,0 +1,338 @@
+//! `[[term]]`: read, applied to the prediction, written back. Each cause's formula by hand.
+
+use std::path::Path;
+
+use trueup_machine::{
+    Machine, MachineFile, RunFile,
+    machine_file::{Cause, Effect, Quantity, Term},
+    predict::Predictor,
+};
+
+const HEAD: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
+const SENSOR: &str = "[spindle]\nsource = \"sensor\"\n[spindle.sensor]\nk0_um = 0.0\n\
+                      zero_counts = 0.0\num_per_count = 0.5\n";
+const TEMPERATURE: &str = "[spindle]\nsource = \"temperature\"\n[spindle.temperature]\n\
+                           sensor = \"temp_a_c\"\nreference_c = 20.0\nk_um_per_c = 2.0\n";
+const WARMUP: &str = "[spindle]\nsource = \"warmup\"\n[spindle.warmup]\nlag_s = 0.0\n\
+                      warm_s = 400.0\nmax_um = 80.0\nexponent = 4.0\n";
+const AXIS: &str = "[axis.x.thermal]\nmode = \"position\"\nsensor = \"temp_a_c\"\n\
+                    reference_c = 20.0\nslope_um_per_m_per_c = 10.0\n";
+
+fn machine(sections: &str, terms: &str) -> Machine {
+    let text = format!("{HEAD}{sections}{terms}");
+    MachineFile::parse(&text, Path::new("m.toml")).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// What the machine predicts for `quantity` in each row of `csv`.
+fn predicted(sections: &str, terms: &str, quantity: Quantity, csv: &str) -> Vec<f64> {
+    let machine = machine(sections, terms);
+    let run = RunFile::from_reader(csv.as_bytes(), Path::new("r.csv")).expect("a run");
+    let predictor = Predictor::new(&machine, &run).unwrap_or_else(|error| panic!("{error}"));
+    let index = Quantity::ALL.iter().position(|it| *it == quantity).expect("one of all");
+    predictor.rows().map(|row| row.model.all()[index]).collect()
+}
+
+fn assert_near(got: &[f64], wanted: &[f64]) {
+    assert_eq!(got.len(), wanted.len());
+    for (got, wanted) in got.iter().zip(wanted) {
+        assert!((got - wanted).abs() < 1e-9, "{got} is not {wanted}");
+    }
+}
+
+fn term(quantity: &str, keys: &str) -> String {
+    format!("[[term]]\nquantity = \"{quantity}\"\n{keys}\n")
+}
+
+#[test]
+fn what_a_sensor_does_wrong() {
+    // p is 0, 10 and 50 µm.
+    let csv = "sensor_counts,temp_coil_c\n0,30\n20,25\n100,20\n";
+    for (keys, wanted) in [
+        ("cause = \"sensor-offset\"\noffset_um = -4.0", [-4.0, 6.0, 46.0]),
+        ("cause = \"sensor-gain\"\ngain = 1.3", [0.0, 13.0, 65.0]),
+        ("cause = \"sensor-gain\"\ngain = 1.3\nconstant_um = -4.0", [-4.0, 9.0, 61.0]),
+        ("cause = \"sensor-curvature\"\nper_um = 0.01", [0.0, 11.0, 75.0]),
+        ("cause = \"sensor-saturation\"\nlimit_um = 40.0", [0.0, 10.0, 40.0]),
+        (
+            "cause = \"sensor-temperature-drift\"\ncolumn = \"temp_coil_c\"\num_per_c = 0.2\n\
+             reference_c = 20.0",
+            [2.0, 11.0, 50.0],
+        ),
+        ("cause = \"growth-amplitude\"\nscale = 0.5", [0.0, 5.0, 25.0]),
+    ] {
+        let got = predicted(SENSOR, &term("elongation", keys), Quantity::Elongation, csv);
+        assert_near(&got, &wanted);
+        // Growth is an error of s·V, V pointing down: the tip is too low.
+        let dz = predicted(SENSOR, &term("elongation", keys), Quantity::Dz, csv);
+        assert_near(&dz, &wanted.map(|um| -um));
+    }
+}
+
+#[test]
+fn terms_apply_in_the_order_of_the_file() {
+    let gain = term("elongation", "cause = \"sensor-gain\"\ngain = 2.0");
+    let offset = term("elongation", "cause = \"sensor-offset\"\noffset_um = 1.0");
+    let csv = "sensor_counts\n20\n";
+    let both = [format!("{gain}{offset}"), format!("{offset}{gain}")];
+    let got = both.map(|terms| predicted(SENSOR, &terms, Quantity::Elongation, csv)[0]);
+    assert_eq!(got, [21.0, 22.0]);
+}
+
+#[test]
+fn a_lag_is_the_lag_of_the_temperature_and_may_differ_as_it_falls() {
+    let csv = "time_s,temp_a_c\n0,20\n100,30\n200,20\n";
+    let e = (-1.0_f64).exp();
+    let lag = term("elongation", "cause = \"thermal-lag\"\ntime_constant_s = 100.0");
+    let got = predicted(TEMPERATURE, &lag, Quantity::Elongation, csv);
+    assert_near(&got, &[0.0, 20.0 * (1.0 - e), 20.0 * (1.0 - e) * e]);
+    let slower =
+        lag.clone() + &term("elongation", "cause = \"cooling-asymmetry\"\ntime_constant_s = 50.0");
+    let got = predicted(TEMPERATURE, &slower, Quantity::Elongation, csv);
+    assert_near(&got, &[0.0, 20.0 * (1.0 - e), 20.0 * (1.0 - e) * e * e]);
+}
+
+#[test]
+fn heat_beside_the_models_own() {
+    let csv = "time_s,temp_a_c,temp_b_c\n0,20,25\n100,30,35\n";
+    let e = (-1.0_f64).exp();
+    let path = |cause: &str, column: &str, lag: &str| {
+        let keys = format!(
+            "cause = \"{cause}\"\ncolumn = \"{column}\"\num_per_c = -3.0\nreference_c = 25.0{lag}"
+        );
+        predicted(TEMPERATURE, &term("elongation", &keys), Quantity::Elongation, csv)
+    };
+    assert_near(&path("extra-heat-path", "temp_b_c", ""), &[0.0, 20.0 - 30.0]);
+    let lagged = path("extra-heat-path", "temp_b_c", "\ntime_constant_s = 100.0");
+    assert_near(&lagged, &[0.0, 20.0 - 30.0 * (1.0 - e)]);
+    let own = path("slow-mode", "temp_a_c", "\ntime_constant_s = 100.0");
+    assert_near(&own, &[15.0, 20.0 - 3.0 * (10.0 * (1.0 - e) - 5.0)]);
+    let keys = "cause = \"slow-mode\"\namplitude_um = 8.0\ntime_constant_s = 50.0\nstart_s = 50.0";
+    let timed = predicted(TEMPERATURE, &term("elongation", keys), Quantity::Elongation, csv);
+    assert_near(&timed, &[0.0, 20.0 + 8.0 * (1.0 - e)]);
+}
+
+#[test]
+fn a_warm_up_with_another_rate_has_no_end() {
+    let csv = "time_s\n0\n100\n1000\n";
+    let rate = term("elongation", "cause = \"growth-rate\"\ntime_constant_s = 100.0");
+    let got = predicted(WARMUP, &rate, Quantity::Elongation, csv);
+    assert_near(&got, &[0.0, 80.0 * (1.0 - (-1.0_f64).exp()), 80.0 * (1.0 - (-10.0_f64).exp())]);
+}
+
+#[test]
+fn speed_stretches_and_the_cut_pushes_back() {
+    let csv = "sensor_counts,spindle_rpm,load_n\n20,-12000,0\n20,0,500\n";
+    for (keys, wanted) in [
+        ("cause = \"centrifugal-growth\"\num_per_krpm2 = 0.05", [17.2, 10.0]),
+        ("cause = \"cutting-load\"\num_per_n = 0.01", [10.0, 5.0]),
+    ] {
+        let got = predicted(SENSOR, &term("elongation", keys), Quantity::Elongation, csv);
+        assert_near(&got, &wanted);
+    }
+}
+
+#[test]
+fn an_axis_expands_by_its_right_slope_from_its_right_temperature() {
+    let csv = "x_mm,temp_a_c\n0,30\n500,30\n";
+    for (keys, wanted) in [
+        ("cause = \"expansion-slope\"\num_per_m_per_c = 12.0", [0.0, 60.0]),
+        ("cause = \"reference-temperature\"\nshift_c = 2.0", [0.0, 40.0]),
+        ("cause = \"reference-temperature\"\nshift_c = 2.0\nconstant_um = 1.5", [1.5, 41.5]),
+    ] {
+        assert_near(&predicted(AXIS, &term("dx", keys), Quantity::Dx, csv), &wanted);
+    }
+}
+
+#[test]
+fn what_an_axis_does_wrong() {
+    let csv = "x_mm,y_mm,dir_x\n0,100,1\n250,100,1\n250,300,-1\n";
+    for (keys, wanted) in [
+        ("cause = \"pitch-scale\"\num_per_m = 8.0", [0.0, 2.0, 2.0]),
+        (
+            "cause = \"pitch-error\"\nstart_mm = 0.0\nstep_mm = 500.0\nforward_um = [1.0, 5.0]\n\
+             reverse_um = [2.0, 4.0]",
+            [1.0, 3.0, 3.0],
+        ),
+        ("cause = \"backlash\"\nwidth_um = -25.0", [0.0, 0.0, -25.0]),
+        ("cause = \"position-dependent-backlash\"\num_per_m = 8.0", [0.0, 0.0, 2.0]),
+        ("cause = \"cross-axis\"\naxis = \"y\"\num_per_m = 10.0", [1.0, 1.0, 3.0]),
+        (
+            "cause = \"straightness\"\nalong = \"y\"\norder = 2\nknots_mm = [0.0, 0.0, 400.0, 400.0]\n\
+             control_um = [0.0, 4.0]",
+            [1.0, 1.0, 3.0],
+        ),
+        // sin(2π·0 + 90°) = 1, and 250 of 1000 mm are another quarter.
+        (
+            "cause = \"pitch-periodic\"\nperiod_mm = 1000.0\namplitude_um = 3.0\nphase_deg = 90.0",
+            [3.0, 0.0, 0.0],
+        ),
+        (
+            "cause = \"pitch-periodic\"\nperiod_mm = 1000.0\nharmonic = [1, 2]\n\
+             amplitude_um = [3.0, 1.0]\nphase_deg = [0.0, 90.0]",
+            [1.0, 2.0, 2.0],
+        ),
+        // C/(P + P₀) = 250/500 and 250/750 of a turn.
+        (
+            "cause = \"reference-instrument\"\nperiod_mm = 250.0\norigin_mm = 500.0\n\
+             amplitude_um = 2.0",
+            [0.0, 3.0_f64.sqrt(), 3.0_f64.sqrt()],
+        ),
+    ] {
+        assert_near(&predicted("", &term("dx", keys), Quantity::Dx, csv), &wanted);
+    }
+}
+
+#[test]
+fn what_only_explains_is_predicted_and_not_for_the_board() {
+    let csv = "time_s,sensor_counts\n0,0\n1800,20\n3600,40\n";
+    for (keys, wanted) in [
+        ("cause = \"step\"\nat_s = 1800.0\nsize_um = 3.0", [0.0, 13.0, 23.0]),
+        ("cause = \"drift\"\num_per_h = 2.0", [0.0, 11.0, 22.0]),
+        ("cause = \"time-shift\"\nshift_s = 900.0", [0.0, 5.0, 15.0]),
+        ("cause = \"time-shift\"\nshift_s = -900.0", [5.0, 15.0, 20.0]),
+        ("cause = \"outliers\"\nfraction = 0.02", [0.0, 10.0, 20.0]),
+        ("cause = \"reference-instrument\"\ndescription = \"a \\\"laser\\\"\"", [0.0, 10.0, 20.0]),
+    ] {
+        let terms = term("elongation", keys);
+        assert_near(&predicted(SENSOR, &terms, Quantity::Elongation, csv), &wanted);
+        let machine = machine(SENSOR, &terms);
+        let run = RunFile::from_reader(csv.as_bytes(), Path::new("r.csv")).expect("a run");
+        let predictor = Predictor::new(&machine, &run).expect("all columns are there");
+        let board: Vec<f64> = predictor.rows().map(|it| it.compensated.elongation_um).collect();
+        assert_near(&board, &[0.0, 10.0, 20.0]);
+    }
+}
+
+#[test]
+fn a_missing_value_makes_what_needs_it_missing() {
+    let csv = "time_s,sensor_counts,load_n\n0,20,\n1,20,100\n";
+    let load = term("elongation", "cause = \"cutting-load\"\num_per_n = 0.01");
+    let got = predicted(SENSOR, &load, Quantity::Elongation, csv);
+    assert!(got[0].is_nan() && (got[1] - 9.0).abs() < 1e-12);
+}
+
+/// One of each, so that a new cause without a line here is noticed.
+fn one_of_each() -> Vec<(&'static str, String)> {
+    let wave =
+        "period_mm = 5.0\nharmonic = [1, 4]\namplitude_um = [1.0, 0.1]\nphase_deg = [0.1, 7.0]";
+    let spline =
+        "along = \"y\"\norder = 2\nknots_mm = [0.0, 0.0, 9.0, 9.0]\ncontrol_um = [0.0, 0.1]";
+    let table = "start_mm = 0.5\nstep_mm = 2.0\nforward_um = [1.0, 0.1]\nreverse_um = [0.3, 1e-7]";
+    let path = "column = \"temp_b_c\"\num_per_c = 0.1\nreference_c = 20.0\ntime_constant_s = 7.0";
+    [
+        (SENSOR, "elongation", "sensor-offset", "offset_um = 0.1"),
+        (SENSOR, "elongation", "sensor-gain", "gain = 1.1"),
+        (SENSOR, "elongation", "sensor-curvature", "per_um = 1e-4"),
+        (SENSOR, "elongation", "sensor-saturation", "limit_um = 50.0"),
+        (
+            SENSOR,
+            "elongation",
+            "sensor-temperature-drift",
+            "column = \"temp_coil_c\"\num_per_c = 0.1\nreference_c = 20.0",
+        ),
+        (SENSOR, "elongation", "time-shift", "shift_s = 3.0"),
+        (TEMPERATURE, "elongation", "thermal-lag", "time_constant_s = 1630.0"),
+        (SENSOR, "elongation", "slow-mode", "amplitude_um = 3.0\ntime_constant_s = 900.0"),
+        (TEMPERATURE, "elongation", "slow-mode", path),
+        (TEMPERATURE, "elongation", "extra-heat-path", path),
+        (TEMPERATURE, "elongation", "growth-amplitude", "scale = 1.1"),
+        (WARMUP, "elongation", "growth-rate", "time_constant_s = 90.0"),
+        (WARMUP, "elongation", "cooling-asymmetry", "time_constant_s = 90.0"),
+        (AXIS, "dx", "expansion-slope", "um_per_m_per_c = 11.0"),
+        (AXIS, "dx", "reference-temperature", "shift_c = 0.5"),
+        (SENSOR, "elongation", "centrifugal-growth", "um_per_krpm2 = 0.1"),
+        (SENSOR, "elongation", "cutting-load", "um_per_n = 0.1"),
+        (AXIS, "dx", "pitch-scale", "um_per_m = 3.0"),
+        (AXIS, "dx", "pitch-error", table),
+        (AXIS, "dx", "pitch-periodic", wave),
+        (AXIS, "dx", "backlash", "width_um = 3.0"),
+        (AXIS, "dx", "position-dependent-backlash", "um_per_m = 3.0"),
+        (AXIS, "dx", "straightness", spline),
+        (AXIS, "dx", "cross-axis", "axis = \"z\"\num_per_m = 3.0"),
+        (AXIS, "dx", "step", "at_s = 4.0\nsize_um = 3.0"),
+        (AXIS, "dx", "drift", "um_per_h = 3.0"),
+        (AXIS, "dx", "outliers", "fraction = 0.01"),
+        (AXIS, "dx", "reference-instrument", wave),
+    ]
+    .map(|(sections, quantity, cause, keys)| {
+        (sections, term(quantity, &format!("cause = \"{cause}\"\nconstant_um = 0.25\n{keys}")))
+    })
+    .into()
+}
+
+#[test]
+fn every_cause_is_read_and_written_back_to_the_same_numbers() {
+    let mut seen = Vec::new();
+    for (sections, text) in one_of_each() {
+        let terms = machine(sections, &text).terms;
+        let again: String = terms.iter().map(Term::to_toml).collect();
+        assert_eq!(machine(sections, &again).terms, terms, "{again}");
+        seen.push(terms[0].effect.cause());
+    }
+    for cause in Cause::ALL {
+        assert!(seen.contains(cause), "{} is not tried", cause.name());
+    }
+}
+
+#[test]
+fn what_fits_no_machine_is_refused_with_its_place() {
+    for (sections, text, rule) in [
+        (
+            SENSOR,
+            "cause = \"thermal-lag\"\nquantity = \"elongation\"\ntime_constant_s = 3.0",
+            "term[0].cause \"thermal-lag\" needs a temperature on which elongation depends",
+        ),
+        (
+            SENSOR,
+            "cause = \"termal-lag\"\nquantity = \"elongation\"",
+            "term[0].cause \"termal-lag\" is not known; did you mean thermal-lag?",
+        ),
+        (
+            SENSOR,
+            "cause = \"sensor-gain\"\nquantity = \"elongation\"\ngian = 1.0",
+            "unknown key term[0].gian; did you mean gain?",
+        ),
+        (SENSOR, "cause = \"sensor-gain\"\nquantity = \"elongation\"", "term[0].gain is missing"),
+        (
+            SENSOR,
+            "cause = \"backlash\"\nquantity = \"elongation\"\nwidth_um = 1.0",
+            "belongs to dx, dy or dz",
+        ),
+        (
+            SENSOR,
+            "cause = \"cross-axis\"\nquantity = \"dx\"\naxis = \"x\"\num_per_m = 1.0",
+            "another axis than the one that moves",
+        ),
+        (
+            SENSOR,
+            "cause = \"growth-rate\"\nquantity = \"elongation\"\ntime_constant_s = 1.0",
+            "needs [spindle] source = \"warmup\"",
+        ),
+        (
+            AXIS,
+            "cause = \"pitch-periodic\"\nquantity = \"dx\"\nperiod_mm = 1.0\n\
+             amplitude_um = [1.0, 2.0]\nphase_deg = [1.0]",
+            "term[0].phase_deg has 1 elements, but amplitude_um has 2",
+        ),
+    ] {
+        let text = format!("{HEAD}{sections}[[term]]\n{text}\n");
+        let error = MachineFile::parse(&text, Path::new("m.toml")).expect_err(rule).to_string();
+        assert!(error.contains(rule), "{error}");
+        let first = text.lines().position(|line| line == "[[term]]").expect("it is there") + 1;
+        let line: usize = error.split(':').nth(1).and_then(|it| it.parse().ok()).expect("a line");
+        assert!(line >= first, "{error}");
+    }
+    let text = format!("{HEAD}term = 3\n");
+    let error = MachineFile::parse(&text, Path::new("m.toml")).expect_err("no tables");
+    assert!(error.to_string().contains("unknown key machine.term"), "{error}");
+}
+
+#[test]
+fn a_constant_alone_shifts_the_prediction() {
+    let term = Term {
+        quantity: Quantity::Dy,
+        constant_um: 2.5,
+        effect: Effect::Outliers { fraction: 0.0 },
+    };
+    assert_near(&predicted("", &term.to_toml(), Quantity::Dy, "y_mm\n1\n2\n"), &[2.5, 2.5]);
+}
