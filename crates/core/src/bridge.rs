@@ -35,6 +35,7 @@ use crate::{
     heat::{self, CHANNELS, Channel, Heat, RawTemperatures},
     lag::STEP_MS,
     limits::{Applied, Met},
+    term::{Effect, Target, Turning},
     tool::Direction,
     units::{Code, Fine, Millis, Nanometres, Rpm, Temperature},
 };
@@ -56,8 +57,12 @@ pub struct Bridge<'a> {
 struct Needs {
     position: [bool; 3],
     rotary: bool,
-    /// Temperatures of the axes; that of the spindle is one source among others.
+    /// The spindle's speed and load, from the CNC.
+    turning: bool,
+    /// Temperatures of the axes and of terms; that of the spindle is one source among others.
     temperature: [bool; CHANNELS],
+    /// There are terms of the elongation.
+    terms: bool,
 }
 
 /// What one tick brings.
@@ -412,7 +417,8 @@ impl<'a> Bridge<'a> {
                 && state.heat.knows(&self.calibration),
             place: positions
                 .fold(true, |fresh, (needed, age)| fresh && (!needed || age.0 <= timeout_ms))
-                && (!self.needs.rotary || state.rotary.value().is_some()),
+                && (!self.needs.rotary || state.rotary.value().is_some())
+                && (!self.needs.turning || state.spindle.value().is_some()),
         }
     }
 
@@ -436,12 +442,22 @@ impl<'a> Bridge<'a> {
 
     /// The errors of this moment.
     fn error(&self, state: &State, fresh: Fresh) -> Now {
-        let elongation = match fresh.source.flatten() {
+        let mut elongation = match fresh.source.flatten() {
             Some(Source::Sensor) => state.elongation.unwrap_or_default(),
             Some(Source::Temperature) => state.heat.by_temperature(),
             Some(Source::Warmup) => state.heat.by_running_time(),
             None => Nanometres::ZERO,
         };
+        // The terms were fitted to the first source.
+        if self.needs.terms && fresh.source == Some(self.calibration.spindle.chain[0]) {
+            let spindle = state.spindle.value();
+            let turning = Turning {
+                speed: spindle.map(|spindle| spindle.speed),
+                load: spindle.map_or(0, |spindle| i32::from(spindle.load_n).saturating_mul(256)),
+            };
+            let terms = state.heat.terms();
+            elongation = self.calibration.with_terms(elongation.fine(), terms, turning).rounded();
+        }
         let errors = self.calibration.errors(&state.heat, &state.place);
         let mut now =
             Now { elongation, axes: [Fine::ZERO; 3], clamped: false, outside: errors.outside };
@@ -511,9 +527,13 @@ impl<'a> Bridge<'a> {
 
 impl Needs {
     fn of(calibration: &Calibration<'_>) -> Self {
+        let terms = || calibration.terms.iter().flatten();
+        let has_elongation = calibration.spindle.chain.iter().any(Option::is_some)
+            || terms().any(|term| term.target == Target::Elongation);
         let mut needs = Self {
-            rotary: calibration.kinematics.axes.iter().any(Option::is_some)
-                && calibration.spindle.chain.iter().any(Option::is_some),
+            rotary: calibration.kinematics.axes.iter().any(Option::is_some) && has_elongation,
+            terms: terms().any(|term| term.target == Target::Elongation),
+            turning: terms().any(|it| matches!(it.effect, Effect::Speed(_) | Effect::Load(_))),
             ..Self::default()
         };
         let mut position = |axis: LinearAxis| {
@@ -540,10 +560,23 @@ impl Needs {
                 position(over);
             }
         }
-        for axis in &calibration.axes {
-            if let Some(thermal) = &axis.thermal
-                && let Some(needed) = needs.temperature.get_mut(usize::from(thermal.channel))
-            {
+        for term in terms() {
+            match (term.effect, term.target) {
+                (Effect::Position { axis, .. } | Effect::Curve { axis, .. }, _)
+                | (
+                    Effect::Reversed { .. } | Effect::Table(_) | Effect::Wave { .. },
+                    Target::Axis(axis),
+                ) => position(axis),
+                _ => {}
+            }
+        }
+        let of_axes = calibration.axes.iter().flat_map(|axis| axis.thermal).map(|it| it.channel);
+        let of_terms = terms().filter_map(|term| match term.effect {
+            Effect::Heat { channel, .. } => Some(channel),
+            _ => None,
+        });
+        for channel in of_axes.chain(of_terms) {
+            if let Some(needed) = needs.temperature.get_mut(usize::from(channel)) {
                 *needed = true;
             }
         }
@@ -614,6 +647,7 @@ mod tests {
             axes: Default::default(),
             straightness: Default::default(),
             squareness: Default::default(),
+            terms: [None; crate::term::MOST],
             limits: Limits {
                 max: [Nanometres(200_000), Nanometres(200_000), Nanometres(500_000)],
                 slew_nm_per_s: 1_000_000,
@@ -906,8 +940,13 @@ mod tests {
         calibration.thermometers[3] =
             Some(Thermometer::Linear { zero: 0, slope: 16_000, shift: 0 });
         let law = Law { pieces: &LAW };
-        calibration.axes[0].thermal =
-            Some(AxisThermal { channel: 3, share: Share::ALL, origin: Position(0), law });
+        calibration.axes[0].thermal = Some(AxisThermal {
+            channel: 3,
+            share: Share::ALL,
+            falling: Share::ALL,
+            origin: Position(0),
+            law,
+        });
         calibration
     }
 

@@ -12,6 +12,7 @@ use crate::{
     limits::Limits,
     pitch::{Beam, Pitch},
     sensor::SensorLaw,
+    term::{self, Term},
     thermal::Law,
     thermometer::Thermometer,
     travel,
@@ -34,6 +35,8 @@ pub struct Calibration<'a> {
     pub straightness: [Curve<'a>; 6],
     /// Squareness, in the order of [`CROSSED`].
     pub squareness: [Gradient; 6],
+    /// What a diagnosis has added; those that are there come first.
+    pub terms: [Option<Term<'a>>; term::MOST],
     /// How far and how fast an offset may go, and how long silence is tolerated.
     pub limits: Limits,
 }
@@ -79,6 +82,8 @@ pub struct SpindleTemperature<'a> {
     pub channel: u8,
     /// Of its lag, for 100 ms.
     pub share: Share,
+    /// The same while the temperature falls.
+    pub falling: Share,
     /// The elongation is its K₀.
     pub law: Law<'a>,
 }
@@ -128,6 +133,8 @@ pub struct AxisThermal<'a> {
     pub channel: u8,
     /// Of its lag, for 100 ms.
     pub share: Share,
+    /// The same while the temperature falls.
+    pub falling: Share,
     /// P₀.
     pub origin: Position,
     /// K₀(T) and tanβ(T).

@@ -5,6 +5,7 @@
 //! screw     pitch table by direction + backlash         along the axis itself
 //! guides    straightness and squareness over the two other axes
 //!           Δx = δx(y) + δx(z),  Δy = δy(x) + δy(z),  Δz = δz(x) + δz(y)
+//! terms     what a diagnosis has added                  any of these
 //! ```
 //!
 //! An error is actual minus commanded. Everything is added in 1/256 nm and rounded once, by the
@@ -36,6 +37,8 @@ pub struct AxisError {
     pub screw: Fine,
     /// Straightness of the two other axes, and squareness to them.
     pub guides: Fine,
+    /// What a diagnosis has added.
+    pub terms: Fine,
 }
 
 impl AxisError {
@@ -44,12 +47,14 @@ impl AxisError {
     pub fn sum(&self, largest: Fine) -> (Fine, bool) {
         let largest = largest.0.max(0);
         let mut clamped = false;
-        let sum =
-            [self.thermal, self.screw, self.guides].into_iter().fold(Fine::ZERO, |sum, part| {
+        let sum = [self.thermal, self.screw, self.guides, self.terms].into_iter().fold(
+            Fine::ZERO,
+            |sum, part| {
                 let held = part.0.clamp(largest.saturating_neg(), largest);
                 clamped |= held != part.0;
                 sum.plus(Fine(held))
-            });
+            },
+        );
         (sum, clamped)
     }
 }
@@ -90,6 +95,13 @@ impl Calibration<'_> {
             let (bow, outside) = curve.at(position);
             let tilt = gradient.over(Position(0), position);
             error.guides = error.guides.plus(bow).plus(tilt);
+            errors.outside |= outside;
+        }
+        if self.terms[0].is_some() {
+            let (terms, outside) = self.axis_terms(heat.terms(), place);
+            for (error, term) in errors.axes.iter_mut().zip(terms) {
+                error.terms = term;
+            }
             errors.outside |= outside;
         }
         errors

@@ -10,7 +10,8 @@
 use crate::{
     calibration::Calibration,
     gradient::Gradient,
-    lag::Lag,
+    lag::{Lag, Share},
+    term::{self, Warmth},
     thermometer::Raw,
     units::{Fine, Nanometres, Rpm, Temperature},
     warmup,
@@ -20,8 +21,11 @@ use crate::{
 pub const CHANNELS: usize = 8;
 /// A channel is given up after so many bad readings in a row, 100 ms apart.
 pub const FAULT_AFTER_READINGS: u8 = 4;
-/// Items of a step: three axes, the spindle by temperature, the spindle by running time.
-pub const ITEMS: usize = 5;
+/// Items of a step: three axes, the spindle by temperature, the spindle by running time, and the
+/// terms of a diagnosis.
+pub const ITEMS: usize = FIRST_TERM + term::MOST;
+/// The item of the first term.
+pub const FIRST_TERM: usize = 5;
 
 /// A temperature channel: its last good reading, until it is given up.
 #[derive(Clone, Copy, Debug, Default)]
@@ -74,6 +78,7 @@ pub struct Heat {
     by_temperature: Fine,
     running: warmup::State,
     by_running_time: Fine,
+    terms: Warmth,
 }
 
 impl Heat {
@@ -101,16 +106,19 @@ impl Heat {
             if let Some(thermal) = &axis.thermal
                 && let Some(temperature) = channel(temperatures, thermal.channel)
             {
-                let lagged = step_lag(&mut heat.lag, temperature, thermal.share);
+                let lagged = step_lag(&mut heat.lag, temperature, [thermal.share, thermal.falling]);
                 (heat.constant, heat.gradient) = thermal.law.at(lagged);
             }
         } else if item == 3 {
             if let Some(spindle) = &calibration.spindle.temperature
                 && let Some(temperature) = channel(temperatures, spindle.channel)
             {
-                let lagged = step_lag(&mut self.spindle, temperature, spindle.share);
+                let lagged =
+                    step_lag(&mut self.spindle, temperature, [spindle.share, spindle.falling]);
                 self.by_temperature = spindle.law.at(lagged).0;
             }
+        } else if let Some(term) = item.checked_sub(FIRST_TERM) {
+            self.terms.step(calibration, term, temperatures);
         } else if let Some(warmup) = &calibration.spindle.warmup {
             let drive = warmup.drive(speed);
             warmup.law.step(&mut self.running, drive);
@@ -131,6 +139,20 @@ impl Heat {
             .iter()
             .zip(&calibration.axes)
             .all(|(heat, axis)| axis.thermal.is_none() || heat.lag.is_some())
+            && self.terms.knows(calibration)
+    }
+
+    /// The terms over time have begun so many steps ago.
+    pub fn run_ahead(&mut self, calibration: &Calibration<'_>, term: usize, steps: u32) {
+        for _ in 0..steps {
+            self.terms.step(calibration, term, &[None; CHANNELS]);
+        }
+    }
+
+    /// What heat and time have made of the terms of a diagnosis.
+    #[must_use]
+    pub fn terms(&self) -> &Warmth {
+        &self.terms
     }
 
     /// The elongation by the spindle's temperature.
@@ -155,10 +177,11 @@ fn channel(temperatures: &[Option<Temperature>; CHANNELS], number: u8) -> Option
 fn step_lag(
     lag: &mut Option<Lag>,
     temperature: Temperature,
-    share: crate::lag::Share,
+    [rising, falling]: [Share; 2],
 ) -> Temperature {
     match lag {
         Some(lag) => {
+            let share = if temperature.0 < lag.value() { falling } else { rising };
             lag.step(temperature.0, share);
             Temperature(lag.value())
         }

@@ -35,6 +35,7 @@ pub mod pitch;
 pub mod pt100;
 pub mod revolution_mean;
 pub mod sensor;
+pub mod term;
 pub mod thermal;
 pub mod thermometer;
 pub mod tool;

@@ -6,7 +6,7 @@
 //!
 //! | offset | field | unit |
 //! |---|---|---|
-//! | 0 | magic `TRUP`; `u16` schema 2; `u16` length of all of the blob in bytes | |
+//! | 0 | magic `TRUP`; `u16` schema 3; `u16` length of all of the blob in bytes | |
 //! | 8 | 3 × `i32` largest offset on X, Y, Z | nm, 0…5 242 870 |
 //! | 20 | `u32` slew limit; `u32` link timeout; `u32` hold | nm/s; ms |
 //! | 32 | 3 × `i32` tool direction at angles 0 | 2⁻³⁰, together a unit vector |
@@ -19,14 +19,32 @@
 //! | 208 | 3 × linear axis, 80 bytes each | |
 //! | 448 | 6 × straightness curve, 16 bytes each, in the order of [`CROSSED`](trueup_core::calibration::CROSSED) | |
 //! | 544 | 6 × `i32` squareness, in the same order | 2⁻³⁶ nm per 10 nm |
-//! | 568 | the tables, each record on a multiple of 2 bytes | |
+//! | 568 | `u32` lag share of the spindle's temperature while it falls | |
+//! | 572 | terms of a diagnosis: a table of 24 bytes each | |
+//! | 576 | the tables, each record on a multiple of 2 bytes | |
 //! | length − 4 | CRC-32/AUTOSAR of all bytes before it | |
 //!
 //! A linear axis: `u32` channel (255: none), `u32` lag share, `i32` origin, law; pitch: `i32` start,
 //! `u32` step, forward, reverse; second drive: `u32` axis across (255: none), `i32` first, `i32`
 //! second, `i32` start, `u32` step, forward, reverse; `i32` backlash, `u32` hysteresis, `u32` ramp;
-//! 8 bytes of 0. A curve: segments, index, `i32` first knot, `u32` bucket shift. A law is a reference to
+//! `u32` lag share while it falls; 4 bytes of 0. A curve: segments, index, `i32` first knot, `u32` bucket shift. A law is a reference to
 //! [pieces](trueup_core::thermal), a pitch table one to `i32` in 1/256 nm.
+//!
+//! A term: `u8` kind, `u8` target (0 elongation, 1, 2, 3: X, Y, Z), `u8` channel or axis, `u8` binary
+//! places of the coefficient; `i32` constant (1/256 nm); four words:
+//!
+//! | kind | words |
+//! |---|---|
+//! | 0 offset | none |
+//! | 1 gain, 2 curvature, 6 speed, 7 load | `i32` coefficient |
+//! | 3 saturation | `i32` limit |
+//! | 4 heat | `i32` coefficient, `u32` lag share, `i32` reference |
+//! | 5 time | `i32` coefficient, `u32` lag share |
+//! | 8 position | `i32` gradient |
+//! | 9 reversed | `i32` width, `i32` gradient |
+//! | 10 table | as a pitch |
+//! | 11 curve | as a curve |
+//! | 12 wave | `i32` amplitude, `u32` phase, `u64` turns |
 //!
 //! The checks go from the outside in: a blob of another schema is told apart from a damaged one
 //! before the CRC is looked at, because its CRC may lie elsewhere. After that every reference, range
@@ -48,24 +66,25 @@ use trueup_core::{
     limits::Limits,
     pitch::{Beam, Pitch},
     sensor::{SensorLaw, Slope},
+    term::{self, Effect, Scaled, Target, Term},
     thermal::Law,
     thermometer::Thermometer,
     tool::Direction,
     travel::{self, Whole},
-    units::{Fine, Nanometres, Position, Reading},
+    units::{Fine, Nanometres, Position, Reading, Temperature},
     warmup,
 };
 
 use crate::layout::{NANOMETRES_PER_BIT, OFFSET_MAX_RAW};
 
 /// Bytes of the fixed part.
-pub const FIXED_SIZE: usize = 568;
+pub const FIXED_SIZE: usize = 576;
 /// The largest blob: a slot of the board's flash.
 pub const MAX_SIZE: usize = 16_384;
 /// The first four bytes.
 pub const MAGIC: [u8; 4] = *b"TRUP";
 /// The layout described here.
-pub const SCHEMA: u16 = 2;
+pub const SCHEMA: u16 = 3;
 /// The largest offset that the frames to the CNC can carry, in nanometres.
 pub const MAX_OFFSET_NM: i32 = OFFSET_MAX_RAW * NANOMETRES_PER_BIT;
 
@@ -89,8 +108,16 @@ static CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_AUTOSAR);
 pub fn encode<'o>(calibration: &Calibration<'_>, out: &'o mut [u8]) -> Result<&'o [u8], TooLarge> {
     let room = out.len().min(MAX_SIZE);
     let mut to = Writer { out, at: 0, tables_end: FIXED_SIZE };
-    let Calibration { thermometers, spindle, kinematics, axes, straightness, squareness, limits } =
-        calibration;
+    let Calibration {
+        thermometers,
+        spindle,
+        kinematics,
+        axes,
+        straightness,
+        squareness,
+        terms,
+        limits,
+    } = calibration;
     to.bytes(&MAGIC);
     // The length is known at the end.
     to.word(0);
@@ -119,6 +146,8 @@ pub fn encode<'o>(calibration: &Calibration<'_>, out: &'o mut [u8]) -> Result<&'
         write_curve(&mut to, curve);
     }
     squareness.iter().for_each(|gradient| to.signed(gradient.0));
+    to.word(spindle.temperature.map_or(0, |it| it.falling.0));
+    write_terms(&mut to, terms);
 
     let end = to.tables_end.saturating_add(CRC_SIZE);
     let (true, Ok(length)) = (end <= room, u16::try_from(end)) else {
@@ -142,7 +171,9 @@ fn write_spindle(to: &mut Writer<'_>, spindle: &Spindle<'_>) {
     to.signed(sensor.slope.0);
     let (channel, share, law) = match temperature {
         None => (NONE, Share(0), Law { pieces: &[] }),
-        Some(SpindleTemperature { channel, share, law }) => ((*channel).into(), *share, *law),
+        Some(SpindleTemperature { channel, share, law, falling: _ }) => {
+            ((*channel).into(), *share, *law)
+        }
     };
     to.word(channel);
     to.word(share.0);
@@ -171,7 +202,7 @@ fn write_axis(to: &mut Writer<'_>, axis: &Axis<'_>) {
             to.word(NONE);
             (0..3).for_each(|_| to.word(0));
         }
-        Some(AxisThermal { channel, share, origin, law }) => {
+        Some(AxisThermal { channel, share, origin, law, falling: _ }) => {
             to.word((*channel).into());
             to.word(share.0);
             to.signed(origin.0);
@@ -193,6 +224,7 @@ fn write_axis(to: &mut Writer<'_>, axis: &Axis<'_>) {
     to.signed(backlash.0);
     to.word(travel.hysteresis);
     to.word(travel.ramp.length());
+    to.word(thermal.map_or(0, |thermal| thermal.falling.0));
     while to.at < end {
         to.word(0);
     }
@@ -215,6 +247,93 @@ fn write_curve(to: &mut Writer<'_>, curve: &Curve<'_>) {
     to.table(curve.index());
     to.signed(curve.first().0);
     to.word(curve.bucket_shift().into());
+}
+
+/// Bytes of a term.
+const TERM_SIZE: usize = 24;
+
+/// A reference to the terms, and the terms; what they refer to follows.
+fn write_terms(to: &mut Writer<'_>, terms: &[Option<Term<'_>>]) {
+    let next = to.at.saturating_add(4);
+    // Room first: the tables of the terms come behind all of them.
+    let count = terms.iter().flatten().count();
+    let records = [[0_u8; TERM_SIZE]; term::MOST];
+    let start = to.tables_end;
+    to.table(records.get(..count).unwrap_or_default());
+    for (index, term) in terms.iter().flatten().enumerate() {
+        to.at = start.saturating_add(index.saturating_mul(TERM_SIZE));
+        write_term(to, term);
+    }
+    to.at = next;
+}
+
+fn write_term(to: &mut Writer<'_>, term: &Term<'_>) {
+    let target = match term.target {
+        Target::Elongation => 0,
+        Target::Axis(LinearAxis::X) => 1,
+        Target::Axis(LinearAxis::Y) => 2,
+        Target::Axis(LinearAxis::Z) => 3,
+    };
+    let mut head = |kind: u8, input: u8, scaled: Scaled| {
+        to.bytes(&[kind, target, input, scaled.shift]);
+        to.signed(term.constant.0);
+    };
+    let of_axis = |axis: LinearAxis| axis as u8;
+    let none = Scaled::default();
+    match term.effect {
+        Effect::Offset => head(0, 0, none),
+        Effect::Gain(scaled)
+        | Effect::Curvature(scaled)
+        | Effect::Speed(scaled)
+        | Effect::Load(scaled) => {
+            let kind = match term.effect {
+                Effect::Gain(_) => 1,
+                Effect::Curvature(_) => 2,
+                Effect::Speed(_) => 6,
+                _ => 7,
+            };
+            head(kind, 0, scaled);
+            to.signed(scaled.mantissa);
+        }
+        Effect::Saturation(limit) => {
+            head(3, 0, none);
+            to.signed(limit.0);
+        }
+        Effect::Heat { channel, share, reference, per_temperature } => {
+            head(4, channel, per_temperature);
+            to.signed(per_temperature.mantissa);
+            to.word(share.0);
+            to.signed(reference.0);
+        }
+        Effect::Time { share, amplitude } => {
+            head(5, 0, amplitude);
+            to.signed(amplitude.mantissa);
+            to.word(share.0);
+        }
+        Effect::Position { axis, gradient } => {
+            head(8, of_axis(axis), none);
+            to.signed(gradient.0);
+        }
+        Effect::Reversed { width, gradient } => {
+            head(9, 0, none);
+            to.signed(width.0);
+            to.signed(gradient.0);
+        }
+        Effect::Table(pitch) => {
+            head(10, 0, none);
+            write_pitch(to, Some(&pitch));
+        }
+        Effect::Curve { axis, curve } => {
+            head(11, of_axis(axis), none);
+            write_curve(to, &curve);
+        }
+        Effect::Wave { turns, phase, amplitude } => {
+            head(12, 0, none);
+            to.signed(amplitude.0);
+            to.word(phase);
+            to.bytes(&turns.to_le_bytes());
+        }
+    }
 }
 
 /// Bytes of a linear axis.
@@ -349,7 +468,7 @@ pub fn decode(bytes: &[u8]) -> Result<Calibration<'_>, BlobError> {
     let zero = direction([from.signed(), from.signed(), from.signed()])?;
     let [first, second, ..] = from.bytes();
     let kinematics = Kinematics { zero, axes: [from.rotary(first)?, from.rotary(second)?] };
-    let spindle = read_spindle(&mut from)?;
+    let mut spindle = read_spindle(&mut from)?;
     let mut thermometers = [None; CHANNELS];
     for thermometer in &mut thermometers {
         let offset = from.at;
@@ -367,7 +486,21 @@ pub fn decode(bytes: &[u8]) -> Result<Calibration<'_>, BlobError> {
         *curve = from.curve()?;
     }
     let squareness = core::array::from_fn(|_| Gradient(from.signed()));
-    Ok(Calibration { thermometers, spindle, kinematics, axes, straightness, squareness, limits })
+    let falling = Share(from.word());
+    if let Some(temperature) = &mut spindle.temperature {
+        temperature.falling = falling;
+    }
+    let terms = from.terms()?;
+    Ok(Calibration {
+        thermometers,
+        spindle,
+        kinematics,
+        axes,
+        straightness,
+        squareness,
+        terms,
+        limits,
+    })
 }
 
 fn read_spindle<'b>(from: &mut Reader<'b>) -> Result<Spindle<'b>, BlobError> {
@@ -389,7 +522,9 @@ fn read_spindle<'b>(from: &mut Reader<'b>) -> Result<Spindle<'b>, BlobError> {
     let channel = from.channel()?;
     let share = Share(from.word());
     let law = from.law()?;
-    let temperature = channel.map(|channel| SpindleTemperature { channel, share, law });
+    // The share while it falls comes later.
+    let falling = share;
+    let temperature = channel.map(|channel| SpindleTemperature { channel, share, falling, law });
     let law = warmup::Warmup {
         lag_ms: from.word(),
         max: Fine(from.signed()),
@@ -497,15 +632,11 @@ impl<'b> Reader<'b> {
         let end = self.at.saturating_add(AXIS_SIZE);
         let channel = self.channel()?;
         let (share, origin, law) = (Share(self.word()), Position(self.signed()), self.law()?);
-        let thermal = channel.map(|channel| AxisThermal { channel, share, origin, law });
         let pitch = self.pitch()?;
         let offset = self.at;
         let across = match self.word() {
             NONE => None,
-            0 => Some(LinearAxis::X),
-            1 => Some(LinearAxis::Y),
-            2 => Some(LinearAxis::Z),
-            found => return Err(BlobError::Value { offset, found }),
+            found => Some(linear_axis(found, offset)?),
         };
         let (first, second) = (Position(self.signed()), Position(self.signed()));
         let dual = across.zip(self.pitch()?);
@@ -513,8 +644,86 @@ impl<'b> Reader<'b> {
         let dual = dual.map(|(across, pitch)| Dual { across, beam, pitch });
         let backlash = Fine(self.signed());
         let travel = travel::Config { hysteresis: self.word(), ramp: Whole::new(self.word()) };
+        let falling = Share(self.word());
+        let thermal = channel.map(|channel| AxisThermal { channel, share, falling, origin, law });
         self.at = end;
         Ok(Axis { thermal, pitch, dual, backlash, travel })
+    }
+}
+
+impl<'b> Reader<'b> {
+    fn terms(&mut self) -> Result<[Option<Term<'b>>; term::MOST], BlobError> {
+        let offset = self.at;
+        let at = self.word() & 0xFFFF;
+        self.at = offset;
+        let records = self.table::<TERM_SIZE>()?;
+        let next = self.at;
+        if records.len() > term::MOST {
+            return Err(BlobError::Table { offset });
+        }
+        let mut terms = [None; term::MOST];
+        let mut at = usize::try_from(at).unwrap_or(usize::MAX);
+        for (term, _) in terms.iter_mut().zip(records) {
+            self.at = at;
+            *term = Some(self.term()?);
+            at = at.saturating_add(TERM_SIZE);
+        }
+        self.at = next;
+        Ok(terms)
+    }
+
+    fn term(&mut self) -> Result<Term<'b>, BlobError> {
+        let offset = self.at;
+        let [kind, target, input, shift] = self.bytes();
+        let value = |found: u8| BlobError::Value { offset, found: found.into() };
+        let target = match target {
+            0 => Target::Elongation,
+            found @ 1..=3 => Target::Axis(linear_axis(u32::from(found.wrapping_sub(1)), offset)?),
+            found => return Err(value(found)),
+        };
+        if shift > 62 {
+            return Err(value(shift));
+        }
+        let constant = Fine(self.signed());
+        let scaled = |from: &mut Self| Scaled { mantissa: from.signed(), shift };
+        let effect = match kind {
+            0 => Effect::Offset,
+            1 => Effect::Gain(scaled(self)),
+            2 => Effect::Curvature(scaled(self)),
+            3 => Effect::Saturation(Fine(self.signed())),
+            4 if usize::from(input) < CHANNELS => Effect::Heat {
+                channel: input,
+                per_temperature: scaled(self),
+                share: Share(self.word()),
+                reference: Temperature(self.signed()),
+            },
+            5 => Effect::Time { amplitude: scaled(self), share: Share(self.word()) },
+            6 => Effect::Speed(scaled(self)),
+            7 => Effect::Load(scaled(self)),
+            8 => Effect::Position {
+                axis: linear_axis(input.into(), offset)?,
+                gradient: Gradient(self.signed()),
+            },
+            9 => Effect::Reversed { width: Fine(self.signed()), gradient: Gradient(self.signed()) },
+            10 => Effect::Table(self.pitch()?.ok_or(BlobError::Table { offset })?),
+            11 => Effect::Curve { axis: linear_axis(input.into(), offset)?, curve: self.curve()? },
+            12 => {
+                let (amplitude, phase) = (Fine(self.signed()), self.word());
+                let (low, high) = (u64::from(self.word()), u64::from(self.word()));
+                Effect::Wave { turns: (high << 32) | low, phase, amplitude }
+            }
+            found => return Err(value(found)),
+        };
+        Ok(Term { target, constant, effect })
+    }
+}
+
+fn linear_axis(number: u32, offset: usize) -> Result<LinearAxis, BlobError> {
+    match number {
+        0 => Ok(LinearAxis::X),
+        1 => Ok(LinearAxis::Y),
+        2 => Ok(LinearAxis::Z),
+        found => Err(BlobError::Value { offset, found }),
     }
 }
 
@@ -652,6 +861,7 @@ mod tests {
         };
         let axis = Axis {
             thermal: Some(AxisThermal {
+                falling: Share(8),
                 channel: 2,
                 share: Share(7),
                 origin: Position(-9),
@@ -673,6 +883,36 @@ mod tests {
             share_cool: Share(6),
             full: 8,
         };
+        let scaled = Scaled { mantissa: -7, shift: 11 };
+        let x = Target::Axis(LinearAxis::X);
+        let y = Target::Axis(LinearAxis::Y);
+        let heat = Effect::Heat {
+            channel: 7,
+            share: Share(21),
+            reference: Temperature(-22),
+            per_temperature: scaled,
+        };
+        let reversed = Effect::Reversed { width: Fine(4), gradient: Gradient(-5) };
+        let wave = Effect::Wave { turns: 0x1234_5678_9ABC_DEF0, phase: 7, amplitude: Fine(-8) };
+        let all = [
+            (Target::Elongation, Effect::Offset),
+            (Target::Elongation, Effect::Gain(scaled)),
+            (Target::Elongation, Effect::Curvature(scaled)),
+            (Target::Elongation, Effect::Saturation(Fine(9))),
+            (y, heat),
+            (Target::Elongation, Effect::Time { share: Share(3), amplitude: scaled }),
+            (Target::Elongation, Effect::Speed(scaled)),
+            (Target::Elongation, Effect::Load(scaled)),
+            (x, Effect::Position { axis: LinearAxis::Z, gradient: Gradient(-3) }),
+            (x, reversed),
+            (x, Effect::Table(pitch)),
+            (x, Effect::Curve { axis: LinearAxis::Y, curve }),
+            (Target::Axis(LinearAxis::Z), wave),
+        ];
+        let mut terms = [None; term::MOST];
+        for (place, (target, effect)) in terms.iter_mut().zip(all) {
+            *place = Some(Term { target, constant: Fine(-6), effect });
+        }
         check(Calibration {
             thermometers: core::array::from_fn(|n| match n {
                 2 => Some(Thermometer::Pt100),
@@ -689,6 +929,7 @@ mod tests {
                 temperature: Some(SpindleTemperature {
                     channel: 5,
                     share: Share(u32::MAX),
+                    falling: Share(9),
                     law: Law { pieces: &pieces },
                 }),
                 warmup: Some(Warmup { law, power: curve }),
@@ -707,6 +948,7 @@ mod tests {
                 curve,
             ],
             squareness: [-3, -2, -1, 0, 1, 2].map(Gradient),
+            terms,
             limits: Limits {
                 max: [200_000, 200_000, 500_000].map(Nanometres),
                 slew_nm_per_s: 20_000,
@@ -744,7 +986,7 @@ mod tests {
     fn the_fields_lie_where_the_table_says() {
         let blob = sample();
         let word = |at: usize| i32::from_le_bytes(*blob[at..].first_chunk().unwrap());
-        assert_eq!(&blob[..6], b"TRUP\x02\x00");
+        assert_eq!(&blob[..6], b"TRUP\x03\x00");
         assert_eq!(usize::from(u16::from_le_bytes([blob[6], blob[7]])), blob.len());
         for (at, value) in [
             (8, 200_000),
@@ -764,11 +1006,17 @@ mod tests {
             (288, 255),
             (368 + 60, 4),
             (544, -3),
+            (568, 9),
         ] {
             assert_eq!(word(at), value, "at {at}");
         }
         let tables = usize::from(u16::from_le_bytes([blob[72], blob[73]]));
         assert_eq!(tables, FIXED_SIZE, "the first table follows the fixed part");
+        let terms = usize::from(u16::from_le_bytes([blob[572], blob[573]]));
+        assert_eq!([blob[574], blob[575]], [13, 0]);
+        // The fifth: heat of channel 7 on Y.
+        assert_eq!(blob[terms + 4 * 24..][..4], [4, 2, 7, 11]);
+        assert_eq!(word(terms + 4 * 24 + 12), 21);
     }
 
     #[test]

@@ -159,6 +159,7 @@ mod tests {
             axes: Default::default(),
             straightness: Default::default(),
             squareness: Default::default(),
+            terms: Default::default(),
             limits: Limits {
                 max: [Nanometres(500_000); 3],
                 slew_nm_per_s: 1_000,

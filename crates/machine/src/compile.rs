@@ -19,6 +19,7 @@
 
 mod curve;
 mod heat;
+pub(crate) mod term;
 
 use trueup_core::{
     calibration::{self, CROSSED, Calibration},
@@ -26,6 +27,7 @@ use trueup_core::{
     gradient::Gradient,
     heat::CHANNELS,
     kinematics::{self, Kinematics},
+    lag::Share,
     limits::Limits,
     pitch::{Beam, Pitch},
     sensor::{SensorLaw, Slope},
@@ -89,9 +91,10 @@ impl Compiled {
 }
 
 /// The tables of one axis.
-#[derive(Default)]
 struct AxisTables {
     law: Pieces,
+    /// Of the lag, rising and falling.
+    shares: [Share; 2],
     pitch: Option<PitchTables>,
     dual: Option<PitchTables>,
 }
@@ -146,17 +149,15 @@ impl Account<'_> {
 /// [`STEEPEST_UM_PER_MM`], or all of it does not fit the board; with the key and, for a machine that
 /// was read from a file, its place.
 pub fn compile(machine: &Machine) -> Result<Compiled, BadInput> {
-    let terms = machine.terms.iter().enumerate();
-    if let Some((index, _)) = terms.clone().find(|(_, it)| it.effect.cause().is_compensated()) {
-        let rule = "does not run on the board yet";
-        return Err(machine.places.bad(&format!("term[{index}]"), rule));
-    }
+    let (machine, falling) = model::corrected(machine.compensated());
+    let machine = &*machine;
     let mut account = Account { machine, parts: Vec::new() };
     let limits = compile_limits(machine)?;
-    let spindle = SpindleTables::of(machine, &mut account)?;
+    let spindle = SpindleTables::of(machine, falling.spindle_s, &mut account)?;
     let mut axes = Vec::new();
     for (axis, name) in machine.axes.iter().zip(LinearAxis::ALL) {
-        axes.push(compile_axis(axis, name, &mut account)?);
+        let falling_s = falling.axes_s[name.index()];
+        axes.push(compile_axis(axis, name, falling_s, &mut account)?);
     }
     let mut curves: [OwnedCurve; 6] = std::array::from_fn(|_| OwnedCurve::NONE);
     for straightness in &machine.straightness {
@@ -170,6 +171,7 @@ pub fn compile(machine: &Machine) -> Result<Compiled, BadInput> {
         let made = compile_squareness(entry.um_per_m);
         squareness[crossed(entry.error, entry.along)] = account.take(&key, made)?;
     }
+    let terms = term::terms(machine, &mut account)?;
     let [x, y, z] = [0, 1, 2].map(|number| axis_view(machine, number, &axes[number]));
     let calibration = Calibration {
         thermometers: thermometers(machine)?,
@@ -181,6 +183,7 @@ pub fn compile(machine: &Machine) -> Result<Compiled, BadInput> {
         axes: [x?, y?, z?],
         straightness: std::array::from_fn(|n| curves[n].view()),
         squareness,
+        terms: term::views(&terms),
         limits,
     };
     let mut room = vec![0; 4 * MAX_SIZE];
@@ -277,12 +280,17 @@ fn linear_thermometer(zero_counts: f64, counts_per_c: f64) -> Option<Thermometer
 /// What the spindle's models have become.
 struct SpindleTables {
     sensor: SensorLaw,
-    temperature: Option<(Pieces, trueup_core::lag::Share)>,
+    /// With the shares of its lag, rising and falling.
+    temperature: Option<(Pieces, [Share; 2])>,
     warmup: Option<(trueup_core::warmup::Warmup, OwnedCurve)>,
 }
 
 impl SpindleTables {
-    fn of(machine: &Machine, account: &mut Account<'_>) -> Result<Self, BadInput> {
+    fn of(
+        machine: &Machine,
+        falling_s: Option<f64>,
+        account: &mut Account<'_>,
+    ) -> Result<Self, BadInput> {
         let spindle = &machine.spindle;
         let mut sensor = SensorLaw::default();
         let has_input = machine.inputs.as_ref().is_some_and(|inputs| inputs.sensor.is_some());
@@ -297,8 +305,8 @@ impl SpindleTables {
             let key = "spindle.temperature";
             let law = heat::spindle_law(model.k_um_per_c, model.reference_c);
             let law = account.take(key, law.map(|law| (law, 0.0)))?;
-            let share = heat::share(model.lag_s).map(|share| (share, 0.0));
-            Ok((law, account.take(&format!("{key}.lag_s"), share)?))
+            let shares = heat::shares(model.lag_s, falling_s).map(|shares| (shares, 0.0));
+            Ok((law, account.take(&format!("{key}.lag_s"), shares)?))
         });
         let warmup = spindle.warmup.as_ref().map(|model| {
             let made = heat::warmup(model);
@@ -311,12 +319,15 @@ impl SpindleTables {
     fn view(&self, machine: &Machine) -> Result<calibration::Spindle<'_>, BadInput> {
         let spindle = &machine.spindle;
         let temperature = match (&self.temperature, &spindle.temperature) {
-            (Some((law, share)), Some(model)) => {
+            (Some((law, [share, falling])), Some(model)) => {
                 let law = Law { pieces: law };
                 match channel(machine, "spindle.temperature", &model.sensor) {
-                    Ok(channel) => {
-                        Some(calibration::SpindleTemperature { channel, share: *share, law })
-                    }
+                    Ok(channel) => Some(calibration::SpindleTemperature {
+                        channel,
+                        share: *share,
+                        falling: *falling,
+                        law,
+                    }),
                     // A fall-back whose thermometer is not connected is none.
                     Err(_) if spindle.source != Some(Source::Temperature) => None,
                     Err(error) => return Err(error),
@@ -353,12 +364,16 @@ impl SpindleTables {
 fn compile_axis(
     axis: &machine_file::Axis,
     name: LinearAxis,
+    falling_s: Option<f64>,
     account: &mut Account<'_>,
 ) -> Result<AxisTables, BadInput> {
     let key = format!("axis.{}", name.name());
-    let mut tables = AxisTables::default();
+    let mut tables =
+        AxisTables { law: Pieces::new(), shares: [Share::ALL; 2], pitch: None, dual: None };
     if let Some(thermal) = &axis.thermal {
         tables.law = account.take(&format!("{key}.thermal"), heat::axis_law(thermal))?;
+        let shares = heat::shares(thermal.lag_s, falling_s).map(|shares| (shares, 0.0));
+        tables.shares = account.take(&format!("{key}.thermal.lag_s"), shares)?;
     }
     if let Some(pitch) = &axis.pitch {
         tables.pitch = Some(account.take(&format!("{key}.pitch"), compile_pitch(pitch))?);
@@ -395,8 +410,8 @@ fn axis_view<'t>(
             let key = format!("{key}.thermal");
             Some(calibration::AxisThermal {
                 channel: channel(machine, &key, &thermal.sensor)?,
-                share: heat::share(thermal.lag_s)
-                    .map_err(|why| bad(format!("{key}.lag_s"), why))?,
+                share: tables.shares[0],
+                falling: tables.shares[1],
                 origin: position(&format!("{key}.origin_mm"), thermal.origin_mm)?,
                 law: Law { pieces: &tables.law },
             })

@@ -23,8 +23,9 @@ use std::{
 use trueup_core::{
     calibration::{Calibration, Source as BoardSource},
     geometry::Place as BoardPlace,
-    heat::{CHANNELS, Heat, ITEMS},
+    heat::{CHANNELS, FIRST_TERM, Heat},
     lag::{STEP_MS, Share},
+    term::{self, Turning},
     travel::Travel,
     units::{
         Fine, MicroDegrees, NANOMETRES_PER_MICROMETRE, Nanometres, Position, Rpm, Temperature,
@@ -32,9 +33,9 @@ use trueup_core::{
 };
 
 use crate::{
-    compile::{Compiled, compile},
+    compile::{Compiled, compile, term::PARTS_OF_N},
     inputs::{Inputs, LAST_CHANNEL, SensorInput, TemperatureInput, TemperatureKind},
-    machine_file::{LinearAxis, Machine, Quantity, RotaryAxis, Source},
+    machine_file::{Effect, LinearAxis, Machine, Quantity, RotaryAxis, Source},
     model::{Reference, Situation, required_columns, shifted, time_shift_s},
     place::{BadInput, Place},
     run_file::RunFile,
@@ -387,9 +388,10 @@ impl Bridge {
 fn with_all_temperatures(machine: &Machine) -> Machine {
     let mut wired = machine.clone();
     let axes = machine.axes.iter().filter_map(|axis| axis.thermal.as_ref());
-    let used = axes.map(|thermal| &thermal.sensor);
+    let spindle = machine.spindle.temperature.iter().map(|model| &model.sensor);
+    let of_terms = machine.terms.iter().filter_map(|term| term.effect.column());
     let used: Vec<&String> =
-        used.chain(machine.spindle.temperature.iter().map(|model| &model.sensor)).collect();
+        axes.map(|thermal| &thermal.sensor).chain(spindle).chain(of_terms).collect();
     let inputs = wired.inputs.get_or_insert_with(Inputs::default);
     for name in used {
         let taken = |channel: &u8| inputs.temperatures.values().any(|it| it.channel == *channel);
@@ -410,6 +412,8 @@ struct BridgeRun<'b> {
     /// In the order of `head_axes`, each the place of its angle among A, B and C.
     head_axes: Vec<usize>,
     rated: Rpm,
+    /// When each of the terms over time starts, in the run's time.
+    starts_s: Vec<f64>,
     heat: Heat,
     /// The time of the first row, and the steps taken since.
     clock: Option<(f64, u64)>,
@@ -424,6 +428,14 @@ impl<'b> BridgeRun<'b> {
             calibration: bridge.compiled.calibration(),
             head_axes: machine.head_axes.iter().map(|axis| axis.index()).collect(),
             rated: rpm(rated.unwrap_or(1.0)),
+            starts_s: machine
+                .terms
+                .iter()
+                .filter_map(|term| match term.effect {
+                    Effect::SlowMode { start_s, .. } => Some(start_s),
+                    _ => None,
+                })
+                .collect(),
             heat: Heat::default(),
             clock: None,
             last_s: f64::NAN,
@@ -443,6 +455,13 @@ impl<'b> BridgeRun<'b> {
             Some(BoardSource::Temperature) => self.heat.by_temperature(),
             Some(BoardSource::Warmup) => self.heat.by_running_time(),
         };
+        let turning = Turning {
+            speed: situation.spindle_rpm.map(rpm),
+            // A cast from f64 saturates.
+            load: (situation.load_n.unwrap_or(0.0) * PARTS_OF_N).round() as i32,
+        };
+        let terms = self.heat.terms();
+        let elongation = calibration.with_terms(elongation.fine(), terms, turning).rounded();
         let mut place = BoardPlace::default();
         for (n, axis) in calibration.axes.iter().enumerate() {
             // A cast from f64 saturates and takes NaN to 0; what depends on it is not shown.
@@ -493,6 +512,9 @@ impl<'b> BridgeRun<'b> {
         }
         self.last_s = time_s;
         let is_first = self.clock.is_none();
+        if is_first {
+            self.run_ahead(time_s);
+        }
         let (start_s, done) = self.clock.get_or_insert((time_s, 0));
         let due = ((time_s - *start_s) * 1_000.0 / f64::from(STEP_MS)).round() as u64;
         let steps = due.saturating_sub(*done).min(MOST_STEPS);
@@ -503,11 +525,31 @@ impl<'b> BridgeRun<'b> {
         // Lags start settled; and what has none is not bound to the board's steps.
         let follows = |share: Share| is_first || share == Share::ALL;
         let axes = self.calibration.axes.iter().map(|axis| axis.thermal.map(|it| it.share));
-        let shares = axes.chain([self.calibration.spindle.temperature.map(|it| it.share)]);
-        for (item, share) in shares.enumerate().take(ITEMS) {
+        let spindle = self.calibration.spindle.temperature.map(|it| it.share);
+        let terms = self.calibration.terms.iter().map(|term| match term.as_ref()?.effect {
+            term::Effect::Heat { share, .. } => Some(share),
+            _ => None,
+        });
+        let shares = (0..).zip(axes.chain([spindle])).chain((FIRST_TERM..).zip(terms));
+        for (item, share) in shares {
             if share.is_some_and(follows) {
                 self.heat.step_item(&self.calibration, item, &temperatures, speed);
             }
+        }
+    }
+
+    /// Terms over time go on from where they are at the first row.
+    fn run_ahead(&mut self, time_s: f64) {
+        let is_timed = |term: &&Option<term::Term<'_>>| {
+            term.is_some_and(|term| matches!(term.effect, term::Effect::Time { .. }))
+        };
+        let terms = self.calibration.terms.iter().enumerate();
+        let timed = terms.filter(|(_, term)| is_timed(term)).map(|(index, _)| index);
+        for (index, start_s) in timed.zip(&self.starts_s) {
+            let steps = (time_s - start_s) * 1_000.0 / f64::from(STEP_MS);
+            // A cast from f64 saturates at both ends; ten million steps settle every lag.
+            let steps = (steps.round() as u32).min(10_000_000);
+            self.heat.run_ahead(&self.calibration, index, steps);
         }
     }
 }

@@ -21,6 +21,8 @@
 //! calibration that no machine file compiles to (one that was not written by
 //! [`compile`](mod@crate::compile)) is shown as well, with the reason.
 
+mod term;
+
 use std::{
     f64::consts::E,
     fmt::{Result as Written, Write},
@@ -136,8 +138,16 @@ fn compiled_back(toml: &str, calibration: &Calibration<'_>) -> Result<Back, Stri
 }
 
 fn write_machine_file(toml: &mut String, calibration: &Calibration<'_>) -> Written {
-    let Calibration { thermometers, spindle, kinematics, axes, straightness, squareness, limits } =
-        calibration;
+    let Calibration {
+        thermometers,
+        spindle,
+        kinematics,
+        axes,
+        straightness,
+        squareness,
+        terms,
+        limits,
+    } = calibration;
     write_machine(toml, kinematics)?;
     let has_sensor = spindle.sensor != SensorLaw::default()
         || spindle.chain.contains(&Some(calibration::Source::Sensor));
@@ -150,7 +160,8 @@ fn write_machine_file(toml: &mut String, calibration: &Calibration<'_>) -> Writt
     }
     for (curve, pair) in straightness.iter().zip(CROSSED) {
         if !curve.is_empty() {
-            write_curve(toml, &pair_name(pair), curve)?;
+            writeln!(toml, "\n[straightness.{}]", pair_name(pair))?;
+            write_curve(toml, curve)?;
         }
     }
     if squareness.iter().any(|gradient| *gradient != Gradient::ZERO) {
@@ -162,7 +173,9 @@ fn write_machine_file(toml: &mut String, calibration: &Calibration<'_>) -> Writt
             }
         }
     }
-    write_limits(toml, limits)
+    write_limits(toml, limits)?;
+    term::write_falling(toml, calibration)?;
+    terms.iter().flatten().try_for_each(|term| term::write(toml, term))
 }
 
 /// The number with the fewest decimals near `exact` that is `same` for the board.
@@ -304,7 +317,7 @@ fn write_spindle(
     if has_sensor {
         write_sensor(toml, sensor)?;
     }
-    if let Some(SpindleTemperature { channel, share, law }) = temperature {
+    if let Some(SpindleTemperature { channel, share, law, falling: _ }) = temperature {
         let piece = law.pieces.first().map(Piece::from_bytes).unwrap_or_default();
         let k_um_per_c = written(piece.constant_slope, FINE_PER_UM * SLOPE_PER_KELVIN);
         writeln!(toml, "\n[spindle.temperature]")?;
@@ -504,7 +517,7 @@ fn write_pitch(toml: &mut String, pitch: &Pitch<'_>) -> Written {
     }
 }
 
-fn write_curve(toml: &mut String, name: &str, curve: &Curve<'_>) -> Written {
+fn write_curve(toml: &mut String, curve: &Curve<'_>) -> Written {
     let mm = |place: i32| written(place, UNITS_PER_MM);
     let mut start = curve.first().0;
     let mut knots = vec![mm(start); 4];
@@ -524,7 +537,6 @@ fn write_curve(toml: &mut String, name: &str, curve: &Curve<'_>) -> Written {
     knots.push(mm(start));
     // 1e-8 µm is 1/390 of the board's unit.
     let um = control.iter().map(|fine| (fine / FINE_PER_UM * 1e8).round() / 1e8 + 0.0);
-    writeln!(toml, "\n[straightness.{name}]")?;
     writeln!(toml, "order = 4")?;
     write_numbers(toml, "knots_mm", &knots)?;
     write_numbers(toml, "control_um", &um.collect::<Vec<_>>())
@@ -622,6 +634,9 @@ fn difference_nm(a: &Calibration<'_>, b: &Calibration<'_>) -> Option<f64> {
     }
     for (a, b) in a.squareness.iter().zip(b.squareness) {
         worst = worst.max(metre_of(*a, b));
+    }
+    for (a, b) in a.terms.iter().zip(&b.terms) {
+        worst = worst.max(both(a.as_ref(), b.as_ref(), term::difference_nm)?);
     }
     Some(worst)
 }

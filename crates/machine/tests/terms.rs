@@ -327,6 +327,92 @@ fn what_fits_no_machine_is_refused_with_its_place() {
     assert!(error.to_string().contains("unknown key machine.term"), "{error}");
 }
 
+/// Temperatures swing, the spindle turns and is cut against, the axis goes there and back.
+fn lively_run() -> String {
+    let mut csv = "time_s,sensor_counts,temp_a_c,temp_b_c,temp_coil_c,spindle_rpm,load_n,\
+                   x_mm,y_mm,z_mm,dir_x\n"
+        .to_string();
+    for row in 0..400 {
+        let t = f64::from(row) * 7.3;
+        let wave = |period: f64| (t / period * std::f64::consts::TAU).sin();
+        csv += &format!(
+            "{t},{},{},{},{},{},{},{},{},{},{}\n",
+            (90.0 + 80.0 * wave(900.0)).round(),
+            24.0 + 6.0 * wave(700.0),
+            26.0 - 5.0 * wave(430.0),
+            30.0 + 4.0 * wave(1_200.0),
+            if row % 50 < 30 { 18_000 } else { 0 },
+            (200.0 * wave(77.0)).round(),
+            3.0 + 2.5 * wave(310.0),
+            4.0 + 4.0 * wave(610.0),
+            1_000.0 * wave(800.0),
+            if row % 7 < 4 { 1 } else { -1 },
+        );
+    }
+    csv
+}
+
+const INPUTS: &str = "[inputs]\nsensor = { volts_full_scale = 10.0, counts_full_scale = 4096, \
+                      divider = 0.33 }\ntemp_a_c = { channel = 3, kind = \"pt100\" }\n\
+                      temp_b_c = { channel = 1, kind = \"pt100\" }\n\
+                      temp_coil_c = { channel = 6, kind = \"pt100\" }\n";
+
+#[test]
+fn the_board_runs_every_term_that_compensates_as_the_model_says() {
+    let csv = lively_run();
+    let run = RunFile::from_reader(csv.as_bytes(), Path::new("r.csv")).expect("a run");
+    let mut worst: f64 = 0.0;
+    for (sections, text) in one_of_each() {
+        let machine = machine(&format!("{INPUTS}{sections}"), &text);
+        let predictor = Predictor::new(&machine, &run).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(predictor.why_no_bridge(), None, "{text}");
+        let mut largest: f64 = 0.0;
+        let mut moved: f64 = 0.0;
+        let plain = Machine { terms: Vec::new(), ..machine.clone() };
+        let plain = Predictor::new(&plain, &run).expect("it has the columns");
+        for (row, plain) in predictor.rows().zip(plain.rows()) {
+            largest = largest.max(row.difference_nm().expect("there is a bridge"));
+            let board =
+                |of: &trueup_machine::predict::Prediction| of.bridge.expect("as above").all();
+            for (with, without) in board(&row).into_iter().zip(board(&plain)) {
+                moved = moved.max((with - without).abs());
+            }
+        }
+        let cause = machine.terms[0].effect.cause();
+        println!("{:28} {largest:7.3} nm of {moved:8.3} µm", cause.name());
+        assert_eq!(moved > 0.01, cause.is_compensated(), "{text}: {moved} µm");
+        // Half a nanometre is the reading's and the result's rounding; heat is stepped at 100 ms.
+        assert!(largest < 6.0, "{text}: {largest} nm");
+        worst = worst.max(largest);
+    }
+    println!("the board is within {worst:.3} nm of the model with every term");
+}
+
+#[test]
+fn a_calibration_with_terms_is_shown_and_compiles_back() {
+    for (sections, text) in one_of_each() {
+        let machine = machine(&format!("{INPUTS}{sections}"), &text);
+        let compiled = trueup_machine::compile(&machine).unwrap_or_else(|error| panic!("{error}"));
+        let shown = trueup_machine::show::show(&compiled.calibration());
+        let apart = shown.largest_difference_nm.unwrap_or_else(|why| panic!("{why}: {text}"));
+        assert!(apart < 1.0, "{apart} nm: {text}");
+    }
+}
+
+#[test]
+fn more_terms_than_the_board_runs_are_refused_with_the_one_that_is_too_much() {
+    let gain = term("elongation", "cause = \"sensor-gain\"\ngain = 1.1");
+    let full = machine(&format!("{INPUTS}{SENSOR}"), &gain.repeat(16));
+    trueup_machine::compile(&full).expect("sixteen fit");
+    let more = machine(&format!("{INPUTS}{SENSOR}"), &gain.repeat(17));
+    let error = trueup_machine::compile(&more).expect_err("seventeen do not").to_string();
+    assert!(error.contains("term[16] is too much: the board runs 16 terms"), "{error}");
+    let far = term("elongation", "cause = \"sensor-offset\"\noffset_um = 1e5");
+    let far = machine(&format!("{INPUTS}{SENSOR}"), &far);
+    let error = trueup_machine::compile(&far).expect_err("too far").to_string();
+    assert!(error.contains("term[0] 100000 µm is beyond the board's ±8388 µm"), "{error}");
+}
+
 #[test]
 fn a_constant_alone_shifts_the_prediction() {
     let term = Term {

@@ -170,6 +170,11 @@ pub(super) fn share(time_constant_s: f64) -> Result<Share, Reason> {
     Ok(Share(share.min(f64::from(u32::MAX)) as u32))
 }
 
+/// The shares while it rises and while it falls, which is the same unless it is given.
+pub(super) fn shares(rising_s: f64, falling_s: Option<f64>) -> Result<[Share; 2], Reason> {
+    Ok([share(rising_s)?, share(falling_s.unwrap_or(rising_s))?])
+}
+
 /// The warm-up model, with the curve of its speed exponent.
 pub(super) fn warmup(warmup: &Warmup) -> Result<(warmup::Warmup, OwnedCurve), Reason> {
     let full =

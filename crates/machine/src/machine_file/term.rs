@@ -356,6 +356,19 @@ impl Effect {
     }
 }
 
+impl Effect {
+    /// The temperature that it follows, if it names one.
+    #[must_use]
+    pub fn column(&self) -> Option<&String> {
+        match self {
+            Self::SensorTemperatureDrift { column, .. }
+            | Self::SlowModeOf { column, .. }
+            | Self::ExtraHeatPath { column, .. } => Some(column),
+            _ => None,
+        }
+    }
+}
+
 /// Keys that every term may have.
 const COMMON: [&str; 3] = ["cause", "quantity", "constant_um"];
 
@@ -571,6 +584,17 @@ pub(super) fn check(section: &Section<'_>, term: &Term, machine: &Machine) -> Re
             | Effect::CrossAxis { .. },
             None,
         ) => refuse(format!("\"{name}\" belongs to dx, dy or dz")),
+        (
+            Effect::SensorOffset { .. }
+            | Effect::SensorGain { .. }
+            | Effect::SensorCurvature { .. }
+            | Effect::SensorSaturation { .. }
+            | Effect::SensorTemperatureDrift { .. }
+            | Effect::GrowthAmplitude { .. }
+            | Effect::CentrifugalGrowth { .. }
+            | Effect::CuttingLoad { .. },
+            Some(_),
+        ) => refuse(format!("\"{name}\" belongs to the elongation")),
         (Effect::Straightness { along, .. } | Effect::CrossAxis { axis: along, .. }, Some(own))
             if *along == own =>
         {

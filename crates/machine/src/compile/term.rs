@@ -1,0 +1,241 @@
+//! The terms of a diagnosis for the board.
+//!
+//! Those that correct a constant of the model are in the machine already
+//! ([`corrected`](crate::model::corrected)); those that only explain stay behind. The others become
+//! one or two terms of the board each, in their order, because p changes from one to the next.
+
+use trueup_core::{
+    gradient::Gradient,
+    pitch::Pitch,
+    term::{self, Effect, Scaled, TIME_ONE, Target, Term},
+    units::{Fine, Temperature},
+};
+
+use super::{
+    Account, FINE_PER_UM, NM_PER_UM, PitchTables, UNITS_PER_MM, channel, compile_curve,
+    compile_pitch, compile_squareness, curve::OwnedCurve, heat, linear, rounded,
+};
+use crate::{
+    machine_file::{self, Effect as Cause, Machine, Wave},
+    place::BadInput,
+};
+
+/// Sensors and spindles are held against the model up to this elongation.
+const CHECKED_UM: f64 = 1_000.0;
+/// And temperatures up to so far from the reference.
+const CHECKED_K: f64 = 60.0;
+/// And speeds and loads up to these.
+const CHECKED_RPM: f64 = 60_000.0;
+const CHECKED_N: f64 = 32_767.0;
+/// The board's loads are so many parts of a newton.
+pub(crate) const PARTS_OF_N: f64 = 256.0;
+
+/// A term with tables of its own.
+pub(super) struct Owned {
+    target: Target,
+    constant: Fine,
+    effect: OwnedEffect,
+}
+
+enum OwnedEffect {
+    Plain(Effect<'static>),
+    Table(PitchTables),
+    Curve(machine_file::LinearAxis, OwnedCurve),
+}
+
+impl Owned {
+    fn view(&self) -> Term<'_> {
+        let effect = match &self.effect {
+            OwnedEffect::Plain(effect) => *effect,
+            OwnedEffect::Table(tables) => Effect::Table(Pitch { ..tables.view() }),
+            OwnedEffect::Curve(axis, curve) => {
+                Effect::Curve { axis: linear(*axis), curve: curve.view() }
+            }
+        };
+        Term { target: self.target, constant: self.constant, effect }
+    }
+}
+
+/// What the calibration holds.
+pub(super) fn views(owned: &[Owned]) -> [Option<Term<'_>>; term::MOST] {
+    std::array::from_fn(|index| owned.get(index).map(Owned::view))
+}
+
+/// The terms of `machine`, which has none that only explain.
+pub(super) fn terms(machine: &Machine, account: &mut Account<'_>) -> Result<Vec<Owned>, BadInput> {
+    let mut owned = Vec::new();
+    for (index, term) in machine.terms.iter().enumerate() {
+        let key = format!("term[{index}]");
+        let target = match term.quantity.axis() {
+            None => Target::Elongation,
+            Some(axis) => Target::Axis(linear(axis)),
+        };
+        let offset_um = match term.effect {
+            Cause::SensorOffset { offset_um } => offset_um,
+            _ => 0.0,
+        };
+        let constant = account.take(&key, fine(term.constant_um + offset_um))?;
+        let before = owned.len();
+        for effect in effects(machine, &key, term, account)? {
+            // The constant comes once.
+            let constant = if owned.len() == before { constant } else { Fine::ZERO };
+            owned.push(Owned { target, constant, effect });
+        }
+        if owned.len() == before && constant != Fine::ZERO {
+            let effect = OwnedEffect::Plain(Effect::Offset);
+            owned.push(Owned { target, constant, effect });
+        }
+        if owned.len() > term::MOST {
+            let rule = format!("is too much: the board runs {} terms and waves", term::MOST);
+            return Err(machine.places.bad(&key, rule));
+        }
+    }
+    Ok(owned)
+}
+
+/// Number and largest difference from the model in nm, or why the board cannot.
+type Made<T> = Result<(T, f64), String>;
+
+fn effects(
+    machine: &Machine,
+    key: &str,
+    term: &machine_file::Term,
+    account: &mut Account<'_>,
+) -> Result<Vec<OwnedEffect>, BadInput> {
+    let heat = |column: &str, um_per_c: f64, time_constant_s: f64, reference_c: f64| {
+        let channel = channel(machine, key, column)?;
+        let made = || {
+            let (per_temperature, nm) = scaled(
+                um_per_c * FINE_PER_UM / f64::from(Temperature::PER_KELVIN),
+                CHECKED_K * f64::from(Temperature::PER_KELVIN),
+            )?;
+            let reference = heat::temperature(reference_c)
+                .ok_or_else(|| format!("{reference_c} °C is beyond the board's ±524 °C"))?;
+            let share = heat::share(time_constant_s)?;
+            Ok((Effect::Heat { channel, share, reference, per_temperature }, nm))
+        };
+        Ok(made())
+    };
+    let made: Made<Effect<'static>> = match &term.effect {
+        Cause::SensorGain { gain } | Cause::GrowthAmplitude { scale: gain } => {
+            scaled(gain - 1.0, CHECKED_UM * FINE_PER_UM).map(|(m, nm)| (Effect::Gain(m), nm))
+        }
+        Cause::SensorCurvature { per_um } => {
+            let square = (CHECKED_UM * FINE_PER_UM).powi(2) / TWO_24;
+            scaled(per_um / FINE_PER_UM * TWO_24, square).map(|(m, nm)| (Effect::Curvature(m), nm))
+        }
+        Cause::SensorSaturation { limit_um } => {
+            fine(*limit_um).map(|(limit, nm)| (Effect::Saturation(limit), nm))
+        }
+        Cause::SensorTemperatureDrift { column, um_per_c, reference_c } => {
+            heat(column, *um_per_c, 0.0, *reference_c)?
+        }
+        Cause::SlowModeOf { column, um_per_c, time_constant_s, reference_c }
+        | Cause::ExtraHeatPath { column, um_per_c, time_constant_s, reference_c } => {
+            heat(column, *um_per_c, *time_constant_s, *reference_c)?
+        }
+        Cause::SlowMode { amplitude_um, time_constant_s, .. } => {
+            let one = f64::from(TIME_ONE);
+            scaled(amplitude_um * FINE_PER_UM / one, one).and_then(|(amplitude, nm)| {
+                Ok((Effect::Time { share: heat::share(*time_constant_s)?, amplitude }, nm))
+            })
+        }
+        Cause::CentrifugalGrowth { um_per_krpm2 } => {
+            scaled(um_per_krpm2 * FINE_PER_UM / 1e6, CHECKED_RPM * CHECKED_RPM)
+                .map(|(m, nm)| (Effect::Speed(m), nm))
+        }
+        Cause::CuttingLoad { um_per_n } => {
+            scaled(-um_per_n * FINE_PER_UM / PARTS_OF_N, CHECKED_N * PARTS_OF_N)
+                .map(|(m, nm)| (Effect::Load(m), nm))
+        }
+        // The constant alone.
+        Cause::PitchScale { um_per_m: 0.0 } => return Ok(Vec::new()),
+        Cause::PitchScale { um_per_m } => {
+            let own = term.quantity.axis().ok_or("belongs to dx, dy or dz");
+            own.map_err(String::from).and_then(|own| position(own, *um_per_m))
+        }
+        Cause::CrossAxis { axis, um_per_m } => position(*axis, *um_per_m),
+        Cause::Backlash { width_um } => fine(*width_um)
+            .map(|(width, nm)| (Effect::Reversed { width, gradient: Gradient::ZERO }, nm)),
+        Cause::PositionDependentBacklash { um_per_m } => compile_squareness(*um_per_m)
+            .map(|(gradient, nm)| (Effect::Reversed { width: Fine::ZERO, gradient }, nm)),
+        Cause::PitchError(pitch) => {
+            let tables = account.take(key, compile_pitch(pitch))?;
+            return Ok(vec![OwnedEffect::Table(tables)]);
+        }
+        Cause::Straightness { along, spline } => {
+            let curve = account.take(key, compile_curve(spline))?;
+            return Ok(vec![OwnedEffect::Curve(*along, curve)]);
+        }
+        Cause::PitchPeriodic { period_mm, waves } => {
+            let mut effects = Vec::new();
+            for one in waves {
+                let effect = account.take(key, wave(*period_mm, one))?;
+                effects.push(OwnedEffect::Plain(effect));
+            }
+            return Ok(effects);
+        }
+        // A constant, corrected in the machine, or not for the board.
+        Cause::SensorOffset { .. }
+        | Cause::ThermalLag { .. }
+        | Cause::GrowthRate { .. }
+        | Cause::CoolingAsymmetry { .. }
+        | Cause::ExpansionSlope { .. }
+        | Cause::ReferenceTemperature { .. }
+        | Cause::TimeShift { .. }
+        | Cause::Step { .. }
+        | Cause::Drift { .. }
+        | Cause::Outliers { .. }
+        | Cause::ReferenceInstrument { .. } => return Ok(Vec::new()),
+    };
+    Ok(vec![OwnedEffect::Plain(account.take(key, made)?)])
+}
+
+pub(crate) const TWO_24: f64 = (1_u64 << 24) as f64;
+
+/// A length, and its rounding in nm.
+fn fine(um: f64) -> Made<Fine> {
+    let exact = um * FINE_PER_UM;
+    let stored = rounded(exact).ok_or_else(|| format!("{um} µm is beyond the board's ±8388 µm"))?;
+    Ok((Fine(stored), (f64::from(stored) - exact).abs() / FINE_PER_UM * NM_PER_UM))
+}
+
+/// A coefficient, and what its rounding makes in nm at `largest`, what it multiplies.
+pub(crate) fn scaled(value: f64, largest: f64) -> Made<Scaled> {
+    const MOST: f64 = (1_u64 << 30) as f64;
+    let mantissa = |shift: u8| (value * 2_f64.powi(shift.into())).round();
+    let fits = |shift: &u8| mantissa(*shift).abs() < MOST;
+    let shift = (0..=62_u8)
+        .rev()
+        .find(fits)
+        .ok_or_else(|| format!("has a coefficient of {value:e} units, beyond the board's 2³⁰"))?;
+    // Held below 2³⁰ above.
+    let stored = Scaled { mantissa: mantissa(shift) as i32, shift };
+    let off = f64::from(stored.mantissa) / 2_f64.powi(shift.into()) - value;
+    Ok((stored, off.abs() * largest / FINE_PER_UM * NM_PER_UM))
+}
+
+fn position(axis: machine_file::LinearAxis, um_per_m: f64) -> Made<Effect<'static>> {
+    compile_squareness(um_per_m)
+        .map(|(gradient, nm)| (Effect::Position { axis: linear(axis), gradient }, nm))
+}
+
+/// One wave, and its largest difference from the model over the board's ±21 m, in nm.
+fn wave(period_mm: f64, wave: &Wave) -> Made<Effect<'static>> {
+    let turns_per_unit = f64::from(wave.harmonic) / (period_mm * UNITS_PER_MM);
+    // f64 holds 53 bits of the 64: 21 m of 10 nm are 31, so that 2⁻²² turns are left.
+    let turns = (turns_per_unit * 2_f64.powi(64)).round();
+    if !(1.0..2_f64.powi(63)).contains(&turns) {
+        return Err(format!("has a period of {period_mm} mm, which the board cannot run"));
+    }
+    let (amplitude, rounding_nm) = fine(wave.amplitude_um)?;
+    let phase = (wave.phase_deg / 360.0).rem_euclid(1.0) * 2_f64.powi(32);
+    // A whole turn is none.
+    let effect =
+        Effect::Wave { turns: turns as u64, phase: phase.round() as u64 as u32, amplitude };
+    let turn_error = 2_f64.powi(-52) * turns_per_unit * f64::from(i32::MAX) + 2_f64.powi(-32);
+    let phase_nm = wave.amplitude_um.abs() * std::f64::consts::TAU * turn_error * NM_PER_UM;
+    // And what the steps of an angle of 10⁻⁶ ° make.
+    let step_nm = wave.amplitude_um.abs() * 1e-6_f64.to_radians() * NM_PER_UM;
+    Ok((effect, rounding_nm + phase_nm + step_nm))
+}
