@@ -21,7 +21,7 @@ pub fn run(machine_path: &Path, run_path: &Path, to: &Path, as_json: bool) -> Re
     let run = read(run_path)?;
     let predictor = Predictor::new(&machine, &run)?;
     if let Some(why) = predictor.why_no_bridge() {
-        eprintln!("warning: {}: {why}: the bridge's columns stay empty", machine_path.display());
+        eprintln!("warning: {}: the bridge's columns stay empty: {why}", machine_path.display());
     }
     if !predictor.missing_columns().is_empty() {
         eprintln!(

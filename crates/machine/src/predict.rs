@@ -138,7 +138,7 @@ impl<'a> Predictor<'a> {
     ///
     /// # Errors
     /// A column is missing without which nothing can be predicted; a column of the run has the name
-    /// of one that is to be written; the machine describes its inputs but does not compile.
+    /// of one that is to be written.
     pub fn new(machine: &'a Machine, run: &'a RunFile) -> Result<Self, BadInput> {
         for name in COLUMNS {
             if run.column(name).is_some() {
@@ -156,11 +156,11 @@ impl<'a> Predictor<'a> {
         {
             run.require(first)?;
         }
-        Ok(Self { machine, run, columns, missing, bridge: Bridge::of(machine)? })
+        Ok(Self { machine, run, columns, missing, bridge: Bridge::of(machine) })
     }
 
     /// Why there is no bridge side, if there is none: the machine does not say how the sensor is
-    /// connected, or has a term that the board does not run.
+    /// connected, or the board could not run it, with the place and the rule.
     #[must_use]
     pub fn why_no_bridge(&self) -> Option<&str> {
         self.bridge.as_ref().err().map(String::as_str)
@@ -358,20 +358,16 @@ impl<'a> Columns<'a> {
 }
 
 impl Bridge {
-    /// The inner error says why there is none, which keeps nobody from predicting.
-    fn of(machine: &Machine) -> Result<Result<Self, String>, BadInput> {
+    /// The error says why there is none, which keeps nobody from predicting.
+    fn of(machine: &Machine) -> Result<Self, String> {
         let input = machine.inputs.as_ref().and_then(|inputs| inputs.sensor);
         if machine.spindle.source == Some(Source::Sensor) && input.is_none() {
-            return Ok(Err("without [inputs] sensor".into()));
+            return Err("without [inputs] sensor".into());
         }
         let wired = with_all_temperatures(machine);
         let compiled = match compile(&wired) {
             Ok(compiled) => compiled,
-            Err(error) if !wired.terms.is_empty() => {
-                compile(&Machine { terms: Vec::new(), ..wired })?;
-                return Ok(Err(error.rule));
-            }
-            Err(error) => return Err(error),
+            Err(error) => return Err(error.to_string()),
         };
         let mut channels = [const { None }; CHANNELS];
         for (name, temperature) in wired.inputs.iter().flat_map(|inputs| &inputs.temperatures) {
@@ -379,7 +375,7 @@ impl Bridge {
                 *channel = Some(name.clone());
             }
         }
-        Ok(Ok(Self { input, channels, compiled }))
+        Ok(Self { input, channels, compiled })
     }
 }
 
@@ -698,18 +694,25 @@ mod tests {
     }
 
     #[test]
+    fn what_the_board_could_not_run_is_predicted_all_the_same() {
+        let steep = machine(&PAPER.replace("0.0152587890625", "2.0"));
+        let run = run("sensor_counts\n5049\n");
+        let predictor = Predictor::new(&steep, &run).expect("the model needs no board");
+        let why = predictor.why_no_bridge().expect("the board cannot");
+        assert!(why.starts_with("m.toml:16:16: spindle.sensor.um_per_count 2 is"), "{why}");
+        assert_eq!(predictor.rows().next().map(|row| row.model.elongation_um), Some(2.0));
+    }
+
+    #[test]
     fn what_cannot_be_predicted_is_refused_with_its_place() {
-        let steep = PAPER.replace("0.0152587890625", "2.0");
-        for (machine_text, run_text, complaint) in [
-            (PAPER, "x_mm\n1\n", "r.csv:1:1: column sensor_counts is missing"),
+        for (run_text, complaint) in [
+            ("x_mm\n1\n", "r.csv:1:1: column sensor_counts is missing"),
             (
-                PAPER,
                 "sensor_counts,bridge_dx_um\n1,2\n",
                 "r.csv:1:1: column bridge_dx_um is already there",
             ),
-            (&steep, "sensor_counts\n1\n", "m.toml:16:16: spindle.sensor.um_per_count 2 is"),
         ] {
-            let (machine, run) = (machine(machine_text), run(run_text));
+            let (machine, run) = (machine(PAPER), run(run_text));
             let error = Predictor::new(&machine, &run).expect_err(complaint).to_string();
             assert!(error.starts_with(complaint), "{error}");
         }
