@@ -5,17 +5,19 @@
 //!                 ▲    frames, E2E   └─► SLCAN lines ─► transmit ──────► serial line
 //!                 │ Control, Spindle
 //!  CAN ─► can_receive ─► node ◄─ listen ◄─ serial_receive ◄──────────── serial line
-//!  10 ms ─► supervise: converter restarted, watchdog fed, lamp, log
+//!  10 ms ─► supervise: converter restarted, watchdog fed, lamp, log, Zero stored
+//!              └► thermometers: one of eight asked; all of them to sample, every 100 ms
 //! ```
 //!
 //! | task | trigger | priority | deadline | reads | writes |
 //! |---|---|---|---|---|---|
 //! | `serial_receive` | USART1, a byte | 5 | 10.8 µs, the next byte | USART1 | byte queue |
-//! | `sample` | DMA2 stream 0, 20 codes | 4 | 1 ms, the next block | samples | node, port, CAN |
-//! | `can_receive` | CAN1, a frame | 3 | 2 frames (94 µs) in a FIFO of 3 | CAN | node |
+//! | `sample` | DMA2 stream 0, 20 codes | 4 | 1 ms, the next block | samples, temperatures | node, port, CAN |
+//! | `can_receive_0`, `_1` | CAN1, a frame in the FIFO | 3 | 2 ms, the next cycle of 2 × 3 frames | CAN | node |
 //! | `listen` | bytes in the queue | 3 | 256 bytes (2.8 ms) | byte queue | port, node |
-//! | `supervise` | `SysTick`, 10 ms | 2 | 100 ms, the watchdog | node | samples, watchdog, lamp |
+//! | `supervise` | `SysTick`, 10 ms | 2 | 100 ms, the watchdog | node | samples, watchdog, lamp, flash |
 //! | `transmit` | lines in the port | 1 | 5 ms of frames in the port | port | USART1 |
+//! | `thermometers` | `supervise` | 1 | 1 s, then the channels count as bad | SPI2 | temperatures |
 //! | `idle` | nothing else to do | 0 | | | |
 //!
 //! The tasks are the same on every board; what a board is, is behind [`board`]. What the bridge
@@ -26,6 +28,7 @@
 
 #[allow(unsafe_code, reason = "registers and linker sections; each use says why it is sound")]
 mod board;
+mod supervision;
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
@@ -36,26 +39,27 @@ defmt::timestamp!("{=u32} ms", NOW_MS.load(Ordering::Relaxed));
 #[rtic::app(device = stm32f4xx_hal::pac, peripherals = true)]
 mod app {
     use super::{NOW_MS, Ordering};
-    use crate::board::{self, CanIn, CanOut, Idle, Lamp, Samples, SerialIn, SerialOut, Watchdog};
+    use crate::{
+        board::{self, CanIn, CanOut, Idle, Samples, SerialIn, SerialOut, Thermometers},
+        supervision::{self, PERIOD_MS, Supervision},
+    };
     use heapless::spsc::{Consumer, Producer, Queue};
-    use micromath::F32Ext as _;
     use stm32f4xx_hal::pac::Interrupt;
-    use trueup_core::{bridge::Input, cnc::Quality};
+    use trueup_core::{bridge::Input, heat::RawTemperatures};
     use trueup_link::{
         node::{Frames, Node},
         slcan::Port,
     };
 
-    /// The two tasks that other tasks start have an interrupt that no pin uses. A pended interrupt
-    /// cannot be lost: raised while its task runs, it makes it run again.
+    /// The tasks that other tasks start have an interrupt that no pin uses. A pended interrupt cannot
+    /// be lost: raised while its task runs, it makes it run again.
     const LISTEN: Interrupt = Interrupt::EXTI0;
     const TRANSMIT: Interrupt = Interrupt::EXTI1;
+    const THERMOMETERS: Interrupt = Interrupt::EXTI2;
     /// Bytes between the interrupt that takes them and the task that reads them.
     const QUEUE: usize = 256;
     /// What `N` answers on the serial line.
     const SERIAL_NUMBER: u16 = 1;
-    const SUPERVISION_MS: u32 = 10;
-    const LOG_PERIOD_MS: u32 = 1_000;
 
     #[shared]
     struct Shared {
@@ -63,6 +67,8 @@ mod app {
         port: Port,
         can_out: CanOut,
         samples: Samples,
+        /// What the thermometers say, until a tick takes it.
+        temperatures: Option<RawTemperatures>,
         /// When `transmit` last had nothing left to send.
         drained_ms: u32,
     }
@@ -71,20 +77,13 @@ mod app {
     struct Local {
         serial_in: SerialIn,
         serial_out: SerialOut,
-        can_in: CanIn,
+        can_in_0: CanIn,
+        can_in_1: CanIn,
+        thermometers: Thermometers,
         to_listen: Producer<'static, u8>,
         from_serial: Consumer<'static, u8>,
         supervision: Supervision,
         idle: Idle,
-    }
-
-    /// What `supervise` remembers.
-    pub struct Supervision {
-        watchdog: Watchdog,
-        lamp: Lamp,
-        blocks: u32,
-        silent: bool,
-        until_log_ms: u32,
     }
 
     #[init(local = [queue: Queue<u8, QUEUE> = Queue::new()])]
@@ -94,58 +93,66 @@ mod app {
         if let Err(error) = &parts.calibration {
             defmt::error!("calibration refused: {}", defmt::Display2Format(error));
         }
+        let degraded = faults.crystal || faults.pll || faults.can;
+        let mut node = Node::new(parts.calibration.ok(), degraded);
+        let (references, reference) = parts.references.unzip();
+        if let Some(reference) = reference.flatten() {
+            node.set_reference(reference);
+        }
         let (to_listen, from_serial) = cx.local.queue.split();
         defmt::info!("trueup bridge {} is up", env!("CARGO_PKG_VERSION"));
         let shared = Shared {
-            node: Node::new(parts.calibration.ok(), faults.crystal || faults.pll || faults.can),
+            node,
             port: Port::new(SERIAL_NUMBER),
             can_out: parts.can_out,
             samples: parts.samples,
+            temperatures: None,
             drained_ms: 0,
         };
-        let supervision = Supervision {
-            watchdog: parts.watchdog,
-            lamp: parts.lamp,
-            blocks: 0,
-            silent: false,
-            until_log_ms: 0,
-        };
+        let [can_in_0, can_in_1] = parts.can_in;
         let local = Local {
             serial_in: parts.serial_in,
             serial_out: parts.serial_out,
-            can_in: parts.can_in,
+            can_in_0,
+            can_in_1,
+            thermometers: parts.thermometers,
             to_listen,
             from_serial,
-            supervision,
+            supervision: Supervision::new(parts.watchdog, parts.lamp, references),
             idle: parts.idle,
         };
         (shared, local)
     }
 
     /// A millisecond of codes becomes an offset.
-    #[task(binds = DMA2_STREAM0, priority = 4, shared = [node, port, can_out, samples])]
+    #[task(binds = DMA2_STREAM0, priority = 4,
+           shared = [node, port, can_out, samples, temperatures])]
     fn sample(cx: sample::Context) {
-        let sample::SharedResources { mut node, mut port, mut can_out, mut samples, .. } =
-            cx.shared;
-        let Some(block) = samples.lock(Samples::take) else { return };
+        let mut shared = cx.shared;
+        let Some(block) = shared.samples.lock(Samples::take) else { return };
+        let temperatures = block.temperatures.or_else(|| shared.temperatures.lock(Option::take));
         let input = Input {
             codes: Some(&block.codes),
             speed: block.speed,
-            temperatures: block.temperatures.as_ref(),
+            temperatures: temperatures.as_ref(),
         };
-        let frames = node.lock(|node| {
-            let frames = node.tick(1, input);
-            NOW_MS.store(node.now().0, Ordering::Relaxed);
-            frames
-        });
-        can_out.lock(|can| port.lock(|port| send(&frames, can, port)));
+        let frames = shared.node.lock(|node| tick(node, 1, input));
+        shared.can_out.lock(|can| shared.port.lock(|port| send(&frames, can, port)));
     }
 
-    /// A frame from the bus.
-    #[task(binds = CAN1_RX0, priority = 3, local = [can_in], shared = [node])]
-    fn can_receive(mut cx: can_receive::Context) {
-        while let Some(frame) = cx.local.can_in.receive() {
+    /// A frame from the bus, in the first FIFO.
+    #[task(binds = CAN1_RX0, priority = 3, local = [can_in_0], shared = [node])]
+    fn can_receive_0(mut cx: can_receive_0::Context) {
+        while let Some(frame) = cx.local.can_in_0.receive() {
             // What is refused is counted there and shows in the log.
+            cx.shared.node.lock(|node| node.hear(&frame)).ok();
+        }
+    }
+
+    /// A frame from the bus, in the second FIFO.
+    #[task(binds = CAN1_RX1, priority = 3, local = [can_in_1], shared = [node])]
+    fn can_receive_1(mut cx: can_receive_1::Context) {
+        while let Some(frame) = cx.local.can_in_1.receive() {
             cx.shared.node.lock(|node| node.hear(&frame)).ok();
         }
     }
@@ -174,55 +181,27 @@ mod app {
     /// Every 10 ms: is all well? On a board whose converter is dead this is what keeps the CNC
     /// informed.
     #[task(binds = SysTick, priority = 2, local = [supervision],
-           shared = [node, port, can_out, samples, drained_ms])]
+           shared = [node, port, can_out, samples, temperatures, drained_ms])]
     fn supervise(cx: supervise::Context) {
-        let supervise::SharedResources {
-            mut node,
-            mut port,
-            mut can_out,
-            mut samples,
-            mut drained_ms,
-            ..
-        } = cx.shared;
-        let Supervision { watchdog, lamp, blocks, silent, until_log_ms } = cx.local.supervision;
-
-        let blocks_now = node.lock(|node| node.blocks());
-        if blocks_now == *blocks {
-            if !*silent {
-                defmt::error!("no samples: the converter is restarted until they come");
-            }
-            *silent = true;
-            samples.lock(Samples::restart);
-            let frames = node.lock(|node| {
-                let frames = node.tick(SUPERVISION_MS, Input::default());
-                NOW_MS.store(node.now().0, Ordering::Relaxed);
-                frames
-            });
-            can_out.lock(|can| port.lock(|port| send(&frames, can, port)));
-        } else {
-            if *silent {
-                defmt::warn!("samples come again");
-            }
-            *silent = false;
+        let (mut shared, it) = (cx.shared, cx.local.supervision);
+        if it.samples_are_missing(shared.node.lock(|node| node.blocks())) {
+            shared.samples.lock(Samples::restart);
+            let temperatures = shared.temperatures.lock(Option::take);
+            let input = Input { temperatures: temperatures.as_ref(), ..Input::default() };
+            let frames = shared.node.lock(|node| tick(node, PERIOD_MS, input));
+            shared.can_out.lock(|can| shared.port.lock(|port| send(&frames, can, port)));
         }
-        *blocks = blocks_now;
-
-        let (now, quality) = node.lock(|node| (node.now().0, node.last().quality));
-        lamp.set(match quality {
-            Quality::Live => true,
-            Quality::Fault => now % 200 < 100,
-            _ => now % 1_000 < 500,
-        });
+        let (now, quality, zero) =
+            shared.node.lock(|node| (node.now().0, node.last().quality, node.take_zero()));
+        it.keep(zero);
+        it.show(now, quality);
         // Reaching this line shows that no task above hangs; the port shows that `transmit` does
         // not.
-        if now.wrapping_sub(drained_ms.lock(|drained| *drained)) < LOG_PERIOD_MS {
-            watchdog.feed();
+        it.feed_watchdog(now, shared.drained_ms.lock(|drained| *drained));
+        if it.log_is_due() {
+            shared.port.lock(|port| shared.node.lock(|node| supervision::log(node, port)));
         }
-        *until_log_ms = until_log_ms.saturating_sub(SUPERVISION_MS);
-        if *until_log_ms == 0 {
-            *until_log_ms = LOG_PERIOD_MS;
-            port.lock(|port| node.lock(|node| log(node, port)));
-        }
+        rtic::pend(THERMOMETERS);
         rtic::pend(TRANSMIT);
     }
 
@@ -237,9 +216,24 @@ mod app {
         cx.shared.drained_ms.lock(|drained| *drained = now);
     }
 
+    /// One thermometer is asked. Its bus is polled as well, for the same reasons.
+    #[task(binds = EXTI2, priority = 1, local = [thermometers], shared = [temperatures])]
+    fn thermometers(mut cx: thermometers::Context) {
+        if let Some(all) = cx.local.thermometers.turn() {
+            cx.shared.temperatures.lock(|temperatures| *temperatures = Some(all));
+        }
+    }
+
     #[idle(local = [idle])]
     fn idle(cx: idle::Context) -> ! {
         cx.local.idle.run()
+    }
+
+    /// A tick of the node; its time becomes that of the log.
+    fn tick(node: &mut Node<'_>, elapsed_ms: u32, input: Input<'_>) -> Frames {
+        let frames = node.tick(elapsed_ms, input);
+        NOW_MS.store(node.now().0, Ordering::Relaxed);
+        frames
     }
 
     /// Frames to both wires.
@@ -250,25 +244,6 @@ mod app {
         // All or none, so that a full port never splits a pair; what is dropped is counted.
         if port.send_all(frames) {
             rtic::pend(TRANSMIT);
-        }
-    }
-
-    /// The live values, once a second, and what was refused since the start.
-    fn log(node: &mut Node<'_>, port: &Port) {
-        let noise = node.take_noise();
-        let rms = (noise.squares as f32 / (6.0 * noise.count.max(1) as f32)).sqrt();
-        let last = node.last();
-        defmt::info!(
-            "quality {=u8}, z {=i32} nm, flags {=u8:#010b}, noise {=u32} thousandths of a code",
-            last.quality as u8,
-            last.offset.map_or(0, |offset| offset[2].0),
-            last.flags.0,
-            (rms * 1_000.0) as u32,
-        );
-        let (frames, lines) = (node.receiver().counters(), port.counters());
-        let refused = [frames.crc_errors, frames.sequence_errors, lines.malformed, lines.dropped];
-        if refused != [0; 4] {
-            defmt::warn!("refused: CRC, sequence, lines; lines dropped: {}", refused);
         }
     }
 }

@@ -5,27 +5,31 @@
 //! | [`Samples`] | TIM3 → ADC1 → DMA2, 20 codes a block | blocks by semihosting from the host |
 //! | [`SerialIn`], [`SerialOut`] | USART1, 921 600 Bd | USART1 of the emulator |
 //! | [`CanIn`], [`CanOut`] | bxCAN, 1 Mbit/s, PB8/PB9 | frames in the same stream as the samples |
+//! | [`Thermometers`] | 8 MAX31865 on SPI2 | come with the samples |
+//! | [`Flash`] | two sectors of the flash | a file of the host |
 //! | [`Watchdog`] | IWDG, 100 ms | none: the host watches |
 //! | [`Lamp`] | LED | none |
 //! | calibration | linked into the image | a file of the host |
 //!
 //! Both boards raise the same interrupts, so the tasks cannot tell them apart:
-//! `DMA2_STREAM0` with a block of samples (one millisecond of the sample clock), `CAN1_RX0` with
-//! frames from the bus, `USART1` with bytes from the serial line, `SysTick` every 10 ms. On
+//! `DMA2_STREAM0` with a block of samples (one millisecond of the sample clock), `CAN1_RX0` and
+//! `CAN1_RX1` with frames from the bus (on `virtual` all by the first), `USART1` with bytes from the serial line, `SysTick` every 10 ms. On
 //! `virtual` it is the samples that make time pass, so `SysTick` comes with every tenth block.
 
 use trueup_core::{
+    bridge::Reference,
     calibration::Calibration,
     thermometer::Raw,
     units::{Code, Rpm},
 };
-use trueup_link::calibration::BlobError;
+use trueup_link::{calibration::BlobError, reference::References};
 
 #[cfg(all(feature = "stm32f405", feature = "virtual"))]
 compile_error!("choose one board: --features stm32f405 or --features virtual");
 #[cfg(not(any(feature = "stm32f405", feature = "virtual")))]
 compile_error!("choose a board: --features stm32f405 or --features virtual");
 
+pub mod references;
 #[cfg(feature = "stm32f405")]
 mod stm32f405;
 #[cfg(feature = "stm32f405")]
@@ -46,8 +50,8 @@ pub struct Block {
     pub codes: [Code; BLOCK],
     /// The spindle speed, where the board itself knows it; a fresh one from the CNC wins.
     pub speed: Option<Rpm>,
-    /// What the temperature channels say, where the board has just asked them. A channel that
-    /// nothing is wired to is [`Raw::NONE`].
+    /// What the temperature channels say, where that comes with the samples and not from
+    /// [`Thermometers`]. A channel that nothing is wired to is [`Raw::NONE`].
     pub temperatures: Option<[Raw; TEMPERATURES]>,
 }
 
@@ -69,11 +73,15 @@ pub struct Parts {
     pub samples: Samples,
     pub serial_in: SerialIn,
     pub serial_out: SerialOut,
-    pub can_in: CanIn,
+    /// One for each interrupt.
+    pub can_in: [CanIn; 2],
     pub can_out: CanOut,
     pub watchdog: Watchdog,
     pub lamp: Lamp,
     pub idle: Idle,
+    pub thermometers: Thermometers,
     pub calibration: Result<Calibration<'static>, BlobError>,
+    /// The store of references, and the one to start with. `None` without a calibration.
+    pub references: Option<(References<Flash>, Option<Reference>)>,
     pub faults: Faults,
 }

@@ -1,8 +1,8 @@
 //! The virtual board: the firmware's tasks in QEMU, fed by the host.
 //!
-//! One folder of the host holds what this board is wired to: `calibration.bin`, the pipe `samples`
-//! (blocks of one millisecond, CAN frames among them) and the pipe `frames` (what the board sends
-//! on its CAN). They are read and written by semihosting, which is fast but stops the whole
+//! One folder of the host holds what this board is wired to: `calibration.bin`, `flash.bin` (what
+//! outlasts the power), the pipe `samples` (blocks of one millisecond, CAN frames among them) and the
+//! pipe `frames` (what the board sends on its CAN). They are read and written by semihosting, which is fast but stops the whole
 //! emulator while it waits; so the board never reads before the host has rung: a byte on USART2
 //! says how many blocks are in the pipe. Between them the CPU sleeps and the serial line is free.
 //! Of the announced blocks as many as fit the buffer come with one call, because the call costs far
@@ -22,6 +22,9 @@ use cortex_m::{
     peripheral::{NVIC, SCB},
 };
 use embedded_hal_nb::serial::{Read as _, Write as _};
+use embedded_storage::nor_flash::{
+    ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash, check_erase, check_read, check_write,
+};
 use heapless::{Deque, Vec};
 use semihosting::{
     fs::File,
@@ -34,14 +37,14 @@ use stm32f4xx_hal::{
     rcc,
     serial::{self, Rx, Serial, Tx},
 };
-use trueup_core::units::Millis;
+use trueup_core::{heat::RawTemperatures, units::Millis};
 use trueup_link::{
     bench::{self, Record},
     calibration,
     frame::Frame,
 };
 
-use super::{BLOCK, Block, Faults, Parts, TEMPERATURES};
+use super::{BLOCK, Block, Faults, Parts, TEMPERATURES, references};
 
 use defmt_semihosting as _;
 
@@ -90,6 +93,10 @@ pub fn start(_core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts {
         .expect("the board starts once");
     let length = open(c"calibration.bin").map_or(0, |mut file| read_all(&mut file, blob));
     let blob: &'static [u8] = blob;
+    let calibration = calibration::whole(&blob[..length])
+        .and_then(|blob| Ok((calibration::identity(blob), calibration::decode(blob)?)));
+    let references =
+        calibration.as_ref().ok().map(|(identity, _)| references::open(Flash::load(), *identity));
     let samples = open(c"samples").expect("the host makes this pipe before it starts the board");
     let frames =
         File::create(c"frames").expect("the host makes this pipe before it starts the board");
@@ -100,12 +107,14 @@ pub fn start(_core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts {
         samples: Samples,
         serial_in: SerialIn(serial_in),
         serial_out: SerialOut(serial_out),
-        can_in: CanIn,
+        can_in: [CanIn, CanIn],
         can_out: CanOut,
         watchdog: Watchdog,
         lamp: Lamp,
         idle: Idle { samples, frames, buffer },
-        calibration: calibration::decode(&blob[..length]),
+        thermometers: Thermometers,
+        calibration: calibration.map(|(_, calibration)| calibration),
+        references,
         faults: Faults::default(),
     }
 }
@@ -184,6 +193,70 @@ impl CanOut {
         // A full buffer means a board that sends more than any batch can cause; the host sees the
         // gap in the counters.
         cortex_m::interrupt::free(|cs| TO_BUS.borrow(cs).borrow_mut().push(record).ok());
+    }
+}
+
+/// Their temperatures come with the samples.
+pub struct Thermometers;
+
+impl Thermometers {
+    pub fn turn(&mut self) -> Option<RawTemperatures> {
+        None
+    }
+}
+
+/// The flash, in two small sectors: a copy of the host's file, which follows every change.
+pub struct Flash([u8; 2 * SECTOR_SIZE]);
+
+const SECTOR_SIZE: usize = 1024;
+
+impl Flash {
+    /// As the host's file has it; what is not there is blank.
+    fn load() -> Self {
+        let mut bytes = [0xFF; _];
+        if let Some(mut file) = open(c"flash.bin") {
+            read_all(&mut file, &mut bytes);
+        }
+        Self(bytes)
+    }
+
+    fn save(&self) -> Result<(), NorFlashErrorKind> {
+        semihosting::fs::write(c"flash.bin", self.0).map_err(|_| NorFlashErrorKind::Other)
+    }
+}
+
+impl ErrorType for Flash {
+    type Error = NorFlashErrorKind;
+}
+
+impl ReadNorFlash for Flash {
+    const READ_SIZE: usize = 1;
+
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Self::Error> {
+        check_read(self, offset, bytes.len())?;
+        bytes.copy_from_slice(&self.0[offset as usize..][..bytes.len()]);
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        self.0.len()
+    }
+}
+
+impl NorFlash for Flash {
+    const WRITE_SIZE: usize = 4;
+    const ERASE_SIZE: usize = SECTOR_SIZE;
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Self::Error> {
+        check_write(self, offset, bytes.len())?;
+        self.0[offset as usize..].iter_mut().zip(bytes).for_each(|(cell, byte)| *cell &= byte);
+        self.save()
+    }
+
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), Self::Error> {
+        check_erase(self, from, to)?;
+        self.0[from as usize..to as usize].fill(0xFF);
+        self.save()
     }
 }
 

@@ -13,9 +13,13 @@
 
 mod bridge;
 mod compile;
+mod diagnose;
+mod export;
+mod fit;
 mod output;
 mod predict;
 mod show;
+mod simulate;
 
 use std::{path::PathBuf, process::ExitCode};
 
@@ -40,6 +44,9 @@ enum Command {
     Predict(Predict),
     /// Turns a machine file into the calibration that the bridge stores.
     Compile(Compile),
+    Diagnose(diagnose::Diagnose),
+    Export(export::Export),
+    Fit(fit::Fit),
     /// Prints a calibration back as a machine file.
     ///
     /// Exit 3: it is printed, but does not compile back to the same calibration.
@@ -48,6 +55,7 @@ enum Command {
         #[arg(value_name = "CAL.bin")]
         calibration: PathBuf,
     },
+    Simulate(simulate::Simulate),
     /// Looks at a bridge, real or virtual.
     Bridge {
         #[command(subcommand)]
@@ -149,7 +157,11 @@ fn run(cli: &Cli) -> Result<Outcome> {
             predict::run(machine, run, output, cli.json)
         }
         Command::Compile(Compile { machine, output }) => compile::run(machine, output, cli.json),
+        Command::Diagnose(args) => diagnose::run(args, cli.json),
+        Command::Export(args) => export::run(args, cli.json),
+        Command::Fit(args) => fit::run(args, cli.json),
         Command::Show { calibration } => show::run(calibration, cli.json),
+        Command::Simulate(args) => simulate::run(args, cli.json),
         Command::Bridge { command: BridgeCommand::Info { port } } => {
             bridge::info::run(&port.port, cli.json)
         }

@@ -6,7 +6,7 @@
 
 use std::{
     collections::VecDeque,
-    fs::{File, OpenOptions},
+    fs::{File, OpenOptions, remove_file},
     io::{self, BufReader, Read, Write},
     os::unix::net::UnixStream,
     path::Path,
@@ -28,7 +28,7 @@ use trueup_link::{
 
 use crate::{
     log::Decoder,
-    qemu::{BOOT_TIMEOUT, Qemu},
+    qemu::{self, BOOT_TIMEOUT, Folder, Qemu},
 };
 
 /// Blocks that can be announced with one ring: a byte.
@@ -51,8 +51,23 @@ impl VirtualBoard {
     /// # Errors
     /// QEMU is missing or ends, or the board does not come up in time.
     pub fn boot(image: &Path, calibration: &[u8]) -> Result<Self> {
+        Self::boot_in(qemu::new_folder()?, image, calibration)
+    }
+
+    /// Ends this board as a power cut would, and boots it again: what it has stored, it finds.
+    ///
+    /// # Errors
+    /// As [`VirtualBoard::boot`].
+    pub fn restart(self, image: &Path, calibration: &[u8]) -> Result<Self> {
+        let folder = self.qemu.folder();
+        drop(self);
+        Self::boot_in(folder, image, calibration)
+    }
+
+    fn boot_in(folder: Folder, image: &Path, calibration: &[u8]) -> Result<Self> {
         let decoder = Decoder::of(image)?;
-        let mut qemu = Qemu::start(
+        let mut qemu = Qemu::start_in(
+            folder,
             image,
             // QEMU waits for the host at the doorbell, so that the first word of the board is not
             // lost. The board's log goes to QEMU's standard output.
@@ -69,6 +84,8 @@ impl VirtualBoard {
             |folder| {
                 std::fs::write(folder.join("calibration.bin"), calibration)?;
                 for pipe in ["samples", "frames"] {
+                    // One of an earlier life would hold what that one has left unread.
+                    remove_file(folder.join(pipe)).or_else(not_there)?;
                     mknodat(CWD, folder.join(pipe), FileType::Fifo, Mode::RUSR | Mode::WUSR, 0)
                         .context("cannot make a pipe")?;
                 }
@@ -169,10 +186,20 @@ impl VirtualBoard {
         std::mem::take(&mut self.log.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
+    /// What the board keeps when its power goes: [`VirtualBoard::restart`] finds it there.
+    #[must_use]
+    pub fn flash(&self) -> std::path::PathBuf {
+        self.qemu.path("flash.bin")
+    }
+
     /// The emulator it runs in.
     pub fn qemu(&mut self) -> &mut Qemu {
         &mut self.qemu
     }
+}
+
+fn not_there(error: io::Error) -> io::Result<()> {
+    if error.kind() == io::ErrorKind::NotFound { Ok(()) } else { Err(error) }
 }
 
 /// The CNC's end of the serial line: it takes in whatever comes, and a read waits at most

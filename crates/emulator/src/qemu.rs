@@ -6,6 +6,7 @@ use std::{
     os::unix::net::UnixStream,
     path::{Path, PathBuf},
     process::{Child, ChildStdout, Command, Stdio},
+    sync::Arc,
     thread,
     time::{Duration, Instant},
 };
@@ -20,10 +21,21 @@ pub const BOOT_TIMEOUT: Duration = Duration::from_secs(30);
 /// What the kernel takes for the name of a socket.
 const LONGEST_SOCKET_PATH: usize = 107;
 
-/// A running emulator. Dropping it ends the process and removes its folder.
+/// A folder that is removed with the last emulator in it.
+pub type Folder = Arc<tempfile::TempDir>;
+
+/// A new, empty one.
+///
+/// # Errors
+/// There is no place for temporary files.
+pub fn new_folder() -> Result<Folder> {
+    Ok(Arc::new(tempfile::Builder::new().prefix("trueup-").tempdir()?))
+}
+
+/// A running emulator. Dropping it ends the process.
 pub struct Qemu {
     child: Child,
-    folder: tempfile::TempDir,
+    folder: Folder,
 }
 
 impl Qemu {
@@ -37,10 +49,22 @@ impl Qemu {
         arguments: &[&str],
         prepare: impl FnOnce(&Path) -> Result<()>,
     ) -> Result<Self> {
+        Self::start_in(new_folder()?, image, arguments, prepare)
+    }
+
+    /// The same in a folder that there is already: what an earlier image has left, this one finds.
+    ///
+    /// # Errors
+    /// As [`Qemu::start`].
+    pub fn start_in(
+        folder: Folder,
+        image: &Path,
+        arguments: &[&str],
+        prepare: impl FnOnce(&Path) -> Result<()>,
+    ) -> Result<Self> {
         let qemu = setup::qemu()?;
         let image = fs::canonicalize(image)
             .with_context(|| format!("there is no firmware image {}", image.display()))?;
-        let folder = tempfile::Builder::new().prefix("trueup-").tempdir()?;
         let longest = folder.path().as_os_str().len() + "/doorbell.sock".len();
         if longest > LONGEST_SOCKET_PATH {
             bail!(
@@ -76,6 +100,12 @@ impl Qemu {
     #[must_use]
     pub fn path(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
+    }
+
+    /// The emulator's folder.
+    #[must_use]
+    pub fn folder(&self) -> Folder {
+        self.folder.clone()
     }
 
     /// The process id, for those who want to end it from outside.

@@ -180,6 +180,51 @@ pub fn python() -> Result<PathBuf> {
     Ok(python)
 }
 
+/// LinuxCNC, and nobody else's until this is dropped: all instances on a computer share one key of
+/// shared memory, so only one can run.
+#[derive(Debug)]
+pub struct LinuxCnc {
+    program: PathBuf,
+    _alone: File,
+}
+
+impl LinuxCnc {
+    /// The path of its start script.
+    #[must_use]
+    pub fn program(&self) -> &Path {
+        &self.program
+    }
+}
+
+/// Makes sure that LinuxCNC is there, and waits until no other test runs it; `None` where the
+/// distribution has no package of it.
+///
+/// # Errors
+/// There is a package, but it cannot be installed.
+pub fn linuxcnc() -> Result<Option<LinuxCnc>> {
+    const PROGRAM: &str = "linuxcnc";
+    const PACKAGE: &str = "linuxcnc-uspace";
+    let installing = alone()?;
+    if process::find(PROGRAM).is_none() {
+        if process::find("apt-get").is_none() {
+            return Ok(None);
+        }
+        if let Err(error) = install(&[PACKAGE], "LinuxCNC, to load what is exported to it") {
+            // Only now are the lists of packages up to date: is there one at all?
+            let mut show = Command::new("apt-cache");
+            if process::output(show.args(["show", PACKAGE])).is_err() {
+                return Ok(None);
+            }
+            return Err(error);
+        }
+    }
+    drop(installing);
+    let program = process::find(PROGRAM).context("linuxcnc is installed but not on PATH")?;
+    let alone = File::create(root().join("target/linuxcnc.lock"))?;
+    flock(&alone, FlockOperation::LockExclusive)?;
+    Ok(Some(LinuxCnc { program, _alone: alone }))
+}
+
 /// Everything at once, for `cargo xtask setup` and `cargo verify`.
 ///
 /// # Errors
@@ -188,6 +233,7 @@ pub fn everything() -> Result<()> {
     toolchain()?;
     qemu()?;
     python()?;
+    linuxcnc()?;
     Ok(())
 }
 

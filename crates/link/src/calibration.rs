@@ -99,7 +99,8 @@ const NONE: u32 = 255;
 /// then right to 10⁻⁶, 1 nm of a millimetre; rounding to 2⁻³⁰ alone makes 2·10⁻⁹.
 const UNIT_TOLERANCE: u64 = 1 << 41;
 
-static CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_AUTOSAR);
+/// The CRC of what is stored.
+pub(crate) static CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_AUTOSAR);
 
 /// Writes the blob of a calibration, also of one that [`decode`] would refuse; gives its bytes.
 ///
@@ -440,6 +441,12 @@ pub fn whole(bytes: &[u8]) -> Result<&[u8], BlobError> {
         return Err(BlobError::Crc { stored, computed });
     }
     Ok(blob)
+}
+
+/// What tells one calibration from another: the CRC of its blob, whole as [`whole`] finds it.
+#[must_use]
+pub fn identity(whole: &[u8]) -> u32 {
+    u32::from_le_bytes(*whole.last_chunk().unwrap_or(&[0; CRC_SIZE]))
 }
 
 /// The calibration in a blob; its tables stay where they are. Bytes after the blob are not looked

@@ -20,9 +20,11 @@ pub const HEADER_LEN: usize = 3;
 
 /// The largest step of the counter that is still taken for lost frames.
 ///
-/// 15 frames of 20 ms are 300 ms: shorter than the default silence after which the CNC counts as
-/// lost (500 ms), so that a stream is not doubted before it would be given up anyway. A restarted
-/// sender passes for one that lost frames in 15 of 256 cases; in the others one frame is refused.
+/// 15 `Control` frames of 20 ms are 300 ms, most of the default silence after which the CNC counts
+/// as lost (500 ms). 15 position or `Rotary` frames of 2 ms are 30 ms: after a longer gap one such
+/// frame is refused, the one behind it is taken, and the position is 2 ms older once, of the 500 ms
+/// that it may be old. A wider step would buy those 2 ms with more restarted senders that pass for
+/// ones that lost frames: now 15 of 256, of the others one frame is refused.
 pub const MAX_DELTA: u8 = 15;
 
 static CRC: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_3740);

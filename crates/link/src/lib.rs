@@ -10,9 +10,10 @@
 //!   slcan  ────▼──────── ASCII lines ───────────┴──── slcan
 //! ```
 //!
-//! `calibration` is the layout of what the host compiles for the board, `bench` the stream
-//! between the host and the emulated board, `node` the whole bridge as it stands on the bus. Nothing here touches hardware, allocates, reads a
-//! clock, or panics on any input.
+//! `calibration` is the layout of what the host compiles for the board, `reference` of what the
+//! board stores of itself, `max31865` what it says to its temperature converters, `bench` the
+//! stream between the host and the emulated board, `node` the whole bridge as it stands on the bus.
+//! Nothing here touches hardware, allocates, reads a clock, or panics on any input.
 #![no_std]
 #![forbid(unsafe_code)]
 // A test that overflows fails, which is what a test is for.
@@ -28,8 +29,10 @@ pub mod e2e;
 pub mod frame;
 pub mod frames;
 pub mod layout;
+pub mod max31865;
 pub mod node;
 pub mod receiver;
+pub mod reference;
 pub mod slcan;
 pub mod vectors;
 

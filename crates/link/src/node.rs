@@ -5,7 +5,7 @@
 
 use heapless::Vec;
 use trueup_core::{
-    bridge::{self, Bridge, Input},
+    bridge::{self, Bridge, Input, Reference},
     calibration::Calibration,
     cnc::{Command, Flags, Output, Quality},
     health::Noise,
@@ -35,6 +35,18 @@ pub struct Node<'a> {
     until_heartbeat_ms: u32,
     degraded: bool,
     last: Output,
+    /// `Zero` in the last `Control`; at the start as if it had been set.
+    zero_bit: bool,
+    zero: Option<Zero>,
+}
+
+/// What came of a `Zero`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Zero {
+    /// The reference is another one now.
+    Taken(Reference),
+    /// It is as it was: an input is missing, or the error is no other.
+    Unchanged,
 }
 
 impl<'a> Node<'a> {
@@ -52,6 +64,8 @@ impl<'a> Node<'a> {
             until_heartbeat_ms: 0,
             degraded,
             last: Output::default(),
+            zero_bit: true,
+            zero: None,
         }
     }
 
@@ -63,9 +77,32 @@ impl<'a> Node<'a> {
     pub fn hear(&mut self, frame: &Frame) -> Result<Option<Command>, Refused> {
         let command = self.receiver.accept(frame)?;
         if let (Some(bridge), Some(command)) = (&self.bridge, command) {
+            let before = self.state.reference();
             bridge.hear(&mut self.state, command);
+            self.note_zero(command, before);
         }
         Ok(command)
+    }
+
+    fn note_zero(&mut self, command: Command, before: Reference) {
+        let Command::Control(control) = command else { return };
+        let was_set = core::mem::replace(&mut self.zero_bit, control.zero);
+        let now = self.state.reference();
+        if now != before {
+            self.zero = Some(Zero::Taken(now));
+        } else if control.zero && !was_set && self.zero.is_none() {
+            self.zero = Some(Zero::Unchanged);
+        }
+    }
+
+    /// What came of the last `Zero`, once.
+    pub fn take_zero(&mut self) -> Option<Zero> {
+        self.zero.take()
+    }
+
+    /// Takes up a reference that was stored.
+    pub fn set_reference(&mut self, reference: Reference) {
+        self.state.set_reference(reference);
     }
 
     /// One tick that ends `elapsed_ms` after the last one. Gives the frames to send.
@@ -216,6 +253,46 @@ mod tests {
             node.tick(1, BLIND);
             assert_eq!(node.last().flags.contains(Flags::BOARD_DEGRADED), degraded);
         }
+    }
+
+    /// Codes that are alive, at a level and a half.
+    fn alive(level: u16) -> [Code; CODES_PER_TICK] {
+        core::array::from_fn(|n| Code(level + u16::from(n % 2 == 1)))
+    }
+
+    #[test]
+    fn a_zero_is_told_once_and_what_it_took_can_be_given_back_to_another_node() {
+        let send = |node: &mut Node<'_>, zero, counter| {
+            let control = Control { engage: true, referenced: true, zero };
+            node.hear(&frames::control(control, counter)).expect("in order");
+        };
+        let live = |node: &mut Node<'_>, ms| {
+            for _ in 0..ms {
+                node.tick(1, Input { codes: Some(&alive(700)), ..Input::default() });
+            }
+        };
+        let mut node = Node::new(Some(calibration()), false);
+        // A CNC that starts with the bit set has asked for nothing; without samples it is refused.
+        send(&mut node, true, 0);
+        assert_eq!(node.take_zero(), None);
+        send(&mut node, false, 1);
+        send(&mut node, true, 2);
+        assert_eq!((node.take_zero(), node.take_zero()), (Some(Zero::Unchanged), None));
+        live(&mut node, 400);
+        send(&mut node, false, 3);
+        send(&mut node, true, 4);
+        send(&mut node, true, 5);
+        let Some(Zero::Taken(reference)) = node.take_zero() else { panic!("not taken") };
+        assert_ne!(reference, Reference::default());
+        assert_eq!(node.take_zero(), None);
+
+        let mut again = Node::new(Some(calibration()), false);
+        again.set_reference(reference);
+        live(&mut again, 400);
+        send(&mut again, false, 0);
+        live(&mut again, 10);
+        assert_eq!(again.last().quality, Quality::Live);
+        assert_eq!(again.last().offset, Some([Nanometres::ZERO; 3]));
     }
 
     #[test]

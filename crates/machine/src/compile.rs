@@ -265,14 +265,18 @@ fn thermometers(machine: &Machine) -> Result<[Option<Thermometer>; CHANNELS], Ba
     Ok(thermometers)
 }
 
-/// Counts are delivered in 1/256; the slope has as many binary places as fit.
+/// Counts are delivered in 1/256; the slope has as many binary places as fit. `None` outside the
+/// range that the rule names: what would still fit beyond it is a slip of the pen.
 fn linear_thermometer(zero_counts: f64, counts_per_c: f64) -> Option<Thermometer> {
     const DELIVERED_PER_COUNT: f64 = 256.0;
+    if !(0.01..=10_000.0).contains(&counts_per_c.abs()) {
+        return None;
+    }
     let units = f64::from(trueup_core::units::Temperature::PER_KELVIN)
         / (counts_per_c * DELIVERED_PER_COUNT);
     let slope_at = |shift: u8| rounded(units * 2_f64.powi(shift.into()));
     let shift = (0..=Thermometer::MAX_SHIFT).rev().find(|&shift| slope_at(shift).is_some())?;
-    let slope = slope_at(shift).filter(|slope| slope.unsigned_abs() > 1 << 20 || shift == 0)?;
+    let slope = slope_at(shift)?;
     let zero = rounded(zero_counts * DELIVERED_PER_COUNT)?;
     Some(Thermometer::Linear { zero, slope, shift })
 }
@@ -872,8 +876,12 @@ mod tests {
                 assert!(off_mk.abs() < 0.1, "{zero} {per_c}: {off_mk} mK at {celsius} °C");
             }
         }
-        assert_eq!(linear_thermometer(0.0, 1e-6), None);
-        assert_eq!(linear_thermometer(9e6, 16.0), None);
+        for (zero, per_c) in [(8_388_607.0, 0.01), (-8_388_607.0, -10_000.0)] {
+            assert!(linear_thermometer(zero, per_c).is_some(), "{zero} {per_c} is within the rule");
+        }
+        for (zero, per_c) in [(0.0, 0.009), (0.0, -10_001.0), (0.0, 0.0), (8_388_608.0, 16.0)] {
+            assert_eq!(linear_thermometer(zero, per_c), None, "{zero} {per_c}");
+        }
     }
 
     #[test]

@@ -6,6 +6,9 @@
 //! frame takes the place of one that still waits there. And `bxcan` waits without a limit for the
 //! controller to answer; here a controller that does not answer is dead, and everything is inert.
 //!
+//! What the CNC says is spread over both FIFOs of three: a cycle of its six frames, back to back,
+//! fits whole, so the tasks have time until the next cycle.
+//!
 //! The controller waits for a quiet bus by itself before it takes part, and comes back by itself
 //! from bus-off (ABOM).
 
@@ -26,18 +29,22 @@ use super::{clocks::Source, within};
 
 /// 1 Mbit/s at 42 MHz: prescaler 3; 1 + 11 + 2 quanta, sampled at 86 %; jump width 1.
 const BIT_TIMING: u32 = 0x001a_0002;
-/// What the CNC says. The filter drops everything else.
-const HEARD: [u16; 6] =
-    [POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID, SPINDLE_ID, CONTROL_ID];
-/// Identifiers in one filter bank, as a list of 16-bit entries.
-const IDS_IN_A_BANK: usize = 4;
+/// What the CNC says, by FIFO. The filter drops everything else.
+const HEARD: [[u16; 3]; 2] =
+    [[POSITION_X_ID, POSITION_Y_ID, CONTROL_ID], [POSITION_Z_ID, ROTARY_ID, SPINDLE_ID]];
 /// The controller answers within microseconds; this is about 10 ms.
 const ANSWER_POLLS: u32 = 100_000;
 /// A frame that waits is withdrawn within a few clocks of the controller; this is 3 µs.
 const WITHDRAW_POLLS: u32 = 32;
 
 /// Starts the controller, if its clock is exact enough for a bus; and whether it answers.
-pub fn start(can: CAN1, tx: PB9, rx: PB8, source: Source, rcc: &mut Rcc) -> (CanIn, CanOut, bool) {
+pub fn start(
+    can: CAN1,
+    tx: PB9,
+    rx: PB8,
+    source: Source,
+    rcc: &mut Rcc,
+) -> ([CanIn; 2], CanOut, bool) {
     CAN1::enable(rcc);
     CAN1::reset(rcc);
     let answers = enter_initialisation(&can);
@@ -54,9 +61,9 @@ pub fn start(can: CAN1, tx: PB9, rx: PB8, source: Source, rcc: &mut Rcc) -> (Can
         join_bus(&can);
         defmt::info!("CAN: 1 Mbit/s");
     }
-    // SAFETY: `CanOut` uses the transmit registers alone, `CanIn` the receive registers alone.
-    let transmitter = unsafe { CAN1::steal() };
-    let can_in = CanIn { can, overruns: 0 };
+    // SAFETY: `CanOut` uses the transmit registers alone, each `CanIn` those of its FIFO alone.
+    let (second, transmitter) = unsafe { (CAN1::steal(), CAN1::steal()) };
+    let can_in = [CanIn { can, fifo: 0, overruns: 0 }, CanIn { can: second, fifo: 1, overruns: 0 }];
     (can_in, CanOut { can: transmitter, on_the_bus, late: 0 }, answers)
 }
 
@@ -66,19 +73,20 @@ fn enter_initialisation(can: &CAN1) -> bool {
     within(ANSWER_POLLS, || can.msr().read().inak().bit_is_set())
 }
 
-/// Lets standard data frames with these identifiers into FIFO 0: lists of four 16-bit entries, of
-/// which the upper 11 bits are the identifier and the rest says "standard, data" (section 32.7.4).
-fn listen_to(can: &CAN1, ids: &[u16]) {
+/// Lets standard data frames with these identifiers into the FIFO of their bank: a bank is a list of
+/// four 16-bit entries, of which the upper 11 bits are the identifier and the rest says "standard,
+/// data" (section 32.7.4).
+fn listen_to(can: &CAN1, ids: &[[u16; 3]; 2]) {
     can.fmr().modify(|_, w| w.finit().set_bit());
-    for (number, ids) in (0..).zip(ids.chunks(IDS_IN_A_BANK)) {
-        // A slot that is left over repeats the first identifier of its bank.
-        let entry = |slot: usize| u32::from(*ids.get(slot).unwrap_or(&ids[0])) << 5;
+    for (number, ids) in (0..).zip(ids) {
+        let [first, second, third] = ids.map(|id| u32::from(id) << 5);
         let bank = can.fb(usize::from(number));
         // SAFETY: any value is a valid list.
-        bank.fr1().write(|w| unsafe { w.bits(entry(1) << 16 | entry(0)) });
-        // SAFETY: as above.
-        bank.fr2().write(|w| unsafe { w.bits(entry(3) << 16 | entry(2)) });
+        bank.fr1().write(|w| unsafe { w.bits(second << 16 | first) });
+        // The slot that is left over repeats an identifier. SAFETY: as above.
+        bank.fr2().write(|w| unsafe { w.bits(third << 16 | third) });
         can.fm1r().modify(|_, w| w.fbm(number).set_bit());
+        can.ffa1r().modify(|_, w| w.ffa(number).bit(number == 1));
         can.fa1r().modify(|_, w| w.fact(number).set_bit());
     }
     can.fmr().modify(|_, w| w.finit().clear_bit());
@@ -88,20 +96,21 @@ fn listen_to(can: &CAN1, ids: &[u16]) {
 fn join_bus(can: &CAN1) {
     // SAFETY: a valid bit timing, in initialisation mode.
     can.btr().write(|w| unsafe { w.bits(BIT_TIMING) });
-    can.ier().modify(|_, w| w.fmpie0().enabled());
+    can.ier().modify(|_, w| w.fmpie0().enabled().fmpie1().enabled());
     can.mcr().modify(|_, w| w.abom().set_bit().inrq().clear_bit());
 }
 
-/// Frames from the bus.
+/// Frames from the bus, by one of the two FIFOs.
 pub struct CanIn {
     can: CAN1,
+    fifo: usize,
     overruns: u32,
 }
 
 impl CanIn {
     /// The oldest frame that waits. The interrupt comes again while another one does.
     pub fn receive(&mut self) -> Option<Frame> {
-        let fifo = self.can.rf0r().read();
+        let fifo = self.can.rfr(self.fifo).read();
         if fifo.fovr().bit_is_set() {
             self.note_overrun();
         }
@@ -109,17 +118,17 @@ impl CanIn {
         if fifo.fmp().bits() == 0 || fifo.rfom().bit_is_set() {
             return None;
         }
-        let frame = read(self.can.rx(0));
-        self.can.rf0r().write(|w| w.rfom().set_bit());
+        let frame = read(self.can.rx(self.fifo));
+        self.can.rfr(self.fifo).write(|w| w.rfom().set_bit());
         frame
     }
 
     fn note_overrun(&mut self) {
-        self.can.rf0r().write(|w| w.fovr().clear());
+        self.can.rfr(self.fifo).write(|w| w.fovr().clear());
         self.overruns = self.overruns.saturating_add(1);
         // A flooded bus must not flood the log as well.
         if self.overruns.is_power_of_two() {
-            defmt::warn!("CAN: frame lost to overrun, number {}", self.overruns);
+            defmt::warn!("CAN: FIFO {} overrun, number {}", self.fifo, self.overruns);
         }
     }
 }

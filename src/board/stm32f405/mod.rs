@@ -5,6 +5,8 @@
 //! | PA0 | displacement sensor behind its filter and divider, 0 V … VREF+ |
 //! | PA9, PA10 | serial transmit and receive, 921 600 Bd |
 //! | PB9, PB8 | CAN transmit and receive, to a transceiver |
+//! | PB13, PB14, PB15 | SCK, MISO, MOSI of the temperature converters |
+//! | PC0 … PC7 | select the converter of channel 0 … 7: low |
 //! | PC12 | lamp, from the supply through a resistor: lit when low |
 //!
 //! A dead part must not hold up the others: every wait in this folder has a bound, and a part
@@ -14,22 +16,27 @@
 mod brown_out;
 mod can;
 mod clocks;
+mod flash;
 mod lamp;
 mod panic;
 mod sampling;
 mod serial;
+mod thermometers;
 mod watchdog;
 
 use cortex_m::peripheral::{SYST, syst::SystClkSource};
 use defmt_rtt as _;
-use stm32f4xx_hal::{pac, prelude::*};
+use stm32f4xx_hal::{gpio::PinState::High, pac, prelude::*};
 
-use super::{Faults, Parts};
+use super::{Faults, Parts, references};
 pub use can::{CanIn, CanOut};
 use clocks::Source;
+pub use flash::Flash;
 pub use lamp::Lamp;
 pub use sampling::Samples;
 pub use serial::{SerialIn, SerialOut};
+pub use thermometers::Thermometers;
+use trueup_link::calibration;
 use watchdog::Reset;
 pub use watchdog::Watchdog;
 
@@ -47,6 +54,14 @@ pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts
     brown_out::protect(&device.FLASH, reset);
     keep_debugger_connected(&device.DBGMCU);
 
+    let calibration = calibration::whole(CALIBRATION)
+        .and_then(|blob| Ok((calibration::identity(blob), calibration::decode(blob)?)));
+    // Before anything runs that an erase would hold up.
+    let flash = Flash::new(device.FLASH);
+    let references =
+        calibration.as_ref().ok().map(|(identity, _)| references::open(flash, *identity));
+    let calibration = calibration.map(|(_, calibration)| calibration);
+
     let gpioa = device.GPIOA.split(&mut rcc);
     let gpiob = device.GPIOB.split(&mut rcc);
     let gpioc = device.GPIOC.split(&mut rcc);
@@ -59,7 +74,23 @@ pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts
         can: !can_answers,
         watchdog_reset: reset == Reset::Watchdog,
     };
-    let calibration = trueup_link::calibration::decode(CALIBRATION);
+    let selects = [
+        gpioc.pc0.into_push_pull_output_in_state(High).erase(),
+        gpioc.pc1.into_push_pull_output_in_state(High).erase(),
+        gpioc.pc2.into_push_pull_output_in_state(High).erase(),
+        gpioc.pc3.into_push_pull_output_in_state(High).erase(),
+        gpioc.pc4.into_push_pull_output_in_state(High).erase(),
+        gpioc.pc5.into_push_pull_output_in_state(High).erase(),
+        gpioc.pc6.into_push_pull_output_in_state(High).erase(),
+        gpioc.pc7.into_push_pull_output_in_state(High).erase(),
+    ];
+    let thermometers = thermometers::start(
+        device.SPI2,
+        (gpiob.pb13, gpiob.pb14, gpiob.pb15),
+        selects,
+        calibration.as_ref().map(|it| it.thermometers).unwrap_or_default(),
+        &mut rcc,
+    );
     let chain = sampling::Chain {
         tim3: device.TIM3,
         tim2: device.TIM2,
@@ -76,7 +107,9 @@ pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts
         can_out,
         lamp: Lamp::new(gpioc.pc12),
         idle: Idle,
+        thermometers,
         calibration,
+        references,
         faults,
         watchdog: Watchdog::start(device.IWDG, &device.DBGMCU),
     }

@@ -1,0 +1,138 @@
+//! `trueup diagnose`: what the simulation gets wrong, its cause, and the machine file with it.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    time::Duration,
+};
+
+use anyhow::{Context as _, Result};
+use clap::{Args, ValueEnum};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use trueup_diagnose::{Diagnosis, diagnose};
+use trueup_machine::{MachineFile, RunFile, machine_file};
+
+use crate::{Mend, Outcome, output};
+
+/// Shows what the machine file gets wrong, names the cause, and writes the machine file with it.
+///
+/// Exit 3: something is left that has no cause, or that the data do not settle; or the machine does
+/// not repeat.
+#[derive(Args)]
+pub struct Diagnose {
+    /// The machine file: what is believed.
+    #[arg(long, value_name = "M.toml")]
+    machine: PathBuf,
+    /// A run file; more than one are compared with each other.
+    #[arg(long = "run", value_name = "A.csv", required = true)]
+    runs: Vec<PathBuf>,
+    /// A run that nothing is fitted to: it measures what the extension brings.
+    #[arg(long, value_name = "H.csv")]
+    holdout: Vec<PathBuf>,
+    /// What to compare, where the runs measure several quantities.
+    #[arg(long)]
+    quantity: Option<Quantity>,
+    /// The folder for diagnosis.json, report.html, extended.toml and residuals.csv.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Quantity {
+    Elongation,
+    Dx,
+    Dy,
+    Dz,
+}
+
+impl Quantity {
+    fn of_machine(self) -> machine_file::Quantity {
+        match self {
+            Self::Elongation => machine_file::Quantity::Elongation,
+            Self::Dx => machine_file::Quantity::Dx,
+            Self::Dy => machine_file::Quantity::Dy,
+            Self::Dz => machine_file::Quantity::Dz,
+        }
+    }
+}
+
+pub fn run(args: &Diagnose, as_json: bool) -> Result<Outcome> {
+    let machine = MachineFile::read(&args.machine)?;
+    let read = |paths: &[PathBuf]| -> Result<Vec<RunFile>> {
+        paths.iter().map(|path| Ok(RunFile::read(path)?)).collect()
+    };
+    let (runs, holdout) = (read(&args.runs)?, read(&args.holdout)?);
+    let source = fs::read_to_string(&args.machine)
+        .with_context(|| format!("{}: cannot be read", args.machine.display()))?;
+    fs::create_dir_all(&args.out)
+        .map_err(|error| Mend(format!("{}: cannot be made: {error}", args.out.display())))?;
+
+    let bar = progress();
+    let quantity = args.quantity.map(Quantity::of_machine);
+    let diagnosis = diagnose(&machine, &runs, &holdout, quantity, &mut |what, share| {
+        bar.set_message(what.to_string());
+        if !share.is_nan() {
+            bar.set_position((share * 100.0) as u64);
+        }
+    });
+    bar.finish_and_clear();
+    let diagnosis = diagnosis?;
+    write(args, &diagnosis, &machine.name, &source)?;
+    print(args, &diagnosis, as_json)?;
+    Ok(if diagnosis.report.verdict.is_met() { Outcome::Done } else { Outcome::NotMet })
+}
+
+/// A bar that shows itself once the search takes more than a moment.
+fn progress() -> ProgressBar {
+    let style = ProgressStyle::with_template("{bar:30} {percent} % {msg}")
+        .expect("the template is a constant");
+    let bar = ProgressBar::with_draw_target(Some(100), ProgressDrawTarget::stderr_with_hz(4))
+        .with_style(style);
+    bar.enable_steady_tick(Duration::from_millis(500));
+    bar
+}
+
+fn write(args: &Diagnose, diagnosis: &Diagnosis, name: &str, source: &str) -> Result<()> {
+    let mut inputs: Vec<&Path> = vec![&args.machine];
+    inputs.extend(args.runs.iter().chain(&args.holdout).map(PathBuf::as_path));
+    let texts = [
+        ("diagnosis.json", diagnosis.json()? + "\n"),
+        ("report.html", diagnosis.html(name)),
+        ("extended.toml", diagnosis.extended(source, &args.machine)?),
+    ];
+    for (file, text) in texts {
+        output::write_whole(&args.out.join(file), &inputs, |out| out.write_all(text.as_bytes()))?;
+    }
+    output::write_whole(&args.out.join("residuals.csv"), &inputs, |out| {
+        diagnosis.write_residuals(out)
+    })
+}
+
+fn print(args: &Diagnose, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
+    if as_json {
+        return output::print(diagnosis.json()?);
+    }
+    let report = &diagnosis.report;
+    output::print(format_args!("{}: {}", report.verdict.name(), diagnosis.sentence()))?;
+    for finding in &report.findings {
+        let column = finding.column.as_ref().map_or(String::new(), |column| format!(" {column}"));
+        let state = if finding.claimed { "" } else { " (not settled)" };
+        output::print(format_args!(
+            "  {}{column}{state}: {}",
+            finding.cause, finding.sentence
+        ))?;
+        output::print(format_args!("    next: {}", finding.next_test))?;
+    }
+    output::print(format_args!(
+        "{}, {} rows: {:.3} µm RMS before, {:.3} after; not fitted to: {:.3} before, {:.3} after; \
+         noise {:.3}",
+        report.quantity,
+        report.rows_used,
+        report.before.rms_um,
+        report.after.rms_um,
+        report.before.holdout_rms_um,
+        report.after.holdout_rms_um,
+        report.noise_um
+    ))?;
+    output::print(format_args!("{}", args.out.join("report.html").display()))
+}

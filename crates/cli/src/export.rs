@@ -1,0 +1,217 @@
+//! `trueup export`: a machine file into what another control loads, with a report of how well.
+
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+};
+
+use anyhow::Result;
+use clap::{Args, ValueEnum};
+use serde_json::{Value, json};
+use trueup_export::{Format, LeftOut, Options, Report, Table, Units, export};
+use trueup_machine::MachineFile;
+
+use crate::{Mend, Outcome, output};
+
+/// Turns a machine file into what another control loads, reads it back, and says how well it fits.
+///
+/// Exit 3: exported, but something was left out or thinned.
+#[derive(Args)]
+pub struct Export {
+    /// The machine file.
+    #[arg(value_name = "M.toml")]
+    machine: PathBuf,
+    /// The control.
+    #[arg(long)]
+    format: Control,
+    /// The folder for the files and report.txt; made if it is not there. Files of the same names
+    /// are replaced.
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// The control's unit of length (Siemens, LinuxCNC).
+    #[arg(long, default_value = "mm")]
+    units: Unit,
+    /// The reference points, in mm: there Siemens and FANUC want a value of 0.
+    #[arg(long, value_name = "x=0,y=0,z=0", value_delimiter = ',', allow_hyphen_values = true)]
+    reference: Vec<String>,
+    /// The travel of an axis, in mm; left out, it is as far as the model's tables reach.
+    #[arg(long, value_name = "x=0:1000", value_delimiter = ',', allow_hyphen_values = true)]
+    travel: Vec<String>,
+    /// How near to the model the points of a curve keep the lines between them.
+    #[arg(long, value_name = "UM", default_value_t = 0.1)]
+    tolerance_um: f64,
+    /// The most points of a table, where the control has fewer than its kind (828D: 200).
+    #[arg(long, value_name = "N")]
+    max_points: Option<usize>,
+    /// FANUC's detection unit.
+    #[arg(long, value_name = "UM", default_value_t = 1.0)]
+    unit_um: f64,
+    /// Temperatures for the Siemens setting data; left out, each axis is at its reference.
+    #[arg(long, value_name = "temp_x_c=30", value_delimiter = ',', allow_hyphen_values = true)]
+    temperature: Vec<String>,
+    /// The tool's growth for the Siemens setting data.
+    #[arg(long, value_name = "UM", default_value_t = 0.0, allow_hyphen_values = true)]
+    elongation_um: f64,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Control {
+    /// Siemens SINUMERIK 840D sl.
+    #[value(name = "siemens-840d")]
+    Siemens840d,
+    /// FANUC, stored pitch error compensation.
+    Fanuc,
+    /// HEIDENHAIN, .COM and .CMA.
+    Heidenhain,
+    /// LinuxCNC, COMP_FILE.
+    #[value(name = "linuxcnc")]
+    LinuxCnc,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Unit {
+    /// Millimetres.
+    Mm,
+    /// Inches.
+    Inch,
+}
+
+/// Exports the machine file into the folder.
+pub fn run(args: &Export, as_json: bool) -> Result<Outcome> {
+    let machine = MachineFile::read(&args.machine)?;
+    let options = options(args)?;
+    let format = match args.format {
+        Control::Siemens840d => Format::Siemens840d,
+        Control::Fanuc => Format::Fanuc,
+        Control::Heidenhain => Format::Heidenhain,
+        Control::LinuxCnc => Format::LinuxCnc,
+    };
+    let export = export(&machine, format, &options)
+        .map_err(|refused| Mend(format!("{}: {refused}", args.machine.display())))?;
+
+    let folder = &args.output;
+    fs::create_dir_all(folder)
+        .map_err(|error| Mend(format!("{}: cannot be made a folder: {error}", folder.display())))?;
+    let report = as_value(&export.report, &export.files, folder);
+    let text = format!("{}\n", export.report);
+    let companions = [("report.txt", text), ("report.json", format!("{report:#}\n"))];
+    let files = export.files.iter().map(|file| (file.name.as_str(), &file.text));
+    for (name, text) in files.chain(companions.iter().map(|(name, text)| (*name, text))) {
+        let inputs = [args.machine.as_path()];
+        output::write_whole(&folder.join(name), &inputs, |out| out.write_all(text.as_bytes()))?;
+    }
+    if as_json {
+        output::print(report)?;
+    } else {
+        let names: Vec<&str> = export.files.iter().map(|file| file.name.as_str()).collect();
+        let folder = folder.display();
+        output::print(format_args!(
+            "{}\n{folder}: {}, report.txt, report.json",
+            export.report,
+            names.join(", ")
+        ))?;
+    }
+    Ok(if export.report.is_whole() { Outcome::Done } else { Outcome::NotMet })
+}
+
+fn options(args: &Export) -> Result<Options, Mend> {
+    let mut options = Options {
+        units: match args.units {
+            Unit::Mm => Units::Millimetres,
+            Unit::Inch => Units::Inches,
+        },
+        tolerance_um: positive("--tolerance-um", args.tolerance_um)?,
+        unit_um: positive("--unit-um", args.unit_um)?,
+        most_points: args.max_points,
+        elongation_um: finite("--elongation-um", args.elongation_um)?,
+        ..Options::default()
+    };
+    if args.max_points.is_some_and(|points| points < 2) {
+        return Err(Mend("--max-points must be at least 2: a table has two ends".to_string()));
+    }
+    for entry in &args.reference {
+        let (axis, value) = of_axis("--reference", entry)?;
+        options.reference_mm[axis] = number("--reference", value)?;
+    }
+    for entry in &args.travel {
+        let (axis, range) = of_axis("--travel", entry)?;
+        let wrong = || Mend(format!("--travel {entry}: must be like x=0:1000, the smaller first"));
+        let (first, last) = range.split_once(':').ok_or_else(wrong)?;
+        let (first, last) = (number("--travel", first)?, number("--travel", last)?);
+        if first >= last {
+            return Err(wrong());
+        }
+        options.travel_mm[axis] = Some((first, last));
+    }
+    options.temperatures_c = temperatures(&args.temperature)?;
+    Ok(options)
+}
+
+fn temperatures(entries: &[String]) -> Result<BTreeMap<String, f64>, Mend> {
+    let each = entries.iter().map(|entry| {
+        let (name, value) = entry
+            .split_once('=')
+            .ok_or_else(|| Mend(format!("--temperature {entry}: must be like temp_x_c=30")))?;
+        Ok((name.trim().to_string(), number("--temperature", value)?))
+    });
+    each.collect()
+}
+
+fn of_axis<'e>(option: &str, entry: &'e str) -> Result<(usize, &'e str), Mend> {
+    let named = entry.split_once('=').and_then(|(name, value)| {
+        let axis = ["x", "y", "z"].iter().position(|axis| name.trim() == *axis)?;
+        Some((axis, value))
+    });
+    named.ok_or_else(|| Mend(format!("{option} {entry}: must begin with x=, y= or z=")))
+}
+
+fn number(option: &str, text: &str) -> Result<f64, Mend> {
+    let value = text.trim().parse().map_err(|_| Mend(format!("{option}: {text} is no number")))?;
+    finite(option, value)
+}
+
+fn finite(option: &str, value: f64) -> Result<f64, Mend> {
+    if value.is_finite() { Ok(value) } else { Err(Mend(format!("{option} must be finite"))) }
+}
+
+fn positive(option: &str, value: f64) -> Result<f64, Mend> {
+    if value > 0.0 {
+        finite(option, value)
+    } else {
+        Err(Mend(format!("{option} must be above 0, not {value}")))
+    }
+}
+
+fn as_value(report: &Report, files: &[trueup_export::File], folder: &Path) -> Value {
+    let table = |table: &Table| {
+        json!({
+            "file": table.file,
+            "name": table.name,
+            "section": table.section,
+            "points": table.points,
+            "first": table.range.0,
+            "last": table.range.1,
+            "spacing": table.spacing,
+            "constant_um": table.constant_um,
+            "largest_difference_um": table.largest.um,
+            "largest_difference_at": table.largest.at,
+            "loss": table.loss,
+        })
+    };
+    let left_out =
+        |LeftOut { section, reason }: &LeftOut| json!({ "section": section, "reason": reason });
+    json!({
+        "format": report.format.name(),
+        "machine": report.machine,
+        "output": folder.to_string_lossy(),
+        "files": files.iter().map(|file| &file.name).collect::<Vec<_>>(),
+        "units": report.options.units.name(),
+        "reference_mm": report.options.reference_mm,
+        "tables": report.tables.iter().map(table).collect::<Vec<_>>(),
+        "left_out": report.left_out.iter().map(left_out).collect::<Vec<_>>(),
+        "notes": report.notes,
+        "whole": report.is_whole(),
+        "largest_difference_um": report.largest_um(),
+    })
+}

@@ -1,0 +1,575 @@
+//! `trueup fit`: from measured runs to a section of the machine file.
+
+use std::{
+    fs::{self, File},
+    io::{BufReader, IsTerminal as _, Write as _},
+    path::{Path, PathBuf},
+};
+
+use anyhow::Result;
+use clap::{Args, Subcommand, ValueEnum};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use serde_json::{Map, Value, json};
+use trueup_fit::{
+    Report, Spread, Verdict, curve, elongation,
+    known::{Known, Without, known},
+    pitch,
+    report::FactValue,
+    straightness, thermal, warmup,
+};
+use trueup_machine::{
+    BadInput, Machine, MachineFile, Place, RunFile,
+    machine_file::{LinearAxis, Source, ThermalMode},
+};
+
+use crate::{Mend, Outcome, output};
+
+/// A run above this is worth a progress bar: about a second of work.
+const LONG_RUN_BYTES: u64 = 16 << 20;
+/// Rows that are set aside and printed one by one; all of them are in the JSON.
+const LISTED_ROWS: usize = 20;
+
+/// Fits a section of the machine file to measured runs, and says how well.
+///
+/// Exit 3: the runs say that it should not be compensated, and nothing is written; or a tolerance
+/// is not reached.
+#[derive(Args)]
+pub struct Fit {
+    #[command(subcommand)]
+    kind: Kind,
+}
+
+#[derive(Subcommand)]
+enum Kind {
+    /// [straightness.z_of_x]: how an axis errs while another moves.
+    Straightness(Straightness),
+    /// [axis.x.pitch], and [axis.x.backlash] where it gains: an axis's position errors.
+    Pitch(Pitch),
+    /// [axis.x.backlash] alone.
+    Backlash(Backlash),
+    /// [spindle.sensor] or [spindle.temperature]: the spindle's growth.
+    Elongation(Elongation),
+    /// [spindle.warmup]: the growth over time, from cold; one run for each speed.
+    Warmup(Warmup),
+    /// [axis.x.thermal]: an axis's growth with a temperature.
+    Thermal(Thermal),
+}
+
+#[derive(Args)]
+struct Common {
+    /// A run file; warmup, thermal and elongation take several.
+    #[arg(long, value_name = "RUN.csv", required = true)]
+    run: Vec<PathBuf>,
+    /// The machine file that the section is put into; left out, the section alone is written.
+    #[arg(long, value_name = "M.toml")]
+    machine: Option<PathBuf>,
+    /// Where to write the machine file or the section.
+    #[arg(short, long, value_name = "OUT.toml")]
+    output: PathBuf,
+}
+
+#[derive(Args)]
+struct Straightness {
+    #[command(flatten)]
+    common: Common,
+    /// The error: dx, dy or dz; may be left out where the run measures one only.
+    #[arg(long, value_name = "dx|dy|dz")]
+    quantity: Option<String>,
+    /// Take as many coefficients as it needs to keep every residual within this; left out, as many
+    /// as the noise allows.
+    #[arg(long, value_name = "UM")]
+    tolerance_um: Option<f64>,
+    /// The straight line from which the error counts.
+    #[arg(long, default_value = "as-measured")]
+    reference: Reference,
+    /// How the curve is found.
+    #[arg(long, default_value = "least-squares")]
+    method: Method,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Reference {
+    /// None: the readings are errors already.
+    AsMeasured,
+    /// Through the means at both ends.
+    EndPoints,
+    /// The least squares line.
+    LeastSquares,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Method {
+    /// Knots where they are needed.
+    LeastSquares,
+    /// Points as control points, the worst one joins.
+    Paper,
+}
+
+#[derive(Args)]
+struct Pitch {
+    #[command(flatten)]
+    common: Common,
+    /// The axis's error: dx, dy or dz; may be left out where the run measures one only.
+    #[arg(long, value_name = "dx|dy|dz")]
+    quantity: Option<String>,
+    /// Only the repeats with these numbers in the column run.
+    #[arg(long, value_name = "1,2,3", value_delimiter = ',')]
+    repeats: Option<Vec<f64>>,
+    /// The step of the table; left out, that of the positions measured.
+    #[arg(long, value_name = "MM")]
+    step_mm: Option<f64>,
+    /// One table, or one for each direction.
+    #[arg(long, default_value = "automatic")]
+    ways: Ways,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Ways {
+    /// What gains on repeats left out.
+    Automatic,
+    /// One table, and a backlash beside it if that gains.
+    One,
+    /// One table for each direction.
+    Both,
+}
+
+#[derive(Args)]
+struct Backlash {
+    #[command(flatten)]
+    common: Common,
+    /// The axis's error: dx, dy or dz; may be left out where the run measures one only.
+    #[arg(long, value_name = "dx|dy|dz")]
+    quantity: Option<String>,
+    /// Only the repeats with these numbers in the column run.
+    #[arg(long, value_name = "1,2,3", value_delimiter = ',')]
+    repeats: Option<Vec<f64>>,
+}
+
+#[derive(Args)]
+struct Elongation {
+    #[command(flatten)]
+    common: Common,
+    /// By which the growth is known; left out, the machine file's source, else the run's columns.
+    #[arg(long)]
+    source: Option<By>,
+    /// The temperature that explains it.
+    #[arg(long, value_name = "temp_<name>_c")]
+    temperature: Option<String>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum By {
+    /// The displacement sensor.
+    Sensor,
+    /// A temperature.
+    Temperature,
+}
+
+#[derive(Args)]
+struct Warmup {
+    #[command(flatten)]
+    common: Common,
+}
+
+#[derive(Args)]
+struct Thermal {
+    #[command(flatten)]
+    common: Common,
+    /// The axis's error: dx, dy or dz; may be left out where the run measures one only.
+    #[arg(long, value_name = "dx|dy|dz")]
+    quantity: Option<String>,
+    /// Which terms; left out, the machine file's, else what the run shows.
+    #[arg(long)]
+    mode: Option<Mode>,
+    /// The temperature that explains it.
+    #[arg(long, value_name = "temp_<name>_c")]
+    temperature: Option<String>,
+    /// Write a table over the temperature, with so many rows.
+    #[arg(long, value_name = "ROWS", value_parser = clap::value_parser!(u16).range(2..=1000))]
+    table: Option<u16>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Mode {
+    /// The same at every position.
+    Constant,
+    /// In proportion to the position.
+    Position,
+    /// Both.
+    Both,
+}
+
+/// The files that were read.
+struct Input {
+    runs: Vec<RunFile>,
+    machine: Option<(PathBuf, String, Machine)>,
+}
+
+/// Fits what is asked for.
+pub fn run(args: &Fit, as_json: bool) -> Result<Outcome> {
+    let common = match &args.kind {
+        Kind::Straightness(Straightness { common, .. })
+        | Kind::Pitch(Pitch { common, .. })
+        | Kind::Backlash(Backlash { common, .. })
+        | Kind::Elongation(Elongation { common, .. })
+        | Kind::Warmup(Warmup { common })
+        | Kind::Thermal(Thermal { common, .. }) => common,
+    };
+    let input = Input::read(common)?;
+    let bytes: u64 = common.run.iter().map(|path| size(path)).sum();
+    let spinner = spinner("fitting", bytes);
+    let report = match &args.kind {
+        Kind::Straightness(args) => straightness_of(&input, args)?,
+        Kind::Pitch(args) => pitch_of(&input, args)?,
+        Kind::Backlash(args) => backlash_of(&input, args)?,
+        Kind::Elongation(args) => {
+            let source = args.source.map(|by| match by {
+                By::Sensor => Source::Sensor,
+                By::Temperature => Source::Temperature,
+            });
+            let options = elongation::Options { source, temperature: args.temperature.clone() };
+            elongation::fit(&input.runs, input.machine(), &options)?
+        }
+        Kind::Warmup(_) => warmup::fit(&input.runs, input.machine())?,
+        Kind::Thermal(args) => thermal_of(&input, args)?,
+    };
+    spinner.finish_and_clear();
+    let written = write(&input, common, &report)?;
+    print(&report, common, written, as_json)?;
+    let is_met = report.verdict.is_fitted() && report.unmet.is_empty();
+    Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
+}
+
+impl Input {
+    fn read(common: &Common) -> Result<Self> {
+        let machine = match &common.machine {
+            None => None,
+            Some(path) => {
+                let machine = MachineFile::read(path)?;
+                // It was UTF-8 a moment ago.
+                let text = fs::read_to_string(path).map_err(|error| {
+                    Mend(format!("{}: cannot be read: {error}", path.display()))
+                })?;
+                Some((path.clone(), text, machine))
+            }
+        };
+        let runs = common.run.iter().map(|path| read_run(path)).collect::<Result<_, _>>()?;
+        Ok(Self { runs, machine })
+    }
+
+    fn machine(&self) -> Option<&Machine> {
+        self.machine.as_ref().map(|(_, _, machine)| machine)
+    }
+
+    /// The one run; what takes one alone refuses several.
+    fn run(&self) -> Result<&RunFile, Mend> {
+        match &self.runs[..] {
+            [run] => Ok(run),
+            runs => Err(Mend(format!(
+                "--run is given {} times: this fit takes one run file (repeats stand in its \
+                 column run)",
+                runs.len()
+            ))),
+        }
+    }
+
+    /// What the rest of the machine file says of `run`, with a warning where it cannot.
+    fn known(&self, run: &RunFile, without: Without) -> Result<Option<Vec<f64>>, BadInput> {
+        let Some(machine) = self.machine() else { return Ok(None) };
+        let Some(known) = known(machine, run, without)? else { return Ok(None) };
+        if known.is_usable() {
+            return Ok(Some(known.um));
+        }
+        let Known { missing_columns, .. } = known;
+        let lacks = if missing_columns.is_empty() {
+            String::new()
+        } else {
+            format!(": the run lacks {}", missing_columns.join(", "))
+        };
+        eprintln!(
+            "warning: {}: what the other sections of the machine file say is not taken off{lacks}",
+            run.path().display()
+        );
+        Ok(None)
+    }
+}
+
+fn straightness_of(input: &Input, args: &Straightness) -> Result<Report> {
+    let options = straightness::Options {
+        tolerance_um: args.tolerance_um,
+        method: match args.method {
+            Method::LeastSquares => straightness::Method::LeastSquares,
+            Method::Paper => straightness::Method::Paper,
+        },
+        reference: match args.reference {
+            Reference::AsMeasured => straightness::Reference::AsMeasured,
+            Reference::EndPoints => straightness::Reference::EndPoints,
+            Reference::LeastSquares => straightness::Reference::LeastSquares,
+        },
+        ..straightness::Options::default()
+    };
+    let run = input.run()?;
+    let known = |curve: &straightness::Curve| {
+        input.known(run, Without::Straightness { error: curve.error, along: curve.along })
+    };
+    Ok(curve::fit(run, args.quantity.as_deref(), known, &options)?)
+}
+
+fn pitch_of(input: &Input, args: &Pitch) -> Result<Report> {
+    let run = input.run()?;
+    let axis = axis_of(&input.runs, args.quantity.as_deref())?;
+    let ways = match args.ways {
+        Ways::Automatic => pitch::Ways::Automatic,
+        Ways::One => pitch::Ways::One,
+        Ways::Both => pitch::Ways::Both,
+    };
+    let options = pitch::Options {
+        ways,
+        step_mm: args.step_mm,
+        ..position_options(input, run, axis, args.repeats.clone())?
+    };
+    Ok(pitch::fit(run, axis, &options)?.report)
+}
+
+fn backlash_of(input: &Input, args: &Backlash) -> Result<Report> {
+    let run = input.run()?;
+    let axis = axis_of(&input.runs, args.quantity.as_deref())?;
+    let options = position_options(input, run, axis, args.repeats.clone())?;
+    Ok(pitch::fit_backlash(run, axis, &options)?.report)
+}
+
+fn position_options(
+    input: &Input,
+    run: &RunFile,
+    axis: LinearAxis,
+    runs: Option<Vec<f64>>,
+) -> Result<pitch::Options> {
+    let feedback = input.machine().map(|machine| machine.axes[axis.index()].feedback);
+    Ok(pitch::Options {
+        runs,
+        feedback: feedback.unwrap_or_default(),
+        known_um: input.known(run, Without::Position(axis))?,
+        ..pitch::Options::default()
+    })
+}
+
+fn thermal_of(input: &Input, args: &Thermal) -> Result<Report> {
+    let axis = axis_of(&input.runs, args.quantity.as_deref())?;
+    let mut known_um = Vec::new();
+    for run in &input.runs {
+        match input.known(run, Without::Thermal(axis))? {
+            Some(um) => known_um.extend(um),
+            None => known_um.extend(vec![0.0; run.rows()]),
+        }
+    }
+    let options = thermal::Options {
+        mode: args.mode.map(|mode| match mode {
+            Mode::Constant => ThermalMode::Constant,
+            Mode::Position => ThermalMode::Position,
+            Mode::Both => ThermalMode::Both,
+        }),
+        temperature: args.temperature.clone(),
+        table_rows: args.table.map(usize::from),
+        known_um: Some(known_um),
+    };
+    Ok(thermal::fit(&input.runs, axis, input.machine(), &options)?)
+}
+
+/// The axis of `quantity`, else the only one whose error the runs measure.
+fn axis_of(runs: &[RunFile], quantity: Option<&str>) -> Result<LinearAxis, BadInput> {
+    let start = || Place::start_of(runs[0].path());
+    if let Some(quantity) = quantity {
+        let axis = LinearAxis::ALL.into_iter().find(|axis| quantity == format!("d{}", axis.name()));
+        let rule = format!("--quantity must be dx or dy or dz, not {quantity:?}");
+        return axis.ok_or_else(|| BadInput::new(start(), rule));
+    }
+    let measured: Vec<LinearAxis> = LinearAxis::ALL
+        .into_iter()
+        .filter(|axis| runs[0].column(&format!("measured_d{}_um", axis.name())).is_some())
+        .collect();
+    match measured[..] {
+        [axis] => Ok(axis),
+        [] => runs[0].require("measured_dx_um").map(|_| LinearAxis::X),
+        _ => {
+            let names: Vec<String> =
+                measured.iter().map(|axis| format!("d{}", axis.name())).collect();
+            let rule = format!("the run measures {}: say which by --quantity", names.join(", "));
+            Err(BadInput::new(start(), rule))
+        }
+    }
+}
+
+fn write(input: &Input, common: &Common, report: &Report) -> Result<bool> {
+    if report.edit.is_empty() || !report.verdict.is_fitted() {
+        return Ok(false);
+    }
+    let text = match &input.machine {
+        Some((path, source, _)) => report.edit.apply(source, path)?,
+        None => report.edit.to_toml(),
+    };
+    // The machine file itself may be written over: that is what a user means who names it twice.
+    let inputs: Vec<&Path> = common.run.iter().map(PathBuf::as_path).collect();
+    output::write_whole(&common.output, &inputs, |out| out.write_all(text.as_bytes()))?;
+    Ok(true)
+}
+
+fn print(report: &Report, common: &Common, written: bool, as_json: bool) -> Result<()> {
+    for warning in &report.warnings {
+        eprintln!("warning: {warning}");
+    }
+    if as_json {
+        return output::print(json_of(report, common, written));
+    }
+    let mut lines = vec![match &report.verdict {
+        Verdict::Fitted => format!("{} of {}: fitted", report.kind, report.column),
+        Verdict::DoNotCompensate(_) => {
+            format!("{} of {}: do not compensate", report.kind, report.column)
+        }
+    }];
+    if let Verdict::DoNotCompensate(reasons) = &report.verdict {
+        lines.extend(reasons.iter().map(|reason| format!("  {reason}")));
+    }
+    lines.extend(report.unmet.iter().map(|unmet| format!("  not reached: {unmet}")));
+    for parameter in &report.parameters {
+        lines.push(format!("  {parameter}"));
+    }
+    for fact in &report.facts {
+        let value = match &fact.value {
+            FactValue::Number(number) => format!("{number:.4}"),
+            FactValue::Text(text) => text.clone(),
+            FactValue::Numbers(numbers) if numbers.len() <= LISTED_ROWS => {
+                numbers.iter().map(|number| format!("{number:.3}")).collect::<Vec<_>>().join(" ")
+            }
+            FactValue::Numbers(numbers) => format!("{} values (--json has them)", numbers.len()),
+        };
+        lines.push(format!("  {}: {value}", fact.name));
+    }
+    let mut spread = |name: &str, spread: Option<Spread>| {
+        if let Some(Spread { rms_um, max_um }) = spread {
+            lines.push(format!("{name}: {rms_um:.3} um RMS, at most {max_um:.3} um"));
+        }
+    };
+    spread("measured", report.before);
+    spread("after the fit", report.in_sample);
+    spread(&format!("on left-out rows ({})", report.left_out_by), report.left_out);
+    lines.push(format!(
+        "{} rows used, {} incomplete, {} set aside",
+        report.rows_used,
+        report.rows_incomplete,
+        report.set_aside.len()
+    ));
+    lines.extend(report.set_aside.iter().take(LISTED_ROWS).map(|row| format!("  {row}")));
+    if report.set_aside.len() > LISTED_ROWS {
+        lines.push(format!(
+            "  and {} more (--json lists them)",
+            report.set_aside.len() - LISTED_ROWS
+        ));
+    }
+    lines.push(if written {
+        format!("written to {}", common.output.display())
+    } else {
+        "nothing is written".to_string()
+    });
+    output::print(lines.join("\n"))
+}
+
+fn json_of(report: &Report, common: &Common, written: bool) -> Value {
+    let spread = |spread: Option<Spread>| match spread {
+        Some(Spread { rms_um, max_um }) => json!({"rms_um": rms_um, "max_um": max_um}),
+        None => Value::Null,
+    };
+    let parameters: Map<String, Value> = report
+        .parameters
+        .iter()
+        .map(|parameter| {
+            let value = json!({"value": parameter.value, "ci95": parameter.ci95});
+            (parameter.name.clone(), value)
+        })
+        .collect();
+    let facts: Map<String, Value> = report
+        .facts
+        .iter()
+        .map(|fact| {
+            let value = match &fact.value {
+                FactValue::Number(number) => json!(number),
+                FactValue::Numbers(numbers) => json!(numbers),
+                FactValue::Text(text) => json!(text),
+            };
+            (fact.name.clone(), value)
+        })
+        .collect();
+    let set_aside: Vec<Value> = report
+        .set_aside
+        .iter()
+        .map(|row| {
+            json!({
+                "file": row.place.file.to_string_lossy(),
+                "line": row.place.line,
+                "column": row.place.column,
+                "measured_um": row.measured_um,
+                "reason": row.reason,
+            })
+        })
+        .collect();
+    let (verdict, reasons) = match &report.verdict {
+        Verdict::Fitted => ("fitted", [].as_slice()),
+        Verdict::DoNotCompensate(reasons) => ("do-not-compensate", reasons.as_slice()),
+    };
+    json!({
+        "kind": report.kind,
+        "column": report.column,
+        "verdict": verdict,
+        "reasons": reasons,
+        "not_reached": report.unmet,
+        "parameters": parameters,
+        "facts": facts,
+        "before": spread(report.before),
+        "in_sample": spread(report.in_sample),
+        "left_out": spread(report.left_out),
+        "left_out_by": report.left_out_by,
+        "rows_used": report.rows_used,
+        "rows_incomplete": report.rows_incomplete,
+        "set_aside": set_aside,
+        "warnings": report.warnings,
+        "output": if written { json!(common.output.to_string_lossy()) } else { Value::Null },
+    })
+}
+
+fn read_run(path: &Path) -> Result<RunFile, BadInput> {
+    let file = File::open(path).map_err(|error| {
+        BadInput::new(Place::start_of(path), format!("cannot be read: {error}"))
+    })?;
+    let bytes = size(path);
+    let bar = bar("reading", bytes);
+    let run = RunFile::from_reader(BufReader::with_capacity(1 << 16, bar.wrap_read(file)), path);
+    bar.finish_and_clear();
+    run
+}
+
+/// The size of a file; 0 where it is not a plain one.
+fn size(path: &Path) -> u64 {
+    path.metadata().map_or(0, |metadata| metadata.len())
+}
+
+fn bar(what: &'static str, bytes: u64) -> ProgressBar {
+    if bytes < LONG_RUN_BYTES {
+        return ProgressBar::hidden();
+    }
+    let style = ProgressStyle::with_template("{msg} {wide_bar} {percent} % {eta}");
+    ProgressBar::with_draw_target(Some(bytes), ProgressDrawTarget::stderr())
+        .with_style(style.expect("the template is a constant"))
+        .with_message(what)
+}
+
+/// A fit does not know how far it is: the time that has passed, where somebody watches.
+fn spinner(what: &'static str, bytes: u64) -> ProgressBar {
+    if bytes < LONG_RUN_BYTES / 8 || !std::io::stderr().is_terminal() {
+        return ProgressBar::hidden();
+    }
+    let style = ProgressStyle::with_template("{spinner} {msg} {elapsed}");
+    let spinner = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr())
+        .with_style(style.expect("the template is a constant"))
+        .with_message(what);
+    spinner.enable_steady_tick(std::time::Duration::from_millis(200));
+    spinner
+}

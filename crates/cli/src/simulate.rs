@@ -1,0 +1,74 @@
+//! `trueup simulate`: what the virtual machine tool measures in a scenario.
+
+use std::{fs, path::PathBuf};
+
+use anyhow::Result;
+use clap::Args;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use serde_json::json;
+use trueup_machine::{BadInput, Place};
+use trueup_twin::{Scenario, simulate};
+
+use crate::{Outcome, output};
+
+/// More rows than this are worth a progress bar: about a second of work.
+const LONG_RUN_ROWS: f64 = 50_000.0;
+
+/// Writes what the virtual machine tool would measure: a run file with known causes.
+#[derive(Args)]
+pub struct Simulate {
+    /// The scenario: the machine, its faults, the sensors, and what is done.
+    #[arg(long, value_name = "S.toml")]
+    scenario: PathBuf,
+    /// Chance starts here: the same seed gives the same run, to the byte.
+    #[arg(long, value_name = "N")]
+    seed: u64,
+    /// Where to write the run.
+    #[arg(short, long, value_name = "RUN.csv")]
+    output: PathBuf,
+}
+
+/// Runs the scenario.
+pub fn run(args: &Simulate, as_json: bool) -> Result<Outcome> {
+    let Simulate { scenario: path, seed, output: to } = args;
+    let bad =
+        |line, column, rule: &str| BadInput::new(Place { file: path.clone(), line, column }, rule);
+    let bytes = fs::read(path).map_err(|error| bad(1, 1, &format!("cannot be read: {error}")))?;
+    let text = String::from_utf8(bytes).map_err(|error| {
+        let valid = String::from_utf8_lossy(&error.as_bytes()[..error.utf8_error().valid_up_to()]);
+        let place = Place::at_byte(path, &valid, valid.len());
+        BadInput::new(place, "is not UTF-8 text")
+    })?;
+    let scenario =
+        Scenario::parse(&text, path).map_err(|error| bad(error.line, error.column, &error.rule))?;
+    let bar = progress(scenario.rows());
+    let table = simulate(&scenario, *seed, || bar.inc(1));
+    bar.finish_and_clear();
+    output::write_whole(to, &[path], |out| table.write_csv(out))?;
+    if as_json {
+        output::print(json!({
+            "output": to.to_string_lossy(),
+            "scenario": scenario.name,
+            "seed": seed,
+            "rows": table.rows(),
+            "columns": table.names().collect::<Vec<_>>(),
+        }))?;
+    } else {
+        let columns: Vec<&str> = table.names().collect();
+        let rows = table.rows();
+        output::print(format_args!("{}: {rows} rows of {}", to.display(), columns.join(", ")))?;
+    }
+    Ok(Outcome::Done)
+}
+
+/// A bar on standard error; none for a short run, or where nobody watches.
+fn progress(rows: f64) -> ProgressBar {
+    if rows < LONG_RUN_ROWS {
+        return ProgressBar::hidden();
+    }
+    let style = ProgressStyle::with_template("{msg} {wide_bar} {percent} % {eta}");
+    // A number of rows is whole and far below what a u64 holds.
+    ProgressBar::with_draw_target(Some(rows as u64), ProgressDrawTarget::stderr())
+        .with_style(style.expect("the template is a constant"))
+        .with_message("simulating")
+}

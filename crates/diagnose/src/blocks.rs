@@ -1,0 +1,109 @@
+//! Blocks that are left out in turn, to see what a term is worth on data that it has not seen.
+//!
+//! Whole files where there are several, whole runs where there are at least three, else stretches of
+//! the record; single rows only where there is no time and few rows, as in a table of readings.
+
+use crate::{
+    fit::{Problem, fit},
+    model::Model,
+    noise::Chance,
+};
+
+/// The fold of each group.
+#[derive(Clone, Debug)]
+pub(crate) struct Folds {
+    of_group: Vec<usize>,
+    pub count: usize,
+    /// What is left out at once: "files", "runs", "stretches", "readings".
+    pub what: &'static str,
+    /// Finer blocks, for intervals: the number of each group's.
+    block: Vec<usize>,
+    blocks: usize,
+}
+
+/// Stretches of a record.
+const STRETCHES: usize = 5;
+
+impl Folds {
+    /// The folds; blocks for intervals are at least five correlation times of `memory` steps long.
+    pub(crate) fn new(problem: &Problem, memory: f64) -> Self {
+        let groups = &problem.groups;
+        let count = groups.len();
+        let data = &problem.data;
+        let runs = numbered(&groups.first_row, data.run.as_deref());
+        let run_count = runs.iter().max().map_or(0, |most| most + 1);
+        let (of_group, count_folds, what) = if data.files > 1 {
+            (groups.file.clone(), data.files, "files")
+        } else if run_count >= 3 {
+            (runs, run_count, "runs")
+        } else if data.time_s.is_none() && count <= 50 {
+            ((0..count).collect(), count, "readings")
+        } else {
+            let of = |group: usize| group * STRETCHES / count;
+            ((0..count).map(of).collect(), STRETCHES, "stretches")
+        };
+        let least = (5.0 * memory).max(1.0);
+        let blocks = ((count as f64 / least) as usize).clamp(6, 40).min(count);
+        let block = (0..count).map(|group| group * blocks / count).collect();
+        Self { of_group, count: count_folds, what, block, blocks }
+    }
+
+    /// What `model`, fitted to the others, leaves in each group, each fold left out in turn.
+    pub(crate) fn left_out(&self, problem: &Problem, model: &Model) -> Vec<f64> {
+        let mut residual = vec![0.0; self.of_group.len()];
+        for fold in 0..self.count {
+            let mask: Vec<bool> = self.of_group.iter().map(|&of| of != fold).collect();
+            let fitted = fit(problem, model, Some(&mask));
+            for (group, &of) in self.of_group.iter().enumerate() {
+                if of == fold {
+                    residual[group] = fitted.residual[group];
+                }
+            }
+        }
+        residual
+    }
+
+    /// The reduction of the RMS from `before` to `after`, 1 − after/before, with its 95 % interval:
+    /// whole blocks drawn again and again.
+    pub(crate) fn reduction(&self, before: &[f64], after: &[f64]) -> (f64, [f64; 2]) {
+        let mut sums = vec![[0.0; 2]; self.blocks];
+        for (group, &block) in self.block.iter().enumerate() {
+            sums[block][0] += before[group] * before[group];
+            sums[block][1] += after[group] * after[group];
+        }
+        let of = |[before, after]: [f64; 2]| {
+            if before > 0.0 { 1.0 - (after / before).sqrt() } else { 0.0 }
+        };
+        let add = |a: [f64; 2], b: &[f64; 2]| [a[0] + b[0], a[1] + b[1]];
+        let value = of(sums.iter().fold([0.0; 2], add));
+        let mut chance = Chance::new(self.blocks as u64);
+        let mut draws: Vec<f64> = (0..400)
+            .map(|_| {
+                let pick = (0..self.blocks).map(|_| sums[chance.below(self.blocks)]);
+                of(pick.fold([0.0; 2], |a, b| add(a, &b)))
+            })
+            .collect();
+        draws.sort_by(f64::total_cmp);
+        (value, [draws[9], draws[389]])
+    }
+}
+
+/// The runs numbered from 0 in the order in which they come, by group.
+fn numbered(first_row: &[usize], run: Option<&[f64]>) -> Vec<usize> {
+    let Some(run) = run else { return Vec::new() };
+    let mut known: Vec<u64> = Vec::new();
+    first_row
+        .iter()
+        .map(|&row| {
+            let value = run[row].to_bits();
+            known.iter().position(|&there| there == value).unwrap_or_else(|| {
+                known.push(value);
+                known.len() - 1
+            })
+        })
+        .collect()
+}
+
+pub(crate) fn rms(values: &[f64]) -> f64 {
+    (values.iter().map(|v| v * v).sum::<f64>() / values.len().max(1) as f64).sqrt()
+}

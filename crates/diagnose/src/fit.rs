@@ -1,0 +1,314 @@
+//! All terms at once to all rows: least squares by Gauss, Newton, Levenberg and Marquardt.
+//!
+//! Plain least squares on purpose, also where the noise has a memory: weights that follow the noise
+//! trust the quick part of a misfit and predict worse where the model is not quite right (measured on
+//! `spindle_sjtu`: a path that halves the error of the hold-out looks worthless to them). The memory
+//! is in the intervals instead: the sandwich (XᵀX)⁻¹·Xᵀ·V·X·(XᵀX)⁻¹ with the noise's covariance V.
+
+use crate::{
+    data::{Data, Groups},
+    linear::{dot, solve},
+    model::{Kind, Model, Scale, basis},
+    noise::{self, Noise},
+};
+
+/// A fitted model, and what it leaves.
+#[derive(Clone, Debug)]
+pub(crate) struct Fitted {
+    pub model: Model,
+    /// Measured minus predicted, in groups.
+    pub residual: Vec<f64>,
+    /// Σ residual² over the groups that were fitted to.
+    pub sum: f64,
+    /// How many values were fitted.
+    pub degrees: usize,
+}
+
+impl Fitted {
+    pub(crate) fn rms(&self) -> f64 {
+        (dot(&self.residual, &self.residual) / self.residual.len().max(1) as f64).sqrt()
+    }
+}
+
+/// Data, and its groups of rows.
+#[derive(Clone, Debug)]
+pub(crate) struct Problem {
+    pub data: Data,
+    pub groups: Groups,
+    /// What was measured, in groups.
+    pub measured: Vec<f64>,
+    /// Bounds that a value must keep, from the extent of the data.
+    pub bounds: Bounds,
+}
+
+/// What nonlinear values may be.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Bounds {
+    /// Time constants, in s.
+    pub time_constant_s: [f64; 2],
+    /// Times of the record, in s.
+    pub time_s: [f64; 2],
+    /// Periods, in mm.
+    pub period_mm: [f64; 2],
+    /// The model's prediction, in µm.
+    pub prediction_um: [f64; 2],
+}
+
+impl Problem {
+    pub(crate) fn new(data: Data, groups: Groups) -> Self {
+        let measured = groups.means(&data.measured);
+        let bounds = bounds(&data, &groups);
+        Self { data, groups, measured, bounds }
+    }
+
+    /// Measured minus predicted, in groups.
+    pub(crate) fn residual(&self, model: &Model) -> Vec<f64> {
+        let predicted = self.groups.means(&model.predict(&self.data));
+        self.measured.iter().zip(predicted).map(|(m, p)| m - p).collect()
+    }
+
+    /// Whether all values of the model are physically possible and inside what the data can show.
+    fn keep(&self, model: &mut Model) {
+        for part in &mut model.parts {
+            let held = |value: &mut f64, [low, high]: [f64; 2]| *value = value.clamp(low, high);
+            match part.kind {
+                Kind::ThermalLag
+                | Kind::SlowMode
+                | Kind::SlowModeOf { .. }
+                | Kind::ExtraHeatPath { has_lag: true, .. }
+                | Kind::GrowthRate
+                | Kind::CoolingAsymmetry => {
+                    held(&mut part.values[0], self.bounds.time_constant_s);
+                }
+                Kind::TimeShift => {
+                    // Clocks that differ by more are not a matter of two clocks.
+                    let [low, high] = self.bounds.time_s;
+                    let rows = self.data.rows as f64 / self.data.files as f64;
+                    let most = (high - low) * (40.0 / rows).min(0.1);
+                    held(&mut part.values[0], [-most, most]);
+                }
+                Kind::SensorSaturation => {
+                    held(&mut part.values[0], self.bounds.prediction_um);
+                }
+                Kind::PitchPeriodic { .. } => held(&mut part.values[0], self.bounds.period_mm),
+                // A gain that turns the sign, or is off by more than a factor of five, is another
+                // machine's.
+                Kind::SensorGain => held(&mut part.values[0], [-0.8, 4.0]),
+                // A growth that is not within a factor of two of what is believed is not the same
+                // growth: another path carries it.
+                Kind::GrowthAmplitude => held(&mut part.values[0], [-0.5, 1.0]),
+                _ => {}
+            }
+        }
+    }
+}
+
+fn bounds(data: &Data, groups: &Groups) -> Bounds {
+    let extent = |values: &mut dyn Iterator<Item = f64>| {
+        values.filter(|value| value.is_finite()).fold(
+            [f64::INFINITY, f64::NEG_INFINITY],
+            |[low, high], value| [low.min(value), high.max(value)],
+        )
+    };
+    let finite = |[low, high]: [f64; 2], none: [f64; 2]| if low < high { [low, high] } else { none };
+    let time_s = data.time_s.as_ref().map_or([0.0, 1.0], |times| {
+        finite(extent(&mut times.iter().copied()), [0.0, 1.0])
+    });
+    // The longest of the series: what is slower than that is not seen.
+    let longest_s = data.time_s.as_ref().map_or(1.0, |times| {
+        let mut longest: f64 = 0.0;
+        let mut start = 0;
+        for row in 1..=data.rows {
+            if row == data.rows || data.restart[row] {
+                let range = extent(&mut times[start..row].iter().copied());
+                longest = longest.max(range[1] - range[0]);
+                start = row;
+            }
+        }
+        if longest > 0.0 { longest } else { 1.0 }
+    });
+    let step_s = longest_s * data.files as f64 / (data.rows as f64).max(2.0);
+    let own = data.own_position();
+    let range = own.map_or([0.0, 1.0], |mm| finite(extent(&mut mm.iter().copied()), [0.0, 1.0]));
+    let prediction = Model::default().predict(data);
+    let prediction_um = finite(extent(&mut prediction.iter().copied()), [0.0, 1.0]);
+    Bounds {
+        time_constant_s: [0.2 * step_s, 3.0 * longest_s],
+        time_s,
+        period_mm: [
+            (range[1] - range[0]) / groups.len().max(2) as f64,
+            0.7 * (range[1] - range[0]),
+        ],
+        prediction_um,
+    }
+}
+
+/// Which value of which part a column of the Jacobian belongs to; none: the constant.
+pub(crate) type Place = Option<(usize, usize)>;
+
+/// The change of the prediction with each value (in groups); logarithmic values by their logarithm.
+pub(crate) fn jacobian(problem: &Problem, model: &Model) -> (Vec<Place>, Vec<Vec<f64>>) {
+    let Problem { data, groups, .. } = problem;
+    let mut places: Vec<Place> = Vec::new();
+    let mut columns = Vec::new();
+    let has_shift = model.has(&Kind::TimeShift);
+    let mut here: Option<Vec<f64>> = None;
+    for (index, part) in model.parts.iter().enumerate() {
+        let nonlinear = part.kind.nonlinear();
+        // What is only added is its own derivative.
+        let is_added = part.kind.rank() == 4 && !has_shift;
+        if is_added && part.kind.amplitudes() > 0 {
+            let unit = basis(&part.kind, &part.values[..nonlinear.len()], data, &[]);
+            let is_of_elongation = part.kind.is_of_elongation(data);
+            for (number, mut column) in unit.into_iter().enumerate() {
+                if is_of_elongation {
+                    column.iter_mut().zip(&data.along).for_each(|(c, along)| *c *= along);
+                }
+                places.push(Some((index, nonlinear.len() + number)));
+                columns.push(groups.means(&column));
+            }
+        }
+        let numeric = if is_added { nonlinear.len() } else { part.values.len() };
+        for number in 0..numeric {
+            let mut moved = model.clone();
+            let value = part.values[number];
+            let is_log = nonlinear.get(number) == Some(&Scale::Logarithmic);
+            let step = derivative_step(problem, &part.kind, value, is_log);
+            moved.parts[index].values[number] =
+                if is_log { value * step.exp() } else { value + step };
+            let base = here.get_or_insert_with(|| groups.means(&model.predict(data)));
+            let there = groups.means(&moved.predict(data));
+            let column = there.iter().zip(base.iter()).map(|(t, b)| (t - b) / step).collect();
+            places.push(Some((index, number)));
+            columns.push(column);
+        }
+    }
+    if model.constant_um.is_some() {
+        places.push(None);
+        columns.push(vec![1.0; groups.len()]);
+    }
+    (places, columns)
+}
+
+fn derivative_step(problem: &Problem, kind: &Kind, value: f64, is_log: bool) -> f64 {
+    let [start_s, end_s] = problem.bounds.time_s;
+    match kind {
+        Kind::PitchPeriodic { .. } | Kind::ReferenceInstrument { .. } if is_log => 1e-7,
+        _ if is_log => 1e-4,
+        Kind::TimeShift => 0.05 * (end_s - start_s) / problem.data.rows as f64,
+        Kind::SensorSaturation => {
+            1e-4 * (problem.bounds.prediction_um[1] - problem.bounds.prediction_um[0])
+        }
+        _ => 1e-6 * value.abs().max(1e-3),
+    }
+}
+
+/// Fits all values of `model` by least squares over the groups in `mask` (all where there is none).
+/// The time of a step is not moved: it is searched, not fitted.
+pub(crate) fn fit(problem: &Problem, model: &Model, mask: Option<&[bool]>) -> Fitted {
+    let masked = |residual: &[f64]| match mask {
+        None => dot(residual, residual),
+        Some(mask) => {
+            residual.iter().zip(mask).filter(|(_, used)| **used).map(|(r, _)| r * r).sum()
+        }
+    };
+    let mut model = model.clone();
+    problem.keep(&mut model);
+    let mut residual = problem.residual(&model);
+    let mut sum = masked(&residual);
+    let mut damping: f64 = 0.0;
+    let is_linear = model.parts.iter().all(|part| {
+        let nonlinear = part.kind.nonlinear().len();
+        part.kind.rank() == 4 && (nonlinear == 0 || part.kind == Kind::Step)
+    });
+    let mut degrees = 0;
+    for _ in 0..if is_linear { 1 } else { 30 } {
+        let (mut places, mut columns) = jacobian(problem, &model);
+        let is_step = |place: &Place| {
+            place.is_some_and(|(part, value)| model.parts[part].kind == Kind::Step && value == 0)
+        };
+        if let Some(at) = places.iter().position(is_step) {
+            places.remove(at);
+            columns.remove(at);
+        }
+        degrees = places.len();
+        let mut improved = false;
+        for _ in 0..6 {
+            let solution = solve(&columns, &residual, mask, damping);
+            let mut moved = model.clone();
+            for (place, change) in places.iter().zip(&solution.coefficients) {
+                match place {
+                    None => moved.constant_um = Some(moved.constant_um.unwrap_or(0.0) + change),
+                    Some((part, value)) => {
+                        let part = &mut moved.parts[*part];
+                        let is_log =
+                            part.kind.nonlinear().get(*value) == Some(&Scale::Logarithmic);
+                        let value = &mut part.values[*value];
+                        if is_log {
+                            // At most by a factor e² at once.
+                            *value *= change.clamp(-2.0, 2.0).exp();
+                        } else {
+                            *value += change;
+                        }
+                    }
+                }
+            }
+            problem.keep(&mut moved);
+            let there = problem.residual(&moved);
+            let there_sum = masked(&there);
+            if there_sum <= sum {
+                improved = sum - there_sum > 1e-7 * sum;
+                (model, residual, sum) = (moved, there, there_sum);
+                damping *= 0.2;
+                if damping < 1e-9 {
+                    damping = 0.0;
+                }
+                break;
+            }
+            damping = if damping == 0.0 { 1e-3 } else { damping * 8.0 };
+        }
+        if !improved {
+            break;
+        }
+    }
+    Fitted { model, residual, sum, degrees }
+}
+
+
+/// The standard deviations of the fitted values, under noise of this memory: logarithmic ones of the
+/// logarithm.
+pub(crate) struct Spread {
+    pub places: Vec<Place>,
+    pub covariance: Vec<Vec<f64>>,
+    /// Independent rows less the fitted values.
+    pub freedom: f64,
+}
+
+pub(crate) fn spread(problem: &Problem, fitted: &Fitted, noise: Noise) -> Spread {
+    let (places, columns) = jacobian(problem, &fitted.model);
+    let steps = &problem.groups.steps;
+    let solution = solve(&columns, &fitted.residual, None, 0.0);
+    let rows = fitted.residual.len() as f64;
+    let effective = noise::effective_rows(noise, steps);
+    // Noise that is used up by the fit is given back, as much of it as was independent.
+    let freedom = (rows - columns.len() as f64).max(1.0);
+    let slow_share = (1.0 - noise.white) * columns.len() as f64 / effective.max(1.0);
+    let variance = fitted.sum / freedom / (1.0 - slow_share.min(0.5));
+    let weighted: Vec<Vec<f64>> =
+        columns.iter().map(|column| noise::covariance_times(noise, steps, column)).collect();
+    let count = columns.len();
+    let middle: Vec<Vec<f64>> = (0..count)
+        .map(|i| (0..count).map(|j| dot(&columns[i], &weighted[j])).collect())
+        .collect();
+    let inverse = &solution.inverse;
+    let product = |a: &[Vec<f64>], b: &[Vec<f64>]| -> Vec<Vec<f64>> {
+        (0..count)
+            .map(|i| {
+                (0..count).map(|j| (0..count).map(|k| a[i][k] * b[k][j]).sum::<f64>()).collect()
+            })
+            .collect()
+    };
+    let mut covariance = product(&product(inverse, &middle), inverse);
+    covariance.iter_mut().flatten().for_each(|value| *value *= variance);
+    Spread { places, covariance, freedom: (effective - count as f64).max(3.0) }
+}

@@ -1,0 +1,112 @@
+//! What the simulation gets wrong, its cause, the model extended by it, and the gain.
+//!
+//! [`diagnose`] compares a machine file with measured runs. What is left is searched for physical
+//! causes, each a term with parameters; a term is added if it explains more than noise with a memory
+//! would let any term explain, if it predicts blocks that were left out, and as long as something is
+//! left. The form of the answer is fixed (`interfaces.md` section 5).
+//!
+//! | module | does |
+//! |---|---|
+//! | `data` | the runs as one table, with what the model says |
+//! | `model` | all terms in columns, fast |
+//! | `fit` | all values at once by least squares, intervals under correlated noise |
+//! | `noise` | noise with a memory: its likelihood, its covariance, draws of it |
+//! | `candidates`, `waves` | which causes the data allow, and where the search for each begins |
+//! | `scan` | which of them explain more than noise would; limits from drawn noise |
+//! | `blocks` | left-out files, runs and stretches |
+//! | `search` | term by term, rivals, exchange |
+//! | `outliers`, `repeats` | gross errors; what does not come back |
+//! | `diagnosis` | intervals, gain, verdict |
+//! | `report`, `html`, `figure`, `extended`, `terms`, `words` | the answer, for scripts and for people |
+#![forbid(unsafe_code)]
+
+mod blocks;
+mod candidates;
+mod data;
+mod diagnosis;
+mod extended;
+mod figure;
+mod fit;
+mod html;
+mod linear;
+mod model;
+mod noise;
+mod outliers;
+mod repeats;
+pub mod report;
+mod scan;
+mod search;
+mod terms;
+mod waves;
+mod words;
+
+use std::{
+    io::{self, Write},
+    path::Path,
+};
+
+pub use diagnosis::{Diagnosis, Progress, diagnose};
+pub use report::{Report, Verdict};
+use trueup_machine::BadInput;
+
+impl Diagnosis {
+    /// `diagnosis.json`.
+    ///
+    /// # Errors
+    /// None that is known: all of it can be written as JSON.
+    pub fn json(&self) -> Result<String, serde_json::Error> {
+        serde_json::to_string_pretty(&self.report)
+    }
+
+    /// `report.html`, of a machine of this name.
+    #[must_use]
+    pub fn html(&self, machine_name: &str) -> String {
+        html::html(self, machine_name)
+    }
+
+    /// The verdict in a sentence.
+    #[must_use]
+    pub fn sentence(&self) -> String {
+        html::verdict_sentence(self)
+    }
+
+    /// `extended.toml`: the machine file `source` (at `path`, for errors) with the terms.
+    ///
+    /// # Errors
+    /// `source` is no machine file.
+    pub fn extended(&self, source: &str, path: &Path) -> Result<String, BadInput> {
+        extended::extended(source, path, &self.terms)
+    }
+
+    /// `residuals.csv`: each row with what was predicted and what is left.
+    ///
+    /// # Errors
+    /// `out` cannot be written.
+    pub fn write_residuals(&self, out: &mut dyn Write) -> io::Result<()> {
+        writeln!(
+            out,
+            "file,row,time_s,measured_um,predicted_before_um,predicted_after_um,\
+             residual_before_um,residual_after_um,set_aside"
+        )?;
+        let data = &self.data;
+        let (mut file, mut first) = (0, 0);
+        for row in 0..data.rows {
+            if data.file[row] != file {
+                (file, first) = (data.file[row], row);
+            }
+            write!(out, "{},{},", file + 1, row - first + 1)?;
+            let time_s = data.time_s.as_ref().map_or(f64::NAN, |times| times[row]);
+            let (measured, before, after) = (data.measured[row], self.before[row], self.after[row]);
+            let cells = [time_s, measured, before, after, measured - before, measured - after];
+            for value in cells {
+                if value.is_finite() {
+                    write!(out, "{value:.6},")?;
+                } else {
+                    out.write_all(b",")?;
+                }
+            }
+            writeln!(out, "{}", u8::from(self.aside[row]))?;
+        }
+        Ok(())
+    }
+}

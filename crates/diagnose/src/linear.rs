@@ -1,0 +1,121 @@
+//! Small least-squares problems, dense and without surprises: columns scaled, then Cholesky.
+
+/// Coefficients of a least-squares fit, and the inverse of its normal matrix.
+#[derive(Clone, Debug)]
+pub(crate) struct Solution {
+    pub coefficients: Vec<f64>,
+    /// (XᵀX)⁻¹, row by row.
+    pub inverse: Vec<Vec<f64>>,
+}
+
+pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// Solves (XᵀX + damping·diag)·b = Xᵀy over the rows in `mask`; a column that is a combination of
+/// those before it gets the coefficient 0.
+pub(crate) fn solve(
+    columns: &[Vec<f64>],
+    target: &[f64],
+    mask: Option<&[bool]>,
+    damping: f64,
+) -> Solution {
+    let count = columns.len();
+    let product = |a: &[f64], b: &[f64]| match mask {
+        None => dot(a, b),
+        Some(mask) => {
+            a.iter().zip(b).zip(mask).map(|((a, b), &used)| if used { a * b } else { 0.0 }).sum()
+        }
+    };
+    let scale: Vec<f64> = columns
+        .iter()
+        .map(|column| {
+            let norm = product(column, column).sqrt();
+            if norm > 0.0 { norm.recip() } else { 0.0 }
+        })
+        .collect();
+    let mut normal = vec![vec![0.0; count]; count];
+    let mut right = vec![0.0; count];
+    for i in 0..count {
+        for j in 0..=i {
+            let value = product(&columns[i], &columns[j]) * scale[i] * scale[j];
+            normal[i][j] = value;
+            normal[j][i] = value;
+        }
+        right[i] = product(&columns[i], target) * scale[i];
+    }
+    for (i, row) in normal.iter_mut().enumerate() {
+        row[i] += damping;
+    }
+    // Cholesky, with what depends on others left out.
+    const DEPENDENT: f64 = 1e-11;
+    let mut lower = vec![vec![0.0; count]; count];
+    for i in 0..count {
+        for j in 0..i {
+            let sum: f64 = (0..j).map(|k| lower[i][k] * lower[j][k]).sum();
+            lower[i][j] = if lower[j][j] > 0.0 { (normal[i][j] - sum) / lower[j][j] } else { 0.0 };
+        }
+        let sum: f64 = (0..i).map(|k| lower[i][k] * lower[i][k]).sum();
+        let rest = normal[i][i] - sum;
+        lower[i][i] = if rest > DEPENDENT && scale[i] > 0.0 { rest.sqrt() } else { 0.0 };
+    }
+    let back = |mut b: Vec<f64>| -> Vec<f64> {
+        for i in 0..count {
+            let sum: f64 = (0..i).map(|k| lower[i][k] * b[k]).sum();
+            b[i] = if lower[i][i] > 0.0 { (b[i] - sum) / lower[i][i] } else { 0.0 };
+        }
+        for i in (0..count).rev() {
+            let sum: f64 = (i + 1..count).map(|k| lower[k][i] * b[k]).sum();
+            b[i] = if lower[i][i] > 0.0 { (b[i] - sum) / lower[i][i] } else { 0.0 };
+        }
+        b
+    };
+    let coefficients: Vec<f64> =
+        back(right).iter().zip(&scale).map(|(b, scale)| b * scale).collect();
+    let inverse = (0..count)
+        .map(|i| {
+            let mut unit = vec![0.0; count];
+            unit[i] = 1.0;
+            back(unit).iter().enumerate().map(|(j, v)| v * scale[i] * scale[j]).collect()
+        })
+        .collect();
+    Solution { coefficients, inverse }
+}
+
+/// Makes `vectors` orthonormal to `basis` (which is orthonormal) and to each other; what vanishes is
+/// left out.
+pub(crate) fn orthonormal(basis: &[Vec<f64>], vectors: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+    let mut own: Vec<Vec<f64>> = Vec::with_capacity(vectors.len());
+    for mut vector in vectors {
+        let before = dot(&vector, &vector);
+        // Twice is enough (Kahan and Parlett).
+        for _ in 0..2 {
+            for other in basis.iter().chain(&own) {
+                let share = dot(&vector, other);
+                vector.iter_mut().zip(other).for_each(|(v, o)| *v -= share * o);
+            }
+        }
+        let after = dot(&vector, &vector);
+        if after > 1e-12 * before && after > 0.0 {
+            let scale = after.sqrt().recip();
+            vector.iter_mut().for_each(|v| *v *= scale);
+            own.push(vector);
+        }
+    }
+    own
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_is_found_and_a_repeated_column_is_left_out() {
+        let x: Vec<f64> = (0..10).map(f64::from).collect();
+        let y: Vec<f64> = x.iter().map(|x| 3.0 - 0.5 * x).collect();
+        let columns = [vec![1.0; 10], x.clone(), x.clone()];
+        let found = solve(&columns, &y, None, 0.0).coefficients;
+        assert!((found[0] - 3.0).abs() < 1e-12 && (found[1] + 0.5).abs() < 1e-12);
+        assert_eq!(found[2], 0.0);
+    }
+}

@@ -1,0 +1,320 @@
+//! Noise with a memory, and what it does to a fit.
+//!
+//! The noise of a series is the sum of a white part (share w of the variance) and a first-order
+//! Gauss–Markov part whose correlation dies out as e^(−Δt/t_c):
+//!
+//! ```text
+//! s ← φ·s + √(1 − φ²)·√(1 − w)·ε      φ = e^(−Δt/t_c)
+//! e = s + √w·ε'
+//! ```
+//!
+//! Rows at any spacing and gaps are exact. The inverse root of its covariance is applied by the
+//! Kalman filter of this model (Harvey 1989, section 3.4), O(n) a vector. With w = 0 and equal steps
+//! it is the usual prewhitening by an AR(1).
+//!
+//! t_c is at most [`longest_memory`]: a longer one cannot be told from structure in a record of that
+//! length, and would let the noise explain everything.
+
+use std::f64::consts::TAU;
+
+/// t_c in steps and the white share.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Noise {
+    /// Correlation time in median steps; 0: white.
+    pub memory: f64,
+    /// Share of the variance that is white, 0…1.
+    pub white: f64,
+}
+
+impl Noise {
+    pub(crate) const WHITE: Self = Self { memory: 0.0, white: 1.0 };
+
+    fn decay(&self, steps: f64) -> f64 {
+        if self.memory <= 0.0 { 0.0 } else { (-steps / self.memory).exp() }
+    }
+
+    /// Correlation between rows `steps` apart, above 0.
+    #[cfg(test)]
+    fn correlation(&self, steps: f64) -> f64 {
+        (1.0 - self.white) * self.decay(steps)
+    }
+}
+
+/// The longest correlation time in steps that `rows` rows can show: 2·√n, as the bandwidth of
+/// consistent covariance estimates grows, and never more than a sixth of the record.
+pub(crate) fn longest_memory(rows: usize) -> f64 {
+    let rows = rows as f64;
+    (2.0 * rows.sqrt()).min(rows / 6.0).max(1.0)
+}
+
+/// The steps between rows: each row's distance from the one before in median steps; infinite where
+/// a new series begins.
+#[derive(Clone, Debug)]
+pub(crate) struct Steps(pub Vec<f64>);
+
+/// The inverse root of a noise's covariance, for given rows.
+pub(crate) struct Whitener {
+    decay: Vec<f64>,
+    gain: Vec<f64>,
+    scale: Vec<f64>,
+    /// ln det of the covariance at variance 1.
+    pub log_det: f64,
+}
+
+impl Whitener {
+    pub(crate) fn new(noise: Noise, steps: &Steps) -> Self {
+        let rows = steps.0.len();
+        let mut it = Self {
+            decay: Vec::with_capacity(rows),
+            gain: Vec::with_capacity(rows),
+            scale: Vec::with_capacity(rows),
+            log_det: 0.0,
+        };
+        let stationary = 1.0 - noise.white;
+        let mut variance = stationary;
+        let (mut last_steps, mut last_decay) = (f64::NAN, 0.0);
+        for &steps in &steps.0 {
+            let decay = if steps.is_infinite() {
+                0.0
+            } else {
+                if steps != last_steps {
+                    (last_steps, last_decay) = (steps, noise.decay(steps));
+                }
+                last_decay
+            };
+            variance = decay * decay * variance + (1.0 - decay * decay) * stationary;
+            let innovation = variance + noise.white;
+            let gain = variance / innovation;
+            variance *= 1.0 - gain;
+            it.decay.push(decay);
+            it.gain.push(gain);
+            it.scale.push(innovation.sqrt().recip());
+            it.log_det += innovation.ln();
+        }
+        it
+    }
+
+    pub(crate) fn apply(&self, values: &[f64]) -> Vec<f64> {
+        let mut state = 0.0;
+        let mut out = Vec::with_capacity(values.len());
+        for (((value, decay), gain), scale) in
+            values.iter().zip(&self.decay).zip(&self.gain).zip(&self.scale)
+        {
+            state *= decay;
+            let innovation = value - state;
+            out.push(innovation * scale);
+            state += gain * innovation;
+        }
+        out
+    }
+}
+
+/// Covariance (at variance 1) times a vector: two recursions, O(n).
+pub(crate) fn covariance_times(noise: Noise, steps: &Steps, values: &[f64]) -> Vec<f64> {
+    let share = 1.0 - noise.white;
+    let mut out: Vec<f64> = values.to_vec();
+    if share == 0.0 {
+        return out;
+    }
+    let rows = values.len();
+    let decay: Vec<f64> = steps
+        .0
+        .iter()
+        .map(|&steps| if steps.is_infinite() { 0.0 } else { noise.decay(steps) })
+        .collect();
+    let mut sum = 0.0;
+    for row in 1..rows {
+        sum = decay[row] * (sum + values[row - 1]);
+        out[row] += share * sum;
+    }
+    sum = 0.0;
+    for row in (0..rows.saturating_sub(1)).rev() {
+        sum = decay[row + 1] * (sum + values[row + 1]);
+        out[row] += share * sum;
+    }
+    out
+}
+
+/// How many independent rows are worth as much for a mean as these correlated ones.
+pub(crate) fn effective_rows(noise: Noise, steps: &Steps) -> f64 {
+    let rows = steps.0.len();
+    let ones = vec![1.0; rows];
+    let sum: f64 = covariance_times(noise, steps, &ones).iter().sum();
+    let rows = rows as f64;
+    (rows * rows / sum).clamp(1.0, rows)
+}
+
+/// −2 ln of the likelihood at the best variance, but for a constant.
+pub(crate) fn deviance(whitener: &Whitener, residual: &[f64]) -> f64 {
+    let rows = residual.len() as f64;
+    let sum: f64 = whitener.apply(residual).iter().map(|e| e * e).sum();
+    rows * (sum / rows).max(f64::MIN_POSITIVE).ln() + whitener.log_det
+}
+
+/// A grid of noises up to `longest` steps of memory; the first is white.
+pub(crate) fn grid(longest: f64) -> Vec<Noise> {
+    let mut noises = vec![Noise::WHITE];
+    let mut memory = longest;
+    while memory > 0.4 && noises.len() < 21 {
+        for white in [0.0, 0.4, 0.8] {
+            noises.push(Noise { memory, white });
+        }
+        memory /= 2.6;
+    }
+    noises
+}
+
+/// The most likely noise of a residual, its memory at most `longest`.
+///
+/// `parameters` have been fitted to the residual: each takes a piece of the slow part away, which a
+/// plain maximum of the likelihood would read as a shorter memory. The memory is corrected for it
+/// by its first-order bias, (1 + 3ρ)/n and ρ/n for each parameter more (Kendall 1954).
+pub(crate) fn estimate(residual: &[f64], steps: &Steps, longest: f64, parameters: usize) -> Noise {
+    if residual.len() < 8 || residual.iter().all(|&e| e == 0.0) {
+        return Noise::WHITE;
+    }
+    let of = |noise: Noise| deviance(&Whitener::new(noise, steps), residual);
+    let mut best = (of(Noise::WHITE), Noise::WHITE);
+    // A memory is only believed if it is worth its parameters.
+    let price = (residual.len() as f64).ln();
+    for noise in grid(longest).into_iter().skip(1) {
+        let there = of(noise) + price;
+        if there < best.0 {
+            best = (there, noise);
+        }
+    }
+    if best.1 == Noise::WHITE {
+        return Noise::WHITE;
+    }
+    for factor in [1.5, 1.25, 1.1, 1.05] {
+        for _ in 0..6 {
+            let Noise { memory, white } = best.1;
+            let around = [
+                Noise { memory: (memory * factor).min(longest), white },
+                Noise { memory: memory / factor, white },
+                Noise { memory, white: (white + 0.2 * (factor - 1.0)).min(0.98) },
+                Noise { memory, white: (white - 0.2 * (factor - 1.0)).max(0.0) },
+            ];
+            let before = best.0;
+            for noise in around {
+                let there = of(noise) + price;
+                if there < best.0 {
+                    best = (there, noise);
+                }
+            }
+            if best.0 >= before {
+                break;
+            }
+        }
+    }
+    let rho = (-1.0 / best.1.memory).exp();
+    let rows = residual.len() as f64;
+    let bias = (1.0 + 3.0 * rho + parameters as f64 * rho) / rows;
+    let corrected = (rho + bias).min(0.9999);
+    let memory = (-1.0 / corrected.ln()).min(longest).max(best.1.memory);
+    Noise { memory, ..best.1 }
+}
+
+/// Numbers that look drawn by chance: SplitMix64 (Steele, Lea and Flood 2014), always the same for a
+/// seed.
+#[derive(Clone, Debug)]
+pub(crate) struct Chance(u64);
+
+impl Chance {
+    pub(crate) fn new(seed: u64) -> Self {
+        Self(seed)
+    }
+
+    pub(crate) fn next_u64(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^ (z >> 31)
+    }
+
+    /// In (0, 1].
+    fn uniform(&mut self) -> f64 {
+        ((self.next_u64() >> 11) as f64 + 1.0) / (1_u64 << 53) as f64
+    }
+
+    /// Below `end`.
+    pub(crate) fn below(&mut self, end: usize) -> usize {
+        ((self.uniform() * end as f64) as usize).min(end - 1)
+    }
+
+    /// Two of the standard normal distribution (Box and Muller).
+    pub(crate) fn normals(&mut self) -> [f64; 2] {
+        let radius = (-2.0 * self.uniform().ln()).sqrt();
+        let (sin, cos) = (TAU * self.uniform()).sin_cos();
+        [radius * cos, radius * sin]
+    }
+}
+
+/// A draw of the noise at variance 1.
+pub(crate) fn draw(noise: Noise, steps: &Steps, chance: &mut Chance) -> Vec<f64> {
+    let slow = (1.0 - noise.white).sqrt();
+    let quick = noise.white.sqrt();
+    let mut state = 0.0;
+    steps
+        .0
+        .iter()
+        .map(|&steps| {
+            let decay = if steps.is_infinite() { 0.0 } else { noise.decay(steps) };
+            let [a, b] = chance.normals();
+            state = decay * state + (1.0 - decay * decay).sqrt() * a;
+            slow * state + quick * b
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn steps(rows: usize) -> Steps {
+        let mut steps = vec![1.0; rows];
+        steps[0] = f64::INFINITY;
+        Steps(steps)
+    }
+
+    #[test]
+    fn whitened_noise_has_variance_one_and_no_memory() {
+        let noise = Noise { memory: 30.0, white: 0.2 };
+        let steps = steps(20_000);
+        let drawn = draw(noise, &steps, &mut Chance::new(1));
+        let white = Whitener::new(noise, &steps).apply(&drawn);
+        let mean_square = white.iter().map(|e| e * e).sum::<f64>() / white.len() as f64;
+        let next: f64 = white.windows(2).map(|pair| pair[0] * pair[1]).sum::<f64>();
+        let next = next / white.len() as f64;
+        println!("variance {mean_square:.4}, correlation of neighbours {next:.4}");
+        assert!((mean_square - 1.0).abs() < 0.04 && next.abs() < 0.03);
+    }
+
+    #[test]
+    fn the_covariance_is_that_of_the_formula() {
+        let noise = Noise { memory: 5.0, white: 0.3 };
+        let mut steps = steps(40);
+        steps.0[20] = f64::INFINITY;
+        steps.0[7] = 3.5;
+        let mut unit = vec![0.0; 40];
+        unit[5] = 1.0;
+        let column = covariance_times(noise, &steps, &unit);
+        assert!((column[5] - 1.0).abs() < 1e-12);
+        assert!((column[7] - noise.correlation(4.5)).abs() < 1e-12);
+        assert_eq!(column[20], 0.0);
+    }
+
+    #[test]
+    fn the_memory_is_found_again() {
+        for (memory, white) in [(0.0, 1.0), (5.0, 0.0), (33.0, 0.0), (20.0, 0.5)] {
+            let noise = Noise { memory, white };
+            let steps = steps(3000);
+            let drawn = draw(noise, &steps, &mut Chance::new(7));
+            let found = estimate(&drawn, &steps, longest_memory(3000), 0);
+            println!("{noise:?} found as {found:?}");
+            let (there, here) = (effective_rows(noise, &steps), effective_rows(found, &steps));
+            assert!((there / here).ln().abs() < 0.5, "{there} {here}");
+        }
+    }
+}

@@ -1,0 +1,166 @@
+//! The answer in the form that scripts read: `diagnosis.json` (`interfaces.md` section 5).
+
+use serde::Serialize;
+
+/// The whole answer.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// Of this form.
+    pub schema: u32,
+    /// Rows of all runs.
+    pub rows: usize,
+    /// Rows that were both measured and predicted, and not set aside.
+    pub rows_used: usize,
+    /// What was compared.
+    pub quantity: String,
+    /// The noise of one reading, in µm: what no model could explain.
+    pub noise_um: f64,
+    /// Correlation time of the noise in s, or in rows where there is no time; 0: none.
+    pub noise_memory: f64,
+    /// What the machine file as it is leaves.
+    pub before: Before,
+    /// What the extended one leaves.
+    pub after: After,
+    /// `clean`, `explained`, `partly-explained`, `unexplained` or `do-not-compensate`.
+    pub verdict: Verdict,
+    /// Why, a sentence each.
+    pub reasons: Vec<String>,
+    /// In the order in which they were added.
+    pub findings: Vec<Finding>,
+    /// Causes that were tried and not taken.
+    pub rejected: Vec<Rejected>,
+}
+
+/// Errors without the extension, in µm.
+#[derive(Clone, Debug, Serialize)]
+pub struct Before {
+    /// Root mean square.
+    pub rms_um: f64,
+    /// Largest.
+    pub max_um: f64,
+    /// On the hold-out; on left-out blocks where there is none.
+    pub holdout_rms_um: f64,
+}
+
+/// Errors with the extension, in µm.
+#[derive(Clone, Debug, Serialize)]
+pub struct After {
+    /// Root mean square.
+    pub rms_um: f64,
+    /// Largest.
+    pub max_um: f64,
+    /// On the hold-out; on left-out blocks where there is none.
+    pub holdout_rms_um: f64,
+    /// The same with only the terms that a board may correct.
+    pub compensated_holdout_rms_um: f64,
+}
+
+/// What came out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Verdict {
+    /// Nothing but noise.
+    Clean,
+    /// No test of structure fires on what is left.
+    Explained,
+    /// There is more, or two causes cannot be told apart.
+    PartlyExplained,
+    /// Structure, but no cause fits.
+    Unexplained,
+    /// The machine does not repeat.
+    DoNotCompensate,
+}
+
+impl Verdict {
+    /// Its name in the report.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Clean => "clean",
+            Self::Explained => "explained",
+            Self::PartlyExplained => "partly-explained",
+            Self::Unexplained => "unexplained",
+            Self::DoNotCompensate => "do-not-compensate",
+        }
+    }
+
+    /// Whether all that was found is noise or explained.
+    #[must_use]
+    pub fn is_met(self) -> bool {
+        matches!(self, Self::Clean | Self::Explained)
+    }
+}
+
+/// One cause.
+#[derive(Clone, Debug, Serialize)]
+pub struct Finding {
+    /// Its name.
+    pub cause: String,
+    /// The column that it hangs on, where there is a choice.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub column: Option<String>,
+    /// Whether the data tell it from all other causes.
+    pub claimed: bool,
+    /// Whether the board corrects it.
+    pub compensated: bool,
+    /// Of the cause against the best rival, 0…1.
+    pub confidence: f64,
+    /// By name, with units in the names.
+    pub parameters: serde_json::Map<String, serde_json::Value>,
+    /// What it brings.
+    pub gain: Gain,
+    /// The cause in a sentence.
+    pub sentence: String,
+    /// A sentence each.
+    pub evidence: Vec<String>,
+    /// What else was tried in its place.
+    pub rivals: Vec<Rival>,
+    /// The measurement that would settle what is still open.
+    pub next_test: String,
+}
+
+/// What a term brings.
+#[derive(Clone, Debug, Serialize)]
+pub struct Gain {
+    /// On the rows that were fitted.
+    pub rms_before_um: f64,
+    /// On the rows that were fitted.
+    pub rms_after_um: f64,
+    /// On blocks that were left out of the fit.
+    pub left_out_before_um: f64,
+    /// On blocks that were left out of the fit.
+    pub left_out_after_um: f64,
+    /// 1 − after/before, left out.
+    pub reduction: f64,
+    /// Its 95 % interval.
+    pub ci95: [f64; 2],
+}
+
+/// Another cause in a finding's place.
+#[derive(Clone, Debug, Serialize)]
+pub struct Rival {
+    /// Its name.
+    pub cause: String,
+    /// Its column.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub column: Option<String>,
+    /// How much worse its score is (a difference of BIC).
+    pub score_gap: f64,
+}
+
+/// A cause that was tried and not taken.
+#[derive(Clone, Debug, Serialize)]
+pub struct Rejected {
+    /// Its name.
+    pub cause: String,
+    /// Its column.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub column: Option<String>,
+    /// Why.
+    pub reason: String,
+    /// What would be left with it, in µm.
+    pub rms_um: f64,
+    /// What would be left on left-out blocks, in µm, where that was worked out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub left_out_um: Option<f64>,
+}

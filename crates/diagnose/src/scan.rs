@@ -1,0 +1,320 @@
+//! Which candidates explain more than noise would let them.
+//!
+//! Every candidate at every setting is projected out of the residual, beside what the model's own
+//! values could absorb. Two statistics are kept for each:
+//!
+//! ```text
+//! T = D₀ − D₁ − k·ln n              D = min over the noises of −2 ln(likelihood)
+//! U = −m·ln(1 − R²) − k·ln m        m = independent rows of the residual
+//! ```
+//!
+//! T lets the memory of the noise be another with the candidate than without: the memory that is
+//! fitted without it may be the effect itself, and the one fitted with it is not biased by it. It
+//! sees quick effects under slow noise, and smooth ones that leave white noise. U sees slow misfits
+//! that the likelihood would leave to the noise.
+//!
+//! How large they get by chance is found by trying the same candidates, all of them, on noise that
+//! is drawn with the memory of the residual: the largest value of each draw follows a Gumbel
+//! distribution, whose upper quantile is the limit. So the false alarm rate is that of the whole
+//! search, not of one test, whatever the columns are and however they resemble each other.
+
+use std::thread;
+
+use crate::{
+    candidates::Candidate,
+    fit::{Problem, jacobian},
+    linear::{dot, orthonormal},
+    model::{Model, Part, basis},
+    noise::{self, Chance, Noise, Whitener},
+};
+
+/// Chance that noise passes the limit of one statistic in one search.
+const FALSE_ALARM: f64 = 0.001;
+/// Draws of noise.
+const DRAWS: usize = 48;
+
+/// A candidate at its best setting.
+#[derive(Clone, Debug)]
+pub(crate) struct Hit {
+    /// Its number among the candidates.
+    pub candidate: usize,
+    pub part: Part,
+    /// Whether a constant comes with it.
+    pub with_constant: bool,
+    /// T and U.
+    pub by_likelihood: f64,
+    pub by_squares: f64,
+    /// Whether either is above its limit.
+    pub is_significant: bool,
+}
+
+/// The outcome of a search.
+pub(crate) struct Scan {
+    /// The best setting of each candidate, with and without a constant.
+    pub hits: Vec<Hit>,
+    /// The limits of T and U, where noise had to be drawn.
+    pub limits: Option<[f64; 2]>,
+}
+
+struct Trial {
+    candidate: usize,
+    setting: Vec<f64>,
+    with_constant: bool,
+    /// A change of fixed size, with no amplitude to fit.
+    is_fixed: bool,
+    columns: Vec<Vec<f64>>,
+    degrees: f64,
+}
+
+/// What a part at these nonlinear values would add, in groups; whether its size is fixed.
+fn effect(
+    problem: &Problem,
+    model: &Model,
+    here: &[f64],
+    candidate: &Candidate,
+    setting: &[f64],
+) -> (Vec<Vec<f64>>, bool) {
+    let Problem { data, groups, .. } = problem;
+    let kind = &candidate.kind;
+    if kind.rank() == 4 {
+        let is_of_elongation = kind.is_of_elongation(data);
+        let columns = basis(kind, setting, data, &[])
+            .into_iter()
+            .map(|mut column| {
+                if is_of_elongation {
+                    column.iter_mut().zip(&data.along).for_each(|(c, along)| *c *= along);
+                }
+                groups.means(&column)
+            })
+            .collect();
+        return (columns, false);
+    }
+    let is_fixed = kind.amplitudes() == 0 && !kind.nonlinear().is_empty();
+    let step = if is_fixed { 1.0 } else { 1e-4 };
+    let mut values = setting.to_vec();
+    values.resize(kind.nonlinear().len() + kind.amplitudes(), step);
+    let mut with = model.clone();
+    with.parts.push(Part { kind: kind.clone(), values });
+    with.sort();
+    let there = groups.means(&with.predict(data));
+    (vec![there.iter().zip(here).map(|(t, h)| (t - h) / step).collect()], is_fixed)
+}
+
+/// Tries `candidates` on what `model` leaves. `draw` noise for the limits only if it is asked for
+/// and something may pass them.
+pub(crate) fn scan(
+    problem: &Problem,
+    model: &Model,
+    residual: &[f64],
+    candidates: &[Candidate],
+    draw: bool,
+) -> Scan {
+    let groups = &problem.groups;
+    let rows = groups.len();
+    let here = groups.means(&model.predict(&problem.data));
+    let mut trials = Vec::new();
+    for (number, candidate) in candidates.iter().enumerate() {
+        for setting in &candidate.settings {
+            let (columns, is_fixed) = effect(problem, model, &here, candidate, setting);
+            if columns.iter().flatten().any(|value| !value.is_finite()) {
+                continue;
+            }
+            let may_have = model.constant_um.is_none() && candidate.kind.has_reference();
+            // As many values as can be told from so many rows.
+            let degrees = candidate.kind.degrees();
+            if 3 * (degrees + 1) > rows {
+                continue;
+            }
+            if may_have {
+                let mut columns = columns.clone();
+                columns.push(vec![1.0; rows]);
+                trials.push(Trial {
+                    candidate: number,
+                    setting: setting.clone(),
+                    with_constant: true,
+                    is_fixed,
+                    columns,
+                    degrees: degrees as f64 + 1.0,
+                });
+            }
+            trials.push(Trial {
+                candidate: number,
+                setting: setting.clone(),
+                with_constant: false,
+                is_fixed,
+                columns,
+                degrees: degrees as f64,
+            });
+        }
+    }
+    let longest = noise::longest_memory(groups.rows() as usize) / groups.size as f64;
+    let (_, nuisance) = jacobian(problem, model);
+    let own = noise::estimate(residual, &groups.steps, longest.max(1.0), nuisance.len());
+    let independent = noise::effective_rows(own, &groups.steps).max(3.0);
+    let sigma = (dot(residual, residual) / rows as f64).sqrt();
+    let noises = noise::grid(longest.max(1.0));
+    let price: Vec<f64> = trials
+        .iter()
+        .map(|trial| 2.0 * candidates[trial.candidate].searched)
+        .collect();
+
+    let real = statistics(&trials, &nuisance, &[residual.to_vec()], problem, &noises, independent);
+    let value = |trial: usize, all: &[Vec<[f64; 2]>], draw: usize| {
+        let [t, u] = all[trial][draw];
+        [t - price[trial], u - price[trial]]
+    };
+    let best = |all: &[Vec<[f64; 2]>], draw: usize| {
+        (0..trials.len()).fold([f64::NEG_INFINITY; 2], |best, trial| {
+            let [t, u] = value(trial, all, draw);
+            [best[0].max(t), best[1].max(u)]
+        })
+    };
+    let observed = best(&real, 0);
+    let limits = (draw && observed.iter().any(|value| *value > 0.0) && !trials.is_empty()).then(|| {
+        let mut chance = Chance::new(0x7472_7565_7570 ^ rows as u64);
+        let drawn: Vec<Vec<f64>> = (0..DRAWS)
+            .map(|_| {
+                let mut e = noise::draw(own, &groups.steps, &mut chance);
+                e.iter_mut().for_each(|e| *e *= sigma);
+                e
+            })
+            .collect();
+        let all = statistics(&trials, &nuisance, &drawn, problem, &noises, independent);
+        let most: Vec<[f64; 2]> = (0..DRAWS).map(|draw| best(&all, draw)).collect();
+        [0, 1].map(|which| gumbel_limit(most.iter().map(|most| most[which])))
+    });
+    let mut hits: Vec<Hit> = Vec::new();
+    for (number, trial) in trials.iter().enumerate() {
+        let [by_likelihood, by_squares] = value(number, &real, 0);
+        let candidate = &candidates[trial.candidate];
+        let is_significant = limits.is_some_and(|[t, u]| by_likelihood > t || by_squares > u);
+        let mut values = trial.setting.clone();
+        values.resize(candidate.kind.degrees(), 0.0);
+        let hit = Hit {
+            candidate: trial.candidate,
+            part: Part { kind: candidate.kind.clone(), values },
+            with_constant: trial.with_constant,
+            by_likelihood,
+            by_squares,
+            is_significant,
+        };
+        let there = hits.iter_mut().find(|there| {
+            there.candidate == hit.candidate && there.with_constant == hit.with_constant
+        });
+        match there {
+            Some(there) if there.by_squares < hit.by_squares => {
+                let significant = there.is_significant || hit.is_significant;
+                let by_likelihood = there.by_likelihood.max(hit.by_likelihood);
+                *there = Hit { is_significant: significant, by_likelihood, ..hit };
+            }
+            Some(there) => {
+                there.is_significant |= hit.is_significant;
+                there.by_likelihood = there.by_likelihood.max(hit.by_likelihood);
+            }
+            None => hits.push(hit),
+        }
+    }
+    Scan { hits, limits }
+}
+
+/// The value that the largest of a search on noise passes with the chance [`FALSE_ALARM`], by the
+/// moments of a Gumbel distribution.
+fn gumbel_limit(values: impl Iterator<Item = f64>) -> f64 {
+    const EULER: f64 = 0.577_215_664_901_532_9;
+    let values: Vec<f64> = values.filter(|value| value.is_finite()).collect();
+    let count = values.len().max(1) as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / count;
+    let scale = variance.sqrt() * 6.0_f64.sqrt() / std::f64::consts::PI;
+    mean - EULER * scale - scale * (-(-FALSE_ALARM).ln_1p()).ln()
+}
+
+/// T and U of each trial on each of `lists`.
+fn statistics(
+    trials: &[Trial],
+    nuisance: &[Vec<f64>],
+    lists: &[Vec<f64>],
+    problem: &Problem,
+    noises: &[Noise],
+    independent: f64,
+) -> Vec<Vec<[f64; 2]>> {
+    let steps = &problem.groups.steps;
+    let rows = problem.groups.len() as f64;
+    let mut base = vec![f64::INFINITY; lists.len()];
+    let mut with = vec![vec![f64::INFINITY; lists.len()]; trials.len()];
+    let mut share = vec![vec![0.0_f64; lists.len()]; trials.len()];
+    for (which, &noise) in noises.iter().enumerate() {
+        let whitener = Whitener::new(noise, steps);
+        let white = |columns: &[Vec<f64>]| -> Vec<Vec<f64>> {
+            columns.iter().map(|column| whitener.apply(column)).collect()
+        };
+        let basis = orthonormal(&[], white(nuisance));
+        let project = |mut list: Vec<f64>| {
+            for column in &basis {
+                let share = dot(&list, column);
+                list.iter_mut().zip(column).for_each(|(v, c)| *v -= share * c);
+            }
+            list
+        };
+        let lists: Vec<Vec<f64>> = lists.iter().map(|list| project(whitener.apply(list))).collect();
+        let sums: Vec<f64> = lists.iter().map(|list| dot(list, list)).collect();
+        let deviance = |sum: f64| rows * (sum / rows).max(1e-300).ln() + whitener.log_det;
+        for (base, sum) in base.iter_mut().zip(&sums) {
+            *base = base.min(deviance(*sum));
+        }
+        let gains = |trial: &Trial| -> Vec<f64> {
+            if trial.is_fixed {
+                let change = project(whitener.apply(&trial.columns[0]));
+                let own = dot(&change, &change);
+                return lists.iter().map(|list| 2.0 * dot(list, &change) - own).collect();
+            }
+            let own = orthonormal(&basis, white(&trial.columns));
+            lists
+                .iter()
+                .map(|list| own.iter().map(|column| dot(list, column).powi(2)).sum())
+                .collect()
+        };
+        // Each on a core of its own.
+        let cores = thread::available_parallelism().map_or(1, usize::from).min(8);
+        let part = trials.len().div_ceil(cores).max(1);
+        let all: Vec<Vec<f64>> = if trials.len() * rows as usize * lists.len() < 2_000_000 {
+            trials.iter().map(gains).collect()
+        } else {
+            thread::scope(|scope| {
+                let workers: Vec<_> = trials
+                    .chunks(part)
+                    .map(|trials| scope.spawn(|| trials.iter().map(gains).collect::<Vec<_>>()))
+                    .collect();
+                let join = |worker: thread::ScopedJoinHandle<'_, Vec<Vec<f64>>>| {
+                    worker.join().expect("arithmetic does not panic")
+                };
+                workers.into_iter().flat_map(join).collect()
+            })
+        };
+        for (trial, gains) in all.iter().enumerate() {
+            for (list, gain) in gains.iter().enumerate() {
+                // More than all cannot be explained but by rounding.
+                let left = (sums[list] - gain).max(1e-12 * sums[list]);
+                with[trial][list] = with[trial][list].min(deviance(left));
+                if which == 0 && sums[list] > 0.0 {
+                    share[trial][list] = 1.0 - left / sums[list];
+                }
+            }
+        }
+    }
+    let length = rows.ln();
+    trials
+        .iter()
+        .enumerate()
+        .map(|(number, trial)| {
+            (0..lists.len())
+                .map(|list| {
+                    let t = base[list] - with[number][list] - trial.degrees * length;
+                    let left = 1.0 - share[number][list];
+                    let u = -independent * left.ln() - trial.degrees * independent.ln();
+                    [t, u]
+                })
+                .collect()
+        })
+        .collect()
+}

@@ -1,0 +1,589 @@
+//! The search: a term is added as long as one explains more than noise would, and predicts what it
+//! has not seen.
+//!
+//! ```text
+//! scan all causes ─► significant? ─► fit with all terms ─► score ─► gain on left-out blocks ─► add
+//!        ▲                                                                               │
+//!        └────────── is another cause better in a term's place? is it still needed? ◄────┘
+//! ```
+//!
+//! The score is the Bayesian information criterion, −2 ln(likelihood) + k·ln n, with the memory of the
+//! noise estimated for each model from what it leaves. Scores that are less than [`TIE`] apart are
+//! equal; then the simpler cause wins, among those the one that predicts left-out blocks better, and
+//! the machine's own model and sensors come before others.
+
+use crate::{
+    blocks::{Folds, rms},
+    candidates::{Candidate, possible, structure},
+    data::Data,
+    fit::{Fitted, Problem, fit},
+    model::{Kind, Model, Part},
+    noise::{self, Noise, Whitener},
+    scan::{Hit, scan},
+};
+
+/// Scores nearer than that are equal.
+pub(crate) const TIE: f64 = 6.0;
+/// Most terms of one diagnosis.
+const MOST_TERMS: usize = 8;
+/// Candidates that are fitted with everything else, of those that a scan puts first.
+const FITTED: usize = 10;
+
+/// What was tried in a place, and what it came to.
+#[derive(Clone, Debug)]
+pub(crate) struct Tried {
+    pub kind: Kind,
+    pub values: Vec<f64>,
+    pub score: f64,
+    pub rms_um: f64,
+    /// 0 where it was not worked out.
+    pub left_out_um: f64,
+    /// Empty: taken.
+    pub why_not: String,
+    /// The model with it.
+    pub model: Model,
+}
+
+/// A term that was added, with what it brought.
+#[derive(Clone, Debug)]
+pub(crate) struct Added {
+    pub kind: Kind,
+    pub before: Gain,
+    pub tried: Vec<Tried>,
+}
+
+/// What a term brought when it was added.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Gain {
+    pub rms_before_um: f64,
+    pub rms_after_um: f64,
+    pub left_out_before_um: f64,
+    pub left_out_after_um: f64,
+    pub reduction: f64,
+    pub ci95: [f64; 2],
+}
+
+/// The outcome.
+pub(crate) struct Found {
+    pub fitted: Fitted,
+    /// In the order in which they were added.
+    pub added: Vec<Added>,
+    /// What was tried at the end and not taken.
+    pub rejected: Vec<Tried>,
+    /// Tests of structure that fire on what is left: a sentence each.
+    pub structure: Vec<String>,
+    pub noise: Noise,
+    pub folds: Folds,
+}
+
+/// Independent rows of a residual, and its noise.
+pub(crate) fn independent(problem: &Problem, residual: &[f64], degrees: usize) -> (Noise, f64) {
+    let longest = noise::longest_memory(problem.groups.rows() as usize) / problem.groups.size as f64;
+    let noise = noise::estimate(residual, &problem.groups.steps, longest.max(1.0), degrees);
+    (noise, noise::effective_rows(noise, &problem.groups.steps).max(3.0))
+}
+
+/// What a model counts for where simplicity counts.
+pub(crate) fn degrees(model: &Model) -> usize {
+    let parts: usize = model.parts.iter().map(|part| part.kind.degrees()).sum();
+    parts + usize::from(model.constant_um.is_some())
+}
+
+pub(crate) fn score(problem: &Problem, fitted: &Fitted) -> f64 {
+    let steps = &problem.groups.steps;
+    let rows = fitted.residual.len() as f64;
+    let degrees = degrees(&fitted.model);
+    let (noise, _) = independent(problem, &fitted.residual, 0);
+    let memory = if noise == Noise::WHITE { 0.0 } else { 2.0 };
+    noise::deviance(&Whitener::new(noise, steps), &fitted.residual)
+        + (degrees as f64 + memory) * rows.ln()
+}
+
+fn with(model: &Model, hit: &Hit) -> Model {
+    let mut with = model.clone();
+    with.parts.push(hit.part.clone());
+    if hit.with_constant {
+        with.constant_um = Some(0.0);
+    }
+    if with.constant_um.is_some() {
+        // A zero of its own is in the constant now.
+        with.parts.retain(|part| part.kind != Kind::SensorOffset);
+    }
+    with.sort();
+    with
+}
+
+/// The candidates that a scan puts first, fitted with everything else. All where there is no need
+/// to be significant.
+fn fitted_hits(
+    problem: &Problem,
+    model: &Model,
+    residual: &[f64],
+    candidates: &[Candidate],
+    hits: &[Hit],
+    most: usize,
+) -> Vec<(Hit, Fitted)> {
+    let mut order: Vec<&Hit> = hits.iter().collect();
+    order.sort_by(|a, b| b.by_squares.total_cmp(&a.by_squares));
+    let mut chosen: Vec<&Hit> = order.iter().take(most).copied().collect();
+    order.sort_by(|a, b| b.by_likelihood.total_cmp(&a.by_likelihood));
+    for hit in order.iter().take(most / 2) {
+        if !chosen.iter().any(|there| {
+            there.candidate == hit.candidate && there.with_constant == hit.with_constant
+        }) {
+            chosen.push(hit);
+        }
+    }
+    let _ = candidates;
+    chosen
+        .into_iter()
+        .map(|hit| {
+            let mut start = with(model, hit);
+            begin(problem, residual, &mut start, &hit.part.kind);
+            let mut fitted = fit(problem, &start, None);
+            if hit.part.kind == Kind::Step {
+                fitted = refine_step(problem, fitted);
+            }
+            (hit.clone(), fitted)
+        })
+        .collect()
+}
+
+/// Amplitudes to begin from, where 0 leaves no derivative for the nonlinear values.
+fn begin(problem: &Problem, residual: &[f64], model: &mut Model, kind: &Kind) {
+    let nonlinear = kind.nonlinear().len();
+    if nonlinear == 0 || kind.amplitudes() == 0 {
+        return;
+    }
+    let Some(index) = model.parts.iter().position(|part| part.kind == *kind) else { return };
+    let values = model.parts[index].values[..nonlinear].to_vec();
+    let mut columns: Vec<Vec<f64>> =
+        crate::model::basis(kind, &values, &problem.data, &[])
+            .into_iter()
+            .map(|mut column| {
+                if kind.is_of_elongation(&problem.data) {
+                    column.iter_mut().zip(&problem.data.along).for_each(|(c, a)| *c *= a);
+                }
+                problem.groups.means(&column)
+            })
+            .collect();
+    if model.constant_um.is_some() {
+        columns.push(vec![1.0; problem.groups.len()]);
+    }
+    let found = crate::linear::solve(&columns, residual, None, 0.0).coefficients;
+    for (number, amplitude) in found.iter().take(kind.amplitudes()).enumerate() {
+        model.parts[index].values[nonlinear + number] = *amplitude;
+    }
+}
+
+/// The time of a step by trying every group around.
+fn refine_step(problem: &Problem, fitted: Fitted) -> Fitted {
+    let Some(index) = fitted.model.parts.iter().position(|part| part.kind == Kind::Step) else {
+        return fitted;
+    };
+    let Some(times) = problem.data.time_s.as_deref() else { return fitted };
+    let groups = &problem.groups;
+    let at_s = fitted.model.parts[index].values[0];
+    let size = fitted.model.parts[index].values[1];
+    let count = groups.len();
+    let here = (0..count)
+        .find(|&group| times[groups.first_row[group]] >= at_s)
+        .unwrap_or(count - 1);
+    let around = (count / 40).max(3);
+    // What would be left if the step came at another group: Σ of the change of the squares.
+    let (low, high) = (here.saturating_sub(around).max(1), (here + around).min(count - 1));
+    let mut best = (0.0, here);
+    let mut change = 0.0;
+    for group in (low..here).rev() {
+        // This group gets the step as well.
+        let r = fitted.residual[group];
+        change += (r - size).powi(2) - r * r;
+        if change < best.0 {
+            best = (change, group);
+        }
+    }
+    change = 0.0;
+    for group in here..high {
+        // This group loses it.
+        let r = fitted.residual[group];
+        change += (r + size).powi(2) - r * r;
+        if change < best.0 {
+            best = (change, group + 1);
+        }
+    }
+    if best.1 == here {
+        return fitted;
+    }
+    let mut model = fitted.model.clone();
+    model.parts[index].values[0] = times[groups.first_row[best.1]];
+    let moved = fit(problem, &model, None);
+    if moved.sum < fitted.sum { moved } else { fitted }
+}
+
+/// The search on `problem`, from the model as it is. `progress` hears what is being tried, and how
+/// far the search has come (0…1).
+pub(crate) fn search(
+    problem: &Problem,
+    start: Model,
+    progress: &mut dyn FnMut(&str, f64),
+) -> Found {
+    let mut fitted = fit(problem, &start, None);
+    let mut added: Vec<Added> = Vec::new();
+    let mut rejected: Vec<Tried> = Vec::new();
+    let mut structure_left = Vec::new();
+    let mut refused: Vec<Kind> = Vec::new();
+    let mut looked_ahead = false;
+    for round in 0..=MOST_TERMS {
+        progress("looking for a cause", round as f64 / (MOST_TERMS + 1) as f64);
+        let candidates = possible(problem, &fitted.model, &fitted.residual);
+        let scanned = scan(problem, &fitted.model, &fitted.residual, &candidates, true);
+        let hits: Vec<Hit> =
+            scanned.hits.iter().filter(|hit| hit.is_significant).cloned().collect();
+        if std::env::var_os("TRUEUP_TRACE").is_some() {
+            trace(problem, &fitted, &scanned.hits, scanned.limits);
+        }
+        let options =
+            fitted_hits(problem, &fitted.model, &fitted.residual, &candidates, &hits, FITTED);
+        let chosen = choose(problem, &fitted, options, &candidates, &mut refused, progress);
+        let Some((taken, tried, gain)) = chosen.0 else {
+            if !looked_ahead && !added.is_empty() {
+                looked_ahead = true;
+                progress("looking two terms ahead", f64::NAN);
+                if look_ahead(problem, &mut fitted, &mut added) {
+                    improve(problem, &mut fitted, &mut added);
+                    continue;
+                }
+            }
+            rejected = chosen.1;
+            let not_taken: Vec<Hit> = scanned.hits;
+            for tried in &rejected {
+                if tried.why_not.starts_with("no gain") {
+                    structure_left.push(format!(
+                        "{} is more than noise, but has no gain on left-out {}",
+                        name(&tried.kind),
+                        Folds::new(problem, 1.0).what
+                    ));
+                }
+            }
+            add_insignificant(problem, &fitted, &not_taken, &mut rejected);
+            break;
+        };
+        let kind = taken.1;
+        fitted = taken.0;
+        added.retain(|there| fitted.model.has(&there.kind));
+        added.push(Added { kind, before: gain, tried });
+        if added.len() == MOST_TERMS {
+            break;
+        }
+        if added.len() > 1 {
+            progress("comparing with rivals", (round as f64 + 0.7) / (MOST_TERMS + 1) as f64);
+            improve(problem, &mut fitted, &mut added);
+        }
+    }
+    // Structure that no cause explains.
+    let curves = structure(problem);
+    let scanned = scan(problem, &fitted.model, &fitted.residual, &curves, true);
+    for hit in scanned.hits.iter().filter(|hit| hit.is_significant) {
+        if let Kind::Curve { column, by_direction, .. } = &hit.part.kind {
+            let ways = if *by_direction { ", differently in each direction" } else { "" };
+            structure_left.push(format!("what is left goes with {column}{ways}"));
+        }
+    }
+    let (noise, _) = independent(problem, &fitted.residual, degrees(&fitted.model));
+    let folds = Folds::new(problem, noise.memory);
+    Found { fitted, added, rejected, structure: structure_left, noise, folds }
+}
+
+fn trace(problem: &Problem, fitted: &Fitted, hits: &[Hit], limits: Option<[f64; 2]>) {
+    let (noise, m) = independent(problem, &fitted.residual, degrees(&fitted.model));
+    eprintln!("rms {:.4} {noise:?} m {m:.1} limits {limits:?} {:?}", fitted.rms(), fitted.model);
+    let mut order: Vec<&Hit> = hits.iter().collect();
+    order.sort_by(|a, b| b.by_squares.total_cmp(&a.by_squares));
+    for hit in order.iter().take(12) {
+        eprintln!(
+            "   {} {:?} const {} T {:.1} U {:.1} {}",
+            name(&hit.part.kind),
+            &hit.part.values[..hit.part.values.len().min(3)],
+            hit.with_constant,
+            hit.by_likelihood,
+            hit.by_squares,
+            hit.is_significant
+        );
+    }
+}
+
+/// What was not even significant is in the report with its numbers.
+fn add_insignificant(problem: &Problem, fitted: &Fitted, hits: &[Hit], into: &mut Vec<Tried>) {
+    for hit in hits {
+        if into.iter().any(|tried| name(&tried.kind) == name(&hit.part.kind)) {
+            continue;
+        }
+        let best = hits
+            .iter()
+            .filter(|there| name(&there.part.kind) == name(&hit.part.kind))
+            .max_by(|a, b| a.by_likelihood.total_cmp(&b.by_likelihood))
+            .unwrap_or(hit);
+        into.push(Tried {
+            kind: best.part.kind.clone(),
+            values: best.part.values.clone(),
+            score: -best.by_likelihood.max(best.by_squares),
+            rms_um: fitted.rms(),
+            left_out_um: 0.0,
+            why_not: "not more than noise would show".into(),
+            model: fitted.model.clone(),
+        });
+    }
+    let _ = problem;
+}
+
+type Chosen = (Option<((Fitted, Kind), Vec<Tried>, Gain)>, Vec<Tried>);
+
+/// The option to take, and the others.
+fn choose(
+    problem: &Problem,
+    before: &Fitted,
+    options: Vec<(Hit, Fitted)>,
+    candidates: &[Candidate],
+    refused: &mut Vec<Kind>,
+    progress: &mut dyn FnMut(&str, f64),
+) -> Chosen {
+    if options.is_empty() {
+        return (None, Vec::new());
+    }
+    // The memory of the noise is that of what the best of them leaves.
+    let best_fit = options
+        .iter()
+        .min_by(|a, b| a.1.sum.total_cmp(&b.1.sum))
+        .map(|(_, fitted)| fitted)
+        .unwrap_or(before);
+    let (noise, _) = independent(problem, &best_fit.residual, degrees(&best_fit.model));
+    let folds = Folds::new(problem, noise.memory);
+    let mut scored: Vec<(f64, Hit, Fitted)> = options
+        .into_iter()
+        .map(|(hit, fitted)| (score(problem, &fitted), hit, fitted))
+        .filter(|(_, hit, _)| !refused.contains(&hit.part.kind))
+        .collect();
+    scored.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let left_before = folds.left_out(problem, &before.model);
+    let mut tried: Vec<Tried> = Vec::new();
+    while !scored.is_empty() {
+        let best = scored[0].0;
+        let tie = scored.iter().take_while(|(score, ..)| *score < best + TIE).count();
+        // Of the equal ones: the simplest, then the one that predicts best.
+        let equal: Vec<(f64, Hit, Fitted)> = scored.drain(..tie).collect();
+        let mut judged: Vec<(usize, f64, Vec<f64>, (f64, Hit, Fitted))> = equal
+            .into_iter()
+            .map(|it| {
+                progress(name(&it.1.part.kind), f64::NAN);
+                let left = folds.left_out(problem, &it.2.model);
+                let tier = candidates[it.1.candidate].tier;
+                let own = rms(&left) * (1.0 + 0.03 * f64::from(tier));
+                (degrees(&it.2.model), own, left, it)
+            })
+            .collect();
+        judged.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        if std::env::var_os("TRUEUP_TRACE").is_some() {
+            for (degrees, own, left, (score, hit, fitted)) in &judged {
+                eprintln!(
+                    "  ? {} {:?} k {degrees} own {own:.4} left {:.4} score {score:.2} rms {:.4}",
+                    name(&hit.part.kind),
+                    hit.part.kind,
+                    rms(left),
+                    fitted.rms()
+                );
+            }
+        }
+        let mut taken = None;
+        for (_, _, left, (score, hit, fitted)) in judged {
+            let (reduction, ci95) = folds.reduction(&left_before, &left);
+            let gains = ci95[0] > 0.0;
+            let kind = hit.part.kind.clone();
+            let values = fitted
+                .model
+                .parts
+                .iter()
+                .find(|part| part.kind == kind)
+                .map_or_else(Vec::new, |part| part.values.clone());
+            let mut it = Tried {
+                kind: kind.clone(),
+                values,
+                score,
+                rms_um: fitted.rms(),
+                left_out_um: rms(&left),
+                why_not: String::new(),
+                model: fitted.model.clone(),
+            };
+            if taken.is_none() && gains {
+                let gain = Gain {
+                    rms_before_um: before.rms(),
+                    rms_after_um: fitted.rms(),
+                    left_out_before_um: rms(&left_before),
+                    left_out_after_um: rms(&left),
+                    reduction,
+                    ci95,
+                };
+                taken = Some(((fitted, kind), gain));
+            } else {
+                it.why_not = if gains {
+                    "another explains it as well and is simpler, or predicts better".into()
+                } else {
+                    format!(
+                        "no gain on left-out {}: {:.3} µm before, {:.3} µm with it",
+                        folds.what,
+                        rms(&left_before),
+                        rms(&left)
+                    )
+                };
+            }
+            tried.push(it);
+        }
+        if let Some((taken, gain)) = taken {
+            return (Some((taken, tried, gain)), Vec::new());
+        }
+    }
+    (None, tried)
+}
+
+/// Tries, for each term, whether it is still needed, and whether another cause does better in its
+/// place now that others are there.
+fn improve(problem: &Problem, fitted: &mut Fitted, added: &mut Vec<Added>) {
+    for _ in 0..2 {
+        let mut changed = false;
+        for index in (0..added.len()).rev() {
+            let kind = added[index].kind.clone();
+            if !fitted.model.has(&kind) {
+                continue;
+            }
+            let others = in_its_place(problem, fitted, &kind, 6);
+            let own = score(problem, fitted);
+            let best = others
+                .into_iter()
+                .map(|(with, other)| (score(problem, &other), with, other))
+                .min_by(|a, b| a.0.total_cmp(&b.0));
+            if let Some((there, with, other)) = best
+                && (there < own - TIE || with.is_none() && there <= own)
+            {
+                *fitted = other;
+                match with {
+                    Some(with) => added[index].kind = with,
+                    None => {
+                        added.remove(index);
+                    }
+                }
+                changed = true;
+            }
+        }
+        if !changed {
+            break;
+        }
+    }
+}
+
+/// Two terms may do together what the one that is there does nearly as well alone. Tries, in the
+/// place of each term, each good rival together with the best that can then be added.
+fn look_ahead(problem: &Problem, fitted: &mut Fitted, added: &mut Vec<Added>) -> bool {
+    let own = score(problem, fitted);
+    let folds = Folds::new(problem, independent(problem, &fitted.residual, 0).0.memory);
+    let left = rms(&folds.left_out(problem, &fitted.model));
+    let mut best: Option<(f64, usize, Kind, Kind, Fitted)> = None;
+    for (index, there) in added.iter().enumerate() {
+        for (with, rival) in in_its_place(problem, fitted, &there.kind, 4) {
+            let Some(with) = with else { continue };
+            let candidates = possible(problem, &rival.model, &rival.residual);
+            let scanned = scan(problem, &rival.model, &rival.residual, &candidates, false);
+            let pairs =
+                fitted_hits(problem, &rival.model, &rival.residual, &candidates, &scanned.hits, 3);
+            for (hit, pair) in pairs {
+                let score = score(problem, &pair);
+                if score < own - TIE && best.as_ref().is_none_or(|best| score < best.0) {
+                    best = Some((score, index, with.clone(), hit.part.kind, pair));
+                }
+            }
+        }
+    }
+    let Some((_, index, first, second, pair)) = best else { return false };
+    let after = rms(&folds.left_out(problem, &pair.model));
+    if after >= left {
+        return false;
+    }
+    *fitted = pair;
+    let gain = Gain {
+        left_out_before_um: left,
+        left_out_after_um: after,
+        ..added[index].before
+    };
+    added[index].kind = first;
+    added.push(Added { kind: second, before: gain, tried: Vec::new() });
+    true
+}
+
+/// The model without `kind` (none), and with each other cause in its place.
+pub(crate) fn in_its_place(
+    problem: &Problem,
+    fitted: &Fitted,
+    kind: &Kind,
+    most: usize,
+) -> Vec<(Option<Kind>, Fitted)> {
+    let mut without = fitted.model.clone();
+    without.parts.retain(|part| part.kind != *kind);
+    // A constant that only came with a reference goes with it.
+    let needs_zero = problem.data.quantity.axis().is_some()
+        || without.parts.iter().any(|part| part.kind.has_reference());
+    if !needs_zero {
+        without.constant_um = None;
+    }
+    let reduced = fit(problem, &without, None);
+    let candidates: Vec<Candidate> = possible(problem, &reduced.model, &reduced.residual)
+        .into_iter()
+        .filter(|candidate| candidate.kind != *kind)
+        .collect();
+    let scanned = scan(problem, &reduced.model, &reduced.residual, &candidates, false);
+    let mut all: Vec<(Option<Kind>, Fitted)> =
+        fitted_hits(problem, &reduced.model, &reduced.residual, &candidates, &scanned.hits, most)
+            .into_iter()
+            .map(|(hit, fitted)| (Some(hit.part.kind), fitted))
+            .collect();
+    all.push((None, reduced));
+    all
+}
+
+/// The name of a cause.
+pub(crate) fn name(kind: &Kind) -> &'static str {
+    match kind {
+        Kind::SensorOffset => "sensor-offset",
+        Kind::SensorGain => "sensor-gain",
+        Kind::SensorCurvature => "sensor-curvature",
+        Kind::SensorSaturation => "sensor-saturation",
+        Kind::SensorTemperatureDrift { .. } => "sensor-temperature-drift",
+        Kind::TimeShift => "time-shift",
+        Kind::ThermalLag => "thermal-lag",
+        Kind::SlowMode | Kind::SlowModeOf { .. } => "slow-mode",
+        Kind::ExtraHeatPath { .. } => "extra-heat-path",
+        Kind::GrowthAmplitude => "growth-amplitude",
+        Kind::GrowthRate => "growth-rate",
+        Kind::CoolingAsymmetry => "cooling-asymmetry",
+        Kind::ExpansionSlope => "expansion-slope",
+        Kind::ReferenceTemperature => "reference-temperature",
+        Kind::CentrifugalGrowth => "centrifugal-growth",
+        Kind::CuttingLoad => "cutting-load",
+        Kind::PitchScale => "pitch-scale",
+        Kind::PitchError { .. } => "pitch-error",
+        Kind::PitchPeriodic { .. } => "pitch-periodic",
+        Kind::Backlash => "backlash",
+        Kind::PositionDependentBacklash => "position-dependent-backlash",
+        Kind::Straightness { .. } => "straightness",
+        Kind::CrossAxis { .. } => "cross-axis",
+        Kind::Step => "step",
+        Kind::Drift => "drift",
+        Kind::ReferenceInstrument { .. } => "reference-instrument",
+        Kind::Curve { .. } => "structure",
+    }
+}
+
+/// The model to begin with: an axis's measurement has an arbitrary zero.
+pub(crate) fn start(data: &Data) -> Model {
+    Model {
+        parts: Vec::<Part>::new(),
+        constant_um: data.quantity.axis().map(|_| 0.0),
+    }
+}

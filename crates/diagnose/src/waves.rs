@@ -1,0 +1,194 @@
+//! Periodic errors: where in a spectrum of the residual over the position a peak stands.
+//!
+//! A least-squares periodogram (Lomb 1976) of the residual over the axis's position, by one rotation
+//! a row from each frequency to the next: O(rows · frequencies), no transform, any spacing.
+//! Frequencies go up to half of one over the typical spacing of neighbouring positions: a period
+//! shorter than twice the spacing has aliases, one as good as the other.
+//!
+//! An instrument that looks at an angle (laser triangulation) sees its own fixed pattern at
+//! C/(P + P₀): the period changes along the axis, which no screw does. It is looked for the same
+//! way, over 1/(P + P₀) instead of P, with P₀ in equal ratios beyond both ends of the travel.
+
+use std::f64::consts::TAU;
+
+use trueup_machine::machine_file::Quantity;
+
+use crate::{
+    candidates::Candidate,
+    fit::Problem,
+    model::{Kind, Model, filled},
+};
+
+/// Most frequencies that are looked at.
+const MOST_FREQUENCIES: usize = 8000;
+
+pub(crate) fn candidates(problem: &Problem, model: &Model, residual: &[f64]) -> Vec<Candidate> {
+    let data = &problem.data;
+    let mut all = Vec::new();
+    if data.quantity == Quantity::Elongation {
+        let reading = problem.groups.means(&filled(&data.measured));
+        if let Some((frequency, searched)) = peak(&reading, residual, 6.0, 2000) {
+            all.push(Candidate {
+                kind: Kind::ReferenceInstrument { is_angled: false },
+                settings: vec![vec![1.0 / frequency]],
+                tier: 2,
+                searched,
+            });
+        }
+        return all;
+    }
+    let Some(own) = data.own_position() else { return all };
+    // Groups would blur a period.
+    let at = problem.groups.means(&filled(own));
+    if let Some((frequency, searched)) = peak(&at, residual, 2.0, MOST_FREQUENCIES) {
+        // Whatever turns once in two, three or four of these periods is the same screw.
+        let known = model.parts.iter().find_map(|part| match &part.kind {
+            Kind::PitchPeriodic { .. } => Some(part.values[0]),
+            _ => None,
+        });
+        if known.is_none() {
+            let period = 1.0 / frequency;
+            for harmonics in [vec![1], vec![1, 2], vec![1, 2, 3]] {
+                all.push(Candidate {
+                    kind: Kind::PitchPeriodic { harmonics },
+                    settings: vec![vec![period]],
+                    tier: 0,
+                    searched,
+                });
+            }
+            // The peak may be a harmonic of a turn that has all of them.
+            let turns: Vec<Vec<f64>> = (1..=6)
+                .map(|turns| vec![f64::from(turns) * period])
+                .filter(|turn| turn[0] <= problem.bounds.period_mm[1])
+                .collect();
+            if at.len() > 600 && !turns.is_empty() {
+                all.push(Candidate {
+                    kind: Kind::PitchPeriodic { harmonics: (1..=12).collect() },
+                    settings: turns,
+                    tier: 0,
+                    searched,
+                });
+            }
+        } else {
+            all.push(Candidate {
+                kind: Kind::PitchPeriodic { harmonics: vec![1, 2] },
+                settings: vec![vec![1.0 / frequency]],
+                tier: 0,
+                searched,
+            });
+        }
+    }
+    let has_instrument =
+        model.parts.iter().any(|part| matches!(part.kind, Kind::ReferenceInstrument { .. }));
+    if !has_instrument && let Some((values, searched)) = angled(&at, residual) {
+        all.push(Candidate {
+            kind: Kind::ReferenceInstrument { is_angled: true },
+            settings: vec![values],
+            tier: 2,
+            searched,
+        });
+    }
+    all
+}
+
+/// The frequency of the highest peak of `values` over `at`, with at least `least_turns` over the
+/// whole length, and ln of the number of independent frequencies that were looked at.
+fn peak(at: &[f64], values: &[f64], least_turns: f64, most: usize) -> Option<(f64, f64)> {
+    let (power, frequency, looked_at) = spectrum(at, values, least_turns, most)?;
+    (power > 0.0).then_some((frequency, looked_at.ln()))
+}
+
+fn spectrum(
+    at: &[f64],
+    values: &[f64],
+    least_turns: f64,
+    most: usize,
+) -> Option<(f64, f64, f64)> {
+    let (low, high) = at.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &x| {
+        (low.min(x), high.max(x))
+    });
+    let range = high - low;
+    if range.partial_cmp(&0.0) != Some(std::cmp::Ordering::Greater) || at.len() < 12 {
+        return None;
+    }
+    let mut sorted = at.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let least = 1e-4 * range;
+    let mut gaps: Vec<f64> =
+        sorted.windows(2).map(|pair| pair[1] - pair[0]).filter(|gap| *gap > least).collect();
+    gaps.sort_by(f64::total_cmp);
+    let spacing = gaps.get(gaps.len() / 2).copied()?;
+    let fastest = 0.5 / spacing;
+    let step = 0.25 / range;
+    let first = least_turns / range;
+    if fastest <= first {
+        return None;
+    }
+    let count = (((fastest - first) / step) as usize).min(most);
+    if count < 2 {
+        return None;
+    }
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    let mut sums = vec![[0.0_f64; 2]; count];
+    for (x, value) in at.iter().zip(values) {
+        let x = x - low;
+        let (mut sin, mut cos) = (TAU * first * x).sin_cos();
+        let (turn_sin, turn_cos) = (TAU * step * x).sin_cos();
+        let value = value - mean;
+        for sum in &mut sums {
+            sum[0] += value * sin;
+            sum[1] += value * cos;
+            (sin, cos) = (sin * turn_cos + cos * turn_sin, cos * turn_cos - sin * turn_sin);
+        }
+    }
+    let power = |sum: &[f64; 2]| sum[0] * sum[0] + sum[1] * sum[1];
+    let (best, sum) =
+        sums.iter().enumerate().max_by(|a, b| power(a.1).total_cmp(&power(b.1)))?;
+    // Between the grid's points the peak is where a parabola through three of them has its top.
+    let around = |n: usize| sums.get(n).map_or(0.0, power).sqrt();
+    let (before, here, after) = (
+        if best > 0 { around(best - 1) } else { 0.0 },
+        around(best),
+        around(best + 1),
+    );
+    let bend = before - 2.0 * here + after;
+    let offset = if bend < 0.0 { 0.5 * (before - after) / bend } else { 0.0 };
+    let frequency = first + step * (best as f64 + offset.clamp(-0.5, 0.5));
+    Some((power(sum), frequency, count as f64 / 4.0 + 1.0))
+}
+
+/// C and P₀ of the best wave over 1/(P + P₀).
+fn angled(at: &[f64], values: &[f64]) -> Option<(Vec<f64>, f64)> {
+    let (low, high) = at.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &x| {
+        (low.min(x), high.max(x))
+    });
+    let range = high - low;
+    // A dense record is needed: else everything is an alias of everything.
+    if at.len() < 200 || range.partial_cmp(&0.0) != Some(std::cmp::Ordering::Greater) {
+        return None;
+    }
+    // As many rows as show the periods that matter, and no more.
+    let every = (at.len() / 3000).max(1);
+    let thin = |list: &[f64]| -> Vec<f64> {
+        list.chunks(every).map(|part| part.iter().sum::<f64>() / part.len() as f64).collect()
+    };
+    let (at, values) = (thin(at), thin(values));
+    let mut best: Option<(f64, Vec<f64>)> = None;
+    let mut looked_at = 0.0;
+    for beyond in 0..28 {
+        let distance = range * 0.15 * 1.22_f64.powi(beyond);
+        for side in [1.0, -1.0] {
+            // P + P₀ is positive on one side of the travel, negative on the other.
+            let origin = if side > 0.0 { distance - low } else { -high - distance };
+            let inverse: Vec<f64> = at.iter().map(|x| 1.0 / (x + origin)).collect();
+            let Some((power, constant, count)) = spectrum(&inverse, &values, 4.0, 900) else {
+                continue;
+            };
+            looked_at += count;
+            if best.as_ref().is_none_or(|(most, _)| power > *most) {
+                best = Some((power, vec![constant, origin]));
+            }
+        }
+    }
+    best.map(|(_, values)| (values, looked_at.max(2.0).ln()))
+}

@@ -1,0 +1,179 @@
+//! A hidden effect, the answer to it, and what the answer is worth.
+
+use std::{collections::BTreeMap, path::Path};
+
+use serde_json::Value;
+use trueup_diagnose::{Diagnosis, Verdict, diagnose};
+use trueup_machine::{MachineFile, RunFile};
+use trueup_twin::hidden::{Challenge, Expected, Hidden};
+
+/// What one answer was worth.
+#[derive(Clone, Debug)]
+pub struct Score {
+    /// The causes that were hidden.
+    pub hidden: Vec<&'static str>,
+    /// The causes that were named and claimed.
+    pub named: Vec<String>,
+    /// Named, but not claimed.
+    pub unclaimed: Vec<String>,
+    /// Every hidden cause is claimed.
+    pub is_right: bool,
+    /// A cause is claimed that was not hidden.
+    pub is_wrong: bool,
+    pub verdict: Verdict,
+    /// Whether each true parameter is within its interval.
+    pub within: Vec<(String, bool)>,
+    /// Gain on the hold-out over the possible gain; NaN where nothing is to be gained.
+    pub share_of_gain: f64,
+}
+
+/// Hands the files, and nothing else, to the diagnosis.
+pub fn answer(challenge: &Challenge) -> Diagnosis {
+    let machine = MachineFile::parse(&challenge.machine, Path::new("machine.toml"))
+        .expect("the twin writes machine files");
+    let read = |text: &str, name: &str| {
+        RunFile::from_reader(text.as_bytes(), Path::new(name)).expect("the twin writes run files")
+    };
+    let runs: Vec<RunFile> = challenge.runs.iter().map(|text| read(text, "run.csv")).collect();
+    let holdout = [read(&challenge.holdout, "holdout.csv")];
+    diagnose(&machine, &runs, &holdout, None, &mut |_, _| {}).expect("the runs can be compared")
+}
+
+/// What `diagnosis` is worth, by the truth of `challenge`.
+pub fn score(challenge: &Challenge, diagnosis: &Diagnosis) -> Score {
+    let truth = &challenge.truth;
+    let report = &diagnosis.report;
+    let hidden: Vec<&'static str> =
+        truth.effects.iter().map(|effect| effect.cause.name()).collect();
+    let of = |claimed: bool| -> Vec<String> {
+        let findings = report.findings.iter().filter(|finding| finding.claimed == claimed);
+        findings.map(|finding| finding.cause.clone()).collect()
+    };
+    let (named, unclaimed) = (of(true), of(false));
+    // Causes that explain the same data are as right, if they are not claimed.
+    let rivals = |name: &str| {
+        let effect = truth.effects.iter().find(|effect| effect.cause.name() == name);
+        effect.is_some_and(|effect| {
+            effect.rivals.iter().any(|rival| {
+                unclaimed.iter().any(|there| there == rival.name() || there == name)
+            })
+        })
+    };
+    let is_right = match truth.expected {
+        Expected::Clean => report.verdict == Verdict::Clean,
+        Expected::Unnamed => named.is_empty() && report.verdict != Verdict::Clean,
+        Expected::Compensated | Expected::Reported => {
+            hidden.iter().all(|name| named.iter().any(|there| there == name) || rivals(name))
+        }
+    };
+    let is_wrong = named.iter().any(|name| !hidden.contains(&name.as_str()));
+    let mut within = Vec::new();
+    for effect in &truth.effects {
+        let finding =
+            report.findings.iter().find(|finding| finding.cause == effect.cause.name());
+        let Some(finding) = finding else { continue };
+        for &(name, value) in &effect.parameters {
+            let ci95 = finding.parameters.get(name).map(|parameter| &parameter["ci95"]);
+            let bound = |index: usize| ci95.and_then(|ci95| ci95.get(index)?.as_f64());
+            if let (Some(low), Some(high)) = (bound(0), bound(1))
+                && high > low
+            {
+                within.push((format!("{} {name}", finding.cause), low <= value && value <= high));
+            }
+        }
+    }
+    let possible = truth.possible_reduction();
+    let reduction = 1.0 - report.after.holdout_rms_um / report.before.holdout_rms_um;
+    let share_of_gain = match truth.expected {
+        Expected::Compensated if possible > 0.0 => reduction / possible,
+        _ => f64::NAN,
+    };
+    Score {
+        hidden,
+        named,
+        unclaimed,
+        is_right,
+        is_wrong,
+        verdict: report.verdict,
+        within,
+        share_of_gain,
+    }
+}
+
+/// Answers in a row of the card.
+#[derive(Clone, Debug, Default)]
+pub struct Row {
+    pub scores: Vec<Score>,
+}
+
+impl Row {
+    fn share(&self, of: impl Fn(&Score) -> bool) -> f64 {
+        self.scores.iter().filter(|score| of(score)).count() as f64
+            / self.scores.len().max(1) as f64
+    }
+
+    pub fn right(&self) -> f64 {
+        self.share(|score| score.is_right)
+    }
+
+    pub fn wrong(&self) -> f64 {
+        self.share(|score| score.is_wrong)
+    }
+
+    /// Median and worst share of the possible gain, over the right answers.
+    pub fn gain(&self) -> (f64, f64) {
+        let mut gains: Vec<f64> = self
+            .scores
+            .iter()
+            .filter(|score| score.is_right && !score.share_of_gain.is_nan())
+            .map(|score| score.share_of_gain)
+            .collect();
+        gains.sort_by(f64::total_cmp);
+        let median = gains.get(gains.len() / 2).copied().unwrap_or(f64::NAN);
+        (median, gains.first().copied().unwrap_or(f64::NAN))
+    }
+
+    /// Share of the true parameters within their intervals, and how many there were.
+    pub fn within(&self) -> (f64, usize) {
+        let all: Vec<bool> =
+            self.scores.iter().flat_map(|score| score.within.iter().map(|it| it.1)).collect();
+        let inside = all.iter().filter(|inside| **inside).count();
+        (inside as f64 / all.len().max(1) as f64, all.len())
+    }
+
+    /// One line of the card.
+    pub fn line(&self, name: &str) -> String {
+        let (median, worst) = self.gain();
+        let (within, count) = self.within();
+        let mut confused: BTreeMap<String, usize> = BTreeMap::new();
+        for score in self.scores.iter().filter(|score| !score.is_right || score.is_wrong) {
+            let mut names: Vec<String> = score.named.clone();
+            names.extend(score.unclaimed.iter().map(|name| format!("?{name}")));
+            let key = format!("{} {}", score.verdict.name(), names.join("+"));
+            *confused.entry(key).or_default() += 1;
+        }
+        let confused: Vec<String> =
+            confused.into_iter().map(|(key, count)| format!("{count}x {key}")).collect();
+        format!(
+            "{name:<48} n {:>3} right {:>4.0} % wrong {:>4.0} % in {:>4.0} % of {count:<3} gain \
+             {median:.3} worst {worst:.3}  {}",
+            self.scores.len(),
+            100.0 * self.right(),
+            100.0 * self.wrong(),
+            100.0 * within,
+            confused.join("; ")
+        )
+    }
+}
+
+/// For tests that only look at one figure.
+#[allow(dead_code)]
+pub fn figure(report: &Value, name: &str) -> f64 {
+    report[name].as_f64().unwrap_or(f64::NAN)
+}
+
+/// All that may be hidden alone.
+#[allow(dead_code)]
+pub fn single() -> Vec<Hidden> {
+    Hidden::ALL.to_vec()
+}

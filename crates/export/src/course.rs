@@ -1,0 +1,413 @@
+//! The parts of a machine as functions of a position.
+//!
+//! A [`Drive`] is what one drive corrects along its own axis: a pitch table and the backlash, with
+//! what a diagnosis has added to them. A gantry with two drives on an axis is two of them, because
+//! a CNC that has such an axis has two axes for it, and the beam itself shares the error out in
+//! between. A [`Cross`] is the error of one axis while another moves, straightness and squareness.
+
+use std::f64::consts::TAU;
+
+use trueup_machine::{
+    Machine,
+    machine_file::{BSpline, Backlash, Effect, LinearAxis, Pitch, Squareness, Term},
+    model::{backlash_um, pitch_um, spline_um, squareness_um},
+};
+
+use crate::{Options, report::Approach};
+
+/// A period of a periodic error is looked at in so many parts.
+const PARTS_OF_PERIOD: f64 = 32.0;
+/// And a travel in at most so many.
+const MOST_PARTS: f64 = 20_000.0;
+
+/// What one drive corrects along its axis.
+#[derive(Clone)]
+pub(crate) struct Drive<'m> {
+    pub axis: LinearAxis,
+    /// Whether it is the second one of the axis.
+    pub is_second: bool,
+    pub pitch: Option<&'m Pitch>,
+    backlash: Option<&'m Backlash>,
+    /// The terms of a diagnosis that are along the axis, with their number in the file.
+    terms: Vec<(usize, &'m Term)>,
+    /// The travel, if a part of it goes on and on.
+    travel_mm: Option<(f64, f64)>,
+}
+
+impl Drive<'_> {
+    /// `x`, or `x2` for the second drive of X.
+    pub fn name(&self) -> String {
+        format!("{}{}", self.axis.name(), if self.is_second { "2" } else { "" })
+    }
+
+    /// The sections of the machine file that it comes from.
+    pub fn section(&self) -> String {
+        let axis = self.axis.name();
+        let pitch = match (self.pitch, self.is_second) {
+            (None, _) => None,
+            (Some(_), false) => Some(format!("axis.{axis}.pitch")),
+            (Some(_), true) => Some(format!("axis.{axis}.dual.pitch")),
+        };
+        let backlash = self.backlash.map(|_| format!("axis.{axis}.backlash"));
+        let terms = self.terms.iter().map(|&(index, term)| term_name(index, term));
+        pitch.into_iter().chain(backlash).chain(terms).collect::<Vec<_>>().join(" + ")
+    }
+
+    /// Its error in µm.
+    pub fn error_um(&self, position_mm: f64, approach: Approach) -> f64 {
+        let direction = approach.sign();
+        let terms = self.terms.iter().map(|(_, term)| {
+            along_um(&term.effect, position_mm, approach).unwrap_or_default() + term.constant_um
+        });
+        self.pitch.map_or(0.0, |pitch| pitch_um(pitch, position_mm, direction))
+            + self.backlash.map_or(0.0, |backlash| backlash_um(backlash, direction))
+            + terms.sum::<f64>()
+    }
+
+    /// Whether it has a table for each direction.
+    pub fn is_two_way(&self) -> bool {
+        let of_terms = self.terms.iter().any(|(_, term)| match &term.effect {
+            Effect::PitchError(pitch) => pitch.reverse_um.is_some(),
+            Effect::PositionDependentBacklash { .. } => true,
+            _ => false,
+        });
+        of_terms || self.pitch.is_some_and(|pitch| pitch.reverse_um.is_some())
+    }
+
+    /// What an approach in the negative direction adds wherever the axis is, in µm; 0 where there
+    /// are two tables, which contain it.
+    pub fn backlash_um(&self) -> f64 {
+        if self.is_two_way() {
+            return 0.0;
+        }
+        let terms = self.terms.iter().map(|(_, term)| match term.effect {
+            Effect::Backlash { width_um } => width_um,
+            _ => 0.0,
+        });
+        self.backlash.map_or(0.0, |backlash| backlash.width_um) + terms.sum::<f64>()
+    }
+
+    /// Whether it depends on the position.
+    pub fn has_table(&self) -> bool {
+        !self.points_mm().is_empty()
+    }
+
+    /// Whether the error is the same at every position and in both directions.
+    pub fn is_flat(&self) -> bool {
+        let first = self.error_um(0.0, Approach::Positive);
+        self.points_mm()
+            .iter()
+            .all(|&mm| Approach::BOTH.iter().all(|&approach| self.error_um(mm, approach) == first))
+            && self.backlash_um() == 0.0
+    }
+
+    /// Its one table, where all of it is linear between that table's points.
+    pub fn only_table(&self) -> Option<&Pitch> {
+        let of_terms = self.terms.iter().filter_map(|(_, term)| match &term.effect {
+            Effect::PitchError(pitch) => Some(pitch),
+            _ => None,
+        });
+        let mut tables = self.pitch.into_iter().chain(of_terms);
+        let only = tables.next().filter(|_| self.travel_mm.is_none())?;
+        tables.next().is_none().then_some(only)
+    }
+
+    /// Whether it bends between its points, so that they are a choice.
+    pub fn is_curved(&self) -> bool {
+        self.terms.iter().any(|(_, term)| matches!(term.effect, Effect::PitchPeriodic { .. }))
+    }
+
+    /// Beyond the ends a table is held, as a control's is; what goes on and on is not.
+    pub fn is_held(&self) -> bool {
+        self.travel_mm.is_none()
+    }
+
+    /// The points between which it is linear, or nearly where it is curved, in mm, rising; none
+    /// where it does not depend on the position.
+    pub fn points_mm(&self) -> Vec<f64> {
+        let mut points = self.pitch.map_or_else(Vec::new, table_mm);
+        if let Some((first, last)) = self.travel_mm {
+            points.extend([first, last]);
+        }
+        for (_, term) in &self.terms {
+            match (&term.effect, self.travel_mm) {
+                (Effect::PitchError(pitch), _) => points.extend(table_mm(pitch)),
+                (Effect::PitchPeriodic { period_mm, waves }, Some((first, last))) => {
+                    let highest = waves.iter().map(|wave| wave.harmonic).max().unwrap_or(1);
+                    let parts = (last - first) / period_mm * f64::from(highest) * PARTS_OF_PERIOD;
+                    let parts = parts.abs().ceil().clamp(1.0, MOST_PARTS);
+                    let at = |part: u32| first + (last - first) * f64::from(part) / parts;
+                    points.extend((0..=parts as u32).map(at));
+                }
+                _ => {}
+            }
+        }
+        points.sort_by(f64::total_cmp);
+        // The same point by two ways of counting.
+        points.dedup_by(|b, a| (*b - *a).abs() < 1e-9);
+        points
+    }
+}
+
+fn table_mm(pitch: &Pitch) -> Vec<f64> {
+    let at = |index| pitch.start_mm + pitch.step_mm * index as f64;
+    (0..pitch.forward_um.len()).map(at).collect()
+}
+
+fn term_name(index: usize, term: &Term) -> String {
+    format!("term[{index}] ({})", term.effect.cause().name())
+}
+
+/// What a term adds along its own axis, in µm; `None` if it is about something else.
+fn along_um(effect: &Effect, position_mm: f64, approach: Approach) -> Option<f64> {
+    let reversed = |um: f64| if approach == Approach::Negative { um } else { 0.0 };
+    Some(match effect {
+        Effect::PitchScale { um_per_m } => um_per_m * position_mm / 1000.0,
+        Effect::PitchError(pitch) => pitch_um(pitch, position_mm, approach.sign()),
+        Effect::PitchPeriodic { period_mm, waves } => {
+            let turns = position_mm / period_mm;
+            let wave = |wave: &trueup_machine::machine_file::Wave| {
+                let phase = TAU * f64::from(wave.harmonic) * turns + wave.phase_deg.to_radians();
+                wave.amplitude_um * phase.sin()
+            };
+            waves.iter().map(wave).sum()
+        }
+        Effect::Backlash { width_um } => reversed(*width_um),
+        Effect::PositionDependentBacklash { um_per_m } => reversed(um_per_m * position_mm / 1000.0),
+        _ => return None,
+    })
+}
+
+/// Whether a term goes on and on along its axis, so that a table needs the travel.
+fn needs_travel(effect: &Effect) -> bool {
+    matches!(
+        effect,
+        Effect::PitchScale { .. }
+            | Effect::PitchPeriodic { .. }
+            | Effect::PositionDependentBacklash { .. }
+    )
+}
+
+/// The terms that no table of a control holds, each with the reason. The constants that a term
+/// corrects are none of them: they are in the machine already.
+pub(crate) fn terms_left_out(machine: &Machine, options: &Options) -> Vec<(String, String)> {
+    let mut left_out = Vec::new();
+    for (index, term) in machine.terms.iter().enumerate() {
+        let axis = term.quantity.axis();
+        let reason = match &term.effect {
+            effect if !effect.cause().is_compensated() => continue,
+            // Folded into the constants of the machine.
+            Effect::ThermalLag { .. }
+            | Effect::GrowthRate { .. }
+            | Effect::ExpansionSlope { .. }
+            | Effect::ReferenceTemperature { .. } => continue,
+            Effect::Straightness { .. } | Effect::CrossAxis { .. } if axis.is_some() => continue,
+            effect if axis.is_some() && along_um(effect, 0.0, Approach::Positive).is_some() => {
+                let is_known = axis.is_some_and(|axis| travel_mm(machine, options, axis).is_some());
+                if is_known || !needs_travel(effect) {
+                    continue;
+                }
+                "it needs the travel of its axis, which is not known: --travel"
+            }
+            _ => "a control has no table for it: it changes while the machine runs; the bridge can",
+        };
+        left_out.push((term_name(index, term), reason.to_string()));
+    }
+    left_out
+}
+
+/// The error of one axis while another moves.
+#[derive(Clone)]
+pub(crate) struct Cross<'m> {
+    pub error: LinearAxis,
+    pub along: LinearAxis,
+    /// Where each comes from, and it.
+    splines: Vec<(String, &'m BSpline)>,
+    /// Where each comes from, and it.
+    angles: Vec<(String, f64)>,
+    constant_um: f64,
+}
+
+impl<'m> Cross<'m> {
+    fn new(error: LinearAxis, along: LinearAxis) -> Self {
+        Self { error, along, splines: Vec::new(), angles: Vec::new(), constant_um: 0.0 }
+    }
+
+    /// The sections of the machine file that it comes from.
+    pub fn section(&self) -> String {
+        let splines = self.splines.iter().map(|(name, _)| name.clone());
+        splines
+            .chain(self.angles.iter().map(|(name, _)| name.clone()))
+            .collect::<Vec<_>>()
+            .join(" + ")
+    }
+
+    /// Its error in µm.
+    pub fn error_um(&self, along_mm: f64) -> f64 {
+        let (error, along) = (self.error, self.along);
+        let angles = self
+            .angles
+            .iter()
+            .map(|&(_, um_per_m)| squareness_um(&Squareness { error, along, um_per_m }, along_mm));
+        self.splines.iter().map(|(_, spline)| spline_um(spline, along_mm)).sum::<f64>()
+            + angles.sum::<f64>()
+            + self.constant_um
+    }
+
+    /// From where to where it must be exported: over the knots, and an angle over the travel;
+    /// `None`: an angle, and no travel is known.
+    pub fn range_mm(&self, machine: &Machine, options: &Options) -> Option<(f64, f64)> {
+        let travel =
+            if self.is_held() { None } else { Some(travel_mm(machine, options, self.along)?) };
+        let knots = self.splines.iter().filter_map(|(_, spline)| knot_range_mm(spline));
+        knots.chain(travel).reduce(|(a, b), (c, d)| (a.min(c), b.max(d)))
+    }
+
+    /// Where the curve may turn.
+    pub fn kinks_mm(&self) -> Vec<f64> {
+        let mut knots: Vec<f64> =
+            self.splines.iter().flat_map(|(_, spline)| spline.knots_mm.iter().copied()).collect();
+        knots.sort_by(f64::total_cmp);
+        knots.dedup();
+        knots
+    }
+
+    /// Whether it bends between its ends.
+    pub fn is_curved(&self) -> bool {
+        !self.splines.is_empty()
+    }
+
+    /// Beyond the ends a spline is held, as a table is; an angle goes on, and no table can.
+    pub fn is_held(&self) -> bool {
+        self.angles.is_empty()
+    }
+
+    /// Its curves and its angle one by one, for a control that adds tables up: an angle is two
+    /// points then, and a curve ends where its knots end.
+    pub fn apart(&self) -> Vec<Cross<'m>> {
+        let empty = || Self::new(self.error, self.along);
+        let splines =
+            self.splines.iter().map(|spline| Self { splines: vec![spline.clone()], ..empty() });
+        let angle =
+            (!self.angles.is_empty()).then(|| Self { angles: self.angles.clone(), ..empty() });
+        let mut apart: Vec<_> = splines.chain(angle).collect();
+        if let Some(first) = apart.first_mut() {
+            first.constant_um = self.constant_um;
+        }
+        apart
+    }
+}
+
+/// Every drive that has an error, X before Y before Z and the first before the second.
+pub(crate) fn drives<'m>(machine: &'m Machine, options: &Options) -> Vec<Drive<'m>> {
+    let mut drives = Vec::new();
+    for axis in LinearAxis::ALL {
+        let of = &machine.axes[axis.index()];
+        let travel = travel_mm(machine, options, axis);
+        let terms = machine.terms.iter().enumerate().filter(|(_, term)| {
+            term.quantity.axis() == Some(axis)
+                && along_um(&term.effect, 0.0, Approach::Positive).is_some()
+                && (travel.is_some() || !needs_travel(&term.effect))
+        });
+        let terms: Vec<(usize, &Term)> = terms.collect();
+        let goes_on = terms.iter().any(|(_, term)| needs_travel(&term.effect));
+        let first = Drive {
+            axis,
+            is_second: false,
+            pitch: of.pitch.as_ref(),
+            backlash: of.backlash.as_ref(),
+            terms,
+            travel_mm: travel.filter(|_| goes_on),
+        };
+        let second = of.dual.as_ref().map(|dual| Drive {
+            is_second: true,
+            pitch: Some(&dual.pitch),
+            ..first.clone()
+        });
+        if first.pitch.is_some() || first.backlash.is_some() || !first.terms.is_empty() {
+            drives.push(first);
+        }
+        drives.extend(second);
+    }
+    drives
+}
+
+/// Every pair of axes of which one is in error along the other.
+pub(crate) fn crosses(machine: &Machine) -> Vec<Cross<'_>> {
+    let mut crosses: Vec<Cross<'_>> = Vec::new();
+    for curve in &machine.straightness {
+        let named = (format!("straightness.{}", curve.name()), &curve.spline);
+        pair(&mut crosses, curve.error, curve.along).splines.push(named);
+    }
+    for angle in machine.squareness.iter().filter(|angle| angle.um_per_m != 0.0) {
+        let named = (format!("squareness.{}", angle.name()), angle.um_per_m);
+        pair(&mut crosses, angle.error, angle.along).angles.push(named);
+    }
+    for (index, term) in machine.terms.iter().enumerate() {
+        let Some(error) = term.quantity.axis() else { continue };
+        let name = term_name(index, term);
+        match &term.effect {
+            Effect::Straightness { along, spline } => {
+                let pair = pair(&mut crosses, error, *along);
+                pair.splines.push((name, spline));
+                pair.constant_um += term.constant_um;
+            }
+            Effect::CrossAxis { axis, um_per_m } => {
+                let pair = pair(&mut crosses, error, *axis);
+                pair.angles.push((name, *um_per_m));
+                pair.constant_um += term.constant_um;
+            }
+            _ => {}
+        }
+    }
+    crosses
+}
+
+/// The pair in the list, put there if it is not.
+fn pair<'c, 'm>(
+    crosses: &'c mut Vec<Cross<'m>>,
+    error: LinearAxis,
+    along: LinearAxis,
+) -> &'c mut Cross<'m> {
+    let found = crosses.iter().position(|cross| (cross.error, cross.along) == (error, along));
+    let index = found.unwrap_or_else(|| {
+        crosses.push(Cross::new(error, along));
+        crosses.len() - 1
+    });
+    &mut crosses[index]
+}
+
+/// The travel of `axis`: as it is given, else as far as tables and knots reach.
+pub(crate) fn travel_mm(
+    machine: &Machine,
+    options: &Options,
+    axis: LinearAxis,
+) -> Option<(f64, f64)> {
+    if let Some(travel) = options.travel_mm[axis.index()] {
+        return Some(travel);
+    }
+    let of = &machine.axes[axis.index()];
+    let tables = of.pitch.iter().chain(of.dual.as_ref().map(|dual| &dual.pitch));
+    let of_terms = machine.terms.iter().filter_map(|term| match &term.effect {
+        Effect::PitchError(pitch) if term.quantity.axis() == Some(axis) => Some(pitch),
+        _ => None,
+    });
+    let tables = tables.chain(of_terms).filter_map(|pitch| {
+        let points = table_mm(pitch);
+        Some((*points.first()?, *points.last()?))
+    });
+    let curves = machine.straightness.iter().filter(|curve| curve.along == axis);
+    let curves = curves.map(|curve| &curve.spline);
+    let of_terms = machine.terms.iter().filter_map(|term| match &term.effect {
+        Effect::Straightness { along, spline } if *along == axis => Some(spline),
+        _ => None,
+    });
+    tables
+        .chain(curves.chain(of_terms).filter_map(knot_range_mm))
+        .reduce(|(a, b), (c, d)| (a.min(c), b.max(d)))
+        .filter(|(first, last)| first < last)
+}
+
+fn knot_range_mm(spline: &BSpline) -> Option<(f64, f64)> {
+    Some((*spline.knots_mm.first()?, *spline.knots_mm.last()?))
+}

@@ -1,0 +1,382 @@
+//! FANUC: stored pitch error compensation, backlash and straightness.
+//!
+//! | file | holds |
+//! |---|---|
+//! | `CNC-PARA.TXT` | `N03620A1P…`: parameters, one value an axis |
+//! | `PITCH.TXT` | `N10000P…`: the value of point 0, and so on |
+//!
+//! Point number `ref` (3620) is at the reference point; number N is the section that ends at
+//! reference + (N − ref)·spacing (3624). Its value is −7 … +7 times the magnification (3623), in
+//! detection units, **relative to the point before**, looking in the positive direction. The ends
+//! are 3621 = ref − (negative travel/spacing) + 1 and 3622 = ref + positive travel/spacing. Each
+//! axis has the 128 numbers from 128·(its order): 0 … 127, 128 … 255.
+//!
+//! **Sign:** a positive value moves the axis in the positive direction: the opposite of the error.
+//! By hand: errors of 0, −2 and +3 µm at 0, 100 and 200 mm, spacing 100 mm, unit 1 µm: the points
+//! after the reference are +2 and −5, which add up to +2 and −3.
+//!
+//! **Rounding:** not each value is rounded but the sum up to each point, and the value is the
+//! difference of two sums. So the sum is within half a unit times the magnification everywhere, and
+//! never drifts. The smallest magnification that the slope permits is taken; if 8 is not enough,
+//! the spacing is divided; if that needs more than 128 points, the axis is left out.
+//!
+//! **In between:** without the option of interpolated compensation, the control gives out each
+//! value at once, taken here to be in the middle of its section; with it, evenly over the section.
+//! The report has the difference for the first as the table's, and for the second in a note.
+//!
+//! Two tables (3605#0): the second one's numbers begin at 3626, and 3627 is its sum at the reference
+//! point, for an axis that is referenced in the positive direction. One table: the backlash is 1851.
+//!
+//! Straightness has four points for each of three pairs of axes (57xx), straight between them. These
+//! numbers, the middle of the section and `N10000` are from memory of the parameter manuals; look
+//! them up in the manual of the control before loading.
+
+mod read;
+mod straightness;
+
+use std::fmt::Write as _;
+
+use trueup_machine::{Machine, machine_file::LinearAxis};
+
+pub use read::{AxisTables, Control};
+
+use crate::{
+    Export, File, Options, Table,
+    course::{Cross, Drive, drives},
+    grid::{largest_difference, probes_mm},
+    linuxcnc::leave_out_heat,
+    report::Approach,
+    text::number,
+};
+
+/// So many point numbers has an axis.
+pub const MOST_POINTS: usize = 128;
+/// A value is at most this, times the magnification.
+pub const MOST_STEP: i64 = 7;
+/// The magnifications there are.
+const MAGNIFICATIONS: [u8; 4] = [1, 2, 4, 8];
+/// Spacings are whole multiples of this, in mm (increment system IS-B).
+const SPACING_MM: f64 = 0.001;
+/// A moving axis without a pitch table gets so many sections for its straightness.
+const SECTIONS: usize = 60;
+
+/// Where an axis's points are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Points {
+    reference_mm: f64,
+    spacing_mm: f64,
+    /// Sections on the negative and on the positive side of the reference.
+    negative: usize,
+    positive: usize,
+}
+
+impl Points {
+    /// Points from the reference over `range_mm`.
+    fn over(range_mm: (f64, f64), reference_mm: f64, spacing_mm: f64) -> Self {
+        // A point that is a rounding away from the end is the end.
+        let sections = |mm: f64| (mm / spacing_mm - 1e-6).ceil().max(0.0) as usize;
+        Self {
+            reference_mm,
+            spacing_mm,
+            negative: sections(reference_mm - range_mm.0),
+            positive: sections(range_mm.1 - reference_mm),
+        }
+    }
+
+    fn sections(&self) -> usize {
+        self.negative + self.positive
+    }
+
+    /// The ends of all sections, one more than there are sections.
+    fn positions_mm(&self) -> Vec<f64> {
+        (0..=self.sections())
+            .map(|k| self.reference_mm + self.spacing_mm * (k as f64 - self.negative as f64))
+            .collect()
+    }
+}
+
+/// An axis as it will be written.
+struct Planned<'m> {
+    axis: LinearAxis,
+    is_second: bool,
+    drive: Option<Drive<'m>>,
+    crosses: Vec<Cross<'m>>,
+    points: Points,
+    magnification: u8,
+    /// The values in the positive direction, and in the negative one where there are two tables.
+    tables: Vec<Vec<i64>>,
+    /// The second table's sum at the reference, in detection units.
+    at_reference: i64,
+    constant_um: f64,
+    was_thinned: bool,
+}
+
+pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) {
+    let chosen = straightness::chosen(machine, options, &mut export.report);
+    let all_drives = drives(machine, options);
+    for drive in all_drives.iter().filter(|drive| drive.is_flat()) {
+        let section = drive.section();
+        let note = "the same error everywhere is a shift of the zero, nothing to correct";
+        export.report.note(format!("{section}: {note}"));
+    }
+    let mut planned = Vec::new();
+    for axis in LinearAxis::ALL {
+        for is_second in [false, true] {
+            let drive = all_drives
+                .iter()
+                .find(|drive| drive.axis == axis && drive.is_second == is_second)
+                .filter(|drive| !drive.is_flat());
+            let along: Vec<Cross<'_>> =
+                chosen.iter().filter(|cross| cross.along == axis && !is_second).cloned().collect();
+            if drive.is_none() && along.is_empty() {
+                continue;
+            }
+            let mut sections: Vec<String> = drive.map(Drive::section).into_iter().collect();
+            sections.extend(along.iter().map(Cross::section));
+            match plan(machine, options, (axis, is_second), drive.cloned(), along) {
+                Ok(plan) => planned.push(plan),
+                Err(reason) => export.report.leave_out(sections.join(" + "), reason),
+            }
+        }
+    }
+    if !planned.is_empty() {
+        write(&planned, options, export);
+    }
+    let reason = "the growth is given to the control by its PMC at run time (one scalar along the \
+                  tool; in small steps, a jump of 9999 units is an alarm), not by a table";
+    leave_out_heat(machine, &mut export.report, reason);
+}
+
+fn plan<'m>(
+    machine: &Machine,
+    options: &Options,
+    (axis, is_second): (LinearAxis, bool),
+    drive: Option<Drive<'m>>,
+    crosses: Vec<Cross<'m>>,
+) -> Result<Planned<'m>, String> {
+    let reference_mm = options.reference_mm[axis.index()];
+    let table_mm = drive.as_ref().and_then(|drive| {
+        let points = drive.points_mm();
+        Some((*points.first()?, *points.last()?))
+    });
+    let curves = crosses.iter().filter_map(|cross| cross.range_mm(machine, options));
+    let range = table_mm.into_iter().chain(curves).reduce(|(a, b), (c, d)| (a.min(c), b.max(d)));
+    // Only a backlash: the sections are empty.
+    let (first_mm, last_mm) = range.unwrap_or((reference_mm, reference_mm + 100.0));
+    let range_mm = (first_mm.min(reference_mm), last_mm.max(reference_mm));
+    let is_two_way = drive.as_ref().is_some_and(Drive::is_two_way);
+    let fits = |points: &Points| {
+        points.sections() * if is_two_way { 2 } else { 1 } < MOST_POINTS
+            && (crosses.is_empty() || points.sections() >= 3)
+    };
+    let rounded = |mm: f64| ((mm / SPACING_MM).round() * SPACING_MM).max(SPACING_MM);
+    let wanted_mm = drive
+        .as_ref()
+        .and_then(|drive| drive.only_table().map(|pitch| pitch.step_mm))
+        .unwrap_or((range_mm.1 - range_mm.0) / SECTIONS as f64);
+    let at = |spacing_mm: f64| Points::over(range_mm, reference_mm, rounded(spacing_mm));
+    let finer: Vec<Points> =
+        (1..MOST_POINTS).map(|parts| at(wanted_mm / parts as f64)).filter(fits).collect();
+    let coarser = || (2..=4096).map(|times| at(wanted_mm * f64::from(times))).find(fits);
+    let was_thinned = finer.is_empty();
+    let candidates = if was_thinned { coarser().into_iter().collect() } else { finer };
+
+    let constant_um =
+        drive.as_ref().map_or(0.0, |drive| drive.error_um(reference_mm, Approach::Positive));
+    for &points in &candidates {
+        for magnification in MAGNIFICATIONS {
+            let mut planned = Planned {
+                axis,
+                is_second,
+                drive: drive.clone(),
+                crosses: crosses.clone(),
+                points,
+                magnification,
+                tables: Vec::new(),
+                at_reference: 0,
+                constant_um,
+                was_thinned,
+            };
+            if planned.fill(options) {
+                return Ok(planned);
+            }
+        }
+    }
+    Err(format!(
+        "it rises by more than {MOST_STEP} times 8 units of {} um a section, and finer sections \
+         would take more than {MOST_POINTS} points",
+        number(options.unit_um, 4)
+    ))
+}
+
+impl Planned<'_> {
+    /// Rounds the sums and takes their differences; `false` if one of them is above 7.
+    fn fill(&mut self, options: &Options) -> bool {
+        let Some(drive) = self.drive.as_ref().filter(|drive| drive.has_table()) else {
+            self.tables = vec![vec![0; self.points.sections()]];
+            return true;
+        };
+        let scale = f64::from(self.magnification);
+        let correction = |mm: f64, approach| {
+            -(drive.error_um(mm, approach) - self.constant_um) / options.unit_um
+        };
+        let ways = if drive.is_two_way() { &Approach::BOTH[..] } else { &Approach::BOTH[..1] };
+        let mut tables = Vec::new();
+        for &way in ways {
+            // The backlash of one table is a parameter of its own.
+            let start = correction(self.points.reference_mm, way).round();
+            if way == Approach::Negative {
+                self.at_reference = start as i64;
+            }
+            let sums: Vec<i64> = self
+                .points
+                .positions_mm()
+                .into_iter()
+                .map(|mm| ((correction(mm, way) - start) / scale).round() as i64)
+                .collect();
+            tables.push(sums.windows(2).map(|pair| pair[1] - pair[0]).collect::<Vec<i64>>());
+        }
+        self.tables = tables;
+        self.tables.iter().flatten().all(|value| value.abs() <= MOST_STEP)
+    }
+}
+
+fn write(planned: &[Planned<'_>], options: &Options, export: &mut Export) {
+    // Parameter number → axis number → value.
+    let mut parameters: Vec<(u32, usize, i64)> = Vec::new();
+    let mut pitch = String::from("%\n");
+    let seconds = planned.iter().filter(|plan| plan.is_second).map(|plan| plan.axis);
+    let seconds: Vec<LinearAxis> = seconds.collect();
+    let number_of = |plan: &Planned<'_>| {
+        let second = seconds.iter().position(|&axis| axis == plan.axis).unwrap_or(0);
+        if plan.is_second { 4 + second } else { plan.axis.index() + 1 }
+    };
+    for (order, plan) in planned.iter().enumerate() {
+        let axis = number_of(plan);
+        let base = (order * MOST_POINTS) as i64;
+        let (negative, sections) = (plan.points.negative as i64, plan.points.sections() as i64);
+        let reference = base + negative;
+        let first = reference - negative + 1;
+        let last = reference + plan.points.positive as i64;
+        let spacing = (plan.points.spacing_mm / SPACING_MM).round() as i64;
+        let mut set = |number: u32, value: i64| parameters.push((number, axis, value));
+        set(3620, reference);
+        set(3621, first);
+        set(3622, last);
+        set(3623, plan.magnification.into());
+        set(3624, spacing);
+        if plan.tables.len() == 2 {
+            set(1851, 0);
+            set(3626, base + sections + 1);
+            set(3627, plan.at_reference);
+        } else if let Some(drive) = &plan.drive {
+            set(1851, (drive.backlash_um() / options.unit_um).round() as i64);
+        }
+        for (point, value) in (first..).zip(plan.tables.iter().flatten()) {
+            // Writing to a string cannot fail.
+            let _ = writeln!(pitch, "N{}P{value}", 10_000 + point);
+        }
+    }
+    pitch.push_str("%\n");
+    let pairs = straightness::plan(planned, options, number_of);
+    let text = parameter_text(&parameters, &pairs);
+    let (para, pitch) =
+        ("CNC-PARA.TXT".to_string(), File { name: "PITCH.TXT".into(), text: pitch });
+    match Control::read(&text, &pitch.text) {
+        Ok(control) => {
+            for plan in planned {
+                compare(plan, number_of(plan), &control, options, export);
+            }
+            straightness::compare(&pairs, &control, options, export);
+        }
+        Err(rule) => export.report.leave_out("all", format!("it reads back wrong: {rule}")),
+    }
+    export.files.push(File { name: para, text });
+    export.files.push(pitch);
+    let report = &mut export.report;
+    if planned.iter().any(|plan| plan.tables.len() == 2) {
+        report.note("set 3605#0 to 1 on the axes with 3626: two tables, one for each direction");
+        report.note("3627 suits an axis that is referenced in the positive direction");
+    }
+    report.note(format!(
+        "X, Y, Z are the axes 1, 2, 3{}; detection unit {} um; 3624 in 0.001 mm",
+        if seconds.is_empty() { "" } else { ", the second drives of gantries 4 and up" },
+        number(options.unit_um, 4)
+    ));
+    report.note(
+        "compare the parameter numbers with the manual of the control, switch the power off \
+                 and on after loading, and reference",
+    );
+}
+
+/// `N03620A1P40A2P168`, one line a parameter, in rising order; then the straightness.
+fn parameter_text(parameters: &[(u32, usize, i64)], pairs: &[straightness::Pair<'_>]) -> String {
+    let mut sorted = parameters.to_vec();
+    sorted.sort_unstable();
+    let mut text = String::from("%");
+    let mut before = None;
+    for (number, axis, value) in sorted {
+        if before != Some(number) {
+            let _ = write!(text, "\nN{number:05}");
+            before = Some(number);
+        }
+        let _ = write!(text, "A{axis}P{value}");
+    }
+    for (number, value) in pairs.iter().flat_map(straightness::Pair::parameters) {
+        let _ = write!(text, "\nN{number:05}P{value}");
+    }
+    text.push_str("\n%\n");
+    text
+}
+
+fn compare(
+    plan: &Planned<'_>,
+    axis: usize,
+    control: &Control,
+    options: &Options,
+    export: &mut Export,
+) {
+    let Some(drive) = &plan.drive else { return };
+    let back = match control.axis(axis) {
+        Ok(back) => back,
+        Err(rule) => {
+            export.report.leave_out(drive.section(), format!("it reads back wrong: {rule}"));
+            return;
+        }
+    };
+    let Points { reference_mm, spacing_mm, .. } = plan.points;
+    let positions_mm = plan.points.positions_mm();
+    let range = (positions_mm[0], positions_mm[positions_mm.len() - 1]);
+    // A step is looked at on both of its sides.
+    let mut special = drive.points_mm();
+    special.extend(positions_mm.iter().flat_map(|mm| [*mm, mm + spacing_mm / 2.0]));
+    let probes = probes_mm(range, &special, drive.is_held());
+    let error_um = |mm, way| drive.error_um(mm, way) - plan.constant_um;
+    let with = |is_interpolated: bool| {
+        largest_difference(&probes, error_um, |mm, way| {
+            back.units(mm - reference_mm, way, is_interpolated) * options.unit_um
+        })
+    };
+    let (stepped, interpolated) = (with(false), with(true));
+    export.report.note(format!(
+        "{}: with the option of interpolated compensation the largest difference is {:.4} um at {}",
+        drive.name(),
+        interpolated.um,
+        interpolated.at
+    ));
+    let count = plan.points.sections();
+    export.report.tables.push(Table {
+        file: "PITCH.TXT".to_string(),
+        name: format!(
+            "axis {axis}, points {} to {}, magnification {}",
+            back.first, back.last, plan.magnification
+        ),
+        section: drive.section(),
+        points: count,
+        range,
+        spacing: Some(spacing_mm),
+        constant_um: plan.constant_um,
+        largest: stepped,
+        loss: plan.was_thinned.then(|| format!("thinned to sections of {spacing_mm} mm")),
+    });
+}

@@ -1,0 +1,175 @@
+//! Straightness on a FANUC: four points for each of three pairs of axes.
+//!
+//! For a moving axis (5711 …) and the one that is corrected (5721 …), the numbers of four points of
+//! the moving axis (5731 …, 5741 …, 5751 …) and the correction at each, in detection units (5761 …,
+//! 5771 …, 5781 …). It is straight between them; the ends are the first and the last point of the
+//! axis, and the two in between are where they keep the lines nearest to the curve.
+
+use trueup_machine::Machine;
+
+use super::{Control, Planned};
+use crate::{
+    Export, Options, Report, Table,
+    course::{Cross, crosses},
+    grid::{best_rows, interpolated, largest_difference, probes_mm},
+};
+
+/// So many pairs of axes there are.
+const MOST_PAIRS: usize = 3;
+/// So many points has a pair.
+const POINTS: usize = 4;
+
+/// The pairs that are exported: the three that reach furthest.
+pub(super) fn chosen<'m>(
+    machine: &'m Machine,
+    options: &Options,
+    report: &mut Report,
+) -> Vec<Cross<'m>> {
+    let mut with_span = Vec::new();
+    for cross in crosses(machine) {
+        let Some((first, last)) = cross.range_mm(machine, options) else {
+            let along = cross.along.name();
+            let reason =
+                format!("an angle needs the travel of {along}, which is not known: --travel");
+            report.leave_out(cross.section(), reason);
+            continue;
+        };
+        let values =
+            (0..=1000).map(|k| cross.error_um(first + (last - first) * f64::from(k) / 1e3));
+        let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), um| {
+            (low.min(um), high.max(um))
+        });
+        with_span.push((high - low, cross));
+    }
+    with_span.sort_by(|a, b| b.0.total_cmp(&a.0));
+    for (span_um, cross) in with_span.drain(MOST_PAIRS.min(with_span.len())..) {
+        let reason = format!(
+            "straightness has {MOST_PAIRS} pairs of axes, and this one is among the smaller \
+             ({span_um:.1} um)"
+        );
+        report.leave_out(cross.section(), reason);
+    }
+    with_span.into_iter().map(|(_, cross)| cross).collect()
+}
+
+/// One pair of axes as it is written.
+pub(super) struct Pair<'m> {
+    order: u32,
+    cross: Cross<'m>,
+    /// The numbers of the axes.
+    moving: usize,
+    corrected: usize,
+    /// Point numbers, and the corrections there in detection units.
+    points: [i64; POINTS],
+    values: [i64; POINTS],
+    reference_mm: f64,
+    constant_um: f64,
+    range_mm: (f64, f64),
+    special_mm: Vec<f64>,
+}
+
+impl Pair<'_> {
+    /// Number and value of each of its parameters.
+    pub fn parameters(&self) -> Vec<(u32, i64)> {
+        let mut all = vec![
+            (5711 + self.order, self.moving as i64),
+            (5721 + self.order, self.corrected as i64),
+        ];
+        for (offset, (&point, &value)) in (0..).zip(self.points.iter().zip(&self.values)) {
+            all.push((5731 + 10 * self.order + offset, point));
+            all.push((5761 + 10 * self.order + offset, value));
+        }
+        all.sort_unstable();
+        all
+    }
+}
+
+pub(super) fn plan<'m>(
+    planned: &[Planned<'m>],
+    options: &Options,
+    number_of: impl Fn(&Planned<'m>) -> usize,
+) -> Vec<Pair<'m>> {
+    let mut pairs = Vec::new();
+    for (index, plan) in planned.iter().enumerate() {
+        let base = (index * super::MOST_POINTS) as i64;
+        let positions_mm = plan.points.positions_mm();
+        for cross in &plan.crosses {
+            let constant_um = cross.error_um(plan.points.reference_mm);
+            let error_um: Vec<f64> =
+                positions_mm.iter().map(|&mm| cross.error_um(mm) - constant_um).collect();
+            let (mut rows, _) =
+                best_rows(&positions_mm, std::slice::from_ref(&error_um), 0.0, POINTS);
+            // A curve that needs fewer gets the others anywhere: on its lines.
+            let mut spare = (0..positions_mm.len()).filter(|row| !rows.contains(row));
+            let missing: Vec<usize> = spare.by_ref().take(POINTS - rows.len()).collect();
+            rows.extend(missing);
+            rows.sort_unstable();
+            let at = |k: usize| rows.get(k).copied().unwrap_or(positions_mm.len() - 1);
+            let corrected = cross.error.index() + 1;
+            pairs.push(Pair {
+                order: pairs.len() as u32,
+                cross: cross.clone(),
+                moving: number_of(plan),
+                corrected,
+                points: [0, 1, 2, 3].map(|k| base + at(k) as i64),
+                values: [0, 1, 2, 3].map(|k| (-error_um[at(k)] / options.unit_um).round() as i64),
+                reference_mm: plan.points.reference_mm,
+                constant_um,
+                range_mm: (positions_mm[0], positions_mm[positions_mm.len() - 1]),
+                special_mm: [positions_mm.clone(), cross.kinks_mm()].concat(),
+            });
+        }
+    }
+    pairs
+}
+
+pub(super) fn compare(
+    pairs: &[Pair<'_>],
+    control: &Control,
+    options: &Options,
+    export: &mut Export,
+) {
+    for pair in pairs {
+        match compared(pair, control, options) {
+            Ok(table) => export.report.tables.push(table),
+            Err(rule) => {
+                let reason = format!("it reads back wrong: {rule}");
+                export.report.leave_out(pair.cross.section(), reason);
+            }
+        }
+    }
+}
+
+fn compared(pair: &Pair<'_>, control: &Control, options: &Options) -> Result<Table, String> {
+    let of = |number: u32| control.parameter(number + pair.order, 0);
+    let (moving, corrected) = (of(5711)?, of(5721)?);
+    let moving_axis = usize::try_from(moving).map_err(|_| format!("5711 is {moving}"))?;
+    let (reference, spacing) =
+        (control.parameter(3620, moving_axis)?, control.parameter(3624, moving_axis)?);
+    let mut points = Vec::new();
+    for offset in 0..POINTS as u32 {
+        let point = control.parameter(5731 + 10 * pair.order + offset, 0)?;
+        let value = control.parameter(5761 + 10 * pair.order + offset, 0)?;
+        let mm = pair.reference_mm + (point - reference) as f64 * spacing as f64 / 1000.0;
+        points.push((mm, value as f64 * options.unit_um));
+    }
+    let cross = &pair.cross;
+    let largest = largest_difference(
+        &probes_mm(pair.range_mm, &pair.special_mm, cross.is_held()),
+        |mm, _| cross.error_um(mm) - pair.constant_um,
+        |mm, _| interpolated(&points, mm),
+    );
+    // Half a unit is the rounding, not the four points.
+    let is_lost = largest.um > options.tolerance_um + options.unit_um / 2.0;
+    Ok(Table {
+        file: "CNC-PARA.TXT".to_string(),
+        name: format!("straightness, axis {corrected} along axis {moving}"),
+        section: cross.section(),
+        points: POINTS,
+        range: pair.range_mm,
+        spacing: None,
+        constant_um: pair.constant_um,
+        largest,
+        loss: is_lost.then(|| format!("the best {POINTS} points, which is all there are")),
+    })
+}

@@ -1,0 +1,203 @@
+//! From a machine file to what other CNCs read, and back.
+//!
+//! A machine file holds **errors** (actual minus commanded); a control adds a **correction**, the
+//! opposite. Each format has its own sign for it, its own grid, rounding and limits. What is
+//! written is read back by a reader of its own, evaluated as that control would, and compared with
+//! the model at thousands of positions in both directions; the largest difference stands in the
+//! report.
+//!
+//! | module | does |
+//! |---|---|
+//! | [`siemens`] | 840D sl: EEC, CEC, temperature, tool direction |
+//! | [`fanuc`] | increments −7 … +7 by point number, straightness |
+//! | [`heidenhain`] | `.COM` and `.CMA` |
+//! | [`linuxcnc`] | `COMP_FILE` of type 1 |
+//! | [`report`] | what was exported, with which difference, and what could not be |
+//! | `course` | the parts of a machine as functions of a position |
+//! | `grid` | equidistant points, and the best few of many points |
+//!
+//! The terms that a diagnosis has added are exported with what they add to: along an axis (scale,
+//! table, periodic, backlash), across one, and the constants that they correct. Those that change
+//! while the machine runs are left out.
+//!
+//! What a control cannot hold is left out with the reason, or thinned to its limit with the loss
+//! stated: never in silence.
+#![forbid(unsafe_code)]
+
+mod course;
+pub mod fanuc;
+mod grid;
+pub mod heidenhain;
+pub mod linuxcnc;
+pub mod report;
+pub mod siemens;
+mod text;
+
+use std::{borrow::Cow, collections::BTreeMap, error::Error, fmt};
+
+use trueup_machine::{Machine, model::corrected};
+
+pub use report::{Approach, Difference, LeftOut, Report, Table};
+
+/// The control that is exported to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// Siemens SINUMERIK 840D sl.
+    Siemens840d,
+    /// FANUC with stored pitch error compensation.
+    Fanuc,
+    /// HEIDENHAIN with nonlinear axis error compensation.
+    Heidenhain,
+    /// LinuxCNC.
+    LinuxCnc,
+}
+
+impl Format {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Siemens840d, Self::Fanuc, Self::Heidenhain, Self::LinuxCnc];
+
+    /// Its name on the command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Siemens840d => "siemens-840d",
+            Self::Fanuc => "fanuc",
+            Self::Heidenhain => "heidenhain",
+            Self::LinuxCnc => "linuxcnc",
+        }
+    }
+}
+
+/// The unit of length in the files.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Units {
+    /// Millimetres.
+    #[default]
+    Millimetres,
+    /// Inches.
+    Inches,
+}
+
+impl Units {
+    /// How many millimetres one of it is.
+    #[must_use]
+    pub fn mm(self) -> f64 {
+        match self {
+            Self::Millimetres => 1.0,
+            Self::Inches => 25.4,
+        }
+    }
+
+    /// Its name on the command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Millimetres => "mm",
+            Self::Inches => "inch",
+        }
+    }
+}
+
+/// What the machine file does not say and a control wants to know.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Options {
+    /// The control's unit of length (Siemens, LinuxCNC; FANUC and HEIDENHAIN are written in mm).
+    pub units: Units,
+    /// The reference points of X, Y and Z, in mm: where Siemens and FANUC want a value of 0.
+    pub reference_mm: [f64; 3],
+    /// The travel of X, Y and Z, in mm; `None`: as far as the model's tables and knots reach.
+    pub travel_mm: [Option<(f64, f64)>; 3],
+    /// A curve gets as many points as keep it so near to the model, in µm; above 0.
+    pub tolerance_um: f64,
+    /// At most so many points in a table, at least 2; `None`: the format's own limit.
+    pub most_points: Option<usize>,
+    /// FANUC's detection unit, in µm; above 0.
+    pub unit_um: f64,
+    /// Temperatures in °C, by column, at which the Siemens setting data are written; a column that
+    /// is missing is at its reference, where the axis has no thermal error.
+    pub temperatures_c: BTreeMap<String, f64>,
+    /// The tool's growth in µm at which the Siemens setting data are written.
+    pub elongation_um: f64,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            units: Units::Millimetres,
+            reference_mm: [0.0; 3],
+            travel_mm: [None; 3],
+            tolerance_um: 0.1,
+            most_points: None,
+            unit_um: 1.0,
+            temperatures_c: BTreeMap::new(),
+            elongation_um: 0.0,
+        }
+    }
+}
+
+/// A file for the control.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct File {
+    /// Its name, without a folder.
+    pub name: String,
+    /// Its whole text, ASCII.
+    pub text: String,
+}
+
+/// What is exported.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Export {
+    /// The files for the control, in the order in which they are loaded.
+    pub files: Vec<File>,
+    /// What they hold, and how well.
+    pub report: Report,
+}
+
+/// Nothing of the model can be held by the control.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Refused {
+    /// The control.
+    pub format: Format,
+    /// The sections of the model, each with the reason; empty where the model has none.
+    pub left_out: Vec<LeftOut>,
+}
+
+impl fmt::Display for Refused {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let name = self.format.name();
+        if self.left_out.is_empty() {
+            return write!(f, "the model has no errors, so there is nothing to export to {name}");
+        }
+        write!(f, "nothing of the model can be held by {name}")?;
+        self.left_out
+            .iter()
+            .try_for_each(|LeftOut { section, reason }| write!(f, "; {section}: {reason}"))
+    }
+}
+
+impl Error for Refused {}
+
+/// Exports `machine` to `format`, and reads it back.
+///
+/// # Errors
+/// Nothing of the model can be held.
+pub fn export(machine: &Machine, format: Format, options: &Options) -> Result<Export, Refused> {
+    // Some terms of a diagnosis say which constants of the model are right.
+    let (machine, _) = corrected(Cow::Borrowed(machine));
+    let machine = &*machine;
+    let mut export =
+        Export { files: Vec::new(), report: Report::new(format, &machine.name, options) };
+    for (section, reason) in course::terms_left_out(machine, options) {
+        export.report.leave_out(section, reason);
+    }
+    match format {
+        Format::Siemens840d => siemens::export(machine, options, &mut export),
+        Format::Fanuc => fanuc::export(machine, options, &mut export),
+        Format::Heidenhain => heidenhain::export(machine, options, &mut export),
+        Format::LinuxCnc => linuxcnc::export(machine, options, &mut export),
+    }
+    if export.files.is_empty() {
+        return Err(Refused { format, left_out: export.report.left_out });
+    }
+    Ok(export)
+}

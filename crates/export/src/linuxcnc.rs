@@ -1,0 +1,218 @@
+//! LinuxCNC: `[JOINT_n] COMP_FILE` with `COMP_FILE_TYPE = 1`.
+//!
+//! A line is `nominal forward reverse`, machine units, nominal rising, at most 256 lines. With type
+//! 1 the two values are trims, nominal minus actual, which the motion controller adds to the
+//! joint's command: **trim = −error**. Between the lines it is linear, beyond them the end values
+//! hold; the sign of the joint's speed chooses the column, and at rest the last choice stays.
+//! It takes the place of `BACKLASH`, so the backlash is folded into the reverse column.
+//!
+//! By hand: an error of +2 µm (too far) at 100 mm and a backlash of 5 µm give the line
+//! `100 -0.002 -0.007`.
+//!
+//! The loader stops at the first line that is not three numbers and still reports success, so the
+//! file has no header, no comment and no empty line; [`read`] refuses what the loader would skip.
+//! The real LinuxCNC is asked in `host-tests/tests/linuxcnc_comp.rs`.
+
+use std::fmt::Write as _;
+
+use trueup_machine::{Machine, machine_file::LinearAxis};
+
+use crate::{
+    Export, File, Options, Report, Table,
+    course::{Drive, crosses, drives},
+    grid::{best_rows, interpolated, largest_difference, probes_mm},
+    report::Approach,
+    text::number,
+};
+
+/// The most lines that the motion controller stores for a joint.
+pub const MOST_LINES: usize = 256;
+/// Trims and positions are written to this many decimals: 0.01 nm in a metric machine.
+const DECIMALS: usize = 8;
+
+/// A compensation file as the motion controller holds it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Compensation {
+    /// Nominal position and trim, in machine units, for positive speeds.
+    forward: Vec<(f64, f64)>,
+    /// The same for negative speeds.
+    reverse: Vec<(f64, f64)>,
+}
+
+/// Reads a file of type 1.
+///
+/// # Errors
+/// A line that is not three numbers, a nominal position that does not rise, or more than
+/// [`MOST_LINES`]: the loader would stop there, and the machine would cut with half a table.
+pub fn read(text: &str) -> Result<Compensation, String> {
+    let mut read = Compensation { forward: Vec::new(), reverse: Vec::new() };
+    for (index, line) in text.lines().enumerate() {
+        let line_number = index + 1;
+        let numbers: Vec<f64> =
+            line.split_whitespace().map_while(|word| word.parse().ok()).collect();
+        let [nominal, forward, reverse] = numbers[..] else {
+            return Err(format!("line {line_number} is not three numbers: the loader stops there"));
+        };
+        if read.forward.last().is_some_and(|&(before, _)| nominal <= before) {
+            return Err(format!("line {line_number}: {nominal} does not rise"));
+        }
+        if index == MOST_LINES {
+            return Err(format!("more than {MOST_LINES} lines"));
+        }
+        read.forward.push((nominal, forward));
+        read.reverse.push((nominal, reverse));
+    }
+    Ok(read)
+}
+
+impl Compensation {
+    /// What is added to the joint's command, in machine units.
+    #[must_use]
+    pub fn trim(&self, position: f64, approach: Approach) -> f64 {
+        match approach {
+            Approach::Positive => interpolated(&self.forward, position),
+            Approach::Negative => interpolated(&self.reverse, position),
+        }
+    }
+}
+
+pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) {
+    for drive in drives(machine, options) {
+        export_drive(&drive, options, export);
+    }
+    leave_out(machine, &mut export.report);
+    if !export.files.is_empty() {
+        export.report.note(
+            "set COMP_FILE and COMP_FILE_TYPE = 1 in [JOINT_n], and remove BACKLASH there: the \
+             file takes its place",
+        );
+        export.report.note(format!(
+            "LINEAR_UNITS must be {}; nothing is corrected before the first move tells a direction",
+            options.units.name()
+        ));
+    }
+}
+
+fn export_drive(drive: &Drive<'_>, options: &Options, export: &mut Export) {
+    if drive.is_flat() && drive.error_um(0.0, Approach::Positive) == 0.0 {
+        return;
+    }
+    let mut positions_mm = drive.points_mm();
+    if positions_mm.is_empty() {
+        // One line holds everywhere.
+        positions_mm.push(0.0);
+    }
+    let columns = Approach::BOTH.map(|approach| {
+        positions_mm.iter().map(|&mm| drive.error_um(mm, approach)).collect::<Vec<f64>>()
+    });
+    let most = options.most_points.unwrap_or(MOST_LINES).clamp(2, MOST_LINES);
+    let keeps_all = !drive.is_curved() && positions_mm.len() <= most;
+    let (rows, off_um) = if keeps_all {
+        ((0..positions_mm.len()).collect(), 0.0)
+    } else {
+        let tolerance_um = if drive.is_curved() { options.tolerance_um / 2.0 } else { 0.0 };
+        best_rows(&positions_mm, &columns, tolerance_um, most)
+    };
+    let is_lost = !keeps_all && (!drive.is_curved() || off_um > options.tolerance_um);
+    let loss = is_lost.then(|| {
+        format!(
+            "{} of {} points are left away, to the best {}: lines up to {off_um:.3} um off",
+            positions_mm.len() - rows.len(),
+            positions_mm.len(),
+            rows.len()
+        )
+    });
+    let unit_mm = options.units.mm();
+    let mut text = String::new();
+    for &row in &rows {
+        let [forward, reverse] =
+            [0, 1].map(|column| number(-columns[column][row] / 1000.0 / unit_mm, DECIMALS));
+        let nominal = number(positions_mm[row] / unit_mm, DECIMALS);
+        // Writing to a string cannot fail.
+        let _ = writeln!(text, "{nominal} {forward} {reverse}");
+    }
+    let name = format!("{}.comp", drive.name());
+    let back = match read(&text) {
+        Ok(back) => back,
+        Err(rule) => {
+            export.report.leave_out(drive.section(), format!("LinuxCNC would not load it: {rule}"));
+            return;
+        }
+    };
+    let range = (positions_mm[0], positions_mm[positions_mm.len() - 1]);
+    let largest = largest_difference(
+        &probes_mm(range, &positions_mm, drive.is_held()),
+        |mm, approach| drive.error_um(mm, approach),
+        |mm, approach| back.trim(mm / unit_mm, approach) * unit_mm * 1000.0,
+    );
+    export.report.tables.push(Table {
+        file: name.clone(),
+        name: format!("COMP_FILE of the joint of {}", drive.name()),
+        section: drive.section(),
+        points: rows.len(),
+        range,
+        spacing: None,
+        constant_um: 0.0,
+        largest,
+        loss,
+    });
+    if drive.is_second {
+        export.report.note(format!(
+            "{name} is for the joint of the second drive of {}: the beam itself shares the error \
+             out between the two",
+            drive.axis.name()
+        ));
+    }
+    export.files.push(File { name, text });
+}
+
+fn leave_out(machine: &Machine, report: &mut Report) {
+    for cross in crosses(machine) {
+        let reason = "LinuxCNC's tables correct a joint by its own position only; the bridge can";
+        report.leave_out(cross.section(), reason);
+    }
+    leave_out_heat(machine, report, "LinuxCNC has no compensation by temperature; the bridge has");
+}
+
+/// The parts of the model that change while the machine runs, for controls with nothing for them.
+pub(crate) fn leave_out_heat(machine: &Machine, report: &mut Report, reason: &str) {
+    for axis in LinearAxis::ALL {
+        if machine.axes[axis.index()].thermal.is_some() {
+            report.leave_out(format!("axis.{}.thermal", axis.name()), reason);
+        }
+    }
+    if let Some(source) = machine.spindle.source {
+        report.leave_out(format!("spindle.{}", source.name()), reason);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_the_loader_would_stop_at_is_refused() {
+        for (text, rule) in [
+            ("# a comment\n0 0 0\n", "line 1 is not three numbers"),
+            ("0 0 0\n\n1 0 0\n", "line 2 is not three numbers"),
+            ("0 0\n", "line 1 is not three numbers"),
+            ("0 0 0\n0 1 1\n", "line 2: 0 does not rise"),
+        ] {
+            assert!(read(text).is_err_and(|error| error.starts_with(rule)), "{text:?}");
+        }
+        let lines = |n: usize| (0..n).map(|k| format!("{k} 0 0\n")).collect::<String>();
+        assert!(read(&lines(256)).is_ok());
+        assert_eq!(read(&lines(257)), Err("more than 256 lines".to_string()));
+    }
+
+    #[test]
+    fn the_direction_chooses_the_column_and_the_ends_hold() {
+        let read = read("0 0.001 0.004\n100 0.003 -0.002\n").unwrap();
+        for (mm, forward, reverse) in
+            [(-50.0, 0.001, 0.004), (50.0, 0.002, 0.001), (150.0, 0.003, -0.002)]
+        {
+            assert!((read.trim(mm, Approach::Positive) - forward).abs() < 1e-15);
+            assert!((read.trim(mm, Approach::Negative) - reverse).abs() < 1e-15);
+        }
+    }
+}

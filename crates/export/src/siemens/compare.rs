@@ -1,0 +1,121 @@
+//! The tables as they were read back, against the model.
+
+use std::fmt::Write as _;
+
+use trueup_machine::Machine;
+
+use super::{Lookup, Part, Plan, Variables, machine_axis};
+use crate::{
+    Export, Options, Table,
+    grid::{Grid, largest_difference, probes_mm},
+    report::{Approach, Difference},
+};
+
+/// What was read back, or why it could not be: EEC, CEC and machine data.
+pub(super) type ReadBack = [Result<Variables, String>; 3];
+
+pub(super) fn compare(
+    machine: &Machine,
+    options: &Options,
+    plan: &Plan<'_>,
+    read: &ReadBack,
+    export: &mut Export,
+) {
+    let section = match &plan.part {
+        Part::Drive(drive) => drive.section(),
+        Part::Cross(cross) => cross.section(),
+    };
+    match compared(machine, options, plan, read) {
+        Ok((file, name, largest)) => {
+            let lost = plan.was_thinned && largest.um > options.tolerance_um;
+            let loss = lost.then(|| format!("thinned to {} equidistant points", plan.grid.points));
+            let (Grid { start_mm, step_mm, points }, last_mm) = (plan.grid, plan.grid.last_mm());
+            export.report.tables.push(Table {
+                file,
+                name,
+                section,
+                points,
+                range: (start_mm, last_mm),
+                spacing: (points > 1).then_some(step_mm),
+                constant_um: plan.constant_um,
+                largest,
+                loss,
+            });
+        }
+        Err(rule) => export.report.leave_out(section, format!("it reads back wrong: {rule}")),
+    }
+}
+
+fn compared(
+    machine: &Machine,
+    options: &Options,
+    plan: &Plan<'_>,
+    read: &ReadBack,
+) -> Result<(String, String, Difference), String> {
+    let [eec, cec, data] = read.each_ref().map(|read| read.as_ref().map_err(Clone::clone));
+    let unit_mm = options.units.mm();
+    let um = 1000.0 * unit_mm;
+    let tables: Vec<Lookup> =
+        plan.cec.iter().map(|&t| Lookup::cec(cec.clone()?, t)).collect::<Result<_, String>>()?;
+    let mut name = String::new();
+    for (t, lookup) in plan.cec.iter().zip(&tables) {
+        let direction = ["-1", "0", "1"][(lookup.direction + 1.0) as usize];
+        let _ = write!(name, "$AN_CEC[{t}] direction {direction} ");
+    }
+    let grid = plan.grid;
+    let range = (grid.start_mm, grid.last_mm());
+    match &plan.part {
+        Part::Drive(drive) => {
+            let axis = machine_axis(machine, drive.axis, drive.is_second);
+            let own = match (drive.is_two_way(), drive.has_table()) {
+                (false, true) => {
+                    let _ = write!(name, "$AA_ENC_COMP of {axis} ");
+                    Some(Lookup::eec(eec?, &axis)?)
+                }
+                _ => None,
+            };
+            let backlash = if drive.backlash_um() == 0.0 {
+                0.0
+            } else {
+                let _ = write!(name, "with MD32450 of {axis}");
+                data?.number(&format!("$MA_BACKLASH[0,{axis}]"))?
+            };
+            // A positive value moves the axis in the negative direction.
+            let correction_um = |mm: f64, approach: Approach| {
+                let at = mm / unit_mm;
+                let from_tables: f64 =
+                    own.iter().chain(&tables).map(|table| table.value(at, approach)).sum();
+                let lash = if approach == Approach::Negative { backlash } else { 0.0 };
+                -(from_tables + lash) * um
+            };
+            let error_um = |mm, approach| drive.error_um(mm, approach) - plan.constant_um;
+            let mut special = drive.points_mm();
+            special.extend(grid.positions_mm());
+            let probes = probes_mm(range, &special, drive.is_held());
+            let file = match (drive.is_two_way(), drive.has_table()) {
+                (true, _) => "NC_CEC.INI",
+                (false, true) => "AX_EEC.INI",
+                (false, false) => "ENABLE.INI",
+            };
+            let largest = largest_difference(&probes, error_um, correction_um);
+            Ok((file.to_string(), name.trim_end().to_string(), largest))
+        }
+        Part::Cross(cross) => {
+            let _ = write!(name, "from {} to {}", cross.along.name(), cross.error.name());
+            let probes = probes_mm(
+                range,
+                &[cross.kinks_mm(), grid.positions_mm()].concat(),
+                cross.is_held(),
+            );
+            let largest = largest_difference(
+                &probes,
+                |mm, _| cross.error_um(mm) - plan.constant_um,
+                |mm, approach| {
+                    -tables.iter().map(|table| table.value(mm / unit_mm, approach)).sum::<f64>()
+                        * um
+                },
+            );
+            Ok(("NC_CEC.INI".to_string(), name, largest))
+        }
+    }
+}

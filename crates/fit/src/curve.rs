@@ -1,0 +1,115 @@
+//! `[straightness.z_of_x]`: the curve of a run, as a report and a section.
+//!
+//! The curve itself is found by [`straightness`](crate::straightness).
+
+use trueup_machine::{BadInput, RunFile};
+
+use crate::{
+    elongation::summary,
+    report::{Fact, Parameter, Report, Spread, Verdict},
+    section::{Edit, Section, rounded},
+    straightness::{self, Curve, Method, Options, Reference},
+};
+
+/// Digits after the point of coefficients in µm: 0.1 nm, the board's own step is 1 nm.
+const DECIMALS: i32 = 4;
+
+/// Fits the curve of `quantity` over the axis that moves; `known_um` is taken off first, and must
+/// have a value for each row.
+///
+/// # Errors
+/// See [`straightness::fit_run`].
+pub fn fit(
+    run: &RunFile,
+    quantity: Option<&str>,
+    known_um: impl FnOnce(&Curve) -> Result<Option<Vec<f64>>, BadInput>,
+    options: &Options,
+) -> Result<Report, BadInput> {
+    let mut curve = straightness::fit_run(run, quantity, options)?;
+    let column = format!("measured_d{}_um", curve.error.name());
+    let position = format!("{}_mm", curve.along.name());
+    let (positions, measured) = (run.require(&position)?, run.require(&column)?);
+    let mut y = measured.to_vec();
+    if let Some(known_um) = known_um(&curve)? {
+        y.iter_mut().zip(&known_um).for_each(|(y, known)| *y -= known);
+        let there = |row: &usize| !positions[*row].is_nan() && !y[*row].is_nan();
+        let rows: Vec<usize> = (0..y.len()).filter(there).collect();
+        let take = |values: &[f64]| -> Vec<f64> { rows.iter().map(|row| values[*row]).collect() };
+        curve.fit = straightness::fit(&take(positions), &take(&y), options)
+            .map_err(|fault| run.bad(0, &position, fault))?;
+        curve.rows_incomplete = y.len() - rows.len();
+    }
+    Ok(report(&curve, &y, positions, column))
+}
+
+fn report(curve: &Curve, y: &[f64], positions: &[f64], column: String) -> Report {
+    let fit = &curve.fit;
+    let mut report = Report::new("straightness", column);
+    let mut spline = fit.spline.clone();
+    spline.control_um.iter_mut().for_each(|um| *um = rounded(*um, DECIMALS));
+    let less_line: Vec<f64> = y.iter().zip(positions).map(|(y, x)| y - fit.line.at(*x)).collect();
+    let residuals: Vec<f64> = less_line
+        .iter()
+        .zip(positions)
+        .map(|(y, x)| y - trueup_machine::model::spline_um(&spline, *x))
+        .collect();
+    report.rows_used = fit.rows;
+    report.rows_incomplete = curve.rows_incomplete;
+    report.before = Spread::of(&less_line);
+    report.in_sample = Spread::of(&residuals);
+    let compared = fit.compare();
+    let own = match fit.method {
+        Method::Paper => "paper's way",
+        Method::LeastSquares => "least squares",
+    };
+    let judged = compared.iter().find(|way| way.way == own).and_then(|way| way.left_out);
+    report.left_out = judged.map(|left| Spread { rms_um: left.rms_um, max_um: left.largest_um });
+    report.left_out_by = "every second position, by a curve through the others".into();
+    for way in &compared {
+        let left_out = way.left_out.map_or(f64::NAN, |left| left.rms_um);
+        report.facts.push(Fact::text(
+            format!("compared: {}", way.way),
+            format!(
+                "{} coefficients, {:.3} um RMS, at positions left out {left_out:.3} um RMS",
+                way.coefficients, way.residual.rms_um
+            ),
+        ));
+    }
+    report.facts.push(Fact::number("coefficients", spline.control_um.len() as f64));
+    report.facts.push(Fact::number("positions", fit.positions as f64));
+    report.facts.push(Fact::text("reference_line", fit.reference.to_string()));
+    if fit.reference != Reference::AsMeasured {
+        report.parameters.push(Parameter::set("line_offset_um", fit.line.offset_um));
+        report.parameters.push(Parameter::set("line_slope_um_per_mm", fit.line.slope_um_per_mm));
+    }
+    if let Some(noise) = fit.noise {
+        report.facts.push(Fact::number("noise_um", noise.um));
+    }
+    if let Some(um) = fit.standard_error_um {
+        report.facts.push(Fact::number("curve_standard_error_um", um));
+    }
+    report.facts.push(Fact::text("stopped_because", fit.stopped.to_string()));
+    if let Some(tolerance) = fit.tolerance_um.filter(|_| !fit.is_within_tolerance) {
+        report.unmet.push(format!(
+            "the largest residual is {:.3} um, the tolerance {tolerance} um: {}",
+            fit.residual.largest_um, fit.stopped
+        ));
+    }
+    report.warnings.extend(fit.warnings.iter().cloned());
+    if let (Some(before), Some(left)) = (report.before, report.left_out)
+        && left.rms_um >= before.rms_um
+    {
+        report.verdict = Verdict::DoNotCompensate(vec![
+            format!("positions left out are {:.3} um RMS away from the curve", left.rms_um),
+            format!("they are {:.3} um RMS without any", before.rms_um),
+        ]);
+        return report;
+    }
+    let section = Section::new(format!("straightness.{}", curve.name()))
+        .whole("order", u32::try_from(spline.order).expect("an order is 2, 3 or 4"))
+        .numbers("knots_mm", spline.knots_mm)
+        .numbers("control_um", spline.control_um)
+        .remark(summary(&report));
+    report.edit = Edit::of(section);
+    report
+}

@@ -1,0 +1,357 @@
+//! `[spindle.sensor]` and `[spindle.temperature]`: the spindle's growth from what is measured at it.
+//!
+//! By the displacement sensor, ΔK = K₀ + (V − V₀)·tanβ: a straight line. V₀ and K₀ are one constant
+//! in two places: V₀ is the machine file's where there is one, else the smallest reading of the
+//! run, and K₀ is fitted to it. By a temperature, s = k·(T − T₀), T behind its sensor by a lag.
+//!
+//! Rows far from the rest are found first ([`robust`](crate::robust)) and listed. Where rows are a
+//! time series their residuals are correlated, and all intervals are widened by what the
+//! correlation of neighbours says.
+//!
+//! A run of 10⁶ rows is fitted with the run itself and about ten columns of `f64` beside it: 80 MB.
+
+use trueup_machine::{
+    BadInput, Machine, RunFile,
+    machine_file::{SensorModel, Source, is_temperature_column},
+    model::elongation_um,
+};
+
+use crate::{
+    lagged::{self, Lagged, Term},
+    report::{Fact, Parameter, Report, Spread, Verdict},
+    robust,
+    rows::{self, Rows},
+    section::{Edit, Section, Value},
+};
+
+/// The column that is explained.
+pub(crate) const MEASURED: &str = "measured_elongation_um";
+
+/// What to fit.
+#[derive(Clone, Debug, Default)]
+pub struct Options {
+    /// The sensor or a temperature; `None`: what the machine file's source says, else the sensor
+    /// where the run has its column, else its temperature.
+    pub source: Option<Source>,
+    /// The column of the temperature; `None`: the machine file's, else the run's only one.
+    pub temperature: Option<String>,
+}
+
+/// Fits the spindle's growth. `machine` is what the user has so far.
+///
+/// # Errors
+/// A column is missing, too few rows have both values, or the input is the same in every row.
+pub fn fit(
+    runs: &[RunFile],
+    machine: Option<&Machine>,
+    options: &Options,
+) -> Result<Report, BadInput> {
+    let rows = Rows::of(runs)?;
+    let by_machine = machine.and_then(|machine| machine.spindle.source);
+    let has_counts = runs.iter().any(|run| run.column("sensor_counts").is_some());
+    let source = options.source.or(options.temperature.as_ref().map(|_| Source::Temperature));
+    match source.or(by_machine) {
+        Some(Source::Temperature) => by_temperature(&rows, machine, options),
+        Some(Source::Sensor) => by_sensor(&rows, machine),
+        _ if has_counts || rows.temperatures().is_empty() => by_sensor(&rows, machine),
+        _ => by_temperature(&rows, machine, options),
+    }
+}
+
+fn by_sensor(rows: &Rows<'_>, machine: Option<&Machine>) -> Result<Report, BadInput> {
+    let counts = rows.require("sensor_counts")?;
+    let mut y = rows.require(MEASURED)?;
+    let is_used: Vec<bool> =
+        counts.iter().zip(&y).map(|(v, y)| !v.is_nan() && !y.is_nan()).collect();
+    let mut report = Report::new("elongation", MEASURED);
+    let old = machine.and_then(|machine| machine.spindle.sensor.as_ref());
+    spread_or_bad(rows, "sensor_counts", &counts, &is_used, 3)?;
+    report.rows_incomplete = is_used.iter().filter(|used| !**used).count();
+
+    let ones = vec![1.0; counts.len()];
+    let found = robust::in_relation(&[&ones, &counts], &y);
+    report.set_aside = rows.set_aside(&found, &y, MEASURED);
+    found.iter().for_each(|outlier| y[outlier.row] = f64::NAN);
+    y.iter_mut().zip(&counts).filter(|(_, v)| v.is_nan()).for_each(|(y, _)| *y = f64::NAN);
+    let is_used: Vec<bool> = y.iter().map(|y| !y.is_nan()).collect();
+    spread_or_bad(rows, "sensor_counts", &counts, &is_used, 3)?;
+
+    let smallest = counts.iter().zip(&is_used).filter(|(_, used)| **used).map(|(v, _)| *v);
+    let zero_counts =
+        old.map_or(smallest.fold(f64::INFINITY, f64::min), |sensor| sensor.zero_counts);
+    let columns = vec![ones, counts.iter().map(|v| v - zero_counts).collect()];
+    let Some(line) = rows::solve(&columns, &y, |_| true) else {
+        return Err(rows.bad("sensor_counts does not decide a line"));
+    };
+    let residuals = rows::residuals(&columns, &y, &line);
+    let wider = rows::widening(&residuals);
+    let (groups, by) = rows.groups(&is_used);
+    let left_out = rows::left_out(&columns, &y, groups.as_deref());
+    let model = SensorModel {
+        k0_um: line.coefficients[0],
+        zero_counts,
+        um_per_count: line.coefficients[1],
+        temperature: None,
+    };
+
+    report.parameters = vec![
+        Parameter::fitted("k0_um", model.k0_um, wider * line.half_width(0)),
+        Parameter::set("zero_counts", zero_counts),
+        Parameter::fitted("um_per_count", model.um_per_count, wider * line.half_width(1)),
+    ];
+    if let Some(old) = old {
+        let of_old: Vec<f64> =
+            y.iter().zip(&counts).map(|(y, v)| y - elongation_um(old, *v)).collect();
+        say_old(&mut report, &of_old);
+    }
+    finish(&mut report, &y, &residuals, left_out, by, wider);
+    warn_of_a_curve(&mut report, &columns, &y, &line);
+    judge(&mut report, &y, groups.as_deref());
+    if report.verdict.is_fitted() {
+        let section = Section::new("spindle.sensor")
+            .number("k0_um", model.k0_um)
+            .number("zero_counts", zero_counts)
+            .number("um_per_count", model.um_per_count)
+            .keeping(&["temperature"])
+            .remark(summary(&report));
+        report.edit = Edit::of(section);
+        report.edit.defaults.push(("spindle".into(), "source", Value::Text("sensor".into())));
+        warn_of_source(&mut report, machine, Source::Sensor);
+    }
+    Ok(report)
+}
+
+fn by_temperature(
+    rows: &Rows<'_>,
+    machine: Option<&Machine>,
+    options: &Options,
+) -> Result<Report, BadInput> {
+    let old = machine.and_then(|machine| machine.spindle.temperature.as_ref());
+    let wanted = options.temperature.clone().or(old.map(|model| model.sensor.clone()));
+    let column = temperature_column(rows, wanted)?;
+    let temperature_c = rows.require(&column)?;
+    let time_s = rows.optional("time_s")?;
+    let mut y = rows.require(MEASURED)?;
+    let mut report = Report::new("elongation", MEASURED);
+    let complete = |row: usize, y: &[f64]| {
+        !y[row].is_nan()
+            && !temperature_c[row].is_nan()
+            && time_s.as_ref().is_none_or(|time_s| !time_s[row].is_nan())
+    };
+    let is_used: Vec<bool> = (0..y.len()).map(|row| complete(row, &y)).collect();
+    spread_or_bad(rows, &column, &temperature_c, &is_used, 4)?;
+    report.rows_incomplete = is_used.iter().filter(|used| !**used).count();
+    let found = match &time_s {
+        Some(time_s) => lagged::outliers(time_s, &rows.starts(Some(time_s)), &y),
+        None => robust::in_relation(&[&vec![1.0; y.len()], &temperature_c], &y),
+    };
+    report.set_aside = rows.set_aside(&found, &y, MEASURED);
+    found.iter().for_each(|outlier| y[outlier.row] = f64::NAN);
+    (0..y.len()).filter(|row| !is_used[*row]).for_each(|row| y[row] = f64::NAN);
+    let is_used: Vec<bool> = y.iter().map(|y| !y.is_nan()).collect();
+    spread_or_bad(rows, &column, &temperature_c, &is_used, 4)?;
+
+    let starts = rows.starts(time_s.as_deref());
+    let terms = [Term::Constant, Term::Warm];
+    let design = Lagged::new(time_s.as_deref(), &temperature_c, &starts, &terms, &[]);
+    let (groups, by) = rows.groups(&is_used);
+    let fitted = design
+        .fit(&y, groups.as_deref())
+        .ok_or_else(|| rows.bad(format!("{column} does not decide a line")))?;
+    let wider = rows::widening(&fitted.residuals);
+    let (constant, k) = (fitted.coefficients[0], fitted.coefficients[1]);
+    let reference_c = design.mean_c - constant / k;
+    // T₀ = T̄ − c/k
+    let half = wider * fitted.half_width_of(&[-1.0 / k, constant / (k * k)]);
+
+    report.parameters = vec![
+        Parameter::fitted("k_um_per_c", k, wider * fitted.half_width(1)),
+        Parameter::fitted("reference_c", reference_c, half),
+        fitted.lag_parameter(wider),
+    ];
+    report.facts.push(Fact::text("sensor", column.clone()));
+    report.warnings.extend(fitted.warning.clone());
+    if let Some(old) = old.filter(|old| old.sensor == column) {
+        let lagged_c = design.lagged_c(old.lag_s);
+        let of_old: Vec<f64> = y
+            .iter()
+            .zip(&lagged_c)
+            .map(|(y, t)| y - trueup_machine::model::temperature_elongation_um(old, *t))
+            .collect();
+        say_old(&mut report, &of_old);
+    }
+    finish(&mut report, &y, &fitted.residuals, fitted.left_out.clone(), by, wider);
+    judge(&mut report, &y, groups.as_deref());
+    if report.verdict.is_fitted() {
+        let section = Section::new("spindle.temperature")
+            .text("sensor", column)
+            .number("reference_c", reference_c)
+            .number("k_um_per_c", k)
+            .number("lag_s", fitted.lag_s)
+            .remark(summary(&report));
+        report.edit = Edit::of(section);
+        report.edit.defaults.push(("spindle".into(), "source", Value::Text("temperature".into())));
+        warn_of_source(&mut report, machine, Source::Temperature);
+    }
+    Ok(report)
+}
+
+/// The column of the temperature that is wanted, else the only one.
+pub(crate) fn temperature_column(
+    rows: &Rows<'_>,
+    wanted: Option<String>,
+) -> Result<String, BadInput> {
+    if let Some(wanted) = wanted {
+        if !is_temperature_column(&wanted) {
+            return Err(rows.bad(format!("{wanted} is no column of a temperature, temp_<name>_c")));
+        }
+        return Ok(wanted);
+    }
+    match rows.temperatures().as_slice() {
+        [] => Err(rows.bad("no column of a temperature, temp_<name>_c, is there")),
+        [only] => Ok((*only).to_string()),
+        several => Err(rows.bad(format!(
+            "which temperature explains it must be said (--temperature): there are {}",
+            several.join(", ")
+        ))),
+    }
+}
+
+/// Refuses too few rows, and an input that is the same in every row.
+pub(crate) fn spread_or_bad(
+    rows: &Rows<'_>,
+    column: &str,
+    x: &[f64],
+    is_used: &[bool],
+    least: usize,
+) -> Result<(), BadInput> {
+    let mut used = x.iter().zip(is_used).enumerate().filter(|(_, (_, used))| **used);
+    let count = used.clone().count();
+    if count < least {
+        let rule = format!(
+            "{count} rows have all values that the fit needs, of {}: it needs {least}",
+            x.len()
+        );
+        return Err(rows.bad(rule));
+    }
+    if let Some((first, (value, _))) = used.next()
+        && used.all(|(_, (x, _))| x == value)
+    {
+        let place = rows.place(first, column);
+        let rule = format!("{column} is {value} in every row: nothing can be fitted to it");
+        return Err(BadInput::new(place, rule));
+    }
+    Ok(())
+}
+
+/// What all fits say of their residuals.
+pub(crate) fn finish(
+    report: &mut Report,
+    y: &[f64],
+    residuals: &[f64],
+    left_out: Option<Vec<f64>>,
+    by: String,
+    wider: f64,
+) {
+    report.rows_used = y.iter().filter(|y| !y.is_nan()).count();
+    report.before = Spread::of(y);
+    report.in_sample = Spread::of(residuals);
+    report.left_out = left_out.and_then(|left_out| Spread::of(&left_out));
+    report.left_out_by = by;
+    if wider > 1.0 {
+        report.facts.push(Fact::number("intervals_widened", wider));
+    }
+    if report.left_out.is_none() {
+        report.warnings.push(
+            "the constants cannot be judged on left-out rows: without one of the \
+             parts the rest does not decide them"
+                .into(),
+        );
+    }
+    let set_aside = report.set_aside.len();
+    if set_aside * 10 > report.rows_used {
+        report.warnings.push(format!(
+            "{set_aside} rows are set aside, more than one in ten: look at the measurement first"
+        ));
+    }
+}
+
+/// How well the constants of the machine file did on the same rows.
+pub(crate) fn say_old(report: &mut Report, residuals: &[f64]) {
+    if let Some(old) = Spread::of(residuals) {
+        report.facts.push(Fact::number("machine_file_rms_um", old.rms_um));
+        report.facts.push(Fact::number("machine_file_max_um", old.max_um));
+    }
+}
+
+/// Not to compensate, where left-out rows are no better with the correction than without it, or
+/// than with a constant alone.
+pub(crate) fn judge(report: &mut Report, y: &[f64], groups: Option<&[usize]>) {
+    let (Some(before), Some(left_out)) = (report.before, report.left_out) else { return };
+    let ones = vec![vec![1.0; y.len()]];
+    let constant = rows::left_out(&ones, y, groups).and_then(|left| Spread::of(&left));
+    let constant = constant.map_or(before.rms_um, |constant| constant.rms_um);
+    let bar = before.rms_um.min(constant);
+    if left_out.rms_um >= bar {
+        report.verdict = Verdict::DoNotCompensate(vec![
+            format!(
+                "left-out rows ({}) are {:.3} um RMS away with the correction",
+                report.left_out_by, left_out.rms_um
+            ),
+            format!(
+                "they are {:.3} um RMS without any, and {constant:.3} um with a constant alone",
+                before.rms_um
+            ),
+        ]);
+    }
+}
+
+/// A line above the section.
+pub(crate) fn summary(report: &Report) -> String {
+    let rms = |spread: Option<Spread>| {
+        spread.map_or("not known".to_string(), |spread| format!("{:.3} um RMS", spread.rms_um))
+    };
+    format!(
+        "fitted to {} rows: {}, on left-out rows {}",
+        report.rows_used,
+        rms(report.in_sample),
+        rms(report.left_out)
+    )
+}
+
+/// Warns where the machine file goes on using another source.
+pub(crate) fn warn_of_source(report: &mut Report, machine: Option<&Machine>, fitted: Source) {
+    let chosen = machine.and_then(|machine| machine.spindle.source);
+    if let Some(chosen) = chosen.filter(|chosen| *chosen != fitted) {
+        report.warnings.push(format!(
+            "[spindle] source is \"{}\" and stays so: what was fitted is not in use until it is \
+             \"{}\"",
+            chosen.name(),
+            fitted.name()
+        ));
+    }
+}
+
+/// Warns where a parabola is clearly better than the line.
+fn warn_of_a_curve(
+    report: &mut Report,
+    columns: &[Vec<f64>],
+    y: &[f64],
+    line: &crate::solve::Solution,
+) {
+    let Some(x) = columns.get(1) else { return };
+    let present = || x.iter().zip(y).filter(|(_, y)| !y.is_nan()).map(|(x, _)| *x);
+    let mean = present().sum::<f64>() / present().count() as f64;
+    let squares: Vec<f64> = x.iter().map(|x| (x - mean).powi(2)).collect();
+    let curved = [columns, &[squares]].concat();
+    let Some(parabola) = rows::solve(&curved, y, |_| true) else { return };
+    let better = 1.0 - (parabola.residual_squares / line.residual_squares).sqrt();
+    let known = (parabola.coefficients[2] / parabola.standard_error(2)).abs();
+    if parabola.degrees_of_freedom() >= 5 && known > 5.0 && better > 0.2 {
+        report.warnings.push(format!(
+            "the readings follow a curve: a parabola leaves {:.0} % less than the line; trueup \
+             diagnose can add it",
+            100.0 * better
+        ));
+    }
+}

@@ -1,0 +1,113 @@
+//! What the machine file says of a run without the section that is to be fitted.
+//!
+//! A measured error is the sum of all parts of the model. Those that are known already must not be
+//! fitted a second time, or the whole would count them twice.
+
+use trueup_machine::{
+    BadInput, Machine, RunFile,
+    machine_file::{LinearAxis, Source},
+    predict::Predictor,
+};
+
+/// The section that is to be fitted, and is therefore left out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Without {
+    /// `[axis.<axis>.thermal]`.
+    Thermal(LinearAxis),
+    /// `[axis.<axis>.pitch]` and `[axis.<axis>.backlash]`.
+    Position(LinearAxis),
+    /// `[straightness.<error>_of_<along>]`.
+    Straightness {
+        /// The axis that is in error.
+        error: LinearAxis,
+        /// The axis that moves.
+        along: LinearAxis,
+    },
+}
+
+/// What the other sections say.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Known {
+    /// The error of the axis that is fitted, row by row, in µm.
+    pub um: Vec<f64>,
+    /// Columns that the run lacks: what depends on them is not in `um`, which is NaN then.
+    pub missing_columns: Vec<String>,
+}
+
+impl Known {
+    /// Whether a row is known at all.
+    #[must_use]
+    pub fn is_usable(&self) -> bool {
+        self.um.iter().any(|um| !um.is_nan())
+    }
+}
+
+/// What `machine` says of the error of the axis that is fitted, for each row of `run`; `None` where
+/// there is no other section that says anything.
+///
+/// # Errors
+/// The run has a column with the name of a prediction.
+pub fn known(
+    machine: &Machine,
+    run: &RunFile,
+    without: Without,
+) -> Result<Option<Known>, BadInput> {
+    let mut rest = machine.clone();
+    let axis = match without {
+        Without::Thermal(axis) => {
+            rest.axes[axis.index()].thermal = None;
+            axis
+        }
+        Without::Position(axis) => {
+            let own = &mut rest.axes[axis.index()];
+            (own.pitch, own.backlash, own.dual) = (None, None, None);
+            axis
+        }
+        Without::Straightness { error, along } => {
+            rest.straightness.retain(|curve| (curve.error, curve.along) != (error, along));
+            error
+        }
+    };
+    // Only what can move this axis: the rest may lack its columns without harm.
+    for (index, other) in rest.axes.iter_mut().enumerate() {
+        if index != axis.index() {
+            (other.thermal, other.pitch, other.backlash, other.dual) = (None, None, None, None);
+        }
+    }
+    rest.straightness.retain(|curve| curve.error == axis);
+    rest.squareness.retain(|angle| angle.error == axis && angle.um_per_m != 0.0);
+    let tool_reaches = !rest.head_axes.is_empty() || rest.tool_direction[axis.index()] != 0.0;
+    if !tool_reaches || !has_model(&rest) {
+        rest.spindle.source = None;
+    }
+    let own = &rest.axes[axis.index()];
+    let says_something = own.thermal.is_some()
+        || own.pitch.is_some()
+        || own.backlash.is_some()
+        || !rest.straightness.is_empty()
+        || !rest.squareness.is_empty()
+        || rest.spindle.source.is_some();
+    if !says_something {
+        return Ok(None);
+    }
+    let missing: Vec<String> = trueup_machine::model::required_columns(&rest)
+        .into_iter()
+        .filter(|name| run.column(name).is_none())
+        .collect();
+    if !missing.is_empty() {
+        return Ok(Some(Known { um: vec![f64::NAN; run.rows()], missing_columns: missing }));
+    }
+    let predictor = Predictor::new(&rest, run)?;
+    let um = predictor.rows().map(|row| row.model.error_um[axis.index()]).collect();
+    Ok(Some(Known { um, missing_columns: Vec::new() }))
+}
+
+fn has_model(machine: &Machine) -> bool {
+    let spindle = &machine.spindle;
+    match spindle.source {
+        None => false,
+        Some(Source::Sensor) => spindle.sensor.is_some(),
+        Some(Source::Warmup) => spindle.warmup.is_some(),
+        Some(Source::Temperature) => spindle.temperature.is_some(),
+    }
+}

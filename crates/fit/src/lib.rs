@@ -1,0 +1,43 @@
+//! From measured runs to the sections of a machine file.
+//!
+//! Each fit takes [runs](trueup_machine::RunFile) and gives a [`Report`]: the constants with their
+//! intervals, the residuals on the rows that were fitted and on rows that were left out, the rows
+//! that were set aside and why, and the [`Edit`] that takes the constants into a machine file. A
+//! run that no correction makes better is answered with [`Verdict::DoNotCompensate`] and the
+//! figures that say so.
+//!
+//! | module | does |
+//! |---|---|
+//! | [`straightness`] | a B-spline with few coefficients |
+//! | [`pitch`] | position errors of an axis and its backlash |
+//! | [`iso230`] | the figures of ISO 230-2 |
+//! | [`bspline`] | the basis, and least squares in it |
+//! | [`elongation`] | fits `[spindle.sensor]` and `[spindle.temperature]` |
+//! | [`warmup`] | fits `[spindle.warmup]` |
+//! | [`thermal`] | fits `[axis.x.thermal]` |
+//! | [`curve`] | a straightness run as a report and a section |
+//! | [`known`] | what the rest of the machine file says of a run, to be taken off |
+//! | [`section`] | writes a section, alone or into the user's machine file |
+//! | [`report`] | the shape that every fit's outcome has |
+//! | [`robust`] | finds gross errors |
+//! | [`solve`] | least squares: linear, nonlinear and mixed, with intervals |
+#![forbid(unsafe_code)]
+
+pub mod bspline;
+pub mod iso230;
+pub mod pitch;
+pub mod elongation;
+pub mod curve;
+pub mod known;
+mod lagged;
+pub mod report;
+pub mod robust;
+mod rows;
+pub mod section;
+pub mod solve;
+pub mod straightness;
+pub mod thermal;
+pub mod warmup;
+
+pub use report::{Fact, Parameter, Report, SetAside, Spread, Verdict};
+pub use section::{Edit, Section, Value};

@@ -1,0 +1,281 @@
+//! Backlash alone: how far the table is left behind after a reversal (`physics.md` section 5).
+//!
+//! At each position the axis arrives from both sides, several times; b is the reading from the
+//! negative side minus that from the positive side, and b̄ᵢ its mean at position i. A test at the
+//! middle and near the ends (three positions or fewer) gives B = the b̄ᵢ of largest magnitude, with
+//! its sign: a CNC that over-compensates has a negative one. A sweep over more positions gives
+//! their mean, because the largest of many would over-compensate at all the others.
+//!
+//! Whether b̄ᵢ changes along the axis is asked by analysis of variance: the scatter of the b̄ᵢ beside
+//! that of the repeats, F at 95 %. Whether B is worth laying in is asked on runs left out.
+
+use statrs::distribution::{ContinuousCDF, FisherSnedecor};
+use trueup_machine::{
+    BadInput, RunFile,
+    machine_file::{Backlash, Feedback, LinearAxis},
+};
+
+use super::{
+    Options,
+    judge::{fold_of, folds, is_gain},
+    readings::{Readings, Wanted, measured_column},
+    summary::{half_interval, left_out_by},
+    table::DECIMALS,
+};
+use crate::{
+    report::{Fact, Parameter, Report, Spread, Verdict},
+    section::{Edit, Section, rounded},
+};
+
+/// So many positions are a test of backlash, more are a sweep.
+const POSITIONS_OF_A_TEST: usize = 3;
+
+/// Below this probability a difference between positions is no chance.
+const CHANCE: f64 = 0.05;
+
+/// Which of the means is the width.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum WidthRule {
+    /// The largest of up to three positions, the mean of more.
+    #[default]
+    Automatic,
+    /// The mean of largest magnitude.
+    Largest,
+    /// The mean over the positions.
+    Mean,
+}
+
+/// A fitted backlash.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BacklashFit {
+    /// What was found, with what changes in the machine file.
+    pub report: Report,
+    /// The width; `None` if it should not be laid in.
+    pub backlash: Option<Backlash>,
+    /// b̄ᵢ by position in mm, in µm: reverse minus forward.
+    pub by_position: Vec<(f64, f64)>,
+    /// Whether it changes along the axis by more than the repeats scatter.
+    pub depends_on_position: bool,
+}
+
+/// One difference: a position approached from both sides in one run.
+#[derive(Clone, Copy)]
+struct Difference {
+    target: usize,
+    run: usize,
+    um: f64,
+}
+
+/// The backlash of `axis`, from the same columns as [`fit`](super::fit).
+///
+/// # Errors
+/// A column is missing or in another unit, a cell of a row is empty, a position comes twice in a
+/// run and direction, or no position was approached from both sides in one run.
+pub fn fit_backlash(
+    run: &RunFile,
+    axis: LinearAxis,
+    options: &Options,
+) -> Result<BacklashFit, BadInput> {
+    let wanted = Wanted {
+        axis,
+        runs: options.runs.as_deref(),
+        known_um: options.known_um.as_deref(),
+        in_order: false,
+    };
+    let readings = Readings::of(run, &wanted)?;
+    let differences = differences(&readings);
+    if differences.is_empty() {
+        let direction = format!("dir_{}", axis.name());
+        let rule = match readings.has_way() {
+            [true, true] => "never has both 1 and -1 at one position in one run".to_string(),
+            [true, false] => "is never -1".to_string(),
+            _ => "is never 1".to_string(),
+        } + ": backlash needs positions that were approached from both sides";
+        return Err(run.bad(0, &direction, rule));
+    }
+    let by_target = by_target(&readings, &differences);
+    let means: Vec<(f64, f64)> =
+        by_target.iter().map(|(x, um)| (*x, um.iter().sum::<f64>() / um.len() as f64)).collect();
+    let rule = match options.width {
+        WidthRule::Automatic if means.len() <= POSITIONS_OF_A_TEST => WidthRule::Largest,
+        WidthRule::Automatic => WidthRule::Mean,
+        rule => rule,
+    };
+    let width_um = rounded(width(means.iter().map(|mean| mean.1), rule), DECIMALS);
+    let p = chance(&by_target);
+    let mut report = report(&readings, &differences, axis, rule, width_um);
+    let other = |rule| width(means.iter().map(|mean| mean.1), rule);
+    report.facts.push(Fact::numbers("position_mm", means.iter().map(|it| it.0).collect()));
+    report.facts.push(Fact::numbers("reversal_um", means.iter().map(|it| it.1).collect()));
+    report.facts.push(Fact::number("largest_um", other(WidthRule::Largest)));
+    report.facts.push(Fact::number("mean_um", other(WidthRule::Mean)));
+    let depends_on_position = p.is_some_and(|p| p < CHANCE);
+    if depends_on_position {
+        let um = || means.iter().map(|mean| mean.1);
+        let (low, high) = (um().fold(f64::INFINITY, f64::min), um().fold(f64::MIN, f64::max));
+        report.warnings.push(format!(
+            "backlash changes along the axis, from {low:.1} to {high:.1} um, by more than the \
+             repeats scatter: one width is wrong at some positions; a table for each direction \
+             (fit pitch) follows it"
+        ));
+    }
+    if options.feedback == Feedback::Scale {
+        report.verdict = Verdict::DoNotCompensate(vec![
+            "the axis has its feedback from a scale, which sees the backlash itself".to_string(),
+        ]);
+    }
+    let backlash = report.verdict.is_fitted().then(|| {
+        report.edit = Edit::of(
+            Section::new(format!("axis.{}.backlash", axis.name()))
+                .number("width_um", width_um)
+                .keeping(&["ramp_mm", "hysteresis_um"]),
+        );
+        Backlash { width_um, ramp_mm: 0.0, hysteresis_um: 0.0 }
+    });
+    Ok(BacklashFit { report, backlash, by_position: means, depends_on_position })
+}
+
+/// Pairs the readings of a position in a run.
+fn differences(readings: &Readings) -> Vec<Difference> {
+    let mut order: Vec<_> = readings.list.iter().collect();
+    order.sort_by_key(|reading| (reading.target, reading.run, reading.way));
+    // Of a record with several readings in a cell, the neighbours.
+    let pair = |pair: &[&super::Reading]| match pair {
+        [a, b] if (a.target, a.run) == (b.target, b.run) && a.way < b.way => {
+            Some(Difference { target: a.target, run: a.run, um: b.um - a.um })
+        }
+        _ => None,
+    };
+    order.windows(2).filter_map(pair).collect()
+}
+
+/// Position in mm and differences in µm, of each target that has any.
+fn by_target(readings: &Readings, differences: &[Difference]) -> Vec<(f64, Vec<f64>)> {
+    let mut targets: Vec<(f64, Vec<f64>)> =
+        readings.targets_mm.iter().map(|&x| (x, Vec::new())).collect();
+    for difference in differences {
+        targets[difference.target].1.push(difference.um);
+    }
+    targets.retain(|(_, um)| !um.is_empty());
+    targets
+}
+
+/// The width of these means by `rule`.
+fn width(means: impl Iterator<Item = f64> + Clone, rule: WidthRule) -> f64 {
+    match rule {
+        WidthRule::Largest => {
+            means.fold(0.0, |largest: f64, um| if um.abs() > largest.abs() { um } else { largest })
+        }
+        _ => means.clone().sum::<f64>() / means.count() as f64,
+    }
+}
+
+/// How likely chance alone makes the positions differ so; `None` without repeats or with one
+/// position.
+fn chance(by_target: &[(f64, Vec<f64>)]) -> Option<f64> {
+    let count: usize = by_target.iter().map(|(_, um)| um.len()).sum();
+    let freedom = (by_target.len().checked_sub(1)?, count - by_target.len());
+    if freedom.0 == 0 || freedom.1 == 0 {
+        return None;
+    }
+    let mean = |um: &[f64]| um.iter().sum::<f64>() / um.len() as f64;
+    let all = by_target.iter().flat_map(|(_, um)| um).sum::<f64>() / count as f64;
+    let between: f64 =
+        by_target.iter().map(|(_, um)| um.len() as f64 * (mean(um) - all).powi(2)).sum();
+    let within: f64 = by_target
+        .iter()
+        .map(|(_, um)| um.iter().map(|x| (x - mean(um)).powi(2)).sum::<f64>())
+        .sum();
+    let (between, within) = (between / freedom.0 as f64, within / freedom.1 as f64);
+    // What is equal to a nanometre is equal: rounding must not make a finding.
+    const EQUAL_UM2: f64 = 1e-6;
+    if between <= EQUAL_UM2 {
+        return Some(1.0);
+    }
+    let f = FisherSnedecor::new(freedom.0 as f64, freedom.1 as f64).ok()?;
+    Some(if within > 0.0 { f.sf(between / within) } else { 0.0 })
+}
+
+fn report(
+    readings: &Readings,
+    differences: &[Difference],
+    axis: LinearAxis,
+    rule: WidthRule,
+    width_um: f64,
+) -> Report {
+    let mut report = Report::new("backlash", measured_column(axis));
+    let um: Vec<f64> = differences.iter().map(|it| it.um).collect();
+    report.before = Spread::of(&um);
+    report.in_sample = Spread::of(&um.iter().map(|um| um - width_um).collect::<Vec<_>>());
+    report.rows_used = readings.list.len();
+    report.rows_incomplete = readings.rows_of_others;
+    report.facts.push(Fact::number("runs", readings.runs as f64));
+    report.facts.push(Fact::text(
+        "width_is",
+        if rule == WidthRule::Largest { "the largest mean" } else { "the mean of all positions" },
+    ));
+    let blocks = folds(readings.runs);
+    let block = |it: &Difference| fold_of(it.run, readings.runs);
+    let mut left_out = Vec::new();
+    let (mut gains, mut own) = (Vec::new(), Vec::new());
+    for out in 0..blocks {
+        let kept: Vec<Difference> =
+            differences.iter().filter(|it| block(it) != out).copied().collect();
+        let test: Vec<f64> =
+            differences.iter().filter(|it| block(it) == out).map(|it| it.um).collect();
+        if kept.is_empty() || test.is_empty() {
+            continue;
+        }
+        let kept_width = width(means_of(&kept).into_iter(), rule);
+        let rest: Vec<f64> = test.iter().map(|um| um - kept_width).collect();
+        let mean_square = |um: &[f64]| um.iter().map(|x| x * x).sum::<f64>() / um.len() as f64;
+        gains.push(mean_square(&test) - mean_square(&rest));
+        own.push(test.iter().sum::<f64>() / test.len() as f64);
+        left_out.extend(rest);
+    }
+    // The largest mean is one position's own; a mean of all is known from the runs' own widths.
+    let at_largest = differences.chunk_by(|a, b| a.target == b.target).max_by(|a, b| {
+        let size = |group: &[Difference]| width(means_of(group).into_iter(), rule).abs();
+        size(a).total_cmp(&size(b))
+    });
+    let sample = match (rule, at_largest) {
+        (WidthRule::Largest, Some(group)) => group.iter().map(|it| it.um).collect(),
+        _ => own.clone(),
+    };
+    report.parameters.push(match half_interval(&sample) {
+        Some(half) => Parameter::fitted("width_um", width_um, half),
+        None => Parameter::set("width_um", width_um),
+    });
+    if gains.len() < 2 {
+        report.warnings.push(
+            "there is only one run: nothing says whether the backlash repeats; seven readings at \
+             each position are usual"
+                .to_string(),
+        );
+        return report;
+    }
+    report.left_out = Spread::of(&left_out);
+    report.left_out_by = left_out_by(readings.runs);
+    if !is_gain(&gains) {
+        let rms = |spread: Option<Spread>| spread.map_or(f64::NAN, |it| it.rms_um);
+        let each: Vec<String> = own.iter().map(|um| format!("{um:.1}")).collect();
+        report.verdict = Verdict::DoNotCompensate(vec![format!(
+            "on runs left out the difference between the directions is {:.1} um rms without a \
+             correction and {:.1} um with the width of the other runs: no gain that holds (width \
+             run by run: {} um)",
+            rms(report.before),
+            rms(report.left_out),
+            each.join(", ")
+        )]);
+    }
+    report
+}
+
+/// The mean at each target.
+fn means_of(differences: &[Difference]) -> Vec<f64> {
+    // Sorted by target already.
+    differences
+        .chunk_by(|a, b| a.target == b.target)
+        .map(|group| group.iter().map(|it| it.um).sum::<f64>() / group.len() as f64)
+        .collect()
+}

@@ -1,0 +1,376 @@
+//! From the rows of a run to readings at targets, by direction and repeat; what breaks a rule of
+//! such a measurement is refused with its place.
+//!
+//! A target is a position that is meant to be the same: positions nearer to each other than a tenth
+//! of the smallest step of any sweep are one target. A record of more positions than
+//! [`MOST_TARGETS`] is no list of targets; it is gathered in as many cells of equal width.
+//!
+//! Repeats have their number in the column `run`. Without it the j-th arrival at a target in one
+//! direction is of run j; where no position comes again, the j-th sweep in a direction is.
+
+use std::collections::HashMap;
+
+use trueup_machine::{BadInput, RunFile, machine_file::LinearAxis, model::is_reverse};
+
+/// More positions than this are gathered in cells.
+pub(super) const MOST_TARGETS: usize = 2048;
+
+/// Positions within this share of the smallest step of a sweep are one target.
+const SAME_TARGET: f64 = 0.1;
+
+/// One measured value.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Reading {
+    /// Its target, from 0.
+    pub target: usize,
+    /// 0 approached in the positive, 1 in the negative direction.
+    pub way: usize,
+    /// Its run, from 0.
+    pub run: usize,
+    /// The error in µm.
+    pub um: f64,
+}
+
+/// What was measured of one axis.
+#[derive(Clone, Debug)]
+pub(super) struct Readings {
+    /// The targets in mm, rising.
+    pub targets_mm: Vec<f64>,
+    /// In the order of the rows.
+    pub list: Vec<Reading>,
+    /// Runs that have a reading.
+    pub runs: usize,
+    /// Rows that are about another quantity.
+    pub rows_of_others: usize,
+    /// Whether the positions were gathered in cells.
+    pub is_record: bool,
+}
+
+/// What is wanted of a run.
+pub(super) struct Wanted<'a> {
+    pub axis: LinearAxis,
+    /// Only runs with these numbers.
+    pub runs: Option<&'a [f64]>,
+    /// Taken off each row's value, in µm.
+    pub known_um: Option<&'a [f64]>,
+    /// Whether positions must rise and fall with the direction of approach.
+    pub in_order: bool,
+}
+
+/// A row that has all its values.
+struct Raw {
+    row: usize,
+    position_mm: f64,
+    way: usize,
+    run: f64,
+    um: f64,
+}
+
+/// The names of an axis's columns.
+struct Names {
+    position: String,
+    direction: String,
+    measured: String,
+}
+
+pub(super) fn measured_column(axis: LinearAxis) -> String {
+    format!("measured_d{}_um", axis.name())
+}
+
+impl Readings {
+    /// Reads what `wanted` names from `file`.
+    ///
+    /// # Errors
+    /// A column is missing or in another unit; a value is missing in a row of this quantity; no
+    /// reading is left; positions do not go with their direction; a position comes twice in a run.
+    pub(super) fn of(file: &RunFile, wanted: &Wanted<'_>) -> Result<Self, BadInput> {
+        let axis = wanted.axis.name();
+        let names = Names {
+            position: format!("{axis}_mm"),
+            direction: format!("dir_{axis}"),
+            measured: measured_column(wanted.axis),
+        };
+        let (mut rows, rows_of_others) = raw_rows(file, &names, wanted)?;
+        if file.column("run").is_none() {
+            let (_, target_of_row, is_record) = targets_of(&rows);
+            number_runs(&mut rows, &target_of_row, is_record);
+            // Only now do these rows have the numbers by which they may be wanted.
+            if let Some(runs) = wanted.runs {
+                rows.retain(|raw| runs.contains(&raw.run));
+            }
+        }
+        if rows.is_empty() {
+            let mut bad = no_column(file, &names.measured);
+            bad.rule = format!("no row of the wanted runs has a {}", names.measured);
+            return Err(bad);
+        }
+        let (targets_mm, target_of_row, is_record) = targets_of(&rows);
+        if !is_record {
+            check_repeats(file, &names, &rows, &target_of_row)?;
+            if wanted.in_order {
+                check_order(file, &names, &rows, &target_of_row)?;
+            }
+        }
+        let mut numbers: Vec<f64> = rows.iter().map(|raw| raw.run).collect();
+        numbers.sort_by(f64::total_cmp);
+        numbers.dedup();
+        let list = rows.iter().zip(&target_of_row).map(|(raw, &target)| Reading {
+            target,
+            way: raw.way,
+            run: numbers.partition_point(|&number| number < raw.run),
+            um: raw.um,
+        });
+        let list = list.collect();
+        Ok(Self { targets_mm, list, runs: numbers.len(), rows_of_others, is_record })
+    }
+
+    /// Whether there is a reading in each of the two directions.
+    pub(super) fn has_way(&self) -> [bool; 2] {
+        [0, 1].map(|way| self.list.iter().any(|reading| reading.way == way))
+    }
+
+    /// The values at each target, by direction.
+    pub(super) fn by_target(&self) -> Vec<[Vec<f64>; 2]> {
+        let mut values = vec![[const { Vec::new() }; 2]; self.targets_mm.len()];
+        for reading in &self.list {
+            values[reading.target][reading.way].push(reading.um);
+        }
+        values
+    }
+}
+
+/// An error at the header, its rule still to be said.
+fn no_column(file: &RunFile, name: &str) -> BadInput {
+    // The empty name is never there, so that the place comes even where `name` is.
+    let place = file.require("").map_or_else(|bad| bad.place, |_| file.place(0, name));
+    BadInput::new(place, String::new())
+}
+
+/// The column `stem_unit`, which must not be there in another unit, be it beside it or instead.
+fn column_in<'f>(file: &'f RunFile, stem: &str, unit: &str) -> Result<&'f [f64], BadInput> {
+    const LENGTHS: [&str; 7] = ["nm", "um", "mm", "cm", "m", "in", "inch"];
+    let name = format!("{stem}_{unit}");
+    for other in LENGTHS.iter().filter(|&&other| other != unit) {
+        let wrong = format!("{stem}_{other}");
+        if file.column(&wrong).is_some() {
+            let mut bad = no_column(file, &wrong);
+            bad.rule = match file.column(&name) {
+                Some(_) => format!("mixed units: there are both {name} and {wrong}"),
+                None => {
+                    format!("{wrong} is in another unit: it must be given in {unit}, as {name}")
+                }
+            };
+            return Err(bad);
+        }
+    }
+    file.require(&name)
+}
+
+fn raw_rows(
+    file: &RunFile,
+    names: &Names,
+    wanted: &Wanted<'_>,
+) -> Result<(Vec<Raw>, usize), BadInput> {
+    let axis = wanted.axis.name();
+    let measured = column_in(file, &format!("measured_d{axis}"), "um")?;
+    let positions = column_in(file, axis, "mm")?;
+    let directions = file.require(&names.direction).map_err(|mut bad| {
+        bad.rule += "; it says from which side each position was approached, 1 or -1";
+        bad
+    })?;
+    let numbers = file.column("run");
+    let others: Vec<&[f64]> = file
+        .columns()
+        .iter()
+        .filter(|column| column.name.starts_with("measured_") && column.name != names.measured)
+        .map(|column| &column.values[..])
+        .collect();
+    let (mut rows, mut rows_of_others) = (Vec::new(), 0);
+    for (row, ((&um, &position_mm), &direction)) in
+        measured.iter().zip(positions).zip(directions).enumerate()
+    {
+        let run = numbers.map_or(f64::NAN, |numbers| numbers[row]);
+        if wanted.runs.is_some_and(|runs| !run.is_nan() && !runs.contains(&run)) {
+            continue;
+        }
+        let missing = |name: &str| {
+            file.bad(row, name, "is missing: measure the row again, or take it out of the file")
+        };
+        if um.is_nan() {
+            if others.iter().any(|other| !other[row].is_nan()) {
+                rows_of_others += 1;
+                continue;
+            }
+            return Err(missing(&names.measured));
+        }
+        if position_mm.is_nan() {
+            return Err(missing(&names.position));
+        }
+        if direction.is_nan() {
+            return Err(missing(&names.direction));
+        }
+        if numbers.is_some() && run.is_nan() {
+            return Err(missing("run"));
+        }
+        let known = wanted.known_um.map_or(0.0, |known| known.get(row).copied().unwrap_or(0.0));
+        if known.is_nan() {
+            let rule = "cannot be compared: the machine's other sections say nothing of this row";
+            return Err(file.bad(row, &names.measured, rule));
+        }
+        let way = usize::from(is_reverse(direction));
+        rows.push(Raw { row, position_mm, way, run, um: um - known });
+    }
+    Ok((rows, rows_of_others))
+}
+
+/// The smallest step from row to row within a sweep; `None` where no sweep has two positions.
+fn smallest_step(rows: &[Raw]) -> Option<f64> {
+    let same_sweep = |a: &Raw, b: &Raw| a.way == b.way && (a.run == b.run || a.run.is_nan());
+    rows.windows(2)
+        .filter_map(|pair| match pair {
+            [a, b] if same_sweep(a, b) => Some((b.position_mm - a.position_mm).abs()),
+            _ => None,
+        })
+        .filter(|step| *step > 0.0)
+        .reduce(f64::min)
+}
+
+/// The targets in mm, rising; the target of each position; whether they are cells of a record.
+fn targets_of(rows: &[Raw]) -> (Vec<f64>, Vec<usize>, bool) {
+    let mut order: Vec<usize> = (0..rows.len()).collect();
+    order.sort_by(|&a, &b| rows[a].position_mm.total_cmp(&rows[b].position_mm));
+    let near = smallest_step(rows).map_or(0.0, |step| step * SAME_TARGET);
+    let mut target_of = vec![0; rows.len()];
+    let mut group = |is_next: &dyn Fn(f64, f64) -> bool| -> Vec<f64> {
+        let mut targets: Vec<(f64, f64, usize)> = Vec::new();
+        for &row in &order {
+            let position = rows[row].position_mm;
+            match targets.last_mut() {
+                Some((first, sum, count)) if !is_next(*first, position) => {
+                    *sum += position - *first;
+                    *count += 1;
+                }
+                _ => targets.push((position, 0.0, 1)),
+            }
+            target_of[row] = targets.len() - 1;
+        }
+        targets.into_iter().map(|(first, sum, count)| first + sum / count as f64).collect()
+    };
+    let targets = group(&|first, position| position - first > near);
+    let (Some(&start), Some(&end)) = (targets.first(), targets.last()) else {
+        return (targets, target_of, false);
+    };
+    if targets.len() <= MOST_TARGETS {
+        return (targets, target_of, false);
+    }
+    let cell = |position: f64| {
+        let share = (position - start) / (end - start);
+        (share * MOST_TARGETS as f64).floor().clamp(0.0, MOST_TARGETS as f64 - 1.0)
+    };
+    (group(&|first, position| cell(position) > cell(first)), target_of, true)
+}
+
+/// Numbers the runs of a file without the column, from 1.
+fn number_runs(rows: &mut [Raw], target_of_row: &[usize], is_record: bool) {
+    let mut arrivals: HashMap<(usize, usize), usize> = HashMap::new();
+    let mut comes_again = false;
+    for (raw, &target) in rows.iter_mut().zip(target_of_row) {
+        let arrivals = arrivals.entry((target, raw.way)).or_default();
+        *arrivals += 1;
+        comes_again |= *arrivals > 1;
+        raw.run = *arrivals as f64;
+    }
+    if comes_again && !is_record {
+        return;
+    }
+    let half = half_span(rows);
+    let mut sweeps = [0_usize; 2];
+    let mut before: Option<(usize, f64)> = None;
+    for raw in rows {
+        let goes_on = before.is_some_and(|(way, position_mm)| {
+            way == raw.way && -along(way, raw.position_mm - position_mm) < half
+        });
+        if !goes_on {
+            sweeps[raw.way] += 1;
+        }
+        before = Some((raw.way, raw.position_mm));
+        raw.run = sweeps[raw.way] as f64;
+    }
+}
+
+fn half_span(rows: &[Raw]) -> f64 {
+    let ends =
+        |(low, high): (f64, f64), raw: &Raw| (low.min(raw.position_mm), high.max(raw.position_mm));
+    let (low, high) = rows.iter().fold((f64::INFINITY, f64::NEG_INFINITY), ends);
+    (high - low) / 2.0
+}
+
+/// `step` counted in the direction of approach.
+fn along(way: usize, step: f64) -> f64 {
+    if way == 0 { step } else { -step }
+}
+
+fn way_name(way: usize) -> &'static str {
+    ["positive", "negative"][way]
+}
+
+/// Within a run a position is measured once in each direction.
+fn check_repeats(
+    file: &RunFile,
+    names: &Names,
+    rows: &[Raw],
+    target_of_row: &[usize],
+) -> Result<(), BadInput> {
+    let mut seen: HashMap<(usize, usize, u64), usize> = HashMap::with_capacity(rows.len());
+    for (raw, &target) in rows.iter().zip(target_of_row) {
+        if let Some(first) = seen.insert((target, raw.way, raw.run.to_bits()), raw.row) {
+            let rule = format!(
+                "{} is measured twice in run {}, approached in the {} direction (before in line \
+                 {}): number the repeats in the column run",
+                raw.position_mm,
+                raw.run,
+                way_name(raw.way),
+                file.place(first, &names.position).line
+            );
+            return Err(file.bad(raw.row, &names.position, rule));
+        }
+    }
+    Ok(())
+}
+
+/// Within a sweep positions rise where they are approached in the positive direction, and fall in
+/// the negative one. Without run numbers a step back to a target that was there before, or over
+/// half the travel, begins the next sweep.
+fn check_order(
+    file: &RunFile,
+    names: &Names,
+    rows: &[Raw],
+    target_of_row: &[usize],
+) -> Result<(), BadInput> {
+    let is_numbered = file.column("run").is_some();
+    let half = half_span(rows);
+    let mut seen: HashMap<(usize, usize), ()> = HashMap::new();
+    let mut before: Option<&Raw> = None;
+    for (raw, &target) in rows.iter().zip(target_of_row) {
+        let is_new = seen.insert((target, raw.way), ()).is_none();
+        if let Some(before) = before.filter(|it| it.way == raw.way) {
+            let back = -along(raw.way, raw.position_mm - before.position_mm);
+            let same_sweep =
+                if is_numbered { before.run == raw.run } else { is_new && back < half };
+            if back > 0.0 && same_sweep {
+                let (verb, direction) = if raw.way == 0 { ("rise", 1) } else { ("fall", -1) };
+                let rule = format!(
+                    "{} follows {} though {} is {direction}: positions approached in the {} \
+                     direction {verb} from row to row of a sweep",
+                    raw.position_mm,
+                    before.position_mm,
+                    names.direction,
+                    way_name(raw.way)
+                );
+                return Err(file.bad(raw.row, &names.position, rule));
+            }
+        }
+        before = Some(raw);
+    }
+    Ok(())
+}

@@ -1,0 +1,279 @@
+//! What a pitch fit has found, in a report.
+
+use trueup_machine::{
+    compile::STEEPEST_UM_PER_MM,
+    machine_file::{LinearAxis, Pitch},
+};
+
+use super::{
+    judge::{Fitted, Judged, Law, Sums, folds, is_gain, student},
+    readings::Readings,
+    scatter::Scatter,
+    table::Grid,
+    test_points::hidden_pitches,
+};
+use crate::{
+    iso230::Iso230,
+    report::{Fact, Parameter, Report, Spread},
+    section::{Edit, Section},
+};
+
+/// The standard asks for so many arrivals at each target in each direction.
+const RUNS_OF_THE_STANDARD: usize = 5;
+
+/// What was measured, whatever becomes of it.
+pub(super) fn describe(report: &mut Report, readings: &Readings, iso230: &Option<Iso230>) {
+    let um: Vec<f64> = readings.list.iter().map(|reading| reading.um).collect();
+    report.before = Spread::of(&um);
+    report.rows_used = um.len();
+    report.rows_incomplete = readings.rows_of_others;
+    report.left_out_by = left_out_by(readings.runs);
+    report.facts.push(Fact::number("runs", readings.runs as f64));
+    report.facts.push(Fact::number("targets", readings.targets_mm.len() as f64));
+    if let Some(iso230) = iso230 {
+        report.facts.extend(iso230_facts(iso230));
+    }
+}
+
+pub(super) fn left_out_by(runs: usize) -> String {
+    match folds(runs) {
+        0 | 1 => String::new(),
+        blocks if blocks < runs => format!("each of {blocks} blocks of {runs} runs in turn"),
+        _ => format!("each of {runs} runs in turn"),
+    }
+}
+
+/// The figures of the axis by the symbols of the standard.
+fn iso230_facts(iso230: &Iso230) -> Vec<Fact> {
+    let mut facts = Vec::new();
+    let mut fact = |name: &str, um: f64| facts.push(Fact::number(format!("iso230_{name}_um"), um));
+    for (way, axis) in [("forward", iso230.forward), ("reverse", iso230.reverse)] {
+        if let Some(axis) = axis {
+            fact(&format!("r_{way}"), axis.repeatability_um);
+            fact(&format!("e_{way}"), axis.systematic_um);
+            fact(&format!("a_{way}"), axis.accuracy_um);
+        }
+    }
+    if let Some(both) = iso230.both {
+        fact("b", both.reversal_um);
+        fact("b_mean", both.mean_reversal_um);
+        fact("r", both.repeatability_um);
+        fact("e", both.systematic_um);
+        fact("m", both.mean_error_um);
+        fact("a", both.accuracy_um);
+    }
+    facts
+}
+
+/// What a user should know who relies on the table.
+pub(super) fn warn(report: &mut Report, readings: &Readings, iso230: &Option<Iso230>) {
+    let warnings = &mut report.warnings;
+    if readings.runs < 2 {
+        warnings.push(
+            "there is only one run: nothing says whether the machine repeats what was measured; \
+             measure at least two, better five"
+                .to_string(),
+        );
+    } else if let Some(iso230) = iso230
+        && iso230.fewest_runs < RUNS_OF_THE_STANDARD
+    {
+        warnings.push(format!(
+            "ISO 230-2 asks for {RUNS_OF_THE_STANDARD} runs in each direction, there are {}: its \
+             figures from so few are uncertain",
+            iso230.fewest_runs
+        ));
+    }
+    match readings.has_way() {
+        [true, true] => {}
+        [true, false] => warnings.push(
+            "only the positive direction was measured: backlash is not known, and the table is \
+             used for the negative direction as well"
+                .to_string(),
+        ),
+        _ => warnings.push(
+            "only the negative direction was measured: the table contains the backlash, and is \
+             used for the positive direction as well"
+                .to_string(),
+        ),
+    }
+    if !readings.is_record {
+        let hidden = hidden_pitches(&readings.targets_mm);
+        if !hidden.is_empty() {
+            let hidden: Vec<String> = hidden.iter().map(f64::to_string).collect();
+            warnings.push(format!(
+                "the test points lie on multiples of {} mm: if one of these is the pitch of the \
+                 screw, its periodic error was not seen and stays; measure at uneven distances, as \
+                 ISO 230-2 asks",
+                hidden.join(", ")
+            ));
+        }
+    }
+}
+
+/// The constants and what changes in the machine file.
+pub(super) fn write(
+    report: &mut Report,
+    axis: LinearAxis,
+    readings: &Readings,
+    sums: &Sums,
+    grid: &Grid,
+    fitted: &Fitted,
+) {
+    let Some(pitch) = &fitted.pitch else { return };
+    report.parameters.push(Parameter::set("start_mm", pitch.start_mm));
+    report.parameters.push(Parameter::set("step_mm", pitch.step_mm));
+    report.facts.push(Fact::number("table_points", grid.points as f64));
+    warn_of_steps(report, pitch);
+    let name = format!("axis.{}", axis.name());
+    let rms = |spread: Option<Spread>| spread.map_or("?".into(), |it| format!("{:.2}", it.rms_um));
+    let mut section = Section::new(format!("{name}.pitch"))
+        .remark(format!(
+            "From {} readings of {} runs; rms um before {}, fitted {}, left out {}.",
+            report.rows_used,
+            readings.runs,
+            rms(report.before),
+            rms(report.in_sample),
+            rms(report.left_out)
+        ))
+        .number("start_mm", pitch.start_mm)
+        .number("step_mm", pitch.step_mm)
+        .numbers("forward_um", pitch.forward_um.clone());
+    if let Some(reverse_um) = &pitch.reverse_um {
+        section = section.numbers("reverse_um", reverse_um.clone());
+    }
+    report.edit = Edit::of(section);
+    let backlash = format!("{name}.backlash");
+    match fitted.width_um {
+        Some(width_um) => {
+            let half = half_width_um(readings, sums);
+            report.parameters.push(match half {
+                Some(half) => Parameter::fitted("width_um", width_um, half),
+                None => Parameter::set("width_um", width_um),
+            });
+            report.edit.sections.push(
+                Section::new(backlash)
+                    .remark("Belongs to the table above: both were fitted together.")
+                    .number("width_um", width_um)
+                    .keeping(&["ramp_mm", "hysteresis_um"]),
+            );
+        }
+        // It is in the tables, or was found not to gain.
+        None => report.edit.removed.push(backlash),
+    }
+}
+
+/// The board refuses a table that is steeper than a machine can be.
+fn warn_of_steps(report: &mut Report, pitch: &Pitch) {
+    let tables = [Some(&pitch.forward_um), pitch.reverse_um.as_ref()].into_iter().flatten();
+    let steepest = tables
+        .flat_map(|um| um.windows(2).map(|pair| (pair[1] - pair[0]).abs() / pitch.step_mm))
+        .fold(0.0, f64::max);
+    if steepest > STEEPEST_UM_PER_MM {
+        report.warnings.push(format!(
+            "the table rises by {steepest:.1} um per mm, and the board takes at most \
+             {STEEPEST_UM_PER_MM}: are the units right?"
+        ));
+    }
+}
+
+/// Half the 95 % interval of the mean width: from the runs' own widths, or with one run from those
+/// of the targets.
+fn half_width_um(readings: &Readings, sums: &Sums) -> Option<f64> {
+    let runs = readings.runs;
+    let widths: Vec<f64> = if runs < 2 {
+        sums.widths()
+    } else {
+        let blocks = folds(runs);
+        (0..blocks)
+            .filter_map(|block| {
+                let own = |it: &&super::Reading| super::judge::fold_of(it.run, runs) == block;
+                let own = readings.list.iter().filter(own);
+                let widths = Sums::of(readings.targets_mm.len(), own).widths();
+                let count = widths.len() as f64;
+                (count > 0.0).then(|| widths.iter().sum::<f64>() / count)
+            })
+            .collect()
+    };
+    half_interval(&widths)
+}
+
+/// Half the 95 % interval of the mean of `values`; `None` below two values.
+pub(super) fn half_interval(values: &[f64]) -> Option<f64> {
+    if values.len() < 2 {
+        return None;
+    }
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let variance = values.iter().map(|it| (it - mean).powi(2)).sum::<f64>() / (count - 1.0);
+    Some(student(values.len() - 1, 0.975)? * (variance / count).sqrt())
+}
+
+/// Why the axis should not be corrected, a sentence each.
+pub(super) fn reasons(
+    readings: &Readings,
+    judged: &[Judged],
+    best: Option<&Judged>,
+    by_target: &[[Vec<f64>; 2]],
+) -> Vec<String> {
+    let mut reasons = Vec::new();
+    let (Some(best), [nothing, constant, ..]) = (best, judged) else { return reasons };
+    let law = match best.law {
+        Law::BothTables => "a table for each direction",
+        Law::TableAndBacklash => "a table and a backlash",
+        _ => "a table",
+    };
+    let each = |judged: &Judged| {
+        let each: Vec<String> = judged.rms_by_fold().iter().map(|um| format!("{um:.1}")).collect();
+        each.join(", ")
+    };
+    let constant_alone = best.gains_on(nothing) && !best.gains_on(constant);
+    let verdict = if constant_alone { "" } else { ": no gain that holds" };
+    reasons.push(format!(
+        "on runs left out the error is {:.1} um rms without a correction and {:.1} um with {law} \
+         from the other runs (run by run {} and {}){verdict}",
+        nothing.rms_um(),
+        best.rms_um(),
+        each(nothing),
+        each(best)
+    ));
+    let scatter = Scatter::of(by_target);
+    if let Some(repeats_um) = scatter.repeats_um {
+        reasons.push(format!(
+            "repeats at one position from one side scatter by {repeats_um:.1} um (one standard \
+             deviation), and what is systematic along the axis is {:.1} um rms",
+            scatter.systematic_um()
+        ));
+    }
+    if constant_alone {
+        reasons.push(format!(
+            "what a table would gain is a constant, which already leaves {:.1} um: the zero of a \
+             measurement is arbitrary, and a constant is no position error",
+            constant.rms_um()
+        ));
+    } else if repeats_once_centred(readings, nothing, best) {
+        reasons.push(
+            "with the mean of each run taken out, the shape does repeat: the axis or the \
+             instrument shifts from run to run; find that first, or zero the instrument before \
+             each run"
+                .to_string(),
+        );
+    }
+    reasons
+}
+
+/// Whether `best` gains on `nothing` if each run's residuals are counted from their own mean.
+fn repeats_once_centred(readings: &Readings, nothing: &Judged, best: &Judged) -> bool {
+    let by_run = |judged: &Judged| {
+        let mut runs = vec![(0.0, 0.0, 0.0); readings.runs];
+        for (reading, um) in readings.list.iter().zip(&judged.residuals_um) {
+            let (sum, squares, count) = &mut runs[reading.run];
+            *sum += um;
+            *squares += um * um;
+            *count += 1.0;
+        }
+        runs.into_iter().map(|(sum, squares, n)| squares / n - (sum / n) * (sum / n))
+    };
+    let gains: Vec<f64> =
+        by_run(nothing).zip(by_run(best)).map(|(before, after)| before - after).collect();
+    is_gain(&gains)
+}

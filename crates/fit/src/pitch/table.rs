@@ -1,0 +1,285 @@
+//! The table of a machine file from errors at any targets: equal steps, linear between the points.
+//!
+//! ISO 230-2 asks for targets at uneven distances, a machine file has a table of equal steps. The
+//! line f through the measured means is brought to the table g that is nearest to it both at the
+//! targets tᵢ (with as much weight as they have readings) and between them:
+//!
+//! ```text
+//! Σ nᵢ·(g(tᵢ) − f(tᵢ))² / Σ nᵢ  +  1/L·∫ (g − f)² dx  →  least
+//! ```
+//!
+//! The integral keeps every point of the table determined, however few targets are near it; it is
+//! exact, because f and g are straight between the points of either. Where f is straight between
+//! the points of the table, as with targets of equal steps, g = f.
+
+use trueup_machine::{machine_file::Pitch, model::pitch_um};
+
+use crate::section::rounded;
+
+/// The board counts positions in 10 nm.
+const UNITS_PER_MM: f64 = 1e5;
+
+/// Digits after the point of a table in µm: a nanometre.
+pub(super) const DECIMALS: i32 = 3;
+
+/// The targets of one direction that have a mean, rising.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Line {
+    /// Position in mm, mean in µm, number of readings.
+    pub points: Vec<(f64, f64, f64)>,
+}
+
+impl Line {
+    /// Its value at `x`: straight between the points, the ends held outside. NaN without a point.
+    fn at(&self, x: f64) -> f64 {
+        let after = self.points.partition_point(|point| point.0 <= x);
+        match (after.checked_sub(1).and_then(|n| self.points.get(n)), self.points.get(after)) {
+            (Some(low), Some(high)) => low.1 + (high.1 - low.1) * (x - low.0) / (high.0 - low.0),
+            (Some(end), None) | (None, Some(end)) => end.1,
+            (None, None) => f64::NAN,
+        }
+    }
+}
+
+/// The points of a table: at least two.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Grid {
+    pub start_mm: f64,
+    pub step_mm: f64,
+    pub points: usize,
+}
+
+impl Grid {
+    /// So many points from the first target to the last, at whole units of the board, so that its
+    /// table stands where this one does.
+    pub(super) fn over(targets_mm: &[f64], points: usize) -> Self {
+        let (start, end) = ends(targets_mm);
+        let start_mm = on_lattice(start, f64::floor);
+        let step_mm = on_lattice((end - start_mm) / (points - 1) as f64, f64::ceil);
+        Self { start_mm, step_mm, points }
+    }
+
+    /// Steps of `step_mm` from the first target to at least the last.
+    pub(super) fn with_step(targets_mm: &[f64], step_mm: f64) -> Self {
+        // A last step of a rounding error's length is none.
+        const NONE: f64 = 1e-9;
+        let (start, end) = ends(targets_mm);
+        let steps = ((end - start) / step_mm - NONE).ceil().max(1.0);
+        Self { start_mm: start, step_mm, points: (steps as usize).saturating_add(1) }
+    }
+
+    /// The targets themselves, if their distances are equal to a ten-thousandth: they may have been
+    /// written in few digits.
+    pub(super) fn of_equal_steps(targets_mm: &[f64]) -> Option<Self> {
+        const EQUAL: f64 = 1e-4;
+        let grid = Self::over(targets_mm, targets_mm.len());
+        let off = |(n, &target): (usize, &f64)| (target - grid.at(n)).abs();
+        let worst = targets_mm.iter().enumerate().map(off).fold(0.0, f64::max);
+        (worst <= EQUAL * grid.step_mm).then_some(grid)
+    }
+
+    fn at(&self, point: usize) -> f64 {
+        self.start_mm + self.step_mm * point as f64
+    }
+
+    /// The table nearest to `line`, in µm to [`DECIMALS`].
+    pub(super) fn table(&self, line: &Line) -> Vec<f64> {
+        self.nearest(line).into_iter().map(|um| rounded(um, DECIMALS)).collect()
+    }
+
+    fn nearest(&self, line: &Line) -> Vec<f64> {
+        let mut sums = Tridiagonal::new(self.points);
+        let readings: f64 = line.points.iter().map(|point| point.2).sum();
+        for &(x, um, weight) in &line.points {
+            self.add(&mut sums, x, um, weight / readings);
+        }
+        // Simpson's rule is exact for the product of two straight pieces.
+        let length = self.at(self.points - 1) - self.start_mm;
+        let mut breaks: Vec<f64> = (0..self.points).map(|point| self.at(point)).collect();
+        let inside = |x: &f64| (self.start_mm..self.at(self.points - 1)).contains(x);
+        breaks.extend(line.points.iter().map(|point| point.0).filter(inside));
+        breaks.sort_by(f64::total_cmp);
+        for pair in breaks.windows(2) {
+            let &[from, to] = pair else { continue };
+            let share = (to - from) / length / 6.0;
+            for (x, weight) in [(from, share), ((from + to) / 2.0, 4.0 * share), (to, share)] {
+                self.add(&mut sums, x, line.at(x), weight);
+            }
+        }
+        sums.solved()
+    }
+
+    /// Adds `weight`·(g(x) − um)².
+    fn add(&self, sums: &mut Tridiagonal, x: f64, um: f64, weight: f64) {
+        let at = ((x - self.start_mm) / self.step_mm).clamp(0.0, (self.points - 1) as f64);
+        let low = (at.floor() as usize).min(self.points - 2);
+        let share = at - low as f64;
+        sums.add(low, [1.0 - share, share], um, weight);
+    }
+
+    /// The table of `lines`, one for both directions or one for each.
+    pub(super) fn pitch(&self, forward: &Line, reverse: Option<&Line>) -> Pitch {
+        Pitch {
+            start_mm: self.start_mm,
+            step_mm: self.step_mm,
+            forward_um: self.table(forward),
+            reverse_um: reverse.map(|line| self.table(line)),
+        }
+    }
+
+    /// The root mean square of what the table misses at the targets of `lines`, in µm.
+    pub(super) fn loss_um(&self, lines: &[&Line]) -> f64 {
+        let (mut squares, mut weights) = (0.0, 0.0);
+        for line in lines {
+            let pitch = self.pitch(line, None);
+            for &(x, um, weight) in &line.points {
+                squares += weight * (pitch_um(&pitch, x, 1.0) - um).powi(2);
+                weights += weight;
+            }
+        }
+        (squares / weights).sqrt()
+    }
+}
+
+/// The board's unit of position below or above `mm`; itself if it is one but for rounding.
+fn on_lattice(mm: f64, towards: fn(f64) -> f64) -> f64 {
+    const NEAR: f64 = 1e-6;
+    let units = mm * UNITS_PER_MM;
+    let nearest = units.round();
+    let whole = if (units - nearest).abs() < NEAR { nearest } else { towards(units) };
+    whole / UNITS_PER_MM
+}
+
+fn ends(targets_mm: &[f64]) -> (f64, f64) {
+    let first = targets_mm.first().copied().unwrap_or(f64::NAN);
+    (first, targets_mm.last().copied().unwrap_or(f64::NAN))
+}
+
+/// Normal equations in which only neighbours meet.
+struct Tridiagonal {
+    diagonal: Vec<f64>,
+    beside: Vec<f64>,
+    right: Vec<f64>,
+}
+
+impl Tridiagonal {
+    fn new(unknowns: usize) -> Self {
+        Self {
+            diagonal: vec![0.0; unknowns],
+            beside: vec![0.0; unknowns],
+            right: vec![0.0; unknowns],
+        }
+    }
+
+    fn add(&mut self, low: usize, shares: [f64; 2], value: f64, weight: f64) {
+        for (n, share) in shares.into_iter().enumerate() {
+            self.diagonal[low + n] += weight * share * share;
+            self.right[low + n] += weight * share * value;
+        }
+        self.beside[low] += weight * shares[0] * shares[1];
+    }
+
+    /// Gauss without pivots: the matrix is positive definite, because the integral reaches every
+    /// unknown.
+    fn solved(mut self) -> Vec<f64> {
+        let count = self.diagonal.len();
+        for n in 1..count {
+            let factor = self.beside[n - 1] / self.diagonal[n - 1];
+            self.diagonal[n] -= factor * self.beside[n - 1];
+            self.right[n] -= factor * self.right[n - 1];
+        }
+        for n in (0..count).rev() {
+            let after = if n + 1 < count { self.beside[n] * self.right[n + 1] } else { 0.0 };
+            self.right[n] = (self.right[n] - after) / self.diagonal[n];
+        }
+        self.right
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn line(points: &[(f64, f64)]) -> Line {
+        Line { points: points.iter().map(|&(x, um)| (x, um, 1.0)).collect() }
+    }
+
+    fn worst(table: &[f64], expected: &[f64]) -> f64 {
+        assert_eq!(table.len(), expected.len());
+        table.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn equal_steps_give_the_means_themselves() {
+        let targets = [-20.0, -15.0, -10.0, -5.0, 0.0];
+        let grid = Grid::of_equal_steps(&targets).expect("they are equal");
+        assert_eq!(grid, Grid { start_mm: -20.0, step_mm: 5.0, points: 5 });
+        let means = [1.0, -7.25, 30.125, 0.0, 4.5];
+        let points: Vec<_> = targets.into_iter().zip(means).collect();
+        assert_eq!(grid.table(&line(&points)), means);
+    }
+
+    #[test]
+    fn a_straight_line_through_uneven_targets_is_kept_exactly() {
+        let points: Vec<(f64, f64)> =
+            [0.0, 13.7, 29.1, 61.0, 100.0].map(|x| (x, 0.5 * x - 3.0)).into();
+        let targets: Vec<f64> = points.iter().map(|point| point.0).collect();
+        assert!(Grid::of_equal_steps(&targets).is_none());
+        let grid = Grid::over(&targets, 5);
+        let table = grid.table(&line(&points));
+        assert!(worst(&table, &[-3.0, 9.5, 22.0, 34.5, 47.0]) < 1e-9, "{table:?}");
+        assert!(grid.loss_um(&[&line(&points)]) < 1e-9);
+    }
+
+    #[test]
+    fn a_finer_table_loses_less_at_uneven_targets() {
+        let points = line(&[(0.0, 0.0), (9.0, 4.0), (21.5, -3.0), (30.0, 5.0), (41.0, 0.0)]);
+        let targets: Vec<f64> = points.points.iter().map(|point| point.0).collect();
+        let loss = |count| Grid::over(&targets, count).loss_um(&[&points]);
+        let losses = [3, 6, 20, 80].map(loss);
+        println!("loss in um with 3, 6, 20, 80 points: {losses:.3?}");
+        assert!(losses.is_sorted_by(|a, b| a > b), "{losses:?}");
+        assert!(losses[3] < 0.05);
+    }
+
+    #[test]
+    fn the_table_is_the_least_of_the_stated_sum() {
+        // Two unknowns, worked by hand: targets 0, 1, 4 with f = 0, 3, 0 on a table of 0 and 4.
+        // At the targets: (g0² + (0.75 g0 + 0.25 g1 − 3)² + g1²)/3.
+        // The integral over x/4 = u: ∫(g0(1−u) + g1 u)² − 2 g f + f²; ∫f(1−u) du = 0.875,
+        // ∫f u du = 0.625 (f rises to 3 at u = 1/4).
+        // Normal equations: [25/48 + 1/3, 1/16 + 1/6; …, 17/48 + 1/3]·g = [0.75 + 0.875, 0.25 + 0.625]
+        let (a, b, c) = (25.0 / 48.0 + 1.0 / 3.0, 1.0 / 16.0 + 1.0 / 6.0, 17.0 / 48.0 + 1.0 / 3.0);
+        let (p, q) = (1.625, 0.875);
+        let det = a * c - b * b;
+        let by_hand = [(c * p - b * q) / det, (a * q - b * p) / det];
+        let grid = Grid::over(&[0.0, 1.0, 4.0], 2);
+        let table = grid.nearest(&line(&[(0.0, 0.0), (1.0, 3.0), (4.0, 0.0)]));
+        assert!(worst(&table, &by_hand) < 1e-12, "{table:?}, by hand {by_hand:?}");
+    }
+
+    #[test]
+    fn points_stand_where_the_board_can_have_them_and_cover_the_targets() {
+        let targets = [-0.000_003, 1.1, 2.2, 10.0];
+        for points in [2, 3, 4, 7, 100] {
+            let grid = Grid::over(&targets, points);
+            for mm in [grid.start_mm, grid.step_mm] {
+                assert!((mm * 1e5 - (mm * 1e5).round()).abs() < 1e-6, "{grid:?}");
+            }
+            assert!(grid.start_mm <= targets[0] && grid.at(points - 1) >= 10.0 - 1e-9);
+        }
+    }
+
+    #[test]
+    fn steps_written_in_few_digits_are_still_equal() {
+        let grid = Grid::of_equal_steps(&[0.0, 6.6667, 13.3333, 20.0]).expect("thirds of 20");
+        assert_eq!((grid.points, grid.step_mm), (4, 6.66667));
+    }
+
+    #[test]
+    fn a_step_that_does_not_divide_the_travel_ends_beyond_it() {
+        let grid = Grid::with_step(&[0.0, 3.0, 10.0], 4.0);
+        assert_eq!(grid.points, 4);
+        assert_eq!(Grid::with_step(&[0.0, 0.1, 0.3], 0.1).points, 4);
+    }
+}

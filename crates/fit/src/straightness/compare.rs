@@ -1,0 +1,336 @@
+//! The paper's Table 1 for the user's own data: four ways to a curve side by side.
+//!
+//! A line through every point leaves nothing at the points, whatever lies between them. Therefore
+//! each way is also fitted to every second position and judged at the others.
+
+use std::fmt;
+
+use nalgebra::{DMatrix, DVector};
+use trueup_machine::{machine_file::BSpline, model::spline_um};
+
+use super::{Fit, Found, MOST_CELLS, Method, Options, paper, sites::Sites};
+
+/// What lies between readings and a curve, over the positions.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Residual {
+    /// Largest minus smallest, in µm.
+    pub range_um: f64,
+    /// Mean, in µm.
+    pub mean_um: f64,
+    /// Mean square about the mean, in µm²: so the paper's Table 1 has it, where 16.4² is more than
+    /// 98.2.
+    pub mean_square_um2: f64,
+    /// Root mean square about zero, in µm.
+    pub rms_um: f64,
+    /// Largest absolute value, in µm.
+    pub largest_um: f64,
+}
+
+impl Residual {
+    /// Of at least one value.
+    pub(super) fn of(residuals: &[f64]) -> Self {
+        let count = residuals.len() as f64;
+        let mean_um = residuals.iter().sum::<f64>() / count;
+        let square =
+            |about: f64| residuals.iter().map(|r| (r - about).powi(2)).sum::<f64>() / count;
+        let (low, high) = residuals
+            .iter()
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &r| (low.min(r), high.max(r)));
+        Self {
+            range_um: high - low,
+            mean_um,
+            mean_square_um2: square(mean_um),
+            rms_um: square(0.0).sqrt(),
+            largest_um: high.max(-low),
+        }
+    }
+}
+
+/// One way to a curve, and how it does.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Compared {
+    /// What it is called: `least squares`.
+    pub way: &'static str,
+    /// Coefficients that describe the curve.
+    pub coefficients: usize,
+    /// At the positions it was fitted to.
+    pub residual: Residual,
+    /// Fitted to every second position, at the others; `None` where these are fewer than 8.
+    pub left_out: Option<Residual>,
+    /// Largest absolute slope in µm/mm: speed of the correction for a feed of 1 mm/s.
+    pub slope_um_per_mm: f64,
+    /// Largest absolute curvature in µm/mm². For straight lines a bend over half the distance to
+    /// both neighbours, which is as sharp as the data can say.
+    pub curvature_um_per_mm2: f64,
+}
+
+impl fmt::Display for Compared {
+    /// One line without the way's name, ASCII alone: terminals and TOML comments take it.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Residual { range_um, mean_um, mean_square_um2, largest_um, .. } = self.residual;
+        write!(
+            f,
+            "{} coefficients; residual: range {range_um:.2} um, mean {:.2} um, mean square \
+             {mean_square_um2:.3} um2, largest {largest_um:.2} um",
+            self.coefficients,
+            // + 0.0 turns -0 into 0.
+            (mean_um * 100.0).round() / 100.0 + 0.0
+        )?;
+        if let Some(left) = &self.left_out {
+            write!(f, "; at positions left out {:.2} um RMS", left.rms_um)?;
+        }
+        write!(
+            f,
+            "; slope up to {:.4} um/mm, curvature up to {:.2e} um/mm2",
+            self.slope_um_per_mm, self.curvature_um_per_mm2
+        )
+    }
+}
+
+/// A curve of any of the ways.
+enum Model {
+    Spline(BSpline),
+    Polynomial(Polynomial),
+    Lines { x: Vec<f64>, y: Vec<f64> },
+}
+
+impl Model {
+    fn at(&self, x_mm: f64) -> f64 {
+        match self {
+            Self::Spline(spline) => spline_um(spline, x_mm),
+            Self::Polynomial(polynomial) => polynomial.derivatives(x_mm)[0],
+            Self::Lines { x, y } => {
+                let n = x.partition_point(|&at| at <= x_mm).clamp(1, x.len() - 1);
+                let share = (x_mm - x[n - 1]) / (x[n] - x[n - 1]);
+                y[n - 1] + share * (y[n] - y[n - 1])
+            }
+        }
+    }
+
+    fn coefficients(&self) -> usize {
+        match self {
+            Self::Spline(spline) => spline.control_um.len(),
+            Self::Polynomial(polynomial) => polynomial.chebyshev.len(),
+            Self::Lines { x, .. } => x.len(),
+        }
+    }
+
+    /// Largest absolute slope and curvature.
+    fn steepest(&self) -> (f64, f64) {
+        match self {
+            Self::Spline(spline) => crate::bspline::steepest(spline, 9),
+            Self::Polynomial(polynomial) => polynomial.steepest(),
+            Self::Lines { x, y } => {
+                let slopes: Vec<f64> =
+                    (1..x.len()).map(|n| (y[n] - y[n - 1]) / (x[n] - x[n - 1])).collect();
+                let bend = |n: usize| (slopes[n] - slopes[n - 1]) / (0.5 * (x[n + 1] - x[n - 1]));
+                let largest = |values: &mut dyn Iterator<Item = f64>| {
+                    values.fold(0.0, |largest: f64, value| largest.max(value.abs()))
+                };
+                (largest(&mut slopes.iter().copied()), largest(&mut (1..slopes.len()).map(bend)))
+            }
+        }
+    }
+
+    fn residual(&self, sites: &Sites) -> Residual {
+        let left: Vec<f64> = sites.points().map(|(x, y, _)| y - self.at(x)).collect();
+        Residual::of(&left)
+    }
+}
+
+/// A polynomial in Chebyshev's form over the measured range.
+struct Polynomial {
+    ends: [f64; 2],
+    chebyshev: Vec<f64>,
+}
+
+impl Polynomial {
+    /// The least squares polynomial of `degree`, or of the highest below it that the sites allow.
+    fn fit(sites: &Sites, degree: usize) -> Self {
+        let ends = sites.ends();
+        let count = (degree + 1).min(sites.len() - 1);
+        let mut square = DMatrix::zeros(count, count);
+        let mut right = DVector::zeros(count);
+        for (x, y, weight) in sites.points() {
+            let basis = DVector::from_iterator(
+                count,
+                chebyshev(local(ends, x)).map(|[t, ..]| t).take(count),
+            );
+            square.ger(weight, &basis, &basis, 1.0);
+            right.axpy(weight * y, &basis, 1.0);
+        }
+        // Chebyshev's polynomials are nearly orthogonal: the normal equations are harmless, but for
+        // sites that crowd at one end.
+        for count in (1..=count).rev() {
+            let square = square.view((0, 0), (count, count)).into_owned();
+            if let Some(triangle) = square.cholesky() {
+                let chebyshev = triangle.solve(&right.rows(0, count).into_owned());
+                return Self { ends, chebyshev: chebyshev.as_slice().to_vec() };
+            }
+        }
+        Self { ends, chebyshev: vec![0.0] }
+    }
+
+    /// Value, slope and curvature.
+    fn derivatives(&self, x_mm: f64) -> [f64; 3] {
+        let scale = 2.0 / (self.ends[1] - self.ends[0]);
+        let mut sum = [0.0; 3];
+        for (c, t) in self.chebyshev.iter().zip(chebyshev(local(self.ends, x_mm))) {
+            for (sum, t) in sum.iter_mut().zip(t) {
+                *sum += c * t;
+            }
+        }
+        [sum[0], sum[1] * scale, sum[2] * scale * scale]
+    }
+
+    fn steepest(&self) -> (f64, f64) {
+        const PLACES: u32 = 500;
+        (0..=PLACES).fold((0.0_f64, 0.0_f64), |(slope, curvature), n| {
+            let share = f64::from(n) / f64::from(PLACES);
+            let at = self.ends[0] + share * (self.ends[1] - self.ends[0]);
+            let [_, first, second] = self.derivatives(at);
+            (slope.max(first.abs()), curvature.max(second.abs()))
+        })
+    }
+}
+
+/// A position as −1…1.
+fn local([first, last]: [f64; 2], x: f64) -> f64 {
+    2.0 * (x - first) / (last - first) - 1.0
+}
+
+/// Chebyshev's polynomials T₀, T₁, … at u with their first and second derivatives.
+fn chebyshev(u: f64) -> impl Iterator<Item = [f64; 3]> {
+    let mut pair = ([1.0, 0.0, 0.0], [u, 1.0, 0.0]);
+    std::iter::from_fn(move || {
+        let (now, next) = pair;
+        // T_{n+1} = 2u·T_n − T_{n−1}, differentiated once and twice.
+        let after = [
+            2.0 * u * next[0] - now[0],
+            2.0 * (next[0] + u * next[1]) - now[1],
+            2.0 * (2.0 * next[1] + u * next[2]) - now[2],
+        ];
+        pair = (next, after);
+        Some(now)
+    })
+}
+
+pub(super) fn table(fit: &Fit) -> Vec<Compared> {
+    let options = Options {
+        tolerance_um: fit.tolerance_um,
+        method: Method::LeastSquares,
+        reference: fit.reference,
+        most_coefficients: fit.most_coefficients,
+    };
+    let tolerance = fit.tolerance_um.unwrap_or(fit.residual.largest_um);
+    type Way<'w> = Box<dyn Fn(&Sites) -> Model + 'w>;
+    let papers = |control| -> Way<'_> {
+        Box::new(move |sites: &Sites| {
+            Model::Spline(paper::fit(&sites.thinned(MOST_CELLS), tolerance, control).0)
+        })
+    };
+    let ways: [(&str, Way<'_>); 5] = [
+        ("paper's way", papers(paper::Control::Readings)),
+        ("paper's points, least squares", papers(paper::Control::LeastSquares)),
+        ("least squares", Box::new(|sites| Model::Spline(Found::of(sites, &options).spline))),
+        ("polynomial of degree 7", Box::new(|sites| Model::Polynomial(Polynomial::fit(sites, 7)))),
+        (
+            "straight lines",
+            Box::new(|sites| Model::Lines { x: sites.x.clone(), y: sites.y.clone() }),
+        ),
+    ];
+    const ENOUGH: usize = 8;
+    let halves = [0, 1].map(|from| fit.sites.every_second(from));
+    let is_own = fit.method == Method::LeastSquares;
+    ways.into_iter()
+        .map(|(way, of)| {
+            let model = match way {
+                // It is there already.
+                "least squares" if is_own => Model::Spline(fit.spline.clone()),
+                _ => of(&fit.sites),
+            };
+            let left_out = (halves[1].len() >= ENOUGH).then(|| {
+                let [_, last] = halves[0].ends();
+                let half = of(&halves[0]);
+                let inside = halves[1].points().filter(|&(x, ..)| x <= last);
+                let left: Vec<f64> = inside.map(|(x, y, _)| y - half.at(x)).collect();
+                Residual::of(&left)
+            });
+            let (slope_um_per_mm, curvature_um_per_mm2) = model.steepest();
+            Compared {
+                way,
+                coefficients: model.coefficients(),
+                residual: model.residual(&fit.sites),
+                left_out,
+                slope_um_per_mm,
+                curvature_um_per_mm2,
+            }
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sites(count: usize, error_um: impl Fn(f64) -> f64) -> Sites {
+        let x: Vec<f64> = (0..count).map(|n| 10.0 * n as f64).collect();
+        let y: Vec<f64> = x.iter().map(|&x| error_um(x)).collect();
+        Sites::of(&x, &y).expect("sound")
+    }
+
+    #[test]
+    fn a_polynomial_of_degree_7_is_found_with_its_derivatives() {
+        let seventh = |x: f64| (x / 100.0 - 1.0).powi(7);
+        let polynomial = Polynomial::fit(&sites(21, seventh), 7);
+        for x in [0.0, 13.0, 100.0, 200.0] {
+            let u: f64 = x / 100.0 - 1.0;
+            let expected = [u.powi(7), 7.0 * u.powi(6) / 100.0, 42.0 * u.powi(5) / 1e4];
+            for (found, expected) in polynomial.derivatives(x).iter().zip(expected) {
+                assert!((found - expected).abs() < 1e-12, "{found} {expected}");
+            }
+        }
+        let (slope, curvature) = polynomial.steepest();
+        assert!((slope - 0.07).abs() < 1e-12 && (curvature - 0.0042).abs() < 1e-12);
+    }
+
+    #[test]
+    fn few_sites_lower_the_degree() {
+        assert_eq!(Polynomial::fit(&sites(5, |x| x), 7).chebyshev.len(), 4);
+    }
+
+    #[test]
+    fn straight_lines_pass_through_every_point_and_bend_there() {
+        let sites = sites(3, |x| if x == 10.0 { 5.0 } else { 0.0 });
+        let lines = Model::Lines { x: sites.x.clone(), y: sites.y.clone() };
+        assert_eq!(lines.residual(&sites).range_um, 0.0);
+        assert_eq!(lines.at(5.0), 2.5);
+        assert_eq!(lines.steepest(), (0.5, 0.1));
+    }
+
+    #[test]
+    fn a_row_of_the_comparison_is_one_line_with_all_its_figures() {
+        let residual = Residual::of(&[1.0, -1.0]);
+        let row = Compared {
+            way: "straight lines",
+            coefficients: 9,
+            residual,
+            left_out: Some(residual),
+            slope_um_per_mm: 0.5,
+            curvature_um_per_mm2: 0.00123,
+        };
+        assert_eq!(
+            row.to_string(),
+            "9 coefficients; residual: range 2.00 um, mean 0.00 um, mean square 1.000 um2, \
+             largest 1.00 um; at positions left out 1.00 um RMS; slope up to 0.5000 um/mm, \
+             curvature up to 1.23e-3 um/mm2"
+        );
+    }
+
+    #[test]
+    fn a_residuals_figures_are_what_the_hand_finds() {
+        let residual = Residual::of(&[1.0, 3.0, -2.0, 2.0]);
+        assert_eq!((residual.range_um, residual.mean_um, residual.largest_um), (5.0, 1.0, 3.0));
+        assert_eq!((residual.mean_square_um2, residual.rms_um), (3.5, 4.5_f64.sqrt()));
+    }
+}

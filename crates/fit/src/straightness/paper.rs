@@ -1,0 +1,150 @@
+//! The paper's way (seed 003 in `physics.md` section 4): data points as control points.
+//!
+//! The two ends and the eight points of largest local curvature (a point whose curvature is above
+//! both neighbours') are the control points b_j; while a residual is above ε, the point of the
+//! largest residual joins them. The parameter is the accumulated chord length, which for microns
+//! over metres is the position itself (to 10⁻⁸). Inner knots are the running means of the control
+//! points' positions, t_{j+p} = (x_{j+1} + … + x_{j+p−1})/(p − 1) for order p, so that a control
+//! point pulls at its own place (Greville).
+//!
+//! A curve does not pass through its control points, so the last error need not be small even with
+//! all points taken: then the way has failed, and says so. With the control values by least squares
+//! in the same knots it does much better; that is in the comparison too.
+
+use trueup_machine::machine_file::BSpline;
+
+use super::{knots::ORDER, sites::Sites};
+use crate::bspline::{clamped, least_squares};
+
+/// Points of largest curvature to begin with.
+const LARGEST_CURVATURES: usize = 8;
+
+/// What the control values are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Control {
+    /// The readings at the chosen points: the paper's.
+    Readings,
+    /// Those of the least sum of squares in the same knots.
+    LeastSquares,
+}
+
+/// The fit, and whether all residuals are within the tolerance.
+pub(super) fn fit(sites: &Sites, tolerance_um: f64, control: Control) -> (BSpline, bool) {
+    let last = sites.len() - 1;
+    let mut is_chosen = vec![false; sites.len()];
+    (is_chosen[0], is_chosen[last]) = (true, true);
+    for site in largest_curvatures(sites) {
+        is_chosen[site] = true;
+    }
+    // A cubic has four control points at least.
+    let mut most_even = (1..last).step_by((last / 3).max(1));
+    while is_chosen.iter().filter(|&&it| it).count() < ORDER {
+        let free = (1..last).find(|&site| !is_chosen[site]);
+        let Some(site) = most_even.next().or(free) else { break };
+        is_chosen[site] = true;
+    }
+    let mut reached: Option<BSpline> = None;
+    loop {
+        let chosen: Vec<usize> = (0..=last).filter(|&site| is_chosen[site]).collect();
+        let Some(spline) = through(sites, &chosen, control) else {
+            // Least squares in knots that the points do not determine: the fit before stands.
+            let fallback =
+                || through(sites, &chosen, Control::Readings).expect("needs no solution");
+            return (reached.unwrap_or_else(fallback), false);
+        };
+        let residuals = sites.residuals(&spline);
+        if residuals.iter().all(|residual| residual.abs() <= tolerance_um) {
+            return (spline, true);
+        }
+        let worst = (0..=last)
+            .filter(|&site| !is_chosen[site])
+            .max_by(|&a, &b| residuals[a].abs().total_cmp(&residuals[b].abs()));
+        let Some(worst) = worst else { return (spline, false) };
+        is_chosen[worst] = true;
+        reached = Some(spline);
+    }
+}
+
+/// The points whose curvature is above both neighbours', the largest first.
+fn largest_curvatures(sites: &Sites) -> Vec<usize> {
+    let (x, y) = (&sites.x, &sites.y);
+    let curvature = |n: usize| {
+        let slope = |a: usize, b: usize| (y[b] - y[a]) / (x[b] - x[a]);
+        ((slope(n, n + 1) - slope(n - 1, n)) / (0.5 * (x[n + 1] - x[n - 1]))).abs()
+    };
+    let curvatures: Vec<f64> = (1..sites.len() - 1).map(curvature).collect();
+    let is_peak =
+        |n: &usize| curvatures[*n] > curvatures[*n - 1] && curvatures[*n] > curvatures[*n + 1];
+    let mut peaks: Vec<usize> = (1..curvatures.len().saturating_sub(1)).filter(is_peak).collect();
+    peaks.sort_by(|&a, &b| curvatures[b].total_cmp(&curvatures[a]));
+    peaks.truncate(LARGEST_CURVATURES);
+    // curvatures[0] is that of the second site.
+    peaks.iter().map(|n| n + 1).collect()
+}
+
+/// The spline whose control points stand at the chosen sites (in order).
+fn through(sites: &Sites, chosen: &[usize], control: Control) -> Option<BSpline> {
+    let x = |n: usize| sites.x[chosen[n]];
+    let inner: Vec<f64> =
+        (1..=chosen.len() - ORDER).map(|j| (x(j) + x(j + 1) + x(j + 2)) / 3.0).collect();
+    let [first, last] = sites.ends();
+    let knots_mm = clamped(ORDER, first, &inner, last);
+    match control {
+        Control::Readings => {
+            let control_um = chosen.iter().map(|&site| sites.y[site]).collect();
+            Some(BSpline { order: ORDER, knots_mm, control_um })
+        }
+        Control::LeastSquares => {
+            least_squares(knots_mm, ORDER, sites.points()).map(|fit| fit.spline)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sites(count: usize, error_um: impl Fn(f64) -> f64) -> Sites {
+        let x: Vec<f64> = (0..count).map(|n| 10.0 * n as f64).collect();
+        let y: Vec<f64> = x.iter().map(|&x| error_um(x)).collect();
+        Sites::of(&x, &y).expect("sound")
+    }
+
+    #[test]
+    fn a_straight_line_needs_only_the_points_to_begin_with() {
+        let sites = sites(40, |x| 0.1 * x - 3.0);
+        let (spline, is_within) = fit(&sites, 1e-9, Control::Readings);
+        assert!(is_within && spline.control_um.len() < 11, "{spline:?}");
+    }
+
+    #[test]
+    fn points_join_until_all_residuals_are_within() {
+        let sites = sites(200, |x| 50.0 * (x / 150.0).sin());
+        let mut counts = Vec::new();
+        for tolerance_um in [10.0, 3.0, 1.0] {
+            let (spline, is_within) = fit(&sites, tolerance_um, Control::Readings);
+            assert!(is_within);
+            assert_eq!(spline.check(), Ok(()));
+            let residuals = sites.residuals(&spline);
+            assert!(residuals.iter().all(|residual| residual.abs() <= tolerance_um));
+            counts.push(spline.control_um.len());
+        }
+        assert!(counts.is_sorted() && counts[0] < counts[2], "{counts:?}");
+    }
+
+    #[test]
+    fn readings_that_alternate_are_never_within() {
+        let sites = sites(30, |x| if (x / 10.0) % 2.0 == 0.0 { 5.0 } else { -5.0 });
+        let (spline, is_within) = fit(&sites, 1.0, Control::Readings);
+        assert!(!is_within);
+        assert_eq!(spline.control_um.len(), 30);
+    }
+
+    #[test]
+    fn four_points_are_enough() {
+        for count in 4..9 {
+            let (spline, _) = fit(&sites(count, |x| x * x), 1e-3, Control::Readings);
+            assert_eq!(spline.check(), Ok(()));
+        }
+    }
+}

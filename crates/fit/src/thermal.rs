@@ -1,0 +1,459 @@
+//! `[axis.x.thermal]`: how an axis grows with a temperature.
+//!
+//! ```text
+//! Δ = K₀(T) + tanβ(T)·(P − P₀),   K₀ = a·(T − T₀),   tanβ = b·(T − T₀)
+//! ```
+//!
+//! T is behind its sensor by a lag, which is searched ([`Options`], and only kept where rows that
+//! were left out are better with it). Each of K₀ and tanβ is fitted as a line over T; where it
+//! crosses zero is T₀. If both modes count and the two lines cross zero at different temperatures,
+//! beyond what chance does, one T₀ cannot serve both, and a table of the same two lines is written
+//! instead. A table of more rows is fitted as its own interpolation (least squares of hat functions
+//! over T), so that it need not pass through the levels' own noise, and no level need be exactly
+//! constant.
+//!
+//! What cannot be told apart is said: a constant error per metre that the axis has at every
+//! temperature shifts T₀, and so does the arbitrary zero of an instrument where K₀ counts.
+//!
+//! A run of 10⁶ rows is fitted with the run itself and about a dozen columns of `f64` beside it:
+//! 100 MB.
+
+mod table;
+
+use trueup_machine::{
+    BadInput, Machine, RunFile,
+    machine_file::{LinearAxis, Thermal, ThermalMode, ThermalRow},
+    model::thermal_um,
+};
+
+use self::table::Table;
+use crate::{
+    elongation::{finish, judge, spread_or_bad, summary, temperature_column},
+    lagged::{self, Fitted, Lagged, Term},
+    report::{Fact, Parameter, Report, Spread},
+    robust,
+    rows::{self, Rows},
+    section::{Edit, Section},
+    solve::t_quantile,
+};
+
+/// Two T₀ differ, or a table is needed, beyond this probability of chance.
+const SURE: f64 = 0.999;
+
+/// What to fit.
+#[derive(Clone, Debug, Default)]
+pub struct Options {
+    /// Which terms; `None`: the machine file's, else what left-out rows favour.
+    pub mode: Option<ThermalMode>,
+    /// The column of the temperature; `None`: the machine file's, else the run's only one.
+    pub temperature: Option<String>,
+    /// The rows of a table, at least 2; `None`: constants, unless runs at three temperatures or
+    /// more do not lie on a line.
+    pub table_rows: Option<usize>,
+    /// What the other sections of the machine file say of each row of all runs, in µm: it is taken
+    /// off before the fit.
+    pub known_um: Option<Vec<f64>>,
+}
+
+/// The columns of the runs.
+struct Data {
+    measured: String,
+    sensor: String,
+    temperature_c: Vec<f64>,
+    time_s: Option<Vec<f64>>,
+    starts: Vec<bool>,
+    /// P − P₀ in m; empty without positions, or where all are equal and no mode asks for them.
+    arm_m: Vec<f64>,
+    /// NaN where the row takes no part.
+    y: Vec<f64>,
+    origin_mm: f64,
+}
+
+/// Fits the thermal law of `axis` from `measured_d<axis>_um`, a temperature, and `<axis>_mm`.
+///
+/// # Errors
+/// A column is missing, too few rows have all values, the temperature is the same in every row, or
+/// the positions do not decide the mode that is asked for.
+pub fn fit(
+    runs: &[RunFile],
+    axis: LinearAxis,
+    machine: Option<&Machine>,
+    options: &Options,
+) -> Result<Report, BadInput> {
+    let rows = Rows::of(runs)?;
+    let old = machine.and_then(|machine| machine.axes[axis.index()].thermal.as_ref());
+    let (mut data, mut report) = Data::read(&rows, axis, old, options)?;
+    let wanted = options.mode.or(old.map(|old| old.mode));
+    data.set_outliers_aside(&rows, &mut report);
+    let is_used: Vec<bool> = data.y.iter().map(|y| !y.is_nan()).collect();
+    spread_or_bad(&rows, &data.sensor, &data.temperature_c, &is_used, 4)?;
+
+    let (groups, by) = rows.groups(&is_used);
+    let (mode, fitted, mean_c) = data.choose_mode(&rows, wanted, groups.as_deref())?;
+    let wider = rows::widening(&fitted.residuals);
+    report.facts.push(Fact::text("mode", mode.name()));
+    report.facts.push(Fact::text("sensor", data.sensor.clone()));
+    report.warnings.extend(fitted.warning.clone());
+    if let Some(old) = old.filter(|old| old.sensor == data.sensor) {
+        let of_old = data.residuals(old);
+        if let Some(old) = Spread::of(&of_old) {
+            report.facts.push(Fact::number("machine_file_rms_um", old.rms_um));
+            report.facts.push(Fact::number("machine_file_max_um", old.max_um));
+        }
+    }
+
+    let law = Law { mode, fitted: &fitted, mean_c, wider };
+    let mut thermal = law.constants(&data, &mut report);
+    let levels = table::levels(&rows, &data);
+    if let Some(table) = Table::fit(&data, mode, fitted.lag_s, &levels, options.table_rows) {
+        let is_better = table.is_better(&fitted.residuals, thermal.table.is_some(), mode, wider);
+        if options.table_rows.is_some() || is_better {
+            table.report(&mut report, mode);
+            thermal.table = Some(table.rows);
+        }
+    } else if options.table_rows.is_some() {
+        let rule = format!(
+            "the rows do not decide a table of {} temperatures between the coldest and the warmest",
+            options.table_rows.unwrap_or_default()
+        );
+        return Err(rows.bad(rule));
+    }
+
+    let residuals = data.residuals(&thermal);
+    // Groups are the same whatever the form of the law, so the left-out rows of the two lines stand
+    // for it; a table is left out on its own.
+    let (left_out, by) = match &thermal.table {
+        Some(table) if table.len() > 2 => {
+            let knots: Vec<f64> = table.iter().map(|row| row.temperature_c).collect();
+            table::left_out(&data, mode, fitted.lag_s, &knots, (groups.as_deref(), by))
+        }
+        _ => (fitted.left_out.clone(), by),
+    };
+    finish(&mut report, &data.y, &residuals, left_out, by, wider);
+    judge(&mut report, &data.y, groups.as_deref());
+    say_what_is_one(&mut report, mode, thermal.table.is_some());
+    if report.verdict.is_fitted() {
+        report.edit = Edit::of(section(axis, &thermal, &report));
+    }
+    Ok(report)
+}
+
+impl Data {
+    fn read(
+        rows: &Rows<'_>,
+        axis: LinearAxis,
+        old: Option<&Thermal>,
+        options: &Options,
+    ) -> Result<(Self, Report), BadInput> {
+        let measured = format!("measured_d{}_um", axis.name());
+        let mut y = rows.require(&measured)?;
+        let wanted = options.temperature.clone().or(old.map(|old| old.sensor.clone()));
+        let sensor = temperature_column(rows, wanted)?;
+        let temperature_c = rows.require(&sensor)?;
+        let time_s = rows.optional("time_s")?;
+        let starts = rows.starts(time_s.as_deref());
+        let position = format!("{}_mm", axis.name());
+        let wanted_mode = options.mode.or(old.map(|old| old.mode));
+        let needs_position = wanted_mode.is_some_and(ThermalMode::has_position);
+        let positions =
+            if needs_position { Some(rows.require(&position)?) } else { rows.optional(&position)? };
+        if let Some(known_um) = &options.known_um {
+            y.iter_mut().zip(known_um).for_each(|(y, known)| *y -= known);
+        }
+        let incomplete = |row: usize| {
+            temperature_c[row].is_nan()
+                || time_s.as_ref().is_some_and(|time_s| time_s[row].is_nan())
+                || positions.as_ref().is_some_and(|positions| positions[row].is_nan())
+        };
+        (0..y.len()).filter(|row| incomplete(*row)).for_each(|row| y[row] = f64::NAN);
+        let is_used: Vec<bool> = y.iter().map(|y| !y.is_nan()).collect();
+        spread_or_bad(rows, &sensor, &temperature_c, &is_used, 4)?;
+        let origin_mm = old.map_or(0.0, |old| old.origin_mm);
+        let mut used = positions.iter().flatten().zip(&is_used).filter(|(_, used)| **used);
+        let first = used.next().map(|(position, _)| *position);
+        let varies = used.any(|(position, _)| Some(*position) != first);
+        let arm_m = match positions {
+            Some(positions) if varies || needs_position => {
+                positions.into_iter().map(|p| (p - origin_mm) / 1000.0).collect()
+            }
+            _ => Vec::new(),
+        };
+        let mut report = Report::new("thermal", measured.clone());
+        report.rows_incomplete = is_used.iter().filter(|used| !**used).count();
+        let data = Self { measured, sensor, temperature_c, time_s, starts, arm_m, y, origin_mm };
+        Ok((data, report))
+    }
+
+    /// Whether the positions that are used differ.
+    fn positions_differ(&self) -> bool {
+        let mut used = self.arm_m.iter().zip(&self.y).filter(|(_, y)| !y.is_nan());
+        let first = used.next().map(|(arm, _)| *arm);
+        used.any(|(arm, _)| Some(*arm) != first)
+    }
+
+    fn set_outliers_aside(&mut self, rows: &Rows<'_>, report: &mut Report) {
+        let found = match &self.time_s {
+            Some(time_s) if !self.positions_differ() => {
+                lagged::outliers(time_s, &self.starts, &self.y)
+            }
+            _ => {
+                let ones = vec![1.0; self.y.len()];
+                let warm = &self.temperature_c;
+                if self.positions_differ() {
+                    let both: Vec<f64> = self.arm_m.iter().zip(warm).map(|(p, t)| p * t).collect();
+                    robust::in_relation(&[&ones, warm, &self.arm_m, &both], &self.y)
+                } else {
+                    robust::in_relation(&[&ones, warm], &self.y)
+                }
+            }
+        };
+        report.set_aside = rows.set_aside(&found, &self.y, &self.measured);
+        found.iter().for_each(|outlier| self.y[outlier.row] = f64::NAN);
+    }
+
+    /// The mode that is wanted, else the simplest that left-out rows do not clearly disfavour.
+    fn choose_mode(
+        &self,
+        rows: &Rows<'_>,
+        wanted: Option<ThermalMode>,
+        groups: Option<&[usize]>,
+    ) -> Result<(ThermalMode, Fitted, f64), BadInput> {
+        /// A mode with more terms must be better on left-out rows by this share.
+        const WORTH: f64 = 0.05;
+        let all = [ThermalMode::Position, ThermalMode::Constant, ThermalMode::Both];
+        let modes: Vec<ThermalMode> = match wanted {
+            Some(mode) => vec![mode],
+            None if self.positions_differ() => all.to_vec(),
+            None => vec![ThermalMode::Constant],
+        };
+        let mut best: Option<(f64, ThermalMode, Fitted, f64)> = None;
+        for mode in modes {
+            let terms = terms(mode);
+            let design = Lagged::new(
+                self.time_s.as_deref(),
+                &self.temperature_c,
+                &self.starts,
+                terms,
+                &self.arm_m,
+            );
+            let Some(fitted) = design.fit(&self.y, groups) else { continue };
+            let left_out = fitted.left_out.as_deref().and_then(Spread::of);
+            let judged = left_out.or(Spread::of(&fitted.residuals)).map_or(f64::NAN, |s| s.rms_um);
+            // Position and constant have as many terms: the better one. Both must be worth it.
+            let share = if mode == ThermalMode::Both { 1.0 - WORTH } else { 1.0 };
+            if best.as_ref().is_none_or(|(least, ..)| judged < share * least) {
+                best = Some((judged, mode, fitted, design.mean_c));
+            }
+        }
+        let Some((_, mode, fitted, mean_c)) = best else {
+            let rule = format!(
+                "the temperatures and positions do not decide mode \"{}\": it needs several \
+                 temperatures{}",
+                wanted.unwrap_or(ThermalMode::Constant).name(),
+                if wanted == Some(ThermalMode::Constant) { "" } else { " and several positions" }
+            );
+            return Err(rows.bad(rule));
+        };
+        Ok((mode, fitted, mean_c))
+    }
+
+    /// L_τ(T) by row.
+    fn lagged_c(&self, lag_s: f64) -> Vec<f64> {
+        Lagged::new(self.time_s.as_deref(), &self.temperature_c, &self.starts, &[], &[])
+            .lagged_c(lag_s)
+    }
+
+    /// Measured minus `thermal`, by row, as the model itself has it.
+    fn residuals(&self, thermal: &Thermal) -> Vec<f64> {
+        let lagged_c = self.lagged_c(thermal.lag_s);
+        let residual = |(row, y): (usize, &f64)| {
+            let arm_m = self.arm_m.get(row).copied().unwrap_or(f64::NAN);
+            y - thermal_um(thermal, lagged_c[row], self.origin_mm + 1000.0 * arm_m)
+        };
+        self.y.iter().enumerate().map(residual).collect()
+    }
+}
+
+/// The columns of a mode, K₀'s first.
+fn terms(mode: ThermalMode) -> &'static [Term] {
+    match mode {
+        ThermalMode::Constant => &[Term::Constant, Term::Warm],
+        ThermalMode::Position => &[Term::Position, Term::WarmPosition],
+        ThermalMode::Both => &[Term::Constant, Term::Warm, Term::Position, Term::WarmPosition],
+    }
+}
+
+/// Lines over T, and what becomes of them in the machine file.
+struct Law<'f> {
+    mode: ThermalMode,
+    fitted: &'f Fitted,
+    mean_c: f64,
+    wider: f64,
+}
+
+impl Law<'_> {
+    /// T₀ of the line in columns `at` and `at + 1`, and the half width of its interval.
+    fn reference(&self, at: usize) -> (f64, f64) {
+        let (height, slope) = (self.fitted.coefficients[at], self.fitted.coefficients[at + 1]);
+        let mut gradient = vec![0.0; self.fitted.coefficients.len()];
+        gradient[at] = -1.0 / slope;
+        gradient[at + 1] = height / (slope * slope);
+        (self.mean_c - height / slope, self.wider * self.fitted.half_width_of(&gradient))
+    }
+
+    /// The machine file's constants, reported; a table of two rows where one T₀ cannot serve.
+    fn constants(&self, data: &Data, report: &mut Report) -> Thermal {
+        let c = &self.fitted.coefficients;
+        let half = |at: usize| self.wider * self.fitted.half_width(at);
+        let mut thermal = Thermal {
+            mode: self.mode,
+            sensor: data.sensor.clone(),
+            reference_c: 0.0,
+            constant_um_per_c: 0.0,
+            slope_um_per_m_per_c: 0.0,
+            origin_mm: data.origin_mm,
+            lag_s: self.fitted.lag_s,
+            table: None,
+        };
+        let (name_of_a, name_of_b) = ("constant_um_per_c", "slope_um_per_m_per_c");
+        let parameters = &mut report.parameters;
+        if self.mode != ThermalMode::Both {
+            let (reference_c, reference_half) = self.reference(0);
+            thermal.reference_c = reference_c;
+            let name = match self.mode {
+                ThermalMode::Constant => {
+                    thermal.constant_um_per_c = c[1];
+                    name_of_a
+                }
+                _ => {
+                    thermal.slope_um_per_m_per_c = c[1];
+                    name_of_b
+                }
+            };
+            parameters.push(Parameter::fitted(name, c[1], half(1)));
+            parameters.push(Parameter::fitted("reference_c", reference_c, reference_half));
+            parameters.push(Parameter::set("origin_mm", data.origin_mm));
+        } else {
+            // a and b with one T₀: where a₀ + a·T and b₀ + b·T are zero together, a₀·b = b₀·a. The
+            // difference of the two sides is a contrast whose size has its own interval.
+            let contrast = c[0] * c[3] - c[2] * c[1];
+            let gradient = [c[3], -c[2], -c[1], c[0]];
+            let half_contrast = self.wider * self.fitted.half_width_of(&gradient);
+            let limit = half_contrast * t_quantile(0.5 + SURE / 2.0, 1e6) / t_quantile(0.975, 1e6);
+            if contrast.abs() > limit {
+                let rows = two_rows(data, self, c);
+                for row in &rows {
+                    let at = format!("at {:.3} degC", row.temperature_c);
+                    let dt = row.temperature_c - self.mean_c;
+                    let k0 = self.wider * self.fitted.half_width_of(&[1.0, dt, 0.0, 0.0]);
+                    let slope = self.wider * self.fitted.half_width_of(&[0.0, 0.0, 1.0, dt]);
+                    let name = format!("constant_um {at}");
+                    parameters.push(Parameter::fitted(name, row.constant_um, k0));
+                    let name = format!("slope_um_per_m {at}");
+                    parameters.push(Parameter::fitted(name, row.slope_um_per_m, slope));
+                }
+                let (of_a, _) = self.reference(0);
+                let (of_b, _) = self.reference(2);
+                report.warnings.push(format!(
+                    "the constant part is zero at {of_a:.2} degC and the slope at {of_b:.2} degC: \
+                     one reference_c cannot serve both, so they are written as a table, which is \
+                     held beyond the temperatures that were measured"
+                ));
+                thermal.table = Some(rows);
+            } else {
+                // T₀ from both lines, each by how well it knows it; a and b then follow from the
+                // heights at T̄, which are known best.
+                let ((of_a, half_a), (of_b, half_b)) = (self.reference(0), self.reference(2));
+                let (weight_a, weight_b) = (half_a.powi(-2), half_b.powi(-2));
+                let reference_c = (weight_a * of_a + weight_b * of_b) / (weight_a + weight_b);
+                let solution = common_reference(data, self.fitted.lag_s, reference_c);
+                let (reference_c, a, b, halves) = solution.unwrap_or((
+                    reference_c,
+                    c[1],
+                    c[3],
+                    [(weight_a + weight_b).powf(-0.5), half(1), half(3)],
+                ));
+                thermal.reference_c = reference_c;
+                thermal.constant_um_per_c = a;
+                thermal.slope_um_per_m_per_c = b;
+                parameters.push(Parameter::fitted(name_of_a, a, self.wider * halves[1]));
+                parameters.push(Parameter::fitted(name_of_b, b, self.wider * halves[2]));
+                let half = self.wider * halves[0];
+                parameters.push(Parameter::fitted("reference_c", reference_c, half));
+                parameters.push(Parameter::set("origin_mm", data.origin_mm));
+            }
+        }
+        report.parameters.push(self.fitted.lag_parameter(self.wider));
+        thermal
+    }
+}
+
+/// T₀, a and b of y = (a + b·P)·(T − T₀), with the half widths of their intervals.
+fn common_reference(data: &Data, lag_s: f64, start_c: f64) -> Option<(f64, f64, f64, [f64; 3])> {
+    let model = table::CommonReference { lagged_c: data.lagged_c(lag_s), arm_m: &data.arm_m };
+    let options = crate::solve::Options { first_steps: vec![1.0], ..Default::default() };
+    let fit = crate::solve::fit_separable(&model, &data.y, &[vec![start_c]], &options).ok()?;
+    let half = |at| fit.half_width(at);
+    let &[reference_c, a, b] = fit.parameters.as_slice() else { return None };
+    Some((reference_c, a, b, [half(0), half(1), half(2)]))
+}
+
+/// The two lines between the coldest and the warmest temperature.
+fn two_rows(data: &Data, law: &Law<'_>, c: &[f64]) -> Vec<ThermalRow> {
+    let lagged_c = data.lagged_c(law.fitted.lag_s);
+    let used = || lagged_c.iter().zip(&data.y).filter(|(_, y)| !y.is_nan()).map(|(t, _)| *t);
+    let ends = [used().fold(f64::INFINITY, f64::min), used().fold(f64::NEG_INFINITY, f64::max)];
+    let row = |temperature_c: f64| ThermalRow {
+        temperature_c,
+        constant_um: c[0] + c[1] * (temperature_c - law.mean_c),
+        slope_um_per_m: c[2] + c[3] * (temperature_c - law.mean_c),
+    };
+    ends.map(row).to_vec()
+}
+
+/// What the data cannot part.
+fn say_what_is_one(report: &mut Report, mode: ThermalMode, is_table: bool) {
+    if is_table {
+        return;
+    }
+    report.warnings.push(match mode {
+        ThermalMode::Position => {
+            "reference_c and a constant error per metre cannot be told apart: \
+             what the axis's scale is wrong by at every temperature is in reference_c"
+                .into()
+        }
+        ThermalMode::Constant => {
+            "reference_c and the zero of the instrument cannot be told apart: \
+             where the instrument was set to zero is in reference_c"
+                .into()
+        }
+        ThermalMode::Both => "reference_c takes the instrument to have been at zero, and the \
+             axis's scale right, at one and the same temperature"
+            .to_string(),
+    });
+}
+
+fn section(axis: LinearAxis, thermal: &Thermal, report: &Report) -> Section {
+    let mut section = Section::new(format!("axis.{}.thermal", axis.name()))
+        .text("mode", thermal.mode.name())
+        .text("sensor", thermal.sensor.clone());
+    match &thermal.table {
+        Some(table) => {
+            let row = |row: &ThermalRow| [row.temperature_c, row.constant_um, row.slope_um_per_m];
+            section = section.rows("table", table.iter().map(row).collect::<Vec<_>>());
+        }
+        None => {
+            section = section.number("reference_c", thermal.reference_c);
+            if thermal.mode.has_constant() {
+                section = section.number("constant_um_per_c", thermal.constant_um_per_c);
+            }
+            if thermal.mode.has_position() {
+                section = section.number("slope_um_per_m_per_c", thermal.slope_um_per_m_per_c);
+            }
+        }
+    }
+    section
+        .number("origin_mm", thermal.origin_mm)
+        .number("lag_s", thermal.lag_s)
+        .remark(summary(report))
+}

@@ -1,0 +1,279 @@
+//! `fit thermal`: known truth, the way through a machine file, real runs, bad input.
+
+mod support;
+
+use support::{
+    MACHINE, Noise, applied, assert_holds, assert_round_trip, machine, parse, run, shared,
+};
+use trueup_fit::{Report, Verdict, thermal};
+use trueup_machine::{
+    RunFile,
+    machine_file::{LinearAxis, ThermalMode},
+};
+
+fn fit(run: &RunFile, options: &thermal::Options) -> Report {
+    thermal::fit(std::slice::from_ref(run), LinearAxis::X, None, options).expect("a fit")
+}
+
+/// An axis that is scanned at 0…1000 mm every 10 minutes while its screw warms up and cools.
+fn scanned(law: impl Fn(f64, f64) -> f64, lag_s: f64, noise_um: f64) -> RunFile {
+    let mut noise = Noise::seeded(21);
+    let columns = ["time_s", "x_mm", "temp_screw_c", "measured_dx_um"];
+    let mut values = vec![Vec::new(); 4];
+    let (mut lagged, mut before) = (20.0, 20.0);
+    for row in 0..600 {
+        let time = 30.0 * f64::from(row);
+        let t: f64 = if row < 300 {
+            20.0 + 18.0 * (1.0 - (-time / 2500.0).exp())
+        } else {
+            20.0 + 17.5 * (-(time - 9000.0) / 2500.0).exp()
+        };
+        if row > 0 && lag_s > 0.0 {
+            lagged += (t - lagged) * -(-30.0 / lag_s).exp_m1();
+        } else {
+            lagged = t;
+        }
+        let position = 250.0 * f64::from(row % 5);
+        before = if row == 0 { t } else { before };
+        for (column, value) in values.iter_mut().zip([
+            time,
+            position,
+            t,
+            law(lagged, position) + noise_um * noise.next(),
+        ]) {
+            column.push(value);
+        }
+    }
+    let named: Vec<(&str, &[f64])> =
+        columns.iter().copied().zip(values.iter().map(Vec::as_slice)).collect();
+    run(&named)
+}
+
+#[test]
+fn a_screw_that_grows_is_found_with_its_slope_reference_and_lag() {
+    let run = scanned(|t, x| 14.21 * (t - 23.0) * x / 1000.0, 400.0, 0.5);
+    let report = fit(&run, &thermal::Options::default());
+    report.parameters.iter().for_each(|parameter| println!("{parameter}"));
+    assert_holds(&report, "slope_um_per_m_per_c", 14.21);
+    assert_holds(&report, "reference_c", 23.0);
+    assert_holds(&report, "lag_s", 400.0);
+    let x = applied(&report, MACHINE).axes[0].thermal.clone().expect("written");
+    assert_eq!((x.mode, x.table), (ThermalMode::Position, None));
+    assert!(
+        report.warnings.iter().any(|warning| warning.starts_with("reference_c and a constant"))
+    );
+    assert_round_trip(&report, MACHINE, &run, 1);
+}
+
+#[test]
+fn a_lag_that_is_not_there_is_not_found() {
+    let run = scanned(|t, x| 14.21 * (t - 23.0) * x / 1000.0, 0.0, 0.5);
+    let report = fit(&run, &thermal::Options::default());
+    assert_eq!(report.parameter("lag_s").expect("set").value, 0.0);
+    assert_holds(&report, "slope_um_per_m_per_c", 14.21);
+}
+
+#[test]
+fn a_constant_and_a_slope_share_their_reference() {
+    let law = |t: f64, x: f64| (t - 22.0) * (1.7 + 9.0 * x / 1000.0);
+    let run = scanned(law, 300.0, 0.4);
+    let report = fit(&run, &thermal::Options::default());
+    report.parameters.iter().for_each(|parameter| println!("{parameter}"));
+    assert_holds(&report, "constant_um_per_c", 1.7);
+    assert_holds(&report, "slope_um_per_m_per_c", 9.0);
+    assert_holds(&report, "reference_c", 22.0);
+    assert_holds(&report, "lag_s", 300.0);
+    let x = applied(&report, MACHINE).axes[0].thermal.clone().expect("written");
+    assert_eq!((x.mode, x.table), (ThermalMode::Both, None));
+    assert_round_trip(&report, MACHINE, &run, 1);
+}
+
+#[test]
+fn two_references_are_written_as_a_table() {
+    let law = |t: f64, x: f64| 1.7 * (t - 18.0) + 9.0 * (t - 26.0) * x / 1000.0;
+    let run = scanned(law, 0.0, 0.4);
+    let report = fit(&run, &thermal::Options::default());
+    let x = applied(&report, MACHINE).axes[0].thermal.clone().expect("written");
+    let table = x.table.expect("two references");
+    assert_eq!(table.len(), 2);
+    for row in table {
+        assert!((row.constant_um - 1.7 * (row.temperature_c - 18.0)).abs() < 0.3, "{row:?}");
+        assert!((row.slope_um_per_m - 9.0 * (row.temperature_c - 26.0)).abs() < 0.5, "{row:?}");
+    }
+    assert!(report.warnings[0].contains("one reference_c cannot serve both"), "{report:?}");
+    assert_round_trip(&report, MACHINE, &run, 1);
+}
+
+/// Runs at five temperatures, K₀ and tanβ curved.
+#[test]
+fn runs_at_several_temperatures_give_a_table_where_a_line_does_not_do() {
+    let k0 = |t: f64| 0.05 * (t - 20.0).powi(2);
+    let slope = |t: f64| 12.0 * (t - 20.0) - 0.2 * (t - 20.0).powi(2);
+    let mut noise = Noise::seeded(4);
+    let (mut number, mut x, mut warm, mut y) = (vec![], vec![], vec![], vec![]);
+    for (level, t) in [20.0, 25.0, 30.0, 36.0, 42.0].into_iter().enumerate() {
+        for row in 0..22 {
+            let position = 100.0 * f64::from(row % 11);
+            number.push(level as f64 + 1.0);
+            x.push(position);
+            warm.push(t + 0.02 * noise.next());
+            y.push(k0(t) + slope(t) * position / 1000.0 + 0.2 * noise.next());
+        }
+    }
+    let columns: [(&str, &[f64]); 4] =
+        [("run", &number), ("x_mm", &x), ("temp_screw_c", &warm), ("measured_dx_um", &y)];
+    let run = run(&columns);
+    let report = fit(&run, &thermal::Options::default());
+    let axis = applied(&report, MACHINE).axes[0].thermal.clone().expect("written");
+    let table = axis.table.expect("the law is curved");
+    println!("{table:?}");
+    assert_eq!(table.len(), 5);
+    for row in table {
+        assert!((row.constant_um - k0(row.temperature_c)).abs() < 0.3, "{row:?}");
+        assert!((row.slope_um_per_m - slope(row.temperature_c)).abs() < 0.7, "{row:?}");
+    }
+    assert_round_trip(&report, MACHINE, &run, 1);
+    // A straight law at the same temperatures needs none.
+    let y: Vec<f64> = warm
+        .iter()
+        .zip(&x)
+        .map(|(t, x)| 11.0 * (t - 23.0) * x / 1e3 + 0.2 * noise.next())
+        .collect();
+    let columns: [(&str, &[f64]); 4] =
+        [("run", &number), ("x_mm", &x), ("temp_screw_c", &warm), ("measured_dx_um", &y)];
+    let straight = support::run(&columns);
+    let report = fit(&straight, &thermal::Options::default());
+    let axis = applied(&report, MACHINE).axes[0].thermal.clone().expect("written");
+    assert_eq!((axis.mode, axis.table), (ThermalMode::Position, None));
+    assert_holds(&report, "slope_um_per_m_per_c", 11.0);
+    // Unless it is asked for.
+    let options = thermal::Options { table_rows: Some(3), ..thermal::Options::default() };
+    let report = fit(&straight, &options);
+    let axis = applied(&report, MACHINE).axes[0].thermal.clone().expect("written");
+    assert_eq!(axis.table.expect("asked for").len(), 3);
+    assert_round_trip(&report, MACHINE, &straight, 1);
+}
+
+#[test]
+fn the_eleven_missed_homings_of_the_voron_are_found_and_listed() {
+    let Some(path) = shared("voron_frame_expansion/run1.csv") else { return };
+    let run = RunFile::read(&path).expect("a run file");
+    let options = thermal::Options {
+        temperature: Some("temp_frame_c".into()),
+        ..thermal::Options::default()
+    };
+    let report = thermal::fit(&[run], LinearAxis::Z, None, &options).expect("a fit");
+    report.set_aside.iter().for_each(|row| println!("{row}"));
+    let lines: Vec<usize> = report.set_aside.iter().map(|row| row.place.line).collect();
+    assert_eq!(lines, [16, 17, 77, 145, 213, 326, 395, 402, 462, 523, 548]);
+    assert!(report.in_sample.expect("rows").max_um < 200.0);
+}
+
+#[test]
+fn the_other_runs_of_the_voron_lose_no_row() {
+    for name in ["run3", "run4"] {
+        let Some(path) = shared(&format!("voron_frame_expansion/{name}.csv")) else { return };
+        let run = RunFile::read(&path).expect("a run file");
+        let options = thermal::Options {
+            temperature: Some("temp_frame_c".into()),
+            ..thermal::Options::default()
+        };
+        let report = thermal::fit(&[run], LinearAxis::Z, None, &options).expect("a fit");
+        println!("{name}: {:?}, left out {:?}", report.in_sample, report.left_out);
+        report.set_aside.iter().for_each(|row| println!("{row}"));
+        assert!(report.set_aside.is_empty());
+    }
+}
+
+#[test]
+fn scatter_is_not_compensated() {
+    let run = scanned(|_, _| 0.0, 0.0, 5.0);
+    let report = fit(&run, &thermal::Options::default());
+    assert!(matches!(report.verdict, Verdict::DoNotCompensate(_)), "{report:?}");
+}
+
+#[test]
+fn bad_input_is_named_with_its_place_and_rule() {
+    let error = |text: &str, options: &thermal::Options| {
+        thermal::fit(&[parse(text)], LinearAxis::X, None, options).expect_err(text).to_string()
+    };
+    let position =
+        thermal::Options { mode: Some(ThermalMode::Position), ..thermal::Options::default() };
+    for (text, options, expected) in [
+        (
+            "temp_a_c,measured_dx_um\n20,1\n21,2\n22,3\n23,4\n",
+            &position,
+            "run.csv:1:1: column x_mm is missing; there are temp_a_c, measured_dx_um",
+        ),
+        (
+            "x_mm,measured_dx_um\n20,1\n",
+            &position,
+            "run.csv:1:1: no column of a temperature, temp_<name>_c, is there",
+        ),
+        (
+            "x_mm,temp_a_c,measured_dx_um\n0,20,1\n1,20,1\n2,20,1\n3,20,1\n",
+            &position,
+            "run.csv:2:3: temp_a_c is 20 in every row: nothing can be fitted to it",
+        ),
+        (
+            "x_mm,temp_a_c,measured_dx_um\n0,20,1\n0,21,2\n0,22,3\n0,23,4\n",
+            &position,
+            "run.csv:1:1: the temperatures and positions do not decide mode \"position\": it needs \
+             several temperatures and several positions",
+        ),
+        (
+            "x_mm,temp_a_c,measured_dy_um\n0,20,1\n",
+            &position,
+            "run.csv:1:1: column measured_dx_um is missing; there are x_mm, temp_a_c, \
+             measured_dy_um; did you mean measured_dy_um?",
+        ),
+    ] {
+        assert_eq!(error(text, options), expected);
+    }
+    let table = thermal::Options { table_rows: Some(40), ..thermal::Options::default() };
+    let few = "temp_a_c,measured_dx_um\n20,1\n21,2\n22,3\n23,4\n24,5\n";
+    assert_eq!(
+        error(few, &table),
+        "run.csv:1:1: the rows do not decide a table of 40 temperatures between the coldest and \
+         the warmest"
+    );
+}
+
+#[test]
+fn what_the_machine_file_had_is_compared() {
+    let run = scanned(|t, x| 10.0 * (t - 20.0) * x / 1000.0, 0.0, 0.3);
+    let text = format!(
+        "{MACHINE}[axis.x.thermal]\nmode = \"position\"\nsensor = \"temp_screw_c\"\n\
+         reference_c = 20.0\nslope_um_per_m_per_c = 5.0\norigin_mm = 100.0 # the fixed bearing\n"
+    );
+    let report = thermal::fit(
+        std::slice::from_ref(&run),
+        LinearAxis::X,
+        Some(&machine(&text)),
+        &thermal::Options::default(),
+    );
+    let report = report.expect("a fit");
+    assert!(report.facts.iter().any(|fact| fact.name == "machine_file_rms_um"));
+    let written = report.edit.apply(&text, "m.toml".as_ref()).expect("loads");
+    assert!(written.contains("origin_mm = 100.0 # the fixed bearing"), "{written}");
+}
+
+/// The run itself is 4 columns of 8 MB and what its places need.
+#[test]
+#[ignore = "half a minute: cargo test -p trueup-fit --release --test thermal -- --ignored --show-output"]
+fn a_million_rows_are_fitted() {
+    let mut noise = Noise::seeded(3);
+    let rows = 1_000_000;
+    let time: Vec<f64> = (0..rows).map(|row| 0.1 * f64::from(row)).collect();
+    let warm: Vec<f64> = time.iter().map(|t| 25.0 + 5.0 * (t / 9000.0).sin()).collect();
+    let x: Vec<f64> = (0..rows).map(|row| f64::from(row % 1000)).collect();
+    let y: Vec<f64> =
+        warm.iter().zip(&x).map(|(t, x)| 11.0 * (t - 23.0) * x / 1000.0 + noise.next()).collect();
+    let columns: [(&str, &[f64]); 4] =
+        [("time_s", &time), ("x_mm", &x), ("temp_screw_c", &warm), ("measured_dx_um", &y)];
+    let run = run(&columns);
+    let since = std::time::Instant::now();
+    let report = fit(&run, &thermal::Options::default());
+    println!("{rows} rows of an axis: {:.1} s", since.elapsed().as_secs_f64());
+    assert_holds(&report, "slope_um_per_m_per_c", 11.0);
+}

@@ -1,0 +1,241 @@
+//! What each cause does to the error of an axis.
+
+use super::{
+    axis::{AXES, AxisBench, line, walk},
+    cause::Hidden,
+    growth_effects::{fixed, linear, of_any_series, on_each},
+    laws::{even_knots, lagged, spline, stepped, wave},
+    mix::{Named, Run, Shape},
+};
+use crate::noise::Stream;
+
+/// The shape of `cause` on `bench`; `None` where it is only noise.
+pub(super) fn shape(cause: Hidden, bench: &AxisBench, stream: &mut Stream) -> Option<Shape> {
+    let runs = &bench.runs[..];
+    let mm = |axis: usize| format!("{}_mm", AXES[axis]);
+    let (main_mm, other_mm) = (mm(bench.main), mm(bench.other));
+    let direction = format!("dir_{}", AXES[bench.error]);
+    // The law of position and direction of approach.
+    let along = |law: &dyn Fn(f64, f64) -> f64| {
+        on_each(runs, |run| {
+            let rows = run.column(&main_mm).iter().zip(run.column(&direction));
+            rows.map(|(&mm, &d)| law(mm, d)).collect()
+        })
+    };
+    let where_reverse = |d: f64| if d < 0.0 { 1.0 } else { 0.0 };
+    Some(match cause {
+        Hidden::ThermalLag | Hidden::ExpansionSlope | Hidden::ReferenceTemperature => {
+            return thermal(cause, bench, stream);
+        }
+        Hidden::PitchScale => linear(cause, "um_per_m", along(&|mm, _| mm / 1000.0)),
+        Hidden::Backlash => linear(cause, "width_um", along(&|_, d| where_reverse(d))),
+        Hidden::PositionDependentBacklash => {
+            linear(cause, "um_per_m", along(&|mm, d| mm / 1000.0 * where_reverse(d)))
+        }
+        Hidden::PitchError => {
+            let (start_mm, step_mm, count) = bench.grid?;
+            let forward = walk(count, 1.0, stream);
+            let own = walk(count, 0.6, stream);
+            let reverse: Vec<f64> = forward.iter().zip(&own).map(|(f, o)| f + o).collect();
+            let um = along(&|mm, d| {
+                stepped(start_mm, step_mm, if d < 0.0 { &reverse } else { &forward }, mm)
+            });
+            Shape {
+                at: Box::new(move |factor| {
+                    let scaled = |table: &[f64]| table.iter().map(|um| factor * um).collect();
+                    Named {
+                        parameters: vec![("start_mm", start_mm), ("step_mm", step_mm)],
+                        tables: vec![
+                            ("forward_um", scaled(&forward)),
+                            ("reverse_um", scaled(&reverse)),
+                        ],
+                    }
+                }),
+                ..linear(cause, "", um)
+            }
+        }
+        Hidden::PitchPeriodic => {
+            let length_mm = bench.travel_mm[1] - bench.travel_mm[0];
+            let period_mm = stream.log_uniform(2.0, 20.0_f64.min(length_mm / 6.0));
+            let second = if stream.chance(0.5) { 0.0 } else { stream.uniform(0.2, 0.5) };
+            let phase_rad = stream.uniform(0.0, std::f64::consts::TAU);
+            let second_rad = stream.uniform(0.0, std::f64::consts::TAU);
+            let um = along(&|mm, _| {
+                let turns = mm / period_mm;
+                wave(turns, phase_rad) + second * wave(2.0 * turns, second_rad)
+            });
+            Shape {
+                has_sign: false,
+                at: Box::new(move |factor| {
+                    Named::of(&[
+                        ("amplitude_um", factor),
+                        ("period_mm", period_mm),
+                        ("phase_rad", phase_rad),
+                        ("second_amplitude_um", factor * second),
+                        ("second_phase_rad", second_rad),
+                    ])
+                }),
+                ..linear(cause, "", um)
+            }
+        }
+        Hidden::Straightness => {
+            let (knots, controls) = bent(bench, stream);
+            let um = along(&|mm, _| spline(&knots, &controls, mm));
+            Shape {
+                column: Some(main_mm.clone()),
+                at: Box::new(move |factor| Named {
+                    parameters: Vec::new(),
+                    tables: vec![
+                        ("knots_mm", knots.clone()),
+                        ("control_um", controls.iter().map(|um| factor * um).collect()),
+                    ],
+                }),
+                ..linear(cause, "", um)
+            }
+        }
+        Hidden::CrossAxis => {
+            let um =
+                on_each(runs, |run| run.column(&other_mm).iter().map(|mm| mm / 1000.0).collect());
+            Shape { column: Some(other_mm.clone()), ..linear(cause, "um_per_m", um) }
+        }
+        Hidden::ReferenceInstrument => chirp(bench, stream),
+        Hidden::PreSliding => return pre_sliding(bench, stream),
+        Hidden::Abbe => {
+            let (knots, controls) = bent(bench, stream);
+            let um = on_each(runs, |run| {
+                let rows = run.column(&main_mm).iter().zip(run.column(&other_mm));
+                rows.map(|(&mm, &arm_mm)| spline(&knots, &controls, mm) * arm_mm / 1000.0).collect()
+            });
+            Shape {
+                column: Some(other_mm.clone()),
+                at: Box::new(move |factor| Named {
+                    parameters: Vec::new(),
+                    tables: vec![
+                        ("knots_mm", knots.clone()),
+                        ("control_um_per_m", controls.iter().map(|um| factor * um).collect()),
+                    ],
+                }),
+                ..linear(cause, "", um)
+            }
+        }
+        Hidden::Step | Hidden::Drift | Hidden::Outliers => of_any_series(cause, runs, stream),
+        // The rest is noise, or belongs to elongations; `Hidden::bases` sends none of them here.
+        _ => return None,
+    })
+}
+
+/// What the axis's heat does otherwise than believed.
+fn thermal(cause: Hidden, bench: &AxisBench, stream: &mut Stream) -> Option<Shape> {
+    let law = bench.thermal.as_ref()?;
+    let position = format!("{}_mm", AXES[bench.error]);
+    let follow = |run: &Run, lag_s: f64| {
+        lagged(run.column("time_s"), run.column("temp_screw_c"), lag_s, lag_s)
+    };
+    let apart = |other: &dyn Fn(f64, f64) -> f64, lag_s: f64| {
+        on_each(&bench.runs, |run| {
+            let (believed_c, true_c) = (follow(run, law.lag_s), follow(run, lag_s));
+            let rows = run.column(&position).iter().enumerate();
+            rows.map(|(row, &mm)| other(true_c[row], mm) - law.error_um(believed_c[row], mm))
+                .collect()
+        })
+    };
+    let shape = match cause {
+        Hidden::ThermalLag => {
+            let tau_s = stream.log_uniform(300.0, 2500.0).round();
+            fixed(
+                cause,
+                vec![("time_constant_s", tau_s)],
+                apart(&|c, mm| law.error_um(c, mm), tau_s),
+            )
+        }
+        Hidden::ReferenceTemperature => {
+            let shift_c = stream.sign() * stream.uniform(0.7, 3.0);
+            let um = apart(&|c, mm| law.error_um(c - shift_c, mm), law.lag_s);
+            let mut shape = fixed(cause, vec![("shift_c", shift_c)], um);
+            if law.table.is_none() {
+                shape.rivals.push(Hidden::PitchScale);
+            }
+            shape
+        }
+        _ => {
+            let steeper = |c: f64, mm: f64| {
+                law.error_um(c, mm) + (c - law.reference_c) * (mm - law.origin_mm) / 1000.0
+            };
+            let slope = law.slope_um_per_m_per_c;
+            Shape {
+                at: Box::new(move |factor| Named::of(&[("um_per_m_per_c", slope + factor)])),
+                ..linear(cause, "", apart(&steeper, law.lag_s))
+            }
+        }
+    };
+    Some(Shape { column: Some("temp_screw_c".into()), ..shape })
+}
+
+/// A smooth curve over the main axis, as knots and control points, whose best straight line over the
+/// training rows is 0: a slope would be another cause.
+fn bent(bench: &AxisBench, stream: &mut Stream) -> (Vec<f64>, Vec<f64>) {
+    let [low, high] = bench.travel_mm;
+    let controls = stream.whole(6, 10);
+    let knots = even_knots(low, high, controls);
+    let mut control: Vec<f64> = (0..controls).map(|_| stream.normal()).collect();
+    let training = &bench.runs[..bench.runs.len() - 1];
+    let column = format!("{}_mm", AXES[bench.main]);
+    let mm: Vec<f64> = training.iter().flat_map(|run| run.column(&column).to_vec()).collect();
+    let um: Vec<f64> = mm.iter().map(|&mm| spline(&knots, &control, mm)).collect();
+    let (level, slope) = line(&mm, &um);
+    for (i, um) in control.iter_mut().enumerate() {
+        // A straight line's control points lie on it at the means of the inner knots.
+        let at_mm = knots[i + 1..i + 4].iter().sum::<f64>() / 3.0;
+        *um -= level + slope * at_mm;
+    }
+    (knots, control)
+}
+
+/// The instrument's own error: periodic in the inverse of its reading, as that of a triangulating
+/// laser is, so no pitch of the axis explains it.
+fn chirp(bench: &AxisBench, stream: &mut Stream) -> Shape {
+    let length_mm = bench.travel_mm[1] - bench.travel_mm[0];
+    let stand_off_mm = length_mm * stream.uniform(0.8, 2.0);
+    // From reading 0 to the travel's length the phase turns so often.
+    let turns = stream.uniform(7.0, 18.0);
+    let scale_mm = turns / (1.0 / stand_off_mm - 1.0 / (stand_off_mm + length_mm));
+    let phase_rad = stream.uniform(0.0, std::f64::consts::TAU);
+    let um = on_each(&bench.runs, |run| {
+        let reading = run.column("instrument_mm").iter();
+        reading.map(|mm| wave(scale_mm / (mm + stand_off_mm), phase_rad)).collect()
+    });
+    Shape {
+        column: Some("instrument_mm".into()),
+        has_sign: false,
+        at: Box::new(move |factor| {
+            Named::of(&[
+                ("amplitude_um", factor),
+                ("scale_mm", scale_mm),
+                ("stand_off_mm", stand_off_mm),
+                ("phase_rad", phase_rad),
+            ])
+        }),
+        ..linear(Hidden::ReferenceInstrument, "", um)
+    }
+}
+
+/// The believed backlash does not come at once after a reversal, but over a way.
+fn pre_sliding(bench: &AxisBench, stream: &mut Stream) -> Option<Shape> {
+    let width_um = bench.backlash_um?;
+    let way_mm = stream.uniform(0.03, 0.08);
+    let column = format!("{}_mm", AXES[bench.main]);
+    let um = on_each(&bench.runs, |run| {
+        let mut lost_um = 0.0;
+        let mut before_mm = run.column(&column).first().copied().unwrap_or(0.0);
+        let rows = run.column(&column).iter().zip(run.column(&format!("dir_{}", AXES[bench.main])));
+        rows.map(|(&mm, &direction)| {
+            let settled_um = if direction < 0.0 { width_um } else { 0.0 };
+            let left = (-(mm - before_mm).abs() / way_mm).exp();
+            lost_um = settled_um + (lost_um - settled_um) * left;
+            before_mm = mm;
+            lost_um - settled_um
+        })
+        .collect()
+    });
+    Some(fixed(Hidden::PreSliding, vec![("way_mm", way_mm), ("width_um", width_um)], um))
+}

@@ -1,0 +1,128 @@
+//! What may be hidden in a challenge.
+
+/// Where a challenge's believed model stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Base {
+    /// Elongation, source sensor.
+    Sensor,
+    /// Elongation, source temperature.
+    Temperature,
+    /// Elongation, source warm-up.
+    Warmup,
+    /// An axis through heat-up and cool-down.
+    AxisThermal,
+    /// An axis, many positions in both directions.
+    AxisGeometry,
+}
+
+macro_rules! causes {
+    ($($(#[$doc:meta])* $variant:ident = $name:literal, $expected:ident, [$($base:ident),+];)+) => {
+        /// What may be hidden: every cause of the diagnosis' table, nothing but noise, and effects
+        /// that have no name there.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+        pub enum Hidden { $($(#[$doc])* $variant,)+ }
+
+        impl Hidden {
+            /// All of them.
+            pub const ALL: &'static [Self] = &[$(Self::$variant),+];
+
+            /// The name in the table of causes; names that are not there begin with `clean` or
+            /// `unnamed`.
+            #[must_use]
+            pub fn name(self) -> &'static str {
+                match self { $(Self::$variant => $name,)+ }
+            }
+
+            /// What a diagnosis should make of it.
+            #[must_use]
+            pub fn expected(self) -> Expected {
+                match self { $(Self::$variant => Expected::$expected,)+ }
+            }
+
+            /// The bases in which it can be told from all others.
+            pub(super) fn bases(self) -> &'static [Base] {
+                match self { $(Self::$variant => &[$(Base::$base),+],)+ }
+            }
+        }
+    };
+}
+
+/// What a diagnosis should make of a challenge.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Expected {
+    /// Verdict `clean`: there is nothing but noise.
+    Clean,
+    /// The cause named and claimed, and compensated.
+    Compensated,
+    /// The cause named and claimed, but nothing that a board may correct.
+    Reported,
+    /// Structure without a name: `unexplained`, or a term that helps but not all is explained.
+    Unnamed,
+}
+
+causes! {
+    /// White noise.
+    CleanWhite = "clean-white", Clean, [Sensor, Temperature, Warmup, AxisThermal, AxisGeometry];
+    /// Noise with a memory, a correlation of 0.5 to 0.97 from row to row.
+    CleanCorrelated = "clean-correlated", Clean, [Sensor, Temperature, Warmup, AxisThermal, AxisGeometry];
+    /// p + o.
+    SensorOffset = "sensor-offset", Compensated, [Sensor];
+    /// g·p.
+    SensorGain = "sensor-gain", Compensated, [Sensor];
+    /// p + c·p².
+    SensorCurvature = "sensor-curvature", Compensated, [Sensor];
+    /// min(p, limit).
+    SensorSaturation = "sensor-saturation", Compensated, [Sensor];
+    /// p + c·(T − T_ref), T the sensor's own temperature.
+    SensorTemperatureDrift = "sensor-temperature-drift", Compensated, [Sensor];
+    /// p(t − shift), linear between rows.
+    TimeShift = "time-shift", Reported, [Sensor];
+    /// p from the lagged column.
+    ThermalLag = "thermal-lag", Compensated, [Temperature, AxisThermal];
+    /// p + a·(1 − e^(−t/τ)), or p + c·(lag_τ(T) − T_ref) of the column in use.
+    SlowMode = "slow-mode", Compensated, [Sensor, Temperature];
+    /// p + c·(lag_τ(T) − T_ref) of a column that is not in use; τ may be 0.
+    ExtraHeatPath = "extra-heat-path", Compensated, [Sensor, Temperature, Warmup];
+    /// s·p.
+    GrowthAmplitude = "growth-amplitude", Compensated, [Temperature, Warmup];
+    /// Another time constant of the warm-up.
+    GrowthRate = "growth-rate", Compensated, [Warmup];
+    /// Another time constant while it falls.
+    CoolingAsymmetry = "cooling-asymmetry", Compensated, [Temperature, Warmup];
+    /// Another slope of an axis over its temperature.
+    ExpansionSlope = "expansion-slope", Compensated, [AxisThermal];
+    /// The temperature at which an axis is right is another one.
+    ReferenceTemperature = "reference-temperature", Compensated, [AxisThermal];
+    /// p + c·(n/1000)².
+    CentrifugalGrowth = "centrifugal-growth", Compensated, [Sensor, Temperature, Warmup];
+    /// p − c·load.
+    CuttingLoad = "cutting-load", Compensated, [Sensor, Temperature, Warmup];
+    /// p + c·P/1000.
+    PitchScale = "pitch-scale", Compensated, [AxisGeometry];
+    /// A table of errors, one per direction.
+    PitchError = "pitch-error", Compensated, [AxisGeometry];
+    /// p + a·sin(2πP/L + φ), with a second harmonic in half of the draws.
+    PitchPeriodic = "pitch-periodic", Compensated, [AxisGeometry];
+    /// p + w where d < 0.
+    Backlash = "backlash", Compensated, [AxisGeometry];
+    /// p + c·P/1000 where d < 0.
+    PositionDependentBacklash = "position-dependent-backlash", Compensated, [AxisGeometry];
+    /// p + a smooth curve over the position of another axis, its best straight line taken out.
+    Straightness = "straightness", Compensated, [AxisGeometry];
+    /// p + c·P_other/1000.
+    CrossAxis = "cross-axis", Compensated, [AxisGeometry];
+    /// + s after t.
+    Step = "step", Reported, [Sensor, Temperature, AxisGeometry];
+    /// + c·t/3600.
+    Drift = "drift", Reported, [Sensor, AxisGeometry];
+    /// A few rows that are grossly wrong.
+    Outliers = "outliers", Reported, [Sensor, Temperature, Warmup, AxisThermal, AxisGeometry];
+    /// An error that is periodic in what the reference instrument reads.
+    ReferenceInstrument = "reference-instrument", Reported, [Sensor, AxisGeometry];
+    /// After a reversal the axis takes up its backlash over a way, not at once.
+    PreSliding = "unnamed-pre-sliding", Unnamed, [AxisGeometry];
+    /// Above a speed the preload is another one, and with it the growth.
+    PreloadChange = "unnamed-preload-change", Unnamed, [Sensor, Temperature];
+    /// A guide's angle along its travel times the arm at which another axis stands.
+    Abbe = "unnamed-abbe", Unnamed, [AxisGeometry];
+}

@@ -1,0 +1,154 @@
+//! The last two sectors of the flash, 10 and 11, for what has to outlast the power (section 3.6).
+//!
+//! They are the linker's no more (`memory.x`), and a new image leaves them alone. The HAL's driver
+//! waits without a limit and writes bytes; here every wait has a bound and a word is written at
+//! once, which the brown-out level allows (2.7 V and more, section 3.6.2).
+//!
+//! The core runs from the same flash, so it stands still while a word is written (16 µs, at most
+//! 100 µs) or a sector is erased (1 s, at most 2 s; data sheet, flash memory programming). A record
+//! of eight words therefore costs some bytes of the serial line, which has 10.8 µs: the lines they
+//! belong to are refused and counted, and come again. An erase is for the start alone, before
+//! anything runs that would miss the time.
+
+use core::ptr;
+
+use embedded_storage::nor_flash::{
+    ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash, check_erase, check_read, check_write,
+};
+use stm32f4xx_hal::pac::{FLASH, flash::cr::PSIZE};
+
+use super::within;
+
+/// Where sector 10 begins.
+const START: usize = 0x080C_0000;
+const FIRST_SECTOR: u8 = 10;
+const SECTOR_SIZE: usize = 128 * 1024;
+const SECTORS: usize = 2;
+/// The two keys that unlock the control register (section 3.6.1).
+const UNLOCK: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
+/// A word needs 100 µs at most; this is about 1 ms.
+const WRITE_POLLS: u32 = 16_384;
+/// Milliseconds that an erase may take, twice what the data sheet says.
+const ERASE_MS: u32 = 4_000;
+/// Core cycles in a millisecond at the full clock; a slower clock only waits longer.
+const MILLISECOND: u32 = 168_000;
+
+/// Both sectors, as one memory.
+pub struct Flash(FLASH);
+
+impl Flash {
+    /// Takes the controller over from those who have set it up.
+    pub fn new(flash: FLASH) -> Self {
+        Self(flash)
+    }
+
+    /// Does `work` with the controller unlocked and without old errors.
+    fn unlocked(&mut self, work: impl FnOnce(&FLASH) -> bool) -> Result<(), NorFlashErrorKind> {
+        let flash = &self.0;
+        if !within(WRITE_POLLS, || is_idle(flash)) {
+            return Err(NorFlashErrorKind::Other);
+        }
+        for key in UNLOCK {
+            flash.keyr().write(|w| w.key().set(key));
+        }
+        // A flag is cleared by writing it back.
+        flash.sr().modify(|_, w| w);
+        let done = flash.cr().read().lock().bit_is_clear() && work(flash) && !has_failed(flash);
+        // Its reset value: locked, and nothing asked.
+        flash.cr().reset();
+        if done { Ok(()) } else { Err(NorFlashErrorKind::Other) }
+    }
+}
+
+fn is_idle(flash: &FLASH) -> bool {
+    flash.sr().read().bsy().bit_is_clear()
+}
+
+fn has_failed(flash: &FLASH) -> bool {
+    let status = flash.sr().read();
+    status.operr().bit_is_set()
+        || status.wrperr().bit_is_set()
+        || status.pgaerr().bit_is_set()
+        || status.pgperr().bit_is_set()
+        || status.pgserr().bit_is_set()
+}
+
+impl ErrorType for Flash {
+    type Error = NorFlashErrorKind;
+}
+
+impl ReadNorFlash for Flash {
+    const READ_SIZE: usize = 4;
+
+    // Once in the image: the store reads at many places, and has time.
+    #[inline(never)]
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Self::Error> {
+        check_read(self, offset, bytes.len())?;
+        let words = (START + offset as usize) as *const u32;
+        for (n, place) in bytes.as_chunks_mut().0.iter_mut().enumerate() {
+            // SAFETY: a whole word of the two sectors, as was just checked, and nobody has a
+            // reference to them. Volatile, because it changes without the compiler's knowledge.
+            *place = unsafe { ptr::read_volatile(words.add(n)) }.to_le_bytes();
+        }
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        SECTORS * SECTOR_SIZE
+    }
+}
+
+impl NorFlash for Flash {
+    const WRITE_SIZE: usize = 4;
+    const ERASE_SIZE: usize = SECTOR_SIZE;
+
+    #[inline(never)]
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Self::Error> {
+        check_write(self, offset, bytes.len())?;
+        let words = (START + offset as usize) as *mut u32;
+        self.unlocked(|flash| {
+            // Not `write`, which begins with the reset value, and that locks.
+            flash.cr().modify(|_, w| w.psize().variant(PSIZE::Psize32).pg().set_bit());
+            bytes.as_chunks().0.iter().enumerate().all(|(n, word)| {
+                // SAFETY: as for reading; the image ends before the two sectors, so no code and no
+                // constant is overwritten. A bus fault cannot follow: a locked or busy controller
+                // ignores the write and says so in its flags.
+                unsafe { ptr::write_volatile(words.add(n), u32::from_le_bytes(*word)) };
+                within(WRITE_POLLS, || is_idle(flash))
+            })
+        })
+    }
+
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), Self::Error> {
+        check_erase(self, from, to)?;
+        let first = from as usize / SECTOR_SIZE;
+        let end = to as usize / SECTOR_SIZE;
+        self.unlocked(|flash| {
+            let erased = (FIRST_SECTOR..).take(SECTORS).take(end).skip(first).all(|sector| {
+                // SAFETY: 10 and 11 are sectors of this chip, and neither holds the image.
+                flash.cr().modify(|_, w| unsafe {
+                    w.psize().variant(PSIZE::Psize32).ser().set_bit().snb().bits(sector)
+                });
+                flash.cr().modify(|_, w| w.strt().set_bit());
+                within(ERASE_MS, || {
+                    let idle = is_idle(flash);
+                    if !idle {
+                        cortex_m::asm::delay(MILLISECOND);
+                    }
+                    idle
+                })
+            });
+            forget_cached(flash);
+            erased
+        })
+    }
+}
+
+/// What the data cache holds of an erased sector is old; it is emptied while it is off (section
+/// 3.6.4). What is programmed, the cache follows by itself.
+fn forget_cached(flash: &FLASH) {
+    flash.acr().modify(|_, w| w.dcen().clear_bit());
+    flash.acr().modify(|_, w| w.dcrst().set_bit());
+    flash.acr().modify(|_, w| w.dcrst().clear_bit());
+    flash.acr().modify(|_, w| w.dcen().set_bit());
+}

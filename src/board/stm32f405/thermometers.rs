@@ -1,0 +1,190 @@
+//! The thermometers: up to eight PT100s, each behind a MAX31865 on SPI2 (section 28).
+//!
+//! SCK, MISO and MOSI are shared, and each converter is selected by a pin of its own. The bus runs
+//! at 1.3 MHz, a quarter of what they can do, in mode 1. One converter has its turn every 10 ms, so
+//! each has one every 100 ms, of at most two selections and 0.1 ms. It is polled, by a task that
+//! nobody waits for.
+//!
+//! What is said is in [`max31865`], which the host tests. Here it is only carried: a bus that does
+//! not answer within a bound is a missing converter.
+
+use embedded_hal::{digital::OutputPin, spi::MODE_1};
+use stm32f4xx_hal::{
+    gpio::{ErasedPin, Output, PB13, PB14, PB15, Pull},
+    pac::SPI2,
+    prelude::*,
+    rcc::Rcc,
+    spi::Spi,
+};
+use trueup_core::{
+    heat::RawTemperatures,
+    thermometer::{Raw, Thermometer},
+};
+use trueup_link::max31865::{Converter, Reading, TURN_MS};
+
+use super::{super::TEMPERATURES, within};
+
+/// Turns in a round: one for each channel, and two that are left over.
+const ROUND: usize = 10;
+/// Milliseconds between two turns.
+const PERIOD_MS: u32 = 10;
+const _: () = assert!(ROUND > TEMPERATURES && ROUND as u32 * PERIOD_MS >= TURN_MS);
+/// After so many rounds a converter that is there has answered.
+const ROUNDS_TO_ANSWER: u32 = 5;
+/// Polls that a byte may take: some 20 times what it needs at 1.3 MHz.
+const BYTE_POLLS: u32 = 4_096;
+/// Core cycles between selection and clock, and between two selections: 0.5 µs at the full clock,
+/// of 0.4 µs (data sheet, t_CC and t_CWH).
+const SELECT_CYCLES: u32 = 84;
+
+/// The pins that the converters share.
+pub type Bus = (PB13, PB14, PB15);
+/// The pins that select them, in the order of the channels.
+pub type Selects = [ErasedPin<Output>; TEMPERATURES];
+
+/// One channel.
+struct Channel {
+    select: ErasedPin<Output>,
+    converter: Converter,
+    /// What the calibration says of it.
+    thermometer: Option<Thermometer>,
+    /// How often it was another kind of reading than before.
+    changes: u32,
+}
+
+/// All channels.
+pub struct Thermometers {
+    spi: Spi<SPI2>,
+    channels: [Channel; TEMPERATURES],
+    turn: usize,
+    rounds: u32,
+}
+
+/// Sets the bus up; the converters are set up by their first turns.
+pub fn start(
+    spi: SPI2,
+    (sck, miso, mosi): Bus,
+    selects: Selects,
+    thermometers: [Option<Thermometer>; TEMPERATURES],
+    rcc: &mut Rcc,
+) -> Thermometers {
+    // Pulled up, so that a line with nobody on it reads as 1.
+    let miso = miso.into_alternate().internal_resistor(Pull::Up);
+    let pins = (Some(sck), Some(miso), Some(mosi));
+    let spi = Spi::new(spi, pins, MODE_1, 1.MHz(), rcc);
+    let mut thermometers = thermometers.into_iter();
+    let channels = selects.map(|select| Channel {
+        select,
+        converter: Converter::default(),
+        thermometer: thermometers.next().flatten(),
+        changes: 0,
+    });
+    for (number, channel) in channels.iter().enumerate() {
+        if matches!(channel.thermometer, Some(Thermometer::Linear { .. })) {
+            defmt::error!(
+                "temperature channel {}: \"linear\" in the machine file, but this board reads \
+                 PT100s; it stays missing",
+                number
+            );
+        }
+    }
+    Thermometers { spi, channels, turn: 0, rounds: 0 }
+}
+
+impl Thermometers {
+    /// One turn, every 10 ms. After each round it gives what all channels deliver.
+    pub fn turn(&mut self) -> Option<RawTemperatures> {
+        let number = self.turn;
+        self.turn = (self.turn + 1) % ROUND;
+        if let Some(channel) = self.channels.get_mut(number) {
+            channel.turn(number, &mut self.spi);
+            return None;
+        }
+        if number > TEMPERATURES {
+            return None;
+        }
+        self.rounds = self.rounds.saturating_add(1);
+        if self.rounds == ROUNDS_TO_ANSWER {
+            self.log_who_answers();
+        }
+        Some(self.channels.each_ref().map(Channel::raw))
+    }
+
+    fn log_who_answers(&self) {
+        let bits = |is_so: fn(&Channel) -> bool| {
+            self.channels.iter().rev().fold(0, |bits, it| bits << 1 | u8::from(is_so(it)))
+        };
+        let answering = bits(|it| it.converter.reading() != Reading::Missing);
+        let wanted = bits(|it| it.thermometer.is_some());
+        defmt::info!(
+            "temperature converters that answer: {=u8:#010b}, in the machine file: {=u8:#010b}",
+            answering,
+            wanted
+        );
+        if wanted & !answering != 0 {
+            defmt::error!("dead: temperature converters {=u8:#010b}", wanted & !answering);
+        }
+    }
+}
+
+impl Channel {
+    fn raw(&self) -> Raw {
+        match self.thermometer {
+            Some(Thermometer::Linear { .. }) => Raw::NONE,
+            _ => self.converter.reading().raw(),
+        }
+    }
+
+    fn turn(&mut self, number: usize, spi: &mut Spi<SPI2>) {
+        let before = self.converter.reading();
+        let select = &mut self.select;
+        let now = self.converter.turn(|bytes| transfer(spi, select, bytes));
+        if core::mem::discriminant(&now) != core::mem::discriminant(&before) {
+            self.changes = self.changes.saturating_add(1);
+            // A loose contact must not fill the log.
+            if self.changes.is_power_of_two() {
+                log(number, now);
+            }
+        }
+    }
+}
+
+fn log(channel: usize, reading: Reading) {
+    match reading {
+        Reading::Missing => defmt::warn!("temperature channel {}: no answer", channel),
+        Reading::Starting => defmt::info!("temperature channel {}: answers", channel),
+        Reading::Good(ohms) => {
+            defmt::info!("temperature channel {}: {=i32} micro-ohms", channel, ohms.0);
+        }
+        Reading::Faulty(faults) => {
+            defmt::warn!("temperature channel {}: fault {=u8:#010b}", channel, faults.0);
+        }
+    }
+}
+
+/// One selection: sends the bytes, and puts what comes back in their place.
+// Once in the image: every step of a converter comes here.
+#[inline(never)]
+fn transfer(spi: &mut Spi<SPI2>, select: &mut ErasedPin<Output>, bytes: &mut [u8]) -> bool {
+    // A byte that came too late last time would be taken for the first of this time.
+    let _empty = within(2, || spi.read_nonblocking().is_err());
+    let Ok(()) = OutputPin::set_low(select);
+    cortex_m::asm::delay(SELECT_CYCLES);
+    let answered = bytes.iter_mut().all(|byte| exchange(spi, byte));
+    cortex_m::asm::delay(SELECT_CYCLES);
+    let Ok(()) = OutputPin::set_high(select);
+    cortex_m::asm::delay(SELECT_CYCLES);
+    answered
+}
+
+/// One byte each way. An error of the bus, too, is an answer that did not come.
+fn exchange(spi: &mut Spi<SPI2>, byte: &mut u8) -> bool {
+    within(BYTE_POLLS, || spi.write_nonblocking(*byte).is_ok())
+        && within(BYTE_POLLS, || match spi.read_nonblocking() {
+            Ok(received) => {
+                *byte = received;
+                true
+            }
+            Err(_) => false,
+        })
+}

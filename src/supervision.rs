@@ -1,0 +1,101 @@
+//! What the supervisor decides every 10 ms, and what it says once a second.
+
+use micromath::F32Ext as _;
+use trueup_core::cnc::Quality;
+use trueup_link::{
+    node::{Node, Zero},
+    reference::References,
+    slcan::Port,
+};
+
+use crate::board::{Flash, Lamp, Watchdog, references};
+
+/// Milliseconds between two turns.
+pub const PERIOD_MS: u32 = 10;
+const LOG_PERIOD_MS: u32 = 1_000;
+/// Lines that wait for so long show a task that hangs.
+const DRAIN_MS: u32 = 1_000;
+
+/// What the supervisor remembers.
+pub struct Supervision {
+    watchdog: Watchdog,
+    lamp: Lamp,
+    /// `None` without a calibration: nothing can be stored then.
+    references: Option<References<Flash>>,
+    blocks: u32,
+    silent: bool,
+    until_log_ms: u32,
+}
+
+impl Supervision {
+    pub fn new(watchdog: Watchdog, lamp: Lamp, references: Option<References<Flash>>) -> Self {
+        Self { watchdog, lamp, references, blocks: 0, silent: false, until_log_ms: 0 }
+    }
+
+    /// Whether no block came since the last turn; a change is logged.
+    pub fn samples_are_missing(&mut self, blocks: u32) -> bool {
+        let missing = blocks == self.blocks;
+        match (missing, self.silent) {
+            (true, false) => {
+                defmt::error!("no samples: the converter is restarted until they come");
+            }
+            (false, true) => defmt::warn!("samples come again"),
+            _ => {}
+        }
+        self.silent = missing;
+        self.blocks = blocks;
+        missing
+    }
+
+    /// Stores what a `Zero` has taken.
+    pub fn keep(&mut self, zero: Option<Zero>) {
+        if let (Some(references), Some(zero)) = (&mut self.references, zero) {
+            references::keep(references, zero);
+        }
+    }
+
+    /// On: live; fast: fault; slow: anything else.
+    pub fn show(&mut self, now_ms: u32, quality: Quality) {
+        self.lamp.set(match quality {
+            Quality::Live => true,
+            Quality::Fault => now_ms % 200 < 100,
+            _ => now_ms % 1_000 < 500,
+        });
+    }
+
+    /// Feeds it, unless lines have waited too long.
+    pub fn feed_watchdog(&mut self, now_ms: u32, drained_ms: u32) {
+        if now_ms.wrapping_sub(drained_ms) < DRAIN_MS {
+            self.watchdog.feed();
+        }
+    }
+
+    /// True once a second.
+    pub fn log_is_due(&mut self) -> bool {
+        self.until_log_ms = self.until_log_ms.saturating_sub(PERIOD_MS);
+        let due = self.until_log_ms == 0;
+        if due {
+            self.until_log_ms = LOG_PERIOD_MS;
+        }
+        due
+    }
+}
+
+/// The live values, once a second, and what was refused since the start.
+pub fn log(node: &mut Node<'_>, port: &Port) {
+    let noise = node.take_noise();
+    let rms = (noise.squares as f32 / (6.0 * noise.count.max(1) as f32)).sqrt();
+    let last = node.last();
+    defmt::info!(
+        "quality {=u8}, z {=i32} nm, flags {=u8:#010b}, noise {=u32} thousandths of a code",
+        last.quality as u8,
+        last.offset.map_or(0, |offset| offset[2].0),
+        last.flags.0,
+        (rms * 1_000.0) as u32,
+    );
+    let (frames, lines) = (node.receiver().counters(), port.counters());
+    let refused = [frames.crc_errors, frames.sequence_errors, lines.malformed, lines.dropped];
+    if refused != [0; 4] {
+        defmt::warn!("refused: CRC, sequence, lines; lines dropped: {}", refused);
+    }
+}
