@@ -21,12 +21,14 @@ use trueup_machine::{
     model::{backlash_um, pitch_um},
 };
 
-/// A run takes about a quarter of this.
-const PATIENCE: Duration = Duration::from_secs(120);
+/// A run takes about a tenth of this on an idle computer.
+const PATIENCE: Duration = Duration::from_secs(300);
 /// The user and group that own nothing.
 const NOBODY: u32 = 65_534;
-/// The filter of the backlash rests so near to its goal, and HAL's pins are so far rounded, in µm.
-const SETTLED_UM: f64 = 2e-5;
+/// At rest LinuxCNC keeps the compensation of the last cycle in which the joint still moved, a
+/// fraction of a micrometre before the end; with the tables' slopes and the rest of the backlash
+/// filter that is less than this, in µm.
+const SETTLED_UM: f64 = 1e-3;
 const JOINTS: [&str; 3] = ["x", "y", "z"];
 
 const CONFIGURATION: &str = "\
@@ -213,7 +215,7 @@ fn files(export: &Export) -> Vec<(String, String)> {
 
 #[test]
 fn the_real_linuxcnc_corrects_the_model_within_the_stated_difference() -> Result<()> {
-    let Some(linuxcnc) = setup::linuxcnc()? else {
+    let Some(control) = setup::linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
@@ -222,10 +224,11 @@ fn the_real_linuxcnc_corrects_the_model_within_the_stated_difference() -> Result
     println!("{}", export.report);
     assert_eq!(files(&export).len(), 3);
     let lines = |name: usize| export.files[name].text.lines().count();
-    assert_eq!([lines(0), lines(1), lines(2)], [256, 12, 1]);
+    assert_eq!([lines(1), lines(2)], [12, 1]);
+    assert!((200..=linuxcnc::MOST_LINES).contains(&lines(0)), "thinned from 400: {}", lines(0));
 
     let moves = moves();
-    let added = run(linuxcnc.program(), &files(&export), &moves)?;
+    let added = run(control.program(), &files(&export), &moves)?;
     assert_eq!(added.len(), moves.len());
     // The first move comes from 0 and goes down in every joint, the last 60 too.
     let top = moves.len() / 2;
@@ -257,7 +260,7 @@ fn the_real_linuxcnc_corrects_the_model_within_the_stated_difference() -> Result
 
 #[test]
 fn a_header_would_switch_the_real_linuxcncs_table_off_in_silence() -> Result<()> {
-    let Some(linuxcnc) = setup::linuxcnc()? else {
+    let Some(control) = setup::linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
@@ -268,7 +271,7 @@ fn a_header_would_switch_the_real_linuxcncs_table_off_in_silence() -> Result<()>
         named("y", format!("# nominal forward reverse\n{table}")),
         named("z", format!("0 0.005 0.005\n\n{table}")),
     ];
-    let added = run(linuxcnc.program(), &files, &[[10.0; 3], [50.0; 3]])?;
+    let added = run(control.program(), &files, &[[10.0; 3], [50.0; 3]])?;
     let um = added.last().context("two moves")?.map(|mm| (mm * 1000.0 * 1e4).round() / 1e4);
     // After an empty line the rest is lost, but a single line holds everywhere.
     assert_eq!(um, [5.0, 0.0, 5.0]);

@@ -47,6 +47,7 @@ fn numbers(value: &Value) -> Result<Vec<f64>> {
 /// The largest difference, as a share of the largest value.
 fn difference(ours: &[f64], theirs: &[f64]) -> f64 {
     assert_eq!(ours.len(), theirs.len());
+    assert!(ours.iter().all(|value| value.is_finite()));
     let largest = theirs.iter().map(|value| value.abs()).fold(f64::MIN_POSITIVE, f64::max);
     ours.iter().zip(theirs).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) / largest
 }

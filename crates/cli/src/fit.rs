@@ -1,203 +1,36 @@
 //! `trueup fit`: from measured runs to a section of the machine file.
 
+mod args;
+mod report;
+
 use std::{
     fs::{self, File},
-    io::{BufReader, IsTerminal as _, Write as _},
+    io::{BufReader, IsTerminal as _},
     path::{Path, PathBuf},
 };
 
 use anyhow::Result;
-use clap::{Args, Subcommand, ValueEnum};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use serde_json::{Map, Value, json};
 use trueup_fit::{
-    Report, Spread, Verdict, curve, elongation,
+    Report, curve, elongation,
     known::{Known, Without, known},
-    pitch,
-    report::FactValue,
-    straightness, thermal, warmup,
+    pitch, straightness, thermal, warmup,
 };
 use trueup_machine::{
     BadInput, Machine, MachineFile, Place, RunFile,
     machine_file::{LinearAxis, Source, ThermalMode},
 };
 
+pub use args::Fit;
+
+use self::args::{
+    Backlash, By, Common, Elongation, Kind, Method, Mode, Pitch, Reference, Straightness, Thermal,
+    Warmup, Ways,
+};
 use crate::{Mend, Outcome, output};
 
 /// A run above this is worth a progress bar: about a second of work.
 const LONG_RUN_BYTES: u64 = 16 << 20;
-/// Rows that are set aside and printed one by one; all of them are in the JSON.
-const LISTED_ROWS: usize = 20;
-
-/// Fits a section of the machine file to measured runs, and says how well.
-///
-/// Exit 3: the runs say that it should not be compensated, and nothing is written; or a tolerance
-/// is not reached.
-#[derive(Args)]
-pub struct Fit {
-    #[command(subcommand)]
-    kind: Kind,
-}
-
-#[derive(Subcommand)]
-enum Kind {
-    /// [straightness.z_of_x]: how an axis errs while another moves.
-    Straightness(Straightness),
-    /// [axis.x.pitch], and [axis.x.backlash] where it gains: an axis's position errors.
-    Pitch(Pitch),
-    /// [axis.x.backlash] alone.
-    Backlash(Backlash),
-    /// [spindle.sensor] or [spindle.temperature]: the spindle's growth.
-    Elongation(Elongation),
-    /// [spindle.warmup]: the growth over time, from cold; one run for each speed.
-    Warmup(Warmup),
-    /// [axis.x.thermal]: an axis's growth with a temperature.
-    Thermal(Thermal),
-}
-
-#[derive(Args)]
-struct Common {
-    /// A run file; warmup, thermal and elongation take several.
-    #[arg(long, value_name = "RUN.csv", required = true)]
-    run: Vec<PathBuf>,
-    /// The machine file that the section is put into; left out, the section alone is written.
-    #[arg(long, value_name = "M.toml")]
-    machine: Option<PathBuf>,
-    /// Where to write the machine file or the section.
-    #[arg(short, long, value_name = "OUT.toml")]
-    output: PathBuf,
-}
-
-#[derive(Args)]
-struct Straightness {
-    #[command(flatten)]
-    common: Common,
-    /// The error: dx, dy or dz; may be left out where the run measures one only.
-    #[arg(long, value_name = "dx|dy|dz")]
-    quantity: Option<String>,
-    /// Take as many coefficients as it needs to keep every residual within this; left out, as many
-    /// as the noise allows.
-    #[arg(long, value_name = "UM")]
-    tolerance_um: Option<f64>,
-    /// The straight line from which the error counts.
-    #[arg(long, default_value = "as-measured")]
-    reference: Reference,
-    /// How the curve is found.
-    #[arg(long, default_value = "least-squares")]
-    method: Method,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum Reference {
-    /// None: the readings are errors already.
-    AsMeasured,
-    /// Through the means at both ends.
-    EndPoints,
-    /// The least squares line.
-    LeastSquares,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum Method {
-    /// Knots where they are needed.
-    LeastSquares,
-    /// Points as control points, the worst one joins.
-    Paper,
-}
-
-#[derive(Args)]
-struct Pitch {
-    #[command(flatten)]
-    common: Common,
-    /// The axis's error: dx, dy or dz; may be left out where the run measures one only.
-    #[arg(long, value_name = "dx|dy|dz")]
-    quantity: Option<String>,
-    /// Only the repeats with these numbers in the column run.
-    #[arg(long, value_name = "1,2,3", value_delimiter = ',')]
-    repeats: Option<Vec<f64>>,
-    /// The step of the table; left out, that of the positions measured.
-    #[arg(long, value_name = "MM")]
-    step_mm: Option<f64>,
-    /// One table, or one for each direction.
-    #[arg(long, default_value = "automatic")]
-    ways: Ways,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum Ways {
-    /// What gains on repeats left out.
-    Automatic,
-    /// One table, and a backlash beside it if that gains.
-    One,
-    /// One table for each direction.
-    Both,
-}
-
-#[derive(Args)]
-struct Backlash {
-    #[command(flatten)]
-    common: Common,
-    /// The axis's error: dx, dy or dz; may be left out where the run measures one only.
-    #[arg(long, value_name = "dx|dy|dz")]
-    quantity: Option<String>,
-    /// Only the repeats with these numbers in the column run.
-    #[arg(long, value_name = "1,2,3", value_delimiter = ',')]
-    repeats: Option<Vec<f64>>,
-}
-
-#[derive(Args)]
-struct Elongation {
-    #[command(flatten)]
-    common: Common,
-    /// By which the growth is known; left out, the machine file's source, else the run's columns.
-    #[arg(long)]
-    source: Option<By>,
-    /// The temperature that explains it.
-    #[arg(long, value_name = "temp_<name>_c")]
-    temperature: Option<String>,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum By {
-    /// The displacement sensor.
-    Sensor,
-    /// A temperature.
-    Temperature,
-}
-
-#[derive(Args)]
-struct Warmup {
-    #[command(flatten)]
-    common: Common,
-}
-
-#[derive(Args)]
-struct Thermal {
-    #[command(flatten)]
-    common: Common,
-    /// The axis's error: dx, dy or dz; may be left out where the run measures one only.
-    #[arg(long, value_name = "dx|dy|dz")]
-    quantity: Option<String>,
-    /// Which terms; left out, the machine file's, else what the run shows.
-    #[arg(long)]
-    mode: Option<Mode>,
-    /// The temperature that explains it.
-    #[arg(long, value_name = "temp_<name>_c")]
-    temperature: Option<String>,
-    /// Write a table over the temperature, with so many rows.
-    #[arg(long, value_name = "ROWS", value_parser = clap::value_parser!(u16).range(2..=1000))]
-    table: Option<u16>,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum Mode {
-    /// The same at every position.
-    Constant,
-    /// In proportion to the position.
-    Position,
-    /// Both.
-    Both,
-}
 
 /// The files that were read.
 struct Input {
@@ -235,7 +68,7 @@ pub fn run(args: &Fit, as_json: bool) -> Result<Outcome> {
     };
     spinner.finish_and_clear();
     let written = write(&input, common, &report)?;
-    print(&report, common, written, as_json)?;
+    report::print(&report, common, written, as_json)?;
     let is_met = report.verdict.is_fitted() && report.unmet.is_empty();
     Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
 }
@@ -411,128 +244,6 @@ fn write(input: &Input, common: &Common, report: &Report) -> Result<bool> {
     let inputs: Vec<&Path> = common.run.iter().map(PathBuf::as_path).collect();
     output::write_whole(&common.output, &inputs, |out| out.write_all(text.as_bytes()))?;
     Ok(true)
-}
-
-fn print(report: &Report, common: &Common, written: bool, as_json: bool) -> Result<()> {
-    for warning in &report.warnings {
-        eprintln!("warning: {warning}");
-    }
-    if as_json {
-        return output::print(json_of(report, common, written));
-    }
-    let mut lines = vec![match &report.verdict {
-        Verdict::Fitted => format!("{} of {}: fitted", report.kind, report.column),
-        Verdict::DoNotCompensate(_) => {
-            format!("{} of {}: do not compensate", report.kind, report.column)
-        }
-    }];
-    if let Verdict::DoNotCompensate(reasons) = &report.verdict {
-        lines.extend(reasons.iter().map(|reason| format!("  {reason}")));
-    }
-    lines.extend(report.unmet.iter().map(|unmet| format!("  not reached: {unmet}")));
-    for parameter in &report.parameters {
-        lines.push(format!("  {parameter}"));
-    }
-    for fact in &report.facts {
-        let value = match &fact.value {
-            FactValue::Number(number) => format!("{number:.4}"),
-            FactValue::Text(text) => text.clone(),
-            FactValue::Numbers(numbers) if numbers.len() <= LISTED_ROWS => {
-                numbers.iter().map(|number| format!("{number:.3}")).collect::<Vec<_>>().join(" ")
-            }
-            FactValue::Numbers(numbers) => format!("{} values (--json has them)", numbers.len()),
-        };
-        lines.push(format!("  {}: {value}", fact.name));
-    }
-    let mut spread = |name: &str, spread: Option<Spread>| {
-        if let Some(Spread { rms_um, max_um }) = spread {
-            lines.push(format!("{name}: {rms_um:.3} um RMS, at most {max_um:.3} um"));
-        }
-    };
-    spread("measured", report.before);
-    spread("after the fit", report.in_sample);
-    spread(&format!("on left-out rows ({})", report.left_out_by), report.left_out);
-    lines.push(format!(
-        "{} rows used, {} incomplete, {} set aside",
-        report.rows_used,
-        report.rows_incomplete,
-        report.set_aside.len()
-    ));
-    lines.extend(report.set_aside.iter().take(LISTED_ROWS).map(|row| format!("  {row}")));
-    if report.set_aside.len() > LISTED_ROWS {
-        lines.push(format!(
-            "  and {} more (--json lists them)",
-            report.set_aside.len() - LISTED_ROWS
-        ));
-    }
-    lines.push(if written {
-        format!("written to {}", common.output.display())
-    } else {
-        "nothing is written".to_string()
-    });
-    output::print(lines.join("\n"))
-}
-
-fn json_of(report: &Report, common: &Common, written: bool) -> Value {
-    let spread = |spread: Option<Spread>| match spread {
-        Some(Spread { rms_um, max_um }) => json!({"rms_um": rms_um, "max_um": max_um}),
-        None => Value::Null,
-    };
-    let parameters: Map<String, Value> = report
-        .parameters
-        .iter()
-        .map(|parameter| {
-            let value = json!({"value": parameter.value, "ci95": parameter.ci95});
-            (parameter.name.clone(), value)
-        })
-        .collect();
-    let facts: Map<String, Value> = report
-        .facts
-        .iter()
-        .map(|fact| {
-            let value = match &fact.value {
-                FactValue::Number(number) => json!(number),
-                FactValue::Numbers(numbers) => json!(numbers),
-                FactValue::Text(text) => json!(text),
-            };
-            (fact.name.clone(), value)
-        })
-        .collect();
-    let set_aside: Vec<Value> = report
-        .set_aside
-        .iter()
-        .map(|row| {
-            json!({
-                "file": row.place.file.to_string_lossy(),
-                "line": row.place.line,
-                "column": row.place.column,
-                "measured_um": row.measured_um,
-                "reason": row.reason,
-            })
-        })
-        .collect();
-    let (verdict, reasons) = match &report.verdict {
-        Verdict::Fitted => ("fitted", [].as_slice()),
-        Verdict::DoNotCompensate(reasons) => ("do-not-compensate", reasons.as_slice()),
-    };
-    json!({
-        "kind": report.kind,
-        "column": report.column,
-        "verdict": verdict,
-        "reasons": reasons,
-        "not_reached": report.unmet,
-        "parameters": parameters,
-        "facts": facts,
-        "before": spread(report.before),
-        "in_sample": spread(report.in_sample),
-        "left_out": spread(report.left_out),
-        "left_out_by": report.left_out_by,
-        "rows_used": report.rows_used,
-        "rows_incomplete": report.rows_incomplete,
-        "set_aside": set_aside,
-        "warnings": report.warnings,
-        "output": if written { json!(common.output.to_string_lossy()) } else { Value::Null },
-    })
 }
 
 fn read_run(path: &Path) -> Result<RunFile, BadInput> {

@@ -11,7 +11,8 @@
 //!
 //! The loader stops at the first line that is not three numbers and still reports success, so the
 //! file has no header, no comment and no empty line; [`read`] refuses what the loader would skip.
-//! The real LinuxCNC is asked in `host-tests/tests/linuxcnc_comp.rs`.
+//! The real LinuxCNC is asked in `host-tests/tests/linuxcnc_comp.rs`: what it adds is within
+//! 0.0004 µm of what [`Compensation::trim`] says.
 
 use std::fmt::Write as _;
 

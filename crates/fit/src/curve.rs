@@ -1,6 +1,6 @@
 //! `[straightness.z_of_x]`: the curve of a run, as a report and a section.
 //!
-//! The curve itself is found by [`straightness`](crate::straightness).
+//! The curve itself is found by [`straightness`].
 
 use trueup_machine::{BadInput, RunFile};
 

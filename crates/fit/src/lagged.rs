@@ -137,13 +137,16 @@ impl<'a> Lagged<'a> {
             return Some(plain);
         };
         let Some(mut lagged) = self.fit_lag(y, &grid) else { return Some(plain) };
+        // Without a part the lag is another, but not by far.
+        let near: Vec<Vec<f64>> =
+            [0.25, 0.5, 1.0, 2.0, 4.0].iter().map(|share| vec![share * lagged.lag_s]).collect();
         let left_out = rows::by_groups(y, groups, |y, group| {
             let hidden: Vec<f64> = y
                 .iter()
                 .zip(groups)
                 .map(|(y, of)| if *of == group { f64::NAN } else { *y })
                 .collect();
-            let fitted = self.fit_lag(&hidden, &grid)?;
+            let fitted = self.fit_lag(&hidden, &near)?;
             Some(rows::residuals(&self.columns(fitted.lag_s), y, &fitted.linear_part()))
         });
         let lagged_rms = rms(left_out.as_deref());

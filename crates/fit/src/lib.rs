@@ -24,12 +24,12 @@
 #![forbid(unsafe_code)]
 
 pub mod bspline;
-pub mod iso230;
-pub mod pitch;
-pub mod elongation;
 pub mod curve;
+pub mod elongation;
+pub mod iso230;
 pub mod known;
 mod lagged;
+pub mod pitch;
 pub mod report;
 pub mod robust;
 mod rows;

@@ -186,7 +186,8 @@ fn leaves_its_curve(outlier: &Outlier, three: &[usize], time: &[f64], y: &[f64])
     }
     let scale = (outlier.distance / outlier.scales).abs();
     // Rows at one time have no parabola: then nothing speaks for the row.
-    !((y[outlier.row] - value).abs() <= GROSS * scale * squares.sqrt())
+    let away = (y[outlier.row] - value).abs();
+    away.is_nan() || away > GROSS * scale * squares.sqrt()
 }
 
 /// A row of a series beside its neighbours.

@@ -297,7 +297,7 @@ fn describe(report: &mut Report, shape: &Shape<'_>, fit: &Fit, span: &Span, wide
         ));
         let reached = -(-(span.longest_s - constants.lag_s) / constants.tau_s).exp_m1();
         let known = half(size_at) / size.abs();
-        if reached < 0.9 || !(known < 0.1) {
+        if reached < 0.9 || known.is_nan() || known > 0.1 {
             report.warnings.push(format!(
                 "the longest warm-up of {:.0} s reaches {:.0} % of the growth: max_um is an \
                  extrapolation, +/- {:.0} %; record for longer",

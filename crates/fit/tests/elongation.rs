@@ -83,7 +83,7 @@ fn without_a_machine_file_the_section_alone_is_written_and_loads() {
     let counts: Vec<f64> = (0..10).map(|row| 6000.0 - 50.0 * f64::from(row)).collect();
     let y: Vec<f64> = counts.iter().map(|v| 90.0 - 0.01 * v).collect();
     let run = run(&[("sensor_counts", &counts), ("measured_elongation_um", &y)]);
-    let report = elongation::fit(&[run.clone()], None, &elongation::Options::default());
+    let report = elongation::fit(std::slice::from_ref(&run), None, &elongation::Options::default());
     let report = report.expect("a fit");
     let text = format!("{MACHINE}[spindle]\nsource = \"sensor\"\n{}", report.edit.to_toml());
     let machine = machine(&text);
@@ -142,7 +142,7 @@ fn a_lag_that_fits_better_but_predicts_worse_is_not_taken() {
         temperature: Some("temp_t0_c".into()),
         ..elongation::Options::default()
     };
-    let report = elongation::fit(&[run.clone()], None, &options).expect("a fit");
+    let report = elongation::fit(std::slice::from_ref(&run), None, &options).expect("a fit");
     println!("spindle_sjtu: {:?}, left out {:?}", report.in_sample, report.left_out);
     report.parameters.iter().for_each(|parameter| println!("{parameter}"));
     report.warnings.iter().for_each(|warning| println!("{warning}"));

@@ -7,9 +7,11 @@ use std::path::Path;
 use trueup_fit::straightness::{Fit, Options, Stop, fit};
 use trueup_machine::model::spline_um;
 
-/// Positions and heights in mm and µm, of the mean over the rows and of each row; `None` where the
-/// data are not there.
-fn mesh() -> Option<(Vec<f64>, Vec<f64>, Vec<Vec<f64>>)> {
+/// Positions in mm; heights in µm of the mean over the rows, and of each row.
+type Mesh = (Vec<f64>, Vec<f64>, Vec<Vec<f64>>);
+
+/// The mesh; `None` where the data are not there.
+fn mesh() -> Option<Mesh> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../../../shared/data/bed_mesh_troodon/mesh_101x101_mm.csv");
     let Ok(text) = std::fs::read_to_string(&path) else {

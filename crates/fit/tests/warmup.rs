@@ -58,7 +58,8 @@ fn the_lag_the_time_constant_and_the_growth_are_found_from_one_record() {
     assert_holds(&report, "time_constant_s", 1335.0);
     let model = applied(&report, MACHINE).spindle.warmup.expect("written");
     assert!((model.max_um - 80.0).abs() < 1.5, "{model:?}");
-    assert!(report.left_out.expect("blocks").rms_um < 0.6, "{report:?}");
+    // Without its first fifth a record does not show the lag: blocks cost more than the noise.
+    assert!(report.left_out.expect("blocks").rms_um < 1.0, "{report:?}");
     assert_round_trip(&report, MACHINE, &run, 0);
     assert_eq!(applied(&report, MACHINE).spindle.source, Some(Source::Warmup));
 }
@@ -80,7 +81,7 @@ fn a_clear_end_of_the_growth_gives_the_warm_time_and_the_exponent_themselves() {
 fn without_an_end_the_exponent_is_set_and_said_to_be() {
     let truth = Warmup { warm_s: 40_000.0, exponent: 30.0, ..TRUTH };
     let run = recorded(&truth, 60.0, 90, |_| 24_000.0, 0.2, 3);
-    let report = fit(&[run.clone()]);
+    let report = fit(std::slice::from_ref(&run));
     assert_eq!(report.parameter("exponent").expect("set").ci95, None);
     assert!(report.warnings.iter().any(|w| w.contains("does not show a kink")), "{report:?}");
     assert_holds(&report, "time_constant_s", truth.time_constant_s());

@@ -105,6 +105,9 @@ impl Segment {
         if let Some([first, last]) = self.range_mm.filter(|[first, last]| last <= first) {
             return Err(Rule::new("range_mm", format!("must rise, not from {first} to {last}")));
         }
+        if self.cycles == Some(0) {
+            return Err(Rule::new("cycles", "must be at least 1, not 0".into()));
+        }
         if self.targets.is_some_and(|targets| targets < 2) {
             return Err(Rule::new("targets", "must be at least 2".into()));
         }

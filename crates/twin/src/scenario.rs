@@ -21,8 +21,10 @@ use crate::{
 
 pub use crate::broken::BadScenario;
 
-/// The most rows that a scenario may ask for.
+/// The most rows, and the most ways there and back, that a scenario may ask for.
 pub const MOST_ROWS: f64 = 5e6;
+/// The shortest step of the simulation that a scenario may ask for, in s.
+pub const SHORTEST_STEP_S: f64 = 1e-3;
 
 /// What is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
@@ -73,7 +75,7 @@ pub struct Scenario {
     /// From row to row, in s, above 0.
     #[serde(default = "ten")]
     pub interval_s: f64,
-    /// The longest step of the simulation in s, above 0.
+    /// The longest step of the simulation in s, at least [`SHORTEST_STEP_S`].
     #[serde(default = "five")]
     pub step_s: f64,
     /// How often the segments are gone through.
@@ -248,9 +250,19 @@ impl Scenario {
         for (index, segment) in self.segment.iter().enumerate() {
             segment.check().map_err(|rule| rule.within(&format!("segment[{index}]")))?;
         }
-        let rows = self.rows();
+        if self.repeat == 0 {
+            return Err(Rule::new("repeat", "must be at least 1, not 0".into()));
+        }
+        // A step costs time whether or not a row comes of it.
+        if self.step_s < SHORTEST_STEP_S {
+            let rule = format!("must be at least {SHORTEST_STEP_S}, not {}", self.step_s);
+            return Err(Rule::new("step_s", rule));
+        }
+        let ways = |segment: &Segment| 2.0 * f64::from(segment.cycles.unwrap_or(1));
+        let ways = f64::from(self.repeat) * self.segment.iter().map(ways).sum::<f64>();
+        let rows = self.rows().max(ways);
         if rows > MOST_ROWS {
-            let rule = format!("comes to {rows:.0} rows, more than {MOST_ROWS:.0}");
+            let rule = format!("comes to {rows:.0} rows or ways, more than {MOST_ROWS:.0}");
             return Err(Rule::new("repeat", rule));
         }
         Ok(())

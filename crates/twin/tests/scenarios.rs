@@ -48,7 +48,7 @@ fn a_mistake_is_told_with_its_line_its_column_and_the_rule() {
         (
             "duration_s = 60.0",
             "duration_s = 1e9",
-            "s.toml:1:1: repeat comes to 100000000 rows, more than 5000000",
+            "s.toml:1:1: repeat comes to 100000000 rows or ways, more than 5000000",
         ),
         ("kind = \"spindle\"", "kind = \"spin\"", "s.toml:6:8: unknown variant `spin`"),
         ("[spindle]", "[spindel]", "s.toml:3:2: unknown field `spindel`"),
@@ -63,6 +63,8 @@ fn a_mistake_is_told_with_its_line_its_column_and_the_rule() {
             "s.toml:2:12: measure[0] is elongation, but there is no [spindle]",
         ),
         ("name = \"s\"", "name = \"s", "s.toml:1:"),
+        ("[spindle]", "step_s = 0.0001\n[spindle]", "s.toml:3:1: step_s must be at least 0.001"),
+        ("[spindle]", "repeat = 0\n[spindle]", "s.toml:3:1: repeat must be at least 1, not 0"),
         (
             "[spindle]",
             "[thermometer.bed]\nat = \"screw_x\"\n[spindle]",

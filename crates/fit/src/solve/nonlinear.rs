@@ -212,13 +212,15 @@ pub fn fit(
     Ok(folded.finish(polished))
 }
 
+/// Buffers, a value for each row: the model's values, and its derivatives by parameter.
+type Space = (Vec<f64>, Vec<Vec<f64>>);
+
 /// The problem as the solver sees it.
 struct Folded<'a, M: Model + ?Sized> {
     model: &'a M,
     measured: &'a [f64],
     parameters: Vec<f64>,
-    /// Buffers, a value for each row: the model's values, and its derivatives by parameter.
-    space: Rc<RefCell<(Vec<f64>, Vec<Vec<f64>>)>>,
+    space: Rc<RefCell<Space>>,
 }
 
 impl<'a, M: Model + ?Sized> Folded<'a, M> {

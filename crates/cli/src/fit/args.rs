@@ -1,0 +1,175 @@
+//! What `trueup fit` takes on its command line.
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand, ValueEnum};
+
+/// Fits a section of the machine file to measured runs, and says how well.
+///
+/// Exit 3: the runs say that it should not be compensated, and nothing is written; or a tolerance
+/// is not reached.
+#[derive(Args)]
+pub struct Fit {
+    #[command(subcommand)]
+    pub kind: Kind,
+}
+
+#[derive(Subcommand)]
+pub enum Kind {
+    /// [straightness.z_of_x]: how an axis errs while another moves.
+    Straightness(Straightness),
+    /// [axis.x.pitch], and [axis.x.backlash] where it gains: an axis's position errors.
+    Pitch(Pitch),
+    /// [axis.x.backlash] alone.
+    Backlash(Backlash),
+    /// [spindle.sensor] or [spindle.temperature]: the spindle's growth.
+    Elongation(Elongation),
+    /// [spindle.warmup]: the growth over time, from cold; one run for each speed.
+    Warmup(Warmup),
+    /// [axis.x.thermal]: an axis's growth with a temperature.
+    Thermal(Thermal),
+}
+
+#[derive(Args)]
+pub struct Common {
+    /// A run file; warmup, thermal and elongation take several.
+    #[arg(long, value_name = "RUN.csv", required = true)]
+    pub run: Vec<PathBuf>,
+    /// The machine file that the section is put into; left out, the section alone is written.
+    #[arg(long, value_name = "M.toml")]
+    pub machine: Option<PathBuf>,
+    /// Where to write the machine file or the section.
+    #[arg(short, long, value_name = "OUT.toml")]
+    pub output: PathBuf,
+}
+
+#[derive(Args)]
+pub struct Straightness {
+    #[command(flatten)]
+    pub common: Common,
+    /// The error: dx, dy or dz; may be left out where the run measures one only.
+    #[arg(long, value_name = "dx|dy|dz")]
+    pub quantity: Option<String>,
+    /// Take as many coefficients as it needs to keep every residual within this; left out, as many
+    /// as the noise allows.
+    #[arg(long, value_name = "UM")]
+    pub tolerance_um: Option<f64>,
+    /// The straight line from which the error counts.
+    #[arg(long, default_value = "as-measured")]
+    pub reference: Reference,
+    /// How the curve is found.
+    #[arg(long, default_value = "least-squares")]
+    pub method: Method,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum Reference {
+    /// None: the readings are errors already.
+    AsMeasured,
+    /// Through the means at both ends.
+    EndPoints,
+    /// The least squares line.
+    LeastSquares,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum Method {
+    /// Knots where they are needed.
+    LeastSquares,
+    /// Points as control points, the worst one joins.
+    Paper,
+}
+
+#[derive(Args)]
+pub struct Pitch {
+    #[command(flatten)]
+    pub common: Common,
+    /// The axis's error: dx, dy or dz; may be left out where the run measures one only.
+    #[arg(long, value_name = "dx|dy|dz")]
+    pub quantity: Option<String>,
+    /// Only the repeats with these numbers in the column run.
+    #[arg(long, value_name = "1,2,3", value_delimiter = ',')]
+    pub repeats: Option<Vec<f64>>,
+    /// The step of the table; left out, that of the positions measured.
+    #[arg(long, value_name = "MM")]
+    pub step_mm: Option<f64>,
+    /// One table, or one for each direction.
+    #[arg(long, default_value = "automatic")]
+    pub ways: Ways,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum Ways {
+    /// What gains on repeats left out.
+    Automatic,
+    /// One table, and a backlash beside it if that gains.
+    One,
+    /// One table for each direction.
+    Both,
+}
+
+#[derive(Args)]
+pub struct Backlash {
+    #[command(flatten)]
+    pub common: Common,
+    /// The axis's error: dx, dy or dz; may be left out where the run measures one only.
+    #[arg(long, value_name = "dx|dy|dz")]
+    pub quantity: Option<String>,
+    /// Only the repeats with these numbers in the column run.
+    #[arg(long, value_name = "1,2,3", value_delimiter = ',')]
+    pub repeats: Option<Vec<f64>>,
+}
+
+#[derive(Args)]
+pub struct Elongation {
+    #[command(flatten)]
+    pub common: Common,
+    /// By which the growth is known; left out, the machine file's source, else the run's columns.
+    #[arg(long)]
+    pub source: Option<By>,
+    /// The temperature that explains it.
+    #[arg(long, value_name = "temp_<name>_c")]
+    pub temperature: Option<String>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum By {
+    /// The displacement sensor.
+    Sensor,
+    /// A temperature.
+    Temperature,
+}
+
+#[derive(Args)]
+pub struct Warmup {
+    #[command(flatten)]
+    pub common: Common,
+}
+
+#[derive(Args)]
+pub struct Thermal {
+    #[command(flatten)]
+    pub common: Common,
+    /// The axis's error: dx, dy or dz; may be left out where the run measures one only.
+    #[arg(long, value_name = "dx|dy|dz")]
+    pub quantity: Option<String>,
+    /// Which terms; left out, the machine file's, else what the run shows.
+    #[arg(long)]
+    pub mode: Option<Mode>,
+    /// The temperature that explains it.
+    #[arg(long, value_name = "temp_<name>_c")]
+    pub temperature: Option<String>,
+    /// Write a table over the temperature, with so many rows.
+    #[arg(long, value_name = "ROWS", value_parser = clap::value_parser!(u16).range(2..=1000))]
+    pub table: Option<u16>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum Mode {
+    /// The same at every position.
+    Constant,
+    /// In proportion to the position.
+    Position,
+    /// Both.
+    Both,
+}

@@ -1,0 +1,134 @@
+//! What `trueup fit` prints.
+
+use anyhow::Result;
+use serde_json::{Map, Value, json};
+use trueup_fit::{Report, Spread, Verdict, report::FactValue};
+
+use super::args::Common;
+use crate::output;
+
+/// Rows that are set aside and printed one by one; all of them are in the JSON.
+const LISTED_ROWS: usize = 20;
+
+/// Prints what was found: warnings on standard error, the rest as text or JSON.
+pub fn print(report: &Report, common: &Common, written: bool, as_json: bool) -> Result<()> {
+    for warning in &report.warnings {
+        eprintln!("warning: {warning}");
+    }
+    if as_json {
+        return output::print(json_of(report, common, written));
+    }
+    let mut lines = vec![match &report.verdict {
+        Verdict::Fitted => format!("{} of {}: fitted", report.kind, report.column),
+        Verdict::DoNotCompensate(_) => {
+            format!("{} of {}: do not compensate", report.kind, report.column)
+        }
+    }];
+    if let Verdict::DoNotCompensate(reasons) = &report.verdict {
+        lines.extend(reasons.iter().map(|reason| format!("  {reason}")));
+    }
+    lines.extend(report.unmet.iter().map(|unmet| format!("  not reached: {unmet}")));
+    for parameter in &report.parameters {
+        lines.push(format!("  {parameter}"));
+    }
+    for fact in &report.facts {
+        let value = match &fact.value {
+            FactValue::Number(number) => format!("{number:.4}"),
+            FactValue::Text(text) => text.clone(),
+            FactValue::Numbers(numbers) if numbers.len() <= LISTED_ROWS => {
+                numbers.iter().map(|number| format!("{number:.3}")).collect::<Vec<_>>().join(" ")
+            }
+            FactValue::Numbers(numbers) => format!("{} values (--json has them)", numbers.len()),
+        };
+        lines.push(format!("  {}: {value}", fact.name));
+    }
+    let mut spread = |name: &str, spread: Option<Spread>| {
+        if let Some(Spread { rms_um, max_um }) = spread {
+            lines.push(format!("{name}: {rms_um:.3} um RMS, at most {max_um:.3} um"));
+        }
+    };
+    spread("measured", report.before);
+    spread("after the fit", report.in_sample);
+    spread(&format!("on left-out rows ({})", report.left_out_by), report.left_out);
+    lines.push(format!(
+        "{} rows used, {} incomplete, {} set aside",
+        report.rows_used,
+        report.rows_incomplete,
+        report.set_aside.len()
+    ));
+    lines.extend(report.set_aside.iter().take(LISTED_ROWS).map(|row| format!("  {row}")));
+    if report.set_aside.len() > LISTED_ROWS {
+        lines.push(format!(
+            "  and {} more (--json lists them)",
+            report.set_aside.len() - LISTED_ROWS
+        ));
+    }
+    lines.push(if written {
+        format!("written to {}", common.output.display())
+    } else {
+        "nothing is written".to_string()
+    });
+    output::print(lines.join("\n"))
+}
+
+fn json_of(report: &Report, common: &Common, written: bool) -> Value {
+    let spread = |spread: Option<Spread>| match spread {
+        Some(Spread { rms_um, max_um }) => json!({"rms_um": rms_um, "max_um": max_um}),
+        None => Value::Null,
+    };
+    let parameters: Map<String, Value> = report
+        .parameters
+        .iter()
+        .map(|parameter| {
+            let value = json!({"value": parameter.value, "ci95": parameter.ci95});
+            (parameter.name.clone(), value)
+        })
+        .collect();
+    let facts: Map<String, Value> = report
+        .facts
+        .iter()
+        .map(|fact| {
+            let value = match &fact.value {
+                FactValue::Number(number) => json!(number),
+                FactValue::Numbers(numbers) => json!(numbers),
+                FactValue::Text(text) => json!(text),
+            };
+            (fact.name.clone(), value)
+        })
+        .collect();
+    let set_aside: Vec<Value> = report
+        .set_aside
+        .iter()
+        .map(|row| {
+            json!({
+                "file": row.place.file.to_string_lossy(),
+                "line": row.place.line,
+                "column": row.place.column,
+                "measured_um": row.measured_um,
+                "reason": row.reason,
+            })
+        })
+        .collect();
+    let (verdict, reasons) = match &report.verdict {
+        Verdict::Fitted => ("fitted", [].as_slice()),
+        Verdict::DoNotCompensate(reasons) => ("do-not-compensate", reasons.as_slice()),
+    };
+    json!({
+        "kind": report.kind,
+        "column": report.column,
+        "verdict": verdict,
+        "reasons": reasons,
+        "not_reached": report.unmet,
+        "parameters": parameters,
+        "facts": facts,
+        "before": spread(report.before),
+        "in_sample": spread(report.in_sample),
+        "left_out": spread(report.left_out),
+        "left_out_by": report.left_out_by,
+        "rows_used": report.rows_used,
+        "rows_incomplete": report.rows_incomplete,
+        "set_aside": set_aside,
+        "warnings": report.warnings,
+        "output": if written { json!(common.output.to_string_lossy()) } else { Value::Null },
+    })
+}
