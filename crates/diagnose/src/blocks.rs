@@ -35,7 +35,10 @@ impl Folds {
         let (of_group, count_folds, what) = if data.files > 1 {
             (groups.file.clone(), data.files, "files")
         } else if run_count >= 3 {
-            (runs, run_count, "runs")
+            // Of many runs, several at once.
+            let folds = if run_count > 10 { STRETCHES } else { run_count };
+            let of = |run: usize| run * folds / run_count;
+            (runs.into_iter().map(of).collect(), folds, "runs")
         } else if data.time_s.is_none() && count <= 50 {
             ((0..count).collect(), count, "readings")
         } else {

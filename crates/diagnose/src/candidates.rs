@@ -102,7 +102,7 @@ fn growth(problem: &Problem, model: &Model, add: &mut Add<'_>) {
             }
             let column = column.clone();
             if used.contains(&column) {
-                add(Kind::SlowModeOf { column }, 0, lag_taus());
+                add(Kind::SlowModeOf { column }, 1, lag_taus());
             } else {
                 add(Kind::ExtraHeatPath { column: column.clone(), has_lag: false }, 1, none());
                 add(Kind::ExtraHeatPath { column, has_lag: true }, 1, lag_taus());

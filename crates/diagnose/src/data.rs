@@ -124,7 +124,9 @@ impl Data {
         let mut series = Vec::with_capacity(rows);
         let mut number: usize = 0;
         for row in 0..rows {
+            // Where there is time, it says how far apart two runs are.
             let new_run = row > 0
+                && time_s.is_none()
                 && run.as_ref().is_some_and(|run| {
                     run[row] != run[row - 1] && !(run[row].is_nan() && run[row - 1].is_nan())
                 });
@@ -386,8 +388,9 @@ impl Groups {
                 if group == 0 || it.series[group] != it.series[group - 1] {
                     f64::INFINITY
                 } else {
-                    // Rows at one time are still one after the other.
-                    ((clock[group] - clock[group - 1]) / step).max(0.01)
+                    // Rows at one time are still one after the other; and what a pause does to the
+                    // noise is not known: it is not believed to end it.
+                    ((clock[group] - clock[group - 1]) / step).clamp(0.1, 2.0)
                 }
             })
             .collect();
@@ -413,10 +416,5 @@ impl Groups {
         }
         sums.iter_mut().zip(&self.count).for_each(|(sum, count)| *sum /= count);
         sums
-    }
-
-    /// The group of `row`.
-    pub(crate) fn of(&self, row: usize) -> Option<usize> {
-        self.of_row[row].map(|group| group as usize)
     }
 }

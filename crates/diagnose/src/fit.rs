@@ -5,6 +5,8 @@
 //! `spindle_sjtu`: a path that halves the error of the hold-out looks worthless to them). The memory
 //! is in the intervals instead: the sandwich (XᵀX)⁻¹·Xᵀ·V·X·(XᵀX)⁻¹ with the noise's covariance V.
 
+use std::{cell::RefCell, collections::HashMap, rc::Rc};
+
 use crate::{
     data::{Data, Groups},
     linear::{dot, solve},
@@ -31,7 +33,6 @@ impl Fitted {
 }
 
 /// Data, and its groups of rows.
-#[derive(Clone, Debug)]
 pub(crate) struct Problem {
     pub data: Data,
     pub groups: Groups,
@@ -39,7 +40,11 @@ pub(crate) struct Problem {
     pub measured: Vec<f64>,
     /// Bounds that a value must keep, from the extent of the data.
     pub bounds: Bounds,
+    /// Columns that were worked out before: what is only added does not depend on the model.
+    known: RefCell<HashMap<String, Columns>>,
 }
+
+type Columns = Rc<Vec<Vec<f64>>>;
 
 /// What nonlinear values may be.
 #[derive(Clone, Copy, Debug)]
@@ -58,7 +63,33 @@ impl Problem {
     pub(crate) fn new(data: Data, groups: Groups) -> Self {
         let measured = groups.means(&data.measured);
         let bounds = bounds(&data, &groups);
-        Self { data, groups, measured, bounds }
+        Self { data, groups, measured, bounds, known: RefCell::default() }
+    }
+
+    /// What an added part of these nonlinear values adds at each amplitude of 1, in groups.
+    pub(crate) fn columns(&self, kind: &Kind, nonlinear: &[f64]) -> Vec<Vec<f64>> {
+        // More would only be memory.
+        const MOST: usize = 20_000_000;
+        let bits: Vec<u64> = nonlinear.iter().map(|value| value.to_bits()).collect();
+        let key = format!("{kind:?}{bits:?}");
+        if let Some(known) = self.known.borrow().get(&key) {
+            return known.to_vec();
+        }
+        let is_of_elongation = kind.is_of_elongation(&self.data);
+        let columns: Vec<Vec<f64>> = basis(kind, nonlinear, &self.data, &[])
+            .into_iter()
+            .map(|mut column| {
+                if is_of_elongation {
+                    column.iter_mut().zip(&self.data.along).for_each(|(c, along)| *c *= along);
+                }
+                self.groups.means(&column)
+            })
+            .collect();
+        let mut known = self.known.borrow_mut();
+        if (known.len() + 1) * self.groups.len() < MOST {
+            known.insert(key, Rc::new(columns.clone()));
+        }
+        columns
     }
 
     /// Measured minus predicted, in groups.
@@ -158,14 +189,10 @@ pub(crate) fn jacobian(problem: &Problem, model: &Model) -> (Vec<Place>, Vec<Vec
         // What is only added is its own derivative.
         let is_added = part.kind.rank() == 4 && !has_shift;
         if is_added && part.kind.amplitudes() > 0 {
-            let unit = basis(&part.kind, &part.values[..nonlinear.len()], data, &[]);
-            let is_of_elongation = part.kind.is_of_elongation(data);
-            for (number, mut column) in unit.into_iter().enumerate() {
-                if is_of_elongation {
-                    column.iter_mut().zip(&data.along).for_each(|(c, along)| *c *= along);
-                }
+            let unit = problem.columns(&part.kind, &part.values[..nonlinear.len()]);
+            for (number, column) in unit.into_iter().enumerate() {
                 places.push(Some((index, nonlinear.len() + number)));
-                columns.push(groups.means(&column));
+                columns.push(column);
             }
         }
         let numeric = if is_added { nonlinear.len() } else { part.values.len() };

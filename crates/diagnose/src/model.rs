@@ -392,8 +392,10 @@ pub(crate) fn basis(kind: &Kind, nonlinear: &[f64], data: &Data, p: &[f64]) -> V
         }
         Kind::Drift => vec![time().iter().map(|t| t / 3600.0).collect()],
         Kind::ReferenceInstrument { is_angled } => {
+            // What is read is about what is predicted; the reading itself has its own noise in it,
+            // which a wave of the reading would follow.
             let reading = if data.quantity == Quantity::Elongation {
-                filled(&data.measured)
+                filled(&data.elongation)
             } else {
                 own()
             };

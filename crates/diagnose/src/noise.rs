@@ -155,11 +155,11 @@ pub(crate) fn deviance(whitener: &Whitener, residual: &[f64]) -> f64 {
 pub(crate) fn grid(longest: f64) -> Vec<Noise> {
     let mut noises = vec![Noise::WHITE];
     let mut memory = longest;
-    while memory > 0.4 && noises.len() < 21 {
-        for white in [0.0, 0.4, 0.8] {
+    while memory > 0.4 && noises.len() < 13 {
+        for white in [0.0, 0.6] {
             noises.push(Noise { memory, white });
         }
-        memory /= 2.6;
+        memory /= 3.5;
     }
     noises
 }

@@ -39,13 +39,22 @@ pub(crate) fn gross(data: &Data, predicted: &[f64]) -> Vec<bool> {
     // scale, as the mean of the inner nine tenths.
     let inner = &sizes[..count * 9 / 10];
     let mean = inner.iter().sum::<f64>() / inner.len().max(1) as f64;
-    let scale = robust.max(1.2533 * mean);
+    let scale = robust.max(1.2533 * mean).max(0.6 * quantum(data, &rows));
     if scale <= 0.0 {
         return aside;
     }
+    // Far from the neighbours, and far from everything.
+    let mut sorted = residual.clone();
+    sorted.sort_by(f64::total_cmp);
+    let middle = sorted[count / 2];
+    let mut spread: Vec<f64> = residual.iter().map(|r| (r - middle).abs()).collect();
+    spread.sort_by(f64::total_cmp);
+    let overall = 1.4826 * spread[count / 2];
     // One in a thousand clean runs has a row beyond it.
     let limit = scale * (2.0 * (500.0 * count as f64).ln()).sqrt().max(6.0);
-    let is_far = |at: usize| differences[at].abs() > limit;
+    let is_far = |at: usize| {
+        differences[at].abs() > limit && (residual[at] - middle).abs() > 5.0 * overall
+    };
     let far: Vec<usize> = (0..count).filter(|&at| is_far(at)).collect();
     if far.len() as f64 > MOST * count as f64 {
         return aside;
@@ -58,4 +67,14 @@ pub(crate) fn gross(data: &Data, predicted: &[f64]) -> Vec<bool> {
         }
     }
     aside
+}
+
+/// The instrument's last digit: the smallest step between readings, but for the rarest.
+fn quantum(data: &Data, rows: &[usize]) -> f64 {
+    let mut values: Vec<f64> = rows.iter().map(|&row| data.measured[row]).collect();
+    values.sort_by(f64::total_cmp);
+    let mut steps: Vec<f64> =
+        values.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 1e-9).collect();
+    steps.sort_by(f64::total_cmp);
+    steps.get(steps.len() / 50).copied().unwrap_or(0.0)
 }

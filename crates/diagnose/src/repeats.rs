@@ -1,4 +1,7 @@
 //! Readings at equal positions: what repeats, and what does not.
+//!
+//! What repeats is looked for in the readings themselves, not in what the model leaves of them: a
+//! machine that does what its model says repeats, also where nothing else is left but noise.
 
 use crate::data::Data;
 
@@ -12,7 +15,7 @@ pub(crate) struct Repeats {
 }
 
 /// None where there are too few repeats: less than three runs, or positions that do not come back.
-pub(crate) fn analyse(data: &Data, predicted: &[f64]) -> Option<Repeats> {
+pub(crate) fn analyse(data: &Data) -> Option<Repeats> {
     let run = data.run.as_deref()?;
     let own = data.own_position()?;
     let direction = data.own_direction();
@@ -33,7 +36,7 @@ pub(crate) fn analyse(data: &Data, predicted: &[f64]) -> Option<Repeats> {
             continue;
         }
         let values: Vec<f64> =
-            group.iter().map(|&(_, _, row)| data.measured[row] - predicted[row]).collect();
+            group.iter().map(|&(_, _, row)| data.measured[row]).collect();
         let count = values.len() as f64;
         let mean = values.iter().sum::<f64>() / count;
         within += values.iter().map(|value| (value - mean).powi(2)).sum::<f64>();

@@ -24,14 +24,14 @@ use crate::{
     candidates::Candidate,
     fit::{Problem, jacobian},
     linear::{dot, orthonormal},
-    model::{Model, Part, basis},
+    model::{Model, Part},
     noise::{self, Chance, Noise, Whitener},
 };
 
 /// Chance that noise passes the limit of one statistic in one search.
 const FALSE_ALARM: f64 = 0.001;
 /// Draws of noise.
-const DRAWS: usize = 48;
+const DRAWS: usize = 32;
 
 /// A candidate at its best setting.
 #[derive(Clone, Debug)]
@@ -77,17 +77,7 @@ fn effect(
     let Problem { data, groups, .. } = problem;
     let kind = &candidate.kind;
     if kind.rank() == 4 {
-        let is_of_elongation = kind.is_of_elongation(data);
-        let columns = basis(kind, setting, data, &[])
-            .into_iter()
-            .map(|mut column| {
-                if is_of_elongation {
-                    column.iter_mut().zip(&data.along).for_each(|(c, along)| *c *= along);
-                }
-                groups.means(&column)
-            })
-            .collect();
-        return (columns, false);
+        return (problem.columns(kind, setting), false);
     }
     let is_fixed = kind.amplitudes() == 0 && !kind.nonlinear().is_empty();
     let step = if is_fixed { 1.0 } else { 1e-4 };
@@ -152,7 +142,13 @@ pub(crate) fn scan(
     let own = noise::estimate(residual, &groups.steps, longest.max(1.0), nuisance.len());
     let independent = noise::effective_rows(own, &groups.steps).max(3.0);
     let sigma = (dot(residual, residual) / rows as f64).sqrt();
-    let noises = noise::grid(longest.max(1.0));
+    // Where nothing is decided by it, the noise as it is and its extremes are enough.
+    let noises = if draw {
+        noise::grid(longest.max(1.0))
+    } else {
+        let quick = Noise { memory: (own.memory / 4.0).max(0.5), white: 0.3 };
+        vec![Noise::WHITE, quick, own]
+    };
     let price: Vec<f64> = trials
         .iter()
         .map(|trial| 2.0 * candidates[trial.candidate].searched)

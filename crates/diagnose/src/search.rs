@@ -33,15 +33,11 @@ const FITTED: usize = 10;
 #[derive(Clone, Debug)]
 pub(crate) struct Tried {
     pub kind: Kind,
-    pub values: Vec<f64>,
-    pub score: f64,
     pub rms_um: f64,
     /// 0 where it was not worked out.
     pub left_out_um: f64,
     /// Empty: taken.
     pub why_not: String,
-    /// The model with it.
-    pub model: Model,
 }
 
 /// A term that was added, with what it brought.
@@ -119,7 +115,6 @@ fn fitted_hits(
     problem: &Problem,
     model: &Model,
     residual: &[f64],
-    candidates: &[Candidate],
     hits: &[Hit],
     most: usize,
 ) -> Vec<(Hit, Fitted)> {
@@ -134,7 +129,6 @@ fn fitted_hits(
             chosen.push(hit);
         }
     }
-    let _ = candidates;
     chosen
         .into_iter()
         .map(|hit| {
@@ -157,16 +151,7 @@ fn begin(problem: &Problem, residual: &[f64], model: &mut Model, kind: &Kind) {
     }
     let Some(index) = model.parts.iter().position(|part| part.kind == *kind) else { return };
     let values = model.parts[index].values[..nonlinear].to_vec();
-    let mut columns: Vec<Vec<f64>> =
-        crate::model::basis(kind, &values, &problem.data, &[])
-            .into_iter()
-            .map(|mut column| {
-                if kind.is_of_elongation(&problem.data) {
-                    column.iter_mut().zip(&problem.data.along).for_each(|(c, a)| *c *= a);
-                }
-                problem.groups.means(&column)
-            })
-            .collect();
+    let mut columns = problem.columns(kind, &values);
     if model.constant_um.is_some() {
         columns.push(vec![1.0; problem.groups.len()]);
     }
@@ -233,9 +218,14 @@ pub(crate) fn search(
     let mut structure_left = Vec::new();
     let mut refused: Vec<Kind> = Vec::new();
     let mut looked_ahead = false;
-    for round in 0..=MOST_TERMS {
-        progress("looking for a cause", round as f64 / (MOST_TERMS + 1) as f64);
-        let candidates = possible(problem, &fitted.model, &fitted.residual);
+    let mut is_own = true;
+    for round in 0..=MOST_TERMS + 2 {
+        progress("looking for a cause", (round as f64 / MOST_TERMS as f64).min(0.9));
+        let mut candidates = possible(problem, &fitted.model, &fitted.residual);
+        // First what the machine's own model may have wrong, as long as anything is.
+        if is_own {
+            candidates.retain(|candidate| candidate.tier == 0);
+        }
         let scanned = scan(problem, &fitted.model, &fitted.residual, &candidates, true);
         let hits: Vec<Hit> =
             scanned.hits.iter().filter(|hit| hit.is_significant).cloned().collect();
@@ -243,9 +233,13 @@ pub(crate) fn search(
             trace(problem, &fitted, &scanned.hits, scanned.limits);
         }
         let options =
-            fitted_hits(problem, &fitted.model, &fitted.residual, &candidates, &hits, FITTED);
+            fitted_hits(problem, &fitted.model, &fitted.residual, &hits, FITTED);
         let chosen = choose(problem, &fitted, options, &candidates, &mut refused, progress);
         let Some((taken, tried, gain)) = chosen.0 else {
+            if is_own {
+                is_own = false;
+                continue;
+            }
             if !looked_ahead && !added.is_empty() {
                 looked_ahead = true;
                 progress("looking two terms ahead", f64::NAN);
@@ -265,18 +259,19 @@ pub(crate) fn search(
                     ));
                 }
             }
-            add_insignificant(problem, &fitted, &not_taken, &mut rejected);
+            add_insignificant(&fitted, &not_taken, &mut rejected);
             break;
         };
-        let kind = taken.1;
         fitted = taken.0;
         added.retain(|there| fitted.model.has(&there.kind));
-        added.push(Added { kind, before: gain, tried });
-        if added.len() == MOST_TERMS {
+        for kind in taken.1 {
+            added.push(Added { kind, before: gain, tried: tried.clone() });
+        }
+        if added.len() >= MOST_TERMS {
             break;
         }
         if added.len() > 1 {
-            progress("comparing with rivals", (round as f64 + 0.7) / (MOST_TERMS + 1) as f64);
+            progress("comparing with rivals", ((round as f64 + 0.7) / MOST_TERMS as f64).min(0.9));
             improve(problem, &mut fitted, &mut added);
         }
     }
@@ -313,7 +308,7 @@ fn trace(problem: &Problem, fitted: &Fitted, hits: &[Hit], limits: Option<[f64; 
 }
 
 /// What was not even significant is in the report with its numbers.
-fn add_insignificant(problem: &Problem, fitted: &Fitted, hits: &[Hit], into: &mut Vec<Tried>) {
+fn add_insignificant(fitted: &Fitted, hits: &[Hit], into: &mut Vec<Tried>) {
     for hit in hits {
         if into.iter().any(|tried| name(&tried.kind) == name(&hit.part.kind)) {
             continue;
@@ -325,18 +320,15 @@ fn add_insignificant(problem: &Problem, fitted: &Fitted, hits: &[Hit], into: &mu
             .unwrap_or(hit);
         into.push(Tried {
             kind: best.part.kind.clone(),
-            values: best.part.values.clone(),
-            score: -best.by_likelihood.max(best.by_squares),
             rms_um: fitted.rms(),
             left_out_um: 0.0,
             why_not: "not more than noise would show".into(),
-            model: fitted.model.clone(),
         });
     }
-    let _ = problem;
 }
 
-type Chosen = (Option<((Fitted, Kind), Vec<Tried>, Gain)>, Vec<Tried>);
+/// The model that is taken, with the causes that are new in it; what was tried; the gain.
+type Chosen = (Option<((Fitted, Vec<Kind>), Vec<Tried>, Gain)>, Vec<Tried>);
 
 /// The option to take, and the others.
 fn choose(
@@ -366,6 +358,8 @@ fn choose(
     scored.sort_by(|a, b| a.0.total_cmp(&b.0));
     let left_before = folds.left_out(problem, &before.model);
     let mut tried: Vec<Tried> = Vec::new();
+    let own_score = score(problem, before);
+    let mut partners = 2;
     while !scored.is_empty() {
         let best = scored[0].0;
         let tie = scored.iter().take_while(|(score, ..)| *score < best + TIE).count();
@@ -395,23 +389,29 @@ fn choose(
         }
         let mut taken = None;
         for (_, _, left, (score, hit, fitted)) in judged {
-            let (reduction, ci95) = folds.reduction(&left_before, &left);
-            let gains = ci95[0] > 0.0;
+            let (mut reduction, mut ci95) = folds.reduction(&left_before, &left);
+            let mut gains = ci95[0] > 0.0;
             let kind = hit.part.kind.clone();
-            let values = fitted
-                .model
-                .parts
-                .iter()
-                .find(|part| part.kind == kind)
-                .map_or_else(Vec::new, |part| part.values.clone());
+            let (mut fitted, mut left) = (fitted, left);
+            let mut new = vec![kind.clone()];
+            // What is right may predict no better while something else is wrong beside it.
+            if taken.is_none() && !gains && score < own_score - TIE && partners > 0 {
+                partners -= 1;
+                if let Some((partner, pair)) = partner(problem, &fitted, candidates) {
+                    let with = folds.left_out(problem, &pair.model);
+                    let (both, interval) = folds.reduction(&left_before, &with);
+                    if interval[0] > 0.0 {
+                        (reduction, ci95, gains) = (both, interval, true);
+                        (fitted, left) = (pair, with);
+                        new.push(partner);
+                    }
+                }
+            }
             let mut it = Tried {
                 kind: kind.clone(),
-                values,
-                score,
                 rms_um: fitted.rms(),
                 left_out_um: rms(&left),
                 why_not: String::new(),
-                model: fitted.model.clone(),
             };
             if taken.is_none() && gains {
                 let gain = Gain {
@@ -422,7 +422,7 @@ fn choose(
                     reduction,
                     ci95,
                 };
-                taken = Some(((fitted, kind), gain));
+                taken = Some(((fitted, new), gain));
             } else {
                 it.why_not = if gains {
                     "another explains it as well and is simpler, or predicts better".into()
@@ -444,6 +444,25 @@ fn choose(
     (None, tried)
 }
 
+/// The candidate that does most beside what `fitted` has, with the fit of both.
+fn partner(
+    problem: &Problem,
+    fitted: &Fitted,
+    candidates: &[Candidate],
+) -> Option<(Kind, Fitted)> {
+    let most = candidates.iter().map(|candidate| candidate.tier).max().unwrap_or(0);
+    let mut others = possible(problem, &fitted.model, &fitted.residual);
+    others.retain(|candidate| candidate.tier <= most);
+    let scanned = scan(problem, &fitted.model, &fitted.residual, &others, false);
+    let own = score(problem, fitted);
+    fitted_hits(problem, &fitted.model, &fitted.residual, &scanned.hits, 4)
+        .into_iter()
+        .map(|(hit, pair)| (score(problem, &pair), hit.part.kind, pair))
+        .filter(|(score, ..)| *score < own - TIE)
+        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, kind, pair)| (kind, pair))
+}
+
 /// Tries, for each term, whether it is still needed, and whether another cause does better in its
 /// place now that others are there.
 fn improve(problem: &Problem, fitted: &mut Fitted, added: &mut Vec<Added>) {
@@ -461,7 +480,8 @@ fn improve(problem: &Problem, fitted: &mut Fitted, added: &mut Vec<Added>) {
                 .map(|(with, other)| (score(problem, &other), with, other))
                 .min_by(|a, b| a.0.total_cmp(&b.0));
             if let Some((there, with, other)) = best
-                && (there < own - TIE || with.is_none() && there <= own)
+                && (with.is_none() && there <= own
+                    || there < own - TIE && predicts_better(problem, fitted, &other))
             {
                 *fitted = other;
                 match with {
@@ -479,6 +499,13 @@ fn improve(problem: &Problem, fitted: &mut Fitted, added: &mut Vec<Added>) {
     }
 }
 
+/// Whether `other` leaves less on blocks that were left out.
+fn predicts_better(problem: &Problem, fitted: &Fitted, other: &Fitted) -> bool {
+    let (noise, _) = independent(problem, &fitted.residual, 0);
+    let folds = Folds::new(problem, noise.memory);
+    rms(&folds.left_out(problem, &other.model)) < rms(&folds.left_out(problem, &fitted.model))
+}
+
 /// Two terms may do together what the one that is there does nearly as well alone. Tries, in the
 /// place of each term, each good rival together with the best that can then be added.
 fn look_ahead(problem: &Problem, fitted: &mut Fitted, added: &mut Vec<Added>) -> bool {
@@ -492,7 +519,7 @@ fn look_ahead(problem: &Problem, fitted: &mut Fitted, added: &mut Vec<Added>) ->
             let candidates = possible(problem, &rival.model, &rival.residual);
             let scanned = scan(problem, &rival.model, &rival.residual, &candidates, false);
             let pairs =
-                fitted_hits(problem, &rival.model, &rival.residual, &candidates, &scanned.hits, 3);
+                fitted_hits(problem, &rival.model, &rival.residual, &scanned.hits, 3);
             for (hit, pair) in pairs {
                 let score = score(problem, &pair);
                 if score < own - TIE && best.as_ref().is_none_or(|best| score < best.0) {
@@ -539,7 +566,7 @@ pub(crate) fn in_its_place(
         .collect();
     let scanned = scan(problem, &reduced.model, &reduced.residual, &candidates, false);
     let mut all: Vec<(Option<Kind>, Fitted)> =
-        fitted_hits(problem, &reduced.model, &reduced.residual, &candidates, &scanned.hits, most)
+        fitted_hits(problem, &reduced.model, &reduced.residual, &scanned.hits, most)
             .into_iter()
             .map(|(hit, fitted)| (Some(hit.part.kind), fitted))
             .collect();

@@ -26,7 +26,7 @@ pub(crate) fn candidates(problem: &Problem, model: &Model, residual: &[f64]) -> 
     let data = &problem.data;
     let mut all = Vec::new();
     if data.quantity == Quantity::Elongation {
-        let reading = problem.groups.means(&filled(&data.measured));
+        let reading = problem.groups.means(&filled(&data.elongation));
         if let Some((frequency, searched)) = peak(&reading, residual, 6.0, 2000) {
             all.push(Candidate {
                 kind: Kind::ReferenceInstrument { is_angled: false },
