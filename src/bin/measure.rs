@@ -25,13 +25,17 @@ use semihosting::{
 use stm32f4xx_hal as _;
 use trueup_core::{
     calibration::Calibration,
-    cnc::{Flags, Output, Quality},
+    cnc::{Flags, LinearAxis, Output, Quality},
     curve::Curve,
     filter::{CODES_PER_TICK, Filter},
+    geometry::{Kept, Place},
     gradient::Gradient,
+    health::Health,
+    heat::Heat,
     limits::Applied,
     travel::Blend,
     units::{Code, Fine, MicroDegrees, Nanometres, Position, Reading, Rpm},
+    window::Window,
 };
 use trueup_link::{
     calibration::{MAX_SIZE, decode},
@@ -39,7 +43,7 @@ use trueup_link::{
     vectors::{self, Random, Vectors},
 };
 
-const TICKS: usize = 4_000;
+const TICKS: usize = 3_000;
 const PARTS: usize = 2_000;
 const POSITIONS: usize = 10_000;
 /// Ticks until the filter is full and everything is engaged.
@@ -127,22 +131,30 @@ fn say(text: &mut String<4096>, name: &str, costs: &mut [u16]) {
     writeln!(text, "{name} {min} {median} {max}").expect("space");
 }
 
+/// A millisecond of the board: the frames of the CNC, as often as it sends them, then the tick.
 fn tick(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut String<4096>) {
-    let costs = &mut costs[..TICKS];
+    let (ticks, costs) = costs.split_at_mut(TICKS);
+    let (heard, costs) = costs.split_at_mut(TICKS);
+    let both = &mut costs[..TICKS];
     let mut run = Vectors::new(*calibration, 1, false);
     for _ in 0..WARM_UP {
         run.prepare();
+        run.hear();
         run.tick();
     }
     let mut live = 0;
-    for place in costs.iter_mut() {
+    for ((tick, hear), both) in ticks.iter_mut().zip(heard.iter_mut()).zip(both.iter_mut()) {
         run.prepare();
-        *place = cost(&mut || {
+        *hear = cost(&mut || run.hear());
+        *tick = cost(&mut || {
             black_box(&run.tick());
         });
+        *both = *hear + *tick;
         live += u32::from(run.node().last().quality == Quality::Live);
     }
-    say(text, "tick", costs);
+    say(text, "tick", ticks);
+    say(text, "hear", heard);
+    say(text, "millisecond", both);
     writeln!(text, "live {live} {TICKS}").expect("space");
 }
 
@@ -156,6 +168,20 @@ fn parts(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut String<409
         say(text, name, costs);
     };
 
+    let mut health = Health::default();
+    part("health", &mut |random| {
+        let codes: [Code; CODES_PER_TICK] =
+            core::array::from_fn(|_| Code(700 + (random.next() & 7) as u16));
+        cost(&mut || {
+            black_box(&health.check(&codes));
+        })
+    });
+    part("window", &mut |random| {
+        let speed = Some(Rpm(random.next() as u16));
+        cost(&mut || {
+            black_box(&Window::for_speed(speed));
+        })
+    });
     let mut filter = Filter::new();
     for _ in 0..WARM_UP {
         filter.tick(&[Code(700); CODES_PER_TICK], Some(Rpm(18_000)));
@@ -216,6 +242,15 @@ fn parts(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut String<409
             black_box(sum);
         })
     });
+    let heat = Heat::default();
+    let mut at = Place::default();
+    let mut kept = Kept::at(calibration, &heat, &at);
+    part("moved", &mut |random| {
+        at.position = place(random);
+        let axis = LinearAxis::ALL[random.below(3) as usize];
+        cost(&mut || kept.moved(calibration, &heat, &at, axis))
+    });
+    black_box(kept.errors());
     let kinematics = calibration.kinematics;
     part("tool_direction", &mut |random| {
         let angles = [180_000_000, 110_000_000].map(|most| MicroDegrees(random.around(most)));
@@ -309,7 +344,7 @@ fn spline(curve: &Curve<'_>, costs: &mut [u16], text: &mut String<4096>) {
         .segments()
         .iter()
         .map(|bytes| i32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]));
-    let (first, last) = (curve.first().0, ends.clone().last().unwrap_or(0));
+    let (first, last) = (curve.first().0, ends.clone().next_back().unwrap_or(0));
     let span = (last - first).unsigned_abs();
     let segments = curve.segments().len().min(SEGMENTS);
 

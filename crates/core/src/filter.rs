@@ -23,6 +23,9 @@ use crate::{
 pub const CODES_PER_TICK: usize = 20;
 /// Codes that are added up to one sample of the 5 kHz stream.
 const CODES_PER_SAMPLE: usize = 4;
+const SAMPLES_PER_TICK: usize = CODES_PER_TICK / CODES_PER_SAMPLE;
+/// The largest sum of so many codes; more count as that.
+const FULL_SCALE: u32 = 4 * Code::MAX.0 as u32;
 
 /// The filter and all that it remembers.
 #[derive(Clone, Debug)]
@@ -59,19 +62,38 @@ impl Filter {
             self.speed = speed;
             self.window = Window::for_speed(speed);
         }
-        for four in codes.chunks_exact(CODES_PER_SAMPLE) {
-            let sum = four
-                .iter()
-                .fold(0_u32, |sum, code| sum.saturating_add(u32::from(code.0.min(Code::MAX.0))));
-            // A sum of four codes is Q2; 256 makes it Q10.
-            self.first.push(sum.saturating_mul(256));
-            if let Some(mean) = self.first.mean(self.window) {
-                self.second.push(mean);
-            }
+        let samples = samples(codes);
+        if self.first.has_seen(self.window) {
+            self.second.push_all(self.first.pass(samples, self.window));
+        } else {
+            self.begin(samples);
         }
         let mean = self.second.mean(self.window)?;
         Some(Reading(i32::try_from(mean).unwrap_or(i32::MAX)))
     }
+
+    /// Sample by sample, while the first mean comes to its first revolution.
+    #[cold]
+    #[inline(never)]
+    fn begin(&mut self, samples: [u32; SAMPLES_PER_TICK]) {
+        for sample in samples {
+            self.first.push(sample);
+            if let Some(mean) = self.first.mean(self.window) {
+                self.second.push(mean);
+            }
+        }
+    }
+}
+
+/// Four codes each, added up: a sum is Q2, and 256 makes it Q10.
+#[inline]
+fn samples(codes: &[Code; CODES_PER_TICK]) -> [u32; SAMPLES_PER_TICK] {
+    let mut samples = [0; SAMPLES_PER_TICK];
+    for (sample, four) in samples.iter_mut().zip(codes.as_chunks::<CODES_PER_SAMPLE>().0) {
+        let sum = four.iter().fold(0_u32, |sum, code| sum.wrapping_add(code.0.into()));
+        *sample = sum.min(FULL_SCALE) << 8;
+    }
+    samples
 }
 
 impl Default for Filter {

@@ -14,8 +14,9 @@
 use crate::{
     calibration::{Axis, CROSSED, Calibration},
     cnc::LinearAxis,
+    gradient::Gradient,
     heat::Heat,
-    travel::{Travel, backlash},
+    travel::{Blend, Travel, backlash},
     units::{Fine, Position},
 };
 
@@ -45,17 +46,10 @@ impl AxisError {
     /// The sum, each part held to ±`largest` first; and whether a part was held.
     #[must_use]
     pub fn sum(&self, largest: Fine) -> (Fine, bool) {
-        let largest = largest.0.max(0);
-        let mut clamped = false;
-        let sum = [self.thermal, self.screw, self.guides, self.terms].into_iter().fold(
-            Fine::ZERO,
-            |sum, part| {
-                let held = part.0.clamp(largest.saturating_neg(), largest);
-                clamped |= held != part.0;
-                sum.plus(Fine(held))
-            },
-        );
-        (sum, clamped)
+        let [thermal, screw, guides, terms] =
+            [self.thermal, self.screw, self.guides, self.terms].map(|part| part.held(largest));
+        let sum = thermal.0.plus(screw.0).plus(guides.0).plus(terms.0);
+        (sum, thermal.1 | screw.1 | guides.1 | terms.1)
     }
 }
 
@@ -68,43 +62,124 @@ pub struct Errors {
     pub outside: bool,
 }
 
+/// The errors at a place, kept from message to message: what an axis that moves or a thermometer
+/// does not change is not computed again.
+///
+/// What depends on one axis costs 554 instructions on the gantry of `data/`, with two or three
+/// curves and tables (`cargo measure`).
+#[derive(Clone, Debug, Default)]
+pub struct Kept {
+    errors: Errors,
+    screws_outside: [bool; 3],
+    guides: [Guide; 6],
+}
+
+/// What a guide adds to the error across it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Guide {
+    bow: Fine,
+    tilt: Fine,
+    outside: bool,
+}
+
 impl Calibration<'_> {
     /// The errors of the axes at a place.
     #[must_use]
     pub fn errors(&self, heat: &Heat, place: &Place) -> Errors {
-        let mut errors = Errors::default();
-        for (number, (error, axis)) in errors.axes.iter_mut().zip(&self.axes).enumerate() {
-            let (Some(&position), Some(travel)) =
-                (place.position.get(number), place.travel.get(number))
-            else {
-                continue;
-            };
-            if let Some(thermal) = &axis.thermal {
-                let (constant, gradient) = heat.axis(number);
-                error.thermal = constant.plus(gradient.over(thermal.origin, position));
+        *Kept::at(self, heat, place).errors()
+    }
+}
+
+impl Kept {
+    /// The errors at a place.
+    #[must_use]
+    pub fn at(calibration: &Calibration<'_>, heat: &Heat, place: &Place) -> Self {
+        let mut kept = Self::default();
+        for axis in LinearAxis::ALL {
+            kept.moved(calibration, heat, place, axis);
+        }
+        kept
+    }
+
+    /// The errors that are kept.
+    #[must_use]
+    pub fn errors(&self) -> &Errors {
+        &self.errors
+    }
+
+    /// An axis has moved to where it stands in `place`, or has turned round.
+    pub fn moved(
+        &mut self,
+        calibration: &Calibration<'_>,
+        heat: &Heat,
+        place: &Place,
+        moved: LinearAxis,
+    ) {
+        self.warmed(calibration, heat, place, moved);
+        let screws = self.errors.axes.iter_mut().zip(&mut self.screws_outside);
+        for (((error, outside), name), axis) in screws.zip(LinearAxis::ALL).zip(&calibration.axes) {
+            // A beam's error changes where it is crossed, too.
+            if name == moved || axis.dual.is_some_and(|dual| dual.across == moved) {
+                (error.screw, *outside) = screw(axis, name, place);
             }
-            let (screw, outside) = screw(axis, position, travel, place);
-            error.screw = screw;
-            errors.outside |= outside;
         }
-        for (((along, over), curve), gradient) in
-            CROSSED.into_iter().zip(&self.straightness).zip(self.squareness)
+        let position = place.at(moved);
+        for (((guide, (_, over)), curve), gradient) in self
+            .guides
+            .iter_mut()
+            .zip(CROSSED)
+            .zip(&calibration.straightness)
+            .zip(calibration.squareness)
         {
-            let Some(error) = errors.axes.get_mut(along as usize) else { continue };
-            let position = place.at(over);
-            let (bow, outside) = curve.at(position);
-            let tilt = gradient.over(Position(0), position);
-            error.guides = error.guides.plus(bow).plus(tilt);
-            errors.outside |= outside;
+            if over == moved {
+                let (bow, outside) = curve.at(position);
+                // Most machines are square, or not measured.
+                let is_square = gradient == Gradient::ZERO;
+                let tilt =
+                    if is_square { Fine::ZERO } else { gradient.over(Position(0), position) };
+                *guide = Guide { bow, tilt, outside };
+            }
         }
-        if self.terms[0].is_some() {
-            let (terms, outside) = self.axis_terms(heat.terms(), place);
-            for (error, term) in errors.axes.iter_mut().zip(terms) {
+        // Two guides an axis, in the order of `CROSSED`.
+        for (error, pair) in self.errors.axes.iter_mut().zip(self.guides.as_chunks::<2>().0) {
+            error.guides =
+                pair.iter().fold(Fine::ZERO, |sum, guide| sum.plus(guide.bow).plus(guide.tilt));
+        }
+        self.terms_changed(calibration, heat, place);
+    }
+
+    /// An axis has moved, or a thermometer that a term follows has been read.
+    pub fn terms_changed(&mut self, calibration: &Calibration<'_>, heat: &Heat, place: &Place) {
+        let mut outside = false;
+        // Most machines have none.
+        if calibration.terms[0].is_some() {
+            let terms;
+            (terms, outside) = calibration.axis_terms(heat.terms(), place);
+            for (error, term) in self.errors.axes.iter_mut().zip(terms) {
                 error.terms = term;
             }
-            errors.outside |= outside;
         }
-        errors
+        self.errors.outside = outside
+            || self.screws_outside.contains(&true)
+            || self.guides.iter().any(|guide| guide.outside);
+    }
+
+    /// An axis has become warmer or colder.
+    pub fn warmed(
+        &mut self,
+        calibration: &Calibration<'_>,
+        heat: &Heat,
+        place: &Place,
+        warmed: LinearAxis,
+    ) {
+        let number = warmed as usize;
+        if let (Some(error), Some(axis)) =
+            (self.errors.axes.get_mut(number), calibration.axes.get(number))
+            && let Some(thermal) = &axis.thermal
+        {
+            let (constant, gradient) = heat.axis(number);
+            error.thermal = constant.plus(gradient.over(thermal.origin, place.at(warmed)));
+        }
     }
 }
 
@@ -115,8 +190,9 @@ impl Place {
 }
 
 /// Pitch and backlash of one axis; of a gantry, both drives across the beam.
-fn screw(axis: &Axis<'_>, position: Position, travel: &Travel, place: &Place) -> (Fine, bool) {
-    let blend = travel.blend();
+fn screw(axis: &Axis<'_>, name: LinearAxis, place: &Place) -> (Fine, bool) {
+    let position = place.at(name);
+    let blend = place.travel.get(name as usize).map_or(Blend::ZERO, Travel::blend);
     let (mut error, mut outside) = (Fine::ZERO, false);
     if let Some(pitch) = &axis.pitch {
         (error, outside) = pitch.at(position, blend);

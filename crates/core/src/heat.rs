@@ -62,6 +62,90 @@ impl Channel {
     }
 }
 
+/// A set of numbers from 0 to 7: channels, axes. That all of some are there is one comparison.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Numbers(u8);
+
+impl Numbers {
+    /// Takes a number in; one above 7 is in no set.
+    pub fn insert(&mut self, number: usize) {
+        self.0 |= Self::bit(number);
+    }
+
+    /// Takes a number out.
+    pub fn remove(&mut self, number: usize) {
+        self.0 &= !Self::bit(number);
+    }
+
+    /// Whether every number of `others` is in it.
+    #[must_use]
+    pub const fn has_all(self, others: Self) -> bool {
+        others.0 & !self.0 == 0
+    }
+
+    /// Whether a number of `others` is in it.
+    #[must_use]
+    pub const fn has_any(self, others: Self) -> bool {
+        others.0 & self.0 != 0
+    }
+
+    fn bit(number: usize) -> u8 {
+        u32::try_from(number).ok().and_then(|number| 1_u8.checked_shl(number)).unwrap_or(0)
+    }
+}
+
+/// The temperature channels of a board.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Channels {
+    channels: [Channel; CHANNELS],
+    known: Numbers,
+    faulty: Numbers,
+}
+
+impl Channels {
+    /// Takes what the thermometer of a channel reads, as [`Channel::hear`].
+    pub fn hear(&mut self, number: usize, reading: Option<Temperature>) {
+        let Some(channel) = self.channels.get_mut(number) else { return };
+        channel.hear(reading);
+        for (set, is_in) in [
+            (&mut self.known, channel.temperature().is_some()),
+            (&mut self.faulty, channel.is_faulty()),
+        ] {
+            if is_in { set.insert(number) } else { set.remove(number) }
+        }
+    }
+
+    /// The temperature of a channel, where there is one.
+    #[must_use]
+    pub fn temperature(&self, channel: u8) -> Option<Temperature> {
+        self.channels.get(usize::from(channel)).and_then(Channel::temperature)
+    }
+
+    /// All of them.
+    #[must_use]
+    pub fn temperatures(&self) -> [Option<Temperature>; CHANNELS] {
+        self.channels.map(|channel| channel.temperature())
+    }
+
+    /// Whether all of these have a temperature.
+    #[must_use]
+    pub fn all_known(&self, channels: Numbers) -> bool {
+        self.known.has_all(channels)
+    }
+
+    /// Whether one of these is faulty.
+    #[must_use]
+    pub fn any_faulty(&self, channels: Numbers) -> bool {
+        self.faulty.has_any(channels)
+    }
+
+    /// Whether a channel is faulty; one that does not exist is.
+    #[must_use]
+    pub fn is_faulty(&self, channel: u8) -> bool {
+        self.channels.get(usize::from(channel)).is_none_or(Channel::is_faulty)
+    }
+}
+
 /// What an axis has become by its temperature.
 #[derive(Clone, Copy, Debug, Default)]
 struct AxisHeat {
@@ -79,6 +163,8 @@ pub struct Heat {
     running: warmup::State,
     by_running_time: Fine,
     terms: Warmth,
+    /// Axes whose law has had a temperature.
+    known: Numbers,
 }
 
 impl Heat {
@@ -108,6 +194,7 @@ impl Heat {
             {
                 let lagged = step_lag(&mut heat.lag, temperature, [thermal.share, thermal.falling]);
                 (heat.constant, heat.gradient) = thermal.law.at(lagged);
+                self.known.insert(item);
             }
         } else if item == 3 {
             if let Some(spindle) = &calibration.spindle.temperature
@@ -132,14 +219,10 @@ impl Heat {
         self.axes.get(axis).map_or_else(Default::default, |heat| (heat.constant, heat.gradient))
     }
 
-    /// Whether the law of an axis has had a temperature yet; an axis without one needs none.
+    /// Whether the laws of these axes have each had a temperature yet.
     #[must_use]
-    pub fn knows(&self, calibration: &Calibration<'_>) -> bool {
-        self.axes
-            .iter()
-            .zip(&calibration.axes)
-            .all(|(heat, axis)| axis.thermal.is_none() || heat.lag.is_some())
-            && self.terms.knows(calibration)
+    pub fn knows(&self, axes: Numbers) -> bool {
+        self.known.has_all(axes)
     }
 
     /// The terms over time have begun so many steps ago.

@@ -16,12 +16,28 @@ pub struct Limits {
 }
 
 /// Picometres in a nanometre; also (nanometres a second)·milliseconds in one.
-const PICOMETRES_PER_NANOMETRE: i64 = 1_000;
+const PICOMETRES_PER_NANOMETRE: i32 = 1_000;
 
-/// The offset that is applied now, in picometres, so that the slowest slew rate (1 nm/s in a
-/// millisecond) still moves it.
+/// The offset that is applied now, kept to the picometre, so that the slowest slew rate (1 nm/s in
+/// a millisecond) still moves it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Applied([i64; 3]);
+pub struct Applied([Length; 3]);
+
+/// A length in nanometres and the rest in picometres, −500…499: the nanometres are the length
+/// rounded, and nothing has to be divided for them. (A count of picometres would need a division of
+/// 64 bits for each axis and tick, for which a Cortex-M4 has no instruction.)
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Length {
+    nanometres: Nanometres,
+    rest: i32,
+}
+
+/// How far an offset may go in a step: nanometres, and a rest of 0…999 pm.
+#[derive(Clone, Copy, Debug)]
+struct Reach {
+    nanometres: u32,
+    rest: i32,
+}
 
 /// What a step towards a target met.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -50,36 +66,101 @@ impl Applied {
     /// assert!(met.slew && !met.clamp);
     /// ```
     pub fn step(&mut self, limits: &Limits, target: [Nanometres; 3], elapsed_ms: u32) -> Met {
-        // nm/s times ms is pm.
-        let step = i64::from(limits.slew_nm_per_s).saturating_mul(i64::from(elapsed_ms));
+        let reach = Reach::of(limits.slew_nm_per_s, elapsed_ms);
         let mut met = Met::default();
         for ((applied, target), max) in self.0.iter_mut().zip(target).zip(limits.max) {
-            let max = max.0.max(0);
-            let held = target.0.clamp(max.saturating_neg(), max);
-            met.clamp |= held != target.0;
-            let goal = i64::from(held).saturating_mul(PICOMETRES_PER_NANOMETRE);
-            let change = goal.saturating_sub(*applied).clamp(step.saturating_neg(), step);
-            *applied = applied.saturating_add(change);
-            met.slew |= *applied != goal;
+            let (goal, _) = target.held(max);
+            met.clamp |= goal != target;
+            met.slew |= !applied.approach(goal, reach);
         }
         met
     }
 
     /// The offset on X, Y and Z, rounded to the nanometre.
     #[must_use]
+    #[inline]
     pub fn offset(&self) -> [Nanometres; 3] {
-        self.0.map(|picometres| {
-            let half = PICOMETRES_PER_NANOMETRE / 2;
-            Nanometres::saturating(
-                picometres.saturating_add(half).div_euclid(PICOMETRES_PER_NANOMETRE),
-            )
-        })
+        self.0.map(|length| length.nanometres)
     }
 
     /// Whether nothing is applied on any axis.
     #[must_use]
     pub fn is_zero(&self) -> bool {
-        self.0 == [0; 3]
+        *self == Self::default()
+    }
+}
+
+impl Length {
+    /// Goes towards `goal` as far as it may; whether it has arrived.
+    #[inline]
+    fn approach(&mut self, goal: Nanometres, reach: Reach) -> bool {
+        let Self { nanometres: from, rest } = *self;
+        // The rests together are less than 2 nm, and decide where the nanometres do not.
+        let arrives = match from.0.abs_diff(goal.0).checked_sub(reach.nanometres) {
+            None => true,
+            Some(0 | 1) => self.is_within(goal, reach),
+            Some(2..) => false,
+        };
+        if arrives {
+            *self = Self { nanometres: goal, rest: 0 };
+            return true;
+        }
+        let is_behind = goal < from || (goal == from && rest > 0);
+        let sign = if is_behind { -1 } else { 1 };
+        // Between where it was and its goal, so that no sum leaves its range.
+        let rest = rest.wrapping_add(reach.rest.wrapping_mul(sign));
+        let nanometres = reach.nanometres.cast_signed().wrapping_mul(sign);
+        let nanometres = from.0.wrapping_add(nanometres);
+        let (carry, back) = match rest {
+            500.. => (1, PICOMETRES_PER_NANOMETRE),
+            ..-500 => (-1, -PICOMETRES_PER_NANOMETRE),
+            _ => (0, 0),
+        };
+        *self = Self {
+            nanometres: Nanometres(nanometres.wrapping_add(carry)),
+            rest: rest.wrapping_sub(back),
+        };
+        false
+    }
+
+    /// The same question, in picometres.
+    #[cold]
+    #[inline(never)]
+    fn is_within(self, goal: Nanometres, reach: Reach) -> bool {
+        let picometres = |nanometres: i64, rest: i32| {
+            nanometres.wrapping_mul(PICOMETRES_PER_NANOMETRE.into()).wrapping_add(rest.into())
+        };
+        let way = i64::from(goal.0).wrapping_sub(self.nanometres.0.into());
+        let missing = picometres(way, self.rest.wrapping_neg());
+        let reach = picometres(reach.nanometres.into(), reach.rest);
+        (reach.wrapping_neg()..=reach).contains(&missing)
+    }
+}
+
+impl Reach {
+    /// Beyond any distance.
+    const ALL: Self = Self { nanometres: u32::MAX, rest: 999 };
+
+    /// How far something comes at this speed in this time.
+    ///
+    /// Speed and time are divided by 1000 before they are multiplied, each a word and by a
+    /// constant: (1000·w + r)·(1000·s + m) pm = w·t nm + r·s nm + r·m pm, with t = 1000·s + m.
+    #[inline]
+    #[allow(clippy::cast_possible_wrap, reason = "below 1000")]
+    fn of(slew_nm_per_s: u32, elapsed_ms: u32) -> Self {
+        const PER: u32 = PICOMETRES_PER_NANOMETRE.unsigned_abs();
+        // nm/s times ms is pm: this is 2³² nm.
+        if u64::from(slew_nm_per_s).wrapping_mul(elapsed_ms.into()) >> 32 >= u64::from(PER) {
+            return Self::ALL;
+        }
+        let (whole, rest) = (slew_nm_per_s / PER, slew_nm_per_s % PER);
+        let (seconds, milliseconds) = (elapsed_ms / PER, elapsed_ms % PER);
+        let picometres = rest.wrapping_mul(milliseconds);
+        let nanometres = whole
+            .wrapping_mul(elapsed_ms)
+            .wrapping_add(rest.wrapping_mul(seconds))
+            .wrapping_add(picometres / PER);
+        Self { nanometres, rest: (picometres % PER) as i32 }
     }
 }
 
@@ -101,6 +182,40 @@ mod tests {
             applied.step(&LIMITS, [Nanometres(900), Nanometres(-900), Nanometres(400)], 1);
         }
         assert_eq!(applied.offset(), [Nanometres(500), Nanometres(-500), Nanometres(400)]);
+    }
+
+    /// The same in one count of picometres, with a division of 64 bits.
+    fn counted(picometres: &mut i64, target: i32, reach: i64) -> i32 {
+        let missing = i64::from(target) * 1_000 - *picometres;
+        *picometres += missing.clamp(-reach, reach);
+        (*picometres + 500).div_euclid(1_000) as i32
+    }
+
+    #[test]
+    fn no_picometre_is_lost_on_any_way() {
+        for (slew_nm_per_s, elapsed_ms) in
+            [(1, 1), (68, 1), (999, 1), (1_000, 1), (1_001, 7), (499_999, 1), (u32::MAX, u32::MAX)]
+        {
+            let limits = Limits { max: [Nanometres(i32::MAX); 3], slew_nm_per_s, ..LIMITS };
+            let reach = (u64::from(slew_nm_per_s) * u64::from(elapsed_ms)).min(1 << 62) as i64;
+            let mut applied = Applied::default();
+            let mut expected = [0; 3];
+            let mut random = 1_u32;
+            for step in 0..100_000 {
+                if step % 200 == 0 {
+                    random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                }
+                // Near, far, and back again before it is reached.
+                let near = (random >> 28) as i32 - 8;
+                let target = [near, -near, (random as i32).max(-i32::MAX)];
+                applied.step(&limits, target.map(Nanometres), elapsed_ms);
+                for (axis, target) in target.into_iter().enumerate() {
+                    let offset = counted(&mut expected[axis], target, reach);
+                    assert_eq!(applied.offset()[axis].0, offset, "{slew_nm_per_s} nm/s");
+                }
+                assert_eq!(applied.is_zero(), expected == [0; 3]);
+            }
+        }
     }
 
     #[test]

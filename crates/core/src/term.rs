@@ -158,6 +158,29 @@ impl Scaled {
 pub struct Warmth {
     lags: [Option<Lag>; MOST],
     values: [Fine; MOST],
+    known: Set,
+}
+
+/// Some of the terms of a calibration. That all of them are there is one comparison.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Set(u16);
+
+impl Set {
+    /// The terms of heat, which need a temperature.
+    #[must_use]
+    pub fn of_heat(calibration: &Calibration<'_>) -> Self {
+        let mut set = Self::default();
+        for (index, term) in (0..).zip(&calibration.terms) {
+            if term.is_some_and(|term| matches!(term.effect, Effect::Heat { .. })) {
+                set.insert(index);
+            }
+        }
+        set
+    }
+
+    fn insert(&mut self, index: u32) {
+        self.0 |= 1_u16.checked_shl(index).unwrap_or(0);
+    }
 }
 
 impl Warmth {
@@ -180,6 +203,7 @@ impl Warmth {
                 if let Some(Temperature(now)) = temperature {
                     let lag = lag.get_or_insert(Lag::settled(now));
                     lag.step(now, share);
+                    self.known.insert(u32::try_from(index).unwrap_or(u32::MAX));
                     *value =
                         per_temperature.times(i64::from(lag.value().saturating_sub(reference.0)));
                 }
@@ -193,13 +217,10 @@ impl Warmth {
         }
     }
 
-    /// Whether each term of heat has had a temperature.
+    /// Whether each of these has had a temperature.
     #[must_use]
-    pub fn knows(&self, calibration: &Calibration<'_>) -> bool {
-        calibration.terms.iter().zip(&self.lags).all(|(term, lag)| {
-            let is_heat = term.is_some_and(|it| matches!(it.effect, Effect::Heat { .. }));
-            !is_heat || lag.is_some()
-        })
+    pub fn knows(&self, terms: Set) -> bool {
+        terms.0 & !self.known.0 == 0
     }
 
     fn value(&self, index: usize) -> Fine {
@@ -408,7 +429,8 @@ mod tests {
         let x = Target::Axis(LinearAxis::X);
         let calibration = with(&[(x, 0, heat), (Target::Elongation, 0, time)]);
         let mut warmth = Warmth::default();
-        assert!(!warmth.knows(&calibration));
+        let heated = Set::of_heat(&calibration);
+        assert!(!warmth.knows(heated));
         let mut temperatures = [None; CHANNELS];
         let mut heat_up = |temperatures: &_| {
             warmth.step(&calibration, 0, temperatures);
@@ -427,7 +449,7 @@ mod tests {
         near(heat_up(&temperatures), (-9.0, 4.625));
         temperatures[2] = None;
         near(heat_up(&temperatures), (-9.0, 8.0 * (1.0 - 0.75_f64.powi(4))));
-        assert!(warmth.knows(&calibration));
+        assert!(warmth.knows(heated));
     }
 
     #[test]

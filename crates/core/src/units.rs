@@ -17,10 +17,37 @@ impl Nanometres {
     pub const ZERO: Self = Self(0);
 
     /// The nearest representable length: saturates, never wraps.
+    ///
+    /// A value that fits is told by its high word, which then repeats the sign of the low one: 3
+    /// instructions, where two comparisons of 64 bits are 10.
     #[must_use]
-    pub fn saturating(value: i64) -> Self {
-        let held = value.clamp(i64::from(i32::MIN), i64::from(i32::MAX));
-        Self(i32::try_from(held).expect("clamped to the range of i32 above"))
+    #[inline]
+    #[allow(clippy::cast_possible_truncation, reason = "the two words, one by one")]
+    pub const fn saturating(value: i64) -> Self {
+        let (high, low) = ((value >> 32) as i32, value as i32);
+        let sign = high >> 31;
+        Self(if high == low >> 31 { low } else { i32::MAX ^ sign })
+    }
+
+    /// The length held to ±`largest`, which counts as 0 below 0; and whether it had to be.
+    ///
+    /// Both ends are asked for by one comparison, because nearly every length lies between them.
+    #[must_use]
+    #[inline]
+    pub fn held(self, largest: Self) -> (Self, bool) {
+        let largest = largest.0.max(0);
+        let from_lowest = self.0.wrapping_add(largest).cast_unsigned();
+        // At most 2³² − 2.
+        if from_lowest <= largest.cast_unsigned().wrapping_mul(2) {
+            (self, false)
+        } else {
+            (self.end(largest), true)
+        }
+    }
+
+    #[cold]
+    fn end(self, largest: i32) -> Self {
+        Self(if self.0 < 0 { largest.saturating_neg() } else { largest })
     }
 
     /// The same length in 1/256 nm; saturates at ±8.388 mm.
@@ -59,6 +86,14 @@ impl Fine {
     #[must_use]
     pub const fn plus(self, other: Self) -> Self {
         Self(self.0.saturating_add(other.0))
+    }
+
+    /// The value held to ±`largest`, which counts as 0 below 0; and whether it had to be.
+    #[must_use]
+    #[inline]
+    pub fn held(self, largest: Self) -> (Self, bool) {
+        let (held, beyond) = Nanometres(self.0).held(Nanometres(largest.0));
+        (Self(held.0), beyond)
     }
 
     /// The nearest nanometre, halves upwards.

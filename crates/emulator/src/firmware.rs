@@ -45,13 +45,23 @@ pub fn cargo(verb: &str, board: Board) -> Result<(Command, PathBuf)> {
     cargo_for(verb, board.feature())
 }
 
+/// As [`cargo`], for the benchmark.
+///
+/// # Errors
+/// As [`cargo`].
+pub fn cargo_measure(verb: &str) -> Result<(Command, PathBuf)> {
+    let (mut command, folder) = cargo_for(verb, "measure")?;
+    command.args(["--bin", "trueup-measure"]);
+    Ok((command, folder))
+}
+
 /// Builds the benchmark's image and gives its path.
 ///
 /// # Errors
 /// It does not compile, or there is no way to the target.
 pub fn build_measure() -> Result<PathBuf> {
-    let (mut command, folder) = cargo_for("build", "measure")?;
-    process::run(command.args(["--bin", "trueup-measure"]))?;
+    let (mut command, folder) = cargo_measure("build")?;
+    process::run(&mut command)?;
     Ok(folder.join(TARGET).join("firmware/trueup-measure"))
 }
 

@@ -11,6 +11,7 @@
 
 pub mod binary;
 pub mod board;
+pub mod call_graph;
 pub mod cnc;
 pub mod demo;
 pub mod firmware;

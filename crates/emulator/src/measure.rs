@@ -76,14 +76,23 @@ pub fn run(vectors: u32) -> Result<Measured> {
         bytes += curve.segments().len() * SEGMENT_SIZE + curve.index().len() * 2;
     }
     let at = |name: &str, place| number(&numbers, name, place);
+    let spread = |name: &str| {
+        let [min, median, max] = [at(name, 0)?, at(name, 1)?, at(name, 2)?];
+        Ok::<_, anyhow::Error>(json!({"min": min, "median": median, "max": max}))
+    };
     let worst =
         |name: &str, place| Ok::<_, anyhow::Error>(at(name, place)?.max(at(name, place + 4)?));
     let per_segment = (bytes as f64 / segments as f64 * 100.0).round() / 100.0;
     let per_sample = at("filter", 1)? as f64 / 20.0;
     let json = json!({
-        "tick_instructions": {"min": at("tick", 0)?, "median": at("tick", 1)?, "max": at("tick", 2)?},
+        "tick_instructions": spread("tick")?,
+        "hear_instructions": spread("hear")?,
+        "millisecond_instructions": spread("millisecond")?,
         "parts": {
             "filter_per_sample": per_sample,
+            "health": at("health", 1)?,
+            "window": at("window", 1)?,
+            "moved": at("moved", 1)?,
             "elongation": at("elongation", 1)?,
             "thermal": at("thermal", 1)?,
             "straightness6": at("straightness6", 1)?,

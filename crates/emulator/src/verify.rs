@@ -84,6 +84,10 @@ pub fn run() -> Result<()> {
             check(clippy.args(["--", "-D", "warnings"]))
         });
     }
+    step("clippy, benchmark", &mut || {
+        let (mut clippy, _) = firmware::cargo_measure("clippy")?;
+        check(clippy.args(["--", "-D", "warnings"]))
+    });
     step("documentation", &mut || {
         check(cargo("doc").args(["--no-deps", "--all-features"]).env("RUSTDOCFLAGS", "-D warnings"))
     });

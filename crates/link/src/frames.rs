@@ -312,7 +312,9 @@ fn nearest<const UNIT: i32>(value: i32) -> i32 {
 }
 
 fn offset_to_raw(offset: Nanometres) -> i32 {
-    nearest::<NANOMETRES_PER_BIT>(offset.0).clamp(-OFFSET_MAX_RAW, OFFSET_MAX_RAW)
+    const LARGEST: Nanometres = Nanometres(OFFSET_MAX_RAW.wrapping_mul(NANOMETRES_PER_BIT));
+    let (held, _) = offset.held(LARGEST);
+    nearest::<NANOMETRES_PER_BIT>(held.0)
 }
 
 fn offset_from_raw(raw: i32) -> Option<Nanometres> {

@@ -119,11 +119,10 @@ impl<'a> Node<'a> {
         self.last = output;
 
         let mut frames = Frames::new();
-        let offsets =
-            [frames::offset_xy(&output, self.counter), frames::offset_z(&output, self.counter)];
+        frames.extend([frames::offset_xy(&output, self.counter)]);
+        frames.extend([frames::offset_z(&output, self.counter)]);
         self.counter = self.counter.wrapping_add(1);
         self.until_heartbeat_ms = self.until_heartbeat_ms.saturating_sub(elapsed_ms);
-        frames.extend(offsets);
         if self.until_heartbeat_ms == 0 {
             self.until_heartbeat_ms = HEARTBEAT_PERIOD_MS;
             let state = match output.quality {

@@ -1,8 +1,10 @@
 //! Random lives of a node, the same on every machine: what proves that board and host compute the
 //! same to the bit.
 //!
-//! A vector is one millisecond: frames from the CNC, positions that walk and now and then jump,
-//! codes, temperatures. Every frame that the node sends goes into an FNV-1a checksum. The random
+//! A vector is one millisecond: frames from the CNC as often as the wire has them, positions that
+//! walk and now and then jump, codes, temperatures. Faults come in phases of 4 s, so long that the
+//! link is given up, the offset held, and the hold ends, and go in phases of 4 s. Every frame that
+//! the node sends goes into an FNV-1a checksum. The random
 //! numbers are xorshift32 (Marsaglia 2003, shifts 13, 17 and 5).
 
 use trueup_core::{
@@ -15,9 +17,11 @@ use trueup_core::{
     units::{Code, MicroDegrees, Position, Rpm},
 };
 
+use heapless::Vec;
+
 use crate::{
     frame::Frame,
-    frames,
+    frames::{self, CONTROL_PERIOD_MS, POSITION_PERIOD_MS, ROTARY_PERIOD_MS},
     node::{Frames, Node},
 };
 
@@ -25,6 +29,49 @@ use crate::{
 const REACH: [u32; 3] = [1_435_000_000, 301_000_000, 251_000_000];
 /// A PT100 at 20 °C in micro-ohms, and a linear chain at 20 °C in 1/256 counts.
 const COLD: [u32; 2] = [107_793_500, 1_105_920];
+
+/// Milliseconds of a phase, as a power of two: 4 s, longer than the default silence after which the
+/// CNC is lost (0.5 s) and the hold after that (2 s) together.
+const PHASE_BITS: u32 = 12;
+/// What is wrong in every other phase, in turn.
+const FAULTS: [Fault; 6] = [
+    Fault::NoPositions,
+    Fault::NoAngles,
+    Fault::SilentCnc,
+    Fault::LetsGo,
+    Fault::DeadSensor,
+    Fault::NoTemperatures,
+];
+/// Vectors until every fault has been there, with the phase before each.
+pub const ALL_FAULTS: u32 = (2 * FAULT_COUNT) << PHASE_BITS;
+#[allow(clippy::cast_possible_truncation, reason = "6")]
+const FAULT_COUNT: u32 = FAULTS.len() as u32;
+
+/// What is wrong for a while.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Fault {
+    None,
+    NoPositions,
+    NoAngles,
+    /// Neither `Control` nor `Spindle`.
+    SilentCnc,
+    /// `Engage` is not set.
+    LetsGo,
+    /// Its codes are at the upper rail.
+    DeadSensor,
+    NoTemperatures,
+}
+
+impl Fault {
+    fn at(vector: u32) -> Self {
+        let phase = vector >> PHASE_BITS;
+        let number = (phase >> 1).checked_rem(FAULT_COUNT).unwrap_or(0) as usize;
+        match FAULTS.get(number) {
+            Some(fault) if phase & 1 == 1 => *fault,
+            _ => Self::None,
+        }
+    }
+}
 
 /// A source of numbers that look random.
 #[derive(Clone, Copy, Debug)]
@@ -70,6 +117,8 @@ pub struct Vectors<'a> {
     level: u32,
     codes: [Code; CODES_PER_TICK],
     temperatures: RawTemperatures,
+    /// What the CNC sends in this millisecond.
+    sent: Vec<Frame, 6>,
     /// Of the three positions, the angles, the spindle, the control.
     counters: [u8; 6],
     checksum: u64,
@@ -88,35 +137,47 @@ impl<'a> Vectors<'a> {
             level: 700,
             codes: [Code(0); CODES_PER_TICK],
             temperatures: [Raw::NONE; CHANNELS],
+            sent: Vec::new(),
             counters: [0; 6],
             checksum: 0xcbf2_9ce4_8422_2325,
         }
     }
 
-    /// Draws the next vector; the node hears its frames.
+    /// Draws the next vector.
     pub fn prepare(&mut self) {
         self.number = self.number.wrapping_add(1);
-        // A phase of about half a second in which the CNC or a part of it is silent.
-        let fault = if self.faults { (self.number >> 9) & 15 } else { 0 };
-        for number in 0..3 {
-            if fault != 3 {
-                self.send_position(number);
-            }
+        self.sent.clear();
+        let fault = if self.faults { Fault::at(self.number) } else { Fault::None };
+        if self.is_time(POSITION_PERIOD_MS) && fault != Fault::NoPositions {
+            (0..3).for_each(|number| self.send_position(number));
         }
-        if fault != 4 {
+        if self.is_time(ROTARY_PERIOD_MS) && fault != Fault::NoAngles {
             let angles = [180_000_000, 110_000_000].map(|most| self.random.around(most));
             let angles = angles.map(MicroDegrees);
             self.send(3, |counter| frames::rotary(Rotary { angles }, counter));
         }
-        if self.number % 20 == 1 && fault != 5 {
+        if self.is_time(CONTROL_PERIOD_MS) && fault != Fault::SilentCnc {
             let speed = Rpm(18_000_u16.wrapping_add(self.level.to_le_bytes()[0].into()));
             self.send(4, |counter| frames::spindle(Spindle { speed, load_n: 0 }, counter));
-            let engage = fault != 6;
+            let engage = fault != Fault::LetsGo;
             let zero = self.faults && self.random.below(64) == 0;
             let control = Control { engage, referenced: true, zero };
             self.send(5, |counter| frames::control(control, counter));
         }
         self.sense(fault);
+    }
+
+    fn is_time(&self, period_ms: u32) -> bool {
+        self.number.checked_rem(period_ms) == Some(0)
+    }
+
+    /// The node hears the frames of the vector that was prepared.
+    #[inline]
+    pub fn hear(&mut self) {
+        for frame in &self.sent {
+            // A refusal is one of the things that are compared.
+            self.node.hear(frame).ok();
+        }
     }
 
     fn send_position(&mut self, number: usize) {
@@ -133,7 +194,7 @@ impl<'a> Vectors<'a> {
         self.send(number, |counter| frames::position(sent, counter));
     }
 
-    /// Counts, builds, at times damages, and lets the node hear a frame.
+    /// Counts, builds, and at times damages a frame.
     fn send(&mut self, number: usize, build: impl FnOnce(u8) -> Frame) {
         let Some(counter) = self.counters.get_mut(number) else { return };
         let mut frame = build(*counter);
@@ -144,14 +205,14 @@ impl<'a> Vectors<'a> {
             *last ^= 0x40;
             frame = Frame::new(frame.id(), &data).unwrap_or(frame);
         }
-        // A refusal is one of the things that are compared.
-        self.node.hear(&frame).ok();
+        // There is room for one of each kind.
+        self.sent.push(frame).ok();
     }
 
-    fn sense(&mut self, fault: u32) {
+    fn sense(&mut self, fault: Fault) {
         let random = &mut self.random;
         self.level = self.level.wrapping_add_signed(random.around(4)).clamp(100, 3_900);
-        let level = if fault == 7 { 4_095 } else { self.level };
+        let level = if fault == Fault::DeadSensor { 4_095 } else { self.level };
         let noise = random.next();
         for (bit, code) in self.codes.iter_mut().enumerate() {
             let [low, high, ..] = level
@@ -164,7 +225,7 @@ impl<'a> Vectors<'a> {
             // Up to 40 K: 0.3851 Ω in a kelvin, 16 counts of 256.
             let (cold, span) = if number == 1 { (linear, 163_840) } else { (pt100, 15_404_000) };
             let raw = cold.wrapping_add(random.below(span)).cast_signed();
-            *temperature = if fault == 8 { Raw::NONE } else { Raw(raw) };
+            *temperature = if fault == Fault::NoTemperatures { Raw::NONE } else { Raw(raw) };
         }
     }
 
@@ -206,6 +267,7 @@ pub fn checksum(calibration: Calibration<'_>, vectors: u32) -> u64 {
     let mut run = Vectors::new(calibration, 0x7275_6574, true);
     for _ in 0..vectors {
         run.prepare();
+        run.hear();
         let frames = run.tick();
         run.take(&frames);
     }

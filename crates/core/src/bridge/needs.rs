@@ -1,0 +1,91 @@
+//! The inputs without which a calibration cannot be followed.
+
+use crate::{
+    calibration::{CROSSED, Calibration, Source},
+    cnc::LinearAxis,
+    heat::Numbers,
+    term::{self, Effect, Target},
+    units::Fine,
+};
+
+/// What has to be there, found out once and not in every tick.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Needs {
+    /// How old the position of an axis may be, in milliseconds; for ever where nothing depends on
+    /// it.
+    pub position_ms: [u32; 3],
+    /// The angles of the head.
+    pub rotary: bool,
+    /// Channels of the axes; that of the spindle is one source among others.
+    pub temperatures: Numbers,
+    /// Axes with a law over temperature.
+    pub laws: Numbers,
+    /// Whether the sensor is one of the sources of the elongation.
+    pub sensor: bool,
+    /// The spindle's speed and load, from the CNC.
+    pub turning: bool,
+    /// Terms that follow a temperature.
+    pub warmth: term::Set,
+    /// Whether there are terms of the elongation.
+    pub terms: bool,
+    /// The source of the elongation that is asked first.
+    pub first: Option<Source>,
+}
+
+impl Needs {
+    pub fn of(calibration: &Calibration<'_>) -> Self {
+        let chain = calibration.spindle.chain;
+        let terms = || calibration.terms.iter().flatten();
+        let of_elongation = terms().any(|term| term.target == Target::Elongation);
+        let mut needs = Self {
+            rotary: calibration.kinematics.axes.iter().any(Option::is_some)
+                && (of_elongation || chain.iter().any(Option::is_some)),
+            turning: terms().any(|it| matches!(it.effect, Effect::Speed(_) | Effect::Load(_))),
+            warmth: term::Set::of_heat(calibration),
+            terms: of_elongation,
+            sensor: chain.contains(&Some(Source::Sensor)),
+            position_ms: [u32::MAX; 3],
+            first: chain.into_iter().flatten().next(),
+            ..Self::default()
+        };
+        let mut position = |axis: LinearAxis| {
+            if let Some(longest) = needs.position_ms.get_mut(axis as usize) {
+                *longest = calibration.limits.link_timeout_ms;
+            }
+        };
+        for (axis, name) in calibration.axes.iter().zip(LinearAxis::ALL) {
+            let moves = axis.thermal.is_some_and(|thermal| thermal.law.depends_on_position());
+            if moves || axis.pitch.is_some() || axis.dual.is_some() || axis.backlash != Fine::ZERO {
+                position(name);
+            }
+            if let Some(dual) = &axis.dual {
+                position(dual.across);
+            }
+        }
+        for (((_, over), curve), gradient) in
+            CROSSED.into_iter().zip(&calibration.straightness).zip(&calibration.squareness)
+        {
+            if !curve.is_empty() || gradient.0 != 0 {
+                position(over);
+            }
+        }
+        for term in terms() {
+            match (term.effect, term.target) {
+                (Effect::Position { axis, .. } | Effect::Curve { axis, .. }, _)
+                | (
+                    Effect::Reversed { .. } | Effect::Table(_) | Effect::Wave { .. },
+                    Target::Axis(axis),
+                ) => position(axis),
+                (Effect::Heat { channel, .. }, _) => needs.temperatures.insert(channel.into()),
+                _ => {}
+            }
+        }
+        for (number, axis) in calibration.axes.iter().enumerate() {
+            if let Some(thermal) = &axis.thermal {
+                needs.temperatures.insert(thermal.channel.into());
+                needs.laws.insert(number);
+            }
+        }
+        needs
+    }
+}

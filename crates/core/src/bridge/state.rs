@@ -1,0 +1,222 @@
+//! What the bridge remembers from tick to tick.
+
+use crate::{
+    bridge::{Course, SAMPLES_TIMEOUT_MS},
+    cnc::{AxisPosition, Control, Spindle},
+    filter::Filter,
+    geometry::{Errors, Kept, Place},
+    health::{Health, Noise},
+    heat::{Channels, Heat, RawTemperatures},
+    limits::Applied,
+    tool::Direction,
+    travel,
+    units::{Fine, MicroDegrees, Millis, Nanometres, Temperature},
+};
+
+/// What the bridge remembers from tick to tick.
+#[derive(Clone, Debug, Default)]
+pub struct State {
+    pub(super) now: Millis,
+    pub(super) health: Health,
+    pub(super) filter: Filter,
+    pub(super) control: Heard<Control>,
+    pub(super) spindle: Heard<Spindle>,
+    /// The angles of the head, and where they point the tool.
+    pub(super) tool: Heard<([MicroDegrees; 2], Direction)>,
+    pub(super) place: Place,
+    pub(super) position_age: [Age; 3],
+    /// Whether the CNC was ever heard: silence is a loss only after that.
+    pub(super) cnc_known: bool,
+    pub(super) codes_age: Age,
+    /// By the sensor.
+    pub(super) elongation: Option<Nanometres>,
+    pub(super) elongation_age: Age,
+    pub(super) believable: bool,
+    pub(super) raw: RawTemperatures,
+    pub(super) raw_age: Age,
+    pub(super) channels: Channels,
+    pub(super) heat: Heat,
+    /// Milliseconds of the present step of the heat.
+    pub(super) phase_ms: u32,
+    /// The errors of the axes as they are now; `None` until they are first asked for.
+    pub(super) axes: Option<(Kept, AxisErrors)>,
+    pub(super) reference: Reference,
+    /// How long ago the offset was last live; `None` if it is not to be held.
+    live_age: Option<Age>,
+    pub(super) applied: Applied,
+}
+
+/// The error that counts as none: what `Zero` has taken.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Reference {
+    /// Of the tool: it turns with it.
+    pub elongation: Nanometres,
+    /// Of X, Y and Z.
+    pub axes: [Fine; 3],
+}
+
+/// The errors of X, Y and Z, before the reference.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct AxisErrors {
+    pub sums: [Fine; 3],
+    /// A part was held at its limit.
+    pub clamped: bool,
+    /// A position lies outside a table.
+    pub outside: bool,
+}
+
+impl AxisErrors {
+    /// The sums of these, each part held to its axis' largest.
+    pub fn of(errors: &Errors, largest: [Fine; 3]) -> Self {
+        let mut all = Self { sums: [Fine::ZERO; 3], clamped: false, outside: errors.outside };
+        for ((sum, error), largest) in all.sums.iter_mut().zip(&errors.axes).zip(largest) {
+            let (held, clamped) = error.sum(largest);
+            *sum = held;
+            all.clamped |= clamped;
+        }
+        all
+    }
+}
+
+/// Milliseconds since something happened; stays at its largest value, where it also begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Age(u32);
+
+impl Default for Age {
+    fn default() -> Self {
+        Self(u32::MAX)
+    }
+}
+
+impl Age {
+    pub const NEW: Self = Self(0);
+
+    fn grow(&mut self, elapsed_ms: u32) {
+        self.0 = self.0.saturating_add(elapsed_ms);
+    }
+
+    pub fn is_above(self, ms: u32) -> bool {
+        self.0 > ms
+    }
+
+    /// As it is sent: 255 stands for all beyond.
+    pub fn byte(self) -> u8 {
+        u8::try_from(self.0).unwrap_or(u8::MAX)
+    }
+}
+
+/// The last message of a kind, with its age.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Heard<T> {
+    value: Option<T>,
+    age: Age,
+}
+
+impl<T> Default for Heard<T> {
+    fn default() -> Self {
+        Self { value: None, age: Age::default() }
+    }
+}
+
+impl<T: Copy> Heard<T> {
+    /// What it says, until it is too old.
+    pub fn value(&self, timeout_ms: u32) -> Option<T> {
+        if self.age.is_above(timeout_ms) { None } else { self.value }
+    }
+
+    /// What it says, however old.
+    pub fn latest(&self) -> Option<T> {
+        self.value
+    }
+
+    pub fn hear(&mut self, value: T) {
+        *self = Self { value: Some(value), age: Age::NEW };
+    }
+}
+
+impl State {
+    /// The time of the last tick.
+    #[must_use]
+    pub fn now(&self) -> Millis {
+        self.now
+    }
+
+    /// The newest elongation by the sensor, before reference and limits.
+    #[must_use]
+    pub fn elongation(&self) -> Option<Nanometres> {
+        self.elongation
+    }
+
+    /// The temperature of a channel, where one is connected and believable.
+    #[must_use]
+    pub fn temperature(&self, channel: u8) -> Option<Temperature> {
+        self.channels.temperature(channel)
+    }
+
+    /// The error that counts as none.
+    #[must_use]
+    pub fn reference(&self) -> Reference {
+        self.reference
+    }
+
+    /// Takes up a reference that was stored.
+    pub fn set_reference(&mut self, reference: Reference) {
+        self.reference = reference;
+    }
+
+    /// The noise of the raw codes since the last call.
+    pub fn take_noise(&mut self) -> Noise {
+        self.health.take_noise()
+    }
+
+    /// Takes a position; whether the axis has moved or turned round.
+    pub(super) fn hear_position(&mut self, heard: AxisPosition, config: &travel::Config) -> bool {
+        let number = heard.axis as usize;
+        let (Some(position), Some(travel), Some(age)) = (
+            self.place.position.get_mut(number),
+            self.place.travel.get_mut(number),
+            self.position_age.get_mut(number),
+        ) else {
+            return false;
+        };
+        *age = Age::NEW;
+        let before = (*position, travel.blend());
+        *position = heard.position;
+        travel.update(config, heard.position, heard.direction as i8);
+        before != (*position, travel.blend())
+    }
+
+    pub(super) fn grow_older(&mut self, elapsed_ms: u32) {
+        self.control.age.grow(elapsed_ms);
+        self.spindle.age.grow(elapsed_ms);
+        self.tool.age.grow(elapsed_ms);
+        for age in &mut self.position_age {
+            age.grow(elapsed_ms);
+        }
+        self.codes_age.grow(elapsed_ms);
+        self.elongation_age.grow(elapsed_ms);
+        self.raw_age.grow(elapsed_ms);
+        if let Some(age) = &mut self.live_age {
+            age.grow(elapsed_ms);
+        }
+    }
+
+    pub(super) fn sensor_is_fresh(&self) -> bool {
+        self.elongation.is_some()
+            && self.believable
+            && !self.elongation_age.is_above(SAMPLES_TIMEOUT_MS)
+    }
+
+    /// Decides where the offset goes, and remembers when it was last live.
+    pub(super) fn course(&mut self, control: Option<Control>, fresh: bool, hold_ms: u32) -> Course {
+        if control.is_some_and(|control| !(control.engage && control.referenced)) {
+            self.live_age = None;
+        } else if control.is_some() && fresh {
+            self.live_age = Some(Age::NEW);
+            return Course::Follow;
+        } else if self.live_age.is_some_and(|age| !age.is_above(hold_ms)) {
+            return Course::Hold;
+        }
+        Course::RampOut
+    }
+}

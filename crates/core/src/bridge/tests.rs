@@ -1,0 +1,452 @@
+//! The bridge as a whole, tick by tick: what each row of its table promises.
+
+use super::*;
+use crate::{
+    calibration::AxisThermal,
+    cnc::{AxisPosition, Control, Heading, LinearAxis, Spindle},
+    kinematics::{self, Kinematics},
+    lag::Share,
+    limits::Limits,
+    sensor::{SensorLaw, Slope},
+    thermal::Law,
+    thermometer::{Raw, Thermometer},
+    units::{MicroDegrees, Position, Reading},
+};
+
+/// A machine with nothing but limits.
+fn plain() -> Calibration<'static> {
+    Calibration {
+        thermometers: [None; CHANNELS],
+        spindle: Default::default(),
+        kinematics: Kinematics { zero: Direction::DOWN, axes: [None; 2] },
+        axes: Default::default(),
+        straightness: Default::default(),
+        squareness: Default::default(),
+        terms: Default::default(),
+        limits: Limits {
+            max: [Nanometres(200_000), Nanometres(200_000), Nanometres(500_000)],
+            slew_nm_per_s: 1_000_000,
+            link_timeout_ms: 500,
+            hold_ms: 2_000,
+        },
+    }
+}
+
+/// 1024 nm a code exactly, zero at code 1000, 1 µm in a millisecond.
+fn calibration() -> Calibration<'static> {
+    let mut calibration = plain();
+    calibration.spindle.chain[0] = Some(Source::Sensor);
+    calibration.spindle.sensor =
+        SensorLaw { k0: Nanometres(0), zero: Reading(1000 << 10), slope: Slope(1 << 28) };
+    calibration
+}
+const ENGAGED: Control = Control { engage: true, referenced: true, zero: false };
+
+/// A bridge with the hand that feeds it.
+struct Rig {
+    bridge: Bridge<'static>,
+    state: State,
+    now: Millis,
+    last: Output,
+}
+
+impl Rig {
+    fn new(calibration: Calibration<'static>) -> Self {
+        Self {
+            bridge: Bridge::new(calibration),
+            state: State::default(),
+            now: Millis(0),
+            last: Output::default(),
+        }
+    }
+
+    fn control(&mut self, control: Control) {
+        self.bridge.hear(&mut self.state, Command::Control(control));
+    }
+
+    fn tick(&mut self, codes: Option<[Code; CODES_PER_TICK]>) -> Output {
+        self.now = self.now.after(1);
+        let input = Input { codes: codes.as_ref(), speed: Some(Rpm(24_000)), temperatures: None };
+        self.last = self.bridge.tick(&mut self.state, self.now, input);
+        self.last
+    }
+
+    /// Codes that are alive but average to `code`.
+    fn run(&mut self, ms: u32, code: u16) -> Output {
+        for _ in 0..ms {
+            let codes = core::array::from_fn(|n| match n % 4 {
+                0 => Code(code - 1),
+                2 => Code(code + 1),
+                _ => Code(code),
+            });
+            self.tick(Some(codes));
+        }
+        self.last
+    }
+
+    /// The same, with a `Control` every 20 ms.
+    fn run_engaged(&mut self, ms: u32, code: u16) -> Output {
+        for n in 0..ms {
+            if n % 20 == 0 {
+                self.control(ENGAGED);
+            }
+            self.run(1, code);
+        }
+        self.last
+    }
+
+    fn z_nm(&self) -> i32 {
+        self.last.offset.expect("available")[2].0
+    }
+}
+
+#[test]
+fn a_spindle_that_grows_is_lifted() {
+    let mut rig = Rig::new(calibration());
+    // 50 codes are 51.2 µm of growth: the tool tip is too low, the offset goes up.
+    let output = rig.run_engaged(200, 1050);
+    assert_eq!(output.quality, Quality::Live);
+    assert_eq!(output.offset, Some([Nanometres(0), Nanometres(0), Nanometres(51_200)]));
+    assert_eq!(output.flags, Flags::NONE);
+    assert_eq!(output.age_ms, 0);
+}
+
+#[test]
+fn nothing_is_engaged_before_the_first_control() {
+    let mut rig = Rig::new(calibration());
+    let output = rig.run(5_000, 1050);
+    assert_eq!((output.quality, output.offset), (Quality::Off, Some([Nanometres(0); 3])));
+    assert!(!output.flags.contains(Flags::CNC_LOST), "what was never there is not lost");
+}
+
+#[test]
+fn it_takes_both_engage_and_referenced() {
+    for (engage, referenced) in [(true, false), (false, true), (false, false)] {
+        let mut rig = Rig::new(calibration());
+        for _ in 0..20 {
+            rig.control(Control { engage, referenced, zero: false });
+            rig.run(20, 1050);
+        }
+        assert_eq!(rig.last.quality, Quality::Off);
+        assert_eq!(rig.z_nm(), 0);
+    }
+}
+
+#[test]
+fn engaging_and_disengaging_ramp_at_the_slew_limit_and_say_so() {
+    let mut rig = Rig::new(calibration());
+    rig.run(100, 1050);
+    let mut before = 0;
+    for ms in 1..=52 {
+        rig.run_engaged(1, 1050);
+        assert!((rig.z_nm() - before).abs() <= 1_000, "at {ms} ms");
+        assert_eq!(rig.last.flags.contains(Flags::SLEWING), ms < 52);
+        before = rig.z_nm();
+    }
+    assert_eq!(before, 51_200);
+    rig.control(Control { engage: false, ..ENGAGED });
+    for left in (0..=51).rev() {
+        rig.run(1, 1050);
+        assert_eq!(
+            rig.last.quality,
+            if left > 0 || rig.z_nm() > 0 { Quality::RampingOut } else { Quality::Off }
+        );
+    }
+    assert_eq!((rig.z_nm(), rig.last.quality), (0, Quality::Off));
+}
+
+#[test]
+fn a_silent_cnc_is_lost_after_500_ms_held_for_2_s_and_ramped_out() {
+    let mut rig = Rig::new(calibration());
+    rig.run_engaged(200, 1050);
+    rig.control(ENGAGED);
+    rig.run(500, 1050);
+    assert_eq!(rig.last.quality, Quality::Live);
+    rig.run(1, 1050);
+    assert_eq!(rig.last.quality, Quality::Hold);
+    assert!(rig.last.flags.contains(Flags::CNC_LOST));
+    // While it is held the spindle may grow as it likes.
+    rig.run(1_999, 1090);
+    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::Hold, 51_200));
+    rig.run(1, 1090);
+    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::RampingOut, 50_200));
+    rig.run(60, 1090);
+    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::Off, 0));
+    assert!(rig.last.flags.contains(Flags::CNC_LOST));
+    // It comes back: no jump.
+    rig.run_engaged(1, 1090);
+    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::Live, 1_000));
+    assert!(!rig.last.flags.contains(Flags::CNC_LOST));
+}
+
+#[test]
+fn a_broken_wire_holds_then_ramps_out_then_is_not_available() {
+    let mut rig = Rig::new(calibration());
+    rig.run_engaged(200, 1050);
+    for ms in 1..=2_100_u32 {
+        if ms % 20 == 0 {
+            rig.control(ENGAGED);
+        }
+        let before = rig.last.offset.map_or(0, |offset| offset[2].0);
+        rig.tick(Some([Code(0); CODES_PER_TICK]));
+        let after = rig.last.offset.map_or(0, |offset| offset[2].0);
+        assert!((after - before).abs() <= 1_000, "a jump at {ms} ms");
+        assert!(rig.last.flags.contains(Flags::SENSOR_FAULT));
+        if ms <= 2_000 {
+            assert_eq!((rig.last.quality, after), (Quality::Hold, 51_200), "at {ms} ms");
+        }
+    }
+    assert_eq!((rig.last.quality, rig.last.offset), (Quality::Fault, None));
+    assert_eq!(rig.last.age_ms, 255);
+    // The wire is mended: 10 ms of good codes and a full filter later it ramps in again.
+    rig.run_engaged(13, 1050);
+    assert_ne!(rig.last.quality, Quality::Live);
+    rig.run_engaged(1, 1050);
+    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::Live, 1_000));
+    rig.run_engaged(60, 1050);
+    assert_eq!(rig.z_nm(), 51_200);
+}
+
+#[test]
+fn missing_samples_are_flagged_held_and_end_in_not_available() {
+    let mut rig = Rig::new(calibration());
+    rig.run_engaged(200, 1050);
+    let mut hold_ends = 0;
+    for ms in 1..=2_200_u32 {
+        rig.control(ENGAGED);
+        rig.tick(None);
+        assert_eq!(rig.last.flags.contains(Flags::SAMPLES_MISSING), ms > SAMPLES_TIMEOUT_MS);
+        if rig.last.quality == Quality::Hold {
+            hold_ends = ms;
+        }
+    }
+    assert_eq!(hold_ends, SAMPLES_TIMEOUT_MS + 2_000);
+    assert_eq!((rig.last.quality, rig.last.offset), (Quality::Fault, None));
+}
+
+#[test]
+fn a_board_without_samples_is_not_available_from_the_first_tick() {
+    let mut rig = Rig::new(calibration());
+    let output = rig.tick(None);
+    assert_eq!((output.quality, output.offset), (Quality::Fault, None));
+    assert_eq!((output.flags, output.age_ms), (Flags::SAMPLES_MISSING, 255));
+}
+
+#[test]
+fn zero_takes_the_present_growth_as_reference_by_a_ramp() {
+    let mut rig = Rig::new(calibration());
+    rig.run_engaged(200, 1050);
+    rig.control(Control { zero: true, ..ENGAGED });
+    rig.run(1, 1050);
+    assert_eq!(rig.z_nm(), 50_200, "one step at the slew limit");
+    rig.run(60, 1050);
+    assert_eq!(rig.z_nm(), 0);
+    // 10 codes more are 10.24 µm since the reference; the bit that stays set does nothing.
+    rig.control(Control { zero: true, ..ENGAGED });
+    rig.run(60, 1060);
+    assert_eq!(rig.z_nm(), 10_240);
+}
+
+#[test]
+fn a_cnc_that_starts_with_zero_set_has_asked_for_nothing() {
+    let mut rig = Rig::new(calibration());
+    rig.run(100, 1050);
+    rig.control(Control { zero: true, ..ENGAGED });
+    rig.run(100, 1050);
+    assert_eq!(rig.z_nm(), 51_200);
+}
+
+#[test]
+fn the_clamp_is_told() {
+    let mut rig = Rig::new(calibration());
+    let output = rig.run_engaged(900, 1900);
+    assert_eq!(rig.z_nm(), 500_000);
+    assert!(output.flags.contains(Flags::CLAMPED));
+}
+
+#[test]
+fn without_a_speed_the_window_is_200_ms_and_it_says_so() {
+    let mut rig = Rig::new(calibration());
+    for ms in 0..450_u16 {
+        let codes = core::array::from_fn(|n| Code(1000 + (n % 2) as u16 + ms % 2));
+        let input = Input { codes: Some(&codes), ..Input::default() };
+        let output = rig.bridge.tick(&mut rig.state, Millis(u32::from(ms) + 1), input);
+        assert!(output.flags.contains(Flags::SPEED_UNKNOWN));
+        assert_eq!(rig.state.elongation().is_some(), ms >= 399, "at {ms} ms");
+    }
+}
+
+#[test]
+fn the_speed_of_the_cnc_wins_while_it_is_fresh() {
+    let mut rig = Rig::new(calibration());
+    let spindle = Spindle { speed: Rpm(60_000), load_n: 0 };
+    rig.bridge.hear(&mut rig.state, Command::Spindle(spindle));
+    for ms in 1..=3 {
+        let codes = core::array::from_fn(|n| Code(1000 + (n % 2) as u16));
+        rig.bridge.tick(
+            &mut rig.state,
+            Millis(ms),
+            Input { codes: Some(&codes), ..Input::default() },
+        );
+    }
+    // Two windows of 5 samples are full after 2 ms; two of 200 ms would not be.
+    assert!(rig.state.elongation().is_some());
+}
+
+/// 100 µm/m per kelvin above 20 °C at X, seen by a chain of 1 count a kelvin on channel 3.
+const LAW: [[u8; 20]; 1] = [piece_bytes()];
+
+const fn piece_bytes() -> [u8; 20] {
+    // 1e-3 nm per position unit and kelvin, Q36, 1.024 K, Q4: 1 125 899 906.8.
+    let words = [20 * 4_096_000, 0, 0, 0, 1_125_899_907_i32];
+    let mut bytes = [0; 20];
+    let mut n = 0;
+    while n < 20 {
+        bytes[n] = words[n / 4].to_le_bytes()[n % 4];
+        n += 1;
+    }
+    bytes
+}
+
+fn expanding() -> Calibration<'static> {
+    let mut calibration = plain();
+    // One count a kelvin: 16 000 units per 1/256 count.
+    calibration.thermometers[3] = Some(Thermometer::Linear { zero: 0, slope: 16_000, shift: 0 });
+    let law = Law { pieces: &LAW };
+    calibration.axes[0].thermal = Some(AxisThermal {
+        channel: 3,
+        share: Share::ALL,
+        falling: Share::ALL,
+        origin: Position(0),
+        law,
+    });
+    calibration
+}
+
+fn warm(rig: &mut Rig, ms: u32, kelvin: Option<i32>, x_mm: i32) -> Output {
+    for _ in 0..ms {
+        rig.control(ENGAGED);
+        rig.bridge.hear(
+            &mut rig.state,
+            Command::Position(AxisPosition {
+                axis: LinearAxis::X,
+                position: Position(x_mm * Position::PER_MILLIMETRE),
+                direction: Heading::Positive,
+            }),
+        );
+        let mut raw = [Raw::NONE; CHANNELS];
+        raw[3] = kelvin.map_or(Raw::NONE, |kelvin| Raw(kelvin * 256));
+        rig.now = rig.now.after(1);
+        let input = Input { temperatures: Some(&raw), speed: Some(Rpm(0)), codes: None };
+        rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
+    }
+    rig.last
+}
+
+#[test]
+fn an_axis_that_has_grown_is_taken_back_along_itself() {
+    let mut rig = Rig::new(expanding());
+    // 1 K and 1 m: +100 µm of error, so the offset is −100 µm; and it needs no sensor.
+    let output = warm(&mut rig, 300, Some(21), 1_000);
+    assert_eq!(output.offset, Some([Nanometres(-100_000), Nanometres(0), Nanometres(0)]));
+    assert_eq!((output.quality, output.flags), (Quality::Live, Flags::NONE));
+    // On the other side of the origin the error turns round.
+    let output = warm(&mut rig, 300, Some(21), -1_000);
+    assert_eq!(output.offset, Some([Nanometres(100_000), Nanometres(0), Nanometres(0)]));
+}
+
+#[test]
+fn a_part_beyond_its_limit_is_held_and_told() {
+    let mut rig = Rig::new(expanding());
+    let output = warm(&mut rig, 500, Some(24), 1_000);
+    assert_eq!(output.offset, Some([Nanometres(-200_000), Nanometres(0), Nanometres(0)]));
+    assert!(output.flags.contains(Flags::CLAMPED));
+}
+
+#[test]
+fn a_broken_thermometer_holds_then_ramps_out_then_is_not_available() {
+    let mut rig = Rig::new(expanding());
+    warm(&mut rig, 300, Some(21), 1_000);
+    // A spark of 300 ms is nothing; the fourth bad reading is a fault.
+    let output = warm(&mut rig, 299, None, 1_000);
+    assert_eq!((output.quality, output.flags), (Quality::Live, Flags::NONE));
+    let output = warm(&mut rig, 200, None, 1_000);
+    assert_eq!(output.quality, Quality::Hold);
+    assert!(output.flags.contains(Flags::SENSOR_FAULT));
+    assert_eq!(output.offset.unwrap()[0], Nanometres(-100_000));
+    let output = warm(&mut rig, 2_500, None, 1_000);
+    assert_eq!((output.quality, output.offset), (Quality::Fault, None));
+    let output = warm(&mut rig, 500, Some(21), 1_000);
+    assert_eq!(output.quality, Quality::Live);
+}
+
+#[test]
+fn without_the_position_that_it_needs_it_does_not_follow_and_says_that_the_cnc_is_lost() {
+    let mut rig = Rig::new(expanding());
+    warm(&mut rig, 300, Some(21), 1_000);
+    for _ in 0..501 {
+        rig.control(ENGAGED);
+        rig.tick(None);
+    }
+    assert_eq!(rig.last.quality, Quality::Hold);
+    assert!(rig.last.flags.contains(Flags::CNC_LOST));
+}
+
+#[test]
+fn zero_takes_all_of_the_present_error() {
+    let mut rig = Rig::new(expanding());
+    warm(&mut rig, 300, Some(21), 1_000);
+    rig.control(Control { zero: true, ..ENGAGED });
+    let output = warm(&mut rig, 300, Some(21), 1_000);
+    assert_eq!(output.offset, Some([Nanometres(0); 3]));
+    // 200 µm at 2 m, of which 100 count as none.
+    let output = warm(&mut rig, 300, Some(21), 2_000);
+    assert_eq!(output.offset, Some([Nanometres(-100_000), Nanometres(0), Nanometres(0)]));
+    let reference = rig.state.reference();
+    assert_eq!(reference.axes, [Fine(25_600_000), Fine(0), Fine(0)]);
+}
+
+#[test]
+fn a_tilted_head_takes_growth_to_both_axes() {
+    let mut machine = calibration();
+    machine.kinematics.axes = [Some(kinematics::Axis::A), None];
+    let mut rig = Rig::new(machine);
+    // Without an angle nobody knows where the tool points.
+    assert_eq!(rig.run_engaged(200, 1050).quality, Quality::Off);
+    for _ in 0..300 {
+        let angles = [MicroDegrees(30_000_000), MicroDegrees(0)];
+        rig.bridge.hear(&mut rig.state, Command::Rotary(Rotary { angles }));
+        rig.run_engaged(1, 1100);
+    }
+    // 102.4 µm along (0, 0.5, −0.866): error (0, 51.2, −88.681), offset its opposite.
+    let expected = [Nanometres(0), Nanometres(-51_200), Nanometres(88_681)];
+    assert_eq!(rig.last.offset, Some(expected));
+}
+
+#[test]
+fn a_lost_sensor_is_followed_by_the_next_source_without_a_jump() {
+    let mut machine = calibration();
+    machine.spindle.chain[1] = Some(Source::Warmup);
+    machine.spindle.warmup = Some(crate::calibration::Warmup {
+        law: crate::warmup::Warmup {
+            lag_ms: 0,
+            max: Nanometres(30_000).fine(),
+            share_heat: Share::ALL,
+            share_cool: Share::ALL,
+            full: 1 << crate::warmup::Warmup::FULL_FRACTION_BITS,
+        },
+        power: Default::default(),
+    });
+    let mut rig = Rig::new(machine);
+    rig.run_engaged(200, 1050);
+    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::Live, 51_200));
+    let mut before = 51_200;
+    for _ in 0..100 {
+        rig.control(ENGAGED);
+        rig.tick(Some([Code(0); CODES_PER_TICK]));
+        assert!((rig.z_nm() - before).abs() <= 1_000);
+        before = rig.z_nm();
+    }
+    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::WarmUpModel, 30_000));
+    assert!(rig.last.flags.contains(Flags::SENSOR_FAULT));
+}
