@@ -44,6 +44,13 @@ enum Command {
     Size,
     /// Counts instructions on the emulated board, and compares its frames with the host's.
     Measure,
+    /// Hides each effect in the virtual machine's data, and counts how often it is named right: the
+    /// long run, some minutes to an hour.
+    Scorecard {
+        /// Draws of each effect.
+        #[arg(default_value_t = 20)]
+        seeds: u32,
+    },
     /// Gets what this machine lacks: target, QEMU, Python clients.
     Setup,
 }
@@ -96,6 +103,7 @@ fn main() -> ExitCode {
         Command::Virtual(options) => run_virtual(options),
         Command::Size => size::report().map(|report| print!("{report}")),
         Command::Measure => measure::run(measure::VECTORS).and_then(|measured| measured.publish()),
+        Command::Scorecard { seeds } => verify::scorecard(seeds),
         Command::Setup => setup::everything(),
     };
     match result {

@@ -120,6 +120,19 @@ pub fn run() -> Result<()> {
     Ok(())
 }
 
+/// The diagnosis tried on `seeds` draws of each hidden effect, at three ratios of effect to noise.
+///
+/// # Errors
+/// It does not build or does not run through.
+pub fn scorecard(seeds: u32) -> Result<()> {
+    for ratio in ["1", "3", "10"] {
+        println!("\neffect to noise {ratio}, {seeds} draws of each");
+        let example = ["--release", "-p", "trueup-diagnose", "--example", "scorecard", "--"];
+        process::run(cargo("run").args(example).arg(ratio).arg(seeds.to_string()))?;
+    }
+    Ok(())
+}
+
 fn cargo(verb: &str) -> Command {
     let mut command = Command::new(std::env::var_os("CARGO").unwrap_or("cargo".into()));
     command.arg(verb).current_dir(setup::root());
