@@ -164,6 +164,24 @@ mod tests {
     }
 
     #[test]
+    fn the_papers_current_heats_its_own_thermometer_above_the_chains_resolution() {
+        // A PT100 at 0 °C becomes warmer by 0.02 K for each mW where it is well coupled to moving
+        // oil, by 0.4 K in still air.
+        let coupling_k_per_mw = [0.02, 0.4];
+        let heats = |milliamperes: f64| {
+            let milliwatts = milliamperes * milliamperes * 100.0 / 1_000.0;
+            coupling_k_per_mw.map(|per_mw| per_mw * milliwatts)
+        };
+        // The listing's 5 mV/K come from 12.5 mA, which are 15.6 mW: 0.3 to 6 K too warm, and a
+        // step of the chain is 1/16 K.
+        let [well, badly] = heats(12.5);
+        assert!((well - 0.3125).abs() < 1e-12 && (badly - 6.25).abs() < 1e-12);
+        assert!(well > 1.0 / 16.0);
+        // Right is at most 1 mA, whose error stays below a step even in air.
+        assert!(heats(1.0)[1] < 1.0 / 16.0);
+    }
+
+    #[test]
     fn linear_chains_of_any_gain_and_either_sign_are_right_all_over() {
         let mut worst = 0.0_f64;
         for counts_per_c in [0.1, 0.37, 1.0, 9.99, 16.0, 27.648, 100.0, 1234.5, 10_000.0] {

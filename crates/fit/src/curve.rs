@@ -65,6 +65,7 @@ fn report(curve: &Curve, y: &[f64], positions: &[f64], column: String) -> Report
     let judged = compared.iter().find(|way| way.way == own).and_then(|way| way.left_out);
     report.left_out = judged.map(|left| Spread { rms_um: left.rms_um, max_um: left.largest_um });
     report.left_out_by = "every second position, by a curve through the others".into();
+    report.table = compared.iter().map(|way| format!("{way}\n")).collect();
     for way in &compared {
         let left_out = way.left_out.map_or(f64::NAN, |left| left.rms_um);
         report.facts.push(Fact::text(

@@ -140,6 +140,7 @@ pub fn fit(run: &RunFile, axis: LinearAxis, options: &Options) -> Result<PitchFi
     let by_target = readings.by_target();
     let iso230 = if readings.is_record { None } else { figures(&readings.targets_mm, &by_target) };
     describe(&mut report, &readings, &iso230);
+    report.table = iso230.as_ref().map(ToString::to_string).unwrap_or_default();
     let best = judged
         .iter()
         .filter(|it| it.law > Law::Constant)

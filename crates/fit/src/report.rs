@@ -20,6 +20,8 @@ pub struct Report {
     pub parameters: Vec<Parameter>,
     /// Further figures of this fit.
     pub facts: Vec<Fact>,
+    /// A table for people, line by line, of figures that the facts hold in part or whole.
+    pub table: String,
     /// The measured values themselves on the rows that were used: what is there without any fit.
     pub before: Option<Spread>,
     /// The residuals of the rows that were fitted.
@@ -53,6 +55,7 @@ impl Report {
             column: column.into(),
             parameters: Vec::new(),
             facts: Vec::new(),
+            table: String::new(),
             before: None,
             in_sample: None,
             left_out: None,

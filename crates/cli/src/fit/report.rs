@@ -31,7 +31,12 @@ pub fn print(report: &Report, common: &Common, written: bool, as_json: bool) -> 
     for parameter in &report.parameters {
         lines.push(format!("  {parameter}"));
     }
-    for fact in &report.facts {
+    lines.extend(report.table.lines().map(|line| format!("  {line}")));
+    // The table has them already, under the names of the field.
+    let in_table = |name: &str| {
+        !report.table.is_empty() && (name.starts_with("iso230_") || name.starts_with("compared"))
+    };
+    for fact in report.facts.iter().filter(|fact| !in_table(&fact.name)) {
         let value = match &fact.value {
             FactValue::Number(number) => format!("{number:.4}"),
             FactValue::Text(text) => text.clone(),
