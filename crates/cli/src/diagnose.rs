@@ -117,10 +117,7 @@ fn print(args: &Diagnose, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
     for finding in &report.findings {
         let column = finding.column.as_ref().map_or(String::new(), |column| format!(" {column}"));
         let state = if finding.claimed { "" } else { " (not settled)" };
-        output::print(format_args!(
-            "  {}{column}{state}: {}",
-            finding.cause, finding.sentence
-        ))?;
+        output::print(format_args!("  {}{column}{state}: {}", finding.cause, finding.sentence))?;
         output::print(format_args!("    next: {}", finding.next_test))?;
     }
     output::print(format_args!(

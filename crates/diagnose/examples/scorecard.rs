@@ -55,7 +55,8 @@ fn main() {
     for &(a, b) in PAIRS {
         if is_wanted("pairs") {
             let all = row(&|seed| {
-                let challenge = draw_pair(a, b, ratio, seed).expect("the twin's own pairs can be drawn");
+                let challenge =
+                    draw_pair(a, b, ratio, seed).expect("the twin's own pairs can be drawn");
                 score(&challenge, &answer(&challenge))
             });
             println!("{}", all.line(&format!("{} + {}", a.name(), b.name())));

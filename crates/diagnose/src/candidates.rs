@@ -19,9 +19,6 @@ pub(crate) struct Candidate {
     pub kind: Kind,
     /// Nonlinear values to begin from; one empty list where there are none.
     pub settings: Vec<Vec<f64>>,
-    /// 0: the machine's own model and its sensors; 1: what else was recorded; 2: time alone, or the
-    /// instrument.
-    pub tier: u8,
     /// ln of the number of settings that were looked at to find these.
     pub searched: f64,
 }
@@ -32,9 +29,9 @@ const TIME_CONSTANTS: usize = 12;
 /// All that may be added to `model`.
 pub(crate) fn possible(problem: &Problem, model: &Model, residual: &[f64]) -> Vec<Candidate> {
     let mut all = Vec::new();
-    let mut add = |kind: Kind, tier: u8, settings: Vec<Vec<f64>>| {
+    let mut add = |kind: Kind, settings: Vec<Vec<f64>>| {
         if !settings.is_empty() && !model.has(&kind) {
-            all.push(Candidate { kind, settings, tier, searched: 0.0 });
+            all.push(Candidate { kind, settings, searched: 0.0 });
         }
     };
     growth(problem, model, &mut add);
@@ -44,7 +41,7 @@ pub(crate) fn possible(problem: &Problem, model: &Model, residual: &[f64]) -> Ve
     all
 }
 
-type Add<'a> = dyn FnMut(Kind, u8, Vec<Vec<f64>>) + 'a;
+type Add<'a> = dyn FnMut(Kind, Vec<Vec<f64>>) + 'a;
 
 fn growth(problem: &Problem, model: &Model, add: &mut Add<'_>) {
     let data = &problem.data;
@@ -56,37 +53,37 @@ fn growth(problem: &Problem, model: &Model, add: &mut Add<'_>) {
     let taus = || time_constants(problem);
     let lag_taus = || if data.time_s.is_some() { taus() } else { Vec::new() };
     if is_elongation && model.constant_um.is_none() {
-        add(Kind::SensorOffset, 0, none());
+        add(Kind::SensorOffset, none());
     }
     let varies = |p: &[f64]| spread_of(p) > 0.0;
     if source == Some(Source::Sensor) && varies(&data.elongation) {
-        add(Kind::SensorGain, 0, none());
-        add(Kind::SensorCurvature, 0, none());
-        add(Kind::SensorSaturation, 0, quantiles(&data.elongation));
+        add(Kind::SensorGain, none());
+        add(Kind::SensorCurvature, none());
+        add(Kind::SensorSaturation, quantiles(&data.elongation));
         let own = spindle.sensor.as_ref().and_then(|sensor| sensor.temperature.clone());
         if let Some(column) = own.filter(|column| varying(data, column)) {
-            add(Kind::SensorTemperatureDrift { column }, 0, none());
+            add(Kind::SensorTemperatureDrift { column }, none());
         }
     }
     let thermal = own_thermal(data).filter(|thermal| varying(data, &thermal.sensor));
     let lag_now = model.parts.iter().any(|part| part.kind == Kind::ThermalLag);
     if (source == Some(Source::Temperature) && thermal.is_none()) || thermal.is_some() {
-        add(Kind::ThermalLag, 0, lag_taus());
+        add(Kind::ThermalLag, lag_taus());
         let believed_s = match thermal {
             Some(thermal) => thermal.lag_s,
             None => spindle.temperature.as_ref().map_or(0.0, |model| model.lag_s),
         };
         if believed_s > 0.0 || lag_now {
-            add(Kind::CoolingAsymmetry, 0, lag_taus());
+            add(Kind::CoolingAsymmetry, lag_taus());
         }
     }
     if matches!(source, Some(Source::Temperature | Source::Warmup)) && varies(&data.elongation) {
-        add(Kind::GrowthAmplitude, 0, none());
+        add(Kind::GrowthAmplitude, none());
     }
     if source == Some(Source::Warmup) {
-        add(Kind::GrowthRate, 0, lag_taus());
+        add(Kind::GrowthRate, lag_taus());
         if data.spindle_rpm.as_ref().is_some_and(|rpm| rpm.contains(&0.0)) {
-            add(Kind::CoolingAsymmetry, 0, lag_taus());
+            add(Kind::CoolingAsymmetry, lag_taus());
         }
     }
     // Heat is looked for where something grows: in a spindle, or in an axis that is believed to.
@@ -102,28 +99,28 @@ fn growth(problem: &Problem, model: &Model, add: &mut Add<'_>) {
             }
             let column = column.clone();
             if used.contains(&column) {
-                add(Kind::SlowModeOf { column }, 1, lag_taus());
+                add(Kind::SlowModeOf { column }, lag_taus());
             } else {
-                add(Kind::ExtraHeatPath { column: column.clone(), has_lag: false }, 1, none());
-                add(Kind::ExtraHeatPath { column, has_lag: true }, 1, lag_taus());
+                add(Kind::ExtraHeatPath { column: column.clone(), has_lag: false }, none());
+                add(Kind::ExtraHeatPath { column, has_lag: true }, lag_taus());
             }
         }
     }
     if is_elongation && data.time_s.is_some() {
-        add(Kind::SlowMode, 1, taus());
+        add(Kind::SlowMode, taus());
     }
     if elongates || is_elongation {
         if varying(data, "spindle_rpm") {
-            add(Kind::CentrifugalGrowth, 1, none());
+            add(Kind::CentrifugalGrowth, none());
         }
         if varying(data, "load_n") {
-            add(Kind::CuttingLoad, 1, none());
+            add(Kind::CuttingLoad, none());
         }
     }
 }
 
 /// The temperatures that the model goes by already.
-fn columns_in_use(data: &Data, model: &Model) -> Vec<String> {
+pub(crate) fn columns_in_use(data: &Data, model: &Model) -> Vec<String> {
     let spindle = &data.machine.spindle;
     let mut used = Vec::new();
     if data.has_elongation && spindle.source == Some(Source::Temperature) {
@@ -145,30 +142,30 @@ fn axis(problem: &Problem, model: &Model, add: &mut Add<'_>) {
     if let Some(thermal) = own_thermal(data).filter(|thermal| thermal.table.is_none()) {
         let moves = data.own_position().is_some_and(|mm| spread_of(mm) > 0.0);
         if thermal.mode.has_position() && moves && varying(data, &thermal.sensor) {
-            add(Kind::ExpansionSlope, 0, none());
-            add(Kind::ReferenceTemperature, 0, none());
+            add(Kind::ExpansionSlope, none());
+            add(Kind::ReferenceTemperature, none());
         }
     }
     for other in LinearAxis::ALL.into_iter().filter(|&other| other != own_axis) {
         let column = format!("{}_mm", other.name());
         if varying(data, &column) {
-            add(Kind::CrossAxis { axis: other }, 1, none());
+            add(Kind::CrossAxis { axis: other }, none());
             let at = named(data, &column).unwrap_or(&[]);
             for controls in [5, 8, 12, 20] {
                 if places(at) >= controls + 2 && problem.groups.len() >= 5 * controls {
                     let knots_mm = even_knots(at, controls);
-                    add(Kind::Straightness { along: other, knots_mm }, 1, none());
+                    add(Kind::Straightness { along: other, knots_mm }, none());
                 }
             }
         }
     }
     let Some(own) = data.own_position().filter(|own| spread_of(own) > 0.0) else { return };
-    add(Kind::PitchScale, 0, none());
+    add(Kind::PitchScale, none());
     let turns = data.own_direction().is_some_and(|d| d.contains(&1.0) && d.contains(&-1.0));
     let has_screw = data.machine.axes[own_axis.index()].feedback == Feedback::Screw;
     if turns && has_screw {
-        add(Kind::Backlash, 0, none());
-        add(Kind::PositionDependentBacklash, 0, none());
+        add(Kind::Backlash, none());
+        add(Kind::PositionDependentBacklash, none());
     }
     let has_table = model.parts.iter().any(|part| matches!(part.kind, Kind::PitchError { .. }));
     if !has_table {
@@ -176,7 +173,7 @@ fn axis(problem: &Problem, model: &Model, add: &mut Add<'_>) {
             for both_ways in [false, true] {
                 if (!both_ways || turns) && points >= 3 {
                     let kind = Kind::PitchError { start_mm, step_mm, points, both_ways };
-                    add(kind, 0, none());
+                    add(kind, none());
                 }
             }
         }
@@ -189,7 +186,7 @@ fn series(problem: &Problem, model: &Model, add: &mut Add<'_>) {
         return;
     }
     let [start_s, end_s] = problem.bounds.time_s;
-    add(Kind::Drift, 2, vec![Vec::new()]);
+    add(Kind::Drift, vec![Vec::new()]);
     if data.files == 1 && !model.parts.iter().any(|part| part.kind == Kind::Step) {
         let groups = problem.groups.len();
         let every = (groups / 50).max(1);
@@ -198,7 +195,7 @@ fn series(problem: &Problem, model: &Model, add: &mut Add<'_>) {
             .step_by(every)
             .map(|group| vec![times[problem.groups.first_row[group]]])
             .filter(|at| at[0] > start_s);
-        add(Kind::Step, 2, at.collect());
+        add(Kind::Step, at.collect());
     }
     let p = Model::default().predict(data);
     if spread_of(&p) > 0.0 {
@@ -209,7 +206,7 @@ fn series(problem: &Problem, model: &Model, add: &mut Add<'_>) {
             shifts.extend([vec![size], vec![-size]]);
             size *= 1.6;
         }
-        add(Kind::TimeShift, 2, shifts);
+        add(Kind::TimeShift, shifts);
     }
 }
 
@@ -233,7 +230,7 @@ pub(crate) fn structure(problem: &Problem) -> Vec<Candidate> {
             let knots = curve_knots(values, if by_direction { 9 } else { 6 });
             if knots.len() >= 3 {
                 let kind = Kind::Curve { column: column.clone(), knots, by_direction };
-                all.push(Candidate { kind, settings: vec![Vec::new()], tier: 3, searched: 0.0 });
+                all.push(Candidate { kind, settings: vec![Vec::new()], searched: 0.0 });
             }
         }
     }
@@ -318,8 +315,7 @@ fn tables(own: &[f64], groups: usize) -> Vec<(f64, f64, usize)> {
     let at = targets(own, 2e-3);
     let (Some(&first), Some(&last)) = (at.first(), at.last()) else { return Vec::new() };
     let even = (last - first) / (at.len() as f64 - 1.0);
-    let is_even =
-        at.windows(2).all(|pair| ((pair[1] - pair[0]) - even).abs() < 0.05 * even.abs());
+    let is_even = at.windows(2).all(|pair| ((pair[1] - pair[0]) - even).abs() < 0.05 * even.abs());
     if is_even && at.len() >= 3 && at.len() <= 80 && groups >= 3 * at.len() {
         return vec![(first, even, at.len())];
     }

@@ -11,10 +11,9 @@ use crate::{
     fit::{Fitted, Problem, fit, spread},
     model::{Kind, Model, Part, Scale},
     noise::{Chance, Noise},
-    outliers,
+    outliers, repeats,
     report::{After, Before, Finding, Gain, Rejected, Report, Rival, Verdict},
-    repeats,
-    search::{self, Added, Found, TIE, degrees, in_its_place, name, score},
+    search::{self, AS_WELL, Added, Found, TIE, degrees, in_its_place, name},
     terms, words,
 };
 
@@ -151,9 +150,7 @@ fn conclude(
     let mut kept = found.fitted.clone();
     if judged.iter().any(|it| !it.is_kept) {
         let mut model = found.fitted.model.clone();
-        model.parts.retain(|part| {
-            judged.iter().all(|it| it.is_kept || it.kind != part.kind)
-        });
+        model.parts.retain(|part| judged.iter().all(|it| it.is_kept || it.kind != part.kind));
         kept = fit(&problem, &model, None);
     }
     let has_terms = !kept.model.parts.is_empty();
@@ -170,8 +167,11 @@ fn conclude(
     let within = within(&data, &problem, &after, aside);
     let by_row = |group_rms: f64| (group_rms * group_rms + within).sqrt();
     let left_out = |model: &Model, is_believed: bool| {
-        if is_believed { by_row(rms(&problem.residual(model))) }
-        else { by_row(rms(&folds.left_out(&problem, model))) }
+        if is_believed {
+            by_row(rms(&problem.residual(model)))
+        } else {
+            by_row(rms(&folds.left_out(&problem, model)))
+        }
     };
     let holdout = |model: &Model, is_believed: bool| match test {
         Some(test) => rms(&errors(test, &model.predict(test), None)),
@@ -253,10 +253,7 @@ fn within(data: &Data, problem: &Problem, predicted: &[f64], aside: &[bool]) -> 
 }
 
 fn is_compensated(kind: &Kind) -> bool {
-    !matches!(
-        kind,
-        Kind::Drift | Kind::Step | Kind::TimeShift | Kind::ReferenceInstrument { .. }
-    )
+    !matches!(kind, Kind::Drift | Kind::Step | Kind::TimeShift | Kind::ReferenceInstrument { .. })
 }
 
 /// The model as the board runs it: without what only happened once, and what is not the machine's.
@@ -270,7 +267,8 @@ fn judge(problem: &Problem, found: &Found, added: &Added) -> Option<Judged> {
     let data = &problem.data;
     let kind = &added.kind;
     let part = found.fitted.model.parts.iter().find(|part| part.kind == *kind)?;
-    let own = score(problem, &found.fitted);
+    let (own_left, folded) = found.folds.left_out_with_models(problem, &found.fitted.model);
+    let own_left = rms(&own_left);
     let mut rivals: Vec<(Rival, Fitted)> = Vec::new();
     let mut without = None;
     for (with, fitted) in in_its_place(problem, &found.fitted, kind, 8) {
@@ -281,7 +279,11 @@ fn judge(problem: &Problem, found: &Found, added: &Added) -> Option<Judged> {
         if name(&with) == name(kind) && column(&with) == column(kind) {
             continue;
         }
-        let gap = score(problem, &fitted) - own;
+        let mut gap = search::gap(problem, &found.fitted, &fitted);
+        // What predicts left-out blocks clearly worse does not explain as well, whatever it fits.
+        if gap < TIE && rms(&found.folds.left_out(problem, &fitted.model)) > AS_WELL * own_left {
+            gap = TIE;
+        }
         // What needs more values to say the same is no other explanation.
         let is_more = degrees(&fitted.model) > degrees(&found.fitted.model);
         let there = &fitted.residual;
@@ -290,11 +292,11 @@ fn judge(problem: &Problem, found: &Found, added: &Added) -> Option<Judged> {
         if gap > 0.0 && is_more && rms(&apart) < 0.15 * found.fitted.rms() {
             continue;
         }
-        let rival =
-            Rival { cause: name(&with).into(), column: column(&with), score_gap: gap };
-        match rivals.iter_mut().find(|(there, _)| {
-            there.cause == rival.cause && there.column == rival.column
-        }) {
+        let rival = Rival { cause: name(&with).into(), column: column(&with), score_gap: gap };
+        match rivals
+            .iter_mut()
+            .find(|(there, _)| there.cause == rival.cause && there.column == rival.column)
+        {
             Some(there) if there.0.score_gap > gap => *there = (rival, fitted),
             Some(_) => {}
             None => rivals.push((rival, fitted)),
@@ -303,6 +305,7 @@ fn judge(problem: &Problem, found: &Found, added: &Added) -> Option<Judged> {
     rivals.sort_by(|a, b| a.0.score_gap.total_cmp(&b.0.score_gap));
     rivals.truncate(6);
     let (parameters, is_determined) = parameters(problem, &found.fitted, part, found.noise);
+    let is_determined = is_determined && is_steady(kind, &folded);
     // The same cause by another column is a question of where, not of what.
     let open: Vec<&(Rival, Fitted)> = rivals
         .iter()
@@ -320,7 +323,9 @@ fn judge(problem: &Problem, found: &Found, added: &Added) -> Option<Judged> {
         rms(&apart) < 0.5 * left
     });
     let claimed = open.is_empty() && is_determined;
-    let is_kept = open.is_empty() || alike;
+    // The machine's own constant comes before what is not in its model: it stays, though unsettled.
+    let is_own = kind.tier() == 0 && open.iter().all(|(_, rival)| adds_farther(rival, found));
+    let is_kept = open.is_empty() || alike || is_own;
     let gap = rivals
         .iter()
         .filter(|(rival, _)| rival.cause != name(kind))
@@ -363,13 +368,30 @@ fn judge(problem: &Problem, found: &Found, added: &Added) -> Option<Judged> {
     Some(Judged { finding, kind: kind.clone(), is_kept })
 }
 
+/// Whether a time constant is about the same whatever part of the record is left out: within a factor
+/// of 2.5 from the least to the most.
+fn is_steady(kind: &Kind, folded: &[Model]) -> bool {
+    if kind.nonlinear().first() != Some(&Scale::Logarithmic) || kind.tier() > 1 {
+        return true;
+    }
+    let values = folded
+        .iter()
+        .filter_map(|model| model.parts.iter().find(|part| part.kind == *kind))
+        .map(|part| part.values[0]);
+    let (low, high) =
+        values.fold((f64::INFINITY, 0.0_f64), |(low, high), v| (low.min(v), high.max(v)));
+    high <= 2.5 * low
+}
+
+/// Whether `rival` has a term in place of one of the model's that is farther from the machine's own
+/// model than any constant of it.
+fn adds_farther(rival: &Fitted, found: &Found) -> bool {
+    let new = rival.model.parts.iter().filter(|part| !found.fitted.model.has(&part.kind));
+    new.map(|part| part.kind.tier()).max().is_some_and(|tier| tier > 0)
+}
+
 /// What the term brings in the final model, beside all others.
-fn final_gain(
-    problem: &Problem,
-    found: &Found,
-    without: Option<&Fitted>,
-    added: &Added,
-) -> Gain {
+fn final_gain(problem: &Problem, found: &Found, without: Option<&Fitted>, added: &Added) -> Gain {
     let folds: &Folds = &found.folds;
     let Some(without) = without else {
         let gain = added.before;
@@ -384,7 +406,7 @@ fn final_gain(
     };
     let before = folds.left_out(problem, &without.model);
     let after = folds.left_out(problem, &found.fitted.model);
-    let (reduction, ci95) = folds.reduction(&before, &after);
+    let (reduction, ci95, _) = folds.reduction(&before, &after);
     Gain {
         rms_before_um: without.rms(),
         rms_after_um: found.fitted.rms(),
@@ -617,19 +639,17 @@ fn outlier_finding(data: &Data, after: &[f64], aside: &[bool], count: usize) -> 
     // Of so many rows that are or are not, by Wilson's interval.
     let (n, z) = (with.len() as f64, 1.96_f64);
     let center = (share + z * z / (2.0 * n)) / (1.0 + z * z / n);
-    let half =
-        z / (1.0 + z * z / n) * (share * (1.0 - share) / n + z * z / (4.0 * n * n)).sqrt();
-    parameters.insert(
-        "fraction".into(),
-        json!({"value": share, "ci95": [center - half, center + half]}),
-    );
+    let half = z / (1.0 + z * z / n) * (share * (1.0 - share) / n + z * z / (4.0 * n * n)).sqrt();
+    parameters
+        .insert("fraction".into(), json!({"value": share, "ci95": [center - half, center + half]}));
     let rows: Vec<String> = (0..data.rows)
         .filter(|&row| aside[row])
         .take(12)
         .map(|row| (row + 1).to_string())
         .collect();
     let (before, after) = (rms(&with), rms(&without));
-    let sentence = format!("{count} readings are no readings: they stand alone, far from the rest.");
+    let sentence =
+        format!("{count} readings are no readings: they stand alone, far from the rest.");
     let finding = Finding {
         cause: "outliers".into(),
         column: None,
@@ -650,7 +670,11 @@ fn outlier_finding(data: &Data, after: &[f64], aside: &[bool], count: usize) -> 
         rivals: Vec::new(),
         next_test: "Look at what happened at these readings, and measure them again.".into(),
     };
-    Judged { finding, kind: Kind::Curve { column: String::new(), knots: vec![0.0, 1.0], by_direction: false }, is_kept: true }
+    Judged {
+        finding,
+        kind: Kind::Curve { column: String::new(), knots: vec![0.0, 1.0], by_direction: false },
+        is_kept: true,
+    }
 }
 
 /// The noise of one reading: from repeats where there are any, else from what differs between
@@ -705,7 +729,8 @@ fn verdict(
         return (Verdict::Explained, reasons);
     }
     if open {
-        reasons.push("two causes cannot be told apart, or a parameter is not yet identified".into());
+        reasons
+            .push("two causes cannot be told apart, or a parameter is not yet identified".into());
     }
     if reasons.is_empty() {
         reasons.push("no test of structure fires on what is left".into());

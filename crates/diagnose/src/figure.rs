@@ -31,12 +31,7 @@ pub(crate) fn picture(x_name: &str, y_name: &str, lists: &[Points<'_>], is_small
     drawn(x_name, y_name, lists, if is_small { SMALL } else { SIZE }).unwrap_or_default()
 }
 
-fn drawn(
-    x_name: &str,
-    y_name: &str,
-    lists: &[Points<'_>],
-    size: (u32, u32),
-) -> Option<String> {
+fn drawn(x_name: &str, y_name: &str, lists: &[Points<'_>], size: (u32, u32)) -> Option<String> {
     let extent = |of: fn(&Points<'_>) -> Vec<f64>| {
         let all = lists.iter().flat_map(of).filter(|value| value.is_finite());
         let (low, high) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {

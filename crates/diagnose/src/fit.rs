@@ -5,12 +5,18 @@
 //! `spindle_sjtu`: a path that halves the error of the hold-out looks worthless to them). The memory
 //! is in the intervals instead: the sandwich (XᵀX)⁻¹·Xᵀ·V·X·(XᵀX)⁻¹ with the noise's covariance V.
 
-use std::{cell::RefCell, collections::HashMap, rc::Rc};
+use std::{
+    cell::{Cell, RefCell},
+    collections::HashMap,
+    rc::Rc,
+};
+
+use trueup_machine::machine_file::Source;
 
 use crate::{
     data::{Data, Groups},
     linear::{dot, solve},
-    model::{Kind, Model, Scale, basis},
+    model::{Kind, Model, Scale, basis, own_thermal},
     noise::{self, Noise},
 };
 
@@ -42,6 +48,8 @@ pub(crate) struct Problem {
     pub bounds: Bounds,
     /// Columns that were worked out before: what is only added does not depend on the model.
     known: RefCell<HashMap<String, Columns>>,
+    /// Numbers that are kept in them.
+    kept: Cell<usize>,
 }
 
 type Columns = Rc<Vec<Vec<f64>>>;
@@ -63,13 +71,14 @@ impl Problem {
     pub(crate) fn new(data: Data, groups: Groups) -> Self {
         let measured = groups.means(&data.measured);
         let bounds = bounds(&data, &groups);
-        Self { data, groups, measured, bounds, known: RefCell::default() }
+        Self { data, groups, measured, bounds, known: RefCell::default(), kept: Cell::new(0) }
     }
 
-    /// What an added part of these nonlinear values adds at each amplitude of 1, in groups.
-    pub(crate) fn columns(&self, kind: &Kind, nonlinear: &[f64]) -> Vec<Vec<f64>> {
-        // More would only be memory.
-        const MOST: usize = 20_000_000;
+    /// What an added part of these nonlinear values adds at each amplitude of 1, in groups. Kept for
+    /// the next time, if there is to be one.
+    pub(crate) fn columns(&self, kind: &Kind, nonlinear: &[f64], keep: bool) -> Vec<Vec<f64>> {
+        // More would only be memory: 80 MB.
+        const MOST: usize = 10_000_000;
         let bits: Vec<u64> = nonlinear.iter().map(|value| value.to_bits()).collect();
         let key = format!("{kind:?}{bits:?}");
         if let Some(known) = self.known.borrow().get(&key) {
@@ -85,9 +94,10 @@ impl Problem {
                 self.groups.means(&column)
             })
             .collect();
-        let mut known = self.known.borrow_mut();
-        if (known.len() + 1) * self.groups.len() < MOST {
-            known.insert(key, Rc::new(columns.clone()));
+        let size = columns.len() * self.groups.len();
+        if keep && self.kept.get() + size < MOST {
+            self.kept.set(self.kept.get() + size);
+            self.known.borrow_mut().insert(key, Rc::new(columns.clone()));
         }
         columns
     }
@@ -98,9 +108,31 @@ impl Problem {
         self.measured.iter().zip(predicted).map(|(m, p)| m - p).collect()
     }
 
+    /// The time constant with which the model's own heat rises.
+    fn rise_s(&self, model: &Model) -> Option<f64> {
+        let replaced = model.parts.iter().find_map(|part| {
+            matches!(part.kind, Kind::ThermalLag | Kind::GrowthRate).then_some(part.values[0])
+        });
+        let spindle = &self.data.machine.spindle;
+        let believed = match (own_thermal(&self.data), spindle.source) {
+            (Some(thermal), _) => Some(thermal.lag_s),
+            (None, Some(Source::Temperature)) => spindle.temperature.as_ref().map(|it| it.lag_s),
+            (None, Some(Source::Warmup)) => {
+                spindle.warmup.as_ref().map(trueup_machine::machine_file::Warmup::time_constant_s)
+            }
+            _ => None,
+        };
+        replaced.or(believed).filter(|rise_s| *rise_s > 0.0)
+    }
+
     /// Whether all values of the model are physically possible and inside what the data can show.
     fn keep(&self, model: &mut Model) {
+        let rise_s = self.rise_s(model);
         for part in &mut model.parts {
+            // What cools more than five times faster or slower than it warms is not the same heat.
+            if let (Kind::CoolingAsymmetry, Some(rise_s)) = (&part.kind, rise_s) {
+                part.values[0] = part.values[0].clamp(0.2 * rise_s, 5.0 * rise_s);
+            }
             let held = |value: &mut f64, [low, high]: [f64; 2]| *value = value.clamp(low, high);
             match part.kind {
                 Kind::ThermalLag
@@ -136,15 +168,18 @@ impl Problem {
 
 fn bounds(data: &Data, groups: &Groups) -> Bounds {
     let extent = |values: &mut dyn Iterator<Item = f64>| {
-        values.filter(|value| value.is_finite()).fold(
-            [f64::INFINITY, f64::NEG_INFINITY],
-            |[low, high], value| [low.min(value), high.max(value)],
-        )
+        values
+            .filter(|value| value.is_finite())
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| {
+                [low.min(value), high.max(value)]
+            })
     };
-    let finite = |[low, high]: [f64; 2], none: [f64; 2]| if low < high { [low, high] } else { none };
-    let time_s = data.time_s.as_ref().map_or([0.0, 1.0], |times| {
-        finite(extent(&mut times.iter().copied()), [0.0, 1.0])
-    });
+    let finite =
+        |[low, high]: [f64; 2], none: [f64; 2]| if low < high { [low, high] } else { none };
+    let time_s = data
+        .time_s
+        .as_ref()
+        .map_or([0.0, 1.0], |times| finite(extent(&mut times.iter().copied()), [0.0, 1.0]));
     // The longest of the series: what is slower than that is not seen.
     let longest_s = data.time_s.as_ref().map_or(1.0, |times| {
         let mut longest: f64 = 0.0;
@@ -189,7 +224,8 @@ pub(crate) fn jacobian(problem: &Problem, model: &Model) -> (Vec<Place>, Vec<Vec
         // What is only added is its own derivative.
         let is_added = part.kind.rank() == 4 && !has_shift;
         if is_added && part.kind.amplitudes() > 0 {
-            let unit = problem.columns(&part.kind, &part.values[..nonlinear.len()]);
+            let unit =
+                problem.columns(&part.kind, &part.values[..nonlinear.len()], nonlinear.is_empty());
             for (number, column) in unit.into_iter().enumerate() {
                 places.push(Some((index, nonlinear.len() + number)));
                 columns.push(column);
@@ -233,6 +269,8 @@ fn derivative_step(problem: &Problem, kind: &Kind, value: f64, is_log: bool) -> 
 /// Fits all values of `model` by least squares over the groups in `mask` (all where there is none).
 /// The time of a step is not moved: it is searched, not fitted.
 pub(crate) fn fit(problem: &Problem, model: &Model, mask: Option<&[bool]>) -> Fitted {
+    // From the fit to all, the fit to most is near.
+    let iterations = if mask.is_some() { 6 } else { 25 };
     let masked = |residual: &[f64]| match mask {
         None => dot(residual, residual),
         Some(mask) => {
@@ -249,7 +287,7 @@ pub(crate) fn fit(problem: &Problem, model: &Model, mask: Option<&[bool]>) -> Fi
         part.kind.rank() == 4 && (nonlinear == 0 || part.kind == Kind::Step)
     });
     let mut degrees = 0;
-    for _ in 0..if is_linear { 1 } else { 30 } {
+    for _ in 0..if is_linear { 1 } else { iterations } {
         let (mut places, mut columns) = jacobian(problem, &model);
         let is_step = |place: &Place| {
             place.is_some_and(|(part, value)| model.parts[part].kind == Kind::Step && value == 0)
@@ -268,8 +306,7 @@ pub(crate) fn fit(problem: &Problem, model: &Model, mask: Option<&[bool]>) -> Fi
                     None => moved.constant_um = Some(moved.constant_um.unwrap_or(0.0) + change),
                     Some((part, value)) => {
                         let part = &mut moved.parts[*part];
-                        let is_log =
-                            part.kind.nonlinear().get(*value) == Some(&Scale::Logarithmic);
+                        let is_log = part.kind.nonlinear().get(*value) == Some(&Scale::Logarithmic);
                         let value = &mut part.values[*value];
                         if is_log {
                             // At most by a factor e² at once.
@@ -284,7 +321,7 @@ pub(crate) fn fit(problem: &Problem, model: &Model, mask: Option<&[bool]>) -> Fi
             let there = problem.residual(&moved);
             let there_sum = masked(&there);
             if there_sum <= sum {
-                improved = sum - there_sum > 1e-7 * sum;
+                improved = sum - there_sum > 1e-6 * sum;
                 (model, residual, sum) = (moved, there, there_sum);
                 damping *= 0.2;
                 if damping < 1e-9 {
@@ -300,7 +337,6 @@ pub(crate) fn fit(problem: &Problem, model: &Model, mask: Option<&[bool]>) -> Fi
     }
     Fitted { model, residual, sum, degrees }
 }
-
 
 /// The standard deviations of the fitted values, under noise of this memory: logarithmic ones of the
 /// logarithm.
@@ -324,9 +360,8 @@ pub(crate) fn spread(problem: &Problem, fitted: &Fitted, noise: Noise) -> Spread
     let weighted: Vec<Vec<f64>> =
         columns.iter().map(|column| noise::covariance_times(noise, steps, column)).collect();
     let count = columns.len();
-    let middle: Vec<Vec<f64>> = (0..count)
-        .map(|i| (0..count).map(|j| dot(&columns[i], &weighted[j])).collect())
-        .collect();
+    let middle: Vec<Vec<f64>> =
+        (0..count).map(|i| (0..count).map(|j| dot(&columns[i], &weighted[j])).collect()).collect();
     let inverse = &solution.inverse;
     let product = |a: &[Vec<f64>], b: &[Vec<f64>]| -> Vec<Vec<f64>> {
         (0..count)

@@ -24,9 +24,9 @@ pub(crate) fn html(diagnosis: &Diagnosis, machine_name: &str) -> String {
         "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{title}</title>\
          <style>{STYLE}</style></head><body>\n<h1>{title}</h1>\n"
     );
-    let _ = write!(
+    let _ = writeln!(
         out,
-        "<div class=\"verdict\"><h2>{}</h2><p>{}</p></div>\n",
+        "<div class=\"verdict\"><h2>{}</h2><p>{}</p></div>",
         report.verdict.name(),
         escaped(&verdict_sentence(diagnosis))
     );
@@ -130,8 +130,10 @@ fn pictures(diagnosis: &Diagnosis, out: &mut String) {
     let left = |p: &[f64]| -> Vec<f64> { measured.iter().zip(p).map(|(m, p)| m - p).collect() };
     let (left_before, left_after) = (left(&before), left(&after));
     let dots = |y, colour| Points { x: &x, y, colour, is_line: false };
-    out.push_str("<p>Measured (grey) and predicted before (<span class=\"b\">brown</span>) and \
-                  after (<span class=\"a\">blue</span>):</p>\n");
+    out.push_str(
+        "<p>Measured (grey) and predicted before (<span class=\"b\">brown</span>) and \
+                  after (<span class=\"a\">blue</span>):</p>\n",
+    );
     out.push_str(&picture(
         &x_name,
         "µm",
@@ -167,9 +169,8 @@ fn inputs(diagnosis: &Diagnosis, out: &mut String) {
     let data = &diagnosis.data;
     let rows: Vec<usize> =
         (0..data.rows).filter(|&row| data.used[row] && !diagnosis.aside[row]).collect();
-    let left = |p: &[f64]| -> Vec<f64> {
-        rows.iter().map(|&row| data.measured[row] - p[row]).collect()
-    };
+    let left =
+        |p: &[f64]| -> Vec<f64> { rows.iter().map(|&row| data.measured[row] - p[row]).collect() };
     let (before, after) = (left(&diagnosis.before), left(&diagnosis.after));
     let mut names: Vec<String> =
         ["time_s", "run", "x_mm", "y_mm", "z_mm", "spindle_rpm", "load_n"].map(String::from).into();

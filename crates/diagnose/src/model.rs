@@ -128,13 +128,21 @@ impl Kind {
             | Self::GrowthRate
             | Self::CoolingAsymmetry => 0,
             Self::PitchError { points, both_ways, .. } => {
-                if *both_ways { 2 * points } else { *points }
+                if *both_ways {
+                    2 * points
+                } else {
+                    *points
+                }
             }
             Self::PitchPeriodic { harmonics } => 2 * harmonics.len(),
             Self::ReferenceInstrument { .. } => 2,
             Self::Straightness { knots_mm, .. } => knots_mm.len() - 4,
             Self::Curve { knots, by_direction, .. } => {
-                if *by_direction { 2 * knots.len() } else { knots.len() }
+                if *by_direction {
+                    2 * knots.len()
+                } else {
+                    knots.len()
+                }
             }
             _ => 1,
         }
@@ -143,6 +151,24 @@ impl Kind {
     /// What it counts for where simplicity counts.
     pub(crate) fn degrees(&self) -> usize {
         self.nonlinear().len() + self.amplitudes()
+    }
+
+    /// 0: a constant of the machine's own model, or of the axis's; 1: something else that was
+    /// recorded; 2: time alone, or the instrument; 3: no cause.
+    pub(crate) fn tier(&self) -> u8 {
+        match self {
+            Self::SlowMode
+            | Self::SlowModeOf { .. }
+            | Self::ExtraHeatPath { .. }
+            | Self::CoolingAsymmetry
+            | Self::CentrifugalGrowth
+            | Self::CuttingLoad
+            | Self::Straightness { .. }
+            | Self::CrossAxis { .. } => 1,
+            Self::TimeShift | Self::Step | Self::Drift | Self::ReferenceInstrument { .. } => 2,
+            Self::Curve { .. } => 3,
+            _ => 0,
+        }
     }
 
     /// Whether its reference (a temperature, a start) is its own, and with it a constant.
@@ -315,7 +341,9 @@ pub(crate) fn basis(kind: &Kind, nonlinear: &[f64], data: &Data, p: &[f64]) -> V
         Kind::SensorOffset => vec![vec![1.0; rows]],
         Kind::SensorGain | Kind::GrowthAmplitude => vec![p.to_vec()],
         Kind::SensorCurvature => vec![p.iter().map(|p| p * p).collect()],
-        Kind::SensorTemperatureDrift { column } => vec![above(data, column, filled(&temperature(column)))],
+        Kind::SensorTemperatureDrift { column } => {
+            vec![above(data, column, filled(&temperature(column)))]
+        }
         Kind::SlowMode => {
             let (start_s, tau) = (data.start_s, nonlinear[0]);
             let rise = |t: f64| -(-(t - start_s).max(0.0) / tau).exp_m1();
@@ -402,8 +430,7 @@ pub(crate) fn basis(kind: &Kind, nonlinear: &[f64], data: &Data, p: &[f64]) -> V
             let turns = |mm: &f64| {
                 if *is_angled { nonlinear[0] / (mm + nonlinear[1]) } else { mm / nonlinear[0] }
             };
-            let wave =
-                |of: fn(f64) -> f64| reading.iter().map(|mm| of(TAU * turns(mm))).collect();
+            let wave = |of: fn(f64) -> f64| reading.iter().map(|mm| of(TAU * turns(mm))).collect();
             vec![wave(f64::sin), wave(f64::cos)]
         }
         Kind::Curve { column, knots, by_direction } => {
@@ -509,8 +536,7 @@ fn elongation(data: &Data, changed: Changed) -> Vec<f64> {
     let spindle = &data.machine.spindle;
     match (spindle.source, &spindle.temperature, &spindle.warmup) {
         (Some(Source::Temperature), Some(model), _)
-            if is_elongation_lag(data)
-                && (changed.lag_s.is_some() || changed.fall_s.is_some()) =>
+            if is_elongation_lag(data) && (changed.lag_s.is_some() || changed.fall_s.is_some()) =>
         {
             let Some(column) = data.temperature(&model.sensor) else {
                 return data.elongation.clone();

@@ -52,9 +52,8 @@ pub(crate) fn gross(data: &Data, predicted: &[f64]) -> Vec<bool> {
     let overall = 1.4826 * spread[count / 2];
     // One in a thousand clean runs has a row beyond it.
     let limit = scale * (2.0 * (500.0 * count as f64).ln()).sqrt().max(6.0);
-    let is_far = |at: usize| {
-        differences[at].abs() > limit && (residual[at] - middle).abs() > 5.0 * overall
-    };
+    let is_far =
+        |at: usize| differences[at].abs() > limit && (residual[at] - middle).abs() > 5.0 * overall;
     let far: Vec<usize> = (0..count).filter(|&at| is_far(at)).collect();
     if far.len() as f64 > MOST * count as f64 {
         return aside;

@@ -35,8 +35,7 @@ pub(crate) fn analyse(data: &Data) -> Option<Repeats> {
         if group.len() < 2 {
             continue;
         }
-        let values: Vec<f64> =
-            group.iter().map(|&(_, _, row)| data.measured[row]).collect();
+        let values: Vec<f64> = group.iter().map(|&(_, _, row)| data.measured[row]).collect();
         let count = values.len() as f64;
         let mean = values.iter().sum::<f64>() / count;
         within += values.iter().map(|value| (value - mean).powi(2)).sum::<f64>();

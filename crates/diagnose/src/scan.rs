@@ -29,7 +29,7 @@ use crate::{
 };
 
 /// Chance that noise passes the limit of one statistic in one search.
-const FALSE_ALARM: f64 = 0.001;
+const FALSE_ALARM: f64 = 0.002;
 /// Draws of noise.
 const DRAWS: usize = 32;
 
@@ -46,6 +46,10 @@ pub(crate) struct Hit {
     pub by_squares: f64,
     /// Whether either is above its limit.
     pub is_significant: bool,
+    /// Whether T is.
+    pub is_likely: bool,
+    /// The share of the squares that it explains.
+    pub explained: f64,
 }
 
 /// The outcome of a search.
@@ -77,7 +81,7 @@ fn effect(
     let Problem { data, groups, .. } = problem;
     let kind = &candidate.kind;
     if kind.rank() == 4 {
-        return (problem.columns(kind, setting), false);
+        return (problem.columns(kind, setting, true), false);
     }
     let is_fixed = kind.amplitudes() == 0 && !kind.nonlinear().is_empty();
     let step = if is_fixed { 1.0 } else { 1e-4 };
@@ -149,10 +153,8 @@ pub(crate) fn scan(
         let quick = Noise { memory: (own.memory / 4.0).max(0.5), white: 0.3 };
         vec![Noise::WHITE, quick, own]
     };
-    let price: Vec<f64> = trials
-        .iter()
-        .map(|trial| 2.0 * candidates[trial.candidate].searched)
-        .collect();
+    let price: Vec<f64> =
+        trials.iter().map(|trial| 2.0 * candidates[trial.candidate].searched).collect();
 
     let real = statistics(&trials, &nuisance, &[residual.to_vec()], problem, &noises, independent);
     let value = |trial: usize, all: &[Vec<[f64; 2]>], draw: usize| {
@@ -166,24 +168,26 @@ pub(crate) fn scan(
         })
     };
     let observed = best(&real, 0);
-    let limits = (draw && observed.iter().any(|value| *value > 0.0) && !trials.is_empty()).then(|| {
-        let mut chance = Chance::new(0x7472_7565_7570 ^ rows as u64);
-        let drawn: Vec<Vec<f64>> = (0..DRAWS)
-            .map(|_| {
-                let mut e = noise::draw(own, &groups.steps, &mut chance);
-                e.iter_mut().for_each(|e| *e *= sigma);
-                e
-            })
-            .collect();
-        let all = statistics(&trials, &nuisance, &drawn, problem, &noises, independent);
-        let most: Vec<[f64; 2]> = (0..DRAWS).map(|draw| best(&all, draw)).collect();
-        [0, 1].map(|which| gumbel_limit(most.iter().map(|most| most[which])))
-    });
+    let limits =
+        (draw && observed.iter().any(|value| *value > 0.0) && !trials.is_empty()).then(|| {
+            let mut chance = Chance::new(0x7472_7565_7570 ^ rows as u64);
+            let drawn: Vec<Vec<f64>> = (0..DRAWS)
+                .map(|_| {
+                    let mut e = noise::draw(own, &groups.steps, &mut chance);
+                    e.iter_mut().for_each(|e| *e *= sigma);
+                    e
+                })
+                .collect();
+            let all = statistics(&trials, &nuisance, &drawn, problem, &noises, independent);
+            let most: Vec<[f64; 2]> = (0..DRAWS).map(|draw| best(&all, draw)).collect();
+            [0, 1].map(|which| gumbel_limit(most.iter().map(|most| most[which])))
+        });
     let mut hits: Vec<Hit> = Vec::new();
     for (number, trial) in trials.iter().enumerate() {
         let [by_likelihood, by_squares] = value(number, &real, 0);
         let candidate = &candidates[trial.candidate];
-        let is_significant = limits.is_some_and(|[t, u]| by_likelihood > t || by_squares > u);
+        let is_likely = limits.is_some_and(|[t, _]| by_likelihood > t);
+        let is_significant = is_likely || limits.is_some_and(|[_, u]| by_squares > u);
         let mut values = trial.setting.clone();
         values.resize(candidate.kind.degrees(), 0.0);
         let hit = Hit {
@@ -193,6 +197,10 @@ pub(crate) fn scan(
             by_likelihood,
             by_squares,
             is_significant,
+            is_likely,
+            explained: 1.0
+                - (-(by_squares + price[number] + trial.degrees * independent.ln()) / independent)
+                    .exp(),
         };
         let there = hits.iter_mut().find(|there| {
             there.candidate == hit.candidate && there.with_constant == hit.with_constant
@@ -201,10 +209,12 @@ pub(crate) fn scan(
             Some(there) if there.by_squares < hit.by_squares => {
                 let significant = there.is_significant || hit.is_significant;
                 let by_likelihood = there.by_likelihood.max(hit.by_likelihood);
-                *there = Hit { is_significant: significant, by_likelihood, ..hit };
+                let is_likely = there.is_likely || hit.is_likely;
+                *there = Hit { is_significant: significant, is_likely, by_likelihood, ..hit };
             }
             Some(there) => {
                 there.is_significant |= hit.is_significant;
+                there.is_likely |= hit.is_likely;
                 there.by_likelihood = there.by_likelihood.max(hit.by_likelihood);
             }
             None => hits.push(hit),

@@ -101,13 +101,12 @@ fn effect(data: &Data, part: &Part) -> Option<Effect> {
             forward_um: part.values[..*points].to_vec(),
             reverse_um: both_ways.then(|| part.values[*points..].to_vec()),
         }),
-        Kind::PitchPeriodic { harmonics } => {
-            Effect::PitchPeriodic { period_mm: value(0), waves: waves(harmonics, &part.values[1..]) }
-        }
+        Kind::PitchPeriodic { harmonics } => Effect::PitchPeriodic {
+            period_mm: value(0),
+            waves: waves(harmonics, &part.values[1..]),
+        },
         Kind::Backlash => Effect::Backlash { width_um: value(0) },
-        Kind::PositionDependentBacklash => {
-            Effect::PositionDependentBacklash { um_per_m: value(0) }
-        }
+        Kind::PositionDependentBacklash => Effect::PositionDependentBacklash { um_per_m: value(0) },
         Kind::Straightness { along, knots_mm } => Effect::Straightness {
             along: *along,
             spline: BSpline {

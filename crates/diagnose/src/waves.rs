@@ -31,7 +31,6 @@ pub(crate) fn candidates(problem: &Problem, model: &Model, residual: &[f64]) -> 
             all.push(Candidate {
                 kind: Kind::ReferenceInstrument { is_angled: false },
                 settings: vec![vec![1.0 / frequency]],
-                tier: 2,
                 searched,
             });
         }
@@ -52,7 +51,6 @@ pub(crate) fn candidates(problem: &Problem, model: &Model, residual: &[f64]) -> 
                 all.push(Candidate {
                     kind: Kind::PitchPeriodic { harmonics },
                     settings: vec![vec![period]],
-                    tier: 0,
                     searched,
                 });
             }
@@ -65,7 +63,6 @@ pub(crate) fn candidates(problem: &Problem, model: &Model, residual: &[f64]) -> 
                 all.push(Candidate {
                     kind: Kind::PitchPeriodic { harmonics: (1..=12).collect() },
                     settings: turns,
-                    tier: 0,
                     searched,
                 });
             }
@@ -73,7 +70,6 @@ pub(crate) fn candidates(problem: &Problem, model: &Model, residual: &[f64]) -> 
             all.push(Candidate {
                 kind: Kind::PitchPeriodic { harmonics: vec![1, 2] },
                 settings: vec![vec![1.0 / frequency]],
-                tier: 0,
                 searched,
             });
         }
@@ -84,7 +80,6 @@ pub(crate) fn candidates(problem: &Problem, model: &Model, residual: &[f64]) -> 
         all.push(Candidate {
             kind: Kind::ReferenceInstrument { is_angled: true },
             settings: vec![values],
-            tier: 2,
             searched,
         });
     }
@@ -98,15 +93,10 @@ fn peak(at: &[f64], values: &[f64], least_turns: f64, most: usize) -> Option<(f6
     (power > 0.0).then_some((frequency, looked_at.ln()))
 }
 
-fn spectrum(
-    at: &[f64],
-    values: &[f64],
-    least_turns: f64,
-    most: usize,
-) -> Option<(f64, f64, f64)> {
-    let (low, high) = at.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &x| {
-        (low.min(x), high.max(x))
-    });
+fn spectrum(at: &[f64], values: &[f64], least_turns: f64, most: usize) -> Option<(f64, f64, f64)> {
+    let (low, high) = at
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &x| (low.min(x), high.max(x)));
     let range = high - low;
     if range.partial_cmp(&0.0) != Some(std::cmp::Ordering::Greater) || at.len() < 12 {
         return None;
@@ -142,15 +132,11 @@ fn spectrum(
         }
     }
     let power = |sum: &[f64; 2]| sum[0] * sum[0] + sum[1] * sum[1];
-    let (best, sum) =
-        sums.iter().enumerate().max_by(|a, b| power(a.1).total_cmp(&power(b.1)))?;
+    let (best, sum) = sums.iter().enumerate().max_by(|a, b| power(a.1).total_cmp(&power(b.1)))?;
     // Between the grid's points the peak is where a parabola through three of them has its top.
     let around = |n: usize| sums.get(n).map_or(0.0, power).sqrt();
-    let (before, here, after) = (
-        if best > 0 { around(best - 1) } else { 0.0 },
-        around(best),
-        around(best + 1),
-    );
+    let (before, here, after) =
+        (if best > 0 { around(best - 1) } else { 0.0 }, around(best), around(best + 1));
     let bend = before - 2.0 * here + after;
     let offset = if bend < 0.0 { 0.5 * (before - after) / bend } else { 0.0 };
     let frequency = first + step * (best as f64 + offset.clamp(-0.5, 0.5));
@@ -159,9 +145,9 @@ fn spectrum(
 
 /// C and P₀ of the best wave over 1/(P + P₀).
 fn angled(at: &[f64], values: &[f64]) -> Option<(Vec<f64>, f64)> {
-    let (low, high) = at.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &x| {
-        (low.min(x), high.max(x))
-    });
+    let (low, high) = at
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &x| (low.min(x), high.max(x)));
     let range = high - low;
     // A dense record is needed: else everything is an alias of everything.
     if at.len() < 200 || range.partial_cmp(&0.0) != Some(std::cmp::Ordering::Greater) {

@@ -9,7 +9,11 @@ use crate::{
 pub(crate) fn sentence(part: &Part) -> String {
     let value = |index: usize| part.values.get(index).copied().unwrap_or(0.0);
     let minutes = |seconds: f64| {
-        if seconds < 120.0 { format!("{seconds:.0} s") } else { format!("{:.1} min", seconds / 60.0) }
+        if seconds < 120.0 {
+            format!("{seconds:.0} s")
+        } else {
+            format!("{:.1} min", seconds / 60.0)
+        }
     };
     match &part.kind {
         Kind::SensorOffset => format!("The zero of the sensor is off by {:+.2} µm.", value(0)),

@@ -9,6 +9,7 @@ use trueup_twin::hidden::{Challenge, Expected, Hidden};
 
 /// What one answer was worth.
 #[derive(Clone, Debug)]
+#[allow(dead_code, reason = "some are only printed whole")]
 pub struct Score {
     /// The causes that were hidden.
     pub hidden: Vec<&'static str>,
@@ -21,6 +22,8 @@ pub struct Score {
     /// A cause is claimed that was not hidden.
     pub is_wrong: bool,
     pub verdict: Verdict,
+    /// Rivals that were as good.
+    pub open: Vec<String>,
     /// Whether each true parameter is within its interval.
     pub within: Vec<(String, bool)>,
     /// Gain on the hold-out over the possible gain; NaN where nothing is to be gained.
@@ -54,23 +57,34 @@ pub fn score(challenge: &Challenge, diagnosis: &Diagnosis) -> Score {
     let rivals = |name: &str| {
         let effect = truth.effects.iter().find(|effect| effect.cause.name() == name);
         effect.is_some_and(|effect| {
-            effect.rivals.iter().any(|rival| {
-                unclaimed.iter().any(|there| there == rival.name() || there == name)
-            })
+            effect
+                .rivals
+                .iter()
+                .any(|rival| unclaimed.iter().any(|there| there == rival.name() || there == name))
         })
     };
     let is_right = match truth.expected {
         Expected::Clean => report.verdict == Verdict::Clean,
-        Expected::Unnamed => named.is_empty() && report.verdict != Verdict::Clean,
+        Expected::Unnamed => {
+            matches!(report.verdict, Verdict::Unexplained | Verdict::PartlyExplained)
+        }
         Expected::Compensated | Expected::Reported => {
             hidden.iter().all(|name| named.iter().any(|there| there == name) || rivals(name))
         }
     };
     let is_wrong = named.iter().any(|name| !hidden.contains(&name.as_str()));
+    let open = report
+        .findings
+        .iter()
+        .flat_map(|finding| finding.rivals.iter().map(move |rival| (finding, rival)))
+        .filter(|(finding, rival)| rival.score_gap < 6.0 && rival.cause != finding.cause)
+        .map(|(finding, rival)| {
+            format!("{} {:.1} {} {:?}", finding.cause, rival.score_gap, rival.cause, rival.column)
+        })
+        .collect();
     let mut within = Vec::new();
     for effect in &truth.effects {
-        let finding =
-            report.findings.iter().find(|finding| finding.cause == effect.cause.name());
+        let finding = report.findings.iter().find(|finding| finding.cause == effect.cause.name());
         let Some(finding) = finding else { continue };
         for &(name, value) in &effect.parameters {
             let ci95 = finding.parameters.get(name).map(|parameter| &parameter["ci95"]);
@@ -95,6 +109,7 @@ pub fn score(challenge: &Challenge, diagnosis: &Diagnosis) -> Score {
         is_right,
         is_wrong,
         verdict: report.verdict,
+        open,
         within,
         share_of_gain,
     }
