@@ -272,7 +272,7 @@ fn a_damaged_calibration_is_refused_with_the_place_of_the_damage() {
     desk.write("cut.bin", &blob[..PAPER_BYTES - 1]);
     for (line, complaint) in [
         ("show flipped.bin", "flipped.bin: the CRC at the end is "),
-        ("show cut.bin", "cut.bin: 571 bytes are too short"),
+        ("show cut.bin", "cut.bin: 579 bytes are too short"),
     ] {
         let told = desk.refused(line);
         assert!(told.starts_with(complaint), "{told}");
