@@ -1,6 +1,6 @@
 //! The score card: every cause of the twin at a ratio of effect to noise, drawn from seeds.
 //!
-//! `cargo run --release -p trueup-diagnose --example scorecard -- RATIO SEEDS [FIRST] [cause…|pairs]`
+//! `cargo run --release -p trueup-diagnose --example scorecard -- RATIO SEEDS [FIRST] [cause…|pairs|first+second]`
 
 use std::{env, thread};
 
@@ -53,7 +53,8 @@ fn main() {
         }
     }
     for &(a, b) in PAIRS {
-        if is_wanted("pairs") {
+        let both = format!("{}+{}", a.name(), b.name());
+        if is_wanted("pairs") || is_wanted(&both) {
             let all = row(&|seed| {
                 let challenge =
                     draw_pair(a, b, ratio, seed).expect("the twin's own pairs can be drawn");

@@ -2,7 +2,7 @@
 
 use trueup_machine::{
     BadInput, Machine, RunFile,
-    machine_file::{LinearAxis, Quantity, is_temperature_column},
+    machine_file::{LinearAxis, Quantity, Source, is_temperature_column},
     model::{Reference, Situation, shifted, time_shift_s},
 };
 
@@ -259,6 +259,53 @@ impl Data {
                 self.measured[row].is_finite() && p.is_finite()
             })
             .collect();
+    }
+
+    /// Whether what is predicted of a row depends on the rows before it, or may.
+    pub(crate) fn has_memory(&self) -> bool {
+        !self.temperatures.is_empty()
+            || self.machine.spindle.source == Some(Source::Warmup) && self.has_elongation
+    }
+
+    /// The rows of `mask` alone, where no row depends on another.
+    pub(crate) fn subset(&self, mask: &[bool]) -> Self {
+        let pick = |values: &Vec<f64>| -> Vec<f64> {
+            values.iter().zip(mask).filter(|(_, used)| **used).map(|(value, _)| *value).collect()
+        };
+        let maybe = |values: &Option<Vec<f64>>| values.as_ref().map(pick);
+        let named = |columns: &[(String, Vec<f64>)]| {
+            columns.iter().map(|(name, values)| (name.clone(), pick(values))).collect()
+        };
+        let rows: Vec<usize> = (0..self.rows).filter(|&row| mask[row]).collect();
+        let series: Vec<usize> = rows.iter().map(|&row| self.series[row]).collect();
+        Self {
+            rows: rows.len(),
+            file: rows.iter().map(|&row| self.file[row]).collect(),
+            restart: (0..rows.len())
+                .map(|n| n == 0 || series[n] != series[n - 1] || self.restart[rows[n]])
+                .collect(),
+            series,
+            time_s: maybe(&self.time_s),
+            run: maybe(&self.run),
+            temperatures: named(&self.temperatures),
+            others: named(&self.others),
+            spindle_rpm: maybe(&self.spindle_rpm),
+            load_n: maybe(&self.load_n),
+            position_mm: self.position_mm.each_ref().map(maybe),
+            direction: self.direction.each_ref().map(maybe),
+            measured: pick(&self.measured),
+            elongation: pick(&self.elongation),
+            along: pick(&self.along),
+            axis: pick(&self.axis),
+            thermal: pick(&self.thermal),
+            used: rows.iter().map(|&row| self.used[row]).collect(),
+            machine: self.machine.clone(),
+            quantity: self.quantity,
+            files: self.files,
+            has_elongation: self.has_elongation,
+            references_c: self.references_c.clone(),
+            start_s: self.start_s,
+        }
     }
 
     /// The position of the quantity's own axis.

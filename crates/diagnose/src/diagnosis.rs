@@ -105,7 +105,13 @@ fn searched(data: &Data, aside: &[bool], progress: &mut Progress<'_>) -> (Proble
     let mut chance = Chance::new(rows as u64);
     let drawn: Vec<bool> =
         used.iter().map(|used| *used && chance.below(rows) < MOST_ROWS_MOVING).collect();
-    let problem = Problem::new(data.clone(), Groups::new(data, &drawn, 1));
+    let problem = if data.has_memory() {
+        Problem::new(data.clone(), Groups::new(data, &drawn, 1))
+    } else {
+        let few = data.subset(&drawn);
+        let groups = Groups::new(&few, &few.used.clone(), 1);
+        Problem::new(few, groups)
+    };
     let mut found = search::search(&problem, search::start(data), progress);
     let whole = Problem::new(data.clone(), Groups::new(data, &used, 1));
     let model = fit(&whole, &found.fitted.model, None).model;
@@ -186,11 +192,14 @@ fn conclude(
     } else {
         holdout(&compensated, false)
     };
+    for it in &mut judged {
+        it.finding.gain.by_row(within);
+    }
     if aside_count > 0 {
         judged.push(outlier_finding(&data, &after, aside, aside_count));
     }
 
-    let repeats = repeats::analyse(&data);
+    let repeats = repeats::analyse(&data, &model.predict(&data));
     let noise_um = noise_um(&data, &problem, &found, &after, aside, repeats.as_ref());
     let (verdict, reasons) = verdict(&found, &judged, repeats.as_ref());
     let rejected = found
@@ -243,6 +252,7 @@ fn step_s(data: &Data, problem: &Problem) -> f64 {
 /// Mean square of what the groups average away.
 fn within(data: &Data, problem: &Problem, predicted: &[f64], aside: &[bool]) -> f64 {
     if problem.groups.size == 1 {
+        // Rows of their own, or a draw of them.
         return 0.0;
     }
     let rows = errors(data, predicted, Some(aside));

@@ -1,7 +1,8 @@
 //! Readings at equal positions: what repeats, and what does not.
 //!
-//! What repeats is looked for in the readings themselves, not in what the model leaves of them: a
-//! machine that does what its model says repeats, also where nothing else is left but noise.
+//! What scatters is what the model leaves: an axis that grows with its temperature as the model says
+//! repeats. What repeats is looked for in the readings themselves: a machine that does what its model
+//! says repeats, also where nothing else is left but noise.
 
 use crate::data::Data;
 
@@ -15,7 +16,7 @@ pub(crate) struct Repeats {
 }
 
 /// None where there are too few repeats: less than three runs, or positions that do not come back.
-pub(crate) fn analyse(data: &Data) -> Option<Repeats> {
+pub(crate) fn analyse(data: &Data, predicted: &[f64]) -> Option<Repeats> {
     let run = data.run.as_deref()?;
     let own = data.own_position()?;
     let direction = data.own_direction();
@@ -35,10 +36,13 @@ pub(crate) fn analyse(data: &Data) -> Option<Repeats> {
         if group.len() < 2 {
             continue;
         }
-        let values: Vec<f64> = group.iter().map(|&(_, _, row)| data.measured[row]).collect();
-        let count = values.len() as f64;
-        let mean = values.iter().sum::<f64>() / count;
-        within += values.iter().map(|value| (value - mean).powi(2)).sum::<f64>();
+        let count = group.len() as f64;
+        let mean_of = |of: &dyn Fn(usize) -> f64| {
+            group.iter().map(|&(_, _, row)| of(row)).sum::<f64>() / count
+        };
+        let left = |row: usize| data.measured[row] - predicted[row];
+        let (mean, mean_left) = (mean_of(&|row| data.measured[row]), mean_of(&left));
+        within += group.iter().map(|&(_, _, row)| (left(row) - mean_left).powi(2)).sum::<f64>();
         freedom += count - 1.0;
         means.push((mean, count));
     }

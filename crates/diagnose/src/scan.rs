@@ -29,7 +29,7 @@ use crate::{
 };
 
 /// Chance that noise passes the limit of one statistic in one search.
-const FALSE_ALARM: f64 = 0.002;
+const FALSE_ALARM: f64 = 0.0005;
 /// Draws of noise.
 const DRAWS: usize = 32;
 

@@ -254,12 +254,23 @@ pub(crate) fn search(
         let scanned = scan(problem, &fitted.model, &fitted.residual, &candidates, true);
         let hits: Vec<Hit> =
             scanned.hits.iter().filter(|hit| is_let_in(hit, &leaned)).cloned().collect();
-        if std::env::var_os("TRUEUP_TRACE").is_some() {
-            trace(problem, &fitted, &scanned.hits, scanned.limits);
-        }
         let options = fitted_hits(problem, &fitted.model, &fitted.residual, &hits, FITTED);
         let chosen = choose(problem, &fitted, options, &candidates, worth_um, progress);
         let Some((taken, tried, gain)) = chosen.0 else {
+            let pair = (stage == 2 && added.is_empty()).then(|| {
+                let limit = scanned.limits.map_or(0.0, |limits| limits[0]);
+                pair_from_nothing(problem, &fitted, &candidates, &scanned.hits, limit)
+            });
+            if let Some(Some((pair, kinds, gain))) = pair {
+                fitted = pair;
+                for kind in kinds {
+                    added.push(Added { kind, before: gain, tried: Vec::new() });
+                }
+                refused.clear();
+                last_tried.clear();
+                stage = 0;
+                continue;
+            }
             refused.extend(chosen.1.iter().map(|tried| tried.kind.clone()));
             last_tried.extend(chosen.1);
             if stage < 2 {
@@ -313,7 +324,7 @@ pub(crate) fn search(
         if added.len() >= MOST_TERMS {
             break;
         }
-        if added.len() > 1 {
+        if !added.is_empty() {
             progress("comparing with rivals", ((round as f64 + 0.7) / MOST_TERMS as f64).min(0.9));
             improve(problem, &mut fitted, &mut added);
         }
@@ -335,24 +346,6 @@ pub(crate) fn search(
     let (noise, _) = independent(problem, &fitted.residual, degrees(&fitted.model));
     let folds = Folds::new(problem, noise.memory);
     Found { fitted, added, rejected, structure: structure_left, noise, folds }
-}
-
-fn trace(problem: &Problem, fitted: &Fitted, hits: &[Hit], limits: Option<[f64; 2]>) {
-    let (noise, m) = independent(problem, &fitted.residual, degrees(&fitted.model));
-    eprintln!("rms {:.4} {noise:?} m {m:.1} limits {limits:?} {:?}", fitted.rms(), fitted.model);
-    let mut order: Vec<&Hit> = hits.iter().collect();
-    order.sort_by(|a, b| b.by_squares.total_cmp(&a.by_squares));
-    for hit in order.iter().take(12) {
-        eprintln!(
-            "   {} {:?} const {} T {:.1} U {:.1} {}",
-            name(&hit.part.kind),
-            &hit.part.values[..hit.part.values.len().min(3)],
-            hit.with_constant,
-            hit.by_likelihood,
-            hit.by_squares,
-            hit.is_significant
-        );
-    }
 }
 
 /// Whether a hit may be taken. One slow misfit may be explained that the likelihood would leave to
@@ -435,18 +428,6 @@ fn choose(
         .collect();
     all.sort_by(|a, b| a.score.total_cmp(&b.score));
     let tier = |it: &Choice| it.hit.part.kind.tier();
-    if std::env::var_os("TRUEUP_TRACE").is_some() {
-        for it in &all {
-            eprintln!(
-                "  ? {:?} left {:.4} score {:.2} rms {:.4} {:?}",
-                it.hit.part.kind,
-                rms(&it.left),
-                it.score,
-                it.fitted.rms(),
-                it.reduction
-            );
-        }
-    }
     let least = all
         .iter()
         .filter(|it| it.reduction.2)
@@ -528,12 +509,52 @@ fn partners_of(
         .filter(|(score, ..)| *score < own - TIE)
         .collect();
     scored.sort_by(|a, b| a.0.total_cmp(&b.0));
-    if std::env::var_os("TRUEUP_TRACE").is_some() {
-        for (score, kind, pair) in &scored {
-            eprintln!("  + {kind:?} score {score:.1} rms {:.4}", pair.rms());
+    scored.into_iter().map(|(_, kind, pair)| (kind, pair)).collect()
+}
+
+/// Two causes may each be hidden by the other, so that neither alone is more than noise. Tries the
+/// partners of the most likely candidates; a pair must be half as much again above the limit of what
+/// noise lets one candidate reach, and must predict left-out blocks better.
+fn pair_from_nothing(
+    problem: &Problem,
+    before: &Fitted,
+    candidates: &[Candidate],
+    hits: &[Hit],
+    limit: f64,
+) -> Option<(Fitted, Vec<Kind>, Gain)> {
+    if problem.groups.len() > 3000 {
+        return None;
+    }
+    let simple: Vec<Hit> = hits
+        .iter()
+        .filter(|hit| hit.part.kind.tier() <= 1 && hit.part.kind.amplitudes() <= 2)
+        .cloned()
+        .collect();
+    let least = score(problem, before) - 1.5 * limit.max(0.0) - 2.0 * TIE;
+    let mut best: Option<(f64, Fitted, Vec<Kind>)> = None;
+    for (hit, fitted) in fitted_hits(problem, &before.model, &before.residual, &simple, 5) {
+        for (partner, pair) in partners_of(problem, &fitted, candidates).into_iter().take(1) {
+            let there = score(problem, &pair);
+            if there < least && best.as_ref().is_none_or(|best| there < best.0) {
+                best = Some((there, pair, vec![hit.part.kind.clone(), partner]));
+            }
         }
     }
-    scored.into_iter().map(|(_, kind, pair)| (kind, pair)).collect()
+    let (_, pair, kinds) = best?;
+    let (noise, _) = independent(problem, &pair.residual, degrees(&pair.model));
+    let folds = Folds::new(problem, noise.memory);
+    let (left_before, left) =
+        (folds.left_out(problem, &before.model), folds.left_out(problem, &pair.model));
+    let (reduction, ci95, gains) = folds.reduction(&left_before, &left);
+    let gain = Gain {
+        rms_before_um: before.rms(),
+        rms_after_um: pair.rms(),
+        left_out_before_um: rms(&left_before),
+        left_out_after_um: rms(&left),
+        reduction,
+        ci95,
+    };
+    gains.then_some((pair, kinds, gain))
 }
 
 /// Tries, for each term, whether it is still needed, and whether another cause does better in its
@@ -639,7 +660,7 @@ fn drop_what_does_not_gain(problem: &Problem, fitted: &mut Fitted, added: &mut V
 }
 
 /// By how much the score of another cause in a term's place must be better: what needs more values
-/// must be much better, but for a lag on the same column.
+/// must be much better, but for a lag on the same column; what needs fewer only as good.
 fn margin(fitted: &Fitted, other: &Fitted, kind: &Kind, with: Option<&Kind>) -> f64 {
     let is_more = degrees(&other.model) > degrees(&fitted.model);
     let column = |kind: &Kind| match kind {
@@ -647,7 +668,13 @@ fn margin(fitted: &Fitted, other: &Fitted, kind: &Kind, with: Option<&Kind>) -> 
         _ => None,
     };
     let is_same = column(kind).is_some() && with.and_then(column) == column(kind);
-    if is_more && !is_same { 3.0 * TIE } else { TIE }
+    if is_more && !is_same {
+        3.0 * TIE
+    } else if degrees(&other.model) < degrees(&fitted.model) {
+        0.0
+    } else {
+        TIE
+    }
 }
 
 /// A slow path of a column that the model does not go by otherwise is a path, not a second one.
@@ -686,7 +713,13 @@ fn predicts_better(
     let (noise, _) = independent(problem, &fitted.residual, 0);
     let folds = Folds::new(problem, noise.memory);
     let is_farther = with.is_some_and(|with| with.tier() > kind.tier());
-    let least = if is_farther { 0.9 } else { 1.0 };
+    let least = if degrees(&other.model) < degrees(&fitted.model) {
+        1.01
+    } else if is_farther {
+        0.9
+    } else {
+        1.0
+    };
     rms(&folds.left_out(problem, &other.model))
         < least * rms(&folds.left_out(problem, &fitted.model))
 }

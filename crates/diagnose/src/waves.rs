@@ -37,9 +37,14 @@ pub(crate) fn candidates(problem: &Problem, model: &Model, residual: &[f64]) -> 
         return all;
     }
     let Some(own) = data.own_position() else { return all };
+    let has_instrument =
+        model.parts.iter().any(|part| matches!(part.kind, Kind::ReferenceInstrument { .. }));
     // Groups would blur a period.
     let at = problem.groups.means(&filled(own));
-    if let Some((frequency, searched)) = peak(&at, residual, 2.0, MOST_FREQUENCIES) {
+    // Where the instrument has waves of its own, what else is periodic may be its as well.
+    if !has_instrument
+        && let Some((frequency, searched)) = peak(&at, residual, 2.0, MOST_FREQUENCIES)
+    {
         // Whatever turns once in two, three or four of these periods is the same screw.
         let known = model.parts.iter().find_map(|part| match &part.kind {
             Kind::PitchPeriodic { .. } => Some(part.values[0]),
@@ -74,8 +79,6 @@ pub(crate) fn candidates(problem: &Problem, model: &Model, residual: &[f64]) -> 
             });
         }
     }
-    let has_instrument =
-        model.parts.iter().any(|part| matches!(part.kind, Kind::ReferenceInstrument { .. }));
     if !has_instrument && let Some((values, searched)) = angled(&at, residual) {
         all.push(Candidate {
             kind: Kind::ReferenceInstrument { is_angled: true },

@@ -1,0 +1,76 @@
+//! A hidden effect is found: a fixed, smaller part of the score card (`examples/scorecard.rs` is the
+//! whole). The drawn truth is read only by the check.
+
+mod score;
+
+use score::{Row, answer, score as scored};
+use trueup_diagnose::Verdict;
+use trueup_twin::hidden::{Hidden, draw, draw_pair};
+
+fn row(causes: &[Hidden], ratio: f64, seeds: std::ops::Range<u64>) -> Row {
+    let scores = causes.iter().flat_map(|&cause| {
+        seeds.clone().map(move |seed| {
+            let challenge = draw(cause, ratio, seed);
+            scored(&challenge, &answer(&challenge))
+        })
+    });
+    Row { scores: scores.collect() }
+}
+
+#[test]
+fn a_cause_of_an_elongation_three_times_the_noise_is_named() {
+    let causes = [
+        Hidden::SensorGain,
+        Hidden::SensorCurvature,
+        Hidden::SensorSaturation,
+        Hidden::SensorTemperatureDrift,
+        Hidden::ThermalLag,
+        Hidden::GrowthAmplitude,
+        Hidden::CoolingAsymmetry,
+        Hidden::CentrifugalGrowth,
+        Hidden::CuttingLoad,
+        Hidden::Drift,
+    ];
+    let all = row(&causes, 3.0, 0..1);
+    println!("{}", all.line("elongation"));
+    // One of the ten is named, but not claimed.
+    assert!(all.right() >= 0.9 && all.wrong() == 0.0, "{}", all.line("elongation"));
+    let (median, worst) = all.gain();
+    assert!(median >= 0.98 && worst >= 0.85, "{median} {worst}");
+}
+
+#[test]
+fn a_cause_of_an_axis_three_times_the_noise_is_named() {
+    let causes = [
+        Hidden::PitchPeriodic,
+        Hidden::PositionDependentBacklash,
+        Hidden::Straightness,
+        Hidden::CrossAxis,
+        Hidden::ExpansionSlope,
+    ];
+    let all = row(&causes, 3.0, 0..1);
+    println!("{}", all.line("axis"));
+    assert!(all.right() >= 0.95, "{}", all.line("axis"));
+}
+
+#[test]
+fn nothing_is_found_in_noise_with_and_without_a_memory() {
+    let all = row(&[Hidden::CleanWhite, Hidden::CleanCorrelated], 3.0, 0..5);
+    println!("{}", all.line("clean"));
+    for score in &all.scores {
+        assert_eq!(score.verdict, Verdict::Clean, "{score:?}");
+    }
+}
+
+#[test]
+fn two_causes_are_both_named() {
+    for (first, second) in [
+        (Hidden::CentrifugalGrowth, Hidden::CuttingLoad),
+        (Hidden::ThermalLag, Hidden::CentrifugalGrowth),
+        (Hidden::PitchScale, Hidden::Backlash),
+    ] {
+        let challenge = draw_pair(first, second, 3.0, 0).expect("one machine shows both");
+        let score = scored(&challenge, &answer(&challenge));
+        assert!(score.is_right, "{score:?}");
+    }
+}
