@@ -1,0 +1,250 @@
+//! What `diagnose` has extended, the board runs: a held-out run is played to the emulated board with
+//! the calibration of the machine file as it was believed, and with that of `extended.toml`. What the
+//! offsets leave of the measured error, before and after, is the gain in the offsets themselves; it is
+//! the gain that the diagnosis has predicted.
+//!
+//! Where nothing of the model has a memory, the rows of a run may follow each other faster than they
+//! were measured; where something lags, time passes as it did.
+
+use std::{
+    fmt::Write as _,
+    path::{Path, PathBuf},
+};
+
+use trueup_core::cnc::{Control, Output, Spindle};
+use trueup_diagnose::{Diagnosis, diagnose};
+use trueup_emulator::{
+    board::{LARGEST_BATCH, VirtualBoard},
+    firmware::{self, Board},
+    front_end::FrontEnd,
+    replay::Replay,
+    setup,
+    stand_in::{Heard, StandIn},
+};
+use trueup_link::{bench::Block, frames, receiver::OffsetReceiver};
+use trueup_machine::{Machine, MachineFile, RunFile, compile};
+use trueup_twin::hidden::{Hidden, draw};
+
+/// The gain may be off its prediction by this share of it.
+const SHARE: f64 = 0.05;
+/// How long a row of a run without memory is held: filter and slew have come to rest by then.
+const ROW_S: f64 = 0.8;
+/// The part of a run with a memory that is played, from its start.
+const PLAYED_S: f64 = 2_700.0;
+const DIVIDER: f64 = 0.33;
+
+/// The machine file with what a board needs beside the model: an input for each thermometer of the
+/// run, and limits that do not bind.
+fn on_a_board(model: &str, run: &RunFile) -> String {
+    let mut text = model.to_string();
+    text.push_str("\n[inputs]\nsensor = { volts_full_scale = 10.0, counts_full_scale = 32768, ");
+    writeln!(text, "divider = {DIVIDER} }}").expect("a string grows");
+    let thermometers = run.columns().iter().map(|column| column.name.as_str());
+    let thermometers = thermometers.filter(|name| name.starts_with("temp_"));
+    for (channel, name) in thermometers.take(8).enumerate() {
+        let rest = "kind = \"linear\", zero_counts = 4000, counts_per_c = 16";
+        writeln!(text, "{name} = {{ channel = {channel}, {rest} }}").expect("a string grows");
+    }
+    text.push_str("[limits]\nmax_um = { x = 5000, y = 5000, z = 5000 }\nslew_um_per_s = 100000\n");
+    text
+}
+
+fn machine(text: &str) -> Machine {
+    MachineFile::parse(text, Path::new("m.toml")).unwrap_or_else(|error| panic!("{error}\n{text}"))
+}
+
+/// A run as text, and what is taken of it.
+fn run(text: &str) -> RunFile {
+    RunFile::from_reader(text.as_bytes(), Path::new("run.csv")).expect("a run file")
+}
+
+/// The rows of a run for which `is_taken` holds, counted from 0.
+fn rows(text: &str, is_taken: impl Fn(usize) -> bool) -> String {
+    let mut lines = text.lines();
+    let mut taken = lines.next().expect("a header").to_string() + "\n";
+    for (_, line) in lines.enumerate().filter(|(row, _)| is_taken(*row)) {
+        taken.push_str(line);
+        taken.push('\n');
+    }
+    taken
+}
+
+/// What the board's offsets leave of the measured error, row for row, in µm.
+fn left_by_the_board(
+    machine: &Machine,
+    run: &RunFile,
+    quantity: &str,
+    row_s: Option<f64>,
+) -> Vec<f64> {
+    let compiled = compile(machine).expect("what was extended compiles");
+    let image = firmware::build(Board::Virtual).expect("the image builds");
+    let mut board = VirtualBoard::boot(&image, compiled.blob()).expect("the board boots");
+    let mut front_end = FrontEnd::new(DIVIDER, 1);
+    let (mut stand_in, heard) = (StandIn::default(), Heard::default());
+    let mut offsets = OffsetReceiver::new();
+    let replay = Replay::new(run, machine, 1.0).expect("it can be replayed");
+    let times = run.column("time_s").map_or_else(
+        || (0..run.rows()).map(|row| row as f64).collect(),
+        |times| times.iter().map(|time| time - times[0]).collect::<Vec<f64>>(),
+    );
+    let loads = run.column("load_n");
+    let measured = run.column(&format!("measured_{quantity}_um")).expect("measured");
+    let (mut ms, mut counter, mut left) = (0_u32, 0_u8, Vec::new());
+    for row in 0..run.rows() {
+        let now = replay.at(times[row]);
+        let held_s = match row_s {
+            Some(row_s) => row_s,
+            // A row holds until the next; its prediction is that of the end of such a time.
+            None if row == 0 => ROW_S,
+            None => times[row] - times[row - 1],
+        };
+        let load_n = loads.map_or(0.0, |loads| loads[row]);
+        let mut last: Option<Output> = None;
+        let mut to_go = (held_s * 1000.0).round() as u32;
+        while to_go > 0 {
+            let batch = to_go.min(LARGEST_BATCH);
+            to_go -= batch;
+            let blocks: Vec<Block> = (0..batch)
+                .map(|_| {
+                    let mut frames = stand_in.frames(&now, &heard);
+                    if ms.is_multiple_of(20) {
+                        let control = Control { engage: true, referenced: true, zero: false };
+                        frames[4] = Some(frames::control(control, counter));
+                    } else if ms % 20 == 10 {
+                        let speed = now.speed.unwrap_or_default();
+                        let spindle = Spindle { speed, load_n: load_n.round() as i16 };
+                        frames[4] = Some(frames::spindle(spindle, counter));
+                        counter = counter.wrapping_add(1);
+                    }
+                    ms += 1;
+                    Block {
+                        codes: front_end.block(|_| now.sensor_volts),
+                        speed: None,
+                        temperatures: now.temperatures,
+                        frames,
+                    }
+                })
+                .collect();
+            for (_, frame) in board.step(&blocks).expect("the board lives") {
+                last = offsets.accept(&frame).expect("whole frames").or(last);
+            }
+        }
+        let last = last.expect("an output a millisecond");
+        let offset = last.offset.expect("available").map(|nm| f64::from(nm.0) / 1000.0);
+        // An offset is minus the error; a spindle that has grown is lifted.
+        let corrected_um = match quantity {
+            "elongation" => offset[2],
+            "dx" => -offset[0],
+            "dy" => -offset[1],
+            "dz" => -offset[2],
+            other => unreachable!("no quantity: {other}"),
+        };
+        left.push(measured[row] - corrected_um);
+    }
+    left
+}
+
+fn rms(values: &[f64]) -> f64 {
+    let there: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
+    (there.iter().map(|value| value * value).sum::<f64>() / there.len() as f64).sqrt()
+}
+
+/// Plays `holdout` with the believed and with the extended model, and compares the gain with that
+/// which `predict` states for the same rows.
+fn check(name: &str, believed: &str, training: &[RunFile], holdout: &str, has_memory: bool) {
+    let held_out = run(holdout);
+    let believed = on_a_board(believed, &held_out);
+    let diagnosis: Diagnosis = diagnose(
+        &machine(&believed),
+        training,
+        std::slice::from_ref(&held_out),
+        None,
+        &mut |_, _| {},
+    )
+    .expect("comparable");
+    let report = &diagnosis.report;
+    let quantity = report.quantity.clone();
+    let named: Vec<&str> = report.findings.iter().map(|finding| finding.cause.as_str()).collect();
+    let extended =
+        diagnosis.extended(&believed, Path::new("m.toml")).expect("the machine file is one");
+    assert_ne!(extended, believed, "{name}: nothing was added ({named:?})");
+    let row_s = (!has_memory).then_some(ROW_S);
+    let before = rms(&left_by_the_board(&machine(&believed), &held_out, &quantity, row_s));
+    let after = rms(&left_by_the_board(&machine(&extended), &held_out, &quantity, row_s));
+    let gain = 1.0 - after / before;
+    let predicted = 1.0 - report.after.compensated_holdout_rms_um / report.before.holdout_rms_um;
+    println!(
+        "{name}: {named:?}, {} rows held out: {:.3} → {:.3} µm predicted, {before:.3} → {after:.3} µm \
+         left by the board's offsets; gain {predicted:.4} and {gain:.4}",
+        held_out.rows(),
+        report.before.holdout_rms_um,
+        report.after.compensated_holdout_rms_um,
+    );
+    assert!(predicted > 0.1, "{name}: a gain to speak of, not {predicted}");
+    assert!((gain - predicted).abs() <= SHARE * predicted, "{name}: {gain} for {predicted}");
+}
+
+/// A hidden effect of the virtual machine; the truth is not read.
+fn hidden(cause: Hidden, seed: u64, has_memory: bool) {
+    let challenge = draw(cause, 10.0, seed);
+    let training: Vec<RunFile> = challenge.runs.iter().map(|text| run(text)).collect();
+    let holdout = if has_memory {
+        let whole = run(&challenge.holdout);
+        let times = whole.column("time_s").expect("it has a time").to_vec();
+        rows(&challenge.holdout, |row| times[row] - times[0] <= PLAYED_S)
+    } else {
+        // One in a few rows is enough.
+        let every = challenge.holdout.lines().count().div_ceil(150);
+        rows(&challenge.holdout, |row| row.is_multiple_of(every))
+    };
+    check(cause.name(), &challenge.machine, &training, &holdout, has_memory);
+}
+
+#[test]
+fn the_gain_of_a_spindles_terms_is_in_the_offsets() {
+    hidden(Hidden::SensorGain, 1, false);
+    hidden(Hidden::SensorTemperatureDrift, 1, false);
+    hidden(Hidden::CuttingLoad, 2, false);
+    hidden(Hidden::CentrifugalGrowth, 1, false);
+}
+
+#[test]
+fn the_gain_of_an_axiss_terms_is_in_the_offsets() {
+    hidden(Hidden::ExpansionSlope, 1, false);
+    hidden(Hidden::PitchPeriodic, 1, false);
+    hidden(Hidden::PositionDependentBacklash, 1, false);
+    hidden(Hidden::Straightness, 1, false);
+}
+
+#[test]
+fn the_gain_of_a_lag_is_in_the_offsets() {
+    hidden(Hidden::ThermalLag, 2, true);
+}
+
+/// The path of a measured file, where it is there.
+fn data(name: &str) -> Option<PathBuf> {
+    let path = setup::root().join("../shared/data").join(name);
+    if path.exists() {
+        return Some(path);
+    }
+    println!("skipped: {} is not there", path.display());
+    None
+}
+
+#[test]
+fn the_gain_on_measured_machines_is_in_the_offsets() {
+    let path = setup::root().join("data/spindle_paper_table1.csv");
+    let table = std::fs::read_to_string(path).expect("the project's own");
+    let paper = "[machine]\nname = \"paper\"\nkind = \"3-axis\"\n[spindle]\nsource = \"sensor\"\n\
+                 [spindle.sensor]\nk0_um = 0.0\nzero_counts = 5048.0\num_per_count = \
+                 0.0152587890625\n";
+    let known = [run(&rows(&table, |row| !row.is_multiple_of(3)))];
+    check("paper's Table 1", paper, &known, &rows(&table, |row| row.is_multiple_of(3)), false);
+
+    let axis = "[machine]\nname = \"axis\"\nkind = \"3-axis\"\n";
+    let Some(path) = data("ess_iso230/x.csv") else { return };
+    let text = std::fs::read_to_string(path).expect("a text file");
+    let cycle = run(&text).column("run").expect("cycles").to_vec();
+    let known = [run(&rows(&text, |row| cycle[row] <= 3.0))];
+    check("ISO 230-2 x", axis, &known, &rows(&text, |row| cycle[row] > 3.0), false);
+}
