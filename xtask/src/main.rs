@@ -16,7 +16,7 @@ use trueup_emulator::{
     demo,
     firmware::{self, Board},
     front_end::FrontEnd,
-    measure,
+    linuxcnc, measure,
     plant::Plant,
     replay::{self, Replay},
     report,
@@ -40,6 +40,9 @@ enum Command {
     Verify,
     /// Runs a virtual bridge for any client, until Ctrl-C.
     Virtual(Virtual),
+    /// Lets the real LinuxCNC cut on a virtual machine that the bridge corrects.
+    #[command(name = "linuxcnc")]
+    LinuxCnc,
     /// Prints the size of the firmware images.
     Size,
     /// Counts instructions on the emulated board, and compares its frames with the host's.
@@ -101,6 +104,7 @@ fn main() -> ExitCode {
         Command::Demo => run_demo(),
         Command::Verify => verify::run(),
         Command::Virtual(options) => run_virtual(options),
+        Command::LinuxCnc => linuxcnc::run_and_publish().map(drop),
         Command::Size => size::report().map(|report| print!("{report}")),
         Command::Measure => measure::run(measure::VECTORS).and_then(|measured| measured.publish()),
         Command::Scorecard { seeds } => verify::scorecard(seeds),

@@ -2,7 +2,7 @@
 
 pub mod info;
 pub mod monitor;
-mod port;
+pub mod port;
 mod session;
 
 use serde_json::{Value, json};

@@ -16,6 +16,7 @@ mod compile;
 mod diagnose;
 mod export;
 mod fit;
+mod linuxcnc;
 mod output;
 mod predict;
 mod show;
@@ -47,6 +48,8 @@ enum Command {
     Diagnose(diagnose::Diagnose),
     Export(export::Export),
     Fit(fit::Fit),
+    #[command(name = "linuxcnc")]
+    LinuxCnc(linuxcnc::LinuxCnc),
     /// Prints a calibration back as a machine file.
     ///
     /// Exit 3: it is printed, but does not compile back to the same calibration.
@@ -160,6 +163,7 @@ fn run(cli: &Cli) -> Result<Outcome> {
         Command::Diagnose(args) => diagnose::run(args, cli.json),
         Command::Export(args) => export::run(args, cli.json),
         Command::Fit(args) => fit::run(args, cli.json),
+        Command::LinuxCnc(args) => linuxcnc::run(args),
         Command::Show { calibration } => show::run(calibration, cli.json),
         Command::Simulate(args) => simulate::run(args, cli.json),
         Command::Bridge { command: BridgeCommand::Info { port } } => {

@@ -1,66 +1,137 @@
-//! The score card: every cause of the twin at a ratio of effect to noise, drawn from seeds.
+//! The score card: every effect of the twin at a ratio of effect to noise, drawn from seeds, and what
+//! the diagnosis makes of it. The drawn truth is read only by the check.
 //!
-//! `cargo run --release -p trueup-diagnose --example scorecard -- RATIO SEEDS [FIRST] [cause…|pairs|first+second]`
+//! ```text
+//! cargo run --release -p trueup-diagnose --example scorecard -- \
+//!     [--ratios 3,1,10] [--seeds 20] [--few 20] [--clean 150] [--first 0] [--out docs/scorecard.md] \
+//!     [--each] [cause…|pairs|first+second]
+//! ```
+//!
+//! `--seeds` counts at ratio 3, `--few` at the others, `--clean` for noise alone. `--each` prints every
+//! answer. The file is written anew after each row.
 
-use std::{env, thread};
+use std::{env, fs, path::PathBuf, process::ExitCode, thread};
 
 #[path = "../tests/score/mod.rs"]
 mod score;
 
-use score::{Row, answer, score};
-use trueup_twin::hidden::{Hidden, PAIRS, draw, draw_pair};
+use score::{Card, Row, Score, answer, score};
+use trueup_twin::hidden::{Expected, Hidden, PAIRS, draw, draw_pair};
 
-fn main() {
-    let words: Vec<String> = env::args().skip(1).collect();
-    let number = |index: usize, default: f64| -> f64 {
-        words.get(index).and_then(|word| word.parse().ok()).unwrap_or(default)
+/// What is asked for.
+struct Asked {
+    ratios: Vec<f64>,
+    seeds: u64,
+    few: u64,
+    clean: u64,
+    first: u64,
+    out: Option<PathBuf>,
+    each: bool,
+    wanted: Vec<String>,
+}
+
+fn asked() -> Option<Asked> {
+    let mut it = Asked {
+        ratios: vec![3.0, 1.0, 10.0],
+        seeds: 20,
+        few: 20,
+        clean: 150,
+        first: 0,
+        out: None,
+        each: false,
+        wanted: Vec::new(),
     };
-    let (ratio, seeds, first) = (number(0, 3.0), number(1, 20.0) as u64, number(2, 0.0) as u64);
-    let wanted: Vec<&str> = words.iter().skip(3).map(String::as_str).collect();
-    let is_wanted = |name: &str| wanted.is_empty() || wanted.contains(&name);
+    let mut words = env::args().skip(1);
+    while let Some(word) = words.next() {
+        match word.as_str() {
+            "--ratios" => {
+                let list = words.next()?;
+                it.ratios = list.split(',').map(|word| word.parse().ok()).collect::<Option<_>>()?;
+            }
+            "--seeds" => it.seeds = words.next()?.parse().ok()?,
+            "--few" => it.few = words.next()?.parse().ok()?,
+            "--clean" => it.clean = words.next()?.parse().ok()?,
+            "--first" => it.first = words.next()?.parse().ok()?,
+            "--out" => it.out = Some(words.next()?.into()),
+            "--each" => it.each = true,
+            _ if word.starts_with('-') => return None,
+            _ => it.wanted.push(word),
+        }
+    }
+    Some(it)
+}
+
+/// The answers to `seeds`, in their order, on all cores.
+fn row(seeds: std::ops::Range<u64>, of: &(dyn Fn(u64) -> Score + Sync)) -> Row {
     let cores = thread::available_parallelism().map_or(1, usize::from) as u64;
-    let row = |of: &(dyn Fn(u64) -> score::Score + Sync)| -> Row {
-        thread::scope(|scope| {
-            let workers: Vec<_> = (0..cores)
-                .map(|core| {
-                    scope.spawn(move || {
-                        (first..first + seeds)
-                            .filter(|seed| seed % cores == core)
-                            .map(of)
-                            .collect::<Vec<_>>()
-                    })
-                })
-                .collect();
-            let scores = workers
-                .into_iter()
-                .flat_map(|worker| worker.join().expect("a diagnosis does not panic"))
-                .collect();
-            Row { scores }
+    let mut scores: Vec<(u64, Score)> = thread::scope(|scope| {
+        let workers: Vec<_> = (0..cores)
+            .map(|core| {
+                let own = seeds.clone().filter(move |seed| seed % cores == core);
+                scope.spawn(move || own.map(|seed| (seed, of(seed))).collect::<Vec<_>>())
+            })
+            .collect();
+        workers
+            .into_iter()
+            .flat_map(|worker| worker.join().expect("a diagnosis does not panic"))
+            .collect()
+    });
+    scores.sort_by_key(|(seed, _)| *seed);
+    Row { scores: scores.into_iter().map(|(_, score)| score).collect() }
+}
+
+fn main() -> ExitCode {
+    let Some(asked) = asked() else {
+        eprintln!("error: see the head of examples/scorecard.rs for what may be asked");
+        return ExitCode::from(2);
+    };
+    let is_wanted =
+        |name: &str| asked.wanted.is_empty() || asked.wanted.iter().any(|there| there == name);
+    let mut card = Card::default();
+    let mut done = |ratio: f64, name: String, row: Row| {
+        println!("ratio {ratio}: {}", row.line(&name));
+        if asked.each {
+            for (seed, score) in row.scores.iter().enumerate() {
+                println!("    seed {}: {score:?}", asked.first + seed as u64);
+            }
+        }
+        card.rows.push((ratio, name, row));
+        if let Some(path) = &asked.out
+            && let Err(error) = fs::write(path, card.markdown())
+        {
+            eprintln!("error: {}: {error}", path.display());
+        }
+    };
+    let drawn = |cause: Hidden, ratio: f64, count: u64| {
+        row(asked.first..asked.first + count, &|seed| {
+            let challenge = draw(cause, ratio, seed);
+            score(&challenge, &answer(&challenge))
         })
     };
-    for &cause in Hidden::ALL {
-        if is_wanted(cause.name()) {
-            let all = row(&|seed| {
-                let challenge = draw(cause, ratio, seed);
-                score(&challenge, &answer(&challenge))
-            });
-            println!("{}", all.line(cause.name()));
-            if env::var_os("TRUEUP_SEEDS").is_some() {
-                for it in &all.scores {
-                    println!("    {it:?}");
-                }
+    for (number, &ratio) in asked.ratios.iter().enumerate() {
+        let seeds = if ratio == 3.0 { asked.seeds } else { asked.few };
+        for &cause in Hidden::ALL {
+            if is_wanted(cause.name()) && cause.expected() != Expected::Clean {
+                done(ratio, cause.name().into(), drawn(cause, ratio, seeds));
+            }
+        }
+        for &(a, b) in PAIRS {
+            let both = format!("{}+{}", a.name(), b.name());
+            if is_wanted("pairs") || is_wanted(&both) {
+                let row = row(asked.first..asked.first + seeds, &|seed| {
+                    let challenge =
+                        draw_pair(a, b, ratio, seed).expect("the twin's own pairs can be drawn");
+                    score(&challenge, &answer(&challenge))
+                });
+                done(ratio, both, row);
+            }
+        }
+        // Noise alone has no ratio.
+        for &cause in Hidden::ALL.iter().filter(|_| number == 0) {
+            if is_wanted(cause.name()) && cause.expected() == Expected::Clean {
+                done(ratio, cause.name().into(), drawn(cause, ratio, asked.clean));
             }
         }
     }
-    for &(a, b) in PAIRS {
-        let both = format!("{}+{}", a.name(), b.name());
-        if is_wanted("pairs") || is_wanted(&both) {
-            let all = row(&|seed| {
-                let challenge =
-                    draw_pair(a, b, ratio, seed).expect("the twin's own pairs can be drawn");
-                score(&challenge, &answer(&challenge))
-            });
-            println!("{}", all.line(&format!("{} + {}", a.name(), b.name())));
-        }
-    }
+    ExitCode::SUCCESS
 }

@@ -7,9 +7,10 @@
 use trueup_machine::machine_file::{Feedback, LinearAxis, Quantity, Source};
 
 use crate::{
+    columns::{SAID, named},
     data::Data,
     fit::Problem,
-    model::{Kind, Model, named, own_thermal},
+    model::{Kind, Model, own_thermal},
     waves,
 };
 
@@ -23,7 +24,7 @@ pub(crate) struct Candidate {
     pub searched: f64,
 }
 
-/// Most trials of a time constant.
+/// Trials of a time constant.
 const TIME_CONSTANTS: usize = 12;
 
 /// All that may be added to `model`.
@@ -50,8 +51,14 @@ fn growth(problem: &Problem, model: &Model, add: &mut Add<'_>) {
     let elongates = data.has_elongation && data.along.iter().any(|along| along.abs() > 0.1);
     let source = if elongates { spindle.source } else { None };
     let is_elongation = data.quantity == Quantity::Elongation;
-    let taus = || time_constants(problem);
+    let taus = || time_constants(problem, TIME_CONSTANTS);
     let lag_taus = || if data.time_s.is_some() { taus() } else { Vec::new() };
+    // Where a constant is corrected by a factor, the next point of a coarse grid may be worse than
+    // none.
+    let fine_taus = || match data.time_s {
+        Some(_) => time_constants(problem, 3 * TIME_CONSTANTS),
+        None => Vec::new(),
+    };
     if is_elongation && model.constant_um.is_none() {
         add(Kind::SensorOffset, none());
     }
@@ -68,22 +75,22 @@ fn growth(problem: &Problem, model: &Model, add: &mut Add<'_>) {
     let thermal = own_thermal(data).filter(|thermal| varying(data, &thermal.sensor));
     let lag_now = model.parts.iter().any(|part| part.kind == Kind::ThermalLag);
     if (source == Some(Source::Temperature) && thermal.is_none()) || thermal.is_some() {
-        add(Kind::ThermalLag, lag_taus());
         let believed_s = match thermal {
             Some(thermal) => thermal.lag_s,
             None => spindle.temperature.as_ref().map_or(0.0, |model| model.lag_s),
         };
+        add(Kind::ThermalLag, if believed_s > 0.0 { fine_taus() } else { lag_taus() });
         if believed_s > 0.0 || lag_now {
-            add(Kind::CoolingAsymmetry, lag_taus());
+            add(Kind::CoolingAsymmetry, fine_taus());
         }
     }
     if matches!(source, Some(Source::Temperature | Source::Warmup)) && varies(&data.elongation) {
         add(Kind::GrowthAmplitude, none());
     }
     if source == Some(Source::Warmup) {
-        add(Kind::GrowthRate, lag_taus());
+        add(Kind::GrowthRate, fine_taus());
         if data.spindle_rpm.as_ref().is_some_and(|rpm| rpm.contains(&0.0)) {
-            add(Kind::CoolingAsymmetry, lag_taus());
+            add(Kind::CoolingAsymmetry, fine_taus());
         }
     }
     // Heat is looked for where something grows: in a spindle, or in an axis that is believed to.
@@ -139,10 +146,12 @@ fn axis(problem: &Problem, model: &Model, add: &mut Add<'_>) {
     let data = &problem.data;
     let Some(own_axis) = data.quantity.axis() else { return };
     let none = || vec![Vec::new()];
-    if let Some(thermal) = own_thermal(data).filter(|thermal| thermal.table.is_none()) {
+    if let Some(thermal) = own_thermal(data) {
         let moves = data.own_position().is_some_and(|mm| spread_of(mm) > 0.0);
         if thermal.mode.has_position() && moves && varying(data, &thermal.sensor) {
-            add(Kind::ExpansionSlope, none());
+            if thermal.table.is_none() {
+                add(Kind::ExpansionSlope, none());
+            }
             add(Kind::ReferenceTemperature, none());
         }
     }
@@ -210,28 +219,53 @@ fn series(problem: &Problem, model: &Model, add: &mut Add<'_>) {
     }
 }
 
-/// Curves over each column: no causes, but tests of structure.
+/// Curves over each column: no causes, but tests of structure. Beside them what no single column
+/// shows: a curve over one position that grows with another (an angle of a guide, times an arm), a
+/// growth that is another one at other speeds, what comes and goes after a reversal.
 pub(crate) fn structure(problem: &Problem) -> Vec<Candidate> {
     let data = &problem.data;
     let mut all = Vec::new();
-    let mut names: Vec<String> = data.temperatures.iter().map(|(name, _)| name.clone()).collect();
-    names.extend(data.others.iter().map(|(name, _)| name.clone()));
-    names.extend(["spindle_rpm", "load_n", "x_mm", "y_mm", "z_mm"].map(String::from));
-    for column in names {
-        let Some(values) = named(data, &column).filter(|_| varying(data, &column)) else {
-            continue;
+    let own = data.quantity.axis().map(|axis| format!("{}_mm", axis.name()));
+    let turns = data.own_direction().is_some_and(|d| d.contains(&1.0) && d.contains(&-1.0));
+    let mut add = |column: &str, by_direction: bool, times: Option<&str>| {
+        let Some(values) = named(data, column).filter(|_| varying(data, column)) else { return };
+        if times.is_some_and(|times| !varying(data, times)) {
+            return;
+        }
+        // A guide's form has more bends than a characteristic.
+        let most = match column {
+            _ if by_direction => 9,
+            "x_mm" | "y_mm" | "z_mm" => 16,
+            "spindle_rpm" => 10,
+            _ if data.untaken.iter().any(|(reversal, _)| reversal == column) => 2,
+            _ => 6,
         };
-        let own = data.quantity.axis().map(|axis| format!("{}_mm", axis.name()));
-        let turns = data.own_direction().is_some_and(|d| d.contains(&1.0) && d.contains(&-1.0));
-        for by_direction in [false, true] {
-            if by_direction && !(turns && own.as_deref() == Some(column.as_str())) {
-                continue;
-            }
-            let knots = curve_knots(values, if by_direction { 9 } else { 6 });
-            if knots.len() >= 3 {
-                let kind = Kind::Curve { column: column.clone(), knots, by_direction };
-                all.push(Candidate { kind, settings: vec![Vec::new()], searched: 0.0 });
-            }
+        let knots = curve_knots(values, most);
+        // Over one of the file's columns a curve with two knots is a straight line, which is a cause.
+        let least = if times.is_some() || most == 2 { 2 } else { 3 };
+        if knots.len() >= least {
+            let (column, times) = (column.to_string(), times.map(String::from));
+            let kind = Kind::Curve { column, knots, by_direction, times };
+            all.push(Candidate { kind, settings: vec![Vec::new()], searched: 0.0 });
+        }
+    };
+    const POSITIONS: [&str; 3] = ["x_mm", "y_mm", "z_mm"];
+    let temperatures = data.temperatures.iter().map(|(name, _)| name.as_str());
+    let others = data.others.iter().map(|(name, _)| name.as_str());
+    for column in temperatures.chain(others).chain(["spindle_rpm", "load_n", SAID]).chain(POSITIONS)
+    {
+        add(column, false, None);
+        if turns && own.as_deref() == Some(column) {
+            add(column, true, None);
+        }
+    }
+    add("spindle_rpm", false, Some(SAID));
+    for (reversal, _) in &data.untaken {
+        add(reversal, false, None);
+    }
+    for (column, arm) in POSITIONS.iter().flat_map(|a| POSITIONS.map(|b| (*a, b))) {
+        if column != arm {
+            add(column, false, Some(arm));
         }
     }
     all
@@ -264,7 +298,7 @@ fn varying(data: &Data, column: &str) -> bool {
 }
 
 /// Time constants in equal ratios, from the row spacing to what the longest series can show.
-fn time_constants(problem: &Problem) -> Vec<Vec<f64>> {
+fn time_constants(problem: &Problem, count: usize) -> Vec<Vec<f64>> {
     let [low, high] = problem.bounds.time_constant_s;
     // What is within one group is not seen apart.
     let low = low.max(2.0 * low * problem.groups.size as f64);
@@ -272,8 +306,8 @@ fn time_constants(problem: &Problem) -> Vec<Vec<f64>> {
     if high.partial_cmp(&low) != Some(std::cmp::Ordering::Greater) {
         return Vec::new();
     }
-    let ratio = (high / low).powf(1.0 / (TIME_CONSTANTS - 1) as f64);
-    (0..TIME_CONSTANTS).map(|n| vec![low * ratio.powi(n as i32)]).collect()
+    let ratio = (high / low).powf(1.0 / (count - 1) as f64);
+    (0..count).map(|n| vec![low * ratio.powi(n as i32)]).collect()
 }
 
 fn quantiles(values: &[f64]) -> Vec<Vec<f64>> {

@@ -1,12 +1,14 @@
 //! The runs as one table: what was measured, what the model says, and what might explain the rest.
 
+use std::sync::Arc;
+
 use trueup_machine::{
     BadInput, Machine, RunFile,
-    machine_file::{LinearAxis, Quantity, Source, is_temperature_column},
+    machine_file::{LinearAxis, Quantity, is_temperature_column},
     model::{Reference, Situation, shifted, time_shift_s},
 };
 
-use crate::noise::Steps;
+use crate::{columns::filled, noise::Steps};
 
 /// A run's columns, all files one after the other. A list has one value a row; NaN where missing.
 #[derive(Clone, Debug)]
@@ -30,6 +32,9 @@ pub(crate) struct Data {
     pub load_n: Option<Vec<f64>>,
     pub position_mm: [Option<Vec<f64>>; 3],
     pub direction: [Option<Vec<f64>>; 3],
+    /// What is left of the last reversal of the quantity's own axis if it is taken up over a way, for
+    /// several ways, each under its name.
+    pub untaken: Vec<(String, Vec<f64>)>,
     pub measured: Vec<f64>,
     /// The model's elongation.
     pub elongation: Vec<f64>,
@@ -46,6 +51,23 @@ pub(crate) struct Data {
     /// first row that was trained on. A hold-out has its own first row and never refers to it.
     pub references_c: Vec<(String, f64)>,
     pub start_s: f64,
+    /// Where these are drawn rows: all of them, for what a row has from the rows before it.
+    pub whole: Option<Whole>,
+}
+
+/// The table that rows were drawn from.
+#[derive(Clone, Debug)]
+pub(crate) struct Whole {
+    pub data: Arc<Data>,
+    /// Which of its rows were drawn, rising.
+    rows: Vec<usize>,
+}
+
+impl Whole {
+    /// Of values for all rows, those of the drawn ones.
+    pub(crate) fn pick(&self, all: &[f64]) -> Vec<f64> {
+        self.rows.iter().map(|&row| all[row]).collect()
+    }
 }
 
 /// The quantity that is asked for, or the only one that the runs measure.
@@ -168,6 +190,7 @@ impl Data {
             load_n: joined("load_n"),
             position_mm: ["x_mm", "y_mm", "z_mm"].map(joined),
             direction: ["dir_x", "dir_y", "dir_z"].map(joined),
+            untaken: Vec::new(),
             measured,
             elongation: Vec::new(),
             along: Vec::new(),
@@ -177,6 +200,7 @@ impl Data {
             used: Vec::new(),
             references_c: Vec::new(),
             start_s: 0.0,
+            whole: None,
         };
         data.references_c = data
             .temperatures
@@ -184,6 +208,7 @@ impl Data {
             .map(|(name, values)| (name.clone(), Self::first_of(values)))
             .collect();
         data.start_s = data.time_s.as_deref().map_or(0.0, Self::first_of);
+        data.untaken = data.untaken();
         data.predict(runs);
         if !data.used.iter().any(|&used| used) {
             // Says which column is missing, where one is.
@@ -196,6 +221,45 @@ impl Data {
             return Err(runs[0].bad(0, &name, "has no row that is both measured and predicted"));
         }
         Ok(data)
+    }
+
+    /// For ways in equal ratios between the shortest and the longest steps: u ← (u + Δd)·e^(−|ΔP|/way),
+    /// Δd the change of the direction. Nothing where the axis never turns.
+    fn untaken(&self) -> Vec<(String, Vec<f64>)> {
+        const WAYS: i32 = 6;
+        let (Some(own), Some(direction)) = (self.own_position(), self.own_direction()) else {
+            return Vec::new();
+        };
+        let is_next = |row: usize| row > 0 && self.series[row] == self.series[row - 1];
+        let step = |row: usize| (own[row] - own[row - 1]).abs();
+        let mut steps: Vec<f64> =
+            (0..self.rows).filter(|&row| is_next(row)).map(step).filter(|mm| *mm > 0.0).collect();
+        steps.sort_by(f64::total_cmp);
+        let turns = |row: usize| is_next(row) && direction[row] * direction[row - 1] < 0.0;
+        let (Some(&short), true) = (steps.get(steps.len() / 20), (0..self.rows).any(turns)) else {
+            return Vec::new();
+        };
+        // Beyond twenty of the shortest steps nothing would be left of it at once.
+        (0..WAYS)
+            .map(|n| {
+                let way_mm = short * 20.0_f64.powf(f64::from(n + 1) / f64::from(WAYS));
+                let mut left = 0.0;
+                let values = (0..self.rows)
+                    .map(|row| {
+                        if !is_next(row) {
+                            left = 0.0;
+                        } else if !step(row).is_nan() {
+                            if turns(row) {
+                                left += direction[row] - direction[row - 1];
+                            }
+                            left *= (-step(row) / way_mm).exp();
+                        }
+                        left
+                    })
+                    .collect();
+                (format!("the last reversal, taken up over {way_mm:.3} mm"), values)
+            })
+            .collect()
     }
 
     /// Steps the reference model through the runs.
@@ -261,38 +325,37 @@ impl Data {
             .collect();
     }
 
-    /// Whether what is predicted of a row depends on the rows before it, or may.
-    pub(crate) fn has_memory(&self) -> bool {
-        !self.temperatures.is_empty()
-            || self.machine.spindle.source == Some(Source::Warmup) && self.has_elongation
-    }
-
-    /// The rows of `mask` alone, where no row depends on another.
-    pub(crate) fn subset(&self, mask: &[bool]) -> Self {
-        let pick = |values: &Vec<f64>| -> Vec<f64> {
-            values.iter().zip(mask).filter(|(_, used)| **used).map(|(value, _)| *value).collect()
-        };
-        let maybe = |values: &Option<Vec<f64>>| values.as_ref().map(pick);
-        let named = |columns: &[(String, Vec<f64>)]| {
-            columns.iter().map(|(name, values)| (name.clone(), pick(values))).collect()
-        };
+    /// The rows of `mask` alone; what has a memory is still stepped through all of them.
+    pub(crate) fn subset(self: &Arc<Self>, mask: &[bool]) -> Self {
         let rows: Vec<usize> = (0..self.rows).filter(|&row| mask[row]).collect();
+        let pick =
+            |values: &Vec<f64>| -> Vec<f64> { rows.iter().map(|&row| values[row]).collect() };
+        let maybe = |values: &Option<Vec<f64>>| values.as_ref().map(pick);
+        // A missing value holds the one before it, also if that one is not drawn.
+        let held = |values: &Option<Vec<f64>>| values.as_ref().map(|it| pick(&filled(it)));
         let series: Vec<usize> = rows.iter().map(|&row| self.series[row]).collect();
         Self {
             rows: rows.len(),
             file: rows.iter().map(|&row| self.file[row]).collect(),
-            restart: (0..rows.len())
-                .map(|n| n == 0 || series[n] != series[n - 1] || self.restart[rows[n]])
-                .collect(),
+            restart: (0..rows.len()).map(|n| n == 0 || series[n] != series[n - 1]).collect(),
             series,
             time_s: maybe(&self.time_s),
             run: maybe(&self.run),
-            temperatures: named(&self.temperatures),
-            others: named(&self.others),
-            spindle_rpm: maybe(&self.spindle_rpm),
-            load_n: maybe(&self.load_n),
+            temperatures: self
+                .temperatures
+                .iter()
+                .map(|(name, values)| (name.clone(), pick(&filled(values))))
+                .collect(),
+            others: self.others.iter().map(|(name, values)| (name.clone(), pick(values))).collect(),
+            spindle_rpm: held(&self.spindle_rpm),
+            load_n: held(&self.load_n),
             position_mm: self.position_mm.each_ref().map(maybe),
             direction: self.direction.each_ref().map(maybe),
+            untaken: self
+                .untaken
+                .iter()
+                .map(|(name, values)| (name.clone(), pick(values)))
+                .collect(),
             measured: pick(&self.measured),
             elongation: pick(&self.elongation),
             along: pick(&self.along),
@@ -305,6 +368,7 @@ impl Data {
             has_elongation: self.has_elongation,
             references_c: self.references_c.clone(),
             start_s: self.start_s,
+            whole: Some(Whole { data: self.clone(), rows }),
         }
     }
 

@@ -14,9 +14,10 @@ use std::{
 use trueup_machine::machine_file::Source;
 
 use crate::{
+    columns::basis,
     data::{Data, Groups},
     linear::{dot, solve},
-    model::{Kind, Model, Scale, basis, own_thermal},
+    model::{Kind, Model, Scale, own_thermal},
     noise::{self, Noise},
 };
 
@@ -102,6 +103,24 @@ impl Problem {
         columns
     }
 
+    /// The same, as if `measured` (in groups) had been measured.
+    pub(crate) fn measuring(&self, measured: Vec<f64>) -> Self {
+        Self {
+            data: self.data.clone(),
+            groups: self.groups.clone(),
+            measured,
+            bounds: self.bounds,
+            known: RefCell::default(),
+            kept: Cell::new(0),
+        }
+    }
+
+    /// Whether a time constant is so short that the record shows all of it: three of them pass at
+    /// least five times over.
+    pub(crate) fn is_short(&self, time_constant_s: f64) -> bool {
+        15.0 * time_constant_s < self.bounds.time_constant_s[1] / 3.0
+    }
+
     /// Measured minus predicted, in groups.
     pub(crate) fn residual(&self, model: &Model) -> Vec<f64> {
         let predicted = self.groups.means(&model.predict(&self.data));
@@ -135,12 +154,7 @@ impl Problem {
             }
             let held = |value: &mut f64, [low, high]: [f64; 2]| *value = value.clamp(low, high);
             match part.kind {
-                Kind::ThermalLag
-                | Kind::SlowMode
-                | Kind::SlowModeOf { .. }
-                | Kind::ExtraHeatPath { has_lag: true, .. }
-                | Kind::GrowthRate
-                | Kind::CoolingAsymmetry => {
+                _ if part.kind.has_time_constant() => {
                     held(&mut part.values[0], self.bounds.time_constant_s);
                 }
                 Kind::TimeShift => {

@@ -185,7 +185,7 @@ fn inputs(diagnosis: &Diagnosis, out: &mut String) {
         let _ = writeln!(all, "<div>{}</div>", picture(name, "left, µm", &lists, true));
     };
     for name in names {
-        if let Some(values) = crate::model::named(data, &name) {
+        if let Some(values) = crate::columns::named(data, &name) {
             let x: Vec<f64> = rows.iter().map(|&row| values[row]).collect();
             draw(&name, &x);
         }

@@ -22,16 +22,22 @@
 
 mod blocks;
 mod candidates;
+mod choose;
+mod columns;
 mod data;
 mod diagnosis;
 mod extended;
 mod figure;
 mod fit;
 mod html;
+mod judge;
+mod laws;
 mod linear;
+mod mend;
 mod model;
 mod noise;
 mod outliers;
+mod parameters;
 mod repeats;
 pub mod report;
 mod scan;

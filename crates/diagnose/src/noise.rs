@@ -109,6 +109,34 @@ impl Whitener {
     }
 }
 
+impl Whitener {
+    /// [`apply`](Self::apply) to each of `columns`, four side by side: one alone waits for each step.
+    pub(crate) fn apply_all(&self, columns: &[Vec<f64>]) -> Vec<Vec<f64>> {
+        const LANES: usize = 4;
+        let mut all = Vec::with_capacity(columns.len());
+        let chunks = columns.chunks_exact(LANES);
+        let rest = chunks.remainder();
+        for chunk in chunks {
+            let mut out: Vec<Vec<f64>> =
+                chunk.iter().map(|column| Vec::with_capacity(column.len())).collect();
+            let mut state = [0.0; LANES];
+            for (row, ((decay, gain), scale)) in
+                self.decay.iter().zip(&self.gain).zip(&self.scale).enumerate()
+            {
+                for lane in 0..LANES {
+                    let before = state[lane] * decay;
+                    let innovation = chunk[lane][row] - before;
+                    out[lane].push(innovation * scale);
+                    state[lane] = before + gain * innovation;
+                }
+            }
+            all.append(&mut out);
+        }
+        all.extend(rest.iter().map(|column| self.apply(column)));
+        all
+    }
+}
+
 /// Covariance (at variance 1) times a vector: two recursions, O(n).
 pub(crate) fn covariance_times(noise: Noise, steps: &Steps, values: &[f64]) -> Vec<f64> {
     let share = 1.0 - noise.white;

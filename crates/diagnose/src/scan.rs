@@ -94,14 +94,26 @@ fn effect(
     (vec![there.iter().zip(here).map(|(t, h)| (t - h) / step).collect()], is_fixed)
 }
 
-/// Tries `candidates` on what `model` leaves. `draw` noise for the limits only if it is asked for
-/// and something may pass them.
+/// Whether noise is drawn for the limits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Draw {
+    /// Nothing is decided by them.
+    Not,
+    /// Noises on a coarse grid: between its points any candidate seems to help, the limits are high,
+    /// and what passes them does so whatever the noise is.
+    Robust,
+    /// The noise as it is estimated is among them, and what it would be without its slow part: the
+    /// limits are low, and right if the noise is as it is modelled.
+    Sharp,
+}
+
+/// Tries `candidates` on what `model` leaves. Noise is drawn only if something may pass the limits.
 pub(crate) fn scan(
     problem: &Problem,
     model: &Model,
     residual: &[f64],
     candidates: &[Candidate],
-    draw: bool,
+    draw: Draw,
 ) -> Scan {
     let groups = &problem.groups;
     let rows = groups.len();
@@ -147,8 +159,20 @@ pub(crate) fn scan(
     let independent = noise::effective_rows(own, &groups.steps).max(3.0);
     let sigma = (dot(residual, residual) / rows as f64).sqrt();
     // Where nothing is decided by it, the noise as it is and its extremes are enough.
-    let noises = if draw {
-        noise::grid(longest.max(1.0))
+    let noises = if draw != Draw::Not {
+        let mut noises = noise::grid(longest.max(1.0));
+        if draw == Draw::Sharp && own != Noise::WHITE {
+            let more = (2.0 * own.white + 0.1).min(0.9);
+            for (memory, white) in [
+                (own.memory, own.white),
+                (own.memory, more),
+                (own.memory / 3.0, own.white),
+                (own.memory / 3.0, more),
+            ] {
+                noises.push(Noise { memory, white });
+            }
+        }
+        noises
     } else {
         let quick = Noise { memory: (own.memory / 4.0).max(0.5), white: 0.3 };
         vec![Noise::WHITE, quick, own]
@@ -169,19 +193,20 @@ pub(crate) fn scan(
     };
     let observed = best(&real, 0);
     let limits =
-        (draw && observed.iter().any(|value| *value > 0.0) && !trials.is_empty()).then(|| {
-            let mut chance = Chance::new(0x7472_7565_7570 ^ rows as u64);
-            let drawn: Vec<Vec<f64>> = (0..DRAWS)
-                .map(|_| {
-                    let mut e = noise::draw(own, &groups.steps, &mut chance);
-                    e.iter_mut().for_each(|e| *e *= sigma);
-                    e
-                })
-                .collect();
-            let all = statistics(&trials, &nuisance, &drawn, problem, &noises, independent);
-            let most: Vec<[f64; 2]> = (0..DRAWS).map(|draw| best(&all, draw)).collect();
-            [0, 1].map(|which| gumbel_limit(most.iter().map(|most| most[which])))
-        });
+        (draw != Draw::Not && observed.iter().any(|value| *value > 0.0) && !trials.is_empty())
+            .then(|| {
+                let mut chance = Chance::new(0x7472_7565_7570 ^ rows as u64);
+                let drawn: Vec<Vec<f64>> = (0..DRAWS)
+                    .map(|_| {
+                        let mut e = noise::draw(own, &groups.steps, &mut chance);
+                        e.iter_mut().for_each(|e| *e *= sigma);
+                        e
+                    })
+                    .collect();
+                let all = statistics(&trials, &nuisance, &drawn, problem, &noises, independent);
+                let most: Vec<[f64; 2]> = (0..DRAWS).map(|draw| best(&all, draw)).collect();
+                [0, 1].map(|which| gumbel_limit(most.iter().map(|most| most[which])))
+            });
     let mut hits: Vec<Hit> = Vec::new();
     for (number, trial) in trials.iter().enumerate() {
         let [by_likelihood, by_squares] = value(number, &real, 0);
@@ -251,9 +276,7 @@ fn statistics(
     let mut share = vec![vec![0.0_f64; lists.len()]; trials.len()];
     for (which, &noise) in noises.iter().enumerate() {
         let whitener = Whitener::new(noise, steps);
-        let white = |columns: &[Vec<f64>]| -> Vec<Vec<f64>> {
-            columns.iter().map(|column| whitener.apply(column)).collect()
-        };
+        let white = |columns: &[Vec<f64>]| whitener.apply_all(columns);
         let basis = orthonormal(&[], white(nuisance));
         let project = |mut list: Vec<f64>| {
             for column in &basis {
@@ -262,7 +285,7 @@ fn statistics(
             }
             list
         };
-        let lists: Vec<Vec<f64>> = lists.iter().map(|list| project(whitener.apply(list))).collect();
+        let lists: Vec<Vec<f64>> = white(lists).into_iter().map(project).collect();
         let sums: Vec<f64> = lists.iter().map(|list| dot(list, list)).collect();
         let deviance = |sum: f64| rows * (sum / rows).max(1e-300).ln() + whitener.log_det;
         for (base, sum) in base.iter_mut().zip(&sums) {

@@ -13,13 +13,19 @@
 //! the machine's own model and sensors come before others.
 
 use crate::{
-    blocks::{Folds, rms},
+    blocks::Folds,
     candidates::{Candidate, possible, structure},
+    choose::{choose, pair_from_nothing},
     data::Data,
     fit::{Fitted, Problem, fit},
+    mend::{
+        drop_what_does_not_gain, improve, lag_in_place_of_a_term, laws_for_a_table, look_ahead,
+        rename_paths, simplest_of_equals, table_for_both_ways,
+    },
     model::{Kind, Model, Part},
     noise::{self, Noise, Whitener},
-    scan::{Hit, scan},
+    scan::{Draw, Hit, scan},
+    words,
 };
 
 /// Scores nearer than that are equal.
@@ -28,8 +34,6 @@ pub(crate) const TIE: f64 = 6.0;
 const MOST_TERMS: usize = 8;
 /// Candidates that are fitted with everything else, of those that a scan puts first.
 const FITTED: usize = 10;
-/// Those of them that are tried on left-out blocks.
-const MOST_LEFT_OUT: usize = 8;
 /// What takes away less of what the machine file gets wrong is not worth a term, nor a complaint.
 const WORTH: f64 = 0.01;
 
@@ -128,7 +132,7 @@ fn with(model: &Model, hit: &Hit) -> Model {
 
 /// The candidates that a scan puts first, fitted with everything else. All where there is no need
 /// to be significant.
-fn fitted_hits(
+pub(crate) fn fitted_hits(
     problem: &Problem,
     model: &Model,
     residual: &[f64],
@@ -238,7 +242,8 @@ pub(crate) fn search(
     let mut last_tried: Vec<Tried> = Vec::new();
     let mut stage = 0;
     let mut leaned: Vec<Kind> = Vec::new();
-    for round in 0..=MOST_TERMS + 3 {
+    let mut draw = Draw::Robust;
+    for round in 0..=MOST_TERMS + 6 {
         progress("looking for a cause", (round as f64 / MOST_TERMS as f64).min(0.9));
         let mut candidates = possible(problem, &fitted.model, &fitted.residual);
         // What was refused beside this model is not tried beside it again.
@@ -251,7 +256,7 @@ pub(crate) fn search(
             1 => candidate.kind.tier() <= 1 && !is_late(&candidate.kind),
             _ => true,
         });
-        let scanned = scan(problem, &fitted.model, &fitted.residual, &candidates, true);
+        let scanned = scan(problem, &fitted.model, &fitted.residual, &candidates, draw);
         let hits: Vec<Hit> =
             scanned.hits.iter().filter(|hit| is_let_in(hit, &leaned)).cloned().collect();
         let options = fitted_hits(problem, &fitted.model, &fitted.residual, &hits, FITTED);
@@ -275,6 +280,14 @@ pub(crate) fn search(
             last_tried.extend(chosen.1);
             if stage < 2 {
                 stage += 1;
+                continue;
+            }
+            // Two causes may together look like slow noise. Before all is called noise, a sharper look.
+            if added.is_empty() && draw == Draw::Robust {
+                draw = Draw::Sharp;
+                stage = 0;
+                refused.clear();
+                last_tried.clear();
                 continue;
             }
             // Two terms ahead is many fits: only where each is quick.
@@ -311,6 +324,7 @@ pub(crate) fn search(
         };
         refused.clear();
         last_tried.clear();
+        draw = Draw::Robust;
         fitted = taken.0;
         added.retain(|there| fitted.model.has(&there.kind));
         leaned.retain(|kind| fitted.model.has(kind));
@@ -330,18 +344,18 @@ pub(crate) fn search(
         }
     }
     lag_in_place_of_a_term(problem, &mut fitted, &mut added);
+    table_for_both_ways(problem, &mut fitted, &mut added);
+    laws_for_a_table(problem, &mut fitted, &mut added);
     drop_what_does_not_gain(problem, &mut fitted, &mut added);
+    simplest_of_equals(problem, &mut fitted, &mut added);
     rename_paths(problem, &mut fitted, &mut added);
     // Structure that no cause explains.
     let curves = structure(problem);
-    let scanned = scan(problem, &fitted.model, &fitted.residual, &curves, true);
+    let scanned = scan(problem, &fitted.model, &fitted.residual, &curves, draw);
     let share = |hit: &Hit| (hit.explained * fitted.rms().powi(2)).sqrt();
     let counts = |hit: &&Hit| hit.is_significant && share(hit) > 2.0 * worth_um;
     for hit in scanned.hits.iter().filter(counts) {
-        if let Kind::Curve { column, by_direction, .. } = &hit.part.kind {
-            let ways = if *by_direction { ", differently in each direction" } else { "" };
-            structure_left.push(format!("what is left goes with {column}{ways}"));
-        }
+        structure_left.push(format!("what is left goes with {}", words::structure(&hit.part.kind)));
     }
     let (noise, _) = independent(problem, &fitted.residual, degrees(&fitted.model));
     let folds = Folds::new(problem, noise.memory);
@@ -375,394 +389,6 @@ fn add_insignificant(fitted: &Fitted, hits: &[Hit], into: &mut Vec<Tried>) {
     }
 }
 
-/// The model that is taken, with the causes that are new in it; what was tried; the gain.
-type Chosen = (Option<((Fitted, Vec<Kind>), Vec<Tried>, Gain)>, Vec<Tried>);
-
-/// A choice, with what it is worth on blocks that were left out.
-struct Choice {
-    score: f64,
-    hit: Hit,
-    fitted: Fitted,
-    left: Vec<f64>,
-    reduction: (f64, [f64; 2], bool),
-}
-
-/// What leaves more than this times the least on left-out blocks does not predict as well.
-pub(crate) const AS_WELL: f64 = 1.05;
-
-/// The option to take, and the others: of those that predict left-out blocks as well as the best,
-/// the one of the best score; of equal scores the simplest, then the machine's own.
-fn choose(
-    problem: &Problem,
-    before: &Fitted,
-    options: Vec<(Hit, Fitted)>,
-    candidates: &[Candidate],
-    worth_um: f64,
-    progress: &mut dyn FnMut(&str, f64),
-) -> Chosen {
-    if options.is_empty() {
-        return (None, Vec::new());
-    }
-    // The memory of the noise is that of what the best of them leaves.
-    let best_fit = options
-        .iter()
-        .min_by(|a, b| a.1.sum.total_cmp(&b.1.sum))
-        .map(|(_, fitted)| fitted)
-        .unwrap_or(before);
-    let (noise, _) = independent(problem, &best_fit.residual, degrees(&best_fit.model));
-    let folds = Folds::new(problem, noise.memory);
-    let left_before = folds.left_out(problem, &before.model);
-    let mut options: Vec<(f64, Hit, Fitted)> =
-        options.into_iter().map(|(hit, fitted)| (score(problem, &fitted), hit, fitted)).collect();
-    options.sort_by(|a, b| a.0.total_cmp(&b.0));
-    options.truncate(MOST_LEFT_OUT);
-    let mut all: Vec<Choice> = options
-        .into_iter()
-        .map(|(score, hit, fitted)| {
-            progress(name(&hit.part.kind), f64::NAN);
-            let left = folds.left_out(problem, &fitted.model);
-            let mut reduction = folds.reduction(&left_before, &left);
-            reduction.2 &= rms(&left_before) - rms(&left) > worth_um;
-            Choice { score, hit, fitted, left, reduction }
-        })
-        .collect();
-    all.sort_by(|a, b| a.score.total_cmp(&b.score));
-    let tier = |it: &Choice| it.hit.part.kind.tier();
-    let least = all
-        .iter()
-        .filter(|it| it.reduction.2)
-        .map(|it| rms(&it.left))
-        .fold(f64::INFINITY, f64::min);
-    let gain = |left: &[f64], reduction: (f64, [f64; 2], bool), fitted: &Fitted| Gain {
-        rms_before_um: before.rms(),
-        rms_after_um: fitted.rms(),
-        left_out_before_um: rms(&left_before),
-        left_out_after_um: rms(left),
-        reduction: reduction.0,
-        ci95: reduction.1,
-    };
-    let tried = |all: &[Choice], taken: Option<usize>| -> Vec<Tried> {
-        all.iter()
-            .enumerate()
-            .filter(|(index, _)| Some(*index) != taken)
-            .map(|(_, it)| Tried {
-                kind: it.hit.part.kind.clone(),
-                rms_um: it.fitted.rms(),
-                left_out_um: rms(&it.left),
-                why_not: if it.reduction.2 {
-                    "another explains it as well and is simpler, or predicts better".into()
-                } else {
-                    format!(
-                        "no gain on left-out {}: {:.3} µm before, {:.3} µm with it",
-                        folds.what,
-                        rms(&left_before),
-                        rms(&it.left)
-                    )
-                },
-            })
-            .collect()
-    };
-    // What is right may predict no better while something else is wrong beside it.
-    let first = &all[0];
-    let is_worth = before.rms() - first.fitted.rms() > worth_um;
-    if !first.reduction.2 && is_worth && first.score < score(problem, before) - TIE {
-        for (partner, pair) in partners_of(problem, &first.fitted, candidates) {
-            let left = folds.left_out(problem, &pair.model);
-            let reduction = folds.reduction(&left_before, &left);
-            if reduction.2 && rms(&left) < AS_WELL * least {
-                let gain = gain(&left, reduction, &pair);
-                let kinds = vec![first.hit.part.kind.clone(), partner];
-                return (Some(((pair, kinds), tried(&all, Some(0)), gain)), Vec::new());
-            }
-        }
-    }
-    let as_well = |it: &Choice| it.reduction.2 && rms(&it.left) <= AS_WELL * least;
-    let best = all.iter().filter(|it| as_well(it)).map(|it| it.score).fold(f64::INFINITY, f64::min);
-    let taken = (0..all.len())
-        .filter(|&index| as_well(&all[index]) && all[index].score < best + TIE)
-        .min_by(|&a, &b| {
-            let simple = |index: usize| (degrees(&all[index].fitted.model), tier(&all[index]));
-            simple(a).cmp(&simple(b)).then(rms(&all[a].left).total_cmp(&rms(&all[b].left)))
-        });
-    let others = tried(&all, taken);
-    let Some(taken) = taken else { return (None, others) };
-    let it = all.swap_remove(taken);
-    let gain = gain(&it.left, it.reduction, &it.fitted);
-    (Some(((it.fitted, vec![it.hit.part.kind]), others, gain)), Vec::new())
-}
-
-/// The candidates that do most beside what `fitted` has, with the fits of both, the best first.
-fn partners_of(
-    problem: &Problem,
-    fitted: &Fitted,
-    candidates: &[Candidate],
-) -> Vec<(Kind, Fitted)> {
-    let most = candidates.iter().map(|candidate| candidate.kind.tier()).max().unwrap_or(0);
-    let mut others = possible(problem, &fitted.model, &fitted.residual);
-    others.retain(|candidate| candidate.kind.tier() <= most);
-    let scanned = scan(problem, &fitted.model, &fitted.residual, &others, false);
-    let own = score(problem, fitted);
-    let hits = fitted_hits(problem, &fitted.model, &fitted.residual, &scanned.hits, 4);
-    let mut scored: Vec<(f64, Kind, Fitted)> = hits
-        .into_iter()
-        .map(|(hit, pair)| (score(problem, &pair), hit.part.kind, pair))
-        .filter(|(score, ..)| *score < own - TIE)
-        .collect();
-    scored.sort_by(|a, b| a.0.total_cmp(&b.0));
-    scored.into_iter().map(|(_, kind, pair)| (kind, pair)).collect()
-}
-
-/// Two causes may each be hidden by the other, so that neither alone is more than noise. Tries the
-/// partners of the most likely candidates; a pair must be half as much again above the limit of what
-/// noise lets one candidate reach, and must predict left-out blocks better.
-fn pair_from_nothing(
-    problem: &Problem,
-    before: &Fitted,
-    candidates: &[Candidate],
-    hits: &[Hit],
-    limit: f64,
-) -> Option<(Fitted, Vec<Kind>, Gain)> {
-    if problem.groups.len() > 3000 {
-        return None;
-    }
-    let simple: Vec<Hit> = hits
-        .iter()
-        .filter(|hit| hit.part.kind.tier() <= 1 && hit.part.kind.amplitudes() <= 2)
-        .cloned()
-        .collect();
-    let least = score(problem, before) - 1.5 * limit.max(0.0) - 2.0 * TIE;
-    let mut best: Option<(f64, Fitted, Vec<Kind>)> = None;
-    for (hit, fitted) in fitted_hits(problem, &before.model, &before.residual, &simple, 5) {
-        for (partner, pair) in partners_of(problem, &fitted, candidates).into_iter().take(1) {
-            let there = score(problem, &pair);
-            if there < least && best.as_ref().is_none_or(|best| there < best.0) {
-                best = Some((there, pair, vec![hit.part.kind.clone(), partner]));
-            }
-        }
-    }
-    let (_, pair, kinds) = best?;
-    let (noise, _) = independent(problem, &pair.residual, degrees(&pair.model));
-    let folds = Folds::new(problem, noise.memory);
-    let (left_before, left) =
-        (folds.left_out(problem, &before.model), folds.left_out(problem, &pair.model));
-    let (reduction, ci95, gains) = folds.reduction(&left_before, &left);
-    let gain = Gain {
-        rms_before_um: before.rms(),
-        rms_after_um: pair.rms(),
-        left_out_before_um: rms(&left_before),
-        left_out_after_um: rms(&left),
-        reduction,
-        ci95,
-    };
-    gains.then_some((pair, kinds, gain))
-}
-
-/// Tries, for each term, whether it is still needed, and whether another cause does better in its
-/// place now that others are there.
-fn improve(problem: &Problem, fitted: &mut Fitted, added: &mut Vec<Added>) {
-    for _ in 0..2 {
-        let mut changed = false;
-        for index in (0..added.len()).rev() {
-            let kind = added[index].kind.clone();
-            if !fitted.model.has(&kind) {
-                continue;
-            }
-            let others = in_its_place(problem, fitted, &kind, 6);
-            let own = score(problem, fitted);
-            let best = others
-                .into_iter()
-                .map(|(with, other)| (score(problem, &other), with, other))
-                .min_by(|a, b| a.0.total_cmp(&b.0));
-            if let Some((there, with, other)) = best
-                && (with.is_none() && there <= own && is_not_missed(problem, fitted, &other)
-                    || there < own - margin(fitted, &other, &kind, with.as_ref())
-                        && predicts_better(problem, fitted, &other, &kind, with.as_ref()))
-            {
-                *fitted = other;
-                match with {
-                    Some(with) => added[index].kind = with,
-                    None => {
-                        added.remove(index);
-                    }
-                }
-                changed = true;
-            }
-        }
-        if !changed {
-            break;
-        }
-    }
-    rename_paths(problem, fitted, added);
-}
-
-/// A path without a lag may need another term to mend what its lag would do. Tries the lag, with each
-/// other term left out in turn.
-fn lag_in_place_of_a_term(problem: &Problem, fitted: &mut Fitted, added: &mut Vec<Added>) {
-    if problem.data.time_s.is_none() {
-        return;
-    }
-    let plain = |kind: &Kind| matches!(kind, Kind::ExtraHeatPath { has_lag: false, .. });
-    for index in 0..added.len() {
-        let kind = added[index].kind.clone();
-        let Kind::ExtraHeatPath { column, .. } = &kind else { continue };
-        if !plain(&kind) || !fitted.model.has(&kind) {
-            continue;
-        }
-        let late = Kind::ExtraHeatPath { column: column.clone(), has_lag: true };
-        let [low, high] = problem.bounds.time_constant_s;
-        let mut best: Option<(f64, Kind, Fitted)> = None;
-        for other in added.iter().map(|it| &it.kind).filter(|other| **other != kind) {
-            for tau in [3.0 * low, (low * high).sqrt()] {
-                let mut model = fitted.model.clone();
-                model.parts.retain(|part| part.kind != *other);
-                for part in model.parts.iter_mut().filter(|part| part.kind == kind) {
-                    part.kind = late.clone();
-                    part.values.insert(0, tau);
-                }
-                let with = fit(problem, &model, None);
-                let score = score(problem, &with);
-                if best.as_ref().is_none_or(|best| score < best.0) {
-                    best = Some((score, other.clone(), with));
-                }
-            }
-        }
-        if let Some((there, other, with)) = best
-            && there < score(problem, fitted)
-            && predicts_better(problem, fitted, &with, &kind, Some(&late))
-        {
-            *fitted = with;
-            added[index].kind = late;
-            added.retain(|it| it.kind != other);
-            return;
-        }
-    }
-}
-
-/// No gain, no term: what predicts left-out blocks no better in the end leaves again.
-fn drop_what_does_not_gain(problem: &Problem, fitted: &mut Fitted, added: &mut Vec<Added>) {
-    for index in (0..added.len()).rev() {
-        let (noise, _) = independent(problem, &fitted.residual, 0);
-        let folds = Folds::new(problem, noise.memory);
-        let mut model = fitted.model.clone();
-        model.parts.retain(|part| part.kind != added[index].kind);
-        if problem.data.quantity.axis().is_none()
-            && !model.parts.iter().any(|part| part.kind.has_reference())
-        {
-            model.constant_um = None;
-        }
-        let without = fit(problem, &model, None);
-        let before = rms(&folds.left_out(problem, &without.model));
-        if rms(&folds.left_out(problem, &fitted.model)) >= before {
-            *fitted = without;
-            added.remove(index);
-        }
-    }
-}
-
-/// By how much the score of another cause in a term's place must be better: what needs more values
-/// must be much better, but for a lag on the same column; what needs fewer only as good.
-fn margin(fitted: &Fitted, other: &Fitted, kind: &Kind, with: Option<&Kind>) -> f64 {
-    let is_more = degrees(&other.model) > degrees(&fitted.model);
-    let column = |kind: &Kind| match kind {
-        Kind::ExtraHeatPath { column, .. } => Some(column.clone()),
-        _ => None,
-    };
-    let is_same = column(kind).is_some() && with.and_then(column) == column(kind);
-    if is_more && !is_same {
-        3.0 * TIE
-    } else if degrees(&other.model) < degrees(&fitted.model) {
-        0.0
-    } else {
-        TIE
-    }
-}
-
-/// A slow path of a column that the model does not go by otherwise is a path, not a second one.
-fn rename_paths(problem: &Problem, fitted: &mut Fitted, added: &mut [Added]) {
-    let used = crate::candidates::columns_in_use(&problem.data, &fitted.model);
-    for part in &mut fitted.model.parts {
-        if let Kind::SlowModeOf { column } = &part.kind
-            && !used.contains(column)
-        {
-            let path = Kind::ExtraHeatPath { column: column.clone(), has_lag: true };
-            for there in added.iter_mut().filter(|there| there.kind == part.kind) {
-                there.kind = path.clone();
-            }
-            part.kind = path;
-        }
-    }
-}
-
-/// Whether `other`, which has a term less, predicts blocks that were left out as well.
-fn is_not_missed(problem: &Problem, fitted: &Fitted, other: &Fitted) -> bool {
-    let (noise, _) = independent(problem, &fitted.residual, 0);
-    let folds = Folds::new(problem, noise.memory);
-    rms(&folds.left_out(problem, &other.model))
-        <= 1.01 * rms(&folds.left_out(problem, &fitted.model))
-}
-
-/// Whether `other`, with `with` in the place of `kind`, leaves less on blocks that were left out:
-/// clearly less, where what the model has already gives way to something that it has not.
-fn predicts_better(
-    problem: &Problem,
-    fitted: &Fitted,
-    other: &Fitted,
-    kind: &Kind,
-    with: Option<&Kind>,
-) -> bool {
-    let (noise, _) = independent(problem, &fitted.residual, 0);
-    let folds = Folds::new(problem, noise.memory);
-    let is_farther = with.is_some_and(|with| with.tier() > kind.tier());
-    let least = if degrees(&other.model) < degrees(&fitted.model) {
-        1.01
-    } else if is_farther {
-        0.9
-    } else {
-        1.0
-    };
-    rms(&folds.left_out(problem, &other.model))
-        < least * rms(&folds.left_out(problem, &fitted.model))
-}
-
-/// Two terms may do together what the one that is there does nearly as well alone. Tries, in the
-/// place of each term, each good rival together with the best that can then be added.
-fn look_ahead(problem: &Problem, fitted: &mut Fitted, added: &mut Vec<Added>) -> bool {
-    let own = score(problem, fitted);
-    let folds = Folds::new(problem, independent(problem, &fitted.residual, 0).0.memory);
-    let left = rms(&folds.left_out(problem, &fitted.model));
-    let mut best: Option<(f64, usize, Kind, Kind, Fitted)> = None;
-    for (index, there) in added.iter().enumerate() {
-        for (with, rival) in in_its_place(problem, fitted, &there.kind, 4) {
-            // Two of what is farther away are no better than one of what is near.
-            let Some(with) = with.filter(|with| with.tier() <= there.kind.tier()) else {
-                continue;
-            };
-            let candidates = possible(problem, &rival.model, &rival.residual);
-            let scanned = scan(problem, &rival.model, &rival.residual, &candidates, false);
-            let pairs = fitted_hits(problem, &rival.model, &rival.residual, &scanned.hits, 3);
-            for (hit, pair) in pairs {
-                if hit.part.kind.tier() > there.kind.tier() {
-                    continue;
-                }
-                let score = score(problem, &pair);
-                if score < own - TIE && best.as_ref().is_none_or(|best| score < best.0) {
-                    best = Some((score, index, with.clone(), hit.part.kind, pair));
-                }
-            }
-        }
-    }
-    let Some((_, index, first, second, pair)) = best else { return false };
-    let after = rms(&folds.left_out(problem, &pair.model));
-    if after >= left {
-        return false;
-    }
-    *fitted = pair;
-    let gain = Gain { left_out_before_um: left, left_out_after_um: after, ..added[index].before };
-    added[index].kind = first;
-    added.push(Added { kind: second, before: gain, tried: Vec::new() });
-    true
-}
-
 /// The model without `kind` (none), and with each other cause in its place.
 pub(crate) fn in_its_place(
     problem: &Problem,
@@ -783,7 +409,7 @@ pub(crate) fn in_its_place(
         .into_iter()
         .filter(|candidate| candidate.kind != *kind)
         .collect();
-    let scanned = scan(problem, &reduced.model, &reduced.residual, &candidates, false);
+    let scanned = scan(problem, &reduced.model, &reduced.residual, &candidates, Draw::Not);
     let mut all: Vec<(Option<Kind>, Fitted)> =
         fitted_hits(problem, &reduced.model, &reduced.residual, &scanned.hits, most)
             .into_iter()
@@ -791,6 +417,33 @@ pub(crate) fn in_its_place(
             .collect();
     all.push((None, reduced));
     all
+}
+
+/// The curves that do most beside what `reduced` has, with the fits of both.
+pub(crate) fn structure_in_place(problem: &Problem, reduced: &Fitted) -> Vec<(Kind, Fitted)> {
+    let curves = structure(problem);
+    let scanned = scan(problem, &reduced.model, &reduced.residual, &curves, Draw::Not);
+    fitted_hits(problem, &reduced.model, &reduced.residual, &scanned.hits, 2)
+        .into_iter()
+        .map(|(hit, fitted)| (hit.part.kind, fitted))
+        .collect()
+}
+
+/// `fitted` with up to two curves that explain more than they cost: what is left then is left by
+/// whatever law there is.
+pub(crate) fn with_structure(problem: &Problem, fitted: &Fitted) -> Fitted {
+    let mut best = fitted.clone();
+    for _ in 0..2 {
+        let own = score(problem, &best);
+        let with = structure_in_place(problem, &best)
+            .into_iter()
+            .map(|(_, with)| (score(problem, &with), with))
+            .filter(|(score, _)| *score < own - TIE)
+            .min_by(|a, b| a.0.total_cmp(&b.0));
+        let Some((_, with)) = with else { break };
+        best = with;
+    }
+    best
 }
 
 /// The name of a cause.

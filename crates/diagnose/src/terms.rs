@@ -118,9 +118,9 @@ fn effect(data: &Data, part: &Part) -> Option<Effect> {
         Kind::CrossAxis { axis } => Effect::CrossAxis { axis: *axis, um_per_m: value(0) },
         Kind::Step => Effect::Step { at_s: value(0), size_um: value(1) },
         Kind::Drift => Effect::Drift { um_per_h: value(0) },
-        Kind::ReferenceInstrument { is_angled } => {
-            // Of an elongation, the reading itself is not known when it is predicted.
-            let is_known = data.quantity != Quantity::Elongation;
+        Kind::ReferenceInstrument { is_angled, reading } => {
+            // A reading is not known when it is predicted, but for that of the position.
+            let is_known = data.quantity != Quantity::Elongation && reading.is_none();
             let start = part.kind.nonlinear().len();
             Effect::ReferenceInstrument {
                 description: instrument(*is_angled, part),

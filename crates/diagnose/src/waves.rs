@@ -15,8 +15,10 @@ use trueup_machine::machine_file::Quantity;
 
 use crate::{
     candidates::Candidate,
+    columns::filled,
     fit::Problem,
-    model::{Kind, Model, filled},
+    model::{Kind, Model},
+    noise::Chance,
 };
 
 /// Most frequencies that are looked at.
@@ -27,9 +29,10 @@ pub(crate) fn candidates(problem: &Problem, model: &Model, residual: &[f64]) -> 
     let mut all = Vec::new();
     if data.quantity == Quantity::Elongation {
         let reading = problem.groups.means(&filled(&data.elongation));
-        if let Some((frequency, searched)) = peak(&reading, residual, 6.0, 2000) {
+        // Less than three turns are a curve, and may be the sensor's.
+        if let Some((frequency, searched)) = peak(&reading, residual, 3.0, 2000) {
             all.push(Candidate {
-                kind: Kind::ReferenceInstrument { is_angled: false },
+                kind: Kind::ReferenceInstrument { is_angled: false, reading: None },
                 settings: vec![vec![1.0 / frequency]],
                 searched,
             });
@@ -79,12 +82,19 @@ pub(crate) fn candidates(problem: &Problem, model: &Model, residual: &[f64]) -> 
             });
         }
     }
-    if !has_instrument && let Some((values, searched)) = angled(&at, residual) {
-        all.push(Candidate {
-            kind: Kind::ReferenceInstrument { is_angled: true },
-            settings: vec![values],
-            searched,
-        });
+    if has_instrument {
+        return all;
+    }
+    // What the instrument reads may be in a column of its own: set up anew, it reads another number
+    // at the same position.
+    let lengths = data.others.iter().filter(|(name, _)| name.ends_with("_mm"));
+    let readings = lengths.map(|(name, values)| (Some(name.clone()), filled(values)));
+    for (reading, values) in std::iter::once((None, filled(own))).chain(readings) {
+        let at = problem.groups.means(&values);
+        if let Some((values, searched)) = angled(&at, residual) {
+            let kind = Kind::ReferenceInstrument { is_angled: true, reading };
+            all.push(Candidate { kind, settings: vec![values], searched });
+        }
     }
     all
 }
@@ -123,15 +133,28 @@ fn spectrum(at: &[f64], values: &[f64], least_turns: f64, most: usize) -> Option
     }
     let mean = values.iter().sum::<f64>() / values.len() as f64;
     let mut sums = vec![[0.0_f64; 2]; count];
-    for (x, value) in at.iter().zip(values) {
-        let x = x - low;
-        let (mut sin, mut cos) = (TAU * first * x).sin_cos();
-        let (turn_sin, turn_cos) = (TAU * step * x).sin_cos();
-        let value = value - mean;
+    // Several rows side by side: each turn waits for the one before it.
+    const LANES: usize = 8;
+    for (at, values) in at.chunks(LANES).zip(values.chunks(LANES)) {
+        let mut value = [0.0; LANES];
+        let [mut sin, mut cos, mut turn_sin, mut turn_cos] = [[0.0; LANES]; 4];
+        for (lane, (x, v)) in at.iter().zip(values).enumerate() {
+            let x = x - low;
+            value[lane] = v - mean;
+            (sin[lane], cos[lane]) = (TAU * first * x).sin_cos();
+            (turn_sin[lane], turn_cos[lane]) = (TAU * step * x).sin_cos();
+        }
         for sum in &mut sums {
-            sum[0] += value * sin;
-            sum[1] += value * cos;
-            (sin, cos) = (sin * turn_cos + cos * turn_sin, cos * turn_cos - sin * turn_sin);
+            let (mut by_sin, mut by_cos) = (0.0, 0.0);
+            for lane in 0..LANES {
+                by_sin += value[lane] * sin[lane];
+                by_cos += value[lane] * cos[lane];
+                let next = sin[lane] * turn_cos[lane] + cos[lane] * turn_sin[lane];
+                cos[lane] = cos[lane] * turn_cos[lane] - sin[lane] * turn_sin[lane];
+                sin[lane] = next;
+            }
+            sum[0] += by_sin;
+            sum[1] += by_cos;
         }
     }
     let power = |sum: &[f64; 2]| sum[0] * sum[0] + sum[1] * sum[1];
@@ -156,11 +179,12 @@ fn angled(at: &[f64], values: &[f64]) -> Option<(Vec<f64>, f64)> {
     if at.len() < 200 || range.partial_cmp(&0.0) != Some(std::cmp::Ordering::Greater) {
         return None;
     }
-    // As many rows as show the periods that matter, and no more.
-    let every = (at.len() / 3000).max(1);
-    let thin = |list: &[f64]| -> Vec<f64> {
-        list.chunks(every).map(|part| part.iter().sum::<f64>() / part.len() as f64).collect()
-    };
+    // As many rows as show the periods that matter, and no more, drawn by chance: rows at equal steps
+    // may all stand at one phase.
+    const ROWS: usize = 1200;
+    let mut chance = Chance::new(at.len() as u64);
+    let drawn: Vec<usize> = (0..at.len()).filter(|_| chance.below(at.len()) < ROWS).collect();
+    let thin = |list: &[f64]| -> Vec<f64> { drawn.iter().map(|&row| list[row]).collect() };
     let (at, values) = (thin(at), thin(values));
     let mut best: Option<(f64, Vec<f64>)> = None;
     let mut looked_at = 0.0;

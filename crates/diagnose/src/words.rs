@@ -119,7 +119,7 @@ pub(crate) fn sentence(part: &Part) -> String {
             format!("At {:.0} s something slipped by {:+.2} µm, once.", value(0), value(1))
         }
         Kind::Drift => format!("It wanders by {:+.3} µm an hour.", value(0)),
-        Kind::ReferenceInstrument { is_angled } => {
+        Kind::ReferenceInstrument { is_angled, .. } => {
             let text = terms::instrument(*is_angled, part);
             format!("It is {text}. The machine is not to be compensated for it.")
         }
@@ -127,6 +127,16 @@ pub(crate) fn sentence(part: &Part) -> String {
             format!("Something goes with {column}.")
         }
     }
+}
+
+/// What a test of structure goes with.
+pub(crate) fn structure(kind: &Kind) -> String {
+    let Kind::Curve { column, by_direction, times, .. } = kind else {
+        return crate::search::name(kind).into();
+    };
+    let times = times.as_ref().map_or(String::new(), |times| format!(" times {times}"));
+    let ways = if *by_direction { ", differently in each direction" } else { "" };
+    format!("{column}{times}{ways}")
 }
 
 /// The measurement that would settle what is open about `kind`, against `rival` where there is one.

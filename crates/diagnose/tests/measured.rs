@@ -126,8 +126,17 @@ fn a_frame_that_the_bed_warms_is_named_and_gross_errors_are_set_aside() {
         causes(&diagnosis),
         report.after.holdout_rms_um
     );
-    // Reached by an independent analysis: 5.24. Here: 5.8, of 41 before.
-    assert!(report.after.holdout_rms_um < 6.0);
+    // The first model leaves 41, an independent analysis reached 5.24.
+    assert!(report.after.holdout_rms_um <= 5.6);
+    // One heating and one cooling do not say how slow the slow path is.
+    let diagnosis = diagnosed(&machine, &[read(&three)], &[read(&four)]);
+    println!(
+        "run 3 alone: {:?}, run 4 {:.1} µm",
+        causes(&diagnosis),
+        diagnosis.report.after.holdout_rms_um
+    );
+    let slow = diagnosis.report.findings.iter().find(|finding| finding.cause == "slow-mode");
+    assert!(slow.is_some_and(|slow| !slow.claimed && !slow.next_test.is_empty()));
     let Some(one) = data("voron_frame_expansion/run1.csv") else { return };
     let diagnosis = diagnosed(&machine, &[read(&one)], &[]);
     let gross = diagnosis.report.rows - diagnosis.report.rows_used;

@@ -16,6 +16,7 @@ pub mod cnc;
 pub mod demo;
 pub mod firmware;
 pub mod front_end;
+pub mod linuxcnc;
 pub mod log;
 pub mod measure;
 pub mod plant;

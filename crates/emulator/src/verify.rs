@@ -13,7 +13,7 @@ use anyhow::{Context as _, Result, bail};
 
 use crate::{
     firmware::{self, Board},
-    process,
+    linuxcnc, process,
     setup::{self, TOOLCHAIN_VARIABLE},
     size,
 };
@@ -109,6 +109,13 @@ pub fn run() -> Result<()> {
         tests(cargo("test").args(emulated).args(one).env(TOOLCHAIN_VARIABLE, "distribution"))
     });
 
+    step("LinuxCNC in the loop", &mut || {
+        Ok(match linuxcnc::run_and_publish()? {
+            Some(passed) => Count { passed, ..Count::default() },
+            None => Count { skipped: 1, ..Count::default() },
+        })
+    });
+
     eprintln!("\nafter {:.0} s", started.elapsed().as_secs_f64());
     for name in &failed {
         eprintln!("failed: {name}");
@@ -125,11 +132,12 @@ pub fn run() -> Result<()> {
 /// # Errors
 /// It does not build or does not run through.
 pub fn scorecard(seeds: u32) -> Result<()> {
-    for ratio in ["1", "3", "10"] {
-        println!("\neffect to noise {ratio}, {seeds} draws of each");
-        let example = ["--release", "-p", "trueup-diagnose", "--example", "scorecard", "--"];
-        process::run(cargo("run").args(example).arg(ratio).arg(seeds.to_string()))?;
-    }
+    let docs = setup::root().join("docs");
+    std::fs::create_dir_all(&docs)?;
+    let example = ["--release", "-p", "trueup-diagnose", "--example", "scorecard", "--"];
+    let seeds = seeds.to_string();
+    let draws = ["--seeds", &seeds, "--few", &seeds, "--out"];
+    process::run(cargo("run").args(example).args(draws).arg(docs.join("scorecard.md")))?;
     Ok(())
 }
 

@@ -6,8 +6,10 @@
 //!   that of the scale, which follows the air; each with a time constant of its own;
 //! - pitch: a slope, a curve through points, a wave with the period of the screw;
 //! - backlash: 0 where it came from below, +B where it came from above. After a reversal it is taken up
-//!   over a way s₀ (pre-sliding, Dahl's law): b ← b∞ + (b − b∞)·e^(−|ΔP|/s₀). A scale on the axis sees
-//!   all of it;
+//!   over a way s₀ (pre-sliding, Dahl's law): b ← b∞ + (b − b∞)·e^(−|ΔP|/s₀). Or it is a gap, which the
+//!   screw crosses before the table follows: b ← b − ΔP held to 0…B. Under small movements to and fro
+//!   Dahl's law creeps to B/2, as is known of it; a gap does not, so an axis that is corrected all the
+//!   time should have one. A scale on the axis sees all of it;
 //! - straightness: a curve over the position of another axis; squareness: a slope over it;
 //! - Abbe: an angle along one axis times the arm at which another one stands.
 
@@ -89,6 +91,8 @@ pub struct AxisConfig {
     pub backlash_um_per_m: f64,
     /// s₀: the way over which it is taken up, in mm; 0: at once.
     pub pre_sliding_mm: f64,
+    /// Whether it is a gap instead, of this width at every place.
+    pub gap: bool,
 }
 
 impl Default for AxisConfig {
@@ -111,6 +115,7 @@ impl Default for AxisConfig {
             backlash_um: 0.0,
             backlash_um_per_m: 0.0,
             pre_sliding_mm: 0.0,
+            gap: false,
         }
     }
 }
@@ -123,6 +128,10 @@ impl AxisConfig {
                 "periodic_mm",
                 format!("must be above 0, not {}", self.periodic_mm),
             ));
+        }
+        if self.gap && (self.backlash_um < 0.0 || self.backlash_um_per_m != 0.0) {
+            let rule = "takes a backlash_um of at least 0, the same everywhere".to_string();
+            return Err(Rule::new("gap", rule));
         }
         Rule::none_negative(&[
             ("screw_heating_c", self.screw_heating_c),
@@ -225,7 +234,9 @@ impl Axes {
             let width_um = config.backlash_um
                 + config.backlash_um_per_m * (state.position_mm - config.origin_mm) / 1000.0;
             let settled_um = if state.direction < 0.0 { width_um } else { 0.0 };
-            if way_mm != 0.0 {
+            if config.gap {
+                state.lost_um = (state.lost_um - way_mm * 1000.0).clamp(0.0, config.backlash_um);
+            } else if way_mm != 0.0 {
                 follow(&mut state.lost_um, settled_um, way_mm.abs(), config.pre_sliding_mm);
             }
         }
@@ -304,4 +315,23 @@ impl AxisState {
 fn follow(value: &mut f64, settled: f64, step: f64, constant: f64) {
     let left = if constant > 0.0 { (-step / constant).exp() } else { 0.0 };
     *value = settled + (*value - settled) * left;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gap_is_crossed_before_the_table_follows() {
+        let z = AxisConfig { backlash_um: 9.0, gap: true, ..AxisConfig::default() };
+        let config = AxesConfig { axes: [(AxisName::Z, z)].into(), ..AxesConfig::default() };
+        let mut axes = Axes::new(&config, [0.0; 3], 20.0);
+        let mut at = |um: f64| {
+            axes.step(1.0, [0.0, 0.0, um / 1000.0], 20.0);
+            (axes.error_um()[2] * 1e6).round() / 1e6
+        };
+        // The screw goes up 50 µm, comes back 4, shakes there, comes back further, goes up again.
+        assert_eq!([at(50.0), at(46.0), at(46.5), at(46.0)], [0.0, 4.0, 3.5, 4.0]);
+        assert_eq!([at(40.0), at(43.0), at(60.0)], [9.0, 6.0, 0.0]);
+    }
 }

@@ -13,6 +13,8 @@
 //! | [`curve`] | smooth curves through points |
 //! | [`sensors`] | the displacement sensor and the thermometers, with their faults |
 //! | [`instrument`] | the reference instrument, with its own |
+//! | [`head`] | rotary axes that turn the tool |
+//! | [`machine`] | all of it as one machine, stepped by its drives |
 //! | [`path`] | speeds, loads, ways, position runs |
 //! | [`scenario`] | all of these in one file |
 //! | [`run`] | a scenario that is run: `trueup simulate` |
@@ -41,9 +43,11 @@ pub mod ambient;
 pub mod axes;
 mod broken;
 pub mod curve;
+pub mod head;
 pub mod heat;
 pub mod hidden;
 pub mod instrument;
+pub mod machine;
 pub mod noise;
 pub mod path;
 pub mod run;

@@ -13,6 +13,7 @@ use crate::{
     ambient::AmbientConfig,
     axes::{Abbe, AxesConfig, AxisConfig, AxisName, Straightness},
     broken::{Rule, line_and_column, not_finite, offset_of},
+    head,
     instrument::InstrumentConfig,
     path::{Segment, distance_mm},
     sensors::{DisplacementConfig, Spot, ThermometerConfig},
@@ -89,6 +90,11 @@ pub struct Scenario {
     /// From the spindle nose to the tool tip; its length does not count.
     #[serde(default = "down")]
     pub tool_direction: [f64; 3],
+    /// The rotary axes that carry the spindle, from the frame to the tool; at most
+    /// [`head::MOST_AXES`]. In a run of segments they stand
+    /// at 0.
+    #[serde(default)]
+    pub head: Vec<head::Axis>,
     /// The air.
     #[serde(default)]
     pub ambient: AmbientConfig,
@@ -201,6 +207,10 @@ impl Scenario {
         }
         if self.tool_direction.iter().all(|component| *component == 0.0) {
             return Err(Rule::new("tool_direction", "has no length".into()));
+        }
+        if self.head.len() > head::MOST_AXES {
+            let rule = format!("has more than {} axes", head::MOST_AXES);
+            return Err(Rule::new("head", rule));
         }
         if let Some(spindle) = &self.spindle {
             spindle.check().map_err(|rule| rule.within("spindle"))?;

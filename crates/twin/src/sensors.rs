@@ -125,6 +125,12 @@ impl Displacement {
         }
     }
 
+    /// The counts of its full scale.
+    #[must_use]
+    pub fn full_scale_counts(&self) -> f64 {
+        self.config.full_scale_counts
+    }
+
     /// Sees `growth_um`, `dt_s` after the last time; 0 at first.
     pub fn step(&mut self, dt_s: f64, growth_um: f64) {
         self.time_s += dt_s;

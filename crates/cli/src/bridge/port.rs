@@ -11,7 +11,7 @@ use anyhow::{Context as _, Result};
 use crate::Mend;
 
 /// The speed of the bridge's serial line.
-const BAUD: u32 = 921_600;
+pub const BAUD: u32 = 921_600;
 /// How long a bridge may take to be connected, or to take in a few bytes.
 const PATIENCE: Duration = Duration::from_secs(3);
 /// How long a read waits for bytes: short, so that a deadline is met without them too.

@@ -2,10 +2,9 @@
 
 use std::{collections::BTreeMap, path::Path};
 
-use serde_json::Value;
 use trueup_diagnose::{Diagnosis, Verdict, diagnose};
 use trueup_machine::{MachineFile, RunFile};
-use trueup_twin::hidden::{Challenge, Expected, Hidden};
+use trueup_twin::hidden::{Challenge, Expected};
 
 /// What one answer was worth.
 #[derive(Clone, Debug)]
@@ -26,8 +25,11 @@ pub struct Score {
     pub open: Vec<String>,
     /// Whether each true parameter is within its interval.
     pub within: Vec<(String, bool)>,
-    /// Gain on the hold-out over the possible gain; NaN where nothing is to be gained.
+    /// Gain on the hold-out over the possible gain; NaN where nothing is to be gained, or not every
+    /// cause is claimed.
     pub share_of_gain: f64,
+    /// RMS of all that is hidden over that of the noise.
+    pub visible: f64,
 }
 
 /// Hands the files, and nothing else, to the diagnosis.
@@ -96,10 +98,12 @@ pub fn score(challenge: &Challenge, diagnosis: &Diagnosis) -> Score {
             }
         }
     }
+    // What cannot be told apart here may differ there.
+    let is_claimed = hidden.iter().all(|name| named.iter().any(|there| there == name));
     let possible = truth.possible_reduction();
     let reduction = 1.0 - report.after.holdout_rms_um / report.before.holdout_rms_um;
     let share_of_gain = match truth.expected {
-        Expected::Compensated if possible > 0.0 => reduction / possible,
+        Expected::Compensated if possible > 0.0 && is_claimed => reduction / possible,
         _ => f64::NAN,
     };
     Score {
@@ -112,7 +116,12 @@ pub fn score(challenge: &Challenge, diagnosis: &Diagnosis) -> Score {
         open,
         within,
         share_of_gain,
+        visible: rms(&truth.effect_um) / truth.noise_rms_um,
     }
+}
+
+fn rms(values: &[f64]) -> f64 {
+    (values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64).sqrt()
 }
 
 /// Answers in a row of the card.
@@ -181,14 +190,124 @@ impl Row {
     }
 }
 
-/// For tests that only look at one figure.
-#[allow(dead_code)]
-pub fn figure(report: &Value, name: &str) -> f64 {
-    report[name].as_f64().unwrap_or(f64::NAN)
+/// All rows, as a document.
+#[derive(Clone, Debug, Default)]
+#[allow(dead_code, reason = "the tests print rows alone")]
+pub struct Card {
+    /// Ratio, name, answers.
+    pub rows: Vec<(f64, String, Row)>,
 }
 
-/// All that may be hidden alone.
-#[allow(dead_code)]
-pub fn single() -> Vec<Hidden> {
-    Hidden::ALL.to_vec()
+#[allow(dead_code, reason = "the tests print rows alone")]
+impl Card {
+    /// The document `docs/scorecard.md`.
+    pub fn markdown(&self) -> String {
+        let mut text = String::from(
+            "# Score card of `trueup diagnose`\n\nWritten by `cargo xtask scorecard`. Each draw hides \
+             an effect in what the virtual machine tool measures; ratio: RMS of the effect over RMS \
+             of the noise. *right*: every hidden cause is named and claimed (or listed as one that \
+             these data cannot tell apart, and then not claimed); for an effect without a name: \
+             structure is reported. *wrong*: a cause is claimed that was not hidden. *interval*: \
+             share of the hidden values inside their 95 % interval, of so many. *gain*: reduction on \
+             the hold-out over the possible one, median and worst of the answers that claim every \
+             hidden cause.\n",
+        );
+        let mut ratios: Vec<f64> = self.rows.iter().map(|(ratio, ..)| *ratio).collect();
+        ratios.sort_by(f64::total_cmp);
+        ratios.dedup();
+        let is_clean = |name: &str| name.starts_with("clean");
+        let clean: Vec<_> = self.rows.iter().filter(|(_, name, _)| is_clean(name)).collect();
+        if !clean.is_empty() {
+            text += "\n## False alarms on noise alone\n\n| noise | runs | false alarms | share |\n\
+                     |---|---|---|---|\n";
+            let (mut alarms, mut runs) = (0, 0);
+            for (_, name, row) in &clean {
+                let wrong = row.scores.iter().filter(|score| !score.is_right).count();
+                text += &share_line(name, row.scores.len(), wrong);
+                (alarms, runs) = (alarms + wrong, runs + row.scores.len());
+            }
+            text += &share_line("both", runs, alarms);
+        }
+        for ratio in ratios {
+            let is_here =
+                |(there, name, _): &&(f64, String, Row)| *there == ratio && !is_clean(name);
+            let rows: Vec<_> = self.rows.iter().filter(is_here).collect();
+            for (title, is_pair) in [("single effects", false), ("pairs", true)] {
+                let rows: Vec<_> =
+                    rows.iter().filter(|(_, name, _)| name.contains('+') == is_pair).collect();
+                if rows.is_empty() {
+                    continue;
+                }
+                text += &format!(
+                    "\n## Ratio {ratio}, {title}\n\n| hidden | draws | right | wrong | interval | \
+                     gain | worst |\n|---|---|---|---|---|---|---|\n"
+                );
+                let mut all = Row::default();
+                for (_, name, row) in rows {
+                    text += &row.table_line(name);
+                    all.scores.extend(row.scores.iter().cloned());
+                }
+                text += &all.table_line("all");
+            }
+            text += &confusion(ratio, &rows);
+        }
+        text
+    }
+}
+
+fn share_line(name: &str, runs: usize, alarms: usize) -> String {
+    let percent = 100.0 * alarms as f64 / runs.max(1) as f64;
+    format!("| {name} | {runs} | {alarms} | {percent:.2} % |\n")
+}
+
+/// What was named instead, or beside: a line for each effect with anything but one right name.
+fn confusion(ratio: f64, rows: &[&(f64, String, Row)]) -> String {
+    let mut text = String::new();
+    for (_, name, row) in rows.iter().filter(|(_, name, _)| !name.contains('+')) {
+        let mut named: BTreeMap<String, usize> = BTreeMap::new();
+        for score in &row.scores {
+            let mut answers: Vec<String> = score.named.clone();
+            answers.extend(score.unclaimed.iter().map(|name| format!("({name})")));
+            if answers.is_empty() {
+                answers.push(format!("*{}*", score.verdict.name()));
+            }
+            for answer in answers {
+                *named.entry(answer).or_default() += 1;
+            }
+        }
+        let mut named: Vec<(String, usize)> = named.into_iter().collect();
+        named.sort_by(|a, b| b.1.cmp(&a.1).then(a.0.cmp(&b.0)));
+        let named: Vec<String> =
+            named.into_iter().map(|(name, count)| format!("{name} {count}")).collect();
+        text += &format!("| {name} | {} |\n", named.join(", "));
+    }
+    if text.is_empty() {
+        return text;
+    }
+    format!(
+        "\n## Ratio {ratio}, confusion\n\nHow often each cause was claimed; in brackets: named, but \
+         not claimed.\n\n| hidden | answered |\n|---|---|\n{text}"
+    )
+}
+
+impl Row {
+    #[allow(dead_code, reason = "the tests print rows alone")]
+    fn table_line(&self, name: &str) -> String {
+        let (median, worst) = self.gain();
+        let (within, count) = self.within();
+        let number = |value: f64| if value.is_nan() { "–".into() } else { format!("{value:.3}") };
+        let within = if count == 0 {
+            "–".to_string()
+        } else {
+            format!("{:.0} % of {count}", 100.0 * within)
+        };
+        format!(
+            "| {name} | {} | {:.0} % | {:.0} % | {within} | {} | {} |\n",
+            self.scores.len(),
+            100.0 * self.right(),
+            100.0 * self.wrong(),
+            number(median),
+            number(worst)
+        )
+    }
 }

@@ -105,6 +105,32 @@ pub struct Thermal {
     pub table: Option<Vec<ThermalRow>>,
 }
 
+impl Thermal {
+    /// The same law at a temperature that is higher by `shift_c`: ΔK(T) becomes ΔK(T − shift). A
+    /// table moves as a whole.
+    ///
+    /// ```
+    /// use trueup_machine::machine_file::{Thermal, ThermalMode, ThermalRow};
+    /// use trueup_machine::model::thermal_law;
+    /// let row = |temperature_c, slope_um_per_m| {
+    ///     ThermalRow { temperature_c, constant_um: 0.0, slope_um_per_m }
+    /// };
+    /// let mut axis = Thermal {
+    ///     mode: ThermalMode::Position, sensor: "temp_screw_c".into(), reference_c: 20.0,
+    ///     constant_um_per_c: 0.0, slope_um_per_m_per_c: 0.0, origin_mm: 0.0, lag_s: 0.0,
+    ///     table: Some(vec![row(20.0, 0.0), row(30.0, 100.0)]),
+    /// };
+    /// axis.shift_reference(2.0);
+    /// assert_eq!(thermal_law(&axis, 27.0), (0.0, 50.0)); // as at 25 °C before
+    /// ```
+    pub fn shift_reference(&mut self, shift_c: f64) {
+        self.reference_c += shift_c;
+        for row in self.table.iter_mut().flatten() {
+            row.temperature_c += shift_c;
+        }
+    }
+}
+
 /// Which terms ΔK(T) has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ThermalMode {

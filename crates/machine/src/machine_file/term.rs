@@ -569,11 +569,15 @@ pub(super) fn check(section: &Section<'_>, term: &Term, machine: &Machine) -> Re
         {
             refuse(format!("\"{name}\" needs [spindle] source = \"warmup\""))
         }
-        (Effect::ExpansionSlope { .. } | Effect::ReferenceTemperature { .. }, _) => match thermal {
-            Some(thermal) if thermal.table.is_none() => Ok(()),
-            Some(_) => refuse(format!("\"{name}\" corrects constants, and there is a table")),
-            None => refuse(format!("\"{name}\" needs [axis.*.thermal] of the quantity's axis")),
-        },
+        (Effect::ExpansionSlope { .. } | Effect::ReferenceTemperature { .. }, _)
+            if thermal.is_none() =>
+        {
+            refuse(format!("\"{name}\" needs [axis.*.thermal] of the quantity's axis"))
+        }
+        // Another reference moves a table along the temperature; another slope has no place in it.
+        (Effect::ExpansionSlope { .. }, _) if thermal.is_some_and(|it| it.table.is_some()) => {
+            refuse(format!("\"{name}\" corrects a constant, and there is a table"))
+        }
         (
             Effect::PitchScale { .. }
             | Effect::PitchError(_)

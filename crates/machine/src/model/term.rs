@@ -67,7 +67,7 @@ pub fn corrected(machine: Cow<'_, Machine>) -> (Cow<'_, Machine>, Falling) {
             Effect::ReferenceTemperature { shift_c } => {
                 let thermal = axis.and_then(|axis| corrected.to_mut().axes[axis].thermal.as_mut());
                 if let Some(thermal) = thermal {
-                    thermal.reference_c += shift_c;
+                    thermal.shift_reference(shift_c);
                 }
             }
             _ => {}

@@ -23,6 +23,8 @@ pub(super) struct ThermalLaw {
     pub slope_um_per_m_per_c: f64,
     pub origin_mm: f64,
     pub lag_s: f64,
+    /// The lag that the axis has in truth, where that is hidden.
+    pub true_lag_s: f64,
     /// tanβ over T, in µm/m, instead of the constants.
     pub table: Option<Vec<(f64, f64)>>,
 }
@@ -260,8 +262,11 @@ fn draw_thermal(causes: &[Hidden], travel_mm: [f64; 2], stream: &mut Stream) -> 
         } else {
             stream.uniform(100.0, 900.0).round()
         },
+        true_lag_s: 0.0,
         table: None,
     };
+    let hidden_s = stream.log_uniform(300.0, 2500.0).round();
+    law.true_lag_s = if has(Hidden::ThermalLag) { hidden_s } else { law.lag_s };
     // Where tanβ is straight over T, another reference is the same as another pitch; a table that
     // bends tells the two apart.
     if has(Hidden::ReferenceTemperature) && stream.chance(0.5) {

@@ -131,9 +131,9 @@ fn thermal(cause: Hidden, bench: &AxisBench, stream: &mut Stream) -> Option<Shap
     let follow = |run: &Run, lag_s: f64| {
         lagged(run.column("time_s"), run.column("temp_screw_c"), lag_s, lag_s)
     };
-    let apart = |other: &dyn Fn(f64, f64) -> f64, lag_s: f64| {
+    let apart = |other: &dyn Fn(f64, f64) -> f64, from_s: f64| {
         on_each(&bench.runs, |run| {
-            let (believed_c, true_c) = (follow(run, law.lag_s), follow(run, lag_s));
+            let (believed_c, true_c) = (follow(run, from_s), follow(run, law.true_lag_s));
             let rows = run.column(&position).iter().enumerate();
             rows.map(|(row, &mm)| other(true_c[row], mm) - law.error_um(believed_c[row], mm))
                 .collect()
@@ -141,22 +141,23 @@ fn thermal(cause: Hidden, bench: &AxisBench, stream: &mut Stream) -> Option<Shap
     };
     let shape = match cause {
         Hidden::ThermalLag => {
-            let tau_s = stream.log_uniform(300.0, 2500.0).round();
+            let tau_s = law.true_lag_s;
             fixed(
                 cause,
                 vec![("time_constant_s", tau_s)],
-                apart(&|c, mm| law.error_um(c, mm), tau_s),
+                apart(&|c, mm| law.error_um(c, mm), law.lag_s),
             )
         }
         Hidden::ReferenceTemperature => {
             let shift_c = stream.sign() * stream.uniform(0.7, 3.0);
             let um = apart(&|c, mm| law.error_um(c - shift_c, mm), law.lag_s);
             let mut shape = fixed(cause, vec![("shift_c", shift_c)], um);
-            if law.table.is_none() {
-                shape.rivals.push(Hidden::PitchScale);
-            }
+            let training = &bench.runs[..bench.runs.len() - 1];
+            let mm = training.iter().flat_map(|run| run.column(&position).to_vec()).collect();
+            shape.imitators.push((Hidden::PitchScale, mm));
             shape
         }
+        // Beside a hidden lag the slope is that over the temperature that the axis follows.
         _ => {
             let steeper = |c: f64, mm: f64| {
                 law.error_um(c, mm) + (c - law.reference_c) * (mm - law.origin_mm) / 1000.0
@@ -164,7 +165,7 @@ fn thermal(cause: Hidden, bench: &AxisBench, stream: &mut Stream) -> Option<Shap
             let slope = law.slope_um_per_m_per_c;
             Shape {
                 at: Box::new(move |factor| Named::of(&[("um_per_m_per_c", slope + factor)])),
-                ..linear(cause, "", apart(&steeper, law.lag_s))
+                ..linear(cause, "", apart(&steeper, law.true_lag_s))
             }
         }
     };

@@ -17,7 +17,7 @@ pub(super) fn linear(cause: Hidden, parameter: &'static str, um: Vec<Vec<f64>>) 
         is_linear: true,
         has_sign: true,
         at: Box::new(move |factor| Named::of(&[(parameter, factor)])),
-        rivals: Vec::new(),
+        imitators: Vec::new(),
     }
 }
 
@@ -233,7 +233,17 @@ fn slow_mode(bench: &Bench, duration_s: f64, stream: &mut Stream) -> Shape {
             let followed = lagged(run.column("time_s"), run.column("temp_front_c"), tau_s, tau_s);
             followed.iter().map(|c| c - reference_c).collect()
         });
+        // The motor's thermometer, where there is one, may tell the same tale.
+        let training = &runs[..runs.len() - 1];
+        let motor = |lag_s: f64| -> Vec<f64> {
+            let of =
+                |run: &Run| lagged(run.column("time_s"), run.column("temp_motor_c"), lag_s, lag_s);
+            training.iter().flat_map(of).collect()
+        };
+        let has_motor = !runs[0].column("temp_motor_c").is_empty();
+        let lags_s = (0..24).filter(|_| has_motor).map(|n| 100.0 * 1.25_f64.powi(n));
         return Shape {
+            imitators: lags_s.map(|lag_s| (Hidden::ExtraHeatPath, motor(lag_s))).collect(),
             column: Some("temp_front_c".to_string()),
             at: Box::new(move |factor| {
                 Named::of(&[

@@ -2,7 +2,7 @@
 
 use super::{
     Challenge, Effect, Truth,
-    axis::AxisBench,
+    axis::{AxisBench, line},
     axis_effects,
     cause::{Base, Expected, Hidden},
     elongation::{Bench, Wanted},
@@ -39,7 +39,9 @@ pub(super) struct Shape {
     pub has_sign: bool,
     /// Parameters and tables at a factor.
     pub at: Box<dyn Fn(f64) -> Named>,
-    pub rivals: Vec<Hidden>,
+    /// Other causes, each with a column over the training rows: what it does, but for a factor and a
+    /// constant.
+    pub imitators: Vec<(Hidden, Vec<f64>)>,
 }
 
 /// Parameters and lists by name.
@@ -88,13 +90,25 @@ pub(super) fn challenge(
         }
     };
     let has_true_zero = quantity == "elongation";
-    let (sigma, effects, effect_um) = sized(shapes, ratio, has_true_zero, &mut stream);
+    let imitated: Vec<_> = shapes.iter().map(|shape| imitated(shape, has_true_zero)).collect();
+    let (sigma, mut effects, effect_um) = sized(shapes, ratio, has_true_zero, &mut stream);
     let rho = match causes {
         [Hidden::CleanCorrelated] => stream.uniform(0.5, 0.97),
         [Hidden::CleanWhite] => 0.0,
         _ if stream.chance(0.5) => 0.0,
         _ => stream.uniform(0.1, 0.7),
     };
+    // What would be left of the effect if another cause stood in its place tells the two apart, by the
+    // likelihood of so many independent rows. Less than 6 is a tie by `interfaces.md`.
+    for (effect, (rows, others)) in effects.iter_mut().zip(imitated) {
+        let independent = rows * (1.0 - rho) / (1.0 + rho);
+        for (cause, share) in others {
+            let left = share * effect.rms_um / sigma;
+            if independent * (left * left).ln_1p() < 6.0 && !effect.rivals.contains(&cause) {
+                effect.rivals.push(cause);
+            }
+        }
+    }
     let expected = causes.iter().map(|cause| cause.expected()).max_by_key(|it| *it as u8);
     let mut truth = Truth {
         effects,
@@ -114,6 +128,28 @@ pub(super) fn challenge(
     Challenge { runs, holdout, machine, quantity, truth }
 }
 
+/// The number of training rows, and what share of the effect's RMS each imitator leaves.
+fn imitated(shape: &Shape, has_true_zero: bool) -> (f64, Vec<(Hidden, f64)>) {
+    let um: Vec<f64> = shape.um[..shape.um.len() - 1].concat();
+    let left = |column: &Vec<f64>| {
+        let (level, slope) = line(column, &um);
+        let rest = um.iter().zip(column).map(|(um, x)| um - level - slope * x);
+        rms(&rest.collect::<Vec<f64>>()) / size(&shape.um, has_true_zero)
+    };
+    (
+        um.len() as f64,
+        shape.imitators.iter().map(|(cause, column)| (*cause, left(column))).collect(),
+    )
+}
+
+/// RMS over the training rows by the convention of the ratio.
+fn size(um: &[Vec<f64>], has_true_zero: bool) -> f64 {
+    let training: Vec<f64> = um[..um.len() - 1].concat();
+    let mean = training.iter().sum::<f64>() / training.len() as f64;
+    let zero = if has_true_zero { 0.0 } else { mean };
+    rms(&training.iter().map(|um| um - zero).collect::<Vec<f64>>())
+}
+
 /// The size of the noise, the effects at their sizes, and their sum on each row of each run.
 fn sized(
     shapes: Vec<Shape>,
@@ -121,12 +157,7 @@ fn sized(
     has_true_zero: bool,
     stream: &mut Stream,
 ) -> (f64, Vec<Effect>, Vec<Vec<f64>>) {
-    let size = |um: &[Vec<f64>]| {
-        let training: Vec<f64> = um[..um.len() - 1].concat();
-        let mean = training.iter().sum::<f64>() / training.len() as f64;
-        let zero = if has_true_zero { 0.0 } else { mean };
-        rms(&training.iter().map(|um| um - zero).collect::<Vec<f64>>())
-    };
+    let size = |um: &[Vec<f64>]| size(um, has_true_zero);
     let drawn = stream.log_uniform(0.1, 1.2);
     let fixed = shapes.iter().find(|shape| !shape.is_linear);
     let sigma = fixed.map_or(drawn, |shape| size(&shape.um) / ratio);
@@ -149,7 +180,7 @@ fn sized(
             parameters: named.parameters,
             tables: named.tables,
             rms_um: factor.abs() * unit,
-            rivals: shape.rivals,
+            rivals: Vec::new(),
         });
     }
     (sigma, effects, sum)

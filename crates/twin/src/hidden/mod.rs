@@ -13,7 +13,8 @@
 //!
 //! # Conventions
 //! - The table of causes (`interfaces.md` section 5) says what each effect does to p, the believed
-//!   value, and names its parameters. In a pair both effects act on p and are added.
+//!   value, and names its parameters. In a pair both effects act on p and are added; a slope beside a
+//!   lag is the slope over the lagged temperature, so that the two together are one machine.
 //! - The ratio is RMS(effect)/RMS(noise) over the training rows, of a pair for each of the two. Noise
 //!   includes the rounding. On an axis, whose measurement has an arbitrary zero, the effect counts
 //!   less its mean over the training rows; an elongation has a true zero and counts as it is.
@@ -21,7 +22,10 @@
 //!   continued, its `time_s` goes on, and the effect with it.
 //! - Temperatures and the warm-up state settle as `interfaces.md` section 4 says.
 //! - A table of tanβ that bends over T makes `reference-temperature` identifiable; where tanβ is
-//!   straight, which is drawn as often, `pitch-scale` explains the same, and is in `rivals`.
+//!   straight, which is drawn as often, or does not bend where the axis was, `pitch-scale` explains the
+//!   same, and is in `rivals`. So is, beside a slow mode of the bearing, the path of a motor whose
+//!   temperature goes with it: a rival is what would leave so little that the likelihoods of the two
+//!   differ by less than 6.
 //! - [`Truth::expected`] of a pair is that of the one which is harder to compensate.
 //! - A reference that comes with an effect (T_ref of a heat path, of a coil's drift) is in its
 //!   parameters as `reference_c`. A step's `at_s` is that of the training run.

@@ -1,0 +1,229 @@
+//! `trueup linuxcnc`: the bridge as a component of LinuxCNC's HAL.
+
+use std::{
+    fs::{File, OpenOptions},
+    io::{self, Write as _},
+    net::{TcpStream, ToSocketAddrs as _},
+    path::{Path, PathBuf},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Duration,
+};
+
+use anyhow::{Context as _, Result};
+use clap::Args;
+use trueup_linuxcnc::{
+    component::TEMPERATURES,
+    follower::Pace,
+    ini::Ini,
+    line::Ends,
+    run::{self, Settings},
+    source,
+};
+use trueup_machine::MachineFile;
+
+use crate::{
+    Mend, Outcome,
+    bridge::port::{BAUD, Port},
+};
+
+/// How long a bridge may take to be connected, or to take in a few bytes.
+const PATIENCE: Duration = Duration::from_secs(1);
+/// How long a read waits for bytes: an end of the line is noticed as fast.
+const READ_TIMEOUT: Duration = Duration::from_millis(20);
+/// LinuxCNC's servo cycle where no .ini says otherwise.
+const CYCLE_S: f64 = 1e-3;
+/// Turns of the loop in a servo cycle: a step is seen to be taken soon after it was.
+const TURNS_PER_CYCLE: f64 = 2.5;
+/// `OFFSET_AV_RATIO` may give this much more speed than the slew limit without a word.
+const GENEROUS: f64 = 1.5;
+const NANOMETRES_PER_MICROMETRE: f64 = 1e3;
+const NANOMETRES_PER_MILLIMETRE: f64 = 1e6;
+
+/// Is a component of LinuxCNC's HAL: sends commanded positions to a bridge and turns its offsets
+/// into external offsets. LinuxCNC starts it: `loadusr -W trueup linuxcnc --port ...`.
+///
+/// Pins, samples and what to do at tool setting, probing and homing: integrations/linuxcnc.
+#[derive(Args)]
+pub struct LinuxCnc {
+    /// Where the bridge is: tcp:HOST:PORT or a serial device.
+    #[arg(long, value_name = "PORT")]
+    port: String,
+    /// Takes [limits] from this machine file: the same that the bridge was loaded with.
+    #[arg(long, value_name = "M.toml")]
+    machine: Option<PathBuf>,
+    /// LinuxCNC's .ini: servo period, units, and what is left for offsets.
+    #[arg(long, value_name = "FILE", env = "INI_FILE_NAME")]
+    ini: Option<PathBuf>,
+    /// The fastest change of an offset, in um/s.
+    #[arg(long, value_name = "V", value_parser = positive)]
+    slew_um_per_s: Option<f64>,
+    /// The largest offset on every axis, in um.
+    #[arg(long, value_name = "MAX", value_parser = positive)]
+    max_um: Option<f64>,
+    /// The last offset is held for so long when the bridge is lost.
+    #[arg(long, value_name = "MS")]
+    hold_ms: Option<u64>,
+    /// Without a valid pair of frames for so long the bridge counts as lost.
+    #[arg(long, value_name = "MS", default_value_t = 100, value_parser = clap::value_parser!(u64).range(5..=250))]
+    stale_ms: u64,
+    /// How often the position of a moving axis is sent. A serial line at 921600 baud and a CAN bus
+    /// take 2; a bridge in QEMU takes 5.
+    #[arg(long, value_name = "MS", default_value_t = 2, value_parser = clap::value_parser!(u64).range(1..=100))]
+    position_period_ms: u64,
+    /// Sends the angles of angle-1 and angle-2, for a machine whose head turns.
+    #[arg(long)]
+    rotary: bool,
+    /// Writes what it has to say to this file too: LinuxCNC keeps it from the screen.
+    #[arg(long, value_name = "FILE")]
+    log: Option<PathBuf>,
+    /// How many temp-NN pins there are.
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=TEMPERATURES as i64))]
+    temperatures: u8,
+    /// The name of the component. `loadusr -W` waits for the program's own; for another one,
+    /// `loadusr -Wn NAME`.
+    #[arg(long, default_value = "trueup")]
+    name: String,
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(number) if number > 0.0 && number.is_finite() => Ok(number),
+        _ => Err("a number above 0".into()),
+    }
+}
+
+/// Where the component tells what happens: standard error, and a file.
+struct Log(Option<File>);
+
+impl Log {
+    fn open(path: Option<&Path>) -> Result<Self> {
+        let append = |path: &Path| {
+            let file = OpenOptions::new().append(true).create(true).open(path);
+            file.with_context(|| format!("the log {} cannot be written", path.display()))
+        };
+        Ok(Self(path.map(append).transpose()?))
+    }
+
+    fn tell(&mut self, text: &str) {
+        eprintln!("trueup: {text}");
+        if let Some(file) = &mut self.0 {
+            // A full disk must not end the component.
+            writeln!(file, "trueup: {text}").ok();
+        }
+    }
+}
+
+/// Runs until LinuxCNC ends it.
+pub fn run(args: &LinuxCnc) -> Result<Outcome> {
+    let mut log = Log::open(args.log.as_deref())?;
+    let port = Port::parse(&args.port)?;
+    let limits = match &args.machine {
+        Some(path) => MachineFile::read(path)?.limits,
+        None => trueup_machine::machine_file::Limits::default(),
+    };
+    let ini = args.ini.as_ref().map(read_ini).transpose()?;
+    if ini.is_none() {
+        log.tell("no .ini: a servo cycle of 1 ms, millimetres, and slow changes of the offsets");
+    }
+    let slew_um_per_s = args.slew_um_per_s.unwrap_or(limits.slew_um_per_s);
+    let max_nm = limits.max_um.map(|um| nanometres(args.max_um.unwrap_or(um)));
+    let cycle_s = ini.map_or(CYCLE_S, |ini| ini.cycle_s);
+    let settings = Settings {
+        name: args.name.clone(),
+        mm_per_unit: ini.map_or(1.0, |ini| ini.mm_per_unit),
+        temperatures: args.temperatures,
+        turn: Duration::from_secs_f64(cycle_s / TURNS_PER_CYCLE),
+        options: trueup_linuxcnc::Options {
+            limits: source::Limits {
+                max_nm,
+                stale: Duration::from_millis(args.stale_ms),
+                hold: Duration::from_millis(args.hold_ms.unwrap_or(limits.hold_ms.into())),
+            },
+            pace: [0, 1, 2].map(|axis| Pace {
+                slew_nm_per_s: slew_um_per_s * NANOMETRES_PER_MICROMETRE,
+                cycle_s,
+                acceleration_nm_per_s2: ini
+                    .and_then(|ini| {
+                        let axis = ini.axes[axis];
+                        Some(axis.acceleration_mm_per_s2? * axis.ratio * NANOMETRES_PER_MILLIMETRE)
+                    })
+                    .filter(|&acceleration| acceleration > 0.0)
+                    .unwrap_or(f64::INFINITY),
+            }),
+            position_period: Duration::from_millis(args.position_period_ms),
+            sends_rotary: args.rotary,
+        },
+    };
+    if let Some(ini) = ini {
+        look_at(&ini, slew_um_per_s, &mut log);
+    }
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = stop.clone();
+    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
+    run::run(&settings, move || open(&port), &stop, |text| log.tell(text))?;
+    Ok(Outcome::Done)
+}
+
+#[allow(clippy::cast_possible_truncation, reason = "a cast of a float saturates")]
+fn nanometres(um: f64) -> i32 {
+    (um * NANOMETRES_PER_MICROMETRE).round() as i32
+}
+
+fn read_ini(path: &PathBuf) -> Result<Ini> {
+    let name = path.display();
+    let text = std::fs::read_to_string(path).map_err(|error| Mend(format!("{name}: {error}")))?;
+    Ok(Ini::parse(&text).map_err(|error| Mend(format!("{name}:{error}")))?)
+}
+
+/// Says what in the .ini does not go with the slew limit.
+fn look_at(ini: &Ini, slew_um_per_s: f64, log: &mut Log) {
+    for (axis, name) in ini.axes.iter().zip(["X", "Y", "Z"]) {
+        if axis.ratio == 0.0 {
+            log.tell(&format!(
+                "[AXIS_{name}]OFFSET_AV_RATIO is 0 or missing: LinuxCNC will not move this axis"
+            ));
+            continue;
+        }
+        let Some(velocity) = axis.velocity_mm_per_s else { continue };
+        let most_um_per_s = velocity * axis.ratio * NANOMETRES_PER_MICROMETRE;
+        let proper = slew_um_per_s / NANOMETRES_PER_MICROMETRE / velocity;
+        if most_um_per_s < slew_um_per_s {
+            log.tell(&format!(
+                "[AXIS_{name}]OFFSET_AV_RATIO lets offsets change by {most_um_per_s:.1} um/s only, \
+                 the slew limit is {slew_um_per_s} um/s; {proper:.6} would do"
+            ));
+        } else if most_um_per_s > GENEROUS * slew_um_per_s {
+            log.tell(&format!(
+                "[AXIS_{name}]OFFSET_AV_RATIO lets offsets change by {most_um_per_s:.1} um/s; with \
+                 {proper:.6} LinuxCNC itself would keep the slew limit of {slew_um_per_s} um/s"
+            ));
+        }
+    }
+}
+
+fn open(port: &Port) -> io::Result<Ends> {
+    match port {
+        Port::Tcp(address) => {
+            let mut last = io::Error::from(io::ErrorKind::AddrNotAvailable);
+            for resolved in address.to_socket_addrs()? {
+                match TcpStream::connect_timeout(&resolved, PATIENCE) {
+                    Ok(stream) => {
+                        stream.set_nodelay(true)?;
+                        stream.set_read_timeout(Some(READ_TIMEOUT))?;
+                        stream.set_write_timeout(Some(PATIENCE))?;
+                        return Ok((Box::new(stream.try_clone()?), Box::new(stream)));
+                    }
+                    Err(error) => last = error,
+                }
+            }
+            Err(last)
+        }
+        Port::Serial(device) => {
+            let serial = serialport::new(device, BAUD).timeout(READ_TIMEOUT).open()?;
+            Ok((Box::new(serial.try_clone()?), Box::new(serial)))
+        }
+    }
+}

@@ -1,0 +1,158 @@
+//! Time and memory of a diagnosis by the number of rows, 20 columns wide.
+//!
+//! ```text
+//! cargo run --release -p trueup-diagnose --example speed
+//! ```
+//!
+//! A spindle whose growth lags behind its thermometer, and an axis with a wrong slope, a screw's wave
+//! and a backlash; each in a process of its own, from reading the file to the answer. Times are those
+//! of this computer: the ratio from line to line is what counts.
+
+use std::{
+    env, fs,
+    io::{BufWriter, Write},
+    path::{Path, PathBuf},
+    process::{Command, ExitCode},
+    time::Instant,
+};
+
+use trueup_diagnose::diagnose;
+use trueup_machine::{MachineFile, RunFile};
+
+const ROWS: [usize; 3] = [10_000, 100_000, 1_000_000];
+/// Thermometers that have nothing to do with anything.
+const IDLE: usize = 13;
+const HEAD: &str = "[machine]\nname = \"speed\"\nkind = \"3-axis\"\n";
+const SPINDLE: &str = "[spindle]\nsource = \"temperature\"\n[spindle.temperature]\nsensor = \
+                       \"temp_own_c\"\nreference_c = 20.0\nk_um_per_c = 2.0\n";
+const AXIS: &str = "[axis.x.thermal]\nmode = \"position\"\nsensor = \"temp_own_c\"\nreference_c = \
+                    20.0\nslope_um_per_m_per_c = 8.0\n";
+
+/// Numbers that look drawn, −1…1 (splitmix64).
+struct Drawn(u64);
+
+impl Drawn {
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        (z >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+    }
+}
+
+/// A run of so many rows, the same record whether it was taken often or seldom.
+fn write(path: &Path, is_axis: bool, rows: usize) -> std::io::Result<()> {
+    let mut out = BufWriter::new(fs::File::create(path)?);
+    let idle: String = (0..IDLE).map(|n| format!(",temp_idle{n}_c")).collect();
+    if is_axis {
+        writeln!(out, "time_s,x_mm,dir_x,temp_own_c{idle},humidity,pressure,measured_dx_um")?;
+    } else {
+        writeln!(
+            out,
+            "time_s,spindle_rpm,load_n,temp_own_c{idle},humidity,pressure,measured_elongation_um"
+        )?;
+    }
+    let mut drawn = Drawn(rows as u64);
+    let record_s = 36_000.0;
+    let step_s = record_s / rows as f64;
+    let (mut warmth, mut lagged) = (0.0, 0.0);
+    let mut walks = [0.0_f64; IDLE];
+    for row in 0..rows {
+        let time_s = row as f64 * step_s;
+        // Eight working conditions.
+        let rpm = [0.0, 9000.0, 3000.0, 12000.0, 0.0, 6000.0, 12000.0, 1500.0][row * 8 / rows];
+        let share = |lag_s: f64| -(-step_s / lag_s).exp_m1();
+        warmth += (rpm / 1000.0 - warmth) * share(1500.0);
+        lagged += (warmth - lagged) * share(800.0);
+        walks.iter_mut().for_each(|walk| *walk += 0.5 * step_s.sqrt() / 60.0 * drawn.next());
+        let idle: String = walks.iter().map(|walk| format!(",{:.2}", 20.0 + walk)).collect();
+        let own_c = 20.0 + warmth + 0.02 * drawn.next();
+        let noise = 0.5 * (drawn.next() + drawn.next());
+        let [humidity, pressure] = [45.0 + drawn.next(), 1013.0 + drawn.next()];
+        if is_axis {
+            // Fifty travels there and back, at speeds that do not repeat.
+            let phase = (row as f64 / rows as f64 * 50.0).fract() * 2.0;
+            let (mm, dir) = if phase < 1.0 { (phase, 1) } else { (2.0 - phase, -1) };
+            let mm = 500.0 * mm;
+            let error = 10.0 * warmth * mm / 1000.0
+                + 3.0 * (std::f64::consts::TAU * mm / 10.0).sin()
+                + if dir < 0 { 4.0 } else { 0.0 };
+            let y = error + noise;
+            writeln!(
+                out,
+                "{time_s:.4},{mm:.4},{dir},{own_c:.2}{idle},{humidity:.1},{pressure:.1},{y:.2}"
+            )?;
+        } else {
+            let load = if rpm > 0.0 { 200.0 + 100.0 * drawn.next() } else { 0.0 };
+            let y = 2.0 * lagged + noise;
+            writeln!(
+                out,
+                "{time_s:.4},{rpm},{load:.0},{own_c:.2}{idle},{humidity:.1},{pressure:.1},{y:.2}"
+            )?;
+        }
+    }
+    out.flush()
+}
+
+/// The most memory that this process has held, in MB, where the system says.
+fn peak_mb() -> f64 {
+    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    let kilobytes = line.and_then(|line| line.split_whitespace().next()?.parse::<f64>().ok());
+    kilobytes.map_or(f64::NAN, |kilobytes| kilobytes / 1000.0)
+}
+
+/// Diagnoses one file, and prints seconds, megabytes and what was found.
+fn one(path: &Path, is_axis: bool) -> Result<(), Box<dyn std::error::Error>> {
+    let text = format!("{HEAD}{}", if is_axis { AXIS } else { SPINDLE });
+    let machine = MachineFile::parse(&text, Path::new("speed.toml"))?;
+    let start = Instant::now();
+    let run = RunFile::read(path)?;
+    let diagnosis = diagnose(&machine, &[run], &[], None, &mut |_, _| {})?;
+    let seconds = start.elapsed().as_secs_f64();
+    let causes: Vec<&str> =
+        diagnosis.report.findings.iter().map(|finding| finding.cause.as_str()).collect();
+    println!("{seconds} {} {}", peak_mb(), causes.join(", "));
+    Ok(())
+}
+
+fn all() -> Result<(), Box<dyn std::error::Error>> {
+    let path: PathBuf = env::temp_dir().join(format!("trueup-speed-{}.csv", std::process::id()));
+    println!("            rows   seconds   ratio   memory MB   found");
+    for (name, is_axis) in [("elongation", false), ("axis", true)] {
+        let mut before = f64::NAN;
+        for rows in ROWS {
+            write(&path, is_axis, rows)?;
+            let child = Command::new(env::current_exe()?).arg(name).arg(&path).output()?;
+            if !child.status.success() {
+                return Err(String::from_utf8_lossy(&child.stderr).into_owned().into());
+            }
+            let text = String::from_utf8(child.stdout)?;
+            let mut words = text.trim().splitn(3, ' ');
+            let mut next = || words.next().unwrap_or_default();
+            let (seconds, memory): (f64, f64) = (next().parse()?, next().parse()?);
+            let ratio = seconds / before;
+            println!("{name:<10} {rows:>8} {seconds:>7.2} {ratio:>7.1} {memory:>9.0}   {}", next());
+            before = seconds;
+        }
+    }
+    fs::remove_file(&path)?;
+    Ok(())
+}
+
+fn main() -> ExitCode {
+    let words: Vec<String> = env::args().skip(1).collect();
+    let done = match &words[..] {
+        [] => all(),
+        [kind, path] => one(Path::new(path), kind == "axis"),
+        _ => Err("speed takes no argument".into()),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}

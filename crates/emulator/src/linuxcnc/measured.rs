@@ -1,0 +1,178 @@
+//! How the machine file of the loop is made: as a user makes one. The machine is measured, with its
+//! own instruments and their noise (`trueup simulate`), each section is fitted (`trueup fit`), and
+//! what the spindle's sensor does not see is found (`trueup diagnose`). Nothing is copied from the
+//! machine's own constants.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::Command,
+};
+
+use anyhow::{Context as _, Result, ensure};
+use trueup_machine::{Machine, MachineFile};
+use trueup_twin::Scenario;
+
+/// The machine, as the twin takes it.
+const TWIN: &str = include_str!("machine.toml");
+/// What its user knows without measuring.
+const BASE: &str = include_str!("base.toml");
+/// Seeds of the measured runs; the loop itself has another.
+const SEEDS: [u64; 5] = [11, 12, 13, 14, 15];
+/// Seed of the machine in the loop.
+pub const LOOP_SEED: u64 = 2_024;
+
+/// A position run of an axis.
+struct Positions {
+    axis: &'static str,
+    range_mm: [f64; 2],
+    targets: u32,
+    cycles: u32,
+    /// The curves of the other axes that it shows.
+    across: &'static [&'static str],
+}
+
+const POSITIONS: [Positions; 3] = [
+    Positions {
+        axis: "x",
+        range_mm: [10.0, 14_290.0],
+        targets: 144,
+        cycles: 1,
+        across: &["dy", "dz"],
+    },
+    Positions {
+        axis: "y",
+        range_mm: [10.0, 2_990.0],
+        targets: 61,
+        cycles: 1,
+        across: &["dx", "dz"],
+    },
+    Positions {
+        axis: "z",
+        range_mm: [10.0, 2_490.0],
+        targets: 84,
+        cycles: 5,
+        across: &["dx", "dy"],
+    },
+];
+/// The screw of Z is run warm and measured in between.
+const WARM_SCREW: Positions =
+    Positions { axis: "z", range_mm: [10.0, 2_490.0], targets: 9, cycles: 1, across: &[] };
+const RUN_WARM: &str = "[[segment]]\nkind = \"move\"\nto_mm = [0.0, 0.0, 2400.0]\ncycles = 40\n\
+                        feed_mm_per_min = 20000.0\n";
+/// The run of the spindle: seconds, r/min.
+const WARM_UP: [(u32, u32); 7] = [
+    (7_200, 24_000),
+    (3_600, 0),
+    (3_600, 12_000),
+    (1_800, 20_000),
+    (900, 6_000),
+    (3_600, 18_000),
+    (3_600, 0),
+];
+
+impl Positions {
+    /// As a piece of a scenario. Slowly, because a screw that moves gets warm.
+    fn segment(&self) -> String {
+        let Self { axis, range_mm: [first, last], targets, cycles, .. } = self;
+        format!(
+            "[[segment]]\nkind = \"positions\"\naxis = \"{axis}\"\nrange_mm = [{first:?}, {last:?}]\n\
+             targets = {targets}\ncycles = {cycles}\nspread_mm = 7.0\ndwell_s = 1.0\n\
+             feed_mm_per_min = 3000.0\n"
+        )
+    }
+}
+
+/// The machine as the bridge knows it.
+pub struct Measured {
+    /// The machine file's text.
+    pub text: String,
+    /// The same, read.
+    pub machine: Machine,
+    /// What the diagnosis has found, as it says it.
+    pub findings: String,
+}
+
+/// The machine in the loop, as a scenario that does nothing by itself.
+///
+/// # Errors
+/// The project's own file is broken.
+pub fn twin() -> Result<Scenario> {
+    scenario(&["elongation"], 1, "[[segment]]\nkind = \"spindle\"\nduration_s = 1.0\n")
+        .and_then(|text| Ok(Scenario::parse(&text, Path::new("machine.toml"))?))
+}
+
+/// The machine, with what is measured and what is done.
+fn scenario(measure: &[&str], repeat: u32, segments: &str) -> Result<String> {
+    Ok(format!(
+        "name = \"the machine in the loop\"\nmeasure = {}\ninterval_s = 20.0\nrepeat = {repeat}\nhead = [\"c\", \
+         \"a\"]\nstart_mm = [0.0, 0.0, 0.0]\n{TWIN}\n{segments}",
+        serde_json::to_string(measure)?
+    ))
+}
+
+/// Measures the machine and makes its machine file, with `trueup` in `folder`.
+///
+/// # Errors
+/// One of the steps fails; with what it said.
+pub fn measure(trueup: &Path, folder: &Path) -> Result<Measured> {
+    let run = |arguments: &[&str]| -> Result<String> {
+        let output = Command::new(trueup).args(arguments).current_dir(folder).output()?;
+        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        ensure!(
+            output.status.success(),
+            "`trueup {}` failed: {}{said}",
+            arguments.join(" "),
+            String::from_utf8_lossy(&output.stderr)
+        );
+        Ok(said)
+    };
+    let simulate = |name: &str, text: String, seed: u64| -> Result<()> {
+        let (toml, csv) = (format!("{name}.toml"), format!("{name}.csv"));
+        fs::write(folder.join(&toml), text)?;
+        run(&["simulate", "--scenario", &toml, "--seed", &seed.to_string(), "-o", &csv]).map(drop)
+    };
+    let path = |name: &str| -> PathBuf { folder.join(name) };
+    let fit = |arguments: &[&str]| -> Result<()> {
+        let files = ["--machine", "m.toml", "-o", "m.toml"];
+        run(&[&["fit"], arguments, &files[..]].concat()).map(drop)
+    };
+    fs::write(path("m.toml"), BASE)?;
+    let segments: String = WARM_UP
+        .iter()
+        .map(|(seconds, rpm)| {
+            format!(
+                "[[segment]]\nkind = \"spindle\"\nduration_s = {seconds}.0\nspindle_rpm = {rpm}.0\n"
+            )
+        })
+        .collect();
+    simulate("warm", scenario(&["elongation"], 1, &segments)?, SEEDS[0])?;
+    fit(&["elongation", "--run", "warm.csv"])?;
+    for (positions, seed) in POSITIONS.iter().zip(&SEEDS[1..]) {
+        let Positions { axis, across, .. } = positions;
+        let csv = format!("{axis}.csv");
+        let measured = [*across, &["dz"]].concat();
+        let own: &[&str] = if *axis == "z" { &measured } else { across };
+        simulate(axis, scenario(own, 1, &positions.segment())?, *seed)?;
+        for quantity in *across {
+            fit(&["straightness", "--run", &csv, "--quantity", quantity])?;
+        }
+    }
+    let segments = WARM_SCREW.segment() + RUN_WARM;
+    simulate("screw", scenario(&["dz"], 6, &segments)?, SEEDS[4])?;
+    let pitch = ["pitch", "--run", "z.csv", "--quantity", "dz"];
+    let by_screw = ["--temperature", "temp_screw_c"];
+    let thermal = ["thermal", "--run", "screw.csv", "--quantity", "dz"];
+    // Each is measured with some of the other in it, so they are fitted in turn.
+    for _ in 0..2 {
+        fit(&pitch)?;
+        fit(&[&thermal[..], &by_screw[..]].concat())?;
+    }
+    fit(&pitch)?;
+    let findings =
+        run(&["diagnose", "--machine", "m.toml", "--run", "warm.csv", "--out", "diagnosis"])?;
+    let text = fs::read_to_string(path("diagnosis/extended.toml"))
+        .context("the diagnosis has written no machine file")?;
+    let machine = MachineFile::parse(&text, Path::new("extended.toml"))?;
+    Ok(Measured { text, machine, findings })
+}

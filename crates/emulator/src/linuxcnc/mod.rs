@@ -1,0 +1,287 @@
+//! A real CNC in the loop: Debian's LinuxCNC moves a virtual gantry, the bridge's real firmware
+//! corrects it, and what counts is where the tool tip truly is.
+//!
+//! ```text
+//!            ┌───────────── trueup linuxcnc (HAL) ◄─── SLCAN ◄─── adapter ◄─ CAN ─┐
+//!            ▼ external offset     └─ positions, angles, speed ──────────────► board (QEMU)
+//!       LinuxCNC ─ motor positions ─► twin ─ volts, temperatures ──────────────────┘
+//!                                      └─► true error of the tool tip ─► figures, report
+//! ```
+//!
+//! | part | is | file |
+//! |---|---|---|
+//! | CNC | Debian's `linuxcnc-uspace`, no screen, no privileges, real time | [`session`], [`config`] |
+//! | component | `trueup linuxcnc`, wired by `integrations/linuxcnc/trueup.hal` | |
+//! | bridge | the firmware in QEMU, fed through the analogue front end | [`plant`] |
+//! | its link | CAN through the pipes of the samples, SLCAN before it | [`adapter`] |
+//! | machine | the twin: heat, guides, screws, spindle, sensors | [`plant`], `machine.toml` |
+//! | machine file | measured on the twin, fitted, diagnosed | [`measured`] |
+//! | figures | from every servo cycle | [`figures`], [`page`] |
+//!
+//! What is compressed, and how: in the warm-up a second of the wall is up to [`COMPRESSION`] seconds of
+//! board and machine; LinuxCNC stays in real time and its G-code waits for the machine's clock. The
+//! board counts silence of the CNC in its own time, so it gets `[limits]` that are as many times
+//! longer, and LinuxCNC gets every 257th pair of offsets. All motion is cut at real time.
+
+pub mod adapter;
+pub mod config;
+pub mod figures;
+pub mod measured;
+pub mod page;
+pub mod plant;
+pub mod session;
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+    thread,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context as _, Result, ensure};
+use indicatif::{ProgressBar, ProgressStyle};
+use trueup_machine::{Machine, MachineFile, compile};
+use trueup_twin::machine::Machine as Twin;
+
+use self::{
+    figures::{Figures, Run},
+    measured::{LOOP_SEED, Measured},
+    plant::{Parts, Plant},
+    session::Session,
+};
+use crate::{
+    firmware::{self, Board},
+    setup,
+};
+
+/// How many times faster than the wall the board and the machine live through the warm-up, if this
+/// computer is fast enough; else they take longer.
+pub const COMPRESSION: u32 = 72;
+/// The warm-up in seconds of the machine.
+pub const WARM_UP_S: u32 = 7_200;
+/// The first pass of the path, without compensation, and the second, with it; then the warm-up.
+pub const PASSES: [u32; 3] = [1, 2, 3];
+/// A part of a program may take so long.
+const PATIENCE: Duration = Duration::from_secs(180);
+/// The warm-up may take so many times as long as planned, on a computer that is too slow.
+const SLOWEST: u32 = 6;
+const SEED: u64 = 77;
+
+/// Runs the whole; `None` where the distribution has no package of LinuxCNC.
+///
+/// # Errors
+/// Something does not run. What is not reached is no error here: [`Figures::check`] says it.
+pub fn run() -> Result<Option<Figures>> {
+    let started = Instant::now();
+    let Some(control) = setup::linuxcnc()? else { return Ok(None) };
+    let bar = ProgressBar::new_spinner();
+    bar.set_style(ProgressStyle::with_template("{spinner} {elapsed} {msg}")?);
+    bar.enable_steady_tick(Duration::from_millis(200));
+    let tell = |what: &str| {
+        // Also where nobody watches a bar.
+        bar.suspend(|| eprintln!("{:>4.0} s  {what}", started.elapsed().as_secs_f64()));
+        bar.set_message(what.to_owned());
+    };
+
+    tell("building the firmware and the host tool");
+    let image = firmware::build(Board::Virtual)?;
+    let trueup = build_trueup()?;
+    tell("measuring the machine, fitting its machine file");
+    let folder = Session::folder(&trueup)?;
+    let measured = {
+        let work = tempfile::tempdir()?;
+        measured::measure(&trueup, work.path())?
+    };
+    let blobs = blobs(&measured)?;
+
+    tell("starting the bridge and LinuxCNC");
+    let twin = measured::twin()?;
+    let inputs = measured.machine.inputs.as_ref().context("the machine file has its inputs")?;
+    let sensor = inputs.sensor.as_ref().context("the machine file has a sensor")?;
+    let mut plant = Plant::start(Parts {
+        image,
+        calibration: blobs[0].clone(),
+        twin: Twin::new(&twin, LOOP_SEED),
+        temperatures: inputs.temperatures.clone(),
+        divider: sensor.divider,
+        seed: SEED,
+    })?;
+    let mut cnc = start(folder, &plant, &measured, control)?;
+    plant.listen(cnc.samples()?);
+    cnc.home()?;
+
+    tell("the path without compensation");
+    cnc.set("trueup.0.enable", 0)?;
+    cut(&mut cnc, &mut plant, "path-1.ngc")?;
+    tell("the path with compensation");
+    cnc.set("trueup.0.enable", 1)?;
+    engaged(&mut cnc, &mut plant)?;
+    cut(&mut cnc, &mut plant, "path-2.ngc")?;
+
+    tell(&format!("two hours of warm-up, {COMPRESSION} times as fast"));
+    plant.swap(blobs[1].clone());
+    thread::sleep(Duration::from_secs(2));
+    engaged(&mut cnc, &mut plant)?;
+    let warm_up = Instant::now();
+    warm_up_phase(&mut cnc, &mut plant)?;
+    let warm_up_wall_s = warm_up.elapsed().as_secs_f64();
+    tell("five axes, at real time");
+    while cnc.is_busy()? {
+        plant.check()?;
+        ensure!(warm_up.elapsed() < PATIENCE * SLOWEST, "the program does not end");
+        thread::sleep(Duration::from_millis(50));
+    }
+    let names = ["crc-errors", "seq-errors", "lost", "malformed", "fault"];
+    let pins = names.map(|name| format!("trueup.0.{name}"));
+    let errors = cnc.get(&pins.each_ref().map(String::as_str))?;
+    tell("ending");
+    cnc.close()?;
+    let log = plant.take_log();
+    let (cycles, account) = plant.finish()?;
+    bar.finish_and_clear();
+    let run = Run {
+        cycles,
+        account,
+        warm_up_wall_s,
+        errors: names.map(str::to_owned).into_iter().zip(errors).collect(),
+        machine_file: measured.text,
+        findings: measured.findings,
+        slew_um_per_s: measured.machine.limits.slew_um_per_s,
+        wall_s: started.elapsed().as_secs_f64(),
+        log,
+    };
+    Figures::of(&run).map(Some)
+}
+
+/// Runs it, writes `target/linuxcnc/` and prints the figures.
+///
+/// # Errors
+/// It does not run, or a figure is not reached; with the figure.
+pub fn run_and_publish() -> Result<Option<u32>> {
+    let Some(figures) = run()? else {
+        println!("skipped: this distribution has no package of LinuxCNC");
+        return Ok(None);
+    };
+    let folder = setup::root().join("target/linuxcnc");
+    fs::create_dir_all(&folder)?;
+    fs::write(folder.join("summary.json"), serde_json::to_string_pretty(&figures)? + "\n")?;
+    fs::write(folder.join("report.html"), page::page(&figures)?)?;
+    println!("{}", figures.table());
+    println!(
+        "\nThe picture: target/linuxcnc/report.html   The figures: target/linuxcnc/summary.json"
+    );
+    figures.check().map(Some)
+}
+
+/// The calibrations for real time and for compressed time, which differ in the limits that count
+/// board time.
+fn blobs(measured: &Measured) -> Result<[Vec<u8>; 2]> {
+    let mut slow: Machine = MachineFile::parse(&measured.text, Path::new("extended.toml"))?;
+    slow.limits.link_timeout_ms *= COMPRESSION;
+    slow.limits.hold_ms *= COMPRESSION;
+    let blob = |machine: &Machine| -> Result<Vec<u8>> { Ok(compile(machine)?.blob().to_vec()) };
+    Ok([blob(&measured.machine)?, blob(&slow)?])
+}
+
+fn start(
+    folder: tempfile::TempDir,
+    plant: &Plant,
+    measured: &Measured,
+    control: setup::LinuxCnc,
+) -> Result<Session> {
+    let here = folder.path().to_str().context("a temporary folder has a plain name")?.to_owned();
+    let shipped = fs::read_to_string(setup::root().join("integrations/linuxcnc/trueup.hal"))?;
+    let texts = [
+        ("loop.ini", config::ini(plant.address(), &here)),
+        ("machine.hal", config::machine_hal()),
+        ("trueup.hal", config::trueup_hal(&shipped)),
+        ("loop.hal", config::loop_hal()),
+        ("machine.toml", measured.text.clone()),
+        ("loop.tbl", String::new()),
+        ("path-1.ngc", config::path(PASSES[0])),
+        ("path-2.ngc", config::path(PASSES[1])),
+        ("warm.ngc", config::warm(PASSES[2])),
+    ];
+    let files: Vec<_> = texts.iter().map(|(name, text)| (*name, text.as_str())).collect();
+    Session::start(folder, &files, control)
+}
+
+/// Runs a program to its end.
+fn cut(cnc: &mut Session, plant: &mut Plant, program: &str) -> Result<()> {
+    cnc.begin(program)?;
+    let begun = Instant::now();
+    while cnc.is_busy()? {
+        plant.check()?;
+        ensure!(begun.elapsed() < PATIENCE, "{program} is not done after {PATIENCE:?}");
+        thread::sleep(Duration::from_millis(50));
+    }
+    Ok(())
+}
+
+/// Waits until the bridge is live and LinuxCNC has applied what it says.
+fn engaged(cnc: &mut Session, plant: &mut Plant) -> Result<()> {
+    let begun = Instant::now();
+    loop {
+        let pins = cnc.get(&["trueup.0.quality", "trueup.0.applied", "trueup.0.fault"])?;
+        if pins == [1.0, 1.0, 0.0] {
+            return Ok(());
+        }
+        plant.check()?;
+        ensure!(
+            begun.elapsed() < PATIENCE,
+            "the bridge is not live: quality, applied, fault are {pins:?}; the board says {:?}; \
+             {}",
+            plant.take_log(),
+            cnc.said()
+        );
+        thread::sleep(Duration::from_millis(100));
+    }
+}
+
+/// Two hours of the machine.
+fn warm_up_phase(cnc: &mut Session, plant: &mut Plant) -> Result<()> {
+    cnc.begin("warm.ngc")?;
+    let begun = Instant::now();
+    while plant.latest().is_none_or(|cycle| cycle.phase != config::phase::WARM_UP) {
+        plant.check()?;
+        ensure!(begun.elapsed() < PATIENCE, "the warm-up does not begin");
+        thread::sleep(Duration::from_millis(5));
+    }
+    let from_ms = plant.board_ms();
+    // It runs up at real time: growth by speed comes within seconds.
+    while plant.latest().is_none_or(|cycle| cycle.spindle_rpm < config::SPINDLE_RPM) {
+        plant.check()?;
+        ensure!(begun.elapsed() < PATIENCE, "the spindle does not run up");
+        thread::sleep(Duration::from_millis(5));
+    }
+    plant.set_factor(COMPRESSION);
+    while plant.board_ms() - from_ms < u64::from(WARM_UP_S) * 1_000 {
+        plant.check()?;
+        cnc.is_busy()?;
+        ensure!(begun.elapsed() < PATIENCE * SLOWEST, "the warm-up does not end");
+        thread::sleep(Duration::from_millis(20));
+    }
+    plant.set_factor(1);
+    // At real time again before the axes move.
+    thread::sleep(Duration::from_millis(300));
+    cnc.set("motion.digital-in-00", 1)
+}
+
+/// Builds the host tool and gives its path.
+fn build_trueup() -> Result<PathBuf> {
+    let cargo = std::env::var_os("CARGO").unwrap_or("cargo".into());
+    let output = Command::new(cargo)
+        .args(["build", "--package", "trueup-cli", "--message-format", "json-render-diagnostics"])
+        .current_dir(setup::root())
+        .stderr(Stdio::inherit())
+        .output()?;
+    ensure!(output.status.success(), "the host tool does not build");
+    let messages = String::from_utf8(output.stdout)?;
+    messages
+        .lines()
+        .filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok())
+        .filter(|message| message["target"]["name"] == "trueup")
+        .find_map(|message| message["executable"].as_str().map(PathBuf::from))
+        .context("cargo does not say where trueup is")
+}

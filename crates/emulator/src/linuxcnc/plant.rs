@@ -1,0 +1,485 @@
+//! The machine in the loop: LinuxCNC moves its joints, the twin is the metal, the board is the
+//! bridge.
+//!
+//! ```text
+//!  LinuxCNC ─ sampler, every servo cycle ─► twin ─► volts, temperatures ─► front end ─► board (QEMU)
+//!     ▲                                      └► true tool-tip error ─► record              │ CAN
+//!     └─ external offset ◄─ trueup linuxcnc ◄───────── SLCAN ◄─ adapter ◄──────────────────┘
+//! ```
+//!
+//! The board's clock is the machine's: a second of the wall is `factor` seconds of both. LinuxCNC
+//! lives in real time throughout. Two machines of the same make and seed are stepped: one hears
+//! what LinuxCNC really commands its motors, with the offsets; the other hears the same less the
+//! external offset that LinuxCNC reports, and so is the machine without compensation.
+
+use std::{
+    collections::BTreeMap,
+    io::{BufRead as _, BufReader},
+    path::PathBuf,
+    process::ChildStdout,
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering},
+        mpsc::{self, Receiver, Sender},
+    },
+    thread::{self, JoinHandle},
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context as _, Result, anyhow, bail};
+use trueup_link::bench::Block;
+use trueup_machine::inputs::TemperatureInput;
+use trueup_twin::machine::{Command, Machine};
+
+use super::adapter::{Adapter, COMPRESSED_STRIDE};
+use crate::{
+    board::{LARGEST_BATCH, VirtualBoard},
+    front_end::FrontEnd,
+    replay,
+};
+
+/// At real time the board may fall behind the clock by so much before its time slips. Compressed time
+/// goes as fast as it can, and nothing waits.
+const LARGEST_BACKLOG_MS: f64 = 500.0;
+/// How fast the spindle's drive changes its speed, in r/min a second of the machine.
+const DRIVE_RPM_PER_S: f64 = 4_800.0;
+/// How often the loop looks when nothing is due.
+const NAP: Duration = Duration::from_micros(200);
+/// The real-time thread may be silent for so long.
+const SILENCE: Duration = Duration::from_secs(20);
+
+/// The pins that `sampler` writes down, in this order; all are floats.
+pub const PINS: [&str; 12] = [
+    "joint.0.motor-pos-cmd",
+    "joint.1.motor-pos-cmd",
+    "joint.2.motor-pos-cmd",
+    // The head: C is next to the frame, A next to the tool.
+    "joint.4.motor-pos-cmd",
+    "joint.3.motor-pos-cmd",
+    "axis.x.eoffset",
+    "axis.y.eoffset",
+    "axis.z.eoffset",
+    "spindle.0.speed-out",
+    "motion.analog-out-00",
+    "motion.analog-out-01",
+    "motion.analog-out-02",
+];
+
+/// One servo cycle.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Cycle {
+    /// Its number, as `sampler` counts.
+    pub number: u64,
+    /// The machine's time in seconds.
+    pub time_s: f64,
+    /// Where the motors of X, Y and Z are sent, in mm.
+    pub motor_mm: [f64; 3],
+    /// Where the head's axes are sent, in degrees.
+    pub head_deg: [f64; 2],
+    /// The external offset that LinuxCNC applies, in mm.
+    pub eoffset_mm: [f64; 3],
+    /// What the program says that it does now.
+    pub phase: u32,
+    /// The pass that the program belongs to.
+    pub pass: u32,
+    /// The true error of the tool tip with compensation, in µm: what LinuxCNC has added is in it.
+    pub with_um: [f64; 3],
+    /// The same without.
+    pub without_um: [f64; 3],
+    /// How far the tool has grown, in µm.
+    pub growth_um: f64,
+    /// The speed that the spindle has, in r/min.
+    pub spindle_rpm: f64,
+}
+
+impl Cycle {
+    /// Where the program wants the tool tip, in mm.
+    #[must_use]
+    pub fn commanded_mm(&self) -> [f64; 3] {
+        std::array::from_fn(|axis| self.motor_mm[axis] - self.eoffset_mm[axis])
+    }
+}
+
+/// What the loop is asked and what it tells.
+#[derive(Default)]
+struct Shared {
+    factor: AtomicU32,
+    stop: AtomicBool,
+    board_ms: AtomicU64,
+    slipped_ms: AtomicU64,
+    lost_samples: AtomicU64,
+    cycles: Mutex<Vec<Cycle>>,
+    log: Mutex<Vec<String>>,
+    swap: Mutex<Option<Vec<u8>>>,
+}
+
+/// What the loop has done.
+#[derive(Clone, Copy, Debug)]
+pub struct Account {
+    /// Milliseconds of the board.
+    pub board_ms: u64,
+    /// Milliseconds that the board should have lived through at real time and has not: this computer
+    /// was too slow.
+    pub slipped_ms: u64,
+    /// Servo cycles that `sampler` could not keep.
+    pub lost_samples: u64,
+    /// Pairs of offsets passed on to LinuxCNC, and frames heard from it.
+    pub traffic: (u64, u64),
+}
+
+/// The running machine.
+pub struct Plant {
+    shared: Arc<Shared>,
+    to_loop: Sender<Sample>,
+    thread: Option<JoinHandle<Result<(u64, u64)>>>,
+    address: String,
+}
+
+/// What the loop is made of.
+pub struct Parts {
+    /// The board's image.
+    pub image: PathBuf,
+    /// The calibration that it starts with.
+    pub calibration: Vec<u8>,
+    /// The machine.
+    pub twin: Machine,
+    /// The channels of the board, by the names under which the machine states its temperatures.
+    pub temperatures: BTreeMap<String, TemperatureInput>,
+    /// The divider before the converter.
+    pub divider: f64,
+    /// Seed of the front end's noise.
+    pub seed: u64,
+}
+
+impl Plant {
+    /// Boots the board and lets the machine live, in real time.
+    ///
+    /// # Errors
+    /// The board does not come up.
+    pub fn start(parts: Parts) -> Result<Self> {
+        let adapter = Adapter::listen()?;
+        let address = adapter.address();
+        let shared = Arc::new(Shared { factor: AtomicU32::new(1), ..Shared::default() });
+        let board = VirtualBoard::boot(&parts.image, &parts.calibration)?;
+        let (to_loop, samples) = mpsc::channel();
+        let theirs = shared.clone();
+        let thread = thread::spawn(move || Loop::new(parts, board, adapter, samples, theirs).run());
+        Ok(Self { shared, to_loop, thread: Some(thread), address })
+    }
+
+    /// Where the bridge is to be found by the CNC.
+    #[must_use]
+    pub fn address(&self) -> &str {
+        &self.address
+    }
+
+    /// Takes in LinuxCNC's servo cycles from now on.
+    pub fn listen(&self, lines: ChildStdout) {
+        let (to_loop, shared) = (self.to_loop.clone(), self.shared.clone());
+        thread::spawn(move || {
+            for line in BufReader::new(lines).lines().map_while(Result::ok) {
+                match Sample::parse(&line) {
+                    Some(sample) if to_loop.send(sample).is_ok() => {}
+                    Some(_) => return,
+                    // `overrun`: nothing was kept of some cycles.
+                    None => _ = shared.lost_samples.fetch_add(1, Ordering::Relaxed),
+                }
+            }
+        });
+    }
+
+    /// Lets time pass so many times as fast for board and machine.
+    pub fn set_factor(&self, factor: u32) {
+        self.shared.factor.store(factor, Ordering::Relaxed);
+    }
+
+    /// Takes the board's power and gives it another calibration.
+    pub fn swap(&self, calibration: Vec<u8>) {
+        *lock(&self.shared.swap) = Some(calibration);
+    }
+
+    /// Milliseconds that the boards have lived through.
+    #[must_use]
+    pub fn board_ms(&self) -> u64 {
+        self.shared.board_ms.load(Ordering::Relaxed)
+    }
+
+    /// The newest servo cycle.
+    #[must_use]
+    pub fn latest(&self) -> Option<Cycle> {
+        lock(&self.shared.cycles).last().copied()
+    }
+
+    /// What the board has logged since it was last asked.
+    #[must_use]
+    pub fn take_log(&self) -> Vec<String> {
+        std::mem::take(&mut lock(&self.shared.log))
+    }
+
+    /// Fails if the loop has ended; with why.
+    ///
+    /// # Errors
+    /// It has.
+    pub fn check(&mut self) -> Result<()> {
+        if self.thread.as_ref().is_some_and(JoinHandle::is_finished) {
+            self.join()?;
+            bail!("the loop has ended");
+        }
+        Ok(())
+    }
+
+    /// Ends the loop and gives all cycles.
+    ///
+    /// # Errors
+    /// It had ended before, for a reason of its own.
+    pub fn finish(mut self) -> Result<(Vec<Cycle>, Account)> {
+        let traffic = self.join()?;
+        let load = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        let account = Account {
+            board_ms: load(&self.shared.board_ms),
+            slipped_ms: load(&self.shared.slipped_ms),
+            lost_samples: load(&self.shared.lost_samples),
+            traffic,
+        };
+        Ok((std::mem::take(&mut lock(&self.shared.cycles)), account))
+    }
+
+    fn join(&mut self) -> Result<(u64, u64)> {
+        self.shared.stop.store(true, Ordering::Relaxed);
+        let thread = self.thread.take().context("the loop has ended before")?;
+        thread.join().map_err(|_| anyhow!("the loop has panicked"))?
+    }
+}
+
+impl Drop for Plant {
+    fn drop(&mut self) {
+        if self.thread.is_some() {
+            // What it died of is told by whoever looks after it.
+            self.join().ok();
+        }
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// What `sampler` has written down of a servo cycle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Sample {
+    number: u64,
+    pins: [f64; PINS.len()],
+}
+
+impl Sample {
+    /// The cycle's number, then the pins.
+    fn parse(line: &str) -> Option<Self> {
+        let mut words = line.split_ascii_whitespace();
+        let number = words.next()?.parse().ok()?;
+        let mut pins = [0.0; PINS.len()];
+        for pin in &mut pins {
+            *pin = words.next()?.parse().ok()?;
+        }
+        Some(Self { number, pins })
+    }
+
+    fn cycle(&self) -> Cycle {
+        let [x, y, z, c, a, ex, ey, ez, spindle_rpm, _, phase, pass] = self.pins;
+        Cycle {
+            number: self.number,
+            motor_mm: [x, y, z],
+            head_deg: [c, a],
+            eoffset_mm: [ex, ey, ez],
+            phase: whole(phase),
+            pass: whole(pass),
+            spindle_rpm,
+            ..Cycle::default()
+        }
+    }
+
+    fn load_n(&self) -> f64 {
+        self.pins[9]
+    }
+}
+
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a cast saturates")]
+fn whole(value: f64) -> u32 {
+    value.round() as u32
+}
+
+/// The loop itself.
+struct Loop {
+    parts: Parts,
+    board: VirtualBoard,
+    front_end: FrontEnd,
+    adapter: Adapter,
+    with: Machine,
+    without: Machine,
+    samples: Receiver<Sample>,
+    shared: Arc<Shared>,
+    /// Milliseconds that the board has lived through and the machine has not.
+    ahead_ms: f64,
+    heard: Option<Instant>,
+    /// What the spindle's drive has reached, in r/min.
+    spindle_rpm: f64,
+}
+
+impl Loop {
+    fn new(
+        parts: Parts,
+        board: VirtualBoard,
+        adapter: Adapter,
+        samples: Receiver<Sample>,
+        shared: Arc<Shared>,
+    ) -> Self {
+        Self {
+            front_end: FrontEnd::new(parts.divider, parts.seed),
+            with: parts.twin.clone(),
+            without: parts.twin.clone(),
+            parts,
+            board,
+            adapter,
+            samples,
+            shared,
+            ahead_ms: 0.0,
+            heard: None,
+            spindle_rpm: 0.0,
+        }
+    }
+
+    fn run(mut self) -> Result<(u64, u64)> {
+        let mut owed_ms = 0.0;
+        let mut last = Instant::now();
+        while !self.shared.stop.load(Ordering::Relaxed) {
+            if let Some(calibration) = lock(&self.shared.swap).take() {
+                // A power cut, and another machine file behind it.
+                let image = self.parts.image.clone();
+                self.board = VirtualBoard::boot(&image, &calibration)?;
+                last = Instant::now();
+                self.heard = self.heard.map(|_| last);
+            }
+            let factor = self.shared.factor.load(Ordering::Relaxed);
+            self.adapter.set_stride(if factor > 1 { COMPRESSED_STRIDE } else { 1 });
+            let now = Instant::now();
+            owed_ms += now.duration_since(last).as_secs_f64() * 1e3 * f64::from(factor);
+            last = now;
+            let is_real = factor <= 1;
+            let most_ms = if is_real { LARGEST_BACKLOG_MS } else { f64::from(LARGEST_BATCH) };
+            if owed_ms > most_ms {
+                if is_real {
+                    let slipped = (owed_ms - most_ms).round();
+                    self.shared.slipped_ms.fetch_add(count(slipped), Ordering::Relaxed);
+                }
+                owed_ms = most_ms;
+            }
+            let due = owed_ms.floor().min(f64::from(LARGEST_BATCH));
+            self.hear()?;
+            if due < 1.0 {
+                thread::sleep(NAP);
+                continue;
+            }
+            owed_ms -= due;
+            self.live(count(due))?;
+        }
+        Ok(self.adapter.traffic())
+    }
+
+    /// Lets the board live through so many milliseconds of the machine as it stands.
+    fn live(&mut self, ms: u64) -> Result<()> {
+        let celsius: BTreeMap<String, f64> = self
+            .with
+            .temperatures_c()
+            .into_iter()
+            .map(|(column, shown_c)| (column.to_owned(), shown_c))
+            .collect();
+        let temperatures = replay::raw_temperatures(&self.parts.temperatures, &celsius);
+        let blocks: Vec<Block> = (0..ms)
+            .map(|_| {
+                let volts = self.with.sensor_volts().unwrap_or(0.0);
+                Block {
+                    codes: self.front_end.block(|_| volts),
+                    // The speed comes from the CNC, as everything else that it knows.
+                    speed: None,
+                    temperatures,
+                    frames: self.adapter.take(),
+                }
+            })
+            .collect();
+        let sent = self.board.step(&blocks)?;
+        self.adapter.pass(&sent);
+        self.ahead_ms += ms as f64;
+        self.shared.board_ms.fetch_add(ms, Ordering::Relaxed);
+        let said = self.board.take_log();
+        if !said.is_empty() {
+            lock(&self.shared.log).extend(said);
+        }
+        Ok(())
+    }
+
+    /// Lets the machine do what LinuxCNC has commanded meanwhile. Its time is the board's, spread
+    /// evenly over the servo cycles that have come.
+    fn hear(&mut self) -> Result<()> {
+        let samples: Vec<Sample> = self.samples.try_iter().collect();
+        if samples.is_empty() {
+            if self.heard.is_some_and(|heard| heard.elapsed() > SILENCE) {
+                bail!("LinuxCNC's real-time part has been silent for {SILENCE:?}");
+            }
+            return Ok(());
+        }
+        self.heard = Some(Instant::now());
+        if self.ahead_ms <= 0.0 {
+            // The board is behind: the machine waits for it, but its axes move on.
+            self.ahead_ms = SHORTEST_STEP_MS * samples.len() as f64;
+        }
+        let dt_s = self.ahead_ms / 1e3 / samples.len() as f64;
+        self.ahead_ms = 0.0;
+        let mut cycles = Vec::with_capacity(samples.len());
+        for sample in &samples {
+            let mut cycle = sample.cycle();
+            let most = DRIVE_RPM_PER_S * dt_s;
+            self.spindle_rpm += (cycle.spindle_rpm - self.spindle_rpm).clamp(-most, most);
+            cycle.spindle_rpm = self.spindle_rpm;
+            let command = |position_mm: [f64; 3]| Command {
+                position_mm,
+                head_deg: cycle.head_deg,
+                spindle_rpm: cycle.spindle_rpm,
+                load_n: sample.load_n(),
+            };
+            self.with.step(dt_s, &command(cycle.motor_mm));
+            self.without.step(dt_s, &command(cycle.commanded_mm()));
+            let machine_um = self.with.tip_error_um();
+            cycle.with_um =
+                std::array::from_fn(|axis| machine_um[axis] + cycle.eoffset_mm[axis] * 1e3);
+            cycle.without_um = self.without.tip_error_um();
+            cycle.growth_um = self.without.elongation_um();
+            cycle.time_s = self.with.time_s();
+            cycles.push(cycle);
+        }
+        lock(&self.shared.cycles).append(&mut cycles);
+        Ok(())
+    }
+}
+
+/// The machine's time goes on by at least so much in a servo cycle.
+const SHORTEST_STEP_MS: f64 = 1e-3;
+
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "whole, not negative")]
+fn count(ms: f64) -> u64 {
+    ms as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_of_the_sampler_is_a_cycle() {
+        let sample =
+            Sample::parse("17 1 2 3 90 -30 0.01 0.02 -0.03 24000 150 4 2 ").expect("whole");
+        let cycle = sample.cycle();
+        assert_eq!((cycle.number, cycle.phase, cycle.pass), (17, 4, 2));
+        assert_eq!((cycle.head_deg, cycle.commanded_mm()[2]), ([90.0, -30.0], 3.03));
+        assert_eq!(sample.load_n(), 150.0);
+        assert_eq!(Sample::parse("overrun"), None);
+    }
+}

@@ -1,0 +1,336 @@
+//! The component without its HAL: pins and frames in, pins and frames out.
+
+use std::time::Duration;
+
+use trueup_core::{
+    cnc::{Control, Flags, Quality},
+    heat::CHANNELS,
+};
+use trueup_link::{frame::Frame, receiver::Counters, slcan::Event};
+
+use crate::{
+    follower::{Follower, Pace, Reading},
+    sender::{Command, Sender},
+    source::{Limits, Source, Target},
+};
+
+/// LinuxCNC has applied an offset when it is within this of it, in nanometres: the planner stops a
+/// thousandth of its step before its goal, and a wire bit is 10 nm.
+const APPLIED_WITHIN_NM: f64 = 20.0;
+/// Temperature channels of the bridge.
+pub const TEMPERATURES: usize = CHANNELS;
+const NANOMETRES_PER_MICROMETRE: f64 = 1e3;
+const NANOMETRES_PER_MILLIMETRE: f64 = 1e6;
+/// How often the heartbeat turns round.
+const HEARTBEAT_HALF: Duration = Duration::from_millis(50);
+
+/// How the component is set.
+#[derive(Clone, Copy, Debug)]
+pub struct Options {
+    /// How long silence is tolerated, and how large an offset may be.
+    pub limits: Limits,
+    /// How fast the offset of each axis may change.
+    pub pace: [Pace; 3],
+    /// How often the position of a moving axis is sent.
+    pub position_period: Duration,
+    /// Whether angles are sent.
+    pub sends_rotary: bool,
+}
+
+/// What the pins say.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Inputs {
+    /// The operator wants offsets.
+    pub enable: bool,
+    /// LinuxCNC's motion is enabled.
+    pub machine_on: bool,
+    /// All joints are homed.
+    pub homed: bool,
+    /// The operator takes the present error as the reference.
+    pub zero: bool,
+    /// Commanded positions of X, Y and Z in mm, without the external offset.
+    pub position_mm: [f64; 3],
+    /// What LinuxCNC did with the offsets of X, Y and Z.
+    pub readings: [Reading; 3],
+    /// Commanded angles of the head axes in degrees.
+    pub angles_deg: [f64; 2],
+    /// Spindle speed in r/min.
+    pub spindle_rpm: f64,
+    /// Axial cutting force in N.
+    pub load_n: f64,
+}
+
+/// What the pins are to say.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Outputs {
+    /// To be added to the counts of X, Y and Z, with wrapping.
+    pub counts: [i32; 3],
+    /// What the bridge says, in µm; the last that it said, where it is silent.
+    pub offset_um: [f64; 3],
+    /// What LinuxCNC has applied, in µm.
+    pub applied_um: [f64; 3],
+    /// The offsets of the bridge are applied on every axis.
+    pub applied: bool,
+    /// Valid offsets arrive.
+    pub connected: bool,
+    /// No offset can be trusted: none for longer than the hold, "not available", or LinuxCNC does
+    /// not take the counts.
+    pub fault: bool,
+    /// An axis could not follow for half a second: soft limit, joint mode, no `OFFSET_AV_RATIO`.
+    pub limited: bool,
+    /// As on the wire; 4 while the component holds, 5 while it takes back, 6 after that.
+    pub quality: Quality,
+    /// As on the wire.
+    pub flags: Flags,
+    /// Milliseconds since the sample on which the offset rests.
+    pub age_ms: u32,
+    /// What has arrived.
+    pub counters: Counters,
+    /// The bridge's temperatures in °C; `None` where it does not say.
+    pub temperatures_c: [Option<f64>; TEMPERATURES],
+    /// Turns round ten times a second as long as the component lives.
+    pub heartbeat: bool,
+}
+
+/// The component.
+#[derive(Debug)]
+pub struct Component {
+    options: Options,
+    source: Source,
+    followers: [Follower; 3],
+    sender: Sender,
+    offset_nm: [i32; 3],
+}
+
+impl Component {
+    /// A component that begins now.
+    #[must_use]
+    pub fn new(now: Duration, options: Options) -> Self {
+        Self {
+            options,
+            source: Source::new(now),
+            followers: Default::default(),
+            sender: Sender::new(options.position_period, options.sends_rotary),
+            offset_nm: [0; 3],
+        }
+    }
+
+    /// Takes what came over the line.
+    pub fn hear(&mut self, now: Duration, event: &Event) {
+        match event {
+            Event::Frame(frame) => self.source.hear(now, frame),
+            Event::Malformed(_) => self.source.hear_malformed(),
+            Event::Accepted | Event::Refused | Event::Other(_) => {}
+        }
+    }
+
+    /// One turn of the loop: what the pins are to say, and the frames to send.
+    pub fn step(&mut self, now: Duration, inputs: &Inputs) -> (Outputs, Vec<Frame>) {
+        let ready = inputs.machine_on && inputs.homed;
+        let limits = &self.options.limits;
+        let target = self.source.target(now, limits);
+        if let Target::Follow(offset) = target {
+            self.offset_nm = offset;
+        }
+        let goal = |axis: usize| match target {
+            Target::Follow(offset) => Some(offset[axis]),
+            Target::Hold => None,
+            Target::RampOut => Some(0),
+        };
+        let mut outputs = Outputs::default();
+        let (mut dead, mut at_zero, mut arrived) = (false, true, true);
+        for (axis, follower) in self.followers.iter_mut().enumerate() {
+            let reading = inputs.readings[axis];
+            let step = follower.step(now, ready, goal(axis), reading, &self.options.pace[axis]);
+            outputs.counts[axis] = step.counts;
+            outputs.limited |= step.stuck;
+            dead |= step.dead;
+            let offset = f64::from(self.offset_nm[axis]);
+            outputs.offset_um[axis] = offset / NANOMETRES_PER_MICROMETRE;
+            outputs.applied_um[axis] = reading.eoffset_nm / NANOMETRES_PER_MICROMETRE;
+            at_zero &= reading.eoffset_nm.abs() <= APPLIED_WITHIN_NM;
+            arrived &= (reading.eoffset_nm - offset).abs() <= APPLIED_WITHIN_NM
+                && (reading.request_nm - offset).abs() <= APPLIED_WITHIN_NM;
+        }
+        let fresh = self.source.fresh(now, limits);
+        outputs.connected = fresh.is_some();
+        outputs.flags = fresh.map_or(Flags::NONE, |output| output.flags);
+        outputs.flags = outputs.flags.with_if(self.source.is_clamped(), Flags::CLAMPED);
+        outputs.quality = match (target, fresh) {
+            (Target::Follow(_), Some(output)) => output.quality,
+            (Target::Follow(_) | Target::Hold, _) => Quality::Hold,
+            (Target::RampOut, _) if at_zero => Quality::Fault,
+            (Target::RampOut, _) => Quality::RampingOut,
+        };
+        outputs.fault = dead || target == Target::RampOut;
+        outputs.applied = ready && matches!(target, Target::Follow(_)) && arrived;
+        outputs.age_ms = self.source.age_ms(now).unwrap_or(u32::MAX);
+        outputs.counters = self.source.counters();
+        outputs.heartbeat = (now.as_millis() / HEARTBEAT_HALF.as_millis()) % 2 == 1;
+
+        let control = Control {
+            engage: inputs.enable && inputs.machine_on,
+            referenced: inputs.homed,
+            zero: inputs.zero,
+        };
+        let command = Command {
+            control,
+            position_mm: inputs.position_mm,
+            offset_mm: inputs
+                .readings
+                .map(|reading| reading.eoffset_nm / NANOMETRES_PER_MILLIMETRE),
+            angles_deg: inputs.angles_deg,
+            spindle_rpm: inputs.spindle_rpm,
+            load_n: inputs.load_n,
+        };
+        (outputs, self.sender.frames(now, &command))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trueup_core::{
+        cnc::{Command as Heard, Output},
+        units::Nanometres,
+    };
+    use trueup_link::{
+        frames::{offset_xy, offset_z},
+        receiver::Receiver,
+    };
+
+    const SLEW: f64 = 500e3;
+
+    fn component() -> Component {
+        let pace =
+            Pace { slew_nm_per_s: SLEW, cycle_s: 1e-3, acceleration_nm_per_s2: f64::INFINITY };
+        let limits = Limits {
+            max_nm: [200_000; 3],
+            stale: Duration::from_millis(100),
+            hold: Duration::from_millis(2_000),
+        };
+        let position_period = Duration::from_millis(2);
+        let options = Options { limits, pace: [pace; 3], position_period, sends_rotary: false };
+        Component::new(Duration::ZERO, options)
+    }
+
+    /// A machine that does at once what it is asked for, and a bridge that says this every
+    /// millisecond, while it is there.
+    struct World {
+        component: Component,
+        inputs: Inputs,
+        says: Option<[i32; 3]>,
+        outputs: Outputs,
+        controls: Vec<Control>,
+        receiver: Receiver,
+        ms: u64,
+    }
+
+    impl World {
+        fn new() -> Self {
+            Self {
+                component: component(),
+                inputs: Inputs { enable: true, machine_on: true, homed: true, ..Inputs::default() },
+                says: Some([0; 3]),
+                outputs: Outputs::default(),
+                controls: Vec::new(),
+                receiver: Receiver::new(),
+                ms: 0,
+            }
+        }
+
+        fn live(&mut self, ms: u64) {
+            for _ in 0..ms {
+                self.ms += 1;
+                let now = Duration::from_millis(self.ms);
+                if let Some(offset) = self.says {
+                    let offset = Some(offset.map(Nanometres));
+                    let output = Output { offset, quality: Quality::Live, ..Output::default() };
+                    let counter = (self.ms % 256) as u8;
+                    for frame in [offset_xy(&output, counter), offset_z(&output, counter)] {
+                        self.component.hear(now, &Event::Frame(frame));
+                    }
+                }
+                let (outputs, frames) = self.component.step(now, &self.inputs);
+                for (reading, counts) in self.inputs.readings.iter_mut().zip(outputs.counts) {
+                    if self.inputs.machine_on && self.inputs.homed {
+                        reading.request_nm += f64::from(counts);
+                    }
+                    reading.eoffset_nm = reading.request_nm;
+                }
+                for frame in &frames {
+                    let heard = self.receiver.accept(frame).expect("in order");
+                    if let Some(Heard::Control(control)) = heard {
+                        self.controls.push(control);
+                    }
+                }
+                self.outputs = outputs;
+            }
+        }
+
+        fn z_um(&self) -> f64 {
+            self.outputs.applied_um[2]
+        }
+    }
+
+    #[test]
+    fn an_offset_is_applied_at_the_slew_limit_and_told() {
+        let mut world = World::new();
+        world.says = Some([1_000, -2_000, 40_000]);
+        world.live(100);
+        assert!(world.outputs.connected && !world.outputs.applied, "40 um take 80 ms after 50");
+        assert_eq!(world.outputs.offset_um, [1.0, -2.0, 40.0]);
+        world.live(40);
+        assert_eq!(world.outputs.applied_um, [1.0, -2.0, 40.0]);
+        assert!(world.outputs.applied && !world.outputs.fault && !world.outputs.limited);
+        assert_eq!(world.outputs.quality, Quality::Live);
+    }
+
+    #[test]
+    fn a_silent_bridge_is_held_then_taken_back_then_a_fault_without_offset() {
+        let mut world = World::new();
+        world.says = Some([0, 0, 40_000]);
+        world.live(200);
+        world.says = None;
+        world.live(150);
+        assert_eq!((world.outputs.quality, world.outputs.connected), (Quality::Hold, false));
+        world.live(1_900);
+        assert_eq!((world.z_um(), world.outputs.fault), (40.0, false));
+        world.live(90);
+        assert_eq!((world.outputs.quality, world.outputs.fault), (Quality::RampingOut, true));
+        world.live(100);
+        assert_eq!((world.outputs.quality, world.z_um()), (Quality::Fault, 0.0));
+        world.says = Some([0, 0, 40_000]);
+        world.live(150);
+        assert_eq!((world.z_um(), world.outputs.fault), (40.0, false));
+    }
+
+    #[test]
+    fn the_bridge_is_engaged_only_while_the_machine_is_on_and_referenced_only_while_homed() {
+        let mut world = World::new();
+        for (enable, machine_on, homed) in
+            [(true, true, true), (true, false, true), (false, true, true), (true, true, false)]
+        {
+            world.inputs = Inputs { enable, machine_on, homed, ..world.inputs };
+            world.live(2);
+            let said = world.controls.last().expect("at once");
+            assert_eq!((said.engage, said.referenced), (enable && machine_on, homed));
+        }
+    }
+
+    #[test]
+    fn a_machine_that_was_off_begins_anew_from_zero() {
+        let mut world = World::new();
+        world.says = Some([0, 0, 40_000]);
+        world.live(200);
+        world.inputs.machine_on = false;
+        world.live(20);
+        // As LinuxCNC does it at machine on.
+        world.inputs.readings = [Reading::default(); 3];
+        world.inputs.machine_on = true;
+        world.live(60);
+        assert!(world.z_um() > 0.0 && world.z_um() < 10.0, "{}", world.z_um());
+        world.live(100);
+        assert_eq!(world.z_um(), 40.0);
+    }
+}

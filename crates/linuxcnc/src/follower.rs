@@ -1,0 +1,178 @@
+//! One axis: brings LinuxCNC's external offset to a target, whatever LinuxCNC does meanwhile.
+//!
+//! A count is a nanometre. Let r be `eoffset-request` and c `eoffset`, both in counts, g the goal,
+//! d = v·T the slew limit's share of a servo cycle T. One step is
+//!
+//! ```text
+//! r' = r + clamp(g − r, −d, d)         then kept within c ± lead, and counts ← counts + (r' − r)
+//! lead = v²/(2a) + d + (what c has come since the step before, at most d)
+//! ```
+//!
+//! Three things make it safe:
+//! * **One step a servo cycle.** After a step nothing is written until `eoffset-request` shows it:
+//!   then a servo cycle has taken it, and the next step falls into a later one. So a delayed or a
+//!   hurried loop never puts two steps into one cycle, without any clock in common.
+//! * **What counts is what LinuxCNC did.** r is read, never remembered. Where it has changed by
+//!   something else (machine on, another writer), or a step got lost, the next step begins there.
+//! * **No wind-up.** LinuxCNC's planner (`simple_tp.c`) asks for the speed
+//!   u = −aT + √(2a·e + a²T²) at the distance e = r − c, with a its acceleration. u = v at
+//!   e = v²/(2a) + vT, which is `lead`: an offset that could not move for a while (joint mode, soft
+//!   limit) cannot hurry afterwards. The rest is what the planner covers in the cycle that
+//!   `eoffset` does not show yet, taken from the cycle that it shows.
+
+use std::time::Duration;
+
+/// A step that `eoffset-request` does not show after so long is lost.
+const LOST_AFTER: Duration = Duration::from_secs(1);
+/// After a change that was not ours, the pins are left to settle for so long, which is many servo
+/// cycles.
+const SETTLE: Duration = Duration::from_millis(50);
+/// So many lost steps one after the other: the pins are not connected as they should be.
+const LOST_STEPS: u8 = 3;
+/// An axis that the planner does not move for so long is told to be stuck.
+const STUCK_AFTER: Duration = Duration::from_millis(500);
+/// Two readings of `eoffset-request` are the same within this, in counts.
+const SAME: f64 = 0.25;
+/// A request is a whole number of counts within this.
+const NOISE: f64 = 1e-3;
+
+/// How fast an offset may change.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pace {
+    /// The slew limit, in nanometres a second.
+    pub slew_nm_per_s: f64,
+    /// The servo cycle, in seconds.
+    pub cycle_s: f64,
+    /// The acceleration of LinuxCNC's planner for this offset, in nanometres a second²; infinite
+    /// where it is not known, which costs speed, not safety.
+    pub acceleration_nm_per_s2: f64,
+}
+
+impl Pace {
+    /// The largest step, d: whole counts, at least one. So below 1 µm/s (at a servo cycle of 1 ms)
+    /// the bridge's own slew limit is the one that counts.
+    #[must_use]
+    pub fn step(&self) -> f64 {
+        (self.slew_nm_per_s * self.cycle_s + NOISE).floor().max(1.0)
+    }
+
+    /// How far the request may run ahead of an offset that stands.
+    #[must_use]
+    pub fn lead(&self) -> f64 {
+        let slew = self.slew_nm_per_s;
+        slew * slew / (2.0 * self.acceleration_nm_per_s2) + self.step()
+    }
+}
+
+/// What the pins of an axis say.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Reading {
+    /// `axis.L.eoffset-request`, in nanometres.
+    pub request_nm: f64,
+    /// `axis.L.eoffset`, in nanometres.
+    pub eoffset_nm: f64,
+}
+
+/// A step that was written.
+#[derive(Clone, Copy, Debug)]
+struct Pending {
+    before: f64,
+    step: f64,
+    written: Duration,
+}
+
+/// What one call found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Step {
+    /// To be added to the counts, with wrapping; 0: leave the pin alone.
+    pub counts: i32,
+    /// LinuxCNC has not moved the offset for a while although it should.
+    pub stuck: bool,
+    /// Steps get lost, one after the other: nothing is written any more until the machine has been
+    /// switched off and on.
+    pub dead: bool,
+}
+
+/// One axis.
+#[derive(Debug, Default)]
+pub struct Follower {
+    pending: Option<Pending>,
+    /// Nothing is written before.
+    settled: Duration,
+    was_ready: bool,
+    lost: u8,
+    /// `eoffset` at the step before.
+    offset_before: f64,
+    /// Since when the lead keeps it from its goal.
+    held_since: Option<Duration>,
+}
+
+impl Follower {
+    /// The next step towards `goal_nm`, or, without one, towards where the request stands. `ready`:
+    /// the machine is on and all joints are homed.
+    pub fn step(
+        &mut self,
+        now: Duration,
+        ready: bool,
+        goal_nm: Option<i32>,
+        reading: Reading,
+        pace: &Pace,
+    ) -> Step {
+        let stuck = self.held_since.is_some_and(|since| now.saturating_sub(since) > STUCK_AFTER);
+        let told = Step { counts: 0, stuck, dead: self.lost >= LOST_STEPS };
+        if !ready || !reading.request_nm.is_finite() || !reading.eoffset_nm.is_finite() {
+            *self = Self { offset_before: reading.eoffset_nm, ..Self::default() };
+            return Step { counts: 0, stuck: false, dead: false };
+        }
+        if !self.was_ready {
+            self.was_ready = true;
+            self.settled = now + SETTLE;
+        }
+        if let Some(pending) = self.pending {
+            let change = reading.request_nm - pending.before;
+            if (change - pending.step).abs() < SAME {
+                self.lost = 0;
+            } else if change.abs() >= SAME {
+                self.settled = now + SETTLE;
+            } else if now.saturating_sub(pending.written) >= LOST_AFTER {
+                self.lost = self.lost.saturating_add(1);
+            } else {
+                return told;
+            }
+            self.pending = None;
+        }
+        if now < self.settled || self.lost >= LOST_STEPS {
+            return told;
+        }
+        let step = self.next(now, goal_nm, reading, pace);
+        if step != 0 {
+            self.pending =
+                Some(Pending { before: reading.request_nm, step: f64::from(step), written: now });
+        }
+        Step { counts: step, ..told }
+    }
+
+    /// The step, in counts.
+    #[allow(clippy::cast_possible_truncation, reason = "held to the range of an i32 before")]
+    fn next(&mut self, now: Duration, goal_nm: Option<i32>, reading: Reading, pace: &Pace) -> i32 {
+        let Reading { request_nm: request, eoffset_nm: offset } = reading;
+        let goal = goal_nm.map_or(request, f64::from);
+        let wanted = (goal - request).clamp(-pace.step(), pace.step());
+        let moved = (offset - self.offset_before) * wanted.signum();
+        let lead = pace.lead() + moved.clamp(0.0, pace.step());
+        let next = (request + wanted).clamp(offset - lead, offset + lead);
+        if (next - (request + wanted)).abs() < SAME {
+            self.held_since = None;
+        } else {
+            self.held_since.get_or_insert(now);
+        }
+        // Towards zero; what LinuxCNC has added up is whole but for the noise of its arithmetic.
+        let exact = next - request;
+        let whole = (exact + NOISE.copysign(exact)).trunc();
+        let whole = whole.clamp(f64::from(i32::MIN), f64::from(i32::MAX)) as i32;
+        if whole != 0 {
+            self.offset_before = offset;
+        }
+        whole
+    }
+}

@@ -1,0 +1,341 @@
+//! LinuxCNC's hardware abstraction layer, as far as a component needs it. The only `unsafe` file.
+//!
+//! The library is opened at run time, so that neither its header nor LinuxCNC is needed to build,
+//! and the host tool runs where there is none. All components and LinuxCNC's realtime part share one
+//! piece of memory; a pin is a pointer in it that LinuxCNC turns to whatever the pin is connected
+//! to, so it is followed anew at each access. Names, types and directions are those of `hal.h`.
+#![allow(unsafe_code)]
+
+use std::{
+    cell::{RefCell, UnsafeCell},
+    ffi::{CStr, CString, c_char, c_int, c_long, c_void},
+    fmt, fs,
+    marker::PhantomData,
+    ptr,
+};
+
+use libloading::Library;
+
+/// The library of LinuxCNC 2.8 and 2.9.
+const LIBRARY: &str = "liblinuxcnchal.so.0";
+/// `HAL_IN` and `HAL_OUT`.
+const IN: c_int = 16;
+const OUT: c_int = 32;
+/// `HAL_NAME_LEN`.
+const LONGEST_NAME: usize = 47;
+
+type NewPin = unsafe extern "C" fn(*const c_char, c_int, *mut *mut c_void, c_int) -> c_int;
+type PinByName =
+    unsafe extern "C" fn(*const c_char, *mut c_int, *mut *mut c_void, *mut bool) -> c_int;
+
+/// A type that a pin can have.
+pub trait PinType: sealed::Sealed + Copy {
+    /// The function that makes such a pin.
+    #[doc(hidden)]
+    const MAKE: &'static [u8];
+    /// Its number in `hal_type_t`.
+    #[doc(hidden)]
+    const KIND: c_int;
+    /// What lies in the memory.
+    #[doc(hidden)]
+    type Raw: Copy;
+    #[doc(hidden)]
+    fn from_raw(raw: Self::Raw) -> Self;
+    #[doc(hidden)]
+    fn to_raw(self) -> Self::Raw;
+}
+
+mod sealed {
+    pub trait Sealed {}
+}
+
+macro_rules! pin_type {
+    ($type:ty, $raw:ty, $kind:literal, $make:literal, $from:expr, $to:expr) => {
+        impl sealed::Sealed for $type {}
+        impl PinType for $type {
+            const MAKE: &'static [u8] = $make;
+            const KIND: c_int = $kind;
+            type Raw = $raw;
+            fn from_raw(raw: $raw) -> Self {
+                $from(raw)
+            }
+            fn to_raw(self) -> $raw {
+                $to(self)
+            }
+        }
+    };
+}
+
+// A byte that another program wrote need not be 0 or 1, which a `bool` must be.
+pin_type!(bool, u8, 1, b"hal_pin_bit_new\0", |raw| raw != 0, u8::from);
+pin_type!(f64, f64, 2, b"hal_pin_float_new\0", |raw| raw, |value| value);
+pin_type!(i32, i32, 3, b"hal_pin_s32_new\0", |raw| raw, |value| value);
+pin_type!(u32, u32, 4, b"hal_pin_u32_new\0", |raw| raw, |value| value);
+
+/// A pin of this component.
+#[derive(Debug)]
+pub struct Pin<'hal, T: PinType> {
+    /// The cell in the shared memory where LinuxCNC keeps where the value is.
+    cell: *const *mut T::Raw,
+    hal: PhantomData<&'hal Hal>,
+}
+
+impl<T: PinType> Pin<'_, T> {
+    /// What the pin, or the signal that it is connected to, says now.
+    #[must_use]
+    pub fn get(&self) -> T {
+        // SAFETY: `cell` was made by `Hal::pin`: it lies in the HAL's memory, or is kept by `Hal`,
+        // and holds a pointer into the HAL's memory, which stays attached for the lifetime of `Hal`
+        // and which LinuxCNC keeps valid and aligned for the type. Others write it at any time, hence volatile; a value of
+        // at most 8 aligned bytes is read in one piece on the processors that LinuxCNC runs on.
+        T::from_raw(unsafe { ptr::read_volatile(ptr::read_volatile(self.cell).cast_const()) })
+    }
+
+    /// Lets the pin, and the signal that it is connected to, say this.
+    pub fn set(&self, value: T) {
+        // SAFETY: as in `get`; this component is the only writer of its own pins, and every
+        // reader expects them to change at any time.
+        unsafe { ptr::write_volatile(ptr::read_volatile(self.cell), value.to_raw()) }
+    }
+}
+
+/// A component in the HAL.
+#[derive(Debug)]
+pub struct Hal {
+    library: Library,
+    id: c_int,
+    /// The pins are those of a component whose process was killed.
+    adopts: bool,
+    adopted: RefCell<Vec<Adopted>>,
+}
+
+/// A pin of a component whose process was killed.
+#[derive(Debug)]
+struct Adopted {
+    name: CString,
+    kind: c_int,
+    /// Where its value is; on the heap, because a [`Pin`] points to it.
+    cell: Box<UnsafeCell<*mut c_void>>,
+}
+
+impl Hal {
+    /// Registers a component.
+    ///
+    /// Where one of this name is left over from a process that was killed, which `pid_pin` tells,
+    /// its pins are adopted, with all their connections: whoever restarts a component need not wire
+    /// it again, and at no moment is a pin missing.
+    ///
+    /// # Errors
+    /// LinuxCNC's library is not here or is another one; a component of this name is alive; a name
+    /// that the HAL cannot take.
+    pub fn new(name: &str, pid_pin: &str) -> Result<Self, HalError> {
+        // SAFETY: the library of LinuxCNC has no initialiser that could do harm, and stays loaded
+        // as long as anything of it is used, because `Hal` owns it.
+        let library = unsafe { Library::new(LIBRARY) }
+            .map_err(|error| HalError::NoLibrary(error.to_string()))?;
+        let mut hal = Self { library, id: 0, adopts: false, adopted: RefCell::default() };
+        if let Ok(id) = hal.init(name) {
+            hal.id = id;
+            return Ok(hal);
+        }
+        hal.id = hal.init(&format!("{name}-{}", std::process::id()))?;
+        hal.adopts = true;
+        match hal.foreign::<u32>(pid_pin) {
+            Some(pid) if !is_alive(pid) => Ok(hal),
+            pid => Err(HalError::Taken { name: name.into(), pid }),
+        }
+    }
+
+    /// Whether the pins are those of a component whose process was killed.
+    #[must_use]
+    pub fn adopts(&self) -> bool {
+        self.adopts
+    }
+
+    /// Looks where the adopted pins are connected to now. LinuxCNC tells that to the dead process
+    /// only, so it has to be asked from time to time.
+    pub fn refresh(&self) {
+        for pin in &*self.adopted.borrow() {
+            if let Some(data) = self.find(&pin.name, pin.kind) {
+                // SAFETY: the cell lives as long as `Hal`; no `Pin` reads it meanwhile, because
+                // neither can leave its thread.
+                unsafe { ptr::write_volatile(pin.cell.get(), data) }
+            }
+        }
+    }
+
+    /// A pin that others write.
+    ///
+    /// # Errors
+    /// The HAL refuses: the name is taken or too long, or its memory is full.
+    pub fn input<T: PinType>(&self, name: &str) -> Result<Pin<'_, T>, HalError> {
+        self.pin(name, IN)
+    }
+
+    /// A pin that this component writes.
+    ///
+    /// # Errors
+    /// As [`Hal::input`].
+    pub fn output<T: PinType>(&self, name: &str) -> Result<Pin<'_, T>, HalError> {
+        self.pin(name, OUT)
+    }
+
+    /// What anybody's pin says; `None` if there is none of this name and type.
+    #[must_use]
+    pub fn foreign<T: PinType>(&self, name: &str) -> Option<T> {
+        let data = self.find(&text(name).ok()?, T::KIND)?;
+        // SAFETY: the HAL says that a value of this type lies there, in its memory, which is
+        // attached; volatile, because others write it.
+        Some(T::from_raw(unsafe { ptr::read_volatile(data.cast::<T::Raw>()) }))
+    }
+
+    /// Says that all pins are there: `loadusr -W` waits for it.
+    ///
+    /// # Errors
+    /// The HAL refuses.
+    pub fn ready(&self) -> Result<(), HalError> {
+        type Ready = unsafe extern "C" fn(c_int) -> c_int;
+        let ready = self.function::<Ready>("hal_ready", b"hal_ready\0")?;
+        // SAFETY: the signature is that of `hal.h`, and the number is that of this component.
+        check("hal_ready", unsafe { ready(self.id) }).map(drop)
+    }
+
+    fn pin<T: PinType>(&self, name: &str, direction: c_int) -> Result<Pin<'_, T>, HalError> {
+        type Malloc = unsafe extern "C" fn(c_long) -> *mut c_void;
+        let text = text(name)?;
+        if self.adopts
+            && let Some(data) = self.find(&text, T::KIND)
+        {
+            let cell = Box::new(UnsafeCell::new(data));
+            let place = cell.get();
+            self.adopted.borrow_mut().push(Adopted { name: text, kind: T::KIND, cell });
+            return Ok(Pin { cell: place.cast_const().cast(), hal: PhantomData });
+        }
+        let malloc = self.function::<Malloc>("hal_malloc", b"hal_malloc\0")?;
+        let make = self.function::<NewPin>("hal_pin_…_new", T::MAKE)?;
+        // SAFETY: the signature is that of `hal.h`; the size is that of a pointer.
+        let cell = unsafe { malloc(size_of::<*mut c_void>() as c_long) }.cast::<*mut c_void>();
+        if cell.is_null() {
+            return Err(HalError::Call { what: "hal_malloc", code: 0 });
+        }
+        // SAFETY: the signature is that of `hal.h`; the name ends with a zero byte and is copied;
+        // the cell is from `hal_malloc`, as it must be, and large enough.
+        let code = unsafe { make(text.as_ptr(), direction, cell, self.id) };
+        check("hal_pin_new", code)?;
+        Ok(Pin { cell: cell.cast_const().cast(), hal: PhantomData })
+    }
+
+    fn init(&self, name: &str) -> Result<c_int, HalError> {
+        type Init = unsafe extern "C" fn(*const c_char) -> c_int;
+        let init = self.function::<Init>("hal_init", b"hal_init\0")?;
+        let text = text(name)?;
+        // SAFETY: the signature is that of `hal.h`; the name ends with a zero byte and is copied.
+        check("hal_init", unsafe { init(text.as_ptr()) })
+    }
+
+    fn exit(&self, id: c_int) -> Result<(), HalError> {
+        type Exit = unsafe extern "C" fn(c_int) -> c_int;
+        let exit = self.function::<Exit>("hal_exit", b"hal_exit\0")?;
+        // SAFETY: the signature is that of `hal.h`. No pin of the component is used afterwards:
+        // pins borrow from `Hal`.
+        check("hal_exit", unsafe { exit(id) }).map(drop)
+    }
+
+    /// Where the value of anybody's pin of this kind is.
+    fn find(&self, pin: &CStr, kind: c_int) -> Option<*mut c_void> {
+        let by_name = self
+            .function::<PinByName>("hal_get_pin_value_by_name", b"hal_get_pin_value_by_name\0")
+            .ok()?;
+        let (mut found, mut data, mut connected) = (0, ptr::null_mut(), false);
+        // SAFETY: the signature is that of `hal.h`; the three places are valid for writing.
+        let code = unsafe { by_name(pin.as_ptr(), &mut found, &mut data, &mut connected) };
+        (code == 0 && found == kind && !data.is_null()).then_some(data)
+    }
+
+    /// A function of the library; `F` is its type in `hal.h`.
+    fn function<F: Copy>(&self, name: &'static str, symbol: &[u8]) -> Result<F, HalError> {
+        // SAFETY: every caller states the type that `hal.h` declares for the symbol, and calls it
+        // while `self.library` is loaded.
+        let found = unsafe { self.library.get::<F>(symbol) };
+        found.map(|function| *function).map_err(|_| HalError::NoFunction(name))
+    }
+}
+
+impl Drop for Hal {
+    fn drop(&mut self) {
+        if self.id > 0 {
+            // At the end of the process there is nobody to tell.
+            self.exit(self.id).ok();
+        }
+    }
+}
+
+fn text(name: &str) -> Result<CString, HalError> {
+    let bad = || HalError::Name(name.into());
+    if name.len() > LONGEST_NAME {
+        return Err(bad());
+    }
+    CString::new(name).map_err(|_| bad())
+}
+
+fn check(what: &'static str, code: c_int) -> Result<c_int, HalError> {
+    if code < 0 { Err(HalError::Call { what, code }) } else { Ok(code) }
+}
+
+/// Whether a process runs; one that has ended and is not waited for does not.
+fn is_alive(pid: u32) -> bool {
+    let Ok(stat) = fs::read_to_string(format!("/proc/{pid}/stat")) else { return false };
+    // "pid (name) state …"; the name may contain anything.
+    let state = stat.rsplit(')').next().unwrap_or_default().trim_start();
+    !state.starts_with(['Z', 'X'])
+}
+
+/// What the HAL does not do.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum HalError {
+    /// LinuxCNC's library cannot be opened.
+    NoLibrary(String),
+    /// It lacks a function: another version of LinuxCNC.
+    NoFunction(&'static str),
+    /// A call is refused, with the code that it gave.
+    Call {
+        /// The function.
+        what: &'static str,
+        /// A negative number of `errno.h`.
+        code: c_int,
+    },
+    /// A component of this name is alive.
+    Taken {
+        /// The name.
+        name: String,
+        /// Its process, where that is known.
+        pid: Option<u32>,
+    },
+    /// The HAL takes no such name.
+    Name(String),
+}
+
+impl fmt::Display for HalError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NoLibrary(why) => {
+                write!(f, "{LIBRARY} cannot be opened; is LinuxCNC 2.8 or 2.9 installed? {why}")
+            }
+            Self::NoFunction(name) => {
+                write!(f, "{LIBRARY} has no {name}: it is not that of LinuxCNC 2.8 or 2.9")
+            }
+            Self::Call { what, code } => write!(f, "the HAL refuses {what} (code {code})"),
+            Self::Taken { name, pid: Some(pid) } => {
+                write!(f, "a HAL component called {name} is running already, as process {pid}")
+            }
+            Self::Taken { name, pid: None } => {
+                write!(f, "there is another HAL component called {name}")
+            }
+            Self::Name(name) => {
+                write!(f, "\"{name}\" is no name for the HAL: at most {LONGEST_NAME} characters")
+            }
+        }
+    }
+}
+
+impl std::error::Error for HalError {}

@@ -1,0 +1,138 @@
+//! The few lines of LinuxCNC's .ini that decide how offsets move.
+//!
+//! LinuxCNC exports the file's name as `INI_FILE_NAME` to everything it starts. What is read:
+//! `[EMCMOT]SERVO_PERIOD`, `[TRAJ]LINEAR_UNITS`, and `MAX_VELOCITY`, `MAX_ACCELERATION`,
+//! `OFFSET_AV_RATIO` of `[AXIS_X]`, `[AXIS_Y]`, `[AXIS_Z]`. As LinuxCNC does it, the first line with
+//! a name wins, `#` and `;` begin a comment, and what is not there has LinuxCNC's own default.
+
+/// LinuxCNC's default of `[EMCMOT]SERVO_PERIOD`, in ns.
+const SERVO_PERIOD_NS: f64 = 1e6;
+/// Millimetres in an inch.
+const MM_PER_INCH: f64 = 25.4;
+
+/// How an axis moves, in mm and seconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct AxisMotion {
+    /// `MAX_VELOCITY`, if stated.
+    pub velocity_mm_per_s: Option<f64>,
+    /// `MAX_ACCELERATION`, if stated.
+    pub acceleration_mm_per_s2: Option<f64>,
+    /// `OFFSET_AV_RATIO`: the share of both that external offsets get; 0 switches them off.
+    pub ratio: f64,
+}
+
+/// What the file says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ini {
+    /// The servo cycle in seconds.
+    pub cycle_s: f64,
+    /// Millimetres in a machine unit: 1 or 25.4.
+    pub mm_per_unit: f64,
+    /// X, Y and Z.
+    pub axes: [AxisMotion; 3],
+}
+
+impl Ini {
+    /// Reads the text of a file.
+    ///
+    /// # Errors
+    /// A value of those that count is no number, or a unit that LinuxCNC does not know; with its
+    /// place.
+    pub fn parse(text: &str) -> Result<Self, BadIni> {
+        let found = |section: &str, key: &str| find(text, section, key);
+        let number = |section: &str, key: &str| -> Result<Option<f64>, BadIni> {
+            let Some((place, value)) = found(section, key) else { return Ok(None) };
+            let number = value.parse::<f64>().ok().filter(|number| number.is_finite());
+            let rule = || format!("[{section}]{key} = {value} is no number");
+            number.map(Some).ok_or_else(|| BadIni { place, rule: rule() })
+        };
+        let mm_per_unit = match found("TRAJ", "LINEAR_UNITS") {
+            None => 1.0,
+            Some((place, value)) => match value.to_ascii_lowercase().as_str() {
+                "mm" | "metric" => 1.0,
+                "in" | "inch" | "imperial" => MM_PER_INCH,
+                _ => {
+                    let rule = format!("[TRAJ]LINEAR_UNITS = {value} is neither mm nor inch");
+                    return Err(BadIni { place, rule });
+                }
+            },
+        };
+        let period_ns = number("EMCMOT", "SERVO_PERIOD")?.unwrap_or(SERVO_PERIOD_NS);
+        let mut axes = [AxisMotion::default(); 3];
+        for (axis, section) in axes.iter_mut().zip(["AXIS_X", "AXIS_Y", "AXIS_Z"]) {
+            let length = |key| Ok(number(section, key)?.map(|number| number * mm_per_unit));
+            *axis = AxisMotion {
+                velocity_mm_per_s: length("MAX_VELOCITY")?,
+                acceleration_mm_per_s2: length("MAX_ACCELERATION")?,
+                ratio: number(section, "OFFSET_AV_RATIO")?.unwrap_or(0.0),
+            };
+        }
+        Ok(Self { cycle_s: period_ns * 1e-9, mm_per_unit, axes })
+    }
+}
+
+/// The first value with this key in this section, and its line and column.
+fn find<'a>(text: &'a str, section: &str, key: &str) -> Option<((usize, usize), &'a str)> {
+    let mut here = "";
+    for (index, whole) in text.lines().enumerate() {
+        let line = whole.trim();
+        if line.starts_with(['#', ';']) {
+            continue;
+        }
+        if let Some(rest) = line.strip_prefix('[') {
+            here = rest.split(']').next().unwrap_or_default().trim();
+        } else if here == section
+            && let Some((name, value)) = line.split_once('=')
+            && name.trim() == key
+        {
+            let column = whole.find('=').map_or(1, |at| whole[..at].chars().count() + 2);
+            let blanks = value.len() - value.trim_start().len();
+            let value = value.split(['#', ';']).next().unwrap_or_default();
+            return Some(((index + 1, column + blanks), value.trim()));
+        }
+    }
+    None
+}
+
+/// A value that cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BadIni {
+    /// Its line and column, from 1.
+    pub place: (usize, usize),
+    /// What is wrong.
+    pub rule: String,
+}
+
+impl std::fmt::Display for BadIni {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let (line, column) = self.place;
+        write!(f, "{line}:{column}: {}", self.rule)
+    }
+}
+
+impl std::error::Error for BadIni {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_counts_is_read_in_mm_and_the_rest_passed_over() {
+        let text = "# a machine\n[EMCMOT]\nSERVO_PERIOD = 500000\n[TRAJ]\nLINEAR_UNITS = inch\n\
+                    [AXIS_X]\n#OFFSET_AV_RATIO = 0.9\nOFFSET_AV_RATIO = 0.2 # a fifth\n\
+                    MAX_VELOCITY=2\nMAX_ACCELERATION = 20\nMAX_VELOCITY = 9\n[AXIS_Y]\n";
+        let ini = Ini::parse(text).expect("reads");
+        assert_eq!((ini.cycle_s, ini.mm_per_unit), (0.0005, 25.4));
+        assert_eq!(ini.axes[0].velocity_mm_per_s, Some(50.8));
+        assert_eq!(ini.axes[0].acceleration_mm_per_s2, Some(508.0));
+        assert_eq!(ini.axes[0].ratio, 0.2);
+        assert_eq!(ini.axes[1], AxisMotion::default());
+    }
+
+    #[test]
+    fn a_value_that_is_no_number_is_told_with_its_place() {
+        let error = Ini::parse("[AXIS_Z]\nOFFSET_AV_RATIO = lots\n").expect_err("no number");
+        assert_eq!(error.to_string(), "2:19: [AXIS_Z]OFFSET_AV_RATIO = lots is no number");
+        assert!(Ini::parse("[TRAJ]\nLINEAR_UNITS = cubits\n").is_err());
+    }
+}

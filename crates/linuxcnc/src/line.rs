@@ -1,0 +1,270 @@
+//! The line to the bridge, which may go and come: opened again and again, read in one thread and
+//! written in another, so that the loop never waits for either.
+//!
+//! What is to be sent waits in a short queue. While it is full, frames are left out: the receiver
+//! sees a gap in the counter, and the next frame says something newer anyway.
+
+use std::{
+    io::{self, Read, Write},
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicBool, Ordering},
+        mpsc::{self, Receiver, Sender, SyncSender},
+    },
+    thread,
+    time::{Duration, Instant},
+};
+
+use trueup_link::{
+    frame::Frame,
+    slcan::{Client, Event, client, encode_line},
+};
+
+/// Frames that may wait: of a few milliseconds.
+const QUEUE: usize = 32;
+/// Before a line is opened again.
+const PAUSE: Duration = Duration::from_millis(250);
+/// A bridge that sends no frame for so long is asked to open its channel again: it may have started
+/// anew.
+const SILENT: Duration = Duration::from_secs(1);
+/// A line without a frame for so long is opened anew.
+const DEAD: Duration = Duration::from_secs(3);
+
+/// Both directions of an open line. A read that finds nothing must fail as timed out before long.
+pub type Ends = (Box<dyn Read + Send>, Box<dyn Write + Send>);
+
+/// What happens on the line.
+#[derive(Debug)]
+pub enum Heard {
+    /// It is open.
+    Up,
+    /// It cannot be opened, or is broken; why.
+    Down(String),
+    /// The bridge said something.
+    Said(Event),
+}
+
+/// The line.
+#[derive(Debug)]
+pub struct Line {
+    heard: Receiver<Heard>,
+    to_send: Arc<Mutex<Option<SyncSender<Frame>>>>,
+    stop: Arc<AtomicBool>,
+}
+
+impl Line {
+    /// Keeps a line open until this is dropped.
+    pub fn keep(open: impl FnMut() -> io::Result<Ends> + Send + 'static) -> Self {
+        let (sender, heard) = mpsc::channel();
+        let to_send = Arc::new(Mutex::new(None));
+        let stop = Arc::new(AtomicBool::new(false));
+        let (slot, flag) = (to_send.clone(), stop.clone());
+        thread::spawn(move || keep(open, &sender, &slot, &flag));
+        Self { heard, to_send, stop }
+    }
+
+    /// What has happened since the last call.
+    pub fn heard(&self) -> impl Iterator<Item = Heard> + '_ {
+        self.heard.try_iter()
+    }
+
+    /// Sends a frame, unless the line is down or busy.
+    pub fn send(&self, frame: Frame) {
+        if let Some(queue) = lock(&self.to_send).as_ref() {
+            queue.try_send(frame).ok();
+        }
+    }
+}
+
+impl Drop for Line {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        lock(&self.to_send).take();
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn keep(
+    mut open: impl FnMut() -> io::Result<Ends>,
+    heard: &Sender<Heard>,
+    slot: &Mutex<Option<SyncSender<Frame>>>,
+    stop: &AtomicBool,
+) {
+    while !stop.load(Ordering::Relaxed) {
+        let why = match open() {
+            Err(error) => error.to_string(),
+            Ok((reader, writer)) => {
+                if heard.send(Heard::Up).is_err() {
+                    return;
+                }
+                let (queue, frames) = mpsc::sync_channel(QUEUE);
+                let reopen = Arc::new(AtomicBool::new(true));
+                let asked = reopen.clone();
+                let writer = thread::spawn(move || write(writer, &frames, &asked));
+                *lock(slot) = Some(queue);
+                let why = read(reader, heard, &reopen, &writer, stop);
+                // Without its queue the writer ends; if it is stuck in a dead line, it ends when
+                // that is given up.
+                lock(slot).take();
+                why
+            }
+        };
+        if heard.send(Heard::Down(why)).is_err() {
+            return;
+        }
+        thread::sleep(PAUSE);
+    }
+}
+
+/// Reads until the line breaks; why it does.
+fn read(
+    mut reader: Box<dyn Read + Send>,
+    heard: &Sender<Heard>,
+    reopen: &AtomicBool,
+    writer: &thread::JoinHandle<()>,
+    stop: &AtomicBool,
+) -> String {
+    let mut bytes = [0; 4096];
+    let mut client = Client::new();
+    let (mut last, mut asked) = (Instant::now(), Instant::now());
+    while !stop.load(Ordering::Relaxed) {
+        if writer.is_finished() {
+            return "the bridge takes nothing".into();
+        }
+        match reader.read(&mut bytes) {
+            Ok(0) => return "the bridge has closed the line".into(),
+            Ok(length) => {
+                for event in bytes[..length].iter().filter_map(|&byte| client.receive(byte)) {
+                    // A bridge whose channel is closed answers every frame, with a refusal.
+                    if matches!(event, Event::Frame(_)) {
+                        last = Instant::now();
+                    }
+                    if heard.send(Heard::Said(event)).is_err() {
+                        return String::new();
+                    }
+                }
+            }
+            Err(error) if is_only_late(&error) => {}
+            Err(error) => return error.to_string(),
+        }
+        if last.elapsed() > DEAD {
+            return format!("no frame has come for {} s", DEAD.as_secs());
+        }
+        if last.elapsed() > SILENT && asked.elapsed() > SILENT {
+            asked = Instant::now();
+            reopen.store(true, Ordering::Relaxed);
+        }
+    }
+    String::new()
+}
+
+fn write(mut writer: Box<dyn Write + Send>, frames: &Receiver<Frame>, reopen: &AtomicBool) {
+    // An end of the queue, or of the line: either way there is nothing more to write.
+    loop {
+        if reopen.swap(false, Ordering::Relaxed) && writer.write_all(client::OPEN).is_err() {
+            return;
+        }
+        let Ok(first) = frames.recv_timeout(SILENT) else {
+            return;
+        };
+        // What has come together goes out together.
+        let mut bytes = encode_line(&first).into_bytes().to_vec();
+        for frame in frames.try_iter() {
+            bytes.extend_from_slice(encode_line(&frame).as_bytes());
+        }
+        if writer.write_all(&bytes).and_then(|()| writer.flush()).is_err() {
+            return;
+        }
+    }
+}
+
+fn is_only_late(error: &io::Error) -> bool {
+    use io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
+    matches!(error.kind(), Interrupted | TimedOut | WouldBlock)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::{
+        net::{TcpListener, TcpStream},
+        sync::atomic::AtomicU32,
+    };
+    use trueup_link::{frames, slcan::Port};
+
+    fn open(port: u16) -> io::Result<Ends> {
+        let stream = TcpStream::connect(("127.0.0.1", port))?;
+        stream.set_read_timeout(Some(Duration::from_millis(20)))?;
+        Ok((Box::new(stream.try_clone()?), Box::new(stream)))
+    }
+
+    /// What a bridge does that starts anew behind a line that stays: with its channel closed it
+    /// refuses every frame, until it is asked to open.
+    #[test]
+    fn a_bridge_that_forgets_its_channel_is_asked_to_open_it_again() {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let number = listener.local_addr().unwrap().port();
+        let restarts = Arc::new(AtomicU32::new(0));
+        let count = restarts.clone();
+        thread::spawn(move || {
+            let (mut stream, _) = listener.accept().unwrap();
+            stream.set_read_timeout(Some(Duration::from_millis(20))).unwrap();
+            let mut port = Port::new(1);
+            let (mut bytes, mut open_for) = ([0; 256], 0);
+            loop {
+                let length = stream.read(&mut bytes).unwrap_or(0);
+                for byte in &bytes[..length] {
+                    port.receive(*byte);
+                }
+                if port.is_open() {
+                    port.send(&frames::heartbeat(frames::State::Operational));
+                    open_for += 1;
+                }
+                if open_for == 10 {
+                    (port, open_for) = (Port::new(1), 0);
+                    count.fetch_add(1, Ordering::Relaxed);
+                }
+                let answer: Vec<u8> = std::iter::from_fn(|| port.pop()).collect();
+                if stream.write_all(&answer).is_err() {
+                    return;
+                }
+            }
+        });
+        let line = Line::keep(move || open(number));
+        let start = Instant::now();
+        let mut refusals = 0;
+        while restarts.load(Ordering::Relaxed) < 2 {
+            assert!(start.elapsed() < Duration::from_secs(10), "it is left alone");
+            line.send(frames::heartbeat(frames::State::Operational));
+            for heard in line.heard() {
+                assert!(!matches!(heard, Heard::Down(_)), "the line itself stays: {heard:?}");
+                refusals += u32::from(matches!(heard, Heard::Said(Event::Refused)));
+            }
+            thread::sleep(Duration::from_millis(5));
+        }
+        assert!(refusals > 10, "it does answer: {refusals}");
+    }
+
+    #[test]
+    fn a_line_that_cannot_be_opened_is_tried_again_until_it_can() {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let number = listener.local_addr().unwrap().port();
+        drop(listener);
+        let line = Line::keep(move || open(number));
+        let wait = |wanted: fn(&Heard) -> bool| {
+            let start = Instant::now();
+            while !line.heard().any(|heard| wanted(&heard)) {
+                assert!(start.elapsed() < Duration::from_secs(10));
+                thread::sleep(Duration::from_millis(5));
+            }
+        };
+        wait(|heard| matches!(heard, Heard::Down(_)));
+        let listener = TcpListener::bind(("127.0.0.1", number)).unwrap();
+        wait(|heard| matches!(heard, Heard::Up));
+        drop(listener.accept().unwrap());
+        wait(|heard| matches!(heard, Heard::Down(_)));
+    }
+}

@@ -1,0 +1,186 @@
+//! Every pin, by its name.
+//!
+//! `trueup.0.` stands before each. Lengths on pins that LinuxCNC writes are in machine units.
+//!
+//! | pin | type | |
+//! |---|---|---|
+//! | `enable` | bit in | the operator wants offsets |
+//! | `machine-on`, `homed` | bit in | `motion.motion-enabled`, `motion.is-all-homed` |
+//! | `zero` | bit in | a rising edge takes the present error as the reference |
+//! | `L-cmd` | float in | `axis.L.pos-cmd`, L = x, y, z |
+//! | `L-request`, `L-eoffset` | float in | `axis.L.eoffset-request`, `axis.L.eoffset` |
+//! | `angle-1`, `angle-2` | float in | commanded angles of the head axes, degrees |
+//! | `spindle-rpm`, `load-n` | float in | speed in r/min, axial cutting force in N |
+//! | `L-counts` | s32 out | to `axis.L.eoffset-counts` |
+//! | `scale` | float out | to `axis.L.eoffset-scale`: machine units a count |
+//! | `enable-out` | bit out | to `axis.L.eoffset-enable` |
+//! | `L-offset-um`, `L-applied-um` | float out | what the bridge says; what LinuxCNC has applied |
+//! | `applied` | bit out | the two are the same on every axis, within 20 nm |
+//! | `connected`, `fault`, `limited` | bit out | see [`Outputs`] |
+//! | `quality` | s32 out | 0 off … 6 fault, as on the wire |
+//! | `flags`, `age-ms` | u32 out | as on the wire |
+//! | `crc-errors`, `seq-errors`, `malformed`, `lost` | u32 out | frames since the start |
+//! | `temp-NN` | float out | a temperature of the bridge in °C; nan while it is not known |
+//! | `heartbeat` | bit out | 10 Hz as long as the component lives |
+//! | `pid` | u32 out | its process |
+
+use crate::{
+    component::{Inputs, Outputs},
+    follower::Reading,
+    hal::{Hal, HalError, Pin},
+};
+
+/// A count is a nanometre.
+const MM_PER_COUNT: f64 = 1e-6;
+const AXES: [&str; 3] = ["x", "y", "z"];
+
+/// The pins of an axis.
+struct Axis<'hal> {
+    command: Pin<'hal, f64>,
+    request: Pin<'hal, f64>,
+    eoffset: Pin<'hal, f64>,
+    counts: Pin<'hal, i32>,
+    offset_um: Pin<'hal, f64>,
+    applied_um: Pin<'hal, f64>,
+}
+
+/// All pins.
+pub struct Pins<'hal> {
+    mm_per_unit: f64,
+    enable: Pin<'hal, bool>,
+    machine_on: Pin<'hal, bool>,
+    homed: Pin<'hal, bool>,
+    zero: Pin<'hal, bool>,
+    angles: [Pin<'hal, f64>; 2],
+    spindle_rpm: Pin<'hal, f64>,
+    load_n: Pin<'hal, f64>,
+    axes: [Axis<'hal>; 3],
+    applied: Pin<'hal, bool>,
+    connected: Pin<'hal, bool>,
+    fault: Pin<'hal, bool>,
+    limited: Pin<'hal, bool>,
+    quality: Pin<'hal, i32>,
+    flags: Pin<'hal, u32>,
+    age_ms: Pin<'hal, u32>,
+    crc_errors: Pin<'hal, u32>,
+    seq_errors: Pin<'hal, u32>,
+    malformed: Pin<'hal, u32>,
+    lost: Pin<'hal, u32>,
+    temperatures: Vec<Pin<'hal, f64>>,
+    heartbeat: Pin<'hal, bool>,
+}
+
+/// The pin that tells which process the component called `name` is.
+#[must_use]
+pub fn pid_pin(name: &str) -> String {
+    format!("{name}.0.pid")
+}
+
+impl<'hal> Pins<'hal> {
+    /// Makes all pins of the component called `name`.
+    ///
+    /// # Errors
+    /// The HAL refuses one.
+    pub fn new(
+        hal: &'hal Hal,
+        name: &str,
+        mm_per_unit: f64,
+        temperatures: u8,
+    ) -> Result<Self, HalError> {
+        let full = |pin: &str| format!("{name}.0.{pin}");
+        let axis = |letter: &str| -> Result<Axis<'hal>, HalError> {
+            // When a pin that is written is connected, the HAL gives its value to the signal: any
+            // other than the present one would be a change, and move the axis.
+            let counts = hal.output(&full(&format!("{letter}-counts")))?;
+            counts.set(hal.foreign(&format!("axis.{letter}.eoffset-counts")).unwrap_or(0));
+            Ok(Axis {
+                command: hal.input(&full(&format!("{letter}-cmd")))?,
+                request: hal.input(&full(&format!("{letter}-request")))?,
+                eoffset: hal.input(&full(&format!("{letter}-eoffset")))?,
+                counts,
+                offset_um: hal.output(&full(&format!("{letter}-offset-um")))?,
+                applied_um: hal.output(&full(&format!("{letter}-applied-um")))?,
+            })
+        };
+        hal.output::<f64>(&full("scale"))?.set(MM_PER_COUNT / mm_per_unit);
+        hal.output::<bool>(&full("enable-out"))?.set(true);
+        hal.output::<u32>(&pid_pin(name))?.set(std::process::id());
+        let [x, y, z] = AXES.map(axis);
+        let temperature = |number: u8| {
+            let pin = hal.output::<f64>(&full(&format!("temp-{number:02}")))?;
+            pin.set(f64::NAN);
+            Ok(pin)
+        };
+        Ok(Self {
+            mm_per_unit,
+            enable: hal.input(&full("enable"))?,
+            machine_on: hal.input(&full("machine-on"))?,
+            homed: hal.input(&full("homed"))?,
+            zero: hal.input(&full("zero"))?,
+            angles: [hal.input(&full("angle-1"))?, hal.input(&full("angle-2"))?],
+            spindle_rpm: hal.input(&full("spindle-rpm"))?,
+            load_n: hal.input(&full("load-n"))?,
+            axes: [x?, y?, z?],
+            applied: hal.output(&full("applied"))?,
+            connected: hal.output(&full("connected"))?,
+            fault: hal.output(&full("fault"))?,
+            limited: hal.output(&full("limited"))?,
+            quality: hal.output(&full("quality"))?,
+            flags: hal.output(&full("flags"))?,
+            age_ms: hal.output(&full("age-ms"))?,
+            crc_errors: hal.output(&full("crc-errors"))?,
+            seq_errors: hal.output(&full("seq-errors"))?,
+            malformed: hal.output(&full("malformed"))?,
+            lost: hal.output(&full("lost"))?,
+            temperatures: (0..temperatures).map(temperature).collect::<Result<_, HalError>>()?,
+            heartbeat: hal.output(&full("heartbeat"))?,
+        })
+    }
+
+    /// What the pins say.
+    #[must_use]
+    pub fn read(&self) -> Inputs {
+        let nm = |units: f64| units * self.mm_per_unit / MM_PER_COUNT;
+        Inputs {
+            enable: self.enable.get(),
+            machine_on: self.machine_on.get(),
+            homed: self.homed.get(),
+            zero: self.zero.get(),
+            position_mm: self.axes.each_ref().map(|axis| axis.command.get() * self.mm_per_unit),
+            readings: self.axes.each_ref().map(|axis| Reading {
+                request_nm: nm(axis.request.get()),
+                eoffset_nm: nm(axis.eoffset.get()),
+            }),
+            angles_deg: self.angles.each_ref().map(Pin::get),
+            spindle_rpm: self.spindle_rpm.get(),
+            load_n: self.load_n.get(),
+        }
+    }
+
+    /// Lets the pins say this. Counts are stepped from where they stand: a signal keeps its value
+    /// when a component goes, and the next one goes on from there.
+    pub fn write(&self, outputs: &Outputs) {
+        for (axis, pins) in self.axes.iter().enumerate() {
+            if outputs.counts[axis] != 0 {
+                pins.counts.set(pins.counts.get().wrapping_add(outputs.counts[axis]));
+            }
+            pins.offset_um.set(outputs.offset_um[axis]);
+            pins.applied_um.set(outputs.applied_um[axis]);
+        }
+        self.applied.set(outputs.applied);
+        self.connected.set(outputs.connected);
+        self.fault.set(outputs.fault);
+        self.limited.set(outputs.limited);
+        self.quality.set((outputs.quality as u8).into());
+        self.flags.set(outputs.flags.0.into());
+        self.age_ms.set(outputs.age_ms);
+        self.crc_errors.set(outputs.counters.crc_errors);
+        self.seq_errors.set(outputs.counters.sequence_errors);
+        self.malformed.set(outputs.counters.malformed);
+        self.lost.set(outputs.counters.lost);
+        for (pin, temperature) in self.temperatures.iter().zip(outputs.temperatures_c) {
+            pin.set(temperature.unwrap_or(f64::NAN));
+        }
+        self.heartbeat.set(outputs.heartbeat);
+    }
+}

@@ -1,0 +1,131 @@
+//! The loop: pins in, frames in, a decision, pins out, frames out; some times in a servo cycle.
+
+use std::{
+    io,
+    sync::atomic::{AtomicBool, Ordering},
+    thread,
+    time::{Duration, Instant},
+};
+
+use trueup_core::cnc::Quality;
+
+use crate::{
+    component::{Component, Options, Outputs},
+    hal::{Hal, HalError},
+    line::{Ends, Heard, Line},
+    pins::{Pins, pid_pin},
+};
+
+/// How often adopted pins are looked after.
+const REFRESH: Duration = Duration::from_millis(100);
+
+/// How the component appears in the HAL.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// The name of the component, `trueup`: `loadusr -W` waits for the program's name.
+    pub name: String,
+    /// Millimetres in a machine unit: 1 or 25.4.
+    pub mm_per_unit: f64,
+    /// How many `temp-NN` pins there are.
+    pub temperatures: u8,
+    /// From one turn of the loop to the next.
+    pub turn: Duration,
+    /// How it decides.
+    pub options: Options,
+}
+
+/// Runs the component until `stop` is set. `tell` gets a sentence whenever something has changed
+/// that an operator wants to know.
+///
+/// # Errors
+/// The HAL refuses the component or a pin.
+pub fn run(
+    settings: &Settings,
+    open: impl FnMut() -> io::Result<Ends> + Send + 'static,
+    stop: &AtomicBool,
+    mut tell: impl FnMut(&str),
+) -> Result<(), HalError> {
+    let Settings { name, mm_per_unit, temperatures, turn, options } = settings;
+    let hal = Hal::new(name, &pid_pin(name))?;
+    let pins = Pins::new(&hal, name, *mm_per_unit, *temperatures)?;
+    let line = Line::keep(open);
+    let start = Instant::now();
+    let mut component = Component::new(start.elapsed(), *options);
+    let mut news = News::default();
+    hal.ready()?;
+    if hal.adopts() {
+        tell("takes over the pins of a component that was killed");
+    }
+    let mut refreshed = Duration::ZERO;
+    while !stop.load(Ordering::Relaxed) {
+        let now = start.elapsed();
+        if now.saturating_sub(refreshed) >= REFRESH {
+            refreshed = now;
+            hal.refresh();
+        }
+        for heard in line.heard() {
+            match heard {
+                Heard::Up => tell("the line is open"),
+                Heard::Down(why) => news.line_down(&why, &mut tell),
+                Heard::Said(event) => component.hear(now, &event),
+            }
+        }
+        let (outputs, frames) = component.step(now, &pins.read());
+        pins.write(&outputs);
+        for frame in frames {
+            line.send(frame);
+        }
+        news.of(&outputs, &mut tell);
+        thread::sleep(*turn);
+    }
+    Ok(())
+}
+
+/// What was told last.
+#[derive(Debug, Default)]
+struct News {
+    down: Option<String>,
+    state: Option<(bool, bool, bool, Quality)>,
+}
+
+impl News {
+    /// The same reason is told once.
+    fn line_down(&mut self, why: &str, tell: &mut impl FnMut(&str)) {
+        if self.down.as_deref() != Some(why) {
+            tell(&format!("the line is down: {why}; trying again and again"));
+            self.down = Some(why.into());
+        }
+    }
+
+    fn of(&mut self, outputs: &Outputs, tell: &mut impl FnMut(&str)) {
+        let Outputs { connected, fault, limited, quality, .. } = *outputs;
+        let state = (connected, fault, limited, quality);
+        if self.state.replace(state) == Some(state) {
+            return;
+        }
+        if connected {
+            self.down = None;
+        }
+        let mut text = match quality {
+            Quality::Off => "offsets are off",
+            Quality::Live => "offsets are live",
+            Quality::TemperatureModel => "offsets come from the temperature model",
+            Quality::WarmUpModel => "offsets come from the warm-up model",
+            Quality::Hold => "offsets are held",
+            Quality::RampingOut => "offsets are taken back",
+            Quality::Fault => "there are no offsets",
+        }
+        .to_owned();
+        if !connected {
+            text += "; nothing valid comes from the bridge";
+        }
+        if fault {
+            text += "; fault";
+        }
+        if limited {
+            text +=
+                "; LinuxCNC does not let an axis follow (soft limit, joint mode, OFFSET_AV_RATIO)";
+        }
+        tell(&text);
+    }
+}

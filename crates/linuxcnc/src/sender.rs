@@ -1,0 +1,305 @@
+//! What the CNC says to the bridge, and when.
+//!
+//! | frame | from | when |
+//! |---|---|---|
+//! | `Control` | enable, machine on, homed, zero | every 20 ms, and at once when it changes |
+//! | `PositionX/Y/Z` | the commanded position without the external offset | every period while it changes, else every 50 ms |
+//! | `Rotary` | the angles, where there are any | as the positions |
+//! | `Spindle` | speed and load | every 20 ms while they change, else every 50 ms |
+//!
+//! A direction is where the axis was last sent, +1 or −1, also while it stands. Unlike the position
+//! it is that of command and external offset together: an axis that stands in the program, but is
+//! taken back by its offset, crosses its backlash like any other. It turns when the two have gone back
+//! by more than 1 µm: the last digits of a command that LinuxCNC computes as a difference, or of an
+//! encoder while the machine is off, are no reversal.
+
+use std::time::Duration;
+
+use trueup_core::{
+    cnc::{AxisPosition, Control, Heading, LinearAxis, Rotary, Spindle},
+    units::{MicroDegrees, Position, Rpm},
+};
+use trueup_link::{
+    frame::Frame,
+    frames::{self, CONTROL_PERIOD_MS, SPINDLE_PERIOD_MS},
+};
+
+/// What stands is sent this often: a bridge that was away has to learn where it is.
+const STANDING_PERIOD: Duration = Duration::from_millis(50);
+/// A command that has gone back by so much is a reversal.
+const REVERSAL: i32 = Position::PER_MILLIMETRE / 1_000;
+/// The board sees the edge of `Zero` only if it holds for some frames of `Control`.
+const ZERO_HOLDS: Duration = Duration::from_millis(100);
+
+/// What is sent.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Command {
+    /// What the CNC allows.
+    pub control: Control,
+    /// Commanded positions of X, Y and Z in mm, without the external offset.
+    pub position_mm: [f64; 3],
+    /// The external offset that LinuxCNC adds to them, in mm.
+    pub offset_mm: [f64; 3],
+    /// Commanded angles of the head axes in degrees.
+    pub angles_deg: [f64; 2],
+    /// Spindle speed in r/min; the sign does not count.
+    pub spindle_rpm: f64,
+    /// Axial cutting force in N.
+    pub load_n: f64,
+}
+
+/// A value that is sent while it changes.
+#[derive(Debug)]
+struct Changing<T> {
+    sent: Option<(Duration, T)>,
+    counter: u8,
+}
+
+impl<T> Default for Changing<T> {
+    fn default() -> Self {
+        Self { sent: None, counter: 0 }
+    }
+}
+
+impl<T: PartialEq + Copy> Changing<T> {
+    /// The counter of the frame if one is due.
+    fn due(&mut self, now: Duration, value: T, fastest: Duration, slowest: Duration) -> Option<u8> {
+        let is_due = self.sent.is_none_or(|(at, last)| {
+            let waited = now.saturating_sub(at);
+            waited >= slowest || (value != last && waited >= fastest)
+        });
+        if !is_due {
+            return None;
+        }
+        self.sent = Some((now, value));
+        let counter = self.counter;
+        self.counter = counter.wrapping_add(1);
+        Some(counter)
+    }
+}
+
+/// Where an axis heads.
+#[derive(Clone, Copy, Debug, Default)]
+struct Course {
+    furthest: Option<Position>,
+    heading: Heading,
+}
+
+impl Course {
+    fn take(&mut self, position: Position) -> Heading {
+        let furthest = self.furthest.get_or_insert(position);
+        let way = position.0.saturating_sub(furthest.0);
+        let turned = match self.heading {
+            Heading::Positive => way < -REVERSAL,
+            Heading::Negative => way > REVERSAL,
+            Heading::Standing => way.abs() > REVERSAL,
+        };
+        let further = match self.heading {
+            Heading::Positive => way > 0,
+            Heading::Negative => way < 0,
+            Heading::Standing => false,
+        };
+        if turned {
+            self.heading = if way > 0 { Heading::Positive } else { Heading::Negative };
+        }
+        if turned || further {
+            *furthest = position;
+        }
+        self.heading
+    }
+}
+
+/// What the CNC says.
+#[derive(Debug)]
+pub struct Sender {
+    position_period: Duration,
+    sends_rotary: bool,
+    control: Changing<Control>,
+    positions: [Changing<AxisPosition>; 3],
+    courses: [Course; 3],
+    rotary: Changing<Rotary>,
+    spindle: Changing<Spindle>,
+    zero_until: Option<Duration>,
+    zero_was: bool,
+}
+
+impl Sender {
+    /// Sends moving positions every `position_period`, and angles if asked for.
+    #[must_use]
+    pub fn new(position_period: Duration, sends_rotary: bool) -> Self {
+        Self {
+            position_period,
+            sends_rotary,
+            control: Changing::default(),
+            positions: Default::default(),
+            courses: Default::default(),
+            rotary: Changing::default(),
+            spindle: Changing::default(),
+            zero_until: None,
+            zero_was: false,
+        }
+    }
+
+    /// The frames that are due.
+    pub fn frames(&mut self, now: Duration, command: &Command) -> Vec<Frame> {
+        let mut due = Vec::new();
+        let control = Control { zero: self.zero(now, command.control.zero), ..command.control };
+        let often = Duration::from_millis(CONTROL_PERIOD_MS.into());
+        if let Some(counter) = self.control.due(now, control, Duration::ZERO, often) {
+            due.push(frames::control(control, counter));
+        }
+        for (place, axis) in LinearAxis::ALL.into_iter().enumerate() {
+            let position = position(command.position_mm[place]);
+            let driven = command.position_mm[place] + command.offset_mm[place];
+            let direction = self.courses[place].take(self::position(driven));
+            let there = AxisPosition { axis, position, direction };
+            let period = self.position_period;
+            if let Some(counter) = self.positions[place].due(now, there, period, STANDING_PERIOD) {
+                due.push(frames::position(there, counter));
+            }
+        }
+        if self.sends_rotary {
+            let rotary = Rotary { angles: command.angles_deg.map(angle) };
+            if let Some(counter) =
+                self.rotary.due(now, rotary, self.position_period, STANDING_PERIOD)
+            {
+                due.push(frames::rotary(rotary, counter));
+            }
+        }
+        let spindle = spindle(command.spindle_rpm, command.load_n);
+        let often = Duration::from_millis(SPINDLE_PERIOD_MS.into());
+        if let Some(counter) = self.spindle.due(now, spindle, often, STANDING_PERIOD) {
+            due.push(frames::spindle(spindle, counter));
+        }
+        due
+    }
+
+    /// `Zero` holds for a while after its edge, however short the pulse on the pin.
+    fn zero(&mut self, now: Duration, pin: bool) -> bool {
+        if pin && !self.zero_was {
+            self.zero_until = Some(now + ZERO_HOLDS);
+        }
+        self.zero_was = pin;
+        pin || self.zero_until.is_some_and(|until| now < until)
+    }
+}
+
+/// Conversions saturate; what is no number is 0.
+#[allow(clippy::cast_possible_truncation, reason = "a cast of a float saturates")]
+fn position(mm: f64) -> Position {
+    Position((mm * f64::from(Position::PER_MILLIMETRE)).round() as i32)
+}
+
+/// Within one turn, −180 to 180.
+#[allow(clippy::cast_possible_truncation, reason = "a cast of a float saturates")]
+fn angle(deg: f64) -> MicroDegrees {
+    let within = (deg + 180.0).rem_euclid(360.0) - 180.0;
+    MicroDegrees((within * f64::from(MicroDegrees::PER_DEGREE)).round() as i32)
+}
+
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "they saturate")]
+fn spindle(rpm: f64, load_n: f64) -> Spindle {
+    Spindle { speed: Rpm(rpm.abs().round() as u16), load_n: load_n.round() as i16 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trueup_core::cnc::Command as Heard;
+    use trueup_link::receiver::Receiver;
+
+    fn ms(ms: u64) -> Duration {
+        Duration::from_millis(ms)
+    }
+
+    fn said(sender: &mut Sender, now: Duration, command: &Command) -> Vec<Heard> {
+        let mut receiver = Receiver::new();
+        let frames = sender.frames(now, command);
+        frames.iter().filter_map(|frame| receiver.accept(frame).expect("protected")).collect()
+    }
+
+    #[test]
+    fn a_moving_axis_is_sent_every_period_and_a_standing_one_every_50_ms() {
+        let mut sender = Sender::new(ms(2), false);
+        let mut receiver = Receiver::new();
+        let mut count = [0; 2];
+        for now in 0..1_000 {
+            let command = Command { position_mm: [now as f64, 7.0, 0.0], ..Command::default() };
+            for frame in sender.frames(ms(now), &command) {
+                match receiver.accept(&frame).expect("in order") {
+                    Some(Heard::Position(there)) if there.axis == LinearAxis::X => count[0] += 1,
+                    Some(Heard::Position(there)) if there.axis == LinearAxis::Y => count[1] += 1,
+                    _ => {}
+                }
+            }
+        }
+        assert_eq!(count, [500, 20]);
+        assert_eq!(receiver.counters().lost, 0);
+    }
+
+    #[test]
+    fn a_direction_lasts_until_the_command_goes_back_by_more_than_a_micrometre() {
+        let mut course = Course::default();
+        let mut at = |nm: i32| course.take(Position(nm / 10));
+        assert_eq!(at(0), Heading::Standing);
+        assert_eq!(at(900), Heading::Standing);
+        assert_eq!(at(2_000), Heading::Positive);
+        assert_eq!(at(1_010), Heading::Positive, "not even a micrometre back");
+        assert_eq!(at(2_500), Heading::Positive);
+        assert_eq!(at(1_490), Heading::Negative, "just over a micrometre");
+        assert_eq!(at(1_490), Heading::Negative, "it stands");
+        assert_eq!(at(10_000), Heading::Positive);
+    }
+
+    #[test]
+    fn an_offset_that_goes_back_turns_an_axis_that_stands() {
+        let mut sender = Sender::new(ms(2), false);
+        let mut z = |now, offset_mm| {
+            let there = [0.0, 0.0, offset_mm];
+            let command =
+                Command { position_mm: [0.0, 0.0, 7.0], offset_mm: there, ..Command::default() };
+            said(&mut sender, ms(now), &command).into_iter().find_map(|heard| match heard {
+                Heard::Position(at) if at.axis == LinearAxis::Z => {
+                    Some((at.position.0, at.direction))
+                }
+                _ => None,
+            })
+        };
+        assert_eq!(z(0, 0.0), Some((700_000, Heading::Standing)));
+        assert_eq!(z(10, 0.020), Some((700_000, Heading::Positive)));
+        assert_eq!(z(20, 0.018), Some((700_000, Heading::Negative)));
+    }
+
+    #[test]
+    fn a_pulse_on_zero_is_stretched_and_control_says_it_at_once() {
+        let mut sender = Sender::new(ms(2), false);
+        let mut command = Command::default();
+        let zero = |said: Vec<Heard>| {
+            said.into_iter().find_map(|heard| match heard {
+                Heard::Control(control) => Some(control.zero),
+                _ => None,
+            })
+        };
+        assert_eq!(zero(said(&mut sender, ms(0), &command)), Some(false));
+        command.control.zero = true;
+        assert_eq!(zero(said(&mut sender, ms(1), &command)), Some(true));
+        command.control.zero = false;
+        assert_eq!(zero(said(&mut sender, ms(2), &command)), None);
+        assert_eq!(zero(said(&mut sender, ms(50), &command)), Some(true));
+        assert_eq!(zero(said(&mut sender, ms(101), &command)), Some(false));
+    }
+
+    #[test]
+    fn angles_come_within_one_turn_and_nothing_wraps() {
+        assert_eq!(angle(370.0), MicroDegrees(10_000_000));
+        assert_eq!(angle(-190.5), MicroDegrees(169_500_000));
+        assert_eq!(position(1e30), Position(i32::MAX));
+        assert_eq!(position(f64::NAN), Position(0));
+        assert_eq!(spindle(-24_000.0, 1e9), Spindle { speed: Rpm(24_000), load_n: i16::MAX });
+        let mut sender = Sender::new(ms(2), true);
+        let command = Command { angles_deg: [725.0, -30.0], ..Command::default() };
+        let heard = said(&mut sender, ms(0), &command);
+        let angles = [5_000_000, -30_000_000].map(MicroDegrees);
+        assert!(heard.contains(&Heard::Rotary(Rotary { angles })));
+    }
+}

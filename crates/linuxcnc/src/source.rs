@@ -1,0 +1,204 @@
+//! Where the offsets are to go: from the bridge's frames, their age, and the lack of them.
+//!
+//! | what was heard | the offset | [`State`] |
+//! |---|---|---|
+//! | a valid pair of frames, not older than `stale` | what it says, within the largest permitted | follow |
+//! | none, or "not available" | stays where it is, for `hold` | hold |
+//! | the same, after `hold` | goes to 0 | ramp out |
+//!
+//! Valid is what [`OffsetReceiver`] lets through: both frames whole, new, in order, of one cycle.
+
+use std::time::Duration;
+
+use trueup_core::cnc::{Output, Quality};
+use trueup_link::{
+    frame::Frame,
+    receiver::{Counters, OffsetReceiver},
+};
+
+/// A pair's counter comes round after 256 ms, so nothing older may count as fresh.
+pub const LONGEST_STALE: Duration = Duration::from_millis(250);
+
+/// How long silence is tolerated, and how large an offset may be.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// The largest offset on X, Y and Z, in nanometres, either way.
+    pub max_nm: [i32; 3],
+    /// Without a valid pair for so long the bridge counts as silent; at most [`LONGEST_STALE`].
+    pub stale: Duration,
+    /// How long the last offset is then held.
+    pub hold: Duration,
+}
+
+/// What the offsets are to do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Target {
+    /// Go to these offsets, in nanometres.
+    Follow([i32; 3]),
+    /// Stay.
+    Hold,
+    /// Go to 0.
+    RampOut,
+}
+
+/// The bridge, as it is heard.
+#[derive(Debug)]
+pub struct Source {
+    receiver: OffsetReceiver,
+    malformed_lines: u32,
+    last: Option<(Duration, Output)>,
+    /// When there was last something to follow; the start counts, so that a component that is
+    /// started while offsets act does not take them back at once.
+    followed: Duration,
+    clamped: bool,
+}
+
+impl Source {
+    /// Nothing heard yet, at this time.
+    #[must_use]
+    pub fn new(now: Duration) -> Self {
+        let receiver = OffsetReceiver::new();
+        Self { receiver, malformed_lines: 0, last: None, followed: now, clamped: false }
+    }
+
+    /// Takes a frame. What must not be used is counted.
+    pub fn hear(&mut self, now: Duration, frame: &Frame) {
+        if let Ok(Some(output)) = self.receiver.accept(frame) {
+            self.last = Some((now, output));
+        }
+    }
+
+    /// Takes note of a line that was no frame.
+    pub fn hear_malformed(&mut self) {
+        self.malformed_lines = self.malformed_lines.saturating_add(1);
+    }
+
+    /// The newest valid pair, unless it is stale.
+    #[must_use]
+    pub fn fresh(&self, now: Duration, limits: &Limits) -> Option<&Output> {
+        let (heard, output) = self.last.as_ref()?;
+        (now.saturating_sub(*heard) <= limits.stale.min(LONGEST_STALE)).then_some(output)
+    }
+
+    /// What the offsets are to do now.
+    pub fn target(&mut self, now: Duration, limits: &Limits) -> Target {
+        let available = self.fresh(now, limits).and_then(|output| match output.quality {
+            Quality::Fault => None,
+            _ => output.offset,
+        });
+        self.clamped = false;
+        if let Some(mut offset) = available.map(|offset| offset.map(|axis| axis.0)) {
+            self.followed = now;
+            for (offset, max) in offset.iter_mut().zip(limits.max_nm) {
+                let held = (*offset).clamp(-max.max(0), max.max(0));
+                self.clamped |= held != *offset;
+                *offset = held;
+            }
+            Target::Follow(offset)
+        } else if now.saturating_sub(self.followed) <= limits.hold {
+            Target::Hold
+        } else {
+            Target::RampOut
+        }
+    }
+
+    /// The newest valid pair said more than is permitted here.
+    #[must_use]
+    pub fn is_clamped(&self) -> bool {
+        self.clamped
+    }
+
+    /// Milliseconds since the sample on which the newest offset rests; `None` before the first.
+    #[must_use]
+    pub fn age_ms(&self, now: Duration) -> Option<u32> {
+        let (heard, output) = self.last.as_ref()?;
+        let waited = u32::try_from(now.saturating_sub(*heard).as_millis()).unwrap_or(u32::MAX);
+        Some(waited.saturating_add(output.age_ms.into()))
+    }
+
+    /// What has arrived so far, in frames; lines that were none are among the malformed.
+    #[must_use]
+    pub fn counters(&self) -> Counters {
+        let counters = self.receiver.counters();
+        Counters { malformed: counters.malformed.saturating_add(self.malformed_lines), ..counters }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trueup_core::{cnc::Flags, units::Nanometres};
+    use trueup_link::frames::{offset_xy, offset_z};
+
+    const LIMITS: Limits = Limits {
+        max_nm: [200_000, 200_000, 500_000],
+        stale: Duration::from_millis(100),
+        hold: Duration::from_millis(2_000),
+    };
+
+    fn ms(ms: u64) -> Duration {
+        Duration::from_millis(ms)
+    }
+
+    fn say(source: &mut Source, now: Duration, counter: u8, offset: Option<i32>) {
+        let quality = if offset.is_some() { Quality::Live } else { Quality::Fault };
+        let output = Output {
+            offset: offset.map(|nm| [Nanometres(nm); 3]),
+            quality,
+            flags: Flags::NONE,
+            age_ms: 3,
+        };
+        source.hear(now, &offset_xy(&output, counter));
+        source.hear(now, &offset_z(&output, counter));
+    }
+
+    #[test]
+    fn silence_holds_then_ramps_out_and_a_word_brings_it_back() {
+        let mut source = Source::new(ms(0));
+        assert_eq!(source.target(ms(0), &LIMITS), Target::Hold, "just started");
+        say(&mut source, ms(1_000), 0, Some(50_000));
+        assert_eq!(source.target(ms(1_100), &LIMITS), Target::Follow([50_000; 3]));
+        assert_eq!(source.age_ms(ms(1_100)), Some(103));
+        assert_eq!(source.target(ms(1_101), &LIMITS), Target::Hold);
+        assert_eq!(source.target(ms(3_100), &LIMITS), Target::Hold);
+        assert_eq!(source.target(ms(3_101), &LIMITS), Target::RampOut);
+        say(&mut source, ms(9_000), 1, Some(40_000));
+        assert_eq!(source.target(ms(9_000), &LIMITS), Target::Follow([40_000; 3]));
+    }
+
+    #[test]
+    fn not_available_is_held_as_silence_is() {
+        let mut source = Source::new(ms(0));
+        say(&mut source, ms(10), 0, Some(1_000));
+        source.target(ms(10), &LIMITS);
+        for cycle in 1..=250_u8 {
+            say(&mut source, ms(10 + 10 * u64::from(cycle)), cycle, None);
+            let expected = if cycle <= 200 { Target::Hold } else { Target::RampOut };
+            assert_eq!(source.target(ms(10 + 10 * u64::from(cycle)), &LIMITS), expected);
+        }
+    }
+
+    #[test]
+    fn damaged_and_repeated_frames_are_silence_and_are_counted() {
+        let mut source = Source::new(ms(0));
+        say(&mut source, ms(10), 5, Some(1_000));
+        say(&mut source, ms(100), 5, Some(9_000));
+        assert_eq!(source.target(ms(100), &LIMITS), Target::Follow([1_000; 3]));
+        assert_eq!(source.counters().sequence_errors, 2);
+        assert_eq!(source.target(ms(111), &LIMITS), Target::Hold);
+        let damaged = Frame::new(0x181, &[0; 8]).unwrap();
+        source.hear(ms(112), &damaged);
+        assert_eq!(source.counters().crc_errors, 1);
+        source.hear_malformed();
+        assert_eq!(source.counters().malformed, 1);
+    }
+
+    #[test]
+    fn more_than_permitted_is_held_to_the_limit_and_told() {
+        let mut source = Source::new(ms(0));
+        say(&mut source, ms(10), 0, Some(-300_000));
+        let expected = Target::Follow([-200_000, -200_000, -300_000]);
+        assert_eq!(source.target(ms(10), &LIMITS), expected);
+        assert!(source.is_clamped());
+    }
+}

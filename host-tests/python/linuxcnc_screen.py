@@ -1,0 +1,181 @@
+"""Stands in for LinuxCNC's screen: does what a test asks for, one JSON line each way.
+
+Connects to the test (host and port are the arguments). A request is `{"do": name, …}`; the answer is
+`{"ok": value}` or `{"error": text}`. When the line closes, the screen goes, and LinuxCNC with it.
+"""
+
+import json
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+
+import hal
+import linuxcnc
+
+command, status, errors = linuxcnc.command(), linuxcnc.stat(), linuxcnc.error_channel()
+component = hal.component("screen")
+component.newpin("scenario", hal.HAL_S32, hal.HAL_OUT)
+component.newpin("zero", hal.HAL_BIT, hal.HAL_OUT)
+component.ready()
+
+STATES = {
+    "estop": (linuxcnc.STATE_ESTOP, linuxcnc.STATE_ESTOP),
+    "reset": (linuxcnc.STATE_ESTOP_RESET, linuxcnc.STATE_ESTOP_RESET),
+    "off": (linuxcnc.STATE_OFF, linuxcnc.STATE_ESTOP_RESET),
+    "on": (linuxcnc.STATE_ON, linuxcnc.STATE_ON),
+}
+MODES = {"manual": linuxcnc.MODE_MANUAL, "mdi": linuxcnc.MODE_MDI}
+
+
+def wait(what, ready, seconds=20.0):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        status.poll()
+        if ready():
+            return
+        time.sleep(0.005)
+    raise RuntimeError(f"{what}: not within {seconds} s; LinuxCNC says {said()}")
+
+
+def said():
+    texts = []
+    while (message := errors.poll()) is not None:
+        texts.append(message[1])
+    return texts
+
+
+def state(name):
+    """Asks until it is so: just after its start LinuxCNC does not take every command."""
+    asked, reached = STATES[name]
+
+    def there():
+        if name == "reset":
+            return status.task_state in (linuxcnc.STATE_ESTOP_RESET, linuxcnc.STATE_ON)
+        return status.task_state == reached
+
+    for _ in range(20):
+        status.poll()
+        if there():
+            return
+        command.state(asked)
+        try:
+            return wait(name, there, 1.0)
+        except RuntimeError:
+            pass
+    raise RuntimeError(f"{name} is not reached; LinuxCNC says {said()}")
+
+
+def mode(name):
+    command.mode(MODES[name])
+    command.wait_complete()
+    wait(name, lambda: status.task_mode == MODES[name])
+
+
+def home():
+    mode("manual")
+    command.teleop_enable(0)
+    command.wait_complete()
+    command.home(-1)
+    wait("home", lambda: all(status.homed[: status.joints]))
+
+
+def unhome():
+    mode("manual")
+    command.teleop_enable(0)
+    command.wait_complete()
+    command.unhome(-1)
+    wait("unhome", lambda: not any(status.homed[: status.joints]))
+
+
+def teleop(on):
+    mode("manual")
+    command.teleop_enable(1 if on else 0)
+    command.wait_complete()
+
+
+def mdi(text, seconds=60.0):
+    mode("mdi")
+    command.mdi(text)
+    command.wait_complete(seconds)
+    wait(
+        text,
+        lambda: status.inpos and status.interp_state == linuxcnc.INTERP_IDLE,
+        seconds,
+    )
+
+
+def begin_mdi(text):
+    mode("mdi")
+    command.mdi(text)
+
+
+def abort():
+    command.abort()
+    command.wait_complete()
+
+
+def pins(names):
+    return [hal.get_value(name) for name in names]
+
+
+def setp(name, value):
+    hal.set_p(name, str(value))
+
+
+def mark(scenario):
+    component["scenario"] = scenario
+
+
+def zero(on):
+    component["zero"] = bool(on)
+
+
+def halcmd(words):
+    # Into a file: a program that is loaded keeps what it inherits, so a pipe would never end.
+    with tempfile.TemporaryFile("w+") as said_there:
+        done = subprocess.run(
+            ["halcmd", *words],
+            stdout=said_there,
+            stderr=subprocess.STDOUT,
+            stdin=subprocess.DEVNULL,
+            timeout=30,
+        )
+        said_there.seek(0)
+        text = said_there.read()
+    if done.returncode:
+        raise RuntimeError(f"halcmd {words}: {text}")
+    return text
+
+
+def stat():
+    status.poll()
+    return {
+        "task_state": status.task_state,
+        "motion_mode": status.motion_mode,
+        "position": status.position[:3],
+        "g5x": status.g5x_offset[:3],
+        "probed": status.probed_position[:3],
+        "said": said(),
+    }
+
+
+DO = [state, mode, home, unhome, teleop, mdi, begin_mdi, abort, pins, setp, mark, zero, halcmd, stat]
+VERBS = {function.__name__: function for function in DO}
+
+
+def main():
+    line = socket.create_connection((sys.argv[1], int(sys.argv[2])))
+    with line, line.makefile("rw", encoding="utf-8") as stream:
+        for request in stream:
+            asked = json.loads(request)
+            try:
+                answer = {"ok": VERBS[asked.pop("do")](**asked)}
+            except Exception as error:
+                answer = {"error": f"{type(error).__name__}: {error}"}
+            stream.write(json.dumps(answer) + "\n")
+            stream.flush()
+
+
+main()
