@@ -1,11 +1,12 @@
 //! The trueup bridge: a spindle's displacement sensor in, offsets for the CNC out.
 //!
 //! ```text
-//!  converter ─► sample ──────────────┬─► OffsetXY, OffsetZ, heartbeat ─► CAN
+//!  converter ─► sample ──────────────┬─► OffsetXY, OffsetZ ─► CAN
 //!                 ▲    frames, E2E   └─► SLCAN lines ─► transmit ──────► serial line
+//!                 │  └► service: heartbeat, emergencies, SDO answers ─► both
 //!                 │ Control, Spindle
 //!  CAN ─► can_receive ─► node ◄─ listen ◄─ serial_receive ◄──────────── serial line
-//!  10 ms ─► supervise: converter restarted, watchdog fed, lamp, log, Zero stored
+//!  10 ms ─► supervise: converter, watchdog, lamp, log; what is taken and loaded is stored
 //!              └► thermometers: one of eight asked; all of them to sample, every 100 ms
 //! ```
 //!
@@ -16,6 +17,7 @@
 //! | `can_receive_0`, `_1` | CAN1, a frame in the FIFO | 3 | 2 ms, the next cycle of 2 × 3 frames | CAN | node |
 //! | `listen` | bytes in the queue | 3 | 256 bytes (2.8 ms) | byte queue | port, node |
 //! | `supervise` | `SysTick`, 10 ms | 2 | 100 ms, the watchdog | node | samples, watchdog, lamp, flash |
+//! | `service` | 2 ms since its last turn | 2 | 10 ms | node | node, port, CAN |
 //! | `transmit` | lines in the port | 1 | 5 ms of frames in the port | port | USART1 |
 //! | `thermometers` | `supervise` | 1 | 1 s, then the channels count as bad | SPI2 | temperatures |
 //! | `idle` | nothing else to do | 0 | | | |
@@ -47,6 +49,8 @@ mod app {
     use stm32f4xx_hal::pac::Interrupt;
     use trueup_core::{bridge::Input, heat::RawTemperatures};
     use trueup_link::{
+        emergency::Fault,
+        frame::Frame,
         node::{Frames, Node},
         slcan::Port,
     };
@@ -56,6 +60,7 @@ mod app {
     const LISTEN: Interrupt = Interrupt::EXTI0;
     const TRANSMIT: Interrupt = Interrupt::EXTI1;
     const THERMOMETERS: Interrupt = Interrupt::EXTI2;
+    const SERVICE: Interrupt = Interrupt::EXTI3;
     /// Bytes between the interrupt that takes them and the task that reads them.
     const QUEUE: usize = 256;
     /// What `N` answers on the serial line.
@@ -93,8 +98,13 @@ mod app {
         if let Err(error) = &parts.calibration {
             defmt::error!("calibration refused: {}", defmt::Display2Format(error));
         }
-        let degraded = faults.crystal || faults.pll || faults.can;
-        let mut node = Node::new(parts.calibration.ok(), degraded);
+        let mut node = Node::new(parts.calibration.ok(), faults.degrade());
+        faults.all().for_each(|fault| node.note(fault));
+        node.set_blob(parts.blob);
+        let (buffer, store) = parts.loading.unzip();
+        if let Some(buffer) = buffer {
+            node.set_buffer(buffer);
+        }
         let (references, reference) = parts.references.unzip();
         if let Some(reference) = reference.flatten() {
             node.set_reference(reference);
@@ -118,7 +128,7 @@ mod app {
             thermometers: parts.thermometers,
             to_listen,
             from_serial,
-            supervision: Supervision::new(parts.watchdog, parts.lamp, references),
+            supervision: Supervision::new(parts.watchdog, parts.lamp, references, store),
             idle: parts.idle,
         };
         (shared, local)
@@ -193,7 +203,18 @@ mod app {
         }
         let (now, quality, zero) =
             shared.node.lock(|node| (node.now().0, node.last().quality, node.take_zero()));
-        it.keep(zero);
+        if !it.keep(zero) {
+            shared.node.lock(|node| node.note(Fault::Store));
+        }
+        // Looked at and stored outside the lock: neither holds up a tick.
+        if let Some(mut load) = shared.node.lock(Node::take_load) {
+            let outcome = it.keep_calibration(&mut load);
+            shared.node.lock(|node| node.end_load(load, outcome));
+        }
+        if shared.node.lock(Node::take_restart) {
+            defmt::info!("restart, as a CANopen master asks");
+            board::restart();
+        }
         it.show(now, quality);
         // Reaching this line shows that no task above hangs; the port shows that `transmit` does
         // not.
@@ -203,6 +224,19 @@ mod app {
         }
         rtic::pend(THERMOMETERS);
         rtic::pend(TRANSMIT);
+    }
+
+    /// What a CANopen node has to say besides the offsets. Nothing of it is in the tick.
+    #[task(binds = EXTI3, priority = 2, shared = [node, port, can_out])]
+    fn service(cx: service::Context) {
+        let mut shared = cx.shared;
+        // It stays due, and the next tick asks again.
+        if shared.can_out.lock(CanOut::is_busy) {
+            return;
+        }
+        if let Some(frame) = shared.node.lock(Node::service) {
+            shared.can_out.lock(|can| shared.port.lock(|port| send(&[frame], can, port)));
+        }
     }
 
     /// Lines to the serial line, byte by byte. It polls, because the emulator has neither the
@@ -233,11 +267,14 @@ mod app {
     fn tick(node: &mut Node<'_>, elapsed_ms: u32, input: Input<'_>) -> Frames {
         let frames = node.tick(elapsed_ms, input);
         NOW_MS.store(node.now().0, Ordering::Relaxed);
+        if node.service_is_due() {
+            rtic::pend(SERVICE);
+        }
         frames
     }
 
     /// Frames to both wires.
-    fn send(frames: &Frames, can: &mut CanOut, port: &mut Port) {
+    fn send(frames: &[Frame], can: &mut CanOut, port: &mut Port) {
         for frame in frames {
             can.send(frame);
         }

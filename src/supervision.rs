@@ -3,12 +3,13 @@
 use micromath::F32Ext as _;
 use trueup_core::cnc::Quality;
 use trueup_link::{
+    load::{Load, Outcome},
     node::{Node, Zero},
     reference::References,
     slcan::Port,
 };
 
-use crate::board::{Flash, Lamp, Watchdog, references};
+use crate::board::{Flash, Lamp, Store, Watchdog, references};
 
 /// Milliseconds between two turns.
 pub const PERIOD_MS: u32 = 10;
@@ -22,14 +23,39 @@ pub struct Supervision {
     lamp: Lamp,
     /// `None` without a calibration: nothing can be stored then.
     references: Option<References<Flash>>,
+    /// Where a loaded calibration is kept.
+    store: Option<Store>,
     blocks: u32,
     silent: bool,
     until_log_ms: u32,
 }
 
 impl Supervision {
-    pub fn new(watchdog: Watchdog, lamp: Lamp, references: Option<References<Flash>>) -> Self {
-        Self { watchdog, lamp, references, blocks: 0, silent: false, until_log_ms: 0 }
+    pub fn new(
+        watchdog: Watchdog,
+        lamp: Lamp,
+        references: Option<References<Flash>>,
+        store: Option<Store>,
+    ) -> Self {
+        Self { watchdog, lamp, references, store, blocks: 0, silent: false, until_log_ms: 0 }
+    }
+
+    /// Looks at a calibration that has come whole, and stores it for the next start.
+    pub fn keep_calibration(&mut self, load: &mut Load<'_>) -> Outcome {
+        let blob = match load.check() {
+            Ok(blob) => blob,
+            Err(error) => {
+                defmt::error!("calibration refused: {}", defmt::Display2Format(&error));
+                return Outcome::Refused;
+            }
+        };
+        let Self { store, watchdog, .. } = self;
+        if !store.as_mut().is_some_and(|store| store.keep(blob, || watchdog.feed())) {
+            defmt::error!("the calibration is NOT stored");
+            return Outcome::NotStored;
+        }
+        defmt::info!("calibration of {=usize} bytes stored: used from the next start", blob.len());
+        Outcome::Stored
     }
 
     /// Whether no block came since the last turn; a change is logged.
@@ -47,10 +73,11 @@ impl Supervision {
         missing
     }
 
-    /// Stores what a `Zero` has taken.
-    pub fn keep(&mut self, zero: Option<Zero>) {
-        if let (Some(references), Some(zero)) = (&mut self.references, zero) {
-            references::keep(references, zero);
+    /// Stores what a `Zero` has taken; `false`: it was not stored.
+    pub fn keep(&mut self, zero: Option<Zero>) -> bool {
+        match (&mut self.references, zero) {
+            (Some(references), Some(zero)) => references::keep(references, zero),
+            _ => true,
         }
     }
 

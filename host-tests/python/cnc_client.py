@@ -15,7 +15,8 @@ import can
 import cantools
 import e2e.p05
 
-OFFSET_XY, OFFSET_Z, HEARTBEAT = 0x181, 0x281, 0x701
+OFFSET_XY, OFFSET_Z, STATUS = 0x181, 0x281, 0x381
+HEARTBEAT, EMERGENCY = 0x701, 0x081
 SPINDLE, CONTROL = 0x202, 0x302
 PERIOD_S = 0.020
 OFF, LIVE, RAMPING_OUT = 0, 1, 5
@@ -47,7 +48,9 @@ class Ear:
 
     def __init__(self, bus, database):
         self.bus, self.database = bus, database
-        self.frames = {OFFSET_XY: 0, OFFSET_Z: 0, HEARTBEAT: 0}
+        self.frames = {OFFSET_XY: 0, OFFSET_Z: 0, STATUS: 0, HEARTBEAT: 0, EMERGENCY: 0}
+        self.emergencies = []
+        self.items, self.reasons, self.board = [], [], {}
         self.wrong = []
         self.states = set()
         self.last_counter = {}
@@ -79,6 +82,9 @@ class Ear:
         if frame.arbitration_id == HEARTBEAT:
             self.states.add(said["State"])
             return None
+        if frame.arbitration_id == EMERGENCY:
+            self.emergencies.append([said["ErrorCode"], said["Fault"]])
+            return None
         if not e2e.p05.e2e_p05_check(bytes(frame.data), frame.arbitration_id):
             self.wrong.append(f"autosar-e2e does not accept {frame}")
             return None
@@ -89,6 +95,12 @@ class Ear:
         if last is not None and counter != (last + 1) % 256:
             self.wrong.append(f"0x{frame.arbitration_id:03x} counts {last}, {counter}")
         self.last_counter[frame.arbitration_id] = counter
+        if frame.arbitration_id == STATUS:
+            self.items.append(said["Item"])
+            if said["LastRefused"] not in self.reasons[-1:]:
+                self.reasons.append(said["LastRefused"])
+            self.board.update(said)
+            return None
         if frame.arbitration_id == OFFSET_XY:
             if self.half is not None:
                 self.wrong.append(f"OffsetXY {self.half['Counter']} has no OffsetZ")
@@ -190,6 +202,10 @@ def session(bus, database):
         "offset_z": ear.frames[OFFSET_Z],
         "heartbeats": ear.frames[HEARTBEAT],
         "states": sorted(ear.states),
+        "emergencies": ear.emergencies,
+        "items": ear.items,
+        "reasons": ear.reasons,
+        "board": ear.board,
         "wrong": ear.wrong,
         "phases": seen,
     }

@@ -416,7 +416,7 @@ fn a_broken_calibration_gives_no_offset_and_the_log_says_why() -> Result<()> {
         }
         assert_eq!(outputs, 200, "it says so every millisecond");
         let state = if why.is_empty() { State::Operational } else { State::Stopped };
-        assert_eq!(states, [state; 2]);
+        assert_eq!(states, [State::BootUp, state]);
         let log = log_of(&board)?;
         println!("{log}");
         assert!(log.contains(why), "{log}");

@@ -1,11 +1,12 @@
 //! No panic can be reached from what the board does every millisecond, nor from what it does with
-//! a frame of the CNC.
+//! a frame of the CNC or of a CANopen master.
 //!
 //! Shown on the images that are flashed and booted, after the linker: no chain of calls leads from
-//! `Node::tick` or `Node::hear` to a function of the panic machinery, to a trap, or to a call
-//! through a pointer, behind which anything could stand. So no input whatever (nor a calibration
-//! that was loaded) makes them stop there. What this does not show: that the values are right,
-//! that loops end, that the stack suffices; the first two are for the property tests of the core.
+//! `Node::tick`, `Node::hear` or `Node::service` to a function of the panic machinery, to a trap, or
+//! to a call through a pointer, behind which anything could stand. So no input whatever (nor a
+//! calibration that was loaded) makes them stop there. What this does not show: that the values are
+//! right, that loops end, that the stack suffices; the first two are for the property tests of the
+//! core.
 
 use trueup_emulator::{
     call_graph::CallGraph,
@@ -17,7 +18,7 @@ fn no_panic_can_be_reached_from_a_tick_or_a_frame() {
     for board in Board::ALL {
         let image = firmware::build(board).unwrap();
         let graph = CallGraph::read(&image).unwrap();
-        for entry in ["4Node4tick", "4Node4hear"] {
+        for entry in ["4Node4tick", "4Node4hear", "4Node7service"] {
             let reached = graph.reached_from(entry).unwrap();
             println!("{}: {entry} reaches {} functions", board.feature(), reached.names.len());
             assert_eq!(reached.panics(), [""; 0], "{entry} in {}", image.display());

@@ -48,11 +48,26 @@ fn python_can_cantools_and_autosar_e2e_engage_it_and_read_every_frame() -> Resul
     println!("{saw:#}");
 
     assert_eq!(saw["wrong"], json!([]), "every frame is read, protected, in order, in pairs");
-    assert_eq!(saw["states"], json!([5]), "every heartbeat says: operational");
+    assert_eq!(
+        saw["states"],
+        json!([0, 5]),
+        "one heartbeat says: boot-up, the others: operational"
+    );
     assert_eq!(saw["offset_xy"], saw["offset_z"]);
     let cycles = saw["offset_z"].as_u64().context("a count")?;
     let heartbeats = saw["heartbeats"].as_u64().context("a count")?;
     assert!(cycles.abs_diff(heartbeats * 100) <= 200, "{heartbeats} heartbeats in {cycles} ms");
+
+    // The status: each item in turn, ten a second of the board, and what was wrong with Control.
+    let items: Vec<u64> =
+        saw["items"].as_array().into_iter().flatten().filter_map(Value::as_u64).collect();
+    assert!((items.len() as u64 * 100).abs_diff(cycles) <= 200, "{} in {cycles} ms", items.len());
+    assert!(items.windows(2).all(|pair| pair[1] == (pair[0] + 1) % 8), "{items:?}");
+    assert_eq!(saw["reasons"], json!([0, 2, 3]), "none, then damaged, then repeated");
+    let board = &saw["board"];
+    assert!((number(&board["Elongation"]) - GROWN_UM).abs() < TOLERANCE_UM, "{board}");
+    assert!(number(&board["Damaged"]) > 20.0 && number(&board["OutOfSequence"]) > 20.0, "{board}");
+    assert_eq!(board["Temperature3"], json!(-327.68), "nothing is connected there");
 
     let phases = &saw["phases"];
     for (phase, flags, why) in [

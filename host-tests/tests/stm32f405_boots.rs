@@ -86,6 +86,7 @@ fn it_boots_with_everything_dead_says_so_and_sends_not_available() {
         "CAN",
         "no samples",
         "store of references",
+        "store of calibrations",
         "converters that answer: 0b00000000",
     ];
     for dead in dead {
@@ -112,6 +113,8 @@ fn the_images_have_code_and_leave_room() {
         let image = firmware::build(board).expect("it builds");
         let size = trueup_emulator::size::of(&image).expect("it has code");
         println!("{}: {size:?}", board.feature());
-        assert!(size.code > 10_000 && size.flash < 256 * 1024 && size.ram < 64 * 1024, "{size:?}");
+        // Of 128 KB. Both have room for a calibration that is being loaded, 16 KB; `virtual` has the
+        // running one in RAM as well.
+        assert!(size.code > 10_000 && size.flash < 256 * 1024 && size.ram < 80 * 1024, "{size:?}");
     }
 }

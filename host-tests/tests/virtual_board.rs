@@ -109,8 +109,12 @@ fn on_the_host(blocks: &[Block]) -> Sent {
             speed: block.speed,
             temperatures: Some(&block.temperatures),
         };
-        let frames = node.tick(1, input);
+        let frames = node.tick(1, input).into_iter().chain(node.service());
         sent.extend(frames.into_iter().map(|frame| (node.now(), frame)));
+        // As the board's log does, once a second; the status tells it.
+        if node.now().0 % 1_000 == 10 {
+            node.take_noise();
+        }
     }
     sent
 }

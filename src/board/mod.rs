@@ -7,14 +7,17 @@
 //! | [`CanIn`], [`CanOut`] | bxCAN, 1 Mbit/s, PB8/PB9 | frames in the same stream as the samples |
 //! | [`Thermometers`] | 8 MAX31865 on SPI2 | come with the samples |
 //! | [`Flash`] | two sectors of the flash | a file of the host |
+//! | [`Store`] of a new calibration | two more sectors | a file of the host |
 //! | [`Watchdog`] | IWDG, 100 ms | none: the host watches |
 //! | [`Lamp`] | LED | none |
-//! | calibration | linked into the image | a file of the host |
+//! | calibration | linked into the image, or loaded over it | a file of the host, or loaded over it |
+//! | [`restart`] | reset | reset of the emulator at the end of a batch |
 //!
 //! Both boards raise the same interrupts, so the tasks cannot tell them apart:
 //! `DMA2_STREAM0` with a block of samples (one millisecond of the sample clock), `CAN1_RX0` and
-//! `CAN1_RX1` with frames from the bus (on `virtual` all by the first), `USART1` with bytes from the serial line, `SysTick` every 10 ms. On
-//! `virtual` it is the samples that make time pass, so `SysTick` comes with every tenth block.
+//! `CAN1_RX1` with frames from the bus (on `virtual` all by the first), `USART1` with bytes from the
+//! serial line, `SysTick` every 10 ms. On `virtual` it is the samples that make time pass, so
+//! `SysTick` comes with every tenth block.
 
 use trueup_core::{
     bridge::Reference,
@@ -22,7 +25,7 @@ use trueup_core::{
     thermometer::Raw,
     units::{Code, Rpm},
 };
-use trueup_link::{calibration::BlobError, reference::References};
+use trueup_link::{calibration::BlobError, emergency::Fault, reference::References};
 
 #[cfg(all(feature = "stm32f405", feature = "virtual"))]
 compile_error!("choose one board: --features stm32f405 or --features virtual");
@@ -68,6 +71,24 @@ pub struct Faults {
     pub watchdog_reset: bool,
 }
 
+impl Faults {
+    /// Whether the board runs on a fall-back.
+    pub fn degrade(&self) -> bool {
+        self.crystal || self.pll || self.can
+    }
+
+    /// Those that are there.
+    pub fn all(&self) -> impl Iterator<Item = Fault> {
+        let all = [
+            (self.crystal, Fault::Crystal),
+            (self.pll, Fault::Pll),
+            (self.can, Fault::Can),
+            (self.watchdog_reset, Fault::WatchdogReset),
+        ];
+        all.into_iter().filter_map(|(is_there, fault)| is_there.then_some(fault))
+    }
+}
+
 /// A board that is up, in parts, each for one task.
 pub struct Parts {
     pub samples: Samples,
@@ -84,4 +105,8 @@ pub struct Parts {
     /// The store of references, and the one to start with. `None` without a calibration.
     pub references: Option<(References<Flash>, Option<Reference>)>,
     pub faults: Faults,
+    /// The bytes of the calibration in use; empty without one.
+    pub blob: &'static [u8],
+    /// Where a new calibration is gathered and stored; `None` on a board that cannot store one.
+    pub loading: Option<(&'static mut [u8], Store)>,
 }

@@ -32,17 +32,22 @@ pub fn open<F: NorFlash>(flash: F, calibration: u32) -> (References<F>, Option<R
     (references, reference.map(|(_, reference)| reference))
 }
 
-/// Stores what a `Zero` has taken.
-pub fn keep<F: NorFlash>(references: &mut References<F>, zero: Zero) {
+/// Stores what a `Zero` has taken; `false`: it is not stored.
+pub fn keep<F: NorFlash>(references: &mut References<F>, zero: Zero) -> bool {
     match zero {
         Zero::Unchanged => {
             defmt::warn!("zero: the reference stays, an input is missing or the error is the same");
+            true
         }
         Zero::Taken(reference) => match references.append(reference) {
-            Ok(number) => say(number, &reference, "stored"),
+            Ok(number) => {
+                say(number, &reference, "stored");
+                true
+            }
             Err(error) => {
                 say(0, &reference, "NOT stored");
                 defmt::error!("the reference is lost with the power: {}", Text(&error));
+                false
             }
         },
     }

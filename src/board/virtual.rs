@@ -1,10 +1,11 @@
 //! The virtual board: the firmware's tasks in QEMU, fed by the host.
 //!
-//! One folder of the host holds what this board is wired to: `calibration.bin`, `flash.bin` (what
-//! outlasts the power), the pipe `samples` (blocks of one millisecond, CAN frames among them) and the
-//! pipe `frames` (what the board sends on its CAN). They are read and written by semihosting, which is fast but stops the whole
-//! emulator while it waits; so the board never reads before the host has rung: a byte on USART2
-//! says how many blocks are in the pipe. Between them the CPU sleeps and the serial line is free.
+//! One folder of the host holds what this board is wired to: `calibration.bin`, `loaded.bin` (what
+//! a CANopen master has loaded; it counts instead, if it is whole), `flash.bin` (what outlasts the
+//! power), the pipe `samples` (blocks of one millisecond, CAN frames among them) and the
+//! pipe `frames` (what the board sends on its CAN). They are read and written by semihosting, which
+//! is fast but stops the whole emulator while it waits; so the board never reads before the host has
+//! rung: a byte on USART2 says how many blocks are in the pipe. Between them the CPU sleeps and the serial line is free.
 //! Of the announced blocks as many as fit the buffer come with one call, because the call costs far
 //! more than the bytes; they are then lived through one by one.
 //!
@@ -13,7 +14,7 @@
 
 use core::{
     cell::RefCell,
-    sync::atomic::{AtomicU32, Ordering},
+    sync::atomic::{AtomicBool, AtomicU32, Ordering},
 };
 
 use cortex_m::{
@@ -60,6 +61,9 @@ const _: () = assert!(bench::FRAMES <= 8);
 /// Frames on their way to the host: what one batch of 255 blocks can send, and its end mark.
 static TO_BUS: Mutex<RefCell<Vec<Record, 1024>>> = Mutex::new(RefCell::new(Vec::new()));
 
+/// The board is to start anew once the batch is done.
+static RESTART: AtomicBool = AtomicBool::new(false);
+
 /// Blocks that are read at once: 4 KB.
 const BLOCKS_AT_ONCE: usize = 32;
 /// Blocks per `SysTick`: 10 ms.
@@ -91,12 +95,20 @@ pub fn start(_core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts {
     // The tables of the calibration are read where they lie, so it stays for good.
     let blob: &'static mut [u8] = cortex_m::singleton!(: [u8; calibration::MAX_SIZE] = [0; _])
         .expect("the board starts once");
-    let length = open(c"calibration.bin").map_or(0, |mut file| read_all(&mut file, blob));
+    let mut length = Store::load(blob);
+    if calibration::decode(&blob[..length]).is_err() {
+        length = open(c"calibration.bin").map_or(0, |mut file| read_all(&mut file, blob));
+    }
     let blob: &'static [u8] = blob;
-    let calibration = calibration::whole(&blob[..length])
-        .and_then(|blob| Ok((calibration::identity(blob), calibration::decode(blob)?)));
+    let blob = calibration::whole(&blob[..length]);
+    let calibration =
+        blob.and_then(|blob| Ok((calibration::identity(blob), calibration::decode(blob)?)));
+    let calibration_is_good = calibration.is_ok();
     let references =
         calibration.as_ref().ok().map(|(identity, _)| references::open(Flash::load(), *identity));
+    let buffer_of_load: &'static mut [u8] =
+        cortex_m::singleton!(: [u8; calibration::MAX_SIZE] = [0; _])
+            .expect("the board starts once");
     let samples = open(c"samples").expect("the host makes this pipe before it starts the board");
     let frames =
         File::create(c"frames").expect("the host makes this pipe before it starts the board");
@@ -116,6 +128,8 @@ pub fn start(_core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts {
         calibration: calibration.map(|(_, calibration)| calibration),
         references,
         faults: Faults::default(),
+        blob: if calibration_is_good { blob.unwrap_or_default() } else { &[] },
+        loading: Some((buffer_of_load, Store)),
     }
 }
 
@@ -187,6 +201,11 @@ impl CanIn {
 pub struct CanOut;
 
 impl CanOut {
+    /// Nothing waits: the host takes it all.
+    pub fn is_busy(&mut self) -> bool {
+        false
+    }
+
     pub fn send(&mut self, frame: &Frame) {
         let time = Millis(NOW_MS.load(Ordering::Relaxed));
         let record = Record::Frame { time, frame: *frame };
@@ -258,6 +277,27 @@ impl NorFlash for Flash {
         self.0[from as usize..to as usize].fill(0xFF);
         self.save()
     }
+}
+
+/// The calibration that a master has loaded: a file of the host, used from the next start.
+pub struct Store;
+
+impl Store {
+    /// The bytes of it, as many as there are.
+    fn load(place: &mut [u8]) -> usize {
+        open(c"loaded.bin").map_or(0, |mut file| read_all(&mut file, place))
+    }
+
+    /// Whether it was stored.
+    pub fn keep(&mut self, blob: &[u8], _feed: impl FnMut()) -> bool {
+        semihosting::fs::write(c"loaded.bin", blob).is_ok()
+    }
+}
+
+/// Starts the board anew at the end of the batch: the host hears of it there, and rings no more until
+/// the board is up again.
+pub fn restart() {
+    RESTART.store(true, Ordering::Relaxed);
 }
 
 /// The host watches over its emulator.
@@ -355,7 +395,9 @@ impl Idle {
     /// Hands the host what the batch has sent, and says that it is done.
     fn end_batch(&mut self) {
         let records = cortex_m::interrupt::free(|cs| TO_BUS.borrow(cs).take());
-        let end = Record::EndOfBatch { time: Millis(NOW_MS.load(Ordering::Relaxed)) };
+        let time = Millis(NOW_MS.load(Ordering::Relaxed));
+        let restart = RESTART.load(Ordering::Relaxed);
+        let end = if restart { Record::Restart { time } } else { Record::EndOfBatch { time } };
         let mut bytes: Vec<u8, 4096> = Vec::new();
         for record in records.iter().chain([&end]).map(Record::encode) {
             if bytes.extend_from_slice(&record).is_err() {
@@ -365,6 +407,9 @@ impl Idle {
             }
         }
         self.write(&bytes);
+        if restart {
+            SCB::sys_reset();
+        }
     }
 
     fn write(&mut self, bytes: &[u8]) {

@@ -1,16 +1,22 @@
 //! Talking to a bridge: where it is, the SLCAN session, and what can be asked of it.
 
 pub mod info;
+pub mod load;
 pub mod monitor;
+mod object;
 pub mod port;
+mod record;
 mod session;
+#[cfg(all(feature = "socketcan", target_os = "linux"))]
+mod socket_can;
+mod status;
 
 use serde_json::{Value, json};
 use trueup_core::{
     cnc::{Flags, Output, Quality},
     units::NANOMETRES_PER_MICROMETRE,
 };
-use trueup_link::frames::State;
+use trueup_link::{emergency::Fault, frames::State};
 
 /// A quality in a word.
 fn quality_word(quality: Quality) -> &'static str {
@@ -38,6 +44,32 @@ fn flag_words(flags: Flags) -> Vec<&'static str> {
         (Flags::BOARD_DEGRADED, "board-degraded"),
     ];
     WORDS.into_iter().filter(|(flag, _)| flags.contains(*flag)).map(|(_, word)| word).collect()
+}
+
+/// The faults whose bits are set, in words.
+fn fault_words(bits: u32) -> Vec<&'static str> {
+    let is_set = |fault: &Fault| bits >> *fault as u8 & 1 != 0;
+    Fault::ALL.into_iter().filter(is_set).map(fault_word).collect()
+}
+
+/// A fault in a word.
+fn fault_word(fault: Fault) -> &'static str {
+    match fault {
+        Fault::NoCalibration => "no-calibration",
+        Fault::Sensor => "sensor",
+        Fault::SamplesMissing => "samples-missing",
+        Fault::CncLost => "cnc-lost",
+        Fault::HeartbeatLost => "heartbeat-lost",
+        Fault::SpeedUnknown => "speed-unknown",
+        Fault::OutsideTable => "outside-table",
+        Fault::Clamped => "clamped",
+        Fault::Degraded => "degraded",
+        Fault::Crystal => "crystal",
+        Fault::Pll => "pll",
+        Fault::Can => "can",
+        Fault::WatchdogReset => "watchdog-reset",
+        Fault::Store => "store",
+    }
 }
 
 /// A heartbeat's state in a word, as CiA 301 names it.
@@ -94,6 +126,8 @@ mod tests {
     #[test]
     fn every_bit_of_the_flags_has_a_word() {
         assert_eq!(flag_words(Flags(0xFF)).len(), 8);
+        assert_eq!(fault_words(0x2001), ["no-calibration", "store"]);
+        assert_eq!(fault_words(0x3FFF).len(), Fault::ALL.len());
         assert_eq!(flag_words(Flags::NONE), [""; 0]);
         assert_eq!(flag_words(Flags::SLEWING.with(Flags::CNC_LOST)), ["slewing", "cnc-lost"]);
     }

@@ -120,6 +120,10 @@ impl Log {
 pub fn run(args: &LinuxCnc) -> Result<Outcome> {
     let mut log = Log::open(args.log.as_deref())?;
     let port = Port::parse(&args.port)?;
+    if let Port::Can(interface) = &port {
+        let form = "LinuxCNC's component speaks SLCAN: give it tcp:HOST:PORT or the serial device";
+        return Err(Mend(format!("--port {interface}: {form}")).into());
+    }
     let limits = match &args.machine {
         Some(path) => MachineFile::read(path)?.limits,
         None => trueup_machine::machine_file::Limits::default(),
@@ -225,5 +229,6 @@ fn open(port: &Port) -> io::Result<Ends> {
             let serial = serialport::new(device, BAUD).timeout(READ_TIMEOUT).open()?;
             Ok((Box::new(serial.try_clone()?), Box::new(serial)))
         }
+        Port::Can(_) => Err(io::ErrorKind::Unsupported.into()),
     }
 }

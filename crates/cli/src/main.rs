@@ -59,7 +59,7 @@ enum Command {
         calibration: PathBuf,
     },
     Simulate(simulate::Simulate),
-    /// Looks at a bridge, real or virtual.
+    /// Looks at a bridge, real or virtual, or gives it a calibration.
     Bridge {
         #[command(subcommand)]
         command: BridgeCommand,
@@ -91,14 +91,30 @@ struct Compile {
 
 #[derive(Subcommand)]
 enum BridgeCommand {
-    /// Asks the bridge who it is and how it is.
+    /// Asks the bridge who it is, what it runs on, and how it is.
     ///
     /// Exit 3: it answers, but no heartbeat or no offsets came.
     Info {
         #[command(flatten)]
         port: Port,
     },
-    /// Prints the offsets once a second, until Ctrl-C. It only listens: nothing is engaged by it.
+    /// Loads a calibration, reads it back, and starts the board anew with it.
+    ///
+    /// Nothing is loaded while offsets are being followed: let the CNC disengage first.
+    /// Exit 3: it is stored, but the board does not run on it.
+    Load {
+        /// The calibration, as `compile` writes it.
+        #[arg(value_name = "CAL.bin")]
+        calibration: PathBuf,
+        #[command(flatten)]
+        port: Port,
+        /// Leave the board running on the calibration it has; the new one is used from its next
+        /// start.
+        #[arg(long)]
+        keep_running: bool,
+    },
+    /// Prints the offsets and the temperatures once a second, until Ctrl-C. It only listens: nothing
+    /// is engaged by it.
     ///
     /// Exit 3: frames were damaged or out of order, or a second passed without offsets.
     Monitor {
@@ -107,12 +123,20 @@ enum BridgeCommand {
         /// Stop after this many lines.
         #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
         count: Option<u64>,
+        /// Write every frame down, as `candump -l` does, and a run file for `diagnose`: to
+        /// `FILE.log` and `FILE.csv`, or to `bridge.log` and `bridge.csv` in a folder.
+        #[arg(long, value_name = "DIR|FILE.log")]
+        record: Option<PathBuf>,
+        /// The machine file: it names the temperatures of the run file, and makes sensor counts of
+        /// the elongation.
+        #[arg(long, value_name = "M.toml", requires = "record")]
+        machine: Option<PathBuf>,
     },
 }
 
 #[derive(Args)]
 struct Port {
-    /// Where the bridge is: tcp:HOST:PORT or a serial device.
+    /// Where the bridge is: tcp:HOST:PORT, a serial device, or a CAN interface (can0).
     #[arg(long, value_name = "PORT")]
     port: String,
 }
@@ -169,8 +193,12 @@ fn run(cli: &Cli) -> Result<Outcome> {
         Command::Bridge { command: BridgeCommand::Info { port } } => {
             bridge::info::run(&port.port, cli.json)
         }
-        Command::Bridge { command: BridgeCommand::Monitor { port, count } } => {
-            bridge::monitor::run(&port.port, *count, cli.json)
+        Command::Bridge { command: BridgeCommand::Load { calibration, port, keep_running } } => {
+            bridge::load::run(calibration, &port.port, *keep_running, cli.json)
+        }
+        Command::Bridge { command: BridgeCommand::Monitor { port, count, record, machine } } => {
+            let record = record.as_deref().map(|record| (record, machine.as_deref()));
+            bridge::monitor::run(&port.port, *count, record, cli.json)
         }
     }
 }

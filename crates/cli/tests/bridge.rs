@@ -1,10 +1,10 @@
-//! `bridge monitor` and `bridge info` against a bridge that runs in this process: the node and the
+//! `bridge monitor`, `info` and `load` against a bridge that runs in this process: the node and the
 //! SLCAN port of the firmware, without its hardware.
 
 use std::{
     io::{ErrorKind, Read, Write},
     net::TcpListener,
-    path::Path,
+    path::{Path, PathBuf},
     process::{Command, Output},
     sync::{Arc, Mutex},
     thread,
@@ -17,8 +17,16 @@ use trueup_core::{
     filter::CODES_PER_TICK,
     units::{Code, Rpm},
 };
-use trueup_link::{frame::Frame, frames, node::Node, slcan::Port};
-use trueup_machine::{MachineFile, compile};
+use trueup_link::{
+    calibration::{MAX_SIZE, decode, identity},
+    frame::Frame,
+    frames,
+    layout::SDO_ANSWER_ID,
+    load::Outcome,
+    node::Node,
+    slcan::Port,
+};
+use trueup_machine::{Compiled, MachineFile, RunFile, compile};
 
 /// What the bridge has heard from its client.
 #[derive(Default)]
@@ -39,10 +47,18 @@ enum Fault {
     Silent,
     /// It closes the line after a while.
     Leaves,
+    /// Its store gives back other bytes than it was given.
+    Forgetful,
+    /// Its store takes nothing.
+    Full,
 }
 
 /// A bridge at a port of this machine, engaged by a CNC that it has elsewhere.
 fn bridge(fault: Fault) -> (String, Arc<Mutex<Heard>>) {
+    bridge_with(fault, true)
+}
+
+fn bridge_with(fault: Fault, engage: bool) -> (String, Arc<Mutex<Heard>>) {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = format!("tcp:{}", listener.local_addr().expect("bound above"));
     let heard = Arc::new(Mutex::new(Heard::default()));
@@ -50,16 +66,34 @@ fn bridge(fault: Fault) -> (String, Arc<Mutex<Heard>>) {
     thread::spawn(move || {
         let (stream, _) = listener.accept().expect("the tool connects");
         stream.set_nonblocking(true).expect("a plain socket");
-        live(stream, fault, &told);
+        live(stream, fault, engage, &told);
     });
     (address, heard)
 }
 
-fn live(mut stream: impl Read + Write, fault: Fault, heard: &Mutex<Heard>) {
-    let machine = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/paper_spindle.toml");
-    let machine = MachineFile::read(&machine).expect("the project's own file");
-    let compiled = compile(&machine).expect("the paper's sensor fits");
-    let (mut node, mut port) = (Node::new(Some(compiled.calibration()), false), Port::new(0x00A1));
+fn machine_path() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/paper_spindle.toml")
+}
+
+/// The paper's spindle.
+fn paper() -> Compiled {
+    let machine = MachineFile::read(&machine_path()).expect("the project's own file");
+    compile(&machine).expect("the paper's sensor fits")
+}
+
+/// A node that runs on this blob, as after a start.
+fn started(blob: &'static [u8]) -> (Node<'static>, Port) {
+    let mut node = Node::new(Some(decode(blob).expect("a calibration")), false);
+    node.set_blob(blob);
+    node.set_buffer(Box::leak(vec![0; MAX_SIZE].into()));
+    (node, Port::new(0x00A1))
+}
+
+fn live(mut stream: impl Read + Write, fault: Fault, engage: bool, heard: &Mutex<Heard>) {
+    let compiled = paper();
+    let (mut node, mut port) = started(Box::leak(compiled.blob().into()));
+    let mut stored: Option<Vec<u8>> = None;
+    let mut control = 0;
     // 100 codes above the paper's zero: 12.2 µm, which the slew limit reaches in 0.6 s.
     let codes: [Code; CODES_PER_TICK] = std::array::from_fn(|n| Code(731 + (n % 2) as u16));
     let start = Instant::now();
@@ -75,20 +109,44 @@ fn live(mut stream: impl Read + Write, fault: Fault, heard: &Mutex<Heard>) {
             Ok(length) => {
                 let mut heard = heard.lock().expect("nobody panics with it");
                 heard.bytes.extend(&bytes[..length]);
-                heard.frames += bytes[..length].iter().filter_map(|&b| port.receive(b)).count();
+                for frame in bytes[..length].iter().filter_map(|&b| port.receive(b)) {
+                    heard.frames += 1;
+                    node.hear(&frame).expect("no tool sends a damaged frame");
+                }
             }
             Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
             Err(_) => return,
         }
+        if let Some(mut load) = node.take_load() {
+            let mut outcome = Outcome::Stored;
+            match load.check() {
+                Err(_) => outcome = Outcome::Refused,
+                Ok(_) if fault == Fault::Full => outcome = Outcome::NotStored,
+                Ok(blob) => stored = Some(blob.to_vec()),
+            }
+            node.end_load(load, outcome);
+        }
+        if node.take_restart() {
+            let blob = stored.take().unwrap_or_else(|| compiled.blob().to_vec());
+            (node, port) = started(Box::leak(blob.into()));
+            control = 0;
+        }
         if ms % 20 == 0 {
-            let engaged = Control { engage: true, referenced: true, zero: false };
-            node.hear(&frames::control(engaged, (ms / 20) as u8)).expect("in order");
+            let engaged = Control { engage, referenced: true, zero: false };
+            node.hear(&frames::control(engaged, control)).expect("in order");
+            control = control.wrapping_add(1);
         }
         let speed = Some(Rpm(24_000));
         let sent = node.tick(1, Input { codes: Some(&codes), speed, ..Input::default() });
+        let sent = sent.into_iter().chain(node.service());
         if fault != Fault::NoFrames {
-            for frame in &sent {
-                let flip = fault == Fault::Noise && ms % 100 == 99;
+            for frame in &sent.collect::<Vec<_>>() {
+                let flip = match fault {
+                    Fault::Noise => ms % 100 == 99,
+                    // A segment that is read: the first byte says which.
+                    Fault::Forgetful => frame.id() == SDO_ANSWER_ID && frame.data()[0] == 0x10,
+                    _ => false,
+                };
                 port.send(&if flip { damaged(frame) } else { *frame });
             }
         }
@@ -216,17 +274,28 @@ fn info_tells_version_serial_number_and_state() {
     let (code, out, err) = ended(trueup(&["bridge", "info", "--port", &port]));
     assert_eq!(code, Some(0), "{out}{err}");
     assert!(
-        out.starts_with("version    V1013\nserial     N00A1\nheartbeat  operational\n"),
+        out.starts_with("version      V1013\nserial       N00A1\nheartbeat    operational\n"),
         "{out}"
     );
-    assert!(out.contains("\noffsets    x "), "{out}");
-    assert_eq!(heard.lock().expect("nobody panics with it").frames, 0);
+    let crc = format!("{:08x}", identity(paper().blob()));
+    for line in [
+        "\noffsets      x ",
+        "\ndevice       trueup bridge 0.",
+        &format!("\ncalibration  CRC {crc}\n"),
+        "\nreference    the calibration's own zero\n",
+        "\nfaults       none\n",
+    ] {
+        assert!(out.contains(line), "{line}: {out}");
+    }
+    assert!(heard.lock().expect("nobody panics with it").frames > 8, "it has asked");
 
     let (port, _) = bridge(Fault::None);
     let (code, out, _) = ended(trueup(&["--json", "bridge", "info", "--port", &port]));
     let told = &json_lines(&out)[0];
     assert_eq!((code, &told["serial"]), (Some(0), &"N00A1".into()));
     assert_eq!(told["heartbeat"], "operational");
+    assert_eq!((&told["calibration_crc"], &told["faults"]), (&crc.into(), &serde_json::json!([])));
+    assert_eq!(told["new_calibration_crc"], serde_json::Value::Null);
 }
 
 #[test]
@@ -234,15 +303,14 @@ fn info_of_a_bridge_that_only_answers_ends_with_3() {
     let (port, _) = bridge(Fault::NoFrames);
     let (code, out, _) = ended(trueup(&["bridge", "info", "--port", &port]));
     assert_eq!(code, Some(3), "{out}");
-    assert!(out.contains("heartbeat  none in 2 s\n"), "{out}");
+    assert!(out.contains("heartbeat    none in 2 s\n"), "{out}");
 }
 
 #[test]
 fn a_port_that_is_wrong_ends_with_2_and_one_without_a_bridge_with_1() {
     for (port, phrase) in [
-        ("can0", "--port can0: SocketCAN is not supported by this version"),
         ("tcp:nowhere", "--port \"tcp:nowhere\": after tcp: comes HOST:PORT"),
-        ("nowhere", "--port \"nowhere\": a port is tcp:HOST:PORT or a serial device"),
+        ("nowhere", "--port \"nowhere\": a port is tcp:HOST:PORT, a serial device"),
     ] {
         let (code, out, err) = monitor(port, "1", &[]);
         assert_eq!((code, out.as_str()), (Some(2), ""), "{err}");
@@ -295,9 +363,151 @@ fn a_serial_device_is_monitored_like_a_port() {
     drop(theirs);
     let heard = Arc::new(Mutex::new(Heard::default()));
     let told = heard.clone();
-    thread::spawn(move || live(Terminal(ours), Fault::None, &told));
+    thread::spawn(move || live(Terminal(ours), Fault::None, true, &told));
     let (code, out, err) = monitor(&device, "1", &["--json"]);
     assert_eq!(code, Some(0), "{out}{err}");
     assert_eq!(json_lines(&out)[0]["quality_word"], "live");
     assert_eq!(heard.lock().expect("nobody panics with it").frames, 0);
+}
+
+/// Another calibration, in a file of a folder.
+fn other(folder: &tempfile::TempDir) -> (PathBuf, u32) {
+    let mut machine = MachineFile::read(&machine_path()).expect("the project's own file");
+    machine.limits.slew_um_per_s *= 2.0;
+    let compiled = compile(&machine).expect("it fits");
+    let path = folder.path().join("cal.bin");
+    // Bytes after the blob are no part of it.
+    std::fs::write(&path, [compiled.blob(), b"more"].concat()).expect("a folder of ours");
+    (path, identity(compiled.blob()))
+}
+
+fn load(port: &str, file: &Path, more: &[&str]) -> (Option<i32>, String, String) {
+    let file = file.to_str().expect("text");
+    ended(trueup(&[&["bridge", "load", file, "--port", port][..], more].concat()))
+}
+
+#[test]
+fn a_calibration_is_loaded_read_back_and_put_to_use() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (file, crc) = other(&folder);
+    let (port, _) = bridge_with(Fault::None, false);
+    let (code, out, err) = load(&port, &file, &["--json"]);
+    assert_eq!(code, Some(0), "{out}{err}");
+    let told = &json_lines(&out)[0];
+    let crc = format!("{crc:08x}");
+    assert_eq!((&told["crc"], &told["running_crc"]), (&crc.clone().into(), &crc.clone().into()));
+    assert_eq!((&told["read_back_is_equal"], &told["restarted"]), (&true.into(), &true.into()));
+
+    let (port, _) = bridge_with(Fault::None, false);
+    let (code, out, err) = load(&port, &file, &["--keep-running"]);
+    assert_eq!(code, Some(0), "{out}{err}");
+    let running = format!("{:08x}", identity(paper().blob()));
+    assert!(out.contains(&format!("stored and read back the same, CRC {crc}\n")), "{out}");
+    assert!(out.ends_with(&format!("now the bridge runs on {running}\n")), "{out}");
+}
+
+#[test]
+fn what_must_not_or_cannot_be_loaded_is_told_and_nothing_changes() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (file, _) = other(&folder);
+    for (fault, engage, phrase) in [
+        // Whether the tool or the bridge says so depends on when the bridge has gone live.
+        (Fault::None, true, "offsets are being followed"),
+        (Fault::Forgetful, false, "error: what the bridge has stored is not what was sent"),
+        (
+            Fault::Full,
+            false,
+            "error: the calibration is not loaded: object 2100:2: the board cannot store it \
+             (abort code 08000020)",
+        ),
+        (Fault::NoFrames, false, "error: object 2001:1: no answer in 2 s"),
+    ] {
+        let (port, _) = bridge_with(fault, engage);
+        let (code, out, err) = load(&port, &file, &[]);
+        assert_eq!((code, out.as_str()), (Some(1), ""), "{err}");
+        assert!(err.contains(phrase), "{err}");
+    }
+    // What is no calibration never reaches the bridge.
+    let garbage = folder.path().join("garbage.bin");
+    std::fs::write(&garbage, [7; 700]).expect("a folder of ours");
+    let damaged = folder.path().join("damaged.bin");
+    let mut bytes = paper().blob().to_vec();
+    bytes[100] ^= 1;
+    std::fs::write(&damaged, bytes).expect("a folder of ours");
+    let (port, heard) = bridge_with(Fault::None, false);
+    for (file, phrase) in [
+        (garbage, "garbage.bin: "),
+        (damaged, "damaged.bin: "),
+        (folder.path().join("none.bin"), "none.bin: cannot be read: "),
+    ] {
+        let (code, out, err) = load(&port, &file, &[]);
+        assert_eq!((code, out.as_str()), (Some(2), ""), "{err}");
+        assert!(err.contains(phrase), "{err}");
+    }
+    assert_eq!(heard.lock().expect("nobody panics with it").bytes, b"");
+}
+
+#[test]
+fn a_recording_is_a_log_of_every_frame_and_a_run_file() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let place = folder.path().join("here");
+    let machine = machine_path();
+    let record = ["--record", place.to_str().expect("text")];
+    let named = [&record[..], &["--machine", machine.to_str().expect("text")]].concat();
+    let (port, _) = bridge(Fault::None);
+    let (code, out, err) = monitor(&port, "2", &named);
+    assert_eq!(code, Some(0), "{out}{err}");
+
+    let log = std::fs::read_to_string(place.join("bridge.log")).expect("the log");
+    let number = |what: &str| -> usize {
+        let before = err.split(what).next().expect("a part");
+        before.split_whitespace().last().and_then(|it| it.parse().ok()).expect("a number")
+    };
+    assert_eq!(log.lines().count(), number(" frames in "), "{err}");
+    assert!(log.lines().filter(|line| line.contains(" can0 181#")).count() > 200);
+    assert!(log.lines().filter(|line| line.contains(" can0 381#")).count() > 5);
+
+    let run = RunFile::read(&place.join("bridge.csv")).expect("a run file");
+    assert_eq!(run.rows(), number(" rows in "), "{err}");
+    let time_s = run.column("time_s").expect("times");
+    assert!(time_s.windows(2).all(|pair| (pair[1] - pair[0] - 0.1).abs() < 0.0501), "{time_s:?}");
+    let last = |name: &str| *run.column(name).expect(name).last().expect("a row");
+    assert!((last("offset_z_um") - 12.27).abs() < 0.02);
+    // 100.5 codes of 12 bits above the zero, in the counts of the machine file: what the model of
+    // this machine makes of them is what the bridge has undone.
+    let sensor = MachineFile::read(&machine).expect("ours").spindle.sensor.expect("it has one");
+    let um = sensor.k0_um + (last("sensor_counts") - sensor.zero_counts) * sensor.um_per_count;
+    assert!((um - last("offset_z_um")).abs() < 0.02, "{um}");
+    assert!(last("x_mm").is_nan(), "no CNC is heard on this line");
+
+    // A recording is not written over.
+    let (port, _) = bridge(Fault::None);
+    let (code, _, err) = monitor(&port, "1", &record);
+    assert_eq!(code, Some(2), "{err}");
+    assert!(err.contains("bridge.log: a recording is not begun here: "), "{err}");
+
+    // Without a machine file the channels have no names, and the elongation stands for the counts.
+    let file = folder.path().join("bus.log");
+    let (port, _) = bridge(Fault::None);
+    let (code, _, err) = monitor(&port, "1", &["--record", file.to_str().expect("text")]);
+    assert_eq!(code, Some(0), "{err}");
+    let run = RunFile::read(&file.with_extension("csv")).expect("a run file");
+    assert!(run.column("temp_channel7_c").is_some() && run.column("elongation_um").is_some());
+}
+
+#[cfg(not(feature = "socketcan"))]
+#[test]
+fn a_can_interface_needs_the_feature_and_says_how() {
+    let (code, _, err) = monitor("can0", "1", &[]);
+    assert_eq!(code, Some(2), "{err}");
+    assert!(err.contains("--port can0: this tool was built without SocketCAN"), "{err}");
+    assert!(err.contains("--features socketcan"), "{err}");
+}
+
+#[cfg(all(feature = "socketcan", target_os = "linux"))]
+#[test]
+fn a_can_interface_that_is_not_there_is_named() {
+    let (code, _, err) = monitor("can97", "1", &[]);
+    assert_eq!(code, Some(1), "{err}");
+    assert!(err.contains("error: the CAN interface can97 cannot be opened; is it up"), "{err}");
 }

@@ -106,17 +106,15 @@ impl VirtualBoard {
             }
         });
 
-        let mut doorbell = qemu.connect("doorbell.sock")?;
+        let doorbell = qemu.connect("doorbell.sock")?;
         let serial = qemu.connect("serial.sock")?;
         doorbell.set_read_timeout(Some(BOOT_TIMEOUT))?;
-        let mut ready = [0];
-        if doorbell.read_exact(&mut ready).is_err() || ready != *b"R" {
-            return Err(qemu.broken("the board does not come up"));
-        }
         let samples = OpenOptions::new().write(true).open(qemu.path("samples"))?;
         let frames = BufReader::new(File::open(qemu.path("frames"))?);
+        let mut board = Self { samples, frames, doorbell, serial, log, qemu };
+        board.wait_until_up()?;
         drop(held);
-        Ok(Self { samples, frames, doorbell, serial, log, qemu })
+        Ok(board)
     }
 
     /// Lets the board live through these blocks, at most [`LARGEST_BATCH`], and gives what it sent
@@ -143,8 +141,21 @@ impl VirtualBoard {
             match Record::decode(&bytes).context("the board sent a broken record")? {
                 Record::Frame { time, frame } => sent.push((time, frame)),
                 Record::EndOfBatch { .. } => return Ok(sent),
+                Record::Restart { .. } => {
+                    self.wait_until_up()?;
+                    return Ok(sent);
+                }
             }
         }
+    }
+
+    /// A board that starts, or starts anew, says when it is up: rung before, it would not hear.
+    fn wait_until_up(&mut self) -> Result<()> {
+        let mut ready = [0];
+        if self.doorbell.read_exact(&mut ready).is_err() || ready != *b"R" {
+            return Err(self.qemu.broken("the board does not come up"));
+        }
+        Ok(())
     }
 
     /// The CNC's end of the serial line, as QEMU has it: whoever takes it must read on, because

@@ -225,6 +225,19 @@ pub fn linuxcnc() -> Result<Option<LinuxCnc>> {
     Ok(Some(LinuxCnc { program, _alone: alone }))
 }
 
+/// The path of `log2asc`, one of the can-utils, for the tests of recordings.
+///
+/// # Errors
+/// It is missing and cannot be installed.
+pub fn log2asc() -> Result<PathBuf> {
+    const PROGRAM: &str = "log2asc";
+    let _alone = alone()?;
+    if process::find(PROGRAM).is_none() {
+        install(&["can-utils"], "can-utils, to read what the tool has recorded")?;
+    }
+    process::find(PROGRAM).context("can-utils is installed but log2asc is not on PATH")
+}
+
 /// Everything at once, for `cargo xtask setup` and `cargo verify`.
 ///
 /// # Errors
@@ -234,6 +247,7 @@ pub fn everything() -> Result<()> {
     qemu()?;
     python()?;
     linuxcnc()?;
+    log2asc()?;
     Ok(())
 }
 

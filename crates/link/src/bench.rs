@@ -20,7 +20,7 @@
 //! | offset | type | field |
 //! |---|---|---|
 //! | 0 | `u32` | sample clock in ms |
-//! | 4 | `u16` | identifier, 0xFFFF: end of batch |
+//! | 4 | `u16` | identifier, 0xFFFF: end of batch, 0xFFFE: the same, and the board starts anew |
 //! | 6 | `u8` | number of data bytes, 0…8; 0 at the end of a batch |
 //! | 7 | `u8` | 0 |
 //! | 8 | 8 bytes | data, padded with zeros |
@@ -47,6 +47,8 @@ pub const RECORD_SIZE: usize = 16;
 
 /// In place of a speed or an identifier: there is none.
 const NONE: u16 = 0xFFFF;
+/// In place of an identifier: the board starts anew.
+const RESTART: u16 = 0xFFFE;
 
 /// What happens to the board in one millisecond.
 ///
@@ -234,6 +236,11 @@ pub enum Record {
         /// When, on the sample clock.
         time: Millis,
     },
+    /// It has nothing more to say and starts anew; then it is up again, with its clock at 0.
+    Restart {
+        /// When, on the sample clock.
+        time: Millis,
+    },
 }
 
 impl Record {
@@ -243,6 +250,7 @@ impl Record {
         let (time, id, len, [a, b, c, d, e, f, g, h]) = match self {
             Self::Frame { time, frame } => (time, frame.id(), frame.len(), *frame.data()),
             Self::EndOfBatch { time } => (time, NONE, 0, [0; Frame::MAX_LEN]),
+            Self::Restart { time } => (time, RESTART, 0, [0; Frame::MAX_LEN]),
         };
         let [t0, t1, t2, t3] = time.0.to_le_bytes();
         let [low, high] = id.to_le_bytes();
@@ -263,11 +271,11 @@ impl Record {
         if let Some(&found) = rest.iter().chain([&padding]).find(|byte| **byte != 0) {
             return Err(RecordError::Padding(found));
         }
-        if id == NONE {
-            return match len {
-                0 => Ok(Self::EndOfBatch { time }),
-                _ => Err(too_long),
-            };
+        match (id, len) {
+            (NONE, 0) => return Ok(Self::EndOfBatch { time }),
+            (RESTART, 0) => return Ok(Self::Restart { time }),
+            (NONE | RESTART, _) => return Err(too_long),
+            _ => {}
         }
         let frame = Frame::new(id, payload).map_err(|error| match error {
             FrameError::Identifier(id) => RecordError::Identifier(id),
@@ -425,6 +433,7 @@ mod tests {
             for record in [
                 Record::Frame { time, frame: frame(id, &payload) },
                 Record::EndOfBatch { time },
+                Record::Restart { time },
             ] {
                 prop_assert_eq!(Record::decode(&record.encode()), Ok(record));
             }

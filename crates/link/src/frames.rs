@@ -283,12 +283,12 @@ pub fn counter(frame: &Frame) -> u8 {
     byte(crate::layout::COUNTER, frame.data())
 }
 
-fn protected(id: u16, counter: u8, mut data: [u8; 8]) -> Frame {
+pub(crate) fn protected(id: u16, counter: u8, mut data: [u8; 8]) -> Frame {
     e2e::protect(id, counter, &mut data);
     Frame::full(id, data)
 }
 
-fn data_of(frame: &Frame, id: u16, len: u8) -> Result<&[u8; 8], DecodeError> {
+pub(crate) fn data_of(frame: &Frame, id: u16, len: u8) -> Result<&[u8; 8], DecodeError> {
     if frame.id() != id {
         return Err(DecodeError::Identifier { expected: id, found: frame.id() });
     }
@@ -299,7 +299,7 @@ fn data_of(frame: &Frame, id: u16, len: u8) -> Result<&[u8; 8], DecodeError> {
 }
 
 /// A signal of at most 8 bits.
-fn byte(signal: Signal, data: &[u8; 8]) -> u8 {
+pub(crate) fn byte(signal: Signal, data: &[u8; 8]) -> u8 {
     let [byte, ..] = signal.extract(data).to_le_bytes();
     byte
 }

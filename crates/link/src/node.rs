@@ -2,8 +2,11 @@
 //!
 //! This is the whole of what a board does between its converter and its wires, without any
 //! hardware, so the host can run the same thing.
+//!
+//! The tick makes offsets and nothing else. What a CANopen node has to say besides, the heartbeat,
+//! emergencies, the status, answers to SDO requests, is [`Node::service`], which a board calls from a task that
+//! a tick interrupts.
 
-use heapless::Vec;
 use trueup_core::{
     bridge::{self, Bridge, Input, Reference},
     calibration::Calibration,
@@ -13,14 +16,25 @@ use trueup_core::{
 };
 
 use crate::{
+    calibration as blob,
+    emergency::{Emergencies, Fault, Faults},
     frame::Frame,
     frames::{self, State},
-    layout::HEARTBEAT_PERIOD_MS,
+    layout::{HEARTBEAT_PERIOD_MS, NMT_ID, SDO_REQUEST_ID, SERVICE_PERIOD_MS, STATUS_PERIOD_MS},
+    load::{Load, Outcome, Slot},
     receiver::{Receiver, Refused},
+    sdo,
+    status::{self, Reason, Status},
 };
 
-/// The frames of one tick: both offsets, and at times the heartbeat.
-pub type Frames = Vec<Frame, 3>;
+mod heartbeat;
+mod network;
+mod objects;
+
+use heartbeat::Consumer;
+
+/// The frames of one tick: both halves of a cycle's offsets.
+pub type Frames = [Frame; 2];
 
 /// The bridge, its memory, and its end of the link.
 #[derive(Debug)]
@@ -32,7 +46,30 @@ pub struct Node<'a> {
     now: Millis,
     blocks: u32,
     counter: u8,
-    until_heartbeat_ms: u32,
+    since_heartbeat_ms: u32,
+    heartbeat_period_ms: u16,
+    /// The boot-up message was sent, which comes in the place of the first heartbeat.
+    has_booted: bool,
+    consumer: Consumer,
+    /// When [`Node::service`] last ran.
+    serviced: Millis,
+    /// The flags of all ticks since then.
+    flags_since: Flags,
+    server: sdo::Server,
+    answer: Option<Frame>,
+    emergencies: Emergencies,
+    /// Of the board, which stay.
+    board_faults: Faults,
+    /// The blob of the running calibration.
+    blob: &'a [u8],
+    slot: Slot<'a>,
+    noise: Noise,
+    until_status_ms: u32,
+    /// Which item the next status frame is about, and its counter.
+    status_item: u8,
+    status_counter: u8,
+    last_refused: Reason,
+    restart: bool,
     degraded: bool,
     last: Output,
     /// `Zero` in the last `Control`; at the start as if it had been set.
@@ -61,12 +98,56 @@ impl<'a> Node<'a> {
             now: Millis::default(),
             blocks: 0,
             counter: 0,
-            until_heartbeat_ms: 0,
+            since_heartbeat_ms: 0,
+            heartbeat_period_ms: default_heartbeat_ms(),
+            has_booted: false,
+            consumer: Consumer::default(),
+            serviced: Millis::default(),
+            flags_since: Flags::NONE,
+            server: sdo::Server::default(),
+            answer: None,
+            emergencies: Emergencies::default(),
+            board_faults: Faults::default(),
+            blob: &[],
+            slot: Slot::None,
+            noise: Noise::default(),
+            until_status_ms: 0,
+            status_item: 0,
+            status_counter: 0,
+            last_refused: Reason::None,
+            restart: false,
             degraded,
             last: Output::default(),
             zero_bit: true,
             zero: None,
         }
+    }
+
+    /// Lets a CANopen master read the blob of the running calibration.
+    pub fn set_blob(&mut self, blob: &'a [u8]) {
+        self.blob = blob;
+    }
+
+    /// Lets a CANopen master load a calibration through this buffer; without one it is told that
+    /// nothing can be stored.
+    pub fn set_buffer(&mut self, buffer: &'a mut [u8]) {
+        self.slot = Slot::new(buffer);
+    }
+
+    /// Notes what is wrong with the board.
+    pub fn note(&mut self, fault: Fault) {
+        self.board_faults = self.board_faults.with_if(true, fault);
+    }
+
+    /// A calibration that has come whole, once: it is to be looked at, stored, and given back.
+    pub fn take_load(&mut self) -> Option<Load<'a>> {
+        self.slot.take()
+    }
+
+    /// Gives it back, and lets the master know what came of it.
+    pub fn end_load(&mut self, load: Load<'a>, outcome: Outcome) {
+        let outcome = self.slot.give_back(load, outcome);
+        self.answer = self.server.end(outcome).or(self.answer);
     }
 
     /// Takes a frame from the bus. Gives the command it carried, `None` if it is nobody's here.
@@ -75,7 +156,23 @@ impl<'a> Node<'a> {
     /// A frame for this node that is damaged, repeated or out of order; it is counted and has no
     /// effect.
     pub fn hear(&mut self, frame: &Frame) -> Result<Option<Command>, Refused> {
-        let command = self.receiver.accept(frame)?;
+        if frame.id() == SDO_REQUEST_ID {
+            // Taken out, because what it reads and writes is the rest of this node.
+            let mut server = self.server;
+            self.answer = server.hear(frame, self).or(self.answer);
+            self.server = server;
+            return Ok(None);
+        }
+        if frame.id() == NMT_ID {
+            self.network_command(frame);
+            return Ok(None);
+        }
+        self.consumer.hear(frame);
+        let heard = self.receiver.accept(frame);
+        if let Err(refused) = &heard {
+            self.last_refused = Reason::of(refused);
+        }
+        let command = heard?;
         if let (Some(bridge), Some(command)) = (&self.bridge, command) {
             let before = self.state.reference();
             bridge.hear(&mut self.state, command);
@@ -118,20 +215,84 @@ impl<'a> Node<'a> {
         output.flags = output.flags.with_if(self.degraded, Flags::BOARD_DEGRADED);
         self.last = output;
 
-        let mut frames = Frames::new();
-        frames.extend([frames::offset_xy(&output, self.counter)]);
-        frames.extend([frames::offset_z(&output, self.counter)]);
-        self.counter = self.counter.wrapping_add(1);
-        self.until_heartbeat_ms = self.until_heartbeat_ms.saturating_sub(elapsed_ms);
-        if self.until_heartbeat_ms == 0 {
-            self.until_heartbeat_ms = HEARTBEAT_PERIOD_MS;
-            let state = match output.quality {
-                Quality::Fault => State::Stopped,
-                _ => State::Operational,
-            };
-            frames.extend([frames::heartbeat(state)]);
+        self.flags_since = self.flags_since.with(output.flags);
+        let counter = self.counter;
+        self.counter = counter.wrapping_add(1);
+        [frames::offset_xy(&output, counter), frames::offset_z(&output, counter)]
+    }
+
+    /// Whether it is time for [`Node::service`].
+    #[must_use]
+    pub fn service_is_due(&self) -> bool {
+        self.now.since(self.serviced) >= SERVICE_PERIOD_MS
+    }
+
+    /// What there is to say besides the offsets: the heartbeat, an emergency, the status, or the
+    /// answer to an SDO request, in this order, one frame at most. On the bus they share a place, so there are
+    /// [`SERVICE_PERIOD_MS`] from one to the next, however often this is called.
+    // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
+    #[inline(never)]
+    pub fn service(&mut self) -> Option<Frame> {
+        if !self.service_is_due() {
+            return None;
         }
-        frames
+        let elapsed_ms = self.now.since(self.serviced);
+        self.serviced = self.now;
+        let output = self.last;
+        // A fault of a single tick is not overlooked.
+        let flags = core::mem::take(&mut self.flags_since);
+        self.consumer.tick(elapsed_ms);
+        let seen = self.faults(&Output { flags, ..output });
+        let now = self.faults(&output);
+        self.emergencies.note(elapsed_ms, seen);
+        self.answer = self.server.tick(elapsed_ms).or(self.answer);
+        self.since_heartbeat_ms = self.since_heartbeat_ms.saturating_add(elapsed_ms);
+        self.until_status_ms = self.until_status_ms.saturating_sub(elapsed_ms);
+        self.heartbeat(&output)
+            .or_else(|| self.emergencies.next(now, &output))
+            .or_else(|| self.status())
+            .or_else(|| self.answer.take())
+    }
+
+    /// The heartbeat, if it is due. One that had to wait does not put off those after it.
+    fn heartbeat(&mut self, output: &Output) -> Option<Frame> {
+        let period_ms = u32::from(self.heartbeat_period_ms);
+        let has_booted = core::mem::replace(&mut self.has_booted, true);
+        if has_booted && (period_ms == 0 || self.since_heartbeat_ms < period_ms) {
+            return None;
+        }
+        let late_ms = self.since_heartbeat_ms.checked_rem(period_ms);
+        self.since_heartbeat_ms = if has_booted { late_ms.unwrap_or(0) } else { 0 };
+        Some(frames::heartbeat(match output.quality {
+            _ if !has_booted => State::BootUp,
+            Quality::Fault => State::Stopped,
+            _ => State::Operational,
+        }))
+    }
+
+    /// The status, if it is due: each time about the next item. One that had to wait puts off those
+    /// after it.
+    fn status(&mut self) -> Option<Frame> {
+        if self.until_status_ms > 0 {
+            return None;
+        }
+        self.until_status_ms = STATUS_PERIOD_MS;
+        let (item, counter) = (self.status_item, self.status_counter);
+        self.status_item = item.wrapping_add(1) & status::LAST_ITEM;
+        self.status_counter = counter.wrapping_add(1);
+        let status = Status { last_refused: self.last_refused, item: self.item(item) };
+        Some(status::encode(&status, counter))
+    }
+
+    /// What is wrong, with an output like this.
+    fn faults(&self, output: &Output) -> Faults {
+        let board = self.board_faults;
+        let known = [Fault::Crystal, Fault::Pll, Fault::Can].iter().any(|fault| board.has(*fault));
+        Faults::of(output)
+            .and(board)
+            .with_if(self.bridge.is_none(), Fault::NoCalibration)
+            .with_if(self.consumer.is_lost(), Fault::HeartbeatLost)
+            .with_if(self.degraded && !known, Fault::Degraded)
     }
 
     /// The time of the last tick.
@@ -160,156 +321,49 @@ impl<'a> Node<'a> {
 
     /// The noise of the raw codes since the last call.
     pub fn take_noise(&mut self) -> Noise {
-        self.state.take_noise()
+        self.noise = self.state.take_noise();
+        self.noise
     }
 }
 
+fn default_heartbeat_ms() -> u16 {
+    u16::try_from(HEARTBEAT_PERIOD_MS).unwrap_or(u16::MAX)
+}
+
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::{
-        frames::{HEARTBEAT_ID, OFFSET_XY_ID, OFFSET_Z_ID},
-        receiver::OffsetReceiver,
-    };
-    use std::vec::Vec;
+mod tests;
+
+/// A bridge with a sensor and nothing else.
+#[cfg(test)]
+pub(crate) fn tests_calibration() -> Calibration<'static> {
     use trueup_core::{
         calibration::{Source, Spindle},
-        cnc::Control,
-        filter::CODES_PER_TICK,
         kinematics::Kinematics,
         limits::Limits,
         sensor::{SensorLaw, Slope},
         tool::Direction,
-        units::{Code, Nanometres, Reading},
+        units::{Nanometres, Reading},
     };
-
-    fn calibration() -> Calibration<'static> {
-        Calibration {
-            thermometers: [None; 8],
-            spindle: Spindle {
-                chain: [Some(Source::Sensor), None, None],
-                sensor: SensorLaw { k0: Nanometres(0), zero: Reading(0), slope: Slope(1 << 28) },
-                ..Spindle::default()
-            },
-            kinematics: Kinematics { zero: Direction::DOWN, axes: [None; 2] },
-            axes: Default::default(),
-            straightness: Default::default(),
-            squareness: Default::default(),
-            terms: Default::default(),
-            limits: Limits {
-                max: [Nanometres(500_000); 3],
-                slew_nm_per_s: 1_000,
-                link_timeout_ms: 500,
-                hold_ms: 2_000,
-            },
-        }
-    }
-    const BLIND: Input<'static> = Input { codes: None, speed: None, temperatures: None };
-
-    #[test]
-    fn both_halves_of_a_cycle_share_a_counter_that_counts_the_cycles() {
-        let mut node = Node::new(Some(calibration()), false);
-        for cycle in 0..600_u32 {
-            let sent = node.tick(1, BLIND);
-            let ids: Vec<u16> = sent.iter().take(2).map(Frame::id).collect();
-            assert_eq!(ids, [OFFSET_XY_ID, OFFSET_Z_ID]);
-            let counters: Vec<u32> =
-                sent.iter().take(2).map(|frame| frames::counter(frame).into()).collect();
-            assert_eq!(counters, [cycle % 256, cycle % 256]);
-        }
-    }
-
-    #[test]
-    fn the_heartbeat_comes_at_once_and_then_every_100_ms_whatever_a_tick_lasts() {
-        for tick_ms in [1, 10] {
-            let mut node = Node::new(Some(calibration()), false);
-            let mut beats = Vec::new();
-            while node.now().0 < 1_000 {
-                let sent = node.tick(tick_ms, BLIND);
-                beats.extend(sent.iter().any(|f| f.id() == HEARTBEAT_ID).then(|| node.now().0));
-            }
-            assert_eq!(beats.len(), 10, "{beats:?}");
-            assert!(beats.windows(2).all(|pair| pair[1] - pair[0] == 100), "{beats:?}");
-        }
-    }
-
-    #[test]
-    fn without_a_calibration_nothing_is_available_and_the_node_is_stopped() {
-        let mut node = Node::new(None, false);
-        let codes = [Code(700); CODES_PER_TICK];
-        let sent = node.tick(1, Input { codes: Some(&codes), ..Input::default() });
-        let mut receiver = OffsetReceiver::new();
-        let output = sent.iter().filter_map(|f| receiver.accept(f).unwrap_or_default()).next();
-        let output = output.expect("a whole cycle");
-        assert_eq!((output.offset, output.quality, output.age_ms), (None, Quality::Fault, 255));
-        assert_eq!(frames::decode_heartbeat(&sent[2]), Ok(State::Stopped));
-    }
-
-    #[test]
-    fn a_board_on_a_fall_back_marks_every_frame() {
-        for degraded in [false, true] {
-            let mut node = Node::new(Some(calibration()), degraded);
-            node.tick(1, BLIND);
-            assert_eq!(node.last().flags.contains(Flags::BOARD_DEGRADED), degraded);
-        }
-    }
-
-    /// Codes that are alive, at a level and a half.
-    fn alive(level: u16) -> [Code; CODES_PER_TICK] {
-        core::array::from_fn(|n| Code(level + u16::from(n % 2 == 1)))
-    }
-
-    #[test]
-    fn a_zero_is_told_once_and_what_it_took_can_be_given_back_to_another_node() {
-        let send = |node: &mut Node<'_>, zero, counter| {
-            let control = Control { engage: true, referenced: true, zero };
-            node.hear(&frames::control(control, counter)).expect("in order");
-        };
-        let live = |node: &mut Node<'_>, ms| {
-            for _ in 0..ms {
-                node.tick(1, Input { codes: Some(&alive(700)), ..Input::default() });
-            }
-        };
-        let mut node = Node::new(Some(calibration()), false);
-        // A CNC that starts with the bit set has asked for nothing; without samples it is refused.
-        send(&mut node, true, 0);
-        assert_eq!(node.take_zero(), None);
-        send(&mut node, false, 1);
-        send(&mut node, true, 2);
-        assert_eq!((node.take_zero(), node.take_zero()), (Some(Zero::Unchanged), None));
-        live(&mut node, 400);
-        send(&mut node, false, 3);
-        send(&mut node, true, 4);
-        send(&mut node, true, 5);
-        let Some(Zero::Taken(reference)) = node.take_zero() else { panic!("not taken") };
-        assert_ne!(reference, Reference::default());
-        assert_eq!(node.take_zero(), None);
-
-        let mut again = Node::new(Some(calibration()), false);
-        again.set_reference(reference);
-        live(&mut again, 400);
-        send(&mut again, false, 0);
-        live(&mut again, 10);
-        assert_eq!(again.last().quality, Quality::Live);
-        assert_eq!(again.last().offset, Some([Nanometres::ZERO; 3]));
-    }
-
-    #[test]
-    fn a_damaged_control_is_counted_and_engages_nothing() {
-        let control = Control { engage: true, referenced: true, zero: false };
-        let good = frames::control(control, 0);
-        let mut data = *good.data();
-        data[3] ^= 1;
-        let damaged = Frame::new(good.id(), &data).unwrap();
-        for (frame, engages) in [(damaged, false), (good, true)] {
-            let mut node = Node::new(Some(calibration()), false);
-            assert_eq!(node.hear(&frame).is_ok(), engages);
-            assert_eq!(node.receiver().counters().crc_errors, u32::from(!engages));
-            for _ in 0..450 {
-                let codes = core::array::from_fn(|n| Code(if n % 2 == 0 { 700 } else { 701 }));
-                node.tick(1, Input { codes: Some(&codes), ..Input::default() });
-            }
-            assert_eq!(node.last().quality == Quality::Live, engages);
-        }
+    Calibration {
+        thermometers: [None; 8],
+        spindle: Spindle {
+            chain: [Some(Source::Sensor), None, None],
+            sensor: SensorLaw { k0: Nanometres(0), zero: Reading(0), slope: Slope(1 << 28) },
+            ..Spindle::default()
+        },
+        kinematics: Kinematics { zero: Direction::DOWN, axes: [None; 2] },
+        axes: Default::default(),
+        straightness: Default::default(),
+        squareness: Default::default(),
+        terms: Default::default(),
+        limits: Limits {
+            max: [Nanometres(500_000); 3],
+            slew_nm_per_s: 1_000,
+            link_timeout_ms: 500,
+            hold_ms: 2_000,
+        },
     }
 }
+
+#[cfg(test)]
+mod tick_tests;

@@ -1,8 +1,8 @@
 //! From received frames to what they say: only whole, new frames in order get through, and
 //! everything refused is counted.
 //!
-//! [`Receiver`] is the board's ear for the CNC; [`OffsetReceiver`] is the CNC's, or a monitor's,
-//! ear for the board.
+//! [`Receiver`] is the board's ear for the CNC; [`OffsetReceiver`] and [`StatusReceiver`] are the
+//! CNC's, or a monitor's, ears for the board.
 
 use core::{error::Error, fmt};
 
@@ -15,6 +15,8 @@ use crate::{
         self, CONTROL_ID, DecodeError, OFFSET_XY_ID, OFFSET_Z_ID, OffsetXy, OffsetZ, POSITION_X_ID,
         POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID, SPINDLE_ID,
     },
+    layout::STATUS_ID,
+    status::{self, Status},
 };
 
 /// What has arrived since the start, in frames. Each count stops at its largest value.
@@ -228,6 +230,41 @@ impl OffsetReceiver {
 }
 
 impl Default for OffsetReceiver {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// An ear for the bridge's `Status`.
+#[derive(Clone, Copy, Debug)]
+pub struct StatusReceiver {
+    checker: Checker,
+    counters: Counters,
+}
+
+impl StatusReceiver {
+    /// A receiver that has heard nothing yet.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self { checker: Checker::new(STATUS_ID), counters: Counters::NOTHING }
+    }
+
+    /// What this frame says.
+    ///
+    /// # Errors
+    /// Another frame, or one that must not be used. It is counted.
+    pub fn accept(&mut self, frame: &Frame) -> Result<Status, Refused> {
+        self.counters.admit(&mut self.checker, frame, status::decode)
+    }
+
+    /// What has arrived so far, in frames.
+    #[must_use]
+    pub const fn counters(&self) -> Counters {
+        self.counters
+    }
+}
+
+impl Default for StatusReceiver {
     fn default() -> Self {
         Self::new()
     }

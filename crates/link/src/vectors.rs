@@ -238,7 +238,7 @@ impl<'a> Vectors<'a> {
     }
 
     /// Takes sent frames into the checksum.
-    pub fn take(&mut self, frames: &Frames) {
+    pub fn take(&mut self, frames: &[Frame]) {
         const PRIME: u64 = 0x0000_0100_0000_01b3;
         for frame in frames {
             let bytes = frame.id().to_le_bytes().into_iter().chain([frame.len()]);

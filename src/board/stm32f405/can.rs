@@ -20,8 +20,8 @@ use stm32f4xx_hal::{
 use trueup_link::{
     frame::Frame,
     layout::{
-        CONTROL_ID, OFFSET_XY_ID, OFFSET_Z_ID, POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID,
-        ROTARY_ID, SPINDLE_ID,
+        CONTROL_ID, NMT_ID, OFFSET_XY_ID, OFFSET_Z_ID, POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID,
+        ROTARY_ID, SDO_REQUEST_ID, SPINDLE_ID,
     },
 };
 
@@ -29,11 +29,20 @@ use super::{clocks::Source, within};
 
 /// 1 Mbit/s at 42 MHz: prescaler 3; 1 + 11 + 2 quanta, sampled at 86 %; jump width 1.
 const BIT_TIMING: u32 = 0x001a_0002;
-/// What the CNC says, by FIFO. The filter drops everything else.
-const HEARD: [[u16; 3]; 2] =
-    [[POSITION_X_ID, POSITION_Y_ID, CONTROL_ID], [POSITION_Z_ID, ROTARY_ID, SPINDLE_ID]];
+/// What the CNC and a CANopen master say, by FIFO. The filter drops everything else but heartbeats.
+const HEARD: [[u16; 4]; 2] = [
+    [POSITION_X_ID, POSITION_Y_ID, CONTROL_ID, SDO_REQUEST_ID],
+    [POSITION_Z_ID, ROTARY_ID, SPINDLE_ID, NMT_ID],
+];
+/// The bank of the heartbeats, whose node a master chooses: 0x700…0x77F.
+const HEARTBEATS: u8 = 2;
+/// As a bank of 16 bits has it: the identifier to compare with below, the bits that count above,
+/// among them "extended" and "remote".
+const HEARTBEAT_MASK: u32 = ((0x780 << 5 | 0x18) << 16) | 0x700 << 5;
 /// The controller answers within microseconds; this is about 10 ms.
 const ANSWER_POLLS: u32 = 100_000;
+/// How often a frame in the third mailbox is waited for: 20 ms of the bus's worst hours.
+const PATIENCE: u32 = 20;
 /// A frame that waits is withdrawn within a few clocks of the controller; this is 3 µs.
 const WITHDRAW_POLLS: u32 = 32;
 
@@ -64,7 +73,7 @@ pub fn start(
     // SAFETY: `CanOut` uses the transmit registers alone, each `CanIn` those of its FIFO alone.
     let (second, transmitter) = unsafe { (CAN1::steal(), CAN1::steal()) };
     let can_in = [CanIn { can, fifo: 0, overruns: 0 }, CanIn { can: second, fifo: 1, overruns: 0 }];
-    (can_in, CanOut { can: transmitter, on_the_bus, late: 0 }, answers)
+    (can_in, CanOut { can: transmitter, on_the_bus, late: 0, waited: 0 }, answers)
 }
 
 /// Out of sleep, into the initialisation mode, in which the controller is silent.
@@ -76,19 +85,25 @@ fn enter_initialisation(can: &CAN1) -> bool {
 /// Lets standard data frames with these identifiers into the FIFO of their bank: a bank is a list of
 /// four 16-bit entries, of which the upper 11 bits are the identifier and the rest says "standard,
 /// data" (section 32.7.4).
-fn listen_to(can: &CAN1, ids: &[[u16; 3]; 2]) {
+fn listen_to(can: &CAN1, ids: &[[u16; 4]; 2]) {
     can.fmr().modify(|_, w| w.finit().set_bit());
     for (number, ids) in (0..).zip(ids) {
-        let [first, second, third] = ids.map(|id| u32::from(id) << 5);
+        let [first, second, third, fourth] = ids.map(|id| u32::from(id) << 5);
         let bank = can.fb(usize::from(number));
         // SAFETY: any value is a valid list.
         bank.fr1().write(|w| unsafe { w.bits(second << 16 | first) });
-        // The slot that is left over repeats an identifier. SAFETY: as above.
-        bank.fr2().write(|w| unsafe { w.bits(third << 16 | third) });
+        // SAFETY: as above.
+        bank.fr2().write(|w| unsafe { w.bits(fourth << 16 | third) });
         can.fm1r().modify(|_, w| w.fbm(number).set_bit());
         can.ffa1r().modify(|_, w| w.ffa(number).bit(number == 1));
         can.fa1r().modify(|_, w| w.fact(number).set_bit());
     }
+    let bank = can.fb(HEARTBEATS.into());
+    // The second half of the bank says the same. SAFETY: any value is a valid mask.
+    bank.fr1().write(|w| unsafe { w.bits(HEARTBEAT_MASK) });
+    bank.fr2().write(|w| unsafe { w.bits(HEARTBEAT_MASK) });
+    can.ffa1r().modify(|_, w| w.ffa(HEARTBEATS).set_bit());
+    can.fa1r().modify(|_, w| w.fact(HEARTBEATS).set_bit());
     can.fmr().modify(|_, w| w.finit().clear_bit());
 }
 
@@ -152,9 +167,23 @@ pub struct CanOut {
     can: CAN1,
     on_the_bus: bool,
     late: u32,
+    /// Turns for which the third mailbox was found full.
+    waited: u32,
 }
 
 impl CanOut {
+    /// Whether a frame other than offsets still waits: another one would take its place, and an
+    /// answer to an SDO request comes only once. A bus on which nothing gets out is not waited for,
+    /// because the serial line has the same frames; asked once a millisecond.
+    pub fn is_busy(&mut self) -> bool {
+        if !self.on_the_bus || self.is_empty(SERVICE_MAILBOX) {
+            self.waited = 0;
+            return false;
+        }
+        self.waited = self.waited.saturating_add(1);
+        self.waited <= PATIENCE
+    }
+
     /// Hands over a frame, in the place of an older one with its identifier that still waits.
     ///
     /// A frame that is on the wire at this moment is not cut off, but will not be repeated if it
@@ -193,13 +222,16 @@ impl CanOut {
     }
 }
 
+/// Of whatever is no offset.
+const SERVICE_MAILBOX: u8 = 2;
+
 /// `OffsetXY` and `OffsetZ` have a mailbox each, the heartbeat shares the third with whatever else
 /// is sent seldom. Of two that wait, the lower identifier goes first.
 fn mailbox_of(id: u16) -> u8 {
     match id {
         OFFSET_XY_ID => 0,
         OFFSET_Z_ID => 1,
-        _ => 2,
+        _ => SERVICE_MAILBOX,
     }
 }
 

@@ -1,4 +1,5 @@
-//! The last two sectors of the flash, 10 and 11, for what has to outlast the power (section 3.6).
+//! The last four sectors of the flash, for what has to outlast the power (section 3.6): 8 and 9 for
+//! calibrations that were loaded, 10 and 11 for what `Zero` has taken.
 //!
 //! They are the linker's no more (`memory.x`), and a new image leaves them alone. The HAL's driver
 //! waits without a limit and writes bytes; here every wait has a bound and a word is written at
@@ -7,10 +8,11 @@
 //! The core runs from the same flash, so it stands still while a word is written (16 µs, at most
 //! 100 µs) or a sector is erased (1 s, at most 2 s; data sheet, flash memory programming). A record
 //! of eight words therefore costs some bytes of the serial line, which has 10.8 µs: the lines they
-//! belong to are refused and counted, and come again. An erase is for the start alone, before
-//! anything runs that would miss the time.
+//! belong to are refused and counted, and come again; a calibration costs some hundred words of them,
+//! while no offset is followed. An erase is for the start alone, before anything runs that would miss
+//! the time: so neither store ever stands in need of one later, nor does the watchdog.
 
-use core::ptr;
+use core::{ptr, slice};
 
 use embedded_storage::nor_flash::{
     ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash, check_erase, check_read, check_write,
@@ -19,9 +21,9 @@ use stm32f4xx_hal::pac::{FLASH, flash::cr::PSIZE};
 
 use super::within;
 
-/// Where sector 10 begins.
-const START: usize = 0x080C_0000;
-const FIRST_SECTOR: u8 = 10;
+/// Where sector 8 begins.
+const START: usize = 0x0808_0000;
+const FIRST_SECTOR: u8 = 8;
 const SECTOR_SIZE: usize = 128 * 1024;
 const SECTORS: usize = 2;
 /// The two keys that unlock the control register (section 3.6.1).
@@ -33,18 +35,43 @@ const ERASE_MS: u32 = 4_000;
 /// Core cycles in a millisecond at the full clock; a slower clock only waits longer.
 const MILLISECOND: u32 = 168_000;
 
-/// Both sectors, as one memory.
-pub struct Flash(FLASH);
+/// Two of the sectors, as one memory.
+pub struct Flash {
+    controller: FLASH,
+    /// The first of the two.
+    sector: u8,
+}
 
 impl Flash {
-    /// Takes the controller over from those who have set it up.
-    pub fn new(flash: FLASH) -> Self {
-        Self(flash)
+    /// Takes the controller over from those who have set it up: the sectors for calibrations, and
+    /// those for references. Neither is written while the other is: both belong to the supervisor.
+    pub fn split(controller: FLASH) -> [Self; 2] {
+        // SAFETY: the two are used one after the other, by the start and then by one task.
+        let second = unsafe { FLASH::steal() };
+        [
+            Self { controller, sector: FIRST_SECTOR },
+            Self { controller: second, sector: FIRST_SECTOR + SECTORS as u8 },
+        ]
+    }
+
+    fn start(&self) -> usize {
+        START + usize::from(self.sector - FIRST_SECTOR) * SECTOR_SIZE
+    }
+
+    /// What is stored there, in place.
+    ///
+    /// # Safety
+    /// Nobody writes to it or erases it from now on.
+    pub unsafe fn mapped(&self, offset: u32, length: usize) -> &'static [u8] {
+        let end = offset as usize + length;
+        assert!(end <= SECTORS * SECTOR_SIZE, "within the two sectors");
+        // SAFETY: flash that is there, and stays as it is, as the caller promises.
+        unsafe { slice::from_raw_parts((self.start() + offset as usize) as *const u8, length) }
     }
 
     /// Does `work` with the controller unlocked and without old errors.
     fn unlocked(&mut self, work: impl FnOnce(&FLASH) -> bool) -> Result<(), NorFlashErrorKind> {
-        let flash = &self.0;
+        let flash = &self.controller;
         if !within(WRITE_POLLS, || is_idle(flash)) {
             return Err(NorFlashErrorKind::Other);
         }
@@ -84,7 +111,7 @@ impl ReadNorFlash for Flash {
     #[inline(never)]
     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Self::Error> {
         check_read(self, offset, bytes.len())?;
-        let words = (START + offset as usize) as *const u32;
+        let words = (self.start() + offset as usize) as *const u32;
         for (n, place) in bytes.as_chunks_mut().0.iter_mut().enumerate() {
             // SAFETY: a whole word of the two sectors, as was just checked, and nobody has a
             // reference to them. Volatile, because it changes without the compiler's knowledge.
@@ -105,7 +132,7 @@ impl NorFlash for Flash {
     #[inline(never)]
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Self::Error> {
         check_write(self, offset, bytes.len())?;
-        let words = (START + offset as usize) as *mut u32;
+        let words = (self.start() + offset as usize) as *mut u32;
         self.unlocked(|flash| {
             // Not `write`, which begins with the reset value, and that locks.
             flash.cr().modify(|_, w| w.psize().variant(PSIZE::Psize32).pg().set_bit());
@@ -123,9 +150,10 @@ impl NorFlash for Flash {
         check_erase(self, from, to)?;
         let first = from as usize / SECTOR_SIZE;
         let end = to as usize / SECTOR_SIZE;
+        let own = self.sector;
         self.unlocked(|flash| {
-            let erased = (FIRST_SECTOR..).take(SECTORS).take(end).skip(first).all(|sector| {
-                // SAFETY: 10 and 11 are sectors of this chip, and neither holds the image.
+            let erased = (own..).take(SECTORS).take(end).skip(first).all(|sector| {
+                // SAFETY: 8 to 11 are sectors of this chip, and none holds the image.
                 flash.cr().modify(|_, w| unsafe {
                     w.psize().variant(PSIZE::Psize32).ser().set_bit().snb().bits(sector)
                 });

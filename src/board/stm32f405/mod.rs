@@ -21,6 +21,7 @@ mod lamp;
 mod panic;
 mod sampling;
 mod serial;
+mod store;
 mod thermometers;
 mod watchdog;
 
@@ -35,12 +36,14 @@ pub use flash::Flash;
 pub use lamp::Lamp;
 pub use sampling::Samples;
 pub use serial::{SerialIn, SerialOut};
+pub use store::Store;
 pub use thermometers::Thermometers;
 use trueup_link::calibration;
 use watchdog::Reset;
 pub use watchdog::Watchdog;
 
-/// What the host compiled from the machine file, linked into the image.
+/// What the host compiled from the machine file, linked into the image. One that was loaded over it
+/// counts instead.
 static CALIBRATION: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/calibration.bin"));
 
 /// Turns of the supervisor in one second.
@@ -54,13 +57,19 @@ pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts
     brown_out::protect(&device.FLASH, reset);
     keep_debugger_connected(&device.DBGMCU);
 
-    let calibration = calibration::whole(CALIBRATION)
-        .and_then(|blob| Ok((calibration::identity(blob), calibration::decode(blob)?)));
     // Before anything runs that an erase would hold up.
-    let flash = Flash::new(device.FLASH);
+    let [calibrations, flash] = Flash::split(device.FLASH);
+    let buffer: &'static mut [u8] = cortex_m::singleton!(: [u8; calibration::MAX_SIZE] = [0; _])
+        .expect("the board starts once");
+    let base = calibration::whole(CALIBRATION).map_or(0, calibration::identity);
+    let (store, loaded) = Store::open(calibrations, base, buffer);
+    let blob = calibration::whole(loaded.unwrap_or(CALIBRATION));
+    let calibration =
+        blob.and_then(|blob| Ok((calibration::identity(blob), calibration::decode(blob)?)));
     let references =
         calibration.as_ref().ok().map(|(identity, _)| references::open(flash, *identity));
     let calibration = calibration.map(|(_, calibration)| calibration);
+    let blob = if calibration.is_ok() { blob.unwrap_or_default() } else { &[] };
 
     let gpioa = device.GPIOA.split(&mut rcc);
     let gpiob = device.GPIOB.split(&mut rcc);
@@ -111,6 +120,8 @@ pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts
         calibration,
         references,
         faults,
+        blob,
+        loading: Some((buffer, store)),
         watchdog: Watchdog::start(device.IWDG, &device.DBGMCU),
     }
 }
@@ -133,6 +144,11 @@ fn keep_debugger_connected(dbgmcu: &pac::DBGMCU) {
 /// Whether `ready` came true within `polls` polls: the only way to wait on this board.
 fn within(polls: u32, mut ready: impl FnMut() -> bool) -> bool {
     (0..polls).any(|_| ready())
+}
+
+/// Starts the board anew.
+pub fn restart() {
+    cortex_m::peripheral::SCB::sys_reset()
 }
 
 /// What the core does when no task has work.

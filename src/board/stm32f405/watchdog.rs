@@ -11,7 +11,7 @@ use stm32f4xx_hal::{
 pub enum Reset {
     /// The supervisor had stopped.
     Watchdog,
-    /// A panic, or the crystal stopped.
+    /// A panic, the crystal stopped, or a CANopen master asked for it.
     Software,
     /// The supply came up.
     PowerOn,

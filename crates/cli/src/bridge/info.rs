@@ -1,9 +1,9 @@
-//! `trueup bridge info`: who the bridge is, and how it is.
+//! `trueup bridge info`: who the bridge is, what it runs on, and how it is.
 
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
-use serde_json::json;
+use serde_json::{Value, json};
 use trueup_core::cnc::Output;
 use trueup_link::{
     frames::{self, State},
@@ -11,7 +11,9 @@ use trueup_link::{
     slcan::Event,
 };
 
-use super::{output_json, output_text, port::Port, session::Session, state_word};
+use super::{
+    fault_words, object, output_json, output_text, port::Port, session::Session, state_word,
+};
 use crate::{Outcome, output};
 
 /// How long answers, a heartbeat and offsets are waited for: 20 heartbeats.
@@ -39,51 +41,127 @@ impl Info {
                 }
             }
             Event::Frame(frame) => {
-                self.heartbeat = frames::decode_heartbeat(frame).ok().or(self.heartbeat);
+                let state = frames::decode_heartbeat(frame).ok();
+                // Boot-up is no state yet; the next heartbeat has one.
+                let state = state.filter(|state| *state != frames::State::BootUp);
+                self.heartbeat = state.or(self.heartbeat);
                 self.output = self.offsets.accept(frame).ok().flatten().or(self.output);
             }
             Event::Accepted | Event::Refused | Event::Malformed(_) => {}
         }
     }
 
-    fn is_complete(&self) -> bool {
-        self.version.is_some()
-            && self.serial.is_some()
+    /// Whether all has come; what an adapter says of itself only where there is one.
+    fn is_complete(&self, has_adapter: bool) -> bool {
+        (!has_adapter || self.version.is_some() && self.serial.is_some())
             && self.heartbeat.is_some()
             && self.output.is_some()
     }
 }
 
+/// What the bridge says of itself when it is asked by SDO.
+struct Objects {
+    device: String,
+    hardware: String,
+    software: String,
+    /// 0: it has no valid one.
+    calibration: u32,
+    /// The one for the next start; 0: none was loaded.
+    new_calibration: u32,
+    has_reference: bool,
+    faults: Vec<&'static str>,
+}
+
+impl Objects {
+    fn ask(session: &mut Session) -> Result<Self> {
+        Ok(Self {
+            device: object::text(session, object::NAME)?,
+            hardware: object::text(session, object::HARDWARE)?,
+            software: object::text(session, object::SOFTWARE)?,
+            calibration: object::number(session, object::RUNNING_CRC)?,
+            new_calibration: object::number(session, object::NEW_CRC)?,
+            has_reference: object::number(session, object::HAS_REFERENCE)? != 0,
+            faults: fault_words(object::number(session, object::FAULTS)?),
+        })
+    }
+
+    fn calibration_text(&self) -> String {
+        let new = match self.new_calibration {
+            0 => String::new(),
+            crc if crc == self.calibration => String::new(),
+            crc => format!("; {crc:08x} from the next start"),
+        };
+        match self.calibration {
+            0 => format!("none that is valid{new}"),
+            crc => format!("CRC {crc:08x}{new}"),
+        }
+    }
+}
+
 /// Asks the bridge at `port` and prints what it says.
 pub fn run(port: &str, as_json: bool) -> Result<Outcome> {
-    let stream = Port::parse(port)?.open()?;
-    let mut session = Session::open(stream)?;
+    let mut session = Session::open(&Port::parse(port)?)?;
+    let has_adapter = session.has_adapter();
     session.write(b"V\rN\r")?;
     let deadline = Instant::now() + PATIENCE;
     let mut info = Info::default();
-    while !info.is_complete() {
+    while !info.is_complete(has_adapter) {
         let Some(event) = session.next_event(deadline)? else { break };
         info.hear(&event);
     }
-    session.close();
-    let (Some(version), Some(serial)) = (&info.version, &info.serial) else {
+    if has_adapter && (info.version.is_none() || info.serial.is_none()) {
         bail!("the bridge does not tell its version and serial number; is it a bridge?");
-    };
-    let state = info.heartbeat.map(state_word);
-    if as_json {
-        let mut all = output_json(info.output.as_ref());
-        all["version"] = json!(version);
-        all["serial"] = json!(serial);
-        all["heartbeat"] = json!(state);
-        output::print(all)?;
-    } else {
-        let seconds = PATIENCE.as_secs();
-        let missing = format!("none in {seconds} s");
-        output::print(format_args!("version    {version}"))?;
-        output::print(format_args!("serial     {serial}"))?;
-        output::print(format_args!("heartbeat  {}", state.unwrap_or(&missing)))?;
-        let offsets = info.output.as_ref().map_or_else(|| missing.clone(), output_text);
-        output::print(format_args!("offsets    {offsets}"))?;
     }
-    Ok(if info.is_complete() { Outcome::Done } else { Outcome::NotMet })
+    // A bridge that sends no frame answers none.
+    let objects = match info.heartbeat {
+        Some(_) => Some(Objects::ask(&mut session)?),
+        None => None,
+    };
+    session.close();
+    if as_json {
+        output::print(info.json(objects.as_ref()))?;
+    } else {
+        info.print(objects.as_ref())?;
+    }
+    let is_met = objects.is_some() && info.is_complete(has_adapter);
+    Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
+}
+
+impl Info {
+    fn json(&self, objects: Option<&Objects>) -> Value {
+        let crc = |crc: u32| (crc != 0).then(|| format!("{crc:08x}"));
+        let mut all = output_json(self.output.as_ref());
+        all["version"] = json!(self.version);
+        all["serial"] = json!(self.serial);
+        all["heartbeat"] = json!(self.heartbeat.map(state_word));
+        all["device"] = json!(objects.map(|it| &it.device));
+        all["hardware"] = json!(objects.map(|it| &it.hardware));
+        all["software"] = json!(objects.map(|it| &it.software));
+        all["calibration_crc"] = json!(objects.and_then(|it| crc(it.calibration)));
+        all["new_calibration_crc"] = json!(objects.and_then(|it| crc(it.new_calibration)));
+        all["has_reference"] = json!(objects.map(|it| it.has_reference));
+        all["faults"] = json!(objects.map(|it| &it.faults));
+        all
+    }
+
+    fn print(&self, objects: Option<&Objects>) -> Result<()> {
+        let missing = format!("none in {} s", PATIENCE.as_secs());
+        if let (Some(version), Some(serial)) = (&self.version, &self.serial) {
+            output::print(format_args!("version      {version}"))?;
+            output::print(format_args!("serial       {serial}"))?;
+        }
+        let heartbeat = self.heartbeat.map(state_word).unwrap_or(&missing);
+        output::print(format_args!("heartbeat    {heartbeat}"))?;
+        let offsets = self.output.as_ref().map_or_else(|| missing.clone(), output_text);
+        output::print(format_args!("offsets      {offsets}"))?;
+        let Some(it) = objects else { return Ok(()) };
+        let Objects { device, hardware, software, .. } = it;
+        output::print(format_args!("device       {device} {software} on {hardware}"))?;
+        output::print(format_args!("calibration  {}", it.calibration_text()))?;
+        let reference =
+            if it.has_reference { "taken by Zero" } else { "the calibration's own zero" };
+        output::print(format_args!("reference    {reference}"))?;
+        let faults = if it.faults.is_empty() { "none".into() } else { it.faults.join(" ") };
+        output::print(format_args!("faults       {faults}"))
+    }
 }

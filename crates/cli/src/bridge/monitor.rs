@@ -1,6 +1,10 @@
-//! `trueup bridge monitor`: the offsets once a second, and how well they arrive.
+//! `trueup bridge monitor`: the offsets once a second, how well they arrive, and what the bridge says
+//! of itself; on request, all of it written down.
 
-use std::time::{Duration, Instant};
+use std::{
+    path::Path,
+    time::{Duration, Instant, SystemTime},
+};
 
 use anyhow::{Result, bail};
 use serde_json::{Value, json};
@@ -10,7 +14,9 @@ use trueup_link::{
     slcan::Event,
 };
 
-use super::{output_json, output_text, port::Port, session::Session};
+use super::{
+    output_json, output_text, port::Port, record::Recorder, session::Session, status::Board,
+};
 use crate::{Outcome, output};
 
 /// From one line to the next.
@@ -18,11 +24,20 @@ const PERIOD: Duration = Duration::from_secs(1);
 /// Without any offsets for so many lines there is nothing to monitor.
 const SILENT_LINES: u32 = 3;
 
-/// Prints `count` lines, or lines without end.
-pub fn run(port: &str, count: Option<u64>, as_json: bool) -> Result<Outcome> {
-    let stream = Port::parse(port)?.open()?;
-    let mut session = Session::open(stream)?;
-    eprintln!("listening at {port}; nothing is engaged by it");
+/// Prints `count` lines, or lines without end. `record` is where a recording begins, with the
+/// machine file that names its columns.
+pub fn run(
+    port: &str,
+    count: Option<u64>,
+    record: Option<(&Path, Option<&Path>)>,
+    as_json: bool,
+) -> Result<Outcome> {
+    let port = Port::parse(port)?;
+    let mut recorder = record
+        .map(|(path, machine)| Recorder::begin(path, machine, port.interface()))
+        .transpose()?;
+    let mut session = Session::open(&port)?;
+    eprintln!("listening; nothing is engaged by it");
     let mut tally = Tally::default();
     let mut outcome = Outcome::Done;
     let mut silent_lines = 0;
@@ -33,15 +48,21 @@ pub fn run(port: &str, count: Option<u64>, as_json: bool) -> Result<Outcome> {
         let line_end = line_start + PERIOD;
         while let Some(event) = session.next_event(line_end)? {
             tally.hear(&event);
+            if let (Some(recorder), Event::Frame(frame)) = (&mut recorder, &event) {
+                recorder.hear(frame, SystemTime::now())?;
+            }
+        }
+        if let Some(recorder) = &mut recorder {
+            recorder.flush()?;
         }
         let now = Instant::now();
         let second = tally.take(now - line_start);
         line_start = now;
         lines += 1;
         if as_json {
-            output::print(second.json(now - start))?;
+            output::print(second.json(now - start, &tally.board))?;
         } else {
-            output::print(second.text())?;
+            output::print(second.text() + &tally.board.text())?;
         }
         silent_lines = if second.output.is_none() { silent_lines + 1 } else { 0 };
         if silent_lines == SILENT_LINES {
@@ -56,6 +77,9 @@ pub fn run(port: &str, count: Option<u64>, as_json: bool) -> Result<Outcome> {
         }
     }
     session.close();
+    if let Some(recorder) = &recorder {
+        eprintln!("{}", recorder.summary());
+    }
     Ok(outcome)
 }
 
@@ -63,6 +87,7 @@ pub fn run(port: &str, count: Option<u64>, as_json: bool) -> Result<Outcome> {
 #[derive(Default)]
 struct Tally {
     offsets: OffsetReceiver,
+    board: Board,
     frames: u64,
     frames_at_last_line: u64,
     /// Lines that carry no frame that can be read.
@@ -78,6 +103,8 @@ struct Second {
     /// Since the start.
     counters: Counters,
     /// Since the start.
+    refused_statuses: u32,
+    /// Since the start.
     malformed_lines: u32,
     /// Since the start.
     unpaired: u32,
@@ -88,6 +115,7 @@ impl Tally {
         match event {
             Event::Frame(frame) => {
                 self.frames += 1;
+                self.board.hear(frame);
                 // What is refused is counted in `offsets`.
                 if let Ok(Some(output)) = self.offsets.accept(frame) {
                     self.output = Some(output);
@@ -105,6 +133,7 @@ impl Tally {
             output: self.output.take(),
             frames_per_s: frames as f64 / elapsed.as_secs_f64(),
             counters: self.offsets.counters(),
+            refused_statuses: self.board.refused(),
             malformed_lines: self.malformed_lines,
             unpaired: self.offsets.unpaired(),
         }
@@ -120,6 +149,7 @@ impl Second {
             && crc_errors == 0
             && sequence_errors == 0
             && self.malformed_lines == 0
+            && self.refused_statuses == 0
     }
 
     fn text(&self) -> String {
@@ -137,7 +167,7 @@ impl Second {
         )
     }
 
-    fn json(&self, since_start: Duration) -> Value {
+    fn json(&self, since_start: Duration, board: &Board) -> Value {
         let Counters { malformed, crc_errors, sequence_errors, lost, .. } = self.counters;
         let mut line = output_json(self.output.as_ref());
         line["time_s"] = json!(since_start.as_secs_f64());
@@ -147,6 +177,8 @@ impl Second {
         line["malformed"] = json!(malformed.saturating_add(self.malformed_lines));
         line["lost"] = json!(lost);
         line["unpaired"] = json!(self.unpaired);
+        line["refused_statuses"] = json!(self.refused_statuses);
+        line["board"] = board.json();
         line
     }
 }

@@ -1,4 +1,4 @@
-//! Where a bridge is, and the bytes to and from it.
+//! Where a bridge is, and the bytes or frames to and from it.
 
 use std::{
     io::{self, Read, Write},
@@ -29,12 +29,23 @@ pub enum Port {
     Tcp(String),
     /// A serial device.
     Serial(String),
+    /// A CAN interface of Linux.
+    Can(String),
+}
+
+/// What an open port is.
+pub enum Line {
+    /// Lines of SLCAN.
+    Slcan(Box<dyn Stream>),
+    /// Frames.
+    #[cfg(all(feature = "socketcan", target_os = "linux"))]
+    Can(super::socket_can::Socket),
 }
 
 impl Port {
     /// Reads what the user wrote.
     pub fn parse(text: &str) -> Result<Self, Mend> {
-        const FORMS: &str = "a port is tcp:HOST:PORT or a serial device, such as /dev/ttyACM0";
+        const FORMS: &str = "a port is tcp:HOST:PORT, a serial device, such as /dev/ttyACM0, or a CAN interface, can0";
         if let Some(address) = text.strip_prefix("tcp:") {
             let is_right = address.rsplit_once(':').is_some_and(|(host, number)| {
                 !host.is_empty() && number.parse::<u16>().is_ok_and(|number| number != 0)
@@ -46,9 +57,7 @@ impl Port {
             };
         }
         if is_numbered(text, &["can", "vcan", "slcan"]) {
-            return Err(Mend(format!(
-                "--port {text}: SocketCAN is not supported by this version; {FORMS}"
-            )));
+            return Ok(Self::Can(text.into()));
         }
         if text.contains(['/', '\\']) || is_numbered(text, &["COM"]) {
             return Ok(Self::Serial(text.into()));
@@ -56,17 +65,33 @@ impl Port {
         Err(Mend(format!("--port \"{text}\": {FORMS}")))
     }
 
-    /// Connects to the bridge.
-    pub fn open(&self) -> Result<Box<dyn Stream>> {
+    /// What a log of frames calls it: a line of SLCAN as `slcand` would name its interface.
+    pub fn interface(&self) -> &str {
         match self {
-            Self::Tcp(address) => Ok(Box::new(connect(address)?)),
+            Self::Can(interface) => interface,
+            Self::Tcp(_) | Self::Serial(_) => "can0",
+        }
+    }
+
+    /// Connects to the bridge.
+    pub fn open(&self) -> Result<Line> {
+        match self {
+            Self::Tcp(address) => Ok(Line::Slcan(Box::new(connect(address)?))),
             Self::Serial(device) => {
                 let serial = serialport::new(device, BAUD)
                     .timeout(READ_TIMEOUT)
                     .open()
                     .with_context(|| format!("the serial device {device} cannot be opened"))?;
-                Ok(Box::new(serial))
+                Ok(Line::Slcan(Box::new(serial)))
             }
+            #[cfg(all(feature = "socketcan", target_os = "linux"))]
+            Self::Can(interface) => Ok(Line::Can(super::socket_can::Socket::open(interface)?)),
+            #[cfg(not(all(feature = "socketcan", target_os = "linux")))]
+            Self::Can(interface) => Err(Mend(format!(
+                "--port {interface}: this tool was built without SocketCAN; build it on Linux by \
+                 cargo build --release -p trueup-cli --features socketcan"
+            ))
+            .into()),
         }
     }
 }
@@ -108,6 +133,9 @@ mod tests {
             ("tcp:[::1]:3333", Port::Tcp("[::1]:3333".into())),
             ("/dev/ttyACM0", Port::Serial("/dev/ttyACM0".into())),
             ("COM3", Port::Serial("COM3".into())),
+            ("can0", Port::Can("can0".into())),
+            ("vcan1", Port::Can("vcan1".into())),
+            ("slcan0", Port::Can("slcan0".into())),
             (r"\\.\COM12", Port::Serial(r"\\.\COM12".into())),
         ] {
             assert_eq!(Port::parse(text).expect(text), port);
@@ -117,12 +145,11 @@ mod tests {
     #[test]
     fn what_is_no_port_of_this_version_is_refused_by_name() {
         for (text, phrase) in [
-            ("can0", "can0: SocketCAN is not supported by this version"),
-            ("vcan1", "SocketCAN"),
+            ("can", "a port is"),
             ("tcp:localhost", "after tcp: comes HOST:PORT"),
             ("tcp:localhost:x", "after tcp: comes HOST:PORT"),
             ("tcp::3333", "after tcp: comes HOST:PORT"),
-            ("localhost:3333", "a port is tcp:HOST:PORT or a serial device"),
+            ("localhost:3333", "a port is tcp:HOST:PORT, a serial device"),
             ("", "a port is"),
         ] {
             let error = Port::parse(text).expect_err(text).to_string();

@@ -1,4 +1,4 @@
-//! One client's time on the bridge's SLCAN line: open, hear, ask, close.
+//! One client's time on the bridge's line: open, hear, ask, close.
 
 use std::{
     collections::VecDeque,
@@ -7,37 +7,69 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, bail};
-use trueup_link::slcan::{Client, Event, client};
+use trueup_link::{
+    frame::Frame,
+    slcan::{Client, Event, client, encode_line},
+};
 
-use super::port::Stream;
+use super::port::{Line, Port};
 
 /// How long a bridge may take to open its channel.
 const OPEN_TIMEOUT: Duration = Duration::from_secs(3);
 /// How long is waited for the last answer: what a leaving client does not read may be lost with
 /// what it has written.
 const CLOSE_TIMEOUT: Duration = Duration::from_millis(300);
+/// How long a bridge that starts anew may take until it has opened its channel again, and for each
+/// of the tries meanwhile.
+const RESTART_TIMEOUT: Duration = Duration::from_secs(10);
+const RETRY_TIMEOUT: Duration = Duration::from_millis(500);
 /// The lines in [`client::OPEN`], each of which is answered.
 const OPEN_LINES: usize = 4;
 
-/// An open channel. It only listens: no frame is ever sent.
+/// An open channel.
 pub struct Session {
-    stream: Box<dyn Stream>,
+    line: Line,
     client: Client,
     heard: VecDeque<Event>,
 }
 
 impl Session {
+    /// Connects to the bridge and opens its channel.
+    pub fn open(port: &Port) -> Result<Self> {
+        let mut session = Self::over(port.open()?);
+        session.open_channel(OPEN_TIMEOUT)?;
+        Ok(session)
+    }
+
+    fn over(line: Line) -> Self {
+        Self { line, client: Client::new(), heard: VecDeque::new() }
+    }
+
+    /// Opens the channel again of a bridge that starts anew, and has not yet, or just now.
+    pub fn reopen(&mut self) -> Result<()> {
+        let deadline = Instant::now() + RESTART_TIMEOUT;
+        loop {
+            match self.open_channel(RETRY_TIMEOUT) {
+                Err(error) if Instant::now() > deadline => return Err(error),
+                Err(_) => {}
+                Ok(()) => return Ok(()),
+            }
+        }
+    }
+
     /// Opens the channel, whatever an earlier client has left behind.
     ///
     /// All lines are written at once, as `slcand` and python-can do: a virtual bridge may answer
     /// none of them before it has seen the last.
-    pub fn open(stream: Box<dyn Stream>) -> Result<Self> {
-        let mut session = Self { stream, client: Client::new(), heard: VecDeque::new() };
-        session.write(client::OPEN)?;
-        let deadline = Instant::now() + OPEN_TIMEOUT;
+    fn open_channel(&mut self, timeout: Duration) -> Result<()> {
+        if !self.has_adapter() {
+            return Ok(());
+        }
+        self.write(client::OPEN)?;
+        let deadline = Instant::now() + timeout;
         let mut answers = 0;
         while answers < OPEN_LINES {
-            match session.next_event(deadline)? {
+            match self.next_event(deadline)? {
                 Some(Event::Accepted) => answers += 1,
                 // The first line ends what was left over, and is refused with it; the end of a
                 // frame may have passed for an answer before.
@@ -48,19 +80,41 @@ impl Session {
                 None => bail!(
                     "the bridge has answered {answers} of {OPEN_LINES} lines in {} s; is it a \
                      bridge, and has it power?",
-                    OPEN_TIMEOUT.as_secs()
+                    timeout.as_secs_f64()
                 ),
             }
         }
-        Ok(session)
+        Ok(())
+    }
+
+    /// Whether there is an adapter of SLCAN, which can be asked by [`Self::write`].
+    pub const fn has_adapter(&self) -> bool {
+        matches!(self.line, Line::Slcan(_))
     }
 
     /// Sends lines, whose answers come as events.
     pub fn write(&mut self, lines: &[u8]) -> Result<()> {
-        self.stream
-            .write_all(lines)
-            .and_then(|()| self.stream.flush())
-            .context("the line to the bridge is broken")
+        match &mut self.line {
+            Line::Slcan(stream) => stream
+                .write_all(lines)
+                .and_then(|()| stream.flush())
+                .context("the line to the bridge is broken"),
+            #[cfg(all(feature = "socketcan", target_os = "linux"))]
+            Line::Can(_) => Ok(()),
+        }
+    }
+
+    /// Sends a frame.
+    pub fn send(&mut self, frame: &Frame) -> Result<()> {
+        match &mut self.line {
+            Line::Slcan(_) => {
+                let mut line = encode_line(frame).into_bytes().to_vec();
+                line.push(trueup_link::slcan::CR);
+                self.write(&line)
+            }
+            #[cfg(all(feature = "socketcan", target_os = "linux"))]
+            Line::Can(socket) => socket.send(frame),
+        }
     }
 
     /// The next thing that the bridge says; `None` if there is nothing until `deadline`.
@@ -74,7 +128,12 @@ impl Session {
             if let Some(event) = self.heard.pop_front() {
                 return Ok(Some(event));
             }
-            let length = match self.stream.read(&mut bytes) {
+            let stream = match &mut self.line {
+                Line::Slcan(stream) => stream,
+                #[cfg(all(feature = "socketcan", target_os = "linux"))]
+                Line::Can(socket) => return Ok(socket.receive(deadline)?.map(Event::Frame)),
+            };
+            let length = match stream.read(&mut bytes) {
                 Ok(0) => bail!("the bridge has closed the line"),
                 Ok(length) => length,
                 Err(error) if is_only_late(&error) => continue,
@@ -87,7 +146,7 @@ impl Session {
 
     /// Closes the channel. Whether the bridge hears of it is no matter to one who leaves.
     pub fn close(mut self) {
-        if self.write(client::CLOSE).is_ok() {
+        if self.has_adapter() && self.write(client::CLOSE).is_ok() {
             let deadline = Instant::now() + CLOSE_TIMEOUT;
             while let Ok(Some(event)) = self.next_event(deadline) {
                 if event == Event::Accepted {
@@ -106,6 +165,7 @@ fn is_only_late(error: &io::Error) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bridge::port::Stream;
     use std::io::{Read, Write};
 
     /// A bridge that says what the test says, a byte at a time, and then nothing.
@@ -135,7 +195,10 @@ mod tests {
     }
 
     fn open(answers: &[u8]) -> Result<Session> {
-        Session::open(Box::new(Script(answers.iter().copied().collect())))
+        let stream: Box<dyn Stream> = Box::new(Script(answers.iter().copied().collect()));
+        let mut session = Session::over(Line::Slcan(stream));
+        session.open_channel(OPEN_TIMEOUT)?;
+        Ok(session)
     }
 
     #[test]

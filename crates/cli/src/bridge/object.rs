@@ -1,0 +1,98 @@
+//! Objects of the bridge, read and written by SDO over an open session.
+
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, Result, bail};
+use trueup_link::{
+    frame::Frame,
+    sdo::client::{At, Download, Progress, Upload},
+    slcan::Event,
+};
+
+use super::session::Session;
+
+/// Device name, hardware, software.
+pub const NAME: At = (0x1008, 0);
+pub const HARDWARE: At = (0x1009, 0);
+pub const SOFTWARE: At = (0x100A, 0);
+/// The quality, as in `OffsetZ`.
+pub const QUALITY: At = (0x2001, 1);
+/// The faults, a bit each.
+pub const FAULTS: At = (0x2001, 4);
+/// Whether a reference is in force.
+pub const HAS_REFERENCE: At = (0x2010, 5);
+/// The calibration for the next start, and the CRCs of the running one and of that.
+pub const NEW: At = (0x2100, 2);
+pub const RUNNING_CRC: At = (0x2100, 3);
+pub const NEW_CRC: At = (0x2100, 4);
+
+/// How long an answer may take: a calibration is stored before its last segment is answered.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// Reads an object. `progress` hears how many bytes have come, and of how many.
+pub fn read(
+    session: &mut Session,
+    at: At,
+    mut progress: impl FnMut(usize, Option<u32>),
+) -> Result<Vec<u8>> {
+    let (mut upload, first) = Upload::start(at);
+    let mut bytes = Vec::new();
+    transfer(session, at, first, |frame| {
+        let next = upload.hear(frame, &mut bytes)?;
+        progress(bytes.len(), upload.announced());
+        Ok(next)
+    })?;
+    Ok(bytes)
+}
+
+/// Reads a number of up to 32 bits.
+pub fn number(session: &mut Session, at: At) -> Result<u32> {
+    let bytes = read(session, at, |_, _| ())?;
+    let mut number = [0; 4];
+    number.iter_mut().zip(bytes).for_each(|(place, byte)| *place = byte);
+    Ok(u32::from_le_bytes(number))
+}
+
+/// Reads a text.
+pub fn text(session: &mut Session, at: At) -> Result<String> {
+    Ok(String::from_utf8_lossy(&read(session, at, |_, _| ())?).into_owned())
+}
+
+/// Writes an object. `progress` hears how many bytes were sent.
+pub fn write(
+    session: &mut Session,
+    at: At,
+    data: &[u8],
+    mut progress: impl FnMut(usize),
+) -> Result<()> {
+    let (mut download, first) = Download::start(at, data);
+    transfer(session, at, first, |frame| {
+        let next = download.hear(frame)?;
+        progress(download.sent());
+        Ok(next)
+    })
+}
+
+fn transfer(
+    session: &mut Session,
+    (index, subindex): At,
+    first: Frame,
+    mut hear: impl FnMut(&Frame) -> Result<Progress>,
+) -> Result<()> {
+    session.send(&first).context("while asking for an object")?;
+    let mut deadline = Instant::now() + PATIENCE;
+    loop {
+        let Some(event) = session.next_event(deadline)? else {
+            bail!("object {index:04X}:{subindex}: no answer in {} s", PATIENCE.as_secs());
+        };
+        let Event::Frame(frame) = event else { continue };
+        match hear(&frame)? {
+            Progress::Unchanged => {}
+            Progress::Ask(request) => {
+                session.send(&request)?;
+                deadline = Instant::now() + PATIENCE;
+            }
+            Progress::Done => return Ok(()),
+        }
+    }
+}

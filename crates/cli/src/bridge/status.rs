@@ -1,0 +1,153 @@
+//! What the bridge says of itself ten times a second, put together.
+
+use serde_json::{Value, json};
+use trueup_core::units::{NANOMETRES_PER_MICROMETRE, Nanometres};
+use trueup_link::{
+    frame::Frame,
+    layout::STATUS_ID,
+    receiver::StatusReceiver,
+    status::{Item, Reason},
+};
+
+use super::fault_words;
+
+/// The newest of each item.
+#[derive(Default)]
+pub struct Board {
+    receiver: StatusReceiver,
+    /// In 0.01 °C, by channel.
+    pub centi_c: [Option<i16>; 8],
+    /// Of the spindle, by its sensor.
+    pub elongation: Option<Nanometres>,
+    last_refused: Reason,
+    damaged: u16,
+    out_of_sequence: u16,
+    malformed: u16,
+    lost: u16,
+    noise_thousandths: u16,
+    faults: u16,
+}
+
+impl Board {
+    /// Takes a frame from the bus. A status that cannot be used is counted.
+    pub fn hear(&mut self, frame: &Frame) {
+        if frame.id() != STATUS_ID {
+            return;
+        }
+        let Ok(status) = self.receiver.accept(frame) else { return };
+        self.last_refused = status.last_refused;
+        match status.item {
+            Item::Temperatures { pair, centi_c } => {
+                let both = self.centi_c.iter_mut().skip(2 * usize::from(pair));
+                both.zip(centi_c).for_each(|(place, new)| *place = new);
+            }
+            Item::Elongation(elongation) => self.elongation = elongation,
+            Item::Refused { damaged, out_of_sequence } => {
+                (self.damaged, self.out_of_sequence) = (damaged, out_of_sequence);
+            }
+            Item::Received { malformed, lost } => (self.malformed, self.lost) = (malformed, lost),
+            Item::Board { noise_thousandths, faults } => {
+                (self.noise_thousandths, self.faults) = (noise_thousandths, faults);
+            }
+        }
+    }
+
+    /// Status frames that were damaged or out of order.
+    pub fn refused(&self) -> u32 {
+        let counters = self.receiver.counters();
+        counters
+            .crc_errors
+            .saturating_add(counters.sequence_errors)
+            .saturating_add(counters.malformed)
+    }
+
+    fn elongation_um(&self) -> Option<f64> {
+        let um = |nm: i32| f64::from(nm) / f64::from(NANOMETRES_PER_MICROMETRE);
+        self.elongation.map(|it| um(it.0))
+    }
+
+    /// The temperatures that are known, the faults, and what the board has refused, if anything.
+    pub fn text(&self) -> String {
+        let known =
+            (0..).zip(self.centi_c).filter_map(|(channel, it): (u8, _)| Some((channel, it?)));
+        let mut text: String = known
+            .map(|(channel, it)| format!("  T{channel} {:.2} °C", f64::from(it) / 100.0))
+            .collect();
+        let refused = [
+            ("damaged", self.damaged),
+            ("out of sequence", self.out_of_sequence),
+            ("malformed", self.malformed),
+        ];
+        for (what, count) in refused {
+            if count > 0 {
+                text += &format!("  from the CNC {what} {count}");
+            }
+        }
+        let faults = fault_words(self.faults.into());
+        if !faults.is_empty() {
+            text += &format!("  faults {}", faults.join(" "));
+        }
+        text
+    }
+
+    /// The same as JSON members.
+    pub fn json(&self) -> Value {
+        json!({
+            "temps_c": self.centi_c.map(|it| it.map(|centi_c| f64::from(centi_c) / 100.0)),
+            "elongation_um": self.elongation_um(),
+            "noise_codes": f64::from(self.noise_thousandths) / 1_000.0,
+            "faults": fault_words(self.faults.into()),
+            "from_cnc": {
+                "damaged": self.damaged,
+                "out_of_sequence": self.out_of_sequence,
+                "malformed": self.malformed,
+                "lost": self.lost,
+                "last_refused": reason_word(self.last_refused),
+            },
+        })
+    }
+}
+
+fn reason_word(reason: Reason) -> Option<&'static str> {
+    match reason {
+        Reason::None => None,
+        Reason::Malformed => Some("malformed"),
+        Reason::Damaged => Some("damaged"),
+        Reason::Repeated => Some("repeated"),
+        Reason::WrongSequence => Some("wrong-sequence"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trueup_link::status::{Status, encode};
+
+    #[test]
+    fn the_newest_of_each_item_is_told() {
+        let mut board = Board::default();
+        let items = [
+            Item::Temperatures { pair: 0, centi_c: [Some(2_345), None] },
+            Item::Temperatures { pair: 3, centi_c: [None, Some(-50)] },
+            Item::Elongation(Some(Nanometres(62_805))),
+            Item::Refused { damaged: 2, out_of_sequence: 0 },
+            Item::Board { noise_thousandths: 1_041, faults: 1 << 3 },
+        ];
+        for (counter, item) in (0..).zip(items) {
+            board.hear(&encode(&Status { last_refused: Reason::Damaged, item }, counter));
+        }
+        assert_eq!(
+            board.text(),
+            "  T0 23.45 °C  T7 -0.50 °C  from the CNC damaged 2  faults cnc-lost"
+        );
+        let json = board.json();
+        assert_eq!(json["temps_c"], json!([23.45, null, null, null, null, null, null, -0.5]));
+        assert_eq!(json["elongation_um"], json!(62.805));
+        assert_eq!(json["noise_codes"], json!(1.041));
+        assert_eq!(json["from_cnc"]["last_refused"], json!("damaged"));
+        // A repetition changes nothing and is counted.
+        let repeated = Status { last_refused: Reason::None, item: Item::Elongation(None) };
+        board.hear(&encode(&repeated, 4));
+        assert_eq!((board.elongation, board.refused()), (Some(Nanometres(62_805)), 1));
+    }
+}

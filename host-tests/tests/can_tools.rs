@@ -1,0 +1,319 @@
+//! Other people's CAN tools against our codec: cantools reads the DBC and writes C from it,
+//! autosar-e2e protects and checks. Each gets the same frames, and each has to come to the same.
+
+use std::{
+    fmt::Write as _,
+    fs,
+    process::{Command, Stdio},
+};
+
+use anyhow::{Context as _, Result, ensure};
+use trueup_core::{
+    cnc::{AxisPosition, LinearAxis},
+    units::{MicroDegrees, Position},
+};
+use trueup_emulator::setup;
+use trueup_link::{
+    e2e::{self, Checker, E2eError},
+    emergency,
+    frame::Frame,
+    frames::{self, DecodeError, OFFSET_XY_ID},
+    layout::{
+        CONTROL_ID, EMERGENCY_ID, HEARTBEAT_ID, OFFSET_Z_ID, POSITION_X_ID, POSITION_Y_ID,
+        POSITION_Z_ID, ROTARY_ID, SPINDLE_ID, STATUS_ID,
+    },
+    status::{self, Item},
+    vectors::Random,
+};
+
+const FRAMES: u32 = 100_000;
+const IDS: [u16; 11] = [
+    OFFSET_XY_ID,
+    OFFSET_Z_ID,
+    STATUS_ID,
+    HEARTBEAT_ID,
+    EMERGENCY_ID,
+    POSITION_X_ID,
+    POSITION_Y_ID,
+    POSITION_Z_ID,
+    ROTARY_ID,
+    SPINDLE_ID,
+    CONTROL_ID,
+];
+
+/// Names and values in the DBC's units; `None`: not available.
+type Values = Vec<(String, Option<f64>)>;
+
+/// Random bytes, of which those fields that only have a few meanings mostly have one of them, and
+/// those that may be missing sometimes are.
+fn random_frame(random: &mut Random, id: u16) -> Result<Frame> {
+    let words = [random.next(), random.next()].map(u32::to_le_bytes);
+    let mut data: [u8; 8] = words.concat().try_into().ok().context("8 bytes")?;
+    let is_tame = random.below(4) > 0;
+    let is_missing = random.below(8) == 0;
+    match id {
+        OFFSET_XY_ID | OFFSET_Z_ID if is_missing => {
+            data[3..5].fill(0);
+            data[5] = data[5] & 0xF0 | 8;
+        }
+        STATUS_ID if is_missing => data[4..8].copy_from_slice(&[0, 0x80, 0, 0x80]),
+        _ => {}
+    }
+    match id {
+        OFFSET_Z_ID if is_tame => data[5] &= 0x7F,
+        STATUS_ID if is_tame => data[3] = data[3] & 0x07 | (data[3] & 0x30),
+        STATUS_ID if is_missing => data[4..8].copy_from_slice(&[0, 0, 0, 0x80]),
+        EMERGENCY_ID if is_tame => {
+            data[3] &= 0x0F;
+            data[5] &= 0x07;
+        }
+        HEARTBEAT_ID if is_tame => {
+            let state = usize::try_from(random.below(4))?;
+            return Ok(Frame::new(id, &[[0, 4, 5, 127][state]])?);
+        }
+        HEARTBEAT_ID => return Ok(Frame::new(id, &data[..1])?),
+        _ => {}
+    }
+    Ok(Frame::new(id, &data)?)
+}
+
+/// What our codec makes of a frame, and of that again.
+fn ours(frame: &Frame) -> Result<(Frame, Values), DecodeError> {
+    let counter = frames::counter(frame);
+    let one = |name: &str, value: f64| (name.to_owned(), Some(value));
+    let um = |nm: i32| f64::from(nm) / 1_000.0;
+    Ok(match frame.id() {
+        OFFSET_XY_ID => {
+            let read = frames::decode_offset_xy(frame)?;
+            let offset = read.offset.map(|[x, y]| [x, y, Default::default()]);
+            let values = ["OffsetX", "OffsetY"].into_iter().enumerate();
+            let values = values.map(|(n, name)| (name.into(), read.offset.map(|it| um(it[n].0))));
+            let output = trueup_core::cnc::Output { offset, ..Default::default() };
+            (frames::offset_xy(&output, counter), values.collect())
+        }
+        OFFSET_Z_ID => {
+            let read = frames::decode_offset_z(frame)?;
+            let output = trueup_core::cnc::Output {
+                offset: read.offset.map(|z| [Default::default(), Default::default(), z]),
+                quality: read.quality,
+                flags: read.flags,
+                age_ms: read.age_ms,
+            };
+            let values = vec![
+                ("OffsetZ".into(), read.offset.map(|z| um(z.0))),
+                one("Quality", f64::from(read.quality as u8)),
+                one("Flags", read.flags.0.into()),
+                one("Age", read.age_ms.into()),
+            ];
+            (frames::offset_z(&output, counter), values)
+        }
+        STATUS_ID => {
+            let read = status::decode(frame)?;
+            let number = |n: u16| f64::from(n);
+            let (item, mut values) = match read.item {
+                Item::Temperatures { pair, centi_c } => {
+                    let values = (0..).zip(centi_c).map(|(n, centi_c): (u8, _)| {
+                        let name = format!("Temperature{}", 2 * pair + n);
+                        (name, centi_c.map(|it| f64::from(it) / 100.0))
+                    });
+                    (pair, values.collect())
+                }
+                Item::Elongation(it) => (4, vec![("Elongation".into(), it.map(|it| um(it.0)))]),
+                Item::Refused { damaged, out_of_sequence } => (
+                    5,
+                    vec![
+                        one("Damaged", number(damaged)),
+                        one("OutOfSequence", number(out_of_sequence)),
+                    ],
+                ),
+                Item::Received { malformed, lost } => {
+                    (6, vec![one("Malformed", number(malformed)), one("Lost", number(lost))])
+                }
+                Item::Board { noise_thousandths, faults } => (
+                    7,
+                    vec![
+                        one("Noise", number(noise_thousandths) / 1_000.0),
+                        one("Faults", number(faults)),
+                    ],
+                ),
+            };
+            values.push(one("Item", item.into()));
+            values.push(one("LastRefused", f64::from(read.last_refused as u8)));
+            (status::encode(&read, counter), values)
+        }
+        HEARTBEAT_ID => {
+            let state = frames::decode_heartbeat(frame)?;
+            (frames::heartbeat(state), vec![one("State", f64::from(state as u8))])
+        }
+        EMERGENCY_ID => {
+            let read = emergency::decode(frame)?;
+            let values = vec![
+                one("ErrorCode", read.code.into()),
+                one("ErrorRegister", read.register.into()),
+                one("Fault", f64::from(read.fault as u8)),
+                one("Flags", read.flags.0.into()),
+                one("Quality", f64::from(read.quality as u8)),
+            ];
+            (emergency::encode(&read), values)
+        }
+        ROTARY_ID => {
+            let read = frames::decode_rotary(frame)?;
+            let degrees =
+                read.angles.map(|it| f64::from(it.0) / f64::from(MicroDegrees::PER_DEGREE));
+            let values = vec![one("Angle1", degrees[0]), one("Angle2", degrees[1])];
+            (frames::rotary(read, counter), values)
+        }
+        SPINDLE_ID => {
+            let read = frames::decode_spindle(frame)?;
+            let values = vec![one("Speed", read.speed.0.into()), one("Load", read.load_n.into())];
+            (frames::spindle(read, counter), values)
+        }
+        CONTROL_ID => {
+            let read = frames::decode_control(frame)?;
+            let bit = |set: bool| f64::from(u8::from(set));
+            let values = vec![
+                one("Engage", bit(read.engage)),
+                one("Referenced", bit(read.referenced)),
+                one("Zero", bit(read.zero)),
+            ];
+            (frames::control(read, counter), values)
+        }
+        id => {
+            let axis = LinearAxis::ALL.into_iter().find(|axis| frames::position_id(*axis) == id);
+            let axis = axis.expect("no other identifier is drawn");
+            let read: AxisPosition = frames::decode_position(axis, frame)?;
+            let mm = f64::from(read.position.0) / f64::from(Position::PER_MILLIMETRE);
+            let direction = f64::from(read.direction as i8);
+            let values = vec![one("Position", mm), one("Direction", direction)];
+            (frames::position(read, counter), values)
+        }
+    })
+}
+
+fn hex(frame: &Frame) -> String {
+    frame.payload().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// Runs one of the scripts; its last line on standard output is what it has found.
+fn script(name: &str, arguments: &[&std::path::Path]) -> Result<String> {
+    let output = Command::new(setup::python()?)
+        .arg(setup::root().join("host-tests/python").join(name))
+        .args(arguments)
+        .stdin(Stdio::null())
+        // Its progress.
+        .stderr(Stdio::inherit())
+        .output()?;
+    let said = String::from_utf8(output.stdout)?;
+    ensure!(output.status.success(), "{said}");
+    Ok(said)
+}
+
+#[test]
+fn cantools_and_the_c_code_it_writes_read_and_write_every_message_as_the_codec_does() -> Result<()>
+{
+    let mut random = Random::new(0xCAFE);
+    let mut lines = String::new();
+    let mut taken = [0_u32; IDS.len()];
+    for number in 0..FRAMES {
+        let which = usize::try_from(number)? % IDS.len();
+        let frame = random_frame(&mut random, IDS[which])?;
+        write!(lines, "{:x} {} ", frame.id(), hex(&frame))?;
+        match ours(&frame) {
+            Err(DecodeError::Value { signal, .. }) => writeln!(lines, "{signal}")?,
+            Err(error) => return Err(error).context("the length is right"),
+            Ok((again, values)) => {
+                taken[which] += 1;
+                write!(lines, "ok {}", hex(&again))?;
+                for (name, value) in values {
+                    match value {
+                        Some(value) => write!(lines, " {name}={value}")?,
+                        None => write!(lines, " {name}=na")?,
+                    }
+                }
+                writeln!(lines)?;
+            }
+        }
+    }
+    println!("taken by our codec, of {}: {taken:?}", FRAMES as usize / IDS.len());
+    assert!(taken.iter().all(|count| *count > 1_000), "{taken:?}");
+    let folder = tempfile::tempdir()?;
+    let file = folder.path().join("frames.txt");
+    fs::write(&file, lines)?;
+    let dbc = setup::root().join("crates/link/trueup.dbc");
+    let found = script("dbc_codec.py", &[&dbc, &file, folder.path()])?;
+    println!("{found}");
+    let expected =
+        format!("{FRAMES} frames, {} of them taken, 0 differ", taken.iter().sum::<u32>());
+    assert_eq!(found.lines().last(), Some(expected.as_str()));
+    Ok(())
+}
+
+#[test]
+fn autosar_e2e_comes_to_the_same_verdict_on_every_frame() -> Result<()> {
+    let mut random = Random::new(0xE2E);
+    let mut checkers: Vec<(u16, u8, Option<Frame>, Checker)> =
+        IDS.iter().map(|id| (*id, 0, None, Checker::new(*id))).collect();
+    let mut lines = String::new();
+    let mut counts = std::collections::BTreeMap::<&str, u32>::new();
+    let mut count = 0;
+    while count < FRAMES {
+        let which = usize::try_from(random.below(u32::try_from(IDS.len())?))?;
+        let (id, counter, before, checker) = &mut checkers[which];
+        let words = [random.next(), random.next()].map(u32::to_le_bytes);
+        let mut data: [u8; 8] = words.concat().try_into().ok().context("8 bytes")?;
+        // Mostly the next; a copy; some lost; far away; out of order; a sender that starts anew.
+        *counter = match random.below(16) {
+            0 => *counter,
+            1 => counter.wrapping_add(u8::try_from(2 + random.below(14))?),
+            2 => counter.wrapping_add(u8::try_from(16 + random.below(200))?),
+            3 => counter.wrapping_sub(u8::try_from(1 + random.below(3))?),
+            4 => 0,
+            _ => counter.wrapping_add(1),
+        };
+        e2e::protect(*id, *counter, &mut data);
+        let fate = random.below(16);
+        let frame = match (fate, &before) {
+            // One bit, three bits, another identifier's frame, the very same frame.
+            (0, _) => flipped(&mut random, *id, data, 1)?,
+            (1, _) => flipped(&mut random, *id, data, 3)?,
+            (2, _) => {
+                e2e::protect(*id ^ 0x100, *counter, &mut data);
+                Frame::new(*id, &data)?
+            }
+            (3, Some(before)) => *before,
+            _ => Frame::new(*id, &data)?,
+        };
+        *before = Some(frame);
+        let verdict = match checker.accept(&frame) {
+            Ok(0) => "ok",
+            Ok(_) => "some-lost",
+            Err(E2eError::Crc { .. }) => "crc",
+            Err(E2eError::Repeated { .. }) => "repeated",
+            Err(E2eError::WrongSequence { .. }) => "wrong-sequence",
+            Err(E2eError::TooShort { .. }) => "short",
+        };
+        *counts.entry(verdict).or_default() += 1;
+        writeln!(lines, "{id:x} {} {verdict}", hex(&frame))?;
+        count += 1;
+    }
+    println!("our verdicts: {counts:?}");
+    assert_eq!(counts.len(), 5, "all but \"short\": {counts:?}");
+    assert!(counts.values().all(|count| *count > 1_000), "{counts:?}");
+    let folder = tempfile::tempdir()?;
+    let file = folder.path().join("frames.txt");
+    fs::write(&file, lines)?;
+    let found = script("e2e_verdicts.py", &[&file])?;
+    println!("{found}");
+    assert_eq!(found.trim(), format!("{FRAMES} frames, 0 differ"));
+    Ok(())
+}
+
+/// A frame with so many bits wrong, anywhere.
+fn flipped(random: &mut Random, id: u16, mut data: [u8; 8], bits: u32) -> Result<Frame> {
+    let first = random.below(64);
+    for n in 0..bits {
+        let bit = usize::try_from((first + 17 * n) % 64)?;
+        data[bit / 8] ^= 1 << (bit % 8);
+    }
+    Ok(Frame::new(id, &data)?)
+}

@@ -1,0 +1,243 @@
+//! The CANopen side of the running virtual bridge: PyPI `canopen` as the master, with the bridge's
+//! own EDS file; and what becomes of a loaded calibration when the power goes and comes back.
+
+mod support;
+
+use std::{
+    collections::VecDeque,
+    fs,
+    process::{Command, Stdio},
+};
+
+use anyhow::{Context as _, Result, ensure};
+use serde_json::{Value, json};
+use support::{Bridge, FAST_MACHINE, GROWN_RUN, GROWN_UM, file};
+use trueup_core::{
+    cnc::{Control, Output, Quality},
+    units::Rpm,
+};
+use trueup_emulator::{
+    board::VirtualBoard,
+    firmware::{self, Board},
+    front_end::FrontEnd,
+    setup,
+};
+use trueup_link::{
+    EDS,
+    bench::{Block, FRAMES},
+    calibration::identity,
+    dictionary::OBJECTS,
+    frame::Frame,
+    frames,
+    layout::{SDO_ANSWER_ID, SDO_REQUEST_ID},
+    receiver::OffsetReceiver,
+    sdo::Abort,
+};
+use trueup_machine::{Compiled, MachineFile, compile};
+
+/// The fast machine, with growth times `gain`.
+fn compiled(gain: f64) -> Result<Compiled> {
+    let folder = tempfile::tempdir()?;
+    let machine = file(&folder, "machine.toml", FAST_MACHINE)?;
+    let mut machine = MachineFile::read(machine.as_ref())?;
+    machine.spindle.sensor.as_mut().context("it has one")?.um_per_count *= gain;
+    Ok(compile(&machine)?)
+}
+
+#[test]
+fn pypi_canopen_reads_every_object_loads_a_calibration_and_gets_each_abort_code() -> Result<()> {
+    let python = setup::python()?;
+    let folder = tempfile::tempdir()?;
+    let machine = file(&folder, "machine.toml", FAST_MACHINE)?;
+    let run = file(&folder, "run.csv", GROWN_RUN)?;
+    let eds = file(&folder, "trueup.eds", EDS)?;
+    let new = compiled(0.5)?;
+    let calibration = folder.path().join("new.bin");
+    fs::write(&calibration, new.blob())?;
+
+    let mut bridge = Bridge::start(&["--machine", &machine, "--run", &run])?;
+    let output = Command::new(python)
+        .arg(setup::root().join("host-tests/python/canopen_master.py"))
+        .arg(format!("socket://{}", bridge.address()))
+        .args([eds.as_ref(), calibration.as_os_str()])
+        .stdin(Stdio::null())
+        .output()?;
+    let said = String::from_utf8_lossy(&output.stderr);
+    ensure!(output.status.success(), "{said}\nthe bridge: {}", bridge.command.said());
+    let saw: Value = serde_json::from_slice(&output.stdout)?;
+    println!("{saw:#}");
+
+    let entries: usize = OBJECTS.iter().map(|object| object.entries.len()).sum();
+    let values = saw["values"].as_object().context("values")?;
+    assert_eq!((values.len(), &saw["wrong"]), (entries, &json!([])), "each, with its type");
+    assert_eq!(values["1000:0"], 404);
+    assert_eq!(values["1008:0"], "trueup bridge");
+    assert_eq!(values["2010:6"], "abort 06010001");
+
+    let misuses = saw["misuses"].as_array().context("misuses")?;
+    for it in misuses {
+        assert_eq!(it["abort"], it["expected"], "{it}");
+    }
+    println!("{entries} entries read, {} misuses refused", misuses.len());
+
+    let running = compiled(1.0)?;
+    let hex: String = running.blob().iter().map(|byte| format!("{byte:02x}")).collect();
+    assert_eq!(saw["running"], hex);
+    for equal in ["read_back_is_equal", "running_again_is_equal"] {
+        assert_eq!(saw[equal], json!(true), "{equal}");
+    }
+    assert_eq!(saw["new_crc"], identity(new.blob()));
+    // The offsets went on all the while, a pair a millisecond.
+    assert_eq!(saw["gaps"], 0);
+    let elongation = saw["engaged"]["elongation_nm"].as_f64().context("a number")?;
+    let offset = saw["engaged"]["offset_z_nm"].as_f64().context("a number")?;
+    for nm in [elongation, offset] {
+        assert!((nm / 1_000.0 - GROWN_UM).abs() < 0.3, "{nm} nm");
+    }
+
+    assert_eq!((&saw["first_state"], &saw["states"]), (&json!(0), &json!([0, 5])));
+    let rate = saw["heartbeats_per_s"].as_f64().context("a rate")?;
+    assert!((40.0..60.0).contains(&rate), "{rate} heartbeats a second");
+    let codes: Vec<u64> = saw["emergencies"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .filter_map(|it| it[0].as_u64())
+        .collect();
+    for code in [0x8100, 0x8130] {
+        let at = codes.iter().position(|it| *it == code).with_context(|| format!("{code:#x}"))?;
+        assert!(codes[at..].contains(&0), "it was told when that had gone: {codes:x?}");
+    }
+    assert!(saw["history"].as_array().is_some_and(|all| all.contains(&json!(0x0004_8130))));
+    // Network management: what is unprotected stops nothing and restarts nothing in use.
+    let engaged = &saw["engaged"];
+    assert_eq!(
+        (&engaged["quality_after_nmt"], &engaged["clock_goes_on"]),
+        (&json!(1), &json!(true))
+    );
+    assert_eq!(saw["after_reset_communication"], json!([100, 100]));
+    let restart = &saw["restart"];
+    assert_eq!(restart["runs_on_the_new_one"], json!(true), "{restart}");
+    assert_eq!(restart["running_crc"], identity(new.blob()), "{restart}");
+    assert_eq!(restart["new_crc"], 0, "{restart}");
+    let clock = |name: &str| restart[name].as_u64().context("a clock");
+    assert!(clock("clock")? < clock("clock_before")?, "{restart}");
+    bridge.command.signal("TERM")?;
+    assert!(bridge.command.end()?.status.success());
+    Ok(())
+}
+
+/// A board on a CAN bus with a master and a CNC.
+struct Bus {
+    board: VirtualBoard,
+    front_end: FrontEnd,
+    offsets: OffsetReceiver,
+    answers: VecDeque<[u8; 8]>,
+    last: Option<Output>,
+    counter: u8,
+    ms: u32,
+}
+
+impl Bus {
+    fn new(board: VirtualBoard) -> Self {
+        let front_end = FrontEnd::new(0.33, 5);
+        let offsets = OffsetReceiver::new();
+        let answers = VecDeque::new();
+        Self { board, front_end, offsets, answers, last: None, counter: 0, ms: 0 }
+    }
+
+    /// Two milliseconds, with a request, and the CNC engaged or not.
+    fn step(&mut self, request: Option<[u8; 8]>, engage: bool) -> Result<()> {
+        let mut sent = [None; FRAMES];
+        sent[0] = request.map(|data| Frame::new(SDO_REQUEST_ID, &data)).transpose()?;
+        if self.ms.is_multiple_of(20) {
+            let control = Control { engage, referenced: true, zero: false };
+            sent[1] = Some(frames::control(control, self.counter));
+            self.counter = self.counter.wrapping_add(1);
+        }
+        self.ms += 2;
+        let volts = 9_164.0 * 10.0 / 32_768.0;
+        let blocks = [sent, [None; FRAMES]].map(|frames| Block {
+            codes: self.front_end.block(|_| volts),
+            speed: Some(Rpm(24_000)),
+            frames,
+            ..Block::default()
+        });
+        for (_, frame) in self.board.step(&blocks)? {
+            if frame.id() == SDO_ANSWER_ID {
+                self.answers.push_back(*frame.data());
+            }
+            self.last = self.offsets.accept(&frame)?.or(self.last);
+        }
+        Ok(())
+    }
+
+    fn ask(&mut self, request: [u8; 8]) -> Result<[u8; 8]> {
+        self.step(Some(request), false)?;
+        for _ in 0..100 {
+            if let Some(answer) = self.answers.pop_front() {
+                return Ok(answer);
+            }
+            self.step(None, false)?;
+        }
+        anyhow::bail!("no answer to {request:02X?} in 200 ms")
+    }
+
+    /// Loads a calibration; gives the last answer.
+    fn load(&mut self, blob: &[u8]) -> Result<[u8; 8]> {
+        let [a, b, c, d] = u32::try_from(blob.len())?.to_le_bytes();
+        let mut answer = self.ask([0x21, 0x00, 0x21, 2, a, b, c, d])?;
+        let count = blob.chunks(7).count();
+        for (number, part) in blob.chunks(7).enumerate() {
+            let head = u8::from(number % 2 == 1) << 4 | u8::from(number + 1 == count);
+            let mut data = [0; 8];
+            data[0] = head | u8::try_from(7 - part.len())? << 1;
+            data[1..=part.len()].copy_from_slice(part);
+            answer = self.ask(data)?;
+        }
+        Ok(answer)
+    }
+
+    /// Where Z goes while the CNC engages.
+    fn live_z_um(&mut self) -> Result<f64> {
+        for _ in 0..400 {
+            self.step(None, true)?;
+        }
+        let last = self.last.context("an offset")?;
+        ensure!(last.quality == Quality::Live, "{last:?}");
+        Ok(f64::from(last.offset.context("available")?[2].0) / 1_000.0)
+    }
+}
+
+#[test]
+fn a_loaded_calibration_is_used_from_the_next_start_and_a_dead_store_is_told() -> Result<()> {
+    let image = firmware::build(Board::Virtual)?;
+    let (old, new) = (compiled(1.0)?, compiled(0.5)?);
+    let mut bus = Bus::new(VirtualBoard::boot(&image, old.blob())?);
+    let loaded = bus.board.flash().with_file_name("loaded.bin");
+
+    // A folder in its place: no file can be opened there.
+    fs::create_dir(&loaded)?;
+    let [kind, .., a, b, c, d] = bus.load(new.blob())?;
+    let refused = (kind, u32::from_le_bytes([a, b, c, d]));
+    assert_eq!(refused, (0x80, Abort::CannotStore.code()));
+    fs::remove_dir(&loaded)?;
+
+    assert_eq!(bus.load(new.blob())?[0] & 0xEF, 0x20);
+    assert_eq!(fs::read(&loaded)?, new.blob());
+    let z = bus.live_z_um()?;
+    assert!((z - GROWN_UM).abs() < 0.3, "{z} µm by the old one, until the next start");
+
+    let mut bus = Bus::new(bus.board.restart(&image, old.blob())?);
+    let z = bus.live_z_um()?;
+    assert!((z - 0.5 * GROWN_UM).abs() < 0.3, "{z} µm by the new one");
+
+    // One that is damaged in the store is not used.
+    let mut damaged = new.blob().to_vec();
+    damaged[100] ^= 1;
+    fs::write(&loaded, damaged)?;
+    let mut bus = Bus::new(bus.board.restart(&image, old.blob())?);
+    let z = bus.live_z_um()?;
+    assert!((z - GROWN_UM).abs() < 0.3, "{z} µm by the one it was started with");
+    Ok(())
+}

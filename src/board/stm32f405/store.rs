@@ -1,0 +1,60 @@
+//! Calibrations that a master has loaded: kept in flash, read where they lie, from the next start on.
+
+use defmt::Display2Format as Text;
+use trueup_link::{
+    reference::StoreError,
+    slots::{Found, Slots},
+};
+
+use super::Flash;
+
+/// The store, open.
+pub struct Store(Slots<Flash>);
+
+impl Store {
+    /// Opens it over the image's own calibration, `base`, and gives the blob that was loaded over it,
+    /// if there is one. An erase may be needed to make room, so this is for the time before samples
+    /// are taken and the watchdog runs. `buffer` takes one calibration at a time.
+    pub fn open(flash: Flash, base: u32, buffer: &mut [u8]) -> (Self, Option<&'static [u8]>) {
+        let (mut slots, found) = Slots::open(flash, base, buffer);
+        let Found { newest, foreign, damaged } = found;
+        if foreign > 0 {
+            defmt::info!("stored calibrations of other images, not used: {}", foreign);
+        }
+        if damaged > 0 {
+            defmt::warn!("stored calibrations that are damaged, refused: {}", damaged);
+        }
+        match slots.make_room() {
+            Ok(false) => {}
+            Ok(true) => defmt::info!("room made for calibrations"),
+            Err(error) => defmt::error!("dead: store of calibrations, {}", Text(&error)),
+        }
+        let loaded = newest.map(|stored| {
+            defmt::info!("loaded calibration {} is used", stored.sequence);
+            // SAFETY: a slot that holds something is never written again, and the next erase comes
+            // before the next time this is called.
+            unsafe { slots.flash().mapped(stored.address, stored.length) }
+        });
+        (Self(slots), loaded)
+    }
+
+    /// Stores a calibration for the next start; `false`: it is not stored. `feed` is for the
+    /// watchdog, which waits less long than this may take: 16 KB at 16 µs a word are 65 ms, 0.4 s at
+    /// the most.
+    pub fn keep(&mut self, blob: &[u8], feed: impl FnMut()) -> bool {
+        match self.0.store(blob, feed) {
+            Ok(number) => {
+                defmt::info!("calibration {=u32} stored", number);
+                true
+            }
+            Err(error @ StoreError::Full) => {
+                defmt::error!("calibration NOT stored, restart the board: {}", Text(&error));
+                false
+            }
+            Err(error) => {
+                defmt::error!("calibration NOT stored: {}", Text(&error));
+                false
+            }
+        }
+    }
+}
