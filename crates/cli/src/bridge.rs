@@ -8,7 +8,7 @@ pub mod port;
 mod record;
 mod session;
 #[cfg(all(feature = "socketcan", target_os = "linux"))]
-mod socket_can;
+pub mod socket_can;
 mod status;
 
 use serde_json::{Value, json};

@@ -6,7 +6,13 @@ use trueup_core::{
     cnc::{Control, Flags, Quality},
     heat::CHANNELS,
 };
-use trueup_link::{frame::Frame, receiver::Counters, slcan::Event};
+use trueup_link::{
+    frame::Frame,
+    layout::STATUS_ID,
+    receiver::{Counters, StatusReceiver},
+    slcan::Event,
+    status::Item,
+};
 
 use crate::{
     follower::{Follower, Pace, Reading},
@@ -21,6 +27,8 @@ const APPLIED_WITHIN_NM: f64 = 20.0;
 pub const TEMPERATURES: usize = CHANNELS;
 const NANOMETRES_PER_MICROMETRE: f64 = 1e3;
 const NANOMETRES_PER_MILLIMETRE: f64 = 1e6;
+/// Each item of `Status` comes every 0.8 s; three missed, and it is not known any more.
+const STATUS_LASTS: Duration = Duration::from_millis(2_500);
 /// How often the heartbeat turns round.
 const HEARTBEAT_HALF: Duration = Duration::from_millis(50);
 
@@ -88,6 +96,8 @@ pub struct Outputs {
     pub counters: Counters,
     /// The bridge's temperatures in °C; `None` where it does not say.
     pub temperatures_c: [Option<f64>; TEMPERATURES],
+    /// The elongation of the spindle by its sensor, in µm; `None` where the bridge does not say.
+    pub elongation_um: Option<f64>,
     /// Turns round ten times a second as long as the component lives.
     pub heartbeat: bool,
 }
@@ -99,7 +109,35 @@ pub struct Component {
     source: Source,
     followers: [Follower; 3],
     sender: Sender,
+    status: Status,
     offset_nm: [i32; 3],
+}
+
+/// The newest of what the bridge says of itself, with its time.
+#[derive(Debug, Default)]
+struct Status {
+    receiver: StatusReceiver,
+    temperatures_c: [Option<(Duration, f64)>; TEMPERATURES],
+    elongation_um: Option<(Duration, f64)>,
+}
+
+impl Status {
+    fn hear(&mut self, now: Duration, frame: &Frame) {
+        let Ok(status) = self.receiver.accept(frame) else { return };
+        match status.item {
+            Item::Temperatures { pair, centi_c } => {
+                let both = self.temperatures_c.iter_mut().skip(2 * usize::from(pair));
+                for (place, centi) in both.zip(centi_c) {
+                    *place = centi.map(|centi| (now, f64::from(centi) / 100.0));
+                }
+            }
+            Item::Elongation(elongation) => {
+                self.elongation_um =
+                    elongation.map(|it| (now, f64::from(it.0) / NANOMETRES_PER_MICROMETRE));
+            }
+            Item::Refused { .. } | Item::Received { .. } | Item::Board { .. } => {}
+        }
+    }
 }
 
 impl Component {
@@ -111,6 +149,7 @@ impl Component {
             source: Source::new(now),
             followers: Default::default(),
             sender: Sender::new(options.position_period, options.sends_rotary),
+            status: Status::default(),
             offset_nm: [0; 3],
         }
     }
@@ -118,6 +157,7 @@ impl Component {
     /// Takes what came over the line.
     pub fn hear(&mut self, now: Duration, event: &Event) {
         match event {
+            Event::Frame(frame) if frame.id() == STATUS_ID => self.status.hear(now, frame),
             Event::Frame(frame) => self.source.hear(now, frame),
             Event::Malformed(_) => self.source.hear_malformed(),
             Event::Accepted | Event::Refused | Event::Other(_) => {}
@@ -166,6 +206,11 @@ impl Component {
         outputs.applied = ready && matches!(target, Target::Follow(_)) && arrived;
         outputs.age_ms = self.source.age_ms(now).unwrap_or(u32::MAX);
         outputs.counters = self.source.counters();
+        let known = |said: Option<(Duration, f64)>| {
+            said.filter(|(at, _)| now.saturating_sub(*at) <= STATUS_LASTS).map(|(_, value)| value)
+        };
+        outputs.temperatures_c = self.status.temperatures_c.map(known);
+        outputs.elongation_um = known(self.status.elongation_um);
         outputs.heartbeat = (now.as_millis() / HEARTBEAT_HALF.as_millis()) % 2 == 1;
 
         let control = Control {
@@ -197,6 +242,7 @@ mod tests {
     use trueup_link::{
         frames::{offset_xy, offset_z},
         receiver::Receiver,
+        status,
     };
 
     const SLEW: f64 = 500e3;
@@ -316,6 +362,20 @@ mod tests {
             let said = world.controls.last().expect("at once");
             assert_eq!((said.engage, said.referenced), (enable && machine_on, homed));
         }
+    }
+
+    #[test]
+    fn temperatures_are_told_until_they_are_too_old() {
+        let mut world = World::new();
+        world.live(1);
+        let item = Item::Temperatures { pair: 1, centi_c: [Some(2_345), None] };
+        let said = status::Status { last_refused: status::Reason::None, item };
+        let frame = Event::Frame(status::encode(&said, 0));
+        world.component.hear(Duration::from_millis(world.ms), &frame);
+        world.live(2_500);
+        assert_eq!(world.outputs.temperatures_c[..5], [None, None, Some(23.45), None, None]);
+        world.live(2);
+        assert_eq!(world.outputs.temperatures_c, [None; TEMPERATURES]);
     }
 
     #[test]
