@@ -39,6 +39,10 @@ const CYCLE_S: f64 = 1e-3;
 const TURNS_PER_CYCLE: f64 = 2.5;
 /// `OFFSET_AV_RATIO` may give this much more speed than the slew limit without a word.
 const GENEROUS: f64 = 1.5;
+/// What a port is answered that this build cannot open.
+#[cfg(not(all(feature = "socketcan", target_os = "linux")))]
+const NO_SOCKETCAN: &str = "this tool was built without SocketCAN; build it on Linux by cargo build \
+                            --release -p trueup-cli --features socketcan";
 const NANOMETRES_PER_MICROMETRE: f64 = 1e3;
 const NANOMETRES_PER_MILLIMETRE: f64 = 1e6;
 
@@ -48,7 +52,7 @@ const NANOMETRES_PER_MILLIMETRE: f64 = 1e6;
 /// Pins, samples and what to do at tool setting, probing and homing: integrations/linuxcnc.
 #[derive(Args)]
 pub struct LinuxCnc {
-    /// Where the bridge is: tcp:HOST:PORT or a serial device.
+    /// Where the bridge is: tcp:HOST:PORT, a serial device, or can0.
     #[arg(long, value_name = "PORT")]
     port: String,
     /// Takes [limits] from this machine file: the same that the bridge was loaded with.
@@ -80,7 +84,7 @@ pub struct LinuxCnc {
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
     /// How many temp-NN pins there are.
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=TEMPERATURES as i64))]
+    #[arg(long, value_name = "N", default_value_t = TEMPERATURES as u8, value_parser = clap::value_parser!(u8).range(0..=TEMPERATURES as i64))]
     temperatures: u8,
     /// The name of the component. `loadusr -W` waits for the program's own; for another one,
     /// `loadusr -Wn NAME`.
@@ -120,9 +124,9 @@ impl Log {
 pub fn run(args: &LinuxCnc) -> Result<Outcome> {
     let mut log = Log::open(args.log.as_deref())?;
     let port = Port::parse(&args.port)?;
+    #[cfg(not(all(feature = "socketcan", target_os = "linux")))]
     if let Port::Can(interface) = &port {
-        let form = "LinuxCNC's component speaks SLCAN: give it tcp:HOST:PORT or the serial device";
-        return Err(Mend(format!("--port {interface}: {form}")).into());
+        return Err(Mend(format!("--port {interface}: {NO_SOCKETCAN}")).into());
     }
     let limits = match &args.machine {
         Some(path) => MachineFile::read(path)?.limits,
@@ -229,6 +233,76 @@ fn open(port: &Port) -> io::Result<Ends> {
             let serial = serialport::new(device, BAUD).timeout(READ_TIMEOUT).open()?;
             Ok((Box::new(serial.try_clone()?), Box::new(serial)))
         }
-        Port::Can(_) => Err(io::ErrorKind::Unsupported.into()),
+        #[cfg(all(feature = "socketcan", target_os = "linux"))]
+        Port::Can(interface) => can::open(interface),
+        #[cfg(not(all(feature = "socketcan", target_os = "linux")))]
+        Port::Can(_) => Err(io::Error::other(NO_SOCKETCAN)),
+    }
+}
+
+/// A CAN interface, spoken to in the lines that every other port carries.
+#[cfg(all(feature = "socketcan", target_os = "linux"))]
+mod can {
+    use std::{
+        io::{self, Read, Write},
+        sync::Arc,
+        time::Instant,
+    };
+
+    use trueup_link::slcan::{Client, Event, encode_line};
+    use trueup_linuxcnc::line::Ends;
+
+    use super::READ_TIMEOUT;
+    use crate::bridge::socket_can::Socket;
+
+    pub fn open(interface: &str) -> io::Result<Ends> {
+        let socket = Arc::new(Socket::open(interface).map_err(other)?);
+        let writer = Writer { socket: socket.clone(), lines: Client::new() };
+        Ok((Box::new(Reader { socket, rest: Vec::new() }), Box::new(writer)))
+    }
+
+    fn other(error: anyhow::Error) -> io::Error {
+        io::Error::other(format!("{error:#}"))
+    }
+
+    /// Frames come out as lines.
+    struct Reader {
+        socket: Arc<Socket>,
+        rest: Vec<u8>,
+    }
+
+    impl Read for Reader {
+        fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+            if self.rest.is_empty() {
+                let heard = self.socket.receive(Instant::now() + READ_TIMEOUT).map_err(other)?;
+                let frame = heard.ok_or(io::ErrorKind::TimedOut)?;
+                self.rest = encode_line(&frame).into_bytes().to_vec();
+            }
+            let length = self.rest.len().min(buffer.len());
+            buffer[..length].copy_from_slice(&self.rest[..length]);
+            self.rest.drain(..length);
+            Ok(length)
+        }
+    }
+
+    /// Lines with frames go in; those that open an adapter's channel have nothing to open.
+    struct Writer {
+        socket: Arc<Socket>,
+        lines: Client,
+    }
+
+    impl Write for Writer {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            for &byte in bytes {
+                if let Some(Event::Frame(frame)) = self.lines.receive(byte) {
+                    self.socket.send(&frame).map_err(other)?;
+                }
+            }
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
     }
 }

@@ -24,7 +24,7 @@ fn refused(arguments: &[&str], phrase: &str) {
 
 #[test]
 fn a_port_that_is_none_is_refused_by_name() {
-    refused(&["--port", "localhost:3333"], "a port is tcp:HOST:PORT or a serial device");
+    refused(&["--port", "localhost:3333"], "a port is tcp:HOST:PORT");
     refused(&[], "--port");
 }
 

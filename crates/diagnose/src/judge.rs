@@ -30,7 +30,9 @@ use crate::{
     model::{Kind, Model, Scale},
     parameters::parameters,
     report::{Finding, Gain, Rival},
-    search::{self, Added, Found, TIE, degrees, in_its_place, name, structure_in_place},
+    search::{
+        self, Added, Found, TIE, degrees, in_its_place, name, structure_in_place, with_structure,
+    },
     words,
 };
 
@@ -174,7 +176,14 @@ pub(crate) fn judge(problem: &Problem, found: &Found, added: &Added) -> Option<J
             .collect();
         rms(&apart) < left
     });
-    let claimed = open.is_empty() && is_determined && other_law.is_none();
+    // Where a law without a name is left, it may be what the term stands for.
+    let is_needed = found.structure.is_empty()
+        || without.as_ref().is_none_or(|without| {
+            let [with, in_place] = [&found.fitted, without]
+                .map(|it| search::score(problem, &with_structure(problem, it)));
+            in_place > with + TIE
+        });
+    let claimed = open.is_empty() && is_determined && other_law.is_none() && is_needed;
     let is_kept = open.is_empty() || alike;
     let gap = rivals
         .iter()
@@ -209,6 +218,10 @@ pub(crate) fn judge(problem: &Problem, found: &Found, added: &Added) -> Option<J
             "Something that goes with {law} explains clearly more in its place: the cause is near \
              it, but another one."
         ));
+    }
+    if !is_needed {
+        evidence
+            .push("What has no name yet, and is still left, explains this part as well.".into());
     }
     let gain = final_gain(problem, found, without.as_ref(), added);
     let next_test = match &other_law {

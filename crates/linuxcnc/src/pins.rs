@@ -20,7 +20,8 @@
 //! | `quality` | s32 out | 0 off … 6 fault, as on the wire |
 //! | `flags`, `age-ms` | u32 out | as on the wire |
 //! | `crc-errors`, `seq-errors`, `malformed`, `lost` | u32 out | frames since the start |
-//! | `temp-NN` | float out | a temperature of the bridge in °C; nan while it is not known |
+//! | `temp-NN` | float out | a temperature of the bridge in °C, by its channel; nan while it is not known |
+//! | `elongation-um` | float out | what the spindle's sensor reads, before reference and limits; nan while it is not known |
 //! | `heartbeat` | bit out | 10 Hz as long as the component lives |
 //! | `pid` | u32 out | its process |
 
@@ -67,6 +68,7 @@ pub struct Pins<'hal> {
     malformed: Pin<'hal, u32>,
     lost: Pin<'hal, u32>,
     temperatures: Vec<Pin<'hal, f64>>,
+    elongation_um: Pin<'hal, f64>,
     heartbeat: Pin<'hal, bool>,
 }
 
@@ -106,11 +108,7 @@ impl<'hal> Pins<'hal> {
         hal.output::<bool>(&full("enable-out"))?.set(true);
         hal.output::<u32>(&pid_pin(name))?.set(std::process::id());
         let [x, y, z] = AXES.map(axis);
-        let temperature = |number: u8| {
-            let pin = hal.output::<f64>(&full(&format!("temp-{number:02}")))?;
-            pin.set(f64::NAN);
-            Ok(pin)
-        };
+        let temperature = |number: u8| hal.output(&full(&format!("temp-{number:02}")));
         Ok(Self {
             mm_per_unit,
             enable: hal.input(&full("enable"))?,
@@ -133,6 +131,7 @@ impl<'hal> Pins<'hal> {
             malformed: hal.output(&full("malformed"))?,
             lost: hal.output(&full("lost"))?,
             temperatures: (0..temperatures).map(temperature).collect::<Result<_, HalError>>()?,
+            elongation_um: hal.output(&full("elongation-um"))?,
             heartbeat: hal.output(&full("heartbeat"))?,
         })
     }
@@ -181,6 +180,7 @@ impl<'hal> Pins<'hal> {
         for (pin, temperature) in self.temperatures.iter().zip(outputs.temperatures_c) {
             pin.set(temperature.unwrap_or(f64::NAN));
         }
+        self.elongation_um.set(outputs.elongation_um.unwrap_or(f64::NAN));
         self.heartbeat.set(outputs.heartbeat);
     }
 }

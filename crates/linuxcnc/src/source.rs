@@ -1,6 +1,6 @@
 //! Where the offsets are to go: from the bridge's frames, their age, and the lack of them.
 //!
-//! | what was heard | the offset | [`State`] |
+//! | what was heard | the offset | [`Target`] |
 //! |---|---|---|
 //! | a valid pair of frames, not older than `stale` | what it says, within the largest permitted | follow |
 //! | none, or "not available" | stays where it is, for `hold` | hold |

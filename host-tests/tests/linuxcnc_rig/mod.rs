@@ -156,12 +156,12 @@ impl Rig {
     /// What is applied, in µm, once it has not changed for a second: a busy computer takes its time
     /// to tell the board where the axes are.
     pub fn settled_um(&mut self) -> Result<[f64; 3]> {
-        let mut last = [f64::NAN; 3];
+        let mut last = [f64::INFINITY; 3];
         let mut since = std::time::Instant::now();
         let end = since + std::time::Duration::from_secs(30);
         while since.elapsed() < std::time::Duration::from_secs(1) {
             let now = self.cnc.pins(&APPLIED)?;
-            let moved = (0..3).any(|axis| !((now[axis] - last[axis]).abs() < CLOSE_UM));
+            let moved = (0..3).any(|axis| (now[axis] - last[axis]).abs() >= CLOSE_UM);
             if moved {
                 last.copy_from_slice(&now);
                 since = std::time::Instant::now();
@@ -214,6 +214,8 @@ impl Rig {
             seen.cycles, seen.joint_nm, seen.request_nm
         );
         ensure!(seen.joint_nm <= SLEW_NM + NOISE_NM, "a joint steps by {} nm", seen.joint_nm);
+        // The sample has LinuxCNC itself keep the joint's limit; this one is the component's.
+        ensure!(seen.request_nm <= SLEW_NM + NOISE_NM, "it asks for {} nm", seen.request_nm);
         Ok(())
     }
 }

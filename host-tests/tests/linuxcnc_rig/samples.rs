@@ -63,7 +63,7 @@ pub struct Steps {
     pub cycles: usize,
     /// The largest step of a joint beyond what its axis was commanded around that cycle, in nm.
     pub joint_nm: f64,
-    /// The largest step of what the component asked for, in nm.
+    /// The largest step of what the component asked for, away from where the offset stands, in nm.
     pub request_nm: f64,
 }
 
@@ -95,8 +95,10 @@ pub fn steps(samples: &[Sample]) -> Result<Steps> {
             let joint = (pair[1].joint[axis] - pair[0].joint[axis]).abs();
             seen.joint_nm = seen.joint_nm.max((joint - largest) * 1e6);
             let request = (pair[1].request[axis] - pair[0].request[axis]).abs() * 1e6;
-            // Machine on sets it to 0, which moves nothing.
-            if pair[0].on && pair[1].on {
+            let lead = |sample: &Sample| (sample.request[axis] - pair[1].eoffset[axis]).abs();
+            // Machine on sets it to 0, and at a soft limit it is taken back to where the offset
+            // stands: neither moves anything.
+            if pair[0].on && pair[1].on && lead(&pair[1]) > lead(&pair[0]) {
                 seen.request_nm = seen.request_nm.max(request);
             }
         }

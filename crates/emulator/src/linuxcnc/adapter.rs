@@ -17,7 +17,7 @@ use std::{
     net::{SocketAddr, TcpListener, TcpStream},
     sync::{Arc, Mutex, MutexGuard, PoisonError},
     thread,
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use anyhow::Result;
@@ -42,6 +42,8 @@ struct Shared {
     from_cnc: VecDeque<Frame>,
     client: Option<TcpStream>,
     heard: u64,
+    /// When the last of them came.
+    last_heard: Option<Instant>,
 }
 
 /// An adapter that listens.
@@ -67,6 +69,7 @@ impl Adapter {
             from_cnc: VecDeque::new(),
             client: None,
             heard: 0,
+            last_heard: None,
         }));
         let theirs = shared.clone();
         thread::spawn(move || {
@@ -93,6 +96,12 @@ impl Adapter {
     #[must_use]
     pub fn traffic(&self) -> (u64, u64) {
         (self.passed, lock(&self.shared).heard)
+    }
+
+    /// Whether the CNC has sent something within `time`.
+    #[must_use]
+    pub fn has_heard_within(&self, time: Duration) -> bool {
+        lock(&self.shared).last_heard.is_some_and(|heard| heard.elapsed() < time)
     }
 
     /// What the CNC has sent, as much of it as fits a block.
@@ -170,6 +179,7 @@ fn serve(mut stream: TcpStream, shared: &Mutex<Shared>) {
         for &byte in &bytes[..length] {
             if let Some(frame) = shared.port.receive(byte) {
                 shared.heard += 1;
+                shared.last_heard = Some(Instant::now());
                 shared.from_cnc.push_back(frame);
             }
             answers.extend(std::iter::from_fn(|| shared.port.pop()));

@@ -230,9 +230,9 @@ fn engaged(cnc: &mut Session, plant: &mut Plant) -> Result<()> {
         plant.check()?;
         ensure!(
             begun.elapsed() < PATIENCE,
-            "the bridge is not live: quality, applied, fault are {pins:?}; the board says {:?}; \
-             {}",
-            plant.take_log(),
+            "the bridge is not live: quality, applied, fault are {pins:?}; the board's last word is \
+             {:?}; {}",
+            plant.take_log().last(),
             cnc.said()
         );
         thread::sleep(Duration::from_millis(100));

@@ -41,6 +41,9 @@ use crate::{
 /// At real time the board may fall behind the clock by so much before its time slips. Compressed time
 /// goes as fast as it can, and nothing waits.
 const LARGEST_BACKLOG_MS: f64 = 500.0;
+/// While time is compressed, board and machine wait for a CNC that has been silent for so long: a
+/// stall of this computer would count for a minute.
+const HESITATION: Duration = Duration::from_millis(60);
 /// How fast the spindle's drive changes its speed, in r/min a second of the machine.
 const DRIVE_RPM_PER_S: f64 = 4_800.0;
 /// How often the loop looks when nothing is due.
@@ -372,6 +375,9 @@ impl Loop {
                 }
                 owed_ms = most_ms;
             }
+            if !is_real && !self.cnc_is_there() {
+                owed_ms = 0.0;
+            }
             let due = owed_ms.floor().min(f64::from(LARGEST_BATCH));
             self.hear()?;
             if due < 1.0 {
@@ -382,6 +388,12 @@ impl Loop {
             self.live(count(due))?;
         }
         Ok(self.adapter.traffic())
+    }
+
+    /// Whether both halves of the CNC, its real-time part and the component, have just been heard.
+    fn cnc_is_there(&self) -> bool {
+        let moves = self.heard.is_some_and(|heard| heard.elapsed() < HESITATION);
+        moves && self.adapter.has_heard_within(HESITATION)
     }
 
     /// Lets the board live through so many milliseconds of the machine as it stands.
