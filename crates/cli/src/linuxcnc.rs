@@ -22,7 +22,7 @@ use trueup_linuxcnc::{
     run::{self, Settings},
     source,
 };
-use trueup_machine::MachineFile;
+use trueup_machine::{MachineFile, machine_file::LinearAxis, model::over_compensation_um};
 
 use crate::{
     Mend, Outcome,
@@ -128,10 +128,10 @@ pub fn run(args: &LinuxCnc) -> Result<Outcome> {
     if let Port::Can(interface) = &port {
         return Err(Mend(format!("--port {interface}: {NO_SOCKETCAN}")).into());
     }
-    let limits = match &args.machine {
-        Some(path) => MachineFile::read(path)?.limits,
-        None => trueup_machine::machine_file::Limits::default(),
-    };
+    let machine = args.machine.as_ref().map(|path| MachineFile::read(path)).transpose()?;
+    let against_um = LinearAxis::ALL
+        .map(|axis| machine.as_ref().map(|machine| over_compensation_um(machine, axis)));
+    let limits = machine.map(|machine| machine.limits).unwrap_or_default();
     let ini = args.ini.as_ref().map(read_ini).transpose()?;
     if ini.is_none() {
         log.tell("no .ini: a servo cycle of 1 ms, millimetres, and slow changes of the offsets");
@@ -163,6 +163,7 @@ pub fn run(args: &LinuxCnc) -> Result<Outcome> {
             }),
             position_period: Duration::from_millis(args.position_period_ms),
             sends_rotary: args.rotary,
+            against_um,
         },
     };
     if let Some(ini) = ini {

@@ -43,6 +43,9 @@ pub struct Options {
     pub position_period: Duration,
     /// Whether angles are sent.
     pub sends_rotary: bool,
+    /// The most by which the offset of X, Y and Z goes against a reversal, in µm, where that is known:
+    /// then an offset can turn an axis as well.
+    pub against_um: [Option<f64>; 3],
 }
 
 /// What the pins say.
@@ -148,7 +151,7 @@ impl Component {
             options,
             source: Source::new(now),
             followers: Default::default(),
-            sender: Sender::new(options.position_period, options.sends_rotary),
+            sender: Sender::new(options.position_period, options.sends_rotary, options.against_um),
             status: Status::default(),
             offset_nm: [0; 3],
         }
@@ -256,7 +259,13 @@ mod tests {
             hold: Duration::from_millis(2_000),
         };
         let position_period = Duration::from_millis(2);
-        let options = Options { limits, pace: [pace; 3], position_period, sends_rotary: false };
+        let options = Options {
+            limits,
+            pace: [pace; 3],
+            position_period,
+            sends_rotary: false,
+            against_um: [Some(0.0); 3],
+        };
         Component::new(Duration::ZERO, options)
     }
 

@@ -7,11 +7,13 @@
 //! | `Rotary` | the angles, where there are any | as the positions |
 //! | `Spindle` | speed and load | every 20 ms while they change, else every 50 ms |
 //!
-//! A direction is where the axis was last sent, +1 or −1, also while it stands. Unlike the position
-//! it is that of command and external offset together: an axis that stands in the program, but is
-//! taken back by its offset, crosses its backlash like any other. It turns when the two have gone back
-//! by more than 1 µm: the last digits of a command that LinuxCNC computes as a difference, or of an
-//! encoder while the machine is off, are no reversal.
+//! A direction is where the axis was last sent, +1 or −1, also while it stands. It turns when the
+//! command has gone back by more than 1 µm: the last digits of a command that LinuxCNC computes as a
+//! difference, or of an encoder while the machine is off, are no reversal. Unlike the position it also
+//! looks at command and external offset together: an axis that stands in the program, but is taken back
+//! by its offset, crosses its backlash like any other. That is not to include what the reversal itself
+//! does to the offset, or the two would chase each other: for it, 1 µm and the most by which the
+//! machine's offset goes against a reversal; without a machine file only the command counts.
 
 use std::time::Duration;
 
@@ -78,32 +80,41 @@ impl<T: PartialEq + Copy> Changing<T> {
     }
 }
 
-/// Where an axis heads.
+/// Where an axis heads: by its command, and by command and offset together.
 #[derive(Clone, Copy, Debug, Default)]
 struct Course {
-    furthest: Option<Position>,
     heading: Heading,
+    /// The furthest of both since the last turn.
+    furthest: Option<[Position; 2]>,
 }
 
 impl Course {
-    fn take(&mut self, position: Position) -> Heading {
-        let furthest = self.furthest.get_or_insert(position);
-        let way = position.0.saturating_sub(furthest.0);
-        let turned = match self.heading {
-            Heading::Positive => way < -REVERSAL,
-            Heading::Negative => way > REVERSAL,
-            Heading::Standing => way.abs() > REVERSAL,
-        };
-        let further = match self.heading {
-            Heading::Positive => way > 0,
-            Heading::Negative => way < 0,
-            Heading::Standing => false,
-        };
-        if turned {
-            self.heading = if way > 0 { Heading::Positive } else { Heading::Negative };
-        }
-        if turned || further {
-            *furthest = position;
+    /// Takes the command, and the command with the offset, which turns the axis once it is back by
+    /// more than `reversal`, in the units of a position.
+    fn take(&mut self, command: Position, driven: Position, reversal: Option<i32>) -> Heading {
+        let at = [command, driven];
+        let furthest = self.furthest.get_or_insert(at);
+        let ways: [i32; 2] = [0, 1].map(|n| at[n].0.saturating_sub(furthest[n].0));
+        let back_by = [REVERSAL, reversal.unwrap_or(i32::MAX)];
+        let turn = [0, 1].into_iter().find(|&n| match self.heading {
+            Heading::Positive => ways[n] < -back_by[n],
+            Heading::Negative => ways[n] > back_by[n],
+            Heading::Standing => ways[n].unsigned_abs() > back_by[n].unsigned_abs(),
+        });
+        if let Some(n) = turn {
+            self.heading = if ways[n] > 0 { Heading::Positive } else { Heading::Negative };
+            *furthest = at;
+        } else {
+            for n in [0, 1] {
+                let is_further = match self.heading {
+                    Heading::Positive => ways[n] > 0,
+                    Heading::Negative => ways[n] < 0,
+                    Heading::Standing => false,
+                };
+                if is_further {
+                    furthest[n] = at[n];
+                }
+            }
         }
         self.heading
     }
@@ -117,6 +128,7 @@ pub struct Sender {
     control: Changing<Control>,
     positions: [Changing<AxisPosition>; 3],
     courses: [Course; 3],
+    reversals: [Option<i32>; 3],
     rotary: Changing<Rotary>,
     spindle: Changing<Spindle>,
     zero_until: Option<Duration>,
@@ -124,15 +136,21 @@ pub struct Sender {
 }
 
 impl Sender {
-    /// Sends moving positions every `position_period`, and angles if asked for.
+    /// Sends moving positions every `position_period`, and angles if asked for. `against_um` is the
+    /// most by which the offset of X, Y and Z goes against a reversal, where that is known.
     #[must_use]
-    pub fn new(position_period: Duration, sends_rotary: bool) -> Self {
+    pub fn new(
+        position_period: Duration,
+        sends_rotary: bool,
+        against_um: [Option<f64>; 3],
+    ) -> Self {
         Self {
             position_period,
             sends_rotary,
             control: Changing::default(),
             positions: Default::default(),
             courses: Default::default(),
+            reversals: against_um.map(|um| um.map(|um| position(um / 1_000.0).0 + REVERSAL)),
             rotary: Changing::default(),
             spindle: Changing::default(),
             zero_until: None,
@@ -150,8 +168,9 @@ impl Sender {
         }
         for (place, axis) in LinearAxis::ALL.into_iter().enumerate() {
             let position = position(command.position_mm[place]);
-            let driven = command.position_mm[place] + command.offset_mm[place];
-            let direction = self.courses[place].take(self::position(driven));
+            let driven = self::position(command.position_mm[place] + command.offset_mm[place]);
+            let reversal = self.reversals[place];
+            let direction = self.courses[place].take(position, driven, reversal);
             let there = AxisPosition { axis, position, direction };
             let period = self.position_period;
             if let Some(counter) = self.positions[place].due(now, there, period, STANDING_PERIOD) {
@@ -220,7 +239,7 @@ mod tests {
 
     #[test]
     fn a_moving_axis_is_sent_every_period_and_a_standing_one_every_50_ms() {
-        let mut sender = Sender::new(ms(2), false);
+        let mut sender = Sender::new(ms(2), false, [Some(0.0); 3]);
         let mut receiver = Receiver::new();
         let mut count = [0; 2];
         for now in 0..1_000 {
@@ -240,7 +259,7 @@ mod tests {
     #[test]
     fn a_direction_lasts_until_the_command_goes_back_by_more_than_a_micrometre() {
         let mut course = Course::default();
-        let mut at = |nm: i32| course.take(Position(nm / 10));
+        let mut at = |nm: i32| course.take(Position(nm / 10), Position(nm / 10), None);
         assert_eq!(at(0), Heading::Standing);
         assert_eq!(at(900), Heading::Standing);
         assert_eq!(at(2_000), Heading::Positive);
@@ -253,7 +272,7 @@ mod tests {
 
     #[test]
     fn an_offset_that_goes_back_turns_an_axis_that_stands() {
-        let mut sender = Sender::new(ms(2), false);
+        let mut sender = Sender::new(ms(2), false, [Some(0.0); 3]);
         let mut z = |now, offset_mm| {
             let there = [0.0, 0.0, offset_mm];
             let command =
@@ -271,8 +290,32 @@ mod tests {
     }
 
     #[test]
+    fn an_offset_that_goes_against_its_own_reversal_is_no_reversal() {
+        // A CNC that over-compensates by 25 µm: as soon as the axis is sent back, its offset rises.
+        let play = |against: Option<i32>| {
+            let (mut course, mut offset, mut turns) = (Course::default(), 0, 0);
+            let mut heading = Heading::Standing;
+            for step in 0..400 {
+                // Up by 1 mm, then back by a tenth, then it stands.
+                let command = if step < 100 { step * 1_000 } else { (199 - step).max(90) * 1_000 };
+                let driven = Position(command + offset);
+                let now = course.take(Position(command), driven, against);
+                turns += i32::from(now != heading);
+                heading = now;
+                // The bridge's answer, 0.5 µm a step.
+                let target = if heading == Heading::Negative { 2_500 } else { 0 };
+                offset += (target - offset).clamp(-50, 50);
+            }
+            turns
+        };
+        assert_eq!(play(Some(2_600)), 2, "up, and back");
+        assert_eq!(play(None), 2);
+        assert!(play(Some(REVERSAL)) > 4, "they chase each other");
+    }
+
+    #[test]
     fn a_pulse_on_zero_is_stretched_and_control_says_it_at_once() {
-        let mut sender = Sender::new(ms(2), false);
+        let mut sender = Sender::new(ms(2), false, [Some(0.0); 3]);
         let mut command = Command::default();
         let zero = |said: Vec<Heard>| {
             said.into_iter().find_map(|heard| match heard {
@@ -296,7 +339,7 @@ mod tests {
         assert_eq!(position(1e30), Position(i32::MAX));
         assert_eq!(position(f64::NAN), Position(0));
         assert_eq!(spindle(-24_000.0, 1e9), Spindle { speed: Rpm(24_000), load_n: i16::MAX });
-        let mut sender = Sender::new(ms(2), true);
+        let mut sender = Sender::new(ms(2), true, [Some(0.0); 3]);
         let command = Command { angles_deg: [725.0, -30.0], ..Command::default() };
         let heard = said(&mut sender, ms(0), &command);
         let angles = [5_000_000, -30_000_000].map(MicroDegrees);

@@ -25,6 +25,7 @@ mod elongation;
 mod kinematics;
 mod lag;
 mod pitch;
+mod reversal;
 mod straightness;
 mod term;
 mod thermal;
@@ -33,6 +34,7 @@ pub use elongation::{WarmupState, elongation_um, heating, temperature_elongation
 pub use kinematics::{error_um, offset_um, rotated, tool_direction};
 pub use lag::Lag;
 pub use pitch::{backlash_um, dual_pitch_um, is_reverse, pitch_um};
+pub use reversal::over_compensation_um;
 pub use straightness::{spline_um, squareness_um};
 pub use term::{Falling, corrected, shifted, time_shift_s};
 pub use thermal::{thermal_law, thermal_um};
