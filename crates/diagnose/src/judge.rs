@@ -24,6 +24,7 @@ use serde_json::{Map, json};
 use crate::{
     blocks::{Folds, rms},
     choose::AS_WELL,
+    columns::named,
     data::Data,
     diagnosis::errors,
     fit::{Fitted, Problem, fit},
@@ -119,11 +120,45 @@ fn imitates(problem: &Problem, found: &Found, without: &Fitted, rival: &Fitted) 
     is_near(&rival.model) || quick != rival.model && is_near(&quick)
 }
 
+/// Whether a curve goes with what an instrument reads: that is no other law than the instrument's own
+/// error, but a finer description of it.
+fn is_of_the_reading(data: &Data, kind: &Kind, curve: &Kind) -> bool {
+    let (Kind::ReferenceInstrument { .. }, Kind::Curve { column, times: None, .. }) = (kind, curve)
+    else {
+        return false;
+    };
+    let reading = data.own_position().unwrap_or(&data.elongation);
+    named(data, column).is_some_and(|column| correlation(column, reading).abs() > 0.999)
+}
+
+/// The correlation of two columns, over the rows that both have.
+fn correlation(a: &[f64], b: &[f64]) -> f64 {
+    let pairs: Vec<(f64, f64)> = a
+        .iter()
+        .zip(b)
+        .filter(|(a, b)| a.is_finite() && b.is_finite())
+        .map(|(a, b)| (*a, *b))
+        .collect();
+    let count = pairs.len() as f64;
+    let mean = |of: fn(&(f64, f64)) -> f64| pairs.iter().map(of).sum::<f64>() / count;
+    let (mean_a, mean_b) = (mean(|pair| pair.0), mean(|pair| pair.1));
+    let [mut aa, mut bb, mut ab] = [0.0; 3];
+    for (a, b) in pairs {
+        aa += (a - mean_a).powi(2);
+        bb += (b - mean_b).powi(2);
+        ab += (a - mean_a) * (b - mean_b);
+    }
+    ab / (aa * bb).sqrt()
+}
+
 /// The curve that explains clearly more in the place of the term, for people.
 fn other_law(problem: &Problem, found: &Found, kind: &Kind, without: &Fitted) -> Option<String> {
     let own = search::score(problem, &found.fitted);
     let explained = without.sum - found.fitted.sum;
     for (curve, in_place) in structure_in_place(problem, without) {
+        if is_of_the_reading(&problem.data, kind, &curve) {
+            continue;
+        }
         let is_better = search::score(problem, &in_place) < own - TIE;
         if !is_better || explained > EXPLAINS * (without.sum - in_place.sum) {
             continue;
@@ -178,6 +213,7 @@ pub(crate) fn judge(problem: &Problem, found: &Found, added: &Added) -> Option<J
     });
     // Where a law without a name is left, it may be what the term stands for.
     let is_needed = found.structure.is_empty()
+        || matches!(kind, Kind::ReferenceInstrument { .. })
         || without.as_ref().is_none_or(|without| {
             let [with, in_place] = [&found.fitted, without]
                 .map(|it| search::score(problem, &with_structure(problem, it)));

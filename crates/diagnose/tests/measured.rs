@@ -143,3 +143,22 @@ fn a_frame_that_the_bed_warms_is_named_and_gross_errors_are_set_aside() {
     println!("run 1: {gross} gross errors set aside");
     assert_eq!(gross, 11);
 }
+
+#[test]
+fn a_laser_that_looks_at_an_angle_has_an_error_of_its_own() {
+    let Some(path) = data("ess_iso230/b02_x_axis_dense.csv") else { return };
+    let text = std::fs::read_to_string(&path).expect("a text file");
+    let mut run = String::from("time_s,x_mm,measured_dx_um\n");
+    // One row in twelve: enough, and quick without optimisation.
+    for line in text.lines().skip(1).step_by(12) {
+        let cells: Vec<f64> = line.split(',').map(|cell| cell.parse().expect("a number")).collect();
+        let x_mm = cells[2] * -0.32319e-6;
+        run += &format!("{},{x_mm:.6},{:.3}\n", cells[0], (cells[1] - x_mm) * 1000.0);
+    }
+    let run = RunFile::from_reader(run.as_bytes(), &path).expect("a run file");
+    let diagnosis = diagnosed(HEAD, &[run], &[]);
+    let report = &diagnosis.report;
+    println!("{:?}: {:.2} µm RMS are left", causes(&diagnosis), report.after.rms_um);
+    let found = report.findings.iter().find(|finding| finding.cause == "reference-instrument");
+    assert!(found.is_some_and(|finding| finding.claimed && !finding.compensated));
+}
