@@ -179,12 +179,16 @@ impl SerialIn {
 }
 
 /// Bytes to the CNC.
-pub struct SerialOut(Tx<USART1>);
+pub struct SerialOut(#[expect(dead_code, reason = "holds that half of the USART")] Tx<USART1>);
 
 impl SerialOut {
-    /// The emulated USART is always ready.
+    /// The emulated USART is always ready, so that its status is not read first: each such read wakes
+    /// QEMU's main loop, and halves what the line carries.
     pub fn write(&mut self, byte: u8) {
-        nb::block!(self.0.write(byte)).ok();
+        // SAFETY: this half of the USART is owned by `self`, and a data register takes any byte.
+        let usart = unsafe { &*USART1::ptr() };
+        // SAFETY: as above.
+        usart.dr().write(|w| unsafe { w.dr().bits(byte.into()) });
     }
 }
 

@@ -28,7 +28,7 @@ use trueup_emulator::{
 use trueup_link::{bench::Block, slcan::CR};
 use trueup_machine::{Machine, compile};
 
-/// The board's clock may fall behind by so much before it slips: two helpers share the computer.
+/// The board's clock may fall behind by so much before it slips, on a busy computer.
 const LARGEST_BACKLOG_MS: u32 = 100;
 /// Blocks handed over at once: their frames are as late as the first of them.
 const LARGEST_BATCH: u32 = 10;

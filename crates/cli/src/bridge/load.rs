@@ -68,8 +68,7 @@ pub fn run(from: &Path, port: &str, keep_running: bool, as_json: bool) -> Result
     let mut running = object::number(&mut session, RUNNING_CRC)?;
     if !keep_running {
         session.send(&Frame::new(NMT_ID, &RESET_NODE).context("a frame of two bytes")?)?;
-        wait_for_boot(&mut session)?;
-        running = object::number(&mut session, RUNNING_CRC)?;
+        running = running_after_boot(&mut session, crc)?;
     }
     session.close();
     let is_met = keep_running || running == crc;
@@ -95,14 +94,28 @@ pub fn run(from: &Path, port: &str, keep_running: bool, as_json: bool) -> Result
     Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
 }
 
+/// What the bridge runs on once it is up again: `wanted`, or another if it stays with that. A bridge
+/// that is slow to hear of its restart still answers for the old one, so one answer is not believed.
+fn running_after_boot(session: &mut Session, wanted: u32) -> Result<u32> {
+    let deadline = Instant::now() + BOOT_TIMEOUT;
+    loop {
+        let told =
+            wait_for_boot(session, deadline).and_then(|()| object::number(session, RUNNING_CRC));
+        match told {
+            Ok(running) if running == wanted || Instant::now() > deadline => return Ok(running),
+            Err(error) if Instant::now() > deadline => return Err(error),
+            _ => {}
+        }
+    }
+}
+
 /// Until the bridge is up again: a line of SLCAN has to be opened anew.
-fn wait_for_boot(session: &mut Session) -> Result<()> {
+fn wait_for_boot(session: &mut Session, deadline: Instant) -> Result<()> {
     // A board that stores or supervises takes up to 10 ms to hear of it.
     let restarts = Instant::now() + Duration::from_millis(50);
     while session.next_event(restarts)?.is_some() {}
     session.reopen().context("the bridge does not come back after its restart")?;
-    let deadline = Instant::now() + BOOT_TIMEOUT;
-    while let Some(event) = session.next_event(deadline)? {
+    while let Some(event) = session.next_event(deadline.max(restarts))? {
         let Event::Frame(frame) = event else { continue };
         if frames::decode_heartbeat(&frame).is_ok_and(|state| state != State::BootUp) {
             return Ok(());
