@@ -19,18 +19,26 @@ const HOLD: Duration = Duration::from_secs(2);
 /// What LinuxCNC's planner leaves undone, and the arithmetic.
 const STILL_UM: f64 = 0.01;
 
-/// Runs a scenario from a rig in order back to a rig in order, with this growth at its end.
-fn scenario(z_um: f64, work: impl FnOnce(&mut Rig) -> Result<()>) -> Result<()> {
+/// Runs a scenario from a rig in order back to a rig in order, with this growth at its end. LinuxCNC
+/// without a real-time kernel can starve on a busy computer: what is late is tried once more, on a
+/// fresh start. A joint that steps too far is late by nothing, and fails at once.
+fn scenario(z_um: f64, work: impl Fn(&mut Rig) -> Result<()>) -> Result<()> {
     let Some(rig) = shared()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
     let mut rig = lock(&rig);
-    rig.ready()?;
-    rig.begin()?;
-    work(&mut rig)?;
-    rig.applied_at(z_um)?;
-    rig.end()
+    let once = |rig: &mut Rig| -> Result<()> {
+        rig.ready()?;
+        rig.begin()?;
+        work(rig)?;
+        rig.applied_at(z_um)?;
+        rig.end()
+    };
+    let Err(late) = once(&mut rig) else { return Ok(()) };
+    println!("once more, on a fresh start: {late:#}");
+    rig.restart_linuxcnc(&[])?;
+    once(&mut rig)
 }
 
 fn rest(ms: u64) {

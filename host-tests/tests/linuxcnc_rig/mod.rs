@@ -213,9 +213,9 @@ impl Rig {
              by {:.1} nm",
             seen.cycles, seen.joint_nm, seen.request_nm
         );
-        ensure!(seen.joint_nm <= SLEW_NM + NOISE_NM, "a joint steps by {} nm", seen.joint_nm);
+        assert!(seen.joint_nm <= SLEW_NM + NOISE_NM, "a joint steps by {} nm", seen.joint_nm);
         // The sample has LinuxCNC itself keep the joint's limit; this one is the component's.
-        ensure!(seen.request_nm <= SLEW_NM + NOISE_NM, "it asks for {} nm", seen.request_nm);
+        assert!(seen.request_nm <= SLEW_NM + NOISE_NM, "it asks for {} nm", seen.request_nm);
         Ok(())
     }
 }
