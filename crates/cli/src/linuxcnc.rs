@@ -55,7 +55,7 @@ pub struct LinuxCnc {
     /// Where the bridge is: tcp:HOST:PORT, a serial device, or can0.
     #[arg(long, value_name = "PORT")]
     port: String,
-    /// Takes [limits] from this machine file: the same that the bridge was loaded with.
+    /// Takes the limits from this machine file: the same that the bridge was loaded with.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
     /// LinuxCNC's .ini: servo period, units, and what is left for offsets.
