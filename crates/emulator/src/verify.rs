@@ -110,7 +110,12 @@ pub fn run() -> Result<()> {
     });
 
     step("LinuxCNC in the loop", &mut || {
-        Ok(match linuxcnc::run_and_publish()? {
+        // Without a real-time kernel LinuxCNC starves on a busy computer, and the run is worth nothing.
+        let first = linuxcnc::run_and_publish();
+        if let Err(error) = &first {
+            eprintln!("error: {error:#}; once more");
+        }
+        Ok(match first.or_else(|_| linuxcnc::run_and_publish())? {
             Some(passed) => Count { passed, ..Count::default() },
             None => Count { skipped: 1, ..Count::default() },
         })
