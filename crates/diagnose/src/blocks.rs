@@ -4,6 +4,7 @@
 //! the record; single rows only where there is no time and few rows, as in a table of readings.
 
 use crate::{
+    cores::on_all_cores,
     fit::{Problem, fit},
     model::Model,
     noise::Chance,
@@ -62,19 +63,15 @@ impl Folds {
         problem: &Problem,
         model: &Model,
     ) -> (Vec<f64>, Vec<Model>) {
-        let mut residual = vec![0.0; self.of_group.len()];
-        let mut models = Vec::with_capacity(self.count);
-        for fold in 0..self.count {
+        let folds: Vec<usize> = (0..self.count).collect();
+        let fitted = on_all_cores(&folds, problem.is_large(), |&fold| {
             let mask: Vec<bool> = self.of_group.iter().map(|&of| of != fold).collect();
-            let fitted = fit(problem, model, Some(&mask));
-            for (group, &of) in self.of_group.iter().enumerate() {
-                if of == fold {
-                    residual[group] = fitted.residual[group];
-                }
-            }
-            models.push(fitted.model);
-        }
-        (residual, models)
+            fit(problem, model, Some(&mask))
+        });
+        let residual = (0..self.of_group.len())
+            .map(|group| fitted[self.of_group[group]].residual[group])
+            .collect();
+        (residual, fitted.into_iter().map(|fitted| fitted.model).collect())
     }
 
     /// The reduction of the RMS from `before` to `after`, 1 − after/before, with its 95 % interval:

@@ -189,7 +189,7 @@ fn above(data: &Data, column: &str, mut values: Vec<f64>) -> Vec<f64> {
 /// as `trueup_machine::model::Lag` steps it; missing values hold.
 pub(crate) fn lagged(data: &Data, column: &str, rise_s: f64, fall_s: f64) -> Vec<f64> {
     if let Some(whole) = &data.whole {
-        return whole.pick(&lagged(&whole.data, column, rise_s, fall_s));
+        return whole.lagged(column, rise_s, fall_s);
     }
     let Some(values) = data.temperature(column) else { return vec![0.0; data.rows] };
     let Some(time_s) = data.time_s.as_deref() else { return filled(values) };

@@ -1,6 +1,9 @@
 //! The runs as one table: what was measured, what the model says, and what might explain the rest.
 
-use std::sync::Arc;
+use std::{
+    collections::VecDeque,
+    sync::{Arc, Mutex, PoisonError},
+};
 
 use trueup_machine::{
     BadInput, Machine, RunFile,
@@ -8,7 +11,10 @@ use trueup_machine::{
     model::{Reference, Situation, shifted, time_shift_s},
 };
 
-use crate::{columns::filled, noise::Steps};
+use crate::{
+    columns::{filled, lagged},
+    noise::Steps,
+};
 
 /// A run's columns, all files one after the other. A list has one value a row; NaN where missing.
 #[derive(Clone, Debug)]
@@ -61,9 +67,33 @@ pub(crate) struct Whole {
     pub data: Arc<Data>,
     /// Which of its rows were drawn, rising.
     rows: Vec<usize>,
+    /// Columns behind a lag that were asked for, the newest last.
+    lagged: Arc<Mutex<VecDeque<Lagged>>>,
 }
 
+/// A column, and the time constants of its rise and fall, to the bit; the drawn rows of it.
+type Lagged = ((String, [u64; 2]), Vec<f64>);
+
 impl Whole {
+    /// Enough for a grid of time constants.
+    const MOST_LAGGED: usize = 128;
+
+    /// A column of the whole behind a lag, in the drawn rows.
+    pub(crate) fn lagged(&self, column: &str, rise_s: f64, fall_s: f64) -> Vec<f64> {
+        let asked = (column.to_owned(), [rise_s, fall_s].map(f64::to_bits));
+        let known = || self.lagged.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, values)) = known().iter().find(|(there, _)| *there == asked) {
+            return values.clone();
+        }
+        let values = self.pick(&lagged(&self.data, column, rise_s, fall_s));
+        let mut known = known();
+        known.push_back((asked, values.clone()));
+        if known.len() > Self::MOST_LAGGED {
+            known.pop_front();
+        }
+        values
+    }
+
     /// Of values for all rows, those of the drawn ones.
     pub(crate) fn pick(&self, all: &[f64]) -> Vec<f64> {
         self.rows.iter().map(|&row| all[row]).collect()
@@ -368,8 +398,13 @@ impl Data {
             has_elongation: self.has_elongation,
             references_c: self.references_c.clone(),
             start_s: self.start_s,
-            whole: Some(Whole { data: self.clone(), rows }),
+            whole: Some(Whole { data: self.clone(), rows, lagged: Arc::default() }),
         }
+    }
+
+    /// The table that these rows were drawn from, or this one.
+    pub(crate) fn whole(&self) -> &Self {
+        self.whole.as_ref().map_or(self, |whole| &whole.data)
     }
 
     /// The position of the quantity's own axis.

@@ -7,9 +7,10 @@ use trueup_machine::{BadInput, Machine, RunFile, machine_file::Quantity};
 
 use crate::{
     blocks::rms,
+    candidates::structure,
     data::{Data, Groups, quantity_of},
     fit::{Fitted, Problem, fit},
-    judge::{Judged, column, is_compensated, judge, outlier_finding},
+    judge::{Judged, Own, column, is_compensated, judge, outlier_finding},
     model::Model,
     noise::Chance,
     outliers,
@@ -77,7 +78,7 @@ pub fn diagnose(
     // Gross errors are seen once the rest is explained; then the rest is searched without them.
     // A law that no cause has is no gross error either.
     let gross_of = |problem: &Problem, found: &Found| {
-        let rest = search::with_structure(problem, &found.fitted);
+        let rest = search::with_structure(problem, &structure(problem), &found.fitted);
         outliers::gross(&data, &rest.model.predict(&data))
     };
     let gross = gross_of(&problem, &found);
@@ -146,13 +147,16 @@ fn conclude(
     test: Option<&Data>,
 ) -> Diagnosis {
     let believed = Model::default().predict(&data);
+    let own = Own::of(&problem, &found);
     let mut judged: Vec<Judged> =
-        found.added.iter().filter_map(|added| judge(&problem, &found, added)).collect();
+        found.added.iter().filter_map(|added| judge(&problem, &found, &own, added)).collect();
     // Terms that are not kept leave, and the others are fitted again without them.
     let mut kept = found.fitted.clone();
     if judged.iter().any(|it| !it.is_kept) {
         let mut model = found.fitted.model.clone();
-        model.parts.retain(|part| judged.iter().all(|it| it.is_kept || it.kind != part.kind));
+        model.parts.retain(|part| {
+            judged.iter().all(|it| it.is_kept || it.kind.as_ref() != Some(&part.kind))
+        });
         kept = fit(&problem, &model, None);
     }
     let has_terms = !kept.model.parts.is_empty();

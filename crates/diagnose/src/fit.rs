@@ -6,9 +6,8 @@
 //! is in the intervals instead: the sandwich (XᵀX)⁻¹·Xᵀ·V·X·(XᵀX)⁻¹ with the noise's covariance V.
 
 use std::{
-    cell::{Cell, RefCell},
-    collections::HashMap,
-    rc::Rc,
+    collections::{HashMap, VecDeque},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
 use trueup_machine::machine_file::Source;
@@ -17,7 +16,7 @@ use crate::{
     columns::basis,
     data::{Data, Groups},
     linear::{dot, solve},
-    model::{Kind, Model, Scale, own_thermal},
+    model::{Kind, Model, Part, Scale, own_thermal, shifted_rows},
     noise::{self, Noise},
 };
 
@@ -47,13 +46,52 @@ pub(crate) struct Problem {
     pub measured: Vec<f64>,
     /// Bounds that a value must keep, from the extent of the data.
     pub bounds: Bounds,
-    /// Columns that were worked out before: what is only added does not depend on the model.
-    known: RefCell<HashMap<String, Columns>>,
-    /// Numbers that are kept in them.
-    kept: Cell<usize>,
+    known: Mutex<Known>,
 }
 
-type Columns = Rc<Vec<Vec<f64>>>;
+/// Columns side by side, in groups.
+pub(crate) type Columns = Arc<Vec<Vec<f64>>>;
+
+/// What was worked out before: what is only added does not depend on the model, and the rest of a
+/// model often stays while what is added changes.
+#[derive(Debug, Default)]
+struct Known {
+    /// Of the settings that every scan tries.
+    kept: HashMap<String, Columns>,
+    /// Numbers in them.
+    numbers: usize,
+    /// Of values on the way of a fit, the newest last.
+    recent: VecDeque<(String, Columns)>,
+    recent_numbers: usize,
+    /// A model that is late, and what it would predict of each row if it were not.
+    unshifted: Option<(Model, Arc<Vec<f64>>)>,
+}
+
+impl Known {
+    /// More numbers would only be memory: 80 MB and 16 MB.
+    const MOST: usize = 10_000_000;
+    const MOST_RECENT: usize = 2_000_000;
+
+    fn get(&self, key: &str) -> Option<Columns> {
+        let recent = || self.recent.iter().rev().find(|(there, _)| there == key).map(|(_, it)| it);
+        self.kept.get(key).or_else(recent).cloned()
+    }
+
+    fn put(&mut self, key: String, columns: Columns, keep: bool) {
+        let size = columns.iter().map(Vec::len).sum::<usize>();
+        if keep && self.numbers + size < Self::MOST {
+            self.numbers += size;
+            self.kept.insert(key, columns);
+            return;
+        }
+        self.recent_numbers += size;
+        self.recent.push_back((key, columns));
+        while self.recent_numbers > Self::MOST_RECENT {
+            let Some((_, oldest)) = self.recent.pop_front() else { break };
+            self.recent_numbers -= oldest.iter().map(Vec::len).sum::<usize>();
+        }
+    }
+}
 
 /// What nonlinear values may be.
 #[derive(Clone, Copy, Debug)]
@@ -69,21 +107,27 @@ pub(crate) struct Bounds {
 }
 
 impl Problem {
+    /// Rows that are worth several cores for a fit.
+    const MANY_GROUPS: usize = 500;
+
+    /// Whether a fit takes long enough for a core of its own.
+    pub(crate) fn is_large(&self) -> bool {
+        self.groups.len() >= Self::MANY_GROUPS
+    }
+
     pub(crate) fn new(data: Data, groups: Groups) -> Self {
         let measured = groups.means(&data.measured);
         let bounds = bounds(&data, &groups);
-        Self { data, groups, measured, bounds, known: RefCell::default(), kept: Cell::new(0) }
+        Self { data, groups, measured, bounds, known: Mutex::default() }
     }
 
-    /// What an added part of these nonlinear values adds at each amplitude of 1, in groups. Kept for
-    /// the next time, if there is to be one.
-    pub(crate) fn columns(&self, kind: &Kind, nonlinear: &[f64], keep: bool) -> Vec<Vec<f64>> {
-        // More would only be memory: 80 MB.
-        const MOST: usize = 10_000_000;
+    /// What an added part of these nonlinear values adds at each amplitude of 1, in groups. `keep`:
+    /// they will be asked for again and again.
+    pub(crate) fn columns(&self, kind: &Kind, nonlinear: &[f64], keep: bool) -> Columns {
         let bits: Vec<u64> = nonlinear.iter().map(|value| value.to_bits()).collect();
         let key = format!("{kind:?}{bits:?}");
-        if let Some(known) = self.known.borrow().get(&key) {
-            return known.to_vec();
+        if let Some(known) = self.known().get(&key) {
+            return known;
         }
         let is_of_elongation = kind.is_of_elongation(&self.data);
         let columns: Vec<Vec<f64>> = basis(kind, nonlinear, &self.data, &[])
@@ -95,12 +139,65 @@ impl Problem {
                 self.groups.means(&column)
             })
             .collect();
-        let size = columns.len() * self.groups.len();
-        if keep && self.kept.get() + size < MOST {
-            self.kept.set(self.kept.get() + size);
-            self.known.borrow_mut().insert(key, Rc::new(columns.clone()));
-        }
+        let columns = Arc::new(columns);
+        self.known().put(key, columns.clone(), keep);
         columns
+    }
+
+    fn known(&self) -> MutexGuard<'_, Known> {
+        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What `model` predicts, in groups.
+    pub(crate) fn predicted(&self, model: &Model) -> Vec<f64> {
+        if let Some(shift_s) = model.shift_s() {
+            let unshifted = self.unshifted(model);
+            return self.groups.means(&shifted_rows(&self.data, &unshifted, shift_s));
+        }
+        let (added, law): (Vec<&Part>, Vec<&Part>) =
+            model.parts.iter().partition(|part| part.kind.is_added());
+        let mut sum = self.of_law(&law)[0].clone();
+        for part in added {
+            let (nonlinear, amplitudes) = part.values.split_at(part.kind.nonlinear().len());
+            let columns = self.columns(&part.kind, nonlinear, nonlinear.is_empty());
+            for (column, amplitude) in columns.iter().zip(amplitudes) {
+                sum.iter_mut().zip(column).for_each(|(sum, c)| *sum += amplitude * c);
+            }
+        }
+        let constant = model.constant_um.unwrap_or(0.0);
+        sum.iter_mut().for_each(|sum| *sum += constant);
+        sum
+    }
+
+    /// What the model predicts with these parts alone, which are not only added: one column.
+    fn of_law(&self, law: &[&Part]) -> Columns {
+        let bits: Vec<Vec<u64>> = law
+            .iter()
+            .map(|part| part.values.iter().map(|value| value.to_bits()).collect())
+            .collect();
+        let kinds: Vec<&Kind> = law.iter().map(|part| &part.kind).collect();
+        let key = format!("{kinds:?}{bits:?}");
+        if let Some(known) = self.known().get(&key) {
+            return known;
+        }
+        let model = Model { parts: law.iter().copied().cloned().collect(), constant_um: None };
+        let predicted = Arc::new(vec![self.groups.means(&model.predict(&self.data))]);
+        self.known().put(key, predicted.clone(), false);
+        predicted
+    }
+
+    /// What the model would predict if nothing were late, in the rows of the whole.
+    fn unshifted(&self, model: &Model) -> Arc<Vec<f64>> {
+        let mut plain = model.clone();
+        plain.parts.retain(|part| part.kind != Kind::TimeShift);
+        if let Some((there, predicted)) = &self.known().unshifted
+            && *there == plain
+        {
+            return predicted.clone();
+        }
+        let predicted = Arc::new(plain.unshifted(self.data.whole()));
+        self.known().unshifted = Some((plain, predicted.clone()));
+        predicted
     }
 
     /// The same, as if `measured` (in groups) had been measured.
@@ -110,8 +207,7 @@ impl Problem {
             groups: self.groups.clone(),
             measured,
             bounds: self.bounds,
-            known: RefCell::default(),
-            kept: Cell::new(0),
+            known: Mutex::default(),
         }
     }
 
@@ -123,7 +219,7 @@ impl Problem {
 
     /// Measured minus predicted, in groups.
     pub(crate) fn residual(&self, model: &Model) -> Vec<f64> {
-        let predicted = self.groups.means(&model.predict(&self.data));
+        let predicted = self.predicted(model);
         self.measured.iter().zip(predicted).map(|(m, p)| m - p).collect()
     }
 
@@ -228,33 +324,48 @@ pub(crate) type Place = Option<(usize, usize)>;
 
 /// The change of the prediction with each value (in groups); logarithmic values by their logarithm.
 pub(crate) fn jacobian(problem: &Problem, model: &Model) -> (Vec<Place>, Vec<Vec<f64>>) {
-    let Problem { data, groups, .. } = problem;
     let mut places: Vec<Place> = Vec::new();
     let mut columns = Vec::new();
     let has_shift = model.has(&Kind::TimeShift);
     let mut here: Option<Vec<f64>> = None;
     for (index, part) in model.parts.iter().enumerate() {
-        let nonlinear = part.kind.nonlinear();
+        let (kind, nonlinear) = (&part.kind, part.kind.nonlinear());
+        let step = |number: usize| {
+            let is_log = nonlinear.get(number) == Some(&Scale::Logarithmic);
+            let value = part.values[number];
+            let step = derivative_step(problem, kind, value, is_log);
+            (step, if is_log { value * step.exp() } else { value + step })
+        };
         // What is only added is its own derivative.
-        let is_added = part.kind.rank() == 4 && !has_shift;
-        if is_added && part.kind.amplitudes() > 0 {
-            let unit =
-                problem.columns(&part.kind, &part.values[..nonlinear.len()], nonlinear.is_empty());
-            for (number, column) in unit.into_iter().enumerate() {
+        if kind.is_added() && !has_shift {
+            let (values, amplitudes) = part.values.split_at(nonlinear.len());
+            let unit = problem.columns(kind, values, nonlinear.is_empty());
+            for (number, column) in unit.iter().enumerate() {
                 places.push(Some((index, nonlinear.len() + number)));
+                columns.push(column.clone());
+            }
+            for number in 0..nonlinear.len() {
+                let (step, there) = step(number);
+                let mut moved = values.to_vec();
+                moved[number] = there;
+                let moved = problem.columns(kind, &moved, false);
+                let mut column = vec![0.0; problem.groups.len()];
+                for ((unit, moved), amplitude) in unit.iter().zip(&*moved).zip(amplitudes) {
+                    for ((sum, u), m) in column.iter_mut().zip(unit).zip(moved) {
+                        *sum += amplitude * (m - u) / step;
+                    }
+                }
+                places.push(Some((index, number)));
                 columns.push(column);
             }
+            continue;
         }
-        let numeric = if is_added { nonlinear.len() } else { part.values.len() };
-        for number in 0..numeric {
+        for number in 0..part.values.len() {
+            let (step, there) = step(number);
             let mut moved = model.clone();
-            let value = part.values[number];
-            let is_log = nonlinear.get(number) == Some(&Scale::Logarithmic);
-            let step = derivative_step(problem, &part.kind, value, is_log);
-            moved.parts[index].values[number] =
-                if is_log { value * step.exp() } else { value + step };
-            let base = here.get_or_insert_with(|| groups.means(&model.predict(data)));
-            let there = groups.means(&moved.predict(data));
+            moved.parts[index].values[number] = there;
+            let base = here.get_or_insert_with(|| problem.predicted(model));
+            let there = problem.predicted(&moved);
             let column = there.iter().zip(base.iter()).map(|(t, b)| (t - b) / step).collect();
             places.push(Some((index, number)));
             columns.push(column);
@@ -262,7 +373,7 @@ pub(crate) fn jacobian(problem: &Problem, model: &Model) -> (Vec<Place>, Vec<Vec
     }
     if model.constant_um.is_some() {
         places.push(None);
-        columns.push(vec![1.0; groups.len()]);
+        columns.push(vec![1.0; problem.groups.len()]);
     }
     (places, columns)
 }
@@ -298,7 +409,7 @@ pub(crate) fn fit(problem: &Problem, model: &Model, mask: Option<&[bool]>) -> Fi
     let mut damping: f64 = 0.0;
     let is_linear = model.parts.iter().all(|part| {
         let nonlinear = part.kind.nonlinear().len();
-        part.kind.rank() == 4 && (nonlinear == 0 || part.kind == Kind::Step)
+        part.kind.is_added() && (nonlinear == 0 || part.kind == Kind::Step)
     });
     let mut degrees = 0;
     for _ in 0..if is_linear { 1 } else { iterations } {

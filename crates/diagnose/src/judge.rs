@@ -23,6 +23,7 @@ use serde_json::{Map, json};
 
 use crate::{
     blocks::{Folds, rms},
+    candidates::{Candidate, structure},
     choose::AS_WELL,
     columns::named,
     data::Data,
@@ -47,7 +48,8 @@ const FORESEES: f64 = 2.0;
 /// What was judged about one term.
 pub(crate) struct Judged {
     pub finding: Finding,
-    pub kind: Kind,
+    /// None for readings that were set aside.
+    pub kind: Option<Kind>,
     /// Whether it goes into the extended machine file.
     pub is_kept: bool,
     /// What it goes with, where no cause explains it.
@@ -58,10 +60,28 @@ pub(crate) fn is_compensated(kind: &Kind) -> bool {
     !matches!(kind, Kind::Drift | Kind::Step | Kind::TimeShift | Kind::ReferenceInstrument { .. })
 }
 
+/// What is the same for all terms of a model.
+pub(crate) struct Own {
+    /// What it leaves in each group where that was left out, its RMS, and the fits without each fold.
+    left_out: Vec<f64>,
+    left_out_um: f64,
+    folded: Vec<Model>,
+}
+
+impl Own {
+    pub(crate) fn of(problem: &Problem, found: &Found) -> Self {
+        let (left_out, folded) = found.folds.left_out_with_models(problem, &found.fitted.model);
+        Self { left_out_um: rms(&left_out), left_out, folded }
+    }
+}
+
 /// The model without a term, and each other cause that is no part of the same in its place.
-fn rivals(problem: &Problem, found: &Found, kind: &Kind) -> (Option<Fitted>, Vec<(Rival, Fitted)>) {
-    let (own_left, _) = found.folds.left_out_with_models(problem, &found.fitted.model);
-    let own_left = rms(&own_left);
+fn rivals(
+    problem: &Problem,
+    found: &Found,
+    own: &Own,
+    kind: &Kind,
+) -> (Option<Fitted>, Vec<(Rival, Fitted)>) {
     let mut all: Vec<(Rival, Kind, Fitted)> = Vec::new();
     let mut without = None;
     for (with, fitted) in in_its_place(problem, &found.fitted, kind, 8) {
@@ -74,7 +94,8 @@ fn rivals(problem: &Problem, found: &Found, kind: &Kind) -> (Option<Fitted>, Vec
         }
         let mut gap = search::gap(problem, &found.fitted, &fitted);
         // What predicts left-out blocks clearly worse does not explain as well, whatever it fits.
-        if gap < TIE && rms(&found.folds.left_out(problem, &fitted.model)) > AS_WELL * own_left {
+        let left_out_um = || rms(&found.folds.left_out(problem, &fitted.model));
+        if gap < TIE && left_out_um() > AS_WELL * own.left_out_um {
             gap = TIE;
         }
         let rival = Rival { cause: name(&with).into(), column: column(&with), score_gap: gap };
@@ -103,10 +124,12 @@ fn imitates(problem: &Problem, found: &Found, without: &Fitted, rival: &Fitted) 
     if degrees(&rival.model) <= degrees(&found.fitted.model) {
         return false;
     }
-    let predicted = |model: &Model| problem.groups.means(&model.predict(&problem.data));
-    let own = predicted(&found.fitted.model);
-    let effect: Vec<f64> =
-        own.iter().zip(predicted(&without.model)).map(|(with, without)| with - without).collect();
+    let own = problem.predicted(&found.fitted.model);
+    let effect: Vec<f64> = own
+        .iter()
+        .zip(problem.predicted(&without.model))
+        .map(|(with, without)| with - without)
+        .collect();
     let problem = problem.measuring(own);
     // A time constant may have to go far.
     let mut quick = rival.model.clone();
@@ -120,15 +143,22 @@ fn imitates(problem: &Problem, found: &Found, without: &Fitted, rival: &Fitted) 
     is_near(&rival.model) || quick != rival.model && is_near(&quick)
 }
 
-/// Whether a curve goes with what an instrument reads: that is no other law than the instrument's own
-/// error, but a finer description of it.
-fn is_of_the_reading(data: &Data, kind: &Kind, curve: &Kind) -> bool {
-    let (Kind::ReferenceInstrument { .. }, Kind::Curve { column, times: None, .. }) = (kind, curve)
-    else {
-        return false;
-    };
-    let reading = data.own_position().unwrap_or(&data.elongation);
-    named(data, column).is_some_and(|column| correlation(column, reading).abs() > 0.999)
+/// The curves that would be another law than this term's. One over what an instrument reads is only a
+/// finer description of the instrument's own error.
+fn other_curves(problem: &Problem, kind: &Kind) -> Vec<Candidate> {
+    let mut curves = structure(problem);
+    if let Kind::ReferenceInstrument { .. } = kind {
+        let data = &problem.data;
+        let reading = data.own_position().unwrap_or(&data.elongation);
+        let is_reading = |name: &str| {
+            named(data, name).is_some_and(|column| correlation(column, reading).abs() > 0.999)
+        };
+        curves.retain(|curve| match &curve.kind {
+            Kind::Curve { column, times: None, .. } => !is_reading(column),
+            _ => true,
+        });
+    }
+    curves
 }
 
 /// The correlation of two columns, over the rows that both have.
@@ -152,14 +182,18 @@ fn correlation(a: &[f64], b: &[f64]) -> f64 {
 }
 
 /// The curve that explains clearly more in the place of the term, for people.
-fn other_law(problem: &Problem, found: &Found, kind: &Kind, without: &Fitted) -> Option<String> {
-    let own = search::score(problem, &found.fitted);
+fn other_law(
+    problem: &Problem,
+    found: &Found,
+    own: &Own,
+    kind: &Kind,
+    curves: &[Candidate],
+    without: &Fitted,
+) -> Option<String> {
+    let score = search::score(problem, &found.fitted);
     let explained = without.sum - found.fitted.sum;
-    for (curve, in_place) in structure_in_place(problem, without) {
-        if is_of_the_reading(&problem.data, kind, &curve) {
-            continue;
-        }
-        let is_better = search::score(problem, &in_place) < own - TIE;
+    for (curve, in_place) in structure_in_place(problem, curves, without) {
+        let is_better = search::score(problem, &in_place) < score - TIE;
         if !is_better || explained > EXPLAINS * (without.sum - in_place.sum) {
             continue;
         }
@@ -170,31 +204,32 @@ fn other_law(problem: &Problem, found: &Found, kind: &Kind, without: &Fitted) ->
         beside.constant_um = beside.constant_um.or(found.fitted.model.constant_um);
         beside.sort();
         let is_left = in_place.sum - fit(problem, &beside, None).sum < 0.5 * explained;
-        let left_out = |model: &Model| rms(&found.folds.left_out(problem, model));
-        if is_left && left_out(&in_place.model) < left_out(&found.fitted.model) {
+        let left_out_um = || rms(&found.folds.left_out(problem, &in_place.model));
+        if is_left && left_out_um() < own.left_out_um {
             return Some(words::structure(&curve));
         }
     }
     None
 }
 
-pub(crate) fn judge(problem: &Problem, found: &Found, added: &Added) -> Option<Judged> {
+pub(crate) fn judge(problem: &Problem, found: &Found, own: &Own, added: &Added) -> Option<Judged> {
     let data = &problem.data;
     let kind = &added.kind;
     let part = found.fitted.model.parts.iter().find(|part| part.kind == *kind)?;
-    let (without, rivals) = rivals(problem, found, kind);
-    let (left_out, folded) = found.folds.left_out_with_models(problem, &found.fitted.model);
-    let left_out = rms(&left_out);
+    let (without, rivals) = rivals(problem, found, own, kind);
+    let curves = other_curves(problem, kind);
+    let left_out = own.left_out_um;
     let (parameters, is_known) = parameters(problem, &found.fitted, part, found.noise);
     // What acts late is known if the model foresees what it was not fitted to. A growth from the start
     // alone is excepted: without the start it cannot be.
     let foresees = left_out <= FORESEES * found.fitted.rms();
     let is_late = kind.has_time_constant() && *kind != Kind::SlowMode;
     let is_determined = is_known
-        && is_steady(problem, kind, &folded)
+        && is_steady(problem, kind, &own.folded)
         && (foresees || !is_late)
         && is_seen_again(data, kind);
-    let other_law = without.as_ref().and_then(|without| other_law(problem, found, kind, without));
+    let other_law =
+        without.as_ref().and_then(|without| other_law(problem, found, own, kind, &curves, without));
     // The same cause by another column is a question of where, not of what.
     let open: Vec<&(Rival, Fitted)> = rivals
         .iter()
@@ -213,10 +248,9 @@ pub(crate) fn judge(problem: &Problem, found: &Found, added: &Added) -> Option<J
     });
     // Where a law without a name is left, it may be what the term stands for.
     let is_needed = found.structure.is_empty()
-        || matches!(kind, Kind::ReferenceInstrument { .. })
         || without.as_ref().is_none_or(|without| {
             let [with, in_place] = [&found.fitted, without]
-                .map(|it| search::score(problem, &with_structure(problem, it)));
+                .map(|it| search::score(problem, &with_structure(problem, &curves, it)));
             in_place > with + TIE
         });
     let claimed = open.is_empty() && is_determined && other_law.is_none() && is_needed;
@@ -259,7 +293,7 @@ pub(crate) fn judge(problem: &Problem, found: &Found, added: &Added) -> Option<J
         evidence
             .push("What has no name yet, and is still left, explains this part as well.".into());
     }
-    let gain = final_gain(problem, found, without.as_ref(), added);
+    let gain = final_gain(problem, found, own, without.as_ref(), added);
     let next_test = match &other_law {
         Some(law) => format!(
             "Measure again with nothing varied but what goes with {law}, in many small steps, up and \
@@ -282,7 +316,7 @@ pub(crate) fn judge(problem: &Problem, found: &Found, added: &Added) -> Option<J
         rivals: rivals.into_iter().map(|(rival, _)| rival).collect(),
         next_test,
     };
-    Some(Judged { finding, kind: kind.clone(), is_kept, other_law })
+    Some(Judged { finding, kind: Some(kind.clone()), is_kept, other_law })
 }
 
 /// Whether a slow path of a column was seen more than once: over one heating and one cooling, whatever
@@ -328,7 +362,13 @@ fn is_steady(problem: &Problem, kind: &Kind, folded: &[Model]) -> bool {
 }
 
 /// What the term brings in the final model, beside all others.
-fn final_gain(problem: &Problem, found: &Found, without: Option<&Fitted>, added: &Added) -> Gain {
+fn final_gain(
+    problem: &Problem,
+    found: &Found,
+    own: &Own,
+    without: Option<&Fitted>,
+    added: &Added,
+) -> Gain {
     let folds: &Folds = &found.folds;
     let Some(without) = without else {
         let gain = added.before;
@@ -342,13 +382,12 @@ fn final_gain(problem: &Problem, found: &Found, without: Option<&Fitted>, added:
         };
     };
     let before = folds.left_out(problem, &without.model);
-    let after = folds.left_out(problem, &found.fitted.model);
-    let (reduction, ci95, _) = folds.reduction(&before, &after);
+    let (reduction, ci95, _) = folds.reduction(&before, &own.left_out);
     Gain {
         rms_before_um: without.rms(),
         rms_after_um: found.fitted.rms(),
         left_out_before_um: rms(&before),
-        left_out_after_um: rms(&after),
+        left_out_after_um: own.left_out_um,
         reduction,
         ci95,
     }
@@ -410,15 +449,5 @@ pub(crate) fn outlier_finding(data: &Data, after: &[f64], aside: &[bool], count:
         rivals: Vec::new(),
         next_test: "Look at what happened at these readings, and measure them again.".into(),
     };
-    Judged {
-        finding,
-        kind: Kind::Curve {
-            column: String::new(),
-            knots: vec![0.0, 1.0],
-            by_direction: false,
-            times: None,
-        },
-        is_kept: true,
-        other_law: None,
-    }
+    Judged { finding, kind: None, is_kept: true, other_law: None }
 }

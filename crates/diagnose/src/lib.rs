@@ -24,6 +24,7 @@ mod blocks;
 mod candidates;
 mod choose;
 mod columns;
+mod cores;
 mod data;
 mod diagnosis;
 mod extended;

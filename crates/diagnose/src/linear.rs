@@ -92,15 +92,14 @@ pub(crate) fn solve(
     Solution { coefficients, inverse }
 }
 
-/// Makes `vectors` orthonormal to `basis` (which is orthonormal) and to each other; what vanishes is
-/// left out.
-pub(crate) fn orthonormal(basis: &[Vec<f64>], vectors: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+/// Makes `vectors` orthonormal to each other; what vanishes is left out.
+pub(crate) fn orthonormal(vectors: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
     let mut own: Vec<Vec<f64>> = Vec::with_capacity(vectors.len());
     for mut vector in vectors {
         let before = dot(&vector, &vector);
         // Twice is enough (Kahan and Parlett).
         for _ in 0..2 {
-            for other in basis.iter().chain(&own) {
+            for other in &own {
                 let share = dot(&vector, other);
                 vector.iter_mut().zip(other).for_each(|(v, o)| *v -= share * o);
             }

@@ -225,6 +225,11 @@ impl Kind {
         }
     }
 
+    /// Whether it only adds its columns, whatever the rest of the model is.
+    pub(crate) fn is_added(&self) -> bool {
+        self.rank() == 4
+    }
+
     /// Whether it changes the elongation, which then goes along the tool; else the axis.
     pub(crate) fn is_of_elongation(&self, data: &Data) -> bool {
         if data.quantity == Quantity::Elongation {
@@ -292,10 +297,20 @@ impl Model {
 
     /// The prediction of each row.
     pub(crate) fn predict(&self, data: &Data) -> Vec<f64> {
-        // What is predicted at another time may be of a row that was not drawn.
-        if let (Some(whole), true) = (&data.whole, self.has(&Kind::TimeShift)) {
-            return whole.pick(&self.predict(&whole.data));
+        match self.shift_s() {
+            Some(shift_s) => shifted_rows(data, &self.unshifted(data.whole()), shift_s),
+            None => self.unshifted(data),
         }
+    }
+
+    /// By how much all of it is late.
+    pub(crate) fn shift_s(&self) -> Option<f64> {
+        let part = self.parts.iter().find(|part| part.kind == Kind::TimeShift)?;
+        Some(part.values[0])
+    }
+
+    /// The prediction of each row, as if nothing were late.
+    pub(crate) fn unshifted(&self, data: &Data) -> Vec<f64> {
         let changed = self.changed();
         let mut elongation = elongation(data, changed);
         let mut axis = axis(data, changed);
@@ -325,18 +340,26 @@ impl Model {
             }
         }
         let constant = self.constant_um.unwrap_or(0.0);
-        let mut sum: Vec<f64> = elongation
+        elongation
             .iter()
             .zip(&data.along)
             .zip(&axis)
             .map(|((e, along), a)| if *along == 0.0 { *a } else { e * along + a } + constant)
-            .collect();
-        if let (Some(part), Some(time_s)) =
-            (self.parts.iter().find(|part| part.kind == Kind::TimeShift), &data.time_s)
-        {
-            sum = shifted_all(data, time_s, &sum, part.values[0]);
-        }
-        sum
+            .collect()
+    }
+}
+
+/// The rows of `data` of a prediction for the whole that they were drawn from, `shift_s` late: what is
+/// predicted at another time may be of a row that was not drawn.
+pub(crate) fn shifted_rows(data: &Data, whole_um: &[f64], shift_s: f64) -> Vec<f64> {
+    let whole = data.whole();
+    let shifted = match &whole.time_s {
+        Some(time_s) => shifted_all(whole, time_s, whole_um, shift_s),
+        None => whole_um.to_vec(),
+    };
+    match &data.whole {
+        Some(drawn) => drawn.pick(&shifted),
+        None => shifted,
     }
 }
 

@@ -111,8 +111,12 @@ impl Whitener {
 
 impl Whitener {
     /// [`apply`](Self::apply) to each of `columns`, four side by side: one alone waits for each step.
-    pub(crate) fn apply_all(&self, columns: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    pub(crate) fn apply_all<'c>(
+        &self,
+        columns: impl IntoIterator<Item = &'c Vec<f64>>,
+    ) -> Vec<Vec<f64>> {
         const LANES: usize = 4;
+        let columns: Vec<&Vec<f64>> = columns.into_iter().collect();
         let mut all = Vec::with_capacity(columns.len());
         let chunks = columns.chunks_exact(LANES);
         let rest = chunks.remainder();

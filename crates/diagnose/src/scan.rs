@@ -18,10 +18,11 @@
 //! distribution, whose upper quantile is the limit. So the false alarm rate is that of the whole
 //! search, not of one test, whatever the columns are and however they resemble each other.
 
-use std::thread;
+use nalgebra::{DMatrix, DVector};
 
 use crate::{
     candidates::Candidate,
+    cores::on_all_cores,
     fit::{Problem, jacobian},
     linear::{dot, orthonormal},
     model::{Model, Part},
@@ -78,10 +79,9 @@ fn effect(
     candidate: &Candidate,
     setting: &[f64],
 ) -> (Vec<Vec<f64>>, bool) {
-    let Problem { data, groups, .. } = problem;
     let kind = &candidate.kind;
-    if kind.rank() == 4 {
-        return (problem.columns(kind, setting, true), false);
+    if kind.is_added() {
+        return (problem.columns(kind, setting, true).to_vec(), false);
     }
     let is_fixed = kind.amplitudes() == 0 && !kind.nonlinear().is_empty();
     let step = if is_fixed { 1.0 } else { 1e-4 };
@@ -90,7 +90,7 @@ fn effect(
     let mut with = model.clone();
     with.parts.push(Part { kind: kind.clone(), values });
     with.sort();
-    let there = groups.means(&with.predict(data));
+    let there = problem.predicted(&with);
     (vec![there.iter().zip(here).map(|(t, h)| (t - h) / step).collect()], is_fixed)
 }
 
@@ -117,11 +117,13 @@ pub(crate) fn scan(
 ) -> Scan {
     let groups = &problem.groups;
     let rows = groups.len();
-    let here = groups.means(&model.predict(&problem.data));
+    let here = problem.predicted(model);
     let mut trials = Vec::new();
     for (number, candidate) in candidates.iter().enumerate() {
-        for setting in &candidate.settings {
-            let (columns, is_fixed) = effect(problem, model, &here, candidate, setting);
+        let effects = on_all_cores(&candidate.settings, problem.is_large(), |setting| {
+            effect(problem, model, &here, candidate, setting)
+        });
+        for (setting, (columns, is_fixed)) in candidate.settings.iter().zip(effects) {
             if columns.iter().flatten().any(|value| !value.is_finite()) {
                 continue;
             }
@@ -260,6 +262,11 @@ fn gumbel_limit(values: impl Iterator<Item = f64>) -> f64 {
     mean - EULER * scale - scale * (-(-FALSE_ALARM).ln_1p()).ln()
 }
 
+/// Columns of one trial's matrix at a time, so that they stay in the cache.
+const COLUMNS_AT_ONCE: usize = 64;
+/// What is left of a column's squares beside others, below which it is a combination of them.
+const DEPENDENT: f64 = 1e-11;
+
 /// T and U of each trial on each of `lists`.
 fn statistics(
     trials: &[Trial],
@@ -274,59 +281,25 @@ fn statistics(
     let mut base = vec![f64::INFINITY; lists.len()];
     let mut with = vec![vec![f64::INFINITY; lists.len()]; trials.len()];
     let mut share = vec![vec![0.0_f64; lists.len()]; trials.len()];
+    let chunks = chunks(trials);
     for (which, &noise) in noises.iter().enumerate() {
         let whitener = Whitener::new(noise, steps);
-        let white = |columns: &[Vec<f64>]| whitener.apply_all(columns);
-        let basis = orthonormal(&[], white(nuisance));
-        let project = |mut list: Vec<f64>| {
-            for column in &basis {
-                let share = dot(&list, column);
-                list.iter_mut().zip(column).for_each(|(v, c)| *v -= share * c);
-            }
-            list
-        };
-        let lists: Vec<Vec<f64>> = white(lists).into_iter().map(project).collect();
-        let sums: Vec<f64> = lists.iter().map(|list| dot(list, list)).collect();
+        let projector = Projector::new(&whitener, nuisance, lists);
         let deviance = |sum: f64| rows * (sum / rows).max(1e-300).ln() + whitener.log_det;
-        for (base, sum) in base.iter_mut().zip(&sums) {
+        for (base, sum) in base.iter_mut().zip(&projector.sums) {
             *base = base.min(deviance(*sum));
         }
-        let gains = |trial: &Trial| -> Vec<f64> {
-            if trial.is_fixed {
-                let change = project(whitener.apply(&trial.columns[0]));
-                let own = dot(&change, &change);
-                return lists.iter().map(|list| 2.0 * dot(list, &change) - own).collect();
-            }
-            let own = orthonormal(&basis, white(&trial.columns));
-            lists
-                .iter()
-                .map(|list| own.iter().map(|column| dot(list, column).powi(2)).sum())
-                .collect()
-        };
-        // Each on a core of its own.
-        let cores = thread::available_parallelism().map_or(1, usize::from).min(8);
-        let part = trials.len().div_ceil(cores).max(1);
-        let all: Vec<Vec<f64>> = if trials.len() * rows as usize * lists.len() < 2_000_000 {
-            trials.iter().map(gains).collect()
-        } else {
-            thread::scope(|scope| {
-                let workers: Vec<_> = trials
-                    .chunks(part)
-                    .map(|trials| scope.spawn(|| trials.iter().map(gains).collect::<Vec<_>>()))
-                    .collect();
-                let join = |worker: thread::ScopedJoinHandle<'_, Vec<Vec<f64>>>| {
-                    worker.join().expect("arithmetic does not panic")
-                };
-                workers.into_iter().flat_map(join).collect()
-            })
-        };
-        for (trial, gains) in all.iter().enumerate() {
+        let of = |chunk: &&[Trial]| projector.gains(&whitener, chunk);
+        let is_worth = trials.len() * rows as usize * lists.len() > 2_000_000;
+        let all = on_all_cores(&chunks, is_worth, of);
+        for (trial, gains) in all.iter().flatten().enumerate() {
             for (list, gain) in gains.iter().enumerate() {
+                let sum = projector.sums[list];
                 // More than all cannot be explained but by rounding.
-                let left = (sums[list] - gain).max(1e-12 * sums[list]);
+                let left = (sum - gain).max(1e-12 * sum);
                 with[trial][list] = with[trial][list].min(deviance(left));
-                if which == 0 && sums[list] > 0.0 {
-                    share[trial][list] = 1.0 - left / sums[list];
+                if which == 0 && sum > 0.0 {
+                    share[trial][list] = 1.0 - left / sum;
                 }
             }
         }
@@ -344,6 +317,112 @@ fn statistics(
                     [t, u]
                 })
                 .collect()
+        })
+        .collect()
+}
+
+/// Trials side by side, about [`COLUMNS_AT_ONCE`] columns each.
+fn chunks(trials: &[Trial]) -> Vec<&[Trial]> {
+    let mut chunks = Vec::new();
+    let (mut start, mut columns) = (0, 0);
+    for (index, trial) in trials.iter().enumerate() {
+        columns += trial.columns.len();
+        if columns >= COLUMNS_AT_ONCE {
+            chunks.push(&trials[start..=index]);
+            (start, columns) = (index + 1, 0);
+        }
+    }
+    if start < trials.len() {
+        chunks.push(&trials[start..]);
+    }
+    chunks
+}
+
+/// What columns take away from lists, beside what the model's own values could absorb; all whitened.
+///
+/// ```text
+/// Q  basis of the model's own columns        l ⊥ Q  the lists
+/// w  a trial's columns                       G = wᵀw − (wᵀQ)(wᵀQ)ᵀ,  b = wᵀl
+/// gain = bᵀ·G⁻¹·b                            of a change of fixed size: 2·b − G
+/// ```
+struct Projector {
+    /// Q and the lists.
+    right: DMatrix<f64>,
+    /// How many columns Q has.
+    basis: usize,
+    /// Squares of the lists.
+    sums: Vec<f64>,
+}
+
+impl Projector {
+    fn new(whitener: &Whitener, nuisance: &[Vec<f64>], lists: &[Vec<f64>]) -> Self {
+        let mut columns = orthonormal(whitener.apply_all(nuisance));
+        let basis = columns.len();
+        let mut sums = Vec::with_capacity(lists.len());
+        for mut list in whitener.apply_all(lists) {
+            for column in &columns[..basis] {
+                let share = dot(&list, column);
+                list.iter_mut().zip(column).for_each(|(v, c)| *v -= share * c);
+            }
+            sums.push(dot(&list, &list));
+            columns.push(list);
+        }
+        Self { right: matrix(&columns), basis, sums }
+    }
+
+    /// The gain of each trial on each list.
+    fn gains(&self, whitener: &Whitener, trials: &[Trial]) -> Vec<Vec<f64>> {
+        let columns = trials.iter().flat_map(|trial| &trial.columns);
+        let white = matrix(&whitener.apply_all(columns));
+        let turned = white.transpose();
+        let products = &turned * &self.right;
+        let mut first = 0;
+        trials
+            .iter()
+            .map(|trial| {
+                let count = trial.columns.len();
+                let rows = first..first + count;
+                first += count;
+                let in_basis = products.view((rows.start, 0), (count, self.basis));
+                let on_lists =
+                    products.columns_range(self.basis..).rows_range(rows.clone()).into_owned();
+                let squares = turned.rows_range(rows.clone()) * white.columns_range(rows);
+                let whole = squares.diagonal();
+                let beside = squares - in_basis * in_basis.transpose();
+                if trial.is_fixed {
+                    return on_lists.iter().map(|b| 2.0 * b - beside[(0, 0)]).collect();
+                }
+                explained(beside, &whole, on_lists)
+            })
+            .collect()
+    }
+}
+
+fn matrix(columns: &[Vec<f64>]) -> DMatrix<f64> {
+    let rows = columns.first().map_or(0, Vec::len);
+    DMatrix::from_iterator(rows, columns.len(), columns.iter().flatten().copied())
+}
+
+/// bᵀ·G⁻¹·b for each column b, by Cholesky; a column of G that is a combination of those before it,
+/// measured by its `whole` squares, counts for nothing.
+fn explained(mut g: DMatrix<f64>, whole: &DVector<f64>, mut b: DMatrix<f64>) -> Vec<f64> {
+    let count = g.nrows();
+    for i in 0..count {
+        for j in 0..i {
+            let sum: f64 = (0..j).map(|k| g[(i, k)] * g[(j, k)]).sum();
+            g[(i, j)] = if g[(j, j)] > 0.0 { (g[(i, j)] - sum) / g[(j, j)] } else { 0.0 };
+        }
+        let sum: f64 = (0..i).map(|k| g[(i, k)].powi(2)).sum();
+        let rest = g[(i, i)] - sum;
+        g[(i, i)] = if rest > DEPENDENT * whole[i] { rest.sqrt() } else { 0.0 };
+    }
+    b.column_iter_mut()
+        .map(|mut b| {
+            for i in 0..count {
+                let sum: f64 = (0..i).map(|k| g[(i, k)] * b[k]).sum();
+                b[i] = if g[(i, i)] > 0.0 { (b[i] - sum) / g[(i, i)] } else { 0.0 };
+            }
+            b.norm_squared()
         })
         .collect()
 }

@@ -16,6 +16,7 @@ use crate::{
     blocks::Folds,
     candidates::{Candidate, possible, structure},
     choose::{choose, pair_from_nothing},
+    cores::on_all_cores,
     data::Data,
     fit::{Fitted, Problem, fit},
     mend::{
@@ -150,18 +151,15 @@ pub(crate) fn fitted_hits(
             chosen.push(hit);
         }
     }
-    chosen
-        .into_iter()
-        .map(|hit| {
-            let mut start = with(model, hit);
-            begin(problem, residual, &mut start, &hit.part.kind);
-            let mut fitted = fit(problem, &start, None);
-            if hit.part.kind == Kind::Step {
-                fitted = refine_step(problem, fitted);
-            }
-            (hit.clone(), fitted)
-        })
-        .collect()
+    on_all_cores(&chosen, problem.is_large(), |&hit| {
+        let mut start = with(model, hit);
+        begin(problem, residual, &mut start, &hit.part.kind);
+        let mut fitted = fit(problem, &start, None);
+        if hit.part.kind == Kind::Step {
+            fitted = refine_step(problem, fitted);
+        }
+        (hit.clone(), fitted)
+    })
 }
 
 /// Amplitudes to begin from, where 0 leaves no derivative for the nonlinear values.
@@ -172,7 +170,7 @@ fn begin(problem: &Problem, residual: &[f64], model: &mut Model, kind: &Kind) {
     }
     let Some(index) = model.parts.iter().position(|part| part.kind == *kind) else { return };
     let values = model.parts[index].values[..nonlinear].to_vec();
-    let mut columns = problem.columns(kind, &values, false);
+    let mut columns = problem.columns(kind, &values, false).to_vec();
     if model.constant_um.is_some() {
         columns.push(vec![1.0; problem.groups.len()]);
     }
@@ -420,9 +418,12 @@ pub(crate) fn in_its_place(
 }
 
 /// The curves that do most beside what `reduced` has, with the fits of both.
-pub(crate) fn structure_in_place(problem: &Problem, reduced: &Fitted) -> Vec<(Kind, Fitted)> {
-    let curves = structure(problem);
-    let scanned = scan(problem, &reduced.model, &reduced.residual, &curves, Draw::Not);
+pub(crate) fn structure_in_place(
+    problem: &Problem,
+    curves: &[Candidate],
+    reduced: &Fitted,
+) -> Vec<(Kind, Fitted)> {
+    let scanned = scan(problem, &reduced.model, &reduced.residual, curves, Draw::Not);
     fitted_hits(problem, &reduced.model, &reduced.residual, &scanned.hits, 2)
         .into_iter()
         .map(|(hit, fitted)| (hit.part.kind, fitted))
@@ -431,11 +432,11 @@ pub(crate) fn structure_in_place(problem: &Problem, reduced: &Fitted) -> Vec<(Ki
 
 /// `fitted` with up to two curves that explain more than they cost: what is left then is left by
 /// whatever law there is.
-pub(crate) fn with_structure(problem: &Problem, fitted: &Fitted) -> Fitted {
+pub(crate) fn with_structure(problem: &Problem, curves: &[Candidate], fitted: &Fitted) -> Fitted {
     let mut best = fitted.clone();
     for _ in 0..2 {
         let own = score(problem, &best);
-        let with = structure_in_place(problem, &best)
+        let with = structure_in_place(problem, curves, &best)
             .into_iter()
             .map(|(_, with)| (score(problem, &with), with))
             .filter(|(score, _)| *score < own - TIE)

@@ -1,7 +1,15 @@
 //! Periodic errors: where in a spectrum of the residual over the position a peak stands.
 //!
-//! A least-squares periodogram (Lomb 1976) of the residual over the axis's position, by one rotation
-//! a row from each frequency to the next: O(rows · frequencies), no transform, any spacing.
+//! A least-squares periodogram (Lomb 1976) of the residual over the axis's position: O(rows ·
+//! frequencies), no transform, any spacing. From each frequency to the next, d further, each row
+//! turns by Chebyshev's recurrence (r the residual of the row at P):
+//!
+//! ```text
+//! r·sin(2π(f + d)P) = 2·cos(2πdP) · r·sin(2πfP) − r·sin(2π(f − d)P)      and so for the cosine
+//! ```
+//!
+//! Its rounding is below 10⁻¹² of the power after some 4000 steps (a test prints it).
+//!
 //! Frequencies go up to half of one over the typical spacing of neighbouring positions: a period
 //! shorter than twice the spacing has aliases, one as good as the other.
 //!
@@ -16,6 +24,7 @@ use trueup_machine::machine_file::Quantity;
 use crate::{
     candidates::Candidate,
     columns::filled,
+    cores::on_all_cores,
     fit::Problem,
     model::{Kind, Model},
     noise::Chance,
@@ -136,22 +145,29 @@ fn spectrum(at: &[f64], values: &[f64], least_turns: f64, most: usize) -> Option
     // Several rows side by side: each turn waits for the one before it.
     const LANES: usize = 8;
     for (at, values) in at.chunks(LANES).zip(values.chunks(LANES)) {
-        let mut value = [0.0; LANES];
-        let [mut sin, mut cos, mut turn_sin, mut turn_cos] = [[0.0; LANES]; 4];
+        let [mut sin, mut cos, mut sin_before, mut cos_before] = [[0.0; LANES]; 4];
+        let mut turn = [0.0; LANES];
         for (lane, (x, v)) in at.iter().zip(values).enumerate() {
-            let x = x - low;
-            value[lane] = v - mean;
-            (sin[lane], cos[lane]) = (TAU * first * x).sin_cos();
-            (turn_sin[lane], turn_cos[lane]) = (TAU * step * x).sin_cos();
+            let (x, value) = (TAU * (x - low), v - mean);
+            let at_frequency = |frequency: f64| {
+                let (sin, cos) = (frequency * x).sin_cos();
+                (value * sin, value * cos)
+            };
+            (sin[lane], cos[lane]) = at_frequency(first);
+            (sin_before[lane], cos_before[lane]) = at_frequency(first - step);
+            turn[lane] = 2.0 * (step * x).cos();
         }
         for sum in &mut sums {
             let (mut by_sin, mut by_cos) = (0.0, 0.0);
             for lane in 0..LANES {
-                by_sin += value[lane] * sin[lane];
-                by_cos += value[lane] * cos[lane];
-                let next = sin[lane] * turn_cos[lane] + cos[lane] * turn_sin[lane];
-                cos[lane] = cos[lane] * turn_cos[lane] - sin[lane] * turn_sin[lane];
-                sin[lane] = next;
+                by_sin += sin[lane];
+                by_cos += cos[lane];
+                let next = [
+                    turn[lane] * sin[lane] - sin_before[lane],
+                    turn[lane] * cos[lane] - cos_before[lane],
+                ];
+                (sin_before[lane], cos_before[lane]) = (sin[lane], cos[lane]);
+                [sin[lane], cos[lane]] = next;
             }
             sum[0] += by_sin;
             sum[1] += by_cos;
@@ -186,22 +202,55 @@ fn angled(at: &[f64], values: &[f64]) -> Option<(Vec<f64>, f64)> {
     let drawn: Vec<usize> = (0..at.len()).filter(|_| chance.below(at.len()) < ROWS).collect();
     let thin = |list: &[f64]| -> Vec<f64> { drawn.iter().map(|&row| list[row]).collect() };
     let (at, values) = (thin(at), thin(values));
-    let mut best: Option<(f64, Vec<f64>)> = None;
-    let mut looked_at = 0.0;
-    for beyond in 0..28 {
-        let distance = range * 0.15 * 1.22_f64.powi(beyond);
-        for side in [1.0, -1.0] {
-            // P + P₀ is positive on one side of the travel, negative on the other.
-            let origin = if side > 0.0 { distance - low } else { -high - distance };
-            let inverse: Vec<f64> = at.iter().map(|x| 1.0 / (x + origin)).collect();
-            let Some((power, constant, count)) = spectrum(&inverse, &values, 4.0, 900) else {
-                continue;
-            };
-            looked_at += count;
-            if best.as_ref().is_none_or(|(most, _)| power > *most) {
-                best = Some((power, vec![constant, origin]));
-            }
+    // P + P₀ is positive on one side of the travel, negative on the other.
+    let origins: Vec<f64> = (0..28)
+        .map(|beyond| range * 0.15 * 1.22_f64.powi(beyond))
+        .flat_map(|distance| [distance - low, -high - distance])
+        .collect();
+    let of = |origin: f64| {
+        let inverse: Vec<f64> = at.iter().map(|x| 1.0 / (x + origin)).collect();
+        let (power, constant, count) = spectrum(&inverse, &values, 4.0, 900)?;
+        Some((power, count, vec![constant, origin]))
+    };
+    let all: Vec<_> =
+        on_all_cores(&origins, true, |&origin| of(origin)).into_iter().flatten().collect();
+    let looked_at: f64 = all.iter().map(|(_, count, _)| count).sum();
+    all.into_iter()
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, _, values)| (values, looked_at.max(2.0).ln()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_recurrence_finds_the_power_that_plain_sines_find() {
+        let mut chance = Chance::new(5);
+        let mut uniform = || chance.below(1_000_000) as f64 / 1e6;
+        let at: Vec<f64> = (0..3000).map(|_| 1000.0 * uniform()).collect();
+        let noise: Vec<f64> = at.iter().map(|_| uniform() - 0.5).collect();
+        // Near the first and near the last of the frequencies.
+        for period in [300.0, 0.9] {
+            let wave = at.iter().zip(&noise).map(|(x, e)| (TAU * x / period).sin() + e);
+            let values: Vec<f64> = wave.collect();
+            let (power, frequency, _) = spectrum(&at, &values, 2.0, 8000).expect("long enough");
+            assert!((frequency * period - 1.0).abs() < 2e-2, "{frequency}");
+            let mean = values.iter().sum::<f64>() / values.len() as f64;
+            let (low, high) =
+                at.iter().fold((f64::INFINITY, 0.0_f64), |(l, h), &x| (l.min(x), h.max(x)));
+            // The grid's point that is nearest to the top.
+            let range = high - low;
+            let grid =
+                2.0 / range + ((frequency - 2.0 / range) * range * 4.0).round() * 0.25 / range;
+            let sums = at.iter().zip(&values).fold([0.0; 2], |[s, c], (x, v)| {
+                let (sin, cos) = (TAU * grid * (x - low)).sin_cos();
+                [s + (v - mean) * sin, c + (v - mean) * cos]
+            });
+            let plain = sums[0] * sums[0] + sums[1] * sums[1];
+            let off = (power / plain - 1.0).abs();
+            println!("period {period}: off by {off:.1e}");
+            assert!(off < 1e-7, "{power} {plain}");
         }
     }
-    best.map(|(_, values)| (values, looked_at.max(2.0).ln()))
 }

@@ -65,7 +65,7 @@ fn nothing_is_found_in_noise_with_and_without_a_memory() {
     let all = row(&[Hidden::CleanWhite, Hidden::CleanCorrelated], 3.0, 0..3);
     println!("{}", all.line("clean"));
     for score in &all.scores {
-        assert_eq!(score.verdict, Verdict::Clean, "{score:?}");
+        assert_eq!(score.verdict, Verdict::Clean, "{score}");
     }
 }
 
@@ -77,6 +77,6 @@ fn two_causes_are_both_named() {
     ] {
         let challenge = draw_pair(first, second, 3.0, 0).expect("one machine shows both");
         let score = scored(&challenge, &answer(&challenge));
-        assert!(score.is_right, "{score:?}");
+        assert!(score.is_right, "{score}");
     }
 }
