@@ -4,27 +4,26 @@
 //! difference that the export states.
 
 use std::{
-    fs::{self, File},
-    os::unix::{fs::PermissionsExt as _, process::CommandExt as _},
+    fs,
     path::Path,
-    process::{Command, Stdio},
     thread,
     time::{Duration, Instant},
 };
 
-use anyhow::{Context as _, Result, bail, ensure};
-use tempfile::TempDir;
-use trueup_emulator::setup;
+use anyhow::{Context as _, Result, ensure};
+use trueup_emulator::{
+    linuxcnc::headless::{DISPLAY, Headless},
+    setup::{self, LinuxCnc},
+};
 use trueup_export::{Approach, Export, Format, Options, export, linuxcnc};
 use trueup_machine::{
     MachineFile,
     model::{backlash_um, pitch_um},
 };
 
-/// A run takes about a tenth of this on an idle computer.
-const PATIENCE: Duration = Duration::from_secs(300);
-/// The user and group that own nothing.
-const NOBODY: u32 = 65_534;
+/// The backlash filter rests after a fraction of this: so many readings are the same.
+const SETTLES: Duration = Duration::from_secs(10);
+const RESTS: u32 = 5;
 /// At rest LinuxCNC keeps the compensation of the last cycle in which the joint still moved, a
 /// fraction of a micrometre before the end; with the tables' slopes and the rest of the backlash
 /// filter that is less than this, in µm.
@@ -37,7 +36,7 @@ VERSION = 1.1
 MACHINE = trueup
 DEBUG = 0
 [DISPLAY]
-DISPLAY = FOLDER/display.sh
+DISPLAY = FOLDER/SCREEN
 [RS274NGC]
 PARAMETER_FILE = FOLDER/sim.var
 [EMCMOT]
@@ -120,93 +119,59 @@ fn moves() -> Vec<[f64; 3]> {
 }
 
 /// Runs LinuxCNC with these compensation files; what it adds to each joint at each move, in mm.
-fn run(linuxcnc: &Path, files: &[(String, String)], moves: &[[f64; 3]]) -> Result<Vec<[f64; 3]>> {
-    let folder = TempDir::new()?;
-    let path = |name: &str| folder.path().join(name);
+fn run(
+    linuxcnc: LinuxCnc,
+    files: &[(String, String)],
+    moves: &[[f64; 3]],
+) -> Result<Vec<[f64; 3]>> {
+    let folder = Headless::new_folder()?;
     let here = folder.path().to_str().context("a temporary folder has a plain name")?;
-    let mut configuration = CONFIGURATION.replace("FOLDER", here);
+    let mut configuration = CONFIGURATION.replace("FOLDER", here).replace("SCREEN", DISPLAY);
     for (joint, axis) in JOINTS.iter().enumerate() {
         configuration += &format!("[AXIS_{}]\n{OF_AXIS}", axis.to_uppercase());
         configuration += &format!("[JOINT_{joint}]\n{OF_JOINT}{OF_AXIS}");
         configuration += &format!("COMP_FILE = {here}/{axis}.comp\n");
     }
-    let script = setup::root().join("host-tests/python/linuxcnc_comp.py");
-    // Root's own folders may be closed to the user that LinuxCNC runs as.
-    fs::copy(script, path("screen.py"))?;
-    let display = format!("#!/bin/sh\nexec /usr/bin/python3 {here}/screen.py {here}\n");
-    let moves_text = serde_json::to_string(moves)?;
-    let texts = [
-        ("sim.ini", configuration.as_str()),
-        ("sim.hal", WIRES),
-        ("sim.tbl", ""),
-        ("display.sh", &display),
-        ("moves.json", &moves_text),
-    ];
+    let texts = [("sim.ini", configuration.as_str()), ("sim.hal", WIRES), ("sim.tbl", "")];
     let files = files.iter().map(|(name, text)| (name.as_str(), text.as_str()));
     for (name, text) in texts.into_iter().chain(files) {
-        fs::write(path(name), text)?;
+        fs::write(folder.path().join(name), text)?;
     }
-    fs::set_permissions(path("display.sh"), fs::Permissions::from_mode(0o755))?;
-
-    let is_root = is_root()?;
-    let mut command = if is_root {
-        for entry in fs::read_dir(&folder)? {
-            std::os::unix::fs::chown(entry?.path(), Some(NOBODY), Some(NOBODY))?;
-        }
-        std::os::unix::fs::chown(&folder, Some(NOBODY), Some(NOBODY))?;
-        let mut command = Command::new("setpriv");
-        command.args([&format!("--reuid={NOBODY}"), &format!("--regid={NOBODY}")]);
-        command.arg("--clear-groups").arg(linuxcnc);
-        command
-    } else {
-        Command::new(linuxcnc)
-    };
-    let log = File::create(path("log.txt"))?;
-    let mut child = command
-        .arg(path("sim.ini"))
-        .env_clear()
-        .env("PATH", "/usr/bin:/bin:/usr/sbin:/sbin")
-        .env("HOME", folder.path())
-        .env("LANG", "C")
-        .current_dir(&folder)
-        .stdin(Stdio::null())
-        .stdout(log.try_clone()?)
-        .stderr(log)
-        // A group of its own, so that it can be ended with all that it started.
-        .process_group(0)
-        .spawn()
-        .context("LinuxCNC cannot be started")?;
-    let started = Instant::now();
-    let status = loop {
-        if let Some(status) = child.try_wait()? {
-            break Some(status);
-        }
-        if started.elapsed() > PATIENCE {
-            // It takes its realtime part down by itself if it is asked to.
-            let group = format!("-{}", child.id());
-            for signal in ["-TERM", "-KILL"] {
-                Command::new("kill").args([signal, "--", &group]).status()?;
-                thread::sleep(Duration::from_secs(3));
-            }
-            child.wait()?;
-            break None;
-        }
-        thread::sleep(Duration::from_millis(20));
-    };
-    let said = |name: &str| fs::read_to_string(path(name)).unwrap_or_default();
-    let all = ["failed.txt", "log.txt", "linuxcnc_print.txt", "linuxcnc_debug.txt"].map(said);
-    ensure!(status.is_some(), "LinuxCNC was not done after {PATIENCE:?}: {}", all.join("\n"));
-    let Ok(result) = fs::read_to_string(path("result.json")) else {
-        bail!("LinuxCNC gave no result: {}", all.join("\n"));
-    };
-    println!("{} moves in {:.1} s", moves.len(), started.elapsed().as_secs_f64());
-    Ok(serde_json::from_str(&result)?)
+    let mut cnc = Headless::start(folder, "sim.ini", linuxcnc)?;
+    cnc.switch_on()?;
+    let begun = Instant::now();
+    let mut added = Vec::with_capacity(moves.len());
+    for [x, y, z] in moves {
+        cnc.act("mdi", "text", format!("G53 G0 X{x:.6} Y{y:.6} Z{z:.6}"))?;
+        added.push(settled(&mut cnc)?);
+    }
+    println!("{} moves in {:.1} s", moves.len(), begun.elapsed().as_secs_f64());
+    cnc.end()?;
+    Ok(added)
 }
 
-/// LinuxCNC refuses to run as root.
-fn is_root() -> Result<bool> {
-    let id = Command::new("id").arg("-u").output()?;
-    Ok(String::from_utf8_lossy(&id.stdout).trim() == "0")
+/// What each motor's command is off its joint's, in mm. The backlash filter ends a few billionths
+/// beside its goal, so it is watched until it rests.
+fn settled(cnc: &mut Headless) -> Result<[f64; 3]> {
+    let pins: Vec<String> = ["backlash-filt", "motor-pos-cmd", "pos-cmd", "motor-offset"]
+        .iter()
+        .flat_map(|pin| (0..JOINTS.len()).map(move |joint| format!("joint.{joint}.{pin}")))
+        .collect();
+    let pins: Vec<&str> = pins.iter().map(String::as_str).collect();
+    let (mut before, mut rests) = (Vec::new(), 0);
+    let end = Instant::now() + SETTLES;
+    loop {
+        let now = cnc.pins(&pins)?;
+        rests = if now == before { rests + 1 } else { 0 };
+        if rests == RESTS {
+            return Ok(std::array::from_fn(|joint| {
+                now[3 + joint] - now[6 + joint] - now[9 + joint]
+            }));
+        }
+        ensure!(Instant::now() < end, "the backlash filter does not come to rest: {now:?}");
+        before = now;
+        thread::sleep(Duration::from_millis(2));
+    }
 }
 
 fn files(export: &Export) -> Vec<(String, String)> {
@@ -228,7 +193,7 @@ fn the_real_linuxcnc_corrects_the_model_within_the_stated_difference() -> Result
     assert!((200..=linuxcnc::MOST_LINES).contains(&lines(0)), "thinned from 400: {}", lines(0));
 
     let moves = moves();
-    let added = run(control.program(), &files(&export), &moves)?;
+    let added = run(control, &files(&export), &moves)?;
     assert_eq!(added.len(), moves.len());
     // The first move comes from 0 and goes down in every joint, the last 60 too.
     let top = moves.len() / 2;
@@ -271,7 +236,7 @@ fn a_header_would_switch_the_real_linuxcncs_table_off_in_silence() -> Result<()>
         named("y", format!("# nominal forward reverse\n{table}")),
         named("z", format!("0 0.005 0.005\n\n{table}")),
     ];
-    let added = run(control.program(), &files, &[[10.0; 3], [50.0; 3]])?;
+    let added = run(control, &files, &[[10.0; 3], [50.0; 3]])?;
     let um = added.last().context("two moves")?.map(|mm| (mm * 1000.0 * 1e4).round() / 1e4);
     // After an empty line the rest is lost, but a single line holds everywhere.
     assert_eq!(um, [5.0, 0.0, 5.0]);

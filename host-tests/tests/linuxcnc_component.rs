@@ -47,7 +47,7 @@ fn rest(ms: u64) {
 
 /// Switches on again; the offset begins at 0.
 fn back_on(rig: &mut Rig) -> Result<()> {
-    rig.switch_on()?;
+    rig.cnc.switch_on()?;
     let z_um = rig.z_um()?;
     ensure!(z_um < GROWN_UM - CLOSE_UM, "it does not begin anew, but at {z_um} um");
     Ok(())
@@ -79,14 +79,14 @@ fn after_machine_off_and_on_the_offset_comes_back_by_a_ramp() -> Result<()> {
 #[test]
 fn while_it_is_not_homed_the_offset_stands_and_afterwards_it_follows_again() -> Result<()> {
     scenario(GROWN_UM - 15.0, |rig| {
-        rig.cnc.ask(json!({"do": "unhome"}))?;
+        rig.cnc.ask(&json!({"do": "unhome"}))?;
         let before = rig.z_um()?;
         // The bridge takes its offset back; LinuxCNC would take no count.
         rig.bridge.grow_to(GROWN_UM - 15.0);
         rig.cnc.wait("it is taken back", 20, &["trueup.0.quality"], |seen| seen[0] == 0.0)?;
         let z_um = rig.z_um()?;
         ensure!((z_um - before).abs() < STILL_UM, "it moved from {before} to {z_um} um");
-        rig.switch_on()
+        rig.cnc.switch_on()
     })
 }
 
@@ -118,7 +118,7 @@ fn a_bridge_that_is_unplugged_is_held_then_ramped_out_and_taken_up_again() -> Re
         ensure!(held, "fault and offset in mm after a second: {seen:?}");
         gone(rig)?;
         ensure!(pulled.elapsed() > HOLD, "after the hold, not before");
-        let said = rig.cnc.ask(json!({"do": "stat"}))?["said"].to_string();
+        let said = rig.cnc.ask(&json!({"do": "stat"}))?["said"].to_string();
         ensure!(said.contains("trueup: no offsets"), "the operator is told: {said}");
         rig.bridge.plug(true);
         Ok(())
@@ -240,7 +240,7 @@ fn counts_that_wrap_at_32_bits_are_no_step() -> Result<()> {
             rig.cnc.halcmd(&format!("net trueup-{axis} trueup.0.{axis}-counts"))?;
         }
         rest(200);
-        rig.switch_on()?;
+        rig.cnc.switch_on()?;
         rig.applied()?;
         let counts = rig.cnc.pin("axis.z.eoffset-counts")?;
         ensure!(counts < 0.0, "40 um are 40000 counts, 20000 beyond the end: {counts}");
@@ -297,7 +297,7 @@ fn a_part_that_is_touched_off_warm_has_the_right_height_after_a_restart() -> Res
     rig.bridge.grow_to(GROWN_UM - 12.0);
     rig.restart_linuxcnc(&[("trueup_sim.var", &variables)])?;
     rig.begin()?;
-    rig.switch_on()?;
+    rig.cnc.switch_on()?;
     rig.applied_at(-12.0)?;
     rig.cnc.act("mdi", "text", "G54 G0 X3 Y2")?;
     rig.cnc.act("mdi", "text", "G54 G0 Z1")?;
@@ -349,11 +349,11 @@ fn a_probed_point_contains_the_offset_and_a_touched_off_one_does_not() -> Result
         rig.cnc.act("mdi", "text", "G53 G0 Z0")?;
         rig.cnc.act("begin_mdi", "text", "G38.2 Z-20 F120")?;
         rig.cnc.wait("on its way", 10, &["axis.z.pos-cmd"], |seen| seen[0] < -1.0)?;
-        rig.cnc.ask(json!({"do": "setp", "name": "motion.probe-input", "value": 1}))?;
+        rig.cnc.ask(&json!({"do": "setp", "name": "motion.probe-input", "value": 1}))?;
         rest(300);
-        rig.cnc.ask(json!({"do": "setp", "name": "motion.probe-input", "value": 0}))?;
+        rig.cnc.ask(&json!({"do": "setp", "name": "motion.probe-input", "value": 0}))?;
         let z_of = |rig: &mut Rig, what: &str| -> Result<f64> {
-            let stat = rig.cnc.ask(json!({"do": "stat"}))?;
+            let stat = rig.cnc.ask(&json!({"do": "stat"}))?;
             stat[what][2].as_f64().with_context(|| format!("no {what} in {stat}"))
         };
         // As the README has it: the offset is taken off the point.

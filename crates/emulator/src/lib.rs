@@ -21,6 +21,7 @@ pub mod log;
 pub mod measure;
 pub mod plant;
 pub mod process;
+pub mod programs;
 pub mod qemu;
 pub mod replay;
 pub mod report;

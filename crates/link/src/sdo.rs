@@ -38,15 +38,6 @@ pub enum Datum<'v> {
     Bytes(&'v [u8]),
 }
 
-/// When a domain that has come whole is accepted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Done {
-    /// It is.
-    Now,
-    /// It is being looked at; [`Server::end`] will say.
-    Later,
-}
-
 /// What stands behind the dictionary.
 pub trait Objects {
     /// Reads a value.
@@ -73,11 +64,11 @@ pub trait Objects {
     /// Why they are not taken.
     fn append(&mut self, bytes: &[u8]) -> Result<(), Abort>;
 
-    /// It has come whole.
+    /// It has come whole, and is now looked at; [`Server::end`] will say what came of it.
     ///
     /// # Errors
     /// Why it is not taken.
-    fn close(&mut self) -> Result<Done, Abort>;
+    fn close(&mut self) -> Result<(), Abort>;
 }
 
 /// What a transfer is of.
@@ -154,7 +145,7 @@ impl Server {
         }
     }
 
-    /// The outcome of what [`Done::Later`] had left open.
+    /// The outcome for a domain that had come whole, see [`Objects::close`].
     pub fn end(&mut self, outcome: Result<(), Abort>) -> Option<Frame> {
         let Phase::Waiting { at, toggle } = self.phase else { return None };
         Some(match outcome {
@@ -307,10 +298,9 @@ impl Server {
             Some(size) if incoming.length != size => return Err(Abort::Length),
             Some(size) => objects.write(entry.what, number_of(incoming.number, size))?,
             None => {
-                if objects.close()? == Done::Later {
-                    self.phase = Phase::Waiting { at, toggle };
-                    return Ok(None);
-                }
+                objects.close()?;
+                self.phase = Phase::Waiting { at, toggle };
+                return Ok(None);
             }
         }
         self.phase = Phase::Idle;

@@ -8,12 +8,11 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
 use anyhow::{Result, ensure};
 use serde_json::json;
-use trueup_emulator::setup;
+use trueup_emulator::{linuxcnc::headless::Headless, setup};
 use trueup_machine::{Machine, MachineFile};
 
 use self::{
     bridge::{Bridge, Damage},
-    control::Control,
     samples::Sample,
 };
 
@@ -36,7 +35,7 @@ pub const APPLIED: [&str; 3] =
 /// Both.
 pub struct Rig {
     pub bridge: Bridge,
-    pub cnc: Control,
+    pub cnc: Headless,
     /// What LinuxCNC and the component had said before the bridge was there.
     pub told_at_start: String,
     scenario: i32,
@@ -75,7 +74,7 @@ impl Rig {
         let Some(linuxcnc) = setup::linuxcnc()? else { return Ok(None) };
         let bridge = Bridge::start(&machine()?)?;
         bridge.plug(false);
-        let mut cnc = Control::start(linuxcnc, &bridge.address(), &[])?;
+        let mut cnc = control::start(linuxcnc, &bridge.address(), &[])?;
         cnc.wait("nobody is there", 10, &["trueup.0.fault", "trueup.0.connected"], |seen| {
             seen == [1.0, 0.0]
         })?;
@@ -87,7 +86,7 @@ impl Rig {
     /// Ends LinuxCNC and starts it again, with the bridge as it is, and with these files more.
     pub fn restart_linuxcnc(&mut self, files: &[(&str, &str)]) -> Result<()> {
         let linuxcnc = self.cnc.give_back()?;
-        self.cnc = Control::start(linuxcnc, &self.bridge.address(), files)?;
+        self.cnc = control::start(linuxcnc, &self.bridge.address(), files)?;
         self.read = 0;
         Ok(())
     }
@@ -98,9 +97,9 @@ impl Rig {
         self.bridge.damage(Damage::default());
         self.bridge.plug(true);
         self.bridge.grow_to(GROWN_UM);
-        self.cnc.ask(json!({"do": "abort"}))?;
+        self.cnc.ask(&json!({"do": "abort"}))?;
         self.cnc.act("zero", "on", false)?;
-        self.switch_on()?;
+        self.cnc.switch_on()?;
         self.cnc.act("mdi", "text", "G53 G0 X0 Y0 Z0")?;
         self.cnc.act("teleop", "on", true)?;
         if self.applied_within(8, GROWN_UM).is_ok() {
@@ -120,17 +119,6 @@ impl Rig {
         self.cnc.act("zero", "on", true)?;
         self.applied_at(0.0)?;
         self.cnc.act("zero", "on", false)?;
-        Ok(())
-    }
-
-    /// Machine on, homed, in teleop mode.
-    pub fn switch_on(&mut self) -> Result<()> {
-        self.cnc.act("state", "name", "reset")?;
-        self.cnc.act("state", "name", "on")?;
-        if self.cnc.pin("motion.is-all-homed")? == 0.0 {
-            self.cnc.ask(json!({"do": "home"}))?;
-        }
-        self.cnc.act("teleop", "on", true)?;
         Ok(())
     }
 
@@ -188,10 +176,11 @@ impl Rig {
     pub fn cycles(&mut self) -> Result<Vec<Sample>> {
         let number = self.scenario;
         self.cnc.act("mark", "scenario", 0)?;
+        let recording = self.cnc.folder().join(control::RECORDING);
         let mut all = Vec::new();
         let end = std::time::Instant::now() + std::time::Duration::from_secs(10);
         loop {
-            all.extend(samples::read(&self.cnc.recording(), &mut self.read)?);
+            all.extend(samples::read(&recording, &mut self.read)?);
             let first = all.iter().position(|sample: &Sample| sample.scenario == number);
             let over = first
                 .and_then(|first| all[first..].iter().position(|sample| sample.scenario != number));

@@ -20,7 +20,7 @@ use anyhow::{Context as _, Result, bail, ensure};
 use tempfile::TempDir;
 use trueup_emulator::{
     firmware::{self, Board},
-    setup,
+    programs,
 };
 
 /// A machine whose offsets need no minutes to arrive.
@@ -85,7 +85,7 @@ pub fn xtask() -> Result<Command> {
     let program = PROGRAM.get_or_init(|| {
         let build = || {
             firmware::build(Board::Virtual)?;
-            build_program("xtask", "xtask")
+            programs::build("xtask", "xtask")
         };
         build().map_err(|error| format!("{error:#}"))
     });
@@ -98,29 +98,11 @@ pub fn xtask() -> Result<Command> {
 /// The host tool, not yet started; built once as well.
 pub fn trueup() -> Result<Command> {
     static PROGRAM: OnceLock<Result<PathBuf, String>> = OnceLock::new();
-    let build = || build_program("trueup-cli", "trueup").map_err(|error| format!("{error:#}"));
+    let build = || programs::trueup().map_err(|error| format!("{error:#}"));
     match PROGRAM.get_or_init(build) {
         Ok(program) => Ok(Command::new(program)),
         Err(error) => bail!("{error}"),
     }
-}
-
-fn build_program(package: &str, name: &str) -> Result<PathBuf> {
-    let cargo = std::env::var_os("CARGO").unwrap_or("cargo".into());
-    let output = Command::new(cargo)
-        .args(["build", "--package", package, "--bin", name])
-        .args(["--message-format", "json-render-diagnostics"])
-        .current_dir(setup::root())
-        .stderr(Stdio::inherit())
-        .output()?;
-    ensure!(output.status.success(), "{package} does not build");
-    let messages = String::from_utf8(output.stdout)?;
-    messages
-        .lines()
-        .filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok())
-        .filter(|message| message["target"]["name"] == name)
-        .find_map(|message| message["executable"].as_str().map(PathBuf::from))
-        .with_context(|| format!("cargo does not say where {name} is"))
 }
 
 impl Running {

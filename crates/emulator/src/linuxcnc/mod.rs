@@ -10,7 +10,7 @@
 //!
 //! | part | is | file |
 //! |---|---|---|
-//! | CNC | Debian's `linuxcnc-uspace`, no screen, no privileges, real time | [`session`], [`config`] |
+//! | CNC | Debian's `linuxcnc-uspace`, no screen, no privileges, real time | [`headless`], [`config`] |
 //! | component | `trueup linuxcnc`, wired by `integrations/linuxcnc/trueup.hal` | |
 //! | bridge | the firmware in QEMU, fed through the analogue front end | [`plant`] |
 //! | its link | CAN through the pipes of the samples, SLCAN before it | [`adapter`] |
@@ -26,15 +26,14 @@
 pub mod adapter;
 pub mod config;
 pub mod figures;
+pub mod headless;
 pub mod measured;
 pub mod page;
 pub mod plant;
-pub mod session;
 
 use std::{
     fs,
-    path::{Path, PathBuf},
-    process::{Command, Stdio},
+    path::Path,
     thread,
     time::{Duration, Instant},
 };
@@ -46,13 +45,13 @@ use trueup_twin::machine::Machine as Twin;
 
 use self::{
     figures::{Figures, Run},
+    headless::Headless,
     measured::{LOOP_SEED, Measured},
     plant::{Parts, Plant},
-    session::Session,
 };
 use crate::{
     firmware::{self, Board},
-    setup,
+    programs, setup,
 };
 
 /// How many times faster than the wall the board and the machine live through the warm-up, if this
@@ -86,9 +85,8 @@ pub fn run() -> Result<Option<Figures>> {
 
     tell("building the firmware and the host tool");
     let image = firmware::build(Board::Virtual)?;
-    let trueup = build_trueup()?;
+    let trueup = programs::trueup()?;
     tell("measuring the machine, fitting its machine file");
-    let folder = Session::folder(&trueup)?;
     let measured = {
         let work = tempfile::tempdir()?;
         measured::measure(&trueup, work.path())?
@@ -107,9 +105,10 @@ pub fn run() -> Result<Option<Figures>> {
         divider: sensor.divider,
         seed: SEED,
     })?;
-    let mut cnc = start(folder, &plant, &measured, control)?;
-    plant.listen(cnc.samples()?);
-    cnc.home()?;
+    let mut cnc = start(&trueup, &plant, &measured, control)?;
+    let (sampler, cycles) = cnc.sample()?;
+    plant.listen(cycles);
+    cnc.switch_on()?;
 
     tell("the path without compensation");
     cnc.set("trueup.0.enable", 0)?;
@@ -134,9 +133,10 @@ pub fn run() -> Result<Option<Figures>> {
     }
     let names = ["crc-errors", "seq-errors", "lost", "malformed", "fault"];
     let pins = names.map(|name| format!("trueup.0.{name}"));
-    let errors = cnc.get(&pins.each_ref().map(String::as_str))?;
+    let errors = cnc.pins(&pins.each_ref().map(String::as_str))?;
     tell("ending");
-    cnc.close()?;
+    drop(sampler);
+    cnc.end()?;
     let log = plant.take_log();
     let (cycles, account) = plant.finish()?;
     bar.finish_and_clear();
@@ -185,11 +185,13 @@ fn blobs(measured: &Measured) -> Result<[Vec<u8>; 2]> {
 }
 
 fn start(
-    folder: tempfile::TempDir,
+    trueup: &Path,
     plant: &Plant,
     measured: &Measured,
     control: setup::LinuxCnc,
-) -> Result<Session> {
+) -> Result<Headless> {
+    let folder = Headless::new_folder()?;
+    fs::copy(trueup, folder.path().join("trueup"))?;
     let here = folder.path().to_str().context("a temporary folder has a plain name")?.to_owned();
     let shipped = fs::read_to_string(setup::root().join("integrations/linuxcnc/trueup.hal"))?;
     let texts = [
@@ -203,12 +205,14 @@ fn start(
         ("path-2.ngc", config::path(PASSES[1])),
         ("warm.ngc", config::warm(PASSES[2])),
     ];
-    let files: Vec<_> = texts.iter().map(|(name, text)| (*name, text.as_str())).collect();
-    Session::start(folder, &files, control)
+    for (name, text) in texts {
+        fs::write(folder.path().join(name), text)?;
+    }
+    Headless::start(folder, "loop.ini", control)
 }
 
 /// Runs a program to its end.
-fn cut(cnc: &mut Session, plant: &mut Plant, program: &str) -> Result<()> {
+fn cut(cnc: &mut Headless, plant: &mut Plant, program: &str) -> Result<()> {
     cnc.begin(program)?;
     let begun = Instant::now();
     while cnc.is_busy()? {
@@ -220,10 +224,10 @@ fn cut(cnc: &mut Session, plant: &mut Plant, program: &str) -> Result<()> {
 }
 
 /// Waits until the bridge is live and LinuxCNC has applied what it says.
-fn engaged(cnc: &mut Session, plant: &mut Plant) -> Result<()> {
+fn engaged(cnc: &mut Headless, plant: &mut Plant) -> Result<()> {
     let begun = Instant::now();
     loop {
-        let pins = cnc.get(&["trueup.0.quality", "trueup.0.applied", "trueup.0.fault"])?;
+        let pins = cnc.pins(&["trueup.0.quality", "trueup.0.applied", "trueup.0.fault"])?;
         if pins == [1.0, 1.0, 0.0] {
             return Ok(());
         }
@@ -240,7 +244,7 @@ fn engaged(cnc: &mut Session, plant: &mut Plant) -> Result<()> {
 }
 
 /// Two hours of the machine.
-fn warm_up_phase(cnc: &mut Session, plant: &mut Plant) -> Result<()> {
+fn warm_up_phase(cnc: &mut Headless, plant: &mut Plant) -> Result<()> {
     cnc.begin("warm.ngc")?;
     let begun = Instant::now();
     while plant.latest().is_none_or(|cycle| cycle.phase != config::phase::WARM_UP) {
@@ -266,22 +270,4 @@ fn warm_up_phase(cnc: &mut Session, plant: &mut Plant) -> Result<()> {
     // At real time again before the axes move.
     thread::sleep(Duration::from_millis(300));
     cnc.set("motion.digital-in-00", 1)
-}
-
-/// Builds the host tool and gives its path.
-fn build_trueup() -> Result<PathBuf> {
-    let cargo = std::env::var_os("CARGO").unwrap_or("cargo".into());
-    let output = Command::new(cargo)
-        .args(["build", "--package", "trueup-cli", "--message-format", "json-render-diagnostics"])
-        .current_dir(setup::root())
-        .stderr(Stdio::inherit())
-        .output()?;
-    ensure!(output.status.success(), "the host tool does not build");
-    let messages = String::from_utf8(output.stdout)?;
-    messages
-        .lines()
-        .filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok())
-        .filter(|message| message["target"]["name"] == "trueup")
-        .find_map(|message| message["executable"].as_str().map(PathBuf::from))
-        .context("cargo does not say where trueup is")
 }

@@ -1,96 +1,210 @@
-"""Stands in for LinuxCNC's screen: does what the harness says over a socket, a JSON line each way.
+"""Stands in for LinuxCNC's screen: does what it is told over a socket, one JSON line each way.
 
-    {"do": "start"}                           out of the emergency stop, on, homed
-    {"do": "begin", "program": "/…/a.ngc"}    loads a program and starts it
-    {"do": "busy"}                            whether it still runs
-    {"do": "set", "pin": NAME, "value": V}    sets a pin that nothing drives
-    {"do": "get", "pins": [NAME, …]}          reads pins
-    {"do": "end"}                             leaves, and LinuxCNC with it
-
-An answer is {"ok": RESULT} or {"error": TEXT}.
+Connects to the port of the loopback that is its argument. A request is `{"do": verb, …}` with the
+arguments of the function of that name below; the answer is `{"ok": value}` or `{"error": text}`.
+When the line closes, the screen goes, and LinuxCNC with it.
 """
 
 import json
 import socket
+import subprocess
 import sys
+import tempfile
 import time
 
 import hal
 import linuxcnc
 
-PATIENCE_S = 20.0
-
 command, status, errors = linuxcnc.command(), linuxcnc.stat(), linuxcnc.error_channel()
+component = hal.component("screen")
+component.newpin("scenario", hal.HAL_S32, hal.HAL_OUT)
+component.newpin("zero", hal.HAL_BIT, hal.HAL_OUT)
+component.ready()
+
+STATES = {
+    "estop": (linuxcnc.STATE_ESTOP, linuxcnc.STATE_ESTOP),
+    "reset": (linuxcnc.STATE_ESTOP_RESET, linuxcnc.STATE_ESTOP_RESET),
+    "off": (linuxcnc.STATE_OFF, linuxcnc.STATE_ESTOP_RESET),
+    "on": (linuxcnc.STATE_ON, linuxcnc.STATE_ON),
+}
+MODES = {
+    "manual": linuxcnc.MODE_MANUAL,
+    "mdi": linuxcnc.MODE_MDI,
+    "auto": linuxcnc.MODE_AUTO,
+}
 
 
-def wait(what, ready):
-    end = time.monotonic() + PATIENCE_S
+def wait(what, ready, seconds=20.0):
+    end = time.monotonic() + seconds
     while time.monotonic() < end:
         status.poll()
         if ready():
             return
-        time.sleep(0.01)
-    raise RuntimeError(f"{what}: not within {PATIENCE_S} s; LinuxCNC says {errors.poll()}")
+        time.sleep(0.005)
+    raise RuntimeError(f"{what}: not within {seconds} s; LinuxCNC says {said()}")
 
 
-def mode(wanted):
-    command.mode(wanted)
-    wait("mode", lambda: status.task_mode == wanted)
+def said():
+    texts = []
+    while (message := errors.poll()) is not None:
+        texts.append(message[1])
+    return texts
 
 
-def start(_):
-    command.state(linuxcnc.STATE_ESTOP_RESET)
-    wait("reset", lambda: status.task_state != linuxcnc.STATE_ESTOP)
-    command.state(linuxcnc.STATE_ON)
-    wait("on", lambda: status.task_state == linuxcnc.STATE_ON)
-    mode(linuxcnc.MODE_MANUAL)
+def state(name):
+    """Asks until it is so: just after its start LinuxCNC does not take every command."""
+    asked, reached = STATES[name]
+
+    def there():
+        if name == "reset":
+            return status.task_state in (linuxcnc.STATE_ESTOP_RESET, linuxcnc.STATE_ON)
+        return status.task_state == reached
+
+    for _ in range(20):
+        status.poll()
+        if there():
+            return
+        command.state(asked)
+        try:
+            return wait(name, there, 1.0)
+        except RuntimeError:
+            pass
+    raise RuntimeError(f"{name} is not reached; LinuxCNC says {said()}")
+
+
+def mode(name):
+    command.mode(MODES[name])
+    command.wait_complete()
+    wait(name, lambda: status.task_mode == MODES[name])
+
+
+def home():
+    mode("manual")
+    command.teleop_enable(0)
+    command.wait_complete()
     command.home(-1)
     wait("home", lambda: all(status.homed[: status.joints]))
-    # Joint by joint, as after homing, no external offset moves.
-    command.teleop_enable(1)
 
 
-def begin(request):
-    mode(linuxcnc.MODE_AUTO)
-    command.program_open(request["program"])
+def unhome():
+    mode("manual")
+    command.teleop_enable(0)
+    command.wait_complete()
+    command.unhome(-1)
+    wait("unhome", lambda: not any(status.homed[: status.joints]))
+
+
+def teleop(on):
+    mode("manual")
+    command.teleop_enable(1 if on else 0)
+    command.wait_complete()
+
+
+def mdi(text, seconds=60.0):
+    mode("mdi")
+    command.mdi(text)
+    command.wait_complete(seconds)
+    wait(
+        text,
+        lambda: status.inpos and status.interp_state == linuxcnc.INTERP_IDLE,
+        seconds,
+    )
+
+
+def begin_mdi(text):
+    mode("mdi")
+    command.mdi(text)
+
+
+def begin(program):
+    mode("auto")
+    command.program_open(program)
     command.auto(linuxcnc.AUTO_RUN, 0)
     wait("program", lambda: status.interp_state != linuxcnc.INTERP_IDLE)
 
 
-def busy(_):
+def busy():
     status.poll()
-    said = errors.poll()
+    message = errors.poll()
     # Plain messages are no errors.
-    if said and said[0] in (linuxcnc.NML_ERROR, linuxcnc.OPERATOR_ERROR):
-        raise RuntimeError(f"LinuxCNC says: {said[1]}")
+    if message and message[0] in (linuxcnc.NML_ERROR, linuxcnc.OPERATOR_ERROR):
+        raise RuntimeError(f"LinuxCNC says: {message[1]}")
     if status.task_state != linuxcnc.STATE_ON:
         raise RuntimeError("LinuxCNC has switched the machine off")
     return status.interp_state != linuxcnc.INTERP_IDLE or not status.inpos
 
 
-def set_pin(request):
-    hal.set_p(request["pin"], str(request["value"]))
+def abort():
+    command.abort()
+    command.wait_complete()
 
 
-def get(request):
-    return [hal.get_value(pin) for pin in request["pins"]]
+def pins(names):
+    return [hal.get_value(name) for name in names]
+
+
+def setp(name, value):
+    hal.set_p(name, str(value))
+
+
+def mark(scenario):
+    component["scenario"] = scenario
+
+
+def zero(on):
+    component["zero"] = bool(on)
+
+
+def halcmd(words):
+    # Into a file: a program that is loaded keeps what it inherits, so a pipe would never end.
+    with tempfile.TemporaryFile("w+") as said_there:
+        done = subprocess.run(
+            ["halcmd", *words],
+            stdout=said_there,
+            stderr=subprocess.STDOUT,
+            stdin=subprocess.DEVNULL,
+            timeout=30,
+        )
+        said_there.seek(0)
+        text = said_there.read()
+    if done.returncode:
+        raise RuntimeError(f"halcmd {words}: {text}")
+    return text
+
+
+def stat():
+    status.poll()
+    return {
+        "task_state": status.task_state,
+        "motion_mode": status.motion_mode,
+        "position": status.position[:3],
+        "g5x": status.g5x_offset[:3],
+        "probed": status.probed_position[:3],
+        "said": said(),
+    }
+
+
+VERBS = {
+    function.__name__: function
+    for function in (
+        *(state, mode, home, unhome, teleop),
+        *(mdi, begin_mdi, begin, busy, abort),
+        *(pins, setp, mark, zero, halcmd, stat),
+    )
+}
 
 
 def main():
-    component = hal.component("trueup-screen")
-    component.ready()
-    line = socket.create_connection(("127.0.0.1", int(sys.argv[1])), PATIENCE_S)
-    line.settimeout(None)
-    does = {"start": start, "begin": begin, "busy": busy, "set": set_pin, "get": get}
-    for text in line.makefile("r", encoding="utf-8"):
-        request = json.loads(text)
-        if request["do"] == "end":
-            return
-        try:
-            answer = {"ok": does[request["do"]](request)}
-        except Exception as error:
-            answer = {"error": f"{request['do']}: {error}"}
-        line.sendall((json.dumps(answer) + "\n").encode())
+    line = socket.create_connection(("127.0.0.1", int(sys.argv[1])))
+    with line, line.makefile("rw", encoding="utf-8") as stream:
+        for request in stream:
+            asked = json.loads(request)
+            try:
+                answer = {"ok": VERBS[asked.pop("do")](**asked)}
+            except Exception as error:
+                answer = {"error": f"{type(error).__name__}: {error}"}
+            stream.write(json.dumps(answer) + "\n")
+            stream.flush()
 
 
 main()

@@ -10,7 +10,7 @@ use super::{Node, Zero, blob};
 use crate::{
     dictionary::{Counter, ELONGATION_INPUT, FORGET, NOT_AVAILABLE, What},
     layout::NO_TEMPERATURE_RAW,
-    sdo::{Abort, Datum, Done, Objects},
+    sdo::{Abort, Datum, Objects},
     status::Item,
 };
 
@@ -170,10 +170,10 @@ impl Objects for Node<'_> {
         self.slot.append(bytes)
     }
 
-    fn close(&mut self) -> Result<Done, Abort> {
+    fn close(&mut self) -> Result<(), Abort> {
         if !self.is_at_rest() {
             return Err(Abort::DeviceState);
         }
-        self.slot.close().map(|()| Done::Later)
+        self.slot.close()
     }
 }

@@ -1,0 +1,390 @@
+//! LinuxCNC itself: Debian's, without a screen, as a user that owns nothing, with all that belongs
+//! to it in a folder of its own.
+//!
+//! Its screen is a script that does what it is told over a socket of the loopback (`screen.py` has
+//! the verbs). Everything that is started here is ended here, and no wait is without an end.
+
+use std::{
+    fs::{self, File},
+    io::{BufRead as _, BufReader, ErrorKind, Write as _},
+    net::{Shutdown, TcpListener, TcpStream},
+    os::unix::{
+        fs::{PermissionsExt as _, chown},
+        process::CommandExt as _,
+    },
+    path::Path,
+    process::{Child, ChildStdout, Command, Stdio},
+    sync::mpsc::{self, Sender},
+    thread,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context as _, Result, bail, ensure};
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use crate::{process, setup::LinuxCnc};
+
+/// The user and group that own nothing.
+const NOBODY: u32 = 65_534;
+/// LinuxCNC is up after a few seconds on an idle computer.
+const START: Duration = Duration::from_secs(90);
+/// An answer of the screen; homing, moves and loading a program are in it.
+const ANSWER: Duration = Duration::from_secs(150);
+/// How long it may take to go, and to obey a signal.
+const END: Duration = Duration::from_secs(30);
+const OBEY: Duration = Duration::from_secs(5);
+const STEP: Duration = Duration::from_millis(20);
+const SCREEN: &str = include_str!("screen.py");
+/// What a configuration gives as its `DISPLAY`, in the folder.
+pub const DISPLAY: &str = "screen.sh";
+
+/// A running LinuxCNC.
+#[derive(Debug)]
+pub struct Headless {
+    folder: TempDir,
+    child: Child,
+    screen: BufReader<TcpStream>,
+    /// While this is held nobody else runs one.
+    alone: Option<LinuxCnc>,
+    _keeper: Sender<()>,
+}
+
+impl Headless {
+    /// An empty folder for the configuration; it is also the first on the search path.
+    ///
+    /// # Errors
+    /// It cannot be made.
+    pub fn new_folder() -> Result<TempDir> {
+        Ok(tempfile::Builder::new().prefix("trueup-cnc-").tempdir()?)
+    }
+
+    /// Starts it with this configuration of the folder, whose `DISPLAY` is [`DISPLAY`], and waits
+    /// until that is there.
+    ///
+    /// # Errors
+    /// It does not start; with what it said.
+    pub fn start(folder: TempDir, ini: &str, control: LinuxCnc) -> Result<Self> {
+        let path = |name: &str| folder.path().join(name);
+        let listener = TcpListener::bind("127.0.0.1:0")?;
+        let port = listener.local_addr()?.port();
+        let here = folder.path().display();
+        fs::write(path("screen.py"), SCREEN)?;
+        fs::write(
+            path(DISPLAY),
+            format!("#!/bin/sh\nexec /usr/bin/python3 {here}/screen.py {port}\n"),
+        )?;
+        fs::set_permissions(path(DISPLAY), fs::Permissions::from_mode(0o755))?;
+        if is_root()? {
+            for entry in fs::read_dir(&folder)? {
+                chown(entry?.path(), Some(NOBODY), Some(NOBODY))?;
+            }
+            chown(&folder, Some(NOBODY), Some(NOBODY))?;
+        }
+        let log = File::create(path("log.txt"))?;
+        let mut command = unprivileged(control.program(), folder.path())?;
+        command.arg(path(ini)).stdin(Stdio::null()).stdout(log.try_clone()?).stderr(log);
+        // A group of its own, so that it can be ended with all that it started.
+        command.process_group(0);
+        let (mut child, keeper) = spawn(command).context("LinuxCNC cannot be started")?;
+        let stream = match wait_for_screen(&listener, &mut child) {
+            Ok(stream) => stream,
+            Err(error) => {
+                end_group(&mut child);
+                bail!("LinuxCNC does not come up: {error:#}\n{}", said(folder.path()));
+            }
+        };
+        let screen = BufReader::new(stream);
+        Ok(Self { folder, child, screen, alone: Some(control), _keeper: keeper })
+    }
+
+    /// Lets the screen do something, and gives its result.
+    ///
+    /// # Errors
+    /// It cannot, or LinuxCNC has ended; with what that said.
+    pub fn ask(&mut self, request: &Value) -> Result<Value> {
+        let line = format!("{request}\n");
+        let mut answer = String::new();
+        let asked = self.screen.get_mut().write_all(line.as_bytes());
+        let length = asked.and_then(|()| self.screen.read_line(&mut answer));
+        if !matches!(length, Ok(1..)) {
+            bail!("{request}: LinuxCNC's screen no longer answers\n{}", self.said());
+        }
+        let mut answer: Value = serde_json::from_str(&answer)?;
+        if let Some(error) = answer["error"].as_str() {
+            bail!("{request}: {error}\n{}", self.said());
+        }
+        Ok(answer["ok"].take())
+    }
+
+    /// [`Headless::ask`] for something that has one argument.
+    ///
+    /// # Errors
+    /// As [`Headless::ask`].
+    pub fn act(&mut self, verb: &str, name: &str, value: impl Into<Value>) -> Result<Value> {
+        self.ask(&json!({ "do": verb, name: value.into() }))
+    }
+
+    /// Takes it out of the emergency stop, switches it on, homes it if it is not homed, and gives
+    /// it to its axes: joint by joint, as after homing, no external offset moves.
+    ///
+    /// # Errors
+    /// As [`Headless::ask`].
+    pub fn switch_on(&mut self) -> Result<()> {
+        self.act("state", "name", "reset")?;
+        self.act("state", "name", "on")?;
+        if self.pin("motion.is-all-homed")? == 0.0 {
+            self.ask(&json!({ "do": "home" }))?;
+        }
+        self.act("teleop", "on", true).map(drop)
+    }
+
+    /// Starts a program of the folder.
+    ///
+    /// # Errors
+    /// As [`Headless::ask`].
+    pub fn begin(&mut self, program: &str) -> Result<()> {
+        let path = self.folder.path().join(program);
+        self.act("begin", "program", path.to_string_lossy()).map(drop)
+    }
+
+    /// Whether the program still runs.
+    ///
+    /// # Errors
+    /// LinuxCNC has stopped it.
+    pub fn is_busy(&mut self) -> Result<bool> {
+        Ok(self.ask(&json!({ "do": "busy" }))? == Value::Bool(true))
+    }
+
+    /// Sets a pin that nothing drives.
+    ///
+    /// # Errors
+    /// There is no such pin.
+    pub fn set(&mut self, pin: &str, value: impl Into<Value>) -> Result<()> {
+        let value: Value = value.into();
+        self.ask(&json!({ "do": "setp", "name": pin, "value": value })).map(drop)
+    }
+
+    /// Reads pins as numbers; a bit is 0 or 1.
+    ///
+    /// # Errors
+    /// There is no such pin.
+    pub fn pins(&mut self, names: &[&str]) -> Result<Vec<f64>> {
+        let values = self.act("pins", "names", names)?;
+        let values = values.as_array().context("the screen gives no list")?;
+        let number = |value: &Value| match value {
+            Value::Bool(bit) => f64::from(u8::from(*bit)),
+            other => other.as_f64().unwrap_or(f64::NAN),
+        };
+        Ok(values.iter().map(number).collect())
+    }
+
+    /// Reads one pin.
+    ///
+    /// # Errors
+    /// There is no such pin.
+    pub fn pin(&mut self, name: &str) -> Result<f64> {
+        Ok(self.pins(&[name])?[0])
+    }
+
+    /// Waits until this holds of these pins.
+    ///
+    /// # Errors
+    /// It does not within so many seconds; with what they are.
+    pub fn wait(
+        &mut self,
+        what: &str,
+        seconds: u64,
+        names: &[&str],
+        holds: impl Fn(&[f64]) -> bool,
+    ) -> Result<()> {
+        let end = Instant::now() + Duration::from_secs(seconds);
+        loop {
+            let values = self.pins(names)?;
+            if holds(&values) {
+                return Ok(());
+            }
+            ensure!(
+                Instant::now() < end,
+                "{what}: not within {seconds} s; {names:?} are {values:?}\n{}",
+                self.said()
+            );
+            thread::sleep(STEP / 2);
+        }
+    }
+
+    /// `halcmd` with these words; what it says.
+    ///
+    /// # Errors
+    /// It refuses; with what it says.
+    pub fn halcmd(&mut self, words: &str) -> Result<String> {
+        let words: Vec<&str> = words.split_whitespace().collect();
+        let said = self.act("halcmd", "words", words)?;
+        Ok(said.as_str().unwrap_or_default().to_owned())
+    }
+
+    /// What the real-time `sampler` writes down, a line for each servo cycle, while the guard lives.
+    ///
+    /// # Errors
+    /// It cannot be started.
+    pub fn sample(&self) -> Result<(Sampler, ChildStdout)> {
+        let program = process::find("halsampler").context("halsampler belongs to LinuxCNC")?;
+        let mut child = unprivileged(&program, self.folder())?
+            .arg("-t")
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()?;
+        let lines = child.stdout.take().context("its output was asked for")?;
+        Ok((Sampler(child), lines))
+    }
+
+    /// The end of what it and its parts have said so far.
+    #[must_use]
+    pub fn said(&self) -> String {
+        said(self.folder())
+    }
+
+    /// Its folder.
+    #[must_use]
+    pub fn folder(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// Ends it as an operator would, by closing the screen.
+    ///
+    /// # Errors
+    /// It does not end by itself; it is then made to.
+    pub fn end(&mut self) -> Result<()> {
+        self.screen.get_mut().shutdown(Shutdown::Both).ok();
+        if ends_within(&mut self.child, END) {
+            return Ok(());
+        }
+        end_group(&mut self.child);
+        bail!("LinuxCNC does not end: {}", self.said())
+    }
+
+    /// Ends it; gives what is needed to start it again before anybody else does.
+    ///
+    /// # Errors
+    /// As [`Headless::end`].
+    pub fn give_back(&mut self) -> Result<LinuxCnc> {
+        self.end()?;
+        self.alone.take().context("it was given back before")
+    }
+}
+
+impl Drop for Headless {
+    fn drop(&mut self) {
+        if let Err(error) = self.end() {
+            eprintln!("{error:#}");
+        }
+    }
+}
+
+/// Ends `halsampler`, which must not hold up the end of the real-time part.
+#[derive(Debug)]
+pub struct Sampler(Child);
+
+impl Drop for Sampler {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        self.0.kill().ok();
+        self.0.wait().ok();
+    }
+}
+
+/// Starts it from a thread that lives as long as what is given with it: the kernel ends the process
+/// with the thread that has started it, and one test may leave LinuxCNC to the next.
+fn spawn(mut command: Command) -> Result<(Child, Sender<()>)> {
+    let (keeper, kept) = mpsc::channel::<()>();
+    let (give, take) = mpsc::channel();
+    thread::spawn(move || {
+        // Nobody is there to take it only if the other thread has died.
+        give.send(command.spawn()).ok();
+        // Nothing is ever sent: this ends when the other end goes.
+        kept.recv().ok();
+    });
+    Ok((take.recv()??, keeper))
+}
+
+fn wait_for_screen(listener: &TcpListener, child: &mut Child) -> Result<TcpStream> {
+    listener.set_nonblocking(true)?;
+    let end = Instant::now() + START;
+    loop {
+        match listener.accept() {
+            Ok((stream, _)) => {
+                stream.set_nonblocking(false)?;
+                stream.set_read_timeout(Some(ANSWER))?;
+                return Ok(stream);
+            }
+            Err(error) if error.kind() == ErrorKind::WouldBlock => {}
+            Err(error) => return Err(error.into()),
+        }
+        if let Some(status) = child.try_wait()? {
+            bail!("it ends, {status}");
+        }
+        ensure!(Instant::now() < end, "not within {START:?}");
+        thread::sleep(STEP);
+    }
+}
+
+fn ends_within(child: &mut Child, patience: Duration) -> bool {
+    let end = Instant::now() + patience;
+    while matches!(child.try_wait(), Ok(None)) {
+        if Instant::now() > end {
+            return false;
+        }
+        thread::sleep(STEP);
+    }
+    true
+}
+
+/// Makes LinuxCNC and all that it started end. It takes its real-time part down by itself if it is
+/// asked to.
+fn end_group(child: &mut Child) {
+    let group = format!("-{}", child.id());
+    for signal in ["-TERM", "-KILL"] {
+        if ends_within(child, Duration::ZERO) {
+            return;
+        }
+        // There is nothing else to do about a failure here.
+        Command::new("kill").args([signal, "--", &group]).status().ok();
+        ends_within(child, OBEY);
+    }
+}
+
+/// A command in the folder's own surroundings; LinuxCNC refuses to run as root.
+fn unprivileged(program: &Path, folder: &Path) -> Result<Command> {
+    let mut command = if is_root()? {
+        let mut command = Command::new("setpriv");
+        command.args([&format!("--reuid={NOBODY}"), &format!("--regid={NOBODY}")]);
+        // The kernel ends it when this process dies, however it dies; see [`spawn`].
+        command.args(["--clear-groups", "--pdeathsig", "TERM"]).arg(program);
+        command
+    } else {
+        Command::new(program)
+    };
+    command
+        .env_clear()
+        // The folder first: a component is started by its name.
+        .env("PATH", format!("{}:/usr/bin:/bin:/usr/sbin:/sbin", folder.display()))
+        .env("HOME", folder)
+        .env("LANG", "C")
+        .current_dir(folder);
+    Ok(command)
+}
+
+fn is_root() -> Result<bool> {
+    Ok(process::output(Command::new("id").arg("-u"))?.trim() == "0")
+}
+
+fn said(folder: &Path) -> String {
+    const LINES_OF_EACH: usize = 40;
+    let end_of = |name: &str| {
+        let text = fs::read_to_string(folder.join(name)).unwrap_or_default();
+        let lines: Vec<&str> = text.lines().collect();
+        lines[lines.len().saturating_sub(LINES_OF_EACH)..].join("\n")
+    };
+    ["trueup.log", "log.txt", "linuxcnc_print.txt", "linuxcnc_debug.txt"].map(end_of).join("\n")
+}

@@ -1,0 +1,41 @@
+//! Builds the project's own programs for this computer: the host tool, `xtask`.
+
+use std::{
+    path::PathBuf,
+    process::{Command, Stdio},
+};
+
+use anyhow::{Context as _, Result, ensure};
+use serde_json::Value;
+
+use crate::setup;
+
+/// Builds the host tool and gives its path.
+///
+/// # Errors
+/// As [`build`].
+pub fn trueup() -> Result<PathBuf> {
+    build("trueup-cli", "trueup")
+}
+
+/// Builds a program of a package and gives its path, which is where cargo says that it is.
+///
+/// # Errors
+/// It does not compile.
+pub fn build(package: &str, name: &str) -> Result<PathBuf> {
+    let cargo = std::env::var_os("CARGO").unwrap_or("cargo".into());
+    let output = Command::new(cargo)
+        .args(["build", "--all-features", "--bin", name])
+        .args(["--message-format", "json-render-diagnostics"])
+        .current_dir(setup::root())
+        .stderr(Stdio::inherit())
+        .output()?;
+    ensure!(output.status.success(), "{package} does not build");
+    let messages = String::from_utf8(output.stdout)?;
+    messages
+        .lines()
+        .filter_map(|line| serde_json::from_str::<Value>(line).ok())
+        .filter(|message| message["target"]["name"] == name)
+        .find_map(|message| message["executable"].as_str().map(PathBuf::from))
+        .with_context(|| format!("cargo does not say where {name} is"))
+}
