@@ -89,6 +89,8 @@ pub struct Outputs {
     pub fault: bool,
     /// An axis could not follow for half a second: soft limit, joint mode, no `OFFSET_AV_RATIO`.
     pub limited: bool,
+    /// LinuxCNC does not take the counts of an axis.
+    pub not_taken: bool,
     /// As on the wire; 4 while the component holds, 5 while it takes back, 6 after that.
     pub quality: Quality,
     /// As on the wire.
@@ -181,13 +183,13 @@ impl Component {
             Target::RampOut => Some(0),
         };
         let mut outputs = Outputs::default();
-        let (mut dead, mut at_zero, mut arrived) = (false, true, true);
+        let (mut at_zero, mut arrived) = (true, true);
         for (axis, follower) in self.followers.iter_mut().enumerate() {
             let reading = inputs.readings[axis];
             let step = follower.step(now, ready, goal(axis), reading, &self.options.pace[axis]);
             outputs.counts[axis] = step.counts;
             outputs.limited |= step.stuck;
-            dead |= step.dead;
+            outputs.not_taken |= step.not_taken;
             let offset = f64::from(self.offset_nm[axis]);
             outputs.offset_um[axis] = offset / NANOMETRES_PER_MICROMETRE;
             outputs.applied_um[axis] = reading.eoffset_nm / NANOMETRES_PER_MICROMETRE;
@@ -205,7 +207,7 @@ impl Component {
             (Target::RampOut, _) if at_zero => Quality::Fault,
             (Target::RampOut, _) => Quality::RampingOut,
         };
-        outputs.fault = dead || target == Target::RampOut;
+        outputs.fault = outputs.not_taken || target == Target::RampOut;
         outputs.applied = ready && matches!(target, Target::Follow(_)) && arrived;
         outputs.age_ms = self.source.age_ms(now).unwrap_or(u32::MAX);
         outputs.counters = self.source.counters();

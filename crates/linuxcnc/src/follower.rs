@@ -11,9 +11,11 @@
 //! Three things make it safe:
 //! * **One step a servo cycle.** After a step nothing is written until `eoffset-request` shows it:
 //!   then a servo cycle has taken it, and the next step falls into a later one. So a delayed or a
-//!   hurried loop never puts two steps into one cycle, without any clock in common.
+//!   hurried loop never puts two steps into one cycle, without any clock in common. A step that is
+//!   not shown for long is taken back before another is tried: a servo thread that comes late, on a
+//!   starved computer, finds one step at most, however long it stood.
 //! * **What counts is what LinuxCNC did.** r is read, never remembered. Where it has changed by
-//!   something else (machine on, another writer), or a step got lost, the next step begins there.
+//!   something else (machine on, another writer), the next step begins there.
 //! * **No wind-up.** LinuxCNC's planner (`simple_tp.c`) asks for the speed
 //!   u = −aT + √(2a·e + a²T²) at the distance e = r − c, with a its acceleration. u = v at
 //!   e = v²/(2a) + vT, which is `lead`: an offset that could not move for a while (joint mode, soft
@@ -22,12 +24,13 @@
 
 use std::time::Duration;
 
-/// A step that `eoffset-request` does not show after so long is lost.
+/// A step that `eoffset-request` does not show after so long is taken back.
 const LOST_AFTER: Duration = Duration::from_secs(1);
 /// After a change that was not ours, the pins are left to settle for so long, which is many servo
 /// cycles.
 const SETTLE: Duration = Duration::from_millis(50);
-/// So many lost steps one after the other: the pins are not connected as they should be.
+/// So many of them one after the other: the pins are not connected as they should be, or LinuxCNC
+/// stands.
 const LOST_STEPS: u8 = 3;
 /// An axis that the planner does not move for so long is told to be stuck.
 const STUCK_AFTER: Duration = Duration::from_millis(500);
@@ -77,7 +80,7 @@ pub struct Reading {
 #[derive(Clone, Copy, Debug)]
 struct Pending {
     before: f64,
-    step: f64,
+    counts: i32,
     written: Duration,
 }
 
@@ -88,9 +91,8 @@ pub struct Step {
     pub counts: i32,
     /// LinuxCNC has not moved the offset for a while although it should.
     pub stuck: bool,
-    /// Steps get lost, one after the other: nothing is written any more until the machine has been
-    /// switched off and on.
-    pub dead: bool,
+    /// Steps are not taken, one after the other. It goes on trying, by one step and back.
+    pub not_taken: bool,
 }
 
 /// One axis.
@@ -119,10 +121,10 @@ impl Follower {
         pace: &Pace,
     ) -> Step {
         let stuck = self.held_since.is_some_and(|since| now.saturating_sub(since) > STUCK_AFTER);
-        let told = Step { counts: 0, stuck, dead: self.lost >= LOST_STEPS };
+        let told = Step { counts: 0, stuck, not_taken: self.lost >= LOST_STEPS };
         if !ready || !reading.request_nm.is_finite() || !reading.eoffset_nm.is_finite() {
             *self = Self { offset_before: reading.eoffset_nm, ..Self::default() };
-            return Step { counts: 0, stuck: false, dead: false };
+            return Step::default();
         }
         if !self.was_ready {
             self.was_ready = true;
@@ -130,26 +132,28 @@ impl Follower {
         }
         if let Some(pending) = self.pending {
             let change = reading.request_nm - pending.before;
-            if (change - pending.step).abs() < SAME {
+            if (change - f64::from(pending.counts)).abs() < SAME {
                 self.lost = 0;
             } else if change.abs() >= SAME {
                 self.settled = now + SETTLE;
             } else if now.saturating_sub(pending.written) >= LOST_AFTER {
                 self.lost = self.lost.saturating_add(1);
+                self.settled = now + SETTLE;
+                self.pending = None;
+                return Step { counts: -pending.counts, ..told };
             } else {
                 return told;
             }
             self.pending = None;
         }
-        if now < self.settled || self.lost >= LOST_STEPS {
+        if now < self.settled {
             return told;
         }
-        let step = self.next(now, goal_nm, reading, pace);
-        if step != 0 {
-            self.pending =
-                Some(Pending { before: reading.request_nm, step: f64::from(step), written: now });
+        let counts = self.next(now, goal_nm, reading, pace);
+        if counts != 0 {
+            self.pending = Some(Pending { before: reading.request_nm, counts, written: now });
         }
-        Step { counts: step, ..told }
+        Step { counts, ..told }
     }
 
     /// The step, in counts.

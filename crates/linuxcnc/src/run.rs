@@ -85,7 +85,7 @@ pub fn run(
 #[derive(Debug, Default)]
 struct News {
     down: Option<String>,
-    state: Option<(bool, bool, bool, Quality)>,
+    state: Option<(bool, bool, bool, bool, Quality)>,
 }
 
 impl News {
@@ -98,8 +98,8 @@ impl News {
     }
 
     fn of(&mut self, outputs: &Outputs, tell: &mut impl FnMut(&str)) {
-        let Outputs { connected, fault, limited, quality, .. } = *outputs;
-        let state = (connected, fault, limited, quality);
+        let Outputs { connected, fault, limited, not_taken, quality, .. } = *outputs;
+        let state = (connected, fault, limited, not_taken, quality);
         if self.state.replace(state) == Some(state) {
             return;
         }
@@ -121,6 +121,10 @@ impl News {
         }
         if fault {
             text += "; fault";
+        }
+        if not_taken {
+            text += "; LinuxCNC takes no counts (are eoffset-counts, eoffset-request and eoffset-enable \
+                     connected as in trueup.hal?)";
         }
         if limited {
             text +=
