@@ -14,6 +14,7 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use clap::Args;
+use trueup_client::port::{BAUD, Port};
 use trueup_core::units::NANOMETRES_PER_MICROMETRE;
 use trueup_linuxcnc::{
     component::TEMPERATURES,
@@ -24,10 +25,7 @@ use trueup_linuxcnc::{
 };
 use trueup_machine::{MachineFile, machine_file::LinearAxis, model::over_compensation_um};
 
-use crate::{
-    Mend, Outcome,
-    bridge::port::{BAUD, Port},
-};
+use crate::{Mend, Outcome};
 
 /// How long a bridge may take to be connected, or to take in a few bytes.
 const PATIENCE: Duration = Duration::from_secs(1);
@@ -216,7 +214,7 @@ mod can {
     use trueup_linuxcnc::line::Ends;
 
     use super::READ_TIMEOUT;
-    use crate::bridge::socket_can::Socket;
+    use trueup_client::socket_can::Socket;
 
     pub fn open(interface: &str) -> io::Result<Ends> {
         let socket = Arc::new(Socket::open(interface).map_err(other)?);

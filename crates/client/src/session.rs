@@ -88,6 +88,7 @@ impl Session {
     }
 
     /// Whether there is an adapter of SLCAN, which can be asked by [`Self::write`].
+    #[must_use]
     pub const fn has_adapter(&self) -> bool {
         matches!(self.line, Line::Slcan(_))
     }
@@ -165,7 +166,7 @@ fn is_only_late(error: &io::Error) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bridge::port::Stream;
+    use crate::port::Stream;
     use std::io::{Read, Write};
 
     /// A bridge that says what the test says, a byte at a time, and then nothing.

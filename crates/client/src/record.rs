@@ -31,8 +31,7 @@ use trueup_link::{
 };
 use trueup_machine::{Machine, MachineFile};
 
-use super::{offset_um, status::Board};
-use crate::Mend;
+use crate::{Mend, status::Board, words::offset_um};
 
 /// Milliseconds of the bridge from one row to the next.
 pub const ROW_MS: u64 = 100;

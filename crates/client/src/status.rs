@@ -9,7 +9,7 @@ use trueup_link::{
     status::{Item, Reason},
 };
 
-use super::fault_words;
+use crate::words::fault_words;
 
 /// The newest of each item.
 #[derive(Default)]
