@@ -2,8 +2,7 @@
 
 use std::{
     fs::{File, OpenOptions},
-    io::{self, Write as _},
-    net::{TcpStream, ToSocketAddrs as _},
+    io::Write as _,
     path::{Path, PathBuf},
     sync::{
         Arc,
@@ -14,12 +13,11 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use clap::Args;
-use trueup_client::port::{BAUD, Port};
+use trueup_client::port::Port;
 use trueup_core::units::NANOMETRES_PER_MICROMETRE;
 use trueup_linuxcnc::{
     component::TEMPERATURES,
     ini::Ini,
-    line::Ends,
     run::{self, Settings},
     source,
 };
@@ -27,16 +25,8 @@ use trueup_machine::{MachineFile, machine_file::LinearAxis, model::over_compensa
 
 use crate::{Mend, Outcome};
 
-/// How long a bridge may take to be connected, or to take in a few bytes.
-const PATIENCE: Duration = Duration::from_secs(1);
-/// How long a read waits for bytes: an end of the line is noticed as fast.
-const READ_TIMEOUT: Duration = Duration::from_millis(20);
 /// Turns of the loop in a servo cycle: a step is seen to be taken soon after it was.
 const TURNS_PER_CYCLE: f64 = 2.5;
-/// What a port is answered that this build cannot open.
-#[cfg(not(all(feature = "socketcan", target_os = "linux")))]
-const NO_SOCKETCAN: &str = "this tool was built without SocketCAN; build it on Linux by cargo build \
-                            --release -p trueup-cli --features socketcan";
 
 /// Is a component of LinuxCNC's HAL: sends commanded positions to a bridge and turns its offsets
 /// into external offsets. LinuxCNC starts it: `loadusr -W trueup linuxcnc --port ...`.
@@ -116,10 +106,6 @@ impl Log {
 pub fn run(args: &LinuxCnc) -> Result<Outcome> {
     let mut log = Log::open(args.log.as_deref())?;
     let port = Port::parse(&args.port)?;
-    #[cfg(not(all(feature = "socketcan", target_os = "linux")))]
-    if let Port::Can(interface) = &port {
-        return Err(Mend(format!("--port {interface}: {NO_SOCKETCAN}")).into());
-    }
     let machine = args.machine.as_ref().map(|path| MachineFile::read(path)).transpose()?;
     let against_um = LinearAxis::ALL
         .map(|axis| machine.as_ref().map(|machine| over_compensation_um(machine, axis)));
@@ -158,7 +144,7 @@ pub fn run(args: &LinuxCnc) -> Result<Outcome> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
-    run::run(&settings, move || open(&port), &stop, |text| log.tell(text))?;
+    run::run(&settings, move || port.open(), &stop, |text| log.tell(text))?;
     Ok(Outcome::Done)
 }
 
@@ -171,99 +157,4 @@ fn read_ini(path: &PathBuf) -> Result<Ini> {
     let name = path.display();
     let text = std::fs::read_to_string(path).map_err(|error| Mend(format!("{name}: {error}")))?;
     Ok(Ini::parse(&text).map_err(|error| Mend(format!("{name}:{error}")))?)
-}
-
-fn open(port: &Port) -> io::Result<Ends> {
-    match port {
-        Port::Tcp(address) => {
-            let mut last = io::Error::from(io::ErrorKind::AddrNotAvailable);
-            for resolved in address.to_socket_addrs()? {
-                match TcpStream::connect_timeout(&resolved, PATIENCE) {
-                    Ok(stream) => {
-                        stream.set_nodelay(true)?;
-                        stream.set_read_timeout(Some(READ_TIMEOUT))?;
-                        stream.set_write_timeout(Some(PATIENCE))?;
-                        return Ok((Box::new(stream.try_clone()?), Box::new(stream)));
-                    }
-                    Err(error) => last = error,
-                }
-            }
-            Err(last)
-        }
-        Port::Serial(device) => {
-            let serial = serialport::new(device, BAUD).timeout(READ_TIMEOUT).open()?;
-            Ok((Box::new(serial.try_clone()?), Box::new(serial)))
-        }
-        #[cfg(all(feature = "socketcan", target_os = "linux"))]
-        Port::Can(interface) => can::open(interface),
-        #[cfg(not(all(feature = "socketcan", target_os = "linux")))]
-        Port::Can(_) => Err(io::Error::other(NO_SOCKETCAN)),
-    }
-}
-
-/// A CAN interface, spoken to in the lines that every other port carries.
-#[cfg(all(feature = "socketcan", target_os = "linux"))]
-mod can {
-    use std::{
-        io::{self, Read, Write},
-        sync::Arc,
-        time::Instant,
-    };
-
-    use trueup_link::slcan::{Client, Event, encode_line};
-    use trueup_linuxcnc::line::Ends;
-
-    use super::READ_TIMEOUT;
-    use trueup_client::socket_can::Socket;
-
-    pub fn open(interface: &str) -> io::Result<Ends> {
-        let socket = Arc::new(Socket::open(interface).map_err(other)?);
-        let writer = Writer { socket: socket.clone(), lines: Client::new() };
-        Ok((Box::new(Reader { socket, rest: Vec::new() }), Box::new(writer)))
-    }
-
-    fn other(error: anyhow::Error) -> io::Error {
-        io::Error::other(format!("{error:#}"))
-    }
-
-    /// Frames come out as lines.
-    struct Reader {
-        socket: Arc<Socket>,
-        rest: Vec<u8>,
-    }
-
-    impl Read for Reader {
-        fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-            if self.rest.is_empty() {
-                let heard = self.socket.receive(Instant::now() + READ_TIMEOUT).map_err(other)?;
-                let frame = heard.ok_or(io::ErrorKind::TimedOut)?;
-                self.rest = encode_line(&frame).into_bytes().to_vec();
-            }
-            let length = self.rest.len().min(buffer.len());
-            buffer[..length].copy_from_slice(&self.rest[..length]);
-            self.rest.drain(..length);
-            Ok(length)
-        }
-    }
-
-    /// Lines with frames go in; those that open an adapter's channel have nothing to open.
-    struct Writer {
-        socket: Arc<Socket>,
-        lines: Client,
-    }
-
-    impl Write for Writer {
-        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-            for &byte in bytes {
-                if let Some(Event::Frame(frame)) = self.lines.receive(byte) {
-                    self.socket.send(&frame).map_err(other)?;
-                }
-            }
-            Ok(bytes.len())
-        }
-
-        fn flush(&mut self) -> io::Result<()> {
-            Ok(())
-        }
-    }
 }

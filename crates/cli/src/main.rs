@@ -26,6 +26,7 @@ use std::{path::PathBuf, process::ExitCode};
 
 use anyhow::Result;
 use clap::{Args, Parser, Subcommand};
+use trueup_client::Unusable;
 use trueup_machine::BadInput;
 
 /// Errors of a machine tool: what the model predicts, and what the bridge compensates.
@@ -166,11 +167,7 @@ fn main() -> ExitCode {
     match run(&cli) {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::NotMet) => ExitCode::from(3),
-        Err(error)
-            if error.is::<BadInput>()
-                || error.is::<Mend>()
-                || error.is::<trueup_client::Mend>() =>
-        {
+        Err(error) if error.is::<BadInput>() || error.is::<Mend>() || error.is::<Unusable>() => {
             // Alone on its line and without a word before it, so that `file:line:column` is a link.
             eprintln!("{error}");
             ExitCode::from(2)

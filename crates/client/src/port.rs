@@ -1,4 +1,7 @@
-//! Where a bridge is, and the bytes or frames to and from it.
+//! Where a bridge is, and both directions of the line to it.
+//!
+//! Whatever the port is, lines of SLCAN go through it; a CAN interface of Linux is given them by an
+//! adapter in this process.
 
 use std::{
     io::{self, Read, Write},
@@ -6,21 +9,19 @@ use std::{
     time::Duration,
 };
 
-use anyhow::{Context as _, Result};
-
-use crate::Mend;
+use crate::Unusable;
 
 /// The speed of the bridge's serial line.
 pub const BAUD: u32 = 921_600;
 /// How long a bridge may take to be connected, or to take in a few bytes.
 const PATIENCE: Duration = Duration::from_secs(3);
-/// How long a read waits for bytes: short, so that a deadline is met without them too.
-const READ_TIMEOUT: Duration = Duration::from_millis(20);
+/// How long a read waits for bytes: short, so that a deadline is met without them too, and an end of
+/// the line is noticed as fast.
+pub(crate) const READ_TIMEOUT: Duration = Duration::from_millis(20);
 
-/// Bytes to and from a bridge. A read that finds none for a while fails as timed out.
-pub trait Stream: Read + Write {}
-
-impl<S: Read + Write> Stream for S {}
+/// Both directions of an open line, for a thread each if need be. A read that finds nothing for a
+/// while fails in a way that [`is_only_late`].
+pub type Ends = (Box<dyn Read + Send>, Box<dyn Write + Send>);
 
 /// Where a bridge is.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -29,23 +30,17 @@ pub enum Port {
     Tcp(String),
     /// A serial device.
     Serial(String),
-    /// A CAN interface of Linux.
-    Can(String),
-}
-
-/// What an open port is.
-pub enum Line {
-    /// Lines of SLCAN.
-    Slcan(Box<dyn Stream>),
-    /// Frames.
+    /// A CAN interface of Linux. Only a build that can open it has such a port.
     #[cfg(all(feature = "socketcan", target_os = "linux"))]
-    Can(super::socket_can::Socket),
+    Can(String),
 }
 
 impl Port {
     /// Reads what the user wrote.
-    pub fn parse(text: &str) -> Result<Self, Mend> {
-        const FORMS: &str = "a port is tcp:HOST:PORT, a serial device, such as /dev/ttyACM0, or a CAN interface, can0";
+    ///
+    /// # Errors
+    /// It has none of the forms of a port, or is one that this build cannot open.
+    pub fn parse(text: &str) -> Result<Self, Unusable> {
         if let Some(address) = text.strip_prefix("tcp:") {
             let is_right = address.rsplit_once(':').is_some_and(|(host, number)| {
                 !host.is_empty() && number.parse::<u16>().is_ok_and(|number| number != 0)
@@ -53,45 +48,61 @@ impl Port {
             return if is_right {
                 Ok(Self::Tcp(address.into()))
             } else {
-                Err(Mend(format!("--port \"{text}\": after tcp: comes HOST:PORT; {FORMS}")))
+                Err(Unusable::NoAddress { text: text.into() })
             };
         }
         if is_numbered(text, &["can", "vcan", "slcan"]) {
+            #[cfg(all(feature = "socketcan", target_os = "linux"))]
             return Ok(Self::Can(text.into()));
+            #[cfg(not(all(feature = "socketcan", target_os = "linux")))]
+            return Err(Unusable::NoSocketCan { interface: text.into() });
         }
         if text.contains(['/', '\\']) || is_numbered(text, &["COM"]) {
             return Ok(Self::Serial(text.into()));
         }
-        Err(Mend(format!("--port \"{text}\": {FORMS}")))
+        Err(Unusable::NoPort { text: text.into() })
     }
 
     /// What a log of frames calls it: a line of SLCAN as `slcand` would name its interface.
+    #[must_use]
     pub fn interface(&self) -> &str {
         match self {
-            Self::Can(interface) => interface,
             Self::Tcp(_) | Self::Serial(_) => "can0",
+            #[cfg(all(feature = "socketcan", target_os = "linux"))]
+            Self::Can(interface) => interface,
+        }
+    }
+
+    /// Whether an adapter of SLCAN answers behind it: the bridge itself, whose channel has to be
+    /// opened and which says who it is. Behind a CAN interface nothing answers but frames.
+    #[must_use]
+    pub const fn has_adapter(&self) -> bool {
+        match self {
+            Self::Tcp(_) | Self::Serial(_) => true,
+            #[cfg(all(feature = "socketcan", target_os = "linux"))]
+            Self::Can(_) => false,
         }
     }
 
     /// Connects to the bridge.
-    pub fn open(&self) -> Result<Line> {
+    ///
+    /// # Errors
+    /// Nobody listens there, there is no such device or interface, or it is another's.
+    pub fn open(&self) -> io::Result<Ends> {
         match self {
-            Self::Tcp(address) => Ok(Line::Slcan(Box::new(connect(address)?))),
+            Self::Tcp(address) => {
+                let stream = connect(address)?;
+                stream.set_nodelay(true)?;
+                stream.set_read_timeout(Some(READ_TIMEOUT))?;
+                stream.set_write_timeout(Some(PATIENCE))?;
+                Ok((Box::new(stream.try_clone()?), Box::new(stream)))
+            }
             Self::Serial(device) => {
-                let serial = serialport::new(device, BAUD)
-                    .timeout(READ_TIMEOUT)
-                    .open()
-                    .with_context(|| format!("the serial device {device} cannot be opened"))?;
-                Ok(Line::Slcan(Box::new(serial)))
+                let serial = serialport::new(device, BAUD).timeout(READ_TIMEOUT).open()?;
+                Ok((Box::new(serial.try_clone()?), Box::new(serial)))
             }
             #[cfg(all(feature = "socketcan", target_os = "linux"))]
-            Self::Can(interface) => Ok(Line::Can(super::socket_can::Socket::open(interface)?)),
-            #[cfg(not(all(feature = "socketcan", target_os = "linux")))]
-            Self::Can(interface) => Err(Mend(format!(
-                "--port {interface}: this tool was built without SocketCAN; build it on Linux by \
-                 cargo build --release -p trueup-cli --features socketcan"
-            ))
-            .into()),
+            Self::Can(interface) => crate::socket_can::open(interface),
         }
     }
 }
@@ -104,27 +115,32 @@ fn is_numbered(text: &str, names: &[&str]) -> bool {
     })
 }
 
-fn connect(address: &str) -> Result<TcpStream> {
-    let context =
-        || format!("no connection to tcp:{address}; is a bridge listening there (cargo virtual)?");
+/// To the first of the name's addresses that answers.
+fn connect(address: &str) -> io::Result<TcpStream> {
     let mut last = io::Error::from(io::ErrorKind::AddrNotAvailable);
-    for resolved in address.to_socket_addrs().with_context(context)? {
+    for resolved in address.to_socket_addrs()? {
         match TcpStream::connect_timeout(&resolved, PATIENCE) {
-            Ok(stream) => {
-                stream.set_nodelay(true)?;
-                stream.set_read_timeout(Some(READ_TIMEOUT))?;
-                stream.set_write_timeout(Some(PATIENCE))?;
-                return Ok(stream);
-            }
+            Ok(stream) => return Ok(stream),
             Err(error) => last = error,
         }
     }
-    Err(last).with_context(context)
+    Err(last)
+}
+
+/// Whether a read that failed so has found nothing yet, and the line still stands.
+#[must_use]
+pub fn is_only_late(error: &io::Error) -> bool {
+    use io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
+    matches!(error.kind(), Interrupted | TimedOut | WouldBlock)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::{
+        net::TcpListener,
+        time::{Duration, Instant},
+    };
 
     #[test]
     fn ports_are_told_apart_by_their_form() {
@@ -133,12 +149,33 @@ mod tests {
             ("tcp:[::1]:3333", Port::Tcp("[::1]:3333".into())),
             ("/dev/ttyACM0", Port::Serial("/dev/ttyACM0".into())),
             ("COM3", Port::Serial("COM3".into())),
-            ("can0", Port::Can("can0".into())),
-            ("vcan1", Port::Can("vcan1".into())),
-            ("slcan0", Port::Can("slcan0".into())),
             (r"\\.\COM12", Port::Serial(r"\\.\COM12".into())),
         ] {
             assert_eq!(Port::parse(text).expect(text), port);
+            assert!(port.has_adapter() && port.interface() == "can0", "{text}");
+        }
+    }
+
+    #[cfg(all(feature = "socketcan", target_os = "linux"))]
+    #[test]
+    fn a_can_interface_goes_by_its_name_and_has_no_adapter() {
+        for text in ["can0", "vcan1", "slcan0"] {
+            let port = Port::parse(text).expect(text);
+            assert_eq!((&port, port.interface()), (&Port::Can(text.into()), text));
+            assert!(!port.has_adapter(), "{text}");
+        }
+    }
+
+    #[cfg(not(all(feature = "socketcan", target_os = "linux")))]
+    #[test]
+    fn a_can_interface_that_this_build_cannot_open_is_no_port_at_all() {
+        for text in ["can0", "vcan1", "slcan0"] {
+            let error = Port::parse(text).expect_err(text).to_string();
+            let phrase = format!("--port {text}: this tool was built without SocketCAN");
+            assert!(
+                error.starts_with(&phrase) && error.contains("--features socketcan"),
+                "{error}"
+            );
         }
     }
 
@@ -155,5 +192,29 @@ mod tests {
             let error = Port::parse(text).expect_err(text).to_string();
             assert!(error.contains(phrase), "{error}");
         }
+    }
+
+    #[test]
+    fn an_open_line_goes_both_ways_and_a_read_without_bytes_is_only_late() {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+        let number = listener.local_addr().expect("bound above").port();
+        // The name may have an address of the other family too, where nobody listens.
+        let port = Port::Tcp(format!("localhost:{number}"));
+        let (mut reader, mut writer) = port.open().expect("it listens");
+        let (mut bridge, _) = listener.accept().expect("it has connected");
+        let mut bytes = [0; 4];
+        writer.write_all(b"V\rN\r").expect("open");
+        bridge.read_exact(&mut bytes).expect("written above");
+        assert_eq!(&bytes, b"V\rN\r");
+
+        let start = Instant::now();
+        let late = reader.read(&mut bytes).expect_err("nothing was sent");
+        assert!(is_only_late(&late) && start.elapsed() < Duration::from_secs(1), "{late}");
+        bridge.write_all(b"\r").expect("open");
+        reader.read_exact(&mut bytes[..1]).expect("written above");
+        drop(bridge);
+        assert_eq!(reader.read(&mut bytes).expect("an end is no error"), 0);
+        drop(listener);
+        assert!(!is_only_late(&port.open().err().expect("nobody listens")));
     }
 }

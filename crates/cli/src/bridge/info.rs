@@ -103,8 +103,9 @@ impl Objects {
 
 /// Asks the bridge at `port` and prints what it says.
 pub fn run(port: &str, as_json: bool) -> Result<Outcome> {
-    let mut session = Session::open(&Port::parse(port)?)?;
-    let has_adapter = session.has_adapter();
+    let port = Port::parse(port)?;
+    let has_adapter = port.has_adapter();
+    let mut session = Session::open(&port)?;
     session.write(b"V\rN\r")?;
     let deadline = Instant::now() + PATIENCE;
     let mut info = Info::default();
