@@ -9,6 +9,8 @@ use crate::{NANOMETRES_PER_MICROMETRE, NANOMETRES_PER_MILLIMETRE, follower::Pace
 
 /// LinuxCNC's default of `[EMCMOT]SERVO_PERIOD`, in ns.
 const SERVO_PERIOD_NS: f64 = 1e6;
+/// A servo cycle of a second is none.
+const LONGEST_PERIOD_NS: f64 = 1e9;
 /// Millimetres in an inch.
 const MM_PER_INCH: f64 = 25.4;
 const MICROMETRES_PER_MILLIMETRE: f64 = 1e3;
@@ -49,8 +51,8 @@ impl Ini {
     /// Reads the text of a file.
     ///
     /// # Errors
-    /// A value of those that count is no number, or a unit that LinuxCNC does not know; with its
-    /// place.
+    /// A value of those that count is no number, a servo cycle that cannot be, or a unit that LinuxCNC
+    /// does not know; with its place.
     pub fn parse(text: &str) -> Result<Self, BadIni> {
         let found = |section: &str, key: &str| find(text, section, key);
         let number = |section: &str, key: &str| -> Result<Option<f64>, BadIni> {
@@ -71,6 +73,12 @@ impl Ini {
             },
         };
         let period_ns = number("EMCMOT", "SERVO_PERIOD")?.unwrap_or(SERVO_PERIOD_NS);
+        if let Some((place, value)) = found("EMCMOT", "SERVO_PERIOD")
+            && !(period_ns > 0.0 && period_ns <= LONGEST_PERIOD_NS)
+        {
+            let rule = format!("[EMCMOT]SERVO_PERIOD = {value} is not above 0 and at most 1e9 ns");
+            return Err(BadIni { place, rule });
+        }
         let mut axes = [AxisMotion::default(); 3];
         for (axis, section) in axes.iter_mut().zip(["AXIS_X", "AXIS_Y", "AXIS_Z"]) {
             let length = |key| Ok(number(section, key)?.map(|number| number * mm_per_unit));
@@ -246,9 +254,14 @@ mod tests {
     }
 
     #[test]
-    fn a_value_that_is_no_number_is_told_with_its_place() {
+    fn a_value_that_cannot_be_is_told_with_its_place() {
         let error = Ini::parse("[AXIS_Z]\nOFFSET_AV_RATIO = lots\n").expect_err("no number");
         assert_eq!(error.to_string(), "2:19: [AXIS_Z]OFFSET_AV_RATIO = lots is no number");
         assert!(Ini::parse("[TRAJ]\nLINEAR_UNITS = cubits\n").is_err());
+        for period in ["0", "-1000000", "1e10"] {
+            let error = Ini::parse(&format!("[EMCMOT]\nSERVO_PERIOD={period}\n"));
+            let rule = format!("2:14: [EMCMOT]SERVO_PERIOD = {period} is not above 0");
+            assert!(error.expect_err(period).to_string().starts_with(&rule));
+        }
     }
 }
