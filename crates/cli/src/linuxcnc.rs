@@ -2,8 +2,7 @@
 
 use std::{
     fs::{File, OpenOptions},
-    io::{self, Write as _},
-    net::{TcpStream, ToSocketAddrs as _},
+    io::Write as _,
     path::{Path, PathBuf},
     sync::{
         Arc,
@@ -14,37 +13,20 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use clap::Args;
+use trueup_client::port::Port;
+use trueup_core::units::NANOMETRES_PER_MICROMETRE;
 use trueup_linuxcnc::{
     component::TEMPERATURES,
-    follower::Pace,
     ini::Ini,
-    line::Ends,
     run::{self, Settings},
     source,
 };
 use trueup_machine::{MachineFile, machine_file::LinearAxis, model::over_compensation_um};
 
-use crate::{
-    Mend, Outcome,
-    bridge::port::{BAUD, Port},
-};
+use crate::{Mend, Outcome};
 
-/// How long a bridge may take to be connected, or to take in a few bytes.
-const PATIENCE: Duration = Duration::from_secs(1);
-/// How long a read waits for bytes: an end of the line is noticed as fast.
-const READ_TIMEOUT: Duration = Duration::from_millis(20);
-/// LinuxCNC's servo cycle where no .ini says otherwise.
-const CYCLE_S: f64 = 1e-3;
 /// Turns of the loop in a servo cycle: a step is seen to be taken soon after it was.
 const TURNS_PER_CYCLE: f64 = 2.5;
-/// `OFFSET_AV_RATIO` may give this much more speed than the slew limit without a word.
-const GENEROUS: f64 = 1.5;
-/// What a port is answered that this build cannot open.
-#[cfg(not(all(feature = "socketcan", target_os = "linux")))]
-const NO_SOCKETCAN: &str = "this tool was built without SocketCAN; build it on Linux by cargo build \
-                            --release -p trueup-cli --features socketcan";
-const NANOMETRES_PER_MICROMETRE: f64 = 1e3;
-const NANOMETRES_PER_MILLIMETRE: f64 = 1e6;
 
 /// Is a component of LinuxCNC's HAL: sends commanded positions to a bridge and turns its offsets
 /// into external offsets. LinuxCNC starts it: `loadusr -W trueup linuxcnc --port ...`.
@@ -124,186 +106,55 @@ impl Log {
 pub fn run(args: &LinuxCnc) -> Result<Outcome> {
     let mut log = Log::open(args.log.as_deref())?;
     let port = Port::parse(&args.port)?;
-    #[cfg(not(all(feature = "socketcan", target_os = "linux")))]
-    if let Port::Can(interface) = &port {
-        return Err(Mend(format!("--port {interface}: {NO_SOCKETCAN}")).into());
-    }
     let machine = args.machine.as_ref().map(|path| MachineFile::read(path)).transpose()?;
     let against_um = LinearAxis::ALL
         .map(|axis| machine.as_ref().map(|machine| over_compensation_um(machine, axis)));
     let limits = machine.map(|machine| machine.limits).unwrap_or_default();
-    let ini = args.ini.as_ref().map(read_ini).transpose()?;
-    if ini.is_none() {
-        log.tell("no .ini: a servo cycle of 1 ms, millimetres, and slow changes of the offsets");
-    }
     let slew_um_per_s = args.slew_um_per_s.unwrap_or(limits.slew_um_per_s);
-    let max_nm = limits.max_um.map(|um| nanometres(args.max_um.unwrap_or(um)));
-    let cycle_s = ini.map_or(CYCLE_S, |ini| ini.cycle_s);
+    let ini = match &args.ini {
+        Some(path) => {
+            let ini = read_ini(path)?;
+            ini.remarks(slew_um_per_s).iter().for_each(|remark| log.tell(remark));
+            ini
+        }
+        None => {
+            log.tell(
+                "no .ini: a servo cycle of 1 ms, millimetres, and slow changes of the offsets",
+            );
+            Ini::default()
+        }
+    };
     let settings = Settings {
         name: args.name.clone(),
-        mm_per_unit: ini.map_or(1.0, |ini| ini.mm_per_unit),
+        mm_per_unit: ini.mm_per_unit,
         temperatures: args.temperatures,
-        turn: Duration::from_secs_f64(cycle_s / TURNS_PER_CYCLE),
+        turn: Duration::from_secs_f64(ini.cycle_s / TURNS_PER_CYCLE),
         options: trueup_linuxcnc::Options {
             limits: source::Limits {
-                max_nm,
+                max_nm: limits.max_um.map(|um| nanometres(args.max_um.unwrap_or(um))),
                 stale: Duration::from_millis(args.stale_ms),
                 hold: Duration::from_millis(args.hold_ms.unwrap_or(limits.hold_ms.into())),
             },
-            pace: [0, 1, 2].map(|axis| Pace {
-                slew_nm_per_s: slew_um_per_s * NANOMETRES_PER_MICROMETRE,
-                cycle_s,
-                acceleration_nm_per_s2: ini
-                    .and_then(|ini| {
-                        let axis = ini.axes[axis];
-                        Some(axis.acceleration_mm_per_s2? * axis.ratio * NANOMETRES_PER_MILLIMETRE)
-                    })
-                    .filter(|&acceleration| acceleration > 0.0)
-                    .unwrap_or(f64::INFINITY),
-            }),
+            pace: ini.paces(slew_um_per_s),
             position_period: Duration::from_millis(args.position_period_ms),
             sends_rotary: args.rotary,
             against_um,
         },
     };
-    if let Some(ini) = ini {
-        look_at(&ini, slew_um_per_s, &mut log);
-    }
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
-    run::run(&settings, move || open(&port), &stop, |text| log.tell(text))?;
+    run::run(&settings, move || port.open(), &stop, |text| log.tell(text))?;
     Ok(Outcome::Done)
 }
 
 #[allow(clippy::cast_possible_truncation, reason = "a cast of a float saturates")]
 fn nanometres(um: f64) -> i32 {
-    (um * NANOMETRES_PER_MICROMETRE).round() as i32
+    (um * f64::from(NANOMETRES_PER_MICROMETRE)).round() as i32
 }
 
 fn read_ini(path: &PathBuf) -> Result<Ini> {
     let name = path.display();
     let text = std::fs::read_to_string(path).map_err(|error| Mend(format!("{name}: {error}")))?;
     Ok(Ini::parse(&text).map_err(|error| Mend(format!("{name}:{error}")))?)
-}
-
-/// Says what in the .ini does not go with the slew limit.
-fn look_at(ini: &Ini, slew_um_per_s: f64, log: &mut Log) {
-    for (axis, name) in ini.axes.iter().zip(["X", "Y", "Z"]) {
-        if axis.ratio == 0.0 {
-            log.tell(&format!(
-                "[AXIS_{name}]OFFSET_AV_RATIO is 0 or missing: LinuxCNC will not move this axis"
-            ));
-            continue;
-        }
-        let Some(velocity) = axis.velocity_mm_per_s else { continue };
-        let most_um_per_s = velocity * axis.ratio * NANOMETRES_PER_MICROMETRE;
-        let proper = slew_um_per_s / NANOMETRES_PER_MICROMETRE / velocity;
-        if most_um_per_s < slew_um_per_s {
-            log.tell(&format!(
-                "[AXIS_{name}]OFFSET_AV_RATIO lets offsets change by {most_um_per_s:.1} um/s only, \
-                 the slew limit is {slew_um_per_s} um/s; {proper:.6} would do"
-            ));
-        } else if most_um_per_s > GENEROUS * slew_um_per_s {
-            log.tell(&format!(
-                "[AXIS_{name}]OFFSET_AV_RATIO lets offsets change by {most_um_per_s:.1} um/s; with \
-                 {proper:.6} LinuxCNC itself would keep the slew limit of {slew_um_per_s} um/s"
-            ));
-        }
-    }
-}
-
-fn open(port: &Port) -> io::Result<Ends> {
-    match port {
-        Port::Tcp(address) => {
-            let mut last = io::Error::from(io::ErrorKind::AddrNotAvailable);
-            for resolved in address.to_socket_addrs()? {
-                match TcpStream::connect_timeout(&resolved, PATIENCE) {
-                    Ok(stream) => {
-                        stream.set_nodelay(true)?;
-                        stream.set_read_timeout(Some(READ_TIMEOUT))?;
-                        stream.set_write_timeout(Some(PATIENCE))?;
-                        return Ok((Box::new(stream.try_clone()?), Box::new(stream)));
-                    }
-                    Err(error) => last = error,
-                }
-            }
-            Err(last)
-        }
-        Port::Serial(device) => {
-            let serial = serialport::new(device, BAUD).timeout(READ_TIMEOUT).open()?;
-            Ok((Box::new(serial.try_clone()?), Box::new(serial)))
-        }
-        #[cfg(all(feature = "socketcan", target_os = "linux"))]
-        Port::Can(interface) => can::open(interface),
-        #[cfg(not(all(feature = "socketcan", target_os = "linux")))]
-        Port::Can(_) => Err(io::Error::other(NO_SOCKETCAN)),
-    }
-}
-
-/// A CAN interface, spoken to in the lines that every other port carries.
-#[cfg(all(feature = "socketcan", target_os = "linux"))]
-mod can {
-    use std::{
-        io::{self, Read, Write},
-        sync::Arc,
-        time::Instant,
-    };
-
-    use trueup_link::slcan::{Client, Event, encode_line};
-    use trueup_linuxcnc::line::Ends;
-
-    use super::READ_TIMEOUT;
-    use crate::bridge::socket_can::Socket;
-
-    pub fn open(interface: &str) -> io::Result<Ends> {
-        let socket = Arc::new(Socket::open(interface).map_err(other)?);
-        let writer = Writer { socket: socket.clone(), lines: Client::new() };
-        Ok((Box::new(Reader { socket, rest: Vec::new() }), Box::new(writer)))
-    }
-
-    fn other(error: anyhow::Error) -> io::Error {
-        io::Error::other(format!("{error:#}"))
-    }
-
-    /// Frames come out as lines.
-    struct Reader {
-        socket: Arc<Socket>,
-        rest: Vec<u8>,
-    }
-
-    impl Read for Reader {
-        fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-            if self.rest.is_empty() {
-                let heard = self.socket.receive(Instant::now() + READ_TIMEOUT).map_err(other)?;
-                let frame = heard.ok_or(io::ErrorKind::TimedOut)?;
-                self.rest = encode_line(&frame).into_bytes().to_vec();
-            }
-            let length = self.rest.len().min(buffer.len());
-            buffer[..length].copy_from_slice(&self.rest[..length]);
-            self.rest.drain(..length);
-            Ok(length)
-        }
-    }
-
-    /// Lines with frames go in; those that open an adapter's channel have nothing to open.
-    struct Writer {
-        socket: Arc<Socket>,
-        lines: Client,
-    }
-
-    impl Write for Writer {
-        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-            for &byte in bytes {
-                if let Some(Event::Frame(frame)) = self.lines.receive(byte) {
-                    self.socket.send(&frame).map_err(other)?;
-                }
-            }
-            Ok(bytes.len())
-        }
-
-        fn flush(&mut self) -> io::Result<()> {
-            Ok(())
-        }
-    }
 }

@@ -1,7 +1,7 @@
 //! `trueup`, the host tool.
 //!
 //! Commands and exit codes only: what is computed, and what is worth a test of its own, is in
-//! `trueup-machine` and `trueup-link`. Results go to standard output, progress and warnings to
+//! the library crates. Results go to standard output, progress and warnings to
 //! standard error.
 //!
 //! | exit code | meaning |
@@ -26,6 +26,7 @@ use std::{path::PathBuf, process::ExitCode};
 
 use anyhow::Result;
 use clap::{Args, Parser, Subcommand};
+use trueup_client::Unusable;
 use trueup_machine::BadInput;
 
 /// Errors of a machine tool: what the model predicts, and what the bridge compensates.
@@ -149,7 +150,7 @@ enum Outcome {
     NotMet,
 }
 
-/// What the user has to mend and has no line and column, as `BadInput` has: a port, a blob, a folder.
+/// What the user has to mend and has no line and column, as `BadInput` has: a blob, a folder.
 #[derive(Debug)]
 struct Mend(String);
 
@@ -166,7 +167,7 @@ fn main() -> ExitCode {
     match run(&cli) {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::NotMet) => ExitCode::from(3),
-        Err(error) if error.is::<BadInput>() || error.is::<Mend>() => {
+        Err(error) if error.is::<BadInput>() || error.is::<Mend>() || error.is::<Unusable>() => {
             // Alone on its line and without a word before it, so that `file:line:column` is a link.
             eprintln!("{error}");
             ExitCode::from(2)

@@ -28,6 +28,14 @@ fn a_port_that_is_none_is_refused_by_name() {
     refused(&[], "--port");
 }
 
+/// Before LinuxCNC hears of a component that could never get ready.
+#[cfg(not(feature = "socketcan"))]
+#[test]
+fn a_can_interface_needs_the_feature_and_says_how() {
+    refused(&["--port", "can0"], "--port can0: this tool was built without SocketCAN");
+    refused(&["--port", "can0"], "--features socketcan");
+}
+
 #[test]
 fn a_bad_ini_or_machine_file_is_refused_with_its_place() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -15,6 +15,7 @@ use trueup_link::{
 };
 
 use crate::{
+    NANOMETRES_PER_MICROMETRE, NANOMETRES_PER_MILLIMETRE,
     follower::{Follower, Pace, Reading},
     sender::{Command, Sender},
     source::{Limits, Source, Target},
@@ -25,8 +26,6 @@ use crate::{
 const APPLIED_WITHIN_NM: f64 = 20.0;
 /// Temperature channels of the bridge.
 pub const TEMPERATURES: usize = CHANNELS;
-const NANOMETRES_PER_MICROMETRE: f64 = 1e3;
-const NANOMETRES_PER_MILLIMETRE: f64 = 1e6;
 /// Each item of `Status` comes every 0.8 s; three missed, and it is not known any more.
 const STATUS_LASTS: Duration = Duration::from_millis(2_500);
 /// How often the heartbeat turns round.

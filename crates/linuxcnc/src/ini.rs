@@ -5,10 +5,17 @@
 //! `OFFSET_AV_RATIO` of `[AXIS_X]`, `[AXIS_Y]`, `[AXIS_Z]`. As LinuxCNC does it, the first line with
 //! a name wins, `#` and `;` begin a comment, and what is not there has LinuxCNC's own default.
 
+use crate::{NANOMETRES_PER_MICROMETRE, NANOMETRES_PER_MILLIMETRE, follower::Pace};
+
 /// LinuxCNC's default of `[EMCMOT]SERVO_PERIOD`, in ns.
 const SERVO_PERIOD_NS: f64 = 1e6;
+/// A servo cycle of a second is none.
+const LONGEST_PERIOD_NS: f64 = 1e9;
 /// Millimetres in an inch.
 const MM_PER_INCH: f64 = 25.4;
+const MICROMETRES_PER_MILLIMETRE: f64 = 1e3;
+/// `OFFSET_AV_RATIO` may give this much more speed than the slew limit without a remark.
+const GENEROUS: f64 = 1.5;
 
 /// How an axis moves, in mm and seconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -32,12 +39,20 @@ pub struct Ini {
     pub axes: [AxisMotion; 3],
 }
 
+/// What LinuxCNC takes where a file states nothing.
+impl Default for Ini {
+    fn default() -> Self {
+        let axes = [AxisMotion::default(); 3];
+        Self { cycle_s: SERVO_PERIOD_NS * 1e-9, mm_per_unit: 1.0, axes }
+    }
+}
+
 impl Ini {
     /// Reads the text of a file.
     ///
     /// # Errors
-    /// A value of those that count is no number, or a unit that LinuxCNC does not know; with its
-    /// place.
+    /// A value of those that count is no number, a servo cycle that cannot be, or a unit that LinuxCNC
+    /// does not know; with its place.
     pub fn parse(text: &str) -> Result<Self, BadIni> {
         let found = |section: &str, key: &str| find(text, section, key);
         let number = |section: &str, key: &str| -> Result<Option<f64>, BadIni> {
@@ -58,6 +73,12 @@ impl Ini {
             },
         };
         let period_ns = number("EMCMOT", "SERVO_PERIOD")?.unwrap_or(SERVO_PERIOD_NS);
+        if let Some((place, value)) = found("EMCMOT", "SERVO_PERIOD")
+            && !(period_ns > 0.0 && period_ns <= LONGEST_PERIOD_NS)
+        {
+            let rule = format!("[EMCMOT]SERVO_PERIOD = {value} is not above 0 and at most 1e9 ns");
+            return Err(BadIni { place, rule });
+        }
         let mut axes = [AxisMotion::default(); 3];
         for (axis, section) in axes.iter_mut().zip(["AXIS_X", "AXIS_Y", "AXIS_Z"]) {
             let length = |key| Ok(number(section, key)?.map(|number| number * mm_per_unit));
@@ -68,6 +89,51 @@ impl Ini {
             };
         }
         Ok(Self { cycle_s: period_ns * 1e-9, mm_per_unit, axes })
+    }
+
+    /// How fast the offsets of X, Y and Z may change with this slew limit.
+    #[must_use]
+    pub fn paces(&self, slew_um_per_s: f64) -> [Pace; 3] {
+        self.axes.map(|axis| Pace {
+            slew_nm_per_s: slew_um_per_s * NANOMETRES_PER_MICROMETRE,
+            cycle_s: self.cycle_s,
+            acceleration_nm_per_s2: axis
+                .acceleration_mm_per_s2
+                .map(|acceleration| acceleration * axis.ratio * NANOMETRES_PER_MILLIMETRE)
+                .filter(|&acceleration| acceleration > 0.0)
+                .unwrap_or(f64::INFINITY),
+        })
+    }
+
+    /// What in the file does not go with this slew limit, a sentence each: an axis whose
+    /// `OFFSET_AV_RATIO` is missing, too small, or so large that LinuxCNC itself would not keep it.
+    #[must_use]
+    pub fn remarks(&self, slew_um_per_s: f64) -> Vec<String> {
+        let mut remarks = Vec::new();
+        for (axis, name) in self.axes.iter().zip(["X", "Y", "Z"]) {
+            if axis.ratio == 0.0 {
+                remarks.push(format!(
+                    "[AXIS_{name}]OFFSET_AV_RATIO is 0 or missing: LinuxCNC will not move this axis"
+                ));
+                continue;
+            }
+            let Some(velocity) = axis.velocity_mm_per_s else { continue };
+            let most_um_per_s = velocity * axis.ratio * MICROMETRES_PER_MILLIMETRE;
+            let proper = slew_um_per_s / MICROMETRES_PER_MILLIMETRE / velocity;
+            if most_um_per_s < slew_um_per_s {
+                remarks.push(format!(
+                    "[AXIS_{name}]OFFSET_AV_RATIO lets offsets change by {most_um_per_s:.1} um/s \
+                     only, the slew limit is {slew_um_per_s} um/s; {proper:.6} would do"
+                ));
+            } else if most_um_per_s > GENEROUS * slew_um_per_s {
+                remarks.push(format!(
+                    "[AXIS_{name}]OFFSET_AV_RATIO lets offsets change by {most_um_per_s:.1} um/s; \
+                     with {proper:.6} LinuxCNC itself would keep the slew limit of \
+                     {slew_um_per_s} um/s"
+                ));
+            }
+        }
+        remarks
     }
 }
 
@@ -129,10 +195,73 @@ mod tests {
         assert_eq!(ini.axes[1], AxisMotion::default());
     }
 
+    /// An .ini with this in `[AXIS_X]`, and a second and a third axis that are as they should be.
+    fn with_x(x: &str) -> Ini {
+        let proper = "MAX_VELOCITY = 100\nOFFSET_AV_RATIO = 0.0002\n";
+        let text = format!("[AXIS_X]\n{x}\n[AXIS_Y]\n{proper}[AXIS_Z]\n{proper}");
+        Ini::parse(&text).expect("reads")
+    }
+
     #[test]
-    fn a_value_that_is_no_number_is_told_with_its_place() {
+    fn an_axis_that_the_slew_limit_does_not_fit_is_remarked_upon() {
+        for (x, remark) in [
+            // 50 mm/s · 0.0002 = 10 µm/s, and 20 µm/s of 50 mm/s are 0.0004.
+            (
+                "MAX_VELOCITY = 50\nOFFSET_AV_RATIO = 0.0002",
+                "[AXIS_X]OFFSET_AV_RATIO lets offsets change by 10.0 um/s only, the slew limit is \
+                 20 um/s; 0.000400 would do",
+            ),
+            // 200 mm/s · 0.1 = 20 mm/s, and 20 µm/s of 200 mm/s are 0.0001.
+            (
+                "MAX_VELOCITY = 200\nOFFSET_AV_RATIO = 0.1",
+                "[AXIS_X]OFFSET_AV_RATIO lets offsets change by 20000.0 um/s; with 0.000100 \
+                 LinuxCNC itself would keep the slew limit of 20 um/s",
+            ),
+            (
+                "MAX_VELOCITY = 50",
+                "[AXIS_X]OFFSET_AV_RATIO is 0 or missing: LinuxCNC will not move this axis",
+            ),
+        ] {
+            assert_eq!(with_x(x).remarks(20.0), [remark]);
+        }
+    }
+
+    #[test]
+    fn a_ratio_that_fits_and_a_speed_that_is_not_stated_are_passed_over() {
+        // 100 mm/s · 0.00029 = 29 µm/s: less than half as much again.
+        for x in ["MAX_VELOCITY = 100\nOFFSET_AV_RATIO = 0.00029", "OFFSET_AV_RATIO = 0.0001"] {
+            assert_eq!(with_x(x).remarks(20.0), [""; 0]);
+        }
+    }
+
+    #[test]
+    fn a_pace_has_the_planners_share_of_the_acceleration_where_there_is_one() {
+        let x = "MAX_ACCELERATION = 500\nOFFSET_AV_RATIO = 0.25";
+        let [x, y, _] = with_x(x).paces(20.0);
+        // 500 mm/s² · 0.25 = 125 mm/s².
+        let slew = Pace { slew_nm_per_s: 2e4, cycle_s: 1e-3, acceleration_nm_per_s2: 1.25e8 };
+        assert_eq!(x, slew);
+        let unknown = Pace { acceleration_nm_per_s2: f64::INFINITY, ..slew };
+        assert_eq!(y, unknown);
+        // An acceleration without a share moves nothing, and must not divide by 0.
+        assert_eq!(with_x("MAX_ACCELERATION = 500").paces(20.0)[0], unknown);
+    }
+
+    #[test]
+    fn an_empty_file_says_what_linuxcnc_takes_by_itself() {
+        assert_eq!(Ini::parse(""), Ok(Ini::default()));
+        assert_eq!(Ini::default().cycle_s, 1e-3);
+    }
+
+    #[test]
+    fn a_value_that_cannot_be_is_told_with_its_place() {
         let error = Ini::parse("[AXIS_Z]\nOFFSET_AV_RATIO = lots\n").expect_err("no number");
         assert_eq!(error.to_string(), "2:19: [AXIS_Z]OFFSET_AV_RATIO = lots is no number");
         assert!(Ini::parse("[TRAJ]\nLINEAR_UNITS = cubits\n").is_err());
+        for period in ["0", "-1000000", "1e10"] {
+            let error = Ini::parse(&format!("[EMCMOT]\nSERVO_PERIOD={period}\n"));
+            let rule = format!("2:14: [EMCMOT]SERVO_PERIOD = {period} is not above 0");
+            assert!(error.expect_err(period).to_string().starts_with(&rule));
+        }
     }
 }

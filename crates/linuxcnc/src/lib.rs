@@ -37,3 +37,9 @@ pub mod source;
 
 pub use component::{Component, Inputs, Options, Outputs};
 pub use run::run;
+
+use trueup_core::units;
+
+/// Offsets are counted in nanometres, the user's limits in micrometres, the axes' speeds in mm.
+const NANOMETRES_PER_MICROMETRE: f64 = units::NANOMETRES_PER_MICROMETRE as f64;
+const NANOMETRES_PER_MILLIMETRE: f64 = 1e6;

@@ -15,6 +15,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use trueup_client::port::{Ends, is_only_late};
 use trueup_link::{
     frame::Frame,
     slcan::{Client, Event, client, encode_line},
@@ -29,9 +30,6 @@ const PAUSE: Duration = Duration::from_millis(250);
 const SILENT: Duration = Duration::from_secs(1);
 /// A line without a frame for so long is opened anew.
 const DEAD: Duration = Duration::from_secs(3);
-
-/// Both directions of an open line. A read that finds nothing must fail as timed out before long.
-pub type Ends = (Box<dyn Read + Send>, Box<dyn Write + Send>);
 
 /// What happens on the line.
 #[derive(Debug)]
@@ -179,11 +177,6 @@ fn write(mut writer: Box<dyn Write + Send>, frames: &Receiver<Frame>, reopen: &A
             return;
         }
     }
-}
-
-fn is_only_late(error: &io::Error) -> bool {
-    use io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
-    matches!(error.kind(), Interrupted | TimedOut | WouldBlock)
 }
 
 #[cfg(test)]

@@ -7,12 +7,13 @@ use std::{
     time::{Duration, Instant},
 };
 
+use trueup_client::port::Ends;
 use trueup_core::cnc::Quality;
 
 use crate::{
     component::{Component, Options, Outputs},
     hal::{Hal, HalError},
-    line::{Ends, Heard, Line},
+    line::{Heard, Line},
     pins::{Pins, pid_pin},
 };
 

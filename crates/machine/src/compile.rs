@@ -297,10 +297,7 @@ impl SpindleTables {
     ) -> Result<Self, BadInput> {
         let spindle = &machine.spindle;
         let mut sensor = SensorLaw::default();
-        let has_input = machine.inputs.as_ref().is_some_and(|inputs| inputs.sensor.is_some());
-        if let Some(model) = &spindle.sensor
-            && (spindle.source == Some(Source::Sensor) || (spindle.source.is_some() && has_input))
-        {
+        if let Some(model) = machine.sensor_on_board() {
             let difference_nm;
             (sensor, difference_nm) = compile_sensor(machine, model)?;
             account.parts.push(("spindle.sensor".into(), difference_nm));
@@ -710,6 +707,30 @@ mod tests {
         .expect("the shortest machine file");
         let compiled = compile(&machine).expect("nothing to fit");
         assert_eq!(compiled.calibration().spindle.sensor, SensorLaw::default());
+    }
+
+    #[test]
+    fn a_law_of_the_sensor_is_on_the_board_as_the_source_or_where_a_sensor_is_connected() {
+        let warmup =
+            "source = \"warmup\"\nwarmup = { lag_s = 0, warm_s = 9, max_um = 80, exponent = 4 }";
+        let input =
+            "sensor = { volts_full_scale = 10.0, counts_full_scale = 32768, divider = 0.33 }";
+        let source = "source = \"sensor\"";
+        let mut unconnected = paper_but(source, warmup);
+        unconnected.inputs = None;
+        for (machine, is_on_board) in [
+            (paper(), true),
+            (paper_but(source, warmup), true),
+            (unconnected, false),
+            (paper_but(&format!("[inputs]\n{input}"), ""), true),
+            (paper_but(source, ""), false),
+        ] {
+            assert_eq!(machine.sensor_on_board().is_some(), is_on_board);
+            // Without an input the board cannot run it as the source, and says so.
+            let Ok(compiled) = compile(&machine) else { continue };
+            let law = compiled.calibration().spindle.sensor;
+            assert_eq!(law != SensorLaw::default(), is_on_board);
+        }
     }
 
     #[test]

@@ -30,7 +30,9 @@ mod straightness;
 mod term;
 mod thermal;
 
-pub use elongation::{WarmupState, elongation_um, heating, temperature_elongation_um, warmup_um};
+pub use elongation::{
+    WarmupState, elongation_um, heating, sensor_counts, temperature_elongation_um, warmup_um,
+};
 pub use kinematics::{error_um, offset_um, rotated, tool_direction};
 pub use lag::Lag;
 pub use pitch::{backlash_um, dual_pitch_um, is_reverse, pitch_um};
@@ -43,7 +45,7 @@ use std::borrow::Cow;
 
 use term::TermLags;
 
-use crate::machine_file::{LinearAxis, Machine, Quantity, Source, Term};
+use crate::machine_file::{LinearAxis, Machine, Quantity, SensorModel, Source, Term};
 
 /// What is known of one row of a run. What is missing is NaN.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -348,6 +350,16 @@ impl Machine {
             (Some(Source::Sensor), Some(sensor)) => elongation_um(sensor, sensor_counts),
             _ => 0.0,
         }
+    }
+
+    /// The law of the displacement sensor, where the board runs it: it is the source of the
+    /// elongation, or connected and so what the board falls back to.
+    #[must_use]
+    pub fn sensor_on_board(&self) -> Option<&SensorModel> {
+        let source = self.spindle.source?;
+        let is_connected = self.inputs.as_ref().is_some_and(|inputs| inputs.sensor.is_some());
+        let is_run = source == Source::Sensor || is_connected;
+        self.spindle.sensor.as_ref().filter(|_| is_run)
     }
 
     /// Whether there is anything that the tool grows by.

@@ -4,6 +4,12 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 use serde_json::{Value, json};
+use trueup_client::{
+    object,
+    port::Port,
+    session::Session,
+    words::{fault_words, output_json, output_text, state_word},
+};
 use trueup_core::cnc::Output;
 use trueup_link::{
     frames::{self, State},
@@ -11,9 +17,6 @@ use trueup_link::{
     slcan::Event,
 };
 
-use super::{
-    fault_words, object, output_json, output_text, port::Port, session::Session, state_word,
-};
 use crate::{Outcome, output};
 
 /// How long answers, a heartbeat and offsets are waited for: 20 heartbeats.
@@ -100,8 +103,9 @@ impl Objects {
 
 /// Asks the bridge at `port` and prints what it says.
 pub fn run(port: &str, as_json: bool) -> Result<Outcome> {
-    let mut session = Session::open(&Port::parse(port)?)?;
-    let has_adapter = session.has_adapter();
+    let port = Port::parse(port)?;
+    let has_adapter = port.has_adapter();
+    let mut session = Session::open(&port)?;
     session.write(b"V\rN\r")?;
     let deadline = Instant::now() + PATIENCE;
     let mut info = Info::default();

@@ -9,6 +9,12 @@ use std::{
 use anyhow::{Context as _, Result, bail};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde_json::json;
+use trueup_client::{
+    object::{self, NEW, NEW_CRC, QUALITY, RUNNING_CRC},
+    port::Port,
+    session::Session,
+    words::quality_word,
+};
 use trueup_core::cnc::Quality;
 use trueup_link::{
     calibration::{decode, identity, whole},
@@ -18,12 +24,6 @@ use trueup_link::{
     slcan::Event,
 };
 
-use super::{
-    object::{self, NEW, NEW_CRC, QUALITY, RUNNING_CRC},
-    port::Port,
-    quality_word,
-    session::Session,
-};
 use crate::{Mend, Outcome, output};
 
 /// NMT: node 1 starts anew.

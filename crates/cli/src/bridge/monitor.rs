@@ -8,15 +8,19 @@ use std::{
 
 use anyhow::{Result, bail};
 use serde_json::{Value, json};
+use trueup_client::{
+    port::Port,
+    record::Recorder,
+    session::Session,
+    status::Board,
+    words::{output_json, output_text},
+};
 use trueup_core::cnc::Output;
 use trueup_link::{
     receiver::{Counters, OffsetReceiver},
     slcan::Event,
 };
 
-use super::{
-    output_json, output_text, port::Port, record::Recorder, session::Session, status::Board,
-};
 use crate::{Outcome, output};
 
 /// From one line to the next.

@@ -47,6 +47,24 @@ pub fn elongation_um(sensor: &SensorModel, sensor_counts: f64) -> f64 {
     sensor.k0_um + (sensor_counts - sensor.zero_counts) * sensor.um_per_count
 }
 
+/// The sensor's law the other way round: the counts at an elongation in µm; NaN for a missing one.
+///
+/// It is the inverse whatever [`SensorModel::temperature`] names: that is the column which a
+/// diagnosis looks at, and no part of the law.
+///
+/// ```
+/// use trueup_machine::{machine_file::SensorModel, model::sensor_counts};
+/// let paper = SensorModel {
+///     k0_um: 3.0, zero_counts: 5048.0, um_per_count: 500.0 / 32768.0, temperature: None,
+/// };
+/// // 5048 + (65.80517578125 − 3)/0.0152587890625 = 5048 + 4116
+/// assert_eq!(sensor_counts(&paper, 65.80517578125), 9164.0);
+/// ```
+#[must_use]
+pub fn sensor_counts(sensor: &SensorModel, elongation_um: f64) -> f64 {
+    sensor.zero_counts + (elongation_um - sensor.k0_um) / sensor.um_per_count
+}
+
 /// The elongation in µm at `temperature_c`, which has passed the model's lag already; NaN for a
 /// missing temperature.
 ///
@@ -192,6 +210,28 @@ mod tests {
     #[test]
     fn a_reading_below_zero_is_a_spindle_that_has_shrunk() {
         assert_eq!(elongation_um(&paper(), 5048.0 - 64.0), -0.976_562_5);
+    }
+
+    /// Also where growth lowers the reading, and whatever temperature the sensor itself has.
+    #[test]
+    fn counts_come_back_from_the_elongation_that_they_give() {
+        let falling = SensorModel {
+            k0_um: -7.3,
+            zero_counts: 20_011.0,
+            um_per_count: -0.037,
+            temperature: Some("temp_coil_c".into()),
+        };
+        let mut worst: f64 = 0.0;
+        for sensor in [paper(), falling] {
+            for counts in (0..=32_768).map(f64::from) {
+                let back = sensor_counts(&sensor, elongation_um(&sensor, counts));
+                worst = worst.max((back - counts).abs());
+            }
+        }
+        println!("worst: {worst:e} counts");
+        assert!(worst < 1e-9, "{worst:e} counts");
+        assert_eq!(sensor_counts(&paper(), -0.976_562_5), 5048.0 - 64.0);
+        assert!(sensor_counts(&paper(), f64::NAN).is_nan());
     }
 
     #[test]

@@ -9,11 +9,13 @@ use trueup_link::{
     slcan::Event,
 };
 
-use super::session::Session;
+use crate::session::Session;
 
-/// Device name, hardware, software.
+/// What kind of device it is.
 pub const NAME: At = (0x1008, 0);
+/// The version of its hardware.
 pub const HARDWARE: At = (0x1009, 0);
+/// The version of its firmware.
 pub const SOFTWARE: At = (0x100A, 0);
 /// The quality, as in `OffsetZ`.
 pub const QUALITY: At = (0x2001, 1);
@@ -21,15 +23,20 @@ pub const QUALITY: At = (0x2001, 1);
 pub const FAULTS: At = (0x2001, 4);
 /// Whether a reference is in force.
 pub const HAS_REFERENCE: At = (0x2010, 5);
-/// The calibration for the next start, and the CRCs of the running one and of that.
+/// The calibration for the next start.
 pub const NEW: At = (0x2100, 2);
+/// The CRC of the running calibration; 0: it has no valid one.
 pub const RUNNING_CRC: At = (0x2100, 3);
+/// The CRC of the calibration for the next start; 0: none was loaded.
 pub const NEW_CRC: At = (0x2100, 4);
 
 /// How long an answer may take: a calibration is stored before its last segment is answered.
 const PATIENCE: Duration = Duration::from_secs(2);
 
 /// Reads an object. `progress` hears how many bytes have come, and of how many.
+///
+/// # Errors
+/// The bridge refuses or does not answer, or the line is broken.
 pub fn read(
     session: &mut Session,
     at: At,
@@ -46,6 +53,9 @@ pub fn read(
 }
 
 /// Reads a number of up to 32 bits.
+///
+/// # Errors
+/// As [`read`].
 pub fn number(session: &mut Session, at: At) -> Result<u32> {
     let bytes = read(session, at, |_, _| ())?;
     let mut number = [0; 4];
@@ -54,11 +64,17 @@ pub fn number(session: &mut Session, at: At) -> Result<u32> {
 }
 
 /// Reads a text.
+///
+/// # Errors
+/// As [`read`].
 pub fn text(session: &mut Session, at: At) -> Result<String> {
     Ok(String::from_utf8_lossy(&read(session, at, |_, _| ())?).into_owned())
 }
 
 /// Writes an object. `progress` hears how many bytes were sent.
+///
+/// # Errors
+/// The bridge refuses or does not answer, or the line is broken.
 pub fn write(
     session: &mut Session,
     at: At,

@@ -9,8 +9,13 @@
 //! at a row is an empty cell: what the CNC sends can only be heard on a CAN bus, not on the bridge's
 //! own serial line. Its time is the bridge's, which sends a cycle a millisecond and counts them, so
 //! it is right at any speed of a virtual bridge. With the machine file the temperatures have its
-//! names, and `sensor_counts` are what its law of the sensor makes of the elongation. What `diagnose`
-//! needs besides is a measurement: a column `measured_…_um`.
+//! names, and where the board runs its law of the sensor, `sensor_counts` are what the law makes of the
+//! elongation on the wire. That is the sensor's alone: what a diagnosis has found, a drift with the
+//! sensor's temperature too, comes after it and is in the offsets only. So the counts are those that
+//! the sensor gave, averaged by the board. What `diagnose` needs besides is a measurement: a column
+//! `measured_…_um`.
+
+mod cnc;
 
 use std::{
     fs::{self, File, OpenOptions},
@@ -20,25 +25,19 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use trueup_core::{
-    cnc::{Command, Output},
-    units::{MicroDegrees, NANOMETRES_PER_MICROMETRE, Position},
-};
+use trueup_core::{cnc::Output, heat::CHANNELS};
 use trueup_link::{
     frame::Frame,
     frames::{OFFSET_XY_ID, counter},
-    receiver::{OffsetReceiver, Receiver},
+    receiver::OffsetReceiver,
 };
-use trueup_machine::{Machine, MachineFile};
+use trueup_machine::{Machine, MachineFile, machine_file::SensorModel, model::sensor_counts};
 
-use super::{offset_um, status::Board};
-use crate::Mend;
+use self::cnc::Cnc;
+use crate::{Unusable, status::Board, words::offset_um};
 
 /// Milliseconds of the bridge from one row to the next.
 pub const ROW_MS: u64 = 100;
-/// What the CNC has said counts for so long.
-const CNC_TIMEOUT_MS: u64 = 500;
-const CHANNELS: usize = 8;
 
 /// Both files.
 pub struct Recorder {
@@ -66,23 +65,27 @@ struct Out {
 struct Columns {
     /// Channel and name.
     temperatures: Vec<(u8, String)>,
-    /// Elongation at a reading of 0 counts, and for one count, both in µm.
-    sensor: Option<[f64; 2]>,
+    /// The law that makes the elongation on the wire out of counts.
+    sensor: Option<SensorModel>,
 }
 
 impl Recorder {
     /// Begins both files, which must not be there yet: `<path>.log` and `.csv`, or `bridge.log` and
     /// `bridge.csv` in the folder `path`. In the log the frames come from this interface.
+    ///
+    /// # Errors
+    /// [`Unusable`]: they cannot be made here; [`trueup_machine::BadInput`]: the machine file. A disk
+    /// that is full.
     pub fn begin(path: &Path, machine: Option<&Path>, interface: &str) -> Result<Self> {
         let columns = match machine {
             Some(machine) => Columns::of(&MachineFile::read(machine)?),
             None => Columns::unnamed(),
         };
-        let cannot = |error| Mend(format!("{}: cannot be made: {error}", path.display()));
         let log = if path.extension().is_some_and(|it| it == "log") {
             path.to_path_buf()
         } else {
-            fs::create_dir_all(path).map_err(cannot)?;
+            fs::create_dir_all(path)
+                .map_err(|error| Unusable::Folder { path: path.into(), error })?;
             path.join("bridge.log")
         };
         let run = log.with_extension("csv");
@@ -104,6 +107,9 @@ impl Recorder {
     }
 
     /// Takes a frame that was heard at this moment.
+    ///
+    /// # Errors
+    /// A file cannot be written.
     pub fn hear(&mut self, frame: &Frame, at: SystemTime) -> Result<()> {
         self.frames += 1;
         self.log.line(&candump_line(&self.interface, frame, at))?;
@@ -125,12 +131,16 @@ impl Recorder {
     }
 
     /// All that was heard stands in the files.
+    ///
+    /// # Errors
+    /// A file cannot be written.
     pub fn flush(&mut self) -> Result<()> {
         self.log.flush()?;
         self.run.flush()
     }
 
     /// What was written, in one sentence.
+    #[must_use]
     pub fn summary(&self) -> String {
         format!(
             "{} frames in {}, {} rows in {}",
@@ -148,10 +158,9 @@ impl Recorder {
         cells.push((output.quality as u8).to_string());
         cells.push(output.flags.0.to_string());
         cells.push(output.age_ms.to_string());
-        let um = |nm: i32| f64::from(nm) / f64::from(NANOMETRES_PER_MICROMETRE);
-        let elongation_um = self.board.elongation.map(|it| um(it.0));
-        cells.push(match self.columns.sensor {
-            Some([at_0, per_count]) => decimals(elongation_um.map(|um| (um - at_0) / per_count), 2),
+        let elongation_um = self.board.elongation_um();
+        cells.push(match &self.columns.sensor {
+            Some(sensor) => decimals(elongation_um.map(|um| sensor_counts(sensor, um)), 2),
             None => decimals(elongation_um, 3),
         });
         cells.extend(self.columns.temperatures.iter().map(|(channel, _)| {
@@ -169,10 +178,7 @@ impl Columns {
         let mut temperatures: Vec<_> =
             inputs.map(|(name, input)| (input.channel, name.clone())).collect();
         temperatures.sort();
-        let sensor = machine.spindle.sensor.as_ref();
-        let sensor =
-            sensor.map(|law| [law.k0_um - law.zero_counts * law.um_per_count, law.um_per_count]);
-        Self { temperatures, sensor }
+        Self { temperatures, sensor: machine.sensor_on_board().cloned() }
     }
 
     fn unnamed() -> Self {
@@ -195,61 +201,9 @@ impl Columns {
         ]
         .into_iter()
         .chain(temperatures)
-        .chain(CNC_COLUMNS)
+        .chain(cnc::COLUMNS)
         .collect::<Vec<_>>()
         .join(",")
-    }
-}
-
-const CNC_COLUMNS: [&str; 10] = [
-    "spindle_rpm",
-    "load_n",
-    "x_mm",
-    "y_mm",
-    "z_mm",
-    "dir_x",
-    "dir_y",
-    "dir_z",
-    "angle1_deg",
-    "angle2_deg",
-];
-
-/// What the CNC has said, where it can be heard: the cells, and when.
-#[derive(Default)]
-struct Cnc {
-    receiver: Receiver,
-    cells: [Option<(String, u64)>; CNC_COLUMNS.len()],
-}
-
-impl Cnc {
-    fn hear(&mut self, frame: &Frame, now_ms: u64) {
-        let Ok(Some(command)) = self.receiver.accept(frame) else { return };
-        let mut note = |column: usize, cell: String| self.cells[column] = Some((cell, now_ms));
-        match command {
-            Command::Control(_) => {}
-            Command::Spindle(spindle) => {
-                note(0, spindle.speed.0.to_string());
-                note(1, spindle.load_n.to_string());
-            }
-            Command::Position(it) => {
-                let mm = f64::from(it.position.0) / f64::from(Position::PER_MILLIMETRE);
-                note(2 + it.axis as usize, decimals(Some(mm), 5));
-                note(5 + it.axis as usize, (it.direction as i8).to_string());
-            }
-            Command::Rotary(it) => {
-                for (column, angle) in (8..).zip(it.angles) {
-                    let degrees = f64::from(angle.0) / f64::from(MicroDegrees::PER_DEGREE);
-                    note(column, decimals(Some(degrees), 4));
-                }
-            }
-        }
-    }
-
-    fn cells(&self, now_ms: u64) -> impl Iterator<Item = String> {
-        self.cells.iter().map(move |cell| match cell {
-            Some((cell, at_ms)) if now_ms.saturating_sub(*at_ms) <= CNC_TIMEOUT_MS => cell.clone(),
-            _ => String::new(),
-        })
     }
 }
 
@@ -289,10 +243,11 @@ fn decimals(value: Option<f64>, decimals: usize) -> String {
 
 impl Out {
     fn create(path: PathBuf) -> Result<Self> {
-        let file =
-            OpenOptions::new().write(true).create_new(true).open(&path).map_err(|error| {
-                Mend(format!("{}: a recording is not begun here: {error}", path.display()))
-            })?;
+        let file = OpenOptions::new()
+            .write(true)
+            .create_new(true)
+            .open(&path)
+            .map_err(|error| Unusable::File { path: path.clone(), error })?;
         Ok(Self { path, file: BufWriter::new(file) })
     }
 
@@ -309,6 +264,98 @@ impl Out {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use trueup_core::{
+        bridge::Input,
+        cnc::Control,
+        filter::CODES_PER_TICK,
+        thermometer::Raw,
+        units::{Code, Rpm},
+    };
+    use trueup_link::{frames, node::Node};
+    use trueup_machine::{RunFile, compile};
+
+    /// A spindle whose sensor drifts with its own temperature by 0.2 µm/°C.
+    const DRIFTING: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n\
+        [inputs]\nsensor = { volts_full_scale = 10.0, counts_full_scale = 32768, divider = 0.33 }\n\
+        temp_coil_c = { channel = 0, kind = \"pt100\" }\n\
+        [spindle]\nsource = \"sensor\"\n\
+        [spindle.sensor]\nk0_um = 0.0\nzero_counts = 5048.0\num_per_count = 0.0152587890625\n\
+        temperature = \"temp_coil_c\"\n\
+        [[term]]\nquantity = \"elongation\"\ncause = \"sensor-temperature-drift\"\n\
+        column = \"temp_coil_c\"\num_per_c = 0.2\nreference_c = 20.0\n";
+
+    #[test]
+    fn the_counts_of_a_sensor_with_a_temperature_are_those_that_the_board_was_given() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("m.toml");
+        fs::write(&path, DRIFTING).expect("a folder of ours");
+        let machine = MachineFile::read(&path).expect("right");
+        let compiled = compile(&machine).expect("it fits");
+        let mut node = Node::new(Some(compiled.calibration()), false);
+        let log = folder.path().join("run.log");
+        let mut recorder = Recorder::begin(&log, Some(&path), "can0").expect("a new file");
+
+        // On average 100.5 codes of 12 bits above the zero of 631, so 804 counts and 12.27 µm.
+        let codes: [Code; CODES_PER_TICK] = std::array::from_fn(|n| Code(731 + (n % 2) as u16));
+        let mut temperatures = [Raw::NONE; CHANNELS];
+        // A PT100 at 30 °C: 100·(1 + 3.9083·10⁻³·30 − 5.775·10⁻⁷·30²) Ω.
+        temperatures[0] = Raw(111_672_925);
+        for ms in 0..3_000_u32 {
+            if ms % 20 == 0 {
+                let engaged = Control { engage: true, referenced: true, zero: false };
+                let control = frames::control(engaged, (ms / 20) as u8);
+                node.hear(&control).expect("in order");
+            }
+            let input = Input {
+                codes: Some(&codes),
+                speed: Some(Rpm(24_000)),
+                temperatures: Some(&temperatures),
+            };
+            let at = UNIX_EPOCH + Duration::from_millis(ms.into());
+            for frame in node.tick(1, input).into_iter().chain(node.service()) {
+                recorder.hear(&frame, at).expect("the disk is not full");
+            }
+        }
+        recorder.flush().expect("the disk is not full");
+
+        let run = RunFile::read(&log.with_extension("csv")).expect("a run file");
+        let last = |name: &str| *run.column(name).expect(name).last().expect("a row");
+        let [counts, offset_um, coil_c] = ["sensor_counts", "offset_z_um", "temp_coil_c"].map(last);
+        println!("{counts} counts, {offset_um} µm, {coil_c} °C");
+        // A nanometre on the wire is 0.066 counts.
+        assert!((counts - 5852.0).abs() < 0.1, "{counts} counts");
+        assert!((coil_c - 30.0).abs() < 0.011, "{coil_c} °C");
+        // The drift is in the offsets: 12.27 + 0.2·(30 − 20) µm.
+        assert!((offset_um - 14.27).abs() < 0.011, "{offset_um} µm");
+    }
+
+    #[test]
+    fn without_a_law_on_the_board_the_elongation_itself_is_written_down() {
+        let column = |text: &str| {
+            let machine = MachineFile::parse(text, Path::new("m.toml")).expect("right");
+            Columns::of(&machine).header().split(',').nth(7).map(str::to_owned)
+        };
+        assert_eq!(column(DRIFTING).as_deref(), Some("sensor_counts"));
+        // The board would tell 0 µm for ever.
+        let unused = DRIFTING.replace("source = \"sensor\"\n", "");
+        let unused = unused.split("[[term]]").next().expect("what is before it");
+        assert_eq!(column(unused).as_deref(), Some("elongation_um"));
+    }
+
+    #[test]
+    fn a_recording_that_cannot_begin_is_for_the_user_to_mend() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let begin = |name: &str| Recorder::begin(&folder.path().join(name), None, "can0");
+        begin("here").expect("a new folder");
+        for (name, phrase) in [
+            ("here", "bridge.log: a recording is not begun here: "),
+            ("here/bridge.csv", "bridge.csv: cannot be made: "),
+            ("none/run.log", "run.log: a recording is not begun here: "),
+        ] {
+            let error = begin(name).err().expect("it is in the way");
+            assert!(error.is::<Unusable>() && error.to_string().contains(phrase), "{error:#}");
+        }
+    }
 
     #[test]
     fn a_line_of_the_log_is_candumps() {

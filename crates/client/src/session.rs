@@ -2,17 +2,16 @@
 
 use std::{
     collections::VecDeque,
-    io::{self, Write as _},
     time::{Duration, Instant},
 };
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Error, Result, bail};
 use trueup_link::{
     frame::Frame,
     slcan::{Client, Event, client, encode_line},
 };
 
-use super::port::{Line, Port};
+use crate::port::{Ends, Port, is_only_late};
 
 /// How long a bridge may take to open its channel.
 const OPEN_TIMEOUT: Duration = Duration::from_secs(3);
@@ -28,24 +27,42 @@ const OPEN_LINES: usize = 4;
 
 /// An open channel.
 pub struct Session {
-    line: Line,
+    ends: Ends,
+    has_adapter: bool,
     client: Client,
     heard: VecDeque<Event>,
 }
 
 impl Session {
     /// Connects to the bridge and opens its channel.
+    ///
+    /// # Errors
+    /// The port cannot be opened, or what is behind it is silent or refuses.
     pub fn open(port: &Port) -> Result<Self> {
-        let mut session = Self::over(port.open()?);
+        let ends = port.open().map_err(|error| match port {
+            Port::Tcp(address) => Error::from(error).context(format!(
+                "no connection to tcp:{address}; is a bridge listening there (cargo virtual)?"
+            )),
+            Port::Serial(device) => {
+                Error::from(error).context(format!("the serial device {device} cannot be opened"))
+            }
+            // It has said so itself.
+            #[cfg(all(feature = "socketcan", target_os = "linux"))]
+            Port::Can(_) => error.into(),
+        })?;
+        let mut session = Self::over(ends, port.has_adapter());
         session.open_channel(OPEN_TIMEOUT)?;
         Ok(session)
     }
 
-    fn over(line: Line) -> Self {
-        Self { line, client: Client::new(), heard: VecDeque::new() }
+    fn over(ends: Ends, has_adapter: bool) -> Self {
+        Self { ends, has_adapter, client: Client::new(), heard: VecDeque::new() }
     }
 
     /// Opens the channel again of a bridge that starts anew, and has not yet, or just now.
+    ///
+    /// # Errors
+    /// Those of [`Self::open`], if they last for 10 s.
     pub fn reopen(&mut self) -> Result<()> {
         let deadline = Instant::now() + RESTART_TIMEOUT;
         loop {
@@ -62,7 +79,7 @@ impl Session {
     /// All lines are written at once, as `slcand` and python-can do: a virtual bridge may answer
     /// none of them before it has seen the last.
     fn open_channel(&mut self, timeout: Duration) -> Result<()> {
-        if !self.has_adapter() {
+        if !self.has_adapter {
             return Ok(());
         }
         self.write(client::OPEN)?;
@@ -87,37 +104,29 @@ impl Session {
         Ok(())
     }
 
-    /// Whether there is an adapter of SLCAN, which can be asked by [`Self::write`].
-    pub const fn has_adapter(&self) -> bool {
-        matches!(self.line, Line::Slcan(_))
-    }
-
-    /// Sends lines, whose answers come as events.
+    /// Sends lines, whose answers come as events. Where the port has no adapter, only frames are
+    /// heard by anyone.
+    ///
+    /// # Errors
+    /// The line is broken.
     pub fn write(&mut self, lines: &[u8]) -> Result<()> {
-        match &mut self.line {
-            Line::Slcan(stream) => stream
-                .write_all(lines)
-                .and_then(|()| stream.flush())
-                .context("the line to the bridge is broken"),
-            #[cfg(all(feature = "socketcan", target_os = "linux"))]
-            Line::Can(_) => Ok(()),
-        }
+        let (_, writer) = &mut self.ends;
+        let written = writer.write_all(lines).and_then(|()| writer.flush());
+        written.context("the line to the bridge is broken")
     }
 
     /// Sends a frame.
+    ///
+    /// # Errors
+    /// The line is broken.
     pub fn send(&mut self, frame: &Frame) -> Result<()> {
-        match &mut self.line {
-            Line::Slcan(_) => {
-                let mut line = encode_line(frame).into_bytes().to_vec();
-                line.push(trueup_link::slcan::CR);
-                self.write(&line)
-            }
-            #[cfg(all(feature = "socketcan", target_os = "linux"))]
-            Line::Can(socket) => socket.send(frame),
-        }
+        self.write(encode_line(frame).as_bytes())
     }
 
     /// The next thing that the bridge says; `None` if there is nothing until `deadline`.
+    ///
+    /// # Errors
+    /// The line is broken, or closed at its other end.
     pub fn next_event(&mut self, deadline: Instant) -> Result<Option<Event>> {
         let mut bytes = [0; 4096];
         loop {
@@ -128,12 +137,8 @@ impl Session {
             if let Some(event) = self.heard.pop_front() {
                 return Ok(Some(event));
             }
-            let stream = match &mut self.line {
-                Line::Slcan(stream) => stream,
-                #[cfg(all(feature = "socketcan", target_os = "linux"))]
-                Line::Can(socket) => return Ok(socket.receive(deadline)?.map(Event::Frame)),
-            };
-            let length = match stream.read(&mut bytes) {
+            let (reader, _) = &mut self.ends;
+            let length = match reader.read(&mut bytes) {
                 Ok(0) => bail!("the bridge has closed the line"),
                 Ok(length) => length,
                 Err(error) if is_only_late(&error) => continue,
@@ -146,7 +151,7 @@ impl Session {
 
     /// Closes the channel. Whether the bridge hears of it is no matter to one who leaves.
     pub fn close(mut self) {
-        if self.has_adapter() && self.write(client::CLOSE).is_ok() {
+        if self.has_adapter && self.write(client::CLOSE).is_ok() {
             let deadline = Instant::now() + CLOSE_TIMEOUT;
             while let Ok(Some(event)) = self.next_event(deadline) {
                 if event == Event::Accepted {
@@ -157,16 +162,10 @@ impl Session {
     }
 }
 
-fn is_only_late(error: &io::Error) -> bool {
-    use io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
-    matches!(error.kind(), Interrupted | TimedOut | WouldBlock)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bridge::port::Stream;
-    use std::io::{Read, Write};
+    use std::io::{self, Read};
 
     /// A bridge that says what the test says, a byte at a time, and then nothing.
     struct Script(VecDeque<u8>);
@@ -184,19 +183,9 @@ mod tests {
         }
     }
 
-    impl Write for Script {
-        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-            Ok(bytes.len())
-        }
-
-        fn flush(&mut self) -> io::Result<()> {
-            Ok(())
-        }
-    }
-
     fn open(answers: &[u8]) -> Result<Session> {
-        let stream: Box<dyn Stream> = Box::new(Script(answers.iter().copied().collect()));
-        let mut session = Session::over(Line::Slcan(stream));
+        let script = Script(answers.iter().copied().collect());
+        let mut session = Session::over((Box::new(script), Box::new(io::sink())), true);
         session.open_channel(OPEN_TIMEOUT)?;
         Ok(session)
     }
@@ -219,5 +208,21 @@ mod tests {
         assert!(refused.contains("refuses"), "{refused}");
         let silent = open(b"\r\r").err().expect("silent").to_string();
         assert!(silent.contains("2 of 4 lines in 3 s"), "{silent}");
+    }
+
+    #[test]
+    fn where_nobody_answers_no_channel_is_opened_or_closed_and_frames_pass() {
+        let reader = Script(b"t701105\r".iter().copied().collect());
+        let (mut bridge, ours) = io::pipe().expect("this machine has pipes");
+        let mut session = Session::over((Box::new(reader), Box::new(ours)), false);
+        session.open_channel(OPEN_TIMEOUT).expect("there is nothing to open");
+        let heard = session.next_event(Instant::now() + OPEN_TIMEOUT).expect("no fault");
+        let Some(Event::Frame(frame)) = heard else { panic!("{heard:?}") };
+        session.send(&frame).expect("the pipe takes it");
+        session.reopen().expect("there is nothing to open");
+        session.close();
+        let mut sent = String::new();
+        bridge.read_to_string(&mut sent).expect("the other end is closed");
+        assert_eq!(sent, "t701105\r");
     }
 }

@@ -1,7 +1,7 @@
 //! What the bridge says of itself ten times a second, put together.
 
 use serde_json::{Value, json};
-use trueup_core::units::{NANOMETRES_PER_MICROMETRE, Nanometres};
+use trueup_core::{heat::CHANNELS, units::Nanometres};
 use trueup_link::{
     frame::Frame,
     layout::STATUS_ID,
@@ -9,14 +9,14 @@ use trueup_link::{
     status::{Item, Reason},
 };
 
-use super::fault_words;
+use crate::words::{fault_words, micrometres};
 
 /// The newest of each item.
 #[derive(Default)]
 pub struct Board {
     receiver: StatusReceiver,
     /// In 0.01 °C, by channel.
-    pub centi_c: [Option<i16>; 8],
+    pub centi_c: [Option<i16>; CHANNELS],
     /// Of the spindle, by its sensor.
     pub elongation: Option<Nanometres>,
     last_refused: Reason,
@@ -53,6 +53,7 @@ impl Board {
     }
 
     /// Status frames that were damaged or out of order.
+    #[must_use]
     pub fn refused(&self) -> u32 {
         let counters = self.receiver.counters();
         counters
@@ -61,12 +62,14 @@ impl Board {
             .saturating_add(counters.malformed)
     }
 
-    fn elongation_um(&self) -> Option<f64> {
-        let um = |nm: i32| f64::from(nm) / f64::from(NANOMETRES_PER_MICROMETRE);
-        self.elongation.map(|it| um(it.0))
+    /// The elongation of the spindle in µm, by its sensor.
+    #[must_use]
+    pub fn elongation_um(&self) -> Option<f64> {
+        self.elongation.map(micrometres)
     }
 
     /// The temperatures that are known, the faults, and what the board has refused, if anything.
+    #[must_use]
     pub fn text(&self) -> String {
         let known =
             (0..).zip(self.centi_c).filter_map(|(channel, it): (u8, _)| Some((channel, it?)));
@@ -91,6 +94,7 @@ impl Board {
     }
 
     /// The same as JSON members.
+    #[must_use]
     pub fn json(&self) -> Value {
         json!({
             "temps_c": self.centi_c.map(|it| it.map(|centi_c| f64::from(centi_c) / 100.0)),

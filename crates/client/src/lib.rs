@@ -1,0 +1,92 @@
+//! The PC's end of the bridge's line: where a bridge is, how it is spoken to, and what it says.
+//!
+//! ```text
+//!  port ─► (reader, writer) ─► session ─► object, words, status, record     trueup bridge …
+//!                          └─► trueup-linuxcnc                              trueup linuxcnc
+//! ```
+//!
+//! | module | does |
+//! |---|---|
+//! | [`port`] | TCP, a serial device or a CAN interface, opened to lines of SLCAN both ways |
+//! | [`session`] | one client's time on the line: open, hear, ask, close |
+//! | [`object`] | the objects of the bridge, by SDO |
+//! | [`words`] | offsets, flags, faults and states for people and as JSON |
+//! | [`status`] | what the bridge says of itself, put together |
+//! | [`record`] | a log of every frame, and a run file for `diagnose` |
+//! | `socket_can` | the CAN interface, with the feature `socketcan` on Linux |
+//!
+//! What goes wrong outside the user's reach is an [`anyhow::Error`], a sentence with its causes; what
+//! the user has to mend is in there as [`Unusable`], or as [`trueup_machine::BadInput`].
+
+#![forbid(unsafe_code)]
+
+pub mod object;
+pub mod port;
+pub mod record;
+pub mod session;
+#[cfg(all(feature = "socketcan", target_os = "linux"))]
+mod socket_can;
+pub mod status;
+pub mod words;
+
+use std::{fmt, io, path::PathBuf};
+
+/// What the user has named and has to name otherwise: a port, or the place of a recording.
+#[derive(Debug)]
+pub enum Unusable {
+    /// `--port` has none of the forms of a port.
+    NoPort {
+        /// What the user wrote.
+        text: String,
+    },
+    /// After `tcp:` comes no host and no number of a port.
+    NoAddress {
+        /// What the user wrote.
+        text: String,
+    },
+    /// A CAN interface, which this build cannot open.
+    NoSocketCan {
+        /// Its name.
+        interface: String,
+    },
+    /// The folder of a recording cannot be made.
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// Why.
+        error: io::Error,
+    },
+    /// A file of a recording cannot be begun: it is there already, or may not be written.
+    File {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        error: io::Error,
+    },
+}
+
+impl fmt::Display for Unusable {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        const FORMS: &str = "a port is tcp:HOST:PORT, a serial device, such as /dev/ttyACM0, or a \
+                             CAN interface, can0";
+        match self {
+            Self::NoPort { text } => write!(f, "--port \"{text}\": {FORMS}"),
+            Self::NoAddress { text } => {
+                write!(f, "--port \"{text}\": after tcp: comes HOST:PORT; {FORMS}")
+            }
+            Self::NoSocketCan { interface } => write!(
+                f,
+                "--port {interface}: this tool was built without SocketCAN; build it on Linux by \
+                 cargo build --release -p trueup-cli --features socketcan"
+            ),
+            Self::Folder { path, error } => {
+                write!(f, "{}: cannot be made: {error}", path.display())
+            }
+            Self::File { path, error } => {
+                write!(f, "{}: a recording is not begun here: {error}", path.display())
+            }
+        }
+    }
+}
+
+impl std::error::Error for Unusable {}

@@ -1,0 +1,220 @@
+//! Where a bridge is, and both directions of the line to it.
+//!
+//! Whatever the port is, lines of SLCAN go through it; a CAN interface of Linux is given them by an
+//! adapter in this process.
+
+use std::{
+    io::{self, Read, Write},
+    net::{TcpStream, ToSocketAddrs as _},
+    time::Duration,
+};
+
+use crate::Unusable;
+
+/// The speed of the bridge's serial line.
+pub const BAUD: u32 = 921_600;
+/// How long a bridge may take to be connected, or to take in a few bytes.
+const PATIENCE: Duration = Duration::from_secs(3);
+/// How long a read waits for bytes: short, so that a deadline is met without them too, and an end of
+/// the line is noticed as fast.
+pub(crate) const READ_TIMEOUT: Duration = Duration::from_millis(20);
+
+/// Both directions of an open line, for a thread each if need be. A read that finds nothing for a
+/// while fails in a way that [`is_only_late`].
+pub type Ends = (Box<dyn Read + Send>, Box<dyn Write + Send>);
+
+/// Where a bridge is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Port {
+    /// `tcp:HOST:PORT`.
+    Tcp(String),
+    /// A serial device.
+    Serial(String),
+    /// A CAN interface of Linux. Only a build that can open it has such a port.
+    #[cfg(all(feature = "socketcan", target_os = "linux"))]
+    Can(String),
+}
+
+impl Port {
+    /// Reads what the user wrote.
+    ///
+    /// # Errors
+    /// It has none of the forms of a port, or is one that this build cannot open.
+    pub fn parse(text: &str) -> Result<Self, Unusable> {
+        if let Some(address) = text.strip_prefix("tcp:") {
+            let is_right = address.rsplit_once(':').is_some_and(|(host, number)| {
+                !host.is_empty() && number.parse::<u16>().is_ok_and(|number| number != 0)
+            });
+            return if is_right {
+                Ok(Self::Tcp(address.into()))
+            } else {
+                Err(Unusable::NoAddress { text: text.into() })
+            };
+        }
+        if is_numbered(text, &["can", "vcan", "slcan"]) {
+            #[cfg(all(feature = "socketcan", target_os = "linux"))]
+            return Ok(Self::Can(text.into()));
+            #[cfg(not(all(feature = "socketcan", target_os = "linux")))]
+            return Err(Unusable::NoSocketCan { interface: text.into() });
+        }
+        if text.contains(['/', '\\']) || is_numbered(text, &["COM"]) {
+            return Ok(Self::Serial(text.into()));
+        }
+        Err(Unusable::NoPort { text: text.into() })
+    }
+
+    /// What a log of frames calls it: a line of SLCAN as `slcand` would name its interface.
+    #[must_use]
+    pub fn interface(&self) -> &str {
+        match self {
+            Self::Tcp(_) | Self::Serial(_) => "can0",
+            #[cfg(all(feature = "socketcan", target_os = "linux"))]
+            Self::Can(interface) => interface,
+        }
+    }
+
+    /// Whether an adapter of SLCAN answers behind it: the bridge itself, whose channel has to be
+    /// opened and which says who it is. Behind a CAN interface nothing answers but frames.
+    #[must_use]
+    pub const fn has_adapter(&self) -> bool {
+        match self {
+            Self::Tcp(_) | Self::Serial(_) => true,
+            #[cfg(all(feature = "socketcan", target_os = "linux"))]
+            Self::Can(_) => false,
+        }
+    }
+
+    /// Connects to the bridge.
+    ///
+    /// # Errors
+    /// Nobody listens there, there is no such device or interface, or it is another's.
+    pub fn open(&self) -> io::Result<Ends> {
+        match self {
+            Self::Tcp(address) => {
+                let stream = connect(address)?;
+                stream.set_nodelay(true)?;
+                stream.set_read_timeout(Some(READ_TIMEOUT))?;
+                stream.set_write_timeout(Some(PATIENCE))?;
+                Ok((Box::new(stream.try_clone()?), Box::new(stream)))
+            }
+            Self::Serial(device) => {
+                let serial = serialport::new(device, BAUD).timeout(READ_TIMEOUT).open()?;
+                Ok((Box::new(serial.try_clone()?), Box::new(serial)))
+            }
+            #[cfg(all(feature = "socketcan", target_os = "linux"))]
+            Self::Can(interface) => crate::socket_can::open(interface),
+        }
+    }
+}
+
+/// Whether `text` is one of `names` with a number after it.
+fn is_numbered(text: &str, names: &[&str]) -> bool {
+    names.iter().any(|name| {
+        text.strip_prefix(name)
+            .is_some_and(|rest| !rest.is_empty() && rest.bytes().all(|byte| byte.is_ascii_digit()))
+    })
+}
+
+/// To the first of the name's addresses that answers.
+fn connect(address: &str) -> io::Result<TcpStream> {
+    let mut last = io::Error::from(io::ErrorKind::AddrNotAvailable);
+    for resolved in address.to_socket_addrs()? {
+        match TcpStream::connect_timeout(&resolved, PATIENCE) {
+            Ok(stream) => return Ok(stream),
+            Err(error) => last = error,
+        }
+    }
+    Err(last)
+}
+
+/// Whether a read that failed so has found nothing yet, and the line still stands.
+#[must_use]
+pub fn is_only_late(error: &io::Error) -> bool {
+    use io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
+    matches!(error.kind(), Interrupted | TimedOut | WouldBlock)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::{
+        net::TcpListener,
+        time::{Duration, Instant},
+    };
+
+    #[test]
+    fn ports_are_told_apart_by_their_form() {
+        for (text, port) in [
+            ("tcp:localhost:3333", Port::Tcp("localhost:3333".into())),
+            ("tcp:[::1]:3333", Port::Tcp("[::1]:3333".into())),
+            ("/dev/ttyACM0", Port::Serial("/dev/ttyACM0".into())),
+            ("COM3", Port::Serial("COM3".into())),
+            (r"\\.\COM12", Port::Serial(r"\\.\COM12".into())),
+        ] {
+            assert_eq!(Port::parse(text).expect(text), port);
+            assert!(port.has_adapter() && port.interface() == "can0", "{text}");
+        }
+    }
+
+    #[cfg(all(feature = "socketcan", target_os = "linux"))]
+    #[test]
+    fn a_can_interface_goes_by_its_name_and_has_no_adapter() {
+        for text in ["can0", "vcan1", "slcan0"] {
+            let port = Port::parse(text).expect(text);
+            assert_eq!((&port, port.interface()), (&Port::Can(text.into()), text));
+            assert!(!port.has_adapter(), "{text}");
+        }
+    }
+
+    #[cfg(not(all(feature = "socketcan", target_os = "linux")))]
+    #[test]
+    fn a_can_interface_that_this_build_cannot_open_is_no_port_at_all() {
+        for text in ["can0", "vcan1", "slcan0"] {
+            let error = Port::parse(text).expect_err(text).to_string();
+            let phrase = format!("--port {text}: this tool was built without SocketCAN");
+            assert!(
+                error.starts_with(&phrase) && error.contains("--features socketcan"),
+                "{error}"
+            );
+        }
+    }
+
+    #[test]
+    fn what_is_no_port_of_this_version_is_refused_by_name() {
+        for (text, phrase) in [
+            ("can", "a port is"),
+            ("tcp:localhost", "after tcp: comes HOST:PORT"),
+            ("tcp:localhost:x", "after tcp: comes HOST:PORT"),
+            ("tcp::3333", "after tcp: comes HOST:PORT"),
+            ("localhost:3333", "a port is tcp:HOST:PORT, a serial device"),
+            ("", "a port is"),
+        ] {
+            let error = Port::parse(text).expect_err(text).to_string();
+            assert!(error.contains(phrase), "{error}");
+        }
+    }
+
+    #[test]
+    fn an_open_line_goes_both_ways_and_a_read_without_bytes_is_only_late() {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+        let number = listener.local_addr().expect("bound above").port();
+        // The name may have an address of the other family too, where nobody listens.
+        let port = Port::Tcp(format!("localhost:{number}"));
+        let (mut reader, mut writer) = port.open().expect("it listens");
+        let (mut bridge, _) = listener.accept().expect("it has connected");
+        let mut bytes = [0; 4];
+        writer.write_all(b"V\rN\r").expect("open");
+        bridge.read_exact(&mut bytes).expect("written above");
+        assert_eq!(&bytes, b"V\rN\r");
+
+        let start = Instant::now();
+        let late = reader.read(&mut bytes).expect_err("nothing was sent");
+        assert!(is_only_late(&late) && start.elapsed() < Duration::from_secs(1), "{late}");
+        bridge.write_all(b"\r").expect("open");
+        reader.read_exact(&mut bytes[..1]).expect("written above");
+        drop(bridge);
+        assert_eq!(reader.read(&mut bytes).expect("an end is no error"), 0);
+        drop(listener);
+        assert!(!is_only_late(&port.open().err().expect("nobody listens")));
+    }
+}

@@ -1,0 +1,149 @@
+//! What the bridge says, in words: the same ones in text and in JSON.
+
+use serde_json::{Value, json};
+use trueup_core::{
+    cnc::{Flags, Output, Quality},
+    units::{NANOMETRES_PER_MICROMETRE, Nanometres},
+};
+use trueup_link::{emergency::Fault, frames::State};
+
+/// A quality in a word.
+#[must_use]
+pub fn quality_word(quality: Quality) -> &'static str {
+    match quality {
+        Quality::Off => "off",
+        Quality::Live => "live",
+        Quality::TemperatureModel => "temperature-model",
+        Quality::WarmUpModel => "warm-up-model",
+        Quality::Hold => "hold",
+        Quality::RampingOut => "ramping-out",
+        Quality::Fault => "fault",
+    }
+}
+
+/// The flags that are set, in words.
+#[must_use]
+pub fn flag_words(flags: Flags) -> Vec<&'static str> {
+    const WORDS: [(Flags, &str); 8] = [
+        (Flags::CLAMPED, "clamped"),
+        (Flags::SLEWING, "slewing"),
+        (Flags::SENSOR_FAULT, "sensor-fault"),
+        (Flags::SAMPLES_MISSING, "samples-missing"),
+        (Flags::CNC_LOST, "cnc-lost"),
+        (Flags::SPEED_UNKNOWN, "speed-unknown"),
+        (Flags::OUTSIDE_TABLE, "outside-table"),
+        (Flags::BOARD_DEGRADED, "board-degraded"),
+    ];
+    WORDS.into_iter().filter(|(flag, _)| flags.contains(*flag)).map(|(_, word)| word).collect()
+}
+
+/// The faults whose bits are set, in words. The number of a bit is that of its [`Fault`].
+#[must_use]
+pub fn fault_words(bits: u32) -> Vec<&'static str> {
+    let is_set = |fault: &Fault| bits >> *fault as u8 & 1 != 0;
+    Fault::ALL.into_iter().filter(is_set).map(fault_word).collect()
+}
+
+/// A fault in a word.
+fn fault_word(fault: Fault) -> &'static str {
+    match fault {
+        Fault::NoCalibration => "no-calibration",
+        Fault::Sensor => "sensor",
+        Fault::SamplesMissing => "samples-missing",
+        Fault::CncLost => "cnc-lost",
+        Fault::HeartbeatLost => "heartbeat-lost",
+        Fault::SpeedUnknown => "speed-unknown",
+        Fault::OutsideTable => "outside-table",
+        Fault::Clamped => "clamped",
+        Fault::Degraded => "degraded",
+        Fault::Crystal => "crystal",
+        Fault::Pll => "pll",
+        Fault::Can => "can",
+        Fault::WatchdogReset => "watchdog-reset",
+        Fault::Store => "store",
+    }
+}
+
+/// A heartbeat's state in a word, as CiA 301 names it.
+#[must_use]
+pub fn state_word(state: State) -> &'static str {
+    match state {
+        State::BootUp => "boot-up",
+        State::Stopped => "stopped",
+        State::Operational => "operational",
+        State::PreOperational => "pre-operational",
+    }
+}
+
+/// A length in µm.
+#[must_use]
+pub fn micrometres(length: Nanometres) -> f64 {
+    f64::from(length.0) / f64::from(NANOMETRES_PER_MICROMETRE)
+}
+
+/// The offsets of X, Y and Z in µm, if they are available.
+#[must_use]
+pub fn offset_um(output: &Output) -> Option<[f64; 3]> {
+    output.offset.map(|offset| offset.map(micrometres))
+}
+
+/// What the offsets' frames say, in one phrase.
+#[must_use]
+pub fn output_text(output: &Output) -> String {
+    let offset = match offset_um(output) {
+        Some([x, y, z]) => format!("x {x:+.2}  y {y:+.2}  z {z:+.2} µm"),
+        None => "not available".into(),
+    };
+    let quality = quality_word(output.quality);
+    let flags = match flag_words(output.flags)[..] {
+        [] => "no flags".into(),
+        ref words => words.join(" "),
+    };
+    // The largest age on the wire stands for all beyond.
+    let age = match output.age_ms {
+        u8::MAX => "255 ms or more".into(),
+        age_ms => format!("{age_ms} ms"),
+    };
+    format!("{offset}  {quality}  {flags}  age {age}")
+}
+
+/// The same as JSON members; `null` throughout without an output.
+#[must_use]
+pub fn output_json(output: Option<&Output>) -> Value {
+    json!({
+        "offset_um": output.and_then(offset_um).map_or([None; 3], |offset| offset.map(Some)),
+        "quality": output.map(|output| output.quality as u8),
+        "quality_word": output.map(|output| quality_word(output.quality)),
+        "flags": output.map(|output| flag_words(output.flags)),
+        "age_ms": output.map(|output| output.age_ms),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_bit_of_the_flags_has_a_word() {
+        assert_eq!(flag_words(Flags(0xFF)).len(), 8);
+        assert_eq!(fault_words(0x2001), ["no-calibration", "store"]);
+        assert_eq!(fault_words(0x3FFF).len(), Fault::ALL.len());
+        assert_eq!(flag_words(Flags::NONE), [""; 0]);
+        assert_eq!(flag_words(Flags::SLEWING.with(Flags::CNC_LOST)), ["slewing", "cnc-lost"]);
+    }
+
+    #[test]
+    fn offsets_are_told_in_micrometres_with_the_resolution_of_the_wire() {
+        let mut output = Output {
+            offset: Some([0, -10, 62_800].map(Nanometres)),
+            quality: Quality::Live,
+            flags: Flags::SLEWING,
+            age_ms: 1,
+        };
+        assert_eq!(output_text(&output), "x +0.00  y -0.01  z +62.80 µm  live  slewing  age 1 ms");
+        output.offset = None;
+        output.age_ms = 255;
+        assert_eq!(output_text(&output), "not available  live  slewing  age 255 ms or more");
+        assert_eq!(output_json(Some(&output))["offset_um"], json!([null, null, null]));
+    }
+}
