@@ -391,6 +391,53 @@ fn derivative_step(problem: &Problem, kind: &Kind, value: f64, is_log: bool) -> 
     }
 }
 
+/// A value of a list that nothing determines, and the one of the same list that stands for it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Held {
+    part: usize,
+    value: usize,
+    by: usize,
+}
+
+/// The values of tables and splines that the groups in `mask` do not determine: their columns are
+/// hardly ever more than 0, because the axis was hardly ever there. Fitted to the hundredth of a
+/// reading such a value would be anything, and wrong by as much where it is needed. The nearest
+/// value that is determined stands for it.
+fn held(model: &Model, places: &[Place], columns: &[Vec<f64>], mask: Option<&[bool]>) -> Vec<Held> {
+    // Of the squares of the column that has most: a hundredth of a reading beside one.
+    const HARDLY: f64 = 1e-4;
+    let squares = |column: &Vec<f64>| match mask {
+        None => dot(column, column),
+        Some(mask) => column.iter().zip(mask).filter(|(_, used)| **used).map(|(c, _)| c * c).sum(),
+    };
+    let mut all = Vec::new();
+    for (part, it) in model.parts.iter().enumerate() {
+        for list in it.kind.lists() {
+            let column = |value: usize| {
+                let at = places.iter().position(|place| *place == Some((part, value)));
+                at.map_or(0.0, |at| squares(&columns[at]))
+            };
+            let own: Vec<f64> = list.clone().map(column).collect();
+            let least = HARDLY * own.iter().copied().fold(0.0, f64::max);
+            let is_known = |n: &usize| own[*n] > least;
+            for n in (0..own.len()).filter(|n| !is_known(n)) {
+                let nearest = (0..own.len()).filter(is_known).min_by_key(|there| there.abs_diff(n));
+                if let Some(nearest) = nearest {
+                    all.push(Held { part, value: list.start + n, by: list.start + nearest });
+                }
+            }
+        }
+    }
+    all
+}
+
+fn hold(model: &mut Model, held: &[Held]) {
+    for it in held {
+        let values = &mut model.parts[it.part].values;
+        values[it.value] = values[it.by];
+    }
+}
+
 /// Fits all values of `model` by least squares over the groups in `mask` (all where there is none).
 /// The time of a step is not moved: it is searched, not fitted.
 pub(crate) fn fit(problem: &Problem, model: &Model, mask: Option<&[bool]>) -> Fitted {
@@ -414,13 +461,21 @@ pub(crate) fn fit(problem: &Problem, model: &Model, mask: Option<&[bool]>) -> Fi
     let mut degrees = 0;
     for _ in 0..if is_linear { 1 } else { iterations } {
         let (mut places, mut columns) = jacobian(problem, &model);
-        let is_step = |place: &Place| {
-            place.is_some_and(|(part, value)| model.parts[part].kind == Kind::Step && value == 0)
-        };
-        if let Some(at) = places.iter().position(is_step) {
-            places.remove(at);
-            columns.remove(at);
+        let held = held(&model, &places, &columns, mask);
+        if !held.is_empty() {
+            hold(&mut model, &held);
+            residual = problem.residual(&model);
+            sum = masked(&residual);
         }
+        let is_fitted = |place: &Place| {
+            place.is_none_or(|(part, value)| {
+                let is_step = model.parts[part].kind == Kind::Step && value == 0;
+                !is_step && !held.iter().any(|it| (it.part, it.value) == (part, value))
+            })
+        };
+        let fitted: Vec<bool> = places.iter().map(is_fitted).collect();
+        keep_only(&mut places, &fitted);
+        keep_only(&mut columns, &fitted);
         degrees = places.len();
         let mut improved = false;
         for _ in 0..6 {
@@ -442,6 +497,7 @@ pub(crate) fn fit(problem: &Problem, model: &Model, mask: Option<&[bool]>) -> Fi
                     }
                 }
             }
+            hold(&mut moved, &held);
             problem.keep(&mut moved);
             let there = problem.residual(&moved);
             let there_sum = masked(&there);
@@ -463,9 +519,15 @@ pub(crate) fn fit(problem: &Problem, model: &Model, mask: Option<&[bool]>) -> Fi
     Fitted { model, residual, sum, degrees }
 }
 
+fn keep_only<T>(list: &mut Vec<T>, kept: &[bool]) {
+    let mut kept = kept.iter();
+    list.retain(|_| kept.next().is_some_and(|kept| *kept));
+}
+
 /// The standard deviations of the fitted values, under noise of this memory: logarithmic ones of the
 /// logarithm.
 pub(crate) struct Spread {
+    /// Without values that nothing determines.
     pub places: Vec<Place>,
     pub covariance: Vec<Vec<f64>>,
     /// Independent rows less the fitted values.
@@ -473,7 +535,14 @@ pub(crate) struct Spread {
 }
 
 pub(crate) fn spread(problem: &Problem, fitted: &Fitted, noise: Noise) -> Spread {
-    let (places, columns) = jacobian(problem, &fitted.model);
+    let (mut places, mut columns) = jacobian(problem, &fitted.model);
+    let held = held(&fitted.model, &places, &columns, None);
+    let known: Vec<bool> = places
+        .iter()
+        .map(|place| !held.iter().any(|it| *place == Some((it.part, it.value))))
+        .collect();
+    keep_only(&mut places, &known);
+    keep_only(&mut columns, &known);
     let steps = &problem.groups.steps;
     let solution = solve(&columns, &fitted.residual, None, 0.0);
     let rows = fitted.residual.len() as f64;
@@ -498,4 +567,41 @@ pub(crate) fn spread(problem: &Problem, fitted: &Fitted, noise: Noise) -> Spread
     let mut covariance = product(&product(inverse, &middle), inverse);
     covariance.iter_mut().flatten().for_each(|value| *value *= variance);
     Spread { places, covariance, freedom: (effective - count as f64).max(3.0) }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use trueup_machine::{MachineFile, RunFile, machine_file::Quantity};
+
+    use super::*;
+
+    #[test]
+    fn a_point_of_a_table_where_the_axis_never_was_has_the_value_of_its_neighbour() {
+        // Backwards the axis turns at 300 mm, a hundredth of a micrometre beyond it in the file.
+        let mut text = String::from("x_mm,dir_x,measured_dx_um\n");
+        for noise in [0.2, -0.1, -0.1] {
+            for (mm, um) in [(0.0, 1.0), (100.0, 3.0), (200.0, 2.0), (300.0, 5.0), (400.0, 4.0)] {
+                text += &format!("{mm},1,{}\n", um + noise);
+                if mm < 400.0 {
+                    text += &format!("{},-1,{}\n", mm + 1e-5, um + 6.0 - noise);
+                }
+            }
+        }
+        let file = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
+        let machine = MachineFile::parse(file, Path::new("m.toml")).expect("a machine file");
+        let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
+        let data = Data::new(&machine, &[run], Quantity::Dx).expect("comparable");
+        let groups = Groups::new(&data, &data.used.clone(), 1);
+        let problem = Problem::new(data, groups);
+        let kind = Kind::PitchError { start_mm: 0.0, step_mm: 100.0, points: 5, both_ways: true };
+        let part = Part { values: vec![0.0; 10], kind };
+        let model = Model { parts: vec![part], constant_um: None };
+        let values = &fit(&problem, &model, None).model.parts[0].values;
+        let exact = [1.0, 3.0, 2.0, 5.0, 4.0, 7.0, 9.0, 8.0, 11.0, 11.0];
+        for (value, exact) in values.iter().zip(exact) {
+            assert!((value - exact).abs() < 1e-5, "{values:?}");
+        }
+    }
 }

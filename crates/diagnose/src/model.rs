@@ -7,6 +7,8 @@
 //! added, then the shift in time. `trueup predict` gives the same figures from the terms in
 //! `extended.toml` (tested).
 
+use std::ops::Range;
+
 use trueup_machine::{
     machine_file::{LinearAxis, Quantity, Thermal},
     model::shifted,
@@ -164,6 +166,20 @@ impl Kind {
                 }
             }
             _ => 1,
+        }
+    }
+
+    /// Those of its values that are lists of neighbours.
+    pub(crate) fn lists(&self) -> Vec<Range<usize>> {
+        let count = self.amplitudes();
+        match self {
+            Self::PitchError { both_ways: true, .. } | Self::Curve { by_direction: true, .. } => {
+                vec![0..count / 2, count / 2..count]
+            }
+            Self::PitchError { .. } | Self::Curve { .. } | Self::Straightness { .. } => {
+                vec![0..count]
+            }
+            _ => Vec::new(),
         }
     }
 
