@@ -9,6 +9,8 @@ use std::{
     time::Duration,
 };
 
+use socket2::SockRef;
+
 use crate::Unusable;
 
 /// The speed of the bridge's serial line.
@@ -93,6 +95,7 @@ impl Port {
             Self::Tcp(address) => {
                 let stream = connect(address)?;
                 stream.set_nodelay(true)?;
+                SockRef::from(&stream).set_send_buffer_size(MAY_WAIT)?;
                 stream.set_read_timeout(Some(READ_TIMEOUT))?;
                 stream.set_write_timeout(Some(PATIENCE))?;
                 Ok((Box::new(stream.try_clone()?), Box::new(stream)))
@@ -114,6 +117,10 @@ fn is_numbered(text: &str, names: &[&str]) -> bool {
             .is_some_and(|rest| !rest.is_empty() && rest.bytes().all(|byte| byte.is_ascii_digit()))
     })
 }
+
+/// Bytes that may wait for a bridge which is slow to take them: positions that wait for longer are of
+/// no use, and the sender would rather leave some out. The system takes it as a hint.
+const MAY_WAIT: usize = 4_096;
 
 /// To the first of the name's addresses that answers.
 fn connect(address: &str) -> io::Result<TcpStream> {

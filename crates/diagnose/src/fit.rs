@@ -412,18 +412,19 @@ fn held(model: &Model, places: &[Place], columns: &[Vec<f64>], mask: Option<&[bo
     };
     let mut all = Vec::new();
     for (part, it) in model.parts.iter().enumerate() {
-        for list in it.kind.lists() {
+        let Some(length) = it.kind.list_length() else { continue };
+        for start in (0..it.values.len()).step_by(length) {
             let column = |value: usize| {
                 let at = places.iter().position(|place| *place == Some((part, value)));
                 at.map_or(0.0, |at| squares(&columns[at]))
             };
-            let own: Vec<f64> = list.clone().map(column).collect();
+            let own: Vec<f64> = (start..start + length).map(column).collect();
             let least = HARDLY * own.iter().copied().fold(0.0, f64::max);
             let is_known = |n: &usize| own[*n] > least;
             for n in (0..own.len()).filter(|n| !is_known(n)) {
                 let nearest = (0..own.len()).filter(is_known).min_by_key(|there| there.abs_diff(n));
                 if let Some(nearest) = nearest {
-                    all.push(Held { part, value: list.start + n, by: list.start + nearest });
+                    all.push(Held { part, value: start + n, by: start + nearest });
                 }
             }
         }

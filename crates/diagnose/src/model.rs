@@ -7,8 +7,6 @@
 //! added, then the shift in time. `trueup predict` gives the same figures from the terms in
 //! `extended.toml` (tested).
 
-use std::ops::Range;
-
 use trueup_machine::{
     machine_file::{LinearAxis, Quantity, Thermal},
     model::shifted,
@@ -169,17 +167,13 @@ impl Kind {
         }
     }
 
-    /// Those of its values that are lists of neighbours.
-    pub(crate) fn lists(&self) -> Vec<Range<usize>> {
-        let count = self.amplitudes();
+    /// How many neighbours are in each of the lists that its values are, if they are.
+    pub(crate) fn list_length(&self) -> Option<usize> {
         match self {
-            Self::PitchError { both_ways: true, .. } | Self::Curve { by_direction: true, .. } => {
-                vec![0..count / 2, count / 2..count]
-            }
-            Self::PitchError { .. } | Self::Curve { .. } | Self::Straightness { .. } => {
-                vec![0..count]
-            }
-            _ => Vec::new(),
+            Self::PitchError { points, .. } => Some(*points),
+            Self::Curve { knots, .. } => Some(knots.len()),
+            Self::Straightness { .. } => Some(self.amplitudes()),
+            _ => None,
         }
     }
 

@@ -19,7 +19,10 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use rustix::fs::{CWD, FileType, Mode, mknodat};
+use rustix::{
+    fs::{CWD, FileType, Mode, mknodat},
+    net::sockopt::set_socket_send_buffer_size,
+};
 use trueup_core::units::Millis;
 use trueup_link::{
     bench::{Block, RECORD_SIZE, Record},
@@ -33,6 +36,10 @@ use crate::{
 
 /// Blocks that can be announced with one ring: a byte.
 pub const LARGEST_BATCH: u32 = u8::MAX as u32;
+/// Bytes that may wait for the board's serial line. On a computer that is busy the emulator takes in
+/// less than a CNC says, and what waits for seconds is no position any more. The kernel gives about
+/// twice as much, and takes its own book-keeping from it.
+pub const MAY_WAIT: usize = 4_096;
 
 /// A running virtual board.
 pub struct VirtualBoard {
@@ -108,6 +115,7 @@ impl VirtualBoard {
 
         let doorbell = qemu.connect("doorbell.sock")?;
         let serial = qemu.connect("serial.sock")?;
+        set_socket_send_buffer_size(&serial, MAY_WAIT)?;
         doorbell.set_read_timeout(Some(BOOT_TIMEOUT))?;
         let samples = OpenOptions::new().write(true).open(qemu.path("samples"))?;
         let frames = BufReader::new(File::open(qemu.path("frames"))?);

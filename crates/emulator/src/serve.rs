@@ -18,7 +18,7 @@ use std::{
 
 use anyhow::{Context as _, Result, bail};
 use rustix::{
-    net::sockopt::set_socket_send_buffer_size,
+    net::sockopt::{set_socket_recv_buffer_size, set_socket_send_buffer_size},
     process::{Pid, Signal, kill_process},
 };
 use trueup_core::{cnc::Output, units::NANOMETRES_PER_MICROMETRE};
@@ -29,7 +29,7 @@ use trueup_link::{
 };
 
 use crate::{
-    board::{LARGEST_BATCH, VirtualBoard},
+    board::{LARGEST_BATCH, MAY_WAIT, VirtualBoard},
     front_end::FrontEnd,
     plant::{Answer, Plant},
     replay::{Replay, Situation},
@@ -320,15 +320,18 @@ fn serve_client(
     }
 }
 
-/// Opens the port of `tcp:HOST:PORT`.
+/// Opens the port of `tcp:HOST:PORT`. Little waits on the way from a client to a board that is slow to
+/// take it, as on a serial line: the newest position is worth more than all that came before.
 ///
 /// # Errors
 /// It is no such address, or the port is in use.
 pub fn listen(address: &str) -> Result<TcpListener> {
     let address = tcp_address(address)?;
-    TcpListener::bind(address).with_context(|| {
+    let listener = TcpListener::bind(address).with_context(|| {
         format!("cannot listen at tcp:{address}; is another program, or another bridge, using it?")
-    })
+    })?;
+    set_socket_recv_buffer_size(&listener, MAY_WAIT)?;
+    Ok(listener)
 }
 
 /// The `HOST:PORT` of `tcp:HOST:PORT`.

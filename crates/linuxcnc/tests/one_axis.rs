@@ -265,7 +265,7 @@ fn a_servo_thread_that_stood_for_seconds_finds_one_step_and_is_followed_again() 
         for ms in 0..stood_ms {
             both.us += 1_000;
             // Meanwhile the goal goes on.
-            both.turn(Some(40_000 + i32::try_from(ms).expect("few")));
+            both.turn(Some(40_000 + ms));
         }
         let mut cycles = 0;
         while (both.motion.offset - 31_000.0).abs() > 1.0 {

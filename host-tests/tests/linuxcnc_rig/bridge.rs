@@ -24,6 +24,7 @@ use trueup_emulator::{
     board::VirtualBoard,
     firmware::{self, Board},
     front_end::FrontEnd,
+    serve,
 };
 use trueup_link::{bench::Block, slcan::CR};
 use trueup_machine::{Machine, compile};
@@ -88,7 +89,7 @@ impl Bridge {
             serial: Mutex::default(),
             client: Mutex::default(),
         });
-        let listener = TcpListener::bind("127.0.0.1:0")?;
+        let listener = serve::listen("tcp:127.0.0.1:0")?;
         let port = listener.local_addr()?.port();
         let (living, serving) = (shared.clone(), shared.clone());
         let threads = vec![
