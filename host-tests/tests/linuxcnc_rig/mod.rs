@@ -141,13 +141,13 @@ impl Rig {
         })
     }
 
-    /// What is applied, in µm, once it has not changed for a second: a busy computer takes its time
+    /// What is applied, in µm, once it has not changed for two seconds: a busy computer takes its time
     /// to tell the board where the axes are.
     pub fn settled_um(&mut self) -> Result<[f64; 3]> {
         let mut last = [f64::INFINITY; 3];
         let mut since = std::time::Instant::now();
         let end = since + std::time::Duration::from_secs(30);
-        while since.elapsed() < std::time::Duration::from_secs(1) {
+        while since.elapsed() < std::time::Duration::from_secs(2) {
             let now = self.cnc.pins(&APPLIED)?;
             let moved = (0..3).any(|axis| (now[axis] - last[axis]).abs() >= CLOSE_UM);
             if moved {

@@ -151,7 +151,7 @@ pub fn loop_hal() -> String {
 net head-1 axis.c.pos-cmd => trueup.0.angle-1
 net head-2 axis.a.pos-cmd => trueup.0.angle-2
 net load motion.analog-out-00 => trueup.0.load-n
-loadrt sampler depth=4000 cfg={}
+loadrt sampler depth=16000 cfg={}
 addf sampler.0 servo-thread
 ",
         "f".repeat(PINS.len())

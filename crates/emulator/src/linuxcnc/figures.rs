@@ -237,7 +237,8 @@ impl Figures {
         let whole = |across: &[f64; 3]| across.iter().map(|um| um * um).sum::<f64>().sqrt();
         let lag = lag(&after)?;
         let [arc_before, arc_after] = [part(0, phase::ARC)?, part(1, phase::ARC)?];
-        let stairs = stairs(&part(0, phase::STAIRS)?, &part(1, phase::STAIRS)?)?;
+        let stairs = stairs(&part(0, phase::STAIRS)?, &part(1, phase::STAIRS)?)
+            .with_context(|| format!("{} cycles are not recorded", run.account.lost_samples))?;
         let pitch = |of: fn(&Stair) -> f64| range(stairs.iter().map(of));
         let backlash = |of: fn(&Stair) -> [f64; 2]| {
             stairs.iter().map(|stair| (of(stair)[1] - of(stair)[0]).abs()).fold(0.0, f64::max)
