@@ -9,6 +9,7 @@ use crate::{
     model::{Kind, Part},
     scan::{Draw, scan},
     search::{Added, Gain, TIE, degrees, fitted_hits, gap, in_its_place, independent, score},
+    waves,
 };
 
 /// Tries, for each term, whether it is still needed, and whether another cause does better in its
@@ -138,8 +139,8 @@ pub(crate) fn table_for_both_ways(problem: &Problem, fitted: &mut Fitted, added:
     }
 }
 
-/// A table has room for a scale and a backlash. Where these alone say as much as it does, they are the
-/// simpler names.
+/// A table has room for a scale, a backlash and a wave. Where these alone say as much as it does, they
+/// are the simpler names.
 pub(crate) fn laws_for_a_table(problem: &Problem, fitted: &mut Fitted, added: &mut Vec<Added>) {
     let place = fitted.model.parts.iter().position(|part| {
         matches!(part.kind, Kind::PitchError { .. }) && added.iter().any(|it| it.kind == part.kind)
@@ -149,6 +150,12 @@ pub(crate) fn laws_for_a_table(problem: &Problem, fitted: &mut Fitted, added: &m
     let has_ways = matches!(table, Kind::PitchError { both_ways: true, .. });
     let laws = [Kind::PitchScale, Kind::Backlash, Kind::PositionDependentBacklash];
     let mut best: Option<(f64, Vec<Kind>, Fitted)> = None;
+    let mut note = |new: Vec<Kind>, with: Fitted| {
+        let there = score(problem, &with);
+        if best.as_ref().is_none_or(|best| there < best.0) {
+            best = Some((there, new, with));
+        }
+    };
     for count in if has_ways { 2..=3 } else { 1..=1 } {
         let mut model = fitted.model.clone();
         model.parts.remove(place);
@@ -156,10 +163,19 @@ pub(crate) fn laws_for_a_table(problem: &Problem, fitted: &mut Fitted, added: &m
         model.parts.extend(new.iter().map(|law| Part { kind: law.clone(), values: vec![0.0] }));
         model.sort();
         let with = fit(problem, &model, None);
-        let there = score(problem, &with);
-        if best.as_ref().is_none_or(|best| there < best.0) {
-            best = Some((there, new, with));
+        // Waves that were found beside the table may be what it could not follow of another.
+        let mut plain = with.model.clone();
+        plain.parts.retain(|part| !matches!(part.kind, Kind::PitchPeriodic { .. }));
+        let plain = fit(problem, &plain, None);
+        let mut waves = waves::candidates(problem, &plain.model, &plain.residual);
+        waves.retain(|candidate| matches!(candidate.kind, Kind::PitchPeriodic { .. }));
+        let scanned = scan(problem, &plain.model, &plain.residual, &waves, Draw::Not);
+        for (hit, with) in
+            fitted_hits(problem, &plain.model, &plain.residual, &scanned.hits, waves.len())
+        {
+            note([&new[..], &[hit.part.kind]].concat(), with);
         }
+        note(new, with);
     }
     let Some((there, new, with)) = best else { return };
     let folds = Folds::new(problem, independent(problem, &with.residual, 0).0.memory);
@@ -171,6 +187,13 @@ pub(crate) fn laws_for_a_table(problem: &Problem, fitted: &mut Fitted, added: &m
         for kind in new.into_iter().rev() {
             added.insert(index, Added { kind, before: old.before, tried: old.tried.clone() });
         }
+        // A wave that gave way to another, or came back as it was.
+        let mut seen: Vec<Kind> = Vec::new();
+        added.retain(|it| {
+            let is_new = fitted.model.has(&it.kind) && !seen.contains(&it.kind);
+            seen.push(it.kind.clone());
+            is_new
+        });
     }
 }
 
