@@ -1,13 +1,12 @@
 //! `predict`, `compile` and `show` as a user runs them: what they print, write and leave alone,
 //! and how they end.
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-    process::{Command, Output},
-};
+mod desk;
 
-use tempfile::TempDir;
+#[cfg(unix)]
+use std::{fs, path::Path};
+
+use desk::Desk;
 use trueup_core::units::Nanometres;
 use trueup_link::calibration::{MAX_SIZE, decode, encode};
 use trueup_machine::RunFile;
@@ -17,67 +16,24 @@ const TABLE: &str = include_str!("../../../data/spindle_paper_table1.csv");
 /// The fixed part of the calibration and its CRC: the paper has no tables.
 const PAPER_BYTES: usize = 580;
 
-/// A folder with the paper's files, in which `trueup` is run.
-struct Desk(TempDir);
+/// A folder with the paper's files.
+fn desk() -> Desk {
+    Desk::new(&[("m.toml", PAPER), ("run.csv", TABLE)])
+}
 
 impl Desk {
-    fn new() -> Self {
-        let desk = Self(tempfile::tempdir().expect("a writable folder for temporary files"));
-        desk.write("m.toml", PAPER);
-        desk.write("run.csv", TABLE);
-        desk
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
-
-    fn write(&self, name: &str, content: impl AsRef<[u8]>) {
-        fs::write(self.path(name), content).expect("a writable folder");
-    }
-
-    fn read(&self, name: &str) -> Vec<u8> {
-        fs::read(self.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
-    }
-
-    /// Runs the tool in this folder with the words of `line`.
-    fn trueup(&self, line: &str) -> Output {
-        Command::new(env!("CARGO_BIN_EXE_trueup"))
-            .args(line.split(' '))
-            .current_dir(self.0.path())
-            .output()
-            .expect("the tool was built for this test")
-    }
-
-    /// The same; standard output of a run that must end with `code`.
+    /// Standard output of a run that must end with `code`.
     fn printed(&self, line: &str, code: i32) -> String {
-        let output = self.trueup(line);
-        let (out, err) = texts(&output);
-        assert_eq!(output.status.code(), Some(code), "{line}: {out}{err}");
-        out
+        self.said(line, code).0
     }
 
     /// The one line on standard error of a run that must refuse its input and print no result.
     fn refused(&self, line: &str) -> String {
-        let output = self.trueup(line);
-        let (out, err) = texts(&output);
-        assert_eq!((output.status.code(), out.as_str()), (Some(2), ""), "{line}: {err}");
+        let (out, err) = self.said(line, 2);
+        assert_eq!(out, "", "{line}: {err}");
         assert_eq!(err.lines().count(), 1, "{line}: {err}");
         err
     }
-
-    fn files(&self) -> Vec<String> {
-        let entries = fs::read_dir(self.0.path()).expect("a readable folder");
-        let name = |entry: fs::DirEntry| entry.file_name().to_string_lossy().into_owned();
-        let mut names: Vec<_> = entries.map(|entry| name(entry.expect("readable"))).collect();
-        names.sort();
-        names
-    }
-}
-
-fn texts(output: &Output) -> (String, String) {
-    let text = |bytes: &[u8]| String::from_utf8(bytes.to_vec()).expect("text");
-    (text(&output.stdout), text(&output.stderr))
 }
 
 fn json(text: &str) -> serde_json::Value {
@@ -86,7 +42,7 @@ fn json(text: &str) -> serde_json::Value {
 
 #[test]
 fn predict_writes_the_run_with_both_predictions() {
-    let desk = Desk::new();
+    let desk = desk();
     let printed = desk.printed("predict --machine m.toml --run run.csv -o out.csv", 0);
     assert!(printed.starts_with("out.csv: 15 rows\n"), "{printed}");
 
@@ -122,19 +78,17 @@ fn predict_writes_the_run_with_both_predictions() {
         assert_eq!(column("bridge_dz_um")[row], -column("bridge_elongation_um")[row]);
         assert_eq!((column("predicted_dx_um")[row], column("bridge_dy_um")[row]), (0.0, 0.0));
     }
-    let text = String::from_utf8(desk.read("out.csv")).expect("CSV is text");
+    let text = desk.text("out.csv");
     let first = text.lines().nth(1).expect("15 rows");
     assert!(first.starts_with("5376,24000,3,5.004883,5.005000,"), "{first}");
-    assert_eq!(desk.files(), ["m.toml", "out.csv", "run.csv"], "nothing else is left");
+    assert_eq!(desk.files("."), ["m.toml", "out.csv", "run.csv"], "nothing else is left");
 }
 
 #[test]
 fn predict_prints_json_if_asked() {
-    let desk = Desk::new();
+    let desk = desk();
     desk.write("run.csv", "sensor_counts\n9164\nnan\n40000\n");
-    let output = desk.trueup("predict --json --machine m.toml --run run.csv -o out.csv");
-    let (out, err) = texts(&output);
-    assert_eq!(output.status.code(), Some(0), "{err}");
+    let (out, err) = desk.said("predict --json --machine m.toml --run run.csv -o out.csv", 0);
     let told = json(&out);
     assert_eq!(told["output"], "out.csv");
     assert_eq!((&told["rows"], &told["rows_without_counts"]), (&3.into(), &1.into()));
@@ -145,13 +99,12 @@ fn predict_prints_json_if_asked() {
 
 #[test]
 fn predict_needs_no_inputs_but_says_what_is_missing() {
-    let desk = Desk::new();
+    let desk = desk();
     let inputs = PAPER.find("[inputs]").expect("the paper's has inputs");
     let spindle = PAPER.find("[spindle]").expect("the paper's has a spindle");
     desk.write("m.toml", [&PAPER[..inputs], &PAPER[spindle..]].concat());
-    let output = desk.trueup("predict --machine m.toml --run run.csv -o out.csv");
-    let (out, err) = texts(&output);
-    assert_eq!((output.status.code(), out.as_str()), (Some(0), "out.csv: 15 rows\n"));
+    let (out, err) = desk.said("predict --machine m.toml --run run.csv -o out.csv", 0);
+    assert_eq!(out, "out.csv: 15 rows\n");
     let warning = "warning: m.toml: the bridge's columns stay empty: without [inputs] sensor";
     assert!(err.starts_with(warning), "{err}");
     let after = RunFile::read(&desk.path("out.csv")).expect("a run file");
@@ -161,11 +114,9 @@ fn predict_needs_no_inputs_but_says_what_is_missing() {
 
 #[test]
 fn predict_goes_on_where_the_board_could_not_and_says_why() {
-    let desk = Desk::new();
+    let desk = desk();
     desk.write("steep.toml", PAPER.replace("0.0152587890625", "9.0"));
-    let output = desk.trueup("predict --machine steep.toml --run run.csv -o out.csv");
-    let (_, err) = texts(&output);
-    assert_eq!(output.status.code(), Some(0));
+    let (_, err) = desk.said("predict --machine steep.toml --run run.csv -o out.csv", 0);
     let warning = "warning: steep.toml: the bridge's columns stay empty: steep.toml:16:16: \
                    spindle.sensor.um_per_count 9 is";
     assert!(err.starts_with(warning), "{err}");
@@ -176,14 +127,14 @@ fn predict_goes_on_where_the_board_could_not_and_says_why() {
 
 #[test]
 fn bad_input_ends_with_2_its_place_and_an_untouched_output() {
-    let desk = Desk::new();
+    let desk = desk();
     desk.write("typo.toml", PAPER.replace("zero_counts", "zero_count"));
     desk.write("steep.toml", PAPER.replace("0.0152587890625", "9.0"));
     desk.write("comma.csv", "time_s;sensor_counts\n0;1\n1;2,5\n");
     desk.write("none.csv", "time_s\n0\n");
     desk.write("out.csv", "keep me");
     desk.write("cal.bin", "keep me too");
-    let files = desk.files();
+    let files = desk.files(".");
     for (line, complaint) in [
         (
             "predict --machine typo.toml --run run.csv -o out.csv",
@@ -214,23 +165,23 @@ fn bad_input_ends_with_2_its_place_and_an_untouched_output() {
     assert_eq!(desk.read("out.csv"), b"keep me");
     assert_eq!(desk.read("cal.bin"), b"keep me too");
     assert_eq!(desk.read("m.toml"), PAPER.as_bytes());
-    assert_eq!(desk.files(), files, "no remains of what was not finished");
+    assert_eq!(desk.files("."), files, "no remains of what was not finished");
 }
 
 #[test]
 fn a_wrong_command_line_ends_with_2() {
-    let desk = Desk::new();
+    let desk = desk();
     for line in ["", "pridect", "compile m.toml", "predict --machine m.toml -o out.csv", "bridge"] {
-        assert_eq!(desk.trueup(line).status.code(), Some(2), "{line}");
+        desk.said(line, 2);
     }
     for line in ["--help", "--version", "bridge monitor --help"] {
-        assert_eq!(desk.trueup(line).status.code(), Some(0), "{line}");
+        desk.said(line, 0);
     }
 }
 
 #[test]
 fn an_output_that_is_there_is_replaced_whole() {
-    let desk = Desk::new();
+    let desk = desk();
     desk.write("cal.bin", [0_u8; 1000]);
     desk.printed("compile m.toml -o cal.bin", 0);
     assert_eq!(desk.read("cal.bin").len(), PAPER_BYTES);
@@ -238,7 +189,7 @@ fn an_output_that_is_there_is_replaced_whole() {
 
 #[test]
 fn what_is_compiled_is_shown_and_compiles_to_the_same_bytes() {
-    let desk = Desk::new();
+    let desk = desk();
     let printed = desk.printed("compile m.toml -o cal.bin", 0);
     assert_eq!(
         printed,
@@ -263,7 +214,7 @@ fn what_is_compiled_is_shown_and_compiles_to_the_same_bytes() {
 
 #[test]
 fn a_damaged_calibration_is_refused_with_the_place_of_the_damage() {
-    let desk = Desk::new();
+    let desk = desk();
     desk.printed("compile m.toml -o cal.bin", 0);
     let blob = desk.read("cal.bin");
     let mut flipped = blob.clone();
@@ -281,7 +232,7 @@ fn a_damaged_calibration_is_refused_with_the_place_of_the_damage() {
 
 #[test]
 fn a_calibration_that_no_machine_file_gives_is_shown_and_ends_with_3() {
-    let desk = Desk::new();
+    let desk = desk();
     desk.printed("compile m.toml -o cal.bin", 0);
     let blob = desk.read("cal.bin");
     let mut calibration = decode(&blob).expect("just compiled");
@@ -298,7 +249,7 @@ fn a_calibration_that_no_machine_file_gives_is_shown_and_ends_with_3() {
 #[test]
 fn a_new_file_has_the_usual_rights_and_a_device_stays_a_device() {
     use std::os::unix::fs::{FileTypeExt as _, PermissionsExt as _};
-    let desk = Desk::new();
+    let desk = desk();
     desk.printed("compile m.toml -o cal.bin", 0);
     let rights =
         |name: &str| fs::metadata(desk.path(name)).expect("written").permissions().mode() & 0o777;
@@ -311,7 +262,7 @@ fn a_new_file_has_the_usual_rights_and_a_device_stays_a_device() {
 #[cfg(unix)]
 #[test]
 fn a_link_is_followed_and_stays_a_link() {
-    let desk = Desk::new();
+    let desk = desk();
     desk.write("real.bin", "old");
     std::os::unix::fs::symlink("real.bin", desk.path("cal.bin")).expect("links are allowed");
     desk.printed("compile m.toml -o cal.bin", 0);

@@ -1,64 +1,31 @@
 //! `fit` as a user runs it: all six kinds, from a run to a machine file that predicts, and how it
 //! refuses.
 
+mod desk;
+
 use std::{
     fmt::Write as _,
     fs,
     path::{Path, PathBuf},
-    process::{Command, Output},
 };
 
-use tempfile::TempDir;
+use desk::Desk;
 use trueup_machine::{Machine, MachineFile, RunFile};
 
 const MACHINE: &str = "# mine\n[machine]\nname = \"mill\" # the old one\nkind = \"3-axis\"\n";
 
-/// A folder in which `trueup` is run.
-struct Desk(TempDir);
+fn desk() -> Desk {
+    Desk::new(&[("m.toml", MACHINE)])
+}
 
 impl Desk {
-    fn new() -> Self {
-        let desk = Self(tempfile::tempdir().expect("a writable folder for temporary files"));
-        desk.write("m.toml", MACHINE);
-        desk
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
-
-    fn write(&self, name: &str, content: impl AsRef<[u8]>) {
-        fs::write(self.path(name), content).expect("a writable folder");
-    }
-
-    fn read(&self, name: &str) -> String {
-        fs::read_to_string(self.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
-    }
-
-    fn trueup(&self, line: &str) -> Output {
-        Command::new(env!("CARGO_BIN_EXE_trueup"))
-            .args(line.split(' '))
-            .current_dir(self.0.path())
-            .output()
-            .expect("the tool was built for this test")
-    }
-
-    /// Standard output and standard error of a run that must end with `code`.
-    fn ended(&self, line: &str, code: i32) -> (String, String) {
-        let output = self.trueup(line);
-        let text = |bytes| String::from_utf8(bytes).expect("UTF-8");
-        let (out, err) = (text(output.stdout), text(output.stderr));
-        assert_eq!(output.status.code(), Some(code), "{line}: {out}{err}");
-        (out, err)
-    }
-
     fn machine(&self, name: &str) -> Machine {
         MachineFile::read(&self.path(name)).unwrap_or_else(|error| panic!("{error}"))
     }
 
     /// Root mean square of measured minus predicted of `quantity`, by the tool itself.
     fn predicted_rms(&self, machine: &str, run: &str, quantity: &str) -> f64 {
-        self.ended(&format!("predict --machine {machine} --run {run} -o predicted.csv"), 0);
+        self.said(&format!("predict --machine {machine} --run {run} -o predicted.csv"), 0);
         let run = RunFile::read(&self.path("predicted.csv")).expect("just written");
         let measured = run.require(&format!("measured_{quantity}_um")).expect("measured");
         let predicted = run.require(&format!("predicted_{quantity}_um")).expect("predicted");
@@ -99,22 +66,22 @@ fn noise(row: usize) -> f64 {
 
 #[test]
 fn elongation_by_the_sensor_goes_into_the_users_own_file() {
-    let desk = Desk::new();
+    let desk = desk();
     desk.write("run.csv", include_str!("../../../data/spindle_paper_table1.csv"));
     let line = "fit elongation --run run.csv --machine m.toml -o out.toml";
-    let (out, _) = desk.ended(line, 0);
+    let (out, _) = desk.said(line, 0);
     assert!(out.starts_with("elongation of measured_elongation_um: fitted\n"), "{out}");
     assert!(out.contains("15 rows used, 0 incomplete, 0 set aside\nwritten to out.toml"), "{out}");
-    assert!(desk.read("out.toml").starts_with(MACHINE), "{}", desk.read("out.toml"));
+    assert!(desk.text("out.toml").starts_with(MACHINE), "{}", desk.text("out.toml"));
     let rms = desk.predicted_rms("out.toml", "run.csv", "elongation");
-    let (json, _) = desk.ended(&format!("--json {line}"), 0);
+    let (json, _) = desk.said(&format!("--json {line}"), 0);
     assert!((rms - number(&json, "/in_sample/rms_um")).abs() < 1e-3 && rms < 0.84, "{rms}");
     assert!(number(&json, "/left_out/rms_um") < 0.95);
 }
 
 #[test]
 fn elongation_by_a_temperature_is_asked_for() {
-    let desk = Desk::new();
+    let desk = desk();
     let mut text = String::from("time_s,temp_a_c,temp_b_c,measured_elongation_um\n");
     for row in 0..200 {
         let warm = 20.0 + 15.0 * (1.0 - (-f64::from(row) / 60.0).exp());
@@ -122,13 +89,13 @@ fn elongation_by_a_temperature_is_asked_for() {
         writeln!(text, "{},{warm},{},{y}", 60 * row, 20 + row % 3).expect("a string");
     }
     desk.write("run.csv", text);
-    let (_, err) = desk.ended("fit elongation --run run.csv -o out.toml", 2);
+    let (_, err) = desk.said("fit elongation --run run.csv -o out.toml", 2);
     assert_eq!(
         err,
         "run.csv:1:1: which temperature explains it must be said (--temperature): there are \
          temp_a_c, temp_b_c\n"
     );
-    desk.ended(
+    desk.said(
         "fit elongation --run run.csv --machine m.toml --temperature temp_a_c -o out.toml",
         0,
     );
@@ -139,7 +106,7 @@ fn elongation_by_a_temperature_is_asked_for() {
 
 #[test]
 fn warmup_from_two_runs_at_two_speeds() {
-    let desk = Desk::new();
+    let desk = desk();
     for (name, rpm) in [("slow.csv", 12_000.0), ("fast.csv", 24_000.0)] {
         let mut text = String::from("time_s,spindle_rpm,measured_elongation_um\n");
         for row in 0..130 {
@@ -150,7 +117,7 @@ fn warmup_from_two_runs_at_two_speeds() {
         desk.write(name, text);
     }
     let line = "fit warmup --run slow.csv --run fast.csv --machine m.toml -o out.toml --json";
-    let (json, _) = desk.ended(line, 0);
+    let (json, _) = desk.said(line, 0);
     assert!((number(&json, "/parameters/speed_exponent/value") - 1.0).abs() < 0.02, "{json}");
     assert!((number(&json, "/parameters/time_constant_s/value") - 1500.0).abs() < 40.0, "{json}");
     for run in ["slow.csv", "fast.csv"] {
@@ -161,7 +128,7 @@ fn warmup_from_two_runs_at_two_speeds() {
 
 #[test]
 fn thermal_does_not_fit_what_other_sections_say_already() {
-    let desk = Desk::new();
+    let desk = desk();
     let other =
         "[axis.x.pitch]\nstart_mm = 0.0\nstep_mm = 500.0\nforward_um = [0.0, 30.0, -20.0]\n";
     desk.write("m.toml", format!("{MACHINE}{other}"));
@@ -174,14 +141,14 @@ fn thermal_does_not_fit_what_other_sections_say_already() {
         writeln!(text, "{},{x},{warm},{y}", 30 * row).expect("a string");
     }
     desk.write("run.csv", text);
-    desk.ended("fit thermal --run run.csv --machine m.toml -o out.toml", 0);
+    desk.said("fit thermal --run run.csv --machine m.toml -o out.toml", 0);
     let thermal = desk.machine("out.toml").axes[0].thermal.clone().expect("written");
     assert!((thermal.slope_um_per_m_per_c - 12.0).abs() < 0.1, "{thermal:?}");
     assert!((thermal.reference_c - 21.0).abs() < 0.1, "{thermal:?}");
     assert!(desk.predicted_rms("out.toml", "run.csv", "dx") < 0.25);
     // The machine file may be named twice.
-    desk.ended("fit thermal --run run.csv --machine m.toml -o m.toml", 0);
-    assert_eq!(desk.read("m.toml"), desk.read("out.toml"));
+    desk.said("fit thermal --run run.csv --machine m.toml -o m.toml", 0);
+    assert_eq!(desk.text("m.toml"), desk.text("out.toml"));
 }
 
 #[test]
@@ -190,14 +157,14 @@ fn pitch_and_backlash_of_real_axes() {
     else {
         return;
     };
-    let desk = Desk::new();
+    let desk = desk();
     desk.write("x.csv", fs::read(x).expect("readable"));
     desk.write("muts.csv", fs::read(muts).expect("readable"));
     let line = "fit pitch --run x.csv --machine m.toml --repeats 1,2,3 -o out.toml";
-    let (out, _) = desk.ended(line, 0);
+    let (out, _) = desk.said(line, 0);
     println!("{out}");
     // The repeats 4 and 5, which were not fitted.
-    let text = desk.read("x.csv");
+    let text = desk.text("x.csv");
     let unseen: Vec<&str> = text
         .lines()
         .filter(|line| line.starts_with("run") || line.starts_with("4,") || line.starts_with("5,"))
@@ -206,11 +173,11 @@ fn pitch_and_backlash_of_real_axes() {
     let rms = desk.predicted_rms("out.toml", "unseen.csv", "dx");
     println!("x, on repeats that were not fitted: {rms:.2} um RMS");
     assert!(rms < 5.5, "{rms}");
-    let (out, _) = desk.ended("fit backlash --run x.csv --machine m.toml -o lash.toml", 0);
+    let (out, _) = desk.said("fit backlash --run x.csv --machine m.toml -o lash.toml", 0);
     println!("{out}");
     let width = desk.machine("lash.toml").axes[0].backlash.expect("written").width_um;
     assert!((-30.0..-20.0).contains(&width), "{width}");
-    let (out, _) = desk.ended("fit pitch --run muts.csv --machine m.toml -o none.toml", 3);
+    let (out, _) = desk.said("fit pitch --run muts.csv --machine m.toml -o none.toml", 3);
     assert!(out.starts_with("pitch of measured_dx_um: do not compensate\n"), "{out}");
     assert!(out.ends_with("nothing is written\n") && !desk.path("none.toml").exists(), "{out}");
 }
@@ -232,21 +199,21 @@ fn straightness_of_a_real_bed() {
         let text = if column % 2 == 0 { &mut even } else { &mut odd };
         writeln!(text, "{},{}", 30.0 + 2.9 * column as f64, height(column)).expect("a string");
     }
-    let desk = Desk::new();
+    let desk = desk();
     desk.write("even.csv", even);
     desk.write("odd.csv", odd);
     let (json, _) =
-        desk.ended("fit straightness --run even.csv --machine m.toml -o out.toml --json", 0);
+        desk.said("fit straightness --run even.csv --machine m.toml -o out.toml --json", 0);
     let coefficients = number(&json, "/facts/coefficients");
     let rms = desk.predicted_rms("out.toml", "odd.csv", "dz");
     println!("bed: {coefficients} coefficients, on the odd points {rms:.3} um RMS");
     assert!(rms < 0.8 && coefficients < 40.0, "{coefficients}: {rms}");
     // A tolerance below the noise is not reached, and that is said.
     let line = "fit straightness --run even.csv --tolerance-um 0.001 -o tight.toml";
-    let (out, _) = desk.ended(line, 3);
+    let (out, _) = desk.said(line, 3);
     assert!(out.contains("not reached: the largest residual is "), "{out}");
     let (json, _) =
-        desk.ended("fit straightness --run even.csv --tolerance-um 5 -o loose.toml --json", 0);
+        desk.said("fit straightness --run even.csv --tolerance-um 5 -o loose.toml --json", 0);
     assert!(
         number(&json, "/in_sample/max_um") <= 5.0 && number(&json, "/facts/coefficients") < 9.0
     );
@@ -254,10 +221,10 @@ fn straightness_of_a_real_bed() {
 
 #[test]
 fn without_a_machine_file_the_section_alone_is_written() {
-    let desk = Desk::new();
+    let desk = desk();
     desk.write("run.csv", include_str!("../../../data/spindle_paper_table1.csv"));
-    desk.ended("fit elongation --run run.csv -o section.toml", 0);
-    let section = desk.read("section.toml");
+    desk.said("fit elongation --run run.csv -o section.toml", 0);
+    let section = desk.text("section.toml");
     assert!(section.contains("\n[spindle.sensor]\nk0_um = "), "{section}");
     desk.write("whole.toml", format!("{MACHINE}[spindle]\nsource = \"sensor\"\n{section}"));
     assert!(desk.machine("whole.toml").spindle.sensor.is_some());
@@ -265,7 +232,7 @@ fn without_a_machine_file_the_section_alone_is_written() {
 
 #[test]
 fn bad_input_ends_with_2_and_one_line_and_writes_nothing() {
-    let desk = Desk::new();
+    let desk = desk();
     desk.write("two.csv", "x_mm,temp_a_c,measured_dx_um,measured_dy_um\n0,20,1,2\n");
     desk.write("one.csv", "sensor_counts,measured_elongation_um\n1,2\n");
     desk.write("bad.toml", "[machine]\nnam = \"x\"\n");
@@ -297,7 +264,7 @@ fn bad_input_ends_with_2_and_one_line_and_writes_nothing() {
              measured_elongation_um\n",
         ),
     ] {
-        let (out, err) = desk.ended(line, 2);
+        let (out, err) = desk.said(line, 2);
         assert_eq!((out.as_str(), err.as_str()), ("", expected), "{line}");
         assert!(!desk.path("out.toml").exists(), "{line}");
     }

@@ -1,35 +1,18 @@
 //! `trueup simulate` as a user runs it, and the twin's challenges against the host's own model.
 
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+mod desk;
 
-use tempfile::TempDir;
+use std::path::Path;
+
+use desk::Desk;
 use trueup_machine::{MachineFile, RunFile, predict::Predictor};
 use trueup_twin::hidden::{Challenge, Hidden, draw};
 
 const WARMUP: &str = include_str!("../../../data/scenario-warmup.toml");
 const AXIS: &str = include_str!("../../../data/scenario-axis.toml");
 
-fn desk() -> TempDir {
-    let desk = tempfile::tempdir().expect("a writable folder for temporary files");
-    fs::write(desk.path().join("warmup.toml"), WARMUP).expect("a writable folder");
-    fs::write(desk.path().join("axis.toml"), AXIS).expect("a writable folder");
-    desk
-}
-
-fn trueup(desk: &TempDir, line: &str) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_trueup"))
-        .args(line.split(' '))
-        .current_dir(desk.path())
-        .output()
-        .expect("the tool was built for this test")
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8(bytes.to_vec()).expect("text")
+fn desk() -> Desk {
+    Desk::new(&[("warmup.toml", WARMUP), ("axis.toml", AXIS)])
 }
 
 #[test]
@@ -39,27 +22,25 @@ fn simulate_writes_a_run_file_that_repeats_by_its_seed() {
         ("simulate --scenario warmup.toml --seed 7 -o a.csv", 976, "measured_elongation_um"),
         ("simulate --scenario axis.toml --seed 7 -o a.csv", 12 * (9 + 30), "measured_dy_um"),
     ] {
-        let output = trueup(&desk, line);
-        let printed = text(&output.stdout);
-        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        let (printed, _) = desk.said(line, 0);
         assert!(printed.starts_with(&format!("a.csv: {rows} rows of time_s, run, ")), "{printed}");
-        let run = RunFile::read(&desk.path().join("a.csv")).expect("it is a run file");
+        let run = RunFile::read(&desk.path("a.csv")).expect("it is a run file");
         assert_eq!(run.rows(), rows);
         assert!(run.column(named).is_some_and(|column| column.iter().any(|um| um.abs() > 1.0)));
 
-        let first = fs::read(desk.path().join("a.csv")).expect("it was written");
-        trueup(&desk, &line.replace("a.csv", "b.csv"));
-        assert!(first == fs::read(desk.path().join("b.csv")).expect("it was written"));
-        trueup(&desk, &line.replace("--seed 7", "--seed 8").replace("a.csv", "b.csv"));
-        assert!(first != fs::read(desk.path().join("b.csv")).expect("it was written"));
+        let first = desk.read("a.csv");
+        desk.said(&line.replace("a.csv", "b.csv"), 0);
+        assert!(first == desk.read("b.csv"));
+        desk.said(&line.replace("--seed 7", "--seed 8").replace("a.csv", "b.csv"), 0);
+        assert!(first != desk.read("b.csv"));
     }
 }
 
 #[test]
 fn simulate_prints_json_if_asked() {
     let desk = desk();
-    let output = trueup(&desk, "simulate --json --scenario axis.toml --seed 1 -o run.csv");
-    let told: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let (out, _) = desk.said("simulate --json --scenario axis.toml --seed 1 -o run.csv", 0);
+    let told: serde_json::Value = serde_json::from_str(&out).expect("JSON");
     assert_eq!(told["rows"], 468);
     assert_eq!(told["scenario"], "an axis through heat-up");
     assert_eq!(told["columns"][0], "time_s");
@@ -70,20 +51,20 @@ fn what_is_wrong_with_a_scenario_is_told_with_its_place_and_nothing_is_written()
     let desk = desk();
     let wrong = WARMUP.replace("gain = 0.85", "gian = 0.85");
     let line = wrong.lines().position(|line| line.starts_with("gian")).expect("there") + 1;
-    fs::write(desk.path().join("wrong.toml"), wrong).expect("a writable folder");
-    let before = fs::read_dir(desk.path()).expect("readable").count();
+    desk.write("wrong.toml", wrong);
+    let before = desk.files(".");
     for (scenario, complaint) in [
         ("wrong.toml", format!("wrong.toml:{line}:1: unknown field `gian`")),
         ("nowhere.toml", "nowhere.toml:1:1: cannot be read".to_string()),
     ] {
-        let output = trueup(&desk, &format!("simulate --scenario {scenario} --seed 1 -o run.csv"));
-        let told = text(&output.stderr);
-        assert_eq!((output.status.code(), output.stdout.len()), (Some(2), 0), "{told}");
+        let (out, told) =
+            desk.said(&format!("simulate --scenario {scenario} --seed 1 -o run.csv"), 2);
+        assert_eq!(out, "", "{told}");
         assert!(told.starts_with(&complaint) && told.lines().count() == 1, "{told}");
     }
-    let output = trueup(&desk, "simulate --scenario axis.toml --seed 1 -o axis.toml");
-    assert_eq!(output.status.code(), Some(2), "a scenario is not written over");
-    assert_eq!(fs::read_dir(desk.path()).expect("readable").count(), before);
+    desk.said("simulate --scenario axis.toml --seed 1 -o axis.toml", 2);
+    assert_eq!(desk.text("axis.toml"), AXIS, "a scenario is not written over");
+    assert_eq!(desk.files("."), before);
 }
 
 /// The largest difference between what the twin and the host's model make of a machine file.

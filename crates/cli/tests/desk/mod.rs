@@ -1,0 +1,73 @@
+//! A temporary folder with files in which `trueup` is run as a user runs it: by the words of a line,
+//! with what it prints, leaves there and ends with. Files are named as the user names them, so that no
+//! test depends on where the folder lies, and a run that ends with another code than the test says
+//! fails with all that it has printed.
+#![allow(dead_code, reason = "each test uses its share")]
+
+use std::{
+    fs,
+    path::PathBuf,
+    process::{Command, Output},
+};
+
+use tempfile::TempDir;
+
+/// The folder; it goes with the test.
+pub struct Desk(TempDir);
+
+impl Desk {
+    /// A folder with these files: name and content.
+    pub fn new(files: &[(&str, &str)]) -> Self {
+        let desk = Self(tempfile::tempdir().expect("a writable folder for temporary files"));
+        for (name, content) in files {
+            desk.write(name, content);
+        }
+        desk
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    pub fn write(&self, name: &str, content: impl AsRef<[u8]>) {
+        fs::write(self.path(name), content).unwrap_or_else(|error| panic!("{name}: {error}"));
+    }
+
+    pub fn read(&self, name: &str) -> Vec<u8> {
+        fs::read(self.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
+    }
+
+    /// The same of a file that must be UTF-8.
+    pub fn text(&self, name: &str) -> String {
+        fs::read_to_string(self.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
+    }
+
+    /// The names in a folder of this one (`.`: itself), sorted.
+    pub fn files(&self, folder: &str) -> Vec<String> {
+        let entries = fs::read_dir(self.path(folder)).expect("a readable folder");
+        let name = |entry: fs::DirEntry| entry.file_name().to_string_lossy().into_owned();
+        let mut names: Vec<_> = entries.map(|entry| name(entry.expect("readable"))).collect();
+        names.sort();
+        names
+    }
+
+    /// Runs the tool in this folder with the words of `line`, each parted by one space.
+    pub fn trueup(&self, line: &str) -> Output {
+        Command::new(env!("CARGO_BIN_EXE_trueup"))
+            .args(line.split(' '))
+            .current_dir(self.0.path())
+            // A LinuxCNC that has started the tests would give its own.
+            .env_remove("INI_FILE_NAME")
+            .output()
+            .expect("the tool was built for this test")
+    }
+
+    /// Standard output and standard error of a run that must end with `code`.
+    pub fn said(&self, line: &str, code: i32) -> (String, String) {
+        let output = self.trueup(line);
+        let text = |bytes| String::from_utf8(bytes).expect("the tool prints UTF-8");
+        let (out, err) = (text(output.stdout), text(output.stderr));
+        assert_eq!(output.status.code(), Some(code), "{line}: {out}{err}");
+        (out, err)
+    }
+}
