@@ -52,6 +52,11 @@ impl Folds {
         Self { of_group, count: count_folds, what, block, blocks }
     }
 
+    /// Whether each fold is a record of its own.
+    pub(crate) fn are_records(&self) -> bool {
+        matches!(self.what, "files" | "runs")
+    }
+
     /// What `model`, fitted to the others, leaves in each group, each fold left out in turn.
     pub(crate) fn left_out(&self, problem: &Problem, model: &Model) -> Vec<f64> {
         self.left_out_with_models(problem, model).0

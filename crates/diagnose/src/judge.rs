@@ -4,8 +4,9 @@
 //!
 //! ```text
 //! no other cause in its place scores within 6 (BIC)           else: the two cannot be told apart
-//! its time constant is known or short, what is left out is     else: not yet identified
-//! foreseen, and a slow path was seen more than once
+//! whole records that were left out are foreseen as if fitted    else: not yet identified
+//! to; or its time constant is known or short, what is left
+//! out is foreseen, and a slow path was seen more than once
 //! no curve in its place explains clearly more                 else: something goes with its inputs,
 //!                                                             but by another law
 //! ```
@@ -44,6 +45,9 @@ const EXPLAINS: f64 = 0.9;
 /// A model that is identified leaves about as much where it was not fitted as where it was: twice as
 /// much is four times the squares.
 const FORESEES: f64 = 2.0;
+/// What leaves at most a tenth more in whole records that it was not fitted to has been seen again
+/// there, however wide the intervals of its constants are.
+const FORESEEN: f64 = 1.1;
 
 /// What was judged about one term.
 pub(crate) struct Judged {
@@ -224,10 +228,12 @@ pub(crate) fn judge(problem: &Problem, found: &Found, own: &Own, added: &Added) 
     // alone is excepted: without the start it cannot be.
     let foresees = left_out <= FORESEES * found.fitted.rms();
     let is_late = kind.has_time_constant() && *kind != Kind::SlowMode;
-    let is_determined = is_known
-        && is_steady(problem, kind, &own.folded)
-        && (foresees || !is_late)
-        && is_seen_again(data, kind);
+    let is_foreseen = found.folds.are_records() && left_out <= FORESEEN * found.fitted.rms();
+    let is_determined = is_foreseen
+        || is_known
+            && is_steady(problem, kind, &own.folded)
+            && (foresees || !is_late)
+            && is_seen_again(data, kind);
     let other_law =
         without.as_ref().and_then(|without| other_law(problem, found, own, kind, &curves, without));
     // The same cause by another column is a question of where, not of what.
