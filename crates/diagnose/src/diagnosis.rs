@@ -8,6 +8,7 @@ use trueup_machine::{BadInput, Machine, RunFile, machine_file::Quantity};
 use crate::{
     blocks::rms,
     candidates::structure,
+    cores::on_all_cores,
     data::{Data, Groups, quantity_of},
     fit::{Fitted, Problem, fit},
     judge::{Judged, Own, column, is_compensated, judge, outlier_finding},
@@ -148,8 +149,9 @@ fn conclude(
 ) -> Diagnosis {
     let believed = Model::default().predict(&data);
     let own = Own::of(&problem, &found);
-    let mut judged: Vec<Judged> =
-        found.added.iter().filter_map(|added| judge(&problem, &found, &own, added)).collect();
+    let is_large = problem.is_large();
+    let judged = on_all_cores(&found.added, is_large, |added| judge(&problem, &found, &own, added));
+    let mut judged: Vec<Judged> = judged.into_iter().flatten().collect();
     // Terms that are not kept leave, and the others are fitted again without them.
     let mut kept = found.fitted.clone();
     if judged.iter().any(|it| !it.is_kept) {

@@ -5,6 +5,7 @@ use crate::{
     blocks::{Folds, rms},
     candidates::possible,
     choose::AS_WELL,
+    cores::on_all_cores,
     fit::{Fitted, Problem, fit},
     model::{Kind, Part},
     scan::{Draw, scan},
@@ -315,8 +316,10 @@ pub(crate) fn look_ahead(problem: &Problem, fitted: &mut Fitted, added: &mut Vec
     let own = score(problem, fitted);
     let folds = Folds::new(problem, independent(problem, &fitted.residual, 0).0.memory);
     let left = rms(&folds.left_out(problem, &fitted.model));
-    let mut best: Option<(f64, usize, Kind, Kind, Fitted)> = None;
-    for (index, there) in added.iter().enumerate() {
+    let terms: Vec<usize> = (0..added.len()).collect();
+    let of = |&index: &usize| -> Option<(f64, usize, Kind, Kind, Fitted)> {
+        let there = &added[index];
+        let mut best: Option<(f64, usize, Kind, Kind, Fitted)> = None;
         for (with, rival) in in_its_place(problem, fitted, &there.kind, 4) {
             // Two of what is farther away are no better than one of what is near.
             let Some(with) = with.filter(|with| with.tier() <= there.kind.tier()) else {
@@ -335,7 +338,12 @@ pub(crate) fn look_ahead(problem: &Problem, fitted: &mut Fitted, added: &mut Vec
                 }
             }
         }
-    }
+        best
+    };
+    let best = on_all_cores(&terms, problem.is_large(), of)
+        .into_iter()
+        .flatten()
+        .min_by(|a, b| a.0.total_cmp(&b.0));
     let Some((_, index, first, second, pair)) = best else { return false };
     let after = rms(&folds.left_out(problem, &pair.model));
     if after >= left {

@@ -57,6 +57,8 @@ pub(crate) struct Whitener {
     decay: Vec<f64>,
     gain: Vec<f64>,
     scale: Vec<f64>,
+    /// Nothing is changed.
+    is_white: bool,
     /// ln det of the covariance at variance 1.
     pub log_det: f64,
 }
@@ -68,6 +70,7 @@ impl Whitener {
             decay: Vec::with_capacity(rows),
             gain: Vec::with_capacity(rows),
             scale: Vec::with_capacity(rows),
+            is_white: noise == Noise::WHITE,
             log_det: 0.0,
         };
         let stationary = 1.0 - noise.white;
@@ -117,6 +120,9 @@ impl Whitener {
     ) -> Vec<Vec<f64>> {
         const LANES: usize = 4;
         let columns: Vec<&Vec<f64>> = columns.into_iter().collect();
+        if self.is_white {
+            return columns.into_iter().cloned().collect();
+        }
         let mut all = Vec::with_capacity(columns.len());
         let chunks = columns.chunks_exact(LANES);
         let rest = chunks.remainder();

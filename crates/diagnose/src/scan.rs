@@ -263,7 +263,7 @@ fn gumbel_limit(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// Columns of one trial's matrix at a time, so that they stay in the cache.
-const COLUMNS_AT_ONCE: usize = 64;
+const COLUMNS_AT_ONCE: usize = 16;
 /// What is left of a column's squares beside others, below which it is a combination of them.
 const DEPENDENT: f64 = 1e-11;
 
@@ -373,8 +373,12 @@ impl Projector {
     /// The gain of each trial on each list.
     fn gains(&self, whitener: &Whitener, trials: &[Trial]) -> Vec<Vec<f64>> {
         let columns = trials.iter().flat_map(|trial| &trial.columns);
-        let white = matrix(&whitener.apply_all(columns));
-        let turned = white.transpose();
+        let white = whitener.apply_all(columns);
+        let turned = DMatrix::from_row_iterator(
+            white.len(),
+            self.right.nrows(),
+            white.iter().flatten().copied(),
+        );
         let products = &turned * &self.right;
         let mut first = 0;
         trials
@@ -386,7 +390,8 @@ impl Projector {
                 let in_basis = products.view((rows.start, 0), (count, self.basis));
                 let on_lists =
                     products.columns_range(self.basis..).rows_range(rows.clone()).into_owned();
-                let squares = turned.rows_range(rows.clone()) * white.columns_range(rows);
+                let own = turned.rows_range(rows);
+                let squares = own * own.transpose();
                 let whole = squares.diagonal();
                 let beside = squares - in_basis * in_basis.transpose();
                 if trial.is_fixed {

@@ -32,6 +32,8 @@ use crate::{
 
 /// Most frequencies that are looked at.
 const MOST_FREQUENCIES: usize = 8000;
+/// Frequencies that are worth a core of its own.
+const FREQUENCIES_AT_ONCE: usize = 1000;
 
 pub(crate) fn candidates(problem: &Problem, model: &Model, residual: &[f64]) -> Vec<Candidate> {
     let data = &problem.data;
@@ -141,7 +143,36 @@ fn spectrum(at: &[f64], values: &[f64], least_turns: f64, most: usize) -> Option
         return None;
     }
     let mean = values.iter().sum::<f64>() / values.len() as f64;
-    let mut sums = vec![[0.0_f64; 2]; count];
+    let all: Vec<usize> = (0..count).collect();
+    let ranges: Vec<&[usize]> = all.chunks(FREQUENCIES_AT_ONCE).collect();
+    let is_worth = count * at.len() > 1_000_000;
+    let sums: Vec<[f64; 2]> = on_all_cores(&ranges, is_worth, |range| {
+        waves(at, values, [low, mean], first + step * range[0] as f64, step, range.len())
+    })
+    .concat();
+    let power = |sum: &[f64; 2]| sum[0] * sum[0] + sum[1] * sum[1];
+    let (best, sum) = sums.iter().enumerate().max_by(|a, b| power(a.1).total_cmp(&power(b.1)))?;
+    // Between the grid's points the peak is where a parabola through three of them has its top.
+    let around = |n: usize| sums.get(n).map_or(0.0, power).sqrt();
+    let (before, here, after) =
+        (if best > 0 { around(best - 1) } else { 0.0 }, around(best), around(best + 1));
+    let bend = before - 2.0 * here + after;
+    let offset = if bend < 0.0 { 0.5 * (before - after) / bend } else { 0.0 };
+    let frequency = first + step * (best as f64 + offset.clamp(-0.5, 0.5));
+    Some((power(sum), frequency, count as f64 / 4.0 + 1.0))
+}
+
+/// Σ r·sin and Σ r·cos at `count` frequencies from `first` on, of values less `mean` over positions from
+/// `low` on.
+fn waves(
+    at: &[f64],
+    values: &[f64],
+    [low, mean]: [f64; 2],
+    first: f64,
+    step: f64,
+    count: usize,
+) -> Vec<[f64; 2]> {
+    let mut sums = vec![[0.0; 2]; count];
     // Several rows side by side: each turn waits for the one before it.
     const LANES: usize = 8;
     for (at, values) in at.chunks(LANES).zip(values.chunks(LANES)) {
@@ -173,16 +204,7 @@ fn spectrum(at: &[f64], values: &[f64], least_turns: f64, most: usize) -> Option
             sum[1] += by_cos;
         }
     }
-    let power = |sum: &[f64; 2]| sum[0] * sum[0] + sum[1] * sum[1];
-    let (best, sum) = sums.iter().enumerate().max_by(|a, b| power(a.1).total_cmp(&power(b.1)))?;
-    // Between the grid's points the peak is where a parabola through three of them has its top.
-    let around = |n: usize| sums.get(n).map_or(0.0, power).sqrt();
-    let (before, here, after) =
-        (if best > 0 { around(best - 1) } else { 0.0 }, around(best), around(best + 1));
-    let bend = before - 2.0 * here + after;
-    let offset = if bend < 0.0 { 0.5 * (before - after) / bend } else { 0.0 };
-    let frequency = first + step * (best as f64 + offset.clamp(-0.5, 0.5));
-    Some((power(sum), frequency, count as f64 / 4.0 + 1.0))
+    sums
 }
 
 /// C and P₀ of the best wave over 1/(P + P₀).
