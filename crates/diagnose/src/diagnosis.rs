@@ -11,7 +11,10 @@ use crate::{
     cores::on_all_cores,
     data::{Data, Groups, quantity_of},
     fit::{Fitted, Problem, fit},
-    judge::{Judged, Own, column, is_compensated, judge, outlier_finding},
+    judge::{
+        Judged, Own, column, doubt_what_stands_beside_another_law, is_compensated, judge,
+        outlier_finding,
+    },
     model::Model,
     noise::Chance,
     outliers,
@@ -152,6 +155,7 @@ fn conclude(
     let is_large = problem.is_large();
     let judged = on_all_cores(&found.added, is_large, |added| judge(&problem, &found, &own, added));
     let mut judged: Vec<Judged> = judged.into_iter().flatten().collect();
+    doubt_what_stands_beside_another_law(&problem, &found, &mut judged);
     // Terms that are not kept leave, and the others are fitted again without them.
     let mut kept = found.fitted.clone();
     if judged.iter().any(|it| !it.is_kept) {

@@ -9,6 +9,7 @@
 //! out is foreseen, and a slow path was seen more than once
 //! no curve in its place explains clearly more                 else: something goes with its inputs,
 //!                                                             but by another law
+//! it is still needed with a curve in the place of such a term else: it makes up for that term
 //! ```
 //!
 //! A rival that can imitate the term and needs more values for it is no rival: it says the same and
@@ -323,6 +324,40 @@ pub(crate) fn judge(problem: &Problem, found: &Found, own: &Own, added: &Added) 
         next_test,
     };
     Some(Judged { finding, kind: Some(kind.clone()), is_kept, other_law })
+}
+
+/// Takes back the claims that only hold beside a term which stands for another law: what makes up for
+/// the difference between the two is no cause either. Each must still be needed with whatever law there
+/// is in the place of those terms.
+pub(crate) fn doubt_what_stands_beside_another_law(
+    problem: &Problem,
+    found: &Found,
+    judged: &mut [Judged],
+) {
+    let is_doubtful = |kind: &Kind| {
+        judged.iter().any(|it| it.other_law.is_some() && it.kind.as_ref() == Some(kind))
+    };
+    let mut sound = found.fitted.model.clone();
+    sound.parts.retain(|part| !is_doubtful(&part.kind));
+    if sound.parts.len() == found.fitted.model.parts.len() {
+        return;
+    }
+    for it in judged.iter_mut().filter(|it| it.finding.claimed) {
+        let Some(kind) = &it.kind else { continue };
+        let curves = other_curves(problem, kind);
+        let score = |model: &Model| {
+            search::score(problem, &with_structure(problem, &curves, &fit(problem, model, None)))
+        };
+        let mut without = sound.clone();
+        without.parts.retain(|part| part.kind != *kind);
+        if score(&without) <= score(&sound) + TIE {
+            it.finding.claimed = false;
+            it.finding.confidence = it.finding.confidence.min(0.5);
+            it.finding
+                .evidence
+                .push("It is only needed beside a term that stands for another law.".into());
+        }
+    }
 }
 
 /// Whether a slow path of a column was seen more than once: over one heating and one cooling, whatever
