@@ -1,5 +1,7 @@
 //! Small least-squares problems, dense and without surprises: columns scaled, then Cholesky.
 
+use nalgebra::DMatrix;
+
 /// Coefficients of a least-squares fit, and the inverse of its normal matrix.
 #[derive(Clone, Debug)]
 pub(crate) struct Solution {
@@ -44,39 +46,25 @@ pub(crate) fn solve(
             if norm > 0.0 { norm.recip() } else { 0.0 }
         })
         .collect();
-    let mut normal = vec![vec![0.0; count]; count];
+    let mut normal = DMatrix::zeros(count, count);
     let mut right = vec![0.0; count];
     for i in 0..count {
         for j in 0..=i {
             let value = product(&columns[i], &columns[j]) * scale[i] * scale[j];
-            normal[i][j] = value;
-            normal[j][i] = value;
+            normal[(i, j)] = value;
         }
         right[i] = product(&columns[i], target) * scale[i];
     }
-    for (i, row) in normal.iter_mut().enumerate() {
-        row[i] += damping;
-    }
-    // Cholesky, with what depends on others left out.
-    const DEPENDENT: f64 = 1e-11;
-    let mut lower = vec![vec![0.0; count]; count];
     for i in 0..count {
-        for j in 0..i {
-            let sum: f64 = (0..j).map(|k| lower[i][k] * lower[j][k]).sum();
-            lower[i][j] = if lower[j][j] > 0.0 { (normal[i][j] - sum) / lower[j][j] } else { 0.0 };
-        }
-        let sum: f64 = (0..i).map(|k| lower[i][k] * lower[i][k]).sum();
-        let rest = normal[i][i] - sum;
-        lower[i][i] = if rest > DEPENDENT && scale[i] > 0.0 { rest.sqrt() } else { 0.0 };
+        normal[(i, i)] += damping;
     }
+    let whole: Vec<f64> = scale.iter().map(|&scale| if scale > 0.0 { 1.0 } else { 0.0 }).collect();
+    let lower = cholesky(normal, &whole);
     let back = |mut b: Vec<f64>| -> Vec<f64> {
-        for i in 0..count {
-            let sum: f64 = (0..i).map(|k| lower[i][k] * b[k]).sum();
-            b[i] = if lower[i][i] > 0.0 { (b[i] - sum) / lower[i][i] } else { 0.0 };
-        }
+        forward(&lower, &mut b);
         for i in (0..count).rev() {
-            let sum: f64 = (i + 1..count).map(|k| lower[k][i] * b[k]).sum();
-            b[i] = if lower[i][i] > 0.0 { (b[i] - sum) / lower[i][i] } else { 0.0 };
+            let sum: f64 = (i + 1..count).map(|k| lower[(k, i)] * b[k]).sum();
+            b[i] = if lower[(i, i)] > 0.0 { (b[i] - sum) / lower[(i, i)] } else { 0.0 };
         }
         b
     };
@@ -90,6 +78,32 @@ pub(crate) fn solve(
         })
         .collect();
     Solution { coefficients, inverse }
+}
+
+/// What is left of a column's squares beside others, below which it is a combination of them.
+const DEPENDENT: f64 = 1e-11;
+
+/// L of G = L·Lᵀ, from the lower half of G. A column that is a combination of those before it, measured
+/// by its `whole` squares, has a 0 on the diagonal and counts for nothing.
+pub(crate) fn cholesky(mut g: DMatrix<f64>, whole: &[f64]) -> DMatrix<f64> {
+    for i in 0..g.nrows() {
+        for j in 0..i {
+            let sum: f64 = (0..j).map(|k| g[(i, k)] * g[(j, k)]).sum();
+            g[(i, j)] = if g[(j, j)] > 0.0 { (g[(i, j)] - sum) / g[(j, j)] } else { 0.0 };
+        }
+        let sum: f64 = (0..i).map(|k| g[(i, k)] * g[(i, k)]).sum();
+        let rest = g[(i, i)] - sum;
+        g[(i, i)] = if whole[i] > 0.0 && rest > DEPENDENT * whole[i] { rest.sqrt() } else { 0.0 };
+    }
+    g
+}
+
+/// L⁻¹·b in the place of b.
+pub(crate) fn forward(lower: &DMatrix<f64>, b: &mut [f64]) {
+    for i in 0..b.len() {
+        let sum: f64 = (0..i).map(|k| lower[(i, k)] * b[k]).sum();
+        b[i] = if lower[(i, i)] > 0.0 { (b[i] - sum) / lower[(i, i)] } else { 0.0 };
+    }
 }
 
 /// Makes `vectors` orthonormal to each other; what vanishes is left out.

@@ -18,13 +18,13 @@
 //! distribution, whose upper quantile is the limit. So the false alarm rate is that of the whole
 //! search, not of one test, whatever the columns are and however they resemble each other.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 
 use crate::{
     candidates::Candidate,
     cores::on_all_cores,
     fit::{Problem, jacobian},
-    linear::{dot, orthonormal},
+    linear::{cholesky, dot, forward, orthonormal},
     model::{Model, Part},
     noise::{self, Chance, Noise, Whitener},
 };
@@ -264,8 +264,6 @@ fn gumbel_limit(values: impl Iterator<Item = f64>) -> f64 {
 
 /// Columns of one trial's matrix at a time, so that they stay in the cache.
 const COLUMNS_AT_ONCE: usize = 16;
-/// What is left of a column's squares beside others, below which it is a combination of them.
-const DEPENDENT: f64 = 1e-11;
 
 /// T and U of each trial on each of `lists`.
 fn statistics(
@@ -397,7 +395,7 @@ impl Projector {
                 if trial.is_fixed {
                     return on_lists.iter().map(|b| 2.0 * b - beside[(0, 0)]).collect();
                 }
-                explained(beside, &whole, on_lists)
+                explained(beside, whole.as_slice(), on_lists)
             })
             .collect()
     }
@@ -408,26 +406,13 @@ fn matrix(columns: &[Vec<f64>]) -> DMatrix<f64> {
     DMatrix::from_iterator(rows, columns.len(), columns.iter().flatten().copied())
 }
 
-/// bᵀ·G⁻¹·b for each column b, by Cholesky; a column of G that is a combination of those before it,
-/// measured by its `whole` squares, counts for nothing.
-fn explained(mut g: DMatrix<f64>, whole: &DVector<f64>, mut b: DMatrix<f64>) -> Vec<f64> {
-    let count = g.nrows();
-    for i in 0..count {
-        for j in 0..i {
-            let sum: f64 = (0..j).map(|k| g[(i, k)] * g[(j, k)]).sum();
-            g[(i, j)] = if g[(j, j)] > 0.0 { (g[(i, j)] - sum) / g[(j, j)] } else { 0.0 };
-        }
-        let sum: f64 = (0..i).map(|k| g[(i, k)].powi(2)).sum();
-        let rest = g[(i, i)] - sum;
-        g[(i, i)] = if rest > DEPENDENT * whole[i] { rest.sqrt() } else { 0.0 };
-    }
-    b.column_iter_mut()
-        .map(|mut b| {
-            for i in 0..count {
-                let sum: f64 = (0..i).map(|k| g[(i, k)] * b[k]).sum();
-                b[i] = if g[(i, i)] > 0.0 { (b[i] - sum) / g[(i, i)] } else { 0.0 };
-            }
-            b.norm_squared()
-        })
-        .collect()
+/// bᵀ·G⁻¹·b for each column b.
+fn explained(g: DMatrix<f64>, whole: &[f64], mut b: DMatrix<f64>) -> Vec<f64> {
+    let lower = cholesky(g, whole);
+    let count = b.nrows();
+    let column = |b: &mut [f64]| {
+        forward(&lower, b);
+        dot(b, b)
+    };
+    b.as_mut_slice().chunks_exact_mut(count).map(column).collect()
 }
