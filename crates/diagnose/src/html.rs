@@ -153,6 +153,26 @@ fn pictures(diagnosis: &Diagnosis, out: &mut String) {
     ));
 }
 
+/// A value of a cause for people: numbers to so many decimals, a list or a table as lines that wrap.
+fn readable(value: &serde_json::Value, decimals: usize) -> String {
+    use serde_json::Value;
+    match value {
+        Value::Null => String::new(),
+        Value::Number(number) => format!("{:.decimals$}", number.as_f64().unwrap_or(f64::NAN)),
+        Value::Array(items) => {
+            let between = if items.iter().any(Value::is_object) { "<br>" } else { ", " };
+            items.iter().map(|item| readable(item, 3)).collect::<Vec<_>>().join(between)
+        }
+        Value::Object(members) => {
+            let known = members.iter().filter(|(_, value)| !value.is_null());
+            let named = known.map(|(name, it)| format!("{}: {}", escaped(name), readable(it, 3)));
+            named.collect::<Vec<_>>().join("<br>")
+        }
+        Value::String(text) => escaped(text),
+        Value::Bool(_) => value.to_string(),
+    }
+}
+
 /// What the pictures are over: time, else the position, else the row.
 fn main_axis(data: &Data) -> (String, Vec<f64>) {
     let moving = data.own_position().filter(|_| data.run.is_some() || data.time_s.is_none());
@@ -229,7 +249,7 @@ fn cause(finding: &Finding, out: &mut String) {
         let _ = writeln!(
             out,
             "<tr><td>{name}</td><td>{}</td><td>{interval}</td></tr>",
-            escaped(&number(value))
+            readable(value, 5)
         );
     }
     let gain = &finding.gain;
