@@ -6,7 +6,7 @@ use crate::{
     fit::{Fitted, Problem},
     model::Kind,
     scan::{Draw, Hit, scan},
-    search::{Gain, TIE, Tried, degrees, fitted_hits, independent, name, score},
+    search::{Gain, TIE, Tried, degrees, fitted_hits, independent, score},
 };
 
 /// Those of the fitted candidates that are tried on left-out blocks.
@@ -56,7 +56,7 @@ pub(crate) fn choose(
     let mut all: Vec<Choice> = options
         .into_iter()
         .map(|(score, hit, fitted)| {
-            progress(name(&hit.part.kind), f64::NAN);
+            progress(hit.part.kind.name(), f64::NAN);
             let left = folds.left_out(problem, &fitted.model);
             let mut reduction = folds.reduction(&left_before, &left);
             reduction.2 &= rms(&left_before) - rms(&left) > worth_um;

@@ -11,17 +11,14 @@ use crate::{
     cores::on_all_cores,
     data::{Data, Groups, quantity_of},
     fit::{Fitted, Problem, fit},
-    judge::{
-        Judged, Own, column, doubt_what_stands_beside_another_law, is_compensated, judge,
-        outlier_finding,
-    },
+    judge::{Judged, Own, doubt_what_stands_beside_another_law, judge, outlier_finding},
     model::Model,
     noise::Chance,
     outliers,
     parameters::step_s,
     repeats,
     report::{After, Before, Rejected, Report, Verdict},
-    search::{self, Found, name},
+    search::{self, Found},
     terms,
 };
 
@@ -212,8 +209,8 @@ fn conclude(
         .rejected
         .iter()
         .map(|tried| Rejected {
-            cause: name(&tried.kind).into(),
-            column: column(&tried.kind),
+            cause: tried.kind.name().into(),
+            column: tried.kind.column(),
             reason: tried.why_not.clone(),
             rms_um: tried.rms_um,
             left_out_um: (tried.left_out_um > 0.0).then_some(tried.left_out_um),
@@ -262,7 +259,7 @@ fn within(data: &Data, problem: &Problem, predicted: &[f64], aside: &[bool]) -> 
 /// The model as the board runs it: without what only happened once, and what is not the machine's.
 fn compensated(model: &Model) -> Model {
     let mut compensated = model.clone();
-    compensated.parts.retain(|part| is_compensated(&part.kind));
+    compensated.parts.retain(|part| part.kind.is_compensated());
     if compensated.parts.is_empty() { Model::default() } else { compensated }
 }
 

@@ -34,9 +34,7 @@ use crate::{
     model::{Kind, Model, Scale},
     parameters::parameters,
     report::{Finding, Gain, Rival},
-    search::{
-        self, Added, Found, TIE, degrees, in_its_place, name, structure_in_place, with_structure,
-    },
+    search::{self, Added, Found, TIE, degrees, in_its_place, structure_in_place, with_structure},
     words,
 };
 
@@ -59,10 +57,6 @@ pub(crate) struct Judged {
     pub is_kept: bool,
     /// What it goes with, where no cause explains it.
     pub other_law: Option<String>,
-}
-
-pub(crate) fn is_compensated(kind: &Kind) -> bool {
-    !matches!(kind, Kind::Drift | Kind::Step | Kind::TimeShift | Kind::ReferenceInstrument { .. })
 }
 
 /// What is the same for all terms of a model.
@@ -94,7 +88,7 @@ fn rivals(
             without = Some(fitted);
             continue;
         };
-        if name(&with) == name(kind) && column(&with) == column(kind) {
+        if with.name() == kind.name() && with.column() == kind.column() {
             continue;
         }
         let mut gap = search::gap(problem, &found.fitted, &fitted);
@@ -103,7 +97,7 @@ fn rivals(
         if gap < TIE && left_out_um() > AS_WELL * own.left_out_um {
             gap = TIE;
         }
-        let rival = Rival { cause: name(&with).into(), column: column(&with), score_gap: gap };
+        let rival = Rival { cause: with.name().into(), column: with.column(), score_gap: gap };
         match all
             .iter_mut()
             .find(|(there, ..)| there.cause == rival.cause && there.column == rival.column)
@@ -240,7 +234,7 @@ pub(crate) fn judge(problem: &Problem, found: &Found, own: &Own, added: &Added) 
     // The same cause by another column is a question of where, not of what.
     let open: Vec<&(Rival, Fitted)> = rivals
         .iter()
-        .filter(|(rival, _)| rival.cause != name(kind) && rival.score_gap < TIE)
+        .filter(|(rival, _)| rival.cause != kind.name() && rival.score_gap < TIE)
         .collect();
     let here = found.fitted.model.predict(data);
     let left = found.fitted.rms();
@@ -264,7 +258,7 @@ pub(crate) fn judge(problem: &Problem, found: &Found, own: &Own, added: &Added) 
     let is_kept = open.is_empty() || alike;
     let gap = rivals
         .iter()
-        .filter(|(rival, _)| rival.cause != name(kind))
+        .filter(|(rival, _)| rival.cause != kind.name())
         .map(|(rival, _)| rival.score_gap)
         .fold(f64::INFINITY, f64::min);
     let best_other = open.first().map(|(rival, _)| rival.cause.clone());
@@ -311,10 +305,10 @@ pub(crate) fn judge(problem: &Problem, found: &Found, own: &Own, added: &Added) 
     let confidence = 1.0 / (1.0 + (-0.5 * gap.min(40.0)).exp());
     let confidence = if other_law.is_some() { confidence.min(0.5) } else { confidence };
     let finding = Finding {
-        cause: name(kind).into(),
-        column: column(kind),
+        cause: kind.name().into(),
+        column: kind.column(),
         claimed,
-        compensated: is_compensated(kind) && is_kept,
+        compensated: kind.is_compensated() && is_kept,
         confidence: (confidence * 1e4).round() / 1e4,
         parameters,
         gain,
@@ -431,22 +425,6 @@ fn final_gain(
         left_out_after_um: own.left_out_um,
         reduction,
         ci95,
-    }
-}
-
-/// The column that a cause hangs on.
-pub(crate) fn column(kind: &Kind) -> Option<String> {
-    match kind {
-        Kind::SensorTemperatureDrift { column }
-        | Kind::SlowModeOf { column }
-        | Kind::ExtraHeatPath { column, .. }
-        | Kind::Curve { column, .. } => Some(column.clone()),
-        Kind::CentrifugalGrowth => Some("spindle_rpm".into()),
-        Kind::CuttingLoad => Some("load_n".into()),
-        Kind::CrossAxis { axis } | Kind::Straightness { along: axis, .. } => {
-            Some(format!("{}_mm", axis.name()))
-        }
-        _ => None,
     }
 }
 

@@ -107,6 +107,63 @@ pub(crate) enum Scale {
 }
 
 impl Kind {
+    /// The name of the cause.
+    pub(crate) fn name(&self) -> &'static str {
+        match self {
+            Self::SensorOffset => "sensor-offset",
+            Self::SensorGain => "sensor-gain",
+            Self::SensorCurvature => "sensor-curvature",
+            Self::SensorSaturation => "sensor-saturation",
+            Self::SensorTemperatureDrift { .. } => "sensor-temperature-drift",
+            Self::TimeShift => "time-shift",
+            Self::ThermalLag => "thermal-lag",
+            Self::SlowMode | Self::SlowModeOf { .. } => "slow-mode",
+            Self::ExtraHeatPath { .. } => "extra-heat-path",
+            Self::GrowthAmplitude => "growth-amplitude",
+            Self::GrowthRate => "growth-rate",
+            Self::CoolingAsymmetry => "cooling-asymmetry",
+            Self::ExpansionSlope => "expansion-slope",
+            Self::ReferenceTemperature => "reference-temperature",
+            Self::CentrifugalGrowth => "centrifugal-growth",
+            Self::CuttingLoad => "cutting-load",
+            Self::PitchScale => "pitch-scale",
+            Self::PitchError { .. } => "pitch-error",
+            Self::PitchPeriodic { .. } => "pitch-periodic",
+            Self::Backlash => "backlash",
+            Self::PositionDependentBacklash => "position-dependent-backlash",
+            Self::Straightness { .. } => "straightness",
+            Self::CrossAxis { .. } => "cross-axis",
+            Self::Step => "step",
+            Self::Drift => "drift",
+            Self::ReferenceInstrument { .. } => "reference-instrument",
+            Self::Curve { .. } => "structure",
+        }
+    }
+
+    /// The column that the cause hangs on, where there is a choice.
+    pub(crate) fn column(&self) -> Option<String> {
+        match self {
+            Self::SensorTemperatureDrift { column }
+            | Self::SlowModeOf { column }
+            | Self::ExtraHeatPath { column, .. }
+            | Self::Curve { column, .. } => Some(column.clone()),
+            Self::CentrifugalGrowth => Some("spindle_rpm".into()),
+            Self::CuttingLoad => Some("load_n".into()),
+            Self::CrossAxis { axis } | Self::Straightness { along: axis, .. } => {
+                Some(format!("{}_mm", axis.name()))
+            }
+            _ => None,
+        }
+    }
+
+    /// Whether a board may correct it: not what only happened once, nor what is not the machine's.
+    pub(crate) fn is_compensated(&self) -> bool {
+        !matches!(
+            self,
+            Self::Drift | Self::Step | Self::TimeShift | Self::ReferenceInstrument { .. }
+        )
+    }
+
     /// Its nonlinear values.
     pub(crate) fn nonlinear(&self) -> &'static [Scale] {
         use Scale::{Linear, Logarithmic};

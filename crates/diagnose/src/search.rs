@@ -312,7 +312,7 @@ pub(crate) fn search(
                 if tried.why_not.starts_with("no gain") && fitted.rms() - tried.rms_um > worth_um {
                     structure_left.push(format!(
                         "{} is more than noise, but has no gain on left-out {}",
-                        name(&tried.kind),
+                        tried.kind.name(),
                         Folds::new(problem, 1.0).what
                     ));
                 }
@@ -370,12 +370,12 @@ fn is_let_in(hit: &Hit, leaned: &[Kind]) -> bool {
 /// What was not even significant is in the report with its numbers.
 fn add_insignificant(fitted: &Fitted, hits: &[Hit], into: &mut Vec<Tried>) {
     for hit in hits {
-        if into.iter().any(|tried| name(&tried.kind) == name(&hit.part.kind)) {
+        if into.iter().any(|tried| tried.kind.name() == hit.part.kind.name()) {
             continue;
         }
         let best = hits
             .iter()
-            .filter(|there| name(&there.part.kind) == name(&hit.part.kind))
+            .filter(|there| there.part.kind.name() == hit.part.kind.name())
             .max_by(|a, b| a.by_likelihood.total_cmp(&b.by_likelihood))
             .unwrap_or(hit);
         into.push(Tried {
@@ -445,39 +445,6 @@ pub(crate) fn with_structure(problem: &Problem, curves: &[Candidate], fitted: &F
         best = with;
     }
     best
-}
-
-/// The name of a cause.
-pub(crate) fn name(kind: &Kind) -> &'static str {
-    match kind {
-        Kind::SensorOffset => "sensor-offset",
-        Kind::SensorGain => "sensor-gain",
-        Kind::SensorCurvature => "sensor-curvature",
-        Kind::SensorSaturation => "sensor-saturation",
-        Kind::SensorTemperatureDrift { .. } => "sensor-temperature-drift",
-        Kind::TimeShift => "time-shift",
-        Kind::ThermalLag => "thermal-lag",
-        Kind::SlowMode | Kind::SlowModeOf { .. } => "slow-mode",
-        Kind::ExtraHeatPath { .. } => "extra-heat-path",
-        Kind::GrowthAmplitude => "growth-amplitude",
-        Kind::GrowthRate => "growth-rate",
-        Kind::CoolingAsymmetry => "cooling-asymmetry",
-        Kind::ExpansionSlope => "expansion-slope",
-        Kind::ReferenceTemperature => "reference-temperature",
-        Kind::CentrifugalGrowth => "centrifugal-growth",
-        Kind::CuttingLoad => "cutting-load",
-        Kind::PitchScale => "pitch-scale",
-        Kind::PitchError { .. } => "pitch-error",
-        Kind::PitchPeriodic { .. } => "pitch-periodic",
-        Kind::Backlash => "backlash",
-        Kind::PositionDependentBacklash => "position-dependent-backlash",
-        Kind::Straightness { .. } => "straightness",
-        Kind::CrossAxis { .. } => "cross-axis",
-        Kind::Step => "step",
-        Kind::Drift => "drift",
-        Kind::ReferenceInstrument { .. } => "reference-instrument",
-        Kind::Curve { .. } => "structure",
-    }
 }
 
 /// The model to begin with: an axis's measurement has an arbitrary zero.

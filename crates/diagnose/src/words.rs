@@ -132,7 +132,7 @@ pub(crate) fn sentence(part: &Part) -> String {
 /// What a test of structure goes with.
 pub(crate) fn structure(kind: &Kind) -> String {
     let Kind::Curve { column, by_direction, times, .. } = kind else {
-        return crate::search::name(kind).into();
+        return kind.name().into();
     };
     let times = times.as_ref().map_or(String::new(), |times| format!(" times {times}"));
     let ways = if *by_direction { ", differently in each direction" } else { "" };
@@ -141,7 +141,7 @@ pub(crate) fn structure(kind: &Kind) -> String {
 
 /// The measurement that would settle what is open about `kind`, against `rival` where there is one.
 pub(crate) fn next_test(kind: &Kind, rival: Option<&str>) -> String {
-    let name = crate::search::name(kind);
+    let name = kind.name();
     let pair = rival.map(|rival| {
         let mut pair = [name, rival];
         pair.sort_unstable();
