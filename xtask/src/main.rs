@@ -12,6 +12,7 @@ use std::{
 
 use anyhow::{Context as _, Result, bail};
 use clap::{Args, Parser, Subcommand};
+use trueup_checks::structure;
 use trueup_emulator::{
     demo,
     firmware::{self, Board},
@@ -54,6 +55,8 @@ enum Command {
         #[arg(default_value_t = 20)]
         seeds: u32,
     },
+    /// Counts circles of files, long files, and places that name one cause; red above the limits.
+    Structure,
     /// Gets what this machine lacks: target, QEMU, Python clients.
     Setup,
 }
@@ -108,6 +111,7 @@ fn main() -> ExitCode {
         Command::Size => size::report().map(|report| print!("{report}")),
         Command::Measure => measure::run(measure::VECTORS).and_then(|measured| measured.publish()),
         Command::Scorecard { seeds } => verify::scorecard(seeds),
+        Command::Structure => structure::check(&setup::root()).map(|report| print!("{report}")),
         Command::Setup => setup::everything(),
     };
     match result {

@@ -1,0 +1,76 @@
+//! The structure of the source, counted: circles of files, files that are too long, and places that
+//! name one cause of error outside its page.
+//!
+//! A file that needs a file that needs the first cannot be read, tried or changed alone; a file of a
+//! thousand lines is not read at all; and a cause that is written in thirty places is added in
+//! twenty-nine. Each is counted here and red above its limit.
+
+mod causes;
+mod circles;
+mod source;
+
+use std::{fmt::Write as _, path::Path};
+
+use anyhow::{Result, ensure};
+
+use source::Source;
+
+/// Lines that a source file may have, its tests included.
+const LONGEST: usize = 500;
+
+/// Files that are tables of data and may be longer.
+const TABLES: &[&str] = &[];
+
+/// What is allowed of each count.
+struct Limits {
+    /// Circles of files.
+    circles: usize,
+    /// Files above [`LONGEST`] lines.
+    long_files: usize,
+    /// Places that name the one cause that is named in most.
+    places: usize,
+}
+
+const LIMITS: Limits = Limits { circles: 9, long_files: 18, places: 39 };
+
+/// Counts, and gives what was found as text, one count a heading and what it counts below.
+///
+/// # Errors
+/// A count is above its limit (the error has the whole report), or a file cannot be read.
+pub fn check(root: &Path) -> Result<String> {
+    let sources = source::all(root)?;
+    let circles = circles::find(&sources);
+    let long: Vec<&Source> = sources
+        .iter()
+        .filter(|source| source.lines() > LONGEST && !TABLES.contains(&source.path.as_str()))
+        .collect();
+    let (cause, places) = causes::most_often_named(&sources);
+
+    let mut text = String::new();
+    let mut over = Vec::new();
+    let mut head = |text: &mut String, what: &str, count: usize, limit: usize| {
+        writeln!(text, "{what}: {count} (at most {limit})")?;
+        if count > limit {
+            over.push(what.to_owned());
+        }
+        anyhow::Ok(())
+    };
+    head(&mut text, "circles of files", circles.len(), LIMITS.circles)?;
+    for circle in &circles {
+        writeln!(text, "    {}", circle.files.join(", "))?;
+        for (from, to, line) in &circle.uses {
+            writeln!(text, "        {from}:{line} -> {to}")?;
+        }
+    }
+    head(&mut text, &format!("files above {LONGEST} lines"), long.len(), LIMITS.long_files)?;
+    for source in &long {
+        writeln!(text, "    {:5}  {}", source.lines(), source.path)?;
+    }
+    let what = format!("places that name {cause} outside its page, the list, the twin and tests");
+    head(&mut text, &what, places.len(), LIMITS.places)?;
+    for place in &places {
+        writeln!(text, "    {place}")?;
+    }
+    ensure!(over.is_empty(), "{text}above the limit: {}", over.join(", "));
+    Ok(text)
+}
