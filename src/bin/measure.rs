@@ -28,12 +28,12 @@ use trueup_core::{
     cnc::{Flags, LinearAxis, Output, Quality},
     curve::Curve,
     filter::{CODES_PER_TICK, Filter},
-    geometry::{Kept, Place},
+    geometry::{CachedErrors, Place},
     gradient::Gradient,
     health::Health,
     heat::Heat,
     limits::Applied,
-    travel::Blend,
+    travel::Fraction,
     units::{Code, Fine, MicroDegrees, Nanometres, Position, Reading, Rpm},
     window::Window,
 };
@@ -233,7 +233,7 @@ fn parts(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut String<409
     part("pitch3", &mut |random| {
         let [x, y, _] = place(random);
         let places = [x, x, y];
-        let blend = Blend(random.next() >> 1);
+        let blend = Fraction(random.next() >> 1);
         cost(&mut || {
             let mut sum = Fine::ZERO;
             for (table, at) in tables.iter().zip(&places) {
@@ -244,13 +244,13 @@ fn parts(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut String<409
     });
     let heat = Heat::default();
     let mut at = Place::default();
-    let mut kept = Kept::at(calibration, &heat, &at);
+    let mut cached = CachedErrors::at(calibration, &heat, &at);
     part("moved", &mut |random| {
         at.position = place(random);
         let axis = LinearAxis::ALL[random.below(3) as usize];
-        cost(&mut || kept.moved(calibration, &heat, &at, axis))
+        cost(&mut || cached.moved(calibration, &heat, &at, axis))
     });
-    black_box(kept.errors());
+    black_box(cached.errors());
     let kinematics = calibration.kinematics;
     part("tool_direction", &mut |random| {
         let angles = [180_000_000, 110_000_000].map(|most| MicroDegrees(random.around(most)));

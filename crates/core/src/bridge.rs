@@ -35,7 +35,7 @@
 //!
 //! | in the tick | | when heard | |
 //! |---|---|---|---|
-//! | [`Health::check`](crate::health::Health::check) | 272 | position: [`Kept::moved`] | 554 |
+//! | [`Health::check`](crate::health::Health::check) | 272 | position: [`CachedErrors::moved`] | 554 |
 //! | [`Filter::tick`](crate::filter::Filter::tick) | 300 | angles: [`Kinematics::direction`](crate::kinematics::Kinematics::direction) | 219 |
 //! | [`SensorLaw::elongation`](crate::sensor::SensorLaw::elongation) | 33 | speed, in the next tick: [`Window::for_speed`](crate::window::Window::for_speed) | 49 |
 //! | [`Applied::step`](crate::limits::Applied::step) | 180 | | |
@@ -45,18 +45,18 @@
 mod needs;
 mod state;
 
-use self::needs::Needs;
-use self::state::{Age, AxisErrors};
+use self::needs::RequiredInputs;
+use self::state::{Age, ErrorSums};
 pub use self::state::{Reference, State};
 use crate::{
-    calibration::{Calibration, Source},
+    calibration::{Calibration, ElongationSource},
     cnc::{Command, Flags, LinearAxis, Output, Quality, Rotary},
     filter::CODES_PER_TICK,
-    geometry::Kept,
+    geometry::CachedErrors,
     heat::{self, CHANNELS, RawTemperatures},
     lag::STEP_MS,
-    limits::Met,
-    term::Turning,
+    limits::LimitStatus,
+    term::OperatingPoint,
     tool::Direction,
     units::{Code, Fine, Millis, Nanometres, Rpm},
 };
@@ -70,7 +70,7 @@ pub const TEMPERATURE_TIMEOUT_MS: u32 = 1_000;
 #[derive(Clone, Debug)]
 pub struct Bridge<'a> {
     calibration: Calibration<'a>,
-    needs: Needs,
+    needs: RequiredInputs,
     /// The largest part of an error of X, Y and Z: the limits of the offsets, not below 0.
     largest: [Fine; 3],
 }
@@ -88,7 +88,7 @@ pub struct Input<'a> {
 
 /// Where the offset is to go.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Course {
+enum Mode {
     Follow,
     Hold,
     RampOut,
@@ -96,13 +96,13 @@ enum Course {
 
 /// The source of the elongation that is used.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Chosen {
+enum SelectedSource {
     /// The machine file asks for none.
     Unneeded,
     /// It asks for some, but none is fresh.
     Missing,
     /// This one.
-    Source(Source),
+    Source(ElongationSource),
 }
 
 impl<'a> Bridge<'a> {
@@ -110,7 +110,7 @@ impl<'a> Bridge<'a> {
     #[must_use]
     pub fn new(calibration: Calibration<'a>) -> Self {
         let largest = calibration.limits.max.map(|max| Fine(max.fine().0.max(0)));
-        Self { calibration, needs: Needs::of(&calibration), largest }
+        Self { calibration, needs: RequiredInputs::of(&calibration), largest }
     }
 
     /// What it knows of the machine.
@@ -160,7 +160,10 @@ impl<'a> Bridge<'a> {
     /// The present error becomes the reference, if it is known.
     fn zero(&self, state: &mut State) {
         let chosen = self.source(state);
-        if chosen != Chosen::Missing && self.knows_temperatures(state) && self.knows_place(state) {
+        if chosen != SelectedSource::Missing
+            && self.knows_temperatures(state)
+            && self.knows_place(state)
+        {
             let axes = self.axis_errors(state).sums;
             state.reference = Reference { elongation: self.elongation(state, chosen), axes };
         }
@@ -188,22 +191,22 @@ impl<'a> Bridge<'a> {
 
         let chosen = self.source(state);
         let place = self.knows_place(state);
-        let fresh = chosen != Chosen::Missing && place && self.knows_temperatures(state);
+        let fresh = chosen != SelectedSource::Missing && place && self.knows_temperatures(state);
         let control = state.control.value(limits.link_timeout_ms);
         let course = state.course(control, fresh, limits.hold_ms);
-        let (mut met, mut outside) = (Met::default(), false);
+        let (mut status, mut outside) = (LimitStatus::default(), false);
         match course {
-            Course::Follow => {
+            Mode::Follow => {
                 let errors = self.axis_errors(state);
                 let (target, clamped) = self.target(state, self.elongation(state, chosen), &errors);
-                met = state.applied.step(limits, target, elapsed_ms);
-                met.clamp |= clamped | errors.clamped;
+                status = state.applied.step(limits, target, elapsed_ms);
+                status.clamped |= clamped | errors.clamped;
                 outside = errors.outside;
             }
             // What is applied is held; it does not travel on to where it was going.
-            Course::Hold => {}
-            Course::RampOut => {
-                met = state.applied.step(limits, [Nanometres::ZERO; 3], elapsed_ms);
+            Mode::Hold => {}
+            Mode::RampOut => {
+                status = state.applied.step(limits, [Nanometres::ZERO; 3], elapsed_ms);
             }
         }
 
@@ -211,15 +214,15 @@ impl<'a> Bridge<'a> {
         let unbelievable = (self.needs.sensor && !missing && !state.believable)
             || state.channels.any_faulty(self.needs.temperatures);
         let quality = match course {
-            Course::Follow => self.quality(chosen),
-            Course::Hold => Quality::Hold,
-            Course::RampOut if !state.applied.is_zero() => Quality::RampingOut,
-            Course::RampOut if self.is_faulty(state) => Quality::Fault,
-            Course::RampOut => Quality::Off,
+            Mode::Follow => self.quality(chosen),
+            Mode::Hold => Quality::Hold,
+            Mode::RampOut if !state.applied.is_zero() => Quality::RampingOut,
+            Mode::RampOut if self.is_faulty(state) => Quality::Fault,
+            Mode::RampOut => Quality::Off,
         };
         let flags = Flags::NONE
-            .with_if(met.clamp, Flags::CLAMPED)
-            .with_if(met.slew, Flags::SLEWING)
+            .with_if(status.clamped, Flags::CLAMPED)
+            .with_if(status.slewing, Flags::SLEWING)
             .with_if(unbelievable, Flags::SENSOR_FAULT)
             .with_if(missing, Flags::SAMPLES_MISSING)
             .with_if(state.cnc_known && (control.is_none() || !place), Flags::CNC_LOST)
@@ -291,30 +294,30 @@ impl<'a> Bridge<'a> {
 
     /// The first source of the elongation that is fresh.
     #[inline]
-    fn source(&self, state: &State) -> Chosen {
+    fn source(&self, state: &State) -> SelectedSource {
         // As nearly always.
-        if self.needs.first == Some(Source::Sensor) && state.sensor_is_fresh() {
-            return Chosen::Source(Source::Sensor);
+        if self.needs.first == Some(ElongationSource::Sensor) && state.sensor_is_fresh() {
+            return SelectedSource::Source(ElongationSource::Sensor);
         }
         self.source_of_chain(state)
     }
 
     #[inline(never)]
-    fn source_of_chain(&self, state: &State) -> Chosen {
+    fn source_of_chain(&self, state: &State) -> SelectedSource {
         let spindle = &self.calibration.spindle;
-        let mut chosen = Chosen::Unneeded;
+        let mut chosen = SelectedSource::Unneeded;
         for source in spindle.chain.into_iter().flatten() {
             let is_fresh = match source {
-                Source::Sensor => state.sensor_is_fresh(),
-                Source::Temperature => spindle
+                ElongationSource::Sensor => state.sensor_is_fresh(),
+                ElongationSource::Temperature => spindle
                     .temperature
                     .is_some_and(|temperature| state.temperature(temperature.channel).is_some()),
-                Source::Warmup => spindle.warmup.is_some(),
+                ElongationSource::Warmup => spindle.warmup.is_some(),
             };
             if is_fresh {
-                return Chosen::Source(source);
+                return SelectedSource::Source(source);
             }
-            chosen = Chosen::Missing;
+            chosen = SelectedSource::Missing;
         }
         chosen
     }
@@ -323,7 +326,7 @@ impl<'a> Bridge<'a> {
     fn knows_temperatures(&self, state: &State) -> bool {
         state.channels.all_known(self.needs.temperatures)
             && state.heat.knows(self.needs.laws)
-            && state.heat.terms().knows(self.needs.warmth)
+            && state.heat.terms().knows(self.needs.heat_terms)
     }
 
     /// Whether the positions and angles are there that the CNC sends.
@@ -332,7 +335,7 @@ impl<'a> Bridge<'a> {
         let timeout_ms = self.calibration.limits.link_timeout_ms;
         positions.all(|(longest, age)| !age.is_above(*longest))
             && (!self.needs.rotary || state.tool.value(timeout_ms).is_some())
-            && (!self.needs.turning || state.spindle.value(timeout_ms).is_some())
+            && (!self.needs.operating_point || state.spindle.value(timeout_ms).is_some())
     }
 
     /// Whether an input of the board itself is broken for which there is no other. What has only
@@ -342,18 +345,20 @@ impl<'a> Bridge<'a> {
         let mut sources = spindle.chain.iter().flatten().peekable();
         let has_source = sources.peek().is_some();
         let all_broken = sources.all(|source| match source {
-            Source::Sensor => state.codes_age.is_above(SAMPLES_TIMEOUT_MS) || !state.believable,
-            Source::Temperature => {
+            ElongationSource::Sensor => {
+                state.codes_age.is_above(SAMPLES_TIMEOUT_MS) || !state.believable
+            }
+            ElongationSource::Temperature => {
                 spindle.temperature.is_none_or(|it| state.channels.is_faulty(it.channel))
             }
-            Source::Warmup => spindle.warmup.is_none(),
+            ElongationSource::Warmup => spindle.warmup.is_none(),
         });
         (has_source && all_broken) || state.channels.any_faulty(self.needs.temperatures)
     }
 
     /// The errors of the axes at the present place.
     #[inline]
-    fn axis_errors(&self, state: &mut State) -> AxisErrors {
+    fn axis_errors(&self, state: &mut State) -> ErrorSums {
         match &state.axes {
             Some((_, sums)) => *sums,
             None => self.first_axis_errors(state),
@@ -362,9 +367,9 @@ impl<'a> Bridge<'a> {
 
     #[cold]
     #[inline(never)]
-    fn first_axis_errors(&self, state: &mut State) -> AxisErrors {
-        let errors = Kept::at(&self.calibration, &state.heat, &state.place);
-        let sums = AxisErrors::of(errors.errors(), self.largest);
+    fn first_axis_errors(&self, state: &mut State) -> ErrorSums {
+        let errors = CachedErrors::at(&self.calibration, &state.heat, &state.place);
+        let sums = ErrorSums::of(errors.errors(), self.largest);
         state.axes = Some((errors, sums));
         sums
     }
@@ -373,7 +378,7 @@ impl<'a> Bridge<'a> {
     fn moved(&self, state: &mut State, axis: LinearAxis) {
         if let Some((errors, sums)) = &mut state.axes {
             errors.moved(&self.calibration, &state.heat, &state.place, axis);
-            *sums = AxisErrors::of(errors.errors(), self.largest);
+            *sums = ErrorSums::of(errors.errors(), self.largest);
         }
     }
 
@@ -381,7 +386,7 @@ impl<'a> Bridge<'a> {
     fn warmed(&self, state: &mut State, axis: LinearAxis) {
         if let Some((errors, sums)) = &mut state.axes {
             errors.warmed(&self.calibration, &state.heat, &state.place, axis);
-            *sums = AxisErrors::of(errors.errors(), self.largest);
+            *sums = ErrorSums::of(errors.errors(), self.largest);
         }
     }
 
@@ -389,19 +394,19 @@ impl<'a> Bridge<'a> {
     fn term_warmed(&self, state: &mut State) {
         if let Some((errors, sums)) = &mut state.axes {
             errors.terms_changed(&self.calibration, &state.heat, &state.place);
-            *sums = AxisErrors::of(errors.errors(), self.largest);
+            *sums = ErrorSums::of(errors.errors(), self.largest);
         }
     }
 
     /// The elongation by a source, with the terms of a diagnosis. They were fitted to the first
     /// source, and say nothing of another.
     #[inline]
-    fn elongation(&self, state: &State, chosen: Chosen) -> Nanometres {
+    fn elongation(&self, state: &State, chosen: SelectedSource) -> Nanometres {
         let plain = elongation(state, chosen);
         let is_first = match chosen {
-            Chosen::Source(source) => self.needs.first == Some(source),
-            Chosen::Unneeded => true,
-            Chosen::Missing => false,
+            SelectedSource::Source(source) => self.needs.first == Some(source),
+            SelectedSource::Unneeded => true,
+            SelectedSource::Missing => false,
         };
         if self.needs.terms && is_first { self.with_terms(state, plain) } else { plain }
     }
@@ -409,11 +414,11 @@ impl<'a> Bridge<'a> {
     #[inline(never)]
     fn with_terms(&self, state: &State, plain: Nanometres) -> Nanometres {
         let spindle = state.spindle.latest();
-        let turning = Turning {
+        let operating = OperatingPoint {
             speed: spindle.map(|spindle| spindle.speed),
             load: spindle.map_or(0, |spindle| i32::from(spindle.load_n).saturating_mul(256)),
         };
-        self.calibration.with_terms(plain.fine(), state.heat.terms(), turning).rounded()
+        self.calibration.with_terms(plain.fine(), state.heat.terms(), operating).rounded()
     }
 
     /// The offset that undoes the error since the reference; and whether the elongation along an
@@ -422,7 +427,7 @@ impl<'a> Bridge<'a> {
         &self,
         state: &State,
         elongation: Nanometres,
-        axes: &AxisErrors,
+        axes: &ErrorSums,
     ) -> ([Nanometres; 3], bool) {
         let since = i64::from(elongation.0).wrapping_sub(i64::from(state.reference.elongation.0));
         let along = self.direction(state).fine_error(Nanometres::saturating(since));
@@ -431,10 +436,10 @@ impl<'a> Bridge<'a> {
         for ((((target, along), sum), reference), largest) in
             target.iter_mut().zip(along).zip(axes.sums).zip(state.reference.axes).zip(self.largest)
         {
-            let (held, beyond) = along.held(largest);
+            let (along, beyond) = along.clamped(largest);
             clamped |= beyond;
-            let error = held.plus(sum).plus(Fine(reference.0.saturating_neg()));
-            *target = error.rounded().opposite();
+            let error = along.plus(sum).plus(Fine(reference.0.saturating_neg()));
+            *target = error.rounded().negated();
         }
         (target, clamped)
     }
@@ -448,34 +453,42 @@ impl<'a> Bridge<'a> {
     }
 
     /// The quality of an offset that is followed: how far down the chain its source stands.
-    fn quality(&self, chosen: Chosen) -> Quality {
+    fn quality(&self, chosen: SelectedSource) -> Quality {
         let is_first = |source| self.needs.first == Some(source);
         match chosen {
-            Chosen::Source(Source::Temperature) if !is_first(Source::Temperature) => {
+            SelectedSource::Source(ElongationSource::Temperature)
+                if !is_first(ElongationSource::Temperature) =>
+            {
                 Quality::TemperatureModel
             }
-            Chosen::Source(Source::Warmup) if !is_first(Source::Warmup) => Quality::WarmUpModel,
+            SelectedSource::Source(ElongationSource::Warmup)
+                if !is_first(ElongationSource::Warmup) =>
+            {
+                Quality::WarmUpModel
+            }
             _ => Quality::Live,
         }
     }
 }
 
 /// The elongation by a source.
-fn elongation(state: &State, chosen: Chosen) -> Nanometres {
+fn elongation(state: &State, chosen: SelectedSource) -> Nanometres {
     match chosen {
-        Chosen::Source(Source::Sensor) => state.elongation.unwrap_or_default(),
-        Chosen::Source(Source::Temperature) => state.heat.by_temperature(),
-        Chosen::Source(Source::Warmup) => state.heat.by_running_time(),
-        Chosen::Unneeded | Chosen::Missing => Nanometres::ZERO,
+        SelectedSource::Source(ElongationSource::Sensor) => state.elongation.unwrap_or_default(),
+        SelectedSource::Source(ElongationSource::Temperature) => state.heat.by_temperature(),
+        SelectedSource::Source(ElongationSource::Warmup) => state.heat.by_running_time(),
+        SelectedSource::Unneeded | SelectedSource::Missing => Nanometres::ZERO,
     }
 }
 
 /// The age of the newest sample that the offset rests on.
-fn age(state: &State, chosen: Chosen) -> Age {
+fn age(state: &State, chosen: SelectedSource) -> Age {
     match chosen {
-        Chosen::Source(Source::Sensor) | Chosen::Missing => state.elongation_age,
-        Chosen::Source(Source::Temperature) => state.raw_age,
-        Chosen::Source(Source::Warmup) | Chosen::Unneeded => Age::NEW,
+        SelectedSource::Source(ElongationSource::Sensor) | SelectedSource::Missing => {
+            state.elongation_age
+        }
+        SelectedSource::Source(ElongationSource::Temperature) => state.raw_age,
+        SelectedSource::Source(ElongationSource::Warmup) | SelectedSource::Unneeded => Age::NEW,
     }
 }
 

@@ -8,7 +8,7 @@ use crate::{
     gradient::Gradient,
     heat::CHANNELS,
     kinematics::Kinematics,
-    lag::Share,
+    lag::SmoothingFactor,
     limits::Limits,
     pitch::{Beam, Pitch},
     sensor::SensorLaw,
@@ -26,23 +26,23 @@ pub struct Calibration<'a> {
     /// What is connected to each temperature channel.
     pub thermometers: [Option<Thermometer>; CHANNELS],
     /// How the spindle grows.
-    pub spindle: Spindle<'a>,
+    pub spindle: SpindleModel<'a>,
     /// From the spindle nose to the tool tip, and the axes that turn it.
     pub kinematics: Kinematics,
     /// What belongs to X, Y and Z alone.
-    pub axes: [Axis<'a>; 3],
-    /// Straightness, in the order of [`CROSSED`].
+    pub axes: [AxisModel<'a>; 3],
+    /// Straightness, in the order of [`AXIS_PAIRS`].
     pub straightness: [Curve<'a>; 6],
-    /// Squareness, in the order of [`CROSSED`].
+    /// Squareness, in the order of [`AXIS_PAIRS`].
     pub squareness: [Gradient; 6],
     /// What a diagnosis has added; those that are there come first.
-    pub terms: [Option<Term<'a>>; term::MOST],
+    pub terms: [Option<Term<'a>>; term::MAX_TERMS],
     /// How far and how fast an offset may go, and how long silence is tolerated.
     pub limits: Limits,
 }
 
 /// The six pairs of axes: the error is along the first while the second moves.
-pub const CROSSED: [(LinearAxis, LinearAxis); 6] = [
+pub const AXIS_PAIRS: [(LinearAxis, LinearAxis); 6] = [
     (LinearAxis::X, LinearAxis::Y),
     (LinearAxis::X, LinearAxis::Z),
     (LinearAxis::Y, LinearAxis::X),
@@ -53,20 +53,20 @@ pub const CROSSED: [(LinearAxis, LinearAxis); 6] = [
 
 /// How the spindle grows: by up to three models, of which the first that has its input is used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Spindle<'a> {
+pub struct SpindleModel<'a> {
     /// The models in the order in which they are asked.
-    pub chain: [Option<Source>; 3],
+    pub chain: [Option<ElongationSource>; 3],
     /// By the displacement sensor.
     pub sensor: SensorLaw,
     /// By a temperature.
     pub temperature: Option<SpindleTemperature<'a>>,
     /// By running time.
-    pub warmup: Option<Warmup<'a>>,
+    pub warmup: Option<SpindleWarmup<'a>>,
 }
 
 /// Where an elongation comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Source {
+pub enum ElongationSource {
     /// The displacement sensor.
     Sensor,
     /// A temperature.
@@ -81,23 +81,23 @@ pub struct SpindleTemperature<'a> {
     /// The channel of the temperature.
     pub channel: u8,
     /// Of its lag, for 100 ms.
-    pub share: Share,
+    pub smoothing: SmoothingFactor,
     /// The same while the temperature falls.
-    pub falling: Share,
+    pub smoothing_falling: SmoothingFactor,
     /// The elongation is its K₀.
     pub law: Law<'a>,
 }
 
 /// The warm-up model, and what drives it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Warmup<'a> {
+pub struct SpindleWarmup<'a> {
     /// The model.
     pub law: warmup::Warmup,
     /// (n/n_rated)^p in Q28 over n in r/min; empty where every speed heats fully.
     pub power: Curve<'a>,
 }
 
-impl Warmup<'_> {
+impl SpindleWarmup<'_> {
     /// How hard the spindle heats at this speed, Q28. An unknown speed does not heat.
     #[must_use]
     pub fn drive(&self, speed: Option<Rpm>) -> i32 {
@@ -113,7 +113,7 @@ impl Warmup<'_> {
 
 /// What belongs to one linear axis alone.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Axis<'a> {
+pub struct AxisModel<'a> {
     /// Its expansion.
     pub thermal: Option<AxisThermal<'a>>,
     /// The error of its screw or scale.
@@ -132,9 +132,9 @@ pub struct AxisThermal<'a> {
     /// The channel of T.
     pub channel: u8,
     /// Of its lag, for 100 ms.
-    pub share: Share,
+    pub smoothing: SmoothingFactor,
     /// The same while the temperature falls.
-    pub falling: Share,
+    pub smoothing_falling: SmoothingFactor,
     /// P₀.
     pub origin: Position,
     /// K₀(T) and tanβ(T).

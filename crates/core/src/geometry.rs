@@ -1,22 +1,22 @@
 //! What is wrong at a place: the errors of the axes where the machine stands, in space.
 //!
 //! ```text
-//! thermal   K₀ + tanβ·(P − P₀)                          along the axis itself
-//! screw     pitch table by direction + backlash         along the axis itself
-//! guides    straightness and squareness over the two other axes
-//!           Δx = δx(y) + δx(z),  Δy = δy(x) + δy(z),  Δz = δz(x) + δz(y)
-//! terms     what a diagnosis has added                  any of these
+//! thermal      K₀ + tanβ·(P − P₀)                          along the axis itself
+//! positioning  pitch table by direction + backlash      along the axis itself
+//! guides       straightness and squareness over the two other axes
+//!              Δx = δx(y) + δx(z),  Δy = δy(x) + δy(z),  Δz = δz(x) + δz(y)
+//! terms        what a diagnosis has added                  any of these
 //! ```
 //!
 //! An error is actual minus commanded. Everything is added in 1/256 nm and rounded once, by the
 //! caller.
 
 use crate::{
-    calibration::{Axis, CROSSED, Calibration},
+    calibration::{AXIS_PAIRS, AxisModel, Calibration},
     cnc::LinearAxis,
     gradient::Gradient,
     heat::Heat,
-    travel::{Blend, Travel, backlash},
+    travel::{Fraction, Travel, backlash},
     units::{Fine, Position},
 };
 
@@ -35,7 +35,7 @@ pub struct AxisError {
     /// Its expansion.
     pub thermal: Fine,
     /// Pitch and backlash.
-    pub screw: Fine,
+    pub positioning: Fine,
     /// Straightness of the two other axes, and squareness to them.
     pub guides: Fine,
     /// What a diagnosis has added.
@@ -46,10 +46,11 @@ impl AxisError {
     /// The sum, each part held to ±`largest` first; and whether a part was held.
     #[must_use]
     pub fn sum(&self, largest: Fine) -> (Fine, bool) {
-        let [thermal, screw, guides, terms] =
-            [self.thermal, self.screw, self.guides, self.terms].map(|part| part.held(largest));
-        let sum = thermal.0.plus(screw.0).plus(guides.0).plus(terms.0);
-        (sum, thermal.1 | screw.1 | guides.1 | terms.1)
+        let [thermal, positioning, guides, terms] =
+            [self.thermal, self.positioning, self.guides, self.terms]
+                .map(|part| part.clamped(largest));
+        let sum = thermal.0.plus(positioning.0).plus(guides.0).plus(terms.0);
+        (sum, thermal.1 | positioning.1 | guides.1 | terms.1)
     }
 }
 
@@ -62,23 +63,23 @@ pub struct Errors {
     pub outside: bool,
 }
 
-/// The errors at a place, kept from message to message: what an axis that moves or a thermometer
+/// The errors at a place, cached from message to message: what an axis that moves or a thermometer
 /// does not change is not computed again.
 ///
 /// What depends on one axis costs 554 instructions on the gantry of `data/`, with two or three
 /// curves and tables (`cargo measure`).
 #[derive(Clone, Debug, Default)]
-pub struct Kept {
+pub struct CachedErrors {
     errors: Errors,
-    screws_outside: [bool; 3],
+    positioning_outside: [bool; 3],
     guides: [Guide; 6],
 }
 
 /// What a guide adds to the error across it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Guide {
-    bow: Fine,
-    tilt: Fine,
+    straightness: Fine,
+    squareness: Fine,
     outside: bool,
 }
 
@@ -86,22 +87,22 @@ impl Calibration<'_> {
     /// The errors of the axes at a place.
     #[must_use]
     pub fn errors(&self, heat: &Heat, place: &Place) -> Errors {
-        *Kept::at(self, heat, place).errors()
+        *CachedErrors::at(self, heat, place).errors()
     }
 }
 
-impl Kept {
+impl CachedErrors {
     /// The errors at a place.
     #[must_use]
     pub fn at(calibration: &Calibration<'_>, heat: &Heat, place: &Place) -> Self {
-        let mut kept = Self::default();
+        let mut cached = Self::default();
         for axis in LinearAxis::ALL {
-            kept.moved(calibration, heat, place, axis);
+            cached.moved(calibration, heat, place, axis);
         }
-        kept
+        cached
     }
 
-    /// The errors that are kept.
+    /// The errors that are cached.
     #[must_use]
     pub fn errors(&self) -> &Errors {
         &self.errors
@@ -116,34 +117,37 @@ impl Kept {
         moved: LinearAxis,
     ) {
         self.warmed(calibration, heat, place, moved);
-        let screws = self.errors.axes.iter_mut().zip(&mut self.screws_outside);
-        for (((error, outside), name), axis) in screws.zip(LinearAxis::ALL).zip(&calibration.axes) {
+        let positionings = self.errors.axes.iter_mut().zip(&mut self.positioning_outside);
+        for (((error, outside), name), axis) in
+            positionings.zip(LinearAxis::ALL).zip(&calibration.axes)
+        {
             // A beam's error changes where it is crossed, too.
             if name == moved || axis.dual.is_some_and(|dual| dual.across == moved) {
-                (error.screw, *outside) = screw(axis, name, place);
+                (error.positioning, *outside) = positioning(axis, name, place);
             }
         }
         let position = place.at(moved);
         for (((guide, (_, over)), curve), gradient) in self
             .guides
             .iter_mut()
-            .zip(CROSSED)
+            .zip(AXIS_PAIRS)
             .zip(&calibration.straightness)
             .zip(calibration.squareness)
         {
             if over == moved {
-                let (bow, outside) = curve.at(position);
+                let (straightness, outside) = curve.at(position);
                 // Most machines are square, or not measured.
                 let is_square = gradient == Gradient::ZERO;
-                let tilt =
+                let squareness =
                     if is_square { Fine::ZERO } else { gradient.over(Position(0), position) };
-                *guide = Guide { bow, tilt, outside };
+                *guide = Guide { straightness, squareness, outside };
             }
         }
-        // Two guides an axis, in the order of `CROSSED`.
+        // Two guides an axis, in the order of `AXIS_PAIRS`.
         for (error, pair) in self.errors.axes.iter_mut().zip(self.guides.as_chunks::<2>().0) {
-            error.guides =
-                pair.iter().fold(Fine::ZERO, |sum, guide| sum.plus(guide.bow).plus(guide.tilt));
+            error.guides = pair
+                .iter()
+                .fold(Fine::ZERO, |sum, guide| sum.plus(guide.straightness).plus(guide.squareness));
         }
         self.terms_changed(calibration, heat, place);
     }
@@ -160,7 +164,7 @@ impl Kept {
             }
         }
         self.errors.outside = outside
-            || self.screws_outside.contains(&true)
+            || self.positioning_outside.contains(&true)
             || self.guides.iter().any(|guide| guide.outside);
     }
 
@@ -190,20 +194,20 @@ impl Place {
 }
 
 /// Pitch and backlash of one axis; of a gantry, both drives across the beam.
-fn screw(axis: &Axis<'_>, name: LinearAxis, place: &Place) -> (Fine, bool) {
+fn positioning(axis: &AxisModel<'_>, name: LinearAxis, place: &Place) -> (Fine, bool) {
     let position = place.at(name);
-    let blend = place.travel.get(name as usize).map_or(Blend::ZERO, Travel::blend);
+    let reversal = place.travel.get(name as usize).map_or(Fraction::ZERO, Travel::reversal);
     let (mut error, mut outside) = (Fine::ZERO, false);
     if let Some(pitch) = &axis.pitch {
-        (error, outside) = pitch.at(position, blend);
+        (error, outside) = pitch.at(position, reversal);
     }
     if let Some(dual) = &axis.dual {
-        let (second, beyond) = dual.pitch.at(position, blend);
+        let (second, beyond) = dual.pitch.at(position, reversal);
         error = dual.beam.across(error, second, place.at(dual.across));
         outside |= beyond;
     }
     if axis.backlash != Fine::ZERO {
-        error = error.plus(backlash(axis.backlash, blend));
+        error = error.plus(backlash(axis.backlash, reversal));
     }
     (error, outside)
 }

@@ -10,8 +10,8 @@
 use crate::{
     calibration::Calibration,
     gradient::Gradient,
-    lag::{Lag, Share},
-    term::{self, Warmth},
+    lag::{Lag, SmoothingFactor},
+    term::{self, TermStates},
     thermometer::Raw,
     units::{Fine, Nanometres, Rpm, Temperature},
     warmup,
@@ -23,7 +23,7 @@ pub const CHANNELS: usize = 8;
 pub const FAULT_AFTER_READINGS: u8 = 4;
 /// Items of a step: three axes, the spindle by temperature, the spindle by running time, and the
 /// terms of a diagnosis.
-pub const ITEMS: usize = FIRST_TERM + term::MOST;
+pub const ITEMS: usize = FIRST_TERM + term::MAX_TERMS;
 /// The item of the first term.
 pub const FIRST_TERM: usize = 5;
 
@@ -37,7 +37,7 @@ pub struct Channel {
 impl Channel {
     /// Takes what the channel's thermometer reads.
     ///
-    /// A reading that is bad changes nothing at first: a spark is no fault.
+    /// A single bad reading changes nothing, because a spark from the drives can cause one.
     pub fn hear(&mut self, reading: Option<Temperature>) {
         if reading.is_some() {
             *self = Self { temperature: reading, bad: 0 };
@@ -64,9 +64,9 @@ impl Channel {
 
 /// A set of numbers from 0 to 7: channels, axes. That all of some are there is one comparison.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Numbers(u8);
+pub struct IndexSet(u8);
 
-impl Numbers {
+impl IndexSet {
     /// Takes a number in; one above 7 is in no set.
     pub fn insert(&mut self, number: usize) {
         self.0 |= Self::bit(number);
@@ -98,8 +98,8 @@ impl Numbers {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Channels {
     channels: [Channel; CHANNELS],
-    known: Numbers,
-    faulty: Numbers,
+    known: IndexSet,
+    faulty: IndexSet,
 }
 
 impl Channels {
@@ -129,13 +129,13 @@ impl Channels {
 
     /// Whether all of these have a temperature.
     #[must_use]
-    pub fn all_known(&self, channels: Numbers) -> bool {
+    pub fn all_known(&self, channels: IndexSet) -> bool {
         self.known.has_all(channels)
     }
 
     /// Whether one of these is faulty.
     #[must_use]
-    pub fn any_faulty(&self, channels: Numbers) -> bool {
+    pub fn any_faulty(&self, channels: IndexSet) -> bool {
         self.faulty.has_any(channels)
     }
 
@@ -162,9 +162,9 @@ pub struct Heat {
     by_temperature: Fine,
     running: warmup::State,
     by_running_time: Fine,
-    terms: Warmth,
+    terms: TermStates,
     /// Axes whose law has had a temperature.
-    known: Numbers,
+    known: IndexSet,
 }
 
 impl Heat {
@@ -192,7 +192,11 @@ impl Heat {
             if let Some(thermal) = &axis.thermal
                 && let Some(temperature) = channel(temperatures, thermal.channel)
             {
-                let lagged = step_lag(&mut heat.lag, temperature, [thermal.share, thermal.falling]);
+                let lagged = step_lag(
+                    &mut heat.lag,
+                    temperature,
+                    [thermal.smoothing, thermal.smoothing_falling],
+                );
                 (heat.constant, heat.gradient) = thermal.law.at(lagged);
                 self.known.insert(item);
             }
@@ -200,8 +204,11 @@ impl Heat {
             if let Some(spindle) = &calibration.spindle.temperature
                 && let Some(temperature) = channel(temperatures, spindle.channel)
             {
-                let lagged =
-                    step_lag(&mut self.spindle, temperature, [spindle.share, spindle.falling]);
+                let lagged = step_lag(
+                    &mut self.spindle,
+                    temperature,
+                    [spindle.smoothing, spindle.smoothing_falling],
+                );
                 self.by_temperature = spindle.law.at(lagged).0;
             }
         } else if let Some(term) = item.checked_sub(FIRST_TERM) {
@@ -221,7 +228,7 @@ impl Heat {
 
     /// Whether the laws of these axes have each had a temperature yet.
     #[must_use]
-    pub fn knows(&self, axes: Numbers) -> bool {
+    pub fn knows(&self, axes: IndexSet) -> bool {
         self.known.has_all(axes)
     }
 
@@ -234,7 +241,7 @@ impl Heat {
 
     /// What heat and time have made of the terms of a diagnosis.
     #[must_use]
-    pub fn terms(&self) -> &Warmth {
+    pub fn terms(&self) -> &TermStates {
         &self.terms
     }
 
@@ -260,12 +267,12 @@ fn channel(temperatures: &[Option<Temperature>; CHANNELS], number: u8) -> Option
 fn step_lag(
     lag: &mut Option<Lag>,
     temperature: Temperature,
-    [rising, falling]: [Share; 2],
+    [rising, falling]: [SmoothingFactor; 2],
 ) -> Temperature {
     match lag {
         Some(lag) => {
-            let share = if temperature.0 < lag.value() { falling } else { rising };
-            lag.step(temperature.0, share);
+            let smoothing = if temperature.0 < lag.value() { falling } else { rising };
+            lag.step(temperature.0, smoothing);
             Temperature(lag.value())
         }
         None => {

@@ -27,7 +27,7 @@ use crate::{angle::sine_cosine, tool::Direction, units::MicroDegrees};
 
 /// A rotary axis, by what it turns about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Axis {
+pub enum RotaryAxis {
     /// About +X.
     A,
     /// About +Y.
@@ -42,7 +42,7 @@ pub struct Kinematics {
     /// V₀, the tool direction with all angles at zero; of length 1.
     pub zero: Direction,
     /// The axes that carry the spindle, from the frame to the tool (`head_axes`).
-    pub axes: [Option<Axis>; 2],
+    pub axes: [Option<RotaryAxis>; 2],
 }
 
 impl Kinematics {
@@ -50,9 +50,9 @@ impl Kinematics {
     /// does not matter.
     ///
     /// ```
-    /// use trueup_core::kinematics::{Axis, Kinematics};
+    /// use trueup_core::kinematics::{RotaryAxis, Kinematics};
     /// use trueup_core::{tool::Direction, units::{MicroDegrees, Nanometres}};
-    /// let head = Kinematics { zero: Direction::DOWN, axes: [Some(Axis::C), Some(Axis::A)] };
+    /// let head = Kinematics { zero: Direction::DOWN, axes: [Some(RotaryAxis::C), Some(RotaryAxis::A)] };
     /// // A = +30° lifts the tip by 1 − cos 30° and moves it to +Y by sin 30°: 0.5 mm of
     /// // elongation are an error of 0.250 mm and −0.433 mm.
     /// let tilted = head.direction([MicroDegrees(0), MicroDegrees(30_000_000)]);
@@ -74,20 +74,20 @@ impl Kinematics {
 }
 
 /// R(angle)·V; V itself without an axis.
-fn turned(axis: Option<Axis>, angle: MicroDegrees, direction: Direction) -> Direction {
+fn turned(axis: Option<RotaryAxis>, angle: MicroDegrees, direction: Direction) -> Direction {
     let Some(axis) = axis else { return direction };
     let Direction([x, y, z]) = direction;
     let turn = |p, q| turned_pair(p, q, sine_cosine(angle));
     Direction(match axis {
-        Axis::A => {
+        RotaryAxis::A => {
             let (y, z) = turn(y, z);
             [x, y, z]
         }
-        Axis::B => {
+        RotaryAxis::B => {
             let (z, x) = turn(z, x);
             [x, y, z]
         }
-        Axis::C => {
+        RotaryAxis::C => {
             let (x, y) = turn(x, y);
             [x, y, z]
         }
@@ -118,14 +118,15 @@ mod tests {
     extern crate std;
 
     const ONE: f64 = (1 << 30) as f64;
-    const AXES: [Option<Axis>; 4] = [None, Some(Axis::A), Some(Axis::B), Some(Axis::C)];
+    const AXES: [Option<RotaryAxis>; 4] =
+        [None, Some(RotaryAxis::A), Some(RotaryAxis::B), Some(RotaryAxis::C)];
 
     fn degrees(angle: i32) -> MicroDegrees {
         MicroDegrees(angle * MicroDegrees::PER_DEGREE)
     }
 
     /// V of a spindle that points down at zero, in f64.
-    fn down<const N: usize>(axes: [Axis; N], angles: [i32; N]) -> [f64; 3] {
+    fn down<const N: usize>(axes: [RotaryAxis; N], angles: [i32; N]) -> [f64; 3] {
         let mut head = Kinematics { zero: Direction::DOWN, axes: [None; 2] };
         let mut at = [MicroDegrees(0); 2];
         for (i, (axis, angle)) in axes.into_iter().zip(angles).enumerate() {
@@ -147,46 +148,46 @@ mod tests {
 
     #[test]
     fn a_positive_a_takes_the_tip_to_plus_y() {
-        assert_near(down([Axis::A], [30]), [0.0, SIN30, -COS30]);
+        assert_near(down([RotaryAxis::A], [30]), [0.0, SIN30, -COS30]);
     }
 
     #[test]
     fn a_positive_b_takes_the_tip_to_minus_x() {
-        assert_near(down([Axis::B], [30]), [-SIN30, 0.0, -COS30]);
+        assert_near(down([RotaryAxis::B], [30]), [-SIN30, 0.0, -COS30]);
     }
 
     #[test]
     fn c_alone_leaves_a_vertical_tool_where_it_is() {
-        assert_eq!(down([Axis::C], [30]), [0.0, 0.0, -1.0]);
+        assert_eq!(down([RotaryAxis::C], [30]), [0.0, 0.0, -1.0]);
     }
 
     #[test]
     fn c_next_to_the_frame_carries_the_tilt_of_a_round() {
-        assert_near(down([Axis::C, Axis::A], [90, 30]), [-SIN30, 0.0, -COS30]);
+        assert_near(down([RotaryAxis::C, RotaryAxis::A], [90, 30]), [-SIN30, 0.0, -COS30]);
         // The other way about C turns a tool that is still vertical.
-        assert_near(down([Axis::A, Axis::C], [30, 90]), [0.0, SIN30, -COS30]);
+        assert_near(down([RotaryAxis::A, RotaryAxis::C], [30, 90]), [0.0, SIN30, -COS30]);
     }
 
     #[test]
     fn b_next_to_the_frame_tilts_what_a_has_tilted() {
         // A = 90°: (0, 1, 0), along B itself, which then does nothing.
-        assert_near(down([Axis::B, Axis::A], [30, 90]), [0.0, 1.0, 0.0]);
+        assert_near(down([RotaryAxis::B, RotaryAxis::A], [30, 90]), [0.0, 1.0, 0.0]);
         // B = 90° first: (−1, 0, 0), along A itself.
-        assert_near(down([Axis::A, Axis::B], [30, 90]), [-1.0, 0.0, 0.0]);
+        assert_near(down([RotaryAxis::A, RotaryAxis::B], [30, 90]), [-1.0, 0.0, 0.0]);
     }
 
     #[test]
     fn without_an_axis_the_angles_do_not_matter() {
         let table = Kinematics { zero: Direction([3, -4, 5]), axes: [None, None] };
         assert_eq!(table.direction([degrees(30), degrees(-77)]), table.zero);
-        let head = Kinematics { zero: Direction::DOWN, axes: [Some(Axis::A), None] };
+        let head = Kinematics { zero: Direction::DOWN, axes: [Some(RotaryAxis::A), None] };
         let angles = [0, 90, -1_000].map(|table| head.direction([degrees(30), degrees(table)]));
         assert!(angles.iter().all(|direction| *direction == angles[0]));
     }
 
     #[test]
     fn half_a_millimetre_at_30_degrees_is_exact_to_the_nanometre() {
-        for axes in [[Some(Axis::A), None], [Some(Axis::C), Some(Axis::A)]] {
+        for axes in [[Some(RotaryAxis::A), None], [Some(RotaryAxis::C), Some(RotaryAxis::A)]] {
             let head = Kinematics { zero: Direction::DOWN, axes };
             let angles = if axes[1].is_some() { [0, 30] } else { [30, 0] }.map(degrees);
             let error = head.direction(angles).error(Nanometres(500_000));
@@ -222,12 +223,12 @@ mod tests {
     }
 
     /// R(angle)·v, by Rodrigues' formula about a unit vector: another way than the one above.
-    fn rodrigues(axis: Option<Axis>, angle: MicroDegrees, v: [f64; 3]) -> [f64; 3] {
+    fn rodrigues(axis: Option<RotaryAxis>, angle: MicroDegrees, v: [f64; 3]) -> [f64; 3] {
         let k = match axis {
             None => return v,
-            Some(Axis::A) => [1.0, 0.0, 0.0],
-            Some(Axis::B) => [0.0, 1.0, 0.0],
-            Some(Axis::C) => [0.0, 0.0, 1.0],
+            Some(RotaryAxis::A) => [1.0, 0.0, 0.0],
+            Some(RotaryAxis::B) => [0.0, 1.0, 0.0],
+            Some(RotaryAxis::C) => [0.0, 0.0, 1.0],
         };
         let (sine, cosine) = (f64::from(angle.0) * 1e-6).to_radians().sin_cos();
         let along = k[0] * v[0] + k[1] * v[1] + k[2] * v[2];
@@ -281,7 +282,8 @@ mod tests {
 
     #[test]
     fn an_elongation_of_any_length_is_laid_along_a_turned_tool() {
-        let head = Kinematics { zero: Direction::DOWN, axes: [Some(Axis::A), Some(Axis::B)] };
+        let head =
+            Kinematics { zero: Direction::DOWN, axes: [Some(RotaryAxis::A), Some(RotaryAxis::B)] };
         for angle in [i32::MIN, i32::MAX, 0] {
             let direction = head.direction([MicroDegrees(angle); 2]);
             for elongation in [i32::MIN, i32::MAX].map(Nanometres) {

@@ -1,15 +1,15 @@
 //! A first-order lag: the screw follows its thermometer.
 //!
-//! y += (x − y)·(1 − e^(−Δt/τ)), with a fixed step of [`STEP_MS`] and the share 1 − e^(−Δt/τ) in
+//! y += (x − y)·(1 − e^(−Δt/τ)), with a fixed step of [`STEP_MS`] and the smoothing factor 1 − e^(−Δt/τ) in
 //! Q32, computed by the host. It is exact for an input that is constant over the step.
 //!
 //! The state has 28 binary places below its input, which may be any `i32`, so it fills 60 bits; a
 //! step takes the upper part of a product of 61 by 32 bits, rounded to the nearest.
 //!
 //! Measured worst error for temperatures against `f64`, over six hours of steps, ramps and swings
-//! of 20 K, τ from 0.2 s to 10⁶ s, with the share as it is rounded: 0.00013 mK, the rounding of
-//! the value. The rounding of the share makes τ wrong by at most 1.2·10⁻⁹/s of itself: with the
-//! exact share the reference is 0.009 mK away at 1630 s, 0.13 mK at 10⁴ s and 0.24 mK at 10⁶ s,
+//! of 20 K, τ from 0.2 s to 10⁶ s, with the smoothing factor as it is rounded: 0.00013 mK, the rounding of
+//! the value. The rounding of the smoothing factor makes τ wrong by at most 1.2·10⁻⁹/s of itself: with the
+//! exact smoothing factor the reference is 0.009 mK away at 1630 s, 0.13 mK at 10⁴ s and 0.24 mK at 10⁶ s,
 //! where days would make it at most 9 mK (0.12 % of τ).
 
 /// The time of a step. Whoever owns a lag steps it once in so many milliseconds.
@@ -17,13 +17,13 @@ pub const STEP_MS: u32 = 100;
 
 /// 1 − e^(−Δt/τ) for one step, in Q32.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Share(pub u32);
+pub struct SmoothingFactor(pub u32);
 
-impl Share {
+impl SmoothingFactor {
     /// No lag: the value is the input.
-    pub const ALL: Self = Self(u32::MAX);
+    pub const NO_LAG: Self = Self(u32::MAX);
     /// The value stays as it is.
-    pub const NONE: Self = Self(0);
+    pub const HOLD: Self = Self(0);
 }
 
 /// A value that follows its input.
@@ -46,26 +46,26 @@ impl Lag {
     /// Follows `x`, which has held over the step that ends now.
     ///
     /// ```
-    /// use trueup_core::lag::{Lag, Share};
+    /// use trueup_core::lag::{Lag, SmoothingFactor};
     /// let mut lag = Lag::settled(0);
-    /// // A share of a quarter: 1000·(1 − 0.75ⁿ).
-    /// let quarter = Share(1 << 30);
+    /// // A smoothing factor of a quarter: 1000·(1 − 0.75ⁿ).
+    /// let quarter = SmoothingFactor(1 << 30);
     /// for expected in [250, 438, 578, 684] {
     ///     lag.step(1000, quarter);
     ///     assert_eq!(lag.value(), expected);
     /// }
-    /// lag.step(1000, Share::ALL);
+    /// lag.step(1000, SmoothingFactor::NO_LAG);
     /// assert_eq!(lag.value(), 1000);
     /// ```
-    pub fn step(&mut self, x: i32, share: Share) {
+    pub fn step(&mut self, x: i32, smoothing: SmoothingFactor) {
         let target = Self::settled(x).state;
-        if share == Share::ALL {
+        if smoothing == SmoothingFactor::NO_LAG {
             self.state = target;
             return;
         }
-        // Below 2⁶⁰, and the share below 1, so that the state stays between itself and its target.
+        // Below 2⁶⁰, and the smoothing factor below 1, so that the state stays between itself and its target.
         let difference = target.wrapping_sub(self.state);
-        self.state = self.state.wrapping_add(scaled(difference, share));
+        self.state = self.state.wrapping_add(scaled(difference, smoothing));
     }
 
     /// The value, rounded to the nearest.
@@ -77,17 +77,18 @@ impl Lag {
     }
 }
 
-/// difference·share/2³², rounded to the nearest, from two products of 32 by 32 bits.
+/// difference·α/2³², rounded to the nearest, from two products of 32 by 32 bits.
 #[allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
     reason = "the two halves of a 64-bit number, and a number below 2³² back"
 )]
-const fn scaled(difference: i64, share: Share) -> i64 {
+const fn scaled(difference: i64, smoothing: SmoothingFactor) -> i64 {
     const HALF: u64 = 1 << 31;
-    let upper = (difference >> 32).wrapping_mul(share.0 as i64);
+    let upper = (difference >> 32).wrapping_mul(smoothing.0 as i64);
     // (2³² − 1)² + 2³¹ is below 2⁶⁴.
-    let lower = (difference as u32 as u64).wrapping_mul(share.0 as u64).wrapping_add(HALF) >> 32;
+    let lower =
+        (difference as u32 as u64).wrapping_mul(smoothing.0 as u64).wrapping_add(HALF) >> 32;
     upper.wrapping_add(lower as i64)
 }
 
@@ -99,12 +100,12 @@ mod tests {
 
     const PER_MILLIKELVIN: f64 = Temperature::PER_MILLIKELVIN as f64;
 
-    fn share(tau_s: f64) -> f64 {
+    fn smoothing(tau_s: f64) -> f64 {
         -(-f64::from(STEP_MS) / 1e3 / tau_s).exp_m1()
     }
 
-    fn rounded(share: f64) -> Share {
-        Share((share * 4_294_967_296.0).round() as u32)
+    fn rounded(smoothing: f64) -> SmoothingFactor {
+        SmoothingFactor((smoothing * 4_294_967_296.0).round() as u32)
     }
 
     /// A room that warms by 20 K in a step, falls slowly, swings, and rests.
@@ -120,18 +121,18 @@ mod tests {
         (celsius * 1e3 * PER_MILLIKELVIN) as i32
     }
 
-    /// The worst error in mK over 6 hours, with the exact share and with the rounded one.
+    /// The worst error in mK over 6 hours, with the exact smoothing factor and with the rounded one.
     fn worst(tau_s: f64) -> (f64, f64) {
-        let exact = share(tau_s);
-        let share = rounded(exact);
-        let given = f64::from(share.0) / 4_294_967_296.0;
+        let exact = smoothing(tau_s);
+        let smoothing = rounded(exact);
+        let given = f64::from(smoothing.0) / 4_294_967_296.0;
         let first = input(0);
         let mut lag = Lag::settled(first);
         let (mut with_exact, mut with_given) = (f64::from(first), f64::from(first));
         let mut worst = (0.0_f64, 0.0_f64);
         for step in 0..6 * 36_000 {
             let x = input(step);
-            lag.step(x, share);
+            lag.step(x, smoothing);
             with_exact += (f64::from(x) - with_exact) * exact;
             with_given += (f64::from(x) - with_given) * given;
             let y = f64::from(lag.value());
@@ -145,7 +146,9 @@ mod tests {
     fn hours_of_steps_and_ramps_leave_a_ten_thousandth_of_a_millikelvin() {
         for tau_s in [0.2, 1.0, 10.0, 163.0, 1_630.0, 1e4, 1e5, 1e6] {
             let (with_exact, with_given) = worst(tau_s);
-            std::println!("τ {tau_s} s: {with_given:.6} mK, with the exact share {with_exact:.6}");
+            std::println!(
+                "τ {tau_s} s: {with_given:.6} mK, with the exact smoothing factor {with_exact:.6}"
+            );
             assert!(with_given < 1.5e-4);
             // 1.2e-9/s of τ in the time constant, of which 1/e of 20 K can show.
             assert!(with_exact < 1.5e-4 + tau_s * 1.2e-9 * 20_000.0, "τ {tau_s} s");
@@ -155,32 +158,32 @@ mod tests {
     #[test]
     fn the_slowest_lag_still_arrives() {
         // 10⁶ s: within 0.02 of a unit the rounding stops it.
-        let share = rounded(share(1e6));
+        let smoothing = rounded(smoothing(1e6));
         for (from, to) in [(0, 100), (100, 0), (i32::MIN, i32::MAX), (i32::MAX, i32::MIN)] {
             let mut lag = Lag::settled(from);
             // Most of the way in halves, the last bit of it slowly.
             for _ in 0..64 {
-                lag.step(to, Share(1 << 31));
+                lag.step(to, SmoothingFactor(1 << 31));
             }
             assert_eq!(lag.value(), to);
-            lag.step(to, share);
+            lag.step(to, smoothing);
             assert_eq!(lag.value(), to);
         }
         let mut lag = Lag::settled(0);
         for _ in 0..12_000_000 {
-            lag.step(1, share);
+            lag.step(1, smoothing);
         }
         assert_eq!(lag.value(), 1, "1 − e^(−1.2) of a unit rounds to it");
     }
 
     #[test]
     fn it_never_overshoots_nor_wraps_at_the_extremes() {
-        for share in [0, 1, 1 << 31, u32::MAX - 1, u32::MAX] {
+        for smoothing in [0, 1, 1 << 31, u32::MAX - 1, u32::MAX] {
             for (from, to) in [(i32::MIN, i32::MAX), (i32::MAX, i32::MIN), (-1, 0), (0, -1)] {
                 let mut lag = Lag::settled(from);
                 let mut last = from;
                 for _ in 0..100 {
-                    lag.step(to, Share(share));
+                    lag.step(to, SmoothingFactor(smoothing));
                     let now = lag.value();
                     assert!(now >= last.min(to) && now <= last.max(to));
                     last = now;
@@ -193,9 +196,9 @@ mod tests {
     fn a_full_share_is_no_lag_and_no_share_holds() {
         let mut lag = Lag::settled(5);
         for x in [i32::MIN, -1, 0, 7, i32::MAX] {
-            lag.step(x, Share::ALL);
+            lag.step(x, SmoothingFactor::NO_LAG);
             assert_eq!(lag, Lag::settled(x));
-            lag.step(12_345, Share::NONE);
+            lag.step(12_345, SmoothingFactor::HOLD);
             assert_eq!(lag.value(), x);
         }
     }

@@ -39,13 +39,13 @@ struct Reach {
     rest: i32,
 }
 
-/// What a step towards a target met.
+/// What limited a step towards a target.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Met {
+pub struct LimitStatus {
     /// A target lay beyond the largest permitted offset.
-    pub clamp: bool,
+    pub clamped: bool,
     /// An axis has not reached its (clamped) target yet.
-    pub slew: bool,
+    pub slewing: bool,
 }
 
 impl Applied {
@@ -61,19 +61,24 @@ impl Applied {
     /// };
     /// let mut applied = Applied::default();
     /// // 20 µm/s are 20 nm in a millisecond.
-    /// let met = applied.step(&limits, [Nanometres(0), Nanometres(0), Nanometres(1_000)], 1);
+    /// let status = applied.step(&limits, [Nanometres(0), Nanometres(0), Nanometres(1_000)], 1);
     /// assert_eq!(applied.offset(), [Nanometres(0), Nanometres(0), Nanometres(20)]);
-    /// assert!(met.slew && !met.clamp);
+    /// assert!(status.slewing && !status.clamped);
     /// ```
-    pub fn step(&mut self, limits: &Limits, target: [Nanometres; 3], elapsed_ms: u32) -> Met {
+    pub fn step(
+        &mut self,
+        limits: &Limits,
+        target: [Nanometres; 3],
+        elapsed_ms: u32,
+    ) -> LimitStatus {
         let reach = Reach::of(limits.slew_nm_per_s, elapsed_ms);
-        let mut met = Met::default();
+        let mut status = LimitStatus::default();
         for ((applied, target), max) in self.0.iter_mut().zip(target).zip(limits.max) {
-            let (goal, _) = target.held(max);
-            met.clamp |= goal != target;
-            met.slew |= !applied.approach(goal, reach);
+            let (goal, _) = target.clamped(max);
+            status.clamped |= goal != target;
+            status.slewing |= !applied.approach(goal, reach);
         }
-        met
+        status
     }
 
     /// The offset on X, Y and Z, rounded to the nanometre.
@@ -222,9 +227,9 @@ mod tests {
     fn each_axis_stops_at_its_own_clamp_and_says_so() {
         let mut applied = Applied::default();
         let far = [Nanometres(i32::MAX), Nanometres(i32::MIN), Nanometres(3_000)];
-        let met = applied.step(&LIMITS, far, u32::MAX);
+        let status = applied.step(&LIMITS, far, u32::MAX);
         assert_eq!(applied.offset(), [Nanometres(1_000), Nanometres(-2_000), Nanometres(3_000)]);
-        assert_eq!(met, Met { clamp: true, slew: false });
+        assert_eq!(status, LimitStatus { clamped: true, slewing: false });
     }
 
     #[test]

@@ -13,7 +13,7 @@
 //! measured by the test below over steps from 0.01 mm to 15 m and points up to ±5 mm: 0.011 nm.
 
 use crate::{
-    travel::{Blend, Whole},
+    travel::{Fraction, Interval},
     units::{Fine, Position},
 };
 
@@ -22,7 +22,7 @@ struct Place {
     /// The last point at or before it.
     number: usize,
     /// How far from there to the next.
-    share: Blend,
+    fraction: Fraction,
     /// Whether it lies before the first or after the last point.
     outside: bool,
 }
@@ -30,20 +30,20 @@ struct Place {
 impl Place {
     /// The place of `p` among `count` points, or `None` where there is none: no step, no points.
     #[inline]
-    fn of(p: Position, start: Position, step: Whole, count: usize) -> Option<Self> {
+    fn of(p: Position, start: Position, step: Interval, count: usize) -> Option<Self> {
         let last = count.checked_sub(1)?;
         let from_start = p.0.wrapping_sub(start.0).cast_unsigned();
         let steps = from_start.checked_div(step.length())?;
         if p < start {
-            return Some(Self { number: 0, share: Blend::ZERO, outside: true });
+            return Some(Self { number: 0, fraction: Fraction::ZERO, outside: true });
         }
         let rest = from_start.wrapping_sub(steps.wrapping_mul(step.length()));
         let number = usize::try_from(steps).ok()?;
         if number >= last {
             let outside = number > last || rest > 0;
-            return Some(Self { number: last, share: Blend::ZERO, outside });
+            return Some(Self { number: last, fraction: Fraction::ZERO, outside });
         }
-        Some(Self { number, share: step.share(rest), outside: false })
+        Some(Self { number, fraction: step.fraction(rest), outside: false })
     }
 
     /// The value of a table here.
@@ -52,7 +52,7 @@ impl Place {
         let value = |bytes: &[u8; 4]| Fine(i32::from_le_bytes(*bytes));
         let here = value(points.get(self.number)?);
         let next = points.get(self.number.wrapping_add(1)).map_or(here, value);
-        Some(self.share.between(here, next))
+        Some(self.fraction.between(here, next))
     }
 }
 
@@ -64,7 +64,7 @@ pub struct Table<'a> {
     /// The position of the first point.
     pub start: Position,
     /// The distance of the points, more than 0.
-    pub step: Whole,
+    pub step: Interval,
     /// Errors in 1/256 nm, little-endian.
     pub points: &'a [[u8; 4]],
 }
@@ -74,14 +74,14 @@ impl Table<'_> {
     /// is a constant, outside everywhere but at its position. A step of 0 gives 0, outside.
     ///
     /// ```
-    /// use trueup_core::{pitch::Table, travel::Whole, units::{Fine, Position}};
+    /// use trueup_core::{pitch::Table, travel::Interval, units::{Fine, Position}};
     /// // 10 mm commanded, 9 mm moved: the error is 0 at 0, and −1 mm at 10 mm.
     /// let points = [0, -1_000_000].map(|nm: i32| (nm * 256).to_le_bytes());
-    /// let table = Table { start: Position(0), step: Whole::new(1_000_000), points: &points };
+    /// let table = Table { start: Position(0), step: Interval::new(1_000_000), points: &points };
     /// let at = |mm: i32| table.at(Position(mm * Position::PER_MILLIMETRE));
     /// assert_eq!((at(5).0.rounded().0, at(5).1), (-500_000, false));
     /// // The offset is its opposite: 1 mm is added to the command.
-    /// assert_eq!(at(10).0.rounded().opposite().0, 1_000_000);
+    /// assert_eq!(at(10).0.rounded().negated().0, 1_000_000);
     /// assert_eq!(at(11), (at(10).0, true));
     /// ```
     #[must_use]
@@ -104,7 +104,7 @@ pub struct Pitch<'a> {
     /// The position of the first point.
     pub start: Position,
     /// The distance of the points, more than 0.
-    pub step: Whole,
+    pub step: Interval,
     /// Errors when approached in the positive direction, in 1/256 nm, little-endian.
     pub forward: &'a [[u8; 4]],
     /// Errors when approached in the negative direction, as many; `None`: the same.
@@ -112,37 +112,37 @@ pub struct Pitch<'a> {
 }
 
 impl Pitch<'_> {
-    /// The error at `p` when approached as `blend` says, and whether `p` lies outside, as
+    /// The error at `p` when approached as `reversal` says, and whether `p` lies outside, as
     /// [`Table::at`]. Where the reverse table is too short this says 0 and outside.
     ///
     /// ```
-    /// use trueup_core::{pitch::Pitch, travel::{Blend, Whole}, units::{Fine, Position}};
+    /// use trueup_core::{pitch::Pitch, travel::{Fraction, Interval}, units::{Fine, Position}};
     /// let (forward, reverse) = ([0, 1_500], [500, 2_000]);
     /// let bytes = |table: [i32; 2]| table.map(|nm| (nm * 256).to_le_bytes());
     /// let pitch = Pitch {
     ///     start: Position(0),
-    ///     step: Whole::new(100_000),
+    ///     step: Interval::new(100_000),
     ///     forward: &bytes(forward),
     ///     reverse: Some(&bytes(reverse)),
     /// };
-    /// let at = |blend| pitch.at(Position(100_000), blend).0.rounded().0;
-    /// assert_eq!([at(Blend::ZERO), at(Blend(1 << 30)), at(Blend::ONE)], [1_500, 1_750, 2_000]);
+    /// let at = |reversal| pitch.at(Position(100_000), reversal).0.rounded().0;
+    /// assert_eq!([at(Fraction::ZERO), at(Fraction(1 << 30)), at(Fraction::ONE)], [1_500, 1_750, 2_000]);
     /// ```
     #[must_use]
     #[inline]
-    pub fn at(&self, p: Position, blend: Blend) -> (Fine, bool) {
+    pub fn at(&self, p: Position, reversal: Fraction) -> (Fine, bool) {
         if self.forward.is_empty() {
             return (Fine::ZERO, false);
         }
-        self.found(p, blend).unwrap_or((Fine::ZERO, true))
+        self.found(p, reversal).unwrap_or((Fine::ZERO, true))
     }
 
     #[inline]
-    fn found(&self, p: Position, blend: Blend) -> Option<(Fine, bool)> {
+    fn found(&self, p: Position, reversal: Fraction) -> Option<(Fine, bool)> {
         let place = Place::of(p, self.start, self.step, self.forward.len())?;
         let forward = place.value(self.forward)?;
         let error = match self.reverse {
-            Some(points) => blend.between(forward, place.value(points)?),
+            Some(points) => reversal.between(forward, place.value(points)?),
             None => forward,
         };
         Some((error, place.outside))
@@ -153,7 +153,7 @@ impl Pitch<'_> {
     #[must_use]
     pub fn is_consistent(&self) -> bool {
         let alike = self.reverse.is_none_or(|reverse| reverse.len() == self.forward.len());
-        let step = self.step == Whole::new(self.step.length()) && self.step.length() > 0;
+        let step = self.step == Interval::new(self.step.length()) && self.step.length() > 0;
         alike && (step || self.forward.is_empty())
     }
 }
@@ -165,7 +165,7 @@ pub struct Beam {
     second: Position,
     /// Whether the second drive lies in the negative direction from the first.
     backwards: bool,
-    distance: Whole,
+    distance: Interval,
 }
 
 impl Beam {
@@ -178,7 +178,7 @@ impl Beam {
             first,
             second,
             backwards: second.0 < first.0,
-            distance: Whole::new(first.0.abs_diff(second.0)),
+            distance: Interval::new(first.0.abs_diff(second.0)),
         }
     }
 
@@ -191,12 +191,12 @@ impl Beam {
     /// w = (y − y₁)/(y₂ − y₁), held to 0…1.
     #[must_use]
     #[inline]
-    pub fn weight(&self, y: Position) -> Blend {
+    pub fn weight(&self, y: Position) -> Fraction {
         let before = if self.backwards { y >= self.first } else { y <= self.first };
         if before || self.distance.length() == 0 {
-            return Blend::ZERO;
+            return Fraction::ZERO;
         }
-        self.distance.share(y.0.abs_diff(self.first.0))
+        self.distance.fraction(y.0.abs_diff(self.first.0))
     }
 
     /// The error at `y` between errors `first` and `second` of the drives: (1 − w)·e₁ + w·e₂.
@@ -261,7 +261,8 @@ mod tests {
             let start = (random(&mut seed) as i32 / 10 * 7).clamp(-1_500_000_000, 1_500_000_000);
             let values: Vec<i32> = (0..count).map(|_| steep(&mut seed)).collect();
             let points: Vec<_> = values.iter().map(|value| value.to_le_bytes()).collect();
-            let table = Table { start: Position(start), step: Whole::new(step), points: &points };
+            let table =
+                Table { start: Position(start), step: Interval::new(step), points: &points };
             let span = step.saturating_mul(count as u32).max(1);
             for kind in 0..1_000 {
                 let p = match kind {
@@ -291,7 +292,7 @@ mod tests {
     fn a_table_is_exact_at_its_points_and_holds_its_ends() {
         let values = [7, -1_280_000_000, 1_280_000_000, 3];
         let points = values.map(i32::to_le_bytes);
-        let table = Table { start: Position(-MM), step: Whole::new(77), points: &points };
+        let table = Table { start: Position(-MM), step: Interval::new(77), points: &points };
         for (n, value) in (0..).zip(values) {
             assert_eq!(table.at(Position(-MM + n * 77)), (Fine(value), false));
         }
@@ -307,17 +308,17 @@ mod tests {
         for (moved, compensation) in [(9, 1_000_000), (11, -1_000_000)] {
             let error = (moved - 10) * 1_000_000 * Fine::PER_NANOMETRE;
             let points = [[0; 4], error.to_le_bytes()];
-            let step = Whole::new(10 * MM.unsigned_abs());
+            let step = Interval::new(10 * MM.unsigned_abs());
             let table = Table { start: Position(0), step, points: &points };
             let (error, outside) = table.at(Position(10 * MM));
-            assert_eq!((error.rounded().opposite().0, outside), (compensation, false));
+            assert_eq!((error.rounded().negated().0, outside), (compensation, false));
         }
     }
 
     #[test]
     fn one_point_is_a_constant() {
         let points = [256_i32.to_le_bytes()];
-        let table = Table { start: Position(5), step: Whole::new(MM as u32), points: &points };
+        let table = Table { start: Position(5), step: Interval::new(MM as u32), points: &points };
         assert_eq!([4, 5, 6].map(|p| table.at(Position(p)).1), [true, false, true]);
         assert_eq!([4, 5, 6].map(|p| table.at(Position(p)).0), [Fine(256); 3]);
     }
@@ -325,18 +326,18 @@ mod tests {
     #[test]
     fn no_points_are_nought_and_no_step_is_outside() {
         assert_eq!(Table::default().at(Position(1)), (Fine::ZERO, false));
-        assert_eq!(Pitch::default().at(Position(1), Blend::ONE), (Fine::ZERO, false));
+        assert_eq!(Pitch::default().at(Position(1), Fraction::ONE), (Fine::ZERO, false));
         assert!(Pitch::default().is_consistent());
         let points = [[1; 4]; 3];
         let stuck = Pitch { forward: &points, ..Pitch::default() };
-        assert_eq!(stuck.at(Position(0), Blend::ONE), (Fine::ZERO, true));
+        assert_eq!(stuck.at(Position(0), Fraction::ONE), (Fine::ZERO, true));
         assert!(!stuck.is_consistent());
         let short =
-            Pitch { step: Whole::new(10), reverse: Some(points.get(..1).unwrap()), ..stuck };
-        assert_eq!(short.at(Position(20), Blend::ONE), (Fine::ZERO, true));
+            Pitch { step: Interval::new(10), reverse: Some(points.get(..1).unwrap()), ..stuck };
+        assert_eq!(short.at(Position(20), Fraction::ONE), (Fine::ZERO, true));
         assert!(!short.is_consistent());
         assert!(Pitch { reverse: Some(&points), ..short }.is_consistent());
-        let other = Whole::from_parts(10, 1 << 31);
+        let other = Interval::from_parts(10, 1 << 31);
         assert!(!Pitch { step: other, reverse: Some(&points), ..short }.is_consistent());
     }
 
@@ -351,17 +352,17 @@ mod tests {
                 .map(|table| table.iter().map(|value| value.to_le_bytes()).collect::<Vec<_>>());
             let pitch = Pitch {
                 start: Position(-MM),
-                step: Whole::new(step),
+                step: Interval::new(step),
                 forward: &bytes[0],
                 reverse: Some(&bytes[1]),
             };
             for _ in 0..2_000 {
                 let p = -MM + (random(&mut seed) % (41 * step)) as i32;
-                let blend = Blend(random(&mut seed) >> 1);
+                let reversal = Fraction(random(&mut seed) >> 1);
                 let [(forward, _), (reverse, beyond)] =
                     tables.each_ref().map(|table| exact(table, -MM, step, p));
-                let wanted = forward + (reverse - forward) * f64::from(blend.0) / 2f64.powi(31);
-                let (error, outside) = pitch.at(Position(p), blend);
+                let wanted = forward + (reverse - forward) * f64::from(reversal.0) / 2f64.powi(31);
+                let (error, outside) = pitch.at(Position(p), reversal);
                 assert_eq!(outside, beyond);
                 worst = worst.max((f64::from(error.0) - wanted).abs() / 256.0);
             }
@@ -386,8 +387,8 @@ mod tests {
             assert_eq!(nowhere.across(Fine(1), Fine(3), Position(y)), Fine(1));
         }
         let widest = Beam::new(Position(i32::MAX), Position(i32::MIN));
-        assert_eq!(widest.weight(Position(i32::MIN)), Blend::ONE);
-        assert_eq!(widest.weight(Position(i32::MAX)), Blend::ZERO);
+        assert_eq!(widest.weight(Position(i32::MIN)), Fraction::ONE);
+        assert_eq!(widest.weight(Position(i32::MAX)), Fraction::ZERO);
     }
 
     #[test]
@@ -397,12 +398,12 @@ mod tests {
         let edges = [i32::MIN, -1, 0, 1, i32::MAX];
         for _ in 0..300_000 {
             let mut any = || random(&mut seed);
-            let step = Whole::from_parts(any() >> (any() % 33).min(31), any());
+            let step = Interval::from_parts(any() >> (any() % 33).min(31), any());
             let forward = &points[..any() as usize % 4];
             let reverse = (any() % 2 == 0).then_some(&points[..any() as usize % 4]);
             let position = |n: u32| edges.get(n as usize % 8).copied().unwrap_or(n as i32);
             let pitch = Pitch { start: Position(position(any())), step, forward, reverse };
-            let _ = pitch.at(Position(position(any())), Blend(any()));
+            let _ = pitch.at(Position(position(any())), Fraction(any()));
             let beam = Beam::new(Position(position(any())), Position(position(any())));
             let _ = beam.across(Fine(any() as i32), Fine(any() as i32), Position(position(any())));
         }

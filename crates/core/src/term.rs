@@ -1,4 +1,4 @@
-//! What a diagnosis has added to the machine's model: up to [`MOST`] terms, in their order.
+//! What a diagnosis has added to the machine's model: up to [`MAX_TERMS`] terms, in their order.
 //!
 //! A term of the elongation gives p a new value; one of an axis adds to its error:
 //!
@@ -10,7 +10,7 @@
 //! reversed    + β·(w + gradient·P)       wave      + a·sin(2π·P/L + φ)
 //! ```
 //!
-//! and a table or a curve of the position. Each also adds a constant. β is the share of the approach
+//! and a table or a curve of the position. Each also adds a constant. β is the fraction of the approach
 //! in the negative direction ([`travel`](crate::travel)). m is a number with its own binary point
 //! ([`Scaled`]), so that a coefficient of any size keeps 30 bits. Heat and time are stepped every
 //! 100 ms with the rest of the heat; the others are computed where they are needed.
@@ -26,15 +26,15 @@ use crate::{
     geometry::Place,
     gradient::Gradient,
     heat::CHANNELS,
-    lag::{Lag, Share},
+    lag::{Lag, SmoothingFactor},
     pitch::Pitch,
     tool::Direction,
-    travel::{Blend, backlash},
+    travel::{Fraction, backlash},
     units::{Fine, MicroDegrees, Position, Rpm, Temperature},
 };
 
 /// The most terms of a calibration.
-pub const MOST: usize = 16;
+pub const MAX_TERMS: usize = 16;
 
 /// What a term changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -72,7 +72,7 @@ pub enum Effect<'a> {
         /// Of the temperature.
         channel: u8,
         /// Of its lag, for 100 ms.
-        share: Share,
+        smoothing: SmoothingFactor,
         /// T_ref.
         reference: Temperature,
         /// m, in 1/256 nm per temperature unit.
@@ -81,8 +81,8 @@ pub enum Effect<'a> {
     /// + m·(1 − e^(−t/τ)), t since the start of the board.
     Time {
         /// For 100 ms.
-        share: Share,
-        /// m, in 1/256 nm per [`TIME_ONE`].
+        smoothing: SmoothingFactor,
+        /// m, in 1/256 nm per [`UNIT_STEP`].
         amplitude: Scaled,
     },
     /// + m·n², n in r/min.
@@ -124,7 +124,7 @@ pub enum Effect<'a> {
 }
 
 /// 1 of what a term over time follows.
-pub const TIME_ONE: i32 = 1 << 30;
+pub const UNIT_STEP: i32 = 1 << 30;
 
 /// A coefficient: mantissa/2^shift.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -155,9 +155,9 @@ impl Scaled {
 
 /// What the terms remember: their lags, and what heat and time have made of them.
 #[derive(Clone, Debug, Default)]
-pub struct Warmth {
-    lags: [Option<Lag>; MOST],
-    values: [Fine; MOST],
+pub struct TermStates {
+    lags: [Option<Lag>; MAX_TERMS],
+    values: [Fine; MAX_TERMS],
     known: Set,
 }
 
@@ -183,7 +183,7 @@ impl Set {
     }
 }
 
-impl Warmth {
+impl TermStates {
     /// A step of 100 ms of term `index`, if it is one of heat or time. A temperature that is missing
     /// leaves it as it is.
     pub fn step(
@@ -198,19 +198,19 @@ impl Warmth {
             return;
         };
         match term.effect {
-            Effect::Heat { channel, share, reference, per_temperature } => {
+            Effect::Heat { channel, smoothing, reference, per_temperature } => {
                 let temperature = temperatures.get(usize::from(channel)).copied().flatten();
                 if let Some(Temperature(now)) = temperature {
                     let lag = lag.get_or_insert(Lag::settled(now));
-                    lag.step(now, share);
+                    lag.step(now, smoothing);
                     self.known.insert(u32::try_from(index).unwrap_or(u32::MAX));
                     *value =
                         per_temperature.times(i64::from(lag.value().saturating_sub(reference.0)));
                 }
             }
-            Effect::Time { share, amplitude } => {
+            Effect::Time { smoothing, amplitude } => {
                 let lag = lag.get_or_insert(Lag::settled(0));
-                lag.step(TIME_ONE, share);
+                lag.step(UNIT_STEP, smoothing);
                 *value = amplitude.times(i64::from(lag.value()));
             }
             _ => {}
@@ -230,7 +230,7 @@ impl Warmth {
 
 /// What the CNC says of the spindle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Turning {
+pub struct OperatingPoint {
     /// Its speed; `None` if nobody knows.
     pub speed: Option<Rpm>,
     /// The axial cutting force in 1/256 N, pushing the tool back is positive; ±2²⁴ of them.
@@ -240,7 +240,12 @@ pub struct Turning {
 impl Calibration<'_> {
     /// The elongation with its terms.
     #[must_use]
-    pub fn with_terms(&self, elongation: Fine, warmth: &Warmth, turning: Turning) -> Fine {
+    pub fn with_terms(
+        &self,
+        elongation: Fine,
+        states: &TermStates,
+        operating: OperatingPoint,
+    ) -> Fine {
         let mut p = elongation;
         for (index, term) in self.terms.iter().enumerate() {
             let Some(term) = term else { break };
@@ -252,12 +257,12 @@ impl Calibration<'_> {
                         p.plus(m.times(held.wrapping_mul(held) >> 24))
                     }
                     Effect::Saturation(limit) => p.min(limit),
-                    Effect::Heat { .. } | Effect::Time { .. } => p.plus(warmth.value(index)),
+                    Effect::Heat { .. } | Effect::Time { .. } => p.plus(states.value(index)),
                     Effect::Speed(m) => {
-                        let rpm = i64::from(turning.speed.unwrap_or_default().0);
+                        let rpm = i64::from(operating.speed.unwrap_or_default().0);
                         p.plus(m.times(rpm.wrapping_mul(rpm)))
                     }
-                    Effect::Load(m) => p.plus(m.times(i64::from(turning.load))),
+                    Effect::Load(m) => p.plus(m.times(i64::from(operating.load))),
                     _ => p,
                 }
                 .plus(term.constant);
@@ -268,13 +273,13 @@ impl Calibration<'_> {
 
     /// What the terms of the axes add, and whether a position is outside a table.
     #[must_use]
-    pub fn axis_terms(&self, warmth: &Warmth, place: &Place) -> ([Fine; 3], bool) {
+    pub fn axis_terms(&self, states: &TermStates, place: &Place) -> ([Fine; 3], bool) {
         let (mut errors, mut outside) = ([Fine::ZERO; 3], false);
         for (index, term) in self.terms.iter().enumerate() {
             let Some(term) = term else { break };
             let Target::Axis(own) = term.target else { continue };
             let Some(error) = errors.get_mut(own as usize) else { continue };
-            let (part, beyond) = term.effect.at(own, warmth.value(index), place);
+            let (part, beyond) = term.effect.at(own, states.value(index), place);
             *error = error.plus(part).plus(term.constant);
             outside |= beyond;
         }
@@ -284,18 +289,19 @@ impl Calibration<'_> {
 
 impl Effect<'_> {
     /// What it adds to the error of its own axis, and whether that is the end of a table held.
-    fn at(&self, own: LinearAxis, warmth: Fine, place: &Place) -> (Fine, bool) {
+    fn at(&self, own: LinearAxis, states: Fine, place: &Place) -> (Fine, bool) {
         let of = |axis: LinearAxis| place.position.get(axis as usize).copied().unwrap_or_default();
-        let blend =
-            || place.travel.get(own as usize).map_or(Blend::ZERO, crate::travel::Travel::blend);
+        let reversal = || {
+            place.travel.get(own as usize).map_or(Fraction::ZERO, crate::travel::Travel::reversal)
+        };
         let inside = |part| (part, false);
         match self {
-            Self::Heat { .. } | Self::Time { .. } => inside(warmth),
+            Self::Heat { .. } | Self::Time { .. } => inside(states),
             Self::Position { axis, gradient } => inside(gradient.over(Position(0), of(*axis))),
             Self::Reversed { width, gradient } => {
-                inside(backlash(width.plus(gradient.over(Position(0), of(own))), blend()))
+                inside(backlash(width.plus(gradient.over(Position(0), of(own))), reversal()))
             }
-            Self::Table(pitch) => pitch.at(of(own), blend()),
+            Self::Table(pitch) => pitch.at(of(own), reversal()),
             Self::Curve { axis, curve } => curve.at(of(*axis)),
             Self::Wave { turns, phase, amplitude } => {
                 inside(wave(*turns, *phase, *amplitude, of(own)))
@@ -345,7 +351,7 @@ mod tests {
             axes: Default::default(),
             straightness: Default::default(),
             squareness: Default::default(),
-            terms: [None; MOST],
+            terms: [None; MAX_TERMS],
             limits: Limits {
                 max: [Nanometres(0); 3],
                 slew_nm_per_s: 0,
@@ -391,15 +397,15 @@ mod tests {
         let gain = (Target::Elongation, 0, Effect::Gain(scaled(1.0)));
         let offset = (Target::Elongation, 256_000, Effect::Offset);
         let p = Fine(10 * 256_000);
-        let (warmth, turning) = (Warmth::default(), Turning::default());
-        assert_eq!(um(with(&[gain, offset]).with_terms(p, &warmth, turning)), 21.0);
-        assert_eq!(um(with(&[offset, gain]).with_terms(p, &warmth, turning)), 22.0);
+        let (states, operating) = (TermStates::default(), OperatingPoint::default());
+        assert_eq!(um(with(&[gain, offset]).with_terms(p, &states, operating)), 21.0);
+        assert_eq!(um(with(&[offset, gain]).with_terms(p, &states, operating)), 22.0);
     }
 
     #[test]
     fn what_a_sensor_a_spindle_and_a_cut_do() {
-        let warmth = Warmth::default();
-        let turning = Turning { speed: Some(Rpm(12_000)), load: 500 * 256 };
+        let states = TermStates::default();
+        let operating = OperatingPoint { speed: Some(Rpm(12_000)), load: 500 * 256 };
         // c·p² with c in 1/µm: p² in fine units is 256 000 times µm², halved 24 times.
         let curvature = scaled(0.01 / 256_000.0 * 2_f64.powi(24));
         for (effect, wanted) in [
@@ -409,7 +415,7 @@ mod tests {
             (Effect::Load(scaled(-0.01 * 1_000.0)), 45.0),
         ] {
             let calibration = with(&[(Target::Elongation, 0, effect)]);
-            let got = um(calibration.with_terms(Fine(50 * 256_000), &warmth, turning));
+            let got = um(calibration.with_terms(Fine(50 * 256_000), &states, operating));
             assert!((got - wanted).abs() < 1e-5, "{effect:?}: {got}");
         }
     }
@@ -417,26 +423,26 @@ mod tests {
     #[test]
     fn heat_follows_its_lag_and_time_its_own() {
         let kelvin = f64::from(Temperature::PER_KELVIN);
-        // −3 µm/K from 25 °C, with a share of a quarter a step.
+        // −3 µm/K from 25 °C, with a smoothing factor of a quarter a step.
         let heat = Effect::Heat {
             channel: 2,
-            share: Share(1 << 30),
+            smoothing: SmoothingFactor(1 << 30),
             reference: Temperature(25 * Temperature::PER_KELVIN),
             per_temperature: scaled(-3.0 * 256_000.0 / kelvin),
         };
-        let amplitude = scaled(8.0 * 256_000.0 / f64::from(TIME_ONE));
-        let time = Effect::Time { share: Share(1 << 30), amplitude };
+        let amplitude = scaled(8.0 * 256_000.0 / f64::from(UNIT_STEP));
+        let time = Effect::Time { smoothing: SmoothingFactor(1 << 30), amplitude };
         let x = Target::Axis(LinearAxis::X);
         let calibration = with(&[(x, 0, heat), (Target::Elongation, 0, time)]);
-        let mut warmth = Warmth::default();
+        let mut states = TermStates::default();
         let heated = Set::of_heat(&calibration);
-        assert!(!warmth.knows(heated));
+        assert!(!states.knows(heated));
         let mut temperatures = [None; CHANNELS];
         let mut heat_up = |temperatures: &_| {
-            warmth.step(&calibration, 0, temperatures);
-            warmth.step(&calibration, 1, temperatures);
-            let (errors, _) = calibration.axis_terms(&warmth, &Place::default());
-            let elongation = calibration.with_terms(Fine::ZERO, &warmth, Turning::default());
+            states.step(&calibration, 0, temperatures);
+            states.step(&calibration, 1, temperatures);
+            let (errors, _) = calibration.axis_terms(&states, &Place::default());
+            let elongation = calibration.with_terms(Fine::ZERO, &states, OperatingPoint::default());
             (um(errors[0]), um(elongation))
         };
         let near = |got: (f64, f64), wanted: (f64, f64)| {
@@ -449,7 +455,7 @@ mod tests {
         near(heat_up(&temperatures), (-9.0, 4.625));
         temperatures[2] = None;
         near(heat_up(&temperatures), (-9.0, 8.0 * (1.0 - 0.75_f64.powi(4))));
-        assert!(warmth.knows(heated));
+        assert!(states.knows(heated));
     }
 
     #[test]
@@ -461,7 +467,7 @@ mod tests {
         let mut place = Place { position: [Position(metre / 4); 3], ..Place::default() };
         place.position[1] = Position(metre / 2);
         let at = |effect, place: &Place| {
-            um(with(&[(x, 0, effect)]).axis_terms(&Warmth::default(), place).0[0])
+            um(with(&[(x, 0, effect)]).axis_terms(&TermStates::default(), place).0[0])
         };
         let scale = Effect::Position { axis: LinearAxis::X, gradient };
         let cross = Effect::Position { axis: LinearAxis::Y, gradient };
@@ -513,31 +519,31 @@ mod tests {
                 Effect::Wave { turns: u64::MAX, phase: u32::MAX, amplitude: Fine(m) },
                 Effect::Heat {
                     channel: 255,
-                    share: Share(u32::MAX),
+                    smoothing: SmoothingFactor(u32::MAX),
                     reference: Temperature(m),
                     per_temperature: scaled,
                 },
                 Effect::Heat {
                     channel: 0,
-                    share: Share(7),
+                    smoothing: SmoothingFactor(7),
                     reference: Temperature(m),
                     per_temperature: scaled,
                 },
-                Effect::Time { share: Share(m.unsigned_abs()), amplitude: scaled },
+                Effect::Time { smoothing: SmoothingFactor(m.unsigned_abs()), amplitude: scaled },
             ]);
         }
         for effect in effects {
             for target in [Target::Elongation, Target::Axis(LinearAxis::Y)] {
-                let calibration = with(&[(target, i32::MAX, effect); MOST]);
+                let calibration = with(&[(target, i32::MAX, effect); MAX_TERMS]);
                 for x in extremes {
-                    let mut warmth = Warmth::default();
-                    for index in 0..=MOST {
-                        warmth.step(&calibration, index, &[Some(Temperature(x)); CHANNELS]);
+                    let mut states = TermStates::default();
+                    for index in 0..=MAX_TERMS {
+                        states.step(&calibration, index, &[Some(Temperature(x)); CHANNELS]);
                     }
                     let place = Place { position: [Position(x); 3], ..Place::default() };
-                    let _ = calibration.axis_terms(&warmth, &place);
-                    let turning = Turning { speed: Some(Rpm(u16::MAX)), load: i32::MIN };
-                    let _ = calibration.with_terms(Fine(x), &warmth, turning);
+                    let _ = calibration.axis_terms(&states, &place);
+                    let operating = OperatingPoint { speed: Some(Rpm(u16::MAX)), load: i32::MIN };
+                    let _ = calibration.with_terms(Fine(x), &states, operating);
                 }
             }
         }

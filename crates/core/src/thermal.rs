@@ -133,7 +133,7 @@ impl Law<'_> {
     /// let metre = Position(1_000 * Position::PER_MILLIMETRE);
     /// let error = constant.plus(gradient.over(Position(0), metre)).rounded();
     /// assert_eq!(error.0, 269_990);
-    /// assert_eq!(error.opposite().0, -269_990);
+    /// assert_eq!(error.negated().0, -269_990);
     /// ```
     #[must_use]
     pub fn at(&self, t: Temperature) -> (Fine, Gradient) {

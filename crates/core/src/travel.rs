@@ -15,16 +15,16 @@
 //! limit of the offsets smooths that.
 //!
 //! β is Q31; positions and progress are exact, β is at most 2 of its last places low, measured
-//! below over the whole range of ramps. [`Blend::between`] rounds to the nearest 1/256 nm over the
+//! below over the whole range of ramps. [`Fraction::between`] rounds to the nearest 1/256 nm over the
 //! whole range of a length.
 
 use crate::units::{Fine, Position};
 
-/// A share from 0 to 1 in Q31: 2³¹ is 1, and more counts as 1.
+/// A fraction from 0 to 1 in Q31: 2³¹ is 1, and more counts as 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Blend(pub u32);
+pub struct Fraction(pub u32);
 
-impl Blend {
+impl Fraction {
     /// Binary places.
     pub const FRACTION_BITS: u32 = 31;
     /// Nothing: approached in the positive direction.
@@ -32,37 +32,37 @@ impl Blend {
     /// All: approached in the negative direction.
     pub const ONE: Self = Self(1 << Self::FRACTION_BITS);
 
-    /// The value at this share of the way from `a` to `b`, exact at both ends.
+    /// The value at this fraction of the way from `a` to `b`, exact at both ends.
     ///
     /// ```
-    /// use trueup_core::{travel::Blend, units::Fine};
-    /// let quarter = Blend(1 << 29);
+    /// use trueup_core::{travel::Fraction, units::Fine};
+    /// let quarter = Fraction(1 << 29);
     /// assert_eq!(quarter.between(Fine(100), Fine(-300)), Fine(0));
     /// ```
     #[must_use]
     #[inline]
     #[allow(clippy::cast_possible_truncation, reason = "between two values of 32 bits")]
     pub fn between(self, a: Fine, b: Fine) -> Fine {
-        const HALF: i64 = 1 << (Blend::FRACTION_BITS - 1);
-        // |b − a| < 2³² and the share is at most 2³¹: below 2⁶³ with the half.
-        let share = i64::from(self.0.min(Self::ONE.0));
+        const HALF: i64 = 1 << (Fraction::FRACTION_BITS - 1);
+        // |b − a| < 2³² and the fraction is at most 2³¹: below 2⁶³ with the half.
+        let fraction = i64::from(self.0.min(Self::ONE.0));
         let rise = i64::from(b.0).wrapping_sub(i64::from(a.0));
-        let part = rise.wrapping_mul(share).wrapping_add(HALF) >> Self::FRACTION_BITS;
+        let part = rise.wrapping_mul(fraction).wrapping_add(HALF) >> Self::FRACTION_BITS;
         Fine(i64::from(a.0).wrapping_add(part) as i32)
     }
 }
 
-/// A length of which shares are taken, without a division: its reciprocal is kept.
+/// A length of which fractions are taken, without a division: its reciprocal is kept.
 ///
 /// The length is shifted up until its top bit is set; with m the result, the reciprocal is
-/// ⌊(2⁶³ − 1)/m⌋, and a part shifted alike times it, the high word, is the share in Q31.
+/// ⌊(2⁶³ − 1)/m⌋, and a part shifted alike times it, the high word, is the fraction in Q31.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Whole {
+pub struct Interval {
     length: u32,
     reciprocal: u32,
 }
 
-impl Whole {
+impl Interval {
     /// The length, in position units; 0 is allowed.
     ///
     /// Costs some hundred instructions: meant for loading, not for every tick.
@@ -88,8 +88,8 @@ impl Whole {
         Self { length, reciprocal }
     }
 
-    /// A whole whose reciprocal was kept with it, [`Self::reciprocal`]; another one gives wrong
-    /// shares, but nothing worse.
+    /// An interval whose reciprocal was kept with it, [`Self::reciprocal`]; another one gives wrong
+    /// fractions, but nothing worse.
     #[must_use]
     pub const fn from_parts(length: u32, reciprocal: u32) -> Self {
         Self { length, reciprocal }
@@ -107,23 +107,23 @@ impl Whole {
         self.reciprocal
     }
 
-    /// The share that `part` is of the length, held to 1; of a length of 0 everything is all.
+    /// The fraction that `part` is of the length, held to 1; of a length of 0 everything is all.
     ///
     /// ```
-    /// use trueup_core::travel::{Blend, Whole};
+    /// use trueup_core::travel::{Fraction, Interval};
     /// // 75 of 300 are a quarter, 2²⁹ in Q31; at most 2 of the last places too low.
-    /// assert!(Whole::new(300).share(75).0.abs_diff(1 << 29) <= 2);
-    /// assert_eq!(Whole::new(300).share(300), Blend::ONE);
+    /// assert!(Interval::new(300).fraction(75).0.abs_diff(1 << 29) <= 2);
+    /// assert_eq!(Interval::new(300).fraction(300), Fraction::ONE);
     /// ```
     #[must_use]
     #[inline]
     #[allow(clippy::cast_possible_truncation, reason = "the high word of a product of two words")]
-    pub fn share(self, part: u32) -> Blend {
+    pub fn fraction(self, part: u32) -> Fraction {
         if part >= self.length {
-            return Blend::ONE;
+            return Fraction::ONE;
         }
         let normal = part.wrapping_shl(self.length.leading_zeros());
-        Blend((u64::from(normal).wrapping_mul(u64::from(self.reciprocal)) >> 32) as u32)
+        Fraction((u64::from(normal).wrapping_mul(u64::from(self.reciprocal)) >> 32) as u32)
     }
 }
 
@@ -133,7 +133,7 @@ pub struct Config {
     /// How far back a position must lie before the reversal counts, in position units.
     pub hysteresis: u32,
     /// The travel, after that, over which β goes from one end to the other.
-    pub ramp: Whole,
+    pub ramp: Interval,
 }
 
 /// The direction of approach of one axis. A changed [`Config`] needs a new one.
@@ -145,14 +145,14 @@ pub struct Travel {
     furthest: Position,
     /// How much of the ramp is passed towards the negative end.
     progress: u32,
-    blend: Blend,
+    reversal: Fraction,
 }
 
 impl Travel {
     /// No direction seen yet; β is 0.
     #[must_use]
     pub const fn new() -> Self {
-        Self { direction: 0, furthest: Position(0), progress: 0, blend: Blend::ZERO }
+        Self { direction: 0, furthest: Position(0), progress: 0, reversal: Fraction::ZERO }
     }
 
     /// Takes the commanded position and direction (its sign; 0 changes nothing at all).
@@ -161,17 +161,17 @@ impl Travel {
     /// direction hides two reversals: travel is then counted from the new position.
     ///
     /// ```
-    /// use trueup_core::{travel::{backlash, Config, Travel, Whole}, units::{Fine, Position}};
+    /// use trueup_core::{travel::{backlash, Config, Travel, Interval}, units::{Fine, Position}};
     /// // Reversal counts after 10 µm, and then takes 100 µm; backlash 4 µm.
-    /// let config = Config { hysteresis: 1_000, ramp: Whole::new(10_000) };
+    /// let config = Config { hysteresis: 1_000, ramp: Interval::new(10_000) };
     /// let width = Fine(4_000 * 256);
     /// let mut travel = Travel::new();
     /// travel.update(&config, Position(500_000), 1);
-    /// assert_eq!(backlash(width, travel.blend()), Fine(0));
+    /// assert_eq!(backlash(width, travel.reversal()), Fine(0));
     /// travel.update(&config, Position(494_000), -1); // 60 µm back: half way
-    /// assert_eq!(backlash(width, travel.blend()).rounded().0, 2_000);
+    /// assert_eq!(backlash(width, travel.reversal()).rounded().0, 2_000);
     /// travel.update(&config, Position(489_000), -1); // 110 µm back
-    /// assert_eq!(backlash(width, travel.blend()), width);
+    /// assert_eq!(backlash(width, travel.reversal()), width);
     /// ```
     pub fn update(&mut self, config: &Config, p: Position, direction: i8) {
         let direction = direction.signum();
@@ -198,7 +198,7 @@ impl Travel {
         }
         // Of no ramp everything is passed at once, in either direction.
         let at_once = config.ramp.length == 0 && self.direction > 0;
-        self.blend = if at_once { Blend::ZERO } else { config.ramp.share(self.progress) };
+        self.reversal = if at_once { Fraction::ZERO } else { config.ramp.fraction(self.progress) };
     }
 
     /// Whether `p` is further in the present direction than any position before.
@@ -218,8 +218,8 @@ impl Travel {
 
     /// β: 0 approached in the positive direction or unknown, 1 in the negative.
     #[must_use]
-    pub const fn blend(&self) -> Blend {
-        self.blend
+    pub const fn reversal(&self) -> Fraction {
+        self.reversal
     }
 
     /// The direction of approach: +1, −1, or 0 while none has been seen.
@@ -233,14 +233,14 @@ impl Travel {
 /// the negative one, in which the table is left behind. A width below 0 is over-compensation.
 ///
 /// ```
-/// use trueup_core::{travel::{backlash, Blend}, units::Fine};
-/// assert_eq!(backlash(Fine(1_024), Blend::ZERO), Fine(0));
-/// assert_eq!(backlash(Fine(1_024), Blend::ONE), Fine(1_024));
+/// use trueup_core::{travel::{backlash, Fraction}, units::Fine};
+/// assert_eq!(backlash(Fine(1_024), Fraction::ZERO), Fine(0));
+/// assert_eq!(backlash(Fine(1_024), Fraction::ONE), Fine(1_024));
 /// ```
 #[must_use]
 #[inline]
-pub fn backlash(width: Fine, blend: Blend) -> Fine {
-    blend.between(Fine::ZERO, width)
+pub fn backlash(width: Fine, reversal: Fraction) -> Fine {
+    reversal.between(Fine::ZERO, width)
 }
 
 #[cfg(test)]
@@ -249,10 +249,10 @@ mod tests {
     extern crate std;
 
     const UM: i32 = Position::PER_MILLIMETRE / 1_000;
-    const AT_ONCE: Config = Config { hysteresis: 0, ramp: Whole::new(0) };
+    const AT_ONCE: Config = Config { hysteresis: 0, ramp: Interval::new(0) };
 
     fn config(hysteresis: u32, ramp: u32) -> Config {
-        Config { hysteresis, ramp: Whole::new(ramp) }
+        Config { hysteresis, ramp: Interval::new(ramp) }
     }
 
     /// β as a number after each of the updates.
@@ -260,7 +260,7 @@ mod tests {
         let mut travel = Travel::new();
         updates.map(|(p, direction)| {
             travel.update(config, Position(p), direction);
-            f64::from(travel.blend().0) / 2f64.powi(31)
+            f64::from(travel.reversal().0) / 2f64.powi(31)
         })
     }
 
@@ -281,22 +281,22 @@ mod tests {
     fn approached_forwards_the_error_is_nought_and_backwards_it_is_the_width() {
         let width = Fine(4_000 * Fine::PER_NANOMETRE);
         let mut travel = Travel::new();
-        assert_eq!((travel.direction(), backlash(width, travel.blend())), (0, Fine(0)));
+        assert_eq!((travel.direction(), backlash(width, travel.reversal())), (0, Fine(0)));
         travel.update(&AT_ONCE, Position(0), 1);
-        assert_eq!((travel.direction(), backlash(width, travel.blend())), (1, Fine(0)));
+        assert_eq!((travel.direction(), backlash(width, travel.reversal())), (1, Fine(0)));
         // At once, even without travel.
         travel.update(&AT_ONCE, Position(0), -1);
-        assert_eq!((travel.direction(), backlash(width, travel.blend())), (-1, width));
+        assert_eq!((travel.direction(), backlash(width, travel.reversal())), (-1, width));
         travel.update(&AT_ONCE, Position(0), 1);
-        assert_eq!((travel.direction(), backlash(width, travel.blend())), (1, Fine(0)));
+        assert_eq!((travel.direction(), backlash(width, travel.reversal())), (1, Fine(0)));
     }
 
     #[test]
     fn a_cnc_that_over_compensates_has_a_negative_width() {
         let width = Fine(-3_000 * Fine::PER_NANOMETRE);
-        assert_eq!(backlash(width, Blend::ONE), width);
-        assert_eq!(backlash(width, Blend(1 << 30)).rounded().0, -1_500);
-        assert_eq!(backlash(Fine(i32::MIN), Blend::ONE), Fine(i32::MIN));
+        assert_eq!(backlash(width, Fraction::ONE), width);
+        assert_eq!(backlash(width, Fraction(1 << 30)).rounded().0, -1_500);
+        assert_eq!(backlash(Fine(i32::MIN), Fraction::ONE), Fine(i32::MIN));
     }
 
     #[test]
@@ -363,14 +363,14 @@ mod tests {
             travel.update(&config, Position(p), 1);
             for _ in 0..200_000 {
                 let (step, direction) = (random(&mut seed) % 61, random(&mut seed) % 3);
-                let (before, moved) = (travel.blend(), step as i32 - 30);
+                let (before, moved) = (travel.reversal(), step as i32 - 30);
                 p += moved;
                 travel.update(
                     &config,
                     Position(p),
                     if direction == 0 { 1 } else { moved.signum() as i8 },
                 );
-                let change = f64::from(travel.blend().0) - f64::from(before.0);
+                let change = f64::from(travel.reversal().0) - f64::from(before.0);
                 let most = f64::from(moved.unsigned_abs()) / f64::from(ramp) * 2f64.powi(31);
                 assert!(change.abs() <= most + 4.0, "{change} {most}");
             }
@@ -381,10 +381,10 @@ mod tests {
     fn a_share_is_f64_within_two_last_places() {
         let (mut worst, mut seed) = (0.0_f64, 2);
         let mut check = |length: u32, part: u32| {
-            let share = f64::from(Whole::new(length).share(part).0);
+            let fraction = f64::from(Interval::new(length).fraction(part).0);
             let exact = (f64::from(part) / f64::from(length)).min(1.0) * 2f64.powi(31);
-            assert!(share <= exact + 1e-6, "{part}/{length}");
-            worst = worst.max(exact - share);
+            assert!(fraction <= exact + 1e-6, "{part}/{length}");
+            worst = worst.max(exact - fraction);
         };
         for bits in 0..32 {
             for length in [1_u32 << bits, (1_u64 << (bits + 1)).wrapping_sub(1) as u32] {
@@ -397,9 +397,9 @@ mod tests {
             let length = (random(&mut seed) >> (random(&mut seed) % 32)).max(1);
             check(length, random(&mut seed) % length);
         }
-        std::println!("largest error of a share: {worst:.3} of 2^-31");
+        std::println!("largest error of a fraction: {worst:.3} of 2^-31");
         assert!(worst <= 2.0);
-        assert_eq!(Whole::new(0).share(0), Blend::ONE);
+        assert_eq!(Interval::new(0).fraction(0), Fraction::ONE);
     }
 
     #[test]
@@ -407,17 +407,17 @@ mod tests {
         let (mut worst, mut seed) = (0.0_f64, 3);
         for _ in 0..1_000_000 {
             let (a, b) = (random(&mut seed) as i32, random(&mut seed) as i32);
-            let blend = Blend(random(&mut seed) >> 1);
-            let share = f64::from(blend.0) / 2f64.powi(31);
-            let exact = f64::from(a) + (f64::from(b) - f64::from(a)) * share;
-            worst = worst.max((f64::from(blend.between(Fine(a), Fine(b)).0) - exact).abs());
+            let reversal = Fraction(random(&mut seed) >> 1);
+            let fraction = f64::from(reversal.0) / 2f64.powi(31);
+            let exact = f64::from(a) + (f64::from(b) - f64::from(a)) * fraction;
+            worst = worst.max((f64::from(reversal.between(Fine(a), Fine(b)).0) - exact).abs());
         }
-        std::println!("largest error of a blend: {worst:.3} of 1/256 nm");
+        std::println!("largest error of a reversal: {worst:.3} of 1/256 nm");
         assert!(worst <= 0.501);
         for (a, b) in [(i32::MIN, i32::MAX), (i32::MAX, i32::MIN), (7, -9)] {
-            assert_eq!(Blend::ZERO.between(Fine(a), Fine(b)), Fine(a));
-            assert_eq!(Blend::ONE.between(Fine(a), Fine(b)), Fine(b));
-            assert_eq!(Blend(u32::MAX).between(Fine(a), Fine(b)), Fine(b), "more is all");
+            assert_eq!(Fraction::ZERO.between(Fine(a), Fine(b)), Fine(a));
+            assert_eq!(Fraction::ONE.between(Fine(a), Fine(b)), Fine(b));
+            assert_eq!(Fraction(u32::MAX).between(Fine(a), Fine(b)), Fine(b), "more is all");
         }
     }
 
@@ -435,7 +435,7 @@ mod tests {
                 // A new configuration may come at any time.
                 let config = if any(4) == 0 { AT_ONCE } else { config };
                 travel.update(&config, Position(extremes[any(6)]), direction);
-                assert!(travel.blend() <= Blend::ONE);
+                assert!(travel.reversal() <= Fraction::ONE);
             }
         }
     }

@@ -29,24 +29,24 @@ impl Nanometres {
         Self(if high == low >> 31 { low } else { i32::MAX ^ sign })
     }
 
-    /// The length held to ±`largest`, which counts as 0 below 0; and whether it had to be.
+    /// The length clamped to ±`largest`, which counts as 0 below 0; and whether it had to be.
     ///
     /// Both ends are asked for by one comparison, because nearly every length lies between them.
     #[must_use]
     #[inline]
-    pub fn held(self, largest: Self) -> (Self, bool) {
+    pub fn clamped(self, largest: Self) -> (Self, bool) {
         let largest = largest.0.max(0);
         let from_lowest = self.0.wrapping_add(largest).cast_unsigned();
         // At most 2³² − 2.
         if from_lowest <= largest.cast_unsigned().wrapping_mul(2) {
             (self, false)
         } else {
-            (self.end(largest), true)
+            (self.bound(largest), true)
         }
     }
 
     #[cold]
-    fn end(self, largest: i32) -> Self {
+    fn bound(self, largest: i32) -> Self {
         Self(if self.0 < 0 { largest.saturating_neg() } else { largest })
     }
 
@@ -58,7 +58,7 @@ impl Nanometres {
 
     /// The same length the other way; −2.147 483 648 m gives +2.147 483 647 m.
     #[must_use]
-    pub const fn opposite(self) -> Self {
+    pub const fn negated(self) -> Self {
         Self(self.0.saturating_neg())
     }
 }
@@ -88,12 +88,12 @@ impl Fine {
         Self(self.0.saturating_add(other.0))
     }
 
-    /// The value held to ±`largest`, which counts as 0 below 0; and whether it had to be.
+    /// The value clamped to ±`largest`, which counts as 0 below 0; and whether it had to be.
     #[must_use]
     #[inline]
-    pub fn held(self, largest: Self) -> (Self, bool) {
-        let (held, beyond) = Nanometres(self.0).held(Nanometres(largest.0));
-        (Self(held.0), beyond)
+    pub fn clamped(self, largest: Self) -> (Self, bool) {
+        let (value, was_clamped) = Nanometres(self.0).clamped(Nanometres(largest.0));
+        (Self(value.0), was_clamped)
     }
 
     /// The nearest nanometre, halves upwards.
@@ -205,6 +205,6 @@ mod tests {
     fn lengths_saturate_at_both_ends() {
         assert_eq!(Nanometres::saturating(i64::MAX).0, i32::MAX);
         assert_eq!(Nanometres::saturating(i64::MIN).0, i32::MIN);
-        assert_eq!(Nanometres(i32::MIN).opposite(), Nanometres(i32::MAX));
+        assert_eq!(Nanometres(i32::MIN).negated(), Nanometres(i32::MAX));
     }
 }

@@ -13,11 +13,11 @@
 //! counts as after the lag when at least half of it is. h is Q28 with 28 binary places more inside
 //! [`Lag`]; its gain 1/(1 − e^(−k)) is Q24, so k ≥ 0.008. Measured worst error for 80 µm, lag 60 s,
 //! warm 5400 s and k = 4, against the closed form in `f64` over two hours: 0.04 nm; over a day of
-//! stops and changes of speed against the state in `f64`: 0.06 nm. A share of 32 bits leaves 10 nm
+//! stops and changes of speed against the state in `f64`: 0.06 nm. A smoothing factor of 32 bits leaves 10 nm
 //! at k = 0.05, where τ is 30 hours.
 
 use crate::{
-    lag::{Lag, STEP_MS, Share},
+    lag::{Lag, STEP_MS, SmoothingFactor},
     units::{Fine, Nanometres},
 };
 
@@ -29,9 +29,9 @@ pub struct Warmup {
     /// Smax: the growth of a spindle that is warm through.
     pub max: Fine,
     /// 1 − e^(−Δt/τ) while it heats, τ = (t₂ − t₁)/k.
-    pub share_heat: Share,
+    pub smoothing_heating: SmoothingFactor,
     /// The same while it cools.
-    pub share_cool: Share,
+    pub smoothing_cooling: SmoothingFactor,
     /// 1/(1 − e^(−k)) in Q24: with it the growth is full at t₂ rather than never.
     pub full: i32,
 }
@@ -56,13 +56,13 @@ impl Warmup {
     /// One step of [`STEP_MS`] through which the spindle was driven like this; 0 or less: stopped.
     ///
     /// ```
-    /// use trueup_core::{lag::{STEP_MS, Share}, units::Fine, warmup::{State, Warmup}};
+    /// use trueup_core::{lag::{STEP_MS, SmoothingFactor}, units::Fine, warmup::{State, Warmup}};
     /// // 80 µm after a lag of 200 ms; half of what is missing comes in every step.
     /// let spindle = Warmup {
     ///     lag_ms: 2 * STEP_MS,
     ///     max: Fine(80_000 * 256),
-    ///     share_heat: Share(1 << 31),
-    ///     share_cool: Share(1 << 30),
+    ///     smoothing_heating: SmoothingFactor(1 << 31),
+    ///     smoothing_cooling: SmoothingFactor(1 << 30),
     ///     full: 1 << Warmup::FULL_FRACTION_BITS,
     /// };
     /// let mut state = State::default();
@@ -80,9 +80,9 @@ impl Warmup {
         let running = drive > 0;
         state.running_ms = if running { state.running_ms.saturating_add(STEP_MS) } else { 0 };
         if running && state.running_ms.saturating_sub(self.lag_ms) >= STEP_MS / 2 {
-            state.heat.step(drive, self.share_heat);
+            state.heat.step(drive, self.smoothing_heating);
         } else {
-            state.heat.step(0, self.share_cool);
+            state.heat.step(0, self.smoothing_cooling);
         }
     }
 
@@ -111,7 +111,7 @@ mod tests {
     const MAX_NM: f64 = 80_000.0;
     const COOL_S: f64 = 2_900.0;
 
-    fn share(tau_s: f64) -> f64 {
+    fn smoothing(tau_s: f64) -> f64 {
         -(-f64::from(STEP_MS) / 1e3 / tau_s).exp_m1()
     }
 
@@ -123,8 +123,8 @@ mod tests {
         Warmup {
             lag_ms: (lag_s * 1e3).round() as u32,
             max: Fine((MAX_NM * 256.0) as i32),
-            share_heat: Share(q(share((WARM_S - lag_s) / k), 32) as u32),
-            share_cool: Share(q(share(COOL_S), 32) as u32),
+            smoothing_heating: SmoothingFactor(q(smoothing((WARM_S - lag_s) / k), 32) as u32),
+            smoothing_cooling: SmoothingFactor(q(smoothing(COOL_S), 32) as u32),
             full: q(1.0 / -(-k).exp_m1(), 24) as i32,
         }
     }
@@ -153,7 +153,7 @@ mod tests {
         for k in [0.05, 0.5, 2.0, 4.0, 8.0] {
             let worst = worst_from_cold(LAG_S, k);
             std::println!("k = {k}: {worst:.4} nm against the closed form");
-            // Every step of the two hours, the minutes among them. The share is Q32, which makes
+            // Every step of the two hours, the minutes among them. The smoothing factor is Q32, which makes
             // τ wrong by 1.2e-9/s of itself.
             let tau_s = (WARM_S - LAG_S) / k;
             assert!(worst < 0.05 + MAX_NM * tau_s * 1.2e-9);
@@ -209,7 +209,7 @@ mod tests {
     fn stops_restarts_and_speeds_follow_the_state_in_f64() {
         let k = 4.0;
         let spindle = spindle(LAG_S, k);
-        let (heat, cool) = (share((WARM_S - LAG_S) / k), share(COOL_S));
+        let (heat, cool) = (smoothing((WARM_S - LAG_S) / k), smoothing(COOL_S));
         let mut state = State::default();
         let (mut h, mut running_s) = (0.0_f64, 0.0_f64);
         let mut worst = 0.0_f64;
@@ -259,10 +259,12 @@ mod tests {
         for lag_ms in [0, 1, u32::MAX] {
             for max in [i32::MIN, -1, 0, i32::MAX] {
                 for full in [i32::MIN, 0, 1 << 24, i32::MAX] {
-                    for share in [0, 1, u32::MAX] {
-                        let (share_heat, share_cool) = (Share(share), Share(u32::MAX - share));
+                    for smoothing in [0, 1, u32::MAX] {
+                        let (smoothing_heating, smoothing_cooling) =
+                            (SmoothingFactor(smoothing), SmoothingFactor(u32::MAX - smoothing));
                         let max = Fine(max);
-                        let wild = Warmup { lag_ms, max, share_heat, share_cool, full };
+                        let wild =
+                            Warmup { lag_ms, max, smoothing_heating, smoothing_cooling, full };
                         for running_ms in [0, u32::MAX] {
                             let heat = Lag::settled(i32::MIN);
                             let mut state = State { running_ms, heat };

@@ -7,19 +7,20 @@ use proptest::{prelude::*, sample::select, strategy::ValueTree as _, test_runner
 use trueup_core::{
     bridge::{Bridge, Input, State},
     calibration::{
-        Axis, AxisThermal, Calibration, Dual, Source, Spindle, SpindleTemperature, Warmup,
+        AxisModel, AxisThermal, Calibration, Dual, ElongationSource, SpindleModel,
+        SpindleTemperature, SpindleWarmup,
     },
     cnc::{
         AxisPosition, Command, Control, Flags, Heading, LinearAxis, Output, Quality, Rotary,
-        Spindle as SpindleState,
+        Spindle,
     },
     curve::{Curve, Segment},
     filter::CODES_PER_TICK,
-    geometry::{Kept, Place},
+    geometry::{CachedErrors, Place},
     gradient::Gradient,
     heat::{CHANNELS, Heat},
     kinematics::{self, Kinematics},
-    lag::Share,
+    lag::SmoothingFactor,
     limits::Limits,
     pitch::{Beam, Pitch},
     sensor::{SensorLaw, Slope},
@@ -27,7 +28,7 @@ use trueup_core::{
     thermal::{Law, Piece},
     thermometer::{Raw, Thermometer},
     tool::Direction,
-    travel::{Config, Whole},
+    travel::{Config, Interval},
     units::{Code, Fine, MicroDegrees, Millis, Nanometres, Position, Reading, Rpm, Temperature},
     warmup,
 };
@@ -108,7 +109,7 @@ impl OwnedPitch {
     fn pitch(&self) -> Pitch<'_> {
         Pitch {
             start: Position(self.start),
-            step: Whole::new(self.step),
+            step: Interval::new(self.step),
             forward: &self.forward,
             reverse: self.reverse.as_deref(),
         }
@@ -131,7 +132,7 @@ fn law() -> BoxedStrategy<OwnedLaw> {
     prop::collection::vec(piece, 0..3).boxed()
 }
 
-/// What belongs to one axis: its law with channel and share, both tables, numbers for the rest.
+/// What belongs to one axis: its law with channel and smoothing, both tables, numbers for the rest.
 #[derive(Clone, Debug)]
 struct OwnedAxis {
     thermal: Option<(u8, u32, OwnedLaw)>,
@@ -161,13 +162,13 @@ impl OwnedAxis {
             .boxed()
     }
 
-    fn axis(&self) -> Axis<'_> {
+    fn axis(&self) -> AxisModel<'_> {
         let [origin, backlash, first, second] = self.numbers;
-        Axis {
-            thermal: self.thermal.as_ref().map(|(channel, share, pieces)| AxisThermal {
+        AxisModel {
+            thermal: self.thermal.as_ref().map(|(channel, smoothing, pieces)| AxisThermal {
                 channel: *channel,
-                share: Share(*share),
-                falling: Share(share.rotate_left(7)),
+                smoothing: SmoothingFactor(*smoothing),
+                smoothing_falling: SmoothingFactor(smoothing.rotate_left(7)),
                 origin: Position(origin),
                 law: Law { pieces },
             }),
@@ -178,7 +179,7 @@ impl OwnedAxis {
                 pitch: pitch.pitch(),
             }),
             backlash: Fine(backlash),
-            travel: Config { hysteresis: self.sizes[0], ramp: Whole::new(self.sizes[1]) },
+            travel: Config { hysteresis: self.sizes[0], ramp: Interval::new(self.sizes[1]) },
         }
     }
 }
@@ -192,12 +193,12 @@ fn channel() -> impl Strategy<Value = u8> {
 #[derive(Clone, Debug)]
 struct Machine {
     thermometers: [Option<Thermometer>; CHANNELS],
-    chain: [Option<Source>; 3],
+    chain: [Option<ElongationSource>; 3],
     sensor: [i32; 3],
     temperature: Option<(u8, u32, OwnedLaw)>,
     warmup: Option<(u32, [i32; 2], [u32; 2], OwnedCurve)>,
     zero: [i32; 3],
-    rotary: [Option<kinematics::Axis>; 2],
+    rotary: [Option<kinematics::RotaryAxis>; 2],
     axes: [OwnedAxis; 3],
     straightness: [OwnedCurve; 6],
     squareness: [i32; 6],
@@ -211,23 +212,23 @@ fn term() -> BoxedStrategy<Term<'static>> {
         prop_oneof![Just(Target::Elongation), select(&LinearAxis::ALL).prop_map(Target::Axis)];
     let scaled = (number(), 0..70_u8).prop_map(|(mantissa, shift)| Scaled { mantissa, shift });
     let parts = (scaled, numbers::<2>(), channel(), any::<u32>(), select(&LinearAxis::ALL), 0..11);
-    let effect = parts.prop_map(|(m, [a, b], channel, share, axis, kind)| match kind {
+    let effect = parts.prop_map(|(m, [a, b], channel, smoothing, axis, kind)| match kind {
         0 => Effect::Offset,
         1 => Effect::Gain(m),
         2 => Effect::Curvature(m),
         3 => Effect::Saturation(Fine(a)),
         4 => Effect::Heat {
             channel,
-            share: Share(share),
+            smoothing: SmoothingFactor(smoothing),
             reference: Temperature(a),
             per_temperature: m,
         },
-        5 => Effect::Time { share: Share(share), amplitude: m },
+        5 => Effect::Time { smoothing: SmoothingFactor(smoothing), amplitude: m },
         6 => Effect::Speed(m),
         7 => Effect::Load(m),
         8 => Effect::Position { axis, gradient: Gradient(a) },
         9 => Effect::Reversed { width: Fine(a), gradient: Gradient(b) },
-        _ => Effect::Wave { turns: share.into(), phase: share, amplitude: Fine(a) },
+        _ => Effect::Wave { turns: smoothing.into(), phase: smoothing, amplitude: Fine(a) },
     });
     (target, number(), effect)
         .prop_map(|(target, constant, effect)| Term { target, constant: Fine(constant), effect })
@@ -240,8 +241,16 @@ impl Machine {
             .prop_map(|(zero, slope, shift)| Thermometer::Linear { zero, slope, shift });
         let thermometer =
             prop::option::weighted(0.95, prop_oneof![9 => Just(Thermometer::Pt100), 1 => linear]);
-        let source = select(&[Source::Sensor, Source::Temperature, Source::Warmup]);
-        let rotary = select(&[kinematics::Axis::A, kinematics::Axis::B, kinematics::Axis::C]);
+        let source = select(&[
+            ElongationSource::Sensor,
+            ElongationSource::Temperature,
+            ElongationSource::Warmup,
+        ]);
+        let rotary = select(&[
+            kinematics::RotaryAxis::A,
+            kinematics::RotaryAxis::B,
+            kinematics::RotaryAxis::C,
+        ]);
         let wild =
             (numbers::<3>(), size(), size(), size()).prop_map(|(max, slew, link, hold)| Limits {
                 max: max.map(Nanometres),
@@ -268,7 +277,7 @@ impl Machine {
             prop::array::uniform(OwnedAxis::any()).boxed(),
             prop::array::uniform(OwnedCurve::any()).boxed(),
             prop::array::uniform(prop_oneof![Just(0), number()]),
-            prop::collection::vec(term(), 0..=term::MOST),
+            prop::collection::vec(term(), 0..=term::MAX_TERMS),
             prop_oneof![wild, usual],
         );
         (spindle, rest)
@@ -297,26 +306,28 @@ impl Machine {
         let [k0, zero, slope] = self.sensor;
         Calibration {
             thermometers: self.thermometers,
-            spindle: Spindle {
+            spindle: SpindleModel {
                 chain: self.chain,
                 sensor: SensorLaw { k0: Nanometres(k0), zero: Reading(zero), slope: Slope(slope) },
-                temperature: self.temperature.as_ref().map(|(channel, share, pieces)| {
+                temperature: self.temperature.as_ref().map(|(channel, smoothing, pieces)| {
                     SpindleTemperature {
                         channel: *channel,
-                        share: Share(*share),
-                        falling: Share(share.rotate_left(7)),
+                        smoothing: SmoothingFactor(*smoothing),
+                        smoothing_falling: SmoothingFactor(smoothing.rotate_left(7)),
                         law: Law { pieces },
                     }
                 }),
-                warmup: self.warmup.as_ref().map(|(lag_ms, [max, full], shares, power)| Warmup {
-                    law: warmup::Warmup {
-                        lag_ms: *lag_ms,
-                        max: Fine(*max),
-                        share_heat: Share(shares[0]),
-                        share_cool: Share(shares[1]),
-                        full: *full,
-                    },
-                    power: power.curve(),
+                warmup: self.warmup.as_ref().map(|(lag_ms, [max, full], shares, power)| {
+                    SpindleWarmup {
+                        law: warmup::Warmup {
+                            lag_ms: *lag_ms,
+                            max: Fine(*max),
+                            smoothing_heating: SmoothingFactor(shares[0]),
+                            smoothing_cooling: SmoothingFactor(shares[1]),
+                            full: *full,
+                        },
+                        power: power.curve(),
+                    }
                 }),
             },
             kinematics: Kinematics { zero: Direction(self.zero), axes: self.rotary },
@@ -337,7 +348,7 @@ fn command() -> impl Strategy<Value = Command> {
             Command::Control(Control { engage, referenced, zero })
         }),
         1 => (any::<u16>(), any::<i16>()).prop_map(|(speed, load_n)| {
-            Command::Spindle(SpindleState { speed: Rpm(speed), load_n })
+            Command::Spindle(Spindle { speed: Rpm(speed), load_n })
         }),
         1 => numbers().prop_map(|angles| {
             Command::Rotary(Rotary { angles: angles.map(MicroDegrees) })
@@ -518,18 +529,18 @@ proptest! {
         let calibration = machine.calibration();
         let mut heat = Heat::default();
         let mut place = Place::default();
-        let mut kept = Kept::at(&calibration, &heat, &place);
+        let mut cached = CachedErrors::at(&calibration, &heat, &place);
         for (number, (axis, position, direction)) in moves.into_iter().enumerate() {
             let position = Position(position);
             place.position[axis as usize] = position;
             let config = calibration.axes[axis as usize].travel;
             place.travel[axis as usize].update(&config, position, direction);
-            kept.moved(&calibration, &heat, &place, axis);
-            assert_eq!(*kept.errors(), calibration.errors(&heat, &place));
+            cached.moved(&calibration, &heat, &place, axis);
+            assert_eq!(*cached.errors(), calibration.errors(&heat, &place));
             let item = number % 3;
             heat.step_item(&calibration, item, &[Some(Temperature(position.0)); CHANNELS], None);
-            kept.warmed(&calibration, &heat, &place, LinearAxis::ALL[item]);
-            assert_eq!(*kept.errors(), calibration.errors(&heat, &place));
+            cached.warmed(&calibration, &heat, &place, LinearAxis::ALL[item]);
+            assert_eq!(*cached.errors(), calibration.errors(&heat, &place));
         }
     }
 }

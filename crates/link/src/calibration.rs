@@ -13,21 +13,21 @@
 //! | 44 | 4 × `u8`: first and second axis that turn the tool (1, 2, 3: A, B, C), 0, 0 | |
 //! | 48 | 4 × `u8`: sources of the elongation in their order (1 sensor, 2 temperature, 3 warm-up), 0 | |
 //! | 52 | `i32` K₀, V₀, tanβ of the sensor | nm; 1/1024 code; 2⁻²⁸ nm per 1/1024 code |
-//! | 64 | `u32` channel, `u32` lag share, law of the spindle's temperature | |
-//! | 76 | `u32` lag, `i32` largest (1/256 nm), 2 × `u32` shares, `i32` 1/(1 − e⁻ᵏ) of the warm-up; its power curve | |
+//! | 64 | `u32` channel, `u32` smoothing factor, law of the spindle's temperature | |
+//! | 76 | `u32` lag, `i32` largest (1/256 nm), 2 × `u32` smoothing factors, `i32` 1/(1 − e⁻ᵏ) of the warm-up; its power curve | |
 //! | 112 | 8 × temperature channel: `u8` kind (1 PT100, 2 linear), `u8` shift, 0, 0; `i32` zero, `i32` slope | |
 //! | 208 | 3 × linear axis, 80 bytes each | |
-//! | 448 | 6 × straightness curve, 16 bytes each, in the order of [`CROSSED`](trueup_core::calibration::CROSSED) | |
+//! | 448 | 6 × straightness curve, 16 bytes each, in the order of [`AXIS_PAIRS`](trueup_core::calibration::AXIS_PAIRS) | |
 //! | 544 | 6 × `i32` squareness, in the same order | 2⁻³⁶ nm per 10 nm |
-//! | 568 | `u32` lag share of the spindle's temperature while it falls | |
+//! | 568 | `u32` smoothing factor of the spindle's temperature while it falls | |
 //! | 572 | terms of a diagnosis: a table of 24 bytes each | |
 //! | 576 | the tables, each record on a multiple of 2 bytes | |
 //! | length − 4 | CRC-32/AUTOSAR of all bytes before it | |
 //!
-//! A linear axis: `u32` channel (255: none), `u32` lag share, `i32` origin, law; pitch: `i32` start,
+//! A linear axis: `u32` channel (255: none), `u32` smoothing factor, `i32` origin, law; pitch: `i32` start,
 //! `u32` step, forward, reverse; second drive: `u32` axis across (255: none), `i32` first, `i32`
 //! second, `i32` start, `u32` step, forward, reverse; `i32` backlash, `u32` hysteresis, `u32` ramp;
-//! `u32` lag share while it falls; 4 bytes of 0. A curve: segments, index, `i32` first knot, `u32` bucket shift. A law is a reference to
+//! `u32` smoothing factor while it falls; 4 bytes of 0. A curve: segments, index, `i32` first knot, `u32` bucket shift. A law is a reference to
 //! [pieces](trueup_core::thermal), a pitch table one to `i32` in 1/256 nm.
 //!
 //! A term: `u8` kind, `u8` target (0 elongation, 1, 2, 3: X, Y, Z), `u8` channel or axis, `u8` binary
@@ -38,8 +38,8 @@
 //! | 0 offset | none |
 //! | 1 gain, 2 curvature, 6 speed, 7 load | `i32` coefficient |
 //! | 3 saturation | `i32` limit |
-//! | 4 heat | `i32` coefficient, `u32` lag share, `i32` reference |
-//! | 5 time | `i32` coefficient, `u32` lag share |
+//! | 4 heat | `i32` coefficient, `u32` smoothing factor, `i32` reference |
+//! | 5 time | `i32` coefficient, `u32` smoothing factor |
 //! | 8 position | `i32` gradient |
 //! | 9 reversed | `i32` width, `i32` gradient |
 //! | 10 table | as a pitch |
@@ -55,14 +55,15 @@ use core::{error::Error, fmt};
 use crc::{CRC_32_AUTOSAR, Crc};
 use trueup_core::{
     calibration::{
-        Axis, AxisThermal, Calibration, Dual, Source, Spindle, SpindleTemperature, Warmup,
+        AxisModel, AxisThermal, Calibration, Dual, ElongationSource, SpindleModel,
+        SpindleTemperature, SpindleWarmup,
     },
     cnc::LinearAxis,
     curve::Curve,
     gradient::Gradient,
     heat::CHANNELS,
     kinematics::{self, Kinematics},
-    lag::Share,
+    lag::SmoothingFactor,
     limits::Limits,
     pitch::{Beam, Pitch},
     sensor::{SensorLaw, Slope},
@@ -70,7 +71,7 @@ use trueup_core::{
     thermal::Law,
     thermometer::Thermometer,
     tool::Direction,
-    travel::{self, Whole},
+    travel::{self, Interval},
     units::{Fine, Nanometres, Position, Reading, Temperature},
     warmup,
 };
@@ -147,7 +148,7 @@ pub fn encode<'o>(calibration: &Calibration<'_>, out: &'o mut [u8]) -> Result<&'
         write_curve(&mut to, curve);
     }
     squareness.iter().for_each(|gradient| to.signed(gradient.0));
-    to.word(spindle.temperature.map_or(0, |it| it.falling.0));
+    to.word(spindle.temperature.map_or(0, |it| it.smoothing_falling.0));
     write_terms(&mut to, terms);
 
     let end = to.tables_end.saturating_add(CRC_SIZE);
@@ -165,47 +166,47 @@ pub fn encode<'o>(calibration: &Calibration<'_>, out: &'o mut [u8]) -> Result<&'
     out.get(..end).ok_or(TooLarge { bytes: end })
 }
 
-fn write_spindle(to: &mut Writer<'_>, spindle: &Spindle<'_>) {
-    let Spindle { chain: _, sensor, temperature, warmup } = spindle;
+fn write_spindle(to: &mut Writer<'_>, spindle: &SpindleModel<'_>) {
+    let SpindleModel { chain: _, sensor, temperature, warmup } = spindle;
     to.signed(sensor.k0.0);
     to.signed(sensor.zero.0);
     to.signed(sensor.slope.0);
-    let (channel, share, law) = match temperature {
-        None => (NONE, Share(0), Law { pieces: &[] }),
-        Some(SpindleTemperature { channel, share, law, falling: _ }) => {
-            ((*channel).into(), *share, *law)
+    let (channel, smoothing, law) = match temperature {
+        None => (NONE, SmoothingFactor(0), Law { pieces: &[] }),
+        Some(SpindleTemperature { channel, smoothing, law, smoothing_falling: _ }) => {
+            ((*channel).into(), *smoothing, *law)
         }
     };
     to.word(channel);
-    to.word(share.0);
+    to.word(smoothing.0);
     to.table(law.pieces);
     match warmup {
         None => {
             (0..5).for_each(|_| to.word(0));
             write_curve(to, &Curve::default());
         }
-        Some(Warmup { law, power }) => {
+        Some(SpindleWarmup { law, power }) => {
             to.word(law.lag_ms);
             to.signed(law.max.0);
-            to.word(law.share_heat.0);
-            to.word(law.share_cool.0);
+            to.word(law.smoothing_heating.0);
+            to.word(law.smoothing_cooling.0);
             to.signed(law.full);
             write_curve(to, power);
         }
     }
 }
 
-fn write_axis(to: &mut Writer<'_>, axis: &Axis<'_>) {
-    let Axis { thermal, pitch, dual, backlash, travel } = axis;
+fn write_axis(to: &mut Writer<'_>, axis: &AxisModel<'_>) {
+    let AxisModel { thermal, pitch, dual, backlash, travel } = axis;
     let end = to.at.saturating_add(AXIS_SIZE);
     match thermal {
         None => {
             to.word(NONE);
             (0..3).for_each(|_| to.word(0));
         }
-        Some(AxisThermal { channel, share, origin, law, falling: _ }) => {
+        Some(AxisThermal { channel, smoothing, origin, law, smoothing_falling: _ }) => {
             to.word((*channel).into());
-            to.word(share.0);
+            to.word(smoothing.0);
             to.signed(origin.0);
             to.table(law.pieces);
         }
@@ -225,7 +226,7 @@ fn write_axis(to: &mut Writer<'_>, axis: &Axis<'_>) {
     to.signed(backlash.0);
     to.word(travel.hysteresis);
     to.word(travel.ramp.length());
-    to.word(thermal.map_or(0, |thermal| thermal.falling.0));
+    to.word(thermal.map_or(0, |thermal| thermal.smoothing_falling.0));
     while to.at < end {
         to.word(0);
     }
@@ -258,7 +259,7 @@ fn write_terms(to: &mut Writer<'_>, terms: &[Option<Term<'_>>]) {
     let next = to.at.saturating_add(4);
     // Room first: the tables of the terms come behind all of them.
     let count = terms.iter().flatten().count();
-    let records = [[0_u8; TERM_SIZE]; term::MOST];
+    let records = [[0_u8; TERM_SIZE]; term::MAX_TERMS];
     let start = to.tables_end;
     to.table(records.get(..count).unwrap_or_default());
     for (index, term) in terms.iter().flatten().enumerate() {
@@ -300,16 +301,16 @@ fn write_term(to: &mut Writer<'_>, term: &Term<'_>) {
             head(3, 0, none);
             to.signed(limit.0);
         }
-        Effect::Heat { channel, share, reference, per_temperature } => {
+        Effect::Heat { channel, smoothing, reference, per_temperature } => {
             head(4, channel, per_temperature);
             to.signed(per_temperature.mantissa);
-            to.word(share.0);
+            to.word(smoothing.0);
             to.signed(reference.0);
         }
-        Effect::Time { share, amplitude } => {
+        Effect::Time { smoothing, amplitude } => {
             head(5, 0, amplitude);
             to.signed(amplitude.mantissa);
-            to.word(share.0);
+            to.word(smoothing.0);
         }
         Effect::Position { axis, gradient } => {
             head(8, of_axis(axis), none);
@@ -380,21 +381,21 @@ impl Writer<'_> {
     }
 }
 
-fn number_of_source(source: Option<Source>) -> u8 {
+fn number_of_source(source: Option<ElongationSource>) -> u8 {
     match source {
         None => 0,
-        Some(Source::Sensor) => 1,
-        Some(Source::Temperature) => 2,
-        Some(Source::Warmup) => 3,
+        Some(ElongationSource::Sensor) => 1,
+        Some(ElongationSource::Temperature) => 2,
+        Some(ElongationSource::Warmup) => 3,
     }
 }
 
-fn number_of_rotary_axis(axis: Option<kinematics::Axis>) -> u8 {
+fn number_of_rotary_axis(axis: Option<kinematics::RotaryAxis>) -> u8 {
     match axis {
         None => 0,
-        Some(kinematics::Axis::A) => 1,
-        Some(kinematics::Axis::B) => 2,
-        Some(kinematics::Axis::C) => 3,
+        Some(kinematics::RotaryAxis::A) => 1,
+        Some(kinematics::RotaryAxis::B) => 2,
+        Some(kinematics::RotaryAxis::C) => 3,
     }
 }
 
@@ -493,9 +494,9 @@ pub fn decode(bytes: &[u8]) -> Result<Calibration<'_>, BlobError> {
         *curve = from.curve()?;
     }
     let squareness = core::array::from_fn(|_| Gradient(from.signed()));
-    let falling = Share(from.word());
+    let smoothing_falling = SmoothingFactor(from.word());
     if let Some(temperature) = &mut spindle.temperature {
-        temperature.falling = falling;
+        temperature.smoothing_falling = smoothing_falling;
     }
     let terms = from.terms()?;
     Ok(Calibration {
@@ -510,14 +511,14 @@ pub fn decode(bytes: &[u8]) -> Result<Calibration<'_>, BlobError> {
     })
 }
 
-fn read_spindle<'b>(from: &mut Reader<'b>) -> Result<Spindle<'b>, BlobError> {
+fn read_spindle<'b>(from: &mut Reader<'b>) -> Result<SpindleModel<'b>, BlobError> {
     let offset = from.at;
     let [first, second, third, _] = from.bytes();
     let source = |number: u8| match number {
         0 => Ok(None),
-        1 => Ok(Some(Source::Sensor)),
-        2 => Ok(Some(Source::Temperature)),
-        3 => Ok(Some(Source::Warmup)),
+        1 => Ok(Some(ElongationSource::Sensor)),
+        2 => Ok(Some(ElongationSource::Temperature)),
+        3 => Ok(Some(ElongationSource::Warmup)),
         found => Err(BlobError::Value { offset, found: found.into() }),
     };
     let chain = [source(first)?, source(second)?, source(third)?];
@@ -527,22 +528,23 @@ fn read_spindle<'b>(from: &mut Reader<'b>) -> Result<Spindle<'b>, BlobError> {
         slope: Slope(from.signed()),
     };
     let channel = from.channel()?;
-    let share = Share(from.word());
+    let smoothing = SmoothingFactor(from.word());
     let law = from.law()?;
-    // The share while it falls comes later.
-    let falling = share;
-    let temperature = channel.map(|channel| SpindleTemperature { channel, share, falling, law });
+    // The factor while it falls comes later.
+    let smoothing_falling = smoothing;
+    let temperature =
+        channel.map(|channel| SpindleTemperature { channel, smoothing, smoothing_falling, law });
     let law = warmup::Warmup {
         lag_ms: from.word(),
         max: Fine(from.signed()),
-        share_heat: Share(from.word()),
-        share_cool: Share(from.word()),
+        smoothing_heating: SmoothingFactor(from.word()),
+        smoothing_cooling: SmoothingFactor(from.word()),
         full: from.signed(),
     };
     let power = from.curve()?;
-    let warmup = (law.max != Fine::ZERO || chain.contains(&Some(Source::Warmup)))
-        .then_some(Warmup { law, power });
-    Ok(Spindle { chain, sensor, temperature, warmup })
+    let warmup = (law.max != Fine::ZERO || chain.contains(&Some(ElongationSource::Warmup)))
+        .then_some(SpindleWarmup { law, power });
+    Ok(SpindleModel { chain, sensor, temperature, warmup })
 }
 
 /// Reads the fixed part from `at` on.
@@ -595,12 +597,12 @@ impl<'b> Reader<'b> {
         }
     }
 
-    fn rotary(&self, number: u8) -> Result<Option<kinematics::Axis>, BlobError> {
+    fn rotary(&self, number: u8) -> Result<Option<kinematics::RotaryAxis>, BlobError> {
         match number {
             0 => Ok(None),
-            1 => Ok(Some(kinematics::Axis::A)),
-            2 => Ok(Some(kinematics::Axis::B)),
-            3 => Ok(Some(kinematics::Axis::C)),
+            1 => Ok(Some(kinematics::RotaryAxis::A)),
+            2 => Ok(Some(kinematics::RotaryAxis::B)),
+            3 => Ok(Some(kinematics::RotaryAxis::C)),
             found => {
                 Err(BlobError::Value { offset: self.at.saturating_sub(4), found: found.into() })
             }
@@ -631,14 +633,15 @@ impl<'b> Reader<'b> {
             return Ok(None);
         }
         let reverse = (!reverse.is_empty()).then_some(reverse);
-        let pitch = Pitch { start, step: Whole::new(step), forward, reverse };
+        let pitch = Pitch { start, step: Interval::new(step), forward, reverse };
         if pitch.is_consistent() { Ok(Some(pitch)) } else { Err(BlobError::Table { offset }) }
     }
 
-    fn axis(&mut self) -> Result<Axis<'b>, BlobError> {
+    fn axis(&mut self) -> Result<AxisModel<'b>, BlobError> {
         let end = self.at.saturating_add(AXIS_SIZE);
         let channel = self.channel()?;
-        let (share, origin, law) = (Share(self.word()), Position(self.signed()), self.law()?);
+        let (smoothing, origin, law) =
+            (SmoothingFactor(self.word()), Position(self.signed()), self.law()?);
         let pitch = self.pitch()?;
         let offset = self.at;
         let across = match self.word() {
@@ -650,25 +653,31 @@ impl<'b> Reader<'b> {
         let beam = Beam::new(first, second);
         let dual = dual.map(|(across, pitch)| Dual { across, beam, pitch });
         let backlash = Fine(self.signed());
-        let travel = travel::Config { hysteresis: self.word(), ramp: Whole::new(self.word()) };
-        let falling = Share(self.word());
-        let thermal = channel.map(|channel| AxisThermal { channel, share, falling, origin, law });
+        let travel = travel::Config { hysteresis: self.word(), ramp: Interval::new(self.word()) };
+        let smoothing_falling = SmoothingFactor(self.word());
+        let thermal = channel.map(|channel| AxisThermal {
+            channel,
+            smoothing,
+            smoothing_falling,
+            origin,
+            law,
+        });
         self.at = end;
-        Ok(Axis { thermal, pitch, dual, backlash, travel })
+        Ok(AxisModel { thermal, pitch, dual, backlash, travel })
     }
 }
 
 impl<'b> Reader<'b> {
-    fn terms(&mut self) -> Result<[Option<Term<'b>>; term::MOST], BlobError> {
+    fn terms(&mut self) -> Result<[Option<Term<'b>>; term::MAX_TERMS], BlobError> {
         let offset = self.at;
         let at = self.word() & 0xFFFF;
         self.at = offset;
         let records = self.table::<TERM_SIZE>()?;
         let next = self.at;
-        if records.len() > term::MOST {
+        if records.len() > term::MAX_TERMS {
             return Err(BlobError::Table { offset });
         }
-        let mut terms = [None; term::MOST];
+        let mut terms = [None; term::MAX_TERMS];
         let mut at = usize::try_from(at).unwrap_or(usize::MAX);
         for (term, _) in terms.iter_mut().zip(records) {
             self.at = at;
@@ -701,10 +710,10 @@ impl<'b> Reader<'b> {
             4 if usize::from(input) < CHANNELS => Effect::Heat {
                 channel: input,
                 per_temperature: scaled(self),
-                share: Share(self.word()),
+                smoothing: SmoothingFactor(self.word()),
                 reference: Temperature(self.signed()),
             },
-            5 => Effect::Time { amplitude: scaled(self), share: Share(self.word()) },
+            5 => Effect::Time { amplitude: scaled(self), smoothing: SmoothingFactor(self.word()) },
             6 => Effect::Speed(scaled(self)),
             7 => Effect::Load(scaled(self)),
             8 => Effect::Position {
@@ -862,15 +871,15 @@ mod tests {
         let curve = Curve::new(Position(0), &segments, &index, 15);
         let pitch = Pitch {
             start: Position(-5),
-            step: Whole::new(1_000),
+            step: Interval::new(1_000),
             forward: &POINTS,
             reverse: Some(&POINTS),
         };
-        let axis = Axis {
+        let axis = AxisModel {
             thermal: Some(AxisThermal {
-                falling: Share(8),
+                smoothing_falling: SmoothingFactor(8),
                 channel: 2,
-                share: Share(7),
+                smoothing: SmoothingFactor(7),
                 origin: Position(-9),
                 law: Law { pieces: &pieces },
             }),
@@ -881,13 +890,13 @@ mod tests {
                 pitch: Pitch { reverse: None, ..pitch },
             }),
             backlash: Fine(-77),
-            travel: travel::Config { hysteresis: 100, ramp: Whole::new(5_000) },
+            travel: travel::Config { hysteresis: 100, ramp: Interval::new(5_000) },
         };
         let law = warmup::Warmup {
             lag_ms: 60_000,
             max: Fine(80_000),
-            share_heat: Share(5),
-            share_cool: Share(6),
+            smoothing_heating: SmoothingFactor(5),
+            smoothing_cooling: SmoothingFactor(6),
             full: 8,
         };
         let scaled = Scaled { mantissa: -7, shift: 11 };
@@ -895,7 +904,7 @@ mod tests {
         let y = Target::Axis(LinearAxis::Y);
         let heat = Effect::Heat {
             channel: 7,
-            share: Share(21),
+            smoothing: SmoothingFactor(21),
             reference: Temperature(-22),
             per_temperature: scaled,
         };
@@ -907,7 +916,7 @@ mod tests {
             (Target::Elongation, Effect::Curvature(scaled)),
             (Target::Elongation, Effect::Saturation(Fine(9))),
             (y, heat),
-            (Target::Elongation, Effect::Time { share: Share(3), amplitude: scaled }),
+            (Target::Elongation, Effect::Time { smoothing: SmoothingFactor(3), amplitude: scaled }),
             (Target::Elongation, Effect::Speed(scaled)),
             (Target::Elongation, Effect::Load(scaled)),
             (x, Effect::Position { axis: LinearAxis::Z, gradient: Gradient(-3) }),
@@ -916,7 +925,7 @@ mod tests {
             (x, Effect::Curve { axis: LinearAxis::Y, curve }),
             (Target::Axis(LinearAxis::Z), wave),
         ];
-        let mut terms = [None; term::MOST];
+        let mut terms = [None; term::MAX_TERMS];
         for (place, (target, effect)) in terms.iter_mut().zip(all) {
             *place = Some(Term { target, constant: Fine(-6), effect });
         }
@@ -926,8 +935,12 @@ mod tests {
                 5 => Some(Thermometer::Linear { zero: -3, slope: 4, shift: 7 }),
                 _ => None,
             }),
-            spindle: Spindle {
-                chain: [Some(Source::Sensor), Some(Source::Temperature), Some(Source::Warmup)],
+            spindle: SpindleModel {
+                chain: [
+                    Some(ElongationSource::Sensor),
+                    Some(ElongationSource::Temperature),
+                    Some(ElongationSource::Warmup),
+                ],
                 sensor: SensorLaw {
                     k0: Nanometres(-1_250),
                     zero: Reading(645_120),
@@ -935,17 +948,21 @@ mod tests {
                 },
                 temperature: Some(SpindleTemperature {
                     channel: 5,
-                    share: Share(u32::MAX),
-                    falling: Share(9),
+                    smoothing: SmoothingFactor(u32::MAX),
+                    smoothing_falling: SmoothingFactor(9),
                     law: Law { pieces: &pieces },
                 }),
-                warmup: Some(Warmup { law, power: curve }),
+                warmup: Some(SpindleWarmup { law, power: curve }),
             },
             kinematics: Kinematics {
                 zero: Direction::DOWN,
-                axes: [Some(kinematics::Axis::C), Some(kinematics::Axis::A)],
+                axes: [Some(kinematics::RotaryAxis::C), Some(kinematics::RotaryAxis::A)],
             },
-            axes: [axis, Axis::default(), Axis { backlash: Fine(4), ..Axis::default() }],
+            axes: [
+                axis,
+                AxisModel::default(),
+                AxisModel { backlash: Fine(4), ..AxisModel::default() },
+            ],
             straightness: [
                 curve,
                 Curve::default(),

@@ -313,7 +313,7 @@ fn nearest<const UNIT: i32>(value: i32) -> i32 {
 
 fn offset_to_raw(offset: Nanometres) -> i32 {
     const LARGEST: Nanometres = Nanometres(OFFSET_MAX_RAW.wrapping_mul(NANOMETRES_PER_BIT));
-    let (held, _) = offset.held(LARGEST);
+    let (held, _) = offset.clamped(LARGEST);
     nearest::<NANOMETRES_PER_BIT>(held.0)
 }
 

@@ -337,7 +337,7 @@ mod tests;
 #[cfg(test)]
 pub(crate) fn tests_calibration() -> Calibration<'static> {
     use trueup_core::{
-        calibration::{Source, Spindle},
+        calibration::{ElongationSource, SpindleModel},
         kinematics::Kinematics,
         limits::Limits,
         sensor::{SensorLaw, Slope},
@@ -346,10 +346,10 @@ pub(crate) fn tests_calibration() -> Calibration<'static> {
     };
     Calibration {
         thermometers: [None; 8],
-        spindle: Spindle {
-            chain: [Some(Source::Sensor), None, None],
+        spindle: SpindleModel {
+            chain: [Some(ElongationSource::Sensor), None, None],
             sensor: SensorLaw { k0: Nanometres(0), zero: Reading(0), slope: Slope(1 << 28) },
-            ..Spindle::default()
+            ..SpindleModel::default()
         },
         kinematics: Kinematics { zero: Direction::DOWN, axes: [None; 2] },
         axes: Default::default(),

@@ -22,19 +22,19 @@ mod heat;
 pub(crate) mod term;
 
 use trueup_core::{
-    calibration::{self, CROSSED, Calibration},
+    calibration::{self, AXIS_PAIRS, Calibration},
     cnc,
     gradient::Gradient,
     heat::CHANNELS,
     kinematics::{self, Kinematics},
-    lag::Share,
+    lag::SmoothingFactor,
     limits::Limits,
     pitch::{Beam, Pitch},
     sensor::{SensorLaw, Slope},
     thermal::Law,
     thermometer::Thermometer,
     tool::Direction,
-    travel::{self, Blend, Whole},
+    travel::{self, Fraction, Interval},
     units::{Fine, NANOMETRES_PER_MICROMETRE, Nanometres, Position, Reading},
 };
 use trueup_link::calibration::{MAX_SIZE, TooLarge, decode, encode};
@@ -94,7 +94,7 @@ impl Compiled {
 struct AxisTables {
     law: Pieces,
     /// Of the lag, rising and falling.
-    shares: [Share; 2],
+    smoothing: [SmoothingFactor; 2],
     pitch: Option<PitchTables>,
     dual: Option<PitchTables>,
 }
@@ -102,7 +102,7 @@ struct AxisTables {
 /// The tables of one pitch section.
 struct PitchTables {
     start: Position,
-    step: Whole,
+    step: Interval,
     forward: Vec<[u8; 4]>,
     reverse: Option<Vec<[u8; 4]>>,
 }
@@ -213,17 +213,17 @@ pub fn compile(machine: &Machine) -> Result<Compiled, BadInput> {
 /// The place of a pair of axes in the board's order.
 fn crossed(error: LinearAxis, along: LinearAxis) -> usize {
     let pair = (error.index(), along.index());
-    CROSSED
+    AXIS_PAIRS
         .iter()
         .position(|(of, over)| (*of as usize, *over as usize) == pair)
         .expect("two different axes are one of the six pairs")
 }
 
-fn rotary(axis: RotaryAxis) -> kinematics::Axis {
+fn rotary(axis: RotaryAxis) -> kinematics::RotaryAxis {
     match axis {
-        RotaryAxis::A => kinematics::Axis::A,
-        RotaryAxis::B => kinematics::Axis::B,
-        RotaryAxis::C => kinematics::Axis::C,
+        RotaryAxis::A => kinematics::RotaryAxis::A,
+        RotaryAxis::B => kinematics::RotaryAxis::B,
+        RotaryAxis::C => kinematics::RotaryAxis::C,
     }
 }
 
@@ -284,8 +284,8 @@ fn linear_thermometer(zero_counts: f64, counts_per_c: f64) -> Option<Thermometer
 /// What the spindle's models have become.
 struct SpindleTables {
     sensor: SensorLaw,
-    /// With the shares of its lag, rising and falling.
-    temperature: Option<(Pieces, [Share; 2])>,
+    /// With the smoothing factors of its lag, rising and falling.
+    temperature: Option<(Pieces, [SmoothingFactor; 2])>,
     warmup: Option<(trueup_core::warmup::Warmup, OwnedCurve)>,
 }
 
@@ -306,8 +306,9 @@ impl SpindleTables {
             let key = "spindle.temperature";
             let law = heat::spindle_law(model.k_um_per_c, model.reference_c);
             let law = account.take(key, law.map(|law| (law, 0.0)))?;
-            let shares = heat::shares(model.lag_s, falling_s).map(|shares| (shares, 0.0));
-            Ok((law, account.take(&format!("{key}.lag_s"), shares)?))
+            let factors =
+                heat::smoothing_factors(model.lag_s, falling_s).map(|factors| (factors, 0.0));
+            Ok((law, account.take(&format!("{key}.lag_s"), factors)?))
         });
         let warmup = spindle.warmup.as_ref().map(|model| {
             let made = heat::warmup(model);
@@ -317,16 +318,16 @@ impl SpindleTables {
     }
 
     /// The source first, then what else is configured, the better first.
-    fn view(&self, machine: &Machine) -> Result<calibration::Spindle<'_>, BadInput> {
+    fn view(&self, machine: &Machine) -> Result<calibration::SpindleModel<'_>, BadInput> {
         let spindle = &machine.spindle;
         let temperature = match (&self.temperature, &spindle.temperature) {
-            (Some((law, [share, falling])), Some(model)) => {
+            (Some((law, [smoothing, smoothing_falling])), Some(model)) => {
                 let law = Law { pieces: law };
                 match channel(machine, "spindle.temperature", &model.sensor) {
                     Ok(channel) => Some(calibration::SpindleTemperature {
                         channel,
-                        share: *share,
-                        falling: *falling,
+                        smoothing: *smoothing,
+                        smoothing_falling: *smoothing_falling,
                         law,
                     }),
                     // A fall-back whose thermometer is not connected is none.
@@ -339,11 +340,11 @@ impl SpindleTables {
         let warmup = self
             .warmup
             .as_ref()
-            .map(|(law, power)| calibration::Warmup { law: *law, power: power.view() });
+            .map(|(law, power)| calibration::SpindleWarmup { law: *law, power: power.view() });
         let board = |source| match source {
-            Source::Sensor => calibration::Source::Sensor,
-            Source::Temperature => calibration::Source::Temperature,
-            Source::Warmup => calibration::Source::Warmup,
+            Source::Sensor => calibration::ElongationSource::Sensor,
+            Source::Temperature => calibration::ElongationSource::Temperature,
+            Source::Warmup => calibration::ElongationSource::Warmup,
         };
         let mut chain = [None; 3];
         if let Some(first) = spindle.source {
@@ -358,7 +359,7 @@ impl SpindleTables {
                 *place = Some(board(source));
             }
         }
-        Ok(calibration::Spindle { chain, sensor: self.sensor, temperature, warmup })
+        Ok(calibration::SpindleModel { chain, sensor: self.sensor, temperature, warmup })
     }
 }
 
@@ -369,12 +370,17 @@ fn compile_axis(
     account: &mut Account<'_>,
 ) -> Result<AxisTables, BadInput> {
     let key = format!("axis.{}", name.name());
-    let mut tables =
-        AxisTables { law: Pieces::new(), shares: [Share::ALL; 2], pitch: None, dual: None };
+    let mut tables = AxisTables {
+        law: Pieces::new(),
+        smoothing: [SmoothingFactor::NO_LAG; 2],
+        pitch: None,
+        dual: None,
+    };
     if let Some(thermal) = &axis.thermal {
         tables.law = account.take(&format!("{key}.thermal"), heat::axis_law(thermal))?;
-        let shares = heat::shares(thermal.lag_s, falling_s).map(|shares| (shares, 0.0));
-        tables.shares = account.take(&format!("{key}.thermal.lag_s"), shares)?;
+        let factors =
+            heat::smoothing_factors(thermal.lag_s, falling_s).map(|factors| (factors, 0.0));
+        tables.smoothing = account.take(&format!("{key}.thermal.lag_s"), factors)?;
     }
     if let Some(pitch) = &axis.pitch {
         tables.pitch = Some(account.take(&format!("{key}.pitch"), compile_pitch(pitch))?);
@@ -389,7 +395,7 @@ fn axis_view<'t>(
     machine: &Machine,
     number: usize,
     tables: &'t AxisTables,
-) -> Result<calibration::Axis<'t>, BadInput> {
+) -> Result<calibration::AxisModel<'t>, BadInput> {
     let axis = &machine.axes[number];
     let key = format!("axis.{}", LinearAxis::ALL[number].name());
     let bad = |key: String, rule: String| machine.places.bad(&key, rule);
@@ -411,8 +417,8 @@ fn axis_view<'t>(
             let key = format!("{key}.thermal");
             Some(calibration::AxisThermal {
                 channel: channel(machine, &key, &thermal.sensor)?,
-                share: tables.shares[0],
-                falling: tables.shares[1],
+                smoothing: tables.smoothing[0],
+                smoothing_falling: tables.smoothing[1],
                 origin: position(&format!("{key}.origin_mm"), thermal.origin_mm)?,
                 law: Law { pieces: &tables.law },
             })
@@ -436,11 +442,11 @@ fn axis_view<'t>(
         })?;
         travel = travel::Config {
             hysteresis: length(format!("{key}.hysteresis_um"), model.hysteresis_um / 1_000.0)?,
-            ramp: Whole::new(length(format!("{key}.ramp_mm"), model.ramp_mm)?),
+            ramp: Interval::new(length(format!("{key}.ramp_mm"), model.ramp_mm)?),
         };
     }
     let pitch = tables.pitch.as_ref().map(PitchTables::view);
-    Ok(calibration::Axis { thermal, pitch, dual, backlash, travel })
+    Ok(calibration::AxisModel { thermal, pitch, dual, backlash, travel })
 }
 
 /// A pitch table, and its largest difference from the model in nm.
@@ -473,7 +479,7 @@ fn compile_pitch(pitch: &machine_file::Pitch) -> Result<(PitchTables, f64), Stri
     }
     let tables = PitchTables {
         start,
-        step: Whole::new(step as u32),
+        step: Interval::new(step as u32),
         forward: points(&pitch.forward_um)?,
         reverse: pitch.reverse_um.as_deref().map(points).transpose()?,
     };
@@ -489,7 +495,7 @@ fn pitch_difference_nm(pitch: &machine_file::Pitch, board: &Pitch<'_>) -> f64 {
         let mm = pitch.start_mm + pitch.step_mm * place as f64 / PLACES as f64;
         let Some(units) = rounded(mm * UNITS_PER_MM) else { continue };
         let mm = f64::from(units) / UNITS_PER_MM;
-        for (direction, blend) in [(1.0, Blend::ZERO), (-1.0, Blend::ONE)] {
+        for (direction, blend) in [(1.0, Fraction::ZERO), (-1.0, Fraction::ONE)] {
             let stored = f64::from(board.at(Position(units), blend).0.0) / FINE_PER_UM * NM_PER_UM;
             worst = worst.max((stored - model::pitch_um(pitch, mm, direction) * NM_PER_UM).abs());
         }
@@ -843,7 +849,7 @@ mod tests {
         let compiled = compile(&paper_but("hold_ms = 2000\n", added)).expect("all of it is run");
         let calibration = compiled.calibration();
         let [x, y, z] = calibration.axes;
-        assert_eq!(x, calibration::Axis::default());
+        assert_eq!(x, calibration::AxisModel::default());
         assert_eq!(y.backlash, Nanometres(4_000).fine());
         assert_eq!((y.travel.hysteresis, y.travel.ramp.length()), (100, 5_000));
         let points = [0, 256_000].map(i32::to_le_bytes);
@@ -851,7 +857,7 @@ mod tests {
             z.pitch.map(|pitch| (pitch.start, pitch.forward)),
             Some((Position(0), &points[..]))
         );
-        let places = CROSSED.map(|(error, along)| (error as usize, along as usize));
+        let places = AXIS_PAIRS.map(|(error, along)| (error as usize, along as usize));
         for (place, pair) in places.into_iter().enumerate() {
             assert_eq!(calibration.straightness[place].is_empty(), pair != (2, 0), "{pair:?}");
             // 1 µm/m is 10⁻⁵ nm per position unit, Q36.
@@ -872,7 +878,10 @@ mod tests {
         let head = "head-head\"\nhead_axes = [\"c\", \"a\"]\n#";
         let kinematics =
             compile(&paper_but("3-axis", head)).expect("fits").calibration().kinematics;
-        assert_eq!(kinematics.axes, [Some(kinematics::Axis::C), Some(kinematics::Axis::A)]);
+        assert_eq!(
+            kinematics.axes,
+            [Some(kinematics::RotaryAxis::C), Some(kinematics::RotaryAxis::A)]
+        );
         let table = compile(&paper_but("3-axis", "table-table")).expect("fits");
         assert_eq!(table.calibration().kinematics.axes, [None; 2]);
     }

@@ -21,11 +21,11 @@ use std::{
 };
 
 use trueup_core::{
-    calibration::{Calibration, Source as BoardSource},
+    calibration::{Calibration, ElongationSource},
     geometry::Place as BoardPlace,
     heat::{CHANNELS, FIRST_TERM, Heat},
-    lag::{STEP_MS, Share},
-    term::{self, Turning},
+    lag::{STEP_MS, SmoothingFactor},
+    term::{self, OperatingPoint},
     travel::Travel,
     units::{
         Fine, MicroDegrees, NANOMETRES_PER_MICROMETRE, Nanometres, Position, Rpm, Temperature,
@@ -443,21 +443,21 @@ impl<'b> BridgeRun<'b> {
         let calibration = &self.calibration;
         let elongation = match calibration.spindle.chain[0] {
             None => Nanometres::ZERO,
-            Some(BoardSource::Sensor) => {
+            Some(ElongationSource::Sensor) => {
                 let reading =
                     self.bridge.input.map(|it| it.reading_from_counts(situation.sensor_counts));
                 calibration.spindle.sensor.elongation(reading.unwrap_or_default())
             }
-            Some(BoardSource::Temperature) => self.heat.by_temperature(),
-            Some(BoardSource::Warmup) => self.heat.by_running_time(),
+            Some(ElongationSource::Temperature) => self.heat.by_temperature(),
+            Some(ElongationSource::Warmup) => self.heat.by_running_time(),
         };
-        let turning = Turning {
+        let operating = OperatingPoint {
             speed: situation.spindle_rpm.map(rpm),
             // A cast from f64 saturates.
             load: (situation.load_n.unwrap_or(0.0) * PARTS_OF_N).round() as i32,
         };
         let terms = self.heat.terms();
-        let elongation = calibration.with_terms(elongation.fine(), terms, turning).rounded();
+        let elongation = calibration.with_terms(elongation.fine(), terms, operating).rounded();
         let mut place = BoardPlace::default();
         for (n, axis) in calibration.axes.iter().enumerate() {
             // A cast from f64 saturates and takes NaN to 0; what depends on it is not shown.
@@ -519,16 +519,16 @@ impl<'b> BridgeRun<'b> {
             self.heat.step(&self.calibration, &temperatures, speed);
         }
         // Lags start settled; and what has none is not bound to the board's steps.
-        let follows = |share: Share| is_first || share == Share::ALL;
-        let axes = self.calibration.axes.iter().map(|axis| axis.thermal.map(|it| it.share));
-        let spindle = self.calibration.spindle.temperature.map(|it| it.share);
+        let follows = |smoothing: SmoothingFactor| is_first || smoothing == SmoothingFactor::NO_LAG;
+        let axes = self.calibration.axes.iter().map(|axis| axis.thermal.map(|it| it.smoothing));
+        let spindle = self.calibration.spindle.temperature.map(|it| it.smoothing);
         let terms = self.calibration.terms.iter().map(|term| match term.as_ref()?.effect {
-            term::Effect::Heat { share, .. } => Some(share),
+            term::Effect::Heat { smoothing, .. } => Some(smoothing),
             _ => None,
         });
-        let shares = (0..).zip(axes.chain([spindle])).chain((FIRST_TERM..).zip(terms));
-        for (item, share) in shares {
-            if share.is_some_and(follows) {
+        let factors = (0..).zip(axes.chain([spindle])).chain((FIRST_TERM..).zip(terms));
+        for (item, smoothing) in factors {
+            if smoothing.is_some_and(follows) {
                 self.heat.step_item(&self.calibration, item, &temperatures, speed);
             }
         }

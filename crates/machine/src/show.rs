@@ -30,19 +30,19 @@ use std::{
 };
 
 use trueup_core::{
-    calibration::{self, AxisThermal, CROSSED, Calibration, Dual, SpindleTemperature},
+    calibration::{self, AXIS_PAIRS, AxisThermal, Calibration, Dual, SpindleTemperature},
     cnc::LinearAxis,
     curve::{Curve, Segment},
     gradient::Gradient,
     kinematics::{self, Kinematics},
-    lag::{STEP_MS, Share},
+    lag::{STEP_MS, SmoothingFactor},
     limits::Limits,
     pitch::Pitch,
     sensor::{SensorLaw, Slope},
     thermal::{Law, Piece, SLOPE_FRACTION_BITS, SLOPE_UNIT_BITS},
     thermometer::Thermometer,
     tool::Direction,
-    travel::{self, Blend},
+    travel::{self, Fraction},
     units::{Code, Fine, NANOMETRES_PER_MICROMETRE, Position, READINGS_PER_CODE, Temperature},
     warmup,
 };
@@ -70,7 +70,7 @@ const GRADIENT_PER_UM_PER_M: f64 = 1e-5 * (1_u64 << Gradient::FRACTION_BITS) as 
 /// What a slope of 1 a kelvin is in the board's integers.
 const SLOPE_PER_KELVIN: f64 =
     (1_u64 << (SLOPE_UNIT_BITS + SLOPE_FRACTION_BITS)) as f64 / PER_KELVIN;
-const SHARE_ONE: f64 = (1_u64 << 32) as f64;
+const SMOOTHING_ONE: f64 = (1_u64 << 32) as f64;
 const FULL_ONE: f64 = (1_u64 << warmup::Warmup::FULL_FRACTION_BITS) as f64;
 const DRIVE_ONE: f64 = warmup::Warmup::RATED as f64;
 /// A linear chain delivers so many parts of a count.
@@ -150,7 +150,7 @@ fn write_machine_file(toml: &mut String, calibration: &Calibration<'_>) -> Writt
     } = calibration;
     write_machine(toml, kinematics)?;
     let has_sensor = spindle.sensor != SensorLaw::default()
-        || spindle.chain.contains(&Some(calibration::Source::Sensor));
+        || spindle.chain.contains(&Some(calibration::ElongationSource::Sensor));
     if has_sensor || thermometers.iter().any(Option::is_some) {
         write_inputs(toml, has_sensor, thermometers)?;
     }
@@ -158,7 +158,7 @@ fn write_machine_file(toml: &mut String, calibration: &Calibration<'_>) -> Writt
     for (axis, name) in axes.iter().zip(LinearAxis::ALL) {
         write_axis(toml, name_of(name), axis)?;
     }
-    for (curve, pair) in straightness.iter().zip(CROSSED) {
+    for (curve, pair) in straightness.iter().zip(AXIS_PAIRS) {
         if !curve.is_empty() {
             writeln!(toml, "\n[straightness.{}]", pair_name(pair))?;
             write_curve(toml, curve)?;
@@ -166,7 +166,7 @@ fn write_machine_file(toml: &mut String, calibration: &Calibration<'_>) -> Writt
     }
     if squareness.iter().any(|gradient| *gradient != Gradient::ZERO) {
         writeln!(toml, "\n[squareness]")?;
-        for (gradient, pair) in squareness.iter().zip(CROSSED) {
+        for (gradient, pair) in squareness.iter().zip(AXIS_PAIRS) {
             if *gradient != Gradient::ZERO {
                 let um_per_m = written(gradient.0, GRADIENT_PER_UM_PER_M);
                 writeln!(toml, "{}_um_per_m = {um_per_m:?}", pair_name(pair))?;
@@ -227,9 +227,9 @@ fn write_machine(toml: &mut String, kinematics: &Kinematics) -> Written {
         .iter()
         .flatten()
         .map(|axis| match axis {
-            kinematics::Axis::A => "a",
-            kinematics::Axis::B => "b",
-            kinematics::Axis::C => "c",
+            kinematics::RotaryAxis::A => "a",
+            kinematics::RotaryAxis::B => "b",
+            kinematics::RotaryAxis::C => "c",
         })
         .collect();
     writeln!(toml, "[machine]")?;
@@ -303,28 +303,29 @@ fn written_counts_per_c(slope: i32, shift: u8) -> f64 {
 fn write_spindle(
     toml: &mut String,
     has_sensor: bool,
-    spindle: &calibration::Spindle<'_>,
+    spindle: &calibration::SpindleModel<'_>,
 ) -> Written {
-    let calibration::Spindle { chain, sensor, temperature, warmup } = spindle;
+    let calibration::SpindleModel { chain, sensor, temperature, warmup } = spindle;
     if let [Some(source), ..] = chain {
         let source = match source {
-            calibration::Source::Sensor => "sensor",
-            calibration::Source::Temperature => "temperature",
-            calibration::Source::Warmup => "warmup",
+            calibration::ElongationSource::Sensor => "sensor",
+            calibration::ElongationSource::Temperature => "temperature",
+            calibration::ElongationSource::Warmup => "warmup",
         };
         writeln!(toml, "\n[spindle]\nsource = \"{source}\"")?;
     }
     if has_sensor {
         write_sensor(toml, sensor)?;
     }
-    if let Some(SpindleTemperature { channel, share, law, falling: _ }) = temperature {
+    if let Some(SpindleTemperature { channel, smoothing, law, smoothing_falling: _ }) = temperature
+    {
         let piece = law.pieces.first().map(Piece::from_bytes).unwrap_or_default();
         let k_um_per_c = written(piece.constant_slope, FINE_PER_UM * SLOPE_PER_KELVIN);
         writeln!(toml, "\n[spindle.temperature]")?;
         writeln!(toml, "sensor = \"{}\"", column(channel))?;
         writeln!(toml, "reference_c = {:?}", written(piece.start.0, PER_KELVIN))?;
         writeln!(toml, "k_um_per_c = {k_um_per_c:?}")?;
-        writeln!(toml, "lag_s = {:?}", written_time_constant_s(*share))?;
+        writeln!(toml, "lag_s = {:?}", written_time_constant_s(*smoothing))?;
     }
     match warmup {
         Some(warmup) => write_warmup(toml, warmup),
@@ -347,26 +348,26 @@ fn write_sensor(toml: &mut String, law: &SensorLaw) -> Written {
 }
 
 /// τ of 1 − e^(−Δt/τ), in s.
-fn time_constant_s(share: Share) -> f64 {
+fn time_constant_s(smoothing: SmoothingFactor) -> f64 {
     let step_s = f64::from(STEP_MS) / 1_000.0;
-    -step_s / (-f64::from(share.0) / SHARE_ONE).ln_1p()
+    -step_s / (-f64::from(smoothing.0) / SMOOTHING_ONE).ln_1p()
 }
 
-/// Whether a lag of this time constant is stored as `share`.
-fn is_share(time_constant_s: f64, share: Share) -> bool {
+/// Whether a lag of this time constant is stored as `smoothing`.
+fn is_smoothing(time_constant_s: f64, smoothing: SmoothingFactor) -> bool {
     let step_s = f64::from(STEP_MS) / 1_000.0;
-    let stored = -(-step_s / time_constant_s).exp_m1() * SHARE_ONE;
-    (stored - f64::from(share.0)).abs() < 0.49
+    let stored = -(-step_s / time_constant_s).exp_m1() * SMOOTHING_ONE;
+    (stored - f64::from(smoothing.0)).abs() < 0.49
 }
 
-fn written_time_constant_s(share: Share) -> f64 {
-    if share == Share::ALL {
+fn written_time_constant_s(smoothing: SmoothingFactor) -> f64 {
+    if smoothing == SmoothingFactor::NO_LAG {
         return 0.0;
     }
-    fewest_decimals(time_constant_s(share), |time_s| is_share(time_s, share))
+    fewest_decimals(time_constant_s(smoothing), |time_s| is_smoothing(time_s, smoothing))
 }
 
-fn write_warmup(toml: &mut String, warmup: &calibration::Warmup<'_>) -> Written {
+fn write_warmup(toml: &mut String, warmup: &calibration::SpindleWarmup<'_>) -> Written {
     /// An exponent that is as good as endless: its growth is full, to the last bit.
     const LARGEST_EXPONENT: f64 = 20.0;
     let law = &warmup.law;
@@ -378,17 +379,18 @@ fn write_warmup(toml: &mut String, warmup: &calibration::Warmup<'_>) -> Written 
         LARGEST_EXPONENT
     };
     let lag_s = f64::from(law.lag_ms) / 1_000.0;
-    let warm_s = fewest_decimals(lag_s + exponent * time_constant_s(law.share_heat), |warm_s| {
-        is_share((warm_s - lag_s) / exponent, law.share_heat)
-    });
+    let warm_s =
+        fewest_decimals(lag_s + exponent * time_constant_s(law.smoothing_heating), |warm_s| {
+            is_smoothing((warm_s - lag_s) / exponent, law.smoothing_heating)
+        });
     writeln!(toml, "\n[spindle.warmup]")?;
     writeln!(toml, "lag_s = {lag_s:?}")?;
     writeln!(toml, "warm_s = {warm_s:?}")?;
     writeln!(toml, "max_um = {:?}", written(law.max.0, FINE_PER_UM))?;
     writeln!(toml, "exponent = {exponent:?}")?;
-    if law.share_cool != law.share_heat {
-        let cool_s = fewest_decimals(time_constant_s(law.share_cool), |time_s| {
-            is_share(time_s, law.share_cool)
+    if law.smoothing_cooling != law.smoothing_heating {
+        let cool_s = fewest_decimals(time_constant_s(law.smoothing_cooling), |time_s| {
+            is_smoothing(time_s, law.smoothing_cooling)
         });
         writeln!(toml, "cool_s = {cool_s:?}")?;
     }
@@ -444,8 +446,8 @@ fn power_law(curve: &Curve<'_>) -> Option<(f64, f64)> {
     Some(fitting.next().unwrap_or((rated(exact), exact)))
 }
 
-fn write_axis(toml: &mut String, name: &str, axis: &calibration::Axis<'_>) -> Written {
-    let calibration::Axis { thermal, pitch, dual, backlash, travel } = axis;
+fn write_axis(toml: &mut String, name: &str, axis: &calibration::AxisModel<'_>) -> Written {
+    let calibration::AxisModel { thermal, pitch, dual, backlash, travel } = axis;
     if let Some(thermal) = thermal {
         write_thermal(toml, name, thermal)?;
     }
@@ -501,7 +503,7 @@ fn write_thermal(toml: &mut String, name: &str, thermal: &AxisThermal<'_>) -> Wr
         writeln!(toml, "constant_um_per_c = {constant:?}\nslope_um_per_m_per_c = {gradient:?}")?;
     }
     writeln!(toml, "origin_mm = {:?}", written(thermal.origin.0, UNITS_PER_MM))?;
-    writeln!(toml, "lag_s = {:?}", written_time_constant_s(thermal.share))
+    writeln!(toml, "lag_s = {:?}", written_time_constant_s(thermal.smoothing))
 }
 
 fn write_pitch(toml: &mut String, pitch: &Pitch<'_>) -> Written {
@@ -656,14 +658,14 @@ fn metre_of(a: Gradient, b: Gradient) -> f64 {
 }
 
 fn spindle_difference_nm(
-    a: &calibration::Spindle<'_>,
-    b: &calibration::Spindle<'_>,
+    a: &calibration::SpindleModel<'_>,
+    b: &calibration::SpindleModel<'_>,
 ) -> Option<f64> {
     if a.chain != b.chain {
         return None;
     }
     let mut worst: f64 = 0.0;
-    if a.chain.contains(&Some(calibration::Source::Sensor)) {
+    if a.chain.contains(&Some(calibration::ElongationSource::Sensor)) {
         let last = f64::from(Code::FULL_SCALE * READINGS_PER_CODE);
         for reading in [0.0, last] {
             let off = stored_law_nm(&a.sensor, reading) - stored_law_nm(&b.sensor, reading);
@@ -672,15 +674,15 @@ fn spindle_difference_nm(
     }
     let temperature = both(a.temperature, b.temperature, |a, b| {
         let laws = law_difference_nm(a.law, b.law)
-            + lag_difference_nm(a.share, b.share, largest_of_law_nm(a.law));
+            + lag_difference_nm(a.smoothing, b.smoothing, largest_of_law_nm(a.law));
         (a.channel == b.channel).then_some(laws)
     })?;
     let warmup = both(a.warmup, b.warmup, |a, b| {
         let max_nm = f64::from(a.law.max.0).abs() / FINE_PER_NM;
         let max = f64::from(a.law.max.0.abs_diff(b.law.max.0)) / FINE_PER_NM;
         let full = f64::from(a.law.full.abs_diff(b.law.full)) / FULL_ONE * max_nm;
-        let lags = lag_difference_nm(a.law.share_heat, b.law.share_heat, max_nm)
-            + lag_difference_nm(a.law.share_cool, b.law.share_cool, max_nm);
+        let lags = lag_difference_nm(a.law.smoothing_heating, b.law.smoothing_heating, max_nm)
+            + lag_difference_nm(a.law.smoothing_cooling, b.law.smoothing_cooling, max_nm);
         let power = curve_difference(&a.power, &b.power) / DRIVE_ONE * max_nm;
         (a.law.lag_ms == b.law.lag_ms).then_some(max + full + lags + power)
     })?;
@@ -689,7 +691,7 @@ fn spindle_difference_nm(
 
 /// How far two lags are apart after a step of this size: at most its e-th part for each part by
 /// which their time constants differ.
-fn lag_difference_nm(a: Share, b: Share, step_nm: f64) -> f64 {
+fn lag_difference_nm(a: SmoothingFactor, b: SmoothingFactor, step_nm: f64) -> f64 {
     if a == b {
         return 0.0;
     }
@@ -717,10 +719,13 @@ fn largest_of_law_nm(law: Law<'_>) -> f64 {
     law_difference_nm(law, Law::default())
 }
 
-fn axis_difference_nm(a: &calibration::Axis<'_>, b: &calibration::Axis<'_>) -> Option<f64> {
+fn axis_difference_nm(
+    a: &calibration::AxisModel<'_>,
+    b: &calibration::AxisModel<'_>,
+) -> Option<f64> {
     let thermal = both(a.thermal, b.thermal, |a, b| {
         let laws = law_difference_nm(a.law, b.law)
-            + lag_difference_nm(a.share, b.share, largest_of_law_nm(a.law));
+            + lag_difference_nm(a.smoothing, b.smoothing, largest_of_law_nm(a.law));
         (a.channel == b.channel && a.origin == b.origin).then_some(laws)
     })?;
     let pitch = both(a.pitch, b.pitch, |a, b| pitch_difference_nm(&a, &b))?;
@@ -742,7 +747,7 @@ fn pitch_difference_nm(a: &Pitch<'_>, b: &Pitch<'_>) -> Option<f64> {
         let place = i64::from(a.start.0) + n / 2 * i64::from(a.step.length()) + n % 2 * half;
         Position(i32::try_from(place).unwrap_or(i32::MAX))
     });
-    let blends = [Blend::ZERO, Blend(Blend::ONE.0 / 2), Blend::ONE];
+    let blends = [Fraction::ZERO, Fraction(Fraction::ONE.0 / 2), Fraction::ONE];
     let off = places.flat_map(|place| {
         blends.map(|blend| a.at(place, blend).0.0.abs_diff(b.at(place, blend).0.0))
     });
@@ -949,7 +954,7 @@ mod tests {
         let mut no_timeout = good;
         no_timeout.limits.link_timeout_ms = 0;
         let mut other_chain = good;
-        other_chain.spindle.chain[1] = Some(calibration::Source::Sensor);
+        other_chain.spindle.chain[1] = Some(calibration::ElongationSource::Sensor);
         let mut too_far = good;
         too_far.spindle.sensor.k0 = Nanometres(i32::MAX);
         for (calibration, reason) in [

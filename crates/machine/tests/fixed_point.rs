@@ -15,7 +15,7 @@ use std::{fmt::Write, path::Path};
 
 use trueup_core::{
     bridge::{Bridge, Input, State},
-    calibration::{CROSSED, Calibration},
+    calibration::{AXIS_PAIRS, Calibration},
     cnc::{AxisPosition, Command, Control, Heading, LinearAxis, Quality, Rotary},
     curve::SEGMENT_SIZE,
     filter::CODES_PER_TICK,
@@ -157,7 +157,7 @@ fn whole_machine(seed: u64) -> String {
             writeln!(text, "forward_um = {}, reverse_um = {} }}", tables[0], tables[1]).unwrap();
         }
     }
-    for (error, along) in CROSSED {
+    for (error, along) in AXIS_PAIRS {
         let name = |axis: LinearAxis| ["x", "y", "z"][axis as usize];
         let travel = TRAVEL_MM[along as usize];
         // 64 segments, the widest up to ten times as wide as the narrowest.
@@ -291,7 +291,7 @@ impl<'m> Bench<'m> {
         let errors = self.calibration.errors(&self.heat, &place);
         std::array::from_fn(|axis| {
             let parts = errors.axes[axis];
-            let sum = parts.thermal.plus(parts.screw).plus(parts.guides).plus(tool[axis]);
+            let sum = parts.thermal.plus(parts.positioning).plus(parts.guides).plus(tool[axis]);
             assert!(sum != Fine(i32::MAX) && sum != Fine(i32::MIN), "the test leaves the range");
             sum.rounded().0
         })

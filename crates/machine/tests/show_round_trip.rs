@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use trueup_core::{
-    calibration::{Calibration, Source},
+    calibration::{Calibration, ElongationSource},
     limits::Limits,
     sensor::{SensorLaw, Slope},
     tool::Direction,
@@ -131,7 +131,7 @@ fn difference_nm(compiled: &Compiled) -> f64 {
 fn random_sensors_come_back_bit_for_bit() {
     let mut random = Random(0x9e37_79b9_7f4a_7c15);
     let paper = compiled(PAPER);
-    assert_eq!(paper.calibration().spindle.chain, [Some(Source::Sensor), None, None]);
+    assert_eq!(paper.calibration().spindle.chain, [Some(ElongationSource::Sensor), None, None]);
     for _ in 0..20_000 {
         assert_comes_back(&random.change(&paper.calibration()));
     }

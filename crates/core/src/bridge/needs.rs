@@ -1,38 +1,38 @@
 //! The inputs without which a calibration cannot be followed.
 
 use crate::{
-    calibration::{CROSSED, Calibration, Source},
+    calibration::{AXIS_PAIRS, Calibration, ElongationSource},
     cnc::LinearAxis,
-    heat::Numbers,
+    heat::IndexSet,
     term::{self, Effect, Target},
     units::Fine,
 };
 
 /// What has to be there, found out once and not in every tick.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Needs {
+pub(super) struct RequiredInputs {
     /// How old the position of an axis may be, in milliseconds; for ever where nothing depends on
     /// it.
     pub position_ms: [u32; 3],
     /// The angles of the head.
     pub rotary: bool,
     /// Channels of the axes; that of the spindle is one source among others.
-    pub temperatures: Numbers,
+    pub temperatures: IndexSet,
     /// Axes with a law over temperature.
-    pub laws: Numbers,
+    pub laws: IndexSet,
     /// Whether the sensor is one of the sources of the elongation.
     pub sensor: bool,
     /// The spindle's speed and load, from the CNC.
-    pub turning: bool,
+    pub operating_point: bool,
     /// Terms that follow a temperature.
-    pub warmth: term::Set,
+    pub heat_terms: term::Set,
     /// Whether there are terms of the elongation.
     pub terms: bool,
     /// The source of the elongation that is asked first.
-    pub first: Option<Source>,
+    pub first: Option<ElongationSource>,
 }
 
-impl Needs {
+impl RequiredInputs {
     pub fn of(calibration: &Calibration<'_>) -> Self {
         let chain = calibration.spindle.chain;
         let terms = || calibration.terms.iter().flatten();
@@ -40,10 +40,11 @@ impl Needs {
         let mut needs = Self {
             rotary: calibration.kinematics.axes.iter().any(Option::is_some)
                 && (of_elongation || chain.iter().any(Option::is_some)),
-            turning: terms().any(|it| matches!(it.effect, Effect::Speed(_) | Effect::Load(_))),
-            warmth: term::Set::of_heat(calibration),
+            operating_point: terms()
+                .any(|it| matches!(it.effect, Effect::Speed(_) | Effect::Load(_))),
+            heat_terms: term::Set::of_heat(calibration),
             terms: of_elongation,
-            sensor: chain.contains(&Some(Source::Sensor)),
+            sensor: chain.contains(&Some(ElongationSource::Sensor)),
             position_ms: [u32::MAX; 3],
             first: chain.into_iter().flatten().next(),
             ..Self::default()
@@ -63,7 +64,7 @@ impl Needs {
             }
         }
         for (((_, over), curve), gradient) in
-            CROSSED.into_iter().zip(&calibration.straightness).zip(&calibration.squareness)
+            AXIS_PAIRS.into_iter().zip(&calibration.straightness).zip(&calibration.squareness)
         {
             if !curve.is_empty() || gradient.0 != 0 {
                 position(over);

@@ -1,10 +1,10 @@
 //! What the bridge remembers from tick to tick.
 
 use crate::{
-    bridge::{Course, SAMPLES_TIMEOUT_MS},
+    bridge::{Mode, SAMPLES_TIMEOUT_MS},
     cnc::{AxisPosition, Control, Spindle},
     filter::Filter,
-    geometry::{Errors, Kept, Place},
+    geometry::{CachedErrors, Errors, Place},
     health::{Health, Noise},
     heat::{Channels, Heat, RawTemperatures},
     limits::Applied,
@@ -39,7 +39,7 @@ pub struct State {
     /// Milliseconds of the present step of the heat.
     pub(super) phase_ms: u32,
     /// The errors of the axes as they are now; `None` until they are first asked for.
-    pub(super) axes: Option<(Kept, AxisErrors)>,
+    pub(super) axes: Option<(CachedErrors, ErrorSums)>,
     pub(super) reference: Reference,
     /// How long ago the offset was last live; `None` if it is not to be held.
     live_age: Option<Age>,
@@ -57,7 +57,7 @@ pub struct Reference {
 
 /// The errors of X, Y and Z, before the reference.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct AxisErrors {
+pub(super) struct ErrorSums {
     pub sums: [Fine; 3],
     /// A part was held at its limit.
     pub clamped: bool,
@@ -65,7 +65,7 @@ pub(super) struct AxisErrors {
     pub outside: bool,
 }
 
-impl AxisErrors {
+impl ErrorSums {
     /// The sums of these, each part held to its axis' largest.
     pub fn of(errors: &Errors, largest: [Fine; 3]) -> Self {
         let mut all = Self { sums: [Fine::ZERO; 3], clamped: false, outside: errors.outside };
@@ -180,10 +180,10 @@ impl State {
             return false;
         };
         *age = Age::NEW;
-        let before = (*position, travel.blend());
+        let before = (*position, travel.reversal());
         *position = heard.position;
         travel.update(config, heard.position, heard.direction as i8);
-        before != (*position, travel.blend())
+        before != (*position, travel.reversal())
     }
 
     pub(super) fn grow_older(&mut self, elapsed_ms: u32) {
@@ -208,15 +208,15 @@ impl State {
     }
 
     /// Decides where the offset goes, and remembers when it was last live.
-    pub(super) fn course(&mut self, control: Option<Control>, fresh: bool, hold_ms: u32) -> Course {
+    pub(super) fn course(&mut self, control: Option<Control>, fresh: bool, hold_ms: u32) -> Mode {
         if control.is_some_and(|control| !(control.engage && control.referenced)) {
             self.live_age = None;
         } else if control.is_some() && fresh {
             self.live_age = Some(Age::NEW);
-            return Course::Follow;
+            return Mode::Follow;
         } else if self.live_age.is_some_and(|age| !age.is_above(hold_ms)) {
-            return Course::Hold;
+            return Mode::Hold;
         }
-        Course::RampOut
+        Mode::RampOut
     }
 }

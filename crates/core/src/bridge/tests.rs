@@ -5,7 +5,7 @@ use crate::{
     calibration::AxisThermal,
     cnc::{AxisPosition, Control, Heading, LinearAxis, Spindle},
     kinematics::{self, Kinematics},
-    lag::Share,
+    lag::SmoothingFactor,
     limits::Limits,
     sensor::{SensorLaw, Slope},
     thermal::Law,
@@ -35,7 +35,7 @@ fn plain() -> Calibration<'static> {
 /// 1024 nm a code exactly, zero at code 1000, 1 µm in a millisecond.
 fn calibration() -> Calibration<'static> {
     let mut calibration = plain();
-    calibration.spindle.chain[0] = Some(Source::Sensor);
+    calibration.spindle.chain[0] = Some(ElongationSource::Sensor);
     calibration.spindle.sensor =
         SensorLaw { k0: Nanometres(0), zero: Reading(1000 << 10), slope: Slope(1 << 28) };
     calibration
@@ -315,8 +315,8 @@ fn expanding() -> Calibration<'static> {
     let law = Law { pieces: &LAW };
     calibration.axes[0].thermal = Some(AxisThermal {
         channel: 3,
-        share: Share::ALL,
-        falling: Share::ALL,
+        smoothing: SmoothingFactor::NO_LAG,
+        smoothing_falling: SmoothingFactor::NO_LAG,
         origin: Position(0),
         law,
     });
@@ -409,7 +409,7 @@ fn zero_takes_all_of_the_present_error() {
 #[test]
 fn a_tilted_head_takes_growth_to_both_axes() {
     let mut machine = calibration();
-    machine.kinematics.axes = [Some(kinematics::Axis::A), None];
+    machine.kinematics.axes = [Some(kinematics::RotaryAxis::A), None];
     let mut rig = Rig::new(machine);
     // Without an angle nobody knows where the tool points.
     assert_eq!(rig.run_engaged(200, 1050).quality, Quality::Off);
@@ -426,13 +426,13 @@ fn a_tilted_head_takes_growth_to_both_axes() {
 #[test]
 fn a_lost_sensor_is_followed_by_the_next_source_without_a_jump() {
     let mut machine = calibration();
-    machine.spindle.chain[1] = Some(Source::Warmup);
-    machine.spindle.warmup = Some(crate::calibration::Warmup {
+    machine.spindle.chain[1] = Some(ElongationSource::Warmup);
+    machine.spindle.warmup = Some(crate::calibration::SpindleWarmup {
         law: crate::warmup::Warmup {
             lag_ms: 0,
             max: Nanometres(30_000).fine(),
-            share_heat: Share::ALL,
-            share_cool: Share::ALL,
+            smoothing_heating: SmoothingFactor::NO_LAG,
+            smoothing_cooling: SmoothingFactor::NO_LAG,
             full: 1 << crate::warmup::Warmup::FULL_FRACTION_BITS,
         },
         power: Default::default(),

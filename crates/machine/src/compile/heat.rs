@@ -3,7 +3,7 @@
 use trueup_core::{
     curve::Curve,
     gradient::Gradient,
-    lag::{STEP_MS, Share},
+    lag::{STEP_MS, SmoothingFactor},
     thermal::{Law, PIECE_SIZE, Piece, SLOPE_FRACTION_BITS, SLOPE_UNIT_BITS},
     units::{Fine, Position, Temperature},
     warmup,
@@ -157,22 +157,25 @@ fn axis_difference_nm(thermal: &Thermal, pieces: &Pieces) -> f64 {
 }
 
 /// 1 − e^(−Δt/τ) for the board's step; all of it where there is no lag.
-pub(super) fn share(time_constant_s: f64) -> Result<Share, Reason> {
+pub(super) fn smoothing_factor(time_constant_s: f64) -> Result<SmoothingFactor, Reason> {
     if time_constant_s == 0.0 {
-        return Ok(Share::ALL);
+        return Ok(SmoothingFactor::NO_LAG);
     }
     let step_s = f64::from(STEP_MS) / 1_000.0;
     // exp_m1 keeps the digits of a long time constant.
-    let share = (-(-step_s / time_constant_s).exp_m1() * 2_f64.powi(32)).round();
-    if share < 1_000.0 {
+    let factor = (-(-step_s / time_constant_s).exp_m1() * 2_f64.powi(32)).round();
+    if factor < 1_000.0 {
         return Err(format!("{time_constant_s} s is longer than the board can follow (5 days)"));
     }
-    Ok(Share(share.min(f64::from(u32::MAX)) as u32))
+    Ok(SmoothingFactor(factor.min(f64::from(u32::MAX)) as u32))
 }
 
-/// The shares while it rises and while it falls, which is the same unless it is given.
-pub(super) fn shares(rising_s: f64, falling_s: Option<f64>) -> Result<[Share; 2], Reason> {
-    Ok([share(rising_s)?, share(falling_s.unwrap_or(rising_s))?])
+/// The smoothing factors while it rises and while it falls, which is the same unless it is given.
+pub(super) fn smoothing_factors(
+    rising_s: f64,
+    falling_s: Option<f64>,
+) -> Result<[SmoothingFactor; 2], Reason> {
+    Ok([smoothing_factor(rising_s)?, smoothing_factor(falling_s.unwrap_or(rising_s))?])
 }
 
 /// The warm-up model, with the curve of its speed exponent.
@@ -190,8 +193,8 @@ pub(super) fn warmup(warmup: &Warmup) -> Result<(warmup::Warmup, OwnedCurve), Re
     let law = warmup::Warmup {
         lag_ms: lag_ms as u32,
         max: Fine(max),
-        share_heat: share(warmup.time_constant_s())?,
-        share_cool: share(warmup.cooling_time_constant_s())?,
+        smoothing_heating: smoothing_factor(warmup.time_constant_s())?,
+        smoothing_cooling: smoothing_factor(warmup.cooling_time_constant_s())?,
         full,
     };
     Ok((law, power_curve(warmup)?))

@@ -7,7 +7,7 @@
 use trueup_core::{
     gradient::Gradient,
     pitch::Pitch,
-    term::{self, Effect, Scaled, TIME_ONE, Target, Term},
+    term::{self, Effect, Scaled, Target, Term, UNIT_STEP},
     units::{Fine, Temperature},
 };
 
@@ -57,7 +57,7 @@ impl Owned {
 }
 
 /// What the calibration holds.
-pub(super) fn views(owned: &[Owned]) -> [Option<Term<'_>>; term::MOST] {
+pub(super) fn views(owned: &[Owned]) -> [Option<Term<'_>>; term::MAX_TERMS] {
     std::array::from_fn(|index| owned.get(index).map(Owned::view))
 }
 
@@ -85,8 +85,8 @@ pub(super) fn terms(machine: &Machine, account: &mut Account<'_>) -> Result<Vec<
             let effect = OwnedEffect::Plain(Effect::Offset);
             owned.push(Owned { target, constant, effect });
         }
-        if owned.len() > term::MOST {
-            let rule = format!("is too much: the board runs {} terms and waves", term::MOST);
+        if owned.len() > term::MAX_TERMS {
+            let rule = format!("is too much: the board runs {} terms and waves", term::MAX_TERMS);
             return Err(machine.places.bad(&key, rule));
         }
     }
@@ -111,8 +111,8 @@ fn effects(
             )?;
             let reference = heat::temperature(reference_c)
                 .ok_or_else(|| format!("{reference_c} °C is beyond the board's ±524 °C"))?;
-            let share = heat::share(time_constant_s)?;
-            Ok((Effect::Heat { channel, share, reference, per_temperature }, nm))
+            let smoothing = heat::smoothing_factor(time_constant_s)?;
+            Ok((Effect::Heat { channel, smoothing, reference, per_temperature }, nm))
         };
         Ok(made())
     };
@@ -135,9 +135,15 @@ fn effects(
             heat(column, *um_per_c, *time_constant_s, *reference_c)?
         }
         Cause::SlowMode { amplitude_um, time_constant_s, .. } => {
-            let one = f64::from(TIME_ONE);
+            let one = f64::from(UNIT_STEP);
             scaled(amplitude_um * FINE_PER_UM / one, one).and_then(|(amplitude, nm)| {
-                Ok((Effect::Time { share: heat::share(*time_constant_s)?, amplitude }, nm))
+                Ok((
+                    Effect::Time {
+                        smoothing: heat::smoothing_factor(*time_constant_s)?,
+                        amplitude,
+                    },
+                    nm,
+                ))
             })
         }
         Cause::CentrifugalGrowth { um_per_krpm2 } => {

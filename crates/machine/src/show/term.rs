@@ -9,27 +9,30 @@ use std::fmt::Write as _;
 use trueup_core::{
     calibration::Calibration,
     cnc::LinearAxis,
-    term::{Effect, Scaled, TIME_ONE, Target, Term},
+    term::{Effect, Scaled, Target, Term, UNIT_STEP},
     units::Fine,
 };
 
 use super::{
     FINE_PER_NM, FINE_PER_UM, GRADIENT_PER_UM_PER_M, PER_KELVIN, UNITS_PER_MM, Written, column,
-    curve_difference, fewest_decimals, is_share, metre_of, name_of, time_constant_s, write_curve,
-    write_pitch, written, written_time_constant_s,
+    curve_difference, fewest_decimals, is_smoothing, metre_of, name_of, time_constant_s,
+    write_curve, write_pitch, written, written_time_constant_s,
 };
 use crate::compile::term::{PARTS_OF_N, TWO_24, scaled};
 
 /// Lags that fall at another rate than they rise.
 pub(super) fn write_falling(toml: &mut String, calibration: &Calibration<'_>) -> Written {
-    let spindle = calibration.spindle.temperature.map(|it| (it.share, it.falling));
-    let axes = calibration.axes.iter().map(|axis| axis.thermal.map(|it| (it.share, it.falling)));
+    let spindle = calibration.spindle.temperature.map(|it| (it.smoothing, it.smoothing_falling));
+    let axes = calibration
+        .axes
+        .iter()
+        .map(|axis| axis.thermal.map(|it| (it.smoothing, it.smoothing_falling)));
     let quantities = ["elongation", "dx", "dy", "dz"];
-    for (quantity, shares) in quantities.into_iter().zip([spindle].into_iter().chain(axes)) {
-        if let Some((rising, falling)) = shares
+    for (quantity, factors) in quantities.into_iter().zip([spindle].into_iter().chain(axes)) {
+        if let Some((rising, falling)) = factors
             && rising != falling
         {
-            let time_s = fewest_decimals(time_constant_s(falling), |it| is_share(it, falling));
+            let time_s = fewest_decimals(time_constant_s(falling), |it| is_smoothing(it, falling));
             writeln!(toml, "\n[[term]]\ncause = \"cooling-asymmetry\"")?;
             writeln!(toml, "quantity = \"{quantity}\"\ntime_constant_s = {time_s:?}")?;
         }
@@ -76,18 +79,18 @@ pub(super) fn write(toml: &mut String, term: &Term<'_>) -> Written {
             head(toml, "sensor-saturation")?;
             writeln!(toml, "limit_um = {:?}", written(limit.0, FINE_PER_UM))
         }
-        Effect::Heat { channel, share, reference, per_temperature } => {
+        Effect::Heat { channel, smoothing, reference, per_temperature } => {
             head(toml, "extra-heat-path")?;
             writeln!(toml, "column = \"{}\"", column(channel))?;
             writeln!(toml, "um_per_c = {:?}", number(*per_temperature, FINE_PER_UM / PER_KELVIN))?;
-            writeln!(toml, "time_constant_s = {:?}", written_time_constant_s(*share))?;
+            writeln!(toml, "time_constant_s = {:?}", written_time_constant_s(*smoothing))?;
             writeln!(toml, "reference_c = {:?}", written(reference.0, PER_KELVIN))
         }
-        Effect::Time { share, amplitude } => {
+        Effect::Time { smoothing, amplitude } => {
             head(toml, "slow-mode")?;
-            let amplitude_um = number(*amplitude, FINE_PER_UM / f64::from(TIME_ONE));
+            let amplitude_um = number(*amplitude, FINE_PER_UM / f64::from(UNIT_STEP));
             writeln!(toml, "amplitude_um = {amplitude_um:?}")?;
-            writeln!(toml, "time_constant_s = {:?}", written_time_constant_s(*share))
+            writeln!(toml, "time_constant_s = {:?}", written_time_constant_s(*smoothing))
         }
         Effect::Speed(m) => {
             head(toml, "centrifugal-growth")?;
