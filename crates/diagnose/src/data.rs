@@ -10,11 +10,9 @@ use trueup_machine::{
     machine_file::{LinearAxis, Quantity, is_temperature_column},
     model::{Reference, Situation, shifted, time_shift_s},
 };
+use trueup_numerics::noise::Steps;
 
-use crate::{
-    columns::{filled, lagged},
-    noise::Steps,
-};
+use crate::columns::{filled, lagged};
 
 /// A run's columns, all files one after the other. A list has one value a row; NaN where missing.
 #[derive(Clone, Debug)]

@@ -4,6 +4,7 @@
 use std::sync::Arc;
 
 use trueup_machine::{BadInput, Machine, RunFile, machine_file::Quantity};
+use trueup_numerics::noise::Chance;
 
 use crate::{
     blocks::rms,
@@ -13,7 +14,6 @@ use crate::{
     fit::{Fitted, Problem, fit},
     judge::{Judged, Own, doubt_what_stands_beside_another_law, judge, outlier_finding},
     model::Model,
-    noise::Chance,
     outliers,
     parameters::step_s,
     repeats,

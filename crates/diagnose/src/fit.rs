@@ -11,13 +11,15 @@ use std::{
 };
 
 use trueup_machine::machine_file::Source;
+use trueup_numerics::{
+    least_squares::normal::{dot, solve},
+    noise::{self, Noise},
+};
 
 use crate::{
     columns::basis,
     data::{Data, Groups},
-    linear::{dot, solve},
     model::{Kind, Model, Part, Scale, own_thermal, shifted_rows},
-    noise::{self, Noise},
 };
 
 /// A fitted model, and what it leaves.

@@ -10,7 +10,6 @@
 //! | `data` | the runs as one table, with what the model says |
 //! | `model` | all terms in columns, fast |
 //! | `fit` | all values at once by least squares, intervals under correlated noise |
-//! | `noise` | noise with a memory: its likelihood, its covariance, draws of it |
 //! | `candidates`, `waves` | which causes the data allow, and where the search for each begins |
 //! | `scan` | which of them explain more than noise would; limits from drawn noise |
 //! | `blocks` | left-out files, runs and stretches |
@@ -33,10 +32,8 @@ mod fit;
 mod html;
 mod judge;
 mod laws;
-mod linear;
 mod mend;
 mod model;
-mod noise;
 mod outliers;
 mod parameters;
 mod repeats;

@@ -7,10 +7,11 @@
 use serde_json::{Map, Value, json};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
+use trueup_numerics::noise::Noise;
+
 use crate::{
     fit::{Fitted, Problem, spread},
     model::{Kind, Part, Scale},
-    noise::Noise,
     terms,
 };
 

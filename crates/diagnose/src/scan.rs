@@ -20,13 +20,16 @@
 
 use nalgebra::DMatrix;
 
+use trueup_numerics::{
+    least_squares::normal::{cholesky, dot, forward, orthonormal},
+    noise::{self, Chance, Noise, Whitener},
+};
+
 use crate::{
     candidates::Candidate,
     cores::on_all_cores,
     fit::{Problem, jacobian},
-    linear::{cholesky, dot, forward, orthonormal},
     model::{Model, Part},
-    noise::{self, Chance, Noise, Whitener},
 };
 
 /// Chance that noise passes the limit of one statistic in one search.

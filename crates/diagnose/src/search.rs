@@ -12,6 +12,8 @@
 //! equal; then the simpler cause wins, among those the one that predicts left-out blocks better, and
 //! the machine's own model and sensors come before others.
 
+use trueup_numerics::noise::{self, Noise, Whitener};
+
 use crate::{
     blocks::Folds,
     candidates::{Candidate, possible, structure},
@@ -24,7 +26,6 @@ use crate::{
         rename_paths, simplest_of_equals, table_for_both_ways,
     },
     model::{Kind, Model, Part},
-    noise::{self, Noise, Whitener},
     scan::{Draw, Hit, scan},
     words,
 };
@@ -174,7 +175,8 @@ fn begin(problem: &Problem, residual: &[f64], model: &mut Model, kind: &Kind) {
     if model.constant_um.is_some() {
         columns.push(vec![1.0; problem.groups.len()]);
     }
-    let found = crate::linear::solve(&columns, residual, None, 0.0).coefficients;
+    let found =
+        trueup_numerics::least_squares::normal::solve(&columns, residual, None, 0.0).coefficients;
     for (number, amplitude) in found.iter().take(kind.amplitudes()).enumerate() {
         model.parts[index].values[nonlinear + number] = *amplitude;
     }

@@ -20,6 +20,7 @@
 use std::f64::consts::TAU;
 
 use trueup_machine::machine_file::Quantity;
+use trueup_numerics::noise::Chance;
 
 use crate::{
     candidates::Candidate,
@@ -27,7 +28,6 @@ use crate::{
     cores::on_all_cores,
     fit::Problem,
     model::{Kind, Model},
-    noise::Chance,
 };
 
 /// Most frequencies that are looked at.

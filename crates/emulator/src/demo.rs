@@ -20,11 +20,11 @@ use trueup_core::{
 use trueup_link::{bench::Block, slcan::Event};
 use trueup_machine::{
     compile::compile,
-    fit::{LineFit, Summary, fit_line},
     inputs::SensorInput,
     machine_file::{Machine, MachineFile, SensorModel},
     run_file::RunFile,
 };
+use trueup_numerics::line::{LineFit, Summary, fit_line};
 
 use crate::{board::VirtualBoard, cnc::Cnc, front_end::FrontEnd, setup};
 

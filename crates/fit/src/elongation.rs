@@ -16,11 +16,11 @@ use trueup_machine::{
     machine_file::{SensorModel, Source, is_temperature_column},
     model::elongation_um,
 };
+use trueup_numerics::{least_squares::Solution, robust};
 
 use crate::{
     lagged::{self, Lagged, Term},
     report::{Fact, Parameter, Report, Spread, Verdict},
-    robust,
     rows::{self, Rows},
     section::{Edit, Section, Value},
 };
@@ -334,12 +334,7 @@ pub(crate) fn warn_of_source(report: &mut Report, machine: Option<&Machine>, fit
 }
 
 /// Warns where a parabola is clearly better than the line.
-fn warn_of_a_curve(
-    report: &mut Report,
-    columns: &[Vec<f64>],
-    y: &[f64],
-    line: &crate::solve::Solution,
-) {
+fn warn_of_a_curve(report: &mut Report, columns: &[Vec<f64>], y: &[f64], line: &Solution) {
     let Some(x) = columns.get(1) else { return };
     let present = || x.iter().zip(y).filter(|(_, y)| !y.is_nan()).map(|(x, _)| *x);
     let mean = present().sum::<f64>() / present().count() as f64;

@@ -9,13 +9,12 @@
 //! are fitted it always is.
 
 use trueup_machine::model::Lag;
-
-use crate::{
-    report::Parameter,
+use trueup_numerics::{
+    least_squares::{Options, Separable, Solution, fit_separable, separable::geometric},
     robust::{self, Outlier},
-    rows,
-    solve::{Options, Separable, Solution, fit_separable, separable::geometric},
 };
+
+use crate::{report::Parameter, rows};
 
 /// Points of the grid over the lag.
 const GRID: usize = 25;

@@ -19,8 +19,6 @@
 //! | [`known`] | what the rest of the machine file says of a run, to be taken off |
 //! | [`section`] | writes a section, alone or into the user's machine file |
 //! | [`report`] | the shape that every fit's outcome has |
-//! | [`robust`] | finds gross errors |
-//! | [`solve`] | least squares: linear, nonlinear and mixed, with intervals |
 #![forbid(unsafe_code)]
 
 pub mod bspline;
@@ -31,10 +29,8 @@ pub mod known;
 mod lagged;
 pub mod pitch;
 pub mod report;
-pub mod robust;
 mod rows;
 pub mod section;
-pub mod solve;
 pub mod straightness;
 pub mod thermal;
 pub mod warmup;

@@ -5,7 +5,8 @@
 
 use std::fmt;
 
-use trueup_machine::{Place, fit::Summary};
+use trueup_machine::Place;
+use trueup_numerics::line::Summary;
 
 use crate::section::Edit;
 

@@ -1,12 +1,12 @@
 //! The rows of several runs in a row, and which of them are left out together.
 
 use trueup_machine::{BadInput, Place, RunFile};
-
-use crate::{
-    report::SetAside,
+use trueup_numerics::{
+    least_squares::{Solution, Triangle},
     robust::Outlier,
-    solve::{Solution, Triangle},
 };
+
+use crate::report::SetAside;
 
 /// Blocks of time that are left out in turn where there is but one run.
 const BLOCKS: usize = 5;

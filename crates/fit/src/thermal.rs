@@ -26,16 +26,18 @@ use trueup_machine::{
     machine_file::{LinearAxis, Thermal, ThermalMode, ThermalRow},
     model::thermal_um,
 };
+use trueup_numerics::{
+    least_squares::{self, fit_separable},
+    robust, t_quantile,
+};
 
 use self::table::Table;
 use crate::{
     elongation::{finish, judge, spread_or_bad, summary, temperature_column},
     lagged::{self, Fitted, Lagged, Term},
     report::{Fact, Parameter, Report, Spread},
-    robust,
     rows::{self, Rows},
     section::{Edit, Section},
-    solve::t_quantile,
 };
 
 /// Two T₀ differ, or a table is needed, beyond this probability of chance.
@@ -392,8 +394,8 @@ impl Law<'_> {
 /// T₀, a and b of y = (a + b·P)·(T − T₀), with the half widths of their intervals.
 fn common_reference(data: &Data, lag_s: f64, start_c: f64) -> Option<(f64, f64, f64, [f64; 3])> {
     let model = table::CommonReference { lagged_c: data.lagged_c(lag_s), arm_m: &data.arm_m };
-    let options = crate::solve::Options { first_steps: vec![1.0], ..Default::default() };
-    let fit = crate::solve::fit_separable(&model, &data.y, &[vec![start_c]], &options).ok()?;
+    let options = least_squares::Options { first_steps: vec![1.0], ..Default::default() };
+    let fit = fit_separable(&model, &data.y, &[vec![start_c]], &options).ok()?;
     let half = |at| fit.half_width(at);
     let &[reference_c, a, b] = fit.parameters.as_slice() else { return None };
     Some((reference_c, a, b, [half(0), half(1), half(2)]))

@@ -24,6 +24,10 @@ use trueup_machine::{
     machine_file::{Source, Warmup},
     model::WarmupState,
 };
+use trueup_numerics::{
+    least_squares::{Fit, Separable as _},
+    t_quantile,
+};
 
 use self::shape::{Free, Record, Shape};
 use crate::{
@@ -32,7 +36,6 @@ use crate::{
     report::{Fact, Parameter, Report, Spread},
     rows::{self, Rows},
     section::{Edit, Section, Value},
-    solve::{Fit, Separable as _, t_quantile},
 };
 
 /// A further constant is taken where chance gives its gain less than once in so many.

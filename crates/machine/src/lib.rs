@@ -13,11 +13,9 @@
 //! | [`compile`](mod@compile) | a [`Machine`] in the integers of the board |
 //! | [`show`] | from these integers back to a machine file |
 //! | [`predict`] | a run with what the model and the board's integers say of each row |
-//! | [`fit`] | a straight line by least squares, judged on left-out rows |
 #![forbid(unsafe_code)]
 
 pub mod compile;
-pub mod fit;
 pub mod inputs;
 pub mod machine_file;
 pub mod model;

@@ -27,10 +27,10 @@ use trueup_core::{
 };
 use trueup_machine::{
     Compiled, Machine, MachineFile, RunFile, compile,
-    fit::{Summary, fit_line},
     machine_file::Source,
     model::{Reference, Situation},
 };
+use trueup_numerics::line::{Summary, fit_line};
 
 /// The bound on the sum of all parts.
 const BOUND_NM: f64 = 10.0;

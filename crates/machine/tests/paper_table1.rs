@@ -7,10 +7,8 @@
 
 use std::path::{Path, PathBuf};
 
-use trueup_machine::{
-    MachineFile, RunFile, compile,
-    fit::{LineFit, Summary, fit_line},
-};
+use trueup_machine::{MachineFile, RunFile, compile};
+use trueup_numerics::line::{LineFit, Summary, fit_line};
 
 /// What the paper prints for the sensor, in µm.
 const PRINTED_UM: [f64; 15] =

@@ -1,12 +1,15 @@
 //! K₀(T) and tanβ(T) as a table, linear between its rows: a sum of hat functions over T.
 
 use trueup_machine::machine_file::{ThermalMode, ThermalRow};
+use trueup_numerics::{
+    least_squares::{Separable, Solution},
+    t_quantile,
+};
 
 use super::{Data, SURE};
 use crate::{
     report::{Fact, Report},
     rows::{self, Rows},
-    solve::{Separable, Solution, t_quantile},
 };
 
 /// A table must leave at least this share less than the lines do.

@@ -5,7 +5,9 @@
 
 use trueup_machine::{machine_file::Warmup, model::WarmupState};
 
-use crate::solve::{Fit, Options, Separable, fit_separable, separable::geometric};
+use trueup_numerics::least_squares::{
+    Fit, Options, Separable, fit_separable, separable::geometric,
+};
 
 /// An exponent at which the end of the growth, 1 − e^(−k), is 1: it never ends by itself.
 const ENDLESS: f64 = 40.0;

@@ -20,7 +20,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::solve::{Triangle, t_quantile};
+use crate::{least_squares::Triangle, t_quantile};
 
 /// A row within so many scales is never set aside.
 pub const GROSS: f64 = 5.0;

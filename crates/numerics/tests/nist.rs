@@ -1,12 +1,12 @@
 //! The NIST sets of certified nonlinear regression (StRD), each from its start 1, the hard one.
 //!
-//! `cargo test -p trueup-fit --test nist -- --show-output` prints the digits that agree with the
+//! `cargo test -p trueup-numerics --test nist -- --show-output` prints the digits that agree with the
 //! certified values, −log₁₀ of the relative difference, for each parameter and its standard
 //! deviation.
 
 use std::{fs, path::Path};
 
-use trueup_fit::solve::{Model, Options, fit};
+use trueup_numerics::least_squares::{Model, Options, fit};
 
 /// A certified set.
 struct Set {
@@ -18,14 +18,10 @@ struct Set {
 }
 
 impl Set {
-    /// `None`, with a printed notice, where the data folder is missing.
-    fn read(name: &str) -> Option<Self> {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/nist_strd");
+    fn read(name: &str) -> Self {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/nist");
         let path = folder.join(format!("{name}.dat"));
-        let Ok(text) = fs::read_to_string(&path) else {
-            println!("skipped: {} is not there", path.display());
-            return None;
-        };
+        let text = fs::read_to_string(&path).expect("the sets are part of the project");
         let mut set =
             Self { start: vec![], certified: vec![], deviations: vec![], y: vec![], x: vec![] };
         let mut is_data = false;
@@ -51,7 +47,7 @@ impl Set {
             is_data &= !line.starts_with("Data:           1");
         }
         assert!(!set.start.is_empty() && set.y.len() > set.start.len(), "{}", path.display());
-        Some(set)
+        set
     }
 }
 
@@ -100,7 +96,7 @@ fn digits(value: f64, certified: f64) -> f64 {
 /// Fits the set with analytic and with numeric derivatives, prints the digits reached, and asserts
 /// the least of the former.
 fn prove(name: &str, formula: impl Fn(f64, &[f64], &mut [f64]) -> f64) {
-    let Some(set) = Set::read(name) else { return };
+    let set = Set::read(name);
     let model = Formula(set.start.len(), set.x.clone(), formula);
     let analytic = fit(&model, &set.y, &set.start, &Options::default()).expect(name);
     let shown = |parameters: &[f64]| -> (Vec<String>, f64) {

@@ -4,14 +4,15 @@ use nalgebra::DMatrix;
 
 /// Coefficients of a least-squares fit, and the inverse of its normal matrix.
 #[derive(Clone, Debug)]
-pub(crate) struct Solution {
+pub struct Solution {
+    /// One for each column; 0 where the column is a combination of those before it.
     pub coefficients: Vec<f64>,
     /// (XᵀX)⁻¹, row by row.
     pub inverse: Vec<Vec<f64>>,
 }
 
 /// Σ aᵢ·bᵢ, in eight sums side by side: one sum alone waits for each addition.
-pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
+pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     const LANES: usize = 8;
     let (a_chunks, b_chunks) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
     let rest: f64 = a_chunks.remainder().iter().zip(b_chunks.remainder()).map(|(a, b)| a * b).sum();
@@ -26,7 +27,7 @@ pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
 
 /// Solves (XᵀX + damping·diag)·b = Xᵀy over the rows in `mask`; a column that is a combination of
 /// those before it gets the coefficient 0.
-pub(crate) fn solve(
+pub fn solve(
     columns: &[Vec<f64>],
     target: &[f64],
     mask: Option<&[bool]>,
@@ -85,7 +86,7 @@ const DEPENDENT: f64 = 1e-11;
 
 /// L of G = L·Lᵀ, from the lower half of G. A column that is a combination of those before it, measured
 /// by its `whole` squares, has a 0 on the diagonal and counts for nothing.
-pub(crate) fn cholesky(mut g: DMatrix<f64>, whole: &[f64]) -> DMatrix<f64> {
+pub fn cholesky(mut g: DMatrix<f64>, whole: &[f64]) -> DMatrix<f64> {
     for i in 0..g.nrows() {
         for j in 0..i {
             let sum: f64 = (0..j).map(|k| g[(i, k)] * g[(j, k)]).sum();
@@ -99,7 +100,7 @@ pub(crate) fn cholesky(mut g: DMatrix<f64>, whole: &[f64]) -> DMatrix<f64> {
 }
 
 /// L⁻¹·b in the place of b.
-pub(crate) fn forward(lower: &DMatrix<f64>, b: &mut [f64]) {
+pub fn forward(lower: &DMatrix<f64>, b: &mut [f64]) {
     for i in 0..b.len() {
         let sum: f64 = (0..i).map(|k| lower[(i, k)] * b[k]).sum();
         b[i] = if lower[(i, i)] > 0.0 { (b[i] - sum) / lower[(i, i)] } else { 0.0 };
@@ -107,7 +108,7 @@ pub(crate) fn forward(lower: &DMatrix<f64>, b: &mut [f64]) {
 }
 
 /// Makes `vectors` orthonormal to each other; what vanishes is left out.
-pub(crate) fn orthonormal(vectors: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+pub fn orthonormal(vectors: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
     let mut own: Vec<Vec<f64>> = Vec::with_capacity(vectors.len());
     for mut vector in vectors {
         let before = dot(&vector, &vector);

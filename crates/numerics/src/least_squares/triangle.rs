@@ -11,7 +11,7 @@
 
 use std::{error::Error, fmt};
 
-use super::t_quantile;
+use crate::t_quantile;
 
 /// Below this share of a column's length, what the columns before leave of it is rounding.
 const DEPENDENT: f64 = 1e-11;
@@ -222,7 +222,7 @@ impl Solution {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use trueup_machine::fit::fit_line;
+    use crate::line::fit_line;
 
     fn data() -> (Vec<f64>, Vec<f64>) {
         let x = (0..25).map(|i| f64::from(i * i % 17) * 0.7 + 1e4).collect();

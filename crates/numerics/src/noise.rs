@@ -19,7 +19,7 @@ use std::f64::consts::TAU;
 
 /// t_c in steps and the white share.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Noise {
+pub struct Noise {
     /// Correlation time in median steps; 0: white.
     pub memory: f64,
     /// Share of the variance that is white, 0…1.
@@ -27,7 +27,8 @@ pub(crate) struct Noise {
 }
 
 impl Noise {
-    pub(crate) const WHITE: Self = Self { memory: 0.0, white: 1.0 };
+    /// No memory.
+    pub const WHITE: Self = Self { memory: 0.0, white: 1.0 };
 
     fn decay(&self, steps: f64) -> f64 {
         if self.memory <= 0.0 { 0.0 } else { (-steps / self.memory).exp() }
@@ -42,18 +43,18 @@ impl Noise {
 
 /// The longest correlation time in steps that `rows` rows can show: 2·√n, as the bandwidth of
 /// consistent covariance estimates grows, and never more than a sixth of the record.
-pub(crate) fn longest_memory(rows: usize) -> f64 {
+pub fn longest_memory(rows: usize) -> f64 {
     let rows = rows as f64;
     (2.0 * rows.sqrt()).min(rows / 6.0).max(1.0)
 }
 
-/// The steps between rows: each row's distance from the one before in median steps; infinite where
-/// a new series begins.
+/// The steps between rows: each row's distance from the one before in median steps, at least 0;
+/// infinite where a new series begins.
 #[derive(Clone, Debug)]
-pub(crate) struct Steps(pub Vec<f64>);
+pub struct Steps(pub Vec<f64>);
 
 /// The inverse root of a noise's covariance, for given rows.
-pub(crate) struct Whitener {
+pub struct Whitener {
     decay: Vec<f64>,
     gain: Vec<f64>,
     scale: Vec<f64>,
@@ -64,7 +65,9 @@ pub(crate) struct Whitener {
 }
 
 impl Whitener {
-    pub(crate) fn new(noise: Noise, steps: &Steps) -> Self {
+    /// For `noise` in rows that are `steps` apart.
+    #[must_use]
+    pub fn new(noise: Noise, steps: &Steps) -> Self {
         let rows = steps.0.len();
         let mut it = Self {
             decay: Vec::with_capacity(rows),
@@ -97,7 +100,9 @@ impl Whitener {
         it
     }
 
-    pub(crate) fn apply(&self, values: &[f64]) -> Vec<f64> {
+    /// Values with this noise in them, made independent with variance 1: as many as there are rows.
+    #[must_use]
+    pub fn apply(&self, values: &[f64]) -> Vec<f64> {
         let mut state = 0.0;
         let mut out = Vec::with_capacity(values.len());
         for (((value, decay), gain), scale) in
@@ -114,10 +119,7 @@ impl Whitener {
 
 impl Whitener {
     /// [`apply`](Self::apply) to each of `columns`, four side by side: one alone waits for each step.
-    pub(crate) fn apply_all<'c>(
-        &self,
-        columns: impl IntoIterator<Item = &'c Vec<f64>>,
-    ) -> Vec<Vec<f64>> {
+    pub fn apply_all<'c>(&self, columns: impl IntoIterator<Item = &'c Vec<f64>>) -> Vec<Vec<f64>> {
         const LANES: usize = 4;
         let columns: Vec<&Vec<f64>> = columns.into_iter().collect();
         if self.is_white {
@@ -148,7 +150,7 @@ impl Whitener {
 }
 
 /// Covariance (at variance 1) times a vector: two recursions, O(n).
-pub(crate) fn covariance_times(noise: Noise, steps: &Steps, values: &[f64]) -> Vec<f64> {
+pub fn covariance_times(noise: Noise, steps: &Steps, values: &[f64]) -> Vec<f64> {
     let share = 1.0 - noise.white;
     let mut out: Vec<f64> = values.to_vec();
     if share == 0.0 {
@@ -174,7 +176,7 @@ pub(crate) fn covariance_times(noise: Noise, steps: &Steps, values: &[f64]) -> V
 }
 
 /// How many independent rows are worth as much for a mean as these correlated ones.
-pub(crate) fn effective_rows(noise: Noise, steps: &Steps) -> f64 {
+pub fn effective_rows(noise: Noise, steps: &Steps) -> f64 {
     let rows = steps.0.len();
     let ones = vec![1.0; rows];
     let sum: f64 = covariance_times(noise, steps, &ones).iter().sum();
@@ -183,14 +185,14 @@ pub(crate) fn effective_rows(noise: Noise, steps: &Steps) -> f64 {
 }
 
 /// −2 ln of the likelihood at the best variance, but for a constant.
-pub(crate) fn deviance(whitener: &Whitener, residual: &[f64]) -> f64 {
+pub fn deviance(whitener: &Whitener, residual: &[f64]) -> f64 {
     let rows = residual.len() as f64;
     let sum: f64 = whitener.apply(residual).iter().map(|e| e * e).sum();
     rows * (sum / rows).max(f64::MIN_POSITIVE).ln() + whitener.log_det
 }
 
 /// A grid of noises up to `longest` steps of memory; the first is white.
-pub(crate) fn grid(longest: f64) -> Vec<Noise> {
+pub fn grid(longest: f64) -> Vec<Noise> {
     let mut noises = vec![Noise::WHITE];
     let mut memory = longest;
     while memory > 0.4 && noises.len() < 13 {
@@ -207,7 +209,7 @@ pub(crate) fn grid(longest: f64) -> Vec<Noise> {
 /// `parameters` have been fitted to the residual: each takes a piece of the slow part away, which a
 /// plain maximum of the likelihood would read as a shorter memory. The memory is corrected for it
 /// by its first-order bias, (1 + 3ρ)/n and ρ/n for each parameter more (Kendall 1954).
-pub(crate) fn estimate(residual: &[f64], steps: &Steps, longest: f64, parameters: usize) -> Noise {
+pub fn estimate(residual: &[f64], steps: &Steps, longest: f64, parameters: usize) -> Noise {
     if residual.len() < 8 || residual.iter().all(|&e| e == 0.0) {
         return Noise::WHITE;
     }
@@ -256,14 +258,17 @@ pub(crate) fn estimate(residual: &[f64], steps: &Steps, longest: f64, parameters
 /// Numbers that look drawn by chance: SplitMix64 (Steele, Lea and Flood 2014), always the same for a
 /// seed.
 #[derive(Clone, Debug)]
-pub(crate) struct Chance(u64);
+pub struct Chance(u64);
 
 impl Chance {
-    pub(crate) fn new(seed: u64) -> Self {
+    /// The numbers of this seed.
+    #[must_use]
+    pub fn new(seed: u64) -> Self {
         Self(seed)
     }
 
-    pub(crate) fn next_u64(&mut self) -> u64 {
+    /// All 64 bits.
+    pub fn next_u64(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mut z = self.0;
         z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -277,12 +282,12 @@ impl Chance {
     }
 
     /// Below `end`.
-    pub(crate) fn below(&mut self, end: usize) -> usize {
+    pub fn below(&mut self, end: usize) -> usize {
         ((self.uniform() * end as f64) as usize).min(end - 1)
     }
 
     /// Two of the standard normal distribution (Box and Muller).
-    pub(crate) fn normals(&mut self) -> [f64; 2] {
+    pub fn normals(&mut self) -> [f64; 2] {
         let radius = (-2.0 * self.uniform().ln()).sqrt();
         let (sin, cos) = (TAU * self.uniform()).sin_cos();
         [radius * cos, radius * sin]
@@ -290,7 +295,7 @@ impl Chance {
 }
 
 /// A draw of the noise at variance 1.
-pub(crate) fn draw(noise: Noise, steps: &Steps, chance: &mut Chance) -> Vec<f64> {
+pub fn draw(noise: Noise, steps: &Steps, chance: &mut Chance) -> Vec<f64> {
     let slow = (1.0 - noise.white).sqrt();
     let quick = noise.white.sqrt();
     let mut state = 0.0;

@@ -13,7 +13,7 @@ use std::{cell::RefCell, error::Error, fmt, rc::Rc};
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt, TerminationReason};
 use nalgebra::{DMatrix, DVector, Dyn, storage::Owned};
 
-use super::linear::{Dependent, Solution, Triangle};
+use super::triangle::{Dependent, Solution, Triangle};
 
 /// A model of a column of measured values.
 pub trait Model {

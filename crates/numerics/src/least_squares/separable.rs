@@ -5,8 +5,8 @@
 //! whole is then solved by [`fit`], q and c together, which also gives the intervals.
 
 use super::{
-    linear::{Solution, Triangle},
     nonlinear::{Fit, Model, Options, SolveError, fit},
+    triangle::{Solution, Triangle},
 };
 
 /// A model with linear parameters.

@@ -1,0 +1,17 @@
+//! The numerics under `fit` and `diagnose`: nothing here knows what a machine tool is.
+//!
+//! | module | does |
+//! |---|---|
+//! | [`least_squares`] | linear, nonlinear and mixed, with intervals |
+//! | [`line`] | a straight line, judged on the rows that it was not fitted to |
+//! | [`noise`] | noise with a memory: its likelihood, its covariance, draws of it |
+//! | [`robust`] | finds gross errors |
+#![forbid(unsafe_code)]
+
+pub mod least_squares;
+pub mod line;
+pub mod noise;
+pub mod robust;
+mod student;
+
+pub use student::t_quantile;

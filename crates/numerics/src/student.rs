@@ -1,0 +1,16 @@
+//! Student's distribution, for intervals and for the limit beyond which a row is an outlier.
+
+use statrs::distribution::{ContinuousCDF, StudentsT};
+
+/// The `probability` quantile of Student's t; infinite without degrees of freedom.
+///
+/// ```
+/// assert!((trueup_numerics::t_quantile(0.975, 10.0) - 2.228_138_9).abs() < 1e-6);
+/// ```
+#[must_use]
+pub fn t_quantile(probability: f64, degrees_of_freedom: f64) -> f64 {
+    match StudentsT::new(0.0, 1.0, degrees_of_freedom) {
+        Ok(t) if degrees_of_freedom > 0.0 => t.inverse_cdf(probability),
+        _ => f64::INFINITY,
+    }
+}
