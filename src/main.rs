@@ -47,13 +47,10 @@ mod app {
     };
     use heapless::spsc::{Consumer, Producer, Queue};
     use stm32f4xx_hal::pac::Interrupt;
+    use trueup_canopen::emergency::Fault;
     use trueup_core::{bridge::Input, heat::RawTemperatures};
-    use trueup_link::{
-        emergency::Fault,
-        frame::Frame,
-        node::{Frames, Node},
-        slcan::Port,
-    };
+    use trueup_link::{frame::Frame, slcan::Port};
+    use trueup_node::node::{Frames, Node};
 
     /// The tasks that other tasks start have an interrupt that no pin uses. A pended interrupt cannot
     /// be lost: raised while its task runs, it makes it run again.

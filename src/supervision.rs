@@ -2,11 +2,11 @@
 
 use micromath::F32Ext as _;
 use trueup_core::cnc::Quality;
-use trueup_link::{
+use trueup_link::slcan::Port;
+use trueup_node::node::{Node, Zero};
+use trueup_store::{
     load::{Load, Outcome},
-    node::{Node, Zero},
     reference::References,
-    slcan::Port,
 };
 
 use crate::board::{Flash, Lamp, Store, Watchdog, references};

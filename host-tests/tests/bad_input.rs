@@ -31,12 +31,12 @@ use trueup_emulator::{
     setup,
 };
 use trueup_link::{
-    bench::Block,
     frames::{self, State},
     receiver::OffsetReceiver,
     slcan::client::OPEN,
 };
 use trueup_machine::{MachineFile, compile};
+use trueup_pipe::Block;
 
 /// An error is there while the user still looks.
 const AT_ONCE: Duration = Duration::from_secs(5);

@@ -11,8 +11,8 @@ use support::{Bridge, FAST_MACHINE, GROWN_UM, file, trueup};
 use tempfile::TempDir;
 use trueup_core::cnc::{Command as CncCommand, Control, Output, Quality};
 use trueup_emulator::{cnc::Cnc, setup};
-use trueup_link::calibration::identity;
 use trueup_machine::{MachineFile, RunFile, compile};
+use trueup_store::calibration::identity;
 
 /// What the tool prints as JSON, one value or more, and its exit code.
 fn json_of(arguments: &[&str]) -> Result<(Option<i32>, Vec<Value>, String)> {

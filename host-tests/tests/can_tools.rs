@@ -8,6 +8,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, ensure};
+use trueup_canopen::emergency;
 use trueup_core::{
     cnc::{AxisPosition, LinearAxis},
     units::{MicroDegrees, Position},
@@ -15,7 +16,6 @@ use trueup_core::{
 use trueup_emulator::setup;
 use trueup_link::{
     e2e::{self, Checker, E2eError},
-    emergency,
     frame::Frame,
     frames::{self, DecodeError, OFFSET_XY_ID},
     layout::{
@@ -23,8 +23,8 @@ use trueup_link::{
         POSITION_Z_ID, ROTARY_ID, SPINDLE_ID, STATUS_ID,
     },
     status::{self, Item},
-    vectors::Random,
 };
+use trueup_node::vectors::Random;
 
 const FRAMES: u32 = 100_000;
 const IDS: [u16; 11] = [

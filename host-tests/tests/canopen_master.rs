@@ -12,6 +12,7 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
 use support::{Bridge, FAST_MACHINE, GROWN_RUN, GROWN_UM, file};
+use trueup_canopen::{EDS, dictionary::OBJECTS, sdo::Abort};
 use trueup_core::{
     cnc::{Control, Output, Quality},
     units::Rpm,
@@ -23,17 +24,14 @@ use trueup_emulator::{
     setup,
 };
 use trueup_link::{
-    EDS,
-    bench::{Block, FRAMES},
-    calibration::identity,
-    dictionary::OBJECTS,
     frame::Frame,
     frames,
     layout::{SDO_ANSWER_ID, SDO_REQUEST_ID},
     receiver::OffsetReceiver,
-    sdo::Abort,
 };
 use trueup_machine::{Compiled, MachineFile, compile};
+use trueup_pipe::{Block, FRAMES};
+use trueup_store::calibration::identity;
 
 /// The fast machine, with growth times `gain`.
 fn compiled(gain: f64) -> Result<Compiled> {

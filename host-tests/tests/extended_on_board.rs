@@ -21,8 +21,9 @@ use trueup_emulator::{
     setup,
     stand_in::{Heard, StandIn},
 };
-use trueup_link::{bench::Block, frames, receiver::OffsetReceiver};
+use trueup_link::{frames, receiver::OffsetReceiver};
 use trueup_machine::{Machine, MachineFile, RunFile, compile};
+use trueup_pipe::Block;
 use trueup_twin::hidden::{Hidden, draw};
 
 /// The gain may be off its prediction by this share of it.

@@ -3,8 +3,8 @@
 use std::{collections::BTreeSet, path::Path};
 
 use trueup_emulator::measure;
-use trueup_link::vectors::{ALL_FAULTS, Vectors};
 use trueup_machine::{MachineFile, compile};
+use trueup_node::vectors::{ALL_FAULTS, Vectors};
 
 #[test]
 fn board_and_host_send_the_same_frames_and_a_tick_takes_few_instructions() {

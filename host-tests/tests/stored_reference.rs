@@ -17,13 +17,10 @@ use trueup_emulator::{
     front_end::FrontEnd,
     setup,
 };
-use trueup_link::{
-    bench::{Block, FRAMES},
-    frames,
-    receiver::OffsetReceiver,
-    reference::RECORD_SIZE,
-};
+use trueup_link::{frames, receiver::OffsetReceiver};
 use trueup_machine::{Compiled, MachineFile, compile};
+use trueup_pipe::{Block, FRAMES};
+use trueup_store::reference::RECORD_SIZE;
 
 /// The paper's spindle, with a slew limit that fits a test, and growth times `gain`.
 fn compiled(gain: f64) -> Compiled {

@@ -15,15 +15,10 @@ use trueup_emulator::{
     front_end::FrontEnd,
     setup,
 };
-use trueup_link::{
-    bench::{Block, FRAMES},
-    frame::Frame,
-    frames,
-    node::Node,
-    receiver::OffsetReceiver,
-    slcan::Event,
-};
+use trueup_link::{frame::Frame, frames, receiver::OffsetReceiver, slcan::Event};
 use trueup_machine::{Compiled, MachineFile, compile};
+use trueup_node::node::Node;
+use trueup_pipe::{Block, FRAMES};
 
 /// Blocks handed over at once.
 const BATCH: usize = board::LARGEST_BATCH as usize;

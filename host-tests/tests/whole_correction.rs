@@ -15,14 +15,10 @@ use trueup_emulator::{
     front_end::FrontEnd,
     setup,
 };
-use trueup_link::{
-    bench::{Block, FRAMES},
-    frame::Frame,
-    frames,
-    node::Node,
-    receiver::OffsetReceiver,
-};
+use trueup_link::{frame::Frame, frames, receiver::OffsetReceiver};
 use trueup_machine::{Compiled, Machine, MachineFile, RunFile, compile, predict::Predictor};
+use trueup_node::node::Node;
+use trueup_pipe::{Block, FRAMES};
 
 fn machine(text: &str) -> Machine {
     MachineFile::parse(text, Path::new("m.toml")).expect("the test's own machine file")

@@ -37,11 +37,9 @@ use trueup_core::{
     units::{Code, Fine, MicroDegrees, Nanometres, Position, Reading, Rpm},
     window::Window,
 };
-use trueup_link::{
-    calibration::{MAX_SIZE, decode},
-    frames,
-    vectors::{self, Random, Vectors},
-};
+use trueup_link::frames;
+use trueup_node::vectors::{self, Random, Vectors};
+use trueup_store::calibration::{MAX_SIZE, decode};
 
 const TICKS: usize = 3_000;
 const PARTS: usize = 2_000;

@@ -19,13 +19,14 @@
 //! serial line, `SysTick` every 10 ms. On `virtual` it is the samples that make time pass, so
 //! `SysTick` comes with every tenth block.
 
+use trueup_canopen::emergency::Fault;
 use trueup_core::{
     bridge::Reference,
     calibration::Calibration,
     thermometer::Raw,
     units::{Code, Rpm},
 };
-use trueup_link::{calibration::BlobError, emergency::Fault, reference::References};
+use trueup_store::{calibration::BlobError, reference::References};
 
 #[cfg(all(feature = "stm32f405", feature = "virtual"))]
 compile_error!("choose one board: --features stm32f405 or --features virtual");

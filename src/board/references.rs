@@ -4,10 +4,8 @@
 
 use embedded_storage::nor_flash::NorFlash;
 use trueup_core::bridge::Reference;
-use trueup_link::{
-    node::Zero,
-    reference::{Found, References},
-};
+use trueup_node::node::Zero;
+use trueup_store::reference::{Found, References};
 
 /// Opens the store, makes room in it, and gives the reference to start with. An erase may be needed
 /// for that, so this is for the time before samples are taken and the watchdog runs.

@@ -39,11 +39,9 @@ use stm32f4xx_hal::{
     serial::{self, Rx, Serial, Tx},
 };
 use trueup_core::{heat::RawTemperatures, units::Millis};
-use trueup_link::{
-    bench::{self, Record},
-    calibration,
-    frame::Frame,
-};
+use trueup_link::frame::Frame;
+use trueup_pipe::{self as pipe, Record};
+use trueup_store::calibration;
 
 use super::{BLOCK, Block, Faults, Parts, TEMPERATURES, references};
 
@@ -57,7 +55,7 @@ static NOW_MS: AtomicU32 = AtomicU32::new(0);
 static ARRIVED: Mutex<RefCell<Option<Block>>> = Mutex::new(RefCell::new(None));
 /// Frames that `CAN1_RX0` is about to take: it empties this before the next block comes.
 static FROM_BUS: Mutex<RefCell<Deque<Frame, 8>>> = Mutex::new(RefCell::new(Deque::new()));
-const _: () = assert!(bench::FRAMES <= 8);
+const _: () = assert!(pipe::FRAMES <= 8);
 /// Frames on their way to the host: what one batch of 255 blocks can send, and its end mark.
 static TO_BUS: Mutex<RefCell<Vec<Record, 1024>>> = Mutex::new(RefCell::new(Vec::new()));
 
@@ -319,7 +317,7 @@ impl Lamp {
 }
 
 /// Announced blocks as they come from the pipe.
-type Buffer = [u8; BLOCKS_AT_ONCE * bench::BLOCK_SIZE];
+type Buffer = [u8; BLOCKS_AT_ONCE * pipe::BLOCK_SIZE];
 
 /// What the CPU does when no task has work: it makes time pass.
 pub struct Idle {
@@ -360,12 +358,12 @@ impl Idle {
 
     /// Reads announced blocks, no more of them than fit the buffer, and lives through them.
     fn live_through(&mut self, count: usize) {
-        let bytes = &mut self.buffer[..count * bench::BLOCK_SIZE];
+        let bytes = &mut self.buffer[..count * pipe::BLOCK_SIZE];
         if read_all(&mut self.samples, bytes) < bytes.len() {
             defmt::panic!("the host closed the samples in the middle of a block");
         }
         for bytes in bytes.as_chunks().0 {
-            let Ok(block) = bench::Block::decode(bytes) else {
+            let Ok(block) = pipe::Block::decode(bytes) else {
                 defmt::panic!("the host sent a block that is none");
             };
             Self::one_block(&block);
@@ -374,7 +372,7 @@ impl Idle {
 
     /// Raises the interrupts that one block stands for. Every task has a higher priority than this
     /// one, so they are done when the next line runs.
-    fn one_block(block: &bench::Block) {
+    fn one_block(block: &pipe::Block) {
         let now = NOW_MS.load(Ordering::Relaxed).wrapping_add(1);
         NOW_MS.store(now, Ordering::Relaxed);
         let mut heard = false;

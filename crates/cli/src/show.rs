@@ -4,8 +4,8 @@ use std::{fs, path::Path};
 
 use anyhow::Result;
 use serde_json::json;
-use trueup_link::calibration::{decode, whole};
 use trueup_machine::show;
+use trueup_store::calibration::{decode, whole};
 
 use crate::{Mend, Outcome, output};
 

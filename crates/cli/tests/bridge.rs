@@ -19,16 +19,13 @@ use trueup_core::{
     filter::CODES_PER_TICK,
     units::{Code, Rpm},
 };
-use trueup_link::{
-    calibration::{MAX_SIZE, decode, identity},
-    frame::Frame,
-    frames,
-    layout::SDO_ANSWER_ID,
-    load::Outcome,
-    node::Node,
-    slcan::Port,
-};
+use trueup_link::{frame::Frame, frames, layout::SDO_ANSWER_ID, slcan::Port};
 use trueup_machine::{Compiled, Machine, MachineFile, RunFile, compile};
+use trueup_node::node::Node;
+use trueup_store::{
+    calibration::{MAX_SIZE, decode, identity},
+    load::Outcome,
+};
 
 /// The paper's spindle.
 const PAPER: &str = include_str!("../../../data/paper_spindle.toml");

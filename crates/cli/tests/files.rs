@@ -8,8 +8,8 @@ use std::{fs, path::Path};
 
 use desk::Desk;
 use trueup_core::units::Nanometres;
-use trueup_link::calibration::{MAX_SIZE, decode, encode};
 use trueup_machine::RunFile;
+use trueup_store::calibration::{MAX_SIZE, decode, encode};
 
 const PAPER: &str = include_str!("../../../data/paper_spindle.toml");
 const TABLE: &str = include_str!("../../../data/spindle_paper_table1.csv");

@@ -3,11 +3,8 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail};
-use trueup_link::{
-    frame::Frame,
-    sdo::client::{At, Download, Progress, Upload},
-    slcan::Event,
-};
+use trueup_canopen::sdo::client::{At, Download, Progress, Upload};
+use trueup_link::{frame::Frame, slcan::Event};
 
 use crate::session::Session;
 

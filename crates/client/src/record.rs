@@ -271,8 +271,9 @@ mod tests {
         thermometer::Raw,
         units::{Code, Rpm},
     };
-    use trueup_link::{frames, node::Node};
+    use trueup_link::frames;
     use trueup_machine::{RunFile, compile};
+    use trueup_node::node::Node;
 
     /// A spindle whose sensor drifts with its own temperature by 0.2 µm/°C.
     const DRIFTING: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n\

@@ -1,11 +1,12 @@
 //! What the bridge says, in words: the same ones in text and in JSON.
 
 use serde_json::{Value, json};
+use trueup_canopen::emergency::Fault;
 use trueup_core::{
     cnc::{Flags, Output, Quality},
     units::{NANOMETRES_PER_MICROMETRE, Nanometres},
 };
-use trueup_link::{emergency::Fault, frames::State};
+use trueup_link::frames::State;
 
 /// A quality in a word.
 #[must_use]

@@ -24,10 +24,8 @@ use rustix::{
     net::sockopt::set_socket_send_buffer_size,
 };
 use trueup_core::units::Millis;
-use trueup_link::{
-    bench::{Block, RECORD_SIZE, Record},
-    frame::Frame,
-};
+use trueup_link::frame::Frame;
+use trueup_pipe::{Block, RECORD_SIZE, Record};
 
 use crate::{
     log::Decoder,

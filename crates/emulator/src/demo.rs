@@ -17,7 +17,7 @@ use trueup_core::{
     cnc::{Command, Control, Flags, Output, Quality, Spindle},
     units::{NANOMETRES_PER_MICROMETRE, Rpm},
 };
-use trueup_link::{bench::Block, slcan::Event};
+use trueup_link::slcan::Event;
 use trueup_machine::{
     compile::compile,
     inputs::SensorInput,
@@ -25,6 +25,7 @@ use trueup_machine::{
     run_file::RunFile,
 };
 use trueup_numerics::line::{LineFit, Summary, fit_line};
+use trueup_pipe::Block;
 
 use crate::{board::VirtualBoard, cnc::Cnc, front_end::FrontEnd, setup};
 

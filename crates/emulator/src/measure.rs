@@ -14,8 +14,8 @@ use anyhow::{Context as _, Result, bail, ensure};
 use rand::{Rng as _, SeedableRng as _};
 use serde_json::{Value, json};
 use trueup_core::curve::SEGMENT_SIZE;
-use trueup_link::vectors;
 use trueup_machine::{MachineFile, compile};
+use trueup_node::vectors;
 
 use crate::{
     firmware::{self, Board},

@@ -23,10 +23,10 @@ use rustix::{
 };
 use trueup_core::{cnc::Output, units::NANOMETRES_PER_MICROMETRE};
 use trueup_link::{
-    bench::Block,
     receiver::OffsetReceiver,
     slcan::{BELL, CR},
 };
+use trueup_pipe::Block;
 
 use crate::{
     board::{LARGEST_BATCH, MAY_WAIT, VirtualBoard},

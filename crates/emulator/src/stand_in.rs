@@ -4,11 +4,11 @@
 use std::sync::atomic::{AtomicU8, Ordering};
 
 use trueup_link::{
-    bench::FRAMES,
     frame::Frame,
     frames,
     layout::{POSITION_PERIOD_MS, POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID},
 };
+use trueup_pipe::FRAMES;
 
 use crate::replay::Situation;
 

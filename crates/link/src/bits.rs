@@ -25,13 +25,13 @@ pub struct Signal {
 
 impl Signal {
     /// A signal of 0 and up. A place outside the frame does not compile: every use is a constant.
-    pub(crate) const fn unsigned(start: u8, length: u8) -> Self {
+    pub const fn unsigned(start: u8, length: u8) -> Self {
         assert!(length <= 31 && Self::is_in_frame(start, length));
         Self { start, length, signed: false }
     }
 
     /// A signal in two's complement, as `unsigned`.
-    pub(crate) const fn signed(start: u8, length: u8) -> Self {
+    pub const fn signed(start: u8, length: u8) -> Self {
         assert!(length <= 32 && Self::is_in_frame(start, length));
         Self { start, length, signed: true }
     }

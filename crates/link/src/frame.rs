@@ -45,8 +45,10 @@ impl Frame {
         Ok(Self { id, len, data })
     }
 
-    /// A full frame of this crate's own layout, whose identifiers are constants below 0x800.
-    pub(crate) const fn full(id: u16, data: [u8; Self::MAX_LEN]) -> Self {
+    /// A frame of 8 bytes with an identifier of [`crate::layout`], 0…0x7FF. A larger one stops a
+    /// build that has debug assertions.
+    #[must_use]
+    pub const fn full(id: u16, data: [u8; Self::MAX_LEN]) -> Self {
         debug_assert!(id <= Self::MAX_ID);
         Self { id, len: 8, data }
     }

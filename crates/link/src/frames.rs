@@ -288,7 +288,11 @@ pub(crate) fn protected(id: u16, counter: u8, mut data: [u8; 8]) -> Frame {
     Frame::full(id, data)
 }
 
-pub(crate) fn data_of(frame: &Frame, id: u16, len: u8) -> Result<&[u8; 8], DecodeError> {
+/// The data of a frame that has this identifier and this length in bytes, 0…8.
+///
+/// # Errors
+/// [`DecodeError`] for another identifier or length.
+pub fn data_of(frame: &Frame, id: u16, len: u8) -> Result<&[u8; 8], DecodeError> {
     if frame.id() != id {
         return Err(DecodeError::Identifier { expected: id, found: frame.id() });
     }
@@ -298,8 +302,9 @@ pub(crate) fn data_of(frame: &Frame, id: u16, len: u8) -> Result<&[u8; 8], Decod
     Ok(frame.data())
 }
 
-/// A signal of at most 8 bits.
-pub(crate) fn byte(signal: Signal, data: &[u8; 8]) -> u8 {
+/// The raw value of an unsigned signal of at most 8 bits; of a longer one its lowest 8.
+#[must_use]
+pub fn byte(signal: Signal, data: &[u8; 8]) -> u8 {
     let [byte, ..] = signal.extract(data).to_le_bytes();
     byte
 }

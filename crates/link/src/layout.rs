@@ -163,7 +163,6 @@ mod tests {
     use super::*;
     use crate::{
         DBC, e2e,
-        emergency::Fault,
         frames::State,
         status::{LAST_ITEM, Reason},
     };
@@ -426,8 +425,6 @@ mod tests {
         let reasons = (0..=u8::MAX).filter_map(Reason::from_wire);
         let reasons = reasons.map(|it| (it as i32, format!("{it:?}"))).collect();
         assert_eq!(names(STATUS_ID, "LastRefused"), of(reasons));
-        let faults = Fault::ALL.map(|it| (it as i32, format!("{it:?}")));
-        assert_eq!(names(EMERGENCY_ID, "Fault"), of(faults.into()));
         let state = (0..=u8::MAX).filter_map(State::from_wire);
         let state = state.map(|it| (it as i32, format!("{it:?}"))).collect();
         assert_eq!(names(HEARTBEAT_ID, "State"), of(state));

@@ -10,12 +10,9 @@
 //!   slcan  ────▼──────── ASCII lines ───────────┴──── slcan
 //! ```
 //!
-//! `calibration` is the layout of what the host compiles for the board, `reference` of what the
-//! board stores of itself, `max31865` what it says to its temperature converters, `bench` the
-//! stream between the host and the emulated board, `node` the whole bridge as it stands on the bus.
-//! For a CANopen master, `dictionary` (= trueup.eds) is what it can read and write, `sdo` how,
-//! `load` what becomes of a calibration it writes, `slots` where a board keeps it, and `emergency`
-//! what the bridge tells unasked. `status` is what it tells of itself ten times a second.
+//! `bits` places a signal in a frame, `status` is what the bridge tells of itself ten times a
+//! second. What a CANopen master has of the bridge stands in `trueup-canopen`, what the bridge
+//! stores in `trueup-store`, and the whole of it, as it stands on the bus, in `trueup-node`.
 //! Nothing here touches hardware, allocates, reads a clock, or panics on any input.
 #![no_std]
 #![forbid(unsafe_code)]
@@ -25,30 +22,14 @@
 #[cfg(test)]
 extern crate std;
 
-pub mod bench;
 pub mod bits;
-pub mod calibration;
-pub mod dictionary;
 pub mod e2e;
-pub mod emergency;
 pub mod frame;
 pub mod frames;
 pub mod layout;
-pub mod load;
-pub mod max31865;
-pub mod node;
 pub mod receiver;
-pub mod reference;
-pub mod sdo;
 pub mod slcan;
-pub mod slots;
 pub mod status;
-#[cfg(test)]
-mod strict_flash;
-pub mod vectors;
 
 /// The signal description that CAN tools read; `layout` holds the same numbers for the code.
 pub const DBC: &str = include_str!("../trueup.dbc");
-
-/// The electronic data sheet that CANopen tools read, printed from `dictionary`.
-pub const EDS: &str = include_str!("../trueup.eds");

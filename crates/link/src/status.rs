@@ -7,7 +7,7 @@
 //! | 4 | elongation of the spindle, 32 bits, in 0.001 µm | |
 //! | 5 | frames of the CNC that were damaged | that were repeated or out of sequence |
 //! | 6 | frames of the CNC with a wrong length or value | that never came |
-//! | 7 | RMS noise of the sensor in 0.001 codes | faults, a bit each: [`Fault::ALL`](crate::emergency::Fault::ALL) |
+//! | 7 | RMS noise of the sensor in 0.001 codes | faults, a bit each: the numbers of `Fault` in the DBC |
 //!
 //! The most negative number of a temperature and of the elongation means "not available"; counts
 //! stop at 65 535. Every frame says in bits 28…31 why a frame of the CNC was last refused, and is
@@ -111,7 +111,7 @@ pub enum Item {
     Board {
         /// RMS noise of the raw codes in thousandths of a code.
         noise_thousandths: u16,
-        /// What is wrong, as [`crate::emergency::Faults::bits`].
+        /// What is wrong, bit n is fault n of the DBC's `Fault`.
         faults: u16,
     },
 }

@@ -37,7 +37,7 @@ use trueup_core::{
     travel::{self, Fraction, Interval},
     units::{Fine, NANOMETRES_PER_MICROMETRE, Nanometres, Position, Reading},
 };
-use trueup_link::calibration::{MAX_SIZE, TooLarge, decode, encode};
+use trueup_store::calibration::{MAX_SIZE, TooLarge, decode, encode};
 
 use crate::{
     inputs::{SensorInput, TemperatureKind},

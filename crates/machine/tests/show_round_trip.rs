@@ -10,8 +10,8 @@ use trueup_core::{
     tool::Direction,
     units::{Nanometres, Reading},
 };
-use trueup_link::calibration::{MAX_OFFSET_NM, MAX_SIZE, decode, encode};
 use trueup_machine::{Compiled, MachineFile, compile, show};
+use trueup_store::calibration::{MAX_OFFSET_NM, MAX_SIZE, decode, encode};
 
 /// Repeatable random numbers (xorshift).
 struct Random(u64);

@@ -26,8 +26,9 @@ use trueup_emulator::{
     front_end::FrontEnd,
     serve,
 };
-use trueup_link::{bench::Block, slcan::CR};
+use trueup_link::slcan::CR;
 use trueup_machine::{Machine, compile};
+use trueup_pipe::Block;
 
 /// The board's clock may fall behind by so much before it slips, on a busy computer.
 const LARGEST_BACKLOG_MS: u32 = 100;

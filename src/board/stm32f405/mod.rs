@@ -38,7 +38,7 @@ pub use sampling::Samples;
 pub use serial::{SerialIn, SerialOut};
 pub use store::Store;
 pub use thermometers::Thermometers;
-use trueup_link::calibration;
+use trueup_store::calibration;
 use watchdog::Reset;
 pub use watchdog::Watchdog;
 

@@ -1,7 +1,7 @@
 //! Calibrations that a master has loaded: kept in flash, read where they lie, from the next start on.
 
 use defmt::Display2Format as Text;
-use trueup_link::{
+use trueup_store::{
     reference::StoreError,
     slots::{Found, Slots},
 };

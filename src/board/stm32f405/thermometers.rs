@@ -20,7 +20,7 @@ use trueup_core::{
     heat::RawTemperatures,
     thermometer::{Raw, Thermometer},
 };
-use trueup_link::max31865::{Converter, Reading, TURN_MS};
+use trueup_max31865::{Converter, Reading, TURN_MS};
 
 use super::{super::TEMPERATURES, within};
 

@@ -17,12 +17,12 @@ use trueup_client::{
 };
 use trueup_core::cnc::Quality;
 use trueup_link::{
-    calibration::{decode, identity, whole},
     frame::Frame,
     frames::{self, State},
     layout::NMT_ID,
     slcan::Event,
 };
+use trueup_store::calibration::{decode, identity, whole};
 
 use crate::{Mend, Outcome, output};
 

@@ -23,11 +23,11 @@ use std::{
 use anyhow::Result;
 use trueup_core::units::Millis;
 use trueup_link::{
-    bench::FRAMES,
     frame::Frame,
     layout::{OFFSET_XY_ID, OFFSET_Z_ID},
     slcan::Port,
 };
+use trueup_pipe::FRAMES;
 
 /// Cycles from one pair to the next while time is compressed.
 pub const COMPRESSED_STRIDE: u32 = 257;

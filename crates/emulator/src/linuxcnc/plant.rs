@@ -27,8 +27,8 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, anyhow, bail};
-use trueup_link::bench::Block;
 use trueup_machine::inputs::TemperatureInput;
+use trueup_pipe::Block;
 use trueup_twin::machine::{Command, Machine};
 
 use super::adapter::{Adapter, COMPRESSED_STRIDE};

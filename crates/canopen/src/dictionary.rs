@@ -1,0 +1,242 @@
+//! The object dictionary: what a CANopen master can read and write, as one table.
+//!
+//! The server looks its objects up here, and `trueup.eds`, the file that CANopen tools read, is
+//! printed from the same table by [`eds`]; a test holds the two against each other. The objects
+//! below 0x2000 are those of CiA 301. The analogue inputs (from 0x6131 on) are shaped after
+//! CiA 404: eight temperatures, then the elongation. 0x9130 holds their process values as 32-bit
+//! integers of [`DIGITS`] decimals. What has no standard place is manufacturer-specific, 0x2000 on.
+//!
+//! The offsets themselves and the frames of the CNC are no mapped PDOs: they are protected end to
+//! end, and `trueup.dbc` describes them.
+
+use trueup_core::heat::CHANNELS;
+
+use crate::emergency::HISTORY;
+
+pub mod eds;
+mod table;
+
+pub use table::OBJECTS;
+
+/// Decimals of the process values: thousandths of a degree, thousandths of a micrometre.
+pub const DIGITS: u8 = 3;
+/// A process value or an offset that is not available.
+pub const NOT_AVAILABLE: i32 = i32::MIN;
+/// What has to be written to drop the reference: the bytes `zero`, low byte first, so that no stray
+/// write does it.
+pub const FORGET: u32 = u32::from_le_bytes(*b"zero");
+/// Sub-index of the elongation among the analogue inputs.
+pub const ELONGATION_INPUT: u8 = 9;
+const _: () = assert!(CHANNELS == 8 && HISTORY == 8, "the table has eight lines of each");
+
+/// How an object is laid out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shape {
+    /// One value, at sub-index 0.
+    Var,
+    /// Values of one type; sub-index 0 says how many.
+    Array,
+    /// Values of several types; sub-index 0 says how many.
+    Record,
+}
+
+/// The type of a value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Type {
+    /// `UNSIGNED8`
+    U8,
+    /// `UNSIGNED16`
+    U16,
+    /// `UNSIGNED32`
+    U32,
+    /// `INTEGER32`
+    I32,
+    /// `VISIBLE_STRING`
+    Text,
+    /// `DOMAIN`: bytes, as many as there are.
+    Domain,
+}
+
+impl Type {
+    /// Bytes of a number; `None` for a type of no fixed length.
+    #[must_use]
+    pub const fn size(self) -> Option<usize> {
+        match self {
+            Self::U8 => Some(1),
+            Self::U16 => Some(2),
+            Self::U32 | Self::I32 => Some(4),
+            Self::Text | Self::Domain => None,
+        }
+    }
+}
+
+/// What a master may do with a value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Access {
+    /// Read; it never changes.
+    Constant,
+    /// Read.
+    Read,
+    /// Read and write.
+    ReadWrite,
+    /// Write.
+    Write,
+}
+
+/// What stands behind an entry.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum What {
+    /// This number.
+    Fixed(u32),
+    /// These characters.
+    Text(&'static str),
+    /// CiA 301 error register.
+    ErrorRegister,
+    /// How many errors the history holds; writing 0 clears it.
+    ErrorCount,
+    /// An error of the history, the newest being 0.
+    Error(u8),
+    /// Shortest time between emergencies in 0.1 ms.
+    Inhibit,
+    /// Whose heartbeat is expected, and how often: node in bits 16…22, milliseconds below.
+    ConsumerHeartbeat,
+    /// Milliseconds from one heartbeat to the next; 0: none.
+    ProducerHeartbeat,
+    /// Offset on an axis, 0…2, in nanometres.
+    Offset(u8),
+    /// The quality, as in `OffsetZ`.
+    Quality,
+    /// The flags, as in `OffsetZ`.
+    Flags,
+    /// Age of the newest sample in milliseconds.
+    Age,
+    /// The faults of now, one bit each.
+    Faults,
+    /// Milliseconds of the sample clock.
+    Clock,
+    /// The elongation that counts as none, in nanometres.
+    ReferenceElongation,
+    /// The error of an axis that counts as none, in nanometres.
+    Reference(u8),
+    /// 1: a reference is in force; 0: errors count from the calibration's own zero.
+    HasReference,
+    /// Writing [`FORGET`] drops the reference.
+    Forget,
+    /// RMS noise of the raw codes in thousandths of a code.
+    Noise,
+    /// Counters of the frames from the CNC.
+    Counter(Counter),
+    /// The blob that the bridge runs on.
+    Running,
+    /// The blob for the next start.
+    New,
+    /// CRC of the running blob; 0: there is none.
+    RunningCrc,
+    /// CRC of the blob for the next start, once it is stored; 0: none was loaded.
+    NewCrc,
+    /// A process value: a temperature, 0…7, or the elongation, 8.
+    Input(u8),
+    /// 0: the process value is valid; 1: it is not.
+    InputStatus(u8),
+}
+
+/// A counter of [`trueup_link::receiver::Counters`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Counter {
+    /// Frames used.
+    Accepted,
+    /// Of a wrong length or content.
+    Malformed,
+    /// Damaged.
+    Crc,
+    /// Repeated or out of order.
+    Sequence,
+    /// Never came.
+    Lost,
+}
+
+/// One value.
+#[derive(Clone, Copy, Debug)]
+pub struct Entry {
+    /// Its sub-index.
+    pub subindex: u8,
+    /// Its name.
+    pub name: &'static str,
+    /// Its type.
+    pub kind: Type,
+    /// What a master may do.
+    pub access: Access,
+    /// What stands behind it.
+    pub what: What,
+    /// What a writable value is at the start.
+    pub default: Option<u32>,
+}
+
+/// One object.
+#[derive(Clone, Copy, Debug)]
+pub struct Object {
+    /// Its index.
+    pub index: u16,
+    /// Its name.
+    pub name: &'static str,
+    /// How it is laid out.
+    pub shape: Shape,
+    /// Its values, by rising sub-index.
+    pub entries: &'static [Entry],
+}
+
+/// The object with this index.
+#[must_use]
+pub fn object(index: u16) -> Option<&'static Object> {
+    OBJECTS.iter().find(|object| object.index == index)
+}
+
+impl Object {
+    /// The value with this sub-index.
+    #[must_use]
+    pub fn entry(&self, subindex: u8) -> Option<&'static Entry> {
+        self.entries.iter().find(|entry| entry.subindex == subindex)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_object_is_there_once_in_order_and_counts_its_entries() {
+        assert!(OBJECTS.is_sorted_by(|a, b| a.index < b.index));
+        for object in OBJECTS {
+            let at = object.index;
+            assert!(object.entries.is_sorted_by(|a, b| a.subindex < b.subindex), "{at:04X}");
+            let first = object.entry(0).expect("sub-index 0");
+            let last = object.entries.last().expect("at least one").subindex;
+            match object.shape {
+                Shape::Var => assert_eq!(object.entries.len(), 1, "{at:04X}"),
+                // Its count is that of the errors, which may be written.
+                _ if at == 0x1003 => assert_eq!(usize::from(last), HISTORY),
+                _ => {
+                    assert_eq!((first.kind, first.access), (Type::U8, Access::Constant));
+                    assert_eq!(first.what, What::Fixed(last.into()), "{at:04X}");
+                }
+            }
+            for entry in object.entries {
+                let is_number = entry.kind.size().is_some();
+                assert_eq!(entry.default.is_some(), is_number && entry.access == Access::ReadWrite);
+                if let What::Fixed(number) = entry.what {
+                    let bits = entry.kind.size().map_or(0, |bytes| 8 * bytes);
+                    assert!(u64::from(number) < 1 << bits, "{at:04X}:{}", entry.subindex);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_cia_301_demands_is_there() {
+        for (index, subindex) in [(0x1000, 0), (0x1001, 0), (0x1017, 0), (0x1018, 1)] {
+            assert!(object(index).and_then(|object| object.entry(subindex)).is_some());
+        }
+        let device = object(0x1000).and_then(|it| it.entry(0)).expect("mandatory");
+        assert_eq!(device.what, What::Fixed(404), "the number of the profile");
+    }
+}

@@ -1,0 +1,239 @@
+//! The table itself.
+
+use trueup_link::layout::{
+    EMERGENCY_ID, EMERGENCY_INHIBIT_MS, HEARTBEAT_PERIOD_MS, SDO_ANSWER_ID, SDO_REQUEST_ID,
+};
+
+use super::{Access, Counter, DIGITS, ELONGATION_INPUT, Entry, Object, Shape, Type, What};
+
+const fn constant(subindex: u8, name: &'static str, kind: Type, number: u32) -> Entry {
+    let what = What::Fixed(number);
+    Entry { subindex, name, kind, access: Access::Constant, what, default: None }
+}
+
+const fn count(number: u8) -> Entry {
+    constant(0, "Highest sub-index supported", Type::U8, number as u32)
+}
+
+const fn read(subindex: u8, name: &'static str, kind: Type, what: What) -> Entry {
+    Entry { subindex, name, kind, access: Access::Read, what, default: None }
+}
+
+const fn set(subindex: u8, name: &'static str, kind: Type, what: What, default: u32) -> Entry {
+    Entry { subindex, name, kind, access: Access::ReadWrite, what, default: Some(default) }
+}
+
+const fn var(index: u16, name: &'static str, entries: &'static [Entry]) -> Object {
+    Object { index, name, shape: Shape::Var, entries }
+}
+
+const fn array(index: u16, name: &'static str, entries: &'static [Entry]) -> Object {
+    Object { index, name, shape: Shape::Array, entries }
+}
+
+const fn record(index: u16, name: &'static str, entries: &'static [Entry]) -> Object {
+    Object { index, name, shape: Shape::Record, entries }
+}
+
+const fn text(name: &'static str, characters: &'static str) -> Entry {
+    let (kind, access, what) = (Type::Text, Access::Constant, What::Text(characters));
+    Entry { subindex: 0, name, kind, access, what, default: None }
+}
+
+/// Degrees Celsius, as CiA 303-2 writes units.
+const CELSIUS: u32 = 0x002D_0000;
+/// Micrometres: the metre, with the prefix 10⁻⁶.
+const MICROMETRES: u32 = 0xFA01_0000;
+
+/// One line for each analogue input, whose name and content follow from its number.
+macro_rules! inputs {
+    ($temperature:expr, $elongation:expr) => {
+        &[
+            count(ELONGATION_INPUT),
+            $temperature(1, "Temperature channel 0"),
+            $temperature(2, "Temperature channel 1"),
+            $temperature(3, "Temperature channel 2"),
+            $temperature(4, "Temperature channel 3"),
+            $temperature(5, "Temperature channel 4"),
+            $temperature(6, "Temperature channel 5"),
+            $temperature(7, "Temperature channel 6"),
+            $temperature(8, "Temperature channel 7"),
+            $elongation(ELONGATION_INPUT, "Elongation"),
+        ]
+    };
+}
+
+const fn celsius(subindex: u8, name: &'static str) -> Entry {
+    constant(subindex, name, Type::U32, CELSIUS)
+}
+const fn micrometres(subindex: u8, name: &'static str) -> Entry {
+    constant(subindex, name, Type::U32, MICROMETRES)
+}
+const fn digits(subindex: u8, name: &'static str) -> Entry {
+    constant(subindex, name, Type::U8, DIGITS as u32)
+}
+const fn status(subindex: u8, name: &'static str) -> Entry {
+    read(subindex, name, Type::U8, What::InputStatus(subindex.saturating_sub(1)))
+}
+const fn value(subindex: u8, name: &'static str) -> Entry {
+    read(subindex, name, Type::I32, What::Input(subindex.saturating_sub(1)))
+}
+const fn error(subindex: u8, name: &'static str) -> Entry {
+    read(subindex, name, Type::U32, What::Error(subindex.saturating_sub(1)))
+}
+
+/// Every object, by rising index.
+pub const OBJECTS: &[Object] = &[
+    var(0x1000, "Device type", &[constant(0, "Device type", Type::U32, 404)]),
+    var(0x1001, "Error register", &[read(0, "Error register", Type::U8, What::ErrorRegister)]),
+    array(
+        0x1003,
+        "Pre-defined error field",
+        &[
+            set(0, "Number of errors", Type::U8, What::ErrorCount, 0),
+            error(1, "Newest error"),
+            error(2, "Error 2"),
+            error(3, "Error 3"),
+            error(4, "Error 4"),
+            error(5, "Error 5"),
+            error(6, "Error 6"),
+            error(7, "Error 7"),
+            error(8, "Error 8"),
+        ],
+    ),
+    var(0x1008, "Manufacturer device name", &[text("Manufacturer device name", "trueup bridge")]),
+    var(
+        0x1009,
+        "Manufacturer hardware version",
+        &[text("Manufacturer hardware version", "STM32F405")],
+    ),
+    var(
+        0x100A,
+        "Manufacturer software version",
+        &[text("Manufacturer software version", env!("CARGO_PKG_VERSION"))],
+    ),
+    var(0x1014, "COB-ID EMCY", &[constant(0, "COB-ID EMCY", Type::U32, EMERGENCY_ID as u32)]),
+    var(
+        0x1015,
+        "Inhibit time EMCY",
+        &[set(0, "Inhibit time EMCY", Type::U16, What::Inhibit, 10 * EMERGENCY_INHIBIT_MS)],
+    ),
+    array(
+        0x1016,
+        "Consumer heartbeat time",
+        &[count(1), set(1, "Consumer heartbeat time", Type::U32, What::ConsumerHeartbeat, 0)],
+    ),
+    var(
+        0x1017,
+        "Producer heartbeat time",
+        &[set(
+            0,
+            "Producer heartbeat time",
+            Type::U16,
+            What::ProducerHeartbeat,
+            HEARTBEAT_PERIOD_MS,
+        )],
+    ),
+    record(
+        0x1018,
+        "Identity object",
+        &[
+            count(4),
+            // No number was assigned by CiA.
+            constant(1, "Vendor-ID", Type::U32, 0),
+            constant(2, "Product code", Type::U32, 1),
+            constant(3, "Revision number", Type::U32, 0x0001_0000),
+            constant(4, "Serial number", Type::U32, 1),
+        ],
+    ),
+    record(
+        0x1200,
+        "SDO server parameter",
+        &[
+            count(2),
+            constant(1, "COB-ID client to server", Type::U32, SDO_REQUEST_ID as u32),
+            constant(2, "COB-ID server to client", Type::U32, SDO_ANSWER_ID as u32),
+        ],
+    ),
+    array(
+        0x2000,
+        "Offset in nm",
+        &[
+            count(3),
+            read(1, "Offset X", Type::I32, What::Offset(0)),
+            read(2, "Offset Y", Type::I32, What::Offset(1)),
+            read(3, "Offset Z", Type::I32, What::Offset(2)),
+        ],
+    ),
+    record(
+        0x2001,
+        "State of the bridge",
+        &[
+            count(5),
+            read(1, "Quality", Type::U8, What::Quality),
+            read(2, "Flags", Type::U8, What::Flags),
+            read(3, "Age of the newest sample in ms", Type::U8, What::Age),
+            read(4, "Faults", Type::U16, What::Faults),
+            read(5, "Sample clock in ms", Type::U32, What::Clock),
+        ],
+    ),
+    record(
+        0x2010,
+        "Reference taken by Zero",
+        &[
+            count(6),
+            read(1, "Elongation in nm", Type::I32, What::ReferenceElongation),
+            read(2, "Error of X in nm", Type::I32, What::Reference(0)),
+            read(3, "Error of Y in nm", Type::I32, What::Reference(1)),
+            read(4, "Error of Z in nm", Type::I32, What::Reference(2)),
+            read(5, "A reference is in force", Type::U8, What::HasReference),
+            Entry {
+                subindex: 6,
+                name: "Forget the reference (write zero as text)",
+                kind: Type::U32,
+                access: Access::Write,
+                what: What::Forget,
+                default: None,
+            },
+        ],
+    ),
+    var(
+        0x2020,
+        "RMS noise in thousandths of a code",
+        &[read(0, "RMS noise in thousandths of a code", Type::U32, What::Noise)],
+    ),
+    array(
+        0x2030,
+        "Frames from the CNC",
+        &[
+            count(5),
+            read(1, "Accepted", Type::U32, What::Counter(Counter::Accepted)),
+            read(2, "Malformed", Type::U32, What::Counter(Counter::Malformed)),
+            read(3, "Damaged", Type::U32, What::Counter(Counter::Crc)),
+            read(4, "Out of sequence", Type::U32, What::Counter(Counter::Sequence)),
+            read(5, "Lost", Type::U32, What::Counter(Counter::Lost)),
+        ],
+    ),
+    record(
+        0x2100,
+        "Calibration",
+        &[
+            count(4),
+            read(1, "Running calibration", Type::Domain, What::Running),
+            Entry {
+                subindex: 2,
+                name: "New calibration (used from the next start)",
+                kind: Type::Domain,
+                access: Access::ReadWrite,
+                what: What::New,
+                default: None,
+            },
+            read(3, "CRC of the running calibration", Type::U32, What::RunningCrc),
+            read(4, "CRC of the new calibration", Type::U32, What::NewCrc),
+        ],
+    ),
+    array(0x6131, "AI physical unit process value", inputs!(celsius, micrometres)),
+    array(0x6132, "AI decimal digits process value", inputs!(digits, digits)),
+    array(0x6150, "AI status", inputs!(status, status)),
+    array(0x9130, "AI input process value", inputs!(value, value)),
+];

@@ -1,0 +1,445 @@
+//! Emergencies (CiA 301): every fault of the bridge is told once when it comes and once when it has
+//! gone.
+//!
+//! | bytes | content |
+//! |---|---|
+//! | 0–1 | error code, see [`Fault::code`]; 0x0000: the fault of byte 3 has gone |
+//! | 2 | error register, of what is left: bit 0 any fault, bit 4 communication, bit 7 the board |
+//! | 3 | which fault: its place in [`Fault::ALL`] |
+//! | 4 | the flags, as in `OffsetZ` |
+//! | 5 | the quality, as in `OffsetZ` |
+//! | 6–7 | 0 |
+//!
+//! Between two emergencies at least the inhibit time passes. A fault that comes and goes meanwhile
+//! is told all the same, so a flickering one costs no more of the bus than a lasting one, and none
+//! is overlooked.
+
+use trueup_core::cnc::{Flags, Output, Quality};
+use trueup_link::{
+    frame::Frame,
+    frames::{self, DecodeError},
+    layout::{
+        EMERGENCY_CODE, EMERGENCY_FAULT, EMERGENCY_FLAGS, EMERGENCY_ID, EMERGENCY_INHIBIT_MS,
+        EMERGENCY_QUALITY, EMERGENCY_REGISTER,
+    },
+};
+
+/// Emergencies that are remembered.
+pub const HISTORY: usize = 8;
+
+/// What can be wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Fault {
+    /// There is no valid calibration: nothing can be computed.
+    NoCalibration = 0,
+    /// The sensor or a thermometer reads outside its range, or the sensor never changes.
+    Sensor,
+    /// The converter has stopped or was overrun.
+    SamplesMissing,
+    /// The CNC was heard before and is silent now, or does not send what is needed.
+    CncLost,
+    /// The node of object 0x1016 was heard before and is silent now.
+    HeartbeatLost,
+    /// No fresh spindle speed.
+    SpeedUnknown,
+    /// A position is outside its table.
+    OutsideTable,
+    /// An axis stands at its largest permitted offset.
+    Clamped,
+    /// The board runs on a fall-back, and none of the next three says which.
+    Degraded,
+    /// The crystal did not start.
+    Crystal,
+    /// The PLL did not lock.
+    Pll,
+    /// The CAN controller does not answer.
+    Can,
+    /// The last reset came from the watchdog.
+    WatchdogReset,
+    /// The store of the board does not take what is to be kept.
+    Store,
+}
+
+impl Fault {
+    /// Every fault, by its number.
+    pub const ALL: [Self; 14] = [
+        Self::NoCalibration,
+        Self::Sensor,
+        Self::SamplesMissing,
+        Self::CncLost,
+        Self::HeartbeatLost,
+        Self::SpeedUnknown,
+        Self::OutsideTable,
+        Self::Clamped,
+        Self::Degraded,
+        Self::Crystal,
+        Self::Pll,
+        Self::Can,
+        Self::WatchdogReset,
+        Self::Store,
+    ];
+
+    /// Its error code. The upper byte is the class of CiA 301: 50 hardware of the device, 61 its
+    /// software, 63 its data, 70 an additional module, 81 communication, 90 from outside, FF
+    /// specific to the device.
+    #[must_use]
+    pub const fn code(self) -> u16 {
+        match self {
+            Self::NoCalibration => 0x6300,
+            Self::Sensor => 0x7001,
+            Self::SamplesMissing => 0x7002,
+            Self::CncLost => 0x8100,
+            Self::HeartbeatLost => 0x8130,
+            Self::SpeedUnknown => 0x9001,
+            Self::OutsideTable => 0xFF01,
+            Self::Clamped => 0xFF02,
+            Self::Degraded => 0x5000,
+            Self::Crystal => 0x5001,
+            Self::Pll => 0x5002,
+            Self::Can => 0x5003,
+            Self::WatchdogReset => 0x6101,
+            Self::Store => 0x5004,
+        }
+    }
+
+    /// Its bit in the error register, beside bit 0, which any fault sets.
+    const fn register(self) -> u8 {
+        match self {
+            Self::CncLost | Self::HeartbeatLost => 1 << 4,
+            Self::NoCalibration
+            | Self::Degraded
+            | Self::Crystal
+            | Self::Pll
+            | Self::Can
+            | Self::WatchdogReset
+            | Self::Store => 1 << 7,
+            Self::Sensor
+            | Self::SamplesMissing
+            | Self::SpeedUnknown
+            | Self::OutsideTable
+            | Self::Clamped => 0,
+        }
+    }
+}
+
+/// Some faults: bit n is [`Fault::ALL`]`[n]`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Faults(u16);
+
+impl Faults {
+    /// The bits.
+    #[must_use]
+    pub const fn bits(self) -> u16 {
+        self.0
+    }
+
+    /// These, and `fault` if `condition` holds.
+    #[must_use]
+    pub const fn with_if(self, condition: bool, fault: Fault) -> Self {
+        if condition { Self(self.0 | 1 << fault as u8) } else { self }
+    }
+
+    /// Whether `fault` is among them.
+    #[must_use]
+    pub const fn has(self, fault: Fault) -> bool {
+        self.0 & 1 << fault as u8 != 0
+    }
+
+    /// Those that an output tells of.
+    #[must_use]
+    pub const fn of(output: &Output) -> Self {
+        Self(0)
+            .with_if(output.flags.contains(Flags::SENSOR_FAULT), Fault::Sensor)
+            .with_if(output.flags.contains(Flags::SAMPLES_MISSING), Fault::SamplesMissing)
+            .with_if(output.flags.contains(Flags::CNC_LOST), Fault::CncLost)
+            .with_if(output.flags.contains(Flags::SPEED_UNKNOWN), Fault::SpeedUnknown)
+            .with_if(output.flags.contains(Flags::OUTSIDE_TABLE), Fault::OutsideTable)
+            .with_if(output.flags.contains(Flags::CLAMPED), Fault::Clamped)
+    }
+
+    /// These and those.
+    #[must_use]
+    pub const fn and(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
+    /// The error register of CiA 301.
+    #[must_use]
+    pub fn register(self) -> u8 {
+        Fault::ALL
+            .into_iter()
+            .filter(|fault| self.has(*fault))
+            .fold(0, |register, fault| register | 1 | fault.register())
+    }
+}
+
+/// What an emergency says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Emergency {
+    /// The error code; 0: the fault has gone.
+    pub code: u16,
+    /// The error register of what is left.
+    pub register: u8,
+    /// Which fault has come or gone.
+    pub fault: Fault,
+    /// The flags of that moment.
+    pub flags: Flags,
+    /// The quality of that moment.
+    pub quality: Quality,
+}
+
+/// The frame that says this.
+#[must_use]
+pub fn encode(emergency: &Emergency) -> Frame {
+    let mut data = [0; 8];
+    EMERGENCY_CODE.insert(&mut data, emergency.code.into());
+    EMERGENCY_REGISTER.insert(&mut data, emergency.register.into());
+    EMERGENCY_FAULT.insert(&mut data, emergency.fault as i32);
+    EMERGENCY_FLAGS.insert(&mut data, emergency.flags.0.into());
+    EMERGENCY_QUALITY.insert(&mut data, emergency.quality as i32);
+    Frame::full(EMERGENCY_ID, data)
+}
+
+/// What an emergency frame says. It is not protected: it informs, and nothing rests on it.
+///
+/// # Errors
+/// [`DecodeError`] for another identifier or length, or a fault or quality that has no meaning.
+pub fn decode(frame: &Frame) -> Result<Emergency, DecodeError> {
+    let data = frames::data_of(frame, EMERGENCY_ID, 8)?;
+    let [low, high, ..] = EMERGENCY_CODE.extract(data).to_le_bytes();
+    let (fault, quality) =
+        (frames::byte(EMERGENCY_FAULT, data), frames::byte(EMERGENCY_QUALITY, data));
+    Ok(Emergency {
+        code: u16::from_le_bytes([low, high]),
+        register: frames::byte(EMERGENCY_REGISTER, data),
+        fault: Fault::ALL
+            .into_iter()
+            .find(|it| *it as u8 == fault)
+            .ok_or(DecodeError::Value { signal: "Fault", raw: fault.into() })?,
+        flags: Flags(frames::byte(EMERGENCY_FLAGS, data)),
+        quality: Quality::from_wire(quality)
+            .ok_or(DecodeError::Value { signal: "Quality", raw: quality.into() })?,
+    })
+}
+
+/// What is told of the faults, and what was.
+#[derive(Clone, Debug)]
+pub struct Emergencies {
+    /// Told as there.
+    told: Faults,
+    /// There at some time since they were last told as gone.
+    seen: Faults,
+    history: heapless::Deque<u32, HISTORY>,
+    /// In 0.1 ms.
+    inhibit: u16,
+    since_ms: u32,
+}
+
+impl Default for Emergencies {
+    fn default() -> Self {
+        Self {
+            told: Faults::default(),
+            seen: Faults::default(),
+            history: heapless::Deque::new(),
+            inhibit: default_inhibit(),
+            since_ms: u32::MAX,
+        }
+    }
+}
+
+fn default_inhibit() -> u16 {
+    u16::try_from(EMERGENCY_INHIBIT_MS.saturating_mul(10)).unwrap_or(u16::MAX)
+}
+
+impl Emergencies {
+    /// Sets the shortest time between two emergencies to what it is at the start.
+    pub fn reset_inhibit(&mut self) {
+        self.inhibit = default_inhibit();
+    }
+
+    /// Notes the faults of a tick.
+    pub fn note(&mut self, elapsed_ms: u32, now: Faults) {
+        self.since_ms = self.since_ms.saturating_add(elapsed_ms);
+        self.seen = self.seen.and(now);
+    }
+
+    /// The next emergency, if one is due and may be sent.
+    pub fn next(&mut self, now: Faults, output: &Output) -> Option<Frame> {
+        if self.since_ms.saturating_mul(10) < self.inhibit.into() {
+            return None;
+        }
+        let has_come = |fault: &Fault| self.seen.has(*fault) && !self.told.has(*fault);
+        let has_gone = |fault: &Fault| self.told.has(*fault) && !now.has(*fault);
+        let (fault, code) = if let Some(fault) = Fault::ALL.into_iter().find(has_come) {
+            (fault, fault.code())
+        } else {
+            (Fault::ALL.into_iter().find(has_gone)?, 0)
+        };
+        let bit = 1 << fault as u8;
+        if code == 0 {
+            self.told.0 &= !bit;
+            self.seen.0 &= !bit;
+        } else {
+            self.told.0 |= bit;
+            self.remember(code, fault);
+        }
+        self.since_ms = 0;
+        let (register, flags, quality) = (self.told.register(), output.flags, output.quality);
+        Some(encode(&Emergency { code, register, fault, flags, quality }))
+    }
+
+    /// The error code below, the fault's number above it.
+    fn remember(&mut self, code: u16, fault: Fault) {
+        if self.history.is_full() {
+            self.history.pop_back();
+        }
+        // There is room now.
+        self.history.push_front(u32::from(code) | (fault as u32) << 16).ok();
+    }
+
+    /// How many errors are remembered.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.history.len()
+    }
+
+    /// A remembered error, the newest being 0: the code, and in bits 16…23 the fault.
+    #[must_use]
+    pub fn error(&self, number: u8) -> Option<u32> {
+        self.history.iter().nth(number.into()).copied()
+    }
+
+    /// Forgets the errors of the past.
+    pub fn clear(&mut self) {
+        self.history.clear();
+    }
+
+    /// The shortest time between two emergencies in 0.1 ms.
+    #[must_use]
+    pub const fn inhibit(&self) -> u16 {
+        self.inhibit
+    }
+
+    /// Sets it.
+    pub const fn set_inhibit(&mut self, tenths_of_ms: u16) {
+        self.inhibit = tenths_of_ms;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use can_dbc::{Dbc, MessageId};
+    use std::{
+        collections::{BTreeMap, BTreeSet},
+        format,
+        vec::Vec,
+    };
+
+    /// Code, register and number of whatever is told in so many milliseconds of these faults.
+    fn told(all: &mut Emergencies, now: Faults, ms: u32) -> Vec<(u16, u8, u8)> {
+        let output = Output::default();
+        let mut frames = Vec::new();
+        for _ in 0..ms {
+            all.note(1, now);
+            frames.extend(all.next(now, &output));
+        }
+        let fields = |frame: &Frame| {
+            let data = frame.data();
+            (u16::from_le_bytes([data[0], data[1]]), data[2], data[3])
+        };
+        frames.iter().map(fields).collect()
+    }
+
+    #[test]
+    fn every_fault_has_a_code_of_its_own_and_stands_at_its_number() {
+        let codes: BTreeSet<u16> = Fault::ALL.map(Fault::code).into();
+        assert_eq!(codes.len(), Fault::ALL.len());
+        assert!(!codes.contains(&0));
+        for (number, fault) in Fault::ALL.into_iter().enumerate() {
+            assert_eq!(fault as usize, number);
+        }
+    }
+
+    #[test]
+    fn the_dbc_names_every_fault_by_its_number() {
+        let dbc = Dbc::try_from(trueup_link::DBC).expect("a DBC");
+        let id = MessageId::Standard(EMERGENCY_ID);
+        let names = dbc.value_descriptions_for_signal(id, "Fault").expect("names of faults");
+        let named: BTreeMap<_, _> =
+            names.iter().map(|value| (value.id, value.description.clone())).collect();
+        let ours = Fault::ALL.map(|fault| (i64::from(fault as u8), format!("{fault:?}")));
+        assert_eq!(named, ours.into());
+    }
+
+    #[test]
+    fn each_fault_is_told_when_it_comes_and_when_it_has_gone() {
+        for fault in Fault::ALL {
+            let mut all = Emergencies::default();
+            let there = Faults::default().with_if(true, fault);
+            let (code, number) = (fault.code(), fault as u8);
+            assert_eq!(told(&mut all, there, 100), [(code, 1 | fault.register(), number)]);
+            assert_eq!(told(&mut all, Faults::default(), 100), [(0, 0, number)]);
+            assert_eq!(told(&mut all, Faults::default(), 100), []);
+            assert_eq!(all.error(0), Some(u32::from(code) | u32::from(number) << 16));
+        }
+    }
+
+    #[test]
+    fn a_fault_that_flickers_is_told_no_more_often_than_the_inhibit_time_permits() {
+        let mut all = Emergencies::default();
+        let there = Faults::default().with_if(true, Fault::Sensor);
+        let mut sent = 0;
+        for _ in 0..500 {
+            sent += told(&mut all, there, 1).len() + told(&mut all, Faults::default(), 1).len();
+        }
+        assert!((90..=100).contains(&sent), "{sent} in a second");
+        all.set_inhibit(1_000);
+        let both = there.with_if(true, Fault::Clamped);
+        assert!(told(&mut all, both, 300).len() <= 3);
+    }
+
+    #[test]
+    fn a_fault_of_one_tick_within_the_inhibit_time_is_told_all_the_same() {
+        let mut all = Emergencies::default();
+        let sensor = Faults::default().with_if(true, Fault::Sensor);
+        assert_eq!(told(&mut all, sensor, 1).len(), 1);
+        let both = sensor.with_if(true, Fault::Clamped);
+        assert_eq!(told(&mut all, both, 1), []);
+        assert_eq!(told(&mut all, sensor, 50), [(0xFF02, 1, 7), (0, 1, 7)]);
+    }
+
+    #[test]
+    fn the_history_keeps_the_newest() {
+        let mut all = Emergencies::default();
+        for fault in Fault::ALL {
+            told(&mut all, Faults::default().with_if(true, fault), 20);
+        }
+        assert_eq!(all.count(), HISTORY);
+        assert_eq!(all.error(0), Some(0x000D_5004));
+        assert_eq!(all.error(8), None);
+        all.clear();
+        assert_eq!((all.count(), all.error(0)), (0, None));
+    }
+
+    #[test]
+    fn what_is_encoded_is_decoded_and_what_has_no_meaning_is_named() {
+        let emergency = Emergency {
+            code: 0x8130,
+            register: 0x11,
+            fault: Fault::HeartbeatLost,
+            flags: Flags(0xA5),
+            quality: Quality::Hold,
+        };
+        let frame = encode(&emergency);
+        assert_eq!(frame.data(), &[0x30, 0x81, 0x11, 4, 0xA5, 4, 0, 0]);
+        assert_eq!(decode(&frame), Ok(emergency));
+        for (byte, raw, signal) in [(3, 14, "Fault"), (5, 7, "Quality")] {
+            let mut data = *frame.data();
+            data[byte] = raw;
+            let wrong = Frame::full(EMERGENCY_ID, data);
+            assert_eq!(decode(&wrong), Err(DecodeError::Value { signal, raw: raw.into() }));
+        }
+    }
+}

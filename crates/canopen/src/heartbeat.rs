@@ -1,0 +1,64 @@
+//! The heartbeat that a master expects the bridge to hear (object 0x1016).
+//!
+//! It only tells of a loss, by an emergency: what the offsets rest on is `Control`, which is
+//! protected, and not a byte that is not.
+
+use trueup_link::{frame::Frame, layout::HEARTBEAT_ID};
+
+use crate::sdo::Abort;
+
+/// Identifier of the heartbeat of node 0.
+const BASE: u16 = 0x700;
+
+/// Whose heartbeat is expected, and when it was heard.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Consumer {
+    node: u8,
+    time_ms: u16,
+    /// Milliseconds since it was heard; it counts from the first on.
+    silent_ms: Option<u32>,
+}
+
+impl Consumer {
+    /// As object 0x1016 has it: the node, 0…127, in bits 16…22, milliseconds below; 0: off.
+    #[must_use]
+    pub fn setting(&self) -> u32 {
+        u32::from(self.node) << 16 | u32::from(self.time_ms)
+    }
+
+    /// Sets it; 0 for either part switches it off.
+    ///
+    /// # Errors
+    /// [`Abort::Value`]: a node above 127 or this one, or reserved bits that are set.
+    pub fn set(&mut self, setting: u32) -> Result<(), Abort> {
+        let [low, high, node, reserved] = setting.to_le_bytes();
+        let time_ms = u16::from_le_bytes([low, high]);
+        if reserved != 0 || node > 127 || BASE | u16::from(node) == HEARTBEAT_ID {
+            return Err(Abort::Value);
+        }
+        *self = Self { node, time_ms, silent_ms: None };
+        Ok(())
+    }
+
+    /// Takes a frame from the bus; every other than the expected heartbeat has no effect.
+    pub fn hear(&mut self, frame: &Frame) {
+        if self.is_on() && frame.id() == BASE | u16::from(self.node) {
+            self.silent_ms = Some(0);
+        }
+    }
+
+    /// Time passes, in milliseconds.
+    pub fn tick(&mut self, elapsed_ms: u32) {
+        self.silent_ms = self.silent_ms.map(|silent| silent.saturating_add(elapsed_ms));
+    }
+
+    /// Whether it was heard before, and for longer than the set time no more.
+    #[must_use]
+    pub fn is_lost(&self) -> bool {
+        self.is_on() && self.silent_ms.is_some_and(|silent| silent > self.time_ms.into())
+    }
+
+    fn is_on(&self) -> bool {
+        self.node > 0 && self.time_ms > 0
+    }
+}

@@ -1,0 +1,287 @@
+//! The other end of the SDO server: how a tool reads and writes objects (CiA 301). Segments for
+//! whatever is longer than 4 bytes.
+//!
+//! A transfer is a value that takes the server's answers and gives the next request; it has no
+//! clock and no line, so whoever drives it decides how long to wait.
+
+use core::{error::Error, fmt};
+
+use trueup_link::{
+    frame::Frame,
+    layout::{SDO_ANSWER_ID, SDO_REQUEST_ID},
+};
+
+use super::{Abort, SEGMENT, initiated, is_toggled, size_byte};
+
+/// An object: index and sub-index.
+pub type At = (u16, u8);
+
+/// Why a transfer has failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ClientError {
+    /// The server has ended it with this code.
+    Aborted {
+        /// Of this object.
+        at: At,
+        /// The code, as CiA 301 lists it.
+        code: u32,
+    },
+    /// The answer is none to what was asked.
+    Unexpected {
+        /// Of this object.
+        at: At,
+        /// The answer.
+        answer: [u8; 8],
+    },
+}
+
+impl fmt::Display for ClientError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Aborted { at: (index, subindex), code } => {
+                write!(f, "object {index:04X}:{subindex}: ")?;
+                match Abort::ALL.into_iter().find(|abort| abort.code() == code) {
+                    Some(abort) => f.write_str(abort.text())?,
+                    None => f.write_str("refused")?,
+                }
+                write!(f, " (abort code {code:08X})")
+            }
+            Self::Unexpected { at: (index, subindex), answer } => {
+                write!(f, "object {index:04X}:{subindex}: {answer:02X?} is no answer to this")
+            }
+        }
+    }
+}
+
+impl Error for ClientError {}
+
+/// An object that is being read.
+#[derive(Clone, Copy, Debug)]
+pub struct Upload {
+    at: At,
+    /// `None` before the answer to the start.
+    toggle: Option<bool>,
+    announced: Option<u32>,
+}
+
+impl Upload {
+    /// Starts it, with the first request.
+    #[must_use]
+    pub fn start(at: At) -> (Self, Frame) {
+        let this = Self { at, toggle: None, announced: None };
+        (this, request(initiated(0x40, at, 0)))
+    }
+
+    /// Bytes that the server has announced; `None` before it has.
+    #[must_use]
+    pub const fn announced(&self) -> Option<u32> {
+        self.announced
+    }
+
+    /// Takes a frame from the bus. The bytes that it brings go into `bytes`. Gives the next request;
+    /// `None`: all is there. A frame that is no answer of an SDO server changes nothing, nor does,
+    /// before the start is answered, what somebody who was here before has asked for.
+    ///
+    /// # Errors
+    /// [`ClientError`]: the transfer is over.
+    pub fn hear(
+        &mut self,
+        frame: &Frame,
+        bytes: &mut impl Extend<u8>,
+    ) -> Result<Progress, ClientError> {
+        let Some(answer) = answer(frame) else { return Ok(Progress::Unchanged) };
+        let &[command, _, _, _, a, b, c, d] = answer;
+        let unexpected = ClientError::Unexpected { at: self.at, answer: *answer };
+        match (command >> 5, self.toggle) {
+            (_, None) if !is_of(answer, self.at) => Ok(Progress::Unchanged),
+            (4, _) => Err(aborted(answer, self.at)),
+            (2, None) => {
+                if command & 2 == 0 {
+                    self.announced = (command & 1 != 0).then(|| u32::from_le_bytes([a, b, c, d]));
+                    self.toggle = Some(false);
+                    return Ok(Progress::Ask(request([0x60, 0, 0, 0, 0, 0, 0, 0])));
+                }
+                let unused = if command & 1 != 0 { usize::from(command >> 2 & 3) } else { 0 };
+                bytes.extend([a, b, c, d].into_iter().take(4_usize.saturating_sub(unused)));
+                Ok(Progress::Done)
+            }
+            (0, Some(toggle)) if is_toggled(command) == toggle => {
+                let [_, data @ ..] = answer;
+                let length = SEGMENT.saturating_sub(usize::from(command >> 1 & 7));
+                bytes.extend(data.iter().copied().take(length));
+                if command & 1 != 0 {
+                    return Ok(Progress::Done);
+                }
+                self.toggle = Some(!toggle);
+                Ok(Progress::Ask(request([0x60 | u8::from(!toggle) << 4, 0, 0, 0, 0, 0, 0, 0])))
+            }
+            _ => Err(unexpected),
+        }
+    }
+}
+
+/// What an answer has led to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Progress {
+    /// It was no answer.
+    Unchanged,
+    /// This is to be asked next.
+    Ask(Frame),
+    /// The transfer is done.
+    Done,
+}
+
+/// An object that is being written.
+#[derive(Clone, Copy, Debug)]
+pub struct Download<'d> {
+    at: At,
+    data: &'d [u8],
+    /// The start was answered.
+    is_answered: bool,
+    /// Where the next segment begins.
+    next: usize,
+    /// Of the segment that is being answered.
+    toggle: bool,
+    is_expedited: bool,
+}
+
+impl<'d> Download<'d> {
+    /// Starts it, with the first request.
+    #[must_use]
+    pub fn start(at: At, data: &'d [u8]) -> (Self, Frame) {
+        let is_expedited = (1..=4).contains(&data.len());
+        let this = Self { at, data, is_answered: false, next: 0, toggle: true, is_expedited };
+        let first = if is_expedited {
+            let mut number = [0; 4];
+            number.iter_mut().zip(data).for_each(|(place, byte)| *place = *byte);
+            let unused = 4_u8.saturating_sub(size_byte(data.len()));
+            initiated(0x23 | unused << 2, at, u32::from_le_bytes(number))
+        } else {
+            initiated(0x21, at, u32::try_from(data.len()).unwrap_or(u32::MAX))
+        };
+        (this, request(first))
+    }
+
+    /// Bytes that were sent.
+    #[must_use]
+    pub fn sent(&self) -> usize {
+        self.next.min(self.data.len())
+    }
+
+    /// Takes a frame from the bus, as [`Upload::hear`].
+    ///
+    /// # Errors
+    /// [`ClientError`]: the transfer is over.
+    pub fn hear(&mut self, frame: &Frame) -> Result<Progress, ClientError> {
+        let Some(answer) = answer(frame) else { return Ok(Progress::Unchanged) };
+        let &[command, ..] = answer;
+        match (command >> 5, self.is_answered) {
+            (_, false) if !is_of(answer, self.at) => Ok(Progress::Unchanged),
+            (4, _) => Err(aborted(answer, self.at)),
+            (3, false) => {
+                if self.is_expedited {
+                    return Ok(Progress::Done);
+                }
+                self.is_answered = true;
+                Ok(Progress::Ask(self.segment()))
+            }
+            (1, true) if is_toggled(command) == self.toggle => {
+                if self.next >= self.data.len() {
+                    return Ok(Progress::Done);
+                }
+                Ok(Progress::Ask(self.segment()))
+            }
+            _ => Err(ClientError::Unexpected { at: self.at, answer: *answer }),
+        }
+    }
+
+    fn segment(&mut self) -> Frame {
+        let rest = self.data.get(self.next..).unwrap_or_default();
+        let part = rest.get(..SEGMENT).unwrap_or(rest);
+        self.toggle = !self.toggle;
+        self.next = self.next.saturating_add(SEGMENT);
+        let unused = size_byte(SEGMENT).saturating_sub(size_byte(part.len()));
+        let is_last = part.len() == rest.len();
+        let mut data = [0; 8];
+        let [head, places @ ..] = &mut data;
+        *head = u8::from(self.toggle) << 4 | unused << 1 | u8::from(is_last);
+        places.iter_mut().zip(part).for_each(|(place, byte)| *place = *byte);
+        request(data)
+    }
+}
+
+fn request(data: [u8; 8]) -> Frame {
+    Frame::full(SDO_REQUEST_ID, data)
+}
+
+/// The bytes of a frame that is an answer of the bridge.
+fn answer(frame: &Frame) -> Option<&[u8; 8]> {
+    (frame.id() == SDO_ANSWER_ID && usize::from(frame.len()) == Frame::MAX_LEN)
+        .then(|| frame.data())
+}
+
+fn is_of(answer: &[u8; 8], at: At) -> bool {
+    let &[_, low, high, subindex, ..] = answer;
+    (u16::from_le_bytes([low, high]), subindex) == at
+}
+
+fn aborted(answer: &[u8; 8], at: At) -> ClientError {
+    let &[_, _, _, _, a, b, c, d] = answer;
+    ClientError::Aborted { at, code: u32::from_le_bytes([a, b, c, d]) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::{vec, vec::Vec};
+
+    #[test]
+    fn the_abort_codes_rise_so_each_is_there_once() {
+        assert!(Abort::ALL.map(Abort::code).is_sorted_by(|a, b| a < b));
+    }
+
+    #[test]
+    fn what_somebody_before_has_asked_for_is_no_answer_to_a_start() {
+        let at = (0x2001, 1);
+        let stale = [
+            initiated(0x80, (0x2100, 2), Abort::Toggle.code()),
+            initiated(0x80, (0, 0), Abort::Command.code()),
+            initiated(0x60, (0x2100, 2), 0),
+            [0x20, 0, 0, 0, 0, 0, 0, 0],
+            [0x01, 1, 2, 3, 4, 5, 6, 7],
+        ];
+        let (mut upload, _) = Upload::start(at);
+        let (mut download, _) = Download::start(at, &[1]);
+        let mut bytes = Vec::new();
+        for answer in stale {
+            let frame = Frame::full(SDO_ANSWER_ID, answer);
+            assert_eq!(upload.hear(&frame, &mut bytes), Ok(Progress::Unchanged));
+            assert_eq!(download.hear(&frame), Ok(Progress::Unchanged));
+        }
+        let answer = Frame::full(SDO_ANSWER_ID, initiated(0x4F, at, 3));
+        assert_eq!(upload.hear(&answer, &mut bytes), Ok(Progress::Done));
+        assert_eq!(bytes, [3]);
+        let answer = Frame::full(SDO_ANSWER_ID, initiated(0x60, at, 0));
+        assert_eq!(download.hear(&answer), Ok(Progress::Done));
+    }
+
+    proptest! {
+        #[test]
+        fn no_answer_panics_or_goes_on_for_ever(
+            answers in prop::collection::vec(any::<[u8; 8]>(), 0..50), length in 0_usize..40,
+        ) {
+            let data = vec![7; length];
+            let (mut up, _) = Upload::start((0x2100, 1));
+            let (mut down, _) = Download::start((0x2100, 2), &data);
+            let mut bytes = Vec::new();
+            for answer in &answers {
+                let frame = Frame::full(SDO_ANSWER_ID, *answer);
+                up.hear(&frame, &mut bytes).ok();
+                down.hear(&frame).ok();
+            }
+            prop_assert!(bytes.len() <= 7 * answers.len());
+            prop_assert!(down.sent() <= length);
+        }
+    }
+}

@@ -1,0 +1,367 @@
+//! The bridge as it stands on the bus: frames in, samples in, frames out.
+//!
+//! This is the whole of what a board does between its converter and its wires, without any
+//! hardware, so the host can run the same thing.
+//!
+//! The tick makes offsets and nothing else. What a CANopen node has to say besides, the heartbeat,
+//! emergencies, the status, answers to SDO requests, is [`Node::service`], which a board calls from a task that
+//! a tick interrupts.
+
+use trueup_canopen::{
+    emergency::{Emergencies, Fault, Faults},
+    heartbeat::Consumer,
+    sdo,
+};
+use trueup_core::{
+    bridge::{self, Bridge, Input, Reference},
+    calibration::Calibration,
+    cnc::{Command, Flags, Output, Quality},
+    health::Noise,
+    units::Millis,
+};
+use trueup_link::{
+    frame::Frame,
+    frames::{self, State},
+    layout::{HEARTBEAT_PERIOD_MS, NMT_ID, SDO_REQUEST_ID, SERVICE_PERIOD_MS, STATUS_PERIOD_MS},
+    receiver::{Receiver, Refused},
+    status::{self, Reason, Status},
+};
+use trueup_store::load::{Load, Outcome, Slot};
+
+mod network;
+mod objects;
+
+/// The frames of one tick: both halves of a cycle's offsets.
+pub type Frames = [Frame; 2];
+
+/// The bridge, its memory, and its end of the link.
+#[derive(Debug)]
+pub struct Node<'a> {
+    /// `None` without a valid calibration: nothing can be computed then.
+    bridge: Option<Bridge<'a>>,
+    state: bridge::State,
+    receiver: Receiver,
+    now: Millis,
+    blocks: u32,
+    counter: u8,
+    since_heartbeat_ms: u32,
+    heartbeat_period_ms: u16,
+    /// The boot-up message was sent, which comes in the place of the first heartbeat.
+    has_booted: bool,
+    consumer: Consumer,
+    /// When [`Node::service`] last ran.
+    serviced: Millis,
+    /// The flags of all ticks since then.
+    flags_since: Flags,
+    server: sdo::Server,
+    answer: Option<Frame>,
+    emergencies: Emergencies,
+    /// Of the board, which stay.
+    board_faults: Faults,
+    /// The blob of the running calibration.
+    blob: &'a [u8],
+    slot: Slot<'a>,
+    noise: Noise,
+    until_status_ms: u32,
+    /// Which item the next status frame is about, and its counter.
+    status_item: u8,
+    status_counter: u8,
+    last_refused: Reason,
+    restart: bool,
+    degraded: bool,
+    last: Output,
+    /// `Zero` in the last `Control`; at the start as if it had been set.
+    zero_bit: bool,
+    zero: Option<Zero>,
+}
+
+/// What came of a `Zero`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Zero {
+    /// The reference is another one now.
+    Taken(Reference),
+    /// It is as it was: an input is missing, or the error is no other.
+    Unchanged,
+}
+
+impl<'a> Node<'a> {
+    /// A node that has just been switched on. `degraded` marks every frame of a board that runs on
+    /// a fall-back.
+    #[must_use]
+    pub fn new(calibration: Option<Calibration<'a>>, degraded: bool) -> Self {
+        Self {
+            bridge: calibration.map(Bridge::new),
+            state: bridge::State::default(),
+            receiver: Receiver::default(),
+            now: Millis::default(),
+            blocks: 0,
+            counter: 0,
+            since_heartbeat_ms: 0,
+            heartbeat_period_ms: default_heartbeat_ms(),
+            has_booted: false,
+            consumer: Consumer::default(),
+            serviced: Millis::default(),
+            flags_since: Flags::NONE,
+            server: sdo::Server::default(),
+            answer: None,
+            emergencies: Emergencies::default(),
+            board_faults: Faults::default(),
+            blob: &[],
+            slot: Slot::None,
+            noise: Noise::default(),
+            until_status_ms: 0,
+            status_item: 0,
+            status_counter: 0,
+            last_refused: Reason::None,
+            restart: false,
+            degraded,
+            last: Output::default(),
+            zero_bit: true,
+            zero: None,
+        }
+    }
+
+    /// Lets a CANopen master read the blob of the running calibration.
+    pub fn set_blob(&mut self, blob: &'a [u8]) {
+        self.blob = blob;
+    }
+
+    /// Lets a CANopen master load a calibration through this buffer; without one it is told that
+    /// nothing can be stored.
+    pub fn set_buffer(&mut self, buffer: &'a mut [u8]) {
+        self.slot = Slot::new(buffer);
+    }
+
+    /// Notes what is wrong with the board.
+    pub fn note(&mut self, fault: Fault) {
+        self.board_faults = self.board_faults.with_if(true, fault);
+    }
+
+    /// A calibration that has come whole, once: it is to be looked at, stored, and given back.
+    pub fn take_load(&mut self) -> Option<Load<'a>> {
+        self.slot.take()
+    }
+
+    /// Gives it back, and lets the master know what came of it.
+    pub fn end_load(&mut self, load: Load<'a>, outcome: Outcome) {
+        let outcome = self.slot.give_back(load, outcome).map_err(objects::abort);
+        self.answer = self.server.end(outcome).or(self.answer);
+    }
+
+    /// Takes a frame from the bus. Gives the command it carried, `None` if it is nobody's here.
+    ///
+    /// # Errors
+    /// A frame for this node that is damaged, repeated or out of order; it is counted and has no
+    /// effect.
+    pub fn hear(&mut self, frame: &Frame) -> Result<Option<Command>, Refused> {
+        if frame.id() == SDO_REQUEST_ID {
+            // Taken out, because what it reads and writes is the rest of this node.
+            let mut server = self.server;
+            self.answer = server.hear(frame, self).or(self.answer);
+            self.server = server;
+            return Ok(None);
+        }
+        if frame.id() == NMT_ID {
+            self.network_command(frame);
+            return Ok(None);
+        }
+        self.consumer.hear(frame);
+        let heard = self.receiver.accept(frame);
+        if let Err(refused) = &heard {
+            self.last_refused = Reason::of(refused);
+        }
+        let command = heard?;
+        if let (Some(bridge), Some(command)) = (&self.bridge, command) {
+            let before = self.state.reference();
+            bridge.hear(&mut self.state, command);
+            self.note_zero(command, before);
+        }
+        Ok(command)
+    }
+
+    fn note_zero(&mut self, command: Command, before: Reference) {
+        let Command::Control(control) = command else { return };
+        let was_set = core::mem::replace(&mut self.zero_bit, control.zero);
+        let now = self.state.reference();
+        if now != before {
+            self.zero = Some(Zero::Taken(now));
+        } else if control.zero && !was_set && self.zero.is_none() {
+            self.zero = Some(Zero::Unchanged);
+        }
+    }
+
+    /// What came of the last `Zero`, once.
+    pub fn take_zero(&mut self) -> Option<Zero> {
+        self.zero.take()
+    }
+
+    /// Takes up a reference that was stored.
+    pub fn set_reference(&mut self, reference: Reference) {
+        self.state.set_reference(reference);
+    }
+
+    /// One tick that ends `elapsed_ms` after the last one. Gives the frames to send.
+    pub fn tick(&mut self, elapsed_ms: u32, input: Input<'_>) -> Frames {
+        self.now = self.now.after(elapsed_ms);
+        if input.codes.is_some() {
+            self.blocks = self.blocks.wrapping_add(1);
+        }
+        let mut output = match &self.bridge {
+            Some(bridge) => bridge.tick(&mut self.state, self.now, input),
+            None => Output { quality: Quality::Fault, age_ms: u8::MAX, ..Output::default() },
+        };
+        output.flags = output.flags.with_if(self.degraded, Flags::BOARD_DEGRADED);
+        self.last = output;
+
+        self.flags_since = self.flags_since.with(output.flags);
+        let counter = self.counter;
+        self.counter = counter.wrapping_add(1);
+        [frames::offset_xy(&output, counter), frames::offset_z(&output, counter)]
+    }
+
+    /// Whether it is time for [`Node::service`].
+    #[must_use]
+    pub fn service_is_due(&self) -> bool {
+        self.now.since(self.serviced) >= SERVICE_PERIOD_MS
+    }
+
+    /// What there is to say besides the offsets: the heartbeat, an emergency, the status, or the
+    /// answer to an SDO request, in this order, one frame at most. On the bus they share a place, so there are
+    /// [`SERVICE_PERIOD_MS`] from one to the next, however often this is called.
+    // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
+    #[inline(never)]
+    pub fn service(&mut self) -> Option<Frame> {
+        if !self.service_is_due() {
+            return None;
+        }
+        let elapsed_ms = self.now.since(self.serviced);
+        self.serviced = self.now;
+        let output = self.last;
+        // A fault of a single tick is not overlooked.
+        let flags = core::mem::take(&mut self.flags_since);
+        self.consumer.tick(elapsed_ms);
+        let seen = self.faults(&Output { flags, ..output });
+        let now = self.faults(&output);
+        self.emergencies.note(elapsed_ms, seen);
+        self.answer = self.server.tick(elapsed_ms).or(self.answer);
+        self.since_heartbeat_ms = self.since_heartbeat_ms.saturating_add(elapsed_ms);
+        self.until_status_ms = self.until_status_ms.saturating_sub(elapsed_ms);
+        self.heartbeat(&output)
+            .or_else(|| self.emergencies.next(now, &output))
+            .or_else(|| self.status())
+            .or_else(|| self.answer.take())
+    }
+
+    /// The heartbeat, if it is due. One that had to wait does not put off those after it.
+    fn heartbeat(&mut self, output: &Output) -> Option<Frame> {
+        let period_ms = u32::from(self.heartbeat_period_ms);
+        let has_booted = core::mem::replace(&mut self.has_booted, true);
+        if has_booted && (period_ms == 0 || self.since_heartbeat_ms < period_ms) {
+            return None;
+        }
+        let late_ms = self.since_heartbeat_ms.checked_rem(period_ms);
+        self.since_heartbeat_ms = if has_booted { late_ms.unwrap_or(0) } else { 0 };
+        Some(frames::heartbeat(match output.quality {
+            _ if !has_booted => State::BootUp,
+            Quality::Fault => State::Stopped,
+            _ => State::Operational,
+        }))
+    }
+
+    /// The status, if it is due: each time about the next item. One that had to wait puts off those
+    /// after it.
+    fn status(&mut self) -> Option<Frame> {
+        if self.until_status_ms > 0 {
+            return None;
+        }
+        self.until_status_ms = STATUS_PERIOD_MS;
+        let (item, counter) = (self.status_item, self.status_counter);
+        self.status_item = item.wrapping_add(1) & status::LAST_ITEM;
+        self.status_counter = counter.wrapping_add(1);
+        let status = Status { last_refused: self.last_refused, item: self.item(item) };
+        Some(status::encode(&status, counter))
+    }
+
+    /// What is wrong, with an output like this.
+    fn faults(&self, output: &Output) -> Faults {
+        let board = self.board_faults;
+        let known = [Fault::Crystal, Fault::Pll, Fault::Can].iter().any(|fault| board.has(*fault));
+        Faults::of(output)
+            .and(board)
+            .with_if(self.bridge.is_none(), Fault::NoCalibration)
+            .with_if(self.consumer.is_lost(), Fault::HeartbeatLost)
+            .with_if(self.degraded && !known, Fault::Degraded)
+    }
+
+    /// The time of the last tick.
+    #[must_use]
+    pub fn now(&self) -> Millis {
+        self.now
+    }
+
+    /// Blocks of samples taken so far; wraps.
+    #[must_use]
+    pub fn blocks(&self) -> u32 {
+        self.blocks
+    }
+
+    /// What the last tick gave.
+    #[must_use]
+    pub fn last(&self) -> &Output {
+        &self.last
+    }
+
+    /// What was received and refused so far.
+    #[must_use]
+    pub fn receiver(&self) -> &Receiver {
+        &self.receiver
+    }
+
+    /// The noise of the raw codes since the last call.
+    pub fn take_noise(&mut self) -> Noise {
+        self.noise = self.state.take_noise();
+        self.noise
+    }
+}
+
+fn default_heartbeat_ms() -> u16 {
+    u16::try_from(HEARTBEAT_PERIOD_MS).unwrap_or(u16::MAX)
+}
+
+#[cfg(test)]
+mod tests;
+
+/// A bridge with a sensor and nothing else.
+#[cfg(test)]
+pub(crate) fn tests_calibration() -> Calibration<'static> {
+    use trueup_core::{
+        calibration::{ElongationSource, SpindleModel},
+        kinematics::Kinematics,
+        limits::Limits,
+        sensor::{SensorLaw, Slope},
+        tool::Direction,
+        units::{Nanometres, Reading},
+    };
+    Calibration {
+        thermometers: [None; 8],
+        spindle: SpindleModel {
+            chain: [Some(ElongationSource::Sensor), None, None],
+            sensor: SensorLaw { k0: Nanometres(0), zero: Reading(0), slope: Slope(1 << 28) },
+            ..SpindleModel::default()
+        },
+        kinematics: Kinematics { zero: Direction::DOWN, axes: [None; 2] },
+        axes: Default::default(),
+        straightness: Default::default(),
+        squareness: Default::default(),
+        terms: Default::default(),
+        limits: Limits {
+            max: [Nanometres(500_000); 3],
+            slew_nm_per_s: 1_000,
+            link_timeout_ms: 500,
+            hold_ms: 2_000,
+        },
+    }
+}
+
+#[cfg(test)]
+mod tick_tests;

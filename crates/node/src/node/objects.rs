@@ -1,0 +1,189 @@
+//! What stands behind the object dictionary: the node's own values.
+
+use trueup_canopen::{
+    dictionary::{Counter, ELONGATION_INPUT, FORGET, NOT_AVAILABLE, What},
+    sdo::{Abort, Datum, Objects},
+};
+use trueup_core::{
+    bridge::Reference,
+    cnc::Quality,
+    units::{Nanometres, Temperature},
+};
+use trueup_link::{layout::NO_TEMPERATURE_RAW, status::Item};
+use trueup_store::{calibration::identity, load::LoadError};
+
+use super::{Node, Zero};
+
+impl Node<'_> {
+    /// Whether no offset is followed: only then may the board be changed under it.
+    pub(super) fn is_at_rest(&self) -> bool {
+        matches!(self.last.quality, Quality::Off | Quality::Fault)
+    }
+
+    /// A process value in thousandths of its unit.
+    fn input(&self, number: u8) -> Option<i32> {
+        if number.saturating_add(1) == ELONGATION_INPUT {
+            return self.state.elongation().map(|elongation| elongation.0);
+        }
+        let Temperature(temperature) = self.state.temperature(number)?;
+        const HALF: i32 = Temperature::PER_MILLIKELVIN / 2;
+        temperature.saturating_add(HALF).checked_div_euclid(Temperature::PER_MILLIKELVIN)
+    }
+
+    fn counter(&self, counter: Counter) -> u32 {
+        let counters = self.receiver.counters();
+        match counter {
+            Counter::Accepted => counters.accepted,
+            Counter::Malformed => counters.malformed,
+            Counter::Crc => counters.crc_errors,
+            Counter::Sequence => counters.sequence_errors,
+            Counter::Lost => counters.lost,
+        }
+    }
+
+    /// RMS noise in thousandths of a code: the second differences have six times its variance.
+    fn noise_thousandths(&self) -> u32 {
+        let squares = u64::from(self.noise.squares).saturating_mul(1_000_000);
+        let mean = squares.checked_div(u64::from(self.noise.count).saturating_mul(6));
+        u32::try_from(mean.unwrap_or(0).isqrt()).unwrap_or(u32::MAX)
+    }
+
+    // Not a part of its caller, which has dealt with some of these: the compiler would put a trap
+    // where they cannot come, and no trap may be reachable from a frame (host-tests, no_panic).
+    #[inline(never)]
+    fn number(&self, what: What) -> Result<u32, Abort> {
+        let signed = |number: i32| number.cast_unsigned();
+        let nanometres = |length: Nanometres| signed(length.0);
+        let reference = self.state.reference();
+        Ok(match what {
+            What::Fixed(number) => number,
+            What::ErrorRegister => self.faults(&self.last).register().into(),
+            What::ErrorCount => u32::try_from(self.emergencies.count()).unwrap_or(u32::MAX),
+            What::Error(number) => self.emergencies.error(number).ok_or(Abort::NoData)?,
+            What::Inhibit => self.emergencies.inhibit().into(),
+            What::ConsumerHeartbeat => self.consumer.setting(),
+            What::ProducerHeartbeat => self.heartbeat_period_ms.into(),
+            What::Offset(axis) => {
+                let offset = self.last.offset.and_then(|all| all.get(usize::from(axis)).copied());
+                offset.map_or(signed(NOT_AVAILABLE), nanometres)
+            }
+            What::Quality => self.last.quality as u32,
+            What::Flags => self.last.flags.0.into(),
+            What::Age => self.last.age_ms.into(),
+            What::Faults => self.faults(&self.last).bits().into(),
+            What::Clock => self.now.0,
+            What::ReferenceElongation => nanometres(reference.elongation),
+            What::Reference(axis) => {
+                let axis = reference.axes.get(usize::from(axis)).ok_or(Abort::NoSubindex)?;
+                nanometres(axis.rounded())
+            }
+            What::HasReference => (reference != Reference::default()).into(),
+            What::Noise => self.noise_thousandths(),
+            What::Counter(counter) => self.counter(counter),
+            What::RunningCrc if self.blob.is_empty() => 0,
+            What::RunningCrc => identity(self.blob),
+            What::NewCrc => self.slot.stored().map_or(0, identity),
+            What::Input(number) => signed(self.input(number).unwrap_or(NOT_AVAILABLE)),
+            What::InputStatus(number) => self.input(number).is_none().into(),
+            What::Forget => return Err(Abort::WriteOnly),
+            What::Text(_) | What::Running | What::New => return Err(Abort::NoData),
+        })
+    }
+}
+
+impl Node<'_> {
+    /// What a status frame about this item says.
+    pub(super) fn item(&self, number: u8) -> Item {
+        let short = |number: u32| u16::try_from(number).unwrap_or(u16::MAX);
+        let counters = self.receiver.counters();
+        match number {
+            pair @ 0..=3 => {
+                let first = pair.saturating_mul(2);
+                let both = [first, first.saturating_add(1)];
+                Item::Temperatures { pair, centi_c: both.map(|channel| self.centi_c(channel)) }
+            }
+            4 => Item::Elongation(self.state.elongation()),
+            5 => Item::Refused {
+                damaged: short(counters.crc_errors),
+                out_of_sequence: short(counters.sequence_errors),
+            },
+            6 => {
+                Item::Received { malformed: short(counters.malformed), lost: short(counters.lost) }
+            }
+            _ => Item::Board {
+                noise_thousandths: short(self.noise_thousandths()),
+                faults: self.faults(&self.last).bits(),
+            },
+        }
+    }
+
+    /// A temperature in 0.01 °C.
+    fn centi_c(&self, channel: u8) -> Option<i16> {
+        const STEP: i32 = 10 * Temperature::PER_MILLIKELVIN;
+        let Temperature(temperature) = self.state.temperature(channel)?;
+        let rounded = temperature.saturating_add(STEP / 2).div_euclid(STEP);
+        // The ends are beyond what a thermometer reads.
+        i16::try_from(rounded).ok().filter(|it| i32::from(*it) != NO_TEMPERATURE_RAW)
+    }
+}
+
+/// What a master is told of a calibration that is not loaded.
+pub(super) const fn abort(error: LoadError) -> Abort {
+    match error {
+        LoadError::TooLong => Abort::TooLong,
+        LoadError::Busy => Abort::DeviceState,
+        LoadError::Refused => Abort::Value,
+        LoadError::NotStored => Abort::CannotStore,
+    }
+}
+
+impl Objects for Node<'_> {
+    fn read(&self, what: What) -> Result<Datum<'_>, Abort> {
+        Ok(Datum::Bytes(match what {
+            What::Text(text) => text.as_bytes(),
+            What::Running if !self.blob.is_empty() => self.blob,
+            What::New => self.slot.stored().ok_or(Abort::NoData)?,
+            number => return self.number(number).map(Datum::Number),
+        }))
+    }
+
+    fn write(&mut self, what: What, number: u32) -> Result<(), Abort> {
+        let short = || u16::try_from(number).map_err(|_| Abort::Value);
+        match what {
+            What::ErrorCount if number == 0 => self.emergencies.clear(),
+            What::Inhibit => self.emergencies.set_inhibit(short()?),
+            What::ConsumerHeartbeat => self.consumer.set(number)?,
+            What::ProducerHeartbeat => {
+                self.heartbeat_period_ms = short()?;
+                self.since_heartbeat_ms = 0;
+            }
+            What::Forget if number != FORGET => return Err(Abort::Value),
+            // The offset would walk away under the tool.
+            What::Forget if !self.is_at_rest() => return Err(Abort::DeviceState),
+            What::Forget => {
+                self.state.set_reference(Reference::default());
+                self.zero = Some(Zero::Taken(Reference::default()));
+            }
+            _ => return Err(Abort::Value),
+        }
+        Ok(())
+    }
+
+    fn open(&mut self, _: What, size: Option<u32>) -> Result<(), Abort> {
+        if !self.is_at_rest() {
+            return Err(Abort::DeviceState);
+        }
+        self.slot.open(size).map_err(abort)
+    }
+
+    fn append(&mut self, bytes: &[u8]) -> Result<(), Abort> {
+        self.slot.append(bytes).map_err(abort)
+    }
+
+    fn close(&mut self) -> Result<(), Abort> {
+        if !self.is_at_rest() {
+            return Err(Abort::DeviceState);
+        }
+        self.slot.close().map_err(abort)
+    }
+}

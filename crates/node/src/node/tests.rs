@@ -1,0 +1,416 @@
+//! What a CANopen master has of a node: its heartbeat, emergencies, objects, and a calibration.
+
+use super::*;
+use std::{boxed::Box, vec, vec::Vec};
+use trueup_canopen::{
+    dictionary::{Access, FORGET, OBJECTS, Type},
+    sdo::Abort,
+};
+use trueup_core::cnc::Control;
+use trueup_link::layout::{CONTROL_ID, EMERGENCY_ID, HEARTBEAT_ID, SDO_ANSWER_ID};
+use trueup_store::calibration::{MAX_SIZE, encode, identity};
+
+fn blob() -> Vec<u8> {
+    encode(&super::tests_calibration(), &mut [0; MAX_SIZE]).expect("it is small").to_vec()
+}
+
+/// Lets so many milliseconds pass without samples; gives what was said besides the offsets.
+fn pass(node: &mut Node<'_>, ms: u32) -> Vec<Frame> {
+    let said = (0..ms).flat_map(|_| {
+        node.tick(1, Input::default());
+        node.service()
+    });
+    said.collect()
+}
+
+fn hear(node: &mut Node<'_>, data: [u8; 8]) {
+    let request = Frame::new(SDO_REQUEST_ID, &data).expect("a full frame");
+    assert_eq!(node.hear(&request), Ok(None));
+}
+
+/// What is answered to a request within 200 ms.
+fn ask(node: &mut Node<'_>, data: [u8; 8]) -> [u8; 8] {
+    hear(node, data);
+    for _ in 0..200 {
+        if let Some(answer) = pass(node, 1).iter().find(|frame| frame.id() == SDO_ANSWER_ID) {
+            return *answer.data();
+        }
+    }
+    panic!("no answer to {data:02X?}");
+}
+
+fn request(command: u8, index: u16, subindex: u8, number: u32) -> [u8; 8] {
+    let ([low, high], [a, b, c, d]) = (index.to_le_bytes(), number.to_le_bytes());
+    [command, low, high, subindex, a, b, c, d]
+}
+
+fn read(node: &mut Node<'_>, index: u16, subindex: u8) -> Result<u32, u32> {
+    let answer = ask(node, request(0x40, index, subindex, 0));
+    let number = u32::from_le_bytes(*answer.last_chunk().expect("8 bytes"));
+    if answer[0] == 0x80 { Err(number) } else { Ok(number) }
+}
+
+fn write(node: &mut Node<'_>, index: u16, subindex: u8, number: u32) -> Result<(), u32> {
+    let answer = ask(node, request(0x22, index, subindex, number));
+    let abort = u32::from_le_bytes(*answer.last_chunk().expect("8 bytes"));
+    if answer[0] == 0x80 { Err(abort) } else { Ok(()) }
+}
+
+/// Sends a whole domain; the answer to the last segment is still to come.
+fn send_calibration(node: &mut Node<'_>, bytes: &[u8]) {
+    let size = u32::try_from(bytes.len()).expect("a blob");
+    assert_eq!(ask(node, request(0x21, 0x2100, 2, size))[0], 0x60);
+    let last = bytes.chunks(7).count() - 1;
+    for (number, part) in bytes.chunks(7).enumerate() {
+        let mut data = [0; 8];
+        data[0] = u8::from(number % 2 == 1) << 4
+            | (7 - u8::try_from(part.len()).expect("7 at most")) << 1;
+        data[1..=part.len()].copy_from_slice(part);
+        if number == last {
+            data[0] |= 1;
+            return hear(node, data);
+        }
+        assert_eq!(ask(node, data)[0] & 0xEF, 0x20);
+    }
+}
+
+/// Reads a whole domain.
+fn read_domain(node: &mut Node<'_>, index: u16, subindex: u8) -> Vec<u8> {
+    assert_eq!(ask(node, request(0x40, index, subindex, 0))[0], 0x41);
+    let mut bytes = Vec::new();
+    for toggle in [0, 0x10].into_iter().cycle() {
+        let answer = ask(node, [0x60 | toggle, 0, 0, 0, 0, 0, 0, 0]);
+        bytes.extend(&answer[1..8 - usize::from(answer[0] >> 1 & 7)]);
+        if answer[0] & 1 != 0 {
+            break;
+        }
+    }
+    bytes
+}
+
+/// A node with all that a board gives it.
+fn whole<'a>(blob: &'a [u8], buffer: &'a mut [u8]) -> Node<'a> {
+    let mut node = Node::new(Some(tests_calibration()), false);
+    node.set_blob(blob);
+    node.set_buffer(buffer);
+    node
+}
+
+#[test]
+fn every_object_that_can_be_read_is_answered_with_its_type() {
+    let (blob, mut buffer) = (blob(), vec![0; MAX_SIZE]);
+    let mut node = whole(&blob, &mut buffer);
+    for object in OBJECTS {
+        for entry in object.entries {
+            let answer = ask(&mut node, request(0x40, object.index, entry.subindex, 0));
+            let at = (object.index, entry.subindex);
+            let (kind, size) = (answer[0] >> 5, 4 - usize::from(answer[0] >> 2 & 3));
+            let abort = u32::from_le_bytes(*answer.last_chunk().expect("8 bytes"));
+            match (entry.kind, entry.access) {
+                (_, Access::Write) => assert_eq!(abort, Abort::WriteOnly.code()),
+                // No error was there yet, or fewer; nothing was loaded.
+                _ if kind == 4 => {
+                    assert_eq!(abort, Abort::NoData.code(), "{at:04X?}");
+                    assert!(object.index == 0x1003 || at == (0x2100, 2));
+                }
+                (Type::Text | Type::Domain, _) => assert_eq!(answer[0], 0x41, "{at:04X?}"),
+                (number, _) => assert_eq!((kind, Some(size)), (2, number.size()), "{at:04X?}"),
+            }
+        }
+    }
+}
+
+#[test]
+fn a_loaded_calibration_is_checked_stored_and_read_back() {
+    let (running, mut buffer) = (blob(), vec![0; MAX_SIZE]);
+    let mut node = whole(&running, &mut buffer);
+    assert_eq!(read_domain(&mut node, 0x2100, 1), running);
+    assert_eq!(read(&mut node, 0x2100, 3), Ok(identity(&running)));
+    let mut other = tests_calibration();
+    other.limits.hold_ms += 1;
+    let other = encode(&other, &mut [0; MAX_SIZE]).expect("small").to_vec();
+
+    send_calibration(&mut node, &other);
+    assert_eq!(read(&mut node, 0x2100, 4), Ok(0), "asked before the board has looked at it");
+    for (bytes, fate, answer) in [
+        (other.clone(), Outcome::Stored, [0x20, 0x30].to_vec()),
+        (other.clone(), Outcome::NotStored, [0x80].to_vec()),
+        (vec![7; 700], Outcome::Refused, [0x80].to_vec()),
+    ] {
+        if let Some(load) = node.take_load() {
+            node.end_load(load, Outcome::Refused);
+        }
+        let started = node.now();
+        send_calibration(&mut node, &bytes);
+        assert!(pass(&mut node, 20).iter().all(|frame| frame.id() != SDO_ANSWER_ID));
+        let mut load = node.take_load().expect("it has come whole");
+        assert_eq!(load.check().is_ok(), fate != Outcome::Refused);
+        assert!(node.take_load().is_none());
+        node.end_load(load, fate);
+        let said = pass(&mut node, 5);
+        let end = said.iter().find(|frame| frame.id() == SDO_ANSWER_ID).expect("an answer");
+        assert!(answer.contains(&end.data()[0]), "{fate:?}: {end:?}");
+        let stored = fate == Outcome::Stored;
+        assert_eq!(read(&mut node, 0x2100, 4), Ok(if stored { identity(&other) } else { 0 }));
+        if stored {
+            assert_eq!(read_domain(&mut node, 0x2100, 2), other);
+            let segments = bytes.len().div_ceil(7);
+            let took = node.now().since(started);
+            std::println!("{} bytes, {segments} segments, both ways: {took} ms", bytes.len());
+        } else {
+            assert_eq!(read(&mut node, 0x2100, 2), Err(Abort::NoData.code()));
+        }
+    }
+    assert_eq!(read_domain(&mut node, 0x2100, 1), running, "it runs on until the next start");
+}
+
+#[test]
+fn nothing_is_loaded_or_forgotten_while_an_offset_is_followed_or_without_a_store() {
+    let mut node = Node::new(Some(tests_calibration()), false);
+    let load = |node: &mut Node<'_>| {
+        let answer = ask(node, request(0x21, 0x2100, 2, 700));
+        u32::from_le_bytes(*answer.last_chunk().expect("8 bytes"))
+    };
+    assert_eq!(load(&mut node), Abort::CannotStore.code());
+    node.set_buffer(Box::leak(vec![0; 800].into()));
+    assert_eq!(load(&mut node), 0);
+    let too_long = ask(&mut node, request(0x21, 0x2100, 2, 801));
+    assert_eq!(u32::from_le_bytes(*too_long.last_chunk().unwrap()), Abort::TooLong.code());
+    assert_eq!(write(&mut node, 0x2010, 6, FORGET), Ok(()));
+    assert!(matches!(node.take_zero(), Some(Zero::Taken(_))));
+    assert_eq!(write(&mut node, 0x2010, 6, FORGET + 1), Err(Abort::Value.code()));
+    node.last.quality = Quality::Live;
+    hear(&mut node, request(0x21, 0x2100, 2, 700));
+    let refused = node.answer.expect("at once");
+    let abort = u32::from_le_bytes(*refused.data().last_chunk().unwrap());
+    assert_eq!(abort, Abort::DeviceState.code());
+    hear(&mut node, request(0x22, 0x2010, 6, FORGET));
+    assert_eq!(node.answer, Some(Frame::full(SDO_ANSWER_ID, request(0x80, 0x2010, 6, abort))));
+}
+
+#[test]
+fn settings_are_taken_within_their_range_and_act() {
+    let mut node = Node::new(Some(tests_calibration()), false);
+    let beats = |node: &mut Node<'_>, ms| {
+        pass(node, ms).iter().filter(|frame| frame.id() == HEARTBEAT_ID).count()
+    };
+    assert_eq!(write(&mut node, 0x1017, 0, 20), Ok(()));
+    assert_eq!(beats(&mut node, 1_000), 50);
+    assert_eq!(write(&mut node, 0x1017, 0, 0), Ok(()));
+    assert_eq!(beats(&mut node, 1_000), 0);
+    assert_eq!(write(&mut node, 0x1003, 0, 1), Err(Abort::Value.code()));
+    for wrong in [0x0101_0064, 0x0080_0064, 0x0001_0064] {
+        assert_eq!(write(&mut node, 0x1016, 1, wrong), Err(Abort::Value.code()), "{wrong:X}");
+    }
+    assert_eq!(write(&mut node, 0x1015, 0, 500), Ok(()));
+    assert_eq!(read(&mut node, 0x1015, 0), Ok(500));
+}
+
+fn codes_of(said: &[Frame]) -> Vec<u16> {
+    let emergencies = said.iter().filter(|frame| frame.id() == EMERGENCY_ID);
+    emergencies.map(|frame| u16::from_le_bytes([frame.data()[0], frame.data()[1]])).collect()
+}
+
+#[test]
+fn the_heartbeat_of_a_node_that_was_heard_is_missed() {
+    let mut node = Node::new(Some(tests_calibration()), false);
+    pass(&mut node, 200);
+    assert_eq!(write(&mut node, 0x1016, 1, 0x0002_0032), Ok(()));
+    assert_eq!(codes_of(&pass(&mut node, 200)), [], "it was never heard");
+    let beat = |node: &mut Node<'_>| node.hear(&Frame::new(0x702, &[5]).unwrap()).map(drop);
+    for _ in 0..5 {
+        assert_eq!(beat(&mut node), Ok(()));
+        assert_eq!(codes_of(&pass(&mut node, 50)), []);
+    }
+    assert_eq!(codes_of(&pass(&mut node, 50)), [0x8130]);
+    assert_eq!(read(&mut node, 0x1001, 0).map(|register| register & 0x11), Ok(0x11));
+    assert_eq!(beat(&mut node), Ok(()));
+    assert_eq!(codes_of(&pass(&mut node, 20)), [0]);
+}
+
+#[test]
+fn the_faults_of_the_bridge_and_the_board_are_told_and_remembered() {
+    let mut node = Node::new(None, true);
+    node.note(Fault::Crystal);
+    node.note(Fault::WatchdogReset);
+    assert_eq!(codes_of(&pass(&mut node, 100)), [0x6300, 0x5001, 0x6101]);
+    assert_eq!(read(&mut node, 0x1003, 0), Ok(3));
+    assert_eq!(read(&mut node, 0x1003, 1), Ok(0x000C_6101));
+    assert_eq!(read(&mut node, 0x1001, 0), Ok(0x81));
+    assert_eq!(write(&mut node, 0x1003, 0, 0), Ok(()));
+    assert_eq!(read(&mut node, 0x1003, 0), Ok(0));
+
+    // The converter stops, the CNC comes and goes.
+    let mut node = Node::new(Some(tests_calibration()), true);
+    assert_eq!(codes_of(&pass(&mut node, 100)), [0x7002, 0x9001, 0x5000]);
+    let control = Control { engage: false, referenced: true, zero: false };
+    node.hear(&frames::control(control, 0)).expect("the first");
+    assert_eq!(codes_of(&pass(&mut node, 1_000)), [0x8100]);
+    node.hear(&frames::control(control, 1)).expect("in order");
+    assert_eq!(codes_of(&pass(&mut node, 100)), [0]);
+}
+
+#[test]
+fn two_frames_beside_the_offsets_never_come_in_the_same_or_the_next_tick() {
+    let (blob, mut buffer) = (blob(), vec![0; MAX_SIZE]);
+    let mut node = whole(&blob, &mut buffer);
+    let mut before = 0;
+    let mut answers = 0;
+    for ms in 0..5_000_u32 {
+        hear(&mut node, request(0x40, 0x1000, 0, 0));
+        let said = pass(&mut node, 1);
+        let services = said.len();
+        answers += said.iter().filter(|frame| frame.id() == SDO_ANSWER_ID).count();
+        assert!(before == 0 || services == 0, "at {ms} ms");
+        before = services;
+    }
+    assert!((2_350..=2_400).contains(&answers), "{answers} in 5 s");
+}
+
+fn command(node: &mut Node<'_>, data: &[u8]) {
+    assert_eq!(node.hear(&Frame::new(NMT_ID, data).expect("short")), Ok(None));
+}
+
+#[test]
+fn a_node_restarts_only_when_it_is_asked_itself_and_no_offset_is_followed() {
+    let mut node = Node::new(Some(tests_calibration()), false);
+    pass(&mut node, 10);
+    // To another node, too long, too short; start, stop, pre-operational.
+    let others: [&[u8]; 7] =
+        [&[0x81, 2], &[0x81, 1, 0], &[0x81], &[], &[0x01, 1], &[0x02, 0], &[0x80, 1]];
+    for data in others {
+        command(&mut node, data);
+        assert!(!node.take_restart(), "{data:02X?}");
+    }
+    for data in [[0x81, 1], [0x81, 0]] {
+        command(&mut node, &data);
+        assert_eq!((node.take_restart(), node.take_restart()), (true, false));
+        for quality in [Quality::Live, Quality::Hold, Quality::RampingOut] {
+            node.last.quality = quality;
+            command(&mut node, &data);
+            // Nor does it restart once the offset is gone: that was asked at another time.
+            assert!(!node.take_restart(), "{quality:?}");
+            node.last.quality = Quality::Off;
+            assert!(!node.take_restart(), "{quality:?}");
+        }
+        // Asked in time, but the CNC was quicker.
+        command(&mut node, &data);
+        node.last.quality = Quality::Live;
+        assert!(!node.take_restart());
+        node.last.quality = Quality::Off;
+    }
+}
+
+#[test]
+fn stop_and_start_change_no_frame() {
+    let life = |commands: &[[u8; 2]]| -> Vec<Frame> {
+        let mut node = Node::new(Some(tests_calibration()), false);
+        let sent = (0..400_usize).flat_map(|ms| {
+            if let Some(data) = commands.get(ms / 100).filter(|_| ms % 100 == 50) {
+                command(&mut node, data);
+            }
+            node.tick(1, Input::default()).into_iter().chain(node.service()).collect::<Vec<_>>()
+        });
+        sent.collect()
+    };
+    let left_alone = life(&[]);
+    assert_eq!(life(&[[0x02, 0], [0x80, 1], [0x01, 0]]), left_alone);
+    assert_ne!(life(&[[0x82, 1]]), left_alone, "the comparison sees a boot-up");
+}
+
+#[test]
+fn reset_communication_sets_back_what_cia_301_says_and_the_offsets_go_on() {
+    let mut node = Node::new(Some(tests_calibration()), false);
+    pass(&mut node, 10);
+    for (index, subindex, value) in [(0x1015, 0, 500), (0x1017, 0, 20), (0x1016, 1, 0x0002_0032)] {
+        let command = if index == 0x1016 { 0x23 } else { 0x2B };
+        assert_eq!(ask(&mut node, request(command, index, subindex, value))[0], 0x60);
+    }
+    assert_eq!(ask(&mut node, request(0x40, 0x1008, 0, 0))[0], 0x41);
+    let counter = node.counter;
+    command(&mut node, &[0x82, 0]);
+    let said = pass(&mut node, 150);
+    let beats: Vec<_> = said.iter().filter_map(|it| frames::decode_heartbeat(it).ok()).collect();
+    assert_eq!(beats, [State::BootUp, State::Stopped], "without samples");
+    assert_eq!(node.counter, counter.wrapping_add(150), "a pair a millisecond");
+    assert_eq!(read(&mut node, 0x1015, 0), Ok(100));
+    assert_eq!(read(&mut node, 0x1017, 0), Ok(100));
+    assert_eq!(read(&mut node, 0x1016, 1), Ok(0));
+    let segment = ask(&mut node, [0x60, 0, 0, 0, 0, 0, 0, 0]);
+    assert_eq!(segment[0], 0x80, "the upload that was open is none any more");
+}
+
+#[test]
+fn the_status_tells_each_item_in_turn_and_why_a_frame_was_refused() {
+    use trueup_link::layout::STATUS_ID;
+    use trueup_link::status::{Item, Reason, decode};
+    let mut node = Node::new(Some(tests_calibration()), false);
+    let statuses = |node: &mut Node<'_>, ms| -> Vec<_> {
+        let said = pass(node, ms);
+        let frames = said.iter().filter(|frame| frame.id() == STATUS_ID);
+        frames.map(|frame| (frames::counter(frame), decode(frame).expect("ours"))).collect()
+    };
+    let first = statuses(&mut node, 1_600);
+    assert_eq!(first.len(), 16, "ten a second");
+    for (number, (counter, status)) in (0..).zip(&first) {
+        assert_eq!((*counter, status.last_refused), (number, Reason::None));
+        let item = match status.item {
+            Item::Temperatures { pair, centi_c: [None, None] } => pair,
+            Item::Elongation(None) => 4,
+            Item::Refused { damaged: 0, out_of_sequence: 0 } => 5,
+            Item::Received { malformed: 0, lost: 0 } => 6,
+            Item::Board { noise_thousandths: 0, faults } => {
+                assert_eq!(faults, node.faults(&node.last).bits());
+                7
+            }
+            other => panic!("{other:?}"),
+        };
+        assert_eq!(item, number % 8);
+    }
+    let control = Control { engage: false, referenced: true, zero: false };
+    let frame = |counter| frames::control(control, counter);
+    let mut damaged = *frame(0).data();
+    damaged[4] ^= 1;
+    for (sent, reason, counts) in [
+        (Frame::new(CONTROL_ID, &damaged).unwrap(), Reason::Damaged, [1, 0, 0, 0]),
+        (frame(0), Reason::Damaged, [1, 0, 0, 0]),
+        (frame(0), Reason::Repeated, [1, 1, 0, 0]),
+        (frame(100), Reason::WrongSequence, [1, 2, 0, 0]),
+        (Frame::new(CONTROL_ID, &[0; 7]).unwrap(), Reason::Malformed, [1, 2, 1, 0]),
+        (frame(103), Reason::Malformed, [1, 2, 1, 2]),
+    ] {
+        node.hear(&sent).ok();
+        let mut found = [None; 4];
+        for (_, status) in statuses(&mut node, 800) {
+            assert_eq!(status.last_refused, reason);
+            match status.item {
+                Item::Refused { damaged, out_of_sequence } => {
+                    found[..2].copy_from_slice(&[Some(damaged), Some(out_of_sequence)]);
+                }
+                Item::Received { malformed, lost } => {
+                    found[2..].copy_from_slice(&[Some(malformed), Some(lost)]);
+                }
+                _ => {}
+            }
+        }
+        assert_eq!(found, counts.map(Some), "{reason:?}");
+    }
+}
+
+#[test]
+fn a_fault_of_a_single_tick_is_told_whenever_it_comes() {
+    use trueup_core::{filter::CODES_PER_TICK, units::Code, units::Rpm};
+    let alive: [Code; CODES_PER_TICK] = core::array::from_fn(|n| Code(700 + u16::from(n == 1)));
+    for phase in 0..4 {
+        let mut node = Node::new(Some(tests_calibration()), false);
+        let mut said = Vec::new();
+        for ms in 0..200 {
+            let speed = (ms != 100 + phase).then_some(Rpm(12_000));
+            node.tick(1, Input { codes: Some(&alive), speed, temperatures: None });
+            let is_flagged = node.last().flags.contains(Flags::SPEED_UNKNOWN);
+            assert_eq!(is_flagged, speed.is_none(), "a single tick");
+            said.extend(node.service());
+        }
+        assert_eq!(codes_of(&said), [0x9001, 0], "at {phase}");
+    }
+}

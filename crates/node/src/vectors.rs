@@ -1,0 +1,274 @@
+//! Random lives of a node, the same on every machine: what proves that board and host compute the
+//! same to the bit.
+//!
+//! A vector is one millisecond: frames from the CNC as often as the wire has them, positions that
+//! walk and now and then jump, codes, temperatures. Faults come in phases of 4 s, so long that the
+//! link is given up, the offset held, and the hold ends, and go in phases of 4 s. Every frame that
+//! the node sends goes into an FNV-1a checksum. The random
+//! numbers are xorshift32 (Marsaglia 2003, shifts 13, 17 and 5).
+
+use heapless::Vec;
+use trueup_core::{
+    bridge::Input,
+    calibration::Calibration,
+    cnc::{AxisPosition, Control, Heading, LinearAxis, Rotary, Spindle},
+    filter::CODES_PER_TICK,
+    heat::{CHANNELS, RawTemperatures},
+    thermometer::Raw,
+    units::{Code, MicroDegrees, Position, Rpm},
+};
+use trueup_link::{
+    frame::Frame,
+    frames::{self, CONTROL_PERIOD_MS, POSITION_PERIOD_MS, ROTARY_PERIOD_MS},
+};
+
+use crate::node::{Frames, Node};
+
+/// Where X, Y and Z go, from 0, in positions: a large gantry, and a little beyond its tables.
+const REACH: [u32; 3] = [1_435_000_000, 301_000_000, 251_000_000];
+/// A PT100 at 20 °C in micro-ohms, and a linear chain at 20 °C in 1/256 counts.
+const COLD: [u32; 2] = [107_793_500, 1_105_920];
+
+/// Milliseconds of a phase, as a power of two: 4 s, longer than the default silence after which the
+/// CNC is lost (0.5 s) and the hold after that (2 s) together.
+const PHASE_BITS: u32 = 12;
+/// What is wrong in every other phase, in turn.
+const FAULTS: [Fault; 6] = [
+    Fault::NoPositions,
+    Fault::NoAngles,
+    Fault::SilentCnc,
+    Fault::LetsGo,
+    Fault::DeadSensor,
+    Fault::NoTemperatures,
+];
+/// Vectors until every fault has been there, with the phase before each.
+pub const ALL_FAULTS: u32 = (2 * FAULT_COUNT) << PHASE_BITS;
+#[allow(clippy::cast_possible_truncation, reason = "6")]
+const FAULT_COUNT: u32 = FAULTS.len() as u32;
+
+/// What is wrong for a while.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Fault {
+    None,
+    NoPositions,
+    NoAngles,
+    /// Neither `Control` nor `Spindle`.
+    SilentCnc,
+    /// `Engage` is not set.
+    LetsGo,
+    /// Its codes are at the upper rail.
+    DeadSensor,
+    NoTemperatures,
+}
+
+impl Fault {
+    fn at(vector: u32) -> Self {
+        let phase = vector >> PHASE_BITS;
+        let number = (phase >> 1).checked_rem(FAULT_COUNT).unwrap_or(0) as usize;
+        match FAULTS.get(number) {
+            Some(fault) if phase & 1 == 1 => *fault,
+            _ => Self::None,
+        }
+    }
+}
+
+/// A source of numbers that look random.
+#[derive(Clone, Copy, Debug)]
+pub struct Random(u32);
+
+impl Random {
+    /// The numbers that begin with this seed; 0 counts as 1.
+    #[must_use]
+    pub const fn new(seed: u32) -> Self {
+        Self(if seed == 0 { 1 } else { seed })
+    }
+
+    /// The next number.
+    pub const fn next(&mut self) -> u32 {
+        self.0 ^= self.0.wrapping_shl(13);
+        self.0 ^= self.0.wrapping_shr(17);
+        self.0 ^= self.0.wrapping_shl(5);
+        self.0
+    }
+
+    /// The next number, from 0 to below `end`.
+    #[allow(clippy::cast_possible_truncation, reason = "the high word of a product of two words")]
+    pub fn below(&mut self, end: u32) -> u32 {
+        (u64::from(self.next()).wrapping_mul(u64::from(end)) >> 32) as u32
+    }
+
+    /// The next number, up to `most` either way.
+    pub fn around(&mut self, most: u32) -> i32 {
+        let span = most.wrapping_mul(2).wrapping_add(1);
+        self.below(span).wrapping_sub(most).cast_signed()
+    }
+}
+
+/// A node and the hand that feeds it.
+#[derive(Debug)]
+pub struct Vectors<'a> {
+    node: Node<'a>,
+    random: Random,
+    /// Whether faults are among the inputs: lost frames, dead sensors, a CNC that lets go.
+    faults: bool,
+    number: u32,
+    position: [u32; 3],
+    level: u32,
+    codes: [Code; CODES_PER_TICK],
+    temperatures: RawTemperatures,
+    /// What the CNC sends in this millisecond.
+    sent: Vec<Frame, 6>,
+    /// Of the three positions, the angles, the spindle, the control.
+    counters: [u8; 6],
+    checksum: u64,
+}
+
+impl<'a> Vectors<'a> {
+    /// A node that has just been switched on.
+    #[must_use]
+    pub fn new(calibration: Calibration<'a>, seed: u32, faults: bool) -> Self {
+        Self {
+            node: Node::new(Some(calibration), false),
+            random: Random::new(seed),
+            faults,
+            number: 0,
+            position: REACH.map(|reach| reach >> 1),
+            level: 700,
+            codes: [Code(0); CODES_PER_TICK],
+            temperatures: [Raw::NONE; CHANNELS],
+            sent: Vec::new(),
+            counters: [0; 6],
+            checksum: 0xcbf2_9ce4_8422_2325,
+        }
+    }
+
+    /// Draws the next vector.
+    pub fn prepare(&mut self) {
+        self.number = self.number.wrapping_add(1);
+        self.sent.clear();
+        let fault = if self.faults { Fault::at(self.number) } else { Fault::None };
+        if self.is_time(POSITION_PERIOD_MS) && fault != Fault::NoPositions {
+            (0..3).for_each(|number| self.send_position(number));
+        }
+        if self.is_time(ROTARY_PERIOD_MS) && fault != Fault::NoAngles {
+            let angles = [180_000_000, 110_000_000].map(|most| self.random.around(most));
+            let angles = angles.map(MicroDegrees);
+            self.send(3, |counter| frames::rotary(Rotary { angles }, counter));
+        }
+        if self.is_time(CONTROL_PERIOD_MS) && fault != Fault::SilentCnc {
+            let speed = Rpm(18_000_u16.wrapping_add(self.level.to_le_bytes()[0].into()));
+            self.send(4, |counter| frames::spindle(Spindle { speed, load_n: 0 }, counter));
+            let engage = fault != Fault::LetsGo;
+            let zero = self.faults && self.random.below(64) == 0;
+            let control = Control { engage, referenced: true, zero };
+            self.send(5, |counter| frames::control(control, counter));
+        }
+        self.sense(fault);
+    }
+
+    fn is_time(&self, period_ms: u32) -> bool {
+        self.number.checked_rem(period_ms) == Some(0)
+    }
+
+    /// The node hears the frames of the vector that was prepared.
+    #[inline]
+    pub fn hear(&mut self) {
+        for frame in &self.sent {
+            // A refusal is one of the things that are compared.
+            self.node.hear(frame).ok();
+        }
+    }
+
+    fn send_position(&mut self, number: usize) {
+        let Some(&reach) = REACH.get(number) else { return };
+        let random = &mut self.random;
+        let jump = random.below(16) == 0;
+        let (target, walk) = (random.below(reach), random.around(50_000));
+        let Some(position) = self.position.get_mut(number) else { return };
+        let heading = if walk < 0 { Heading::Negative } else { Heading::Positive };
+        *position = if jump { target } else { position.wrapping_add_signed(walk).min(REACH[0]) };
+        let axis = LinearAxis::ALL.get(number).copied().unwrap_or(LinearAxis::X);
+        let position = Position(position.cast_signed());
+        let sent = AxisPosition { axis, position, direction: heading };
+        self.send(number, |counter| frames::position(sent, counter));
+    }
+
+    /// Counts, builds, and at times damages a frame.
+    fn send(&mut self, number: usize, build: impl FnOnce(u8) -> Frame) {
+        let Some(counter) = self.counters.get_mut(number) else { return };
+        let mut frame = build(*counter);
+        *counter = counter.wrapping_add(1);
+        if self.faults && self.random.below(128) == 0 {
+            let mut data = *frame.data();
+            let [.., last] = &mut data;
+            *last ^= 0x40;
+            frame = Frame::new(frame.id(), &data).unwrap_or(frame);
+        }
+        // There is room for one of each kind.
+        self.sent.push(frame).ok();
+    }
+
+    fn sense(&mut self, fault: Fault) {
+        let random = &mut self.random;
+        self.level = self.level.wrapping_add_signed(random.around(4)).clamp(100, 3_900);
+        let level = if fault == Fault::DeadSensor { 4_095 } else { self.level };
+        let noise = random.next();
+        for (bit, code) in self.codes.iter_mut().enumerate() {
+            let [low, high, ..] = level
+                .wrapping_add(noise.wrapping_shr(u32::try_from(bit).unwrap_or(0)) & 1)
+                .to_le_bytes();
+            *code = Code(u16::from_le_bytes([low, high]));
+        }
+        for (number, temperature) in self.temperatures.iter_mut().enumerate() {
+            let [pt100, linear] = COLD;
+            // Up to 40 K: 0.3851 Ω in a kelvin, 16 counts of 256.
+            let (cold, span) = if number == 1 { (linear, 163_840) } else { (pt100, 15_404_000) };
+            let raw = cold.wrapping_add(random.below(span)).cast_signed();
+            *temperature = if fault == Fault::NoTemperatures { Raw::NONE } else { Raw(raw) };
+        }
+    }
+
+    /// The tick of the vector that was prepared.
+    #[inline]
+    pub fn tick(&mut self) -> Frames {
+        let input =
+            Input { codes: Some(&self.codes), speed: None, temperatures: Some(&self.temperatures) };
+        self.node.tick(1, input)
+    }
+
+    /// Takes sent frames into the checksum.
+    pub fn take(&mut self, frames: &[Frame]) {
+        const PRIME: u64 = 0x0000_0100_0000_01b3;
+        for frame in frames {
+            let bytes = frame.id().to_le_bytes().into_iter().chain([frame.len()]);
+            for byte in bytes.chain(*frame.data()) {
+                self.checksum = (self.checksum ^ u64::from(byte)).wrapping_mul(PRIME);
+            }
+        }
+    }
+
+    /// The checksum of all frames that were taken.
+    #[must_use]
+    pub const fn checksum(&self) -> u64 {
+        self.checksum
+    }
+
+    /// The node.
+    #[must_use]
+    pub const fn node(&self) -> &Node<'a> {
+        &self.node
+    }
+}
+
+/// The checksum of what a node with this calibration sends over so many vectors, faults among them.
+#[must_use]
+pub fn checksum(calibration: Calibration<'_>, vectors: u32) -> u64 {
+    let mut run = Vectors::new(calibration, 0x7275_6574, true);
+    for _ in 0..vectors {
+        run.prepare();
+        run.hear();
+        let frames = run.tick();
+        run.take(&frames);
+    }
+    run.checksum()
+}

@@ -1,0 +1,94 @@
+//! A tool that reads and writes objects, against the real node.
+
+use trueup_canopen::sdo::{
+    Abort,
+    client::{At, ClientError, Download, Progress, Upload},
+};
+use trueup_core::bridge::Input;
+use trueup_link::frame::Frame;
+use trueup_node::node::Node;
+use trueup_store::{calibration::MAX_SIZE, load::Outcome};
+
+fn node() -> Node<'static> {
+    let mut node = Node::new(None, false);
+    node.set_buffer(Box::leak(vec![0; MAX_SIZE].into()));
+    node
+}
+
+/// What the node says to a request, offsets and heartbeats among it; and what a board does.
+fn said(node: &mut Node<'_>, request: Frame) -> Vec<Frame> {
+    node.hear(&request).expect("an SDO");
+    if let Some(load) = node.take_load() {
+        node.end_load(load, Outcome::Stored);
+    }
+    (0..20)
+        .flat_map(|_| {
+            let offsets = node.tick(1, Input::default());
+            offsets.into_iter().chain(node.service()).collect::<Vec<_>>()
+        })
+        .collect()
+}
+
+fn upload(node: &mut Node<'_>, at: At) -> Result<Vec<u8>, ClientError> {
+    let (mut upload, mut next) = Upload::start(at);
+    let mut bytes = Vec::new();
+    for _ in 0..5_000 {
+        let mut asked = None;
+        for frame in said(node, next) {
+            match upload.hear(&frame, &mut bytes)? {
+                Progress::Unchanged => {}
+                Progress::Ask(request) => asked = Some(request),
+                Progress::Done => return Ok(bytes),
+            }
+        }
+        next = asked.expect("an answer");
+    }
+    panic!("no end");
+}
+
+fn download(node: &mut Node<'_>, at: At, data: &[u8]) -> Result<(), ClientError> {
+    let (mut download, mut next) = Download::start(at, data);
+    for _ in 0..5_000 {
+        let mut asked = None;
+        for frame in said(node, next) {
+            match download.hear(&frame)? {
+                Progress::Unchanged => {}
+                Progress::Ask(request) => asked = Some(request),
+                Progress::Done => return Ok(()),
+            }
+        }
+        next = asked.expect("an answer");
+    }
+    panic!("no end");
+}
+
+#[test]
+fn numbers_texts_and_domains_go_both_ways() {
+    let mut node = node();
+    assert_eq!(upload(&mut node, (0x1000, 0)), Ok(404_u32.to_le_bytes().to_vec()));
+    assert_eq!(upload(&mut node, (0x1001, 0)).map(|it| it.len()), Ok(1));
+    assert_eq!(upload(&mut node, (0x1008, 0)), Ok(b"trueup bridge".to_vec()));
+    assert_eq!(download(&mut node, (0x1017, 0), &[44, 1]), Ok(()));
+    assert_eq!(upload(&mut node, (0x1017, 0)), Ok(vec![44, 1]));
+    for length in [1, 6, 7, 8, 14, 700, MAX_SIZE] {
+        // Four bytes and fewer go in one frame, which is too short for a domain.
+        let bytes: Vec<u8> = (0..=u8::MAX).cycle().take(length).collect();
+        let sent = download(&mut node, (0x2100, 2), &bytes);
+        if length <= 4 {
+            let code = Abort::TooShort.code();
+            assert_eq!(sent, Err(ClientError::Aborted { at: (0x2100, 2), code }));
+        } else {
+            assert_eq!(sent, Ok(()), "{length} bytes");
+            assert_eq!(upload(&mut node, (0x2100, 2)), Ok(bytes), "{length} bytes");
+        }
+    }
+}
+
+#[test]
+fn a_refusal_is_told_in_words_with_its_code() {
+    let mut node = node();
+    let refused = download(&mut node, (0x2100, 2), &[0; MAX_SIZE + 1]).unwrap_err();
+    assert_eq!(refused.to_string(), "object 2100:2: too long (abort code 06070012)");
+    let missing = upload(&mut node, (0x1FFF, 3)).unwrap_err();
+    assert_eq!(missing.to_string(), "object 1FFF:3: there is no such object (abort code 06020000)");
+}

@@ -1,0 +1,183 @@
+//! A calibration on its way to the board: where its bytes are gathered, and what came of it.
+//!
+//! A master writes it to object 0x2100:02. The bytes go into a buffer of the board, which is taken
+//! only while no offset is followed. Once all have come, the board's supervisor takes the buffer
+//! ([`Slot::take`]), looks whether a bridge could run on it, stores it, and gives
+//! it back; only then is the last segment answered. So an answer without an abort means: it is
+//! whole, it makes sense, and it is stored for the next start. None of that holds up a tick.
+
+use core::{error::Error, fmt};
+
+use crate::calibration::{self, BlobError};
+
+/// The bytes of a calibration that has come whole.
+#[derive(Debug)]
+pub struct Load<'a> {
+    buffer: &'a mut [u8],
+    length: usize,
+}
+
+impl Load<'_> {
+    /// The blob, if a bridge can run on it.
+    ///
+    /// # Errors
+    /// As [`calibration::decode`].
+    pub fn check(&mut self) -> Result<&[u8], BlobError> {
+        calibration::decode(self.bytes())?;
+        // What follows the blob is dropped.
+        self.length = calibration::whole(self.bytes())?.len();
+        Ok(self.bytes())
+    }
+
+    fn bytes(&self) -> &[u8] {
+        self.buffer.get(..self.length).unwrap_or_default()
+    }
+}
+
+/// What came of a calibration that has come whole.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// It is stored.
+    Stored,
+    /// No bridge can run on it.
+    Refused,
+    /// The board's store does not take it.
+    NotStored,
+}
+
+/// Why a calibration is not loaded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LoadError {
+    /// More bytes than the buffer takes.
+    TooLong,
+    /// Another one is being looked at, or none was begun.
+    Busy,
+    /// No bridge can run on it.
+    Refused,
+    /// The board has nowhere to store it, or its store does not take it.
+    NotStored,
+}
+
+impl fmt::Display for LoadError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::TooLong => "the calibration is longer than the board takes",
+            Self::Busy => "no calibration is expected now",
+            Self::Refused => "the calibration is damaged or makes no sense",
+            Self::NotStored => "the board cannot store the calibration",
+        })
+    }
+}
+
+impl Error for LoadError {}
+
+/// The buffer and its state.
+#[derive(Debug, Default)]
+pub enum Slot<'a> {
+    /// The board has none.
+    #[default]
+    None,
+    /// Nothing has come, or not all of it.
+    Open(Load<'a>),
+    /// All has come, and the supervisor is to look at it.
+    Whole(Load<'a>),
+    /// The supervisor has it.
+    Away,
+    /// It is stored.
+    Stored(Load<'a>),
+}
+
+impl<'a> Slot<'a> {
+    /// A buffer that nothing has come to.
+    #[must_use]
+    pub fn new(buffer: &'a mut [u8]) -> Self {
+        Self::Open(Load { buffer, length: 0 })
+    }
+
+    /// Begins anew, for `size` bytes if that is known.
+    ///
+    /// # Errors
+    /// [`LoadError`]: there is no buffer, it is too small, or the supervisor has it.
+    pub fn open(&mut self, size: Option<u32>) -> Result<(), LoadError> {
+        *self = match core::mem::take(self) {
+            Self::Open(load) | Self::Stored(load) => Self::Open(Load { length: 0, ..load }),
+            none @ Self::None => none,
+            busy @ (Self::Whole(_) | Self::Away) => busy,
+        };
+        match self {
+            Self::Open(load) => {
+                let fits = |size| usize::try_from(size).is_ok_and(|it| it <= load.buffer.len());
+                size.is_none_or(fits).then_some(()).ok_or(LoadError::TooLong)
+            }
+            Self::None => Err(LoadError::NotStored),
+            _ => Err(LoadError::Busy),
+        }
+    }
+
+    /// Adds the next bytes.
+    ///
+    /// # Errors
+    /// [`LoadError`]: more than the buffer takes, or none are expected.
+    pub fn append(&mut self, bytes: &[u8]) -> Result<(), LoadError> {
+        let Self::Open(load) = self else { return Err(LoadError::Busy) };
+        let end = load.length.saturating_add(bytes.len());
+        let places = load.buffer.get_mut(load.length..end).ok_or(LoadError::TooLong)?;
+        places.iter_mut().zip(bytes).for_each(|(place, byte)| *place = *byte);
+        load.length = end;
+        Ok(())
+    }
+
+    /// All has come.
+    ///
+    /// # Errors
+    /// [`LoadError::Busy`]: none was expected.
+    pub fn close(&mut self) -> Result<(), LoadError> {
+        match core::mem::take(self) {
+            Self::Open(load) => {
+                *self = Self::Whole(load);
+                Ok(())
+            }
+            other => {
+                *self = other;
+                Err(LoadError::Busy)
+            }
+        }
+    }
+
+    /// What has come whole, once.
+    pub fn take(&mut self) -> Option<Load<'a>> {
+        match core::mem::take(self) {
+            Self::Whole(load) => {
+                *self = Self::Away;
+                Some(load)
+            }
+            other => {
+                *self = other;
+                None
+            }
+        }
+    }
+
+    /// Gives it back, with what came of it.
+    ///
+    /// # Errors
+    /// [`LoadError`] for any outcome but [`Outcome::Stored`].
+    pub fn give_back(&mut self, load: Load<'a>, outcome: Outcome) -> Result<(), LoadError> {
+        let (slot, result) = match outcome {
+            Outcome::Stored => (Self::Stored(load), Ok(())),
+            Outcome::Refused => (Self::Open(load), Err(LoadError::Refused)),
+            Outcome::NotStored => (Self::Open(load), Err(LoadError::NotStored)),
+        };
+        *self = slot;
+        result
+    }
+
+    /// What is stored for the next start.
+    #[must_use]
+    pub fn stored(&self) -> Option<&[u8]> {
+        match self {
+            Self::Stored(load) => Some(load.bytes()),
+            _ => None,
+        }
+    }
+}
