@@ -55,7 +55,7 @@ fn a_cause_of_an_axis_three_times_the_noise_is_named() {
 
 #[test]
 fn what_has_no_name_is_reported_and_no_name_is_claimed_for_it() {
-    let all = row(&[Hidden::Abbe, Hidden::PreloadChange], 3.0, 0..1);
+    let all = row(&[Hidden::CriticalSpeed, Hidden::PreloadChange], 3.0, 0..1);
     println!("{}", all.line("unnamed"));
     assert!(all.right() == 1.0 && all.wrong() == 0.0, "{}", all.line("unnamed"));
 }

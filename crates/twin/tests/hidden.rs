@@ -189,6 +189,48 @@ fn left_by(effect: &[f64], rival: &[f64]) -> f64 {
     rms(&effect.iter().zip(&rival).map(|(e, r)| e - slope * r).collect::<Vec<_>>())
 }
 
+/// The two laws of an axis by hand: c·(T − T_ref)·(P − P₀)/1000 where the part follows at once, and a
+/// tilt that grows in proportion along the axis.
+#[test]
+fn an_axis_expands_and_tilts_as_its_parameters_say() {
+    let (mut at_once, mut straight) = (0, 0);
+    for seed in 0..12 {
+        let all = |challenge: &Challenge, name: &str| -> Vec<f64> {
+            challenge.runs.iter().flat_map(|run| column(run, name)).collect()
+        };
+        let challenge = draw(Hidden::AxisExpansion, 3.0, seed);
+        assert!(!challenge.machine.contains(".thermal]"), "the file knows nothing of this heat");
+        let effect = &challenge.truth.effects[0];
+        let of = |name| effect.parameter(name).expect(name);
+        assert!(of("um_per_m_per_c") > 0.0);
+        if of("time_constant_s") == 0.0 {
+            at_once += 1;
+            let mm = all(&challenge, &format!("{}_mm", &challenge.quantity[1..]));
+            let screw_c = all(&challenge, "temp_screw_c");
+            for ((mm, c), um) in mm.iter().zip(&screw_c).zip(&challenge.truth.effect_um) {
+                let from_m = (mm - of("origin_mm")) / 1000.0;
+                let expected = of("um_per_m_per_c") * (c - of("reference_c")) * from_m;
+                assert!((um - expected).abs() < 1e-9, "{um} is not {expected}");
+            }
+        }
+        let challenge = draw(Hidden::AngularError, 3.0, seed);
+        let effect = &challenge.truth.effects[0];
+        let lever = effect.column.as_deref().expect("a lever");
+        assert_ne!(lever, format!("{}_mm", &challenge.quantity[1..]));
+        if let Some(urad_per_m) = effect.parameter("urad_per_m") {
+            straight += 1;
+            let origin_mm = effect.parameter("origin_mm").expect("a reference");
+            let mm = all(&challenge, &format!("{}_mm", &challenge.quantity[1..]));
+            let lever_mm = all(&challenge, lever);
+            for ((mm, lever), um) in mm.iter().zip(&lever_mm).zip(&challenge.truth.effect_um) {
+                let expected = urad_per_m * mm / 1000.0 * (lever - origin_mm) / 1000.0;
+                assert!((um - expected).abs() < 1e-9, "{um} is not {expected}");
+            }
+        }
+    }
+    assert!(at_once > 0 && straight > 0 && straight < 12, "{at_once} {straight}");
+}
+
 /// A cause can be named only if no other straight law of anything in the file does as well: the
 /// difference of BIC, N·ln(1 + (left/noise)²), must be well above the 6 that a diagnosis asks for.
 #[test]

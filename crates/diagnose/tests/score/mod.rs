@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, fmt, path::Path};
 
 use trueup_diagnose::{Diagnosis, Verdict, diagnose};
 use trueup_machine::{MachineFile, RunFile};
-use trueup_twin::hidden::{Challenge, Expected};
+use trueup_twin::hidden::{Challenge, Expected, Hidden};
 
 /// What one answer was worth.
 #[derive(Clone, Debug)]
@@ -74,8 +74,10 @@ pub fn answer(challenge: &Challenge) -> Diagnosis {
 pub fn score(challenge: &Challenge, diagnosis: &Diagnosis) -> Score {
     let truth = &challenge.truth;
     let report = &diagnosis.report;
-    let hidden: Vec<&'static str> =
-        truth.effects.iter().map(|effect| effect.cause.name()).collect();
+    let names = |of: fn(Hidden) -> &'static str| -> Vec<&'static str> {
+        truth.effects.iter().map(|effect| of(effect.cause)).collect()
+    };
+    let (hidden, answers) = (names(Hidden::name), names(Hidden::answer));
     let of = |claimed: bool| -> Vec<String> {
         let findings = report.findings.iter().filter(|finding| finding.claimed == claimed);
         findings.map(|finding| finding.cause.clone()).collect()
@@ -83,7 +85,7 @@ pub fn score(challenge: &Challenge, diagnosis: &Diagnosis) -> Score {
     let (named, unclaimed) = (of(true), of(false));
     // Causes that explain the same data are as right, if they are not claimed.
     let rivals = |name: &str| {
-        let effect = truth.effects.iter().find(|effect| effect.cause.name() == name);
+        let effect = truth.effects.iter().find(|effect| effect.cause.answer() == name);
         effect.is_some_and(|effect| {
             effect
                 .rivals
@@ -97,10 +99,10 @@ pub fn score(challenge: &Challenge, diagnosis: &Diagnosis) -> Score {
             matches!(report.verdict, Verdict::Unexplained | Verdict::PartlyExplained)
         }
         Expected::Compensated | Expected::Reported => {
-            hidden.iter().all(|name| named.iter().any(|there| there == name) || rivals(name))
+            answers.iter().all(|name| named.iter().any(|there| there == name) || rivals(name))
         }
     };
-    let is_wrong = named.iter().any(|name| !hidden.contains(&name.as_str()));
+    let is_wrong = named.iter().any(|name| !answers.contains(&name.as_str()));
     let open = report
         .findings
         .iter()
@@ -112,7 +114,7 @@ pub fn score(challenge: &Challenge, diagnosis: &Diagnosis) -> Score {
         .collect();
     let mut within = Vec::new();
     for effect in &truth.effects {
-        let finding = report.findings.iter().find(|finding| finding.cause == effect.cause.name());
+        let finding = report.findings.iter().find(|finding| finding.cause == effect.cause.answer());
         let Some(finding) = finding else { continue };
         for &(name, value) in &effect.parameters {
             let ci95 = finding.parameters.get(name).map(|parameter| &parameter["ci95"]);
@@ -125,7 +127,7 @@ pub fn score(challenge: &Challenge, diagnosis: &Diagnosis) -> Score {
         }
     }
     // What cannot be told apart here may differ there.
-    let is_claimed = hidden.iter().all(|name| named.iter().any(|there| there == name));
+    let is_claimed = answers.iter().all(|name| named.iter().any(|there| there == name));
     let possible = truth.possible_reduction();
     let reduction = 1.0 - report.after.holdout_rms_um / report.before.holdout_rms_um;
     let share_of_gain = match truth.expected {

@@ -79,6 +79,8 @@ impl AxisBench {
         let error = stream.whole(0, 2);
         let neighbour = (error + stream.whole(1, 2)) % 3;
         let main = if has(Hidden::Straightness) { neighbour } else { error };
+        // Its heat shows only over hours.
+        let is_warming = is_thermal || has(Hidden::AxisExpansion);
         let other = if main == error { neighbour } else { error };
         let length_mm = if has(Hidden::PitchPeriodic) || has(Hidden::ReferenceInstrument) {
             stream.log_uniform(60.0, 500.0).round()
@@ -90,7 +92,7 @@ impl AxisBench {
 
         let path = if has(Hidden::PreSliding) {
             Path::Stations
-        } else if is_thermal || has(Hidden::PitchError) {
+        } else if is_warming || has(Hidden::PitchError) {
             Path::Targets
         } else if [Hidden::PitchPeriodic, Hidden::CrossAxis, Hidden::ReferenceInstrument]
             .iter()
@@ -114,7 +116,7 @@ impl AxisBench {
         let rows = stream.log_uniform(if is_even { 600.0 } else { 300.0 }, 3000.0) as usize;
         let cycles = (rows / (2 * count)).max(6);
         let interval_s = stream.uniform(4.0, 15.0).round();
-        let pause_s = if is_thermal {
+        let pause_s = if is_warming {
             // A cycle now and then over the day.
             let seconds = stream.uniform(8.0, 20.0) * 3600.0 / cycles as f64;
             (seconds - interval_s * (2 * count) as f64).max(10.0).round()

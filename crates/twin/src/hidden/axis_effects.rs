@@ -102,22 +102,31 @@ pub(super) fn shape(cause: Hidden, bench: &AxisBench, stream: &mut Stream) -> Op
         Hidden::PreSliding => return pre_sliding(bench, stream),
         Hidden::Abbe => {
             let (knots, controls) = bent(bench, stream);
-            let um = on_each(runs, |run| {
-                let rows = run.column(&main_mm).iter().zip(run.column(&other_mm));
-                rows.map(|(&mm, &arm_mm)| spline(&knots, &controls, mm) * arm_mm / 1000.0).collect()
-            });
-            Shape {
-                column: Some(other_mm.clone()),
-                at: Box::new(move |factor| Named {
-                    parameters: Vec::new(),
-                    tables: vec![
-                        ("knots_mm", knots.clone()),
-                        ("control_um_per_m", controls.iter().map(|um| factor * um).collect()),
-                    ],
-                }),
-                ..linear(cause, "", um)
+            tilted(cause, bench, &|mm| spline(&knots, &controls, mm), 0.0, {
+                let (knots, controls) = (knots.clone(), controls.clone());
+                move |factor| tilt_table(&knots, &controls, factor)
+            })
+        }
+        Hidden::AngularError => {
+            let lever_zero_mm =
+                if stream.chance(0.5) { 0.0 } else { stream.uniform(0.0, 400.0).round() };
+            let origin = ("origin_mm", lever_zero_mm);
+            if stream.chance(0.5) {
+                tilted(cause, bench, &|mm| mm / 1000.0, lever_zero_mm, move |factor| {
+                    Named::of(&[("urad_per_m", factor), origin])
+                })
+            } else {
+                let (knots, controls) = bent(bench, stream);
+                tilted(cause, bench, &|mm| spline(&knots, &controls, mm), lever_zero_mm, {
+                    let (knots, controls) = (knots.clone(), controls.clone());
+                    move |factor| Named {
+                        parameters: vec![origin],
+                        ..tilt_table(&knots, &controls, factor)
+                    }
+                })
             }
         }
+        Hidden::AxisExpansion => expansion(bench, stream),
         Hidden::Step | Hidden::Drift | Hidden::Outliers => of_any_series(cause, runs, stream),
         // The rest is noise, or belongs to elongations; `Hidden::bases` sends none of them here.
         _ => return None,
@@ -190,6 +199,62 @@ fn bent(bench: &AxisBench, stream: &mut Stream) -> (Vec<f64>, Vec<f64>) {
         *um -= level + slope * at_mm;
     }
     (knots, control)
+}
+
+/// The tilt `urad` at a position of the main axis, times the lever along the other one, which is 0
+/// at `lever_zero_mm`.
+fn tilted(
+    cause: Hidden,
+    bench: &AxisBench,
+    urad: &dyn Fn(f64) -> f64,
+    lever_zero_mm: f64,
+    at: impl Fn(f64) -> Named + 'static,
+) -> Shape {
+    let (main_mm, lever_mm) =
+        (format!("{}_mm", AXES[bench.main]), format!("{}_mm", AXES[bench.other]));
+    let um = on_each(&bench.runs, |run| {
+        let rows = run.column(&main_mm).iter().zip(run.column(&lever_mm));
+        rows.map(|(&mm, &lever_mm)| urad(mm) * (lever_mm - lever_zero_mm) / 1000.0).collect()
+    });
+    Shape { column: Some(lever_mm), at: Box::new(at), ..linear(cause, "", um) }
+}
+
+/// θ in µrad as a spline over the travel.
+fn tilt_table(knots: &[f64], controls: &[f64], factor: f64) -> Named {
+    Named {
+        parameters: Vec::new(),
+        tables: vec![
+            ("knots_mm", knots.to_vec()),
+            ("control_urad", controls.iter().map(|urad| factor * urad).collect()),
+        ],
+    }
+}
+
+/// A screw or a scale grows with its temperature, which follows its thermometer late or at once, and
+/// the machine file says nothing of it. What is warm is longer: c is never negative.
+fn expansion(bench: &AxisBench, stream: &mut Stream) -> Shape {
+    let tau_s = if stream.chance(0.33) { 0.0 } else { stream.log_uniform(100.0, 2500.0).round() };
+    let reference_c = stream.uniform(18.0, 22.0).round();
+    let origin_mm = if stream.chance(0.7) { 0.0 } else { bench.travel_mm[1] };
+    let position = format!("{}_mm", AXES[bench.error]);
+    let um = on_each(&bench.runs, |run| {
+        let part_c = lagged(run.column("time_s"), run.column("temp_screw_c"), tau_s, tau_s);
+        let rows = part_c.iter().zip(run.column(&position));
+        rows.map(|(c, mm)| (c - reference_c) * (mm - origin_mm) / 1000.0).collect()
+    });
+    Shape {
+        column: Some("temp_screw_c".into()),
+        has_sign: false,
+        at: Box::new(move |factor| {
+            Named::of(&[
+                ("um_per_m_per_c", factor),
+                ("time_constant_s", tau_s),
+                ("reference_c", reference_c),
+                ("origin_mm", origin_mm),
+            ])
+        }),
+        ..linear(Hidden::AxisExpansion, "", um)
+    }
 }
 
 /// The instrument's own error: periodic in the inverse of its reading, as that of a triangulating

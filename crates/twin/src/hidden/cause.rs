@@ -33,6 +33,16 @@ macro_rules! causes {
                 match self { $(Self::$variant => $name,)+ }
             }
 
+            /// The name by which a diagnosis should call it: that in the table of causes, which
+            /// `unnamed-abbe` was given after its draws were.
+            #[must_use]
+            pub fn answer(self) -> &'static str {
+                match self {
+                    Self::Abbe => Self::AngularError.name(),
+                    other => other.name(),
+                }
+            }
+
             /// What a diagnosis should make of it.
             #[must_use]
             pub fn expected(self) -> Expected {
@@ -117,12 +127,19 @@ causes! {
     Drift = "drift", Reported, [Sensor, AxisGeometry];
     /// A few rows that are grossly wrong.
     Outliers = "outliers", Reported, [Sensor, Temperature, Warmup, AxisThermal, AxisGeometry];
+    /// p + c·(lag_τ(T) − T_ref)·(P − P₀)/1000 of an axis whose machine file has no thermal law.
+    AxisExpansion = "axis-expansion", Compensated, [AxisGeometry];
+    /// p + θ(P)·(L − L₀)/1000: the axis tilts along its travel P, by θ in µrad, and the tool is off by
+    /// the tilt times its lever L along another axis. θ is a line or a smooth curve.
+    AngularError = "angular-error", Compensated, [AxisGeometry];
     /// An error that is periodic in what the reference instrument reads.
     ReferenceInstrument = "reference-instrument", Reported, [Sensor, AxisGeometry];
     /// After a reversal the axis takes up its backlash over a way, not at once.
     PreSliding = "unnamed-pre-sliding", Unnamed, [AxisGeometry];
     /// Above a speed the preload is another one, and with it the growth.
     PreloadChange = "unnamed-preload-change", Unnamed, [Sensor, Temperature];
-    /// A guide's angle along its travel times the arm at which another axis stands.
-    Abbe = "unnamed-abbe", Unnamed, [AxisGeometry];
+    /// `angular-error` as older score cards drew it, when it had no name: θ a smooth curve, L₀ = 0.
+    Abbe = "unnamed-abbe", Compensated, [AxisGeometry];
+    /// The shaft bows under its unbalance, outwards below a critical speed and inwards above it.
+    CriticalSpeed = "unnamed-critical-speed", Unnamed, [Sensor, Temperature];
 }

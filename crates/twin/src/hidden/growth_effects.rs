@@ -160,12 +160,46 @@ pub(super) fn shape(cause: Hidden, bench: &Bench, stream: &mut Stream) -> Option
                 ..linear(cause, "", um)
             }
         }
+        Hidden::CriticalSpeed => critical_speed(bench, stream),
         Hidden::Step | Hidden::Drift | Hidden::Outliers => {
             return Some(of_any_series(cause, runs, stream));
         }
         // The rest belongs to axes; `Hidden::bases` sends none of them here.
         _ => return None,
     })
+}
+
+/// The shaft bows under its unbalance, and a bowed shaft stands shorter or, as its bearings' balls are
+/// forced to one side, further out. The part of the bow that turns with the unbalance is, by the
+/// response of a rotor with damping ζ,
+///
+/// ```text
+/// e = a·r²·(1 − r²)/((1 − r²)² + (2·ζ·r)²)      r = n/n_c
+/// ```
+///
+/// outwards below the critical speed n_c, none at it, and inwards above. No cause turns its sign with
+/// the speed: `centrifugal-growth` only rises.
+fn critical_speed(bench: &Bench, stream: &mut Stream) -> Shape {
+    let critical_rpm = (stream.uniform(0.45, 0.75) * bench.max_rpm).round();
+    let damping = stream.uniform(0.08, 0.2);
+    let um = on_each(&bench.runs, |run| {
+        let bow = |rpm: &f64| {
+            let square = (rpm / critical_rpm).powi(2);
+            let off = 1.0 - square;
+            square * off / (off * off + 4.0 * damping * damping * square)
+        };
+        run.column("spindle_rpm").iter().map(bow).collect()
+    });
+    Shape {
+        at: Box::new(move |factor| {
+            Named::of(&[
+                ("amplitude_um", factor),
+                ("critical_rpm", critical_rpm),
+                ("damping", damping),
+            ])
+        }),
+        ..linear(Hidden::CriticalSpeed, "", um)
+    }
 }
 
 /// c·(lag_τ(T) − T_ref) of `column`, T_ref what it was at the very first row.

@@ -29,6 +29,7 @@
 //! - [`Truth::expected`] of a pair is that of the one which is harder to compensate.
 //! - A reference that comes with an effect (T_ref of a heat path, of a coil's drift) is in its
 //!   parameters as `reference_c`. A step's `at_s` is that of the training run.
+//! - `unnamed-abbe` is an `angular-error` whose draws are older than its name: [`Hidden::answer`].
 //! - A column `temp_cabinet_c` and `humidity_percent` have nothing to do with anything.
 
 mod axis;
