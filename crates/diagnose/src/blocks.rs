@@ -3,10 +3,9 @@
 //! Whole files where there are several, whole runs where there are at least three, else stretches of
 //! the record; single rows only where there is no time and few rows, as in a table of readings.
 
-use trueup_numerics::noise::Chance;
+use trueup_numerics::{noise::Chance, parallel::on_all_cores};
 
 use crate::{
-    cores::on_all_cores,
     fit::{Problem, fit},
     model::Model,
 };

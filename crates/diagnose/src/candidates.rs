@@ -237,7 +237,7 @@ pub(crate) fn structure(problem: &Problem) -> Vec<Candidate> {
             _ if by_direction => 9,
             "x_mm" | "y_mm" | "z_mm" => 16,
             "spindle_rpm" => 10,
-            _ if data.untaken.iter().any(|(reversal, _)| reversal == column) => 2,
+            _ if data.reversal_decay.iter().any(|(reversal, _)| reversal == column) => 2,
             _ => 6,
         };
         let knots = curve_knots(values, most);
@@ -260,7 +260,7 @@ pub(crate) fn structure(problem: &Problem) -> Vec<Candidate> {
         }
     }
     add("spindle_rpm", false, Some(SAID));
-    for (reversal, _) in &data.untaken {
+    for (reversal, _) in &data.reversal_decay {
         add(reversal, false, None);
     }
     for (column, arm) in POSITIONS.iter().flat_map(|a| POSITIONS.map(|b| (*a, b))) {

@@ -7,7 +7,10 @@ use trueup_machine::{
     model::spline_um,
 };
 
-use crate::{data::Data, model::Kind};
+use crate::{
+    data::{Data, filled},
+    model::Kind,
+};
 
 /// What a part with these nonlinear values adds at each amplitude of 1, to a prediction `p` so far.
 pub(crate) fn basis(kind: &Kind, nonlinear: &[f64], data: &Data, p: &[f64]) -> Vec<Vec<f64>> {
@@ -31,7 +34,7 @@ pub(crate) fn basis(kind: &Kind, nonlinear: &[f64], data: &Data, p: &[f64]) -> V
         }
         Kind::SlowModeOf { column } | Kind::ExtraHeatPath { column, has_lag: true } => {
             let tau = nonlinear[0];
-            vec![above(data, column, lagged(data, column, tau, tau))]
+            vec![above(data, column, data.lagged(column, tau, tau))]
         }
         Kind::ExtraHeatPath { column, has_lag: false } => {
             vec![above(data, column, filled(&temperature(column)))]
@@ -153,7 +156,7 @@ pub(crate) fn named<'d>(data: &'d Data, name: &str) -> Option<&'d [f64]> {
         "run" => data.run.as_deref(),
         SAID => (data.quantity == Quantity::Elongation).then_some(data.elongation.as_slice()),
         _ => data.temperature(name).or_else(|| {
-            let mut columns = data.others.iter().chain(&data.untaken);
+            let mut columns = data.others.iter().chain(&data.reversal_decay);
             columns.find(|(there, _)| there == name).map(|(_, values)| values.as_slice())
         }),
     }
@@ -164,60 +167,9 @@ fn position(data: &Data, axis: LinearAxis) -> Vec<f64> {
     column.map_or_else(|| vec![0.0; data.rows], filled)
 }
 
-/// With the value before in place of a missing one; at the start, the next one.
-pub(crate) fn filled(values: &[f64]) -> Vec<f64> {
-    let mut last = Data::first_of(values);
-    values
-        .iter()
-        .map(|&value| {
-            if !value.is_nan() {
-                last = value;
-            }
-            last
-        })
-        .collect()
-}
-
 /// Above what `column` was at the first row: until a reference is fitted, that is the zero.
 fn above(data: &Data, column: &str, mut values: Vec<f64>) -> Vec<f64> {
     let reference_c = data.reference_c(column);
     values.iter_mut().for_each(|value| *value -= reference_c);
     values
-}
-
-/// A column behind a first-order lag with one time constant while it rises and one while it falls,
-/// as `trueup_machine::model::Lag` steps it; missing values hold.
-pub(crate) fn lagged(data: &Data, column: &str, rise_s: f64, fall_s: f64) -> Vec<f64> {
-    if let Some(whole) = &data.whole {
-        return whole.lagged(column, rise_s, fall_s);
-    }
-    let Some(values) = data.temperature(column) else { return vec![0.0; data.rows] };
-    let Some(time_s) = data.time_s.as_deref() else { return filled(values) };
-    let mut out = Vec::with_capacity(values.len());
-    let mut settled: Option<f64> = None;
-    let mut before_s = f64::NAN;
-    // Most rows are as far apart as the rows before them, but for the rounding of their times.
-    let (mut last_elapsed, mut last_shares) = (f64::NAN, [1.0; 2]);
-    let share = |elapsed: f64, lag_s: f64| {
-        if lag_s == 0.0 { 1.0 } else { -(-elapsed / lag_s).exp_m1() }
-    };
-    for row in 0..values.len() {
-        if data.restart[row] {
-            (settled, before_s) = (None, f64::NAN);
-        }
-        let (value, now_s) = (values[row], time_s[row]);
-        if !value.is_nan() && !now_s.is_nan() {
-            let before = settled.unwrap_or(value);
-            let elapsed = if before_s.is_nan() { 0.0 } else { (now_s - before_s).max(0.0) };
-            before_s = now_s;
-            if last_elapsed.is_nan() || (elapsed - last_elapsed).abs() > 1e-9 * elapsed {
-                last_elapsed = elapsed;
-                last_shares = [share(elapsed, rise_s), share(elapsed, fall_s)];
-            }
-            let share = if value < before { last_shares[1] } else { last_shares[0] };
-            settled = Some(before + (value - before) * share);
-        }
-        out.push(settled.unwrap_or(f64::NAN));
-    }
-    if out.iter().any(|value| value.is_nan()) { filled(&out) } else { out }
 }

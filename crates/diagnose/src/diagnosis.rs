@@ -4,13 +4,12 @@
 use std::sync::Arc;
 
 use trueup_machine::{BadInput, Machine, RunFile, machine_file::Quantity};
-use trueup_numerics::noise::Chance;
+use trueup_numerics::{noise::Chance, parallel::on_all_cores};
 
 use crate::{
     blocks::rms,
     candidates::structure,
-    cores::on_all_cores,
-    data::{Data, Groups, quantity_of},
+    data::{Data, Groups, first_of, quantity_of},
     fit::{Fitted, Problem, fit},
     judge::{Judged, Own, doubt_what_stands_beside_another_law, judge, outlier_finding},
     model::Model,
@@ -102,7 +101,7 @@ fn searched(data: &Arc<Data>, aside: &[bool], progress: &mut Progress<'_>) -> (P
     let rows = used.iter().filter(|used| **used).count();
     let moves = data.quantity.axis().is_some()
         && data.position_mm.iter().flatten().any(|mm| {
-            let first = Data::first_of(mm);
+            let first = first_of(mm);
             mm.iter().any(|mm| !mm.is_nan() && *mm != first)
         });
     if !moves || rows <= MOST_ROWS_MOVING {

@@ -6,8 +6,7 @@ use trueup_machine::{
 };
 
 use crate::{
-    columns::{filled, lagged},
-    data::Data,
+    data::{Data, filled},
     model::{Changed, own_thermal},
 };
 
@@ -23,7 +22,7 @@ pub(crate) fn elongation(data: &Data, changed: Changed) -> Vec<f64> {
             }
             let rise_s = changed.lag_s.unwrap_or(model.lag_s);
             let fall_s = changed.fall_s.unwrap_or(rise_s);
-            let lagged = lagged(data, &model.sensor, rise_s, fall_s);
+            let lagged = data.lagged(&model.sensor, rise_s, fall_s);
             lagged.iter().map(|c| model.k_um_per_c * (c - model.reference_c)).collect()
         }
         (Some(Source::Warmup), _, Some(model))
@@ -77,7 +76,7 @@ pub(crate) fn axis(data: &Data, changed: Changed) -> Vec<f64> {
     thermal.shift_reference(changed.shift_c);
     let rise_s = changed.lag_s.unwrap_or(thermal.lag_s);
     let fall_s = changed.fall_s.unwrap_or(rise_s);
-    let lagged = lagged(data, &thermal.sensor, rise_s, fall_s);
+    let lagged = data.lagged(&thermal.sensor, rise_s, fall_s);
     let position = data.own_position();
     (0..data.rows)
         .map(|row| {

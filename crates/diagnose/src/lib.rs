@@ -23,7 +23,6 @@ mod blocks;
 mod candidates;
 mod choose;
 mod columns;
-mod cores;
 mod data;
 mod diagnosis;
 mod extended;

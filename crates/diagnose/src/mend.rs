@@ -1,11 +1,12 @@
 //! What is looked at again once other terms are there: whether a term is still needed, whether another
 //! cause, or a simpler one, or two of them do better in its place.
 
+use trueup_numerics::parallel::on_all_cores;
+
 use crate::{
     blocks::{Folds, rms},
     candidates::possible,
     choose::AS_WELL,
-    cores::on_all_cores,
     fit::{Fitted, Problem, fit},
     model::{Kind, Part},
     scan::{Draw, scan},

@@ -5,9 +5,8 @@
 //! that has it.
 
 use serde_json::{Map, Value, json};
-use statrs::distribution::{ContinuousCDF, StudentsT};
 
-use trueup_numerics::noise::Noise;
+use trueup_numerics::{noise::Noise, t_quantile};
 
 use crate::{
     fit::{Fitted, Problem, spread},
@@ -26,10 +25,10 @@ pub(crate) fn parameters(
     let data = &problem.data;
     let spread = spread(problem, fitted, noise);
     let index = fitted.model.parts.iter().position(|there| there == part).unwrap_or(0);
-    let quantile = StudentsT::new(0.0, 1.0, spread.freedom).map_or(1.96, |t| t.inverse_cdf(0.975));
-    let place = |value: usize| spread.places.iter().position(|at| *at == Some((index, value)));
+    let quantile = t_quantile(0.975, spread.freedom);
+    let place = |value: usize| spread.row_of(index, value);
     let sd = |value: usize| {
-        place(value).map_or(f64::NAN, |at| spread.covariance[at][at].max(0.0).sqrt())
+        place(value).map_or(f64::NAN, |at| spread.covariance(at, at).max(0.0).sqrt())
     };
     let nonlinear = part.kind.nonlinear();
     // Of one value, as it is fitted.
@@ -110,8 +109,8 @@ pub(crate) fn parameters(
             let amplitude = a.hypot(b);
             let sd = match (place(start), place(start + 1)) {
                 (Some(i), Some(j)) if amplitude > 0.0 => {
-                    let c = &spread.covariance;
-                    let square = a * a * c[i][i] + 2.0 * a * b * c[i][j] + b * b * c[j][j];
+                    let c = |i, j| spread.covariance(i, j);
+                    let square = a * a * c(i, i) + 2.0 * a * b * c(i, j) + b * b * c(j, j);
                     quantile * square.max(0.0).sqrt() / amplitude
                 }
                 _ => f64::NAN,

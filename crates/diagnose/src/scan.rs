@@ -23,11 +23,11 @@ use nalgebra::DMatrix;
 use trueup_numerics::{
     least_squares::normal::{cholesky, dot, forward, orthonormal},
     noise::{self, Chance, Noise, Whitener},
+    parallel::on_all_cores,
 };
 
 use crate::{
     candidates::Candidate,
-    cores::on_all_cores,
     fit::{Problem, jacobian},
     model::{Model, Part},
 };

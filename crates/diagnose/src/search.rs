@@ -12,13 +12,15 @@
 //! equal; then the simpler cause wins, among those the one that predicts left-out blocks better, and
 //! the machine's own model and sensors come before others.
 
-use trueup_numerics::noise::{self, Noise, Whitener};
+use trueup_numerics::{
+    noise::{self, Noise, Whitener},
+    parallel::on_all_cores,
+};
 
 use crate::{
     blocks::Folds,
     candidates::{Candidate, possible, structure},
     choose::{choose, pair_from_nothing},
-    cores::on_all_cores,
     data::Data,
     fit::{Fitted, Problem, fit},
     mend::{

@@ -20,12 +20,11 @@
 use std::f64::consts::TAU;
 
 use trueup_machine::machine_file::Quantity;
-use trueup_numerics::noise::Chance;
+use trueup_numerics::{noise::Chance, parallel::on_all_cores};
 
 use crate::{
     candidates::Candidate,
-    columns::filled,
-    cores::on_all_cores,
+    data::filled,
     fit::Problem,
     model::{Kind, Model},
 };

@@ -5,12 +5,14 @@
 //! | [`least_squares`] | linear, nonlinear and mixed, with intervals |
 //! | [`line`] | a straight line, judged on the rows that it was not fitted to |
 //! | [`noise`] | noise with a memory: its likelihood, its covariance, draws of it |
+//! | [`parallel`] | work on all cores |
 //! | [`robust`] | finds gross errors |
 #![forbid(unsafe_code)]
 
 pub mod least_squares;
 pub mod line;
 pub mod noise;
+pub mod parallel;
 pub mod robust;
 mod student;
 

@@ -2,16 +2,33 @@
 
 use nalgebra::DMatrix;
 
-/// Coefficients of a least-squares fit, and the inverse of its normal matrix.
+/// Coefficients of a least-squares fit.
 #[derive(Clone, Debug)]
-pub struct Solution {
+pub struct NormalSolution {
     /// One for each column; 0 where the column is a combination of those before it.
     pub coefficients: Vec<f64>,
-    /// (XᵀX)⁻¹, row by row.
-    pub inverse: Vec<Vec<f64>>,
+    /// L of the scaled normal matrix.
+    lower: DMatrix<f64>,
+    /// What each column was multiplied by.
+    scale: Vec<f64>,
+}
+
+impl NormalSolution {
+    /// (XᵀX)⁻¹: times the variance of independent noise it is the covariance of the coefficients.
+    #[must_use]
+    pub fn inverse(&self) -> DMatrix<f64> {
+        let count = self.scale.len();
+        let mut inverse = DMatrix::identity(count, count);
+        for (i, mut column) in inverse.column_iter_mut().enumerate() {
+            back(&self.lower, column.as_mut_slice());
+            column.iter_mut().zip(&self.scale).for_each(|(v, scale)| *v *= self.scale[i] * scale);
+        }
+        inverse
+    }
 }
 
 /// Σ aᵢ·bᵢ, in eight sums side by side: one sum alone waits for each addition.
+#[must_use]
 pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     const LANES: usize = 8;
     let (a_chunks, b_chunks) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
@@ -27,12 +44,13 @@ pub fn dot(a: &[f64], b: &[f64]) -> f64 {
 
 /// Solves (XᵀX + damping·diag)·b = Xᵀy over the rows in `mask`; a column that is a combination of
 /// those before it gets the coefficient 0.
+#[must_use]
 pub fn solve(
     columns: &[Vec<f64>],
     target: &[f64],
     mask: Option<&[bool]>,
     damping: f64,
-) -> Solution {
+) -> NormalSolution {
     let count = columns.len();
     let product = |a: &[f64], b: &[f64]| match mask {
         None => dot(a, b),
@@ -61,24 +79,18 @@ pub fn solve(
     }
     let whole: Vec<f64> = scale.iter().map(|&scale| if scale > 0.0 { 1.0 } else { 0.0 }).collect();
     let lower = cholesky(normal, &whole);
-    let back = |mut b: Vec<f64>| -> Vec<f64> {
-        forward(&lower, &mut b);
-        for i in (0..count).rev() {
-            let sum: f64 = (i + 1..count).map(|k| lower[(k, i)] * b[k]).sum();
-            b[i] = if lower[(i, i)] > 0.0 { (b[i] - sum) / lower[(i, i)] } else { 0.0 };
-        }
-        b
-    };
-    let coefficients: Vec<f64> =
-        back(right).iter().zip(&scale).map(|(b, scale)| b * scale).collect();
-    let inverse = (0..count)
-        .map(|i| {
-            let mut unit = vec![0.0; count];
-            unit[i] = 1.0;
-            back(unit).iter().enumerate().map(|(j, v)| v * scale[i] * scale[j]).collect()
-        })
-        .collect();
-    Solution { coefficients, inverse }
+    back(&lower, &mut right);
+    let coefficients = right.iter().zip(&scale).map(|(b, scale)| b * scale).collect();
+    NormalSolution { coefficients, lower, scale }
+}
+
+/// (L·Lᵀ)⁻¹·b in the place of b.
+fn back(lower: &DMatrix<f64>, b: &mut [f64]) {
+    forward(lower, b);
+    for i in (0..b.len()).rev() {
+        let sum: f64 = (i + 1..b.len()).map(|k| lower[(k, i)] * b[k]).sum();
+        b[i] = if lower[(i, i)] > 0.0 { (b[i] - sum) / lower[(i, i)] } else { 0.0 };
+    }
 }
 
 /// What is left of a column's squares beside others, below which it is a combination of them.
@@ -86,6 +98,7 @@ const DEPENDENT: f64 = 1e-11;
 
 /// L of G = L·Lᵀ, from the lower half of G. A column that is a combination of those before it, measured
 /// by its `whole` squares, has a 0 on the diagonal and counts for nothing.
+#[must_use]
 pub fn cholesky(mut g: DMatrix<f64>, whole: &[f64]) -> DMatrix<f64> {
     for i in 0..g.nrows() {
         for j in 0..i {
@@ -108,6 +121,7 @@ pub fn forward(lower: &DMatrix<f64>, b: &mut [f64]) {
 }
 
 /// Makes `vectors` orthonormal to each other; what vanishes is left out.
+#[must_use]
 pub fn orthonormal(vectors: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
     let mut own: Vec<Vec<f64>> = Vec::with_capacity(vectors.len());
     for mut vector in vectors {

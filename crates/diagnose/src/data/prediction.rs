@@ -1,0 +1,69 @@
+//! What the machine file says of each row.
+
+use trueup_machine::{
+    RunFile,
+    machine_file::LinearAxis,
+    model::{Reference, Situation, shifted, time_shift_s},
+};
+
+use super::table::Data;
+
+/// Steps the reference model through the runs.
+pub(super) fn predict(data: &mut Data, runs: &[RunFile]) {
+    let at = |column: &Option<Vec<f64>>, row: usize| {
+        column.as_ref().map_or(f64::NAN, |values| values[row])
+    };
+    let angles: Vec<[Option<&[f64]>; 3]> =
+        runs.iter().map(|run| ["a_deg", "b_deg", "c_deg"].map(|name| run.column(name))).collect();
+    let counts: Vec<Option<&[f64]>> = runs.iter().map(|run| run.column("sensor_counts")).collect();
+    let axis = data.quantity.axis().map(LinearAxis::index);
+    let machine = data.machine.clone();
+    let mut row = 0;
+    for (number, run) in runs.iter().enumerate() {
+        let mut reference = Reference::new(&machine);
+        for own in 0..run.rows() {
+            let temperatures: Vec<(&str, f64)> = data
+                .temperatures
+                .iter()
+                .map(|(name, values)| (name.as_str(), values[row]))
+                .collect();
+            let of = |column: Option<&[f64]>| column.map_or(f64::NAN, |values| values[own]);
+            let parts = reference.step(&Situation {
+                time_s: run.column("time_s").map(|_| at(&data.time_s, row)),
+                sensor_counts: of(counts[number]),
+                spindle_rpm: run.column("spindle_rpm").map(|_| at(&data.spindle_rpm, row)),
+                load_n: run.column("load_n").map(|_| at(&data.load_n, row)),
+                temperatures_c: &temperatures,
+                position_mm: [0, 1, 2].map(|n| at(&data.position_mm[n], row)),
+                angle_deg: angles[number].map(of),
+                direction: [0, 1, 2].map(|n| at(&data.direction[n], row)),
+            });
+            let (along, rest, thermal) = match axis {
+                None => (1.0, 0.0, 0.0),
+                Some(axis) => (
+                    parts.tool_direction[axis],
+                    parts.error_um()[axis] - parts.tool_um[axis],
+                    parts.thermal_um[axis],
+                ),
+            };
+            let is_blind = along == 0.0 || !data.has_elongation;
+            data.elongation.push(if is_blind { 0.0 } else { parts.elongation_um });
+            data.along.push(if is_blind && axis.is_some() { 0.0 } else { along });
+            data.axis.push(rest);
+            data.thermal.push(thermal);
+            row += 1;
+        }
+    }
+    // A machine that has been diagnosed before may have a time shift among its terms.
+    let shift_s = time_shift_s(&data.machine.terms, data.quantity);
+    if let (Some(time_s), true) = (&data.time_s, shift_s != 0.0) {
+        let part = if axis.is_none() { &mut data.elongation } else { &mut data.axis };
+        *part = shifted(time_s, part, shift_s);
+    }
+    data.used = (0..data.rows)
+        .map(|row| {
+            let p = data.along[row] * data.elongation[row] + data.axis[row];
+            data.measured[row].is_finite() && p.is_finite()
+        })
+        .collect();
+}

@@ -1,0 +1,38 @@
+//! Which error the runs are compared in.
+
+use trueup_machine::{BadInput, RunFile, machine_file::Quantity};
+
+/// The quantity that is asked for, or the only one that the runs measure.
+pub(crate) fn quantity_of(runs: &[RunFile], asked: Option<Quantity>) -> Result<Quantity, BadInput> {
+    let measured = |quantity: Quantity| format!("measured_{}_um", quantity.name());
+    if let Some(quantity) = asked {
+        for run in runs {
+            run.require(&measured(quantity))?;
+        }
+        return Ok(quantity);
+    }
+    let first = &runs[0];
+    let there: Vec<Quantity> = Quantity::ALL
+        .into_iter()
+        .filter(|&quantity| runs.iter().all(|run| run.column(&measured(quantity)).is_some()))
+        .collect();
+    match there[..] {
+        [only] => Ok(only),
+        [] => {
+            let places = first.place(0, "");
+            let header = trueup_machine::Place { line: 1, column: 1, ..places };
+            let rule = "a column measured_elongation_um, measured_dx_um, measured_dy_um or \
+                        measured_dz_um is missing: there is nothing to compare the model with";
+            Err(BadInput::new(header, rule))
+        }
+        _ => {
+            let names: Vec<&str> = there.iter().map(|quantity| quantity.name()).collect();
+            let header = trueup_machine::Place { line: 1, column: 1, ..first.place(0, "") };
+            let rule = format!(
+                "several quantities are measured: choose one by --quantity {}",
+                names.join(" or --quantity ")
+            );
+            Err(BadInput::new(header, rule))
+        }
+    }
+}

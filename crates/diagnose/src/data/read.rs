@@ -1,0 +1,148 @@
+//! From runs to the table: all files one after the other, in series, with what the model says.
+
+use trueup_machine::{
+    BadInput, Machine, RunFile,
+    machine_file::{Quantity, is_temperature_column},
+};
+
+use super::{lag::first_of, prediction::predict, reversal::reversal_decay, table::Data};
+
+impl Data {
+    /// The table of `runs`, compared in `quantity` (checked by `quantity_of`).
+    pub(crate) fn new(
+        machine: &Machine,
+        runs: &[RunFile],
+        quantity: Quantity,
+    ) -> Result<Self, BadInput> {
+        let rows: usize = runs.iter().map(RunFile::rows).sum();
+        let joined = |name: &str| -> Option<Vec<f64>> {
+            if !runs.iter().any(|run| run.column(name).is_some()) {
+                return None;
+            }
+            let mut all = Vec::with_capacity(rows);
+            for run in runs {
+                match run.column(name) {
+                    Some(values) => all.extend_from_slice(values),
+                    None => all.resize(all.len() + run.rows(), f64::NAN),
+                }
+            }
+            Some(all)
+        };
+        let measured = joined(&format!("measured_{}_um", quantity.name())).unwrap_or_default();
+        let time_s = joined("time_s");
+        let run = joined("run");
+        let mut file = Vec::with_capacity(rows);
+        let mut restart = Vec::with_capacity(rows);
+        for (number, run) in runs.iter().enumerate() {
+            let times = run.column("time_s");
+            let mut last_s = f64::NEG_INFINITY;
+            for row in 0..run.rows() {
+                let now_s = times.map_or(f64::NAN, |times| times[row]);
+                restart.push(row == 0 || now_s < last_s);
+                if !now_s.is_nan() {
+                    last_s = now_s;
+                }
+                file.push(number);
+            }
+        }
+        let mut series = Vec::with_capacity(rows);
+        let mut number: usize = 0;
+        for row in 0..rows {
+            // Where there is time, it says how far apart two runs are.
+            let new_run = row > 0
+                && time_s.is_none()
+                && run.as_ref().is_some_and(|run| {
+                    run[row] != run[row - 1] && !(run[row].is_nan() && run[row - 1].is_nan())
+                });
+            if row > 0 && (restart[row] || new_run) {
+                number += 1;
+            }
+            series.push(number);
+        }
+        let mut temperatures = Vec::new();
+        let mut others = Vec::new();
+        for column in runs[0].columns() {
+            // What is only in some of the files cannot be compared over all of them.
+            if !runs.iter().all(|run| run.column(&column.name).is_some()) {
+                continue;
+            }
+            let name = column.name.as_str();
+            let target = if is_temperature_column(name) {
+                &mut temperatures
+            } else if is_known(name) {
+                continue;
+            } else {
+                &mut others
+            };
+            target.push((column.name.clone(), joined(name).unwrap_or_default()));
+        }
+        let mut data = Self {
+            machine: machine.clone(),
+            quantity,
+            rows,
+            file,
+            files: runs.len(),
+            restart,
+            series,
+            time_s,
+            run,
+            temperatures,
+            others,
+            spindle_rpm: joined("spindle_rpm"),
+            load_n: joined("load_n"),
+            position_mm: ["x_mm", "y_mm", "z_mm"].map(joined),
+            direction: ["dir_x", "dir_y", "dir_z"].map(joined),
+            reversal_decay: Vec::new(),
+            measured,
+            elongation: Vec::new(),
+            along: Vec::new(),
+            has_elongation: quantity == Quantity::Elongation || machine.has_elongation(),
+            axis: Vec::new(),
+            thermal: Vec::new(),
+            used: Vec::new(),
+            references_c: Vec::new(),
+            start_s: 0.0,
+            whole: None,
+        };
+        data.references_c = data
+            .temperatures
+            .iter()
+            .map(|(name, values)| (name.clone(), first_of(values)))
+            .collect();
+        data.start_s = data.time_s.as_deref().map_or(0.0, first_of);
+        data.reversal_decay = reversal_decay(&data);
+        predict(&mut data, runs);
+        if !data.used.iter().any(|&used| used) {
+            // Says which column is missing, where one is.
+            for name in trueup_machine::model::required_columns(machine) {
+                for run in runs {
+                    run.require(&name)?;
+                }
+            }
+            let name = format!("measured_{}_um", quantity.name());
+            return Err(runs[0].bad(0, &name, "has no row that is both measured and predicted"));
+        }
+        Ok(data)
+    }
+}
+
+fn is_known(name: &str) -> bool {
+    const KNOWN: [&str; 14] = [
+        "time_s",
+        "run",
+        "sensor_counts",
+        "spindle_rpm",
+        "load_n",
+        "x_mm",
+        "y_mm",
+        "z_mm",
+        "a_deg",
+        "b_deg",
+        "c_deg",
+        "dir_x",
+        "dir_y",
+        "dir_z",
+    ];
+    KNOWN.contains(&name)
+        || ["measured_", "predicted_", "bridge_"].iter().any(|start| name.starts_with(start))
+}

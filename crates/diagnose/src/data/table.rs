@@ -1,0 +1,146 @@
+//! The table itself: its columns, and how they are asked for by name.
+
+use std::{
+    collections::VecDeque,
+    sync::{Arc, Mutex, PoisonError},
+};
+
+use trueup_machine::{Machine, machine_file::Quantity};
+
+use super::lag::{filled, lag};
+
+/// A run's columns, all files one after the other. A list has one value a row; NaN where missing.
+#[derive(Clone, Debug)]
+pub(crate) struct Data {
+    pub machine: Machine,
+    pub quantity: Quantity,
+    pub rows: usize,
+    /// The number of the file of each row.
+    pub file: Vec<usize>,
+    pub files: usize,
+    /// Rows at which states begin anew: the first of a file, and where time runs back.
+    pub restart: Vec<bool>,
+    /// The number of the series of each row: files, runs, restarts.
+    pub series: Vec<usize>,
+    pub time_s: Option<Vec<f64>>,
+    pub run: Option<Vec<f64>>,
+    /// By column, in °C.
+    pub temperatures: Vec<(String, Vec<f64>)>,
+    /// Columns that this project does not know.
+    pub others: Vec<(String, Vec<f64>)>,
+    /// In 1/min.
+    pub spindle_rpm: Option<Vec<f64>>,
+    /// The load along the tool, in N.
+    pub load_n: Option<Vec<f64>>,
+    pub position_mm: [Option<Vec<f64>>; 3],
+    pub direction: [Option<Vec<f64>>; 3],
+    /// What is left of the last reversal of the quantity's own axis if it is taken up over a way, for
+    /// several ways, each under its name.
+    pub reversal_decay: Vec<(String, Vec<f64>)>,
+    /// The quantity, in µm.
+    pub measured: Vec<f64>,
+    /// The model's elongation, in µm.
+    pub elongation: Vec<f64>,
+    /// How much of the elongation is in the quantity, −1…1.
+    pub along: Vec<f64>,
+    pub has_elongation: bool,
+    /// The axis's error but for the tool's growth, in µm.
+    pub axis: Vec<f64>,
+    /// The part of it that goes with the axis's temperature.
+    pub thermal: Vec<f64>,
+    /// Rows that count: measured and predicted.
+    pub used: Vec<bool>,
+    /// The temperatures that terms are counted from, by column, and the start of time: those of the
+    /// first row that was trained on. A hold-out has its own first row and never refers to it.
+    pub references_c: Vec<(String, f64)>,
+    pub start_s: f64,
+    /// Where these are drawn rows: all of them, for what a row has from the rows before it.
+    pub whole: Option<DrawnFrom>,
+}
+
+/// The table that rows were drawn from.
+#[derive(Clone, Debug)]
+pub(crate) struct DrawnFrom {
+    pub data: Arc<Data>,
+    /// Which of its rows were drawn, rising.
+    pub(super) rows: Vec<usize>,
+    /// Columns behind a lag that were asked for, the newest last.
+    pub(super) lagged: Arc<Mutex<VecDeque<Lagged>>>,
+}
+
+/// A column, and the time constants of its rise and fall, to the bit; the drawn rows of it.
+pub(super) type Lagged = ((String, [u64; 2]), Vec<f64>);
+
+impl DrawnFrom {
+    /// Enough for a grid of time constants.
+    const MOST_LAGGED: usize = 128;
+
+    /// A column of the whole behind a lag, in the drawn rows.
+    pub(crate) fn lagged(&self, column: &str, rise_s: f64, fall_s: f64) -> Vec<f64> {
+        let asked = (column.to_owned(), [rise_s, fall_s].map(f64::to_bits));
+        let known = || self.lagged.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, values)) = known().iter().find(|(there, _)| *there == asked) {
+            return values.clone();
+        }
+        let values = self.pick(&self.data.lagged(column, rise_s, fall_s));
+        let mut known = known();
+        known.push_back((asked, values.clone()));
+        if known.len() > Self::MOST_LAGGED {
+            known.pop_front();
+        }
+        values
+    }
+
+    /// Of values for all rows, those of the drawn ones.
+    pub(crate) fn pick(&self, all: &[f64]) -> Vec<f64> {
+        self.rows.iter().map(|&row| all[row]).collect()
+    }
+}
+
+impl Data {
+    /// The position of the quantity's own axis.
+    pub(crate) fn own_position(&self) -> Option<&[f64]> {
+        self.quantity.axis().and_then(|axis| self.position_mm[axis.index()].as_deref())
+    }
+
+    /// The direction of the quantity's own axis.
+    pub(crate) fn own_direction(&self) -> Option<&[f64]> {
+        self.quantity.axis().and_then(|axis| self.direction[axis.index()].as_deref())
+    }
+
+    /// A column of temperatures, in °C.
+    pub(crate) fn temperature(&self, name: &str) -> Option<&[f64]> {
+        let found = self.temperatures.iter().find(|(there, _)| there == name);
+        found.map(|(_, values)| values.as_slice())
+    }
+
+    /// The temperature that a term on `column` is counted from.
+    pub(crate) fn reference_c(&self, column: &str) -> f64 {
+        let found = self.references_c.iter().find(|(name, _)| name == column);
+        found.map_or(0.0, |&(_, reference_c)| reference_c)
+    }
+
+    /// Counts from where `training` does.
+    pub(crate) fn refer_to(&mut self, training: &Self) {
+        self.references_c.clone_from(&training.references_c);
+        self.start_s = training.start_s;
+    }
+
+    /// The table that these rows were drawn from, or this one.
+    pub(crate) fn whole(&self) -> &Self {
+        self.whole.as_ref().map_or(self, |whole| &whole.data)
+    }
+
+    /// A temperature behind a first-order lag with one time constant while it rises and one while it
+    /// falls, both in s; missing values hold.
+    pub(crate) fn lagged(&self, column: &str, rise_s: f64, fall_s: f64) -> Vec<f64> {
+        if let Some(whole) = &self.whole {
+            return whole.lagged(column, rise_s, fall_s);
+        }
+        match (self.temperature(column), self.time_s.as_deref()) {
+            (None, _) => vec![0.0; self.rows],
+            (Some(values), None) => filled(values),
+            (Some(values), Some(time_s)) => lag(values, time_s, &self.restart, [rise_s, fall_s]),
+        }
+    }
+}

@@ -1,0 +1,76 @@
+//! The change of the prediction with each value of a model.
+
+use super::problem::Problem;
+use crate::model::{Kind, Model, Scale};
+
+/// Which value of which part a column of the Jacobian belongs to; none: the constant.
+pub(crate) type Parameter = Option<(usize, usize)>;
+
+/// The change of the prediction with each value (in groups); logarithmic values by their logarithm.
+pub(crate) fn jacobian(problem: &Problem, model: &Model) -> (Vec<Parameter>, Vec<Vec<f64>>) {
+    let mut parameters: Vec<Parameter> = Vec::new();
+    let mut columns = Vec::new();
+    let has_shift = model.has(&Kind::TimeShift);
+    let mut here: Option<Vec<f64>> = None;
+    for (index, part) in model.parts.iter().enumerate() {
+        let (kind, nonlinear) = (&part.kind, part.kind.nonlinear());
+        let step = |number: usize| {
+            let is_log = nonlinear.get(number) == Some(&Scale::Logarithmic);
+            let value = part.values[number];
+            let step = derivative_step(problem, kind, value, is_log);
+            (step, if is_log { value * step.exp() } else { value + step })
+        };
+        // What is only added is its own derivative.
+        if kind.is_added() && !has_shift {
+            let (values, amplitudes) = part.values.split_at(nonlinear.len());
+            let unit = problem.columns(kind, values, nonlinear.is_empty());
+            for (number, column) in unit.iter().enumerate() {
+                parameters.push(Some((index, nonlinear.len() + number)));
+                columns.push(column.clone());
+            }
+            for number in 0..nonlinear.len() {
+                let (step, there) = step(number);
+                let mut moved = values.to_vec();
+                moved[number] = there;
+                let moved = problem.columns(kind, &moved, false);
+                let mut column = vec![0.0; problem.groups.len()];
+                for ((unit, moved), amplitude) in unit.iter().zip(&*moved).zip(amplitudes) {
+                    for ((sum, u), m) in column.iter_mut().zip(unit).zip(moved) {
+                        *sum += amplitude * (m - u) / step;
+                    }
+                }
+                parameters.push(Some((index, number)));
+                columns.push(column);
+            }
+            continue;
+        }
+        for number in 0..part.values.len() {
+            let (step, there) = step(number);
+            let mut moved = model.clone();
+            moved.parts[index].values[number] = there;
+            let base = here.get_or_insert_with(|| problem.predicted(model));
+            let there = problem.predicted(&moved);
+            let column = there.iter().zip(base.iter()).map(|(t, b)| (t - b) / step).collect();
+            parameters.push(Some((index, number)));
+            columns.push(column);
+        }
+    }
+    if model.constant_um.is_some() {
+        parameters.push(None);
+        columns.push(vec![1.0; problem.groups.len()]);
+    }
+    (parameters, columns)
+}
+
+fn derivative_step(problem: &Problem, kind: &Kind, value: f64, is_log: bool) -> f64 {
+    let [start_s, end_s] = problem.bounds.time_s;
+    match kind {
+        Kind::PitchPeriodic { .. } | Kind::ReferenceInstrument { .. } if is_log => 1e-7,
+        _ if is_log => 1e-4,
+        Kind::TimeShift => 0.05 * (end_s - start_s) / problem.data.rows as f64,
+        Kind::SensorSaturation => {
+            1e-4 * (problem.bounds.prediction_um[1] - problem.bounds.prediction_um[0])
+        }
+        _ => 1e-6 * value.abs().max(1e-3),
+    }
+}

@@ -1,0 +1,243 @@
+//! What is fitted to: the table, its groups of rows, and how far each value may go.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use trueup_machine::machine_file::Source;
+
+use super::cache::{Cache, Columns, Key};
+use crate::{
+    columns::basis,
+    data::{Data, Groups},
+    model::{Kind, Model, Part, own_thermal, shifted_rows},
+};
+
+/// Data, and its groups of rows.
+pub(crate) struct Problem {
+    pub data: Data,
+    pub groups: Groups,
+    /// What was measured, in groups.
+    pub measured: Vec<f64>,
+    /// Bounds that a value must keep, from the extent of the data.
+    pub bounds: Bounds,
+    cache: Mutex<Cache>,
+}
+
+/// What nonlinear values may be.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Bounds {
+    /// Time constants, in s.
+    pub time_constant_s: [f64; 2],
+    /// Times of the record, in s.
+    pub time_s: [f64; 2],
+    /// Periods, in mm.
+    pub period_mm: [f64; 2],
+    /// The model's prediction, in µm.
+    pub prediction_um: [f64; 2],
+}
+
+impl Problem {
+    /// Rows that are worth several cores for a fit.
+    const MANY_GROUPS: usize = 500;
+
+    /// Whether a fit takes long enough for a core of its own.
+    pub(crate) fn is_large(&self) -> bool {
+        self.groups.len() >= Self::MANY_GROUPS
+    }
+
+    pub(crate) fn new(data: Data, groups: Groups) -> Self {
+        let measured = groups.means(&data.measured);
+        let bounds = bounds(&data, &groups);
+        Self { data, groups, measured, bounds, cache: Mutex::default() }
+    }
+
+    /// What an added part of these nonlinear values adds at each amplitude of 1, in groups. `keep`:
+    /// they will be asked for again and again.
+    pub(crate) fn columns(&self, kind: &Kind, nonlinear: &[f64], keep: bool) -> Columns {
+        let key = Key::of(kind, nonlinear);
+        if let Some(known) = self.cache().get(&key) {
+            return known;
+        }
+        let is_of_elongation = kind.is_of_elongation(&self.data);
+        let columns: Vec<Vec<f64>> = basis(kind, nonlinear, &self.data, &[])
+            .into_iter()
+            .map(|mut column| {
+                if is_of_elongation {
+                    column.iter_mut().zip(&self.data.along).for_each(|(c, along)| *c *= along);
+                }
+                self.groups.means(&column)
+            })
+            .collect();
+        let columns = Arc::new(columns);
+        self.cache().put(key, columns.clone(), keep);
+        columns
+    }
+
+    fn cache(&self) -> MutexGuard<'_, Cache> {
+        self.cache.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What `model` predicts, in groups.
+    pub(crate) fn predicted(&self, model: &Model) -> Vec<f64> {
+        if let Some(shift_s) = model.shift_s() {
+            let unshifted = self.unshifted(model);
+            return self.groups.means(&shifted_rows(&self.data, &unshifted, shift_s));
+        }
+        let (added, law): (Vec<&Part>, Vec<&Part>) =
+            model.parts.iter().partition(|part| part.kind.is_added());
+        let mut sum = self.of_law(&law)[0].clone();
+        for part in added {
+            let (nonlinear, amplitudes) = part.values.split_at(part.kind.nonlinear().len());
+            let columns = self.columns(&part.kind, nonlinear, nonlinear.is_empty());
+            for (column, amplitude) in columns.iter().zip(amplitudes) {
+                sum.iter_mut().zip(column).for_each(|(sum, c)| *sum += amplitude * c);
+            }
+        }
+        let constant = model.constant_um.unwrap_or(0.0);
+        sum.iter_mut().for_each(|sum| *sum += constant);
+        sum
+    }
+
+    /// What the model predicts with these parts alone, which are not only added: one column.
+    fn of_law(&self, law: &[&Part]) -> Columns {
+        let key = Key::of_all(law);
+        if let Some(known) = self.cache().get(&key) {
+            return known;
+        }
+        let model = Model { parts: law.iter().copied().cloned().collect(), constant_um: None };
+        let predicted = Arc::new(vec![self.groups.means(&model.predict(&self.data))]);
+        self.cache().put(key, predicted.clone(), false);
+        predicted
+    }
+
+    /// What the model would predict if nothing were late, in the rows of the whole.
+    fn unshifted(&self, model: &Model) -> Arc<Vec<f64>> {
+        let mut plain = model.clone();
+        plain.parts.retain(|part| part.kind != Kind::TimeShift);
+        if let Some((there, predicted)) = &self.cache().unshifted
+            && *there == plain
+        {
+            return predicted.clone();
+        }
+        let predicted = Arc::new(plain.unshifted(self.data.whole()));
+        self.cache().unshifted = Some((plain, predicted.clone()));
+        predicted
+    }
+
+    /// The same, as if `measured` (in groups) had been measured.
+    pub(crate) fn measuring(&self, measured: Vec<f64>) -> Self {
+        Self {
+            data: self.data.clone(),
+            groups: self.groups.clone(),
+            measured,
+            bounds: self.bounds,
+            cache: Mutex::default(),
+        }
+    }
+
+    /// Whether a time constant is so short that the record shows all of it: three of them pass at
+    /// least five times over.
+    pub(crate) fn is_short(&self, time_constant_s: f64) -> bool {
+        15.0 * time_constant_s < self.bounds.time_constant_s[1] / 3.0
+    }
+
+    /// Measured minus predicted, in groups.
+    pub(crate) fn residual(&self, model: &Model) -> Vec<f64> {
+        let predicted = self.predicted(model);
+        self.measured.iter().zip(predicted).map(|(m, p)| m - p).collect()
+    }
+
+    /// The time constant with which the model's own heat rises.
+    fn rise_s(&self, model: &Model) -> Option<f64> {
+        let replaced = model.parts.iter().find_map(|part| {
+            matches!(part.kind, Kind::ThermalLag | Kind::GrowthRate).then_some(part.values[0])
+        });
+        let spindle = &self.data.machine.spindle;
+        let believed = match (own_thermal(&self.data), spindle.source) {
+            (Some(thermal), _) => Some(thermal.lag_s),
+            (None, Some(Source::Temperature)) => spindle.temperature.as_ref().map(|it| it.lag_s),
+            (None, Some(Source::Warmup)) => {
+                spindle.warmup.as_ref().map(trueup_machine::machine_file::Warmup::time_constant_s)
+            }
+            _ => None,
+        };
+        replaced.or(believed).filter(|rise_s| *rise_s > 0.0)
+    }
+
+    /// Whether all values of the model are physically possible and inside what the data can show.
+    pub(super) fn keep(&self, model: &mut Model) {
+        let rise_s = self.rise_s(model);
+        for part in &mut model.parts {
+            // What cools more than five times faster or slower than it warms is not the same heat.
+            if let (Kind::CoolingAsymmetry, Some(rise_s)) = (&part.kind, rise_s) {
+                part.values[0] = part.values[0].clamp(0.2 * rise_s, 5.0 * rise_s);
+            }
+            let held = |value: &mut f64, [low, high]: [f64; 2]| *value = value.clamp(low, high);
+            match part.kind {
+                _ if part.kind.has_time_constant() => {
+                    held(&mut part.values[0], self.bounds.time_constant_s);
+                }
+                Kind::TimeShift => {
+                    // Clocks that differ by more are not a matter of two clocks.
+                    let [low, high] = self.bounds.time_s;
+                    let rows = self.data.rows as f64 / self.data.files as f64;
+                    let most = (high - low) * (40.0 / rows).min(0.1);
+                    held(&mut part.values[0], [-most, most]);
+                }
+                Kind::SensorSaturation => {
+                    held(&mut part.values[0], self.bounds.prediction_um);
+                }
+                Kind::PitchPeriodic { .. } => held(&mut part.values[0], self.bounds.period_mm),
+                // A gain that turns the sign, or is off by more than a factor of five, is another
+                // machine's.
+                Kind::SensorGain => held(&mut part.values[0], [-0.8, 4.0]),
+                // A growth that is not within a factor of two of what is believed is not the same
+                // growth: another path carries it.
+                Kind::GrowthAmplitude => held(&mut part.values[0], [-0.5, 1.0]),
+                _ => {}
+            }
+        }
+    }
+}
+
+fn bounds(data: &Data, groups: &Groups) -> Bounds {
+    let extent = |values: &mut dyn Iterator<Item = f64>| {
+        values
+            .filter(|value| value.is_finite())
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| {
+                [low.min(value), high.max(value)]
+            })
+    };
+    let finite =
+        |[low, high]: [f64; 2], none: [f64; 2]| if low < high { [low, high] } else { none };
+    let time_s = data
+        .time_s
+        .as_ref()
+        .map_or([0.0, 1.0], |times| finite(extent(&mut times.iter().copied()), [0.0, 1.0]));
+    // The longest of the series: what is slower than that is not seen.
+    let longest_s = data.time_s.as_ref().map_or(1.0, |times| {
+        let mut longest: f64 = 0.0;
+        let mut start = 0;
+        for row in 1..=data.rows {
+            if row == data.rows || data.restart[row] {
+                let range = extent(&mut times[start..row].iter().copied());
+                longest = longest.max(range[1] - range[0]);
+                start = row;
+            }
+        }
+        if longest > 0.0 { longest } else { 1.0 }
+    });
+    let step_s = longest_s * data.files as f64 / (data.rows as f64).max(2.0);
+    let own = data.own_position();
+    let range = own.map_or([0.0, 1.0], |mm| finite(extent(&mut mm.iter().copied()), [0.0, 1.0]));
+    let prediction = Model::default().predict(data);
+    let prediction_um = finite(extent(&mut prediction.iter().copied()), [0.0, 1.0]);
+    Bounds {
+        time_constant_s: [0.2 * step_s, 3.0 * longest_s],
+        time_s,
+        period_mm: [
+            (range[1] - range[0]) / groups.len().max(2) as f64,
+            0.7 * (range[1] - range[0]),
+        ],
+        prediction_um,
+    }
+}

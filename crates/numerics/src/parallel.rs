@@ -1,0 +1,13 @@
+//! Equal pieces of work on all cores of the computer, their results in order.
+
+use rayon::prelude::*;
+
+/// What `of` makes of each of `items`, on all cores; on this core alone where the work is not worth
+/// the threads.
+pub fn on_all_cores<T: Sync, R: Send>(
+    items: &[T],
+    is_worth: bool,
+    of: impl Fn(&T) -> R + Send + Sync,
+) -> Vec<R> {
+    if is_worth { items.par_iter().map(of).collect() } else { items.iter().map(of).collect() }
+}
