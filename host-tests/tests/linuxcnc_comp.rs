@@ -179,6 +179,7 @@ fn files(export: &Export) -> Vec<(String, String)> {
 }
 
 #[test]
+#[ignore = "long: the real LinuxCNC"]
 fn the_real_linuxcnc_corrects_the_model_within_the_stated_difference() -> Result<()> {
     let Some(control) = setup::linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
@@ -224,6 +225,7 @@ fn the_real_linuxcnc_corrects_the_model_within_the_stated_difference() -> Result
 }
 
 #[test]
+#[ignore = "long: the real LinuxCNC"]
 fn a_header_would_switch_the_real_linuxcncs_table_off_in_silence() -> Result<()> {
     let Some(control) = setup::linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");

@@ -54,6 +54,7 @@ fn back_on(rig: &mut Rig) -> Result<()> {
 }
 
 #[test]
+#[ignore = "long: the real LinuxCNC"]
 fn after_an_e_stop_the_offset_comes_back_by_a_ramp() -> Result<()> {
     scenario(GROWN_UM, |rig| {
         rig.cnc.act("state", "name", "estop")?;
@@ -63,6 +64,7 @@ fn after_an_e_stop_the_offset_comes_back_by_a_ramp() -> Result<()> {
 }
 
 #[test]
+#[ignore = "long: the real LinuxCNC"]
 fn after_machine_off_and_on_the_offset_comes_back_by_a_ramp() -> Result<()> {
     scenario(GROWN_UM, |rig| {
         for _ in 0..3 {
@@ -77,6 +79,7 @@ fn after_machine_off_and_on_the_offset_comes_back_by_a_ramp() -> Result<()> {
 }
 
 #[test]
+#[ignore = "long: the real LinuxCNC"]
 fn while_it_is_not_homed_the_offset_stands_and_afterwards_it_follows_again() -> Result<()> {
     scenario(GROWN_UM - 15.0, |rig| {
         rig.cnc.ask(&json!({"do": "unhome"}))?;
@@ -91,6 +94,7 @@ fn while_it_is_not_homed_the_offset_stands_and_afterwards_it_follows_again() -> 
 }
 
 #[test]
+#[ignore = "long: the real LinuxCNC"]
 fn at_a_soft_limit_the_offset_stands_back_and_does_not_hurry_afterwards() -> Result<()> {
     scenario(GROWN_UM, |rig| {
         // Z may go to 1 mm, and the offset would take it beyond.
@@ -108,6 +112,7 @@ fn at_a_soft_limit_the_offset_stands_back_and_does_not_hurry_afterwards() -> Res
 }
 
 #[test]
+#[ignore = "long: the real LinuxCNC"]
 fn a_bridge_that_is_unplugged_is_held_then_ramped_out_and_taken_up_again() -> Result<()> {
     scenario(GROWN_UM, |rig| {
         rig.bridge.plug(false);
@@ -134,6 +139,7 @@ fn gone(rig: &mut Rig) -> Result<()> {
 }
 
 #[test]
+#[ignore = "long: the real LinuxCNC"]
 fn a_component_that_is_killed_leaves_the_offset_and_the_next_one_goes_on_from_there() -> Result<()>
 {
     scenario(GROWN_UM - 20.0, |rig| {
@@ -182,6 +188,7 @@ fn load(rig: &mut Rig, file: &str) -> Result<()> {
 }
 
 #[test]
+#[ignore = "long: the real LinuxCNC"]
 fn a_component_that_is_ended_and_loaded_again_goes_on_where_the_offset_stands() -> Result<()> {
     scenario(GROWN_UM + 5.0, |rig| {
         let pid = rig.cnc.pin("trueup.0.pid")?;
@@ -197,6 +204,7 @@ fn a_component_that_is_ended_and_loaded_again_goes_on_where_the_offset_stands() 
 }
 
 #[test]
+#[ignore = "long: the real LinuxCNC"]
 fn damaged_lost_doubled_and_swapped_frames_move_nothing_that_was_not_meant() -> Result<()> {
     scenario(GROWN_UM + 10.0, |rig| {
         let names = ["trueup.0.crc-errors", "trueup.0.seq-errors", "trueup.0.lost"];
@@ -220,6 +228,7 @@ fn damaged_lost_doubled_and_swapped_frames_move_nothing_that_was_not_meant() -> 
 }
 
 #[test]
+#[ignore = "long: the real LinuxCNC"]
 fn counts_that_wrap_at_32_bits_are_no_step() -> Result<()> {
     scenario(GROWN_UM, |rig| {
         rig.cnc.act("state", "name", "off")?;
@@ -250,6 +259,7 @@ fn counts_that_wrap_at_32_bits_are_no_step() -> Result<()> {
 }
 
 #[test]
+#[ignore = "long: the real LinuxCNC"]
 fn a_bridge_that_starts_after_linuxcnc_is_taken_up() -> Result<()> {
     scenario(GROWN_UM, |rig| {
         let told = rig.told_at_start.clone();
@@ -262,6 +272,7 @@ fn a_bridge_that_starts_after_linuxcnc_is_taken_up() -> Result<()> {
 }
 
 #[test]
+#[ignore = "long: the real LinuxCNC"]
 fn a_part_that_is_touched_off_warm_has_the_right_height_after_a_restart() -> Result<()> {
     let Some(rig) = shared()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
@@ -316,6 +327,7 @@ fn a_part_that_is_touched_off_warm_has_the_right_height_after_a_restart() -> Res
 }
 
 #[test]
+#[ignore = "long: the real LinuxCNC"]
 fn moving_axes_are_corrected_by_their_tables_while_they_move() -> Result<()> {
     scenario(GROWN_UM, |rig| {
         let mut at = |text: &str| -> Result<[f64; 3]> {
@@ -343,6 +355,7 @@ fn moving_axes_are_corrected_by_their_tables_while_they_move() -> Result<()> {
 }
 
 #[test]
+#[ignore = "long: the real LinuxCNC"]
 fn a_probed_point_contains_the_offset_and_a_touched_off_one_does_not() -> Result<()> {
     scenario(GROWN_UM, |rig| {
         rig.cnc.act("mdi", "text", "G10 L2 P1 Z0")?;

@@ -12,7 +12,10 @@ use std::{
 
 use anyhow::{Context as _, Result, bail};
 use clap::{Args, Parser, Subcommand};
-use trueup_checks::structure;
+use trueup_checks::{
+    structure,
+    verify::{self, Tier},
+};
 use trueup_emulator::{
     demo,
     firmware::{self, Board},
@@ -22,7 +25,7 @@ use trueup_emulator::{
     replay::{self, Replay},
     report,
     serve::{self, Source},
-    setup, size, verify,
+    setup, size,
 };
 use trueup_machine::{BadInput, MachineFile, RunFile, compile};
 
@@ -37,8 +40,8 @@ struct Cli {
 enum Command {
     /// Plays a measured spindle run through the real firmware on an emulated board.
     Demo,
-    /// Runs every test: host, emulated board, real clients.
-    Verify,
+    /// Runs the quick tier of every kind of test: host, emulated board, real clients.
+    Verify(Verify),
     /// Runs a virtual bridge for any client, until Ctrl-C.
     Virtual(Virtual),
     /// Lets the real LinuxCNC cut on a virtual machine that the bridge corrects.
@@ -59,6 +62,16 @@ enum Command {
     Structure,
     /// Gets what this machine lacks: target, QEMU, Python clients.
     Setup,
+}
+
+#[derive(Args)]
+struct Verify {
+    /// What the quick tier leaves out: long tests, LinuxCNC, the distribution's compiler.
+    #[arg(long)]
+    long: bool,
+    /// Every test: both tiers.
+    #[arg(long, conflicts_with = "long")]
+    all: bool,
 }
 
 #[derive(Args)]
@@ -105,7 +118,9 @@ fn main() -> ExitCode {
     let words = std::env::args_os().filter(|word| word != "--");
     let result = match Cli::parse_from(words).command {
         Command::Demo => run_demo(),
-        Command::Verify => verify::run(),
+        Command::Verify(Verify { all: true, .. }) => verify::run(Tier::All),
+        Command::Verify(Verify { long: true, .. }) => verify::run(Tier::Long),
+        Command::Verify(_) => verify::run(Tier::Quick),
         Command::Virtual(options) => run_virtual(options),
         Command::LinuxCnc => linuxcnc::run_and_publish().map(drop),
         Command::Size => size::report().map(|report| print!("{report}")),

@@ -1,4 +1,14 @@
-//! What keeps the project in order: the structure of its source, counted.
+//! What keeps the project in order: its tests in tiers, the structure of its source, what it is built
+//! from.
+//!
+//! ```text
+//!  verify ─► structure, supply_chain, test_run ─► tally
+//! ```
 #![forbid(unsafe_code)]
 
+mod cargo;
 pub mod structure;
+mod supply_chain;
+mod tally;
+mod test_run;
+pub mod verify;

@@ -86,7 +86,15 @@ fn cargo_for(verb: &str, feature: &str) -> Result<(Command, PathBuf)> {
         command.arg("-Zbuild-std=core");
     }
     command
-        .args(["--package", "trueup-firmware", "--profile", "firmware", "--target", TARGET])
+        .args([
+            "--locked",
+            "--package",
+            "trueup-firmware",
+            "--profile",
+            "firmware",
+            "--target",
+            TARGET,
+        ])
         .args(["--features", feature, "--target-dir"])
         .arg(&folder)
         .current_dir(root);

@@ -30,4 +30,3 @@ pub mod serve;
 pub mod setup;
 pub mod size;
 pub mod stand_in;
-pub mod verify;

@@ -25,7 +25,8 @@ pub fn trueup() -> Result<PathBuf> {
 pub fn build(package: &str, name: &str) -> Result<PathBuf> {
     let cargo = std::env::var_os("CARGO").unwrap_or("cargo".into());
     let output = Command::new(cargo)
-        .args(["build", "--all-features", "--bin", name])
+        // The features of the tests: another choice would compile everything a second time.
+        .args(["build", "--locked", "--features", "trueup-host-tests/emulator", "--bin", name])
         .args(["--message-format", "json-render-diagnostics"])
         .current_dir(setup::root())
         .stderr(Stdio::inherit())

@@ -238,16 +238,25 @@ pub fn log2asc() -> Result<PathBuf> {
     process::find(PROGRAM).context("can-utils is installed but log2asc is not on PATH")
 }
 
-/// Everything at once, for `cargo xtask setup` and `cargo verify`.
+/// What the quick tests need: all but LinuxCNC, which is large.
+///
+/// # Errors
+/// Something is missing and cannot be had here.
+pub fn quick() -> Result<()> {
+    toolchain()?;
+    qemu()?;
+    python()?;
+    log2asc()?;
+    Ok(())
+}
+
+/// Everything at once, for `cargo xtask setup` and the long tests.
 ///
 /// # Errors
 /// Something is missing and cannot be had here.
 pub fn everything() -> Result<()> {
-    toolchain()?;
-    qemu()?;
-    python()?;
+    quick()?;
     linuxcnc()?;
-    log2asc()?;
     Ok(())
 }
 

@@ -186,8 +186,8 @@ fn bad_input_is_named_with_its_place_and_rule() {
 }
 
 #[test]
-#[ignore = "cargo test -p trueup-fit --release --test elongation -- --ignored --show-output"]
-fn a_million_rows_are_fitted() {
+#[ignore = "campaign: cargo test -p trueup-fit --release --test elongation -- --ignored --show-output"]
+fn campaign_a_million_rows_are_fitted() {
     let rows = 1_000_000;
     let mut noise = Noise::seeded(3);
     let counts: Vec<f64> = (0..rows).map(|row| 5048.0 + f64::from(row % 5000)).collect();

@@ -296,8 +296,8 @@ fn a_record_of_a_moving_axis_is_fitted_in_cells() {
 
 /// `cargo test --release -p trueup-fit --test pitch -- --ignored --show-output`
 #[test]
-#[ignore = "takes several seconds"]
-fn a_million_rows_are_fitted() {
+#[ignore = "campaign: cargo test -p trueup-fit --release --test pitch -- --ignored --show-output"]
+fn campaign_a_million_rows_are_fitted() {
     check_record(&record(1_000_000));
     let targets: Vec<f64> = (0..500).map(|n| f64::from(n) * 0.8).collect();
     let run = run_of(&sweeps(1000, &targets, |run, x, dir| shape(x) - dir + (run % 7) as f64));

@@ -260,8 +260,8 @@ fn what_the_machine_file_had_is_compared() {
 
 /// The run itself is 4 columns of 8 MB and what its places need.
 #[test]
-#[ignore = "half a minute: cargo test -p trueup-fit --release --test thermal -- --ignored --show-output"]
-fn a_million_rows_are_fitted() {
+#[ignore = "campaign: cargo test -p trueup-fit --release --test thermal -- --ignored --show-output"]
+fn campaign_a_million_rows_are_fitted() {
     let mut noise = Noise::seeded(3);
     let rows = 1_000_000;
     let time: Vec<f64> = (0..rows).map(|row| 0.1 * f64::from(row)).collect();

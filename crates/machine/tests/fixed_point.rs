@@ -464,8 +464,8 @@ fn the_sum_of_everything_is_within_10_nm_at_random() {
 }
 
 #[test]
-#[ignore = "a minute"]
-fn the_sum_of_everything_is_within_10_nm_at_ten_million_points() {
+#[ignore = "campaign: cargo test -p trueup-machine --test fixed_point -- --ignored --show-output"]
+fn campaign_the_sum_of_everything_is_within_10_nm_at_ten_million_points() {
     random_points(60, 10_000_020);
 }
 

@@ -293,8 +293,8 @@ fn no_other_straight_law_explains_the_effect_as_well() {
 
 /// `cargo test -p trueup-twin --test hidden -- --ignored --show-output`
 #[test]
-#[ignore = "prints what is drawn, for whoever wants to see"]
-fn challenges_at_a_glance() {
+#[ignore = "campaign: prints what is drawn, for whoever wants to see"]
+fn campaign_challenges_at_a_glance() {
     for &cause in Hidden::ALL {
         for seed in 0..3 {
             let challenge = draw(cause, 3.0, seed);

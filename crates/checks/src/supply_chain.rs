@@ -1,0 +1,105 @@
+//! What the project is built from: the compiler, and other people's crates.
+
+use std::{
+    path::{Path, PathBuf},
+    process::Command,
+};
+
+use anyhow::{Context as _, Result, ensure};
+use trueup_emulator::{process, setup};
+
+use crate::{cargo, tally::Tally};
+
+/// Says which compiler this is, and that it is not older than `rust-version` in `Cargo.toml`.
+///
+/// # Errors
+/// It is older, or does not say what it is.
+pub fn compiler() -> Result<Tally> {
+    let rustc = std::env::var_os("RUSTC").unwrap_or("rustc".into());
+    let said = process::output(Command::new(rustc).arg("--version"))?;
+    let manifest = std::fs::read_to_string(setup::root().join("Cargo.toml"))?;
+    let oldest = manifest
+        .lines()
+        .find_map(|line| line.strip_prefix("rust-version = "))
+        .context("Cargo.toml states no rust-version")?
+        .trim_matches('"');
+    println!("{} ({oldest} or newer is needed)", said.trim());
+    let version = said.split_whitespace().nth(1).unwrap_or_default();
+    ensure!(numbers(version) >= numbers(oldest), "this compiler is older than {oldest}");
+    Ok(Tally::passed(1))
+}
+
+/// The two numbers that count: `1.95.0-beta.1` gives 1 and 95.
+fn numbers(version: &str) -> Option<(u32, u32)> {
+    let mut numbers = version.split('.').map(|number| number.parse().ok());
+    Some((numbers.next()??, numbers.next()??))
+}
+
+/// The version that `deny.toml` is written for.
+const DENY: &str = "0.20.2";
+
+/// Licences, sources and duplicates of the crates in the lock file, by `deny.toml`; known
+/// vulnerabilities where their database can be had.
+///
+/// # Errors
+/// A crate breaks a rule, or cargo-deny cannot be built.
+pub fn crates() -> Result<Tally> {
+    let deny = deny()?;
+    let check = |what: &[&str]| {
+        let mut command = Command::new(&deny);
+        command.args(["--locked", "check"]).args(what).current_dir(setup::root());
+        process::run(&mut command)
+    };
+    check(&["licenses", "bans", "sources"])?;
+    let mut tally = Tally::passed(1);
+    let mut fetch = Command::new(&deny);
+    fetch.args(["fetch", "db"]).current_dir(setup::root());
+    tally.add(match process::run(&mut fetch) {
+        Err(_) => Tally::lack("cargo-deny advisories: their database cannot be had here"),
+        Ok(()) => match check(&["--disable-fetch", "advisories"]) {
+            Ok(()) => Tally::passed(1),
+            // The world finds a hole on any day; that must not stop who has changed nothing.
+            Err(error) => {
+                Tally::lack(&format!("cargo-deny advisories, to be looked at: {error:#}"))
+            }
+        },
+    });
+    Ok(tally)
+}
+
+/// cargo-deny, built once into the project's own folder.
+fn deny() -> Result<PathBuf> {
+    let folder = setup::root().join("target/tools");
+    let program = folder.join("bin/cargo-deny");
+    if !is_wanted(&program) {
+        eprintln!(
+            "building cargo-deny {DENY} into target/tools, for the licences and sources of crates"
+        );
+        let mut install = cargo::locked("install");
+        // It runs for a second: what counts is how long it takes to build.
+        install
+            .args(["--debug", "--force", "cargo-deny", "--version", DENY, "--root"])
+            .arg(&folder);
+        install.arg("--target-dir").arg(folder.join("build"));
+        process::run(&mut install)?;
+        std::fs::remove_dir_all(folder.join("build"))?;
+    }
+    Ok(program)
+}
+
+fn is_wanted(program: &Path) -> bool {
+    process::output(Command::new(program).arg("--version"))
+        .is_ok_and(|said| said.split_whitespace().nth(1) == Some(DENY))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn versions_are_compared_by_number() {
+        assert!(numbers("1.100.0-nightly") > numbers("1.88"));
+        assert!(numbers("1.9.0") < numbers("1.88"));
+        assert_eq!(numbers("none"), None);
+    }
+}

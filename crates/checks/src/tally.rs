@@ -1,0 +1,136 @@
+//! Counts tests by the lines that they print, and keeps how long each took.
+//!
+//! Three things are no pass: a test that failed; one that cannot run where it is, for want of data say,
+//! and prints a line that starts with `skipped:`; and one that is ignored. The reason of an ignored
+//! one says which tier runs it: `long: …` the long one; `campaign: …` no tier, it has a command of its
+//! own. Any other reason is a failure, so that no test is left out for good without a word.
+
+use std::time::Duration;
+
+/// What came of tests.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Tally {
+    /// Tests and steps that passed.
+    pub passed: u32,
+    /// That failed.
+    pub failed: u32,
+    /// That lack something here.
+    pub lacking: u32,
+    /// That the long tier runs.
+    pub long: u32,
+    /// That have a command of their own.
+    pub campaigns: u32,
+    /// How long each test took.
+    pub times: Vec<(String, Duration)>,
+    /// Tests that said why they cannot run, of which the result line has not come yet.
+    announced: u32,
+}
+
+impl Tally {
+    /// So many things that passed.
+    pub fn passed(count: u32) -> Self {
+        Self { passed: count, ..Self::default() }
+    }
+
+    /// One thing that failed.
+    pub fn fail() -> Self {
+        Self { failed: 1, ..Self::default() }
+    }
+
+    /// One thing that cannot be had here.
+    pub fn lack(why: &str) -> Self {
+        println!("skipped: {why}");
+        Self { lacking: 1, ..Self::default() }
+    }
+
+    /// All that did not run.
+    pub fn skipped(&self) -> u32 {
+        self.lacking + self.long + self.campaigns
+    }
+
+    /// Adds what came of others.
+    pub fn add(&mut self, other: Self) {
+        self.passed += other.passed;
+        self.failed += other.failed;
+        self.lacking += other.lacking;
+        self.long += other.long;
+        self.campaigns += other.campaigns;
+        self.times.extend(other.times);
+    }
+
+    /// Takes a line that a test program printed; `took` is the time since its last result.
+    ///
+    /// Gives whether the line is the result of one test.
+    pub fn hear(&mut self, program: &str, line: &str, took: Duration) -> bool {
+        if line.starts_with("skipped:") {
+            self.lacking += 1;
+            self.announced += 1;
+            return false;
+        }
+        if let Some(result) = line.strip_prefix("test result: ") {
+            let number = |word: &str| -> u32 {
+                let before = result.split(word).next().unwrap_or_default();
+                before.split_whitespace().last().and_then(|n| n.parse().ok()).unwrap_or(0)
+            };
+            // A test that said why it cannot run has passed, for all that its program knows.
+            self.passed += number(" passed").saturating_sub(std::mem::take(&mut self.announced));
+            self.failed += number(" failed");
+            return false;
+        }
+        let Some((test, result)) =
+            line.strip_prefix("test ").and_then(|line| line.split_once(" ... "))
+        else {
+            return false;
+        };
+        match result.strip_prefix("ignored") {
+            Some(reason) => match reason.trim_start_matches([',', ' ']) {
+                reason if reason.starts_with("long:") => self.long += 1,
+                reason if reason.starts_with("campaign:") => self.campaigns += 1,
+                // A block of a documentation that is shown and not run.
+                _ if test.contains(" (line ") => {}
+                _ => {
+                    println!("{test} is ignored, but neither \"long: …\" nor \"campaign: …\"");
+                    self.failed += 1;
+                }
+            },
+            None => self.times.push((format!("{program}: {test}"), took)),
+        }
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_did_not_run_is_not_counted_as_passed() {
+        let mut tally = Tally::default();
+        let lines = [
+            "running 4 tests",
+            "test a::b ... ok",
+            "test a::c ... ignored, long: a minute",
+            "test a::d ... ignored, campaign: cargo test -- --ignored",
+            "test src/x.rs - x (line 7) ... ignored",
+            "skipped: no measured data",
+            "test result: ok. 4 passed; 0 failed; 2 ignored; 0 measured; 0 filtered out",
+        ];
+        for line in lines {
+            tally.hear("x", line, Duration::from_secs(1));
+        }
+        let times = vec![("x: a::b".into(), Duration::from_secs(1))];
+        let expected =
+            Tally { passed: 3, lacking: 1, long: 1, campaigns: 1, times, ..Tally::default() };
+        assert_eq!(tally, expected);
+        assert_eq!(tally.skipped(), 3);
+    }
+
+    #[test]
+    fn a_test_that_is_ignored_for_no_known_reason_fails() {
+        let mut tally = Tally::default();
+        for line in ["test a ... ignored", "test b ... ignored, takes a while"] {
+            tally.hear("x", line, Duration::ZERO);
+        }
+        assert_eq!((tally.failed, tally.skipped()), (2, 0));
+    }
+}

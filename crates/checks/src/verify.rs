@@ -1,0 +1,206 @@
+//! Every check of the project, in two tiers: nothing stops at the first failure, the last line counts.
+//!
+//! * Quick, `cargo verify`: every kind of check, each test that takes less than ten seconds.
+//! * Long, `cargo verify --long`: what the quick tier leaves out, namely tests that say so
+//!   (`#[ignore = "long: …"]`), the real LinuxCNC, the distribution's compiler, the documentation, the
+//!   crates that the project is built from.
+//!
+//! `cargo verify --all` is both. Longer campaigns (`#[ignore = "campaign: …"]`, named `campaign_…`) are
+//! in neither; their texts have their commands.
+
+use std::time::{Duration, Instant};
+
+use anyhow::{Result, bail};
+use trueup_emulator::{
+    firmware::{self, Board},
+    linuxcnc, process,
+    setup::{self, TOOLCHAIN_VARIABLE},
+    size,
+};
+
+use crate::{
+    cargo, structure, supply_chain,
+    tally::Tally,
+    test_run::{self, Program},
+};
+
+/// What is to be run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tier {
+    /// Minutes.
+    Quick,
+    /// What the quick tier leaves out.
+    Long,
+    /// Both.
+    All,
+}
+
+/// How long a test of the quick tier may take.
+const QUICK: Duration = Duration::from_secs(10);
+/// How many of the longest are printed.
+const LONGEST: usize = 10;
+
+/// What has been run so far.
+#[derive(Default)]
+struct Verification {
+    total: Tally,
+    failed: Vec<&'static str>,
+    steps: Vec<(String, Duration)>,
+}
+
+impl Verification {
+    fn step(&mut self, name: &'static str, work: impl FnOnce() -> Result<Tally>) {
+        eprintln!("\n=== {name}");
+        let started = Instant::now();
+        let tally = work().unwrap_or_else(|error| {
+            eprintln!("error: {error:#}");
+            Tally::fail()
+        });
+        if tally.failed > 0 {
+            self.failed.push(name);
+        }
+        self.total.add(tally);
+        self.steps.push((name.into(), started.elapsed()));
+    }
+}
+
+/// Runs a tier.
+///
+/// # Errors
+/// Something failed; what it was stands in the output above.
+pub fn run(tier: Tier) -> Result<()> {
+    let started = Instant::now();
+    let mut checks = Verification::default();
+    let mut programs = Vec::new();
+    checks.step("compiler", supply_chain::compiler);
+    if tier != Tier::Long {
+        quick_checks(&mut checks);
+    }
+    checks.step("build of the tests", || {
+        programs = test_run::build()?;
+        Ok(Tally::passed(1))
+    });
+    if tier != Tier::Long {
+        checks.step("tests", || test_run::run(&programs, &[], &[]));
+        checks.step("examples in the documentation", test_run::documentation);
+    }
+    if tier != Tier::Quick {
+        long_checks(&mut checks, &programs);
+    }
+    if tier == Tier::All {
+        // They have run, in the second place.
+        checks.total.long = 0;
+    }
+    report(&checks, tier, started.elapsed());
+    if checks.total.failed > 0 {
+        bail!("not everything passed");
+    }
+    Ok(())
+}
+
+fn quick_checks(checks: &mut Verification) {
+    checks.step("set-up", || setup::quick().map(|()| Tally::default()));
+    checks.step("structure", || {
+        print!("{}", structure::check(&setup::root())?);
+        Ok(Tally::passed(1))
+    });
+    checks.step("format", || check(cargo::plain("fmt").args(["--all", "--check"])));
+    checks.step("clippy, host", || {
+        let every = ["--all-targets", "--all-features", "--", "-D", "warnings"];
+        check(cargo::locked("clippy").args(every))
+    });
+    checks.step("clippy, boards and benchmark", || {
+        let mut tally = Tally::default();
+        for board in Board::ALL {
+            let (mut clippy, _) = firmware::cargo("clippy", board)?;
+            tally.add(check(clippy.args(["--", "-D", "warnings"]))?);
+        }
+        let (mut clippy, _) = firmware::cargo_measure("clippy")?;
+        tally.add(check(clippy.args(["--", "-D", "warnings"]))?);
+        Ok(tally)
+    });
+    checks.step("images", || {
+        print!("{}", size::report()?);
+        Ok(Tally::passed(2))
+    });
+}
+
+fn long_checks(checks: &mut Verification, programs: &[Program]) {
+    checks.step("set-up for the long tests", || setup::everything().map(|()| Tally::default()));
+    checks
+        .step("long tests", || test_run::run(programs, &["--ignored", "--skip", "campaign_"], &[]));
+    checks.step("documentation", || {
+        let mut doc = cargo::locked("doc");
+        check(doc.args(["--no-deps", "--all-features"]).env("RUSTDOCFLAGS", "-D warnings"))
+    });
+    checks.step("the board by the distribution's compiler", || {
+        if process::find("apt-get").is_none() {
+            return Ok(Tally::lack("this distribution has no such compiler"));
+        }
+        let board: Vec<_> = programs
+            .iter()
+            .filter(|program| program.name.ends_with("/virtual_board"))
+            .cloned()
+            .collect();
+        test_run::run(&board, &["to_the_bit"], &[(TOOLCHAIN_VARIABLE, "distribution")])
+    });
+    checks.step("LinuxCNC in the loop", || {
+        // Without a real-time kernel LinuxCNC starves on a busy computer, and the run is worth nothing.
+        let first = linuxcnc::run_and_publish();
+        if let Err(error) = &first {
+            eprintln!("error: {error:#}; once more");
+        }
+        Ok(match first.or_else(|_| linuxcnc::run_and_publish())? {
+            Some(passed) => Tally::passed(passed),
+            None => Tally::lack("this distribution has no package of LinuxCNC"),
+        })
+    });
+    checks.step("crates of others", supply_chain::crates);
+}
+
+/// A command that passes or fails as a whole.
+fn check(command: &mut std::process::Command) -> Result<Tally> {
+    process::run(command)?;
+    Ok(Tally::passed(1))
+}
+
+fn report(checks: &Verification, tier: Tier, took: Duration) {
+    let total = &checks.total;
+    let mut times = [checks.steps.clone(), total.times.clone()].concat();
+    times.sort_by_key(|(_, time)| std::cmp::Reverse(*time));
+    println!("\nthe {LONGEST} longest, steps and tests:");
+    for (name, time) in times.iter().take(LONGEST) {
+        println!("{:7.1} s  {name}", time.as_secs_f64());
+    }
+    if tier == Tier::Quick {
+        for (name, time) in total.times.iter().filter(|(_, time)| *time > QUICK) {
+            println!(
+                "{:7.1} s  {name}: on a quiet computer this would be a long test",
+                time.as_secs_f64()
+            );
+        }
+    }
+    println!("after {:.0} s", took.as_secs_f64());
+    for name in &checks.failed {
+        println!("failed: {name}");
+    }
+    println!(
+        "skipped: {} long ones (cargo verify --long), {} campaigns (commands of their own), {} that lack \
+         something here",
+        total.long, total.campaigns, total.lacking
+    );
+    println!("{} passed, {} failed, {} skipped", total.passed, total.failed, total.skipped());
+}
+
+/// The diagnosis tried on `seeds` draws of each hidden effect, at three ratios of effect to noise.
+///
+/// # Errors
+/// It does not build or does not run through.
+pub fn scorecard(seeds: u32) -> Result<()> {
+    let docs = setup::root().join("docs");
+    std::fs::create_dir_all(&docs)?;
+    let example = ["--release", "-p", "trueup-diagnose", "--example", "scorecard", "--"];
+    let seeds = seeds.to_string();
+    let draws = ["--seeds", &seeds, "--few", &seeds, "--out"];
+    process::run(cargo::locked("run").args(example).args(draws).arg(docs.join("scorecard.md")))
+}
