@@ -6,13 +6,13 @@ use std::{
     time::Duration,
 };
 
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use trueup_diagnose::{Diagnosis, diagnose};
 use trueup_machine::{MachineFile, RunFile, machine_file};
 
-use crate::{Mend, Outcome, output};
+use crate::{Mend, Outcome, output, runs};
 
 /// Shows what the machine file gets wrong, names the cause, and writes the machine file with it.
 ///
@@ -57,13 +57,12 @@ impl Quantity {
 }
 
 pub fn run(args: &Diagnose, as_json: bool) -> Result<Outcome> {
-    let machine = MachineFile::read(&args.machine)?;
+    let source = MachineFile::read_text(&args.machine)?;
+    let machine = MachineFile::parse(&source, &args.machine)?;
     let read = |paths: &[PathBuf]| -> Result<Vec<RunFile>> {
-        paths.iter().map(|path| Ok(RunFile::read(path)?)).collect()
+        paths.iter().map(|path| Ok(runs::read(path)?)).collect()
     };
     let (runs, holdout) = (read(&args.runs)?, read(&args.holdout)?);
-    let source = fs::read_to_string(&args.machine)
-        .with_context(|| format!("{}: cannot be read", args.machine.display()))?;
     fs::create_dir_all(&args.out)
         .map_err(|error| Mend(format!("{}: cannot be made: {error}", args.out.display())))?;
 

@@ -4,8 +4,7 @@ mod args;
 mod report;
 
 use std::{
-    fs::{self, File},
-    io::{BufReader, IsTerminal as _},
+    io::IsTerminal as _,
     path::{Path, PathBuf},
 };
 
@@ -27,10 +26,7 @@ use self::args::{
     Backlash, By, Common, Elongation, Kind, Method, Mode, Pitch, Reference, Straightness, Thermal,
     Warmup, Ways,
 };
-use crate::{Mend, Outcome, output};
-
-/// A run above this is worth a progress bar: about a second of work.
-const LONG_RUN_BYTES: u64 = 16 << 20;
+use crate::{Mend, Outcome, output, runs};
 
 /// The files that were read.
 struct Input {
@@ -49,7 +45,7 @@ pub fn run(args: &Fit, as_json: bool) -> Result<Outcome> {
         | Kind::Thermal(Thermal { common, .. }) => common,
     };
     let input = Input::read(common)?;
-    let bytes: u64 = common.run.iter().map(|path| size(path)).sum();
+    let bytes: u64 = common.run.iter().map(|path| runs::bytes(path)).sum();
     let spinner = spinner("fitting", bytes);
     let report = match &args.kind {
         Kind::Straightness(args) => straightness_of(&input, args)?,
@@ -78,15 +74,12 @@ impl Input {
         let machine = match &common.machine {
             None => None,
             Some(path) => {
-                let machine = MachineFile::read(path)?;
-                // It was UTF-8 a moment ago.
-                let text = fs::read_to_string(path).map_err(|error| {
-                    Mend(format!("{}: cannot be read: {error}", path.display()))
-                })?;
+                let text = MachineFile::read_text(path)?;
+                let machine = MachineFile::parse(&text, path)?;
                 Some((path.clone(), text, machine))
             }
         };
-        let runs = common.run.iter().map(|path| read_run(path)).collect::<Result<_, _>>()?;
+        let runs = common.run.iter().map(|path| runs::read(path)).collect::<Result<_, _>>()?;
         Ok(Self { runs, machine })
     }
 
@@ -246,35 +239,9 @@ fn write(input: &Input, common: &Common, report: &Report) -> Result<bool> {
     Ok(true)
 }
 
-fn read_run(path: &Path) -> Result<RunFile, BadInput> {
-    let file = File::open(path).map_err(|error| {
-        BadInput::new(Place::start_of(path), format!("cannot be read: {error}"))
-    })?;
-    let bytes = size(path);
-    let bar = bar("reading", bytes);
-    let run = RunFile::from_reader(BufReader::with_capacity(1 << 16, bar.wrap_read(file)), path);
-    bar.finish_and_clear();
-    run
-}
-
-/// The size of a file; 0 where it is not a plain one.
-fn size(path: &Path) -> u64 {
-    path.metadata().map_or(0, |metadata| metadata.len())
-}
-
-fn bar(what: &'static str, bytes: u64) -> ProgressBar {
-    if bytes < LONG_RUN_BYTES {
-        return ProgressBar::hidden();
-    }
-    let style = ProgressStyle::with_template("{msg} {wide_bar} {percent} % {eta}");
-    ProgressBar::with_draw_target(Some(bytes), ProgressDrawTarget::stderr())
-        .with_style(style.expect("the template is a constant"))
-        .with_message(what)
-}
-
 /// A fit does not know how far it is: the time that has passed, where somebody watches.
 fn spinner(what: &'static str, bytes: u64) -> ProgressBar {
-    if bytes < LONG_RUN_BYTES / 8 || !std::io::stderr().is_terminal() {
+    if bytes < runs::LONG_RUN_BYTES / 8 || !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }
     let style = ProgressStyle::with_template("{spinner} {msg} {elapsed}");

@@ -19,6 +19,7 @@ mod fit;
 mod linuxcnc;
 mod output;
 mod predict;
+mod runs;
 mod show;
 mod simulate;
 

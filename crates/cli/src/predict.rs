@@ -1,24 +1,20 @@
 //! `trueup predict`: a run with what the model and the bridge say of each row.
 
-use std::{fs::File, io::BufReader, path::Path};
+use std::path::Path;
 
 use anyhow::Result;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde_json::json;
 use trueup_machine::{
-    BadInput, MachineFile, Place, RunFile,
+    MachineFile,
     predict::{Predictor, Written},
 };
 
-use crate::{Outcome, output};
-
-/// A run above this is worth a progress bar: about a second of work.
-const LONG_RUN_BYTES: u64 = 16 << 20;
+use crate::{Outcome, output, runs};
 
 /// Predicts `run` by `machine`, to the file `to`.
 pub fn run(machine_path: &Path, run_path: &Path, to: &Path, as_json: bool) -> Result<Outcome> {
     let machine = MachineFile::read(machine_path)?;
-    let run = read(run_path)?;
+    let run = runs::read(run_path)?;
     let predictor = Predictor::new(&machine, &run)?;
     if let Some(why) = predictor.why_no_bridge() {
         eprintln!("warning: {}: the bridge's columns stay empty: {why}", machine_path.display());
@@ -30,39 +26,12 @@ pub fn run(machine_path: &Path, run_path: &Path, to: &Path, as_json: bool) -> Re
             predictor.missing_columns().join(", ")
         );
     }
-    let bar = progress("writing", run.rows() as u64, run_bytes(run_path));
+    let bar = runs::progress("writing", run.rows() as u64, runs::bytes(run_path));
     let written = output::write_whole(to, &[machine_path, run_path], |out| {
         predictor.write(out, || bar.inc(1))
     })?;
     bar.finish_and_clear();
     report(&written, to, as_json)
-}
-
-fn read(path: &Path) -> Result<RunFile, BadInput> {
-    let file = File::open(path).map_err(|error| {
-        BadInput::new(Place::start_of(path), format!("cannot be read: {error}"))
-    })?;
-    let bytes = run_bytes(path);
-    let bar = progress("reading", bytes, bytes);
-    let run = RunFile::from_reader(BufReader::with_capacity(1 << 16, bar.wrap_read(file)), path);
-    bar.finish_and_clear();
-    run
-}
-
-/// The size of the run; 0 where it is not a plain file.
-fn run_bytes(path: &Path) -> u64 {
-    path.metadata().map_or(0, |metadata| metadata.len())
-}
-
-/// A bar on standard error; none for a short run, or where nobody watches.
-fn progress(what: &'static str, steps: u64, run_bytes: u64) -> ProgressBar {
-    if run_bytes < LONG_RUN_BYTES {
-        return ProgressBar::hidden();
-    }
-    let style = ProgressStyle::with_template("{msg} {wide_bar} {percent} % {eta}");
-    ProgressBar::with_draw_target(Some(steps), ProgressDrawTarget::stderr())
-        .with_style(style.expect("the template is a constant"))
-        .with_message(what)
 }
 
 fn report(written: &Written, to: &Path, as_json: bool) -> Result<Outcome> {

@@ -6,6 +6,7 @@
 //! | module | does |
 //! |---|---|
 //! | [`place`] | where in a user's file something is wrong, and which rule it breaks |
+//! | [`bounded`] | opens and reads files of the user's within bounds |
 //! | [`machine_file`] | reads the machine file into a [`Machine`] |
 //! | [`inputs`] | from PLC counts to volts, ADC codes and readings |
 //! | [`run_file`] | reads a run file (CSV) into columns |
@@ -15,6 +16,7 @@
 //! | [`predict`] | a run with what the model and the board's integers say of each row |
 #![forbid(unsafe_code)]
 
+pub mod bounded;
 pub mod compile;
 pub mod inputs;
 pub mod machine_file;

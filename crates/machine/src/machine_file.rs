@@ -10,7 +10,7 @@ mod spindle;
 mod straightness;
 mod term;
 
-use std::{collections::BTreeMap, fs, path::Path};
+use std::{collections::BTreeMap, path::Path};
 
 pub use axis::{
     Axis, Backlash, Dual, Feedback, LinearAxis, Pitch, RotaryAxis, Thermal, ThermalMode, ThermalRow,
@@ -20,16 +20,20 @@ pub use straightness::{BSpline, SplineFault, Squareness, Straightness};
 pub use term::{Cause, Effect, Quantity, Term, Wave};
 
 use crate::{
+    bounded,
     inputs::{
         Inputs, LAST_CHANNEL, REFERENCE_VOLTS, SensorInput, TemperatureInput, TemperatureKind,
     },
-    place::{BadInput, Place, Places, shortened, without_byte_order_mark},
+    place::{BadInput, Places, shortened, without_byte_order_mark},
     section::{Document, Section},
 };
 
 /// Sections of the format that this version reads.
 const SECTIONS: [&str; 8] =
     ["machine", "inputs", "spindle", "axis", "straightness", "squareness", "limits", "term"];
+
+/// The longest machine file that is read, in bytes: forty times what the board could store of it.
+pub const MOST_BYTES: u64 = 4 << 20;
 
 /// What the user believes about the machine.
 #[derive(Clone, Debug, PartialEq)]
@@ -129,17 +133,17 @@ impl MachineFile {
     /// Reads the machine file at `path`.
     ///
     /// # Errors
-    /// The file cannot be read, is not UTF-8, or breaks a rule of [`Self::parse`].
+    /// As [`Self::read_text`] and [`Self::parse`].
     pub fn read(path: &Path) -> Result<Machine, BadInput> {
-        let bytes = fs::read(path).map_err(|error| {
-            BadInput::new(Place::start_of(path), format!("cannot be read: {error}"))
-        })?;
-        let source = str::from_utf8(&bytes).map_err(|error| {
-            let valid = String::from_utf8_lossy(&bytes[..error.valid_up_to()]);
-            let place = Place::at_byte(path, &valid, valid.len());
-            BadInput::new(place, "is not UTF-8 text")
-        })?;
-        Self::parse(source, path)
+        Self::parse(&Self::read_text(path)?, path)
+    }
+
+    /// Reads the text of the machine file at `path`, as it is.
+    ///
+    /// # Errors
+    /// The file cannot be read, is longer than [`MOST_BYTES`], or is not UTF-8.
+    pub fn read_text(path: &Path) -> Result<String, BadInput> {
+        bounded::read_text(path, MOST_BYTES)
     }
 
     /// Reads `source`, the content of the file at `path` (which names it in errors and is not

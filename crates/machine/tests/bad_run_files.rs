@@ -1,8 +1,11 @@
 //! Run files that must be refused, each with its place and the rule it breaks.
 
-use std::path::Path;
+use std::{
+    io::{self, BufReader, Read},
+    path::Path,
+};
 
-use trueup_machine::{BadInput, RunFile};
+use trueup_machine::{BadInput, RunFile, run_file::MOST_COLUMNS};
 
 fn error_of(bytes: &[u8]) -> BadInput {
     match RunFile::from_reader(bytes, Path::new("bad.csv")) {
@@ -96,4 +99,35 @@ fn a_file_that_cannot_be_read_is_refused_by_name() {
     assert!(missing.to_string().starts_with("no/such/run.csv:1:1: cannot be read: "));
     let folder = RunFile::read(Path::new(env!("CARGO_MANIFEST_DIR"))).expect_err("is a folder");
     assert!(folder.rule.starts_with("cannot be read: "), "{folder}");
+}
+
+/// The complaint about a source that is never in memory as a whole.
+fn error_of_source(source: impl Read) -> String {
+    let read = RunFile::from_reader(BufReader::new(source), Path::new("bad.csv"));
+    read.map(|_| ()).expect_err("out of bounds").to_string()
+}
+
+/// Many columns: `c0,c1,…`
+fn header(columns: usize) -> String {
+    let names: Vec<String> = (0..columns).map(|number| format!("c{number}")).collect();
+    names.join(",") + "\n"
+}
+
+#[test]
+fn a_line_without_an_end_is_refused_where_it_begins() {
+    let rest = io::repeat(b'1').take(1 << 30);
+    let error = error_of_source("a,b\n1,2\n".as_bytes().chain(rest));
+    assert!(error.starts_with("bad.csv:3:1: the line is longer than 1048576 bytes"), "{error}");
+    let header = error_of_source(io::repeat(0).take(1 << 30));
+    assert!(header.starts_with("bad.csv:1:1: the line is longer"), "{header}");
+}
+
+#[test]
+fn a_column_too_many_is_refused_at_its_name() {
+    let most = header(MOST_COLUMNS) + &"1,".repeat(MOST_COLUMNS - 1) + "1\n";
+    let run = RunFile::from_reader(most.as_bytes(), Path::new("r.csv")).expect("as many as may be");
+    assert_eq!(run.columns().len(), MOST_COLUMNS);
+    let error = error_of(header(MOST_COLUMNS + 1).as_bytes()).to_string();
+    let column = header(MOST_COLUMNS).len() + 1;
+    assert_eq!(error, format!("bad.csv:1:{column}: more than 4096 columns"));
 }

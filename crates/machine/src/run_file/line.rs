@@ -1,0 +1,86 @@
+//! The lines of a run file, read one at a time and within bounds.
+
+use std::{
+    io::{BufRead, Read as _},
+    path::Path,
+};
+
+use crate::{
+    bounded::at_most,
+    place::{BadInput, Place},
+};
+
+/// The longest line that is read, in bytes, its end included: the bytes of ten times as many
+/// columns as a file may have.
+const MOST_BYTES_OF_A_LINE: usize = 1 << 20;
+
+/// The line that is being read.
+pub(super) struct Line {
+    bytes: Vec<u8>,
+    /// Without byte order mark and line end.
+    pub(super) text: String,
+    /// Its number in the file, the first is 1.
+    pub(super) number: usize,
+    /// How much of the file has been read, with this line.
+    file_bytes: u64,
+    /// How much of it may be.
+    most_bytes: u64,
+}
+
+impl Line {
+    /// Before the first line of a file that may have `most_bytes`.
+    pub(super) fn new(most_bytes: u64) -> Self {
+        Self { bytes: Vec::new(), text: String::new(), number: 0, file_bytes: 0, most_bytes }
+    }
+
+    /// The next line of `source`; false at its end.
+    pub(super) fn read(
+        &mut self,
+        source: &mut impl BufRead,
+        path: &Path,
+    ) -> Result<bool, BadInput> {
+        self.bytes.clear();
+        self.number += 1;
+        let most = MOST_BYTES_OF_A_LINE as u64 + 1;
+        let read = source.take(most).read_until(b'\n', &mut self.bytes).map_err(|error| {
+            BadInput::new(self.place(path, 1), format!("cannot be read: {error}"))
+        })?;
+        if read > MOST_BYTES_OF_A_LINE {
+            let rule = format!(
+                "the line is longer than {MOST_BYTES_OF_A_LINE} bytes: a run file has one \
+                 observation a line"
+            );
+            return Err(BadInput::new(self.place(path, 1), rule));
+        }
+        self.file_bytes += read as u64;
+        if self.file_bytes > self.most_bytes {
+            let rule = format!("the file goes on here, {}", at_most(self.most_bytes));
+            return Err(BadInput::new(self.place(path, 1), rule));
+        }
+        let mut bytes = self.bytes.strip_suffix(b"\n").unwrap_or(&self.bytes);
+        bytes = bytes.strip_suffix(b"\r").unwrap_or(bytes);
+        if self.number == 1 {
+            bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+        }
+        let text = str::from_utf8(bytes).map_err(|error| {
+            let column = String::from_utf8_lossy(&bytes[..error.valid_up_to()]).chars().count() + 1;
+            BadInput::new(self.place(path, column), "is not UTF-8 text")
+        })?;
+        if let Some(at) = text.find('\r') {
+            let column = text[..at].chars().count() + 1;
+            let rule = "a carriage return alone does not end a line: use LF or CRLF";
+            return Err(BadInput::new(self.place(path, column), rule));
+        }
+        self.text.clear();
+        self.text.push_str(text);
+        Ok(read > 0)
+    }
+
+    pub(super) fn is_blank(&self) -> bool {
+        self.text.trim().is_empty()
+    }
+
+    pub(super) fn place(&self, path: &Path, column: usize) -> Place {
+        Place { file: path.to_path_buf(), line: self.number, column }
+    }
+}

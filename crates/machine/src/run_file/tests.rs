@@ -1,0 +1,116 @@
+use super::*;
+
+fn parse(text: &str) -> RunFile {
+    RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own text is right")
+}
+
+/// Values to compare: NaN is not equal to itself.
+fn some(values: &[f64]) -> Vec<Option<f64>> {
+    values.iter().map(|value| (!value.is_nan()).then_some(*value)).collect()
+}
+
+#[test]
+fn columns_arrive_by_name_with_missing_values_as_nan() {
+    let run = parse("time_s,temp_a_c,mystery\n0,21.5,-1e-3\n1,,nan\n2,NaN,+4.\n");
+    assert_eq!(run.rows(), 3);
+    assert_eq!(run.column("time_s").expect("named above"), [0.0, 1.0, 2.0]);
+    assert_eq!(some(run.column("temp_a_c").expect("named above")), [Some(21.5), None, None]);
+    let mystery = some(run.column("mystery").expect("unknown columns are kept"));
+    assert_eq!(mystery, [Some(-0.001), None, Some(4.0)]);
+    assert!(run.column("spindle_rpm").is_none());
+    let names: Vec<&str> = run.columns().iter().map(|column| column.name.as_str()).collect();
+    assert_eq!(names, ["time_s", "temp_a_c", "mystery"]);
+}
+
+#[test]
+fn every_accepted_form_gives_the_same_values() {
+    let forms = [
+        "a_um,b_um\n1,2.5\n3,\n",
+        "a_um,b_um\n1,2.5\n3,",
+        "a_um;b_um\n1;2.5\n3;\n",
+        "a_um,b_um\r\n1,2.5\r\n3,\r\n",
+        "\u{feff}a_um,b_um\n1,2.5\n3,\n",
+        "\na_um,b_um\n\n1,2.5\n  \n3,\n\n",
+        " a_um , b_um \n 1 , 2.5 \n3 , \n",
+        "\"a_um\",\"b_um\"\n\"1\",\"2.5\"\n\"3\",\"\"\n",
+        "a_um;b_um\n\"1\" ;  \"2.5\"\n3;nan\n",
+    ];
+    for form in forms {
+        let run = parse(form);
+        assert_eq!(run.column("a_um").expect("named above"), [1.0, 3.0], "{form:?}");
+        let b = some(run.column("b_um").expect("named above"));
+        assert_eq!(b, [Some(2.5), None], "{form:?}");
+    }
+}
+
+#[test]
+fn a_name_may_contain_the_separator_and_quotes_if_it_is_quoted() {
+    let run = parse("\"load; \"\"z\"\", n\";x_mm\n1;2\n");
+    assert_eq!(run.column("load; \"z\", n").expect("named above"), [1.0]);
+}
+
+#[test]
+fn time_may_start_again_with_the_next_run() {
+    let run = parse("run,time_s\n1,0\n1,5\n2,0\n2,\n2,0\n,0\n");
+    assert_eq!(run.rows(), 6);
+}
+
+#[test]
+fn a_value_is_placed_by_line_and_character_for_rules_found_broken_later() {
+    let run = parse("\u{feff}\"µ\";sensor_counts\r\n\r\n1.5;  40000\r\n\"2\"; \"7\"\r\n;\r\n");
+    let at = |row, column| {
+        let place = run.place(row, column);
+        (place.line, place.column)
+    };
+    assert_eq!(at(0, "sensor_counts"), (3, 7));
+    assert_eq!(at(0, "µ"), (3, 1));
+    assert_eq!(at(1, "sensor_counts"), (4, 6));
+    assert_eq!(at(2, "sensor_counts"), (5, 2));
+    assert_eq!(at(1, "no such column"), (4, 1));
+    assert_eq!(at(99, "µ"), (1, 1));
+    let bad = run.bad(0, "sensor_counts", "40000 is outside 0…32768");
+    assert_eq!(bad.to_string(), "r.csv:3:7: sensor_counts 40000 is outside 0…32768");
+}
+
+#[test]
+fn a_missing_column_is_reported_with_those_that_are_there() {
+    let error = parse("time_s,sensor_count\n0,1\n").require("sensor_counts").expect_err("typo");
+    assert_eq!(
+        error.to_string(),
+        "r.csv:1:1: column sensor_counts is missing; there are time_s, sensor_count; \
+         did you mean sensor_count?"
+    );
+}
+
+#[test]
+fn a_run_of_200_000_rows_is_read_whole() {
+    let mut text = String::from("time_s,sensor_counts\n");
+    for row in 0..200_000 {
+        text.push_str(&format!("{row},{}\n", row % 32768));
+    }
+    let run = parse(&text);
+    assert_eq!(run.rows(), 200_000);
+    assert_eq!(run.place(199_999, "sensor_counts").line, 200_001);
+}
+
+/// What is said of `text` where a file may have 40 bytes and 4 values.
+fn out_of_bounds(text: &str) -> String {
+    let bounds = Bounds { bytes: 40, values: 4 };
+    let read = RunFile::within(bounds, text.as_bytes(), Path::new("r.csv"));
+    read.map(|_| ()).expect_err("out of bounds").to_string()
+}
+
+#[test]
+fn a_file_that_goes_on_beyond_its_bounds_is_refused_there() {
+    let most = "a,b\n1,2\n3,4\n";
+    assert_eq!(
+        out_of_bounds(&format!("{most}5,6\n")),
+        "r.csv:4:1: more than 4 values (2 columns): leave out rows or columns"
+    );
+    // Of a pipe nobody knows how long it will be.
+    let blank = format!("{most}{}\n", " ".repeat(30));
+    assert!(out_of_bounds(&blank).starts_with("r.csv:4:1: the file goes on here, more than"));
+    let bounds = Bounds { bytes: 40, values: 4 };
+    let run = RunFile::within(bounds, most.as_bytes(), Path::new("r.csv"));
+    assert_eq!(run.expect("just within").rows(), 2);
+}
