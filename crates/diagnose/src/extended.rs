@@ -1,22 +1,18 @@
 //! `extended.toml`: the user's machine file as it is, comments and all, with the terms after it.
 
-use trueup_machine::{BadInput, MachineFile, machine_file::Term};
+use std::path::Path;
 
-/// `source` with `terms` at its end. It is read back, so that what is handed out can be loaded.
+use trueup_machine::{
+    BadInput,
+    file::{Term, write::Edit},
+};
+
+/// `source` with `terms` at the end of its terms. It is read back, so that what is handed out can
+/// be loaded.
 ///
 /// # Errors
 /// `source` is no machine file.
-pub(crate) fn extended(
-    source: &str,
-    path: &std::path::Path,
-    terms: &[Term],
-) -> Result<String, BadInput> {
-    let mut text = source.trim_end().to_string();
-    text.push('\n');
-    for term in terms {
-        text.push('\n');
-        text.push_str(&term.to_toml());
-    }
-    MachineFile::parse(&text, path)?;
-    Ok(text)
+pub(crate) fn extended(source: &str, path: &Path, terms: &[Term]) -> Result<String, BadInput> {
+    let appended = terms.iter().map(Term::section).collect();
+    Edit { appended, ..Edit::default() }.apply(source, path)
 }

@@ -2,12 +2,14 @@
 //!
 //! The curve itself is found by [`straightness`].
 
-use trueup_machine::{BadInput, RunFile};
+use trueup_machine::{
+    BadInput, RunFile,
+    file::write::{Edit, NewSection, rounded},
+};
 
 use crate::{
     elongation::summary,
     report::{Fact, Parameter, Report, Spread, Verdict},
-    section::{Edit, Section, rounded},
     straightness::{self, Curve, Method, Options, Reference},
 };
 
@@ -106,7 +108,7 @@ fn report(curve: &Curve, y: &[f64], positions: &[f64], column: String) -> Report
         ]);
         return report;
     }
-    let section = Section::new(format!("straightness.{}", curve.name()))
+    let section = NewSection::new(format!("straightness.{}", curve.name()))
         .whole("order", u32::try_from(spline.order).expect("an order is 2, 3 or 4"))
         .numbers("knots_mm", spline.knots_mm)
         .numbers("control_um", spline.control_um)

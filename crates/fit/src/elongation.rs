@@ -13,6 +13,7 @@
 
 use trueup_machine::{
     BadInput, Machine, RunFile,
+    file::write::{Edit, NewSection, Value},
     machine_file::{SensorModel, Source, is_temperature_column},
     model::elongation_um,
 };
@@ -22,7 +23,6 @@ use crate::{
     lagged::{self, Lagged, Term},
     report::{Fact, Parameter, Report, Spread, Verdict},
     rows::{self, Rows},
-    section::{Edit, Section, Value},
 };
 
 /// The column that is explained.
@@ -109,7 +109,7 @@ fn by_sensor(rows: &Rows<'_>, machine: Option<&Machine>) -> Result<Report, BadIn
     warn_of_a_curve(&mut report, &columns, &y, &line);
     judge(&mut report, &y, groups.as_deref());
     if report.verdict.is_fitted() {
-        let section = Section::new("spindle.sensor")
+        let section = NewSection::new("spindle.sensor")
             .number("k0_um", model.k0_um)
             .number("zero_counts", zero_counts)
             .number("um_per_count", model.um_per_count)
@@ -184,7 +184,7 @@ fn by_temperature(
     finish(&mut report, &y, &fitted.residuals, fitted.left_out.clone(), by, wider);
     judge(&mut report, &y, groups.as_deref());
     if report.verdict.is_fitted() {
-        let section = Section::new("spindle.temperature")
+        let section = NewSection::new("spindle.temperature")
             .text("sensor", column)
             .number("reference_c", reference_c)
             .number("k_um_per_c", k)

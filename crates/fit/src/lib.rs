@@ -17,7 +17,6 @@
 //! | [`thermal`] | fits `[axis.x.thermal]` |
 //! | [`curve`] | a straightness run as a report and a section |
 //! | [`known`] | what the rest of the machine file says of a run, to be taken off |
-//! | [`section`] | writes a section, alone or into the user's machine file |
 //! | [`report`] | the shape that every fit's outcome has |
 #![forbid(unsafe_code)]
 
@@ -30,10 +29,8 @@ mod lagged;
 pub mod pitch;
 pub mod report;
 mod rows;
-pub mod section;
 pub mod straightness;
 pub mod thermal;
 pub mod warmup;
 
 pub use report::{Fact, Parameter, Report, SetAside, Spread, Verdict};
-pub use section::{Edit, Section, Value};

@@ -5,10 +5,8 @@
 
 use std::fmt;
 
-use trueup_machine::Place;
+use trueup_machine::{Place, file::write::Edit};
 use trueup_numerics::line::Summary;
-
-use crate::section::Edit;
 
 /// What a fit has found.
 #[derive(Clone, Debug, PartialEq)]

@@ -23,6 +23,7 @@ mod table;
 
 use trueup_machine::{
     BadInput, Machine, RunFile,
+    file::write::{Edit, NewSection},
     machine_file::{LinearAxis, Thermal, ThermalMode, ThermalRow},
     model::thermal_um,
 };
@@ -37,7 +38,6 @@ use crate::{
     lagged::{self, Fitted, Lagged, Term},
     report::{Fact, Parameter, Report, Spread},
     rows::{self, Rows},
-    section::{Edit, Section},
 };
 
 /// Two T₀ differ, or a table is needed, beyond this probability of chance.
@@ -436,8 +436,8 @@ fn say_what_is_one(report: &mut Report, mode: ThermalMode, is_table: bool) {
     });
 }
 
-fn section(axis: LinearAxis, thermal: &Thermal, report: &Report) -> Section {
-    let mut section = Section::new(format!("axis.{}.thermal", axis.name()))
+fn section(axis: LinearAxis, thermal: &Thermal, report: &Report) -> NewSection {
+    let mut section = NewSection::new(format!("axis.{}.thermal", axis.name()))
         .text("mode", thermal.mode.name())
         .text("sensor", thermal.sensor.clone());
     match &thermal.table {

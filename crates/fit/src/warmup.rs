@@ -21,6 +21,7 @@ mod shape;
 
 use trueup_machine::{
     BadInput, Machine, RunFile,
+    file::write::{Edit, NewSection, Value},
     machine_file::{Source, Warmup},
     model::WarmupState,
 };
@@ -35,7 +36,6 @@ use crate::{
     lagged,
     report::{Fact, Parameter, Report, Spread},
     rows::{self, Rows},
-    section::{Edit, Section, Value},
 };
 
 /// A further constant is taken where chance gives its gain less than once in so many.
@@ -368,8 +368,8 @@ fn say_conditions(report: &mut Report, rows: &Rows<'_>, record: &Record<'_>, y: 
     }
 }
 
-fn section(model: &Warmup, report: &Report) -> Section {
-    let mut section = Section::new("spindle.warmup")
+fn section(model: &Warmup, report: &Report) -> NewSection {
+    let mut section = NewSection::new("spindle.warmup")
         .number("lag_s", model.lag_s)
         .number("warm_s", model.warm_s)
         .number("max_um", model.max_um)

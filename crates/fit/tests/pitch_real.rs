@@ -9,10 +9,13 @@ use std::path::Path;
 
 use pitch_support::{left_by_model, rms};
 use trueup_fit::{
-    Edit, Verdict,
+    Verdict,
     pitch::{Options, Ways, fit, fit_backlash},
 };
-use trueup_machine::{RunFile, machine_file::LinearAxis};
+use trueup_machine::{
+    RunFile,
+    file::{LinearAxis, write::Edit},
+};
 
 /// The run of this name, `None` (and a line that says so) where the data are not there.
 fn measured(name: &str) -> Option<RunFile> {

@@ -40,8 +40,8 @@ use trueup_core::{
 use trueup_store::calibration::{MAX_SIZE, TooLarge, decode, encode};
 
 use crate::{
+    file::{self, LinearAxis, Machine, RotaryAxis, SensorModel, Source},
     inputs::{SensorInput, TemperatureKind},
-    machine_file::{self, LinearAxis, Machine, RotaryAxis, SensorModel, Source},
     model,
     place::BadInput,
 };
@@ -364,7 +364,7 @@ impl SpindleTables {
 }
 
 fn compile_axis(
-    axis: &machine_file::Axis,
+    axis: &file::Axis,
     name: LinearAxis,
     falling_s: Option<f64>,
     account: &mut Account<'_>,
@@ -450,7 +450,7 @@ fn axis_view<'t>(
 }
 
 /// A pitch table, and its largest difference from the model in nm.
-fn compile_pitch(pitch: &machine_file::Pitch) -> Result<(PitchTables, f64), String> {
+fn compile_pitch(pitch: &file::Pitch) -> Result<(PitchTables, f64), String> {
     let start = rounded(pitch.start_mm * UNITS_PER_MM)
         .map(Position)
         .ok_or_else(|| format!("starts at {} mm, beyond the board's ±21474 mm", pitch.start_mm))?;
@@ -488,7 +488,7 @@ fn compile_pitch(pitch: &machine_file::Pitch) -> Result<(PitchTables, f64), Stri
 }
 
 /// At every point and at places between, from both sides.
-fn pitch_difference_nm(pitch: &machine_file::Pitch, board: &Pitch<'_>) -> f64 {
+fn pitch_difference_nm(pitch: &file::Pitch, board: &Pitch<'_>) -> f64 {
     const PLACES: usize = 8;
     let mut worst: f64 = 0.0;
     for place in 0..=(pitch.forward_um.len() - 1) * PLACES {
@@ -503,7 +503,7 @@ fn pitch_difference_nm(pitch: &machine_file::Pitch, board: &Pitch<'_>) -> f64 {
     worst
 }
 
-fn compile_curve(spline: &machine_file::BSpline) -> Result<(OwnedCurve, f64), String> {
+fn compile_curve(spline: &file::BSpline) -> Result<(OwnedCurve, f64), String> {
     let pieces = curve::pieces_of(spline)?;
     let (slope, at) = curve::steepest(&pieces);
     if slope.abs() > STEEPEST_UM_PER_MM {

@@ -7,7 +7,7 @@
 //! |---|---|
 //! | [`place`] | where in a user's file something is wrong, and which rule it breaks |
 //! | [`bounded`] | opens and reads files of the user's within bounds |
-//! | [`machine_file`] | reads the machine file into a [`Machine`] |
+//! | [`file`] | reads the machine file into a [`Machine`], and writes it |
 //! | [`inputs`] | from PLC counts to volts, ADC codes and readings |
 //! | [`run_file`] | reads a run file (CSV) into columns |
 //! | [`model`] | the reference: what the model says of a run, row by row, in `f64` |
@@ -18,16 +18,17 @@
 
 pub mod bounded;
 pub mod compile;
+pub mod file;
 pub mod inputs;
-pub mod machine_file;
 pub mod model;
 pub mod place;
 pub mod predict;
 pub mod run_file;
-mod section;
 pub mod show;
 
 pub use compile::{Compiled, compile};
-pub use machine_file::{Machine, MachineFile};
+pub use file as machine_file;
+pub use file::{Machine, MachineFile};
+
 pub use place::{BadInput, Place};
 pub use run_file::RunFile;

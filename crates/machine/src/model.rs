@@ -45,7 +45,7 @@ use std::borrow::Cow;
 
 use term::TermLags;
 
-use crate::machine_file::{LinearAxis, Machine, Quantity, SensorModel, Source, Term};
+use crate::file::{LinearAxis, Machine, Quantity, SensorModel, Source, Term};
 
 /// What is known of one row of a run. What is missing is NaN.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -382,7 +382,7 @@ impl Machine {
     }
 
     /// The angles between axes that are not right: what is written as 0 needs no position.
-    fn angles(&self) -> impl Iterator<Item = &crate::machine_file::Squareness> {
+    fn angles(&self) -> impl Iterator<Item = &crate::file::Squareness> {
         self.squareness.iter().filter(|angle| angle.um_per_m != 0.0)
     }
 

@@ -34,8 +34,8 @@ use trueup_core::{
 
 use crate::{
     compile::{Compiled, compile, term::PARTS_OF_N},
+    file::{Effect, LinearAxis, Machine, Quantity, RotaryAxis, Source},
     inputs::{Inputs, LAST_CHANNEL, SensorInput, TemperatureInput, TemperatureKind},
-    machine_file::{Effect, LinearAxis, Machine, Quantity, RotaryAxis, Source},
     model::{Reference, Situation, required_columns, shifted, time_shift_s},
     place::{BadInput, Place},
     run_file::RunFile,
@@ -321,10 +321,8 @@ impl<'a> Columns<'a> {
     fn of(run: &'a RunFile) -> Self {
         let linear =
             |name: fn(&str) -> String| LinearAxis::ALL.map(|axis| run.column(&name(axis.name())));
-        let temperatures = run
-            .columns()
-            .iter()
-            .filter(|column| crate::machine_file::is_temperature_column(&column.name));
+        let temperatures =
+            run.columns().iter().filter(|column| crate::file::is_temperature_column(&column.name));
         Self {
             time_s: run.column("time_s"),
             sensor_counts: run.column("sensor_counts"),

@@ -49,8 +49,8 @@ use trueup_core::{
 
 use crate::{
     compile::{compile, stored_law_nm},
+    file::MachineFile,
     inputs::{REFERENCE_VOLTS, SensorInput},
-    machine_file::MachineFile,
 };
 
 /// The inputs of a machine that is shown: one count is one ADC code, exactly.

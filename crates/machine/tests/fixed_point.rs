@@ -27,7 +27,7 @@ use trueup_core::{
 };
 use trueup_machine::{
     Compiled, Machine, MachineFile, RunFile, compile,
-    machine_file::Source,
+    file::Source,
     model::{Reference, Situation},
 };
 use trueup_numerics::line::{Summary, fit_line};

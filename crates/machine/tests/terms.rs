@@ -4,7 +4,7 @@ use std::path::Path;
 
 use trueup_machine::{
     Machine, MachineFile, RunFile,
-    machine_file::{Cause, Effect, Quantity, Term},
+    file::{Cause, Effect, Quantity, Term, write::Edit},
     predict::Predictor,
 };
 
@@ -260,12 +260,18 @@ fn one_of_each() -> Vec<(&'static str, String)> {
     .into()
 }
 
+/// Terms as they stand in a machine file.
+fn written(terms: &[Term]) -> String {
+    let appended = terms.iter().map(Term::section).collect();
+    Edit { appended, ..Edit::default() }.to_toml()
+}
+
 #[test]
 fn every_cause_is_read_and_written_back_to_the_same_numbers() {
     let mut seen = Vec::new();
     for (sections, text) in one_of_each() {
         let terms = machine(sections, &text).terms;
-        let again: String = terms.iter().map(Term::to_toml).collect();
+        let again = written(&terms);
         assert_eq!(machine(sections, &again).terms, terms, "{again}");
         seen.push(terms[0].effect.cause());
     }
@@ -420,5 +426,5 @@ fn a_constant_alone_shifts_the_prediction() {
         constant_um: 2.5,
         effect: Effect::Outliers { fraction: 0.0 },
     };
-    assert_near(&predicted("", &term.to_toml(), Quantity::Dy, "y_mm\n1\n2\n"), &[2.5, 2.5]);
+    assert_near(&predicted("", &written(&[term]), Quantity::Dy, "y_mm\n1\n2\n"), &[2.5, 2.5]);
 }

@@ -5,11 +5,11 @@ use std::path::Path;
 
 use trueup_machine::{
     Machine, MachineFile,
-    inputs::TemperatureKind,
-    machine_file::{
+    file::{
         Axis, BSpline, Backlash, Dual, Feedback, Kind, LinearAxis, Pitch, RotaryAxis, SensorModel,
         Source, Squareness, TemperatureModel, Thermal, ThermalMode, ThermalRow, Warmup,
     },
+    inputs::TemperatureKind,
     model::{Parts, Reference, Situation, required_columns, warmup_um},
 };
 
@@ -366,7 +366,7 @@ fn an_axis_follows_its_sensor_by_its_lag_and_settles_where_time_runs_back() {
 }
 
 #[test]
-fn a_machine_file_with_every_array_at_its_longest_is_read_in_a_moment() {
+fn a_file_with_every_array_at_its_longest_is_read_in_a_moment() {
     let numbers = |count: usize| vec!["-1234.5678"; count].join(", ");
     let knots: Vec<String> =
         (0..4096_i32).map(|knot| (knot - 3).clamp(0, 4089).to_string()).collect();

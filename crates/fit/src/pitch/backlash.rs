@@ -12,6 +12,7 @@
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 use trueup_machine::{
     BadInput, RunFile,
+    file::write::{Edit, NewSection, rounded},
     machine_file::{Backlash, Feedback, LinearAxis},
 };
 
@@ -22,10 +23,7 @@ use super::{
     summary::{half_interval, left_out_by},
     table::DECIMALS,
 };
-use crate::{
-    report::{Fact, Parameter, Report, Spread, Verdict},
-    section::{Edit, Section, rounded},
-};
+use crate::report::{Fact, Parameter, Report, Spread, Verdict};
 
 /// So many positions are a test of backlash, more are a sweep.
 const POSITIONS_OF_A_TEST: usize = 3;
@@ -126,7 +124,7 @@ pub fn fit_backlash(
     }
     let backlash = report.verdict.is_fitted().then(|| {
         report.edit = Edit::of(
-            Section::new(format!("axis.{}.backlash", axis.name()))
+            NewSection::new(format!("axis.{}.backlash", axis.name()))
                 .number("width_um", width_um)
                 .keeping(&["ramp_mm", "hysteresis_um"]),
         );

@@ -13,6 +13,7 @@
 
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use trueup_machine::{
+    file::write::rounded,
     machine_file::Pitch,
     model::{is_reverse, pitch_um},
 };
@@ -21,7 +22,6 @@ use super::{
     readings::{Reading, Readings},
     table::{DECIMALS, Grid, Line},
 };
-use crate::section::rounded;
 
 /// More runs than this are left out in blocks.
 const MOST_FOLDS: usize = 20;

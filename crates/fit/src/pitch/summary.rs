@@ -2,6 +2,7 @@
 
 use trueup_machine::{
     compile::STEEPEST_UM_PER_MM,
+    file::write::{Edit, NewSection},
     machine_file::{LinearAxis, Pitch},
 };
 
@@ -15,7 +16,6 @@ use super::{
 use crate::{
     iso230::Iso230,
     report::{Fact, Parameter, Report, Spread},
-    section::{Edit, Section},
 };
 
 /// The standard asks for so many arrivals at each target in each direction.
@@ -126,7 +126,7 @@ pub(super) fn write(
     warn_of_steps(report, pitch);
     let name = format!("axis.{}", axis.name());
     let rms = |spread: Option<Spread>| spread.map_or("?".into(), |it| format!("{:.2}", it.rms_um));
-    let mut section = Section::new(format!("{name}.pitch"))
+    let mut section = NewSection::new(format!("{name}.pitch"))
         .remark(format!(
             "From {} readings of {} runs; rms um before {}, fitted {}, left out {}.",
             report.rows_used,
@@ -151,7 +151,7 @@ pub(super) fn write(
                 None => Parameter::set("width_um", width_um),
             });
             report.edit.sections.push(
-                Section::new(backlash)
+                NewSection::new(backlash)
                     .remark("Belongs to the table above: both were fitted together.")
                     .number("width_um", width_um)
                     .keeping(&["ramp_mm", "hysteresis_um"]),

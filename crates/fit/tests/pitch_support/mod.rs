@@ -3,9 +3,9 @@
 
 use std::{fmt::Write as _, path::Path};
 
-use trueup_fit::Edit;
 use trueup_machine::{
     Machine, MachineFile, RunFile,
+    file::write::Edit,
     model::{Reference, Situation},
 };
 

@@ -11,7 +11,7 @@ use trueup_core::{
     units::{Fine, Position},
 };
 
-use crate::machine_file::BSpline;
+use crate::file::BSpline;
 
 /// A curve whose tables are owned.
 #[derive(Clone, Debug, PartialEq)]

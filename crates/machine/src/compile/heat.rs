@@ -11,7 +11,7 @@ use trueup_core::{
 
 use super::curve::{self, OwnedCurve, Reason};
 use crate::{
-    machine_file::{Thermal, ThermalRow, Warmup},
+    file::{Thermal, ThermalRow, Warmup},
     model,
 };
 

@@ -16,7 +16,7 @@ use super::{
     compile_pitch, compile_squareness, curve::OwnedCurve, heat, linear, rounded,
 };
 use crate::{
-    machine_file::{self, Effect as Cause, Machine, Wave},
+    file::{self, Effect as Cause, Machine, Wave},
     place::BadInput,
 };
 
@@ -40,7 +40,7 @@ pub(super) struct Owned {
 enum OwnedEffect {
     Plain(Effect<'static>),
     Table(PitchTables),
-    Curve(machine_file::LinearAxis, OwnedCurve),
+    Curve(file::LinearAxis, OwnedCurve),
 }
 
 impl Owned {
@@ -99,7 +99,7 @@ type Made<T> = Result<(T, f64), String>;
 fn effects(
     machine: &Machine,
     key: &str,
-    term: &machine_file::Term,
+    term: &file::Term,
     account: &mut Account<'_>,
 ) -> Result<Vec<OwnedEffect>, BadInput> {
     let heat = |column: &str, um_per_c: f64, time_constant_s: f64, reference_c: f64| {
@@ -221,7 +221,7 @@ pub(crate) fn scaled(value: f64, largest: f64) -> Made<Scaled> {
     Ok((stored, off.abs() * largest / FINE_PER_UM * NM_PER_UM))
 }
 
-fn position(axis: machine_file::LinearAxis, um_per_m: f64) -> Made<Effect<'static>> {
+fn position(axis: file::LinearAxis, um_per_m: f64) -> Made<Effect<'static>> {
     compile_squareness(um_per_m)
         .map(|(gradient, nm)| (Effect::Position { axis: linear(axis), gradient }, nm))
 }

@@ -12,7 +12,7 @@
 //! Backlash is an error of the approach in the negative direction only, which leaves the table
 //! behind: B there, 0 in the positive direction.
 
-use crate::machine_file::{Backlash, Dual, Pitch};
+use crate::file::{Backlash, Dual, Pitch};
 
 /// Whether an approach is in the negative direction. A direction that is missing (NaN) is positive.
 #[must_use]
@@ -24,7 +24,7 @@ pub fn is_reverse(direction: f64) -> bool {
 /// missing position.
 ///
 /// ```
-/// use trueup_machine::{machine_file::Pitch, model::pitch_um};
+/// use trueup_machine::{file::Pitch, model::pitch_um};
 /// // 10 mm commanded, 9 mm moved: the error is −1 mm, and compensation adds +1 mm.
 /// let pitch = Pitch {
 ///     start_mm: 0.0, step_mm: 10.0, forward_um: vec![0.0, -1000.0], reverse_um: None,
@@ -58,7 +58,7 @@ pub fn pitch_um(pitch: &Pitch, position_mm: f64, direction: f64) -> f64 {
 /// second one's by where `across_mm` is on the beam.
 ///
 /// ```
-/// use trueup_machine::{machine_file::{Dual, LinearAxis, Pitch}, model::dual_pitch_um};
+/// use trueup_machine::{file::{Dual, LinearAxis, Pitch}, model::dual_pitch_um};
 /// let table = |um| Pitch { start_mm: 0.0, step_mm: 1.0, forward_um: vec![um], reverse_um: None };
 /// let dual = Dual {
 ///     across: LinearAxis::Y, first_mm: 0.0, second_mm: 3000.0, pitch: table(8.0),
@@ -84,7 +84,7 @@ pub fn dual_pitch_um(
 /// The error of backlash in µm after an approach in `direction` (+1 or −1).
 ///
 /// ```
-/// use trueup_machine::{machine_file::Backlash, model::backlash_um};
+/// use trueup_machine::{file::Backlash, model::backlash_um};
 /// let backlash = Backlash { width_um: 4.0, ramp_mm: 0.0, hysteresis_um: 0.0 };
 /// assert_eq!((backlash_um(&backlash, 1.0), backlash_um(&backlash, -1.0)), (0.0, 4.0));
 /// ```
@@ -96,7 +96,7 @@ pub fn backlash_um(backlash: &Backlash, direction: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::machine_file::LinearAxis;
+    use crate::file::LinearAxis;
 
     fn both_ways() -> Pitch {
         Pitch {

@@ -7,7 +7,7 @@
 
 use crate::{
     Machine,
-    machine_file::{Effect, LinearAxis, Pitch},
+    file::{Effect, LinearAxis, Pitch},
 };
 
 /// Travel that a backlash which grows with the position is reckoned for, in m: the wire's.
@@ -18,7 +18,7 @@ const LARGEST_TRAVEL_M: f64 = 21.5;
 ///
 /// ```
 /// use std::path::Path;
-/// use trueup_machine::{MachineFile, machine_file::LinearAxis, model::over_compensation_um};
+/// use trueup_machine::{MachineFile, file::LinearAxis, model::over_compensation_um};
 /// let text = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[axis.x.backlash]\nwidth_um = -25.0\n\
 ///             [axis.y.backlash]\nwidth_um = 6.0\n";
 /// let machine = MachineFile::parse(text, Path::new("m.toml")).unwrap();

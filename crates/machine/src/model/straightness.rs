@@ -17,13 +17,13 @@
 //!
 //! Squareness is a slope: the error of the first axis for one metre of the second.
 
-use crate::machine_file::{BSpline, Squareness};
+use crate::file::{BSpline, Squareness};
 
 /// The spline at `position_mm`, in µm; NaN for a missing position, and for a spline that breaks
 /// the rules of [`BSpline::check`].
 ///
 /// ```
-/// use trueup_machine::{machine_file::BSpline, model::spline_um};
+/// use trueup_machine::{file::BSpline, model::spline_um};
 /// // One cubic segment: half way it is (1·0 + 3·8 + 3·8 + 1·0)/8.
 /// let hump = BSpline {
 ///     order: 4,
@@ -64,7 +64,7 @@ pub fn spline_um(spline: &BSpline, position_mm: f64) -> f64 {
 /// The error in µm of an angle between two axes, at `along_mm` on the second one.
 ///
 /// ```
-/// use trueup_machine::{machine_file::{LinearAxis, Squareness}, model::squareness_um};
+/// use trueup_machine::{file::{LinearAxis, Squareness}, model::squareness_um};
 /// let angle = Squareness { error: LinearAxis::X, along: LinearAxis::Y, um_per_m: 12.0 };
 /// assert_eq!(squareness_um(&angle, -500.0), -6.0);
 /// ```

@@ -7,7 +7,7 @@
 use std::{borrow::Cow, f64::consts::TAU};
 
 use super::{Lag, Situation, is_reverse, pitch_um, spline_um};
-use crate::machine_file::{Effect, LinearAxis, Machine, Quantity, Term, Wave};
+use crate::file::{Effect, LinearAxis, Machine, Quantity, Term, Wave};
 
 /// The time constants of lags while what they follow falls; `None`: the same as while it rises.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -9,13 +9,13 @@
 //! minus commanded): it is positive where the axis has gone too far in the positive direction, and
 //! the offset moves it in the negative one.
 
-use crate::machine_file::{Thermal, ThermalRow};
+use crate::file::{Thermal, ThermalRow};
 
 /// K₀(T) in µm and tanβ(T) in µm/m, at a temperature that has passed the axis's lag already;
 /// whether they count is the mode's business.
 ///
 /// ```
-/// use trueup_machine::{machine_file::{Thermal, ThermalMode, ThermalRow}, model::thermal_law};
+/// use trueup_machine::{file::{Thermal, ThermalMode, ThermalRow}, model::thermal_law};
 /// let row = |temperature_c, constant_um, slope_um_per_m| {
 ///     ThermalRow { temperature_c, constant_um, slope_um_per_m }
 /// };
@@ -63,7 +63,7 @@ fn interpolated(table: &[ThermalRow], temperature_c: f64) -> (f64, f64) {
 /// temperature or a position that counts is missing.
 ///
 /// ```
-/// use trueup_machine::{machine_file::{Thermal, ThermalMode}, model::thermal_um};
+/// use trueup_machine::{file::{Thermal, ThermalMode}, model::thermal_um};
 /// let axis = Thermal {
 ///     mode: ThermalMode::Position, sensor: "temp_screw_c".into(), reference_c: 23.0,
 ///     constant_um_per_c: 0.0, slope_um_per_m_per_c: 14.21, origin_mm: 0.0, lag_s: 0.0,
@@ -88,7 +88,7 @@ pub fn thermal_um(axis: &Thermal, temperature_c: f64, position_mm: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::machine_file::ThermalMode;
+    use crate::file::ThermalMode;
 
     /// The paper's axis: 23 °C to 42 °C is 270 µm/m.
     fn paper() -> Thermal {

@@ -2,8 +2,8 @@
 //!
 //! A model that is not the source is kept: it is what the board falls back to.
 
-use super::read_temperature_column;
-use crate::{place::BadInput, section::Section};
+use super::{inputs::read_temperature_column, read::Section, write::NewSection};
+use crate::place::BadInput;
 
 /// How the spindle grows.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -176,4 +176,50 @@ fn read_temperature(section: &Section<'_>) -> Result<TemperatureModel, BadInput>
         k_um_per_c: number("k_um_per_c")?,
         lag_s: section.not_negative("lag_s")?.unwrap_or(0.0),
     })
+}
+
+pub(super) fn write(spindle: &Spindle) -> Vec<NewSection> {
+    let mut sections = Vec::new();
+    if let Some(source) = spindle.source {
+        sections.push(NewSection::new("spindle").text("source", source.name()));
+    }
+    sections.extend(spindle.sensor.as_ref().map(write_sensor));
+    sections.extend(spindle.temperature.as_ref().map(write_temperature));
+    sections.extend(spindle.warmup.as_ref().map(write_warmup));
+    sections
+}
+
+fn write_sensor(model: &SensorModel) -> NewSection {
+    let section = NewSection::new("spindle.sensor")
+        .number("k0_um", model.k0_um)
+        .number("zero_counts", model.zero_counts)
+        .number("um_per_count", model.um_per_count);
+    match &model.temperature {
+        Some(column) => section.text("temperature", column),
+        None => section,
+    }
+}
+
+fn write_warmup(model: &Warmup) -> NewSection {
+    let mut section = NewSection::new("spindle.warmup")
+        .number("lag_s", model.lag_s)
+        .number("warm_s", model.warm_s)
+        .number("max_um", model.max_um)
+        .number("exponent", model.exponent);
+    if let Some(cool_s) = model.cool_s {
+        section = section.number("cool_s", cool_s);
+    }
+    if let Some(rated_rpm) = model.rated_rpm {
+        section =
+            section.number("rated_rpm", rated_rpm).number("speed_exponent", model.speed_exponent);
+    }
+    section
+}
+
+fn write_temperature(model: &TemperatureModel) -> NewSection {
+    NewSection::new("spindle.temperature")
+        .text("sensor", &model.sensor)
+        .number("reference_c", model.reference_c)
+        .number("k_um_per_c", model.k_um_per_c)
+        .number("lag_s", model.lag_s)
 }

@@ -1,10 +1,11 @@
 //! `[straightness.z_of_x]` and `[squareness]`: the error of one linear axis while another moves.
 
-use super::LinearAxis::{self, X, Y, Z};
-use crate::{
-    place::BadInput,
-    section::{MOST_ELEMENTS, Section},
+use super::{
+    LinearAxis::{self, X, Y, Z},
+    read::{MOST_ELEMENTS, Section},
+    write::NewSection,
 };
+use crate::place::BadInput;
 
 /// The error of one axis along another: δz(x) has `error` Z and `along` X.
 #[derive(Clone, Debug, PartialEq)]
@@ -181,4 +182,25 @@ pub(super) fn read_squareness(section: &Section<'_>) -> Result<Vec<Squareness>, 
         }
     }
     Ok(angles)
+}
+
+pub(super) fn write_straightness(curve: &Straightness) -> NewSection {
+    write_spline(NewSection::new(format!("straightness.{}", curve.name())), &curve.spline)
+}
+
+/// The keys of a spline, after those that `section` has.
+pub(super) fn write_spline(section: NewSection, spline: &BSpline) -> NewSection {
+    // What passes `check` is 2, 3 or 4.
+    let order = u32::try_from(spline.order).unwrap_or(u32::MAX);
+    section
+        .whole("order", order)
+        .numbers("knots_mm", &spline.knots_mm[..])
+        .numbers("control_um", &spline.control_um[..])
+}
+
+pub(super) fn write_squareness(angles: &[Squareness]) -> Option<NewSection> {
+    let section = NewSection::new("squareness");
+    let with =
+        |section: NewSection, angle: &Squareness| section.number(angle.name(), angle.um_per_m);
+    (!angles.is_empty()).then(|| angles.iter().fold(section, with))
 }

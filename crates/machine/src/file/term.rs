@@ -8,13 +8,14 @@
 //! `constant_um` is added by any of them: the reference of a measurement is arbitrary.
 
 use super::{
-    BSpline, LinearAxis, Machine, Pitch, Source, axis::read_pitch, read_temperature_column,
-    straightness::read_spline,
+    BSpline, LinearAxis, Machine, Pitch, Source,
+    axis::{read_pitch, write_pitch},
+    inputs::read_temperature_column,
+    read::Section,
+    straightness::{read_spline, write_spline},
+    write::{NewSection, Value},
 };
-use crate::{
-    place::{BadInput, did_you_mean, shortened},
-    section::Section,
-};
+use crate::place::{BadInput, did_you_mean, shortened};
 
 /// What a term, a prediction or a measurement is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -609,132 +610,101 @@ pub(super) fn check(section: &Section<'_>, term: &Term, machine: &Machine) -> Re
 }
 
 impl Term {
-    /// The term as it stands in a machine file, with its `[[term]]` line; it reads back to the
-    /// same numbers.
+    /// The term as a table to be written; it reads back to the same numbers.
     ///
     /// ```
-    /// use trueup_machine::machine_file::{Effect, Quantity, Term};
+    /// use trueup_machine::file::{Effect, Quantity, Term, write::Edit};
     /// let term = Term {
     ///     quantity: Quantity::Elongation,
     ///     constant_um: 0.0,
     ///     effect: Effect::SensorGain { gain: 1.2975 },
     /// };
+    /// let edit = Edit { appended: vec![term.section()], ..Edit::default() };
     /// let text = "[[term]]\ncause = \"sensor-gain\"\nquantity = \"elongation\"\ngain = 1.2975\n";
-    /// assert_eq!(term.to_toml(), text);
+    /// assert_eq!(edit.to_toml(), text);
     /// ```
     #[must_use]
-    pub fn to_toml(&self) -> String {
-        let mut lines = vec![
-            "[[term]]".to_string(),
-            format!("cause = \"{}\"", self.effect.cause().name()),
-            format!("quantity = \"{}\"", self.quantity.name()),
-        ];
-        let mut number = |key: &str, value: f64| lines.push(format!("{key} = {value:?}"));
-        let mut others = Vec::new();
-        match &self.effect {
-            Effect::SensorOffset { offset_um } => number("offset_um", *offset_um),
-            Effect::SensorGain { gain } => number("gain", *gain),
-            Effect::SensorCurvature { per_um } => number("per_um", *per_um),
-            Effect::SensorSaturation { limit_um } => number("limit_um", *limit_um),
-            Effect::SensorTemperatureDrift { column, um_per_c, reference_c } => {
-                number("um_per_c", *um_per_c);
-                number("reference_c", *reference_c);
-                others.push(format!("column = {}", quoted(column)));
-            }
-            Effect::TimeShift { shift_s } => number("shift_s", *shift_s),
-            Effect::ThermalLag { time_constant_s }
-            | Effect::GrowthRate { time_constant_s }
-            | Effect::CoolingAsymmetry { time_constant_s } => {
-                number("time_constant_s", *time_constant_s);
-            }
-            Effect::SlowMode { amplitude_um, time_constant_s, start_s } => {
-                number("amplitude_um", *amplitude_um);
-                number("time_constant_s", *time_constant_s);
-                number("start_s", *start_s);
-            }
-            Effect::SlowModeOf { column, um_per_c, time_constant_s, reference_c }
-            | Effect::ExtraHeatPath { column, um_per_c, time_constant_s, reference_c } => {
-                number("um_per_c", *um_per_c);
-                number("time_constant_s", *time_constant_s);
-                number("reference_c", *reference_c);
-                others.push(format!("column = {}", quoted(column)));
-            }
-            Effect::GrowthAmplitude { scale } => number("scale", *scale),
-            Effect::ExpansionSlope { um_per_m_per_c } => number("um_per_m_per_c", *um_per_m_per_c),
-            Effect::ReferenceTemperature { shift_c } => number("shift_c", *shift_c),
-            Effect::CentrifugalGrowth { um_per_krpm2 } => number("um_per_krpm2", *um_per_krpm2),
-            Effect::CuttingLoad { um_per_n } => number("um_per_n", *um_per_n),
-            Effect::PitchScale { um_per_m } | Effect::PositionDependentBacklash { um_per_m } => {
-                number("um_per_m", *um_per_m);
-            }
-            Effect::PitchError(pitch) => {
-                number("start_mm", pitch.start_mm);
-                number("step_mm", pitch.step_mm);
-                others.push(format!("forward_um = {:?}", pitch.forward_um));
-                others.extend(
-                    pitch.reverse_um.as_ref().map(|reverse| format!("reverse_um = {reverse:?}")),
-                );
-            }
-            Effect::PitchPeriodic { period_mm, waves } => {
-                number("period_mm", *period_mm);
-                others.extend(wave_lines(waves));
-            }
-            Effect::Backlash { width_um } => number("width_um", *width_um),
-            Effect::Straightness { along, spline } => {
-                others.push(format!("along = \"{}\"", along.name()));
-                others.push(format!("order = {}", spline.order));
-                others.push(format!("knots_mm = {:?}", spline.knots_mm));
-                others.push(format!("control_um = {:?}", spline.control_um));
-            }
-            Effect::CrossAxis { axis, um_per_m } => {
-                number("um_per_m", *um_per_m);
-                others.push(format!("axis = \"{}\"", axis.name()));
-            }
-            Effect::Step { at_s, size_um } => {
-                number("at_s", *at_s);
-                number("size_um", *size_um);
-            }
-            Effect::Drift { um_per_h } => number("um_per_h", *um_per_h),
-            Effect::Outliers { fraction } => number("fraction", *fraction),
-            Effect::ReferenceInstrument { description, period_mm, origin_mm, waves } => {
-                others.push(format!("description = {}", quoted(description)));
-                if !waves.is_empty() {
-                    number("period_mm", *period_mm);
-                    origin_mm.iter().for_each(|origin_mm| number("origin_mm", *origin_mm));
-                    others.extend(wave_lines(waves));
-                }
-            }
+    pub fn section(&self) -> NewSection {
+        let section = NewSection::new("term")
+            .text("cause", self.effect.cause().name())
+            .text("quantity", self.quantity.name());
+        let section = write_effect(section, &self.effect);
+        match self.constant_um {
+            0.0 => section,
+            constant_um => section.number("constant_um", constant_um),
         }
-        if self.constant_um != 0.0 {
-            number("constant_um", self.constant_um);
-        }
-        lines.append(&mut others);
-        lines.push(String::new());
-        lines.join("\n")
     }
 }
 
-fn wave_lines(waves: &[Wave]) -> [String; 3] {
+fn write_effect(section: NewSection, effect: &Effect) -> NewSection {
+    match effect {
+        Effect::SensorOffset { offset_um } => section.number("offset_um", *offset_um),
+        Effect::SensorGain { gain } => section.number("gain", *gain),
+        Effect::SensorCurvature { per_um } => section.number("per_um", *per_um),
+        Effect::SensorSaturation { limit_um } => section.number("limit_um", *limit_um),
+        Effect::SensorTemperatureDrift { column, um_per_c, reference_c } => section
+            .text("column", column)
+            .number("um_per_c", *um_per_c)
+            .number("reference_c", *reference_c),
+        Effect::TimeShift { shift_s } => section.number("shift_s", *shift_s),
+        Effect::ThermalLag { time_constant_s }
+        | Effect::GrowthRate { time_constant_s }
+        | Effect::CoolingAsymmetry { time_constant_s } => {
+            section.number("time_constant_s", *time_constant_s)
+        }
+        Effect::SlowMode { amplitude_um, time_constant_s, start_s } => section
+            .number("amplitude_um", *amplitude_um)
+            .number("time_constant_s", *time_constant_s)
+            .number("start_s", *start_s),
+        Effect::SlowModeOf { column, um_per_c, time_constant_s, reference_c }
+        | Effect::ExtraHeatPath { column, um_per_c, time_constant_s, reference_c } => section
+            .text("column", column)
+            .number("um_per_c", *um_per_c)
+            .number("time_constant_s", *time_constant_s)
+            .number("reference_c", *reference_c),
+        Effect::GrowthAmplitude { scale } => section.number("scale", *scale),
+        Effect::ExpansionSlope { um_per_m_per_c } => {
+            section.number("um_per_m_per_c", *um_per_m_per_c)
+        }
+        Effect::ReferenceTemperature { shift_c } => section.number("shift_c", *shift_c),
+        Effect::CentrifugalGrowth { um_per_krpm2 } => section.number("um_per_krpm2", *um_per_krpm2),
+        Effect::CuttingLoad { um_per_n } => section.number("um_per_n", *um_per_n),
+        Effect::PitchScale { um_per_m } | Effect::PositionDependentBacklash { um_per_m } => {
+            section.number("um_per_m", *um_per_m)
+        }
+        Effect::PitchError(pitch) => write_pitch(section, pitch),
+        Effect::PitchPeriodic { period_mm, waves } => {
+            write_waves(section.number("period_mm", *period_mm), waves)
+        }
+        Effect::Backlash { width_um } => section.number("width_um", *width_um),
+        Effect::Straightness { along, spline } => {
+            write_spline(section.text("along", along.name()), spline)
+        }
+        Effect::CrossAxis { axis, um_per_m } => {
+            section.text("axis", axis.name()).number("um_per_m", *um_per_m)
+        }
+        Effect::Step { at_s, size_um } => section.number("at_s", *at_s).number("size_um", *size_um),
+        Effect::Drift { um_per_h } => section.number("um_per_h", *um_per_h),
+        Effect::Outliers { fraction } => section.number("fraction", *fraction),
+        Effect::ReferenceInstrument { description, period_mm, origin_mm, waves } => {
+            let section = section.text("description", description);
+            if waves.is_empty() {
+                return section;
+            }
+            let section = section.number("period_mm", *period_mm);
+            let section = match origin_mm {
+                Some(origin_mm) => section.number("origin_mm", *origin_mm),
+                None => section,
+            };
+            write_waves(section, waves)
+        }
+    }
+}
+
+fn write_waves(section: NewSection, waves: &[Wave]) -> NewSection {
     let list = |of: fn(&Wave) -> f64| waves.iter().map(of).collect::<Vec<_>>();
-    [
-        format!("harmonic = {:?}", waves.iter().map(|wave| wave.harmonic).collect::<Vec<_>>()),
-        format!("amplitude_um = {:?}", list(|wave| wave.amplitude_um)),
-        format!("phase_deg = {:?}", list(|wave| wave.phase_deg)),
-    ]
-}
-
-/// A TOML string.
-fn quoted(text: &str) -> String {
-    let mut quoted = String::from("\"");
-    for character in text.chars() {
-        match character {
-            '"' | '\\' => quoted.extend(['\\', character]),
-            control if control.is_control() => {
-                quoted.push_str(&format!("\\u{:04X}", u32::from(control)));
-            }
-            other => quoted.push(other),
-        }
-    }
-    quoted.push('"');
-    quoted
+    section
+        .with("harmonic", Value::Wholes(waves.iter().map(|wave| wave.harmonic).collect()))
+        .numbers("amplitude_um", list(|wave| wave.amplitude_um))
+        .numbers("phase_deg", list(|wave| wave.phase_deg))
 }

@@ -1,7 +1,7 @@
 //! `[axis.x]`, `[axis.y]`, `[axis.z]`: what is known of one linear axis along its own direction.
 
-use super::read_temperature_column;
-use crate::{place::BadInput, section::Section};
+use super::{inputs::read_temperature_column, read::Section, write::NewSection};
+use crate::place::BadInput;
 
 /// A linear axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -110,7 +110,7 @@ impl Thermal {
     /// table moves as a whole.
     ///
     /// ```
-    /// use trueup_machine::machine_file::{Thermal, ThermalMode, ThermalRow};
+    /// use trueup_machine::file::{Thermal, ThermalMode, ThermalRow};
     /// use trueup_machine::model::thermal_law;
     /// let row = |temperature_c, slope_um_per_m| {
     ///     ThermalRow { temperature_c, constant_um: 0.0, slope_um_per_m }
@@ -363,4 +363,60 @@ fn read_dual(section: &Section<'_>, driven: LinearAxis) -> Result<Dual, BadInput
     }
     let pitch = section.required("pitch", section.section("pitch")?)?;
     Ok(Dual { across, first_mm, second_mm, pitch: read_pitch_alone(&pitch)? })
+}
+
+/// The sections of the axis `of`.
+pub(super) fn write(axis: &Axis, of: LinearAxis) -> Vec<NewSection> {
+    let name = format!("axis.{}", of.name());
+    let mut sections = Vec::new();
+    if axis.feedback == Feedback::Scale {
+        sections.push(NewSection::new(&name).text("feedback", "scale"));
+    }
+    sections.extend(axis.thermal.as_ref().map(|thermal| write_thermal(&name, thermal)));
+    sections.extend(
+        axis.pitch
+            .as_ref()
+            .map(|pitch| write_pitch(NewSection::new(format!("{name}.pitch")), pitch)),
+    );
+    if let Some(Dual { across, first_mm, second_mm, pitch }) = &axis.dual {
+        let dual = NewSection::new(format!("{name}.dual")).text("across", across.name());
+        sections.push(dual.number("first_mm", *first_mm).number("second_mm", *second_mm));
+        sections.push(write_pitch(NewSection::new(format!("{name}.dual.pitch")), pitch));
+    }
+    if let Some(Backlash { width_um, ramp_mm, hysteresis_um }) = axis.backlash {
+        let backlash = NewSection::new(format!("{name}.backlash")).number("width_um", width_um);
+        sections.push(backlash.number("ramp_mm", ramp_mm).number("hysteresis_um", hysteresis_um));
+    }
+    sections
+}
+
+fn write_thermal(axis: &str, thermal: &Thermal) -> NewSection {
+    let section = NewSection::new(format!("{axis}.thermal"))
+        .text("mode", thermal.mode.name())
+        .text("sensor", &thermal.sensor);
+    let section = match &thermal.table {
+        Some(table) => {
+            let row = |row: &ThermalRow| [row.temperature_c, row.constant_um, row.slope_um_per_m];
+            section
+                .rows("table", table.iter().map(row).collect::<Vec<_>>())
+                .note("table", "T in °C, K0 in µm, slope in µm/m")
+        }
+        None => section
+            .number("reference_c", thermal.reference_c)
+            .number("constant_um_per_c", thermal.constant_um_per_c)
+            .number("slope_um_per_m_per_c", thermal.slope_um_per_m_per_c),
+    };
+    section.number("origin_mm", thermal.origin_mm).number("lag_s", thermal.lag_s)
+}
+
+/// The keys of a position table, after those that `section` has.
+pub(super) fn write_pitch(section: NewSection, pitch: &Pitch) -> NewSection {
+    let section = section
+        .number("start_mm", pitch.start_mm)
+        .number("step_mm", pitch.step_mm)
+        .numbers("forward_um", &pitch.forward_um[..]);
+    match &pitch.reverse_um {
+        Some(reverse_um) => section.numbers("reverse_um", &reverse_um[..]),
+        None => section,
+    }
 }

@@ -1,0 +1,59 @@
+//! `[limits]`: how far and how fast an offset may go, and how long silence is tolerated.
+
+use super::{
+    LinearAxis,
+    read::Section,
+    write::{NewSection, Value},
+};
+use crate::place::BadInput;
+
+/// How far and how fast an offset may go, and how long silence is tolerated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// The largest offset on X, Y and Z in µm, either way; at least 0.
+    pub max_um: [f64; 3],
+    /// The fastest change of an offset in µm a second, above 0.
+    pub slew_um_per_s: f64,
+    /// Without the CNC's sign of life for so long it counts as lost; at least 1.
+    pub link_timeout_ms: u32,
+    /// How long the last offset is held before it is taken back to 0.
+    pub hold_ms: u32,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            max_um: [200.0, 200.0, 500.0],
+            slew_um_per_s: 20.0,
+            link_timeout_ms: 500,
+            hold_ms: 2000,
+        }
+    }
+}
+
+pub(super) fn read(section: &Section<'_>) -> Result<Limits, BadInput> {
+    section.allow_only(&["max_um", "slew_um_per_s", "link_timeout_ms", "hold_ms"])?;
+    let mut limits = Limits::default();
+    if let Some(max) = section.section("max_um")? {
+        let axes = LinearAxis::ALL.map(LinearAxis::name);
+        max.allow_only(&axes)?;
+        for (limit, axis) in limits.max_um.iter_mut().zip(axes) {
+            *limit = max.not_negative(axis)?.unwrap_or(*limit);
+        }
+    }
+    limits.slew_um_per_s = section.positive("slew_um_per_s")?.unwrap_or(limits.slew_um_per_s);
+    limits.link_timeout_ms =
+        section.whole("link_timeout_ms", 1, u32::MAX)?.unwrap_or(limits.link_timeout_ms);
+    limits.hold_ms = section.whole("hold_ms", 0, u32::MAX)?.unwrap_or(limits.hold_ms);
+    Ok(limits)
+}
+
+pub(super) fn write(limits: &Limits) -> NewSection {
+    let axes = LinearAxis::ALL.map(|axis| axis.name().to_string());
+    let max_um = axes.into_iter().zip(limits.max_um.map(Value::Number)).collect();
+    NewSection::new("limits")
+        .with("max_um", Value::Inline(max_um))
+        .number("slew_um_per_s", limits.slew_um_per_s)
+        .whole("link_timeout_ms", limits.link_timeout_ms)
+        .whole("hold_ms", limits.hold_ms)
+}

@@ -1,0 +1,147 @@
+//! `[machine]`: which machine it is, and where its tool points.
+
+use super::{
+    Axis, Limits, RotaryAxis, Spindle, Squareness, Straightness, Term,
+    read::Section,
+    write::{NewSection, Value},
+};
+use crate::{
+    inputs::Inputs,
+    place::{BadInput, Places, shortened},
+};
+
+/// What the user believes about the machine.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Machine {
+    /// The user's name for it.
+    pub name: String,
+    /// Which axes turn the tool or the table.
+    pub kind: Kind,
+    /// The rotary axes that carry the spindle, from the frame to the tool; as many as
+    /// [`Kind::head_axes`] says, and no axis twice.
+    pub head_axes: Vec<RotaryAxis>,
+    /// From the spindle nose to the tool tip with all angles at zero, of length 1.
+    pub tool_direction: [f64; 3],
+    /// What is connected to the board; absent where the machine is only used to predict.
+    pub inputs: Option<Inputs>,
+    /// How the spindle grows.
+    pub spindle: Spindle,
+    /// What is known of X, Y and Z, by [`LinearAxis::index`].
+    pub axes: [Axis; 3],
+    /// The straightness curves; no pair of axes twice.
+    pub straightness: Vec<Straightness>,
+    /// The angles between the axes as they are written; no pair of axes twice.
+    pub squareness: Vec<Squareness>,
+    /// How far and how fast an offset may go, and how long silence is tolerated.
+    pub limits: Limits,
+    /// What a diagnosis has added, in the order in which it applies.
+    pub terms: Vec<Term>,
+    /// Where in the file each key stands, for rules that are found broken later.
+    pub places: Places,
+}
+
+/// Which axes turn the tool or the table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// X, Y and Z only: the tool direction never changes.
+    ThreeAxis,
+    /// Two rotary axes carry the spindle.
+    HeadHead,
+    /// Two rotary axes carry the workpiece: the spindle does not turn in machine coordinates.
+    TableTable,
+    /// One rotary axis carries the spindle, the other the workpiece.
+    HeadTable,
+}
+
+impl Kind {
+    /// Its name in the machine file.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::ThreeAxis => "3-axis",
+            Self::HeadHead => "head-head",
+            Self::TableTable => "table-table",
+            Self::HeadTable => "head-table",
+        }
+    }
+
+    /// How many rotary axes carry the spindle.
+    #[must_use]
+    pub fn head_axes(self) -> usize {
+        match self {
+            Self::ThreeAxis | Self::TableTable => 0,
+            Self::HeadTable => 1,
+            Self::HeadHead => 2,
+        }
+    }
+}
+
+type MachineSection = (String, Kind, Vec<RotaryAxis>, [f64; 3]);
+
+pub(super) fn read(section: &Section<'_>) -> Result<MachineSection, BadInput> {
+    section.allow_only(&["name", "kind", "head_axes", "tool_direction"])?;
+    let name = section.required("name", section.text("name")?)?;
+    if name.trim().is_empty() {
+        return Err(section.bad("name", "must not be empty"));
+    }
+    let kinds = [Kind::ThreeAxis, Kind::HeadHead, Kind::TableTable, Kind::HeadTable]
+        .map(|kind| (kind.name(), kind));
+    let kind = section.required("kind", section.choice("kind", &kinds)?)?;
+    let head_axes = read_head_axes(section, kind)?;
+    let tool_direction = match section.vector("tool_direction")? {
+        Some(written) => normalised(written).ok_or_else(|| {
+            section.bad("tool_direction", "has no length: it must point from the nose to the tip")
+        })?,
+        None => [0.0, 0.0, -1.0],
+    };
+    Ok((name.to_string(), kind, head_axes, tool_direction))
+}
+
+fn read_head_axes(section: &Section<'_>, kind: Kind) -> Result<Vec<RotaryAxis>, BadInput> {
+    let mut axes = Vec::new();
+    for (index, name) in section.texts("head_axes")?.unwrap_or_default().into_iter().enumerate() {
+        let axis =
+            RotaryAxis::ALL.into_iter().find(|axis| axis.name() == name).ok_or_else(|| {
+                let rule = format!("must be \"a\" or \"b\" or \"c\", not \"{}\"", shortened(name));
+                section.bad(&format!("head_axes[{index}]"), rule)
+            })?;
+        axes.push(axis);
+    }
+    let wanted = match kind {
+        Kind::ThreeAxis => "must be [], because no rotary axis carries the spindle",
+        Kind::TableTable => "must be [], because both rotary axes carry the workpiece",
+        Kind::HeadTable => "must name exactly one axis, the one that carries the spindle",
+        Kind::HeadHead => "must name exactly two different axes, from the frame to the tool",
+    };
+    let repeated = axes.len() == 2 && axes.first() == axes.last();
+    if axes.len() != kind.head_axes() || repeated {
+        // At most four of what may be a very long list.
+        let there = axes.iter().take(4).map(|axis| format!("\"{}\"", axis.name()));
+        let there = there.collect::<Vec<_>>().join(", ");
+        let rule = format!("{wanted} (kind = \"{}\"), not [{there}]", kind.name());
+        return Err(section.bad("head_axes", rule));
+    }
+    Ok(axes)
+}
+
+/// `vector` at length 1, or `None` if it has no direction.
+fn normalised(vector: [f64; 3]) -> Option<[f64; 3]> {
+    // By the largest component first: the squares of very long or short ones leave the range.
+    let largest = vector.iter().fold(0.0_f64, |largest, component| largest.max(component.abs()));
+    if largest == 0.0 {
+        return None;
+    }
+    let scaled = vector.map(|component| component / largest);
+    let length = scaled.iter().map(|component| component * component).sum::<f64>().sqrt();
+    Some(scaled.map(|component| component / length))
+}
+
+pub(super) fn write(machine: &Machine) -> NewSection {
+    let mut section =
+        NewSection::new("machine").text("name", &machine.name).text("kind", machine.kind.name());
+    if !machine.head_axes.is_empty() {
+        let names = machine.head_axes.iter().map(|axis| axis.name().to_string());
+        section = section.with("head_axes", Value::Texts(names.collect()));
+    }
+    section.numbers("tool_direction", machine.tool_direction)
+}

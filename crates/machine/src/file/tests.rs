@@ -1,0 +1,110 @@
+use super::*;
+use crate::inputs::{TemperatureInput, TemperatureKind};
+
+fn parse(source: &str) -> Machine {
+    MachineFile::parse(source, Path::new("m.toml")).expect("the test's own text is right")
+}
+
+const SHORTEST: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n";
+
+#[test]
+fn what_is_left_out_has_the_documented_defaults() {
+    let machine = parse(SHORTEST);
+    assert_eq!(machine.name, "mill");
+    assert_eq!(machine.kind, Kind::ThreeAxis);
+    assert_eq!(machine.tool_direction, [0.0, 0.0, -1.0]);
+    assert_eq!(machine.inputs, None);
+    assert_eq!(machine.spindle, Spindle::default());
+    assert_eq!(machine.limits.max_um, [200.0, 200.0, 500.0]);
+    assert_eq!(machine.limits.slew_um_per_s, 20.0);
+    assert_eq!(machine.limits.link_timeout_ms, 500);
+    assert_eq!(machine.limits.hold_ms, 2000);
+}
+
+#[test]
+fn every_key_that_is_run_arrives_in_its_field() {
+    let machine = parse(
+        r#"
+        [machine]
+        name = "gantry"
+        kind = "3-axis"
+        head_axes = []
+        tool_direction = [0, 3, -4]
+        [inputs]
+        sensor = { volts_full_scale = 5, counts_full_scale = 27_648, divider = 0.66 }
+        temp_screw_c = { channel = 0, kind = "pt100" }
+        temp_coil_c = { channel = 3, kind = "linear", zero_counts = 4000, counts_per_c = 16 }
+        [spindle]
+        source = "sensor"
+        [spindle.sensor]
+        k0_um = -1.5
+        zero_counts = 5048.0
+        um_per_count = -0.015
+        temperature = "temp_coil_c"
+        [limits]
+        max_um = { z = 60 }
+        slew_um_per_s = 5.5
+        link_timeout_ms = 250
+        hold_ms = 0
+        "#,
+    );
+    assert_eq!(machine.tool_direction, [0.0, 0.6, -0.8]);
+    let inputs = machine.inputs.expect("written above");
+    let sensor = inputs.sensor.expect("written above");
+    assert_eq!(sensor.volts_full_scale, 5.0);
+    assert_eq!(sensor.counts_full_scale, 27648.0);
+    assert_eq!(sensor.divider, 0.66);
+    let pt100 = TemperatureInput { channel: 0, kind: TemperatureKind::Pt100 };
+    let kind = TemperatureKind::Linear { zero_counts: 4000.0, counts_per_c: 16.0 };
+    let linear = TemperatureInput { channel: 3, kind };
+    assert_eq!(inputs.temperatures["temp_screw_c"], pt100);
+    assert_eq!(inputs.temperatures["temp_coil_c"], linear);
+    assert_eq!(machine.spindle.source, Some(Source::Sensor));
+    let model = SensorModel {
+        k0_um: -1.5,
+        zero_counts: 5048.0,
+        um_per_count: -0.015,
+        temperature: Some("temp_coil_c".into()),
+    };
+    assert_eq!(machine.spindle.sensor, Some(model));
+    let limits = Limits {
+        max_um: [200.0, 200.0, 60.0],
+        slew_um_per_s: 5.5,
+        link_timeout_ms: 250,
+        hold_ms: 0,
+    };
+    assert_eq!(machine.limits, limits);
+}
+
+#[test]
+fn a_sensor_that_is_not_the_source_is_kept_but_not_used() {
+    let text =
+        format!("{SHORTEST}[spindle.sensor]\nk0_um = 0\nzero_counts = 0\num_per_count = 1\n");
+    let spindle = parse(&text).spindle;
+    assert_eq!(spindle.source, None);
+    assert!(spindle.sensor.is_some());
+}
+
+#[test]
+fn a_byte_order_mark_and_windows_line_ends_change_nothing() {
+    let windows = format!("\u{feff}{}", SHORTEST.replace('\n', "\r\n"));
+    assert_eq!(parse(&windows), parse(SHORTEST));
+}
+
+#[test]
+fn the_tool_direction_is_normalised_however_long_it_is_written() {
+    for length in ["1e-300", "2.5", "1e300"] {
+        let text = format!("{SHORTEST}tool_direction = [{length}, 0.0, 0.0]\n");
+        assert_eq!(parse(&text).tool_direction, [1.0, 0.0, 0.0]);
+    }
+}
+
+#[test]
+fn a_key_keeps_its_place_for_rules_found_broken_later() {
+    let text = format!("{SHORTEST}[limits]\nmax_um = {{ x = 1.0 }}\n");
+    let machine = parse(&text);
+    let place = machine.places.of("limits.max_um.x");
+    assert_eq!((place.line, place.column), (5, 16));
+    let place = machine.places.of("limits.hold_ms");
+    assert_eq!((place.line, place.column), (4, 2));
+}
