@@ -52,7 +52,6 @@
 
 use core::{error::Error, fmt};
 
-use crc::{CRC_32_AUTOSAR, Crc};
 use trueup_core::{
     calibration::{
         AxisModel, AxisThermal, Calibration, Dual, ElongationSource, SpindleModel,
@@ -78,6 +77,8 @@ use trueup_core::{
 
 use trueup_link::layout::{NANOMETRES_PER_BIT, OFFSET_MAX_RAW};
 
+use crate::crc;
+
 /// Bytes of the fixed part.
 pub const FIXED_SIZE: usize = 576;
 /// The largest blob: a slot of the board's flash.
@@ -99,9 +100,6 @@ const NONE: u32 = 255;
 /// How far the square of the tool direction's length may be from 1, in 2⁻⁶⁰: 2⁻¹⁹. The length is
 /// then right to 10⁻⁶, 1 nm of a millimetre; rounding to 2⁻³⁰ alone makes 2·10⁻⁹.
 const UNIT_TOLERANCE: u64 = 1 << 41;
-
-/// The CRC of what is stored.
-pub(crate) static CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_AUTOSAR);
 
 /// Writes the blob of a calibration, also of one that [`decode`] would refuse; gives its bytes.
 ///
@@ -160,7 +158,7 @@ pub fn encode<'o>(calibration: &Calibration<'_>, out: &'o mut [u8]) -> Result<&'
     to.at = MAGIC.len();
     to.bytes(&[schema_low, schema_high, length_low, length_high]);
     to.at = to.tables_end;
-    let crc = CRC.checksum(to.out.get(..to.tables_end).unwrap_or_default());
+    let crc = crc::checksum(to.out.get(..to.tables_end).unwrap_or_default());
     to.word(crc);
     let out: &'o [u8] = to.out;
     out.get(..end).ok_or(TooLarge { bytes: end })
@@ -437,7 +435,7 @@ pub fn whole(bytes: &[u8]) -> Result<&[u8], BlobError> {
     }
     let blob = bytes.get(..length.into()).ok_or(too_short)?;
     let (content, crc) = blob.split_last_chunk().ok_or(too_short)?;
-    let (stored, computed) = (u32::from_le_bytes(*crc), CRC.checksum(content));
+    let (stored, computed) = (u32::from_le_bytes(*crc), crc::checksum(content));
     if stored != computed {
         return Err(BlobError::Crc { stored, computed });
     }
@@ -992,7 +990,7 @@ mod tests {
     /// The blob with its CRC made right again.
     fn mended(mut blob: Vec<u8>) -> Vec<u8> {
         let end = blob.len() - CRC_SIZE;
-        let crc = CRC.checksum(&blob[..end]).to_le_bytes();
+        let crc = crc::checksum(&blob[..end]).to_le_bytes();
         blob[end..].copy_from_slice(&crc);
         blob
     }
@@ -1041,13 +1039,6 @@ mod tests {
         // The fifth: heat of channel 7 on Y.
         assert_eq!(blob[terms + 4 * 24..][..4], [4, 2, 7, 11]);
         assert_eq!(word(terms + 4 * 24 + 12), 21);
-    }
-
-    #[test]
-    fn the_crc_is_that_of_autosar() {
-        assert_eq!(CRC.checksum(b"123456789"), 0x1697_D06A);
-        let blob = sample();
-        assert_eq!(mended(blob.clone()), blob);
     }
 
     #[test]

@@ -13,11 +13,15 @@
 extern crate std;
 
 pub mod calibration;
+mod crc;
 pub mod load;
+mod log;
 pub mod reference;
 pub mod slots;
 #[cfg(test)]
 mod strict_flash;
+
+pub use log::StoreError;
 
 /// A bridge with a sensor and nothing else.
 #[cfg(test)]

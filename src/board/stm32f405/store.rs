@@ -2,7 +2,7 @@
 
 use defmt::Display2Format as Text;
 use trueup_store::{
-    reference::StoreError,
+    StoreError,
     slots::{Found, Slots},
 };
 

@@ -29,9 +29,9 @@ fn newest(flash: &Flash) -> Option<Vec<u8>> {
 fn store(flash: Flash, number: u32) -> (Flash, Result<u32, StoreError>) {
     let fuel = flash.fuel;
     let (mut slots, _) = open(&flash, IMAGE);
-    slots.flash.fuel = fuel;
+    slots.log.flash.fuel = fuel;
     let result = slots.store(&blob(number), || ());
-    (slots.flash, result)
+    (slots.log.flash, result)
 }
 
 #[test]
@@ -44,8 +44,8 @@ fn the_newest_counts_through_more_than_the_flash_holds() {
         slots.make_room().expect("a good flash");
         let mut turns = 0;
         assert_eq!(slots.store(&blob(number), || turns += 1), Ok(number));
-        assert_eq!(turns, blob(number).len().div_ceil(PART), "the watchdog was told");
-        flash = slots.flash;
+        assert_eq!(turns, blob(number).len().div_ceil(PART_SIZE), "the watchdog was told");
+        flash = slots.log.flash;
         assert_eq!(newest(&flash), Some(blob(number)), "number {number}");
     }
 }
@@ -57,7 +57,7 @@ fn without_an_erase_it_takes_what_there_is_room_for_and_then_says_full() {
         assert_eq!(slots.store(&blob(number), || ()), Ok(number));
     }
     assert_eq!(slots.store(&blob(5), || ()), Err(StoreError::Full));
-    assert_eq!(newest(&slots.flash), Some(blob(4)));
+    assert_eq!(newest(&slots.log.flash), Some(blob(4)));
 }
 
 #[test]
@@ -68,7 +68,7 @@ fn wherever_the_power_is_cut_the_old_one_or_the_new_one_counts_whole() {
             flash = store(flash, number).0;
         }
         let old = newest(&flash);
-        let all = blob(9).len().next_multiple_of(WORD) + HEAD as usize;
+        let all = blob(9).len().next_multiple_of(4) + HEAD as usize;
         for fuel in (0..all).step_by(7).chain(all - 20..=all) {
             let (cut, result) = store(Flash { fuel, ..flash.clone() }, 9);
             assert_eq!(result.is_ok(), fuel == all, "{before} stored, cut at {fuel} of {all}");
@@ -78,7 +78,7 @@ fn wherever_the_power_is_cut_the_old_one_or_the_new_one_counts_whole() {
             let (mut slots, _) = open(&cut, IMAGE);
             slots.make_room().expect("powered");
             assert!(slots.store(&blob(10), || ()).is_ok());
-            assert_eq!(newest(&slots.flash), Some(blob(10)));
+            assert_eq!(newest(&slots.log.flash), Some(blob(10)));
         }
     }
 }
@@ -91,9 +91,9 @@ fn an_erase_that_is_cut_loses_nothing_that_counts() {
     }
     for fuel in (0..=SECTOR).step_by(501) {
         let (mut slots, _) = open(&flash, IMAGE);
-        slots.flash.fuel = fuel;
+        slots.log.flash.fuel = fuel;
         assert_eq!(slots.make_room().is_ok(), fuel >= SECTOR);
-        assert_eq!(newest(&slots.flash), Some(blob(3)), "cut at {fuel}");
+        assert_eq!(newest(&slots.log.flash), Some(blob(3)), "cut at {fuel}");
     }
 }
 
@@ -116,21 +116,21 @@ fn another_image_wins_over_what_was_loaded_before_it() {
     let (mut slots, found) = open(&flash, IMAGE + 1);
     assert_eq!(found, Found { newest: None, foreign: 1, damaged: 0 });
     assert_eq!(slots.store(&blob(2), || ()), Ok(2));
-    let found = open(&slots.flash, IMAGE + 1).1;
+    let found = open(&slots.log.flash, IMAGE + 1).1;
     assert_eq!(found.newest.map(|stored| stored.sequence), Some(2));
     // The first image again, and with it what was loaded over it.
-    assert_eq!(newest(&slots.flash), Some(blob(1)));
+    assert_eq!(newest(&slots.log.flash), Some(blob(1)));
 }
 
 #[test]
 fn a_dead_flash_takes_nothing_and_says_so() {
     let dead = Flash { dead: true, ..Flash::erased() };
     let (mut slots, _) = open(&dead, IMAGE);
-    slots.flash.dead = true;
+    slots.log.flash.dead = true;
     assert_eq!(slots.store(&blob(1), || ()), Err(StoreError::NotTaken));
     let zeros = Flash { bytes: vec![0; 2 * SECTOR], ..dead };
     let (mut slots, found) = open(&zeros, IMAGE);
-    slots.flash.dead = true;
+    slots.log.flash.dead = true;
     assert_eq!(found.damaged, 4);
     assert_eq!(slots.make_room(), Err(StoreError::NotErased));
     assert_eq!(slots.store(&blob(1), || ()), Err(StoreError::Full));

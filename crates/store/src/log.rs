@@ -1,0 +1,252 @@
+//! An append-only log in flash: slots of one size in two halves, each slot for one record.
+//!
+//! ```text
+//!   half 0:  record 1 │ record 2 │ damaged  │ record 3      full
+//!   half 1:  record 4 │ record 5 │ blank    │ blank         active: the next record goes here
+//! ```
+//!
+//! Records are appended to the active half, so that storing one needs no erase, which stalls this
+//! chip for 1 to 2 s. When that half is full they go on in the other, which [`Log::make_room`] has
+//! emptied before, at a moment when a stall does no harm. Sequence numbers rise from 1 over both
+//! halves, so the largest tells which half is active.
+//!
+//! What a record holds, and which bytes are one, its owner says; the log finds the slots. A record
+//! must end with what makes it valid, or have that written last: a power cut then leaves a slot
+//! that holds no record, which is passed over from then on, and the record before it counts.
+//!
+//! Not `sequential-storage`, whose pages and items could do this: it erases inside the call that
+//! stores, when a page is full; and it passes over a damaged item without a word, where a machine's
+//! log should tell.
+
+use core::{error::Error, fmt};
+
+use embedded_storage::nor_flash::NorFlash;
+
+/// Bytes that are written or read at once.
+const PART: u32 = 256;
+/// Bytes of a word, the least that is written.
+const WORD: usize = 4;
+
+/// Bytes of a part.
+pub(crate) const PART_SIZE: usize = PART as usize;
+
+/// A place for one record.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Slot {
+    half: u32,
+    number: u32,
+    /// Offset of its first byte in the flash.
+    pub address: u32,
+}
+
+/// One half of the flash.
+#[derive(Clone, Copy, Debug, Default)]
+struct Half {
+    /// Slots up to the last one that is not blank.
+    used: u32,
+    /// The largest sequence number in it; 0: it has no record.
+    newest: u32,
+}
+
+/// The log.
+#[derive(Debug)]
+pub(crate) struct Log<F> {
+    /// Read by its owner too, who must not write to it.
+    pub flash: F,
+    slot_size: u32,
+    halves: [Half; 2],
+    /// The half that is written to, 0 or 1.
+    active: u32,
+}
+
+impl<F: NorFlash> Log<F> {
+    /// Looks at all of the flash. `read` is given each slot that is not blank, and says the sequence
+    /// number of the record there, from 1, if there is one. What cannot be read is not blank.
+    pub fn open(
+        flash: F,
+        slot_size: u32,
+        mut read: impl FnMut(&mut F, Slot) -> Option<u32>,
+    ) -> Self {
+        let mut log = Self { flash, slot_size, halves: [Half::default(); 2], active: 0 };
+        for half in 0..2 {
+            for number in 0..log.slots_per_half() {
+                let slot = log.slot(half, number);
+                if log.is_blank(slot) {
+                    continue;
+                }
+                log.note_used(slot);
+                if let Some(sequence) = read(&mut log.flash, slot) {
+                    log.note_record(slot, sequence);
+                }
+            }
+        }
+        let [first, second] = log.halves;
+        // Without any record the half with more room is taken.
+        let second_is_ahead = second.newest > first.newest
+            || (second.newest == first.newest && second.used < first.used);
+        log.active = u32::from(second_is_ahead);
+        log
+    }
+
+    /// Appends a record: `write` is given the slot and the sequence number, and says whether the
+    /// flash holds the record then. At most `attempts` slots are tried: one that does not take it
+    /// may be worn, and is passed over until the next start.
+    ///
+    /// # Errors
+    /// [`StoreError`]; what was stored before still counts.
+    pub fn append(
+        &mut self,
+        attempts: u32,
+        mut write: impl FnMut(&mut F, Slot, u32) -> bool,
+    ) -> Result<(u32, Slot), StoreError> {
+        let newest = self.halves.iter().map(|half| half.newest).max().unwrap_or_default();
+        let sequence = newest.checked_add(1).ok_or(StoreError::Full)?;
+        for _ in 0..attempts {
+            let slot = self.next_slot()?;
+            self.note_used(slot);
+            if write(&mut self.flash, slot, sequence) {
+                self.active = slot.half;
+                self.note_record(slot, sequence);
+                return Ok((sequence, slot));
+            }
+        }
+        Err(StoreError::NotTaken)
+    }
+
+    /// Empties the half that is not active, if it is not empty. Gives whether it had to. The erase
+    /// may stall the core for seconds: this is for a moment when nothing is followed.
+    ///
+    /// # Errors
+    /// [`StoreError::NotErased`].
+    pub fn make_room(&mut self) -> Result<bool, StoreError> {
+        let spare = self.spare();
+        if self.half(spare).used == 0 {
+            return Ok(false);
+        }
+        let slots = self.slots_per_half();
+        let start = self.slot(spare, 0).address;
+        let erased = self.flash.erase(start, start.saturating_add(self.half_size())).is_ok();
+        if !erased || (0..slots).any(|number| !self.is_blank(self.slot(spare, number))) {
+            return Err(StoreError::NotErased);
+        }
+        if let Some(half) = self.halves.get_mut(spare as usize) {
+            *half = Half::default();
+        }
+        Ok(true)
+    }
+
+    /// Makes the half of this slot the active one, so that [`Self::make_room`] leaves it alone.
+    pub fn activate(&mut self, slot: Slot) {
+        self.active = slot.half;
+    }
+
+    /// Whether [`Self::make_room`] empties this slot.
+    pub fn is_in_spare_half(&self, slot: Slot) -> bool {
+        slot.half != self.active
+    }
+
+    /// Whether the active half takes another record.
+    pub fn has_room(&self) -> bool {
+        self.half(self.active).used < self.slots_per_half()
+    }
+
+    /// The half that is not active.
+    fn spare(&self) -> u32 {
+        1_u32.saturating_sub(self.active)
+    }
+
+    /// Where the next record goes.
+    fn next_slot(&self) -> Result<Slot, StoreError> {
+        let spare = self.spare();
+        if self.has_room() {
+            Ok(self.slot(self.active, self.half(self.active).used))
+        } else if self.half(spare).used == 0 && self.slots_per_half() > 0 {
+            Ok(self.slot(spare, 0))
+        } else {
+            Err(StoreError::Full)
+        }
+    }
+
+    fn half(&self, half: u32) -> Half {
+        self.halves.get(half as usize).copied().unwrap_or_default()
+    }
+
+    fn note_used(&mut self, slot: Slot) {
+        if let Some(half) = self.halves.get_mut(slot.half as usize) {
+            half.used = half.used.max(slot.number.saturating_add(1));
+        }
+    }
+
+    fn note_record(&mut self, slot: Slot, sequence: u32) {
+        if let Some(half) = self.halves.get_mut(slot.half as usize) {
+            half.newest = half.newest.max(sequence);
+        }
+    }
+
+    /// Bytes of a half.
+    fn half_size(&self) -> u32 {
+        u32::try_from(self.flash.capacity() / 2).unwrap_or(u32::MAX)
+    }
+
+    fn slots_per_half(&self) -> u32 {
+        self.half_size().checked_div(self.slot_size).unwrap_or(0)
+    }
+
+    fn slot(&self, half: u32, number: u32) -> Slot {
+        let start = half.saturating_mul(self.half_size());
+        let address = start.saturating_add(number.saturating_mul(self.slot_size));
+        Slot { half, number, address }
+    }
+
+    fn is_blank(&mut self, slot: Slot) -> bool {
+        let mut part = [0; PART_SIZE];
+        let mut at = 0;
+        while at < self.slot_size {
+            let length = self.slot_size.saturating_sub(at).min(PART);
+            let Some(bytes) = part.get_mut(..length as usize) else { return false };
+            let is_read = self.flash.read(slot.address.saturating_add(at), bytes).is_ok();
+            if !is_read || bytes.iter().any(|byte| *byte != 0xFF) {
+                return false;
+            }
+            at = at.saturating_add(length);
+        }
+        true
+    }
+}
+
+/// Writes at most [`PART_SIZE`] bytes, filled up to whole words with 0xFF, and reads them back; gives
+/// whether the flash holds them.
+pub(crate) fn write_part<F: NorFlash>(flash: &mut F, address: u32, part: &[u8]) -> bool {
+    let words = part.len().next_multiple_of(WORD);
+    let (mut padded, mut back) = ([0xFF; PART_SIZE], [0; PART_SIZE]);
+    let (Some(bytes), Some(back)) = (padded.get_mut(..words), back.get_mut(..words)) else {
+        return false;
+    };
+    bytes.iter_mut().zip(part).for_each(|(place, byte)| *place = *byte);
+    let written = flash.write(address, bytes).is_ok();
+    let read = flash.read(address, back).is_ok();
+    written && read && back == bytes
+}
+
+/// Why a record is not stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StoreError {
+    /// Both halves are full.
+    Full,
+    /// The flash did not take the record.
+    NotTaken,
+    /// The flash was not emptied.
+    NotErased,
+}
+
+impl fmt::Display for StoreError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Full => "both halves are full until the next start",
+            Self::NotTaken => "the flash does not take it",
+            Self::NotErased => "the flash is not emptied",
+        })
+    }
+}
+
+impl Error for StoreError {}

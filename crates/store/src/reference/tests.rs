@@ -1,0 +1,202 @@
+//! References stored, lost power over, and found again.
+
+use super::*;
+use crate::strict_flash::StrictFlash;
+
+const SLOTS: u32 = 8;
+const HALF: u32 = SLOTS * SLOT_SIZE;
+const SIZE: usize = 2 * HALF as usize;
+type Flash = StrictFlash<{ HALF as usize }>;
+const OURS: u32 = 0xC0FF_EE01;
+const OTHER: u32 = 0x0BAD_CAFE;
+
+/// References that differ in every byte.
+fn reference(n: u32) -> Reference {
+    let value = |k: u32| (n * 0x0101_0101).wrapping_mul(2 * k + 1) as i32;
+    Reference {
+        elongation: Nanometres(value(1)),
+        axes: [Fine(value(2)), Fine(value(3)), Fine(value(4))],
+    }
+}
+
+fn open(flash: &Flash, calibration: u32) -> (References<Flash>, Found) {
+    References::open(flash.powered(), calibration)
+}
+
+fn loaded(flash: &Flash) -> Option<Reference> {
+    open(flash, OURS).1.reference.map(|(_, reference)| reference)
+}
+
+#[test]
+fn the_bytes_of_a_record_are_as_the_table_says() {
+    let record = Record {
+        sequence: 2,
+        calibration: 0x1122_3344,
+        reference: Reference {
+            elongation: Nanometres(62_805),
+            axes: [Fine(-1), Fine(0), Fine(256)],
+        },
+    };
+    let bytes = record.encode();
+    assert_eq!(
+        bytes[..28],
+        [
+            2, 0, 0, 0, 0x44, 0x33, 0x22, 0x11, 0x55, 0xF5, 0, 0, 0xFF, 0xFF, 0xFF, 0xFF, 0, 0, 0,
+            0, 0, 1, 0, 0, 1, 0, 0, 0
+        ]
+    );
+    assert_eq!(Record::decode(&bytes), Some(record));
+    assert_eq!(
+        (Record::decode(&[0xFF; RECORD_SIZE]), Record::decode(&[0; RECORD_SIZE])),
+        (None, None)
+    );
+}
+
+#[test]
+fn the_newest_counts_through_more_records_than_the_flash_holds() {
+    let (mut log, found) = open(&Flash::erased(), OURS);
+    assert_eq!(found, Found::default());
+    let mut erases = 0;
+    for n in 1..=100 {
+        assert_eq!(log.append(reference(n)), Ok(n));
+        assert_eq!(loaded(&log.log.flash), Some(reference(n)));
+        erases += u32::from(log.make_room() == Ok(true));
+        assert_eq!(loaded(&log.log.flash), Some(reference(n)));
+    }
+    std::println!("100 records in a flash of {} slots: {erases} erases", 2 * SLOTS);
+    assert!((100 / SLOTS - 1..=100 / SLOTS + 1).contains(&erases));
+}
+
+#[test]
+fn without_room_a_reference_is_refused_and_the_next_start_makes_room() {
+    let (mut log, _) = open(&Flash::erased(), OURS);
+    for n in 1..=2 * SLOTS {
+        assert_eq!(log.append(reference(n)), Ok(n));
+    }
+    assert_eq!(log.append(reference(99)), Err(StoreError::Full));
+    let (mut log, found) = open(&log.log.flash, OURS);
+    assert_eq!(found.reference, Some((2 * SLOTS, reference(2 * SLOTS))));
+    assert_eq!((log.make_room(), log.make_room()), (Ok(true), Ok(false)));
+    assert_eq!(log.append(reference(99)), Ok(2 * SLOTS + 1));
+    assert_eq!(loaded(&log.log.flash), Some(reference(99)));
+}
+
+#[test]
+fn a_reference_of_another_calibration_is_not_taken_up_and_not_lost() {
+    let (mut log, _) = open(&Flash::erased(), OURS);
+    log.append(reference(1)).unwrap();
+    // Others fill both halves, and room is made again and again.
+    let (mut others, found) = open(&log.log.flash, OTHER);
+    assert_eq!(found, Found { reference: None, foreign: 1, damaged: 0 });
+    for n in 2..SLOTS {
+        others.append(reference(n)).unwrap();
+    }
+    let (mut log, found) = open(&others.log.flash, OURS);
+    assert_eq!((found.reference, found.foreign), (Some((1, reference(1))), SLOTS - 2));
+    // Ours moves on when its half goes.
+    let (mut others, _) = open(&log.log.flash, OTHER);
+    for n in 0..3 {
+        others.append(reference(n)).unwrap();
+    }
+    log = open(&others.log.flash, OURS).0;
+    assert_eq!(log.make_room(), Ok(true));
+    assert_eq!(loaded(&log.log.flash), Some(reference(1)));
+}
+
+#[test]
+fn a_power_cut_at_any_byte_of_a_record_loses_that_record_at_most() {
+    for before in 0..2 * SLOTS {
+        let (mut log, _) = open(&Flash::erased(), OURS);
+        (1..=before).for_each(|n| assert_eq!(log.append(reference(n)), Ok(n)));
+        let old = (before > 0).then(|| reference(before));
+        for fuel in 0..=RECORD_SIZE {
+            let mut cut = open(&log.log.flash, OURS).0;
+            cut.log.flash.fuel = fuel;
+            let stored = cut.append(reference(77)).is_ok();
+            assert_eq!(stored, fuel == RECORD_SIZE);
+            let expected = if stored { Some(reference(77)) } else { old };
+            assert_eq!(loaded(&cut.log.flash), expected, "{before} records, cut at byte {fuel}");
+            // Life goes on after it.
+            let (mut log, found) = open(&cut.log.flash, OURS);
+            assert!(found.damaged <= 1);
+            log.make_room().unwrap();
+            log.append(reference(88)).unwrap();
+            assert_eq!(loaded(&log.log.flash), Some(reference(88)));
+        }
+    }
+}
+
+#[test]
+fn a_power_cut_at_any_byte_of_making_room_loses_nothing() {
+    // Ours is in the old half, alone or not: it has to move before the erase.
+    for others in 0..SLOTS {
+        let (mut log, _) = open(&Flash::erased(), OURS);
+        (1..=SLOTS).for_each(|n| assert_eq!(log.append(reference(n)), Ok(n)));
+        let (mut log, _) = open(&log.log.flash, if others == 0 { OURS } else { OTHER });
+        for _ in 0..others.max(1) {
+            log.append(reference(9)).unwrap();
+        }
+        let expected = loaded(&log.log.flash);
+        assert!(expected.is_some());
+        for fuel in 0..=RECORD_SIZE + HALF as usize {
+            let mut cut = open(&log.log.flash, OURS).0;
+            cut.log.flash.fuel = fuel;
+            let done = cut.make_room() == Ok(true);
+            assert_eq!(loaded(&cut.log.flash), expected, "{others} others, cut at byte {fuel}");
+            let mut log = open(&cut.log.flash, OURS).0;
+            assert_eq!(log.make_room(), Ok(!done));
+            log.append(reference(88)).unwrap();
+            assert_eq!(loaded(&log.log.flash), Some(reference(88)));
+        }
+    }
+}
+
+#[test]
+fn every_flipped_bit_of_a_record_is_found() {
+    let (mut log, _) = open(&Flash::erased(), OURS);
+    (1..=2).for_each(|n| assert_eq!(log.append(reference(n)), Ok(n)));
+    for bit in 0..RECORD_SIZE * 8 {
+        let mut flash = log.log.flash.clone();
+        flash.bytes[RECORD_SIZE + bit / 8] ^= 1 << (bit % 8);
+        let (_, found) = open(&flash, OURS);
+        let expected = Found { reference: Some((1, reference(1))), foreign: 0, damaged: 1 };
+        assert_eq!(found, expected, "bit {bit}");
+    }
+}
+
+#[test]
+fn a_dead_flash_is_said_and_nothing_else_happens() {
+    // Nothing is taken; or all reads as 0, as where no flash answers.
+    for fill in [0xFF, 0] {
+        let flash = Flash { bytes: std::vec![fill; SIZE], fuel: usize::MAX, dead: true };
+        let (mut log, found) = open(&flash, OURS);
+        let is_blank = fill == 0xFF;
+        assert_eq!(found.reference, None);
+        assert_eq!(found.damaged, if is_blank { 0 } else { 2 * SLOTS });
+        let room = if is_blank { Ok(false) } else { Err(StoreError::NotErased) };
+        assert_eq!(log.make_room(), room);
+        let refused = if is_blank { StoreError::NotTaken } else { StoreError::Full };
+        assert_eq!(log.append(reference(1)), Err(refused));
+    }
+}
+
+#[test]
+fn any_bytes_at_all_can_be_opened_and_written_on() {
+    let mut random = 1_u32;
+    for _ in 0..200 {
+        let mut flash = Flash::erased();
+        for byte in &mut flash.bytes {
+            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            *byte = (random >> 24) as u8 | if random & 0x300 == 0 { 0 } else { 0xFF };
+        }
+        let (mut log, found) = open(&flash, OURS);
+        assert_eq!((found.reference, found.foreign), (None, 0));
+        log.make_room().unwrap();
+        let stored = log.append(reference(5)).or_else(|_| {
+            // Both halves were full of nothing: the next start makes the other room.
+            log = open(&log.log.flash, OURS).0;
+            log.make_room().and_then(|_| log.append(reference(5)))
+        });
+        assert_eq!((stored, loaded(&log.log.flash)), (Ok(1), Some(reference(5))));
+    }
+}
