@@ -22,6 +22,17 @@ pub(crate) struct Folds {
     blocks: usize,
 }
 
+/// What a term takes away from the RMS on left-out blocks.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Reduction {
+    /// 1 − after/before.
+    pub value: f64,
+    /// Its 95 % interval: whole blocks drawn again and again.
+    pub ci95: [f64; 2],
+    /// Whether it is above 0, and in four of five draws.
+    pub is_gain: bool,
+}
+
 /// Stretches of a record.
 const STRETCHES: usize = 5;
 
@@ -79,9 +90,8 @@ impl Folds {
         (residual, fitted.into_iter().map(|fitted| fitted.model).collect())
     }
 
-    /// The reduction of the RMS from `before` to `after`, 1 − after/before, with its 95 % interval:
-    /// whole blocks drawn again and again; and whether it is a gain, in four of five draws.
-    pub(crate) fn reduction(&self, before: &[f64], after: &[f64]) -> (f64, [f64; 2], bool) {
+    /// The reduction of the RMS from `before` to `after`, both in groups.
+    pub(crate) fn reduction(&self, before: &[f64], after: &[f64]) -> Reduction {
         let mut sums = vec![[0.0; 2]; self.blocks];
         for (group, &block) in self.block.iter().enumerate() {
             sums[block][0] += before[group] * before[group];
@@ -100,7 +110,8 @@ impl Folds {
             })
             .collect();
         draws.sort_by(f64::total_cmp);
-        (value, [draws[9], draws[389]], value > 0.0 && draws[79] > 0.0)
+        let ci95 = [draws[9], draws[389]];
+        Reduction { value, ci95, is_gain: value > 0.0 && draws[79] > 0.0 }
     }
 }
 

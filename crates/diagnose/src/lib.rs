@@ -19,25 +19,20 @@
 //! | `report`, `html`, `figure`, `extended`, `terms`, `words` | the answer, for scripts and for people |
 #![forbid(unsafe_code)]
 
+mod answer;
 mod blocks;
 mod candidates;
-mod choose;
 mod columns;
 mod data;
-mod diagnosis;
-mod extended;
-mod figure;
+mod diagnose;
 mod fit;
-mod html;
+mod gain;
 mod judge;
 mod laws;
-mod mend;
 mod model;
 mod outliers;
 mod parameters;
 mod repeats;
-pub mod report;
-mod scan;
 mod search;
 mod terms;
 mod waves;
@@ -48,8 +43,11 @@ use std::{
     path::Path,
 };
 
-pub use diagnosis::{Diagnosis, Progress, diagnose};
-pub use report::{Report, Verdict};
+pub use answer::{
+    Diagnosis,
+    report::{self, Report, Verdict},
+};
+pub use diagnose::{Progress, diagnose};
 use trueup_machine::BadInput;
 
 impl Diagnosis {
@@ -64,13 +62,13 @@ impl Diagnosis {
     /// `report.html`, of a machine of this name.
     #[must_use]
     pub fn html(&self, machine_name: &str) -> String {
-        html::html(self, machine_name)
+        answer::html::html(self, machine_name)
     }
 
     /// The verdict in a sentence.
     #[must_use]
     pub fn sentence(&self) -> String {
-        html::verdict_sentence(self)
+        answer::html::verdict_sentence(self)
     }
 
     /// `extended.toml`: the machine file `source` (at `path`, for errors) with the terms.
@@ -78,7 +76,7 @@ impl Diagnosis {
     /// # Errors
     /// `source` is no machine file.
     pub fn extended(&self, source: &str, path: &Path) -> Result<String, BadInput> {
-        extended::extended(source, path, &self.terms)
+        answer::extended::extended(source, path, &self.terms)
     }
 
     /// `residuals.csv`: each row with what was predicted and what is left.

@@ -129,16 +129,6 @@ pub(crate) fn sentence(part: &Part) -> String {
     }
 }
 
-/// What a test of structure goes with.
-pub(crate) fn structure(kind: &Kind) -> String {
-    let Kind::Curve { column, by_direction, times, .. } = kind else {
-        return kind.name().into();
-    };
-    let times = times.as_ref().map_or(String::new(), |times| format!(" times {times}"));
-    let ways = if *by_direction { ", differently in each direction" } else { "" };
-    format!("{column}{times}{ways}")
-}
-
 /// The measurement that would settle what is open about `kind`, against `rival` where there is one.
 pub(crate) fn next_test(kind: &Kind, rival: Option<&str>) -> String {
     let name = kind.name();

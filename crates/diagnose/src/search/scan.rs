@@ -28,8 +28,9 @@ use trueup_numerics::{
 
 use crate::{
     candidates::Candidate,
-    fit::{Problem, jacobian},
+    fit::{Fitted, Problem, jacobian},
     model::{Model, Part},
+    search::criterion::{longest_memory, noise_of},
 };
 
 /// Chance that noise passes the limit of one statistic in one search.
@@ -110,16 +111,93 @@ pub(crate) enum Draw {
     Sharp,
 }
 
-/// Tries `candidates` on what `model` leaves. Noise is drawn only if something may pass the limits.
-pub(crate) fn scan(
-    problem: &Problem,
-    model: &Model,
-    residual: &[f64],
-    candidates: &[Candidate],
-    draw: Draw,
-) -> Scan {
-    let groups = &problem.groups;
-    let rows = groups.len();
+/// Tries `candidates` on what `base` leaves. Noise is drawn only if something may pass the limits.
+pub(crate) fn scan(problem: &Problem, base: &Fitted, candidates: &[Candidate], draw: Draw) -> Scan {
+    let trials = trials(problem, &base.model, candidates);
+    let (steps, residual) = (&problem.groups.steps, &base.residual);
+    let rows = problem.groups.len();
+    let (_, nuisance) = jacobian(problem, &base.model);
+    let own = noise_of(problem, residual, nuisance.len());
+    let independent = noise::effective_rows(own, steps).max(3.0);
+    let noises = noises(problem, own, draw);
+    let price: Vec<f64> =
+        trials.iter().map(|trial| 2.0 * candidates[trial.candidate].searched).collect();
+    let of = |lists: &[Vec<f64>]| {
+        let mut all = statistics(&trials, &nuisance, lists, problem, &noises, independent);
+        for (values, price) in all.iter_mut().zip(&price) {
+            values.iter_mut().flatten().for_each(|value| *value -= price);
+        }
+        all
+    };
+    let best = |all: &[Vec<[f64; 2]>], list: usize| {
+        all.iter().fold([f64::NEG_INFINITY; 2], |best, values| {
+            [0, 1].map(|which| best[which].max(values[list][which]))
+        })
+    };
+    let real = of(std::slice::from_ref(residual));
+    let may_pass = best(&real, 0).iter().any(|value| *value > 0.0);
+    let limits = (draw != Draw::Not && may_pass).then(|| {
+        let sigma = (dot(residual, residual) / rows as f64).sqrt();
+        let mut chance = Chance::new(0x7472_7565_7570 ^ rows as u64);
+        let drawn: Vec<Vec<f64>> = (0..DRAWS)
+            .map(|_| {
+                let mut e = noise::draw(own, steps, &mut chance);
+                e.iter_mut().for_each(|e| *e *= sigma);
+                e
+            })
+            .collect();
+        let all = of(&drawn);
+        let most: Vec<[f64; 2]> = (0..DRAWS).map(|draw| best(&all, draw)).collect();
+        [0, 1].map(|which| gumbel_limit(most.iter().map(|most| most[which])))
+    });
+    let mut hits: Vec<Hit> = Vec::new();
+    for (number, trial) in trials.iter().enumerate() {
+        let [by_likelihood, by_squares] = real[number][0];
+        let candidate = &candidates[trial.candidate];
+        let is_likely = limits.is_some_and(|[t, _]| by_likelihood > t);
+        let is_significant = is_likely || limits.is_some_and(|[_, u]| by_squares > u);
+        let mut values = trial.setting.clone();
+        values.resize(candidate.kind.degrees(), 0.0);
+        let gain = by_squares + price[number] + trial.degrees * independent.ln();
+        let hit = Hit {
+            candidate: trial.candidate,
+            part: Part { kind: candidate.kind.clone(), values },
+            with_constant: trial.with_constant,
+            by_likelihood,
+            by_squares,
+            is_significant,
+            is_likely,
+            explained: 1.0 - (-gain / independent).exp(),
+        };
+        let there = hits.iter_mut().find(|there| {
+            there.candidate == hit.candidate && there.with_constant == hit.with_constant
+        });
+        match there {
+            Some(there) => there.merge(hit),
+            None => hits.push(hit),
+        }
+    }
+    Scan { hits, limits }
+}
+
+impl Hit {
+    /// Together with another setting of the same candidate: the values of the one that explains more
+    /// of the squares, the best of the rest.
+    fn merge(&mut self, other: Self) {
+        let is_significant = self.is_significant || other.is_significant;
+        let is_likely = self.is_likely || other.is_likely;
+        let by_likelihood = self.by_likelihood.max(other.by_likelihood);
+        if self.by_squares < other.by_squares {
+            *self = other;
+        }
+        (self.is_significant, self.is_likely) = (is_significant, is_likely);
+        self.by_likelihood = by_likelihood;
+    }
+}
+
+/// Every candidate at every setting, with and without a constant.
+fn trials(problem: &Problem, model: &Model, candidates: &[Candidate]) -> Vec<Trial> {
+    let rows = problem.groups.len();
     let here = problem.predicted(model);
     let mut trials = Vec::new();
     for (number, candidate) in candidates.iter().enumerate() {
@@ -158,99 +236,29 @@ pub(crate) fn scan(
             });
         }
     }
-    let longest = noise::longest_memory(groups.rows() as usize) / groups.size as f64;
-    let (_, nuisance) = jacobian(problem, model);
-    let own = noise::estimate(residual, &groups.steps, longest.max(1.0), nuisance.len());
-    let independent = noise::effective_rows(own, &groups.steps).max(3.0);
-    let sigma = (dot(residual, residual) / rows as f64).sqrt();
-    // Where nothing is decided by it, the noise as it is and its extremes are enough.
-    let noises = if draw != Draw::Not {
-        let mut noises = noise::grid(longest.max(1.0));
-        if draw == Draw::Sharp && own != Noise::WHITE {
-            let more = (2.0 * own.white + 0.1).min(0.9);
-            for (memory, white) in [
-                (own.memory, own.white),
-                (own.memory, more),
-                (own.memory / 3.0, own.white),
-                (own.memory / 3.0, more),
-            ] {
-                noises.push(Noise { memory, white });
-            }
-        }
-        noises
-    } else {
-        let quick = Noise { memory: (own.memory / 4.0).max(0.5), white: 0.3 };
-        vec![Noise::WHITE, quick, own]
-    };
-    let price: Vec<f64> =
-        trials.iter().map(|trial| 2.0 * candidates[trial.candidate].searched).collect();
+    trials
+}
 
-    let real = statistics(&trials, &nuisance, &[residual.to_vec()], problem, &noises, independent);
-    let value = |trial: usize, all: &[Vec<[f64; 2]>], draw: usize| {
-        let [t, u] = all[trial][draw];
-        [t - price[trial], u - price[trial]]
-    };
-    let best = |all: &[Vec<[f64; 2]>], draw: usize| {
-        (0..trials.len()).fold([f64::NEG_INFINITY; 2], |best, trial| {
-            let [t, u] = value(trial, all, draw);
-            [best[0].max(t), best[1].max(u)]
-        })
-    };
-    let observed = best(&real, 0);
-    let limits =
-        (draw != Draw::Not && observed.iter().any(|value| *value > 0.0) && !trials.is_empty())
-            .then(|| {
-                let mut chance = Chance::new(0x7472_7565_7570 ^ rows as u64);
-                let drawn: Vec<Vec<f64>> = (0..DRAWS)
-                    .map(|_| {
-                        let mut e = noise::draw(own, &groups.steps, &mut chance);
-                        e.iter_mut().for_each(|e| *e *= sigma);
-                        e
-                    })
-                    .collect();
-                let all = statistics(&trials, &nuisance, &drawn, problem, &noises, independent);
-                let most: Vec<[f64; 2]> = (0..DRAWS).map(|draw| best(&all, draw)).collect();
-                [0, 1].map(|which| gumbel_limit(most.iter().map(|most| most[which])))
-            });
-    let mut hits: Vec<Hit> = Vec::new();
-    for (number, trial) in trials.iter().enumerate() {
-        let [by_likelihood, by_squares] = value(number, &real, 0);
-        let candidate = &candidates[trial.candidate];
-        let is_likely = limits.is_some_and(|[t, _]| by_likelihood > t);
-        let is_significant = is_likely || limits.is_some_and(|[_, u]| by_squares > u);
-        let mut values = trial.setting.clone();
-        values.resize(candidate.kind.degrees(), 0.0);
-        let hit = Hit {
-            candidate: trial.candidate,
-            part: Part { kind: candidate.kind.clone(), values },
-            with_constant: trial.with_constant,
-            by_likelihood,
-            by_squares,
-            is_significant,
-            is_likely,
-            explained: 1.0
-                - (-(by_squares + price[number] + trial.degrees * independent.ln()) / independent)
-                    .exp(),
-        };
-        let there = hits.iter_mut().find(|there| {
-            there.candidate == hit.candidate && there.with_constant == hit.with_constant
-        });
-        match there {
-            Some(there) if there.by_squares < hit.by_squares => {
-                let significant = there.is_significant || hit.is_significant;
-                let by_likelihood = there.by_likelihood.max(hit.by_likelihood);
-                let is_likely = there.is_likely || hit.is_likely;
-                *there = Hit { is_significant: significant, is_likely, by_likelihood, ..hit };
-            }
-            Some(there) => {
-                there.is_significant |= hit.is_significant;
-                there.is_likely |= hit.is_likely;
-                there.by_likelihood = there.by_likelihood.max(hit.by_likelihood);
-            }
-            None => hits.push(hit),
+/// The noises that a candidate may choose from. Where nothing is decided by it, the noise as it is and
+/// its extremes are enough.
+fn noises(problem: &Problem, own: Noise, draw: Draw) -> Vec<Noise> {
+    if draw == Draw::Not {
+        let quick = Noise { memory: (own.memory / 4.0).max(0.5), white: 0.3 };
+        return vec![Noise::WHITE, quick, own];
+    }
+    let mut noises = noise::grid(longest_memory(problem));
+    if draw == Draw::Sharp && own != Noise::WHITE {
+        let more = (2.0 * own.white + 0.1).min(0.9);
+        for (memory, white) in [
+            (own.memory, own.white),
+            (own.memory, more),
+            (own.memory / 3.0, own.white),
+            (own.memory / 3.0, more),
+        ] {
+            noises.push(Noise { memory, white });
         }
     }
-    Scan { hits, limits }
+    noises
 }
 
 /// The value that the largest of a search on noise passes with the chance [`FALSE_ALARM`], by the

@@ -3,10 +3,12 @@
 use std::fmt::Write as _;
 
 use crate::{
+    answer::{
+        Diagnosis,
+        figure::{Colour, Points, picture},
+        report::{Finding, Verdict},
+    },
     data::Data,
-    diagnosis::Diagnosis,
-    figure::{Colour, Points, picture},
-    report::{Finding, Verdict},
 };
 
 const STYLE: &str = "body{font:16px/1.5 system-ui,sans-serif;max-width:54rem;margin:2rem auto;\

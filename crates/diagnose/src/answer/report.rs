@@ -2,6 +2,8 @@
 
 use serde::Serialize;
 
+pub use crate::gain::Gain;
+
 /// The whole answer.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
@@ -117,40 +119,6 @@ pub struct Finding {
     pub rivals: Vec<Rival>,
     /// The measurement that would settle what is still open.
     pub next_test: String,
-}
-
-/// What a term brings.
-#[derive(Clone, Debug, Serialize)]
-pub struct Gain {
-    /// On the rows that were fitted.
-    pub rms_before_um: f64,
-    /// On the rows that were fitted.
-    pub rms_after_um: f64,
-    /// On blocks that were left out of the fit.
-    pub left_out_before_um: f64,
-    /// On blocks that were left out of the fit.
-    pub left_out_after_um: f64,
-    /// 1 − after/before, left out.
-    pub reduction: f64,
-    /// Its 95 % interval.
-    pub ci95: [f64; 2],
-}
-
-impl Gain {
-    /// From means of rows to rows: `within` is the mean square that the means have lost.
-    pub(crate) fn by_row(&mut self, within: f64) {
-        let group = (self.left_out_before_um, self.left_out_after_um);
-        let row = |um: f64| (um * um + within).sqrt();
-        let before = row(group.0);
-        let reduction = |share: f64| {
-            if before > 0.0 { 1.0 - row((1.0 - share) * group.0) / before } else { 0.0 }
-        };
-        self.ci95 = self.ci95.map(reduction);
-        self.reduction = reduction(self.reduction);
-        self.rms_before_um = row(self.rms_before_um);
-        self.rms_after_um = row(self.rms_after_um);
-        (self.left_out_before_um, self.left_out_after_um) = (before, row(group.1));
-    }
 }
 
 /// Another cause in a finding's place.

@@ -1,0 +1,35 @@
+//! Errors of a prediction, by row.
+
+use crate::{blocks::rms, data::Data, fit::Problem};
+
+/// Errors of the rows that count, in µm, but for those that are set `aside`.
+pub(crate) fn errors(data: &Data, predicted: &[f64], aside: Option<&[bool]>) -> Vec<f64> {
+    (0..data.rows)
+        .filter(|&row| data.used[row] && aside.is_none_or(|aside| !aside[row]))
+        .map(|row| data.measured[row] - predicted[row])
+        .filter(|error| error.is_finite())
+        .collect()
+}
+
+/// The largest of some errors.
+pub(crate) fn largest(errors: &[f64]) -> f64 {
+    errors.iter().fold(0.0, |most: f64, error| most.max(error.abs()))
+}
+
+/// Mean square of the errors that the groups of a problem average away, in µm².
+pub(crate) fn within_groups(
+    data: &Data,
+    problem: &Problem,
+    predicted: &[f64],
+    aside: &[bool],
+) -> f64 {
+    if problem.groups.size == 1 {
+        // Rows of their own, or a draw of them.
+        return 0.0;
+    }
+    let rows = errors(data, predicted, Some(aside));
+    let residual: Vec<f64> =
+        (0..data.rows).map(|row| data.measured[row] - predicted[row]).collect();
+    let groups = problem.groups.means(&residual);
+    (rms(&rows).powi(2) - rms(&groups).powi(2)).max(0.0)
+}

@@ -1,0 +1,130 @@
+//! A judgement as a finding of the report: in sentences, with the measurement to make next.
+
+use serde_json::{Map, json};
+
+use crate::{
+    answer::{
+        errors::errors,
+        report::{Finding, Rival},
+    },
+    blocks::rms,
+    data::Data,
+    gain::Gain,
+    judge::{Doubt, Judgement},
+    words,
+};
+
+/// The finding of a term; `left_out`: what was left out in turn ("files", "runs", …).
+pub(crate) fn finding(it: &Judgement, left_out: &str) -> Finding {
+    let cause = it.cause();
+    let sentence = words::sentence(&it.part);
+    let Gain { rms_before_um, rms_after_um, .. } = it.gain;
+    let first = &it.first_gain;
+    let mut evidence = vec![
+        sentence.clone(),
+        format!("Without it {rms_before_um:.3} µm RMS are left, with it {rms_after_um:.3} µm."),
+        format!(
+            "On left-out {left_out} the error falls from {:.3} to {:.3} µm RMS.",
+            first.left_out_before_um, first.left_out_after_um
+        ),
+    ];
+    evidence.extend(it.doubts.iter().map(|doubt| doubted(doubt, &it.gain, left_out)));
+    let next_test = match it.other_law() {
+        Some(inputs) => format!(
+            "Measure again with nothing varied but what goes with {inputs}, in many small steps, up \
+             and down."
+        ),
+        None => words::next_test(cause, rival_in_doubt(it)),
+    };
+    let rivals = it.rivals.iter().map(|rival| Rival {
+        cause: rival.cause.name().into(),
+        column: rival.cause.column(),
+        score_gap: rival.bic_gap,
+    });
+    Finding {
+        cause: cause.name().into(),
+        column: cause.column(),
+        claimed: it.doubts.is_empty(),
+        compensated: cause.is_compensated() && it.is_kept,
+        confidence: (it.confidence() * 1e4).round() / 1e4,
+        parameters: it.parameters.clone(),
+        gain: it.gain,
+        sentence,
+        evidence,
+        rivals: rivals.collect(),
+        next_test,
+    }
+}
+
+/// The name of the rival that cannot be told from the cause.
+fn rival_in_doubt(it: &Judgement) -> Option<&'static str> {
+    it.doubts.iter().find_map(|doubt| match doubt {
+        Doubt::Rival(rival) => Some(rival.name()),
+        _ => None,
+    })
+}
+
+/// A doubt in a sentence.
+fn doubted(doubt: &Doubt, gain: &Gain, left_out: &str) -> String {
+    match doubt {
+        Doubt::Rival(rival) => format!("{} explains these data as well.", rival.name()),
+        Doubt::NotIdentified => format!(
+            "It is not yet identified by these data: fitted to all {:.3} µm RMS are left, on \
+             left-out {left_out} {:.3} µm.",
+            gain.rms_after_um, gain.left_out_after_um
+        ),
+        Doubt::OtherLaw(inputs) => format!(
+            "Something that goes with {inputs} explains clearly more in its place: the cause is \
+             near it, but another one."
+        ),
+        Doubt::NotNeeded => {
+            "What has no name yet, and is still left, explains this part as well.".into()
+        }
+        Doubt::BesideOtherLaw => {
+            "It is only needed beside a term that stands for another law.".into()
+        }
+    }
+}
+
+/// The finding of rows that were set aside.
+pub(crate) fn outliers(data: &Data, after: &[f64], aside: &[bool]) -> Finding {
+    let with = errors(data, after, None);
+    let without = errors(data, after, Some(aside));
+    let count = aside.iter().filter(|aside| **aside).count();
+    let share = count as f64 / with.len() as f64;
+    let mut parameters = Map::new();
+    // Of so many rows that are or are not, by Wilson's interval.
+    let (n, z) = (with.len() as f64, 1.96_f64);
+    let center = (share + z * z / (2.0 * n)) / (1.0 + z * z / n);
+    let half = z / (1.0 + z * z / n) * (share * (1.0 - share) / n + z * z / (4.0 * n * n)).sqrt();
+    parameters
+        .insert("fraction".into(), json!({"value": share, "ci95": [center - half, center + half]}));
+    let rows: Vec<String> = (0..data.rows)
+        .filter(|&row| aside[row])
+        .take(12)
+        .map(|row| (row + 1).to_string())
+        .collect();
+    let (before, after) = (rms(&with), rms(&without));
+    let sentence =
+        format!("{count} readings are no readings: they stand alone, far from the rest.");
+    Finding {
+        cause: "outliers".into(),
+        column: None,
+        claimed: true,
+        compensated: false,
+        confidence: 0.999,
+        parameters,
+        gain: Gain {
+            rms_before_um: before,
+            rms_after_um: after,
+            left_out_before_um: before,
+            left_out_after_um: after,
+            reduction: 1.0 - after / before,
+            ci95: [0.0, 1.0 - after / before],
+        },
+        evidence: vec![sentence.clone(), format!("Rows {} were set aside.", rows.join(", "))],
+        sentence,
+        rivals: Vec::new(),
+        next_test: "Look at what happened at these readings, and measure them again.".into(),
+    }
+}

@@ -1,0 +1,105 @@
+//! The pipeline: runs → table → problem → search → judgement → answer.
+
+use std::sync::Arc;
+
+use trueup_machine::{BadInput, Machine, RunFile, machine_file::Quantity};
+use trueup_numerics::noise::Chance;
+
+use crate::{
+    answer::{Diagnosis, conclude},
+    candidates::structure,
+    data::{Data, Groups, first_of, quantity_of},
+    fit::{Fitted, Problem, fit},
+    judge::judge,
+    outliers,
+    search::{Found, lack_of_fit::with_curves, search, start},
+};
+
+/// Groups that the search works on where there is time alone; rows beyond are averaged.
+const MOST_GROUPS: usize = 1000;
+/// Rows that the search works on where an axis moves: an average would blur its errors, so that of
+/// more rows so many are drawn by chance. The last fit is to all of them.
+const MOST_ROWS_MOVING: usize = 3000;
+
+/// What is being tried, and how far the search has come, 0…1 (NaN: as before).
+pub type Progress<'p> = dyn FnMut(&str, f64) + 'p;
+
+/// Compares `machine` with what was measured in `runs`, names the causes of what it gets wrong, and
+/// measures what their terms bring on `holdout` (which chooses nothing).
+///
+/// # Errors
+/// There is no such quantity in a run, or several and none is asked for; a column is missing without
+/// which nothing can be predicted; no row is both measured and predicted.
+pub fn diagnose(
+    machine: &Machine,
+    runs: &[RunFile],
+    holdout: &[RunFile],
+    quantity: Option<Quantity>,
+    progress: &mut Progress<'_>,
+) -> Result<Diagnosis, BadInput> {
+    let quantity = quantity_of(runs, quantity)?;
+    quantity_of(if holdout.is_empty() { runs } else { holdout }, Some(quantity))?;
+    let data = Arc::new(Data::new(machine, runs, quantity)?);
+    let test = if holdout.is_empty() {
+        None
+    } else {
+        let mut test = Data::new(machine, holdout, quantity)?;
+        test.refer_to(&data);
+        Some(test)
+    };
+    let mut aside = vec![false; data.rows];
+    let (mut problem, mut found) = searched(&data, &aside, progress);
+    // Gross errors are seen once the rest is explained; then the rest is searched without them. Once
+    // more, where fewer or others are seen then.
+    for _ in 0..2 {
+        let gross = gross_errors(&data, &problem, &found);
+        if gross == aside || !gross.contains(&true) {
+            break;
+        }
+        aside = gross;
+        (problem, found) = searched(&data, &aside, progress);
+    }
+    progress("comparing with rivals", 0.92);
+    let judged = judge(&problem, &found);
+    Ok(conclude(data, &problem, found, &judged, aside, test.as_ref()))
+}
+
+/// Rows that stand alone, far from what the answer and curves over what is left predict: a law that no
+/// cause has is no gross error.
+fn gross_errors(data: &Data, problem: &Problem, found: &Found) -> Vec<bool> {
+    let rest = with_curves(problem, &found.fitted, &structure(problem));
+    outliers::gross(data, &rest.model.predict(data))
+}
+
+/// The search on the rows that count and are not set aside: on all of them, on means of neighbours, or
+/// on as many as tell enough.
+fn searched(data: &Arc<Data>, aside: &[bool], progress: &mut Progress<'_>) -> (Problem, Found) {
+    let used: Vec<bool> =
+        data.used.iter().zip(aside).map(|(used, aside)| *used && !aside).collect();
+    let rows = used.iter().filter(|used| **used).count();
+    let moves = data.quantity.axis().is_some()
+        && data.position_mm.iter().flatten().any(|mm| {
+            let first = first_of(mm);
+            mm.iter().any(|mm| !mm.is_nan() && *mm != first)
+        });
+    if !moves || rows <= MOST_ROWS_MOVING {
+        let size = if moves { 1 } else { rows.div_ceil(MOST_GROUPS).max(1) };
+        let groups = Groups::new(data, &used, size);
+        let problem = Problem::new((**data).clone(), groups);
+        let found = search(&problem, &start(data), progress);
+        return (problem, found);
+    }
+    let mut chance = Chance::new(rows as u64);
+    let drawn: Vec<bool> =
+        used.iter().map(|used| *used && chance.below(rows) < MOST_ROWS_MOVING).collect();
+    let few = data.subset(&drawn);
+    let groups = Groups::new(&few, &few.used.clone(), 1);
+    let problem = Problem::new(few, groups);
+    let mut found = search(&problem, &start(data), progress);
+    let whole = Problem::new((**data).clone(), Groups::new(data, &used, 1));
+    let model = fit(&whole, &found.fitted.model, None).model;
+    let residual = problem.residual(&model);
+    let sum = residual.iter().map(|r| r * r).sum();
+    found.fitted = Fitted { model, residual, sum, degrees: found.fitted.degrees };
+    (problem, found)
+}

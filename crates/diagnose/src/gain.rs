@@ -1,0 +1,54 @@
+//! What a term brings.
+
+use serde::Serialize;
+
+use crate::blocks::{Reduction, rms};
+
+/// What a term brings.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Gain {
+    /// On the rows that were fitted.
+    pub rms_before_um: f64,
+    /// On the rows that were fitted.
+    pub rms_after_um: f64,
+    /// On blocks that were left out of the fit.
+    pub left_out_before_um: f64,
+    /// On blocks that were left out of the fit.
+    pub left_out_after_um: f64,
+    /// 1 − after/before, left out.
+    pub reduction: f64,
+    /// Its 95 % interval.
+    pub ci95: [f64; 2],
+}
+
+impl Gain {
+    /// Of a model against the one before, from what both leave (in µm RMS) and what both leave in each
+    /// group where that was left out.
+    pub(crate) fn new(rms_um: [f64; 2], left_out: [&[f64]; 2], reduction: &Reduction) -> Self {
+        let [rms_before_um, rms_after_um] = rms_um;
+        let [left_out_before_um, left_out_after_um] = left_out.map(rms);
+        Self {
+            rms_before_um,
+            rms_after_um,
+            left_out_before_um,
+            left_out_after_um,
+            reduction: reduction.value,
+            ci95: reduction.ci95,
+        }
+    }
+
+    /// From means of rows to rows: `within` is the mean square that the means have lost.
+    pub(crate) fn by_row(&mut self, within: f64) {
+        let group = (self.left_out_before_um, self.left_out_after_um);
+        let row = |um: f64| (um * um + within).sqrt();
+        let before = row(group.0);
+        let reduction = |share: f64| {
+            if before > 0.0 { 1.0 - row((1.0 - share) * group.0) / before } else { 0.0 }
+        };
+        self.ci95 = self.ci95.map(reduction);
+        self.reduction = reduction(self.reduction);
+        self.rms_before_um = row(self.rms_before_um);
+        self.rms_after_um = row(self.rms_after_um);
+        (self.left_out_before_um, self.left_out_after_um) = (before, row(group.1));
+    }
+}

@@ -1,0 +1,55 @@
+//! What is the same for all terms of an answer that is judged.
+
+use crate::{
+    blocks::rms,
+    fit::{Fitted, Problem},
+    gain::Gain,
+    model::Model,
+    search::{
+        Found,
+        criterion::{bic, bic_gap, left_out_um},
+    },
+};
+
+/// An answer of the search, with what it leaves where that was left out.
+pub(crate) struct Case<'c> {
+    pub problem: &'c Problem,
+    pub found: &'c Found,
+    /// What the answer leaves in each group where that was left out of the fit, in µm.
+    left_out: Vec<f64>,
+    /// RMS of it.
+    pub left_out_um: f64,
+    /// The fits without each fold.
+    pub folded: Vec<Model>,
+}
+
+impl<'c> Case<'c> {
+    pub(crate) fn new(problem: &'c Problem, found: &'c Found) -> Self {
+        let (left_out, folded) = found.folds.left_out_with_models(problem, &found.fitted.model);
+        Self { problem, found, left_out_um: rms(&left_out), left_out, folded }
+    }
+
+    /// The answer's BIC.
+    pub(crate) fn bic(&self) -> f64 {
+        bic(self.problem, &self.found.fitted)
+    }
+
+    /// By how much the BIC of `other` is worse than the answer's.
+    pub(crate) fn bic_gap(&self, other: &Fitted) -> f64 {
+        bic_gap(self.problem, &self.found.fitted, other)
+    }
+
+    /// What `other` leaves on left-out blocks: RMS, in µm.
+    pub(crate) fn left_out_um_of(&self, other: &Fitted) -> f64 {
+        left_out_um(self.problem, &self.found.folds, &other.model)
+    }
+
+    /// What the answer brings against `without`, which lacks a term.
+    pub(crate) fn gain(&self, without: &Fitted) -> Gain {
+        let folds = &self.found.folds;
+        let before = folds.left_out(self.problem, &without.model);
+        let reduction = folds.reduction(&before, &self.left_out);
+        let rms_um = [without.rms(), self.found.fitted.rms()];
+        Gain::new(rms_um, [&before, &self.left_out], &reduction)
+    }
+}

@@ -1,0 +1,71 @@
+//! Whether the data identify a term: whether another record would give the same values.
+
+use crate::{
+    data::Data,
+    judge::case::Case,
+    model::{Kind, Scale},
+};
+
+/// A model that is identified leaves about as much where it was not fitted as where it was: twice as
+/// much is four times the squares.
+const MOST_LEFT_OUT: f64 = 2.0;
+/// What leaves at most a tenth more in whole records that it was not fitted to has been seen again
+/// there, however wide the intervals of its constants are.
+const SEEN_AGAIN: f64 = 1.1;
+/// By how much a time constant may differ with what is left out, from the least to the most.
+const STEADY: f64 = 2.5;
+
+/// Whether a term is identified; `is_known`: by the intervals of its values.
+pub(crate) fn is_identified(case: &Case<'_>, cause: &Kind, is_known: bool) -> bool {
+    // What acts late is known if the model foresees what it was not fitted to. A growth from the start
+    // alone is excepted: without the start it cannot be.
+    let is_late = cause.has_time_constant() && *cause != Kind::SlowMode;
+    let is_at_most = |times: f64| case.left_out_um <= times * case.found.fitted.rms();
+    let is_foreseen = case.found.folds.are_records() && is_at_most(SEEN_AGAIN);
+    is_foreseen
+        || is_known
+            && is_steady(case, cause)
+            && (is_at_most(MOST_LEFT_OUT) || !is_late)
+            && is_seen_again(&case.problem.data, cause)
+}
+
+/// Whether a time constant is about the same whatever part of the record is left out, or short beside
+/// the record.
+fn is_steady(case: &Case<'_>, cause: &Kind) -> bool {
+    if cause.nonlinear().first() != Some(&Scale::Logarithmic) || cause.tier() > 1 {
+        return true;
+    }
+    let folded = case.folded.iter();
+    let (low, high) = folded
+        .filter_map(|model| model.parts.iter().find(|part| part.kind == *cause))
+        .map(|part| part.values[0])
+        .fold((f64::INFINITY, 0.0_f64), |(low, high), v| (low.min(v), high.max(v)));
+    high <= STEADY * low || case.problem.is_short(high)
+}
+
+/// Whether a slow path of a column was seen more than once: over one heating and one cooling, whatever
+/// rises late and falls late is a path. The column must have turned three times by a tenth of its
+/// range, in all records together.
+fn is_seen_again(data: &Data, kind: &Kind) -> bool {
+    let (Kind::SlowModeOf { column } | Kind::ExtraHeatPath { column, has_lag: true }) = kind else {
+        return true;
+    };
+    let Some(values) = data.temperature(column) else { return true };
+    let (low, high) = values
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &c| (low.min(c), high.max(c)));
+    let least = 0.1 * (high - low);
+    let (mut ways, mut lowest, mut highest, mut is_rising) = (0, f64::NAN, f64::NAN, None);
+    for (row, &c) in values.iter().enumerate() {
+        if data.restart[row] {
+            (lowest, highest, is_rising) = (c, c, None);
+        }
+        (lowest, highest) = (lowest.min(c), highest.max(c));
+        if is_rising != Some(true) && c - lowest > least {
+            (ways, highest, is_rising) = (ways + 1, c, Some(true));
+        } else if is_rising != Some(false) && highest - c > least {
+            (ways, lowest, is_rising) = (ways + 1, c, Some(false));
+        }
+    }
+    ways >= 3
+}

@@ -1,0 +1,161 @@
+//! What one term of the answer is worth: its rivals, whether its name is claimed, what it brings.
+//!
+//! A name is claimed where
+//!
+//! ```text
+//! no other cause in its place scores within 6 (BIC)           else: the two cannot be told apart
+//! whole records that were left out are foreseen as if fitted    else: not yet identified
+//! to; or its time constant is known or short, what is left
+//! out is foreseen, and a slow path was seen more than once
+//! no curve in its place explains clearly more                 else: something goes with its inputs,
+//!                                                             but by another law
+//! it is still needed with a curve in the place of such a term else: it makes up for that term
+//! ```
+//!
+//! A rival that can imitate the term and needs more values for it is no rival: it says the same and
+//! more, and the search has found the rest of it to be noise. A curve (over a column, over a position
+//! and growing with another one, over the way since a reversal) explains clearly more if its score is
+//! better, the term explains less than nine tenths of the squares that it does (R² below 0.9), beside
+//! it less than half of what the term explains is left to it, and it predicts left-out blocks better.
+//!
+//! Of causes that cannot be told apart a term is kept if all give the same correction, within the
+//! error that remains anyway.
+
+mod case;
+mod identified;
+mod other_law;
+mod rivals;
+
+use serde_json::{Map, Value};
+use trueup_numerics::parallel::on_all_cores;
+
+use crate::{
+    fit::{Problem, fit},
+    gain::Gain,
+    model::{Kind, Model, Part},
+    parameters::parameters,
+    search::{Added, Found, criterion::STRONG_EVIDENCE, extend::replacements, lack_of_fit::Inputs},
+};
+use case::Case;
+use identified::is_identified;
+use other_law::Curves;
+use rivals::{Rival, predict_alike, rivals};
+
+/// What was judged about one term.
+pub(crate) struct Judgement {
+    pub part: Part,
+    /// Its values with their intervals, by name.
+    pub parameters: Map<String, Value>,
+    /// What it brings beside all other terms.
+    pub gain: Gain,
+    /// What it brought when it was added.
+    pub first_gain: Gain,
+    /// The best first.
+    pub rivals: Vec<Rival>,
+    /// Why its name is not claimed; empty: it is.
+    pub doubts: Vec<Doubt>,
+    /// Whether its correction is right whichever name is: it goes into the extended machine file.
+    pub is_kept: bool,
+}
+
+/// Why the name of a term is not claimed.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Doubt {
+    /// Another cause explains the data as well.
+    Rival(Kind),
+    /// Its values are not identified.
+    NotIdentified,
+    /// A curve over these explains clearly more in its place.
+    OtherLaw(Inputs),
+    /// Curves explain its part as well, and there is something that only they explain.
+    NotNeeded,
+    /// It is only needed beside a term that stands for another law.
+    BesideOtherLaw,
+}
+
+impl Judgement {
+    pub(crate) fn cause(&self) -> &Kind {
+        &self.part.kind
+    }
+
+    /// What it goes with, where another law does.
+    pub(crate) fn other_law(&self) -> Option<&Inputs> {
+        self.doubts.iter().find_map(|doubt| match doubt {
+            Doubt::OtherLaw(inputs) => Some(inputs),
+            _ => None,
+        })
+    }
+
+    /// Of the cause against the best rival, 0…1.
+    pub(crate) fn confidence(&self) -> f64 {
+        let others = self.rivals.iter().filter(|rival| rival.differs_from(self.cause()));
+        let gap = others.map(|rival| rival.bic_gap).fold(f64::INFINITY, f64::min);
+        let confidence = 1.0 / (1.0 + (-0.5 * gap.min(40.0)).exp());
+        let is_of_law = |doubt: &Doubt| matches!(doubt, Doubt::OtherLaw(_) | Doubt::BesideOtherLaw);
+        if self.doubts.iter().any(is_of_law) { confidence.min(0.5) } else { confidence }
+    }
+}
+
+/// Judges each term of an answer.
+pub(crate) fn judge(problem: &Problem, found: &Found) -> Vec<Judgement> {
+    let case = Case::new(problem, found);
+    let judged = on_all_cores(&found.added, problem.is_large(), |added| judge_term(&case, added));
+    let mut judged: Vec<Judgement> = judged.into_iter().flatten().collect();
+    doubt_what_stands_beside_another_law(&case, &mut judged);
+    judged
+}
+
+/// None where the term is no part of the answer any more.
+fn judge_term(case: &Case<'_>, added: &Added) -> Option<Judgement> {
+    let Case { problem, found, .. } = *case;
+    let cause = &added.cause;
+    let part = found.fitted.model.parts.iter().find(|part| part.kind == *cause)?;
+    let places = replacements(problem, &found.fitted, cause, 8);
+    let without = places.without.clone();
+    let rivals = rivals(case, cause, places);
+    let curves = Curves::new(case, cause);
+    let (parameters, is_known) = parameters(problem, &found.fitted, part, found.noise);
+    let open: Vec<&Rival> = rivals.iter().filter(|rival| rival.is_open(cause)).collect();
+    let mut doubts = Vec::new();
+    doubts.extend(open.first().map(|rival| Doubt::Rival(rival.cause.clone())));
+    if !is_identified(case, cause, is_known) {
+        doubts.push(Doubt::NotIdentified);
+    }
+    doubts.extend(curves.better_law(case, cause, &without).map(Doubt::OtherLaw));
+    // Where a law without a name is left, it may be what the term stands for.
+    if !found.lack_of_fit.is_empty() && !curves.leave_a_need(case, &without) {
+        doubts.push(Doubt::NotNeeded);
+    }
+    let is_kept = predict_alike(case, &open);
+    Some(Judgement {
+        part: part.clone(),
+        parameters,
+        gain: case.gain(&without),
+        first_gain: added.gain,
+        is_kept,
+        rivals,
+        doubts,
+    })
+}
+
+/// Takes back the claims that only hold beside a term which stands for another law: what makes up for
+/// the difference between the two is no cause either. Each must still be needed with whatever law there
+/// is in the place of those terms.
+fn doubt_what_stands_beside_another_law(case: &Case<'_>, judged: &mut [Judgement]) {
+    let mut sound = case.found.fitted.model.clone();
+    sound.parts.retain(|part| {
+        judged.iter().all(|it| it.other_law().is_none() || *it.cause() != part.kind)
+    });
+    if sound.parts.len() == case.found.fitted.model.parts.len() {
+        return;
+    }
+    for it in judged.iter_mut().filter(|it| it.doubts.is_empty()) {
+        let curves = Curves::new(case, it.cause());
+        let bic = |model: &Model| curves.bic_beside(case, &fit(case.problem, model, None));
+        let mut without = sound.clone();
+        without.parts.retain(|part| part.kind != *it.cause());
+        if bic(&without) <= bic(&sound) + STRONG_EVIDENCE {
+            it.doubts.push(Doubt::BesideOtherLaw);
+        }
+    }
+}

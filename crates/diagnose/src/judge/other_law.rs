@@ -1,0 +1,114 @@
+//! Whether a curve over some inputs is a better law than a term, so that the term stands for a law that
+//! no cause has.
+
+use crate::{
+    candidates::{Candidate, structure},
+    columns::named,
+    data::Data,
+    fit::{Fitted, fit},
+    judge::case::Case,
+    model::{Kind, Model},
+    search::{
+        criterion::{STRONG_EVIDENCE, bic},
+        extend::Extension,
+        lack_of_fit::{Inputs, with_curves, with_each_curve},
+    },
+};
+
+/// R² of a law: the least that it must explain of the squares that go with its inputs.
+const LEAST_R_SQUARED: f64 = 0.9;
+/// The share of what a term explains that is left to it beside a better law: below.
+const LEFT_TO_IT: f64 = 0.5;
+
+/// The curves that would be another law than a term's.
+pub(crate) struct Curves {
+    candidates: Vec<Candidate>,
+}
+
+impl Curves {
+    /// All, but for a term of the instrument those over what it reads: these are only a finer
+    /// description of the instrument's own error.
+    pub(crate) fn new(case: &Case<'_>, cause: &Kind) -> Self {
+        let mut candidates = structure(case.problem);
+        if let Kind::ReferenceInstrument { .. } = cause {
+            let data = &case.problem.data;
+            candidates.retain(|curve| match &curve.kind {
+                Kind::Curve { column, times: None, .. } => !is_reading(data, column),
+                _ => true,
+            });
+        }
+        Self { candidates }
+    }
+
+    /// The BIC of a model beside which up to two curves take what they can.
+    pub(crate) fn bic_beside(&self, case: &Case<'_>, fitted: &Fitted) -> f64 {
+        bic(case.problem, &with_curves(case.problem, fitted, &self.candidates))
+    }
+
+    /// Whether a term is needed also where curves explain what they can: `without` lacks it.
+    pub(crate) fn leave_a_need(&self, case: &Case<'_>, without: &Fitted) -> bool {
+        let [with, in_place] =
+            [&case.found.fitted, without].map(|fitted| self.bic_beside(case, fitted));
+        in_place > with + STRONG_EVIDENCE
+    }
+
+    /// The inputs of a curve that explains clearly more in the place of a term; `without` lacks the
+    /// term.
+    pub(crate) fn better_law(
+        &self,
+        case: &Case<'_>,
+        cause: &Kind,
+        without: &Fitted,
+    ) -> Option<Inputs> {
+        let answer = &case.found.fitted;
+        let own_bic = case.bic();
+        let explained = without.sum - answer.sum;
+        let curves = with_each_curve(case.problem, without, &self.candidates);
+        let better = curves.into_iter().find(|Extension { fitted: in_place, .. }| {
+            let is_better = bic(case.problem, in_place) < own_bic - STRONG_EVIDENCE;
+            let by_curve = without.sum - in_place.sum;
+            if !is_better || explained > LEAST_R_SQUARED * by_curve {
+                return false;
+            }
+            let beside = beside(&in_place.model, &answer.model, cause);
+            let is_left = in_place.sum - fit(case.problem, &beside, None).sum;
+            is_left < LEFT_TO_IT * explained && case.left_out_um_of(in_place) < case.left_out_um
+        });
+        Inputs::of(&better?.cause)
+    }
+}
+
+/// `curve` with the term of `answer` beside it.
+fn beside(curve: &Model, answer: &Model, cause: &Kind) -> Model {
+    let mut beside = curve.clone();
+    beside.parts.extend(answer.parts.iter().filter(|part| part.kind == *cause).cloned());
+    beside.constant_um = beside.constant_um.or(answer.constant_um);
+    beside.sort();
+    beside
+}
+
+/// Whether a column is what the instrument reads.
+fn is_reading(data: &Data, column: &str) -> bool {
+    let reading = data.own_position().unwrap_or(&data.elongation);
+    named(data, column).is_some_and(|column| correlation(column, reading).abs() > 0.999)
+}
+
+/// The correlation of two columns, over the rows that both have.
+fn correlation(a: &[f64], b: &[f64]) -> f64 {
+    let pairs: Vec<(f64, f64)> = a
+        .iter()
+        .zip(b)
+        .filter(|(a, b)| a.is_finite() && b.is_finite())
+        .map(|(a, b)| (*a, *b))
+        .collect();
+    let count = pairs.len() as f64;
+    let mean = |of: fn(&(f64, f64)) -> f64| pairs.iter().map(of).sum::<f64>() / count;
+    let (mean_a, mean_b) = (mean(|pair| pair.0), mean(|pair| pair.1));
+    let [mut aa, mut bb, mut ab] = [0.0; 3];
+    for (a, b) in pairs {
+        aa += (a - mean_a).powi(2);
+        bb += (b - mean_b).powi(2);
+        ab += (a - mean_a) * (b - mean_b);
+    }
+    ab / (aa * bb).sqrt()
+}

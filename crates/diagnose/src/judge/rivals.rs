@@ -1,0 +1,107 @@
+//! Other causes in a term's place.
+
+use crate::{
+    blocks::rms,
+    fit::{Fitted, fit},
+    judge::case::Case,
+    model::{Kind, Model},
+    search::{
+        criterion::{EQUAL_PREDICTION, STRONG_EVIDENCE, degrees},
+        extend::{Extension, Replacements},
+    },
+};
+
+/// Most rivals of a term.
+const MOST_RIVALS: usize = 6;
+/// Share of what a term does that a rival may miss and still imitate it.
+const IMITATION: f64 = 0.05;
+
+/// Another cause in a term's place.
+pub(crate) struct Rival {
+    pub cause: Kind,
+    pub fitted: Fitted,
+    /// How much worse its BIC is.
+    pub bic_gap: f64,
+}
+
+impl Rival {
+    /// Whether it is another cause, and not the same by another column: that is a question of where, not
+    /// of what.
+    pub(crate) fn differs_from(&self, cause: &Kind) -> bool {
+        self.cause.name() != cause.name()
+    }
+
+    /// Whether the data cannot tell it from `cause`.
+    pub(crate) fn is_open(&self, cause: &Kind) -> bool {
+        self.differs_from(cause) && self.bic_gap < STRONG_EVIDENCE
+    }
+}
+
+/// The rivals of a term among what was tried in its place, the best first.
+pub(crate) fn rivals(case: &Case<'_>, cause: &Kind, places: Replacements) -> Vec<Rival> {
+    let mut all: Vec<Rival> = Vec::new();
+    for Extension { cause: other, fitted } in places.instead {
+        let is_same = |a: &Kind, b: &Kind| a.name() == b.name() && a.column() == b.column();
+        if is_same(&other, cause) {
+            continue;
+        }
+        let mut bic_gap = case.bic_gap(&fitted);
+        // What predicts left-out blocks clearly worse does not explain as well, whatever it fits.
+        if bic_gap < STRONG_EVIDENCE
+            && case.left_out_um_of(&fitted) > EQUAL_PREDICTION * case.left_out_um
+        {
+            bic_gap = STRONG_EVIDENCE;
+        }
+        let rival = Rival { cause: other, fitted, bic_gap };
+        match all.iter_mut().find(|there| is_same(&there.cause, &rival.cause)) {
+            Some(there) if there.bic_gap > bic_gap => *there = rival,
+            Some(_) => {}
+            None => all.push(rival),
+        }
+    }
+    all.retain(|rival| {
+        rival.bic_gap >= STRONG_EVIDENCE || !imitates(case, &places.without, &rival.fitted)
+    });
+    all.sort_by(|a, b| a.bic_gap.total_cmp(&b.bic_gap));
+    all.truncate(MOST_RIVALS);
+    all
+}
+
+/// Whether `rival` needs more values and can do, but for a twentieth, what the term does that
+/// `without` lacks.
+fn imitates(case: &Case<'_>, without: &Fitted, rival: &Fitted) -> bool {
+    let answer = &case.found.fitted.model;
+    if degrees(&rival.model) <= degrees(answer) {
+        return false;
+    }
+    let predicted = case.problem.predicted(answer);
+    let before = case.problem.predicted(&without.model);
+    let effect: Vec<f64> =
+        predicted.iter().zip(before).map(|(with, without)| with - without).collect();
+    let problem = case.problem.measuring(predicted);
+    // A time constant may have to go far.
+    let mut quick = rival.model.clone();
+    let [low, _] = problem.bounds.time_constant_s;
+    for part in quick.parts.iter_mut().filter(|part| part.kind.has_time_constant()) {
+        if !answer.has(&part.kind) {
+            part.values[0] = 2.0 * low;
+        }
+    }
+    let is_near = |model: &Model| fit(&problem, model, None).rms() < IMITATION * rms(&effect);
+    is_near(&rival.model) || quick != rival.model && is_near(&quick)
+}
+
+/// Whether all open rivals predict the same as the answer, within what is left anyway.
+pub(crate) fn predict_alike(case: &Case<'_>, open: &[&Rival]) -> bool {
+    let data = &case.problem.data;
+    let here = case.found.fitted.model.predict(data);
+    open.iter().all(|rival| {
+        let there = rival.fitted.model.predict(data);
+        let apart: Vec<f64> = (0..data.rows)
+            .filter(|&row| data.used[row])
+            .map(|row| here[row] - there[row])
+            .filter(|apart| apart.is_finite())
+            .collect();
+        rms(&apart) < case.found.fitted.rms()
+    })
+}

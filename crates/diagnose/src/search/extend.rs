@@ -1,0 +1,164 @@
+//! A model with one cause more, fitted as a whole; and with another cause in a term's place.
+
+use trueup_numerics::{least_squares::normal::solve, parallel::on_all_cores};
+
+use crate::{
+    candidates::{Candidate, possible},
+    fit::{Fitted, Problem, fit},
+    model::{Kind, Model},
+    search::scan::{Draw, Hit, scan},
+};
+
+/// A model that was extended by a cause, fitted with everything else.
+#[derive(Clone)]
+pub(crate) struct Extension {
+    pub cause: Kind,
+    pub fitted: Fitted,
+}
+
+/// A term's place: the model without the term, and with each other cause instead of it.
+pub(crate) struct Replacements {
+    pub without: Fitted,
+    pub instead: Vec<Extension>,
+}
+
+/// `base` with each of the `candidates` that a scan puts first; whether noise would show as much is
+/// not asked.
+pub(crate) fn extensions(
+    problem: &Problem,
+    base: &Fitted,
+    candidates: &[Candidate],
+    most: usize,
+) -> Vec<Extension> {
+    fit_hits(problem, base, &scan(problem, base, candidates, Draw::Not).hits, most)
+}
+
+/// `base` with each of the `most` best of `hits` by squares, and the better half as many by likelihood.
+pub(crate) fn fit_hits(
+    problem: &Problem,
+    base: &Fitted,
+    hits: &[Hit],
+    most: usize,
+) -> Vec<Extension> {
+    let mut order: Vec<&Hit> = hits.iter().collect();
+    order.sort_by(|a, b| b.by_squares.total_cmp(&a.by_squares));
+    let mut chosen: Vec<&Hit> = order.iter().take(most).copied().collect();
+    order.sort_by(|a, b| b.by_likelihood.total_cmp(&a.by_likelihood));
+    for hit in order.iter().take(most / 2) {
+        if !chosen.iter().any(|there| {
+            there.candidate == hit.candidate && there.with_constant == hit.with_constant
+        }) {
+            chosen.push(hit);
+        }
+    }
+    on_all_cores(&chosen, problem.is_large(), |&hit| {
+        let mut start = with(&base.model, hit);
+        begin(problem, &base.residual, &mut start, &hit.part.kind);
+        let mut fitted = fit(problem, &start, None);
+        if hit.part.kind == Kind::Step {
+            fitted = refine_step(problem, fitted);
+        }
+        Extension { cause: hit.part.kind.clone(), fitted }
+    })
+}
+
+/// `fitted` without `cause`, and with each other cause in its place.
+pub(crate) fn replacements(
+    problem: &Problem,
+    fitted: &Fitted,
+    cause: &Kind,
+    most: usize,
+) -> Replacements {
+    let reduced = fit(problem, &without(problem, &fitted.model, cause), None);
+    let mut candidates = possible(problem, &reduced.model, &reduced.residual);
+    candidates.retain(|candidate| candidate.kind != *cause);
+    let instead = extensions(problem, &reduced, &candidates, most);
+    Replacements { without: reduced, instead }
+}
+
+/// The model without a term; a constant that only came with a reference goes with it.
+pub(crate) fn without(problem: &Problem, model: &Model, cause: &Kind) -> Model {
+    let mut without = model.clone();
+    without.parts.retain(|part| part.kind != *cause);
+    let needs_zero = problem.data.quantity.axis().is_some()
+        || without.parts.iter().any(|part| part.kind.has_reference());
+    if !needs_zero {
+        without.constant_um = None;
+    }
+    without
+}
+
+fn with(model: &Model, hit: &Hit) -> Model {
+    let mut with = model.clone();
+    with.parts.push(hit.part.clone());
+    if hit.with_constant {
+        with.constant_um = Some(0.0);
+    }
+    if with.constant_um.is_some() {
+        // A zero of its own is in the constant now.
+        with.parts.retain(|part| part.kind != Kind::SensorOffset);
+    }
+    with.sort();
+    with
+}
+
+/// Amplitudes to begin from, where 0 leaves no derivative for the nonlinear values.
+fn begin(problem: &Problem, residual: &[f64], model: &mut Model, kind: &Kind) {
+    let nonlinear = kind.nonlinear().len();
+    if nonlinear == 0 || kind.amplitudes() == 0 {
+        return;
+    }
+    let Some(index) = model.parts.iter().position(|part| part.kind == *kind) else { return };
+    let values = model.parts[index].values[..nonlinear].to_vec();
+    let mut columns = problem.columns(kind, &values, false).to_vec();
+    if model.constant_um.is_some() {
+        columns.push(vec![1.0; problem.groups.len()]);
+    }
+    let found = solve(&columns, residual, None, 0.0).coefficients;
+    for (number, amplitude) in found.iter().take(kind.amplitudes()).enumerate() {
+        model.parts[index].values[nonlinear + number] = *amplitude;
+    }
+}
+
+/// The time of a step by trying every group around.
+fn refine_step(problem: &Problem, fitted: Fitted) -> Fitted {
+    let Some(index) = fitted.model.parts.iter().position(|part| part.kind == Kind::Step) else {
+        return fitted;
+    };
+    let Some(times) = problem.data.time_s.as_deref() else { return fitted };
+    let groups = &problem.groups;
+    let at_s = fitted.model.parts[index].values[0];
+    let size = fitted.model.parts[index].values[1];
+    let count = groups.len();
+    let here =
+        (0..count).find(|&group| times[groups.first_row[group]] >= at_s).unwrap_or(count - 1);
+    let around = (count / 40).max(3);
+    // What would be left if the step came at another group: Σ of the change of the squares.
+    let (low, high) = (here.saturating_sub(around).max(1), (here + around).min(count - 1));
+    let mut best = (0.0, here);
+    let mut change = 0.0;
+    for group in (low..here).rev() {
+        // This group gets the step as well.
+        let r = fitted.residual[group];
+        change += (r - size).powi(2) - r * r;
+        if change < best.0 {
+            best = (change, group);
+        }
+    }
+    change = 0.0;
+    for group in here..high {
+        // This group loses it.
+        let r = fitted.residual[group];
+        change += (r + size).powi(2) - r * r;
+        if change < best.0 {
+            best = (change, group + 1);
+        }
+    }
+    if best.1 == here {
+        return fitted;
+    }
+    let mut model = fitted.model.clone();
+    model.parts[index].values[0] = times[groups.first_row[best.1]];
+    let moved = fit(problem, &model, None);
+    if moved.sum < fitted.sum { moved } else { fitted }
+}

@@ -1,0 +1,91 @@
+//! Lack of fit: curves over the inputs, which are no causes, find what no cause explains.
+
+use std::fmt;
+
+use crate::{
+    candidates::Candidate,
+    fit::{Fitted, Problem},
+    model::Kind,
+    search::{
+        criterion::{STRONG_EVIDENCE, bic},
+        extend::{Extension, extensions},
+    },
+};
+
+/// A sign that what is left is more than noise.
+#[derive(Clone, Debug)]
+pub(crate) enum LackOfFit {
+    /// A cause explains more than noise would let it, but predicts no better what was left out.
+    NoGain {
+        /// The name of the cause.
+        cause: &'static str,
+        /// What was left out: "files", "runs", …
+        left_out: &'static str,
+    },
+    /// A curve over these explains more than noise would let it.
+    GoesWith(Inputs),
+}
+
+impl fmt::Display for LackOfFit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NoGain { cause, left_out } => {
+                write!(f, "{cause} is more than noise, but has no gain on left-out {left_out}")
+            }
+            Self::GoesWith(inputs) => write!(f, "what is left goes with {inputs}"),
+        }
+    }
+}
+
+/// What a curve goes with.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Inputs {
+    column: String,
+    /// The column that the curve is multiplied by.
+    times: Option<String>,
+    by_direction: bool,
+}
+
+impl Inputs {
+    /// Those of a curve; none of a cause.
+    pub(crate) fn of(kind: &Kind) -> Option<Self> {
+        let Kind::Curve { column, by_direction, times, .. } = kind else { return None };
+        Some(Self { column: column.clone(), times: times.clone(), by_direction: *by_direction })
+    }
+}
+
+impl fmt::Display for Inputs {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.column)?;
+        if let Some(times) = &self.times {
+            write!(f, " times {times}")?;
+        }
+        f.write_str(if self.by_direction { ", differently in each direction" } else { "" })
+    }
+}
+
+/// `base` with each of the curves that do most beside what it has.
+pub(crate) fn with_each_curve(
+    problem: &Problem,
+    base: &Fitted,
+    curves: &[Candidate],
+) -> Vec<Extension> {
+    extensions(problem, base, curves, 2)
+}
+
+/// `base` with up to two curves that explain more than they cost: what is left then is left by
+/// whatever law there is.
+pub(crate) fn with_curves(problem: &Problem, base: &Fitted, curves: &[Candidate]) -> Fitted {
+    let mut best = base.clone();
+    for _ in 0..2 {
+        let own = bic(problem, &best);
+        let better = with_each_curve(problem, &best, curves)
+            .into_iter()
+            .map(|with| (bic(problem, &with.fitted), with.fitted))
+            .filter(|(bic, _)| *bic < own - STRONG_EVIDENCE)
+            .min_by(|a, b| a.0.total_cmp(&b.0));
+        let Some((_, with)) = better else { break };
+        best = with;
+    }
+    best
+}

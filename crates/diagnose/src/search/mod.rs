@@ -1,0 +1,261 @@
+//! The search: a term is added as long as one explains more than noise would, and predicts what it
+//! has not seen.
+//!
+//! ```text
+//! scan all causes ─► significant? ─► fit with all terms ─► BIC ─► gain on left-out blocks ─► add
+//!        ▲                                                                             │
+//!        └───────── is another cause better in a term's place? is it still needed? ◄───┘
+//! ```
+//!
+//! | page | does |
+//! |---|---|
+//! | `scan` | which candidates explain more than noise would |
+//! | `extend` | fits of the model with one cause more, or another in a term's place |
+//! | `criterion` | how two models are compared |
+//! | `lack_of_fit` | curves that find what no cause explains |
+//! | `state` | the model in work, its terms, what was rejected and why |
+//! | `choose` | which extension is taken |
+//! | `revise` | what is looked at again once other terms are there |
+//! | `simplify` | what is made simpler at the end |
+//!
+//! Models whose BIC cannot be told apart are equal; then the simpler cause wins, among those the one
+//! that predicts left-out blocks better, and the machine's own model and sensors come before others.
+
+mod choose;
+pub(crate) mod criterion;
+pub(crate) mod extend;
+pub(crate) mod lack_of_fit;
+mod revise;
+mod scan;
+mod simplify;
+mod state;
+
+use trueup_numerics::noise::Noise;
+
+use crate::{
+    blocks::Folds,
+    candidates::{possible, structure},
+    data::Data,
+    fit::{Fitted, Problem},
+    model::{Model, Part},
+};
+use choose::{Choice, Taken, choose, pair_from_nothing};
+use criterion::{degrees, noise_of};
+use extend::fit_hits;
+use lack_of_fit::{Inputs, LackOfFit};
+use scan::{Draw, Hit, Scan, scan};
+pub(crate) use state::{Added, Tried};
+use state::{Search, Stage, WhyNot};
+
+/// Most terms of one diagnosis.
+const MOST_TERMS: usize = 8;
+/// Most rounds: one for each term, and as many as find nothing.
+const MOST_ROUNDS: usize = MOST_TERMS + 7;
+/// Candidates that are fitted with everything else, of those that a scan puts first.
+const MOST_FITTED: usize = 10;
+/// Groups times fitted values up to which two terms ahead are looked at: it is many fits.
+const MOST_WORK_AHEAD: usize = 40_000;
+
+/// The outcome.
+pub(crate) struct Found {
+    pub fitted: Fitted,
+    /// In the order in which they were added.
+    pub added: Vec<Added>,
+    /// What was tried at the end and not taken.
+    pub rejected: Vec<Tried>,
+    /// What fires on what is left.
+    pub lack_of_fit: Vec<LackOfFit>,
+    pub noise: Noise,
+    pub folds: Folds,
+}
+
+/// The model to begin with: an axis's measurement has an arbitrary zero.
+pub(crate) fn start(data: &Data) -> Model {
+    Model { parts: Vec::<Part>::new(), constant_um: data.quantity.axis().map(|_| 0.0) }
+}
+
+/// The search on `problem`, from the model as it is. `progress` hears what is being tried, and how
+/// far the search has come (0…1).
+pub(crate) fn search(
+    problem: &Problem,
+    start: &Model,
+    progress: &mut dyn FnMut(&str, f64),
+) -> Found {
+    let mut search = Search::new(problem, start);
+    let mut no_gain = Vec::new();
+    for round in 0..MOST_ROUNDS {
+        let part = |rounds: f64| (rounds / MOST_TERMS as f64).min(0.9);
+        progress("looking for a cause", part(round as f64));
+        match search.round(progress) {
+            Round::Added if search.added.len() >= MOST_TERMS => break,
+            Round::Added => {
+                progress("comparing with rivals", part(round as f64 + 0.7));
+                search.revise();
+            }
+            Round::Widened => {}
+            Round::Exhausted(hits) => {
+                no_gain = search.close(&hits);
+                break;
+            }
+        }
+    }
+    search.simplify();
+    search.outcome(no_gain)
+}
+
+/// What a round came to.
+enum Round {
+    /// A term is there, or two.
+    Added,
+    /// Nothing; there is more to try.
+    Widened,
+    /// Nothing, and everything was tried. With the last scan.
+    Exhausted(Vec<Hit>),
+}
+
+impl Search<'_> {
+    /// Scans what may be tried now, and takes the best if it is worth it.
+    fn round(&mut self, progress: &mut dyn FnMut(&str, f64)) -> Round {
+        let mut candidates = possible(self.problem, &self.fitted.model, &self.fitted.residual);
+        candidates.retain(|candidate| {
+            self.stage.admits(&candidate.kind)
+                && !self.rejected.iter().any(|tried| tried.cause == candidate.kind)
+        });
+        let tier = candidates.iter().map(|candidate| candidate.kind.tier()).max().unwrap_or(0);
+        let scanned = scan(self.problem, &self.fitted, &candidates, self.limits);
+        let is_open = |hit: &&Hit| self.is_open(hit);
+        let hits: Vec<Hit> = scanned.hits.iter().filter(is_open).cloned().collect();
+        let options = fit_hits(self.problem, &self.fitted, &hits, MOST_FITTED);
+        match choose(self, options, tier, progress) {
+            Choice::Take(taken) => {
+                self.take(taken, &hits);
+                Round::Added
+            }
+            Choice::Reject(tried) => self.widen(scanned, tier, tried, progress),
+        }
+    }
+
+    /// Whether a hit may be taken. One slow misfit may be explained that the likelihood would leave to
+    /// the noise (only the squares see it); with that the few independent rows that it rests on are
+    /// used up, and a second one would follow the wander of the first one's remainder.
+    fn is_open(&self, hit: &Hit) -> bool {
+        let is_free = self.by_squares.is_empty() || hit.part.kind.tier() == 0;
+        hit.is_likely || hit.is_significant && is_free
+    }
+
+    fn take(&mut self, taken: Taken, hits: &[Hit]) {
+        self.rejected.clear();
+        self.limits = Draw::Robust;
+        self.fitted = taken.fitted;
+        self.added.retain(|there| self.fitted.model.has(&there.cause));
+        self.by_squares.retain(|cause| self.fitted.model.has(cause));
+        for cause in taken.causes {
+            let own = || hits.iter().filter(|hit| hit.part.kind == cause);
+            let by_squares = own().next().is_some() && !own().any(|hit| hit.is_likely);
+            if cause.tier() > 0 && by_squares {
+                self.by_squares.push(cause.clone());
+            }
+            self.added.push(Added { cause, gain: taken.gain, tried: taken.tried.clone() });
+        }
+    }
+
+    /// What to try after a round that took none of `tried`: two causes that hide each other, the next
+    /// stage, sharper limits, two terms ahead; in this order.
+    fn widen(
+        &mut self,
+        scanned: Scan,
+        tier: u8,
+        tried: Vec<Tried>,
+        progress: &mut dyn FnMut(&str, f64),
+    ) -> Round {
+        let is_empty = self.added.is_empty();
+        if self.stage == Stage::All && is_empty {
+            let limit = scanned.limits.map_or(0.0, |limits| limits[0]);
+            if let Some(Taken { fitted, causes, gain, .. }) =
+                pair_from_nothing(self, &scanned.hits, tier, limit)
+            {
+                self.fitted = fitted;
+                let added = |cause| Added { cause, gain, tried: Vec::new() };
+                self.added = causes.into_iter().map(added).collect();
+                self.try_all_again();
+                return Round::Widened;
+            }
+        }
+        self.rejected.extend(tried);
+        if let Some(next) = self.stage.next() {
+            self.stage = next;
+            return Round::Widened;
+        }
+        // Two causes may together look like slow noise. Before all is called noise, a sharper look.
+        if is_empty && self.limits == Draw::Robust {
+            self.limits = Draw::Sharp;
+            self.try_all_again();
+            return Round::Widened;
+        }
+        let work = self.problem.groups.len() * degrees(&self.fitted.model);
+        if !self.has_looked_ahead && !is_empty && work < MOST_WORK_AHEAD {
+            self.has_looked_ahead = true;
+            progress("looking two terms ahead", f64::NAN);
+            if self.look_two_ahead() {
+                self.revise();
+                return Round::Widened;
+            }
+        }
+        Round::Exhausted(scanned.hits)
+    }
+
+    /// Gathers what was rejected on the way, down to what was not even significant in the last scan;
+    /// what is more than noise, but does not predict, is a lack of fit.
+    fn close(&mut self, hits: &[Hit]) -> Vec<LackOfFit> {
+        for added in &self.added {
+            for tried in &added.tried {
+                let is_in = added.cause == tried.cause || self.fitted.model.has(&tried.cause);
+                if !is_in && !self.rejected.iter().any(|there| there.cause == tried.cause) {
+                    self.rejected.push(tried.clone());
+                }
+            }
+        }
+        let rms_um = self.fitted.rms();
+        let lack_of_fit = self
+            .rejected
+            .iter()
+            .filter(|tried| rms_um - tried.rms_um > self.relevant_um)
+            .filter_map(|tried| match tried.why_not {
+                WhyNot::NoGain { left_out, .. } => {
+                    Some(LackOfFit::NoGain { cause: tried.cause.name(), left_out })
+                }
+                _ => None,
+            })
+            .collect();
+        for hit in hits {
+            let name = hit.part.kind.name();
+            if self.rejected.iter().any(|tried| tried.cause.name() == name) {
+                continue;
+            }
+            let same = hits.iter().filter(|there| there.part.kind.name() == name);
+            let best = same.max_by(|a, b| a.by_likelihood.total_cmp(&b.by_likelihood));
+            self.rejected.push(Tried {
+                cause: best.unwrap_or(hit).part.kind.clone(),
+                rms_um,
+                left_out_um: None,
+                why_not: WhyNot::Insignificant,
+            });
+        }
+        lack_of_fit
+    }
+
+    /// The outcome, with what fires on what is left beside `lack_of_fit`.
+    fn outcome(self, mut lack_of_fit: Vec<LackOfFit>) -> Found {
+        let (problem, fitted) = (self.problem, self.fitted);
+        let scanned = scan(problem, &fitted, &structure(problem), self.limits);
+        let share_um = |hit: &Hit| (hit.explained * fitted.rms().powi(2)).sqrt();
+        let counts = |hit: &&Hit| hit.is_significant && share_um(hit) > 2.0 * self.relevant_um;
+        let inputs =
+            scanned.hits.iter().filter(counts).filter_map(|hit| Inputs::of(&hit.part.kind));
+        lack_of_fit.extend(inputs.map(LackOfFit::GoesWith));
+        let noise = noise_of(problem, &fitted.residual, degrees(&fitted.model));
+        let folds = Folds::new(problem, noise.memory);
+        let (added, rejected) = (self.added, self.rejected);
+        Found { fitted, added, rejected, lack_of_fit, noise, folds }
+    }
+}

@@ -1,0 +1,173 @@
+//! What is looked at again once other terms are there: whether a term is still needed, and whether
+//! another cause, or two of them, do better in its place.
+
+use trueup_numerics::parallel::on_all_cores;
+
+use crate::{
+    candidates::{columns_in_use, possible},
+    fit::Fitted,
+    gain::Gain,
+    model::Kind,
+    search::{
+        criterion::{STRONG_EVIDENCE, bic, degrees},
+        extend::{Extension, extensions},
+        state::{Added, Search},
+    },
+};
+
+/// A term leaves if it predicts left-out blocks less than this times better.
+const NEEDED: f64 = 1.01;
+/// Something that is farther away than a term takes its place if it leaves less than this share.
+const CLEARLY_BETTER: f64 = 0.9;
+
+impl Search<'_> {
+    /// Tries, for each term, whether it is still needed, and whether another cause does better in its
+    /// place now that others are there.
+    pub(crate) fn revise(&mut self) {
+        for _ in 0..2 {
+            let mut has_changed = false;
+            for index in (0..self.added.len()).rev() {
+                has_changed |= self.revise_term(index);
+            }
+            if !has_changed {
+                break;
+            }
+        }
+        self.name_paths();
+    }
+
+    fn revise_term(&mut self, index: usize) -> bool {
+        let cause = self.added[index].cause.clone();
+        if !self.fitted.model.has(&cause) {
+            return false;
+        }
+        let places = self.replacements(&cause, 6);
+        let own = self.bic();
+        let without = bic(self.problem, &places.without);
+        let best = places
+            .instead
+            .into_iter()
+            .map(|it| (bic(self.problem, &it.fitted), it))
+            .min_by(|a, b| a.0.total_cmp(&b.0));
+        match best {
+            Some((there, other)) if there <= without => {
+                let is_better = there < own - self.margin(&cause, &other)
+                    && self.predicts_better(&cause, &other);
+                if is_better {
+                    self.replace(index, other);
+                }
+                is_better
+            }
+            _ => {
+                let is_needed = without > own
+                    || self.left_out_um(&places.without) > NEEDED * self.left_out_um(&self.fitted);
+                if !is_needed {
+                    self.remove(index, places.without);
+                }
+                !is_needed
+            }
+        }
+    }
+
+    /// By how much the BIC of another cause in a term's place must be better: what needs more values
+    /// must be much better, but for a lag on the same column; what needs fewer only as good.
+    fn margin(&self, cause: &Kind, other: &Extension) -> f64 {
+        let path = |cause: &Kind| match cause {
+            Kind::ExtraHeatPath { column, .. } => Some(column.clone()),
+            _ => None,
+        };
+        let is_same_path = path(cause).is_some() && path(&other.cause) == path(cause);
+        let [own, other] = [&self.fitted, &other.fitted].map(|it| degrees(&it.model));
+        if other > own && !is_same_path {
+            3.0 * STRONG_EVIDENCE
+        } else if other < own {
+            0.0
+        } else {
+            STRONG_EVIDENCE
+        }
+    }
+
+    /// Whether `other` in a term's place leaves less on left-out blocks: clearly less, where what the
+    /// model has already gives way to something that it has not.
+    pub(crate) fn predicts_better(&self, cause: &Kind, other: &Extension) -> bool {
+        let most = if degrees(&other.fitted.model) < degrees(&self.fitted.model) {
+            NEEDED
+        } else if other.cause.tier() > cause.tier() {
+            CLEARLY_BETTER
+        } else {
+            1.0
+        };
+        self.left_out_um(&other.fitted) < most * self.left_out_um(&self.fitted)
+    }
+
+    /// Two terms may do together what the one that is there does nearly as well alone. Tries, in the
+    /// place of each term, each good rival together with the best that can then be added; whether it
+    /// has changed the model.
+    pub(crate) fn look_two_ahead(&mut self) -> bool {
+        let own = self.bic();
+        let terms: Vec<usize> = (0..self.added.len()).collect();
+        let pairs = on_all_cores(&terms, self.problem.is_large(), |&index| {
+            self.pair_in_place(index, own - STRONG_EVIDENCE)
+        });
+        let best = pairs.into_iter().flatten().min_by(|a, b| a.bic.total_cmp(&b.bic));
+        let Some(pair) = best else { return false };
+        let [before, after] = [&self.fitted, &pair.fitted].map(|it| self.left_out_um(it));
+        if after >= before {
+            return false;
+        }
+        let gain = self.added[pair.index].gain;
+        let gain = Gain { left_out_before_um: before, left_out_after_um: after, ..gain };
+        self.fitted = pair.fitted;
+        let [first, second] = pair.causes;
+        self.added[pair.index].cause = first;
+        self.added.push(Added { cause: second, gain, tried: Vec::new() });
+        true
+    }
+
+    /// The best pair in the place of a term with a BIC below `most`.
+    fn pair_in_place(&self, index: usize, most: f64) -> Option<Pair> {
+        // Two of what is farther away are no better than one of what is near.
+        let tier = self.added[index].cause.tier();
+        let is_near = |it: &Extension| it.cause.tier() <= tier;
+        let mut best: Option<Pair> = None;
+        let places = self.replacements(&self.added[index].cause, 4);
+        for first in places.instead.into_iter().filter(is_near) {
+            let Fitted { model, residual, .. } = &first.fitted;
+            let candidates = possible(self.problem, model, residual);
+            let pairs = extensions(self.problem, &first.fitted, &candidates, 3);
+            for second in pairs.into_iter().filter(is_near) {
+                let bic = bic(self.problem, &second.fitted);
+                if bic < best.as_ref().map_or(most, |best| best.bic) {
+                    let causes = [first.cause.clone(), second.cause];
+                    best = Some(Pair { bic, index, causes, fitted: second.fitted });
+                }
+            }
+        }
+        best
+    }
+
+    /// A slow path of a column that the model does not go by otherwise is a path, not a second one.
+    pub(crate) fn name_paths(&mut self) {
+        let used = columns_in_use(&self.problem.data, &self.fitted.model);
+        for part in &mut self.fitted.model.parts {
+            if let Kind::SlowModeOf { column } = &part.kind
+                && !used.contains(column)
+            {
+                let path = Kind::ExtraHeatPath { column: column.clone(), has_lag: true };
+                for there in self.added.iter_mut().filter(|there| there.cause == part.kind) {
+                    there.cause = path.clone();
+                }
+                part.kind = path;
+            }
+        }
+    }
+}
+
+/// Two causes in the place of one term.
+struct Pair {
+    bic: f64,
+    /// The term's number.
+    index: usize,
+    causes: [Kind; 2],
+    fitted: Fitted,
+}

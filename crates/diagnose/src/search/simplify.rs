@@ -1,0 +1,206 @@
+//! What is made simpler once the search is over: a law in the place of what stands for it, a term that
+//! does not gain, the cause that needs the fewest values.
+
+use crate::{
+    fit::{Fitted, fit},
+    model::{Kind, Model, Part},
+    search::{
+        criterion::{EQUAL_PREDICTION, STRONG_EVIDENCE, bic, bic_gap, degrees},
+        extend::{Extension, extensions, without},
+        state::{Added, Search},
+    },
+    waves,
+};
+
+impl Search<'_> {
+    /// All of it, in this order.
+    pub(crate) fn simplify(&mut self) {
+        self.lag_for_a_term();
+        self.table_for_both_ways();
+        self.laws_for_a_table();
+        self.drop_what_does_not_gain();
+        self.simplest_of_equals();
+        self.name_paths();
+    }
+
+    /// A path without a lag may need another term to mend what its lag would do. Tries the lag, with
+    /// each other term left out in turn.
+    fn lag_for_a_term(&mut self) {
+        if self.problem.data.time_s.is_none() {
+            return;
+        }
+        for index in 0..self.added.len() {
+            let cause = self.added[index].cause.clone();
+            let Kind::ExtraHeatPath { column, has_lag: false } = &cause else { continue };
+            if !self.fitted.model.has(&cause) {
+                continue;
+            }
+            let late = Kind::ExtraHeatPath { column: column.clone(), has_lag: true };
+            let Some((bic, other, with)) = self.best_lag(&cause, &late) else { continue };
+            let with = Extension { cause: late, fitted: with };
+            // As in the choice of a term, what predicts clearly better comes before the BIC.
+            if bic < self.bic() && self.predicts_better(&cause, &with)
+                || EQUAL_PREDICTION * self.left_out_um(&with.fitted)
+                    < self.left_out_um(&self.fitted)
+            {
+                self.replace(index, with);
+                self.added.retain(|it| it.cause != other);
+                return;
+            }
+        }
+    }
+
+    /// The best model with the path `late` for the path `plain` and one other term less: its BIC, that
+    /// term, the fit.
+    fn best_lag(&self, plain: &Kind, late: &Kind) -> Option<(f64, Kind, Fitted)> {
+        let [low, high] = self.problem.bounds.time_constant_s;
+        let mut best: Option<(f64, Kind, Fitted)> = None;
+        for other in self.added.iter().map(|it| &it.cause).filter(|other| *other != plain) {
+            for tau in [3.0 * low, (low * high).sqrt()] {
+                let mut model = self.fitted.model.clone();
+                model.parts.retain(|part| part.kind != *other);
+                for part in model.parts.iter_mut().filter(|part| part.kind == *plain) {
+                    part.kind = late.clone();
+                    part.values.insert(0, tau);
+                }
+                let with = fit(self.problem, &model, None);
+                let bic = bic(self.problem, &with);
+                if best.as_ref().is_none_or(|best| bic < best.0) {
+                    best = Some((bic, other.clone(), with));
+                }
+            }
+        }
+        best
+    }
+
+    /// A table for one way beside what goes with the direction may stand for one table each way. Tries
+    /// that in the place of all of them.
+    fn table_for_both_ways(&mut self) {
+        let is_part = |cause: &Kind| {
+            matches!(
+                cause,
+                Kind::PitchError { both_ways: false, .. }
+                    | Kind::Backlash
+                    | Kind::PositionDependentBacklash
+            )
+        };
+        let table = self.fitted.model.parts.iter().find_map(|part| match part.kind {
+            Kind::PitchError { start_mm, step_mm, points, both_ways: false } => {
+                Some(Kind::PitchError { start_mm, step_mm, points, both_ways: true })
+            }
+            _ => None,
+        });
+        let Some(table) = table else { return };
+        let mut model = self.fitted.model.clone();
+        model.parts.retain(|part| !is_part(&part.kind));
+        if model.parts.len() + 1 >= self.fitted.model.parts.len() {
+            return;
+        }
+        model.parts.push(Part { values: vec![0.0; table.degrees()], kind: table.clone() });
+        model.sort();
+        let with = fit(self.problem, &model, None);
+        let (there, own) = (self.left_out_um(&with), self.left_out_um(&self.fitted));
+        let is_better = bic(self.problem, &with) < self.bic() && there < own;
+        if is_better || EQUAL_PREDICTION * there < own {
+            let first = self.added.iter().position(|it| is_part(&it.cause)).unwrap_or(0);
+            self.replace(first, Extension { cause: table, fitted: with });
+            self.added.retain(|it| !is_part(&it.cause));
+        }
+    }
+
+    /// A table has room for a scale, a backlash and a wave. Where these alone say as much as it does,
+    /// they are the simpler names.
+    fn laws_for_a_table(&mut self) {
+        let is_table = |cause: &Kind| matches!(cause, Kind::PitchError { .. });
+        let is_added = |cause: &Kind| self.added.iter().any(|it| it.cause == *cause);
+        let table = self.fitted.model.parts.iter().map(|part| &part.kind);
+        let table = table.filter(|cause| is_table(cause)).find(|cause| is_added(cause)).cloned();
+        let Some(table) = table else { return };
+        let Some((bic, laws, with)) = self.best_laws(&table) else { return };
+        if bic >= self.bic()
+            || self.left_out_um(&with) > EQUAL_PREDICTION * self.left_out_um(&self.fitted)
+        {
+            return;
+        }
+        self.fitted = with;
+        let Some(index) = self.added.iter().position(|it| it.cause == table) else { return };
+        let old = self.added.remove(index);
+        let new = laws.into_iter().map(|cause| Added { cause, ..old.clone() });
+        self.added.splice(index..index, new);
+        // A wave that gave way to another, or came back as it was.
+        let mut seen: Vec<Kind> = Vec::new();
+        self.added.retain(|it| {
+            let is_new = self.fitted.model.has(&it.cause) && !seen.contains(&it.cause);
+            seen.push(it.cause.clone());
+            is_new
+        });
+    }
+
+    /// The best laws in the place of a table: BIC, the laws that are new, the fit.
+    fn best_laws(&self, table: &Kind) -> Option<(f64, Vec<Kind>, Fitted)> {
+        let laws = [Kind::PitchScale, Kind::Backlash, Kind::PositionDependentBacklash];
+        let counts = match table {
+            Kind::PitchError { both_ways: true, .. } => 2..=3,
+            _ => 1..=1,
+        };
+        let mut all: Vec<(Vec<Kind>, Fitted)> = Vec::new();
+        for count in counts {
+            let mut model = self.fitted.model.clone();
+            model.parts.retain(|part| part.kind != *table);
+            let new: Vec<Kind> =
+                laws[..count].iter().filter(|law| !model.has(law)).cloned().collect();
+            model.parts.extend(new.iter().map(|law| Part { kind: law.clone(), values: vec![0.0] }));
+            model.sort();
+            let with = fit(self.problem, &model, None);
+            let waves = self.with_each_wave(&with.model);
+            all.extend(waves.into_iter().map(|it| ([&new[..], &[it.cause]].concat(), it.fitted)));
+            all.push((new, with));
+        }
+        all.into_iter()
+            .map(|(new, with)| (bic(self.problem, &with), new, with))
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+    }
+
+    /// `model` with each wave that the data show, without those that it has: what was found beside a
+    /// table may be what the table could not follow of another.
+    fn with_each_wave(&self, model: &Model) -> Vec<Extension> {
+        let is_wave = |cause: &Kind| matches!(cause, Kind::PitchPeriodic { .. });
+        let mut plain = model.clone();
+        plain.parts.retain(|part| !is_wave(&part.kind));
+        let plain = fit(self.problem, &plain, None);
+        let mut waves = waves::candidates(self.problem, &plain.model, &plain.residual);
+        waves.retain(|candidate| is_wave(&candidate.kind));
+        extensions(self.problem, &plain, &waves, waves.len())
+    }
+
+    /// No gain, no term: what predicts left-out blocks no better in the end leaves again.
+    fn drop_what_does_not_gain(&mut self) {
+        for index in (0..self.added.len()).rev() {
+            let model = without(self.problem, &self.fitted.model, &self.added[index].cause);
+            let without = fit(self.problem, &model, None);
+            if self.left_out_um(&self.fitted) >= self.left_out_um(&without) {
+                self.remove(index, without);
+            }
+        }
+    }
+
+    /// Of causes that explain as well the one that needs the fewest values gives the name.
+    fn simplest_of_equals(&mut self) {
+        for index in 0..self.added.len() {
+            let own = degrees(&self.fitted.model);
+            let simpler = self
+                .replacements(&self.added[index].cause, 6)
+                .instead
+                .into_iter()
+                .filter(|it| degrees(&it.fitted.model) < own)
+                .map(|it| (bic_gap(self.problem, &self.fitted, &it.fitted), it))
+                .min_by(|a, b| a.0.total_cmp(&b.0));
+            if let Some((gap, it)) = simpler
+                && gap < STRONG_EVIDENCE
+                && self.left_out_um(&it.fitted) <= EQUAL_PREDICTION * self.left_out_um(&self.fitted)
+            {
+                self.replace(index, it);
+            }
+        }
+    }
+}

@@ -1,0 +1,173 @@
+//! How far a search has come: the model in work, how its terms came in, and what was rejected beside it.
+
+use std::fmt;
+
+use crate::{
+    blocks::Folds,
+    fit::{Fitted, Problem, fit},
+    gain::Gain,
+    model::{Kind, Model},
+    search::{
+        criterion::{bic, left_out_um},
+        extend::{Extension, Replacements, replacements},
+        scan::Draw,
+    },
+};
+
+/// The search on one problem.
+pub(crate) struct Search<'p> {
+    pub problem: &'p Problem,
+    /// What is left out in turn.
+    pub folds: Folds,
+    /// The model in work.
+    pub fitted: Fitted,
+    /// Its terms, in the order in which they were added.
+    pub added: Vec<Added>,
+    pub stage: Stage,
+    /// How the limits of the scan are drawn.
+    pub limits: Draw,
+    /// What was tried beside the model in work and rejected; it is not tried beside it again.
+    pub rejected: Vec<Tried>,
+    /// Terms that only the statistic of squares called for.
+    pub by_squares: Vec<Kind>,
+    /// Whether two terms ahead have been looked at.
+    pub has_looked_ahead: bool,
+    /// What takes away less of the RMS is not worth a term, in µm.
+    pub relevant_um: f64,
+}
+
+/// Which causes are tried. A stage begins once the one before has nothing more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Stage {
+    /// What the machine's own model may have wrong.
+    OwnModel,
+    /// What else was recorded and acts at once.
+    ActsAtOnce,
+    /// Time alone, and what acts late.
+    All,
+}
+
+impl Stage {
+    pub(crate) fn admits(self, cause: &Kind) -> bool {
+        let is_late = matches!(cause, Kind::ExtraHeatPath { has_lag: true, .. });
+        match self {
+            Self::OwnModel => cause.tier() == 0,
+            Self::ActsAtOnce => cause.tier() <= 1 && !is_late,
+            Self::All => true,
+        }
+    }
+
+    /// None after the last.
+    pub(crate) fn next(self) -> Option<Self> {
+        match self {
+            Self::OwnModel => Some(Self::ActsAtOnce),
+            Self::ActsAtOnce => Some(Self::All),
+            Self::All => None,
+        }
+    }
+}
+
+/// A term that was added, with what it brought then, and what was tried in its place.
+#[derive(Clone, Debug)]
+pub(crate) struct Added {
+    pub cause: Kind,
+    pub gain: Gain,
+    pub tried: Vec<Tried>,
+}
+
+/// A cause that was tried and not taken.
+#[derive(Clone, Debug)]
+pub(crate) struct Tried {
+    pub cause: Kind,
+    /// What the model leaves with it, in µm.
+    pub rms_um: f64,
+    /// The same on left-out blocks, where it was worked out.
+    pub left_out_um: Option<f64>,
+    pub why_not: WhyNot,
+}
+
+/// Why a cause was not taken.
+#[derive(Clone, Debug)]
+pub(crate) enum WhyNot {
+    /// Another explains as much and is simpler, or predicts better.
+    Outperformed,
+    /// It predicts no better what was left out.
+    NoGain {
+        /// What was left out: "files", "runs", …
+        left_out: &'static str,
+        before_um: f64,
+        after_um: f64,
+    },
+    /// Noise would show as much.
+    Insignificant,
+}
+
+impl fmt::Display for WhyNot {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Outperformed => {
+                f.write_str("another explains it as well and is simpler, or predicts better")
+            }
+            Self::NoGain { left_out, before_um, after_um } => write!(
+                f,
+                "no gain on left-out {left_out}: {before_um:.3} µm before, {after_um:.3} µm with it"
+            ),
+            Self::Insignificant => f.write_str("not more than noise would show"),
+        }
+    }
+}
+
+/// The share of the RMS that the machine file leaves below which nothing is worth a term.
+const RELEVANT: f64 = 0.01;
+
+impl<'p> Search<'p> {
+    pub(crate) fn new(problem: &'p Problem, start: &Model) -> Self {
+        let fitted = fit(problem, start, None);
+        Self {
+            problem,
+            // No interval is asked of them: the memory of the noise does not matter.
+            folds: Folds::new(problem, 0.0),
+            relevant_um: RELEVANT * fitted.rms(),
+            fitted,
+            added: Vec::new(),
+            stage: Stage::OwnModel,
+            limits: Draw::Robust,
+            rejected: Vec::new(),
+            by_squares: Vec::new(),
+            has_looked_ahead: false,
+        }
+    }
+
+    /// BIC of the model in work.
+    pub(crate) fn bic(&self) -> f64 {
+        bic(self.problem, &self.fitted)
+    }
+
+    /// What `fitted` leaves on left-out blocks: RMS, in µm.
+    pub(crate) fn left_out_um(&self, fitted: &Fitted) -> f64 {
+        left_out_um(self.problem, &self.folds, &fitted.model)
+    }
+
+    /// The model in work without a term, and with other causes in its place.
+    pub(crate) fn replacements(&self, cause: &Kind, most: usize) -> Replacements {
+        replacements(self.problem, &self.fitted, cause, most)
+    }
+
+    /// Another cause takes the place of a term.
+    pub(crate) fn replace(&mut self, index: usize, by: Extension) {
+        self.fitted = by.fitted;
+        self.added[index].cause = by.cause;
+    }
+
+    /// A term leaves; `without` is the model without it.
+    pub(crate) fn remove(&mut self, index: usize, without: Fitted) {
+        self.fitted = without;
+        self.added.remove(index);
+    }
+
+    /// Begins anew with all causes: nothing counts as tried.
+    pub(crate) fn try_all_again(&mut self) {
+        self.rejected.clear();
+        self.stage = Stage::OwnModel;
+    }
+}
