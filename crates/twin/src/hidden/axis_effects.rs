@@ -159,7 +159,8 @@ fn thermal(cause: Hidden, bench: &AxisBench, stream: &mut Stream) -> Option<Shap
         }
         Hidden::ReferenceTemperature => {
             let shift_c = stream.sign() * stream.uniform(0.7, 3.0);
-            let um = apart(&|c, mm| law.error_um(c - shift_c, mm), law.lag_s);
+            // Beside a hidden lag it is that of the temperature which the axis follows.
+            let um = apart(&|c, mm| law.error_um(c - shift_c, mm), law.true_lag_s);
             let mut shape = fixed(cause, vec![("shift_c", shift_c)], um);
             let training = &bench.runs[..bench.runs.len() - 1];
             let mm = training.iter().flat_map(|run| run.column(&position).to_vec()).collect();

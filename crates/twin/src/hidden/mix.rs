@@ -163,7 +163,7 @@ fn sized(
     let sigma = fixed.map_or(drawn, |shape| size(&shape.um) / ratio);
     let mut effects = Vec::new();
     let mut sum: Vec<Vec<f64>> = Vec::new();
-    for shape in shapes {
+    for mut shape in shapes {
         let unit = size(&shape.um);
         let sign = if shape.has_sign { stream.sign() } else { 1.0 };
         let factor = if shape.is_linear && unit > 0.0 { sign * ratio * sigma / unit } else { 1.0 };
@@ -181,6 +181,8 @@ fn sized(
             tables: named.tables,
             rms_um: factor.abs() * unit,
             rivals: Vec::new(),
+            holdout_um: shape.um.pop().unwrap_or_default().iter().map(|um| factor * um).collect(),
+            um: shape.um.concat().iter().map(|um| factor * um).collect(),
         });
     }
     (sigma, effects, sum)

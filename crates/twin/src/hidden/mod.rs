@@ -39,9 +39,11 @@ mod elongation;
 mod growth_effects;
 mod laws;
 mod mix;
+mod pairs;
 mod plan;
 
 pub use cause::{Expected, Hidden};
+pub use pairs::PAIRS;
 
 use cause::Base;
 
@@ -104,6 +106,10 @@ pub struct Effect {
     pub rms_um: f64,
     /// Causes that explain these data as well as the true one.
     pub rivals: Vec<Hidden>,
+    /// What it does to each row of the training runs, in µm.
+    pub um: Vec<f64>,
+    /// What it does to each row of the hold-out, in µm.
+    pub holdout_um: Vec<f64>,
 }
 
 impl Effect {
@@ -129,26 +135,6 @@ impl Truth {
         1.0 - (noise / all).sqrt()
     }
 }
-
-/// Pairs that a diagnosis can tell from every single cause and from each other.
-pub const PAIRS: &[(Hidden, Hidden)] = &[
-    (Hidden::SensorGain, Hidden::SensorOffset),
-    (Hidden::SensorGain, Hidden::SensorTemperatureDrift),
-    (Hidden::SensorGain, Hidden::CuttingLoad),
-    (Hidden::SensorGain, Hidden::ExtraHeatPath),
-    (Hidden::SensorCurvature, Hidden::CentrifugalGrowth),
-    (Hidden::ThermalLag, Hidden::CentrifugalGrowth),
-    (Hidden::ThermalLag, Hidden::ExtraHeatPath),
-    (Hidden::GrowthAmplitude, Hidden::CuttingLoad),
-    (Hidden::CentrifugalGrowth, Hidden::CuttingLoad),
-    (Hidden::ExpansionSlope, Hidden::ThermalLag),
-    (Hidden::PitchScale, Hidden::Backlash),
-    (Hidden::PitchPeriodic, Hidden::Backlash),
-    (Hidden::PitchScale, Hidden::PitchPeriodic),
-    (Hidden::Backlash, Hidden::CrossAxis),
-    (Hidden::CuttingLoad, Hidden::Outliers),
-    (Hidden::Backlash, Hidden::Outliers),
-];
 
 /// A challenge with `cause` in it, `ratio` times as large as the noise (RMS). Where `cause` is only
 /// noise, `ratio` counts for nothing. Above 0; 0.5 is hard, 5 is plain.

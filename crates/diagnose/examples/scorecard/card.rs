@@ -1,0 +1,119 @@
+//! The score card as a document: `docs/scorecard.md`.
+
+use std::collections::BTreeMap;
+
+use crate::score::Row;
+
+/// All rows, as a document.
+#[derive(Clone, Debug, Default)]
+pub struct Card {
+    /// Ratio, name, answers.
+    pub rows: Vec<(f64, String, Row)>,
+}
+
+impl Card {
+    /// The document `docs/scorecard.md`.
+    pub fn markdown(&self) -> String {
+        let mut text = String::from(
+            "# Score card of `trueup diagnose`\n\nWritten by `cargo xtask scorecard`. Each draw hides \
+             an effect in what the virtual machine tool measures; ratio: RMS of the effect over RMS \
+             of the noise. *right*: every hidden cause is named and claimed (or listed as one that \
+             these data cannot tell apart, and then not claimed); for an effect without a name: \
+             structure is reported. *wrong*: a cause is claimed that was not hidden. *interval*: \
+             share of the hidden values inside their 95 % interval, of so many. *gain*: reduction on \
+             the hold-out over the possible one, median and worst of the answers that claim every \
+             hidden cause.\n",
+        );
+        let mut ratios: Vec<f64> = self.rows.iter().map(|(ratio, ..)| *ratio).collect();
+        ratios.sort_by(f64::total_cmp);
+        ratios.dedup();
+        let is_clean = |name: &str| name.starts_with("clean");
+        let clean: Vec<_> = self.rows.iter().filter(|(_, name, _)| is_clean(name)).collect();
+        if !clean.is_empty() {
+            text += "\n## False alarms on noise alone\n\n| noise | runs | false alarms | share |\n\
+                     |---|---|---|---|\n";
+            let (mut alarms, mut runs) = (0, 0);
+            for (_, name, row) in &clean {
+                let wrong = row.scores.iter().filter(|score| !score.is_right).count();
+                text += &share_line(name, row.scores.len(), wrong);
+                (alarms, runs) = (alarms + wrong, runs + row.scores.len());
+            }
+            text += &share_line("both", runs, alarms);
+        }
+        for ratio in ratios {
+            let is_here =
+                |(there, name, _): &&(f64, String, Row)| *there == ratio && !is_clean(name);
+            let rows: Vec<_> = self.rows.iter().filter(is_here).collect();
+            for (title, is_pair) in [("single effects", false), ("pairs", true)] {
+                let rows: Vec<_> =
+                    rows.iter().filter(|(_, name, _)| name.contains('+') == is_pair).collect();
+                if rows.is_empty() {
+                    continue;
+                }
+                text += &format!(
+                    "\n## Ratio {ratio}, {title}\n\n| hidden | draws | right | wrong | interval | \
+                     gain | worst |\n|---|---|---|---|---|---|---|\n"
+                );
+                let mut all = Row::default();
+                for (_, name, row) in rows {
+                    text += &table_line(row, name);
+                    all.scores.extend(row.scores.iter().cloned());
+                }
+                text += &table_line(&all, "all");
+            }
+            text += &confusion(ratio, &rows);
+        }
+        text
+    }
+}
+
+fn share_line(name: &str, runs: usize, alarms: usize) -> String {
+    let percent = 100.0 * alarms as f64 / runs.max(1) as f64;
+    format!("| {name} | {runs} | {alarms} | {percent:.2} % |\n")
+}
+
+/// What was named instead, or beside: a line for each effect with anything but one right name.
+fn confusion(ratio: f64, rows: &[&(f64, String, Row)]) -> String {
+    let mut text = String::new();
+    for (_, name, row) in rows.iter().filter(|(_, name, _)| !name.contains('+')) {
+        let mut named: BTreeMap<String, usize> = BTreeMap::new();
+        for score in &row.scores {
+            let mut answers: Vec<String> = score.named.clone();
+            answers.extend(score.unclaimed.iter().map(|name| format!("({name})")));
+            if answers.is_empty() {
+                answers.push(format!("*{}*", score.verdict.name()));
+            }
+            for answer in answers {
+                *named.entry(answer).or_default() += 1;
+            }
+        }
+        let mut named: Vec<(String, usize)> = named.into_iter().collect();
+        named.sort_by(|a, b| b.1.cmp(&a.1).then(a.0.cmp(&b.0)));
+        let named: Vec<String> =
+            named.into_iter().map(|(name, count)| format!("{name} {count}")).collect();
+        text += &format!("| {name} | {} |\n", named.join(", "));
+    }
+    if text.is_empty() {
+        return text;
+    }
+    format!(
+        "\n## Ratio {ratio}, confusion\n\nHow often each cause was claimed; in brackets: named, but \
+         not claimed.\n\n| hidden | answered |\n|---|---|\n{text}"
+    )
+}
+
+fn table_line(row: &Row, name: &str) -> String {
+    let (median, worst) = row.gain();
+    let (within, count) = row.within();
+    let number = |value: f64| if value.is_nan() { "–".into() } else { format!("{value:.3}") };
+    let within =
+        if count == 0 { "–".to_string() } else { format!("{:.0} % of {count}", 100.0 * within) };
+    format!(
+        "| {name} | {} | {:.0} % | {:.0} % | {within} | {} | {} |\n",
+        row.scores.len(),
+        100.0 * row.right(),
+        100.0 * row.wrong(),
+        number(median),
+        number(worst)
+    )
+}

@@ -1,0 +1,233 @@
+//! Two score cards compared draw by draw: both saw the same files, so that what differs is due to the
+//! diagnosis alone.
+//!
+//! In each cell (a ratio and what is hidden) b draws were right and are not now, c are right now and
+//! were not. If the two cards were equally good, each such draw would fall to either side like a coin:
+//! McNemar's test, here exact,
+//!
+//! ```text
+//! p = min(1, 2·Σ_{k ≤ min(b, c)} C(b + c, k)/2^(b + c))
+//! ```
+//!
+//! and likewise of the draws with a wrong name. A cell with more losses than gains and p below 1 % is
+//! worse, and the command ends with 1. The limit holds for each cell by itself, without Bonferroni's
+//! correction: of 200 cells whose answers change by chance alone about one is called worse too often
+//! rather than one overlooked.
+
+use std::{collections::BTreeMap, fs, process::ExitCode};
+
+use trueup_twin::hidden::Hidden;
+
+use crate::score::Row;
+
+/// Below it a cell is worse.
+const LEVEL: f64 = 0.01;
+
+/// What one draw was worth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Draw {
+    is_right: bool,
+    is_wrong: bool,
+    /// True values inside their intervals, and how many intervals there were.
+    within: (usize, usize),
+    /// Share of the possible gain on the hold-out; NaN: none to be had, or not all claimed.
+    gain: f64,
+}
+
+/// A card draw by draw: by ratio and what is hidden, then by seed.
+#[derive(Clone, Debug, Default)]
+pub struct Draws {
+    cells: BTreeMap<(String, String), BTreeMap<u64, Draw>>,
+}
+
+const HEADER: &str = "ratio\thidden\tseed\tright\twrong\tinside\tintervals\tgain";
+
+impl Draws {
+    /// Adds `row`, whose seeds begin at `first`.
+    pub fn add(&mut self, ratio: f64, hidden: &str, first: u64, row: &Row) {
+        let cell = self.cells.entry((ratio.to_string(), hidden.to_string())).or_default();
+        for (seed, score) in (first..).zip(&row.scores) {
+            let inside = score.within.iter().filter(|(_, is_inside)| *is_inside).count();
+            let draw = Draw {
+                is_right: score.is_right,
+                is_wrong: score.is_wrong,
+                within: (inside, score.within.len()),
+                gain: score.share_of_gain,
+            };
+            cell.insert(seed, draw);
+        }
+    }
+
+    /// One line a draw, tabs between.
+    pub fn to_tsv(&self) -> String {
+        let mut text = format!("{HEADER}\n");
+        for ((ratio, hidden), cell) in &self.cells {
+            for (seed, draw) in cell {
+                let Draw { is_right, is_wrong, within: (inside, intervals), gain } = draw;
+                let (right, wrong) = (u8::from(*is_right), u8::from(*is_wrong));
+                text += &format!(
+                    "{ratio}\t{hidden}\t{seed}\t{right}\t{wrong}\t{inside}\t{intervals}\t{gain:.4}\n"
+                );
+            }
+        }
+        text
+    }
+
+    /// Reads what [`Self::to_tsv`] writes, or what `--each` prints.
+    fn read(text: &str) -> Option<Self> {
+        let is_tsv = text.starts_with(HEADER);
+        let mut draws = Self::default();
+        let mut ratio = "";
+        for line in text.lines().skip(usize::from(is_tsv)) {
+            let ((ratio, hidden), (seed, draw)) = if is_tsv {
+                from_tsv(line)?
+            } else if let Some(of_row) = line.strip_prefix("ratio ") {
+                ratio = of_row.split_once(':')?.0;
+                continue;
+            } else if let Some(of_seed) = line.strip_prefix("    seed ") {
+                let (seed, hidden, draw) = from_text(of_seed)?;
+                ((ratio, hidden), (seed, draw))
+            } else {
+                continue;
+            };
+            let cell = draws.cells.entry((ratio.to_string(), hidden.to_string())).or_default();
+            cell.insert(seed, draw);
+        }
+        (!draws.cells.is_empty()).then_some(draws)
+    }
+}
+
+/// Ratio and what is hidden, seed and draw.
+type Line<'t> = ((&'t str, &'t str), (u64, Draw));
+
+fn from_tsv(line: &str) -> Option<Line<'_>> {
+    let cells: Vec<&str> = line.split('\t').collect();
+    let &[ratio, hidden, seed, right, wrong, inside, intervals, gain] = &cells[..] else {
+        return None;
+    };
+    let draw = Draw {
+        is_right: right == "1",
+        is_wrong: wrong == "1",
+        within: (inside.parse().ok()?, intervals.parse().ok()?),
+        gain: gain.parse().ok()?,
+    };
+    Some(((ratio, hidden), (seed.parse().ok()?, draw)))
+}
+
+/// `7: sensor-gain (effect 3.0 times the noise): right and wrong, explained, claimed …, named …, 0.998
+/// of the possible gain, sensor-gain gain inside`.
+fn from_text(line: &str) -> Option<(u64, &str, Draw)> {
+    let (seed, rest) = line.split_once(": ")?;
+    let (hidden, rest) = rest.split_once(" (effect ")?;
+    let (_, rest) = rest.split_once("): ")?;
+    let parts: Vec<&str> =
+        rest.split(", ").take_while(|part| !part.starts_with("open: ")).collect();
+    let answer = parts.first()?;
+    let claimed = parts.iter().find_map(|part| part.strip_prefix("claimed "))?;
+    // A cause that was given its name later is right by that name, in an older card too.
+    let renamed = Hidden::ALL.iter().find(|it| it.name() == hidden && it.answer() != hidden);
+    let is_right = match renamed {
+        Some(cause) => claimed.split('+').any(|name| name == cause.answer()),
+        None => answer.starts_with("right"),
+    };
+    let ends = |end: &str| parts.iter().filter(|part| part.ends_with(end)).count();
+    let inside = ends(" inside");
+    let gain = parts.iter().find_map(|part| part.strip_suffix(" of the possible gain"));
+    let draw = Draw {
+        is_right,
+        is_wrong: answer.ends_with("wrong"),
+        within: (inside, inside + ends(" OUTSIDE")),
+        gain: gain.map_or(Some(f64::NAN), |gain| gain.parse().ok())?,
+    };
+    Some((seed.parse().ok()?, hidden, draw))
+}
+
+/// McNemar's exact p of `b` draws that changed one way and `c` the other.
+fn mcnemar(b: usize, c: usize) -> f64 {
+    let all = b + c;
+    // C(n, k)/2ⁿ, from one k to the next.
+    let mut term = 0.5_f64.powi(i32::try_from(all).unwrap_or(i32::MAX));
+    let mut sum = 0.0;
+    for k in 0..=b.min(c) {
+        sum += term;
+        term *= (all - k) as f64 / (k + 1) as f64;
+    }
+    (2.0 * sum).min(1.0)
+}
+
+/// What a cell lost and gained of one property.
+struct Change {
+    lost: Vec<u64>,
+    gained: Vec<u64>,
+}
+
+impl Change {
+    fn of(
+        before: &BTreeMap<u64, Draw>,
+        after: &BTreeMap<u64, Draw>,
+        is_good: fn(&Draw) -> bool,
+    ) -> Self {
+        let seeds = |was: bool| {
+            let both = before.iter().filter_map(|(seed, one)| Some((*seed, one, after.get(seed)?)));
+            let changed = both.filter(|(_, one, other)| is_good(one) != is_good(other));
+            changed.filter(|(_, one, _)| is_good(one) == was).map(|(seed, ..)| seed).collect()
+        };
+        Self { lost: seeds(true), gained: seeds(false) }
+    }
+
+    fn p(&self) -> f64 {
+        mcnemar(self.lost.len(), self.gained.len())
+    }
+
+    fn is_worse(&self) -> bool {
+        self.lost.len() > self.gained.len() && self.p() < LEVEL
+    }
+}
+
+/// `compare BEFORE AFTER`.
+pub fn run(words: &[String]) -> ExitCode {
+    let [before, after] = words else {
+        eprintln!("error: give two cards: what --tsv wrote, or what --each printed");
+        return ExitCode::from(2);
+    };
+    let read = |path: &String| {
+        let text = fs::read_to_string(path).map_err(|error| format!("{path}: {error}"))?;
+        Draws::read(&text).ok_or_else(|| format!("{path}: has no draws, or a line that is none"))
+    };
+    let (before, after) = match (read(before), read(after)) {
+        (Ok(before), Ok(after)) => (before, after),
+        (Err(error), _) | (_, Err(error)) => {
+            eprintln!("error: {error}");
+            return ExitCode::from(2);
+        }
+    };
+    let (mut worse, mut pairs, mut cells) = (0, 0, 0);
+    for ((ratio, hidden), old) in &before.cells {
+        let Some(new) = after.cells.get(&(ratio.clone(), hidden.clone())) else { continue };
+        cells += 1;
+        pairs += old.keys().filter(|seed| new.contains_key(seed)).count();
+        let changes = [
+            ("right", Change::of(old, new, |draw| draw.is_right)),
+            ("without a wrong name", Change::of(old, new, |draw| !draw.is_wrong)),
+        ];
+        for (what, change) in changes {
+            if change.lost.is_empty() && change.gained.is_empty() {
+                continue;
+            }
+            let verdict = if change.is_worse() { "WORSE" } else { "" };
+            worse += usize::from(change.is_worse());
+            println!(
+                "ratio {ratio} {hidden}, {what}: lost seeds {:?}, gained seeds {:?}, p {:.4} {verdict}",
+                change.lost,
+                change.gained,
+                change.p()
+            );
+        }
+    }
+    if pairs == 0 {
+        eprintln!("error: the two cards have no draw in common");
+        return ExitCode::from(2);
+    }
+    println!("{pairs} draws in {cells} cells; worse at {} % in a cell: {worse}", 100.0 * LEVEL);
+    ExitCode::from(u8::from(worse > 0))
+}

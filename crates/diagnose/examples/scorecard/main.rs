@@ -1,0 +1,164 @@
+//! The score card: every effect of the twin at a ratio of effect to noise, drawn from seeds, and what
+//! the diagnosis makes of it. The drawn truth is read only by the check.
+//!
+//! ```text
+//! cargo run --release -p trueup-diagnose --example scorecard -- \
+//!     [--ratios 3,1,10] [--seeds 20] [--few 20] [--clean 150] [--first 0] [--out docs/scorecard.md] \
+//!     [--each] [--tsv FILE] [cause…|pairs|first+second]
+//! … scorecard -- second [--seeds 10] [--first 0] [--each] [known+new…|known…]
+//! … scorecard -- compare BEFORE AFTER
+//! ```
+//!
+//! `--seeds` counts at ratio 3, `--few` at the others, `--clean` for noise alone. `--each` prints every
+//! answer, `--tsv` writes a line for each. The files are written anew after each row. `second` asks
+//! what is named where the machine file has a cause already ([`mod@second`]), `compare` what has
+//! become better or worse between two cards, draw by draw ([`compare`]).
+
+mod card;
+mod compare;
+#[path = "../../tests/score/second.rs"]
+mod known;
+#[path = "../../tests/score/mod.rs"]
+mod score;
+mod second;
+
+use std::{env, fs, path::PathBuf, process::ExitCode, thread};
+
+use card::Card;
+use compare::Draws;
+use score::{Row, Score, answer, score};
+use trueup_twin::hidden::{Expected, Hidden, PAIRS, draw, draw_pair};
+
+/// What is asked for.
+struct Asked {
+    ratios: Vec<f64>,
+    seeds: u64,
+    few: u64,
+    clean: u64,
+    first: u64,
+    out: Option<PathBuf>,
+    each: bool,
+    tsv: Option<PathBuf>,
+    wanted: Vec<String>,
+}
+
+fn asked(words: &[String]) -> Option<Asked> {
+    let mut it = Asked {
+        ratios: vec![3.0, 1.0, 10.0],
+        seeds: 20,
+        few: 20,
+        clean: 150,
+        first: 0,
+        out: None,
+        each: false,
+        tsv: None,
+        wanted: Vec::new(),
+    };
+    let mut words = words.iter();
+    while let Some(word) = words.next() {
+        match word.as_str() {
+            "--ratios" => {
+                let list = words.next()?;
+                it.ratios = list.split(',').map(|word| word.parse().ok()).collect::<Option<_>>()?;
+            }
+            "--seeds" => it.seeds = words.next()?.parse().ok()?,
+            "--few" => it.few = words.next()?.parse().ok()?,
+            "--clean" => it.clean = words.next()?.parse().ok()?,
+            "--first" => it.first = words.next()?.parse().ok()?,
+            "--out" => it.out = Some(words.next()?.into()),
+            "--tsv" => it.tsv = Some(words.next()?.into()),
+            "--each" => it.each = true,
+            _ if word.starts_with('-') => return None,
+            _ => it.wanted.push(word.clone()),
+        }
+    }
+    Some(it)
+}
+
+/// The answers to `seeds`, in their order, on all cores.
+fn row(seeds: std::ops::Range<u64>, of: &(dyn Fn(u64) -> Score + Sync)) -> Row {
+    let cores = thread::available_parallelism().map_or(1, usize::from) as u64;
+    let mut scores: Vec<(u64, Score)> = thread::scope(|scope| {
+        let workers: Vec<_> = (0..cores)
+            .map(|core| {
+                let own = seeds.clone().filter(move |seed| seed % cores == core);
+                scope.spawn(move || own.map(|seed| (seed, of(seed))).collect::<Vec<_>>())
+            })
+            .collect();
+        workers
+            .into_iter()
+            .flat_map(|worker| worker.join().expect("a diagnosis does not panic"))
+            .collect()
+    });
+    scores.sort_by_key(|(seed, _)| *seed);
+    Row { scores: scores.into_iter().map(|(_, score)| score).collect() }
+}
+
+fn main() -> ExitCode {
+    let words: Vec<String> = env::args().skip(1).collect();
+    match words.first().map(String::as_str) {
+        Some("second") => return second::run(&words[1..]),
+        Some("compare") => return compare::run(&words[1..]),
+        _ => {}
+    }
+    let Some(asked) = asked(&words) else {
+        eprintln!("error: see the head of examples/scorecard/main.rs for what may be asked");
+        return ExitCode::from(2);
+    };
+    let is_wanted =
+        |name: &str| asked.wanted.is_empty() || asked.wanted.iter().any(|there| there == name);
+    let mut card = Card::default();
+    let mut draws = Draws::default();
+    let mut done = |ratio: f64, name: String, row: Row| {
+        println!("ratio {ratio}: {}", row.line(&name));
+        if asked.each {
+            for (seed, score) in row.scores.iter().enumerate() {
+                println!("    seed {}: {score}", asked.first + seed as u64);
+            }
+        }
+        draws.add(ratio, &name, asked.first, &row);
+        if let Some(path) = &asked.tsv
+            && let Err(error) = fs::write(path, draws.to_tsv())
+        {
+            eprintln!("error: {}: {error}", path.display());
+        }
+        card.rows.push((ratio, name, row));
+        if let Some(path) = &asked.out
+            && let Err(error) = fs::write(path, card.markdown())
+        {
+            eprintln!("error: {}: {error}", path.display());
+        }
+    };
+    let drawn = |cause: Hidden, ratio: f64, count: u64| {
+        row(asked.first..asked.first + count, &|seed| {
+            let challenge = draw(cause, ratio, seed);
+            score(&challenge, &answer(&challenge))
+        })
+    };
+    for (number, &ratio) in asked.ratios.iter().enumerate() {
+        let seeds = if ratio == 3.0 { asked.seeds } else { asked.few };
+        for &cause in Hidden::ALL {
+            if is_wanted(cause.name()) && cause.expected() != Expected::Clean {
+                done(ratio, cause.name().into(), drawn(cause, ratio, seeds));
+            }
+        }
+        for &(a, b) in PAIRS {
+            let both = format!("{}+{}", a.name(), b.name());
+            if is_wanted("pairs") || is_wanted(&both) {
+                let row = row(asked.first..asked.first + seeds, &|seed| {
+                    let challenge =
+                        draw_pair(a, b, ratio, seed).expect("the twin's own pairs can be drawn");
+                    score(&challenge, &answer(&challenge))
+                });
+                done(ratio, both, row);
+            }
+        }
+        // Noise alone has no ratio.
+        for &cause in Hidden::ALL.iter().filter(|_| number == 0) {
+            if is_wanted(cause.name()) && cause.expected() == Expected::Clean {
+                done(ratio, cause.name().into(), drawn(cause, ratio, asked.clean));
+            }
+        }
+    }
+    ExitCode::SUCCESS
+}

@@ -1,0 +1,153 @@
+//! A second diagnosis: the machine file has a cause already, as a `[[term]]` with the values that were
+//! drawn, and the data have that and something new; or what the file has is no longer true.
+//!
+//! The term is written here from the drawn truth, not taken from a first diagnosis: what the second
+//! one answers does not depend on how well the first one went.
+
+use std::fmt::Write as _;
+
+use trueup_twin::hidden::{Challenge, Effect, Expected, Hidden, draw, draw_pair};
+
+/// What the file may have: causes with a name whose term a board corrects.
+pub fn firsts() -> impl Iterator<Item = Hidden> {
+    let is_a_term = |cause: &Hidden| {
+        cause.expected() == Expected::Compensated && cause.name() == cause.answer()
+    };
+    Hidden::ALL.iter().copied().filter(is_a_term)
+}
+
+/// All pairs (in the file, newly hidden) that one machine can have.
+pub fn pairs() -> Vec<(Hidden, Hidden)> {
+    let is_named =
+        |cause: &&Hidden| matches!(cause.expected(), Expected::Compensated | Expected::Reported);
+    let all = || Hidden::ALL.iter().filter(is_named).copied();
+    firsts().flat_map(|a| all().map(move |b| (a, b))).filter(|(a, b)| a.stands_beside(*b)).collect()
+}
+
+/// The challenge with `known` in the file and in the data, and `new` in the data alone: the answer is
+/// `new`. `None` where no machine has both.
+pub fn beside(known: Hidden, new: Hidden, ratio: f64, seed: u64) -> Option<Challenge> {
+    let mut challenge = draw_pair(known, new, ratio, seed)?;
+    let [a, b] = &challenge.truth.effects[..] else { return None };
+    let (a, b) = (a.clone(), b.clone());
+    challenge.machine += &term(&a, &challenge);
+    let truth = &mut challenge.truth;
+    add(&mut truth.believed_um, &a.um);
+    add(&mut truth.holdout_believed_um, &a.holdout_um);
+    truth.effect_um.clone_from(&b.um);
+    truth.holdout_effect_um.clone_from(&b.holdout_um);
+    truth.expected = b.cause.expected();
+    truth.effects = vec![b];
+    Some(challenge)
+}
+
+/// The challenge with `cause` in the data and in the file, where it has half of its size: what is not
+/// in the file is about `ratio` times the noise.
+pub fn aged(cause: Hidden, ratio: f64, seed: u64) -> Challenge {
+    let mut challenge = draw(cause, 2.0 * ratio, seed);
+    let mut old = challenge.truth.effects[0].clone();
+    halve(&mut old, &challenge);
+    challenge.machine += &term(&old, &challenge);
+    let truth = &mut challenge.truth;
+    // What could be gained is not known by halves: a time constant is no factor.
+    truth.holdout_effect_um.clear();
+    truth.effects[0].parameters.clear();
+    challenge
+}
+
+fn add(sum: &mut [f64], um: &[f64]) {
+    for (sum, um) in sum.iter_mut().zip(um) {
+        *sum += um;
+    }
+}
+
+/// Half the way to where the term does nothing.
+fn halve(effect: &mut Effect, challenge: &Challenge) {
+    let slope = believed_slope(&challenge.machine);
+    let most_um = challenge.truth.believed_um.iter().copied().fold(f64::MIN, f64::max);
+    for (name, value) in &mut effect.parameters {
+        let nothing = match *name {
+            "gain" | "scale" => 1.0,
+            "limit_um" => most_um,
+            "um_per_m_per_c" => slope,
+            "shift_c"
+            | "offset_um"
+            | "per_um"
+            | "um_per_c"
+            | "amplitude_um"
+            | "um_per_krpm2"
+            | "um_per_n"
+            | "um_per_m"
+            | "width_um"
+            | "second_amplitude_um"
+            | "urad_per_m" => 0.0,
+            // Beside an amplitude the time constant stays; alone it is what ages.
+            "time_constant_s" if effect.cause == Hidden::ThermalLag => 0.0,
+            "time_constant_s"
+                if matches!(effect.cause, Hidden::GrowthRate | Hidden::CoolingAsymmetry) =>
+            {
+                // Where it does nothing is the believed one; this is a clear change wherever that is.
+                *value *= 1.8;
+                continue;
+            }
+            _ => continue,
+        };
+        *value = nothing + (*value - nothing) / 2.0;
+    }
+    for (name, values) in &mut effect.tables {
+        if *name != "knots_mm" {
+            values.iter_mut().for_each(|value| *value /= 2.0);
+        }
+    }
+}
+
+/// The slope that the file has for the expansion of its axis; 0 where it has none.
+fn believed_slope(machine: &str) -> f64 {
+    let mut lines = machine.lines();
+    let value = lines.find_map(|line| line.strip_prefix("slope_um_per_m_per_c = "));
+    value.map_or(0.0, |value| value.parse().expect("the twin writes numbers"))
+}
+
+/// `effect` as a `[[term]]` of the machine file, by the table of causes (`interfaces.md` section 5).
+pub fn term(effect: &Effect, challenge: &Challenge) -> String {
+    let cause = effect.cause;
+    let mut text = format!(
+        "\n[[term]]\ncause = \"{}\"\nquantity = \"{}\"\n",
+        cause.name(),
+        challenge.quantity
+    );
+    let mut key = |name: &str, value: String| {
+        writeln!(text, "{name} = {value}").expect("a String takes all text");
+    };
+    let of = |name: &str| effect.parameter(name).unwrap_or(0.0);
+    let axis = |column: &str| format!("{:?}", column.trim_end_matches("_mm"));
+    let column = effect.column.as_deref().unwrap_or_default();
+    match cause {
+        Hidden::PitchPeriodic => {
+            let degrees = |name: &str| of(name).to_degrees();
+            key("period_mm", format!("{:?}", of("period_mm")));
+            key("harmonic", "[1, 2]".into());
+            key("amplitude_um", format!("{:?}", [of("amplitude_um"), of("second_amplitude_um")]));
+            key("phase_deg", format!("{:?}", [degrees("phase_rad"), degrees("second_phase_rad")]));
+            return text;
+        }
+        Hidden::Straightness => key("along", axis(column)),
+        Hidden::CrossAxis => key("axis", axis(column)),
+        Hidden::AngularError => key("lever", axis(column)),
+        Hidden::SensorTemperatureDrift | Hidden::ExtraHeatPath | Hidden::AxisExpansion => {
+            key("column", format!("{column:?}"));
+        }
+        Hidden::SlowMode if !column.is_empty() => key("column", format!("{column:?}")),
+        _ => {}
+    }
+    for (name, value) in &effect.parameters {
+        key(name, format!("{value:?}"));
+    }
+    for (name, values) in &effect.tables {
+        if *name == "knots_mm" {
+            key("order", "4".into());
+        }
+        key(name, format!("{values:?}"));
+    }
+    text
+}

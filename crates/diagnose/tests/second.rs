@@ -1,0 +1,150 @@
+//! A second diagnosis: the machine file has a cause already. The whole is
+//! `scorecard second`; here are the terms that it puts into the file, and three machines of users.
+
+#[path = "score/second.rs"]
+mod known;
+mod score;
+
+use std::path::Path;
+
+use score::{Row, answer, score as scored};
+use trueup_machine::{MachineFile, RunFile, predict::Predictor};
+use trueup_twin::hidden::{Challenge, Hidden, draw};
+
+/// What the host's model makes of the machine file, for each row of the training runs.
+fn predicted(challenge: &Challenge) -> Result<Vec<f64>, String> {
+    let machine = MachineFile::parse(&challenge.machine, Path::new("machine.toml"))
+        .map_err(|bad| bad.to_string())?;
+    let names = ["elongation", "dx", "dy", "dz"];
+    let quantity = names.iter().position(|name| *name == challenge.quantity).expect("one of four");
+    let of = |csv: &String| {
+        let run = RunFile::from_reader(csv.as_bytes(), Path::new("run.csv")).expect("a run file");
+        let predictor = Predictor::new(&machine, &run).expect("all that it needs is there");
+        predictor.rows().map(|row| row.model.all()[quantity]).collect::<Vec<f64>>()
+    };
+    Ok(challenge.runs.iter().flat_map(of).collect())
+}
+
+/// The term in the file says what the twin did: two programs without a line in common.
+#[test]
+fn a_file_with_the_drawn_term_predicts_the_drawn_effect() {
+    let mut tried = 0;
+    for (a, b) in known::pairs() {
+        // A slope or a reference is of the temperature that the axis follows, late or not: what the
+        // twin lays to the lag and what the model lays to it differ, their sum does not.
+        let is_of_heat = [Hidden::ExpansionSlope, Hidden::ReferenceTemperature].contains(&a);
+        if is_of_heat && b == Hidden::ThermalLag {
+            continue;
+        }
+        let challenge = known::beside(a, b, 3.0, 1).expect("they stand beside each other");
+        // A cause that no file can have yet is in no second diagnosis.
+        let Ok(predicted) = predicted(&challenge) else { continue };
+        tried += 1;
+        for (model, twin) in predicted.iter().zip(&challenge.truth.believed_um) {
+            let apart_um = (model - twin).abs();
+            assert!(apart_um < 1e-6, "{} beside {}: {apart_um} µm", a.name(), b.name());
+        }
+    }
+    println!("{tried} pairs");
+    assert!(tried > 100, "{tried}");
+}
+
+/// The only answer to `challenge` is `cause`.
+fn is_alone(challenge: &Challenge, cause: Hidden) -> Result<(), String> {
+    let score = scored(challenge, &answer(challenge));
+    let is_only = score.named == [cause.name()] && score.unclaimed.is_empty();
+    let row = Row { scores: vec![score] };
+    if is_only { Ok(()) } else { Err(row.line(cause.name())) }
+}
+
+/// `measured` of each row of `csv` instead, from the speed, the believed value and the noise.
+fn measured_anew(
+    csv: &mut String,
+    quantity: &str,
+    rest: &[[f64; 2]],
+    of: impl Fn(f64, f64) -> f64,
+) {
+    let header: Vec<String> =
+        csv.lines().next().expect("a header").split(',').map(String::from).collect();
+    let at = |name: &str| header.iter().position(|it| it == name).expect("the twin writes it");
+    let (speed, measured) = (at("spindle_rpm"), at(&format!("measured_{quantity}_um")));
+    let mut text = header.join(",") + "\n";
+    for (line, [believed_um, noise_um]) in csv.lines().skip(1).zip(rest) {
+        let mut cells: Vec<String> = line.split(',').map(String::from).collect();
+        if !cells[measured].is_empty() {
+            let rpm: f64 = cells[speed].parse().expect("a speed");
+            cells[measured] = format!("{:.4}", of(*believed_um, rpm) + noise_um);
+        }
+        text += &(cells.join(",") + "\n");
+    }
+    *csv = text;
+}
+
+/// A machine whose file has `centrifugal-growth` 0.02, and whose data have that and a sensor gain of
+/// 1.2.
+fn gain_beside_growth(seed: u64) -> Challenge {
+    let mut challenge = draw(Hidden::SensorGain, 3.0, seed);
+    let truth = challenge.truth.clone();
+    let whole = |believed_um: f64, rpm: f64| 1.2 * believed_um + 0.02 * (rpm / 1000.0).powi(2);
+    let name = format!("measured_{}_um", challenge.quantity);
+    let mut row = 0;
+    for csv in &mut challenge.runs {
+        let at = csv.lines().next().expect("a header").split(',').position(|it| it == name);
+        let at = at.expect("the twin writes it");
+        let rest: Vec<[f64; 2]> = csv
+            .lines()
+            .skip(1)
+            .map(|line| {
+                let cell = line.split(',').nth(at).expect("a full row");
+                let (believed_um, effect_um) = (truth.believed_um[row], truth.effect_um[row]);
+                row += 1;
+                let noise_um = cell.parse().map_or(0.0, |um: f64| um - believed_um - effect_um);
+                [believed_um, noise_um]
+            })
+            .collect();
+        measured_anew(csv, challenge.quantity, &rest, whole);
+    }
+    let rest: Vec<[f64; 2]> = truth
+        .holdout_believed_um
+        .iter()
+        .zip(&truth.holdout_noise_um)
+        .map(|(believed_um, noise_um)| {
+            [*believed_um, if noise_um.is_nan() { 0.0 } else { *noise_um }]
+        })
+        .collect();
+    measured_anew(&mut challenge.holdout, challenge.quantity, &rest, whole);
+    challenge.machine += "\n[[term]]\ncause = \"centrifugal-growth\"\nquantity = \"elongation\"\num_per_krpm2 = 0.02\n";
+    challenge
+}
+
+#[test]
+#[ignore = "fails before: the gain is put on the centrifugal term too, which is then corrected"]
+fn a_gain_of_the_sensor_is_found_beside_the_centrifugal_growth_that_the_file_has() {
+    for seed in 0..8 {
+        is_alone(&gain_beside_growth(seed), Hidden::SensorGain)
+            .unwrap_or_else(|answer| panic!("seed {seed}: {answer}"));
+    }
+}
+
+/// The file has `extra-heat-path`; the data add a `thermal-lag`.
+#[test]
+#[ignore = "fails before: the path that the file has is found again as a new cause"]
+fn a_lag_is_found_beside_the_heat_path_that_the_file_has() {
+    for seed in 0..6 {
+        let challenge = known::beside(Hidden::ExtraHeatPath, Hidden::ThermalLag, 3.0, seed);
+        let challenge = challenge.expect("one machine has both");
+        is_alone(&challenge, Hidden::ThermalLag)
+            .unwrap_or_else(|answer| panic!("seed {seed}: {answer}"));
+    }
+}
+
+/// `expansion-slope` was corrected once and has changed again.
+#[test]
+#[ignore = "fails before: a scale and a drift stand beside the slope"]
+fn a_slope_that_was_corrected_once_is_named_again_when_it_changes() {
+    for seed in 0..6 {
+        let challenge = known::aged(Hidden::ExpansionSlope, 3.0, seed);
+        is_alone(&challenge, Hidden::ExpansionSlope)
+            .unwrap_or_else(|answer| panic!("seed {seed}: {answer}"));
+    }
+}
