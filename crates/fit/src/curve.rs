@@ -10,7 +10,7 @@ use trueup_machine::{
 use crate::{
     elongation::summary,
     report::{Fact, Parameter, Report, Spread, Verdict},
-    straightness::{self, Curve, Method, Options, Reference},
+    straightness::{self, Curve, Options, Reference, Way},
 };
 
 /// Digits after the point of coefficients in µm: 0.1 nm, the board's own step is 1 nm.
@@ -60,10 +60,7 @@ fn report(curve: &Curve, y: &[f64], positions: &[f64], column: String) -> Report
     report.before = Spread::of(&less_line);
     report.in_sample = Spread::of(&residuals);
     let compared = fit.compare();
-    let own = match fit.method {
-        Method::Paper => "paper's way",
-        Method::LeastSquares => "least squares",
-    };
+    let own = Way::of(fit.method);
     let judged = compared.iter().find(|way| way.way == own).and_then(|way| way.left_out);
     report.left_out = judged.map(|left| Spread { rms_um: left.rms_um, max_um: left.largest_um });
     report.left_out_by = "every second position, by a curve through the others".into();
@@ -115,4 +112,32 @@ fn report(curve: &Curve, y: &[f64], positions: &[f64], column: String) -> Report
         .remark(summary(&report));
     report.edit = Edit::of(section);
     report
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    #[test]
+    fn each_line_of_the_comparison_begins_with_the_name_of_its_way() {
+        let mut text = String::from("x_mm,measured_dz_um\n");
+        for row in 0..40 {
+            let x = f64::from(row) * 10.0;
+            text += &format!("{x},{}\n", (x / 60.0).sin() * 8.0);
+        }
+        let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
+        let report = fit(&run, None, |_| Ok(None), &Options::default()).expect("a curve");
+        let names: Vec<&str> =
+            report.table.lines().filter_map(|line| line.split_once(": ")).map(|it| it.0).collect();
+        let ways = [
+            "paper's way",
+            "paper's points, least squares",
+            "least squares",
+            "polynomial of degree 7",
+            "straight lines",
+        ];
+        assert_eq!(names, ways);
+    }
 }

@@ -47,7 +47,7 @@ use std::{error::Error, fmt};
 
 use trueup_machine::machine_file::BSpline;
 
-pub use compare::{Compared, Residual};
+pub use compare::{Compared, Residual, Way};
 pub use run::{Curve, fit_run};
 pub use sites::Line;
 

@@ -1,12 +1,12 @@
-//! The paper's Table 1 for the user's own data: four ways to a curve side by side.
+//! The paper's Table 1 for the user's own data: five ways to a curve side by side.
 //!
 //! A line through every point leaves nothing at the points, whatever lies between them. Therefore
 //! each way is also fitted to every second position and judged at the others.
 
 use std::fmt;
 
-use nalgebra::{DMatrix, DVector};
 use trueup_machine::{machine_file::BSpline, model::spline_um};
+use trueup_numerics::least_squares::Triangle;
 
 use super::{
     Fit, Method, Options, paper,
@@ -50,11 +50,52 @@ impl Residual {
     }
 }
 
+/// A way to a curve.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Way {
+    /// A B-spline through points that the paper's rule chooses, with the paper's coefficients.
+    Paper,
+    /// A B-spline in the paper's knots, its coefficients by least squares.
+    PapersPoints,
+    /// A B-spline, knots and coefficients by least squares.
+    LeastSquares,
+    /// A polynomial of degree 7.
+    Polynomial,
+    /// Straight lines from reading to reading.
+    Lines,
+}
+
+impl Way {
+    const ALL: [Self; 5] =
+        [Self::Paper, Self::PapersPoints, Self::LeastSquares, Self::Polynomial, Self::Lines];
+
+    /// The way of a fit by `method`.
+    #[must_use]
+    pub fn of(method: Method) -> Self {
+        match method {
+            Method::Paper => Self::Paper,
+            Method::LeastSquares => Self::LeastSquares,
+        }
+    }
+}
+
+impl fmt::Display for Way {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Paper => "paper's way",
+            Self::PapersPoints => "paper's points, least squares",
+            Self::LeastSquares => "least squares",
+            Self::Polynomial => "polynomial of degree 7",
+            Self::Lines => "straight lines",
+        })
+    }
+}
+
 /// One way to a curve, and how it does.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Compared {
-    /// What it is called: `least squares`.
-    pub way: &'static str,
+    /// Which it is.
+    pub way: Way,
     /// Coefficients that describe the curve.
     pub coefficients: usize,
     /// At the positions it was fitted to.
@@ -69,13 +110,14 @@ pub struct Compared {
 }
 
 impl fmt::Display for Compared {
-    /// One line without the way's name, ASCII alone: terminals and TOML comments take it.
+    /// One line that begins with the way's name, ASCII alone: terminals and TOML comments take it.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Residual { range_um, mean_um, mean_square_um2, largest_um, .. } = self.residual;
         write!(
             f,
-            "{} coefficients; residual: range {range_um:.2} um, mean {:.2} um, mean square \
+            "{}: {} coefficients; residual: range {range_um:.2} um, mean {:.2} um, mean square \
              {mean_square_um2:.3} um2, largest {largest_um:.2} um",
+            self.way,
             self.coefficients,
             // + 0.0 turns -0 into 0.
             (mean_um * 100.0).round() / 100.0 + 0.0
@@ -153,23 +195,17 @@ impl Polynomial {
     fn fit(sites: &Sites, degree: usize) -> Self {
         let ends = sites.ends();
         let count = (degree + 1).min(sites.len() - 1);
-        let mut square = DMatrix::zeros(count, count);
-        let mut right = DVector::zeros(count);
-        for (x, y, weight) in sites.points() {
-            let basis = DVector::from_iterator(
-                count,
-                chebyshev(local(ends, x)).map(|[t, ..]| t).take(count),
-            );
-            square.ger(weight, &basis, &basis, 1.0);
-            right.axpy(weight * y, &basis, 1.0);
-        }
-        // Chebyshev's polynomials are nearly orthogonal: the normal equations are harmless, but for
-        // sites that crowd at one end.
+        let mut row = vec![0.0; count];
         for count in (1..=count).rev() {
-            let square = square.view((0, 0), (count, count)).into_owned();
-            if let Some(triangle) = square.cholesky() {
-                let chebyshev = triangle.solve(&right.rows(0, count).into_owned());
-                return Self { ends, chebyshev: chebyshev.as_slice().to_vec() };
+            let mut triangle = Triangle::new(count);
+            for (x, y, weight) in sites.points() {
+                let root = weight.sqrt();
+                let values = chebyshev(local(ends, x)).map(|[t, ..]| root * t);
+                row.iter_mut().zip(values).for_each(|(row, value)| *row = value);
+                triangle.add(&row[..count], root * y);
+            }
+            if let Ok(solution) = triangle.solve() {
+                return Self { ends, chebyshev: solution.coefficients };
             }
         }
         Self { ends, chebyshev: vec![0.0] }
@@ -227,35 +263,30 @@ pub(super) fn table(fit: &Fit) -> Vec<Compared> {
         most_coefficients: fit.most_coefficients,
     };
     let tolerance = fit.tolerance_um.unwrap_or(fit.residual.largest_um);
-    type Way<'w> = Box<dyn Fn(&Sites) -> Model + 'w>;
-    let papers = |control| -> Way<'_> {
-        Box::new(move |sites: &Sites| {
-            Model::Spline(paper::fit(&sites.thinned(MOST_CELLS), tolerance, control).0)
-        })
+    let papers = |sites: &Sites, control| {
+        Model::Spline(paper::fit(&sites.thinned(MOST_CELLS), tolerance, control).0)
     };
-    let ways: [(&str, Way<'_>); 5] = [
-        ("paper's way", papers(paper::Control::Readings)),
-        ("paper's points, least squares", papers(paper::Control::LeastSquares)),
-        ("least squares", Box::new(|sites| Model::Spline(Found::of(sites, &options).spline))),
-        ("polynomial of degree 7", Box::new(|sites| Model::Polynomial(Polynomial::fit(sites, 7)))),
-        (
-            "straight lines",
-            Box::new(|sites| Model::Lines { x: sites.x.clone(), y: sites.y.clone() }),
-        ),
-    ];
+    let model_of = |way, sites: &Sites| match way {
+        Way::Paper => papers(sites, paper::Control::Readings),
+        Way::PapersPoints => papers(sites, paper::Control::LeastSquares),
+        Way::LeastSquares => Model::Spline(Found::of(sites, &options).spline),
+        Way::Polynomial => Model::Polynomial(Polynomial::fit(sites, 7)),
+        Way::Lines => Model::Lines { x: sites.x.clone(), y: sites.y.clone() },
+    };
     const ENOUGH: usize = 8;
     let halves = [0, 1].map(|from| fit.sites.every_second(from));
     let is_own = fit.method == Method::LeastSquares;
-    ways.into_iter()
-        .map(|(way, of)| {
+    Way::ALL
+        .into_iter()
+        .map(|way| {
             let model = match way {
                 // It is there already.
-                "least squares" if is_own => Model::Spline(fit.spline.clone()),
-                _ => of(&fit.sites),
+                Way::LeastSquares if is_own => Model::Spline(fit.spline.clone()),
+                _ => model_of(way, &fit.sites),
             };
             let left_out = (halves[1].len() >= ENOUGH).then(|| {
                 let [_, last] = halves[0].ends();
-                let half = of(&halves[0]);
+                let half = model_of(way, &halves[0]);
                 let inside = halves[1].points().filter(|&(x, ..)| x <= last);
                 let left: Vec<f64> = inside.map(|(x, y, _)| y - half.at(x)).collect();
                 Residual::of(&left)
@@ -316,7 +347,7 @@ mod tests {
     fn a_row_of_the_comparison_is_one_line_with_all_its_figures() {
         let residual = Residual::of(&[1.0, -1.0]);
         let row = Compared {
-            way: "straight lines",
+            way: Way::Lines,
             coefficients: 9,
             residual,
             left_out: Some(residual),
@@ -325,7 +356,7 @@ mod tests {
         };
         assert_eq!(
             row.to_string(),
-            "9 coefficients; residual: range 2.00 um, mean 0.00 um, mean square 1.000 um2, \
+            "straight lines: 9 coefficients; residual: range 2.00 um, mean 0.00 um, mean square 1.000 um2, \
              largest 1.00 um; at positions left out 1.00 um RMS; slope up to 0.5000 um/mm, \
              curvature up to 1.23e-3 um/mm2"
         );
