@@ -6,6 +6,7 @@
 
 use serde_json::{Map, Value, json};
 
+use trueup_machine::effect::Effect;
 use trueup_numerics::{noise::Noise, t_quantile};
 
 use crate::{
@@ -137,17 +138,11 @@ pub(crate) fn parameters(
     // The reference and a zero that came with it.
     let terms = terms::terms(data, &fitted.model);
     if let Some(term) = terms.get(index) {
-        use trueup_machine::machine_file::Effect;
-        match &term.effect {
-            Effect::SensorTemperatureDrift { reference_c, .. }
-            | Effect::SlowModeOf { reference_c, .. }
-            | Effect::ExtraHeatPath { reference_c, .. } => {
-                map.insert("reference_c".into(), json!({"value": reference_c}));
-            }
-            Effect::ReferenceInstrument { description, .. } => {
-                map.insert("description".into(), json!({"value": description}));
-            }
-            _ => {}
+        if let Effect::ReferenceInstrument(instrument) = &term.effect {
+            map.insert("description".into(), json!({"value": instrument.description}));
+        }
+        if let Some(heat) = term.effect.clone().heat_mut() {
+            map.insert("reference_c".into(), json!({"value": heat.reference_c}));
         }
         if term.constant_um != 0.0 {
             map.insert("constant_um".into(), json!({"value": term.constant_um}));

@@ -1,6 +1,9 @@
 //! From fitted parts to the terms of a machine file.
 
-use trueup_machine::machine_file::{BSpline, Effect, Pitch, Quantity, Term, Wave};
+use trueup_machine::{
+    effect::{self, Effect, Heat, Wave},
+    machine_file::{BSpline, Pitch, Quantity, Term},
+};
 
 use crate::{
     data::Data,
@@ -32,13 +35,10 @@ pub(crate) fn terms(data: &Data, model: &Model) -> Vec<Term> {
     };
     for term in &mut terms {
         let factor = along(term.quantity);
-        if let Effect::SensorTemperatureDrift { um_per_c, reference_c, .. }
-        | Effect::SlowModeOf { um_per_c, reference_c, .. }
-        | Effect::ExtraHeatPath { um_per_c, reference_c, .. } = &mut term.effect
-        {
-            let shift_c = constant_um / (*um_per_c * factor);
+        if let Some(heat) = term.effect.heat_mut() {
+            let shift_c = constant_um / (heat.um_per_c * factor);
             if shift_c.abs() < 1000.0 {
-                *reference_c -= shift_c;
+                heat.reference_c -= shift_c;
                 constant_um = 0.0;
                 break;
             }
@@ -56,78 +56,104 @@ pub(crate) fn terms(data: &Data, model: &Model) -> Vec<Term> {
 fn effect(data: &Data, part: &Part) -> Option<Effect> {
     let value = |index: usize| part.values.get(index).copied().unwrap_or(0.0);
     Some(match &part.kind {
-        Kind::SensorOffset => Effect::SensorOffset { offset_um: value(0) },
-        Kind::SensorGain => Effect::SensorGain { gain: 1.0 + value(0) },
-        Kind::SensorCurvature => Effect::SensorCurvature { per_um: value(0) },
-        Kind::SensorSaturation => Effect::SensorSaturation { limit_um: value(0) },
-        Kind::SensorTemperatureDrift { column } => Effect::SensorTemperatureDrift {
-            column: column.clone(),
-            um_per_c: value(0),
-            reference_c: data.reference_c(column),
-        },
-        Kind::TimeShift => Effect::TimeShift { shift_s: value(0) },
-        Kind::ThermalLag => Effect::ThermalLag { time_constant_s: value(0) },
-        Kind::SlowMode => Effect::SlowMode {
+        Kind::SensorOffset => Effect::SensorOffset(effect::SensorOffset { offset_um: value(0) }),
+        Kind::SensorGain => Effect::SensorGain(effect::SensorGain { gain: 1.0 + value(0) }),
+        Kind::SensorCurvature => {
+            Effect::SensorCurvature(effect::SensorCurvature { per_um: value(0) })
+        }
+        Kind::SensorSaturation => {
+            Effect::SensorSaturation(effect::SensorSaturation { limit_um: value(0) })
+        }
+        Kind::SensorTemperatureDrift { column } => {
+            Effect::SensorTemperatureDrift(effect::SensorTemperatureDrift(Heat {
+                column: column.clone(),
+                um_per_c: value(0),
+                time_constant_s: 0.0,
+                reference_c: data.reference_c(column),
+            }))
+        }
+        Kind::TimeShift => Effect::TimeShift(effect::TimeShift { shift_s: value(0) }),
+        Kind::ThermalLag => Effect::ThermalLag(effect::ThermalLag { time_constant_s: value(0) }),
+        Kind::SlowMode => Effect::SlowMode(effect::SlowMode::InTime {
             amplitude_um: value(1),
             time_constant_s: value(0),
             start_s: data.start_s,
-        },
-        Kind::SlowModeOf { column } => Effect::SlowModeOf {
+        }),
+        Kind::SlowModeOf { column } => Effect::SlowMode(effect::SlowMode::OfColumn(Heat {
             column: column.clone(),
             um_per_c: value(1),
             time_constant_s: value(0),
             reference_c: data.reference_c(column),
-        },
-        Kind::ExtraHeatPath { column, has_lag } => Effect::ExtraHeatPath {
-            column: column.clone(),
-            um_per_c: value(usize::from(*has_lag)),
-            time_constant_s: if *has_lag { value(0) } else { 0.0 },
-            reference_c: data.reference_c(column),
-        },
-        Kind::GrowthAmplitude => Effect::GrowthAmplitude { scale: 1.0 + value(0) },
-        Kind::GrowthRate => Effect::GrowthRate { time_constant_s: value(0) },
-        Kind::CoolingAsymmetry => Effect::CoolingAsymmetry { time_constant_s: value(0) },
+        })),
+        Kind::ExtraHeatPath { column, has_lag } => {
+            Effect::ExtraHeatPath(effect::ExtraHeatPath(Heat {
+                column: column.clone(),
+                um_per_c: value(usize::from(*has_lag)),
+                time_constant_s: if *has_lag { value(0) } else { 0.0 },
+                reference_c: data.reference_c(column),
+            }))
+        }
+        Kind::GrowthAmplitude => {
+            Effect::GrowthAmplitude(effect::GrowthAmplitude { scale: 1.0 + value(0) })
+        }
+        Kind::GrowthRate => Effect::GrowthRate(effect::GrowthRate { time_constant_s: value(0) }),
+        Kind::CoolingAsymmetry => {
+            Effect::CoolingAsymmetry(effect::CoolingAsymmetry { time_constant_s: value(0) })
+        }
         Kind::ExpansionSlope => {
             let believed = own_thermal(data).map_or(0.0, |it| it.slope_um_per_m_per_c);
-            Effect::ExpansionSlope { um_per_m_per_c: believed + value(0) }
+            Effect::ExpansionSlope(effect::ExpansionSlope { um_per_m_per_c: believed + value(0) })
         }
-        Kind::ReferenceTemperature => Effect::ReferenceTemperature { shift_c: value(0) },
-        Kind::CentrifugalGrowth => Effect::CentrifugalGrowth { um_per_krpm2: value(0) },
-        Kind::CuttingLoad => Effect::CuttingLoad { um_per_n: value(0) },
-        Kind::PitchScale => Effect::PitchScale { um_per_m: value(0) },
-        Kind::PitchError { start_mm, step_mm, points, both_ways } => Effect::PitchError(Pitch {
-            start_mm: *start_mm,
-            step_mm: *step_mm,
-            forward_um: part.values[..*points].to_vec(),
-            reverse_um: both_ways.then(|| part.values[*points..].to_vec()),
-        }),
-        Kind::PitchPeriodic { harmonics } => Effect::PitchPeriodic {
+        Kind::ReferenceTemperature => {
+            Effect::ReferenceTemperature(effect::ReferenceTemperature { shift_c: value(0) })
+        }
+        Kind::CentrifugalGrowth => {
+            Effect::CentrifugalGrowth(effect::CentrifugalGrowth { um_per_krpm2: value(0) })
+        }
+        Kind::CuttingLoad => Effect::CuttingLoad(effect::CuttingLoad { um_per_n: value(0) }),
+        Kind::PitchScale => Effect::PitchScale(effect::PitchScale { um_per_m: value(0) }),
+        Kind::PitchError { start_mm, step_mm, points, both_ways } => {
+            Effect::PitchError(effect::PitchError(Pitch {
+                start_mm: *start_mm,
+                step_mm: *step_mm,
+                forward_um: part.values[..*points].to_vec(),
+                reverse_um: both_ways.then(|| part.values[*points..].to_vec()),
+            }))
+        }
+        Kind::PitchPeriodic { harmonics } => Effect::PitchPeriodic(effect::PitchPeriodic {
             period_mm: value(0),
             waves: waves(harmonics, &part.values[1..]),
-        },
-        Kind::Backlash => Effect::Backlash { width_um: value(0) },
-        Kind::PositionDependentBacklash => Effect::PositionDependentBacklash { um_per_m: value(0) },
-        Kind::Straightness { along, knots_mm } => Effect::Straightness {
+        }),
+        Kind::Backlash => Effect::Backlash(effect::Backlash { width_um: value(0) }),
+        Kind::PositionDependentBacklash => {
+            Effect::PositionDependentBacklash(effect::PositionDependentBacklash {
+                um_per_m: value(0),
+            })
+        }
+        Kind::Straightness { along, knots_mm } => Effect::Straightness(effect::Straightness {
             along: *along,
             spline: BSpline {
                 order: 4,
                 knots_mm: knots_mm.clone(),
                 control_um: part.values.clone(),
             },
-        },
-        Kind::CrossAxis { axis } => Effect::CrossAxis { axis: *axis, um_per_m: value(0) },
-        Kind::Step => Effect::Step { at_s: value(0), size_um: value(1) },
-        Kind::Drift => Effect::Drift { um_per_h: value(0) },
+        }),
+        Kind::CrossAxis { axis } => {
+            Effect::CrossAxis(effect::CrossAxis { axis: *axis, um_per_m: value(0) })
+        }
+        Kind::Step => Effect::Step(effect::Step { at_s: value(0), size_um: value(1) }),
+        Kind::Drift => Effect::Drift(effect::Drift { um_per_h: value(0) }),
         Kind::ReferenceInstrument { is_angled, reading } => {
             // A reading is not known when it is predicted, but for that of the position.
             let is_known = data.quantity != Quantity::Elongation && reading.is_none();
             let start = part.kind.nonlinear().len();
-            Effect::ReferenceInstrument {
+            Effect::ReferenceInstrument(effect::ReferenceInstrument {
                 description: instrument(*is_angled, part),
                 period_mm: value(0),
                 origin_mm: (*is_angled && is_known).then(|| value(1)),
+                read: effect::Read::Position,
                 waves: if is_known { waves(&[1], &part.values[start..]) } else { Vec::new() },
-            }
+            })
         }
         Kind::Curve { .. } => return None,
     })

@@ -83,7 +83,7 @@ fn axes_that_repeat_get_a_table_and_one_that_does_not_is_refused() {
     let diagnosis = diagnosed(HEAD, &[read(&path)], &[]);
     println!("muts_x: {:?}", diagnosis.report.reasons);
     assert_eq!(diagnosis.report.verdict, Verdict::DoNotCompensate);
-    assert!(diagnosis.terms.iter().all(|term| !term.effect.cause().is_compensated()));
+    assert!(diagnosis.terms.iter().all(|term| !term.effect.is_compensated()));
 }
 
 #[test]

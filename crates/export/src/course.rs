@@ -5,11 +5,12 @@
 //! a CNC that has such an axis has two axes for it, and the beam itself shares the error out in
 //! between. A [`Cross`] is the error of one axis while another moves, straightness and squareness.
 
-use std::f64::consts::TAU;
+use std::borrow::Cow;
 
 use trueup_machine::{
     Machine,
-    machine_file::{BSpline, Backlash, Effect, LinearAxis, Pitch, Squareness, Term},
+    effect::{Effect, Input, OnBoard, Stage},
+    machine_file::{BSpline, Backlash, LinearAxis, Pitch, Squareness, Term},
     model::{backlash_um, pitch_um, spline_um, squareness_um},
 };
 
@@ -56,9 +57,10 @@ impl Drive<'_> {
     /// Its error in µm.
     pub fn error_um(&self, position_mm: f64, approach: Approach) -> f64 {
         let direction = approach.sign();
-        let terms = self.terms.iter().map(|(_, term)| {
-            along_um(&term.effect, position_mm, approach).unwrap_or_default() + term.constant_um
-        });
+        let terms = self
+            .terms
+            .iter()
+            .map(|(_, term)| along_um(&term.effect, position_mm, approach) + term.constant_um);
         self.pitch.map_or(0.0, |pitch| pitch_um(pitch, position_mm, direction))
             + self.backlash.map_or(0.0, |backlash| backlash_um(backlash, direction))
             + terms.sum::<f64>()
@@ -66,11 +68,7 @@ impl Drive<'_> {
 
     /// Whether it has a table for each direction.
     pub fn is_two_way(&self) -> bool {
-        let of_terms = self.terms.iter().any(|(_, term)| match &term.effect {
-            Effect::PitchError(pitch) => pitch.reverse_um.is_some(),
-            Effect::PositionDependentBacklash { .. } => true,
-            _ => false,
-        });
+        let of_terms = self.terms.iter().any(|(_, term)| is_two_way(&term.effect));
         of_terms || self.pitch.is_some_and(|pitch| pitch.reverse_um.is_some())
     }
 
@@ -80,9 +78,9 @@ impl Drive<'_> {
         if self.is_two_way() {
             return 0.0;
         }
-        let terms = self.terms.iter().map(|(_, term)| match term.effect {
-            Effect::Backlash { width_um } => width_um,
-            _ => 0.0,
+        let terms = self.terms.iter().map(|(_, term)| {
+            let is_flat = term.effect.reads() == [Input::OwnDirection];
+            if is_flat { along_um(&term.effect, 0.0, Approach::Negative) } else { 0.0 }
         });
         self.backlash.map_or(0.0, |backlash| backlash.width_um) + terms.sum::<f64>()
     }
@@ -103,10 +101,7 @@ impl Drive<'_> {
 
     /// Its one table, where all of it is linear between that table's points.
     pub fn only_table(&self) -> Option<&Pitch> {
-        let of_terms = self.terms.iter().filter_map(|(_, term)| match &term.effect {
-            Effect::PitchError(pitch) => Some(pitch),
-            _ => None,
-        });
+        let of_terms = self.terms.iter().filter_map(|(_, term)| term.effect.table());
         let mut tables = self.pitch.into_iter().chain(of_terms);
         let only = tables.next().filter(|_| self.travel_mm.is_none())?;
         tables.next().is_none().then_some(only)
@@ -114,7 +109,7 @@ impl Drive<'_> {
 
     /// Whether it bends between its points, so that they are a choice.
     pub fn is_curved(&self) -> bool {
-        self.terms.iter().any(|(_, term)| matches!(term.effect, Effect::PitchPeriodic { .. }))
+        self.terms.iter().any(|(_, term)| term.effect.is_wave())
     }
 
     /// Beyond the ends a table is held, as a control's is; what goes on and on is not.
@@ -130,16 +125,19 @@ impl Drive<'_> {
             points.extend([first, last]);
         }
         for (_, term) in &self.terms {
-            match (&term.effect, self.travel_mm) {
-                (Effect::PitchError(pitch), _) => points.extend(table_mm(pitch)),
-                (Effect::PitchPeriodic { period_mm, waves }, Some((first, last))) => {
-                    let highest = waves.iter().map(|wave| wave.harmonic).max().unwrap_or(1);
-                    let parts = (last - first) / period_mm * f64::from(highest) * PARTS_OF_PERIOD;
-                    let parts = parts.abs().ceil().clamp(1.0, MOST_PARTS);
-                    let at = |part: u32| first + (last - first) * f64::from(part) / parts;
-                    points.extend((0..=parts as u32).map(at));
-                }
-                _ => {}
+            points.extend(term.effect.table().into_iter().flat_map(table_mm));
+            if let Some((first, last)) = self.travel_mm {
+                let of_waves = term.effect.on_board().into_iter().filter_map(|form| match form {
+                    OnBoard::Wave { period_mm, harmonic, .. } => {
+                        let parts = (last - first) / period_mm * f64::from(harmonic);
+                        Some((parts * PARTS_OF_PERIOD).abs())
+                    }
+                    _ => None,
+                });
+                let Some(parts) = of_waves.reduce(f64::max) else { continue };
+                let parts = parts.ceil().clamp(1.0, MOST_PARTS);
+                let at = |part: u32| first + (last - first) * f64::from(part) / parts;
+                points.extend((0..=parts as u32).map(at));
             }
         }
         points.sort_by(f64::total_cmp);
@@ -155,37 +153,29 @@ fn table_mm(pitch: &Pitch) -> Vec<f64> {
 }
 
 fn term_name(index: usize, term: &Term) -> String {
-    format!("term[{index}] ({})", term.effect.cause().name())
+    format!("term[{index}] ({})", term.effect.name())
 }
 
-/// What a term adds along its own axis, in µm; `None` if it is about something else.
-fn along_um(effect: &Effect, position_mm: f64, approach: Approach) -> Option<f64> {
-    let reversed = |um: f64| if approach == Approach::Negative { um } else { 0.0 };
-    Some(match effect {
-        Effect::PitchScale { um_per_m } => um_per_m * position_mm / 1000.0,
-        Effect::PitchError(pitch) => pitch_um(pitch, position_mm, approach.sign()),
-        Effect::PitchPeriodic { period_mm, waves } => {
-            let turns = position_mm / period_mm;
-            let wave = |wave: &trueup_machine::machine_file::Wave| {
-                let phase = TAU * f64::from(wave.harmonic) * turns + wave.phase_deg.to_radians();
-                wave.amplitude_um * phase.sin()
-            };
-            waves.iter().map(wave).sum()
-        }
-        Effect::Backlash { width_um } => reversed(*width_um),
-        Effect::PositionDependentBacklash { um_per_m } => reversed(um_per_m * position_mm / 1000.0),
-        _ => return None,
-    })
+/// What a term adds along its own axis, in µm.
+fn along_um(effect: &Effect, position_mm: f64, approach: Approach) -> f64 {
+    let read = |input: &Input<'_>| match input {
+        Input::OwnPosition => position_mm,
+        Input::OwnDirection => approach.sign(),
+        _ => f64::NAN,
+    };
+    let x: Vec<f64> = effect.reads().iter().map(read).collect();
+    effect.at_row(&effect.values(), &x)
+}
+
+/// Whether it is another function of the position in either direction.
+fn is_two_way(effect: &Effect) -> bool {
+    let reads = effect.reads();
+    reads.contains(&Input::OwnPosition) && reads.contains(&Input::OwnDirection)
 }
 
 /// Whether a term goes on and on along its axis, so that a table needs the travel.
 fn needs_travel(effect: &Effect) -> bool {
-    matches!(
-        effect,
-        Effect::PitchScale { .. }
-            | Effect::PitchPeriodic { .. }
-            | Effect::PositionDependentBacklash { .. }
-    )
+    effect.reads().contains(&Input::OwnPosition) && effect.table().is_none()
 }
 
 /// The terms that no table of a control holds, each with the reason. The constants that a term
@@ -195,14 +185,11 @@ pub(crate) fn terms_left_out(machine: &Machine, options: &Options) -> Vec<(Strin
     for (index, term) in machine.terms.iter().enumerate() {
         let axis = term.quantity.axis();
         let reason = match &term.effect {
-            effect if !effect.cause().is_compensated() => continue,
+            effect if !effect.is_compensated() => continue,
             // Folded into the constants of the machine.
-            Effect::ThermalLag { .. }
-            | Effect::GrowthRate { .. }
-            | Effect::ExpansionSlope { .. }
-            | Effect::ReferenceTemperature { .. } => continue,
-            Effect::Straightness { .. } | Effect::CrossAxis { .. } if axis.is_some() => continue,
-            effect if axis.is_some() && along_um(effect, 0.0, Approach::Positive).is_some() => {
+            effect if effect.stage() == Stage::Constant => continue,
+            effect if is_across(effect) && axis.is_some() => continue,
+            effect if effect.is_along_own_axis() && axis.is_some() => {
                 let is_known = axis.is_some_and(|axis| travel_mm(machine, options, axis).is_some());
                 if is_known || !needs_travel(effect) {
                     continue;
@@ -216,13 +203,18 @@ pub(crate) fn terms_left_out(machine: &Machine, options: &Options) -> Vec<(Strin
     left_out
 }
 
+/// Whether it adds a function of another axis's position alone.
+fn is_across(effect: &Effect) -> bool {
+    matches!(effect.reads()[..], [Input::Position(_)])
+}
+
 /// The error of one axis while another moves.
 #[derive(Clone)]
 pub(crate) struct Cross<'m> {
     pub error: LinearAxis,
     pub along: LinearAxis,
     /// Where each comes from, and it.
-    splines: Vec<(String, &'m BSpline)>,
+    splines: Vec<(String, Cow<'m, BSpline>)>,
     /// Where each comes from, and it.
     angles: Vec<(String, f64)>,
     constant_um: f64,
@@ -306,7 +298,7 @@ pub(crate) fn drives<'m>(machine: &'m Machine, options: &Options) -> Vec<Drive<'
         let travel = travel_mm(machine, options, axis);
         let terms = machine.terms.iter().enumerate().filter(|(_, term)| {
             term.quantity.axis() == Some(axis)
-                && along_um(&term.effect, 0.0, Approach::Positive).is_some()
+                && term.effect.is_along_own_axis()
                 && (travel.is_some() || !needs_travel(&term.effect))
         });
         let terms: Vec<(usize, &Term)> = terms.collect();
@@ -336,7 +328,7 @@ pub(crate) fn drives<'m>(machine: &'m Machine, options: &Options) -> Vec<Drive<'
 pub(crate) fn crosses(machine: &Machine) -> Vec<Cross<'_>> {
     let mut crosses: Vec<Cross<'_>> = Vec::new();
     for curve in &machine.straightness {
-        let named = (format!("straightness.{}", curve.name()), &curve.spline);
+        let named = (format!("straightness.{}", curve.name()), Cow::Borrowed(&curve.spline));
         pair(&mut crosses, curve.error, curve.along).splines.push(named);
     }
     for angle in machine.squareness.iter().filter(|angle| angle.um_per_m != 0.0) {
@@ -346,18 +338,20 @@ pub(crate) fn crosses(machine: &Machine) -> Vec<Cross<'_>> {
     for (index, term) in machine.terms.iter().enumerate() {
         let Some(error) = term.quantity.axis() else { continue };
         let name = term_name(index, term);
-        match &term.effect {
-            Effect::Straightness { along, spline } => {
-                let pair = pair(&mut crosses, error, *along);
-                pair.splines.push((name, spline));
-                pair.constant_um += term.constant_um;
+        for form in term.effect.on_board() {
+            match form {
+                OnBoard::Curve(along, spline) => {
+                    let pair = pair(&mut crosses, error, along);
+                    pair.splines.push((name.clone(), Cow::Owned(spline)));
+                    pair.constant_um += term.constant_um;
+                }
+                OnBoard::Position { axis, um_per_m } => {
+                    let pair = pair(&mut crosses, error, axis);
+                    pair.angles.push((name.clone(), um_per_m));
+                    pair.constant_um += term.constant_um;
+                }
+                _ => {}
             }
-            Effect::CrossAxis { axis, um_per_m } => {
-                let pair = pair(&mut crosses, error, *axis);
-                pair.angles.push((name, *um_per_m));
-                pair.constant_um += term.constant_um;
-            }
-            _ => {}
         }
     }
     crosses
@@ -388,22 +382,25 @@ pub(crate) fn travel_mm(
     }
     let of = &machine.axes[axis.index()];
     let tables = of.pitch.iter().chain(of.dual.as_ref().map(|dual| &dual.pitch));
-    let of_terms = machine.terms.iter().filter_map(|term| match &term.effect {
-        Effect::PitchError(pitch) if term.quantity.axis() == Some(axis) => Some(pitch),
-        _ => None,
-    });
+    let own = machine.terms.iter().filter(|term| term.quantity.axis() == Some(axis));
+    let of_terms = own.filter_map(|term| term.effect.table());
     let tables = tables.chain(of_terms).filter_map(|pitch| {
         let points = table_mm(pitch);
         Some((*points.first()?, *points.last()?))
     });
     let curves = machine.straightness.iter().filter(|curve| curve.along == axis);
     let curves = curves.map(|curve| &curve.spline);
-    let of_terms = machine.terms.iter().filter_map(|term| match &term.effect {
-        Effect::Straightness { along, spline } if *along == axis => Some(spline),
-        _ => None,
-    });
+    let of_terms: Vec<BSpline> = machine
+        .terms
+        .iter()
+        .flat_map(|term| term.effect.on_board())
+        .filter_map(|form| match form {
+            OnBoard::Curve(along, spline) if along == axis => Some(spline),
+            _ => None,
+        })
+        .collect();
     tables
-        .chain(curves.chain(of_terms).filter_map(knot_range_mm))
+        .chain(curves.chain(&of_terms).filter_map(knot_range_mm))
         .reduce(|(a, b), (c, d)| (a.min(c), b.max(d)))
         .filter(|(first, last)| first < last)
 }

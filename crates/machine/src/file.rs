@@ -24,7 +24,13 @@ pub use limits::Limits;
 pub use machine::{Kind, Machine};
 pub use spindle::{SensorModel, Source, Spindle, TemperatureModel, Warmup};
 pub use straightness::{BSpline, SplineFault, Squareness, Straightness};
-pub use term::{Cause, Effect, Quantity, Term, Wave};
+pub use term::Term;
+
+pub(crate) use axis::read_pitch;
+pub(crate) use inputs::read_temperature_column;
+pub(crate) use straightness::read_spline;
+
+pub use crate::effect::{Cause, Effect, Quantity, Wave};
 
 use crate::{
     bounded,

@@ -8,6 +8,7 @@
 //! | [`place`] | where in a user's file something is wrong, and which rule it breaks |
 //! | [`bounded`] | opens and reads files of the user's within bounds |
 //! | [`file`] | reads the machine file into a [`Machine`], and writes it |
+//! | [`effect`] | why a machine is not as its model says: a cause is one page |
 //! | [`inputs`] | from PLC counts to volts, ADC codes and readings |
 //! | [`run_file`] | reads a run file (CSV) into columns |
 //! | [`model`] | the reference: what the model says of a run, row by row, in `f64` |
@@ -18,6 +19,7 @@
 
 pub mod bounded;
 pub mod compile;
+pub mod effect;
 pub mod file;
 pub mod inputs;
 pub mod model;

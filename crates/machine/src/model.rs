@@ -37,7 +37,7 @@ pub use kinematics::{error_um, offset_um, rotated, tool_direction};
 pub use lag::Lag;
 pub use pitch::{backlash_um, dual_pitch_um, is_reverse, pitch_um};
 pub use reversal::over_compensation_um;
-pub use straightness::{spline_um, squareness_um};
+pub use straightness::{spline_um, spline_weights, squareness_um};
 pub use term::{Falling, corrected, shifted, time_shift_s};
 pub use thermal::{thermal_law, thermal_um};
 
@@ -372,7 +372,7 @@ impl Machine {
     /// The machine without the terms that only explain: what the board is to correct.
     #[must_use]
     pub fn compensated(&self) -> Cow<'_, Self> {
-        let is_compensated = |term: &Term| term.effect.cause().is_compensated();
+        let is_compensated = |term: &Term| term.effect.is_compensated();
         if self.terms.iter().all(is_compensated) {
             return Cow::Borrowed(self);
         }

@@ -34,7 +34,8 @@ use trueup_core::{
 
 use crate::{
     compile::{Compiled, compile, term::PARTS_OF_N},
-    file::{Effect, LinearAxis, Machine, Quantity, RotaryAxis, Source},
+    effect::OnBoard,
+    file::{LinearAxis, Machine, Quantity, RotaryAxis, Source},
     inputs::{Inputs, LAST_CHANNEL, SensorInput, TemperatureInput, TemperatureKind},
     model::{Reference, Situation, required_columns, shifted, time_shift_s},
     place::{BadInput, Place},
@@ -383,17 +384,17 @@ fn with_all_temperatures(machine: &Machine) -> Machine {
     let mut wired = machine.clone();
     let axes = machine.axes.iter().filter_map(|axis| axis.thermal.as_ref());
     let spindle = machine.spindle.temperature.iter().map(|model| &model.sensor);
-    let of_terms = machine.terms.iter().filter_map(|term| term.effect.column());
-    let used: Vec<&String> =
-        axes.map(|thermal| &thermal.sensor).chain(spindle).chain(of_terms).collect();
+    let of_terms = machine.terms.iter().filter_map(|term| term.effect.temperature());
+    let used: Vec<String> =
+        axes.map(|thermal| &thermal.sensor).chain(spindle).cloned().chain(of_terms).collect();
     let inputs = wired.inputs.get_or_insert_with(Inputs::default);
     for name in used {
         let taken = |channel: &u8| inputs.temperatures.values().any(|it| it.channel == *channel);
-        if !inputs.temperatures.contains_key(name)
+        if !inputs.temperatures.contains_key(&name)
             && let Some(channel) = (0..=LAST_CHANNEL).find(|channel| !taken(channel))
         {
             let input = TemperatureInput { channel, kind: TemperatureKind::Pt100 };
-            inputs.temperatures.insert(name.clone(), input);
+            inputs.temperatures.insert(name, input);
         }
     }
     wired
@@ -425,8 +426,9 @@ impl<'b> BridgeRun<'b> {
             starts_s: machine
                 .terms
                 .iter()
-                .filter_map(|term| match term.effect {
-                    Effect::SlowMode { start_s, .. } => Some(start_s),
+                .flat_map(|term| term.effect.on_board())
+                .filter_map(|form| match form {
+                    OnBoard::Time { start_s, .. } => Some(start_s),
                     _ => None,
                 })
                 .collect(),

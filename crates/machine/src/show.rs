@@ -49,7 +49,7 @@ use trueup_core::{
 
 use crate::{
     compile::{compile, stored_law_nm},
-    file::MachineFile,
+    file::{self, MachineFile},
     inputs::{REFERENCE_VOLTS, SensorInput},
 };
 
@@ -507,22 +507,38 @@ fn write_thermal(toml: &mut String, name: &str, thermal: &AxisThermal<'_>) -> Wr
 }
 
 fn write_pitch(toml: &mut String, pitch: &Pitch<'_>) -> Written {
+    let file::Pitch { start_mm, step_mm, forward_um, reverse_um } = read_pitch(pitch);
+    writeln!(toml, "start_mm = {start_mm:?}")?;
+    writeln!(toml, "step_mm = {step_mm:?}")?;
+    write_numbers(toml, "forward_um", &forward_um)?;
+    reverse_um.iter().try_for_each(|um| write_numbers(toml, "reverse_um", um))
+}
+
+/// A table in the user's units.
+fn read_pitch(pitch: &Pitch<'_>) -> file::Pitch {
     let errors = |points: &[[u8; 4]]| -> Vec<f64> {
         points.iter().map(|point| written(i32::from_le_bytes(*point), FINE_PER_UM)).collect()
     };
-    writeln!(toml, "start_mm = {:?}", written(pitch.start.0, UNITS_PER_MM))?;
-    writeln!(toml, "step_mm = {:?}", written(pitch.step.length(), UNITS_PER_MM))?;
-    write_numbers(toml, "forward_um", &errors(pitch.forward))?;
-    match pitch.reverse {
-        Some(reverse) => write_numbers(toml, "reverse_um", &errors(reverse)),
-        None => Ok(()),
+    file::Pitch {
+        start_mm: written(pitch.start.0, UNITS_PER_MM),
+        step_mm: written(pitch.step.length(), UNITS_PER_MM),
+        forward_um: errors(pitch.forward),
+        reverse_um: pitch.reverse.map(errors),
     }
 }
 
 fn write_curve(toml: &mut String, curve: &Curve<'_>) -> Written {
+    let file::BSpline { order, knots_mm, control_um } = read_curve(curve);
+    writeln!(toml, "order = {order}")?;
+    write_numbers(toml, "knots_mm", &knots_mm)?;
+    write_numbers(toml, "control_um", &control_um)
+}
+
+/// A curve in the user's units.
+fn read_curve(curve: &Curve<'_>) -> file::BSpline {
     let mm = |place: i32| written(place, UNITS_PER_MM);
     let mut start = curve.first().0;
-    let mut knots = vec![mm(start); 4];
+    let mut knots_mm = vec![mm(start); 4];
     let mut control: Vec<f64> = Vec::new();
     for bytes in curve.segments() {
         let segment = Segment::from_bytes(bytes);
@@ -534,14 +550,12 @@ fn write_curve(toml: &mut String, curve: &Curve<'_>) -> Written {
         control.extend(inner);
         control.push(at_end);
         start = segment.end.0;
-        knots.extend([mm(start); 3]);
+        knots_mm.extend([mm(start); 3]);
     }
-    knots.push(mm(start));
+    knots_mm.push(mm(start));
     // 1e-8 µm is 1/390 of the board's unit.
     let um = control.iter().map(|fine| (fine / FINE_PER_UM * 1e8).round() / 1e8 + 0.0);
-    writeln!(toml, "order = 4")?;
-    write_numbers(toml, "knots_mm", &knots)?;
-    write_numbers(toml, "control_um", &um.collect::<Vec<_>>())
+    file::BSpline { order: 4, knots_mm, control_um: um.collect() }
 }
 
 /// The Bézier points of a segment that begins at `start`, in [`Fine`] units.

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use trueup_machine::{
     Machine, MachineFile, RunFile,
+    effect::Outliers,
     file::{Cause, Effect, Quantity, Term, write::Edit},
     predict::Predictor,
 };
@@ -384,9 +385,9 @@ fn the_board_runs_every_term_that_compensates_as_the_model_says() {
                 moved = moved.max((with - without).abs());
             }
         }
-        let cause = machine.terms[0].effect.cause();
-        println!("{:28} {largest:7.3} nm of {moved:8.3} µm", cause.name());
-        assert_eq!(moved > 0.01, cause.is_compensated(), "{text}: {moved} µm");
+        let effect = &machine.terms[0].effect;
+        println!("{:28} {largest:7.3} nm of {moved:8.3} µm", effect.name());
+        assert_eq!(moved > 0.01, effect.is_compensated(), "{text}: {moved} µm");
         // Half a nanometre is the reading's and the result's rounding; heat is stepped at 100 ms.
         assert!(largest < 6.0, "{text}: {largest} nm");
         worst = worst.max(largest);
@@ -424,7 +425,7 @@ fn a_constant_alone_shifts_the_prediction() {
     let term = Term {
         quantity: Quantity::Dy,
         constant_um: 2.5,
-        effect: Effect::Outliers { fraction: 0.0 },
+        effect: Effect::Outliers(Outliers { fraction: 0.0 }),
     };
     assert_near(&predicted("", &written(&[term]), Quantity::Dy, "y_mm\n1\n2\n"), &[2.5, 2.5]);
 }

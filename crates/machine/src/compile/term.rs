@@ -16,7 +16,8 @@ use super::{
     compile_pitch, compile_squareness, curve::OwnedCurve, heat, linear, rounded,
 };
 use crate::{
-    file::{self, Effect as Cause, Machine, Wave},
+    effect::{Heat, OnBoard, Wave},
+    file::{self, Machine},
     place::BadInput,
 };
 
@@ -70,13 +71,13 @@ pub(super) fn terms(machine: &Machine, account: &mut Account<'_>) -> Result<Vec<
             None => Target::Elongation,
             Some(axis) => Target::Axis(linear(axis)),
         };
-        let offset_um = match term.effect {
-            Cause::SensorOffset { offset_um } => offset_um,
-            _ => 0.0,
-        };
+        let forms = term.effect.on_board();
+        let offset_um: f64 =
+            forms.iter().map(|form| if let OnBoard::Offset(um) = form { *um } else { 0.0 }).sum();
         let constant = account.take(&key, fine(term.constant_um + offset_um))?;
         let before = owned.len();
-        for effect in effects(machine, &key, term, account)? {
+        for form in &forms {
+            let Some(effect) = effect(machine, &key, term, form, account)? else { continue };
             // The constant comes once.
             let constant = if owned.len() == before { constant } else { Fine::ZERO };
             owned.push(Owned { target, constant, effect });
@@ -96,45 +97,28 @@ pub(super) fn terms(machine: &Machine, account: &mut Account<'_>) -> Result<Vec<
 /// Number and largest difference from the model in nm, or why the board cannot.
 type Made<T> = Result<(T, f64), String>;
 
-fn effects(
+/// A form as the board runs it; none: the constant alone.
+fn effect(
     machine: &Machine,
     key: &str,
     term: &file::Term,
+    form: &OnBoard,
     account: &mut Account<'_>,
-) -> Result<Vec<OwnedEffect>, BadInput> {
-    let heat = |column: &str, um_per_c: f64, time_constant_s: f64, reference_c: f64| {
-        let channel = channel(machine, key, column)?;
-        let made = || {
-            let (per_temperature, nm) = scaled(
-                um_per_c * FINE_PER_UM / f64::from(Temperature::PER_KELVIN),
-                CHECKED_K * f64::from(Temperature::PER_KELVIN),
-            )?;
-            let reference = heat::temperature(reference_c)
-                .ok_or_else(|| format!("{reference_c} °C is beyond the board's ±524 °C"))?;
-            let smoothing = heat::smoothing_factor(time_constant_s)?;
-            Ok((Effect::Heat { channel, smoothing, reference, per_temperature }, nm))
-        };
-        Ok(made())
-    };
-    let made: Made<Effect<'static>> = match &term.effect {
-        Cause::SensorGain { gain } | Cause::GrowthAmplitude { scale: gain } => {
+) -> Result<Option<OwnedEffect>, BadInput> {
+    let made: Made<Effect<'static>> = match form {
+        OnBoard::Offset(_) => return Ok(None),
+        OnBoard::Gain(gain) => {
             scaled(gain - 1.0, CHECKED_UM * FINE_PER_UM).map(|(m, nm)| (Effect::Gain(m), nm))
         }
-        Cause::SensorCurvature { per_um } => {
+        OnBoard::Curvature(per_um) => {
             let square = (CHECKED_UM * FINE_PER_UM).powi(2) / TWO_24;
             scaled(per_um / FINE_PER_UM * TWO_24, square).map(|(m, nm)| (Effect::Curvature(m), nm))
         }
-        Cause::SensorSaturation { limit_um } => {
+        OnBoard::Saturation(limit_um) => {
             fine(*limit_um).map(|(limit, nm)| (Effect::Saturation(limit), nm))
         }
-        Cause::SensorTemperatureDrift { column, um_per_c, reference_c } => {
-            heat(column, *um_per_c, 0.0, *reference_c)?
-        }
-        Cause::SlowModeOf { column, um_per_c, time_constant_s, reference_c }
-        | Cause::ExtraHeatPath { column, um_per_c, time_constant_s, reference_c } => {
-            heat(column, *um_per_c, *time_constant_s, *reference_c)?
-        }
-        Cause::SlowMode { amplitude_um, time_constant_s, .. } => {
+        OnBoard::Heat(it) => heat(channel(machine, key, &it.column)?, it),
+        OnBoard::Time { amplitude_um, time_constant_s, .. } => {
             let one = f64::from(UNIT_STEP);
             scaled(amplitude_um * FINE_PER_UM / one, one).and_then(|(amplitude, nm)| {
                 Ok((
@@ -146,55 +130,49 @@ fn effects(
                 ))
             })
         }
-        Cause::CentrifugalGrowth { um_per_krpm2 } => {
+        OnBoard::Speed(um_per_krpm2) => {
             scaled(um_per_krpm2 * FINE_PER_UM / 1e6, CHECKED_RPM * CHECKED_RPM)
                 .map(|(m, nm)| (Effect::Speed(m), nm))
         }
-        Cause::CuttingLoad { um_per_n } => {
-            scaled(-um_per_n * FINE_PER_UM / PARTS_OF_N, CHECKED_N * PARTS_OF_N)
+        OnBoard::Load(um_per_n) => {
+            scaled(um_per_n * FINE_PER_UM / PARTS_OF_N, CHECKED_N * PARTS_OF_N)
                 .map(|(m, nm)| (Effect::Load(m), nm))
         }
-        // The constant alone.
-        Cause::PitchScale { um_per_m: 0.0 } => return Ok(Vec::new()),
-        Cause::PitchScale { um_per_m } => {
+        OnBoard::OwnPosition(um_per_m) => {
             let own = term.quantity.axis().ok_or("belongs to dx, dy or dz");
             own.map_err(String::from).and_then(|own| position(own, *um_per_m))
         }
-        Cause::CrossAxis { axis, um_per_m } => position(*axis, *um_per_m),
-        Cause::Backlash { width_um } => fine(*width_um)
+        OnBoard::Position { axis, um_per_m } => position(*axis, *um_per_m),
+        OnBoard::Reversed { width_um, um_per_m: 0.0 } => fine(*width_um)
             .map(|(width, nm)| (Effect::Reversed { width, gradient: Gradient::ZERO }, nm)),
-        Cause::PositionDependentBacklash { um_per_m } => compile_squareness(*um_per_m)
-            .map(|(gradient, nm)| (Effect::Reversed { width: Fine::ZERO, gradient }, nm)),
-        Cause::PitchError(pitch) => {
-            let tables = account.take(key, compile_pitch(pitch))?;
-            return Ok(vec![OwnedEffect::Table(tables)]);
+        OnBoard::Reversed { width_um, um_per_m } => fine(*width_um).and_then(|(width, nm)| {
+            let (gradient, more_nm) = compile_squareness(*um_per_m)?;
+            Ok((Effect::Reversed { width, gradient }, nm + more_nm))
+        }),
+        OnBoard::Table(pitch) => {
+            return Ok(Some(OwnedEffect::Table(account.take(key, compile_pitch(pitch))?)));
         }
-        Cause::Straightness { along, spline } => {
+        OnBoard::Curve(along, spline) => {
             let curve = account.take(key, compile_curve(spline))?;
-            return Ok(vec![OwnedEffect::Curve(*along, curve)]);
+            return Ok(Some(OwnedEffect::Curve(*along, curve)));
         }
-        Cause::PitchPeriodic { period_mm, waves } => {
-            let mut effects = Vec::new();
-            for one in waves {
-                let effect = account.take(key, wave(*period_mm, one))?;
-                effects.push(OwnedEffect::Plain(effect));
-            }
-            return Ok(effects);
+        &OnBoard::Wave { period_mm, harmonic, amplitude_um, phase_deg } => {
+            wave(period_mm, Wave { harmonic, amplitude_um, phase_deg })
         }
-        // A constant, corrected in the machine, or not for the board.
-        Cause::SensorOffset { .. }
-        | Cause::ThermalLag { .. }
-        | Cause::GrowthRate { .. }
-        | Cause::CoolingAsymmetry { .. }
-        | Cause::ExpansionSlope { .. }
-        | Cause::ReferenceTemperature { .. }
-        | Cause::TimeShift { .. }
-        | Cause::Step { .. }
-        | Cause::Drift { .. }
-        | Cause::Outliers { .. }
-        | Cause::ReferenceInstrument { .. } => return Ok(Vec::new()),
     };
-    Ok(vec![OwnedEffect::Plain(account.take(key, made)?)])
+    Ok(Some(OwnedEffect::Plain(account.take(key, made)?)))
+}
+
+fn heat(channel: u8, it: &Heat) -> Made<Effect<'static>> {
+    let (per_temperature, nm) = scaled(
+        it.um_per_c * FINE_PER_UM / f64::from(Temperature::PER_KELVIN),
+        CHECKED_K * f64::from(Temperature::PER_KELVIN),
+    )?;
+    let reference_c = it.reference_c;
+    let reference = heat::temperature(reference_c)
+        .ok_or_else(|| format!("{reference_c} °C is beyond the board's ±524 °C"))?;
+    let smoothing = heat::smoothing_factor(it.time_constant_s)?;
+    Ok((Effect::Heat { channel, smoothing, reference, per_temperature }, nm))
 }
 
 pub(crate) const TWO_24: f64 = (1_u64 << 24) as f64;
@@ -227,7 +205,7 @@ fn position(axis: file::LinearAxis, um_per_m: f64) -> Made<Effect<'static>> {
 }
 
 /// One wave, and its largest difference from the model over the board's ±21 m, in nm.
-fn wave(period_mm: f64, wave: &Wave) -> Made<Effect<'static>> {
+fn wave(period_mm: f64, wave: Wave) -> Made<Effect<'static>> {
     let turns_per_unit = f64::from(wave.harmonic) / (period_mm * UNITS_PER_MM);
     // f64 holds 53 bits of the 64: 21 m of 10 nm are 31, so that 2⁻²² turns are left.
     let turns = (turns_per_unit * 2_f64.powi(64)).round();

@@ -317,7 +317,7 @@ fn read_pitch_alone(section: &Section<'_>) -> Result<Pitch, BadInput> {
 const PITCH_KEYS: [&str; 4] = ["start_mm", "step_mm", "forward_um", "reverse_um"];
 
 /// A position table among the keys of `section`, which may have others.
-pub(super) fn read_pitch(section: &Section<'_>) -> Result<Pitch, BadInput> {
+pub(crate) fn read_pitch(section: &Section<'_>) -> Result<Pitch, BadInput> {
     let start_mm = section.required("start_mm", section.number("start_mm")?)?;
     let step_mm = section.required("step_mm", section.positive("step_mm")?)?;
     let forward_um = section.required("forward_um", section.numbers("forward_um")?)?;

@@ -159,7 +159,7 @@ pub(super) fn read_straightness(section: &Section<'_>) -> Result<Vec<Straightnes
 }
 
 /// A spline among the keys of `section`, which may have others.
-pub(super) fn read_spline(section: &Section<'_>) -> Result<BSpline, BadInput> {
+pub(crate) fn read_spline(section: &Section<'_>) -> Result<BSpline, BadInput> {
     let order = section.required("order", section.whole("order", 0, u32::MAX)?)?;
     let knots_mm = section.required("knots_mm", section.numbers("knots_mm")?)?;
     let control_um = section.required("control_um", section.numbers("control_um")?)?;

@@ -7,7 +7,8 @@
 
 use crate::{
     Machine,
-    file::{Effect, LinearAxis, Pitch},
+    effect::OnBoard,
+    file::{LinearAxis, Pitch},
 };
 
 /// Travel that a backlash which grows with the position is reckoned for, in m: the wire's.
@@ -32,11 +33,13 @@ pub fn over_compensation_um(machine: &Machine, axis: LinearAxis) -> f64 {
     let tables = pitches.map(table_um).fold(0.0, f64::max);
     let backlash = own.backlash.as_ref().map_or(0.0, |backlash| -backlash.width_um).max(0.0);
     let of_axis = machine.terms.iter().filter(|term| term.quantity.axis() == Some(axis));
-    let terms: f64 = of_axis
-        .map(|term| match &term.effect {
-            Effect::PitchError(pitch) => table_um(pitch),
-            Effect::Backlash { width_um } => (-width_um).max(0.0),
-            Effect::PositionDependentBacklash { um_per_m } => um_per_m.abs() * LARGEST_TRAVEL_M,
+    let forms = of_axis.flat_map(|term| term.effect.on_board());
+    let terms: f64 = forms
+        .map(|form| match form {
+            OnBoard::Table(pitch) => table_um(&pitch),
+            OnBoard::Reversed { width_um, um_per_m } => {
+                (-width_um).max(0.0) + um_per_m.abs() * LARGEST_TRAVEL_M
+            }
             _ => 0.0,
         })
         .sum();

@@ -35,30 +35,65 @@ use crate::file::{BSpline, Squareness};
 /// ```
 #[must_use]
 pub fn spline_um(spline: &BSpline, position_mm: f64) -> f64 {
-    let BSpline { order, knots_mm: knots, control_um: control } = spline;
-    let (order, count) = (*order, control.len());
-    let is_sound = (2..=4).contains(&order) && count >= order && knots.len() == count + order;
-    let (Some(&first), Some(&last)) = (knots.first(), knots.last()) else { return f64::NAN };
-    if !is_sound || position_mm.is_nan() || first.is_nan() || last.is_nan() || first > last {
-        return f64::NAN;
-    }
-    let t = position_mm.clamp(first, last);
-    let degree = order - 1;
-    // The last span is closed: its right end is inside.
-    let span = knots.partition_point(|&knot| knot <= t).saturating_sub(1).clamp(degree, count - 1);
-
-    // d_{s−p} … d_s of the module's recurrence.
+    let Some(at) = Segment::of(spline, position_mm) else { return f64::NAN };
     let mut d = [0.0; 4];
-    d[..order].copy_from_slice(&control[span - degree..=span]);
-    for round in 1..order {
-        for i in (round..order).rev() {
-            let j = span - degree + i;
-            let (left, right) = (knots[j], knots[j + order - round]);
-            let share = (t - left) / (right - left);
-            d[i] = (1.0 - share) * d[i - 1] + share * d[i];
+    d[..spline.order].copy_from_slice(&spline.control_um[at.first..at.first + spline.order]);
+    at.de_boor(spline, d)
+}
+
+/// How much each control point weighs at `position_mm`: the number of the first of as many as the
+/// order says, and their weights, which add up to 1. All NaN where [`spline_um`] is.
+#[must_use]
+pub fn spline_weights(spline: &BSpline, position_mm: f64) -> (usize, [f64; 4]) {
+    let Some(at) = Segment::of(spline, position_mm) else { return (0, [f64::NAN; 4]) };
+    let weight = |number: usize| {
+        let mut d = [0.0; 4];
+        d[number] = 1.0;
+        at.de_boor(spline, d)
+    };
+    let mut weights = [0.0; 4];
+    weights.iter_mut().enumerate().take(spline.order).for_each(|(n, it)| *it = weight(n));
+    (at.first, weights)
+}
+
+/// The knot span that holds a position.
+struct Segment {
+    /// The position, inside the knots.
+    t: f64,
+    /// s − p: the first control point that weighs there.
+    first: usize,
+}
+
+impl Segment {
+    fn of(spline: &BSpline, position_mm: f64) -> Option<Self> {
+        let BSpline { order, knots_mm: knots, control_um: control } = spline;
+        let (order, count) = (*order, control.len());
+        let is_sound = (2..=4).contains(&order) && count >= order && knots.len() == count + order;
+        let (&first, &last) = (knots.first()?, knots.last()?);
+        if !is_sound || position_mm.is_nan() || first.is_nan() || last.is_nan() || first > last {
+            return None;
         }
+        let t = position_mm.clamp(first, last);
+        let degree = order - 1;
+        // The last span is closed: its right end is inside.
+        let span =
+            knots.partition_point(|&knot| knot <= t).saturating_sub(1).clamp(degree, count - 1);
+        Some(Self { t, first: span - degree })
     }
-    d[degree]
+
+    /// The module's recurrence on d_{s−p} … d_s.
+    fn de_boor(&self, spline: &BSpline, mut d: [f64; 4]) -> f64 {
+        let (order, knots) = (spline.order, &spline.knots_mm);
+        for round in 1..order {
+            for i in (round..order).rev() {
+                let j = self.first + i;
+                let (left, right) = (knots[j], knots[j + order - round]);
+                let share = (self.t - left) / (right - left);
+                d[i] = (1.0 - share) * d[i - 1] + share * d[i];
+            }
+        }
+        d[order - 1]
+    }
 }
 
 /// The error in µm of an angle between two axes, at `along_mm` on the second one.

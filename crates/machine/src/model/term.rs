@@ -2,12 +2,16 @@
 //!
 //! Some correct a constant of the model. They are folded into the machine before it is stepped
 //! ([`corrected`]); the others take p and give a new one row by row, in the order of the file. The
-//! formulas stand with [`Effect`]. A value that a term needs and that is missing (NaN) makes p NaN.
+//! formulas stand on the pages of the [causes](crate::effect). A value that a term needs and that is
+//! missing (NaN) makes p NaN.
 
-use std::{borrow::Cow, f64::consts::TAU};
+use std::borrow::Cow;
 
-use super::{Lag, Situation, is_reverse, pitch_um, spline_um};
-use crate::file::{Effect, LinearAxis, Machine, Quantity, Term, Wave};
+use super::{Lag, Situation};
+use crate::{
+    effect::{Constants, Input, Quantity, Stage},
+    file::{LinearAxis, Machine, Term},
+};
 
 /// The time constants of lags while what they follow falls; `None`: the same as while it rises.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -18,9 +22,6 @@ pub struct Falling {
     pub axes_s: [Option<f64>; 3],
 }
 
-/// So large an exponent makes the warm-up an exponential without an end: 1 − e^(−40) is 1.
-const ENDLESS: f64 = 40.0;
-
 /// The machine with the constants that its terms say are right.
 ///
 /// A warm-up's `cool_s` that is not written follows its rate of heating, corrected or not.
@@ -28,50 +29,26 @@ const ENDLESS: f64 = 40.0;
 pub fn corrected(machine: Cow<'_, Machine>) -> (Cow<'_, Machine>, Falling) {
     let mut corrected = machine;
     let mut falling = Falling::default();
+    let corrects = |term: &Term| matches!(term.effect.stage(), Stage::Constant | Stage::Falling);
     for index in 0..corrected.terms.len() {
-        let Term { quantity, effect, .. } = &corrected.terms[index];
-        let axis = quantity.axis().map(LinearAxis::index);
-        match *effect {
-            Effect::ThermalLag { time_constant_s } => {
-                let machine = corrected.to_mut();
-                let spindle = machine.spindle.temperature.as_mut().map(|model| &mut model.lag_s);
-                let lag_s = match axis {
-                    None => spindle,
-                    Some(axis) => machine.axes[axis].thermal.as_mut().map(|it| &mut it.lag_s),
-                };
-                if let Some(lag_s) = lag_s {
-                    *lag_s = time_constant_s;
-                }
-            }
-            Effect::GrowthRate { time_constant_s } => {
-                if let Some(warmup) = &mut corrected.to_mut().spindle.warmup {
-                    warmup.exponent = ENDLESS;
-                    warmup.warm_s = warmup.lag_s + ENDLESS * time_constant_s;
-                }
-            }
-            Effect::CoolingAsymmetry { time_constant_s } => match axis {
-                Some(axis) => falling.axes_s[axis] = Some(time_constant_s),
-                None => {
-                    falling.spindle_s = Some(time_constant_s);
-                    if let Some(warmup) = &mut corrected.to_mut().spindle.warmup {
-                        warmup.cool_s = Some(time_constant_s);
-                    }
-                }
-            },
-            Effect::ExpansionSlope { um_per_m_per_c } => {
-                let thermal = axis.and_then(|axis| corrected.to_mut().axes[axis].thermal.as_mut());
-                if let Some(thermal) = thermal {
-                    thermal.slope_um_per_m_per_c = um_per_m_per_c;
-                }
-            }
-            Effect::ReferenceTemperature { shift_c } => {
-                let thermal = axis.and_then(|axis| corrected.to_mut().axes[axis].thermal.as_mut());
-                if let Some(thermal) = thermal {
-                    thermal.shift_reference(shift_c);
-                }
-            }
-            _ => {}
+        if !corrects(&corrected.terms[index]) {
+            continue;
         }
+        let Term { quantity, effect, .. } = corrected.terms[index].clone();
+        let Machine { spindle, axes, .. } = corrected.to_mut();
+        let mut constants = match quantity.axis().map(LinearAxis::index) {
+            None => Constants {
+                spindle: Some(spindle),
+                thermal: None,
+                falling_s: &mut falling.spindle_s,
+            },
+            Some(axis) => Constants {
+                spindle: None,
+                thermal: axes[axis].thermal.as_mut(),
+                falling_s: &mut falling.axes_s[axis],
+            },
+        };
+        effect.correct(&mut constants);
     }
     (corrected, falling)
 }
@@ -101,94 +78,37 @@ impl TermLags {
 }
 
 fn changed(term: &Term, lag: &mut Lag, time_s: f64, situation: &Situation<'_>, p_um: f64) -> f64 {
-    let of = |axis: LinearAxis| situation.position_mm[axis.index()];
-    let position_mm = || term.quantity.axis().map_or(f64::NAN, of);
-    let direction = || term.quantity.axis().map_or(1.0, |axis| situation.direction[axis.index()]);
-    let reversed = |um: f64| if is_reverse(direction()) { um } else { 0.0 };
-    p_um + match &term.effect {
-        Effect::SensorOffset { offset_um } => *offset_um,
-        Effect::SensorGain { gain } | Effect::GrowthAmplitude { scale: gain } => {
-            (gain - 1.0) * p_um
-        }
-        Effect::SensorCurvature { per_um } => per_um * p_um * p_um,
-        // Not min(): a missing p stays missing.
-        Effect::SensorSaturation { limit_um } if p_um > *limit_um => limit_um - p_um,
-        Effect::SensorTemperatureDrift { column, um_per_c, reference_c } => {
-            um_per_c * (situation.temperature_c(column) - reference_c)
-        }
-        Effect::SlowMode { amplitude_um, time_constant_s, start_s } => {
-            // NaN stays NaN, which max() would lose.
-            let since_s = time_s - start_s;
-            let since_s = if since_s < 0.0 { 0.0 } else { since_s };
-            -amplitude_um * (-since_s / time_constant_s).exp_m1()
-        }
-        Effect::SlowModeOf { column, um_per_c, time_constant_s, reference_c }
-        | Effect::ExtraHeatPath { column, um_per_c, time_constant_s, reference_c } => {
-            let temperature_c = situation.temperature_c(column);
-            um_per_c * (lag.step(*time_constant_s, time_s, temperature_c) - reference_c)
-        }
-        Effect::CentrifugalGrowth { um_per_krpm2 } => {
-            um_per_krpm2 * (situation.spindle_rpm.unwrap_or(f64::NAN) / 1000.0).powi(2)
-        }
-        Effect::CuttingLoad { um_per_n } => -um_per_n * situation.load_n.unwrap_or(f64::NAN),
-        Effect::PitchScale { um_per_m } => um_per_m * position_mm() / 1000.0,
-        Effect::PitchError(pitch) => pitch_um(pitch, position_mm(), direction()),
-        Effect::PitchPeriodic { period_mm, waves } => waves_um(waves, position_mm() / period_mm),
-        Effect::Backlash { width_um } => reversed(*width_um),
-        Effect::PositionDependentBacklash { um_per_m } => {
-            reversed(um_per_m * position_mm() / 1000.0)
-        }
-        Effect::Straightness { along, spline } => spline_um(spline, of(*along)),
-        Effect::CrossAxis { axis, um_per_m } => um_per_m * of(*axis) / 1000.0,
-        Effect::Step { at_s, size_um } => {
-            if time_s.is_nan() {
-                f64::NAN
-            } else if time_s >= *at_s {
-                *size_um
-            } else {
-                0.0
-            }
-        }
-        Effect::Drift { um_per_h } => um_per_h * time_s / 3600.0,
-        Effect::ReferenceInstrument { period_mm, origin_mm, waves, .. } if !waves.is_empty() => {
-            let turns = match origin_mm {
-                None => position_mm() / period_mm,
-                Some(origin_mm) => period_mm / (position_mm() + origin_mm),
-            };
-            waves_um(waves, turns)
-        }
-        // Folded into the machine, applied to the whole run, or without an effect.
-        Effect::SensorSaturation { .. }
-        | Effect::TimeShift { .. }
-        | Effect::ThermalLag { .. }
-        | Effect::GrowthRate { .. }
-        | Effect::CoolingAsymmetry { .. }
-        | Effect::ExpansionSlope { .. }
-        | Effect::ReferenceTemperature { .. }
-        | Effect::Outliers { .. }
-        | Effect::ReferenceInstrument { .. } => 0.0,
+    let Term { effect, quantity, .. } = term;
+    if matches!(effect.stage(), Stage::Constant | Stage::Falling | Stage::Shift) {
+        return p_um;
     }
-}
-
-/// Σ aᵢ·sin(2π·hᵢ·turns + φᵢ).
-fn waves_um(waves: &[Wave], turns: f64) -> f64 {
-    let wave = |wave: &Wave| {
-        let phase = TAU * f64::from(wave.harmonic) * turns + wave.phase_deg.to_radians();
-        wave.amplitude_um * phase.sin()
+    let of = |axis: LinearAxis| situation.position_mm[axis.index()];
+    let values = effect.values();
+    let mut read = |input: &Input<'_>| match *input {
+        Input::Predicted => p_um,
+        Input::Time => time_s,
+        Input::Temperature { column, lag_s } => {
+            lag.step(lag_s, time_s, situation.temperature_c(column))
+        }
+        Input::Speed => situation.spindle_rpm.unwrap_or(f64::NAN),
+        Input::Load => situation.load_n.unwrap_or(f64::NAN),
+        Input::OwnPosition => quantity.axis().map_or(f64::NAN, of),
+        Input::OwnDirection => {
+            quantity.axis().map_or(1.0, |axis| situation.direction[axis.index()])
+        }
+        Input::Position(axis) => of(axis),
+        // Of what a diagnosis reads to find the error of an instrument no prediction is made.
+        Input::Believed | Input::Column(_) => f64::NAN,
     };
-    waves.iter().map(wave).sum()
+    let x: Vec<f64> = effect.reads().iter().map(&mut read).collect();
+    p_um + effect.at_row(&values, &x)
 }
 
-/// The shift in s of the predictions of `quantity`: the sum of its `time-shift` terms.
+/// The shift in s of the predictions of `quantity`: the sum of its terms'.
 #[must_use]
 pub fn time_shift_s(terms: &[Term], quantity: Quantity) -> f64 {
-    let shifts = terms.iter().filter(|term| term.quantity == quantity);
-    shifts
-        .filter_map(|term| match term.effect {
-            Effect::TimeShift { shift_s } => Some(shift_s),
-            _ => None,
-        })
-        .sum()
+    let of_quantity = terms.iter().filter(|term| term.quantity == quantity);
+    of_quantity.map(|term| term.effect.shift_s()).sum()
 }
 
 /// A series at t − shift for each of its own times: linear between the rows that have both, the
@@ -238,32 +158,5 @@ pub fn shifted(time_s: &[f64], values: &[f64], shift_s: f64) -> Vec<f64> {
 
 /// The columns that the terms need and that may be missing in a run.
 pub(super) fn columns(terms: &[Term]) -> Vec<String> {
-    let mut columns = Vec::new();
-    for term in terms {
-        let own = || term.quantity.axis().map(|axis| format!("{}_mm", axis.name()));
-        match &term.effect {
-            Effect::SensorTemperatureDrift { column, .. } => columns.push(column.clone()),
-            Effect::SlowModeOf { column, time_constant_s, .. }
-            | Effect::ExtraHeatPath { column, time_constant_s, .. } => {
-                columns.push(column.clone());
-                columns.extend((*time_constant_s != 0.0).then(|| "time_s".to_string()));
-            }
-            Effect::TimeShift { .. }
-            | Effect::SlowMode { .. }
-            | Effect::Step { .. }
-            | Effect::Drift { .. } => columns.push("time_s".to_string()),
-            Effect::CentrifugalGrowth { .. } => columns.push("spindle_rpm".to_string()),
-            Effect::CuttingLoad { .. } => columns.push("load_n".to_string()),
-            Effect::PitchScale { .. }
-            | Effect::PitchError(_)
-            | Effect::PitchPeriodic { .. }
-            | Effect::PositionDependentBacklash { .. } => columns.extend(own()),
-            Effect::ReferenceInstrument { waves, .. } if !waves.is_empty() => columns.extend(own()),
-            Effect::Straightness { along: axis, .. } | Effect::CrossAxis { axis, .. } => {
-                columns.push(format!("{}_mm", axis.name()));
-            }
-            _ => {}
-        }
-    }
-    columns
+    terms.iter().flat_map(|term| term.effect.needed_columns(term.quantity)).collect()
 }

@@ -1,7 +1,7 @@
 //! The board's terms back to `[[term]]` tables.
 //!
-//! A calibration does not know which of two causes with the same formula it came from: heat is shown
-//! as an `extra-heat-path`, a gain as a `sensor-gain`, each wave as a `pitch-periodic` of its own.
+//! A calibration does not know which of two causes with the same formula it came from: a form is shown
+//! as the first of the list that has it, each wave on its own.
 //! What was corrected in the machine's constants is shown there.
 
 use std::fmt::Write as _;
@@ -10,15 +10,18 @@ use trueup_core::{
     calibration::Calibration,
     cnc::LinearAxis,
     term::{Effect, Scaled, Target, Term, UNIT_STEP},
-    units::Fine,
 };
 
 use super::{
     FINE_PER_NM, FINE_PER_UM, GRADIENT_PER_UM_PER_M, PER_KELVIN, UNITS_PER_MM, Written, column,
-    curve_difference, fewest_decimals, is_smoothing, metre_of, name_of, time_constant_s,
-    write_curve, write_pitch, written, written_time_constant_s,
+    curve_difference, fewest_decimals, is_smoothing, metre_of, read_curve, read_pitch,
+    time_constant_s, written, written_time_constant_s,
 };
-use crate::compile::term::{PARTS_OF_N, TWO_24, scaled};
+use crate::{
+    compile::term::{PARTS_OF_N, TWO_24, scaled},
+    effect::{Heat, OnBoard, Quantity},
+    file::{self, write::Edit},
+};
 
 /// Lags that fall at another rate than they rise.
 pub(super) fn write_falling(toml: &mut String, calibration: &Calibration<'_>) -> Written {
@@ -41,103 +44,66 @@ pub(super) fn write_falling(toml: &mut String, calibration: &Calibration<'_>) ->
 }
 
 pub(super) fn write(toml: &mut String, term: &Term<'_>) -> Written {
-    let own = match term.target {
+    let axis_of = |axis: &LinearAxis| file::LinearAxis::ALL[*axis as usize];
+    let own = match &term.target {
         Target::Elongation => None,
-        Target::Axis(axis) => Some(axis),
+        Target::Axis(axis) => Some(axis_of(axis)),
     };
-    let quantity = own.map_or("elongation", |axis| match axis {
-        LinearAxis::X => "dx",
-        LinearAxis::Y => "dy",
-        LinearAxis::Z => "dz",
-    });
-    let head = |toml: &mut String, cause: &str| -> Written {
-        writeln!(toml, "\n[[term]]\ncause = \"{cause}\"\nquantity = \"{quantity}\"")?;
-        match term.constant {
-            Fine::ZERO => Ok(()),
-            constant => writeln!(toml, "constant_um = {:?}", written(constant.0, FINE_PER_UM)),
-        }
-    };
-    match &term.effect {
-        Effect::Offset if own.is_none() => {
-            writeln!(toml, "\n[[term]]\ncause = \"sensor-offset\"\nquantity = \"{quantity}\"")?;
-            writeln!(toml, "offset_um = {:?}", written(term.constant.0, FINE_PER_UM))
-        }
-        Effect::Offset => {
-            head(toml, "pitch-scale")?;
-            writeln!(toml, "um_per_m = 0.0")
-        }
+    let quantity = own.map_or(Quantity::Elongation, Quantity::of_axis);
+    let mut constant_um = written(term.constant.0, FINE_PER_UM);
+    let form = match &term.effect {
+        Effect::Offset => OnBoard::Offset(0.0),
         Effect::Gain(m) => {
-            head(toml, "sensor-gain")?;
-            let gain = fewest_decimals(1.0 + value(*m), |gain| is(gain - 1.0, *m));
-            writeln!(toml, "gain = {gain:?}")
+            OnBoard::Gain(fewest_decimals(1.0 + value(*m), |gain| is(gain - 1.0, *m)))
         }
-        Effect::Curvature(m) => {
-            head(toml, "sensor-curvature")?;
-            writeln!(toml, "per_um = {:?}", number(*m, TWO_24 / FINE_PER_UM))
-        }
-        Effect::Saturation(limit) => {
-            head(toml, "sensor-saturation")?;
-            writeln!(toml, "limit_um = {:?}", written(limit.0, FINE_PER_UM))
-        }
-        Effect::Heat { channel, smoothing, reference, per_temperature } => {
-            head(toml, "extra-heat-path")?;
-            writeln!(toml, "column = \"{}\"", column(channel))?;
-            writeln!(toml, "um_per_c = {:?}", number(*per_temperature, FINE_PER_UM / PER_KELVIN))?;
-            writeln!(toml, "time_constant_s = {:?}", written_time_constant_s(*smoothing))?;
-            writeln!(toml, "reference_c = {:?}", written(reference.0, PER_KELVIN))
-        }
-        Effect::Time { smoothing, amplitude } => {
-            head(toml, "slow-mode")?;
-            let amplitude_um = number(*amplitude, FINE_PER_UM / f64::from(UNIT_STEP));
-            writeln!(toml, "amplitude_um = {amplitude_um:?}")?;
-            writeln!(toml, "time_constant_s = {:?}", written_time_constant_s(*smoothing))
-        }
-        Effect::Speed(m) => {
-            head(toml, "centrifugal-growth")?;
-            writeln!(toml, "um_per_krpm2 = {:?}", number(*m, FINE_PER_UM / 1e6))
-        }
-        Effect::Load(m) => {
-            head(toml, "cutting-load")?;
-            writeln!(toml, "um_per_n = {:?}", number(*m, -FINE_PER_UM / PARTS_OF_N))
-        }
+        Effect::Curvature(m) => OnBoard::Curvature(number(*m, TWO_24 / FINE_PER_UM)),
+        Effect::Saturation(limit) => OnBoard::Saturation(written(limit.0, FINE_PER_UM)),
+        Effect::Heat { channel, smoothing, reference, per_temperature } => OnBoard::Heat(Heat {
+            column: column(channel).to_string(),
+            um_per_c: number(*per_temperature, FINE_PER_UM / PER_KELVIN),
+            time_constant_s: written_time_constant_s(*smoothing),
+            reference_c: written(reference.0, PER_KELVIN),
+        }),
+        Effect::Time { smoothing, amplitude } => OnBoard::Time {
+            amplitude_um: number(*amplitude, FINE_PER_UM / f64::from(UNIT_STEP)),
+            time_constant_s: written_time_constant_s(*smoothing),
+            start_s: 0.0,
+        },
+        Effect::Speed(m) => OnBoard::Speed(number(*m, FINE_PER_UM / 1e6)),
+        Effect::Load(m) => OnBoard::Load(number(*m, FINE_PER_UM / PARTS_OF_N)),
         Effect::Position { axis, gradient } => {
-            let um_per_m = written(gradient.0, GRADIENT_PER_UM_PER_M);
-            if own == Some(*axis) {
-                head(toml, "pitch-scale")?;
+            let (axis, um_per_m) = (axis_of(axis), written(gradient.0, GRADIENT_PER_UM_PER_M));
+            if own == Some(axis) {
+                OnBoard::OwnPosition(um_per_m)
             } else {
-                head(toml, "cross-axis")?;
-                writeln!(toml, "axis = \"{}\"", name_of(*axis))?;
+                OnBoard::Position { axis, um_per_m }
             }
-            writeln!(toml, "um_per_m = {um_per_m:?}")
         }
-        Effect::Reversed { width, gradient } if gradient.0 == 0 => {
-            head(toml, "backlash")?;
-            writeln!(toml, "width_um = {:?}", written(width.0, FINE_PER_UM))
-        }
-        Effect::Reversed { gradient, .. } => {
-            head(toml, "position-dependent-backlash")?;
-            writeln!(toml, "um_per_m = {:?}", written(gradient.0, GRADIENT_PER_UM_PER_M))
-        }
-        Effect::Table(pitch) => {
-            head(toml, "pitch-error")?;
-            write_pitch(toml, pitch)
-        }
-        Effect::Curve { axis, curve } => {
-            head(toml, "straightness")?;
-            writeln!(toml, "along = \"{}\"", name_of(*axis))?;
-            write_curve(toml, curve)
-        }
+        Effect::Reversed { width, gradient } => OnBoard::Reversed {
+            width_um: written(width.0, FINE_PER_UM),
+            um_per_m: written(gradient.0, GRADIENT_PER_UM_PER_M),
+        },
+        Effect::Table(pitch) => OnBoard::Table(read_pitch(pitch)),
+        Effect::Curve { axis, curve } => OnBoard::Curve(axis_of(axis), read_curve(curve)),
         Effect::Wave { turns, phase, amplitude } => {
-            head(toml, "pitch-periodic")?;
             let period_mm = 2_f64.powi(64) / (*turns as f64 * UNITS_PER_MM);
-            let period_mm = fewest_decimals(period_mm, |mm| {
-                (2_f64.powi(64) / (mm * UNITS_PER_MM)).round() == *turns as f64
-            });
-            writeln!(toml, "period_mm = {period_mm:?}\nharmonic = 1")?;
-            writeln!(toml, "amplitude_um = {:?}", written(amplitude.0, FINE_PER_UM))?;
-            writeln!(toml, "phase_deg = {:?}", written(*phase, 2_f64.powi(32) / 360.0))
+            OnBoard::Wave {
+                period_mm: fewest_decimals(period_mm, |mm| {
+                    (2_f64.powi(64) / (mm * UNITS_PER_MM)).round() == *turns as f64
+                }),
+                harmonic: 1,
+                amplitude_um: written(amplitude.0, FINE_PER_UM),
+                phase_deg: written(*phase, 2_f64.powi(32) / 360.0),
+            }
         }
+    };
+    // Each form has a cause that it is shown as (tested).
+    if let Some(effect) = file::Effect::from_board(own, &form, &mut constant_um) {
+        let term = file::Term { quantity, constant_um, effect };
+        let edit = Edit { appended: vec![term.section()], ..Edit::default() };
+        write!(toml, "\n{}", edit.to_toml())?;
     }
+    Ok(())
 }
 
 fn value(coefficient: Scaled) -> f64 {

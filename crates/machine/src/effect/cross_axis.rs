@@ -1,0 +1,108 @@
+//! `cross-axis`: another axis, as it moves, tilts or shifts this one.
+//!
+//! ```text
+//! p + c·P/1000          P of another axis
+//! ```
+
+use super::{
+    page::{
+        Definition, Entry, Home, Host, Input, OnBoard, Page,
+        Parameter, Value, axis, number,
+    },
+    survey::{Settings, Survey},
+};
+use crate::{
+    file::LinearAxis,
+    place::BadInput,
+    file::read::Section,
+};
+
+/// A slope along another axis.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CrossAxis {
+    /// The axis that moves.
+    pub axis: LinearAxis,
+    /// c, in µm/m.
+    pub um_per_m: f64,
+}
+
+impl Page for CrossAxis {
+    fn entries(&self) -> Vec<Entry> {
+        vec![
+            ("axis", Value::Text(self.axis.name().into())),
+            ("um_per_m", Value::Number(self.um_per_m)),
+        ]
+    }
+
+    fn home(&self) -> Home {
+        Home::Axis
+    }
+
+    fn refusal(&self, host: &Host<'_>) -> Option<String> {
+        (host.quantity.axis() == Some(self.axis))
+            .then(|| "is the error of another axis than the one that moves".into())
+    }
+
+    fn tier(&self) -> u8 {
+        1
+    }
+
+    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
+        vec![Input::Position(self.axis)]
+    }
+
+    fn values(&self) -> Vec<f64> {
+        vec![self.um_per_m]
+    }
+
+    fn set(&mut self, values: &[f64]) {
+        self.um_per_m = values[0];
+    }
+
+    fn on_board(&self) -> Vec<OnBoard> {
+        vec![OnBoard::Position { axis: self.axis, um_per_m: self.um_per_m }]
+    }
+
+    fn sentence(&self, values: &[f64]) -> String {
+        let axis = self.axis.name().to_uppercase();
+        format!("The axis moves by {:+.2} µm for each metre of {axis}.", values[0])
+    }
+
+    fn next_test(&self) -> &'static str {
+        "Turn the straight edge by 180° and measure again: what turns with it is the edge's."
+    }
+
+    fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
+        let axis = Value::Text(self.axis.name().into());
+        vec![Parameter::Fitted("um_per_m", 0, 0.0), Parameter::Said("axis", axis)]
+    }
+}
+
+impl Definition for CrossAxis {
+    const NAME: &'static str = "cross-axis";
+
+    fn keys(_: &Section<'_>) -> &'static [&'static str] {
+        &["um_per_m", "axis"]
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        Ok(Self { axis: axis(section, "axis")?, um_per_m: number(section, "um_per_m")? })
+    }
+
+    fn law(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
+        add(0, x[0] / 1000.0);
+    }
+
+    fn from_board(_: Option<LinearAxis>, form: &OnBoard, _: &mut f64) -> Option<Self> {
+        match *form {
+            OnBoard::Position { axis, um_per_m } => Some(Self { axis, um_per_m }),
+            _ => None,
+        }
+    }
+
+    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+        for axis in survey.other_axes() {
+            with(Self { axis, um_per_m: 0.0 }, Settings::none());
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! `expansion-slope`: the axis expands more or less than believed.
+//!
+//! ```text
+//! c·(T − T_ref)·(P − P₀)/1000 with the correct c
+//! ```
+
+use super::{
+    page::{
+        Constants, Definition, Entry, Home, Host, Input, OnBoard, Page,
+        Parameter, Stage, Value, number,
+    },
+    survey::{Settings, Survey},
+};
+use crate::{
+    place::BadInput,
+    file::read::Section,
+};
+
+/// Another slope.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ExpansionSlope {
+    /// c in place of the believed one, in µm/(m·K).
+    pub um_per_m_per_c: f64,
+}
+
+impl Page for ExpansionSlope {
+    fn entries(&self) -> Vec<Entry> {
+        vec![("um_per_m_per_c", Value::Number(self.um_per_m_per_c))]
+    }
+
+    fn home(&self) -> Home {
+        Home::Axis
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Constant
+    }
+
+    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
+        vec![]
+    }
+
+    // Another reference moves a table along the temperature; another slope has no place in it.
+    fn refusal(&self, host: &Host<'_>) -> Option<String> {
+        match host.thermal {
+            None => Some("needs [axis.*.thermal] of the quantity's axis".into()),
+            Some(thermal) if thermal.table.is_some() => {
+                Some("corrects a constant, and there is a table".into())
+            }
+            Some(_) => None,
+        }
+    }
+
+    fn correct(&self, constants: &mut Constants<'_>) {
+        if let Some(thermal) = &mut constants.thermal {
+            thermal.slope_um_per_m_per_c = self.um_per_m_per_c;
+        }
+    }
+
+    fn values(&self) -> Vec<f64> {
+        Vec::new()
+    }
+
+    fn set(&mut self, values: &[f64]) {
+        self.um_per_m_per_c = self.um_per_m_per_c + values[0];
+    }
+
+    fn on_board(&self) -> Vec<OnBoard> {
+        Vec::new()
+    }
+
+    fn sentence(&self, values: &[f64]) -> String {
+        format!("The axis expands by {:+.3} µm/(m·K) more than believed.", values[0])
+    }
+
+    fn next_test(&self) -> &'static str {
+        "Measure the axis at both ends at two temperatures that are at least 5 K apart."
+    }
+
+    fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
+        vec![Parameter::Fitted("um_per_m_per_c", 0, self.um_per_m_per_c)]
+    }
+}
+
+impl Definition for ExpansionSlope {
+    const NAME: &'static str = "expansion-slope";
+
+    fn keys(_: &Section<'_>) -> &'static [&'static str] {
+        &["um_per_m_per_c"]
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        Ok(Self { um_per_m_per_c: number(section, "um_per_m_per_c")? })
+    }
+
+    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+        let Some(thermal) = survey.thermal_in_use().filter(|_| survey.moves()) else { return };
+        if thermal.mode.has_position() && thermal.table.is_none() {
+            with(Self { um_per_m_per_c: thermal.slope_um_per_m_per_c }, Settings::none());
+        }
+    }
+}

@@ -1,0 +1,56 @@
+//! What the causes have in common that follow a temperature, c·(lag_τ(T) − T_ref).
+
+use super::{
+    page::{Entry, Heat, Input, Value},
+    survey::Survey,
+};
+use crate::{
+    file::read::Section,
+    file::{Source, read_temperature_column},
+    place::BadInput,
+};
+
+/// The column of the temperature, which must be there.
+pub(crate) fn column(section: &Section<'_>) -> Result<String, BadInput> {
+    section.required("column", read_temperature_column(section, "column")?)
+}
+
+pub(crate) fn entries(heat: &Heat) -> Vec<Entry> {
+    vec![
+        ("column", Value::Text(heat.column.clone())),
+        ("um_per_c", Value::Number(heat.um_per_c)),
+        ("time_constant_s", Value::Number(heat.time_constant_s)),
+        ("reference_c", Value::Number(heat.reference_c)),
+    ]
+}
+
+pub(crate) fn inputs(heat: &Heat, lag_s: f64) -> Vec<Input<'_>> {
+    vec![Input::Temperature { column: &heat.column, lag_s }]
+}
+
+/// No heat of `column` yet. A time constant of 1 s says that it has one.
+pub(crate) fn neutral(survey: &dyn Survey, column: &str, has_lag: bool) -> Heat {
+    Heat {
+        column: column.into(),
+        um_per_c: 0.0,
+        time_constant_s: if has_lag { 1.0 } else { 0.0 },
+        reference_c: survey.reference_c(column),
+    }
+}
+
+/// The column of the sensor's own temperature, where the sensor is what is predicted by.
+pub(crate) fn of_sensor(survey: &dyn Survey) -> Option<&str> {
+    let sensor = survey.spindle().sensor.as_ref()?;
+    sensor.temperature.as_deref().filter(|_| survey.source() == Some(Source::Sensor))
+}
+
+/// The temperatures that may move what is measured, and whether the model goes by them already.
+/// Heat is looked for where something grows: in a spindle, or in an axis.
+pub(crate) fn columns(survey: &dyn Survey) -> Vec<(&str, bool)> {
+    let of_sensor = of_sensor(survey);
+    let columns = survey.temperatures().into_iter();
+    columns
+        .filter(|column| survey.varies(column) && of_sensor != Some(column))
+        .map(|column| (column, survey.is_in_use(column)))
+        .collect()
+}

@@ -1,0 +1,46 @@
+//! A page's law over whole columns, and at one row: the same function.
+
+use std::borrow::Cow;
+
+use super::page::{Definition, Input};
+
+/// No law reads more columns than that.
+const MOST_INPUTS: usize = 4;
+
+/// Where a law's inputs come from.
+pub trait Columns {
+    /// How many numbers are in each column.
+    fn rows(&self) -> usize;
+    /// The column of an input.
+    fn column(&self, input: &Input<'_>) -> Cow<'_, [f64]>;
+}
+
+/// What each amplitude of 1 adds, in µm, row by row: a column an amplitude, or the only one where
+/// there is no amplitude.
+pub(super) fn columns<P: Definition>(
+    page: &P,
+    nonlinear: &[f64],
+    source: &dyn Columns,
+) -> Vec<Vec<f64>> {
+    let inputs = page.inputs(nonlinear);
+    let read: Vec<Cow<'_, [f64]>> = inputs.iter().map(|input| source.column(input)).collect();
+    let mut columns = vec![vec![0.0; source.rows()]; page.amplitudes().max(1)];
+    let mut x = [0.0; MOST_INPUTS];
+    for row in 0..source.rows() {
+        for (x, column) in x.iter_mut().zip(&read) {
+            *x = column[row];
+        }
+        page.law(nonlinear, &x[..read.len()], &mut |number, um| columns[number][row] += um);
+    }
+    columns
+}
+
+/// What the cause of these values adds where its inputs are `x`, in µm.
+pub(super) fn at_row<P: Definition>(page: &P, values: &[f64], x: &[f64]) -> f64 {
+    let (nonlinear, amplitudes) = values.split_at(page.nonlinear().len().min(values.len()));
+    let mut sum_um = 0.0;
+    page.law(nonlinear, x, &mut |number, um| {
+        sum_um += amplitudes.get(number).copied().unwrap_or(1.0) * um;
+    });
+    sum_um
+}

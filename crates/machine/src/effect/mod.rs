@@ -1,0 +1,315 @@
+//! Why a machine is not as its model says: a cause is one page.
+//!
+//! A page says all about its cause: what it is called, where it applies, its keys, the columns that
+//! it needs, its law in `f64`, where a search for it begins, whether a correction may be built on it,
+//! what it is on the board, and what it means to people. All others ask the page: reading, writing,
+//! predicting, compiling, showing, diagnosing, exporting. A new cause is a page and a line in the
+//! list below.
+//!
+//! | file | is |
+//! |---|---|
+//! | `page` | what a page answers |
+//! | `law` | its law over columns |
+//! | `survey` | what it asks of the data before it proposes itself |
+//! | `heat`, `wave` | what several causes have in common |
+//!
+//! A term changes the prediction p of one quantity. Those that correct a constant of the machine's
+//! own laws come first, then a factor, a bend, a limit, then what is added, last a shift in time
+//! ([`Stage`]).
+
+mod heat;
+mod law;
+mod page;
+mod quantity;
+mod survey;
+mod wave;
+
+use std::ops::{Deref, DerefMut};
+
+pub use law::Columns;
+pub use page::{
+    Constants, Entry, Heat, HeatPath, Home, Host, Input, Nonlinear, OnBoard, Page, Parameter,
+    Stage, Value,
+};
+pub use quantity::Quantity;
+pub use reference_instrument::Read;
+pub use survey::{Reading, Settings, Survey, spread};
+pub use wave::Wave;
+
+use crate::{file::LinearAxis, file::read::Section, place::BadInput};
+use page::Definition;
+
+macro_rules! causes {
+    ($($module:ident::$Page:ident $text:literal,)*) => {
+        $(mod $module;)*
+        $(pub use $module::$Page;)*
+
+        /// A cause.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+        pub enum Cause {
+            $(#[doc = $text] $Page,)*
+        }
+
+        /// A cause with its numbers.
+        #[derive(Clone, Debug, PartialEq)]
+        pub enum Effect {
+            $(#[doc = $text] $Page($Page),)*
+        }
+
+        impl Cause {
+            /// All causes, in the order of the format's table.
+            pub const ALL: &[Self] = &[$(Self::$Page,)*];
+
+            /// Its name in files: `thermal-lag`.
+            #[must_use]
+            pub fn name(self) -> &'static str {
+                match self { $(Self::$Page => $Page::NAME,)* }
+            }
+
+            /// The keys of this cause in `section`, besides those that all have.
+            pub(crate) fn keys(self, section: &Section<'_>) -> &'static [&'static str] {
+                match self { $(Self::$Page => $Page::keys(section),)* }
+            }
+
+            /// This cause as it stands in `section`, whose keys are known.
+            pub(crate) fn read(self, section: &Section<'_>) -> Result<Effect, BadInput> {
+                Ok(match self { $(Self::$Page => Effect::$Page($Page::read(section)?),)* })
+            }
+
+            /// The measurement that would tell it from `rival`.
+            fn against(self, rival: &str) -> Option<&'static str> {
+                match self { $(Self::$Page => $Page::against(rival),)* }
+            }
+
+            /// Proposes what of it the data allow.
+            fn propose(self, survey: &dyn Survey, with: &mut dyn FnMut(Effect, Settings)) {
+                match self {
+                    $(Self::$Page => {
+                        $Page::propose(survey, &mut |page, at| with(Effect::$Page(page), at));
+                    })*
+                }
+            }
+        }
+
+        impl Effect {
+            /// The cause that it belongs to.
+            #[must_use]
+            pub fn cause(&self) -> Cause {
+                match self { $(Self::$Page(_) => Cause::$Page,)* }
+            }
+
+            /// What each amplitude of 1 adds at these nonlinear values, in µm: a column an
+            /// amplitude, or the only one where there is no amplitude.
+            #[must_use]
+            pub fn columns(&self, nonlinear: &[f64], source: &dyn Columns) -> Vec<Vec<f64>> {
+                match self { $(Self::$Page(page) => law::columns(page, nonlinear, source),)* }
+            }
+
+            /// What it adds with these values where its inputs are `x`, in µm.
+            #[must_use]
+            pub fn at_row(&self, values: &[f64], x: &[f64]) -> f64 {
+                match self { $(Self::$Page(page) => law::at_row(page, values, x),)* }
+            }
+
+            /// The cause that a form on the board is shown as, of an axis or (none) the elongation. It
+            /// may take the constant that comes with the form.
+            #[must_use]
+            pub fn from_board(
+                own: Option<LinearAxis>,
+                form: &OnBoard,
+                constant_um: &mut f64,
+            ) -> Option<Self> {
+                $(if let Some(page) = $Page::from_board(own, form, constant_um) {
+                    return Some(Self::$Page(page));
+                })*
+                None
+            }
+        }
+
+        impl Deref for Effect {
+            type Target = dyn Page;
+
+            fn deref(&self) -> &(dyn Page + 'static) {
+                match self { $(Self::$Page(page) => page,)* }
+            }
+        }
+
+        impl DerefMut for Effect {
+            fn deref_mut(&mut self) -> &mut (dyn Page + 'static) {
+                match self { $(Self::$Page(page) => page,)* }
+            }
+        }
+    };
+}
+
+causes! {
+    sensor_offset::SensorOffset "The zero of the sensor is elsewhere.",
+    sensor_gain::SensorGain "The sensor gives more or less for a micrometre.",
+    sensor_curvature::SensorCurvature "The sensor's characteristic is bent.",
+    sensor_saturation::SensorSaturation "The sensor's range ends.",
+    sensor_temperature_drift::SensorTemperatureDrift "The sensor follows its own temperature.",
+    time_shift::TimeShift "Two clocks differ.",
+    thermal_lag::ThermalLag "Growth follows its thermometer late.",
+    slow_mode::SlowMode "A slow part of the growth.",
+    extra_heat_path::ExtraHeatPath "Heat that the model does not know.",
+    growth_amplitude::GrowthAmplitude "It grows more or less than believed.",
+    growth_rate::GrowthRate "It grows faster or slower than believed.",
+    cooling_asymmetry::CoolingAsymmetry "It cools at another rate than it heats.",
+    expansion_slope::ExpansionSlope "The axis expands more or less than believed.",
+    reference_temperature::ReferenceTemperature "The axis is right at another temperature.",
+    centrifugal_growth::CentrifugalGrowth "Speed itself stretches the spindle.",
+    cutting_load::CuttingLoad "The cut pushes the tool back.",
+    pitch_scale::PitchScale "The scale or screw is long or short.",
+    pitch_error::PitchError "The scale or screw is uneven.",
+    pitch_periodic::PitchPeriodic "The error repeats with each turn or graduation.",
+    backlash::Backlash "The axis is left behind on reversal.",
+    position_dependent_backlash::PositionDependentBacklash "Backlash differs along the axis.",
+    straightness::Straightness "The guide is not straight.",
+    cross_axis::CrossAxis "Another axis, as it moves, tilts or shifts this one.",
+    step::Step "Something has slipped, once.",
+    drift::Drift "It wanders with time.",
+    outliers::Outliers "Some readings stand alone, far from the rest.",
+    reference_instrument::ReferenceInstrument "The reference instrument errs.",
+}
+
+impl Cause {
+    /// The cause of this name.
+    #[must_use]
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.iter().copied().find(|cause| cause.name() == name)
+    }
+}
+
+impl Effect {
+    /// Its name in files.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        self.cause().name()
+    }
+
+    /// It with these values in place of the neutral ones.
+    #[must_use]
+    pub fn with(&self, values: &[f64]) -> Self {
+        let mut with = self.clone();
+        with.set(values);
+        with
+    }
+
+    /// All causes that the data allow, neutral, each with values to begin from.
+    pub fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+        Cause::ALL.iter().for_each(|cause| cause.propose(survey, with));
+    }
+
+    /// Why it cannot be a cause there, if it cannot: the rule, with its name.
+    pub(crate) fn refused(&self, host: &Host<'_>) -> Option<String> {
+        let elsewhere = match (self.home(), host.quantity.axis()) {
+            (Home::Axis, None) => Some("belongs to dx, dy or dz"),
+            (Home::Elongation, Some(_)) => Some("belongs to the elongation"),
+            _ => None,
+        };
+        let rule = self.refusal(host).or(elsewhere.map(String::from))?;
+        Some(format!("\"{}\" {rule}", self.name()))
+    }
+
+    /// The column of the run that it hangs on, if it is one.
+    #[must_use]
+    pub fn column(&self) -> Option<String> {
+        let first = self.reads().first().copied()?;
+        match first {
+            Input::Temperature { column, .. } => Some(column.into()),
+            Input::Speed => Some("spindle_rpm".into()),
+            Input::Load => Some("load_n".into()),
+            Input::Position(axis) => Some(format!("{}_mm", axis.name())),
+            _ => None,
+        }
+    }
+
+    /// The columns that a run must have for it, but for directions.
+    pub(crate) fn needed_columns(&self, quantity: Quantity) -> Vec<String> {
+        let position = |axis: LinearAxis| format!("{}_mm", axis.name());
+        let mut columns = Vec::new();
+        for input in self.reads() {
+            match input {
+                Input::Time => columns.push("time_s".into()),
+                Input::Temperature { column, lag_s } => {
+                    columns.push(column.into());
+                    columns.extend((lag_s != 0.0).then(|| "time_s".into()));
+                }
+                Input::Speed => columns.push("spindle_rpm".into()),
+                Input::Load => columns.push("load_n".into()),
+                Input::OwnPosition => columns.extend(quantity.axis().map(position)),
+                Input::Position(axis) => columns.push(position(axis)),
+                Input::Column(column) => columns.push(column.into()),
+                Input::Predicted | Input::Believed | Input::OwnDirection => {}
+            }
+        }
+        columns
+    }
+
+    /// The columns that its law reads with its own values.
+    #[must_use]
+    pub fn reads(&self) -> Vec<Input<'_>> {
+        let mut nonlinear = self.values();
+        nonlinear.truncate(self.nonlinear().len());
+        self.inputs(&nonlinear)
+    }
+
+    /// The column of the temperature that it follows, if it does.
+    #[must_use]
+    pub fn temperature(&self) -> Option<String> {
+        self.reads().into_iter().find_map(|input| match input {
+            Input::Temperature { column, .. } => Some(column.into()),
+            _ => None,
+        })
+    }
+
+    /// Whether its only amplitude adds the same wherever and whenever it is.
+    #[must_use]
+    pub fn is_constant(&self) -> bool {
+        self.amplitudes() == 1 && self.reads().is_empty()
+    }
+
+    /// Whether it adds a function of its own axis's position and direction, and of nothing else.
+    #[must_use]
+    pub fn is_along_own_axis(&self) -> bool {
+        let inputs = self.reads();
+        let is_own = |input: &Input<'_>| matches!(input, Input::OwnPosition | Input::OwnDirection);
+        self.home() == Home::Axis && !inputs.is_empty() && inputs.iter().all(is_own)
+    }
+
+    /// Whether its law reads the clock.
+    #[must_use]
+    pub fn is_in_time(&self) -> bool {
+        self.reads().contains(&Input::Time)
+    }
+
+    /// Whether it is looked for at a time that is searched, not fitted.
+    #[must_use]
+    pub fn has_instant(&self) -> bool {
+        self.nonlinear().contains(&Nonlinear::Instant)
+    }
+
+    /// Whether it is a wave of a period that is fitted.
+    #[must_use]
+    pub fn is_wave(&self) -> bool {
+        self.nonlinear().contains(&Nonlinear::Period)
+    }
+
+    /// Whether its first value is a time constant.
+    #[must_use]
+    pub fn has_time_constant(&self) -> bool {
+        let first = self.nonlinear().first();
+        matches!(first, Some(Nonlinear::TimeConstant | Nonlinear::FallingTimeConstant))
+    }
+
+    /// The measurement that would settle it, against a rival's name where there is one.
+    #[must_use]
+    pub fn next_test(&self, rival: Option<&str>) -> &'static str {
+        // Of the two the later one in the list speaks first: it is farther away.
+        let pair = rival.and_then(Cause::named).and_then(|rival| {
+            let (a, b) = (self.cause().max(rival), self.cause().min(rival));
+            a.against(b.name()).or_else(|| b.against(a.name()))
+        });
+        pair.unwrap_or_else(|| self.deref().next_test())
+    }
+}

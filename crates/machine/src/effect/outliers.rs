@@ -1,0 +1,78 @@
+//! `outliers`: some readings are no readings. The prediction stays; such rows are set aside.
+
+use super::page::{
+        Definition, Entry, Home, Input, OnBoard, Page,
+        Parameter, Value,
+    };
+use crate::{
+    place::BadInput,
+    file::read::Section,
+};
+
+/// Rows that were set aside.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Outliers {
+    /// Their share of all rows; at least 0.
+    pub fraction: f64,
+}
+
+impl Page for Outliers {
+    fn entries(&self) -> Vec<Entry> {
+        vec![("fraction", Value::Number(self.fraction))]
+    }
+
+    fn home(&self) -> Home {
+        Home::Any
+    }
+
+    fn is_compensated(&self) -> bool {
+        false
+    }
+
+    fn tier(&self) -> u8 {
+        2
+    }
+
+    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
+        Vec::new()
+    }
+
+    fn amplitudes(&self) -> usize {
+        0
+    }
+
+    fn values(&self) -> Vec<f64> {
+        Vec::new()
+    }
+
+    fn set(&mut self, _: &[f64]) {}
+
+    fn on_board(&self) -> Vec<OnBoard> {
+        Vec::new()
+    }
+
+    fn sentence(&self, _: &[f64]) -> String {
+        "Some readings are no readings: they stand alone, far from the rest.".into()
+    }
+
+    fn next_test(&self) -> &'static str {
+        "Look at what happened at these readings, and measure them again."
+    }
+
+    fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
+        Vec::new()
+    }
+}
+
+impl Definition for Outliers {
+    const NAME: &'static str = "outliers";
+
+    fn keys(_: &Section<'_>) -> &'static [&'static str] {
+        &["fraction"]
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        let fraction = section.required("fraction", section.not_negative("fraction")?)?;
+        Ok(Self { fraction })
+    }
+}

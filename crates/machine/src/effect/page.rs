@@ -1,0 +1,403 @@
+//! What a cause's page answers, and the words in which it does.
+//!
+//! ```text
+//! machine file ─► read ─► a cause with its numbers ─► inputs, law ─► what it adds to the prediction
+//!                                  │ on_board ▲                       (predict, diagnose, export)
+//!                                  ▼          │ from_board
+//!                            the board's form (compile, show)
+//! ```
+//!
+//! A diagnosis works with the neutral value of a cause, which changes nothing, and with a list of
+//! numbers beside it: first the [nonlinear](Page::nonlinear) ones (a time constant, a period), then
+//! amplitudes, which are 0 where there is no effect. [`Page::set`] puts the two together.
+
+use super::survey::{Settings, Survey};
+use crate::{
+    file::read::Section,
+    file::{BSpline, LinearAxis, Pitch, Spindle, Thermal},
+    place::BadInput,
+};
+
+pub use super::quantity::Quantity;
+pub use crate::file::write::Value;
+
+/// A column that a law reads, one number a row. A missing one is NaN, and so is what follows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Input<'a> {
+    /// The prediction so far, in µm.
+    Predicted,
+    /// The elongation by the machine file alone, in µm.
+    Believed,
+    /// The run's clock, in s.
+    Time,
+    /// A temperature in °C, behind a first-order lag of so many seconds (0: none).
+    Temperature {
+        /// Its column, `temp_<name>_c`.
+        column: &'a str,
+        /// The lag's time constant, in s; at least 0.
+        lag_s: f64,
+    },
+    /// The spindle's speed, in r/min.
+    Speed,
+    /// The axial cutting force, in N; positive where it pushes the tool back.
+    Load,
+    /// The position of the quantity's own axis, in mm.
+    OwnPosition,
+    /// The direction in which it was approached: +1 or −1; a missing one is +1.
+    OwnDirection,
+    /// The position of an axis, in mm.
+    Position(LinearAxis),
+    /// Any other column of the run.
+    Column(&'a str),
+}
+
+/// When a cause acts, in the order in which a prediction is made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Stage {
+    /// It corrects a constant of the machine's own law.
+    Constant,
+    /// It gives a lag of the machine's own law another time constant while it falls.
+    Falling,
+    /// It multiplies the prediction.
+    Factor,
+    /// It bends the prediction.
+    Bend,
+    /// It limits the prediction.
+    Limit,
+    /// It is added, whatever the prediction is.
+    Sum,
+    /// It moves the whole prediction in time.
+    Shift,
+}
+
+/// Whose error a cause can be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Home {
+    /// The tool's growth.
+    Elongation,
+    /// An axis.
+    Axis,
+    /// What follows its own thermometer: the axis if it does, else the tool's growth.
+    OwnThermometer,
+    /// What is warm: the tool's growth where there is any, else the axis.
+    Heat,
+    /// Whatever is measured.
+    Any,
+}
+
+/// What a nonlinear value is, and with that how it may be varied.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Nonlinear {
+    /// In s, above 0: between the spacing of the rows and three times the longest record.
+    TimeConstant,
+    /// The same while it falls: also within a factor of five of the one while it rises.
+    FallingTimeConstant,
+    /// In mm, above 0: between the spacing of the positions and most of the travel.
+    Period,
+    /// The same of an instrument's reading, without a bound.
+    ReadingPeriod,
+    /// A position in mm.
+    Origin,
+    /// In s: a few rows either way.
+    Shift,
+    /// In µm, inside the range of the prediction.
+    Limit,
+    /// A time in s. It is searched, not fitted.
+    Instant,
+}
+
+/// A key of a `[[term]]` and what it is.
+pub type Entry = (&'static str, Value);
+
+/// A value of a finding, by its name in the table of causes.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Parameter {
+    /// A fitted value by its number, with what is to be added to it.
+    Fitted(&'static str, usize, f64),
+    /// What is fixed, and so certain.
+    Fixed(&'static str, f64),
+    /// A fitted time by its number, as sharp as its neighbours.
+    Instant(&'static str, usize),
+    /// `amplitude_um` and `period_mm` of the largest of these harmonics.
+    Waves(Vec<u32>),
+    /// All fitted values together.
+    Record(&'static str, Vec<(&'static str, Option<Value>)>),
+    /// A list that has no interval.
+    Records(&'static str, Vec<Vec<Entry>>),
+    /// What has no interval.
+    Said(&'static str, Value),
+}
+
+/// The board's forms in the user's units: what a term is compiled to.
+#[derive(Clone, Debug, PartialEq)]
+pub enum OnBoard {
+    /// + µm.
+    Offset(f64),
+    /// g·p.
+    Gain(f64),
+    /// + c·p², c in 1/µm.
+    Curvature(f64),
+    /// At most so many µm.
+    Saturation(f64),
+    /// + c·(lag_τ(T) − T_ref).
+    Heat(Heat),
+    /// + a·(1 − e^(−(t − start)/τ)); 0 before the start.
+    Time {
+        /// a.
+        amplitude_um: f64,
+        /// τ, above 0.
+        time_constant_s: f64,
+        /// In the run's `time_s`; the board's own start where it runs.
+        start_s: f64,
+    },
+    /// + c·(n/1000)², c in µm.
+    Speed(f64),
+    /// + c·load, c in µm/N.
+    Load(f64),
+    /// + c·P/1000, P of the own axis, c in µm/m.
+    OwnPosition(f64),
+    /// + c·P/1000, P of another axis.
+    Position {
+        /// Of P.
+        axis: LinearAxis,
+        /// c.
+        um_per_m: f64,
+    },
+    /// + w + c·P/1000 after an approach in the negative direction, P of the own axis.
+    Reversed {
+        /// w.
+        width_um: f64,
+        /// c.
+        um_per_m: f64,
+    },
+    /// A table of the own axis.
+    Table(Pitch),
+    /// A spline over an axis.
+    Curve(LinearAxis, BSpline),
+    /// + a·sin(2π·h·P/L + φ), P of the own axis.
+    Wave {
+        /// L, above 0.
+        period_mm: f64,
+        /// h, at least 1.
+        harmonic: u32,
+        /// a.
+        amplitude_um: f64,
+        /// φ.
+        phase_deg: f64,
+    },
+}
+
+/// c·(lag_τ(T) − T_ref): what something adds that follows a temperature.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Heat {
+    /// T: a column `temp_<name>_c`.
+    pub column: String,
+    /// c, in µm/K.
+    pub um_per_c: f64,
+    /// τ in s; 0: no lag.
+    pub time_constant_s: f64,
+    /// T_ref in °C.
+    pub reference_c: f64,
+}
+
+/// Heat that arrives by a path of its own.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HeatPath<'a> {
+    /// The column of its temperature.
+    pub column: &'a str,
+    /// Whether the model goes by this column otherwise.
+    pub is_second: bool,
+    /// Whether it comes late.
+    pub has_lag: bool,
+}
+
+/// The constants of the machine's own laws that a term may correct.
+#[derive(Debug)]
+pub struct Constants<'a> {
+    /// Of the tool's growth.
+    pub spindle: Option<&'a mut Spindle>,
+    /// Of the axis.
+    pub thermal: Option<&'a mut Thermal>,
+    /// The time constant of the lag while it falls; `None`: as while it rises.
+    pub falling_s: &'a mut Option<f64>,
+}
+
+/// What a term stands in.
+#[derive(Clone, Copy, Debug)]
+pub struct Host<'a> {
+    /// What the term changes.
+    pub quantity: Quantity,
+    /// How the spindle grows.
+    pub spindle: &'a Spindle,
+    /// How the quantity's axis grows.
+    pub thermal: Option<&'a Thermal>,
+}
+
+impl Host<'_> {
+    /// Whether the quantity follows a thermometer of its own.
+    pub(crate) fn has_thermometer(&self) -> bool {
+        match self.quantity.axis() {
+            None => self.spindle.source == Some(crate::file::Source::Temperature),
+            Some(_) => self.thermal.is_some(),
+        }
+    }
+}
+
+/// What a cause with its numbers answers.
+pub trait Page {
+    /// Its keys in a `[[term]]`.
+    fn entries(&self) -> Vec<Entry>;
+
+    /// Whose error it can be.
+    fn home(&self) -> Home;
+
+    /// Why it cannot be a cause there, if it cannot: the rule, to be read after its name.
+    fn refusal(&self, _host: &Host<'_>) -> Option<String> {
+        None
+    }
+
+    /// When it acts.
+    fn stage(&self) -> Stage {
+        Stage::Sum
+    }
+
+    /// Whether the board corrects it. What only happened once, or what is the error of the
+    /// reference instrument, is explained and not corrected.
+    fn is_compensated(&self) -> bool {
+        true
+    }
+
+    /// How far away it is: 0: a constant of the machine's own model, or of the axis's; 1: something
+    /// else that was recorded; 2: time alone, or the instrument.
+    fn tier(&self) -> u8 {
+        0
+    }
+
+    /// The columns that its law reads, in its order.
+    fn inputs<'a>(&'a self, nonlinear: &[f64]) -> Vec<Input<'a>>;
+
+    /// Its nonlinear values.
+    fn nonlinear(&self) -> &'static [Nonlinear] {
+        &[]
+    }
+
+    /// How many amplitudes it has. A law without one adds its column as it is.
+    fn amplitudes(&self) -> usize {
+        1
+    }
+
+    /// What an amplitude may be; beyond that it is another machine's.
+    fn amplitude_limits(&self) -> Option<[f64; 2]> {
+        None
+    }
+
+    /// How many neighbours are in each of the lists that its values are, if they are.
+    fn list_length(&self) -> Option<usize> {
+        None
+    }
+
+    /// Its values: nonlinear ones, then amplitudes; none where it only corrects a constant.
+    fn values(&self) -> Vec<f64>;
+
+    /// Puts values, as many as there are, into the neutral one.
+    fn set(&mut self, values: &[f64]);
+
+    /// Corrects the constants of the machine's own laws.
+    fn correct(&self, _constants: &mut Constants<'_>) {}
+
+    /// By how much the measurement comes later than the prediction, in s.
+    fn shift_s(&self) -> f64 {
+        0.0
+    }
+
+    /// What it is on the board, one form after the other.
+    fn on_board(&self) -> Vec<OnBoard>;
+
+    /// Whether its reference (a temperature, a start) is its own, and with it a constant.
+    fn has_reference(&self) -> bool {
+        false
+    }
+
+    /// Its temperature's part in the prediction, with the reference.
+    fn heat_mut(&mut self) -> Option<&mut Heat> {
+        None
+    }
+
+    /// The path by which it brings heat.
+    fn heat_path(&self) -> Option<HeatPath<'_>> {
+        None
+    }
+
+    /// The table of its own axis that it is.
+    fn table(&self) -> Option<&Pitch> {
+        None
+    }
+
+    /// Whether it is the error of the reference instrument.
+    fn is_of_instrument(&self) -> bool {
+        false
+    }
+
+    /// What it means for a person at the machine, in a sentence.
+    fn sentence(&self, values: &[f64]) -> String;
+
+    /// The measurement that would settle it.
+    fn next_test(&self) -> &'static str;
+
+    /// Its values as a finding names them.
+    fn parameters(&self, values: &[f64]) -> Vec<Parameter>;
+}
+
+/// What is said of a cause as such.
+pub(crate) trait Definition: Page + Sized {
+    /// Its name in files: `thermal-lag`.
+    const NAME: &'static str;
+
+    /// Its keys, besides those that all have.
+    fn keys(section: &Section<'_>) -> &'static [&'static str];
+
+    /// What stands in `section`, whose keys are known.
+    fn read(section: &Section<'_>) -> Result<Self, BadInput>;
+
+    /// The law: calls `add` with what each amplitude of 1 adds, in µm, where the inputs are `x`.
+    fn law(&self, _nonlinear: &[f64], _x: &[f64], _add: &mut impl FnMut(usize, f64)) {}
+
+    /// The cause that a form on the board is shown as, if it is this one; it may take the constant
+    /// that comes with it.
+    fn from_board(
+        _own: Option<LinearAxis>,
+        _form: &OnBoard,
+        _constant_um: &mut f64,
+    ) -> Option<Self> {
+        None
+    }
+
+    /// Proposes what of it the data allow, neutral, with values to begin from.
+    fn propose(_survey: &dyn Survey, _with: &mut dyn FnMut(Self, Settings)) {}
+
+    /// The measurement that would tell it from `rival`, a cause's name.
+    fn against(_rival: &str) -> Option<&'static str> {
+        None
+    }
+}
+
+/// A number that must be there.
+pub(crate) fn number(section: &Section<'_>, key: &str) -> Result<f64, BadInput> {
+    section.required(key, section.number(key)?)
+}
+
+/// A number above 0 that must be there.
+pub(crate) fn positive(section: &Section<'_>, key: &str) -> Result<f64, BadInput> {
+    section.required(key, section.positive(key)?)
+}
+
+/// An axis that must be there.
+pub(crate) fn axis(section: &Section<'_>, key: &str) -> Result<LinearAxis, BadInput> {
+    let axes = LinearAxis::ALL.map(|axis| (axis.name(), axis));
+    section.required(key, section.choice(key, &axes)?)
+}
+
+/// A time for people: 95 s, 12.3 min.
+pub(crate) fn minutes(seconds: f64) -> String {
+    if seconds < 120.0 { format!("{seconds:.0} s") } else { format!("{:.1} min", seconds / 60.0) }
+}

@@ -1,0 +1,171 @@
+//! `pitch-error`: the scale or the screw is uneven.
+//!
+//! ```text
+//! p + a table of the position, one for each direction; the end values held
+//! ```
+
+use super::{
+    page::{
+        Definition, Entry, Home, Input, OnBoard, Page,
+        Parameter, Value,
+    },
+    survey::{Settings, Survey, spread, targets},
+};
+use crate::{
+    file::{LinearAxis, Pitch},
+    file::read_pitch,
+    model::is_reverse,
+    place::BadInput,
+    file::read::Section,
+};
+
+/// A table.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PitchError(pub Pitch);
+
+impl PitchError {
+    fn points(&self) -> usize {
+        self.0.forward_um.len()
+    }
+}
+
+impl Page for PitchError {
+    fn entries(&self) -> Vec<Entry> {
+        let Pitch { start_mm, step_mm, forward_um, reverse_um } = &self.0;
+        let mut entries = vec![
+            ("start_mm", Value::Number(*start_mm)),
+            ("step_mm", Value::Number(*step_mm)),
+            ("forward_um", Value::Numbers(forward_um.clone())),
+        ];
+        entries.extend(reverse_um.iter().map(|um| ("reverse_um", Value::Numbers(um.clone()))));
+        entries
+    }
+
+    fn home(&self) -> Home {
+        Home::Axis
+    }
+
+    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
+        let direction = self.0.reverse_um.as_ref().map(|_| Input::OwnDirection);
+        [Input::OwnPosition].into_iter().chain(direction).collect()
+    }
+
+    fn amplitudes(&self) -> usize {
+        self.points() * if self.0.reverse_um.is_some() { 2 } else { 1 }
+    }
+
+    fn list_length(&self) -> Option<usize> {
+        Some(self.points())
+    }
+
+    fn values(&self) -> Vec<f64> {
+        let reverse_um = self.0.reverse_um.iter().flatten();
+        self.0.forward_um.iter().chain(reverse_um).copied().collect()
+    }
+
+    fn set(&mut self, values: &[f64]) {
+        let (forward_um, reverse_um) = values.split_at(self.points());
+        self.0.forward_um = forward_um.to_vec();
+        if let Some(there) = &mut self.0.reverse_um {
+            *there = reverse_um.to_vec();
+        }
+    }
+
+    fn on_board(&self) -> Vec<OnBoard> {
+        vec![OnBoard::Table(self.0.clone())]
+    }
+
+    fn table(&self) -> Option<&Pitch> {
+        Some(&self.0)
+    }
+
+    fn sentence(&self, _: &[f64]) -> String {
+        format!(
+            "The scale or the screw is uneven: a table of {} points{} says by how much.",
+            self.points(),
+            if self.0.reverse_um.is_some() { " for each direction" } else { "" }
+        )
+    }
+
+    fn next_test(&self) -> &'static str {
+        "Measure once more by ISO 230-2 at targets that are no multiples of the screw's pitch."
+    }
+
+    fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
+        let mut table = self.clone();
+        table.set(values);
+        let entries = table.entries().into_iter();
+        let mut record: Vec<_> = entries.map(|(key, value)| (key, Some(value))).collect();
+        if self.0.reverse_um.is_none() {
+            record.push(("reverse_um", None));
+        }
+        vec![Parameter::Record("table", record)]
+    }
+}
+
+impl Definition for PitchError {
+    const NAME: &'static str = "pitch-error";
+
+    fn keys(_: &Section<'_>) -> &'static [&'static str] {
+        &["start_mm", "step_mm", "forward_um", "reverse_um"]
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        // The table's keys are those of [axis.x.pitch], beside the common ones.
+        Ok(Self(read_pitch(section)?))
+    }
+
+    fn law(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
+        let Pitch { start_mm, step_mm, forward_um, .. } = &self.0;
+        let points = forward_um.len();
+        let at = ((x[0] - start_mm) / step_mm).clamp(0.0, (points - 1) as f64);
+        // A missing position is at no point, and what follows is missing as well.
+        let low = (at as usize).min(points.saturating_sub(2));
+        let share = at - low as f64;
+        let offset = if x.get(1).is_some_and(|&direction| is_reverse(direction)) { points } else { 0 };
+        add(offset + low, 1.0 - share);
+        if points > 1 {
+            add(offset + low + 1, share);
+        }
+    }
+
+    fn from_board(_: Option<LinearAxis>, form: &OnBoard, _: &mut f64) -> Option<Self> {
+        match form {
+            OnBoard::Table(pitch) => Some(Self(pitch.clone())),
+            _ => None,
+        }
+    }
+
+    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+        let Some(own) = survey.own_position().filter(|own| spread(own) > 0.0) else { return };
+        if survey.has(Self::NAME) {
+            return;
+        }
+        for (start_mm, step_mm, points) in tables(own, survey.groups()) {
+            for both_ways in [false, true] {
+                if (!both_ways || survey.turns()) && points >= 3 {
+                    let forward_um = vec![0.0; points];
+                    let reverse_um = both_ways.then(|| forward_um.clone());
+                    with(Self(Pitch { start_mm, step_mm, forward_um, reverse_um }), Settings::none());
+                }
+            }
+        }
+    }
+}
+
+/// Tables (start, step, points) that the positions allow: at the targets where these are few and
+/// evenly spaced, else even ones of growing fineness.
+fn tables(own: &[f64], groups: usize) -> Vec<(f64, f64, usize)> {
+    let at = targets(own, 2e-3);
+    let (Some(&first), Some(&last)) = (at.first(), at.last()) else { return Vec::new() };
+    let even = (last - first) / (at.len() as f64 - 1.0);
+    let is_even = at.windows(2).all(|pair| ((pair[1] - pair[0]) - even).abs() < 0.05 * even.abs());
+    if is_even && at.len() >= 3 && at.len() <= 80 && groups >= 3 * at.len() {
+        return vec![(first, even, at.len())];
+    }
+    [6, 11, 21, 41]
+        .into_iter()
+        .filter(|&points| groups >= 8 * points && at.len() >= points)
+        .map(|points| (first, (last - first) / (points - 1) as f64, points))
+        .collect()
+}

@@ -1,0 +1,167 @@
+//! `pitch-periodic`: the error repeats with each turn of a screw, or with each graduation.
+//!
+//! ```text
+//! p + Σ aᵢ·sin(2π·hᵢ·P/L + φᵢ)
+//! ```
+
+use std::f64::consts::TAU;
+
+use super::{
+    page::{
+        Definition, Entry, Home, Input, Nonlinear, OnBoard, Page,
+        Parameter, Value, positive,
+    },
+    survey::{Reading, Settings, Survey},
+    wave::{self, Wave},
+};
+use crate::{
+    file::LinearAxis,
+    place::BadInput,
+    file::read::Section,
+};
+
+/// Waves of one period.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PitchPeriodic {
+    /// L, in mm; above 0.
+    pub period_mm: f64,
+    /// The waves.
+    pub waves: Vec<Wave>,
+}
+
+impl PitchPeriodic {
+    fn neutral(harmonics: impl IntoIterator<Item = u32>) -> Self {
+        Self { period_mm: 1.0, waves: harmonics.into_iter().map(Wave::neutral).collect() }
+    }
+}
+
+impl Page for PitchPeriodic {
+    fn entries(&self) -> Vec<Entry> {
+        let period_mm = ("period_mm", Value::Number(self.period_mm));
+        [period_mm].into_iter().chain(wave::entries(&self.waves)).collect()
+    }
+
+    fn home(&self) -> Home {
+        Home::Axis
+    }
+
+    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
+        vec![Input::OwnPosition]
+    }
+
+    fn nonlinear(&self) -> &'static [Nonlinear] {
+        &[Nonlinear::Period]
+    }
+
+    fn amplitudes(&self) -> usize {
+        2 * self.waves.len()
+    }
+
+    fn values(&self) -> Vec<f64> {
+        [self.period_mm].into_iter().chain(self.waves.iter().flat_map(Wave::values)).collect()
+    }
+
+    fn set(&mut self, values: &[f64]) {
+        self.period_mm = values[0];
+        wave::set(&mut self.waves, &values[1..]);
+    }
+
+    fn on_board(&self) -> Vec<OnBoard> {
+        let period_mm = self.period_mm;
+        let waves = self.waves.iter();
+        waves
+            .map(|&Wave { harmonic, amplitude_um, phase_deg }| OnBoard::Wave {
+                period_mm,
+                harmonic,
+                amplitude_um,
+                phase_deg,
+            })
+            .collect()
+    }
+
+    fn sentence(&self, values: &[f64]) -> String {
+        let (harmonic, size) = self
+            .waves
+            .iter()
+            .zip(values[1..].chunks(2))
+            .map(|(wave, pair)| (f64::from(wave.harmonic), pair[0].hypot(pair[1])))
+            .fold((1.0, 0.0), |most, wave| if wave.1 > most.1 { wave } else { most });
+        let period_mm = values[0] / harmonic;
+        format!("The error repeats every {period_mm:.4} mm with an amplitude of {size:.2} µm.")
+    }
+
+    fn next_test(&self) -> &'static str {
+        "Measure one turn of the screw in steps of a twentieth of the period, and a second turn \
+         elsewhere: it must repeat with the same phase."
+    }
+
+    fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
+        let harmonics = self.waves.iter().map(|wave| wave.harmonic).collect();
+        let mut parameters = vec![Parameter::Waves(harmonics)];
+        if self.waves.len() > 1 {
+            let mut fitted = self.clone();
+            fitted.set(values);
+            let records = fitted.waves.iter().map(Wave::record).collect();
+            parameters.push(Parameter::Records("harmonics", records));
+            parameters.push(Parameter::Said("turn_mm", Value::Number(values[0])));
+        }
+        parameters
+    }
+}
+
+impl Definition for PitchPeriodic {
+    const NAME: &'static str = "pitch-periodic";
+
+    fn keys(_: &Section<'_>) -> &'static [&'static str] {
+        &["period_mm", "harmonic", "amplitude_um", "phase_deg"]
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        Ok(Self {
+            period_mm: positive(section, "period_mm")?,
+            waves: section.required("amplitude_um", wave::read(section)?)?,
+        })
+    }
+
+    fn law(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
+        for (number, wave) in self.waves.iter().enumerate() {
+            let turn = TAU * f64::from(wave.harmonic) / nonlinear[0];
+            add(2 * number, (turn * x[0]).sin());
+            add(2 * number + 1, (turn * x[0]).cos());
+        }
+    }
+
+    fn from_board(_: Option<LinearAxis>, form: &OnBoard, _: &mut f64) -> Option<Self> {
+        match *form {
+            OnBoard::Wave { period_mm, harmonic, amplitude_um, phase_deg } => {
+                Some(Self { period_mm, waves: vec![Wave { harmonic, amplitude_um, phase_deg }] })
+            }
+            _ => None,
+        }
+    }
+
+    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+        const FREQUENCIES: usize = 8000;
+        // Where the instrument has waves of its own, what is periodic may be its as well.
+        if survey.quantity().axis().is_none() || survey.has_instrument() {
+            return;
+        }
+        let Some(peak) = survey.peak(Reading::Position, 2.0, FREQUENCIES) else { return };
+        // Whatever turns once in two, three or four of these periods is the same screw.
+        if survey.has(Self::NAME) {
+            with(Self::neutral([1, 2]), peak);
+            return;
+        }
+        for harmonics in 1..=3 {
+            with(Self::neutral(1..=harmonics), peak.clone());
+        }
+        // The peak may be a harmonic of a turn that has all of them.
+        let period_mm = peak.starts[0][0];
+        let longest_mm = survey.longest_period_mm();
+        let turns = (1..=6).map(|turns| f64::from(turns) * period_mm);
+        let starts: Vec<_> = turns.filter(|mm| *mm <= longest_mm).map(|mm| vec![mm]).collect();
+        if survey.groups() > 600 {
+            with(Self::neutral(1..=12), Settings { starts, ..peak });
+        }
+    }
+}

@@ -1,0 +1,114 @@
+//! `pitch-scale`: the scale or the screw is long or short.
+//!
+//! ```text
+//! p + c·P/1000
+//! ```
+
+use super::{
+    page::{
+        Definition, Entry, Home, Input, OnBoard, Page,
+        Parameter, Value, number,
+    },
+    survey::{Settings, Survey},
+};
+use crate::{
+    file::LinearAxis,
+    place::BadInput,
+    file::read::Section,
+};
+
+/// A slope along the own axis.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PitchScale {
+    /// c, in µm/m.
+    pub um_per_m: f64,
+}
+
+impl Page for PitchScale {
+    fn entries(&self) -> Vec<Entry> {
+        vec![("um_per_m", Value::Number(self.um_per_m))]
+    }
+
+    fn home(&self) -> Home {
+        Home::Axis
+    }
+
+    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
+        vec![Input::OwnPosition]
+    }
+
+    fn values(&self) -> Vec<f64> {
+        vec![self.um_per_m]
+    }
+
+    fn set(&mut self, values: &[f64]) {
+        self.um_per_m = values[0];
+    }
+
+    fn on_board(&self) -> Vec<OnBoard> {
+        // The constant alone.
+        if self.um_per_m == 0.0 {
+            return Vec::new();
+        }
+        vec![OnBoard::OwnPosition(self.um_per_m)]
+    }
+
+    fn sentence(&self, values: &[f64]) -> String {
+        format!("The scale or the screw is off by {:+.2} µm for each metre.", values[0])
+    }
+
+    fn next_test(&self) -> &'static str {
+        "Measure once more by ISO 230-2 at targets that are no multiples of the screw's pitch."
+    }
+
+    fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
+        vec![Parameter::Fitted("um_per_m", 0, 0.0)]
+    }
+}
+
+impl Definition for PitchScale {
+    const NAME: &'static str = "pitch-scale";
+
+    fn keys(_: &Section<'_>) -> &'static [&'static str] {
+        &["um_per_m"]
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        Ok(Self { um_per_m: number(section, "um_per_m")? })
+    }
+
+    fn law(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
+        add(0, x[0] / 1000.0);
+    }
+
+    fn from_board(own: Option<LinearAxis>, form: &OnBoard, constant_um: &mut f64) -> Option<Self> {
+        match form {
+            // The constant alone.
+            OnBoard::Offset(um) if own.is_some() => {
+                *constant_um += um;
+                Some(Self::default())
+            }
+            OnBoard::OwnPosition(um_per_m) => Some(Self { um_per_m: *um_per_m }),
+            _ => None,
+        }
+    }
+
+    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+        if survey.moves() {
+            with(Self::default(), Settings::none());
+        }
+    }
+
+    fn against(rival: &str) -> Option<&'static str> {
+        match rival {
+            "reference-temperature" => Some(
+                "Measure the axis at two temperatures that are at least 5 K apart: a wrong scale \
+                 stays the same, a wrong reference temperature changes with the slope.",
+            ),
+            "expansion-slope" => Some(
+                "Measure the axis cold and warm: a scale stays, an expansion grows with temperature.",
+            ),
+            _ => None,
+        }
+    }
+}

@@ -1,0 +1,228 @@
+//! `reference-instrument`: the reference instrument errs.
+//!
+//! ```text
+//! p + Σ aᵢ·sin(2π·hᵢ·C/(P + P₀) + φᵢ)          with P₀, as an instrument that looks at an angle
+//! p + Σ aᵢ·sin(2π·hᵢ·P/C + φᵢ)                 without
+//! ```
+//!
+//! P is what the instrument reads: the position, or about what is predicted, or a column. Only of
+//! the position is it known beforehand; else the term in a file says what was found, and adds
+//! nothing.
+
+use std::f64::consts::TAU;
+
+use super::{
+    page::{
+        Definition, Entry, Home, Input, Nonlinear, OnBoard, Page,
+        Parameter, Value,
+    },
+    survey::{Reading, Settings, Survey},
+    wave::{self, Wave},
+};
+use crate::{
+    place::BadInput,
+    file::read::Section,
+};
+
+/// What a wave goes with.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Read {
+    /// The position of the own axis.
+    Position,
+    /// The elongation. What is read is about what is predicted; the reading itself has its own
+    /// noise in it, which a wave of the reading would follow.
+    Elongation,
+    /// A column of what was read: set up anew, an instrument reads another number at the same
+    /// position.
+    Column(String),
+}
+
+/// Waves of what the instrument reads.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ReferenceInstrument {
+    /// For people.
+    pub description: String,
+    /// C, in mm: the period; with P₀ the phase's constant. Not used without waves.
+    pub period_mm: f64,
+    /// P₀, in mm.
+    pub origin_mm: Option<f64>,
+    /// The waves; may be empty.
+    pub waves: Vec<Wave>,
+    /// P.
+    pub read: Read,
+}
+
+impl ReferenceInstrument {
+    fn neutral(is_angled: bool, read: Read) -> Self {
+        Self {
+            description: String::new(),
+            period_mm: 1.0,
+            origin_mm: is_angled.then_some(0.0),
+            waves: vec![Wave::neutral(1)],
+            read,
+        }
+    }
+
+    /// What is wrong with it, for people.
+    fn described(&self, values: &[f64]) -> String {
+        let start = self.nonlinear().len();
+        let amplitude = values[start].hypot(values[start + 1]);
+        if self.origin_mm.is_some() {
+            format!(
+                "the reference instrument's own error: a wave of {amplitude:.1} µm whose period \
+                 changes with the distance, as that of an instrument that looks at an angle"
+            )
+        } else {
+            format!(
+                "the reference instrument's own error: a wave of {amplitude:.2} µm that repeats \
+                 every {:.3} µm of its reading",
+                values[0]
+            )
+        }
+    }
+}
+
+impl Page for ReferenceInstrument {
+    fn entries(&self) -> Vec<Entry> {
+        let mut entries = vec![("description", Value::Text(self.description.clone()))];
+        if !self.waves.is_empty() {
+            entries.push(("period_mm", Value::Number(self.period_mm)));
+            entries.extend(self.origin_mm.map(|mm| ("origin_mm", Value::Number(mm))));
+            entries.extend(wave::entries(&self.waves));
+        }
+        entries
+    }
+
+    fn home(&self) -> Home {
+        Home::Any
+    }
+
+    fn is_compensated(&self) -> bool {
+        false
+    }
+
+    fn is_of_instrument(&self) -> bool {
+        true
+    }
+
+    fn tier(&self) -> u8 {
+        2
+    }
+
+    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
+        match &self.read {
+            _ if self.waves.is_empty() => Vec::new(),
+            Read::Position => vec![Input::OwnPosition],
+            Read::Elongation => vec![Input::Believed],
+            Read::Column(column) => vec![Input::Column(column)],
+        }
+    }
+
+    fn nonlinear(&self) -> &'static [Nonlinear] {
+        if self.origin_mm.is_some() {
+            &[Nonlinear::ReadingPeriod, Nonlinear::Origin]
+        } else {
+            &[Nonlinear::ReadingPeriod]
+        }
+    }
+
+    fn amplitudes(&self) -> usize {
+        2 * self.waves.len()
+    }
+
+    fn values(&self) -> Vec<f64> {
+        let nonlinear = [self.period_mm].into_iter().chain(self.origin_mm);
+        nonlinear.chain(self.waves.iter().flat_map(Wave::values)).collect()
+    }
+
+    fn set(&mut self, values: &[f64]) {
+        let start = self.nonlinear().len();
+        self.description = self.described(values);
+        self.period_mm = values[0];
+        if self.read == Read::Position {
+            self.origin_mm = self.origin_mm.map(|_| values[1]);
+            wave::set(&mut self.waves, &values[start..]);
+        } else {
+            self.origin_mm = None;
+            self.waves.clear();
+        }
+    }
+
+    fn on_board(&self) -> Vec<OnBoard> {
+        Vec::new()
+    }
+
+    fn sentence(&self, values: &[f64]) -> String {
+        let text = self.described(values);
+        format!("It is {text}. The machine is not to be compensated for it.")
+    }
+
+    fn next_test(&self) -> &'static str {
+        "Measure again with another instrument, or with this one shifted by a third of its period: \
+         what shifts with it is its own."
+    }
+
+    fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
+        let description = Value::Text(self.described(values));
+        vec![Parameter::Waves(vec![1]), Parameter::Said("description", description)]
+    }
+}
+
+impl Definition for ReferenceInstrument {
+    const NAME: &'static str = "reference-instrument";
+
+    fn keys(_: &Section<'_>) -> &'static [&'static str] {
+        &["description", "period_mm", "origin_mm", "harmonic", "amplitude_um", "phase_deg"]
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        let waves = wave::read(section)?.unwrap_or_default();
+        let period_mm = section.positive("period_mm")?;
+        Ok(Self {
+            description: section.text("description")?.unwrap_or_default().to_string(),
+            period_mm: if waves.is_empty() {
+                period_mm.unwrap_or(1.0)
+            } else {
+                section.required("period_mm", period_mm)?
+            },
+            origin_mm: section.number("origin_mm")?,
+            waves,
+            read: Read::Position,
+        })
+    }
+
+    fn law(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
+        for (number, wave) in self.waves.iter().enumerate() {
+            let turns = match *nonlinear {
+                [constant, origin] => constant / (x[0] + origin),
+                _ => x[0] / nonlinear[0],
+            };
+            let turns = f64::from(wave.harmonic) * turns;
+            add(2 * number, (TAU * turns).sin());
+            add(2 * number + 1, (TAU * turns).cos());
+        }
+    }
+
+    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+        const FREQUENCIES: usize = 2000;
+        if survey.quantity().axis().is_none() {
+            // Less than three turns are a curve, and may be the sensor's.
+            if let Some(peak) = survey.peak(Reading::Elongation, 3.0, FREQUENCIES) {
+                with(Self::neutral(false, Read::Elongation), peak);
+            }
+            return;
+        }
+        if survey.own_position().is_none() || survey.has(Self::NAME) {
+            return;
+        }
+        let mut angled = |reading: Reading<'_>, read: Read| {
+            if let Some(peak) = survey.angled_peak(reading) {
+                with(Self::neutral(true, read), peak);
+            }
+        };
+        angled(Reading::Position, Read::Position);
+        for column in survey.others().into_iter().filter(|name| name.ends_with("_mm")) {
+            angled(Reading::Column(column), Read::Column(column.into()));
+        }
+    }
+}

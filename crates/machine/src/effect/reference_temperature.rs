@@ -1,0 +1,98 @@
+//! `reference-temperature`: the axis is right at another temperature.
+//!
+//! ```text
+//! c·(T − T_ref − shift)·(P − P₀)/1000
+//! ```
+
+use super::{
+    page::{
+        Constants, Definition, Entry, Home, Host, Input, OnBoard, Page,
+        Parameter, Stage, Value, number,
+    },
+    survey::{Settings, Survey},
+};
+use crate::{
+    place::BadInput,
+    file::read::Section,
+};
+
+/// Another reference.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ReferenceTemperature {
+    /// Added to the believed T_ref, in K.
+    pub shift_c: f64,
+}
+
+impl Page for ReferenceTemperature {
+    fn entries(&self) -> Vec<Entry> {
+        vec![("shift_c", Value::Number(self.shift_c))]
+    }
+
+    fn home(&self) -> Home {
+        Home::Axis
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Constant
+    }
+
+    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
+        vec![]
+    }
+
+    fn refusal(&self, host: &Host<'_>) -> Option<String> {
+        host.thermal.is_none().then(|| "needs [axis.*.thermal] of the quantity's axis".into())
+    }
+
+    fn correct(&self, constants: &mut Constants<'_>) {
+        if let Some(thermal) = &mut constants.thermal {
+            thermal.shift_reference(self.shift_c);
+        }
+    }
+
+    fn values(&self) -> Vec<f64> {
+        Vec::new()
+    }
+
+    fn set(&mut self, values: &[f64]) {
+        self.shift_c = values[0];
+    }
+
+    fn on_board(&self) -> Vec<OnBoard> {
+        Vec::new()
+    }
+
+    fn sentence(&self, values: &[f64]) -> String {
+        format!(
+            "The axis is right at another temperature, {:+.2} K from the believed one.",
+            values[0]
+        )
+    }
+
+    fn next_test(&self) -> &'static str {
+        "Measure the axis at both ends at two temperatures that are at least 5 K apart."
+    }
+
+    fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
+        vec![Parameter::Fitted("shift_c", 0, 0.0)]
+    }
+}
+
+impl Definition for ReferenceTemperature {
+    const NAME: &'static str = "reference-temperature";
+
+    fn keys(_: &Section<'_>) -> &'static [&'static str] {
+        &["shift_c"]
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        Ok(Self { shift_c: number(section, "shift_c")? })
+    }
+
+    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+        let Some(thermal) = survey.thermal_in_use().filter(|_| survey.moves()) else { return };
+        if thermal.mode.has_position() {
+            with(Self::default(), Settings::none());
+        }
+    }
+}

@@ -1,0 +1,109 @@
+//! `step`: something has slipped, once.
+//!
+//! ```text
+//! p + s from a time on
+//! ```
+
+use super::{
+    page::{
+        Definition, Entry, Home, Input, Nonlinear, OnBoard, Page,
+        Parameter, Value, number,
+    },
+    survey::{Settings, Survey},
+};
+use crate::{
+    place::BadInput,
+    file::read::Section,
+};
+
+/// A jump.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Step {
+    /// The time, in the run's `time_s`.
+    pub at_s: f64,
+    /// s, in µm.
+    pub size_um: f64,
+}
+
+impl Page for Step {
+    fn entries(&self) -> Vec<Entry> {
+        vec![("at_s", Value::Number(self.at_s)), ("size_um", Value::Number(self.size_um))]
+    }
+
+    fn home(&self) -> Home {
+        Home::Any
+    }
+
+    fn is_compensated(&self) -> bool {
+        false
+    }
+
+    fn tier(&self) -> u8 {
+        2
+    }
+
+    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
+        vec![Input::Time]
+    }
+
+    fn nonlinear(&self) -> &'static [Nonlinear] {
+        &[Nonlinear::Instant]
+    }
+
+    fn values(&self) -> Vec<f64> {
+        vec![self.at_s, self.size_um]
+    }
+
+    fn set(&mut self, values: &[f64]) {
+        (self.at_s, self.size_um) = (values[0], values[1]);
+    }
+
+    fn on_board(&self) -> Vec<OnBoard> {
+        Vec::new()
+    }
+
+    fn sentence(&self, values: &[f64]) -> String {
+        format!("At {:.0} s something slipped by {:+.2} µm, once.", values[0], values[1])
+    }
+
+    fn next_test(&self) -> &'static str {
+        "Find what happened at that time, and repeat the run."
+    }
+
+    fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
+        vec![Parameter::Fitted("size_um", 1, 0.0), Parameter::Instant("at_s", 0)]
+    }
+}
+
+impl Definition for Step {
+    const NAME: &'static str = "step";
+
+    fn keys(_: &Section<'_>) -> &'static [&'static str] {
+        &["at_s", "size_um"]
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        Ok(Self { at_s: number(section, "at_s")?, size_um: number(section, "size_um")? })
+    }
+
+    fn law(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
+        add(0, match x[0] {
+            missing if missing.is_nan() => f64::NAN,
+            time_s if time_s >= nonlinear[0] => 1.0,
+            _ => 0.0,
+        });
+    }
+
+    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+        let Some([start_s, _]) = survey.time_s() else { return };
+        if survey.files() == 1 && !survey.has(Self::NAME) {
+            let groups = survey.groups();
+            let every = (groups / 50).max(1);
+            let at = (every..groups.saturating_sub(3))
+                .step_by(every)
+                .map(|group| survey.time_of_group(group))
+                .filter(|at_s| *at_s > start_s);
+            with(Self::default(), Settings::at(at));
+        }
+    }
+}

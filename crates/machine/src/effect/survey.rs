@@ -1,0 +1,184 @@
+//! What a page asks of the data before it proposes itself, and where a search begins.
+//!
+//! A diagnosis answers; the pages say which causes the machine and the data allow. Nonlinear values
+//! are tried on a grid; the best point is then refined with everything else.
+
+use super::quantity::Quantity;
+use crate::file::{Axis, Feedback, LinearAxis, Source, Spindle, Thermal};
+
+/// Trials of a time constant.
+pub const TIME_CONSTANTS: usize = 12;
+/// The same where a constant is corrected by a factor: the next point of a coarse grid may be worse
+/// than none.
+pub const FINE_TIME_CONSTANTS: usize = 3 * TIME_CONSTANTS;
+
+/// Nonlinear values to begin from; one empty list where there are none.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// A list for each trial; none: nothing is to be tried.
+    pub starts: Vec<Vec<f64>>,
+    /// ln of the number of settings that were looked at to find these.
+    pub searched: f64,
+}
+
+impl Settings {
+    /// Nothing nonlinear.
+    #[must_use]
+    pub fn none() -> Self {
+        Self { starts: vec![Vec::new()], searched: 0.0 }
+    }
+
+    /// One value at each of these.
+    #[must_use]
+    pub fn at(values: impl IntoIterator<Item = f64>) -> Self {
+        Self { starts: values.into_iter().map(|value| vec![value]).collect(), searched: 0.0 }
+    }
+}
+
+/// What a periodic error is looked for over.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Reading<'a> {
+    /// The position of the own axis.
+    Position,
+    /// The elongation that is predicted.
+    Elongation,
+    /// A column.
+    Column(&'a str),
+}
+
+/// The data that a cause is looked for in, the model as it is now, and what that leaves.
+pub trait Survey {
+    /// What was measured.
+    fn quantity(&self) -> Quantity;
+    /// How the spindle is believed to grow.
+    fn spindle(&self) -> &Spindle;
+    /// What is believed of the quantity's own axis.
+    fn own_axis(&self) -> Option<&Axis>;
+    /// Whether the tool's growth is in what was measured.
+    fn elongates(&self) -> bool;
+    /// The elongation by the machine file, in µm.
+    fn elongation(&self) -> &[f64];
+    /// The spread of what the machine file predicts, in µm; at least 0.
+    fn predicted_spread(&self) -> f64;
+    /// A column of the run by its name.
+    fn column(&self, name: &str) -> Option<&[f64]>;
+    /// The names of the temperatures.
+    fn temperatures(&self) -> Vec<&str>;
+    /// The names of the columns that this project does not know.
+    fn others(&self) -> Vec<&str>;
+    /// The position of the own axis.
+    fn own_position(&self) -> Option<&[f64]>;
+    /// Whether the own axis was approached from both sides.
+    fn turns(&self) -> bool;
+    /// Whether the model goes by this temperature already.
+    fn is_in_use(&self, column: &str) -> bool;
+    /// Whether the model has a cause of this name already.
+    fn has(&self, cause: &str) -> bool;
+    /// Whether the model has an error of the reference instrument already.
+    fn has_instrument(&self) -> bool;
+    /// Whether the model has a zero of its own.
+    fn has_constant(&self) -> bool;
+    /// The temperature that a term on `column` is counted from, in °C.
+    fn reference_c(&self, column: &str) -> f64;
+    /// The time that a term in time is counted from, in s.
+    fn start_s(&self) -> f64;
+    /// The first and the last time of the record, in s; `None` without a clock.
+    fn time_s(&self) -> Option<[f64; 2]>;
+    /// How many files there are.
+    fn files(&self) -> usize;
+    /// How many rows there are.
+    fn rows(&self) -> usize;
+    /// How many groups of rows are fitted to.
+    fn groups(&self) -> usize;
+    /// The time of the first row of a group, in s.
+    fn time_of_group(&self, group: usize) -> f64;
+    /// So many time constants in equal ratios, from the spacing of the rows to what the longest
+    /// series can show; none without a clock.
+    fn time_constants(&self, count: usize) -> Settings;
+    /// The longest period that the travel can show, in mm.
+    fn longest_period_mm(&self) -> f64;
+    /// The period of the strongest wave in what is left, if it turns so often over the whole length;
+    /// at most `frequencies` are looked at.
+    fn peak(&self, over: Reading<'_>, least_turns: f64, frequencies: usize) -> Option<Settings>;
+    /// C and P₀ of the strongest wave of C/(P + P₀).
+    fn angled_peak(&self, over: Reading<'_>) -> Option<Settings>;
+
+    /// What is believed of the own axis's growth.
+    fn thermal(&self) -> Option<&Thermal> {
+        self.own_axis().and_then(|axis| axis.thermal.as_ref())
+    }
+}
+
+impl dyn Survey + '_ {
+    /// Where the tool's growth comes from, where it is in what was measured.
+    #[must_use]
+    pub fn source(&self) -> Option<Source> {
+        if self.elongates() { self.spindle().source } else { None }
+    }
+
+    /// Whether the tool's growth is measured, or is in what was measured.
+    #[must_use]
+    pub fn grows(&self) -> bool {
+        self.elongates() || self.quantity().axis().is_none()
+    }
+
+    /// Whether the own axis is moved by a screw that nothing looks after.
+    #[must_use]
+    pub fn has_screw(&self) -> bool {
+        self.own_axis().is_some_and(|axis| axis.feedback == Feedback::Screw)
+    }
+
+    /// Whether a column is there and not always the same.
+    #[must_use]
+    pub fn varies(&self, column: &str) -> bool {
+        self.column(column).is_some_and(|values| spread(values) > 0.0)
+    }
+
+    /// Whether the own axis has moved.
+    #[must_use]
+    pub fn moves(&self) -> bool {
+        self.own_position().is_some_and(|mm| spread(mm) > 0.0)
+    }
+
+    /// Whether the own axis has a thermal law whose thermometer has moved.
+    #[must_use]
+    pub fn thermal_in_use(&self) -> Option<&Thermal> {
+        self.thermal().filter(|thermal| self.varies(&thermal.sensor))
+    }
+
+    /// The columns of the positions of the other axes that have moved, for an axis's error.
+    #[must_use]
+    pub fn other_axes(&self) -> Vec<LinearAxis> {
+        let Some(own) = self.quantity().axis() else { return Vec::new() };
+        let others = LinearAxis::ALL.into_iter();
+        others.filter(|&axis| axis != own && self.varies(&format!("{}_mm", axis.name()))).collect()
+    }
+}
+
+/// From the least to the largest of the numbers that are there; at least 0.
+#[must_use]
+pub fn spread(values: &[f64]) -> f64 {
+    let finite = values.iter().copied().filter(|value| value.is_finite());
+    let (low, high) = finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
+        (low.min(value), high.max(value))
+    });
+    if high > low { high - low } else { 0.0 }
+}
+
+/// The places that the positions stand at, sorted, nearer ones than `share` of the travel as one.
+pub(crate) fn targets(values: &[f64], share: f64) -> Vec<f64> {
+    let mut sorted: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
+    sorted.sort_by(f64::total_cmp);
+    let least = share * spread(values);
+    let mut targets: Vec<(f64, f64)> = Vec::new();
+    for value in sorted {
+        match targets.last_mut() {
+            Some((sum, count)) if value - *sum / *count <= least => {
+                *sum += value;
+                *count += 1.0;
+            }
+            _ => targets.push((value, 1.0)),
+        }
+    }
+    targets.into_iter().map(|(sum, count)| sum / count).collect()
+}

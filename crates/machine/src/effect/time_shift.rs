@@ -1,0 +1,117 @@
+//! `time-shift`: two clocks differ.
+//!
+//! ```text
+//! p(t − shift), after all else; linear between rows, before the first its value
+//! ```
+
+use super::{
+    page::{
+        Definition, Entry, Home, Input, Nonlinear, OnBoard, Page,
+        Parameter, Stage, Value, number,
+    },
+    survey::{Settings, Survey},
+};
+use crate::{
+    place::BadInput,
+    file::read::Section,
+};
+
+/// A shift in time.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TimeShift {
+    /// Positive: the measurement comes later than the prediction; in s.
+    pub shift_s: f64,
+}
+
+impl Page for TimeShift {
+    fn entries(&self) -> Vec<Entry> {
+        vec![("shift_s", Value::Number(self.shift_s))]
+    }
+
+    fn home(&self) -> Home {
+        Home::Any
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Shift
+    }
+
+    fn tier(&self) -> u8 {
+        2
+    }
+
+    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
+        vec![Input::Time]
+    }
+
+    fn is_compensated(&self) -> bool {
+        false
+    }
+
+    fn nonlinear(&self) -> &'static [Nonlinear] {
+        &[Nonlinear::Shift]
+    }
+
+    fn amplitudes(&self) -> usize {
+        0
+    }
+
+    fn shift_s(&self) -> f64 {
+        self.shift_s
+    }
+
+    fn values(&self) -> Vec<f64> {
+        Vec::new()
+    }
+
+    fn set(&mut self, values: &[f64]) {
+        self.shift_s = values[0];
+    }
+
+    fn on_board(&self) -> Vec<OnBoard> {
+        Vec::new()
+    }
+
+    fn sentence(&self, values: &[f64]) -> String {
+        format!(
+            "The measurement and the model's inputs are {:.1} s apart: two clocks differ.",
+            values[0]
+        )
+    }
+
+    fn next_test(&self) -> &'static str {
+        "Compare the two clocks at the start and the end of a run."
+    }
+
+    fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
+        vec![Parameter::Fitted("shift_s", 0, 0.0)]
+    }
+}
+
+impl Definition for TimeShift {
+    const NAME: &'static str = "time-shift";
+
+    fn keys(_: &Section<'_>) -> &'static [&'static str] {
+        &["shift_s"]
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        Ok(Self { shift_s: number(section, "shift_s")? })
+    }
+
+    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+        let Some([start_s, end_s]) = survey.time_s().filter(|_| survey.predicted_spread() > 0.0)
+        else {
+            return;
+        };
+        let range_s = end_s - start_s;
+        let step_s = range_s * survey.files() as f64 / survey.rows().max(2) as f64;
+        let mut shifts = Vec::new();
+        let mut size = step_s;
+        while size <= 30.0 * step_s && size < 0.05 * range_s {
+            shifts.extend([size, -size]);
+            size *= 1.6;
+        }
+        with(Self::default(), Settings::at(shifts));
+    }
+}
