@@ -6,10 +6,7 @@
 //! Where nothing of the model has a memory, the rows of a run may follow each other faster than they
 //! were measured; where something lags, time passes as it did.
 
-use std::{
-    fmt::Write as _,
-    path::{Path, PathBuf},
-};
+use std::{fmt::Write as _, path::Path};
 
 use trueup_core::cnc::{Control, Output, Spindle};
 use trueup_diagnose::{Diagnosis, diagnose};
@@ -23,6 +20,7 @@ use trueup_emulator::{
 };
 use trueup_link::{frames, receiver::OffsetReceiver};
 use trueup_machine::{Machine, MachineFile, RunFile, compile};
+use trueup_measured_data::file as data;
 use trueup_pipe::Block;
 use trueup_twin::hidden::{Hidden, draw};
 
@@ -220,16 +218,6 @@ fn the_gain_of_an_axiss_terms_is_in_the_offsets() {
 #[test]
 fn the_gain_of_a_lag_is_in_the_offsets() {
     hidden(Hidden::ThermalLag, 2, true);
-}
-
-/// The path of a measured file, where it is there.
-fn data(name: &str) -> Option<PathBuf> {
-    let path = setup::root().join("../shared/data").join(name);
-    if path.exists() {
-        return Some(path);
-    }
-    println!("skipped: {} is not there", path.display());
-    None
 }
 
 #[test]

@@ -3,14 +3,11 @@
 
 mod desk;
 
-use std::{
-    fmt::Write as _,
-    fs,
-    path::{Path, PathBuf},
-};
+use std::{fmt::Write as _, fs};
 
 use desk::Desk;
 use trueup_machine::{Machine, MachineFile, RunFile};
+use trueup_measured_data::file as measured;
 
 const MACHINE: &str = "# mine\n[machine]\nname = \"mill\" # the old one\nkind = \"3-axis\"\n";
 
@@ -46,17 +43,6 @@ fn number(json: &str, path: &str) -> f64 {
         .pointer(path)
         .and_then(serde_json::Value::as_f64)
         .unwrap_or_else(|| panic!("{path}: {json}"))
-}
-
-/// A file of the shared data; `None`, with a printed notice, where it is missing.
-fn shared(name: &str) -> Option<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    let path = folder.join(name);
-    if path.is_file() {
-        return Some(path);
-    }
-    println!("skipped: {} is not there", path.display());
-    None
 }
 
 /// Repeatable noise between −1 and 1.
@@ -153,7 +139,7 @@ fn thermal_does_not_fit_what_other_sections_say_already() {
 
 #[test]
 fn pitch_and_backlash_of_real_axes() {
-    let (Some(x), Some(muts)) = (shared("ess_iso230/x.csv"), shared("ess_iso230/muts_x.csv"))
+    let (Some(x), Some(muts)) = (measured("ess_iso230/x.csv"), measured("ess_iso230/muts_x.csv"))
     else {
         return;
     };
@@ -184,7 +170,7 @@ fn pitch_and_backlash_of_real_axes() {
 
 #[test]
 fn straightness_of_a_real_bed() {
-    let Some(path) = shared("bed_mesh_troodon/mesh_101x101_mm.csv") else { return };
+    let Some(path) = measured("bed_mesh_troodon/mesh_101x101_mm.csv") else { return };
     let text = fs::read_to_string(path).expect("readable");
     let rows: Vec<Vec<f64>> = text
         .lines()

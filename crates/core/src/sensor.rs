@@ -1,4 +1,4 @@
-//! Spindle elongation from the displacement sensor (seed 000).
+//! Spindle elongation from the displacement sensor (`docs/physics.md` section 1).
 //!
 //! ΔK = K₀ + (V − V₀)·tanβ, with V and V₀ as [`Reading`]s, so that one law serves any divider
 //! and any sensor range. The slope is Q28 nanometres per reading unit: 1.6·10⁻⁸ of its value for

@@ -1,4 +1,4 @@
-//! Growth of a spindle that has no sensor: heat as a state (seed 001).
+//! Growth of a spindle that has no sensor: heat as a state (`docs/physics.md` section 2).
 //!
 //! h follows the drive with τ = (t₂ − t₁)/k while the spindle runs, once it has run for the lag t₁;
 //! else it follows 0, with a time constant of its own. The growth is

@@ -3,7 +3,7 @@
 //! [`diagnose`] compares a machine file with measured runs. What is left is searched for physical
 //! causes, each a term with parameters; a term is added if it explains more than noise with a memory
 //! would let any term explain, if it predicts blocks that were left out, and as long as something is
-//! left. The form of the answer is fixed (`interfaces.md` section 5).
+//! left. The form of the answer is fixed (`docs/reference.md`, Diagnosis).
 //!
 //! | module | does |
 //! |---|---|

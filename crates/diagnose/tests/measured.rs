@@ -1,22 +1,13 @@
-//! Data that nobody here has made (`../shared/data`): the causes that its README knows, and its
-//! figures. Where the folder is missing a test says so and does nothing.
+//! Data that nobody here has made (`docs/measured-data.md`): the causes that are known of them, and
+//! the figures. Where they are missing a test says so and does nothing.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use trueup_diagnose::{Diagnosis, Verdict, diagnose};
 use trueup_machine::{MachineFile, RunFile};
+use trueup_measured_data::file as data;
 
 const HEAD: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
-
-/// The path of a measured file, where it is there.
-fn data(name: &str) -> Option<PathBuf> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data").join(name);
-    if path.exists() {
-        return Some(path);
-    }
-    println!("skipped: {} is not there", path.display());
-    None
-}
 
 fn read(path: &Path) -> RunFile {
     RunFile::read(path).expect("a run file")

@@ -174,7 +174,16 @@ pub fn python() -> Result<PathBuf> {
         // Another Python may stand before the distribution's on PATH.
         make("python3").or_else(|_| make("/usr/bin/python3"))?;
     }
-    let pip = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "-r"];
+    // By their hashes: nobody can put another package under a name that is asked for.
+    let pip = [
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--disable-pip-version-check",
+        "--require-hashes",
+        "-r",
+    ];
     process::run(Command::new(&python).args(pip).arg(&requirements))?;
     fs::write(stamp, wanted)?;
     Ok(python)

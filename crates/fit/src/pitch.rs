@@ -1,4 +1,4 @@
-//! The position errors of an axis and its backlash, from measured runs (`physics.md` section 5).
+//! The position errors of an axis and its backlash, from measured runs (`docs/physics.md` section 5).
 //!
 //! | module | does |
 //! |---|---|

@@ -4,7 +4,7 @@
 //! readings ─► sites: mean and scatter at each position ─► less the reference line ─► spline
 //! ```
 //!
-//! Two methods. [`Method::Paper`] takes data points as control points, as `physics.md` section 4
+//! Two methods. [`Method::Paper`] takes data points as control points, as `docs/physics.md` section 4
 //! tells it. [`Method::LeastSquares`] fits by least squares, with knots placed where they are
 //! needed, and takes one more as long as it has reason to:
 //!
@@ -89,7 +89,7 @@ impl Default for Options {
 /// How a curve is found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
-    /// Data points as control points, the worst residual joins (seed 003). Without a tolerance it
+    /// Data points as control points, the worst residual joins (the paper's way). Without a tolerance it
     /// takes the largest residual that least squares leaves.
     Paper,
     /// Least squares, knots where they are needed.

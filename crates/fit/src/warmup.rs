@@ -1,6 +1,6 @@
 //! `[spindle.warmup]`: t₁, t₂, Smax and k of a spindle without a sensor, from recorded warm-ups.
 //!
-//! At constant speed from cold the model is (`physics.md` section 2)
+//! At constant speed from cold the model is (`docs/physics.md` section 2)
 //!
 //! ```text
 //! s = Smax·(1 − e^(−k·u))/(1 − e^(−k)),   u = (t − t₁)/(t₂ − t₁)

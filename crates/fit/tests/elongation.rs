@@ -2,12 +2,14 @@
 
 mod support;
 
+use std::path::Path;
+
 use support::{
     MACHINE, Noise, applied, assert_holds, assert_round_trip, machine, parse, predicted_rms, run,
-    shared,
 };
 use trueup_fit::{Verdict, elongation};
 use trueup_machine::{RunFile, machine_file::Source};
+use trueup_measured_data::file as measured;
 
 const PAPER: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n[spindle]\nsource = \"sensor\"\n\
     [spindle.sensor]\nk0_um = 0.0\nzero_counts = 5048.0 # cold\num_per_count = 0.0152587890625\n";
@@ -19,7 +21,7 @@ fn fit(run: RunFile, text: &str) -> trueup_fit::Report {
 
 #[test]
 fn the_papers_table_gives_the_line_that_others_found_and_predict_agrees() {
-    let Some(path) = shared("spindle_paper_table1/run.csv") else { return };
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/spindle_paper_table1.csv");
     let run = RunFile::read(&path).expect("a run file");
     let report = fit(run.clone(), PAPER);
     let (left_out, in_sample) = (report.left_out.expect("15 rows"), report.in_sample.expect("15"));
@@ -136,7 +138,7 @@ fn readings_that_have_nothing_to_do_with_it_are_not_compensated() {
 
 #[test]
 fn a_lag_that_fits_better_but_predicts_worse_is_not_taken() {
-    let Some(path) = shared("spindle_sjtu/run.csv") else { return };
+    let Some(path) = measured("spindle_sjtu/run.csv") else { return };
     let run = RunFile::read(&path).expect("a run file");
     let options = elongation::Options {
         temperature: Some("temp_t0_c".into()),

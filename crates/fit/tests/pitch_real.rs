@@ -1,11 +1,9 @@
-//! The pitch fit on measured axes: `../shared/data/ess_iso230`, five runs of ISO 230-2 each, fitted
+//! The pitch fit on measured axes: the set `ess_iso230`, five runs of ISO 230-2 each, fitted
 //! on some runs and tested on the others as `trueup predict` would correct them.
 //!
 //! `cargo test -p trueup-fit --test pitch_real -- --show-output` prints the figures.
 
 mod pitch_support;
-
-use std::path::Path;
 
 use pitch_support::{left_by_model, rms};
 use trueup_fit::{
@@ -19,12 +17,7 @@ use trueup_machine::{
 
 /// The run of this name, `None` (and a line that says so) where the data are not there.
 fn measured(name: &str) -> Option<RunFile> {
-    let path =
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/ess_iso230").join(name);
-    if !path.exists() {
-        println!("skipped: {} is not there", path.display());
-        return None;
-    }
+    let path = trueup_measured_data::file(&format!("ess_iso230/{name}"))?;
     Some(RunFile::read(&path).expect("the data are a run file"))
 }
 

@@ -2,8 +2,6 @@
 //! fitted at the even points, tested at the odd ones. Figures:
 //! `cargo test -p trueup-fit --test straightness_bed -- --show-output`.
 
-use std::path::Path;
-
 use trueup_fit::straightness::{Fit, Options, Stop, fit};
 use trueup_machine::model::spline_um;
 
@@ -12,12 +10,8 @@ type Mesh = (Vec<f64>, Vec<f64>, Vec<Vec<f64>>);
 
 /// The mesh; `None` where the data are not there.
 fn mesh() -> Option<Mesh> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../../../shared/data/bed_mesh_troodon/mesh_101x101_mm.csv");
-    let Ok(text) = std::fs::read_to_string(&path) else {
-        println!("skipped: no {}", path.display());
-        return None;
-    };
+    let path = trueup_measured_data::file("bed_mesh_troodon/mesh_101x101_mm.csv")?;
+    let text = std::fs::read_to_string(path).expect("a text file");
     let um = |value: &str| 1e3 * value.trim().parse::<f64>().expect("a height");
     let rows: Vec<Vec<f64>> = text.lines().map(|line| line.split(',').map(um).collect()).collect();
     let columns = rows[0].len();

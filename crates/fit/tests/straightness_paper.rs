@@ -1,4 +1,4 @@
-//! The paper's machine (`physics.md` section 4): six curves with its travels and amplitudes, and the
+//! The paper's machine (`docs/physics.md` section 4): six curves with its travels and amplitudes, and the
 //! two-axis diagonal cut.
 //!
 //! The paper prints no data, so the curves are [seeded](guideway). Figures: `cargo test -p trueup-fit --test straightness_paper -- --show-output`.

@@ -2,14 +2,13 @@
 
 mod support;
 
-use support::{
-    MACHINE, Noise, applied, assert_holds, assert_round_trip, machine, parse, run, shared,
-};
+use support::{MACHINE, Noise, applied, assert_holds, assert_round_trip, machine, parse, run};
 use trueup_fit::{Report, Verdict, thermal};
 use trueup_machine::{
     RunFile,
     machine_file::{LinearAxis, ThermalMode},
 };
+use trueup_measured_data::file as measured;
 
 fn fit(run: &RunFile, options: &thermal::Options) -> Report {
     thermal::fit(std::slice::from_ref(run), LinearAxis::X, None, options).expect("a fit")
@@ -156,7 +155,7 @@ fn runs_at_several_temperatures_give_a_table_where_a_line_does_not_do() {
 
 #[test]
 fn the_eleven_missed_homings_of_the_voron_are_found_and_listed() {
-    let Some(path) = shared("voron_frame_expansion/run1.csv") else { return };
+    let Some(path) = measured("voron_frame_expansion/run1.csv") else { return };
     let run = RunFile::read(&path).expect("a run file");
     let options = thermal::Options {
         temperature: Some("temp_frame_c".into()),
@@ -172,7 +171,7 @@ fn the_eleven_missed_homings_of_the_voron_are_found_and_listed() {
 #[test]
 fn the_other_runs_of_the_voron_lose_no_row() {
     for name in ["run3", "run4"] {
-        let Some(path) = shared(&format!("voron_frame_expansion/{name}.csv")) else { return };
+        let Some(path) = measured(&format!("voron_frame_expansion/{name}.csv")) else { return };
         let run = RunFile::read(&path).expect("a run file");
         let options = thermal::Options {
             temperature: Some("temp_frame_c".into()),

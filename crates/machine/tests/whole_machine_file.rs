@@ -26,12 +26,12 @@ temp_screw_c = { channel = 0, kind = "pt100" }      # or kind = "linear", zero_c
 
 [spindle]
 source = "sensor"                     # or "warmup", "temperature"; absent: no elongation
-[spindle.sensor]                      # seed 000
+[spindle.sensor]
 k0_um = 0.0
 zero_counts = 5048.0
 um_per_count = 0.0152587890625
 temperature = "temp_coil_c"           # optional: the sensor's own temperature
-[spindle.warmup]                      # seed 001
+[spindle.warmup]
 lag_s = 60.0
 warm_s = 5400.0
 max_um = 80.0
@@ -47,7 +47,7 @@ lag_s = 0.0
 
 [axis.x]
 feedback = "screw"                    # or "scale"; backlash belongs to "screw" only
-[axis.x.thermal]                      # seed 002; keys that the mode does not use are allowed
+[axis.x.thermal]  # keys that the mode does not use are allowed
 mode = "position"                     # or "constant", "both"
 sensor = "temp_screw_c"
 reference_c = 23.0
@@ -56,7 +56,7 @@ slope_um_per_m_per_c = 14.21
 origin_mm = 0.0
 lag_s = 0.0
 table = [[23.0, 0.0, 0.0], [42.0, 0.0, 270.0]]   # optional: [T, K0 um, slope um/m], linear between, instead of the two constants
-[axis.x.pitch]                        # seed 004: errors, actual minus commanded
+[axis.x.pitch]  # errors, actual minus commanded
 start_mm = 0.0
 step_mm = 100.0
 forward_um = [0.0, 1.5, 2.0]
@@ -71,7 +71,7 @@ first_mm = 0.0
 second_mm = 3000.0
 pitch = { start_mm = 0.0, step_mm = 100.0, forward_um = [0.0, 1.0, 2.5] }
 
-[straightness.z_of_x]                 # seed 003; y_of_x z_of_x z_of_y x_of_y x_of_z y_of_z
+[straightness.z_of_x]  # y_of_x z_of_x z_of_y x_of_y x_of_z y_of_z
 order = 4
 knots_mm = [0.0, 0.0, 0.0, 0.0, 500.0, 1000.0, 1000.0, 1000.0, 1000.0]
 control_um = [0.0, 3.0, -2.0, 4.0, 0.0]

@@ -1,4 +1,4 @@
-//! The answer in the form that scripts read: `diagnosis.json` (`interfaces.md` section 5).
+//! The answer in the form that scripts read: `diagnosis.json` (`docs/reference.md`, Diagnosis).
 
 use serde::Serialize;
 

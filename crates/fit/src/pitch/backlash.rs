@@ -1,4 +1,4 @@
-//! Backlash alone: how far the table is left behind after a reversal (`physics.md` section 5).
+//! Backlash alone: how far the table is left behind after a reversal (`docs/physics.md` section 5).
 //!
 //! At each position the axis arrives from both sides, several times; b is the reading from the
 //! negative side minus that from the positive side, and b̄ᵢ its mean at position i. A test at the

@@ -1,4 +1,4 @@
-//! The paper's way (seed 003 in `physics.md` section 4): data points as control points.
+//! The paper's way (`docs/physics.md` section 4): data points as control points.
 //!
 //! The two ends and the eight points of largest local curvature (a point whose curvature is above
 //! both neighbours') are the control points b_j; while a residual is above ε, the point of the

@@ -8,7 +8,7 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng as _};
 use rand_distr::{Distribution as _, Normal};
 
 /// Name, travel in mm, spacing of the readings in mm, range in µm, the paper's residual in µm
-/// (`physics.md` section 4; the spacing is ours, the paper does not say it).
+/// (`docs/physics.md` section 4; the spacing is ours, the paper does not say it).
 pub const CURVES: [(&str, f64, f64, f64, f64); 6] = [
     ("z_of_x", 14_300.0, 100.0, 200.0, 8.3),
     ("y_of_x", 14_300.0, 100.0, 79.0, 4.8),

@@ -2,10 +2,7 @@
 
 #![allow(dead_code, reason = "each test program uses its own part")]
 
-use std::{
-    fmt::Write as _,
-    path::{Path, PathBuf},
-};
+use std::{fmt::Write as _, path::Path};
 
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
@@ -101,15 +98,4 @@ pub fn assert_holds(report: &Report, name: &str, truth: f64) {
     // A hair wider: one interval in twenty need not hold it, and the seeds are what they are.
     let slack = 0.5 * (high - low);
     assert!((low - slack..=high + slack).contains(&truth), "{parameter} should hold {truth}");
-}
-
-/// A file of the shared data; `None`, with a printed notice, where it is missing.
-pub fn shared(name: &str) -> Option<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    let path = folder.join(name);
-    if path.is_file() {
-        return Some(path);
-    }
-    println!("skipped: {} is not there", path.display());
-    None
 }

@@ -6,7 +6,7 @@
 //! ΔK = K₀ + (V − V₀)·tanβ
 //! ```
 //!
-//! By the time that the spindle has run, of a machine without a sensor (`physics.md` section 2).
+//! By the time that the spindle has run, of a machine without a sensor (`docs/physics.md` section 2).
 //! From cold and at constant speed:
 //!
 //! ```text

@@ -1,6 +1,6 @@
 //! Where the tool points, and what its growth does to X, Y and Z, in `f64`.
 //!
-//! With V₀ the direction at zero (`physics.md` section 2): V = R₁·R₂·V₀ for the rotary axes that
+//! With V₀ the direction at zero (`docs/physics.md` section 2): V = R₁·R₂·V₀ for the rotary axes that
 //! carry the spindle, R₁ that of the one next to the frame; V = V₀ where none does. Rotations are
 //! right-handed, about +X (A), +Y (B), +Z (C).
 //!

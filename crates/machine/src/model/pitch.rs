@@ -1,4 +1,4 @@
-//! Position errors of an axis and its backlash, in `f64` (`physics.md` section 5).
+//! Position errors of an axis and its backlash, in `f64` (`docs/physics.md` section 5).
 //!
 //! A table holds errors, actual minus commanded, at points of equal distance: linear between them,
 //! the end values held outside. The direction of approach chooses the table where there are two.

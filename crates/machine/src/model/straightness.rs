@@ -1,6 +1,6 @@
 //! The error of one linear axis along another, in `f64`: straightness and squareness.
 //!
-//! Straightness (`physics.md` section 4) is a B-spline over the position of the axis that moves,
+//! Straightness (`docs/physics.md` section 4) is a B-spline over the position of the axis that moves,
 //! C(t) = Σ N_{j,p}(t)·b_j, evaluated by de Boor's recurrence in the knot span [t_s, t_{s+1}) that
 //! holds t, with p the degree:
 //!

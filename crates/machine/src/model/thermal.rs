@@ -1,4 +1,4 @@
-//! How an axis grows with a temperature, in `f64` (`physics.md` section 3).
+//! How an axis grows with a temperature, in `f64` (`docs/physics.md` section 3).
 //!
 //! ```text
 //! ΔK(T) = K₀(T) + tanβ(T)·(P − P₀)

@@ -1,4 +1,4 @@
-//! The laws of `physics.md` that a believed machine states, written for this crate alone.
+//! The laws of `docs/physics.md` that a believed machine states, written for this crate alone.
 
 use std::f64::consts::TAU;
 

@@ -12,7 +12,7 @@
 //! on every row within 1e-9 µm (`crates/cli/tests/simulate.rs`).
 //!
 //! # Conventions
-//! - The table of causes (`interfaces.md` section 5) says what each effect does to p, the believed
+//! - The table of causes (`docs/reference.md`, Causes) says what each effect does to p, the believed
 //!   value, and names its parameters. In a pair both effects act on p and are added; a slope beside a
 //!   lag is the slope over the lagged temperature, so that the two together are one machine.
 //! - The ratio is RMS(effect)/RMS(noise) over the training rows, of a pair for each of the two. Noise
@@ -20,7 +20,7 @@
 //!   less its mean over the training rows; an elongation has a true zero and counts as it is.
 //! - Time begins at 0 in each run, but for `step` and `drift`: there the hold-out is the same session
 //!   continued, its `time_s` goes on, and the effect with it.
-//! - Temperatures and the warm-up state settle as `interfaces.md` section 4 says.
+//! - Temperatures and the warm-up state settle as `docs/reference.md`, Machine file says.
 //! - A table of tanβ that bends over T makes `reference-temperature` identifiable; where tanβ is
 //!   straight, which is drawn as often, or does not bend where the axis was, `pitch-scale` explains the
 //!   same, and is in `rivals`. So is, beside a slow mode of the bearing, the path of a motor whose
