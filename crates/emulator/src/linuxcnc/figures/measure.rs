@@ -1,0 +1,311 @@
+//! What is read off the recorded servo cycles: ranges, stairs, the lag, curves for the pictures.
+
+use anyhow::{Context as _, Result};
+use serde::Serialize;
+
+use super::super::{
+    config::{self, STAIRS_MM},
+    plant::Cycle,
+};
+
+/// A figure of a servo cycle.
+pub(super) type Of = fn(&Cycle) -> f64;
+
+/// A height of the staircase.
+#[derive(Clone, Debug, Serialize)]
+pub struct Stair {
+    /// Where, in mm.
+    pub z_mm: f64,
+    /// Error on Z from below and from above, in µm, before.
+    pub before_um: [f64; 2],
+    /// And after.
+    pub after_um: [f64; 2],
+}
+
+/// How late the offsets are.
+#[derive(Clone, Debug, Serialize)]
+pub struct Lag {
+    /// Over the whole diagonal, in ms.
+    pub mean_ms: f64,
+    /// In the worst two seconds of it in which the error changes by more than 10 µm/s.
+    pub worst_ms: f64,
+    /// The steepest error on Z along the diagonal, in µm/mm.
+    pub steepest_um_per_mm: f64,
+    /// What the lag costs there at 10 m/min, in µm.
+    pub costs_um_at_10_m_per_min: f64,
+}
+
+/// Places and errors for a picture.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Curve {
+    /// Place along the path in mm, or time in s, or angle in degrees.
+    pub at: Vec<f64>,
+    /// The error before, in µm.
+    pub before_um: Vec<f64>,
+    /// And after.
+    pub after_um: Vec<f64>,
+}
+
+pub(super) fn range(values: impl Iterator<Item = f64>) -> f64 {
+    let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
+        (low.min(value), high.max(value))
+    });
+    high - low
+}
+
+pub(super) fn length(v: [f64; 3]) -> f64 {
+    v.iter().map(|um| um * um).sum::<f64>().sqrt()
+}
+
+/// The range of the error across the diagonal, on X, Y and Z.
+pub(super) fn across(cycles: &[&Cycle]) -> [f64; 3] {
+    let [x, y, _] = config::TRAVEL_MM;
+    let direction = [x / x.hypot(y), y / x.hypot(y), 0.0];
+    let across = |cycle: &Cycle| {
+        let along: f64 = cycle.with_um.iter().zip(direction).map(|(um, d)| um * d).sum();
+        [0, 1, 2].map(|axis| cycle.with_um[axis] - along * direction[axis])
+    };
+    [0, 1, 2].map(|axis| range(cycles.iter().map(|cycle| across(cycle)[axis])))
+}
+
+/// The range of the radial error on the arc.
+pub(super) fn radial(cycles: &[&Cycle]) -> f64 {
+    let ([cx, cy], ..) = config::ARC;
+    range(cycles.iter().map(|cycle| {
+        let [x, y, _] = cycle.commanded_mm();
+        let (dx, dy) = (x - cx, y - cy);
+        (cycle.with_um[0] * dx + cycle.with_um[1] * dy) / dx.hypot(dy)
+    }))
+}
+
+pub(super) fn angle_deg(cycle: &Cycle) -> f64 {
+    let ([cx, cy], ..) = config::ARC;
+    let [x, y, _] = cycle.commanded_mm();
+    (y - cy).atan2(x - cx).to_degrees()
+}
+
+/// Where the program dwells: height, whether it came from below, mean error on Z.
+fn dwells(cycles: &[&Cycle]) -> Vec<(f64, bool, f64)> {
+    const STILL_MM: f64 = 1e-5;
+    const DWELL: usize = 150;
+    const MEAN: usize = 50;
+    let mut dwells = Vec::new();
+    let mut before_mm = f64::NEG_INFINITY;
+    let height = |cycle: &Cycle| cycle.commanded_mm()[2];
+    let same = |one: &&Cycle, other: &&Cycle| (height(one) - height(other)).abs() < STILL_MM;
+    for part in cycles.chunk_by(same).filter(|part| part.len() >= DWELL) {
+        let tail = &part[part.len() - MEAN..];
+        let z_mm = height(part[part.len() - 1]);
+        let mean_um = tail.iter().map(|cycle| cycle.with_um[2]).sum::<f64>() / MEAN as f64;
+        dwells.push((z_mm, z_mm > before_mm, mean_um));
+        before_mm = z_mm;
+    }
+    dwells
+}
+
+pub(super) fn stairs(before: &[&Cycle], after: &[&Cycle]) -> Result<Vec<Stair>> {
+    let both = [dwells(before), dwells(after)];
+    let found = |dwells: &[(f64, bool, f64)], z_mm: f64, up: bool| -> Result<f64> {
+        let here = |it: &&(f64, bool, f64)| (it.0 - z_mm).abs() < 0.01 && it.1 == up;
+        dwells.iter().find(here).map(|it| it.2).with_context(|| format!("no dwell at {z_mm} mm"))
+    };
+    let at = |z_mm: f64| -> Result<Stair> {
+        let pair = |dwells: &[_]| Ok([found(dwells, z_mm, true)?, found(dwells, z_mm, false)?]);
+        let (before_um, after_um): (Result<_>, Result<_>) = (pair(&both[0]), pair(&both[1]));
+        Ok(Stair { z_mm, before_um: before_um?, after_um: after_um? })
+    };
+    STAIRS_MM.iter().map(|&z_mm| at(z_mm)).collect()
+}
+
+/// The axis on which the lag is taken: Y.
+const LAG_AXIS: usize = 1;
+
+/// The delay, in cycles, at which offset and error cancel best; and how many µm/s the error changes
+/// by (RMS).
+fn delay(cycles: &[&Cycle]) -> Option<(f64, f64)> {
+    const MOST: usize = 100;
+    let left = |delay: usize| {
+        let mut moments = (0.0, 0.0, 0.0);
+        for n in MOST..cycles.len() {
+            let error_um = cycles[n - delay].without_um[LAG_AXIS];
+            let rest = cycles[n].eoffset_mm[LAG_AXIS] * 1e3 + error_um;
+            moments = (moments.0 + 1.0, moments.1 + rest, moments.2 + rest * rest);
+        }
+        let (count, sum, squares) = moments;
+        squares / count - (sum / count).powi(2)
+    };
+    if cycles.len() < 3 * MOST {
+        return None;
+    }
+    let all: Vec<f64> = (0..=MOST).map(left).collect();
+    let best = (0..=MOST).min_by(|&one, &other| all[one].total_cmp(&all[other]))?;
+    // A parabola through the least and its neighbours.
+    let refined = match (best.checked_sub(1).map(|n| all[n]), all.get(best + 1)) {
+        (Some(low), Some(&high)) if low + high > 2.0 * all[best] => {
+            best as f64 + 0.5 * (low - high) / (low + high - 2.0 * all[best])
+        }
+        _ => best as f64,
+    };
+    let change = |w: &[&Cycle]| w[20].without_um[LAG_AXIS] - w[0].without_um[LAG_AXIS];
+    let speeds = cycles.windows(21).map(|w| change(w) / 0.02);
+    let count = (cycles.len() - 20) as f64;
+    let rms = (speeds.map(|speed| speed * speed).sum::<f64>() / count).sqrt();
+    Some((refined, rms))
+}
+
+pub(super) fn lag(cycles: &[&Cycle]) -> Result<Lag> {
+    const WINDOW: usize = 2_000;
+    const LEAST_UM_PER_S: f64 = 10.0;
+    let (mean_ms, _) = delay(cycles).context("the diagonal is too short")?;
+    let worst_ms = cycles
+        .chunks(WINDOW)
+        .filter_map(delay)
+        .filter(|(_, speed)| *speed > LEAST_UM_PER_S)
+        .map(|(ms, _)| ms)
+        .fold(mean_ms, f64::max);
+    let place = |cycle: &Cycle| cycle.commanded_mm();
+    let steepest_um_per_mm = cycles
+        .windows(101)
+        .filter_map(|w| {
+            let (from, to) = (place(w[0]), place(w[100]));
+            let way_mm = (to[0] - from[0]).hypot(to[1] - from[1]);
+            (way_mm > 1.0).then(|| (w[100].without_um[2] - w[0].without_um[2]).abs() / way_mm)
+        })
+        .fold(0.0, f64::max);
+    let mm_per_ms = 10_000.0 / 60_000.0;
+    Ok(Lag {
+        mean_ms,
+        worst_ms,
+        steepest_um_per_mm,
+        costs_um_at_10_m_per_min: steepest_um_per_mm * mm_per_ms * mean_ms,
+    })
+}
+
+/// The largest change of an external offset from one servo cycle to the next.
+pub(super) fn largest_step_um(cycles: &[Cycle]) -> f64 {
+    cycles
+        .windows(2)
+        .filter(|pair| pair[1].number == pair[0].number + 1)
+        .flat_map(|pair| {
+            [0, 1, 2].map(|axis| (pair[1].eoffset_mm[axis] - pair[0].eoffset_mm[axis]).abs() * 1e3)
+        })
+        .fold(0.0, f64::max)
+}
+
+/// How far the machine that only ignores the offsets is from the one that was cut without them, on
+/// Z along the diagonal.
+pub(super) fn ignored_against_cut_um(cut: &[&Cycle], ignored: &[&Cycle]) -> f64 {
+    let x = |cycle: &Cycle| cycle.commanded_mm()[0];
+    let mut largest = 0.0_f64;
+    let mut next = 0;
+    for cycle in ignored {
+        while next + 1 < cut.len() && x(cut[next + 1]) <= x(cycle) {
+            next += 1;
+        }
+        if (x(cut[next]) - x(cycle)).abs() < 1.0 {
+            largest = largest.max((cut[next].with_um[2] - cycle.without_um[2]).abs());
+        }
+    }
+    largest
+}
+
+/// About so many points make a picture.
+const POINTS: usize = 700;
+
+fn thin<'c>(cycles: &'c [&'c Cycle]) -> impl Iterator<Item = &'c Cycle> {
+    cycles.iter().step_by((cycles.len() / POINTS).max(1)).copied()
+}
+
+/// The errors of two passes on one axis over a place; they are cut at the same speed, so that equal
+/// places have nearly equal numbers.
+pub(super) fn along(before: &[&Cycle], after: &[&Cycle], place: Of, axis: usize) -> Curve {
+    let mut curve = Curve::default();
+    let mut next = 0;
+    for cycle in thin(after) {
+        let at = place(cycle);
+        let off = |n: usize| (place(before[n]) - at).abs();
+        while next + 1 < before.len() && off(next + 1) <= off(next) {
+            next += 1;
+        }
+        curve.at.push(at);
+        curve.before_um.push(before[next].with_um[axis]);
+        curve.after_um.push(cycle.with_um[axis]);
+    }
+    curve
+}
+
+pub(super) fn warm_up_curve(cycles: &[&Cycle]) -> Curve {
+    let [start, with, without] = [cycles[0].time_s, cycles[0].with_um[2], cycles[0].without_um[2]];
+    let mut curve = Curve::default();
+    for cycle in thin(cycles) {
+        curve.at.push((cycle.time_s - start) / 3_600.0);
+        curve.before_um.push(cycle.without_um[2] - without);
+        curve.after_um.push(cycle.with_um[2] - with);
+    }
+    curve
+}
+
+pub(super) fn five_axes_curve(cycles: &[&Cycle]) -> Curve {
+    let mut curve = Curve::default();
+    for cycle in thin(cycles) {
+        curve.at.push((cycle.number - cycles[0].number) as f64 / 1e3);
+        curve.before_um.push(cycle.growth_um);
+        curve.after_um.push(length(cycle.with_um));
+    }
+    curve
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A diagonal at 1 mm a cycle over a wave of 100 µm, with offsets `late` cycles behind.
+    fn diagonal(late: usize) -> Vec<Cycle> {
+        let error = |n: f64| 100.0 * (n / 800.0).sin();
+        let cycle = |n: usize| {
+            let now = n as f64;
+            let offset_um = -error(now - late as f64) + 3.0;
+            Cycle {
+                number: n as u64,
+                motor_mm: [now, offset_um / 1e3, 0.0],
+                eoffset_mm: [0.0, offset_um / 1e3, 0.0],
+                without_um: [0.0, error(now), error(now)],
+                ..Cycle::default()
+            }
+        };
+        (0..6_000).map(cycle).collect()
+    }
+
+    #[test]
+    fn a_lag_is_found_and_priced() {
+        for late in [0, 7, 40] {
+            let cycles = diagonal(late);
+            let lag = lag(&cycles.iter().collect::<Vec<_>>()).expect("long enough");
+            assert!((lag.mean_ms - late as f64).abs() < 0.05, "{lag:?}");
+            assert!((lag.worst_ms - late as f64).abs() < 0.05, "{lag:?}");
+            // 100 µm over 800 mm: 0.125 µm/mm at the steepest, 0.1667 mm/ms at 10 m/min.
+            assert!((lag.steepest_um_per_mm - 0.125).abs() < 1e-3, "{lag:?}");
+            let costs = 0.125 / 6.0 * late as f64;
+            assert!((lag.costs_um_at_10_m_per_min - costs).abs() < 0.01, "{lag:?}");
+        }
+    }
+
+    #[test]
+    fn a_dwell_is_told_from_a_move_and_knows_where_it_came_from() {
+        let mut cycles = Vec::new();
+        let mut go = |z_mm: f64, count: usize, um: f64| {
+            cycles.extend((0..count).map(|_| Cycle {
+                motor_mm: [0.0, 0.0, z_mm],
+                with_um: [0.0, 0.0, um],
+                ..Cycle::default()
+            }));
+        };
+        go(10.0, 200, 1.0);
+        (11..20).for_each(|z| go(f64::from(z), 5, 50.0));
+        go(20.0, 200, 2.0);
+        go(15.0, 100, 60.0);
+        go(10.0, 200, 9.0);
+        let found = dwells(&cycles.iter().collect::<Vec<_>>());
+        assert_eq!(found, [(10.0, true, 1.0), (20.0, true, 2.0), (10.0, false, 9.0)]);
+    }
+}
