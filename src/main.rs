@@ -48,7 +48,7 @@ mod app {
     use heapless::spsc::{Consumer, Producer, Queue};
     use stm32f4xx_hal::pac::Interrupt;
     use trueup_canopen::emergency::Fault;
-    use trueup_core::{bridge::Input, heat::RawTemperatures};
+    use trueup_core::{bridge::Input, channels::RawTemperatures};
     use trueup_link::{frame::Frame, slcan::Port};
     use trueup_node::node::{Frames, Node};
 

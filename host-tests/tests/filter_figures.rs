@@ -6,7 +6,8 @@ use std::{f64::consts::TAU, iter::repeat_with};
 
 use rustfft::{FftPlanner, num_complex::Complex};
 use trueup_core::{
-    filter::{CODES_PER_TICK, Filter},
+    dimensions::CODES_PER_TICK,
+    filter::Filter,
     units::{Code, READINGS_PER_CODE, Rpm},
 };
 use trueup_emulator::front_end::{FrontEnd, SAMPLE_HZ};

@@ -38,7 +38,7 @@ use stm32f4xx_hal::{
     rcc,
     serial::{self, Rx, Serial, Tx},
 };
-use trueup_core::{heat::RawTemperatures, units::Millis};
+use trueup_core::{channels::RawTemperatures, units::Millis};
 use trueup_link::frame::Frame;
 use trueup_pipe::{self as pipe, Record};
 use trueup_store::calibration;

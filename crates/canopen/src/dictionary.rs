@@ -9,7 +9,7 @@
 //! The offsets themselves and the frames of the CNC are no mapped PDOs: they are protected end to
 //! end, and `trueup.dbc` describes them.
 
-use trueup_core::heat::CHANNELS;
+use trueup_core::dimensions::CHANNELS;
 
 use crate::emergency::HISTORY;
 

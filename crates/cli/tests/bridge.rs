@@ -16,7 +16,7 @@ use desk::Desk;
 use trueup_core::{
     bridge::Input,
     cnc::Control,
-    filter::CODES_PER_TICK,
+    dimensions::CODES_PER_TICK,
     units::{Code, Rpm},
 };
 use trueup_link::{frame::Frame, frames, layout::SDO_ANSWER_ID, slcan::Port};

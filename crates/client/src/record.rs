@@ -25,7 +25,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use trueup_core::{cnc::Output, heat::CHANNELS};
+use trueup_core::{cnc::Output, dimensions::CHANNELS};
 use trueup_link::{
     frame::Frame,
     frames::{OFFSET_XY_ID, counter},
@@ -267,7 +267,7 @@ mod tests {
     use trueup_core::{
         bridge::Input,
         cnc::Control,
-        filter::CODES_PER_TICK,
+        dimensions::CODES_PER_TICK,
         thermometer::Raw,
         units::{Code, Rpm},
     };

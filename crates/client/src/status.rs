@@ -1,7 +1,7 @@
 //! What the bridge says of itself ten times a second, put together.
 
 use serde_json::{Value, json};
-use trueup_core::{heat::CHANNELS, units::Nanometres};
+use trueup_core::{dimensions::CHANNELS, units::Nanometres};
 use trueup_link::{
     frame::Frame,
     layout::STATUS_ID,

@@ -29,7 +29,11 @@
 //! ±262.144°, 9.1·10⁻¹⁰ over ±2147° in steps of 0.001 009° (half a unit of Q30 is 4.7·10⁻¹⁰).
 //! Multiples of 90° are exact.
 
-use crate::{tool::Direction, units::MicroDegrees};
+use crate::{
+    fixed::{high_word_rounded, rounded_shift_word},
+    tool::Direction,
+    units::MicroDegrees,
+};
 
 /// A quarter of a turn in micro-degrees.
 const QUARTER: i32 = 90 * MicroDegrees::PER_DEGREE;
@@ -59,28 +63,27 @@ const COSINE: [i32; 4] = [-1_365_678_944, -289_498_062, -24_543_537, -1_096_566]
 /// ```
 #[must_use]
 pub fn sine_cosine(angle: MicroDegrees) -> (i32, i32) {
-    const HALF: i32 = 1 << (QUARTERS_BITS - 1);
-    let quarters =
-        upper_product(angle.0, QUARTERS_PER_MICRODEGREE).wrapping_add(HALF) >> QUARTERS_BITS;
+    let quarters = high_word_rounded(angle.0, QUARTERS_PER_MICRODEGREE);
+    let quarters = rounded_shift_word(quarters, QUARTERS_BITS);
     // At the ends of i32 the product alone wraps, the difference is right.
     let remainder = angle.0.wrapping_sub(quarters.wrapping_mul(QUARTER));
     // |remainder| ≤ 45.000 006°, so that t and all below stays within 32 bits.
     let t = remainder.wrapping_mul(T_PER_MICRODEGREE);
     // −t² rather than t²: for the signs see above.
-    let w = upper_product(t, t.wrapping_neg());
+    let w = high_word_rounded(t, t.wrapping_neg());
 
     let [s0, s1, s2, s3, s4] = SINE;
-    let series = s3.wrapping_add(upper_product(s4, w));
-    let series = s2.wrapping_add(upper_product(series, w));
-    let series = s1.wrapping_add(upper_product(series, w));
-    let series = s0.wrapping_add(upper_product(series, w));
-    let sine = upper_product(series, t);
+    let series = s3.wrapping_add(high_word_rounded(s4, w));
+    let series = s2.wrapping_add(high_word_rounded(series, w));
+    let series = s1.wrapping_add(high_word_rounded(series, w));
+    let series = s0.wrapping_add(high_word_rounded(series, w));
+    let sine = high_word_rounded(series, t);
 
     let [c0, c1, c2, c3] = COSINE;
-    let series = c2.wrapping_add(upper_product(c3, w));
-    let series = c1.wrapping_add(upper_product(series, w));
-    let series = c0.wrapping_add(upper_product(series, w));
-    let cosine = Direction::ONE.wrapping_sub(upper_product(series, w));
+    let series = c2.wrapping_add(high_word_rounded(c3, w));
+    let series = c1.wrapping_add(high_word_rounded(series, w));
+    let series = c0.wrapping_add(high_word_rounded(series, w));
+    let cosine = Direction::ONE.wrapping_sub(high_word_rounded(series, w));
 
     match quarters & 3 {
         0 => (sine, cosine),
@@ -88,13 +91,6 @@ pub fn sine_cosine(angle: MicroDegrees) -> (i32, i32) {
         2 => (sine.wrapping_neg(), cosine.wrapping_neg()),
         _ => (cosine.wrapping_neg(), sine),
     }
-}
-
-/// The upper 32 bits of a product, rounded to the nearest: `smmulr`, and `smmlar` with a sum.
-fn upper_product(a: i32, b: i32) -> i32 {
-    const HALF: i64 = 1 << 31;
-    // At most 2⁶², so that nothing wraps.
-    (i64::from(a).wrapping_mul(i64::from(b)).wrapping_add(HALF) >> 32) as i32
 }
 
 #[cfg(test)]

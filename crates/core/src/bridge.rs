@@ -46,25 +46,21 @@ mod needs;
 mod state;
 
 use self::needs::RequiredInputs;
-use self::state::{Age, ErrorSums};
-pub use self::state::{Reference, State};
+use self::state::{Age, Mode};
+pub use self::state::{Reference, SAMPLES_TIMEOUT_MS, State, TEMPERATURE_TIMEOUT_MS};
 use crate::{
     calibration::{Calibration, ElongationSource},
+    channels::RawTemperatures,
     cnc::{Command, Flags, LinearAxis, Output, Quality, Rotary},
-    filter::CODES_PER_TICK,
-    geometry::CachedErrors,
-    heat::{self, CHANNELS, RawTemperatures},
-    lag::STEP_MS,
+    dimensions::{CHANNELS, CODES_PER_TICK, STEP_MS},
+    geometry::{CachedErrors, ErrorSums},
+    heat,
     limits::LimitStatus,
-    term::OperatingPoint,
+    term::{self, OperatingPoint},
+    tip,
     tool::Direction,
     units::{Code, Fine, Millis, Nanometres, Rpm},
 };
-
-/// Without samples for so long the converter counts as stopped, and a reading as stale.
-pub const SAMPLES_TIMEOUT_MS: u32 = 20;
-/// Without a temperature for so long its channel counts as bad.
-pub const TEMPERATURE_TIMEOUT_MS: u32 = 1_000;
 
 /// What the bridge knows of the machine.
 #[derive(Clone, Debug)]
@@ -86,14 +82,6 @@ pub struct Input<'a> {
     pub temperatures: Option<&'a RawTemperatures>,
 }
 
-/// Where the offset is to go.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Mode {
-    Follow,
-    Hold,
-    RampOut,
-}
-
 /// The source of the elongation that is used.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum SelectedSource {
@@ -103,6 +91,15 @@ enum SelectedSource {
     Missing,
     /// This one.
     Source(ElongationSource),
+}
+
+impl SelectedSource {
+    fn source(self) -> Option<ElongationSource> {
+        match self {
+            Self::Source(source) => Some(source),
+            Self::Unneeded | Self::Missing => None,
+        }
+    }
 }
 
 impl<'a> Bridge<'a> {
@@ -193,9 +190,9 @@ impl<'a> Bridge<'a> {
         let place = self.knows_place(state);
         let fresh = chosen != SelectedSource::Missing && place && self.knows_temperatures(state);
         let control = state.control.value(limits.link_timeout_ms);
-        let course = state.course(control, fresh, limits.hold_ms);
+        let mode = state.mode(control, fresh, limits.hold_ms);
         let (mut status, mut outside) = (LimitStatus::default(), false);
-        match course {
+        match mode {
             Mode::Follow => {
                 let errors = self.axis_errors(state);
                 let (target, clamped) = self.target(state, self.elongation(state, chosen), &errors);
@@ -213,7 +210,7 @@ impl<'a> Bridge<'a> {
         let missing = self.needs.sensor && state.codes_age.is_above(SAMPLES_TIMEOUT_MS);
         let unbelievable = (self.needs.sensor && !missing && !state.believable)
             || state.channels.any_faulty(self.needs.temperatures);
-        let quality = match course {
+        let quality = match mode {
             Mode::Follow => self.quality(chosen),
             Mode::Hold => Quality::Hold,
             Mode::RampOut if !state.applied.is_zero() => Quality::RampingOut,
@@ -369,7 +366,7 @@ impl<'a> Bridge<'a> {
     #[inline(never)]
     fn first_axis_errors(&self, state: &mut State) -> ErrorSums {
         let errors = CachedErrors::at(&self.calibration, &state.heat, &state.place);
-        let sums = ErrorSums::of(errors.errors(), self.largest);
+        let sums = errors.errors().sums(self.largest);
         state.axes = Some((errors, sums));
         sums
     }
@@ -378,7 +375,7 @@ impl<'a> Bridge<'a> {
     fn moved(&self, state: &mut State, axis: LinearAxis) {
         if let Some((errors, sums)) = &mut state.axes {
             errors.moved(&self.calibration, &state.heat, &state.place, axis);
-            *sums = ErrorSums::of(errors.errors(), self.largest);
+            *sums = errors.errors().sums(self.largest);
         }
     }
 
@@ -386,7 +383,7 @@ impl<'a> Bridge<'a> {
     fn warmed(&self, state: &mut State, axis: LinearAxis) {
         if let Some((errors, sums)) = &mut state.axes {
             errors.warmed(&self.calibration, &state.heat, &state.place, axis);
-            *sums = ErrorSums::of(errors.errors(), self.largest);
+            *sums = errors.errors().sums(self.largest);
         }
     }
 
@@ -394,7 +391,7 @@ impl<'a> Bridge<'a> {
     fn term_warmed(&self, state: &mut State) {
         if let Some((errors, sums)) = &mut state.axes {
             errors.terms_changed(&self.calibration, &state.heat, &state.place);
-            *sums = ErrorSums::of(errors.errors(), self.largest);
+            *sums = errors.errors().sums(self.largest);
         }
     }
 
@@ -402,7 +399,8 @@ impl<'a> Bridge<'a> {
     /// source, and say nothing of another.
     #[inline]
     fn elongation(&self, state: &State, chosen: SelectedSource) -> Nanometres {
-        let plain = elongation(state, chosen);
+        let by_sensor = state.elongation.unwrap_or_default();
+        let plain = tip::elongation_by(chosen.source(), by_sensor, &state.heat);
         let is_first = match chosen {
             SelectedSource::Source(source) => self.needs.first == Some(source),
             SelectedSource::Unneeded => true,
@@ -418,7 +416,8 @@ impl<'a> Bridge<'a> {
             speed: spindle.map(|spindle| spindle.speed),
             load: spindle.map_or(0, |spindle| i32::from(spindle.load_n).saturating_mul(256)),
         };
-        self.calibration.with_terms(plain.fine(), state.heat.terms(), operating).rounded()
+        let terms = &self.calibration.terms;
+        term::elongation(terms, plain.fine(), state.heat.terms(), operating).rounded()
     }
 
     /// The offset that undoes the error since the reference; and whether the elongation along an
@@ -430,16 +429,12 @@ impl<'a> Bridge<'a> {
         axes: &ErrorSums,
     ) -> ([Nanometres; 3], bool) {
         let since = i64::from(elongation.0).wrapping_sub(i64::from(state.reference.elongation.0));
-        let along = self.direction(state).fine_error(Nanometres::saturating(since));
+        let since = Nanometres::saturating(since);
+        let direction = self.direction(state);
+        let (error, clamped) = tip::error_at_tip(since, direction, axes.sums, self.largest);
         let mut target = [Nanometres::ZERO; 3];
-        let mut clamped = false;
-        for ((((target, along), sum), reference), largest) in
-            target.iter_mut().zip(along).zip(axes.sums).zip(state.reference.axes).zip(self.largest)
-        {
-            let (along, beyond) = along.clamped(largest);
-            clamped |= beyond;
-            let error = along.plus(sum).plus(Fine(reference.0.saturating_neg()));
-            *target = error.rounded().negated();
+        for ((target, error), reference) in target.iter_mut().zip(error).zip(state.reference.axes) {
+            *target = error.plus(Fine(reference.0.saturating_neg())).rounded().negated();
         }
         (target, clamped)
     }
@@ -468,16 +463,6 @@ impl<'a> Bridge<'a> {
             }
             _ => Quality::Live,
         }
-    }
-}
-
-/// The elongation by a source.
-fn elongation(state: &State, chosen: SelectedSource) -> Nanometres {
-    match chosen {
-        SelectedSource::Source(ElongationSource::Sensor) => state.elongation.unwrap_or_default(),
-        SelectedSource::Source(ElongationSource::Temperature) => state.heat.by_temperature(),
-        SelectedSource::Source(ElongationSource::Warmup) => state.heat.by_running_time(),
-        SelectedSource::Unneeded | SelectedSource::Missing => Nanometres::ZERO,
     }
 }
 

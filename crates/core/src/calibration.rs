@@ -5,14 +5,14 @@
 use crate::{
     cnc::LinearAxis,
     curve::Curve,
+    dimensions::CHANNELS,
     gradient::Gradient,
-    heat::CHANNELS,
     kinematics::Kinematics,
     lag::SmoothingFactor,
     limits::Limits,
     pitch::{Beam, Pitch},
     sensor::SensorLaw,
-    term::{self, Term},
+    term::Terms,
     thermal::Law,
     thermometer::Thermometer,
     travel,
@@ -36,7 +36,7 @@ pub struct Calibration<'a> {
     /// Squareness, in the order of [`AXIS_PAIRS`].
     pub squareness: [Gradient; 6],
     /// What a diagnosis has added; those that are there come first.
-    pub terms: [Option<Term<'a>>; term::MAX_TERMS],
+    pub terms: Terms<'a>,
     /// How far and how fast an offset may go, and how long silence is tolerated.
     pub limits: Limits,
 }

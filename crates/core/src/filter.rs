@@ -14,13 +14,12 @@
 //! two-pole analogue filter before it.
 
 use crate::{
+    dimensions::CODES_PER_TICK,
     revolution_mean::RevolutionMean,
     units::{Code, Reading, Rpm},
     window::Window,
 };
 
-/// Conversions in one tick: 1 ms at 20 kS/s.
-pub const CODES_PER_TICK: usize = 20;
 /// Codes that are added up to one sample of the 5 kHz stream.
 const CODES_PER_SAMPLE: usize = 4;
 const SAMPLES_PER_TICK: usize = CODES_PER_TICK / CODES_PER_SAMPLE;

@@ -16,18 +16,11 @@ use crate::{
     cnc::LinearAxis,
     gradient::Gradient,
     heat::Heat,
-    travel::{Fraction, Travel, backlash},
+    place::Place,
+    term,
+    travel::backlash,
     units::{Fine, Position},
 };
-
-/// Where the machine stands, and from which side it came there.
-#[derive(Clone, Debug, Default)]
-pub struct Place {
-    /// X, Y and Z.
-    pub position: [Position; 3],
-    /// The direction of approach of X, Y and Z.
-    pub travel: [Travel; 3],
-}
 
 /// The errors of one axis at a place, part by part.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -61,6 +54,31 @@ pub struct Errors {
     pub axes: [AxisError; 3],
     /// A position lies outside a table, whose end value is held.
     pub outside: bool,
+}
+
+/// The errors of X, Y and Z, each the sum of its parts.
+#[derive(Clone, Copy, Debug)]
+pub struct ErrorSums {
+    /// In 1/256 nm, actual minus commanded.
+    pub sums: [Fine; 3],
+    /// A part was clamped to its limit.
+    pub clamped: bool,
+    /// A position lies outside a table, whose end value is held.
+    pub outside: bool,
+}
+
+impl Errors {
+    /// The sums, each part clamped to ±`largest` of its axis first.
+    #[must_use]
+    pub fn sums(&self, largest: [Fine; 3]) -> ErrorSums {
+        let mut all = ErrorSums { sums: [Fine::ZERO; 3], clamped: false, outside: self.outside };
+        for ((sum, error), largest) in all.sums.iter_mut().zip(&self.axes).zip(largest) {
+            let (clamped_sum, clamped) = error.sum(largest);
+            *sum = clamped_sum;
+            all.clamped |= clamped;
+        }
+        all
+    }
 }
 
 /// The errors at a place, cached from message to message: what an axis that moves or a thermometer
@@ -126,7 +144,7 @@ impl CachedErrors {
                 (error.positioning, *outside) = positioning(axis, name, place);
             }
         }
-        let position = place.at(moved);
+        let position = place.of(moved);
         for (((guide, (_, over)), curve), gradient) in self
             .guides
             .iter_mut()
@@ -158,7 +176,7 @@ impl CachedErrors {
         // Most machines have none.
         if calibration.terms[0].is_some() {
             let terms;
-            (terms, outside) = calibration.axis_terms(heat.terms(), place);
+            (terms, outside) = term::axis_errors(&calibration.terms, heat.terms(), place);
             for (error, term) in self.errors.axes.iter_mut().zip(terms) {
                 error.terms = term;
             }
@@ -182,28 +200,22 @@ impl CachedErrors {
             && let Some(thermal) = &axis.thermal
         {
             let (constant, gradient) = heat.axis(number);
-            error.thermal = constant.plus(gradient.over(thermal.origin, place.at(warmed)));
+            error.thermal = constant.plus(gradient.over(thermal.origin, place.of(warmed)));
         }
-    }
-}
-
-impl Place {
-    fn at(&self, axis: LinearAxis) -> Position {
-        self.position.get(axis as usize).copied().unwrap_or_default()
     }
 }
 
 /// Pitch and backlash of one axis; of a gantry, both drives across the beam.
 fn positioning(axis: &AxisModel<'_>, name: LinearAxis, place: &Place) -> (Fine, bool) {
-    let position = place.at(name);
-    let reversal = place.travel.get(name as usize).map_or(Fraction::ZERO, Travel::reversal);
+    let position = place.of(name);
+    let reversal = place.reversal(name);
     let (mut error, mut outside) = (Fine::ZERO, false);
     if let Some(pitch) = &axis.pitch {
         (error, outside) = pitch.at(position, reversal);
     }
     if let Some(dual) = &axis.dual {
         let (second, beyond) = dual.pitch.at(position, reversal);
-        error = dual.beam.across(error, second, place.at(dual.across));
+        error = dual.beam.across(error, second, place.of(dual.across));
         outside |= beyond;
     }
     if axis.backlash != Fine::ZERO {

@@ -5,7 +5,10 @@
 //! 0.022 nm over 15 m. The travel has 33 bits and the gradient 32, so their product always fits in
 //! 64. Measured worst error against the exact product: 0.002 nm (half a 1/256 nm).
 
-use crate::units::{Fine, Position};
+use crate::{
+    fixed::rounded_shift,
+    units::{Fine, Position},
+};
 
 /// An error per travel in Q36 nanometres per position unit: ±3.125 µm/mm.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
@@ -30,11 +33,9 @@ impl Gradient {
     #[must_use]
     pub fn over(self, from: Position, to: Position) -> Fine {
         const SHIFT: u32 = Gradient::FRACTION_BITS - Fine::FRACTION_BITS;
-        const HALF: i64 = 1 << (SHIFT - 1);
         let travel = i64::from(to.0).wrapping_sub(i64::from(from.0));
         // At most 2³¹·(2³² − 1) + 2²⁷, below 2⁶³: neither step can wrap.
-        let error = travel.wrapping_mul(i64::from(self.0)).wrapping_add(HALF) >> SHIFT;
-        Fine::saturating(error)
+        Fine::saturating(rounded_shift(travel.wrapping_mul(i64::from(self.0)), SHIFT))
     }
 }
 

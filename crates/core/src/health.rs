@@ -14,7 +14,7 @@
 //! counter for single codes and goes to the filter where it lies: 272 instructions (`cargo
 //! measure`), where counters for each code took 1,023.
 
-use crate::{filter::CODES_PER_TICK, units::Code};
+use crate::{dimensions::CODES_PER_TICK, units::Code};
 
 /// Codes up to here are at the lower rail: 20 mV of 10 V.
 pub const LOW_RAIL: Code = Code(8);

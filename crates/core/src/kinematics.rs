@@ -23,7 +23,12 @@
 //! all combinations of axes: 2.3·10⁻⁹ in a component, 2.6·10⁻⁹ in the length: 0.003 nm on an
 //! elongation of a millimetre. Two axes cost about 190 instructions on the Cortex-M4.
 
-use crate::{angle::sine_cosine, tool::Direction, units::MicroDegrees};
+use crate::{
+    angle::sine_cosine,
+    fixed::{product, rounded_shift},
+    tool::Direction,
+    units::MicroDegrees,
+};
 
 /// A rotary axis, by what it turns about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -96,19 +101,16 @@ fn turned(axis: Option<RotaryAxis>, angle: MicroDegrees, direction: Direction) -
 
 /// (c·p − s·q, s·p + c·q), Q30.
 fn turned_pair(p: i32, q: i32, (sine, cosine): (i32, i32)) -> (i32, i32) {
-    let (p, q) = (i64::from(p), i64::from(q));
-    let (sine, cosine) = (i64::from(sine), i64::from(cosine));
     (
-        rounded(cosine.wrapping_mul(p).wrapping_sub(sine.wrapping_mul(q))),
-        rounded(sine.wrapping_mul(p).wrapping_add(cosine.wrapping_mul(q))),
+        rounded(product(cosine, p).wrapping_sub(product(sine, q))),
+        rounded(product(sine, p).wrapping_add(product(cosine, q))),
     )
 }
 
 /// A Q60 sum as Q30, rounded to the nearest.
 #[expect(clippy::cast_possible_truncation, reason = "at most √3, which is below 2 = 2³¹ in Q30")]
 fn rounded(sum: i64) -> i32 {
-    const HALF: i64 = 1 << (Direction::FRACTION_BITS - 1);
-    (sum.wrapping_add(HALF) >> Direction::FRACTION_BITS) as i32
+    rounded_shift(sum, Direction::FRACTION_BITS) as i32
 }
 
 #[cfg(test)]

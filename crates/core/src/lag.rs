@@ -1,6 +1,6 @@
 //! A first-order lag: the screw follows its thermometer.
 //!
-//! y += (x − y)·(1 − e^(−Δt/τ)), with a fixed step of [`STEP_MS`] and the smoothing factor 1 − e^(−Δt/τ) in
+//! y += (x − y)·(1 − e^(−Δt/τ)), with a fixed step of [`STEP_MS`](crate::dimensions::STEP_MS) and the smoothing factor 1 − e^(−Δt/τ) in
 //! Q32, computed by the host. It is exact for an input that is constant over the step.
 //!
 //! The state has 28 binary places below its input, which may be any `i32`, so it fills 60 bits; a
@@ -12,8 +12,7 @@
 //! exact smoothing factor the reference is 0.009 mK away at 1630 s, 0.13 mK at 10⁴ s and 0.24 mK at 10⁶ s,
 //! where days would make it at most 9 mK (0.12 % of τ).
 
-/// The time of a step. Whoever owns a lag steps it once in so many milliseconds.
-pub const STEP_MS: u32 = 100;
+use crate::fixed::{rounded_shift, saturated, scaled_by_q32};
 
 /// 1 − e^(−Δt/τ) for one step, in Q32.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,36 +64,20 @@ impl Lag {
         }
         // Below 2⁶⁰, and the smoothing factor below 1, so that the state stays between itself and its target.
         let difference = target.wrapping_sub(self.state);
-        self.state = self.state.wrapping_add(scaled(difference, smoothing));
+        self.state = self.state.wrapping_add(scaled_by_q32(difference, smoothing.0));
     }
 
     /// The value, rounded to the nearest.
     #[must_use]
     pub fn value(&self) -> i32 {
-        const HALF: i64 = 1 << (Lag::FRACTION_BITS - 1);
-        let rounded = self.state.wrapping_add(HALF) >> Self::FRACTION_BITS;
-        i32::try_from(rounded).unwrap_or(i32::MAX)
+        saturated(rounded_shift(self.state, Self::FRACTION_BITS))
     }
-}
-
-/// difference·α/2³², rounded to the nearest, from two products of 32 by 32 bits.
-#[allow(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "the two halves of a 64-bit number, and a number below 2³² back"
-)]
-const fn scaled(difference: i64, smoothing: SmoothingFactor) -> i64 {
-    const HALF: u64 = 1 << 31;
-    let upper = (difference >> 32).wrapping_mul(smoothing.0 as i64);
-    // (2³² − 1)² + 2³¹ is below 2⁶⁴.
-    let lower =
-        (difference as u32 as u64).wrapping_mul(smoothing.0 as u64).wrapping_add(HALF) >> 32;
-    upper.wrapping_add(lower as i64)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dimensions::STEP_MS;
     extern crate std;
     use crate::units::Temperature;
 

@@ -217,16 +217,11 @@ impl Beam {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing::random;
     extern crate std;
     use std::vec::Vec;
 
     const MM: i32 = Position::PER_MILLIMETRE;
-
-    fn random(seed: &mut u64) -> u32 {
-        *seed =
-            seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (*seed >> 32) as u32
-    }
 
     /// Up to ±5 mm.
     fn steep(seed: &mut u64) -> i32 {

@@ -4,7 +4,10 @@
 //! and any sensor range. The slope is Q28 nanometres per reading unit: 1.6·10⁻⁸ of its value for
 //! the paper's sensor, up to ±8 nm a unit (67 times that sensor).
 
-use crate::units::{Nanometres, Reading};
+use crate::{
+    fixed::rounded_shift,
+    units::{Nanometres, Reading},
+};
 
 /// tanβ in nanometres per reading unit, Q28: ±8 nm a unit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -44,11 +47,11 @@ impl SensorLaw {
     /// ```
     #[must_use]
     pub fn elongation(&self, reading: Reading) -> Nanometres {
-        const HALF: i64 = 1 << (Slope::FRACTION_BITS - 1);
-        let from_zero = i64::from(reading.0).saturating_sub(i64::from(self.zero.0));
-        let grown = from_zero.saturating_mul(i64::from(self.slope.0)).saturating_add(HALF)
-            >> Slope::FRACTION_BITS;
-        Nanometres::saturating(grown.saturating_add(i64::from(self.k0.0)))
+        let from_zero = i64::from(reading.0).wrapping_sub(i64::from(self.zero.0));
+        // 33 bits by 32 and a half: below 2⁶³, so that neither step can wrap.
+        let grown = from_zero.wrapping_mul(i64::from(self.slope.0));
+        let grown = rounded_shift(grown, Slope::FRACTION_BITS);
+        Nanometres::saturating(grown.wrapping_add(i64::from(self.k0.0)))
     }
 }
 

@@ -15,8 +15,9 @@
 //! of the slope too, 14.21 µm/m per K over 40 K and 15 m is within 0.03 nm.
 
 use crate::{
+    fixed::{rounded_shift, saturated},
     gradient::Gradient,
-    units::{Fine, Nanometres, Temperature},
+    units::{Fine, Temperature},
 };
 
 /// Bytes of a piece.
@@ -87,10 +88,9 @@ fn word(bytes: &[u8; PIECE_SIZE], index: usize) -> i32 {
 /// value + slope·warmer, saturating.
 fn grown(value: i32, slope: i32, warmer: i64) -> i32 {
     const SHIFT: u32 = SLOPE_UNIT_BITS + SLOPE_FRACTION_BITS;
-    const HALF: i64 = 1 << (SHIFT - 1);
     // 33 bits by 32 and a half: below 2⁶³, so neither step can wrap.
-    let growth = warmer.wrapping_mul(i64::from(slope)).wrapping_add(HALF) >> SHIFT;
-    Nanometres::saturating(growth.saturating_add(i64::from(value))).0
+    let growth = rounded_shift(warmer.wrapping_mul(i64::from(slope)), SHIFT);
+    saturated(growth.saturating_add(i64::from(value)))
 }
 
 /// A law in pieces, in ascending order of their starts. Without a piece it is zero.
@@ -148,6 +148,7 @@ impl Law<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::units::Nanometres;
     extern crate std;
     use crate::units::Position;
 

@@ -10,6 +10,7 @@
 //! worst error of a linear chain against `f64` over ±500 °C: 0.0003 mK, with 0.1…10 000 counts/K.
 
 use crate::{
+    fixed::rounded_shift,
     pt100,
     units::{MicroOhms, Temperature},
 };
@@ -95,11 +96,10 @@ impl Thermometer {
             Self::Pt100 => Ok(pt100::temperature(MicroOhms(raw.0))?),
             Self::Linear { zero, slope, shift } => {
                 let shift = u32::from(shift.min(Self::MAX_SHIFT));
-                let half = 1_i64.wrapping_shl(shift) >> 1;
                 let from_zero = i64::from(raw.0).wrapping_sub(i64::from(zero));
                 // 33 bits by 32, at most 2⁶³ − 2³¹, and half is at most 2³⁰: nothing can wrap.
-                let scaled = from_zero.wrapping_mul(i64::from(slope)).wrapping_add(half);
-                match i32::try_from(scaled.wrapping_shr(shift)) {
+                let scaled = from_zero.wrapping_mul(i64::from(slope));
+                match i32::try_from(rounded_shift(scaled, shift)) {
                     Ok(t) if t.unsigned_abs() <= Self::LIMIT.0.unsigned_abs() => Ok(Temperature(t)),
                     _ => Err(Fault::OutOfRange),
                 }

@@ -1,5 +1,10 @@
 //! The tool direction V: from the spindle nose to the tool tip, in machine coordinates.
 
+use crate::{
+    fixed::{product, rounded_shift},
+    units::{Fine, Nanometres},
+};
+
 /// A unit vector in Q30: 2³⁰ is 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Direction(pub [i32; 3]);
@@ -12,8 +17,6 @@ impl Direction {
     /// Straight down, the tool of a vertical spindle: (0, 0, −1).
     pub const DOWN: Self = Self([0, 0, -Self::ONE]);
 }
-
-use crate::units::{Fine, Nanometres};
 
 impl Direction {
     /// Lays an elongation s along the tool: the error s·V of the tool tip on X, Y and Z.
@@ -28,10 +31,10 @@ impl Direction {
     /// ```
     #[must_use]
     pub fn error(self, elongation: Nanometres) -> [Nanometres; 3] {
-        const HALF: i64 = 1 << (Direction::FRACTION_BITS - 1);
         self.0.map(|component| {
-            let along = i64::from(component).saturating_mul(i64::from(elongation.0));
-            Nanometres::saturating(along.saturating_add(HALF) >> Self::FRACTION_BITS)
+            // At most 2⁶², so that nothing wraps.
+            let along = product(component, elongation.0);
+            Nanometres::saturating(rounded_shift(along, Self::FRACTION_BITS))
         })
     }
 
@@ -49,11 +52,9 @@ impl Direction {
     #[must_use]
     pub fn fine_error(self, elongation: Nanometres) -> [Fine; 3] {
         const EXCESS_BITS: u32 = Direction::FRACTION_BITS - Fine::FRACTION_BITS;
-        const HALF: i64 = 1 << (EXCESS_BITS - 1);
         self.0.map(|component| {
-            // At most 2⁶², so that neither wraps.
-            let along = i64::from(component).wrapping_mul(i64::from(elongation.0));
-            Fine::saturating(along.wrapping_add(HALF) >> EXCESS_BITS)
+            let along = product(component, elongation.0);
+            Fine::saturating(rounded_shift(along, EXCESS_BITS))
         })
     }
 }

@@ -18,7 +18,10 @@
 //! below over the whole range of ramps. [`Fraction::between`] rounds to the nearest 1/256 nm over the
 //! whole range of a length.
 
-use crate::units::{Fine, Position};
+use crate::{
+    fixed::{high_word_unsigned, rounded_shift},
+    units::{Fine, Position},
+};
 
 /// A fraction from 0 to 1 in Q31: 2³¹ is 1, and more counts as 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
@@ -43,11 +46,10 @@ impl Fraction {
     #[inline]
     #[allow(clippy::cast_possible_truncation, reason = "between two values of 32 bits")]
     pub fn between(self, a: Fine, b: Fine) -> Fine {
-        const HALF: i64 = 1 << (Fraction::FRACTION_BITS - 1);
         // |b − a| < 2³² and the fraction is at most 2³¹: below 2⁶³ with the half.
         let fraction = i64::from(self.0.min(Self::ONE.0));
         let rise = i64::from(b.0).wrapping_sub(i64::from(a.0));
-        let part = rise.wrapping_mul(fraction).wrapping_add(HALF) >> Self::FRACTION_BITS;
+        let part = rounded_shift(rise.wrapping_mul(fraction), Self::FRACTION_BITS);
         Fine(i64::from(a.0).wrapping_add(part) as i32)
     }
 }
@@ -117,13 +119,12 @@ impl Interval {
     /// ```
     #[must_use]
     #[inline]
-    #[allow(clippy::cast_possible_truncation, reason = "the high word of a product of two words")]
     pub fn fraction(self, part: u32) -> Fraction {
         if part >= self.length {
             return Fraction::ONE;
         }
         let normal = part.wrapping_shl(self.length.leading_zeros());
-        Fraction((u64::from(normal).wrapping_mul(u64::from(self.reciprocal)) >> 32) as u32)
+        Fraction(high_word_unsigned(normal, self.reciprocal))
     }
 }
 
@@ -246,6 +247,7 @@ pub fn backlash(width: Fine, reversal: Fraction) -> Fine {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing::random;
     extern crate std;
 
     const UM: i32 = Position::PER_MILLIMETRE / 1_000;
@@ -268,13 +270,6 @@ mod tests {
         for (got, wanted) in got.into_iter().zip(wanted) {
             assert!((got - wanted).abs() < 1e-8, "{got} instead of {wanted}");
         }
-    }
-
-    /// A linear congruential generator; its high half.
-    fn random(seed: &mut u64) -> u32 {
-        *seed =
-            seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (*seed >> 32) as u32
     }
 
     #[test]

@@ -5,6 +5,8 @@
 //! milliseconds of the sample clock, a sensor reading is a 1/1024 of an ADC code. The user's units
 //! (µm, °C, counts) exist on the host alone.
 
+use crate::fixed::{rounded_shift_word, saturated};
+
 /// An error, an elongation or an offset in nanometres: ±2.147 m.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Nanometres(pub i32);
@@ -17,16 +19,10 @@ impl Nanometres {
     pub const ZERO: Self = Self(0);
 
     /// The nearest representable length: saturates, never wraps.
-    ///
-    /// A value that fits is told by its high word, which then repeats the sign of the low one: 3
-    /// instructions, where two comparisons of 64 bits are 10.
     #[must_use]
     #[inline]
-    #[allow(clippy::cast_possible_truncation, reason = "the two words, one by one")]
     pub const fn saturating(value: i64) -> Self {
-        let (high, low) = ((value >> 32) as i32, value as i32);
-        let sign = high >> 31;
-        Self(if high == low >> 31 { low } else { i32::MAX ^ sign })
+        Self(saturated(value))
     }
 
     /// The length clamped to ±`largest`, which counts as 0 below 0; and whether it had to be.
@@ -78,8 +74,9 @@ impl Fine {
 
     /// The nearest representable value: saturates, never wraps.
     #[must_use]
-    pub fn saturating(value: i64) -> Self {
-        Self(Nanometres::saturating(value).0)
+    #[inline]
+    pub const fn saturating(value: i64) -> Self {
+        Self(saturated(value))
     }
 
     /// The sum; saturates.
@@ -99,8 +96,7 @@ impl Fine {
     /// The nearest nanometre, halves upwards.
     #[must_use]
     pub const fn rounded(self) -> Nanometres {
-        const HALF: i32 = Fine::PER_NANOMETRE / 2;
-        Nanometres(self.0.saturating_add(HALF) >> Self::FRACTION_BITS)
+        Nanometres(rounded_shift_word(self.0, Self::FRACTION_BITS))
     }
 }
 

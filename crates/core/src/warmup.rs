@@ -17,8 +17,10 @@
 //! at k = 0.05, where τ is 30 hours.
 
 use crate::{
-    lag::{Lag, STEP_MS, SmoothingFactor},
-    units::{Fine, Nanometres},
+    dimensions::STEP_MS,
+    fixed::{product, rounded_shift},
+    lag::{Lag, SmoothingFactor},
+    units::Fine,
 };
 
 /// How a spindle warms up.
@@ -56,7 +58,8 @@ impl Warmup {
     /// One step of [`STEP_MS`] through which the spindle was driven like this; 0 or less: stopped.
     ///
     /// ```
-    /// use trueup_core::{lag::{STEP_MS, SmoothingFactor}, units::Fine, warmup::{State, Warmup}};
+    /// use trueup_core::{dimensions::STEP_MS, lag::SmoothingFactor, units::Fine};
+    /// use trueup_core::warmup::{State, Warmup};
     /// // 80 µm after a lag of 200 ms; half of what is missing comes in every step.
     /// let spindle = Warmup {
     ///     lag_ms: 2 * STEP_MS,
@@ -89,21 +92,18 @@ impl Warmup {
     /// The growth now, at most Smax; positive when the tool grows out of the spindle.
     #[must_use]
     pub fn elongation(&self, state: &State) -> Fine {
-        const HALF: i64 = 1 << (Warmup::DRIVE_FRACTION_BITS - 1);
-        // Products of two i32: at most 2⁶², so that nothing below can wrap.
-        let heated = i64::from(state.heat.value()).wrapping_mul(i64::from(self.full))
-            >> Self::FULL_FRACTION_BITS;
+        let heated = product(state.heat.value(), self.full) >> Self::FULL_FRACTION_BITS;
         let part = heated.clamp(0, i64::from(Self::RATED));
-        let growth = part.wrapping_mul(i64::from(self.max.0)).wrapping_add(HALF)
-            >> Self::DRIVE_FRACTION_BITS;
-        // A part of at most 1 of an i32 is one.
-        Fine(Nanometres::saturating(growth).0)
+        // 29 bits by 32: nothing can wrap.
+        let growth = part.wrapping_mul(i64::from(self.max.0));
+        Fine::saturating(rounded_shift(growth, Self::DRIVE_FRACTION_BITS))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::units::Nanometres;
     extern crate std;
 
     const LAG_S: f64 = 60.0;

@@ -7,8 +7,9 @@
 use std::collections::BTreeMap;
 
 use trueup_core::{
+    channels::RawTemperatures,
     cnc::{AxisPosition, Heading, LinearAxis, Rotary},
-    heat::{CHANNELS, RawTemperatures},
+    dimensions::CHANNELS,
     pt100,
     thermometer::Raw,
     units::{MicroDegrees, Position, Rpm, Temperature},

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use trueup_core::{
     cnc::{Control, Flags, Quality},
-    heat::CHANNELS,
+    dimensions::CHANNELS,
 };
 use trueup_link::{
     frame::Frame,

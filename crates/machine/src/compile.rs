@@ -24,8 +24,8 @@ pub(crate) mod term;
 use trueup_core::{
     calibration::{self, AXIS_PAIRS, Calibration},
     cnc,
+    dimensions::CHANNELS,
     gradient::Gradient,
-    heat::CHANNELS,
     kinematics::{self, Kinematics},
     lag::SmoothingFactor,
     limits::Limits,

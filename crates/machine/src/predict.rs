@@ -21,15 +21,16 @@ use std::{
 };
 
 use trueup_core::{
-    calibration::{Calibration, ElongationSource},
-    geometry::Place as BoardPlace,
-    heat::{CHANNELS, FIRST_TERM, Heat},
-    lag::{STEP_MS, SmoothingFactor},
+    calibration::Calibration,
+    dimensions::CHANNELS,
+    dimensions::STEP_MS,
+    heat::{FIRST_TERM, Heat},
+    lag::SmoothingFactor,
+    place::Place as BoardPlace,
     term::{self, OperatingPoint},
+    tip::{self, UNLIMITED},
     travel::Travel,
-    units::{
-        Fine, MicroDegrees, NANOMETRES_PER_MICROMETRE, Nanometres, Position, Rpm, Temperature,
-    },
+    units::{MicroDegrees, NANOMETRES_PER_MICROMETRE, Nanometres, Position, Rpm, Temperature},
 };
 
 use crate::{
@@ -441,23 +442,17 @@ impl<'b> BridgeRun<'b> {
     fn step(&mut self, situation: &Situation<'_>) -> Values {
         self.heat_up(situation);
         let calibration = &self.calibration;
-        let elongation = match calibration.spindle.chain[0] {
-            None => Nanometres::ZERO,
-            Some(ElongationSource::Sensor) => {
-                let reading =
-                    self.bridge.input.map(|it| it.reading_from_counts(situation.sensor_counts));
-                calibration.spindle.sensor.elongation(reading.unwrap_or_default())
-            }
-            Some(ElongationSource::Temperature) => self.heat.by_temperature(),
-            Some(ElongationSource::Warmup) => self.heat.by_running_time(),
-        };
+        let reading = self.bridge.input.map(|it| it.reading_from_counts(situation.sensor_counts));
+        let by_sensor = calibration.spindle.sensor.elongation(reading.unwrap_or_default());
+        let source = calibration.spindle.chain[0];
+        let plain = tip::elongation_by(source, by_sensor, &self.heat).fine();
         let operating = OperatingPoint {
             speed: situation.spindle_rpm.map(rpm),
             // A cast from f64 saturates.
             load: (situation.load_n.unwrap_or(0.0) * PARTS_OF_N).round() as i32,
         };
-        let terms = self.heat.terms();
-        let elongation = calibration.with_terms(elongation.fine(), terms, operating).rounded();
+        let terms = &calibration.terms;
+        let elongation = term::elongation(terms, plain, self.heat.terms(), operating).rounded();
         let mut place = BoardPlace::default();
         for (n, axis) in calibration.axes.iter().enumerate() {
             // A cast from f64 saturates and takes NaN to 0; what depends on it is not shown.
@@ -471,17 +466,11 @@ impl<'b> BridgeRun<'b> {
             MicroDegrees((degrees * f64::from(MicroDegrees::PER_DEGREE)).round() as i32)
         };
         let direction = calibration.kinematics.direction([angle(0), angle(1)]);
-        let along = direction.fine_error(elongation);
-        let errors = calibration.errors(&self.heat, &place);
+        // Without limits: what the tick would clamp is shown as it is.
+        let axes = calibration.errors(&self.heat, &place).sums(UNLIMITED).sums;
+        let (error, _) = tip::error_at_tip(elongation, direction, axes, UNLIMITED);
         let um = |length: Nanometres| f64::from(length.0) / NM_PER_UM;
-        Values {
-            elongation_um: um(elongation),
-            error_um: [0, 1, 2].map(|n| {
-                // Without limits: what the tick would clamp is shown as it is.
-                let (sum, _) = errors.axes[n].sum(Fine(i32::MAX));
-                um(sum.plus(along[n]).rounded())
-            }),
-        }
+        Values { elongation_um: um(elongation), error_um: error.map(|error| um(error.rounded())) }
     }
 
     /// Steps the heat up to the row, as often as the board would; a row that lacks something leaves

@@ -11,9 +11,10 @@ use heapless::Vec;
 use trueup_core::{
     bridge::Input,
     calibration::Calibration,
+    channels::RawTemperatures,
     cnc::{AxisPosition, Control, Heading, LinearAxis, Rotary, Spindle},
-    filter::CODES_PER_TICK,
-    heat::{CHANNELS, RawTemperatures},
+    dimensions::CHANNELS,
+    dimensions::CODES_PER_TICK,
     thermometer::Raw,
     units::{Code, MicroDegrees, Position, Rpm},
 };

@@ -59,14 +59,16 @@ use trueup_core::{
     },
     cnc::LinearAxis,
     curve::Curve,
+    dimensions::CHANNELS,
+    dimensions::MAX_TERMS,
+    fixed::Scaled,
     gradient::Gradient,
-    heat::CHANNELS,
     kinematics::{self, Kinematics},
     lag::SmoothingFactor,
     limits::Limits,
     pitch::{Beam, Pitch},
     sensor::{SensorLaw, Slope},
-    term::{self, Effect, Scaled, Target, Term},
+    term::{Effect, Target, Term},
     thermal::Law,
     thermometer::Thermometer,
     tool::Direction,
@@ -257,7 +259,7 @@ fn write_terms(to: &mut Writer<'_>, terms: &[Option<Term<'_>>]) {
     let next = to.at.saturating_add(4);
     // Room first: the tables of the terms come behind all of them.
     let count = terms.iter().flatten().count();
-    let records = [[0_u8; TERM_SIZE]; term::MAX_TERMS];
+    let records = [[0_u8; TERM_SIZE]; MAX_TERMS];
     let start = to.tables_end;
     to.table(records.get(..count).unwrap_or_default());
     for (index, term) in terms.iter().flatten().enumerate() {
@@ -666,16 +668,16 @@ impl<'b> Reader<'b> {
 }
 
 impl<'b> Reader<'b> {
-    fn terms(&mut self) -> Result<[Option<Term<'b>>; term::MAX_TERMS], BlobError> {
+    fn terms(&mut self) -> Result<[Option<Term<'b>>; MAX_TERMS], BlobError> {
         let offset = self.at;
         let at = self.word() & 0xFFFF;
         self.at = offset;
         let records = self.table::<TERM_SIZE>()?;
         let next = self.at;
-        if records.len() > term::MAX_TERMS {
+        if records.len() > MAX_TERMS {
             return Err(BlobError::Table { offset });
         }
-        let mut terms = [None; term::MAX_TERMS];
+        let mut terms = [None; MAX_TERMS];
         let mut at = usize::try_from(at).unwrap_or(usize::MAX);
         for (term, _) in terms.iter_mut().zip(records) {
             self.at = at;
@@ -923,7 +925,7 @@ mod tests {
             (x, Effect::Curve { axis: LinearAxis::Y, curve }),
             (Target::Axis(LinearAxis::Z), wave),
         ];
-        let mut terms = [None; term::MAX_TERMS];
+        let mut terms = [None; MAX_TERMS];
         for (place, (target, effect)) in terms.iter_mut().zip(all) {
             *place = Some(Term { target, constant: Fine(-6), effect });
         }

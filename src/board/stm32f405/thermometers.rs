@@ -17,7 +17,7 @@ use stm32f4xx_hal::{
     spi::Spi,
 };
 use trueup_core::{
-    heat::RawTemperatures,
+    channels::RawTemperatures,
     thermometer::{Raw, Thermometer},
 };
 use trueup_max31865::{Converter, Reading, TURN_MS};

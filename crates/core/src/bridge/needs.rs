@@ -3,7 +3,7 @@
 use crate::{
     calibration::{AXIS_PAIRS, Calibration, ElongationSource},
     cnc::LinearAxis,
-    heat::IndexSet,
+    set::IndexSet,
     term::{self, Effect, Target},
     units::Fine,
 };
@@ -25,7 +25,7 @@ pub(super) struct RequiredInputs {
     /// The spindle's speed and load, from the CNC.
     pub operating_point: bool,
     /// Terms that follow a temperature.
-    pub heat_terms: term::Set,
+    pub heat_terms: IndexSet,
     /// Whether there are terms of the elongation.
     pub terms: bool,
     /// The source of the elongation that is asked first.
@@ -42,7 +42,7 @@ impl RequiredInputs {
                 && (of_elongation || chain.iter().any(Option::is_some)),
             operating_point: terms()
                 .any(|it| matches!(it.effect, Effect::Speed(_) | Effect::Load(_))),
-            heat_terms: term::Set::of_heat(calibration),
+            heat_terms: term::heat_terms(&calibration.terms),
             terms: of_elongation,
             sensor: chain.contains(&Some(ElongationSource::Sensor)),
             position_ms: [u32::MAX; 3],

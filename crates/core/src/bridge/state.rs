@@ -1,17 +1,31 @@
 //! What the bridge remembers from tick to tick.
 
 use crate::{
-    bridge::{Mode, SAMPLES_TIMEOUT_MS},
+    channels::{Channels, RawTemperatures},
     cnc::{AxisPosition, Control, Spindle},
     filter::Filter,
-    geometry::{CachedErrors, Errors, Place},
+    geometry::{CachedErrors, ErrorSums},
     health::{Health, Noise},
-    heat::{Channels, Heat, RawTemperatures},
+    heat::Heat,
     limits::Applied,
+    place::Place,
     tool::Direction,
     travel,
     units::{Fine, MicroDegrees, Millis, Nanometres, Temperature},
 };
+
+/// Without samples for so long the converter counts as stopped, and a reading as stale.
+pub const SAMPLES_TIMEOUT_MS: u32 = 20;
+/// Without a temperature for so long its channel counts as bad.
+pub const TEMPERATURE_TIMEOUT_MS: u32 = 1_000;
+
+/// Where the offset is to go.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Mode {
+    Follow,
+    Hold,
+    RampOut,
+}
 
 /// What the bridge remembers from tick to tick.
 #[derive(Clone, Debug, Default)]
@@ -53,29 +67,6 @@ pub struct Reference {
     pub elongation: Nanometres,
     /// Of X, Y and Z.
     pub axes: [Fine; 3],
-}
-
-/// The errors of X, Y and Z, before the reference.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct ErrorSums {
-    pub sums: [Fine; 3],
-    /// A part was held at its limit.
-    pub clamped: bool,
-    /// A position lies outside a table.
-    pub outside: bool,
-}
-
-impl ErrorSums {
-    /// The sums of these, each part held to its axis' largest.
-    pub fn of(errors: &Errors, largest: [Fine; 3]) -> Self {
-        let mut all = Self { sums: [Fine::ZERO; 3], clamped: false, outside: errors.outside };
-        for ((sum, error), largest) in all.sums.iter_mut().zip(&errors.axes).zip(largest) {
-            let (held, clamped) = error.sum(largest);
-            *sum = held;
-            all.clamped |= clamped;
-        }
-        all
-    }
 }
 
 /// Milliseconds since something happened; stays at its largest value, where it also begins.
@@ -208,7 +199,7 @@ impl State {
     }
 
     /// Decides where the offset goes, and remembers when it was last live.
-    pub(super) fn course(&mut self, control: Option<Control>, fresh: bool, hold_ms: u32) -> Mode {
+    pub(super) fn mode(&mut self, control: Option<Control>, fresh: bool, hold_ms: u32) -> Mode {
         if control.is_some_and(|control| !(control.engage && control.referenced)) {
             self.live_age = None;
         } else if control.is_some() && fresh {

@@ -2,8 +2,9 @@
 
 use trueup_core::{
     curve::Curve,
+    dimensions::STEP_MS,
     gradient::Gradient,
-    lag::{STEP_MS, SmoothingFactor},
+    lag::SmoothingFactor,
     thermal::{Law, PIECE_SIZE, Piece, SLOPE_FRACTION_BITS, SLOPE_UNIT_BITS},
     units::{Fine, Position, Temperature},
     warmup,

@@ -5,9 +5,11 @@
 //! one or two terms of the board each, in their order, because p changes from one to the next.
 
 use trueup_core::{
+    dimensions::MAX_TERMS,
+    fixed::Scaled,
     gradient::Gradient,
     pitch::Pitch,
-    term::{self, Effect, Scaled, Target, Term, UNIT_STEP},
+    term::{Effect, Target, Term, UNIT_STEP},
     units::{Fine, Temperature},
 };
 
@@ -58,7 +60,7 @@ impl Owned {
 }
 
 /// What the calibration holds.
-pub(super) fn views(owned: &[Owned]) -> [Option<Term<'_>>; term::MAX_TERMS] {
+pub(super) fn views(owned: &[Owned]) -> [Option<Term<'_>>; MAX_TERMS] {
     std::array::from_fn(|index| owned.get(index).map(Owned::view))
 }
 
@@ -86,8 +88,8 @@ pub(super) fn terms(machine: &Machine, account: &mut Account<'_>) -> Result<Vec<
             let effect = OwnedEffect::Plain(Effect::Offset);
             owned.push(Owned { target, constant, effect });
         }
-        if owned.len() > term::MAX_TERMS {
-            let rule = format!("is too much: the board runs {} terms and waves", term::MAX_TERMS);
+        if owned.len() > MAX_TERMS {
+            let rule = format!("is too much: the board runs {} terms and waves", MAX_TERMS);
             return Err(machine.places.bad(&key, rule));
         }
     }

@@ -9,7 +9,8 @@ use std::fmt::Write as _;
 use trueup_core::{
     calibration::Calibration,
     cnc::LinearAxis,
-    term::{Effect, Scaled, Target, Term, UNIT_STEP},
+    fixed::Scaled,
+    term::{Effect, Target, Term, UNIT_STEP},
 };
 
 use super::{

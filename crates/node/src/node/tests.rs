@@ -399,7 +399,7 @@ fn the_status_tells_each_item_in_turn_and_why_a_frame_was_refused() {
 
 #[test]
 fn a_fault_of_a_single_tick_is_told_whenever_it_comes() {
-    use trueup_core::{filter::CODES_PER_TICK, units::Code, units::Rpm};
+    use trueup_core::{dimensions::CODES_PER_TICK, units::Code, units::Rpm};
     let alive: [Code; CODES_PER_TICK] = core::array::from_fn(|n| Code(700 + u16::from(n == 1)));
     for phase in 0..4 {
         let mut node = Node::new(Some(tests_calibration()), false);

@@ -4,7 +4,7 @@ use super::*;
 use std::vec::Vec;
 use trueup_core::{
     cnc::Control,
-    filter::CODES_PER_TICK,
+    dimensions::CODES_PER_TICK,
     units::{Code, Nanometres},
 };
 use trueup_link::{

@@ -1,0 +1,15 @@
+//! How many and how often: the numbers that the board, its calibration and its frames are built for.
+//!
+//! They stand below everything else, so that whoever needs one of them needs nothing more.
+
+/// Temperature channels of a board.
+pub const CHANNELS: usize = 8;
+
+/// The most terms of a diagnosis that a calibration holds.
+pub const MAX_TERMS: usize = 16;
+
+/// Conversions of the displacement sensor in one tick: 1 ms at 20 kS/s.
+pub const CODES_PER_TICK: usize = 20;
+
+/// The step of everything that follows heat and running time, in milliseconds.
+pub const STEP_MS: u32 = 100;

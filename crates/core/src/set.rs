@@ -1,0 +1,68 @@
+//! A set of small numbers: channels, axes, terms of a calibration.
+
+use crate::dimensions::{CHANNELS, MAX_TERMS};
+
+/// A set of numbers from 0 to 15. That all of some are there is one comparison.
+///
+/// ```
+/// use trueup_core::set::IndexSet;
+/// let mut known = IndexSet::default();
+/// known.insert(3);
+/// let mut needed = IndexSet::default();
+/// assert!(known.has_all(needed) && !known.has_any(needed));
+/// needed.insert(3);
+/// needed.insert(5);
+/// assert!(!known.has_all(needed) && known.has_any(needed));
+/// ```
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct IndexSet(u16);
+
+const _: () = assert!(CHANNELS <= u16::BITS as usize && MAX_TERMS <= u16::BITS as usize);
+
+impl IndexSet {
+    /// Takes a number in; one above 15 is in no set.
+    pub fn insert(&mut self, number: usize) {
+        self.0 |= Self::bit(number);
+    }
+
+    /// Takes a number out.
+    pub fn remove(&mut self, number: usize) {
+        self.0 &= !Self::bit(number);
+    }
+
+    /// Whether every number of `others` is in it.
+    #[must_use]
+    pub const fn has_all(self, others: Self) -> bool {
+        others.0 & !self.0 == 0
+    }
+
+    /// Whether a number of `others` is in it.
+    #[must_use]
+    pub const fn has_any(self, others: Self) -> bool {
+        others.0 & self.0 != 0
+    }
+
+    fn bit(number: usize) -> u16 {
+        u32::try_from(number).ok().and_then(|number| 1_u16.checked_shl(number)).unwrap_or(0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_number_beyond_the_set_is_in_none() {
+        let mut set = IndexSet::default();
+        for number in [16, 31, 32, usize::MAX] {
+            set.insert(number);
+            assert_eq!(set, IndexSet::default());
+        }
+        set.insert(15);
+        set.insert(0);
+        set.remove(0);
+        let mut last = IndexSet::default();
+        last.insert(15);
+        assert_eq!(set, last);
+    }
+}

@@ -1,0 +1,158 @@
+//! What a term is, and what one that depends on a place adds there.
+
+use crate::{
+    angle::sine_cosine,
+    cnc::LinearAxis,
+    curve::Curve,
+    dimensions::MAX_TERMS,
+    fixed::{self, Scaled},
+    gradient::Gradient,
+    lag::SmoothingFactor,
+    pitch::Pitch,
+    place::Place,
+    set::IndexSet,
+    tool::Direction,
+    travel::backlash,
+    units::{Fine, MicroDegrees, Position, Temperature},
+};
+
+/// The terms of a calibration; those that are there come first.
+pub type Terms<'a> = [Option<Term<'a>>; MAX_TERMS];
+
+/// What a term changes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Target {
+    /// The elongation by the first source; another one was not what the term was fitted to.
+    Elongation,
+    /// The error of an axis.
+    Axis(LinearAxis),
+}
+
+/// A term.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Term<'a> {
+    /// What it changes.
+    pub target: Target,
+    /// Added as well, in 1/256 nm: an error of the axis, or an elongation.
+    pub constant: Fine,
+    /// How it changes it.
+    pub effect: Effect<'a>,
+}
+
+/// What a term does; the formulas stand at the head of [`term`](crate::term).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Effect<'a> {
+    /// The constant alone.
+    Offset,
+    /// p + m·p; of an elongation alone.
+    Gain(Scaled),
+    /// p + m·(p²/2²⁴), p held to ±1.05 mm there; of an elongation alone.
+    Curvature(Scaled),
+    /// At most this; of an elongation alone.
+    Saturation(Fine),
+    /// + m·(lag(T) − reference).
+    Heat {
+        /// The channel of T, 0…7.
+        channel: u8,
+        /// α of the lag of T, per step of 100 ms.
+        smoothing: SmoothingFactor,
+        /// T_ref, in 1/4096 mK.
+        reference: Temperature,
+        /// m, in 1/256 nm per temperature unit.
+        per_temperature: Scaled,
+    },
+    /// + m·(1 − e^(−t/τ)), t since the start of the board.
+    Time {
+        /// α = 1 − e^(−0.1 s/τ), per step of 100 ms.
+        smoothing: SmoothingFactor,
+        /// m, in 1/256 nm per [`UNIT_STEP`].
+        amplitude: Scaled,
+    },
+    /// + m·n², n in r/min.
+    Speed(Scaled),
+    /// + m·F, F in 1/256 N.
+    Load(Scaled),
+    /// + gradient·P.
+    Position {
+        /// Of P.
+        axis: LinearAxis,
+        /// From 0.
+        gradient: Gradient,
+    },
+    /// + β·(width + gradient·P), P and β of the term's own axis.
+    Reversed {
+        /// At P = 0.
+        width: Fine,
+        /// From 0.
+        gradient: Gradient,
+    },
+    /// A table of the term's own axis for either direction.
+    Table(Pitch<'a>),
+    /// A curve.
+    Curve {
+        /// Over which axis.
+        axis: LinearAxis,
+        /// The curve.
+        curve: Curve<'a>,
+    },
+    /// + a·sin(2π·P/L + φ), P of the term's own axis.
+    Wave {
+        /// 2⁶⁴ turns over the position unit: 2⁶⁴·10 nm/L.
+        turns: u64,
+        /// φ in 2⁻³² turns.
+        phase: u32,
+        /// a.
+        amplitude: Fine,
+    },
+}
+
+/// 1 of what a term over time follows.
+pub const UNIT_STEP: i32 = 1 << 30;
+
+/// The terms of heat, which need a temperature.
+#[must_use]
+pub fn heat_terms(terms: &Terms<'_>) -> IndexSet {
+    let mut set = IndexSet::default();
+    for (index, term) in terms.iter().enumerate() {
+        if term.is_some_and(|term| matches!(term.effect, Effect::Heat { .. })) {
+            set.insert(index);
+        }
+    }
+    set
+}
+
+impl Effect<'_> {
+    /// What it adds to the error of its own axis, and whether that is the end of a table held.
+    pub(super) fn at(&self, own: LinearAxis, warmth: Fine, place: &Place) -> (Fine, bool) {
+        let of = |axis: LinearAxis| place.of(axis);
+        let reversal = || place.reversal(own);
+        let inside = |part| (part, false);
+        match self {
+            Self::Heat { .. } | Self::Time { .. } => inside(warmth),
+            Self::Position { axis, gradient } => inside(gradient.over(Position(0), of(*axis))),
+            Self::Reversed { width, gradient } => {
+                inside(backlash(width.plus(gradient.over(Position(0), of(own))), reversal()))
+            }
+            Self::Table(pitch) => pitch.at(of(own), reversal()),
+            Self::Curve { axis, curve } => curve.at(of(*axis)),
+            Self::Wave { turns, phase, amplitude } => {
+                inside(wave(*turns, *phase, *amplitude, of(own)))
+            }
+            // Of an elongation alone, or the constant alone.
+            _ => inside(Fine::ZERO),
+        }
+    }
+}
+
+/// a·sin(2π·(P·turns + φ)); whole turns wrap away.
+#[allow(clippy::cast_possible_truncation, reason = "a word of two, and less than 2³¹")]
+fn wave(turns: u64, phase: u32, amplitude: Fine, position: Position) -> Fine {
+    const TURN: u32 = 360 * MicroDegrees::PER_DEGREE.unsigned_abs();
+    // Modulo 2⁶⁴ a product with a negative number is that with its complement.
+    let turned = i64::from(position.0).cast_unsigned().wrapping_mul(turns) >> 32;
+    let turned = (turned as u32).wrapping_add(phase);
+    let angle = MicroDegrees(fixed::high_word_unsigned(turned, TURN).cast_signed());
+    let (sine, _) = sine_cosine(angle);
+    let along = fixed::product(sine, amplitude.0);
+    Fine::saturating(fixed::rounded_shift(along, Direction::FRACTION_BITS))
+}

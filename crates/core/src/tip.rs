@@ -1,0 +1,66 @@
+//! The raw error at the tool tip: what the model says of the present place, before the reference,
+//! the limits and the slew rate. The tick and the host's prediction both take it from here.
+//!
+//! ```text
+//! e = s·V + E        e on X, Y and Z: actual minus commanded
+//! s  elongation by its source, with its terms        V  tool direction
+//! E  sums of the errors of the axes (geometry)
+//! ```
+
+use crate::{
+    calibration::ElongationSource,
+    heat::Heat,
+    tool::Direction,
+    units::{Fine, Nanometres},
+};
+
+/// No part of an error is clamped by these.
+pub const UNLIMITED: [Fine; 3] = [Fine(i32::MAX); 3];
+
+/// The elongation by a source, before its terms; 0 without one.
+#[must_use]
+#[inline]
+pub fn elongation_by(
+    source: Option<ElongationSource>,
+    by_sensor: Nanometres,
+    heat: &Heat,
+) -> Nanometres {
+    match source {
+        Some(ElongationSource::Sensor) => by_sensor,
+        Some(ElongationSource::Temperature) => heat.by_temperature(),
+        Some(ElongationSource::Warmup) => heat.by_running_time(),
+        None => Nanometres::ZERO,
+    }
+}
+
+/// The error at the tool tip on X, Y and Z in 1/256 nm, saturating at ±8.388 mm, and whether the
+/// elongation along an axis was clamped to ±`largest`.
+///
+/// `axes` are the sums of the errors of the axes, with their parts clamped already.
+///
+/// ```
+/// use trueup_core::{tip::{UNLIMITED, error_at_tip}, tool::Direction, units::{Fine, Nanometres}};
+/// // A spindle that has grown by 20 µm, on a Z axis that goes 5 µm too high.
+/// let axes = [Fine(0), Fine(0), Fine(5_000 * 256)];
+/// let (error, _) = error_at_tip(Nanometres(20_000), Direction::DOWN, axes, UNLIMITED);
+/// assert_eq!(error.map(|fine| fine.rounded().0), [0, 0, -15_000]);
+/// ```
+#[must_use]
+#[inline]
+pub fn error_at_tip(
+    elongation: Nanometres,
+    direction: Direction,
+    axes: [Fine; 3],
+    largest: [Fine; 3],
+) -> ([Fine; 3], bool) {
+    let mut error = axes;
+    let mut clamped = false;
+    for ((error, along), largest) in
+        error.iter_mut().zip(direction.fine_error(elongation)).zip(largest)
+    {
+        let (along, beyond) = along.clamped(largest);
+        *error = along.plus(*error);
+        clamped |= beyond;
+    }
+    (error, clamped)
+}
