@@ -3,6 +3,8 @@
 //! Whole files where there are several, whole runs where there are at least three, else stretches of
 //! the record; single rows only where there is no time and few rows, as in a table of readings.
 
+use std::fmt;
+
 use trueup_numerics::{noise::Chance, parallel::on_all_cores};
 
 use crate::{
@@ -15,11 +17,32 @@ use crate::{
 pub(crate) struct Folds {
     of_group: Vec<usize>,
     pub count: usize,
-    /// What is left out at once: "files", "runs", "stretches", "readings".
-    pub what: &'static str,
+    pub unit: Unit,
     /// Finer blocks, for intervals: the number of each group's.
     block: Vec<usize>,
     blocks: usize,
+}
+
+/// What is left out at once.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Unit {
+    Files,
+    Runs,
+    /// Parts of a record.
+    Stretches,
+    /// Single rows.
+    Readings,
+}
+
+impl fmt::Display for Unit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Files => "files",
+            Self::Runs => "runs",
+            Self::Stretches => "stretches",
+            Self::Readings => "readings",
+        })
+    }
 }
 
 /// What a term takes away from the RMS on left-out blocks.
@@ -44,28 +67,28 @@ impl Folds {
         let data = &problem.data;
         let runs = numbered(&groups.first_row, data.run.as_deref());
         let run_count = runs.iter().max().map_or(0, |most| most + 1);
-        let (of_group, count_folds, what) = if data.files > 1 {
-            (groups.file.clone(), data.files, "files")
+        let (of_group, count_folds, unit) = if data.files > 1 {
+            (groups.file.clone(), data.files, Unit::Files)
         } else if run_count >= 3 {
             // Of many runs, several at once.
             let folds = if run_count > 10 { STRETCHES } else { run_count };
             let of = |run: usize| run * folds / run_count;
-            (runs.into_iter().map(of).collect(), folds, "runs")
+            (runs.into_iter().map(of).collect(), folds, Unit::Runs)
         } else if data.time_s.is_none() && count <= 50 {
-            ((0..count).collect(), count, "readings")
+            ((0..count).collect(), count, Unit::Readings)
         } else {
             let of = |group: usize| group * STRETCHES / count;
-            ((0..count).map(of).collect(), STRETCHES, "stretches")
+            ((0..count).map(of).collect(), STRETCHES, Unit::Stretches)
         };
         let least = (5.0 * memory).max(1.0);
         let blocks = ((count as f64 / least) as usize).clamp(8, 40).min(count);
         let block = (0..count).map(|group| group * blocks / count).collect();
-        Self { of_group, count: count_folds, what, block, blocks }
+        Self { of_group, count: count_folds, unit, block, blocks }
     }
 
     /// Whether each fold is a record of its own.
     pub(crate) fn are_records(&self) -> bool {
-        matches!(self.what, "files" | "runs")
+        matches!(self.unit, Unit::Files | Unit::Runs)
     }
 
     /// What `model`, fitted to the others, leaves in each group, each fold left out in turn.

@@ -5,18 +5,34 @@
 //! would let any term explain, if it predicts blocks that were left out, and as long as something is
 //! left. The form of the answer is fixed (`docs/reference.md`, Diagnosis).
 //!
+//! # The flow
+//! [`diagnose`] calls each stage in turn, and each stage only what stands below it:
+//!
+//! ```text
+//! [RunFile], Machine ─► Data         the runs as one table, with what the machine file predicts
+//!          Data ─► Problem           its rows in groups, and the bounds of what may be fitted
+//!       Problem ─► Found             the search: a Model, fitted, its terms in order
+//!                   ├ Candidate      a cause that the data allow
+//!                   ├ Hit            a candidate that explains more than noise would let it (scan)
+//!                   ├ Extension      the model with a hit in it, fitted (extend)
+//!                   ├ Choice         which extension is taken, or why none (choose)
+//!                   └ LackOfFit      what is left and has no cause
+//!         Found ─► [Judgement]       each term's values, its rivals, and why its name is doubted
+//!    Judgements ─► Diagnosis         findings in sentences, the gain on unseen data, the verdict
+//! ```
+//!
 //! | module | does |
 //! |---|---|
+//! | `diagnose` | the flow above |
 //! | `data` | the runs as one table, with what the model says |
-//! | `model` | all terms in columns, fast |
+//! | `model`, `columns`, `laws` | all terms in columns, fast |
 //! | `fit` | all values at once by least squares, intervals under correlated noise |
+//! | `blocks`, `gain` | left-out files, runs and stretches; what a term brings on them |
 //! | `candidates`, `waves` | which causes the data allow, and where the search for each begins |
-//! | `scan` | which of them explain more than noise would; limits from drawn noise |
-//! | `blocks` | left-out files, runs and stretches |
 //! | `search` | term by term, rivals, exchange |
 //! | `outliers`, `repeats` | gross errors; what does not come back |
-//! | `diagnosis` | intervals, gain, verdict |
-//! | `report`, `html`, `figure`, `extended`, `terms`, `words` | the answer, for scripts and for people |
+//! | `judge` | whether a term's name is claimed, and why not |
+//! | `answer`, `parameters`, `terms`, `words` | the answer, for scripts and for people |
 #![forbid(unsafe_code)]
 
 mod answer;

@@ -7,15 +7,15 @@ use crate::{
         errors::errors,
         report::{Finding, Rival},
     },
-    blocks::rms,
+    blocks::{Unit, rms},
     data::Data,
     gain::Gain,
     judge::{Doubt, Judgement},
     words,
 };
 
-/// The finding of a term; `left_out`: what was left out in turn ("files", "runs", …).
-pub(crate) fn finding(it: &Judgement, left_out: &str) -> Finding {
+/// The finding of a term; `left_out`: what was left out in turn.
+pub(crate) fn finding(it: &Judgement, left_out: Unit) -> Finding {
     let cause = it.cause();
     let sentence = words::sentence(&it.part);
     let Gain { rms_before_um, rms_after_um, .. } = it.gain;
@@ -65,7 +65,7 @@ fn rival_in_doubt(it: &Judgement) -> Option<&'static str> {
 }
 
 /// A doubt in a sentence.
-fn doubted(doubt: &Doubt, gain: &Gain, left_out: &str) -> String {
+fn doubted(doubt: &Doubt, gain: &Gain, left_out: Unit) -> String {
     match doubt {
         Doubt::Rival(rival) => format!("{} explains these data as well.", rival.name()),
         Doubt::NotIdentified => format!(

@@ -73,7 +73,7 @@ pub(crate) fn conclude(
     let mut findings: Vec<Finding> = judged
         .iter()
         .map(|it| {
-            let mut finding = finding(it, found.folds.what);
+            let mut finding = finding(it, found.folds.unit);
             finding.gain.by_row(within);
             finding
         })

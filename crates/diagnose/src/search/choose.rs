@@ -92,7 +92,7 @@ impl<'s> Baseline<'s> {
                     WhyNot::Outperformed
                 } else {
                     WhyNot::NoGain {
-                        left_out: self.folds.what,
+                        left_out: self.folds.unit,
                         before_um: rms(&self.left_out),
                         after_um: it.left_out_um,
                     }

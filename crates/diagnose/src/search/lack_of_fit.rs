@@ -3,6 +3,7 @@
 use std::fmt;
 
 use crate::{
+    blocks::Unit,
     candidates::Candidate,
     fit::{Fitted, Problem},
     model::Kind,
@@ -19,8 +20,7 @@ pub(crate) enum LackOfFit {
     NoGain {
         /// The name of the cause.
         cause: &'static str,
-        /// What was left out: "files", "runs", …
-        left_out: &'static str,
+        left_out: Unit,
     },
     /// A curve over these explains more than noise would let it.
     GoesWith(Inputs),

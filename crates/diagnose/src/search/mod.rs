@@ -9,7 +9,7 @@
 //!
 //! | page | does |
 //! |---|---|
-//! | `scan` | which candidates explain more than noise would |
+//! | `scan`, `statistics` | which candidates explain more than noise would |
 //! | `extend` | fits of the model with one cause more, or another in a term's place |
 //! | `criterion` | how two models are compared |
 //! | `lack_of_fit` | curves that find what no cause explains |
@@ -29,6 +29,7 @@ mod revise;
 mod scan;
 mod simplify;
 mod state;
+mod statistics;
 
 use trueup_numerics::noise::Noise;
 
@@ -170,7 +171,7 @@ impl Search<'_> {
     ) -> Round {
         let is_empty = self.added.is_empty();
         if self.stage == Stage::All && is_empty {
-            let limit = scanned.limits.map_or(0.0, |limits| limits[0]);
+            let limit = scanned.likelihood_limit.unwrap_or(0.0);
             if let Some(Taken { fitted, causes, gain, .. }) =
                 pair_from_nothing(self, &scanned.hits, tier, limit)
             {

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use crate::{
-    blocks::Folds,
+    blocks::{Folds, Unit},
     fit::{Fitted, Problem, fit},
     gain::Gain,
     model::{Kind, Model},
@@ -92,12 +92,7 @@ pub(crate) enum WhyNot {
     /// Another explains as much and is simpler, or predicts better.
     Outperformed,
     /// It predicts no better what was left out.
-    NoGain {
-        /// What was left out: "files", "runs", …
-        left_out: &'static str,
-        before_um: f64,
-        after_um: f64,
-    },
+    NoGain { left_out: Unit, before_um: f64, after_um: f64 },
     /// Noise would show as much.
     Insignificant,
 }

@@ -1,0 +1,181 @@
+//! T and U of the scan: what columns take away from what a model leaves, for each noise.
+
+use nalgebra::DMatrix;
+use trueup_numerics::{
+    least_squares::normal::{cholesky, dot, forward, orthonormal},
+    noise::{Noise, Whitener},
+    parallel::on_all_cores,
+};
+
+use crate::fit::Problem;
+
+/// Columns of one trial's matrix at a time, so that they stay in the cache.
+const COLUMNS_AT_ONCE: usize = 16;
+
+/// A candidate at one setting, in columns.
+pub(crate) struct Trial {
+    /// Its number among the candidates.
+    pub candidate: usize,
+    /// Its nonlinear values.
+    pub setting: Vec<f64>,
+    /// Whether the last column is a constant.
+    pub with_constant: bool,
+    /// A change of fixed size, with no amplitude to fit.
+    pub is_fixed: bool,
+    /// What it adds at each amplitude of 1, in groups.
+    pub columns: Vec<Vec<f64>>,
+    /// How many values it would take to fit it.
+    pub degrees: f64,
+}
+
+/// T and U of each trial on each of `lists`, beside the columns of the model's own values.
+pub(crate) fn statistics(
+    trials: &[Trial],
+    nuisance: &[Vec<f64>],
+    lists: &[Vec<f64>],
+    problem: &Problem,
+    noises: &[Noise],
+    independent: f64,
+) -> Vec<Vec<[f64; 2]>> {
+    let steps = &problem.groups.steps;
+    let rows = problem.groups.len() as f64;
+    let mut base = vec![f64::INFINITY; lists.len()];
+    let mut with = vec![vec![f64::INFINITY; lists.len()]; trials.len()];
+    let mut share = vec![vec![0.0_f64; lists.len()]; trials.len()];
+    let chunks = chunks(trials);
+    for (which, &noise) in noises.iter().enumerate() {
+        let whitener = Whitener::new(noise, steps);
+        let projector = Projector::new(&whitener, nuisance, lists);
+        let deviance = |sum: f64| rows * (sum / rows).max(1e-300).ln() + whitener.log_det;
+        for (base, sum) in base.iter_mut().zip(&projector.sums) {
+            *base = base.min(deviance(*sum));
+        }
+        let of = |chunk: &&[Trial]| projector.gains(&whitener, chunk);
+        let is_worth = trials.len() * rows as usize * lists.len() > 2_000_000;
+        let all = on_all_cores(&chunks, is_worth, of);
+        for (trial, gains) in all.iter().flatten().enumerate() {
+            for (list, gain) in gains.iter().enumerate() {
+                let sum = projector.sums[list];
+                // More than all cannot be explained but by rounding.
+                let left = (sum - gain).max(1e-12 * sum);
+                with[trial][list] = with[trial][list].min(deviance(left));
+                if which == 0 && sum > 0.0 {
+                    share[trial][list] = 1.0 - left / sum;
+                }
+            }
+        }
+    }
+    let length = rows.ln();
+    trials
+        .iter()
+        .enumerate()
+        .map(|(number, trial)| {
+            (0..lists.len())
+                .map(|list| {
+                    let t = base[list] - with[number][list] - trial.degrees * length;
+                    let left = 1.0 - share[number][list];
+                    let u = -independent * left.ln() - trial.degrees * independent.ln();
+                    [t, u]
+                })
+                .collect()
+        })
+        .collect()
+}
+
+/// Trials side by side, about [`COLUMNS_AT_ONCE`] columns each.
+fn chunks(trials: &[Trial]) -> Vec<&[Trial]> {
+    let mut chunks = Vec::new();
+    let (mut start, mut columns) = (0, 0);
+    for (index, trial) in trials.iter().enumerate() {
+        columns += trial.columns.len();
+        if columns >= COLUMNS_AT_ONCE {
+            chunks.push(&trials[start..=index]);
+            (start, columns) = (index + 1, 0);
+        }
+    }
+    if start < trials.len() {
+        chunks.push(&trials[start..]);
+    }
+    chunks
+}
+
+/// What columns take away from lists, beside what the model's own values could absorb; all whitened.
+///
+/// ```text
+/// Q  basis of the model's own columns        l ⊥ Q  the lists
+/// w  a trial's columns                       G = wᵀw − (wᵀQ)(wᵀQ)ᵀ,  b = wᵀl
+/// gain = bᵀ·G⁻¹·b                            of a change of fixed size: 2·b − G
+/// ```
+struct Projector {
+    /// Q and the lists.
+    right: DMatrix<f64>,
+    /// How many columns Q has.
+    basis: usize,
+    /// Squares of the lists.
+    sums: Vec<f64>,
+}
+
+impl Projector {
+    fn new(whitener: &Whitener, nuisance: &[Vec<f64>], lists: &[Vec<f64>]) -> Self {
+        let mut columns = orthonormal(whitener.apply_all(nuisance));
+        let basis = columns.len();
+        let mut sums = Vec::with_capacity(lists.len());
+        for mut list in whitener.apply_all(lists) {
+            for column in &columns[..basis] {
+                let share = dot(&list, column);
+                list.iter_mut().zip(column).for_each(|(v, c)| *v -= share * c);
+            }
+            sums.push(dot(&list, &list));
+            columns.push(list);
+        }
+        Self { right: matrix(&columns), basis, sums }
+    }
+
+    /// The gain of each trial on each list.
+    fn gains(&self, whitener: &Whitener, trials: &[Trial]) -> Vec<Vec<f64>> {
+        let columns = trials.iter().flat_map(|trial| &trial.columns);
+        let white = whitener.apply_all(columns);
+        let turned = DMatrix::from_row_iterator(
+            white.len(),
+            self.right.nrows(),
+            white.iter().flatten().copied(),
+        );
+        let products = &turned * &self.right;
+        let mut first = 0;
+        trials
+            .iter()
+            .map(|trial| {
+                let count = trial.columns.len();
+                let rows = first..first + count;
+                first += count;
+                let in_basis = products.view((rows.start, 0), (count, self.basis));
+                let on_lists =
+                    products.columns_range(self.basis..).rows_range(rows.clone()).into_owned();
+                let own = turned.rows_range(rows);
+                let squares = own * own.transpose();
+                let whole = squares.diagonal();
+                let beside = squares - in_basis * in_basis.transpose();
+                if trial.is_fixed {
+                    return on_lists.iter().map(|b| 2.0 * b - beside[(0, 0)]).collect();
+                }
+                explained(beside, whole.as_slice(), on_lists)
+            })
+            .collect()
+    }
+}
+
+fn matrix(columns: &[Vec<f64>]) -> DMatrix<f64> {
+    let rows = columns.first().map_or(0, Vec::len);
+    DMatrix::from_iterator(rows, columns.len(), columns.iter().flatten().copied())
+}
+
+/// bᵀ·G⁻¹·b for each column b.
+fn explained(g: DMatrix<f64>, whole: &[f64], mut b: DMatrix<f64>) -> Vec<f64> {
+    let lower = cholesky(g, whole);
+    let count = b.nrows();
+    let column = |b: &mut [f64]| {
+        forward(&lower, b);
+        dot(b, b)
+    };
+    b.as_mut_slice().chunks_exact_mut(count).map(column).collect()
+}
