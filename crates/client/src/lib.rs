@@ -8,6 +8,7 @@
 //! | module | does |
 //! |---|---|
 //! | [`port`] | TCP, a serial device or a CAN interface, opened to lines of SLCAN both ways |
+//! | [`ends`] | both directions of an open line |
 //! | [`session`] | one client's time on the line: open, hear, ask, close |
 //! | [`object`] | the objects of the bridge, by SDO |
 //! | [`words`] | offsets, flags, faults and states for people and as JSON |
@@ -20,6 +21,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod ends;
 pub mod object;
 pub mod port;
 pub mod record;

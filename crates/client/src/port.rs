@@ -4,27 +4,22 @@
 //! adapter in this process.
 
 use std::{
-    io::{self, Read, Write},
+    io,
     net::{TcpStream, ToSocketAddrs as _},
     time::Duration,
 };
 
 use socket2::SockRef;
 
-use crate::Unusable;
+use crate::{
+    Unusable,
+    ends::{Ends, READ_TIMEOUT},
+};
 
 /// The speed of the bridge's serial line.
 pub const BAUD: u32 = 921_600;
 /// How long a bridge may take to be connected, or to take in a few bytes.
 const PATIENCE: Duration = Duration::from_secs(3);
-/// How long a read waits for bytes: short, so that a deadline is met without them too, and an end of
-/// the line is noticed as fast.
-pub(crate) const READ_TIMEOUT: Duration = Duration::from_millis(20);
-
-/// Both directions of an open line, for a thread each if need be. A read that finds nothing for a
-/// while fails in a way that [`is_only_late`].
-pub type Ends = (Box<dyn Read + Send>, Box<dyn Write + Send>);
-
 /// Where a bridge is.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Port {
@@ -134,16 +129,12 @@ fn connect(address: &str) -> io::Result<TcpStream> {
     Err(last)
 }
 
-/// Whether a read that failed so has found nothing yet, and the line still stands.
-#[must_use]
-pub fn is_only_late(error: &io::Error) -> bool {
-    use io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
-    matches!(error.kind(), Interrupted | TimedOut | WouldBlock)
-}
-
 #[cfg(test)]
 mod tests {
+    use std::io::{Read as _, Write as _};
+
     use super::*;
+    use crate::ends::is_timeout;
     use std::{
         net::TcpListener,
         time::{Duration, Instant},
@@ -202,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn an_open_line_goes_both_ways_and_a_read_without_bytes_is_only_late() {
+    fn an_open_line_goes_both_ways_and_a_read_without_bytes_is_timeout() {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
         let number = listener.local_addr().expect("bound above").port();
         // The name may have an address of the other family too, where nobody listens.
@@ -216,12 +207,12 @@ mod tests {
 
         let start = Instant::now();
         let late = reader.read(&mut bytes).expect_err("nothing was sent");
-        assert!(is_only_late(&late) && start.elapsed() < Duration::from_secs(1), "{late}");
+        assert!(is_timeout(&late) && start.elapsed() < Duration::from_secs(1), "{late}");
         bridge.write_all(b"\r").expect("open");
         reader.read_exact(&mut bytes[..1]).expect("written above");
         drop(bridge);
         assert_eq!(reader.read(&mut bytes).expect("an end is no error"), 0);
         drop(listener);
-        assert!(!is_only_late(&port.open().err().expect("nobody listens")));
+        assert!(!is_timeout(&port.open().err().expect("nobody listens")));
     }
 }

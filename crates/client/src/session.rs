@@ -11,7 +11,10 @@ use trueup_link::{
     slcan::{Client, Event, client, encode_line},
 };
 
-use crate::port::{Ends, Port, is_only_late};
+use crate::{
+    ends::{Ends, is_timeout},
+    port::Port,
+};
 
 /// How long a bridge may take to open its channel.
 const OPEN_TIMEOUT: Duration = Duration::from_secs(3);
@@ -141,7 +144,7 @@ impl Session {
             let length = match reader.read(&mut bytes) {
                 Ok(0) => bail!("the bridge has closed the line"),
                 Ok(length) => length,
-                Err(error) if is_only_late(&error) => continue,
+                Err(error) if is_timeout(&error) => continue,
                 Err(error) => return Err(error).context("the line to the bridge is broken"),
             };
             let client = &mut self.client;

@@ -15,7 +15,7 @@ use trueup_link::{
     slcan::{Client, Event, encode_line},
 };
 
-use crate::port::{Ends, READ_TIMEOUT};
+use crate::ends::{Ends, READ_TIMEOUT};
 
 /// Opens an interface, which must be up.
 pub fn open(interface: &str) -> io::Result<Ends> {
@@ -110,7 +110,7 @@ impl<B: Bus> Write for Writer<B> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::port::is_only_late;
+    use crate::ends::is_timeout;
     use std::sync::Mutex;
     use trueup_link::slcan::client;
 
@@ -158,7 +158,7 @@ mod tests {
                 }
             };
             assert_eq!(String::from_utf8_lossy(&back), text);
-            assert!(is_only_late(&late));
+            assert!(is_timeout(&late));
         }
     }
 }

@@ -15,7 +15,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use trueup_client::port::{Ends, is_only_late};
+use trueup_client::ends::{Ends, is_timeout};
 use trueup_link::{
     frame::Frame,
     slcan::{Client, Event, client, encode_line},
@@ -145,7 +145,7 @@ fn read(
                     }
                 }
             }
-            Err(error) if is_only_late(&error) => {}
+            Err(error) if is_timeout(&error) => {}
             Err(error) => return error.to_string(),
         }
         if last.elapsed() > DEAD {

@@ -7,7 +7,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use trueup_client::port::Ends;
+use trueup_client::ends::Ends;
 use trueup_core::cnc::Quality;
 
 use crate::{

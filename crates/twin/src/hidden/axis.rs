@@ -5,14 +5,12 @@ use std::fmt::Write as _;
 
 use super::{
     cause::Hidden,
-    laws::{lagged, paired, stepped},
-    mix::Run,
+    laws::{lagged, line, paired, stepped},
     plan::{Path, Plan},
+    shape::Run,
 };
-use crate::{noise::Stream, table::Table};
+use crate::{axes::NAMES as AXES, noise::Stream, table::Table};
 
-/// The axes by number.
-pub(super) const AXES: [&str; 3] = ["x", "y", "z"];
 const QUANTITIES: [&str; 3] = ["dx", "dy", "dz"];
 
 /// What the machine file says of the axis's heat.
@@ -296,16 +294,6 @@ pub(super) fn walk(points: usize, step: f64, stream: &mut Stream) -> Vec<f64> {
     let places: Vec<f64> = (0..points).map(|i| i as f64).collect();
     let (level, slope) = line(&places, &walked);
     walked.iter().enumerate().map(|(i, um)| um - level - slope * i as f64).collect()
-}
-
-/// Level at 0 and slope of the best straight line of `y` over `x`.
-pub(super) fn line(x: &[f64], y: &[f64]) -> (f64, f64) {
-    let count = x.len() as f64;
-    let (mean_x, mean_y) = (x.iter().sum::<f64>() / count, y.iter().sum::<f64>() / count);
-    let both: f64 = x.iter().zip(y).map(|(x, y)| (x - mean_x) * (y - mean_y)).sum();
-    let square: f64 = x.iter().map(|x| (x - mean_x) * (x - mean_x)).sum();
-    let slope = if square > 0.0 { both / square } else { 0.0 };
-    (mean_y - slope * mean_x, slope)
 }
 
 fn tenth(value: f64) -> f64 {

@@ -1,13 +1,13 @@
 //! What each cause does to the error of an axis.
 
 use super::{
-    axis::{AXES, AxisBench, line, walk},
+    axis::{AxisBench, walk},
     cause::Hidden,
-    growth_effects::{fixed, linear, of_any_series, on_each},
-    laws::{even_knots, lagged, spline, stepped, wave},
-    mix::{Named, Run, Shape},
+    growth_effects::of_any_series,
+    laws::{even_knots, lagged, line, spline, stepped, wave},
+    shape::{Named, Run, Shape, fixed, linear, on_each},
 };
-use crate::noise::Stream;
+use crate::{axes::NAMES as AXES, noise::Stream};
 
 /// The shape of `cause` on `bench`; `None` where it is only noise.
 pub(super) fn shape(cause: Hidden, bench: &AxisBench, stream: &mut Stream) -> Option<Shape> {

@@ -1,7 +1,11 @@
 //! The base of a challenge about elongation: a spindle that is run, what is written of it, and the
 //! machine file that is right about it.
 
-use super::{cause::Hidden, laws::WarmupLaw, laws::lagged, mix::Run};
+use super::{
+    cause::Hidden,
+    laws::{WarmupLaw, lagged},
+    shape::Run,
+};
 use crate::{
     ambient::{Ambient, AmbientConfig},
     noise::Stream,

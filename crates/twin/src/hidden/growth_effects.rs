@@ -4,41 +4,9 @@ use super::{
     cause::Hidden,
     elongation::{Bench, Source},
     laws::{lagged, warmup_heat, wave},
-    mix::{Named, Run, Shape},
+    shape::{Named, Run, Shape, fixed, linear, on_each},
 };
 use crate::noise::Stream;
-
-/// A law that is linear in its one parameter, which has a sign.
-pub(super) fn linear(cause: Hidden, parameter: &'static str, um: Vec<Vec<f64>>) -> Shape {
-    Shape {
-        cause,
-        column: None,
-        um,
-        is_linear: true,
-        has_sign: true,
-        at: Box::new(move |factor| Named::of(&[(parameter, factor)])),
-        imitators: Vec::new(),
-    }
-}
-
-/// An effect whose parameters are drawn, and whose size follows.
-pub(super) fn fixed(
-    cause: Hidden,
-    parameters: Vec<(&'static str, f64)>,
-    um: Vec<Vec<f64>>,
-) -> Shape {
-    Shape {
-        at: Box::new(move |_| Named::of(&parameters)),
-        is_linear: false,
-        has_sign: false,
-        ..linear(cause, "", um)
-    }
-}
-
-/// `law` on each run.
-pub(super) fn on_each(runs: &[Run], law: impl Fn(&Run) -> Vec<f64>) -> Vec<Vec<f64>> {
-    runs.iter().map(law).collect()
-}
 
 /// `law` on each believed value of each run.
 fn on_believed(runs: &[Run], law: impl Fn(f64) -> f64) -> Vec<Vec<f64>> {

@@ -140,6 +140,16 @@ pub(super) fn wave(turns: f64, phase_rad: f64) -> f64 {
     (TAU * turns + phase_rad).sin()
 }
 
+/// Level at 0 and slope of the best straight line of `y` over `x`.
+pub(super) fn line(x: &[f64], y: &[f64]) -> (f64, f64) {
+    let count = x.len() as f64;
+    let (mean_x, mean_y) = (x.iter().sum::<f64>() / count, y.iter().sum::<f64>() / count);
+    let both: f64 = x.iter().zip(y).map(|(x, y)| (x - mean_x) * (y - mean_y)).sum();
+    let square: f64 = x.iter().map(|x| (x - mean_x) * (x - mean_x)).sum();
+    let slope = if square > 0.0 { both / square } else { 0.0 };
+    (mean_y - slope * mean_x, slope)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -41,6 +41,7 @@ mod laws;
 mod mix;
 mod pairs;
 mod plan;
+mod shape;
 
 pub use cause::{Expected, Hidden};
 pub use pairs::PAIRS;

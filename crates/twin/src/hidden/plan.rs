@@ -1,7 +1,6 @@
 //! The path of a challenge about an axis, and the columns that are written of it.
 
-use super::axis::AXES;
-use crate::{noise::Stream, table::Table};
+use crate::{axes::NAMES as AXES, noise::Stream, table::Table};
 
 /// How the main axis moves.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,0 +1,21 @@
+//! Both directions of an open line, whatever it goes through.
+
+use std::{
+    io::{self, Read, Write},
+    time::Duration,
+};
+
+/// How long a read waits for bytes: short, so that a deadline is met without them too, and an end of
+/// the line is noticed as fast.
+pub(crate) const READ_TIMEOUT: Duration = Duration::from_millis(20);
+
+/// Both directions of an open line, for a thread each if need be. A read that finds nothing for a
+/// while fails in a way that [`is_timeout`].
+pub type Ends = (Box<dyn Read + Send>, Box<dyn Write + Send>);
+
+/// Whether a read that failed so has found nothing yet, and the line still stands.
+#[must_use]
+pub fn is_timeout(error: &io::Error) -> bool {
+    use io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
+    matches!(error.kind(), Interrupted | TimedOut | WouldBlock)
+}
