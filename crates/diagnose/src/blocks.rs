@@ -5,7 +5,7 @@
 
 use std::fmt;
 
-use trueup_numerics::{noise::Chance, parallel::on_all_cores};
+use trueup_numerics::{parallel::on_all_cores, random::Generator};
 
 use crate::{
     fit::{Problem, fit},
@@ -125,10 +125,10 @@ impl Folds {
         };
         let add = |a: [f64; 2], b: &[f64; 2]| [a[0] + b[0], a[1] + b[1]];
         let value = of(sums.iter().fold([0.0; 2], add));
-        let mut chance = Chance::new(self.blocks as u64);
+        let mut generator = Generator::new(self.blocks as u64);
         let mut draws: Vec<f64> = (0..400)
             .map(|_| {
-                let pick = (0..self.blocks).map(|_| sums[chance.below(self.blocks)]);
+                let pick = (0..self.blocks).map(|_| sums[generator.below(self.blocks)]);
                 of(pick.fold([0.0; 2], |a, b| add(a, &b)))
             })
             .collect();

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use trueup_machine::{BadInput, Machine, RunFile, machine_file::Quantity};
-use trueup_numerics::noise::Chance;
+use trueup_numerics::random::Generator;
 
 use crate::{
     answer::{Diagnosis, conclude},
@@ -89,9 +89,9 @@ fn searched(data: &Arc<Data>, aside: &[bool], progress: &mut Progress<'_>) -> (P
         let found = search(&problem, &start(data), progress);
         return (problem, found);
     }
-    let mut chance = Chance::new(rows as u64);
+    let mut generator = Generator::new(rows as u64);
     let drawn: Vec<bool> =
-        used.iter().map(|used| *used && chance.below(rows) < MOST_ROWS_MOVING).collect();
+        used.iter().map(|used| *used && generator.below(rows) < MOST_ROWS_MOVING).collect();
     let few = data.subset(&drawn);
     let groups = Groups::new(&few, &few.used.clone(), 1);
     let problem = Problem::new(few, groups);

@@ -20,7 +20,7 @@
 use std::f64::consts::TAU;
 
 use trueup_machine::machine_file::Quantity;
-use trueup_numerics::{noise::Chance, parallel::on_all_cores};
+use trueup_numerics::{parallel::on_all_cores, random::Generator};
 
 use crate::{
     candidates::Candidate,
@@ -219,8 +219,8 @@ fn angled(at: &[f64], values: &[f64]) -> Option<(Vec<f64>, f64)> {
     // As many rows as show the periods that matter, and no more, drawn by chance: rows at equal steps
     // may all stand at one phase.
     const ROWS: usize = 1200;
-    let mut chance = Chance::new(at.len() as u64);
-    let drawn: Vec<usize> = (0..at.len()).filter(|_| chance.below(at.len()) < ROWS).collect();
+    let mut generator = Generator::new(at.len() as u64);
+    let drawn: Vec<usize> = (0..at.len()).filter(|_| generator.below(at.len()) < ROWS).collect();
     let thin = |list: &[f64]| -> Vec<f64> { drawn.iter().map(|&row| list[row]).collect() };
     let (at, values) = (thin(at), thin(values));
     // P + P₀ is positive on one side of the travel, negative on the other.
@@ -247,8 +247,8 @@ mod tests {
 
     #[test]
     fn the_recurrence_finds_the_power_that_plain_sines_find() {
-        let mut chance = Chance::new(5);
-        let mut uniform = || chance.below(1_000_000) as f64 / 1e6;
+        let mut generator = Generator::new(5);
+        let mut uniform = || generator.below(1_000_000) as f64 / 1e6;
         let at: Vec<f64> = (0..3000).map(|_| 1000.0 * uniform()).collect();
         let noise: Vec<f64> = at.iter().map(|_| uniform() - 0.5).collect();
         // Near the first and near the last of the frequencies.

@@ -6,6 +6,7 @@
 //! | [`line`] | a straight line, judged on the rows that it was not fitted to |
 //! | [`noise`] | noise with a memory: its likelihood, its covariance, draws of it |
 //! | [`parallel`] | work on all cores |
+//! | [`random`] | random numbers that repeat |
 //! | [`robust`] | finds gross errors |
 #![forbid(unsafe_code)]
 
@@ -13,6 +14,7 @@ pub mod least_squares;
 pub mod line;
 pub mod noise;
 pub mod parallel;
+pub mod random;
 pub mod robust;
 mod student;
 

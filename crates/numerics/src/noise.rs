@@ -15,7 +15,7 @@
 //! t_c is at most [`longest_memory`]: a longer one cannot be told from structure in a record of that
 //! length, and would let the noise explain everything.
 
-use std::f64::consts::TAU;
+use crate::random::Generator;
 
 /// t_c in steps and the white share.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -255,47 +255,8 @@ pub fn estimate(residual: &[f64], steps: &Steps, longest: f64, parameters: usize
     Noise { memory, ..best.1 }
 }
 
-/// Numbers that look drawn by chance: SplitMix64 (Steele, Lea and Flood 2014), always the same for a
-/// seed.
-#[derive(Clone, Debug)]
-pub struct Chance(u64);
-
-impl Chance {
-    /// The numbers of this seed.
-    #[must_use]
-    pub fn new(seed: u64) -> Self {
-        Self(seed)
-    }
-
-    /// All 64 bits.
-    pub fn next_u64(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
-    }
-
-    /// In (0, 1].
-    fn uniform(&mut self) -> f64 {
-        ((self.next_u64() >> 11) as f64 + 1.0) / (1_u64 << 53) as f64
-    }
-
-    /// Below `end`.
-    pub fn below(&mut self, end: usize) -> usize {
-        ((self.uniform() * end as f64) as usize).min(end - 1)
-    }
-
-    /// Two of the standard normal distribution (Box and Muller).
-    pub fn normals(&mut self) -> [f64; 2] {
-        let radius = (-2.0 * self.uniform().ln()).sqrt();
-        let (sin, cos) = (TAU * self.uniform()).sin_cos();
-        [radius * cos, radius * sin]
-    }
-}
-
 /// A draw of the noise at variance 1.
-pub fn draw(noise: Noise, steps: &Steps, chance: &mut Chance) -> Vec<f64> {
+pub fn draw(noise: Noise, steps: &Steps, generator: &mut Generator) -> Vec<f64> {
     let slow = (1.0 - noise.white).sqrt();
     let quick = noise.white.sqrt();
     let mut state = 0.0;
@@ -304,7 +265,7 @@ pub fn draw(noise: Noise, steps: &Steps, chance: &mut Chance) -> Vec<f64> {
         .iter()
         .map(|&steps| {
             let decay = if steps.is_infinite() { 0.0 } else { noise.decay(steps) };
-            let [a, b] = chance.normals();
+            let [a, b] = [generator.normal(), generator.normal()];
             state = decay * state + (1.0 - decay * decay).sqrt() * a;
             slow * state + quick * b
         })
@@ -325,7 +286,7 @@ mod tests {
     fn whitened_noise_has_variance_one_and_no_memory() {
         let noise = Noise { memory: 30.0, white: 0.2 };
         let steps = steps(20_000);
-        let drawn = draw(noise, &steps, &mut Chance::new(1));
+        let drawn = draw(noise, &steps, &mut Generator::new(1));
         let white = Whitener::new(noise, &steps).apply(&drawn);
         let mean_square = white.iter().map(|e| e * e).sum::<f64>() / white.len() as f64;
         let next: f64 = white.windows(2).map(|pair| pair[0] * pair[1]).sum::<f64>();
@@ -353,7 +314,7 @@ mod tests {
         for (memory, white) in [(0.0, 1.0), (5.0, 0.0), (33.0, 0.0), (20.0, 0.5)] {
             let noise = Noise { memory, white };
             let steps = steps(3000);
-            let drawn = draw(noise, &steps, &mut Chance::new(7));
+            let drawn = draw(noise, &steps, &mut Generator::new(7));
             let found = estimate(&drawn, &steps, longest_memory(3000), 0);
             println!("{noise:?} found as {found:?}");
             let (there, here) = (effective_rows(noise, &steps), effective_rows(found, &steps));

@@ -20,7 +20,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::{least_squares::Triangle, t_quantile};
+use crate::{least_squares::Triangle, random::Generator, t_quantile};
 
 /// A row within so many scales is never set aside.
 pub const GROSS: f64 = 5.0;
@@ -291,7 +291,7 @@ pub fn in_relation(x: &[&[f64]], y: &[f64]) -> Vec<Outlier> {
 fn best_sample(x: &[&[f64]], y: &[f64], rows: &[usize]) -> Option<Vec<f64>> {
     let columns = x.len();
     let every = rows.len().div_ceil(JUDGES);
-    let mut random = SplitMix(0x7275_6575_7000);
+    let mut random = Generator::new(0x7275_6575_7000);
     let mut best: Option<(f64, Vec<f64>)> = None;
     let mut magnitudes = Vec::with_capacity(JUDGES);
     let mut row_of = vec![0.0; columns];
@@ -317,34 +317,17 @@ fn best_sample(x: &[&[f64]], y: &[f64], rows: &[usize]) -> Option<Vec<f64>> {
     best.map(|(_, coefficients)| coefficients)
 }
 
-/// A small generator of numbers (splitmix64): the samples must be the same every time, and need
-/// nothing more.
-struct SplitMix(u64);
-
-impl SplitMix {
-    fn below(&mut self, end: usize) -> usize {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut bits = self.0;
-        bits = (bits ^ (bits >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        bits = (bits ^ (bits >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((bits ^ (bits >> 31)) % end.max(1) as u64) as usize
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rand::{Rng as _, SeedableRng as _};
-    use rand_chacha::ChaCha8Rng;
-    use rand_distr::{Distribution as _, StandardNormal};
 
-    fn noise(random: &mut ChaCha8Rng) -> f64 {
-        StandardNormal.sample(random)
+    fn noise(random: &mut Generator) -> f64 {
+        random.normal()
     }
 
     /// Heavier tails than normal, of the same standard deviation.
-    fn laplace(random: &mut ChaCha8Rng) -> f64 {
-        let u: f64 = random.random_range(-0.5..0.5);
+    fn laplace(random: &mut Generator) -> f64 {
+        let u = random.uniform() - 0.5;
         -u.signum() * (1.0 - 2.0 * u.abs()).ln() / 2.0_f64.sqrt()
     }
 
@@ -365,7 +348,7 @@ mod tests {
 
     #[test]
     fn gross_errors_of_a_warm_up_are_found_alone_and_in_bursts_and_nothing_else() {
-        let mut random = ChaCha8Rng::seed_from_u64(1);
+        let mut random = Generator::new(1);
         let time: Vec<f64> = (0..300).map(|row| row as f64 * 60.0).collect();
         let mut y: Vec<f64> = (0..300).map(|row| warmup(row) + 0.5 * noise(&mut random)).collect();
         let wrong = [0, 4, 90, 91, 92, 180, 299];
@@ -378,7 +361,7 @@ mod tests {
 
     #[test]
     fn a_step_that_stays_is_no_gross_error() {
-        let mut random = ChaCha8Rng::seed_from_u64(2);
+        let mut random = Generator::new(2);
         let time: Vec<f64> = (0..200).map(f64::from).collect();
         let step = |row: usize| if row >= 77 { 30.0 } else { 0.0 };
         let y: Vec<f64> = (0..200).map(|row| step(row) + 0.3 * noise(&mut random)).collect();
@@ -406,7 +389,7 @@ mod tests {
 
     #[test]
     fn a_relation_is_found_though_a_third_of_the_rows_is_wrong() {
-        let mut random = ChaCha8Rng::seed_from_u64(3);
+        let mut random = Generator::new(3);
         let ones = vec![1.0; 90];
         let x: Vec<f64> = (0..90).map(|row| f64::from(row) * 100.0).collect();
         let mut y: Vec<f64> = x.iter().map(|x| 0.02 * x - 4.0 + 0.4 * noise(&mut random)).collect();
@@ -419,11 +402,10 @@ mod tests {
     #[test]
     fn clean_data_seldom_loses_a_row() {
         let trials = 200;
-        for (name, sample) in
-            [("normal", noise as fn(&mut ChaCha8Rng) -> f64), ("Laplace", laplace)]
+        for (name, sample) in [("normal", noise as fn(&mut Generator) -> f64), ("Laplace", laplace)]
         {
             for rows in [15_usize, 60, 400] {
-                let mut random = ChaCha8Rng::seed_from_u64(rows as u64);
+                let mut random = Generator::new(rows as u64);
                 let time: Vec<f64> = (0..rows).map(|row| row as f64).collect();
                 let ones = vec![1.0; rows];
                 let (mut series, mut relation, mut lost) = (0, 0, 0);

@@ -20,8 +20,9 @@
 
 use trueup_numerics::{
     least_squares::normal::dot,
-    noise::{self, Chance, Noise},
+    noise::{self, Noise},
     parallel::on_all_cores,
+    random::Generator,
 };
 
 use crate::{
@@ -129,10 +130,10 @@ pub(crate) fn scan(problem: &Problem, base: &Fitted, candidates: &[Candidate], d
     let may_pass = best(&real, 0).iter().any(|value| *value > 0.0);
     let limits = (draw != Draw::Not && may_pass).then(|| {
         let sigma = (dot(residual, residual) / rows as f64).sqrt();
-        let mut chance = Chance::new(0x7472_7565_7570 ^ rows as u64);
+        let mut generator = Generator::new(0x7472_7565_7570 ^ rows as u64);
         let drawn: Vec<Vec<f64>> = (0..DRAWS)
             .map(|_| {
-                let mut e = noise::draw(own, steps, &mut chance);
+                let mut e = noise::draw(own, steps, &mut generator);
                 e.iter_mut().for_each(|e| *e *= sigma);
                 e
             })
