@@ -6,7 +6,7 @@
 
 use std::{fs, path::Path};
 
-use trueup_numerics::least_squares::{Model, Options, fit};
+use trueup_numerics::least_squares::{Model, Options, Triangle, fit, normal};
 
 /// A certified set.
 struct Set {
@@ -115,6 +115,11 @@ fn prove(name: &str, formula: impl Fn(f64, &[f64], &mut [f64]) -> f64) {
         .collect();
     let least_deviation = deviations.iter().copied().fold(f64::INFINITY, f64::min);
     println!("{name} standard deviations: least {least_deviation:.1} digits");
+    let engines: [(&str, Step); 2] = [("triangle", by_triangle), ("normal equations", by_normal)];
+    for (engine, step) in engines {
+        let (each, least) = shown(&gauss_newton(&model, &set, step));
+        println!("{name}, plain steps by {engine}: digits {} (least {least:.1})", each.join(" "));
+    }
     match fit(&Numeric(model), &set.y, &set.start, &Options::default()) {
         Ok(numeric) => {
             let (each, least) = shown(&numeric.parameters);
@@ -124,6 +129,35 @@ fn prove(name: &str, formula: impl Fn(f64, &[f64], &mut [f64]) -> f64) {
     }
     assert!(least >= 6.0, "{name}: {each:?}");
     assert!(least_deviation >= 5.0, "{name}: {deviations:?}");
+}
+
+/// The coefficients of a linear least squares fit.
+type Step = fn(&[Vec<f64>], &[f64]) -> Vec<f64>;
+
+fn by_normal(columns: &[Vec<f64>], residual: &[f64]) -> Vec<f64> {
+    normal::solve(columns, residual, None, 0.0).coefficients
+}
+
+fn by_triangle(columns: &[Vec<f64>], residual: &[f64]) -> Vec<f64> {
+    let mut triangle = Triangle::new(columns.len());
+    for (row, &residual) in residual.iter().enumerate() {
+        let x: Vec<f64> = columns.iter().map(|column| column[row]).collect();
+        triangle.add(&x, residual);
+    }
+    triangle.solve().expect("the sets decide their parameters").coefficients
+}
+
+/// Thirty plain steps of Gauss and Newton from next to the certified values.
+fn gauss_newton(model: &impl Model, set: &Set, step: Step) -> Vec<f64> {
+    let mut b: Vec<f64> = set.certified.iter().map(|b| b * (1.0 + 1e-5)).collect();
+    let mut values = vec![0.0; set.y.len()];
+    let mut columns = vec![values.clone(); b.len()];
+    for _ in 0..30 {
+        assert!(model.values(&b, &mut values) && model.derivatives(&b, &mut columns));
+        let residual: Vec<f64> = set.y.iter().zip(&values).map(|(y, value)| y - value).collect();
+        b.iter_mut().zip(step(&columns, &residual)).for_each(|(b, step)| *b += step);
+    }
+    b
 }
 
 /// A quotient of polynomials in x, `above` coefficients over 1 + the rest.

@@ -1,4 +1,27 @@
-//! Small least-squares problems, dense and without surprises: columns scaled, then Cholesky.
+//! Linear least squares by the normal equations: (XᵀX)·b = Xᵀy, the columns scaled to length 1, then
+//! Cholesky. For searches that solve thousands of small problems over the same long columns.
+//!
+//! The normal equations square the condition number, so that columns which resemble each other cost
+//! twice the digits that they cost the [triangle](super::triangle). What they gain is time. Measured
+//! (`tests/normal_equations.rs`, `tests/nist.rs`, release build):
+//!
+//! | 100,000 rows, independent columns | triangle | normal equations | apart |
+//! |---|---|---|---|
+//! | 3 columns | 20.3 ms | 0.19 ms | 4·10⁻¹⁴ |
+//! | 12 columns | 56.9 ms | 1.7 ms | 5·10⁻¹⁴ |
+//! | 40 columns | 256 ms | 62.9 ms | 6·10⁻¹⁴ |
+//!
+//! | powers of x over 0…1, off by | triangle | normal equations |
+//! |---|---|---|
+//! | up to 3 | 2·10⁻¹⁴ | 3·10⁻¹³ |
+//! | up to 5 | 2·10⁻¹² | 3·10⁻¹¹ |
+//! | up to 7 | 5·10⁻¹² | 7·10⁻⁸ |
+//! | up to 9 | 1·10⁻¹⁰ | 7·10⁻⁴ |
+//!
+//! On NIST's sets thirty plain steps from next to the certified values end at the same digits with
+//! either. Hence: what is printed or written into a machine file as a fit goes by the triangle; a
+//! search, whose columns are as different as causes are and whose noise leaves four digits, goes by this
+//! page.
 
 use nalgebra::DMatrix;
 

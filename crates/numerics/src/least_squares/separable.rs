@@ -76,11 +76,11 @@ pub fn fit_separable(
         })
         .collect();
     starts.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let whole = Whole(model);
+    let joint = Joint(model);
     let mut best: Option<Fit> = None;
     let mut failed = SolveError::BadStart;
     for (_, start) in starts.iter().take(options.followed) {
-        match fit(&whole, measured, start, options) {
+        match fit(&joint, measured, start, options) {
             Ok(fit) if best.as_ref().is_none_or(|b| fit.residual_squares < b.residual_squares) => {
                 best = Some(fit);
             }
@@ -92,9 +92,9 @@ pub fn fit_separable(
 }
 
 /// q and c as parameters of one model.
-struct Whole<'m, S: ?Sized>(&'m S);
+struct Joint<'m, S: ?Sized>(&'m S);
 
-impl<S: Separable + ?Sized> Model for Whole<'_, S> {
+impl<S: Separable + ?Sized> Model for Joint<'_, S> {
     fn parameters(&self) -> usize {
         self.0.nonlinear() + self.0.linear()
     }
@@ -136,7 +136,7 @@ impl<S: Separable + ?Sized> Model for Whole<'_, S> {
     }
 }
 
-impl<S: Separable + ?Sized> Whole<'_, S> {
+impl<S: Separable + ?Sized> Joint<'_, S> {
     /// The values c₁·f₁(q) + …; `columns` is space for f.
     fn combine(&self, q: &[f64], c: &[f64], columns: &mut [Vec<f64>], values: &mut [f64]) -> bool {
         if !self.0.basis(q, columns) {

@@ -1,0 +1,69 @@
+//! Single readings of a residual that have nothing to do with their neighbours.
+//!
+//! A row is one if it differs from the median of its neighbours, three on each side, and itself by more
+//! than 6 robust standard deviations of that difference (1.4826 times the median of its magnitude; more
+//! where there are many rows), is far from the middle of the whole residual as well, and its neighbours
+//! on both sides are not.
+
+use super::statistics::NORMAL;
+
+/// Neighbours on each side.
+const HALF: usize = 3;
+/// Fewer rows have no scatter to speak of.
+const FEWEST: usize = 12;
+/// A larger share of the rows is not a few readings.
+const LARGEST_SHARE: f64 = 0.08;
+
+/// Whether each row is a gross error. `series` tells which rows are neighbours: those of one number;
+/// `resolution` is the instrument's last digit, in the unit of `residual`, or 0.
+#[must_use]
+pub fn in_residual(residual: &[f64], series: &[usize], resolution: f64) -> Vec<bool> {
+    let count = residual.len();
+    let none = vec![false; count];
+    if count < FEWEST {
+        return none;
+    }
+    let mut around = Vec::with_capacity(2 * HALF + 1);
+    let differences: Vec<f64> = (0..count)
+        .map(|at| {
+            let near = at.saturating_sub(HALF)..(at + HALF + 1).min(count);
+            around.clear();
+            around.extend(near.filter(|&row| series[row] == series[at]).map(|row| residual[row]));
+            around.sort_unstable_by(f64::total_cmp);
+            residual[at] - around[around.len() / 2]
+        })
+        .collect();
+    let sizes = sorted(differences.iter().map(|difference| difference.abs()));
+    // Readings in whole steps of an instrument may all be alike: then what is not alike sets the
+    // scale, as the mean of the inner nine tenths.
+    let inner = &sizes[..count * 9 / 10];
+    let mean = inner.iter().sum::<f64>() / inner.len().max(1) as f64;
+    let scale = (NORMAL * sizes[count / 2]).max(1.2533 * mean).max(0.6 * resolution);
+    if scale <= 0.0 {
+        return none;
+    }
+    let middle = sorted(residual.iter().copied())[count / 2];
+    let overall = NORMAL * sorted(residual.iter().map(|r| (r - middle).abs()))[count / 2];
+    // One in a thousand clean runs has a row beyond it.
+    let limit = scale * (2.0 * (500.0 * count as f64).ln()).sqrt().max(6.0);
+    let is_far = |row: usize| {
+        differences[row].abs() > limit && (residual[row] - middle).abs() > 5.0 * overall
+    };
+    let far: Vec<usize> = (0..count).filter(|&row| is_far(row)).collect();
+    if far.len() as f64 > LARGEST_SHARE * count as f64 {
+        return none;
+    }
+    let mut found = none;
+    for row in far {
+        let before = row.checked_sub(1).is_some_and(is_far);
+        let after = row + 1 < count && is_far(row + 1);
+        found[row] = !(before && after);
+    }
+    found
+}
+
+fn sorted(values: impl Iterator<Item = f64>) -> Vec<f64> {
+    let mut sorted: Vec<f64> = values.collect();
+    sorted.sort_unstable_by(f64::total_cmp);
+    sorted
+}

@@ -1,0 +1,131 @@
+//! Rows of a time series that leave it and come back.
+
+use std::collections::BTreeSet;
+
+use super::statistics::{GROSS, Outlier, cutoff, median, resolution, scale};
+
+/// Neighbours on each side of a row of a series.
+const NEIGHBOURS: usize = 7;
+/// A burst of more rows is not set aside: it has become the level.
+const LONGEST_BURST: usize = 5;
+/// Fewer rows than this have no neighbours to speak of.
+pub const FEWEST_IN_SERIES: usize = 2 * NEIGHBOURS + 1;
+
+/// Rows of a time series that leave it and come back. `time` does not run back; rows where either
+/// is NaN take no part. Nothing is found in fewer than [`FEWEST_IN_SERIES`] rows.
+#[must_use]
+pub fn in_series(time: &[f64], y: &[f64]) -> Vec<Outlier> {
+    let present = |row: &usize| !time[*row].is_nan() && !y[*row].is_nan();
+    let rows: Vec<usize> = (0..y.len().min(time.len())).filter(present).collect();
+    if rows.len() < FEWEST_IN_SERIES {
+        return Vec::new();
+    }
+    let floor = resolution(rows.iter().map(|&row| y[row]));
+    let most = cutoff(rows.len(), 2);
+    let mut found: Vec<Outlier> = Vec::new();
+    // A burst hides behind itself: without the rows found so far the others stand out.
+    for _ in 0..LONGEST_BURST {
+        let known: BTreeSet<usize> = found.iter().map(|outlier| outlier.row).collect();
+        let clean: Vec<usize> = rows.iter().copied().filter(|row| !known.contains(row)).collect();
+        if clean.len() < FEWEST_IN_SERIES {
+            break;
+        }
+        let local: Vec<Local> = (0..clean.len()).map(|at| Local::at(&clean, at, time, y)).collect();
+        let global = scale(local.iter().map(|local| local.distance / local.widening));
+        let mut new: Vec<Outlier> = Vec::new();
+        for (local, &row) in local.iter().zip(&clean) {
+            let scale = local.widening * global.max(local.scale).max(floor);
+            let scales = local.distance.abs() / scale;
+            if scales > most {
+                new.push(Outlier { row, distance: local.distance, scales });
+            }
+        }
+        if new.is_empty() {
+            break;
+        }
+        found.extend(new);
+    }
+    found.sort_unstable_by_key(|outlier| outlier.row);
+    that_come_back(found, &rows, time, y)
+}
+
+/// Takes back what may be the machine: bursts so long that they are a level, and at either end of
+/// the series, where nobody saw it come back, all but a single row that does not continue its
+/// neighbours' curve either. A cold machine moves fastest in its first rows.
+fn that_come_back(found: Vec<Outlier>, rows: &[usize], time: &[f64], y: &[f64]) -> Vec<Outlier> {
+    let place = |outlier: &Outlier| rows.binary_search(&outlier.row).unwrap_or(usize::MAX);
+    let follows = |a: &Outlier, b: &Outlier| {
+        place(a) + 1 == place(b) && a.distance.signum() == b.distance.signum()
+    };
+    let last = rows.len() - 1;
+    let is_kept = |burst: &&[Outlier]| {
+        let (from, to) = (place(&burst[0]), place(&burst[burst.len() - 1]));
+        match (from, to) {
+            (0, 0) => leaves_its_curve(&burst[0], &rows[1..4], time, y),
+            (from, to) if from == last && to == last => {
+                leaves_its_curve(&burst[0], &rows[last - 3..last], time, y)
+            }
+            (from, to) => from != 0 && to != last && burst.len() <= LONGEST_BURST,
+        }
+    };
+    found.chunk_by(follows).filter(is_kept).flatten().copied().collect()
+}
+
+/// Whether a row at an end is far from the parabola through its three neighbours as well.
+fn leaves_its_curve(outlier: &Outlier, three: &[usize], time: &[f64], y: &[f64]) -> bool {
+    let at = time[outlier.row];
+    let (mut value, mut squares) = (0.0, 1.0);
+    for &row in three {
+        let others = three.iter().filter(|other| **other != row);
+        let weight: f64 =
+            others.map(|&other| (at - time[other]) / (time[row] - time[other])).product();
+        value += weight * y[row];
+        squares += weight * weight;
+    }
+    let scale = (outlier.distance / outlier.scales).abs();
+    // Rows at one time have no parabola: then nothing speaks for the row.
+    let away = (y[outlier.row] - value).abs();
+    away.is_nan() || away > GROSS * scale * squares.sqrt()
+}
+
+/// A row of a series beside its neighbours.
+struct Local {
+    /// From the line through the neighbours.
+    distance: f64,
+    /// The neighbours' own scale about that line.
+    scale: f64,
+    /// How much wider than its own scatter the row lies about the line, because the line is not
+    /// known exactly: more where the row is at an end.
+    widening: f64,
+}
+
+impl Local {
+    fn at(rows: &[usize], at: usize, time: &[f64], y: &[f64]) -> Self {
+        let wanted = 2 * NEIGHBOURS;
+        let first = at.saturating_sub(NEIGHBOURS).min(rows.len() - wanted - 1);
+        let others = || rows[first..=first + wanted].iter().copied().filter(|&row| row != rows[at]);
+        let own = time[rows[at]];
+        // Slopes of all pairs of neighbours; two rows at one time have none.
+        let mut slopes = Vec::with_capacity(wanted * (wanted - 1) / 2);
+        for (index, a) in others().enumerate() {
+            for b in others().skip(index + 1) {
+                let elapsed = time[b] - time[a];
+                if elapsed > 0.0 {
+                    slopes.push((y[b] - y[a]) / elapsed);
+                }
+            }
+        }
+        let slope = if slopes.is_empty() { 0.0 } else { median(&mut slopes) };
+        let mut heights: Vec<f64> =
+            others().map(|row| y[row] - slope * (time[row] - own)).collect();
+        let height = median(&mut heights);
+        let scale = scale(heights.iter().map(|there| there - height));
+        let count = wanted as f64;
+        let mean = others().map(|row| time[row] - own).sum::<f64>() / count;
+        let spread: f64 = others().map(|row| (time[row] - own - mean).powi(2)).sum();
+        // Medians know a line about 1.57 times worse than least squares.
+        let share = if spread > 0.0 { mean * mean / spread } else { 0.0 };
+        let widening = (1.0 + 1.57 * (1.0 / count + share)).sqrt();
+        Self { distance: y[rows[at]] - height, scale, widening }
+    }
+}
