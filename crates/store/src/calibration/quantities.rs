@@ -1,0 +1,298 @@
+//! The fields that are quantities, numbers of things, and tables of core.
+
+use trueup_core::{
+    calibration::ElongationSource,
+    cnc::LinearAxis,
+    curve::Curve,
+    dimensions::CHANNELS,
+    gradient::Gradient,
+    kinematics::RotaryAxis,
+    lag::SmoothingFactor,
+    pitch::Pitch,
+    sensor::{SensorLaw, Slope},
+    thermal::Law,
+    thermometer::Thermometer,
+    tool::Direction,
+    travel::Interval,
+    units::{Fine, Nanometres, Position, Reading, Temperature},
+    warmup::Warmup,
+};
+
+use super::{
+    error::BlobError,
+    format::{MAX_OFFSET_NM, NONE},
+    wire::{Field, Reader, Writer, fields, numbers},
+};
+
+/// How far the square of the tool direction's length may be from 1, in 2⁻⁶⁰: 2⁻¹⁹. The length is
+/// then right to 10⁻⁶, 1 nm of a millimetre; rounding to 2⁻³⁰ alone makes 2·10⁻⁹.
+const UNIT_TOLERANCE: u64 = 1 << 41;
+
+numbers! {
+    Nanometres: i32,
+    Fine: i32,
+    Position: i32,
+    Temperature: i32,
+    Reading: i32,
+    Slope: i32,
+    Gradient: i32,
+    SmoothingFactor: u32,
+}
+
+fields!(SensorLaw { k0: Nanometres, zero: Reading, slope: Slope });
+
+fields!(Warmup {
+    lag_ms: u32,
+    max: Fine,
+    smoothing_heating: SmoothingFactor,
+    smoothing_cooling: SmoothingFactor,
+    full: i32,
+});
+
+/// The largest offset on an axis, 0 nm…[`MAX_OFFSET_NM`].
+#[derive(Clone, Copy, Default)]
+pub(super) struct MaxOffset(pub Nanometres);
+
+impl<'b> Field<'b> for MaxOffset {
+    const SIZE: usize = 4;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        self.0.put(to);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+        let offset = from.at;
+        let max = Nanometres::get(from)?;
+        if !(0..=MAX_OFFSET_NM).contains(&max.0) {
+            return Err(BlobError::MaxOffset { offset, found: max.0 });
+        }
+        Ok(Self(max))
+    }
+}
+
+impl<'b> Field<'b> for Direction {
+    const SIZE: usize = 12;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        self.0.put(to);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+        const ONE_SQUARED: u64 = 1 << (2 * Direction::FRACTION_BITS);
+        let offset = from.at;
+        let components: [i32; 3] = Field::get(from)?;
+        let squares = components.map(|it| u64::from(it.unsigned_abs()).saturating_pow(2));
+        let length_squared = squares.into_iter().fold(0, u64::saturating_add);
+        if length_squared.abs_diff(ONE_SQUARED) > UNIT_TOLERANCE {
+            return Err(BlobError::NotUnit { offset, found: components });
+        }
+        Ok(Self(components))
+    }
+}
+
+/// The first and the second axis that turn the tool: two bytes, and two that are 0.
+pub(super) struct HeadAxes(pub [Option<RotaryAxis>; 2]);
+
+impl<'b> Field<'b> for HeadAxes {
+    const SIZE: usize = 4;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        let [first, second] = self.0.map(|axis| match axis {
+            None => 0,
+            Some(RotaryAxis::A) => 1,
+            Some(RotaryAxis::B) => 2,
+            Some(RotaryAxis::C) => 3,
+        });
+        to.bytes(&[first, second, 0, 0]);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+        let offset = from.at;
+        let [first, second, ..] = from.bytes();
+        let axis = |number: u8| match number {
+            0 => Ok(None),
+            1 => Ok(Some(RotaryAxis::A)),
+            2 => Ok(Some(RotaryAxis::B)),
+            3 => Ok(Some(RotaryAxis::C)),
+            found => Err(BlobError::Value { offset, found: found.into() }),
+        };
+        Ok(Self([axis(first)?, axis(second)?]))
+    }
+}
+
+/// The sources of the elongation in their order: three bytes, and one that is 0.
+pub(super) struct Chain(pub [Option<ElongationSource>; 3]);
+
+impl<'b> Field<'b> for Chain {
+    const SIZE: usize = 4;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        let [first, second, third] = self.0.map(|source| match source {
+            None => 0,
+            Some(ElongationSource::Sensor) => 1,
+            Some(ElongationSource::Temperature) => 2,
+            Some(ElongationSource::Warmup) => 3,
+        });
+        to.bytes(&[first, second, third, 0]);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+        let offset = from.at;
+        let [first, second, third, _] = from.bytes();
+        let source = |number: u8| match number {
+            0 => Ok(None),
+            1 => Ok(Some(ElongationSource::Sensor)),
+            2 => Ok(Some(ElongationSource::Temperature)),
+            3 => Ok(Some(ElongationSource::Warmup)),
+            found => Err(BlobError::Value { offset, found: found.into() }),
+        };
+        Ok(Self([source(first)?, source(second)?, source(third)?]))
+    }
+}
+
+/// A temperature channel, if there is one.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Channel(pub Option<u8>);
+
+impl<'b> Field<'b> for Channel {
+    const SIZE: usize = 4;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        self.0.map_or(NONE, u32::from).put(to);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+        let offset = from.at;
+        match u32::get(from)? {
+            NONE => Ok(Self(None)),
+            found => match u8::try_from(found) {
+                Ok(channel) if usize::from(channel) < CHANNELS => Ok(Self(Some(channel))),
+                _ => Err(BlobError::Value { offset, found }),
+            },
+        }
+    }
+}
+
+/// A linear axis, if there is one.
+impl<'b> Field<'b> for Option<LinearAxis> {
+    const SIZE: usize = 4;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        self.map_or(NONE, |axis| axis as u32).put(to);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+        let offset = from.at;
+        match u32::get(from)? {
+            NONE => Ok(None),
+            found => linear_axis(found, offset).map(Some),
+        }
+    }
+}
+
+/// The axis with this number, which stands at `offset`.
+pub(super) fn linear_axis(number: u32, offset: usize) -> Result<LinearAxis, BlobError> {
+    match number {
+        0 => Ok(LinearAxis::X),
+        1 => Ok(LinearAxis::Y),
+        2 => Ok(LinearAxis::Z),
+        found => Err(BlobError::Value { offset, found }),
+    }
+}
+
+/// What is connected to a temperature channel: kind, shift, 0, 0, zero, slope.
+impl<'b> Field<'b> for Option<Thermometer> {
+    const SIZE: usize = 12;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        let (kind, shift, zero, slope) = match *self {
+            None => (0, 0, 0, 0),
+            Some(Thermometer::Pt100) => (1, 0, 0, 0),
+            Some(Thermometer::Linear { zero, slope, shift }) => (2, shift, zero, slope),
+        };
+        to.bytes(&[kind, shift, 0, 0]);
+        [zero, slope].put(to);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+        let offset = from.at;
+        let [kind, shift, ..] = from.bytes();
+        let (zero, slope) = (i32::get(from)?, i32::get(from)?);
+        match kind {
+            0 => Ok(None),
+            1 => Ok(Some(Thermometer::Pt100)),
+            2 => Ok(Some(Thermometer::Linear { zero, slope, shift })),
+            found => Err(BlobError::Value { offset, found: found.into() }),
+        }
+    }
+}
+
+impl<'b> Field<'b> for Interval {
+    const SIZE: usize = 4;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        self.length().put(to);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+        u32::get(from).map(Self::new)
+    }
+}
+
+impl<'b> Field<'b> for Law<'b> {
+    const SIZE: usize = 4;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        to.table(self.pieces);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+        Ok(Self { pieces: from.table()? })
+    }
+}
+
+impl<'b> Field<'b> for Curve<'b> {
+    const SIZE: usize = 16;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        to.table(self.segments());
+        to.table(self.index());
+        self.first().put(to);
+        u32::from(self.bucket_shift()).put(to);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+        let offset = from.at;
+        let (segments, index) = (from.table()?, from.table()?);
+        let first = Position::get(from)?;
+        let found = u32::get(from)?;
+        let bucket_shift = u8::try_from(found).map_err(|_| BlobError::Value { offset, found })?;
+        let curve = Self::new(first, segments, index, bucket_shift);
+        if curve.is_consistent() { Ok(curve) } else { Err(BlobError::Table { offset }) }
+    }
+}
+
+/// A pitch table, if there is one: without points there is none.
+impl<'b> Field<'b> for Option<Pitch<'b>> {
+    const SIZE: usize = 16;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        let Some(pitch) = self else { return [0_u32; 4].put(to) };
+        pitch.start.put(to);
+        pitch.step.put(to);
+        to.table(pitch.forward);
+        to.table(pitch.reverse.unwrap_or_default());
+    }
+
+    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+        let offset = from.at;
+        let (start, step) = (Position::get(from)?, u32::get(from)?);
+        let (forward, reverse) = (from.table()?, from.table()?);
+        if forward.is_empty() {
+            return Ok(None);
+        }
+        let reverse = (!reverse.is_empty()).then_some(reverse);
+        let pitch = Pitch { start, step: Interval::new(step), forward, reverse };
+        if pitch.is_consistent() { Ok(Some(pitch)) } else { Err(BlobError::Table { offset }) }
+    }
+}

@@ -1,0 +1,202 @@
+//! The fixed part of a blob as records, and what core makes of them.
+
+use trueup_core::{
+    calibration::{
+        AxisModel, AxisThermal, Calibration, Dual, ElongationSource, SpindleModel,
+        SpindleTemperature, SpindleWarmup,
+    },
+    cnc::LinearAxis,
+    curve::Curve,
+    dimensions::CHANNELS,
+    gradient::Gradient,
+    kinematics::Kinematics,
+    lag::SmoothingFactor,
+    limits::Limits,
+    pitch::{Beam, Pitch},
+    sensor::SensorLaw,
+    thermal::Law,
+    thermometer::Thermometer,
+    tool::Direction,
+    travel::{self, Interval},
+    units::{Fine, Position},
+    warmup::Warmup,
+};
+
+use super::{
+    format::{FIXED_SIZE, HEAD_SIZE},
+    quantities::{Chain, Channel, HeadAxes, MaxOffset},
+    terms::Terms,
+    wire::{Field, record},
+};
+
+record! {
+    /// All that follows the mark, the schema and the length.
+    FixedPart<'b> {
+        max_offsets: [MaxOffset; 3],
+        slew_nm_per_s: u32,
+        link_timeout_ms: u32,
+        hold_ms: u32,
+        tool_direction: Direction,
+        head_axes: HeadAxes,
+        chain: Chain,
+        sensor: SensorLaw,
+        spindle_channel: Channel,
+        spindle_smoothing: SmoothingFactor,
+        spindle_law: Law<'b>,
+        warmup: Warmup,
+        power: Curve<'b>,
+        thermometers: [Option<Thermometer>; CHANNELS],
+        axes: [AxisRecord<'b>; 3],
+        straightness: [Curve<'b>; 6],
+        squareness: [Gradient; 6],
+        spindle_smoothing_falling: SmoothingFactor,
+        terms: Terms<'b>,
+    }
+}
+const _: () = assert!(FixedPart::SIZE + HEAD_SIZE == FIXED_SIZE);
+
+record! {
+    /// A linear axis.
+    #[derive(Clone, Copy)]
+    AxisRecord<'b> {
+        channel: Channel,
+        smoothing: SmoothingFactor,
+        origin: Position,
+        law: Law<'b>,
+        pitch: Option<Pitch<'b>>,
+        /// Without it the axis has one drive.
+        across: Option<LinearAxis>,
+        drives: [Position; 2],
+        second_pitch: Option<Pitch<'b>>,
+        backlash: Fine,
+        hysteresis: u32,
+        ramp: Interval,
+        smoothing_falling: SmoothingFactor,
+        reserved: u32,
+    }
+}
+const _: () = assert!(AxisRecord::SIZE == 80);
+
+impl<'b> FixedPart<'b> {
+    pub fn of(calibration: &Calibration<'b>) -> Self {
+        let Calibration {
+            thermometers,
+            spindle: SpindleModel { chain, sensor, temperature, warmup },
+            kinematics: Kinematics { zero, axes: head_axes },
+            axes,
+            straightness,
+            squareness,
+            terms,
+            limits: Limits { max, slew_nm_per_s, link_timeout_ms, hold_ms },
+        } = *calibration;
+        let none = SmoothingFactor(0);
+        let never = Warmup {
+            lag_ms: 0,
+            max: Fine::ZERO,
+            smoothing_heating: none,
+            smoothing_cooling: none,
+            full: 0,
+        };
+        Self {
+            max_offsets: max.map(MaxOffset),
+            slew_nm_per_s,
+            link_timeout_ms,
+            hold_ms,
+            tool_direction: zero,
+            head_axes: HeadAxes(head_axes),
+            chain: Chain(chain),
+            sensor,
+            spindle_channel: Channel(temperature.map(|it| it.channel)),
+            spindle_smoothing: temperature.map_or(none, |it| it.smoothing),
+            spindle_law: temperature.map(|it| it.law).unwrap_or_default(),
+            warmup: warmup.map_or(never, |it| it.law),
+            power: warmup.map(|it| it.power).unwrap_or_default(),
+            thermometers,
+            axes: axes.map(AxisRecord::of),
+            straightness,
+            squareness,
+            spindle_smoothing_falling: temperature.map_or(none, |it| it.smoothing_falling),
+            terms,
+        }
+    }
+
+    pub fn calibration(self) -> Calibration<'b> {
+        let Self { chain: Chain(chain), warmup: law, power, .. } = self;
+        let has_warmup = law.max != Fine::ZERO || chain.contains(&Some(ElongationSource::Warmup));
+        let temperature = self.spindle_channel.0.map(|channel| SpindleTemperature {
+            channel,
+            smoothing: self.spindle_smoothing,
+            smoothing_falling: self.spindle_smoothing_falling,
+            law: self.spindle_law,
+        });
+        Calibration {
+            thermometers: self.thermometers,
+            spindle: SpindleModel {
+                chain,
+                sensor: self.sensor,
+                temperature,
+                warmup: has_warmup.then_some(SpindleWarmup { law, power }),
+            },
+            kinematics: Kinematics { zero: self.tool_direction, axes: self.head_axes.0 },
+            axes: self.axes.map(AxisRecord::axis),
+            straightness: self.straightness,
+            squareness: self.squareness,
+            terms: self.terms,
+            limits: Limits {
+                max: self.max_offsets.map(|max| max.0),
+                slew_nm_per_s: self.slew_nm_per_s,
+                link_timeout_ms: self.link_timeout_ms,
+                hold_ms: self.hold_ms,
+            },
+        }
+    }
+}
+
+impl Default for AxisRecord<'_> {
+    fn default() -> Self {
+        Self::of(AxisModel::default())
+    }
+}
+
+impl<'b> AxisRecord<'b> {
+    fn of(axis: AxisModel<'b>) -> Self {
+        let AxisModel { thermal, pitch, dual, backlash, travel } = axis;
+        let none = SmoothingFactor(0);
+        Self {
+            channel: Channel(thermal.map(|it| it.channel)),
+            smoothing: thermal.map_or(none, |it| it.smoothing),
+            origin: thermal.map(|it| it.origin).unwrap_or_default(),
+            law: thermal.map(|it| it.law).unwrap_or_default(),
+            pitch,
+            across: dual.map(|it| it.across),
+            drives: dual.map(|it| it.beam.drives()).unwrap_or_default(),
+            second_pitch: dual.map(|it| it.pitch),
+            backlash,
+            hysteresis: travel.hysteresis,
+            ramp: travel.ramp,
+            smoothing_falling: thermal.map_or(none, |it| it.smoothing_falling),
+            reserved: 0,
+        }
+    }
+
+    fn axis(self) -> AxisModel<'b> {
+        let [first, second] = self.drives;
+        AxisModel {
+            thermal: self.channel.0.map(|channel| AxisThermal {
+                channel,
+                smoothing: self.smoothing,
+                smoothing_falling: self.smoothing_falling,
+                origin: self.origin,
+                law: self.law,
+            }),
+            pitch: self.pitch,
+            dual: self.across.zip(self.second_pitch).map(|(across, pitch)| Dual {
+                across,
+                beam: Beam::new(first, second),
+                pitch,
+            }),
+            backlash: self.backlash,
+            travel: travel::Config { hysteresis: self.hysteresis, ramp: self.ramp },
+        }
+    }
+}

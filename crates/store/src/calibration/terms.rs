@@ -1,0 +1,207 @@
+//! The terms of a diagnosis: a table of records, whose own tables follow it.
+
+use trueup_core::{
+    cnc::LinearAxis,
+    curve::Curve,
+    dimensions::CHANNELS,
+    dimensions::MAX_TERMS,
+    fixed::Scaled,
+    gradient::Gradient,
+    lag::SmoothingFactor,
+    pitch::Pitch,
+    term::{Effect, Target, Term},
+    units::{Fine, Temperature},
+};
+
+use super::{
+    error::BlobError,
+    quantities::linear_axis,
+    wire::{Field, Reader, Writer},
+};
+
+/// Bytes of a term.
+const TERM_SIZE: usize = 24;
+/// The most binary places of a coefficient.
+const MAX_SHIFT: u8 = 62;
+/// The bytes of a term's head, beside its kind, which is the first.
+const TARGET: usize = 1;
+const INPUT: usize = 2;
+const SHIFT: usize = 3;
+
+pub(super) type Terms<'b> = [Option<Term<'b>>; MAX_TERMS];
+
+impl<'b> Field<'b> for Terms<'b> {
+    const SIZE: usize = 4;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        // Room first: the tables of the terms come behind all of them.
+        let room = [[0_u8; TERM_SIZE]; MAX_TERMS];
+        let mut place = to.table(room.get(..self.iter().flatten().count()).unwrap_or_default());
+        for term in self.iter().flatten() {
+            to.term = place;
+            to.elsewhere(place, |to| term.put(to));
+            place = place.saturating_add(TERM_SIZE);
+        }
+    }
+
+    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+        let offset = from.at;
+        let records = from.table::<TERM_SIZE>()?;
+        if records.len() > MAX_TERMS {
+            return Err(BlobError::Table { offset });
+        }
+        let start = from.elsewhere(offset, |from| u32::get(from))? & 0xFFFF;
+        let mut place = usize::try_from(start).unwrap_or(usize::MAX);
+        let mut terms = [None; MAX_TERMS];
+        for (term, _) in terms.iter_mut().zip(records) {
+            from.term = place;
+            *term = Some(from.elsewhere(place, Term::get)?);
+            place = place.saturating_add(TERM_SIZE);
+        }
+        Ok(terms)
+    }
+}
+
+/// Head, constant, and what the effect has.
+impl<'b> Field<'b> for Term<'b> {
+    const SIZE: usize = TERM_SIZE;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        to.bytes(&[0; 4]);
+        to.term_byte(
+            TARGET,
+            match self.target {
+                Target::Elongation => 0,
+                Target::Axis(LinearAxis::X) => 1,
+                Target::Axis(LinearAxis::Y) => 2,
+                Target::Axis(LinearAxis::Z) => 3,
+            },
+        );
+        self.constant.put(to);
+        put_effect(&self.effect, to);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+        let offset = from.at;
+        let [kind, target, _, shift] = from.bytes();
+        let value = |found: u8| BlobError::Value { offset, found: found.into() };
+        let target = match target {
+            0 => Target::Elongation,
+            found @ 1..=3 => Target::Axis(linear_axis(u32::from(found.wrapping_sub(1)), offset)?),
+            found => return Err(value(found)),
+        };
+        if shift > MAX_SHIFT {
+            return Err(value(shift));
+        }
+        let constant = Fine::get(from)?;
+        let effect = get_effect(kind, from)?.ok_or(value(kind))?;
+        Ok(Self { target, constant, effect })
+    }
+}
+
+/// Declares the kinds of terms: number, effect, and what follows the constant, in its order.
+macro_rules! effects {
+    ($($kind:literal $effect:ident { $($field:tt $name:ident: $type:ty),* })*) => {
+        fn put_effect(effect: &Effect<'_>, to: &mut Writer<'_>) {
+            match effect {$(
+                Effect::$effect { $($field: $name),* } => {
+                    to.term_byte(0, $kind);
+                    $($name.put(to);)*
+                }
+            )*}
+        }
+
+        /// `None`: there is no such kind.
+        fn get_effect<'b>(
+            kind: u8,
+            from: &mut Reader<'b>,
+        ) -> Result<Option<Effect<'b>>, BlobError> {
+            Ok(Some(match kind {
+                $($kind => {
+                    $(let $name = <$type>::get(from)?;)*
+                    Effect::$effect { $($field: $name),* }
+                })*
+                _ => return Ok(None),
+            }))
+        }
+    };
+}
+
+effects! {
+    0 Offset {}
+    1 Gain { 0 coefficient: Scaled }
+    2 Curvature { 0 coefficient: Scaled }
+    3 Saturation { 0 limit: Fine }
+    4 Heat {
+        per_temperature coefficient: Scaled,
+        smoothing smoothing: SmoothingFactor,
+        reference reference: Temperature,
+        channel channel: u8
+    }
+    5 Time { amplitude coefficient: Scaled, smoothing smoothing: SmoothingFactor }
+    6 Speed { 0 coefficient: Scaled }
+    7 Load { 0 coefficient: Scaled }
+    8 Position { axis axis: LinearAxis, gradient gradient: Gradient }
+    9 Reversed { width width: Fine, gradient gradient: Gradient }
+    10 Table { 0 pitch: Pitch<'b> }
+    11 Curve { axis axis: LinearAxis, curve curve: Curve<'b> }
+    12 Wave { amplitude amplitude: Fine, phase phase: u32, turns turns: u64 }
+}
+
+/// A coefficient of a term: its binary places stand in the head.
+impl<'b> Field<'b> for Scaled {
+    const SIZE: usize = 4;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        to.term_byte(SHIFT, self.shift);
+        self.mantissa.put(to);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+        Ok(Self { mantissa: i32::get(from)?, shift: from.term_byte(SHIFT) })
+    }
+}
+
+/// The axis of a term stands in the head.
+impl<'b> Field<'b> for LinearAxis {
+    const SIZE: usize = 0;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        to.term_byte(INPUT, *self as u8);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+        linear_axis(from.term_byte(INPUT).into(), from.term)
+    }
+}
+
+/// The channel of a term stands in the head.
+impl<'b> Field<'b> for u8 {
+    const SIZE: usize = 0;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        to.term_byte(INPUT, *self);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+        let channel = from.term_byte(INPUT);
+        if usize::from(channel) < CHANNELS {
+            Ok(channel)
+        } else {
+            Err(BlobError::Value { offset: from.term, found: channel.into() })
+        }
+    }
+}
+
+/// A term over a table has one.
+impl<'b> Field<'b> for Pitch<'b> {
+    const SIZE: usize = Option::<Self>::SIZE;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        Some(*self).put(to);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+        Option::<Self>::get(from)?.ok_or(BlobError::Table { offset: from.term })
+    }
+}

@@ -1,0 +1,295 @@
+//! Blobs written, damaged, and read again.
+
+use super::{
+    format::{CRC_SIZE, FIXED_SIZE, MAX_SIZE},
+    *,
+};
+use proptest::prelude::*;
+use std::vec::Vec;
+use trueup_core::{
+    calibration::{
+        AxisModel, AxisThermal, Dual, ElongationSource, SpindleModel, SpindleTemperature,
+        SpindleWarmup,
+    },
+    cnc::LinearAxis,
+    curve::{Curve, Segment},
+    dimensions::MAX_TERMS,
+    fixed::Scaled,
+    gradient::Gradient,
+    kinematics::{Kinematics, RotaryAxis},
+    lag::SmoothingFactor,
+    limits::Limits,
+    pitch::{Beam, Pitch},
+    sensor::{SensorLaw, Slope},
+    term::{Effect, Target, Term},
+    thermal::{Law, Piece},
+    thermometer::Thermometer,
+    tool::Direction,
+    travel::{self, Interval},
+    units::{Fine, Nanometres, Position, Reading, Temperature},
+    warmup,
+};
+
+const POINTS: [[u8; 4]; 3] = [[1, 0, 0, 0], [2, 0, 0, 0], [3, 0, 0, 0]];
+
+/// A calibration with something in every field.
+fn with_sample<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
+    let piece = Piece {
+        start: trueup_core::units::Temperature(94_208_000),
+        constant: Fine(1),
+        constant_slope: 2,
+        gradient: Gradient(3),
+        gradient_slope: 4,
+    };
+    let pieces = [piece.to_bytes()];
+    let segments =
+        [100_000, 131_071].map(|end| Segment::new(Position(end), 15, [256, 0, 0, 0]).to_bytes());
+    // The second segment begins after the start of the last of four buckets of 2¹⁵.
+    let index = [[0, 0], [0, 0], [0, 0], [0, 0]];
+    let curve = Curve::new(Position(0), &segments, &index, 15);
+    let pitch = Pitch {
+        start: Position(-5),
+        step: Interval::new(1_000),
+        forward: &POINTS,
+        reverse: Some(&POINTS),
+    };
+    let axis = AxisModel {
+        thermal: Some(AxisThermal {
+            smoothing_falling: SmoothingFactor(8),
+            channel: 2,
+            smoothing: SmoothingFactor(7),
+            origin: Position(-9),
+            law: Law { pieces: &pieces },
+        }),
+        pitch: Some(pitch),
+        dual: Some(Dual {
+            across: LinearAxis::Y,
+            beam: Beam::new(Position(1), Position(2)),
+            pitch: Pitch { reverse: None, ..pitch },
+        }),
+        backlash: Fine(-77),
+        travel: travel::Config { hysteresis: 100, ramp: Interval::new(5_000) },
+    };
+    let law = warmup::Warmup {
+        lag_ms: 60_000,
+        max: Fine(80_000),
+        smoothing_heating: SmoothingFactor(5),
+        smoothing_cooling: SmoothingFactor(6),
+        full: 8,
+    };
+    let scaled = Scaled { mantissa: -7, shift: 11 };
+    let x = Target::Axis(LinearAxis::X);
+    let y = Target::Axis(LinearAxis::Y);
+    let heat = Effect::Heat {
+        channel: 7,
+        smoothing: SmoothingFactor(21),
+        reference: Temperature(-22),
+        per_temperature: scaled,
+    };
+    let reversed = Effect::Reversed { width: Fine(4), gradient: Gradient(-5) };
+    let wave = Effect::Wave { turns: 0x1234_5678_9ABC_DEF0, phase: 7, amplitude: Fine(-8) };
+    let all = [
+        (Target::Elongation, Effect::Offset),
+        (Target::Elongation, Effect::Gain(scaled)),
+        (Target::Elongation, Effect::Curvature(scaled)),
+        (Target::Elongation, Effect::Saturation(Fine(9))),
+        (y, heat),
+        (Target::Elongation, Effect::Time { smoothing: SmoothingFactor(3), amplitude: scaled }),
+        (Target::Elongation, Effect::Speed(scaled)),
+        (Target::Elongation, Effect::Load(scaled)),
+        (x, Effect::Position { axis: LinearAxis::Z, gradient: Gradient(-3) }),
+        (x, reversed),
+        (x, Effect::Table(pitch)),
+        (x, Effect::Curve { axis: LinearAxis::Y, curve }),
+        (Target::Axis(LinearAxis::Z), wave),
+    ];
+    let mut terms = [None; MAX_TERMS];
+    for (place, (target, effect)) in terms.iter_mut().zip(all) {
+        *place = Some(Term { target, constant: Fine(-6), effect });
+    }
+    check(Calibration {
+        thermometers: core::array::from_fn(|n| match n {
+            2 => Some(Thermometer::Pt100),
+            5 => Some(Thermometer::Linear { zero: -3, slope: 4, shift: 7 }),
+            _ => None,
+        }),
+        spindle: SpindleModel {
+            chain: [
+                Some(ElongationSource::Sensor),
+                Some(ElongationSource::Temperature),
+                Some(ElongationSource::Warmup),
+            ],
+            sensor: SensorLaw {
+                k0: Nanometres(-1_250),
+                zero: Reading(645_120),
+                slope: Slope(31_998_000),
+            },
+            temperature: Some(SpindleTemperature {
+                channel: 5,
+                smoothing: SmoothingFactor(u32::MAX),
+                smoothing_falling: SmoothingFactor(9),
+                law: Law { pieces: &pieces },
+            }),
+            warmup: Some(SpindleWarmup { law, power: curve }),
+        },
+        kinematics: Kinematics {
+            zero: Direction::DOWN,
+            axes: [Some(RotaryAxis::C), Some(RotaryAxis::A)],
+        },
+        axes: [axis, AxisModel::default(), AxisModel { backlash: Fine(4), ..AxisModel::default() }],
+        straightness: [curve, Curve::default(), curve, Curve::default(), Curve::default(), curve],
+        squareness: [-3, -2, -1, 0, 1, 2].map(Gradient),
+        terms,
+        limits: Limits {
+            max: [200_000, 200_000, 500_000].map(Nanometres),
+            slew_nm_per_s: 20_000,
+            link_timeout_ms: 500,
+            hold_ms: 2_000,
+        },
+    })
+}
+
+fn sample() -> Vec<u8> {
+    with_sample(|calibration| {
+        let mut bytes = [0; MAX_SIZE];
+        encode(&calibration, &mut bytes).expect("it is small").to_vec()
+    })
+}
+
+/// The blob with its CRC made right again.
+fn mended(mut blob: Vec<u8>) -> Vec<u8> {
+    let end = blob.len() - CRC_SIZE;
+    let crc = crc::checksum(&blob[..end]).to_le_bytes();
+    blob[end..].copy_from_slice(&crc);
+    blob
+}
+
+#[test]
+fn a_calibration_comes_back_whole_with_its_tables_in_place() {
+    let blob = sample();
+    with_sample(|calibration| assert_eq!(decode(&blob), Ok(calibration)));
+    let decoded = decode(&blob).unwrap();
+    let table = decoded.axes[0].pitch.unwrap().forward.as_ptr().cast::<u8>();
+    assert!(blob.as_ptr_range().contains(&table), "read where it lies");
+}
+
+#[test]
+fn the_fields_lie_where_the_table_says() {
+    let blob = sample();
+    let word = |at: usize| i32::from_le_bytes(*blob[at..].first_chunk().unwrap());
+    assert_eq!(&blob[..6], b"TRUP\x03\x00");
+    assert_eq!(usize::from(u16::from_le_bytes([blob[6], blob[7]])), blob.len());
+    for (at, value) in [
+        (8, 200_000),
+        (20, 20_000),
+        (28, 2_000),
+        (40, -Direction::ONE),
+        (44, 0x0103),
+        (48, 0x0003_0201),
+        (56, 645_120),
+        (64, 5),
+        (76, 60_000),
+        (112 + 24, 1),
+        (112 + 60, 0x0702),
+        (208, 2),
+        (216, -9),
+        (208 + 60, -77),
+        (288, 255),
+        (368 + 60, 4),
+        (544, -3),
+        (568, 9),
+    ] {
+        assert_eq!(word(at), value, "at {at}");
+    }
+    let tables = usize::from(u16::from_le_bytes([blob[72], blob[73]]));
+    assert_eq!(tables, FIXED_SIZE, "the first table follows the fixed part");
+    let terms = usize::from(u16::from_le_bytes([blob[572], blob[573]]));
+    assert_eq!([blob[574], blob[575]], [13, 0]);
+    // The fifth: heat of channel 7 on Y.
+    assert_eq!(blob[terms + 4 * 24..][..4], [4, 2, 7, 11]);
+    assert_eq!(word(terms + 4 * 24 + 12), 21);
+}
+
+#[test]
+fn the_bytes_with_something_in_every_field_are_those_of_the_first_writer() {
+    let blob = sample();
+    assert_eq!((blob.len(), identity(&blob)), (1_232, 0xBFE9_8143));
+}
+
+#[test]
+fn every_single_bit_flip_is_refused() {
+    let good = sample();
+    for bit in 0..good.len() * 8 {
+        let mut bad = good.clone();
+        bad[bit / 8] ^= 1 << (bit % 8);
+        let error = decode(&bad).expect_err("a flipped bit");
+        let right_kind = match bit / 8 {
+            0..4 => matches!(error, BlobError::Magic { .. }),
+            4..6 => matches!(error, BlobError::Schema { .. }),
+            6..8 => !matches!(error, BlobError::Magic { .. } | BlobError::Schema { .. }),
+            _ => matches!(error, BlobError::Crc { .. }),
+        };
+        assert!(right_kind, "bit {bit}: {error}");
+    }
+}
+
+#[test]
+fn every_cut_is_refused_and_what_follows_is_not_looked_at() {
+    let good = sample();
+    let slot = [&good[..], &[0xFF; 100]].concat();
+    for len in 0..good.len() {
+        assert_eq!(decode(&slot[..len]), Err(BlobError::TooShort { len }));
+    }
+    assert_eq!(decode(&slot), decode(&good));
+}
+
+#[test]
+fn erased_flash_is_no_calibration() {
+    let found = [0xFF; 4];
+    assert_eq!(decode(&[0xFF; 1_000]), Err(BlobError::Magic { found }));
+}
+
+#[test]
+fn values_without_a_meaning_are_refused_with_their_place() {
+    for (at, bytes, error) in [
+        (8, [0xFF; 4], BlobError::MaxOffset { offset: 8, found: -1 }),
+        (16, 5_242_871_i32.to_le_bytes(), BlobError::MaxOffset { offset: 16, found: 5_242_871 }),
+        (40, [0; 4], BlobError::NotUnit { offset: 32, found: [0; 3] }),
+        (44, [4, 0, 0, 0], BlobError::Value { offset: 44, found: 4 }),
+        (48, [0, 9, 0, 0], BlobError::Value { offset: 48, found: 9 }),
+        (64, [8, 0, 0, 0], BlobError::Value { offset: 64, found: 8 }),
+        (112, [3, 0, 0, 0], BlobError::Value { offset: 112, found: 3 }),
+        (72, [0xFF, 0xFF, 1, 0], BlobError::Table { offset: 72 }),
+        (72, [0, 0, 1, 0], BlobError::Table { offset: 72 }),
+        (228, [0; 4], BlobError::Table { offset: 224 }),
+        (240, [3, 0, 0, 0], BlobError::Value { offset: 240, found: 3 }),
+    ] {
+        let mut blob = sample();
+        blob[at..at + 4].copy_from_slice(&bytes);
+        assert_eq!(decode(&mended(blob)), Err(error), "at {at}");
+    }
+}
+
+#[test]
+fn what_does_not_fit_is_refused_with_its_size() {
+    with_sample(|calibration| {
+        let mut small = [0; 700];
+        let error = encode(&calibration, &mut small).expect_err("it is larger");
+        assert_eq!(error.bytes, sample().len());
+    });
+}
+
+proptest! {
+    #[test]
+    fn no_bytes_panic(
+        at in 8_usize..FIXED_SIZE, bytes in prop::collection::vec(any::<u8>(), 1..40),
+        cut in 0_usize..1_000,
+    ) {
+        let mut blob = sample();
+        let end = (at + bytes.len()).min(blob.len() - CRC_SIZE);
+        blob[at..end].copy_from_slice(&bytes[..end - at]);
+        let blob = mended(blob);
+        let _ = decode(&blob);
+        let _ = decode(&blob[..cut.min(blob.len())]);
+    }
+}

@@ -1,0 +1,238 @@
+//! How fields lie in a blob: one after the other, each written and read by its type.
+//!
+//! A field of fixed size lies where it stands. A table lies behind the fixed part and all tables
+//! before it; where it stands there is a reference, `u16` offset and `u16` number of records.
+
+use super::{error::BlobError, format::FIXED_SIZE};
+
+/// A type that can be a field: written and read alike.
+pub(super) trait Field<'b>: Sized {
+    /// Bytes where it stands, its tables aside.
+    const SIZE: usize;
+
+    fn put(&self, to: &mut Writer<'_>);
+
+    /// Refuses what has no meaning, with its place.
+    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError>;
+}
+
+/// Makes fields of types that are one number.
+macro_rules! numbers {
+    ($($type:ty: $number:ty),* $(,)?) => {$(
+        impl<'b> $crate::calibration::wire::Field<'b> for $type {
+            const SIZE: usize = <$number as $crate::calibration::wire::Field<'b>>::SIZE;
+
+            fn put(&self, to: &mut $crate::calibration::wire::Writer<'_>) {
+                self.0.put(to);
+            }
+
+            fn get(
+                from: &mut $crate::calibration::wire::Reader<'b>,
+            ) -> Result<Self, $crate::calibration::error::BlobError> {
+                Ok(Self(<$number>::get(from)?))
+            }
+        }
+    )*};
+}
+
+/// Makes a field of a type whose fields lie in this order.
+macro_rules! fields {
+    ($type:ty { $($field:ident: $kind:ty),* $(,)? }) => {
+        impl<'b> $crate::calibration::wire::Field<'b> for $type {
+            const SIZE: usize =
+                0_usize$(.saturating_add(<$kind as $crate::calibration::wire::Field<'b>>::SIZE))*;
+
+            fn put(&self, to: &mut $crate::calibration::wire::Writer<'_>) {
+                $(self.$field.put(to);)*
+            }
+
+            fn get(
+                from: &mut $crate::calibration::wire::Reader<'b>,
+            ) -> Result<Self, $crate::calibration::error::BlobError> {
+                Ok(Self { $($field: <$kind>::get(from)?),* })
+            }
+        }
+    };
+}
+
+/// Declares a record: a type, and its fields in the order in which they lie.
+macro_rules! record {
+    ($(#[$doc:meta])* $name:ident<$life:lifetime> {
+        $($(#[$field_doc:meta])* $field:ident: $kind:ty,)*
+    }) => {
+        $(#[$doc])*
+        pub(super) struct $name<$life> {
+            $($(#[$field_doc])* pub $field: $kind,)*
+        }
+
+        $crate::calibration::wire::fields!($name<$life> { $($field: $kind),* });
+    };
+}
+
+pub(super) use {fields, numbers, record};
+
+/// Fills the fixed part from `at` on, and puts each table behind the last one. What does not fit is
+/// counted, not written.
+pub(super) struct Writer<'o> {
+    out: &'o mut [u8],
+    at: usize,
+    tables_end: usize,
+    /// Where the present term begins.
+    pub term: usize,
+}
+
+impl<'o> Writer<'o> {
+    pub fn new(out: &'o mut [u8]) -> Self {
+        Self { out, at: 0, tables_end: FIXED_SIZE, term: 0 }
+    }
+
+    pub fn bytes(&mut self, bytes: &[u8]) {
+        let end = self.at.saturating_add(bytes.len());
+        if let Some(place) = self.out.get_mut(self.at..end) {
+            place.copy_from_slice(bytes);
+        }
+        self.at = end;
+    }
+
+    /// A byte in the head of the present term.
+    pub fn term_byte(&mut self, number: usize, byte: u8) {
+        if let Some(place) = self.out.get_mut(self.term.saturating_add(number)) {
+            *place = byte;
+        }
+    }
+
+    /// A reference to a table, and the table. Gives where that begins.
+    pub fn table<const N: usize>(&mut self, records: &[[u8; N]]) -> usize {
+        let start = self.tables_end;
+        // A place or a number beyond 16 bits is beyond the largest blob, which is refused.
+        let place = u16::try_from(start).unwrap_or(u16::MAX);
+        let count = u16::try_from(records.len()).unwrap_or(u16::MAX);
+        self.bytes(&(if count == 0 { 0 } else { place }).to_le_bytes());
+        self.bytes(&count.to_le_bytes());
+        self.elsewhere(start, |to| to.bytes(records.as_flattened()));
+        self.tables_end = start.saturating_add(records.as_flattened().len());
+        start
+    }
+
+    /// Writes at another place, and goes on here.
+    pub fn elsewhere(&mut self, at: usize, write: impl FnOnce(&mut Self)) {
+        let here = core::mem::replace(&mut self.at, at);
+        write(self);
+        self.at = here;
+    }
+
+    /// Where the last table ends.
+    pub const fn end(&self) -> usize {
+        self.tables_end
+    }
+
+    pub fn finish(self) -> &'o mut [u8] {
+        self.out
+    }
+}
+
+/// Reads the fixed part from `at` on.
+pub(super) struct Reader<'b> {
+    blob: &'b [u8],
+    pub at: usize,
+    /// Where the present term begins.
+    pub term: usize,
+}
+
+impl<'b> Reader<'b> {
+    /// Reads a blob without its CRC.
+    pub const fn new(blob: &'b [u8], at: usize) -> Self {
+        Self { blob, at, term: 0 }
+    }
+
+    /// The next four bytes. The fixed part is there: its length was checked.
+    pub fn bytes(&mut self) -> [u8; 4] {
+        let rest = self.blob.get(self.at..).unwrap_or_default();
+        self.at = self.at.saturating_add(4);
+        rest.first_chunk().copied().unwrap_or_default()
+    }
+
+    /// A byte in the head of the present term.
+    pub fn term_byte(&self, number: usize) -> u8 {
+        self.blob.get(self.term.saturating_add(number)).copied().unwrap_or_default()
+    }
+
+    /// The table that the next reference names.
+    pub fn table<const N: usize>(&mut self) -> Result<&'b [[u8; N]], BlobError> {
+        let offset = self.at;
+        let [o0, o1, n0, n1] = self.bytes();
+        let start = usize::from(u16::from_le_bytes([o0, o1]));
+        let bytes = usize::from(u16::from_le_bytes([n0, n1])).saturating_mul(N);
+        if bytes == 0 {
+            return Ok(&[]);
+        }
+        let table = self
+            .blob
+            .get(start..start.saturating_add(bytes))
+            .filter(|_| start >= FIXED_SIZE)
+            .ok_or(BlobError::Table { offset })?;
+        Ok(table.as_chunks().0)
+    }
+
+    /// Reads at another place, and goes on here.
+    pub fn elsewhere<T>(&mut self, at: usize, read: impl FnOnce(&mut Self) -> T) -> T {
+        let here = core::mem::replace(&mut self.at, at);
+        let result = read(self);
+        self.at = here;
+        result
+    }
+}
+
+impl<'b> Field<'b> for u32 {
+    const SIZE: usize = 4;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        to.bytes(&self.to_le_bytes());
+    }
+
+    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+        Ok(Self::from_le_bytes(from.bytes()))
+    }
+}
+
+impl<'b> Field<'b> for i32 {
+    const SIZE: usize = 4;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        to.bytes(&self.to_le_bytes());
+    }
+
+    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+        Ok(Self::from_le_bytes(from.bytes()))
+    }
+}
+
+/// The low word first.
+impl<'b> Field<'b> for u64 {
+    const SIZE: usize = 8;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        to.bytes(&self.to_le_bytes());
+    }
+
+    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+        let (low, high) = (u32::get(from)?, u32::get(from)?);
+        Ok(Self::from(high) << 32 | Self::from(low))
+    }
+}
+
+impl<'b, T: Field<'b> + Copy + Default, const N: usize> Field<'b> for [T; N] {
+    const SIZE: usize = N.saturating_mul(T::SIZE);
+
+    fn put(&self, to: &mut Writer<'_>) {
+        self.iter().for_each(|field| field.put(to));
+    }
+
+    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+        let mut all = [T::default(); N];
+        for field in &mut all {
+            *field = T::get(from)?;
+        }
+        Ok(all)
+    }
+}
