@@ -16,7 +16,7 @@ use crate::{
         POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID, SPINDLE_ID,
     },
     layout::STATUS_ID,
-    status::{self, Status},
+    status::{self, Reason, Status},
 };
 
 /// What has arrived since the start, in frames. Each count stops at its largest value.
@@ -300,6 +300,19 @@ impl From<E2eError> for Refused {
     }
 }
 
+impl Refused {
+    /// The reason, as a status frame tells it.
+    #[must_use]
+    pub const fn reason(&self) -> Reason {
+        match self {
+            Self::Decode(_) | Self::E2e(E2eError::TooShort { .. }) => Reason::Malformed,
+            Self::E2e(E2eError::Crc { .. }) => Reason::Damaged,
+            Self::E2e(E2eError::Repeated { .. }) => Reason::Repeated,
+            Self::E2e(E2eError::WrongSequence { .. }) => Reason::WrongSequence,
+        }
+    }
+}
+
 impl fmt::Display for Refused {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -312,225 +325,4 @@ impl fmt::Display for Refused {
 impl Error for Refused {}
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::{
-        e2e,
-        frames::{State, control, heartbeat, offset_xy, offset_z, position, rotary, spindle},
-        layout::{DIRECTION, QUALITY},
-    };
-    use proptest::prelude::*;
-    use trueup_core::{
-        cnc::{AxisPosition, Control, Flags, Heading, Quality, Rotary, Spindle},
-        units::{MicroDegrees, Nanometres, Position, Rpm},
-    };
-
-    const TURNING: Spindle = Spindle { speed: Rpm(18_000), load_n: 120 };
-    const ENGAGED: Control = Control { engage: true, referenced: true, zero: false };
-
-    fn output(cycle: u8) -> Output {
-        let nm = i32::from(cycle) * 10;
-        Output {
-            offset: Some([nm, -nm, nm].map(Nanometres)),
-            quality: Quality::Live,
-            flags: Flags::NONE,
-            age_ms: 1,
-        }
-    }
-
-    fn damaged(frame: Frame) -> Frame {
-        let mut data = *frame.data();
-        data[4] ^= 0x10;
-        Frame::new(frame.id(), &data).unwrap()
-    }
-
-    #[test]
-    fn commands_are_told_apart_and_each_has_its_own_sequence() {
-        let mut receiver = Receiver::new();
-        for counter in 0..=u8::MAX {
-            let frame = control(ENGAGED, counter);
-            assert_eq!(receiver.accept(&frame), Ok(Some(Command::Control(ENGAGED))));
-            let frame = spindle(TURNING, counter.wrapping_mul(3));
-            assert_eq!(receiver.accept(&frame), Ok(Some(Command::Spindle(TURNING))));
-        }
-        let expected = Counters { accepted: 512, lost: 255 * 2, ..Counters::default() };
-        assert_eq!(receiver.counters(), expected);
-    }
-
-    fn at(axis: LinearAxis, position: i32) -> AxisPosition {
-        AxisPosition { axis, position: Position(position), direction: Heading::Positive }
-    }
-
-    #[test]
-    fn each_axis_and_the_rotary_pair_has_its_own_sequence() {
-        let mut receiver = Receiver::new();
-        let turned = Rotary { angles: [90_000_000, -45_000_000].map(MicroDegrees) };
-        for step in 0..=u8::MAX {
-            for (axis, stride) in LinearAxis::ALL.into_iter().zip([1, 3, 5]) {
-                let there = at(axis, i32::from(step) * 1_000 - 64_000);
-                let frame = position(there, step.wrapping_mul(stride));
-                assert_eq!(receiver.accept(&frame), Ok(Some(Command::Position(there))));
-            }
-            let frame = rotary(turned, step.wrapping_mul(7));
-            assert_eq!(receiver.accept(&frame), Ok(Some(Command::Rotary(turned))));
-        }
-        let lost = 255 * (2 + 4 + 6);
-        let expected = Counters { accepted: 4 * 256, lost, ..Counters::default() };
-        assert_eq!(receiver.counters(), expected);
-    }
-
-    #[test]
-    fn the_frame_of_one_axis_under_the_identifier_of_another_is_refused() {
-        let mut receiver = Receiver::new();
-        let x = position(at(LinearAxis::X, 5), 0);
-        let moved = Frame::new(POSITION_Y_ID, x.data()).unwrap();
-        let refused = receiver.accept(&moved).unwrap_err();
-        assert!(matches!(refused, Refused::E2e(E2eError::Crc { .. })));
-        assert_eq!(receiver.counters().crc_errors, 1);
-    }
-
-    #[test]
-    fn a_direction_without_meaning_is_refused_although_its_protection_holds() {
-        let mut receiver = Receiver::new();
-        let mut data = *position(at(LinearAxis::Z, 5), 0).data();
-        DIRECTION.insert(&mut data, -2);
-        e2e::protect(POSITION_Z_ID, 0, &mut data);
-        let refused = receiver.accept(&Frame::new(POSITION_Z_ID, &data).unwrap());
-        assert!(matches!(refused, Err(Refused::Decode(DecodeError::Value { raw: -2, .. }))));
-        assert_eq!(receiver.counters().malformed, 1);
-    }
-
-    #[test]
-    fn frames_for_others_are_passed_over_and_not_counted() {
-        let mut receiver = Receiver::new();
-        for frame in [offset_xy(&output(0), 0), heartbeat(State::Operational)] {
-            assert_eq!(receiver.accept(&frame), Ok(None));
-        }
-        assert_eq!(receiver.counters(), Counters::default());
-    }
-
-    #[test]
-    fn every_kind_of_fault_is_refused_and_counted_once() {
-        let mut receiver = Receiver::new();
-        let frame = control(ENGAGED, 7);
-        receiver.accept(&frame).unwrap();
-        let refused = receiver.accept(&damaged(frame)).unwrap_err();
-        assert!(matches!(refused, Refused::E2e(E2eError::Crc { .. })));
-        let refused = receiver.accept(&frame).unwrap_err();
-        assert_eq!(refused, Refused::E2e(E2eError::Repeated { counter: 7 }));
-        let short = Frame::new(CONTROL_ID, &frame.payload()[..7]).unwrap();
-        let refused = receiver.accept(&short).unwrap_err();
-        assert!(matches!(refused, Refused::Decode(DecodeError::Length { .. })));
-        let expected =
-            Counters { accepted: 1, malformed: 1, crc_errors: 1, sequence_errors: 1, lost: 0 };
-        assert_eq!(receiver.counters(), expected);
-    }
-
-    #[test]
-    fn a_restarted_cnc_is_heard_again_with_its_second_frame() {
-        let mut receiver = Receiver::new();
-        receiver.accept(&control(ENGAGED, 100)).unwrap();
-        let (last, counter) = (100, 0);
-        let refused = receiver.accept(&control(ENGAGED, counter)).unwrap_err();
-        assert_eq!(refused, Refused::E2e(E2eError::WrongSequence { last, counter }));
-        let heard = receiver.accept(&control(ENGAGED, 1));
-        assert_eq!(heard, Ok(Some(Command::Control(ENGAGED))));
-    }
-
-    #[test]
-    fn a_cycle_comes_out_once_with_its_second_half_in_either_order() {
-        let mut receiver = OffsetReceiver::new();
-        for cycle in 0..=u8::MAX {
-            let sent = output(cycle);
-            let mut halves = [offset_xy(&sent, cycle), offset_z(&sent, cycle)];
-            if cycle % 3 == 0 {
-                halves.reverse();
-            }
-            assert_eq!(receiver.accept(&halves[0]), Ok(None));
-            assert_eq!(receiver.accept(&halves[1]), Ok(Some(sent)));
-        }
-        assert_eq!(receiver.counters().accepted, 512);
-        assert_eq!(receiver.unpaired(), 0);
-    }
-
-    #[test]
-    fn halves_of_different_cycles_are_never_joined() {
-        let mut receiver = OffsetReceiver::new();
-        assert_eq!(receiver.accept(&offset_xy(&output(1), 1)), Ok(None));
-        assert_eq!(receiver.accept(&offset_z(&output(2), 2)), Ok(None));
-        assert_eq!(receiver.accept(&offset_xy(&output(3), 3)), Ok(None));
-        assert_eq!(receiver.accept(&offset_z(&output(3), 3)), Ok(Some(output(3))));
-        assert_eq!(receiver.unpaired(), 2);
-        assert_eq!(receiver.counters().lost, 1);
-    }
-
-    #[test]
-    fn a_damaged_half_drops_its_cycle_alone() {
-        let mut receiver = OffsetReceiver::new();
-        assert_eq!(receiver.accept(&offset_xy(&output(1), 1)), Ok(None));
-        assert!(receiver.accept(&damaged(offset_z(&output(1), 1))).is_err());
-        assert_eq!(receiver.accept(&offset_xy(&output(2), 2)), Ok(None));
-        assert_eq!(receiver.accept(&offset_z(&output(2), 2)), Ok(Some(output(2))));
-        assert_eq!((receiver.counters().crc_errors, receiver.unpaired()), (1, 1));
-    }
-
-    #[test]
-    fn a_repeated_cycle_is_not_given_out_again() {
-        let mut receiver = OffsetReceiver::new();
-        let halves = [offset_xy(&output(1), 1), offset_z(&output(1), 1)];
-        for half in &halves {
-            receiver.accept(half).unwrap();
-        }
-        for half in &halves {
-            let refused = receiver.accept(half).unwrap_err();
-            assert_eq!(refused, Refused::E2e(E2eError::Repeated { counter: 1 }));
-        }
-    }
-
-    #[test]
-    fn a_missing_offset_is_given_out_as_missing() {
-        let mut receiver = OffsetReceiver::new();
-        let sent = Output { offset: None, quality: Quality::Fault, ..output(0) };
-        assert_eq!(receiver.accept(&offset_xy(&sent, 0)), Ok(None));
-        assert_eq!(receiver.accept(&offset_z(&sent, 0)), Ok(Some(sent)));
-    }
-
-    #[test]
-    fn a_quality_without_meaning_is_refused_although_its_protection_holds() {
-        let mut receiver = OffsetReceiver::new();
-        let mut data = *offset_z(&output(0), 0).data();
-        QUALITY.insert(&mut data, 9);
-        e2e::protect(OFFSET_Z_ID, 0, &mut data);
-        let refused = receiver.accept(&Frame::new(OFFSET_Z_ID, &data).unwrap());
-        assert!(matches!(refused, Err(Refused::Decode(DecodeError::Value { raw: 9, .. }))));
-        assert_eq!(receiver.counters().malformed, 1);
-    }
-
-    proptest! {
-        #[test]
-        fn whatever_is_lost_damaged_or_repeated_only_whole_new_cycles_come_out(
-            fates in prop::collection::vec((0_u8..8, 0_u8..8), 1..300),
-        ) {
-            let mut receiver = OffsetReceiver::new();
-            let mut newest = None;
-            for (cycle, (xy, z)) in (0_u8..=255).cycle().zip(fates) {
-                let sent = output(cycle);
-                for (fate, frame) in [(xy, offset_xy(&sent, cycle)), (z, offset_z(&sent, cycle))] {
-                    let arriving: &[Frame] = match fate {
-                        0 => &[],
-                        1 => &[damaged(frame)],
-                        2 => &[frame, frame],
-                        _ => &[frame],
-                    };
-                    for frame in arriving {
-                        if let Ok(Some(got)) = receiver.accept(frame) {
-                            prop_assert_eq!(got, sent);
-                            prop_assert_ne!(newest, Some(cycle));
-                            newest = Some(cycle);
-                        }
-                    }
-                }
-            }
-        }
-    }
-}
+mod tests;

@@ -16,14 +16,12 @@
 use trueup_core::units::Nanometres;
 
 use crate::{
-    e2e::E2eError,
     frame::Frame,
     frames::{self, DecodeError},
     layout::{
         COUNT_HIGH, COUNT_LOW, ELONGATION, ITEM, LAST_REFUSED, NO_ELONGATION_RAW,
         NO_TEMPERATURE_RAW, STATUS_ID, TEMPERATURE_HIGH, TEMPERATURE_LOW,
     },
-    receiver::Refused,
 };
 
 /// The largest number of an item; their count is a power of two.
@@ -56,17 +54,6 @@ pub enum Reason {
 }
 
 impl Reason {
-    /// Why the receiver has refused a frame.
-    #[must_use]
-    pub const fn of(refused: &Refused) -> Self {
-        match refused {
-            Refused::Decode(_) | Refused::E2e(E2eError::TooShort { .. }) => Self::Malformed,
-            Refused::E2e(E2eError::Crc { .. }) => Self::Damaged,
-            Refused::E2e(E2eError::Repeated { .. }) => Self::Repeated,
-            Refused::E2e(E2eError::WrongSequence { .. }) => Self::WrongSequence,
-        }
-    }
-
     /// The reason with this number on the wire.
     #[must_use]
     pub const fn from_wire(number: u8) -> Option<Self> {

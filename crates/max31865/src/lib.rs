@@ -1,4 +1,4 @@
-//! A MAX31865, which turns the resistance of a PT100 into a number: its registers, and the order in
+//! A driver of the MAX31865, which turns the resistance of a PT100 into a number: its registers, and the order in
 //! which they are written and read (data sheet 19-6478).
 //!
 //! | register | read | write | |
@@ -22,6 +22,10 @@
 //! read back with every ratio: a dead line, all 0 or all 1, is none, and a converter that has lost
 //! its supply for a moment is found and set up anew.
 //!
+//! It speaks through embedded-hal's [`SpiDevice`], in mode 1 and at 5 MHz at most, and never waits
+//! itself: how long a transfer may take is for the board's device to bound. An error of it counts as
+//! an answer that did not come.
+//!
 //! Ratio to resistance: R = ratio·R_ref/2¹⁵, rounded to a micro-ohm. One step of the ratio is
 //! 13.1 mΩ, 0.034 K.
 #![no_std]
@@ -32,6 +36,7 @@
 #[cfg(test)]
 extern crate std;
 
+use embedded_hal::spi::SpiDevice;
 use trueup_core::{
     pt100::{OPEN_ABOVE, SHORT_BELOW},
     thermometer::Raw,
@@ -157,11 +162,11 @@ impl Converter {
         self.reading
     }
 
-    /// One turn. `transfer` selects the converter, sends the bytes while it replaces them by what
-    /// comes back, deselects it, and gives whether the bus did all that.
+    /// One turn, of at most two selections of 9 bytes together 11.
     ///
     /// The last good reading, or the last fault, stands while the cables are checked: four turns.
-    pub fn turn(&mut self, mut transfer: impl FnMut(&mut [u8]) -> bool) -> Reading {
+    pub fn turn(&mut self, spi: &mut impl SpiDevice) -> Reading {
+        let mut transfer = |bytes: &mut [u8]| spi.transfer_in_place(bytes).is_ok();
         let mut configure = |bits: u8| transfer(&mut [WRITE, READY | bits]);
         self.step = match self.step {
             Step::Clear => {
@@ -234,205 +239,4 @@ impl Registers {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use trueup_core::thermometer::{Fault, Thermometer};
-
-    /// 25.7 °C.
-    const PLAIN: i64 = 110_000_000;
-
-    /// A converter as the data sheet describes it.
-    struct Chip {
-        registers: [u8; REGISTERS],
-        micro_ohms: i64,
-        /// What a cable check finds.
-        cable: u8,
-    }
-
-    impl Chip {
-        fn new(micro_ohms: i64) -> Self {
-            Self { registers: [0, 0, 0, 0xFF, 0xFF, 0, 0, 0], micro_ohms, cable: 0 }
-        }
-
-        /// One selection.
-        fn transfer(&mut self, bytes: &mut [u8]) {
-            let address = bytes[0];
-            for (n, byte) in (0..).zip(&mut bytes[1..]) {
-                let register = usize::from((address & 0x7F) + n) % REGISTERS;
-                if address & WRITE == 0 {
-                    *byte = self.registers[register];
-                } else {
-                    assert!(matches!(register, 0 | 3..=6), "register {register} is read only");
-                    self.registers[register] = *byte;
-                    *byte = 0;
-                }
-            }
-            if address == WRITE {
-                self.configured();
-            }
-        }
-
-        fn configured(&mut self) {
-            let bits = self.registers[0];
-            if bits & CLEAR != 0 {
-                assert_eq!(bits & 0b0010_1100, 0, "what else must not be asked with a clear");
-                self.registers[7] = 0;
-                self.registers[2] &= !1;
-            }
-            if bits & 0b1100 != 0 {
-                assert_eq!(bits & 0b1110_1110, 0b1000_0100, "100X010X starts the check");
-                self.registers[7] |= self.cable;
-            }
-            self.registers[0] &= !(CLEAR | 0b1100);
-        }
-
-        /// Time for a conversion, if it is asked to convert.
-        fn live(&mut self) {
-            if self.registers[0] & 0b1100_0000 != 0b1100_0000 {
-                return;
-            }
-            let ratio = u16::try_from((self.micro_ohms << 15) / 430_000_000).unwrap_or(32_767);
-            let ratio = ratio.min(32_767) << 1;
-            let threshold =
-                |n: usize| u16::from_be_bytes([self.registers[n], self.registers[n + 1]]);
-            let (high, low) = (threshold(3), threshold(5));
-            self.registers[7] |= if ratio >= high { Faults::HIGH } else { 0 };
-            self.registers[7] |= if ratio <= low { Faults::LOW } else { 0 };
-            let fault = u16::from(self.registers[7] != 0);
-            self.registers[1..3].copy_from_slice(&(ratio | fault).to_be_bytes());
-        }
-    }
-
-    fn turn(converter: &mut Converter, chip: &mut Chip) -> Reading {
-        chip.live();
-        converter.turn(|bytes| {
-            chip.transfer(bytes);
-            true
-        })
-    }
-
-    fn turns(converter: &mut Converter, chip: &mut Chip, count: u32) -> Reading {
-        (0..count).map(|_| turn(converter, chip)).last().expect("at least one")
-    }
-
-    fn good(reading: Reading) -> i64 {
-        let Reading::Good(MicroOhms(micro)) = reading else { panic!("{reading:?}") };
-        micro.into()
-    }
-
-    #[test]
-    fn the_data_sheets_examples_are_met() {
-        // Table 5: ratio 0.5 is 0x8000, 0.125 is 0x2000; the lowest bit is the fault's.
-        let at = |high, low| Registers([0, high, low, 0, 0, 0, 0, 0]).resistance();
-        assert_eq!(at(0x80, 0x00), MicroOhms(215_000_000));
-        assert_eq!(at(0x20, 0x01), MicroOhms(53_750_000));
-        assert_eq!(at(0xFF, 0xFE), MicroOhms(429_986_877));
-        // Written out: bias, 3-wire, 50 Hz; the check is 100X010X.
-        assert_eq!([READY | CLEAR, READY | CHECK, READY | AUTOMATIC], [0x93, 0x95, 0xD1]);
-    }
-
-    #[test]
-    fn a_thermometer_is_read_from_the_fifth_turn_on_to_a_step() {
-        for micro_ohms in [76_330_000, 100_000_000, 109_730_000, 138_510_000, 247_090_000] {
-            let (mut converter, mut chip) = (Converter::default(), Chip::new(micro_ohms));
-            for _ in 0..4 {
-                assert_eq!(turn(&mut converter, &mut chip).raw(), Raw::NONE);
-            }
-            let read = good(turn(&mut converter, &mut chip));
-            // The converter rounds down: 430 Ω/2¹⁵ are 13 123 µΩ.
-            assert!((0..=13_123).contains(&(micro_ohms - read)), "{read} of {micro_ohms} µΩ");
-            let reading = Thermometer::Pt100.read(converter.reading().raw());
-            assert!(reading.is_ok(), "{micro_ohms} µΩ: {reading:?}");
-        }
-    }
-
-    #[test]
-    fn the_reading_stands_while_the_cables_are_checked() {
-        let (mut converter, mut chip) = (Converter::default(), Chip::new(PLAIN));
-        let mut checks = 0;
-        turns(&mut converter, &mut chip, 5);
-        for _ in 0..3 * (CHECK_TURNS + 4) {
-            let was = chip.registers[0];
-            good(turn(&mut converter, &mut chip));
-            checks += u32::from(was == READY && chip.registers[0] == (READY | AUTOMATIC));
-        }
-        assert_eq!(checks, 3);
-    }
-
-    #[test]
-    fn a_line_stuck_at_0_or_at_1_or_a_bus_that_hangs_is_a_missing_converter() {
-        for (stuck, bus) in [(0x00, true), (0xFF, true), (0x00, false)] {
-            let mut converter = Converter::default();
-            for _ in 0..50 {
-                let reading = converter.turn(|bytes| {
-                    bytes.fill(stuck);
-                    bus
-                });
-                assert_eq!((reading, reading.raw()), (Reading::Missing, Raw::NONE));
-            }
-        }
-    }
-
-    #[test]
-    fn one_that_dies_is_missing_with_the_next_reading_and_one_that_comes_back_is_read() {
-        let (mut converter, mut chip) = (Converter::default(), Chip::new(PLAIN));
-        good(turns(&mut converter, &mut chip, 7));
-        assert_eq!(
-            converter.turn(|bytes| {
-                bytes.fill(0xFF);
-                true
-            }),
-            Reading::Missing
-        );
-        // A dip of its supply: all registers as after power-on.
-        good(turns(&mut converter, &mut chip, 5));
-        chip = Chip::new(PLAIN);
-        assert_eq!(turn(&mut converter, &mut chip), Reading::Missing);
-        good(turns(&mut converter, &mut chip, 5));
-    }
-
-    #[test]
-    fn broken_and_shorted_thermometers_are_told_apart_and_recover() {
-        for (micro_ohms, expected) in [(i64::MAX >> 16, Fault::Open), (300_000, Fault::Short)] {
-            let (mut converter, mut chip) = (Converter::default(), Chip::new(PLAIN));
-            good(turns(&mut converter, &mut chip, 9));
-            chip.micro_ohms = micro_ohms;
-            // With the next reading, and as long as it lasts.
-            for _ in 0..20 {
-                let reading = turn(&mut converter, &mut chip);
-                assert_eq!(Thermometer::Pt100.read(reading.raw()), Err(expected));
-            }
-            chip.micro_ohms = PLAIN;
-            good(turns(&mut converter, &mut chip, 9));
-        }
-    }
-
-    #[test]
-    fn a_cable_fault_that_the_ratio_does_not_show_is_found_by_the_check() {
-        for (cable, expected) in
-            [(Faults::NO_CURRENT, Fault::Open), (0x10, Fault::Short), (0x08, Fault::Short)]
-        {
-            let (mut converter, mut chip) = (Converter::default(), Chip::new(PLAIN));
-            good(turns(&mut converter, &mut chip, 5));
-            chip.cable = cable;
-            let found = (0..CHECK_TURNS + 4).find_map(|_| match turn(&mut converter, &mut chip) {
-                Reading::Faulty(faults) => Some(faults),
-                _ => None,
-            });
-            let found = found.expect("within one round of checks");
-            assert_eq!(found, Faults(cable));
-            assert_eq!(Thermometer::Pt100.read(found.raw()), Err(expected));
-        }
-    }
-
-    #[test]
-    fn a_fault_of_a_moment_is_seen_though_it_is_over_when_it_is_read() {
-        let (mut converter, mut chip) = (Converter::default(), Chip::new(PLAIN));
-        good(turns(&mut converter, &mut chip, 9));
-        chip.micro_ohms = i64::MAX >> 16;
-        chip.live();
-        chip.micro_ohms = PLAIN;
-        assert_eq!(turn(&mut converter, &mut chip), Reading::Faulty(Faults(Faults::HIGH)));
-        good(turns(&mut converter, &mut chip, 5));
-    }
-}
+mod tests;

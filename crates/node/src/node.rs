@@ -168,7 +168,7 @@ impl<'a> Node<'a> {
         self.consumer.hear(frame);
         let heard = self.receiver.accept(frame);
         if let Err(refused) = &heard {
-            self.last_refused = Reason::of(refused);
+            self.last_refused = refused.reason();
         }
         let command = heard?;
         if let (Some(bridge), Some(command)) = (&self.bridge, command) {

@@ -5,10 +5,13 @@
 //! each has one every 100 ms, of at most two selections and 0.1 ms. It is polled, by a task that
 //! nobody waits for.
 //!
-//! What is said is in [`max31865`], which the host tests. Here it is only carried: a bus that does
-//! not answer within a bound is a missing converter.
+//! What is said is in [`trueup_max31865`], which the host tests. Here it is only carried: every wait
+//! has a bound, and a bus that does not answer within it is a missing converter.
 
-use embedded_hal::{digital::OutputPin, spi::MODE_1};
+use embedded_hal::{
+    digital::OutputPin,
+    spi::{Error, ErrorKind, ErrorType, MODE_1, Operation, SpiDevice},
+};
 use stm32f4xx_hal::{
     gpio::{ErasedPin, Output, PB13, PB14, PB15, Pull},
     pac::SPI2,
@@ -137,8 +140,7 @@ impl Channel {
 
     fn turn(&mut self, number: usize, spi: &mut Spi<SPI2>) {
         let before = self.converter.reading();
-        let select = &mut self.select;
-        let now = self.converter.turn(|bytes| transfer(spi, select, bytes));
+        let now = self.converter.turn(&mut Selected { spi, select: &mut self.select });
         if core::mem::discriminant(&now) != core::mem::discriminant(&before) {
             self.changes = self.changes.saturating_add(1);
             // A loose contact must not fill the log.
@@ -162,29 +164,77 @@ fn log(channel: usize, reading: Reading) {
     }
 }
 
-/// One selection: sends the bytes, and puts what comes back in their place.
-// Once in the image: every step of a converter comes here.
-#[inline(never)]
-fn transfer(spi: &mut Spi<SPI2>, select: &mut ErasedPin<Output>, bytes: &mut [u8]) -> bool {
-    // A byte that came too late last time would be taken for the first of this time.
-    let _empty = within(2, || spi.read_nonblocking().is_err());
-    let Ok(()) = OutputPin::set_low(select);
-    cortex_m::asm::delay(SELECT_CYCLES);
-    let answered = bytes.iter_mut().all(|byte| exchange(spi, byte));
-    cortex_m::asm::delay(SELECT_CYCLES);
-    let Ok(()) = OutputPin::set_high(select);
-    cortex_m::asm::delay(SELECT_CYCLES);
-    answered
+/// One converter on the bus that all of them share.
+struct Selected<'a> {
+    spi: &'a mut Spi<SPI2>,
+    select: &'a mut ErasedPin<Output>,
 }
 
-/// One byte each way. An error of the bus, too, is an answer that did not come.
-fn exchange(spi: &mut Spi<SPI2>, byte: &mut u8) -> bool {
-    within(BYTE_POLLS, || spi.write_nonblocking(*byte).is_ok())
-        && within(BYTE_POLLS, || match spi.read_nonblocking() {
-            Ok(received) => {
-                *byte = received;
-                true
+/// The bus did not answer in time, or with an error.
+#[derive(Debug)]
+struct NoAnswer;
+
+impl Error for NoAnswer {
+    fn kind(&self) -> ErrorKind {
+        ErrorKind::Other
+    }
+}
+
+impl ErrorType for Selected<'_> {
+    type Error = NoAnswer;
+}
+
+impl SpiDevice for Selected<'_> {
+    /// One selection.
+    // Once in the image: every step of a converter comes here.
+    #[inline(never)]
+    fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), NoAnswer> {
+        // A byte that came too late last time would be taken for the first of this time.
+        let _empty = within(2, || self.spi.read_nonblocking().is_err());
+        let Ok(()) = OutputPin::set_low(self.select);
+        cortex_m::asm::delay(SELECT_CYCLES);
+        let answered = operations.iter_mut().all(|operation| self.operate(operation));
+        cortex_m::asm::delay(SELECT_CYCLES);
+        let Ok(()) = OutputPin::set_high(self.select);
+        cortex_m::asm::delay(SELECT_CYCLES);
+        if answered { Ok(()) } else { Err(NoAnswer) }
+    }
+}
+
+impl Selected<'_> {
+    fn operate(&mut self, operation: &mut Operation<'_, u8>) -> bool {
+        match operation {
+            Operation::TransferInPlace(bytes) => bytes.iter_mut().all(|byte| self.exchange(byte)),
+            Operation::Read(bytes) => bytes.iter_mut().all(|byte| {
+                *byte = 0;
+                self.exchange(byte)
+            }),
+            Operation::Write(bytes) => bytes.iter().all(|byte| self.exchange(&mut byte.clone())),
+            Operation::Transfer(read, write) => {
+                let longer = read.len().max(write.len());
+                (0..longer).all(|n| {
+                    let mut byte = write.get(n).copied().unwrap_or_default();
+                    let answered = self.exchange(&mut byte);
+                    if let Some(place) = read.get_mut(n) {
+                        *place = byte;
+                    }
+                    answered
+                })
             }
-            Err(_) => false,
-        })
+            // This device waits for nobody: who asks for a pause has no answer.
+            Operation::DelayNs(_) => false,
+        }
+    }
+
+    /// One byte each way. An error of the bus, too, is an answer that did not come.
+    fn exchange(&mut self, byte: &mut u8) -> bool {
+        within(BYTE_POLLS, || self.spi.write_nonblocking(*byte).is_ok())
+            && within(BYTE_POLLS, || match self.spi.read_nonblocking() {
+                Ok(received) => {
+                    *byte = received;
+                    true
+                }
+                Err(_) => false,
+            })
+    }
 }
