@@ -12,8 +12,8 @@
 //! | [`inputs`] | from PLC counts to volts, ADC codes and readings |
 //! | [`run_file`] | reads a run file (CSV) into columns |
 //! | [`model`] | the reference: what the model says of a run, row by row, in `f64` |
-//! | [`compile`](mod@compile) | a [`Machine`] in the integers of the board |
-//! | [`show`] | from these integers back to a machine file |
+//! | [`compile`](mod@compile) | a [`Machine`] in the integers of the board, and back |
+//! | [`show`] | a calibration written as a machine file |
 //! | [`predict`] | a run with what the model and the board's integers say of each row |
 #![forbid(unsafe_code)]
 
@@ -27,6 +27,7 @@ pub mod place;
 pub mod predict;
 pub mod run_file;
 pub mod show;
+mod stored;
 
 pub use compile::{Compiled, compile};
 pub use file as machine_file;

@@ -5,13 +5,28 @@
 //! the piece: a cubic through four points of a cubic is the cubic itself. The only differences are
 //! the rounding of the coefficients, and the 5 nm by which a knot may lie beside its polynomial's
 //! end, over which the polynomial is simply followed.
+//!
+//! On the way back each knot stands three times: the Bézier points of a segment's cubic are the
+//! control points of such a B-spline. With t₀ at its start and t₁ at its end, and ab + bc + ca the
+//! sum over its three arguments' pairs,
+//!
+//! ```text
+//! f(a, b, c) = c₀ + c₁·(a + b + c)/3 + c₂/2·(ab + bc + ca)/3 + c₃/4·abc
+//! points: f(t₀, t₀, t₀), f(t₀, t₀, t₁), f(t₀, t₁, t₁), f(t₁, t₁, t₁)
+//! ```
+//!
+//! Two segments share the point at their knot, and get the mean of their two values.
 
 use trueup_core::{
     curve::{Curve, MAX_KNOTS_IN_BUCKET, Segment},
     units::{Fine, Position},
 };
 
-use crate::file::BSpline;
+use super::account::{STEEPEST_UM_PER_MM, too_steep};
+use crate::{
+    file::BSpline,
+    stored::{FINE_PER_UM, UNITS_PER_MM, rounded, written},
+};
 
 /// A curve whose tables are owned.
 #[derive(Clone, Debug, PartialEq)]
@@ -73,11 +88,8 @@ pub(super) fn pieces_of(spline: &BSpline) -> Result<Vec<Piece<'_>>, Reason> {
     Ok(pieces)
 }
 
-const UNITS_PER_MM: f64 = Position::PER_MILLIMETRE as f64;
-const FINE_PER_UM: f64 = Fine::PER_NANOMETRE as f64 * 1_000.0;
-
 fn units(mm: f64) -> Result<i32, Reason> {
-    super::rounded(mm * UNITS_PER_MM)
+    rounded(mm * UNITS_PER_MM)
         .ok_or_else(|| format!("reaches {mm} mm, beyond the board's ±21474 mm"))
 }
 
@@ -143,7 +155,7 @@ fn add_segments(
     let t: [f64; 4] = std::array::from_fn(|n| -1.0 + width * n as f64 / 3.0);
     let c = cubic_through(t, t.map(|t| (piece.value)(place(t))));
     // A high word halves: what meets it twice is stored twice as large, and so on.
-    let stored = [c[0], c[1], c[2] * 2.0, c[3] * 4.0].map(super::rounded);
+    let stored = [c[0], c[1], c[2] * 2.0, c[3] * 4.0].map(rounded);
     if let [Some(c0), Some(c1), Some(c2), Some(c3)] = stored {
         let segment = Segment::new(Position(end), shift, [c0, c1, c2, c3]);
         if segment.is_sound(reach) {
@@ -260,4 +272,59 @@ pub(super) fn steepest(pieces: &[Piece<'_>]) -> (f64, f64) {
         }
     }
     worst
+}
+
+/// A spline, and its largest difference from the model in nm.
+pub(super) fn compile_curve(spline: &BSpline) -> Result<(OwnedCurve, f64), String> {
+    let pieces = pieces_of(spline)?;
+    let (slope, at) = steepest(&pieces);
+    if slope.abs() > STEEPEST_UM_PER_MM {
+        return Err(too_steep(slope, at));
+    }
+    let curve = build(&pieces)?;
+    let difference_nm = curve.largest_difference_nm;
+    Ok((curve, difference_nm))
+}
+
+/// The curve as a user writes it: each knot three times.
+pub(super) fn inverse(curve: &Curve<'_>) -> BSpline {
+    let mm = |place: i32| written(place, UNITS_PER_MM);
+    let mut start = curve.first().0;
+    let mut knots_mm = vec![mm(start); 4];
+    let mut control: Vec<f64> = Vec::new();
+    for bytes in curve.segments() {
+        let segment = Segment::from_bytes(bytes);
+        let [at_start, inner @ .., at_end] = bezier_points(&segment, start);
+        match control.last_mut() {
+            Some(shared) => *shared = (*shared + at_start) / 2.0,
+            None => control.push(at_start),
+        }
+        control.extend(inner);
+        control.push(at_end);
+        start = segment.end.0;
+        knots_mm.extend([mm(start); 3]);
+    }
+    knots_mm.push(mm(start));
+    // 1e-8 µm is 1/390 of the board's unit.
+    let um = control.iter().map(|fine| (fine / FINE_PER_UM * 1e8).round() / 1e8 + 0.0);
+    BSpline { order: 4, knots_mm, control_um: um.collect() }
+}
+
+/// The Bézier points of a segment that begins at `start`, in [`Fine`] units.
+fn bezier_points(segment: &Segment, start: i32) -> [f64; 4] {
+    let [c0, c1, c2, c3] = segment.coefficients.map(f64::from);
+    let span = 2_f64.powi(32 - i32::from(segment.shift));
+    let at_start = 2.0 * f64::from(segment.end.0.abs_diff(start)) / span - 1.0;
+    let at_end = -1.0;
+    let polar = |a: f64, b: f64, c: f64| {
+        c0 + c1 * (a + b + c) / 3.0
+            + c2 / 2.0 * (a * b + b * c + c * a) / 3.0
+            + c3 / 4.0 * a * b * c
+    };
+    [
+        polar(at_start, at_start, at_start),
+        polar(at_start, at_start, at_end),
+        polar(at_start, at_end, at_end),
+        polar(at_end, at_end, at_end),
+    ]
 }

@@ -1,27 +1,22 @@
-//! Laws over temperature and running time for the board.
+//! Laws over temperature: of an axis, of the spindle.
 
 use trueup_core::{
-    curve::Curve,
-    dimensions::STEP_MS,
+    calibration::{AxisThermal, SpindleTemperature},
     gradient::Gradient,
-    lag::SmoothingFactor,
-    thermal::{Law, PIECE_SIZE, Piece, SLOPE_FRACTION_BITS, SLOPE_UNIT_BITS},
+    thermal::{Law, PIECE_SIZE, Piece},
     units::{Fine, Position, Temperature},
-    warmup,
 };
 
-use super::curve::{self, OwnedCurve, Reason};
+use super::{curve::Reason, inputs::column, lag::written_time_constant_s};
 use crate::{
-    file::{Thermal, ThermalRow, Warmup},
+    file::{TemperatureModel, Thermal, ThermalMode, ThermalRow},
     model,
+    stored::{
+        FINE_PER_UM, GRADIENT_PER_UM_PER_M, PER_KELVIN, SLOPE_PER_KELVIN, UNITS_PER_MM, rounded,
+        written,
+    },
 };
 
-const FINE_PER_UM: f64 = Fine::PER_NANOMETRE as f64 * 1_000.0;
-/// Gradient units in 1 µm/m: nanometres for 10 nm of travel, Q36.
-pub(super) const GRADIENT_PER_UM_PER_M: f64 = 1e-5 * (1_u64 << Gradient::FRACTION_BITS) as f64;
-/// What a slope of 1 a kelvin is in the board's integers.
-const SLOPE_PER_KELVIN: f64 =
-    (1_u64 << (SLOPE_UNIT_BITS + SLOPE_FRACTION_BITS)) as f64 / Temperature::PER_KELVIN as f64;
 /// Within these temperatures a law is held against the model.
 const CHECKED_C: (i32, i32) = (-20, 100);
 /// So far from its origin.
@@ -32,7 +27,7 @@ pub(super) type Pieces = Vec<[u8; PIECE_SIZE]>;
 
 /// A temperature in the board's unit.
 pub(super) fn temperature(celsius: f64) -> Option<Temperature> {
-    super::rounded(celsius * f64::from(Temperature::PER_KELVIN)).map(Temperature)
+    rounded(celsius * f64::from(Temperature::PER_KELVIN)).map(Temperature)
 }
 
 /// The law of an axis, and its largest difference from the model in nm.
@@ -96,7 +91,7 @@ fn table_pieces(rows: &[ThermalRow]) -> Result<Pieces, Reason> {
 /// From `row` on: towards `next`, or level.
 fn piece(row: &ThermalRow, next: Option<&ThermalRow>) -> Result<[u8; PIECE_SIZE], Reason> {
     let stored = |value: f64, what: &str, unit: &str, written: f64| {
-        super::rounded(value)
+        rounded(value)
             .ok_or_else(|| format!("{what} {written} {unit} is more than the board can store"))
     };
     let slope = |of: fn(&ThermalRow) -> f64| {
@@ -157,97 +152,52 @@ fn axis_difference_nm(thermal: &Thermal, pieces: &Pieces) -> f64 {
     worst
 }
 
-/// 1 − e^(−Δt/τ) for the board's step; all of it where there is no lag.
-pub(super) fn smoothing_factor(time_constant_s: f64) -> Result<SmoothingFactor, Reason> {
-    if time_constant_s == 0.0 {
-        return Ok(SmoothingFactor::NO_LAG);
+/// The law of a spindle's temperature as a user writes it.
+pub(super) fn inverse_of_spindle(temperature: &SpindleTemperature<'_>) -> TemperatureModel {
+    let piece = temperature.law.pieces.first().map(Piece::from_bytes).unwrap_or_default();
+    TemperatureModel {
+        sensor: column(temperature.channel),
+        reference_c: written(piece.start.0, PER_KELVIN),
+        k_um_per_c: written(piece.constant_slope, FINE_PER_UM * SLOPE_PER_KELVIN),
+        lag_s: written_time_constant_s(temperature.smoothing),
     }
-    let step_s = f64::from(STEP_MS) / 1_000.0;
-    // exp_m1 keeps the digits of a long time constant.
-    let factor = (-(-step_s / time_constant_s).exp_m1() * 2_f64.powi(32)).round();
-    if factor < 1_000.0 {
-        return Err(format!("{time_constant_s} s is longer than the board can follow (5 days)"));
-    }
-    Ok(SmoothingFactor(factor.min(f64::from(u32::MAX)) as u32))
 }
 
-/// The smoothing factors while it rises and while it falls, which is the same unless it is given.
-pub(super) fn smoothing_factors(
-    rising_s: f64,
-    falling_s: Option<f64>,
-) -> Result<[SmoothingFactor; 2], Reason> {
-    Ok([smoothing_factor(rising_s)?, smoothing_factor(falling_s.unwrap_or(rising_s))?])
-}
-
-/// The warm-up model, with the curve of its speed exponent.
-pub(super) fn warmup(warmup: &Warmup) -> Result<(warmup::Warmup, OwnedCurve), Reason> {
-    let full =
-        1.0 / -(-warmup.exponent).exp_m1() * f64::from(1 << warmup::Warmup::FULL_FRACTION_BITS);
-    let full = super::rounded(full)
-        .ok_or_else(|| format!("exponent {} is below the board's 0.008", warmup.exponent))?;
-    let max = super::rounded(warmup.max_um * FINE_PER_UM)
-        .ok_or_else(|| format!("max_um {} is beyond the board's ±8388 µm", warmup.max_um))?;
-    let lag_ms = (warmup.lag_s * 1_000.0).round();
-    if lag_ms > f64::from(u32::MAX) {
-        return Err(format!("lag_s {} is beyond the board's 49 days", warmup.lag_s));
-    }
-    let law = warmup::Warmup {
-        lag_ms: lag_ms as u32,
-        max: Fine(max),
-        smoothing_heating: smoothing_factor(warmup.time_constant_s())?,
-        smoothing_cooling: smoothing_factor(warmup.cooling_time_constant_s())?,
-        full,
+/// The law of an axis as a user writes it.
+pub(super) fn inverse_of_axis(thermal: &AxisThermal<'_>) -> Thermal {
+    let pieces: Vec<Piece> = thermal.law.pieces.iter().map(Piece::from_bytes).collect();
+    let has_constant = pieces.iter().any(|it| it.constant != Fine::ZERO || it.constant_slope != 0);
+    let mode = match (has_constant, thermal.law.depends_on_position()) {
+        (true, true) => ThermalMode::Both,
+        (true, false) => ThermalMode::Constant,
+        (false, _) => ThermalMode::Position,
     };
-    Ok((law, power_curve(warmup)?))
-}
-
-/// (n/n_rated)^p in Q28 over n in r/min, to 1 nm of Smax; held at 4 times the rated heat.
-fn power_curve(warmup: &Warmup) -> Result<OwnedCurve, Reason> {
-    const MOST: f64 = 4.0;
-    let (Some(rated), p) = (warmup.rated_rpm, warmup.speed_exponent) else {
-        return Ok(OwnedCurve::NONE);
+    let first = pieces.first().copied().unwrap_or_default();
+    let starts_at_zero = first.constant == Fine::ZERO && first.gradient == Gradient::ZERO;
+    let mut axis = Thermal {
+        mode,
+        sensor: column(thermal.channel),
+        reference_c: 0.0,
+        constant_um_per_c: 0.0,
+        slope_um_per_m_per_c: 0.0,
+        origin_mm: written(thermal.origin.0, UNITS_PER_MM),
+        lag_s: written_time_constant_s(thermal.smoothing),
+        table: None,
     };
-    if p == 0.0 {
-        return Ok(OwnedCurve::NONE);
-    }
-    let one = f64::from(warmup::Warmup::RATED);
-    let last = (rated * MOST.powf(1.0 / p)).clamp(2.0, f64::from(u16::MAX)).floor();
-    let power = |rpm: f64| (rpm.max(0.5) / rated).powf(p) * one;
-    let allowed = one / (warmup.max_um.abs() * 1_000.0).max(1.0);
-    let last = last as i32;
-    let piece = |start, end| curve::Piece { start, end, value: Box::new(power) };
-    // Half of what is allowed, because not every speed is looked at.
-    let fits = |start: i32, end: i32| -> Result<bool, Reason> {
-        const PLACES: i32 = 32;
-        let curve = curve::build(&[piece(start, end)])?;
-        let fits_at = |rpm: i32| {
-            let stored = curve.view().at(Position(rpm)).0.0;
-            (f64::from(stored) - power(rpm.into())).abs() <= allowed / 2.0
+    if pieces.len() > 1 || !starts_at_zero {
+        // The first of several holds what is below the first row.
+        let rows = pieces.get(1..).filter(|rows| !rows.is_empty()).unwrap_or(&pieces);
+        let row = |row: &Piece| ThermalRow {
+            temperature_c: written(row.start.0, PER_KELVIN),
+            constant_um: written(row.constant.0, FINE_PER_UM),
+            slope_um_per_m: written(row.gradient.0, GRADIENT_PER_UM_PER_M),
         };
-        Ok((0..=PLACES).all(|n| fits_at(start + (end - start) * n / PLACES)))
-    };
-    // Each segment as long as it may be. Of three speeds and the one before a cubic is always right.
-    let mut pieces = Vec::new();
-    let mut start = 1;
-    while start < last {
-        let (mut end, mut too_far) = ((start + 3).min(last), last + 1);
-        while too_far - end > 1 {
-            let middle = end.midpoint(too_far);
-            if fits(start, middle)? { end = middle } else { too_far = middle }
-        }
-        pieces.push(piece(start, end));
-        start = end;
+        axis.table = Some(rows.iter().map(row).collect());
+    } else {
+        axis.reference_c = written(first.start.0, PER_KELVIN);
+        axis.constant_um_per_c = written(first.constant_slope, FINE_PER_UM * SLOPE_PER_KELVIN);
+        axis.slope_um_per_m_per_c =
+            written(first.gradient_slope, GRADIENT_PER_UM_PER_M * SLOPE_PER_KELVIN);
     }
-    let curve = curve::build(&pieces)?;
-    if worst_of(&curve.view(), power, last) <= allowed {
-        return Ok(curve);
-    }
-    Err(format!("speed_exponent {p} is too steep for the board's curve"))
-}
-
-/// At every whole speed.
-fn worst_of(curve: &Curve<'_>, exact: impl Fn(f64) -> f64, last: i32) -> f64 {
-    (1..=last).fold(0.0, |worst: f64, rpm| {
-        worst.max((f64::from(curve.at(Position(rpm)).0.0) - exact(f64::from(rpm))).abs())
-    })
+    axis
 }

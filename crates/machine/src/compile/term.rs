@@ -4,6 +4,8 @@
 //! ([`corrected`](crate::model::corrected)); those that only explain stay behind. The others become
 //! one or two terms of the board each, in their order, because p changes from one to the next.
 
+mod inverse;
+
 use trueup_core::{
     dimensions::MAX_TERMS,
     fixed::Scaled,
@@ -14,14 +16,22 @@ use trueup_core::{
 };
 
 use super::{
-    Account, FINE_PER_UM, NM_PER_UM, PitchTables, UNITS_PER_MM, channel, compile_curve,
-    compile_pitch, compile_squareness, curve::OwnedCurve, heat, linear, rounded,
+    account::Account,
+    curve::{OwnedCurve, compile_curve},
+    heat,
+    inputs::channel,
+    lag,
+    pitch::{PitchTables, compile_pitch},
+    squareness::{compile_squareness, linear},
 };
 use crate::{
     effect::{Heat, OnBoard, Wave},
     file::{self, Machine},
     place::BadInput,
+    stored::{FINE_PER_UM, NM_PER_UM, UNITS_PER_MM, rounded},
 };
+
+pub(super) use inverse::inverse;
 
 /// Sensors and spindles are held against the model up to this elongation.
 const CHECKED_UM: f64 = 1_000.0;
@@ -124,10 +134,7 @@ fn effect(
             let one = f64::from(UNIT_STEP);
             scaled(amplitude_um * FINE_PER_UM / one, one).and_then(|(amplitude, nm)| {
                 Ok((
-                    Effect::Time {
-                        smoothing: heat::smoothing_factor(*time_constant_s)?,
-                        amplitude,
-                    },
+                    Effect::Time { smoothing: lag::smoothing_factor(*time_constant_s)?, amplitude },
                     nm,
                 ))
             })
@@ -173,7 +180,7 @@ fn heat(channel: u8, it: &Heat) -> Made<Effect<'static>> {
     let reference_c = it.reference_c;
     let reference = heat::temperature(reference_c)
         .ok_or_else(|| format!("{reference_c} °C is beyond the board's ±524 °C"))?;
-    let smoothing = heat::smoothing_factor(it.time_constant_s)?;
+    let smoothing = lag::smoothing_factor(it.time_constant_s)?;
     Ok((Effect::Heat { channel, smoothing, reference, per_temperature }, nm))
 }
 
@@ -195,8 +202,7 @@ pub(crate) fn scaled(value: f64, largest: f64) -> Made<Scaled> {
         .rev()
         .find(fits)
         .ok_or_else(|| format!("has a coefficient of {value:e} units, beyond the board's 2³⁰"))?;
-    // Held below 2³⁰ above.
-    let stored = Scaled { mantissa: mantissa(shift) as i32, shift };
+    let stored = Scaled { mantissa: rounded(mantissa(shift)).expect("held below 2³⁰"), shift };
     let off = f64::from(stored.mantissa) / 2_f64.powi(shift.into()) - value;
     Ok((stored, off.abs() * largest / FINE_PER_UM * NM_PER_UM))
 }

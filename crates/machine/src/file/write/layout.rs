@@ -19,7 +19,7 @@ pub(super) fn value(value: &Value) -> toml_edit::Value {
         Value::Rows(rows) => {
             let row = |row: &[f64; 3]| row.iter().copied().map(number).collect::<Array>();
             let mut array: Array = rows.iter().map(row).collect();
-            if rows.len() > 2 {
+            if rows.len() > 1 {
                 one_on_each_line(&mut array, 1);
             }
             array.into()

@@ -1,0 +1,44 @@
+//! How far each part of a calibration is from the model, and what is too far.
+
+use crate::{file::Machine, place::BadInput};
+
+/// A part of a calibration further than this from the model, in nm anywhere in its range, is
+/// refused.
+pub const LARGEST_DIFFERENCE_NM: f64 = 2.0;
+
+/// The steepest slope of a table or a curve in µm per mm. Beyond it is no machine but a mistake.
+pub const STEEPEST_UM_PER_MM: f64 = 10.0;
+
+/// What was found out on the way: each part with its largest difference from the model.
+pub(super) struct Account<'m> {
+    pub(super) machine: &'m Machine,
+    pub(super) parts: Vec<(String, f64)>,
+}
+
+impl Account<'_> {
+    /// Takes up what became of the section `key`, and refuses what is too far from the model.
+    pub(super) fn take<T>(
+        &mut self,
+        key: &str,
+        made: Result<(T, f64), String>,
+    ) -> Result<T, BadInput> {
+        let bad = |rule: String| self.machine.places.bad(key, rule);
+        let (table, difference_nm) = made.map_err(bad)?;
+        if difference_nm > LARGEST_DIFFERENCE_NM {
+            return Err(bad(format!(
+                "would be {difference_nm:.1} nm off on the board, more than \
+                 {LARGEST_DIFFERENCE_NM} nm"
+            )));
+        }
+        self.parts.push((key.to_string(), difference_nm));
+        Ok(table)
+    }
+}
+
+/// The rule that a slope breaks.
+pub(super) fn too_steep(um_per_mm: f64, at_mm: f64) -> String {
+    format!(
+        "rises by {um_per_mm:.1} µm per mm at {at_mm} mm, more than {STEEPEST_UM_PER_MM}: are the \
+         units right?"
+    )
+}

@@ -1,0 +1,101 @@
+//! The thermometers and the sensor, as they are connected.
+
+use std::collections::BTreeMap;
+
+use trueup_core::{heat::CHANNELS, thermometer::Thermometer};
+
+use crate::{
+    file::Machine,
+    inputs::{Inputs, SensorInput, TemperatureInput, TemperatureKind},
+    place::BadInput,
+    stored::{PER_KELVIN, fewest_decimals, rounded, written},
+};
+
+/// A linear chain delivers so many parts of a count.
+const DELIVERED_PER_COUNT: f64 = 256.0;
+
+/// The inputs of a machine that comes from a calibration: one count is one ADC code, exactly.
+pub const SHOWN_INPUT: SensorInput =
+    SensorInput { volts_full_scale: 10.0, counts_full_scale: 4096.0, divider: 0.33 };
+
+/// The channel of a temperature column that the section `key` uses.
+pub(super) fn channel(machine: &Machine, key: &str, column: &str) -> Result<u8, BadInput> {
+    let input = machine.inputs.as_ref().and_then(|inputs| inputs.temperatures.get(column));
+    input.map(|input| input.channel).ok_or_else(|| {
+        let rule = format!(
+            "is \"{column}\", which [inputs] does not describe: the board must know its channel"
+        );
+        machine.places.bad(&format!("{key}.sensor"), rule)
+    })
+}
+
+pub(super) fn thermometers(machine: &Machine) -> Result<[Option<Thermometer>; CHANNELS], BadInput> {
+    let mut thermometers = [None; CHANNELS];
+    for (name, input) in machine.inputs.iter().flat_map(|inputs| &inputs.temperatures) {
+        let key = format!("inputs.{name}");
+        let thermometer = match input.kind {
+            TemperatureKind::Pt100 => Some(Thermometer::Pt100),
+            TemperatureKind::Linear { zero_counts, counts_per_c } => {
+                linear_thermometer(zero_counts, counts_per_c)
+            }
+        };
+        let Some(thermometer) = thermometer else {
+            let rule = "has counts that the board cannot store: counts_per_c must be from 0.01 to \
+                        10000 either way, zero_counts within ±8388607";
+            return Err(machine.places.bad(&key, rule));
+        };
+        let place = thermometers.get_mut(usize::from(input.channel));
+        *place.ok_or_else(|| {
+            machine.places.bad(&format!("{key}.channel"), "must be from 0 to 7")
+        })? = Some(thermometer);
+    }
+    Ok(thermometers)
+}
+
+/// Counts are delivered in 1/256; the slope has as many binary places as fit. `None` outside the
+/// range that the rule names: what would still fit beyond it is a slip of the pen.
+pub(super) fn linear_thermometer(zero_counts: f64, counts_per_c: f64) -> Option<Thermometer> {
+    if !(0.01..=10_000.0).contains(&counts_per_c.abs()) {
+        return None;
+    }
+    let units = PER_KELVIN / (counts_per_c * DELIVERED_PER_COUNT);
+    let slope_at = |shift: u8| rounded(units * 2_f64.powi(shift.into()));
+    let shift = (0..=Thermometer::MAX_SHIFT).rev().find(|&shift| slope_at(shift).is_some())?;
+    let slope = slope_at(shift)?;
+    let zero = rounded(zero_counts * DELIVERED_PER_COUNT)?;
+    Some(Thermometer::Linear { zero, slope, shift })
+}
+
+/// The inputs that a calibration knows; `None` where nothing is connected.
+pub(super) fn inverse(
+    has_sensor: bool,
+    thermometers: &[Option<Thermometer>; CHANNELS],
+) -> Option<Inputs> {
+    let mut temperatures = BTreeMap::new();
+    for (channel, &thermometer) in (0..).zip(thermometers) {
+        let kind = match thermometer {
+            None => continue,
+            Some(Thermometer::Pt100) => TemperatureKind::Pt100,
+            Some(Thermometer::Linear { zero, slope, shift }) => TemperatureKind::Linear {
+                zero_counts: written(zero, DELIVERED_PER_COUNT),
+                counts_per_c: written_counts_per_c(slope, shift),
+            },
+        };
+        temperatures.insert(column(channel), TemperatureInput { channel, kind });
+    }
+    let sensor = has_sensor.then_some(SHOWN_INPUT);
+    (has_sensor || !temperatures.is_empty()).then_some(Inputs { sensor, temperatures })
+}
+
+/// A calibration holds channels, not the names of columns.
+pub(super) fn column(channel: u8) -> String {
+    format!("temp_ch{channel}_c")
+}
+
+fn written_counts_per_c(slope: i32, shift: u8) -> f64 {
+    // slope = this / (counts per °C)
+    let reciprocal = PER_KELVIN / DELIVERED_PER_COUNT * 2_f64.powi(shift.into());
+    let slope = f64::from(slope);
+    let same = |counts: f64| (reciprocal / counts - slope).abs() < 0.49;
+    fewest_decimals(reciprocal / slope, same)
+}

@@ -1,0 +1,96 @@
+//! Position tables.
+
+use trueup_core::{
+    pitch::Pitch,
+    travel::{Fraction, Interval},
+    units::Position,
+};
+
+use super::account::{STEEPEST_UM_PER_MM, too_steep};
+use crate::{
+    file, model,
+    stored::{FINE_PER_UM, NM_PER_UM, UNITS_PER_MM, rounded, rounded_unsigned, written},
+};
+
+/// The tables of one pitch section.
+pub(super) struct PitchTables {
+    start: Position,
+    step: Interval,
+    forward: Vec<[u8; 4]>,
+    reverse: Option<Vec<[u8; 4]>>,
+}
+
+impl PitchTables {
+    pub(super) fn view(&self) -> Pitch<'_> {
+        Pitch {
+            start: self.start,
+            step: self.step,
+            forward: &self.forward,
+            reverse: self.reverse.as_deref(),
+        }
+    }
+}
+
+/// A pitch table, and its largest difference from the model in nm.
+pub(super) fn compile_pitch(pitch: &file::Pitch) -> Result<(PitchTables, f64), String> {
+    let start = rounded(pitch.start_mm * UNITS_PER_MM)
+        .map(Position)
+        .ok_or_else(|| format!("starts at {} mm, beyond the board's ±21474 mm", pitch.start_mm))?;
+    let step = rounded_unsigned(pitch.step_mm * UNITS_PER_MM).filter(|&step| step > 0);
+    let step = step.ok_or_else(|| {
+        format!("has a step of {} mm; the board's are 10 nm to 42949 mm", pitch.step_mm)
+    })?;
+    let points = |errors: &[f64]| {
+        let stored = errors.iter().map(|&um| {
+            let point = rounded(um * FINE_PER_UM).map(i32::to_le_bytes);
+            point.ok_or_else(|| format!("has {um} µm, beyond the board's ±8388 µm"))
+        });
+        stored.collect::<Result<Vec<_>, _>>()
+    };
+    for errors in [Some(&pitch.forward_um), pitch.reverse_um.as_ref()].into_iter().flatten() {
+        for (number, pair) in errors.windows(2).enumerate() {
+            let slope = (pair[1] - pair[0]) / pitch.step_mm;
+            if slope.abs() > STEEPEST_UM_PER_MM {
+                let at = pitch.start_mm + pitch.step_mm * number as f64;
+                return Err(too_steep(slope, at));
+            }
+        }
+    }
+    let tables = PitchTables {
+        start,
+        step: Interval::new(step),
+        forward: points(&pitch.forward_um)?,
+        reverse: pitch.reverse_um.as_deref().map(points).transpose()?,
+    };
+    let difference_nm = pitch_difference_nm(pitch, &tables.view());
+    Ok((tables, difference_nm))
+}
+
+/// At every point and at places between, from both sides.
+fn pitch_difference_nm(pitch: &file::Pitch, board: &Pitch<'_>) -> f64 {
+    const PLACES: usize = 8;
+    let mut worst: f64 = 0.0;
+    for place in 0..=(pitch.forward_um.len() - 1) * PLACES {
+        let mm = pitch.start_mm + pitch.step_mm * place as f64 / PLACES as f64;
+        let Some(units) = rounded(mm * UNITS_PER_MM) else { continue };
+        let mm = f64::from(units) / UNITS_PER_MM;
+        for (direction, blend) in [(1.0, Fraction::ZERO), (-1.0, Fraction::ONE)] {
+            let stored = f64::from(board.at(Position(units), blend).0.0) / FINE_PER_UM * NM_PER_UM;
+            worst = worst.max((stored - model::pitch_um(pitch, mm, direction) * NM_PER_UM).abs());
+        }
+    }
+    worst
+}
+
+/// The table as a user writes it.
+pub(super) fn inverse(pitch: &Pitch<'_>) -> file::Pitch {
+    let errors = |points: &[[u8; 4]]| -> Vec<f64> {
+        points.iter().map(|point| written(i32::from_le_bytes(*point), FINE_PER_UM)).collect()
+    };
+    file::Pitch {
+        start_mm: written(pitch.start.0, UNITS_PER_MM),
+        step_mm: written(pitch.step.length(), UNITS_PER_MM),
+        forward_um: errors(pitch.forward),
+        reverse_um: pitch.reverse.map(errors),
+    }
+}

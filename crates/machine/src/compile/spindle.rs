@@ -1,0 +1,127 @@
+//! How the spindle grows: its source, and what the board falls back to.
+
+use trueup_core::{
+    calibration::{self, ElongationSource},
+    lag::SmoothingFactor,
+    sensor::SensorLaw,
+    thermal::Law,
+    warmup,
+};
+
+use super::{
+    account::Account,
+    curve::OwnedCurve,
+    heat::{self, Pieces},
+    inputs::channel,
+    lag, sensor, warmup as warm_up,
+};
+use crate::{
+    file::{Machine, Source, Spindle},
+    place::BadInput,
+};
+
+/// What the spindle's models have become.
+pub(super) struct SpindleTables {
+    sensor: SensorLaw,
+    /// With the smoothing factors of its lag, rising and falling.
+    temperature: Option<(Pieces, [SmoothingFactor; 2])>,
+    warmup: Option<(warmup::Warmup, OwnedCurve)>,
+}
+
+impl SpindleTables {
+    pub(super) fn of(
+        machine: &Machine,
+        falling_s: Option<f64>,
+        account: &mut Account<'_>,
+    ) -> Result<Self, BadInput> {
+        let spindle = &machine.spindle;
+        let mut law = SensorLaw::default();
+        if let Some(model) = machine.sensor_on_board() {
+            let difference_nm;
+            (law, difference_nm) = sensor::compile(machine, model)?;
+            account.parts.push(("spindle.sensor".into(), difference_nm));
+        }
+        let temperature = spindle.temperature.as_ref().map(|model| {
+            let key = "spindle.temperature";
+            let law = heat::spindle_law(model.k_um_per_c, model.reference_c);
+            let law = account.take(key, law.map(|law| (law, 0.0)))?;
+            let factors =
+                lag::smoothing_factors(model.lag_s, falling_s).map(|factors| (factors, 0.0));
+            Ok((law, account.take(&format!("{key}.lag_s"), factors)?))
+        });
+        let warmup = spindle.warmup.as_ref().map(|model| {
+            let made = warm_up::compile(model);
+            account.take("spindle.warmup", made.map(|made| (made, 0.0)))
+        });
+        Ok(Self { sensor: law, temperature: temperature.transpose()?, warmup: warmup.transpose()? })
+    }
+
+    /// The source first, then what else is configured, the better first.
+    pub(super) fn view(
+        &self,
+        machine: &Machine,
+    ) -> Result<calibration::SpindleModel<'_>, BadInput> {
+        let spindle = &machine.spindle;
+        let temperature = match (&self.temperature, &spindle.temperature) {
+            (Some((law, [smoothing, smoothing_falling])), Some(model)) => {
+                let law = Law { pieces: law };
+                match channel(machine, "spindle.temperature", &model.sensor) {
+                    Ok(channel) => Some(calibration::SpindleTemperature {
+                        channel,
+                        smoothing: *smoothing,
+                        smoothing_falling: *smoothing_falling,
+                        law,
+                    }),
+                    // A fall-back whose thermometer is not connected is none.
+                    Err(_) if spindle.source != Some(Source::Temperature) => None,
+                    Err(error) => return Err(error),
+                }
+            }
+            _ => None,
+        };
+        let warmup = self
+            .warmup
+            .as_ref()
+            .map(|(law, power)| calibration::SpindleWarmup { law: *law, power: power.view() });
+        let board = |source| match source {
+            Source::Sensor => ElongationSource::Sensor,
+            Source::Temperature => ElongationSource::Temperature,
+            Source::Warmup => ElongationSource::Warmup,
+        };
+        let mut chain = [None; 3];
+        if let Some(first) = spindle.source {
+            let there = |source: &Source| match source {
+                Source::Sensor => self.sensor != SensorLaw::default(),
+                Source::Temperature => temperature.is_some(),
+                Source::Warmup => warmup.is_some(),
+            };
+            let others = [Source::Sensor, Source::Temperature, Source::Warmup].into_iter();
+            let others = others.filter(|&source| source != first).filter(there);
+            for (place, source) in chain.iter_mut().zip([first].into_iter().chain(others)) {
+                *place = Some(board(source));
+            }
+        }
+        Ok(calibration::SpindleModel { chain, sensor: self.sensor, temperature, warmup })
+    }
+}
+
+/// Whether a law of the sensor is there.
+pub(super) fn has_sensor(spindle: &calibration::SpindleModel<'_>) -> bool {
+    spindle.sensor != SensorLaw::default()
+        || spindle.chain.contains(&Some(ElongationSource::Sensor))
+}
+
+/// The spindle as a user writes it.
+pub(super) fn inverse(spindle: &calibration::SpindleModel<'_>) -> Spindle {
+    let source = |source: ElongationSource| match source {
+        ElongationSource::Sensor => Source::Sensor,
+        ElongationSource::Temperature => Source::Temperature,
+        ElongationSource::Warmup => Source::Warmup,
+    };
+    Spindle {
+        source: spindle.chain[0].map(source),
+        sensor: has_sensor(spindle).then(|| sensor::inverse(&spindle.sensor)),
+        warmup: spindle.warmup.as_ref().map(warm_up::inverse),
+        temperature: spindle.temperature.as_ref().map(heat::inverse_of_spindle),
+    }
+}

@@ -1,0 +1,214 @@
+//! How far two calibrations are apart in what the board computes by them.
+
+use std::f64::consts::E;
+
+use trueup_core::{
+    calibration::{self, Calibration},
+    curve::{Curve, Segment},
+    gradient::Gradient,
+    lag::SmoothingFactor,
+    pitch::Pitch,
+    term::{Effect, Term},
+    thermal::Law,
+    tool::Direction,
+    travel::Fraction,
+    units::{Code, Position, READINGS_PER_CODE, Temperature},
+    warmup,
+};
+
+use crate::{
+    compile::{stored_law_nm, time_constant_s},
+    stored::{FINE_PER_NM, GRADIENT_PER_UM_PER_M, NM_PER_UM},
+};
+
+const FULL_ONE: f64 = (1_u64 << warmup::Warmup::FULL_FRACTION_BITS) as f64;
+const DRIVE_ONE: f64 = warmup::Warmup::RATED as f64;
+
+/// The largest difference in nm between what the board computes by `a` and by `b`; `None` where they
+/// differ in more than numbers of nanometres.
+pub(super) fn difference_nm(a: &Calibration<'_>, b: &Calibration<'_>) -> Option<f64> {
+    /// A tool direction is held against the other with this elongation.
+    const ELONGATION_NM: f64 = 1e6;
+    let is_alike = a.thermometers == b.thermometers
+        && a.kinematics.axes == b.kinematics.axes
+        && a.limits == b.limits;
+    if !is_alike {
+        return None;
+    }
+    let mut worst = spindle_difference_nm(&a.spindle, &b.spindle)?;
+    for (a, b) in a.kinematics.zero.0.into_iter().zip(b.kinematics.zero.0) {
+        let off = f64::from(a.abs_diff(b)) / f64::from(Direction::ONE);
+        worst = worst.max(off * ELONGATION_NM);
+    }
+    for (a, b) in a.axes.iter().zip(&b.axes) {
+        worst = worst.max(axis_difference_nm(a, b)?);
+    }
+    for (a, b) in a.straightness.iter().zip(&b.straightness) {
+        worst = worst.max(curve_difference(a, b) / FINE_PER_NM);
+    }
+    for (a, b) in a.squareness.iter().zip(b.squareness) {
+        worst = worst.max(metre_of(*a, b));
+    }
+    for (a, b) in a.terms.iter().zip(&b.terms) {
+        worst = worst.max(both(a.as_ref(), b.as_ref(), term_difference_nm)?);
+    }
+    Some(worst)
+}
+
+/// Of two things that are both there, or both not.
+fn both<T>(a: Option<T>, b: Option<T>, difference: impl Fn(T, T) -> Option<f64>) -> Option<f64> {
+    match (a, b) {
+        (Some(a), Some(b)) => difference(a, b),
+        (None, None) => Some(0.0),
+        _ => None,
+    }
+}
+
+/// The difference of two gradients over 1 m, in nm.
+fn metre_of(a: Gradient, b: Gradient) -> f64 {
+    f64::from(a.0.abs_diff(b.0)) / GRADIENT_PER_UM_PER_M * NM_PER_UM
+}
+
+fn spindle_difference_nm(
+    a: &calibration::SpindleModel<'_>,
+    b: &calibration::SpindleModel<'_>,
+) -> Option<f64> {
+    if a.chain != b.chain {
+        return None;
+    }
+    let mut worst: f64 = 0.0;
+    if a.chain.contains(&Some(calibration::ElongationSource::Sensor)) {
+        let last = f64::from(Code::FULL_SCALE * READINGS_PER_CODE);
+        for reading in [0.0, last] {
+            let off = stored_law_nm(&a.sensor, reading) - stored_law_nm(&b.sensor, reading);
+            worst = worst.max(off.abs());
+        }
+    }
+    let temperature = both(a.temperature, b.temperature, |a, b| {
+        let laws = law_difference_nm(a.law, b.law)
+            + lag_difference_nm(a.smoothing, b.smoothing, largest_of_law_nm(a.law));
+        (a.channel == b.channel).then_some(laws)
+    })?;
+    let warmup = both(a.warmup, b.warmup, |a, b| {
+        let max_nm = f64::from(a.law.max.0).abs() / FINE_PER_NM;
+        let max = f64::from(a.law.max.0.abs_diff(b.law.max.0)) / FINE_PER_NM;
+        let full = f64::from(a.law.full.abs_diff(b.law.full)) / FULL_ONE * max_nm;
+        let lags = lag_difference_nm(a.law.smoothing_heating, b.law.smoothing_heating, max_nm)
+            + lag_difference_nm(a.law.smoothing_cooling, b.law.smoothing_cooling, max_nm);
+        let power = curve_difference(&a.power, &b.power) / DRIVE_ONE * max_nm;
+        (a.law.lag_ms == b.law.lag_ms).then_some(max + full + lags + power)
+    })?;
+    Some(worst.max(temperature).max(warmup))
+}
+
+/// How far two lags are apart after a step of this size: at most its e-th part for each part by
+/// which their time constants differ.
+fn lag_difference_nm(a: SmoothingFactor, b: SmoothingFactor, step_nm: f64) -> f64 {
+    if a == b {
+        return 0.0;
+    }
+    (time_constant_s(a) / time_constant_s(b) - 1.0).abs() * step_nm / E
+}
+
+/// Temperatures at which laws are held against each other: every quarter of a kelvin.
+fn checked_temperatures() -> impl Iterator<Item = Temperature> {
+    const FROM_TO_C: (i32, i32) = (-20, 100);
+    let quarters = FROM_TO_C.0 * 4..=FROM_TO_C.1 * 4;
+    quarters.map(|quarter| Temperature(quarter * (Temperature::PER_KELVIN / 4)))
+}
+
+/// Of K₀, or of what tanβ makes of 1 m, in nm.
+fn law_difference_nm(a: Law<'_>, b: Law<'_>) -> f64 {
+    let at = |t| {
+        let ((constant_a, gradient_a), (constant_b, gradient_b)) = (a.at(t), b.at(t));
+        let constant = f64::from(constant_a.0.abs_diff(constant_b.0)) / FINE_PER_NM;
+        constant.max(metre_of(gradient_a, gradient_b))
+    };
+    checked_temperatures().map(at).fold(0.0, f64::max)
+}
+
+fn largest_of_law_nm(law: Law<'_>) -> f64 {
+    law_difference_nm(law, Law::default())
+}
+
+fn axis_difference_nm(
+    a: &calibration::AxisModel<'_>,
+    b: &calibration::AxisModel<'_>,
+) -> Option<f64> {
+    let thermal = both(a.thermal, b.thermal, |a, b| {
+        let laws = law_difference_nm(a.law, b.law)
+            + lag_difference_nm(a.smoothing, b.smoothing, largest_of_law_nm(a.law));
+        (a.channel == b.channel && a.origin == b.origin).then_some(laws)
+    })?;
+    let pitch = both(a.pitch, b.pitch, |a, b| pitch_difference_nm(&a, &b))?;
+    let dual = both(a.dual, b.dual, |a, b| {
+        let off = pitch_difference_nm(&a.pitch, &b.pitch);
+        off.filter(|_| a.across == b.across && a.beam == b.beam)
+    })?;
+    let backlash = f64::from(a.backlash.0.abs_diff(b.backlash.0)) / FINE_PER_NM;
+    (a.travel == b.travel).then_some(thermal.max(pitch).max(dual).max(backlash))
+}
+
+/// At the points, half way to the next, and half way from one direction to the other.
+fn pitch_difference_nm(a: &Pitch<'_>, b: &Pitch<'_>) -> Option<f64> {
+    if (a.start, a.step, a.forward.len()) != (b.start, b.step, b.forward.len()) {
+        return None;
+    }
+    let half = i64::from(a.step.length() / 2);
+    let places = (0_i64..).take(a.forward.len() * 2).map(|n| {
+        let place = i64::from(a.start.0) + n / 2 * i64::from(a.step.length()) + n % 2 * half;
+        Position(i32::try_from(place).unwrap_or(i32::MAX))
+    });
+    let blends = [Fraction::ZERO, Fraction(Fraction::ONE.0 / 2), Fraction::ONE];
+    let off = places.flat_map(|place| {
+        blends.map(|blend| a.at(place, blend).0.0.abs_diff(b.at(place, blend).0.0))
+    });
+    Some(f64::from(off.max().unwrap_or(0)) / FINE_PER_NM)
+}
+
+/// At the ends of the segments of `a` and at places between, in the curves' units.
+fn curve_difference(a: &Curve<'_>, b: &Curve<'_>) -> f64 {
+    const PLACES: i64 = 17;
+    let mut start = a.first().0;
+    let mut worst = 0;
+    for bytes in a.segments() {
+        let end = Segment::from_bytes(bytes).end.0;
+        for n in 0..=PLACES {
+            let place = i64::from(start) + (i64::from(end) - i64::from(start)) * n / PLACES;
+            let place = Position(i32::try_from(place).expect("between two of i32"));
+            worst = worst.max(a.at(place).0.0.abs_diff(b.at(place).0.0));
+        }
+        start = end;
+    }
+    f64::from(worst)
+}
+
+/// How far two terms are apart, in nm; `None` where they are not the same kind of thing.
+fn term_difference_nm(a: &Term<'_>, b: &Term<'_>) -> Option<f64> {
+    /// So far from 0 waves are held against each other, in position units: 15 m.
+    const REACH: f64 = 1.5e9;
+    if a.target != b.target || a.constant != b.constant {
+        return None;
+    }
+    match (&a.effect, &b.effect) {
+        (a, b) if a == b => Some(0.0),
+        (Effect::Curve { axis, curve }, Effect::Curve { axis: other, curve: second })
+            if axis == other =>
+        {
+            Some(curve_difference(curve, second) / FINE_PER_NM)
+        }
+        (
+            Effect::Wave { turns, phase, amplitude },
+            Effect::Wave { turns: other, phase: second, amplitude: third },
+        ) if amplitude == third => {
+            let turned = turns.abs_diff(*other) as f64 / 2_f64.powi(64) * REACH
+                + f64::from(phase.abs_diff(*second)) / 2_f64.powi(32);
+            Some(f64::from(amplitude.0) / FINE_PER_NM * std::f64::consts::TAU * turned)
+        }
+        (
+            Effect::Position { axis, gradient },
+            Effect::Position { axis: other, gradient: second },
+        ) if axis == other => Some(metre_of(*gradient, *second)),
+        _ => None,
+    }
+}
