@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use trueup_core::{heat::CHANNELS, thermometer::Thermometer};
+use trueup_core::{dimensions::CHANNELS, thermometer::Thermometer};
 
 use crate::{
     file::Machine,

@@ -1,6 +1,6 @@
 //! First-order lags: a time constant and the share of a step that the board takes every 100 ms.
 
-use trueup_core::lag::{STEP_MS, SmoothingFactor};
+use trueup_core::{dimensions::STEP_MS, lag::SmoothingFactor};
 
 use super::curve::Reason;
 use crate::stored::{fewest_decimals, rounded_unsigned};

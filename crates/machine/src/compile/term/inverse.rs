@@ -6,7 +6,8 @@
 
 use trueup_core::{
     calibration::Calibration,
-    term::{Effect, Scaled, Target, Term, UNIT_STEP},
+    fixed::Scaled,
+    term::{Effect, Target, Term, UNIT_STEP},
 };
 
 use super::{PARTS_OF_N, TWO_24, scaled};

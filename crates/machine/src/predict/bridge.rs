@@ -1,0 +1,221 @@
+//! The board's side: its own code on its own integers, over the rows of a run.
+
+use trueup_core::{
+    calibration::Calibration,
+    dimensions::{CHANNELS, STEP_MS},
+    heat::{FIRST_TERM, Heat},
+    lag::SmoothingFactor,
+    place::Place as BoardPlace,
+    term::{self, OperatingPoint},
+    tip::{self, UNLIMITED},
+    travel::Travel,
+    units::{MicroDegrees, Nanometres, Position, Rpm, Temperature},
+};
+
+use crate::{
+    compile::{Compiled, compile, term::PARTS_OF_N},
+    effect::OnBoard,
+    file::{Machine, Source},
+    inputs::{Inputs, LAST_CHANNEL, SensorInput, TemperatureInput, TemperatureKind},
+    model::{Situation, Values},
+    stored::{NM_PER_UM, UNITS_PER_MM},
+};
+
+/// The board's side.
+#[derive(Clone, Debug)]
+pub(super) struct Bridge {
+    /// `None` if no law needs a reading.
+    pub(super) input: Option<SensorInput>,
+    /// The temperature column of each channel.
+    channels: [Option<String>; CHANNELS],
+    compiled: Compiled,
+}
+
+impl Bridge {
+    /// The error says why there is none, which keeps nobody from predicting.
+    pub(super) fn of(machine: &Machine) -> Result<Self, String> {
+        let input = machine.inputs.as_ref().and_then(|inputs| inputs.sensor);
+        if machine.spindle.source == Some(Source::Sensor) && input.is_none() {
+            return Err("without [inputs] sensor".into());
+        }
+        let wired = with_all_temperatures(machine);
+        let compiled = match compile(&wired) {
+            Ok(compiled) => compiled,
+            Err(error) => return Err(error.to_string()),
+        };
+        let mut channels = [const { None }; CHANNELS];
+        for (name, temperature) in wired.inputs.iter().flat_map(|inputs| &inputs.temperatures) {
+            if let Some(channel) = channels.get_mut(usize::from(temperature.channel)) {
+                *channel = Some(name.clone());
+            }
+        }
+        Ok(Self { input, channels, compiled })
+    }
+}
+
+/// The machine with a channel for every temperature that its model uses: to predict, nobody need
+/// say how they are connected.
+fn with_all_temperatures(machine: &Machine) -> Machine {
+    let mut wired = machine.clone();
+    let axes = machine.axes.iter().filter_map(|axis| axis.thermal.as_ref());
+    let spindle = machine.spindle.temperature.iter().map(|model| &model.sensor);
+    let of_terms = machine.terms.iter().filter_map(|term| term.effect.temperature());
+    let used: Vec<String> =
+        axes.map(|thermal| &thermal.sensor).chain(spindle).cloned().chain(of_terms).collect();
+    let inputs = wired.inputs.get_or_insert_with(Inputs::default);
+    for name in used {
+        let taken = |channel: &u8| inputs.temperatures.values().any(|it| it.channel == *channel);
+        if !inputs.temperatures.contains_key(&name)
+            && let Some(channel) = (0..=LAST_CHANNEL).find(|channel| !taken(channel))
+        {
+            let input = TemperatureInput { channel, kind: TemperatureKind::Pt100 };
+            inputs.temperatures.insert(name, input);
+        }
+    }
+    wired
+}
+
+/// The board's side on its way through a run.
+pub(super) struct BridgeRun<'b> {
+    bridge: &'b Bridge,
+    calibration: Calibration<'b>,
+    /// In the order of `head_axes`, each the place of its angle among A, B and C.
+    head_axes: Vec<usize>,
+    rated: Rpm,
+    /// When each of the terms over time starts, in the run's time.
+    starts_s: Vec<f64>,
+    heat: Heat,
+    /// The time of the first row, and the steps taken since.
+    clock: Option<(f64, u64)>,
+    last_s: f64,
+}
+
+impl<'b> BridgeRun<'b> {
+    pub(super) fn new(machine: &Machine, bridge: &'b Bridge) -> Self {
+        let rated = machine.spindle.warmup.as_ref().and_then(|warmup| warmup.rated_rpm);
+        Self {
+            bridge,
+            calibration: bridge.compiled.calibration(),
+            head_axes: machine.head_axes.iter().map(|axis| axis.index()).collect(),
+            rated: rpm(rated.unwrap_or(1.0)),
+            starts_s: machine
+                .terms
+                .iter()
+                .flat_map(|term| term.effect.on_board())
+                .filter_map(|form| match form {
+                    OnBoard::Time { start_s, .. } => Some(start_s),
+                    _ => None,
+                })
+                .collect(),
+            heat: Heat::default(),
+            clock: None,
+            last_s: f64::NAN,
+        }
+    }
+
+    pub(super) fn step(&mut self, situation: &Situation<'_>) -> Values {
+        self.heat_up(situation);
+        let calibration = &self.calibration;
+        let reading = self.bridge.input.map(|it| it.reading_from_counts(situation.sensor_counts));
+        let by_sensor = calibration.spindle.sensor.elongation(reading.unwrap_or_default());
+        let source = calibration.spindle.chain[0];
+        let plain = tip::elongation_by(source, by_sensor, &self.heat).fine();
+        let operating = OperatingPoint {
+            speed: situation.spindle_rpm.map(rpm),
+            // A cast from f64 saturates.
+            load: (situation.load_n.unwrap_or(0.0) * PARTS_OF_N).round() as i32,
+        };
+        let terms = &calibration.terms;
+        let elongation = term::elongation(terms, plain, self.heat.terms(), operating).rounded();
+        let mut place = BoardPlace::default();
+        for (n, axis) in calibration.axes.iter().enumerate() {
+            // A cast from f64 saturates and takes NaN to 0; what depends on it is not shown.
+            place.position[n] = Position((situation.position_mm[n] * UNITS_PER_MM).round() as i32);
+            place.travel[n] = Travel::new();
+            let direction = if situation.direction[n] < 0.0 { -1 } else { 1 };
+            place.travel[n].update(&axis.travel, place.position[n], direction);
+        }
+        let angle = |n: usize| {
+            let degrees = self.head_axes.get(n).map_or(0.0, |&axis| situation.angle_deg[axis]);
+            MicroDegrees((degrees * f64::from(MicroDegrees::PER_DEGREE)).round() as i32)
+        };
+        let direction = calibration.kinematics.direction([angle(0), angle(1)]);
+        // Without limits: what the tick would clamp is shown as it is.
+        let axes = calibration.errors(&self.heat, &place).sums(UNLIMITED).sums;
+        let (error, _) = tip::error_at_tip(elongation, direction, axes, UNLIMITED);
+        let um = |length: Nanometres| f64::from(length.0) / NM_PER_UM;
+        Values { elongation_um: um(elongation), error_um: error.map(|error| um(error.rounded())) }
+    }
+
+    /// Steps the heat up to the row, as often as the board would; a row that lacks something leaves
+    /// it to the next.
+    fn heat_up(&mut self, situation: &Situation<'_>) {
+        /// More steps than that (eleven days) leave no lag unsettled that the board can follow.
+        const MOST_STEPS: u64 = 10_000_000;
+        let temperatures: [Option<Temperature>; CHANNELS] = std::array::from_fn(|channel| {
+            let name = self.bridge.channels[channel].as_ref()?;
+            let units = situation.temperature_c(name) * f64::from(Temperature::PER_KELVIN);
+            (!units.is_nan()).then_some(Temperature(units.round() as i32))
+        });
+        let speed = match situation.spindle_rpm {
+            None => Some(self.rated),
+            Some(speed) if speed.is_nan() => return,
+            Some(speed) => Some(rpm(speed)),
+        };
+        if situation.time_s.is_some_and(f64::is_nan) {
+            return;
+        }
+        let time_s = situation.time_s.unwrap_or(0.0);
+        if time_s < self.last_s {
+            (self.heat, self.clock) = (Heat::default(), None);
+        }
+        self.last_s = time_s;
+        let is_first = self.clock.is_none();
+        if is_first {
+            self.run_ahead(time_s);
+        }
+        let (start_s, done) = self.clock.get_or_insert((time_s, 0));
+        let due = ((time_s - *start_s) * 1_000.0 / f64::from(STEP_MS)).round() as u64;
+        let steps = due.saturating_sub(*done).min(MOST_STEPS);
+        *done = due;
+        for _ in 0..steps {
+            self.heat.step(&self.calibration, &temperatures, speed);
+        }
+        // Lags start settled; and what has none is not bound to the board's steps.
+        let follows = |smoothing: SmoothingFactor| is_first || smoothing == SmoothingFactor::NO_LAG;
+        let axes = self.calibration.axes.iter().map(|axis| axis.thermal.map(|it| it.smoothing));
+        let spindle = self.calibration.spindle.temperature.map(|it| it.smoothing);
+        let terms = self.calibration.terms.iter().map(|term| match term.as_ref()?.effect {
+            term::Effect::Heat { smoothing, .. } => Some(smoothing),
+            _ => None,
+        });
+        let factors = (0..).zip(axes.chain([spindle])).chain((FIRST_TERM..).zip(terms));
+        for (item, smoothing) in factors {
+            if smoothing.is_some_and(follows) {
+                self.heat.step_item(&self.calibration, item, &temperatures, speed);
+            }
+        }
+    }
+
+    /// Terms over time go on from where they are at the first row.
+    fn run_ahead(&mut self, time_s: f64) {
+        let is_timed = |term: &&Option<term::Term<'_>>| {
+            term.is_some_and(|term| matches!(term.effect, term::Effect::Time { .. }))
+        };
+        let terms = self.calibration.terms.iter().enumerate();
+        let timed = terms.filter(|(_, term)| is_timed(term)).map(|(index, _)| index);
+        for (index, start_s) in timed.zip(&self.starts_s) {
+            let steps = (time_s - start_s) * 1_000.0 / f64::from(STEP_MS);
+            // A cast from f64 saturates at both ends; ten million steps settle every lag.
+            let steps = (steps.round() as u32).min(10_000_000);
+            self.heat.run_ahead(&self.calibration, index, steps);
+        }
+    }
+}
+
+/// A speed as the board knows it.
+fn rpm(speed: f64) -> Rpm {
+    // Slower than half a turn a minute is still a spindle that runs.
+    let rounded = if speed == 0.0 { 0.0 } else { speed.abs().round().max(1.0) };
+    Rpm(rounded.min(f64::from(u16::MAX)) as u16)
+}

@@ -1,0 +1,66 @@
+//! The columns of a run that the model knows, and one row of them.
+
+use crate::{
+    file::{LinearAxis, RotaryAxis, is_temperature_column},
+    model::Situation,
+    run_file::RunFile,
+};
+
+/// The columns of the run that the model knows.
+#[derive(Clone, Debug)]
+pub(super) struct Columns<'a> {
+    pub(super) time_s: Option<&'a [f64]>,
+    pub(super) sensor_counts: Option<&'a [f64]>,
+    pub(super) spindle_rpm: Option<&'a [f64]>,
+    pub(super) load_n: Option<&'a [f64]>,
+    pub(super) temperatures_c: Vec<(&'a str, &'a [f64])>,
+    pub(super) position_mm: [Option<&'a [f64]>; 3],
+    pub(super) angle_deg: [Option<&'a [f64]>; 3],
+    pub(super) direction: [Option<&'a [f64]>; 3],
+}
+
+impl<'a> Columns<'a> {
+    pub(super) fn of(run: &'a RunFile) -> Self {
+        let linear =
+            |name: fn(&str) -> String| LinearAxis::ALL.map(|axis| run.column(&name(axis.name())));
+        let temperatures =
+            run.columns().iter().filter(|column| is_temperature_column(&column.name));
+        Self {
+            time_s: run.column("time_s"),
+            sensor_counts: run.column("sensor_counts"),
+            spindle_rpm: run.column("spindle_rpm"),
+            load_n: run.column("load_n"),
+            temperatures_c: temperatures
+                .map(|column| (column.name.as_str(), column.values.as_slice()))
+                .collect(),
+            position_mm: linear(|axis| format!("{axis}_mm")),
+            angle_deg: RotaryAxis::ALL.map(|axis| run.column(&format!("{}_deg", axis.name()))),
+            direction: linear(|axis| format!("dir_{axis}")),
+        }
+    }
+
+    pub(super) fn temperatures(&self, row: usize) -> Vec<(&'a str, f64)> {
+        self.temperatures_c.iter().map(|(name, values)| (*name, at(Some(values), row))).collect()
+    }
+
+    pub(super) fn situation<'t>(
+        &self,
+        row: usize,
+        temperatures_c: &'t [(&'a str, f64)],
+    ) -> Situation<'t> {
+        Situation {
+            time_s: self.time_s.map(|times| at(Some(times), row)),
+            sensor_counts: at(self.sensor_counts, row),
+            spindle_rpm: self.spindle_rpm.map(|speeds| at(Some(speeds), row)),
+            load_n: self.load_n.map(|loads| at(Some(loads), row)),
+            temperatures_c,
+            position_mm: self.position_mm.map(|values| at(values, row)),
+            angle_deg: self.angle_deg.map(|values| at(values, row)),
+            direction: self.direction.map(|values| at(values, row)),
+        }
+    }
+}
+
+pub(super) fn at(column: Option<&[f64]>, row: usize) -> f64 {
+    column.and_then(|values| values.get(row)).copied().unwrap_or(f64::NAN)
+}

@@ -1,0 +1,122 @@
+//! The whole bridge: from inputs to the offset that leaves it.
+
+use trueup_core::{
+    bridge::{Bridge, Input, State},
+    cnc::{AxisPosition, Command, Control, Heading, LinearAxis, Quality, Rotary},
+    dimensions::{CHANNELS, CODES_PER_TICK},
+    thermometer::Raw,
+    units::{Code, MicroDegrees, Millis, Position, Rpm},
+};
+use trueup_machine::{
+    Compiled, Machine,
+    model::{Reference, Situation},
+};
+
+use crate::gantry::*;
+
+/// A bridge with the hand that feeds it.
+pub struct Rig<'c> {
+    pub bridge: Bridge<'c>,
+    pub state: State,
+    pub ms: u32,
+    pub raw: [Raw; CHANNELS],
+    pub position_mm: [f64; 3],
+    pub heading: [Heading; 3],
+    pub angles_deg: [f64; 2],
+    /// Counts of the paper's chain, whole codes.
+    pub counts: u16,
+    pub rpm: u16,
+}
+
+impl<'c> Rig<'c> {
+    pub fn new(compiled: &'c Compiled) -> Self {
+        Self {
+            bridge: Bridge::new(compiled.calibration()),
+            state: State::default(),
+            ms: 0,
+            raw: [Raw::NONE; CHANNELS],
+            position_mm: [0.0; 3],
+            heading: [Heading::Positive; 3],
+            angles_deg: [0.0; 2],
+            counts: 5_048,
+            rpm: 24_000,
+        }
+    }
+
+    /// The offset after so many milliseconds, in nm.
+    pub fn offset_nm(&mut self, ms: u32) -> [i32; 3] {
+        let mut last = None;
+        for _ in 0..ms {
+            self.ms += 1;
+            let (bridge, state) = (&self.bridge, &mut self.state);
+            let control = Control { engage: true, referenced: true, zero: false };
+            bridge.hear(state, Command::Control(control));
+            for axis in LinearAxis::ALL {
+                let position = (self.position_mm[axis as usize] * UNITS_PER_MM).round() as i32;
+                let direction = self.heading[axis as usize];
+                let heard = AxisPosition { axis, position: Position(position), direction };
+                bridge.hear(state, Command::Position(heard));
+            }
+            let angles =
+                self.angles_deg.map(|degrees| MicroDegrees((degrees * 1e6).round() as i32));
+            bridge.hear(state, Command::Rotary(Rotary { angles }));
+            let code = self.counts / 8;
+            let codes: [Code; CODES_PER_TICK] = std::array::from_fn(|n| match n % 4 {
+                0 => Code(code - 1),
+                2 => Code(code + 1),
+                _ => Code(code),
+            });
+            let input = Input {
+                codes: Some(&codes),
+                speed: Some(Rpm(self.rpm)),
+                temperatures: Some(&self.raw),
+            };
+            last = Some(bridge.tick(state, Millis(self.ms), input));
+        }
+        let output = last.expect("at least a millisecond");
+        assert_eq!(output.quality, Quality::Live, "{:?}", output.flags);
+        output.offset.expect("live").map(|nm| nm.0)
+    }
+
+    /// Seed 002's chain, 16 counts a kelvin above 4000.
+    pub fn heat_to(&mut self, channel: usize, celsius: f64) {
+        self.raw[channel] = Raw(((4_000.0 + 16.0 * celsius) * 256.0).round() as i32);
+    }
+}
+
+/// A machine of `sections` with wide limits, `kind` and `inputs` as a user writes them.
+pub fn machine_of(kind: &str, sections: &str) -> String {
+    format!(
+        "[machine]\nname = \"mill\"\nkind = {kind}\n[inputs]\n\
+         sensor = {{ volts_full_scale = 10.0, counts_full_scale = 32768, divider = 0.33 }}\n\
+         temp_x_c = {{ channel = 2, kind = \"linear\", zero_counts = 4000, counts_per_c = 16 }}\n\
+         [limits]\nmax_um = {{ x = 5000, y = 5000, z = 5000 }}\nslew_um_per_s = 1000000\n{sections}"
+    )
+}
+
+pub const PAPERS_SENSOR: &str = "[spindle]\nsource = \"sensor\"\n[spindle.sensor]\nk0_um = 0.0\n\
+                             zero_counts = 5048.0\num_per_count = 0.0152587890625\n";
+
+/// The model says `error_nm`; the board's offset is its opposite.
+pub fn assert_signs(
+    machine: &Machine,
+    rig: &mut Rig<'_>,
+    ms: u32,
+    situation: &Situation<'_>,
+    error_nm: [f64; 3],
+) {
+    let model = Reference::new(machine).step(situation).error_um();
+    for axis in 0..3 {
+        let off = model[axis] * 1_000.0 - error_nm[axis];
+        assert!(off.abs() < 0.5, "the model's axis {axis}: {} µm", model[axis]);
+    }
+    let offset = rig.offset_nm(ms);
+    for axis in 0..3 {
+        let off = f64::from(offset[axis]) + error_nm[axis];
+        assert!(off.abs() <= 1.0, "the board's axis {axis}: {offset:?} nm against {error_nm:?}");
+    }
+}
+
+pub fn at(position_mm: [f64; 3]) -> Situation<'static> {
+    Situation { position_mm, direction: [1.0; 3], angle_deg: [0.0; 3], ..Situation::UNKNOWN }
+}
