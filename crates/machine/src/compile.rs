@@ -171,4 +171,5 @@ pub fn inverse(calibration: &Calibration<'_>) -> Machine {
 }
 
 #[cfg(test)]
+#[expect(clippy::cast_possible_truncation, reason = "a test's own numbers fit")]
 mod tests;

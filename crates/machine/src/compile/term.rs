@@ -28,7 +28,7 @@ use crate::{
     effect::{Heat, OnBoard, Wave},
     file::{self, Machine},
     place::BadInput,
-    stored::{FINE_PER_UM, NM_PER_UM, UNITS_PER_MM, rounded},
+    stored::{FINE_PER_UM, NM_PER_UM, UNITS_PER_MM, rounded, rounded_unsigned},
 };
 
 pub(super) use inverse::inverse;
@@ -222,9 +222,11 @@ fn wave(period_mm: f64, wave: Wave) -> Made<Effect<'static>> {
     }
     let (amplitude, rounding_nm) = fine(wave.amplitude_um)?;
     let phase = (wave.phase_deg / 360.0).rem_euclid(1.0) * 2_f64.powi(32);
-    // A whole turn is none.
-    let effect =
-        Effect::Wave { turns: turns as u64, phase: phase.round() as u64 as u32, amplitude };
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "held to 1…2⁶³")]
+    let turns = turns as u64;
+    // A whole turn, 2³², is none.
+    let phase = rounded_unsigned(phase).unwrap_or(0);
+    let effect = Effect::Wave { turns, phase, amplitude };
     let turn_error = 2_f64.powi(-52) * turns_per_unit * f64::from(i32::MAX) + 2_f64.powi(-32);
     let phase_nm = wave.amplitude_um.abs() * std::f64::consts::TAU * turn_error * NM_PER_UM;
     // And what the steps of an angle of 10⁻⁶ ° make.
