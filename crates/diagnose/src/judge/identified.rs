@@ -69,3 +69,34 @@ fn is_seen_again(data: &Data, kind: &Kind) -> bool {
     }
     ways >= 3
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use trueup_machine::{MachineFile, RunFile, machine_file::Quantity};
+
+    use super::*;
+
+    /// A record in which the table warms and cools as often as said.
+    fn record(cycles: usize) -> Data {
+        let mut text = String::from("time_s,temp_table_c,measured_elongation_um\n");
+        for second in 0..40 * cycles {
+            let up = (second % 40).min(40 - second % 40);
+            text += &format!("{second},{},0.0\n", 20.0 + up as f64);
+        }
+        let file = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
+        let machine = MachineFile::parse(file, Path::new("m.toml")).expect("a machine file");
+        let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
+        Data::new(&machine, &[run], Quantity::Elongation).expect("comparable")
+    }
+
+    #[test]
+    fn a_slow_path_is_seen_again_once_it_has_warmed_twice() {
+        let slow = Kind::ExtraHeatPath { column: "temp_table_c".into(), has_lag: true };
+        assert!(!is_seen_again(&record(1), &slow));
+        assert!(is_seen_again(&record(2), &slow));
+        let plain = Kind::ExtraHeatPath { column: "temp_table_c".into(), has_lag: false };
+        assert!(is_seen_again(&record(1), &plain));
+    }
+}

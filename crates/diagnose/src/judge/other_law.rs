@@ -64,8 +64,8 @@ impl Curves {
         let own_bic = case.bic();
         let explained = without.sum - answer.sum;
         let curves = with_each_curve(case.problem, without, &self.candidates);
-        let better = curves.into_iter().find(|Extension { fitted: in_place, .. }| {
-            let is_better = bic(case.problem, in_place) < own_bic - STRONG_EVIDENCE;
+        let better = curves.into_iter().find(|Extension { fitted: in_place, bic, .. }| {
+            let is_better = *bic < own_bic - STRONG_EVIDENCE;
             let by_curve = without.sum - in_place.sum;
             if !is_better || explained > LEAST_R_SQUARED * by_curve {
                 return false;
@@ -111,4 +111,18 @@ fn correlation(a: &[f64], b: &[f64]) -> f64 {
         ab += (a - mean_a) * (b - mean_b);
     }
     ab / (aa * bb).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_column_that_is_the_reading_in_other_units_is_the_reading() {
+        let reading = [1.0, 2.0, f64::NAN, 4.0, 8.0];
+        let scaled = [-1e3, -2e3, -3e3, -4e3, -8e3];
+        assert!((correlation(&scaled, &reading) + 1.0).abs() < 1e-12);
+        let other = [1.0, -2.0, 0.0, 2.0, -1.0];
+        assert!(correlation(&other, &reading).abs() < 0.5);
+    }
 }

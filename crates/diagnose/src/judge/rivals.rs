@@ -40,7 +40,7 @@ impl Rival {
 /// The rivals of a term among what was tried in its place, the best first.
 pub(crate) fn rivals(case: &Case<'_>, cause: &Kind, places: Replacements) -> Vec<Rival> {
     let mut all: Vec<Rival> = Vec::new();
-    for Extension { cause: other, fitted } in places.instead {
+    for Extension { cause: other, fitted, .. } in places.instead {
         let is_same = |a: &Kind, b: &Kind| a.name() == b.name() && a.column() == b.column();
         if is_same(&other, cause) {
             continue;

@@ -65,8 +65,8 @@ impl<'s> Baseline<'s> {
         Self { search, folds, left_out }
     }
 
-    fn assess(&self, extension: Extension, bic: f64) -> Assessed {
-        let Extension { cause, fitted } = extension;
+    fn assess(&self, extension: Extension) -> Assessed {
+        let Extension { cause, fitted, bic } = extension;
         let left_out = self.folds.left_out(self.search.problem, &fitted.model);
         let left_out_um = rms(&left_out);
         let reduction = self.folds.reduction(&self.left_out, &left_out);
@@ -106,22 +106,20 @@ impl<'s> Baseline<'s> {
 /// equals the simplest, then the machine's own. No partner of one is farther away than `tier`.
 pub(crate) fn choose(
     search: &Search<'_>,
-    options: Vec<Extension>,
+    mut options: Vec<Extension>,
     tier: u8,
     progress: &mut dyn FnMut(&str, f64),
 ) -> Choice {
     let best_fit = options.iter().min_by(|a, b| a.fitted.sum.total_cmp(&b.fitted.sum));
     let Some(best_fit) = best_fit else { return Choice::Reject(Vec::new()) };
     let baseline = Baseline::new(search, &best_fit.fitted);
-    let mut options: Vec<(f64, Extension)> =
-        options.into_iter().map(|it| (bic(search.problem, &it.fitted), it)).collect();
-    options.sort_by(|a, b| a.0.total_cmp(&b.0));
+    options.sort_by(|a, b| a.bic.total_cmp(&b.bic));
     options.truncate(MOST_LEFT_OUT);
     let mut all: Vec<Assessed> = options
         .into_iter()
-        .map(|(bic, extension)| {
+        .map(|extension| {
             progress(extension.cause.name(), f64::NAN);
-            baseline.assess(extension, bic)
+            baseline.assess(extension)
         })
         .collect();
     let least_um =
@@ -183,13 +181,10 @@ fn partners(problem: &Problem, base: &Fitted, tier: u8) -> Vec<Extension> {
     let mut candidates = possible(problem, &base.model, &base.residual);
     candidates.retain(|candidate| candidate.kind.tier() <= tier);
     let own = bic(problem, base);
-    let mut better: Vec<(f64, Extension)> = extensions(problem, base, &candidates, 4)
-        .into_iter()
-        .map(|it| (bic(problem, &it.fitted), it))
-        .filter(|(bic, _)| *bic < own - STRONG_EVIDENCE)
-        .collect();
-    better.sort_by(|a, b| a.0.total_cmp(&b.0));
-    better.into_iter().map(|(_, it)| it).collect()
+    let mut better = extensions(problem, base, &candidates, 4);
+    better.retain(|it| it.bic < own - STRONG_EVIDENCE);
+    better.sort_by(|a, b| a.bic.total_cmp(&b.bic));
+    better
 }
 
 /// Two causes may each be hidden by the other, so that neither alone is more than noise. Tries the
@@ -213,9 +208,8 @@ pub(crate) fn pair_from_nothing(
         let Some(partner) = partners(problem, &first.fitted, tier).into_iter().next() else {
             continue;
         };
-        let there = bic(problem, &partner.fitted);
-        if there < best_bic {
-            best_bic = there;
+        if partner.bic < best_bic {
+            best_bic = partner.bic;
             best = Some((first.cause, partner));
         }
     }

@@ -6,7 +6,10 @@ use crate::{
     candidates::{Candidate, possible},
     fit::{Fitted, Problem, fit},
     model::{Kind, Model},
-    search::scan::{Draw, Hit, scan},
+    search::{
+        criterion::bic,
+        scan::{Draw, Hit, scan},
+    },
 };
 
 /// A model that was extended by a cause, fitted with everything else.
@@ -14,6 +17,19 @@ use crate::{
 pub(crate) struct Extension {
     pub cause: Kind,
     pub fitted: Fitted,
+    pub bic: f64,
+}
+
+impl Extension {
+    pub(crate) fn new(problem: &Problem, cause: Kind, fitted: Fitted) -> Self {
+        let bic = bic(problem, &fitted);
+        Self { cause, fitted, bic }
+    }
+
+    /// The one of the best BIC; of equals the first.
+    pub(crate) fn best(all: impl IntoIterator<Item = Self>) -> Option<Self> {
+        all.into_iter().min_by(|a, b| a.bic.total_cmp(&b.bic))
+    }
 }
 
 /// A term's place: the model without the term, and with each other cause instead of it.
@@ -58,7 +74,7 @@ pub(crate) fn fit_hits(
         if hit.part.kind == Kind::Step {
             fitted = refine_step(problem, fitted);
         }
-        Extension { cause: hit.part.kind.clone(), fitted }
+        Extension::new(problem, hit.part.kind.clone(), fitted)
     })
 }
 

@@ -79,13 +79,9 @@ pub(crate) fn with_curves(problem: &Problem, base: &Fitted, curves: &[Candidate]
     let mut best = base.clone();
     for _ in 0..2 {
         let own = bic(problem, &best);
-        let better = with_each_curve(problem, &best, curves)
-            .into_iter()
-            .map(|with| (bic(problem, &with.fitted), with.fitted))
-            .filter(|(bic, _)| *bic < own - STRONG_EVIDENCE)
-            .min_by(|a, b| a.0.total_cmp(&b.0));
-        let Some((_, with)) = better else { break };
-        best = with;
+        let with = Extension::best(with_each_curve(problem, &best, curves));
+        let Some(with) = with.filter(|with| with.bic < own - STRONG_EVIDENCE) else { break };
+        best = with.fitted;
     }
     best
 }

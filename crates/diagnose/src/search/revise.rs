@@ -44,14 +44,9 @@ impl Search<'_> {
         let places = self.replacements(&cause, 6);
         let own = self.bic();
         let without = bic(self.problem, &places.without);
-        let best = places
-            .instead
-            .into_iter()
-            .map(|it| (bic(self.problem, &it.fitted), it))
-            .min_by(|a, b| a.0.total_cmp(&b.0));
-        match best {
-            Some((there, other)) if there <= without => {
-                let is_better = there < own - self.margin(&cause, &other)
+        match Extension::best(places.instead) {
+            Some(other) if other.bic <= without => {
+                let is_better = other.bic < own - self.margin(&cause, &other)
                     && self.predicts_better(&cause, &other);
                 if is_better {
                     self.replace(index, other);
@@ -136,10 +131,9 @@ impl Search<'_> {
             let candidates = possible(self.problem, model, residual);
             let pairs = extensions(self.problem, &first.fitted, &candidates, 3);
             for second in pairs.into_iter().filter(is_near) {
-                let bic = bic(self.problem, &second.fitted);
+                let Extension { cause, fitted, bic } = second;
                 if bic < best.as_ref().map_or(most, |best| best.bic) {
-                    let causes = [first.cause.clone(), second.cause];
-                    best = Some(Pair { bic, index, causes, fitted: second.fitted });
+                    best = Some(Pair { bic, index, causes: [first.cause.clone(), cause], fitted });
                 }
             }
         }

@@ -264,3 +264,17 @@ fn gumbel_limit(values: impl Iterator<Item = f64>) -> f64 {
     let scale = variance.sqrt() * 6.0_f64.sqrt() / std::f64::consts::PI;
     mean - EULER * scale - scale * (-(-FALSE_ALARM).ln_1p()).ln()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_limit_is_the_quantile_of_the_distribution_that_the_largest_follow() {
+        // The quantiles of 8 + 2·G, G of the standard Gumbel distribution.
+        let values = (0..2000).map(|n| 8.0 - 2.0 * (-((f64::from(n) + 0.5) / 2000.0).ln()).ln());
+        let exact = 8.0 - 2.0 * (-(1.0 - FALSE_ALARM).ln()).ln();
+        let limit = gumbel_limit(values);
+        assert!((limit - exact).abs() < 0.02 * exact, "{limit} {exact}");
+    }
+}

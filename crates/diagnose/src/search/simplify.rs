@@ -36,10 +36,9 @@ impl Search<'_> {
                 continue;
             }
             let late = Kind::ExtraHeatPath { column: column.clone(), has_lag: true };
-            let Some((bic, other, with)) = self.best_lag(&cause, &late) else { continue };
-            let with = Extension { cause: late, fitted: with };
+            let Some((other, with)) = self.best_lag(&cause, &late) else { continue };
             // As in the choice of a term, what predicts clearly better comes before the BIC.
-            if bic < self.bic() && self.predicts_better(&cause, &with)
+            if with.bic < self.bic() && self.predicts_better(&cause, &with)
                 || EQUAL_PREDICTION * self.left_out_um(&with.fitted)
                     < self.left_out_um(&self.fitted)
             {
@@ -50,11 +49,11 @@ impl Search<'_> {
         }
     }
 
-    /// The best model with the path `late` for the path `plain` and one other term less: its BIC, that
-    /// term, the fit.
-    fn best_lag(&self, plain: &Kind, late: &Kind) -> Option<(f64, Kind, Fitted)> {
+    /// The best model with the path `late` for the path `plain` and one other term less: that term,
+    /// and the model.
+    fn best_lag(&self, plain: &Kind, late: &Kind) -> Option<(Kind, Extension)> {
         let [low, high] = self.problem.bounds.time_constant_s;
-        let mut best: Option<(f64, Kind, Fitted)> = None;
+        let mut best: Option<(Kind, Extension)> = None;
         for other in self.added.iter().map(|it| &it.cause).filter(|other| *other != plain) {
             for tau in [3.0 * low, (low * high).sqrt()] {
                 let mut model = self.fitted.model.clone();
@@ -63,10 +62,10 @@ impl Search<'_> {
                     part.kind = late.clone();
                     part.values.insert(0, tau);
                 }
-                let with = fit(self.problem, &model, None);
-                let bic = bic(self.problem, &with);
-                if best.as_ref().is_none_or(|best| bic < best.0) {
-                    best = Some((bic, other.clone(), with));
+                let fitted = fit(self.problem, &model, None);
+                let with = Extension::new(self.problem, late.clone(), fitted);
+                if best.as_ref().is_none_or(|(_, best)| with.bic < best.bic) {
+                    best = Some((other.clone(), with));
                 }
             }
         }
@@ -98,12 +97,12 @@ impl Search<'_> {
         }
         model.parts.push(Part { values: vec![0.0; table.degrees()], kind: table.clone() });
         model.sort();
-        let with = fit(self.problem, &model, None);
-        let (there, own) = (self.left_out_um(&with), self.left_out_um(&self.fitted));
-        let is_better = bic(self.problem, &with) < self.bic() && there < own;
+        let with = Extension::new(self.problem, table, fit(self.problem, &model, None));
+        let (there, own) = (self.left_out_um(&with.fitted), self.left_out_um(&self.fitted));
+        let is_better = with.bic < self.bic() && there < own;
         if is_better || EQUAL_PREDICTION * there < own {
             let first = self.added.iter().position(|it| is_part(&it.cause)).unwrap_or(0);
-            self.replace(first, Extension { cause: table, fitted: with });
+            self.replace(first, with);
             self.added.retain(|it| !is_part(&it.cause));
         }
     }
@@ -116,16 +115,16 @@ impl Search<'_> {
         let table = self.fitted.model.parts.iter().map(|part| &part.kind);
         let table = table.filter(|cause| is_table(cause)).find(|cause| is_added(cause)).cloned();
         let Some(table) = table else { return };
-        let Some((bic, laws, with)) = self.best_laws(&table) else { return };
+        let Some(Laws { causes, fitted, bic }) = self.best_laws(&table) else { return };
         if bic >= self.bic()
-            || self.left_out_um(&with) > EQUAL_PREDICTION * self.left_out_um(&self.fitted)
+            || self.left_out_um(&fitted) > EQUAL_PREDICTION * self.left_out_um(&self.fitted)
         {
             return;
         }
-        self.fitted = with;
+        self.fitted = fitted;
         let Some(index) = self.added.iter().position(|it| it.cause == table) else { return };
         let old = self.added.remove(index);
-        let new = laws.into_iter().map(|cause| Added { cause, ..old.clone() });
+        let new = causes.into_iter().map(|cause| Added { cause, ..old.clone() });
         self.added.splice(index..index, new);
         // A wave that gave way to another, or came back as it was.
         let mut seen: Vec<Kind> = Vec::new();
@@ -136,14 +135,14 @@ impl Search<'_> {
         });
     }
 
-    /// The best laws in the place of a table: BIC, the laws that are new, the fit.
-    fn best_laws(&self, table: &Kind) -> Option<(f64, Vec<Kind>, Fitted)> {
+    /// The best laws in the place of a table.
+    fn best_laws(&self, table: &Kind) -> Option<Laws> {
         let laws = [Kind::PitchScale, Kind::Backlash, Kind::PositionDependentBacklash];
         let counts = match table {
             Kind::PitchError { both_ways: true, .. } => 2..=3,
             _ => 1..=1,
         };
-        let mut all: Vec<(Vec<Kind>, Fitted)> = Vec::new();
+        let mut all: Vec<Laws> = Vec::new();
         for count in counts {
             let mut model = self.fitted.model.clone();
             model.parts.retain(|part| part.kind != *table);
@@ -153,12 +152,14 @@ impl Search<'_> {
             model.sort();
             let with = fit(self.problem, &model, None);
             let waves = self.with_each_wave(&with.model);
-            all.extend(waves.into_iter().map(|it| ([&new[..], &[it.cause]].concat(), it.fitted)));
-            all.push((new, with));
+            all.extend(waves.into_iter().map(|Extension { cause, fitted, bic }| Laws {
+                causes: [&new[..], &[cause]].concat(),
+                fitted,
+                bic,
+            }));
+            all.push(Laws { causes: new, bic: bic(self.problem, &with), fitted: with });
         }
-        all.into_iter()
-            .map(|(new, with)| (bic(self.problem, &with), new, with))
-            .min_by(|a, b| a.0.total_cmp(&b.0))
+        all.into_iter().min_by(|a, b| a.bic.total_cmp(&b.bic))
     }
 
     /// `model` with each wave that the data show, without those that it has: what was found beside a
@@ -203,4 +204,12 @@ impl Search<'_> {
             }
         }
     }
+}
+
+/// Laws in the place of a table.
+struct Laws {
+    /// Those that are new.
+    causes: Vec<Kind>,
+    fitted: Fitted,
+    bic: f64,
 }

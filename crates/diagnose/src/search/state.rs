@@ -166,3 +166,22 @@ impl<'p> Search<'p> {
         self.stage = Stage::OwnModel;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stage_admits_all_that_the_one_before_did_and_something_more() {
+        let path = |has_lag| Kind::ExtraHeatPath { column: "temp_a_c".into(), has_lag };
+        let causes = [Kind::SensorGain, path(false), path(true), Kind::Drift];
+        let mut stage = Some(Stage::OwnModel);
+        let mut admitted = Vec::new();
+        while let Some(there) = stage {
+            let admits = |cause: &&Kind| there.admits(cause);
+            admitted.push(causes.iter().filter(admits).count());
+            stage = there.next();
+        }
+        assert_eq!(admitted, [1, 2, 4]);
+    }
+}
