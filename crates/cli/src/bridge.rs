@@ -3,3 +3,76 @@
 pub mod info;
 pub mod load;
 pub mod monitor;
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use clap::{Args, Subcommand};
+
+use crate::Outcome;
+
+#[derive(Subcommand)]
+pub enum Command {
+    /// Asks the bridge who it is, what it runs on, and how it is.
+    ///
+    /// Exit 3: it answers, but no heartbeat or no offsets came.
+    Info {
+        #[command(flatten)]
+        port: Port,
+    },
+    /// Loads a calibration, reads it back, and starts the board anew with it.
+    ///
+    /// Nothing is loaded while offsets are being followed: let the CNC disengage first.
+    /// Exit 3: it is stored, but the board does not run on it.
+    Load {
+        /// The calibration, as `compile` writes it.
+        #[arg(value_name = "CAL.bin")]
+        calibration: PathBuf,
+        #[command(flatten)]
+        port: Port,
+        /// Leave the board running on the calibration it has; the new one is used from its next
+        /// start.
+        #[arg(long)]
+        keep_running: bool,
+    },
+    /// Prints the offsets and the temperatures once a second, until Ctrl-C. It only listens: nothing
+    /// is engaged by it.
+    ///
+    /// Exit 3: frames were damaged or out of order, or a second passed without offsets.
+    Monitor {
+        #[command(flatten)]
+        port: Port,
+        /// Stop after this many lines.
+        #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+        count: Option<u64>,
+        /// Write every frame down, as `candump -l` does, and a run file for `diagnose`: to
+        /// `FILE.log` and `FILE.csv`, or to `bridge.log` and `bridge.csv` in a folder.
+        #[arg(long, value_name = "DIR|FILE.log")]
+        record: Option<PathBuf>,
+        /// The machine file: it names the temperatures of the run file, and makes sensor counts of
+        /// the elongation.
+        #[arg(long, value_name = "M.toml", requires = "record")]
+        machine: Option<PathBuf>,
+    },
+}
+
+#[derive(Args)]
+pub struct Port {
+    /// Where the bridge is: tcp:HOST:PORT, a serial device, or a CAN interface (can0).
+    #[arg(long, value_name = "PORT")]
+    port: String,
+}
+
+/// Asks, loads or listens.
+pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
+    match command {
+        Command::Info { port } => info::run(&port.port, as_json),
+        Command::Load { calibration, port, keep_running } => {
+            load::run(calibration, &port.port, *keep_running, as_json)
+        }
+        Command::Monitor { port, count, record, machine } => {
+            let record = record.as_deref().map(|record| (record, machine.as_deref()));
+            monitor::run(&port.port, *count, record, as_json)
+        }
+    }
+}

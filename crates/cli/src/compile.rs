@@ -1,15 +1,27 @@
 //! `trueup compile`: a machine file into the blob that the bridge stores.
 
-use std::path::Path;
+use std::path::PathBuf;
 
 use anyhow::Result;
+use clap::Args;
 use serde_json::json;
 use trueup_machine::{MachineFile, compile};
 
 use crate::{Outcome, output};
 
-/// Compiles `machine` to `to`.
-pub fn run(machine: &Path, to: &Path, as_json: bool) -> Result<Outcome> {
+#[derive(Args)]
+pub struct Compile {
+    /// The machine file.
+    #[arg(value_name = "M.toml")]
+    machine: PathBuf,
+    /// Where to write the calibration.
+    #[arg(short, long, value_name = "CAL.bin")]
+    output: PathBuf,
+}
+
+/// Compiles the machine file.
+pub fn run(args: &Compile, as_json: bool) -> Result<Outcome> {
+    let Compile { machine, output: to } = args;
     let read = MachineFile::read(machine)?;
     let compiled = compile(&read)?;
     let blob = compiled.blob();

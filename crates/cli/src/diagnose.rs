@@ -12,7 +12,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use trueup_diagnose::{Diagnosis, diagnose};
 use trueup_machine::{MachineFile, RunFile, machine_file};
 
-use crate::{Mend, Outcome, output, runs};
+use crate::{Outcome, UserError, output, runs};
 
 /// Shows what the machine file gets wrong, names the cause, and writes the machine file with it.
 ///
@@ -64,7 +64,7 @@ pub fn run(args: &Diagnose, as_json: bool) -> Result<Outcome> {
     };
     let (runs, holdout) = (read(&args.runs)?, read(&args.holdout)?);
     fs::create_dir_all(&args.out)
-        .map_err(|error| Mend(format!("{}: cannot be made: {error}", args.out.display())))?;
+        .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
 
     let bar = progress();
     let quantity = args.quantity.map(Quantity::of_machine);

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use trueup_export::{Format, LeftOut, Options, Report, Table, Units, export};
 use trueup_machine::MachineFile;
 
-use crate::{Mend, Outcome, output};
+use crate::{Outcome, UserError, output};
 
 /// Turns a machine file into what another control loads, reads it back, and says how well it fits.
 ///
@@ -71,9 +71,9 @@ enum Control {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum Unit {
-    /// Millimetres.
+    /// Positions and corrections in mm.
     Mm,
-    /// Inches.
+    /// Positions and corrections in inches of 25.4 mm.
     Inch,
 }
 
@@ -88,11 +88,12 @@ pub fn run(args: &Export, as_json: bool) -> Result<Outcome> {
         Control::LinuxCnc => Format::LinuxCnc,
     };
     let export = export(&machine, format, &options)
-        .map_err(|refused| Mend(format!("{}: {refused}", args.machine.display())))?;
+        .map_err(|refused| UserError(format!("{}: {refused}", args.machine.display())))?;
 
     let folder = &args.output;
-    fs::create_dir_all(folder)
-        .map_err(|error| Mend(format!("{}: cannot be made a folder: {error}", folder.display())))?;
+    fs::create_dir_all(folder).map_err(|error| {
+        UserError(format!("{}: cannot be made a folder: {error}", folder.display()))
+    })?;
     let report = as_value(&export.report, &export.files, folder);
     let text = format!("{}\n", export.report);
     let companions = [("report.txt", text), ("report.json", format!("{report:#}\n"))];
@@ -115,7 +116,7 @@ pub fn run(args: &Export, as_json: bool) -> Result<Outcome> {
     Ok(if export.report.is_whole() { Outcome::Done } else { Outcome::NotMet })
 }
 
-fn options(args: &Export) -> Result<Options, Mend> {
+fn options(args: &Export) -> Result<Options, UserError> {
     let mut options = Options {
         units: match args.units {
             Unit::Mm => Units::Millimetres,
@@ -128,7 +129,7 @@ fn options(args: &Export) -> Result<Options, Mend> {
         ..Options::default()
     };
     if args.max_points.is_some_and(|points| points < 2) {
-        return Err(Mend("--max-points must be at least 2: a table has two ends".to_string()));
+        return Err(UserError("--max-points must be at least 2: a table has two ends".to_string()));
     }
     for entry in &args.reference {
         let (axis, value) = of_axis("--reference", entry)?;
@@ -136,7 +137,8 @@ fn options(args: &Export) -> Result<Options, Mend> {
     }
     for entry in &args.travel {
         let (axis, range) = of_axis("--travel", entry)?;
-        let wrong = || Mend(format!("--travel {entry}: must be like x=0:1000, the smaller first"));
+        let wrong =
+            || UserError(format!("--travel {entry}: must be like x=0:1000, the smaller first"));
         let (first, last) = range.split_once(':').ok_or_else(wrong)?;
         let (first, last) = (number("--travel", first)?, number("--travel", last)?);
         if first >= last {
@@ -148,38 +150,39 @@ fn options(args: &Export) -> Result<Options, Mend> {
     Ok(options)
 }
 
-fn temperatures(entries: &[String]) -> Result<BTreeMap<String, f64>, Mend> {
+fn temperatures(entries: &[String]) -> Result<BTreeMap<String, f64>, UserError> {
     let each = entries.iter().map(|entry| {
         let (name, value) = entry
             .split_once('=')
-            .ok_or_else(|| Mend(format!("--temperature {entry}: must be like temp_x_c=30")))?;
+            .ok_or_else(|| UserError(format!("--temperature {entry}: must be like temp_x_c=30")))?;
         Ok((name.trim().to_string(), number("--temperature", value)?))
     });
     each.collect()
 }
 
-fn of_axis<'e>(option: &str, entry: &'e str) -> Result<(usize, &'e str), Mend> {
+fn of_axis<'e>(option: &str, entry: &'e str) -> Result<(usize, &'e str), UserError> {
     let named = entry.split_once('=').and_then(|(name, value)| {
         let axis = ["x", "y", "z"].iter().position(|axis| name.trim() == *axis)?;
         Some((axis, value))
     });
-    named.ok_or_else(|| Mend(format!("{option} {entry}: must begin with x=, y= or z=")))
+    named.ok_or_else(|| UserError(format!("{option} {entry}: must begin with x=, y= or z=")))
 }
 
-fn number(option: &str, text: &str) -> Result<f64, Mend> {
-    let value = text.trim().parse().map_err(|_| Mend(format!("{option}: {text} is no number")))?;
+fn number(option: &str, text: &str) -> Result<f64, UserError> {
+    let value =
+        text.trim().parse().map_err(|_| UserError(format!("{option}: {text} is not a number")))?;
     finite(option, value)
 }
 
-fn finite(option: &str, value: f64) -> Result<f64, Mend> {
-    if value.is_finite() { Ok(value) } else { Err(Mend(format!("{option} must be finite"))) }
+fn finite(option: &str, value: f64) -> Result<f64, UserError> {
+    if value.is_finite() { Ok(value) } else { Err(UserError(format!("{option} must be finite"))) }
 }
 
-fn positive(option: &str, value: f64) -> Result<f64, Mend> {
+fn positive(option: &str, value: f64) -> Result<f64, UserError> {
     if value > 0.0 {
         finite(option, value)
     } else {
-        Err(Mend(format!("{option} must be above 0, not {value}")))
+        Err(UserError(format!("{option} must be above 0, not {value}")))
     }
 }
 

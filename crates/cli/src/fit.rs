@@ -26,7 +26,7 @@ use self::args::{
     Backlash, By, Common, Elongation, Kind, Method, Mode, Pitch, Reference, Straightness, Thermal,
     Warmup, Ways,
 };
-use crate::{Mend, Outcome, output, runs};
+use crate::{Outcome, UserError, output, runs};
 
 /// The files that were read.
 struct Input {
@@ -88,10 +88,10 @@ impl Input {
     }
 
     /// The one run; what takes one alone refuses several.
-    fn run(&self) -> Result<&RunFile, Mend> {
+    fn run(&self) -> Result<&RunFile, UserError> {
         match &self.runs[..] {
             [run] => Ok(run),
-            runs => Err(Mend(format!(
+            runs => Err(UserError(format!(
                 "--run is given {} times: this fit takes one run file (repeats stand in its \
                  column run)",
                 runs.len()

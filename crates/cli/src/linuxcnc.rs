@@ -23,7 +23,7 @@ use trueup_linuxcnc::{
 };
 use trueup_machine::{MachineFile, machine_file::LinearAxis, model::over_compensation_um};
 
-use crate::{Mend, Outcome};
+use crate::{Outcome, UserError};
 
 /// Turns of the loop in a servo cycle: a step is seen to be taken soon after it was.
 const TURNS_PER_CYCLE: f64 = 2.5;
@@ -155,6 +155,7 @@ fn nanometres(um: f64) -> i32 {
 
 fn read_ini(path: &PathBuf) -> Result<Ini> {
     let name = path.display();
-    let text = std::fs::read_to_string(path).map_err(|error| Mend(format!("{name}: {error}")))?;
-    Ok(Ini::parse(&text).map_err(|error| Mend(format!("{name}:{error}")))?)
+    let text =
+        std::fs::read_to_string(path).map_err(|error| UserError(format!("{name}: {error}")))?;
+    Ok(Ini::parse(&text).map_err(|error| UserError(format!("{name}:{error}")))?)
 }

@@ -9,7 +9,7 @@ use std::{
 
 use anyhow::{Context as _, Result};
 
-use crate::Mend;
+use crate::UserError;
 
 /// Writes `path` by `write`. Until that has succeeded nothing at `path` is changed: what is written
 /// stands in a file beside it, which then takes its name.
@@ -23,16 +23,19 @@ pub fn write_whole<T>(
     // A link is followed, so that the file it leads to is written and not the link.
     let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
     if inputs.iter().any(|input| fs::canonicalize(input).is_ok_and(|input| input == target)) {
-        return Err(
-            Mend(format!("{}: is read, and must not be written over", path.display())).into()
-        );
+        return Err(UserError(format!(
+            "{}: is read, and must not be written over",
+            path.display()
+        ))
+        .into());
     }
-    let cannot = |error: io::Error| Mend(format!("{}: cannot be written: {error}", path.display()));
+    let cannot =
+        |error: io::Error| UserError(format!("{}: cannot be written: {error}", path.display()));
     let during = || format!("while writing {}", path.display());
 
     match fs::metadata(&target) {
         Ok(there) if there.is_dir() => {
-            return Err(Mend(format!("{}: is a folder", path.display())).into());
+            return Err(UserError(format!("{}: is a folder", path.display())).into());
         }
         // A device or a pipe has no content to keep, and its name must stay its own.
         Ok(there) if !there.is_file() => {

@@ -1,8 +1,9 @@
 //! `trueup predict`: a run with what the model and the bridge say of each row.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
+use clap::Args;
 use serde_json::json;
 use trueup_machine::{
     MachineFile,
@@ -11,8 +12,22 @@ use trueup_machine::{
 
 use crate::{Outcome, output, runs};
 
-/// Predicts `run` by `machine`, to the file `to`.
-pub fn run(machine_path: &Path, run_path: &Path, to: &Path, as_json: bool) -> Result<Outcome> {
+#[derive(Args)]
+pub struct Predict {
+    /// The machine file.
+    #[arg(long, value_name = "M.toml")]
+    machine: PathBuf,
+    /// The run file.
+    #[arg(long, value_name = "RUN.csv")]
+    run: PathBuf,
+    /// Where to write the run with the predictions.
+    #[arg(short, long, value_name = "OUT.csv")]
+    output: PathBuf,
+}
+
+/// Predicts the run by the machine file.
+pub fn run(args: &Predict, as_json: bool) -> Result<Outcome> {
+    let Predict { machine: machine_path, run: run_path, output: to } = args;
     let machine = MachineFile::read(machine_path)?;
     let run = runs::read(run_path)?;
     let predictor = Predictor::new(&machine, &run)?;

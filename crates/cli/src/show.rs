@@ -7,11 +7,11 @@ use serde_json::json;
 use trueup_machine::show;
 use trueup_store::calibration::{decode, whole};
 
-use crate::{Mend, Outcome, output};
+use crate::{Outcome, UserError, output};
 
 /// Prints the calibration in the file `from`.
 pub fn run(from: &Path, as_json: bool) -> Result<Outcome> {
-    let bad = |rule: String| Mend(format!("{}: {rule}", from.display()));
+    let bad = |rule: String| UserError(format!("{}: {rule}", from.display()));
     let bytes = fs::read(from).map_err(|error| bad(format!("cannot be read: {error}")))?;
     let calibration = decode(&bytes).map_err(|error| bad(error.to_string()))?;
     let more = bytes.len() - whole(&bytes).map_or(bytes.len(), <[u8]>::len);

@@ -83,7 +83,7 @@ fn options_reach_the_files_and_wrong_ones_are_refused() {
     for (wrong, rule) in [
         ("--travel x=5:1", "the smaller first"),
         ("--travel a=0:1", "must begin with x=, y= or z="),
-        ("--reference x=far", "far is no number"),
+        ("--reference x=far", "far is not a number"),
         ("--tolerance-um 0", "must be above 0"),
         ("--max-points 1", "must be at least 2"),
         ("--temperature 30", "must be like temp_x_c=30"),

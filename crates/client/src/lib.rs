@@ -55,14 +55,14 @@ pub enum Unusable {
     Folder {
         /// The folder.
         path: PathBuf,
-        /// Why.
+        /// What the system said.
         error: io::Error,
     },
     /// A file of a recording cannot be begun: it is there already, or may not be written.
     File {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// What the system said.
         error: io::Error,
     },
 }

@@ -71,10 +71,10 @@ pub fn read(text: &str) -> Result<Compensation, String> {
         let numbers: Vec<f64> =
             line.split_whitespace().map_while(|word| word.parse().ok()).collect();
         let [entry, position, values @ ..] = &numbers[..] else {
-            return Err(format!("{line:?} is no entry"));
+            return Err(format!("{line:?} is not an entry"));
         };
         if *entry != f64::from(entries) || values.len() != columns.len() {
-            return Err(format!("{line:?} is no entry {entries} of {} values", columns.len()));
+            return Err(format!("{line:?} is not an entry {entries} of {} values", columns.len()));
         }
         for (curve, value) in curves.iter_mut().zip(values) {
             if curve.last().is_some_and(|&(before, _)| *position <= before) {

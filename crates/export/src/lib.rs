@@ -48,7 +48,7 @@ pub enum Format {
     Fanuc,
     /// HEIDENHAIN with nonlinear axis error compensation.
     Heidenhain,
-    /// LinuxCNC.
+    /// LinuxCNC with a file of screw compensation for each joint.
     LinuxCnc,
 }
 
@@ -71,10 +71,10 @@ impl Format {
 /// The unit of length in the files.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Units {
-    /// Millimetres.
+    /// mm.
     #[default]
     Millimetres,
-    /// Inches.
+    /// Inches of 25.4 mm.
     Inches,
 }
 

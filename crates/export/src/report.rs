@@ -14,7 +14,7 @@ pub enum Approach {
 }
 
 impl Approach {
-    /// Both.
+    /// Both directions, in the order of the tables.
     pub const BOTH: [Self; 2] = [Self::Positive, Self::Negative];
 
     /// +1 or −1.
@@ -39,7 +39,7 @@ pub struct Difference {
 impl Difference {
     pub(crate) const NONE: Self = Self { um: 0.0, at: String::new() };
 
-    /// Keeps the larger one. What is no number is the largest of all.
+    /// Keeps the larger one. What is not a number is the largest of all.
     pub(crate) fn take(&mut self, difference_um: f64, at: impl FnOnce() -> String) {
         let um = if difference_um.is_nan() { f64::INFINITY } else { difference_um.abs() };
         if um > self.um || self.at.is_empty() {
@@ -78,7 +78,7 @@ pub struct Table {
 pub struct LeftOut {
     /// Its name in the machine file.
     pub section: String,
-    /// Why.
+    /// Why the control cannot hold it, as a sentence.
     pub reason: String,
 }
 

@@ -332,7 +332,7 @@ impl fmt::Display for HalError {
                 write!(f, "there is another HAL component called {name}")
             }
             Self::Name(name) => {
-                write!(f, "\"{name}\" is no name for the HAL: at most {LONGEST_NAME} characters")
+                write!(f, "\"{name}\" is not a name for the HAL: at most {LONGEST_NAME} characters")
             }
         }
     }

@@ -51,14 +51,14 @@ impl Ini {
     /// Reads the text of a file.
     ///
     /// # Errors
-    /// A value of those that count is no number, a servo cycle that cannot be, or a unit that LinuxCNC
+    /// A value of those that count is not a number, a servo cycle that cannot be, or a unit that LinuxCNC
     /// does not know; with its place.
     pub fn parse(text: &str) -> Result<Self, BadIni> {
         let found = |section: &str, key: &str| find(text, section, key);
         let number = |section: &str, key: &str| -> Result<Option<f64>, BadIni> {
             let Some((place, value)) = found(section, key) else { return Ok(None) };
             let number = value.parse::<f64>().ok().filter(|number| number.is_finite());
-            let rule = || format!("[{section}]{key} = {value} is no number");
+            let rule = || format!("[{section}]{key} = {value} is not a number");
             number.map(Some).ok_or_else(|| BadIni { place, rule: rule() })
         };
         let mm_per_unit = match found("TRAJ", "LINEAR_UNITS") {
@@ -256,7 +256,7 @@ mod tests {
     #[test]
     fn a_value_that_cannot_be_is_told_with_its_place() {
         let error = Ini::parse("[AXIS_Z]\nOFFSET_AV_RATIO = lots\n").expect_err("no number");
-        assert_eq!(error.to_string(), "2:19: [AXIS_Z]OFFSET_AV_RATIO = lots is no number");
+        assert_eq!(error.to_string(), "2:19: [AXIS_Z]OFFSET_AV_RATIO = lots is not a number");
         assert!(Ini::parse("[TRAJ]\nLINEAR_UNITS = cubits\n").is_err());
         for period in ["0", "-1000000", "1e10"] {
             let error = Ini::parse(&format!("[EMCMOT]\nSERVO_PERIOD={period}\n"));

@@ -203,7 +203,7 @@ impl Sender {
     }
 }
 
-/// Conversions saturate; what is no number is 0.
+/// Conversions saturate; what is not a number is 0.
 #[allow(clippy::cast_possible_truncation, reason = "a cast of a float saturates")]
 fn position(mm: f64) -> Position {
     Position((mm * f64::from(Position::PER_MILLIMETRE)).round() as i32)

@@ -35,9 +35,9 @@ pub struct Limits {
 pub enum Target {
     /// Go to these offsets, in nanometres.
     Follow([i32; 3]),
-    /// Stay.
+    /// Keep the present offsets.
     Hold,
-    /// Go to 0.
+    /// Go to 0 at the rate of the limits.
     RampOut,
 }
 

@@ -26,11 +26,11 @@ pub const NAMES: [&str; 3] = ["x", "y", "z"];
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum AxisName {
-    /// X.
+    /// X, number 0.
     X,
-    /// Y.
+    /// Y, number 1.
     Y,
-    /// Z.
+    /// Z, number 2.
     Z,
 }
 

@@ -24,7 +24,7 @@ use trueup_link::{
 };
 use trueup_store::calibration::{decode, identity, whole};
 
-use crate::{Mend, Outcome, output};
+use crate::{Outcome, UserError, output};
 
 /// NMT: node 1 starts anew.
 const RESET_NODE: [u8; 2] = [0x81, 1];
@@ -34,7 +34,7 @@ const BOOT_TIMEOUT: Duration = Duration::from_secs(5);
 /// Loads the calibration in the file `from`; unless `keep_running`, the board then starts anew with
 /// it.
 pub fn run(from: &Path, port: &str, keep_running: bool, as_json: bool) -> Result<Outcome> {
-    let bad = |rule: String| Mend(format!("{}: {rule}", from.display()));
+    let bad = |rule: String| UserError(format!("{}: {rule}", from.display()));
     let bytes = fs::read(from).map_err(|error| bad(format!("cannot be read: {error}")))?;
     decode(&bytes).map_err(|error| bad(error.to_string()))?;
     // What follows the blob is no part of it.

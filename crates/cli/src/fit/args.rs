@@ -170,6 +170,6 @@ pub enum Mode {
     Constant,
     /// In proportion to the position.
     Position,
-    /// Both.
+    /// A part that is the same everywhere, and one in proportion to the position.
     Both,
 }

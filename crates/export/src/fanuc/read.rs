@@ -22,7 +22,7 @@ impl Control {
     pub fn read(parameters: &str, pitch: &str) -> Result<Self, String> {
         let mut control = Self::default();
         for line in framed(parameters)? {
-            let wrong = || format!("{line:?} is no parameter");
+            let wrong = || format!("{line:?} is not a parameter");
             let (number, values) = number_and_rest(line).ok_or_else(wrong)?;
             if let Some(value) = values.strip_prefix('P') {
                 control.parameters.insert((number, 0), value.parse().map_err(|_| wrong())?);
@@ -35,7 +35,7 @@ impl Control {
             }
         }
         for line in framed(pitch)? {
-            let wrong = || format!("{line:?} is no point");
+            let wrong = || format!("{line:?} is not a point");
             let (number, value) = number_and_rest(line).ok_or_else(wrong)?;
             let value: i64 =
                 value.strip_prefix('P').and_then(|value| value.parse().ok()).ok_or_else(wrong)?;

@@ -161,7 +161,7 @@ impl Axis<'_> {
         for line in csv.lines().filter(|line| line.starts_with(&format!("{name},"))) {
             let numbers: Vec<f64> =
                 line.split(',').skip(1).map_while(|word| word.parse().ok()).collect();
-            rows.push(numbers.try_into().map_err(|_| format!("{line:?} is no row"))?);
+            rows.push(numbers.try_into().map_err(|_| format!("{line:?} is not a row"))?);
         }
         let column = |index: usize| -> Vec<(f64, f64)> {
             rows.iter().map(|row| (row[0], row[index])).collect()
@@ -268,7 +268,7 @@ fn compare_tool(
     let mut rows: Vec<[f64; 4]> = Vec::new();
     for line in csv.lines().skip(1) {
         let numbers: Vec<f64> = line.split(',').map_while(|word| word.parse().ok()).collect();
-        rows.push(numbers.try_into().map_err(|_| format!("{line:?} is no row"))?);
+        rows.push(numbers.try_into().map_err(|_| format!("{line:?} is not a row"))?);
     }
     let vector_um = |s_um: f64| {
         [1, 2, 3].map(|component| {

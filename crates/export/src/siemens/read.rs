@@ -135,7 +135,7 @@ fn points(
         return Err(format!("{} is not 0", parameter("IS_MODULO")));
     }
     if !(step > 0.0 && max > min) {
-        return Err(format!("from {min} to {max} by {step} is no table"));
+        return Err(format!("from {min} to {max} by {step} is not a table"));
     }
     // The last point is the one nearest to MAX.
     let last = ((max - min) / step).round() as usize;

@@ -94,7 +94,7 @@ pub struct Truth {
 /// One hidden effect.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Effect {
-    /// Which.
+    /// What was hidden.
     pub cause: Hidden,
     /// The column that it hangs on, where there is a choice.
     pub column: Option<String>,
