@@ -5,7 +5,10 @@
 
 use std::fmt;
 
-use trueup_numerics::{parallel::on_all_cores, random::Generator};
+use trueup_numerics::{
+    blocks::{Blocks, Reduction, stretches},
+    parallel::on_all_cores,
+};
 
 use crate::{
     fit::{Problem, fit},
@@ -18,9 +21,8 @@ pub(crate) struct Folds {
     of_group: Vec<usize>,
     pub count: usize,
     pub unit: Unit,
-    /// Finer blocks, for intervals: the number of each group's.
-    block: Vec<usize>,
-    blocks: usize,
+    /// Finer blocks, for intervals.
+    blocks: Blocks,
 }
 
 /// What is left out at once.
@@ -45,17 +47,6 @@ impl fmt::Display for Unit {
     }
 }
 
-/// What a term takes away from the RMS on left-out blocks.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Reduction {
-    /// 1 − after/before.
-    pub value: f64,
-    /// Its 95 % interval: whole blocks drawn again and again.
-    pub ci95: [f64; 2],
-    /// Whether it is above 0, and in four of five draws.
-    pub is_gain: bool,
-}
-
 /// Stretches of a record.
 const STRETCHES: usize = 5;
 
@@ -77,13 +68,10 @@ impl Folds {
         } else if data.time_s.is_none() && count <= 50 {
             ((0..count).collect(), count, Unit::Readings)
         } else {
-            let of = |group: usize| group * STRETCHES / count;
-            ((0..count).map(of).collect(), STRETCHES, Unit::Stretches)
+            (stretches(count, STRETCHES), STRETCHES, Unit::Stretches)
         };
-        let least = (5.0 * memory).max(1.0);
-        let blocks = ((count as f64 / least) as usize).clamp(8, 40).min(count);
-        let block = (0..count).map(|group| group * blocks / count).collect();
-        Self { of_group, count: count_folds, unit, block, blocks }
+        let blocks = Blocks::new(count, memory);
+        Self { of_group, count: count_folds, unit, blocks }
     }
 
     /// Whether each fold is a record of its own.
@@ -115,26 +103,7 @@ impl Folds {
 
     /// The reduction of the RMS from `before` to `after`, both in groups.
     pub(crate) fn reduction(&self, before: &[f64], after: &[f64]) -> Reduction {
-        let mut sums = vec![[0.0; 2]; self.blocks];
-        for (group, &block) in self.block.iter().enumerate() {
-            sums[block][0] += before[group] * before[group];
-            sums[block][1] += after[group] * after[group];
-        }
-        let of = |[before, after]: [f64; 2]| {
-            if before > 0.0 { 1.0 - (after / before).sqrt() } else { 0.0 }
-        };
-        let add = |a: [f64; 2], b: &[f64; 2]| [a[0] + b[0], a[1] + b[1]];
-        let value = of(sums.iter().fold([0.0; 2], add));
-        let mut generator = Generator::new(self.blocks as u64);
-        let mut draws: Vec<f64> = (0..400)
-            .map(|_| {
-                let pick = (0..self.blocks).map(|_| sums[generator.below(self.blocks)]);
-                of(pick.fold([0.0; 2], |a, b| add(a, &b)))
-            })
-            .collect();
-        draws.sort_by(f64::total_cmp);
-        let ci95 = [draws[9], draws[389]];
-        Reduction { value, ci95, is_gain: value > 0.0 && draws[79] > 0.0 }
+        self.blocks.reduction(before, after)
     }
 }
 
@@ -152,8 +121,4 @@ fn numbered(first_row: &[usize], run: Option<&[f64]>) -> Vec<usize> {
             })
         })
         .collect()
-}
-
-pub(crate) fn rms(values: &[f64]) -> f64 {
-    (values.iter().map(|v| v * v).sum::<f64>() / values.len().max(1) as f64).sqrt()
 }

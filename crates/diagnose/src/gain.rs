@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::blocks::{Reduction, rms};
+use trueup_numerics::blocks::{Reduction, rms};
 
 /// What a term brings.
 #[derive(Clone, Copy, Debug, Serialize)]

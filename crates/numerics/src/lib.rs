@@ -2,6 +2,7 @@
 //!
 //! | module | does |
 //! |---|---|
+//! | [`blocks`] | what a term is worth on blocks that were left out |
 //! | [`least_squares`] | linear, nonlinear and mixed, with intervals |
 //! | [`line`] | a straight line, judged on the rows that it was not fitted to |
 //! | [`noise`] | noise with a memory: its likelihood, its covariance, draws of it |
@@ -10,6 +11,7 @@
 //! | [`robust`] | finds gross errors |
 #![forbid(unsafe_code)]
 
+pub mod blocks;
 pub mod least_squares;
 pub mod line;
 pub mod noise;

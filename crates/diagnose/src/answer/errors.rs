@@ -1,6 +1,8 @@
 //! Errors of a prediction, by row.
 
-use crate::{blocks::rms, data::Data, fit::Problem};
+use trueup_numerics::blocks::rms;
+
+use crate::{data::Data, fit::Problem};
 
 /// Errors of the rows that count, in µm, but for those that are set `aside`.
 pub(crate) fn errors(data: &Data, predicted: &[f64], aside: Option<&[bool]>) -> Vec<f64> {

@@ -2,12 +2,14 @@
 
 use serde_json::{Map, json};
 
+use trueup_numerics::blocks::rms;
+
 use crate::{
     answer::{
         errors::errors,
         report::{Finding, Rival},
     },
-    blocks::{Unit, rms},
+    blocks::Unit,
     data::Data,
     gain::Gain,
     judge::{Doubt, Judgement},

@@ -13,8 +13,10 @@ use std::sync::Arc;
 
 use trueup_machine::machine_file::Term;
 
+use trueup_numerics::blocks::rms;
+
 use crate::{
-    blocks::{Folds, rms},
+    blocks::Folds,
     data::Data,
     fit::{Problem, fit},
     judge::Judgement,

@@ -1,7 +1,8 @@
 //! What is the same for all terms of an answer that is judged.
 
+use trueup_numerics::blocks::rms;
+
 use crate::{
-    blocks::rms,
     fit::{Fitted, Problem},
     gain::Gain,
     model::Model,

@@ -1,7 +1,8 @@
 //! Other causes in a term's place.
 
+use trueup_numerics::blocks::rms;
+
 use crate::{
-    blocks::rms,
     fit::{Fitted, fit},
     judge::case::Case,
     model::{Kind, Model},

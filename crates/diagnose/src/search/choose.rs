@@ -1,7 +1,9 @@
 //! Which of the extensions that a scan puts first is taken: judged on blocks that were left out.
 
+use trueup_numerics::blocks::{Reduction, rms};
+
 use crate::{
-    blocks::{Folds, Reduction, rms},
+    blocks::Folds,
     candidates::possible,
     fit::{Fitted, Problem},
     gain::Gain,

@@ -7,10 +7,13 @@
 //! with the memory of the noise estimated for each model from what it leaves; and by the RMS that they
 //! leave on blocks that were left out of the fit.
 
-use trueup_numerics::noise::{self, Noise, Whitener};
+use trueup_numerics::{
+    blocks::rms,
+    noise::{self, Noise, Whitener},
+};
 
 use crate::{
-    blocks::{Folds, rms},
+    blocks::Folds,
     fit::{Fitted, Problem},
     model::Model,
 };

@@ -1,0 +1,114 @@
+//! Blocks of neighbouring rows, which noise with a memory ties together: left out in turn, or drawn
+//! again and again, they tell what single rows would only pretend to.
+
+use crate::random::Generator;
+
+/// Draws for an interval.
+const DRAWS: usize = 400;
+/// Blocks for an interval: fewer draw too coarse a distribution, more are shorter than they need be.
+const FEWEST: usize = 8;
+const MOST: usize = 40;
+/// Correlation times in a block, at least: then blocks are as good as independent.
+const CORRELATION_TIMES: f64 = 5.0;
+
+/// The number, from 0, of the stretch of each of `rows` rows that are cut into `stretches` of equal length.
+///
+/// ```
+/// assert_eq!(trueup_numerics::blocks::stretches(6, 3), [0, 0, 1, 1, 2, 2]);
+/// ```
+#[must_use]
+pub fn stretches(rows: usize, stretches: usize) -> Vec<usize> {
+    (0..rows).map(|row| row * stretches / rows).collect()
+}
+
+/// The root of the mean square, in the unit of `values`; 0 of none.
+#[must_use]
+pub fn rms(values: &[f64]) -> f64 {
+    (values.iter().map(|v| v * v).sum::<f64>() / values.len().max(1) as f64).sqrt()
+}
+
+/// By how much an RMS falls.
+#[derive(Clone, Copy, Debug)]
+pub struct Reduction {
+    /// 1 − after/before, at most 1; negative where it rises.
+    pub value: f64,
+    /// Its 95 % interval: whole blocks drawn again and again.
+    pub ci95: [f64; 2],
+    /// Whether it is above 0, and in four of five draws.
+    pub is_gain: bool,
+}
+
+/// Blocks to draw from.
+#[derive(Clone, Debug)]
+pub struct Blocks {
+    of_row: Vec<usize>,
+    count: usize,
+}
+
+impl Blocks {
+    /// Of `rows` rows, at least five correlation times of `memory` rows long where that leaves enough
+    /// of them.
+    #[must_use]
+    pub fn new(rows: usize, memory: f64) -> Self {
+        let least = (CORRELATION_TIMES * memory).max(1.0);
+        let count = ((rows as f64 / least) as usize).clamp(FEWEST, MOST).min(rows);
+        Self { of_row: stretches(rows, count), count }
+    }
+
+    /// The reduction of the RMS from `before` to `after`, a value for each row.
+    #[must_use]
+    pub fn reduction(&self, before: &[f64], after: &[f64]) -> Reduction {
+        let mut sums = vec![[0.0; 2]; self.count];
+        for (row, &block) in self.of_row.iter().enumerate() {
+            sums[block][0] += before[row] * before[row];
+            sums[block][1] += after[row] * after[row];
+        }
+        let of = |[before, after]: [f64; 2]| {
+            if before > 0.0 { 1.0 - (after / before).sqrt() } else { 0.0 }
+        };
+        let add = |a: [f64; 2], b: [f64; 2]| [a[0] + b[0], a[1] + b[1]];
+        let value = of(sums.iter().copied().fold([0.0; 2], add));
+        let mut generator = Generator::new(self.count as u64);
+        let mut draws: Vec<f64> = (0..DRAWS)
+            .map(|_| {
+                let drawn = (0..self.count).map(|_| sums[generator.below(self.count)]);
+                of(drawn.fold([0.0; 2], add))
+            })
+            .collect();
+        draws.sort_by(f64::total_cmp);
+        let [low, high, fifth] = [DRAWS / 40 - 1, DRAWS - DRAWS / 40 - 1, DRAWS / 5 - 1];
+        Reduction {
+            value,
+            ci95: [draws[low], draws[high]],
+            is_gain: value > 0.0 && draws[fifth] > 0.0,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn half_of_the_error_everywhere_is_a_reduction_by_half_whatever_is_drawn() {
+        let before: Vec<f64> = (0..200).map(|row| f64::from(row % 7) - 3.0).collect();
+        let after: Vec<f64> = before.iter().map(|e| e / 2.0).collect();
+        let found = Blocks::new(200, 3.0).reduction(&before, &after);
+        let all = [found.value, found.ci95[0], found.ci95[1]];
+        assert!(all.iter().all(|value| (value - 0.5).abs() < 1e-12) && found.is_gain, "{found:?}");
+    }
+
+    #[test]
+    fn what_helps_one_block_and_harms_the_others_is_no_gain() {
+        let before = vec![1.0; 400];
+        let after: Vec<f64> = (0..400).map(|row| if row < 40 { 0.0 } else { 1.05 }).collect();
+        let found = Blocks::new(400, 1.0).reduction(&before, &after);
+        assert!(found.ci95[0] < 0.0 && found.ci95[1] > 0.0, "{found:?}");
+    }
+
+    #[test]
+    fn blocks_are_five_correlation_times_long_but_at_least_eight_and_at_most_forty() {
+        assert_eq!([0.0, 5.0, 1e3].map(|memory| Blocks::new(400, memory).count), [40, 16, 8]);
+        assert_eq!(Blocks::new(5, 0.0).count, 5);
+    }
+}
