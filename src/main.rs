@@ -26,9 +26,7 @@
 //! computes is in `trueup-core`, what it says in `trueup-link`, both tested on the host.
 #![no_std]
 #![no_main]
-#![deny(unsafe_code)]
 
-#[allow(unsafe_code, reason = "registers and linker sections; each use says why it is sound")]
 mod board;
 mod supervision;
 

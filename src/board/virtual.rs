@@ -68,6 +68,7 @@ const BLOCKS_AT_ONCE: usize = 32;
 const BLOCKS_PER_SUPERVISION: u32 = 10;
 
 /// Brings the board up.
+#[allow(unsafe_code, reason = "registers of the emulated chip, and interrupts")]
 pub fn start(_core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts {
     // QEMU has no RCC: its oscillator bits never come up, and the HAL waits for none on HSI.
     let mut rcc = device.RCC.freeze(rcc::Config::hsi());
@@ -146,6 +147,7 @@ fn read_all(file: &mut File, buffer: &mut [u8]) -> usize {
 
 /// The doorbell: how many blocks the host has put into the pipe.
 #[interrupt]
+#[allow(unsafe_code, reason = "registers of the emulated chip, and interrupts")]
 fn USART2() {
     // SAFETY: no other code reads the receive side of USART2; reading the data register is what
     // clears the interrupt.
@@ -182,6 +184,7 @@ pub struct SerialOut(#[expect(dead_code, reason = "holds that half of the USART"
 impl SerialOut {
     /// The emulated USART is always ready, so that its status is not read first: each such read wakes
     /// QEMU's main loop, and halves what the line carries.
+    #[allow(unsafe_code, reason = "registers of the emulated chip, and interrupts")]
     pub fn write(&mut self, byte: u8) {
         // SAFETY: this half of the USART is owned by `self`, and a data register takes any byte.
         let usart = unsafe { &*USART1::ptr() };
@@ -341,6 +344,7 @@ impl Idle {
 
     /// Sleeps until the host rings. With interrupts masked the bell cannot ring between the look
     /// and the sleep: `wfi` wakes for a pending interrupt all the same.
+    #[allow(unsafe_code, reason = "registers of the emulated chip, and interrupts")]
     fn wait_for_blocks() -> u32 {
         loop {
             cortex_m::interrupt::disable();

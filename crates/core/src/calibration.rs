@@ -78,20 +78,20 @@ pub enum ElongationSource {
 /// Elongation by a temperature: k·(T − T₀), with a lag.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SpindleTemperature<'a> {
-    /// The channel of the temperature.
+    /// The channel of T, 0…7.
     pub channel: u8,
-    /// Of its lag, for 100 ms.
+    /// α of the lag of T while it rises, per step of 100 ms.
     pub smoothing: SmoothingFactor,
-    /// The same while the temperature falls.
+    /// α while T falls.
     pub smoothing_falling: SmoothingFactor,
-    /// The elongation is its K₀.
+    /// Its K₀(T) is the elongation, in 1/256 nm.
     pub law: Law<'a>,
 }
 
 /// The warm-up model, and what drives it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SpindleWarmup<'a> {
-    /// The model.
+    /// The model: lag, largest growth, and how fast it heats and cools.
     pub law: warmup::Warmup,
     /// (n/n_rated)^p in Q28 over n in r/min; empty where every speed heats fully.
     pub power: Curve<'a>,
@@ -120,7 +120,7 @@ pub struct AxisModel<'a> {
     pub pitch: Option<Pitch<'a>>,
     /// The second drive of a gantry.
     pub dual: Option<Dual<'a>>,
-    /// Its backlash: the error where it is approached in the negative direction.
+    /// Its backlash in 1/256 nm, −B of ISO 230-2: the error where it is approached in the negative direction.
     pub backlash: Fine,
     /// How a reversal is told from dither, and over which travel backlash comes in.
     pub travel: travel::Config,
@@ -129,15 +129,15 @@ pub struct AxisModel<'a> {
 /// The expansion of an axis: ΔK = K₀(T) + tanβ(T)·(P − P₀).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AxisThermal<'a> {
-    /// The channel of T.
+    /// The channel of T, 0…7.
     pub channel: u8,
-    /// Of its lag, for 100 ms.
+    /// α of the lag of T while it rises, per step of 100 ms.
     pub smoothing: SmoothingFactor,
-    /// The same while the temperature falls.
+    /// α while T falls.
     pub smoothing_falling: SmoothingFactor,
-    /// P₀.
+    /// P₀, the position at which tanβ adds nothing, in 10 nm.
     pub origin: Position,
-    /// K₀(T) and tanβ(T).
+    /// K₀(T) in 1/256 nm and tanβ(T) in Q36 nm per 10 nm.
     pub law: Law<'a>,
 }
 

@@ -29,7 +29,7 @@ pub struct Control {
 /// What the spindle does.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Spindle {
-    /// Speed, whichever way it turns.
+    /// Speed in r/min, 0…65 535, whichever way it turns.
     pub speed: Rpm,
     /// Axial cutting force in newtons; pushing the tool back is positive.
     pub load_n: i16,
@@ -57,9 +57,9 @@ impl LinearAxis {
 /// become the input of the next offset and chase itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AxisPosition {
-    /// The axis.
+    /// The axis whose position it is.
     pub axis: LinearAxis,
-    /// Commanded position in machine coordinates.
+    /// Commanded position in machine coordinates, in 10 nm: ±21.47 m.
     pub position: Position,
     /// Which way the axis came there, as the CNC says.
     pub direction: Heading,

@@ -25,9 +25,9 @@ use crate::{
 /// The errors of one axis at a place, part by part.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AxisError {
-    /// Its expansion.
+    /// Its expansion, K₀ + tanβ·(P − P₀).
     pub thermal: Fine,
-    /// Pitch and backlash.
+    /// Positioning: pitch table and backlash.
     pub positioning: Fine,
     /// Straightness of the two other axes, and squareness to them.
     pub guides: Fine,
@@ -50,7 +50,7 @@ impl AxisError {
 /// The errors of X, Y and Z.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Errors {
-    /// One an axis.
+    /// Of X, Y and Z, part by part; each in 1/256 nm, actual minus commanded.
     pub axes: [AxisError; 3],
     /// A position lies outside a table, whose end value is held.
     pub outside: bool,

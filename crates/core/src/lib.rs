@@ -4,6 +4,35 @@
 //! bridge = health ─► filter (window, revolution_mean) ─► sensor ─► tool ─► limits
 //! ```
 //!
+//! # Words and symbols
+//!
+//! | symbol | term | unit and format | sign | page | standard |
+//! |---|---|---|---|---|---|
+//! | e, Δx, Δy, Δz | error: actual minus commanded | nm; 1/256 nm (Q8) while parts are added | + beyond the command | [`geometry`], [`tip`] | ISO 230-1 |
+//! | | offset, the correction: what the CNC adds to its command, −e | nm | opposite to the error | [`limits`] | VIM 2.53 |
+//! | s, ΔK | elongation of the spindle | nm | + out of the spindle | [`sensor`], [`warmup`], [`thermal`] | |
+//! | V | tool direction, spindle nose to tool tip, length 1 | Q30 | machine axes | [`tool`], [`kinematics`] | |
+//! | P | position of an axis, commanded | 10 nm | machine axis | [`units`], [`place`] | ISO 230-2 |
+//! | P₀ | reference position of an expansion | 10 nm | machine axis | [`calibration`] | |
+//! | T, T₀ | temperature, reference temperature | 1/4096 mK (Q12 of mK) above 0 °C | | [`thermometer`], [`thermal`] | IEC 60751 |
+//! | K₀ | part of an expansion that does not depend on the position | 1/256 nm | as e | [`thermal`] | |
+//! | tanβ(T) | part of an expansion by position: gradient | Q36 nm per 10 nm | as e | [`thermal`], [`gradient`] | |
+//! | V, V₀, tanβ of the sensor | reading, zero reading, slope | 1/1024 code (Q10); Q28 nm per reading | + grows | [`sensor`] | |
+//! | E_XX … E_ZZ | positioning error: pitch table and backlash | 1/256 nm | as e | [`pitch`], [`travel`] | ISO 230-2 |
+//! | E_YX, E_ZX … | straightness error of a motion across it | 1/256 nm | as e | [`curve`] | ISO 230-1 |
+//! | | squareness error, as a gradient | Q36 nm per 10 nm | as e | [`gradient`] | ISO 230-1 |
+//! | B | reversal value; here the width is −B | 1/256 nm | + approached in the negative direction | [`travel`] | ISO 230-2 |
+//! | β | reversal fraction: 0 approached positively, 1 negatively | Q31, 0…1 | | [`travel`] | |
+//! | τ, α | time constant; smoothing factor 1 − e^(−Δt/τ) of a first-order lag | Q32, 0…1, per 100 ms | | [`lag`] | |
+//! | h | heat of the warm-up model | Q28, 1 at the rated speed | | [`warmup`] | |
+//! | n | spindle speed | r/min, without a sign | | [`window`], [`term`] | |
+//! | F | axial cutting force | 1/256 N | + pushes the tool back | [`term`] | |
+//! | m | coefficient of a term | mantissa/2^shift ([`fixed::Scaled`]) | | [`term`] | |
+//!
+//! Reference: the error that counts as zero, taken when the operator asks for it
+//! ([`bridge::Reference`]). Source: what tells the elongation ([`calibration::ElongationSource`]).
+//! Quality, flags: how good an offset is, and why it is not the full correction ([`cnc`]).
+//!
 //! Configuration ([`calibration`]) and state ([`bridge::State`]) are apart, time is an argument,
 //! and nothing here knows hardware, allocates or panics.
 #![no_std]

@@ -25,7 +25,7 @@ pub struct SensorLaw {
     pub k0: Nanometres,
     /// V₀, the reading with the machine cold.
     pub zero: Reading,
-    /// tanβ.
+    /// tanβ in Q28 nm per reading; positive where the reading grows with the spindle.
     pub slope: Slope,
 }
 

@@ -28,7 +28,7 @@ use crate::{
 pub struct Fraction(pub u32);
 
 impl Fraction {
-    /// Binary places.
+    /// Binary places of a fraction.
     pub const FRACTION_BITS: u32 = 31;
     /// Nothing: approached in the positive direction.
     pub const ZERO: Self = Self(0);
@@ -97,7 +97,7 @@ impl Interval {
         Self { length, reciprocal }
     }
 
-    /// The length.
+    /// The length in position units (10 nm).
     #[must_use]
     pub const fn length(self) -> u32 {
         self.length

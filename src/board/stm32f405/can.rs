@@ -47,6 +47,7 @@ const PATIENCE: u32 = 20;
 const WITHDRAW_POLLS: u32 = 32;
 
 /// Starts the controller, if its clock is exact enough for a bus; and whether it answers.
+#[allow(unsafe_code, reason = "registers of the CAN controller")]
 pub fn start(
     can: CAN1,
     tx: PB9,
@@ -85,6 +86,7 @@ fn enter_initialisation(can: &CAN1) -> bool {
 /// Lets standard data frames with these identifiers into the FIFO of their bank: a bank is a list of
 /// four 16-bit entries, of which the upper 11 bits are the identifier and the rest says "standard,
 /// data" (section 32.7.4).
+#[allow(unsafe_code, reason = "registers of the CAN controller")]
 fn listen_to(can: &CAN1, ids: &[[u16; 4]; 2]) {
     can.fmr().modify(|_, w| w.finit().set_bit());
     for (number, ids) in (0..).zip(ids) {
@@ -99,8 +101,10 @@ fn listen_to(can: &CAN1, ids: &[[u16; 4]; 2]) {
         can.fa1r().modify(|_, w| w.fact(number).set_bit());
     }
     let bank = can.fb(HEARTBEATS.into());
-    // The second half of the bank says the same. SAFETY: any value is a valid mask.
+    // The second half of the bank says the same.
+    // SAFETY: any value is a valid mask.
     bank.fr1().write(|w| unsafe { w.bits(HEARTBEAT_MASK) });
+    // SAFETY: as above.
     bank.fr2().write(|w| unsafe { w.bits(HEARTBEAT_MASK) });
     can.ffa1r().modify(|_, w| w.ffa(HEARTBEATS).set_bit());
     can.fa1r().modify(|_, w| w.fact(HEARTBEATS).set_bit());
@@ -108,6 +112,7 @@ fn listen_to(can: &CAN1, ids: &[[u16; 4]; 2]) {
 }
 
 /// Leaves the initialisation mode; the controller itself waits for 11 recessive bits.
+#[allow(unsafe_code, reason = "registers of the CAN controller")]
 fn join_bus(can: &CAN1) {
     // SAFETY: a valid bit timing, in initialisation mode.
     can.btr().write(|w| unsafe { w.bits(BIT_TIMING) });
@@ -235,6 +240,7 @@ fn mailbox_of(id: u16) -> u8 {
     }
 }
 
+#[allow(unsafe_code, reason = "registers of the CAN controller")]
 fn write(mailbox: &can1::TX, frame: &Frame) {
     let [a, b, c, d, e, f, g, h] = *frame.data();
     // SAFETY: a `Frame` has a length of 0…8 and an identifier of 11 bits. The mailbox is empty.
@@ -243,6 +249,7 @@ fn write(mailbox: &can1::TX, frame: &Frame) {
     mailbox.tdlr().write(|w| unsafe { w.bits(u32::from_le_bytes([a, b, c, d])) });
     // SAFETY: as above.
     mailbox.tdhr().write(|w| unsafe { w.bits(u32::from_le_bytes([e, f, g, h])) });
-    // Last, because TXRQ hands the mailbox over. SAFETY: as above.
+    // Last, because TXRQ hands the mailbox over.
+    // SAFETY: as above.
     mailbox.tir().write(|w| unsafe { w.stid().bits(frame.id()) }.txrq().set_bit());
 }

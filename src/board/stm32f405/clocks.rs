@@ -85,6 +85,7 @@ fn crystal_starts(rcc: &RCC) -> bool {
 }
 
 /// Tries the PLL on its later settings, and leaves it off, because the HAL sets it up anew.
+#[allow(unsafe_code, reason = "registers of the clock tree")]
 fn pll_locks(rcc: &RCC, from_crystal: bool) -> bool {
     // 8 MHz / 4 or 16 MHz / 8 is 2 MHz, times 168, by 2 (the reset value of P): 168 MHz.
     let input_divider = if from_crystal { 4 } else { 8 };
@@ -122,6 +123,7 @@ fn configuration(source: Source) -> Config {
 // SAFETY: "unsafe" is how cortex-m-rt marks a handler that critical sections do not hold off; this
 // one shares nothing.
 #[cortex_m_rt::exception]
+#[allow(unsafe_code, reason = "registers of the clock tree")]
 unsafe fn NonMaskableInt() -> ! {
     SCB::sys_reset()
 }

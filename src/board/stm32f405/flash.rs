@@ -45,6 +45,7 @@ pub struct Flash {
 impl Flash {
     /// Takes the controller over from those who have set it up: the sectors for calibrations, and
     /// those for references. Neither is written while the other is: both belong to the supervisor.
+    #[allow(unsafe_code, reason = "registers and words of the flash")]
     pub fn split(controller: FLASH) -> [Self; 2] {
         // SAFETY: the two are used one after the other, by the start and then by one task.
         let second = unsafe { FLASH::steal() };
@@ -62,6 +63,7 @@ impl Flash {
     ///
     /// # Safety
     /// Nobody writes to it or erases it from now on.
+    #[allow(unsafe_code, reason = "registers and words of the flash")]
     pub unsafe fn mapped(&self, offset: u32, length: usize) -> &'static [u8] {
         let end = offset as usize + length;
         assert!(end <= SECTORS * SECTOR_SIZE, "within the two sectors");
@@ -109,6 +111,7 @@ impl ReadNorFlash for Flash {
 
     // Once in the image: the store reads at many places, and has time.
     #[inline(never)]
+    #[allow(unsafe_code, reason = "registers and words of the flash")]
     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Self::Error> {
         check_read(self, offset, bytes.len())?;
         let words = (self.start() + offset as usize) as *const u32;
@@ -130,6 +133,7 @@ impl NorFlash for Flash {
     const ERASE_SIZE: usize = SECTOR_SIZE;
 
     #[inline(never)]
+    #[allow(unsafe_code, reason = "registers and words of the flash")]
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Self::Error> {
         check_write(self, offset, bytes.len())?;
         let words = (self.start() + offset as usize) as *mut u32;
@@ -146,6 +150,7 @@ impl NorFlash for Flash {
         })
     }
 
+    #[allow(unsafe_code, reason = "registers and words of the flash")]
     fn erase(&mut self, from: u32, to: u32) -> Result<(), Self::Error> {
         check_erase(self, from, to)?;
         let first = from as usize / SECTOR_SIZE;

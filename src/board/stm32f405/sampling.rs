@@ -194,6 +194,7 @@ impl Samples {
     }
 
     /// DMA2 stream 0 channel 0 is ADC1 (section 10.3.3). The order is that of section 10.3.17.
+    #[allow(unsafe_code, reason = "addresses for the DMA")]
     fn start_stream(&mut self) {
         let source = self.chain.adc.dr().as_ptr() as u32;
         let [first, second] = BUFFERS.each_ref().map(|buffer| buffer.as_ptr() as u32);

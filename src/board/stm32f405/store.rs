@@ -15,6 +15,7 @@ impl Store {
     /// Opens it over the image's own calibration, `base`, and gives the blob that was loaded over it,
     /// if there is one. An erase may be needed to make room, so this is for the time before samples
     /// are taken and the watchdog runs. `buffer` takes one calibration at a time.
+    #[allow(unsafe_code, reason = "a slice of the flash")]
     pub fn open(flash: Flash, base: u32, buffer: &mut [u8]) -> (Self, Option<&'static [u8]>) {
         let (mut slots, found) = Slots::open(flash, base, buffer);
         let Found { newest, foreign, damaged } = found;

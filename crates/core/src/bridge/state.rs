@@ -63,9 +63,9 @@ pub struct State {
 /// The error that counts as none: what `Zero` has taken.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Reference {
-    /// Of the tool: it turns with it.
+    /// The elongation in nm, along the tool: it turns with it.
     pub elongation: Nanometres,
-    /// Of X, Y and Z.
+    /// The sums of the errors of X, Y and Z in 1/256 nm.
     pub axes: [Fine; 3],
 }
 
