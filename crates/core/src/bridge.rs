@@ -431,11 +431,10 @@ impl<'a> Bridge<'a> {
         let since = i64::from(elongation.0).wrapping_sub(i64::from(state.reference.elongation.0));
         let since = Nanometres::saturating(since);
         let direction = self.direction(state);
-        let (error, clamped) = tip::error_at_tip(since, direction, axes.sums, self.largest);
-        let mut target = [Nanometres::ZERO; 3];
-        for ((target, error), reference) in target.iter_mut().zip(error).zip(state.reference.axes) {
-            *target = error.plus(Fine(reference.0.saturating_neg())).rounded().negated();
-        }
+        let ([x, y, z], clamped) = tip::error_at_tip(since, direction, axes.sums, self.largest);
+        let [zero_x, zero_y, zero_z] = state.reference.axes;
+        let target = [(x, zero_x), (y, zero_y), (z, zero_z)]
+            .map(|(error, zero)| error.plus(Fine(zero.0.saturating_neg())).rounded().negated());
         (target, clamped)
     }
 

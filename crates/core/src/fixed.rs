@@ -109,6 +109,18 @@ pub const fn rounded_shift(value: i64, shift: u32) -> i64 {
     value.wrapping_add(half).wrapping_shr(shift)
 }
 
+/// As [`rounded_shift`], of a value without a sign; one above 2⁶⁴ − 1 − 2^(shift − 1) wraps.
+///
+/// ```
+/// assert_eq!(trueup_core::fixed::rounded_shift_unsigned(6, 2), 2);
+/// ```
+#[must_use]
+#[inline]
+pub const fn rounded_shift_unsigned(value: u64, shift: u32) -> u64 {
+    let half = 1_u64.wrapping_shl(shift) >> 1;
+    value.wrapping_add(half).wrapping_shr(shift)
+}
+
 /// value/2^shift to the nearest, halves upwards; the shift is 0…30. The top 2^(shift − 1) values
 /// count as the highest of them that can be rounded.
 ///
@@ -228,6 +240,9 @@ mod tests {
                 for value in [i64::from(a), i64::from(a) << 31, i64::MIN, i64::MAX - half] {
                     let exact = nearest(value.into(), shift);
                     assert_eq!(i128::from(rounded_shift(value, shift)), exact);
+                    let value = value.cast_unsigned().min(u64::MAX - half.cast_unsigned());
+                    let exact = nearest(value.into(), shift);
+                    assert_eq!(i128::from(rounded_shift_unsigned(value, shift)), exact);
                 }
             }
             for shift in 0..=30 {

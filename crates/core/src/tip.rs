@@ -53,14 +53,18 @@ pub fn error_at_tip(
     axes: [Fine; 3],
     largest: [Fine; 3],
 ) -> ([Fine; 3], bool) {
-    let mut error = axes;
-    let mut clamped = false;
-    for ((error, along), largest) in
-        error.iter_mut().zip(direction.fine_error(elongation)).zip(largest)
-    {
-        let (along, beyond) = along.clamped(largest);
-        *error = along.plus(*error);
-        clamped |= beyond;
-    }
-    (error, clamped)
+    // Axis by axis and not in a loop: so no part goes through memory.
+    let ([along_x, along_y, along_z], [x, y, z]) = (direction.fine_error(elongation), axes);
+    let [largest_x, largest_y, largest_z] = largest;
+    let x = on_axis(along_x, x, largest_x);
+    let y = on_axis(along_y, y, largest_y);
+    let z = on_axis(along_z, z, largest_z);
+    ([x.0, y.0, z.0], x.1 | y.1 | z.1)
+}
+
+/// The elongation along an axis, clamped, and the error of the axis itself.
+#[inline]
+fn on_axis(along: Fine, own: Fine, largest: Fine) -> (Fine, bool) {
+    let (along, clamped) = along.clamped(largest);
+    (along.plus(own), clamped)
 }

@@ -6,7 +6,7 @@
 //! Rounding W to 2⁻¹⁶ of a sample and the reciprocal to an integer costs at most 1.1·10⁻⁷ and
 //! 6·10⁻⁸ of the value.
 
-use crate::{fixed::rounded_shift, units::Rpm};
+use crate::{fixed::rounded_shift_unsigned, units::Rpm};
 
 /// Samples a second of the stream that is averaged.
 pub const AVERAGED_HZ: u32 = 5_000;
@@ -85,8 +85,7 @@ impl Window {
         // then is the mean times 2⁴¹: at most 63 bits.
         let area = (u64::from(inside) << 8)
             .wrapping_add(u64::from(end).wrapping_mul(u64::from(fraction)) >> 8);
-        let mean = area.wrapping_mul(u64::from(self.reciprocal)).cast_signed();
-        rounded_shift(mean, 41) as u32
+        rounded_shift_unsigned(area.wrapping_mul(u64::from(self.reciprocal)), 41) as u32
     }
 
     /// The whole samples in it.
