@@ -75,11 +75,11 @@ impl Type {
 pub enum Access {
     /// Read; it never changes.
     Constant,
-    /// Read.
+    /// A master may read it; it changes while the bridge runs.
     Read,
     /// Read and write.
     ReadWrite,
-    /// Write.
+    /// A master may write it; a read is refused.
     Write,
 }
 
@@ -147,7 +147,7 @@ pub enum Counter {
     Accepted,
     /// Of a wrong length or content.
     Malformed,
-    /// Damaged.
+    /// Frames whose CRC is wrong.
     Crc,
     /// Repeated or out of order.
     Sequence,
@@ -160,9 +160,9 @@ pub enum Counter {
 pub struct Entry {
     /// Its sub-index.
     pub subindex: u8,
-    /// Its name.
+    /// Its name in the EDS.
     pub name: &'static str,
-    /// Its type.
+    /// The type of the value on the wire.
     pub kind: Type,
     /// What a master may do.
     pub access: Access,
@@ -175,7 +175,7 @@ pub struct Entry {
 /// One object.
 #[derive(Clone, Copy, Debug)]
 pub struct Object {
-    /// Its index.
+    /// Its index, 0x1000…0xFFFF.
     pub index: u16,
     /// Its name.
     pub name: &'static str,

@@ -128,7 +128,7 @@ impl Fault {
 pub struct Faults(u16);
 
 impl Faults {
-    /// The bits.
+    /// A bit each, 0…0x3FFF: bit n is set for [`Fault::ALL`]`[n]`.
     #[must_use]
     pub const fn bits(self) -> u16 {
         self.0
@@ -158,7 +158,7 @@ impl Faults {
             .with_if(output.flags.contains(Flags::CLAMPED), Fault::Clamped)
     }
 
-    /// These and those.
+    /// The faults that are in either.
     #[must_use]
     pub const fn and(self, other: Self) -> Self {
         Self(self.0 | other.0)
@@ -321,7 +321,7 @@ impl Emergencies {
         self.inhibit
     }
 
-    /// Sets it.
+    /// Sets the shortest time between two emergencies, in 0.1 ms; 0: none.
     pub const fn set_inhibit(&mut self, tenths_of_ms: u16) {
         self.inhibit = tenths_of_ms;
     }

@@ -105,7 +105,7 @@ struct Incoming {
     number: [u8; 4],
 }
 
-/// The server.
+/// The server: the state of the one transfer that is under way.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Server {
     phase: Phase,

@@ -326,7 +326,7 @@ fn offset_from_raw(raw: i32) -> Option<Nanometres> {
     (raw != NOT_AVAILABLE_RAW).then(|| Nanometres(raw.saturating_mul(NANOMETRES_PER_BIT)))
 }
 
-/// Why a frame says nothing that can be used.
+/// Why a frame cannot be decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DecodeError {
     /// This is another frame.

@@ -119,7 +119,7 @@ pub enum Reading {
     Starting,
     /// It measures, and the thermometer or its cable is broken.
     Faulty(Faults),
-    /// The resistance.
+    /// The resistance in micro-ohms, 0…429 986 877.
     Good(MicroOhms),
 }
 

@@ -5,7 +5,7 @@
 //!   CNC, master ── frames ──► node ── frames ──► CNC, master
 //!                 samples ──►  │
 //!          core: the law ◄─────┤
-//!          canopen, store ◄────┘          vectors ──► random lives of a node, for a checksum
+//!          canopen, store ◄────┘          vectors ──► random inputs of a node, for a checksum
 //! ```
 //!
 //! Nothing here touches hardware, allocates, reads a clock, or panics on any input.

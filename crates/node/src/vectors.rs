@@ -1,4 +1,4 @@
-//! Random lives of a node, the same on every machine: what proves that board and host compute the
+//! Random inputs of a node, the same on every machine: what proves that board and host compute the
 //! same to the bit.
 //!
 //! A vector is one millisecond: frames from the CNC as often as the wire has them, positions that
@@ -105,7 +105,7 @@ impl Random {
     }
 }
 
-/// A node and the hand that feeds it.
+/// A node and the generator of its inputs.
 #[derive(Debug)]
 pub struct Vectors<'a> {
     node: Node<'a>,
@@ -254,7 +254,7 @@ impl<'a> Vectors<'a> {
         self.checksum
     }
 
-    /// The node.
+    /// The node that takes the vectors.
     #[must_use]
     pub const fn node(&self) -> &Node<'a> {
         &self.node

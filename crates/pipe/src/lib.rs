@@ -192,7 +192,7 @@ pub enum BlockError {
     FrameLength {
         /// Which frame, from 0.
         slot: usize,
-        /// Its length.
+        /// Its length in bytes.
         len: u8,
     },
     /// An identifier is above 0x7FF, and not the one that stands for no frame.

@@ -48,7 +48,7 @@ struct Half {
     newest: u32,
 }
 
-/// The log.
+/// The log, open.
 #[derive(Debug)]
 pub(crate) struct Log<F> {
     /// Read by its owner too, who must not write to it.

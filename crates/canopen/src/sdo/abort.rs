@@ -8,7 +8,7 @@ pub enum Abort {
     Toggle = 0x0503_0000,
     /// The client has been silent in the middle of a transfer.
     Timeout = 0x0504_0000,
-    /// A command that is none here: a block transfer, or a segment of no transfer.
+    /// An unsupported command: a block transfer, or a segment without a transfer.
     Command = 0x0504_0001,
     /// An object that can only be written is read.
     WriteOnly = 0x0601_0001,
@@ -67,7 +67,7 @@ impl Abort {
             Self::TooLong => "too long",
             Self::TooShort => "too short",
             Self::NoSubindex => "there is no such sub-index",
-            Self::Value => "a value out of its range, or a calibration that is none",
+            Self::Value => "a value out of its range, or a damaged calibration",
             Self::CannotStore => "the board cannot store it",
             Self::DeviceState => "not now: offsets are being followed",
             Self::NoData => "there is nothing to read",

@@ -30,7 +30,7 @@ pub enum ClientError {
     Unexpected {
         /// Of this object.
         at: At,
-        /// The answer.
+        /// The eight bytes that came.
         answer: [u8; 8],
     },
 }

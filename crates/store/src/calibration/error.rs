@@ -69,7 +69,7 @@ pub enum BlobError {
     Value {
         /// Offset of the value.
         offset: usize,
-        /// The value.
+        /// The number that was found there.
         found: u32,
     },
     /// A table that is not in the blob, or that contradicts itself.
