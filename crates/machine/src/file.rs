@@ -117,7 +117,7 @@ impl MachineFile {
         };
         for section in root.sections("term")? {
             let term = term::read(&section)?;
-            term::check(&section, &term, &machine)?;
+            term::check(&section, &term, &machine.spindle, &machine.axes)?;
             machine.terms.push(term);
         }
         machine.places = document.into_places();

@@ -6,11 +6,11 @@ use crate::place::BadInput;
 /// A linear axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum LinearAxis {
-    /// X.
+    /// X; positions in mm, positive as the CNC counts them.
     X,
-    /// Y.
+    /// Y; positions in mm, positive as the CNC counts them.
     Y,
-    /// Z.
+    /// Z; positions in mm, positive as the CNC counts them.
     Z,
 }
 
@@ -34,11 +34,11 @@ impl LinearAxis {
 /// A rotary axis: it turns about X, Y or Z, by the right hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum RotaryAxis {
-    /// About X.
+    /// About X; angles in degrees, positive by the right hand.
     A,
-    /// About Y.
+    /// About Y; angles in degrees, positive by the right hand.
     B,
-    /// About Z.
+    /// About Z; angles in degrees, positive by the right hand.
     C,
 }
 
@@ -138,7 +138,7 @@ pub enum ThermalMode {
     Constant,
     /// tanβ(T)·(P − P₀) alone.
     Position,
-    /// Both.
+    /// K₀(T) + tanβ(T)·(P − P₀).
     Both,
 }
 

@@ -21,11 +21,11 @@ pub struct Spindle {
 /// Where the elongation comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Source {
-    /// The displacement sensor.
+    /// The displacement sensor, in counts.
     Sensor,
-    /// The warm-up model.
+    /// The warm-up model, over the time in s that the spindle has run.
     Warmup,
-    /// A temperature.
+    /// A temperature in °C, behind a first-order lag.
     Temperature,
 }
 

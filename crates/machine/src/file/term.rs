@@ -5,7 +5,7 @@
 //!
 //! `constant_um` is added by any of them: the reference of a measurement is arbitrary.
 
-use super::{Machine, read::Section, write::NewSection};
+use super::{Axis, Spindle, read::Section, write::NewSection};
 use crate::{
     effect::{Cause, Effect, Host, Quantity},
     place::{BadInput, did_you_mean, shortened},
@@ -38,13 +38,18 @@ pub(super) fn read(section: &Section<'_>) -> Result<Term, BadInput> {
     Ok(Term { quantity, constant_um, effect: cause.read(section)? })
 }
 
-/// Whether the term belongs to this machine: a lag needs a temperature that the quantity depends
-/// on, a sensor's error a sensor.
-pub(super) fn check(section: &Section<'_>, term: &Term, machine: &Machine) -> Result<(), BadInput> {
-    let axis = term.quantity.axis().map(|axis| &machine.axes[axis.index()]);
+/// Whether the term belongs to the machine with this spindle and these axes: a lag needs a
+/// temperature that the quantity depends on, a sensor's error a sensor.
+pub(super) fn check(
+    section: &Section<'_>,
+    term: &Term,
+    spindle: &Spindle,
+    axes: &[Axis; 3],
+) -> Result<(), BadInput> {
+    let axis = term.quantity.axis().map(|axis| &axes[axis.index()]);
     let host = Host {
         quantity: term.quantity,
-        spindle: &machine.spindle,
+        spindle,
         thermal: axis.and_then(|axis| axis.thermal.as_ref()),
     };
     match term.effect.refused(&host) {

@@ -29,7 +29,7 @@ pub enum Value {
     Number(f64),
     /// A whole number, written without a point.
     Whole(u32),
-    /// A string.
+    /// A string of any characters.
     Text(String),
     /// An array of finite numbers.
     Numbers(Vec<f64>),
