@@ -15,26 +15,14 @@ const ROWS: usize = 400;
 
 /// What is left of a cause that nobody has named yet, at scatter 1.
 fn left(kind: &str, row: usize) -> f64 {
-    let row = row as f64;
+    let level = |is_there: bool, um: f64| if is_there { um } else { 0.0 };
     match kind {
         // A screw's pitch of ten readings.
-        "wave" => 6.0 * (TAU * row / 10.0).sin(),
+        "wave" => 6.0 * (TAU * row as f64 / 10.0).sin(),
         // An axis that turns every 25 readings, with backlash.
-        "backlash" => {
-            if (row / 25.0) as usize % 2 == 1 {
-                12.0
-            } else {
-                0.0
-            }
-        }
+        "backlash" => level(row / 25 % 2 == 1, 12.0),
         // A load of three readings, every forty.
-        "load" => {
-            if row as usize % 40 < 3 {
-                15.0
-            } else {
-                0.0
-            }
-        }
+        "load" => level(row % 40 < 3, 15.0),
         _ => 0.0,
     }
 }
