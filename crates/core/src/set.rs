@@ -17,7 +17,8 @@ use crate::dimensions::{CHANNELS, MAX_TERMS};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct IndexSet(u16);
 
-const _: () = assert!(CHANNELS <= u16::BITS as usize && MAX_TERMS <= u16::BITS as usize);
+const _: () = assert!(CHANNELS <= u16::BITS as usize);
+const _: () = assert!(MAX_TERMS <= u16::BITS as usize);
 
 impl IndexSet {
     /// Takes a number in; one above 15 is in no set.
