@@ -1,87 +1,110 @@
-//! The machine's own laws with other constants, in columns: what `trueup predict` steps row by row.
+//! The machine's own laws with the constants that the parts of a model correct, in columns: what
+//! `trueup predict` steps row by row.
 
 use trueup_machine::{
-    machine_file::{Quantity, Source},
+    effect::Constants,
+    machine_file::{Source, Spindle, Thermal, Warmup},
     model::{WarmupState, thermal_um},
 };
 
 use crate::{
     data::{Data, filled},
-    model::{Changed, own_thermal},
+    kind::{Part, own_thermal},
 };
 
-/// The elongation with the changed constants.
-pub(crate) fn elongation(data: &Data, changed: Changed) -> Vec<f64> {
-    let spindle = &data.machine.spindle;
-    match (spindle.source, &spindle.temperature, &spindle.warmup) {
-        (Some(Source::Temperature), Some(model), _)
-            if is_elongation_lag(data) && (changed.lag_s.is_some() || changed.fall_s.is_some()) =>
-        {
-            if data.temperature(&model.sensor).is_none() {
-                return data.elongation.clone();
-            }
-            let rise_s = changed.lag_s.unwrap_or(model.lag_s);
-            let fall_s = changed.fall_s.unwrap_or(rise_s);
-            let lagged = data.lagged(&model.sensor, rise_s, fall_s);
-            lagged.iter().map(|c| model.k_um_per_c * (c - model.reference_c)).collect()
-        }
-        (Some(Source::Warmup), _, Some(model))
-            if changed.rate_s.is_some() || changed.fall_s.is_some() =>
-        {
-            if let Some(whole) = &data.whole {
-                return whole.pick(&elongation(&whole.data, changed));
-            }
-            let Some(time_s) = data.time_s.as_deref() else { return data.elongation.clone() };
-            // So large an exponent makes it an exponential without an end, as in `predict`.
-            const ENDLESS: f64 = 40.0;
-            let mut model = model.clone();
-            if let Some(rate_s) = changed.rate_s {
-                model.exponent = ENDLESS;
-                model.warm_s = model.lag_s + ENDLESS * rate_s;
-            }
-            if let Some(fall_s) = changed.fall_s {
-                model.cool_s = Some(fall_s);
-            }
-            let rated_rpm = model.rated_rpm.unwrap_or(1.0);
-            let mut state = WarmupState::default();
-            let grown: Vec<f64> = (0..data.rows)
-                .map(|row| {
-                    if data.restart[row] {
-                        state = WarmupState::default();
-                    }
-                    let rpm = data.spindle_rpm.as_ref().map_or(rated_rpm, |rpm| rpm[row]);
-                    state.step(&model, time_s[row], rpm)
-                })
-                .collect();
-            filled(&grown)
-        }
-        _ => data.elongation.clone(),
-    }
+/// The machine's own laws; none where nothing is corrected.
+#[derive(Debug, Default)]
+pub(crate) struct Laws {
+    spindle: Option<Spindle>,
+    spindle_falling_s: Option<f64>,
+    thermal: Option<Thermal>,
+    thermal_falling_s: Option<f64>,
 }
 
-/// Whether a lag of the model is the spindle's; else it is the axis's.
-fn is_elongation_lag(data: &Data) -> bool {
-    data.quantity == Quantity::Elongation || own_thermal(data).is_none()
-}
-
-/// The axis's error with the changed constants.
-pub(crate) fn axis(data: &Data, changed: Changed) -> Vec<f64> {
-    let unchanged = changed == Changed { rate_s: changed.rate_s, ..Changed::default() };
-    let Some(thermal) = own_thermal(data).filter(|_| !unchanged) else { return data.axis.clone() };
-    if data.temperature(&thermal.sensor).is_none() {
-        return data.axis.clone();
+impl Laws {
+    /// The laws of the machine file with what `parts` correct.
+    pub(crate) fn corrected(data: &Data, parts: &[Part]) -> Self {
+        let mut laws = Self::default();
+        for part in parts.iter().filter(|part| part.kind.corrects()) {
+            let Some(cause) = part.cause() else { continue };
+            cause.correct(&mut if part.kind.is_of_elongation(data) {
+                let spindle = laws.spindle.get_or_insert_with(|| data.machine.spindle.clone());
+                Constants {
+                    spindle: Some(spindle),
+                    thermal: None,
+                    falling_s: &mut laws.spindle_falling_s,
+                }
+            } else {
+                laws.thermal = laws.thermal.take().or_else(|| own_thermal(data).cloned());
+                Constants {
+                    spindle: None,
+                    thermal: laws.thermal.as_mut(),
+                    falling_s: &mut laws.thermal_falling_s,
+                }
+            });
+        }
+        laws
     }
-    let mut thermal = thermal.clone();
-    thermal.slope_um_per_m_per_c += changed.slope;
-    thermal.shift_reference(changed.shift_c);
-    let rise_s = changed.lag_s.unwrap_or(thermal.lag_s);
-    let fall_s = changed.fall_s.unwrap_or(rise_s);
-    let lagged = data.lagged(&thermal.sensor, rise_s, fall_s);
-    let position = data.own_position();
-    (0..data.rows)
-        .map(|row| {
-            let mm = position.map_or(f64::NAN, |mm| mm[row]);
-            data.axis[row] - data.thermal[row] + thermal_um(&thermal, lagged[row], mm)
-        })
-        .collect()
+
+    /// The time constant with which the model's own heat rises.
+    pub(crate) fn rise_s(&self, data: &Data) -> Option<f64> {
+        let spindle = self.spindle.as_ref().unwrap_or(&data.machine.spindle);
+        let rise_s = match (self.thermal.as_ref().or(own_thermal(data)), spindle.source) {
+            (Some(thermal), _) => Some(thermal.lag_s),
+            (None, Some(Source::Temperature)) => spindle.temperature.as_ref().map(|it| it.lag_s),
+            (None, Some(Source::Warmup)) => spindle.warmup.as_ref().map(Warmup::time_constant_s),
+            _ => None,
+        };
+        rise_s.filter(|rise_s| *rise_s > 0.0)
+    }
+
+    /// The elongation of each row.
+    pub(crate) fn elongation(&self, data: &Data) -> Vec<f64> {
+        let Some(spindle) = &self.spindle else { return data.elongation.clone() };
+        match (spindle.source, &spindle.temperature, &spindle.warmup) {
+            (Some(Source::Temperature), Some(model), _)
+                if data.temperature(&model.sensor).is_some() =>
+            {
+                let fall_s = self.spindle_falling_s.unwrap_or(model.lag_s);
+                let lagged = data.lagged(&model.sensor, model.lag_s, fall_s);
+                lagged.iter().map(|c| model.k_um_per_c * (c - model.reference_c)).collect()
+            }
+            (Some(Source::Warmup), _, Some(model)) => {
+                if let Some(whole) = &data.whole {
+                    return whole.pick(&self.elongation(&whole.data));
+                }
+                let Some(time_s) = data.time_s.as_deref() else { return data.elongation.clone() };
+                let rated_rpm = model.rated_rpm.unwrap_or(1.0);
+                let mut state = WarmupState::default();
+                let grown: Vec<f64> = (0..data.rows)
+                    .map(|row| {
+                        if data.restart[row] {
+                            state = WarmupState::default();
+                        }
+                        let rpm = data.spindle_rpm.as_ref().map_or(rated_rpm, |rpm| rpm[row]);
+                        state.step(model, time_s[row], rpm)
+                    })
+                    .collect();
+                filled(&grown)
+            }
+            _ => data.elongation.clone(),
+        }
+    }
+
+    /// The axis's error of each row.
+    pub(crate) fn axis(&self, data: &Data) -> Vec<f64> {
+        let thermal = self.thermal.as_ref();
+        let Some(thermal) = thermal.filter(|it| data.temperature(&it.sensor).is_some()) else {
+            return data.axis.clone();
+        };
+        let fall_s = self.thermal_falling_s.unwrap_or(thermal.lag_s);
+        let lagged = data.lagged(&thermal.sensor, thermal.lag_s, fall_s);
+        let position = data.own_position();
+        (0..data.rows)
+            .map(|row| {
+                let mm = position.map_or(f64::NAN, |mm| mm[row]);
+                data.axis[row] - data.thermal[row] + thermal_um(thermal, lagged[row], mm)
+            })
+            .collect()
+    }
 }

@@ -25,6 +25,7 @@
 //! |---|---|
 //! | `diagnose` | the flow above |
 //! | `data` | the runs as one table, with what the model says |
+//! | `kind` | a cause by its page, or a curve |
 //! | `model`, `columns`, `laws` | all terms in columns, fast |
 //! | `fit` | all values at once by least squares, intervals under correlated noise |
 //! | `blocks`, `gain` | left-out files, runs and stretches; what a term brings on them |
@@ -32,7 +33,7 @@
 //! | `search` | term by term, rivals, exchange |
 //! | `outliers`, `repeats` | gross errors; what does not come back |
 //! | `judge` | whether a term's name is claimed, and why not |
-//! | `answer`, `parameters`, `terms`, `words` | the answer, for scripts and for people |
+//! | `answer`, `parameters`, `terms` | the answer, for scripts and for people |
 #![forbid(unsafe_code)]
 
 mod answer;
@@ -44,6 +45,7 @@ mod diagnose;
 mod fit;
 mod gain;
 mod judge;
+mod kind;
 mod laws;
 mod model;
 mod outliers;
@@ -52,7 +54,6 @@ mod repeats;
 mod search;
 mod terms;
 mod waves;
-mod words;
 
 use std::{
     io::{self, Write},

@@ -6,12 +6,12 @@
 
 use serde_json::{Map, Value, json};
 
-use trueup_machine::effect::Effect;
+use trueup_machine::effect::{self, Parameter};
 use trueup_numerics::{noise::Noise, t_quantile};
 
 use crate::{
     fit::{Fitted, Problem, spread},
-    model::{Kind, Part, Scale},
+    kind::Part,
     terms,
 };
 
@@ -35,98 +35,90 @@ pub(crate) fn parameters(
     // Of one value, as it is fitted.
     let interval = |value: usize| -> [f64; 2] {
         let (center, sd) = (part.values[value], quantile * sd(value));
-        if nonlinear.get(value) == Some(&Scale::Logarithmic) {
+        if part.kind.is_logarithmic(value) {
             [center * (-sd).exp(), center * sd.exp()]
         } else {
             [center - sd, center + sd]
         }
     };
     let mut map = Map::new();
-    let mut put = |name: &str, value: f64, ci95: [f64; 2]| {
-        let mut ci95 = ci95;
-        ci95.sort_by(f64::total_cmp);
-        map.insert(name.into(), json!({"value": value, "ci95": ci95}));
-    };
-    let mut plain = |name: &str, value: usize, offset: f64| {
-        let [low, high] = interval(value);
-        put(name, part.values[value] + offset, [low + offset, high + offset]);
-    };
     let mut is_determined = true;
-    match &part.kind {
-        Kind::SensorOffset => plain("offset_um", 0, 0.0),
-        Kind::SensorGain => plain("gain", 0, 1.0),
-        Kind::SensorCurvature => plain("per_um", 0, 0.0),
-        Kind::SensorSaturation => plain("limit_um", 0, 0.0),
-        Kind::SensorTemperatureDrift { .. } => plain("um_per_c", 0, 0.0),
-        Kind::TimeShift => plain("shift_s", 0, 0.0),
-        Kind::ThermalLag | Kind::GrowthRate | Kind::CoolingAsymmetry => {
-            plain("time_constant_s", 0, 0.0);
+    let listed = part.kind.cause().map(|cause| cause.parameters(&part.values)).unwrap_or_default();
+    for parameter in &listed {
+        match parameter {
+            Parameter::Fitted(name, number, offset) => {
+                let [low, high] = interval(*number);
+                put(&mut map, name, part.values[*number] + offset, [low + offset, high + offset]);
+            }
+            Parameter::Fixed(name, value) => put(&mut map, name, *value, [*value; 2]),
+            Parameter::Instant(name, number) => {
+                // A jump is as sharp as its neighbours in time.
+                let at_s = part.values[*number];
+                let step_s = step_s(problem) * problem.groups.size as f64;
+                put(&mut map, name, at_s, [at_s - 2.0 * step_s, at_s + step_s]);
+            }
+            Parameter::Waves(harmonics) => {
+                // Of several waves the largest is the one that is named.
+                let waves = part.values[nonlinear.len()..].chunks(2);
+                let sizes: Vec<f64> = waves.map(|pair| pair[0].hypot(pair[1])).collect();
+                let largest = (0..sizes.len()).max_by(|a, b| sizes[*a].total_cmp(&sizes[*b]));
+                let largest = largest.unwrap_or(0);
+                let start = nonlinear.len() + 2 * largest;
+                let harmonic = f64::from(harmonics[largest]);
+                let (a, b) = (part.values[start], part.values[start + 1]);
+                let amplitude = a.hypot(b);
+                let sd = match (place(start), place(start + 1)) {
+                    (Some(i), Some(j)) if amplitude > 0.0 => {
+                        let c = |i, j| spread.covariance(i, j);
+                        let square = a * a * c(i, i) + 2.0 * a * b * c(i, j) + b * b * c(j, j);
+                        quantile * square.max(0.0).sqrt() / amplitude
+                    }
+                    _ => f64::NAN,
+                };
+                put(
+                    &mut map,
+                    "amplitude_um",
+                    amplitude,
+                    [(amplitude - sd).max(0.0), amplitude + sd],
+                );
+                let [low, high] = interval(0);
+                put(
+                    &mut map,
+                    "period_mm",
+                    part.values[0] / harmonic,
+                    [low / harmonic, high / harmonic],
+                );
+            }
+            Parameter::Record(name, record) => {
+                let intervals: Vec<[f64; 2]> = (0..part.values.len()).map(&interval).collect();
+                let record: Map<String, Value> = record
+                    .iter()
+                    .map(|(key, value)| {
+                        (key.to_string(), value.as_ref().map_or(Value::Null, as_json))
+                    })
+                    .collect();
+                map.insert((*name).into(), json!({"value": record, "ci95": intervals}));
+            }
+            Parameter::Records(name, records) => {
+                let records: Vec<Map<String, Value>> = records
+                    .iter()
+                    .map(|record| {
+                        let entries = record.iter();
+                        entries.map(|(key, value)| (key.to_string(), as_json(value))).collect()
+                    })
+                    .collect();
+                map.insert((*name).into(), json!({"value": records}));
+            }
+            Parameter::Said(name, value) => {
+                map.insert((*name).into(), json!({"value": as_json(value)}));
+            }
         }
-        Kind::SlowMode => {
-            plain("amplitude_um", 1, 0.0);
-            plain("time_constant_s", 0, 0.0);
-        }
-        Kind::SlowModeOf { .. } | Kind::ExtraHeatPath { has_lag: true, .. } => {
-            plain("um_per_c", 1, 0.0);
-            plain("time_constant_s", 0, 0.0);
-        }
-        Kind::ExtraHeatPath { has_lag: false, .. } => {
-            plain("um_per_c", 0, 0.0);
-            put("time_constant_s", 0.0, [0.0, 0.0]);
-        }
-        Kind::GrowthAmplitude => plain("scale", 0, 1.0),
-        Kind::ExpansionSlope => {
-            let believed =
-                crate::model::own_thermal(data).map_or(0.0, |it| it.slope_um_per_m_per_c);
-            plain("um_per_m_per_c", 0, believed);
-        }
-        Kind::ReferenceTemperature => plain("shift_c", 0, 0.0),
-        Kind::CentrifugalGrowth => plain("um_per_krpm2", 0, 0.0),
-        Kind::CuttingLoad => plain("um_per_n", 0, 0.0),
-        Kind::PitchScale | Kind::PositionDependentBacklash | Kind::CrossAxis { .. } => {
-            plain("um_per_m", 0, 0.0);
-        }
-        Kind::Backlash => plain("width_um", 0, 0.0),
-        Kind::Drift => plain("um_per_h", 0, 0.0),
-        Kind::Step => {
-            plain("size_um", 1, 0.0);
-            // A jump is as sharp as its neighbours in time.
-            let at_s = part.values[0];
-            let step_s = step_s(problem) * problem.groups.size as f64;
-            put("at_s", at_s, [at_s - 2.0 * step_s, at_s + step_s]);
-        }
-        Kind::PitchPeriodic { .. } | Kind::ReferenceInstrument { .. } => {
-            // Of several waves the largest is the one that is named.
-            let waves = part.values[nonlinear.len()..].chunks(2);
-            let sizes: Vec<f64> = waves.map(|pair| pair[0].hypot(pair[1])).collect();
-            let largest = (0..sizes.len()).max_by(|a, b| sizes[*a].total_cmp(&sizes[*b]));
-            let largest = largest.unwrap_or(0);
-            let start = nonlinear.len() + 2 * largest;
-            let harmonic = match &part.kind {
-                Kind::PitchPeriodic { harmonics } => f64::from(harmonics[largest]),
-                _ => 1.0,
-            };
-            let (a, b) = (part.values[start], part.values[start + 1]);
-            let amplitude = a.hypot(b);
-            let sd = match (place(start), place(start + 1)) {
-                (Some(i), Some(j)) if amplitude > 0.0 => {
-                    let c = |i, j| spread.covariance(i, j);
-                    let square = a * a * c(i, i) + 2.0 * a * b * c(i, j) + b * b * c(j, j);
-                    quantile * square.max(0.0).sqrt() / amplitude
-                }
-                _ => f64::NAN,
-            };
-            put("amplitude_um", amplitude, [(amplitude - sd).max(0.0), amplitude + sd]);
-            let [low, high] = interval(0);
-            put("period_mm", part.values[0] / harmonic, [low / harmonic, high / harmonic]);
-        }
-        Kind::PitchError { .. } | Kind::Straightness { .. } | Kind::Curve { .. } => {}
     }
     // A mean of readings that are rounded has less of an interval than its rounding.
-    for (value, scale) in nonlinear.iter().enumerate() {
+    for value in 0..nonlinear.len() {
         let [low, high] = interval(value);
         let bound = problem.bounds.time_constant_s;
-        if part.kind.has_time_constant() && *scale == Scale::Logarithmic {
+        if part.kind.has_time_constant() && part.kind.is_logarithmic(value) {
             let at_bound = part.values[value] > 0.95 * bound[1];
             // Known within a factor of two either way, or short beside the record: else it is not
             // known how the next hours will be.
@@ -134,13 +126,9 @@ pub(crate) fn parameters(
             is_determined &= is_known && !at_bound;
         }
     }
-    list_parameters(part, &interval, &mut map);
     // The reference and a zero that came with it.
     let terms = terms::terms(data, &fitted.model);
     if let Some(term) = terms.get(index) {
-        if let Effect::ReferenceInstrument(instrument) = &term.effect {
-            map.insert("description".into(), json!({"value": instrument.description}));
-        }
         if let Some(heat) = term.effect.clone().heat_mut() {
             map.insert("reference_c".into(), json!({"value": heat.reference_c}));
         }
@@ -151,50 +139,24 @@ pub(crate) fn parameters(
     (map, is_determined)
 }
 
-fn list_parameters(
-    part: &Part,
-    interval: &dyn Fn(usize) -> [f64; 2],
-    map: &mut Map<String, Value>,
-) {
-    let intervals = || (0..part.values.len()).map(interval).collect::<Vec<_>>();
-    match &part.kind {
-        Kind::PitchError { start_mm, step_mm, points, both_ways } => {
-            let value = json!({
-                "start_mm": start_mm,
-                "step_mm": step_mm,
-                "forward_um": part.values[..*points],
-                "reverse_um": both_ways.then(|| part.values[*points..].to_vec()),
-            });
-            map.insert("table".into(), json!({"value": value, "ci95": intervals()}));
+fn put(map: &mut Map<String, Value>, name: &str, value: f64, mut ci95: [f64; 2]) {
+    ci95.sort_by(f64::total_cmp);
+    map.insert(name.into(), json!({"value": value, "ci95": ci95}));
+}
+
+fn as_json(value: &effect::Value) -> Value {
+    match value {
+        effect::Value::Number(number) => json!(number),
+        effect::Value::Whole(number) => json!(number),
+        effect::Value::Text(text) => json!(text),
+        effect::Value::Numbers(numbers) => json!(numbers),
+        effect::Value::Wholes(numbers) => json!(numbers),
+        effect::Value::Texts(texts) => json!(texts),
+        effect::Value::Rows(rows) => json!(rows),
+        effect::Value::Inline(entries) => {
+            let entries = entries.iter().map(|(key, value)| (key.clone(), as_json(value)));
+            Value::Object(entries.collect())
         }
-        Kind::Straightness { along, knots_mm } => {
-            let value = json!({
-                "along": along.name(),
-                "order": 4,
-                "knots_mm": knots_mm,
-                "control_um": part.values,
-            });
-            map.insert("spline".into(), json!({"value": value, "ci95": intervals()}));
-        }
-        Kind::CrossAxis { axis } => {
-            map.insert("axis".into(), json!({"value": axis.name()}));
-        }
-        Kind::PitchPeriodic { harmonics } if harmonics.len() > 1 => {
-            let waves: Vec<Value> = harmonics
-                .iter()
-                .zip(part.values[1..].chunks(2))
-                .map(|(harmonic, pair)| {
-                    json!({
-                        "harmonic": harmonic,
-                        "amplitude_um": pair[0].hypot(pair[1]),
-                        "phase_deg": pair[1].atan2(pair[0]).to_degrees(),
-                    })
-                })
-                .collect();
-            map.insert("harmonics".into(), json!({"value": waves}));
-            map.insert("turn_mm".into(), json!({"value": part.values[0]}));
-        }
-        _ => {}
     }
 }
 

@@ -19,99 +19,19 @@
 
 use std::f64::consts::TAU;
 
-use trueup_machine::machine_file::Quantity;
 use trueup_numerics::{parallel::on_all_cores, random::Generator};
 
-use crate::{
-    candidates::Candidate,
-    data::filled,
-    fit::Problem,
-    model::{Kind, Model},
-};
-
-/// Most frequencies that are looked at.
-const MOST_FREQUENCIES: usize = 8000;
 /// Frequencies that are worth a core of its own.
 const FREQUENCIES_AT_ONCE: usize = 1000;
 
-pub(crate) fn candidates(problem: &Problem, model: &Model, residual: &[f64]) -> Vec<Candidate> {
-    let data = &problem.data;
-    let mut all = Vec::new();
-    if data.quantity == Quantity::Elongation {
-        let reading = problem.groups.means(&filled(&data.elongation));
-        // Less than three turns are a curve, and may be the sensor's.
-        if let Some((frequency, searched)) = peak(&reading, residual, 3.0, 2000) {
-            all.push(Candidate {
-                kind: Kind::ReferenceInstrument { is_angled: false, reading: None },
-                settings: vec![vec![1.0 / frequency]],
-                searched,
-            });
-        }
-        return all;
-    }
-    let Some(own) = data.own_position() else { return all };
-    let has_instrument =
-        model.parts.iter().any(|part| matches!(part.kind, Kind::ReferenceInstrument { .. }));
-    // Groups would blur a period.
-    let at = problem.groups.means(&filled(own));
-    // Where the instrument has waves of its own, what else is periodic may be its as well.
-    if !has_instrument
-        && let Some((frequency, searched)) = peak(&at, residual, 2.0, MOST_FREQUENCIES)
-    {
-        // Whatever turns once in two, three or four of these periods is the same screw.
-        let known = model.parts.iter().find_map(|part| match &part.kind {
-            Kind::PitchPeriodic { .. } => Some(part.values[0]),
-            _ => None,
-        });
-        if known.is_none() {
-            let period = 1.0 / frequency;
-            for harmonics in [vec![1], vec![1, 2], vec![1, 2, 3]] {
-                all.push(Candidate {
-                    kind: Kind::PitchPeriodic { harmonics },
-                    settings: vec![vec![period]],
-                    searched,
-                });
-            }
-            // The peak may be a harmonic of a turn that has all of them.
-            let turns: Vec<Vec<f64>> = (1..=6)
-                .map(|turns| vec![f64::from(turns) * period])
-                .filter(|turn| turn[0] <= problem.bounds.period_mm[1])
-                .collect();
-            if at.len() > 600 && !turns.is_empty() {
-                all.push(Candidate {
-                    kind: Kind::PitchPeriodic { harmonics: (1..=12).collect() },
-                    settings: turns,
-                    searched,
-                });
-            }
-        } else {
-            all.push(Candidate {
-                kind: Kind::PitchPeriodic { harmonics: vec![1, 2] },
-                settings: vec![vec![1.0 / frequency]],
-                searched,
-            });
-        }
-    }
-    if has_instrument {
-        return all;
-    }
-    // What the instrument reads may be in a column of its own: set up anew, it reads another number
-    // at the same position.
-    let lengths = data.others.iter().filter(|(name, _)| name.ends_with("_mm"));
-    let readings = lengths.map(|(name, values)| (Some(name.clone()), filled(values)));
-    for (reading, values) in std::iter::once((None, filled(own))).chain(readings) {
-        let at = problem.groups.means(&values);
-        if let Some((values, searched)) = angled(&at, residual) {
-            let kind = Kind::ReferenceInstrument { is_angled: true, reading };
-            all.push(Candidate { kind, settings: vec![values], searched });
-        }
-    }
-    all
-}
-
 /// The frequency of the highest peak of `values` over `at`, with at least `least_turns` over the
 /// whole length, and ln of the number of independent frequencies that were looked at.
-fn peak(at: &[f64], values: &[f64], least_turns: f64, most: usize) -> Option<(f64, f64)> {
+pub(crate) fn peak(
+    at: &[f64],
+    values: &[f64],
+    least_turns: f64,
+    most: usize,
+) -> Option<(f64, f64)> {
     let (power, frequency, looked_at) = spectrum(at, values, least_turns, most)?;
     (power > 0.0).then_some((frequency, looked_at.ln()))
 }
@@ -207,7 +127,7 @@ fn waves(
 }
 
 /// C and P₀ of the best wave over 1/(P + P₀).
-fn angled(at: &[f64], values: &[f64]) -> Option<(Vec<f64>, f64)> {
+pub(crate) fn angled(at: &[f64], values: &[f64]) -> Option<(Vec<f64>, f64)> {
     let (low, high) = at
         .iter()
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &x| (low.min(x), high.max(x)));

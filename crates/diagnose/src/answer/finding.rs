@@ -13,13 +13,12 @@ use crate::{
     data::Data,
     gain::Gain,
     judge::{Doubt, Judgement},
-    words,
 };
 
 /// The finding of a term; `left_out`: what was left out in turn.
 pub(crate) fn finding(it: &Judgement, left_out: Unit) -> Finding {
     let cause = it.cause();
-    let sentence = words::sentence(&it.part);
+    let sentence = it.part.sentence();
     let Gain { rms_before_um, rms_after_um, .. } = it.gain;
     let first = &it.first_gain;
     let mut evidence = vec![
@@ -36,7 +35,7 @@ pub(crate) fn finding(it: &Judgement, left_out: Unit) -> Finding {
             "Measure again with nothing varied but what goes with {inputs}, in many small steps, up \
              and down."
         ),
-        None => words::next_test(cause, rival_in_doubt(it)),
+        None => cause.next_test(rival_in_doubt(it)).to_string(),
     };
     let rivals = it.rivals.iter().map(|rival| Rival {
         cause: rival.cause.name().into(),

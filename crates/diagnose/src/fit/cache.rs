@@ -4,11 +4,13 @@
 use std::{
     collections::{HashMap, VecDeque},
     hash::{Hash, Hasher},
-    mem,
     sync::Arc,
 };
 
-use crate::model::{Kind, Model, Part};
+use crate::{
+    kind::{Kind, Part},
+    model::Model,
+};
 
 /// Columns side by side, in groups.
 pub(crate) type Columns = Arc<Vec<Vec<f64>>>;
@@ -46,7 +48,8 @@ impl Hash for Key {
     /// Kinds that differ only in what is fixed about them meet, and are told apart by `eq`.
     fn hash<H: Hasher>(&self, state: &mut H) {
         for part in &self.0 {
-            mem::discriminant(&part.kind).hash(state);
+            part.kind.name().hash(state);
+            part.kind.column().hash(state);
             part.values.iter().for_each(|value| value.to_bits().hash(state));
         }
     }

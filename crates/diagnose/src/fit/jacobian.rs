@@ -1,7 +1,9 @@
 //! The change of the prediction with each value of a model.
 
 use super::problem::Problem;
-use crate::model::{Kind, Model, Scale};
+use trueup_machine::effect::Nonlinear;
+
+use crate::model::Model;
 
 /// Which value of which part a column of the Jacobian belongs to; none: the constant.
 pub(crate) type Parameter = Option<(usize, usize)>;
@@ -10,15 +12,14 @@ pub(crate) type Parameter = Option<(usize, usize)>;
 pub(crate) fn jacobian(problem: &Problem, model: &Model) -> (Vec<Parameter>, Vec<Vec<f64>>) {
     let mut parameters: Vec<Parameter> = Vec::new();
     let mut columns = Vec::new();
-    let has_shift = model.has(&Kind::TimeShift);
+    let has_shift = model.parts.iter().any(|part| part.kind.is_shift());
     let mut here: Option<Vec<f64>> = None;
     for (index, part) in model.parts.iter().enumerate() {
         let (kind, nonlinear) = (&part.kind, part.kind.nonlinear());
         let step = |number: usize| {
-            let is_log = nonlinear.get(number) == Some(&Scale::Logarithmic);
             let value = part.values[number];
-            let step = derivative_step(problem, kind, value, is_log);
-            (step, if is_log { value * step.exp() } else { value + step })
+            let step = derivative_step(problem, nonlinear.get(number), value);
+            (step, if kind.is_logarithmic(number) { value * step.exp() } else { value + step })
         };
         // What is only added is its own derivative.
         if kind.is_added() && !has_shift {
@@ -62,15 +63,15 @@ pub(crate) fn jacobian(problem: &Problem, model: &Model) -> (Vec<Parameter>, Vec
     (parameters, columns)
 }
 
-fn derivative_step(problem: &Problem, kind: &Kind, value: f64, is_log: bool) -> f64 {
+fn derivative_step(problem: &Problem, what: Option<&Nonlinear>, value: f64) -> f64 {
     let [start_s, end_s] = problem.bounds.time_s;
-    match kind {
-        Kind::PitchPeriodic { .. } | Kind::ReferenceInstrument { .. } if is_log => 1e-7,
-        _ if is_log => 1e-4,
-        Kind::TimeShift => 0.05 * (end_s - start_s) / problem.data.rows as f64,
-        Kind::SensorSaturation => {
+    match what {
+        Some(Nonlinear::Period | Nonlinear::ReadingPeriod) => 1e-7,
+        Some(Nonlinear::TimeConstant | Nonlinear::FallingTimeConstant) => 1e-4,
+        Some(Nonlinear::Shift) => 0.05 * (end_s - start_s) / problem.data.rows as f64,
+        Some(Nonlinear::Limit) => {
             1e-4 * (problem.bounds.prediction_um[1] - problem.bounds.prediction_um[0])
         }
-        _ => 1e-6 * value.abs().max(1e-3),
+        Some(Nonlinear::Origin | Nonlinear::Instant) | None => 1e-6 * value.abs().max(1e-3),
     }
 }

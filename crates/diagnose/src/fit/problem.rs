@@ -2,13 +2,15 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use trueup_machine::machine_file::Source;
+use trueup_machine::effect::Nonlinear;
 
 use super::cache::{Cache, Columns, Key};
 use crate::{
     columns::basis,
     data::{Data, Groups},
-    model::{Kind, Model, Part, own_thermal, shifted_rows},
+    kind::{Kind, Part},
+    laws::Laws,
+    model::{Model, shifted_rows},
 };
 
 /// Data, and its groups of rows.
@@ -112,7 +114,7 @@ impl Problem {
     /// What the model would predict if nothing were late, in the rows of the whole.
     fn unshifted(&self, model: &Model) -> Arc<Vec<f64>> {
         let mut plain = model.clone();
-        plain.parts.retain(|part| part.kind != Kind::TimeShift);
+        plain.parts.retain(|part| !part.kind.is_shift());
         if let Some((there, predicted)) = &self.cache().unshifted
             && *there == plain
         {
@@ -146,54 +148,41 @@ impl Problem {
         self.measured.iter().zip(predicted).map(|(m, p)| m - p).collect()
     }
 
-    /// The time constant with which the model's own heat rises.
-    fn rise_s(&self, model: &Model) -> Option<f64> {
-        let replaced = model.parts.iter().find_map(|part| {
-            matches!(part.kind, Kind::ThermalLag | Kind::GrowthRate).then_some(part.values[0])
-        });
-        let spindle = &self.data.machine.spindle;
-        let believed = match (own_thermal(&self.data), spindle.source) {
-            (Some(thermal), _) => Some(thermal.lag_s),
-            (None, Some(Source::Temperature)) => spindle.temperature.as_ref().map(|it| it.lag_s),
-            (None, Some(Source::Warmup)) => {
-                spindle.warmup.as_ref().map(trueup_machine::machine_file::Warmup::time_constant_s)
-            }
-            _ => None,
-        };
-        replaced.or(believed).filter(|rise_s| *rise_s > 0.0)
-    }
-
-    /// Whether all values of the model are physically possible and inside what the data can show.
+    /// Holds the values of the model to what is physically possible and inside what the data can show.
     pub(super) fn keep(&self, model: &mut Model) {
-        let rise_s = self.rise_s(model);
+        let falls = |part: &Part| part.kind.nonlinear().contains(&Nonlinear::FallingTimeConstant);
+        let is_falling = model.parts.iter().any(falls);
+        let rise_s = is_falling
+            .then(|| Laws::corrected(&self.data, &model.parts).rise_s(&self.data))
+            .flatten();
+        let held = |value: &mut f64, [low, high]: [f64; 2]| *value = value.clamp(low, high);
         for part in &mut model.parts {
-            // What cools more than five times faster or slower than it warms is not the same heat.
-            if let (Kind::CoolingAsymmetry, Some(rise_s)) = (&part.kind, rise_s) {
-                part.values[0] = part.values[0].clamp(0.2 * rise_s, 5.0 * rise_s);
+            let nonlinear = part.kind.nonlinear();
+            for (value, what) in part.values.iter_mut().zip(nonlinear) {
+                match what {
+                    Nonlinear::TimeConstant => held(value, self.bounds.time_constant_s),
+                    Nonlinear::FallingTimeConstant => {
+                        // What cools more than five times faster or slower than it warms is not the
+                        // same heat.
+                        if let Some(rise_s) = rise_s {
+                            held(value, [0.2 * rise_s, 5.0 * rise_s]);
+                        }
+                        held(value, self.bounds.time_constant_s);
+                    }
+                    Nonlinear::Shift => {
+                        // Clocks that differ by more are not a matter of two clocks.
+                        let [low, high] = self.bounds.time_s;
+                        let rows = self.data.rows as f64 / self.data.files as f64;
+                        let most = (high - low) * (40.0 / rows).min(0.1);
+                        held(value, [-most, most]);
+                    }
+                    Nonlinear::Limit => held(value, self.bounds.prediction_um),
+                    Nonlinear::Period => held(value, self.bounds.period_mm),
+                    Nonlinear::ReadingPeriod | Nonlinear::Origin | Nonlinear::Instant => {}
+                }
             }
-            let held = |value: &mut f64, [low, high]: [f64; 2]| *value = value.clamp(low, high);
-            match part.kind {
-                _ if part.kind.has_time_constant() => {
-                    held(&mut part.values[0], self.bounds.time_constant_s);
-                }
-                Kind::TimeShift => {
-                    // Clocks that differ by more are not a matter of two clocks.
-                    let [low, high] = self.bounds.time_s;
-                    let rows = self.data.rows as f64 / self.data.files as f64;
-                    let most = (high - low) * (40.0 / rows).min(0.1);
-                    held(&mut part.values[0], [-most, most]);
-                }
-                Kind::SensorSaturation => {
-                    held(&mut part.values[0], self.bounds.prediction_um);
-                }
-                Kind::PitchPeriodic { .. } => held(&mut part.values[0], self.bounds.period_mm),
-                // A gain that turns the sign, or is off by more than a factor of five, is another
-                // machine's.
-                Kind::SensorGain => held(&mut part.values[0], [-0.8, 4.0]),
-                // A growth that is not within a factor of two of what is believed is not the same
-                // growth: another path carries it.
-                Kind::GrowthAmplitude => held(&mut part.values[0], [-0.5, 1.0]),
-                _ => {}
+            if let Some(limits) = part.kind.cause().and_then(|cause| cause.amplitude_limits()) {
+                part.values[nonlinear.len()..].iter_mut().for_each(|value| held(value, limits));
             }
         }
     }

@@ -7,7 +7,7 @@ use super::{
     problem::Problem,
     undetermined::{keep_only, substitute, substitutes},
 };
-use crate::model::{Kind, Model, Scale};
+use crate::model::Model;
 
 /// A fitted model, and what it leaves.
 #[derive(Clone, Debug)]
@@ -45,7 +45,7 @@ pub(crate) fn fit(problem: &Problem, model: &Model, mask: Option<&[bool]>) -> Fi
     let mut damping: f64 = 0.0;
     let is_linear = model.parts.iter().all(|part| {
         let nonlinear = part.kind.nonlinear().len();
-        part.kind.is_added() && (nonlinear == 0 || part.kind == Kind::Step)
+        part.kind.is_added() && (nonlinear == 0 || part.kind.has_instant())
     });
     let mut degrees = 0;
     for _ in 0..if is_linear { 1 } else { iterations } {
@@ -58,7 +58,7 @@ pub(crate) fn fit(problem: &Problem, model: &Model, mask: Option<&[bool]>) -> Fi
         }
         let is_fitted = |parameter: &Parameter| {
             parameter.is_none_or(|(part, value)| {
-                let is_step = model.parts[part].kind == Kind::Step && value == 0;
+                let is_step = model.parts[part].kind.has_instant() && value == 0;
                 !is_step && !substitutes.iter().any(|it| (it.part, it.value) == (part, value))
             })
         };
@@ -75,7 +75,7 @@ pub(crate) fn fit(problem: &Problem, model: &Model, mask: Option<&[bool]>) -> Fi
                     None => moved.constant_um = Some(moved.constant_um.unwrap_or(0.0) + change),
                     Some((part, value)) => {
                         let part = &mut moved.parts[*part];
-                        let is_log = part.kind.nonlinear().get(*value) == Some(&Scale::Logarithmic);
+                        let is_log = part.kind.is_logarithmic(*value);
                         let value = &mut part.values[*value];
                         if is_log {
                             // At most by a factor e² at once.
@@ -112,12 +112,16 @@ pub(crate) fn fit(problem: &Problem, model: &Model, mask: Option<&[bool]>) -> Fi
 mod tests {
     use std::path::Path;
 
-    use trueup_machine::{MachineFile, RunFile, machine_file::Quantity};
+    use trueup_machine::{
+        MachineFile, RunFile,
+        effect::OnBoard,
+        machine_file::{LinearAxis, Pitch, Quantity},
+    };
 
     use super::*;
     use crate::{
         data::{Data, Groups},
-        model::Part,
+        kind::{Kind, Part},
     };
 
     #[test]
@@ -138,7 +142,13 @@ mod tests {
         let data = Data::new(&machine, &[run], Quantity::Dx).expect("comparable");
         let groups = Groups::new(&data, &data.used.clone(), 1);
         let problem = Problem::new(data, groups);
-        let kind = Kind::PitchError { start_mm: 0.0, step_mm: 100.0, points: 5, both_ways: true };
+        let table = Pitch {
+            start_mm: 0.0,
+            step_mm: 100.0,
+            forward_um: vec![0.0; 5],
+            reverse_um: Some(vec![0.0; 5]),
+        };
+        let kind = Kind::of_form(Some(LinearAxis::X), &OnBoard::Table(table)).expect("a table");
         let part = Part { values: vec![0.0; 10], kind };
         let model = Model { parts: vec![part], constant_um: None };
         let values = &fit(&problem, &model, None).model.parts[0].values;

@@ -1,10 +1,8 @@
 //! Whether the data identify a term: whether another record would give the same values.
 
-use crate::{
-    data::Data,
-    judge::case::Case,
-    model::{Kind, Scale},
-};
+use trueup_machine::effect::Effect;
+
+use crate::{data::Data, judge::case::Case, kind::Kind};
 
 /// A model that is identified leaves about as much where it was not fitted as where it was: twice as
 /// much is four times the squares.
@@ -19,7 +17,7 @@ const STEADY: f64 = 2.5;
 pub(crate) fn is_identified(case: &Case<'_>, cause: &Kind, is_known: bool) -> bool {
     // What acts late is known if the model foresees what it was not fitted to. A growth from the start
     // alone is excepted: without the start it cannot be.
-    let is_late = cause.has_time_constant() && *cause != Kind::SlowMode;
+    let is_late = cause.has_time_constant() && !cause.cause().is_some_and(Effect::is_in_time);
     let is_at_most = |times: f64| case.left_out_um <= times * case.found.fitted.rms();
     let is_foreseen = case.found.folds.are_records() && is_at_most(SEEN_AGAIN);
     is_foreseen
@@ -32,7 +30,7 @@ pub(crate) fn is_identified(case: &Case<'_>, cause: &Kind, is_known: bool) -> bo
 /// Whether a time constant is about the same whatever part of the record is left out, or short beside
 /// the record.
 fn is_steady(case: &Case<'_>, cause: &Kind) -> bool {
-    if cause.nonlinear().first() != Some(&Scale::Logarithmic) || cause.tier() > 1 {
+    if !cause.is_logarithmic(0) || cause.tier() > 1 {
         return true;
     }
     let folded = case.folded.iter();
@@ -47,10 +45,8 @@ fn is_steady(case: &Case<'_>, cause: &Kind) -> bool {
 /// rises late and falls late is a path. The column must have turned three times by a tenth of its
 /// range, in all records together.
 fn is_seen_again(data: &Data, kind: &Kind) -> bool {
-    let (Kind::SlowModeOf { column } | Kind::ExtraHeatPath { column, has_lag: true }) = kind else {
-        return true;
-    };
-    let Some(values) = data.temperature(column) else { return true };
+    let Some(path) = kind.heat_path().filter(|path| path.has_lag) else { return true };
+    let Some(values) = data.temperature(path.column) else { return true };
     let (low, high) = values
         .iter()
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &c| (low.min(c), high.max(c)));
@@ -93,10 +89,10 @@ mod tests {
 
     #[test]
     fn a_slow_path_is_seen_again_once_it_has_warmed_twice() {
-        let slow = Kind::ExtraHeatPath { column: "temp_table_c".into(), has_lag: true };
+        let slow = Kind::heat_of("temp_table_c", true);
         assert!(!is_seen_again(&record(1), &slow));
         assert!(is_seen_again(&record(2), &slow));
-        let plain = Kind::ExtraHeatPath { column: "temp_table_c".into(), has_lag: false };
+        let plain = Kind::heat_of("temp_table_c", false);
         assert!(is_seen_again(&record(1), &plain));
     }
 }

@@ -32,7 +32,8 @@ use trueup_numerics::parallel::on_all_cores;
 use crate::{
     fit::{Problem, fit},
     gain::Gain,
-    model::{Kind, Model, Part},
+    kind::{Kind, Part},
+    model::Model,
     parameters::parameters,
     search::{Added, Found, criterion::STRONG_EVIDENCE, extend::replacements, lack_of_fit::Inputs},
 };

@@ -7,7 +7,8 @@ use crate::{
     data::Data,
     fit::{Fitted, fit},
     judge::case::Case,
-    model::{Kind, Model},
+    kind::{Curve, Kind},
+    model::Model,
     search::{
         criterion::{STRONG_EVIDENCE, bic},
         extend::Extension,
@@ -30,10 +31,10 @@ impl Curves {
     /// description of the instrument's own error.
     pub(crate) fn new(case: &Case<'_>, cause: &Kind) -> Self {
         let mut candidates = structure(case.problem);
-        if let Kind::ReferenceInstrument { .. } = cause {
+        if cause.is_of_instrument() {
             let data = &case.problem.data;
             candidates.retain(|curve| match &curve.kind {
-                Kind::Curve { column, times: None, .. } => !is_reading(data, column),
+                Kind::Curve(Curve { column, times: None, .. }) => !is_reading(data, column),
                 _ => true,
             });
         }

@@ -5,7 +5,8 @@ use trueup_numerics::blocks::rms;
 use crate::{
     fit::{Fitted, fit},
     judge::case::Case,
-    model::{Kind, Model},
+    kind::Kind,
+    model::Model,
     search::{
         criterion::{EQUAL_PREDICTION, STRONG_EVIDENCE, degrees},
         extend::{Extension, Replacements},

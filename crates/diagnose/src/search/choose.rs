@@ -7,7 +7,7 @@ use crate::{
     candidates::possible,
     fit::{Fitted, Problem},
     gain::Gain,
-    model::Kind,
+    kind::Kind,
     search::{
         criterion::{EQUAL_PREDICTION, STRONG_EVIDENCE, bic, degrees, noise_of},
         extend::{Extension, extensions, fit_hits},

@@ -2,10 +2,13 @@
 
 use trueup_numerics::{least_squares::normal::solve, parallel::on_all_cores};
 
+use trueup_machine::effect::Effect;
+
 use crate::{
     candidates::{Candidate, possible},
     fit::{Fitted, Problem, fit},
-    model::{Kind, Model},
+    kind::Kind,
+    model::Model,
     search::{
         criterion::bic,
         scan::{Draw, Hit, scan},
@@ -71,7 +74,7 @@ pub(crate) fn fit_hits(
         let mut start = with(&base.model, hit);
         begin(problem, &base.residual, &mut start, &hit.part.kind);
         let mut fitted = fit(problem, &start, None);
-        if hit.part.kind == Kind::Step {
+        if hit.part.kind.has_instant() {
             fitted = refine_step(problem, fitted);
         }
         Extension::new(problem, hit.part.kind.clone(), fitted)
@@ -112,7 +115,7 @@ fn with(model: &Model, hit: &Hit) -> Model {
     }
     if with.constant_um.is_some() {
         // A zero of its own is in the constant now.
-        with.parts.retain(|part| part.kind != Kind::SensorOffset);
+        with.parts.retain(|part| !part.kind.cause().is_some_and(Effect::is_constant));
     }
     with.sort();
     with
@@ -138,7 +141,7 @@ fn begin(problem: &Problem, residual: &[f64], model: &mut Model, kind: &Kind) {
 
 /// The time of a step by trying every group around.
 fn refine_step(problem: &Problem, fitted: Fitted) -> Fitted {
-    let Some(index) = fitted.model.parts.iter().position(|part| part.kind == Kind::Step) else {
+    let Some(index) = fitted.model.parts.iter().position(|part| part.kind.has_instant()) else {
         return fitted;
     };
     let Some(times) = problem.data.time_s.as_deref() else { return fitted };

@@ -6,7 +6,7 @@ use crate::{
     blocks::Unit,
     candidates::Candidate,
     fit::{Fitted, Problem},
-    model::Kind,
+    kind::{Curve, Kind},
     search::{
         criterion::{STRONG_EVIDENCE, bic},
         extend::{Extension, extensions},
@@ -49,7 +49,7 @@ pub(crate) struct Inputs {
 impl Inputs {
     /// Those of a curve; none of a cause.
     pub(crate) fn of(kind: &Kind) -> Option<Self> {
-        let Kind::Curve { column, by_direction, times, .. } = kind else { return None };
+        let Kind::Curve(Curve { column, by_direction, times, .. }) = kind else { return None };
         Some(Self { column: column.clone(), times: times.clone(), by_direction: *by_direction })
     }
 }

@@ -38,7 +38,8 @@ use crate::{
     candidates::{possible, structure},
     data::Data,
     fit::{Fitted, Problem},
-    model::{Model, Part},
+    kind::Part,
+    model::Model,
 };
 use choose::{Choice, Taken, choose, pair_from_nothing};
 use criterion::{degrees, noise_of};

@@ -7,7 +7,7 @@ use crate::{
     candidates::{columns_in_use, possible},
     fit::Fitted,
     gain::Gain,
-    model::Kind,
+    kind::Kind,
     search::{
         criterion::{STRONG_EVIDENCE, bic, degrees},
         extend::{Extension, extensions},
@@ -67,9 +67,9 @@ impl Search<'_> {
     /// By how much the BIC of another cause in a term's place must be better: what needs more values
     /// must be much better, but for a lag on the same column; what needs fewer only as good.
     fn margin(&self, cause: &Kind, other: &Extension) -> f64 {
-        let path = |cause: &Kind| match cause {
-            Kind::ExtraHeatPath { column, .. } => Some(column.clone()),
-            _ => None,
+        let path = |cause: &Kind| {
+            let path = cause.heat_path().filter(|path| !path.is_second)?;
+            Some(path.column.to_string())
         };
         let is_same_path = path(cause).is_some() && path(&other.cause) == path(cause);
         let [own, other] = [&self.fitted, &other.fitted].map(|it| degrees(&it.model));
@@ -144,10 +144,11 @@ impl Search<'_> {
     pub(crate) fn name_paths(&mut self) {
         let used = columns_in_use(&self.problem.data, &self.fitted.model);
         for part in &mut self.fitted.model.parts {
-            if let Kind::SlowModeOf { column } = &part.kind
-                && !used.contains(column)
+            let second = part.kind.heat_path().filter(|path| path.is_second);
+            if let Some(second) = second
+                && !used.iter().any(|column| column == second.column)
+                && let Some(path) = part.kind.as_own_path(second.has_lag)
             {
-                let path = Kind::ExtraHeatPath { column: column.clone(), has_lag: true };
                 for there in self.added.iter_mut().filter(|there| there.cause == part.kind) {
                     there.cause = path.clone();
                 }

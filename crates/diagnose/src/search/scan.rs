@@ -28,7 +28,8 @@ use trueup_numerics::{
 use crate::{
     candidates::Candidate,
     fit::{Fitted, Problem, jacobian},
-    model::{Model, Part},
+    kind::Part,
+    model::Model,
     search::{
         criterion::{longest_memory, noise_of},
         statistics::{Trial, statistics},

@@ -1,15 +1,21 @@
 //! What is made simpler once the search is over: a law in the place of what stands for it, a term that
 //! does not gain, the cause that needs the fewest values.
 
+use trueup_machine::{
+    effect::{Effect, OnBoard},
+    machine_file::Pitch,
+};
+
 use crate::{
+    candidates::possible,
     fit::{Fitted, fit},
-    model::{Kind, Model, Part},
+    kind::{Kind, Part},
+    model::Model,
     search::{
         criterion::{EQUAL_PREDICTION, STRONG_EVIDENCE, bic, bic_gap, degrees},
         extend::{Extension, extensions, without},
         state::{Added, Search},
     },
-    waves,
 };
 
 impl Search<'_> {
@@ -31,11 +37,11 @@ impl Search<'_> {
         }
         for index in 0..self.added.len() {
             let cause = self.added[index].cause.clone();
-            let Kind::ExtraHeatPath { column, has_lag: false } = &cause else { continue };
+            let is_prompt = cause.heat_path().is_some_and(|path| !path.has_lag);
+            let Some(late) = cause.as_own_path(true).filter(|_| is_prompt) else { continue };
             if !self.fitted.model.has(&cause) {
                 continue;
             }
-            let late = Kind::ExtraHeatPath { column: column.clone(), has_lag: true };
             let Some((other, with)) = self.best_lag(&cause, &late) else { continue };
             // As in the choice of a term, what predicts clearly better comes before the BIC.
             if with.bic < self.bic() && self.predicts_better(&cause, &with)
@@ -75,19 +81,15 @@ impl Search<'_> {
     /// A table for one way beside what goes with the direction may stand for one table each way. Tries
     /// that in the place of all of them.
     fn table_for_both_ways(&mut self) {
-        let is_part = |cause: &Kind| {
-            matches!(
-                cause,
-                Kind::PitchError { both_ways: false, .. }
-                    | Kind::Backlash
-                    | Kind::PositionDependentBacklash
-            )
+        let is_part = |cause: &Kind| match cause.table() {
+            Some(table) => table.reverse_um.is_none(),
+            None => cause.cause().is_some_and(Effect::is_by_direction),
         };
-        let table = self.fitted.model.parts.iter().find_map(|part| match part.kind {
-            Kind::PitchError { start_mm, step_mm, points, both_ways: false } => {
-                Some(Kind::PitchError { start_mm, step_mm, points, both_ways: true })
-            }
-            _ => None,
+        let tables = self.fitted.model.parts.iter().filter_map(|part| part.kind.table());
+        let table = tables.into_iter().find(|table| table.reverse_um.is_none()).and_then(|table| {
+            let reverse_um = Some(table.forward_um.clone());
+            let own = self.problem.data.quantity.axis();
+            Kind::of_form(own, &OnBoard::Table(Pitch { reverse_um, ..table.clone() }))
         });
         let Some(table) = table else { return };
         let mut model = self.fitted.model.clone();
@@ -110,7 +112,7 @@ impl Search<'_> {
     /// A table has room for a scale, a backlash and a wave. Where these alone say as much as it does,
     /// they are the simpler names.
     fn laws_for_a_table(&mut self) {
-        let is_table = |cause: &Kind| matches!(cause, Kind::PitchError { .. });
+        let is_table = |cause: &Kind| cause.table().is_some();
         let is_added = |cause: &Kind| self.added.iter().any(|it| it.cause == *cause);
         let table = self.fitted.model.parts.iter().map(|part| &part.kind);
         let table = table.filter(|cause| is_table(cause)).find(|cause| is_added(cause)).cloned();
@@ -137,11 +139,18 @@ impl Search<'_> {
 
     /// The best laws in the place of a table.
     fn best_laws(&self, table: &Kind) -> Option<Laws> {
-        let laws = [Kind::PitchScale, Kind::Backlash, Kind::PositionDependentBacklash];
-        let counts = match table {
-            Kind::PitchError { both_ways: true, .. } => 2..=3,
-            _ => 1..=1,
-        };
+        let own = self.problem.data.quantity.axis();
+        let laws: Vec<Kind> = [
+            OnBoard::OwnPosition(1.0),
+            OnBoard::Reversed { width_um: 1.0, um_per_m: 0.0 },
+            OnBoard::Reversed { width_um: 0.0, um_per_m: 1.0 },
+        ]
+        .iter()
+        .filter_map(|form| Effect::from_board(own, form, &mut 0.0))
+        .map(|law| Kind::Cause(law.with(&[0.0])))
+        .collect();
+        let is_both_ways = table.table().is_some_and(|table| table.reverse_um.is_some());
+        let counts = if is_both_ways { 2..=3 } else { 1..=1 };
         let mut all: Vec<Laws> = Vec::new();
         for count in counts {
             let mut model = self.fitted.model.clone();
@@ -165,12 +174,11 @@ impl Search<'_> {
     /// `model` with each wave that the data show, without those that it has: what was found beside a
     /// table may be what the table could not follow of another.
     fn with_each_wave(&self, model: &Model) -> Vec<Extension> {
-        let is_wave = |cause: &Kind| matches!(cause, Kind::PitchPeriodic { .. });
         let mut plain = model.clone();
-        plain.parts.retain(|part| !is_wave(&part.kind));
+        plain.parts.retain(|part| !part.kind.is_wave());
         let plain = fit(self.problem, &plain, None);
-        let mut waves = waves::candidates(self.problem, &plain.model, &plain.residual);
-        waves.retain(|candidate| is_wave(&candidate.kind));
+        let mut waves = possible(self.problem, &plain.model, &plain.residual);
+        waves.retain(|candidate| candidate.kind.is_wave());
         extensions(self.problem, &plain, &waves, waves.len())
     }
 

@@ -6,7 +6,8 @@ use crate::{
     blocks::{Folds, Unit},
     fit::{Fitted, Problem, fit},
     gain::Gain,
-    model::{Kind, Model},
+    kind::Kind,
+    model::Model,
     search::{
         criterion::{bic, left_out_um},
         extend::{Extension, Replacements, replacements},
@@ -49,7 +50,7 @@ pub(crate) enum Stage {
 
 impl Stage {
     pub(crate) fn admits(self, cause: &Kind) -> bool {
-        let is_late = matches!(cause, Kind::ExtraHeatPath { has_lag: true, .. });
+        let is_late = cause.heat_path().is_some_and(|path| path.has_lag && !path.is_second);
         match self {
             Self::OwnModel => cause.tier() == 0,
             Self::ActsAtOnce => cause.tier() <= 1 && !is_late,
@@ -169,12 +170,16 @@ impl<'p> Search<'p> {
 
 #[cfg(test)]
 mod tests {
+    use trueup_machine::effect::{Drift, Effect, SensorGain};
+
     use super::*;
 
     #[test]
     fn a_stage_admits_all_that_the_one_before_did_and_something_more() {
-        let path = |has_lag| Kind::ExtraHeatPath { column: "temp_a_c".into(), has_lag };
-        let causes = [Kind::SensorGain, path(false), path(true), Kind::Drift];
+        let gain = Kind::Cause(Effect::SensorGain(SensorGain::default()));
+        let drift = Kind::Cause(Effect::Drift(Drift::default()));
+        let path = |has_lag| Kind::heat_of("temp_a_c", has_lag);
+        let causes = [gain, path(false), path(true), drift];
         let mut stage = Some(Stage::OwnModel);
         let mut admitted = Vec::new();
         while let Some(there) = stage {

@@ -266,7 +266,7 @@ impl Effect {
     /// Whether its only amplitude adds the same wherever and whenever it is.
     #[must_use]
     pub fn is_constant(&self) -> bool {
-        self.amplitudes() == 1 && self.reads().is_empty()
+        self.stage() == Stage::Sum && self.amplitudes() == 1 && self.reads().is_empty()
     }
 
     /// Whether it adds a function of its own axis's position and direction, and of nothing else.
@@ -275,6 +275,12 @@ impl Effect {
         let inputs = self.reads();
         let is_own = |input: &Input<'_>| matches!(input, Input::OwnPosition | Input::OwnDirection);
         self.home() == Home::Axis && !inputs.is_empty() && inputs.iter().all(is_own)
+    }
+
+    /// Whether it goes with the direction in which its own axis was approached.
+    #[must_use]
+    pub fn is_by_direction(&self) -> bool {
+        self.reads().contains(&Input::OwnDirection)
     }
 
     /// Whether its law reads the clock.

@@ -106,6 +106,17 @@ pub enum Nonlinear {
     Instant,
 }
 
+impl Nonlinear {
+    /// Whether it is varied by ratios.
+    #[must_use]
+    pub fn is_logarithmic(self) -> bool {
+        matches!(
+            self,
+            Self::TimeConstant | Self::FallingTimeConstant | Self::Period | Self::ReadingPeriod
+        )
+    }
+}
+
 /// A key of a `[[term]]` and what it is.
 pub type Entry = (&'static str, Value);
 

@@ -1,0 +1,223 @@
+//! What a term of a model is: a cause as its page has it, with its fitted values beside it; or a curve,
+//! which is no cause.
+//!
+//! The values are first those that enter nonlinearly (a time constant, a period, a limit), then
+//! amplitudes, all of which are 0 where there is no effect.
+
+use trueup_machine::{
+    effect::{Effect, HeatPath, Home, Nonlinear, OnBoard, Stage},
+    machine_file::{Pitch, Quantity, Thermal},
+};
+
+#[cfg(test)]
+use trueup_machine::effect::Heat;
+
+use crate::data::Data;
+
+/// A cause, neutral, with what is fixed about it; or a test of structure.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Kind {
+    Cause(Effect),
+    Curve(Curve),
+}
+
+/// A test of structure and no cause: a curve over a column.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Curve {
+    pub column: String,
+    pub knots: Vec<f64>,
+    pub by_direction: bool,
+    /// The curve grows with this column.
+    pub times: Option<String>,
+}
+
+/// A cause and its values.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Part {
+    pub kind: Kind,
+    pub values: Vec<f64>,
+}
+
+impl Kind {
+    /// The cause, neutral, if it is one.
+    pub(crate) fn cause(&self) -> Option<&Effect> {
+        match self {
+            Self::Cause(effect) => Some(effect),
+            Self::Curve(_) => None,
+        }
+    }
+
+    /// The name of the cause.
+    pub(crate) fn name(&self) -> &'static str {
+        self.cause().map_or("structure", Effect::name)
+    }
+
+    /// The column that the cause hangs on, where there is a choice.
+    pub(crate) fn column(&self) -> Option<String> {
+        match self {
+            Self::Cause(effect) => effect.column(),
+            Self::Curve(curve) => Some(curve.column.clone()),
+        }
+    }
+
+    /// Whether a board may correct it: not what only happened once, nor what is not the machine's.
+    pub(crate) fn is_compensated(&self) -> bool {
+        self.cause().is_none_or(|effect| effect.is_compensated())
+    }
+
+    /// Its nonlinear values.
+    pub(crate) fn nonlinear(&self) -> &'static [Nonlinear] {
+        self.cause().map_or(&[], |effect| effect.nonlinear())
+    }
+
+    /// Whether the value of this number is varied by ratios.
+    pub(crate) fn is_logarithmic(&self, number: usize) -> bool {
+        self.nonlinear().get(number).is_some_and(|value| value.is_logarithmic())
+    }
+
+    /// Whether its first value is a time constant.
+    pub(crate) fn has_time_constant(&self) -> bool {
+        self.cause().is_some_and(Effect::has_time_constant)
+    }
+
+    /// Whether its first value is a time that is searched, not fitted.
+    pub(crate) fn has_instant(&self) -> bool {
+        self.cause().is_some_and(Effect::has_instant)
+    }
+
+    /// How many amplitudes it has.
+    pub(crate) fn amplitudes(&self) -> usize {
+        match self {
+            Self::Cause(effect) => effect.amplitudes(),
+            Self::Curve(curve) => curve.knots.len() * if curve.by_direction { 2 } else { 1 },
+        }
+    }
+
+    /// How many neighbours are in each of the lists that its values are, if they are.
+    pub(crate) fn list_length(&self) -> Option<usize> {
+        match self {
+            Self::Cause(effect) => effect.list_length(),
+            Self::Curve(curve) => Some(curve.knots.len()),
+        }
+    }
+
+    /// What it counts for where simplicity counts.
+    pub(crate) fn degrees(&self) -> usize {
+        self.nonlinear().len() + self.amplitudes()
+    }
+
+    /// 0: a constant of the machine's own model, or of the axis's; 1: something else that was
+    /// recorded; 2: time alone, or the instrument; 3: no cause.
+    pub(crate) fn tier(&self) -> u8 {
+        self.cause().map_or(3, |effect| effect.tier())
+    }
+
+    /// Whether its reference (a temperature, a start) is its own, and with it a constant.
+    pub(crate) fn has_reference(&self) -> bool {
+        self.cause().is_some_and(|effect| effect.has_reference())
+    }
+
+    /// When it acts.
+    pub(crate) fn stage(&self) -> Stage {
+        self.cause().map_or(Stage::Sum, |effect| effect.stage())
+    }
+
+    /// Whether it may change the constants of the machine's own model, or the source's law.
+    pub(crate) fn corrects(&self) -> bool {
+        matches!(self.stage(), Stage::Constant | Stage::Falling)
+    }
+
+    /// Whether it only adds its columns, whatever the rest of the model is.
+    pub(crate) fn is_added(&self) -> bool {
+        self.stage() == Stage::Sum
+    }
+
+    /// Whether it moves all of the model in time.
+    pub(crate) fn is_shift(&self) -> bool {
+        self.stage() == Stage::Shift
+    }
+
+    /// Whether it changes the elongation, which then goes along the tool; else the axis.
+    pub(crate) fn is_of_elongation(&self, data: &Data) -> bool {
+        if data.quantity == Quantity::Elongation {
+            return true;
+        }
+        match self.cause().map(|effect| effect.home()) {
+            Some(Home::Elongation) => true,
+            Some(Home::OwnThermometer) => own_thermal(data).is_none(),
+            Some(Home::Heat) => data.has_elongation && data.along.iter().any(|along| *along != 0.0),
+            Some(Home::Axis | Home::Any) | None => false,
+        }
+    }
+
+    /// The path by which it brings heat.
+    pub(crate) fn heat_path(&self) -> Option<HeatPath<'_>> {
+        self.cause().and_then(|effect| effect.heat_path())
+    }
+
+    /// The same heat by a path of its own, neutral.
+    pub(crate) fn as_own_path(&self, has_lag: bool) -> Option<Self> {
+        let mut effect = self.cause()?.clone();
+        let heat = effect.heat_mut()?;
+        heat.um_per_c = 0.0;
+        heat.time_constant_s = if has_lag { 1.0 } else { 0.0 };
+        Self::of_form(None, &OnBoard::Heat(heat.clone()))
+    }
+
+    /// The table of the own axis that it is.
+    pub(crate) fn table(&self) -> Option<&Pitch> {
+        self.cause().and_then(|effect| effect.table())
+    }
+
+    /// Whether it is a wave of a period that is fitted.
+    pub(crate) fn is_wave(&self) -> bool {
+        self.cause().is_some_and(Effect::is_wave)
+    }
+
+    /// Whether it is the error of the reference instrument.
+    pub(crate) fn is_of_instrument(&self) -> bool {
+        self.cause().is_some_and(|effect| effect.is_of_instrument())
+    }
+
+    /// The cause that a form stands for, of an axis or (none) the elongation.
+    pub(crate) fn of_form(
+        own: Option<trueup_machine::machine_file::LinearAxis>,
+        form: &OnBoard,
+    ) -> Option<Self> {
+        Effect::from_board(own, form, &mut 0.0).map(Self::Cause)
+    }
+
+    /// Heat of a column by a path of its own, neutral.
+    #[cfg(test)]
+    pub(crate) fn heat_of(column: &str, has_lag: bool) -> Self {
+        let time_constant_s = if has_lag { 1.0 } else { 0.0 };
+        let column = column.to_string();
+        let heat = Heat { column, um_per_c: 0.0, time_constant_s, reference_c: 0.0 };
+        Self::of_form(None, &OnBoard::Heat(heat)).expect("a form of the board")
+    }
+
+    /// The measurement that would settle what is open about it, against a rival where there is one.
+    pub(crate) fn next_test(&self, rival: Option<&str>) -> &'static str {
+        self.cause().map_or("Vary this column alone.", |effect| effect.next_test(rival))
+    }
+}
+
+impl Part {
+    /// The cause with its values.
+    pub(crate) fn cause(&self) -> Option<Effect> {
+        self.kind.cause().map(|effect| effect.with(&self.values))
+    }
+
+    /// The cause in a sentence.
+    pub(crate) fn sentence(&self) -> String {
+        match &self.kind {
+            Kind::Cause(effect) => effect.sentence(&self.values),
+            Kind::Curve(curve) => format!("Something goes with {}.", curve.column),
+        }
+    }
+}
+
+/// The thermal section of the quantity's own axis.
+pub(crate) fn own_thermal(data: &Data) -> Option<&Thermal> {
+    data.quantity.axis().and_then(|axis| data.machine.axes[axis.index()].thermal.as_ref())
+}
