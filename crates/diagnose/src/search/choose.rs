@@ -4,13 +4,12 @@ use trueup_numerics::blocks::{Reduction, rms};
 
 use crate::{
     blocks::Folds,
-    candidates::possible,
     fit::{Fitted, Problem},
     gain::Gain,
     kind::Kind,
     search::{
         criterion::{EQUAL_PREDICTION, STRONG_EVIDENCE, bic, degrees, noise_of},
-        extend::{Extension, extensions, fit_hits},
+        extend::{Extension, fit_hits, with_each_cause},
         scan::Hit,
         state::{Search, Tried, WhyNot},
     },
@@ -180,10 +179,8 @@ fn pair_with_the_first(
 
 /// The causes of at most `tier` that do most beside what `base` has, the best first.
 fn partners(problem: &Problem, base: &Fitted, tier: u8) -> Vec<Extension> {
-    let mut candidates = possible(problem, &base.model, &base.residual);
-    candidates.retain(|candidate| candidate.kind.tier() <= tier);
     let own = bic(problem, base);
-    let mut better = extensions(problem, base, &candidates, 4);
+    let mut better = with_each_cause(problem, base, 4, |cause| cause.tier() <= tier);
     better.retain(|it| it.bic < own - STRONG_EVIDENCE);
     better.sort_by(|a, b| a.bic.total_cmp(&b.bic));
     better

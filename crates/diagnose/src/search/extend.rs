@@ -52,6 +52,19 @@ pub(crate) fn extensions(
     fit_hits(problem, base, &scan(problem, base, candidates, Draw::Not).hits, most)
 }
 
+/// `base` with each of the causes that the data allow and that `admits` lets in, of those the ones that
+/// a scan puts first.
+pub(crate) fn with_each_cause(
+    problem: &Problem,
+    base: &Fitted,
+    most: usize,
+    admits: impl Fn(&Kind) -> bool,
+) -> Vec<Extension> {
+    let mut candidates = possible(problem, &base.model, &base.residual);
+    candidates.retain(|candidate| admits(&candidate.kind));
+    extensions(problem, base, &candidates, most)
+}
+
 /// `base` with each of the `most` best of `hits` by squares, and the better half as many by likelihood.
 pub(crate) fn fit_hits(
     problem: &Problem,
@@ -89,9 +102,7 @@ pub(crate) fn replacements(
     most: usize,
 ) -> Replacements {
     let reduced = fit(problem, &without(problem, &fitted.model, cause), None);
-    let mut candidates = possible(problem, &reduced.model, &reduced.residual);
-    candidates.retain(|candidate| candidate.kind != *cause);
-    let instead = extensions(problem, &reduced, &candidates, most);
+    let instead = with_each_cause(problem, &reduced, most, |other| other != cause);
     Replacements { without: reduced, instead }
 }
 

@@ -4,13 +4,13 @@
 use trueup_numerics::parallel::on_all_cores;
 
 use crate::{
-    candidates::{columns_in_use, possible},
+    candidates::columns_in_use,
     fit::Fitted,
     gain::Gain,
     kind::Kind,
     search::{
         criterion::{STRONG_EVIDENCE, bic, degrees},
-        extend::{Extension, extensions},
+        extend::{Extension, with_each_cause},
         state::{Added, Search},
     },
 };
@@ -127,9 +127,7 @@ impl Search<'_> {
         let mut best: Option<Pair> = None;
         let places = self.replacements(&self.added[index].cause, 4);
         for first in places.instead.into_iter().filter(is_near) {
-            let Fitted { model, residual, .. } = &first.fitted;
-            let candidates = possible(self.problem, model, residual);
-            let pairs = extensions(self.problem, &first.fitted, &candidates, 3);
+            let pairs = with_each_cause(self.problem, &first.fitted, 3, |_| true);
             for second in pairs.into_iter().filter(is_near) {
                 let Extension { cause, fitted, bic } = second;
                 if bic < best.as_ref().map_or(most, |best| best.bic) {

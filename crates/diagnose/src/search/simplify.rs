@@ -7,13 +7,12 @@ use trueup_machine::{
 };
 
 use crate::{
-    candidates::possible,
     fit::{Fitted, fit},
     kind::{Kind, Part},
     model::Model,
     search::{
         criterion::{EQUAL_PREDICTION, STRONG_EVIDENCE, bic, bic_gap, degrees},
-        extend::{Extension, extensions, without},
+        extend::{Extension, with_each_cause, without},
         state::{Added, Search},
     },
 };
@@ -177,9 +176,7 @@ impl Search<'_> {
         let mut plain = model.clone();
         plain.parts.retain(|part| !part.kind.is_wave());
         let plain = fit(self.problem, &plain, None);
-        let mut waves = possible(self.problem, &plain.model, &plain.residual);
-        waves.retain(|candidate| candidate.kind.is_wave());
-        extensions(self.problem, &plain, &waves, waves.len())
+        with_each_cause(self.problem, &plain, usize::MAX, Kind::is_wave)
     }
 
     /// No gain, no term: what predicts left-out blocks no better in the end leaves again.
