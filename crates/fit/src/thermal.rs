@@ -29,7 +29,8 @@ use trueup_machine::{
 };
 use trueup_numerics::{
     least_squares::{self, fit_separable},
-    robust, t_quantile,
+    robust::{self, Outlier},
+    t_quantile,
 };
 
 use self::table::Table;
@@ -199,19 +200,42 @@ impl Data {
             Some(time_s) if !self.positions_differ() => {
                 lagged::outliers(time_s, &self.starts, &self.y)
             }
-            _ => {
-                let ones = vec![1.0; self.y.len()];
-                let warm = &self.temperature_c;
-                if self.positions_differ() {
-                    let both: Vec<f64> = self.arm_m.iter().zip(warm).map(|(p, t)| p * t).collect();
-                    robust::in_relation(&[&ones, warm, &self.arm_m, &both], &self.y)
-                } else {
-                    robust::in_relation(&[&ones, warm], &self.y)
-                }
-            }
+            _ => self.off_their_own_run(rows),
         };
         report.set_aside = rows.set_aside(&found, &self.y, &self.measured);
         found.iter().for_each(|outlier| self.y[outlier.row] = f64::NAN);
+    }
+
+    /// Rows that are off what the other rows of their own run follow. Between runs the law may bend
+    /// with the temperature: held against one line through all of them, whole runs would be gross errors.
+    fn off_their_own_run(&self, rows: &Rows<'_>) -> Vec<Outlier> {
+        let ones = vec![1.0; self.y.len()];
+        let warm = &self.temperature_c;
+        let both: Vec<f64> = self.arm_m.iter().zip(warm).map(|(p, t)| p * t).collect();
+        let law: &[&[f64]] = if self.positions_differ() {
+            &[&ones, &self.arm_m, warm, &both]
+        } else {
+            &[&ones, warm]
+        };
+        let runs = rows.runs_of_rows().unwrap_or_else(|| vec![0; self.y.len()]);
+        let of_run = |run: usize| -> Vec<f64> {
+            let own = |(y, of): (&f64, &usize)| if *of == run { *y } else { f64::NAN };
+            self.y.iter().zip(&runs).map(own).collect()
+        };
+        let off = |y: &[f64]| {
+            // A short run is at one temperature, or shows no more than a line.
+            let columns =
+                (y.iter().filter(|y| !y.is_nan()).count() / robust::ROWS_A_COLUMN).min(law.len());
+            robust::in_relation(&law[..columns], y)
+        };
+        let last = runs.iter().copied().max().unwrap_or(0);
+        let by_run: Vec<Vec<f64>> = (0..=last).map(of_run).collect();
+        let is_told =
+            |y: &Vec<f64>| y.iter().filter(|y| !y.is_nan()).count() >= 2 * robust::ROWS_A_COLUMN;
+        if !by_run.iter().any(is_told) {
+            return robust::in_relation(law, &self.y);
+        }
+        by_run.iter().flat_map(|y| off(y)).collect()
     }
 
     /// The mode that is wanted, else the simplest that left-out rows do not clearly disfavour.

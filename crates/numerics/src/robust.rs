@@ -41,7 +41,7 @@ mod statistics;
 #[cfg(test)]
 mod tests;
 
-pub use relation::in_relation;
+pub use relation::{ROWS_A_COLUMN, in_relation};
 pub use residual::in_residual;
 pub use series::{FEWEST_IN_SERIES, in_series};
 pub use statistics::{GROSS, Outlier, cutoff};

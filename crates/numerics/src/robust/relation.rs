@@ -7,17 +7,20 @@ use crate::{least_squares::Triangle, random::Generator};
 const SAMPLES: usize = 500;
 /// The rows that a sample is judged on, at most.
 const JUDGES: usize = 2000;
+/// Nothing is found in fewer rows than so many for each column, and two columns' worth at least.
+pub const ROWS_A_COLUMN: usize = 3;
 /// Tukey's constant: 95 % of the efficiency of least squares.
 const BIWEIGHT: f64 = 4.685;
 
 /// Rows whose y is far from what a linear relation of the columns of `x` gives for the others.
-/// Rows where a value is NaN take no part. Nothing is found in fewer than 3 rows for each column.
+/// Rows where a value is NaN take no part. Nothing is found in fewer
+/// than [`ROWS_A_COLUMN`] rows for each column.
 #[must_use]
 pub fn in_relation(x: &[&[f64]], y: &[f64]) -> Vec<Outlier> {
     let columns = x.len();
     let present = |row: &usize| !y[*row].is_nan() && x.iter().all(|column| !column[*row].is_nan());
     let rows: Vec<usize> = (0..y.len()).filter(present).collect();
-    if columns == 0 || rows.len() < 3 * columns.max(2) {
+    if columns == 0 || rows.len() < ROWS_A_COLUMN * columns.max(2) {
         return Vec::new();
     }
     let Some(start) = best_sample(x, y, &rows) else { return Vec::new() };
