@@ -4,13 +4,13 @@
 //! is strict: a misspelt key must not become a silent default, because the machine would then cut
 //! with it. What the format knows but this version does not run is refused by name, never skipped.
 
-mod axis;
-mod inputs;
+pub(crate) mod axis;
+pub(crate) mod inputs;
 mod limits;
 mod machine;
 pub(crate) mod read;
-mod spindle;
-mod straightness;
+pub(crate) mod spindle;
+pub(crate) mod straightness;
 mod term;
 pub mod write;
 
@@ -25,10 +25,6 @@ pub use machine::{Kind, Machine};
 pub use spindle::{SensorModel, Source, Spindle, TemperatureModel, Warmup};
 pub use straightness::{BSpline, SplineFault, Squareness, Straightness};
 pub use term::Term;
-
-pub(crate) use axis::read_pitch;
-pub(crate) use inputs::read_temperature_column;
-pub(crate) use straightness::read_spline;
 
 pub use crate::effect::{Cause, Effect, Quantity, Wave};
 

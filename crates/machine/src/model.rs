@@ -24,9 +24,9 @@
 mod elongation;
 mod kinematics;
 mod lag;
-mod pitch;
+pub(crate) mod pitch;
 mod reversal;
-mod straightness;
+pub(crate) mod straightness;
 mod term;
 mod thermal;
 

@@ -12,8 +12,8 @@ use super::{
     survey::{Settings, Survey},
 };
 use crate::{
-    file::LinearAxis,
-    model::is_reverse,
+    file::axis::LinearAxis,
+    model::pitch::is_reverse,
     place::BadInput,
     file::read::Section,
 };

@@ -13,7 +13,7 @@ use super::{
     thermal_lag::ThermalLag,
 };
 use crate::{
-    file::Source,
+    file::spindle::Source,
     place::BadInput,
     file::read::Section,
 };

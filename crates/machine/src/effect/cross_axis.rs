@@ -12,7 +12,7 @@ use super::{
     survey::{Settings, Survey},
 };
 use crate::{
-    file::LinearAxis,
+    file::axis::LinearAxis,
     place::BadInput,
     file::read::Section,
 };

@@ -62,7 +62,7 @@ impl Page for ExpansionSlope {
     }
 
     fn set(&mut self, values: &[f64]) {
-        self.um_per_m_per_c = self.um_per_m_per_c + values[0];
+        self.um_per_m_per_c += values[0];
     }
 
     fn on_board(&self) -> Vec<OnBoard> {

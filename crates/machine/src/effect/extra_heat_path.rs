@@ -13,7 +13,7 @@ use super::{
     survey::{Settings, Survey, TIME_CONSTANTS},
 };
 use crate::{
-    file::LinearAxis,
+    file::axis::LinearAxis,
     place::BadInput,
     file::read::Section,
 };

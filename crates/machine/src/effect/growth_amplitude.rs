@@ -12,7 +12,7 @@ use super::{
     survey::{Settings, Survey, spread},
 };
 use crate::{
-    file::Source,
+    file::spindle::Source,
     place::BadInput,
     file::read::Section,
 };

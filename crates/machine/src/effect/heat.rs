@@ -6,7 +6,7 @@ use super::{
 };
 use crate::{
     file::read::Section,
-    file::{Source, read_temperature_column},
+    file::{inputs::read_temperature_column, spindle::Source},
     place::BadInput,
 };
 

@@ -36,7 +36,7 @@ pub use reference_instrument::Read;
 pub use survey::{Reading, Settings, Survey, spread};
 pub use wave::Wave;
 
-use crate::{file::LinearAxis, file::read::Section, place::BadInput};
+use crate::{file::axis::LinearAxis, file::read::Section, place::BadInput};
 use page::Definition;
 
 macro_rules! causes {

@@ -14,12 +14,16 @@
 use super::survey::{Settings, Survey};
 use crate::{
     file::read::Section,
-    file::{BSpline, LinearAxis, Pitch, Spindle, Thermal},
+    file::{
+        axis::{LinearAxis, Pitch, Thermal},
+        spindle::Spindle,
+        straightness::BSpline,
+    },
     place::BadInput,
 };
 
 pub use super::quantity::Quantity;
-pub use crate::file::write::Value;
+pub use crate::file::write::section::Value;
 
 /// A column that a law reads, one number a row. A missing one is NaN, and so is what follows.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -248,7 +252,7 @@ impl Host<'_> {
     /// Whether the quantity follows a thermometer of its own.
     pub(crate) fn has_thermometer(&self) -> bool {
         match self.quantity.axis() {
-            None => self.spindle.source == Some(crate::file::Source::Temperature),
+            None => self.spindle.source == Some(crate::file::spindle::Source::Temperature),
             Some(_) => self.thermal.is_some(),
         }
     }

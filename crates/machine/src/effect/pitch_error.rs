@@ -12,9 +12,9 @@ use super::{
     survey::{Settings, Survey, spread, targets},
 };
 use crate::{
-    file::{LinearAxis, Pitch},
-    file::read_pitch,
-    model::is_reverse,
+    file::axis::{LinearAxis, Pitch},
+    file::axis::read_pitch,
+    model::pitch::is_reverse,
     place::BadInput,
     file::read::Section,
 };

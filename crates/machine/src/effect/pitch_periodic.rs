@@ -15,7 +15,7 @@ use super::{
     wave::{self, Wave},
 };
 use crate::{
-    file::LinearAxis,
+    file::axis::LinearAxis,
     place::BadInput,
     file::read::Section,
 };

@@ -1,6 +1,6 @@
 //! What is measured, predicted or corrected.
 
-use crate::file::LinearAxis;
+use crate::file::axis::LinearAxis;
 
 /// What a term, a prediction or a measurement is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]

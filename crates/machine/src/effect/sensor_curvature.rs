@@ -9,7 +9,7 @@ use super::{
     survey::{Settings, Survey, spread},
 };
 use crate::{
-    file::{LinearAxis, Source},
+    file::{axis::LinearAxis, spindle::Source},
     place::BadInput,
     file::read::Section,
 };

@@ -14,7 +14,7 @@ use super::{
     survey::{Settings, Survey, TIME_CONSTANTS},
 };
 use crate::{
-    file::LinearAxis,
+    file::axis::LinearAxis,
     place::BadInput,
     file::read::Section,
 };

@@ -12,9 +12,9 @@ use super::{
     survey::{Settings, Survey, targets},
 };
 use crate::{
-    file::{BSpline, LinearAxis},
-    file::read_spline,
-    model::spline_weights,
+    file::{axis::LinearAxis, straightness::BSpline},
+    file::straightness::read_spline,
+    model::straightness::spline_weights,
     place::BadInput,
     file::read::Section,
 };

@@ -4,7 +4,10 @@
 //! are tried on a grid; the best point is then refined with everything else.
 
 use super::quantity::Quantity;
-use crate::file::{Axis, Feedback, LinearAxis, Source, Spindle, Thermal};
+use crate::file::{
+    axis::{Axis, Feedback, LinearAxis, Thermal},
+    spindle::{Source, Spindle},
+};
 
 /// Trials of a time constant.
 pub const TIME_CONSTANTS: usize = 12;

@@ -12,7 +12,7 @@ use super::{
     survey::{FINE_TIME_CONSTANTS, Settings, Survey, TIME_CONSTANTS},
 };
 use crate::{
-    file::Source,
+    file::spindle::Source,
     place::BadInput,
     file::read::Section,
 };

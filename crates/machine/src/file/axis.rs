@@ -1,6 +1,6 @@
 //! `[axis.x]`, `[axis.y]`, `[axis.z]`: what is known of one linear axis along its own direction.
 
-use super::{inputs::read_temperature_column, read::Section, write::NewSection};
+use super::{inputs::read_temperature_column, read::Section, write::section::NewSection};
 use crate::place::BadInput;
 
 /// A linear axis.

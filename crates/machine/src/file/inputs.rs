@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::{
     read::Section,
-    write::{NewSection, Value},
+    write::section::{NewSection, Value},
 };
 use crate::{
     inputs::{

@@ -3,7 +3,7 @@
 use super::{
     LinearAxis,
     read::Section,
-    write::{NewSection, Value},
+    write::section::{NewSection, Value},
 };
 use crate::place::BadInput;
 

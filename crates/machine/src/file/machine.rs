@@ -3,7 +3,7 @@
 use super::{
     Axis, Limits, RotaryAxis, Spindle, Squareness, Straightness, Term,
     read::Section,
-    write::{NewSection, Value},
+    write::section::{NewSection, Value},
 };
 use crate::{
     inputs::Inputs,

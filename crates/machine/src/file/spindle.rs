@@ -2,7 +2,7 @@
 //!
 //! A model that is not the source is kept: it is what the board falls back to.
 
-use super::{inputs::read_temperature_column, read::Section, write::NewSection};
+use super::{inputs::read_temperature_column, read::Section, write::section::NewSection};
 use crate::place::BadInput;
 
 /// How the spindle grows.

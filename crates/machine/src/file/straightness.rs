@@ -1,9 +1,9 @@
 //! `[straightness.z_of_x]` and `[squareness]`: the error of one linear axis while another moves.
 
 use super::{
-    LinearAxis::{self, X, Y, Z},
+    axis::LinearAxis::{self, X, Y, Z},
     read::{MOST_ELEMENTS, Section},
-    write::NewSection,
+    write::section::NewSection,
 };
 use crate::place::BadInput;
 

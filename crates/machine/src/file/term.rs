@@ -5,7 +5,7 @@
 //!
 //! `constant_um` is added by any of them: the reference of a measurement is arbitrary.
 
-use super::{Axis, Spindle, read::Section, write::NewSection};
+use super::{Axis, Spindle, read::Section, write::section::NewSection};
 use crate::{
     effect::{Cause, Effect, Host, Quantity},
     place::{BadInput, did_you_mean, shortened},

@@ -12,7 +12,7 @@
 //! What is written into a user's file is read by [`MachineFile::parse`] before it is handed out.
 
 mod layout;
-mod section;
+pub(crate) mod section;
 
 use std::path::Path;
 

@@ -12,7 +12,7 @@
 //! Backlash is an error of the approach in the negative direction only, which leaves the table
 //! behind: B there, 0 in the positive direction.
 
-use crate::file::{Backlash, Dual, Pitch};
+use crate::file::axis::{Backlash, Dual, Pitch};
 
 /// Whether an approach is in the negative direction. A direction that is missing (NaN) is positive.
 #[must_use]

@@ -17,7 +17,7 @@
 //!
 //! Squareness is a slope: the error of the first axis for one metre of the second.
 
-use crate::file::{BSpline, Squareness};
+use crate::file::straightness::{BSpline, Squareness};
 
 /// The spline at `position_mm`, in µm; NaN for a missing position, and for a spline that breaks
 /// the rules of [`BSpline::check`].

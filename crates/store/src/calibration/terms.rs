@@ -50,7 +50,7 @@ impl<'b> Field<'b> for Terms<'b> {
         if records.len() > MAX_TERMS {
             return Err(BlobError::Table { offset });
         }
-        let start = from.elsewhere(offset, |from| u32::get(from))? & 0xFFFF;
+        let start = from.elsewhere(offset, u32::get)? & 0xFFFF;
         let mut place = usize::try_from(start).unwrap_or(usize::MAX);
         let mut terms = [None; MAX_TERMS];
         for (term, _) in terms.iter_mut().zip(records) {
