@@ -24,7 +24,7 @@ pub use limits::Limits;
 pub use machine::{Kind, Machine};
 pub use spindle::{SensorModel, Source, Spindle, TemperatureModel, Warmup};
 pub use straightness::{BSpline, SplineFault, Squareness, Straightness};
-pub use term::Term;
+pub use term::{Term, in_order};
 
 pub use crate::effect::{Cause, Effect, Quantity, Wave};
 

@@ -191,7 +191,10 @@ impl<'m> Reference<'m> {
 
     /// The same, of a machine that may be its own.
     pub(crate) fn of(machine: Cow<'m, Machine>) -> Self {
-        let (machine, falling) = corrected(machine);
+        let (mut machine, falling) = corrected(machine);
+        if !machine.terms.is_sorted_by_key(|term| term.effect.stage()) {
+            machine.to_mut().terms.sort_by_key(|term| term.effect.stage());
+        }
         Self { machine, falling, time_s: None, state: State::default() }
     }
 

@@ -69,14 +69,32 @@ fn what_a_sensor_does_wrong() {
     }
 }
 
+/// By hand: the sensor's law is 10 µm; 2·10 = 20; 20 + 0.01·20² = 24; at most 23; then what is added:
+/// 1, 0.5·(3/1)² = 4.5 of the speed, and the gain's constant of 7: 35.5 µm.
 #[test]
-fn terms_apply_in_the_order_of_the_file() {
-    let gain = term("elongation", "cause = \"sensor-gain\"\ngain = 2.0");
-    let offset = term("elongation", "cause = \"sensor-offset\"\noffset_um = 1.0");
-    let csv = "sensor_counts\n20\n";
-    let both = [format!("{gain}{offset}"), format!("{offset}{gain}")];
-    let got = both.map(|terms| predicted(SENSOR, &terms, Quantity::Elongation, csv)[0]);
-    assert_eq!(got, [21.0, 22.0]);
+fn a_sensors_causes_act_on_its_law_alone_whatever_the_order_in_the_file() {
+    let terms = [
+        "cause = \"sensor-gain\"\ngain = 2.0\nconstant_um = 7.0",
+        "cause = \"sensor-curvature\"\nper_um = 0.01",
+        "cause = \"sensor-saturation\"\nlimit_um = 23.0",
+        "cause = \"sensor-offset\"\noffset_um = 1.0",
+        "cause = \"centrifugal-growth\"\num_per_krpm2 = 0.5",
+    ]
+    .map(|keys| term("elongation", keys));
+    let csv = "sensor_counts,spindle_rpm\n20,3000\n";
+    for rotated in 0..terms.len() {
+        let mut file = terms.clone();
+        file.rotate_left(rotated);
+        file[1..].reverse();
+        assert_near(&predicted(SENSOR, &file.concat(), Quantity::Elongation, csv), &[35.5]);
+        // And so on the board.
+        let machine = machine(&format!("{SENSOR}{INPUTS}"), &file.concat());
+        let run = RunFile::from_reader(csv.as_bytes(), Path::new("r.csv")).expect("a run");
+        let predictor = Predictor::new(&machine, &run).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(predictor.why_no_bridge(), None);
+        let row = predictor.rows().next().expect("a row");
+        assert!(row.difference_nm().expect("a bridge") <= 1.0, "{row:?}");
+    }
 }
 
 #[test]

@@ -2,7 +2,9 @@
 //!
 //! Those that correct a constant of the model are in the machine already
 //! ([`corrected`](crate::model::corrected)); those that only explain stay behind. The others become
-//! one or two terms of the board each, in their order, because p changes from one to the next.
+//! one or two terms of the board each, in the order in which they act ([`in_order`]), because p changes
+//! from one to the next. A constant is among what is added: that of a factor, a bend or a limit goes to
+//! the last of these.
 
 mod inverse;
 
@@ -25,8 +27,8 @@ use super::{
     squareness::{compile_squareness, linear},
 };
 use crate::{
-    effect::{Heat, OnBoard, Wave},
-    file::{self, Machine},
+    effect::{Heat, OnBoard, Stage, Wave},
+    file::{self, Machine, in_order},
     place::BadInput,
     stored::{FINE_PER_UM, NM_PER_UM, UNITS_PER_MM, rounded, rounded_unsigned},
 };
@@ -77,7 +79,24 @@ pub(super) fn views(owned: &[Owned]) -> [Option<Term<'_>>; MAX_TERMS] {
 /// The terms of `machine`, which has none that only explain.
 pub(super) fn terms(machine: &Machine, account: &mut Account<'_>) -> Result<Vec<Owned>, BadInput> {
     let mut owned = Vec::new();
-    for (index, term) in machine.terms.iter().enumerate() {
+    let ordered = in_order(&machine.terms);
+    // Of a quantity's terms the last that is no summand, and with it the constants of all of them.
+    let acts_before_sums = |term: &file::Term| term.effect.stage() < Stage::Sum;
+    let last_before_sums = |quantity| {
+        let mut latest = ordered.iter().rev();
+        latest.find(|(_, term)| term.quantity == quantity && acts_before_sums(term))
+    };
+    let constant_um = |index: usize, term: &file::Term| match last_before_sums(term.quantity) {
+        Some((last, _)) if *last == index => {
+            let before = ordered.iter().map(|(_, other)| other);
+            let before =
+                before.filter(|other| other.quantity == term.quantity && acts_before_sums(other));
+            before.map(|other| other.constant_um).sum()
+        }
+        _ if acts_before_sums(term) => 0.0,
+        _ => term.constant_um,
+    };
+    for &(index, term) in &ordered {
         let key = format!("term[{index}]");
         let target = match term.quantity.axis() {
             None => Target::Elongation,
@@ -86,7 +105,7 @@ pub(super) fn terms(machine: &Machine, account: &mut Account<'_>) -> Result<Vec<
         let forms = term.effect.on_board();
         let offset_um: f64 =
             forms.iter().map(|form| if let OnBoard::Offset(um) = form { *um } else { 0.0 }).sum();
-        let constant = account.take(&key, fine(term.constant_um + offset_um))?;
+        let constant = account.take(&key, fine(constant_um(index, term) + offset_um))?;
         let before = owned.len();
         for form in &forms {
             let Some(effect) = effect(machine, &key, term, form, account)? else { continue };

@@ -13,9 +13,19 @@
 //! | `survey` | what it asks of the data before it proposes itself |
 //! | `heat`, `wave` | what several causes have in common |
 //!
-//! A term changes the prediction p of one quantity. Those that correct a constant of the machine's
-//! own laws come first, then a factor, a bend, a limit, then what is added, last a shift in time
-//! ([`Stage`]).
+//! # Order of composition
+//! A term changes the prediction p of one quantity. Terms act in the order of their [`Stage`]s,
+//! whatever their order in the file; of one stage in the order of the file:
+//!
+//! ```text
+//! constants of the laws ─► the source's own law ─► factor, bend, limit ─► + what is added ─► shift in time
+//! (lag, slope, rate, …)    (sensor, warm-up, T)    (gain, curvature,      (heat, load, …,
+//!                                                   saturation)            constants)
+//! ```
+//!
+//! So the causes of a sensor act on the sensor's law alone: a gain does not scale what speed, load or
+//! heat add. Predicting, compiling and diagnosing have this order from
+//! [`in_order`](crate::file::in_order).
 
 mod heat;
 mod law;

@@ -1,9 +1,10 @@
 //! `[[term]]`: what a diagnosis has added to the model, one cause a table.
 //!
 //! A term changes the prediction p of one quantity. What its keys are, and what they do, is on the
-//! page of its [cause](crate::effect). Terms apply in the order of the file.
+//! page of its [cause](crate::effect). Terms act in the order of their stages ([`in_order`]).
 //!
-//! `constant_um` is added by any of them: the reference of a measurement is arbitrary.
+//! `constant_um` is added by any of them: the reference of a measurement is arbitrary. It is among
+//! what is added, whatever the term is.
 
 use super::{Axis, Spindle, read::Section, write::section::NewSection};
 use crate::{
@@ -20,6 +21,15 @@ pub struct Term {
     pub constant_um: f64,
     /// How it changes it.
     pub effect: Effect,
+}
+
+/// The terms in the order in which they act, each with its number in the file, from 0: by their
+/// [stages](crate::effect::Stage), of one stage as they stand in the file.
+#[must_use]
+pub fn in_order(terms: &[Term]) -> Vec<(usize, &Term)> {
+    let mut ordered: Vec<(usize, &Term)> = terms.iter().enumerate().collect();
+    ordered.sort_by_key(|(_, term)| term.effect.stage());
+    ordered
 }
 
 /// Keys that every term may have.

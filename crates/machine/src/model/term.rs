@@ -1,8 +1,9 @@
 //! The terms of a diagnosis, in `f64`: each a change of the prediction p of one quantity.
 //!
 //! Some correct a constant of the model. They are folded into the machine before it is stepped
-//! ([`corrected`]); the others take p and give a new one row by row, in the order of the file. The
-//! formulas stand on the pages of the [causes](crate::effect). A value that a term needs and that is
+//! ([`corrected`]); the others take p and give a new one row by row, in the order of their stages, and
+//! constants are added to what that gives. The formulas and the order stand on the pages of the
+//! [causes](crate::effect). A value that a term needs and that is
 //! missing (NaN) makes p NaN.
 
 use std::borrow::Cow;
@@ -10,7 +11,7 @@ use std::borrow::Cow;
 use super::{Lag, Situation};
 use crate::{
     effect::{Constants, Input, Quantity, Stage},
-    file::{LinearAxis, Machine, Term},
+    file::{LinearAxis, Machine, Term, in_order},
 };
 
 /// The time constants of lags while what they follow falls; `None`: the same as while it rises.
@@ -30,11 +31,10 @@ pub fn corrected(machine: Cow<'_, Machine>) -> (Cow<'_, Machine>, Falling) {
     let mut corrected = machine;
     let mut falling = Falling::default();
     let corrects = |term: &Term| matches!(term.effect.stage(), Stage::Constant | Stage::Falling);
-    for index in 0..corrected.terms.len() {
-        if !corrects(&corrected.terms[index]) {
-            continue;
-        }
-        let Term { quantity, effect, .. } = corrected.terms[index].clone();
+    let ordered = in_order(&corrected.terms).into_iter();
+    let correcting: Vec<Term> =
+        ordered.map(|(_, term)| term).filter(|term| corrects(term)).cloned().collect();
+    for Term { quantity, effect, .. } in correcting {
         let Machine { spindle, axes, .. } = corrected.to_mut();
         let mut constants = match quantity.axis().map(LinearAxis::index) {
             None => Constants {
@@ -58,7 +58,8 @@ pub fn corrected(machine: Cow<'_, Machine>) -> (Cow<'_, Machine>, Falling) {
 pub(super) struct TermLags(Vec<Lag>);
 
 impl TermLags {
-    /// The prediction `p_um` of `quantity` with the terms that change it, but for a time shift.
+    /// The prediction `p_um` of `quantity` with the terms that change it, but for a time shift; `terms`
+    /// in the order in which they act.
     pub(super) fn apply(
         &mut self,
         terms: &[Term],
@@ -68,12 +69,14 @@ impl TermLags {
         mut p_um: f64,
     ) -> f64 {
         self.0.resize_with(terms.len(), Lag::default);
+        let mut constant_um = 0.0;
         for (term, lag) in terms.iter().zip(&mut self.0) {
             if term.quantity == quantity {
-                p_um = changed(term, lag, time_s, situation, p_um) + term.constant_um;
+                p_um = changed(term, lag, time_s, situation, p_um);
+                constant_um += term.constant_um;
             }
         }
-        p_um
+        p_um + constant_um
     }
 }
 
