@@ -138,6 +138,7 @@ pub fn identity(whole: &[u8]) -> u32 {
 pub fn decode(bytes: &[u8]) -> Result<Calibration<'_>, BlobError> {
     let blob = whole(bytes)?;
     let content = blob.get(..blob.len().saturating_sub(CRC_SIZE)).unwrap_or_default();
-    let fixed = FixedPart::get(&mut Reader::new(content, HEAD_SIZE))?;
-    Ok(fixed.calibration())
+    let mut from = Reader::new(content, HEAD_SIZE);
+    let calibration = FixedPart::get(&mut from).calibration();
+    from.finish(calibration)
 }

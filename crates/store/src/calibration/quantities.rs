@@ -50,7 +50,6 @@ fields!(Warmup {
 });
 
 /// The largest offset on an axis, 0 nm…[`MAX_OFFSET_NM`].
-#[derive(Clone, Copy, Default)]
 pub(super) struct MaxOffset(pub Nanometres);
 
 impl<'b> Field<'b> for MaxOffset {
@@ -60,13 +59,13 @@ impl<'b> Field<'b> for MaxOffset {
         self.0.put(to);
     }
 
-    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+    fn get(from: &mut Reader<'b>) -> Self {
         let offset = from.at;
-        let max = Nanometres::get(from)?;
+        let max = Nanometres::get(from);
         if !(0..=MAX_OFFSET_NM).contains(&max.0) {
-            return Err(BlobError::MaxOffset { offset, found: max.0 });
+            from.refuse(BlobError::MaxOffset { offset, found: max.0 });
         }
-        Ok(Self(max))
+        Self(max)
     }
 }
 
@@ -77,16 +76,16 @@ impl<'b> Field<'b> for Direction {
         self.0.put(to);
     }
 
-    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+    fn get(from: &mut Reader<'b>) -> Self {
         const ONE_SQUARED: u64 = 1 << (2 * Direction::FRACTION_BITS);
         let offset = from.at;
-        let components: [i32; 3] = Field::get(from)?;
+        let components: [i32; 3] = Field::get(from);
         let squares = components.map(|it| u64::from(it.unsigned_abs()).saturating_pow(2));
         let length_squared = squares.into_iter().fold(0, u64::saturating_add);
         if length_squared.abs_diff(ONE_SQUARED) > UNIT_TOLERANCE {
-            return Err(BlobError::NotUnit { offset, found: components });
+            from.refuse(BlobError::NotUnit { offset, found: components });
         }
-        Ok(Self(components))
+        Self(components)
     }
 }
 
@@ -106,17 +105,16 @@ impl<'b> Field<'b> for HeadAxes {
         to.bytes(&[first, second, 0, 0]);
     }
 
-    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+    fn get(from: &mut Reader<'b>) -> Self {
         let offset = from.at;
         let [first, second, ..] = from.bytes();
-        let axis = |number: u8| match number {
-            0 => Ok(None),
-            1 => Ok(Some(RotaryAxis::A)),
-            2 => Ok(Some(RotaryAxis::B)),
-            3 => Ok(Some(RotaryAxis::C)),
-            found => Err(BlobError::Value { offset, found: found.into() }),
-        };
-        Ok(Self([axis(first)?, axis(second)?]))
+        Self([first, second].map(|number| match number {
+            0 => None,
+            1 => Some(RotaryAxis::A),
+            2 => Some(RotaryAxis::B),
+            3 => Some(RotaryAxis::C),
+            found => from.refuse_value(offset, found),
+        }))
     }
 }
 
@@ -136,22 +134,20 @@ impl<'b> Field<'b> for Chain {
         to.bytes(&[first, second, third, 0]);
     }
 
-    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+    fn get(from: &mut Reader<'b>) -> Self {
         let offset = from.at;
         let [first, second, third, _] = from.bytes();
-        let source = |number: u8| match number {
-            0 => Ok(None),
-            1 => Ok(Some(ElongationSource::Sensor)),
-            2 => Ok(Some(ElongationSource::Temperature)),
-            3 => Ok(Some(ElongationSource::Warmup)),
-            found => Err(BlobError::Value { offset, found: found.into() }),
-        };
-        Ok(Self([source(first)?, source(second)?, source(third)?]))
+        Self([first, second, third].map(|number| match number {
+            0 => None,
+            1 => Some(ElongationSource::Sensor),
+            2 => Some(ElongationSource::Temperature),
+            3 => Some(ElongationSource::Warmup),
+            found => from.refuse_value(offset, found),
+        }))
     }
 }
 
 /// A temperature channel, if there is one.
-#[derive(Clone, Copy, Default)]
 pub(super) struct Channel(pub Option<u8>);
 
 impl<'b> Field<'b> for Channel {
@@ -161,15 +157,15 @@ impl<'b> Field<'b> for Channel {
         self.0.map_or(NONE, u32::from).put(to);
     }
 
-    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+    fn get(from: &mut Reader<'b>) -> Self {
         let offset = from.at;
-        match u32::get(from)? {
-            NONE => Ok(Self(None)),
+        Self(match u32::get(from) {
+            NONE => None,
             found => match u8::try_from(found) {
-                Ok(channel) if usize::from(channel) < CHANNELS => Ok(Self(Some(channel))),
-                _ => Err(BlobError::Value { offset, found }),
+                Ok(channel) if usize::from(channel) < CHANNELS => Some(channel),
+                _ => from.refuse_value(offset, found),
             },
-        }
+        })
     }
 }
 
@@ -181,22 +177,22 @@ impl<'b> Field<'b> for Option<LinearAxis> {
         self.map_or(NONE, |axis| axis as u32).put(to);
     }
 
-    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+    fn get(from: &mut Reader<'b>) -> Self {
         let offset = from.at;
-        match u32::get(from)? {
-            NONE => Ok(None),
-            found => linear_axis(found, offset).map(Some),
+        match u32::get(from) {
+            NONE => None,
+            found => linear_axis(found).or_else(|| from.refuse_value(offset, found)),
         }
     }
 }
 
-/// The axis with this number, which stands at `offset`.
-pub(super) fn linear_axis(number: u32, offset: usize) -> Result<LinearAxis, BlobError> {
+/// The axis with this number.
+pub(super) const fn linear_axis(number: u32) -> Option<LinearAxis> {
     match number {
-        0 => Ok(LinearAxis::X),
-        1 => Ok(LinearAxis::Y),
-        2 => Ok(LinearAxis::Z),
-        found => Err(BlobError::Value { offset, found }),
+        0 => Some(LinearAxis::X),
+        1 => Some(LinearAxis::Y),
+        2 => Some(LinearAxis::Z),
+        _ => None,
     }
 }
 
@@ -214,15 +210,15 @@ impl<'b> Field<'b> for Option<Thermometer> {
         [zero, slope].put(to);
     }
 
-    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+    fn get(from: &mut Reader<'b>) -> Self {
         let offset = from.at;
         let [kind, shift, ..] = from.bytes();
-        let (zero, slope) = (i32::get(from)?, i32::get(from)?);
+        let (zero, slope) = (i32::get(from), i32::get(from));
         match kind {
-            0 => Ok(None),
-            1 => Ok(Some(Thermometer::Pt100)),
-            2 => Ok(Some(Thermometer::Linear { zero, slope, shift })),
-            found => Err(BlobError::Value { offset, found: found.into() }),
+            0 => None,
+            1 => Some(Thermometer::Pt100),
+            2 => Some(Thermometer::Linear { zero, slope, shift }),
+            found => from.refuse_value(offset, found),
         }
     }
 }
@@ -234,8 +230,8 @@ impl<'b> Field<'b> for Interval {
         self.length().put(to);
     }
 
-    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
-        u32::get(from).map(Self::new)
+    fn get(from: &mut Reader<'b>) -> Self {
+        Self::new(u32::get(from))
     }
 }
 
@@ -246,8 +242,8 @@ impl<'b> Field<'b> for Law<'b> {
         to.table(self.pieces);
     }
 
-    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
-        Ok(Self { pieces: from.table()? })
+    fn get(from: &mut Reader<'b>) -> Self {
+        Self { pieces: from.table() }
     }
 }
 
@@ -261,14 +257,17 @@ impl<'b> Field<'b> for Curve<'b> {
         u32::from(self.bucket_shift()).put(to);
     }
 
-    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+    fn get(from: &mut Reader<'b>) -> Self {
         let offset = from.at;
-        let (segments, index) = (from.table()?, from.table()?);
-        let first = Position::get(from)?;
-        let found = u32::get(from)?;
-        let bucket_shift = u8::try_from(found).map_err(|_| BlobError::Value { offset, found })?;
-        let curve = Self::new(first, segments, index, bucket_shift);
-        if curve.is_consistent() { Ok(curve) } else { Err(BlobError::Table { offset }) }
+        let (segments, index) = (from.table(), from.table());
+        let first = Position::get(from);
+        let shift = u32::get(from);
+        let bucket_shift = u8::try_from(shift).ok().or_else(|| from.refuse_value(offset, shift));
+        let curve = Self::new(first, segments, index, bucket_shift.unwrap_or_default());
+        if !curve.is_consistent() {
+            from.refuse(BlobError::Table { offset });
+        }
+        curve
     }
 }
 
@@ -284,15 +283,18 @@ impl<'b> Field<'b> for Option<Pitch<'b>> {
         to.table(pitch.reverse.unwrap_or_default());
     }
 
-    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+    fn get(from: &mut Reader<'b>) -> Self {
         let offset = from.at;
-        let (start, step) = (Position::get(from)?, u32::get(from)?);
-        let (forward, reverse) = (from.table()?, from.table()?);
+        let (start, step) = (Position::get(from), u32::get(from));
+        let (forward, reverse) = (from.table(), from.table());
         if forward.is_empty() {
-            return Ok(None);
+            return None;
         }
         let reverse = (!reverse.is_empty()).then_some(reverse);
         let pitch = Pitch { start, step: Interval::new(step), forward, reverse };
-        if pitch.is_consistent() { Ok(Some(pitch)) } else { Err(BlobError::Table { offset }) }
+        if !pitch.is_consistent() {
+            from.refuse(BlobError::Table { offset });
+        }
+        Some(pitch)
     }
 }

@@ -57,7 +57,6 @@ const _: () = assert!(FixedPart::SIZE + HEAD_SIZE == FIXED_SIZE);
 
 record! {
     /// A linear axis.
-    #[derive(Clone, Copy)]
     AxisRecord<'b> {
         channel: Channel,
         smoothing: SmoothingFactor,
@@ -149,12 +148,6 @@ impl<'b> FixedPart<'b> {
                 hold_ms: self.hold_ms,
             },
         }
-    }
-}
-
-impl Default for AxisRecord<'_> {
-    fn default() -> Self {
-        Self::of(AxisModel::default())
     }
 }
 

@@ -10,7 +10,8 @@ use trueup_core::{
     lag::SmoothingFactor,
     pitch::Pitch,
     term::{Effect, Target, Term},
-    units::{Fine, Temperature},
+    travel::Interval,
+    units::{Fine, Position, Temperature},
 };
 
 use super::{
@@ -44,21 +45,21 @@ impl<'b> Field<'b> for Terms<'b> {
         }
     }
 
-    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+    fn get(from: &mut Reader<'b>) -> Self {
         let offset = from.at;
-        let records = from.table::<TERM_SIZE>()?;
+        let records = from.table::<TERM_SIZE>();
         if records.len() > MAX_TERMS {
-            return Err(BlobError::Table { offset });
+            from.refuse(BlobError::Table { offset });
         }
-        let start = from.elsewhere(offset, u32::get)? & 0xFFFF;
+        let start = from.elsewhere(offset, u32::get) & 0xFFFF;
         let mut place = usize::try_from(start).unwrap_or(usize::MAX);
         let mut terms = [None; MAX_TERMS];
         for (term, _) in terms.iter_mut().zip(records) {
             from.term = place;
-            *term = Some(from.elsewhere(place, Term::get)?);
+            *term = Some(from.elsewhere(place, Term::get));
             place = place.saturating_add(TERM_SIZE);
         }
-        Ok(terms)
+        terms
     }
 }
 
@@ -81,21 +82,24 @@ impl<'b> Field<'b> for Term<'b> {
         put_effect(&self.effect, to);
     }
 
-    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+    fn get(from: &mut Reader<'b>) -> Self {
         let offset = from.at;
         let [kind, target, _, shift] = from.bytes();
-        let value = |found: u8| BlobError::Value { offset, found: found.into() };
         let target = match target {
-            0 => Target::Elongation,
-            found @ 1..=3 => Target::Axis(linear_axis(u32::from(found.wrapping_sub(1)), offset)?),
-            found => return Err(value(found)),
+            0 => Some(Target::Elongation),
+            1 => Some(Target::Axis(LinearAxis::X)),
+            2 => Some(Target::Axis(LinearAxis::Y)),
+            3 => Some(Target::Axis(LinearAxis::Z)),
+            found => from.refuse_value(offset, found),
         };
         if shift > MAX_SHIFT {
-            return Err(value(shift));
+            from.refuse(BlobError::Value { offset, found: shift.into() });
         }
-        let constant = Fine::get(from)?;
-        let effect = get_effect(kind, from)?.ok_or(value(kind))?;
-        Ok(Self { target, constant, effect })
+        Self {
+            target: target.unwrap_or(Target::Elongation),
+            constant: Fine::get(from),
+            effect: get_effect(kind, from),
+        }
     }
 }
 
@@ -111,18 +115,14 @@ macro_rules! effects {
             )*}
         }
 
-        /// `None`: there is no such kind.
-        fn get_effect<'b>(
-            kind: u8,
-            from: &mut Reader<'b>,
-        ) -> Result<Option<Effect<'b>>, BlobError> {
-            Ok(Some(match kind {
+        fn get_effect<'b>(kind: u8, from: &mut Reader<'b>) -> Effect<'b> {
+            match kind {
                 $($kind => {
-                    $(let $name = <$type>::get(from)?;)*
+                    $(let $name = <$type>::get(from);)*
                     Effect::$effect { $($field: $name),* }
                 })*
-                _ => return Ok(None),
-            }))
+                found => from.refuse_value(from.term, found).unwrap_or(Effect::Offset),
+            }
         }
     };
 }
@@ -157,8 +157,8 @@ impl<'b> Field<'b> for Scaled {
         self.mantissa.put(to);
     }
 
-    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
-        Ok(Self { mantissa: i32::get(from)?, shift: from.term_byte(SHIFT) })
+    fn get(from: &mut Reader<'b>) -> Self {
+        Self { mantissa: i32::get(from), shift: from.term_byte(SHIFT) }
     }
 }
 
@@ -170,8 +170,10 @@ impl<'b> Field<'b> for LinearAxis {
         to.term_byte(INPUT, *self as u8);
     }
 
-    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
-        linear_axis(from.term_byte(INPUT).into(), from.term)
+    fn get(from: &mut Reader<'b>) -> Self {
+        let number = from.term_byte(INPUT);
+        let axis = linear_axis(number.into()).or_else(|| from.refuse_value(from.term, number));
+        axis.unwrap_or(Self::X)
     }
 }
 
@@ -183,13 +185,12 @@ impl<'b> Field<'b> for u8 {
         to.term_byte(INPUT, *self);
     }
 
-    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
+    fn get(from: &mut Reader<'b>) -> Self {
         let channel = from.term_byte(INPUT);
-        if usize::from(channel) < CHANNELS {
-            Ok(channel)
-        } else {
-            Err(BlobError::Value { offset: from.term, found: channel.into() })
+        if usize::from(channel) >= CHANNELS {
+            from.refuse(BlobError::Value { offset: from.term, found: channel.into() });
         }
+        channel
     }
 }
 
@@ -201,7 +202,10 @@ impl<'b> Field<'b> for Pitch<'b> {
         Some(*self).put(to);
     }
 
-    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
-        Option::<Self>::get(from)?.ok_or(BlobError::Table { offset: from.term })
+    fn get(from: &mut Reader<'b>) -> Self {
+        Option::<Self>::get(from).unwrap_or_else(|| {
+            from.refuse(BlobError::Table { offset: from.term });
+            Self { start: Position(0), step: Interval::new(0), forward: &[], reverse: None }
+        })
     }
 }

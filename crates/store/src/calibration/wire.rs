@@ -12,8 +12,8 @@ pub(super) trait Field<'b>: Sized {
 
     fn put(&self, to: &mut Writer<'_>);
 
-    /// Refuses what has no meaning, with its place.
-    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError>;
+    /// Refuses what has no meaning ([`Reader::refuse`]), and goes on with another value.
+    fn get(from: &mut Reader<'b>) -> Self;
 }
 
 /// Makes fields of types that are one number.
@@ -26,10 +26,8 @@ macro_rules! numbers {
                 self.0.put(to);
             }
 
-            fn get(
-                from: &mut $crate::calibration::wire::Reader<'b>,
-            ) -> Result<Self, $crate::calibration::error::BlobError> {
-                Ok(Self(<$number>::get(from)?))
+            fn get(from: &mut $crate::calibration::wire::Reader<'b>) -> Self {
+                Self(<$number>::get(from))
             }
         }
     )*};
@@ -46,10 +44,8 @@ macro_rules! fields {
                 $(self.$field.put(to);)*
             }
 
-            fn get(
-                from: &mut $crate::calibration::wire::Reader<'b>,
-            ) -> Result<Self, $crate::calibration::error::BlobError> {
-                Ok(Self { $($field: <$kind>::get(from)?),* })
+            fn get(from: &mut $crate::calibration::wire::Reader<'b>) -> Self {
+                Self { $($field: <$kind>::get(from)),* }
             }
         }
     };
@@ -131,21 +127,40 @@ impl<'o> Writer<'o> {
     }
 }
 
-/// Reads the fixed part from `at` on.
+/// Reads the fixed part from `at` on, to its end, whatever is found there: the first fault is kept
+/// until [`Self::finish`]. (An early return from every field costs the board 4 KB of code.)
 pub(super) struct Reader<'b> {
     blob: &'b [u8],
     pub at: usize,
     /// Where the present term begins.
     pub term: usize,
+    fault: Option<BlobError>,
 }
 
 impl<'b> Reader<'b> {
     /// Reads a blob without its CRC.
     pub const fn new(blob: &'b [u8], at: usize) -> Self {
-        Self { blob, at, term: 0 }
+        Self { blob, at, term: 0, fault: None }
+    }
+
+    /// Refuses the blob for this, unless it is refused already.
+    pub fn refuse(&mut self, fault: BlobError) {
+        self.fault.get_or_insert(fault);
+    }
+
+    /// Refuses a number that stands for nothing.
+    pub fn refuse_value<T>(&mut self, offset: usize, found: impl Into<u32>) -> Option<T> {
+        self.refuse(BlobError::Value { offset, found: found.into() });
+        None
+    }
+
+    /// Gives what was read, if nothing was refused.
+    pub fn finish<T>(self, read: T) -> Result<T, BlobError> {
+        self.fault.map_or(Ok(read), Err)
     }
 
     /// The next four bytes. The fixed part is there: its length was checked.
+    #[inline(never)]
     pub fn bytes(&mut self) -> [u8; 4] {
         let rest = self.blob.get(self.at..).unwrap_or_default();
         self.at = self.at.saturating_add(4);
@@ -158,20 +173,25 @@ impl<'b> Reader<'b> {
     }
 
     /// The table that the next reference names.
-    pub fn table<const N: usize>(&mut self) -> Result<&'b [[u8; N]], BlobError> {
+    pub fn table<const N: usize>(&mut self) -> &'b [[u8; N]] {
+        self.table_of(N).as_chunks().0
+    }
+
+    /// The bytes of the table of records of `size` bytes that the next reference names.
+    #[inline(never)]
+    fn table_of(&mut self, size: usize) -> &'b [u8] {
         let offset = self.at;
         let [o0, o1, n0, n1] = self.bytes();
         let start = usize::from(u16::from_le_bytes([o0, o1]));
-        let bytes = usize::from(u16::from_le_bytes([n0, n1])).saturating_mul(N);
+        let bytes = usize::from(u16::from_le_bytes([n0, n1])).saturating_mul(size);
         if bytes == 0 {
-            return Ok(&[]);
+            return &[];
         }
-        let table = self
-            .blob
-            .get(start..start.saturating_add(bytes))
-            .filter(|_| start >= FIXED_SIZE)
-            .ok_or(BlobError::Table { offset })?;
-        Ok(table.as_chunks().0)
+        let table = self.blob.get(start..start.saturating_add(bytes));
+        table.filter(|_| start >= FIXED_SIZE).unwrap_or_else(|| {
+            self.refuse(BlobError::Table { offset });
+            &[]
+        })
     }
 
     /// Reads at another place, and goes on here.
@@ -190,8 +210,8 @@ impl<'b> Field<'b> for u32 {
         to.bytes(&self.to_le_bytes());
     }
 
-    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
-        Ok(Self::from_le_bytes(from.bytes()))
+    fn get(from: &mut Reader<'b>) -> Self {
+        Self::from_le_bytes(from.bytes())
     }
 }
 
@@ -202,8 +222,8 @@ impl<'b> Field<'b> for i32 {
         to.bytes(&self.to_le_bytes());
     }
 
-    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
-        Ok(Self::from_le_bytes(from.bytes()))
+    fn get(from: &mut Reader<'b>) -> Self {
+        Self::from_le_bytes(from.bytes())
     }
 }
 
@@ -215,24 +235,20 @@ impl<'b> Field<'b> for u64 {
         to.bytes(&self.to_le_bytes());
     }
 
-    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
-        let (low, high) = (u32::get(from)?, u32::get(from)?);
-        Ok(Self::from(high) << 32 | Self::from(low))
+    fn get(from: &mut Reader<'b>) -> Self {
+        let (low, high) = (u32::get(from), u32::get(from));
+        Self::from(high) << 32 | Self::from(low)
     }
 }
 
-impl<'b, T: Field<'b> + Copy + Default, const N: usize> Field<'b> for [T; N] {
+impl<'b, T: Field<'b>, const N: usize> Field<'b> for [T; N] {
     const SIZE: usize = N.saturating_mul(T::SIZE);
 
     fn put(&self, to: &mut Writer<'_>) {
         self.iter().for_each(|field| field.put(to));
     }
 
-    fn get(from: &mut Reader<'b>) -> Result<Self, BlobError> {
-        let mut all = [T::default(); N];
-        for field in &mut all {
-            *field = T::get(from)?;
-        }
-        Ok(all)
+    fn get(from: &mut Reader<'b>) -> Self {
+        core::array::from_fn(|_| T::get(from))
     }
 }
