@@ -67,8 +67,10 @@ pub struct Interval {
 impl Interval {
     /// The length, in position units; 0 is allowed.
     ///
-    /// Costs some hundred instructions: meant for loading, not for every tick.
+    /// Costs some hundred instructions: meant for loading, not for every tick. One copy of them in
+    /// the board's image is enough.
     #[must_use]
+    #[inline(never)]
     pub const fn new(length: u32) -> Self {
         let Some(normal) = length.checked_shl(length.leading_zeros()) else {
             return Self { length, reciprocal: 0 };
