@@ -33,15 +33,32 @@ pub(crate) const PART_SIZE: usize = PART as usize;
 /// A place for one record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Slot {
-    half: u32,
+    /// The half that it is in.
+    pub half: Half,
     number: u32,
     /// Offset of its first byte in the flash.
     pub address: u32,
 }
 
 /// One half of the flash.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Half {
+    First,
+    Second,
+}
+
+impl Half {
+    const fn other(self) -> Self {
+        match self {
+            Self::First => Self::Second,
+            Self::Second => Self::First,
+        }
+    }
+}
+
+/// What a half holds.
 #[derive(Clone, Copy, Debug, Default)]
-struct Half {
+struct Content {
     /// Slots up to the last one that is not blank.
     used: u32,
     /// The largest sequence number in it; 0: it has no record.
@@ -54,9 +71,10 @@ pub(crate) struct Log<F> {
     /// Read by its owner too, who must not write to it.
     pub flash: F,
     slot_size: u32,
-    halves: [Half; 2],
-    /// The half that is written to, 0 or 1.
-    active: u32,
+    first: Content,
+    second: Content,
+    /// The half that is written to.
+    active: Half,
 }
 
 impl<F: NorFlash> Log<F> {
@@ -67,8 +85,9 @@ impl<F: NorFlash> Log<F> {
         slot_size: u32,
         mut read: impl FnMut(&mut F, Slot) -> Option<u32>,
     ) -> Self {
-        let mut log = Self { flash, slot_size, halves: [Half::default(); 2], active: 0 };
-        for half in 0..2 {
+        let empty = Content::default();
+        let mut log = Self { flash, slot_size, first: empty, second: empty, active: Half::First };
+        for half in [Half::First, Half::Second] {
             for number in 0..log.slots_per_half() {
                 let slot = log.slot(half, number);
                 if log.is_blank(slot) {
@@ -80,11 +99,13 @@ impl<F: NorFlash> Log<F> {
                 }
             }
         }
-        let [first, second] = log.halves;
+        let (first, second) = (log.first, log.second);
         // Without any record the half with more room is taken.
         let second_is_ahead = second.newest > first.newest
             || (second.newest == first.newest && second.used < first.used);
-        log.active = u32::from(second_is_ahead);
+        if second_is_ahead {
+            log.active = Half::Second;
+        }
         log
     }
 
@@ -99,7 +120,7 @@ impl<F: NorFlash> Log<F> {
         attempts: u32,
         mut write: impl FnMut(&mut F, Slot, u32) -> bool,
     ) -> Result<(u32, Slot), StoreError> {
-        let newest = self.halves.iter().map(|half| half.newest).max().unwrap_or_default();
+        let newest = self.first.newest.max(self.second.newest);
         let sequence = newest.checked_add(1).ok_or(StoreError::Full)?;
         for _ in 0..attempts {
             let slot = self.next_slot()?;
@@ -119,8 +140,8 @@ impl<F: NorFlash> Log<F> {
     /// # Errors
     /// [`StoreError::NotErased`].
     pub fn make_room(&mut self) -> Result<bool, StoreError> {
-        let spare = self.spare();
-        if self.half(spare).used == 0 {
+        let spare = self.active.other();
+        if self.content(spare).used == 0 {
             return Ok(false);
         }
         let slots = self.slots_per_half();
@@ -129,58 +150,53 @@ impl<F: NorFlash> Log<F> {
         if !erased || (0..slots).any(|number| !self.is_blank(self.slot(spare, number))) {
             return Err(StoreError::NotErased);
         }
-        if let Some(half) = self.halves.get_mut(spare as usize) {
-            *half = Half::default();
-        }
+        *self.content(spare) = Content::default();
         Ok(true)
     }
 
-    /// Makes the half of this slot the active one, so that [`Self::make_room`] leaves it alone.
-    pub fn activate(&mut self, slot: Slot) {
-        self.active = slot.half;
+    /// Makes this half the active one, so that [`Self::make_room`] leaves it alone.
+    pub fn activate(&mut self, half: Half) {
+        self.active = half;
     }
 
-    /// Whether [`Self::make_room`] empties this slot.
-    pub fn is_in_spare_half(&self, slot: Slot) -> bool {
-        slot.half != self.active
+    /// The half that is written to, which [`Self::make_room`] leaves alone.
+    pub const fn active(&self) -> Half {
+        self.active
     }
 
     /// Whether the active half takes another record.
-    pub fn has_room(&self) -> bool {
-        self.half(self.active).used < self.slots_per_half()
-    }
-
-    /// The half that is not active.
-    fn spare(&self) -> u32 {
-        1_u32.saturating_sub(self.active)
+    pub fn has_room(&mut self) -> bool {
+        self.content(self.active).used < self.slots_per_half()
     }
 
     /// Where the next record goes.
-    fn next_slot(&self) -> Result<Slot, StoreError> {
-        let spare = self.spare();
+    fn next_slot(&mut self) -> Result<Slot, StoreError> {
+        let spare = self.active.other();
         if self.has_room() {
-            Ok(self.slot(self.active, self.half(self.active).used))
-        } else if self.half(spare).used == 0 && self.slots_per_half() > 0 {
+            let number = self.content(self.active).used;
+            Ok(self.slot(self.active, number))
+        } else if self.content(spare).used == 0 && self.slots_per_half() > 0 {
             Ok(self.slot(spare, 0))
         } else {
             Err(StoreError::Full)
         }
     }
 
-    fn half(&self, half: u32) -> Half {
-        self.halves.get(half as usize).copied().unwrap_or_default()
+    const fn content(&mut self, half: Half) -> &mut Content {
+        match half {
+            Half::First => &mut self.first,
+            Half::Second => &mut self.second,
+        }
     }
 
     fn note_used(&mut self, slot: Slot) {
-        if let Some(half) = self.halves.get_mut(slot.half as usize) {
-            half.used = half.used.max(slot.number.saturating_add(1));
-        }
+        let content = self.content(slot.half);
+        content.used = content.used.max(slot.number.saturating_add(1));
     }
 
     fn note_record(&mut self, slot: Slot, sequence: u32) {
-        if let Some(half) = self.halves.get_mut(slot.half as usize) {
-            half.newest = half.newest.max(sequence);
-        }
+        let content = self.content(slot.half);
+        content.newest = content.newest.max(sequence);
     }
 
     /// Bytes of a half.
@@ -192,8 +208,11 @@ impl<F: NorFlash> Log<F> {
         self.half_size().checked_div(self.slot_size).unwrap_or(0)
     }
 
-    fn slot(&self, half: u32, number: u32) -> Slot {
-        let start = half.saturating_mul(self.half_size());
+    fn slot(&self, half: Half, number: u32) -> Slot {
+        let start = match half {
+            Half::First => 0,
+            Half::Second => self.half_size(),
+        };
         let address = start.saturating_add(number.saturating_mul(self.slot_size));
         Slot { half, number, address }
     }

@@ -21,7 +21,7 @@ use trueup_core::{
 
 use crate::{
     crc,
-    log::{Log, Slot, StoreError, write_part},
+    log::{Half, Log, StoreError, write_part},
 };
 
 /// Bytes of a slot, which a record fills.
@@ -90,8 +90,8 @@ pub struct Found {
 pub struct References<F> {
     log: Log<F>,
     calibration: u32,
-    /// The record of this calibration that counts, and where it is.
-    current: Option<(Record, Slot)>,
+    /// The reference of this calibration that counts, and the half that its record is in.
+    current: Option<(Reference, Half)>,
 }
 
 impl<F: NorFlash> References<F> {
@@ -108,13 +108,12 @@ impl<F: NorFlash> References<F> {
             };
             if record.calibration != calibration {
                 found.foreign = found.foreign.saturating_add(1);
-            } else if current.is_none_or(|(other, _): (Record, _)| record.sequence > other.sequence)
-            {
-                current = Some((record, slot));
+            } else if found.reference.is_none_or(|(newest, _)| record.sequence > newest) {
+                found.reference = Some((record.sequence, record.reference));
+                current = Some((record.reference, slot.half));
             }
             Some(record.sequence)
         });
-        found.reference = current.map(|(record, _)| (record.sequence, record.reference));
         (Self { log, calibration, current }, found)
     }
 
@@ -123,12 +122,11 @@ impl<F: NorFlash> References<F> {
     /// # Errors
     /// [`StoreError`]; what was stored before still counts.
     pub fn append(&mut self, reference: Reference) -> Result<u32, StoreError> {
-        let mut record = Record { sequence: 0, calibration: self.calibration, reference };
+        let calibration = self.calibration;
         let (sequence, slot) = self.log.append(ATTEMPTS, |flash, slot, sequence| {
-            record.sequence = sequence;
-            write_part(flash, slot.address, &record.encode())
+            write_part(flash, slot.address, &Record { sequence, calibration, reference }.encode())
         })?;
-        self.current = Some((record, slot));
+        self.current = Some((reference, slot.half));
         Ok(sequence)
     }
 
@@ -140,14 +138,14 @@ impl<F: NorFlash> References<F> {
     /// [`StoreError`]; what is stored still counts.
     pub fn make_room(&mut self) -> Result<bool, StoreError> {
         // What still counts moves on before its half goes. Where there is no room for it, after.
-        let moved = self.current.filter(|(_, slot)| self.log.is_in_spare_half(*slot));
+        let moved = self.current.filter(|(_, half)| *half != self.log.active());
         let has_room = self.log.has_room();
-        if let (Some((record, _)), true) = (moved, has_room) {
-            self.append(record.reference)?;
+        if let (Some((reference, _)), true) = (moved, has_room) {
+            self.append(reference)?;
         }
         let emptied = self.log.make_room()?;
-        if let (Some((record, _)), false) = (moved, has_room) {
-            self.append(record.reference)?;
+        if let (Some((reference, _)), false) = (moved, has_room) {
+            self.append(reference)?;
         }
         Ok(emptied)
     }

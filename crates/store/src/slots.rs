@@ -94,7 +94,7 @@ impl<F: NorFlash> Slots<F> {
     /// read into `buffer` of [`MAX_SIZE`] bytes and checked.
     pub fn open(flash: F, base: u32, buffer: &mut [u8]) -> (Self, Found) {
         let mut found = Found::default();
-        let mut newest_slot = None;
+        let mut half = None;
         let mut log = Log::open(flash, SLOT_SIZE, |flash, slot| {
             let Some(head) = Head::read(flash, slot) else {
                 found.damaged = found.damaged.saturating_add(1);
@@ -107,7 +107,7 @@ impl<F: NorFlash> Slots<F> {
             } else if let Some(length) = check(flash, address, head.identity, buffer) {
                 if found.newest.is_none_or(|other| sequence > other.sequence) {
                     found.newest = Some(Stored { sequence, address, length });
-                    newest_slot = Some(slot);
+                    half = Some(slot.half);
                 }
             } else {
                 found.damaged = found.damaged.saturating_add(1);
@@ -115,8 +115,8 @@ impl<F: NorFlash> Slots<F> {
             Some(sequence)
         });
         // What counts must never be in the half that is emptied.
-        if let Some(slot) = newest_slot {
-            log.activate(slot);
+        if let Some(half) = half {
+            log.activate(half);
         }
         (Self { log, base }, found)
     }
