@@ -217,6 +217,7 @@ impl<F: NorFlash> Log<F> {
         Slot { half, number, address }
     }
 
+    #[inline(never)]
     fn is_blank(&mut self, slot: Slot) -> bool {
         let mut part = [0; PART_SIZE];
         let mut at = 0;
@@ -235,6 +236,7 @@ impl<F: NorFlash> Log<F> {
 
 /// Writes at most [`PART_SIZE`] bytes, filled up to whole words with 0xFF, and reads them back; gives
 /// whether the flash holds them.
+#[inline(never)]
 pub(crate) fn write_part<F: NorFlash>(flash: &mut F, address: u32, part: &[u8]) -> bool {
     let words = part.len().next_multiple_of(WORD);
     let (mut padded, mut back) = ([0xFF; PART_SIZE], [0; PART_SIZE]);

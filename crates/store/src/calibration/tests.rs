@@ -271,6 +271,14 @@ fn values_without_a_meaning_are_refused_with_their_place() {
 }
 
 #[test]
+fn of_two_faults_the_first_is_told() {
+    let mut blob = sample();
+    blob[44] = 4;
+    blob[240] = 3;
+    assert_eq!(decode(&mended(blob)), Err(BlobError::Value { offset: 44, found: 4 }));
+}
+
+#[test]
 fn what_does_not_fit_is_refused_with_its_size() {
     with_sample(|calibration| {
         let mut small = [0; 700];
