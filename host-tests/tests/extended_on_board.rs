@@ -16,7 +16,7 @@ use trueup_emulator::{
     front_end::FrontEnd,
     replay::Replay,
     setup,
-    stand_in::{Heard, StandIn},
+    stand_in::{ReceivedFrames, StandIn},
 };
 use trueup_link::{frames, receiver::OffsetReceiver};
 use trueup_machine::{Machine, MachineFile, RunFile, compile};
@@ -79,7 +79,7 @@ fn left_by_the_board(
     let image = firmware::build(Board::Virtual).expect("the image builds");
     let mut board = VirtualBoard::boot(&image, compiled.blob()).expect("the board boots");
     let mut front_end = FrontEnd::new(DIVIDER, 1);
-    let (mut stand_in, heard) = (StandIn::default(), Heard::default());
+    let (mut stand_in, heard) = (StandIn::default(), ReceivedFrames::default());
     let mut offsets = OffsetReceiver::new();
     let replay = Replay::new(run, machine, 1.0).expect("it can be replayed");
     let times = run.column("time_s").map_or_else(

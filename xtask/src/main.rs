@@ -24,7 +24,7 @@ use trueup_emulator::{
     plant::Plant,
     replay::{self, Replay},
     report,
-    serve::{self, Source},
+    serve::{self, SampleSource},
     setup, size,
 };
 use trueup_machine::{BadInput, MachineFile, RunFile, compile};
@@ -175,11 +175,11 @@ fn run_virtual(options: Virtual) -> Result<()> {
     let listener = serve::listen(&options.cnc)?;
     let image = firmware::build(Board::Virtual)?;
     let source = match (replay, options.plant) {
-        (Some(replay), _) => Source::Run { replay, speed: options.speed.0 },
+        (Some(replay), _) => SampleSource::Run { replay, speed: options.speed.0 },
         (None, Some(plant)) => {
             let temperatures = machine.inputs.as_ref().map(|inputs| inputs.temperatures.clone());
             let address = serve::tcp_address(&plant)?;
-            Source::Plant(Plant::connect(address, temperatures.unwrap_or_default())?)
+            SampleSource::Plant(Plant::connect(address, temperatures.unwrap_or_default())?)
         }
         (None, None) => bail!("either --run or --plant"),
     };

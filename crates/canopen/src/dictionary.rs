@@ -85,7 +85,7 @@ pub enum Access {
 
 /// What stands behind an entry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum What {
+pub enum ObjectKind {
     /// This number.
     Fixed(u32),
     /// These characters.
@@ -167,7 +167,7 @@ pub struct Entry {
     /// What a master may do.
     pub access: Access,
     /// What stands behind it.
-    pub what: What,
+    pub what: ObjectKind,
     /// What a writable value is at the start.
     pub default: Option<u32>,
 }
@@ -217,13 +217,13 @@ mod tests {
                 _ if at == 0x1003 => assert_eq!(usize::from(last), HISTORY),
                 _ => {
                     assert_eq!((first.kind, first.access), (Type::U8, Access::Constant));
-                    assert_eq!(first.what, What::Fixed(last.into()), "{at:04X}");
+                    assert_eq!(first.what, ObjectKind::Fixed(last.into()), "{at:04X}");
                 }
             }
             for entry in object.entries {
                 let is_number = entry.kind.size().is_some();
                 assert_eq!(entry.default.is_some(), is_number && entry.access == Access::ReadWrite);
-                if let What::Fixed(number) = entry.what {
+                if let ObjectKind::Fixed(number) = entry.what {
                     let bits = entry.kind.size().map_or(0, |bytes| 8 * bytes);
                     assert!(u64::from(number) < 1 << bits, "{at:04X}:{}", entry.subindex);
                 }
@@ -237,6 +237,6 @@ mod tests {
             assert!(object(index).and_then(|object| object.entry(subindex)).is_some());
         }
         let device = object(0x1000).and_then(|it| it.entry(0)).expect("mandatory");
-        assert_eq!(device.what, What::Fixed(404), "the number of the profile");
+        assert_eq!(device.what, ObjectKind::Fixed(404), "the number of the profile");
     }
 }

@@ -13,7 +13,7 @@
 
 use trueup_link::{frame::Frame, layout::SDO_ANSWER_ID};
 
-use crate::dictionary::{self, Access, Entry, What};
+use crate::dictionary::{self, Access, Entry, ObjectKind};
 
 mod abort;
 pub mod client;
@@ -29,7 +29,7 @@ const SEGMENT: usize = 7;
 
 /// A value as it is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Datum<'v> {
+pub enum ObjectValue<'v> {
     /// The bits of a number, as many of them as its type has.
     Number(u32),
     /// Bytes of a text or a domain.
@@ -42,19 +42,19 @@ pub trait Objects {
     ///
     /// # Errors
     /// Why it cannot be read now.
-    fn read(&self, what: What) -> Result<Datum<'_>, Abort>;
+    fn read(&self, what: ObjectKind) -> Result<ObjectValue<'_>, Abort>;
 
     /// Writes a number.
     ///
     /// # Errors
     /// Why it is not taken.
-    fn write(&mut self, what: What, number: u32) -> Result<(), Abort>;
+    fn write(&mut self, what: ObjectKind, number: u32) -> Result<(), Abort>;
 
     /// A domain is about to come, of so many bytes if the master has said.
     ///
     /// # Errors
     /// Why it is not taken.
-    fn open(&mut self, what: What, size: Option<u32>) -> Result<(), Abort>;
+    fn open(&mut self, what: ObjectKind, size: Option<u32>) -> Result<(), Abort>;
 
     /// The next bytes of it.
     ///
@@ -79,7 +79,7 @@ enum Phase {
     /// The next segment begins at this byte.
     Upload {
         at: At,
-        what: What,
+        what: ObjectKind,
         from: usize,
         toggle: bool,
     },
@@ -182,11 +182,11 @@ impl Server {
             return Err(Abort::WriteOnly);
         }
         Ok(match objects.read(entry.what)? {
-            Datum::Number(number) => {
+            ObjectValue::Number(number) => {
                 let unused = 4_u8.saturating_sub(entry.kind.size().map_or(4, size_byte));
                 initiated(0x43 | unused << 2, at, number)
             }
-            Datum::Bytes(bytes) => {
+            ObjectValue::Bytes(bytes) => {
                 self.phase = Phase::Upload { at, what: entry.what, from: 0, toggle: false };
                 initiated(0x41, at, u32::try_from(bytes.len()).unwrap_or(u32::MAX))
             }
@@ -200,7 +200,7 @@ impl Server {
         if is_toggled(command) != toggle {
             return Err(Abort::Toggle);
         }
-        let Datum::Bytes(bytes) = objects.read(what)? else { return Err(Abort::NoData) };
+        let ObjectValue::Bytes(bytes) = objects.read(what)? else { return Err(Abort::NoData) };
         let rest = bytes.get(from..).ok_or(Abort::NoData)?;
         let part = rest.get(..SEGMENT).unwrap_or(rest);
         let is_last = part.len() == rest.len();

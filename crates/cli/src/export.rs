@@ -9,7 +9,7 @@ use std::{
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
-use trueup_export::{Format, LeftOut, Options, Report, Table, Units, export};
+use trueup_export::{ExportedTable, Format, LeftOut, Options, Report, Units, export};
 use trueup_machine::MachineFile;
 
 use crate::{Outcome, UserError, output};
@@ -187,7 +187,7 @@ fn positive(option: &str, value: f64) -> Result<f64, UserError> {
 }
 
 fn as_value(report: &Report, files: &[trueup_export::File], folder: &Path) -> Value {
-    let table = |table: &Table| {
+    let table = |table: &ExportedTable| {
         json!({
             "file": table.file,
             "name": table.name,

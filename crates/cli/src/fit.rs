@@ -23,8 +23,8 @@ use trueup_machine::{
 pub use args::Fit;
 
 use self::args::{
-    Backlash, By, Common, Elongation, Kind, Method, Mode, Pitch, Reference, Straightness, Thermal,
-    Warmup, Ways,
+    Backlash, By, Common, Elongation, Kind, Method, Mode, Pitch, ReferenceLine, Straightness,
+    Thermal, Warmup, Ways,
 };
 use crate::{Outcome, UserError, output, runs};
 
@@ -128,14 +128,14 @@ fn straightness_of(input: &Input, args: &Straightness) -> Result<Report> {
             Method::Paper => straightness::Method::Paper,
         },
         reference: match args.reference {
-            Reference::AsMeasured => straightness::Reference::AsMeasured,
-            Reference::EndPoints => straightness::Reference::EndPoints,
-            Reference::LeastSquares => straightness::Reference::LeastSquares,
+            ReferenceLine::AsMeasured => straightness::ReferenceLine::AsMeasured,
+            ReferenceLine::EndPoints => straightness::ReferenceLine::EndPoints,
+            ReferenceLine::LeastSquares => straightness::ReferenceLine::LeastSquares,
         },
         ..straightness::Options::default()
     };
     let run = input.run()?;
-    let known = |curve: &straightness::Curve| {
+    let known = |curve: &straightness::StraightnessCurve| {
         input.known(run, Without::Straightness { error: curve.error, along: curve.along })
     };
     Ok(curve::fit(run, args.quantity.as_deref(), known, &options)?)

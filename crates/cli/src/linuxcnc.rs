@@ -18,8 +18,8 @@ use trueup_core::units::NANOMETRES_PER_MICROMETRE;
 use trueup_linuxcnc::{
     component::TEMPERATURES,
     ini::Ini,
+    offsets,
     run::{self, Settings},
-    source,
 };
 use trueup_machine::{MachineFile, machine_file::LinearAxis, model::over_compensation_um};
 
@@ -130,7 +130,7 @@ pub fn run(args: &LinuxCnc) -> Result<Outcome> {
         temperatures: args.temperatures,
         turn: Duration::from_secs_f64(ini.cycle_s / TURNS_PER_CYCLE),
         options: trueup_linuxcnc::Options {
-            limits: source::Limits {
+            limits: offsets::Limits {
                 max_nm: limits.max_um.map(|um| nanometres(args.max_um.unwrap_or(um))),
                 stale: Duration::from_millis(args.stale_ms),
                 hold: Duration::from_millis(args.hold_ms.unwrap_or(limits.hold_ms.into())),

@@ -32,7 +32,7 @@ const PAPER: &str = include_str!("../../../data/paper_spindle.toml");
 
 /// What the bridge has heard from its client.
 #[derive(Default)]
-struct Heard {
+struct ReceivedBytes {
     bytes: Vec<u8>,
     frames: usize,
 }
@@ -56,14 +56,14 @@ enum Fault {
 }
 
 /// A bridge at a port of this machine, engaged by a CNC that it has elsewhere.
-fn bridge(fault: Fault) -> (String, Arc<Mutex<Heard>>) {
+fn bridge(fault: Fault) -> (String, Arc<Mutex<ReceivedBytes>>) {
     bridge_with(fault, true)
 }
 
-fn bridge_with(fault: Fault, engage: bool) -> (String, Arc<Mutex<Heard>>) {
+fn bridge_with(fault: Fault, engage: bool) -> (String, Arc<Mutex<ReceivedBytes>>) {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = format!("tcp:{}", listener.local_addr().expect("bound above"));
-    let heard = Arc::new(Mutex::new(Heard::default()));
+    let heard = Arc::new(Mutex::new(ReceivedBytes::default()));
     let told = heard.clone();
     thread::spawn(move || {
         let (stream, _) = listener.accept().expect("the tool connects");
@@ -89,7 +89,7 @@ fn started(blob: &'static [u8]) -> (Node<'static>, Port) {
     (node, Port::new(0x00A1))
 }
 
-fn live(mut stream: impl Read + Write, fault: Fault, engage: bool, heard: &Mutex<Heard>) {
+fn live(mut stream: impl Read + Write, fault: Fault, engage: bool, heard: &Mutex<ReceivedBytes>) {
     let compiled = paper();
     let (mut node, mut port) = started(Box::leak(compiled.blob().into()));
     let mut stored: Option<Vec<u8>> = None;
@@ -347,7 +347,7 @@ fn a_serial_device_is_monitored_like_a_port() {
     let device = theirs.name().expect("a pseudo terminal has a name");
     // The tool wants the device for itself.
     drop(theirs);
-    let heard = Arc::new(Mutex::new(Heard::default()));
+    let heard = Arc::new(Mutex::new(ReceivedBytes::default()));
     let told = heard.clone();
     thread::spawn(move || live(Terminal(ours), Fault::None, true, &told));
     let (out, _) = monitor(&device, "1 --json", 0);

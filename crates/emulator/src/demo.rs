@@ -110,7 +110,7 @@ pub fn run(image: &Path) -> Result<Findings> {
     let mut machine = MachineFile::read(&root.join("data/paper_spindle.toml"))?;
     machine.limits.slew_um_per_s = SLEW_UM_PER_S;
     let run = RunFile::read(&root.join("data/spindle_paper_table1.csv"))?;
-    let table = Table::of(&run)?;
+    let table = PaperTable::of(&run)?;
 
     let bar = ProgressBar::new((2 * table.counts.len() * ROW_MS) as u64);
     let style = "{msg:<28} [{bar:40}] {percent:>3} %  {pos} of {len} ms of board time";
@@ -165,13 +165,13 @@ pub fn run(image: &Path) -> Result<Findings> {
 }
 
 /// The columns of the table.
-struct Table {
+struct PaperTable {
     counts: Vec<f64>,
     dial_um: Vec<f64>,
     rpm: Vec<f64>,
 }
 
-impl Table {
+impl PaperTable {
     fn of(run: &RunFile) -> Result<Self> {
         Ok(Self {
             counts: run.require("sensor_counts")?.to_vec(),
@@ -197,7 +197,7 @@ struct Tally {
 fn play(
     image: &Path,
     machine: &Machine,
-    table: &Table,
+    table: &PaperTable,
     rows: &[usize],
     bar: &ProgressBar,
     tally: &mut Tally,

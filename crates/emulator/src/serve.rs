@@ -33,11 +33,11 @@ use crate::{
     front_end::FrontEnd,
     plant::{Answer, Plant},
     replay::{Replay, Situation},
-    stand_in::{Heard, StandIn},
+    stand_in::{ReceivedFrames, StandIn},
 };
 
 /// What makes the machine's time pass.
-pub enum Source {
+pub enum SampleSource {
     /// A run file, at a multiple of real time, or as fast as it goes.
     Run {
         /// The run.
@@ -66,7 +66,7 @@ pub fn serve(
     calibration: &[u8],
     front_end: FrontEnd,
     listener: TcpListener,
-    source: Source,
+    source: SampleSource,
     stop: Arc<AtomicBool>,
 ) -> Result<()> {
     let mut board = VirtualBoard::boot(image, calibration)?;
@@ -98,11 +98,11 @@ fn play(
     board: &mut VirtualBoard,
     mut front_end: FrontEnd,
     listener: TcpListener,
-    source: Source,
+    source: SampleSource,
     stop: &AtomicBool,
 ) -> Result<()> {
     let opened = Arc::new(AtomicBool::new(false));
-    let heard = Arc::new(Heard::default());
+    let heard = Arc::new(ReceivedFrames::default());
     share_line(listener, board.serial()?, opened.clone(), heard.clone())?;
     let mut stand_in = StandIn::default();
     let is_over = |board: &mut VirtualBoard| -> Result<bool> {
@@ -139,7 +139,7 @@ fn play(
         Ok(last)
     };
     match source {
-        Source::Run { replay, speed } => {
+        SampleSource::Run { replay, speed } => {
             eprintln!("the replay starts when a client opens the channel");
             while !opened.load(Ordering::Relaxed) {
                 if is_over(board)? {
@@ -157,7 +157,7 @@ fn play(
                 }
             }
         }
-        Source::Plant(mut plant) => {
+        SampleSource::Plant(mut plant) => {
             while let Some((situation, ms)) = plant.next_step(|| is_over(board))? {
                 if let Some(output) = live(board, &|_| situation, ms)? {
                     plant.last_answer = Answer::from(&output);
@@ -240,7 +240,7 @@ fn share_line(
     listener: TcpListener,
     line: UnixStream,
     opened: Arc<AtomicBool>,
-    heard: Arc<Heard>,
+    heard: Arc<ReceivedFrames>,
 ) -> Result<()> {
     let client: Arc<Mutex<Option<Client>>> = Arc::default();
     let mut from_board = line.try_clone()?;
@@ -289,7 +289,7 @@ fn serve_client(
     client: &Mutex<Option<Client>>,
     mut line: &UnixStream,
     opened: &AtomicBool,
-    heard: &Heard,
+    heard: &ReceivedFrames,
 ) -> io::Result<()> {
     stream.set_nodelay(true)?;
     set_socket_send_buffer_size(&stream, CLIENT_QUEUE)?;

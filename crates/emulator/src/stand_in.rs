@@ -18,9 +18,9 @@ const _: () = assert!(IDS.len() <= FRAMES);
 
 /// Which of these frames the CNC has sent itself: a bit each.
 #[derive(Debug, Default)]
-pub struct Heard(AtomicU8);
+pub struct ReceivedFrames(AtomicU8);
 
-impl Heard {
+impl ReceivedFrames {
     /// Takes a line of the CNC, without its end.
     pub fn note(&self, line: &[u8]) {
         let Some(id) = line.strip_prefix(b"t").and_then(|rest| rest.get(..3)) else { return };
@@ -45,7 +45,7 @@ pub struct StandIn {
 
 impl StandIn {
     /// The frames of the next millisecond.
-    pub fn frames(&mut self, now: &Situation, heard: &Heard) -> [Option<Frame>; FRAMES] {
+    pub fn frames(&mut self, now: &Situation, heard: &ReceivedFrames) -> [Option<Frame>; FRAMES] {
         let is_due = self.ms.is_multiple_of(POSITION_PERIOD_MS);
         self.ms = self.ms.wrapping_add(1);
         let mut sent = [None; FRAMES];
@@ -87,7 +87,7 @@ mod tests {
             ..Situation::default()
         };
         let (mut stand_in, heard, mut receiver) =
-            (StandIn::default(), Heard::default(), Receiver::new());
+            (StandIn::default(), ReceivedFrames::default(), Receiver::new());
         let mut ids = |ms| {
             let mut ids = Vec::new();
             for _ in 0..ms {

@@ -41,7 +41,7 @@ use trueup_machine::{Machine, machine_file::LinearAxis};
 pub use read::{AxisTables, Control};
 
 use crate::{
-    Export, File, Options, Table,
+    Export, ExportedTable, File, Options,
     course::{Cross, Drive, drives},
     grid::{largest_difference, probes_mm},
     linuxcnc::leave_out_heat,
@@ -365,7 +365,7 @@ fn compare(
         interpolated.at
     ));
     let count = plan.points.sections();
-    export.report.tables.push(Table {
+    export.report.tables.push(ExportedTable {
         file: "PITCH.TXT".to_string(),
         name: format!(
             "axis {axis}, points {} to {}, magnification {}",

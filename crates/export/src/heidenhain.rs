@@ -21,7 +21,7 @@ use std::fmt::Write as _;
 use trueup_machine::{Machine, machine_file::LinearAxis};
 
 use crate::{
-    Export, File, Options, Table,
+    Export, ExportedTable, File, Options,
     course::{Cross, Drive, crosses, drives},
     grid::{best_rows, interpolated, largest_difference, probes_mm},
     linuxcnc::leave_out_heat,
@@ -236,7 +236,7 @@ fn export_moving(machine: &Machine, options: &Options, of: &Moving<'_>, export: 
         );
         largest.take(here.um, || format!("{name} of {}, {}", of.key, here.at));
     }
-    export.report.tables.push(Table {
+    export.report.tables.push(ExportedTable {
         file: name.clone(),
         name: format!("compensation of {} over {}", names.join(", "), of.key),
         section: sections.join(" + "),

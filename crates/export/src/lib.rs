@@ -37,7 +37,7 @@ use std::{borrow::Cow, collections::BTreeMap, error::Error, fmt};
 
 use trueup_machine::{Machine, model::corrected};
 
-pub use report::{Approach, Difference, LeftOut, Report, Table};
+pub use report::{Approach, Difference, ExportedTable, LeftOut, Report};
 
 /// The control that is exported to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -19,7 +19,7 @@ use std::fmt::Write as _;
 use trueup_machine::{Machine, machine_file::LinearAxis};
 
 use crate::{
-    Export, File, Options, Report, Table,
+    Export, ExportedTable, File, Options, Report,
     course::{Drive, crosses, drives},
     grid::{best_rows, interpolated, largest_difference, probes_mm},
     report::Approach,
@@ -146,7 +146,7 @@ fn export_drive(drive: &Drive<'_>, options: &Options, export: &mut Export) {
         |mm, approach| drive.error_um(mm, approach),
         |mm, approach| back.trim(mm / unit_mm, approach) * unit_mm * 1000.0,
     );
-    export.report.tables.push(Table {
+    export.report.tables.push(ExportedTable {
         file: name.clone(),
         name: format!("COMP_FILE of the joint of {}", drive.name()),
         section: drive.section(),

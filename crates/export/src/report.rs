@@ -50,7 +50,7 @@ impl Difference {
 
 /// One table of the export.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Table {
+pub struct ExportedTable {
     /// The file it stands in.
     pub file: String,
     /// What it is there, in the control's own words.
@@ -92,7 +92,7 @@ pub struct Report {
     /// The export's options.
     pub options: Options,
     /// One entry a table.
-    pub tables: Vec<Table>,
+    pub tables: Vec<ExportedTable>,
     /// What the control cannot hold.
     pub left_out: Vec<LeftOut>,
     /// What is set by hand, and what was assumed.

@@ -7,7 +7,7 @@
 use std::{fmt::Write as _, path::Path};
 
 use trueup_export::{
-    Approach, Export, Format, Options, Table, Units, export, fanuc, heidenhain, linuxcnc,
+    Approach, Export, ExportedTable, Format, Options, Units, export, fanuc, heidenhain, linuxcnc,
     siemens::{Lookup, Variables},
 };
 use trueup_machine::{
@@ -160,13 +160,13 @@ fn drives(machine: &Machine) -> Vec<(String, &Axis, Option<&Pitch>)> {
     all
 }
 
-fn table(export: &Export, what: impl Fn(&Table) -> bool) -> &Table {
+fn table(export: &Export, what: impl Fn(&ExportedTable) -> bool) -> &ExportedTable {
     export.report.tables.iter().find(|table| what(table)).expect("the table is there")
 }
 
 /// Compares over the table's range and a little beyond; gives the largest difference.
 fn assert_stated(
-    table: &Table,
+    table: &ExportedTable,
     error_um: impl Fn(f64, Approach) -> f64,
     correction_um: impl Fn(f64, Approach) -> f64,
 ) -> f64 {
@@ -256,7 +256,7 @@ fn siemens_corrects_every_drive_and_every_pair_within_the_tolerance() {
             // Straightness and squareness are two tables that the control adds up.
             let pair = format!("from {} to {}", along.name(), error.name());
             let of_pair = export.report.tables.iter().filter(|table| table.name.ends_with(&pair));
-            let of_pair: Vec<&Table> = of_pair.collect();
+            let of_pair: Vec<&ExportedTable> = of_pair.collect();
             let constant_um: f64 = of_pair.iter().map(|table| table.constant_um).sum();
             let stated_um: f64 = of_pair.iter().map(|table| table.largest.um).sum();
             let (first, last) =

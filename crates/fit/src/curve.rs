@@ -10,7 +10,7 @@ use trueup_machine::{
 use crate::{
     elongation::summary,
     report::{Fact, Parameter, Report, Spread, Verdict},
-    straightness::{self, Curve, Options, Reference, Way},
+    straightness::{self, Options, ReferenceLine, StraightnessCurve, Way},
 };
 
 /// Digits after the point of coefficients in µm: 0.1 nm, the board's own step is 1 nm.
@@ -24,7 +24,7 @@ const DECIMALS: i32 = 4;
 pub fn fit(
     run: &RunFile,
     quantity: Option<&str>,
-    known_um: impl FnOnce(&Curve) -> Result<Option<Vec<f64>>, BadInput>,
+    known_um: impl FnOnce(&StraightnessCurve) -> Result<Option<Vec<f64>>, BadInput>,
     options: &Options,
 ) -> Result<Report, BadInput> {
     let mut curve = straightness::fit_run(run, quantity, options)?;
@@ -44,7 +44,7 @@ pub fn fit(
     Ok(report(&curve, &y, positions, column))
 }
 
-fn report(curve: &Curve, y: &[f64], positions: &[f64], column: String) -> Report {
+fn report(curve: &StraightnessCurve, y: &[f64], positions: &[f64], column: String) -> Report {
     let fit = &curve.fit;
     let mut report = Report::new("straightness", column);
     let mut spline = fit.spline.clone();
@@ -78,7 +78,7 @@ fn report(curve: &Curve, y: &[f64], positions: &[f64], column: String) -> Report
     report.facts.push(Fact::number("coefficients", spline.control_um.len() as f64));
     report.facts.push(Fact::number("positions", fit.positions as f64));
     report.facts.push(Fact::text("reference_line", fit.reference.to_string()));
-    if fit.reference != Reference::AsMeasured {
+    if fit.reference != ReferenceLine::AsMeasured {
         report.parameters.push(Parameter::set("line_offset_um", fit.line.offset_um));
         report.parameters.push(Parameter::set("line_slope_um_per_mm", fit.line.slope_um_per_mm));
     }

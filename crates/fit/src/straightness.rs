@@ -33,7 +33,7 @@
 //! within 0.60 µm RMS by 10 coefficients (`tests/straightness_bed.rs`).
 //!
 //! Which straight line is the reference of a straightness measurement is the user's to say
-//! ([`Reference`]): a line that is taken away is named in the result, with its two constants.
+//! ([`ReferenceLine`]): a line that is taken away is named in the result, with its two constants.
 //! Outside the measured range the end values are held, by board and model alike.
 
 mod compare;
@@ -48,7 +48,7 @@ use std::{error::Error, fmt};
 use trueup_machine::machine_file::BSpline;
 
 pub use compare::{Compared, Residual, Way};
-pub use run::{Curve, fit_run};
+pub use run::{StraightnessCurve, fit_run};
 pub use sites::Line;
 
 use crate::bspline::least_squares;
@@ -69,7 +69,7 @@ pub struct Options {
     /// How the curve is found.
     pub method: Method,
     /// The straight line from which the error counts.
-    pub reference: Reference,
+    pub reference: ReferenceLine,
     /// At most so many coefficients; at least 2 and at most [`MOST_COEFFICIENTS`] are used.
     pub most_coefficients: usize,
 }
@@ -80,7 +80,7 @@ impl Default for Options {
         Self {
             tolerance_um: None,
             method: Method::LeastSquares,
-            reference: Reference::AsMeasured,
+            reference: ReferenceLine::AsMeasured,
             most_coefficients: MOST_COEFFICIENTS,
         }
     }
@@ -98,7 +98,7 @@ pub enum Method {
 
 /// The straight line from which a straightness error counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Reference {
+pub enum ReferenceLine {
     /// None is taken away: the readings are errors already, a slope among them is squareness or
     /// alignment.
     AsMeasured,
@@ -108,7 +108,7 @@ pub enum Reference {
     LeastSquares,
 }
 
-impl fmt::Display for Reference {
+impl fmt::Display for ReferenceLine {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::AsMeasured => "none, as measured",
@@ -162,10 +162,10 @@ pub struct Fit {
     /// How it was found.
     pub method: Method,
     /// The reference that was asked for, and the line that was therefore taken away.
-    pub reference: Reference,
-    /// The line itself, zero for [`Reference::AsMeasured`].
+    pub reference: ReferenceLine,
+    /// The line itself, zero for [`ReferenceLine::AsMeasured`].
     pub line: Line,
-    /// The least squares line that is left in the readings: for [`Reference::AsMeasured`] the slope
+    /// The least squares line that is left in the readings: for [`ReferenceLine::AsMeasured`] the slope
     /// that may be alignment.
     pub line_left: Line,
     /// Why there are not more coefficients.

@@ -33,7 +33,7 @@ use trueup_numerics::{
     t_quantile,
 };
 
-use self::table::Table;
+use self::table::FittedTable;
 use crate::{
     elongation::{finish, judge, spread_or_bad, summary, temperature_column},
     lagged::{self, Fitted, Lagged, Term},
@@ -109,7 +109,7 @@ pub fn fit(
     let law = Law { mode, fitted: &fitted, mean_c, wider };
     let mut thermal = law.constants(&data, &mut report);
     let levels = table::levels(&rows, &data);
-    if let Some(table) = Table::fit(&data, mode, fitted.lag_s, &levels, options.table_rows) {
+    if let Some(table) = FittedTable::fit(&data, mode, fitted.lag_s, &levels, options.table_rows) {
         let is_better = table.is_better(&fitted.residuals, thermal.table.is_some(), mode, wider);
         if options.table_rows.is_some() || is_better {
             table.report(&mut report, mode);

@@ -7,7 +7,9 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng as _};
 use rand_distr::{Distribution as _, Normal};
 use trueup_fit::{
     bspline::clamped,
-    straightness::{Curve, Fit, FitError, Method, Options, Reference, Stop, fit, fit_run},
+    straightness::{
+        Fit, FitError, Method, Options, ReferenceLine, Stop, StraightnessCurve, fit, fit_run,
+    },
 };
 use trueup_machine::{RunFile, machine_file::BSpline, model::spline_um};
 
@@ -79,7 +81,7 @@ fn noise_alone_is_no_curve() {
     for seed in 0..TRIES {
         let count = [20, 60, 150][seed as usize % 3];
         let x = every(10.0, 10.0 * (count - 1) as f64);
-        let options = Options { reference: Reference::LeastSquares, ..Options::default() };
+        let options = Options { reference: ReferenceLine::LeastSquares, ..Options::default() };
         let found = fit(&x, &noise(count, 2.0, seed), &options).expect("sound data");
         if found.spline.control_um.len() == 2 {
             // The line was taken away: what is left of it is rounding.
@@ -149,14 +151,14 @@ fn the_reference_line_is_taken_away_and_given() {
     let x = every(10.0, 400.0);
     let bowed = |x: f64| 7.0 + 0.03 * x + 1e-4 * x * (400.0 - x);
     let with = |reference| of(&x, bowed, &Options { reference, ..Options::default() });
-    let ends = with(Reference::EndPoints);
+    let ends = with(ReferenceLine::EndPoints);
     assert!((ends.line.at(0.0) - 7.0).abs() < 1e-12 && (ends.line.at(400.0) - 19.0).abs() < 1e-12);
     assert!(spline_um(&ends.spline, 0.0).abs() < 1e-9);
     assert!((spline_um(&ends.spline, 200.0) - 4.0).abs() < 1e-9);
-    let squares = with(Reference::LeastSquares);
+    let squares = with(ReferenceLine::LeastSquares);
     assert!((squares.line.slope_um_per_mm - 0.03).abs() < 1e-12);
     assert!(squares.line_left.slope_um_per_mm.abs() < 1e-12);
-    let measured = with(Reference::AsMeasured);
+    let measured = with(ReferenceLine::AsMeasured);
     assert!((spline_um(&measured.spline, 0.0) - 7.0).abs() < 1e-9);
     assert!((measured.line_left.slope_um_per_mm - 0.03).abs() < 1e-12);
 }
@@ -227,7 +229,7 @@ fn what_is_no_curve_is_refused_by_name() {
     assert!(fit(&x, &x, &options).is_ok());
 }
 
-fn from_csv(text: &str, quantity: Option<&str>) -> Result<Curve, String> {
+fn from_csv(text: &str, quantity: Option<&str>) -> Result<StraightnessCurve, String> {
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own");
     fit_run(&run, quantity, &tolerance(9.0)).map_err(|bad| bad.to_string())
 }

@@ -17,8 +17,8 @@ use trueup_link::{
 use crate::{
     NANOMETRES_PER_MICROMETRE, NANOMETRES_PER_MILLIMETRE,
     follower::{Follower, Pace, Reading},
+    offsets::{Limits, ReceivedOffsets, Target},
     sender::{Command, Sender},
-    source::{Limits, Source, Target},
 };
 
 /// LinuxCNC has applied an offset when it is within this of it, in nanometres: the planner stops a
@@ -110,7 +110,7 @@ pub struct Outputs {
 #[derive(Debug)]
 pub struct Component {
     options: Options,
-    source: Source,
+    offsets: ReceivedOffsets,
     followers: [Follower; 3],
     sender: Sender,
     status: Status,
@@ -150,7 +150,7 @@ impl Component {
     pub fn new(now: Duration, options: Options) -> Self {
         Self {
             options,
-            source: Source::new(now),
+            offsets: ReceivedOffsets::new(now),
             followers: Default::default(),
             sender: Sender::new(options.position_period, options.sends_rotary, options.against_um),
             status: Status::default(),
@@ -162,8 +162,8 @@ impl Component {
     pub fn hear(&mut self, now: Duration, event: &Event) {
         match event {
             Event::Frame(frame) if frame.id() == STATUS_ID => self.status.hear(now, frame),
-            Event::Frame(frame) => self.source.hear(now, frame),
-            Event::Malformed(_) => self.source.hear_malformed(),
+            Event::Frame(frame) => self.offsets.hear(now, frame),
+            Event::Malformed(_) => self.offsets.hear_malformed(),
             Event::Accepted | Event::Refused | Event::Other(_) => {}
         }
     }
@@ -172,7 +172,7 @@ impl Component {
     pub fn step(&mut self, now: Duration, inputs: &Inputs) -> (Outputs, Vec<Frame>) {
         let ready = inputs.machine_on && inputs.homed;
         let limits = &self.options.limits;
-        let target = self.source.target(now, limits);
+        let target = self.offsets.target(now, limits);
         if let Target::Follow(offset) = target {
             self.offset_nm = offset;
         }
@@ -196,10 +196,10 @@ impl Component {
             arrived &= (reading.eoffset_nm - offset).abs() <= APPLIED_WITHIN_NM
                 && (reading.request_nm - offset).abs() <= APPLIED_WITHIN_NM;
         }
-        let fresh = self.source.fresh(now, limits);
+        let fresh = self.offsets.fresh(now, limits);
         outputs.connected = fresh.is_some();
         outputs.flags = fresh.map_or(Flags::NONE, |output| output.flags);
-        outputs.flags = outputs.flags.with_if(self.source.is_clamped(), Flags::CLAMPED);
+        outputs.flags = outputs.flags.with_if(self.offsets.is_clamped(), Flags::CLAMPED);
         outputs.quality = match (target, fresh) {
             (Target::Follow(_), Some(output)) => output.quality,
             (Target::Follow(_) | Target::Hold, _) => Quality::Hold,
@@ -208,8 +208,8 @@ impl Component {
         };
         outputs.fault = outputs.not_taken || target == Target::RampOut;
         outputs.applied = ready && matches!(target, Target::Follow(_)) && arrived;
-        outputs.age_ms = self.source.age_ms(now).unwrap_or(u32::MAX);
-        outputs.counters = self.source.counters();
+        outputs.age_ms = self.offsets.age_ms(now).unwrap_or(u32::MAX);
+        outputs.counters = self.offsets.counters();
         let known = |said: Option<(Duration, f64)>| {
             said.filter(|(at, _)| now.saturating_sub(*at) <= STATUS_LASTS).map(|(_, value)| value)
         };
@@ -240,7 +240,7 @@ impl Component {
 mod tests {
     use super::*;
     use trueup_core::{
-        cnc::{Command as Heard, Output},
+        cnc::{Command as Received, Output},
         units::Nanometres,
     };
     use trueup_link::{
@@ -316,7 +316,7 @@ mod tests {
                 }
                 for frame in &frames {
                     let heard = self.receiver.accept(frame).expect("in order");
-                    if let Some(Heard::Control(control)) = heard {
+                    if let Some(Received::Control(control)) = heard {
                         self.controls.push(control);
                     }
                 }

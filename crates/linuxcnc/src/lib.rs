@@ -2,12 +2,12 @@
 //!
 //! ```text
 //!  LinuxCNC's pins ─► sender ───► frames ─► line ─► bridge
-//!                     source ◄─── frames ◄─ line ◄─┘
+//!                    offsets ◄─── frames ◄─ line ◄─┘
 //!                        │ target
 //!  eoffset-request ─► follower ─► x-counts ─► axis.x.eoffset-counts
 //! ```
 //!
-//! What is decided ([`source`], [`follower`], [`sender`], put together in [`component`]) takes time
+//! What is decided ([`offsets`], [`follower`], [`sender`], put together in [`component`]) takes time
 //! and inputs as arguments and knows no HAL, so that a test can drive it through years. [`hal`] is
 //! the only file with `unsafe`, [`pins`] names every pin, [`line`](mod@line) keeps the connection
 //! to the bridge alive, [`run()`] is the loop.
@@ -30,10 +30,10 @@ pub mod follower;
 pub mod hal;
 pub mod ini;
 pub mod line;
+pub mod offsets;
 pub mod pins;
 pub mod run;
 pub mod sender;
-pub mod source;
 
 pub use component::{Component, Inputs, Options, Outputs};
 pub use run::run;

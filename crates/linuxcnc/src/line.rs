@@ -33,19 +33,19 @@ const DEAD: Duration = Duration::from_secs(3);
 
 /// What happens on the line.
 #[derive(Debug)]
-pub enum Heard {
+pub enum LineEvent {
     /// It is open.
     Up,
     /// It cannot be opened, or is broken; why.
     Down(String),
-    /// The bridge said something.
-    Said(Event),
+    /// A frame, a refusal or a malformed line came from the bridge.
+    Received(Event),
 }
 
 /// The line.
 #[derive(Debug)]
 pub struct Line {
-    heard: Receiver<Heard>,
+    heard: Receiver<LineEvent>,
     to_send: Arc<Mutex<Option<SyncSender<Frame>>>>,
     stop: Arc<AtomicBool>,
 }
@@ -62,7 +62,7 @@ impl Line {
     }
 
     /// What has happened since the last call.
-    pub fn heard(&self) -> impl Iterator<Item = Heard> + '_ {
+    pub fn heard(&self) -> impl Iterator<Item = LineEvent> + '_ {
         self.heard.try_iter()
     }
 
@@ -87,7 +87,7 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 
 fn keep(
     mut open: impl FnMut() -> io::Result<Ends>,
-    heard: &Sender<Heard>,
+    heard: &Sender<LineEvent>,
     slot: &Mutex<Option<SyncSender<Frame>>>,
     stop: &AtomicBool,
 ) {
@@ -95,7 +95,7 @@ fn keep(
         let why = match open() {
             Err(error) => error.to_string(),
             Ok((reader, writer)) => {
-                if heard.send(Heard::Up).is_err() {
+                if heard.send(LineEvent::Up).is_err() {
                     return;
                 }
                 let (queue, frames) = mpsc::sync_channel(QUEUE);
@@ -110,7 +110,7 @@ fn keep(
                 why
             }
         };
-        if heard.send(Heard::Down(why)).is_err() {
+        if heard.send(LineEvent::Down(why)).is_err() {
             return;
         }
         thread::sleep(PAUSE);
@@ -120,7 +120,7 @@ fn keep(
 /// Reads until the line breaks; why it does.
 fn read(
     mut reader: Box<dyn Read + Send>,
-    heard: &Sender<Heard>,
+    heard: &Sender<LineEvent>,
     reopen: &AtomicBool,
     writer: &thread::JoinHandle<()>,
     stop: &AtomicBool,
@@ -140,7 +140,7 @@ fn read(
                     if matches!(event, Event::Frame(_)) {
                         last = Instant::now();
                     }
-                    if heard.send(Heard::Said(event)).is_err() {
+                    if heard.send(LineEvent::Received(event)).is_err() {
                         return String::new();
                     }
                 }
@@ -233,8 +233,8 @@ mod tests {
             assert!(start.elapsed() < Duration::from_secs(10), "it is left alone");
             line.send(frames::heartbeat(frames::State::Operational));
             for heard in line.heard() {
-                assert!(!matches!(heard, Heard::Down(_)), "the line itself stays: {heard:?}");
-                refusals += u32::from(matches!(heard, Heard::Said(Event::Refused)));
+                assert!(!matches!(heard, LineEvent::Down(_)), "the line itself stays: {heard:?}");
+                refusals += u32::from(matches!(heard, LineEvent::Received(Event::Refused)));
             }
             thread::sleep(Duration::from_millis(5));
         }
@@ -247,17 +247,17 @@ mod tests {
         let number = listener.local_addr().unwrap().port();
         drop(listener);
         let line = Line::keep(move || open(number));
-        let wait = |wanted: fn(&Heard) -> bool| {
+        let wait = |wanted: fn(&LineEvent) -> bool| {
             let start = Instant::now();
             while !line.heard().any(|heard| wanted(&heard)) {
                 assert!(start.elapsed() < Duration::from_secs(10));
                 thread::sleep(Duration::from_millis(5));
             }
         };
-        wait(|heard| matches!(heard, Heard::Down(_)));
+        wait(|heard| matches!(heard, LineEvent::Down(_)));
         let listener = TcpListener::bind(("127.0.0.1", number)).unwrap();
-        wait(|heard| matches!(heard, Heard::Up));
+        wait(|heard| matches!(heard, LineEvent::Up));
         drop(listener.accept().unwrap());
-        wait(|heard| matches!(heard, Heard::Down(_)));
+        wait(|heard| matches!(heard, LineEvent::Down(_)));
     }
 }

@@ -36,7 +36,7 @@ const MM_PER_COUNT: f64 = 1e-6;
 const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// The pins of an axis.
-struct Axis<'hal> {
+struct AxisPins<'hal> {
     command: Pin<'hal, f64>,
     request: Pin<'hal, f64>,
     eoffset: Pin<'hal, f64>,
@@ -55,7 +55,7 @@ pub struct Pins<'hal> {
     angles: [Pin<'hal, f64>; 2],
     spindle_rpm: Pin<'hal, f64>,
     load_n: Pin<'hal, f64>,
-    axes: [Axis<'hal>; 3],
+    axes: [AxisPins<'hal>; 3],
     applied: Pin<'hal, bool>,
     connected: Pin<'hal, bool>,
     fault: Pin<'hal, bool>,
@@ -90,12 +90,12 @@ impl<'hal> Pins<'hal> {
         temperatures: u8,
     ) -> Result<Self, HalError> {
         let full = |pin: &str| format!("{name}.0.{pin}");
-        let axis = |letter: &str| -> Result<Axis<'hal>, HalError> {
+        let axis = |letter: &str| -> Result<AxisPins<'hal>, HalError> {
             // When a pin that is written is connected, the HAL gives its value to the signal: any
             // other than the present one would be a change, and move the axis.
             let counts = hal.output(&full(&format!("{letter}-counts")))?;
             counts.set(hal.foreign(&format!("axis.{letter}.eoffset-counts")).unwrap_or(0));
-            Ok(Axis {
+            Ok(AxisPins {
                 command: hal.input(&full(&format!("{letter}-cmd")))?,
                 request: hal.input(&full(&format!("{letter}-request")))?,
                 eoffset: hal.input(&full(&format!("{letter}-eoffset")))?,

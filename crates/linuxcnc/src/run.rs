@@ -13,7 +13,7 @@ use trueup_core::cnc::Quality;
 use crate::{
     component::{Component, Options, Outputs},
     hal::{Hal, HalError},
-    line::{Heard, Line},
+    line::{Line, LineEvent},
     pins::{Pins, pid_pin},
 };
 
@@ -66,9 +66,9 @@ pub fn run(
         }
         for heard in line.heard() {
             match heard {
-                Heard::Up => tell("the line is open"),
-                Heard::Down(why) => news.line_down(&why, &mut tell),
-                Heard::Said(event) => component.hear(now, &event),
+                LineEvent::Up => tell("the line is open"),
+                LineEvent::Down(why) => news.line_down(&why, &mut tell),
+                LineEvent::Received(event) => component.hear(now, &event),
             }
         }
         let (outputs, frames) = component.step(now, &pins.read());

@@ -224,14 +224,14 @@ fn spindle(rpm: f64, load_n: f64) -> Spindle {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use trueup_core::cnc::Command as Heard;
+    use trueup_core::cnc::Command as Received;
     use trueup_link::receiver::Receiver;
 
     fn ms(ms: u64) -> Duration {
         Duration::from_millis(ms)
     }
 
-    fn said(sender: &mut Sender, now: Duration, command: &Command) -> Vec<Heard> {
+    fn said(sender: &mut Sender, now: Duration, command: &Command) -> Vec<Received> {
         let mut receiver = Receiver::new();
         let frames = sender.frames(now, command);
         frames.iter().filter_map(|frame| receiver.accept(frame).expect("protected")).collect()
@@ -246,8 +246,8 @@ mod tests {
             let command = Command { position_mm: [now as f64, 7.0, 0.0], ..Command::default() };
             for frame in sender.frames(ms(now), &command) {
                 match receiver.accept(&frame).expect("in order") {
-                    Some(Heard::Position(there)) if there.axis == LinearAxis::X => count[0] += 1,
-                    Some(Heard::Position(there)) if there.axis == LinearAxis::Y => count[1] += 1,
+                    Some(Received::Position(there)) if there.axis == LinearAxis::X => count[0] += 1,
+                    Some(Received::Position(there)) if there.axis == LinearAxis::Y => count[1] += 1,
                     _ => {}
                 }
             }
@@ -278,7 +278,7 @@ mod tests {
             let command =
                 Command { position_mm: [0.0, 0.0, 7.0], offset_mm: there, ..Command::default() };
             said(&mut sender, ms(now), &command).into_iter().find_map(|heard| match heard {
-                Heard::Position(at) if at.axis == LinearAxis::Z => {
+                Received::Position(at) if at.axis == LinearAxis::Z => {
                     Some((at.position.0, at.direction))
                 }
                 _ => None,
@@ -317,9 +317,9 @@ mod tests {
     fn a_pulse_on_zero_is_stretched_and_control_says_it_at_once() {
         let mut sender = Sender::new(ms(2), false, [Some(0.0); 3]);
         let mut command = Command::default();
-        let zero = |said: Vec<Heard>| {
+        let zero = |said: Vec<Received>| {
             said.into_iter().find_map(|heard| match heard {
-                Heard::Control(control) => Some(control.zero),
+                Received::Control(control) => Some(control.zero),
                 _ => None,
             })
         };
@@ -343,6 +343,6 @@ mod tests {
         let command = Command { angles_deg: [725.0, -30.0], ..Command::default() };
         let heard = said(&mut sender, ms(0), &command);
         let angles = [5_000_000, -30_000_000].map(MicroDegrees);
-        assert!(heard.contains(&Heard::Rotary(Rotary { angles })));
+        assert!(heard.contains(&Received::Rotary(Rotary { angles })));
     }
 }

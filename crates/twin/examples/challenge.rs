@@ -7,7 +7,7 @@ use std::{env, error::Error, fs, path::Path};
 
 use trueup_twin::{
     hidden::{Hidden, draw},
-    table::Table,
+    table::RunTable,
 };
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -26,7 +26,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     fs::write(folder.join("holdout.csv"), &challenge.holdout)?;
     fs::write(folder.join("machine.toml"), &challenge.machine)?;
     let truth = &challenge.truth;
-    let mut rows = Table::new();
+    let mut rows = RunTable::new();
     rows.set("believed_um", 6, truth.believed_um.iter().copied());
     rows.set("effect_um", 6, truth.effect_um.iter().copied());
     fs::write(folder.join("effect.csv"), rows.to_csv())?;

@@ -17,7 +17,7 @@ use std::collections::BTreeMap;
 
 use serde::Deserialize;
 
-use crate::{broken::Rule, curve::Curve};
+use crate::{broken::Rule, cubic_spline::CubicSpline};
 
 /// The axes' names, by number.
 pub const NAMES: [&str; 3] = ["x", "y", "z"];
@@ -76,7 +76,7 @@ pub struct AxisConfig {
     /// Slope of the position error in µm/m.
     pub pitch_um_per_m: f64,
     /// Position errors in µm over mm, smooth between.
-    pub pitch: Curve,
+    pub pitch: CubicSpline,
     /// Amplitude of the periodic error in µm.
     pub periodic_um: f64,
     /// Its period in mm, above 0: the pitch of the screw.
@@ -107,7 +107,7 @@ impl Default for AxisConfig {
             reference_c: 20.0,
             origin_mm: 0.0,
             pitch_um_per_m: 0.0,
-            pitch: Curve::default(),
+            pitch: CubicSpline::default(),
             periodic_um: 0.0,
             periodic_mm: 10.0,
             periodic_phase_deg: 0.0,
@@ -152,7 +152,7 @@ pub struct Straightness {
     pub along: AxisName,
     /// The error in µm over the position in mm, smooth between the points.
     #[serde(default)]
-    pub points: Curve,
+    pub points: CubicSpline,
     /// The slope in µm/m: the squareness of the two.
     #[serde(default)]
     pub um_per_m: f64,
@@ -172,7 +172,7 @@ pub struct Abbe {
     #[serde(default)]
     pub arm_zero_mm: f64,
     /// The angle in µm/m (microradians) over the position in mm, smooth between the points.
-    pub points: Curve,
+    pub points: CubicSpline,
 }
 
 /// All axes of a scenario.

@@ -9,7 +9,7 @@ use serde::Deserialize;
 /// A rotary axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Axis {
+pub enum RotaryAxis {
     /// About X.
     A,
     /// About Y.
@@ -21,7 +21,7 @@ pub enum Axis {
 /// At most so many of them carry a spindle.
 pub const MOST_AXES: usize = 2;
 
-impl Axis {
+impl RotaryAxis {
     /// The column of its angle.
     #[must_use]
     pub fn column(self) -> &'static str {
@@ -47,16 +47,16 @@ impl Axis {
 /// `straight` turned by the head's axes, which stand at `angles_deg`.
 ///
 /// ```
-/// use trueup_twin::head::{Axis, turned};
+/// use trueup_twin::head::{RotaryAxis, turned};
 /// // A at +30° moves a tool that points down to +Y: sin 30° = 0.5.
-/// let v = turned(&[Axis::C, Axis::A], [0.0, 30.0], [0.0, 0.0, -1.0]);
+/// let v = turned(&[RotaryAxis::C, RotaryAxis::A], [0.0, 30.0], [0.0, 0.0, -1.0]);
 /// assert!((v[1] - 0.5).abs() < 1e-12 && (v[2] + 0.75_f64.sqrt()).abs() < 1e-12);
 /// // C at 90° then takes +Y to −X.
-/// let v = turned(&[Axis::C, Axis::A], [90.0, 30.0], [0.0, 0.0, -1.0]);
+/// let v = turned(&[RotaryAxis::C, RotaryAxis::A], [90.0, 30.0], [0.0, 0.0, -1.0]);
 /// assert!((v[0] + 0.5).abs() < 1e-12 && v[1].abs() < 1e-12);
 /// ```
 #[must_use]
-pub fn turned(axes: &[Axis], angles_deg: [f64; MOST_AXES], straight: [f64; 3]) -> [f64; 3] {
+pub fn turned(axes: &[RotaryAxis], angles_deg: [f64; MOST_AXES], straight: [f64; 3]) -> [f64; 3] {
     let from_the_frame: Vec<_> = axes.iter().zip(angles_deg).collect();
     from_the_frame.iter().rev().fold(straight, |v, (axis, angle_deg)| axis.turn(*angle_deg, v))
 }

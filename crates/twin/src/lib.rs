@@ -10,7 +10,7 @@
 //! | [`spindle`] | bearings, motor, cooling; growth by heat, speed, holder and force |
 //! | [`ambient`] | the air over the day |
 //! | [`axes`] | screws, scales, pitch, backlash, straightness, angles |
-//! | [`curve`] | smooth curves through points |
+//! | [`cubic_spline`] | smooth curves through points |
 //! | [`sensors`] | the displacement sensor and the thermometers, with their faults |
 //! | [`instrument`] | the reference instrument, with its own |
 //! | [`head`] | rotary axes that turn the tool |
@@ -42,7 +42,7 @@
 pub mod ambient;
 pub mod axes;
 mod broken;
-pub mod curve;
+pub mod cubic_spline;
 pub mod head;
 pub mod heat;
 pub mod hidden;

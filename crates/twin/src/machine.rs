@@ -44,7 +44,7 @@ pub struct Machine {
     axes: Axes,
     sensor: Option<Displacement>,
     thermometers: Vec<(String, Thermometer)>,
-    head: Vec<head::Axis>,
+    head: Vec<head::RotaryAxis>,
     /// From the spindle nose to the tool tip, a unit vector; at all angles 0, and now.
     straight: [f64; 3],
     direction: [f64; 3],

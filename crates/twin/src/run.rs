@@ -11,15 +11,15 @@ use crate::{
     machine::{Command, Machine},
     path::{Leg, legs},
     scenario::{Quantity, Scenario},
-    table::Table,
+    table::RunTable,
 };
 
 /// What the virtual machine tool measures in `scenario` under `seed`, in the form of a run file.
 /// `row_done` hears of every row.
 #[must_use]
-pub fn simulate(scenario: &Scenario, seed: u64, mut row_done: impl FnMut()) -> Table {
+pub fn simulate(scenario: &Scenario, seed: u64, mut row_done: impl FnMut()) -> RunTable {
     let mut run = Run::new(scenario, seed);
-    let mut table = Table::new();
+    let mut table = RunTable::new();
     let Scenario { segment, repeat, start_mm, interval_s, .. } = scenario;
     let legs = legs(segment, *repeat, *start_mm, *interval_s, seed);
     for leg in &legs {
@@ -73,7 +73,7 @@ impl<'s> Run<'s> {
     }
 
     /// One row.
-    fn write(&mut self, run: u32, leg: &Leg, table: &mut Table) {
+    fn write(&mut self, run: u32, leg: &Leg, table: &mut RunTable) {
         table.push("time_s", 3, self.machine.time_s());
         table.push("run", 0, f64::from(run));
         if let Some(counts) = self.machine.sensor_counts() {

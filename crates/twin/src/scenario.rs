@@ -94,7 +94,7 @@ pub struct Scenario {
     /// [`head::MOST_AXES`]. In a run of segments they stand
     /// at 0.
     #[serde(default)]
-    pub head: Vec<head::Axis>,
+    pub head: Vec<head::RotaryAxis>,
     /// The air.
     #[serde(default)]
     pub ambient: AmbientConfig,

@@ -10,7 +10,7 @@ use std::{
 
 /// A run: named columns of equal length.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Table {
+pub struct RunTable {
     columns: Vec<Column>,
 }
 
@@ -24,7 +24,7 @@ struct Column {
     scale: f64,
 }
 
-impl Table {
+impl RunTable {
     /// No columns yet.
     #[must_use]
     pub fn new() -> Self {
@@ -114,7 +114,7 @@ mod tests {
 
     #[test]
     fn a_missing_value_is_an_empty_cell() {
-        let mut table = Table::new();
+        let mut table = RunTable::new();
         table.set("time_s", 1, [0.0, 0.26, 10.0]);
         table.set("sensor_counts", 0, [5048.4, f64::NAN, -0.2]);
         assert_eq!(table.to_csv(), "time_s,sensor_counts\n0,5048\n0.3,\n10,0\n");
@@ -122,7 +122,7 @@ mod tests {
 
     #[test]
     fn what_is_read_from_a_column_is_what_is_written() {
-        let mut table = Table::new();
+        let mut table = RunTable::new();
         table.push("x_mm", 3, 1.000_4);
         table.push("x_mm", 3, 2.000_6);
         assert_eq!(table.column("x_mm"), Some(&[1.0, 2.001][..]));
@@ -131,7 +131,7 @@ mod tests {
 
     #[test]
     fn a_column_that_is_set_again_keeps_its_place() {
-        let mut table = Table::new();
+        let mut table = RunTable::new();
         table.set("a", 0, [1.0]);
         table.set("b", 0, [2.0]);
         table.set("a", 0, [3.0]);

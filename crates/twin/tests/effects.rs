@@ -2,19 +2,19 @@
 
 use std::path::Path;
 
-use trueup_twin::{Scenario, simulate, table::Table};
+use trueup_twin::{Scenario, simulate, table::RunTable};
 
-fn run(text: &str, seed: u64) -> Table {
+fn run(text: &str, seed: u64) -> RunTable {
     let scenario = Scenario::parse(text, Path::new("s.toml")).expect("the test's own scenario");
     simulate(&scenario, seed, || {})
 }
 
-fn column<'t>(table: &'t Table, name: &str) -> &'t [f64] {
+fn column<'t>(table: &'t RunTable, name: &str) -> &'t [f64] {
     table.column(name).unwrap_or_else(|| panic!("no column {name}"))
 }
 
 /// The columns that differ.
-fn changed(before: &Table, after: &Table) -> Vec<String> {
+fn changed(before: &RunTable, after: &RunTable) -> Vec<String> {
     assert_eq!(before.names().collect::<Vec<_>>(), after.names().collect::<Vec<_>>());
     let same = |name: &&str| {
         let pairs = column(before, name).iter().zip(column(after, name));
@@ -52,7 +52,7 @@ duration_s = 1800
 "#;
 
 /// With `line` after the section's header.
-fn with(base: &str, section: &str, line: &str) -> Table {
+fn with(base: &str, section: &str, line: &str) -> RunTable {
     let text = base.replacen(&format!("{section}\n"), &format!("{section}\n{line}\n"), 1);
     assert_ne!(text, base, "no {section}");
     run(&text, 5)
@@ -184,7 +184,7 @@ fn the_instruments_faults_are_in_what_it_measures_alone() {
         assert_eq!(changed(&right, &with(SPINDLE, "[instrument]", line)), measured, "{line}");
     }
     let drifting = with(SPINDLE, "[instrument]", "drift_um_per_h = 3.0");
-    let at = |table: &Table, row: usize| column(table, measured[0])[row];
+    let at = |table: &RunTable, row: usize| column(table, measured[0])[row];
     assert!((at(&drifting, 120) - at(&right, 120) - 3.0).abs() < 2e-4);
 }
 

@@ -3,7 +3,7 @@
 
 use core::fmt;
 
-use super::{Access, Entry, OBJECTS, Object, Shape, Type, What};
+use super::{Access, Entry, OBJECTS, Object, ObjectKind, Shape, Type};
 
 /// Prints the whole file.
 ///
@@ -86,8 +86,10 @@ fn fields(out: &mut impl fmt::Write, entry: &Entry) -> fmt::Result {
     };
     write!(out, "DataType=0x{kind:04X}\nAccessType={access}\n")?;
     match (entry.what, entry.default) {
-        (What::Fixed(number), _) | (_, Some(number)) => writeln!(out, "DefaultValue=0x{number:X}")?,
-        (What::Text(text), _) => writeln!(out, "DefaultValue={text}")?,
+        (ObjectKind::Fixed(number), _) | (_, Some(number)) => {
+            writeln!(out, "DefaultValue=0x{number:X}")?
+        }
+        (ObjectKind::Text(text), _) => writeln!(out, "DefaultValue={text}")?,
         _ => {}
     }
     out.write_str("PDOMapping=0\n\n")

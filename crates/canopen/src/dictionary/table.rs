@@ -4,10 +4,10 @@ use trueup_link::layout::{
     EMERGENCY_ID, EMERGENCY_INHIBIT_MS, HEARTBEAT_PERIOD_MS, SDO_ANSWER_ID, SDO_REQUEST_ID,
 };
 
-use super::{Access, Counter, DIGITS, ELONGATION_INPUT, Entry, Object, Shape, Type, What};
+use super::{Access, Counter, DIGITS, ELONGATION_INPUT, Entry, Object, ObjectKind, Shape, Type};
 
 const fn constant(subindex: u8, name: &'static str, kind: Type, number: u32) -> Entry {
-    let what = What::Fixed(number);
+    let what = ObjectKind::Fixed(number);
     Entry { subindex, name, kind, access: Access::Constant, what, default: None }
 }
 
@@ -15,11 +15,17 @@ const fn count(number: u8) -> Entry {
     constant(0, "Highest sub-index supported", Type::U8, number as u32)
 }
 
-const fn read(subindex: u8, name: &'static str, kind: Type, what: What) -> Entry {
+const fn read(subindex: u8, name: &'static str, kind: Type, what: ObjectKind) -> Entry {
     Entry { subindex, name, kind, access: Access::Read, what, default: None }
 }
 
-const fn set(subindex: u8, name: &'static str, kind: Type, what: What, default: u32) -> Entry {
+const fn set(
+    subindex: u8,
+    name: &'static str,
+    kind: Type,
+    what: ObjectKind,
+    default: u32,
+) -> Entry {
     Entry { subindex, name, kind, access: Access::ReadWrite, what, default: Some(default) }
 }
 
@@ -36,7 +42,7 @@ const fn record(index: u16, name: &'static str, entries: &'static [Entry]) -> Ob
 }
 
 const fn text(name: &'static str, characters: &'static str) -> Entry {
-    let (kind, access, what) = (Type::Text, Access::Constant, What::Text(characters));
+    let (kind, access, what) = (Type::Text, Access::Constant, ObjectKind::Text(characters));
     Entry { subindex: 0, name, kind, access, what, default: None }
 }
 
@@ -73,24 +79,28 @@ const fn digits(subindex: u8, name: &'static str) -> Entry {
     constant(subindex, name, Type::U8, DIGITS as u32)
 }
 const fn status(subindex: u8, name: &'static str) -> Entry {
-    read(subindex, name, Type::U8, What::InputStatus(subindex.saturating_sub(1)))
+    read(subindex, name, Type::U8, ObjectKind::InputStatus(subindex.saturating_sub(1)))
 }
 const fn value(subindex: u8, name: &'static str) -> Entry {
-    read(subindex, name, Type::I32, What::Input(subindex.saturating_sub(1)))
+    read(subindex, name, Type::I32, ObjectKind::Input(subindex.saturating_sub(1)))
 }
 const fn error(subindex: u8, name: &'static str) -> Entry {
-    read(subindex, name, Type::U32, What::Error(subindex.saturating_sub(1)))
+    read(subindex, name, Type::U32, ObjectKind::Error(subindex.saturating_sub(1)))
 }
 
 /// Every object, by rising index.
 pub const OBJECTS: &[Object] = &[
     var(0x1000, "Device type", &[constant(0, "Device type", Type::U32, 404)]),
-    var(0x1001, "Error register", &[read(0, "Error register", Type::U8, What::ErrorRegister)]),
+    var(
+        0x1001,
+        "Error register",
+        &[read(0, "Error register", Type::U8, ObjectKind::ErrorRegister)],
+    ),
     array(
         0x1003,
         "Pre-defined error field",
         &[
-            set(0, "Number of errors", Type::U8, What::ErrorCount, 0),
+            set(0, "Number of errors", Type::U8, ObjectKind::ErrorCount, 0),
             error(1, "Newest error"),
             error(2, "Error 2"),
             error(3, "Error 3"),
@@ -116,12 +126,12 @@ pub const OBJECTS: &[Object] = &[
     var(
         0x1015,
         "Inhibit time EMCY",
-        &[set(0, "Inhibit time EMCY", Type::U16, What::Inhibit, 10 * EMERGENCY_INHIBIT_MS)],
+        &[set(0, "Inhibit time EMCY", Type::U16, ObjectKind::Inhibit, 10 * EMERGENCY_INHIBIT_MS)],
     ),
     array(
         0x1016,
         "Consumer heartbeat time",
-        &[count(1), set(1, "Consumer heartbeat time", Type::U32, What::ConsumerHeartbeat, 0)],
+        &[count(1), set(1, "Consumer heartbeat time", Type::U32, ObjectKind::ConsumerHeartbeat, 0)],
     ),
     var(
         0x1017,
@@ -130,7 +140,7 @@ pub const OBJECTS: &[Object] = &[
             0,
             "Producer heartbeat time",
             Type::U16,
-            What::ProducerHeartbeat,
+            ObjectKind::ProducerHeartbeat,
             HEARTBEAT_PERIOD_MS,
         )],
     ),
@@ -160,9 +170,9 @@ pub const OBJECTS: &[Object] = &[
         "Offset in nm",
         &[
             count(3),
-            read(1, "Offset X", Type::I32, What::Offset(0)),
-            read(2, "Offset Y", Type::I32, What::Offset(1)),
-            read(3, "Offset Z", Type::I32, What::Offset(2)),
+            read(1, "Offset X", Type::I32, ObjectKind::Offset(0)),
+            read(2, "Offset Y", Type::I32, ObjectKind::Offset(1)),
+            read(3, "Offset Z", Type::I32, ObjectKind::Offset(2)),
         ],
     ),
     record(
@@ -170,11 +180,11 @@ pub const OBJECTS: &[Object] = &[
         "State of the bridge",
         &[
             count(5),
-            read(1, "Quality", Type::U8, What::Quality),
-            read(2, "Flags", Type::U8, What::Flags),
-            read(3, "Age of the newest sample in ms", Type::U8, What::Age),
-            read(4, "Faults", Type::U16, What::Faults),
-            read(5, "Sample clock in ms", Type::U32, What::Clock),
+            read(1, "Quality", Type::U8, ObjectKind::Quality),
+            read(2, "Flags", Type::U8, ObjectKind::Flags),
+            read(3, "Age of the newest sample in ms", Type::U8, ObjectKind::Age),
+            read(4, "Faults", Type::U16, ObjectKind::Faults),
+            read(5, "Sample clock in ms", Type::U32, ObjectKind::Clock),
         ],
     ),
     record(
@@ -182,17 +192,17 @@ pub const OBJECTS: &[Object] = &[
         "Reference taken by Zero",
         &[
             count(6),
-            read(1, "Elongation in nm", Type::I32, What::ReferenceElongation),
-            read(2, "Error of X in nm", Type::I32, What::Reference(0)),
-            read(3, "Error of Y in nm", Type::I32, What::Reference(1)),
-            read(4, "Error of Z in nm", Type::I32, What::Reference(2)),
-            read(5, "A reference is in force", Type::U8, What::HasReference),
+            read(1, "Elongation in nm", Type::I32, ObjectKind::ReferenceElongation),
+            read(2, "Error of X in nm", Type::I32, ObjectKind::Reference(0)),
+            read(3, "Error of Y in nm", Type::I32, ObjectKind::Reference(1)),
+            read(4, "Error of Z in nm", Type::I32, ObjectKind::Reference(2)),
+            read(5, "A reference is in force", Type::U8, ObjectKind::HasReference),
             Entry {
                 subindex: 6,
                 name: "Forget the reference (write zero as text)",
                 kind: Type::U32,
                 access: Access::Write,
-                what: What::Forget,
+                what: ObjectKind::Forget,
                 default: None,
             },
         ],
@@ -200,18 +210,18 @@ pub const OBJECTS: &[Object] = &[
     var(
         0x2020,
         "RMS noise in thousandths of a code",
-        &[read(0, "RMS noise in thousandths of a code", Type::U32, What::Noise)],
+        &[read(0, "RMS noise in thousandths of a code", Type::U32, ObjectKind::Noise)],
     ),
     array(
         0x2030,
         "Frames from the CNC",
         &[
             count(5),
-            read(1, "Accepted", Type::U32, What::Counter(Counter::Accepted)),
-            read(2, "Malformed", Type::U32, What::Counter(Counter::Malformed)),
-            read(3, "Damaged", Type::U32, What::Counter(Counter::Crc)),
-            read(4, "Out of sequence", Type::U32, What::Counter(Counter::Sequence)),
-            read(5, "Lost", Type::U32, What::Counter(Counter::Lost)),
+            read(1, "Accepted", Type::U32, ObjectKind::Counter(Counter::Accepted)),
+            read(2, "Malformed", Type::U32, ObjectKind::Counter(Counter::Malformed)),
+            read(3, "Damaged", Type::U32, ObjectKind::Counter(Counter::Crc)),
+            read(4, "Out of sequence", Type::U32, ObjectKind::Counter(Counter::Sequence)),
+            read(5, "Lost", Type::U32, ObjectKind::Counter(Counter::Lost)),
         ],
     ),
     record(
@@ -219,17 +229,17 @@ pub const OBJECTS: &[Object] = &[
         "Calibration",
         &[
             count(4),
-            read(1, "Running calibration", Type::Domain, What::Running),
+            read(1, "Running calibration", Type::Domain, ObjectKind::Running),
             Entry {
                 subindex: 2,
                 name: "New calibration (used from the next start)",
                 kind: Type::Domain,
                 access: Access::ReadWrite,
-                what: What::New,
+                what: ObjectKind::New,
                 default: None,
             },
-            read(3, "CRC of the running calibration", Type::U32, What::RunningCrc),
-            read(4, "CRC of the new calibration", Type::U32, What::NewCrc),
+            read(3, "CRC of the running calibration", Type::U32, ObjectKind::RunningCrc),
+            read(4, "CRC of the new calibration", Type::U32, ObjectKind::NewCrc),
         ],
     ),
     array(0x6131, "AI physical unit process value", inputs!(celsius, micrometres)),

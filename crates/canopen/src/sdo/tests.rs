@@ -16,27 +16,27 @@ struct Fake {
 const MOST: usize = 600;
 
 impl Objects for Fake {
-    fn read(&self, what: What) -> Result<Datum<'_>, Abort> {
+    fn read(&self, what: ObjectKind) -> Result<ObjectValue<'_>, Abort> {
         Ok(match what {
-            What::Fixed(number) => Datum::Number(number),
-            What::Text(text) => Datum::Bytes(text.as_bytes()),
-            What::ProducerHeartbeat => Datum::Number(self.period),
-            What::New => Datum::Bytes(&self.domain),
+            ObjectKind::Fixed(number) => ObjectValue::Number(number),
+            ObjectKind::Text(text) => ObjectValue::Bytes(text.as_bytes()),
+            ObjectKind::ProducerHeartbeat => ObjectValue::Number(self.period),
+            ObjectKind::New => ObjectValue::Bytes(&self.domain),
             _ => return Err(Abort::NoData),
         })
     }
 
-    fn write(&mut self, what: What, number: u32) -> Result<(), Abort> {
+    fn write(&mut self, what: ObjectKind, number: u32) -> Result<(), Abort> {
         self.written.push(number);
         match what {
-            What::ProducerHeartbeat => self.period = number,
-            What::Forget => {}
+            ObjectKind::ProducerHeartbeat => self.period = number,
+            ObjectKind::Forget => {}
             _ => return Err(Abort::Value),
         }
         Ok(())
     }
 
-    fn open(&mut self, _: What, size: Option<u32>) -> Result<(), Abort> {
+    fn open(&mut self, _: ObjectKind, size: Option<u32>) -> Result<(), Abort> {
         self.domain.clear();
         if size.is_some_and(|size| size as usize > MOST) { Err(Abort::TooLong) } else { Ok(()) }
     }

@@ -4,7 +4,7 @@
 //! machine tool, which must not share a word with the model that is tried on it, and tests. Names
 //! that are ordinary words (`backlash`, `step`) cannot be told from these and are left out.
 
-use super::source::{Source, is_name};
+use super::source::{SourceFile, is_name};
 
 /// The causes whose names cannot mean anything else.
 const CAUSES: &[&str] = &[
@@ -41,18 +41,18 @@ const CAUSES: &[&str] = &[
 const PAGES: &str = "crates/machine/src/effect/";
 
 /// The cause that is named in most places, and these as `file:line`.
-pub fn most_often_named(sources: &[Source]) -> (&'static str, Vec<String>) {
+pub fn most_often_named(sources: &[SourceFile]) -> (&'static str, Vec<String>) {
     let counted = CAUSES.iter().map(|&cause| (cause, places(sources, cause)));
     counted.max_by_key(|(_, places)| places.len()).expect("the list is not empty")
 }
 
-fn places(sources: &[Source], cause: &str) -> Vec<String> {
+fn places(sources: &[SourceFile], cause: &str) -> Vec<String> {
     let snake = cause.replace('-', "_");
     let camel: String = cause.split('-').map(capitalised).collect();
     let (quoted, module) = (format!("\"{cause}\""), format!("{snake}::"));
     let page = [format!("{PAGES}{snake}.rs"), format!("{PAGES}{snake}/")];
     let list = [format!("{PAGES}mod.rs"), format!("{PAGES}list.rs")];
-    let counts = |source: &&Source| {
+    let counts = |source: &&SourceFile| {
         !source.is_test()
             && !source.path.starts_with("crates/twin/")
             // The names above.
@@ -93,7 +93,7 @@ mod tests {
     #[test]
     fn a_cause_counts_once_a_line_and_only_outside_its_page() {
         let text = "// cutting-load\nA::CuttingLoad => \"cutting-load\",\ncutting_load::f();\nCuttingLoads";
-        let at = |path: &str| Source::new(path, text);
+        let at = |path: &str| SourceFile::new(path, text);
         let sources = [
             at("crates/x/src/a.rs"),
             at("crates/x/tests/a.rs"),

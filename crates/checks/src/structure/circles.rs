@@ -8,7 +8,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::source::{Source, is_name};
+use super::source::{SourceFile, is_name};
 
 /// Files that need each other.
 pub struct Circle {
@@ -29,14 +29,14 @@ struct Path {
 /// The modules of one crate.
 struct Crate<'s> {
     /// By module path, the root's being empty.
-    modules: BTreeMap<Vec<String>, &'s Source>,
+    modules: BTreeMap<Vec<String>, &'s SourceFile>,
     /// What a module passes on under its own path: name to path.
     passed_on: BTreeMap<Vec<String>, BTreeMap<String, Vec<String>>>,
 }
 
 /// All circles of all crates, in the order of their first files.
-pub fn find(sources: &[Source]) -> Vec<Circle> {
-    let mut crates: BTreeMap<&str, BTreeMap<Vec<String>, &Source>> = BTreeMap::new();
+pub fn find(sources: &[SourceFile]) -> Vec<Circle> {
+    let mut crates: BTreeMap<&str, BTreeMap<Vec<String>, &SourceFile>> = BTreeMap::new();
     for source in sources.iter().filter(|source| !source.is_test()) {
         if let Some((package, module)) = module(&source.path) {
             crates.entry(package).or_default().insert(module, source);
@@ -63,7 +63,7 @@ fn module(path: &str) -> Option<(&str, Vec<String>)> {
 }
 
 impl<'s> Crate<'s> {
-    fn new(modules: BTreeMap<Vec<String>, &'s Source>) -> Self {
+    fn new(modules: BTreeMap<Vec<String>, &'s SourceFile>) -> Self {
         let mut house = Self { modules, passed_on: BTreeMap::new() };
         let modules: Vec<_> =
             house.modules.iter().map(|(name, source)| (name.clone(), *source)).collect();
@@ -289,7 +289,8 @@ mod tests {
     use super::*;
 
     fn circles(files: &[(&str, &str)]) -> Vec<Vec<String>> {
-        let sources: Vec<_> = files.iter().map(|(path, text)| Source::new(*path, text)).collect();
+        let sources: Vec<_> =
+            files.iter().map(|(path, text)| SourceFile::new(*path, text)).collect();
         find(&sources).into_iter().map(|circle| circle.files).collect()
     }
 

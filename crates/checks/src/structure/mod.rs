@@ -13,7 +13,7 @@ use std::{fmt::Write as _, path::Path};
 
 use anyhow::{Result, ensure};
 
-use source::Source;
+use source::SourceFile;
 
 /// Lines that a source file may have, its tests included.
 const LONGEST: usize = 500;
@@ -40,7 +40,7 @@ const LIMITS: Limits = Limits { circles: 3, long_files: 0, places: 26 };
 pub fn check(root: &Path) -> Result<String> {
     let sources = source::all(root)?;
     let circles = circles::find(&sources);
-    let long: Vec<&Source> = sources
+    let long: Vec<&SourceFile> = sources
         .iter()
         .filter(|source| source.lines() > LONGEST && !TABLES.contains(&source.path.as_str()))
         .collect();

@@ -5,7 +5,7 @@ use std::{fs, path::Path};
 use anyhow::{Context as _, Result};
 
 /// A Rust file of the project.
-pub struct Source {
+pub struct SourceFile {
     /// From the project's root, with `/`.
     pub path: String,
     /// As it is.
@@ -16,7 +16,7 @@ pub struct Source {
     pub code: String,
 }
 
-impl Source {
+impl SourceFile {
     /// Reads a file's text.
     pub fn new(path: impl Into<String>, text: &str) -> Self {
         let (words, code) = without_tests(text);
@@ -37,7 +37,7 @@ impl Source {
 
 /// Reads all Rust files below a folder, in the order of their paths; build output and hidden folders
 /// are left out.
-pub fn all(root: &Path) -> Result<Vec<Source>> {
+pub fn all(root: &Path) -> Result<Vec<SourceFile>> {
     let mut sources = Vec::new();
     let mut folders = vec![root.to_owned()];
     while let Some(folder) = folders.pop() {
@@ -52,7 +52,7 @@ pub fn all(root: &Path) -> Result<Vec<Source>> {
             } else if name.ends_with(".rs") {
                 let text = fs::read_to_string(&path)?;
                 let below = path.strip_prefix(root).unwrap_or(&path);
-                sources.push(Source::new(below.to_string_lossy().replace('\\', "/"), &text));
+                sources.push(SourceFile::new(below.to_string_lossy().replace('\\', "/"), &text));
             }
         }
     }
@@ -199,7 +199,7 @@ mod tests {
     fn comments_quotes_and_tests_are_no_code() {
         let text = "use a; // use b\nlet x = \"use c\"; /* d /* e */ f */ let y = 'g';\n\
                     let z: &'h str = r#\"use i\"#;\n#[cfg(test)]\nmod tests { use j; }\nuse k;";
-        let source = Source::new("x.rs", text);
+        let source = SourceFile::new("x.rs", text);
         for (word, in_words, in_code) in [
             ("use a", true, true),
             ("use b", false, false),

@@ -56,14 +56,14 @@ pub struct Straightness {
     pub tolerance_um: Option<f64>,
     /// The straight line from which the error counts.
     #[arg(long, default_value = "as-measured")]
-    pub reference: Reference,
+    pub reference: ReferenceLine,
     /// How the curve is found.
     #[arg(long, default_value = "least-squares")]
     pub method: Method,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-pub enum Reference {
+pub enum ReferenceLine {
     /// None: the readings are errors already.
     AsMeasured,
     /// Through the means at both ends.

@@ -21,7 +21,7 @@ use serde::Serialize;
 
 mod measure;
 
-pub use measure::{Curve, Lag, Stair};
+pub use measure::{ErrorCurve, Lag, Stair};
 use measure::{
     Of, across, along, angle_deg, five_axes_curve, ignored_against_cut_um, lag, largest_step_um,
     length, radial, range, stairs, warm_up_curve,
@@ -180,15 +180,15 @@ pub struct Figures {
 #[derive(Clone, Debug, Default)]
 pub struct Curves {
     /// Y along the diagonal.
-    pub diagonal_y: Curve,
+    pub diagonal_y: ErrorCurve,
     /// Z along the diagonal.
-    pub diagonal_z: Curve,
+    pub diagonal_z: ErrorCurve,
     /// Z around the arc.
-    pub arc_z: Curve,
+    pub arc_z: ErrorCurve,
     /// Z over the warm-up, in hours.
-    pub warm_up: Curve,
+    pub warm_up: ErrorCurve,
     /// Length of the error vector with five axes, over seconds.
-    pub five_axes: Curve,
+    pub five_axes: ErrorCurve,
 }
 
 impl Figures {

@@ -3,7 +3,7 @@
 use anyhow::{Result, anyhow};
 use plotters::{chart::ChartContext, coord::types::RangedCoordf64, prelude::*};
 
-use super::figures::{Check, Curve, Figures};
+use super::figures::{Check, ErrorCurve, Figures};
 
 const BEFORE: RGBColor = RGBColor(192, 80, 40);
 const AFTER: RGBColor = RGBColor(30, 110, 170);
@@ -130,7 +130,7 @@ fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;")
 }
 
-fn picture(curve: &Curve, x_title: &str, y_title: &str) -> Result<String> {
+fn picture(curve: &ErrorCurve, x_title: &str, y_title: &str) -> Result<String> {
     let limits = |values: &mut dyn Iterator<Item = f64>| {
         values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)))
     };

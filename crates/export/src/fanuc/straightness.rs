@@ -9,7 +9,7 @@ use trueup_machine::Machine;
 
 use super::{Control, Planned};
 use crate::{
-    Export, Options, Report, Table,
+    Export, ExportedTable, Options, Report,
     course::{Cross, crosses},
     grid::{best_rows, interpolated, largest_difference, probes_mm},
 };
@@ -140,7 +140,11 @@ pub(super) fn compare(
     }
 }
 
-fn compared(pair: &Pair<'_>, control: &Control, options: &Options) -> Result<Table, String> {
+fn compared(
+    pair: &Pair<'_>,
+    control: &Control,
+    options: &Options,
+) -> Result<ExportedTable, String> {
     let of = |number: u32| control.parameter(number + pair.order, 0);
     let (moving, corrected) = (of(5711)?, of(5721)?);
     let moving_axis = usize::try_from(moving).map_err(|_| format!("5711 is {moving}"))?;
@@ -161,7 +165,7 @@ fn compared(pair: &Pair<'_>, control: &Control, options: &Options) -> Result<Tab
     );
     // Half a unit is the rounding, not the four points.
     let is_lost = largest.um > options.tolerance_um + options.unit_um / 2.0;
-    Ok(Table {
+    Ok(ExportedTable {
         file: "CNC-PARA.TXT".to_string(),
         name: format!("straightness, axis {corrected} along axis {moving}"),
         section: cross.section(),

@@ -6,7 +6,7 @@ use trueup_machine::Machine;
 
 use super::{Lookup, Part, Plan, Variables, machine_axis};
 use crate::{
-    Export, Options, Table,
+    Export, ExportedTable, Options,
     grid::{Grid, largest_difference, probes_mm},
     report::{Approach, Difference},
 };
@@ -30,7 +30,7 @@ pub(super) fn compare(
             let lost = plan.was_thinned && largest.um > options.tolerance_um;
             let loss = lost.then(|| format!("thinned to {} equidistant points", plan.grid.points));
             let (Grid { start_mm, step_mm, points }, last_mm) = (plan.grid, plan.grid.last_mm());
-            export.report.tables.push(Table {
+            export.report.tables.push(ExportedTable {
                 file,
                 name,
                 section,

@@ -16,8 +16,8 @@ use trueup_machine::{
 
 use super::{Variables, decimals, file, machine_axis};
 use crate::{
-    Export, File, Options, Table, course::travel_mm, grid::interpolated, report::Difference,
-    text::number,
+    Export, ExportedTable, File, Options, course::travel_mm, grid::interpolated,
+    report::Difference, text::number,
 };
 
 /// A law that goes on for ever is written so far to both sides of its reference, in °C.
@@ -72,7 +72,7 @@ pub(super) fn export(machine: &Machine, options: &Options, export: &mut Export) 
         for axis in LinearAxis::ALL {
             let Some(thermal) = &machine.axes[axis.index()].thermal else { continue };
             let section = format!("axis.{}.thermal", axis.name());
-            let of = Axis { machine, options, axis, thermal };
+            let of = AxisTables { machine, options, axis, thermal };
             match read.clone().and_then(|read| of.compare(&read, &csv)) {
                 Ok(table) => export.report.tables.push(table),
                 Err(rule) => {
@@ -144,16 +144,16 @@ fn write_thermal(
     }
 }
 
-struct Axis<'m> {
+struct AxisTables<'m> {
     machine: &'m Machine,
     options: &'m Options,
     axis: LinearAxis,
     thermal: &'m Thermal,
 }
 
-impl Axis<'_> {
+impl AxisTables<'_> {
     /// Reads the setting data and the PLC's table back, and compares both over the travel.
-    fn compare(&self, settings: &Variables, csv: &str) -> Result<Table, String> {
+    fn compare(&self, settings: &Variables, csv: &str) -> Result<ExportedTable, String> {
         let Self { machine, options, axis, thermal } = *self;
         let name = machine_axis(machine, axis, false);
         let unit_mm = options.units.mm();
@@ -203,7 +203,7 @@ impl Axis<'_> {
         if bits & 3 != wanted {
             return Err(format!("MD32750 of {name} is {bits}"));
         }
-        Ok(Table {
+        Ok(ExportedTable {
             file: "temperature.csv".to_string(),
             name: format!("SD43900 and SD43910 of {name} by {} in C", thermal.sensor),
             section: format!("axis.{}.thermal", axis.name()),
@@ -237,7 +237,7 @@ fn export_tool(
                   the growth that the bridge tells";
     export.report.leave_out(format!("spindle.{source}"), reason);
     match settings.and_then(|settings| compare_tool(machine, options, &settings, &csv)) {
-        Ok(largest) => export.report.tables.push(Table {
+        Ok(largest) => export.report.tables.push(ExportedTable {
             file: "tool_direction.csv".to_string(),
             name: "SD42960, the tool's vector, by elongation in um".to_string(),
             section: format!("machine.tool_direction of spindle.{source}"),

@@ -9,7 +9,7 @@ use super::{Fit, FitError, Options, fit};
 
 /// A curve from a run, with its place in the machine file.
 #[derive(Clone, Debug)]
-pub struct Curve {
+pub struct StraightnessCurve {
     /// The axis that is in error.
     pub error: LinearAxis,
     /// The axis that moves.
@@ -20,7 +20,7 @@ pub struct Curve {
     pub rows_incomplete: usize,
 }
 
-impl Curve {
+impl StraightnessCurve {
     /// As the machine file has it: its section is `[straightness.<name>]`.
     #[must_use]
     pub fn straightness(&self) -> Straightness {
@@ -44,7 +44,7 @@ pub fn fit_run(
     run: &RunFile,
     quantity: Option<&str>,
     options: &Options,
-) -> Result<Curve, BadInput> {
+) -> Result<StraightnessCurve, BadInput> {
     let error = error_axis(run, quantity)?;
     let column = error_column(error);
     let errors = run.require(&column)?;
@@ -62,7 +62,7 @@ pub fn fit_run(
         }
         other => run.bad(0, &position_column, other),
     })?;
-    Ok(Curve { error, along, fit, rows_incomplete: run.rows() - rows.len() })
+    Ok(StraightnessCurve { error, along, fit, rows_incomplete: run.rows() - rows.len() })
 }
 
 fn error_column(axis: LinearAxis) -> String {

@@ -5,7 +5,7 @@
 
 use trueup_machine::machine_file::BSpline;
 
-use super::{FitError, Reference};
+use super::{FitError, ReferenceLine};
 
 /// Positions nearer to each other than this share of the travel are the same position.
 const SAME_PLACE: f64 = 1e-7;
@@ -110,14 +110,14 @@ impl Sites {
     }
 
     /// Takes a reference line away from all readings, and says which.
-    pub(super) fn subtract(&mut self, reference: Reference) -> Line {
+    pub(super) fn subtract(&mut self, reference: ReferenceLine) -> Line {
         let last = self.len() - 1;
         let line = match reference {
-            Reference::AsMeasured => return Line::default(),
-            Reference::EndPoints => {
+            ReferenceLine::AsMeasured => return Line::default(),
+            ReferenceLine::EndPoints => {
                 Line::through([self.x[0], self.y[0]], [self.x[last], self.y[last]])
             }
-            Reference::LeastSquares => self.least_squares_line(),
+            ReferenceLine::LeastSquares => self.least_squares_line(),
         };
         for (y, x) in self.y.iter_mut().zip(&self.x) {
             *y -= line.at(*x);

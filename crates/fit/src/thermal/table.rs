@@ -40,7 +40,7 @@ impl Separable for CommonReference<'_> {
 }
 
 /// A fitted table.
-pub(super) struct Table {
+pub(super) struct FittedTable {
     pub(super) rows: Vec<ThermalRow>,
     solution: Solution,
 }
@@ -83,7 +83,7 @@ pub(super) fn levels(rows: &Rows<'_>, data: &Data) -> Vec<f64> {
     if narrow { levels.iter().map(|(low, high)| 0.5 * (low + high)).collect() } else { Vec::new() }
 }
 
-impl Table {
+impl FittedTable {
     /// With rows at the `levels`, or, if `wanted`, that many rows between the coldest and the
     /// warmest temperature; `None` where the data does not decide it.
     pub(super) fn fit(

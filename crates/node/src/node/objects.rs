@@ -1,8 +1,8 @@
 //! What stands behind the object dictionary: the node's own values.
 
 use trueup_canopen::{
-    dictionary::{Counter, ELONGATION_INPUT, FORGET, NOT_AVAILABLE, What},
-    sdo::{Abort, Datum, Objects},
+    dictionary::{Counter, ELONGATION_INPUT, FORGET, NOT_AVAILABLE, ObjectKind},
+    sdo::{Abort, ObjectValue, Objects},
 };
 use trueup_core::{
     bridge::Reference,
@@ -51,42 +51,44 @@ impl Node<'_> {
     // Not a part of its caller, which has dealt with some of these: the compiler would put a trap
     // where they cannot come, and no trap may be reachable from a frame (host-tests, no_panic).
     #[inline(never)]
-    fn number(&self, what: What) -> Result<u32, Abort> {
+    fn number(&self, what: ObjectKind) -> Result<u32, Abort> {
         let signed = |number: i32| number.cast_unsigned();
         let nanometres = |length: Nanometres| signed(length.0);
         let reference = self.state.reference();
         Ok(match what {
-            What::Fixed(number) => number,
-            What::ErrorRegister => self.faults(&self.last).register().into(),
-            What::ErrorCount => u32::try_from(self.emergencies.count()).unwrap_or(u32::MAX),
-            What::Error(number) => self.emergencies.error(number).ok_or(Abort::NoData)?,
-            What::Inhibit => self.emergencies.inhibit().into(),
-            What::ConsumerHeartbeat => self.consumer.setting(),
-            What::ProducerHeartbeat => self.heartbeat_period_ms.into(),
-            What::Offset(axis) => {
+            ObjectKind::Fixed(number) => number,
+            ObjectKind::ErrorRegister => self.faults(&self.last).register().into(),
+            ObjectKind::ErrorCount => u32::try_from(self.emergencies.count()).unwrap_or(u32::MAX),
+            ObjectKind::Error(number) => self.emergencies.error(number).ok_or(Abort::NoData)?,
+            ObjectKind::Inhibit => self.emergencies.inhibit().into(),
+            ObjectKind::ConsumerHeartbeat => self.consumer.setting(),
+            ObjectKind::ProducerHeartbeat => self.heartbeat_period_ms.into(),
+            ObjectKind::Offset(axis) => {
                 let offset = self.last.offset.and_then(|all| all.get(usize::from(axis)).copied());
                 offset.map_or(signed(NOT_AVAILABLE), nanometres)
             }
-            What::Quality => self.last.quality as u32,
-            What::Flags => self.last.flags.0.into(),
-            What::Age => self.last.age_ms.into(),
-            What::Faults => self.faults(&self.last).bits().into(),
-            What::Clock => self.now.0,
-            What::ReferenceElongation => nanometres(reference.elongation),
-            What::Reference(axis) => {
+            ObjectKind::Quality => self.last.quality as u32,
+            ObjectKind::Flags => self.last.flags.0.into(),
+            ObjectKind::Age => self.last.age_ms.into(),
+            ObjectKind::Faults => self.faults(&self.last).bits().into(),
+            ObjectKind::Clock => self.now.0,
+            ObjectKind::ReferenceElongation => nanometres(reference.elongation),
+            ObjectKind::Reference(axis) => {
                 let axis = reference.axes.get(usize::from(axis)).ok_or(Abort::NoSubindex)?;
                 nanometres(axis.rounded())
             }
-            What::HasReference => (reference != Reference::default()).into(),
-            What::Noise => self.noise_thousandths(),
-            What::Counter(counter) => self.counter(counter),
-            What::RunningCrc if self.blob.is_empty() => 0,
-            What::RunningCrc => identity(self.blob),
-            What::NewCrc => self.slot.stored().map_or(0, identity),
-            What::Input(number) => signed(self.input(number).unwrap_or(NOT_AVAILABLE)),
-            What::InputStatus(number) => self.input(number).is_none().into(),
-            What::Forget => return Err(Abort::WriteOnly),
-            What::Text(_) | What::Running | What::New => return Err(Abort::NoData),
+            ObjectKind::HasReference => (reference != Reference::default()).into(),
+            ObjectKind::Noise => self.noise_thousandths(),
+            ObjectKind::Counter(counter) => self.counter(counter),
+            ObjectKind::RunningCrc if self.blob.is_empty() => 0,
+            ObjectKind::RunningCrc => identity(self.blob),
+            ObjectKind::NewCrc => self.slot.stored().map_or(0, identity),
+            ObjectKind::Input(number) => signed(self.input(number).unwrap_or(NOT_AVAILABLE)),
+            ObjectKind::InputStatus(number) => self.input(number).is_none().into(),
+            ObjectKind::Forget => return Err(Abort::WriteOnly),
+            ObjectKind::Text(_) | ObjectKind::Running | ObjectKind::New => {
+                return Err(Abort::NoData);
+            }
         })
     }
 }
@@ -138,29 +140,29 @@ pub(super) const fn abort(error: LoadError) -> Abort {
 }
 
 impl Objects for Node<'_> {
-    fn read(&self, what: What) -> Result<Datum<'_>, Abort> {
-        Ok(Datum::Bytes(match what {
-            What::Text(text) => text.as_bytes(),
-            What::Running if !self.blob.is_empty() => self.blob,
-            What::New => self.slot.stored().ok_or(Abort::NoData)?,
-            number => return self.number(number).map(Datum::Number),
+    fn read(&self, what: ObjectKind) -> Result<ObjectValue<'_>, Abort> {
+        Ok(ObjectValue::Bytes(match what {
+            ObjectKind::Text(text) => text.as_bytes(),
+            ObjectKind::Running if !self.blob.is_empty() => self.blob,
+            ObjectKind::New => self.slot.stored().ok_or(Abort::NoData)?,
+            number => return self.number(number).map(ObjectValue::Number),
         }))
     }
 
-    fn write(&mut self, what: What, number: u32) -> Result<(), Abort> {
+    fn write(&mut self, what: ObjectKind, number: u32) -> Result<(), Abort> {
         let short = || u16::try_from(number).map_err(|_| Abort::Value);
         match what {
-            What::ErrorCount if number == 0 => self.emergencies.clear(),
-            What::Inhibit => self.emergencies.set_inhibit(short()?),
-            What::ConsumerHeartbeat => self.consumer.set(number)?,
-            What::ProducerHeartbeat => {
+            ObjectKind::ErrorCount if number == 0 => self.emergencies.clear(),
+            ObjectKind::Inhibit => self.emergencies.set_inhibit(short()?),
+            ObjectKind::ConsumerHeartbeat => self.consumer.set(number)?,
+            ObjectKind::ProducerHeartbeat => {
                 self.heartbeat_period_ms = short()?;
                 self.since_heartbeat_ms = 0;
             }
-            What::Forget if number != FORGET => return Err(Abort::Value),
+            ObjectKind::Forget if number != FORGET => return Err(Abort::Value),
             // The offset would walk away under the tool.
-            What::Forget if !self.is_at_rest() => return Err(Abort::DeviceState),
-            What::Forget => {
+            ObjectKind::Forget if !self.is_at_rest() => return Err(Abort::DeviceState),
+            ObjectKind::Forget => {
                 self.state.set_reference(Reference::default());
                 self.zero = Some(Zero::Taken(Reference::default()));
             }
@@ -169,7 +171,7 @@ impl Objects for Node<'_> {
         Ok(())
     }
 
-    fn open(&mut self, _: What, size: Option<u32>) -> Result<(), Abort> {
+    fn open(&mut self, _: ObjectKind, size: Option<u32>) -> Result<(), Abort> {
         if !self.is_at_rest() {
             return Err(Abort::DeviceState);
         }

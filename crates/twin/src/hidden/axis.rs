@@ -9,7 +9,7 @@ use super::{
     plan::{Path, Plan},
     shape::Run,
 };
-use crate::{axes::NAMES as AXES, noise::Stream, table::Table};
+use crate::{axes::NAMES as AXES, noise::Stream, table::RunTable};
 
 const QUANTITIES: [&str; 3] = ["dx", "dy", "dz"];
 
@@ -185,7 +185,7 @@ impl AxisBench {
     }
 
     /// What the machine file says of each row.
-    fn believe(&self, table: Table) -> Run {
+    fn believe(&self, table: RunTable) -> Run {
         let column = |name: String| table.column(&name).unwrap_or_default().to_vec();
         let position_mm = column(format!("{}_mm", AXES[self.error]));
         let direction = column(format!("dir_{}", AXES[self.error]));
@@ -300,8 +300,8 @@ fn tenth(value: f64) -> f64 {
     (value * 10.0).round() / 10.0
 }
 
-fn part(whole: &Table, from: usize, to: usize) -> Table {
-    let mut part = Table::new();
+fn part(whole: &RunTable, from: usize, to: usize) -> RunTable {
+    let mut part = RunTable::new();
     for name in whole.names() {
         let values = whole.column(name).unwrap_or_default();
         part.set(name, 9, values[from..to].iter().copied());

@@ -10,12 +10,12 @@ use crate::{
     ambient::{Ambient, AmbientConfig},
     noise::Stream,
     spindle::{Drive, Spindle, SpindleConfig},
-    table::Table,
+    table::RunTable,
 };
 
 /// Where the believed elongation comes from.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Source {
+pub(super) enum ElongationSource {
     /// K₀, V₀, tanβ.
     Sensor { k0_um: f64, zero_counts: f64, um_per_count: f64 },
     /// k·(lagged T − T₀).
@@ -27,7 +27,7 @@ pub(super) enum Source {
 /// A spindle that is run, and what the user believes of it.
 #[derive(Clone, Debug)]
 pub(super) struct Bench {
-    pub source: Source,
+    pub source: ElongationSource,
     pub max_rpm: f64,
     /// The last one is the hold-out.
     pub runs: Vec<Run>,
@@ -62,7 +62,7 @@ impl Bench {
         let with_load = has(Hidden::CuttingLoad) || stream.chance(0.6);
         let segment_s = match &source {
             // Long enough to warm up, and at times not quite.
-            Source::Warmup(law) => [1.2 * law.heating_s(), 4.0 * law.heating_s()],
+            ElongationSource::Warmup(law) => [1.2 * law.heating_s(), 4.0 * law.heating_s()],
             _ => [900.0, 6000.0],
         };
         // What a thermometer at the bearing has of the shaft. With a displacement sensor it has little:
@@ -106,16 +106,16 @@ impl Bench {
     pub(super) fn machine(&self) -> String {
         let head = "[machine]\nname = \"challenge\"\nkind = \"3-axis\"\n\n[spindle]\n";
         match &self.source {
-            Source::Sensor { k0_um, zero_counts, um_per_count } => format!(
+            ElongationSource::Sensor { k0_um, zero_counts, um_per_count } => format!(
                 "{head}source = \"sensor\"\n\n[spindle.sensor]\nk0_um = {k0_um:?}\nzero_counts = \
                  {zero_counts:?}\num_per_count = {um_per_count:?}\ntemperature = \"temp_coil_c\"\n"
             ),
-            Source::Temperature { k_um_per_c, reference_c, lag_s } => format!(
+            ElongationSource::Temperature { k_um_per_c, reference_c, lag_s } => format!(
                 "{head}source = \"temperature\"\n\n[spindle.temperature]\nsensor = \
                  \"temp_front_c\"\nreference_c = {reference_c:?}\nk_um_per_c = {k_um_per_c:?}\n\
                  lag_s = {lag_s:?}\n"
             ),
-            Source::Warmup(law) => {
+            ElongationSource::Warmup(law) => {
                 let cool =
                     law.cool_s.map_or(String::new(), |cool_s| format!("cool_s = {cool_s:?}\n"));
                 format!(
@@ -128,15 +128,15 @@ impl Bench {
     }
 }
 
-fn draw_source(wanted: Wanted, causes: &[Hidden], stream: &mut Stream) -> Source {
+fn draw_source(wanted: Wanted, causes: &[Hidden], stream: &mut Stream) -> ElongationSource {
     let has = |cause| causes.contains(&cause);
     match wanted {
-        Wanted::Sensor => Source::Sensor {
+        Wanted::Sensor => ElongationSource::Sensor {
             k0_um: if stream.chance(0.5) { 0.0 } else { stream.uniform(-5.0, 5.0).round() },
             zero_counts: stream.uniform(3000.0, 7000.0).round(),
             um_per_count: 500.0 / 32768.0,
         },
-        Wanted::Temperature => Source::Temperature {
+        Wanted::Temperature => ElongationSource::Temperature {
             k_um_per_c: (stream.uniform(1.2, 4.0) * 100.0).round() / 100.0,
             reference_c: stream.uniform(18.0, 22.0).round(),
             lag_s: match () {
@@ -153,7 +153,7 @@ fn draw_source(wanted: Wanted, causes: &[Hidden], stream: &mut Stream) -> Source
             let always = has(Hidden::GrowthRate);
             let cool_s = (always || !has(Hidden::CoolingAsymmetry) && stream.chance(0.5))
                 .then(|| (heating_s * stream.uniform(0.6, 2.0)).round());
-            Source::Warmup(WarmupLaw {
+            ElongationSource::Warmup(WarmupLaw {
                 lag_s,
                 warm_s: (lag_s + heating_s * exponent).round(),
                 max_um: stream.uniform(30.0, 110.0).round(),
@@ -230,7 +230,7 @@ fn simulate(
     with_motor: bool,
     with_load: bool,
     stream: &mut Stream,
-) -> Table {
+) -> RunTable {
     let start_c = stream.uniform(18.0, 23.0);
     let air = AmbientConfig {
         mean_c: start_c,
@@ -255,7 +255,7 @@ fn simulate(
     coil.temperature_c = ambient.temperature_c() + 4.0;
     let mut cabinet = node(28.0, 5.0, [700.0, 2500.0]);
     let mut humidity = node(45.0, 8.0, [1500.0, 4000.0]);
-    let mut table = Table::new();
+    let mut table = RunTable::new();
     for (row, &(rpm, load_n)) in drive.iter().enumerate() {
         let dt_s = if row == 0 { 0.0 } else { length.interval_s };
         let parts = (dt_s / 15.0).ceil() as usize;
@@ -290,8 +290,8 @@ fn simulate(
 }
 
 /// The rows `from..to` as a table of their own.
-fn cut(whole: &Table, from: usize, to: usize) -> Table {
-    let mut part = Table::new();
+fn cut(whole: &RunTable, from: usize, to: usize) -> RunTable {
+    let mut part = RunTable::new();
     for name in whole.names() {
         let values = whole.column(name).unwrap_or_default();
         part.set(name, 9, values[from..to].iter().copied());
@@ -300,33 +300,35 @@ fn cut(whole: &Table, from: usize, to: usize) -> Table {
 }
 
 /// The run as it is written, and what the machine file says of it.
-fn believe(source: &Source, table: Table) -> Run {
+fn believe(source: &ElongationSource, table: RunTable) -> Run {
     let column = |name: &str| table.column(name).unwrap_or_default().to_vec();
     let (time_s, growth_um) = (column("time_s"), column("growth_um"));
-    let mut written = Table::new();
+    let mut written = RunTable::new();
     for name in table.names() {
         let is_for_sensor = name == "growth_um" || name == "temp_coil_c";
         match source {
-            Source::Sensor { k0_um, zero_counts, um_per_count } if name == "growth_um" => {
+            ElongationSource::Sensor { k0_um, zero_counts, um_per_count }
+                if name == "growth_um" =>
+            {
                 let counts = growth_um.iter().map(|um| (um - k0_um) / um_per_count + zero_counts);
                 written.set("sensor_counts", 0, counts);
             }
-            Source::Sensor { .. } => written.set(name, 9, column(name)),
+            ElongationSource::Sensor { .. } => written.set(name, 9, column(name)),
             _ if is_for_sensor => {}
             _ => written.set(name, 9, column(name)),
         }
     }
     let seen = |name: &str| written.column(name).unwrap_or_default();
     let believed_um = match source {
-        Source::Sensor { k0_um, zero_counts, um_per_count } => {
+        ElongationSource::Sensor { k0_um, zero_counts, um_per_count } => {
             let counts = seen("sensor_counts").iter();
             counts.map(|counts| k0_um + (counts - zero_counts) * um_per_count).collect()
         }
-        Source::Temperature { k_um_per_c, reference_c, lag_s } => {
+        ElongationSource::Temperature { k_um_per_c, reference_c, lag_s } => {
             let followed = lagged(&time_s, seen("temp_front_c"), *lag_s, *lag_s);
             followed.iter().map(|c| k_um_per_c * (c - reference_c)).collect()
         }
-        Source::Warmup(law) => law.growth_um(&time_s, seen("spindle_rpm")),
+        ElongationSource::Warmup(law) => law.growth_um(&time_s, seen("spindle_rpm")),
     };
     Run { table: written, believed_um }
 }

@@ -2,7 +2,7 @@
 
 use super::{
     cause::Hidden,
-    elongation::{Bench, Source},
+    elongation::{Bench, ElongationSource},
     laws::{lagged, warmup_heat, wave},
     shape::{Named, Run, Shape, fixed, linear, on_each},
 };
@@ -69,7 +69,7 @@ pub(super) fn shape(cause: Hidden, bench: &Bench, stream: &mut Stream) -> Option
             by_column(cause, runs, column, lag_s)
         }
         Hidden::GrowthRate => {
-            let Source::Warmup(law) = &bench.source else { return None };
+            let ElongationSource::Warmup(law) = &bench.source else { return None };
             let other = stream.uniform(1.3, 2.0);
             let tau_s = law.heating_s() * if stream.chance(0.5) { other } else { 1.0 / other };
             let cool_s = law.cool_s.unwrap_or(law.heating_s());
@@ -196,7 +196,7 @@ fn other_lag(cause: Hidden, bench: &Bench, stream: &mut Stream) -> Shape {
     let other = stream.uniform(1.7, 3.0);
     let other = if stream.chance(0.5) { other } else { 1.0 / other };
     match &bench.source {
-        Source::Warmup(law) => {
+        ElongationSource::Warmup(law) => {
             let cool_s = (law.heating_s() * other).round();
             let truth = super::laws::WarmupLaw { cool_s: Some(cool_s), ..*law };
             let um = on_each(runs, |run| {
@@ -205,7 +205,7 @@ fn other_lag(cause: Hidden, bench: &Bench, stream: &mut Stream) -> Shape {
             });
             fixed(cause, vec![("time_constant_s", cool_s)], um)
         }
-        Source::Temperature { k_um_per_c, reference_c, lag_s } => {
+        ElongationSource::Temperature { k_um_per_c, reference_c, lag_s } => {
             let (rising_s, falling_s) = if cause == Hidden::ThermalLag {
                 let tau_s = stream.log_uniform(300.0, 2500.0).round();
                 (tau_s, tau_s)
@@ -222,14 +222,14 @@ fn other_lag(cause: Hidden, bench: &Bench, stream: &mut Stream) -> Shape {
             Shape { column: Some("temp_front_c".to_string()), ..shape }
         }
         // `Hidden::bases` sends neither cause to a sensor.
-        Source::Sensor { .. } => fixed(cause, Vec::new(), on_believed(runs, |_| 0.0)),
+        ElongationSource::Sensor { .. } => fixed(cause, Vec::new(), on_believed(runs, |_| 0.0)),
     }
 }
 
 /// A part of the machine that warms up more slowly than what is modelled.
 fn slow_mode(bench: &Bench, duration_s: f64, stream: &mut Stream) -> Shape {
     let runs = &bench.runs[..];
-    if let Source::Temperature { reference_c, .. } = bench.source {
+    if let ElongationSource::Temperature { reference_c, .. } = bench.source {
         let tau_s = stream.log_uniform(1500.0, 6000.0).round();
         let um = on_each(runs, |run| {
             let followed = lagged(run.column("time_s"), run.column("temp_front_c"), tau_s, tau_s);

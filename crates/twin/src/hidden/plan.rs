@@ -1,6 +1,6 @@
 //! The path of a challenge about an axis, and the columns that are written of it.
 
-use crate::{axes::NAMES as AXES, noise::Stream, table::Table};
+use crate::{axes::NAMES as AXES, noise::Stream, table::RunTable};
 
 /// How the main axis moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,8 +59,8 @@ impl Plan {
     }
 
     /// One run: all columns but the measured one.
-    pub(super) fn drive(&self, rows: usize, stream: &mut Stream) -> Table {
-        let mut table = Table::new();
+    pub(super) fn drive(&self, rows: usize, stream: &mut Stream) -> RunTable {
+        let mut table = RunTable::new();
         let air_c = stream.uniform(18.0, 23.0);
         let wave_c = stream.uniform(0.3, 1.5);
         let day = stream.uniform(0.0, std::f64::consts::TAU);

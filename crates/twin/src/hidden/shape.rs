@@ -1,12 +1,12 @@
 //! A run, and an effect on it whose size is not known yet.
 
 use super::cause::Hidden;
-use crate::table::Table;
+use crate::table::RunTable;
 
 /// A run, and what is believed of each of its rows.
 #[derive(Clone, Debug)]
 pub(super) struct Run {
-    pub table: Table,
+    pub table: RunTable,
     pub believed_um: Vec<f64>,
 }
 

@@ -37,7 +37,7 @@ pub struct Lag {
 
 /// Places and errors for a picture.
 #[derive(Clone, Debug, Default, Serialize)]
-pub struct Curve {
+pub struct ErrorCurve {
     /// Place along the path in mm, or time in s, or angle in degrees.
     pub at: Vec<f64>,
     /// The error before, in µm.
@@ -218,8 +218,8 @@ fn thin<'c>(cycles: &'c [&'c Cycle]) -> impl Iterator<Item = &'c Cycle> {
 
 /// The errors of two passes on one axis over a place; they are cut at the same speed, so that equal
 /// places have nearly equal numbers.
-pub(super) fn along(before: &[&Cycle], after: &[&Cycle], place: Of, axis: usize) -> Curve {
-    let mut curve = Curve::default();
+pub(super) fn along(before: &[&Cycle], after: &[&Cycle], place: Of, axis: usize) -> ErrorCurve {
+    let mut curve = ErrorCurve::default();
     let mut next = 0;
     for cycle in thin(after) {
         let at = place(cycle);
@@ -234,9 +234,9 @@ pub(super) fn along(before: &[&Cycle], after: &[&Cycle], place: Of, axis: usize)
     curve
 }
 
-pub(super) fn warm_up_curve(cycles: &[&Cycle]) -> Curve {
+pub(super) fn warm_up_curve(cycles: &[&Cycle]) -> ErrorCurve {
     let [start, with, without] = [cycles[0].time_s, cycles[0].with_um[2], cycles[0].without_um[2]];
-    let mut curve = Curve::default();
+    let mut curve = ErrorCurve::default();
     for cycle in thin(cycles) {
         curve.at.push((cycle.time_s - start) / 3_600.0);
         curve.before_um.push(cycle.without_um[2] - without);
@@ -245,8 +245,8 @@ pub(super) fn warm_up_curve(cycles: &[&Cycle]) -> Curve {
     curve
 }
 
-pub(super) fn five_axes_curve(cycles: &[&Cycle]) -> Curve {
-    let mut curve = Curve::default();
+pub(super) fn five_axes_curve(cycles: &[&Cycle]) -> ErrorCurve {
+    let mut curve = ErrorCurve::default();
     for cycle in thin(cycles) {
         curve.at.push((cycle.number - cycles[0].number) as f64 / 1e3);
         curve.before_um.push(cycle.growth_um);

@@ -11,12 +11,12 @@ use serde::{Deserialize, Deserializer, de::Error as _};
 
 /// A curve through points; held outside them.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Curve {
+pub struct CubicSpline {
     points: Vec<[f64; 2]>,
     curvatures: Vec<f64>,
 }
 
-impl Curve {
+impl CubicSpline {
     /// Through `points`, each a place and a value.
     ///
     /// # Errors
@@ -49,8 +49,8 @@ impl Curve {
     /// The value at `place`; 0 of a curve without points.
     ///
     /// ```
-    /// use trueup_twin::curve::Curve;
-    /// let hump = Curve::through(vec![[0.0, 0.0], [10.0, 4.0], [20.0, 0.0]]).expect("it rises");
+    /// use trueup_twin::cubic_spline::CubicSpline;
+    /// let hump = CubicSpline::through(vec![[0.0, 0.0], [10.0, 4.0], [20.0, 0.0]]).expect("it rises");
     /// // M = (0, −0.12, 0): half way 0.5·0 + 0.5·4 + ((0.5³ − 0.5)·(0 − 0.12))·10²/6 = 2.75
     /// assert!((hump.at(5.0) - 2.75).abs() < 1e-12);
     /// assert_eq!(hump.at(99.0), 0.0);
@@ -71,7 +71,7 @@ impl Curve {
     }
 }
 
-impl<'de> Deserialize<'de> for Curve {
+impl<'de> Deserialize<'de> for CubicSpline {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         Self::through(Vec::deserialize(deserializer)?).map_err(D::Error::custom)
     }
@@ -84,17 +84,18 @@ mod tests {
     #[test]
     fn it_goes_through_its_points_and_a_straight_line_stays_straight() {
         let points = vec![[-3.0, 1.0], [0.0, 5.0], [2.0, -1.0], [7.0, 2.0]];
-        let curve = Curve::through(points.clone()).expect("it rises");
+        let curve = CubicSpline::through(points.clone()).expect("it rises");
         for [place, value] in points {
             assert!((curve.at(place) - value).abs() < 1e-12);
         }
-        let line = Curve::through(vec![[0.0, 1.0], [1.0, 3.0], [4.0, 9.0]]).expect("it rises");
+        let line =
+            CubicSpline::through(vec![[0.0, 1.0], [1.0, 3.0], [4.0, 9.0]]).expect("it rises");
         assert!((line.at(2.7) - 6.4).abs() < 1e-12);
     }
 
     #[test]
     fn places_must_rise() {
-        let error = Curve::through(vec![[0.0, 0.0], [0.0, 1.0]]).expect_err("they do not");
+        let error = CubicSpline::through(vec![[0.0, 0.0], [0.0, 1.0]]).expect_err("they do not");
         assert_eq!(error, "0 is not above 0: the places must rise");
     }
 }

@@ -41,9 +41,9 @@ pub enum Target {
     RampOut,
 }
 
-/// The bridge, as it is heard.
+/// The bridge's offsets, as they are received: the newest valid pair and its age.
 #[derive(Debug)]
-pub struct Source {
+pub struct ReceivedOffsets {
     receiver: OffsetReceiver,
     malformed_lines: u32,
     last: Option<(Duration, Output)>,
@@ -53,7 +53,7 @@ pub struct Source {
     clamped: bool,
 }
 
-impl Source {
+impl ReceivedOffsets {
     /// Nothing heard yet, at this time.
     #[must_use]
     pub fn new(now: Duration) -> Self {
@@ -140,7 +140,7 @@ mod tests {
         Duration::from_millis(ms)
     }
 
-    fn say(source: &mut Source, now: Duration, counter: u8, offset: Option<i32>) {
+    fn say(offsets: &mut ReceivedOffsets, now: Duration, counter: u8, offset: Option<i32>) {
         let quality = if offset.is_some() { Quality::Live } else { Quality::Fault };
         let output = Output {
             offset: offset.map(|nm| [Nanometres(nm); 3]),
@@ -148,57 +148,57 @@ mod tests {
             flags: Flags::NONE,
             age_ms: 3,
         };
-        source.hear(now, &offset_xy(&output, counter));
-        source.hear(now, &offset_z(&output, counter));
+        offsets.hear(now, &offset_xy(&output, counter));
+        offsets.hear(now, &offset_z(&output, counter));
     }
 
     #[test]
     fn silence_holds_then_ramps_out_and_a_word_brings_it_back() {
-        let mut source = Source::new(ms(0));
-        assert_eq!(source.target(ms(0), &LIMITS), Target::Hold, "just started");
-        say(&mut source, ms(1_000), 0, Some(50_000));
-        assert_eq!(source.target(ms(1_100), &LIMITS), Target::Follow([50_000; 3]));
-        assert_eq!(source.age_ms(ms(1_100)), Some(103));
-        assert_eq!(source.target(ms(1_101), &LIMITS), Target::Hold);
-        assert_eq!(source.target(ms(3_100), &LIMITS), Target::Hold);
-        assert_eq!(source.target(ms(3_101), &LIMITS), Target::RampOut);
-        say(&mut source, ms(9_000), 1, Some(40_000));
-        assert_eq!(source.target(ms(9_000), &LIMITS), Target::Follow([40_000; 3]));
+        let mut offsets = ReceivedOffsets::new(ms(0));
+        assert_eq!(offsets.target(ms(0), &LIMITS), Target::Hold, "just started");
+        say(&mut offsets, ms(1_000), 0, Some(50_000));
+        assert_eq!(offsets.target(ms(1_100), &LIMITS), Target::Follow([50_000; 3]));
+        assert_eq!(offsets.age_ms(ms(1_100)), Some(103));
+        assert_eq!(offsets.target(ms(1_101), &LIMITS), Target::Hold);
+        assert_eq!(offsets.target(ms(3_100), &LIMITS), Target::Hold);
+        assert_eq!(offsets.target(ms(3_101), &LIMITS), Target::RampOut);
+        say(&mut offsets, ms(9_000), 1, Some(40_000));
+        assert_eq!(offsets.target(ms(9_000), &LIMITS), Target::Follow([40_000; 3]));
     }
 
     #[test]
     fn not_available_is_held_as_silence_is() {
-        let mut source = Source::new(ms(0));
-        say(&mut source, ms(10), 0, Some(1_000));
-        source.target(ms(10), &LIMITS);
+        let mut offsets = ReceivedOffsets::new(ms(0));
+        say(&mut offsets, ms(10), 0, Some(1_000));
+        offsets.target(ms(10), &LIMITS);
         for cycle in 1..=250_u8 {
-            say(&mut source, ms(10 + 10 * u64::from(cycle)), cycle, None);
+            say(&mut offsets, ms(10 + 10 * u64::from(cycle)), cycle, None);
             let expected = if cycle <= 200 { Target::Hold } else { Target::RampOut };
-            assert_eq!(source.target(ms(10 + 10 * u64::from(cycle)), &LIMITS), expected);
+            assert_eq!(offsets.target(ms(10 + 10 * u64::from(cycle)), &LIMITS), expected);
         }
     }
 
     #[test]
     fn damaged_and_repeated_frames_are_silence_and_are_counted() {
-        let mut source = Source::new(ms(0));
-        say(&mut source, ms(10), 5, Some(1_000));
-        say(&mut source, ms(100), 5, Some(9_000));
-        assert_eq!(source.target(ms(100), &LIMITS), Target::Follow([1_000; 3]));
-        assert_eq!(source.counters().sequence_errors, 2);
-        assert_eq!(source.target(ms(111), &LIMITS), Target::Hold);
+        let mut offsets = ReceivedOffsets::new(ms(0));
+        say(&mut offsets, ms(10), 5, Some(1_000));
+        say(&mut offsets, ms(100), 5, Some(9_000));
+        assert_eq!(offsets.target(ms(100), &LIMITS), Target::Follow([1_000; 3]));
+        assert_eq!(offsets.counters().sequence_errors, 2);
+        assert_eq!(offsets.target(ms(111), &LIMITS), Target::Hold);
         let damaged = Frame::new(0x181, &[0; 8]).unwrap();
-        source.hear(ms(112), &damaged);
-        assert_eq!(source.counters().crc_errors, 1);
-        source.hear_malformed();
-        assert_eq!(source.counters().malformed, 1);
+        offsets.hear(ms(112), &damaged);
+        assert_eq!(offsets.counters().crc_errors, 1);
+        offsets.hear_malformed();
+        assert_eq!(offsets.counters().malformed, 1);
     }
 
     #[test]
     fn more_than_permitted_is_held_to_the_limit_and_told() {
-        let mut source = Source::new(ms(0));
-        say(&mut source, ms(10), 0, Some(-300_000));
+        let mut offsets = ReceivedOffsets::new(ms(0));
+        say(&mut offsets, ms(10), 0, Some(-300_000));
         let expected = Target::Follow([-200_000, -200_000, -300_000]);
-        assert_eq!(source.target(ms(10), &LIMITS), expected);
-        assert!(source.is_clamped());
+        assert_eq!(offsets.target(ms(10), &LIMITS), expected);
+        assert!(offsets.is_clamped());
     }
 }
