@@ -43,15 +43,15 @@ pub enum Shape {
 /// The type of a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Type {
-    /// `UNSIGNED8`
+    /// `UNSIGNED8`: 0…255.
     U8,
-    /// `UNSIGNED16`
+    /// `UNSIGNED16`: 0…65 535.
     U16,
-    /// `UNSIGNED32`
+    /// `UNSIGNED32`: 0…2³² − 1.
     U32,
-    /// `INTEGER32`
+    /// `INTEGER32`: −2³¹…2³¹ − 1.
     I32,
-    /// `VISIBLE_STRING`
+    /// `VISIBLE_STRING`: printable ASCII, of any length.
     Text,
     /// `DOMAIN`: bytes, as many as there are.
     Domain,
@@ -86,9 +86,9 @@ pub enum Access {
 /// What stands behind an entry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ObjectKind {
-    /// This number.
+    /// A constant number.
     Fixed(u32),
-    /// These characters.
+    /// A constant text, in ASCII.
     Text(&'static str),
     /// CiA 301 error register.
     ErrorRegister,
@@ -143,22 +143,22 @@ pub enum ObjectKind {
 /// A counter of [`trueup_link::receiver::Counters`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Counter {
-    /// Frames used.
+    /// Valid frames, which were used.
     Accepted,
-    /// Of a wrong length or content.
+    /// Frames of a wrong length or content.
     Malformed,
     /// Frames whose CRC is wrong.
     Crc,
-    /// Repeated or out of order.
+    /// Frames that came twice or out of order.
     Sequence,
-    /// Never came.
+    /// Frames that never came, by the gaps in their counters.
     Lost,
 }
 
-/// One value.
+/// One value of an object, with its own sub-index.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
-    /// Its sub-index.
+    /// Sub-index, 0…254.
     pub subindex: u8,
     /// Its name in the EDS.
     pub name: &'static str,
@@ -172,12 +172,12 @@ pub struct Entry {
     pub default: Option<u32>,
 }
 
-/// One object.
+/// One object of the dictionary, with all its values.
 #[derive(Clone, Copy, Debug)]
 pub struct Object {
     /// Its index, 0x1000…0xFFFF.
     pub index: u16,
-    /// Its name.
+    /// Name in the EDS.
     pub name: &'static str,
     /// How it is laid out.
     pub shape: Shape,

@@ -12,13 +12,13 @@ use std::time::Duration;
 pub struct Tally {
     /// Tests and steps that passed.
     pub passed: u32,
-    /// That failed.
+    /// Tests and steps that failed.
     pub failed: u32,
-    /// That lack something here.
+    /// Tests skipped because something is missing here: data, a program, a device.
     pub lacking: u32,
-    /// That the long tier runs.
+    /// Tests left to the long tier.
     pub long: u32,
-    /// That have a command of their own.
+    /// Campaigns, which have a command of their own.
     pub campaigns: u32,
     /// How long each test took.
     pub times: Vec<(String, Duration)>,

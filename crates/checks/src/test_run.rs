@@ -27,7 +27,7 @@ const AT_A_TIME: usize = 2;
 pub struct Program {
     /// The package and the name of the test, for people.
     pub name: String,
-    /// The file.
+    /// The compiled program.
     executable: PathBuf,
     /// The folder of its package, where cargo runs it too.
     folder: PathBuf,

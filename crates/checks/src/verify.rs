@@ -27,11 +27,11 @@ use crate::{
 /// What is to be run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tier {
-    /// Minutes.
+    /// All tests that take at most ten seconds each: `cargo verify`.
     Quick,
-    /// What the quick tier leaves out.
+    /// What the quick tier leaves out: `--long`.
     Long,
-    /// Both.
+    /// Both tiers: `--all`.
     All,
 }
 

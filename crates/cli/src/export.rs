@@ -22,7 +22,7 @@ pub struct Export {
     /// The machine file.
     #[arg(value_name = "M.toml")]
     machine: PathBuf,
-    /// The control.
+    /// The control that is to read the files.
     #[arg(long)]
     format: Control,
     /// The folder for the files and report.txt; made if it is not there. Files of the same names

@@ -56,7 +56,7 @@ enum Command {
     ///
     /// Exit 3: it is printed, but does not compile back to the same calibration.
     Show {
-        /// The calibration.
+        /// The calibration, as `compile` wrote it.
         #[arg(value_name = "CAL.bin")]
         calibration: PathBuf,
     },

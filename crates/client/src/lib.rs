@@ -48,19 +48,19 @@ pub enum Unusable {
     },
     /// A CAN interface, which this build cannot open.
     NoSocketCan {
-        /// Its name.
+        /// The interface's name, such as `can0`.
         interface: String,
     },
     /// The folder of a recording cannot be made.
     Folder {
-        /// The folder.
+        /// The folder that cannot be made.
         path: PathBuf,
         /// What the system said.
         error: io::Error,
     },
     /// A file of a recording cannot be begun: it is there already, or may not be written.
     File {
-        /// The file.
+        /// The file that cannot be begun.
         path: PathBuf,
         /// What the system said.
         error: io::Error,

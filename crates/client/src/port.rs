@@ -23,7 +23,7 @@ const PATIENCE: Duration = Duration::from_secs(3);
 /// Where a bridge is.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Port {
-    /// `tcp:HOST:PORT`.
+    /// A TCP connection, written `tcp:HOST:PORT`.
     Tcp(String),
     /// A serial device.
     Serial(String),

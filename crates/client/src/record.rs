@@ -39,7 +39,7 @@ use crate::{Unusable, status::Board, words::offset_um};
 /// Milliseconds of the bridge from one row to the next.
 pub const ROW_MS: u64 = 100;
 
-/// Both files.
+/// Writes both files of a recording.
 pub struct Recorder {
     log: Out,
     /// The name of the interface in the log.

@@ -81,9 +81,9 @@ pub struct Row {
 /// Size of a residual.
 #[derive(Debug, Serialize)]
 pub struct Residual {
-    /// Root mean square.
+    /// Root mean square, in µm.
     pub rms_um: f64,
-    /// Largest.
+    /// Largest absolute difference, in µm.
     pub max_um: f64,
 }
 
@@ -94,9 +94,9 @@ pub struct Calibrated {
     pub gain: f64,
     /// Micrometres at the dial where the bridge says 0.
     pub offset_um: f64,
-    /// Residual of rows that took no part in the fit.
+    /// RMS residual in µm of rows that took no part in the fit.
     pub loo_rms_um: f64,
-    /// The largest of them.
+    /// The largest absolute residual of these rows, in µm.
     pub loo_max_um: f64,
 }
 

@@ -24,7 +24,7 @@ pub enum Board {
 }
 
 impl Board {
-    /// Both.
+    /// Both boards.
     pub const ALL: [Self; 2] = [Self::Stm32f405, Self::Virtual];
 
     /// The feature that chooses this board.

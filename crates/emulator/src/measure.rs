@@ -30,7 +30,7 @@ const TIMEOUT: Duration = Duration::from_secs(1_200);
 
 /// What was measured, in the form of `measure.json`.
 pub struct Measured {
-    /// The figures.
+    /// The figures of `measure.json`.
     pub json: Value,
     /// Them, and what else the board has said, for people.
     pub table: String,

@@ -40,7 +40,7 @@ use crate::{
 pub enum SampleSource {
     /// A run file, at a multiple of real time, or as fast as it goes.
     Run {
-        /// The run.
+        /// The run file, as it is played.
         replay: Replay,
         /// Milliseconds of the board in a millisecond of the clock; `None`: no pacing.
         speed: Option<f64>,

@@ -71,7 +71,7 @@ impl Format {
 /// The unit of length in the files.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Units {
-    /// mm.
+    /// Millimetres.
     #[default]
     Millimetres,
     /// Inches of 25.4 mm.
@@ -156,7 +156,7 @@ pub struct Export {
 /// Nothing of the model can be held by the control.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Refused {
-    /// The control.
+    /// The control that cannot hold it.
     pub format: Format,
     /// The sections of the model, each with the reason; empty where the model has none.
     pub left_out: Vec<LeftOut>,

@@ -236,7 +236,7 @@ impl Banded {
 /// A least squares fit in given knots.
 #[derive(Clone, Debug)]
 pub struct InKnots {
-    /// The spline.
+    /// The spline with the fitted coefficients.
     pub spline: BSpline,
     /// Weighted sum of squares of what is left.
     pub sum_of_squares: f64,

@@ -120,12 +120,12 @@ pub enum Iso230Error {
     Empty,
     /// One arrival in one direction has no standard deviation.
     OneArrival {
-        /// The target.
+        /// The target, in mm.
         position_mm: f64,
     },
     /// A deviation or a position is NaN or infinite.
     NotFinite {
-        /// The target.
+        /// The target, in mm.
         position_mm: f64,
     },
 }

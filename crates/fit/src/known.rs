@@ -12,11 +12,11 @@ use trueup_machine::{
 /// The section that is to be fitted, and is therefore left out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Without {
-    /// `[axis.<axis>.thermal]`.
+    /// The thermal law of an axis, `[axis.<axis>.thermal]`.
     Thermal(LinearAxis),
-    /// `[axis.<axis>.pitch]` and `[axis.<axis>.backlash]`.
+    /// The position errors of an axis, `[axis.<axis>.pitch]` and `[axis.<axis>.backlash]`.
     Position(LinearAxis),
-    /// `[straightness.<error>_of_<along>]`.
+    /// A straightness curve, `[straightness.<error>_of_<along>]`.
     Straightness {
         /// The axis that is in error.
         error: LinearAxis,

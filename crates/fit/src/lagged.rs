@@ -24,13 +24,13 @@ const WORTH: f64 = 0.02;
 /// One column of the law.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Term {
-    /// 1.
+    /// 1 in each row: a constant of the law.
     Constant,
-    /// L_τ(T) − T̄.
+    /// L_τ(T) − T̄, in °C.
     Warm,
-    /// The position.
+    /// The position, in mm.
     Position,
-    /// The position times L_τ(T) − T̄.
+    /// The position times L_τ(T) − T̄, in mm·°C.
     WarmPosition,
 }
 

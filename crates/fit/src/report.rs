@@ -131,7 +131,7 @@ fn decimals(width: f64) -> usize {
 pub struct Fact {
     /// Its name with its unit: `repeatability_um`.
     pub name: String,
-    /// Its value.
+    /// Its value, in the unit that the name ends with.
     pub value: FactValue,
 }
 
@@ -142,7 +142,7 @@ pub enum FactValue {
     Number(f64),
     /// Several numbers.
     Numbers(Vec<f64>),
-    /// Words.
+    /// A text.
     Text(String),
 }
 

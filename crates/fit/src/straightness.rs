@@ -202,9 +202,9 @@ pub struct Fit {
 pub enum FitError {
     /// There are not as many errors as positions.
     LengthsDiffer {
-        /// Positions.
+        /// Number of positions.
         positions: usize,
-        /// Errors.
+        /// Number of errors.
         errors: usize,
     },
     /// A value is NaN or infinite.
@@ -213,7 +213,7 @@ pub enum FitError {
         row: usize,
         /// Whether it is the position; else the error.
         is_position: bool,
-        /// The value.
+        /// The value that is not finite, in mm (a position) or µm (an error).
         value: f64,
     },
     /// Fewer than 4 different positions: no curve, and no judging it.

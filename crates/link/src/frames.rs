@@ -55,7 +55,7 @@ pub enum State {
     BootUp = 0,
     /// Silent but for the heartbeat.
     Stopped = 4,
-    /// Sends offsets.
+    /// Sends offsets, each with its quality.
     Operational = 5,
     /// Ready, but sends no offsets.
     PreOperational = 127,

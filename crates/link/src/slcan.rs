@@ -201,23 +201,23 @@ pub enum SlcanError {
     Trailing {
         /// Position of the first character too many.
         at: usize,
-        /// That character.
+        /// That character, in ASCII.
         found: u8,
     },
     /// There is no such command.
     Command(u8),
     /// The command is known, but not with this parameter.
     Parameter {
-        /// The command.
+        /// The command's letter, in ASCII.
         command: u8,
-        /// Its parameter.
+        /// The parameter's character, in ASCII.
         found: u8,
     },
     /// Not a hexadecimal digit.
     NotHex {
         /// Position of the character.
         at: usize,
-        /// The character.
+        /// The character that is there, in ASCII.
         found: u8,
     },
     /// The identifier is too large: above 0x7FF, or 0x1FFF_FFFF if it is extended.

@@ -106,7 +106,7 @@ pub struct Outputs {
     pub heartbeat: bool,
 }
 
-/// The component.
+/// The component: from the pins and the bridge's frames to the new pins, once a turn of the loop.
 #[derive(Debug)]
 pub struct Component {
     options: Options,

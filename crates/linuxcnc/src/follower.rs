@@ -95,7 +95,7 @@ pub struct Step {
     pub not_taken: bool,
 }
 
-/// One axis.
+/// Brings the external offset of one axis to its target, step by step.
 #[derive(Debug, Default)]
 pub struct Follower {
     pending: Option<Pending>,

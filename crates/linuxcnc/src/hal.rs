@@ -21,7 +21,7 @@ const LIBRARY: &str = "liblinuxcnchal.so.0";
 /// `HAL_IN` and `HAL_OUT`.
 const IN: c_int = 16;
 const OUT: c_int = 32;
-/// `HAL_NAME_LEN`.
+/// The longest name of a pin in bytes: `HAL_NAME_LEN` of LinuxCNC's `hal.h`.
 const LONGEST_NAME: usize = 47;
 
 type NewPin = unsafe extern "C" fn(*const c_char, c_int, *mut *mut c_void, c_int) -> c_int;
@@ -299,16 +299,16 @@ pub enum HalError {
     NoFunction(&'static str),
     /// A call is refused, with the code that it gave.
     Call {
-        /// The function.
+        /// The HAL's function that refused.
         what: &'static str,
         /// A negative number of `errno.h`.
         code: c_int,
     },
     /// A component of this name is alive.
     Taken {
-        /// The name.
+        /// The component's name.
         name: String,
-        /// Its process, where that is known.
+        /// The number of its process, where that is known.
         pid: Option<u32>,
     },
     /// The HAL takes no such name.

@@ -42,7 +42,7 @@ pub enum LineEvent {
     Received(Event),
 }
 
-/// The line.
+/// A connection to the bridge that is opened again whenever it breaks.
 #[derive(Debug)]
 pub struct Line {
     heard: Receiver<LineEvent>,

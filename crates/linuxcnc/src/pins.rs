@@ -45,7 +45,7 @@ struct AxisPins<'hal> {
     applied_um: Pin<'hal, f64>,
 }
 
-/// All pins.
+/// All pins of the component. Lengths at the pins are in the units of the .ini, temperatures in °C.
 pub struct Pins<'hal> {
     mm_per_unit: f64,
     enable: Pin<'hal, bool>,

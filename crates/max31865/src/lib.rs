@@ -112,7 +112,7 @@ impl Faults {
 /// What a converter says.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Reading {
-    /// Nothing answers.
+    /// No converter answers.
     #[default]
     Missing,
     /// It answers, and has not measured yet.
@@ -148,7 +148,7 @@ enum Step {
     },
 }
 
-/// One converter.
+/// One converter: the sequence of its turns, and its newest reading.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Converter {
     step: Step,

@@ -7,7 +7,7 @@ use embedded_hal_mock::eh1::spi::{Mock, Transaction};
 use std::vec::Vec;
 use trueup_core::thermometer::{Fault, Thermometer};
 
-/// 25.7 °C.
+/// A PT100 at 25.7 °C: 110 Ω in micro-ohms.
 const PLAIN: i64 = 110_000_000;
 
 /// A converter as the data sheet describes it.

@@ -15,7 +15,7 @@ use std::{error::Error, fmt};
 /// A fitted line. Its units are those of the data: `gain` is y for one x.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LineFit {
-    /// The slope.
+    /// The slope: y for one x.
     pub gain: f64,
     /// y at x = 0.
     pub offset: f64,

@@ -27,7 +27,7 @@ pub struct Noise {
 }
 
 impl Noise {
-    /// No memory.
+    /// Noise without a memory: rows are independent.
     pub const WHITE: Self = Self { memory: 0.0, white: 1.0 };
 
     fn decay(&self, steps: f64) -> f64 {

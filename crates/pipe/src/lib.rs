@@ -42,7 +42,7 @@ use trueup_link::frame::{Frame, FrameError};
 
 /// ADC samples in one millisecond.
 pub const SAMPLES: usize = 20;
-/// Temperature channels.
+/// Temperature channels in a block.
 pub const TEMPERATURES: usize = 8;
 /// CAN frames that fit a block.
 pub const FRAMES: usize = 5;
@@ -199,12 +199,12 @@ pub enum BlockError {
     Identifier {
         /// Which frame, from 0.
         slot: usize,
-        /// The identifier.
+        /// The identifier, above 0x7FF.
         id: u16,
     },
     /// Reserved bytes are not 0.
     Reserved {
-        /// Their offset.
+        /// Their offset in the block, in bytes.
         at: usize,
         /// What they hold.
         found: u16,
@@ -234,7 +234,7 @@ pub enum Record {
     Frame {
         /// When, on the sample clock.
         time: Millis,
-        /// The frame.
+        /// The frame that it sends.
         frame: Frame,
     },
     /// It has nothing more to say and waits for the next samples.

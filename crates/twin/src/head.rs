@@ -10,11 +10,11 @@ use serde::Deserialize;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum RotaryAxis {
-    /// About X.
+    /// Turns about X.
     A,
-    /// About Y.
+    /// Turns about Y.
     B,
-    /// About Z.
+    /// Turns about Z.
     C,
 }
 

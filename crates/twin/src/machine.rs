@@ -138,7 +138,7 @@ impl Machine {
         std::array::from_fn(|axis| axes[axis] + elongation_um * self.direction[axis])
     }
 
-    /// The axes.
+    /// The linear axes, with their present errors.
     #[must_use]
     pub fn axes(&self) -> &Axes {
         &self.axes

@@ -72,7 +72,7 @@ impl<'s> Run<'s> {
         }
     }
 
-    /// One row.
+    /// Writes one row: what is measured at the end of `leg`.
     fn write(&mut self, run: u32, leg: &Leg, table: &mut RunTable) {
         table.push("time_s", 3, self.machine.time_s());
         table.push("run", 0, f64::from(run));

@@ -49,7 +49,7 @@ impl Quantity {
     }
 }
 
-/// The coolant.
+/// The coolant of the spindle.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CoolantConfig {
@@ -65,7 +65,7 @@ impl Default for CoolantConfig {
     }
 }
 
-/// A scenario.
+/// A virtual machine tool and what it does: all that `simulate` needs besides a seed.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scenario {
@@ -95,10 +95,10 @@ pub struct Scenario {
     /// at 0.
     #[serde(default)]
     pub head: Vec<head::RotaryAxis>,
-    /// The air.
+    /// The air around the machine.
     #[serde(default)]
     pub ambient: AmbientConfig,
-    /// The coolant.
+    /// The coolant of the spindle.
     #[serde(default)]
     pub coolant: CoolantConfig,
     /// The spindle; without it nothing grows.

@@ -184,9 +184,9 @@ pub(crate) fn memory(dt_s: f64, constant_s: f64) -> f64 {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Spot {
-    /// The air.
+    /// The air around the machine.
     Ambient,
-    /// The coolant.
+    /// The coolant on its way to the spindle.
     Coolant,
     /// The shaft at the front bearing.
     Front,
@@ -233,7 +233,7 @@ impl Spot {
     }
 }
 
-/// A thermometer.
+/// A thermometer, where it is and how it errs.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ThermometerConfig {

@@ -228,7 +228,7 @@ pub struct Drive {
 pub struct Growth {
     /// The shaft from the nose to the fixed bearing.
     pub shaft_um: f64,
-    /// By speed.
+    /// By centrifugal force; it grows with the square of the speed.
     pub centrifugal_um: f64,
     /// The housing under the nose.
     pub housing_um: f64,
@@ -263,7 +263,7 @@ pub struct SpindleTemperatures {
     pub motor_c: f64,
     /// The shaft at the nose.
     pub nose_c: f64,
-    /// The housing.
+    /// The housing under the nose.
     pub housing_c: f64,
     /// Tool and holder.
     pub holder_c: f64,

@@ -14,7 +14,7 @@ pub struct RunTable {
     columns: Vec<Column>,
 }
 
-/// One column.
+/// A column with its name and decimals.
 #[derive(Clone, Debug, PartialEq)]
 struct Column {
     name: String,

@@ -32,7 +32,7 @@ pub const OFFSETS: [&str; 3] =
 pub const APPLIED: [&str; 3] =
     ["trueup.0.x-applied-um", "trueup.0.y-applied-um", "trueup.0.z-applied-um"];
 
-/// Both.
+/// A virtual bridge and a LinuxCNC that it corrects.
 pub struct Rig {
     pub bridge: Bridge,
     pub cnc: Headless,

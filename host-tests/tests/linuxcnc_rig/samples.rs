@@ -59,7 +59,7 @@ pub fn read(path: &Path, from: &mut u64) -> Result<Vec<Sample>> {
 /// What was seen over a stretch of cycles.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Steps {
-    /// Cycles.
+    /// Number of servo cycles.
     pub cycles: usize,
     /// The largest step of a joint beyond what its axis was commanded around that cycle, in nm.
     pub joint_nm: f64,

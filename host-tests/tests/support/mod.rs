@@ -70,7 +70,7 @@ pub struct Running {
 /// A command that has ended.
 #[derive(Debug)]
 pub struct Ended {
-    /// How.
+    /// Its exit code, or the signal that ended it.
     pub status: ExitStatus,
     /// What it said on standard error.
     pub stderr: String,
@@ -241,7 +241,7 @@ fn emulators(mark: &str) -> Vec<u32> {
 
 /// A virtual bridge that serves.
 pub struct Bridge {
-    /// The command.
+    /// The process of `cargo virtual`.
     pub command: Running,
     /// The process of its emulator.
     pub qemu: u32,

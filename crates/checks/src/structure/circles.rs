@@ -12,7 +12,7 @@ use super::source::{SourceFile, is_name};
 
 /// Files that need each other.
 pub struct Circle {
-    /// Their paths.
+    /// Their paths from the project's root.
     pub files: Vec<String>,
     /// Who needs whom: from, to, and the line.
     pub uses: Vec<(String, String, usize)>,

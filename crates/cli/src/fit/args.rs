@@ -136,7 +136,7 @@ pub struct Elongation {
 pub enum By {
     /// The displacement sensor.
     Sensor,
-    /// A temperature.
+    /// A temperature of the run.
     Temperature,
 }
 

@@ -62,11 +62,11 @@ pub struct Check {
     pub name: &'static str,
     /// Without compensation, in µm, where there is such a thing.
     pub before_um: Option<f64>,
-    /// With it.
+    /// With compensation, in µm.
     pub after_um: Option<f64>,
     /// The figure that counts: a reduction in percent, a lag in ms, a number of frames.
     pub value: f64,
-    /// Its unit.
+    /// The unit of `value` and `limit`.
     pub unit: &'static str,
     /// What is to be reached.
     pub limit: f64,
@@ -103,7 +103,7 @@ impl Check {
 pub struct Across {
     /// Range on X, Y and Z before, in µm.
     pub before_um: [f64; 3],
-    /// And after.
+    /// Range on X, Y and Z after, in µm.
     pub after_um: [f64; 3],
 }
 
@@ -119,7 +119,7 @@ pub struct Time {
     /// The board's `link_timeout_ms` and `hold_ms` were so many times longer in the warm-up and after
     /// it, because they count its own time.
     pub limits_longer_by: u32,
-    /// In the warm-up LinuxCNC got every so manieth pair of offsets.
+    /// In the warm-up LinuxCNC got one pair of offsets in so many.
     pub pairs_passed_one_in: u32,
     /// Milliseconds that the boards lived through.
     pub board_ms: u64,
@@ -139,20 +139,20 @@ pub struct Figures {
     pub checks: Vec<Check>,
     /// Across the diagonal.
     pub diagonal: Across,
-    /// Across the arc: radially, and on Z; before and after in µm.
+    /// Range of the error across the arc, radially: before and after, in µm.
     pub arc_radial_um: [f64; 2],
-    /// On Z.
+    /// The same across the arc on Z: before and after, in µm.
     pub arc_z_um: [f64; 2],
-    /// The staircase.
+    /// The errors at each height of the staircase.
     pub stairs: Vec<Stair>,
-    /// How late.
+    /// How late the offsets act.
     pub lag: Lag,
     /// Growth at the end of the warm-up, in µm.
     pub growth_um: f64,
     /// How far the second machine's error along the diagonal is from the pass that was really cut
     /// without compensation, at most, in µm.
     pub ignored_against_cut_um: f64,
-    /// Time.
+    /// How long the run took, and what was compressed in it.
     pub time: Time,
     /// The slew limit of board and component, in µm/s.
     pub slew_um_per_s: f64,

@@ -245,7 +245,7 @@ impl Headless {
         said(self.folder())
     }
 
-    /// Its folder.
+    /// The folder of its session: the .ini, programs and logs.
     #[must_use]
     pub fn folder(&self) -> &Path {
         self.folder.path()

@@ -144,7 +144,7 @@ pub struct Parts {
     pub image: PathBuf,
     /// The calibration that it starts with.
     pub calibration: Vec<u8>,
-    /// The machine.
+    /// The virtual machine tool.
     pub twin: Machine,
     /// The channels of the board, by the names under which the machine states its temperatures.
     pub temperatures: BTreeMap<String, TemperatureInput>,

@@ -40,7 +40,7 @@ pub(super) struct Placed {
 pub(super) enum Support {
     /// Every second, from the first on or from the second: no coefficient follows a single point.
     EverySecond,
-    /// All together.
+    /// All sites together.
     All,
 }
 

@@ -92,7 +92,7 @@ pub enum SolveError {
     TooFewRows {
         /// Rows with a measured value.
         rows: usize,
-        /// Parameters.
+        /// Parameters to be fitted.
         parameters: usize,
     },
     /// The model has no value, or an infinite one, at the start.
@@ -118,10 +118,10 @@ impl fmt::Display for SolveError {
 
 impl Error for SolveError {}
 
-/// Fitted parameters.
+/// What a fit has found.
 #[derive(Clone, Debug)]
 pub struct Fit {
-    /// Their values.
+    /// The fitted parameters, in the order and the units of the model.
     pub parameters: Vec<f64>,
     /// Measured minus model, by row; NaN where there is no measured value.
     pub residuals: Vec<f64>,

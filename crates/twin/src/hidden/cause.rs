@@ -71,17 +71,17 @@ pub enum Expected {
 }
 
 causes! {
-    /// White noise.
+    /// White noise alone: rows are independent.
     CleanWhite = "clean-white", Clean, [Sensor, Temperature, Warmup, AxisThermal, AxisGeometry];
     /// Noise with a memory, a correlation of 0.5 to 0.97 from row to row.
     CleanCorrelated = "clean-correlated", Clean, [Sensor, Temperature, Warmup, AxisThermal, AxisGeometry];
-    /// p + o.
+    /// p + o: a constant offset o in µm.
     SensorOffset = "sensor-offset", Compensated, [Sensor];
-    /// g·p.
+    /// g·p: the sensor shows the growth with a gain g, 1 is right.
     SensorGain = "sensor-gain", Compensated, [Sensor];
-    /// p + c·p².
+    /// p + c·p²: c in 1/µm.
     SensorCurvature = "sensor-curvature", Compensated, [Sensor];
-    /// min(p, limit).
+    /// min(p, limit): the sensor shows no more than a limit in µm.
     SensorSaturation = "sensor-saturation", Compensated, [Sensor];
     /// p + c·(T − T_ref), T the sensor's own temperature.
     SensorTemperatureDrift = "sensor-temperature-drift", Compensated, [Sensor];
@@ -93,7 +93,7 @@ causes! {
     SlowMode = "slow-mode", Compensated, [Sensor, Temperature];
     /// p + c·(lag_τ(T) − T_ref) of a column that is not in use; τ may be 0.
     ExtraHeatPath = "extra-heat-path", Compensated, [Sensor, Temperature, Warmup];
-    /// s·p.
+    /// s·p: the growth is a factor s of what is believed.
     GrowthAmplitude = "growth-amplitude", Compensated, [Temperature, Warmup];
     /// Another time constant of the warm-up.
     GrowthRate = "growth-rate", Compensated, [Warmup];
@@ -103,27 +103,27 @@ causes! {
     ExpansionSlope = "expansion-slope", Compensated, [AxisThermal];
     /// The temperature at which an axis is right is another one.
     ReferenceTemperature = "reference-temperature", Compensated, [AxisThermal];
-    /// p + c·(n/1000)².
+    /// p + c·(n/1000)²: n in r/min, c in µm.
     CentrifugalGrowth = "centrifugal-growth", Compensated, [Sensor, Temperature, Warmup];
-    /// p − c·load.
+    /// p − c·load: the load in N pushes the tool back, c in µm/N.
     CuttingLoad = "cutting-load", Compensated, [Sensor, Temperature, Warmup];
-    /// p + c·P/1000.
+    /// p + c·P/1000: the position P in mm, c in µm/m.
     PitchScale = "pitch-scale", Compensated, [AxisGeometry];
     /// A table of errors, one per direction.
     PitchError = "pitch-error", Compensated, [AxisGeometry];
     /// p + a·sin(2πP/L + φ), with a second harmonic in half of the draws.
     PitchPeriodic = "pitch-periodic", Compensated, [AxisGeometry];
-    /// p + w where d < 0.
+    /// p + w where d < 0: the axis came from above, the width w in µm.
     Backlash = "backlash", Compensated, [AxisGeometry];
-    /// p + c·P/1000 where d < 0.
+    /// p + c·P/1000 where d < 0: a width that changes along the axis by c in µm/m.
     PositionDependentBacklash = "position-dependent-backlash", Compensated, [AxisGeometry];
     /// p + a smooth curve over the position of another axis, its best straight line taken out.
     Straightness = "straightness", Compensated, [AxisGeometry];
-    /// p + c·P_other/1000.
+    /// p + c·P_other/1000: the position of another axis in mm, c in µm/m.
     CrossAxis = "cross-axis", Compensated, [AxisGeometry];
-    /// + s after t.
+    /// p + s from an instant on, s in µm.
     Step = "step", Reported, [Sensor, Temperature, AxisGeometry];
-    /// + c·t/3600.
+    /// p + c·t/3600: the time t in s, c in µm/h.
     Drift = "drift", Reported, [Sensor, AxisGeometry];
     /// A few rows that are grossly wrong.
     Outliers = "outliers", Reported, [Sensor, Temperature, Warmup, AxisThermal, AxisGeometry];

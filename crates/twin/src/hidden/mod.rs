@@ -61,7 +61,7 @@ pub struct Challenge {
     pub machine: String,
     /// What is measured: `elongation`, `dx`, `dy` or `dz`.
     pub quantity: &'static str,
-    /// The answer.
+    /// What is hidden: the right answer.
     pub truth: Truth,
 }
 

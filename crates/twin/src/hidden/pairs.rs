@@ -36,7 +36,7 @@ const OF_THE_SIGNAL: [Hidden; 3] =
 enum Path {
     /// The same targets again and again, over hours.
     Targets,
-    /// Positions anywhere.
+    /// Positions anywhere in the travel.
     Anywhere,
     /// Small steps at a few stations.
     Stations,

@@ -16,7 +16,7 @@ pub(super) enum Path {
 /// A path with its times.
 pub(super) struct Plan {
     pub path: Path,
-    /// For `Targets`.
+    /// The targets of [`Path::Targets`], in mm; else empty.
     pub targets_mm: Vec<f64>,
     pub travel_mm: [f64; 2],
     pub main: usize,

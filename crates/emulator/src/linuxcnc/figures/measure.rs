@@ -14,11 +14,11 @@ pub(super) type Of = fn(&Cycle) -> f64;
 /// A height of the staircase.
 #[derive(Clone, Debug, Serialize)]
 pub struct Stair {
-    /// Where, in mm.
+    /// Height in machine coordinates, in mm.
     pub z_mm: f64,
     /// Error on Z from below and from above, in µm, before.
     pub before_um: [f64; 2],
-    /// And after.
+    /// The same after, in µm.
     pub after_um: [f64; 2],
 }
 
@@ -42,7 +42,7 @@ pub struct ErrorCurve {
     pub at: Vec<f64>,
     /// The error before, in µm.
     pub before_um: Vec<f64>,
-    /// And after.
+    /// The error after, in µm.
     pub after_um: Vec<f64>,
 }
 
