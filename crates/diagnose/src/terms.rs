@@ -14,7 +14,8 @@ pub(crate) fn terms(data: &Data, model: &Model) -> Vec<Term> {
         .filter_map(|part| {
             let is_of_elongation = part.kind.is_of_elongation(data);
             let quantity = if is_of_elongation { Quantity::Elongation } else { data.quantity };
-            Some(Term { quantity, constant_um: 0.0, effect: part.cause()? })
+            let constant_um = part.kind.cause()?.constant_um(&part.values);
+            Some(Term { quantity, constant_um, effect: part.cause()? })
         })
         .collect();
     let Some(mut constant_um) = model.constant_um.filter(|constant| *constant != 0.0) else {
@@ -42,7 +43,7 @@ pub(crate) fn terms(data: &Data, model: &Model) -> Vec<Term> {
     let last = own.or_else(|| terms.len().checked_sub(1));
     if let (Some(last), true) = (last, constant_um != 0.0) {
         let term = &mut terms[last];
-        term.constant_um = constant_um / along(term.quantity);
+        term.constant_um += constant_um / along(term.quantity);
     }
     terms
 }

@@ -81,7 +81,7 @@ impl Compiled {
 /// was read from a file, its place.
 pub fn compile(machine: &Machine) -> Result<Compiled, BadInput> {
     let (machine, falling) = model::corrected(machine.compensated());
-    let machine = &*machine;
+    let machine = &*term::with_thermal_laws(machine)?;
     let mut account = Account { machine, parts: Vec::new() };
     let limits = limits::compile(machine)?;
     let spindle = SpindleTables::of(machine, falling.spindle_s, &mut account)?;

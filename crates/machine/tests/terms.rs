@@ -19,6 +19,9 @@ const WARMUP: &str = "[spindle]\nsource = \"warmup\"\n[spindle.warmup]\nlag_s = 
 const AXIS: &str = "[axis.x.thermal]\nmode = \"position\"\nsensor = \"temp_a_c\"\n\
                     reference_c = 20.0\nslope_um_per_m_per_c = 10.0\n";
 
+const EXPANSION: &str = "column = \"temp_b_c\"\num_per_m_per_c = 11.5\ntime_constant_s = 90.0\n\
+                         reference_c = 20.5\norigin_mm = -100.0";
+
 fn machine(sections: &str, terms: &str) -> Machine {
     let text = format!("{HEAD}{sections}{terms}");
     MachineFile::parse(&text, Path::new("m.toml")).unwrap_or_else(|error| panic!("{error}"))
@@ -230,6 +233,52 @@ fn a_missing_value_makes_what_needs_it_missing() {
     assert!(got[0].is_nan() && (got[1] - 9.0).abs() < 1e-12);
 }
 
+#[test]
+fn an_axis_without_a_law_of_its_own_grows_by_its_term() {
+    let csv = "time_s,temp_b_c,x_mm\n0,20,0\n10,30,0\n20,30,900\n";
+    let of = |lag_s: f64| {
+        let keys = EXPANSION.replace("90.0", &format!("{lag_s:?}"));
+        let term = term("dx", &format!("cause = \"axis-expansion\"\n{keys}"));
+        predicted("", &term, Quantity::Dx, csv)
+    };
+    assert_near(&of(0.0), &[11.5 * -0.5 * 0.1, 11.5 * 9.5 * 0.1, 11.5 * 9.5]);
+    let lagged_c = |rows: i32| 30.0 - 10.0 * (-10.0 * f64::from(rows) / 90.0_f64).exp();
+    assert_near(&of(90.0)[1..], &[11.5 * (lagged_c(1) - 20.5) * 0.1, 11.5 * (lagged_c(2) - 20.5)]);
+}
+
+/// c·ΔT·ΔP + a·ΔP + b·ΔT about any references is c·(T − T_ref)·(P − P₀) and a constant.
+#[test]
+fn the_references_of_an_expansion_come_from_its_amplitudes() {
+    let Effect::AxisExpansion(page) =
+        machine("", &term("dx", &format!("cause = \"axis-expansion\"\n{EXPANSION}"))).terms[0]
+            .effect
+            .clone()
+    else {
+        panic!("it was read")
+    };
+    let neutral = Effect::AxisExpansion(page);
+    for amplitudes in [[8.0, 30.0, -0.4], [-2.0, 0.0, 3.0], [5.0, 0.0, 0.0]] {
+        let values = [&[60.0][..], &amplitudes].concat();
+        let fitted = neutral.with(&values);
+        let constant_um = neutral.constant_um(&values);
+        for x in [[20.5, -100.0], [31.0, 700.0], [-4.0, 12.0]] {
+            let apart_um =
+                fitted.at_row(&fitted.values(), &x) + constant_um - neutral.at_row(&values, &x);
+            assert!(apart_um.abs() < 1e-9, "{apart_um} {fitted:?}");
+        }
+    }
+}
+
+#[test]
+fn the_board_runs_one_thermal_law_for_an_axis() {
+    let expansion = term("dx", &format!("cause = \"axis-expansion\"\n{EXPANSION}"));
+    let compiled =
+        |terms: &str| trueup_machine::compile(&machine(&format!("{INPUTS}{SENSOR}"), terms));
+    compiled(&expansion).expect("it takes the place of the law that the axis has not");
+    let both = compiled(&expansion.repeat(2)).expect_err("two laws");
+    assert!(both.to_string().contains("term[1] is too much: the board runs one"), "{both}");
+}
+
 /// One of each, so that a new cause without a line here is noticed.
 fn one_of_each() -> Vec<(&'static str, String)> {
     let wave =
@@ -257,6 +306,7 @@ fn one_of_each() -> Vec<(&'static str, String)> {
         (TEMPERATURE, "elongation", "growth-amplitude", "scale = 1.1"),
         (WARMUP, "elongation", "growth-rate", "time_constant_s = 90.0"),
         (WARMUP, "elongation", "cooling-asymmetry", "time_constant_s = 90.0"),
+        (SENSOR, "dx", "axis-expansion", EXPANSION),
         (AXIS, "dx", "expansion-slope", "um_per_m_per_c = 11.0"),
         (AXIS, "dx", "reference-temperature", "shift_c = 0.5"),
         (SENSOR, "elongation", "centrifugal-growth", "um_per_krpm2 = 0.1"),
@@ -306,6 +356,12 @@ fn what_fits_no_machine_is_refused_with_its_place() {
             SENSOR,
             "cause = \"thermal-lag\"\nquantity = \"elongation\"\ntime_constant_s = 3.0",
             "term[0].cause \"thermal-lag\" needs a temperature on which elongation depends",
+        ),
+        (
+            AXIS,
+            "cause = \"axis-expansion\"\nquantity = \"dx\"\ncolumn = \"temp_b_c\"\n\
+             um_per_m_per_c = 1.0\nreference_c = 20.0",
+            "\"axis-expansion\" belongs to an axis without [axis.*.thermal]",
         ),
         (
             SENSOR,

@@ -8,6 +8,8 @@
 
 mod inverse;
 
+use std::borrow::Cow;
+
 use trueup_core::{
     dimensions::MAX_TERMS,
     fixed::Scaled,
@@ -128,6 +130,24 @@ pub(super) fn terms(machine: &Machine, account: &mut Account<'_>) -> Result<Vec<
 /// Number and largest difference from the model in nm, or why the board cannot.
 type Made<T> = Result<(T, f64), String>;
 
+/// The machine with the thermal laws that terms bring to axes that have none.
+pub(super) fn with_thermal_laws(machine: Cow<'_, Machine>) -> Result<Cow<'_, Machine>, BadInput> {
+    let mut with = machine;
+    for index in 0..with.terms.len() {
+        let term = &with.terms[index];
+        let Some(axis) = term.quantity.axis() else { continue };
+        for form in term.effect.on_board() {
+            let OnBoard::Thermal(thermal) = form else { continue };
+            if with.axes[axis.index()].thermal.is_some() {
+                let rule = "is too much: the board runs one thermal law for an axis";
+                return Err(with.places.bad(&format!("term[{index}]"), rule));
+            }
+            with.to_mut().axes[axis.index()].thermal = Some(thermal);
+        }
+    }
+    Ok(with)
+}
+
 /// A form as the board runs it; none: the constant alone.
 fn effect(
     machine: &Machine,
@@ -137,7 +157,8 @@ fn effect(
     account: &mut Account<'_>,
 ) -> Result<Option<OwnedEffect>, BadInput> {
     let made: Made<Effect<'static>> = match form {
-        OnBoard::Offset(_) => return Ok(None),
+        // The law is the axis's own by now.
+        OnBoard::Offset(_) | OnBoard::Thermal(_) => return Ok(None),
         OnBoard::Gain(gain) => {
             scaled(gain - 1.0, CHECKED_UM * FINE_PER_UM).map(|(m, nm)| (Effect::Gain(m), nm))
         }

@@ -165,6 +165,7 @@ causes! {
     growth_amplitude::GrowthAmplitude "It grows more or less than believed.",
     growth_rate::GrowthRate "It grows faster or slower than believed.",
     cooling_asymmetry::CoolingAsymmetry "It cools at another rate than it heats.",
+    axis_expansion::AxisExpansion "The axis grows with a temperature, and the file has no law for it.",
     expansion_slope::ExpansionSlope "The axis expands more or less than believed.",
     reference_temperature::ReferenceTemperature "The axis is right at another temperature.",
     centrifugal_growth::CentrifugalGrowth "Speed itself stretches the spindle.",

@@ -189,6 +189,8 @@ pub enum OnBoard {
     Table(Pitch),
     /// A spline over an axis.
     Curve(LinearAxis, BSpline),
+    /// The thermal law of the own axis, where it has none.
+    Thermal(Thermal),
     /// + a·sin(2π·h·P/L + φ), P of the own axis.
     Wave {
         /// L, above 0.
@@ -316,6 +318,11 @@ pub trait Page {
 
     /// Puts values, as many as there are, into the neutral one.
     fn set(&mut self, values: &[f64]);
+
+    /// What these values add everywhere and [`set`](Self::set) has no key for, in µm.
+    fn constant_um(&self, _values: &[f64]) -> f64 {
+        0.0
+    }
 
     /// Corrects the constants of the machine's own laws.
     fn correct(&self, _constants: &mut Constants<'_>) {}

@@ -1,0 +1,218 @@
+//! `axis-expansion`: the axis grows with a temperature, and the machine file says nothing of it.
+//!
+//! ```text
+//! p + c·(lag_τ(T) − T_ref)·(P − P₀)/1000          τ may be 0
+//! ```
+//!
+//! T_ref and P₀ are fitted with c: about any two references T₁ and P₁ the same is
+//!
+//! ```text
+//! c·(T − T₁)·(P − P₁)/1000 + a·(P − P₁)/1000 + b·(T − T₁) + constant
+//! T_ref = T₁ − a/c          P₀ = P₁ − 1000·b/c          constant = a·b/c
+//! ```
+//!
+//! which is linear in c, a and b. So a start from cold, a scale that is right at another temperature
+//! and a shift of the whole axis with its temperature are in the term, and need none beside it.
+
+use super::{
+    heat,
+    page::{
+        Definition, Entry, Home, Host, Input, Nonlinear, OnBoard, Page, Parameter, Value, minutes,
+        number,
+    },
+    survey::{Settings, Survey, TIME_CONSTANTS},
+};
+use crate::{
+    file::axis::{Thermal, ThermalMode},
+    file::read::Section,
+    place::BadInput,
+};
+
+/// The growth of an axis that has no `[axis.*.thermal]`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AxisExpansion {
+    /// The column of T, `temp_<name>_c`.
+    pub column: String,
+    /// c, in µm/(m·K); positive where the warm axis goes too far.
+    pub um_per_m_per_c: f64,
+    /// τ in s; 0: no lag.
+    pub time_constant_s: f64,
+    /// T_ref in °C.
+    pub reference_c: f64,
+    /// P₀ in mm.
+    pub origin_mm: f64,
+}
+
+impl AxisExpansion {
+    fn has_lag(&self) -> bool {
+        self.time_constant_s != 0.0
+    }
+
+    /// c, a and b of these values.
+    fn amplitudes_of(values: &[f64]) -> [f64; 3] {
+        let first = values.len() - 3;
+        [values[first], values[first + 1], values[first + 2]]
+    }
+}
+
+impl Page for AxisExpansion {
+    fn entries(&self) -> Vec<Entry> {
+        vec![
+            ("column", Value::Text(self.column.clone())),
+            ("um_per_m_per_c", Value::Number(self.um_per_m_per_c)),
+            ("time_constant_s", Value::Number(self.time_constant_s)),
+            ("reference_c", Value::Number(self.reference_c)),
+            ("origin_mm", Value::Number(self.origin_mm)),
+        ]
+    }
+
+    fn home(&self) -> Home {
+        Home::Axis
+    }
+
+    fn refusal(&self, host: &Host<'_>) -> Option<String> {
+        host.thermal.map(|_| "belongs to an axis without [axis.*.thermal], its law is there".into())
+    }
+
+    fn inputs(&self, nonlinear: &[f64]) -> Vec<Input<'_>> {
+        let lag_s = nonlinear.first().copied().unwrap_or(0.0);
+        vec![Input::Temperature { column: &self.column, lag_s }, Input::OwnPosition]
+    }
+
+    fn nonlinear(&self) -> &'static [Nonlinear] {
+        if self.has_lag() { &[Nonlinear::TimeConstant] } else { &[] }
+    }
+
+    fn amplitudes(&self) -> usize {
+        3
+    }
+
+    fn values(&self) -> Vec<f64> {
+        let lag_s = self.has_lag().then_some(self.time_constant_s);
+        lag_s.into_iter().chain([self.um_per_m_per_c, 0.0, 0.0]).collect()
+    }
+
+    fn set(&mut self, values: &[f64]) {
+        if self.has_lag() {
+            self.time_constant_s = values[0];
+        }
+        let [c, a, b] = Self::amplitudes_of(values);
+        self.um_per_m_per_c = c;
+        // Without a growth it has no references.
+        if c != 0.0 {
+            self.reference_c -= a / c;
+            self.origin_mm -= 1000.0 * b / c;
+        }
+    }
+
+    fn constant_um(&self, values: &[f64]) -> f64 {
+        let [c, a, b] = Self::amplitudes_of(values);
+        if c == 0.0 { 0.0 } else { -a * b / c }
+    }
+
+    fn on_board(&self) -> Vec<OnBoard> {
+        vec![OnBoard::Thermal(Thermal {
+            mode: ThermalMode::Position,
+            sensor: self.column.clone(),
+            reference_c: self.reference_c,
+            constant_um_per_c: 0.0,
+            slope_um_per_m_per_c: self.um_per_m_per_c,
+            origin_mm: self.origin_mm,
+            lag_s: self.time_constant_s,
+            table: None,
+        })]
+    }
+
+    fn has_reference(&self) -> bool {
+        true
+    }
+
+    fn sentence(&self, values: &[f64]) -> String {
+        let [c, ..] = Self::amplitudes_of(values);
+        let behind = if self.has_lag() {
+            format!(", behind a time constant of {}", minutes(values[0]))
+        } else {
+            String::new()
+        };
+        format!(
+            "The axis grows with {} by {c:+.3} µm/(m·K){behind}, and the machine file has no \
+             [axis.*.thermal] for it.",
+            self.column
+        )
+    }
+
+    fn next_test(&self) -> &'static str {
+        "Measure the axis at both ends, cold and after a warm-up of at least 5 K."
+    }
+
+    fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
+        let mut fitted = self.clone();
+        fitted.set(values);
+        let time_constant = if self.has_lag() {
+            Parameter::Fitted("time_constant_s", 0, 0.0)
+        } else {
+            Parameter::Fixed("time_constant_s", 0.0)
+        };
+        vec![
+            Parameter::Fitted("um_per_m_per_c", values.len() - 3, 0.0),
+            time_constant,
+            Parameter::Said("reference_c", Value::Number(fitted.reference_c)),
+            Parameter::Said("origin_mm", Value::Number(fitted.origin_mm)),
+        ]
+    }
+}
+
+impl Definition for AxisExpansion {
+    const NAME: &'static str = "axis-expansion";
+
+    fn keys(_: &Section<'_>) -> &'static [&'static str] {
+        &["column", "um_per_m_per_c", "time_constant_s", "reference_c", "origin_mm"]
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        Ok(Self {
+            column: heat::column(section)?,
+            um_per_m_per_c: number(section, "um_per_m_per_c")?,
+            time_constant_s: section.not_negative("time_constant_s")?.unwrap_or(0.0),
+            reference_c: number(section, "reference_c")?,
+            origin_mm: section.number("origin_mm")?.unwrap_or(0.0),
+        })
+    }
+
+    fn law(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
+        let (above_c, way_m) = (x[0] - self.reference_c, (x[1] - self.origin_mm) / 1000.0);
+        add(0, above_c * way_m);
+        add(1, way_m);
+        add(2, above_c);
+    }
+
+    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+        let is_open = survey.thermal().is_none() && !survey.has(Self::NAME) && survey.moves();
+        let Some(position_mm) = survey.own_position().filter(|_| is_open) else { return };
+        let there = position_mm.iter().copied().filter(|mm| mm.is_finite());
+        let [low, high] = there.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], mm| {
+            [low.min(mm), high.max(mm)]
+        });
+        for (column, _) in heat::columns(survey) {
+            let neutral = |time_constant_s: f64| Self {
+                column: column.into(),
+                um_per_m_per_c: 0.0,
+                time_constant_s,
+                reference_c: survey.reference_c(column),
+                origin_mm: (low + high) / 2.0,
+            };
+            with(neutral(0.0), Settings::none());
+            with(neutral(1.0), survey.time_constants(TIME_CONSTANTS));
+        }
+    }
+
+    fn against(rival: &str) -> Option<&'static str> {
+        match rival {
+            "pitch-scale" | "extra-heat-path" => Some(
+                "Measure the axis at both ends, cold and warm: a scale stays as it is, heat by \
+                 another path moves both ends alike, an expansion moves them apart.",
+            ),
+            _ => None,
+        }
+    }
+}
