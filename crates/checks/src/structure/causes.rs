@@ -80,8 +80,9 @@ fn capitalised(word: &str) -> String {
 fn has_name(line: &str, name: &str) -> bool {
     let bytes = line.as_bytes();
     let whole = |at: usize| {
-        !(at > 0 && is_name(bytes[at - 1]))
-            && !bytes.get(at + name.len()).is_some_and(|&b| is_name(b))
+        let before = at.checked_sub(1).and_then(|before| bytes.get(before));
+        let after = bytes.get(at + name.len());
+        ![before, after].into_iter().flatten().any(|&byte| is_name(byte))
     };
     line.match_indices(name).any(|(at, _)| whole(at))
 }
