@@ -10,7 +10,8 @@
 //! reversed    + β·(w + gradient·P)       wave      + a·sin(2π·P/L + φ)
 //! ```
 //!
-//! and a table or a curve of the position. Each also adds a constant. β is the fraction of the approach
+//! and a table or a curve of the position, and an angle, a gradient or a curve, times a [lever](Tilt).
+//! Each also adds a constant. β is the fraction of the approach
 //! in the negative direction ([`travel`](crate::travel)). m is a number with its own binary point
 //! ([`Scaled`](crate::fixed::Scaled)), so that a coefficient of any size keeps 30 bits. Heat and time are stepped every
 //! 100 ms with the rest of the heat; the others are computed where they are needed.
@@ -23,7 +24,9 @@ mod states;
 mod sum;
 #[cfg(test)]
 mod tests;
+mod tilt;
 
 pub use effect::{Effect, Target, Term, Terms, UNIT_STEP, heat_terms};
 pub use states::TermStates;
 pub use sum::{OperatingPoint, axis_errors, elongation};
+pub use tilt::{LEVER, Tilt};

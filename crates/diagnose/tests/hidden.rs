@@ -46,6 +46,7 @@ fn a_cause_of_an_axis_three_times_the_noise_is_named() {
         Hidden::PositionDependentBacklash,
         Hidden::Straightness,
         Hidden::CrossAxis,
+        Hidden::AngularError,
         Hidden::ExpansionSlope,
     ];
     let all = row(&causes, 3.0, 0..1);

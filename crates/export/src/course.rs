@@ -196,11 +196,21 @@ pub(crate) fn terms_left_out(machine: &Machine, options: &Options) -> Vec<(Strin
                 }
                 "it needs the travel of its axis, which is not known: --travel"
             }
+            effect if is_of_two_axes(effect) => {
+                "a control has no table for it: it goes with two axes at once; the bridge can"
+            }
             _ => "a control has no table for it: it changes while the machine runs; the bridge can",
         };
         left_out.push((term_name(index, term), reason.to_string()));
     }
     left_out
+}
+
+/// Whether it adds a function of two positions and of nothing else.
+fn is_of_two_axes(effect: &Effect) -> bool {
+    let reads = effect.reads();
+    let is_position = |input: &Input<'_>| matches!(input, Input::Position(_) | Input::OwnPosition);
+    reads.len() == 2 && reads.iter().all(is_position)
 }
 
 /// Whether it adds a function of another axis's position alone.

@@ -183,6 +183,18 @@ fn what_an_axis_does_wrong() {
              control_um = [0.0, 4.0]",
             [1.0, 1.0, 3.0],
         ),
+        // µrad times mm are nm: 20 µrad/m at 250 mm are 5 µrad, which at levers of 100 − 50 and of
+        // 300 − 50 mm are 0.25 and 1.25 µm.
+        (
+            "cause = \"angular-error\"\nlever = \"y\"\norigin_mm = 50.0\nurad_per_m = 20.0",
+            [0.0, 0.25, 1.25],
+        ),
+        // 10 µrad at a lever of 100 mm are 1 µm.
+        (
+            "cause = \"angular-error\"\nlever = \"y\"\norder = 2\nknots_mm = [0.0, 0.0, 250.0, 250.0]\n\
+             control_urad = [0.0, 10.0]",
+            [0.0, 1.0, 3.0],
+        ),
         // sin(2π·0 + 90°) = 1, and 250 of 1000 mm are another quarter.
         (
             "cause = \"pitch-periodic\"\nperiod_mm = 1000.0\namplitude_um = 3.0\nphase_deg = 90.0",
@@ -285,6 +297,8 @@ fn one_of_each() -> Vec<(&'static str, String)> {
         "period_mm = 5.0\nharmonic = [1, 4]\namplitude_um = [1.0, 0.1]\nphase_deg = [0.1, 7.0]";
     let spline =
         "along = \"y\"\norder = 2\nknots_mm = [0.0, 0.0, 9.0, 9.0]\ncontrol_um = [0.0, 0.1]";
+    let tilt = "along = \"z\"\nlever = \"y\"\norder = 2\nknots_mm = [-1000.0, -1000.0, 1000.0, 1000.0]\n\
+                control_urad = [250.0, -250.0]";
     let table = "start_mm = 0.5\nstep_mm = 2.0\nforward_um = [1.0, 0.1]\nreverse_um = [0.3, 1e-7]";
     let path = "column = \"temp_b_c\"\num_per_c = 0.1\nreference_c = 20.0\ntime_constant_s = 7.0";
     [
@@ -318,6 +332,8 @@ fn one_of_each() -> Vec<(&'static str, String)> {
         (AXIS, "dx", "position-dependent-backlash", "um_per_m = 3.0"),
         (AXIS, "dx", "straightness", spline),
         (AXIS, "dx", "cross-axis", "axis = \"z\"\num_per_m = 3.0"),
+        (AXIS, "dx", "angular-error", "lever = \"z\"\norigin_mm = -40.0\nurad_per_m = 30.0"),
+        (AXIS, "dx", "angular-error", tilt),
         (AXIS, "dx", "step", "at_s = 4.0\nsize_um = 3.0"),
         (AXIS, "dx", "drift", "um_per_h = 3.0"),
         (AXIS, "dx", "outliers", "fraction = 0.01"),
@@ -388,6 +404,23 @@ fn what_fits_no_machine_is_refused_with_its_place() {
             SENSOR,
             "cause = \"growth-rate\"\nquantity = \"elongation\"\ntime_constant_s = 1.0",
             "needs [spindle] source = \"warmup\"",
+        ),
+        (
+            SENSOR,
+            "cause = \"angular-error\"\nquantity = \"dx\"\nlever = \"x\"\nurad_per_m = 1.0",
+            "\"angular-error\" has its lever along another axis than the one in error",
+        ),
+        (
+            SENSOR,
+            "cause = \"angular-error\"\nquantity = \"dx\"\nlever = \"y\"\nalong = \"y\"\n\
+             urad_per_m = 1.0",
+            "has its lever along another axis than the one that tilts",
+        ),
+        (
+            SENSOR,
+            "cause = \"angular-error\"\nquantity = \"dx\"\nlever = \"y\"\norder = 2\n\
+             knots_mm = [0.0, 0.0, 9.0, 9.0]\ncontrol_urad = [1.0]",
+            "term[0].control_urad has 1 elements, but a spline of order 2 needs at least 2",
         ),
         (
             AXIS,
@@ -467,6 +500,28 @@ fn the_board_runs_every_term_that_compensates_as_the_model_says() {
         worst = worst.max(largest);
     }
     println!("the board is within {worst:.3} nm of the model with every term");
+}
+
+#[test]
+fn an_angle_at_a_long_lever_is_within_a_nanometre_of_the_model() {
+    let spline = "order = 4\nknots_mm = [-20000.0, -20000.0, -20000.0, -20000.0, 100.0, 20000.0, 20000.0, \
+                  20000.0, 20000.0]\ncontrol_urad = [0.0, 90.0, -150.0, 60.0, 1.0]";
+    let mut csv = "x_mm,y_mm,z_mm\n".to_string();
+    for (row, n) in (-79..=79).enumerate() {
+        let lever = [-20_000, 20_000, 137, 15_000][row % 4];
+        csv += &format!("{},{lever},0\n", n * 251);
+    }
+    let run = RunFile::from_reader(csv.as_bytes(), Path::new("r.csv")).expect("a run");
+    for angle in ["urad_per_m = 3.3", spline] {
+        let keys = format!("cause = \"angular-error\"\nlever = \"y\"\norigin_mm = 70.0\n{angle}");
+        let machine = machine("", &term("dx", &keys));
+        let predictor = Predictor::new(&machine, &run).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(predictor.why_no_bridge(), None, "{angle}");
+        let apart = predictor.rows().map(|row| row.difference_nm().expect("there is a bridge"));
+        let worst = apart.fold(0.0, f64::max);
+        println!("an angle at levers of 20 m: {worst:.3} nm");
+        assert!(worst < 1.0, "{worst} nm: {angle}");
+    }
 }
 
 #[test]

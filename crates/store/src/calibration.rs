@@ -45,6 +45,11 @@
 //! | 10 table | as a pitch |
 //! | 11 curve | as a curve |
 //! | 12 wave | `i32` amplitude, `u32` phase, `u64` turns |
+//! | 13 tilt | `i32` zero of the lever, `i32` gradient |
+//! | 14 tilt by a curve | `i32` zero of the lever; segments, index, `i32` first knot as of a curve |
+//!
+//! A tilt has two axes: the one that tilts, and 16 times the one of the lever. The bucket shift of its
+//! curve stands where a coefficient has its binary places. Its angle is an error at a lever of 2²⁷·10 nm.
 //!
 //! The checks go from the outside in: a blob of another schema is told apart from a damaged one
 //! before the CRC is looked at, because its CRC may lie elsewhere. After that every reference, range

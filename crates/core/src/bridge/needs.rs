@@ -4,7 +4,7 @@ use crate::{
     calibration::{AXIS_PAIRS, Calibration, ElongationSource},
     cnc::LinearAxis,
     set::IndexSet,
-    term::{self, Effect, Target},
+    term::{self, Effect, Target, Tilt},
     units::Fine,
 };
 
@@ -77,6 +77,11 @@ impl RequiredInputs {
                     Effect::Reversed { .. } | Effect::Table(_) | Effect::Wave { .. },
                     Target::Axis(axis),
                 ) => position(axis),
+                (Effect::TiltLine(Tilt { along, lever, .. }), _)
+                | (Effect::TiltCurve(Tilt { along, lever, .. }), _) => {
+                    position(along);
+                    position(lever);
+                }
                 (Effect::Heat { channel, .. }, _) => needs.temperatures.insert(channel.into()),
                 _ => {}
             }

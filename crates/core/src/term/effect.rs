@@ -11,6 +11,7 @@ use crate::{
     pitch::Pitch,
     place::Place,
     set::IndexSet,
+    term::tilt::Tilt,
     tool::Direction,
     travel::backlash,
     units::{Fine, MicroDegrees, Position, Temperature},
@@ -104,6 +105,10 @@ pub enum Effect<'a> {
         /// a.
         amplitude: Fine,
     },
+    /// + θ·(L − L₀), θ = gradient·P.
+    TiltLine(Tilt<Gradient>),
+    /// + θ·(L − L₀), θ a curve over P.
+    TiltCurve(Tilt<Curve<'a>>),
 }
 
 /// 1 of what a term over time follows.
@@ -137,6 +142,14 @@ impl Effect<'_> {
             Self::Curve { axis, curve } => curve.at(of(*axis)),
             Self::Wave { turns, phase, amplitude } => {
                 inside(wave(*turns, *phase, *amplitude, of(own)))
+            }
+            Self::TiltLine(tilt) => {
+                let error = tilt.angle.over(Position(0), of(tilt.along));
+                inside(tilt.at_lever(error, place))
+            }
+            Self::TiltCurve(tilt) => {
+                let (error, beyond) = tilt.angle.at(of(tilt.along));
+                (tilt.at_lever(error, place), beyond)
             }
             // Of an elongation alone, or the constant alone.
             _ => inside(Fine::ZERO),

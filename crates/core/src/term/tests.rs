@@ -124,6 +124,55 @@ fn what_an_axis_adds_depends_on_its_place_and_direction() {
     assert!((at(reversed, &place) + 23.0).abs() < 1e-5);
 }
 
+/// By hand: 10 µrad at a lever of 100 mm are 1 µm, and −1 µm on the other side of its zero.
+#[test]
+fn an_angle_acts_by_its_lever() {
+    let mm = |mm: i32| Position(mm * Position::PER_MILLIMETRE);
+    let at = |x_mm: i32, y_mm: i32, origin_mm: i32| {
+        // 20 µrad/m: 20 µm/m² at a lever of 1342.177 28 mm.
+        let angle = Gradient((20.0 * 1.342_177_28 * 1e-5 * 2_f64.powi(36)).round() as i32);
+        let (along, lever) = (LinearAxis::X, LinearAxis::Y);
+        let tilt = Effect::TiltLine(Tilt { along, lever, origin: mm(origin_mm), angle });
+        let place = Place { position: [mm(x_mm), mm(y_mm), mm(7)], ..Place::default() };
+        let terms = with(&[(Target::Axis(LinearAxis::X), 0, tilt)]);
+        um(axis_errors(&terms, &TermStates::default(), &place).0[0])
+    };
+    for ((x_mm, y_mm, origin_mm), wanted) in [
+        ((500, 100, 0), 1.0),
+        ((500, 300, 200), 1.0),
+        ((500, 100, 200), -1.0),
+        ((-500, 100, 0), -1.0),
+        ((0, 100, 0), 0.0),
+        ((500, 200, 200), 0.0),
+        // 300 µrad at a lever of 30 m.
+        ((15_000, 15_000, -15_000), 9_000.0_f64.min(f64::from(i32::MAX) / 256_000.0)),
+    ] {
+        let got = at(x_mm, y_mm, origin_mm);
+        assert!((got - wanted).abs() < 5e-4, "{x_mm} {y_mm} {origin_mm}: {got} is not {wanted}");
+    }
+}
+
+#[test]
+fn a_tilt_is_right_over_the_whole_travel() {
+    let mut worst: f64 = 0.0;
+    let places = || (-20..=20).map(|n| Position(n * 107_374_182));
+    for gradient in [-27_000_000, -1_234_567, 1, 98_765] {
+        let (along, lever) = (LinearAxis::Z, LinearAxis::Y);
+        for (p, l) in places().flat_map(|p| places().map(move |l| (p, l))) {
+            let origin = Position(-l.0 / 3);
+            let tilt = Effect::TiltLine(Tilt { along, lever, origin, angle: Gradient(gradient) });
+            let place = Place { position: [Position(5), l, p], ..Place::default() };
+            let got = tilt.at(LinearAxis::X, Fine::ZERO, &place).0;
+            let arm = (f64::from(l.0) - f64::from(origin.0)) / f64::from(LEVER.0);
+            let exact = f64::from(gradient) * 2_f64.powi(-28) * f64::from(p.0) * arm;
+            let held = exact.clamp(f64::from(i32::MIN), f64::from(i32::MAX));
+            worst = worst.max((f64::from(got.0) - held).abs() / 256.0);
+        }
+    }
+    std::println!("a tilt at levers up to 28 m: {worst:.3} nm at most");
+    assert!(worst < 0.05, "{worst} nm");
+}
+
 #[test]
 fn a_wave_repeats_over_the_whole_travel() {
     let mut worst: f64 = 0.0;
@@ -174,6 +223,12 @@ fn nothing_extreme_panics() {
                 per_temperature: scaled,
             },
             Effect::Time { smoothing: SmoothingFactor(m.unsigned_abs()), amplitude: scaled },
+            Effect::TiltLine(Tilt {
+                along: LinearAxis::X,
+                lever: LinearAxis::Z,
+                origin: Position(if m < 0 { i32::MAX } else { i32::MIN }),
+                angle: Gradient(m),
+            }),
         ]);
     }
     for effect in effects {

@@ -32,7 +32,7 @@ pub(super) fn substitutes(
     let mut all = Vec::new();
     for (part, it) in model.parts.iter().enumerate() {
         let Some(length) = it.kind.list_length() else { continue };
-        for start in (0..it.values.len()).step_by(length) {
+        for start in (it.kind.nonlinear().len()..it.values.len()).step_by(length) {
             let column = |value: usize| {
                 let at = parameters.iter().position(|parameter| *parameter == Some((part, value)));
                 at.map_or(0.0, |at| squares(&columns[at]))

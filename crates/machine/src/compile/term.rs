@@ -15,8 +15,8 @@ use trueup_core::{
     fixed::Scaled,
     gradient::Gradient,
     pitch::Pitch,
-    term::{Effect, Target, Term, UNIT_STEP},
-    units::{Fine, Temperature},
+    term::{self, Effect, Target, Term, UNIT_STEP},
+    units::{Fine, Position, Temperature},
 };
 
 use super::{
@@ -29,8 +29,8 @@ use super::{
     squareness::{compile_squareness, linear},
 };
 use crate::{
-    effect::{Heat, OnBoard, Stage, Wave},
-    file::{self, Machine, in_order},
+    effect::{Angle, Heat, OnBoard, Stage, Tilt, Wave},
+    file::{self, BSpline, Machine, in_order},
     place::BadInput,
     stored::{FINE_PER_UM, NM_PER_UM, UNITS_PER_MM, rounded, rounded_unsigned},
 };
@@ -58,6 +58,7 @@ enum OwnedEffect {
     Plain(Effect<'static>),
     Table(PitchTables),
     Curve(file::LinearAxis, OwnedCurve),
+    Tilt(term::Tilt<OwnedCurve>),
 }
 
 impl Owned {
@@ -67,6 +68,10 @@ impl Owned {
             OwnedEffect::Table(tables) => Effect::Table(Pitch { ..tables.view() }),
             OwnedEffect::Curve(axis, curve) => {
                 Effect::Curve { axis: linear(*axis), curve: curve.view() }
+            }
+            OwnedEffect::Tilt(tilt) => {
+                let &term::Tilt { along, lever, origin, ref angle } = tilt;
+                Effect::TiltCurve(term::Tilt { along, lever, origin, angle: angle.view() })
             }
         };
         Term { target: self.target, constant: self.constant, effect }
@@ -205,6 +210,10 @@ fn effect(
             let curve = account.take(key, compile_curve(spline))?;
             return Ok(Some(OwnedEffect::Curve(*along, curve)));
         }
+        OnBoard::Tilt(it) => {
+            let own = term.quantity.axis();
+            return Ok(Some(account.take(key, tilt(own, it))?));
+        }
         &OnBoard::Wave { period_mm, harmonic, amplitude_um, phase_deg } => {
             wave(period_mm, Wave { harmonic, amplitude_um, phase_deg })
         }
@@ -250,6 +259,35 @@ pub(crate) fn scaled(value: f64, largest: f64) -> Made<Scaled> {
 fn position(axis: file::LinearAxis, um_per_m: f64) -> Made<Effect<'static>> {
     compile_squareness(um_per_m)
         .map(|(gradient, nm)| (Effect::Position { axis: linear(axis), gradient }, nm))
+}
+
+/// The board's lever in m: an angle of 1 µrad is so many µm there.
+pub(crate) const LEVER_M: f64 = term::LEVER.0 as f64 / UNITS_PER_MM / 1000.0;
+/// Levers are held against the model up to 15 m: so many of the board's.
+pub(crate) const MOST_LEVERS: f64 = 15.0 / LEVER_M;
+
+/// A tilt of the own axis or another.
+fn tilt(own: Option<file::LinearAxis>, it: &Tilt) -> Made<OwnedEffect> {
+    let Tilt { along, lever, origin_mm, ref angle } = *it;
+    let along = linear(along.or(own).ok_or("belongs to dx, dy or dz")?);
+    let lever = linear(lever);
+    let origin = rounded(origin_mm * UNITS_PER_MM)
+        .ok_or_else(|| format!("{origin_mm} mm is beyond the board's ±21474 mm"))?;
+    let origin = Position(origin);
+    let (effect, nm) = match angle {
+        &Angle::Line(urad_per_m) => {
+            let (angle, nm) = compile_squareness(urad_per_m * LEVER_M)
+                .map_err(|_| format!("{urad_per_m} is beyond the board's ±2328 µrad/m"))?;
+            let tilt = term::Tilt { along, lever, origin, angle };
+            (OwnedEffect::Plain(Effect::TiltLine(tilt)), nm)
+        }
+        Angle::Curve(spline) => {
+            let control_um = spline.control_um.iter().map(|urad| urad * LEVER_M).collect();
+            let (angle, nm) = compile_curve(&BSpline { control_um, ..spline.clone() })?;
+            (OwnedEffect::Tilt(term::Tilt { along, lever, origin, angle }), nm)
+        }
+    };
+    Ok((effect, nm * MOST_LEVERS))
 }
 
 /// One wave, and its largest difference from the model over the board's ±21 m, in nm.

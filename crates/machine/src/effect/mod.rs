@@ -38,8 +38,8 @@ use std::ops::{Deref, DerefMut};
 
 pub use law::Columns;
 pub use page::{
-    Constants, Entry, Heat, HeatPath, Home, Host, Input, Nonlinear, OnBoard, Page, Parameter,
-    Stage, Value,
+    Angle, Constants, Entry, Heat, HeatPath, Home, Host, Input, Nonlinear, OnBoard, Page,
+    Parameter, Stage, Tilt, Value,
 };
 pub use quantity::Quantity;
 pub use reference_instrument::Read;
@@ -177,6 +177,7 @@ causes! {
     position_dependent_backlash::PositionDependentBacklash "Backlash differs along the axis.",
     straightness::Straightness "The guide is not straight.",
     cross_axis::CrossAxis "Another axis, as it moves, tilts or shifts this one.",
+    angular_error::AngularError "An axis tilts as it goes, and the tool is off by its lever.",
     step::Step "Something has slipped, once.",
     drift::Drift "It wanders with time.",
     outliers::Outliers "Some readings stand alone, far from the rest.",

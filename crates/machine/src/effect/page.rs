@@ -191,6 +191,8 @@ pub enum OnBoard {
     Curve(LinearAxis, BSpline),
     /// The thermal law of the own axis, where it has none.
     Thermal(Thermal),
+    /// + θ(P)·(L − L₀)/1000.
+    Tilt(Tilt),
     /// + a·sin(2π·h·P/L + φ), P of the own axis.
     Wave {
         /// L, above 0.
@@ -202,6 +204,28 @@ pub enum OnBoard {
         /// φ.
         phase_deg: f64,
     },
+}
+
+/// θ(P)·(L − L₀)/1000: what an axis that tilts does at a lever.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tilt {
+    /// Of P: the axis that tilts; `None`: the own one.
+    pub along: Option<LinearAxis>,
+    /// Of L: another axis.
+    pub lever: LinearAxis,
+    /// L₀ in mm.
+    pub origin_mm: f64,
+    /// θ.
+    pub angle: Angle,
+}
+
+/// An angle over the position of an axis, in µrad.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Angle {
+    /// c·P/1000, c in µrad/m.
+    Line(f64),
+    /// A spline, its control points in µrad: µm at a lever of a metre.
+    Curve(BSpline),
 }
 
 /// c·(lag_τ(T) − T_ref): what something adds that follows a temperature.

@@ -9,7 +9,7 @@ use super::{
         Definition, Entry, Home, Host, Input, OnBoard, Page,
         Parameter, Value, axis,
     },
-    survey::{Settings, Survey, targets},
+    survey::{Settings, Survey, even_knots, targets},
 };
 use crate::{
     file::{axis::LinearAxis, straightness::BSpline},
@@ -103,7 +103,7 @@ impl Definition for Straightness {
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        Ok(Self { along: axis(section, "along")?, spline: read_spline(section)? })
+        Ok(Self { along: axis(section, "along")?, spline: read_spline(section, "control_um")? })
     }
 
     fn law(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
@@ -134,14 +134,4 @@ impl Definition for Straightness {
             }
         }
     }
-}
-
-/// The knots of a cubic spline with so many control points over these places.
-fn even_knots(at: &[f64], controls: usize) -> Vec<f64> {
-    let (low, high) = (at[0], at[at.len() - 1]);
-    let spans = controls - 3;
-    let mut knots = vec![low; 4];
-    knots.extend((1..spans).map(|n| low + (high - low) * n as f64 / spans as f64));
-    knots.extend([high; 4]);
-    knots
 }

@@ -185,3 +185,13 @@ pub(crate) fn targets(values: &[f64], share: f64) -> Vec<f64> {
     }
     targets.into_iter().map(|(sum, count)| sum / count).collect()
 }
+
+/// The knots of a cubic spline with so many control points over these places.
+pub(crate) fn even_knots(at: &[f64], controls: usize) -> Vec<f64> {
+    let (low, high) = (at[0], at[at.len() - 1]);
+    let spans = controls - 3;
+    let mut knots = vec![low; 4];
+    knots.extend((1..spans).map(|n| low + (high - low) * n as f64 / spans as f64));
+    knots.extend([high; 4]);
+    knots
+}

@@ -151,22 +151,29 @@ pub(super) fn read_straightness(section: &Section<'_>) -> Result<Vec<Straightnes
     let mut curves = Vec::new();
     for ((error, along), name) in Straightness::PAIRS.into_iter().zip(&names) {
         if let Some(section) = section.section(name)? {
-            section.allow_only(&["order", "knots_mm", "control_um"])?;
-            curves.push(Straightness { error, along, spline: read_spline(&section)? });
+            section.allow_only(&["order", "knots_mm", CONTROL])?;
+            curves.push(Straightness { error, along, spline: read_spline(&section, CONTROL)? });
         }
     }
     Ok(curves)
 }
 
-/// A spline among the keys of `section`, which may have others.
-pub(crate) fn read_spline(section: &Section<'_>) -> Result<BSpline, BadInput> {
+/// The key of the control points where a spline is an error.
+const CONTROL: &str = "control_um";
+
+/// A spline among the keys of `section`, which may have others; its control points at the key
+/// `control`.
+pub(crate) fn read_spline(section: &Section<'_>, control: &str) -> Result<BSpline, BadInput> {
     let order = section.required("order", section.whole("order", 0, u32::MAX)?)?;
     let knots_mm = section.required("knots_mm", section.numbers("knots_mm")?)?;
-    let control_um = section.required("control_um", section.numbers("control_um")?)?;
+    let control_um = section.required(control, section.numbers(control)?)?;
     // An order beyond every array is as wrong as any other that is not 2, 3 or 4.
     let order = usize::try_from(order).unwrap_or(MOST_ELEMENTS);
     let spline = BSpline { order, knots_mm, control_um };
-    spline.check().map_err(|fault| section.bad(&fault.key, fault.rule))?;
+    spline.check().map_err(|fault| {
+        let named = |text: String| text.replace(CONTROL, control);
+        section.bad(&named(fault.key), named(fault.rule))
+    })?;
     Ok(spline)
 }
 

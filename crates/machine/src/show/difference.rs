@@ -17,7 +17,7 @@ use trueup_core::{
 };
 
 use crate::{
-    compile::{stored_law_nm, time_constant_s},
+    compile::{stored_law_nm, term::MOST_LEVERS, time_constant_s},
     stored::{FINE_PER_NM, GRADIENT_PER_UM_PER_M, NM_PER_UM},
 };
 
@@ -196,6 +196,13 @@ fn term_difference_nm(a: &Term<'_>, b: &Term<'_>) -> Option<f64> {
             if axis == other =>
         {
             Some(curve_difference(curve, second) / FINE_PER_NM)
+        }
+        (Effect::TiltCurve(tilt), Effect::TiltCurve(other))
+            if (tilt.along, tilt.lever, tilt.origin)
+                == (other.along, other.lever, other.origin) =>
+        {
+            let at_lever = curve_difference(&tilt.angle, &other.angle) / FINE_PER_NM;
+            Some(at_lever * MOST_LEVERS)
         }
         (
             Effect::Wave { turns, phase, amplitude },

@@ -9,7 +9,7 @@ use trueup_core::{
     gradient::Gradient,
     lag::SmoothingFactor,
     pitch::Pitch,
-    term::{Effect, Target, Term},
+    term::{Effect, Target, Term, Tilt},
     travel::Interval,
     units::{Fine, Position, Temperature},
 };
@@ -146,6 +146,8 @@ effects! {
     10 Table { 0 pitch: Pitch<'b> }
     11 Curve { axis axis: LinearAxis, curve curve: Curve<'b> }
     12 Wave { amplitude amplitude: Fine, phase phase: u32, turns turns: u64 }
+    13 TiltLine { 0 tilt: Tilt<Gradient> }
+    14 TiltCurve { 0 tilt: Tilt<Curve<'b>> }
 }
 
 /// A coefficient of a term: its binary places stand in the head.
@@ -192,6 +194,61 @@ impl<'b> Field<'b> for u8 {
         }
         channel
     }
+}
+
+/// Zero of the lever, gradient; both axes stand in the head, that of the lever in the high half.
+impl<'b> Field<'b> for Tilt<Gradient> {
+    const SIZE: usize = 8;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        put_axes(self, to);
+        self.angle.put(to);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Self {
+        get_axes(from, Gradient::get)
+    }
+}
+
+/// Likewise with a curve, whose bucket shift stands in the head: its word is the lever's.
+impl<'b> Field<'b> for Tilt<Curve<'b>> {
+    const SIZE: usize = 16;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        put_axes(self, to);
+        to.term_byte(SHIFT, self.angle.bucket_shift());
+        to.table(self.angle.segments());
+        to.table(self.angle.index());
+        self.angle.first().put(to);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Self {
+        get_axes(from, |from| {
+            let offset = from.at;
+            let (segments, index) = (from.table(), from.table());
+            let curve = Curve::new(Position::get(from), segments, index, from.term_byte(SHIFT));
+            if !curve.is_consistent() {
+                from.refuse(BlobError::Table { offset });
+            }
+            curve
+        })
+    }
+}
+
+fn put_axes<A>(tilt: &Tilt<A>, to: &mut Writer<'_>) {
+    to.term_byte(INPUT, tilt.along as u8 | (tilt.lever as u8) << 4);
+    tilt.origin.put(to);
+}
+
+/// The axes and the zero of the lever, then the angle.
+fn get_axes<'b, A>(from: &mut Reader<'b>, angle: impl FnOnce(&mut Reader<'b>) -> A) -> Tilt<A> {
+    let axes = from.term_byte(INPUT);
+    let mut axis = |number: u8| {
+        let axis = linear_axis(number.into()).or_else(|| from.refuse_value(from.term, axes));
+        axis.unwrap_or(LinearAxis::X)
+    };
+    let (along, lever) = (axis(axes & 0xF), axis(axes >> 4));
+    Tilt { along, lever, origin: Position::get(from), angle: angle(from) }
 }
 
 /// A term over a table has one.

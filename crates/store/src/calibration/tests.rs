@@ -21,7 +21,7 @@ use trueup_core::{
     limits::Limits,
     pitch::{Beam, Pitch},
     sensor::{SensorLaw, Slope},
-    term::{Effect, Target, Term},
+    term::{Effect, Target, Term, Tilt},
     thermal::{Law, Piece},
     thermometer::Thermometer,
     tool::Direction,
@@ -171,6 +171,35 @@ fn a_calibration_comes_back_whole_with_its_tables_in_place() {
     let decoded = decode(&blob).unwrap();
     let table = decoded.axes[0].pitch.unwrap().forward.as_ptr().cast::<u8>();
     assert!(blob.as_ptr_range().contains(&table), "read where it lies");
+}
+
+#[test]
+fn a_tilt_comes_back_and_one_without_a_meaning_is_refused() {
+    let blob = with_sample(|mut calibration| {
+        let curve = calibration.straightness[0];
+        let (along, lever, origin) = (LinearAxis::X, LinearAxis::Z, Position(-77_777));
+        let line = Effect::TiltLine(Tilt { along, lever, origin, angle: Gradient(-31) });
+        let (along, lever) = (lever, along);
+        let curve = Effect::TiltCurve(Tilt { along, lever, origin, angle: curve });
+        let target = Target::Axis(LinearAxis::Y);
+        let term = |effect| Some(Term { target, constant: Fine(-6), effect });
+        calibration.terms = Default::default();
+        (calibration.terms[0], calibration.terms[1]) = (term(line), term(curve));
+        let mut bytes = [0; MAX_SIZE];
+        let blob = encode(&calibration, &mut bytes).expect("it is small").to_vec();
+        assert_eq!(decode(&blob), Ok(calibration));
+        blob
+    });
+    let terms = usize::from(u16::from_le_bytes([blob[572], blob[573]]));
+    // Kind, target, axes, and the bucket shift of the curve.
+    assert_eq!(blob[terms..terms + 4], [13, 2, 0x20, 0]);
+    assert_eq!(blob[terms + 24..terms + 28], [14, 2, 0x02, 15]);
+    for (at, byte) in [(2, 0x30), (2, 0x03), (24 + 2, 0x03), (24 + 3, 1), (24 + 18, 99)] {
+        let mut bad = blob.clone();
+        bad[terms + at] = byte;
+        let bad = mended(bad);
+        assert!(decode(&bad).is_err(), "{byte:#x} at {at} of the terms");
+    }
 }
 
 #[test]

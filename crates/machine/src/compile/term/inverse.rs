@@ -7,13 +7,13 @@
 use trueup_core::{
     calibration::Calibration,
     fixed::Scaled,
-    term::{Effect, Target, Term, UNIT_STEP},
+    term::{Effect, Target, Term, Tilt, UNIT_STEP},
 };
 
-use super::{PARTS_OF_N, TWO_24, scaled};
+use super::{LEVER_M, PARTS_OF_N, TWO_24, scaled};
 use crate::{
     compile::{curve, inputs::column, lag, pitch, squareness::linear_inverse},
-    effect::{CoolingAsymmetry, Heat, OnBoard, Quantity},
+    effect::{self, Angle, CoolingAsymmetry, Heat, OnBoard, Quantity},
     file,
     stored::{
         FINE_PER_UM, GRADIENT_PER_UM_PER_M, PER_KELVIN, UNITS_PER_MM, fewest_decimals, written,
@@ -91,6 +91,17 @@ fn term(term: &Term<'_>) -> Option<file::Term> {
         Effect::Curve { axis, curve } => {
             OnBoard::Curve(linear_inverse(*axis), curve::inverse(curve))
         }
+        Effect::TiltLine(it) => {
+            let per_unit = GRADIENT_PER_UM_PER_M * LEVER_M;
+            OnBoard::Tilt(tilt(own, it, Angle::Line(written(it.angle.0, per_unit))))
+        }
+        Effect::TiltCurve(it) => {
+            let mut spline = curve::inverse(&it.angle);
+            // As fine as the µm are there.
+            let urad = |um: &mut f64| *um = (*um / LEVER_M * 1e8).round() / 1e8 + 0.0;
+            spline.control_um.iter_mut().for_each(urad);
+            OnBoard::Tilt(tilt(own, it, Angle::Curve(spline)))
+        }
         Effect::Wave { turns, phase, amplitude } => {
             let period_mm = 2_f64.powi(64) / (*turns as f64 * UNITS_PER_MM);
             OnBoard::Wave {
@@ -106,6 +117,12 @@ fn term(term: &Term<'_>) -> Option<file::Term> {
     // Each form has a cause that it is shown as (tested).
     let effect = file::Effect::from_board(own, &form, &mut constant_um)?;
     Some(file::Term { quantity, constant_um, effect })
+}
+
+fn tilt<A>(own: Option<file::LinearAxis>, it: &Tilt<A>, angle: Angle) -> effect::Tilt {
+    let along = Some(linear_inverse(it.along)).filter(|along| own != Some(*along));
+    let origin_mm = written(it.origin.0, UNITS_PER_MM);
+    effect::Tilt { along, lever: linear_inverse(it.lever), origin_mm, angle }
 }
 
 fn value(coefficient: Scaled) -> f64 {

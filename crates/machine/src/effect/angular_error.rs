@@ -1,0 +1,247 @@
+//! `angular-error`: an axis tilts as it goes, and the tool is off by the tilt times its lever.
+//!
+//! ```text
+//! p + θ(P)·(L − L₀)/1000          P of the axis that tilts, L of another one
+//! θ(P) = c·P/1000, or a spline over P, in µrad
+//! ```
+//!
+//! 10 µrad at a lever of 100 mm are 1 µm. θ is positive where a longer lever makes the error more
+//! positive. Of the angles of ISO 230-1 (right-handed: roll, pitch and yaw as turns about X, Y, Z; the
+//! displacement of a point is the turn times where it is) it is
+//!
+//! | error | lever X | lever Y | lever Z |
+//! |---|---|---|---|
+//! | `dx` | | −C | +B |
+//! | `dy` | +C | | −A |
+//! | `dz` | −B | +A | |
+//!
+//! so a lever along the error itself does nothing. L₀, where the tilt has no effect, depends on where
+//! the error was set to 0: it is a reference and no finding of its own.
+
+use super::{
+    page::{
+        Angle, Definition, Entry, Home, Host, Input, Nonlinear, OnBoard, Page, Parameter, Tilt,
+        Value, axis, number,
+    },
+    survey::{Settings, Survey, even_knots, spread, targets},
+};
+use crate::{
+    file::axis::LinearAxis,
+    file::read::Section,
+    file::straightness::{BSpline, read_spline},
+    model::straightness::spline_weights,
+    place::BadInput,
+};
+
+/// An angle that goes with the position of an axis, times a lever.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AngularError(Tilt);
+
+impl AngularError {
+    fn neutral(along: Option<LinearAxis>, lever: LinearAxis, angle: Angle) -> Self {
+        Self(Tilt { along, lever, origin_mm: 0.0, angle })
+    }
+}
+
+impl Page for AngularError {
+    fn entries(&self) -> Vec<Entry> {
+        let Tilt { along, lever, origin_mm, angle } = &self.0;
+        let mut entries = Vec::new();
+        entries.extend(along.map(|axis| ("along", Value::Text(axis.name().into()))));
+        entries.push(("lever", Value::Text(lever.name().into())));
+        entries.push(("origin_mm", Value::Number(*origin_mm)));
+        match angle {
+            Angle::Line(urad_per_m) => entries.push(("urad_per_m", Value::Number(*urad_per_m))),
+            Angle::Curve(spline) => entries.extend([
+                ("order", Value::Whole(spline.order as u32)),
+                ("knots_mm", Value::Numbers(spline.knots_mm.clone())),
+                ("control_urad", Value::Numbers(spline.control_um.clone())),
+            ]),
+        }
+        entries
+    }
+
+    fn home(&self) -> Home {
+        Home::Axis
+    }
+
+    fn refusal(&self, host: &Host<'_>) -> Option<String> {
+        let own = host.quantity.axis()?;
+        let Tilt { along, lever, .. } = self.0;
+        if lever == own {
+            Some("has its lever along another axis than the one in error: a turn moves nothing \
+                  along its own lever".into())
+        } else {
+            (along.unwrap_or(own) == lever)
+                .then(|| "has its lever along another axis than the one that tilts".into())
+        }
+    }
+
+    fn tier(&self) -> u8 {
+        1
+    }
+
+    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
+        let tilts = self.0.along.map_or(Input::OwnPosition, Input::Position);
+        vec![Input::Position(self.0.lever), tilts]
+    }
+
+    fn nonlinear(&self) -> &'static [Nonlinear] {
+        &[Nonlinear::Origin]
+    }
+
+    fn amplitudes(&self) -> usize {
+        match &self.0.angle {
+            Angle::Line(_) => 1,
+            Angle::Curve(spline) => spline.control_um.len(),
+        }
+    }
+
+    fn list_length(&self) -> Option<usize> {
+        matches!(self.0.angle, Angle::Curve(_)).then(|| self.amplitudes())
+    }
+
+    fn values(&self) -> Vec<f64> {
+        let origin = [self.0.origin_mm];
+        match &self.0.angle {
+            Angle::Line(urad_per_m) => [origin, [*urad_per_m]].concat(),
+            Angle::Curve(spline) => [&origin, &spline.control_um[..]].concat(),
+        }
+    }
+
+    fn set(&mut self, values: &[f64]) {
+        self.0.origin_mm = values[0];
+        match &mut self.0.angle {
+            Angle::Line(urad_per_m) => *urad_per_m = values[1],
+            Angle::Curve(spline) => spline.control_um = values[1..].to_vec(),
+        }
+    }
+
+    fn on_board(&self) -> Vec<OnBoard> {
+        vec![OnBoard::Tilt(self.0.clone())]
+    }
+
+    fn sentence(&self, values: &[f64]) -> String {
+        let tilts = self.0.along.map_or("The axis".into(), |axis| {
+            format!("The {} axis", axis.name().to_uppercase())
+        });
+        let lever = self.0.lever.name().to_uppercase();
+        match &self.0.angle {
+            Angle::Line(_) => format!(
+                "{tilts} tilts by {:+.2} µrad for each metre; the error is that angle times the \
+                 lever along {lever}.",
+                values[1]
+            ),
+            Angle::Curve(_) => format!(
+                "{tilts} tilts by up to {:.1} µrad as it goes; the error is that angle times the \
+                 lever along {lever}.",
+                values[1..].iter().fold(0.0_f64, |most, urad| most.max(urad.abs()))
+            ),
+        }
+    }
+
+    fn next_test(&self) -> &'static str {
+        "Measure the same line at two levers far apart, or the angle itself with a level or an \
+         autocollimator: the error differs by the angle times the distance."
+    }
+
+    fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
+        let mut parameters = match &self.0.angle {
+            Angle::Line(_) => vec![Parameter::Fitted("urad_per_m", 1, 0.0)],
+            Angle::Curve(_) => {
+                let mut fitted = self.clone();
+                fitted.set(values);
+                let of_spline = |key: &str| ["order", "knots_mm", "control_urad"].contains(&key);
+                let entries = fitted.entries().into_iter().filter(|(key, _)| of_spline(key));
+                let spline = entries.map(|(key, value)| (key, Some(value))).collect();
+                vec![Parameter::Record("spline", spline)]
+            }
+        };
+        parameters.push(Parameter::Fitted("origin_mm", 0, 0.0));
+        let said = self.0.along.map(|axis| ("along", axis)).into_iter();
+        parameters.extend(said.chain([("lever", self.0.lever)]).map(|(key, axis)| {
+            Parameter::Said(key, Value::Text(axis.name().into()))
+        }));
+        parameters
+    }
+}
+
+impl Definition for AngularError {
+    const NAME: &'static str = "angular-error";
+
+    fn keys(section: &Section<'_>) -> &'static [&'static str] {
+        if has(section, "urad_per_m") {
+            &["along", "lever", "origin_mm", "urad_per_m"]
+        } else {
+            &["along", "lever", "origin_mm", "order", "knots_mm", "control_urad", "urad_per_m"]
+        }
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        let along = has(section, "along").then(|| axis(section, "along")).transpose()?;
+        let angle = if has(section, "control_urad") {
+            Angle::Curve(read_spline(section, "control_urad")?)
+        } else {
+            Angle::Line(number(section, "urad_per_m")?)
+        };
+        let origin_mm = section.number("origin_mm")?.unwrap_or(0.0);
+        Ok(Self(Tilt { along, lever: axis(section, "lever")?, origin_mm, angle }))
+    }
+
+    fn law(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
+        // µrad times mm are nm.
+        let lever_m = (x[0] - nonlinear[0]) / 1000.0;
+        match &self.0.angle {
+            Angle::Line(_) => add(0, x[1] / 1000.0 * lever_m),
+            Angle::Curve(spline) => {
+                let (first, weights) = spline_weights(spline, x[1]);
+                for (number, weight) in weights.into_iter().take(spline.order).enumerate() {
+                    add(first + number, weight * lever_m);
+                }
+            }
+        }
+    }
+
+    fn from_board(_: Option<LinearAxis>, form: &OnBoard, _: &mut f64) -> Option<Self> {
+        if let OnBoard::Tilt(tilt) = form { Some(Self(tilt.clone())) } else { None }
+    }
+
+    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+        let others = survey.other_axes();
+        for &lever in &others {
+            let of = |axis: LinearAxis| survey.column(&format!("{}_mm", axis.name()));
+            let lever_mm = of(lever).unwrap_or(&[]);
+            let own = survey.own_position().filter(|mm| spread(mm) > 0.0);
+            let across = others.iter().filter(|&&axis| axis != lever);
+            let across = across.map(|&axis| (Some(axis), of(axis).unwrap_or(&[])));
+            for (along, mm) in own.map(|mm| (None, mm)).into_iter().chain(across) {
+                // Of two axes across, c·P·L is the same whichever of them tilts.
+                if along.is_none_or(|axis| axis < lever) {
+                    let angle = Angle::Line(0.0);
+                    with(Self::neutral(along, lever, angle), zeros(lever_mm));
+                }
+                let at = targets(mm, 1e-3);
+                for controls in [5, 8, 12] {
+                    if at.len() >= controls + 2 && survey.groups() >= 5 * controls {
+                        let control_um = vec![0.0; controls];
+                        let knots_mm = even_knots(&at, controls);
+                        let angle = Angle::Curve(BSpline { order: 4, knots_mm, control_um });
+                        with(Self::neutral(along, lever, angle), zeros(lever_mm));
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn has(section: &Section<'_>, key: &str) -> bool {
+    section.keys().contains(&key)
+}
+
+/// Where the lever may have its zero, to begin from: the machine's own, the ends and the middle.
+fn zeros(lever_mm: &[f64]) -> Settings {
+    let finite = lever_mm.iter().copied().filter(|mm| mm.is_finite());
+    let low = finite.fold(f64::INFINITY, f64::min);
+    let length = spread(lever_mm);
+    Settings::at([0.0, low, low + 0.5 * length, low + length])
+}
