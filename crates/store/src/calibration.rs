@@ -65,7 +65,7 @@ mod quantities;
 mod records;
 mod terms;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 mod wire;
 
 pub use error::{BlobError, TooLarge};

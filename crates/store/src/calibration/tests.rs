@@ -33,7 +33,7 @@ use trueup_core::{
 const POINTS: [[u8; 4]; 3] = [[1, 0, 0, 0], [2, 0, 0, 0], [3, 0, 0, 0]];
 
 /// A calibration with something in every field.
-fn with_sample<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
+pub(crate) fn with_sample<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
     let piece = Piece {
         start: trueup_core::units::Temperature(94_208_000),
         constant: Fine(1),

@@ -11,9 +11,10 @@ const IMAGE: u32 = 0x0BAD_CAFE;
 
 /// Calibrations that differ.
 fn blob(number: u32) -> Vec<u8> {
-    let mut calibration = crate::test_calibration();
-    calibration.limits.hold_ms = number;
-    calibration::encode(&calibration, &mut [0; MAX_SIZE]).expect("it is small").to_vec()
+    calibration::tests::with_sample(|mut calibration| {
+        calibration.limits.hold_ms = number;
+        calibration::encode(&calibration, &mut [0; MAX_SIZE]).expect("it is small").to_vec()
+    })
 }
 
 fn open(flash: &Flash, base: u32) -> (Slots<Flash>, Found) {
