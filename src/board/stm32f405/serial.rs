@@ -4,6 +4,7 @@
 //! Bytes come in by interrupt and go out by polling: the task that sends is the lowest, so nobody
 //! waits for it, and it needs neither the transmit interrupt nor a DMA stream.
 
+use embedded_hal_nb::serial::{Read, Write};
 use stm32f4xx_hal::{
     gpio::{PA9, PA10, Pull},
     nb,
@@ -40,7 +41,7 @@ impl SerialIn {
     /// The byte that came in. `None`: there is none, or it came damaged, or the one after it was
     /// lost; reading has cleared the error then, and the checksum of the frame tells the rest.
     pub fn read(&mut self) -> Option<u8> {
-        match self.rx.read() {
+        match Read::read(&mut self.rx) {
             Ok(byte) => Some(byte),
             Err(nb::Error::WouldBlock) => None,
             Err(nb::Error::Other(error)) => {
@@ -67,6 +68,6 @@ pub struct SerialOut {
 impl SerialOut {
     /// Sends a byte, or drops it if the transmitter does not take it: a dead one must not hang us.
     pub fn write(&mut self, byte: u8) {
-        let _sent = within(SEND_POLLS, || self.tx.write(byte).is_ok());
+        let _sent = within(SEND_POLLS, || Write::write(&mut self.tx, byte).is_ok());
     }
 }
