@@ -2,15 +2,15 @@
 //! propose when they are shown the data.
 
 use trueup_machine::{
-    effect::{Effect, Quantity, Reading, Settings, Survey, spread},
+    effect::{Effect, OnBoard, Quantity, Reading, Settings, Survey, spread},
     machine_file::{Axis, Source, Spindle},
 };
 
 use crate::{
     columns::{SAID, named},
-    data::{Data, filled},
+    data::{Data, Stated, filled},
     fit::Problem,
-    kind::{Curve, Kind, own_thermal},
+    kind::{Curve, Kind, Part, own_thermal},
     model::Model,
     waves,
 };
@@ -25,21 +25,63 @@ pub(crate) struct Candidate {
     pub searched: f64,
 }
 
-/// All that may be added to `model`.
+/// All that may be added to `model`, and the terms of the machine file that may have become wrong.
 pub(crate) fn possible(problem: &Problem, model: &Model, residual: &[f64]) -> Vec<Candidate> {
-    let mut all = Vec::new();
+    let stated = problem.data.stated.iter();
+    // A time that is searched, not fitted, is what happened once: that does not change.
+    let held = stated.map(Part::stated).filter(|Part { kind, .. }| {
+        !model.has(kind)
+            && !kind.has_instant()
+            && kind.cause().is_some_and(|it| can_change(problem, it))
+    });
+    let mut all: Vec<Candidate> = held
+        .map(|Part { kind, values }| Candidate { kind, settings: vec![values], searched: 0.0 })
+        .collect();
     Effect::propose(
         &Seen { problem, model, residual },
         &mut |effect, Settings { starts, searched }| {
+            let is_stated = is_stated(problem, &effect, &starts);
             let kind = Kind::Cause(effect);
             // A wave may come a second time, with another period.
             let is_new = kind.is_wave() || kind.is_of_instrument() || !model.has(&kind);
-            if !starts.is_empty() && is_new {
+            if !starts.is_empty() && is_new && !is_stated {
                 all.push(Candidate { kind, settings: starts, searched });
             }
         },
     );
     all
+}
+
+/// Whether the machine file has a cause already, so that it can only be one that has changed: of the
+/// same name on the same column; of waves one whose period the travel does not show apart.
+fn is_stated(problem: &Problem, effect: &Effect, starts: &[Vec<f64>]) -> bool {
+    let same = |stated: &&Stated| {
+        stated.effect.name() == effect.name() && stated.effect.column() == effect.column()
+    };
+    let mut same = problem.data.stated.iter().filter(same);
+    if effect.is_of_instrument() || effect.has_instant() {
+        return false;
+    }
+    if !effect.is_wave() {
+        return same.next().is_some();
+    }
+    let travel_mm = problem.bounds.travel_mm;
+    same.any(|stated| {
+        let waves = stated.effect.on_board();
+        let lengths_mm = waves.iter().filter_map(|form| match form {
+            OnBoard::Wave { period_mm, harmonic, .. } => Some(period_mm / f64::from(*harmonic)),
+            _ => None,
+        });
+        let is_near = |mm: f64| {
+            starts.iter().any(|start| (1.0 / start[0] - 1.0 / mm).abs() < 0.5 / travel_mm)
+        };
+        lengths_mm.into_iter().any(is_near)
+    })
+}
+
+/// Whether the data have the column that a cause hangs on, if it hangs on one.
+fn can_change(problem: &Problem, effect: &Effect) -> bool {
+    effect.column().is_none_or(|column| varying(&problem.data, &column))
 }
 
 /// The temperatures that the model goes by already.
@@ -50,6 +92,7 @@ pub(crate) fn columns_in_use(data: &Data, model: &Model) -> Vec<String> {
         used.extend(spindle.temperature.as_ref().map(|model| model.sensor.clone()));
     }
     used.extend(own_thermal(data).map(|thermal| thermal.sensor.clone()));
+    let model = model.with_stated(data);
     let paths = model.parts.iter().filter_map(|part| part.kind.heat_path());
     used.extend(paths.filter(|path| !path.is_second).map(|path| path.column.to_string()));
     used
@@ -99,7 +142,7 @@ impl Survey for Seen<'_> {
     }
 
     fn elongation(&self) -> &[f64] {
-        &self.data().elongation
+        &self.data().law
     }
 
     fn predicted_spread(&self) -> f64 {
@@ -131,7 +174,8 @@ impl Survey for Seen<'_> {
     }
 
     fn has(&self, cause: &str) -> bool {
-        self.model.parts.iter().any(|part| part.kind.name() == cause)
+        let model = self.model.with_stated(self.data());
+        model.parts.iter().any(|part| part.kind.name() == cause)
     }
 
     fn has_instrument(&self) -> bool {

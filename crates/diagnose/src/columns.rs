@@ -8,7 +8,7 @@ use trueup_machine::{
 };
 
 use crate::{
-    data::{Data, filled},
+    data::{Data, Stated, filled},
     kind::{Curve, Kind},
 };
 
@@ -16,7 +16,9 @@ use crate::{
 /// a cause by its page's law.
 pub(crate) fn basis(kind: &Kind, nonlinear: &[f64], data: &Data, p: &[f64]) -> Vec<Vec<f64>> {
     match kind {
-        Kind::Cause(effect) => effect.columns(nonlinear, &Table { data, p }),
+        Kind::Cause(effect) | Kind::Stated(Stated { effect, .. }) => {
+            effect.columns(nonlinear, &Table { data, p })
+        }
         Kind::Curve(curve) => over(curve, data),
     }
 }

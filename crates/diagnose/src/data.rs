@@ -5,6 +5,7 @@
 //! | `quantity` | which error the runs are compared in |
 //! | `read` | from runs to the table |
 //! | `prediction`, `reversal` | what the machine file says of each row; what follows from turning |
+//! | `stated` | the terms that the machine file has already |
 //! | `table` | the columns, by name |
 //! | `drawn` | some of the rows, as a table |
 //! | `groups` | neighbouring rows put together |
@@ -17,9 +18,11 @@ mod prediction;
 mod quantity;
 mod read;
 mod reversal;
+mod stated;
 mod table;
 
 pub(crate) use groups::Groups;
 pub(crate) use lag::{filled, first_of};
 pub(crate) use quantity::quantity_of;
+pub(crate) use stated::Stated;
 pub(crate) use table::Data;

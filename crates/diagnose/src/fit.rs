@@ -22,7 +22,7 @@ mod solve;
 mod spread;
 mod undetermined;
 
-pub(crate) use jacobian::jacobian;
+pub(crate) use jacobian::{jacobian, of_part};
 pub(crate) use problem::Problem;
 pub(crate) use solve::{Fitted, fit};
 pub(crate) use spread::spread;

@@ -12,12 +12,14 @@ use trueup_machine::{
 #[cfg(test)]
 use trueup_machine::effect::Heat;
 
-use crate::data::Data;
+use crate::data::{Data, Stated};
 
-/// A cause, neutral, with what is fixed about it; or a test of structure.
+/// A cause, neutral, with what is fixed about it; or one of the machine file; or a test of structure.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Kind {
     Cause(Effect),
+    /// A term that the machine file has, with the values that the file says.
+    Stated(Stated),
     Curve(Curve),
 }
 
@@ -39,10 +41,10 @@ pub(crate) struct Part {
 }
 
 impl Kind {
-    /// The cause, neutral, if it is one.
+    /// The cause, neutral or as the machine file says, if it is one.
     pub(crate) fn cause(&self) -> Option<&Effect> {
         match self {
-            Self::Cause(effect) => Some(effect),
+            Self::Cause(effect) | Self::Stated(Stated { effect, .. }) => Some(effect),
             Self::Curve(_) => None,
         }
     }
@@ -55,8 +57,8 @@ impl Kind {
     /// The column that the cause hangs on, where there is a choice.
     pub(crate) fn column(&self) -> Option<String> {
         match self {
-            Self::Cause(effect) => effect.column(),
             Self::Curve(curve) => Some(curve.column.clone()),
+            _ => self.cause().and_then(Effect::column),
         }
     }
 
@@ -88,7 +90,7 @@ impl Kind {
     /// How many amplitudes it has.
     pub(crate) fn amplitudes(&self) -> usize {
         match self {
-            Self::Cause(effect) => effect.amplitudes(),
+            Self::Cause(effect) | Self::Stated(Stated { effect, .. }) => effect.amplitudes(),
             Self::Curve(curve) => curve.knots.len() * if curve.by_direction { 2 } else { 1 },
         }
     }
@@ -96,7 +98,7 @@ impl Kind {
     /// How many neighbours are in each of the lists that its values are, if they are.
     pub(crate) fn list_length(&self) -> Option<usize> {
         match self {
-            Self::Cause(effect) => effect.list_length(),
+            Self::Cause(effect) | Self::Stated(Stated { effect, .. }) => effect.list_length(),
             Self::Curve(curve) => Some(curve.knots.len()),
         }
     }
@@ -109,12 +111,25 @@ impl Kind {
     /// 0: a constant of the machine's own model, or of the axis's; 1: something else that was
     /// recorded; 2: time alone, or the instrument; 3: no cause.
     pub(crate) fn tier(&self) -> u8 {
-        self.cause().map_or(3, |effect| effect.tier())
+        match self {
+            // What the file has is a part of the machine's own model.
+            Self::Stated(_) => 0,
+            _ => self.cause().map_or(3, |effect| effect.tier()),
+        }
     }
 
-    /// Whether its reference (a temperature, a start) is its own, and with it a constant.
+    /// The term of the machine file that it is, if it is one.
+    pub(crate) fn stated(&self) -> Option<&Stated> {
+        match self {
+            Self::Stated(stated) => Some(stated),
+            _ => None,
+        }
+    }
+
+    /// Whether its reference (a temperature, a start) is its own, and with it a constant. That of a
+    /// term of the machine file is the file's.
     pub(crate) fn has_reference(&self) -> bool {
-        self.cause().is_some_and(|effect| effect.has_reference())
+        self.stated().is_none() && self.cause().is_some_and(|effect| effect.has_reference())
     }
 
     /// When it acts.
@@ -142,6 +157,9 @@ impl Kind {
         if data.quantity == Quantity::Elongation {
             return true;
         }
+        if let Self::Stated(stated) = self {
+            return stated.is_of_elongation;
+        }
         match self.cause().map(|effect| effect.home()) {
             Some(Home::Elongation) => true,
             Some(Home::OwnThermometer) => own_thermal(data).is_none(),
@@ -157,16 +175,18 @@ impl Kind {
 
     /// The same heat by a path of its own, neutral.
     pub(crate) fn as_own_path(&self, has_lag: bool) -> Option<Self> {
-        let mut effect = self.cause()?.clone();
+        let Self::Cause(effect) = self else { return None };
+        let mut effect = effect.clone();
         let heat = effect.heat_mut()?;
         heat.um_per_c = 0.0;
         heat.time_constant_s = if has_lag { 1.0 } else { 0.0 };
         Self::of_form(None, &OnBoard::Heat(heat.clone()))
     }
 
-    /// The table of the own axis that it is.
+    /// The table of the own axis that it is, and the machine file has not.
     pub(crate) fn table(&self) -> Option<&Pitch> {
-        self.cause().and_then(|effect| effect.table())
+        let Self::Cause(effect) = self else { return None };
+        effect.table()
     }
 
     /// Whether it is a wave of a period that is fitted.
@@ -203,6 +223,11 @@ impl Kind {
 }
 
 impl Part {
+    /// A term of the machine file as it stands there.
+    pub(crate) fn stated(stated: &Stated) -> Self {
+        Self { values: stated.effect.values(), kind: Kind::Stated(stated.clone()) }
+    }
+
     /// The cause with its values.
     pub(crate) fn cause(&self) -> Option<Effect> {
         self.kind.cause().map(|effect| effect.with(&self.values))
@@ -211,7 +236,9 @@ impl Part {
     /// The cause in a sentence.
     pub(crate) fn sentence(&self) -> String {
         match &self.kind {
-            Kind::Cause(effect) => effect.sentence(&self.values),
+            Kind::Cause(effect) | Kind::Stated(Stated { effect, .. }) => {
+                effect.sentence(&self.values)
+            }
             Kind::Curve(curve) => format!("Something goes with {}.", curve.column),
         }
     }

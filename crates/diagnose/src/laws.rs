@@ -60,7 +60,7 @@ impl Laws {
 
     /// The elongation of each row.
     pub(crate) fn elongation(&self, data: &Data) -> Vec<f64> {
-        let Some(spindle) = &self.spindle else { return data.elongation.clone() };
+        let Some(spindle) = &self.spindle else { return data.law.clone() };
         match (spindle.source, &spindle.temperature, &spindle.warmup) {
             (Some(Source::Temperature), Some(model), _)
                 if data.temperature(&model.sensor).is_some() =>
@@ -73,7 +73,7 @@ impl Laws {
                 if let Some(whole) = &data.whole {
                     return whole.pick(&self.elongation(&whole.data));
                 }
-                let Some(time_s) = data.time_s.as_deref() else { return data.elongation.clone() };
+                let Some(time_s) = data.time_s.as_deref() else { return data.law.clone() };
                 let rated_rpm = model.rated_rpm.unwrap_or(1.0);
                 let mut state = WarmupState::default();
                 let grown: Vec<f64> = (0..data.rows)
@@ -87,7 +87,7 @@ impl Laws {
                     .collect();
                 filled(&grown)
             }
-            _ => data.elongation.clone(),
+            _ => data.law.clone(),
         }
     }
 

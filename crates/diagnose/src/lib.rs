@@ -93,7 +93,7 @@ impl Diagnosis {
     /// # Errors
     /// `source` is no machine file.
     pub fn extended(&self, source: &str, path: &Path) -> Result<String, BadInput> {
-        answer::extended::extended(source, path, &self.terms)
+        answer::extended::extended(source, path, &self.corrected, &self.terms)
     }
 
     /// `residuals.csv`: each row with what was predicted and what is left.

@@ -1,9 +1,13 @@
 //! The model and its terms in columns: what `trueup predict` does row by row, fast enough to be tried
 //! thousands of times.
 //!
-//! The order is fixed: constants of the model, then gain, curvature and saturation of the source, then
-//! what is added, then the shift in time. `trueup predict` gives the same figures from the terms in
-//! `extended.toml` (tested).
+//! The terms that the machine file has are parts of the model from the beginning, held at the values
+//! that the file says, until the model has one of them itself: then its values are the model's.
+//!
+//! The order is that of [`trueup_machine::effect`]. `trueup predict` gives the same figures from the
+//! terms in `extended.toml` (tested).
+
+use std::borrow::Cow;
 
 use trueup_machine::{effect::Stage, model::shifted};
 
@@ -33,21 +37,41 @@ impl Model {
         self.parts.iter().any(|part| part.kind == *kind)
     }
 
+    /// Whether it, or the machine file, moves all of the model in time.
+    pub(crate) fn has_shift(&self, data: &Data) -> bool {
+        self.parts.iter().any(|part| part.kind.is_shift())
+            || data.stated.iter().any(|stated| stated.effect.stage() == Stage::Shift)
+    }
+
+    /// The model with the terms of the machine file that it does not have itself.
+    pub(crate) fn with_stated(&self, data: &Data) -> Cow<'_, Self> {
+        let parts = data.stated.iter().map(Part::stated);
+        let held: Vec<Part> = parts.filter(|part| !self.has(&part.kind)).collect();
+        if held.is_empty() {
+            return Cow::Borrowed(self);
+        }
+        let mut with = self.clone();
+        with.parts.extend(held);
+        with.sort();
+        Cow::Owned(with)
+    }
+
     /// The prediction of each row.
     pub(crate) fn predict(&self, data: &Data) -> Vec<f64> {
-        match self.shift_s() {
-            Some(shift_s) => shifted_rows(data, &self.unshifted(data.whole()), shift_s),
-            None => self.unshifted(data),
+        let model = self.with_stated(data);
+        match model.shift_s() {
+            Some(shift_s) => shifted_rows(data, &model.unshifted(data.whole()), shift_s),
+            None => model.unshifted(data),
         }
     }
 
-    /// By how much all of it is late.
+    /// By how much all of it is late, by its own parts.
     pub(crate) fn shift_s(&self) -> Option<f64> {
-        let part = self.parts.iter().find(|part| part.kind.is_shift())?;
-        Some(part.values[0])
+        let shifts = self.parts.iter().filter(|part| part.kind.is_shift());
+        shifts.map(|part| part.values[0]).reduce(|a, b| a + b)
     }
 
-    /// The prediction of each row, as if nothing were late.
+    /// The prediction of each row by its own parts, as if nothing were late.
     pub(crate) fn unshifted(&self, data: &Data) -> Vec<f64> {
         let laws = Laws::corrected(data, &self.parts);
         let mut elongation = laws.elongation(data);
@@ -66,12 +90,16 @@ impl Model {
                 }
             }
         }
-        let constant = self.constant_um.unwrap_or(0.0);
+        let [of_elongation_um, of_axis_um] = data.constants_um;
+        let constant_um = self.constant_um.unwrap_or(0.0) + of_axis_um;
         elongation
             .iter()
             .zip(&data.along)
             .zip(&axis)
-            .map(|((e, along), a)| if *along == 0.0 { *a } else { e * along + a } + constant)
+            .map(|((e, along), a)| {
+                let grown = if *along == 0.0 { 0.0 } else { (e + of_elongation_um) * along };
+                grown + a + constant_um
+            })
             .collect()
     }
 }

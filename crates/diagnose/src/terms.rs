@@ -2,11 +2,34 @@
 
 use trueup_machine::machine_file::{Quantity, Term};
 
-use crate::{data::Data, model::Model};
+use crate::{data::Data, kind::Part, model::Model};
 
-/// The terms of `model`, in the order in which they are to be applied. Where the zero of the
-/// measurement goes: into the reference temperature of the first term that has one, else to the
-/// last term.
+/// The terms by which a machine file is extended.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Extended {
+    /// In the place of the file's terms of these numbers, from 0.
+    pub replaced: Vec<(usize, Term)>,
+    /// Beside them.
+    pub new: Vec<Term>,
+}
+
+impl Extended {
+    /// By the terms of `model`.
+    pub(crate) fn by(data: &Data, model: &Model) -> Self {
+        let mut extended = Self::default();
+        let parts = model.parts.iter().filter(|part| part.cause().is_some());
+        for (Part { kind, .. }, term) in parts.zip(terms(data, model)) {
+            match kind.stated() {
+                Some(stated) => extended.replaced.push((stated.index, term)),
+                None => extended.new.push(term),
+            }
+        }
+        extended
+    }
+}
+
+/// The terms of `model`, in its order. Where the zero of the measurement goes: into the reference
+/// temperature of the first term that has one, else to the last term.
 pub(crate) fn terms(data: &Data, model: &Model) -> Vec<Term> {
     let mut terms: Vec<Term> = model
         .parts
@@ -14,7 +37,13 @@ pub(crate) fn terms(data: &Data, model: &Model) -> Vec<Term> {
         .filter_map(|part| {
             let is_of_elongation = part.kind.is_of_elongation(data);
             let quantity = if is_of_elongation { Quantity::Elongation } else { data.quantity };
-            let constant_um = part.kind.cause()?.constant_um(&part.values);
+            let of_values_um = part.kind.cause()?.constant_um(&part.values);
+            // What the file has keeps its constant.
+            let of_file_um = part
+                .kind
+                .stated()
+                .map_or(0.0, |stated| data.machine.terms[stated.index].constant_um);
+            let constant_um = of_values_um + of_file_um;
             Some(Term { quantity, constant_um, effect: part.cause()? })
         })
         .collect();

@@ -1,4 +1,5 @@
-//! `extended.toml`: the user's machine file as it is, comments and all, with the terms after it.
+//! `extended.toml`: the user's machine file as it is, comments and all, with the new terms after it, and
+//! new values in the terms that are not right any more.
 
 use std::path::Path;
 
@@ -7,12 +8,18 @@ use trueup_machine::{
     file::{Term, write::Edit},
 };
 
-/// `source` with `terms` at the end of its terms. It is read back, so that what is handed out can
-/// be loaded.
+/// `source` with `terms` at the end of its terms, and `corrected` in the place of those of these
+/// numbers. It is read back, so that what is handed out can be loaded.
 ///
 /// # Errors
 /// `source` is no machine file.
-pub(crate) fn extended(source: &str, path: &Path, terms: &[Term]) -> Result<String, BadInput> {
+pub(crate) fn extended(
+    source: &str,
+    path: &Path,
+    corrected: &[(usize, Term)],
+    terms: &[Term],
+) -> Result<String, BadInput> {
+    let replaced = corrected.iter().map(|(index, term)| (*index, term.section())).collect();
     let appended = terms.iter().map(Term::section).collect();
-    Edit { appended, ..Edit::default() }.apply(source, path)
+    Edit { replaced, appended, ..Edit::default() }.apply(source, path)
 }

@@ -2,6 +2,7 @@
 
 use serde_json::{Map, json};
 
+use trueup_machine::effect::Value;
 use trueup_numerics::blocks::rms;
 
 use crate::{
@@ -13,6 +14,7 @@ use crate::{
     data::Data,
     gain::Gain,
     judge::{Doubt, Judgement},
+    kind::Part,
 };
 
 /// The finding of a term; `left_out`: what was left out in turn.
@@ -29,6 +31,7 @@ pub(crate) fn finding(it: &Judgement, left_out: Unit) -> Finding {
             first.left_out_before_um, first.left_out_after_um
         ),
     ];
+    evidence.extend(changed(&it.part));
     evidence.extend(it.doubts.iter().map(|doubt| doubted(doubt, &it.gain, left_out)));
     let next_test = match it.other_law() {
         Some(inputs) => format!(
@@ -55,6 +58,30 @@ pub(crate) fn finding(it: &Judgement, left_out: Unit) -> Finding {
         rivals: rivals.collect(),
         next_test,
     }
+}
+
+/// By how much a term of the machine file has changed, in a sentence; none of what the file has not.
+fn changed(part: &Part) -> Option<String> {
+    let (before, after) = (&part.kind.stated()?.effect, part.cause()?);
+    let (mut said, mut say) = (Vec::new(), Vec::new());
+    for ((key, before), (_, after)) in before.entries().into_iter().zip(after.entries()) {
+        if let (Value::Number(before), Value::Number(after)) = (before, after)
+            && before != after
+        {
+            said.push(format!("{key} = {}", five_digits(before)));
+            say.push(five_digits(after));
+        }
+    }
+    Some(if said.is_empty() {
+        "The machine file has this already; these data say other values.".into()
+    } else {
+        format!("The machine file says {}; these data say {}.", said.join(", "), say.join(", "))
+    })
+}
+
+/// A number in its first five digits.
+fn five_digits(number: f64) -> String {
+    format!("{number:.4e}").parse::<f64>().unwrap_or(number).to_string()
 }
 
 /// The name of the rival that cannot be told from the cause.

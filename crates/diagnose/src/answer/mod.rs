@@ -24,7 +24,7 @@ use crate::{
     parameters::step_s,
     repeats::{self, Repeats},
     search::{Found, Tried},
-    terms,
+    terms::Extended,
 };
 use errors::{errors, largest, within_groups};
 use finding::{finding, outliers};
@@ -36,8 +36,11 @@ use verdict::verdict;
 pub struct Diagnosis {
     /// The answer.
     pub report: Report,
-    /// The terms of the extended machine file, in its order.
+    /// The new terms of the extended machine file, in its order.
     pub terms: Vec<Term>,
+    /// Terms in the place of those of the machine file that are not right any more, with their numbers
+    /// in it, from 0.
+    pub corrected: Vec<(usize, Term)>,
     pub(crate) data: Arc<Data>,
     /// What the machine file as it is predicts of each row, in µm.
     pub(crate) before: Vec<f64>,
@@ -106,8 +109,8 @@ pub(crate) fn conclude(
         findings,
         rejected: found.rejected.into_iter().map(rejected).collect(),
     };
-    let terms = terms::terms(&data, &model);
-    Diagnosis { report, terms, data, before, after, aside }
+    let Extended { replaced: corrected, new: terms } = Extended::by(&data, &model);
+    Diagnosis { report, terms, corrected, data, before, after, aside }
 }
 
 /// The model as it is handed out: terms that are not kept leave, and the others are fitted again

@@ -40,7 +40,10 @@ impl Data {
                 .map(|(name, values)| (name.clone(), pick(values)))
                 .collect(),
             measured: pick(&self.measured),
+            stated: self.stated.clone(),
+            constants_um: self.constants_um,
             elongation: pick(&self.elongation),
+            law: pick(&self.law),
             along: pick(&self.along),
             axis: pick(&self.axis),
             thermal: pick(&self.thermal),

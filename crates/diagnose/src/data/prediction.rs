@@ -1,15 +1,50 @@
 //! What the machine file says of each row.
 
 use trueup_machine::{
-    RunFile,
+    Machine, RunFile,
     machine_file::LinearAxis,
     model::{Reference, Situation, shifted, time_shift_s},
 };
 
 use super::table::Data;
 
-/// Steps the reference model through the runs.
+/// Steps the reference model through the runs: as the machine file says, and by the machine's own laws,
+/// without its terms.
 pub(super) fn predict(data: &mut Data, runs: &[RunFile]) {
+    let machine = data.machine.clone();
+    let mut said = stepped(data, runs, &machine);
+    let laws = if machine.terms.is_empty() {
+        said.clone()
+    } else {
+        stepped(data, runs, &Machine { terms: Vec::new(), ..machine.clone() })
+    };
+    // A machine that has been diagnosed before may have a time shift among its terms.
+    let shift_s = time_shift_s(&machine.terms, data.quantity);
+    if let (Some(time_s), true) = (&data.time_s, shift_s != 0.0) {
+        let is_axis = data.quantity.axis().is_some();
+        let part = if is_axis { &mut said.axis } else { &mut said.elongation };
+        *part = shifted(time_s, part, shift_s);
+    }
+    data.used = (0..data.rows)
+        .map(|row| {
+            let p = said.along[row] * said.elongation[row] + said.axis[row];
+            data.measured[row].is_finite() && p.is_finite()
+        })
+        .collect();
+    (data.elongation, data.along) = (said.elongation, said.along);
+    (data.law, data.axis, data.thermal) = (laws.elongation, laws.axis, laws.thermal);
+}
+
+/// What a machine makes of each row.
+#[derive(Clone, Default)]
+struct Stepped {
+    elongation: Vec<f64>,
+    along: Vec<f64>,
+    axis: Vec<f64>,
+    thermal: Vec<f64>,
+}
+
+fn stepped(data: &Data, runs: &[RunFile], machine: &Machine) -> Stepped {
     let at = |column: &Option<Vec<f64>>, row: usize| {
         column.as_ref().map_or(f64::NAN, |values| values[row])
     };
@@ -17,10 +52,10 @@ pub(super) fn predict(data: &mut Data, runs: &[RunFile]) {
         runs.iter().map(|run| ["a_deg", "b_deg", "c_deg"].map(|name| run.column(name))).collect();
     let counts: Vec<Option<&[f64]>> = runs.iter().map(|run| run.column("sensor_counts")).collect();
     let axis = data.quantity.axis().map(LinearAxis::index);
-    let machine = data.machine.clone();
+    let mut stepped = Stepped::default();
     let mut row = 0;
     for (number, run) in runs.iter().enumerate() {
-        let mut reference = Reference::new(&machine);
+        let mut reference = Reference::new(machine);
         for own in 0..run.rows() {
             let temperatures: Vec<(&str, f64)> = data
                 .temperatures
@@ -47,23 +82,12 @@ pub(super) fn predict(data: &mut Data, runs: &[RunFile]) {
                 ),
             };
             let is_blind = along == 0.0 || !data.has_elongation;
-            data.elongation.push(if is_blind { 0.0 } else { parts.elongation_um });
-            data.along.push(if is_blind && axis.is_some() { 0.0 } else { along });
-            data.axis.push(rest);
-            data.thermal.push(thermal);
+            stepped.elongation.push(if is_blind { 0.0 } else { parts.elongation_um });
+            stepped.along.push(if is_blind && axis.is_some() { 0.0 } else { along });
+            stepped.axis.push(rest);
+            stepped.thermal.push(thermal);
             row += 1;
         }
     }
-    // A machine that has been diagnosed before may have a time shift among its terms.
-    let shift_s = time_shift_s(&data.machine.terms, data.quantity);
-    if let (Some(time_s), true) = (&data.time_s, shift_s != 0.0) {
-        let part = if axis.is_none() { &mut data.elongation } else { &mut data.axis };
-        *part = shifted(time_s, part, shift_s);
-    }
-    data.used = (0..data.rows)
-        .map(|row| {
-            let p = data.along[row] * data.elongation[row] + data.axis[row];
-            data.measured[row].is_finite() && p.is_finite()
-        })
-        .collect();
+    stepped
 }

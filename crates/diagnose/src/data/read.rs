@@ -5,7 +5,9 @@ use trueup_machine::{
     machine_file::{Quantity, is_temperature_column},
 };
 
-use super::{lag::first_of, prediction::predict, reversal::reversal_decay, table::Data};
+use super::{
+    lag::first_of, prediction::predict, reversal::reversal_decay, stated::Stated, table::Data,
+};
 
 impl Data {
     /// The table of `runs`, compared in `quantity` (checked by `quantity_of`).
@@ -94,7 +96,10 @@ impl Data {
             direction: ["dir_x", "dir_y", "dir_z"].map(joined),
             reversal_decay: Vec::new(),
             measured,
+            stated: Stated::all(machine, quantity),
+            constants_um: Stated::constants_um(machine, quantity),
             elongation: Vec::new(),
+            law: Vec::new(),
             along: Vec::new(),
             has_elongation: quantity == Quantity::Elongation || machine.has_elongation(),
             axis: Vec::new(),

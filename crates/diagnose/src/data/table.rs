@@ -7,7 +7,10 @@ use std::{
 
 use trueup_machine::{Machine, machine_file::Quantity};
 
-use super::lag::{filled, lag};
+use super::{
+    lag::{filled, lag},
+    stated::Stated,
+};
 
 /// A run's columns, all files one after the other. A list has one value a row; NaN where missing.
 #[derive(Clone, Debug)]
@@ -39,12 +42,18 @@ pub(crate) struct Data {
     pub reversal_decay: Vec<(String, Vec<f64>)>,
     /// The quantity, in µm.
     pub measured: Vec<f64>,
-    /// The model's elongation, in µm.
+    /// The machine file's terms that change the quantity.
+    pub stated: Vec<Stated>,
+    /// What the constants of the file's terms add to the elongation and to the axis, in µm.
+    pub constants_um: [f64; 2],
+    /// The elongation by the machine file, in µm.
     pub elongation: Vec<f64>,
+    /// The same by the source's own law, without the file's terms.
+    pub law: Vec<f64>,
     /// How much of the elongation is in the quantity, −1…1.
     pub along: Vec<f64>,
     pub has_elongation: bool,
-    /// The axis's error but for the tool's growth, in µm.
+    /// The axis's error but for the tool's growth and the file's terms, in µm.
     pub axis: Vec<f64>,
     /// The part of it that goes with the axis's temperature.
     pub thermal: Vec<f64>,

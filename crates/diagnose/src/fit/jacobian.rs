@@ -12,46 +12,9 @@ pub(crate) type Parameter = Option<(usize, usize)>;
 pub(crate) fn jacobian(problem: &Problem, model: &Model) -> (Vec<Parameter>, Vec<Vec<f64>>) {
     let mut parameters: Vec<Parameter> = Vec::new();
     let mut columns = Vec::new();
-    let has_shift = model.parts.iter().any(|part| part.kind.is_shift());
     let mut here: Option<Vec<f64>> = None;
-    for (index, part) in model.parts.iter().enumerate() {
-        let (kind, nonlinear) = (&part.kind, part.kind.nonlinear());
-        let step = |number: usize| {
-            let value = part.values[number];
-            let step = derivative_step(problem, nonlinear.get(number), value);
-            (step, if kind.is_logarithmic(number) { value * step.exp() } else { value + step })
-        };
-        // What is only added is its own derivative.
-        if kind.is_added() && !has_shift {
-            let (values, amplitudes) = part.values.split_at(nonlinear.len());
-            let unit = problem.columns(kind, values, nonlinear.is_empty());
-            for (number, column) in unit.iter().enumerate() {
-                parameters.push(Some((index, nonlinear.len() + number)));
-                columns.push(column.clone());
-            }
-            for number in 0..nonlinear.len() {
-                let (step, there) = step(number);
-                let mut moved = values.to_vec();
-                moved[number] = there;
-                let moved = problem.columns(kind, &moved, false);
-                let mut column = vec![0.0; problem.groups.len()];
-                for ((unit, moved), amplitude) in unit.iter().zip(&*moved).zip(amplitudes) {
-                    for ((sum, u), m) in column.iter_mut().zip(unit).zip(moved) {
-                        *sum += amplitude * (m - u) / step;
-                    }
-                }
-                parameters.push(Some((index, number)));
-                columns.push(column);
-            }
-            continue;
-        }
-        for number in 0..part.values.len() {
-            let (step, there) = step(number);
-            let mut moved = model.clone();
-            moved.parts[index].values[number] = there;
-            let base = here.get_or_insert_with(|| problem.predicted(model));
-            let there = problem.predicted(&moved);
-            let column = there.iter().zip(base.iter()).map(|(t, b)| (t - b) / step).collect();
+    for index in 0..model.parts.len() {
+        for (number, column) in of_part(problem, model, index, &mut here) {
             parameters.push(Some((index, number)));
             columns.push(column);
         }
@@ -61,6 +24,56 @@ pub(crate) fn jacobian(problem: &Problem, model: &Model) -> (Vec<Parameter>, Vec
         columns.push(vec![1.0; problem.groups.len()]);
     }
     (parameters, columns)
+}
+
+/// The change of the prediction with each value of one part of `model`, whose prediction is worked out
+/// into `here` if it is needed.
+pub(crate) fn of_part(
+    problem: &Problem,
+    model: &Model,
+    index: usize,
+    here: &mut Option<Vec<f64>>,
+) -> Vec<(usize, Vec<f64>)> {
+    let part = &model.parts[index];
+    let (kind, nonlinear) = (&part.kind, part.kind.nonlinear());
+    let step = |number: usize| {
+        let value = part.values[number];
+        let step = derivative_step(problem, nonlinear.get(number), value);
+        (step, if kind.is_logarithmic(number) { value * step.exp() } else { value + step })
+    };
+    let mut columns = Vec::new();
+    // What is only added is its own derivative.
+    if kind.is_added() && !model.has_shift(&problem.data) {
+        let (values, amplitudes) = part.values.split_at(nonlinear.len());
+        let unit = problem.columns(kind, values, nonlinear.is_empty());
+        for (number, column) in unit.iter().enumerate() {
+            columns.push((nonlinear.len() + number, column.clone()));
+        }
+        for number in 0..nonlinear.len() {
+            let (step, there) = step(number);
+            let mut moved = values.to_vec();
+            moved[number] = there;
+            let moved = problem.columns(kind, &moved, false);
+            let mut column = vec![0.0; problem.groups.len()];
+            for ((unit, moved), amplitude) in unit.iter().zip(&*moved).zip(amplitudes) {
+                for ((sum, u), m) in column.iter_mut().zip(unit).zip(moved) {
+                    *sum += amplitude * (m - u) / step;
+                }
+            }
+            columns.push((number, column));
+        }
+        return columns;
+    }
+    for number in 0..part.values.len() {
+        let (step, there) = step(number);
+        let mut moved = model.clone();
+        moved.parts[index].values[number] = there;
+        let base = here.get_or_insert_with(|| problem.predicted(model));
+        let there = problem.predicted(&moved);
+        let column = there.iter().zip(base.iter()).map(|(t, b)| (t - b) / step).collect();
+        columns.push((number, column));
+    }
+    columns
 }
 
 fn derivative_step(problem: &Problem, what: Option<&Nonlinear>, value: f64) -> f64 {

@@ -31,6 +31,8 @@ pub(crate) struct Bounds {
     pub time_constant_s: [f64; 2],
     /// Times of the record, in s.
     pub time_s: [f64; 2],
+    /// How far the quantity's own axis went, in mm; above 0.
+    pub travel_mm: f64,
     /// Periods, in mm.
     pub period_mm: [f64; 2],
     /// The model's prediction, in µm.
@@ -80,6 +82,7 @@ impl Problem {
 
     /// What `model` predicts, in groups.
     pub(crate) fn predicted(&self, model: &Model) -> Vec<f64> {
+        let model = &*model.with_stated(&self.data);
         if let Some(shift_s) = model.shift_s() {
             let unshifted = self.unshifted(model);
             return self.groups.means(&shifted_rows(&self.data, &unshifted, shift_s));
@@ -106,7 +109,7 @@ impl Problem {
             return known;
         }
         let model = Model { parts: law.iter().copied().cloned().collect(), constant_um: None };
-        let predicted = Arc::new(vec![self.groups.means(&model.predict(&self.data))]);
+        let predicted = Arc::new(vec![self.groups.means(&model.unshifted(&self.data))]);
         self.cache().put(key, predicted.clone(), false);
         predicted
     }
@@ -153,7 +156,9 @@ impl Problem {
         let falls = |part: &Part| part.kind.nonlinear().contains(&Nonlinear::FallingTimeConstant);
         let is_falling = model.parts.iter().any(falls);
         let rise_s = is_falling
-            .then(|| Laws::corrected(&self.data, &model.parts).rise_s(&self.data))
+            .then(|| {
+                Laws::corrected(&self.data, &model.with_stated(&self.data).parts).rise_s(&self.data)
+            })
             .flatten();
         let held = |value: &mut f64, [low, high]: [f64; 2]| *value = value.clamp(low, high);
         for part in &mut model.parts {
@@ -223,6 +228,7 @@ fn bounds(data: &Data, groups: &Groups) -> Bounds {
     Bounds {
         time_constant_s: [0.2 * step_s, 3.0 * longest_s],
         time_s,
+        travel_mm: range[1] - range[0],
         period_mm: [
             (range[1] - range[0]) / groups.len().max(2) as f64,
             0.7 * (range[1] - range[0]),

@@ -135,7 +135,8 @@ fn with(model: &Model, hit: &Hit) -> Model {
 /// Amplitudes to begin from, where 0 leaves no derivative for the nonlinear values.
 fn begin(problem: &Problem, residual: &[f64], model: &mut Model, kind: &Kind) {
     let nonlinear = kind.nonlinear().len();
-    if nonlinear == 0 || kind.amplitudes() == 0 {
+    // What the machine file has begins with what the file says.
+    if nonlinear == 0 || kind.amplitudes() == 0 || kind.stated().is_some() {
         return;
     }
     let Some(index) = model.parts.iter().position(|part| part.kind == *kind) else { return };

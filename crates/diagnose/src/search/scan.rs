@@ -27,7 +27,7 @@ use trueup_numerics::{
 
 use crate::{
     candidates::Candidate,
-    fit::{Fitted, Problem, jacobian},
+    fit::{Fitted, Problem, jacobian, of_part},
     kind::Part,
     model::Model,
     search::{
@@ -77,6 +77,13 @@ fn effect(
     setting: &[f64],
 ) -> (Vec<Vec<f64>>, bool) {
     let kind = &candidate.kind;
+    if kind.stated().is_some() {
+        // It is there already: what it may add is how it changes with its values.
+        let mut with = model.clone();
+        with.parts.push(Part { kind: kind.clone(), values: setting.to_vec() });
+        let columns = of_part(problem, &with, model.parts.len(), &mut None);
+        return (columns.into_iter().map(|(_, column)| column).collect(), false);
+    }
     if kind.is_added() {
         return (problem.columns(kind, setting, true).to_vec(), false);
     }

@@ -53,7 +53,7 @@ impl Stage {
         let is_late = cause.heat_path().is_some_and(|path| path.has_lag && !path.is_second);
         match self {
             Self::OwnModel => cause.tier() == 0,
-            Self::ActsAtOnce => cause.tier() <= 1 && !is_late,
+            Self::ActsAtOnce => cause.tier() == 0 || cause.tier() <= 1 && !is_late,
             Self::All => true,
         }
     }

@@ -57,8 +57,9 @@ impl Page for ExpansionSlope {
         }
     }
 
+    /// What is added to the slope, which is in its own.
     fn values(&self) -> Vec<f64> {
-        Vec::new()
+        vec![0.0]
     }
 
     fn set(&mut self, values: &[f64]) {

@@ -65,7 +65,7 @@ impl Page for GrowthRate {
     }
 
     fn values(&self) -> Vec<f64> {
-        Vec::new()
+        vec![self.time_constant_s]
     }
 
     fn set(&mut self, values: &[f64]) {

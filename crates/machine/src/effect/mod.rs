@@ -275,6 +275,12 @@ impl Effect {
         })
     }
 
+    /// How many values it has.
+    #[must_use]
+    pub fn degrees(&self) -> usize {
+        self.nonlinear().len() + self.amplitudes()
+    }
+
     /// Whether its only amplitude adds the same wherever and whenever it is.
     #[must_use]
     pub fn is_constant(&self) -> bool {

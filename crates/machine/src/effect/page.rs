@@ -337,7 +337,7 @@ pub trait Page {
         None
     }
 
-    /// Its values: nonlinear ones, then amplitudes; none where it only corrects a constant.
+    /// Its values: nonlinear ones, then amplitudes. [`Page::set`] with them changes nothing.
     fn values(&self) -> Vec<f64>;
 
     /// Puts values, as many as there are, into the neutral one.

@@ -51,7 +51,7 @@ impl Page for ReferenceTemperature {
     }
 
     fn values(&self) -> Vec<f64> {
-        Vec::new()
+        vec![self.shift_c]
     }
 
     fn set(&mut self, values: &[f64]) {

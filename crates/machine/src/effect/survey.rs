@@ -59,7 +59,7 @@ pub trait Survey {
     fn own_axis(&self) -> Option<&Axis>;
     /// Whether the tool's growth is in what was measured.
     fn elongates(&self) -> bool;
-    /// The elongation by the machine file, in µm.
+    /// The elongation by the source's own law, without terms, in µm.
     fn elongation(&self) -> &[f64];
     /// The spread of what the machine file predicts, in µm; at least 0.
     fn predicted_spread(&self) -> f64;

@@ -70,7 +70,7 @@ impl Page for ThermalLag {
     }
 
     fn values(&self) -> Vec<f64> {
-        Vec::new()
+        vec![self.time_constant_s]
     }
 
     fn set(&mut self, values: &[f64]) {

@@ -61,7 +61,7 @@ impl Page for TimeShift {
     }
 
     fn values(&self) -> Vec<f64> {
-        Vec::new()
+        vec![self.shift_s]
     }
 
     fn set(&mut self, values: &[f64]) {

@@ -33,6 +33,9 @@ pub struct Edit {
     pub removed: Vec<String>,
     /// Keys to write only where the user has not: section, key, value.
     pub defaults: Vec<(String, &'static str, Value)>,
+    /// Tables to write in the place of those of an array of tables, by its name (`term`) and their
+    /// numbers in it, from 0. What is not there is no error.
+    pub replaced: Vec<(usize, NewSection)>,
     /// Tables to add at the end of an array of tables, by its name: `term`.
     pub appended: Vec<NewSection>,
 }
@@ -47,7 +50,7 @@ impl Edit {
     /// Whether there is nothing to write.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.sections.is_empty() && self.appended.is_empty()
+        self.sections.is_empty() && self.replaced.is_empty() && self.appended.is_empty()
     }
 
     /// What is written, alone, as TOML; what a machine file may need beside it is said in comments.
@@ -112,6 +115,9 @@ impl Edit {
         for section in &self.sections {
             write_section(root, section);
         }
+        for (index, section) in &self.replaced {
+            replace(root, *index, section);
+        }
         for section in &self.appended {
             append(root, section);
         }
@@ -120,7 +126,29 @@ impl Edit {
 
 fn write_section(root: &mut Table, section: &NewSection) {
     let names: Vec<&str> = section.name().split('.').collect();
-    let Some(table) = layout::descend(root, &names, section.remarks()) else { return };
+    if let Some(table) = layout::descend(root, &names, section.remarks()) {
+        rewrite(table, section);
+    }
+}
+
+/// Writes the table of this number in the array of tables of the section's name anew.
+fn replace(root: &mut Table, index: usize, section: &NewSection) {
+    let table: Option<&mut dyn TableLike> = match root.get_mut(section.name()) {
+        Some(Item::ArrayOfTables(tables)) => tables.get_mut(index).map(|table| table as _),
+        // The user has written the array inline.
+        Some(Item::Value(toml_edit::Value::Array(array))) => {
+            let table = array.get_mut(index).and_then(toml_edit::Value::as_inline_table_mut);
+            table.map(|table| table as _)
+        }
+        _ => None,
+    };
+    if let Some(table) = table {
+        rewrite(table, section);
+    }
+}
+
+/// The keys of `section` in the place of those of `table`.
+fn rewrite(table: &mut dyn TableLike, section: &NewSection) {
     let stale: Vec<String> = table
         .iter()
         .map(|(key, _)| key.to_string())
