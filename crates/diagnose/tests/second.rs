@@ -136,12 +136,24 @@ fn a_lag_is_found_beside_the_heat_path_that_the_file_has() {
     }
 }
 
-/// `expansion-slope` was corrected once and has changed again.
+/// `expansion-slope` was corrected once and has changed again: the new value stands in the place of the
+/// old one, and the finding says both.
 #[test]
 fn a_slope_that_was_corrected_once_is_named_again_when_it_changes() {
     for seed in 0..6 {
         let challenge = known::aged(Hidden::ExpansionSlope, 3.0, seed);
         is_alone(&challenge, Hidden::ExpansionSlope)
             .unwrap_or_else(|answer| panic!("seed {seed}: {answer}"));
+        let diagnosis = answer(&challenge);
+        let path = Path::new("machine.toml");
+        let extended = diagnosis.extended(&challenge.machine, path).expect("a machine file");
+        let terms = |text: &str| MachineFile::parse(text, path).expect("a machine file").terms;
+        let (old, new) = (terms(&challenge.machine), terms(&extended));
+        assert_eq!((old.len(), new.len()), (1, 1), "{extended}");
+        assert_eq!(new[0].effect.name(), "expansion-slope");
+        assert_ne!(old[0].effect, new[0].effect);
+        let said = &diagnosis.report.findings[0].evidence;
+        let change = |line: &String| line.starts_with("The machine file says um_per_m_per_c = ");
+        assert!(said.iter().any(change), "{said:?}");
     }
 }

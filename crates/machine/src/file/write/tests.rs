@@ -176,6 +176,25 @@ fn a_table_is_appended_after_the_last_of_its_array_or_at_the_end() {
 }
 
 #[test]
+fn a_table_is_replaced_where_it_stands_and_comments_stay() {
+    let edit = Edit { replaced: vec![(1, gain())], ..Edit::default() };
+    let term = |gain: &str| {
+        format!(
+            "[[term]] # seen in May\ncause = \"sensor-gain\"\nquantity = \"elongation\"\n{gain}\n"
+        )
+    };
+    let of =
+        |second: &str| format!("{PLAIN}{}{}{}", term("gain = 1"), term(second), term("gain = 3"));
+    // A key that the new one does not have goes.
+    let text = applied(&of("gain = 1.5 # by gauge blocks\nconstant_um = 3"), &edit);
+    assert_eq!(text, of("gain = 1.25 # by gauge blocks"));
+    let inline = "{ cause = \"sensor-gain\", quantity = \"elongation\", gain = 1.5 }";
+    let text = applied(&format!("term = [{inline}, {inline}]\n{PLAIN}"), &edit);
+    let replaced = inline.replace("1.5", "1.25");
+    assert_eq!(text, format!("term = [{inline}, {replaced}]\n{PLAIN}"));
+}
+
+#[test]
 fn a_note_stands_beside_a_new_key_and_an_inline_table_on_its_line() {
     let max =
         Value::Inline(vec![("x".into(), Value::Number(1e-7)), ("z".into(), Value::Number(2.0))]);
