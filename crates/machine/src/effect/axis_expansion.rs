@@ -74,6 +74,11 @@ impl Page for AxisExpansion {
         host.thermal.map(|_| "belongs to an axis without [axis.*.thermal], its law is there".into())
     }
 
+    // A scale that is off is nearer: an expansion has room for it, and must do more.
+    fn tier(&self) -> u8 {
+        1
+    }
+
     fn inputs(&self, nonlinear: &[f64]) -> Vec<Input<'_>> {
         let lag_s = nonlinear.first().copied().unwrap_or(0.0);
         vec![Input::Temperature { column: &self.column, lag_s }, Input::OwnPosition]

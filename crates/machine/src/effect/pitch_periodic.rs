@@ -11,7 +11,7 @@ use super::{
         Definition, Entry, Home, Input, Nonlinear, OnBoard, Page,
         Parameter, Value, positive,
     },
-    survey::{Reading, Settings, Survey},
+    survey::{Reading, Settings, Survey, targets},
     wave::{self, Wave},
 };
 use crate::{
@@ -142,8 +142,14 @@ impl Definition for PitchPeriodic {
 
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
         const FREQUENCIES: usize = 8000;
+        // At the targets of a test, the same again and again, a short wave looks like many longer ones.
+        const LEAST_PLACES: usize = 40;
         // Where the instrument has waves of its own, what is periodic may be its as well.
         if survey.quantity().axis().is_none() || survey.has_instrument() {
+            return;
+        }
+        let places = targets(survey.own_position().unwrap_or(&[]), 1e-3);
+        if places.len() < LEAST_PLACES {
             return;
         }
         let Some(peak) = survey.peak(Reading::Position, 2.0, FREQUENCIES) else { return };
