@@ -233,9 +233,9 @@ class Session:
         return [self.number(0x1015, 0), self.number(0x1017, 0)]
 
     def restart(self):
-        """The node starts anew, with what was loaded; its adapter is closed and opened again."""
+        """The node restarts with what was loaded; its adapter is closed and opened again."""
         clock = self.number(0x2001, 5)
-        # After this the counter starts anew as well.
+        # After this the counter starts again as well.
         gaps = self.gaps
         self.node.nmt.send_command(RESET_NODE)
         time.sleep(0.5)
@@ -243,7 +243,7 @@ class Session:
         end, beats = time.monotonic() + PATIENCE_S, len(self.states)
         while len(self.states) == beats:
             if time.monotonic() > end:
-                raise TimeoutError("it does not start anew")
+                raise TimeoutError("it does not restart")
             self.network.bus.open()
             time.sleep(0.2)
         self.gaps = gaps

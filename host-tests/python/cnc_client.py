@@ -192,7 +192,7 @@ def session(bus, database):
 
     phase("listening", silent, lambda cycles, _sent: len(cycles) >= 200)
     phase("damaged", damaged, lambda cycles, sent: sent > 30 and len(cycles) >= 600)
-    # A repetition is no sign of life either.
+    # A repeated frame is not a sign of life either.
     phase("repeated", repeated, lambda cycles, sent: sent > 30 and cycles[-1]["Flags"] & CNC_LOST)
     phase("engaging", cutting(want), settled)
     phase("live", cutting(want), lambda cycles, _sent: len(cycles) >= MEASURED_CYCLES)

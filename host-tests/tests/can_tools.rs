@@ -261,7 +261,7 @@ fn autosar_e2e_comes_to_the_same_verdict_on_every_frame() -> Result<()> {
         let (id, counter, before, checker) = &mut checkers[which];
         let words = [random.next(), random.next()].map(u32::to_le_bytes);
         let mut data: [u8; 8] = words.concat().try_into().ok().context("8 bytes")?;
-        // Mostly the next; a copy; some lost; far away; out of order; a sender that starts anew.
+        // Mostly the next; a copy; some lost; far away; out of order; a sender that restarts.
         *counter = match random.below(16) {
             0 => *counter,
             1 => counter.wrapping_add(u8::try_from(2 + random.below(14))?),

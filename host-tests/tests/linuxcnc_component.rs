@@ -49,7 +49,7 @@ fn rest(ms: u64) {
 fn back_on(rig: &mut Rig) -> Result<()> {
     rig.cnc.switch_on()?;
     let z_um = rig.z_um()?;
-    ensure!(z_um < GROWN_UM - CLOSE_UM, "it does not begin anew, but at {z_um} um");
+    ensure!(z_um < GROWN_UM - CLOSE_UM, "it does not begin at 0, but at {z_um} um");
     Ok(())
 }
 

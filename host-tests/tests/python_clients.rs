@@ -303,7 +303,7 @@ impl Plant {
         self.lines.get_mut().write_all(format!("{step}\n").as_bytes())?;
         let mut line = String::new();
         self.lines.read_line(&mut line)?;
-        serde_json::from_str(&line).with_context(|| format!("{line:?} is no answer"))
+        serde_json::from_str(&line).with_context(|| format!("{line:?} is not an answer"))
     }
 }
 

@@ -1,5 +1,5 @@
 //! The flashable image boots where nearly everything is dead: in QEMU the crystal, the PLL, the
-//! converters and the CAN controller never answer, and the flash is no flash. It has to come up all the same, name each dead
+//! converters and the CAN controller never answer, and the flash cannot be written. It has to come up all the same, name each dead
 //! part in its log, and tell the CNC over the serial line that no offset is available.
 
 use std::{

@@ -189,7 +189,7 @@ fn a_store_that_cannot_be_written_is_logged_and_the_offsets_go_on() {
 #[test]
 fn a_zero_that_finds_no_samples_is_refused_and_logged() {
     let mut bench = Bench::boot(&compiled(1.0));
-    // A rail is no reading.
+    // A sensor at its rail gives no reading.
     let dead = |bench: &mut Bench, zero| bench.live(200, 1e4, zero);
     dead(&mut bench, false);
     dead(&mut bench, true);

@@ -122,7 +122,7 @@ fn board_and_host_send_the_same_frames_to_the_bit_through_an_eventful_life() {
     assert_eq!(first, None, "the first frame that differs");
     assert_eq!(board.len(), host.len());
 
-    // The life is no sleep: every quality that a sensor can have has been there.
+    // The board does not just idle: every quality that a sensor can have has been there.
     let mut receiver = OffsetReceiver::new();
     let outputs = board.iter().filter_map(|(_, frame)| receiver.accept(frame).ok().flatten());
     let mut seen = [0; 7];

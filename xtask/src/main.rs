@@ -58,7 +58,7 @@ enum Command {
         #[arg(default_value_t = 20)]
         seeds: u32,
     },
-    /// Counts circles of files, long files, and places that name one cause; red above the limits.
+    /// Counts circles of files, long files, and places that name one cause; fails above the limits.
     Structure,
     /// Gets what this machine lacks: target, QEMU, Python clients.
     Setup,

@@ -6,7 +6,7 @@
 //! CiA 404: eight temperatures, then the elongation. 0x9130 holds their process values as 32-bit
 //! integers of [`DIGITS`] decimals. What has no standard place is manufacturer-specific, 0x2000 on.
 //!
-//! The offsets themselves and the frames of the CNC are no mapped PDOs: they are protected end to
+//! The offsets themselves and the frames of the CNC are not mapped PDOs: they are protected end to
 //! end, and `trueup.dbc` describes them.
 
 use trueup_core::dimensions::CHANNELS;

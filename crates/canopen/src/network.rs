@@ -26,12 +26,12 @@ const RESET_COMMUNICATION: u8 = 0x82;
 pub enum Command {
     /// The board is to restart.
     ResetNode,
-    /// What the node says is to begin anew.
+    /// What the node says is to restart.
     ResetCommunication,
 }
 
 impl Command {
-    /// The command in a frame; `None`: it is no command, one of another node, or one without an
+    /// The command in a frame; `None`: it is not a command, is one of another node, or one without an
     /// effect.
     #[must_use]
     pub fn decode(frame: &Frame) -> Option<Self> {

@@ -1,6 +1,6 @@
 //! Counts tests by the lines that they print, and keeps how long each took.
 //!
-//! Three things are no pass: a test that failed; one that cannot run where it is, for want of data say,
+//! Three things are not a pass: a test that failed; one that cannot run where it is, for want of data say,
 //! and prints a line that starts with `skipped:`; and one that is ignored. The reason of an ignored
 //! one says which tier runs it: `long: …` the long one; `campaign: …` no tier, it has a command of its
 //! own. Any other reason is a failure, so that no test is left out for good without a word.

@@ -148,7 +148,7 @@ fn long_checks(checks: &mut Verification, programs: &[Program]) {
         // Without a real-time kernel LinuxCNC starves on a busy computer, and the run is worth nothing.
         let first = linuxcnc::run_and_publish();
         if let Err(error) = &first {
-            eprintln!("error: {error:#}; once more");
+            eprintln!("error: {error:#}; trying again");
         }
         Ok(match first.or_else(|_| linuxcnc::run_and_publish())? {
             Some(passed) => Tally::passed(passed),

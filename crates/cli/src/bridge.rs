@@ -20,7 +20,7 @@ pub enum Command {
         #[command(flatten)]
         port: Port,
     },
-    /// Loads a calibration, reads it back, and starts the board anew with it.
+    /// Loads a calibration, reads it back, and restarts the board with it.
     ///
     /// Nothing is loaded while offsets are being followed: let the CNC disengage first.
     /// Exit 3: it is stored, but the board does not run on it.

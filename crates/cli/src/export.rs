@@ -92,7 +92,7 @@ pub fn run(args: &Export, as_json: bool) -> Result<Outcome> {
 
     let folder = &args.output;
     fs::create_dir_all(folder).map_err(|error| {
-        UserError(format!("{}: cannot be made a folder: {error}", folder.display()))
+        UserError(format!("{}: the folder cannot be created: {error}", folder.display()))
     })?;
     let report = as_value(&export.report, &export.files, folder);
     let text = format!("{}\n", export.report);

@@ -113,7 +113,7 @@ impl Input {
             format!(": the run lacks {}", missing_columns.join(", "))
         };
         eprintln!(
-            "warning: {}: what the other sections of the machine file say is not taken off{lacks}",
+            "warning: {}: the other sections of the machine file are not subtracted{lacks}",
             run.path().display()
         );
         Ok(None)
@@ -219,7 +219,7 @@ fn axis_of(runs: &[RunFile], quantity: Option<&str>) -> Result<LinearAxis, BadIn
         _ => {
             let names: Vec<String> =
                 measured.iter().map(|axis| format!("d{}", axis.name())).collect();
-            let rule = format!("the run measures {}: say which by --quantity", names.join(", "));
+            let rule = format!("the run measures {}: choose one with --quantity", names.join(", "));
             Err(BadInput::new(start(), rule))
         }
     }

@@ -28,7 +28,7 @@ use crate::{Outcome, UserError};
 /// Turns of the loop in a servo cycle: a step is seen to be taken soon after it was.
 const TURNS_PER_CYCLE: f64 = 2.5;
 
-/// Is a component of LinuxCNC's HAL: sends commanded positions to a bridge and turns its offsets
+/// Runs as a component of LinuxCNC's HAL: sends commanded positions to a bridge and turns its offsets
 /// into external offsets. LinuxCNC starts it: `loadusr -W trueup linuxcnc --port ...`.
 ///
 /// Pins, samples and what to do at tool setting, probing and homing: integrations/linuxcnc.
@@ -119,7 +119,7 @@ pub fn run(args: &LinuxCnc) -> Result<Outcome> {
         }
         None => {
             log.tell(
-                "no .ini: a servo cycle of 1 ms, millimetres, and slow changes of the offsets",
+                "no .ini: assuming a servo cycle of 1 ms, millimetres, and slow changes of the offsets",
             );
             Ini::default()
         }

@@ -24,7 +24,7 @@ pub fn write_whole<T>(
     let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
     if inputs.iter().any(|input| fs::canonicalize(input).is_ok_and(|input| input == target)) {
         return Err(UserError(format!(
-            "{}: is read, and must not be written over",
+            "{}: is an input, and must not be overwritten",
             path.display()
         ))
         .into());

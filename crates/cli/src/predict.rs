@@ -36,7 +36,7 @@ pub fn run(args: &Predict, as_json: bool) -> Result<Outcome> {
     }
     if !predictor.missing_columns().is_empty() {
         eprintln!(
-            "warning: {}: what depends on these columns stays empty, they are missing: {}",
+            "warning: {}: the run lacks these columns, and what depends on them stays empty: {}",
             run_path.display(),
             predictor.missing_columns().join(", ")
         );

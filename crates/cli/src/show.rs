@@ -16,10 +16,7 @@ pub fn run(from: &Path, as_json: bool) -> Result<Outcome> {
     let calibration = decode(&bytes).map_err(|error| bad(error.to_string()))?;
     let more = bytes.len() - whole(&bytes).map_or(bytes.len(), <[u8]>::len);
     if more > 0 {
-        eprintln!(
-            "warning: {}: {more} bytes after the calibration are not looked at",
-            from.display()
-        );
+        eprintln!("warning: {}: {more} bytes after the calibration are ignored", from.display());
     }
     let shown = show::show(&calibration);
     let not_met = shown.largest_difference_nm.as_ref().err();

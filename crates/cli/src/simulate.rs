@@ -20,7 +20,7 @@ pub struct Simulate {
     /// The scenario: the machine, its faults, the sensors, and what is done.
     #[arg(long, value_name = "S.toml")]
     scenario: PathBuf,
-    /// Chance starts here: the same seed gives the same run, to the byte.
+    /// The seed of all random numbers: the same seed gives the same run, to the byte.
     #[arg(long, value_name = "N")]
     seed: u64,
     /// Where to write the run.

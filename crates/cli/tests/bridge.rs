@@ -242,7 +242,7 @@ fn a_bridge_without_offsets_is_told_after_three_lines() {
     let (out, err) = monitor(&port, "9", 1);
     assert_eq!(out.lines().count(), 3, "{out}");
     assert!(out.starts_with("no offsets came  0 frames/s"), "{out}");
-    assert!(err.contains("error: no offsets for 3 s: not a single frame came"), "{err}");
+    assert!(err.contains("error: no offsets for 3 s: no frame came"), "{err}");
 }
 
 #[test]
@@ -361,7 +361,7 @@ fn other() -> (Desk, u32) {
     machine.limits.slew_um_per_s *= 2.0;
     let compiled = compile(&machine).expect("it fits");
     let desk = Desk::new(&[]);
-    // Bytes after the blob are no part of it.
+    // Bytes after the blob are not part of it.
     desk.write("cal.bin", [compiled.blob(), b"more"].concat());
     (desk, identity(compiled.blob()))
 }
@@ -403,7 +403,7 @@ fn what_must_not_or_cannot_be_loaded_is_told_and_nothing_changes() {
         assert_eq!(out, "", "{err}");
         assert!(err.contains(phrase), "{err}");
     }
-    // What is no calibration never reaches the bridge.
+    // What is not a calibration never reaches the bridge.
     desk.write("garbage.bin", [7; 700]);
     let mut bytes = paper().blob().to_vec();
     bytes[100] ^= 1;
@@ -454,7 +454,7 @@ fn a_recording_is_a_log_of_every_frame_and_a_run_file() {
 
     // A recording is not written over.
     let (_, err) = record("1 --record here", 2);
-    assert!(err.contains("bridge.log: a recording is not begun here: "), "{err}");
+    assert!(err.contains("bridge.log: the recording cannot be created: "), "{err}");
 
     // Without a machine file the channels have no names, and the elongation stands for the counts.
     record("1 --record bus.log", 0);

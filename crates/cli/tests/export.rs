@@ -99,6 +99,6 @@ fn options_reach_the_files_and_wrong_ones_are_refused() {
 fn a_folder_that_is_a_file_is_refused() {
     let desk = desk_with(PITCH);
     let (_, err) = desk.said("export m.toml --format linuxcnc -o m.toml", 2);
-    assert!(err.starts_with("m.toml: cannot be made a folder"), "{err}");
+    assert!(err.starts_with("m.toml: the folder cannot be created"), "{err}");
     assert_eq!(desk.text("m.toml"), PITCH);
 }

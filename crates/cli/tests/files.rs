@@ -155,7 +155,7 @@ fn bad_input_ends_with_2_its_place_and_an_untouched_output() {
         ("predict --machine m.toml --run run.csv -o .", ".: is a folder"),
         ("compile typo.toml -o cal.bin", "typo.toml:15:1: unknown key"),
         ("compile steep.toml -o cal.bin", "steep.toml:16:16: spindle.sensor.um_per_count 9 is"),
-        ("compile m.toml -o ./m.toml", "./m.toml: is read, and must not be written over"),
+        ("compile m.toml -o ./m.toml", "./m.toml: is an input, and must not be overwritten"),
         ("show m.toml", "m.toml: bytes "),
         ("show no.bin", "no.bin: cannot be read: "),
     ] {

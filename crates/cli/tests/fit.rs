@@ -78,7 +78,7 @@ fn elongation_by_a_temperature_is_asked_for() {
     let (_, err) = desk.said("fit elongation --run run.csv -o out.toml", 2);
     assert_eq!(
         err,
-        "run.csv:1:1: which temperature explains it must be said (--temperature): there are \
+        "run.csv:1:1: name the temperature that explains it with --temperature: there are \
          temp_a_c, temp_b_c\n"
     );
     desk.said(
@@ -225,7 +225,7 @@ fn bad_input_ends_with_2_and_one_line_and_writes_nothing() {
     for (line, expected) in [
         (
             "fit thermal --run two.csv -o out.toml",
-            "two.csv:1:1: the run measures dx, dy: say which by --quantity\n",
+            "two.csv:1:1: the run measures dx, dy: choose one with --quantity\n",
         ),
         (
             "fit pitch --run two.csv --quantity dw -o out.toml",
@@ -233,7 +233,7 @@ fn bad_input_ends_with_2_and_one_line_and_writes_nothing() {
         ),
         (
             "fit elongation --run one.csv -o out.toml",
-            "one.csv:1:1: 1 rows have all values that the fit needs, of 1: it needs 3\n",
+            "one.csv:1:1: 1 of 1 rows are complete: the fit needs at least 3\n",
         ),
         (
             "fit elongation --run one.csv --machine bad.toml -o out.toml",

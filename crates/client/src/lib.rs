@@ -85,7 +85,7 @@ impl fmt::Display for Unusable {
                 write!(f, "{}: cannot be made: {error}", path.display())
             }
             Self::File { path, error } => {
-                write!(f, "{}: a recording is not begun here: {error}", path.display())
+                write!(f, "{}: the recording cannot be created: {error}", path.display())
             }
         }
     }

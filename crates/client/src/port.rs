@@ -211,7 +211,7 @@ mod tests {
         bridge.write_all(b"\r").expect("open");
         reader.read_exact(&mut bytes[..1]).expect("written above");
         drop(bridge);
-        assert_eq!(reader.read(&mut bytes).expect("an end is no error"), 0);
+        assert_eq!(reader.read(&mut bytes).expect("an end is not an error"), 0);
         drop(listener);
         assert!(!is_timeout(&port.open().err().expect("nobody listens")));
     }

@@ -349,9 +349,9 @@ mod tests {
         let begin = |name: &str| Recorder::begin(&folder.path().join(name), None, "can0");
         begin("here").expect("a new folder");
         for (name, phrase) in [
-            ("here", "bridge.log: a recording is not begun here: "),
+            ("here", "bridge.log: the recording cannot be created: "),
             ("here/bridge.csv", "bridge.csv: cannot be made: "),
-            ("none/run.log", "run.log: a recording is not begun here: "),
+            ("none/run.log", "run.log: the recording cannot be created: "),
         ] {
             let error = begin(name).err().expect("it is in the way");
             assert!(error.is::<Unusable>() && error.to_string().contains(phrase), "{error:#}");

@@ -21,7 +21,7 @@ const OPEN_TIMEOUT: Duration = Duration::from_secs(3);
 /// How long is waited for the last answer: what a leaving client does not read may be lost with
 /// what it has written.
 const CLOSE_TIMEOUT: Duration = Duration::from_millis(300);
-/// How long a bridge that starts anew may take until it has opened its channel again, and for each
+/// How long a bridge that restarts may take until it has opened its channel again, and for each
 /// of the tries meanwhile.
 const RESTART_TIMEOUT: Duration = Duration::from_secs(10);
 const RETRY_TIMEOUT: Duration = Duration::from_millis(500);
@@ -62,7 +62,7 @@ impl Session {
         Self { ends, has_adapter, client: Client::new(), heard: VecDeque::new() }
     }
 
-    /// Opens the channel again of a bridge that starts anew, and has not yet, or just now.
+    /// Opens the channel again of a bridge that restarts, and has not yet, or just now.
     ///
     /// # Errors
     /// Those of [`Self::open`], if they last for 10 s.
@@ -99,7 +99,7 @@ impl Session {
                 Some(Event::Frame(_) | Event::Malformed(_) | Event::Other(_)) => {}
                 None => bail!(
                     "the bridge has answered {answers} of {OPEN_LINES} lines in {} s; is it a \
-                     bridge, and has it power?",
+                     bridge, and is it powered?",
                     timeout.as_secs_f64()
                 ),
             }
@@ -152,7 +152,7 @@ impl Session {
         }
     }
 
-    /// Closes the channel. Whether the bridge hears of it is no matter to one who leaves.
+    /// Closes the channel. Whether the bridge hears of it does not matter to one who leaves.
     pub fn close(mut self) {
         if self.has_adapter && self.write(client::CLOSE).is_ok() {
             let deadline = Instant::now() + CLOSE_TIMEOUT;

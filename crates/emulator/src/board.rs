@@ -35,7 +35,7 @@ use crate::{
 /// Blocks that can be announced with one ring: a byte.
 pub const LARGEST_BATCH: u32 = u8::MAX as u32;
 /// Bytes that may wait for the board's serial line. On a computer that is busy the emulator takes in
-/// less than a CNC says, and what waits for seconds is no position any more. The kernel gives about
+/// less than a CNC says, and what waits for seconds is no longer the position. The kernel gives about
 /// twice as much, and takes its own book-keeping from it.
 pub const MAY_WAIT: usize = 4_096;
 
@@ -155,7 +155,7 @@ impl VirtualBoard {
         }
     }
 
-    /// A board that starts, or starts anew, says when it is up: rung before, it would not hear.
+    /// A board that starts or restarts says when it is up: rung before, it would not hear.
     fn wait_until_up(&mut self) -> Result<()> {
         let mut ready = [0];
         if self.doorbell.read_exact(&mut ready).is_err() || ready != *b"R" {

@@ -87,7 +87,7 @@ impl Plant {
     /// has closed the line, or when `is_over` says so, which is asked while the plant thinks.
     ///
     /// # Errors
-    /// A line that is no step, or time that runs back; with its number.
+    /// A line that is not a step, or time that runs back; with its number.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked before")]
     pub fn next_step(
         &mut self,
@@ -118,7 +118,7 @@ impl Plant {
             bail!("{place}: t_s goes from {last_s} to {}; a step is 0 to 3600 s", step.t_s);
         }
         if !(0.0..=100.0).contains(&step.sensor_v.abs()) {
-            bail!("{place}: sensor_v {} is no voltage of a sensor", step.sensor_v);
+            bail!("{place}: sensor_v {} is not a voltage that a sensor gives", step.sensor_v);
         }
         let speed = step
             .spindle_rpm

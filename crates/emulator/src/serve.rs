@@ -73,7 +73,7 @@ pub fn serve(
     eprintln!("the bridge is up in QEMU (process {})", board.qemu().id());
     end_with(stop.clone(), board.qemu().id());
     let result = play(&mut board, front_end, listener, source, &stop);
-    // Whatever broke because it was stopped is no error.
+    // Whatever broke because it was stopped is not an error.
     if stop.load(Ordering::Relaxed) { Ok(()) } else { result }
 }
 
@@ -324,7 +324,7 @@ fn serve_client(
 /// take it, as on a serial line: the newest position is worth more than all that came before.
 ///
 /// # Errors
-/// It is no such address, or the port is in use.
+/// It is not such an address, or the port is in use.
 pub fn listen(address: &str) -> Result<TcpListener> {
     let address = tcp_address(address)?;
     let listener = TcpListener::bind(address).with_context(|| {
@@ -341,6 +341,6 @@ pub fn listen(address: &str) -> Result<TcpListener> {
 pub fn tcp_address(address: &str) -> Result<&str> {
     match address.strip_prefix("tcp:") {
         Some(rest) if rest.contains(':') => Ok(rest),
-        _ => bail!("\"{address}\" is no address; it has the form tcp:HOST:PORT"),
+        _ => bail!("\"{address}\" is not an address of the form tcp:HOST:PORT"),
     }
 }

@@ -64,7 +64,9 @@ pub fn toolchain() -> Result<Toolchain> {
         Err(first) if forced.is_empty() => {
             eprintln!("{first:#}; trying the distribution's compiler");
             distribution().map_err(|second| {
-                second.context(format!("the target {TARGET} cannot be had; first way: {first:#}"))
+                second.context(format!(
+                    "the target {TARGET} cannot be installed; the first way failed: {first:#}"
+                ))
             })?;
             Ok(Toolchain::Distribution)
         }
@@ -279,7 +281,7 @@ fn install(packages: &[&str], what: &str) -> Result<()> {
     let by_hand = format!("sudo apt-get update && sudo apt-get install -y {}", packages.join(" "));
     if process::find("apt-get").is_none() {
         bail!(
-            "{what} is missing, and this is no Debian or Ubuntu; install: {}",
+            "{what} is missing, and this is not Debian or Ubuntu; install: {}",
             packages.join(" ")
         );
     }

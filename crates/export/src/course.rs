@@ -194,12 +194,14 @@ pub(crate) fn terms_left_out(machine: &Machine, options: &Options) -> Vec<(Strin
                 if is_known || !needs_travel(effect) {
                     continue;
                 }
-                "it needs the travel of its axis, which is not known: --travel"
+                "it needs the travel of its axis: give it with --travel"
             }
             effect if is_of_two_axes(effect) => {
-                "a control has no table for it: it goes with two axes at once; the bridge can"
+                "it depends on two axes at once, which no table of a control does; the bridge corrects it"
             }
-            _ => "a control has no table for it: it changes while the machine runs; the bridge can",
+            _ => {
+                "it changes while the machine runs, which no table of a control follows; the bridge does"
+            }
         };
         left_out.push((term_name(index, term), reason.to_string()));
     }

@@ -216,7 +216,7 @@ mod tests {
         let (rows, off) = best_rows(&x, &roof, 1e-9, 3);
         assert_eq!(rows, [0, 7, 20]);
         assert!(off <= 1e-9);
-        // A tolerance that three points reach is no reason to move the ridge.
+        // A tolerance that three points reach is not a reason to move the ridge.
         assert_eq!(best_rows(&x, &roof, 0.5, 10).0, [0, 7, 20]);
     }
 

@@ -125,7 +125,7 @@ pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) 
                 }
                 if cross.range_mm(machine, options).is_none() {
                     let reason = format!(
-                        "an angle needs the travel of {}, which is not known: --travel",
+                        "an angle needs the travel of {}: give it with --travel",
                         axis.name()
                     );
                     export.report.leave_out(cross.section(), reason);

@@ -117,7 +117,7 @@ fn export_drive(drive: &Drive<'_>, options: &Options, export: &mut Export) {
     let is_lost = !keeps_all && (!drive.is_curved() || off_um > options.tolerance_um);
     let loss = is_lost.then(|| {
         format!(
-            "{} of {} points are left away, to the best {}: lines up to {off_um:.3} um off",
+            "{} of {} points are left out, down to the best {}: lines up to {off_um:.3} um off",
             positions_mm.len() - rows.len(),
             positions_mm.len(),
             rows.len()
@@ -169,7 +169,8 @@ fn export_drive(drive: &Drive<'_>, options: &Options, export: &mut Export) {
 
 fn leave_out(machine: &Machine, report: &mut Report) {
     for cross in crosses(machine) {
-        let reason = "LinuxCNC's tables correct a joint by its own position only; the bridge can";
+        let reason =
+            "LinuxCNC's tables correct a joint by its own position only; the bridge corrects this";
         report.leave_out(cross.section(), reason);
     }
     leave_out_heat(machine, report, "LinuxCNC has no compensation by temperature; the bridge has");

@@ -97,8 +97,7 @@ pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) 
             Some(plan) => planned.push(plan),
             None => {
                 let along = cross.along.name();
-                let reason =
-                    format!("an angle needs the travel of {along}, which is not known: --travel");
+                let reason = format!("an angle needs the travel of {along}: give it with --travel");
                 export.report.leave_out(cross.section(), reason);
             }
         }

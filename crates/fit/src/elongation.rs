@@ -204,15 +204,15 @@ pub(crate) fn temperature_column(
 ) -> Result<String, BadInput> {
     if let Some(wanted) = wanted {
         if !is_temperature_column(&wanted) {
-            return Err(rows.bad(format!("{wanted} is no column of a temperature, temp_<name>_c")));
+            return Err(rows.bad(format!("{wanted} is not a temperature column (temp_<name>_c)")));
         }
         return Ok(wanted);
     }
     match rows.temperatures().as_slice() {
-        [] => Err(rows.bad("no column of a temperature, temp_<name>_c, is there")),
+        [] => Err(rows.bad("no temperature column (temp_<name>_c)")),
         [only] => Ok((*only).to_string()),
         several => Err(rows.bad(format!(
-            "which temperature explains it must be said (--temperature): there are {}",
+            "name the temperature that explains it with --temperature: there are {}",
             several.join(", ")
         ))),
     }
@@ -229,10 +229,8 @@ pub(crate) fn spread_or_bad(
     let mut used = x.iter().zip(is_used).enumerate().filter(|(_, (_, used))| **used);
     let count = used.clone().count();
     if count < least {
-        let rule = format!(
-            "{count} rows have all values that the fit needs, of {}: it needs {least}",
-            x.len()
-        );
+        let rule =
+            format!("{count} of {} rows are complete: the fit needs at least {least}", x.len());
         return Err(rows.bad(rule));
     }
     if let Some((first, (value, _))) = used.next()

@@ -62,7 +62,7 @@ pub(crate) struct Fitted {
 
 impl<'a> Lagged<'a> {
     /// `positions` are in units that are near 1, and may be empty where no term needs them. States
-    /// start anew at `starts`.
+    /// start again at `starts`.
     pub(crate) fn new(
         time_s: Option<&'a [f64]>,
         temperature_c: &'a [f64],
@@ -267,7 +267,7 @@ fn rms(residuals: Option<&[f64]>) -> Option<f64> {
     crate::report::Spread::of(residuals?).map(|spread| spread.rms_um)
 }
 
-/// Gross errors of a series that starts anew at `starts`.
+/// Gross errors of a series that starts again at `starts`.
 pub(crate) fn outliers(time_s: &[f64], starts: &[bool], y: &[f64]) -> Vec<Outlier> {
     let mut found = Vec::new();
     let mut first = 0;

@@ -17,7 +17,7 @@
 //! nothing, a constant → one table → one table and a backlash → a table for each direction
 //! ```
 //!
-//! A constant alone is no finding: the zero of the measurement is arbitrary. If no table gains, the
+//! A constant alone is not a finding: the zero of the measurement is arbitrary. If no table gains, the
 //! machine does not repeat well enough to be corrected, and the report says so with its figures.
 //! The errors are actual minus commanded, and the fit predicts what `trueup predict` does, because
 //! it is judged with the machine's own model.
@@ -189,7 +189,7 @@ fn check_extent(
         && !(step_mm > 0.0 && Grid::with_step(&readings.targets_mm, step_mm).points <= LARGEST)
     {
         let rule = format!(
-            "cannot have a table of a step of {step_mm} mm: it must be above 0 and give at most \
+            "cannot have a table with a step of {step_mm} mm: it must be above 0 and give at most \
              {LARGEST} points"
         );
         return Err(run.bad(0, &format!("{}_mm", axis.name()), rule));
@@ -215,7 +215,7 @@ fn laws(readings: &Readings, options: &Options) -> Vec<Law> {
     laws
 }
 
-/// The law to use; `None` if none gains. Without repeats there is no judging: the plainest law that
+/// The law to use; `None` if none gains. Without repeats nothing can be judged: the plainest law that
 /// tells the directions apart.
 fn choose(judged: &[Judged], laws: &[Law], options: &Options) -> Option<Law> {
     let [nothing, constant, tables @ ..] = judged else {

@@ -81,7 +81,7 @@ impl<'r> Rows<'r> {
         BadInput::new(Place::start_of(self.runs[0].path()), rule)
     }
 
-    /// Where the states start anew: the first row of each file, and where time runs back.
+    /// Where the states start again: the first row of each file, and where time runs back.
     pub(crate) fn starts(&self, time_s: Option<&[f64]>) -> Vec<bool> {
         let mut starts = vec![false; self.count()];
         let mut first = 0;

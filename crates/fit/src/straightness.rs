@@ -58,7 +58,7 @@ use sites::Sites;
 /// How many further knots may fail to gain before the search ends.
 pub const PATIENCE: usize = 2;
 
-/// More coefficients are no table for a board, and no fit but a filter.
+/// With more coefficients a curve is too large for a board, and follows the noise.
 pub const MOST_COEFFICIENTS: usize = 128;
 
 /// What is asked for.

@@ -167,7 +167,7 @@ fn bad_input_is_named_with_its_place_and_rule() {
         ),
         (
             "sensor_counts,measured_elongation_um\n1,2\n2,3\n,4\n5,\n",
-            "run.csv:1:1: 2 rows have all values that the fit needs, of 4: it needs 3",
+            "run.csv:1:1: 2 of 4 rows are complete: the fit needs at least 3",
         ),
         (
             "sensor_counts,measured_elongation_um\n7,2\n7,3\n7,4\n",
@@ -175,12 +175,12 @@ fn bad_input_is_named_with_its_place_and_rule() {
         ),
         (
             "temp_a_c,temp_b_c,measured_elongation_um\n7,2,1\n7,3,1\n7,4,1\n",
-            "run.csv:1:1: which temperature explains it must be said (--temperature): there are \
+            "run.csv:1:1: name the temperature that explains it with --temperature: there are \
              temp_a_c, temp_b_c",
         ),
         (
             "temp_a_c,measured_elongation_um\n7,2\n8,nan\n7,4\n",
-            "run.csv:1:1: 2 rows have all values that the fit needs, of 3: it needs 4",
+            "run.csv:1:1: 2 of 3 rows are complete: the fit needs at least 4",
         ),
     ] {
         assert_eq!(error(text, None), expected);

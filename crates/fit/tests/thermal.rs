@@ -207,7 +207,7 @@ fn bad_input_is_named_with_its_place_and_rule() {
         (
             "x_mm,measured_dx_um\n20,1\n",
             &position,
-            "run.csv:1:1: no column of a temperature, temp_<name>_c, is there",
+            "run.csv:1:1: no temperature column (temp_<name>_c)",
         ),
         (
             "x_mm,temp_a_c,measured_dx_um\n0,20,1\n1,20,1\n2,20,1\n3,20,1\n",

@@ -203,7 +203,7 @@ fn bad_input_is_named_with_its_place_and_rule() {
         ),
         (
             "time_s,measured_elongation_um\n0,1\n1,2\n2,nan\n",
-            "run.csv:1:1: 2 rows have all values that the fit needs, of 3: it needs 8",
+            "run.csv:1:1: 2 of 3 rows are complete: the fit needs at least 8",
         ),
         (
             "time_s,spindle_rpm,measured_elongation_um\n0,0,1\n1,0,1\n2,0,1\n3,0,1\n4,0,1\n5,0,1\n\

@@ -26,7 +26,7 @@ use crate::{
 const APPLIED_WITHIN_NM: f64 = 20.0;
 /// Temperature channels of the bridge.
 pub const TEMPERATURES: usize = CHANNELS;
-/// Each item of `Status` comes every 0.8 s; three missed, and it is not known any more.
+/// Each item of `Status` comes every 0.8 s; three missed, and it counts as unknown.
 const STATUS_LASTS: Duration = Duration::from_millis(2_500);
 /// How often the heartbeat turns round.
 const HEARTBEAT_HALF: Duration = Duration::from_millis(50);
@@ -389,7 +389,7 @@ mod tests {
     }
 
     #[test]
-    fn a_machine_that_was_off_begins_anew_from_zero() {
+    fn a_machine_that_was_off_begins_again_from_zero() {
         let mut world = World::new();
         world.says = Some([0, 0, 40_000]);
         world.live(200);

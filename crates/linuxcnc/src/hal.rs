@@ -3,7 +3,7 @@
 //! The library is opened at run time, so that neither its header nor LinuxCNC is needed to build,
 //! and the host tool runs where there is none. All components and LinuxCNC's realtime part share one
 //! piece of memory; a pin is a pointer in it that LinuxCNC turns to whatever the pin is connected
-//! to, so it is followed anew at each access. Names, types and directions are those of `hal.h`.
+//! to, so it is followed again at each access. Names, types and directions are those of `hal.h`.
 #![allow(unsafe_code)]
 
 use std::{

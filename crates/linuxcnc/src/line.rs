@@ -25,10 +25,10 @@ use trueup_link::{
 const QUEUE: usize = 32;
 /// Before a line is opened again.
 const PAUSE: Duration = Duration::from_millis(250);
-/// A bridge that sends no frame for so long is asked to open its channel again: it may have started
-/// anew.
+/// A bridge that sends no frame for so long is asked to open its channel again: it may have
+/// restarted.
 const SILENT: Duration = Duration::from_secs(1);
-/// A line without a frame for so long is opened anew.
+/// A line without a frame for so long is closed and opened again.
 const DEAD: Duration = Duration::from_secs(3);
 
 /// What happens on the line.
@@ -130,7 +130,7 @@ fn read(
     let (mut last, mut asked) = (Instant::now(), Instant::now());
     while !stop.load(Ordering::Relaxed) {
         if writer.is_finished() {
-            return "the bridge takes nothing".into();
+            return "the bridge accepts no frames".into();
         }
         match reader.read(&mut bytes) {
             Ok(0) => return "the bridge has closed the line".into(),
@@ -194,7 +194,7 @@ mod tests {
         Ok((Box::new(stream.try_clone()?), Box::new(stream)))
     }
 
-    /// What a bridge does that starts anew behind a line that stays: with its channel closed it
+    /// What a bridge does that restarts behind a line that stays: with its channel closed it
     /// refuses every frame, until it is asked to open.
     #[test]
     fn a_bridge_that_forgets_its_channel_is_asked_to_open_it_again() {

@@ -68,7 +68,7 @@ impl ReceivedOffsets {
         }
     }
 
-    /// Takes note of a line that was no frame.
+    /// Takes note of a line that was not a frame.
     pub fn hear_malformed(&mut self) {
         self.malformed_lines = self.malformed_lines.saturating_add(1);
     }

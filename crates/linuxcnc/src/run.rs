@@ -93,7 +93,7 @@ impl News {
     /// The same reason is told once.
     fn line_down(&mut self, why: &str, tell: &mut impl FnMut(&str)) {
         if self.down.as_deref() != Some(why) {
-            tell(&format!("the line is down: {why}; trying again and again"));
+            tell(&format!("the line is down: {why}; trying again"));
             self.down = Some(why.into());
         }
     }
@@ -114,11 +114,11 @@ impl News {
             Quality::WarmUpModel => "offsets come from the warm-up model",
             Quality::Hold => "offsets are held",
             Quality::RampingOut => "offsets are taken back",
-            Quality::Fault => "there are no offsets",
+            Quality::Fault => "no offsets are sent",
         }
         .to_owned();
         if !connected {
-            text += "; nothing valid comes from the bridge";
+            text += "; the bridge sends no valid offsets";
         }
         if fault {
             text += "; fault";

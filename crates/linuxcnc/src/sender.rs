@@ -9,7 +9,7 @@
 //!
 //! A direction is where the axis was last sent, +1 or −1, also while it stands. It turns when the
 //! command has gone back by more than 1 µm: the last digits of a command that LinuxCNC computes as a
-//! difference, or of an encoder while the machine is off, are no reversal. Unlike the position it also
+//! difference, or of an encoder while the machine is off, are not a reversal. Unlike the position it also
 //! looks at command and external offset together: an axis that stands in the program, but is taken back
 //! by its offset, crosses its backlash like any other. That is not to include what the reversal itself
 //! does to the offset, or the two would chase each other: for it, 1 µm and the most by which the

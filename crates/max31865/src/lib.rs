@@ -20,7 +20,7 @@
 //! longer than the 66 ms of a first conversion with the 50 Hz filter and than the cable check's
 //! 0.6 ms. Whether a converter answers is seen from its configuration and thresholds, which are
 //! read back with every ratio: a dead line, all 0 or all 1, is none, and a converter that has lost
-//! its supply for a moment is found and set up anew.
+//! its supply for a moment is found and set up again.
 //!
 //! It speaks through embedded-hal's [`SpiDevice`], in mode 1 and at 5 MHz at most, and never waits
 //! itself: how long a transfer may take is for the board's device to bound. An error of it counts as
@@ -48,7 +48,7 @@ use trueup_core::{
 pub const REFERENCE: MicroOhms = MicroOhms(430_000_000);
 /// The shortest time between two turns of one converter.
 pub const TURN_MS: u32 = 80;
-/// The cables are checked anew after so many readings: every 10 s at 100 ms a turn.
+/// The cables are checked again after so many readings: every 10 s at 100 ms a turn.
 pub const CHECK_TURNS: u32 = 96;
 
 /// Binary places of the ratio.

@@ -80,7 +80,7 @@ pub struct Node<'a> {
 pub enum Zero {
     /// The reference is another one now.
     Taken(Reference),
-    /// It is as it was: an input is missing, or the error is no other.
+    /// It is as it was: an input is missing, or the error has not changed.
     Unchanged,
 }
 

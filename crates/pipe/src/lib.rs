@@ -20,7 +20,7 @@
 //! | offset | type | field |
 //! |---|---|---|
 //! | 0 | `u32` | sample clock in ms |
-//! | 4 | `u16` | identifier, 0xFFFF: end of batch, 0xFFFE: the same, and the board starts anew |
+//! | 4 | `u16` | identifier, 0xFFFF: end of batch, 0xFFFE: the same, and the board restarts |
 //! | 6 | `u8` | number of data bytes, 0…8; 0 at the end of a batch |
 //! | 7 | `u8` | 0 |
 //! | 8 | 8 bytes | data, padded with zeros |
@@ -53,7 +53,7 @@ pub const RECORD_SIZE: usize = 16;
 
 /// In place of a speed or an identifier: there is none.
 const NONE: u16 = 0xFFFF;
-/// In place of an identifier: the board starts anew.
+/// In place of an identifier: the board restarts.
 const RESTART: u16 = 0xFFFE;
 
 /// What happens to the board in one millisecond.
@@ -242,7 +242,7 @@ pub enum Record {
         /// When, on the sample clock.
         time: Millis,
     },
-    /// It has nothing more to say and starts anew; then it is up again, with its clock at 0.
+    /// It has nothing more to say and restarts; then it is up again, with its clock at 0.
     Restart {
         /// When, on the sample clock.
         time: Millis,

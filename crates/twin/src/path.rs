@@ -250,7 +250,7 @@ impl Path {
             self.push(segment, self.at_mm, 0.0, Some(number));
         }
         let from_mm = self.at_mm;
-        // A rest that is only rounding is no row of its own.
+        // A rest that is only rounding is not a row of its own.
         let rows = ((seconds / interval_s) - 1e-9).ceil().max(0.0);
         let mut row = 0.0;
         while row < rows {

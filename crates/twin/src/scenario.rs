@@ -194,12 +194,12 @@ impl Scenario {
         Rule::none_negative(&[("ambient.wander_c", self.ambient.wander_c)])?;
         Rule::share("coolant.air_share", self.coolant.air_share)?;
         if self.measure.is_empty() {
-            return Err(Rule::new("measure", "must name what is measured".into()));
+            return Err(Rule::new("measure", "must name at least one quantity".into()));
         }
         for (index, quantity) in self.measure.iter().enumerate() {
             let key = format!("measure[{index}]");
             if self.measure[..index].contains(quantity) {
-                return Err(Rule::new(&key, format!("is {} once more", quantity.name())));
+                return Err(Rule::new(&key, format!("is {} a second time", quantity.name())));
             }
             if *quantity == Quantity::Elongation && self.spindle.is_none() {
                 return Err(Rule::new(&key, "is elongation, but there is no [spindle]".into()));
@@ -240,7 +240,7 @@ impl Scenario {
                 }
                 _ => continue,
             };
-            let rule = format!("is on what is not there: [{missing}]");
+            let rule = format!("needs [{missing}], which is missing");
             return Err(Rule::new("at", rule).within(&section));
         }
         for (&name, axis) in &self.axis {
@@ -255,7 +255,7 @@ impl Scenario {
         }
         self.instrument.check().map_err(|rule| rule.within("instrument"))?;
         if self.segment.is_empty() {
-            return Err(Rule::new("segment", "must say what is done".into()));
+            return Err(Rule::new("segment", "must be there: it is what the machine does".into()));
         }
         for (index, segment) in self.segment.iter().enumerate() {
             segment.check().map_err(|rule| rule.within(&format!("segment[{index}]")))?;

@@ -200,7 +200,7 @@ impl SpindleConfig {
             }
         }
         if self.motor_m[1] <= self.motor_m[0] {
-            return Err(Rule::new("motor_m", "must end behind its beginning".into()));
+            return Err(Rule::new("motor_m", "must end after its beginning".into()));
         }
         if !(2..=2000).contains(&self.cells) {
             let rule = format!("must be from 2 to 2000, not {}", self.cells);

@@ -55,7 +55,7 @@ fn a_mistake_is_told_with_its_line_its_column_and_the_rule() {
         (
             "[\"elongation\"]",
             "[\"elongation\", \"elongation\"]",
-            "s.toml:2:26: measure[1] is elongation once more",
+            "s.toml:2:26: measure[1] is elongation a second time",
         ),
         (
             "[spindle]\nlength_m = 0.5\n",
@@ -68,7 +68,7 @@ fn a_mistake_is_told_with_its_line_its_column_and_the_rule() {
         (
             "[spindle]",
             "[thermometer.bed]\nat = \"screw_x\"\n[spindle]",
-            "s.toml:4:1: thermometer.bed.at is on what is not there: [axis.x]",
+            "s.toml:4:1: thermometer.bed.at needs [axis.x], which is missing",
         ),
     ] {
         let text = GOOD.replacen(wrong, right, 1);

@@ -222,7 +222,7 @@ pub fn signal(name: &str, id: u32) -> Result<()> {
 }
 
 /// The processes with this mark that are emulators. One that is dead but not waited for has no
-/// environment any more.
+/// environment left.
 fn emulators(mark: &str) -> Vec<u32> {
     let mark = format!("{MARK}={mark}");
     let has = |folder: &Path| -> std::io::Result<bool> {
@@ -291,7 +291,7 @@ impl Bridge {
 /// Waits until what this client does not read has filled every buffer on the way, so that the
 /// bridge is stuck behind it.
 pub fn wait_until_stuck(deaf: &TcpStream) -> Result<()> {
-    // Once nothing comes any more, the queue before it is full within half of this.
+    // Once nothing more comes, the queue before it is full within half of this.
     const REST: Duration = Duration::from_secs(2);
     let end = Instant::now() + START;
     let mut bytes = vec![0; 8 << 20];
@@ -311,5 +311,5 @@ pub fn wait_until_stuck(deaf: &TcpStream) -> Result<()> {
 pub fn file(folder: &TempDir, name: &str, text: &str) -> Result<String> {
     let path = folder.path().join(name);
     fs::write(&path, text)?;
-    path.into_os_string().into_string().ok().context("a path that is no text")
+    path.into_os_string().into_string().ok().context("a path that is not UTF-8")
 }

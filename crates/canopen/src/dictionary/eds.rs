@@ -112,6 +112,9 @@ mod tests {
         let entries: usize = OBJECTS.iter().map(|object| object.entries.len()).sum();
         println!("{} objects, {entries} entries, {} bytes", OBJECTS.len(), text.len());
         let file = fs::read_to_string(&path).expect("the file");
-        assert!(file == text, "print it anew: TRUEUP_WRITE_EDS=1 cargo test -p trueup-canopen eds");
+        assert!(
+            file == text,
+            "write it again: TRUEUP_WRITE_EDS=1 cargo test -p trueup-canopen eds"
+        );
     }
 }

@@ -47,7 +47,10 @@ impl fmt::Display for ClientError {
                 write!(f, " (abort code {code:08X})")
             }
             Self::Unexpected { at: (index, subindex), answer } => {
-                write!(f, "object {index:04X}:{subindex}: {answer:02X?} is no answer to this")
+                write!(
+                    f,
+                    "object {index:04X}:{subindex}: {answer:02X?} does not answer this request"
+                )
             }
         }
     }
@@ -79,7 +82,7 @@ impl Upload {
     }
 
     /// Takes a frame from the bus. The bytes that it brings go into `bytes`. Gives the next request;
-    /// `None`: all is there. A frame that is no answer of an SDO server changes nothing, nor does,
+    /// `None`: all is there. A frame that is not an answer of an SDO server changes nothing, nor does,
     /// before the start is answered, what somebody who was here before has asked for.
     ///
     /// # Errors
@@ -123,7 +126,7 @@ impl Upload {
 /// What an answer has led to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Progress {
-    /// It was no answer.
+    /// It was not an answer.
     Unchanged,
     /// This is to be asked next.
     Ask(Frame),

@@ -182,7 +182,7 @@ fn a_wrong_toggle_ends_the_transfer() {
         let answer = ask(&mut server, &mut fake, [wrong, 0, 0, 0, 0, 0, 0, 0]);
         assert_eq!(answer, refused(index, subindex, Abort::Toggle));
         let again = ask(&mut server, &mut fake, [wrong, 0, 0, 0, 0, 0, 0, 0]);
-        assert_eq!(again, refused(0, 0, Abort::Command), "there is no transfer any more");
+        assert_eq!(again, refused(0, 0, Abort::Command), "the transfer has ended");
     }
 }
 

@@ -3,7 +3,7 @@
 //! A file needs another if a path in its code (`crate::…`, `super::…`, `self::…`, or one that begins
 //! with a module that it declares) leads there; through a name that a file only passes on
 //! (`pub use a::Name`) to where the name is. A module's file and the files of its folder are one place
-//! to the reader, so a path from one of these up to the module that holds it is no need of its own.
+//! to the reader, so a path from one of these up to the module that holds it is not a need of its own.
 //! The root of a crate declares everything and is in no circle.
 
 use std::collections::{BTreeMap, BTreeSet};

@@ -45,7 +45,7 @@ impl Info {
             }
             Event::Frame(frame) => {
                 let state = frames::decode_heartbeat(frame).ok();
-                // Boot-up is no state yet; the next heartbeat has one.
+                // Boot-up is not a state yet; the next heartbeat has one.
                 let state = state.filter(|state| *state != frames::State::BootUp);
                 self.heartbeat = state.or(self.heartbeat);
                 self.output = self.offsets.accept(frame).ok().flatten().or(self.output);

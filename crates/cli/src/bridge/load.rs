@@ -26,25 +26,25 @@ use trueup_store::calibration::{decode, identity, whole};
 
 use crate::{Outcome, UserError, output};
 
-/// NMT: node 1 starts anew.
+/// NMT: node 1 restarts.
 const RESET_NODE: [u8; 2] = [0x81, 1];
 /// How long the bridge may take to send its first heartbeat after that.
 const BOOT_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Loads the calibration in the file `from`; unless `keep_running`, the board then starts anew with
+/// Loads the calibration in the file `from`; unless `keep_running`, the board then restarts with
 /// it.
 pub fn run(from: &Path, port: &str, keep_running: bool, as_json: bool) -> Result<Outcome> {
     let bad = |rule: String| UserError(format!("{}: {rule}", from.display()));
     let bytes = fs::read(from).map_err(|error| bad(format!("cannot be read: {error}")))?;
     decode(&bytes).map_err(|error| bad(error.to_string()))?;
-    // What follows the blob is no part of it.
+    // What follows the blob is not part of it.
     let blob = whole(&bytes).map_err(|error| bad(error.to_string()))?;
     let crc = identity(blob);
 
     let mut session = Session::open(&Port::parse(port)?)?;
     let quality = object::number(&mut session, QUALITY)?;
     let quality = u8::try_from(quality).ok().and_then(Quality::from_wire);
-    let quality = quality.context("the bridge tells a quality that has no meaning")?;
+    let quality = quality.context("the bridge sends an unknown quality")?;
     if !matches!(quality, Quality::Off | Quality::Fault) {
         bail!(
             "nothing is loaded while offsets are being followed (the bridge is {}): let the CNC \
@@ -87,8 +87,8 @@ pub fn run(from: &Path, port: &str, keep_running: bool, as_json: bool) -> Result
         ))?;
         output::print(match (keep_running, is_met) {
             (true, _) => format!("used from the next start; now the bridge runs on {running:08x}"),
-            (false, true) => "the bridge has started anew and runs on it".into(),
-            (false, false) => format!("the bridge has started anew, but runs on {running:08x}"),
+            (false, true) => "the bridge has restarted and uses it".into(),
+            (false, false) => format!("the bridge has restarted, but uses {running:08x}"),
         })?;
     }
     Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
@@ -109,7 +109,7 @@ fn running_after_boot(session: &mut Session, wanted: u32) -> Result<u32> {
     }
 }
 
-/// Until the bridge is up again: a line of SLCAN has to be opened anew.
+/// Until the bridge is up again: an SLCAN channel has to be opened again.
 fn wait_for_boot(session: &mut Session, deadline: Instant) -> Result<()> {
     // A board that stores or supervises takes up to 10 ms to hear of it.
     let restarts = Instant::now() + Duration::from_millis(50);

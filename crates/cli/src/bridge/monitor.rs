@@ -41,7 +41,7 @@ pub fn run(
         .map(|(path, machine)| Recorder::begin(path, machine, port.interface()))
         .transpose()?;
     let mut session = Session::open(&port)?;
-    eprintln!("listening; nothing is engaged by it");
+    eprintln!("listening only: this command engages nothing");
     let mut tally = Tally::default();
     let mut outcome = Outcome::Done;
     let mut silent_lines = 0;
@@ -71,7 +71,7 @@ pub fn run(
         silent_lines = if second.output.is_none() { silent_lines + 1 } else { 0 };
         if silent_lines == SILENT_LINES {
             let hint = match tally.frames {
-                0 => "not a single frame came; does the board sample, does its plant run?",
+                0 => "no frame came; does the board sample, does its plant run?",
                 _ => "frames came, but no valid pair of offsets",
             };
             bail!("no offsets for {} s: {hint}", SILENT_LINES);

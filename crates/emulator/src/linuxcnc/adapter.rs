@@ -117,7 +117,7 @@ impl Adapter {
         let mut bytes = Vec::new();
         for cycle in sent.chunk_by(|(one, _), (other, _)| one == other) {
             let Some((time, _)) = cycle.first() else { continue };
-            // A board that was started anew begins at 0 again.
+            // A board that was restarted begins at 0 again.
             let due =
                 self.last.is_none_or(|last| time.0 < last.0 || time.since(last) >= self.stride);
             if !due {

@@ -6,7 +6,7 @@
 //! machine, which hears the same without the external offset.
 //!
 //! * Straightness: range (largest minus smallest) of the error across the path, as the paper states
-//!   it; a constant is no crookedness.
+//!   it; a constant is not a straightness error.
 //! * Staircase: mean error over the last 50 ms of each dwell. Pitch is the range of the means
 //!   approached from below, backlash the largest |from above − from below| at a height.
 //! * Warm-up: the largest change of the error along the tool since its start.

@@ -70,7 +70,7 @@ const SEED: u64 = 77;
 /// Runs the whole; `None` where the distribution has no package of LinuxCNC.
 ///
 /// # Errors
-/// Something does not run. What is not reached is no error here: [`Figures::check`] says it.
+/// Something does not run. What is not reached is not an error here: [`Figures::check`] says it.
 pub fn run() -> Result<Option<Figures>> {
     let started = Instant::now();
     let Some(control) = setup::linuxcnc()? else { return Ok(None) };

@@ -126,7 +126,7 @@ def begin(program):
 def busy():
     status.poll()
     message = errors.poll()
-    # Plain messages are no errors.
+    # Plain messages are not errors.
     if message and message[0] in (linuxcnc.NML_ERROR, linuxcnc.OPERATOR_ERROR):
         raise RuntimeError(f"LinuxCNC says: {message[1]}")
     if status.task_state != linuxcnc.STATE_ON:

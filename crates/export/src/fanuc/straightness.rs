@@ -29,8 +29,7 @@ pub(super) fn chosen<'m>(
     for cross in crosses(machine) {
         let Some((first, last)) = cross.range_mm(machine, options) else {
             let along = cross.along.name();
-            let reason =
-                format!("an angle needs the travel of {along}, which is not known: --travel");
+            let reason = format!("an angle needs the travel of {along}: give it with --travel");
             report.leave_out(cross.section(), reason);
             continue;
         };

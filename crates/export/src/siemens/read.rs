@@ -12,7 +12,7 @@ impl Variables {
     /// Reads a file from its name line to `M17`.
     ///
     /// # Errors
-    /// The frame is not `%_N_…_INI`, `CHANDATA(1)`, …, `M17`, or a line is no assignment, or a
+    /// The frame is not `%_N_…_INI`, `CHANDATA(1)`, …, `M17`, or a line is not an assignment, or a
     /// variable is assigned twice.
     pub fn read(text: &str) -> Result<Self, String> {
         let mut lines = text.lines();

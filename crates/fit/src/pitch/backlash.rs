@@ -28,7 +28,7 @@ use crate::report::{Fact, Parameter, Report, Spread, Verdict};
 /// So many positions are a test of backlash, more are a sweep.
 const POSITIONS_OF_A_TEST: usize = 3;
 
-/// Below this probability a difference between positions is no chance.
+/// Below this probability a difference between positions is not chance.
 const CHANCE: f64 = 0.05;
 
 /// Which of the means is the width.
@@ -246,7 +246,7 @@ fn report(
     });
     if gains.len() < 2 {
         report.warnings.push(
-            "there is only one run: nothing says whether the backlash repeats; seven readings at \
+            "there is only one run, so it is unknown whether the backlash repeats; seven readings at \
              each position are usual"
                 .to_string(),
         );

@@ -70,7 +70,7 @@ pub(super) fn warn(report: &mut Report, readings: &Readings, iso230: &Option<Iso
     let warnings = &mut report.warnings;
     if readings.runs < 2 {
         warnings.push(
-            "there is only one run: nothing says whether the machine repeats what was measured; \
+            "there is only one run, so it is unknown whether the machine repeats; \
              measure at least two, better five"
                 .to_string(),
         );
@@ -247,7 +247,7 @@ pub(super) fn reasons(
     if constant_alone {
         reasons.push(format!(
             "what a table would gain is a constant, which already leaves {:.1} um: the zero of a \
-             measurement is arbitrary, and a constant is no position error",
+             measurement is arbitrary, and a constant is not a position error",
             constant.rms_um()
         ));
     } else if repeats_once_centred(readings, nothing, best) {

@@ -3,7 +3,7 @@
 //!
 //! The sum of squares has many valleys over the knots, so they are sought in three ways, of which
 //! the best is kept: one more knot where it gains most beside those of the fit before; all knots
-//! spread anew so that each interval holds an equal share of |f⁗|^¼, which is where the best knots
+//! spread again so that each interval holds an equal share of |f⁗|^¼, which is where the best knots
 //! lie as they become many; and the knot that is missed least put where it gains most, again and
 //! again. From each start all knots then slide to the bottom of the valley together, by
 //! Levenberg and Marquardt's steps on the reduced problem (variable projection after Golub and
@@ -281,7 +281,7 @@ impl<'s> Search<'s> {
                 let value = |x: f64| {
                     let (first, weights) = basis(&doubled, ORDER, x);
                     let near = (l - degree..=l).filter(|&i| (first..first + ORDER).contains(&i));
-                    // The first control point has none before it, and its knot is no inner one.
+                    // The first control point has none before it, and its knot is not an inner one.
                     -near.map(|i| rate(i) * weights[i - first]).sum::<f64>()
                 };
                 (sites.start, self.sites.x[sites].iter().map(|&x| value(x)).collect())

@@ -74,9 +74,8 @@ fn error_axis(run: &RunFile, quantity: Option<&str>) -> Result<LinearAxis, BadIn
     let whole = |rule: String| BadInput::new(Place::start_of(run.path()), rule);
     if let Some(quantity) = quantity {
         let axis = LinearAxis::ALL.into_iter().find(|axis| quantity == format!("d{}", axis.name()));
-        let axis = axis.ok_or_else(|| {
-            whole(format!("a straightness is of dx, dy or dz: there is none of {quantity:?}"))
-        })?;
+        let axis = axis
+            .ok_or_else(|| whole(format!("straightness needs dx, dy or dz, not {quantity:?}")))?;
         return run.require(&error_column(axis)).map(|_| axis);
     }
     let measured = LinearAxis::ALL.into_iter().filter(|&axis| {

@@ -41,7 +41,7 @@ pub(super) struct Record<'a> {
     pub(super) time_s: &'a [f64],
     /// Missing: it runs from the first row.
     pub(super) spindle_rpm: Option<&'a [f64]>,
-    /// Where the state starts anew.
+    /// Where the state starts again.
     pub(super) starts: &'a [bool],
     /// The file of each row.
     pub(super) files: &'a [usize],

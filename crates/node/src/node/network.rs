@@ -22,7 +22,7 @@ impl Node<'_> {
     }
 
     /// A calibration that is being stored just now is stored all the same; only its answer is
-    /// not sent any more.
+    /// no longer sent.
     fn reset_communication(&mut self) {
         self.server = sdo::Server::default();
         self.answer = None;

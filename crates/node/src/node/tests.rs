@@ -337,7 +337,7 @@ fn reset_communication_sets_back_what_cia_301_says_and_the_offsets_go_on() {
     assert_eq!(read(&mut node, 0x1017, 0), Ok(100));
     assert_eq!(read(&mut node, 0x1016, 1), Ok(0));
     let segment = ask(&mut node, [0x60, 0, 0, 0, 0, 0, 0, 0]);
-    assert_eq!(segment[0], 0x80, "the upload that was open is none any more");
+    assert_eq!(segment[0], 0x80, "the upload that was open has ended");
 }
 
 #[test]

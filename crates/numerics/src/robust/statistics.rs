@@ -51,7 +51,7 @@ pub(super) fn resolution(values: impl Iterator<Item = f64>) -> f64 {
     let mut steps = Vec::new();
     let mut before = f64::NAN;
     for value in values {
-        // Two ways to write one number differ by rounding, which is no step.
+        // Two ways to write one number differ by rounding, which is not a step.
         if (value - before).abs() > value.abs().max(1.0) * 1e-12 {
             steps.push((value - before).abs());
         }

@@ -172,7 +172,7 @@ impl AxisBench {
             tables.push(plan.drive(holdout_rows, stream));
         }
         if has(Hidden::ReferenceInstrument) {
-            // Set up anew for each run: the same position is not the same reading.
+            // Set up again for each run: the same position is not the same reading.
             for table in &mut tables {
                 let from_mm = travel_mm[1] + stream.uniform(0.0, 0.3) * length_mm;
                 let position = table.column(&format!("{}_mm", AXES[main])).unwrap_or_default();
