@@ -5,7 +5,7 @@
 
 use std::{env, fs, path::Path, path::PathBuf, process::exit};
 
-use trueup_machine::{compile::compile, machine_file::MachineFile};
+use trueup_machine::{compile::compile, file::MachineFile};
 
 /// What an image is for that nobody gave a machine file.
 const EXAMPLE: &str = "data/paper_spindle.toml";

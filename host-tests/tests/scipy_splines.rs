@@ -23,7 +23,7 @@ use trueup_fit::{
     bspline::{clamped, derivatives, is_determined, least_squares},
     straightness::{Options, fit},
 };
-use trueup_machine::machine_file::BSpline;
+use trueup_machine::file::BSpline;
 
 /// What `host-tests/python/splines.py` answers.
 fn scipy(asked: &Value) -> Result<Value> {

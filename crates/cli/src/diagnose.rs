@@ -10,7 +10,7 @@ use anyhow::Result;
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use trueup_diagnose::{Diagnosis, diagnose};
-use trueup_machine::{MachineFile, RunFile, machine_file};
+use trueup_machine::{MachineFile, RunFile, file};
 
 use crate::{Outcome, UserError, output, runs};
 
@@ -46,12 +46,12 @@ enum Quantity {
 }
 
 impl Quantity {
-    fn of_machine(self) -> machine_file::Quantity {
+    fn of_machine(self) -> file::Quantity {
         match self {
-            Self::Elongation => machine_file::Quantity::Elongation,
-            Self::Dx => machine_file::Quantity::Dx,
-            Self::Dy => machine_file::Quantity::Dy,
-            Self::Dz => machine_file::Quantity::Dz,
+            Self::Elongation => file::Quantity::Elongation,
+            Self::Dx => file::Quantity::Dx,
+            Self::Dy => file::Quantity::Dy,
+            Self::Dz => file::Quantity::Dz,
         }
     }
 }

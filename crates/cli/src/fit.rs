@@ -17,7 +17,7 @@ use trueup_fit::{
 };
 use trueup_machine::{
     BadInput, Machine, MachineFile, Place, RunFile,
-    machine_file::{LinearAxis, Source, ThermalMode},
+    file::{LinearAxis, Source, ThermalMode},
 };
 
 pub use args::Fit;

@@ -21,7 +21,7 @@ use trueup_linuxcnc::{
     offsets,
     run::{self, Settings},
 };
-use trueup_machine::{MachineFile, machine_file::LinearAxis, model::over_compensation_um};
+use trueup_machine::{MachineFile, file::LinearAxis, model::over_compensation_um};
 
 use crate::{Outcome, UserError};
 

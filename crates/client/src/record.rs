@@ -31,7 +31,7 @@ use trueup_link::{
     frames::{OFFSET_XY_ID, counter},
     receiver::OffsetReceiver,
 };
-use trueup_machine::{Machine, MachineFile, machine_file::SensorModel, model::sensor_counts};
+use trueup_machine::{Machine, MachineFile, file::SensorModel, model::sensor_counts};
 
 use self::cnc::Cnc;
 use crate::{Unusable, status::Board, words::offset_um};

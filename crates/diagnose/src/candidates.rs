@@ -3,7 +3,7 @@
 
 use trueup_machine::{
     effect::{Effect, OnBoard, Quantity, Reading, Settings, Survey, spread},
-    machine_file::{Axis, Source, Spindle},
+    file::{Axis, Source, Spindle},
 };
 
 use crate::{

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use trueup_machine::{
     effect::{Columns, Input},
-    machine_file::{LinearAxis, Quantity},
+    file::{LinearAxis, Quantity},
 };
 
 use crate::{

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use trueup_machine::{BadInput, Machine, RunFile, machine_file::Quantity};
+use trueup_machine::{BadInput, Machine, RunFile, file::Quantity};
 use trueup_numerics::random::Generator;
 
 use crate::{

@@ -6,7 +6,7 @@
 
 use trueup_machine::{
     effect::{Effect, HeatPath, Home, Nonlinear, OnBoard, Stage},
-    machine_file::{Pitch, Quantity, Thermal},
+    file::{Pitch, Quantity, Thermal},
 };
 
 #[cfg(test)]
@@ -201,7 +201,7 @@ impl Kind {
 
     /// The cause that a form stands for, of an axis or (none) the elongation.
     pub(crate) fn of_form(
-        own: Option<trueup_machine::machine_file::LinearAxis>,
+        own: Option<trueup_machine::file::LinearAxis>,
         form: &OnBoard,
     ) -> Option<Self> {
         Effect::from_board(own, form, &mut 0.0).map(Self::Cause)

@@ -3,7 +3,7 @@
 
 use trueup_machine::{
     effect::Constants,
-    machine_file::{Source, Spindle, Thermal, Warmup},
+    file::{Source, Spindle, Thermal, Warmup},
     model::{WarmupState, thermal_um},
 };
 

@@ -1,6 +1,6 @@
 //! From fitted parts to the terms of a machine file.
 
-use trueup_machine::machine_file::{Quantity, Term};
+use trueup_machine::file::{Quantity, Term};
 
 use crate::{data::Data, kind::Part, model::Model};
 

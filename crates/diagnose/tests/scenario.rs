@@ -3,7 +3,7 @@
 use std::{fmt::Write as _, path::Path};
 
 use trueup_diagnose::diagnose;
-use trueup_machine::{MachineFile, RunFile, machine_file::Quantity};
+use trueup_machine::{MachineFile, RunFile, file::Quantity};
 use trueup_twin::{Scenario, simulate};
 
 const SCENARIO: &str = include_str!("../../../data/scenario-axis.toml");

@@ -20,8 +20,8 @@ use trueup_core::{
 use trueup_link::slcan::Event;
 use trueup_machine::{
     compile::compile,
+    file::{Machine, MachineFile, SensorModel},
     inputs::SensorInput,
-    machine_file::{Machine, MachineFile, SensorModel},
     run_file::RunFile,
 };
 use trueup_numerics::line::{LineFit, Summary, fit_line};

@@ -15,8 +15,8 @@ use trueup_core::{
     units::{MicroDegrees, Position, Rpm, Temperature},
 };
 use trueup_machine::{
+    file::{Machine, Source},
     inputs::{TemperatureInput, TemperatureKind},
-    machine_file::{Machine, Source},
     place::BadInput,
     run_file::RunFile,
 };

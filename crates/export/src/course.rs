@@ -10,7 +10,7 @@ use std::borrow::Cow;
 use trueup_machine::{
     Machine,
     effect::{Effect, Input, OnBoard, Stage},
-    machine_file::{BSpline, Backlash, LinearAxis, Pitch, Squareness, Term},
+    file::{BSpline, Backlash, LinearAxis, Pitch, Squareness, Term},
     model::{backlash_um, pitch_um, spline_um, squareness_um},
 };
 

@@ -36,7 +36,7 @@ mod straightness;
 
 use std::fmt::Write as _;
 
-use trueup_machine::{Machine, machine_file::LinearAxis};
+use trueup_machine::{Machine, file::LinearAxis};
 
 pub use read::{AxisTables, Control};
 

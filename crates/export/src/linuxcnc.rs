@@ -16,7 +16,7 @@
 
 use std::fmt::Write as _;
 
-use trueup_machine::{Machine, machine_file::LinearAxis};
+use trueup_machine::{Machine, file::LinearAxis};
 
 use crate::{
     Export, ExportedTable, File, Options, Report,

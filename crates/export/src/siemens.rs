@@ -28,7 +28,7 @@ mod read;
 
 use std::collections::BTreeMap;
 
-use trueup_machine::{Machine, machine_file::LinearAxis};
+use trueup_machine::{Machine, file::LinearAxis};
 
 pub use read::{Lookup, Variables};
 

@@ -12,7 +12,7 @@ use trueup_export::{
 };
 use trueup_machine::{
     Machine, MachineFile,
-    machine_file::{Axis, LinearAxis, Pitch},
+    file::{Axis, LinearAxis, Pitch},
     model::{backlash_um, pitch_um, spline_um, squareness_um},
 };
 

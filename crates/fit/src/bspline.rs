@@ -17,7 +17,7 @@
 //! Measured against SciPy on random knots (`host-tests/tests/scipy_splines.rs`): values, slopes and
 //! fits are the same to 1e-9 of the largest value.
 
-use trueup_machine::machine_file::BSpline;
+use trueup_machine::file::BSpline;
 
 /// The largest order: the board runs cubics.
 pub const MOST_ORDER: usize = 4;

@@ -14,7 +14,7 @@
 use trueup_machine::{
     BadInput, Machine, RunFile,
     file::write::{Edit, NewSection, Value},
-    machine_file::{SensorModel, Source, is_temperature_column},
+    file::{SensorModel, Source, is_temperature_column},
     model::elongation_um,
 };
 use trueup_numerics::{least_squares::Solution, robust};

@@ -5,7 +5,7 @@
 
 use trueup_machine::{
     BadInput, Machine, RunFile,
-    machine_file::{LinearAxis, Source},
+    file::{LinearAxis, Source},
     predict::Predictor,
 };
 

@@ -36,7 +36,7 @@ mod test_points;
 
 use trueup_machine::{
     BadInput, RunFile,
-    machine_file::{Backlash, Feedback, LinearAxis, Pitch},
+    file::{Backlash, Feedback, LinearAxis, Pitch},
 };
 
 pub use backlash::{BacklashFit, WidthRule, fit_backlash};

@@ -56,7 +56,7 @@ impl<'r> Rows<'r> {
         let Some((first, rest)) = self.runs.split_first() else { return Vec::new() };
         let names = first.columns().iter().map(|column| column.name.as_str());
         names
-            .filter(|name| trueup_machine::machine_file::is_temperature_column(name))
+            .filter(|name| trueup_machine::file::is_temperature_column(name))
             .filter(|name| rest.iter().all(|run| run.column(name).is_some()))
             .collect()
     }

@@ -45,7 +45,7 @@ mod sites;
 
 use std::{error::Error, fmt};
 
-use trueup_machine::machine_file::BSpline;
+use trueup_machine::file::BSpline;
 
 pub use compare::{Compared, Residual, Way};
 pub use run::{StraightnessCurve, fit_run};

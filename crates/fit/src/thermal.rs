@@ -24,7 +24,7 @@ mod table;
 use trueup_machine::{
     BadInput, Machine, RunFile,
     file::write::{Edit, NewSection},
-    machine_file::{LinearAxis, Thermal, ThermalMode, ThermalRow},
+    file::{LinearAxis, Thermal, ThermalMode, ThermalRow},
     model::thermal_um,
 };
 use trueup_numerics::{

@@ -22,7 +22,7 @@ mod shape;
 use trueup_machine::{
     BadInput, Machine, RunFile,
     file::write::{Edit, NewSection, Value},
-    machine_file::{Source, Warmup},
+    file::{Source, Warmup},
     model::WarmupState,
 };
 use trueup_numerics::{

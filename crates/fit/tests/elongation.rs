@@ -8,7 +8,7 @@ use support::{
     MACHINE, Noise, applied, assert_holds, assert_round_trip, machine, parse, predicted_rms, run,
 };
 use trueup_fit::{Verdict, elongation};
-use trueup_machine::{RunFile, machine_file::Source};
+use trueup_machine::{RunFile, file::Source};
 use trueup_measured_data::file as measured;
 
 const PAPER: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n[spindle]\nsource = \"sensor\"\n\

@@ -13,7 +13,7 @@ use trueup_fit::{
 };
 use trueup_machine::{
     RunFile,
-    machine_file::{Feedback, LinearAxis},
+    file::{Feedback, LinearAxis},
     predict::Predictor,
 };
 

@@ -4,7 +4,7 @@ mod pitch_support;
 
 use pitch_support::run_of;
 use trueup_fit::pitch::{Options, Ways, fit, fit_backlash};
-use trueup_machine::machine_file::LinearAxis;
+use trueup_machine::file::LinearAxis;
 
 fn error(text: &str, ways: Ways) -> String {
     let options = Options { ways, ..Options::default() };

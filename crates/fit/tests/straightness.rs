@@ -11,7 +11,7 @@ use trueup_fit::{
         Fit, FitError, Method, Options, ReferenceLine, Stop, StraightnessCurve, fit, fit_run,
     },
 };
-use trueup_machine::{RunFile, machine_file::BSpline, model::spline_um};
+use trueup_machine::{RunFile, file::BSpline, model::spline_um};
 
 fn every(step_mm: f64, travel_mm: f64) -> Vec<f64> {
     (0..=(travel_mm / step_mm).round() as u32).map(|n| f64::from(n) * step_mm).collect()

@@ -6,7 +6,7 @@ use support::{MACHINE, Noise, applied, assert_holds, assert_round_trip, machine,
 use trueup_fit::{Report, Verdict, thermal};
 use trueup_machine::{
     RunFile,
-    machine_file::{LinearAxis, ThermalMode},
+    file::{LinearAxis, ThermalMode},
 };
 use trueup_measured_data::file as measured;
 

@@ -8,7 +8,7 @@ use support::{
 use trueup_fit::{Report, Verdict, warmup};
 use trueup_machine::{
     RunFile,
-    machine_file::{Source, Warmup},
+    file::{Source, Warmup},
     model::{WarmupState, warmup_um},
 };
 

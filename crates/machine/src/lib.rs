@@ -30,7 +30,6 @@ pub mod show;
 mod stored;
 
 pub use compile::{Compiled, compile};
-pub use file as machine_file;
 pub use file::{Machine, MachineFile};
 
 pub use place::{BadInput, Place};

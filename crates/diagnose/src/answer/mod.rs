@@ -11,7 +11,7 @@ mod verdict;
 
 use std::sync::Arc;
 
-use trueup_machine::machine_file::Term;
+use trueup_machine::file::Term;
 
 use trueup_numerics::blocks::rms;
 

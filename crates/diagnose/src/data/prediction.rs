@@ -2,7 +2,7 @@
 
 use trueup_machine::{
     Machine, RunFile,
-    machine_file::LinearAxis,
+    file::LinearAxis,
     model::{Reference, Situation, shifted, time_shift_s},
 };
 

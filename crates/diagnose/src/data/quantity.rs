@@ -1,6 +1,6 @@
 //! Which error the runs are compared in.
 
-use trueup_machine::{BadInput, RunFile, machine_file::Quantity};
+use trueup_machine::{BadInput, RunFile, file::Quantity};
 
 /// The quantity that is asked for, or the only one that the runs measure.
 pub(crate) fn quantity_of(runs: &[RunFile], asked: Option<Quantity>) -> Result<Quantity, BadInput> {

@@ -2,7 +2,7 @@
 
 use trueup_machine::{
     BadInput, Machine, RunFile,
-    machine_file::{Quantity, is_temperature_column},
+    file::{Quantity, is_temperature_column},
 };
 
 use super::{

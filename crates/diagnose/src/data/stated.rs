@@ -3,7 +3,7 @@
 use trueup_machine::{
     Machine,
     effect::{Effect, Stage},
-    machine_file::{Quantity, Term},
+    file::{Quantity, Term},
 };
 
 /// A term of the machine file that is in what was measured.

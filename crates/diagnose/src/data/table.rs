@@ -5,7 +5,7 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
-use trueup_machine::{Machine, machine_file::Quantity};
+use trueup_machine::{Machine, file::Quantity};
 
 use super::{
     lag::{filled, lag},

@@ -115,7 +115,7 @@ mod tests {
     use trueup_machine::{
         MachineFile, RunFile,
         effect::OnBoard,
-        machine_file::{LinearAxis, Pitch, Quantity},
+        file::{LinearAxis, Pitch, Quantity},
     };
 
     use super::*;

@@ -70,7 +70,7 @@ fn is_seen_again(data: &Data, kind: &Kind) -> bool {
 mod tests {
     use std::path::Path;
 
-    use trueup_machine::{MachineFile, RunFile, machine_file::Quantity};
+    use trueup_machine::{MachineFile, RunFile, file::Quantity};
 
     use super::*;
 

@@ -3,7 +3,7 @@
 
 use trueup_machine::{
     effect::{Effect, OnBoard},
-    machine_file::Pitch,
+    file::Pitch,
 };
 
 use crate::{

@@ -10,7 +10,7 @@ use std::fmt::Write as _;
 
 use trueup_machine::{
     Machine,
-    machine_file::{LinearAxis, RotaryAxis, Thermal},
+    file::{LinearAxis, RotaryAxis, Thermal},
     model::{error_um, thermal_law, thermal_um, tool_direction},
 };
 

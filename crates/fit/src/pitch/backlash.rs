@@ -13,7 +13,7 @@ use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 use trueup_machine::{
     BadInput, RunFile,
     file::write::{Edit, NewSection, rounded},
-    machine_file::{Backlash, Feedback, LinearAxis},
+    file::{Backlash, Feedback, LinearAxis},
 };
 
 use super::{

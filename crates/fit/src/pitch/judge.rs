@@ -13,8 +13,8 @@
 
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use trueup_machine::{
+    file::Pitch,
     file::write::rounded,
-    machine_file::Pitch,
     model::{is_reverse, pitch_um},
 };
 

@@ -10,7 +10,7 @@
 
 use std::collections::HashMap;
 
-use trueup_machine::{BadInput, RunFile, machine_file::LinearAxis, model::is_reverse};
+use trueup_machine::{BadInput, RunFile, file::LinearAxis, model::is_reverse};
 
 /// More positions than this are gathered in cells.
 pub(super) const MOST_TARGETS: usize = 2048;

@@ -3,7 +3,7 @@
 use trueup_machine::{
     compile::STEEPEST_UM_PER_MM,
     file::write::{Edit, NewSection},
-    machine_file::{LinearAxis, Pitch},
+    file::{LinearAxis, Pitch},
 };
 
 use super::{

@@ -12,7 +12,7 @@
 //! exact, because f and g are straight between the points of either. Where f is straight between
 //! the points of the table, as with targets of equal steps, g = f.
 
-use trueup_machine::{file::write::rounded, machine_file::Pitch, model::pitch_um};
+use trueup_machine::{file::Pitch, file::write::rounded, model::pitch_um};
 
 /// The board counts positions in 10 nm.
 const UNITS_PER_MM: f64 = 1e5;

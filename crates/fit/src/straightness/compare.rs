@@ -5,7 +5,7 @@
 
 use std::fmt;
 
-use trueup_machine::{machine_file::BSpline, model::spline_um};
+use trueup_machine::{file::BSpline, model::spline_um};
 use trueup_numerics::least_squares::Triangle;
 
 use super::{

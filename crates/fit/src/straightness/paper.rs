@@ -12,7 +12,7 @@
 //! all points taken: then the way has failed, and says so. With the control values by least squares
 //! in the same knots it does much better; that is in the comparison too.
 
-use trueup_machine::machine_file::BSpline;
+use trueup_machine::file::BSpline;
 
 use super::{knots::ORDER, sites::Sites};
 use crate::bspline::{clamped, least_squares};

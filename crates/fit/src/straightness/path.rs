@@ -2,7 +2,7 @@
 //! [module](super) states.
 
 use statrs::distribution::{ContinuousCDF as _, FisherSnedecor};
-use trueup_machine::machine_file::BSpline;
+use trueup_machine::file::BSpline;
 
 use super::{
     MOST_COEFFICIENTS, Method, Options, PATIENCE, Residual, Stop,

@@ -2,7 +2,7 @@
 
 use trueup_machine::{
     BadInput, Place, RunFile,
-    machine_file::{LinearAxis, Straightness},
+    file::{LinearAxis, Straightness},
 };
 
 use super::{Fit, FitError, Options, fit};

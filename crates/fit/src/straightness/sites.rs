@@ -3,7 +3,7 @@
 //! Readings at one position differ by noise alone, so their scatter about the mean is an estimate
 //! of the noise that no curve has a part in.
 
-use trueup_machine::machine_file::BSpline;
+use trueup_machine::file::BSpline;
 
 use super::{FitError, ReferenceLine};
 

@@ -1,6 +1,6 @@
 //! K₀(T) and tanβ(T) as a table, linear between its rows: a sum of hat functions over T.
 
-use trueup_machine::machine_file::{ThermalMode, ThermalRow};
+use trueup_machine::file::{ThermalMode, ThermalRow};
 use trueup_numerics::{
     least_squares::{Separable, Solution},
     t_quantile,
