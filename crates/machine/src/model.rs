@@ -164,7 +164,7 @@ impl Parts {
 
 /// The model of a machine on its way through a run.
 #[derive(Clone, Debug)]
-pub struct Reference<'m> {
+pub struct ReferenceModel<'m> {
     /// With the constants that its terms say are right.
     machine: Cow<'m, Machine>,
     falling: Falling,
@@ -182,7 +182,7 @@ struct State {
     terms: TermLags,
 }
 
-impl<'m> Reference<'m> {
+impl<'m> ReferenceModel<'m> {
     /// At the start of a run: cold, and all lags settled at the first row.
     #[must_use]
     pub fn new(machine: &'m Machine) -> Self {
@@ -302,7 +302,7 @@ impl<'m> Reference<'m> {
     }
 }
 
-/// The columns of a run without which [`Reference`] has no values for `machine`: `time_s` where
+/// The columns of a run without which [`ReferenceModel`] has no values for `machine`: `time_s` where
 /// there is a lag or a warm-up, `sensor_counts`, temperatures, positions, angles, in this order,
 /// then what its terms need beyond that. `dir_*` is never among them, because it may be missing,
 /// and `spindle_rpm` only for a term.

@@ -25,7 +25,7 @@ use std::{
 
 use crate::{
     file::{Machine, Quantity, Source},
-    model::{Reference, Situation, required_columns, shifted, time_shift_s},
+    model::{ReferenceModel, Situation, required_columns, shifted, time_shift_s},
     place::{BadInput, Place},
     run_file::RunFile,
     stored::NM_PER_UM,
@@ -145,7 +145,7 @@ impl<'a> Predictor<'a> {
         let compensated = self.machine.compensated();
         // Where nothing is left out it is the model, and is not computed twice.
         let only_explains = matches!(compensated, Cow::Owned(_));
-        let mut compensated = only_explains.then(|| Reference::of(compensated));
+        let mut compensated = only_explains.then(|| ReferenceModel::of(compensated));
         let mut bridge =
             self.bridge.as_ref().ok().map(|bridge| BridgeRun::new(self.machine, bridge));
         (0..self.run.rows()).map(move |row| {
@@ -169,7 +169,7 @@ impl<'a> Predictor<'a> {
     /// The model's values row by row. A time shift looks ahead and back, so that all of them are
     /// there before the first is given; otherwise none is kept.
     fn model(&self) -> Box<dyn Iterator<Item = Values> + '_> {
-        let mut reference = Reference::new(self.machine);
+        let mut reference = ReferenceModel::new(self.machine);
         let in_time = (0..self.run.rows()).map(move |row| {
             let temperatures = self.columns.temperatures(row);
             reference.step(&self.columns.situation(row, &temperatures)).values()
@@ -273,8 +273,8 @@ fn nothing_is_known(machine: &Machine, columns: &Columns<'_>) -> bool {
         direction: [1.0; 3],
     };
     let nothing = Situation { temperatures_c: &[], ..Situation::UNKNOWN };
-    let known = Reference::new(machine).step(&situation).values().all();
-    let blind = Reference::new(machine).step(&nothing).values().all();
+    let known = ReferenceModel::new(machine).step(&situation).values().all();
+    let blind = ReferenceModel::new(machine).step(&nothing).values().all();
     // Zero and known without any column is no quantity of this machine.
     known.iter().zip(blind).all(|(known, blind)| known.is_nan() || !blind.is_nan())
 }

@@ -10,7 +10,7 @@ use trueup_machine::{
         Source, Squareness, TemperatureModel, Thermal, ThermalMode, ThermalRow, Warmup,
     },
     inputs::TemperatureKind,
-    model::{Parts, Reference, Situation, required_columns, warmup_um},
+    model::{Parts, ReferenceModel, Situation, required_columns, warmup_um},
 };
 
 const EXAMPLE: &str = r#"
@@ -96,7 +96,7 @@ fn machine(sections: &str) -> Machine {
 }
 
 fn parts(machine: &Machine, situation: &Situation<'_>) -> Parts {
-    Reference::new(machine).step(situation)
+    ReferenceModel::new(machine).step(situation)
 }
 
 fn assert_near(there: f64, expected: f64) {
@@ -336,7 +336,7 @@ fn a_head_table_machine_swings_by_its_one_axis_and_a_table_table_by_none() {
 fn a_warm_up_without_speeds_runs_from_the_first_row_and_anew_where_time_runs_back() {
     let machine = parse(&EXAMPLE.replacen("source = \"sensor\"", "source = \"warmup\"", 1));
     let model = machine.spindle.warmup.clone().expect("written above");
-    let mut reference = Reference::new(&machine);
+    let mut reference = ReferenceModel::new(&machine);
     for start_s in [1e5, 0.0] {
         for minute in 0..120 {
             let since_start_s = 60.0 * f64::from(minute);
@@ -354,7 +354,7 @@ fn an_axis_follows_its_sensor_by_its_lag_and_settles_where_time_runs_back() {
         "[axis.z.thermal]\nmode = \"constant\"\nsensor = \"temp_a_c\"\nreference_c = 20\n\
          constant_um_per_c = 2\nlag_s = 100\n",
     );
-    let mut reference = Reference::new(&machine);
+    let mut reference = ReferenceModel::new(&machine);
     let mut at = |time_s, temperature_c| {
         let temperatures_c = &[("temp_a_c", temperature_c)];
         let situation = Situation { time_s: Some(time_s), temperatures_c, ..Situation::UNKNOWN };

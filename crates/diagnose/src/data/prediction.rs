@@ -3,7 +3,7 @@
 use trueup_machine::{
     Machine, RunFile,
     file::LinearAxis,
-    model::{Reference, Situation, shifted, time_shift_s},
+    model::{ReferenceModel, Situation, shifted, time_shift_s},
 };
 
 use super::table::Data;
@@ -55,7 +55,7 @@ fn stepped(data: &Data, runs: &[RunFile], machine: &Machine) -> Stepped {
     let mut stepped = Stepped::default();
     let mut row = 0;
     for (number, run) in runs.iter().enumerate() {
-        let mut reference = Reference::new(machine);
+        let mut reference = ReferenceModel::new(machine);
         for own in 0..run.rows() {
             let temperatures: Vec<(&str, f64)> = data
                 .temperatures

@@ -6,7 +6,7 @@ use std::{fmt::Write as _, path::Path};
 use trueup_machine::{
     Machine, MachineFile, RunFile,
     file::write::Edit,
-    model::{Reference, Situation},
+    model::{ReferenceModel, Situation},
 };
 
 /// The run file with this content.
@@ -45,7 +45,7 @@ pub fn machine_of(edit: &Edit) -> Machine {
 /// of the named runs.
 pub fn left_by_model(run: &RunFile, edit: &Edit, runs: &[f64]) -> Vec<f64> {
     let machine = machine_of(edit);
-    let mut model = Reference::new(&machine);
+    let mut model = ReferenceModel::new(&machine);
     let column = |name| run.column(name).expect("the run has it");
     let (x, dir, um) = (column("x_mm"), column("dir_x"), column("measured_dx_um"));
     (0..run.rows())

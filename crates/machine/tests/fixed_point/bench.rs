@@ -11,7 +11,7 @@ use trueup_core::{
 use trueup_machine::{
     Compiled, Machine,
     file::Source,
-    model::{Reference, Situation},
+    model::{ReferenceModel, Situation},
 };
 
 use crate::gantry::*;
@@ -51,7 +51,7 @@ impl Moment {
 pub struct Bench<'m> {
     pub machine: &'m Machine,
     pub calibration: Calibration<'m>,
-    pub reference: Reference<'m>,
+    pub reference: ReferenceModel<'m>,
     pub heat: Heat,
     pub worst: Worst,
 }
@@ -72,7 +72,7 @@ impl Worst {
 impl<'m> Bench<'m> {
     pub fn new(machine: &'m Machine, compiled: &'m Compiled) -> Self {
         let calibration = compiled.calibration();
-        let (reference, heat) = (Reference::new(machine), Heat::default());
+        let (reference, heat) = (ReferenceModel::new(machine), Heat::default());
         Self { machine, calibration, reference, heat, worst: Worst::default() }
     }
 
@@ -84,7 +84,7 @@ impl<'m> Bench<'m> {
     pub fn go_to(&mut self, moment: &Moment, steps: u32) {
         if !self.warms_up() {
             self.heat = Heat::default();
-            self.reference = Reference::new(self.machine);
+            self.reference = ReferenceModel::new(self.machine);
         }
         for _ in 0..steps {
             self.heat.step(&self.calibration, &moment.temperatures, Some(Rpm(moment.rpm)));

@@ -9,7 +9,7 @@ use trueup_core::{
 };
 use trueup_machine::{
     RunFile, compile,
-    model::{Reference, Situation},
+    model::{ReferenceModel, Situation},
 };
 use trueup_numerics::line::{Summary, fit_line};
 
@@ -180,7 +180,7 @@ fn a_lagging_axis_is_within_5_nm_over_a_two_hour_ramp() {
                     reference_c = 20\nslope_um_per_m_per_c = 14.21\nlag_s = 1630\n";
     let (machine, compiled) = compiled(&machine_of("\"3-axis\"", sections));
     let calibration = compiled.calibration();
-    let (mut heat, mut reference) = (Heat::default(), Reference::new(&machine));
+    let (mut heat, mut reference) = (Heat::default(), ReferenceModel::new(&machine));
     let place =
         Place { position: [Position(500_000_000), Position(0), Position(0)], ..Place::default() };
     let mut worst = (0.0, 0);

@@ -9,7 +9,7 @@ use trueup_core::{
 };
 use trueup_machine::{
     Compiled, Machine,
-    model::{Reference, Situation},
+    model::{ReferenceModel, Situation},
 };
 
 use crate::gantry::*;
@@ -105,7 +105,7 @@ pub fn assert_signs(
     situation: &Situation<'_>,
     error_nm: [f64; 3],
 ) {
-    let model = Reference::new(machine).step(situation).error_um();
+    let model = ReferenceModel::new(machine).step(situation).error_um();
     for axis in 0..3 {
         let off = model[axis] * 1_000.0 - error_nm[axis];
         assert!(off.abs() < 0.5, "the model's axis {axis}: {} µm", model[axis]);

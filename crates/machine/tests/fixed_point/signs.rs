@@ -6,7 +6,7 @@ use trueup_core::{
     cnc::Heading,
     units::{MicroDegrees, Nanometres, Reading},
 };
-use trueup_machine::model::{Reference, Situation};
+use trueup_machine::model::{ReferenceModel, Situation};
 
 use crate::{gantry::*, rig::*};
 
@@ -39,7 +39,7 @@ fn a_spindle_that_has_run_warm_is_lifted() {
                     max_um = 80\nexponent = 4\n";
     let (machine, compiled) = compiled(&machine_of("\"3-axis\"", sections));
     let mut rig = Rig::new(&compiled);
-    let mut reference = Reference::new(&machine);
+    let mut reference = ReferenceModel::new(&machine);
     let row = |time_s| Situation { time_s: Some(time_s), ..at([0.0; 3]) };
     assert_eq!(reference.step(&row(0.0)).error_um(), [0.0; 3]);
     assert_eq!(reference.step(&row(6.0)).error_um(), [0.0, 0.0, -80.0]);
