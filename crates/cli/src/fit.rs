@@ -17,7 +17,7 @@ use trueup_fit::{
 };
 use trueup_machine::{
     BadInput, Machine, MachineFile, Place, RunFile,
-    file::{LinearAxis, Source, ThermalMode},
+    file::{ElongationSource, LinearAxis, ThermalMode},
 };
 
 pub use args::Fit;
@@ -53,8 +53,8 @@ pub fn run(args: &Fit, as_json: bool) -> Result<Outcome> {
         Kind::Backlash(args) => backlash_of(&input, args)?,
         Kind::Elongation(args) => {
             let source = args.source.map(|by| match by {
-                By::Sensor => Source::Sensor,
-                By::Temperature => Source::Temperature,
+                By::Sensor => ElongationSource::Sensor,
+                By::Temperature => ElongationSource::Temperature,
             });
             let options = elongation::Options { source, temperature: args.temperature.clone() };
             elongation::fit(&input.runs, input.machine(), &options)?

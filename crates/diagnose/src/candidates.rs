@@ -3,7 +3,7 @@
 
 use trueup_machine::{
     effect::{Effect, OnBoard, Quantity, Reading, Settings, Survey, spread},
-    file::{Axis, Source, Spindle},
+    file::{Axis, ElongationSource, Spindle},
 };
 
 use crate::{
@@ -88,7 +88,7 @@ fn can_change(problem: &Problem, effect: &Effect) -> bool {
 pub(crate) fn columns_in_use(data: &Data, model: &Model) -> Vec<String> {
     let spindle = &data.machine.spindle;
     let mut used = Vec::new();
-    if data.has_elongation && spindle.source == Some(Source::Temperature) {
+    if data.has_elongation && spindle.source == Some(ElongationSource::Temperature) {
         used.extend(spindle.temperature.as_ref().map(|model| model.sensor.clone()));
     }
     used.extend(own_thermal(data).map(|thermal| thermal.sensor.clone()));

@@ -3,7 +3,7 @@
 
 use trueup_machine::{
     effect::Constants,
-    file::{Source, Spindle, Thermal, Warmup},
+    file::{ElongationSource, Spindle, Thermal, Warmup},
     model::{WarmupState, thermal_um},
 };
 
@@ -51,8 +51,12 @@ impl Laws {
         let spindle = self.spindle.as_ref().unwrap_or(&data.machine.spindle);
         let rise_s = match (self.thermal.as_ref().or(own_thermal(data)), spindle.source) {
             (Some(thermal), _) => Some(thermal.lag_s),
-            (None, Some(Source::Temperature)) => spindle.temperature.as_ref().map(|it| it.lag_s),
-            (None, Some(Source::Warmup)) => spindle.warmup.as_ref().map(Warmup::time_constant_s),
+            (None, Some(ElongationSource::Temperature)) => {
+                spindle.temperature.as_ref().map(|it| it.lag_s)
+            }
+            (None, Some(ElongationSource::Warmup)) => {
+                spindle.warmup.as_ref().map(Warmup::time_constant_s)
+            }
             _ => None,
         };
         rise_s.filter(|rise_s| *rise_s > 0.0)
@@ -62,14 +66,14 @@ impl Laws {
     pub(crate) fn elongation(&self, data: &Data) -> Vec<f64> {
         let Some(spindle) = &self.spindle else { return data.law.clone() };
         match (spindle.source, &spindle.temperature, &spindle.warmup) {
-            (Some(Source::Temperature), Some(model), _)
+            (Some(ElongationSource::Temperature), Some(model), _)
                 if data.temperature(&model.sensor).is_some() =>
             {
                 let fall_s = self.spindle_falling_s.unwrap_or(model.lag_s);
                 let lagged = data.lagged(&model.sensor, model.lag_s, fall_s);
                 lagged.iter().map(|c| model.k_um_per_c * (c - model.reference_c)).collect()
             }
-            (Some(Source::Warmup), _, Some(model)) => {
+            (Some(ElongationSource::Warmup), _, Some(model)) => {
                 if let Some(whole) = &data.whole {
                     return whole.pick(&self.elongation(&whole.data));
                 }

@@ -15,7 +15,7 @@ use trueup_core::{
     units::{MicroDegrees, Position, Rpm, Temperature},
 };
 use trueup_machine::{
-    file::{Machine, Source},
+    file::{ElongationSource, Machine},
     inputs::{TemperatureInput, TemperatureKind},
     place::BadInput,
     run_file::RunFile,
@@ -64,7 +64,7 @@ impl Replay {
     pub fn new(run: &RunFile, machine: &Machine, row_s: f64) -> Result<Self, BadInput> {
         let inputs = machine.inputs.as_ref();
         let sensor = inputs.and_then(|inputs| inputs.sensor.as_ref());
-        let needs_sensor = machine.spindle.source == Some(Source::Sensor);
+        let needs_sensor = machine.spindle.source == Some(ElongationSource::Sensor);
         if needs_sensor {
             run.require("sensor_counts")?;
         }

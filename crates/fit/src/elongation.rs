@@ -14,7 +14,7 @@
 use trueup_machine::{
     BadInput, Machine, RunFile,
     file::write::{Edit, NewSection, Value},
-    file::{SensorModel, Source, is_temperature_column},
+    file::{ElongationSource, SensorModel, is_temperature_column},
     model::elongation_um,
 };
 use trueup_numerics::{least_squares::Solution, robust};
@@ -33,7 +33,7 @@ pub(crate) const MEASURED: &str = "measured_elongation_um";
 pub struct Options {
     /// The sensor or a temperature; `None`: what the machine file's source says, else the sensor
     /// where the run has its column, else its temperature.
-    pub source: Option<Source>,
+    pub source: Option<ElongationSource>,
     /// The column of the temperature; `None`: the machine file's, else the run's only one.
     pub temperature: Option<String>,
 }
@@ -50,10 +50,11 @@ pub fn fit(
     let rows = Rows::of(runs)?;
     let by_machine = machine.and_then(|machine| machine.spindle.source);
     let has_counts = runs.iter().any(|run| run.column("sensor_counts").is_some());
-    let source = options.source.or(options.temperature.as_ref().map(|_| Source::Temperature));
+    let source =
+        options.source.or(options.temperature.as_ref().map(|_| ElongationSource::Temperature));
     match source.or(by_machine) {
-        Some(Source::Temperature) => by_temperature(&rows, machine, options),
-        Some(Source::Sensor) => by_sensor(&rows, machine),
+        Some(ElongationSource::Temperature) => by_temperature(&rows, machine, options),
+        Some(ElongationSource::Sensor) => by_sensor(&rows, machine),
         _ if has_counts || rows.temperatures().is_empty() => by_sensor(&rows, machine),
         _ => by_temperature(&rows, machine, options),
     }
@@ -117,7 +118,7 @@ fn by_sensor(rows: &Rows<'_>, machine: Option<&Machine>) -> Result<Report, BadIn
             .remark(summary(&report));
         report.edit = Edit::of(section);
         report.edit.defaults.push(("spindle".into(), "source", Value::Text("sensor".into())));
-        warn_of_source(&mut report, machine, Source::Sensor);
+        warn_of_source(&mut report, machine, ElongationSource::Sensor);
     }
     Ok(report)
 }
@@ -192,7 +193,7 @@ fn by_temperature(
             .remark(summary(&report));
         report.edit = Edit::of(section);
         report.edit.defaults.push(("spindle".into(), "source", Value::Text("temperature".into())));
-        warn_of_source(&mut report, machine, Source::Temperature);
+        warn_of_source(&mut report, machine, ElongationSource::Temperature);
     }
     Ok(report)
 }
@@ -319,7 +320,11 @@ pub(crate) fn summary(report: &Report) -> String {
 }
 
 /// Warns where the machine file goes on using another source.
-pub(crate) fn warn_of_source(report: &mut Report, machine: Option<&Machine>, fitted: Source) {
+pub(crate) fn warn_of_source(
+    report: &mut Report,
+    machine: Option<&Machine>,
+    fitted: ElongationSource,
+) {
     let chosen = machine.and_then(|machine| machine.spindle.source);
     if let Some(chosen) = chosen.filter(|chosen| *chosen != fitted) {
         report.warnings.push(format!(

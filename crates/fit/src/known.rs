@@ -5,7 +5,7 @@
 
 use trueup_machine::{
     BadInput, Machine, RunFile,
-    file::{LinearAxis, Source},
+    file::{ElongationSource, LinearAxis},
     predict::Predictor,
 };
 
@@ -106,8 +106,8 @@ fn has_model(machine: &Machine) -> bool {
     let spindle = &machine.spindle;
     match spindle.source {
         None => false,
-        Some(Source::Sensor) => spindle.sensor.is_some(),
-        Some(Source::Warmup) => spindle.warmup.is_some(),
-        Some(Source::Temperature) => spindle.temperature.is_some(),
+        Some(ElongationSource::Sensor) => spindle.sensor.is_some(),
+        Some(ElongationSource::Warmup) => spindle.warmup.is_some(),
+        Some(ElongationSource::Temperature) => spindle.temperature.is_some(),
     }
 }

@@ -22,7 +22,7 @@ mod shape;
 use trueup_machine::{
     BadInput, Machine, RunFile,
     file::write::{Edit, NewSection, Value},
-    file::{Source, Warmup},
+    file::{ElongationSource, Warmup},
     model::WarmupState,
 };
 use trueup_numerics::{
@@ -114,7 +114,7 @@ pub fn fit(runs: &[RunFile], machine: Option<&Machine>) -> Result<Report, BadInp
     if report.verdict.is_fitted() {
         report.edit = Edit::of(section(&model, &report));
         report.edit.defaults.push(("spindle".into(), "source", Value::Text("warmup".into())));
-        warn_of_source(&mut report, machine, Source::Warmup);
+        warn_of_source(&mut report, machine, ElongationSource::Warmup);
     }
     Ok(report)
 }

@@ -8,7 +8,7 @@ use support::{
     MACHINE, Noise, applied, assert_holds, assert_round_trip, machine, parse, predicted_rms, run,
 };
 use trueup_fit::{Verdict, elongation};
-use trueup_machine::{RunFile, file::Source};
+use trueup_machine::{RunFile, file::ElongationSource};
 use trueup_measured_data::file as measured;
 
 const PAPER: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n[spindle]\nsource = \"sensor\"\n\
@@ -91,7 +91,7 @@ fn without_a_machine_file_the_section_alone_is_written_and_loads() {
     let machine = machine(&text);
     assert_eq!(machine.spindle.sensor.as_ref().expect("written").zero_counts, 5550.0);
     assert!(predicted_rms(&machine, &run, 0, |_| true) < 1e-9);
-    assert_eq!(applied(&report, MACHINE).spindle.source, Some(Source::Sensor));
+    assert_eq!(applied(&report, MACHINE).spindle.source, Some(ElongationSource::Sensor));
 }
 
 /// T behind its sensor by 600 s, from 22 °C, with noise: the lag is found and the intervals hold.

@@ -8,7 +8,7 @@ use support::{
 use trueup_fit::{Report, Verdict, warmup};
 use trueup_machine::{
     RunFile,
-    file::{Source, Warmup},
+    file::{ElongationSource, Warmup},
     model::{WarmupState, warmup_um},
 };
 
@@ -61,7 +61,7 @@ fn the_lag_the_time_constant_and_the_growth_are_found_from_one_record() {
     // Without its first fifth a record does not show the lag: blocks cost more than the noise.
     assert!(report.left_out.expect("blocks").rms_um < 1.0, "{report:?}");
     assert_round_trip(&report, MACHINE, &run, 0);
-    assert_eq!(applied(&report, MACHINE).spindle.source, Some(Source::Warmup));
+    assert_eq!(applied(&report, MACHINE).spindle.source, Some(ElongationSource::Warmup));
 }
 
 #[test]

@@ -22,7 +22,7 @@ pub use axis::{
 pub use inputs::is_temperature_column;
 pub use limits::Limits;
 pub use machine::{Kind, Machine};
-pub use spindle::{SensorModel, Source, Spindle, TemperatureModel, Warmup};
+pub use spindle::{ElongationSource, SensorModel, Spindle, TemperatureModel, Warmup};
 pub use straightness::{BSpline, SplineFault, Squareness, Straightness};
 pub use term::{Term, in_order};
 

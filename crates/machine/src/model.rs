@@ -45,7 +45,7 @@ use std::borrow::Cow;
 
 use term::TermLags;
 
-use crate::file::{LinearAxis, Machine, Quantity, SensorModel, Source, Term};
+use crate::file::{ElongationSource, LinearAxis, Machine, Quantity, SensorModel, Term};
 
 /// What is known of one row of a run. What is missing is NaN.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -249,23 +249,25 @@ impl<'m> ReferenceModel<'m> {
         let spindle = &self.machine.spindle;
         match spindle.source {
             None => 0.0,
-            Some(Source::Sensor) => spindle
+            Some(ElongationSource::Sensor) => spindle
                 .sensor
                 .as_ref()
                 .map_or(f64::NAN, |sensor| elongation_um(sensor, situation.sensor_counts)),
-            Some(Source::Warmup) => spindle.warmup.as_ref().map_or(f64::NAN, |model| {
+            Some(ElongationSource::Warmup) => spindle.warmup.as_ref().map_or(f64::NAN, |model| {
                 // Without a column of speeds it runs, at the speed that the model is rated for.
                 let rated_rpm = model.rated_rpm.unwrap_or(1.0);
                 let spindle_rpm = situation.spindle_rpm.unwrap_or(rated_rpm);
                 self.state.warmup.step(model, time_s, spindle_rpm)
             }),
-            Some(Source::Temperature) => spindle.temperature.as_ref().map_or(f64::NAN, |model| {
-                let measured_c = situation.temperature_c(&model.sensor);
-                let lags_s = [model.lag_s, self.falling.spindle_s.unwrap_or(model.lag_s)];
-                let lag = &mut self.state.spindle_lag;
-                let temperature_c = lag.step_either_way(lags_s, time_s, measured_c);
-                temperature_elongation_um(model, temperature_c)
-            }),
+            Some(ElongationSource::Temperature) => {
+                spindle.temperature.as_ref().map_or(f64::NAN, |model| {
+                    let measured_c = situation.temperature_c(&model.sensor);
+                    let lags_s = [model.lag_s, self.falling.spindle_s.unwrap_or(model.lag_s)];
+                    let lag = &mut self.state.spindle_lag;
+                    let temperature_c = lag.step_either_way(lags_s, time_s, measured_c);
+                    temperature_elongation_um(model, temperature_c)
+                })
+            }
         }
     }
 
@@ -315,9 +317,9 @@ pub fn required_columns(machine: &Machine) -> Vec<String> {
     let spindle = &machine.spindle;
     match spindle.source {
         None => {}
-        Some(Source::Sensor) => has_counts = true,
-        Some(Source::Warmup) => is_timed = true,
-        Some(Source::Temperature) => temperatures
+        Some(ElongationSource::Sensor) => has_counts = true,
+        Some(ElongationSource::Warmup) => is_timed = true,
+        Some(ElongationSource::Temperature) => temperatures
             .extend(spindle.temperature.as_ref().map(|model| (&model.sensor, model.lag_s))),
     }
     let thermal = machine.axes.iter().filter_map(|axis| axis.thermal.as_ref());
@@ -350,7 +352,7 @@ impl Machine {
     #[must_use]
     pub fn elongation_um(&self, sensor_counts: f64) -> f64 {
         match (self.spindle.source, &self.spindle.sensor) {
-            (Some(Source::Sensor), Some(sensor)) => elongation_um(sensor, sensor_counts),
+            (Some(ElongationSource::Sensor), Some(sensor)) => elongation_um(sensor, sensor_counts),
             _ => 0.0,
         }
     }
@@ -361,7 +363,7 @@ impl Machine {
     pub fn sensor_on_board(&self) -> Option<&SensorModel> {
         let source = self.spindle.source?;
         let is_connected = self.inputs.as_ref().is_some_and(|inputs| inputs.sensor.is_some());
-        let is_run = source == Source::Sensor || is_connected;
+        let is_run = source == ElongationSource::Sensor || is_connected;
         self.spindle.sensor.as_ref().filter(|_| is_run)
     }
 

@@ -24,7 +24,7 @@ use std::{
 };
 
 use crate::{
-    file::{Machine, Quantity, Source},
+    file::{ElongationSource, Machine, Quantity},
     model::{ReferenceModel, Situation, required_columns, shifted, time_shift_s},
     place::{BadInput, Place},
     run_file::RunFile,
@@ -239,7 +239,7 @@ impl<'a> Predictor<'a> {
             let before = written.largest_difference_nm.unwrap_or(0.0);
             written.largest_difference_nm = Some(before.max(difference_nm));
         }
-        if self.machine.spindle.source != Some(Source::Sensor) {
+        if self.machine.spindle.source != Some(ElongationSource::Sensor) {
             return;
         }
         let counts = at(self.columns.sensor_counts, row);

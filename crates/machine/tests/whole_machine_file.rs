@@ -6,8 +6,9 @@ use std::path::Path;
 use trueup_machine::{
     Machine, MachineFile,
     file::{
-        Axis, BSpline, Backlash, Dual, Feedback, Kind, LinearAxis, Pitch, RotaryAxis, SensorModel,
-        Source, Squareness, TemperatureModel, Thermal, ThermalMode, ThermalRow, Warmup,
+        Axis, BSpline, Backlash, Dual, ElongationSource, Feedback, Kind, LinearAxis, Pitch,
+        RotaryAxis, SensorModel, Squareness, TemperatureModel, Thermal, ThermalMode, ThermalRow,
+        Warmup,
     },
     inputs::TemperatureKind,
     model::{Parts, ReferenceModel, Situation, required_columns, warmup_um},
@@ -112,7 +113,7 @@ fn every_key_of_the_example_arrives_in_its_field() {
     assert_eq!(inputs.temperatures["temp_screw_c"].kind, TemperatureKind::Pt100);
 
     let spindle = machine.spindle;
-    assert_eq!(spindle.source, Some(Source::Sensor));
+    assert_eq!(spindle.source, Some(ElongationSource::Sensor));
     let sensor = SensorModel {
         k0_um: 0.0,
         zero_counts: 5048.0,

@@ -1,12 +1,6 @@
 //! How the spindle grows: its source, and what the board falls back to.
 
-use trueup_core::{
-    calibration::{self, ElongationSource},
-    lag::SmoothingFactor,
-    sensor::SensorLaw,
-    thermal::Law,
-    warmup,
-};
+use trueup_core::{calibration, lag::SmoothingFactor, sensor::SensorLaw, thermal::Law, warmup};
 
 use super::{
     account::Account,
@@ -16,7 +10,7 @@ use super::{
     lag, sensor, warmup as warm_up,
 };
 use crate::{
-    file::{Machine, Source, Spindle},
+    file::{self, Machine, Spindle},
     place::BadInput,
 };
 
@@ -73,7 +67,7 @@ impl SpindleTables {
                         law,
                     }),
                     // A fall-back whose thermometer is not connected is none.
-                    Err(_) if spindle.source != Some(Source::Temperature) => None,
+                    Err(_) if spindle.source != Some(file::ElongationSource::Temperature) => None,
                     Err(error) => return Err(error),
                 }
             }
@@ -84,18 +78,23 @@ impl SpindleTables {
             .as_ref()
             .map(|(law, power)| calibration::SpindleWarmup { law: *law, power: power.view() });
         let board = |source| match source {
-            Source::Sensor => ElongationSource::Sensor,
-            Source::Temperature => ElongationSource::Temperature,
-            Source::Warmup => ElongationSource::Warmup,
+            file::ElongationSource::Sensor => calibration::ElongationSource::Sensor,
+            file::ElongationSource::Temperature => calibration::ElongationSource::Temperature,
+            file::ElongationSource::Warmup => calibration::ElongationSource::Warmup,
         };
         let mut chain = [None; 3];
         if let Some(first) = spindle.source {
-            let there = |source: &Source| match source {
-                Source::Sensor => self.sensor != SensorLaw::default(),
-                Source::Temperature => temperature.is_some(),
-                Source::Warmup => warmup.is_some(),
+            let there = |source: &file::ElongationSource| match source {
+                file::ElongationSource::Sensor => self.sensor != SensorLaw::default(),
+                file::ElongationSource::Temperature => temperature.is_some(),
+                file::ElongationSource::Warmup => warmup.is_some(),
             };
-            let others = [Source::Sensor, Source::Temperature, Source::Warmup].into_iter();
+            let others = [
+                file::ElongationSource::Sensor,
+                file::ElongationSource::Temperature,
+                file::ElongationSource::Warmup,
+            ]
+            .into_iter();
             let others = others.filter(|&source| source != first).filter(there);
             for (place, source) in chain.iter_mut().zip([first].into_iter().chain(others)) {
                 *place = Some(board(source));
@@ -108,15 +107,15 @@ impl SpindleTables {
 /// Whether a law of the sensor is there.
 pub(super) fn has_sensor(spindle: &calibration::SpindleModel<'_>) -> bool {
     spindle.sensor != SensorLaw::default()
-        || spindle.chain.contains(&Some(ElongationSource::Sensor))
+        || spindle.chain.contains(&Some(calibration::ElongationSource::Sensor))
 }
 
 /// The spindle as a user writes it.
 pub(super) fn inverse(spindle: &calibration::SpindleModel<'_>) -> Spindle {
-    let source = |source: ElongationSource| match source {
-        ElongationSource::Sensor => Source::Sensor,
-        ElongationSource::Temperature => Source::Temperature,
-        ElongationSource::Warmup => Source::Warmup,
+    let source = |source: calibration::ElongationSource| match source {
+        calibration::ElongationSource::Sensor => file::ElongationSource::Sensor,
+        calibration::ElongationSource::Temperature => file::ElongationSource::Temperature,
+        calibration::ElongationSource::Warmup => file::ElongationSource::Warmup,
     };
     Spindle {
         source: spindle.chain[0].map(source),

@@ -13,7 +13,7 @@ use super::{
     thermal_lag::ThermalLag,
 };
 use crate::{
-    file::spindle::Source,
+    file::spindle::ElongationSource,
     place::BadInput,
     file::read::Section,
 };
@@ -56,7 +56,7 @@ impl Page for CoolingAsymmetry {
 
     fn refusal(&self, host: &Host<'_>) -> Option<String> {
         let is_warmup =
-            host.quantity.axis().is_none() && host.spindle.source == Some(Source::Warmup);
+            host.quantity.axis().is_none() && host.spindle.source == Some(ElongationSource::Warmup);
         (!host.has_thermometer() && !is_warmup).then(|| "needs a lag or a warm-up to change".into())
     }
 
@@ -106,14 +106,14 @@ impl Definition for CoolingAsymmetry {
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
         let believed_s = match (survey.thermal_in_use(), survey.source()) {
             (Some(thermal), _) => thermal.lag_s,
-            (None, Some(Source::Temperature)) => {
+            (None, Some(ElongationSource::Temperature)) => {
                 survey.spindle().temperature.as_ref().map_or(0.0, |model| model.lag_s)
             }
             _ => 0.0,
         };
         let follows = survey.thermal_in_use().is_some()
-            || survey.source() == Some(Source::Temperature);
-        let is_warmup = survey.source() == Some(Source::Warmup);
+            || survey.source() == Some(ElongationSource::Temperature);
+        let is_warmup = survey.source() == Some(ElongationSource::Warmup);
         let stood = || survey.column("spindle_rpm").is_some_and(|rpm| rpm.contains(&0.0));
         if follows && (believed_s > 0.0 || survey.has(ThermalLag::NAME)) || is_warmup && stood() {
             with(Self::default(), survey.time_constants(FINE_TIME_CONSTANTS));

@@ -12,7 +12,7 @@ use super::{
     survey::{Settings, Survey, spread},
 };
 use crate::{
-    file::spindle::Source,
+    file::spindle::ElongationSource,
     place::BadInput,
     file::read::Section,
 };
@@ -94,7 +94,7 @@ impl Definition for GrowthAmplitude {
     }
 
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
-        let grows = matches!(survey.source(), Some(Source::Temperature | Source::Warmup));
+        let grows = matches!(survey.source(), Some(ElongationSource::Temperature | ElongationSource::Warmup));
         if grows && spread(survey.elongation()) > 0.0 {
             with(Self::default(), Settings::none());
         }

@@ -12,7 +12,7 @@ use super::{
     survey::{FINE_TIME_CONSTANTS, Settings, Survey},
 };
 use crate::{
-    file::spindle::Source,
+    file::spindle::ElongationSource,
     place::BadInput,
     file::read::Section,
 };
@@ -50,7 +50,7 @@ impl Page for GrowthRate {
     }
 
     fn refusal(&self, host: &Host<'_>) -> Option<String> {
-        let is_warmup = host.spindle.source == Some(Source::Warmup);
+        let is_warmup = host.spindle.source == Some(ElongationSource::Warmup);
         (host.quantity.axis().is_some() || !is_warmup)
             .then(|| "needs [spindle] source = \"warmup\"".into())
     }
@@ -101,7 +101,7 @@ impl Definition for GrowthRate {
     }
 
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
-        if survey.source() == Some(Source::Warmup) {
+        if survey.source() == Some(ElongationSource::Warmup) {
             with(Self::default(), survey.time_constants(FINE_TIME_CONSTANTS));
         }
     }

@@ -6,7 +6,7 @@ use super::{
 };
 use crate::{
     file::read::Section,
-    file::{inputs::read_temperature_column, spindle::Source},
+    file::{inputs::read_temperature_column, spindle::ElongationSource},
     place::BadInput,
 };
 
@@ -41,7 +41,7 @@ pub(crate) fn neutral(survey: &dyn Survey, column: &str, has_lag: bool) -> Heat 
 /// The column of the sensor's own temperature, where the sensor is what is predicted by.
 pub(crate) fn of_sensor(survey: &dyn Survey) -> Option<&str> {
     let sensor = survey.spindle().sensor.as_ref()?;
-    sensor.temperature.as_deref().filter(|_| survey.source() == Some(Source::Sensor))
+    sensor.temperature.as_deref().filter(|_| survey.source() == Some(ElongationSource::Sensor))
 }
 
 /// The temperatures that may move what is measured, and whether the model goes by them already.

@@ -278,7 +278,9 @@ impl Host<'_> {
     /// Whether the quantity follows a thermometer of its own.
     pub(crate) fn has_thermometer(&self) -> bool {
         match self.quantity.axis() {
-            None => self.spindle.source == Some(crate::file::spindle::Source::Temperature),
+            None => {
+                self.spindle.source == Some(crate::file::spindle::ElongationSource::Temperature)
+            }
             Some(_) => self.thermal.is_some(),
         }
     }

@@ -9,7 +9,7 @@ use super::{
     survey::{Settings, Survey, spread},
 };
 use crate::{
-    file::{axis::LinearAxis, spindle::Source},
+    file::{axis::LinearAxis, spindle::ElongationSource},
     place::BadInput,
     file::read::Section,
 };
@@ -98,7 +98,7 @@ impl Definition for SensorGain {
     }
 
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
-        if survey.source() == Some(Source::Sensor) && spread(survey.elongation()) > 0.0 {
+        if survey.source() == Some(ElongationSource::Sensor) && spread(survey.elongation()) > 0.0 {
             with(Self::default(), Settings::none());
         }
     }

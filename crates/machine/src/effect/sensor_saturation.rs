@@ -11,7 +11,7 @@ use super::{
     survey::{Settings, Survey, spread},
 };
 use crate::{
-    file::{axis::LinearAxis, spindle::Source},
+    file::{axis::LinearAxis, spindle::ElongationSource},
     place::BadInput,
     file::read::Section,
 };
@@ -97,7 +97,7 @@ impl Definition for SensorSaturation {
     }
 
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
-        if survey.source() == Some(Source::Sensor) && spread(survey.elongation()) > 0.0 {
+        if survey.source() == Some(ElongationSource::Sensor) && spread(survey.elongation()) > 0.0 {
             with(Self::default(), Settings::at(quantiles(survey.elongation())));
         }
     }

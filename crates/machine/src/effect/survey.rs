@@ -6,7 +6,7 @@
 use super::quantity::Quantity;
 use crate::file::{
     axis::{Axis, Feedback, LinearAxis, Thermal},
-    spindle::{Source, Spindle},
+    spindle::{ElongationSource, Spindle},
 };
 
 /// Trials of a time constant.
@@ -115,7 +115,7 @@ pub trait Survey {
 impl dyn Survey + '_ {
     /// Where the tool's growth comes from, where it is in what was measured.
     #[must_use]
-    pub fn source(&self) -> Option<Source> {
+    pub fn source(&self) -> Option<ElongationSource> {
         if self.elongates() { self.spindle().source } else { None }
     }
 

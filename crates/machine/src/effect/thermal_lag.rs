@@ -12,7 +12,7 @@ use super::{
     survey::{FINE_TIME_CONSTANTS, Settings, Survey, TIME_CONSTANTS},
 };
 use crate::{
-    file::spindle::Source,
+    file::spindle::ElongationSource,
     place::BadInput,
     file::read::Section,
 };
@@ -111,7 +111,7 @@ impl Definition for ThermalLag {
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
         let believed_s = match (survey.thermal_in_use(), survey.source()) {
             (Some(thermal), _) => thermal.lag_s,
-            (None, Some(Source::Temperature)) => {
+            (None, Some(ElongationSource::Temperature)) => {
                 survey.spindle().temperature.as_ref().map_or(0.0, |model| model.lag_s)
             }
             _ => return,

@@ -9,7 +9,7 @@ use crate::place::BadInput;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Spindle {
     /// The model in use, which is always there below; `None`: no elongation.
-    pub source: Option<Source>,
+    pub source: Option<ElongationSource>,
     /// The displacement sensor.
     pub sensor: Option<SensorModel>,
     /// The growth over the time that the spindle has run.
@@ -20,7 +20,7 @@ pub struct Spindle {
 
 /// Where the elongation comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Source {
+pub enum ElongationSource {
     /// The displacement sensor, in counts.
     Sensor,
     /// The warm-up model, over the time in s that the spindle has run.
@@ -29,7 +29,7 @@ pub enum Source {
     Temperature,
 }
 
-impl Source {
+impl ElongationSource {
     /// Its name in the machine file, which is also that of its section under `[spindle]`.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -105,7 +105,8 @@ pub struct TemperatureModel {
 pub(super) fn read(section: &Section<'_>) -> Result<Spindle, BadInput> {
     section.allow_only(&["source", "sensor", "warmup", "temperature"])?;
     let sources =
-        [Source::Sensor, Source::Warmup, Source::Temperature].map(|source| (source.name(), source));
+        [ElongationSource::Sensor, ElongationSource::Warmup, ElongationSource::Temperature]
+            .map(|source| (source.name(), source));
     let spindle = Spindle {
         source: section.choice("source", &sources)?,
         sensor: section.section("sensor")?.map(|model| read_sensor(&model)).transpose()?,
@@ -116,11 +117,11 @@ pub(super) fn read(section: &Section<'_>) -> Result<Spindle, BadInput> {
             .transpose()?,
     };
     let missing = spindle.source.filter(|source| match source {
-        Source::Sensor => spindle.sensor.is_none(),
-        Source::Warmup => spindle.warmup.is_none(),
-        Source::Temperature => spindle.temperature.is_none(),
+        ElongationSource::Sensor => spindle.sensor.is_none(),
+        ElongationSource::Warmup => spindle.warmup.is_none(),
+        ElongationSource::Temperature => spindle.temperature.is_none(),
     });
-    if let Some(name) = missing.map(Source::name) {
+    if let Some(name) = missing.map(ElongationSource::name) {
         let rule = format!("is \"{name}\", but [spindle.{name}] is missing");
         return Err(section.bad("source", rule));
     }

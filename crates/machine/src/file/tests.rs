@@ -59,7 +59,7 @@ fn every_key_that_is_run_arrives_in_its_field() {
     let linear = TemperatureInput { channel: 3, kind };
     assert_eq!(inputs.temperatures["temp_screw_c"], pt100);
     assert_eq!(inputs.temperatures["temp_coil_c"], linear);
-    assert_eq!(machine.spindle.source, Some(Source::Sensor));
+    assert_eq!(machine.spindle.source, Some(ElongationSource::Sensor));
     let model = SensorModel {
         k0_um: -1.5,
         zero_counts: 5048.0,

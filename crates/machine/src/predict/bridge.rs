@@ -15,7 +15,7 @@ use trueup_core::{
 use crate::{
     compile::{Compiled, compile, term::PARTS_OF_N},
     effect::OnBoard,
-    file::{Machine, Source},
+    file::{ElongationSource, Machine},
     inputs::{Inputs, LAST_CHANNEL, SensorInput, TemperatureInput, TemperatureKind},
     model::{Situation, Values},
     stored::{NM_PER_UM, UNITS_PER_MM},
@@ -35,7 +35,7 @@ impl Bridge {
     /// The error says why there is none, which keeps nobody from predicting.
     pub(super) fn of(machine: &Machine) -> Result<Self, String> {
         let input = machine.inputs.as_ref().and_then(|inputs| inputs.sensor);
-        if machine.spindle.source == Some(Source::Sensor) && input.is_none() {
+        if machine.spindle.source == Some(ElongationSource::Sensor) && input.is_none() {
             return Err("without [inputs] sensor".into());
         }
         let wired = with_all_temperatures(machine);

@@ -10,7 +10,7 @@ use trueup_core::{
 };
 use trueup_machine::{
     Compiled, Machine,
-    file::Source,
+    file::ElongationSource,
     model::{ReferenceModel, Situation},
 };
 
@@ -77,7 +77,7 @@ impl<'m> Bench<'m> {
     }
 
     pub fn warms_up(&self) -> bool {
-        self.machine.spindle.source == Some(Source::Warmup)
+        self.machine.spindle.source == Some(ElongationSource::Warmup)
     }
 
     /// Goes on to another moment: lags settle there, the warm-up takes its `steps` of 100 ms.
@@ -101,9 +101,11 @@ impl<'m> Bench<'m> {
             place.travel[axis].update(config, Position(position[axis]), direction);
         }
         let elongation = match self.machine.spindle.source {
-            Some(Source::Sensor) => self.calibration.spindle.sensor.elongation(moment.reading),
-            Some(Source::Temperature) => self.heat.by_temperature(),
-            Some(Source::Warmup) => self.heat.by_running_time(),
+            Some(ElongationSource::Sensor) => {
+                self.calibration.spindle.sensor.elongation(moment.reading)
+            }
+            Some(ElongationSource::Temperature) => self.heat.by_temperature(),
+            Some(ElongationSource::Warmup) => self.heat.by_running_time(),
             None => Nanometres::ZERO,
         };
         let tool = self.calibration.kinematics.direction(moment.angles).fine_error(elongation);
