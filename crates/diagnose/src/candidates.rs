@@ -3,7 +3,7 @@
 
 use trueup_machine::{
     effect::{Effect, OnBoard, Quantity, Reading, Settings, Survey, spread},
-    file::{Axis, ElongationSource, Spindle},
+    file::{AxisModel, ElongationSource, Spindle},
 };
 
 use crate::{
@@ -131,7 +131,7 @@ impl Survey for Seen<'_> {
         &self.data().machine.spindle
     }
 
-    fn own_axis(&self) -> Option<&Axis> {
+    fn own_axis(&self) -> Option<&AxisModel> {
         let data = self.data();
         data.quantity.axis().map(|axis| &data.machine.axes[axis.index()])
     }

@@ -12,7 +12,7 @@ use trueup_export::{
 };
 use trueup_machine::{
     Machine, MachineFile,
-    file::{Axis, LinearAxis, Pitch},
+    file::{AxisModel, LinearAxis, Pitch},
     model::{backlash_um, pitch_um, spline_um, squareness_um},
 };
 
@@ -132,7 +132,7 @@ fn positions(first: f64, last: f64) -> impl Iterator<Item = f64> {
 }
 
 /// The error of one drive, from the model's functions alone.
-fn drive_um(axis: &Axis, pitch: Option<&Pitch>, mm: f64, approach: Approach) -> f64 {
+fn drive_um(axis: &AxisModel, pitch: Option<&Pitch>, mm: f64, approach: Approach) -> f64 {
     let direction = approach.sign();
     pitch.map_or(0.0, |pitch| pitch_um(pitch, mm, direction))
         + axis.backlash.as_ref().map_or(0.0, |backlash| backlash_um(backlash, direction))
@@ -148,7 +148,7 @@ fn cross_um(machine: &Machine, error: LinearAxis, along: LinearAxis, mm: f64) ->
 }
 
 /// Every drive: its name, its axis, its table.
-fn drives(machine: &Machine) -> Vec<(String, &Axis, Option<&Pitch>)> {
+fn drives(machine: &Machine) -> Vec<(String, &AxisModel, Option<&Pitch>)> {
     let mut all = Vec::new();
     for axis in LinearAxis::ALL {
         let of = &machine.axes[axis.index()];

@@ -17,7 +17,8 @@ pub mod write;
 use std::path::Path;
 
 pub use axis::{
-    Axis, Backlash, Dual, Feedback, LinearAxis, Pitch, RotaryAxis, Thermal, ThermalMode, ThermalRow,
+    AxisModel, Backlash, Dual, Feedback, LinearAxis, Pitch, RotaryAxis, Thermal, ThermalMode,
+    ThermalRow,
 };
 pub use inputs::is_temperature_column;
 pub use limits::Limits;

@@ -6,7 +6,7 @@ use std::path::Path;
 use trueup_machine::{
     Machine, MachineFile,
     file::{
-        Axis, BSpline, Backlash, Dual, ElongationSource, Feedback, Kind, LinearAxis, Pitch,
+        AxisModel, BSpline, Backlash, Dual, ElongationSource, Feedback, Kind, LinearAxis, Pitch,
         RotaryAxis, SensorModel, Squareness, TemperatureModel, Thermal, ThermalMode, ThermalRow,
         Warmup,
     },
@@ -167,7 +167,7 @@ fn every_key_of_the_example_arrives_in_its_field() {
         second_mm: 3000.0,
         pitch: pitch([0.0, 1.0, 2.5], None),
     };
-    let x = Axis {
+    let x = AxisModel {
         feedback: Feedback::Screw,
         thermal: Some(thermal),
         pitch: Some(pitch([0.0, 1.5, 2.0], Some([0.5, 2.0, 2.5]))),
@@ -175,8 +175,8 @@ fn every_key_of_the_example_arrives_in_its_field() {
         dual: Some(dual),
     };
     let backlash = Backlash { width_um: 4.0, ramp_mm: 0.05, hysteresis_um: 1.0 };
-    let y = Axis { backlash: Some(backlash), ..Axis::default() };
-    assert_eq!(machine.axes, [x, y, Axis::default()]);
+    let y = AxisModel { backlash: Some(backlash), ..AxisModel::default() };
+    assert_eq!(machine.axes, [x, y, AxisModel::default()]);
 
     let [curve] = &machine.straightness[..] else { panic!("there is one curve") };
     assert_eq!((curve.error, curve.along), (LinearAxis::Z, LinearAxis::X));

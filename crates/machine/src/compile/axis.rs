@@ -33,7 +33,7 @@ pub(super) struct AxisTables {
 }
 
 pub(super) fn compile(
-    axis: &file::Axis,
+    axis: &file::AxisModel,
     name: LinearAxis,
     falling_s: Option<f64>,
     account: &mut Account<'_>,
@@ -116,10 +116,10 @@ pub(super) fn view<'t>(
 }
 
 /// The axis as a user writes it.
-pub(super) fn inverse(axis: &calibration::AxisModel<'_>) -> file::Axis {
+pub(super) fn inverse(axis: &calibration::AxisModel<'_>) -> file::AxisModel {
     let calibration::AxisModel { thermal, pitch, dual, backlash, travel } = axis;
     let has_backlash = *backlash != Fine::ZERO || *travel != travel::Config::default();
-    file::Axis {
+    file::AxisModel {
         feedback: Feedback::Screw,
         thermal: thermal.as_ref().map(heat::inverse_of_axis),
         pitch: pitch.as_ref().map(pitch::inverse),

@@ -5,7 +5,7 @@
 
 use super::quantity::Quantity;
 use crate::file::{
-    axis::{Axis, Feedback, LinearAxis, Thermal},
+    axis::{AxisModel, Feedback, LinearAxis, Thermal},
     spindle::{ElongationSource, Spindle},
 };
 
@@ -56,7 +56,7 @@ pub trait Survey {
     /// How the spindle is believed to grow.
     fn spindle(&self) -> &Spindle;
     /// What is believed of the quantity's own axis.
-    fn own_axis(&self) -> Option<&Axis>;
+    fn own_axis(&self) -> Option<&AxisModel>;
     /// Whether the tool's growth is in what was measured.
     fn elongates(&self) -> bool;
     /// The elongation by the source's own law, without terms, in µm.

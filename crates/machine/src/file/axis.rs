@@ -61,7 +61,7 @@ impl RotaryAxis {
 
 /// What is known of one linear axis.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Axis {
+pub struct AxisModel {
     /// Where its position is measured.
     pub feedback: Feedback,
     /// How it grows with a temperature.
@@ -216,9 +216,9 @@ pub struct Dual {
     pub pitch: Pitch,
 }
 
-pub(super) fn read(section: &Section<'_>) -> Result<[Axis; 3], BadInput> {
+pub(super) fn read(section: &Section<'_>) -> Result<[AxisModel; 3], BadInput> {
     section.allow_only(&LinearAxis::ALL.map(LinearAxis::name))?;
-    let mut axes = <[Axis; 3]>::default();
+    let mut axes = <[AxisModel; 3]>::default();
     for (axis, of) in axes.iter_mut().zip(LinearAxis::ALL) {
         if let Some(section) = section.section(of.name())? {
             *axis = read_axis(&section, of)?;
@@ -227,10 +227,10 @@ pub(super) fn read(section: &Section<'_>) -> Result<[Axis; 3], BadInput> {
     Ok(axes)
 }
 
-fn read_axis(section: &Section<'_>, of: LinearAxis) -> Result<Axis, BadInput> {
+fn read_axis(section: &Section<'_>, of: LinearAxis) -> Result<AxisModel, BadInput> {
     section.allow_only(&["feedback", "thermal", "pitch", "backlash", "dual"])?;
     let feedbacks = [("screw", Feedback::Screw), ("scale", Feedback::Scale)];
-    let axis = Axis {
+    let axis = AxisModel {
         feedback: section.choice("feedback", &feedbacks)?.unwrap_or_default(),
         thermal: section.section("thermal")?.map(|thermal| read_thermal(&thermal)).transpose()?,
         pitch: section.section("pitch")?.map(|pitch| read_pitch_alone(&pitch)).transpose()?,
@@ -366,7 +366,7 @@ fn read_dual(section: &Section<'_>, driven: LinearAxis) -> Result<Dual, BadInput
 }
 
 /// The sections of the axis `of`.
-pub(super) fn write(axis: &Axis, of: LinearAxis) -> Vec<NewSection> {
+pub(super) fn write(axis: &AxisModel, of: LinearAxis) -> Vec<NewSection> {
     let name = format!("axis.{}", of.name());
     let mut sections = Vec::new();
     if axis.feedback == Feedback::Scale {

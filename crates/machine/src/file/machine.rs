@@ -1,7 +1,7 @@
 //! `[machine]`: which machine it is, and where its tool points.
 
 use super::{
-    Axis, Limits, RotaryAxis, Spindle, Squareness, Straightness, Term,
+    AxisModel, Limits, RotaryAxis, Spindle, Squareness, Straightness, Term,
     read::Section,
     write::section::{NewSection, Value},
 };
@@ -27,7 +27,7 @@ pub struct Machine {
     /// How the spindle grows.
     pub spindle: Spindle,
     /// What is known of X, Y and Z, by [`LinearAxis::index`].
-    pub axes: [Axis; 3],
+    pub axes: [AxisModel; 3],
     /// The straightness curves; no pair of axes twice.
     pub straightness: Vec<Straightness>,
     /// The angles between the axes as they are written; no pair of axes twice.

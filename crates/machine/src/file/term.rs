@@ -6,7 +6,7 @@
 //! `constant_um` is added by any of them: the reference of a measurement is arbitrary. It is among
 //! what is added, whatever the term is.
 
-use super::{Axis, Spindle, read::Section, write::section::NewSection};
+use super::{AxisModel, Spindle, read::Section, write::section::NewSection};
 use crate::{
     effect::{Cause, Effect, Host, Quantity},
     place::{BadInput, did_you_mean, shortened},
@@ -54,7 +54,7 @@ pub(super) fn check(
     section: &Section<'_>,
     term: &Term,
     spindle: &Spindle,
-    axes: &[Axis; 3],
+    axes: &[AxisModel; 3],
 ) -> Result<(), BadInput> {
     let axis = term.quantity.axis().map(|axis| &axes[axis.index()]);
     let host = Host {
