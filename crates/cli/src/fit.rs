@@ -16,7 +16,7 @@ use trueup_fit::{
     pitch, straightness, thermal, warmup,
 };
 use trueup_machine::{
-    BadInput, Machine, MachineFile, Place, RunFile,
+    BadInput, Location, Machine, MachineFile, RunFile,
     file::{ElongationSource, LinearAxis, ThermalMode},
 };
 
@@ -203,7 +203,7 @@ fn thermal_of(input: &Input, args: &Thermal) -> Result<Report> {
 
 /// The axis of `quantity`, else the only one whose error the runs measure.
 fn axis_of(runs: &[RunFile], quantity: Option<&str>) -> Result<LinearAxis, BadInput> {
-    let start = || Place::start_of(runs[0].path());
+    let start = || Location::start_of(runs[0].path());
     if let Some(quantity) = quantity {
         let axis = LinearAxis::ALL.into_iter().find(|axis| quantity == format!("d{}", axis.name()));
         let rule = format!("--quantity must be dx or dy or dz, not {quantity:?}");

@@ -6,7 +6,7 @@ use anyhow::Result;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde_json::json;
-use trueup_machine::{BadInput, Place};
+use trueup_machine::{BadInput, Location};
 use trueup_twin::{Scenario, simulate};
 
 use crate::{Outcome, output};
@@ -31,12 +31,13 @@ pub struct Simulate {
 /// Runs the scenario.
 pub fn run(args: &Simulate, as_json: bool) -> Result<Outcome> {
     let Simulate { scenario: path, seed, output: to } = args;
-    let bad =
-        |line, column, rule: &str| BadInput::new(Place { file: path.clone(), line, column }, rule);
+    let bad = |line, column, rule: &str| {
+        BadInput::new(Location { file: path.clone(), line, column }, rule)
+    };
     let bytes = fs::read(path).map_err(|error| bad(1, 1, &format!("cannot be read: {error}")))?;
     let text = String::from_utf8(bytes).map_err(|error| {
         let valid = String::from_utf8_lossy(&error.as_bytes()[..error.utf8_error().valid_up_to()]);
-        let place = Place::at_byte(path, &valid, valid.len());
+        let place = Location::at_byte(path, &valid, valid.len());
         BadInput::new(place, "is not UTF-8 text")
     })?;
     let scenario =

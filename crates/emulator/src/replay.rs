@@ -17,7 +17,7 @@ use trueup_core::{
 use trueup_machine::{
     file::{ElongationSource, Machine},
     inputs::{TemperatureInput, TemperatureKind},
-    place::BadInput,
+    location::BadInput,
     run_file::RunFile,
 };
 

@@ -5,7 +5,7 @@
 
 use std::fmt;
 
-use trueup_machine::{Place, file::write::Edit};
+use trueup_machine::{Location, file::write::Edit};
 use trueup_numerics::line::Summary;
 
 /// What a fit has found.
@@ -188,7 +188,7 @@ impl Spread {
 #[derive(Clone, Debug, PartialEq)]
 pub struct SetAside {
     /// The file, line and column of the measured value.
-    pub place: Place,
+    pub place: Location,
     /// The measured value in µm.
     pub measured_um: f64,
     /// Why: "212.4 um from the other rows, 61 times their scatter".

@@ -1,6 +1,6 @@
 //! The rows of several runs in a row, and which of them are left out together.
 
-use trueup_machine::{BadInput, Place, RunFile};
+use trueup_machine::{BadInput, Location, RunFile};
 use trueup_numerics::{
     least_squares::{Solution, Triangle},
     robust::Outlier,
@@ -22,7 +22,7 @@ impl<'r> Rows<'r> {
     pub(crate) fn of(runs: &'r [RunFile]) -> Result<Self, BadInput> {
         if runs.is_empty() {
             let rule = "no run is given: a fit needs a run file";
-            return Err(BadInput::new(Place::start_of("".as_ref()), rule));
+            return Err(BadInput::new(Location::start_of("".as_ref()), rule));
         }
         Ok(Self { runs })
     }
@@ -71,14 +71,14 @@ impl<'r> Rows<'r> {
         (&self.runs[0], usize::MAX)
     }
 
-    pub(crate) fn place(&self, row: usize, column: &str) -> Place {
+    pub(crate) fn place(&self, row: usize, column: &str) -> Location {
         let (run, row) = self.locate(row);
         run.place(row, column)
     }
 
     /// The runs as a whole break a rule.
     pub(crate) fn bad(&self, rule: impl Into<String>) -> BadInput {
-        BadInput::new(Place::start_of(self.runs[0].path()), rule)
+        BadInput::new(Location::start_of(self.runs[0].path()), rule)
     }
 
     /// Where the states start again: the first row of each file, and where time runs back.

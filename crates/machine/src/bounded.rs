@@ -5,7 +5,7 @@
 
 use std::{fs::File, io::Read as _, path::Path};
 
-use crate::place::{BadInput, Place};
+use crate::location::{BadInput, Location};
 
 /// Opens the file at `path`, which may have `most_bytes`.
 ///
@@ -14,7 +14,7 @@ use crate::place::{BadInput, Place};
 /// # Errors
 /// The file cannot be opened, or is longer; at its start.
 pub fn open(path: &Path, most_bytes: u64) -> Result<File, BadInput> {
-    let bad = |rule| BadInput::new(Place::start_of(path), rule);
+    let bad = |rule| BadInput::new(Location::start_of(path), rule);
     let unreadable = |error| bad(format!("cannot be read: {error}"));
     let file = File::open(path).map_err(unreadable)?;
     let bytes = file.metadata().map_err(unreadable)?.len();
@@ -29,7 +29,7 @@ pub fn open(path: &Path, most_bytes: u64) -> Result<File, BadInput> {
 /// # Errors
 /// The file cannot be read, or is longer; at its start.
 pub fn read(path: &Path, most_bytes: u64) -> Result<Vec<u8>, BadInput> {
-    let bad = |rule| BadInput::new(Place::start_of(path), rule);
+    let bad = |rule| BadInput::new(Location::start_of(path), rule);
     let mut bytes = Vec::new();
     open(path, most_bytes)?
         .take(most_bytes.saturating_add(1))
@@ -49,7 +49,7 @@ pub fn read_text(path: &Path, most_bytes: u64) -> Result<String, BadInput> {
     String::from_utf8(read(path, most_bytes)?).map_err(|error| {
         let valid = error.utf8_error().valid_up_to();
         let text = String::from_utf8_lossy(&error.as_bytes()[..valid]);
-        BadInput::new(Place::at_byte(path, &text, text.len()), "is not UTF-8 text")
+        BadInput::new(Location::at_byte(path, &text, text.len()), "is not UTF-8 text")
     })
 }
 

@@ -28,8 +28,8 @@ use trueup_store::calibration::{MAX_SIZE, TooLarge, decode, encode};
 
 use crate::{
     file::{LinearAxis, Machine, Straightness},
+    location::{BadInput, Locations},
     model,
-    place::{BadInput, Places},
 };
 use account::Account;
 use curve::{OwnedCurve, compile_curve};
@@ -166,7 +166,7 @@ pub fn inverse(calibration: &Calibration<'_>) -> Machine {
         squareness: squareness::inverse(&calibration.squareness),
         limits: limits::inverse(&calibration.limits),
         terms: term::inverse(calibration),
-        places: Places::default(),
+        places: Locations::default(),
     }
 }
 

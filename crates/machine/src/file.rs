@@ -31,7 +31,7 @@ pub use crate::effect::{Cause, Effect, Quantity, Wave};
 
 use crate::{
     bounded,
-    place::{BadInput, Places, without_byte_order_mark},
+    location::{BadInput, Locations, without_byte_order_mark},
 };
 use read::Document;
 use write::{Edit, NewSection};
@@ -110,7 +110,7 @@ impl MachineFile {
             squareness,
             limits,
             terms: Vec::new(),
-            places: Places::default(),
+            places: Locations::default(),
         };
         for section in root.sections("term")? {
             let term = term::read(&section)?;

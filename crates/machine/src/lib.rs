@@ -22,8 +22,8 @@ pub mod compile;
 pub mod effect;
 pub mod file;
 pub mod inputs;
+pub mod location;
 pub mod model;
-pub mod place;
 pub mod predict;
 pub mod run_file;
 pub mod show;
@@ -32,5 +32,5 @@ mod stored;
 pub use compile::{Compiled, compile};
 pub use file::{Machine, MachineFile};
 
-pub use place::{BadInput, Place};
+pub use location::{BadInput, Location};
 pub use run_file::RunFile;

@@ -25,8 +25,8 @@ use std::{
 
 use crate::{
     file::{ElongationSource, Machine, Quantity},
+    location::{BadInput, Location},
     model::{ReferenceModel, Situation, required_columns, shifted, time_shift_s},
-    place::{BadInput, Place},
     run_file::RunFile,
     stored::NM_PER_UM,
 };
@@ -91,7 +91,7 @@ pub struct Written {
     /// Rows whose counts the sensor cannot give. They are predicted like all others.
     pub rows_out_of_range: usize,
     /// Where the first of these stands.
-    pub first_out_of_range: Option<Place>,
+    pub first_out_of_range: Option<Location>,
     /// The largest difference between model and bridge, in nm; `None` without a bridge or rows.
     pub largest_difference_nm: Option<f64>,
 }

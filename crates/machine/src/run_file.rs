@@ -21,7 +21,7 @@ use std::{
 
 use crate::{
     bounded,
-    place::{BadInput, Place, did_you_mean, shortened},
+    location::{BadInput, Location, did_you_mean, shortened},
 };
 use fields::{BadQuote, Fields, separator_of};
 use line::Line;
@@ -101,7 +101,7 @@ impl RunFile {
         loop {
             if !line.read(&mut source, path)? {
                 let rule = "is empty: a run file needs a header row with the names of its columns";
-                return Err(BadInput::new(Place::start_of(path), rule));
+                return Err(BadInput::new(Location::start_of(path), rule));
             }
             if !line.is_blank() {
                 break;
@@ -174,15 +174,15 @@ impl RunFile {
     /// Where the value of `column` in `row` (from 0) stands; the start of the row's line if there
     /// is no such column, of the file if there is no such row.
     #[must_use]
-    pub fn place(&self, row: usize, column: &str) -> Place {
-        let Some(&line) = self.line_of_row.get(row) else { return Place::start_of(&self.path) };
+    pub fn place(&self, row: usize, column: &str) -> Location {
+        let Some(&line) = self.line_of_row.get(row) else { return Location::start_of(&self.path) };
         let column = self
             .columns
             .iter()
             .find(|there| there.name == column)
             .and_then(|there| there.starts.get(row))
             .map_or(1, |&start| start as usize);
-        Place { file: self.path.clone(), line, column }
+        Location { file: self.path.clone(), line, column }
     }
 
     /// The value of `column` in `row` (from 0) breaks a rule; `rule` goes on after the column's
@@ -193,8 +193,8 @@ impl RunFile {
     }
 
     /// Where the header row begins: for what is wrong with the columns as a whole.
-    pub(crate) fn header_place(&self) -> Place {
-        Place { file: self.path.clone(), line: self.header_line, column: 1 }
+    pub(crate) fn header_place(&self) -> Location {
+        Location { file: self.path.clone(), line: self.header_line, column: 1 }
     }
 
     fn read_header(&mut self, line: &Line, separator: char) -> Result<(), BadInput> {

@@ -20,14 +20,14 @@ pub(crate) fn quantity_of(runs: &[RunFile], asked: Option<Quantity>) -> Result<Q
         [only] => Ok(only),
         [] => {
             let places = first.place(0, "");
-            let header = trueup_machine::Place { line: 1, column: 1, ..places };
+            let header = trueup_machine::Location { line: 1, column: 1, ..places };
             let rule = "a column measured_elongation_um, measured_dx_um, measured_dy_um or \
                         measured_dz_um is missing: there is nothing to compare the model with";
             Err(BadInput::new(header, rule))
         }
         _ => {
             let names: Vec<&str> = there.iter().map(|quantity| quantity.name()).collect();
-            let header = trueup_machine::Place { line: 1, column: 1, ..first.place(0, "") };
+            let header = trueup_machine::Location { line: 1, column: 1, ..first.place(0, "") };
             let rule = format!(
                 "several quantities are measured: choose one by --quantity {}",
                 names.join(" or --quantity ")

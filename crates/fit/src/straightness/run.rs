@@ -1,7 +1,7 @@
 //! Straightness from a run file: which axis moved, which error was measured.
 
 use trueup_machine::{
-    BadInput, Place, RunFile,
+    BadInput, Location, RunFile,
     file::{LinearAxis, Straightness},
 };
 
@@ -71,7 +71,7 @@ fn error_column(axis: LinearAxis) -> String {
 
 /// The axis whose error is to be fitted.
 fn error_axis(run: &RunFile, quantity: Option<&str>) -> Result<LinearAxis, BadInput> {
-    let whole = |rule: String| BadInput::new(Place::start_of(run.path()), rule);
+    let whole = |rule: String| BadInput::new(Location::start_of(run.path()), rule);
     if let Some(quantity) = quantity {
         let axis = LinearAxis::ALL.into_iter().find(|axis| quantity == format!("d{}", axis.name()));
         let axis = axis
@@ -114,7 +114,7 @@ fn moving_axis(run: &RunFile, error: LinearAxis, errors: &[f64]) -> Result<Linea
         LinearAxis::ALL.into_iter().filter_map(|axis| Some((axis, travel(axis)?))).collect();
     let longest = travels.iter().map(|(_, mm)| *mm).fold(0.0, f64::max);
     let moving: Vec<_> = travels.iter().filter(|(_, mm)| *mm > STILL * longest).collect();
-    let whole = |rule: String| BadInput::new(Place::start_of(run.path()), rule);
+    let whole = |rule: String| BadInput::new(Location::start_of(run.path()), rule);
     match moving[..] {
         [&(axis, _)] if axis != error => Ok(axis),
         [_] => Err(whole(format!(

@@ -1,6 +1,6 @@
 //! How far each part of a calibration is from the model, and what is too far.
 
-use crate::{file::Machine, place::BadInput};
+use crate::{file::Machine, location::BadInput};
 
 /// A part of a calibration further than this from the model, in nm anywhere in its range, is
 /// refused.

@@ -19,7 +19,7 @@ use super::{
 };
 use crate::{
     file::{self, Backlash, Dual, Feedback, LinearAxis, Machine},
-    place::BadInput,
+    location::BadInput,
     stored::{FINE_PER_UM, UNITS_PER_MM, rounded, rounded_unsigned, written},
 };
 

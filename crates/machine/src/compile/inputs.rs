@@ -7,7 +7,7 @@ use trueup_core::{dimensions::CHANNELS, thermometer::Thermometer};
 use crate::{
     file::Machine,
     inputs::{Inputs, SensorInput, TemperatureInput, TemperatureKind},
-    place::BadInput,
+    location::BadInput,
     stored::{PER_KELVIN, fewest_decimals, rounded, written},
 };
 

@@ -4,7 +4,7 @@ use trueup_core::{limits::Limits, units::Nanometres};
 
 use crate::{
     file::{self, LinearAxis, Machine},
-    place::BadInput,
+    location::BadInput,
     stored::{NM_PER_UM, rounded, rounded_unsigned},
 };
 

@@ -24,8 +24,8 @@ use super::account::LARGEST_DIFFERENCE_NM;
 use crate::{
     file::{Machine, SensorModel},
     inputs::SensorInput,
+    location::BadInput,
     model,
-    place::BadInput,
     stored::{NM_PER_UM, rounded},
 };
 

@@ -11,7 +11,7 @@ use super::{
 };
 use crate::{
     file::{self, Machine, Spindle},
-    place::BadInput,
+    location::BadInput,
 };
 
 /// What the spindle's models have become.

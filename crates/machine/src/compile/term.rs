@@ -31,7 +31,7 @@ use super::{
 use crate::{
     effect::{Angle, Heat, OnBoard, Stage, Tilt, Wave},
     file::{self, BSpline, Machine, in_order},
-    place::BadInput,
+    location::BadInput,
     stored::{FINE_PER_UM, NM_PER_UM, UNITS_PER_MM, rounded, rounded_unsigned},
 };
 

@@ -30,7 +30,7 @@ use crate::{
     file::read::Section,
     file::straightness::{BSpline, read_spline},
     model::straightness::spline_weights,
-    place::BadInput,
+    location::BadInput,
 };
 
 /// An angle that goes with the position of an axis, times a lever.

@@ -25,7 +25,7 @@ use super::{
 use crate::{
     file::axis::{Thermal, ThermalMode},
     file::read::Section,
-    place::BadInput,
+    location::BadInput,
 };
 
 /// The growth of an axis that has no `[axis.*.thermal]`.

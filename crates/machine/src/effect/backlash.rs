@@ -14,7 +14,7 @@ use super::{
 use crate::{
     file::axis::LinearAxis,
     model::pitch::is_reverse,
-    place::BadInput,
+    location::BadInput,
     file::read::Section,
 };
 

@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     file::axis::LinearAxis,
-    place::BadInput,
+    location::BadInput,
     file::read::Section,
 };
 

@@ -12,7 +12,7 @@ use super::{
     survey::{Settings, Survey},
 };
 use crate::{
-    place::BadInput,
+    location::BadInput,
     file::read::Section,
 };
 

@@ -14,7 +14,7 @@ use super::{
 };
 use crate::{
     file::axis::LinearAxis,
-    place::BadInput,
+    location::BadInput,
     file::read::Section,
 };
 

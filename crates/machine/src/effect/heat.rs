@@ -7,7 +7,7 @@ use super::{
 use crate::{
     file::read::Section,
     file::{inputs::read_temperature_column, spindle::ElongationSource},
-    place::BadInput,
+    location::BadInput,
 };
 
 /// The column of the temperature, which must be there.

@@ -46,7 +46,7 @@ pub use reference_instrument::Read;
 pub use survey::{Reading, Settings, Survey, spread};
 pub use wave::Wave;
 
-use crate::{file::axis::LinearAxis, file::read::Section, place::BadInput};
+use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
 use page::Definition;
 
 macro_rules! causes {

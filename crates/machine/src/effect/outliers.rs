@@ -5,7 +5,7 @@ use super::page::{
         Parameter, Value,
     };
 use crate::{
-    place::BadInput,
+    location::BadInput,
     file::read::Section,
 };
 

@@ -19,7 +19,7 @@ use crate::{
         spindle::Spindle,
         straightness::BSpline,
     },
-    place::BadInput,
+    location::BadInput,
 };
 
 pub use super::quantity::Quantity;

@@ -15,7 +15,7 @@ use crate::{
     file::axis::{LinearAxis, Pitch},
     file::axis::read_pitch,
     model::pitch::is_reverse,
-    place::BadInput,
+    location::BadInput,
     file::read::Section,
 };
 

@@ -16,7 +16,7 @@ use super::{
 };
 use crate::{
     file::axis::LinearAxis,
-    place::BadInput,
+    location::BadInput,
     file::read::Section,
 };
 

@@ -20,7 +20,7 @@ use super::{
     wave::{self, Wave},
 };
 use crate::{
-    place::BadInput,
+    location::BadInput,
     file::read::Section,
 };
 

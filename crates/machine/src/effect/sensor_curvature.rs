@@ -10,7 +10,7 @@ use super::{
 };
 use crate::{
     file::{axis::LinearAxis, spindle::ElongationSource},
-    place::BadInput,
+    location::BadInput,
     file::read::Section,
 };
 

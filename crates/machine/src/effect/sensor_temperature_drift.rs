@@ -10,7 +10,7 @@ use super::{
     survey::{Settings, Survey, spread},
 };
 use crate::{
-    place::BadInput,
+    location::BadInput,
     file::read::Section,
 };
 

@@ -15,7 +15,7 @@ use crate::{
     file::{axis::LinearAxis, straightness::BSpline},
     file::straightness::read_spline,
     model::straightness::spline_weights,
-    place::BadInput,
+    location::BadInput,
     file::read::Section,
 };
 

@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     file::spindle::ElongationSource,
-    place::BadInput,
+    location::BadInput,
     file::read::Section,
 };
 

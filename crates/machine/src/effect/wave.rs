@@ -1,7 +1,7 @@
 //! Waves of a periodic error: what the causes have in common that have some.
 
 use super::page::{Entry, Value};
-use crate::{file::read::Section, place::BadInput};
+use crate::{file::read::Section, location::BadInput};
 
 /// One wave of a periodic error.
 #[derive(Clone, Copy, Debug, PartialEq)]

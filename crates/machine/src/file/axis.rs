@@ -1,7 +1,7 @@
 //! `[axis.x]`, `[axis.y]`, `[axis.z]`: what is known of one linear axis along its own direction.
 
 use super::{inputs::read_temperature_column, read::Section, write::section::NewSection};
-use crate::place::BadInput;
+use crate::location::BadInput;
 
 /// A linear axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -10,7 +10,7 @@ use crate::{
     inputs::{
         Inputs, LAST_CHANNEL, REFERENCE_VOLTS, SensorInput, TemperatureInput, TemperatureKind,
     },
-    place::{BadInput, shortened},
+    location::{BadInput, shortened},
 };
 
 pub(super) fn read(section: &Section<'_>) -> Result<Inputs, BadInput> {

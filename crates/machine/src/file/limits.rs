@@ -5,7 +5,7 @@ use super::{
     read::Section,
     write::section::{NewSection, Value},
 };
-use crate::place::BadInput;
+use crate::location::BadInput;
 
 /// How far and how fast an offset may go, and how long silence is tolerated.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -7,7 +7,7 @@ use super::{
 };
 use crate::{
     inputs::Inputs,
-    place::{BadInput, Places, shortened},
+    location::{BadInput, Locations, shortened},
 };
 
 /// What the user believes about the machine.
@@ -37,7 +37,7 @@ pub struct Machine {
     /// What a diagnosis has added, in the order in which it applies.
     pub terms: Vec<Term>,
     /// Where in the file each key stands, for rules that are found broken later.
-    pub places: Places,
+    pub places: Locations,
 }
 
 /// Which axes turn the tool or the table.

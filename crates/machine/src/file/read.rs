@@ -11,7 +11,7 @@ use toml::{
     de::{DeTable, DeValue},
 };
 
-use crate::place::{BadInput, Place, Places, did_you_mean, shortened};
+use crate::location::{BadInput, Location, Locations, did_you_mean, shortened};
 
 /// The longest array that is read: 4096 points of a pitch table 1 mm apart are four metres, and
 /// more than this is more than the board could store.
@@ -22,7 +22,7 @@ pub(crate) struct Document<'t> {
     file: &'t Path,
     text: &'t str,
     table: DeTable<'t>,
-    places: Places,
+    places: Locations,
 }
 
 impl<'t> Document<'t> {
@@ -31,10 +31,10 @@ impl<'t> Document<'t> {
         let table = DeTable::parse(text).map_err(|error| {
             let offset = error.span().map_or(0, |span| span.start);
             let rule = format!("not valid TOML: {}", error.message());
-            BadInput::new(Place::at_byte(file, text, offset), rule)
+            BadInput::new(Location::at_byte(file, text, offset), rule)
         })?;
         let table = table.into_inner();
-        let mut places = Places::new(file);
+        let mut places = Locations::new(file);
         note_table(&mut places, "", &table, &Lines::of(text));
         Ok(Self { file, text, table, places })
     }
@@ -45,7 +45,7 @@ impl<'t> Document<'t> {
     }
 
     /// The place of every key.
-    pub(crate) fn into_places(self) -> Places {
+    pub(crate) fn into_places(self) -> Locations {
         self.places
     }
 }
@@ -74,7 +74,7 @@ impl<'t> Lines<'t> {
     }
 }
 
-fn note_table(places: &mut Places, name: &str, table: &DeTable<'_>, lines: &Lines<'_>) {
+fn note_table(places: &mut Locations, name: &str, table: &DeTable<'_>, lines: &Lines<'_>) {
     for (key, value) in table {
         let dotted = dotted(name, key.get_ref());
         note_value(places, &dotted, value, lines);
@@ -84,7 +84,12 @@ fn note_table(places: &mut Places, name: &str, table: &DeTable<'_>, lines: &Line
     }
 }
 
-fn note_value(places: &mut Places, dotted: &str, value: &Spanned<DeValue<'_>>, lines: &Lines<'_>) {
+fn note_value(
+    places: &mut Locations,
+    dotted: &str,
+    value: &Spanned<DeValue<'_>>,
+    lines: &Lines<'_>,
+) {
     places.note(dotted.to_string(), lines.at(value.span().start));
     match value.get_ref() {
         DeValue::Table(inner) => note_table(places, dotted, inner, lines),
@@ -132,7 +137,7 @@ impl<'d> Section<'d> {
         known: impl IntoIterator<Item = &'k str>,
     ) -> BadInput {
         let offset = self.table.get_key_value(key).map_or(0, |(key, _)| key.span().start);
-        let place = Place::at_byte(self.document.file, self.document.text, offset);
+        let place = Location::at_byte(self.document.file, self.document.text, offset);
         let name = shortened(&dotted(&self.name, key));
         BadInput::new(place, format!("unknown key {name}{}", did_you_mean(key, known)))
     }

@@ -3,7 +3,7 @@
 //! A model that is not the source is kept: it is what the board falls back to.
 
 use super::{inputs::read_temperature_column, read::Section, write::section::NewSection};
-use crate::place::BadInput;
+use crate::location::BadInput;
 
 /// How the spindle grows.
 #[derive(Clone, Debug, Default, PartialEq)]

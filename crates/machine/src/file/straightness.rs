@@ -5,7 +5,7 @@ use super::{
     read::{MOST_ELEMENTS, Section},
     write::section::NewSection,
 };
-use crate::place::BadInput;
+use crate::location::BadInput;
 
 /// The error of one axis along another: δz(x) has `error` Z and `along` X.
 #[derive(Clone, Debug, PartialEq)]

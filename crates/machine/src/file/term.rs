@@ -9,7 +9,7 @@
 use super::{AxisModel, Spindle, read::Section, write::section::NewSection};
 use crate::{
     effect::{Cause, Effect, Host, Quantity},
-    place::{BadInput, did_you_mean, shortened},
+    location::{BadInput, did_you_mean, shortened},
 };
 
 /// One `[[term]]`.

@@ -19,7 +19,7 @@ use std::path::Path;
 use toml_edit::{ArrayOfTables, DocumentMut, Item, Table, TableLike};
 
 use super::MachineFile;
-use crate::place::{BadInput, Place};
+use crate::location::{BadInput, Location};
 
 pub use section::{NewSection, Value, rounded};
 
@@ -85,7 +85,7 @@ impl Edit {
         let windows = unmarked.contains("\r\n");
         let mut document: DocumentMut =
             unmarked.replace("\r\n", "\n").parse().map_err(|error| {
-                BadInput::new(Place::start_of(path), format!("cannot be edited: {error}"))
+                BadInput::new(Location::start_of(path), format!("cannot be edited: {error}"))
             })?;
         for name in &self.removed {
             remove(document.as_table_mut(), name);

@@ -5,7 +5,7 @@ use trueup_core::{
     dimensions::{CHANNELS, STEP_MS},
     heat::{FIRST_TERM, Heat},
     lag::SmoothingFactor,
-    place::Place as BoardPlace,
+    place::Place,
     term::{self, OperatingPoint},
     tip::{self, UNLIMITED},
     travel::Travel,
@@ -127,7 +127,7 @@ impl<'b> BridgeRun<'b> {
         };
         let terms = &calibration.terms;
         let elongation = term::elongation(terms, plain, self.heat.terms(), operating).rounded();
-        let mut place = BoardPlace::default();
+        let mut place = Place::default();
         for (n, axis) in calibration.axes.iter().enumerate() {
             // A cast from f64 saturates and takes NaN to 0; what depends on it is not shown.
             place.position[n] = Position((situation.position_mm[n] * UNITS_PER_MM).round() as i32);

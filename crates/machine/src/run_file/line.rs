@@ -7,7 +7,7 @@ use std::{
 
 use crate::{
     bounded::at_most,
-    place::{BadInput, Place},
+    location::{BadInput, Location},
 };
 
 /// The longest line that is read, in bytes, its end included: the bytes of ten times as many
@@ -80,7 +80,7 @@ impl Line {
         self.text.trim().is_empty()
     }
 
-    pub(super) fn place(&self, path: &Path, column: usize) -> Place {
-        Place { file: path.to_path_buf(), line: self.number, column }
+    pub(super) fn place(&self, path: &Path, column: usize) -> Location {
+        Location { file: path.to_path_buf(), line: self.number, column }
     }
 }

@@ -12,7 +12,7 @@ use std::{
 
 /// A place in a text file.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Place {
+pub struct Location {
     /// The file as the user named it.
     pub file: PathBuf,
     /// Line, the first is 1.
@@ -21,7 +21,7 @@ pub struct Place {
     pub column: usize,
 }
 
-impl Place {
+impl Location {
     /// The first character of `file`: for what is wrong with the file as a whole.
     #[must_use]
     pub fn start_of(file: &Path) -> Self {
@@ -38,7 +38,7 @@ impl Place {
     }
 }
 
-impl Display for Place {
+impl Display for Location {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}:{}:{}", self.file.display(), self.line, self.column)
     }
@@ -66,7 +66,7 @@ pub(crate) fn without_byte_order_mark(text: &str) -> &str {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BadInput {
     /// Where.
-    pub place: Place,
+    pub place: Location,
     /// The rule that is broken, with the name and the value at fault.
     pub rule: String,
 }
@@ -74,7 +74,7 @@ pub struct BadInput {
 impl BadInput {
     /// `rule` is broken at `place`.
     #[must_use]
-    pub fn new(place: Place, rule: impl Into<String>) -> Self {
+    pub fn new(place: Location, rule: impl Into<String>) -> Self {
         Self { place, rule: rule.into() }
     }
 }
@@ -100,12 +100,12 @@ impl Error for BadInput {}
 ///
 /// Keys are dotted, `spindle.sensor.k0_um`; elements of an array are `machine.tool_direction[0]`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Places {
+pub struct Locations {
     file: PathBuf,
     line_and_column: BTreeMap<String, (usize, usize)>,
 }
 
-impl Places {
+impl Locations {
     /// No key is known yet.
     #[must_use]
     pub fn new(file: &Path) -> Self {
@@ -120,15 +120,15 @@ impl Places {
     /// The place of `key`, else of the nearest section around it, else the start of the file: a
     /// value that came by default has no place of its own.
     #[must_use]
-    pub fn of(&self, key: &str) -> Place {
+    pub fn of(&self, key: &str) -> Location {
         let mut around = key;
         loop {
             if let Some(&(line, column)) = self.line_and_column.get(around) {
-                return Place { file: self.file.clone(), line, column };
+                return Location { file: self.file.clone(), line, column };
             }
             match around.rfind(['.', '[']) {
                 Some(end) => around = &around[..end],
-                None => return Place::start_of(&self.file),
+                None => return Location::start_of(&self.file),
             }
         }
     }
@@ -169,7 +169,7 @@ mod tests {
     use super::*;
 
     fn at(text: &str, offset: usize) -> (usize, usize) {
-        let place = Place::at_byte(Path::new("m.toml"), text, offset);
+        let place = Location::at_byte(Path::new("m.toml"), text, offset);
         (place.line, place.column)
     }
 
@@ -202,18 +202,18 @@ mod tests {
 
     #[test]
     fn a_complaint_is_one_line_even_if_the_user_wrote_line_breaks() {
-        let place = Place { file: "a b.toml".into(), line: 3, column: 7 };
+        let place = Location { file: "a b.toml".into(), line: 3, column: 7 };
         let bad = BadInput::new(place, "\"x\ny\r\" is unknown");
         assert_eq!(bad.to_string(), "a b.toml:3:7: \"x\\ny\\r\" is unknown");
     }
 
     #[test]
     fn a_key_that_is_not_there_has_the_place_of_its_section() {
-        let mut places = Places::new(Path::new("m.toml"));
+        let mut places = Locations::new(Path::new("m.toml"));
         places.note("limits".into(), (2, 2));
         assert_eq!(places.of("limits.max_um.x").line, 2);
         assert_eq!(places.of("limits.max_um.x").column, 2);
-        assert_eq!(places.of("spindle.source"), Place::start_of(Path::new("m.toml")));
+        assert_eq!(places.of("spindle.source"), Location::start_of(Path::new("m.toml")));
     }
 
     #[test]
