@@ -108,7 +108,7 @@ fn believed_slope(machine: &str) -> f64 {
     value.map_or(0.0, |value| value.parse().expect("the twin writes numbers"))
 }
 
-/// `effect` as a `[[term]]` of the machine file, by the table of causes (`interfaces.md` section 5).
+/// `effect` as a `[[term]]` of the machine file, by the table of causes (`docs/reference.md`).
 pub fn term(effect: &Effect, challenge: &Challenge) -> String {
     let cause = effect.cause;
     let mut text = format!(

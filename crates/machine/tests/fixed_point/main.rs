@@ -8,7 +8,7 @@
 //! | the blob of a whole gantry | 16384 bytes, 24 a segment of a curve with its index |
 //!
 //! Machines come from a seeded generator as the text that a user would write. Signs are held to
-//! what the hand finds from `physics.md`, on three ways: the model, the compiled calibration, and
+//! what the hand finds from `docs/physics.md`, on three ways: the model, the compiled calibration, and
 //! the offset that leaves the bridge.
 
 mod bench;

@@ -1,4 +1,4 @@
-//! Signs, held to what the hand finds from `physics.md`.
+//! Signs, held to what the hand finds from `docs/physics.md`.
 
 use std::fmt::Write;
 
