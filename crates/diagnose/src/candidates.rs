@@ -141,7 +141,7 @@ impl Survey for Seen<'_> {
         data.has_elongation && data.along.iter().any(|along| along.abs() > 0.1)
     }
 
-    fn elongation(&self) -> &[f64] {
+    fn law(&self) -> &[f64] {
         &self.data().law
     }
 

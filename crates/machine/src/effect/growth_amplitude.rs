@@ -95,7 +95,7 @@ impl Definition for GrowthAmplitude {
 
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
         let grows = matches!(survey.source(), Some(ElongationSource::Temperature | ElongationSource::Warmup));
-        if grows && spread(survey.elongation()) > 0.0 {
+        if grows && spread(survey.law()) > 0.0 {
             with(Self::default(), Settings::none());
         }
     }

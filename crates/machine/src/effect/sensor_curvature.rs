@@ -87,7 +87,7 @@ impl Definition for SensorCurvature {
     }
 
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
-        if survey.source() == Some(ElongationSource::Sensor) && spread(survey.elongation()) > 0.0 {
+        if survey.source() == Some(ElongationSource::Sensor) && spread(survey.law()) > 0.0 {
             with(Self::default(), Settings::none());
         }
     }

@@ -97,8 +97,8 @@ impl Definition for SensorSaturation {
     }
 
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
-        if survey.source() == Some(ElongationSource::Sensor) && spread(survey.elongation()) > 0.0 {
-            with(Self::default(), Settings::at(quantiles(survey.elongation())));
+        if survey.source() == Some(ElongationSource::Sensor) && spread(survey.law()) > 0.0 {
+            with(Self::default(), Settings::at(quantiles(survey.law())));
         }
     }
 }

@@ -87,7 +87,7 @@ impl Definition for SensorTemperatureDrift {
 
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
         let Some(column) = heat::of_sensor(survey) else { return };
-        if spread(survey.elongation()) > 0.0 && survey.varies(column) {
+        if spread(survey.law()) > 0.0 && survey.varies(column) {
             with(Self(heat::neutral(survey, column, false)), Settings::none());
         }
     }

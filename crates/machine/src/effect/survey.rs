@@ -60,7 +60,7 @@ pub trait Survey {
     /// Whether the tool's growth is in what was measured.
     fn elongates(&self) -> bool;
     /// The elongation by the source's own law, without terms, in µm.
-    fn elongation(&self) -> &[f64];
+    fn law(&self) -> &[f64];
     /// The spread of what the machine file predicts, in µm; at least 0.
     fn predicted_spread(&self) -> f64;
     /// A column of the run by its name.
