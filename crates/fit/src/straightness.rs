@@ -40,6 +40,7 @@ mod compare;
 mod knots;
 mod paper;
 mod path;
+mod residual;
 mod run;
 mod sites;
 
@@ -47,7 +48,8 @@ use std::{error::Error, fmt};
 
 use trueup_machine::file::BSpline;
 
-pub use compare::{Compared, Residual, Way};
+pub use compare::{Compared, Way};
+pub use residual::Residual;
 pub use run::{StraightnessCurve, fit_run};
 pub use sites::Line;
 

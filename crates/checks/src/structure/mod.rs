@@ -31,7 +31,7 @@ struct Limits {
     places: usize,
 }
 
-const LIMITS: Limits = Limits { circles: 3, long_files: 0, places: 26 };
+const LIMITS: Limits = Limits { circles: 0, long_files: 0, places: 2 };
 
 /// Counts, and gives what was found as text, one count a heading and what it counts below.
 ///

@@ -28,9 +28,12 @@ pub(crate) struct Rival {
 
 impl Rival {
     /// Whether it is another cause, and not the same by another column: that is a question of where, not
-    /// of what.
+    /// of what. A second path of the heat by which a path of the machine file goes is that path, changed.
     pub(crate) fn differs_from(&self, cause: &Kind) -> bool {
-        self.cause.name() != cause.name()
+        let column = |kind: &Kind| kind.heat_path().map(|path| path.column.to_owned());
+        let own = cause.stated().and_then(|_| column(cause));
+        let is_path_of_file = own.is_some() && own == column(&self.cause);
+        self.cause.name() != cause.name() && !is_path_of_file
     }
 
     /// Whether the data cannot tell it from `cause`.
