@@ -5,7 +5,7 @@ mod score;
 
 use score::{Row, answer, score as scored};
 use trueup_diagnose::Verdict;
-use trueup_twin::hidden::{Hidden, draw, draw_pair};
+use trueup_twin::hidden::{Expected, Hidden, PAIRS, draw, draw_pair};
 
 fn row(causes: &[Hidden], ratio: f64, seeds: std::ops::Range<u64>) -> Row {
     let scores = causes.iter().flat_map(|&cause| {
@@ -80,4 +80,24 @@ fn two_causes_are_both_named() {
         let score = scored(&challenge, &answer(&challenge));
         assert!(score.is_right, "{score}");
     }
+}
+
+/// The score card in short; the whole is `cargo xtask scorecard`.
+#[test]
+#[ignore = "long: two draws of each effect, one of each pair"]
+fn of_all_effects_three_times_the_noise_nearly_all_are_named() {
+    let is_clean = |cause: &Hidden| cause.expected() == Expected::Clean;
+    let effects: Vec<Hidden> = Hidden::ALL.iter().copied().filter(|it| !is_clean(it)).collect();
+    let mut all = row(&effects, 3.0, 0..2);
+    let pairs = PAIRS.iter().map(|&(a, b)| {
+        let challenge = draw_pair(a, b, 3.0, 0).expect("the twin's own pairs can be drawn");
+        scored(&challenge, &answer(&challenge))
+    });
+    all.scores.extend(pairs);
+    println!("{}", all.line("effects and pairs"));
+    assert!(all.right() >= 0.95 && all.wrong() <= 0.05, "{}", all.line("effects and pairs"));
+    let clean: Vec<Hidden> = Hidden::ALL.iter().copied().filter(is_clean).collect();
+    let alarms = row(&clean, 3.0, 0..10);
+    println!("{}", alarms.line("noise alone"));
+    assert_eq!(alarms.wrong(), 0.0, "{}", alarms.line("noise alone"));
 }

@@ -157,3 +157,31 @@ fn a_slope_that_was_corrected_once_is_named_again_when_it_changes() {
         assert!(said.iter().any(change), "{said:?}");
     }
 }
+
+/// `scorecard second` in short.
+#[test]
+#[ignore = "long: one draw of each pair and of each cause that has changed"]
+fn beside_nearly_every_cause_of_the_file_the_new_one_is_named_alone() {
+    let scored_all = |challenges: Vec<(String, Challenge)>| {
+        let mut wrong = Vec::new();
+        let count = challenges.len();
+        for (name, challenge) in challenges {
+            let score = scored(&challenge, &answer(&challenge));
+            if !score.is_right || score.is_wrong {
+                wrong.push(format!("{name}: {score}"));
+            }
+        }
+        println!("{} of {count} right\n{}", count - wrong.len(), wrong.join("\n"));
+        (count - wrong.len()) as f64 / count as f64
+    };
+    let is_read = |challenge: &Challenge| {
+        MachineFile::parse(&challenge.machine, Path::new("machine.toml")).is_ok()
+    };
+    let beside = known::pairs().into_iter().filter_map(|(a, b)| {
+        let challenge = known::beside(a, b, 3.0, 0).filter(is_read)?;
+        Some((format!("{} beside {}", b.name(), a.name()), challenge))
+    });
+    assert!(scored_all(beside.collect()) >= 0.95);
+    let aged = known::firsts().map(|cause| (cause.name().to_string(), known::aged(cause, 3.0, 0)));
+    assert!(scored_all(aged.collect()) >= 0.9);
+}
