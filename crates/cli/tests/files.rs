@@ -151,7 +151,7 @@ fn bad_input_ends_with_2_its_place_and_an_untouched_output() {
         ("predict --machine no.toml --run run.csv -o out.csv", "no.toml:1:1: cannot be read: "),
         ("predict --machine m.toml --run no.csv -o out.csv", "no.csv:1:1: cannot be read: "),
         ("predict --machine m.toml --run run.csv -o no/out.csv", "no/out.csv: cannot be written: "),
-        ("predict --machine m.toml --run run.csv -o run.csv", "run.csv: is read, and must not"),
+        ("predict --machine m.toml --run run.csv -o run.csv", "run.csv: is an input, and must not"),
         ("predict --machine m.toml --run run.csv -o .", ".: is a folder"),
         ("compile typo.toml -o cal.bin", "typo.toml:15:1: unknown key"),
         ("compile steep.toml -o cal.bin", "steep.toml:16:16: spindle.sensor.um_per_count 9 is"),
