@@ -1,6 +1,6 @@
 //! The machine file: what the user believes about the machine, in TOML.
 //!
-//! Each section has one page: its type, how it is [read](read) and how it is [written](write). Reading
+//! Each section has one page: its type, how it is read and how it is written. Reading
 //! is strict: a misspelt key must not become a silent default, because the machine would then cut
 //! with it. What the format knows but this version does not run is refused by name, never skipped.
 

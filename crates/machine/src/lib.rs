@@ -5,9 +5,9 @@
 //!
 //! | module | does |
 //! |---|---|
-//! | [`place`] | where in a user's file something is wrong, and which rule it breaks |
+//! | [`location`] | where in a user's file something is wrong, and which rule it breaks |
 //! | [`bounded`] | opens and reads files of the user's within bounds |
-//! | [`file`] | reads the machine file into a [`Machine`], and writes it |
+//! | [`file`](mod@file) | reads the machine file into a [`Machine`], and writes it |
 //! | [`effect`] | why a machine is not as its model says: a cause is one page |
 //! | [`inputs`] | from PLC counts to volts, ADC codes and readings |
 //! | [`run_file`] | reads a run file (CSV) into columns |

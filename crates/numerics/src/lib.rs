@@ -4,7 +4,7 @@
 //! |---|---|
 //! | [`blocks`] | what a term is worth on blocks that were left out |
 //! | [`least_squares`] | linear, nonlinear and mixed, with intervals |
-//! | [`line`] | a straight line, judged on the rows that it was not fitted to |
+//! | [`line`](mod@line) | a straight line, judged on the rows that it was not fitted to |
 //! | [`noise`] | noise with a memory: its likelihood, its covariance, draws of it |
 //! | [`parallel`] | work on all cores |
 //! | [`random`] | random numbers that repeat |

@@ -26,7 +26,7 @@ pub struct Machine {
     pub inputs: Option<Inputs>,
     /// How the spindle grows.
     pub spindle: Spindle,
-    /// What is known of X, Y and Z, by [`LinearAxis::index`].
+    /// What is known of X, Y and Z, by [`LinearAxis::index`](crate::file::LinearAxis::index).
     pub axes: [AxisModel; 3],
     /// The straightness curves; no pair of axes twice.
     pub straightness: Vec<Straightness>,
