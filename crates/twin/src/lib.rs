@@ -21,6 +21,7 @@
 //! | [`noise`] | streams of chance by seed and purpose, correlated noise |
 //! | [`table`] | columns of numbers, and the run file that they are written to |
 //! | [`hidden`] | challenges: a believed machine, runs with one hidden effect, the answer |
+//! | [`physical`] | machines with physical faults, in no terms but those of physics |
 //!
 //! # A challenge
 //! ```
@@ -50,6 +51,7 @@ pub mod instrument;
 pub mod machine;
 pub mod noise;
 pub mod path;
+pub mod physical;
 pub mod run;
 pub mod scenario;
 pub mod sensors;
