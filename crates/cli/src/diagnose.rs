@@ -76,6 +76,9 @@ pub fn run(args: &Diagnose, as_json: bool) -> Result<Outcome> {
     });
     bar.finish_and_clear();
     let diagnosis = diagnosis?;
+    for note in &diagnosis.report.notes {
+        eprintln!("warning: {note}");
+    }
     write(args, &diagnosis, &machine.name, &source)?;
     print(args, &diagnosis, as_json)?;
     Ok(if diagnosis.report.verdict.is_met() { Outcome::Done } else { Outcome::NotMet })

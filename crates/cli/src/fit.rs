@@ -4,6 +4,7 @@ mod args;
 mod report;
 
 use std::{
+    borrow::Cow,
     io::IsTerminal as _,
     path::{Path, PathBuf},
 };
@@ -16,7 +17,7 @@ use trueup_fit::{
     pitch, straightness, thermal, warmup,
 };
 use trueup_machine::{
-    BadInput, Location, Machine, MachineFile, RunFile,
+    BadInput, Location, Machine, MachineFile, RunFile, applied,
     file::{ElongationSource, LinearAxis, ThermalMode},
 };
 
@@ -79,7 +80,17 @@ impl Input {
                 Some((path.clone(), text, machine))
             }
         };
-        let runs = common.run.iter().map(|path| runs::read(path)).collect::<Result<_, _>>()?;
+        let read = |path: &PathBuf| -> Result<RunFile> {
+            let run = runs::read(path)?;
+            let machine = machine.as_ref().map(|(_, _, machine)| machine);
+            let (cleaned, notes) = applied::taken_out(&run, machine, None)?;
+            notes.iter().for_each(|note| eprintln!("warning: {note}"));
+            Ok(match cleaned {
+                Cow::Owned(cleaned) => cleaned,
+                Cow::Borrowed(_) => run,
+            })
+        };
+        let runs = common.run.iter().map(read).collect::<Result<_, _>>()?;
         Ok(Self { runs, machine })
     }
 

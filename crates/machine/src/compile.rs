@@ -24,7 +24,7 @@ pub(crate) mod term;
 mod warmup;
 
 use trueup_core::{calibration::Calibration, gradient::Gradient};
-use trueup_store::calibration::{MAX_SIZE, TooLarge, decode, encode};
+use trueup_store::calibration::{MAX_SIZE, TooLarge, decode, encode, identity};
 
 use crate::{
     file::{LinearAxis, Machine, Straightness},
@@ -59,6 +59,12 @@ impl Compiled {
     #[must_use]
     pub fn blob(&self) -> &[u8] {
         &self.blob
+    }
+
+    /// The CRC by which a board names the calibration.
+    #[must_use]
+    pub fn crc(&self) -> u32 {
+        identity(&self.blob)
     }
 
     /// What the board reads in them.

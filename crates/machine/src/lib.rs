@@ -11,12 +11,14 @@
 //! | [`effect`] | why a machine is not as its model says: a cause is one page |
 //! | [`inputs`] | from PLC counts to volts, ADC codes and readings |
 //! | [`run_file`] | reads a run file (CSV) into columns |
+//! | [`applied`] | what a bridge applied while a run was measured, taken out again |
 //! | [`model`] | the reference: what the model says of a run, row by row, in `f64` |
 //! | [`compile`](mod@compile) | a [`Machine`] in the integers of the board, and back |
 //! | [`show`] | a calibration written as a machine file |
 //! | [`predict`] | a run with what the model and the board's integers say of each row |
 #![forbid(unsafe_code)]
 
+pub mod applied;
 pub mod bounded;
 pub mod compile;
 pub mod effect;

@@ -171,6 +171,18 @@ impl RunFile {
         })
     }
 
+    /// Other values in the place of those of the column `name`, one for each row.
+    pub(crate) fn replace(&mut self, name: &str, values: Vec<f64>) {
+        if let Some(column) = self.columns.iter_mut().find(|column| column.name == name) {
+            column.values = values;
+        }
+    }
+
+    /// Leaves out the columns whose name is one of these.
+    pub(crate) fn remove(&mut self, is_one: impl Fn(&str) -> bool) {
+        self.columns.retain(|column| !is_one(&column.name));
+    }
+
     /// Where the value of `column` in `row` (from 0) stands; the start of the row's line if there
     /// is no such column, of the file if there is no such row.
     #[must_use]

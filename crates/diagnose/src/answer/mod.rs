@@ -106,6 +106,7 @@ pub(crate) fn conclude(
         },
         verdict,
         reasons: reasons.iter().map(ToString::to_string).collect(),
+        notes: data.notes.iter().chain(test.iter().flat_map(|test| &test.notes)).cloned().collect(),
         findings,
         rejected: found.rejected.into_iter().map(rejected).collect(),
     };

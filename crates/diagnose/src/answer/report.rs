@@ -27,6 +27,8 @@ pub struct Report {
     pub verdict: Verdict,
     /// Why, a sentence each.
     pub reasons: Vec<String>,
+    /// What was set aside before anything was compared, and why, a sentence each.
+    pub notes: Vec<String>,
     /// In the order in which they were added.
     pub findings: Vec<Finding>,
     /// Causes that were tried and not taken.

@@ -54,6 +54,7 @@ impl Data {
             has_elongation: self.has_elongation,
             references_c: self.references_c.clone(),
             start_s: self.start_s,
+            notes: Vec::new(),
             whole: Some(DrawnFrom { data: self.clone(), rows, lagged: Arc::default() }),
         }
     }

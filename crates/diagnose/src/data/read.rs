@@ -1,7 +1,9 @@
 //! From runs to the table: all files one after the other, in series, with what the model says.
 
+use std::borrow::Cow;
+
 use trueup_machine::{
-    BadInput, Machine, RunFile,
+    BadInput, Machine, RunFile, applied,
     file::{Quantity, is_temperature_column},
 };
 
@@ -16,13 +18,14 @@ impl Data {
         runs: &[RunFile],
         quantity: Quantity,
     ) -> Result<Self, BadInput> {
-        let rows: usize = runs.iter().map(RunFile::rows).sum();
+        let (runs, notes) = without_bridge(machine, runs, quantity)?;
+        let rows: usize = runs.iter().map(|run| run.rows()).sum();
         let joined = |name: &str| -> Option<Vec<f64>> {
             if !runs.iter().any(|run| run.column(name).is_some()) {
                 return None;
             }
             let mut all = Vec::with_capacity(rows);
-            for run in runs {
+            for run in &runs {
                 match run.column(name) {
                     Some(values) => all.extend_from_slice(values),
                     None => all.resize(all.len() + run.rows(), f64::NAN),
@@ -107,6 +110,7 @@ impl Data {
             used: Vec::new(),
             references_c: Vec::new(),
             start_s: 0.0,
+            notes,
             whole: None,
         };
         data.references_c = data
@@ -116,11 +120,11 @@ impl Data {
             .collect();
         data.start_s = data.time_s.as_deref().map_or(0.0, first_of);
         data.reversal_decay = reversal_decay(&data);
-        predict(&mut data, runs);
+        predict(&mut data, &runs);
         if !data.used.iter().any(|&used| used) {
             // Says which column is missing, where one is.
             for name in trueup_machine::model::required_columns(machine) {
-                for run in runs {
+                for run in &runs {
                     run.require(&name)?;
                 }
             }
@@ -129,6 +133,22 @@ impl Data {
         }
         Ok(data)
     }
+}
+
+/// The runs without what a bridge applied while they were measured, and what is told of that.
+fn without_bridge<'r>(
+    machine: &Machine,
+    runs: &'r [RunFile],
+    quantity: Quantity,
+) -> Result<(Vec<Cow<'r, RunFile>>, Vec<String>), BadInput> {
+    let mut notes = Vec::new();
+    let mut taken_out = |run| {
+        let (run, told) = applied::taken_out(run, Some(machine), Some(quantity))?;
+        notes.extend(told);
+        Ok(run)
+    };
+    let runs = runs.iter().map(&mut taken_out).collect::<Result<_, _>>()?;
+    Ok((runs, notes))
 }
 
 fn is_known(name: &str) -> bool {

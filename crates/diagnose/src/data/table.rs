@@ -63,6 +63,8 @@ pub(crate) struct Data {
     /// first row that was trained on. A hold-out has its own first row and never refers to it.
     pub references_c: Vec<(String, f64)>,
     pub start_s: f64,
+    /// What was set aside before anything was compared, and why: a sentence each.
+    pub notes: Vec<String>,
     /// Where these are drawn rows: all of them, for what a row has from the rows before it.
     pub whole: Option<DrawnFrom>,
 }

@@ -1,0 +1,261 @@
+//! What a bridge applied while a run was measured, taken out again.
+//!
+//! A record of the monitor has the offsets that the CNC added (`offset_x_um`, …) and their `quality`.
+//! An instrument beside it reads what is left, so that the machine's own error is
+//!
+//! ```text
+//! dx, dy, dz:  error = measured − offset
+//! elongation:  s = measured − offset·V      V the tool's direction: (0, 0, −1) gives measured + offset_z
+//! ```
+//!
+//! Rows in which nobody knows what was applied are set aside: their measured value becomes a missing
+//! one, and the rest of the row stays, for what has a memory. What only says how the bridge was is no
+//! column of the run any more, so that it explains nothing.
+
+use std::borrow::Cow;
+
+use crate::{
+    compile::compile,
+    file::{LinearAxis, Machine, Quantity, RotaryAxis},
+    location::BadInput,
+    model::tool_direction,
+    run_file::RunFile,
+};
+
+/// The quality of the offsets in a row, 0…6.
+const QUALITY: &str = "quality";
+/// The CRC of the calibration that the bridge ran, as a decimal number; 0: none.
+const CRC: &str = "calibration_crc";
+/// What else a bridge says of its state.
+const STATE: [&str; 2] = ["flags", "age_ms"];
+/// From this quality on (hold, ramping out, fault) the offset is not the error's opposite, or not
+/// known to be followed (`interfaces.md` section 5).
+const FIRST_UNUSABLE: f64 = 4.0;
+/// The last quality that there is.
+const LAST_QUALITY: f64 = 6.0;
+/// The rows of a run, and what of it the user is told: a sentence each.
+pub type Told<'r> = (Cow<'r, RunFile>, Vec<String>);
+
+/// `run` as it would have been measured without a bridge. One without the columns of a bridge comes
+/// back as it is.
+///
+/// `machine` says where the tool points, and which calibration was to run; without one the tool points
+/// down and the calibration is not compared. A quantity that lacks the column of its offset is left
+/// out, and told.
+///
+/// # Errors
+/// There are offsets without a quality; the `wanted` quantity, or every one, lacks the column of its
+/// offset; a quality other than 0…6; the bridge ran the calibration of another machine file.
+pub fn taken_out<'r>(
+    run: &'r RunFile,
+    machine: Option<&Machine>,
+    wanted: Option<Quantity>,
+) -> Result<Told<'r>, BadInput> {
+    let offsets = LinearAxis::ALL.map(|axis| run.column(&offset_name(axis)));
+    if run.column(QUALITY).is_none() && offsets.iter().all(Option::is_none) {
+        return Ok((Cow::Borrowed(run), Vec::new()));
+    }
+    let quality = run.require(QUALITY).map_err(|mut bad| {
+        bad.rule += "; without it nobody knows in which rows an offset was applied";
+        bad
+    })?;
+    check_quality(run, quality)?;
+    let file = run.path().display();
+    let mut notes = Vec::new();
+    notes.extend(calibration(run, machine)?.map(|note| format!("{file}: {note}")));
+    let record = Record { run, machine, quality, offsets };
+    let mut cleaned = run.clone();
+    let mut not_known = None;
+    let mut is_any = false;
+    for quantity in Quantity::ALL {
+        let name = format!("measured_{}_um", quantity.name());
+        let Some(measured) = run.column(&name) else { continue };
+        match record.lacks(quantity) {
+            Some(missing) => {
+                let rule = format!(
+                    "column {missing} is missing: what the bridge applied cannot be taken out of {name}"
+                );
+                notes.push(format!("{file}: {rule}; {name} is left out"));
+                let bad = BadInput::new(run.header_place(), rule);
+                if wanted == Some(quantity) {
+                    return Err(bad);
+                }
+                not_known.get_or_insert(bad);
+                cleaned.remove(|column| column == name);
+            }
+            None => {
+                let (values, account) = record.without(measured, quantity);
+                notes.extend(account.notes(&name).map(|note| format!("{file}: {note}")));
+                cleaned.replace(&name, values);
+                is_any = true;
+            }
+        }
+    }
+    if let (false, Some(bad)) = (is_any, not_known) {
+        return Err(bad);
+    }
+    let says_state = |name: &str| {
+        [QUALITY, CRC].contains(&name)
+            || STATE.contains(&name)
+            || LinearAxis::ALL.iter().any(|axis| offset_name(*axis) == name)
+    };
+    cleaned.remove(says_state);
+    Ok((Cow::Owned(cleaned), notes))
+}
+
+fn offset_name(axis: LinearAxis) -> String {
+    format!("offset_{}_um", axis.name())
+}
+
+fn check_quality(run: &RunFile, quality: &[f64]) -> Result<(), BadInput> {
+    let is_one = |value: f64| value.fract() == 0.0 && (0.0..=LAST_QUALITY).contains(&value);
+    match quality.iter().position(|&value| !value.is_nan() && !is_one(value)) {
+        None => Ok(()),
+        Some(row) => {
+            let rule = format!("must be 0 to {LAST_QUALITY}, not {}", quality[row]);
+            Err(run.bad(row, QUALITY, rule))
+        }
+    }
+}
+
+/// Compares the calibration that ran with that of `machine`; says so where it cannot.
+fn calibration(run: &RunFile, machine: Option<&Machine>) -> Result<Option<String>, BadInput> {
+    let Some(machine) = machine else { return Ok(None) };
+    // A bridge without a calibration applies nothing.
+    let ran = |crc: f64| !crc.is_nan() && crc != 0.0;
+    let crcs = run.column(CRC).unwrap_or_default();
+    if !crcs.iter().any(|&crc| ran(crc)) {
+        return Ok(Some(format!(
+            "there is no {CRC}: nobody knows whether the bridge ran the calibration of this machine file"
+        )));
+    }
+    let own = match compile(machine) {
+        Ok(compiled) => compiled.crc(),
+        Err(why) => {
+            return Ok(Some(format!(
+                "{CRC} cannot be compared: this machine file does not compile ({why})"
+            )));
+        }
+    };
+    match crcs.iter().position(|&crc| ran(crc) && crc != f64::from(own)) {
+        None => Ok(None),
+        Some(row) => {
+            let rule = format!(
+                "{} is another calibration than that of this machine file, {own} ({own:08x}): give the \
+                 machine file that the bridge ran",
+                crcs[row]
+            );
+            Err(run.bad(row, CRC, rule))
+        }
+    }
+}
+
+/// A run with what the bridge says in it.
+struct Record<'r> {
+    run: &'r RunFile,
+    machine: Option<&'r Machine>,
+    quality: &'r [f64],
+    offsets: [Option<&'r [f64]>; 3],
+}
+
+/// How many measured rows could not be used.
+#[derive(Default)]
+struct Account {
+    rows: usize,
+    unusable: usize,
+    unknown: usize,
+}
+
+impl Account {
+    fn notes(&self, name: &str) -> impl Iterator<Item = String> {
+        let told = |count: usize, why: &str| {
+            let rows = self.rows;
+            (count > 0).then(|| format!("{name}: {count} of {rows} rows are set aside: {why}"))
+        };
+        let unusable = "the bridge held, ramped out or was not available (quality 4 and above)";
+        let unknown = "quality or offset is missing, so what the bridge applied is not known";
+        [told(self.unusable, unusable), told(self.unknown, unknown)].into_iter().flatten()
+    }
+}
+
+impl Record<'_> {
+    fn head_axes(&self) -> &[RotaryAxis] {
+        self.machine.map_or(&[], |machine| &machine.head_axes)
+    }
+
+    /// The column without which nothing is known of `quantity` in any row in which the bridge was on.
+    fn lacks(&self, quantity: Quantity) -> Option<String> {
+        if self.quality.iter().all(|&quality| quality == 0.0) {
+            return None;
+        }
+        let missing = |axis: &LinearAxis| self.offsets[axis.index()].is_none();
+        if let Some(axis) = quantity.axis() {
+            return missing(&axis).then(|| offset_name(axis));
+        }
+        let turns = !self.head_axes().is_empty();
+        let at_zero = self.direction_at_zero();
+        let of_tool = |axis: &LinearAxis| turns || at_zero[axis.index()] != 0.0;
+        if let Some(axis) = LinearAxis::ALL.into_iter().find(|axis| of_tool(axis) && missing(axis))
+        {
+            return Some(offset_name(axis));
+        }
+        let angle = |axis: &&RotaryAxis| self.angle(**axis).is_none();
+        self.head_axes().iter().find(angle).map(|axis| format!("{}_deg", axis.name()))
+    }
+
+    fn direction_at_zero(&self) -> [f64; 3] {
+        self.machine.map_or([0.0, 0.0, -1.0], |machine| machine.tool_direction)
+    }
+
+    /// The angles of a rotary axis that turns the tool. A record that was made without a machine file
+    /// numbers them in the order of the head.
+    fn angle(&self, axis: RotaryAxis) -> Option<&[f64]> {
+        let number = self.head_axes().iter().position(|it| *it == axis)? + 1;
+        let by_name = self.run.column(&format!("{}_deg", axis.name()));
+        by_name.or_else(|| self.run.column(&format!("angle{number}_deg")))
+    }
+
+    /// `measured` without what was applied, NaN where that is not known.
+    fn without(&self, measured: &[f64], quantity: Quantity) -> (Vec<f64>, Account) {
+        let angles = RotaryAxis::ALL.map(|axis| self.angle(axis));
+        let mut account = Account::default();
+        let values = (0..measured.len()).map(|row| {
+            if measured[row].is_nan() {
+                return f64::NAN;
+            }
+            account.rows += 1;
+            if self.quality[row] >= FIRST_UNUSABLE {
+                account.unusable += 1;
+                return f64::NAN;
+            }
+            // A column that is not there is not needed: see `lacks`.
+            let at = |column: Option<&[f64]>| column.map_or(0.0, |all| all[row]);
+            let offset = self.offsets.map(at);
+            let applied = match quantity.axis() {
+                Some(axis) => offset[axis.index()],
+                None => along_tool(
+                    offset,
+                    tool_direction(self.direction_at_zero(), self.head_axes(), angles.map(at)),
+                ),
+            };
+            let value = measured[row] - applied;
+            if self.quality[row].is_nan() || value.is_nan() {
+                account.unknown += 1;
+                return f64::NAN;
+            }
+            value
+        });
+        let values = values.collect();
+        (values, account)
+    }
+}
+
+/// The share of an offset along the tool. What does not matter need not be known: a component of the
+/// tool that is 0, and an offset of 0.
+fn along_tool(offset: [f64; 3], tool: [f64; 3]) -> f64 {
+    if offset == [0.0; 3] {
+        return 0.0;
+    }
+    let parts = offset.into_iter().zip(tool);
+    parts.map(|(offset, v)| if v == 0.0 { 0.0 } else { offset * v }).sum()
+}
