@@ -8,6 +8,7 @@
 //! | [`noise`] | noise with a memory: its likelihood, its covariance, draws of it |
 //! | [`parallel`] | work on all cores |
 //! | [`random`] | random numbers that repeat |
+//! | [`repeats`] | tables that were measured several times: gross readings, the decision, its power |
 //! | [`robust`] | finds gross errors |
 #![forbid(unsafe_code)]
 
@@ -17,6 +18,7 @@ pub mod line;
 pub mod noise;
 pub mod parallel;
 pub mod random;
+pub mod repeats;
 pub mod robust;
 mod student;
 

@@ -1,0 +1,45 @@
+//! How many cycles would show that places differ.
+//!
+//! With p places, n cycles and an error of the size b (root mean square) beside a scatter s, F has the
+//! noncentral distribution with (p − 1, p·(n − 1)) degrees of freedom and λ = n·p·(b/s)². Its upper tail by
+//! Patnaik's two moments (Biometrika 36, 1949):
+//!
+//! ```text
+//! F′ ≈ (ν₁ + λ)/ν₁ · F(ν, ν₂)      ν = (ν₁ + λ)²/(ν₁ + 2λ)
+//! ```
+
+use statrs::distribution::{ContinuousCDF, FisherSnedecor};
+
+use super::decide::SIGNIFICANCE;
+
+/// The chance with which the error is to be found.
+const POWER: f64 = 0.95;
+/// Nobody measures more cycles than that.
+const MOST_CYCLES: usize = 100;
+
+/// The fewest cycles, at least 2, over `places` places after which an error of the root mean square `size`
+/// is found with 95 %, where one reading scatters by `scatter` (in the same unit). None: not within 100.
+///
+/// ```
+/// use trueup_numerics::repeats::cycles_for;
+/// assert_eq!(cycles_for(10.0, 1.0, 10), Some(2));
+/// assert_eq!(cycles_for(0.01, 1.0, 10), None);
+/// ```
+#[must_use]
+pub fn cycles_for(size: f64, scatter: f64, places: usize) -> Option<usize> {
+    (2..=MOST_CYCLES).find(|&cycles| power(size, scatter, places, cycles) >= POWER)
+}
+
+/// The chance that so many cycles show the error, 0…1.
+pub(super) fn power(size: f64, scatter: f64, places: usize, cycles: usize) -> f64 {
+    let more = places.saturating_sub(1) as f64;
+    let freedom = (places * cycles.saturating_sub(1)) as f64;
+    let lambda = (places * cycles) as f64 * (size / scatter).powi(2);
+    let shared = (more + lambda) / more;
+    let apparent = (more + lambda).powi(2) / (2.0_f64.mul_add(lambda, more));
+    let limit = FisherSnedecor::new(more, freedom).map(|it| it.inverse_cdf(1.0 - SIGNIFICANCE));
+    match (limit, FisherSnedecor::new(apparent, freedom)) {
+        (Ok(limit), Ok(noncentral)) => noncentral.sf(limit / shared),
+        _ => 0.0,
+    }
+}
