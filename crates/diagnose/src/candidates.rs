@@ -202,10 +202,6 @@ impl Survey for Seen<'_> {
         self.data().files
     }
 
-    fn rows(&self) -> usize {
-        self.data().rows
-    }
-
     fn groups(&self) -> usize {
         self.problem.groups.len()
     }
@@ -226,6 +222,19 @@ impl Survey for Seen<'_> {
         }
         let ratio = (high / low).powf(1.0 / (count - 1) as f64);
         Settings::at((0..count).map(|n| low * ratio.powi(n as i32)))
+    }
+
+    fn shifts(&self) -> Settings {
+        /// From one trial to the next: less than a factor of two, so that the fit begins near.
+        const RATIO: f64 = 1.6;
+        let [low_s, high_s] = self.problem.bounds.shift_s;
+        if self.data().time_s.is_none() {
+            return Settings::at([]);
+        }
+        let step_s = self.problem.bounds.step_s * self.problem.groups.size as f64;
+        let sizes = std::iter::successors(Some(step_s), |size| Some(size * RATIO));
+        let sizes = sizes.take_while(|size| *size <= high_s);
+        Settings::at(sizes.flat_map(|size| [size, -size]).filter(|shift| *shift >= low_s))
     }
 
     fn longest_period_mm(&self) -> f64 {

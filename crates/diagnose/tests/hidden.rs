@@ -48,6 +48,7 @@ fn a_cause_of_an_axis_three_times_the_noise_is_named() {
         Hidden::CrossAxis,
         Hidden::AngularError,
         Hidden::ExpansionSlope,
+        Hidden::ExpansionConstant,
     ];
     let all = row(&causes, 3.0, 0..1);
     println!("{}", all.line("axis"));

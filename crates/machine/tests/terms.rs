@@ -22,6 +22,9 @@ const WARMUP: &str = "[spindle]\nsource = \"warmup\"\n[spindle.warmup]\nlag_s = 
 const AXIS: &str = "[axis.x.thermal]\nmode = \"position\"\nsensor = \"temp_a_c\"\n\
                     reference_c = 20.0\nslope_um_per_m_per_c = 10.0\n";
 
+const SHIFTING: &str = "[axis.x.thermal]\nmode = \"both\"\nsensor = \"temp_a_c\"\n\
+                        reference_c = 20.0\nconstant_um_per_c = 3.0\nslope_um_per_m_per_c = 10.0\n";
+
 const EXPANSION: &str = "column = \"temp_b_c\"\num_per_m_per_c = 11.5\ntime_constant_s = 90.0\n\
                          reference_c = 20.5\norigin_mm = -100.0";
 
@@ -166,6 +169,15 @@ fn an_axis_expands_by_its_right_slope_from_its_right_temperature() {
     ] {
         assert_near(&predicted(AXIS, &term("dx", keys), Quantity::Dx, csv), &wanted);
     }
+}
+
+/// 10 K above its reference, at 0 and at half a metre: −1.5 µm/K everywhere, and 10 µm/(m·K).
+#[test]
+fn an_axis_shifts_by_its_right_constant_in_place_of_the_believed_one() {
+    let csv = "x_mm,temp_a_c\n0,30\n500,30\n";
+    let term = term("dx", "cause = \"expansion-constant\"\num_per_c = -1.5");
+    assert_near(&predicted(SHIFTING, "", Quantity::Dx, csv), &[30.0, 80.0]);
+    assert_near(&predicted(SHIFTING, &term, Quantity::Dx, csv), &[-15.0, 35.0]);
 }
 
 #[test]
@@ -324,6 +336,7 @@ fn one_of_each() -> Vec<(&'static str, String)> {
         (WARMUP, "elongation", "growth-rate", "time_constant_s = 90.0"),
         (WARMUP, "elongation", "cooling-asymmetry", "time_constant_s = 90.0"),
         (SENSOR, "dx", "axis-expansion", EXPANSION),
+        (SHIFTING, "dx", "expansion-constant", "um_per_c = -1.5"),
         (AXIS, "dx", "expansion-slope", "um_per_m_per_c = 11.0"),
         (AXIS, "dx", "reference-temperature", "shift_c = 0.5"),
         (SENSOR, "elongation", "centrifugal-growth", "um_per_krpm2 = 0.1"),

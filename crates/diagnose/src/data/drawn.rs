@@ -23,6 +23,7 @@ impl Data {
             restart: (0..rows.len()).map(|n| n == 0 || series[n] != series[n - 1]).collect(),
             series,
             time_s: maybe(&self.time_s),
+            gauge_time_s: maybe(&self.gauge_time_s),
             run: maybe(&self.run),
             temperatures: self
                 .temperatures

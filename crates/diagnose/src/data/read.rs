@@ -35,6 +35,7 @@ impl Data {
         };
         let measured = joined(&format!("measured_{}_um", quantity.name())).unwrap_or_default();
         let time_s = joined("time_s");
+        let gauge_time_s = joined("gauge_time_s").filter(|_| time_s.is_some());
         let run = joined("run");
         let mut file = Vec::with_capacity(rows);
         let mut restart = Vec::with_capacity(rows);
@@ -90,6 +91,7 @@ impl Data {
             restart,
             series,
             time_s,
+            gauge_time_s,
             run,
             temperatures,
             others,
@@ -152,8 +154,9 @@ fn without_bridge<'r>(
 }
 
 fn is_known(name: &str) -> bool {
-    const KNOWN: [&str; 14] = [
+    const KNOWN: [&str; 15] = [
         "time_s",
+        "gauge_time_s",
         "run",
         "sensor_counts",
         "spindle_rpm",

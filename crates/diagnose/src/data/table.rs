@@ -26,6 +26,8 @@ pub(crate) struct Data {
     /// The number of the series of each row: files, runs, restarts.
     pub series: Vec<usize>,
     pub time_s: Option<Vec<f64>>,
+    /// The gauge's own clock, in s, where the run has it beside `time_s`: the two may differ either way.
+    pub gauge_time_s: Option<Vec<f64>>,
     pub run: Option<Vec<f64>>,
     /// By column, in °C.
     pub temperatures: Vec<(String, Vec<f64>)>,

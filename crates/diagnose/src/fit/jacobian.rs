@@ -77,11 +77,18 @@ pub(crate) fn of_part(
 }
 
 fn derivative_step(problem: &Problem, what: Option<&Nonlinear>, value: f64) -> f64 {
-    let [start_s, end_s] = problem.bounds.time_s;
     match what {
         Some(Nonlinear::Period | Nonlinear::ReadingPeriod) => 1e-7,
         Some(Nonlinear::TimeConstant | Nonlinear::FallingTimeConstant) => 1e-4,
-        Some(Nonlinear::Shift) => 0.05 * (end_s - start_s) / problem.data.rows as f64,
+        // Half of a group of rows: within it the noise of the inputs is slope. Of single rows, between
+        // which the prediction is straight, a part.
+        Some(Nonlinear::Shift) => {
+            let rows = match problem.groups.size {
+                1 => 0.05,
+                size => 0.5 * size as f64,
+            };
+            rows * problem.bounds.step_s
+        }
         Some(Nonlinear::Limit) => {
             1e-4 * (problem.bounds.prediction_um[1] - problem.bounds.prediction_um[0])
         }

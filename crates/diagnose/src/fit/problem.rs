@@ -31,6 +31,11 @@ pub(crate) struct Bounds {
     pub time_constant_s: [f64; 2],
     /// Times of the record, in s.
     pub time_s: [f64; 2],
+    /// From row to row, in s; above 0.
+    pub step_s: f64,
+    /// Shifts of the prediction, in s: at most a tenth of the longest series, below 0 only where the
+    /// run has a second clock, or the machine file such a shift.
+    pub shift_s: [f64; 2],
     /// How far the quantity's own axis went, in mm; above 0.
     pub travel_mm: f64,
     /// Periods, in mm.
@@ -174,13 +179,7 @@ impl Problem {
                         }
                         held(value, self.bounds.time_constant_s);
                     }
-                    Nonlinear::Shift => {
-                        // Clocks that differ by more are not a matter of two clocks.
-                        let [low, high] = self.bounds.time_s;
-                        let rows = self.data.rows as f64 / self.data.files as f64;
-                        let most = (high - low) * (40.0 / rows).min(0.1);
-                        held(value, [-most, most]);
-                    }
+                    Nonlinear::Shift => held(value, self.bounds.shift_s),
                     Nonlinear::Limit => held(value, self.bounds.prediction_um),
                     Nonlinear::Period => held(value, self.bounds.period_mm),
                     Nonlinear::ReadingPeriod | Nonlinear::Origin | Nonlinear::Instant => {}
@@ -192,6 +191,10 @@ impl Problem {
         }
     }
 }
+
+/// The share of the longest series by which the prediction may be late. What is shifted out of a record
+/// cannot be compared any more: nine tenths of it still are.
+const MOST_SHIFT: f64 = 0.1;
 
 fn bounds(data: &Data, groups: &Groups) -> Bounds {
     let extent = |values: &mut dyn Iterator<Item = f64>| {
@@ -228,11 +231,60 @@ fn bounds(data: &Data, groups: &Groups) -> Bounds {
     Bounds {
         time_constant_s: [0.2 * step_s, 3.0 * longest_s],
         time_s,
+        step_s,
+        shift_s: {
+            let states_early = data.stated.iter().any(|stated| stated.effect.shift_s() < 0.0);
+            let has_early = data.gauge_time_s.is_some() || states_early;
+            let most_s = MOST_SHIFT * longest_s;
+            [if has_early { -most_s } else { 0.0 }, most_s]
+        },
         travel_mm: range[1] - range[0],
         period_mm: [
             (range[1] - range[0]) / groups.len().max(2) as f64,
             0.7 * (range[1] - range[0]),
         ],
         prediction_um,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use trueup_machine::{MachineFile, RunFile, file::Quantity};
+
+    use super::*;
+
+    /// The shifts that are admitted for ten minutes at 20 Hz.
+    fn shifts_s(clock: &str, terms: &str) -> [f64; 2] {
+        let mut text = format!("time_s,sensor_counts,measured_elongation_um{clock}\n");
+        for row in 0..=12_000 {
+            let time_s = f64::from(row) / 20.0;
+            let cell = if clock.is_empty() { String::new() } else { format!(",{time_s}") };
+            text += &format!("{time_s},{},0.0{cell}\n", row % 7);
+        }
+        let file = format!(
+            "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"sensor\"\n\
+             [spindle.sensor]\nk0_um = 0.0\nzero_counts = 0.0\num_per_count = 0.5\n{terms}"
+        );
+        let machine = MachineFile::parse(&file, Path::new("m.toml")).expect("a machine file");
+        let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
+        let data = Data::new(&machine, &[run], Quantity::Elongation).expect("comparable");
+        assert!(data.others.is_empty(), "the gauge's clock explains nothing");
+        let groups = Groups::new(&data, &data.used.clone(), 12);
+        Problem::new(data, groups).bounds.shift_s
+    }
+
+    #[test]
+    fn a_shift_may_be_a_tenth_of_the_record_however_often_it_was_read() {
+        assert_eq!(shifts_s("", ""), [0.0, 60.0]);
+    }
+
+    #[test]
+    fn a_measurement_comes_early_only_by_another_clock() {
+        assert_eq!(shifts_s(",gauge_time_s", ""), [-60.0, 60.0]);
+        let stated =
+            "[[term]]\nquantity = \"elongation\"\ncause = \"time-shift\"\nshift_s = -3.0\n";
+        assert_eq!(shifts_s("", stated), [-60.0, 60.0]);
     }
 }

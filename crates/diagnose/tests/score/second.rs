@@ -63,13 +63,15 @@ fn add(sum: &mut [f64], um: &[f64]) {
 
 /// Half the way to where the term does nothing.
 fn halve(effect: &mut Effect, challenge: &Challenge) {
-    let slope = believed_slope(&challenge.machine);
+    let slope = believed(&challenge.machine, "slope_um_per_m_per_c");
+    let constant = believed(&challenge.machine, "constant_um_per_c");
     let most_um = challenge.truth.believed_um.iter().copied().fold(f64::MIN, f64::max);
     for (name, value) in &mut effect.parameters {
         let nothing = match *name {
             "gain" | "scale" => 1.0,
             "limit_um" => most_um,
             "um_per_m_per_c" => slope,
+            "um_per_c" if effect.cause == Hidden::ExpansionConstant => constant,
             "shift_c"
             | "offset_um"
             | "per_um"
@@ -101,10 +103,10 @@ fn halve(effect: &mut Effect, challenge: &Challenge) {
     }
 }
 
-/// The slope that the file has for the expansion of its axis; 0 where it has none.
-fn believed_slope(machine: &str) -> f64 {
+/// The number that the file has under `key`; 0 where it has none.
+fn believed(machine: &str, key: &str) -> f64 {
     let mut lines = machine.lines();
-    let value = lines.find_map(|line| line.strip_prefix("slope_um_per_m_per_c = "));
+    let value = lines.find_map(|line| line.strip_prefix(key)?.strip_prefix(" = "));
     value.map_or(0.0, |value| value.parse().expect("the twin writes numbers"))
 }
 

@@ -166,6 +166,7 @@ causes! {
     growth_rate::GrowthRate "It grows faster or slower than believed.",
     cooling_asymmetry::CoolingAsymmetry "It cools at another rate than it heats.",
     axis_expansion::AxisExpansion "The axis grows with a temperature, and the file has no law for it.",
+    expansion_constant::ExpansionConstant "All of the axis shifts more or less than believed.",
     expansion_slope::ExpansionSlope "The axis expands more or less than believed.",
     reference_temperature::ReferenceTemperature "The axis is right at another temperature.",
     centrifugal_growth::CentrifugalGrowth "Speed itself stretches the spindle.",

@@ -102,7 +102,7 @@ pub enum Nonlinear {
     ReadingPeriod,
     /// A position in mm.
     Origin,
-    /// In s: a few rows either way.
+    /// In s: up to a tenth of the longest record; below 0 only with a second clock.
     Shift,
     /// In µm, inside the range of the prediction.
     Limit,

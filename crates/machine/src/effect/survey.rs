@@ -89,8 +89,6 @@ pub trait Survey {
     fn time_s(&self) -> Option<[f64; 2]>;
     /// How many files there are.
     fn files(&self) -> usize;
-    /// How many rows there are.
-    fn rows(&self) -> usize;
     /// How many groups of rows are fitted to.
     fn groups(&self) -> usize;
     /// The time of the first row of a group, in s.
@@ -98,6 +96,9 @@ pub trait Survey {
     /// So many time constants in equal ratios, from the spacing of the rows to what the longest
     /// series can show; none without a clock.
     fn time_constants(&self, count: usize) -> Settings;
+    /// Shifts in time that the record can show, in s, in equal ratios from the spacing of the rows; those
+    /// below 0 too where the run has a second clock; none without a clock.
+    fn shifts(&self) -> Settings;
     /// The longest period that the travel can show, in mm.
     fn longest_period_mm(&self) -> f64;
     /// The period of the strongest wave in what is left, if it turns so often over the whole length;

@@ -3,6 +3,10 @@
 //! ```text
 //! p(t − shift), after all else; linear between rows, before the first its value
 //! ```
+//!
+//! What is measured can come late for many reasons: a filter, a slow gauge. It cannot come early but
+//! by another clock: a shift below 0 is looked for only where the run has the gauge's own clock beside
+//! `time_s`, `gauge_time_s`.
 
 use super::{
     page::{
@@ -80,7 +84,8 @@ impl Page for TimeShift {
     }
 
     fn next_test(&self) -> &'static str {
-        "Compare the two clocks at the start and the end of a run."
+        "Write the gauge's own clock into the run (gauge_time_s, beside time_s), and compare the two \
+         clocks at the start and the end."
     }
 
     fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
@@ -100,18 +105,8 @@ impl Definition for TimeShift {
     }
 
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
-        let Some([start_s, end_s]) = survey.time_s().filter(|_| survey.predicted_spread() > 0.0)
-        else {
-            return;
-        };
-        let range_s = end_s - start_s;
-        let step_s = range_s * survey.files() as f64 / survey.rows().max(2) as f64;
-        let mut shifts = Vec::new();
-        let mut size = step_s;
-        while size <= 30.0 * step_s && size < 0.05 * range_s {
-            shifts.extend([size, -size]);
-            size *= 1.6;
+        if survey.predicted_spread() > 0.0 {
+            with(Self::default(), survey.shifts());
         }
-        with(Self::default(), Settings::at(shifts));
     }
 }

@@ -21,6 +21,11 @@ fn what_fits_no_machine_is_refused_with_its_place() {
             "\"axis-expansion\" belongs to an axis without [axis.*.thermal]",
         ),
         (
+            AXIS,
+            "cause = \"expansion-constant\"\nquantity = \"dx\"\num_per_c = 1.0",
+            "\"expansion-constant\" corrects a constant that the mode \"position\" does not use",
+        ),
+        (
             SENSOR,
             "cause = \"termal-lag\"\nquantity = \"elongation\"",
             "term[0].cause \"termal-lag\" is not known; did you mean thermal-lag?",

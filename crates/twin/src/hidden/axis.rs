@@ -279,6 +279,10 @@ fn draw_thermal(causes: &[Hidden], travel_mm: [f64; 2], stream: &mut Stream) -> 
         ]);
         law.constant_um_per_c = 0.0;
     }
+    // Only what the file says can be wrong.
+    if has(Hidden::ExpansionConstant) && law.constant_um_per_c == 0.0 {
+        law.constant_um_per_c = tenth(stream.sign() * stream.uniform(0.5, 2.5));
+    }
     law
 }
 

@@ -24,7 +24,10 @@ pub(super) fn shape(cause: Hidden, bench: &AxisBench, stream: &mut Stream) -> Op
     };
     let where_reverse = |d: f64| if d < 0.0 { 1.0 } else { 0.0 };
     Some(match cause {
-        Hidden::ThermalLag | Hidden::ExpansionSlope | Hidden::ReferenceTemperature => {
+        Hidden::ThermalLag
+        | Hidden::ExpansionConstant
+        | Hidden::ExpansionSlope
+        | Hidden::ReferenceTemperature => {
             return thermal(cause, bench, stream);
         }
         Hidden::PitchScale => linear(cause, "um_per_m", along(&|mm, _| mm / 1000.0)),
@@ -166,6 +169,14 @@ fn thermal(cause: Hidden, bench: &AxisBench, stream: &mut Stream) -> Option<Shap
             let mm = training.iter().flat_map(|run| run.column(&position).to_vec()).collect();
             shape.imitators.push((Hidden::PitchScale, mm));
             shape
+        }
+        Hidden::ExpansionConstant => {
+            let shifting = |c: f64, mm: f64| law.error_um(c, mm) + (c - law.reference_c);
+            let constant = law.constant_um_per_c;
+            Shape {
+                at: Box::new(move |factor| Named::of(&[("um_per_c", constant + factor)])),
+                ..linear(cause, "", apart(&shifting, law.true_lag_s))
+            }
         }
         // Beside a hidden lag the slope is that over the temperature that the axis follows.
         _ => {

@@ -129,6 +129,8 @@ causes! {
     Outliers = "outliers", Reported, [Sensor, Temperature, Warmup, AxisThermal, AxisGeometry];
     /// p + c·(lag_τ(T) − T_ref)·(P − P₀)/1000 of an axis whose machine file has no thermal law.
     AxisExpansion = "axis-expansion", Compensated, [AxisGeometry];
+    /// Another constant of an axis over its temperature: all of it shifts, wherever it stands.
+    ExpansionConstant = "expansion-constant", Compensated, [AxisThermal];
     /// p + θ(P)·(L − L₀)/1000: the axis tilts along its travel P, by θ in µrad, and the tool is off by
     /// the tilt times its lever L along another axis. θ is a line or a smooth curve.
     AngularError = "angular-error", Compensated, [AxisGeometry];

@@ -47,6 +47,10 @@ pub(super) fn challenge(
     let has_true_zero = quantity == "elongation";
     let imitated: Vec<_> = shapes.iter().map(|shape| imitated(shape, has_true_zero)).collect();
     let (sigma, mut effects, effect_um) = sized(shapes, ratio, has_true_zero, &mut stream);
+    // What comes early can only do so by another clock, and that is written down.
+    let is_early =
+        |effect: &Effect| effect.parameter("shift_s").is_some_and(|shift_s| shift_s < 0.0);
+    let runs = if effects.iter().any(is_early) { with_gauge_clock(runs) } else { runs };
     let rho = match causes {
         [Hidden::CleanCorrelated] => stream.uniform(0.5, 0.97),
         [Hidden::CleanWhite] => 0.0,
@@ -149,6 +153,15 @@ fn quantum_um(sigma: f64, stream: &mut Stream) -> f64 {
     let fit: Vec<f64> = digits.into_iter().filter(|digit| *digit <= sigma / 4.0).collect();
     let choice = &fit[fit.len().saturating_sub(3)..];
     if choice.is_empty() { 0.0001 } else { stream.pick(choice) }
+}
+
+/// The clock of the logger that the gauge is on: it starts with the run, as the other does.
+fn with_gauge_clock(mut runs: Vec<Run>) -> Vec<Run> {
+    for run in &mut runs {
+        let time_s = run.column("time_s").to_vec();
+        run.table.set("gauge_time_s", 1, time_s);
+    }
+    runs
 }
 
 /// Measures: adds noise, rounds, leaves out a few cells, writes. Fills in the truth.

@@ -72,7 +72,10 @@ impl Hidden {
         };
         let is_one_law = ONE_GROWTH.contains(&self) && ONE_GROWTH.contains(&other)
             || either(|it| it == Self::SensorSaturation, &OF_THE_SIGNAL)
-            || either(|it| it == Self::ExpansionSlope, &[Self::ReferenceTemperature]);
+            || either(
+                |it| it == Self::ReferenceTemperature,
+                &[Self::ExpansionSlope, Self::ExpansionConstant],
+            );
         let is_of_a_sensor = |cause: Self| cause.bases().contains(&super::Base::Sensor);
         let acts_on_all = self == Self::TimeShift
             || other == Self::TimeShift

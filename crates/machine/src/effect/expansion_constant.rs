@@ -1,0 +1,118 @@
+//! `expansion-constant`: all of the axis shifts with its temperature by more or less than believed.
+//!
+//! ```text
+//! c·(T − T_ref) with the correct c          mode "constant" or "both"
+//! ```
+
+use super::{
+    page::{
+        Constants, Definition, Entry, Home, Host, Input, OnBoard, Page,
+        Parameter, Stage, Value, number,
+    },
+    survey::{Settings, Survey},
+};
+use crate::{
+    location::BadInput,
+    file::read::Section,
+};
+
+/// Another constant.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ExpansionConstant {
+    /// c in place of the believed one, in µm/K; any sign: positive where the warm axis goes too far.
+    pub um_per_c: f64,
+}
+
+impl Page for ExpansionConstant {
+    fn entries(&self) -> Vec<Entry> {
+        vec![("um_per_c", Value::Number(self.um_per_c))]
+    }
+
+    fn home(&self) -> Home {
+        Home::Axis
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Constant
+    }
+
+    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
+        vec![]
+    }
+
+    // A table has no constant to correct, and the mode "position" does not use it.
+    fn refusal(&self, host: &Host<'_>) -> Option<String> {
+        match host.thermal {
+            None => Some("needs [axis.*.thermal] of the quantity's axis".into()),
+            Some(thermal) if thermal.table.is_some() => {
+                Some("corrects a constant, and there is a table".into())
+            }
+            Some(thermal) if !thermal.mode.has_constant() => {
+                Some("corrects a constant that the mode \"position\" does not use".into())
+            }
+            Some(_) => None,
+        }
+    }
+
+    fn correct(&self, constants: &mut Constants<'_>) {
+        if let Some(thermal) = &mut constants.thermal {
+            thermal.constant_um_per_c = self.um_per_c;
+        }
+    }
+
+    /// What is added to the constant, which is in its own.
+    fn values(&self) -> Vec<f64> {
+        vec![0.0]
+    }
+
+    fn set(&mut self, values: &[f64]) {
+        self.um_per_c += values[0];
+    }
+
+    fn on_board(&self) -> Vec<OnBoard> {
+        Vec::new()
+    }
+
+    fn sentence(&self, values: &[f64]) -> String {
+        format!(
+            "All of the axis shifts with its temperature, wherever it stands: by {:+.3} µm/K more than \
+             believed.",
+            values[0]
+        )
+    }
+
+    fn next_test(&self) -> &'static str {
+        "Measure one place of the axis over a warm-up of at least 5 K, until nothing moves any more, and \
+         over the cool-down after it."
+    }
+
+    fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
+        vec![Parameter::Fitted("um_per_c", 0, self.um_per_c)]
+    }
+}
+
+impl Definition for ExpansionConstant {
+    const NAME: &'static str = "expansion-constant";
+
+    fn keys(_: &Section<'_>) -> &'static [&'static str] {
+        &["um_per_c"]
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        Ok(Self { um_per_c: number(section, "um_per_c")? })
+    }
+
+    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+        let Some(thermal) = survey.thermal_in_use() else { return };
+        if thermal.mode.has_constant() && thermal.table.is_none() {
+            with(Self { um_per_c: thermal.constant_um_per_c }, Settings::none());
+        }
+    }
+
+    fn against(rival: &str) -> Option<&'static str> {
+        (rival == "expansion-slope").then_some(
+            "Measure the axis at both ends, cold and warm: a constant moves both ends alike, a slope \
+             moves them apart.",
+        )
+    }
+}
