@@ -1,7 +1,8 @@
 //! `trueup diagnose`: what the simulation gets wrong, its cause, and the machine file with it.
 
 use std::{
-    fs,
+    env, fs,
+    io::{self, IsTerminal as _},
     path::{Path, PathBuf},
     time::Duration,
 };
@@ -9,15 +10,15 @@ use std::{
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use trueup_diagnose::{Diagnosis, diagnose};
+use trueup_diagnose::{Diagnosis, Verdict, diagnose};
 use trueup_machine::{MachineFile, RunFile, file};
 
 use crate::{Outcome, UserError, output, runs};
 
 /// Shows what the machine file gets wrong, names the cause, and writes the machine file with it.
 ///
-/// Exit 3: something is left that has no cause, or that the data do not settle; or the machine does
-/// not repeat.
+/// Exit 3: something is left that has no cause, or that the data do not settle; the machine does not
+/// repeat; or what explains the runs makes the hold-out worse.
 #[derive(Args)]
 pub struct Diagnose {
     /// The machine file: what is believed.
@@ -110,12 +111,31 @@ fn write(args: &Diagnose, diagnosis: &Diagnosis, name: &str, source: &str) -> Re
     })
 }
 
+/// `text` in red, where it is read on a screen.
+fn red(text: &str) -> String {
+    let is_plain = env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+    if is_plain || !io::stdout().is_terminal() {
+        return text.into();
+    }
+    format!("\u{1b}[31m{text}\u{1b}[0m")
+}
+
 fn print(args: &Diagnose, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
     if as_json {
         return output::print(diagnosis.json()?);
     }
     let report = &diagnosis.report;
-    output::print(format_args!("{}: {}", report.verdict.name(), diagnosis.sentence()))?;
+    let verdict = format!("{}: {}", report.verdict.name(), diagnosis.sentence());
+    output::print(if report.verdict == Verdict::DoesNotTransfer {
+        red(&verdict)
+    } else {
+        verdict
+    })?;
+    if !report.verdict.is_met() {
+        for reason in &report.reasons {
+            output::print(format_args!("  {reason}"))?;
+        }
+    }
     for finding in &report.findings {
         let column = finding.column.as_ref().map_or(String::new(), |column| format!(" {column}"));
         let state = if finding.claimed { "" } else { " (not settled)" };
@@ -123,12 +143,12 @@ fn print(args: &Diagnose, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
         output::print(format_args!("    next: {}", finding.next_test))?;
     }
     output::print(format_args!(
-        "{}, {} rows: {:.3} µm RMS before, {:.3} after; not fitted to: {:.3} before, {:.3} after; \
-         noise {:.3}",
+        "{}, {} rows: {:.3} µm RMS before, {:.3} after; {}: {:.3} before, {:.3} after; noise {:.3}",
         report.quantity,
         report.rows_used,
         report.before.rms_um,
         report.after.rms_um,
+        if report.holdout_used { "on the hold-out, which has chosen" } else { "not fitted to" },
         report.before.holdout_rms_um,
         report.after.holdout_rms_um,
         report.noise_um

@@ -6,7 +6,10 @@ use trueup_machine::{BadInput, Machine, RunFile, file::Quantity};
 use trueup_numerics::random::Generator;
 
 use crate::{
-    answer::{Diagnosis, conclude},
+    answer::{
+        Diagnosis, conclude,
+        hold_out::{HoldOut, seen_before},
+    },
     candidates::structure,
     data::{Data, Groups, first_of, quantity_of},
     fit::{Fitted, Problem, fit},
@@ -25,11 +28,13 @@ const MOST_ROWS_MOVING: usize = 3000;
 pub type Progress<'p> = dyn FnMut(&str, f64) + 'p;
 
 /// Compares `machine` with what was measured in `runs`, names the causes of what it gets wrong, and
-/// measures what their terms bring on `holdout` (which chooses nothing).
+/// measures what their terms bring on `holdout`: it chooses nothing, but that what makes it worse is not
+/// handed out.
 ///
 /// # Errors
 /// There is no such quantity in a run, or several and none is asked for; a column is missing without
-/// which nothing can be predicted; no row is both measured and predicted.
+/// which nothing can be predicted, or in a hold-out one that a term needs; no row is both measured and
+/// predicted.
 pub fn diagnose(
     machine: &Machine,
     runs: &[RunFile],
@@ -45,8 +50,11 @@ pub fn diagnose(
     } else {
         let mut test = Data::new(machine, holdout, quantity)?;
         test.refer_to(&data);
-        Some(test)
+        Some(HoldOut { files: holdout, data: test })
     };
+    let mut notes = data.notes.clone();
+    notes.extend(test.iter().flat_map(|test| test.data.notes.iter().cloned()));
+    notes.extend(seen_before(runs, holdout));
     let mut aside = vec![false; data.rows];
     let (mut problem, mut found) = searched(&data, &aside, progress);
     // Gross errors are seen once the rest is explained; then the rest is searched without them. Once
@@ -61,7 +69,7 @@ pub fn diagnose(
     }
     progress("comparing with rivals", 0.92);
     let judged = judge(&problem, &found);
-    Ok(conclude(data, &problem, found, &judged, aside, test.as_ref()))
+    conclude(data, &problem, found, &judged, aside, test.as_ref(), notes)
 }
 
 /// Rows that stand alone, far from what the answer and curves over what is left predict: a law that no

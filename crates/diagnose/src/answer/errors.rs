@@ -13,6 +13,16 @@ pub(crate) fn errors(data: &Data, predicted: &[f64], aside: Option<&[bool]>) -> 
         .collect()
 }
 
+/// Errors of the runs about their mean where the zero of the measurement is arbitrary, as that of an axis
+/// is; else as they are.
+pub(crate) fn about_zero(data: &Data, mut errors: Vec<f64>) -> Vec<f64> {
+    if data.quantity.axis().is_some() {
+        let mean = errors.iter().sum::<f64>() / errors.len().max(1) as f64;
+        errors.iter_mut().for_each(|error| *error -= mean);
+    }
+    errors
+}
+
 /// The largest of some errors.
 pub(crate) fn largest(errors: &[f64]) -> f64 {
     errors.iter().fold(0.0, |most: f64, error| most.max(error.abs()))

@@ -60,6 +60,22 @@ pub(crate) fn finding(it: &Judgement, left_out: Unit) -> Finding {
     }
 }
 
+impl Finding {
+    /// The hold-out becomes worse by it: its term is not handed out.
+    pub(super) fn leave_out(&mut self) {
+        self.compensated = false;
+        self.evidence
+            .push("The hold-out becomes worse by it: it is left out of extended.toml.".into());
+    }
+
+    /// It was found beside a cause of the machine that the hold-out has disproved, or is that cause.
+    pub(super) fn disclaim(&mut self) {
+        self.claimed = false;
+        self.evidence
+            .push("It was found beside a cause that the hold-out does not bear out.".into());
+    }
+}
+
 /// By how much a term of the machine file has changed, in a sentence; none of what the file has not.
 fn changed(part: &Part) -> Option<String> {
     let (before, after) = (&part.kind.stated()?.effect, part.cause()?);

@@ -114,6 +114,13 @@ pub(crate) fn verdict_sentence(diagnosis: &Diagnosis) -> String {
             "The machine does something that the model does not know and that no cause here fits."
                 .into()
         }
+        Verdict::DoesNotTransfer => {
+            let left_out: Vec<&str> = report.left_out.iter().map(|it| it.cause.as_str()).collect();
+            format!(
+                "What explains the runs makes the hold-out worse. Left out of extended.toml: {}.",
+                left_out.join(", ")
+            )
+        }
         Verdict::DoNotCompensate => {
             "The machine does not repeat. A correction would make it worse: mend it first.".into()
         }

@@ -5,30 +5,36 @@ mod errors;
 pub(crate) mod extended;
 mod figure;
 mod finding;
+pub(crate) mod hold_out;
 pub(crate) mod html;
 pub mod report;
+mod transfer;
+mod unseen;
 mod verdict;
+mod worse;
 
 use std::sync::Arc;
 
-use trueup_machine::file::Term;
-
+use trueup_machine::{BadInput, file::Term};
 use trueup_numerics::blocks::rms;
 
 use crate::{
-    blocks::Folds,
     data::Data,
     fit::{Problem, fit},
     judge::Judgement,
+    kind::Kind,
     model::Model,
     parameters::step_s,
     repeats::{self, Repeats},
-    search::{Found, Tried},
+    search::{Found, Tried, extend::without},
     terms::Extended,
 };
-use errors::{errors, largest, within_groups};
+use errors::{about_zero, errors, largest, within_groups};
 use finding::{finding, outliers};
-use report::{After, Before, Finding, Rejected, Report};
+use hold_out::HoldOut;
+use report::{After, Before, Finding, LeftOut, Rejected, Report};
+use transfer::Transfer;
+use unseen::Unseen;
 use verdict::verdict;
 
 /// The answer, with all that is needed to write it down.
@@ -50,22 +56,37 @@ pub struct Diagnosis {
     pub(crate) aside: Vec<bool>,
 }
 
-/// The answer to what was found and `judged`; `test`: a hold-out.
+/// The answer to what was found and `judged`; `notes`: what must be told beside it.
+///
+/// # Errors
+/// A column is missing in the hold-out that a term needs.
 pub(crate) fn conclude(
     data: Arc<Data>,
     problem: &Problem,
     found: Found,
     judged: &[Judgement],
     aside: Vec<bool>,
-    test: Option<&Data>,
-) -> Diagnosis {
-    let model = kept(problem, &found, judged);
+    hold_out: Option<&HoldOut<'_>>,
+    notes: Vec<String>,
+) -> Result<Diagnosis, BadInput> {
+    let mut model = kept(problem, &found, judged);
+    let mut transfer = None;
+    if let Some(hold_out) = hold_out {
+        hold_out.check(&data, &model)?;
+        let on_hold_out = Transfer::new(problem, model, hold_out);
+        model = on_hold_out.model.clone();
+        transfer = Some(on_hold_out);
+    }
+    let dropped: &[Kind] = transfer.as_ref().map_or(&[], |it| &it.dropped);
     let before = Model::default().predict(&data);
     let after = model.predict(&data);
-    let before_rows = errors(&data, &before, None);
+    let before_rows = about_zero(&data, errors(&data, &before, None));
     let after_rows = errors(&data, &after, Some(&aside));
+    let after_rows =
+        if model.parts.is_empty() { about_zero(&data, after_rows) } else { after_rows };
     // Groups are means of rows: what they average away is in each row again.
     let within = within_groups(&data, problem, &after, &aside);
+    let test = hold_out.map(|hold_out| &hold_out.data);
     let unseen = Unseen { problem, folds: &found.folds, within, test };
     let (holdout_before_um, holdout_after_um) = (unseen.before_um(), unseen.after_um(&model));
     let compensated = compensated(&model);
@@ -74,12 +95,21 @@ pub(crate) fn conclude(
 
     let has_outliers = aside.contains(&true);
     let repeats = repeats::analyse(&data, &after);
-    let (verdict, reasons) = verdict(&found, judged, has_outliers, repeats.as_ref());
+    let (verdict, reasons) =
+        verdict(&found, judged, has_outliers, repeats.as_ref(), transfer.as_ref());
+    // What happened once in the runs is not expected to happen again; what is of the machine is.
+    let is_disproved = dropped.iter().any(Kind::is_compensated);
     let mut findings: Vec<Finding> = judged
         .iter()
         .map(|it| {
             let mut finding = finding(it, found.folds.unit);
             finding.gain.by_row(within);
+            if dropped.contains(it.cause()) {
+                finding.leave_out();
+            }
+            if is_disproved && finding.claimed {
+                finding.disclaim();
+            }
             finding
         })
         .collect();
@@ -106,23 +136,40 @@ pub(crate) fn conclude(
         },
         verdict,
         reasons: reasons.iter().map(ToString::to_string).collect(),
-        notes: data.notes.iter().chain(test.iter().flat_map(|test| &test.notes)).cloned().collect(),
+        notes,
+        holdout_used: !dropped.is_empty(),
+        left_out: dropped
+            .iter()
+            .map(|cause| LeftOut { cause: cause.name().into(), column: cause.column() })
+            .collect(),
         findings,
         rejected: found.rejected.into_iter().map(rejected).collect(),
     };
     let Extended { replaced: corrected, new: terms } = Extended::by(&data, &model);
-    Diagnosis { report, terms, corrected, data, before, after, aside }
+    Ok(Diagnosis { report, terms, corrected, data, before, after, aside })
 }
 
 /// The model as it is handed out: terms that are not kept leave, and the others are fitted again
-/// without them. Without a term the machine file stays, and with it its zero.
+/// without them.
 fn kept(problem: &Problem, found: &Found, judged: &[Judgement]) -> Model {
-    let mut model = found.fitted.model.clone();
-    if judged.iter().any(|it| !it.is_kept) {
-        model.parts.retain(|part| judged.iter().all(|it| it.is_kept || *it.cause() != part.kind));
-        model = fit(problem, &model, None).model;
+    let model = &found.fitted.model;
+    let open = judged.iter().filter(|it| !it.is_kept).map(Judgement::cause);
+    let mut kept = without_all(problem, model, open);
+    if !kept.parts.is_empty() && kept.parts.len() < model.parts.len() {
+        kept = fit(problem, &kept, None).model;
     }
-    if model.parts.is_empty() { Model::default() } else { model }
+    kept
+}
+
+/// `model` without the terms of these causes. Without a term the machine file stays, and with it its
+/// zero.
+fn without_all<'c>(
+    problem: &Problem,
+    model: &Model,
+    causes: impl Iterator<Item = &'c Kind>,
+) -> Model {
+    let kept = causes.fold(model.clone(), |model, cause| without(problem, &model, cause));
+    if kept.parts.is_empty() { Model::default() } else { kept }
 }
 
 /// The model as the board runs it: without what only happened once, and what is not the machine's.
@@ -130,40 +177,6 @@ fn compensated(model: &Model) -> Model {
     let mut compensated = model.clone();
     compensated.parts.retain(|part| part.kind.is_compensated());
     if compensated.parts.is_empty() { Model::default() } else { compensated }
-}
-
-/// Data that nothing was fitted to: a hold-out, else the left-out blocks.
-struct Unseen<'u> {
-    problem: &'u Problem,
-    folds: &'u Folds,
-    /// Mean square that the groups of the problem average away, in µm².
-    within: f64,
-    test: Option<&'u Data>,
-}
-
-impl Unseen<'_> {
-    /// What the machine file as it is leaves: RMS, in µm.
-    fn before_um(&self) -> f64 {
-        let believed = Model::default();
-        self.on_test(&believed).unwrap_or_else(|| self.by_row(&self.problem.residual(&believed)))
-    }
-
-    /// What `model` leaves; without terms it is the machine file as it is.
-    fn after_um(&self, model: &Model) -> f64 {
-        if model.parts.is_empty() {
-            return self.before_um();
-        }
-        let left_out = || self.by_row(&self.folds.left_out(self.problem, model));
-        self.on_test(model).unwrap_or_else(left_out)
-    }
-
-    fn on_test(&self, model: &Model) -> Option<f64> {
-        self.test.map(|test| rms(&errors(test, &model.predict(test), None)))
-    }
-
-    fn by_row(&self, groups: &[f64]) -> f64 {
-        (rms(groups).powi(2) + self.within).sqrt()
-    }
 }
 
 /// The noise of one reading, in µm: from repeats where there are any, else from what differs between

@@ -23,19 +23,37 @@ pub struct Report {
     pub before: Before,
     /// What the extended one leaves.
     pub after: After,
-    /// `clean`, `explained`, `partly-explained`, `unexplained` or `do-not-compensate`.
+    /// What came out.
     pub verdict: Verdict,
     /// Why, a sentence each.
     pub reasons: Vec<String>,
-    /// What was set aside before anything was compared, and why, a sentence each.
+    /// What the reader must know of the files, and what of them was set aside before anything was
+    /// compared, a sentence each.
     pub notes: Vec<String>,
+    /// Whether the hold-out has chosen what is handed out: then its figures are no longer those of data
+    /// that nothing was chosen by.
+    pub holdout_used: bool,
+    /// What is not handed out because the hold-out became worse by it.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub left_out: Vec<LeftOut>,
     /// In the order in which they were added.
     pub findings: Vec<Finding>,
     /// Causes that were tried and not taken.
     pub rejected: Vec<Rejected>,
 }
 
-/// Errors without the extension, in µm.
+/// A cause whose term is not in the extended machine file.
+#[derive(Clone, Debug, Serialize)]
+pub struct LeftOut {
+    /// Its name.
+    pub cause: String,
+    /// Its column.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub column: Option<String>,
+}
+
+/// Errors without the extension, in µm. The arbitrary zero of an axis's measurement is no error of the
+/// runs; a hold-out is compared as it stands.
 #[derive(Clone, Debug, Serialize)]
 pub struct Before {
     /// Root mean square.
@@ -73,6 +91,8 @@ pub enum Verdict {
     Unexplained,
     /// The machine does not repeat.
     DoNotCompensate,
+    /// What explains the runs makes the hold-out worse.
+    DoesNotTransfer,
 }
 
 impl Verdict {
@@ -85,6 +105,7 @@ impl Verdict {
             Self::PartlyExplained => "partly-explained",
             Self::Unexplained => "unexplained",
             Self::DoNotCompensate => "do-not-compensate",
+            Self::DoesNotTransfer => "does-not-transfer",
         }
     }
 

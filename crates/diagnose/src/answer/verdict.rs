@@ -3,7 +3,7 @@
 use std::fmt;
 
 use crate::{
-    answer::report::Verdict,
+    answer::{report::Verdict, transfer::Transfer},
     judge::Judgement,
     repeats::Repeats,
     search::{
@@ -30,6 +30,18 @@ pub(crate) enum Reason {
     Open,
     OnlyNoise,
     NothingFires,
+    /// The hold-out is worse with the model as it was found: RMS before and after, in µm.
+    Harm {
+        before_um: f64,
+        after_um: f64,
+    },
+    /// Where it is worse.
+    WorseAt(String),
+    /// The hold-out is a little worse.
+    NoGainUnseen {
+        before_um: f64,
+        after_um: f64,
+    },
 }
 
 impl fmt::Display for Reason {
@@ -49,13 +61,47 @@ impl fmt::Display for Reason {
                 f.write_str("two causes cannot be told apart, or a parameter is not yet identified")
             }
             Self::OnlyNoise => f.write_str("nothing is left but noise: the model stays"),
+            Self::Harm { before_um, after_um } => write!(
+                f,
+                "what explains the runs makes the hold-out worse: {before_um:.2} µm RMS before, \
+                 {after_um:.2} µm with all of it"
+            ),
+            Self::WorseAt(place) => f.write_str(place),
+            Self::NoGainUnseen { before_um, after_um } => write!(
+                f,
+                "the hold-out gains nothing: {before_um:.4} µm RMS before, {after_um:.4} µm after"
+            ),
             Self::NothingFires => f.write_str("no test of structure fires on what is left"),
         }
     }
 }
 
-/// The verdict on an answer; `has_outliers`: some readings were set aside.
+/// The verdict on an answer; `has_outliers`: some readings were set aside; `transfer`: what became of it
+/// on a hold-out.
 pub(crate) fn verdict(
+    found: &Found,
+    judged: &[Judgement],
+    has_outliers: bool,
+    repeats: Option<&Repeats>,
+    transfer: Option<&Transfer>,
+) -> (Verdict, Vec<Reason>) {
+    let (verdict, reasons) = of_runs(found, judged, has_outliers, repeats);
+    let Some(transfer) = transfer else { return (verdict, reasons) };
+    let (before_um, after_um) = (transfer.before_um, transfer.found_um);
+    if !transfer.dropped.is_empty() {
+        let mut harm = vec![Reason::Harm { before_um, after_um }];
+        harm.extend(transfer.places.iter().cloned().map(Reason::WorseAt));
+        harm.extend(reasons.into_iter().filter(|it| !matches!(it, Reason::NothingFires)));
+        return (Verdict::DoesNotTransfer, harm);
+    }
+    if transfer.is_worse() && verdict.is_met() {
+        return (Verdict::PartlyExplained, vec![Reason::NoGainUnseen { before_um, after_um }]);
+    }
+    (verdict, reasons)
+}
+
+/// The verdict by the runs alone.
+fn of_runs(
     found: &Found,
     judged: &[Judgement],
     has_outliers: bool,

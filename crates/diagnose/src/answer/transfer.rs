@@ -1,0 +1,83 @@
+//! Whether the extended model holds on a hold-out, and what is handed out where it does not.
+//!
+//! A hold-out chooses nothing, with one exception: what makes it worse is not handed out. Then the
+//! fewest terms leave whose removal mends it (the others as they are, or fitted again to the runs), and
+//! the answer says that the hold-out has chosen.
+
+use trueup_numerics::parallel::on_all_cores;
+
+use crate::{
+    answer::{
+        compensated, hold_out::HoldOut, unseen::on_hold_out, without_all, worse::where_it_is_worse,
+    },
+    fit::{Problem, fit},
+    kind::Kind,
+    model::Model,
+};
+
+/// Harm: a hold-out becomes worse than this times what the machine file as it is leaves (RMS). The
+/// fixed form of the answer says 5 % (`docs/reference.md`, Diagnosis).
+const HARM: f64 = 1.05;
+/// What is the same but for rounding.
+const ROUNDING: f64 = 1.0 + 1e-9;
+
+/// What became of a model on a hold-out.
+pub(super) struct Transfer {
+    /// What is handed out.
+    pub model: Model,
+    /// The causes of the terms that are not.
+    pub dropped: Vec<Kind>,
+    /// What the machine file as it is leaves on the hold-out, and the model as it was found: RMS, in
+    /// µm.
+    pub before_um: f64,
+    pub found_um: f64,
+    /// Where it is worse, a sentence each; empty where no term is dropped.
+    pub places: Vec<String>,
+}
+
+impl Transfer {
+    /// Of `model`, found on `problem`.
+    pub(super) fn new(problem: &Problem, model: Model, hold_out: &HoldOut<'_>) -> Self {
+        let test = &hold_out.data;
+        let believed = Model::default();
+        let before_um = on_hold_out(test, &believed);
+        // As it is, and as the board runs it.
+        let left_um =
+            |model: &Model| on_hold_out(test, model).max(on_hold_out(test, &compensated(model)));
+        let found_um = left_um(&model);
+        if model.parts.is_empty() || found_um <= HARM * before_um {
+            return Self { model, dropped: Vec::new(), before_um, found_um, places: Vec::new() };
+        }
+        let count = model.parts.len();
+        let mended = (1..count).find_map(|size| {
+            let sets: Vec<u32> =
+                (1..1_u32 << count).filter(|set| set.count_ones() as usize == size).collect();
+            let tried = on_all_cores(&sets, problem.is_large(), |&set| {
+                // What the others are worth may have been told right beside a term that acted in the
+                // runs alone, or wrong beside one that never was.
+                let kept = without_all(problem, &model, in_set(&model, set));
+                let fitted = fit(problem, &kept, None).model;
+                [(left_um(&kept), set, kept), (left_um(&fitted), set, fitted)]
+            });
+            let best = tried.into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0))?;
+            (best.0 <= HARM * before_um).then_some((best.1, best.2))
+        });
+        // Without any term it is the machine file as it is.
+        let (set, kept) = mended.unwrap_or(((1 << count) - 1, believed.clone()));
+        let dropped = in_set(&model, set).cloned().collect();
+        let [before, after] = [&believed, &model].map(|model| model.predict(test));
+        let places = where_it_is_worse(&problem.data, hold_out, [&before, &after]);
+        Self { model: kept, dropped, before_um, found_um, places }
+    }
+
+    /// Whether the hold-out is worse with the terms that are handed out, by however little.
+    pub(super) fn is_worse(&self) -> bool {
+        self.dropped.is_empty() && self.found_um > ROUNDING * self.before_um
+    }
+}
+
+/// The causes of the parts whose bits are in `set`.
+fn in_set(model: &Model, set: u32) -> impl Iterator<Item = &Kind> {
+    let parts = model.parts.iter().enumerate();
+    parts.filter(move |(number, _)| set & (1 << number) != 0).map(|(_, part)| &part.kind)
+}

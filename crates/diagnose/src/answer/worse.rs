@@ -1,0 +1,161 @@
+//! Where on a hold-out a model is worse, and what is different there from the runs.
+
+use crate::{
+    answer::hold_out::HoldOut,
+    columns::named,
+    data::{Data, filled},
+};
+
+/// A column leaves what the runs covered where it is beyond their ends by more than a tenth of their
+/// range: so far a straight line that was fitted to it may be continued with a standard error that grows
+/// by no more than a sixth (its variance is 4σ²/n at the end of n equal steps, 5.3σ²/n a tenth beyond).
+const BEYOND: f64 = 0.1;
+
+/// The stretch in which `after` is worst against `before` (predictions of each row), and the columns
+/// that do there what they never did in the runs: a sentence each.
+pub(super) fn where_it_is_worse(
+    training: &Data,
+    hold_out: &HoldOut<'_>,
+    [before, after]: [&[f64]; 2],
+) -> Vec<String> {
+    let test = &hold_out.data;
+    let worse: Vec<f64> = (0..test.rows)
+        .map(|row| {
+            let [before, after] =
+                [before, after].map(|predicted| (test.measured[row] - predicted[row]).powi(2));
+            let is_known = test.used[row] && (after - before).is_finite();
+            if is_known { after - before } else { 0.0 }
+        })
+        .collect();
+    let Some((first, last)) = largest_sum(&worse) else { return Vec::new() };
+    let stretch = stretch(test, hold_out, first, last);
+    let mut said: Vec<String> = columns(training)
+        .into_iter()
+        .filter_map(|column| {
+            let [runs, here] = [training, test].map(|data| named(data, &column));
+            different(&column, &filled(runs?), &filled(here?), first, last)
+        })
+        .map(|what| format!("{stretch} {what}"))
+        .collect();
+    if said.is_empty() {
+        said.push(format!("{stretch} it is worst"));
+    }
+    said
+}
+
+/// The rows of the stretch, as the user counts them.
+fn stretch(test: &Data, hold_out: &HoldOut<'_>, first: usize, last: usize) -> String {
+    let file = test.file[first];
+    let start = test.file.partition_point(|&there| there < file);
+    let end = test.file.partition_point(|&there| there <= file);
+    let name = hold_out.files[file].path().display();
+    if last + 1 >= end {
+        format!("from row {} of {name} on", first - start + 1)
+    } else {
+        format!("in rows {} to {} of {name}", first - start + 1, last - start + 1)
+    }
+}
+
+/// What may be different: everything that was recorded and is a state of the machine.
+fn columns(data: &Data) -> Vec<String> {
+    let known = ["spindle_rpm", "load_n", "x_mm", "y_mm", "z_mm"].map(String::from);
+    let temperatures = data.temperatures.iter().map(|(name, _)| name.clone());
+    let others = data.others.iter().map(|(name, _)| name.clone());
+    known.into_iter().chain(temperatures).chain(others).collect()
+}
+
+/// What `column` does `here`, in the rows `first` to `last`, and nowhere in the `runs`.
+fn different(
+    column: &str,
+    runs: &[f64],
+    here: &[f64],
+    first: usize,
+    last: usize,
+) -> Option<String> {
+    let extent = |values: &[f64]| {
+        values.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], &value| {
+            [low.min(value), high.max(value)]
+        })
+    };
+    let stretch = &here[first..=last];
+    let ([low, high], [here_low, here_high]) = (extent(runs), extent(stretch));
+    let margin = BEYOND * (high - low);
+    if here_high > high + margin {
+        return Some(format!(
+            "{column} reaches {here_high:.4}; in the runs {high:.4} was the most"
+        ));
+    }
+    if here_low < low - margin {
+        return Some(format!("{column} reaches {here_low:.4}; in the runs {low:.4} was the least"));
+    }
+    let change = stretch[stretch.len() - 1] - stretch[0];
+    let (verb, never, most) = if change < 0.0 {
+        ("falls", "fell", largest_rise(runs.iter().map(|value| -value)))
+    } else {
+        ("rises", "rose", largest_rise(runs.iter().copied()))
+    };
+    (change.abs() > margin && most < margin).then(|| {
+        format!(
+            "{column} {verb} by {:.4}; in the runs it never {never} by more than {most:.4}",
+            change.abs()
+        )
+    })
+}
+
+/// The largest rise from a value to a later one.
+fn largest_rise(values: impl Iterator<Item = f64>) -> f64 {
+    let (mut low, mut most) = (f64::INFINITY, 0.0_f64);
+    for value in values {
+        low = low.min(value);
+        most = most.max(value - low);
+    }
+    most
+}
+
+/// The first and last of the consecutive values whose sum is the largest; none where no value is above
+/// 0.
+fn largest_sum(values: &[f64]) -> Option<(usize, usize)> {
+    let mut best = (0.0, None);
+    let (mut sum, mut first) = (0.0, 0);
+    for (at, value) in values.iter().enumerate() {
+        if sum <= 0.0 {
+            (sum, first) = (0.0, at);
+        }
+        sum += value;
+        if sum > best.0 {
+            best = (sum, Some((first, at)));
+        }
+    }
+    best.1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_worst_stretch_is_the_consecutive_rows_of_the_largest_sum() {
+        assert_eq!(largest_sum(&[-1.0, 2.0, -0.5, 3.0, -4.0, 1.0]), Some((1, 3)));
+        assert_eq!(largest_sum(&[-1.0, 0.0]), None);
+    }
+
+    #[test]
+    fn a_cool_down_after_runs_that_only_warmed_is_told() {
+        let runs: Vec<f64> = (0..50).map(|n| 20.0 + 0.5 * f64::from(n)).collect();
+        let here: Vec<f64> = runs.iter().rev().copied().collect();
+        let told = different("temp_frame_c", &runs, &here, 10, 49).expect("it falls");
+        assert_eq!(
+            told,
+            "temp_frame_c falls by 19.5000; in the runs it never fell by more than 0.0000"
+        );
+        assert_eq!(different("temp_frame_c", &here, &here, 10, 49), None);
+    }
+
+    #[test]
+    fn a_column_beyond_what_the_runs_covered_is_told() {
+        let runs = [20.0, 30.0, 20.0];
+        assert_eq!(different("t", &runs, &[30.5, 25.0], 0, 1), None);
+        let told = different("t", &runs, &[35.0, 30.0], 0, 1).expect("it is beyond");
+        assert_eq!(told, "t reaches 35.0000; in the runs 30.0000 was the most");
+    }
+}
