@@ -14,6 +14,7 @@ use crate::{
     data::{Data, Groups, first_of, quantity_of},
     fit::{Fitted, Problem, fit},
     judge::judge,
+    model::Model,
     outliers,
     search::{Found, lack_of_fit::with_curves, search, start},
 };
@@ -55,13 +56,14 @@ pub fn diagnose(
     let mut notes = data.notes.clone();
     notes.extend(test.iter().flat_map(|test| test.data.notes.iter().cloned()));
     notes.extend(seen_before(runs, holdout));
-    let mut aside = vec![false; data.rows];
+    // Repeats say before any cause is known which readings stand alone.
+    let mut aside = outliers::among_repeats(&data, &Model::default().predict(&data));
     let (mut problem, mut found) = searched(&data, &aside, progress);
     // Gross errors are seen once the rest is explained; then the rest is searched without them. Once
     // more, where fewer or others are seen then.
     for _ in 0..2 {
         let gross = gross_errors(&data, &problem, &found);
-        if gross == aside || !gross.contains(&true) {
+        if gross == aside {
             break;
         }
         aside = gross;
@@ -76,7 +78,9 @@ pub fn diagnose(
 /// cause has is no gross error.
 fn gross_errors(data: &Data, problem: &Problem, found: &Found) -> Vec<bool> {
     let rest = with_curves(problem, &found.fitted, &structure(problem));
-    outliers::gross(data, &rest.model.predict(data))
+    let alone = outliers::gross(data, &rest.model.predict(data));
+    let among_repeats = outliers::among_repeats(data, &found.fitted.model.predict(data));
+    alone.iter().zip(among_repeats).map(|(alone, there)| *alone || there).collect()
 }
 
 /// The search on the rows that count and are not set aside: on all of them, on means of neighbours, or

@@ -1,9 +1,18 @@
 //! Gross errors among the rows that count, by what a model leaves of them: judged so, a cause with
-//! quick changes is named before its rows are suspected.
+//! quick changes is named before its rows are suspected. Only repeats at one place say so before any
+//! cause is known.
 
 use trueup_numerics::robust::in_residual;
 
-use crate::data::Data;
+use crate::{data::Data, repeats::Targets};
+
+/// Rows that stand alone among the repeats of their place, by what `predicted` leaves.
+pub(crate) fn among_repeats(data: &Data, predicted: &[f64]) -> Vec<bool> {
+    let used = (0..data.rows).filter(|&row| data.used[row]);
+    let residual = |row: usize| data.measured[row] - predicted[row];
+    Targets::of(data, used)
+        .map_or_else(|| vec![false; data.rows], |targets| targets.gross(data, residual))
+}
 
 /// Rows that are to be set aside, by what `predicted` leaves.
 pub(crate) fn gross(data: &Data, predicted: &[f64]) -> Vec<bool> {

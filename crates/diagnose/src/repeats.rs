@@ -4,7 +4,164 @@
 //! repeats. What repeats is looked for in the readings themselves: a machine that does what its model
 //! says repeats, also where nothing else is left but noise.
 
-use crate::data::Data;
+use trueup_machine::{
+    effect::OnBoard,
+    file::{Feedback, LinearAxis, Pitch},
+    model::is_reverse,
+};
+use trueup_numerics::repeats::{Law, Reading, arrivals, gross, places};
+
+use crate::{
+    data::Data,
+    kind::{Kind, Part},
+};
+
+/// More places than a table of the machine file should have points are no targets.
+const MOST_PLACES: usize = 512;
+/// A step of the positions below this, in mm, is none: machine positions are known to a micrometre.
+const SAME_MM: f64 = 1e-3;
+
+/// The targets of an axis's own motion, and which row is a reading at which.
+#[derive(Clone, Debug)]
+pub(crate) struct Targets {
+    own: LinearAxis,
+    /// Rising.
+    pub at_mm: Vec<f64>,
+    /// Readings in the order of the rows, their values still 0.
+    readings: Vec<Reading>,
+    /// The row of each reading.
+    rows: Vec<usize>,
+}
+
+impl Targets {
+    /// Of these rows; none where the axis does not come back to the same places, or another axis moves
+    /// as well.
+    pub(crate) fn of(data: &Data, rows: impl Iterator<Item = usize>) -> Option<Self> {
+        let own = data.quantity.axis()?;
+        let position = data.own_position()?;
+        let rows: Vec<usize> = rows.filter(|&row| !position[row].is_nan()).collect();
+        let others = data.position_mm.iter().enumerate().filter(|(axis, _)| *axis != own.index());
+        let stands = |mm: &Vec<f64>| {
+            let here = rows.iter().map(|&row| mm[row]).filter(|mm| !mm.is_nan());
+            let (low, high) = here.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), mm| {
+                (low.min(mm), high.max(mm))
+            });
+            // Of nothing that was recorded as well.
+            !(high - low > SAME_MM)
+        };
+        if !others.filter_map(|(_, mm)| mm.as_ref()).all(stands) {
+            return None;
+        }
+        let direction = data.own_direction();
+        let side = |row: usize| usize::from(direction.is_some_and(|d| is_reverse(d[row])));
+        let at: Vec<f64> = rows.iter().map(|&row| position[row]).collect();
+        let steps = rows.windows(2).filter_map(|pair| {
+            let &[before, after] = pair else { return None };
+            let is_one = data.file[before] == data.file[after] && side(before) == side(after);
+            let step = (position[after] - position[before]).abs();
+            (is_one && step > SAME_MM).then_some(step)
+        });
+        let step = steps.fold(f64::INFINITY, f64::min);
+        let (at_mm, place_of) = places(&at, if step.is_finite() { step } else { 0.0 });
+        if at_mm.len() > MOST_PLACES || 2 * rows.len() < 3 * at_mm.len() {
+            return None;
+        }
+        let cycle_of = match data.run.as_deref() {
+            Some(run) => numbered(rows.iter().map(|&row| (data.file[row], run[row].to_bits()))),
+            None => {
+                let stops: Vec<(usize, usize)> =
+                    rows.iter().zip(&place_of).map(|(&row, &place)| (place, side(row))).collect();
+                arrivals(&stops)
+            }
+        };
+        let readings = rows
+            .iter()
+            .zip(&place_of)
+            .zip(cycle_of)
+            .map(|((&row, &place), cycle)| Reading { place, side: side(row), cycle, value: 0.0 });
+        Some(Self { own, readings: readings.collect(), at_mm, rows })
+    }
+
+    /// The readings, each with the value `of` its number among the rows that this was made of and its
+    /// row.
+    pub(crate) fn readings(&self, of: impl Fn(usize) -> f64) -> Vec<Reading> {
+        let with = |(it, &row): (&Reading, &usize)| Reading { value: of(row), ..*it };
+        self.readings.iter().zip(&self.rows).map(with).collect()
+    }
+
+    /// The rows that stand alone among the repeats of what `residual` (by row) leaves.
+    pub(crate) fn gross(&self, data: &Data, residual: impl Fn(usize) -> f64) -> Vec<bool> {
+        let mut aside = vec![false; data.rows];
+        let found = gross(&self.readings(residual));
+        self.rows.iter().zip(found).for_each(|(&row, found)| aside[row] = found);
+        aside
+    }
+
+    /// The tables that may be tried, as [`Law`]s: a step is the screw's, so that a scale has none.
+    pub(crate) fn laws(&self, data: &Data) -> Vec<Law> {
+        let has = |side: usize| self.readings.iter().any(|it| it.side == side);
+        let mut laws = vec![Law::Table];
+        if has(0) && has(1) {
+            if data.machine.axes[self.own.index()].feedback == Feedback::Screw {
+                laws.push(Law::TableAndStep);
+            }
+            laws.push(Law::EachSide);
+        }
+        laws
+    }
+
+    /// A law as terms, neutral; none where no table of equal steps is determined by these places.
+    pub(crate) fn terms(&self, law: Law) -> Option<Vec<Part>> {
+        let (start_mm, step_mm, points) = self.grid()?;
+        let forward_um = vec![0.0; points];
+        let reverse_um = (law == Law::EachSide).then(|| forward_um.clone());
+        let table = OnBoard::Table(Pitch { start_mm, step_mm, forward_um, reverse_um });
+        let step = OnBoard::Reversed { width_um: 1.0, um_per_m: 0.0 };
+        let forms = [Some(table), (law == Law::TableAndStep).then_some(step)];
+        let kinds = forms.iter().flatten().map(|form| Kind::of_form(Some(self.own), form));
+        let neutral = |kind: Kind| match &kind {
+            Kind::Cause(effect) => Kind::Cause(effect.with(&vec![0.0; kind.degrees()])),
+            _ => kind,
+        };
+        let part = |kind: Kind| Part { values: vec![0.0; kind.degrees()], kind };
+        kinds.map(|kind| kind.map(neutral).map(part)).collect()
+    }
+
+    /// The points of a table: start, step and number. The places themselves where they are even, else as
+    /// many points as every two neighbours still have a place between them.
+    fn grid(&self) -> Option<(f64, f64, usize)> {
+        /// Steps that differ by less are even: the targets may have been written in few digits.
+        const EVEN: f64 = 0.05;
+        let (first, last) = (*self.at_mm.first()?, *self.at_mm.last()?);
+        let with = |points: usize| (first, (last - first) / (points - 1) as f64, points);
+        let even = with(self.at_mm.len());
+        let mut steps = self.at_mm.windows(2).map(|pair| pair[1] - pair[0]);
+        if steps.all(|step| (step - even.1).abs() < EVEN * even.1) {
+            return Some(even);
+        }
+        (3..self.at_mm.len()).rev().map(with).find(|&(start_mm, step_mm, points)| {
+            (0..points - 1).all(|n| {
+                let from = start_mm + step_mm * n as f64;
+                // The last place is the last point's.
+                self.at_mm[..self.at_mm.len() - 1]
+                    .iter()
+                    .any(|mm| (from..from + step_mm).contains(mm))
+            })
+        })
+    }
+}
+
+/// Numbers from 0 in the order in which keys come.
+fn numbered<K: PartialEq>(keys: impl Iterator<Item = K>) -> Vec<usize> {
+    let mut known: Vec<K> = Vec::new();
+    keys.map(|key| {
+        known.iter().position(|there| *there == key).unwrap_or_else(|| {
+            known.push(key);
+            known.len() - 1
+        })
+    })
+    .collect()
+}
 
 /// Scatter and systematic part of what is left at equal positions, approached the same way.
 #[derive(Clone, Copy, Debug)]

@@ -21,7 +21,7 @@ mod table;
 mod tests;
 
 pub use between::{Between, between};
-pub use decide::{Decision, Refusal, SIGNIFICANCE, Trial, decide};
+pub use decide::{Decision, Refusal, SIGNIFICANCE, Trial, decide, is_worse};
 pub use gross::gross;
 pub use power::cycles_for;
 pub use table::{Law, Table};

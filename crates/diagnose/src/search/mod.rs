@@ -15,6 +15,7 @@
 //! | `lack_of_fit` | curves that find what no cause explains |
 //! | `state` | the model in work, its terms, what was rejected and why |
 //! | `choose` | which extension is taken |
+//! | `table` | a table that was measured several times, judged by its repeats |
 //! | `revise` | what is looked at again once other terms are there |
 //! | `simplify` | what is made simpler at the end |
 //!
@@ -30,6 +31,7 @@ mod scan;
 mod simplify;
 mod state;
 mod statistics;
+pub(crate) mod table;
 
 use trueup_numerics::noise::Noise;
 
@@ -200,6 +202,15 @@ impl Search<'_> {
             progress("looking two terms ahead", f64::NAN);
             if self.look_two_ahead() {
                 self.revise();
+                return Round::Widened;
+            }
+        }
+        // What was measured several times is judged by that, once all that is not of the axis is there.
+        if !self.has_judged_repeats {
+            self.has_judged_repeats = true;
+            progress("comparing repeats", f64::NAN);
+            if self.table_by_repeats() {
+                self.try_all_again();
                 return Round::Widened;
             }
         }

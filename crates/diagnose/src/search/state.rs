@@ -33,6 +33,8 @@ pub(crate) struct Search<'p> {
     pub by_squares: Vec<Kind>,
     /// Whether two terms ahead have been looked at.
     pub has_looked_ahead: bool,
+    /// Whether a table was judged by its repeats.
+    pub has_judged_repeats: bool,
     /// What takes away less of the RMS is not worth a term, in µm.
     pub relevant_um: f64,
 }
@@ -131,6 +133,7 @@ impl<'p> Search<'p> {
             rejected: Vec::new(),
             by_squares: Vec::new(),
             has_looked_ahead: false,
+            has_judged_repeats: false,
         }
     }
 

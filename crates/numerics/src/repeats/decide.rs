@@ -243,8 +243,10 @@ fn taken(trials: &[Trial]) -> Result<Law, Refusal> {
     Ok(simplest.map_or(best.law, |trial| trial.law))
 }
 
-/// Whether `own` is larger than `other` by more than one standard error of their paired squares.
-pub(super) fn is_worse(own: &[f64], other: &[f64]) -> bool {
+/// Whether `own` is larger than `other` by more than one standard error of their paired squares; what is
+/// NaN in either does not count.
+#[must_use]
+pub fn is_worse(own: &[f64], other: &[f64]) -> bool {
     let more: Vec<f64> = own
         .iter()
         .zip(other)
