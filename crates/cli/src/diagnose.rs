@@ -11,7 +11,7 @@ use anyhow::Result;
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use trueup_diagnose::{Diagnosis, Verdict, diagnose};
-use trueup_machine::{MachineFile, RunFile, file};
+use trueup_machine::{BadInput, MachineFile, RunFile, compile::check_slopes, file};
 
 use crate::{Outcome, UserError, output, runs};
 
@@ -98,10 +98,15 @@ fn progress() -> ProgressBar {
 fn write(args: &Diagnose, diagnosis: &Diagnosis, name: &str, source: &str) -> Result<()> {
     let mut inputs: Vec<&Path> = vec![&args.machine];
     inputs.extend(args.runs.iter().chain(&args.holdout).map(PathBuf::as_path));
+    let extended = diagnosis.extended(source, &args.machine)?;
+    let path = args.out.join("extended.toml");
+    if let Err(BadInput { rule, .. }) = check_slopes(&MachineFile::parse(&extended, &path)?) {
+        eprintln!("warning: trueup compile will refuse {}: {rule}", path.display());
+    }
     let texts = [
         ("diagnosis.json", diagnosis.json()? + "\n"),
         ("report.html", diagnosis.html(name)),
-        ("extended.toml", diagnosis.extended(source, &args.machine)?),
+        ("extended.toml", extended),
     ];
     for (file, text) in texts {
         output::write_whole(&args.out.join(file), &inputs, |out| out.write_all(text.as_bytes()))?;

@@ -18,6 +18,7 @@ use trueup_fit::{
 };
 use trueup_machine::{
     BadInput, Location, Machine, MachineFile, RunFile, applied,
+    compile::check_slopes,
     file::{ElongationSource, LinearAxis, ThermalMode},
 };
 
@@ -244,10 +245,25 @@ fn write(input: &Input, common: &Common, report: &Report) -> Result<bool> {
         Some((path, source, _)) => report.edit.apply(source, path)?,
         None => report.edit.to_toml(),
     };
+    warn_of_slopes(input, &text, &common.output)?;
     // The machine file itself may be written over: that is what a user means who names it twice.
     let inputs: Vec<&Path> = common.run.iter().map(PathBuf::as_path).collect();
     output::write_whole(&common.output, &inputs, |out| out.write_all(text.as_bytes()))?;
     Ok(true)
+}
+
+/// Says, before it is written, that `compile` will refuse `text` for a slope: a machine file, or sections
+/// of one.
+fn warn_of_slopes(input: &Input, text: &str, path: &Path) -> Result<()> {
+    const HEAD: &str = "[machine]\nname = \"sections\"\nkind = \"3-axis\"\n";
+    let machine = match input.machine {
+        Some(_) => MachineFile::parse(text, path)?,
+        None => MachineFile::parse(&format!("{HEAD}{text}"), path)?,
+    };
+    if let Err(BadInput { rule, .. }) = check_slopes(&machine) {
+        eprintln!("warning: trueup compile will refuse {}: {rule}", path.display());
+    }
+    Ok(())
 }
 
 /// A fit does not know how far it is: the time that has passed, where somebody watches.

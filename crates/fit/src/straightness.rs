@@ -320,13 +320,6 @@ impl Fit {
                 "the positions span {travel} mm: if they are metres, multiply them by 1000"
             ));
         }
-        let limit = trueup_machine::compile::STEEPEST_UM_PER_MM;
-        if self.slope_um_per_mm > limit {
-            self.warnings.push(format!(
-                "the curve is as steep as {:.1} µm/mm, and a board takes at most {limit}",
-                self.slope_um_per_mm
-            ));
-        }
         if let Some(tolerance) = self.tolerance_um
             && !self.is_within_tolerance
         {

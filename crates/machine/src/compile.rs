@@ -18,6 +18,7 @@ mod lag;
 mod limits;
 mod pitch;
 mod sensor;
+mod slope;
 mod spindle;
 mod squareness;
 pub(crate) mod term;
@@ -37,12 +38,16 @@ use inputs::thermometers;
 use spindle::SpindleTables;
 use squareness::{compile_squareness, crossed};
 
-pub use account::{LARGEST_DIFFERENCE_NM, STEEPEST_UM_PER_MM};
+pub use account::LARGEST_DIFFERENCE_NM;
 pub use inputs::SHOWN_INPUT;
 pub(crate) use lag::time_constant_s;
 pub use limits::WIRE_LIMIT_UM;
 pub(crate) use sensor::UM_PER_COUNT_OF_NO_SLOPE;
 pub use sensor::stored_law_nm;
+pub use slope::{
+    SLOWEST_FEED_MM_PER_S, Slope, check_slopes, of_curve, of_effect, of_table, steepest_um_per_mm,
+    too_steep,
+};
 
 /// A machine in the integers of the board.
 #[derive(Clone, Debug, PartialEq)]
@@ -83,11 +88,12 @@ impl Compiled {
 /// # Errors
 /// Something that is in use is not described in `[inputs]`, a value does not fit the board's integer
 /// for it, a part would be further than [`LARGEST_DIFFERENCE_NM`] from the model, a slope is beyond
-/// [`STEEPEST_UM_PER_MM`], or all of it does not fit the board; with the key and, for a machine that
+/// what [`check_slopes`] lets pass, or all of it does not fit the board; with the key and, for a machine that
 /// was read from a file, its place.
 pub fn compile(machine: &Machine) -> Result<Compiled, BadInput> {
     let (machine, falling) = model::corrected(machine.compensated());
     let machine = &*term::with_thermal_laws(machine)?;
+    check_slopes(machine)?;
     let mut account = Account { machine, parts: Vec::new() };
     let limits = limits::compile(machine)?;
     let spindle = SpindleTables::of(machine, falling.spindle_s, &mut account)?;

@@ -1,9 +1,8 @@
 //! What a pitch fit has found, in a report.
 
 use trueup_machine::{
-    compile::STEEPEST_UM_PER_MM,
+    file::LinearAxis,
     file::write::{Edit, NewSection},
-    file::{LinearAxis, Pitch},
 };
 
 use super::{
@@ -123,7 +122,6 @@ pub(super) fn write(
     report.parameters.push(Parameter::set("start_mm", pitch.start_mm));
     report.parameters.push(Parameter::set("step_mm", pitch.step_mm));
     report.facts.push(Fact::number("table_points", grid.points as f64));
-    warn_of_steps(report, pitch);
     let name = format!("axis.{}", axis.name());
     let rms = |spread: Option<Spread>| spread.map_or("?".into(), |it| format!("{:.2}", it.rms_um));
     let mut section = NewSection::new(format!("{name}.pitch"))
@@ -159,20 +157,6 @@ pub(super) fn write(
         }
         // It is in the tables, or was found not to gain.
         None => report.edit.removed.push(backlash),
-    }
-}
-
-/// The board refuses a table that is steeper than a machine can be.
-fn warn_of_steps(report: &mut Report, pitch: &Pitch) {
-    let tables = [Some(&pitch.forward_um), pitch.reverse_um.as_ref()].into_iter().flatten();
-    let steepest = tables
-        .flat_map(|um| um.windows(2).map(|pair| (pair[1] - pair[0]).abs() / pitch.step_mm))
-        .fold(0.0, f64::max);
-    if steepest > STEEPEST_UM_PER_MM {
-        report.warnings.push(format!(
-            "the table rises by {steepest:.1} um per mm, and the board takes at most \
-             {STEEPEST_UM_PER_MM}: are the units right?"
-        ));
     }
 }
 

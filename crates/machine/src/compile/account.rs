@@ -6,9 +6,6 @@ use crate::{file::Machine, location::BadInput};
 /// refused.
 pub const LARGEST_DIFFERENCE_NM: f64 = 2.0;
 
-/// The steepest slope of a table or a curve in µm per mm. Beyond it is no machine but a mistake.
-pub const STEEPEST_UM_PER_MM: f64 = 10.0;
-
 /// What was found out on the way: each part with its largest difference from the model.
 pub(super) struct Account<'m> {
     pub(super) machine: &'m Machine,
@@ -33,12 +30,4 @@ impl Account<'_> {
         self.parts.push((key.to_string(), difference_nm));
         Ok(table)
     }
-}
-
-/// The rule that a slope breaks.
-pub(super) fn too_steep(um_per_mm: f64, at_mm: f64) -> String {
-    format!(
-        "rises by {um_per_mm:.1} µm per mm at {at_mm} mm, more than {STEEPEST_UM_PER_MM}: are the \
-         units right?"
-    )
 }

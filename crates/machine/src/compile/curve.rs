@@ -22,7 +22,6 @@ use trueup_core::{
     units::{Fine, Position},
 };
 
-use super::account::{STEEPEST_UM_PER_MM, too_steep};
 use crate::{
     file::BSpline,
     stored::{FINE_PER_UM, UNITS_PER_MM, rounded, written},
@@ -277,10 +276,6 @@ pub(super) fn steepest(pieces: &[Piece<'_>]) -> (f64, f64) {
 /// A spline, and its largest difference from the model in nm.
 pub(super) fn compile_curve(spline: &BSpline) -> Result<(OwnedCurve, f64), String> {
     let pieces = pieces_of(spline)?;
-    let (slope, at) = steepest(&pieces);
-    if slope.abs() > STEEPEST_UM_PER_MM {
-        return Err(too_steep(slope, at));
-    }
     let curve = build(&pieces)?;
     let difference_nm = curve.largest_difference_nm;
     Ok((curve, difference_nm))

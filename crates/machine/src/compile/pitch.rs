@@ -6,7 +6,6 @@ use trueup_core::{
     units::Position,
 };
 
-use super::account::{STEEPEST_UM_PER_MM, too_steep};
 use crate::{
     file, model,
     stored::{FINE_PER_UM, NM_PER_UM, UNITS_PER_MM, rounded, rounded_unsigned, written},
@@ -47,15 +46,6 @@ pub(super) fn compile_pitch(pitch: &file::Pitch) -> Result<(PitchTables, f64), S
         });
         stored.collect::<Result<Vec<_>, _>>()
     };
-    for errors in [Some(&pitch.forward_um), pitch.reverse_um.as_ref()].into_iter().flatten() {
-        for (number, pair) in errors.windows(2).enumerate() {
-            let slope = (pair[1] - pair[0]) / pitch.step_mm;
-            if slope.abs() > STEEPEST_UM_PER_MM {
-                let at = pitch.start_mm + pitch.step_mm * number as f64;
-                return Err(too_steep(slope, at));
-            }
-        }
-    }
     let tables = PitchTables {
         start,
         step: Interval::new(step),

@@ -80,21 +80,35 @@ fn what_cannot_be_run_is_refused_with_its_place_and_the_rule() {
     };
     let cases = [
         (
-            "[axis.x.pitch]\nstart_mm = 5\nstep_mm = 10\nforward_um = [0, 0, 101]\n".to_string(),
+            "[axis.x.pitch]\nstart_mm = 5\nstep_mm = 10\nforward_um = [0, 0, 401]\n".to_string(),
             "4:9",
-            "axis.x.pitch rises by 10.1 µm per mm at 15 mm, more than 10",
+            "axis.x.pitch rises by 40.1 µm per mm at 15 mm, more than 40: at a slew of 20",
         ),
         (
             "[axis.x.pitch]\nstart_mm = 0\nstep_mm = 1\nforward_um = [0, 0]\n\
-             reverse_um = [0, -10.5]\n"
+             reverse_um = [0, -40.5]\n"
                 .to_string(),
             "4:9",
-            "axis.x.pitch rises by -10.5 µm per mm at 0 mm, more than 10",
+            "axis.x.pitch rises by -40.5 µm per mm at 0 mm, more than 40",
         ),
         (
-            curve("[0, 0, 10, 10]", "[0, 101]"),
+            curve("[0, 0, 10, 10]", "[0, 401]"),
             "4:15",
-            "straightness.z_of_x rises by 10.1 µm per mm at ",
+            "straightness.z_of_x rises by 40.1 µm per mm at ",
+        ),
+        (
+            "[[term]]\ncause = \"pitch-periodic\"\nquantity = \"dx\"\nperiod_mm = 5.94\namplitude_um = 38.45\n\
+             phase_deg = 0.0\n"
+                .to_string(),
+            "4:1",
+            "term[0] rises by 40.7 µm per mm at 0 mm, more than 40",
+        ),
+        (
+            "[limits]\nslew_um_per_s = 5\n[axis.x.pitch]\nstart_mm = 0\nstep_mm = 1\nforward_um = \
+             [0, 10.5]\n"
+                .to_string(),
+            "6:9",
+            "axis.x.pitch rises by 10.5 µm per mm at 0 mm, more than 10: at a slew of 5",
         ),
         (
             curve("[0, 0, 5, 5.000001, 10, 10]", "[0, 1, 1, 0]"),

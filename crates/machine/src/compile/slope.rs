@@ -1,0 +1,151 @@
+//! How steep a correction may be over the way of an axis: the same rule for tables, curves, waves and
+//! lines, whatever they come from.
+//!
+//! ```text
+//! |slope|  ≤  slew_um_per_s / 0.5 mm/s
+//! ```
+//!
+//! The offset changes by slope·feed, and the board lets it change by `limits.slew_um_per_s` at most. A
+//! correction that falls behind at the slowest feed already is never where it should be while the axis
+//! moves. With the slew of 20 µm/s that a machine file has if it says nothing that is 40 µm/mm: a
+//! twenty-fifth of the way itself, of which no screw or scale is capable, but a table in another unit, a
+//! broken instrument, and a wave between the targets are.
+
+use std::f64::consts::TAU;
+
+use super::curve::{pieces_of, steepest};
+use crate::{
+    effect::{Angle, Effect, OnBoard},
+    file::{BSpline, Limits, LinearAxis, Machine, Pitch},
+    location::BadInput,
+};
+
+/// The slowest feed at which a correction is followed, in mm/s: 30 mm/min, about the slowest that anything
+/// is finished at (a cutter of 1 mm: 2 teeth of 3 µm at 5000 r/min).
+pub const SLOWEST_FEED_MM_PER_S: f64 = 0.5;
+
+/// A slope over an axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Slope {
+    /// In µm per mm; positive: the error rises with the position.
+    pub um_per_mm: f64,
+    /// Where, in mm; 0 for what is as steep everywhere.
+    pub at_mm: f64,
+}
+
+impl Slope {
+    /// The steeper one, whatever their signs are.
+    fn or(self, other: Self) -> Self {
+        if other.um_per_mm.abs() > self.um_per_mm.abs() { other } else { self }
+    }
+}
+
+/// The steepest slope that a board with these limits follows, in µm per mm, above 0.
+///
+/// ```
+/// use trueup_machine::{compile::steepest_um_per_mm, file::Limits};
+/// assert_eq!(steepest_um_per_mm(&Limits::default()), 40.0);
+/// ```
+#[must_use]
+pub fn steepest_um_per_mm(limits: &Limits) -> f64 {
+    limits.slew_um_per_s / SLOWEST_FEED_MM_PER_S
+}
+
+/// The rule that a slope breaks on a board with these limits; none that it keeps.
+#[must_use]
+pub fn too_steep(slope: Slope, limits: &Limits) -> Option<String> {
+    let Slope { um_per_mm, at_mm } = slope;
+    let most = steepest_um_per_mm(limits);
+    (um_per_mm.abs() > most).then(|| {
+        format!(
+            "rises by {um_per_mm:.1} µm per mm at {at_mm} mm, more than {most}: at a slew of {} µm/s \
+             the board falls behind at 30 mm/min already; are the units right?",
+            limits.slew_um_per_s
+        )
+    })
+}
+
+/// The steepest slope of a table.
+#[must_use]
+pub fn of_table(pitch: &Pitch) -> Slope {
+    let tables = [Some(&pitch.forward_um), pitch.reverse_um.as_ref()].into_iter().flatten();
+    let slopes = tables.flat_map(|um| {
+        um.windows(2).enumerate().map(|(number, pair)| Slope {
+            um_per_mm: (pair[1] - pair[0]) / pitch.step_mm,
+            at_mm: pitch.start_mm + pitch.step_mm * number as f64,
+        })
+    });
+    slopes.fold(Slope::default(), Slope::or)
+}
+
+/// The steepest slope of a curve; none of one that the board cannot have at all.
+#[must_use]
+pub fn of_curve(spline: &BSpline) -> Slope {
+    let (um_per_mm, at_mm) = pieces_of(spline).map_or((0.0, 0.0), |pieces| steepest(&pieces));
+    Slope { um_per_mm, at_mm }
+}
+
+/// The steepest slope of a cause with its values over any axis, at a lever of 1 m where it tilts.
+#[must_use]
+pub fn of_effect(effect: &Effect) -> Slope {
+    effect.on_board().iter().map(of_form).fold(Slope::default(), Slope::or)
+}
+
+fn of_form(form: &OnBoard) -> Slope {
+    let even = |um_per_mm| Slope { um_per_mm, at_mm: 0.0 };
+    match form {
+        OnBoard::Table(pitch) => of_table(pitch),
+        OnBoard::Curve(_, spline) => of_curve(spline),
+        // Of a curve in µrad the value at a lever of 1 m is the same number in µm.
+        OnBoard::Tilt(tilt) => match &tilt.angle {
+            Angle::Line(urad_per_m) => even(urad_per_m / 1000.0),
+            Angle::Curve(spline) => of_curve(spline),
+        },
+        &OnBoard::Wave { period_mm, harmonic, amplitude_um, .. } => {
+            even(amplitude_um * TAU * f64::from(harmonic) / period_mm)
+        }
+        OnBoard::OwnPosition(um_per_m)
+        | OnBoard::Position { um_per_m, .. }
+        | OnBoard::Reversed { um_per_m, .. } => even(um_per_m / 1000.0),
+        OnBoard::Offset(_)
+        | OnBoard::Gain(_)
+        | OnBoard::Curvature(_)
+        | OnBoard::Saturation(_)
+        | OnBoard::Heat(_)
+        | OnBoard::Time { .. }
+        | OnBoard::Speed(_)
+        | OnBoard::Load(_)
+        | OnBoard::Thermal(_) => even(0.0),
+    }
+}
+
+/// Refuses the first part of `machine` that is too steep for its limits: what [`compile`](super::compile)
+/// does, also where the rest of the file is not yet complete.
+///
+/// # Errors
+/// One is; with the key and its place.
+pub fn check_slopes(machine: &Machine) -> Result<(), BadInput> {
+    let mut parts: Vec<(String, Slope)> = Vec::new();
+    for (axis, name) in machine.axes.iter().zip(LinearAxis::ALL) {
+        let tables = [
+            (axis.pitch.as_ref(), "pitch"),
+            (axis.dual.as_ref().map(|dual| &dual.pitch), "dual.pitch"),
+        ];
+        for (pitch, key) in tables {
+            parts.extend(pitch.map(|it| (format!("axis.{}.{key}", name.name()), of_table(it))));
+        }
+    }
+    let curves = machine.straightness.iter();
+    parts.extend(curves.map(|it| (format!("straightness.{}", it.name()), of_curve(&it.spline))));
+    let lines = machine.squareness.iter();
+    parts.extend(lines.map(|it| {
+        let slope = Slope { um_per_mm: it.um_per_m / 1000.0, at_mm: 0.0 };
+        (format!("squareness.{}", it.name()), slope)
+    }));
+    let terms = machine.terms.iter().enumerate();
+    parts.extend(terms.map(|(index, it)| (format!("term[{index}]"), of_effect(&it.effect))));
+    match parts.iter().find_map(|(key, it)| Some((key, too_steep(*it, &machine.limits)?))) {
+        Some((key, rule)) => Err(machine.places.bad(key, rule)),
+        None => Ok(()),
+    }
+}
