@@ -451,6 +451,7 @@ fn a_recording_is_a_log_of_every_frame_and_a_run_file() {
     let um = sensor.k0_um + (last("sensor_counts") - sensor.zero_counts) * sensor.um_per_count;
     assert!((um - last("offset_z_um")).abs() < 0.02, "{um}");
     assert!(last("x_mm").is_nan(), "no CNC is heard on this line");
+    assert_eq!(last("calibration_crc"), f64::from(identity(paper().blob())));
 
     // A recording is not written over.
     let (_, err) = record("1 --record here", 2);

@@ -12,8 +12,9 @@
 //! names, and where the board runs its law of the sensor, `sensor_counts` are what the law makes of the
 //! elongation on the wire. That is the sensor's alone: what a diagnosis has found, a drift with the
 //! sensor's temperature too, comes after it and is in the offsets only. So the counts are those that
-//! the sensor gave, averaged by the board. What `diagnose` needs besides is a measurement: a column
-//! `measured_…_um`.
+//! the sensor gave, averaged by the board. `calibration_crc` names the calibration that the bridge ran,
+//! as a decimal number. What `diagnose` needs besides is a measurement: a column `measured_…_um`, of
+//! what is left while the CNC follows the offsets; they are taken out of it again.
 
 mod cnc;
 
@@ -50,6 +51,8 @@ pub struct Recorder {
     offsets: OffsetReceiver,
     cnc: Cnc,
     board: Board,
+    /// The CRC of the running calibration, 0 for none; `None`: not known.
+    calibration: Option<u32>,
     next_row_ms: u64,
     frames: u64,
     rows: u64,
@@ -67,6 +70,8 @@ struct Columns {
     temperatures: Vec<(u8, String)>,
     /// The law that makes the elongation on the wire out of counts.
     sensor: Option<SensorModel>,
+    /// The names of the angles, in the order of the axes that carry the spindle.
+    angles: [String; 2],
 }
 
 impl Recorder {
@@ -100,10 +105,17 @@ impl Recorder {
             offsets: OffsetReceiver::new(),
             cnc: Cnc::default(),
             board: Board::default(),
+            calibration: None,
             next_row_ms: 0,
             frames: 0,
             rows: 0,
         })
+    }
+
+    /// From here on the bridge runs the calibration with this CRC; 0: it has none, `None`: it does not
+    /// say.
+    pub fn runs(&mut self, calibration: Option<u32>) {
+        self.calibration = calibration;
     }
 
     /// Takes a frame that was heard at this moment.
@@ -158,6 +170,7 @@ impl Recorder {
         cells.push((output.quality as u8).to_string());
         cells.push(output.flags.0.to_string());
         cells.push(output.age_ms.to_string());
+        cells.push(self.calibration.map(|crc| crc.to_string()).unwrap_or_default());
         let elongation_um = self.board.elongation_um();
         cells.push(match &self.columns.sensor {
             Some(sensor) => decimals(elongation_um.map(|um| sensor_counts(sensor, um)), 2),
@@ -178,12 +191,21 @@ impl Columns {
         let mut temperatures: Vec<_> =
             inputs.map(|(name, input)| (input.channel, name.clone())).collect();
         temperatures.sort();
-        Self { temperatures, sensor: machine.sensor_on_board().cloned() }
+        let mut angles = Self::numbered();
+        for (name, axis) in angles.iter_mut().zip(&machine.head_axes) {
+            *name = format!("{}_deg", axis.name());
+        }
+        Self { temperatures, sensor: machine.sensor_on_board().cloned(), angles }
     }
 
     fn unnamed() -> Self {
         let name = |channel| (channel, format!("temp_channel{channel}_c"));
-        Self { temperatures: (0..CHANNELS as u8).map(name).collect(), sensor: None }
+        let temperatures = (0..CHANNELS as u8).map(name).collect();
+        Self { temperatures, sensor: None, angles: Self::numbered() }
+    }
+
+    fn numbered() -> [String; 2] {
+        [1, 2].map(|number| format!("angle{number}_deg"))
     }
 
     fn header(&self) -> String {
@@ -197,11 +219,13 @@ impl Columns {
             "quality",
             "flags",
             "age_ms",
+            "calibration_crc",
             sensor,
         ]
         .into_iter()
         .chain(temperatures)
         .chain(cnc::COLUMNS)
+        .chain(self.angles.each_ref().map(String::as_str))
         .collect::<Vec<_>>()
         .join(",")
     }
@@ -334,7 +358,7 @@ mod tests {
     fn without_a_law_on_the_board_the_elongation_itself_is_written_down() {
         let column = |text: &str| {
             let machine = MachineFile::parse(text, Path::new("m.toml")).expect("right");
-            Columns::of(&machine).header().split(',').nth(7).map(str::to_owned)
+            Columns::of(&machine).header().split(',').nth(8).map(str::to_owned)
         };
         assert_eq!(column(DRIFTING).as_deref(), Some("sensor_counts"));
         // The board would tell 0 µm for ever.

@@ -9,6 +9,7 @@ use std::{
 use anyhow::{Result, bail};
 use serde_json::{Value, json};
 use trueup_client::{
+    object,
     port::Port,
     record::Recorder,
     session::Session,
@@ -17,6 +18,7 @@ use trueup_client::{
 };
 use trueup_core::cnc::Output;
 use trueup_link::{
+    frames::{self, State},
     receiver::{Counters, OffsetReceiver},
     slcan::Event,
 };
@@ -42,6 +44,9 @@ pub fn run(
         .transpose()?;
     let mut session = Session::open(&port)?;
     eprintln!("listening only: this command engages nothing");
+    if let Some(recorder) = &mut recorder {
+        recorder.runs(running_calibration(&mut session));
+    }
     let mut tally = Tally::default();
     let mut outcome = Outcome::Done;
     let mut silent_lines = 0;
@@ -54,6 +59,10 @@ pub fn run(
             tally.hear(&event);
             if let (Some(recorder), Event::Frame(frame)) = (&mut recorder, &event) {
                 recorder.hear(frame, SystemTime::now())?;
+                // It may have been given another one.
+                if frames::decode_heartbeat(frame) == Ok(State::BootUp) {
+                    recorder.runs(running_calibration(&mut session));
+                }
             }
         }
         if let Some(recorder) = &mut recorder {
@@ -85,6 +94,15 @@ pub fn run(
         eprintln!("{}", recorder.summary());
     }
     Ok(outcome)
+}
+
+/// The CRC of the calibration that the bridge runs; `None`, with a warning, where it does not say.
+fn running_calibration(session: &mut Session) -> Option<u32> {
+    let told = object::number(session, object::RUNNING_CRC);
+    told.inspect_err(|error| {
+        eprintln!("warning: {error}; in the recording calibration_crc is left empty");
+    })
+    .ok()
 }
 
 /// What was heard since the start, and since the last line.

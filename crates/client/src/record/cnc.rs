@@ -10,25 +10,16 @@ use super::decimals;
 
 /// What the CNC has said counts for so long, in ms of the bridge.
 const TIMEOUT_MS: u64 = 500;
-/// Its columns of a run file.
-pub const COLUMNS: [&str; 10] = [
-    "spindle_rpm",
-    "load_n",
-    "x_mm",
-    "y_mm",
-    "z_mm",
-    "dir_x",
-    "dir_y",
-    "dir_z",
-    "angle1_deg",
-    "angle2_deg",
-];
+/// Its columns of a run file; two angles come after them, whose names the machine file knows.
+pub const COLUMNS: [&str; 8] =
+    ["spindle_rpm", "load_n", "x_mm", "y_mm", "z_mm", "dir_x", "dir_y", "dir_z"];
+const CELLS: usize = COLUMNS.len() + 2;
 
 /// What the CNC has said, where it can be heard: the cells, and when.
 #[derive(Default)]
 pub struct Cnc {
     receiver: Receiver,
-    cells: [Option<(String, u64)>; COLUMNS.len()],
+    cells: [Option<(String, u64)>; CELLS],
 }
 
 impl Cnc {

@@ -1,0 +1,277 @@
+//! Records of a bridge in the closed loop with the virtual machine tool: the CNC adds what the board
+//! says, an instrument reads what is left, and `diagnose` and `fit` find the machine's own constants
+//! from such a record, whether the bridge was off, on, or switched on and off in the middle of it.
+//!
+//! The board's application runs in this process, on its calibration and through its frames. None of
+//! its laws here has a memory, so a row that stands for half a minute of the machine is held only until
+//! filter and slew have come to rest.
+
+use std::{fmt::Write as _, path::Path};
+
+use trueup_core::{
+    bridge::Input,
+    channels::RawTemperatures,
+    cnc::{AxisPosition, Control, Heading, LinearAxis, Output},
+    dimensions::CHANNELS,
+    thermometer::Raw,
+    units::Position,
+};
+use trueup_diagnose::diagnose;
+use trueup_emulator::{front_end::FrontEnd, replay};
+use trueup_fit::{elongation, thermal};
+use trueup_link::{frames, receiver::OffsetReceiver};
+use trueup_machine::{
+    Machine, MachineFile, RunFile, applied, compile, file::Quantity, inputs::TemperatureKind,
+};
+use trueup_node::node::Node;
+use trueup_twin::{
+    Scenario,
+    machine::{Command, Machine as Truth},
+};
+
+/// Of the machine file: the counts at 10 V go to 0.33 of the ADC's range.
+const DIVIDER: f64 = 0.33;
+/// How long the board sees a row, in ms.
+const HELD_MS: u32 = 800;
+/// From one row to the next in the life of the machine, in s.
+const ROW_S: f64 = 30.0;
+const ROWS: usize = 240;
+const LINEAR: TemperatureKind =
+    TemperatureKind::Linear { zero_counts: 4000.0, counts_per_c: 256.0 };
+
+/// When the CNC engages the bridge.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Engaged {
+    Never,
+    Always,
+    InTheMiddle,
+}
+
+impl Engaged {
+    fn at(self, row: usize) -> bool {
+        match self {
+            Self::Never => false,
+            Self::Always => true,
+            Self::InTheMiddle => (ROWS / 3..2 * ROWS / 3).contains(&row),
+        }
+    }
+}
+
+/// A spindle whose tip is where its sensor is, but the sensor shows 0.8 of it: the true gain is 1.25.
+const SPINDLE: &str = "name = \"spindle\"\nmeasure = [\"elongation\"]\n\
+    [spindle]\nholder_length_m = 0.0\nhousing_length_m = 0.0\nstiffness_n_per_um = 0.0\n\
+    [sensor]\ngain = 0.8\nnoise_um = 0.03\n\
+    [thermometer.front]\nat = \"front\"\nnoise_c = 0.02\n\
+    [[segment]]\nkind = \"spindle\"\nduration_s = 60.0\n";
+const SPINDLE_BELIEVED: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n\
+    [inputs]\nsensor = { volts_full_scale = 10.0, counts_full_scale = 32768, divider = 0.33 }\n\
+    [spindle]\nsource = \"sensor\"\n\
+    [spindle.sensor]\nk0_um = 0.0\nzero_counts = 5048.0\num_per_count = 0.0152587890625\n\
+    [limits]\nmax_um = { x = 5000, y = 5000, z = 5000 }\nslew_um_per_s = 100000\n";
+
+/// An axis whose screw expands by 1.25 times what is believed.
+const AXIS: &str = "name = \"axis\"\nmeasure = [\"dx\"]\nstart_mm = [100.0, 0.0, 0.0]\n\
+    [thermometer.screw]\nat = \"screw_x\"\nnoise_c = 0.01\n\
+    [axis.x]\nscrew_um_per_m_per_c = 12.5\nscrew_heating_c = 0.6\n\
+    [[segment]]\nkind = \"positions\"\naxis = \"x\"\nrange_mm = [0.0, 900.0]\ntargets = 3\ncycles = 1\nfeed_mm_per_min = 6000.0\n";
+const AXIS_BELIEVED: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n\
+    [inputs]\ntemp_screw_c = { channel = 0, kind = \"linear\", zero_counts = 4000, counts_per_c = 256 }\n\
+    [axis.x.thermal]\nmode = \"position\"\nsensor = \"temp_screw_c\"\nreference_c = 20.0\n\
+    slope_um_per_m_per_c = 10.0\norigin_mm = 0.0\n\
+    [limits]\nmax_um = { x = 5000, y = 5000, z = 5000 }\nslew_um_per_s = 100000\n";
+
+fn machine(text: &str) -> Machine {
+    MachineFile::parse(text, Path::new("m.toml")).expect("right")
+}
+
+/// The board's application, with the CNC that it talks to.
+struct Loop<'a> {
+    node: Node<'a>,
+    front_end: FrontEnd,
+    offsets: OffsetReceiver,
+    last: Output,
+    ms: u32,
+    counter: u8,
+}
+
+impl<'a> Loop<'a> {
+    fn new(node: Node<'a>) -> Self {
+        Self {
+            node,
+            front_end: FrontEnd::new(DIVIDER, 1),
+            offsets: OffsetReceiver::new(),
+            last: Output::default(),
+            ms: 0,
+            counter: 0,
+        }
+    }
+
+    /// Holds this on the board's inputs; what it says in the end.
+    fn hold(&mut self, volts: f64, screw_c: f64, x_mm: f64, engage: bool) -> Output {
+        let mut temperatures: RawTemperatures = [Raw::NONE; CHANNELS];
+        temperatures[0] = replay::raw(LINEAR, screw_c);
+        for _ in 0..HELD_MS {
+            if self.ms.is_multiple_of(20) {
+                let control = Control { engage, referenced: true, zero: false };
+                let at = AxisPosition {
+                    axis: LinearAxis::X,
+                    position: Position((x_mm * f64::from(Position::PER_MILLIMETRE)).round() as i32),
+                    direction: Heading::Positive,
+                };
+                for frame in
+                    [frames::control(control, self.counter), frames::position(at, self.counter)]
+                {
+                    self.node.hear(&frame).expect("in order");
+                }
+                self.counter = self.counter.wrapping_add(1);
+            }
+            self.ms += 1;
+            let codes = self.front_end.block(|_| volts);
+            let input =
+                Input { codes: Some(&codes), speed: None, temperatures: Some(&temperatures) };
+            for frame in self.node.tick(1, input) {
+                self.last = self.offsets.accept(&frame).expect("whole").unwrap_or(self.last);
+            }
+        }
+        self.last
+    }
+}
+
+/// The record of a machine that the bridge corrects with what is believed: what the monitor writes, and
+/// beside it what an instrument reads, 0.1 µm good.
+fn record(truth: &str, believed: &str, engaged: Engaged, is_axis: bool) -> RunFile {
+    let compiled = compile(&machine(believed)).expect("it fits the board");
+    let mut board = Loop::new(Node::new(Some(compiled.calibration()), false));
+    let scenario = Scenario::parse(truth, Path::new("s.toml")).expect("right");
+    let mut truth = Truth::new(&scenario, 3);
+    let name = if is_axis { "measured_dx_um" } else { "measured_elongation_um" };
+    let sensor = if is_axis { "temp_screw_c" } else { "sensor_counts" };
+    let mut text = format!(
+        "time_s,x_mm,dir_x,offset_x_um,offset_y_um,offset_z_um,quality,calibration_crc,{sensor},{name}\n"
+    );
+    for row in 0..ROWS {
+        let cell = |column: usize| [-0.11, 0.07, 0.02, 0.13, -0.05, -0.09, 0.04][column % 7];
+        // Heated for two thirds of the time, by speed or by travel.
+        let works = row % 90 < 60;
+        let x_mm = [100.0, 500.0, 900.0, 300.0, 700.0][row % 5];
+        for step in 0..30 {
+            let on_way = if works && step % 2 == 0 { 900.0 - x_mm } else { x_mm };
+            let x_mm = if step == 29 { x_mm } else { on_way };
+            let spindle_rpm = if works { 18_000.0 } else { 0.0 };
+            let position_mm = [x_mm, 0.0, 0.0];
+            truth.step(ROW_S / 30.0, &Command { position_mm, spindle_rpm, ..Command::default() });
+        }
+        let volts = truth.sensor_volts().unwrap_or(0.0);
+        let screw_c = truth.temperatures_c()[0].1;
+        let said = board.hold(volts, screw_c, x_mm, engaged.at(row));
+        let offset_um = said.offset.map(|all| all.map(|nm| f64::from(nm.0) / 1000.0));
+        // The CNC moves the tool by what the bridge says; without a word it stays where it is.
+        let moved_um = offset_um.unwrap_or_default();
+        let left_um = if is_axis {
+            truth.tip_error_um()[0] + moved_um[0]
+        } else {
+            // The tool points down: a lift takes away what the instrument sees of the growth.
+            truth.elongation_um() - moved_um[2]
+        };
+        let offset =
+            |axis: usize| offset_um.map_or(String::new(), |all| format!("{:.3}", all[axis]));
+        writeln!(
+            text,
+            "{},{x_mm},1,{},{},{},{},{},{:.4},{:.3}",
+            ROW_S * row as f64,
+            offset(0),
+            offset(1),
+            offset(2),
+            said.quality as u8,
+            compiled.crc(),
+            if is_axis { screw_c } else { volts * 3276.8 },
+            left_um + cell(row),
+        )
+        .expect("a string grows");
+    }
+    RunFile::from_reader(text.as_bytes(), Path::new("bridge.csv")).expect("a run file")
+}
+
+/// A value with its interval.
+type Known = (f64, [f64; 2]);
+
+/// Each record gives the constant within its interval, and all of them the same within theirs.
+fn agree(what: &str, truth: f64, all: &[(Engaged, Known)]) {
+    for (engaged, (value, ci95)) in all {
+        println!("{what}, {engaged:?}: {value:.5} ({:.5}…{:.5})", ci95[0], ci95[1]);
+        let half = (ci95[1] - ci95[0]) / 2.0;
+        assert!(half < 0.02 * truth, "{what}, {engaged:?}: {half} is no interval");
+        // What the board rounds, and the sensor's last digit, are in no interval.
+        assert!((value - truth).abs() < half + 0.002 * truth, "{what}, {engaged:?}: {value}");
+        for (_, (_, other)) in all {
+            assert!(ci95[0] <= other[1] && other[0] <= ci95[1], "{what}: {ci95:?} and {other:?}");
+        }
+    }
+}
+
+fn found(believed: &str, run: &RunFile, cause: &str, parameter: &str) -> Known {
+    let machine = machine(believed);
+    let report = diagnose(&machine, std::slice::from_ref(run), &[], None, &mut |_, _| {})
+        .expect("comparable")
+        .report;
+    let all: Vec<_> = report.findings.iter().map(|it| (&it.cause, &it.column)).collect();
+    println!("{:?} {all:?} {:?}", report.verdict, report.notes);
+    let finding = report.findings.iter().find(|it| it.cause == cause);
+    let finding = finding.unwrap_or_else(|| panic!("no {cause} in {all:?}"));
+    assert!(finding.claimed, "{cause} is not claimed");
+    assert!(
+        all.iter().all(|(_, column)| column.as_ref().is_none_or(|it| it.starts_with("temp_"))),
+        "what the bridge says of itself explains nothing: {all:?}"
+    );
+    let it = &finding.parameters[parameter];
+    let number = |value: &serde_json::Value| value.as_f64().expect("a number");
+    (number(&it["value"]), [number(&it["ci95"][0]), number(&it["ci95"][1])])
+}
+
+const ALL: [Engaged; 3] = [Engaged::Never, Engaged::Always, Engaged::InTheMiddle];
+
+#[test]
+fn a_spindles_gain_is_the_same_with_the_bridge_off_on_and_switched() {
+    let records = ALL.map(|it| (it, record(SPINDLE, SPINDLE_BELIEVED, it, false)));
+    let gains = records
+        .each_ref()
+        .map(|(engaged, run)| (*engaged, found(SPINDLE_BELIEVED, run, "sensor-gain", "gain")));
+    agree("gain", 1.25, &gains);
+    let fitted = records.each_ref().map(|(engaged, run)| {
+        let machine = machine(SPINDLE_BELIEVED);
+        let (run, _) =
+            applied::taken_out(run, Some(&machine), Some(Quantity::Elongation)).expect("a record");
+        let report =
+            elongation::fit(&[run.into_owned()], Some(&machine), &elongation::Options::default())
+                .expect("it can be fitted");
+        let it = report.parameter("um_per_count").expect("fitted");
+        (*engaged, (it.value, it.ci95.expect("fitted")))
+    });
+    agree("um_per_count", 1.25 * 500.0 / 32768.0, &fitted);
+    // The bridge was engaged where the test says so.
+    let qualities = records.each_ref().map(|(_, run)| run.column("quality").expect("written"));
+    assert!(qualities[0].iter().all(|it| *it == 0.0));
+    assert!(qualities[1].iter().skip(1).all(|it| *it == 1.0), "{:?}", qualities[1]);
+    assert!([0.0, 1.0].iter().all(|it| qualities[2].contains(it)));
+}
+
+#[test]
+fn an_axiss_expansion_is_the_same_with_the_bridge_off_on_and_switched() {
+    let records = ALL.map(|it| (it, record(AXIS, AXIS_BELIEVED, it, true)));
+    let slopes = records.each_ref().map(|(engaged, run)| {
+        (*engaged, found(AXIS_BELIEVED, run, "expansion-slope", "um_per_m_per_c"))
+    });
+    agree("slope", 12.5, &slopes);
+    let fitted = records.each_ref().map(|(engaged, run)| {
+        let machine = machine(AXIS_BELIEVED);
+        let (run, _) =
+            applied::taken_out(run, Some(&machine), Some(Quantity::Dx)).expect("a record");
+        let axis = trueup_machine::file::LinearAxis::X;
+        let report =
+            thermal::fit(&[run.into_owned()], axis, Some(&machine), &thermal::Options::default())
+                .expect("it can be fitted");
+        let it = report.parameter("slope_um_per_m_per_c").expect("fitted");
+        (*engaged, (it.value, it.ci95.expect("fitted")))
+    });
+    agree("fitted slope", 12.5, &fitted);
+}
