@@ -1,11 +1,14 @@
 //! Machines with physical faults are named for what they are. The whole is `scorecard physical`; here
-//! is what it rests on.
+//! is what it rests on, and a few draws.
 
+#[path = "score/key.rs"]
+mod key;
 #[path = "score/physical.rs"]
-mod truth;
+mod machines;
 
+use machines::Case;
 use trueup_machine::effect::Cause;
-use trueup_twin::physical::Fault;
+use trueup_twin::physical::{Fault, Kind};
 
 const DOCUMENT: &str = include_str!("../../../docs/physical-faults.md");
 
@@ -13,10 +16,49 @@ const DOCUMENT: &str = include_str!("../../../docs/physical-faults.md");
 fn every_fault_has_one_cause_or_two_and_the_document_says_the_same() {
     let is_cause = |name: &&str| Cause::ALL.iter().any(|cause| cause.name() == *name);
     for &fault in Fault::ALL {
-        let causes = truth::causes(fault);
+        let causes = machines::causes(fault);
         assert!((1..=2).contains(&causes.len()), "{}", fault.name());
         assert!(causes.iter().all(is_cause), "{causes:?}");
         let row = format!("| `{}` | `{}` |", fault.name(), causes.join("`, `"));
         assert!(DOCUMENT.contains(&row), "docs/physical-faults.md lacks: {row}");
+        assert!(Kind::ALL.iter().any(|kind| kind.faults().contains(&fault)), "{}", fault.name());
     }
+}
+
+/// The file of a healthy machine predicts it: what is left is the gauge's noise, and a little of the
+/// sensors'.
+#[test]
+fn a_machine_without_a_fault_is_what_its_file_says() {
+    for seed in 0..12 {
+        let case = Case::healthy(seed);
+        let (kind, noise_um, gauge_um) = (case.plant.kind, case.noise_um, case.plant.gauge_um);
+        let share = noise_um / gauge_um;
+        assert!((0.9..1.3).contains(&share), "{} {seed}: {noise_um} of {gauge_um}", kind.name());
+    }
+}
+
+#[test]
+fn every_fault_that_is_drawn_is_three_times_the_noise() {
+    for seed in 0..10 {
+        let case = Case::draw(seed);
+        assert_eq!(case.faults.len() as u64, 1 + seed % 5);
+        for drawn in &case.faults {
+            let is_so = (machines::LEAST_RATIO..11.0).contains(&drawn.ratio);
+            assert!(is_so, "{seed}: {} {} {}", drawn.fault.name(), drawn.size, drawn.ratio);
+        }
+    }
+}
+
+/// One fault alone is named, nothing else is, and the second day is no worse: a machine of each kind.
+#[test]
+fn a_fault_alone_is_named_and_nothing_else_is() {
+    let mut kinds = std::collections::BTreeSet::new();
+    for seed in (0..60).step_by(5) {
+        let case = Case::draw(seed);
+        if kinds.insert(case.plant.kind) {
+            let judged = case.judged();
+            assert!(judged.told.is_right() && !judged.is_harmed(), "seed {seed}: {judged}");
+        }
+    }
+    assert!(kinds.len() >= 5, "{kinds:?}");
 }

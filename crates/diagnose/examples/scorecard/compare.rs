@@ -25,13 +25,20 @@ const LEVEL: f64 = 0.01;
 
 /// What one draw was worth.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Draw {
+pub struct Draw {
     is_right: bool,
     is_wrong: bool,
     /// True values inside their intervals, and how many intervals there were.
     within: (usize, usize),
     /// Share of the possible gain on the hold-out; NaN: none to be had, or not all claimed.
     gain: f64,
+}
+
+impl Draw {
+    /// Right or not, with a wrong name or not, and its gain; no intervals.
+    pub fn without_intervals(is_right: bool, is_wrong: bool, gain: f64) -> Self {
+        Self { is_right, is_wrong, within: (0, 0), gain }
+    }
 }
 
 /// A card draw by draw: by ratio and what is hidden, then by seed.
@@ -56,6 +63,11 @@ impl Draws {
             };
             cell.insert(seed, draw);
         }
+    }
+
+    /// Adds `draw` of `seed` to the cell of a tier (in the ratio's place) and a name.
+    pub fn insert(&mut self, tier: &str, name: &str, seed: u64, draw: Draw) {
+        self.cells.entry((tier.into(), name.into())).or_default().insert(seed, draw);
     }
 
     /// One line a draw, tabs between.

@@ -6,21 +6,33 @@
 //!     [--ratios 3,1,10] [--seeds 20] [--few 20] [--clean 150] [--first 0] [--out docs/scorecard.md] \
 //!     [--each] [--tsv FILE] [cause…|pairs|first+second]
 //! … scorecard -- second [--seeds 10] [--first 0] [--each] [known+new…|known…]
+//! … scorecard -- scenarios [--seeds 50] [--first 0] [--each] [--tsv FILE] [name…]
+//! … scorecard -- physical [--seeds 300] [--first 0] [--each] [--tsv FILE] [faults|healthy]
 //! … scorecard -- compare BEFORE AFTER
 //! ```
 //!
 //! `--seeds` counts at ratio 3, `--few` at the others, `--clean` for noise alone. `--each` prints every
 //! answer, `--tsv` writes a line for each. The files are written anew after each row. `second` asks
-//! what is named where the machine file has a cause already ([`mod@second`]), `compare` what has
-//! become better or worse between two cards, draw by draw ([`compare`]).
+//! what is named where the machine file has a cause already ([`mod@second`]), `scenarios` what is said of
+//! the shipped ones ([`scenarios`]), `physical` of machines with physical faults ([`mod@physical`]), `compare` what has become better or worse between two cards, draw by
+//! draw ([`compare`]).
 
 mod card;
 mod compare;
+#[path = "../../tests/score/key.rs"]
+mod key;
 #[path = "../../tests/score/second.rs"]
 mod known;
+#[path = "../../tests/score/physical.rs"]
+mod machines;
+mod options;
+mod physical;
+mod scenarios;
 #[path = "../../tests/score/mod.rs"]
 mod score;
 mod second;
+#[path = "../../tests/score/shipped.rs"]
+mod shipped;
 
 use std::{env, fs, path::PathBuf, process::ExitCode, thread};
 
@@ -75,10 +87,13 @@ fn asked(words: &[String]) -> Option<Asked> {
     Some(it)
 }
 
-/// The answers to `seeds`, in their order, on all cores.
-fn row(seeds: std::ops::Range<u64>, of: &(dyn Fn(u64) -> Score + Sync)) -> Row {
+/// What `of` makes of each of `seeds`, in their order, on all cores.
+fn spread_over_cores<T: Send>(
+    seeds: std::ops::Range<u64>,
+    of: &(dyn Fn(u64) -> T + Sync),
+) -> Vec<T> {
     let cores = thread::available_parallelism().map_or(1, usize::from) as u64;
-    let mut scores: Vec<(u64, Score)> = thread::scope(|scope| {
+    let mut answers: Vec<(u64, T)> = thread::scope(|scope| {
         let workers: Vec<_> = (0..cores)
             .map(|core| {
                 let own = seeds.clone().filter(move |seed| seed % cores == core);
@@ -90,14 +105,21 @@ fn row(seeds: std::ops::Range<u64>, of: &(dyn Fn(u64) -> Score + Sync)) -> Row {
             .flat_map(|worker| worker.join().expect("a diagnosis does not panic"))
             .collect()
     });
-    scores.sort_by_key(|(seed, _)| *seed);
-    Row { scores: scores.into_iter().map(|(_, score)| score).collect() }
+    answers.sort_by_key(|(seed, _)| *seed);
+    answers.into_iter().map(|(_, answer)| answer).collect()
+}
+
+/// The answers to `seeds`, in their order.
+fn row(seeds: std::ops::Range<u64>, of: &(dyn Fn(u64) -> Score + Sync)) -> Row {
+    Row { scores: spread_over_cores(seeds, of) }
 }
 
 fn main() -> ExitCode {
     let words: Vec<String> = env::args().skip(1).collect();
     match words.first().map(String::as_str) {
         Some("second") => return second::run(&words[1..]),
+        Some("physical") => return physical::run(&words[1..]),
+        Some("scenarios") => return scenarios::run(&words[1..]),
         Some("compare") => return compare::run(&words[1..]),
         _ => {}
     }

@@ -1,6 +1,17 @@
-//! Which causes are the right names of a physical fault; `docs/physical-faults.md` says why.
+//! Machines with physical faults, drawn so that each fault is seen; which causes name them, and what
+//! an answer is worth on another day. `docs/physical-faults.md` says why.
 
-use trueup_twin::physical::Fault;
+use std::{fmt, path::Path};
+
+use trueup_diagnose::diagnose;
+use trueup_machine::{MachineFile, RunFile, predict::Predictor};
+use trueup_twin::{
+    noise::{Stream, rms},
+    physical::{Fault, Kind, Plant},
+    simulate,
+};
+
+use crate::key::{Key, Told, True};
 
 /// The causes that may be named for `fault`: one or two, by physics. They were written down before the
 /// first diagnosis of such a machine, and are not changed to fit a result.
@@ -19,5 +30,210 @@ pub fn causes(fault: Fault) -> &'static [&'static str] {
         Fault::Wear => &["backlash", "position-dependent-backlash"],
         Fault::MisplacedThermometer => &["thermal-lag"],
         Fault::GaugeDrift => &["drift"],
+    }
+}
+
+/// No fault is smaller, in RMS of the noise.
+pub const LEAST_RATIO: f64 = 3.0;
+/// Faults are drawn from a little above that to so many times the noise.
+const RATIOS: [f64; 2] = [1.1 * LEAST_RATIO, 10.0];
+/// A fault that must be larger to be seen is none of this machine: a room that swings by more than
+/// this, in K, is no room.
+const LARGEST_SIZE: f64 = 8.0;
+/// On another day the answer must not leave more than so many times what the file leaves: the rule of
+/// the answer for a hold-out.
+pub const HARM: f64 = 1.05;
+
+/// A fault that is drawn.
+#[derive(Clone, Debug)]
+pub struct Drawn {
+    pub fault: Fault,
+    /// How much of it ([`Fault`]).
+    pub size: f64,
+    /// The record with it minus that without it, in µm.
+    pub um: Vec<f64>,
+    /// RMS of that over that of the noise.
+    pub ratio: f64,
+}
+
+/// A machine with faults.
+pub struct Case {
+    pub plant: Plant,
+    pub faults: Vec<Drawn>,
+    /// RMS in µm of what the healthy machine's file leaves of the healthy machine.
+    pub noise_um: f64,
+}
+
+impl Case {
+    /// The machine of `seed` with 1 to 5 faults.
+    pub fn draw(seed: u64) -> Self {
+        let mut stream = Stream::new(seed, "physical faults");
+        let count = 1 + (seed % 5) as usize;
+        let kinds: Vec<Kind> =
+            Kind::ALL.into_iter().filter(|kind| kind.faults().len() >= count).collect();
+        let mut case = Self::healthy_of(stream.pick(&kinds), seed);
+        let mut left = case.plant.kind.faults().to_vec();
+        while case.faults.len() < count && !left.is_empty() {
+            let fault = left.swap_remove(stream.whole(0, left.len() - 1));
+            let target = stream.log_uniform(RATIOS[0], RATIOS[1]);
+            case.faults.extend(case.sized(fault, target));
+        }
+        case
+    }
+
+    /// The machine of `seed` without a fault.
+    pub fn healthy(seed: u64) -> Self {
+        Self::healthy_of(Kind::ALL[(seed % Kind::ALL.len() as u64) as usize], seed)
+    }
+
+    fn healthy_of(kind: Kind, seed: u64) -> Self {
+        let mut case = Self { plant: Plant::draw(kind, seed), faults: Vec::new(), noise_um: 0.0 };
+        case.noise_um = rms(&case.left(&case.plant.machine, &case.record(0), true));
+        case
+    }
+
+    /// `fault` at a size at which the record differs by `target` times the noise from that of the
+    /// machine without it. `None` where this machine does not show it.
+    fn sized(&self, fault: Fault, target: f64) -> Option<Drawn> {
+        let mut drawn = self.at(fault, 1.0);
+        for _ in 0..8 {
+            if (drawn.ratio / target - 1.0).abs() < 0.05 {
+                break;
+            }
+            // What a fault does is nearly in proportion to its size.
+            drawn = self.at(fault, (drawn.size * target / drawn.ratio).min(2.0 * LARGEST_SIZE));
+        }
+        (drawn.size <= LARGEST_SIZE && drawn.ratio >= LEAST_RATIO).then_some(drawn)
+    }
+
+    fn at(&self, fault: Fault, size: f64) -> Drawn {
+        let seed = self.plant.seed_of_day(0);
+        let with = simulate(&self.plant.day(0, &[(fault, size)]), seed, || {}).to_csv();
+        let without = simulate(&self.plant.day_without(0, fault, size), seed, || {}).to_csv();
+        let [with, without] = [with, without].map(|csv| self.left(&self.plant.machine, &csv, true));
+        let um: Vec<f64> = with.iter().zip(without).map(|(with, other)| with - other).collect();
+        Drawn { fault, size, ratio: rms(&um) / self.noise_um, um }
+    }
+
+    /// RMS over that of the noise of what a fault does and no mixture of the others, and a constant,
+    /// could do: by how much it can be told.
+    fn own_ratio(&self, of: usize) -> f64 {
+        let mut basis: Vec<Vec<f64>> = vec![vec![1.0; self.faults[of].um.len()]];
+        let others = self.faults.iter().enumerate().filter(|(number, _)| *number != of);
+        for (_, other) in others {
+            basis.push(beside(&other.um, &basis));
+        }
+        rms(&beside(&self.faults[of].um, &basis)) / self.noise_um
+    }
+
+    /// The record of a day, as a run file.
+    pub fn record(&self, day: u64) -> String {
+        let faults: Vec<(Fault, f64)> =
+            self.faults.iter().map(|drawn| (drawn.fault, drawn.size)).collect();
+        simulate(&self.plant.day(day, &faults), self.plant.seed_of_day(day), || {}).to_csv()
+    }
+
+    /// Measured minus predicted by the file `machine`, row by row, in µm; the zero of an axis's gauge
+    /// is set anew each day and does not count. `all`: with the terms that only explain.
+    fn left(&self, machine: &str, csv: &str, all: bool) -> Vec<f64> {
+        let machine = MachineFile::parse(machine, Path::new("machine.toml"))
+            .unwrap_or_else(|bad| panic!("{bad}\n{machine}"));
+        let run = RunFile::from_reader(csv.as_bytes(), Path::new("run.csv")).expect("a run file");
+        let predictor = Predictor::new(&machine, &run).expect("all that it needs is there");
+        let quantity = if self.plant.quantity == "elongation" { 0 } else { 1 };
+        let column = format!("measured_{}_um", self.plant.quantity);
+        let measured = run.column(&column).expect("the twin measures it");
+        let rows = predictor.rows().zip(measured).map(|(row, measured)| {
+            let values = if all { row.model } else { row.compensated };
+            measured - values.all()[quantity]
+        });
+        let left: Vec<f64> = rows.filter(|left| !left.is_nan()).collect();
+        let mean = left.iter().sum::<f64>() / left.len() as f64;
+        let zero = if self.plant.quantity == "elongation" { 0.0 } else { mean };
+        left.into_iter().map(|it| it - zero).collect()
+    }
+
+    /// What is right to say.
+    pub fn key(&self) -> Key {
+        let needed: Vec<&[&str]> = self.faults.iter().map(|drawn| causes(drawn.fault)).collect();
+        Key { allowed: needed.concat().into_iter().map(True::named).collect(), needed }
+    }
+
+    /// What `trueup diagnose` says of the first day, and what that is worth on the second.
+    pub fn judged(&self) -> Judged {
+        let path = Path::new("machine.toml");
+        let machine =
+            MachineFile::parse(&self.plant.machine, path).expect("the twin writes machine files");
+        let run = RunFile::from_reader(self.record(0).as_bytes(), Path::new("run.csv"))
+            .expect("the twin writes run files");
+        let diagnosis = diagnose(&machine, &[run], &[], None, &mut |_, _| {})
+            .expect("the record can be compared");
+        let extended = diagnosis.extended(&self.plant.machine, path).expect("a machine file");
+        let second = self.record(1);
+        Judged {
+            kind: self.plant.kind,
+            faults: (0..self.faults.len())
+                .map(|it| (self.faults[it].fault, self.faults[it].ratio, self.own_ratio(it)))
+                .collect(),
+            told: self.key().of(&diagnosis.report),
+            before_um: rms(&self.left(&self.plant.machine, &second, false)),
+            after_um: rms(&self.left(&extended, &second, false)),
+        }
+    }
+}
+
+/// What is left of `um` beside columns that are at right angles to each other.
+fn beside(um: &[f64], basis: &[Vec<f64>]) -> Vec<f64> {
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let mut left = um.to_vec();
+    for column in basis {
+        let share = dot(&left, column) / dot(column, column);
+        left.iter_mut().zip(column).for_each(|(left, it)| *left -= share * it);
+    }
+    left
+}
+
+/// An answer and what it was worth.
+pub struct Judged {
+    pub kind: Kind,
+    /// Each with its RMS over that of the noise, whole and without what others could do as well.
+    pub faults: Vec<(Fault, f64, f64)>,
+    pub told: Told,
+    /// RMS on the second day with the file as it was, in µm.
+    pub before_um: f64,
+    /// The same with what the answer corrects.
+    pub after_um: f64,
+}
+
+impl Judged {
+    /// Whether each fault does as much as the noise that no mixture of the others could do: where two
+    /// move the tool in the same way, nobody can tell them by this record.
+    pub fn can_be_told(&self) -> bool {
+        self.faults.iter().all(|(.., own)| *own >= 1.0)
+    }
+
+    /// Whether the second day is worse than with the file as it was.
+    pub fn is_harmed(&self) -> bool {
+        self.after_um > HARM * self.before_um
+    }
+}
+
+impl fmt::Display for Judged {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let faults = self
+            .faults
+            .iter()
+            .map(|(fault, ratio, own)| format!("{} {ratio:.1}/{own:.1}", fault.name()));
+        write!(
+            f,
+            "{} [{}]{}: {}, second day {:.2} -> {:.2} µm{}",
+            self.kind.name(),
+            faults.collect::<Vec<String>>().join(", "),
+            if self.can_be_told() { "" } else { " that go together" },
+            self.told,
+            self.before_um,
+            self.after_um,
+            if self.is_harmed() { " HARM" } else { "" }
+        )
     }
 }

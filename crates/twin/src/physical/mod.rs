@@ -1,11 +1,22 @@
 //! Machines with physical faults: no fault is written in the terms of a diagnosis.
 //!
+//! ```text
+//! Plant (a machine, drawn) ─► .machine: the file of its user, who believes it healthy
+//!      │
+//!      └─ .day(number, &[(Fault, size)]) ─► Scenario ─► simulate ─► a run file
+//! ```
+//!
 //! A fault is a change of what the virtual machine tool is: a conductance, a length, a stiffness, the
 //! place of a thermometer. What it does to the record follows from the physics of [`crate::spindle`],
-//! [`crate::axes`] and [`crate::sensors`], together with all other faults of that machine. Which cause a
-//! diagnosis has to name for it is said elsewhere, in `docs/physical-faults.md`; nothing here knows
-//! the causes.
+//! [`crate::axes`] and [`crate::sensors`], together with all other faults of that machine. Without a
+//! fault the machine file predicts every row but for the noise of gauge and sensors. Which cause a
+//! diagnosis has to name for a fault is said elsewhere, in `docs/physical-faults.md`; nothing here
+//! knows the causes.
 
+mod axis;
 mod fault;
+mod plant;
+mod spindle;
 
 pub use fault::Fault;
+pub use plant::{Kind, Plant};

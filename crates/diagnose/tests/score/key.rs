@@ -1,0 +1,110 @@
+//! The key to a record whose causes are known by physics: what may be claimed, what must be named.
+
+use std::fmt;
+
+use trueup_diagnose::{Report, Verdict, report::Finding};
+
+/// A cause that is true.
+#[derive(Clone, Copy, Debug)]
+pub struct True {
+    pub cause: &'static str,
+    /// A parameter and its true value, where the name alone would not do: it has to be inside the
+    /// interval.
+    pub inside: Option<(&'static str, f64)>,
+}
+
+impl True {
+    /// True by its name.
+    pub const fn named(cause: &'static str) -> Self {
+        Self { cause, inside: None }
+    }
+
+    fn is(&self, finding: &Finding) -> bool {
+        let holds = |(name, value): (&str, f64)| {
+            let ci95 = finding.parameters.get(name).map(|it| &it["ci95"]);
+            let bound = |index: usize| ci95.and_then(|ci95| ci95.get(index)?.as_f64());
+            matches!((bound(0), bound(1)), (Some(low), Some(high)) if (low..=high).contains(&value))
+        };
+        self.cause == finding.cause && self.inside.is_none_or(holds)
+    }
+}
+
+/// What is right.
+#[derive(Clone, Debug, Default)]
+pub struct Key {
+    /// All that may be claimed.
+    pub allowed: Vec<True>,
+    /// Of each list one has to be named, claimed or not.
+    pub needed: Vec<&'static [&'static str]>,
+}
+
+/// What an answer says of a [`Key`].
+#[derive(Clone, Debug)]
+pub struct Told {
+    pub verdict: Verdict,
+    /// Causes that are claimed.
+    pub claimed: Vec<String>,
+    /// Causes that are named, but not claimed.
+    pub open: Vec<String>,
+    /// Claimed, and not true.
+    pub wrong: Vec<String>,
+    /// Lists of [`Key::needed`] of which nothing is named.
+    pub missed: Vec<&'static str>,
+    /// Of each list of [`Key::needed`]: whether one of it is named, and whether one is claimed.
+    pub needed: Vec<(bool, bool)>,
+}
+
+impl Key {
+    /// What `report` says.
+    pub fn of(&self, report: &Report) -> Told {
+        let names = |is_wanted: &dyn Fn(&Finding) -> bool| {
+            let findings = report.findings.iter().filter(|finding| is_wanted(finding));
+            findings.map(|finding| finding.cause.clone()).collect::<Vec<String>>()
+        };
+        let is_true = |finding: &Finding| self.allowed.iter().any(|it| it.is(finding));
+        let (claimed, open) = (names(&|it| it.claimed), names(&|it| !it.claimed));
+        let is_in = |list: &[&str], names: &[String]| names.iter().any(|it| list.contains(&&**it));
+        let needed: Vec<(bool, bool)> = self
+            .needed
+            .iter()
+            .map(|list| (is_in(list, &claimed) || is_in(list, &open), is_in(list, &claimed)))
+            .collect();
+        let missed = self.needed.iter().zip(&needed).filter(|(_, (is_named, _))| !is_named);
+        Told {
+            verdict: report.verdict,
+            wrong: names(&|it| it.claimed && !is_true(it)),
+            missed: missed.map(|(list, _)| list[0]).collect(),
+            needed,
+            claimed,
+            open,
+        }
+    }
+}
+
+impl Told {
+    /// All named, and nothing false.
+    pub fn is_right(&self) -> bool {
+        self.needed.iter().all(|(is_named, _)| *is_named) && self.wrong.is_empty()
+    }
+}
+
+impl fmt::Display for Told {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let list = |names: &[String]| if names.is_empty() { "-".into() } else { names.join("+") };
+        write!(
+            f,
+            "{}, {}, claimed {}, open {}",
+            if self.is_right() { "right" } else { "NOT RIGHT" },
+            self.verdict.name(),
+            list(&self.claimed),
+            list(&self.open)
+        )?;
+        if !self.wrong.is_empty() {
+            write!(f, ", wrong {}", list(&self.wrong))?;
+        }
+        if !self.missed.is_empty() {
+            write!(f, ", missed {}", self.missed.join("+"))?;
+        }
+        Ok(())
+    }
+}

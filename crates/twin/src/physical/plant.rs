@@ -1,0 +1,199 @@
+//! A machine that is healthy as drawn, what its user believes, and its record with faults.
+
+use super::{Fault, axis, spindle};
+use crate::{ambient::AmbientConfig, noise::Stream, scenario::Scenario};
+
+/// The temperature that a room is held at, and at which everything is right, in °C.
+pub(super) const HELD_C: f64 = 20.0;
+
+/// What kind of machine, and what its file says of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Kind {
+    /// A motor spindle with a displacement sensor in its nose; the file has the sensor's law.
+    SensorSpindle,
+    /// A spindle whose housing grows as its bearings heat it; the file has the warm-up.
+    WarmupSpindle,
+    /// The same with a thermometer on the housing; the file has the growth over its temperature.
+    ThermometerSpindle,
+    /// An axis measured on its screw, which stays cold; the file has no law of heat.
+    ScrewAxis,
+    /// An axis with a scale in a room that is held at its temperature; the file has no law of heat.
+    ScaleAxis,
+    /// An axis with a scale in a room that swings; the file has the scale's expansion.
+    CompensatedAxis,
+}
+
+impl Kind {
+    /// All of them.
+    pub const ALL: [Self; 6] = [
+        Self::SensorSpindle,
+        Self::WarmupSpindle,
+        Self::ThermometerSpindle,
+        Self::ScrewAxis,
+        Self::ScaleAxis,
+        Self::CompensatedAxis,
+    ];
+
+    /// Its name in tables.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::SensorSpindle => "sensor-spindle",
+            Self::WarmupSpindle => "warmup-spindle",
+            Self::ThermometerSpindle => "thermometer-spindle",
+            Self::ScrewAxis => "screw-axis",
+            Self::ScaleAxis => "scale-axis",
+            Self::CompensatedAxis => "compensated-axis",
+        }
+    }
+
+    /// The faults that such a machine can have and its model does not follow: what a sensor or a
+    /// thermometer in use sees is corrected.
+    #[must_use]
+    pub fn faults(self) -> &'static [Fault] {
+        use Fault::{
+            AxialStiffness, CoilTemperature, GaugeDrift, LostCooling, MisplacedThermometer,
+            Mounting, Room, ScrewHeating, SensorGain, SpeedGrowth, UnseenHolder, Wear,
+        };
+        match self {
+            Self::SensorSpindle => {
+                &[SensorGain, CoilTemperature, UnseenHolder, AxialStiffness, GaugeDrift]
+            }
+            Self::WarmupSpindle => {
+                &[LostCooling, Room, UnseenHolder, AxialStiffness, SpeedGrowth, GaugeDrift]
+            }
+            Self::ThermometerSpindle => &[UnseenHolder, AxialStiffness, SpeedGrowth, GaugeDrift],
+            Self::ScrewAxis => &[ScrewHeating, Room, Mounting, Wear, GaugeDrift],
+            Self::ScaleAxis => &[Room, Mounting, GaugeDrift],
+            Self::CompensatedAxis => &[MisplacedThermometer, Mounting, GaugeDrift],
+        }
+    }
+
+    pub(super) fn is_axis(self) -> bool {
+        matches!(self, Self::ScrewAxis | Self::ScaleAxis | Self::CompensatedAxis)
+    }
+}
+
+/// A machine.
+#[derive(Clone, Debug)]
+pub struct Plant {
+    /// What it is.
+    pub kind: Kind,
+    /// The machine file of its user (TOML): what the machine is without a fault.
+    pub machine: String,
+    /// What the gauge measures: `elongation` or `dx`.
+    pub quantity: &'static str,
+    /// The gauge's own noise in µm, standard deviation.
+    pub gauge_um: f64,
+    seed: u64,
+    /// The machine alone: no room yet, and nothing that it does.
+    bare: Scenario,
+    directions: Directions,
+}
+
+/// The way in which a fault of either direction goes, −1 or +1, and the share of the wear that grows
+/// along the screw.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Directions {
+    pub gain: f64,
+    pub coil: f64,
+    pub drift: f64,
+    pub mounting: f64,
+    pub wear_along: f64,
+}
+
+impl Plant {
+    /// The machine of this kind that `seed` draws.
+    #[must_use]
+    pub fn draw(kind: Kind, seed: u64) -> Self {
+        let mut stream = Stream::new(seed, "physical machine");
+        let directions = Directions {
+            gain: stream.sign(),
+            coil: stream.sign(),
+            drift: stream.sign(),
+            mounting: stream.sign(),
+            wear_along: if stream.chance(0.5) { stream.uniform(0.2, 0.6) } else { 0.0 },
+        };
+        let gauge_um = stream.log_uniform(0.1, 0.4);
+        let (mut bare, machine, quantity) = if kind.is_axis() {
+            let (bare, machine) = axis::draw(kind, &mut stream);
+            (bare, machine, "dx")
+        } else {
+            let (bare, machine) = spindle::draw(kind, &mut stream);
+            (bare, machine, "elongation")
+        };
+        bare.instrument.noise_um = gauge_um;
+        bare.instrument.quantum_um = 0.01;
+        Self { kind, machine, quantity, gauge_um, seed, bare, directions }
+    }
+
+    /// What the machine is and does on a day of its own, with `faults` and their sizes.
+    #[must_use]
+    pub fn day(&self, number: u64, faults: &[(Fault, f64)]) -> Scenario {
+        let mut stream = Stream::new(self.seed, &format!("physical day {number}"));
+        let mut scenario = self.bare.clone();
+        let swing_c = if self.kind == Kind::CompensatedAxis { 1.0 } else { 0.0 };
+        scenario.ambient = room(swing_c, &mut stream);
+        if self.kind.is_axis() {
+            axis::programme(&mut scenario, &mut stream);
+        } else {
+            spindle::programme(&mut scenario, &mut stream);
+        }
+        for &(fault, size) in faults {
+            self.damage(&mut scenario, fault, size);
+        }
+        scenario
+    }
+
+    /// The same day of the machine that has not this fault, but all around that comes with its size:
+    /// what a fault does is the difference.
+    #[must_use]
+    pub fn day_without(&self, number: u64, fault: Fault, size: f64) -> Scenario {
+        let mut scenario = self.day(number, &[]);
+        if fault == Fault::MisplacedThermometer {
+            swing(&mut scenario.ambient, size);
+        }
+        scenario
+    }
+
+    /// The seed of all chance of a day.
+    #[must_use]
+    pub fn seed_of_day(&self, number: u64) -> u64 {
+        // Days of one machine, and machines of neighbouring seeds, far apart from each other.
+        self.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(number)
+    }
+
+    fn damage(&self, scenario: &mut Scenario, fault: Fault, size: f64) {
+        let Directions { drift, .. } = self.directions;
+        match fault {
+            Fault::Room => {
+                scenario.ambient.amplitude_c = 1.0;
+                scenario.ambient.wander_c = 0.5;
+                swing(&mut scenario.ambient, size);
+            }
+            Fault::GaugeDrift => scenario.instrument.drift_um_per_h = drift * size,
+            _ if self.kind.is_axis() => axis::damage(scenario, fault, size, &self.directions),
+            _ => spindle::damage(scenario, fault, size, &self.directions),
+        }
+        if fault == Fault::MisplacedThermometer {
+            swing(&mut scenario.ambient, size);
+        }
+    }
+}
+
+/// A room that swings by `swing_c` over the day and wanders by half of that, from some hour on.
+fn room(swing_c: f64, stream: &mut Stream) -> AmbientConfig {
+    AmbientConfig {
+        mean_c: HELD_C,
+        amplitude_c: swing_c,
+        warmest_h: stream.uniform(0.0, 24.0),
+        trend_c_per_h: 0.0,
+        wander_c: 0.5 * swing_c,
+        wander_s: 3600.0,
+    }
+}
+
+fn swing(room: &mut AmbientConfig, size: f64) {
+    room.amplitude_c *= size;
+    room.wander_c *= size;
+}
