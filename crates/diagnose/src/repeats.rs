@@ -24,7 +24,7 @@ const SAME_MM: f64 = 1e-3;
 /// The targets of an axis's own motion, and which row is a reading at which.
 #[derive(Clone, Debug)]
 pub(crate) struct Targets {
-    own: LinearAxis,
+    pub own: LinearAxis,
     /// Rising.
     pub at_mm: Vec<f64>,
     /// Readings in the order of the rows, their values still 0.

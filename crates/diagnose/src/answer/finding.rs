@@ -13,7 +13,7 @@ use crate::{
     blocks::Unit,
     data::Data,
     gain::Gain,
-    judge::{Doubt, Judgement},
+    judge::{Doubt, Judgement, table::BetweenPoints},
     kind::Part,
 };
 
@@ -33,7 +33,10 @@ pub(crate) fn finding(it: &Judgement, left_out: Unit) -> Finding {
     ];
     evidence.extend(changed(&it.part));
     evidence.extend(it.doubts.iter().map(|doubt| doubted(doubt, &it.gain, left_out)));
+    evidence.extend(it.between.as_ref().and_then(BetweenPoints::sentence));
+    let between = it.between.as_ref().and_then(BetweenPoints::next_test);
     let next_test = match it.other_law() {
+        _ if between.is_some() && it.doubts.is_empty() => between.unwrap_or_default(),
         Some(inputs) => format!(
             "Measure again with nothing varied but what goes with {inputs}, in many small steps, up \
              and down."
@@ -123,6 +126,11 @@ fn doubted(doubt: &Doubt, gain: &Gain, left_out: Unit) -> String {
         ),
         Doubt::NotNeeded => {
             "What has no name yet, and is still left, explains this part as well.".into()
+        }
+        Doubt::NotRepeated => {
+            "Its repeats do not bear it out: a cycle is not foreseen by the others, or chance would make \
+             the places differ as much."
+                .into()
         }
         Doubt::BesideOtherLaw => {
             "It is only needed beside a term that stands for another law.".into()

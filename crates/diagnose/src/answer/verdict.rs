@@ -26,6 +26,8 @@ pub(crate) enum Reason {
     OtherLaw(Inputs),
     /// Scatter at equal positions, and what repeats.
     DoesNotRepeat(Repeats),
+    /// A table holds at its points, and is doubted between them.
+    BetweenPoints,
     /// A finding is not claimed.
     Open,
     OnlyNoise,
@@ -56,6 +58,9 @@ impl fmt::Display for Reason {
                 "at equal positions the readings scatter by {:.2} µm, more than the {:.2} µm that \
                  repeat: what is corrected today is wrong tomorrow",
                 repeats.scatter_um, repeats.systematic_um
+            ),
+            Self::BetweenPoints => f.write_str(
+                "a table holds at its points; what it is worth between them these points cannot show",
             ),
             Self::Open => {
                 f.write_str("two causes cannot be told apart, or a parameter is not yet identified")
@@ -131,6 +136,9 @@ fn of_runs(
     }
     if judged.iter().any(|it| !it.doubts.is_empty() && it.other_law().is_none()) {
         reasons.push(Reason::Open);
+    }
+    if judged.iter().any(|it| it.between.as_ref().is_some_and(|it| it.found.is_doubted())) {
+        reasons.push(Reason::BetweenPoints);
     }
     if reasons.is_empty() {
         (Verdict::Explained, vec![Reason::NothingFires])

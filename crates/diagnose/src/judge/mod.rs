@@ -12,6 +12,8 @@
 //! it is still needed with a curve in the place of such a term else: it makes up for that term
 //! ```
 //!
+//! A table that was measured several times is judged by its repeats in the place of the last three.
+//!
 //! A rival that can imitate the term and needs more values for it is no rival: it says the same and
 //! more, and the search has found the rest of it to be noise. A curve (over a column, over a position
 //! and growing with another one, over the way since a reversal) explains clearly more if its score is
@@ -25,12 +27,13 @@ mod case;
 mod identified;
 mod other_law;
 mod rivals;
+pub(crate) mod table;
 
 use serde_json::{Map, Value};
 use trueup_numerics::parallel::on_all_cores;
 
 use crate::{
-    fit::{Problem, fit},
+    fit::{Fitted, Problem, fit},
     gain::Gain,
     kind::{Kind, Part},
     model::Model,
@@ -41,6 +44,7 @@ use case::Case;
 use identified::is_identified;
 use other_law::Curves;
 use rivals::{Rival, predict_alike, rivals};
+use table::{BetweenPoints, repeated};
 
 /// What was judged about one term.
 pub(crate) struct Judgement {
@@ -57,6 +61,8 @@ pub(crate) struct Judgement {
     pub doubts: Vec<Doubt>,
     /// Whether its correction is right whichever name is: it goes into the extended machine file.
     pub is_kept: bool,
+    /// Of a table that was measured several times: what is known between its points.
+    pub between: Option<BetweenPoints>,
 }
 
 /// Why the name of a term is not claimed.
@@ -72,6 +78,8 @@ pub(crate) enum Doubt {
     NotNeeded,
     /// It is only needed beside a term that stands for another law.
     BesideOtherLaw,
+    /// A table that its own repeats do not bear out.
+    NotRepeated,
 }
 
 impl Judgement {
@@ -114,18 +122,16 @@ fn judge_term(case: &Case<'_>, added: &Added) -> Option<Judgement> {
     let places = replacements(problem, &found.fitted, cause, 8);
     let without = places.without.clone();
     let rivals = rivals(case, cause, places);
-    let curves = Curves::new(case, cause);
     let (parameters, is_known) = parameters(problem, &found.fitted, part, found.noise);
     let open: Vec<&Rival> = rivals.iter().filter(|rival| rival.is_open(cause)).collect();
     let mut doubts = Vec::new();
     doubts.extend(open.first().map(|rival| Doubt::Rival(rival.cause.clone())));
-    if !is_identified(case, cause, is_known) {
-        doubts.push(Doubt::NotIdentified);
-    }
-    doubts.extend(curves.better_law(case, cause, &without).map(Doubt::OtherLaw));
-    // Where a law without a name is left, it may be what the term stands for.
-    if !found.lack_of_fit.is_empty() && !curves.leave_a_need(case, &without) {
-        doubts.push(Doubt::NotNeeded);
+    let repeated = repeated(case, cause);
+    match &repeated {
+        // Its repeats are the judge of a table, not what it leaves.
+        Some(repeated) if repeated.is_confirmed => {}
+        Some(_) => doubts.push(Doubt::NotRepeated),
+        None => doubts.extend(doubts_by_residual(case, cause, &without, is_known)),
     }
     let is_kept = predict_alike(case, &open);
     Some(Judgement {
@@ -136,7 +142,28 @@ fn judge_term(case: &Case<'_>, added: &Added) -> Option<Judgement> {
         is_kept,
         rivals,
         doubts,
+        between: repeated.and_then(|repeated| repeated.between),
     })
+}
+
+/// Why the name of a term is not claimed, by what the answer leaves with it, and `without` it.
+fn doubts_by_residual(
+    case: &Case<'_>,
+    cause: &Kind,
+    without: &Fitted,
+    is_known: bool,
+) -> Vec<Doubt> {
+    let mut doubts = Vec::new();
+    let curves = Curves::new(case, cause);
+    if !is_identified(case, cause, is_known) {
+        doubts.push(Doubt::NotIdentified);
+    }
+    doubts.extend(curves.better_law(case, cause, without).map(Doubt::OtherLaw));
+    // Where a law without a name is left, it may be what the term stands for.
+    if !case.found.lack_of_fit.is_empty() && !curves.leave_a_need(case, without) {
+        doubts.push(Doubt::NotNeeded);
+    }
+    doubts
 }
 
 /// Takes back the claims that only hold beside a term which stands for another law: what makes up for

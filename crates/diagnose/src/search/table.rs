@@ -1,10 +1,13 @@
 //! A table that was measured several times is judged by its repeats, not by what noise would show: the
 //! decision of [`trueup_numerics::repeats`], the same that `trueup fit pitch` takes.
 
-use trueup_numerics::{blocks::rms, repeats};
+use trueup_numerics::{
+    blocks::rms,
+    repeats::{self, Reading},
+};
 
 use crate::{
-    fit::{Fitted, fit},
+    fit::{Fitted, Problem, fit},
     gain::Gain,
     kind::{Kind, Part},
     model::Model,
@@ -68,12 +71,17 @@ pub(crate) fn without_own_axis(model: &Model) -> Model {
 /// The terms that the repeats call for beside what `without` has.
 fn decided(targets: &Targets, search: &Search<'_>, without: &Fitted) -> Option<Vec<Part>> {
     let problem = search.problem;
-    let mut residual = vec![f64::NAN; problem.data.rows];
-    let rows = problem.groups.first_row.iter();
-    rows.zip(&without.residual).for_each(|(&row, um)| residual[row] = *um);
-    let readings = targets.readings(|row| residual[row]);
+    let readings = beside_own_axis(targets, problem, &without.model);
     let none = vec![false; readings.len()];
     let laws = targets.laws(&problem.data);
     let decision = repeats::decide(&readings, &none, targets.at_mm.len(), &laws);
     targets.terms(decision.taken.ok()?)
+}
+
+/// The readings with what `model` leaves of each group, which are rows here.
+pub(crate) fn beside_own_axis(targets: &Targets, problem: &Problem, model: &Model) -> Vec<Reading> {
+    let mut residual = vec![f64::NAN; problem.data.rows];
+    let rows = problem.groups.first_row.iter();
+    rows.zip(problem.residual(model)).for_each(|(&row, um)| residual[row] = um);
+    targets.readings(|row| residual[row])
 }

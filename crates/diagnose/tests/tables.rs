@@ -1,0 +1,106 @@
+//! Tables that were measured several times: what `diagnose` says of axes that strangers have measured.
+//! Where the data are missing a test says so and does nothing.
+//!
+//! `cargo test -p trueup-diagnose --test tables -- --show-output` prints the figures.
+
+use std::path::Path;
+
+use trueup_diagnose::{Diagnosis, Verdict, diagnose};
+use trueup_machine::{MachineFile, RunFile};
+use trueup_measured_data::file as data;
+
+const MACHINE: &str = "[machine]\nname = \"stage\"\nkind = \"3-axis\"\n";
+
+fn run(name: &str) -> Option<RunFile> {
+    data(name).map(|path| RunFile::read(&path).expect("a run file"))
+}
+
+/// The answer to a run of the data, and to a hold-out of them if one is named.
+fn diagnosed(name: &str, holdout: Option<&str>) -> Option<Diagnosis> {
+    let runs = [run(name)?];
+    let holdout: Vec<RunFile> = match holdout {
+        Some(name) => vec![run(name)?],
+        None => Vec::new(),
+    };
+    let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("the test's own file");
+    let diagnosis = diagnose(&machine, &runs, &holdout, None, &mut |_, _| {}).expect("comparable");
+    let report = &diagnosis.report;
+    println!(
+        "{name}: {}, not fitted to {:.2} -> {:.2} µm, handed out {:.2}",
+        report.verdict.name(),
+        report.before.holdout_rms_um,
+        report.after.holdout_rms_um,
+        report.after.compensated_holdout_rms_um
+    );
+    for finding in &report.findings {
+        println!("  {} claimed {}: {:?}", finding.cause, finding.claimed, finding.evidence);
+        println!("    {}", finding.next_test);
+    }
+    println!("  {:?}", report.reasons);
+    Some(diagnosis)
+}
+
+/// A table is claimed and handed out, and leaves at most so much.
+fn has_table(diagnosis: &Diagnosis, most_um: f64) {
+    let report = &diagnosis.report;
+    let table = report.findings.iter().find(|finding| finding.cause == "pitch-error");
+    assert!(table.is_some_and(|table| table.claimed && table.compensated), "{:?}", report.findings);
+    let left_um = report.after.compensated_holdout_rms_um;
+    assert!(left_um <= most_um, "{left_um}");
+    assert!(report.findings.iter().all(|finding| finding.cause != "pitch-periodic"));
+}
+
+#[test]
+fn a_gross_reading_in_three_cycles_does_not_stand_in_the_way_of_a_table() {
+    let mcu = ["strangers/mcu1025/train.csv", "strangers/mcu1025/test.csv"];
+    let Some(diagnosis) = diagnosed(mcu[0], Some(mcu[1])) else { return };
+    has_table(&diagnosis, 5.0);
+    let report = &diagnosis.report;
+    assert!(matches!(report.verdict, Verdict::Explained | Verdict::PartlyExplained));
+    assert!(report.findings.iter().any(|finding| finding.cause == "outliers"));
+}
+
+#[test]
+fn a_table_each_way_is_found_though_it_has_a_value_for_three_rows() {
+    let muts = ["strangers/muts_z/train.csv", "strangers/muts_z/test.csv"];
+    let Some(diagnosis) = diagnosed(muts[0], Some(muts[1])) else { return };
+    has_table(&diagnosis, 7.6);
+    assert_eq!(diagnosis.report.verdict, Verdict::Explained);
+}
+
+#[test]
+fn there_and_back_once_is_a_table_for_both_ways_and_one_way_alone_is_none() {
+    for name in ["11358", "11359"] {
+        let name = format!("strangers/slits/{name}_axis1_both.csv");
+        let Some(diagnosis) = diagnosed(&name, None) else { return };
+        has_table(&diagnosis, 7.0);
+    }
+    let Some(diagnosis) = diagnosed("strangers/slits/11358_axis1_fwd.csv", None) else { return };
+    assert!(diagnosis.report.findings.is_empty());
+}
+
+#[test]
+fn between_nine_targets_a_table_is_doubted_and_the_positions_that_decide_are_listed() {
+    let (train, test) = ("strangers/b02_x/train.csv", "strangers/b02_x/test.csv");
+    let Some(diagnosis) = diagnosed(train, Some(test)) else { return };
+    has_table(&diagnosis, 5.5);
+    let report = &diagnosis.report;
+    assert_eq!(report.verdict, Verdict::PartlyExplained);
+    let table = report.findings.iter().find(|it| it.cause == "pitch-error").expect("has_table");
+    assert!(table.evidence.iter().any(|it| it.contains("between them it is doubted")));
+    assert!(table.next_test.contains("x_mm = -"), "{}", table.next_test);
+    let Some(diagnosis) = diagnosed(train, Some("strangers/b02_x/continuous.csv")) else { return };
+    let report = &diagnosis.report;
+    assert!(report.after.compensated_holdout_rms_um <= report.before.holdout_rms_um);
+}
+
+#[test]
+fn what_does_not_repeat_is_still_refused() {
+    let Some(diagnosis) = diagnosed("ess_iso230/muts_x.csv", None) else { return };
+    assert_eq!(diagnosis.report.verdict, Verdict::DoNotCompensate);
+    assert!(diagnosis.terms.iter().all(|term| !term.effect.is_compensated()));
+    for (name, most_um) in [("x", 4.8), ("z", 1.2)] {
+        let Some(diagnosis) = diagnosed(&format!("ess_iso230/{name}.csv"), None) else { return };
+        has_table(&diagnosis, most_um);
+    }
+}
