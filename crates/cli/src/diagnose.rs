@@ -10,7 +10,7 @@ use std::{
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use trueup_diagnose::{Diagnosis, Verdict, diagnose};
+use trueup_diagnose::{Diagnosis, Options, Verdict, diagnose_for};
 use trueup_machine::{BadInput, MachineFile, RunFile, compile::check_slopes, file};
 
 use crate::{Outcome, UserError, output, runs};
@@ -18,7 +18,7 @@ use crate::{Outcome, UserError, output, runs};
 /// Shows what the machine file gets wrong, names the cause, and writes the machine file with it.
 ///
 /// Exit 3: something is left that has no cause, or that the data do not settle; the machine does not
-/// repeat; or what explains the runs makes the hold-out worse.
+/// repeat; what explains the runs makes the hold-out worse; or there are too few data.
 #[derive(Args)]
 pub struct Diagnose {
     /// The machine file: what is believed.
@@ -33,6 +33,12 @@ pub struct Diagnose {
     /// What to compare, where the runs measure several quantities.
     #[arg(long)]
     quantity: Option<Quantity>,
+    /// The size of an error that matters, in µm RMS; by default what is left.
+    #[arg(long, value_name = "UM", value_parser = above_zero)]
+    matters_um: Option<f64>,
+    /// What the measuring instrument is worth, in µm (95 %), in the place of the machine file's.
+    #[arg(long, value_name = "UM", value_parser = above_zero)]
+    instrument_um: Option<f64>,
     /// The folder for diagnosis.json, report.html, extended.toml and residuals.csv.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -57,9 +63,15 @@ impl Quantity {
     }
 }
 
+fn above_zero(text: &str) -> Result<f64, String> {
+    let value = text.parse().ok().filter(|value: &f64| value.is_finite() && *value > 0.0);
+    value.ok_or_else(|| "must be a number above 0".into())
+}
+
 pub fn run(args: &Diagnose, as_json: bool) -> Result<Outcome> {
     let source = MachineFile::read_text(&args.machine)?;
-    let machine = MachineFile::parse(&source, &args.machine)?;
+    let mut machine = MachineFile::parse(&source, &args.machine)?;
+    machine.instrument_um = args.instrument_um.or(machine.instrument_um);
     let read = |paths: &[PathBuf]| -> Result<Vec<RunFile>> {
         paths.iter().map(|path| Ok(runs::read(path)?)).collect()
     };
@@ -68,8 +80,9 @@ pub fn run(args: &Diagnose, as_json: bool) -> Result<Outcome> {
         .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
 
     let bar = progress();
-    let quantity = args.quantity.map(Quantity::of_machine);
-    let diagnosis = diagnose(&machine, &runs, &holdout, quantity, &mut |what, share| {
+    let options =
+        Options { quantity: args.quantity.map(Quantity::of_machine), matters_um: args.matters_um };
+    let diagnosis = diagnose_for(&machine, &runs, &holdout, options, &mut |what, share| {
         bar.set_message(what.to_string());
         if !share.is_nan() {
             bar.set_position((share * 100.0) as u64);

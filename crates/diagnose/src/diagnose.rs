@@ -7,7 +7,7 @@ use trueup_numerics::random::Generator;
 
 use crate::{
     answer::{
-        Diagnosis, conclude,
+        Asked, Diagnosis, conclude,
         hold_out::{HoldOut, seen_before},
     },
     candidates::structure,
@@ -28,6 +28,15 @@ const MOST_ROWS_MOVING: usize = 3000;
 /// What is being tried, and how far the search has come, 0…1 (NaN: as before).
 pub type Progress<'p> = dyn FnMut(&str, f64) + 'p;
 
+/// What is asked of a diagnosis beside its files.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Options {
+    /// What to compare, where the runs measure several quantities.
+    pub quantity: Option<Quantity>,
+    /// The size of an error that matters: RMS, in µm, above 0; by default what is left.
+    pub matters_um: Option<f64>,
+}
+
 /// Compares `machine` with what was measured in `runs`, names the causes of what it gets wrong, and
 /// measures what their terms bring on `holdout`: it chooses nothing, but that what makes it worse is not
 /// handed out.
@@ -41,6 +50,20 @@ pub fn diagnose(
     runs: &[RunFile],
     holdout: &[RunFile],
     quantity: Option<Quantity>,
+    progress: &mut Progress<'_>,
+) -> Result<Diagnosis, BadInput> {
+    diagnose_for(machine, runs, holdout, Options { quantity, matters_um: None }, progress)
+}
+
+/// The same with more to say.
+///
+/// # Errors
+/// As those of [`diagnose`].
+pub fn diagnose_for(
+    machine: &Machine,
+    runs: &[RunFile],
+    holdout: &[RunFile],
+    Options { quantity, matters_um }: Options,
     progress: &mut Progress<'_>,
 ) -> Result<Diagnosis, BadInput> {
     let quantity = quantity_of(runs, quantity)?;
@@ -71,7 +94,14 @@ pub fn diagnose(
     }
     progress("comparing with rivals", 0.92);
     let judged = judge(&problem, &found);
-    conclude(data, &problem, found, &judged, aside, test.as_ref(), notes)
+    conclude(
+        data,
+        &problem,
+        found,
+        &judged,
+        aside,
+        Asked { hold_out: test.as_ref(), matters_um, notes },
+    )
 }
 
 /// Rows that stand alone, far from what the answer and curves over what is left predict: a law that no

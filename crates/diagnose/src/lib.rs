@@ -64,7 +64,7 @@ pub use answer::{
     Diagnosis,
     report::{self, Report, Verdict},
 };
-pub use diagnose::{Progress, diagnose};
+pub use diagnose::{Options, Progress, diagnose, diagnose_for};
 use trueup_machine::BadInput;
 
 impl Diagnosis {

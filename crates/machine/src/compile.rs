@@ -177,6 +177,7 @@ pub fn inverse(calibration: &Calibration<'_>) -> Machine {
             .collect(),
         squareness: squareness::inverse(&calibration.squareness),
         limits: limits::inverse(&calibration.limits),
+        instrument_um: None,
         terms: term::inverse(calibration),
         places: Locations::default(),
     }

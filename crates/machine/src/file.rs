@@ -6,6 +6,7 @@
 
 pub(crate) mod axis;
 pub(crate) mod inputs;
+mod instrument;
 mod limits;
 mod machine;
 pub(crate) mod read;
@@ -37,8 +38,17 @@ use read::Document;
 use write::{Edit, NewSection};
 
 /// Sections of the format that this version reads.
-const SECTIONS: [&str; 8] =
-    ["machine", "inputs", "spindle", "axis", "straightness", "squareness", "limits", "term"];
+const SECTIONS: [&str; 9] = [
+    "machine",
+    "inputs",
+    "spindle",
+    "axis",
+    "straightness",
+    "squareness",
+    "limits",
+    "instrument",
+    "term",
+];
 
 /// The longest machine file that is read, in bytes: forty times what the board could store of it.
 pub const MOST_BYTES: u64 = 4 << 20;
@@ -98,6 +108,10 @@ impl MachineFile {
             Some(limits) => limits::read(&limits)?,
             None => Limits::default(),
         };
+        let instrument_um = match root.section("instrument")? {
+            Some(instrument) => Some(instrument::read(&instrument)?),
+            None => None,
+        };
         let mut machine = Machine {
             name,
             kind,
@@ -109,6 +123,7 @@ impl MachineFile {
             straightness,
             squareness,
             limits,
+            instrument_um,
             terms: Vec::new(),
             places: Locations::default(),
         };
@@ -135,6 +150,7 @@ impl Machine {
         sections.extend(self.straightness.iter().map(straightness::write_straightness));
         sections.extend(straightness::write_squareness(&self.squareness));
         sections.push(limits::write(&self.limits));
+        sections.extend(self.instrument_um.map(instrument::write));
         sections
     }
 

@@ -5,6 +5,7 @@
 //! | [`blocks`] | what a term is worth on blocks that were left out |
 //! | [`least_squares`] | linear, nonlinear and mixed, with intervals |
 //! | [`line`](mod@line) | a straight line, judged on the rows that it was not fitted to |
+//! | [`noncentral_f`] | how likely a test finds an effect of a given size |
 //! | [`noise`] | noise with a memory: its likelihood, its covariance, draws of it |
 //! | [`parallel`] | work on all cores |
 //! | [`random`] | random numbers that repeat |
@@ -16,6 +17,7 @@ pub mod blocks;
 pub mod least_squares;
 pub mod line;
 pub mod noise;
+pub mod noncentral_f;
 pub mod parallel;
 pub mod random;
 pub mod repeats;

@@ -6,7 +6,7 @@ use crate::{
     answer::{
         Diagnosis,
         figure::{Colour, Points, picture},
-        report::{Finding, Verdict},
+        report::{Finding, Report, Verdict},
     },
     data::Data,
 };
@@ -102,7 +102,10 @@ pub(crate) fn verdict_sentence(diagnosis: &Diagnosis) -> String {
     let report = &diagnosis.report;
     let causes: Vec<&str> = report.findings.iter().map(|it| it.cause.as_str()).collect();
     match report.verdict {
-        Verdict::Clean => "Nothing is left but noise. The machine file is right.".into(),
+        Verdict::Clean => clean_sentence(report),
+        Verdict::TooLittleData => {
+            "These rows are too few to tell an error that matters from noise.".into()
+        }
         Verdict::Explained => {
             format!("What the machine file gets wrong has a cause: {}.", causes.join(", "))
         }
@@ -125,6 +128,18 @@ pub(crate) fn verdict_sentence(diagnosis: &Diagnosis) -> String {
             "The machine does not repeat. A correction would make it worse: mend it first.".into()
         }
     }
+}
+
+fn clean_sentence(report: &Report) -> String {
+    let found = format!(
+        " An error above {:.2} µm RMS that repeats would have been found with 95 %.",
+        report.detectable_um
+    );
+    let wandering = report.wandering.map_or("", |_| " that wanders slowly");
+    format!(
+        "Nothing is left but noise{wandering}.{} The machine file stays.",
+        if report.detectable_um.is_finite() { found.as_str() } else { "" }
+    )
 }
 
 fn pictures(diagnosis: &Diagnosis, out: &mut String) {

@@ -7,10 +7,12 @@ mod figure;
 mod finding;
 pub(crate) mod hold_out;
 pub(crate) mod html;
+mod power;
 pub mod report;
 mod transfer;
 mod unseen;
 mod verdict;
+mod wandering;
 mod worse;
 
 use std::sync::Arc;
@@ -32,10 +34,12 @@ use crate::{
 use errors::{about_zero, errors, largest, within_groups};
 use finding::{finding, outliers};
 use hold_out::HoldOut;
+use power::Power;
 use report::{After, Before, Finding, LeftOut, Rejected, Report};
 use transfer::Transfer;
 use unseen::Unseen;
-use verdict::verdict;
+use verdict::{Grounds, verdict};
+use wandering::Wandering;
 
 /// The answer, with all that is needed to write it down.
 #[derive(Clone, Debug)]
@@ -56,7 +60,16 @@ pub struct Diagnosis {
     pub(crate) aside: Vec<bool>,
 }
 
-/// The answer to what was found and `judged`; `notes`: what must be told beside it.
+/// What the answer depends on beside what was found.
+pub(crate) struct Asked<'a> {
+    pub hold_out: Option<&'a HoldOut<'a>>,
+    /// The size of an error that matters: RMS, in µm; by default what is left.
+    pub matters_um: Option<f64>,
+    /// What must be told of the files, a sentence each.
+    pub notes: Vec<String>,
+}
+
+/// The answer to what was found and `judged`.
 ///
 /// # Errors
 /// A column is missing in the hold-out that a term needs.
@@ -66,12 +79,11 @@ pub(crate) fn conclude(
     found: Found,
     judged: &[Judgement],
     aside: Vec<bool>,
-    hold_out: Option<&HoldOut<'_>>,
-    notes: Vec<String>,
+    asked: Asked<'_>,
 ) -> Result<Diagnosis, BadInput> {
     let mut model = kept(problem, &found, judged);
     let mut transfer = None;
-    if let Some(hold_out) = hold_out {
+    if let Some(hold_out) = asked.hold_out {
         hold_out.check(&data, &model)?;
         let on_hold_out = Transfer::new(problem, model, hold_out);
         model = on_hold_out.model.clone();
@@ -86,7 +98,7 @@ pub(crate) fn conclude(
         if model.parts.is_empty() { about_zero(&data, after_rows) } else { after_rows };
     // Groups are means of rows: what they average away is in each row again.
     let within = within_groups(&data, problem, &after, &aside);
-    let test = hold_out.map(|hold_out| &hold_out.data);
+    let test = asked.hold_out.map(|hold_out| &hold_out.data);
     let unseen = Unseen { problem, folds: &found.folds, within, test };
     let (holdout_before_um, holdout_after_um) = (unseen.before_um(), unseen.after_um(&model));
     let compensated = compensated(&model);
@@ -95,8 +107,19 @@ pub(crate) fn conclude(
 
     let has_outliers = aside.contains(&true);
     let repeats = repeats::analyse(&data, &after);
-    let (verdict, reasons) =
-        verdict(&found, judged, has_outliers, repeats.as_ref(), transfer.as_ref());
+    let left_um = rms(&after_rows);
+    let power = Power::new(problem, &found, left_um, after_rows.len(), asked.matters_um);
+    let wandering = Wandering::of(problem, &found);
+    let (verdict, reasons) = verdict(&Grounds {
+        found: &found,
+        judged,
+        has_outliers,
+        repeats: repeats.as_ref(),
+        power: &power,
+        wandering: wandering.as_ref(),
+        instrument_um: data.machine.instrument_um,
+        transfer: transfer.as_ref(),
+    });
     // What happened once in the runs is not expected to happen again; what is of the machine is.
     let is_disproved = dropped.iter().any(Kind::is_compensated);
     let mut findings: Vec<Finding> = judged
@@ -123,20 +146,26 @@ pub(crate) fn conclude(
         quantity: data.quantity.name().into(),
         noise_um: noise_um(problem, &found, &after_rows, repeats.as_ref()),
         noise_memory: found.noise.memory * problem.groups.size as f64 * step_s(problem),
+        detectable_um: power.found_um,
+        wandering: wandering.map(|it| report::Wandering {
+            rms_um: it.rms_um,
+            memory: it.memory,
+            unit: if it.is_in_time { "s" } else { "rows" },
+        }),
         before: Before {
             rms_um: rms(&before_rows),
             max_um: largest(&before_rows),
             holdout_rms_um: holdout_before_um,
         },
         after: After {
-            rms_um: rms(&after_rows),
+            rms_um: left_um,
             max_um: largest(&after_rows),
             holdout_rms_um: holdout_after_um,
             compensated_holdout_rms_um: holdout_compensated_um,
         },
         verdict,
         reasons: reasons.iter().map(ToString::to_string).collect(),
-        notes,
+        notes: asked.notes,
         holdout_used: !dropped.is_empty(),
         left_out: dropped
             .iter()

@@ -19,6 +19,12 @@ pub struct Report {
     pub noise_um: f64,
     /// Correlation time of the noise in s, or in rows where there is no time; 0: none.
     pub noise_memory: f64,
+    /// An error of this size that repeats would have been found with 95 %: RMS, in µm; null where there
+    /// are too few rows for any.
+    pub detectable_um: f64,
+    /// What of the rest wanders slowly, where it does.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub wandering: Option<Wandering>,
     /// What the machine file as it is leaves.
     pub before: Before,
     /// What the extended one leaves.
@@ -40,6 +46,17 @@ pub struct Report {
     pub findings: Vec<Finding>,
     /// Causes that were tried and not taken.
     pub rejected: Vec<Rejected>,
+}
+
+/// What is left and wanders slowly, without going with anything that was recorded.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Wandering {
+    /// Root mean square of its slow part, in µm.
+    pub rms_um: f64,
+    /// How long it remembers: its correlation time.
+    pub memory: f64,
+    /// Of the memory: `s`, or `rows` where there is no time.
+    pub unit: &'static str,
 }
 
 /// A cause whose term is not in the extended machine file.
@@ -93,6 +110,8 @@ pub enum Verdict {
     DoNotCompensate,
     /// What explains the runs makes the hold-out worse.
     DoesNotTransfer,
+    /// No error of a size that matters could have been told from noise.
+    TooLittleData,
 }
 
 impl Verdict {
@@ -106,6 +125,7 @@ impl Verdict {
             Self::Unexplained => "unexplained",
             Self::DoNotCompensate => "do-not-compensate",
             Self::DoesNotTransfer => "does-not-transfer",
+            Self::TooLittleData => "too-little-data",
         }
     }
 

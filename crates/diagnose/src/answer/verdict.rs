@@ -3,7 +3,7 @@
 use std::fmt;
 
 use crate::{
-    answer::{report::Verdict, transfer::Transfer},
+    answer::{power::Power, report::Verdict, transfer::Transfer, wandering::Wandering},
     judge::Judgement,
     repeats::Repeats,
     search::{
@@ -31,6 +31,11 @@ pub(crate) enum Reason {
     /// A finding is not claimed.
     Open,
     OnlyNoise,
+    /// What is left is as small as what the instrument is worth.
+    OfInstrument,
+    /// No error of a size that matters could have been told from noise.
+    TooLittle(Power),
+    Wanders(Wandering),
     NothingFires,
     /// The hold-out is worse with the model as it was found: RMS before and after, in µm.
     Harm {
@@ -76,22 +81,39 @@ impl fmt::Display for Reason {
                 f,
                 "the hold-out gains nothing: {before_um:.4} µm RMS before, {after_um:.4} µm after"
             ),
+            Self::OfInstrument => f.write_str(
+                "what is left is as small as what the instrument is worth: the model stays",
+            ),
+            Self::TooLittle(Power { rows, matters_um, needed, .. }) => write!(
+                f,
+                "{rows} rows cannot tell an error of {matters_um:.2} µm RMS from noise: {needed}"
+            ),
+            Self::Wanders(wandering) => wandering.fmt(f),
             Self::NothingFires => f.write_str("no test of structure fires on what is left"),
         }
     }
 }
 
-/// The verdict on an answer; `has_outliers`: some readings were set aside; `transfer`: what became of it
-/// on a hold-out.
-pub(crate) fn verdict(
-    found: &Found,
-    judged: &[Judgement],
-    has_outliers: bool,
-    repeats: Option<&Repeats>,
-    transfer: Option<&Transfer>,
-) -> (Verdict, Vec<Reason>) {
-    let (verdict, reasons) = of_runs(found, judged, has_outliers, repeats);
-    let Some(transfer) = transfer else { return (verdict, reasons) };
+/// What a verdict rests on.
+pub(super) struct Grounds<'g> {
+    pub found: &'g Found,
+    pub judged: &'g [Judgement],
+    /// Whether some readings were set aside.
+    pub has_outliers: bool,
+    pub repeats: Option<&'g Repeats>,
+    pub power: &'g Power,
+    pub wandering: Option<&'g Wandering>,
+    /// What the instrument is worth, in µm (95 %), where that is known.
+    pub instrument_um: Option<f64>,
+    /// What became of the answer on a hold-out.
+    pub transfer: Option<&'g Transfer>,
+}
+
+/// The verdict on an answer, and why.
+pub(super) fn verdict(grounds: &Grounds<'_>) -> (Verdict, Vec<Reason>) {
+    let (verdict, mut reasons) = of_runs(grounds);
+    reasons.extend(grounds.wandering.cloned().map(Reason::Wanders));
+    let Some(transfer) = grounds.transfer else { return (verdict, reasons) };
     let (before_um, after_um) = (transfer.before_um, transfer.found_um);
     if !transfer.dropped.is_empty() {
         let mut harm = vec![Reason::Harm { before_um, after_um }];
@@ -106,12 +128,8 @@ pub(crate) fn verdict(
 }
 
 /// The verdict by the runs alone.
-fn of_runs(
-    found: &Found,
-    judged: &[Judgement],
-    has_outliers: bool,
-    repeats: Option<&Repeats>,
-) -> (Verdict, Vec<Reason>) {
+fn of_runs(grounds: &Grounds<'_>) -> (Verdict, Vec<Reason>) {
+    let Grounds { found, judged, .. } = *grounds;
     let mut reasons: Vec<Reason> =
         found.lack_of_fit.iter().cloned().map(Reason::LackOfFit).collect();
     let mut laws: Vec<&Inputs> = Vec::new();
@@ -122,17 +140,7 @@ fn of_runs(
     }
     reasons.extend(laws.into_iter().cloned().map(Reason::OtherLaw));
     if judged.is_empty() {
-        let does_not_repeat =
-            |it: &&Repeats| it.scatter_um > it.systematic_um && it.scatter_um > REPEATABLE_UM;
-        if let Some(repeats) = repeats.filter(does_not_repeat) {
-            reasons.push(Reason::DoesNotRepeat(*repeats));
-            return (Verdict::DoNotCompensate, reasons);
-        }
-        return match (reasons.is_empty(), has_outliers) {
-            (false, _) => (Verdict::Unexplained, reasons),
-            (true, true) => (Verdict::Explained, reasons),
-            (true, false) => (Verdict::Clean, vec![Reason::OnlyNoise]),
-        };
+        return of_nothing_found(grounds, reasons);
     }
     if judged.iter().any(|it| !it.doubts.is_empty() && it.other_law().is_none()) {
         reasons.push(Reason::Open);
@@ -140,9 +148,36 @@ fn of_runs(
     if judged.iter().any(|it| it.between.as_ref().is_some_and(|it| it.found.is_doubted())) {
         reasons.push(Reason::BetweenPoints);
     }
-    if reasons.is_empty() {
+    if reasons.is_empty() && !grounds.wanders_beyond_instrument() {
         (Verdict::Explained, vec![Reason::NothingFires])
     } else {
         (Verdict::PartlyExplained, reasons)
+    }
+}
+
+/// The verdict where no cause was found.
+fn of_nothing_found(grounds: &Grounds<'_>, mut reasons: Vec<Reason>) -> (Verdict, Vec<Reason>) {
+    let power = grounds.power;
+    let does_not_repeat =
+        |it: &&Repeats| it.scatter_um > it.systematic_um && it.scatter_um > REPEATABLE_UM;
+    if let Some(repeats) = grounds.repeats.filter(does_not_repeat) {
+        reasons.push(Reason::DoesNotRepeat(*repeats));
+        return (Verdict::DoNotCompensate, reasons);
+    }
+    if !reasons.is_empty() || grounds.wanders_beyond_instrument() {
+        return (Verdict::Unexplained, reasons);
+    }
+    if !power.is_enough {
+        return (Verdict::TooLittleData, vec![Reason::TooLittle(power.clone())]);
+    }
+    let reason = if power.is_of_instrument { Reason::OfInstrument } else { Reason::OnlyNoise };
+    (if grounds.has_outliers { Verdict::Explained } else { Verdict::Clean }, vec![reason])
+}
+
+impl Grounds<'_> {
+    /// Whether what wanders is larger than what the instrument is worth: then it is the machine that does.
+    fn wanders_beyond_instrument(&self) -> bool {
+        let wandering = self.wandering.map_or(0.0, |wandering| wandering.rms_um);
+        self.instrument_um.is_some_and(|instrument_um| wandering > instrument_um)
     }
 }

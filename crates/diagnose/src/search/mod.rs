@@ -27,9 +27,9 @@ pub(crate) mod criterion;
 pub(crate) mod extend;
 pub(crate) mod lack_of_fit;
 mod revise;
-mod scan;
+pub(crate) mod scan;
 mod simplify;
-mod state;
+pub(crate) mod state;
 mod statistics;
 pub(crate) mod table;
 

@@ -37,7 +37,7 @@ use crate::{
 };
 
 /// Chance that noise passes the limit of one statistic in one search.
-const FALSE_ALARM: f64 = 0.0005;
+pub(crate) const FALSE_ALARM: f64 = 0.0005;
 /// Draws of noise.
 const DRAWS: usize = 32;
 

@@ -116,7 +116,7 @@ impl fmt::Display for WhyNot {
 }
 
 /// The share of the RMS that the machine file leaves below which nothing is worth a term.
-const RELEVANT: f64 = 0.01;
+pub(crate) const RELEVANT: f64 = 0.01;
 
 impl<'p> Search<'p> {
     pub(crate) fn new(problem: &'p Problem, start: &Model) -> Self {

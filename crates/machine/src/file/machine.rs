@@ -34,6 +34,9 @@ pub struct Machine {
     pub squareness: Vec<Squareness>,
     /// How far and how fast an offset may go, and how long silence is tolerated.
     pub limits: Limits,
+    /// What the measuring instrument is worth: the expanded uncertainty of one reading in µm (95 %, above
+    /// 0), where it is known. The board has no use for it.
+    pub instrument_um: Option<f64>,
     /// What a diagnosis has added, in the order in which it applies.
     pub terms: Vec<Term>,
     /// Where in the file each key stands, for rules that are found broken later.

@@ -1,0 +1,211 @@
+//! What would have been seen: the power of the diagnosis, and the smallest measurement that would do.
+//!
+//! Both questions are answered by the noncentral F distribution. An error of the root mean square δ that
+//! repeats, in n rows whose noise is σ, has the noncentrality λ = n·(δ/σ)².
+//!
+//! - Could any error of a size that matters have been told from noise? One constant beside the zero, at
+//!   1 %, in all rows: the error that shows best, because it changes from row to row.
+//! - Which error would have been found? Two constants, at the level that the search leaves to each of
+//!   its candidates, in as many rows as are independent: an error as slow as the noise, which shows
+//!   worst.
+
+use std::{collections::BTreeSet, fmt};
+
+use trueup_numerics::{
+    noise,
+    noncentral_f::{noncentrality, power},
+    repeats::cycles_for,
+};
+
+use crate::{
+    candidates::possible,
+    data::Data,
+    fit::Problem,
+    search::{Found, scan::FALSE_ALARM, state::RELEVANT},
+};
+
+/// The chance with which an error is to be found: 95 %, as the intervals of the answer.
+const POWER: f64 = 0.95;
+/// The level of the test whether an error could be told from noise: 1 %, as that of a table over its
+/// repeats (fixed form of the answer).
+const SIGNIFICANCE: f64 = 0.01;
+/// A term has mostly an amplitude and a time constant or a reference.
+const CONSTANTS: f64 = 2.0;
+/// The coverage factor of an expanded uncertainty of 95 % (GUM 6.2: 1.96, rounded to 2).
+const COVERAGE: f64 = 2.0;
+/// ISO 230-2: five targets at the least, five cycles from both sides.
+const ISO_CYCLES: usize = 5;
+const ISO_TARGETS: usize = 5;
+/// Nobody measures more.
+const MOST_ROWS: usize = 1_000_000;
+
+/// What would have been seen.
+#[derive(Clone, Debug)]
+pub(crate) struct Power {
+    /// An error of this size that repeats would have been found with 95 %: RMS, in µm; infinite where
+    /// there are too few rows for any.
+    pub found_um: f64,
+    /// The size that matters: RMS, in µm.
+    pub matters_um: f64,
+    /// Whether an error of the size that matters could have been told from noise.
+    pub is_enough: bool,
+    /// Whether what is left is as small as what the instrument is worth.
+    pub is_of_instrument: bool,
+    /// The rows that there are.
+    pub rows: usize,
+    /// What would do.
+    pub needed: Needed,
+}
+
+/// The smallest measurement that would do.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Needed {
+    /// So many cycles at the places where the axis was.
+    Cycles { cycles: usize, places: usize, range_mm: [f64; 2] },
+    /// A calibration by ISO 230-2.
+    Calibration,
+    /// A record of so many rows, and so long where there is time.
+    Record { rows: usize, seconds: Option<f64> },
+    /// None: the instrument is too coarse.
+    OtherInstrument,
+}
+
+impl Power {
+    /// Of what `found` leaves of `rows` rows, `left_um` RMS; `matters_um`: the size that matters, by
+    /// default what is left.
+    pub(super) fn new(
+        problem: &Problem,
+        found: &Found,
+        left_um: f64,
+        rows: usize,
+        matters_um: Option<f64>,
+    ) -> Self {
+        let groups = &problem.groups;
+        let (count, noise_um) = (groups.len() as f64, found.fitted.rms());
+        let instrument_um = problem.data.machine.instrument_um;
+        let is_of_instrument = instrument_um.is_some_and(|um| {
+            let freedom = rows as f64 - problem.data.quantity.axis().map_or(0.0, |_| 1.0);
+            is_as_small(left_um, um / COVERAGE, rows as f64, freedom)
+        });
+        let matters_um = match (matters_um, instrument_um) {
+            (Some(matters_um), _) => matters_um,
+            (None, Some(um)) if is_of_instrument => um,
+            _ => left_um,
+        };
+        // What the instrument is worth is known; what is left is known by the rows alone.
+        let known_um = instrument_um.filter(|_| is_of_instrument).map(|um| um / COVERAGE);
+        let is_found = |rows: f64| match known_um {
+            Some(um) => power(SIGNIFICANCE, 1.0, f64::from(u16::MAX), rows * (matters_um / um).powi(2)),
+            None => power(SIGNIFICANCE, 1.0, rows - 2.0, rows * ratio(matters_um, noise_um).powi(2)),
+        } >= POWER;
+        let candidates = possible(problem, &found.fitted.model, &found.fitted.residual).len();
+        let level = FALSE_ALARM / candidates.max(1) as f64;
+        let independent = noise::effective_rows(found.noise, &groups.steps).min(count);
+        let lambda = noncentrality(POWER, level, CONSTANTS, independent - CONSTANTS - 1.0);
+        // What takes away less than that is not worth a term.
+        let least = ((1.0 - RELEVANT).powi(-2) - 1.0).sqrt();
+        Self {
+            found_um: noise_um * (lambda / independent).sqrt().max(least),
+            matters_um,
+            is_enough: is_found(if known_um.is_some() { rows as f64 } else { count }),
+            is_of_instrument,
+            rows,
+            needed: Needed::new(&problem.data, ratio(matters_um, left_um), &is_found),
+        }
+    }
+}
+
+/// One over the other; 1 where both are nothing.
+fn ratio(size: f64, noise: f64) -> f64 {
+    if size == noise { 1.0 } else { size / noise }
+}
+
+/// Whether `left_um` RMS in so many rows is no more than noise of the standard deviation `noise_um`
+/// leaves in 95 of 100 cases (χ², by the cube root of Wilson and Hilferty 1931).
+fn is_as_small(left_um: f64, noise_um: f64, rows: f64, freedom: f64) -> bool {
+    if freedom < 1.0 {
+        return false;
+    }
+    const NORMAL_95: f64 = 1.645;
+    let third = 2.0 / (9.0 * freedom);
+    let most = freedom * (1.0 - third + NORMAL_95 * third.sqrt()).powi(3);
+    rows * (left_um / noise_um).powi(2) <= most
+}
+
+impl Needed {
+    fn new(data: &Data, ratio: f64, is_found: &dyn Fn(f64) -> bool) -> Self {
+        if let Some(own) = data.own_position().filter(|_| data.time_s.is_none()) {
+            return Self::of_axis(data, own, ratio);
+        }
+        let Some(rows) = fewest(is_found) else { return Self::OtherInstrument };
+        let seconds = data.time_s.as_ref().and_then(|times| {
+            let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+            steps.retain(|step| *step > 0.0);
+            steps.sort_by(f64::total_cmp);
+            steps.get(steps.len() / 2).map(|step| step * rows as f64)
+        });
+        Self::Record { rows, seconds }
+    }
+
+    fn of_axis(data: &Data, own: &[f64], ratio: f64) -> Self {
+        // Positions to a micrometre.
+        let at: BTreeSet<i64> = (0..data.rows)
+            .filter(|&row| data.used[row] && own[row].is_finite())
+            .map(|row| (own[row] * 1000.0).round() as i64)
+            .collect();
+        let (Some(&first), Some(&last)) = (at.first(), at.last()) else { return Self::Calibration };
+        if at.len() < ISO_TARGETS {
+            return Self::Calibration;
+        }
+        let both_sides = 2 * at.len();
+        cycles_for(ratio, 1.0, both_sides).map_or(Self::OtherInstrument, |cycles| Self::Cycles {
+            cycles,
+            places: at.len(),
+            range_mm: [first, last].map(|at| at as f64 / 1000.0),
+        })
+    }
+}
+
+/// The fewest rows, at least 3, that are enough; none where a million are not.
+fn fewest(is_found: &dyn Fn(f64) -> bool) -> Option<usize> {
+    let (mut low, mut high) = (2, 3);
+    while !is_found(high as f64) {
+        (low, high) = (high, 2 * high);
+        if high > MOST_ROWS {
+            return None;
+        }
+    }
+    while high - low > 1 {
+        let middle = usize::midpoint(low, high);
+        if is_found(middle as f64) { high = middle } else { low = middle }
+    }
+    Some(high)
+}
+
+impl fmt::Display for Needed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Cycles { cycles, places, range_mm: [first, last] } => write!(
+                f,
+                "measure {cycles} cycles at the {places} positions from {first} to {last} mm, each \
+                 approached from both sides, with the cycle's number in a column run"
+            ),
+            Self::Calibration => write!(
+                f,
+                "measure by ISO 230-2: at least {ISO_TARGETS} positions over the travel, {ISO_CYCLES} \
+                 cycles, each position approached from both sides"
+            ),
+            Self::Record { rows, seconds: Some(seconds) } if *seconds >= 60.0 => write!(
+                f,
+                "record at least {rows} rows ({:.0} minutes at this rate) while what may matter changes",
+                seconds / 60.0
+            ),
+            Self::Record { rows, .. } => {
+                write!(f, "record at least {rows} rows while what may matter changes")
+            }
+            Self::OtherInstrument => {
+                f.write_str("measure with an instrument of less noise: more readings do not help")
+            }
+        }
+    }
+}

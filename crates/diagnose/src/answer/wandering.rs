@@ -1,0 +1,74 @@
+//! What is left and wanders slowly, without going with anything that was recorded.
+
+use std::fmt;
+
+use trueup_numerics::noise;
+
+use crate::{data::Data, fit::Problem, parameters::step_s, search::Found};
+
+/// Slow wandering.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Wandering {
+    /// RMS of its slow part, in µm.
+    pub rms_um: f64,
+    /// Its correlation time in s, or in rows where there is no time.
+    pub memory: f64,
+    pub is_in_time: bool,
+    /// What was not recorded and may be behind it.
+    to_record: Vec<&'static str>,
+}
+
+impl Wandering {
+    /// Of what `found` leaves. Noise wanders if its memory leaves less than half of the rows
+    /// independent: then neighbours say more about a row than its own reading does.
+    pub(super) fn of(problem: &Problem, found: &Found) -> Option<Self> {
+        let steps = &problem.groups.steps;
+        let independent = noise::effective_rows(found.noise, steps);
+        if independent > 0.5 * problem.groups.len() as f64 {
+            return None;
+        }
+        let data = &problem.data;
+        Some(Self {
+            rms_um: (1.0 - found.noise.white).sqrt() * found.fitted.rms(),
+            memory: found.noise.memory * problem.groups.size as f64 * step_s(problem),
+            is_in_time: data.time_s.is_some(),
+            to_record: not_recorded(data),
+        })
+    }
+}
+
+/// What moves machines slowly and is no column of these runs.
+fn not_recorded(data: &Data) -> Vec<&'static str> {
+    let all = data.temperatures.iter().chain(&data.others);
+    let names: Vec<String> = all.map(|(name, _)| name.to_lowercase()).collect();
+    let has =
+        |words: &[&str]| names.iter().any(|name| words.iter().any(|word| name.contains(word)));
+    let mut missing = Vec::new();
+    let mut lacks = |is_there: bool, what: &'static str| {
+        if !is_there {
+            missing.push(what);
+        }
+    };
+    lacks(has(&["air", "room", "ambient", "hall"]), "the air's temperature");
+    lacks(has(&["coolant", "cool", "water", "oil"]), "the coolant's temperature");
+    lacks(has(&["door", "open"]), "whether a door or a gate is open");
+    lacks(has(&["bed", "frame", "column", "table"]), "the temperature of the bed or frame");
+    lacks(data.spindle_rpm.is_some(), "the spindle's speed");
+    missing
+}
+
+impl fmt::Display for Wandering {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "what is left wanders slowly: {:.2} µm RMS with a memory of ", self.rms_um)?;
+        match (self.is_in_time, self.memory) {
+            (false, rows) => write!(f, "{rows:.0} rows")?,
+            (true, seconds) if seconds < 120.0 => write!(f, "{seconds:.0} s")?,
+            (true, seconds) => write!(f, "{:.0} minutes", seconds / 60.0)?,
+        }
+        f.write_str("; it goes with nothing that was recorded")?;
+        if !self.to_record.is_empty() {
+            write!(f, ". Record beside it: {}", self.to_record.join(", "))?;
+        }
+        Ok(())
+    }
+}
