@@ -6,7 +6,7 @@
 use std::fmt;
 
 use trueup_numerics::{
-    blocks::{Blocks, Reduction, stretches},
+    blocks::{Blocks, Paired, Reduction, stretches},
     parallel::on_all_cores,
 };
 
@@ -47,8 +47,8 @@ impl fmt::Display for Unit {
     }
 }
 
-/// Stretches of a record.
-const STRETCHES: usize = 5;
+/// Stretches of a record: as many as a claim must gain on at least.
+const STRETCHES: usize = 6;
 
 impl Folds {
     /// The folds; blocks for intervals are at least five correlation times of `memory` steps long.
@@ -72,6 +72,17 @@ impl Folds {
         };
         let blocks = Blocks::new(count, memory);
         Self { of_group, count: count_folds, unit, blocks }
+    }
+
+    /// Whether each group is in the second half: of the files or runs where they are left out, else of the
+    /// record.
+    pub(crate) fn second_half(&self) -> Vec<bool> {
+        let groups = self.of_group.len();
+        let is_second = |group: usize| match self.are_records() {
+            true => 2 * self.of_group[group] >= self.count,
+            false => 2 * group >= groups,
+        };
+        (0..groups).map(is_second).collect()
     }
 
     /// Whether each fold is a record of its own.
@@ -99,6 +110,11 @@ impl Folds {
             .map(|group| fitted[self.of_group[group]].residual[group])
             .collect();
         (residual, fitted.into_iter().map(|fitted| fitted.model).collect())
+    }
+
+    /// What `after` leaves less of the squares than `before`, both in groups, block by block.
+    pub(crate) fn paired(&self, before: &[f64], after: &[f64]) -> Paired {
+        self.blocks.paired(before, after)
     }
 
     /// The reduction of the RMS from `before` to `after`, both in groups.

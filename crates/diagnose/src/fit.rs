@@ -16,12 +16,14 @@
 //! | `spread` | how far the values may be off |
 
 mod cache;
+mod halves;
 mod jacobian;
 mod problem;
 mod solve;
 mod spread;
 mod undetermined;
 
+pub(crate) use halves::differs_between_halves;
 pub(crate) use jacobian::{jacobian, of_part};
 pub(crate) use problem::Problem;
 pub(crate) use solve::{Fitted, fit};

@@ -6,7 +6,7 @@
 
 use serde_json::{Map, Value, json};
 
-use trueup_machine::effect::{self, Parameter};
+use trueup_machine::effect::{self, Nonlinear, Parameter};
 use trueup_numerics::{noise::Noise, t_quantile};
 
 use crate::{
@@ -15,14 +15,25 @@ use crate::{
     terms,
 };
 
-/// The values of a part with their 95 % intervals, by the names of the table of causes; whether they
-/// are determined at all.
-pub(crate) fn parameters(
+/// What is known of the values of a part.
+pub(crate) struct Estimates {
+    /// The values with their 95 % intervals, by the names of the table of causes.
+    pub named: Map<String, Value>,
+    /// Of each value as it is fitted: its 95 % interval.
+    pub intervals: Vec<[f64; 2]>,
+    /// Whether the time constants are known at all.
+    pub is_determined: bool,
+    /// Whether an interval holds the value at which the part does nothing.
+    pub reaches_nothing: bool,
+}
+
+/// What is known of the values of a part of `fitted`, under `noise`.
+pub(crate) fn estimates(
     problem: &Problem,
     fitted: &Fitted,
     part: &Part,
     noise: Noise,
-) -> (Map<String, Value>, bool) {
+) -> Estimates {
     let data = &problem.data;
     let spread = spread(problem, fitted, noise);
     let index = fitted.model.parts.iter().position(|there| there == part).unwrap_or(0);
@@ -41,6 +52,8 @@ pub(crate) fn parameters(
             [center - sd, center + sd]
         }
     };
+    let intervals: Vec<[f64; 2]> = (0..part.values.len()).map(&interval).collect();
+    let mut reaches_nothing = reaches_nothing(part, &intervals);
     let mut map = Map::new();
     let mut is_determined = true;
     let listed = part.kind.cause().map(|cause| cause.parameters(&part.values)).unwrap_or_default();
@@ -75,6 +88,8 @@ pub(crate) fn parameters(
                     }
                     _ => f64::NAN,
                 };
+                // Without an interval nothing is known of it.
+                reaches_nothing |= amplitude <= sd || sd.is_nan();
                 put(
                     &mut map,
                     "amplitude_um",
@@ -90,14 +105,13 @@ pub(crate) fn parameters(
                 );
             }
             Parameter::Record(name, record) => {
-                let intervals: Vec<[f64; 2]> = (0..part.values.len()).map(&interval).collect();
                 let record: Map<String, Value> = record
                     .iter()
                     .map(|(key, value)| {
                         (key.to_string(), value.as_ref().map_or(Value::Null, as_json))
                     })
                     .collect();
-                map.insert((*name).into(), json!({"value": record, "ci95": intervals}));
+                map.insert((*name).into(), json!({"value": record, "ci95": &intervals}));
             }
             Parameter::Records(name, records) => {
                 let records: Vec<Map<String, Value>> = records
@@ -136,7 +150,30 @@ pub(crate) fn parameters(
             map.insert("constant_um".into(), json!({"value": term.constant_um}));
         }
     }
-    (map, is_determined)
+    Estimates { named: map, intervals, is_determined, reaches_nothing }
+}
+
+/// Whether the intervals of all values that say how much a part does hold the value at which it does
+/// nothing: of amplitudes and a shift 0, of a term of the machine file what the file says. Lists are
+/// judged by what they gain; a time constant may be 0.
+fn reaches_nothing(part: &Part, intervals: &[[f64; 2]]) -> bool {
+    let holds = |[low, high]: [f64; 2], value: f64| !(value < low || value > high);
+    if let Some(stated) = part.kind.stated() {
+        let said = stated.effect.values();
+        return intervals.iter().zip(&said).all(|(interval, said)| holds(*interval, *said));
+    }
+    if part.kind.list_length().is_some() || part.kind.is_wave() {
+        return false;
+    }
+    let nonlinear = part.kind.nonlinear();
+    let sizes = &intervals[nonlinear.len()..];
+    if sizes.is_empty() {
+        let shifts = nonlinear.iter().zip(intervals);
+        return shifts
+            .filter(|(what, _)| **what == Nonlinear::Shift)
+            .any(|(_, it)| holds(*it, 0.0));
+    }
+    sizes.iter().all(|size| holds(*size, 0.0))
 }
 
 fn put(map: &mut Map<String, Value>, name: &str, value: f64, mut ci95: [f64; 2]) {

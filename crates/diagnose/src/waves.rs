@@ -23,6 +23,8 @@ use trueup_numerics::{parallel::on_all_cores, random::Generator};
 
 /// Frequencies that are worth a core of its own.
 const FREQUENCIES_AT_ONCE: usize = 1000;
+/// Beyond so many the positions are as dense as those of a continuous record, and lie on no grid.
+const MOST_FREQUENCIES: usize = 40_000;
 
 /// The frequency of the highest peak of `values` over `at`, with at least `least_turns` over the
 /// whole length, and ln of the number of independent frequencies that were looked at.
@@ -36,21 +38,56 @@ pub(crate) fn peak(
     (power > 0.0).then_some((frequency, looked_at.ln()))
 }
 
-fn spectrum(at: &[f64], values: &[f64], least_turns: f64, most: usize) -> Option<(f64, f64, f64)> {
-    let (low, high) = at
-        .iter()
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &x| (low.min(x), high.max(x)));
-    let range = high - low;
-    if range.partial_cmp(&0.0) != Some(std::cmp::Ordering::Greater) || at.len() < 12 {
-        return None;
+/// The frequencies of the highest peaks of `values` over `at`, at most `most`, the highest first: up to
+/// twice one over the typical spacing, so that the aliases of a wave are among them.
+pub(crate) fn peaks(at: &[f64], values: &[f64], most: usize) -> Vec<f64> {
+    let Some(Grid { low, range, spacing }) = Grid::of(at) else { return Vec::new() };
+    let step = 0.25 / range;
+    let count = (2.0 / spacing / step) as usize;
+    if count > MOST_FREQUENCIES {
+        return Vec::new();
     }
-    let mut sorted = at.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let least = 1e-4 * range;
-    let mut gaps: Vec<f64> =
-        sorted.windows(2).map(|pair| pair[1] - pair[0]).filter(|gap| *gap > least).collect();
-    gaps.sort_by(f64::total_cmp);
-    let spacing = gaps.get(gaps.len() / 2).copied()?;
+    let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
+    let sums = waves(at, values, [low, mean], step, step, count);
+    let power: Vec<f64> = sums.iter().map(|sum| sum[0] * sum[0] + sum[1] * sum[1]).collect();
+    let mut tops: Vec<usize> = (1..count.saturating_sub(1))
+        .filter(|&n| power[n] >= power[n - 1] && power[n] > power[n + 1])
+        .collect();
+    tops.sort_by(|&a, &b| power[b].total_cmp(&power[a]));
+    tops.into_iter().take(most).map(|n| step * (n as f64 + 1.0)).collect()
+}
+
+/// How positions lie.
+struct Grid {
+    low: f64,
+    range: f64,
+    /// The typical distance of neighbours.
+    spacing: f64,
+}
+
+impl Grid {
+    /// None where nothing moves, or there are too few.
+    fn of(at: &[f64]) -> Option<Self> {
+        let (low, high) = at
+            .iter()
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &x| (low.min(x), high.max(x)));
+        let range = high - low;
+        if range.partial_cmp(&0.0) != Some(std::cmp::Ordering::Greater) || at.len() < 12 {
+            return None;
+        }
+        let mut sorted = at.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        let least = 1e-4 * range;
+        let mut gaps: Vec<f64> =
+            sorted.windows(2).map(|pair| pair[1] - pair[0]).filter(|gap| *gap > least).collect();
+        gaps.sort_by(f64::total_cmp);
+        let spacing = gaps.get(gaps.len() / 2).copied()?;
+        Some(Self { low, range, spacing })
+    }
+}
+
+fn spectrum(at: &[f64], values: &[f64], least_turns: f64, most: usize) -> Option<(f64, f64, f64)> {
+    let Grid { low, range, spacing } = Grid::of(at)?;
     let fastest = 0.5 / spacing;
     let step = 0.25 / range;
     let first = least_turns / range;

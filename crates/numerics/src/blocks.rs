@@ -38,6 +38,26 @@ pub struct Reduction {
     pub is_gain: bool,
 }
 
+/// What of the squares is left less, block by block.
+#[derive(Clone, Copy, Debug)]
+pub struct Paired {
+    /// Σ before² − Σ after², in µm² or whatever the squares are in; negative where more is left.
+    pub gain: f64,
+    /// The standard error of the gain, by what differs between the blocks.
+    pub standard_error: f64,
+    /// The gain of all blocks but the one that gains most.
+    pub without_best: f64,
+}
+
+impl Paired {
+    /// Whether what is left after is less than before by more than the standard error of the
+    /// difference: else both foresee equally well.
+    #[must_use]
+    pub fn is_better(&self) -> bool {
+        self.gain > self.standard_error
+    }
+}
+
 /// Blocks to draw from.
 #[derive(Clone, Debug)]
 pub struct Blocks {
@@ -55,14 +75,32 @@ impl Blocks {
         Self { of_row: stretches(rows, count), count }
     }
 
-    /// The reduction of the RMS from `before` to `after`, a value for each row.
-    #[must_use]
-    pub fn reduction(&self, before: &[f64], after: &[f64]) -> Reduction {
+    /// Squares of `before` and `after` in each block.
+    fn sums(&self, before: &[f64], after: &[f64]) -> Vec<[f64; 2]> {
         let mut sums = vec![[0.0; 2]; self.count];
         for (row, &block) in self.of_row.iter().enumerate() {
             sums[block][0] += before[row] * before[row];
             sums[block][1] += after[row] * after[row];
         }
+        sums
+    }
+
+    /// What `after` leaves less of the squares than `before`, a value for each row.
+    #[must_use]
+    pub fn paired(&self, before: &[f64], after: &[f64]) -> Paired {
+        let gains: Vec<f64> = self.sums(before, after).iter().map(|[b, a]| b - a).collect();
+        let count = gains.len() as f64;
+        let gain: f64 = gains.iter().sum();
+        let scatter: f64 = gains.iter().map(|g| (g - gain / count).powi(2)).sum();
+        let standard_error = (count / (count - 1.0).max(1.0) * scatter).sqrt();
+        let best = gains.iter().copied().fold(0.0, f64::max);
+        Paired { gain, standard_error, without_best: gain - best }
+    }
+
+    /// The reduction of the RMS from `before` to `after`, a value for each row.
+    #[must_use]
+    pub fn reduction(&self, before: &[f64], after: &[f64]) -> Reduction {
+        let sums = self.sums(before, after);
         let of = |[before, after]: [f64; 2]| {
             if before > 0.0 { 1.0 - (after / before).sqrt() } else { 0.0 }
         };
@@ -104,6 +142,19 @@ mod tests {
         let after: Vec<f64> = (0..400).map(|row| if row < 40 { 0.0 } else { 1.05 }).collect();
         let found = Blocks::new(400, 1.0).reduction(&before, &after);
         assert!(found.ci95[0] < 0.0 && found.ci95[1] > 0.0, "{found:?}");
+    }
+
+    #[test]
+    fn what_one_block_alone_gains_is_not_a_gain_beyond_its_standard_error() {
+        let before = vec![1.0; 400];
+        let blocks = Blocks::new(400, 1.0);
+        let once: Vec<f64> = (0..400).map(|row| if row < 10 { 0.0 } else { 1.0 }).collect();
+        let paired = blocks.paired(&before, &once);
+        assert_eq!([paired.gain, paired.without_best], [10.0, 0.0]);
+        assert!((paired.standard_error - 10.0).abs() < 1e-9 && !paired.is_better(), "{paired:?}");
+        let everywhere: Vec<f64> = (0..400).map(|row| 0.5 + 0.1 * f64::from(row % 3)).collect();
+        let paired = blocks.paired(&before, &everywhere);
+        assert!(paired.is_better() && paired.without_best > 0.0, "{paired:?}");
     }
 
     #[test]

@@ -14,7 +14,7 @@ use crate::{
     data::Data,
     gain::Gain,
     judge::{Doubt, Judgement, table::BetweenPoints},
-    kind::Part,
+    kind::{Kind, Part},
 };
 
 /// The finding of a term; `left_out`: what was left out in turn.
@@ -103,6 +103,14 @@ fn five_digits(number: f64) -> String {
     format!("{number:.4e}").parse::<f64>().unwrap_or(number).to_string()
 }
 
+/// A cause with the column that it hangs on.
+fn named(cause: &Kind) -> String {
+    match cause.column() {
+        Some(column) => format!("{} of {column}", cause.name()),
+        None => cause.name().into(),
+    }
+}
+
 /// The name of the rival that cannot be told from the cause.
 fn rival_in_doubt(it: &Judgement) -> Option<&'static str> {
     it.doubts.iter().find_map(|doubt| match doubt {
@@ -114,12 +122,32 @@ fn rival_in_doubt(it: &Judgement) -> Option<&'static str> {
 /// A doubt in a sentence.
 fn doubted(doubt: &Doubt, gain: &Gain, left_out: Unit) -> String {
     match doubt {
-        Doubt::Rival(rival) => format!("{} explains these data as well.", rival.name()),
+        Doubt::Rival(rival) => format!("{} explains these data as well.", named(rival)),
         Doubt::NotIdentified => format!(
             "It is not yet identified by these data: fitted to all {:.3} µm RMS are left, on \
              left-out {left_out} {:.3} µm.",
             gain.rms_after_um, gain.left_out_after_um
         ),
+        Doubt::MayBeNothing => {
+            "It may as well be nothing: the interval of its size holds that.".into()
+        }
+        Doubt::AtTheEnd => {
+            "One of its values is where the search for it ends: the best may lie beyond.".into()
+        }
+        Doubt::GainsOnce => "It gains on one part of the record alone: it was seen once.".into(),
+        Doubt::OnlyTogether(other) => format!(
+            "It is only certain together with {}: neither of the two stands alone.",
+            named(other)
+        ),
+        Doubt::HalvesDiffer([first, second]) => format!(
+            "The first half of the record says {}, the second {}: more apart than the two are uncertain.",
+            five_digits(*first),
+            five_digits(*second)
+        ),
+        Doubt::Alias(values) => {
+            let values: Vec<String> = values.iter().map(|value| five_digits(*value)).collect();
+            format!("It does as well at {}: these data cannot tell.", values.join(", "))
+        }
         Doubt::OtherLaw(inputs) => format!(
             "Something that goes with {inputs} explains clearly more in its place: the cause is \
              near it, but another one."

@@ -150,6 +150,37 @@ impl Problem {
         15.0 * time_constant_s < self.bounds.time_constant_s[1] / 3.0
     }
 
+    /// Whether a value of a part is where its search ends, so that the best may lie beyond: a time
+    /// constant at its longest (at its shortest it is none), an amplitude, a limit or a period at either
+    /// end.
+    pub(crate) fn is_at_the_end(&self, part: &Part) -> bool {
+        // To a twentieth of it, or of the range: what stops there has not stopped by itself.
+        const NEAR: f64 = 0.05;
+        let nonlinear = part.kind.nonlinear();
+        let is_near = |value: f64, [low, high]: [f64; 2]| {
+            value - low < NEAR * (high - low) || high - value < NEAR * (high - low)
+        };
+        let is_at_end = |(value, what): (&f64, &Nonlinear)| match what {
+            Nonlinear::TimeConstant | Nonlinear::FallingTimeConstant => {
+                *value > (1.0 - NEAR) * self.bounds.time_constant_s[1]
+            }
+            Nonlinear::Period => {
+                let [low, high] = self.bounds.period_mm;
+                *value < (1.0 + NEAR) * low || *value > (1.0 - NEAR) * high
+            }
+            Nonlinear::Limit => *value <= self.bounds.prediction_um[0],
+            Nonlinear::Shift
+            | Nonlinear::ReadingPeriod
+            | Nonlinear::Origin
+            | Nonlinear::Instant => false,
+        };
+        let limits = part.kind.cause().and_then(|cause| cause.amplitude_limits());
+        part.values.iter().zip(nonlinear).any(is_at_end)
+            || limits.is_some_and(|limits| {
+                part.values[nonlinear.len()..].iter().any(|value| is_near(*value, limits))
+            })
+    }
+
     /// Measured minus predicted, in groups.
     pub(crate) fn residual(&self, model: &Model) -> Vec<f64> {
         let predicted = self.predicted(model);

@@ -1,14 +1,15 @@
 //! What is the same for all terms of an answer that is judged.
 
-use trueup_numerics::blocks::rms;
+use trueup_numerics::blocks::{Paired, rms};
 
 use crate::{
+    blocks::Folds,
     fit::{Fitted, Problem},
     gain::Gain,
     model::Model,
     search::{
         Found,
-        criterion::{bic, bic_gap, left_out_um},
+        criterion::{bic, bic_gap},
     },
 };
 
@@ -17,7 +18,7 @@ pub(crate) struct Case<'c> {
     pub problem: &'c Problem,
     pub found: &'c Found,
     /// What the answer leaves in each group where that was left out of the fit, in µm.
-    left_out: Vec<f64>,
+    pub left_out: Vec<f64>,
     /// RMS of it.
     pub left_out_um: f64,
     /// The fits without each fold.
@@ -40,17 +41,36 @@ impl<'c> Case<'c> {
         bic_gap(self.problem, &self.found.fitted, other)
     }
 
-    /// What `other` leaves on left-out blocks: RMS, in µm.
-    pub(crate) fn left_out_um_of(&self, other: &Fitted) -> f64 {
-        left_out_um(self.problem, &self.found.folds, &other.model)
+    /// By how much the BIC of `other` is worse than that of `own`; both with as many values.
+    pub(crate) fn gap_between(&self, own: &Fitted, other: &Fitted) -> f64 {
+        bic_gap(self.problem, own, other)
     }
 
-    /// What the answer brings against `without`, which lacks a term.
-    pub(crate) fn gain(&self, without: &Fitted) -> Gain {
-        let folds = &self.found.folds;
-        let before = folds.left_out(self.problem, &without.model);
-        let reduction = folds.reduction(&before, &self.left_out);
+    /// What is left out in turn.
+    pub(crate) fn folds(&self) -> &Folds {
+        &self.found.folds
+    }
+
+    /// What `other` leaves on left-out blocks, in each group, in µm.
+    pub(crate) fn left_out_of(&self, other: &Fitted) -> Vec<f64> {
+        self.folds().left_out(self.problem, &other.model)
+    }
+
+    /// What `other` leaves on left-out blocks: RMS, in µm.
+    pub(crate) fn left_out_um_of(&self, other: &Fitted) -> f64 {
+        rms(&self.left_out_of(other))
+    }
+
+    /// What the answer leaves less than `before` on left-out blocks.
+    pub(crate) fn paired(&self, before: &[f64]) -> Paired {
+        self.folds().paired(before, &self.left_out)
+    }
+
+    /// What the answer brings against `without`, which lacks a term and leaves `before` on left-out
+    /// blocks.
+    pub(crate) fn gain(&self, without: &Fitted, before: &[f64]) -> Gain {
+        let reduction = self.folds().reduction(before, &self.left_out);
         let rms_um = [without.rms(), self.found.fitted.rms()];
-        Gain::new(rms_um, [&before, &self.left_out], &reduction)
+        Gain::new(rms_um, [before, &self.left_out], &reduction)
     }
 }

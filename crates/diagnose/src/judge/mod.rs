@@ -3,13 +3,23 @@
 //! A name is claimed where
 //!
 //! ```text
-//! no other cause in its place scores within 6 (BIC)           else: the two cannot be told apart
+//! no other cause in its place scores within 6 (BIC) and         else: the two cannot be told apart
+//! foresees left-out blocks as well, nor does the same cause
+//! by another column do either
 //! whole records that were left out are foreseen as if fitted    else: not yet identified
 //! to; or its time constant is known or short, what is left
 //! out is foreseen, and a slow path was seen more than once
-//! no curve in its place explains clearly more                 else: something goes with its inputs,
-//!                                                             but by another law
-//! it is still needed with a curve in the place of such a term else: it makes up for that term
+//! the interval of its size does not hold nothing, and no        else: not certain
+//! value of it is where its search ends
+//! it gains on left-out blocks, also without the one on which    else: seen once
+//! it gains most
+//! it gains without each other term, and no other term takes     else: only certain together
+//! back what it does
+//! its values are the same in both halves of the record          else: both are told
+//! no other period or time constant of its own does as well      else: aliases
+//! no curve in its place explains clearly more                   else: something goes with its inputs,
+//!                                                               but by another law
+//! it is still needed with a curve in the place of such a term   else: it makes up for that term
 //! ```
 //!
 //! A table that was measured several times is judged by its repeats in the place of the last three.
@@ -23,8 +33,11 @@
 //! Of causes that cannot be told apart a term is kept if all give the same correction, within the
 //! error that remains anyway.
 
+mod aliases;
 mod case;
+mod doubt;
 mod identified;
+mod needed;
 mod other_law;
 mod rivals;
 pub(crate) mod table;
@@ -33,15 +46,18 @@ use serde_json::{Map, Value};
 use trueup_numerics::parallel::on_all_cores;
 
 use crate::{
-    fit::{Fitted, Problem, fit},
+    fit::{Fitted, Problem, differs_between_halves, fit},
     gain::Gain,
     kind::{Kind, Part},
     model::Model,
-    parameters::parameters,
+    parameters::{Estimates, estimates},
     search::{Added, Found, criterion::STRONG_EVIDENCE, extend::replacements, lack_of_fit::Inputs},
 };
+use aliases::aliases;
 use case::Case;
+pub(crate) use doubt::Doubt;
 use identified::is_identified;
+use needed::{Alone, gains_again, only_together};
 use other_law::Curves;
 use rivals::{Rival, predict_alike, rivals};
 use table::{BetweenPoints, repeated};
@@ -63,23 +79,8 @@ pub(crate) struct Judgement {
     pub is_kept: bool,
     /// Of a table that was measured several times: what is known between its points.
     pub between: Option<BetweenPoints>,
-}
-
-/// Why the name of a term is not claimed.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Doubt {
-    /// Another cause explains the data as well.
-    Rival(Kind),
-    /// Its values are not identified.
-    NotIdentified,
-    /// A curve over these explains clearly more in its place.
-    OtherLaw(Inputs),
-    /// Curves explain its part as well, and there is something that only they explain.
-    NotNeeded,
-    /// It is only needed beside a term that stands for another law.
-    BesideOtherLaw,
-    /// A table that its own repeats do not bear out.
-    NotRepeated,
+    /// What the answer leaves without it on left-out blocks, in each group, in µm.
+    left_out_without: Vec<f64>,
 }
 
 impl Judgement {
@@ -110,6 +111,7 @@ pub(crate) fn judge(problem: &Problem, found: &Found) -> Vec<Judgement> {
     let case = Case::new(problem, found);
     let judged = on_all_cores(&found.added, problem.is_large(), |added| judge_term(&case, added));
     let mut judged: Vec<Judgement> = judged.into_iter().flatten().collect();
+    doubt_what_is_only_certain_together(&case, &mut judged);
     doubt_what_stands_beside_another_law(&case, &mut judged);
     judged
 }
@@ -122,7 +124,8 @@ fn judge_term(case: &Case<'_>, added: &Added) -> Option<Judgement> {
     let places = replacements(problem, &found.fitted, cause, 8);
     let without = places.without.clone();
     let rivals = rivals(case, cause, places);
-    let (parameters, is_known) = parameters(problem, &found.fitted, part, found.noise);
+    let estimates = estimates(problem, &found.fitted, part, found.noise);
+    let left_out_without = case.left_out_of(&without);
     let open: Vec<&Rival> = rivals.iter().filter(|rival| rival.is_open(cause)).collect();
     let mut doubts = Vec::new();
     doubts.extend(open.first().map(|rival| Doubt::Rival(rival.cause.clone())));
@@ -131,19 +134,56 @@ fn judge_term(case: &Case<'_>, added: &Added) -> Option<Judgement> {
         // Its repeats are the judge of a table, not what it leaves.
         Some(repeated) if repeated.is_confirmed => {}
         Some(_) => doubts.push(Doubt::NotRepeated),
-        None => doubts.extend(doubts_by_residual(case, cause, &without, is_known)),
+        None => {
+            doubts.extend(doubts_of_values(case, part, &without, &estimates, &left_out_without));
+            let is_known = estimates.is_determined;
+            doubts.extend(doubts_by_residual(case, cause, &without, is_known));
+        }
     }
-    let is_kept = predict_alike(case, &open);
+    // What may be nothing, or another wave between the places, is corrected only if it is foreseen.
+    let is_foreseen = case.paired(&left_out_without).is_better();
+    let is_alias_of_wave = cause.is_wave() && doubts.iter().any(|it| matches!(it, Doubt::Alias(_)));
+    let is_kept = predict_alike(case, &open)
+        && !is_alias_of_wave
+        && (is_foreseen || !doubts.iter().any(Doubt::is_of_size));
     Some(Judgement {
         part: part.clone(),
-        parameters,
-        gain: case.gain(&without),
+        parameters: estimates.named,
+        gain: case.gain(&without, &left_out_without),
         first_gain: added.gain,
         is_kept,
         rivals,
         doubts,
         between: repeated.and_then(|repeated| repeated.between),
+        left_out_without,
     })
+}
+
+/// Why it is doubted how much a term does, by its values and by what the answer leaves `without` it on
+/// left-out blocks.
+fn doubts_of_values(
+    case: &Case<'_>,
+    part: &Part,
+    without: &Fitted,
+    estimates: &Estimates,
+    left_out_without: &[f64],
+) -> Vec<Doubt> {
+    let mut doubts = Vec::new();
+    if estimates.reaches_nothing {
+        doubts.push(Doubt::MayBeNothing);
+    }
+    if case.problem.is_at_the_end(part) {
+        doubts.push(Doubt::AtTheEnd);
+    }
+    if !gains_again(case, &part.kind, left_out_without) {
+        doubts.push(Doubt::GainsOnce);
+    }
+    doubts.extend(halves(case, part).map(Doubt::HalvesDiffer));
+    let aliases = aliases(case, part, without, estimates);
+    if !aliases.is_empty() {
+        doubts.push(Doubt::Alias(aliases));
+    }
+    doubts
 }
 
 /// Why the name of a term is not claimed, by what the answer leaves with it, and `without` it.
@@ -164,6 +204,34 @@ fn doubts_by_residual(
         doubts.push(Doubt::NotNeeded);
     }
     doubts
+}
+
+/// The value of a part that differs most between the halves of the record, in each.
+fn halves(case: &Case<'_>, part: &Part) -> Option<[f64; 2]> {
+    if part.kind.list_length().is_some() || part.kind.has_instant() {
+        return None;
+    }
+    let Found { fitted, noise, folds, .. } = case.found;
+    let index = fitted.model.parts.iter().position(|there| there == part)?;
+    let is_second = folds.second_half();
+    differs_between_halves(case.problem, fitted, index, *noise, &is_second)
+}
+
+/// Takes back the claims of terms that are only certain together; the two are kept if together they
+/// foresee better what was left out.
+fn doubt_what_is_only_certain_together(case: &Case<'_>, judged: &mut [Judgement]) {
+    let terms: Vec<Alone<'_>> = judged
+        .iter()
+        .map(|it| Alone { cause: it.cause(), left_out_without: &it.left_out_without })
+        .collect();
+    for pair in only_together(case, &terms) {
+        let [first, second] = pair.terms;
+        let names = [judged[second].cause().clone(), judged[first].cause().clone()];
+        for (index, other) in pair.terms.into_iter().zip(names) {
+            judged[index].doubts.push(Doubt::OnlyTogether(other));
+            judged[index].is_kept &= pair.is_gain;
+        }
+    }
 }
 
 /// Takes back the claims that only hold beside a term which stands for another law: what makes up for

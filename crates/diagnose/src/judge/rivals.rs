@@ -18,27 +18,35 @@ const MOST_RIVALS: usize = 6;
 /// Share of what a term does that a rival may miss and still imitate it.
 const IMITATION: f64 = 0.05;
 
-/// Another cause in a term's place.
+/// Another cause in a term's place, or the same by another column.
 pub(crate) struct Rival {
     pub cause: Kind,
     pub fitted: Fitted,
     /// How much worse its BIC is.
     pub bic_gap: f64,
+    /// Whether it foresees left-out blocks as well.
+    foresees_as_well: bool,
 }
 
 impl Rival {
-    /// Whether it is another cause, and not the same by another column: that is a question of where, not
-    /// of what. A second path of the heat by which a path of the machine file goes is that path, changed.
+    /// Whether it is another cause or hangs on another column. A second path of the heat by which a path
+    /// of the machine file goes is that path, changed.
     pub(crate) fn differs_from(&self, cause: &Kind) -> bool {
         let column = |kind: &Kind| kind.heat_path().map(|path| path.column.to_owned());
         let own = cause.stated().and_then(|_| column(cause));
-        let is_path_of_file = own.is_some() && own == column(&self.cause);
-        self.cause.name() != cause.name() && !is_path_of_file
+        own.is_none() || own != column(&self.cause)
     }
 
-    /// Whether the data cannot tell it from `cause`.
+    /// Whether the data cannot tell it from `cause`. Of two columns that go together both may foresee
+    /// what was left out, however narrow the intervals are.
     pub(crate) fn is_open(&self, cause: &Kind) -> bool {
-        self.differs_from(cause) && self.bic_gap < STRONG_EVIDENCE
+        let is_near = self.bic_gap < STRONG_EVIDENCE;
+        self.differs_from(cause)
+            && if self.cause.name() == cause.name() {
+                is_near || self.foresees_as_well
+            } else {
+                is_near && self.foresees_as_well
+            }
     }
 }
 
@@ -50,23 +58,21 @@ pub(crate) fn rivals(case: &Case<'_>, cause: &Kind, places: Replacements) -> Vec
         if is_same(&other, cause) {
             continue;
         }
-        let mut bic_gap = case.bic_gap(&fitted);
-        // What predicts left-out blocks clearly worse does not explain as well, whatever it fits.
-        if bic_gap < STRONG_EVIDENCE
-            && case.left_out_um_of(&fitted) > EQUAL_PREDICTION * case.left_out_um
-        {
-            bic_gap = STRONG_EVIDENCE;
-        }
-        let rival = Rival { cause: other, fitted, bic_gap };
+        let bic_gap = case.bic_gap(&fitted);
+        let left_out = || case.left_out_of(&fitted);
+        let foresees_as_well = if other.name() == cause.name() {
+            !case.paired(&left_out()).is_better()
+        } else {
+            bic_gap < STRONG_EVIDENCE && rms(&left_out()) <= EQUAL_PREDICTION * case.left_out_um
+        };
+        let rival = Rival { cause: other, fitted, bic_gap, foresees_as_well };
         match all.iter_mut().find(|there| is_same(&there.cause, &rival.cause)) {
             Some(there) if there.bic_gap > bic_gap => *there = rival,
             Some(_) => {}
             None => all.push(rival),
         }
     }
-    all.retain(|rival| {
-        rival.bic_gap >= STRONG_EVIDENCE || !imitates(case, &places.without, &rival.fitted)
-    });
+    all.retain(|rival| !rival.is_open(cause) || !imitates(case, &places.without, &rival.fitted));
     all.sort_by(|a, b| a.bic_gap.total_cmp(&b.bic_gap));
     all.truncate(MOST_RIVALS);
     all

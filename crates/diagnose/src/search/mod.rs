@@ -55,6 +55,8 @@ use state::{Search, Stage, WhyNot};
 const MOST_TERMS: usize = 8;
 /// Most rounds: one for each term, and as many as find nothing.
 const MOST_ROUNDS: usize = MOST_TERMS + 7;
+/// How often the search begins again after a term was given up.
+const MOST_RETURNS: usize = 3;
 /// Candidates that are fitted with everything else, of those that a scan puts first.
 const MOST_FITTED: usize = 10;
 /// Groups times fitted values up to which two terms ahead are looked at: it is many fits.
@@ -86,24 +88,14 @@ pub(crate) fn search(
     progress: &mut dyn FnMut(&str, f64),
 ) -> Found {
     let mut search = Search::new(problem, start);
-    let mut no_gain = Vec::new();
-    for round in 0..MOST_ROUNDS {
-        let part = |rounds: f64| (rounds / MOST_TERMS as f64).min(0.9);
-        progress("looking for a cause", part(round as f64));
-        match search.round(progress) {
-            Round::Added if search.added.len() >= MOST_TERMS => break,
-            Round::Added => {
-                progress("comparing with rivals", part(round as f64 + 0.7));
-                search.revise();
-            }
-            Round::Widened => {}
-            Round::Exhausted(hits) => {
-                no_gain = search.close(&hits);
-                break;
-            }
-        }
+    let mut no_gain = search.add_terms(progress);
+    // What foresees nothing may have stood in the way of what does.
+    let mut returns = 0;
+    while search.simplify() && returns < MOST_RETURNS {
+        search.try_all_again();
+        no_gain = search.add_terms(progress);
+        returns += 1;
     }
-    search.simplify();
     search.outcome(no_gain)
 }
 
@@ -118,12 +110,31 @@ enum Round {
 }
 
 impl Search<'_> {
+    /// Adds terms until nothing more is to be found; what is more than noise then, but foresees nothing.
+    fn add_terms(&mut self, progress: &mut dyn FnMut(&str, f64)) -> Vec<LackOfFit> {
+        for round in 0..MOST_ROUNDS {
+            let part = |rounds: f64| (rounds / MOST_TERMS as f64).min(0.9);
+            progress("looking for a cause", part(round as f64));
+            match self.round(progress) {
+                Round::Added if self.added.len() >= MOST_TERMS => break,
+                Round::Added => {
+                    progress("comparing with rivals", part(round as f64 + 0.7));
+                    self.revise();
+                }
+                Round::Widened => {}
+                Round::Exhausted(hits) => return self.close(&hits),
+            }
+        }
+        Vec::new()
+    }
+
     /// Scans what may be tried now, and takes the best if it is worth it.
     fn round(&mut self, progress: &mut dyn FnMut(&str, f64)) -> Round {
         let mut candidates = possible(self.problem, &self.fitted.model, &self.fitted.residual);
         candidates.retain(|candidate| {
             self.stage.admits(&candidate.kind)
                 && !self.rejected.iter().any(|tried| tried.cause == candidate.kind)
+                && !self.given_up.contains(&candidate.kind)
         });
         let tier = candidates.iter().map(|candidate| candidate.kind.tier()).max().unwrap_or(0);
         let scanned = scan(self.problem, &self.fitted, &candidates, self.limits);

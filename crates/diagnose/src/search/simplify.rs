@@ -18,14 +18,16 @@ use crate::{
 };
 
 impl Search<'_> {
-    /// All of it, in this order.
-    pub(crate) fn simplify(&mut self) {
+    /// All of it, in this order; whether a term was given up, so that others may be worth a try.
+    pub(crate) fn simplify(&mut self) -> bool {
+        let given_up = self.given_up.len();
         self.lag_for_a_term();
         self.table_for_both_ways();
         self.laws_for_a_table();
         self.drop_what_does_not_gain();
         self.simplest_of_equals();
         self.name_paths();
+        self.given_up.len() > given_up
     }
 
     /// A path without a lag may need another term to mend what its lag would do. Tries the lag, with
@@ -179,21 +181,36 @@ impl Search<'_> {
         with_each_cause(self.problem, &plain, usize::MAX, Kind::is_wave)
     }
 
-    /// No gain, no term: what predicts left-out blocks no better in the end leaves again.
+    /// Of models that foresee left-out blocks equally well the one with the fewest values is the answer:
+    /// a term without which no more is left there, beyond the standard error of the difference, leaves.
+    /// That which is needed least goes first.
     fn drop_what_does_not_gain(&mut self) {
-        for index in (0..self.added.len()).rev() {
-            let model = without(self.problem, &self.fitted.model, &self.added[index].cause);
-            let without = fit(self.problem, &model, None);
-            if self.left_out_um(&self.fitted) >= self.left_out_um(&without) {
-                self.remove(index, without);
+        while !self.added.is_empty() {
+            let with = self.foresight(&self.fitted);
+            let least = (0..self.added.len())
+                .map(|index| {
+                    let model = without(self.problem, &self.fitted.model, &self.added[index].cause);
+                    let without = fit(self.problem, &model, None);
+                    let paired = self.folds.paired(&self.foresight(&without), &with);
+                    (index, without, paired)
+                })
+                .min_by(|a, b| a.2.gain.total_cmp(&b.2.gain));
+            match least {
+                Some((index, without, paired)) if !paired.is_better() => {
+                    self.given_up.push(self.added[index].cause.clone());
+                    self.remove(index, without);
+                }
+                _ => break,
             }
         }
     }
 
-    /// Of causes that explain as well the one that needs the fewest values gives the name.
+    /// Of causes that foresee left-out blocks as well the one that needs the fewest values gives the
+    /// name.
     fn simplest_of_equals(&mut self) {
         for index in 0..self.added.len() {
             let own = degrees(&self.fitted.model);
+            let with = self.foresight(&self.fitted);
             let simpler = self
                 .replacements(&self.added[index].cause, 6)
                 .instead
@@ -203,7 +220,7 @@ impl Search<'_> {
                 .min_by(|a, b| a.0.total_cmp(&b.0));
             if let Some((gap, it)) = simpler
                 && gap < STRONG_EVIDENCE
-                && self.left_out_um(&it.fitted) <= EQUAL_PREDICTION * self.left_out_um(&self.fitted)
+                && !self.folds.paired(&self.foresight(&it.fitted), &with).is_better()
             {
                 self.replace(index, it);
             }

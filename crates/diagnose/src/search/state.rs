@@ -29,6 +29,8 @@ pub(crate) struct Search<'p> {
     pub limits: Draw,
     /// What was tried beside the model in work and rejected; it is not tried beside it again.
     pub rejected: Vec<Tried>,
+    /// Terms that were there and foresaw no better than without them; they are not tried again.
+    pub given_up: Vec<Kind>,
     /// Terms that only the statistic of squares called for.
     pub by_squares: Vec<Kind>,
     /// Whether two terms ahead have been looked at.
@@ -131,6 +133,7 @@ impl<'p> Search<'p> {
             stage: Stage::OwnModel,
             limits: Draw::Robust,
             rejected: Vec::new(),
+            given_up: Vec::new(),
             by_squares: Vec::new(),
             has_looked_ahead: false,
             has_judged_repeats: false,
@@ -145,6 +148,11 @@ impl<'p> Search<'p> {
     /// What `fitted` leaves on left-out blocks: RMS, in µm.
     pub(crate) fn left_out_um(&self, fitted: &Fitted) -> f64 {
         left_out_um(self.problem, &self.folds, &fitted.model)
+    }
+
+    /// What `fitted` leaves on left-out blocks, in each group, in µm.
+    pub(crate) fn foresight(&self, fitted: &Fitted) -> Vec<f64> {
+        self.folds.left_out(self.problem, &fitted.model)
     }
 
     /// The model in work without a term, and with other causes in its place.

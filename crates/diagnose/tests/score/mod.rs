@@ -22,6 +22,8 @@ pub struct Score {
     pub verdict: Verdict,
     /// Rivals that were as good.
     pub open: Vec<String>,
+    /// Why causes are not claimed, with their values.
+    pub doubts: Vec<String>,
     /// Whether each true parameter is within its interval.
     pub within: Vec<(String, bool)>,
     /// Gain on the hold-out over the possible gain; NaN where nothing is to be gained, or not every
@@ -53,6 +55,9 @@ impl fmt::Display for Score {
         }
         for open in &self.open {
             write!(f, ", open: {open}")?;
+        }
+        for doubt in &self.doubts {
+            write!(f, "; {doubt}")?;
         }
         Ok(())
     }
@@ -112,6 +117,17 @@ pub fn score(challenge: &Challenge, diagnosis: &Diagnosis) -> Score {
             format!("{} {:.1} {} {:?}", finding.cause, rival.score_gap, rival.cause, rival.column)
         })
         .collect();
+    let unclaimed_findings = report.findings.iter().filter(|finding| !finding.claimed);
+    let doubts = unclaimed_findings
+        .map(|finding| {
+            let evidence = &finding.evidence;
+            // Without what it leaves and gains.
+            let said = evidence
+                .iter()
+                .filter(|it| !it.starts_with("Without") && !it.starts_with("On left"));
+            format!("{}: {}", finding.cause, said.cloned().collect::<Vec<_>>().join(" "))
+        })
+        .collect();
     let mut within = Vec::new();
     for effect in &truth.effects {
         let finding = report.findings.iter().find(|finding| finding.cause == effect.cause.answer());
@@ -142,6 +158,7 @@ pub fn score(challenge: &Challenge, diagnosis: &Diagnosis) -> Score {
         is_wrong,
         verdict: report.verdict,
         open,
+        doubts,
         within,
         share_of_gain,
         visible: rms(&truth.effect_um) / truth.noise_rms_um,

@@ -1,0 +1,40 @@
+//! Why the name of a term is not claimed.
+
+use crate::{kind::Kind, search::lack_of_fit::Inputs};
+
+/// A reason not to claim a term.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Doubt {
+    /// Another cause, or the same by another column, explains the data as well.
+    Rival(Kind),
+    /// Its values are not identified.
+    NotIdentified,
+    /// The 95 % interval of its size holds the size at which it does nothing.
+    MayBeNothing,
+    /// A value of it is where its search ends: the best may lie beyond.
+    AtTheEnd,
+    /// It gains on one block of the record alone, and nothing on the others together.
+    GainsOnce,
+    /// It gains on left-out blocks only together with this one, or the two take each other's part back.
+    OnlyTogether(Kind),
+    /// This value differs between the halves of the record by more than its intervals: in each.
+    HalvesDiffer([f64; 2]),
+    /// The same cause with these first values (a period in mm, a time constant or an instant in s) does
+    /// as well.
+    Alias(Vec<f64>),
+    /// A curve over these explains clearly more in its place.
+    OtherLaw(Inputs),
+    /// Curves explain its part as well, and there is something that only they explain.
+    NotNeeded,
+    /// It is only needed beside a term that stands for another law.
+    BesideOtherLaw,
+    /// A table that its own repeats do not bear out.
+    NotRepeated,
+}
+
+impl Doubt {
+    /// Whether it is doubted how large the term is, if it is anything.
+    pub(crate) fn is_of_size(&self) -> bool {
+        matches!(self, Self::MayBeNothing | Self::AtTheEnd | Self::GainsOnce)
+    }
+}
