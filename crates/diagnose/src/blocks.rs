@@ -68,7 +68,7 @@ impl Folds {
         } else if data.time_s.is_none() && count <= 50 {
             ((0..count).collect(), count, Unit::Readings)
         } else {
-            (stretches(count, STRETCHES), STRETCHES, Unit::Stretches)
+            (eventful(&problem.measured, STRETCHES), STRETCHES, Unit::Stretches)
         };
         let blocks = Blocks::new(count, memory);
         Self { of_group, count: count_folds, unit, blocks }
@@ -123,6 +123,35 @@ impl Folds {
     }
 }
 
+/// Stretches of a record that are as long as each other and in which as much happens, half each: of a
+/// warm-up all that can be learned is at its beginning, and a stretch of it that held all of that could
+/// not be foreseen by whatever model. What happens is told by the means of ten parts of a stretch, so
+/// that noise averages out.
+fn eventful(measured: &[f64], count: usize) -> Vec<usize> {
+    let groups = measured.len();
+    let parts = stretches(groups, (10 * count).min(groups));
+    let number = parts.last().map_or(0, |last| last + 1);
+    let mut means = vec![[0.0; 2]; number];
+    for (value, &part) in measured.iter().zip(&parts) {
+        means[part][0] += value;
+        means[part][1] += 1.0;
+    }
+    let mean = |part: usize| means[part][0] / means[part][1];
+    let changes: Vec<f64> =
+        (0..number).map(|part| (mean(part) - mean(part.saturating_sub(1))).abs()).collect();
+    let all: f64 = changes.iter().sum();
+    let mut so_far = 0.0;
+    (0..groups)
+        .map(|group| {
+            let (part, length) = (parts[group], means[parts[group]][1]);
+            let happened = if all > 0.0 { changes[part] / all } else { 1.0 / number as f64 };
+            let middle = so_far + 0.25 * (happened / length + 1.0 / groups as f64);
+            so_far += 0.5 * (happened / length + 1.0 / groups as f64);
+            ((middle * count as f64) as usize).min(count - 1)
+        })
+        .collect()
+}
+
 /// The runs numbered from 0 in the order in which they come, by group.
 fn numbered(first_row: &[usize], run: Option<&[f64]>) -> Vec<usize> {
     let Some(run) = run else { return Vec::new() };
@@ -137,4 +166,20 @@ fn numbered(first_row: &[usize], run: Option<&[f64]>) -> Vec<usize> {
             })
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stretches_are_equal_where_as_much_happens_all_the_time_and_shorter_where_more_does() {
+        let waves: Vec<f64> = (0..600).map(|n| f64::from(n % 20)).collect();
+        let even = eventful(&waves, 6);
+        let length = |of: &[usize], n: usize| of.iter().filter(|there| **there == n).count();
+        assert!((0..6).all(|n| length(&even, n).abs_diff(100) <= 20), "{even:?}");
+        let warming: Vec<f64> = (0..600).map(|n| 1.0 - (-f64::from(n) / 50.0).exp()).collect();
+        let cut = eventful(&warming, 6);
+        assert!(cut.is_sorted() && length(&cut, 0) < 40 && length(&cut, 5) > 150, "{cut:?}");
+    }
 }

@@ -56,6 +56,12 @@ impl Paired {
     pub fn is_better(&self) -> bool {
         self.gain > self.standard_error
     }
+
+    /// Whether it is less by more than two standard errors: beyond doubt, as 95 % go.
+    #[must_use]
+    pub fn is_certain(&self) -> bool {
+        self.gain > 2.0 * self.standard_error
+    }
 }
 
 /// Blocks to draw from.

@@ -42,11 +42,7 @@ impl Rival {
     pub(crate) fn is_open(&self, cause: &Kind) -> bool {
         let is_near = self.bic_gap < STRONG_EVIDENCE;
         self.differs_from(cause)
-            && if self.cause.name() == cause.name() {
-                is_near || self.foresees_as_well
-            } else {
-                is_near && self.foresees_as_well
-            }
+            && (is_near || self.foresees_as_well && self.cause.name() == cause.name())
     }
 }
 
@@ -59,12 +55,19 @@ pub(crate) fn rivals(case: &Case<'_>, cause: &Kind, places: Replacements) -> Vec
             continue;
         }
         let bic_gap = case.bic_gap(&fitted);
-        let left_out = || case.left_out_of(&fitted);
-        let foresees_as_well = if other.name() == cause.name() {
-            !case.paired(&left_out()).is_better()
-        } else {
-            bic_gap < STRONG_EVIDENCE && rms(&left_out()) <= EQUAL_PREDICTION * case.left_out_um
-        };
+        let mut bic_gap = bic_gap;
+        let is_near = bic_gap < STRONG_EVIDENCE;
+        let mut foresees_as_well = false;
+        if is_near || other.name() == cause.name() {
+            let left_out = case.left_out_of(&fitted);
+            let paired = case.paired(&left_out);
+            foresees_as_well = !paired.is_better();
+            // What predicts left-out blocks clearly worse does not explain as well, whatever it fits.
+            let is_worse = rms(&left_out) > EQUAL_PREDICTION * case.left_out_um;
+            if is_near && is_worse && paired.is_certain() {
+                bic_gap = STRONG_EVIDENCE;
+            }
+        }
         let rival = Rival { cause: other, fitted, bic_gap, foresees_as_well };
         match all.iter_mut().find(|there| is_same(&there.cause, &rival.cause)) {
             Some(there) if there.bic_gap > bic_gap => *there = rival,
