@@ -82,7 +82,7 @@ impl Input {
             }
         };
         let read = |path: &PathBuf| -> Result<RunFile> {
-            let run = runs::read(path)?;
+            let run = runs::read_and_warn(path)?;
             let machine = machine.as_ref().map(|(_, _, machine)| machine);
             let (cleaned, notes) = applied::taken_out(&run, machine, None)?;
             notes.iter().for_each(|note| eprintln!("warning: {note}"));

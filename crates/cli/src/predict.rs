@@ -29,7 +29,7 @@ pub struct Predict {
 pub fn run(args: &Predict, as_json: bool) -> Result<Outcome> {
     let Predict { machine: machine_path, run: run_path, output: to } = args;
     let machine = MachineFile::read(machine_path)?;
-    let run = runs::read(run_path)?;
+    let run = runs::read_and_warn(run_path)?;
     let predictor = Predictor::new(&machine, &run)?;
     if let Some(why) = predictor.why_no_bridge() {
         eprintln!("warning: {}: the bridge's columns stay empty: {why}", machine_path.display());

@@ -2,14 +2,18 @@
 //!
 //! Numbers only, under one header row whose names carry the unit. A number that would be misread in
 //! silence (a decimal comma, a repeated column, an infinite value, a row that is too short) is an
-//! error with its line and column.
+//! error with its line and column. Lines that begin with `#` are comments. Where a logger writes the
+//! time of day (ISO 8601) it is read as seconds from the first one of the file.
 //!
 //! The file is read line by line, one line a row, and its memory is that of its values: 12 bytes
 //! each. It is bounded: by [`MOST_BYTES`], [`MOST_COLUMNS`] and [`MOST_VALUES`], and a line by
 //! 1 MiB.
 
+mod cells;
+mod clock;
 mod fields;
 mod line;
+mod meant;
 
 use std::{
     collections::HashMap,
@@ -23,6 +27,7 @@ use crate::{
     bounded,
     location::{BadInput, Location, did_you_mean, shortened},
 };
+use cells::Cells;
 use fields::{BadQuote, Fields, separator_of};
 use line::Line;
 
@@ -41,8 +46,18 @@ pub struct RunFile {
     path: PathBuf,
     columns: Vec<Column>,
     header_line: usize,
-    /// The line of each row, from 1: empty lines are no rows.
+    /// The line of each row, from 1: empty lines and comments are no rows.
     line_of_row: Vec<usize>,
+    slips: Vec<Slip>,
+}
+
+/// A column that is not known, and the known one that was probably meant.
+#[derive(Clone, Debug)]
+struct Slip {
+    name: String,
+    meant: String,
+    /// The character column of its name in the header, from 1.
+    column: usize,
 }
 
 /// One column of a run.
@@ -83,8 +98,9 @@ impl RunFile {
     /// Reads a run from `source`; `path` names it in errors.
     ///
     /// Fields are separated by `,` or `;`, whichever is in the header more often. A byte order
-    /// mark, CRLF, blanks around a field, `"` around it, and empty lines are accepted. An empty
-    /// field and `nan` are missing values.
+    /// mark, CRLF, blanks around a field, `"` around it, empty lines, and lines that begin with `#`
+    /// are accepted. An empty field and `nan` are missing values. Where there is no `time_s`, a column
+    /// `time` of times by ISO 8601 is `time_s`.
     ///
     /// # Errors
     /// No header or no row; a column without a name or with that of another; a row with more or
@@ -103,7 +119,7 @@ impl RunFile {
                 let rule = "is empty: a run file needs a header row with the names of its columns";
                 return Err(BadInput::new(Location::start_of(path), rule));
             }
-            if !line.is_blank() {
+            if line.is_content() {
                 break;
             }
         }
@@ -113,15 +129,17 @@ impl RunFile {
             columns: Vec::new(),
             header_line: line.number,
             line_of_row: Vec::new(),
+            slips: Vec::new(),
         };
         run.read_header(&line, separator)?;
+        let mut cells = Cells::new(run.columns.len());
         let mut order = TimeOrder::new(&run.columns);
 
         while line.read(&mut source, path)? {
-            if !line.is_blank() {
+            if line.is_content() {
                 run.check_room(&line, bounds.values)?;
-                run.read_row(&line, separator)?;
-                order.check(&run)?;
+                run.read_row(&line, separator, &mut cells)?;
+                order.check(&run, &cells)?;
             }
         }
         if run.line_of_row.is_empty() {
@@ -130,6 +148,7 @@ impl RunFile {
                 "there is a header row, but no row of values",
             ));
         }
+        run.name_clock(&cells);
         Ok(run)
     }
 
@@ -163,12 +182,46 @@ impl RunFile {
     /// There is no such column: the rule lists those that are there.
     pub fn require(&self, name: &str) -> Result<&[f64], BadInput> {
         self.column(name).ok_or_else(|| {
+            if let Some(slip) = self.slips.iter().find(|slip| slip.meant == name) {
+                return BadInput::new(
+                    self.header_column(slip.column),
+                    format!(
+                        "column {name} is missing; {} is no column that is known: if it was meant, \
+                             give it as {name}",
+                        slip.name
+                    ),
+                );
+            }
             let names = || self.columns.iter().map(|column| column.name.as_str());
             let there = names().collect::<Vec<_>>().join(", ");
             let suggestion = did_you_mean(name, names());
             let rule = format!("column {name} is missing; there are {there}{suggestion}");
             BadInput::new(self.header_place(), rule)
         })
+    }
+
+    /// What the user is to be told of the columns: names that look like a known one, a sentence each,
+    /// with its place.
+    pub fn warnings(&self) -> impl Iterator<Item = String> {
+        self.slips.iter().map(|Slip { name, meant, column }| {
+            let place = self.header_column(*column);
+            format!("{place}: {name} is no column that is known; did you mean {meant}?")
+        })
+    }
+
+    /// Where a column stands that was probably meant as one of those for which `is_wanted` holds, and
+    /// what to do about it.
+    ///
+    /// ```
+    /// # use trueup_machine::RunFile;
+    /// let text = "time_s,measured_dz_mm\n0,0.012\n";
+    /// let run = RunFile::from_reader(text.as_bytes(), "r.csv".as_ref()).unwrap();
+    /// let slip = run.slip(|name| name.starts_with("measured_")).unwrap();
+    /// assert!(slip.to_string().starts_with("r.csv:1:8: column measured_dz_um is missing; measured_dz_mm is"));
+    /// ```
+    pub fn slip(&self, is_wanted: impl Fn(&str) -> bool) -> Option<BadInput> {
+        let slip = self.slips.iter().find(|slip| is_wanted(&slip.meant))?;
+        self.require(&slip.meant).err()
     }
 
     /// Other values in the place of those of the column `name`, one for each row.
@@ -206,7 +259,11 @@ impl RunFile {
 
     /// Where the header row begins: for what is wrong with the columns as a whole.
     pub(crate) fn header_place(&self) -> Location {
-        Location { file: self.path.clone(), line: self.header_line, column: 1 }
+        self.header_column(1)
+    }
+
+    fn header_column(&self, column: usize) -> Location {
+        Location { file: self.path.clone(), line: self.header_line, column }
     }
 
     fn read_header(&mut self, line: &Line, separator: char) -> Result<(), BadInput> {
@@ -234,6 +291,9 @@ impl RunFile {
             if let Some(first) = first_of_name.insert(name.to_string(), number) {
                 return Err(bad(format!("column {name} is repeated: it is also column {first}")));
             }
+            if let Some(meant) = meant::meant(name) {
+                self.slips.push(Slip { name: name.to_string(), meant, column: field.column });
+            }
             self.columns.push(Column {
                 name: name.to_string(),
                 values: Vec::new(),
@@ -241,6 +301,26 @@ impl RunFile {
             });
         }
         Ok(())
+    }
+
+    /// The time of a logger, if it was one, is `time_s`; where there is one already it is left out: it
+    /// explains nothing that `time_s` does not. What is known by then is no slip any more.
+    fn name_clock(&mut self, cells: &Cells) {
+        let mut number = 0;
+        let mut has_time_s = self.column("time_s").is_some();
+        self.columns.retain_mut(|column| {
+            let is_clock = cells.holds_times(number) && clock::is_of_logger(&column.name);
+            number += 1;
+            if is_clock && !has_time_s {
+                column.name = "time_s".into();
+                has_time_s = true;
+                return true;
+            }
+            !is_clock
+        });
+        let columns = &self.columns;
+        let is_there = |name: &str| columns.iter().any(|column| column.name == name);
+        self.slips.retain(|slip| !is_there(&slip.meant) && is_there(&slip.name));
     }
 
     /// Refuses the row on `line` where it would make more than `most` values.
@@ -254,7 +334,12 @@ impl RunFile {
         Err(BadInput::new(line.place(&self.path, 1), rule))
     }
 
-    fn read_row(&mut self, line: &Line, separator: char) -> Result<(), BadInput> {
+    fn read_row(
+        &mut self,
+        line: &Line,
+        separator: char,
+        cells: &mut Cells,
+    ) -> Result<(), BadInput> {
         let wanted = self.columns.len();
         let mut there = 0;
         for field in Fields::of(&line.text, separator) {
@@ -267,7 +352,8 @@ impl RunFile {
                 let rule = format!("the row has {fields} fields, the header {wanted}{hint}");
                 return Err(BadInput::new(place(), rule));
             };
-            let value = read_number(&field.text)
+            let value = cells
+                .read(there, &column.name, field.text.trim())
                 .and_then(|value| check_direction(&column.name, value))
                 .map_err(|rule| BadInput::new(place(), format!("{} {rule}", column.name)))?;
             column.values.push(value);
@@ -289,31 +375,6 @@ fn bad_quote(line: &Line, path: &Path, fault: BadQuote) -> BadInput {
     BadInput::new(line.place(path, fault.column), fault.rule)
 }
 
-/// The value of a field, NaN if it is missing; else the rule it breaks.
-fn read_number(field: &str) -> Result<f64, String> {
-    let text = field.trim();
-    if text.is_empty() {
-        return Ok(f64::NAN);
-    }
-    match text.parse::<f64>() {
-        Ok(value) if value.is_infinite() => Err(format!("{} is infinite", shortened(text))),
-        Ok(value) => Ok(value),
-        Err(_) if has_decimal_comma(text) => Err(format!(
-            "{} has a decimal comma: decimals are written with a point",
-            shortened(text)
-        )),
-        Err(_) => Err(format!("\"{}\" is not a number", shortened(text))),
-    }
-}
-
-/// Whether `text` is a number but for its commas.
-fn has_decimal_comma(text: &str) -> bool {
-    let of_a_number = |c: char| c.is_ascii_digit() || "+-.,eE".contains(c);
-    text.contains(',')
-        && text.contains(|c: char| c.is_ascii_digit())
-        && text.chars().all(of_a_number)
-}
-
 /// `dir_x`, `dir_y`, `dir_z` are the direction of approach: 1 or −1.
 fn check_direction(column: &str, value: f64) -> Result<f64, String> {
     let is_direction = matches!(column, "dir_x" | "dir_y" | "dir_z");
@@ -326,6 +387,8 @@ fn check_direction(column: &str, value: f64) -> Result<f64, String> {
 /// Rows are in time order within a `run`.
 struct TimeOrder {
     time_column: Option<usize>,
+    /// That of a logger, if it comes to hold times.
+    clock_column: Option<usize>,
     run_column: Option<usize>,
     /// `time_s` and `run` of the newest row that has a time.
     newest: Option<(f64, Option<f64>)>,
@@ -334,14 +397,20 @@ struct TimeOrder {
 impl TimeOrder {
     fn new(columns: &[Column]) -> Self {
         let find = |name| columns.iter().position(|column| column.name == name);
-        Self { time_column: find("time_s"), run_column: find("run"), newest: None }
+        Self {
+            time_column: find("time_s"),
+            clock_column: columns.iter().position(|column| clock::is_of_logger(&column.name)),
+            run_column: find("run"),
+            newest: None,
+        }
     }
 
     /// Looks at the newest row of `run`.
-    fn check(&mut self, run: &RunFile) -> Result<(), BadInput> {
+    fn check(&mut self, run: &RunFile, cells: &Cells) -> Result<(), BadInput> {
         let newest_value = |column: usize| run.columns[column].values.last().copied();
-        let Some(time) = self.time_column.and_then(newest_value).filter(|time| !time.is_nan())
-        else {
+        let clock = || self.clock_column.filter(|&column| cells.holds_times(column));
+        let Some(time_column) = self.time_column.or_else(clock) else { return Ok(()) };
+        let Some(time) = newest_value(time_column).filter(|time| !time.is_nan()) else {
             return Ok(());
         };
         // Two missing run numbers are the same run; as NaN they would not be equal.
@@ -353,7 +422,7 @@ impl TimeOrder {
             let rule = format!(
                 "runs back from {time_before} to {time} within a run: rows are in time order"
             );
-            return Err(run.bad(run.rows() - 1, "time_s", rule));
+            return Err(run.bad(run.rows() - 1, &run.columns[time_column].name, rule));
         }
         self.newest = Some((time, number));
         Ok(())

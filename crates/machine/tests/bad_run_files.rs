@@ -36,9 +36,34 @@ const BAD: &[(&str, &str, &str)] = &[
     ("time_s,x_mm\n0,1\n1,1 2\n", "3:3", "x_mm \"1 2\" is not a number"),
     ("time_s,x_mm\n0,0x10\n", "2:3", "x_mm \"0x10\" is not a number"),
     ("time_s,x_mm\n0,1 µm\n", "2:3", "\"1 µm\" is not a number"),
-    ("a,b\n#note,1\n", "2:1", "a \"#note\" is not a number"),
+    ("a,b\n!note,1\n", "2:1", "a \"!note\" is not a number"),
     ("a\n12345678901234567890x12345678901234567890x1\n", "2:1", "x1234567890123456789…\""),
     ("operator,x_mm\nLi,1\n", "2:1", "operator \"Li\" is not a number"),
+    // Comments count as lines.
+    ("# a logger\n\na,b\n#note,1\n1,x\n", "5:3", "b \"x\" is not a number"),
+    ("# a logger\n", "1:1", "is empty"),
+    ("a,b\n#1,2\n", "1:1", "no row of values"),
+    ("#a,b\n1,2\n", "2:1", "must name the columns, but 1 is a number"),
+    // Times of day.
+    ("time,a\n2026-11-22T08:00:00Z,1\n7,2\n", "3:1", "time 7 is a number, the first value a time"),
+    (
+        "time_s,a\n7,1\n2026-11-22T08:00:00Z,2\n",
+        "3:1",
+        "is a time of day, the first value a number",
+    ),
+    (
+        "time,a\n2026-13-22T08:00:00Z,1\n",
+        "2:1",
+        "time 2026-13-22T08:00:00Z is no time that is known",
+    ),
+    ("time,a\n2026-11-22T08:00:00Z,1\n2026-11-22T08:00:01,1\n", "3:1", "has no time zone"),
+    (
+        "time,a\n2026-11-22T08:00:01Z,1\n2026-11-22T08:00:00Z,1\n",
+        "3:1",
+        "time runs back from 0 to -1",
+    ),
+    ("time,a\n5 o'clock,1\n", "2:1", "time \"5 o'clock\" is not a number"),
+    ("day,a\n2026-11-22,1\n", "2:1", "is not a number: a time of day stands in a column time"),
     // Decimal commas.
     ("time_s;x_mm\n0;1,5\n", "2:3", "x_mm 1,5 has a decimal comma"),
     ("time_s;x_mm\n0;-1.234,5e3\n", "2:3", "x_mm -1.234,5e3 has a decimal comma"),

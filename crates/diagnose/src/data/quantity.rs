@@ -19,6 +19,11 @@ pub(crate) fn quantity_of(runs: &[RunFile], asked: Option<Quantity>) -> Result<Q
     match there[..] {
         [only] => Ok(only),
         [] => {
+            if let Some(slip) =
+                runs.iter().find_map(|run| run.slip(|it| it.starts_with("measured_")))
+            {
+                return Err(slip);
+            }
             let places = first.place(0, "");
             let header = trueup_machine::Location { line: 1, column: 1, ..places };
             let rule = "a column measured_elongation_um, measured_dx_um, measured_dy_um or \

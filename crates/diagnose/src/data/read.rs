@@ -144,8 +144,9 @@ fn without_bridge<'r>(
     quantity: Quantity,
 ) -> Result<(Vec<Cow<'r, RunFile>>, Vec<String>), BadInput> {
     let mut notes = Vec::new();
-    let mut taken_out = |run| {
+    let mut taken_out = |run: &'r RunFile| {
         let (run, told) = applied::taken_out(run, Some(machine), Some(quantity))?;
+        notes.extend(run.warnings());
         notes.extend(told);
         Ok(run)
     };

@@ -76,8 +76,10 @@ impl Line {
         Ok(read > 0)
     }
 
-    pub(super) fn is_blank(&self) -> bool {
-        self.text.trim().is_empty()
+    /// Whether there is anything to be read in it: it is neither empty nor a comment.
+    pub(super) fn is_content(&self) -> bool {
+        let text = self.text.trim_start();
+        !text.is_empty() && !text.starts_with('#')
     }
 
     pub(super) fn place(&self, path: &Path, column: usize) -> Location {

@@ -44,6 +44,56 @@ fn every_accepted_form_gives_the_same_values() {
 }
 
 #[test]
+fn comments_are_no_rows_and_count_as_lines() {
+    let run = parse("# made by a logger\n#\na_um,b_um\n1,2\n  # a pause; 3\n3,4\n# end\n");
+    assert_eq!(run.column("a_um").expect("named above"), [1.0, 3.0]);
+    assert_eq!(run.place(1, "b_um").line, 6);
+}
+
+#[test]
+fn times_of_day_are_seconds_from_the_first() {
+    let rows = |times: [&str; 4]| times.map(|time| format!("{time},1\n")).concat();
+    for times in [
+        ["2026-11-22T23:59:59Z", "2026-11-23T00:00:00.5Z", "", "2026-11-23T01:00:01+01:00"],
+        ["2026-11-22 23:59:59", "2026-11-23 00:00:00.5", "nan", "2026-11-23 00:00:01"],
+    ] {
+        for name in ["time_s", "time", "Timestamp"] {
+            let run = parse(&format!("{name},x_mm\n{}", rows(times)));
+            let time_s = some(run.column("time_s").expect("it is the time"));
+            assert_eq!(time_s[..1], [Some(0.0)], "{name} {times:?}");
+            assert!((time_s[1].expect("a time") - 1.5).abs() < 1e-9, "{times:?}");
+            assert_eq!(time_s[2..], [None, Some(2.0)], "{times:?}");
+            assert_eq!((run.columns().len(), run.warnings().count()), (2, 0));
+        }
+    }
+    // A second clock counts from the same instant; beside seconds a time of day says nothing new.
+    let run = parse("time,gauge_time_s\n2026-11-22T08:00:00Z,2026-11-22T08:00:03Z\n");
+    assert_eq!(run.column("gauge_time_s").expect("kept"), [3.0]);
+    let run = parse("time_s,time\n5,2026-11-22T08:00:00Z\n");
+    assert_eq!(run.columns().len(), 1);
+}
+
+#[test]
+fn a_column_that_looks_like_a_known_one_is_told() {
+    let run = parse("time_s,X (mm),measured_dz_mm,flow\n0,1,2,3\n");
+    let warnings: Vec<String> = run.warnings().collect();
+    assert_eq!(
+        warnings,
+        [
+            "r.csv:1:8: X (mm) is no column that is known; did you mean x_mm?",
+            "r.csv:1:15: measured_dz_mm is no column that is known; did you mean measured_dz_um?"
+        ]
+    );
+    let bad = run.require("measured_dz_um").expect_err("it is missing").to_string();
+    assert!(
+        bad.starts_with("r.csv:1:15: column measured_dz_um is missing; measured_dz_mm"),
+        "{bad}"
+    );
+    // Where the known one is there as well, it is something else.
+    assert_eq!(parse("x_mm,x_um\n1,1000\n").warnings().count(), 0);
+}
+
+#[test]
 fn a_name_may_contain_the_separator_and_quotes_if_it_is_quoted() {
     let run = parse("\"load; \"\"z\"\", n\";x_mm\n1;2\n");
     assert_eq!(run.column("load; \"z\", n").expect("named above"), [1.0]);
@@ -74,11 +124,11 @@ fn a_value_is_placed_by_line_and_character_for_rules_found_broken_later() {
 
 #[test]
 fn a_missing_column_is_reported_with_those_that_are_there() {
-    let error = parse("time_s,sensor_count\n0,1\n").require("sensor_counts").expect_err("typo");
+    let error = parse("time_s,sensor_conuts\n0,1\n").require("sensor_counts").expect_err("typo");
     assert_eq!(
         error.to_string(),
-        "r.csv:1:1: column sensor_counts is missing; there are time_s, sensor_count; \
-         did you mean sensor_count?"
+        "r.csv:1:1: column sensor_counts is missing; there are time_s, sensor_conuts; \
+         did you mean sensor_conuts?"
     );
 }
 

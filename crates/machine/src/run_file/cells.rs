@@ -1,0 +1,84 @@
+//! A field of a run file as a number: written as one, or as a time of day.
+
+use super::clock::{Clock, looks_like_date, may_hold_times};
+use crate::location::shortened;
+
+/// What the columns of a file have held so far.
+pub(super) struct Cells {
+    clock: Clock,
+    /// By column; `None` before its first value.
+    form: Vec<Option<Form>>,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Form {
+    Number,
+    Time,
+}
+
+impl Cells {
+    pub(super) fn new(columns: usize) -> Self {
+        Self { clock: Clock::default(), form: vec![None; columns] }
+    }
+
+    /// Whether the values of a column were written as times of day.
+    pub(super) fn holds_times(&self, column: usize) -> bool {
+        self.form.get(column) == Some(&Some(Form::Time))
+    }
+
+    /// The value of a field of this column, NaN if it is missing; else the rule it breaks. A time of
+    /// day is in seconds from the first one of the file.
+    pub(super) fn read(&mut self, column: usize, name: &str, text: &str) -> Result<f64, String> {
+        let is_time = looks_like_date(text) && text.parse::<f64>().is_err();
+        let (value, form) = if is_time && may_hold_times(name) {
+            let seconds = self.clock.seconds(text);
+            (seconds.map_err(|rule| format!("{} {rule}", shortened(text)))?, Form::Time)
+        } else {
+            (read_number(text, is_time)?, Form::Number)
+        };
+        if value.is_nan() {
+            return Ok(value);
+        }
+        if let Some(known) = self.form.get_mut(column)
+            && *known.get_or_insert(form) != form
+        {
+            return Err(match form {
+                Form::Number => {
+                    format!("{} is a number, the first value a time of day", shortened(text))
+                }
+                Form::Time => {
+                    format!("{} is a time of day, the first value a number", shortened(text))
+                }
+            });
+        }
+        Ok(value)
+    }
+}
+
+/// The value of a field, NaN if it is missing; else the rule it breaks.
+fn read_number(text: &str, is_time: bool) -> Result<f64, String> {
+    if text.is_empty() {
+        return Ok(f64::NAN);
+    }
+    match text.parse::<f64>() {
+        Ok(value) if value.is_infinite() => Err(format!("{} is infinite", shortened(text))),
+        Ok(value) => Ok(value),
+        Err(_) if has_decimal_comma(text) => Err(format!(
+            "{} has a decimal comma: decimals are written with a point",
+            shortened(text)
+        )),
+        Err(_) => {
+            let hint =
+                if is_time { ": a time of day stands in a column time or time_s" } else { "" };
+            Err(format!("\"{}\" is not a number{hint}", shortened(text)))
+        }
+    }
+}
+
+/// Whether `text` is a number but for its commas.
+fn has_decimal_comma(text: &str) -> bool {
+    let of_a_number = |c: char| c.is_ascii_digit() || "+-.,eE".contains(c);
+    text.contains(',')
+        && text.contains(|c: char| c.is_ascii_digit())
+        && text.chars().all(of_a_number)
+}

@@ -1,0 +1,63 @@
+//! Times as loggers write them, ISO 8601, in seconds from the first one of the file.
+//!
+//! `2026-11-22T08:00:00Z`, with a fraction, with another zone, or without one; a blank may stand for the
+//! `T`. Within a file all have a zone or none has: without one, nobody knows how far they are apart.
+
+use time::{OffsetDateTime, PrimitiveDateTime, UtcOffset, format_description::well_known::Iso8601};
+
+/// Names, in small letters, under which loggers write such a time.
+const NAMES: [&str; 4] = ["time", "timestamp", "datetime", "date_time"];
+
+/// Whether a column of this name may hold times of day.
+pub(super) fn may_hold_times(name: &str) -> bool {
+    is_of_logger(name) || name == "time_s" || name.ends_with("_time_s")
+}
+
+/// Whether loggers call their time so; its values are seconds only where it says so in its name.
+pub(super) fn is_of_logger(name: &str) -> bool {
+    NAMES.contains(&name.to_lowercase().as_str())
+}
+
+/// Whether `text` begins as a date does.
+pub(super) fn looks_like_date(text: &str) -> bool {
+    let bytes = text.as_bytes();
+    bytes.len() >= 8 && bytes[..4].iter().all(u8::is_ascii_digit) && bytes[4] == b'-'
+}
+
+/// The first time of a file, from which all others are counted.
+#[derive(Default)]
+pub(super) struct Clock {
+    first: Option<First>,
+}
+
+/// In nanoseconds from 1970, and whether it has a zone.
+struct First {
+    ns: i128,
+    has_zone: bool,
+}
+
+impl Clock {
+    /// `text` in seconds from the first time; else the rule it breaks.
+    pub(super) fn seconds(&mut self, text: &str) -> Result<f64, String> {
+        let (ns, has_zone) = instant(text).ok_or_else(|| {
+            "is no time that is known: write seconds, or ISO 8601, 2026-11-22T08:00:00Z".to_string()
+        })?;
+        let first = self.first.get_or_insert(First { ns, has_zone });
+        if first.has_zone != has_zone {
+            let [this, before] = if has_zone { ["a", "no"] } else { ["no", "a"] };
+            return Err(format!(
+                "has {this} time zone, the first time of the file has {before} one"
+            ));
+        }
+        Ok((ns - first.ns) as f64 * 1e-9)
+    }
+}
+
+fn instant(text: &str) -> Option<(i128, bool)> {
+    let text = text.replacen(' ', "T", 1);
+    if let Ok(time) = OffsetDateTime::parse(&text, &Iso8601::DEFAULT) {
+        return Some((time.unix_timestamp_nanos(), true));
+    }
+    let time = PrimitiveDateTime::parse(&text, &Iso8601::DEFAULT).ok()?;
+    Some((time.assume_offset(UtcOffset::UTC).unix_timestamp_nanos(), false))
+}

@@ -1,0 +1,157 @@
+//! Names of columns that are not known and look like one that is: another unit, another writing.
+//!
+//! Such a column would be kept as a possible explanation, and the user would wait in vain for it to be
+//! used. So it is told, with the name that was probably meant.
+
+/// Known columns without their unit, with it, and whether the name alone, without any unit, is told.
+const KNOWN: [(&str, &str, bool); 18] = [
+    ("time", "s", true),
+    ("gauge_time", "s", true),
+    ("x", "mm", true),
+    ("y", "mm", true),
+    ("z", "mm", true),
+    ("a", "deg", false),
+    ("b", "deg", false),
+    ("c", "deg", false),
+    ("measured_elongation", "um", true),
+    ("measured_dx", "um", true),
+    ("measured_dy", "um", true),
+    ("measured_dz", "um", true),
+    ("offset_x", "um", true),
+    ("offset_y", "um", true),
+    ("offset_z", "um", true),
+    ("spindle", "rpm", false),
+    ("load", "n", false),
+    ("sensor", "counts", false),
+];
+
+/// What else each of these units may be: the same quantity in another unit, or another way to write it.
+const UNITS: [(&str, &[&str]); 8] = [
+    ("s", &["sec", "seconds", "ms", "us", "ns", "min", "minutes", "h", "hours"]),
+    ("mm", &["nm", "um", "micron", "microns", "cm", "m", "in", "inch"]),
+    ("um", &["nm", "micron", "microns", "mm", "cm", "m", "in", "inch", "mil", "mils"]),
+    ("deg", &["rad", "mrad", "degree", "degrees"]),
+    ("rpm", &["hz", "krpm", "rps", "r_min", "1_min", "speed", "speed_rpm"]),
+    ("n", &["kn", "lbf", "kgf"]),
+    ("counts", &["count", "v", "mv", "volts"]),
+    ("c", &["degc", "celsius", "f", "degf", "fahrenheit", "k", "kelvin"]),
+];
+
+/// The known column that `name` probably stands for; `None` for a known one and for all others.
+pub(super) fn meant(name: &str) -> Option<String> {
+    let plain = plain(name);
+    let found = of_list(&plain).or_else(|| temperature(&plain))?;
+    (found != name).then_some(found)
+}
+
+/// `X (mm)` as `x_mm`, `Temp bed [°C]` as `temp_bed_c`.
+fn plain(name: &str) -> String {
+    let mut plain = String::new();
+    for c in name.to_lowercase().chars() {
+        match c {
+            'µ' | 'μ' => plain.push('u'),
+            '°' => {}
+            c if c.is_alphanumeric() => plain.push(c),
+            _ if plain.is_empty() || plain.ends_with('_') => {}
+            _ => plain.push('_'),
+        }
+    }
+    plain.trim_end_matches('_').to_string()
+}
+
+/// Whether `unit` is `right` or may be meant by it.
+fn is_unit(unit: &str, right: &str) -> bool {
+    let others = UNITS.iter().find(|(known, _)| *known == right);
+    unit == right || others.is_some_and(|(_, others)| others.contains(&unit))
+}
+
+fn of_list(plain: &str) -> Option<String> {
+    // An error that does not say that it was measured.
+    let long = match plain.split('_').next() {
+        Some("dx" | "dy" | "dz") => format!("measured_{plain}"),
+        _ => plain.to_string(),
+    };
+    KNOWN.iter().find_map(|&(stem, right, told_alone)| {
+        let is_meant = match long.strip_prefix(stem)?.strip_prefix('_') {
+            Some(unit) => is_unit(unit, right),
+            None => told_alone && long == stem,
+        };
+        is_meant.then(|| format!("{stem}_{right}"))
+    })
+}
+
+/// `temp_bed`, `temp_bed_f`, `bed_temp_c`: what has a name beside the word and the unit.
+fn temperature(plain: &str) -> Option<String> {
+    let mut parts: Vec<&str> = plain.split('_').collect();
+    let word = parts.iter().position(|part| ["temp", "temperature"].contains(part))?;
+    parts.remove(word);
+    if parts.len() > 1 && parts.last().is_some_and(|unit| is_unit(unit, "c")) {
+        parts.pop();
+    } else if word > 0 {
+        // `room_temp_sensor` is whatever it likes.
+        return None;
+    }
+    (!parts.is_empty()).then(|| format!("temp_{}_c", parts.join("_")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_unit_or_writing_is_told() {
+        for (name, known) in [
+            ("measured_dz_mm", "measured_dz_um"),
+            ("measured_dz", "measured_dz_um"),
+            ("Measured dz (µm)", "measured_dz_um"),
+            ("dz_um", "measured_dz_um"),
+            ("X (mm)", "x_mm"),
+            ("X_mm", "x_mm"),
+            ("x", "x_mm"),
+            ("y [inch]", "y_mm"),
+            ("temp_bed_f", "temp_bed_c"),
+            ("temp_bed", "temp_bed_c"),
+            ("bed_temp_c", "temp_bed_c"),
+            ("Temperature bed (°C)", "temp_bed_c"),
+            ("time_min", "time_s"),
+            ("time", "time_s"),
+            ("Time (s)", "time_s"),
+            ("spindle_speed", "spindle_rpm"),
+            ("load_kN", "load_n"),
+            ("offset_z_mm", "offset_z_um"),
+        ] {
+            assert_eq!(meant(name).as_deref(), Some(known), "{name}");
+        }
+    }
+
+    #[test]
+    fn what_is_known_and_what_is_quite_another_thing_is_not() {
+        for name in [
+            "time_s",
+            "x_mm",
+            "measured_dx_um",
+            "temp_bed_c",
+            "spindle_rpm",
+            "load_n",
+            "a_deg",
+            "flow",
+            "pressure_bar",
+            "elongation_um",
+            "a",
+            "xylem",
+            "dir_x",
+            "run",
+            "angle1_deg",
+            "temp_bed_2_c",
+            "predicted_dx_um",
+            "template",
+            "quality",
+            "flags",
+            "age_ms",
+            "room_temp_sensor",
+            "timer_s",
+        ] {
+            assert_eq!(meant(name), None, "{name}");
+        }
+    }
+}
