@@ -6,8 +6,10 @@
 use std::path::Path;
 
 use trueup_diagnose::{Diagnosis, Verdict, diagnose};
-use trueup_machine::{MachineFile, RunFile};
+use trueup_fit::pitch;
+use trueup_machine::{MachineFile, RunFile, file::LinearAxis};
 use trueup_measured_data::file as data;
+use trueup_numerics::random::Generator;
 
 const MACHINE: &str = "[machine]\nname = \"stage\"\nkind = \"3-axis\"\n";
 
@@ -103,4 +105,71 @@ fn what_does_not_repeat_is_still_refused() {
         let Some(diagnosis) = diagnosed(&format!("ess_iso230/{name}.csv"), None) else { return };
         has_table(&diagnosis, most_um);
     }
+}
+
+/// Whether `trueup fit pitch` writes a table, and whether `diagnose` hands out something that goes with
+/// the axis's own position.
+fn answers(run: &RunFile, axis: LinearAxis) -> [bool; 2] {
+    let fit = pitch::fit(run, axis, &pitch::Options::default()).expect("a table of readings");
+    let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("the test's own file");
+    let runs = std::slice::from_ref(run);
+    let diagnosis = diagnose(&machine, runs, &[], None, &mut |_, _| {}).expect("comparable");
+    let mut terms = diagnosis.terms.iter();
+    [fit.report.verdict.is_fitted(), terms.any(|term| term.effect.is_along_own_axis())]
+}
+
+#[test]
+fn fit_pitch_and_diagnose_correct_the_same_measured_axes() {
+    for (name, axis, corrected) in [
+        ("ess_iso230/x.csv", LinearAxis::X, true),
+        ("ess_iso230/z.csv", LinearAxis::X, true),
+        ("ess_iso230/muts_x.csv", LinearAxis::X, false),
+        ("ess_slits/accuracy_axis1.csv", LinearAxis::X, true),
+        ("ess_slits/repeatability_axis1.csv", LinearAxis::X, true),
+        ("strangers/b02_x/train.csv", LinearAxis::X, true),
+        ("strangers/mcu1025/train.csv", LinearAxis::X, true),
+        ("strangers/muts_z/train.csv", LinearAxis::Z, true),
+        ("strangers/slits/11358_axis1_both.csv", LinearAxis::X, true),
+        ("strangers/slits/11359_axis1_both.csv", LinearAxis::X, true),
+        ("strangers/slits/11358_axis1_fwd.csv", LinearAxis::X, false),
+        ("strangers/slits/11358_axis1_bwd.csv", LinearAxis::X, false),
+    ] {
+        let Some(run) = run(name) else { return };
+        let answers = answers(&run, axis);
+        println!("{name}: fit pitch {}, diagnose {}", answers[0], answers[1]);
+        assert_eq!(answers, [corrected; 2], "{name}");
+    }
+}
+
+#[test]
+fn fit_pitch_and_diagnose_correct_the_same_drawn_axes() {
+    let mut dice = Generator::new(14);
+    let (mut corrected, mut apart) = (0, Vec::new());
+    for draw in 0..120 {
+        let (targets, cycles) = (5 + dice.below(6), 2 + dice.below(4));
+        let has_both_ways = dice.below(3) > 0;
+        // Beside a noise of 1 µm.
+        let size_um = [0.0, 0.3, 1.0, 3.0, 10.0][dice.below(5)];
+        let error: Vec<[f64; 2]> =
+            (0..targets).map(|_| [0, 1].map(|_| size_um * dice.normal())).collect();
+        let is_each_way = dice.below(2) == 0;
+        let mut text = String::from("run,x_mm,dir_x,measured_dx_um\n");
+        for cycle in 1..=cycles {
+            for way in 0..1 + usize::from(has_both_ways) {
+                for n in 0..targets {
+                    let (at, sign) = if way == 0 { (n, 1) } else { (targets - 1 - n, -1) };
+                    let um = error[at][if is_each_way { way } else { 0 }] + dice.normal();
+                    text += &format!("{cycle},{},{sign},{um:.3}\n", 12 * at);
+                }
+            }
+        }
+        let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
+        let [fit, diagnosed] = answers(&run, LinearAxis::X);
+        corrected += usize::from(fit);
+        if fit != diagnosed {
+            apart.push((draw, size_um, targets, cycles, has_both_ways, fit, diagnosed));
+        }
+    }
+    println!("{corrected} of 120 corrected; apart: {apart:?}");
+    assert!(corrected > 40 && apart.is_empty(), "{apart:?}");
 }

@@ -11,14 +11,17 @@
 //! | `backlash` | backlash alone |
 //! | `test_points` | pitches that the targets cannot see |
 //!
-//! [`fit`] tries, from the simplest on, and takes the next only if it gains on runs left out:
+//! [`fit`] sets aside what stands alone among the repeats of its target, and leaves the decision to
+//! [`trueup_numerics::repeats`], which `trueup diagnose` asks as well: the targets must differ by more
+//! than their repeats, every run that is left out must gain, and of
 //!
 //! ```text
-//! nothing, a constant → one table → one table and a backlash → a table for each direction
+//! one table, one table and a backlash, a table for each direction
 //! ```
 //!
-//! A constant alone is not a finding: the zero of the measurement is arbitrary. If no table gains, the
-//! machine does not repeat well enough to be corrected, and the report says so with its figures.
+//! that foresee the runs equally well the one with the fewest values is taken. A constant alone is not a
+//! finding: the zero of the measurement is arbitrary. If no table holds, the report says why, and what
+//! to measure.
 //! The errors are actual minus commanded, and the fit predicts what `trueup predict` does, because
 //! it is judged with the machine's own model.
 //!
@@ -42,11 +45,13 @@ use trueup_machine::{
 pub use backlash::{BacklashFit, WidthRule, fit_backlash};
 pub use test_points::hidden_pitches;
 
+use trueup_numerics::repeats::{self, Decision};
+
 use self::{
-    judge::{Judged, Law, Sums, judge},
+    judge::{Law, Sums, judge},
     readings::{Reading, Readings, Wanted, measured_column},
     resample::choose_grid,
-    summary::{describe, reasons, warn, write},
+    summary::{between_points, describe, reasons, to_measure, warn, write},
     table::Grid,
 };
 use crate::{
@@ -128,25 +133,30 @@ pub fn fit(run: &RunFile, axis: LinearAxis, options: &Options) -> Result<PitchFi
         known_um: options.known_um.as_deref(),
         in_order: true,
     };
-    let readings = Readings::of(run, &wanted)?;
+    let mut readings = Readings::of(run, &wanted)?;
     check_extent(run, axis, &readings, options)?;
     let mut report = Report::new("pitch", measured_column(axis));
+    // The figures of the standard are of all that was read.
+    let all = readings.by_target();
+    report.set_aside = readings.set_gross_aside(run, axis);
     let sums = Sums::of(readings.targets_mm.len(), readings.list.iter());
     let grid = choose_grid(&readings, &sums, options, &mut report);
     let laws = laws(&readings, options);
     let judged = if readings.runs > 1 { judge(&readings, &grid, &laws) } else { Vec::new() };
-    let chosen = choose(&judged, &laws, options);
+    let decision = decision(&readings, &laws);
 
     let by_target = readings.by_target();
-    let iso230 = if readings.is_record { None } else { figures(&readings.targets_mm, &by_target) };
+    let iso230 = if readings.is_record { None } else { figures(&readings.targets_mm, &all) };
     describe(&mut report, &readings, &iso230);
     report.table = iso230.as_ref().map(ToString::to_string).unwrap_or_default();
     let best = judged
         .iter()
         .filter(|it| it.law > Law::Constant)
         .min_by(|a, b| a.rms_um().total_cmp(&b.rms_um()));
-    let Some(law) = chosen else {
-        report.verdict = Verdict::DoNotCompensate(reasons(&readings, &judged, best, &by_target));
+    let Ok(law) = decision.taken.map(Law::from) else {
+        let mut why = reasons(&readings, &judged, best, &by_target);
+        why.extend(to_measure(&readings, &decision, &by_target));
+        report.verdict = Verdict::DoNotCompensate(why);
         report.left_out = best.and_then(|best| Spread::of(&best.residuals_um));
         return Ok(PitchFit { report, pitch: None, backlash: None, iso230 });
     };
@@ -155,6 +165,7 @@ pub fn fit(run: &RunFile, axis: LinearAxis, options: &Options) -> Result<PitchFi
     report.in_sample = Spread::of(&readings.list.iter().map(residual).collect::<Vec<_>>());
     let judged = judged.iter().find(|judged| judged.law == law);
     report.left_out = judged.and_then(|judged| Spread::of(&judged.residuals_um));
+    report.warnings.extend(between_points(&readings, law));
     warn(&mut report, &readings, &iso230);
     write(&mut report, axis, &readings, &sums, &grid, &fitted);
     let backlash =
@@ -215,28 +226,11 @@ fn laws(readings: &Readings, options: &Options) -> Vec<Law> {
     laws
 }
 
-/// The law to use; `None` if none gains. Without repeats nothing can be judged: the plainest law that
-/// tells the directions apart.
-fn choose(judged: &[Judged], laws: &[Law], options: &Options) -> Option<Law> {
-    let [nothing, constant, tables @ ..] = judged else {
-        let simple = if options.feedback == Feedback::Screw && options.ways != Ways::Both {
-            Law::TableAndBacklash
-        } else {
-            Law::BothTables
-        };
-        return laws.iter().copied().find(|law| *law == simple).or(laws.last().copied());
-    };
-    let mut chosen: Option<&Judged> = None;
-    for table in tables {
-        let gains = match chosen {
-            None => table.gains_on(nothing) && table.gains_on(constant),
-            Some(simpler) => table.gains_on(simpler),
-        };
-        if gains {
-            chosen = Some(table);
-        }
-    }
-    chosen.map(|judged| judged.law)
+/// The decision that `trueup diagnose` takes as well.
+fn decision(readings: &Readings, laws: &[Law]) -> Decision {
+    let laws: Vec<repeats::Law> = laws.iter().filter_map(|law| law.table()).collect();
+    let none = vec![false; readings.list.len()];
+    repeats::decide(&readings.repeats(), &none, readings.targets_mm.len(), &laws)
 }
 
 fn figures(targets_mm: &[f64], by_target: &[[Vec<f64>; 2]]) -> Option<Iso230> {

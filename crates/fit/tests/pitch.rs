@@ -184,7 +184,7 @@ fn a_step_that_loses_more_than_the_scatter_is_warned_of() {
 }
 
 #[test]
-fn one_run_is_fitted_as_it_is_with_a_warning() {
+fn there_and_back_once_is_fitted_with_a_warning_and_one_way_alone_is_refused() {
     let targets: Vec<f64> = (0..6).map(|n| 17.0 * f64::from(n)).collect();
     let run = run_of(&sweeps(1, &targets, |_, x, dir| shape(x) - 2.0 + 2.0 * dir));
     let fit = fitted(&run, &Options::default());
@@ -193,6 +193,31 @@ fn one_run_is_fitted_as_it_is_with_a_warning() {
     assert!((pitch.forward_um[3] - shape(51.0)).abs() < 1e-3);
     assert!(fit.report.warnings[0].contains("only one run"));
     assert!(fit.iso230.is_none() && fit.report.left_out.is_none());
+    let one_way = sweeps(1, &targets, |_, x, _| shape(x));
+    let forward: Vec<&str> = one_way.lines().filter(|line| !line.contains(",-1,")).collect();
+    let fit = fitted(&run_of(&(forward.join("\n") + "\n")), &Options::default());
+    let Verdict::DoNotCompensate(reasons) = fit.report.verdict else { panic!("it was fitted") };
+    assert!(reasons[0].contains("measure two more runs"), "{reasons:?}");
+    assert!(fit.report.edit.is_empty());
+}
+
+#[test]
+fn two_bad_readings_of_thirty_are_set_aside_with_their_places() {
+    let mut noise = noise(9, 0.5);
+    let targets: Vec<f64> = (0..5).map(|n| 10.0 * f64::from(n)).collect();
+    let run = run_of(&sweeps(3, &targets, |run, x, dir| {
+        let bad = if run == 1 && dir < 0.0 && x < 15.0 { 60.0 + 3.0 * x } else { 0.0 };
+        shape(9.0 * x) * dir + bad + noise()
+    }));
+    let fit = fitted(&run, &Options::default());
+    assert_eq!(fit.report.set_aside.len(), 2);
+    println!("{}", fit.report.set_aside[0]);
+    assert!(fit.report.set_aside[0].place.to_string().starts_with("r.csv:10:"));
+    let pitch = fit.pitch.expect("it repeats");
+    let reverse_um = pitch.reverse_um.expect("the directions differ");
+    for (n, x) in targets.iter().enumerate() {
+        assert!((reverse_um[n] + shape(9.0 * x)).abs() < 1.5, "{reverse_um:?}");
+    }
 }
 
 #[test]

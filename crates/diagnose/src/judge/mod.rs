@@ -145,6 +145,7 @@ fn judge_term(case: &Case<'_>, added: &Added) -> Option<Judgement> {
     let is_alias_of_wave = cause.is_wave() && doubts.iter().any(|it| matches!(it, Doubt::Alias(_)));
     let is_kept = predict_alike(case, &open)
         && !is_alias_of_wave
+        && !doubts.contains(&Doubt::NotRepeated)
         && (is_foreseen || !doubts.iter().any(Doubt::is_of_size));
     Some(Judgement {
         part: part.clone(),

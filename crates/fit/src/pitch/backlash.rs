@@ -206,7 +206,7 @@ fn report(
     report.before = Spread::of(&um);
     report.in_sample = Spread::of(&um.iter().map(|um| um - width_um).collect::<Vec<_>>());
     report.rows_used = readings.list.len();
-    report.rows_incomplete = readings.rows_of_others;
+    report.rows_incomplete = readings.rows_incomplete;
     report.facts.push(Fact::number("runs", readings.runs as f64));
     report.facts.push(Fact::text(
         "width_is",

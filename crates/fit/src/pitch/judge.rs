@@ -1,8 +1,10 @@
-//! Which correction holds on runs that it has not seen.
+//! What each correction leaves on runs that it has not seen: the figures of the report.
 //!
 //! The runs are left out in turn (in at most [`MOST_FOLDS`] blocks of consecutive runs); each
-//! correction is fitted to the others and judged on the one left out by its mean square error. Two
-//! corrections are compared run by run, so that what both leave alike (drift, scatter) cancels:
+//! correction is fitted to the others and judged on the one left out by its mean square error, as the
+//! machine's own model has it, with the table at its own points. Whether a correction is worth it is
+//! decided elsewhere ([`trueup_numerics::repeats`]). Why one that is refused has no gain is said with two
+//! compared run by run, so that what both leave alike (drift, scatter) cancels:
 //!
 //! ```text
 //! dⱼ = MSEⱼ(simpler) − MSEⱼ(richer)      gain, if  d̄ − t₀.₉₅(m − 1)·s_d/√m  >  0
@@ -17,6 +19,8 @@ use trueup_machine::{
     file::write::rounded,
     model::{is_reverse, pitch_um},
 };
+
+use trueup_numerics::repeats;
 
 use super::{
     readings::{Reading, Readings},
@@ -38,6 +42,28 @@ pub(super) enum Law {
     OneTable,
     TableAndBacklash,
     BothTables,
+}
+
+impl Law {
+    /// The table that it is; none of what has none.
+    pub(super) fn table(self) -> Option<repeats::Law> {
+        match self {
+            Self::Nothing | Self::Constant => None,
+            Self::OneTable => Some(repeats::Law::Table),
+            Self::TableAndBacklash => Some(repeats::Law::TableAndStep),
+            Self::BothTables => Some(repeats::Law::EachSide),
+        }
+    }
+}
+
+impl From<repeats::Law> for Law {
+    fn from(law: repeats::Law) -> Self {
+        match law {
+            repeats::Law::Table => Self::OneTable,
+            repeats::Law::TableAndStep => Self::TableAndBacklash,
+            repeats::Law::EachSide => Self::BothTables,
+        }
+    }
 }
 
 /// A law with its constants.

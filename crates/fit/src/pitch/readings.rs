@@ -11,16 +11,18 @@
 use std::collections::HashMap;
 
 use trueup_machine::{BadInput, RunFile, file::LinearAxis, model::is_reverse};
+use trueup_numerics::repeats::{self, gross, places};
+
+use crate::report::SetAside;
 
 /// More positions than this are gathered in cells.
 pub(super) const MOST_TARGETS: usize = 2048;
 
-/// Positions within this share of the smallest step of a sweep are one target.
-const SAME_TARGET: f64 = 0.1;
-
 /// One measured value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Reading {
+    /// Its row in the file, from 0.
+    pub row: usize,
     /// Its target, from 0.
     pub target: usize,
     /// 0 approached in the positive, 1 in the negative direction.
@@ -40,8 +42,8 @@ pub(super) struct Readings {
     pub list: Vec<Reading>,
     /// Runs that have a reading.
     pub runs: usize,
-    /// Rows that are about another quantity.
-    pub rows_of_others: usize,
+    /// Rows that lack a value, or are about another quantity.
+    pub rows_incomplete: usize,
     /// Whether the positions were gathered in cells.
     pub is_record: bool,
 }
@@ -90,7 +92,7 @@ impl Readings {
             direction: format!("dir_{axis}"),
             measured: measured_column(wanted.axis),
         };
-        let (mut rows, rows_of_others) = raw_rows(file, &names, wanted)?;
+        let (mut rows, rows_incomplete) = raw_rows(file, &names, wanted)?;
         if file.column("run").is_none() {
             let (_, target_of_row, is_record) = targets_of(&rows);
             number_runs(&mut rows, &target_of_row, is_record);
@@ -115,13 +117,45 @@ impl Readings {
         numbers.sort_by(f64::total_cmp);
         numbers.dedup();
         let list = rows.iter().zip(&target_of_row).map(|(raw, &target)| Reading {
+            row: raw.row,
             target,
             way: raw.way,
             run: numbers.partition_point(|&number| number < raw.run),
             um: raw.um,
         });
         let list = list.collect();
-        Ok(Self { targets_mm, list, runs: numbers.len(), rows_of_others, is_record })
+        Ok(Self { targets_mm, list, runs: numbers.len(), rows_incomplete, is_record })
+    }
+
+    /// Takes out the readings that stand alone among the repeats of their target, and says why.
+    pub(super) fn set_gross_aside(&mut self, file: &RunFile, axis: LinearAxis) -> Vec<SetAside> {
+        if self.is_record {
+            // A cell holds the slope of the error as well.
+            return Vec::new();
+        }
+        let found = gross(&self.repeats());
+        let measured = measured_column(axis);
+        let aside = |(it, _): (&Reading, &bool)| SetAside {
+            place: file.place(it.row, &measured),
+            measured_um: it.um,
+            reason: "far from the other readings at its target".into(),
+        };
+        let set_aside =
+            self.list.iter().zip(&found).filter(|(_, found)| **found).map(aside).collect();
+        let mut found = found.into_iter();
+        self.list.retain(|_| !found.next().unwrap_or(false));
+        set_aside
+    }
+
+    /// The readings for a decision by their repeats.
+    pub(super) fn repeats(&self) -> Vec<repeats::Reading> {
+        let of = |it: &Reading| repeats::Reading {
+            place: it.target,
+            side: it.way,
+            cycle: it.run,
+            value: it.um,
+        };
+        self.list.iter().map(of).collect()
     }
 
     /// Whether there is a reading in each of the two directions.
@@ -179,13 +213,7 @@ fn raw_rows(
         bad
     })?;
     let numbers = file.column("run");
-    let others: Vec<&[f64]> = file
-        .columns()
-        .iter()
-        .filter(|column| column.name.starts_with("measured_") && column.name != names.measured)
-        .map(|column| &column.values[..])
-        .collect();
-    let (mut rows, mut rows_of_others) = (Vec::new(), 0);
+    let (mut rows, mut rows_incomplete) = (Vec::new(), 0);
     for (row, ((&um, &position_mm), &direction)) in
         measured.iter().zip(positions).zip(directions).enumerate()
     {
@@ -193,24 +221,11 @@ fn raw_rows(
         if wanted.runs.is_some_and(|runs| !run.is_nan() && !runs.contains(&run)) {
             continue;
         }
-        let missing = |name: &str| {
-            file.bad(row, name, "is missing: measure the row again, or take it out of the file")
-        };
-        if um.is_nan() {
-            if others.iter().any(|other| !other[row].is_nan()) {
-                rows_of_others += 1;
-                continue;
-            }
-            return Err(missing(&names.measured));
-        }
-        if position_mm.is_nan() {
-            return Err(missing(&names.position));
-        }
-        if direction.is_nan() {
-            return Err(missing(&names.direction));
-        }
-        if numbers.is_some() && run.is_nan() {
-            return Err(missing("run"));
+        // A reading that was not taken is an empty cell, as it is for `diagnose`.
+        let is_numbered = numbers.is_none() || !run.is_nan();
+        if um.is_nan() || position_mm.is_nan() || direction.is_nan() || !is_numbered {
+            rows_incomplete += 1;
+            continue;
         }
         let known = wanted.known_um.map_or(0.0, |known| known.get(row).copied().unwrap_or(0.0));
         if known.is_nan() {
@@ -220,7 +235,7 @@ fn raw_rows(
         let way = usize::from(is_reverse(direction));
         rows.push(Raw { row, position_mm, way, run, um: um - known });
     }
-    Ok((rows, rows_of_others))
+    Ok((rows, rows_incomplete))
 }
 
 /// The smallest step from row to row within a sweep; `None` where no sweep has two positions.
@@ -237,37 +252,32 @@ fn smallest_step(rows: &[Raw]) -> Option<f64> {
 
 /// The targets in mm, rising; the target of each position; whether they are cells of a record.
 fn targets_of(rows: &[Raw]) -> (Vec<f64>, Vec<usize>, bool) {
-    let mut order: Vec<usize> = (0..rows.len()).collect();
-    order.sort_by(|&a, &b| rows[a].position_mm.total_cmp(&rows[b].position_mm));
-    let near = smallest_step(rows).map_or(0.0, |step| step * SAME_TARGET);
-    let mut target_of = vec![0; rows.len()];
-    let mut group = |is_next: &dyn Fn(f64, f64) -> bool| -> Vec<f64> {
-        let mut targets: Vec<(f64, f64, usize)> = Vec::new();
-        for &row in &order {
-            let position = rows[row].position_mm;
-            match targets.last_mut() {
-                Some((first, sum, count)) if !is_next(*first, position) => {
-                    *sum += position - *first;
-                    *count += 1;
-                }
-                _ => targets.push((position, 0.0, 1)),
-            }
-            target_of[row] = targets.len() - 1;
-        }
-        targets.into_iter().map(|(first, sum, count)| first + sum / count as f64).collect()
-    };
-    let targets = group(&|first, position| position - first > near);
+    let positions: Vec<f64> = rows.iter().map(|raw| raw.position_mm).collect();
+    let (targets, target_of) = places(&positions, smallest_step(rows).unwrap_or(0.0));
     let (Some(&start), Some(&end)) = (targets.first(), targets.last()) else {
         return (targets, target_of, false);
     };
     if targets.len() <= MOST_TARGETS {
         return (targets, target_of, false);
     }
+    // The mean of each cell that has a position.
+    let mut cells = vec![(0.0, 0.0); MOST_TARGETS];
     let cell = |position: f64| {
         let share = (position - start) / (end - start);
-        (share * MOST_TARGETS as f64).floor().clamp(0.0, MOST_TARGETS as f64 - 1.0)
+        ((share * MOST_TARGETS as f64).max(0.0) as usize).min(MOST_TARGETS - 1)
     };
-    (group(&|first, position| cell(position) > cell(first)), target_of, true)
+    for &position in &positions {
+        let (sum, count) = &mut cells[cell(position)];
+        *sum += position;
+        *count += 1.0;
+    }
+    let mut number = vec![0; MOST_TARGETS];
+    let mut targets = Vec::new();
+    for (cell, (sum, count)) in cells.into_iter().enumerate().filter(|(_, (_, n))| *n > 0.0) {
+        number[cell] = targets.len();
+        targets.push(sum / count);
+    }
+    (targets, positions.into_iter().map(|position| number[cell(position)]).collect(), true)
 }
 
 /// Numbers the runs of a file without the column, from 1.
@@ -339,8 +349,9 @@ fn check_repeats(
 }
 
 /// Within a sweep positions rise where they are approached in the positive direction, and fall in
-/// the negative one. Without run numbers a step back to a target that was there before, or over
-/// half the travel, begins the next sweep.
+/// the negative one; or all sweeps of a direction are listed the other way round, which is a list sorted
+/// by position. Without run numbers a step back to a target that was there before, or over half the
+/// travel, begins the next sweep.
 fn check_order(
     file: &RunFile,
     names: &Names,
@@ -351,6 +362,9 @@ fn check_order(
     let half = half_span(rows);
     let mut seen: HashMap<(usize, usize), ()> = HashMap::new();
     let mut before: Option<&Raw> = None;
+    // By direction: whether a row follows in order, and the first two that do not.
+    let mut in_order = [false; 2];
+    let mut out_of_order: [Option<(&Raw, &Raw)>; 2] = [None; 2];
     for (raw, &target) in rows.iter().zip(target_of_row) {
         let is_new = seen.insert((target, raw.way), ()).is_none();
         if let Some(before) = before.filter(|it| it.way == raw.way) {
@@ -358,19 +372,24 @@ fn check_order(
             let same_sweep =
                 if is_numbered { before.run == raw.run } else { is_new && back < half };
             if back > 0.0 && same_sweep {
-                let (verb, direction) = if raw.way == 0 { ("rise", 1) } else { ("fall", -1) };
-                let rule = format!(
-                    "{} follows {} though {} is {direction}: positions approached in the {} \
-                     direction {verb} from row to row of a sweep",
-                    raw.position_mm,
-                    before.position_mm,
-                    names.direction,
-                    way_name(raw.way)
-                );
-                return Err(file.bad(raw.row, &names.position, rule));
+                out_of_order[raw.way].get_or_insert((before, raw));
             }
+            in_order[raw.way] |= back < 0.0 && same_sweep;
         }
         before = Some(raw);
+    }
+    for (way, (verb, direction)) in [("rise", 1), ("fall", -1)].into_iter().enumerate() {
+        if let (true, Some((before, raw))) = (in_order[way], out_of_order[way]) {
+            let rule = format!(
+                "{} follows {} though {} is {direction}: positions approached in the {} \
+                 direction {verb} from row to row of a sweep",
+                raw.position_mm,
+                before.position_mm,
+                names.direction,
+                way_name(way)
+            );
+            return Err(file.bad(raw.row, &names.position, rule));
+        }
     }
     Ok(())
 }

@@ -5,6 +5,8 @@ use trueup_machine::{
     file::write::{Edit, NewSection},
 };
 
+use trueup_numerics::repeats::{Decision, Refusal, between, cycles_for};
+
 use super::{
     judge::{Fitted, Judged, Law, Sums, folds, is_gain, student},
     readings::Readings,
@@ -25,7 +27,7 @@ pub(super) fn describe(report: &mut Report, readings: &Readings, iso230: &Option
     let um: Vec<f64> = readings.list.iter().map(|reading| reading.um).collect();
     report.before = Spread::of(&um);
     report.rows_used = um.len();
-    report.rows_incomplete = readings.rows_of_others;
+    report.rows_incomplete = readings.rows_incomplete;
     report.left_out_by = left_out_by(readings.runs);
     report.facts.push(Fact::number("runs", readings.runs as f64));
     report.facts.push(Fact::number("targets", readings.targets_mm.len() as f64));
@@ -243,6 +245,57 @@ pub(super) fn reasons(
         );
     }
     reasons
+}
+
+/// What to measure so that it can be decided, in a sentence.
+pub(super) fn to_measure(
+    readings: &Readings,
+    decision: &Decision,
+    by_target: &[[Vec<f64>; 2]],
+) -> Option<String> {
+    let targets = readings.targets_mm.len();
+    let refusal = decision.taken.err()?;
+    if refusal == Refusal::TooFew {
+        return Some(if targets < 3 {
+            "too few targets for a table: measure at three at least, better at ten".to_string()
+        } else {
+            "each target was measured once, so it is unknown whether the axis repeats: measure two more \
+             runs at the same targets, better in both directions"
+                .to_string()
+        });
+    }
+    let trial = decision.trials.iter().max_by(|a, b| a.f.total_cmp(&b.f))?;
+    let chance = match refusal {
+        Refusal::Chance => format!(
+            "the targets differ by no more than their repeats: F = {:.2}, which chance exceeds with \
+             {:.0} %",
+            trial.f,
+            100.0 * trial.chance
+        ),
+        _ => "the targets differ, but not every run is foreseen by the others".to_string(),
+    };
+    let shape_um = Scatter::of(by_target).shape_um;
+    let cycles = cycles_for(shape_um, decision.scatter?, targets);
+    Some(match cycles.filter(|cycles| *cycles > decision.blocks) {
+        Some(cycles) => format!(
+            "{chance}; an error of {shape_um:.1} um rms that repeats would show with 95 % in {cycles} runs"
+        ),
+        None => format!("{chance}: find what shifts from run to run, then measure again"),
+    })
+}
+
+/// What the table is worth between its points, where that is doubted.
+pub(super) fn between_points(readings: &Readings, law: Law) -> Option<String> {
+    let none = vec![false; readings.list.len()];
+    let found = between(&readings.targets_mm, &readings.repeats(), &none, law.table()?)?;
+    found.is_doubted().then(|| {
+        format!(
+            "the table holds at its points; between them it is doubted: the line between its neighbours \
+             misses a target that is left out by {:.1} um rms, no table at all by {:.1} um; measure \
+             between the targets as well (trueup diagnose lists positions)",
+            found.line, found.nothing
+        )
+    })
 }
 
 /// Whether `best` gains on `nothing` if each run's residuals are counted from their own mean.

@@ -13,7 +13,8 @@
 //! standard error of Breiman and others (Classification and Regression Trees, 1984).
 //!
 //! Where there is one cycle alone, its two sides take the part of two cycles: a table for both sides was
-//! measured twice then, and one for each side once.
+//! measured twice then, and one for each side once. A step between the sides was seen at every place of the
+//! cycle: it is asked for by an F test of its own.
 
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
@@ -139,7 +140,31 @@ pub fn decide(readings: &[Reading], aside: &[bool], places: usize, laws: &[Law])
         .filter_map(|&law| trial(law, &used, places, &block_of, blocks, readings.len()))
         .collect();
     decision.taken = taken(&decision.trials);
+    if by_side && decision.taken == Ok(Law::Table) && laws.contains(&Law::TableAndStep) {
+        let [table, step] = [Law::Table, Law::TableAndStep].map(|law| left_by(law, &used, places));
+        if is_step(table, step) {
+            decision.taken = Ok(Law::TableAndStep);
+        }
+    }
     decision
+}
+
+/// What a law leaves of all readings: squares and degrees of freedom.
+fn left_by(law: Law, used: &[(usize, Reading)], places: usize) -> (f64, f64) {
+    let table = Table::fit(law, places, used.iter().map(|(_, it)| it));
+    let left = used.iter().map(|(_, it)| (it.value - table.at(it.place, it.side)).powi(2)).sum();
+    (left, used.len() as f64 - table.constants as f64)
+}
+
+/// Whether a step takes away more than chance would: F of one value more.
+fn is_step(table: (f64, f64), step: (f64, f64)) -> bool {
+    let (more, freedom) = (table.0 - step.0, step.1);
+    if freedom < 1.0 || more <= ROUNDING * table.0 {
+        return false;
+    }
+    let f = more * freedom / step.0;
+    step.0 <= ROUNDING * table.0
+        || FisherSnedecor::new(1.0, freedom).is_ok_and(|it| it.sf(f) < SIGNIFICANCE)
 }
 
 /// The block of each reading, how many there are, and whether they are sides.

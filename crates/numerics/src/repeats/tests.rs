@@ -134,6 +134,9 @@ fn one_cycle_is_judged_by_its_two_sides_and_one_way_alone_not_at_all() {
     // The same with a number for each way in the place of a cycle.
     let ways: Vec<Reading> = both.iter().map(|it| Reading { cycle: it.side, ..*it }).collect();
     assert_eq!(decided(&ways, 7).taken, Ok(Law::Table));
+    // A step is seen at every place.
+    let step = cycles_of(7, 1, |place, side, _| shape[place] - 4.0 * side as f64 + noise());
+    assert_eq!(decided(&step, 7).taken, Ok(Law::TableAndStep));
     let one_way = &both[..7];
     assert_eq!(decided(one_way, 7).taken, Err(Refusal::TooFew));
 }
