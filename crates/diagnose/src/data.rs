@@ -7,7 +7,8 @@
 //! | `prediction`, `reversal` | what the machine file says of each row; what follows from turning |
 //! | `stated` | the terms that the machine file has already |
 //! | `table` | the columns, by name |
-//! | `drawn` | some of the rows, as a table |
+//! | `drawn` | some of the rows, or means of neighbours, as a table |
+//! | `row_blocks` | means over rows that follow each other |
 //! | `groups` | neighbouring rows put together |
 //! | `lag` | gaps filled, values behind a lag |
 
@@ -18,6 +19,7 @@ mod prediction;
 mod quantity;
 mod read;
 mod reversal;
+mod row_blocks;
 mod stated;
 mod table;
 

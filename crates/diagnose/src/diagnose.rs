@@ -114,7 +114,7 @@ fn gross_errors(data: &Data, problem: &Problem, found: &Found) -> Vec<bool> {
 }
 
 /// The search on the rows that count and are not set aside: on all of them, on means of neighbours, or
-/// on as many as tell enough.
+/// on as many as tell enough. The last fit is to all of them.
 fn searched(data: &Arc<Data>, aside: &[bool], progress: &mut Progress<'_>) -> (Problem, Found) {
     let used: Vec<bool> =
         data.used.iter().zip(aside).map(|(used, aside)| *used && !aside).collect();
@@ -124,21 +124,26 @@ fn searched(data: &Arc<Data>, aside: &[bool], progress: &mut Progress<'_>) -> (P
             let first = first_of(mm);
             mm.iter().any(|mm| !mm.is_nan() && *mm != first)
         });
-    if !moves || rows <= MOST_ROWS_MOVING {
-        let size = if moves { 1 } else { rows.div_ceil(MOST_GROUPS).max(1) };
-        let groups = Groups::new(data, &used, size);
-        let problem = Problem::new((**data).clone(), groups);
+    let size = if moves { 1 } else { rows.div_ceil(MOST_GROUPS).max(1) };
+    let groups = Groups::new(data, &used, size);
+    let fewer = if moves && rows > MOST_ROWS_MOVING {
+        let mut generator = Generator::new(rows as u64);
+        let is_drawn = |used: &bool| *used && generator.below(rows) < MOST_ROWS_MOVING;
+        let drawn: Vec<bool> = used.iter().map(is_drawn).collect();
+        let few = data.subset(&drawn);
+        let groups = Groups::new(&few, &few.used.clone(), 1);
+        Some((few, groups))
+    } else {
+        data.condensed(&groups)
+    };
+    let Some((few, of_few)) = fewer else {
+        let problem = Problem::new(data.clone(), groups);
         let found = search(&problem, &start(data), progress);
         return (problem, found);
-    }
-    let mut generator = Generator::new(rows as u64);
-    let drawn: Vec<bool> =
-        used.iter().map(|used| *used && generator.below(rows) < MOST_ROWS_MOVING).collect();
-    let few = data.subset(&drawn);
-    let groups = Groups::new(&few, &few.used.clone(), 1);
-    let problem = Problem::new(few, groups);
+    };
+    let problem = Problem::new(few, of_few);
     let mut found = search(&problem, &start(data), progress);
-    let whole = Problem::new((**data).clone(), Groups::new(data, &used, 1));
+    let whole = Problem::new(data.clone(), groups);
     let model = fit(&whole, &found.fitted.model, None).model;
     let residual = problem.residual(&model);
     let sum = residual.iter().map(|r| r * r).sum();

@@ -60,7 +60,7 @@ impl Model {
     pub(crate) fn predict(&self, data: &Data) -> Vec<f64> {
         let model = self.with_stated(data);
         match model.shift_s() {
-            Some(shift_s) => shifted_rows(data, &model.unshifted(data.whole()), shift_s),
+            Some(shift_s) => shifted_rows(data, &model.unshifted(data.without_holes()), shift_s),
             None => model.unshifted(data),
         }
     }
@@ -107,12 +107,12 @@ impl Model {
 /// The rows of `data` of a prediction for the whole that they were drawn from, `shift_s` late: what is
 /// predicted at another time may be of a row that was not drawn.
 pub(crate) fn shifted_rows(data: &Data, whole_um: &[f64], shift_s: f64) -> Vec<f64> {
-    let whole = data.whole();
+    let whole = data.without_holes();
     let shifted = match &whole.time_s {
         Some(time_s) => shifted_all(whole, time_s, whole_um, shift_s),
         None => whole_um.to_vec(),
     };
-    match &data.whole {
+    match data.drawn() {
         Some(drawn) => drawn.pick(&shifted),
         None => shifted,
     }

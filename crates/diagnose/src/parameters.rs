@@ -204,5 +204,5 @@ pub(crate) fn step_s(problem: &Problem) -> f64 {
         return 1.0;
     }
     let [start, end] = problem.bounds.time_s;
-    (end - start) / (data.rows as f64 / data.files as f64).max(1.0)
+    (end - start) / (data.recorded_rows() as f64 / data.files as f64).max(1.0)
 }

@@ -42,6 +42,7 @@ pub(crate) fn within_groups(
     let rows = errors(data, predicted, Some(aside));
     let residual: Vec<f64> =
         (0..data.rows).map(|row| data.measured[row] - predicted[row]).collect();
-    let groups = problem.groups.means(&residual);
+    let own = problem.data.whole.as_ref().map(|whole| whole.pick(&residual));
+    let groups = problem.groups.means(&own.unwrap_or(residual));
     (rms(&rows).powi(2) - rms(&groups).powi(2)).max(0.0)
 }

@@ -35,6 +35,8 @@ pub(super) fn lag(
     let share = |elapsed: f64, lag_s: f64| {
         if lag_s == 0.0 { 1.0 } else { -(-elapsed / lag_s).exp_m1() }
     };
+    // Which way it goes from row to row is noise, and not asked where it does not matter.
+    let is_one = rise_s == fall_s;
     for row in 0..values.len() {
         if restart[row] {
             (settled, before_s) = (None, f64::NAN);
@@ -46,9 +48,12 @@ pub(super) fn lag(
             before_s = now_s;
             if last_elapsed.is_nan() || (elapsed - last_elapsed).abs() > 1e-9 * elapsed {
                 last_elapsed = elapsed;
-                last_shares = [share(elapsed, rise_s), share(elapsed, fall_s)];
+                last_shares = [share(elapsed, rise_s); 2];
+                if !is_one {
+                    last_shares[1] = share(elapsed, fall_s);
+                }
             }
-            let share = if value < before { last_shares[1] } else { last_shares[0] };
+            let share = if is_one || value >= before { last_shares[0] } else { last_shares[1] };
             settled = Some(before + (value - before) * share);
         }
         out.push(settled.unwrap_or(f64::NAN));

@@ -38,7 +38,7 @@ pub(super) fn predict(data: &mut Data, runs: &[Cow<'_, RunFile>]) {
 }
 
 /// What a machine makes of each row.
-#[derive(Clone, Default)]
+#[derive(Clone)]
 struct Stepped {
     elongation: Vec<f64>,
     along: Vec<f64>,
@@ -54,22 +54,25 @@ fn stepped(data: &Data, runs: &[Cow<'_, RunFile>], machine: &Machine) -> Stepped
         runs.iter().map(|run| ["a_deg", "b_deg", "c_deg"].map(|name| run.column(name))).collect();
     let counts: Vec<Option<&[f64]>> = runs.iter().map(|run| run.column("sensor_counts")).collect();
     let axis = data.quantity.axis().map(LinearAxis::index);
-    let mut stepped = Stepped::default();
+    let list = || Vec::with_capacity(data.rows);
+    let mut stepped = Stepped { elongation: list(), along: list(), axis: list(), thermal: list() };
+    let mut temperatures: Vec<(&str, f64)> =
+        data.temperatures.iter().map(|(name, _)| (name.as_str(), f64::NAN)).collect();
     let mut row = 0;
     for (number, run) in runs.iter().enumerate() {
+        let [has_time, has_speed, has_load] =
+            ["time_s", "spindle_rpm", "load_n"].map(|name| run.column(name).is_some());
         let mut reference = ReferenceModel::new(machine);
         for own in 0..run.rows() {
-            let temperatures: Vec<(&str, f64)> = data
-                .temperatures
-                .iter()
-                .map(|(name, values)| (name.as_str(), values[row]))
-                .collect();
+            for ((_, now_c), (_, values)) in temperatures.iter_mut().zip(&data.temperatures) {
+                *now_c = values[row];
+            }
             let of = |column: Option<&[f64]>| column.map_or(f64::NAN, |values| values[own]);
             let parts = reference.step(&Situation {
-                time_s: run.column("time_s").map(|_| at(&data.time_s, row)),
+                time_s: has_time.then(|| at(&data.time_s, row)),
                 sensor_counts: of(counts[number]),
-                spindle_rpm: run.column("spindle_rpm").map(|_| at(&data.spindle_rpm, row)),
-                load_n: run.column("load_n").map(|_| at(&data.load_n, row)),
+                spindle_rpm: has_speed.then(|| at(&data.spindle_rpm, row)),
+                load_n: has_load.then(|| at(&data.load_n, row)),
                 temperatures_c: &temperatures,
                 position_mm: [0, 1, 2].map(|n| at(&data.position_mm[n], row)),
                 angle_deg: angles[number].map(of),

@@ -9,6 +9,7 @@ use trueup_machine::{Machine, file::Quantity};
 
 use super::{
     lag::{filled, lag},
+    row_blocks::RowBlocks,
     stated::Stated,
 };
 
@@ -67,7 +68,8 @@ pub(crate) struct Data {
     pub start_s: f64,
     /// What was set aside before anything was compared, and why: a sentence each.
     pub notes: Vec<String>,
-    /// Where these are drawn rows: all of them, for what a row has from the rows before it.
+    /// Where these are drawn rows, or means of rows: all of them, for what a row has from the rows
+    /// before it.
     pub whole: Option<DrawnFrom>,
 }
 
@@ -75,8 +77,8 @@ pub(crate) struct Data {
 #[derive(Clone, Debug)]
 pub(crate) struct DrawnFrom {
     pub data: Arc<Data>,
-    /// Which of its rows were drawn, rising.
-    pub(super) rows: Vec<usize>,
+    /// Which of its rows each row is, or is the mean of.
+    pub(super) blocks: RowBlocks,
     /// Columns behind a lag that were asked for, the newest last.
     pub(super) lagged: Arc<Mutex<VecDeque<Lagged>>>,
 }
@@ -85,8 +87,9 @@ pub(crate) struct DrawnFrom {
 pub(super) type Lagged = ((String, [u64; 2]), Vec<f64>);
 
 impl DrawnFrom {
-    /// Enough for a grid of time constants.
-    const MOST_LAGGED: usize = 128;
+    /// Numbers in the columns that are kept, 8 bytes each: of a few thousand rows enough for a grid of
+    /// time constants on each thermometer.
+    const MOST_NUMBERS: usize = 2_000_000;
 
     /// A column of the whole behind a lag, in the drawn rows.
     pub(crate) fn lagged(&self, column: &str, rise_s: f64, fall_s: f64) -> Vec<f64> {
@@ -98,15 +101,15 @@ impl DrawnFrom {
         let values = self.pick(&self.data.lagged(column, rise_s, fall_s));
         let mut known = known();
         known.push_back((asked, values.clone()));
-        if known.len() > Self::MOST_LAGGED {
+        if known.len() * self.blocks.len() > Self::MOST_NUMBERS {
             known.pop_front();
         }
         values
     }
 
-    /// Of values for all rows, those of the drawn ones.
+    /// Of values for all rows, those of the drawn ones, or their means.
     pub(crate) fn pick(&self, all: &[f64]) -> Vec<f64> {
-        self.rows.iter().map(|&row| all[row]).collect()
+        self.blocks.means(all)
     }
 }
 
@@ -139,9 +142,20 @@ impl Data {
         self.start_s = training.start_s;
     }
 
-    /// The table that these rows were drawn from, or this one.
-    pub(crate) fn whole(&self) -> &Self {
-        self.whole.as_ref().map_or(self, |whole| &whole.data)
+    /// The table that these rows were drawn from, where others are missing between them.
+    pub(crate) fn drawn(&self) -> Option<&DrawnFrom> {
+        self.whole.as_ref().filter(|whole| !whole.blocks.has_means())
+    }
+
+    /// The table that these rows were drawn from, or this one: no row is missing between its rows.
+    pub(crate) fn without_holes(&self) -> &Self {
+        self.drawn().map_or(self, |drawn| &drawn.data)
+    }
+
+    /// The rows that were written down for these: where they are means, there were more.
+    pub(crate) fn recorded_rows(&self) -> usize {
+        let means = self.whole.as_ref().filter(|whole| whole.blocks.has_means());
+        means.map_or(self.rows, |whole| whole.data.rows)
     }
 
     /// A temperature behind a first-order lag with one time constant while it rises and one while it

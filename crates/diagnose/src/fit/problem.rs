@@ -15,7 +15,7 @@ use crate::{
 
 /// Data, and its groups of rows.
 pub(crate) struct Problem {
-    pub data: Data,
+    pub data: Arc<Data>,
     pub groups: Groups,
     /// What was measured, in groups.
     pub measured: Vec<f64>,
@@ -53,7 +53,8 @@ impl Problem {
         self.groups.len() >= Self::MANY_GROUPS
     }
 
-    pub(crate) fn new(data: Data, groups: Groups) -> Self {
+    pub(crate) fn new(data: impl Into<Arc<Data>>, groups: Groups) -> Self {
+        let data = data.into();
         let measured = groups.means(&data.measured);
         let bounds = bounds(&data, &groups);
         Self { data, groups, measured, bounds, cache: Mutex::default() }
@@ -128,7 +129,7 @@ impl Problem {
         {
             return predicted.clone();
         }
-        let predicted = Arc::new(plain.unshifted(self.data.whole()));
+        let predicted = Arc::new(plain.unshifted(self.data.without_holes()));
         self.cache().unshifted = Some((plain, predicted.clone()));
         predicted
     }
@@ -254,7 +255,7 @@ fn bounds(data: &Data, groups: &Groups) -> Bounds {
         }
         if longest > 0.0 { longest } else { 1.0 }
     });
-    let step_s = longest_s * data.files as f64 / (data.rows as f64).max(2.0);
+    let step_s = longest_s * data.files as f64 / (data.recorded_rows() as f64).max(2.0);
     let own = data.own_position();
     let range = own.map_or([0.0, 1.0], |mm| finite(extent(&mut mm.iter().copied()), [0.0, 1.0]));
     let prediction = Model::default().predict(data);
