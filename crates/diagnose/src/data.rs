@@ -10,11 +10,12 @@
 //! | `drawn` | some of the rows, or means of neighbours, as a table |
 //! | `row_blocks` | means over rows that follow each other |
 //! | `groups` | neighbouring rows put together |
-//! | `lag` | gaps filled, values behind a lag |
+//! | `lag`, `lag_series` | gaps filled, values behind a lag; the same for means of many rows |
 
 mod drawn;
 mod groups;
 mod lag;
+mod lag_series;
 mod prediction;
 mod quantity;
 mod read;

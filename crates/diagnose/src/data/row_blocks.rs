@@ -40,10 +40,15 @@ impl RowBlocks {
         self.len() < self.rows.len()
     }
 
-    /// The rows of each block.
+    /// Where each block stands among the rows.
     fn blocks(&self) -> impl Iterator<Item = std::ops::Range<usize>> {
         let mut start = 0;
         self.ends.iter().map(move |&end| std::mem::replace(&mut start, end as usize)..end as usize)
+    }
+
+    /// The rows of each block.
+    pub(super) fn rows_of_each(&self) -> impl Iterator<Item = &[u32]> {
+        self.blocks().map(|block| &self.rows[block])
     }
 
     /// The first row of each block.

@@ -9,6 +9,7 @@ use trueup_machine::{Machine, file::Quantity};
 
 use super::{
     lag::{filled, lag},
+    lag_series::LagSeries,
     row_blocks::RowBlocks,
     stated::Stated,
 };
@@ -79,6 +80,8 @@ pub(crate) struct DrawnFrom {
     pub data: Arc<Data>,
     /// Which of its rows each row is, or is the mean of.
     pub(super) blocks: RowBlocks,
+    /// Where rows are means: the columns of temperatures that have no gap, for any lag.
+    pub(super) series: Arc<Vec<(String, LagSeries)>>,
     /// Columns behind a lag that were asked for, the newest last.
     pub(super) lagged: Arc<Mutex<VecDeque<Lagged>>>,
 }
@@ -93,6 +96,12 @@ impl DrawnFrom {
 
     /// A column of the whole behind a lag, in the drawn rows.
     pub(crate) fn lagged(&self, column: &str, rise_s: f64, fall_s: f64) -> Vec<f64> {
+        let series = self.series.iter().find(|(name, _)| name == column && rise_s == fall_s);
+        if let (Some((_, series)), Some(values)) = (series, self.data.temperature(column))
+            && rise_s > 0.0
+        {
+            return series.means(values, &self.blocks, rise_s);
+        }
         let asked = (column.to_owned(), [rise_s, fall_s].map(f64::to_bits));
         let known = || self.lagged.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, values)) = known().iter().find(|(there, _)| *there == asked) {
