@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `quantity` | which error the runs are compared in |
 //! | `read` | from runs to the table |
+//! | `channels`, `channel` | thermometers that lie and columns that are copies, set aside; one by one |
 //! | `prediction`, `reversal` | what the machine file says of each row; what follows from turning |
 //! | `stated` | the terms that the machine file has already |
 //! | `table` | the columns, by name |
@@ -12,6 +13,8 @@
 //! | `groups` | neighbouring rows put together |
 //! | `lag`, `lag_series` | gaps filled, values behind a lag; the same for means of many rows |
 
+mod channel;
+mod channels;
 mod drawn;
 mod groups;
 mod lag;

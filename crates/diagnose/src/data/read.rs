@@ -8,7 +8,8 @@ use trueup_machine::{
 };
 
 use super::{
-    lag::first_of, prediction::predict, reversal::reversal_decay, stated::Stated, table::Data,
+    channels, lag::first_of, prediction::predict, reversal::reversal_decay, stated::Stated,
+    table::Data,
 };
 
 impl Data {
@@ -88,12 +89,14 @@ impl Data {
             rows,
             file,
             files: runs.len(),
+            names: runs.iter().map(|run| run.path().display().to_string()).collect(),
             restart,
             series,
             time_s,
             gauge_time_s,
             run,
             temperatures,
+            distrusted: Vec::new(),
             others,
             spindle_rpm: joined("spindle_rpm"),
             load_n: joined("load_n"),
@@ -115,6 +118,7 @@ impl Data {
             notes,
             whole: None,
         };
+        channels::set_aside(&mut data);
         data.references_c = data
             .temperatures
             .iter()
@@ -127,7 +131,10 @@ impl Data {
             // Says which column is missing, where one is.
             for name in trueup_machine::model::required_columns(machine) {
                 for run in &runs {
-                    run.require(&name)?;
+                    if run.require(&name)?.iter().all(|value| value.is_nan()) {
+                        let rule = "has no value in any row, and the machine file needs it";
+                        return Err(run.bad(0, &name, rule));
+                    }
                 }
             }
             let name = format!("measured_{}_um", quantity.name());

@@ -23,6 +23,8 @@ pub(crate) struct Data {
     /// The number of the file of each row.
     pub file: Vec<usize>,
     pub files: usize,
+    /// Their names, as the user has given them.
+    pub names: Vec<String>,
     /// Rows at which states begin anew: the first of a file, and where time runs back.
     pub restart: Vec<bool>,
     /// The number of the series of each row: files, runs, restarts.
@@ -33,6 +35,8 @@ pub(crate) struct Data {
     pub run: Option<Vec<f64>>,
     /// By column, in °C.
     pub temperatures: Vec<(String, Vec<f64>)>,
+    /// Those of them that did not measure for most of the time, or have jumped.
+    pub distrusted: Vec<String>,
     /// Columns that this project does not know.
     pub others: Vec<(String, Vec<f64>)>,
     /// In 1/min.

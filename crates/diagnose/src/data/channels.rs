@@ -1,0 +1,253 @@
+//! Channels that lie, set aside before anything is searched: a thermometer that is absent, frozen or has
+//! jumped, a column that is a copy of another.
+//!
+//! Where a channel did not measure for a while its values are taken from the line between those around,
+//! and the rows do not count. One that did not measure for most of the time, has jumped or is a copy is
+//! no column of the runs that are searched, unless the machine file needs it. All of it is told.
+
+use std::ops::Range;
+
+use trueup_machine::model::required_columns;
+
+use super::{
+    channel::{Fault, faults},
+    table::Data,
+};
+
+/// Changes of a value from row to row that two columns must share before they are called copies: each
+/// would be as likely as not in one of them alone, so that 2⁻³⁰ = 10⁻⁹ is the chance that they are not.
+const SHARED_CHANGES: usize = 30;
+/// A step over more than so many of the usual rows is a pause: twice is one row that is not there.
+const PAUSE_ROWS: f64 = 2.0;
+/// Rows before and after an instant by which it is asked whether a neighbour turned there.
+const TURN_ROWS: usize = 10;
+/// A neighbour turned if it does so less in all but this share of its rows: a level of 1 %.
+const RARE: f64 = 0.01;
+
+impl Data {
+    /// Without the columns that are not to be believed: nothing is to be explained by them.
+    pub(crate) fn trusted(mut self) -> Self {
+        let copies = copies(&self);
+        for (name, other) in &copies {
+            self.notes.push(format!(
+                "{}{name} is set aside: in every row it is a copy of {other}",
+                place(&self, 0)
+            ));
+        }
+        for name in &self.distrusted {
+            self.notes.push(format!("{}{name} is set aside as a whole", place(&self, 0)));
+        }
+        let distrusted = std::mem::take(&mut self.distrusted);
+        let is_kept = |(name, _): &(String, Vec<f64>)| {
+            !distrusted.contains(name) && !copies.iter().any(|(copy, _)| copy == name)
+        };
+        self.temperatures.retain(is_kept);
+        self.others.retain(is_kept);
+        self
+    }
+}
+
+/// Sets aside where a channel lies, and tells it.
+pub(super) fn set_aside(data: &mut Data) {
+    let needed = required_columns(&data.machine);
+    let follows = follows(data);
+    let files = files(data);
+    let mut lost = vec![false; data.rows];
+    for column in 0..data.temperatures.len() {
+        let name = data.temperatures[column].0.clone();
+        let is_needed = needed.contains(&name);
+        let mut own = vec![false; data.rows];
+        let mut has_jumped = false;
+        for rows in &files {
+            let values = &data.temperatures[column].1[rows.clone()];
+            for fault in faults(values, &follows[rows.clone()]) {
+                let at = |range: &Range<usize>| rows.start + range.start..rows.start + range.end;
+                let told = match &fault {
+                    Fault::Absent { shown, rows: all } => {
+                        all.iter().for_each(|range| own[at(range)].fill(true));
+                        let count: usize = all.iter().map(Range::len).sum();
+                        format!("shows {shown} in {count} rows, as one that is not connected does")
+                    }
+                    Fault::Frozen { shown, rows: range } => {
+                        if turns_with_another(data, column, at(range).start, rows)
+                            && turns_with_another(data, column, at(range).end, rows)
+                        {
+                            continue;
+                        }
+                        own[at(range)].fill(true);
+                        let (from, to) = (range.start + 1, range.end);
+                        format!("stands still at {shown} from row {from} to {to}")
+                    }
+                    Fault::Jump { by, row } => {
+                        if turns_with_another(data, column, rows.start + row, rows) {
+                            continue;
+                        }
+                        has_jumped = true;
+                        if is_needed {
+                            lost[rows.start + row..rows.end].fill(true);
+                        }
+                        format!("jumps by {by:.3} °C at row {}, and no other one does", row + 1)
+                    }
+                };
+                let file = place(data, rows.start);
+                data.notes.push(format!("{file}{name} {told}"));
+            }
+        }
+        for rows in &files {
+            bridge(&mut data.temperatures[column].1[rows.clone()], &own[rows.clone()]);
+        }
+        let count = own.iter().filter(|it| **it).count();
+        if !is_needed && (has_jumped || 2 * count > data.rows) {
+            data.distrusted.push(name);
+            continue;
+        }
+        // The line between its neighbours does for a single row.
+        let is_long = |&row: &usize| {
+            let at = |row: Option<usize>| row.is_some_and(|row| own.get(row) == Some(&true));
+            own[row] && (at(row.checked_sub(1)) || at(Some(row + 1)))
+        };
+        (0..data.rows).filter(is_long).for_each(|row| lost[row] = true);
+    }
+    let count = lost.iter().filter(|it| **it).count();
+    if count > 0 {
+        let file = place(data, 0);
+        data.notes
+            .push(format!("{file}{count} rows do not count: a temperature in them is not true"));
+    }
+    data.measured.iter_mut().zip(&lost).for_each(|(um, lost)| {
+        if *lost {
+            *um = f64::NAN;
+        }
+    });
+}
+
+/// The columns that are another one, or what was measured, with its name.
+fn copies(data: &Data) -> Vec<(String, String)> {
+    let needed = required_columns(&data.machine);
+    let all: Vec<&(String, Vec<f64>)> = data.temperatures.iter().chain(&data.others).collect();
+    let mut copies: Vec<(String, String)> = Vec::new();
+    for (number, (name, values)) in all.iter().enumerate() {
+        if needed.contains(name) {
+            continue;
+        }
+        let of_another = || {
+            all.iter().enumerate().find(|(at, (other, theirs))| {
+                let is_first = *at < number && !copies.iter().any(|(copy, _)| copy == other);
+                *at != number && (is_first || needed.contains(other)) && is_copy(values, theirs)
+            })
+        };
+        if is_copy(values, &data.measured) {
+            copies.push((name.clone(), "what was measured".into()));
+        } else if let Some((_, (other, _))) = of_another() {
+            copies.push((name.clone(), other.clone()));
+        }
+    }
+    copies
+}
+
+/// Whether two columns are one: equal wherever both are there, through many changes.
+fn is_copy(values: &[f64], others: &[f64]) -> bool {
+    let mut changes = 0;
+    let mut before = f64::NAN;
+    for (&value, &other) in values.iter().zip(others) {
+        if value.is_nan() && other.is_nan() {
+            continue;
+        }
+        if value != other {
+            return false;
+        }
+        changes += usize::from(value != before && !before.is_nan());
+        before = value;
+    }
+    changes >= SHARED_CHANGES
+}
+
+/// The name of the file of a row, for a note.
+fn place(data: &Data, row: usize) -> String {
+    let name = data.file.get(row).and_then(|&file| data.names.get(file));
+    name.map_or(String::new(), |name| format!("{name}: "))
+}
+
+/// The rows of each file.
+fn files(data: &Data) -> Vec<Range<usize>> {
+    let mut files: Vec<Range<usize>> = vec![0..0; data.files];
+    for (row, &file) in data.file.iter().enumerate() {
+        let rows = &mut files[file];
+        if rows.start == rows.end {
+            rows.start = row;
+        }
+        rows.end = row + 1;
+    }
+    files
+}
+
+/// Whether a row is the usual time after the one before; without time, whether it is of the same run.
+fn follows(data: &Data) -> Vec<bool> {
+    let apart = |row: usize| data.time_s.as_ref().map_or(f64::NAN, |it| it[row] - it[row - 1]);
+    let mut all: Vec<f64> = (1..data.rows).map(apart).filter(|s| *s > 0.0).collect();
+    all.sort_by(f64::total_cmp);
+    let usual_s = all.get(all.len() / 2).copied();
+    (0..data.rows)
+        .map(|row| {
+            if row == 0 || data.series[row] != data.series[row - 1] {
+                return false;
+            }
+            usual_s.is_none_or(|usual_s| !(apart(row) > PAUSE_ROWS * usual_s))
+        })
+        .collect()
+}
+
+/// Whether another thermometer, the speed or the load turned at this row as it rarely does: then what
+/// happened, happened to the machine.
+fn turns_with_another(data: &Data, column: usize, row: usize, rows: &Range<usize>) -> bool {
+    let others = data.temperatures.iter().enumerate().filter(|(at, _)| *at != column);
+    let columns = others.map(|(_, (_, values))| values);
+    let drives = data.spindle_rpm.iter().chain(&data.load_n);
+    columns.chain(drives).any(|values| turns_at(&values[rows.clone()], row - rows.start))
+}
+
+/// Whether a column's mean slope changes at `row` by more than almost anywhere else.
+fn turns_at(values: &[f64], row: usize) -> bool {
+    let turn = |at: usize| {
+        let [before, now, after] =
+            [at.checked_sub(TURN_ROWS)?, at, at + TURN_ROWS].map(|it| values.get(it));
+        let turn = (after? - now? - (now? - before?)).abs();
+        (!turn.is_nan()).then_some(turn)
+    };
+    let near = row.saturating_sub(1)..=row + 1;
+    let Some(here) = near.filter_map(turn).reduce(f64::max) else { return false };
+    // What is near it turns with it.
+    let elsewhere = (0..values.len()).filter(|at| at.abs_diff(row) > 2 * TURN_ROWS);
+    let (more, all) = elsewhere
+        .filter_map(turn)
+        .fold((0_u32, 0_u32), |(more, all), turn| (more + u32::from(turn >= here), all + 1));
+    here > 0.0 && f64::from(more) <= RARE * f64::from(all)
+}
+
+/// The line between the values around in the place of those that are `not_measured`; at an end, the
+/// value next to it.
+fn bridge(values: &mut [f64], not_measured: &[bool]) {
+    let mut row = 0;
+    while row < values.len() {
+        if !not_measured[row] {
+            row += 1;
+            continue;
+        }
+        let end = (row..values.len()).find(|&at| !not_measured[at]).unwrap_or(values.len());
+        let before = row.checked_sub(1).map(|at| values[at]).filter(|value| !value.is_nan());
+        let after = values.get(end).copied().filter(|value| !value.is_nan());
+        let (from, to) = match (before, after) {
+            (Some(before), Some(after)) => (before, after),
+            (Some(only), None) | (None, Some(only)) => (only, only),
+            (None, None) => (f64::NAN, f64::NAN),
+        };
+        let steps = (end - row + 1) as f64;
+        for at in row..end {
+            values[at] = from + (to - from) * (at - row + 1) as f64 / steps;
+        }
+        row = end;
+    }
+}
+
+#[cfg(test)]
+mod tests;
