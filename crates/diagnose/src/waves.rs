@@ -1,14 +1,7 @@
 //! Periodic errors: where in a spectrum of the residual over the position a peak stands.
 //!
-//! A least-squares periodogram (Lomb 1976) of the residual over the axis's position: O(rows ·
-//! frequencies), no transform, any spacing. From each frequency to the next, d further, each row
-//! turns by Chebyshev's recurrence (r the residual of the row at P):
-//!
-//! ```text
-//! r·sin(2π(f + d)P) = 2·cos(2πdP) · r·sin(2πfP) − r·sin(2π(f − d)P)      and so for the cosine
-//! ```
-//!
-//! Its rounding is below 10⁻¹² of the power after some 4000 steps (a test prints it).
+//! A least-squares periodogram (Lomb 1976) of the residual over the axis's position, any spacing, by a
+//! [transform](trueup_numerics::fourier): a search looks at some thousand frequencies, and often.
 //!
 //! Frequencies go up to half of one over the typical spacing of neighbouring positions: a period
 //! shorter than twice the spacing has aliases, one as good as the other.
@@ -19,10 +12,8 @@
 
 use std::f64::consts::TAU;
 
-use trueup_numerics::{parallel::on_all_cores, random::Generator};
+use trueup_numerics::{fourier, parallel::on_all_cores, random::Generator};
 
-/// Frequencies that are worth a core of its own.
-const FREQUENCIES_AT_ONCE: usize = 1000;
 /// Beyond so many the positions are as dense as those of a continuous record, and lie on no grid.
 const MOST_FREQUENCIES: usize = 40_000;
 
@@ -99,13 +90,7 @@ fn spectrum(at: &[f64], values: &[f64], least_turns: f64, most: usize) -> Option
         return None;
     }
     let mean = values.iter().sum::<f64>() / values.len() as f64;
-    let all: Vec<usize> = (0..count).collect();
-    let ranges: Vec<&[usize]> = all.chunks(FREQUENCIES_AT_ONCE).collect();
-    let is_worth = count * at.len() > 1_000_000;
-    let sums: Vec<[f64; 2]> = on_all_cores(&ranges, is_worth, |range| {
-        waves(at, values, [low, mean], first + step * range[0] as f64, step, range.len())
-    })
-    .concat();
+    let sums = waves(at, values, [low, mean], first, step, count);
     let power = |sum: &[f64; 2]| sum[0] * sum[0] + sum[1] * sum[1];
     let (best, sum) = sums.iter().enumerate().max_by(|a, b| power(a.1).total_cmp(&power(b.1)))?;
     // Between the grid's points the peak is where a parabola through three of them has its top.
@@ -118,7 +103,7 @@ fn spectrum(at: &[f64], values: &[f64], least_turns: f64, most: usize) -> Option
     Some((power(sum), frequency, count as f64 / 4.0 + 1.0))
 }
 
-/// Σ r·sin and Σ r·cos at `count` frequencies from `first` on, of values less `mean` over positions from
+/// Σ r·cos and Σ r·sin at `count` frequencies from `first` on, of values less `mean` over positions from
 /// `low` on.
 fn waves(
     at: &[f64],
@@ -128,39 +113,9 @@ fn waves(
     step: f64,
     count: usize,
 ) -> Vec<[f64; 2]> {
-    let mut sums = vec![[0.0; 2]; count];
-    // Several rows side by side: each turn waits for the one before it.
-    const LANES: usize = 8;
-    for (at, values) in at.chunks(LANES).zip(values.chunks(LANES)) {
-        let [mut sin, mut cos, mut sin_before, mut cos_before] = [[0.0; LANES]; 4];
-        let mut turn = [0.0; LANES];
-        for (lane, (x, v)) in at.iter().zip(values).enumerate() {
-            let (x, value) = (TAU * (x - low), v - mean);
-            let at_frequency = |frequency: f64| {
-                let (sin, cos) = (frequency * x).sin_cos();
-                (value * sin, value * cos)
-            };
-            (sin[lane], cos[lane]) = at_frequency(first);
-            (sin_before[lane], cos_before[lane]) = at_frequency(first - step);
-            turn[lane] = 2.0 * (step * x).cos();
-        }
-        for sum in &mut sums {
-            let (mut by_sin, mut by_cos) = (0.0, 0.0);
-            for lane in 0..LANES {
-                by_sin += sin[lane];
-                by_cos += cos[lane];
-                let next = [
-                    turn[lane] * sin[lane] - sin_before[lane],
-                    turn[lane] * cos[lane] - cos_before[lane],
-                ];
-                (sin_before[lane], cos_before[lane]) = (sin[lane], cos[lane]);
-                [sin[lane], cos[lane]] = next;
-            }
-            sum[0] += by_sin;
-            sum[1] += by_cos;
-        }
-    }
-    sums
+    let at: Vec<f64> = at.iter().map(|x| x - low).collect();
+    let values: Vec<f64> = values.iter().map(|value| value - mean).collect();
+    fourier::sums(&at, &values, TAU * first, TAU * step, count)
 }
 
 /// C and P₀ of the best wave over 1/(P + P₀).
@@ -203,7 +158,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_recurrence_finds_the_power_that_plain_sines_find() {
+    fn the_transform_finds_the_power_that_plain_sines_find() {
         let mut generator = Generator::new(5);
         let mut uniform = || generator.below(1_000_000) as f64 / 1e6;
         let at: Vec<f64> = (0..3000).map(|_| 1000.0 * uniform()).collect();

@@ -3,6 +3,7 @@
 //! | module | does |
 //! |---|---|
 //! | [`blocks`] | what a term is worth on blocks that were left out |
+//! | [`fourier`] | Fourier sums over points at any spacing |
 //! | [`least_squares`] | linear, nonlinear and mixed, with intervals |
 //! | [`line`](mod@line) | a straight line, judged on the rows that it was not fitted to |
 //! | [`noncentral_f`] | how likely a test finds an effect of a given size |
@@ -14,6 +15,7 @@
 #![forbid(unsafe_code)]
 
 pub mod blocks;
+pub mod fourier;
 pub mod least_squares;
 pub mod line;
 pub mod noise;

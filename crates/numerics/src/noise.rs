@@ -53,6 +53,10 @@ pub fn longest_memory(rows: usize) -> f64 {
 #[derive(Clone, Debug)]
 pub struct Steps(pub Vec<f64>);
 
+/// Variances whose product is far from the ends of what a number holds: their logarithms are taken at
+/// once.
+const AT_ONCE: usize = 8;
+
 /// The inverse root of a noise's covariance, for given rows.
 pub struct Whitener {
     decay: Vec<f64>,
@@ -79,7 +83,8 @@ impl Whitener {
         let stationary = 1.0 - noise.white;
         let mut variance = stationary;
         let (mut last_steps, mut last_decay) = (f64::NAN, 0.0);
-        for &steps in &steps.0 {
+        let mut product = 1.0;
+        for (row, &steps) in steps.0.iter().enumerate() {
             let decay = if steps.is_infinite() {
                 0.0
             } else {
@@ -95,8 +100,12 @@ impl Whitener {
             it.decay.push(decay);
             it.gain.push(gain);
             it.scale.push(innovation.sqrt().recip());
-            it.log_det += innovation.ln();
+            product *= innovation;
+            if row % AT_ONCE == AT_ONCE - 1 {
+                it.log_det += std::mem::replace(&mut product, 1.0_f64).ln();
+            }
         }
+        it.log_det += product.ln();
         it
     }
 
@@ -129,20 +138,22 @@ impl Whitener {
         let chunks = columns.chunks_exact(LANES);
         let rest = chunks.remainder();
         for chunk in chunks {
-            let mut out: Vec<Vec<f64>> =
-                chunk.iter().map(|column| Vec::with_capacity(column.len())).collect();
+            let rows = self.decay.len();
+            let read: [&[f64]; LANES] = std::array::from_fn(|lane| &chunk[lane][..rows]);
+            let mut out: [Vec<f64>; LANES] = std::array::from_fn(|_| vec![0.0; rows]);
+            let written = out.each_mut().map(|out| &mut out[..rows]);
             let mut state = [0.0; LANES];
             for (row, ((decay, gain), scale)) in
                 self.decay.iter().zip(&self.gain).zip(&self.scale).enumerate()
             {
                 for lane in 0..LANES {
                     let before = state[lane] * decay;
-                    let innovation = chunk[lane][row] - before;
-                    out[lane].push(innovation * scale);
+                    let innovation = read[lane][row] - before;
+                    written[lane][row] = innovation * scale;
                     state[lane] = before + gain * innovation;
                 }
             }
-            all.append(&mut out);
+            all.extend(out);
         }
         all.extend(rest.iter().map(|column| self.apply(column)));
         all
@@ -184,11 +195,50 @@ pub fn effective_rows(noise: Noise, steps: &Steps) -> f64 {
     (rows * rows / sum).clamp(1.0, rows)
 }
 
-/// −2 ln of the likelihood at the best variance, but for a constant.
-pub fn deviance(whitener: &Whitener, residual: &[f64]) -> f64 {
+/// −2 ln of the likelihood of these noises at the best variance, but for a constant: the filter of
+/// [`Whitener`] for several noises side by side, and of what it gives only the sums.
+pub fn deviances<const NOISES: usize>(
+    noises: [Noise; NOISES],
+    steps: &Steps,
+    residual: &[f64],
+) -> [f64; NOISES] {
+    let slow = noises.map(|noise| 1.0 - noise.white);
+    let [mut state, mut sum, mut log_det] = [[0.0; NOISES]; 3];
+    let mut variance = slow;
+    let mut decay = [0.0; NOISES];
+    let mut last_steps = f64::NAN;
+    for (steps, residual) in steps.0.chunks(AT_ONCE).zip(residual.chunks(AT_ONCE)) {
+        let mut product = [1.0; NOISES];
+        for (&steps, value) in steps.iter().zip(residual) {
+            if steps != last_steps {
+                last_steps = steps;
+                decay =
+                    noises.map(|noise| if steps.is_infinite() { 0.0 } else { noise.decay(steps) });
+            }
+            for n in 0..NOISES {
+                let squared = decay[n] * decay[n];
+                let before = squared * variance[n] + (1.0 - squared) * slow[n];
+                let innovation = before + noises[n].white;
+                let inverse = 1.0 / innovation;
+                let gain = before * inverse;
+                variance[n] = before * (1.0 - gain);
+                let at = state[n] * decay[n];
+                let apart = value - at;
+                sum[n] += apart * apart * inverse;
+                state[n] = at + gain * apart;
+                product[n] *= innovation;
+            }
+        }
+        log_det.iter_mut().zip(product).for_each(|(sum, product)| *sum += product.ln());
+    }
     let rows = residual.len() as f64;
-    let sum: f64 = whitener.apply(residual).iter().map(|e| e * e).sum();
-    rows * (sum / rows).max(f64::MIN_POSITIVE).ln() + whitener.log_det
+    std::array::from_fn(|n| rows * (sum[n] / rows).max(f64::MIN_POSITIVE).ln() + log_det[n])
+}
+
+/// The same of one noise.
+pub fn deviance(noise: Noise, steps: &Steps, residual: &[f64]) -> f64 {
+    let [deviance] = deviances([noise], steps, residual);
+    deviance
 }
 
 /// A grid of noises up to `longest` steps of memory; the first is white.
@@ -213,15 +263,19 @@ pub fn estimate(residual: &[f64], steps: &Steps, longest: f64, parameters: usize
     if residual.len() < 8 || residual.iter().all(|&e| e == 0.0) {
         return Noise::WHITE;
     }
-    let of = |noise: Noise| deviance(&Whitener::new(noise, steps), residual);
-    let mut best = (of(Noise::WHITE), Noise::WHITE);
+    let mut best = (deviance(Noise::WHITE, steps, residual), Noise::WHITE);
     // A memory is only believed if it is worth its parameters.
     let price = (residual.len() as f64).ln();
-    for noise in grid(longest).into_iter().skip(1) {
-        let there = of(noise) + price;
-        if there < best.0 {
-            best = (there, noise);
+    let try_all = |best: &mut (f64, Noise), noises: [Noise; 4]| {
+        for (there, noise) in deviances(noises, steps, residual).into_iter().zip(noises) {
+            if there + price < best.0 {
+                *best = (there + price, noise);
+            }
         }
+    };
+    for noises in grid(longest)[1..].chunks(4) {
+        // The last ones are fewer: one of them is tried again.
+        try_all(&mut best, std::array::from_fn(|n| noises[n.min(noises.len() - 1)]));
     }
     if best.1 == Noise::WHITE {
         return Noise::WHITE;
@@ -236,12 +290,7 @@ pub fn estimate(residual: &[f64], steps: &Steps, longest: f64, parameters: usize
                 Noise { memory, white: (white - 0.2 * (factor - 1.0)).max(0.0) },
             ];
             let before = best.0;
-            for noise in around {
-                let there = of(noise) + price;
-                if there < best.0 {
-                    best = (there, noise);
-                }
-            }
+            try_all(&mut best, around);
             if best.0 >= before {
                 break;
             }
@@ -275,6 +324,22 @@ pub fn draw(noise: Noise, steps: &Steps, generator: &mut Generator) -> Vec<f64> 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_likelihood_side_by_side_is_that_of_the_whitened_values() {
+        let mut steps = steps(500);
+        steps.0[100] = 1.7;
+        steps.0[300] = f64::INFINITY;
+        let drawn = draw(Noise { memory: 9.0, white: 0.3 }, &steps, &mut Generator::new(3));
+        let noises = [(0.0, 1.0), (3.0, 0.0), (9.0, 0.3), (80.0, 0.98)];
+        let noises = noises.map(|(memory, white)| Noise { memory, white });
+        for (noise, found) in noises.into_iter().zip(deviances(noises, &steps, &drawn)) {
+            let whitener = Whitener::new(noise, &steps);
+            let sum: f64 = whitener.apply(&drawn).iter().map(|e| e * e).sum();
+            let plain = 500.0 * (sum / 500.0).ln() + whitener.log_det;
+            assert!((found - plain).abs() < 1e-9 * plain.abs(), "{found} {plain}");
+        }
+    }
 
     fn steps(rows: usize) -> Steps {
         let mut steps = vec![1.0; rows];

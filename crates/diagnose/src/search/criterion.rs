@@ -9,7 +9,7 @@
 
 use trueup_numerics::{
     blocks::rms,
-    noise::{self, Noise, Whitener},
+    noise::{self, Noise},
 };
 
 use crate::{
@@ -47,7 +47,7 @@ pub(crate) fn bic(problem: &Problem, fitted: &Fitted) -> f64 {
     let noise = noise_of(problem, &fitted.residual, 0);
     let memory = if noise == Noise::WHITE { 0.0 } else { 2.0 };
     let rows = fitted.residual.len() as f64;
-    noise::deviance(&Whitener::new(noise, &problem.groups.steps), &fitted.residual)
+    noise::deviance(noise, &problem.groups.steps, &fitted.residual)
         + (degrees(&fitted.model) as f64 + memory) * rows.ln()
 }
 

@@ -107,8 +107,8 @@ fn chunks(trials: &[Trial]) -> Vec<&[Trial]> {
 /// gain = bᵀ·G⁻¹·b                            of a change of fixed size: 2·b − G
 /// ```
 struct Projector {
-    /// Q and the lists.
-    right: DMatrix<f64>,
+    /// Q and the lists, a row each.
+    left: DMatrix<f64>,
     /// How many columns Q has.
     basis: usize,
     /// Squares of the lists.
@@ -128,33 +128,29 @@ impl Projector {
             sums.push(dot(&list, &list));
             columns.push(list);
         }
-        Self { right: matrix(&columns), basis, sums }
+        Self { left: matrix(&columns).transpose(), basis, sums }
     }
 
     /// The gain of each trial on each list.
     fn gains(&self, whitener: &Whitener, trials: &[Trial]) -> Vec<Vec<f64>> {
-        let columns = trials.iter().flat_map(|trial| &trial.columns);
-        let white = whitener.apply_all(columns);
-        let turned = DMatrix::from_row_iterator(
-            white.len(),
-            self.right.nrows(),
-            white.iter().flatten().copied(),
-        );
-        let products = &turned * &self.right;
+        let white = whitener.apply_all(trials.iter().flat_map(|trial| &trial.columns));
+        let products = &self.left * matrix(&white);
+        let lists = self.sums.len();
         let mut first = 0;
         trials
             .iter()
             .map(|trial| {
                 let count = trial.columns.len();
-                let rows = first..first + count;
+                let own = &white[first..first + count];
+                let in_basis = products.view((0, first), (self.basis, count));
+                let on_lists = products.view((self.basis, first), (lists, count)).transpose();
                 first += count;
-                let in_basis = products.view((rows.start, 0), (count, self.basis));
-                let on_lists =
-                    products.columns_range(self.basis..).rows_range(rows.clone()).into_owned();
-                let own = turned.rows_range(rows);
-                let squares = own * own.transpose();
+                // The lower half is all that is read.
+                let squares = DMatrix::from_fn(count, count, |i, j| {
+                    if j <= i { dot(&own[i], &own[j]) } else { 0.0 }
+                });
                 let whole = squares.diagonal();
-                let beside = squares - in_basis * in_basis.transpose();
+                let beside = squares - in_basis.transpose() * in_basis;
                 if trial.is_fixed {
                     return on_lists.iter().map(|b| 2.0 * b - beside[(0, 0)]).collect();
                 }
