@@ -8,7 +8,7 @@ use trueup_numerics::blocks::rms;
 use crate::{
     answer::{
         errors::errors,
-        report::{Finding, Rival},
+        report::{Finding, Partner, Rival},
     },
     blocks::Unit,
     data::Data,
@@ -58,9 +58,30 @@ pub(crate) fn finding(it: &Judgement, left_out: Unit) -> Finding {
         gain: it.gain,
         sentence,
         evidence,
+        together_with: Vec::new(),
         rivals: rivals.collect(),
         next_test,
     }
+}
+
+/// Findings of the terms `judged`, in their order, as one where two are only certain together: under the
+/// name of the first.
+pub(super) fn merged(judged: &[Judgement], all: Vec<Finding>) -> Vec<Finding> {
+    let mut findings: Vec<(&Judgement, Finding)> = Vec::new();
+    for (it, finding) in judged.iter().zip(all) {
+        let holds = |there: &&mut (&Judgement, Finding)| {
+            it.doubts.iter().any(|doubt| *doubt == Doubt::OnlyTogether(there.0.cause().clone()))
+        };
+        match findings.iter_mut().find(holds) {
+            Some((_, first)) => {
+                let Finding { cause, column, parameters, sentence, .. } = finding;
+                first.evidence.push(format!("With it: {sentence}"));
+                first.together_with.push(Partner { cause, column, parameters, sentence });
+            }
+            None => findings.push((it, finding)),
+        }
+    }
+    findings.into_iter().map(|(_, finding)| finding).collect()
 }
 
 impl Finding {
@@ -204,6 +225,7 @@ pub(crate) fn outliers(data: &Data, after: &[f64], aside: &[bool]) -> Finding {
         },
         evidence: vec![sentence.clone(), format!("Rows {} were set aside.", rows.join(", "))],
         sentence,
+        together_with: Vec::new(),
         rivals: Vec::new(),
         next_test: "Look at what happened at these readings, and measure them again.".into(),
     }

@@ -32,7 +32,7 @@ use crate::{
     terms::Extended,
 };
 use errors::{about_zero, errors, largest, within_groups};
-use finding::{finding, outliers};
+use finding::{finding, merged, outliers};
 use hold_out::HoldOut;
 use power::Power;
 use report::{After, Before, Finding, LeftOut, Rejected, Report};
@@ -136,6 +136,7 @@ pub(crate) fn conclude(
             finding
         })
         .collect();
+    findings = merged(judged, findings);
     if has_outliers {
         findings.push(outliers(&data, &after, &aside));
     }

@@ -158,10 +158,27 @@ pub struct Finding {
     pub sentence: String,
     /// A sentence each.
     pub evidence: Vec<String>,
+    /// Causes that are only certain together with it: one finding of two terms.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub together_with: Vec<Partner>,
     /// What else was tried in its place.
     pub rivals: Vec<Rival>,
     /// The measurement that would settle what is still open.
     pub next_test: String,
+}
+
+/// The second of two causes that are only certain together.
+#[derive(Clone, Debug, Serialize)]
+pub struct Partner {
+    /// Its name.
+    pub cause: String,
+    /// The column that it hangs on, where there is a choice.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub column: Option<String>,
+    /// By name, with units in the names.
+    pub parameters: serde_json::Map<String, serde_json::Value>,
+    /// The cause in a sentence.
+    pub sentence: String,
 }
 
 /// Another cause in a finding's place.

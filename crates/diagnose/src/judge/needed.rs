@@ -1,8 +1,11 @@
 //! What a term gains where it was left out of the fit, alone and beside another one.
 
-use trueup_numerics::blocks::rms;
-
-use crate::{fit::fit, judge::case::Case, kind::Kind, model::Model, search::extend::without};
+use crate::{
+    fit::fit,
+    judge::case::Case,
+    kind::Kind,
+    search::extend::{centred_effect, take_back, without},
+};
 
 /// Whether a term still gains without the block on which it gains most. Tables and curves answer for
 /// themselves, cycle by cycle.
@@ -28,16 +31,16 @@ pub(crate) struct Together {
 /// or the one takes back more of the other than it leaves.
 pub(crate) fn only_together(case: &Case<'_>, terms: &[Alone<'_>]) -> Vec<Together> {
     let mut all = Vec::new();
-    let effects: Vec<Vec<f64>> = terms.iter().map(|it| effect(case, it.cause)).collect();
+    let fitted = &case.found.fitted;
+    let effect = |it: &Alone<'_>| centred_effect(case.problem, fitted, it.cause);
+    let effects: Vec<Vec<f64>> = terms.iter().map(effect).collect();
     for first in 0..terms.len() {
         for second in first + 1..terms.len() {
             let pair = [&terms[first], &terms[second]];
             if pair.iter().any(|it| it.cause.list_length().is_some()) {
                 continue;
             }
-            let [one, other] = [&effects[first], &effects[second]];
-            let sum: Vec<f64> = one.iter().zip(other).map(|(a, b)| a + b).collect();
-            let is_taken_back = rms(&sum) < 0.5 * rms(one).min(rms(other));
+            let is_taken_back = take_back(&effects[first], &effects[second]);
             let neither = neither(case, pair[0].cause, pair[1].cause);
             let is_better = |after: &[f64]| case.folds().paired(&neither, after).is_better();
             let neither_gains = !pair.iter().any(|it| is_better(it.left_out_without));
@@ -57,15 +60,4 @@ fn neither(case: &Case<'_>, one: &Kind, other: &Kind) -> Vec<f64> {
     let model = without(problem, &model, other);
     let model = fit(problem, &model, None).model;
     case.folds().left_out(problem, &model)
-}
-
-/// What a term of the answer adds to each group, less its mean: a constant is anybody's.
-fn effect(case: &Case<'_>, cause: &Kind) -> Vec<f64> {
-    let model = &case.found.fitted.model;
-    let parts = model.parts.iter().filter(|part| part.kind != *cause).cloned().collect();
-    let without = Model { parts, ..model.clone() };
-    let [with, without] = [model, &without].map(|model| case.problem.predicted(model));
-    let effect: Vec<f64> = with.iter().zip(&without).map(|(a, b)| a - b).collect();
-    let mean = effect.iter().sum::<f64>() / effect.len().max(1) as f64;
-    effect.into_iter().map(|e| e - mean).collect()
 }

@@ -1,6 +1,6 @@
 //! A model with one cause more, fitted as a whole; and with another cause in a term's place.
 
-use trueup_numerics::{least_squares::normal::solve, parallel::on_all_cores};
+use trueup_numerics::{blocks::rms, least_squares::normal::solve, parallel::on_all_cores};
 
 use trueup_machine::effect::Effect;
 
@@ -116,6 +116,23 @@ pub(crate) fn without(problem: &Problem, model: &Model, cause: &Kind) -> Model {
         without.constant_um = None;
     }
     without
+}
+
+/// What a term of `fitted` adds to each group, less its mean, in µm: a constant is anybody's.
+pub(crate) fn centred_effect(problem: &Problem, fitted: &Fitted, cause: &Kind) -> Vec<f64> {
+    let model = &fitted.model;
+    let parts = model.parts.iter().filter(|part| part.kind != *cause).cloned().collect();
+    let without = Model { parts, ..model.clone() };
+    let [with, without] = [model, &without].map(|model| problem.predicted(model));
+    let effect: Vec<f64> = with.iter().zip(&without).map(|(a, b)| a - b).collect();
+    let mean = effect.iter().sum::<f64>() / effect.len().max(1) as f64;
+    effect.into_iter().map(|e| e - mean).collect()
+}
+
+/// Whether of two effects the one takes back more of the other than it leaves.
+pub(crate) fn take_back(one: &[f64], other: &[f64]) -> bool {
+    let sum: Vec<f64> = one.iter().zip(other).map(|(a, b)| a + b).collect();
+    rms(&sum) < 0.5 * rms(one).min(rms(other))
 }
 
 fn with(model: &Model, hit: &Hit) -> Model {

@@ -6,13 +6,15 @@ use trueup_machine::{
     file::Pitch,
 };
 
+use trueup_numerics::blocks::rms;
+
 use crate::{
     fit::{Fitted, fit},
     kind::{Kind, Part},
     model::Model,
     search::{
         criterion::{EQUAL_PREDICTION, STRONG_EVIDENCE, bic, bic_gap, degrees},
-        extend::{Extension, with_each_cause, without},
+        extend::{Extension, centred_effect, take_back, with_each_cause, without},
         state::{Added, Search},
     },
 };
@@ -24,6 +26,7 @@ impl Search<'_> {
         self.lag_for_a_term();
         self.table_for_both_ways();
         self.laws_for_a_table();
+        self.unstack();
         self.drop_what_does_not_gain();
         self.simplest_of_equals();
         self.name_paths();
@@ -181,6 +184,48 @@ impl Search<'_> {
         with_each_cause(self.problem, &plain, usize::MAX, Kind::is_wave)
     }
 
+    /// Two columns that go together, stacked with opposite signs, are their difference and no heat: of such
+    /// two paths the one leaves without which less is left.
+    fn unstack(&mut self) {
+        while let Some((index, without)) = self.stacked() {
+            self.given_up.push(self.added[index].cause.clone());
+            self.remove(index, without);
+        }
+    }
+
+    /// The path to leave of the first two that take each other back, and the model without it.
+    fn stacked(&self) -> Option<(usize, Fitted)> {
+        let column = |index: usize| self.added[index].cause.heat_path().map(|path| path.column);
+        let effects: Vec<Vec<f64>> = self
+            .added
+            .iter()
+            .map(|it| centred_effect(self.problem, &self.fitted, &it.cause))
+            .collect();
+        let pairs = (0..effects.len()).flat_map(|b| (0..b).map(move |a| [a, b]));
+        let is_stack = |[a, b]: &[usize; 2]| {
+            let (one, other) = (column(*a), column(*b));
+            one.is_some()
+                && other.is_some()
+                && one != other
+                && take_back(&effects[*a], &effects[*b])
+        };
+        let pair = pairs.into_iter().find(is_stack)?;
+        pair.into_iter()
+            .map(|index| {
+                let cause = &self.added[index].cause;
+                let model = without(self.problem, &self.fitted.model, cause);
+                (index, fit(self.problem, &model, None))
+            })
+            .min_by(|a, b| a.1.sum.total_cmp(&b.1.sum))
+    }
+
+    /// Whether `other` foresees left-out blocks as well as a model that leaves `own` there: within the
+    /// standard error of the difference, or by a share that does not matter.
+    fn foresees_as_well(&self, other: &Fitted, own: &[f64]) -> bool {
+        let there = self.foresight(other);
+        !self.folds.paired(&there, own).is_better() || rms(&there) <= EQUAL_PREDICTION * rms(own)
+    }
+
     /// Of models that foresee left-out blocks equally well the one with the fewest values is the answer:
     /// a term without which no more is left there, beyond the standard error of the difference, leaves.
     /// That which is needed least goes first.
@@ -220,7 +265,7 @@ impl Search<'_> {
                 .min_by(|a, b| a.0.total_cmp(&b.0));
             if let Some((gap, it)) = simpler
                 && gap < STRONG_EVIDENCE
-                && !self.folds.paired(&self.foresight(&it.fitted), &with).is_better()
+                && self.foresees_as_well(&it.fitted, &with)
             {
                 self.replace(index, it);
             }

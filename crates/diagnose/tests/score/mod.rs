@@ -98,13 +98,22 @@ pub fn score(challenge: &Challenge, diagnosis: &Diagnosis) -> Score {
                 .any(|rival| unclaimed.iter().any(|there| there == rival.name() || there == name))
         })
     };
+    // Two that are only certain together are one finding, not claimed; both of them were hidden.
+    let together = |name: &str| {
+        report.findings.iter().any(|finding| {
+            let partners = finding.together_with.iter().map(|partner| partner.cause.as_str());
+            let both: Vec<&str> = partners.chain([finding.cause.as_str()]).collect();
+            both.len() > 1 && both.contains(&name) && both.iter().all(|it| answers.contains(it))
+        })
+    };
     let is_right = match truth.expected {
         Expected::Clean => report.verdict == Verdict::Clean,
         Expected::Unnamed => {
             matches!(report.verdict, Verdict::Unexplained | Verdict::PartlyExplained)
         }
         Expected::Compensated | Expected::Reported => {
-            answers.iter().all(|name| named.iter().any(|there| there == name) || rivals(name))
+            let is_named = |name: &str| named.iter().any(|there| there == name);
+            answers.iter().all(|name| is_named(name) || rivals(name) || together(name))
         }
     };
     let is_wrong = named.iter().any(|name| !answers.contains(&name.as_str()));

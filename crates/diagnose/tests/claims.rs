@@ -1,0 +1,134 @@
+//! A claim stands on its own feet: made records in which a name would be a guess, and beside each one in
+//! which it is not.
+
+use std::{f64::consts::TAU, path::Path};
+
+use trueup_diagnose::{Diagnosis, diagnose, report::Finding};
+use trueup_machine::{MachineFile, RunFile};
+
+const HEAD: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
+
+fn diagnosed(machine: &str, run: &str) -> Diagnosis {
+    let machine = MachineFile::parse(machine, Path::new("m.toml")).expect("the test's own file");
+    let run = RunFile::from_reader(run.as_bytes(), Path::new("r.csv")).expect("the test's own run");
+    diagnose(&machine, &[run], &[], None, &mut |_, _| {}).expect("comparable")
+}
+
+fn finding<'d>(diagnosis: &'d Diagnosis, cause: &str) -> Option<&'d Finding> {
+    diagnosis.report.findings.iter().find(|finding| finding.cause == cause)
+}
+
+fn claimed(diagnosis: &Diagnosis) -> Vec<&str> {
+    let all = diagnosis.report.findings.iter().filter(|finding| finding.claimed);
+    all.map(|finding| finding.cause.as_str()).collect()
+}
+
+/// Numbers that look like noise of deviation 1: twelve of a linear congruence, less six.
+struct Noise(u64);
+
+impl Noise {
+    fn next(&mut self) -> f64 {
+        let mut uniform = || {
+            self.0 = self
+                .0
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            (self.0 >> 11) as f64 / (1_u64 << 53) as f64
+        };
+        (0..12).map(|_| uniform()).sum::<f64>() - 6.0
+    }
+}
+
+/// A wave of 8.9 mm and 5 µm at `places`, three cycles there and back.
+fn wave(places: &[f64]) -> String {
+    let mut noise = Noise(7);
+    let mut run = String::from("run,x_mm,dir_x,measured_dx_um\n");
+    for cycle in 1..=3 {
+        for (way, mm) in
+            places.iter().map(|mm| (1, mm)).chain(places.iter().rev().map(|mm| (-1, mm)))
+        {
+            let um = 5.0 * (TAU * mm / 8.9).sin() + 0.3 * noise.next();
+            run += &format!("{cycle},{mm:.4},{way},{um:.4}\n");
+        }
+    }
+    run
+}
+
+#[test]
+fn a_wave_on_a_grid_is_one_of_many_and_one_on_uneven_places_is_claimed() {
+    let grid: Vec<f64> = (0..27).map(|n| 37.3 * f64::from(n)).collect();
+    let diagnosis = diagnosed(HEAD, &wave(&grid));
+    let report = &diagnosis.report;
+    println!("{}: {:?}", report.verdict.name(), report.findings);
+    assert!(!claimed(&diagnosis).contains(&"pitch-periodic"));
+    if let Some(wave) = finding(&diagnosis, "pitch-periodic") {
+        assert!(!wave.compensated && wave.evidence.iter().any(|it| it.contains("does as well at")));
+    }
+    let mut noise = Noise(3);
+    let uneven: Vec<f64> = (0..60).map(|n| 3.7 * f64::from(n) + 0.9 * noise.next()).collect();
+    let diagnosis = diagnosed(HEAD, &wave(&uneven));
+    let wave = finding(&diagnosis, "pitch-periodic").expect("there is one");
+    let period = wave.parameters["period_mm"]["value"].as_f64().expect("a number");
+    println!("{:?}", wave.evidence);
+    assert!(wave.claimed && wave.compensated && (period - 8.9).abs() < 0.02, "{period}");
+}
+
+/// Six hours of a table that warms and cools each hour, with a second thermometer that follows it within
+/// `apart` kelvin; the tool moves by 2 µm/K of the first, of the second half by `later` times as much.
+fn heat(apart: f64, later: f64) -> String {
+    let mut noise = Noise(11);
+    let mut run = String::from("time_s,temp_bed_c,temp_nozzle_c,measured_elongation_um\n");
+    for n in 0..720 {
+        let time_s = 30.0 * f64::from(n);
+        let bed = 25.0 - 4.0 * (TAU * time_s / 3600.0).cos();
+        let nozzle = bed + apart * noise.next();
+        let um_per_c = if n < 360 { 2.0 } else { 2.0 * later };
+        let um = um_per_c * (bed - 21.0) + 0.5 * noise.next();
+        run += &format!("{time_s},{bed:.3},{nozzle:.3},{um:.3}\n");
+    }
+    run
+}
+
+#[test]
+fn of_two_columns_that_go_together_none_is_claimed() {
+    let diagnosis = diagnosed(HEAD, &heat(0.02, 1.0));
+    println!("{:?}", diagnosis.report.findings);
+    let path = finding(&diagnosis, "extra-heat-path").expect("one of the two");
+    assert!(!path.claimed && path.rivals.iter().any(|rival| rival.cause == "extra-heat-path"));
+    // Whichever it is, the correction is the same.
+    assert!(path.compensated);
+    let diagnosis = diagnosed(HEAD, &heat(2.0, 1.0));
+    let path = finding(&diagnosis, "extra-heat-path").expect("one of the two");
+    assert!(path.claimed && path.column.as_deref() == Some("temp_bed_c"), "{path:?}");
+}
+
+#[test]
+fn a_coefficient_that_is_another_one_in_the_second_half_is_told() {
+    let diagnosis = diagnosed(HEAD, &heat(2.0, 1.25));
+    println!("{:?}", diagnosis.report.findings);
+    let path = finding(&diagnosis, "extra-heat-path").expect("it is there");
+    assert!(!path.claimed && path.evidence.iter().any(|it| it.contains("second")), "{path:?}");
+}
+
+#[test]
+fn what_was_seen_once_is_not_claimed() {
+    // A load of 300 N, once for five minutes of six hours, or again and again.
+    let record = |is_loaded: &dyn Fn(i32) -> bool| {
+        let mut noise = Noise(5);
+        let mut run = String::from("time_s,load_n,measured_elongation_um\n");
+        for n in 0..720 {
+            let load_n = if is_loaded(n) { 300.0 } else { 0.0 };
+            let um = -0.02 * load_n + 0.5 * noise.next();
+            run += &format!("{},{load_n},{um:.3}\n", 30 * n);
+        }
+        run
+    };
+    let machine = format!(
+        "{HEAD}[spindle]\nsource = \"warmup\"\n[spindle.warmup]\nlag_s = 60.0\nwarm_s = 5400.0\nmax_um = 0.001\nexponent = 4.0\n"
+    );
+    let once = diagnosed(&machine, &record(&|n| (300..310).contains(&n)));
+    println!("{:?} {:?}", once.report.findings, once.report.rejected);
+    assert!(!claimed(&once).contains(&"cutting-load"));
+    let often = diagnosed(&machine, &record(&|n| n % 40 < 10));
+    assert!(claimed(&often).contains(&"cutting-load"), "{:?}", often.report.findings);
+}
