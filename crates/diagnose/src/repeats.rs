@@ -172,13 +172,13 @@ pub(crate) struct Repeats {
     pub systematic_um: f64,
 }
 
-/// None where there are too few repeats: less than three runs, or positions that do not come back.
-pub(crate) fn analyse(data: &Data, predicted: &[f64]) -> Option<Repeats> {
+/// Without the rows that are set `aside`. None where there are too few repeats: less than three runs, or positions that do not come back.
+pub(crate) fn analyse(data: &Data, predicted: &[f64], aside: &[bool]) -> Option<Repeats> {
     let run = data.run.as_deref()?;
     let own = data.own_position()?;
     let direction = data.own_direction();
     let mut rows: Vec<(i64, i8, usize)> = (0..data.rows)
-        .filter(|&row| data.used[row] && !run[row].is_nan() && !own[row].is_nan())
+        .filter(|&row| data.used[row] && !aside[row] && !run[row].is_nan() && !own[row].is_nan())
         .map(|row| {
             // Positions to a micrometre.
             let at = (own[row] * 1000.0).round() as i64;

@@ -15,7 +15,7 @@ fn run(um_per_c: f64, seed: u64, name: &str) -> RunFile {
     let mut text = String::from("time_s,load_n,temp_a_c,measured_elongation_um\n");
     for row in 0..300 {
         let time_s = 10.0 * f64::from(row);
-        let load_n = if (row / 17) % 2 == 0 { 0.0 } else { 400.0 };
+        let load_n = if (row / 17) % 2 == 0 { -400.0 } else { 400.0 };
         let warmer_c = 8.0 * (1.0 - (-time_s / 900.0).exp());
         let um = um_per_c * warmer_c - 0.02 * load_n + 0.3 * noise.normal();
         let _ = writeln!(text, "{time_s},{load_n},{:.3},{um:.4}", 20.0 + warmer_c);
@@ -73,7 +73,7 @@ fn the_machine_file_stays_where_nothing_that_was_found_holds() {
     let mut text = String::from("time_s,load_n,temp_a_c,measured_elongation_um\n");
     let mut noise = Generator::new(7);
     for row in 0..300 {
-        let load_n = if (row / 17) % 2 == 0 { 0.0 } else { 400.0 };
+        let load_n = if (row / 17) % 2 == 0 { -400.0 } else { 400.0 };
         let warm_c = 28.0 - 0.02 * f64::from(row);
         let _ = writeln!(text, "{},{load_n},{warm_c:.3},{:.4}", 10 * row, 0.3 * noise.normal());
     }

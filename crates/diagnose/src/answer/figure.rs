@@ -18,6 +18,16 @@ pub(crate) struct Points<'a> {
     pub is_line: bool,
 }
 
+impl<'a> Points<'a> {
+    pub(super) fn dots(x: &'a [f64], y: &'a [f64], colour: Colour) -> Self {
+        Self { x, y, colour, is_line: false }
+    }
+
+    pub(super) fn line(x: &'a [f64], y: &'a [f64], colour: Colour) -> Self {
+        Self { x, y, colour, is_line: true }
+    }
+}
+
 /// What is drawn.
 #[derive(Clone, Copy)]
 pub(crate) enum Colour {

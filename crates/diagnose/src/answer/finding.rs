@@ -8,17 +8,19 @@ use trueup_numerics::blocks::rms;
 use crate::{
     answer::{
         errors::errors,
+        next::next,
         report::{Finding, Partner, Rival},
     },
     blocks::Unit,
     data::Data,
+    fit::Problem,
     gain::Gain,
     judge::{Doubt, Judgement, table::BetweenPoints},
     kind::{Kind, Part},
 };
 
-/// The finding of a term; `left_out`: what was left out in turn.
-pub(crate) fn finding(it: &Judgement, left_out: Unit) -> Finding {
+/// The finding of a term of what was found on `problem`; `left_out`: what was left out in turn.
+pub(crate) fn finding(problem: &Problem, it: &Judgement, left_out: Unit) -> Finding {
     let cause = it.cause();
     let sentence = it.part.sentence();
     let Gain { rms_before_um, rms_after_um, .. } = it.gain;
@@ -41,7 +43,7 @@ pub(crate) fn finding(it: &Judgement, left_out: Unit) -> Finding {
             "Measure again with nothing varied but what goes with {inputs}, in many small steps, up \
              and down."
         ),
-        None => cause.next_test(rival_in_doubt(it)).to_string(),
+        None => next(problem, &it.part, cause.next_test(rival_in_doubt(it)).to_string()),
     };
     let rivals = it.rivals.iter().map(|rival| Rival {
         cause: rival.cause.name().into(),
@@ -92,11 +94,10 @@ impl Finding {
             .push("The hold-out becomes worse by it: it is left out of extended.toml.".into());
     }
 
-    /// It was found beside a cause of the machine that the hold-out has disproved, or is that cause.
+    /// It was found beside what the hold-out has disproved, or is that.
     pub(super) fn disclaim(&mut self) {
         self.claimed = false;
-        self.evidence
-            .push("It was found beside a cause that the hold-out does not bear out.".into());
+        self.evidence.push("It was found beside what the hold-out does not bear out.".into());
     }
 }
 

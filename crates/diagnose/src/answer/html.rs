@@ -2,19 +2,18 @@
 
 use std::fmt::Write as _;
 
-use crate::{
-    answer::{
-        Diagnosis,
-        figure::{Colour, Points, picture},
-        report::{Finding, Report, Verdict},
-    },
-    data::Data,
+use crate::answer::{
+    Diagnosis,
+    pictures::{against_inputs, predicted_and_left},
+    report::{Finding, LeftOut, Report, Verdict},
 };
 
 const STYLE: &str = "body{font:16px/1.5 system-ui,sans-serif;max-width:54rem;margin:2rem auto;\
 padding:0 1rem;color:#222}h1,h2,h3{line-height:1.2}table{border-collapse:collapse}td,th{padding:\
 .2rem .8rem .2rem 0;text-align:left;vertical-align:top;border-bottom:1px solid #ddd}.verdict{\
-padding:.8rem 1rem;background:#eef3fa;border-left:6px solid #1e5aaa}.grid{display:flex;flex-wrap:\
+padding:.4rem 1rem;border-left:6px solid}.good{background:#edf6ee;border-color:#2e7d32}.open{\
+background:#fdf5e4;border-color:#b7791f}.bad{background:#fdecea;border-color:#b3261e}.bad h2{\
+color:#b3261e}.grid{display:flex;flex-wrap:\
 wrap}.b{color:#be5a28}.a{color:#1e5aaa}svg{max-width:100%;height:auto}";
 
 pub(crate) fn html(diagnosis: &Diagnosis, machine_name: &str) -> String {
@@ -26,12 +25,7 @@ pub(crate) fn html(diagnosis: &Diagnosis, machine_name: &str) -> String {
         "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{title}</title>\
          <style>{STYLE}</style></head><body>\n<h1>{title}</h1>\n"
     );
-    let _ = writeln!(
-        out,
-        "<div class=\"verdict\"><h2>{}</h2><p>{}</p></div>",
-        report.verdict.name(),
-        escaped(&verdict_sentence(diagnosis))
-    );
+    verdict(diagnosis, &mut out);
     let _ = write!(
         out,
         "<h2>What was believed, and what the machine does</h2>\n<p>{} rows of <b>{}</b> were \
@@ -51,7 +45,7 @@ pub(crate) fn html(diagnosis: &Diagnosis, machine_name: &str) -> String {
         },
         report.noise_um
     );
-    pictures(diagnosis, &mut out);
+    predicted_and_left(diagnosis, &mut out);
     if !report.findings.is_empty() {
         out.push_str("<h2>Causes</h2>\n");
     }
@@ -67,14 +61,13 @@ pub(crate) fn html(diagnosis: &Diagnosis, machine_name: &str) -> String {
         report.after.holdout_rms_um,
         report.after.compensated_holdout_rms_um
     );
-    inputs(diagnosis, &mut out);
-    if !report.reasons.is_empty() {
-        out.push_str("<h2>Why this verdict</h2>\n<ul>\n");
-        for reason in &report.reasons {
-            let _ = writeln!(out, "<li>{}</li>", escaped(reason));
-        }
-        out.push_str("</ul>\n");
+    if report.holdout_used {
+        out.push_str(
+            "<p class=\"note\">The hold-out has chosen what is handed out: these are no longer figures \
+             of data that nothing was chosen by.</p>\n",
+        );
     }
+    against_inputs(diagnosis, &mut out);
     if !report.rejected.is_empty() {
         out.push_str(
             "<h2>Tried, and not taken</h2>\n<table><tr><th>cause</th><th>column</th><th>would \
@@ -95,6 +88,61 @@ pub(crate) fn html(diagnosis: &Diagnosis, machine_name: &str) -> String {
     }
     out.push_str("</body></html>\n");
     out
+}
+
+/// The verdict in its colour, why it is so, and what must be known beside it.
+fn verdict(diagnosis: &Diagnosis, out: &mut String) {
+    let report = &diagnosis.report;
+    let _ = writeln!(
+        out,
+        "<div class=\"verdict {}\"><h2>{}</h2><p>{}</p>",
+        colour(report.verdict),
+        report.verdict.name(),
+        escaped(&verdict_sentence(diagnosis))
+    );
+    list(&report.reasons, out);
+    out.push_str("</div>\n");
+    list(&report.notes, out);
+    let not_in = |finding: &&Finding| !finding.compensated;
+    let left_out: Vec<String> = report
+        .findings
+        .iter()
+        .filter(not_in)
+        .map(|finding| {
+            let column = finding.column.as_ref().map_or(String::new(), |it| format!(" {it}"));
+            let dropped = |it: &&LeftOut| it.cause == finding.cause && it.column == finding.column;
+            let why = match (report.left_out.iter().find(dropped), finding.claimed) {
+                (Some(_), _) => "the hold-out becomes worse by it",
+                (None, true) => "a board cannot, or must not, correct it",
+                (None, false) => "what fits as well corrects otherwise, or no board may correct it",
+            };
+            format!("{}{column}: {why}", finding.cause)
+        })
+        .collect();
+    if !left_out.is_empty() {
+        out.push_str("<p>The board does not correct:</p>\n");
+        list(&left_out, out);
+    }
+}
+
+/// Green: nothing is to be done, or it is done; amber: something is open; red: not to be used.
+fn colour(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Clean | Verdict::Explained => "good",
+        Verdict::PartlyExplained | Verdict::Unexplained | Verdict::TooLittleData => "open",
+        Verdict::DoNotCompensate | Verdict::DoesNotTransfer => "bad",
+    }
+}
+
+fn list(sentences: &[String], out: &mut String) {
+    if sentences.is_empty() {
+        return;
+    }
+    out.push_str("<ul>\n");
+    for sentence in sentences {
+        let _ = writeln!(out, "<li>{}</li>", escaped(sentence));
+    }
+    out.push_str("</ul>\n");
 }
 
 /// The verdict in a sentence.
@@ -142,41 +190,6 @@ fn clean_sentence(report: &Report) -> String {
     )
 }
 
-fn pictures(diagnosis: &Diagnosis, out: &mut String) {
-    let data = &diagnosis.data;
-    let (x_name, x) = main_axis(data);
-    let rows: Vec<usize> =
-        (0..data.rows).filter(|&row| data.used[row] && !diagnosis.aside[row]).collect();
-    let pick = |values: &[f64]| -> Vec<f64> { rows.iter().map(|&row| values[row]).collect() };
-    let x = pick(&x);
-    let measured = pick(&data.measured);
-    let (before, after) = (pick(&diagnosis.before), pick(&diagnosis.after));
-    let left = |p: &[f64]| -> Vec<f64> { measured.iter().zip(p).map(|(m, p)| m - p).collect() };
-    let (left_before, left_after) = (left(&before), left(&after));
-    let dots = |y, colour| Points { x: &x, y, colour, is_line: false };
-    out.push_str(
-        "<p>Measured (grey) and predicted before (<span class=\"b\">brown</span>) and \
-                  after (<span class=\"a\">blue</span>):</p>\n",
-    );
-    out.push_str(&picture(
-        &x_name,
-        "µm",
-        &[
-            dots(&measured, Colour::Measured),
-            dots(&before, Colour::Before),
-            dots(&after, Colour::After),
-        ],
-        false,
-    ));
-    out.push_str("<p>What is left, measured minus predicted:</p>\n");
-    out.push_str(&picture(
-        &x_name,
-        "µm",
-        &[dots(&left_before, Colour::Before), dots(&left_after, Colour::After)],
-        false,
-    ));
-}
-
 /// A value of a cause for people: numbers to so many decimals, a list or a table as lines that wrap.
 fn readable(value: &serde_json::Value, decimals: usize) -> String {
     use serde_json::Value;
@@ -195,54 +208,6 @@ fn readable(value: &serde_json::Value, decimals: usize) -> String {
         Value::String(text) => escaped(text),
         Value::Bool(_) => value.to_string(),
     }
-}
-
-/// What the pictures are over: time, else the position, else the row.
-fn main_axis(data: &Data) -> (String, Vec<f64>) {
-    let moving = data.own_position().filter(|_| data.run.is_some() || data.time_s.is_none());
-    if let (Some(mm), Some(axis)) = (moving, data.quantity.axis()) {
-        return (format!("{}, mm", axis.name()), mm.to_vec());
-    }
-    if let Some(times) = &data.time_s {
-        return ("time, h".into(), times.iter().map(|t| t / 3600.0).collect());
-    }
-    ("row".into(), (0..data.rows).map(|row| row as f64 + 1.0).collect())
-}
-
-fn inputs(diagnosis: &Diagnosis, out: &mut String) {
-    let data = &diagnosis.data;
-    let rows: Vec<usize> =
-        (0..data.rows).filter(|&row| data.used[row] && !diagnosis.aside[row]).collect();
-    let left =
-        |p: &[f64]| -> Vec<f64> { rows.iter().map(|&row| data.measured[row] - p[row]).collect() };
-    let (before, after) = (left(&diagnosis.before), left(&diagnosis.after));
-    let mut names: Vec<String> =
-        ["time_s", "run", "x_mm", "y_mm", "z_mm", "spindle_rpm", "load_n"].map(String::from).into();
-    names.extend(data.temperatures.iter().map(|(name, _)| name.clone()));
-    names.extend(data.others.iter().map(|(name, _)| name.clone()));
-    let mut all = String::new();
-    let mut draw = |name: &str, x: &[f64]| {
-        let lists = [
-            Points { x, y: &before, colour: Colour::Before, is_line: false },
-            Points { x, y: &after, colour: Colour::After, is_line: false },
-        ];
-        let _ = writeln!(all, "<div>{}</div>", picture(name, "left, µm", &lists, true));
-    };
-    for name in names {
-        if let Some(values) = crate::columns::named(data, &name) {
-            let x: Vec<f64> = rows.iter().map(|&row| values[row]).collect();
-            draw(&name, &x);
-        }
-    }
-    if let Some(direction) = data.own_direction() {
-        let x: Vec<f64> = rows.iter().map(|&row| direction[row]).collect();
-        draw("direction", &x);
-    }
-    let _ = write!(
-        out,
-        "<h2>What is left, against everything that was recorded</h2>\n<div class=\"grid\">{all}\
-         </div>\n"
-    );
 }
 
 fn cause(finding: &Finding, out: &mut String) {

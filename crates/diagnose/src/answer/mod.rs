@@ -1,13 +1,17 @@
 //! The answer: the model as it is handed out, what it brings on data that nothing was fitted to, and
 //! the verdict.
 
+mod curve;
 mod errors;
 pub(crate) mod extended;
 mod figure;
 mod finding;
 pub(crate) mod hold_out;
 pub(crate) mod html;
+mod next;
+mod pictures;
 mod power;
+mod range;
 pub mod report;
 mod transfer;
 mod unseen;
@@ -106,7 +110,7 @@ pub(crate) fn conclude(
         if compensated == model { holdout_after_um } else { unseen.after_um(&compensated) };
 
     let has_outliers = aside.contains(&true);
-    let repeats = repeats::analyse(&data, &after);
+    let repeats = repeats::analyse(&data, &after, &aside);
     let left_um = rms(&after_rows);
     let power = Power::new(problem, &found, left_um, after_rows.len(), asked.matters_um);
     let wandering = Wandering::of(problem, &found);
@@ -120,12 +124,11 @@ pub(crate) fn conclude(
         instrument_um: data.machine.instrument_um,
         transfer: transfer.as_ref(),
     });
-    // What happened once in the runs is not expected to happen again; what is of the machine is.
-    let is_disproved = dropped.iter().any(Kind::is_compensated);
+    let is_disproved = transfer.as_ref().is_some_and(|it| it.is_disproved);
     let mut findings: Vec<Finding> = judged
         .iter()
         .map(|it| {
-            let mut finding = finding(it, found.folds.unit);
+            let mut finding = finding(problem, it, found.folds.unit);
             finding.gain.by_row(within);
             if dropped.contains(it.cause()) {
                 finding.leave_out();
@@ -148,11 +151,9 @@ pub(crate) fn conclude(
         noise_um: noise_um(problem, &found, &after_rows, repeats.as_ref()),
         noise_memory: found.noise.memory * problem.groups.size as f64 * step_s(problem),
         detectable_um: power.found_um,
-        wandering: wandering.map(|it| report::Wandering {
-            rms_um: it.rms_um,
-            memory: it.memory,
-            unit: if it.is_in_time { "s" } else { "rows" },
-        }),
+        wandering: wandering
+            .as_ref()
+            .map(|it| report::Wandering { rms_um: it.rms_um, memory_s: it.memory_s }),
         before: Before {
             rms_um: rms(&before_rows),
             max_um: largest(&before_rows),

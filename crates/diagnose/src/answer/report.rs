@@ -53,10 +53,8 @@ pub struct Report {
 pub struct Wandering {
     /// Root mean square of its slow part, in µm.
     pub rms_um: f64,
-    /// How long it remembers: its correlation time.
-    pub memory: f64,
-    /// Of the memory: `s`, or `rows` where there is no time.
-    pub unit: &'static str,
+    /// How long it remembers: its correlation time, in s.
+    pub memory_s: f64,
 }
 
 /// A cause whose term is not in the extended machine file.

@@ -4,7 +4,7 @@
 //! fewest terms leave whose removal mends it (the others as they are, or fitted again to the runs), and
 //! the answer says that the hold-out has chosen.
 
-use trueup_numerics::parallel::on_all_cores;
+use trueup_numerics::{blocks::rms, parallel::on_all_cores};
 
 use crate::{
     answer::{
@@ -13,6 +13,7 @@ use crate::{
     fit::{Problem, fit},
     kind::Kind,
     model::Model,
+    search::start,
 };
 
 /// Harm: a hold-out becomes worse than this times what the machine file as it is leaves (RMS). The
@@ -27,12 +28,24 @@ pub(super) struct Transfer {
     pub model: Model,
     /// The causes of the terms that are not.
     pub dropped: Vec<Kind>,
+    /// Whether the model as it was found is not the machine's, and with it no name in it is claimed.
+    pub is_disproved: bool,
     /// What the machine file as it is leaves on the hold-out, and the model as it was found: RMS, in
     /// µm.
     pub before_um: f64,
     pub found_um: f64,
     /// Where it is worse, a sentence each; empty where no term is dropped.
     pub places: Vec<String>,
+}
+
+/// A model without the parts in `set`.
+struct Mended {
+    /// On the hold-out.
+    left_um: f64,
+    set: u32,
+    /// Whether the others were fitted again.
+    is_refitted: bool,
+    model: Model,
 }
 
 impl Transfer {
@@ -46,9 +59,17 @@ impl Transfer {
             |model: &Model| on_hold_out(test, model).max(on_hold_out(test, &compensated(model)));
         let found_um = left_um(&model);
         if model.parts.is_empty() || found_um <= HARM * before_um {
-            return Self { model, dropped: Vec::new(), before_um, found_um, places: Vec::new() };
+            return Self {
+                model,
+                dropped: Vec::new(),
+                is_disproved: false,
+                before_um,
+                found_um,
+                places: Vec::new(),
+            };
         }
         let count = model.parts.len();
+        let runs_before_um = fit(problem, &start(&problem.data), None).rms();
         let mended = (1..count).find_map(|size| {
             let sets: Vec<u32> =
                 (1..1_u32 << count).filter(|set| set.count_ones() as usize == size).collect();
@@ -57,17 +78,34 @@ impl Transfer {
                 // runs alone, or wrong beside one that never was.
                 let kept = without_all(problem, &model, in_set(&model, set));
                 let fitted = fit(problem, &kept, None).model;
-                [(left_um(&kept), set, kept), (left_um(&fitted), set, fitted)]
+                [(kept, false), (fitted, true)].map(|(kept, is_refitted)| Mended {
+                    left_um: left_um(&kept),
+                    set,
+                    is_refitted,
+                    model: kept,
+                })
             });
-            let best = tried.into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0))?;
-            (best.0 <= HARM * before_um).then_some((best.1, best.2))
+            // Nor may the runs become worse by what remains.
+            let mends = |it: &Mended| {
+                it.left_um <= HARM * before_um
+                    && rms(&problem.residual(&it.model)) <= HARM * runs_before_um
+            };
+            let mended = tried.into_iter().flatten().filter(mends);
+            mended.min_by(|a, b| a.left_um.total_cmp(&b.left_um))
         });
         // Without any term it is the machine file as it is.
-        let (set, kept) = mended.unwrap_or(((1 << count) - 1, believed.clone()));
-        let dropped = in_set(&model, set).cloned().collect();
+        let Mended { set, is_refitted, model: kept, .. } = mended.unwrap_or_else(|| Mended {
+            left_um: before_um,
+            set: (1 << count) - 1,
+            is_refitted: false,
+            model: believed.clone(),
+        });
+        let dropped: Vec<Kind> = in_set(&model, set).cloned().collect();
+        // What happened once in the runs is not expected to happen again; what is of the machine is.
+        let is_disproved = is_refitted || dropped.iter().any(Kind::is_compensated);
         let [before, after] = [&believed, &model].map(|model| model.predict(test));
         let places = where_it_is_worse(&problem.data, hold_out, [&before, &after]);
-        Self { model: kept, dropped, before_um, found_um, places }
+        Self { model: kept, dropped, is_disproved, before_um, found_um, places }
     }
 
     /// Whether the hold-out is worse with the terms that are handed out, by however little.

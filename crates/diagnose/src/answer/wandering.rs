@@ -11,17 +11,20 @@ use crate::{data::Data, fit::Problem, parameters::step_s, search::Found};
 pub(crate) struct Wandering {
     /// RMS of its slow part, in µm.
     pub rms_um: f64,
-    /// Its correlation time in s, or in rows where there is no time.
-    pub memory: f64,
-    pub is_in_time: bool,
+    /// Its correlation time, in s.
+    pub memory_s: f64,
     /// What was not recorded and may be behind it.
     to_record: Vec<&'static str>,
 }
 
 impl Wandering {
-    /// Of what `found` leaves. Noise wanders if its memory leaves less than half of the rows
+    /// Of what `found` leaves, where there is time and nothing of it goes with what was recorded. Noise
+    /// wanders if its memory leaves less than half of the rows
     /// independent: then neighbours say more about a row than its own reading does.
     pub(super) fn of(problem: &Problem, found: &Found) -> Option<Self> {
+        if problem.data.time_s.is_none() || !found.lack_of_fit.is_empty() {
+            return None;
+        }
         let steps = &problem.groups.steps;
         let independent = noise::effective_rows(found.noise, steps);
         if independent > 0.5 * problem.groups.len() as f64 {
@@ -30,8 +33,7 @@ impl Wandering {
         let data = &problem.data;
         Some(Self {
             rms_um: (1.0 - found.noise.white).sqrt() * found.fitted.rms(),
-            memory: found.noise.memory * problem.groups.size as f64 * step_s(problem),
-            is_in_time: data.time_s.is_some(),
+            memory_s: found.noise.memory * problem.groups.size as f64 * step_s(problem),
             to_record: not_recorded(data),
         })
     }
@@ -60,10 +62,9 @@ fn not_recorded(data: &Data) -> Vec<&'static str> {
 impl fmt::Display for Wandering {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "what is left wanders slowly: {:.2} µm RMS with a memory of ", self.rms_um)?;
-        match (self.is_in_time, self.memory) {
-            (false, rows) => write!(f, "{rows:.0} rows")?,
-            (true, seconds) if seconds < 120.0 => write!(f, "{seconds:.0} s")?,
-            (true, seconds) => write!(f, "{:.0} minutes", seconds / 60.0)?,
+        match self.memory_s {
+            seconds if seconds < 120.0 => write!(f, "{seconds:.0} s")?,
+            seconds => write!(f, "{:.0} minutes", seconds / 60.0)?,
         }
         f.write_str("; it goes with nothing that was recorded")?;
         if !self.to_record.is_empty() {

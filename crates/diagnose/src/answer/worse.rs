@@ -1,7 +1,10 @@
 //! Where on a hold-out a model is worse, and what is different there from the runs.
 
 use crate::{
-    answer::hold_out::HoldOut,
+    answer::{
+        hold_out::HoldOut,
+        range::{extent, largest_rise},
+    },
     columns::named,
     data::{Data, filled},
 };
@@ -48,9 +51,10 @@ fn stretch(test: &Data, hold_out: &HoldOut<'_>, first: usize, last: usize) -> St
     let file = test.file[first];
     let start = test.file.partition_point(|&there| there < file);
     let end = test.file.partition_point(|&there| there <= file);
-    let name = hold_out.files[file].path().display();
+    let path = hold_out.files[file].path();
+    let name = path.file_name().unwrap_or(path.as_os_str()).display();
     if last + 1 >= end {
-        format!("from row {} of {name} on", first - start + 1)
+        format!("from row {} of {name} on,", first - start + 1)
     } else {
         format!("in rows {} to {} of {name}", first - start + 1, last - start + 1)
     }
@@ -72,21 +76,17 @@ fn different(
     first: usize,
     last: usize,
 ) -> Option<String> {
-    let extent = |values: &[f64]| {
-        values.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], &value| {
-            [low.min(value), high.max(value)]
-        })
-    };
     let stretch = &here[first..=last];
-    let ([low, high], [here_low, here_high]) = (extent(runs), extent(stretch));
+    let ([low, high], [here_low, here_high]) =
+        (extent(runs.iter().copied()), extent(stretch.iter().copied()));
     let margin = BEYOND * (high - low);
     if here_high > high + margin {
         return Some(format!(
-            "{column} reaches {here_high:.4}; in the runs {high:.4} was the most"
+            "{column} reaches {here_high:.2}; in the runs {high:.2} was the most"
         ));
     }
     if here_low < low - margin {
-        return Some(format!("{column} reaches {here_low:.4}; in the runs {low:.4} was the least"));
+        return Some(format!("{column} reaches {here_low:.2}; in the runs {low:.2} was the least"));
     }
     let change = stretch[stretch.len() - 1] - stretch[0];
     let (verb, never, most) = if change < 0.0 {
@@ -96,20 +96,10 @@ fn different(
     };
     (change.abs() > margin && most < margin).then(|| {
         format!(
-            "{column} {verb} by {:.4}; in the runs it never {never} by more than {most:.4}",
+            "{column} {verb} by {:.2}; in the runs it never {never} by more than {most:.2}",
             change.abs()
         )
     })
-}
-
-/// The largest rise from a value to a later one.
-fn largest_rise(values: impl Iterator<Item = f64>) -> f64 {
-    let (mut low, mut most) = (f64::INFINITY, 0.0_f64);
-    for value in values {
-        low = low.min(value);
-        most = most.max(value - low);
-    }
-    most
 }
 
 /// The first and last of the consecutive values whose sum is the largest; none where no value is above
@@ -146,7 +136,7 @@ mod tests {
         let told = different("temp_frame_c", &runs, &here, 10, 49).expect("it falls");
         assert_eq!(
             told,
-            "temp_frame_c falls by 19.5000; in the runs it never fell by more than 0.0000"
+            "temp_frame_c falls by 19.50; in the runs it never fell by more than 0.00"
         );
         assert_eq!(different("temp_frame_c", &here, &here, 10, 49), None);
     }
@@ -156,6 +146,6 @@ mod tests {
         let runs = [20.0, 30.0, 20.0];
         assert_eq!(different("t", &runs, &[30.5, 25.0], 0, 1), None);
         let told = different("t", &runs, &[35.0, 30.0], 0, 1).expect("it is beyond");
-        assert_eq!(told, "t reaches 35.0000; in the runs 30.0000 was the most");
+        assert_eq!(told, "t reaches 35.00; in the runs 30.00 was the most");
     }
 }

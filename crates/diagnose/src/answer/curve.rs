@@ -1,0 +1,133 @@
+//! What the model says between the places where the axis was measured: evaluated densely, so that a wave
+//! between them shows.
+
+use trueup_machine::{
+    Machine,
+    file::LinearAxis,
+    model::{ReferenceModel, Situation},
+};
+
+use crate::{
+    answer::{Diagnosis, range::extent},
+    data::Data,
+};
+
+/// Points drawn between two neighbouring places: a wave of that length still looks like one.
+const BETWEEN: usize = 20;
+/// A picture does not show more.
+const MOST_POINTS: usize = 1500;
+
+/// The errors by a model over an axis, approached from one side.
+pub(super) struct Curve {
+    pub at_mm: Vec<f64>,
+    pub um: Vec<f64>,
+}
+
+/// The axis that the readings are over: the own one if it moves, else the one that moves farthest.
+pub(super) fn moving_axis(data: &Data) -> Option<LinearAxis> {
+    let travel_mm = |axis: LinearAxis| {
+        let at_mm = data.position_mm[axis.index()].iter().flatten();
+        let [low, high] = extent(at_mm.copied());
+        high - low
+    };
+    let own = data.quantity.axis().filter(|&axis| travel_mm(axis) > 0.0);
+    own.or_else(|| {
+        let all = LinearAxis::ALL.into_iter().filter(|&axis| travel_mm(axis) > 0.0);
+        all.max_by(|a, b| travel_mm(*a).total_cmp(&travel_mm(*b)))
+    })
+}
+
+/// The curves by the machine file as it is and by the extended one, from each side that was approached
+/// from; what else was recorded stands at its median. None where that does not say all that is needed.
+pub(super) fn curves(diagnosis: &Diagnosis, axis: LinearAxis) -> [Vec<Curve>; 2] {
+    let believed = diagnosis.data.machine.clone();
+    let mut extended = believed.clone();
+    for (number, term) in &diagnosis.corrected {
+        extended.terms[*number] = term.clone();
+    }
+    extended.terms.extend(diagnosis.terms.iter().cloned());
+    [believed, extended].map(|machine| of_machine(&diagnosis.data, &machine, axis))
+}
+
+fn of_machine(data: &Data, machine: &Machine, axis: LinearAxis) -> Vec<Curve> {
+    let index = axis.index();
+    let places = places(data.position_mm[index].as_deref().unwrap_or(&[]));
+    let mut sides: Vec<f64> = data.direction[index]
+        .as_ref()
+        .map_or(vec![1.0], |of| [1.0, -1.0].into_iter().filter(|side| of.contains(side)).collect());
+    if sides.is_empty() {
+        sides.push(1.0);
+    }
+    let temperatures: Vec<(&str, f64)> =
+        data.temperatures.iter().map(|(name, of)| (name.as_str(), median(of))).collect();
+    let at = |column: &Option<Vec<f64>>| column.as_deref().map(median);
+    let mut model = ReferenceModel::new(machine);
+    let mut all = Vec::new();
+    for side in sides {
+        let mut at_mm = places.clone();
+        if side < 0.0 {
+            at_mm.reverse();
+        }
+        let um: Vec<f64> = at_mm
+            .iter()
+            .map(|&mm| {
+                let mut situation = Situation {
+                    time_s: data.time_s.as_ref().map(|_| 0.0),
+                    spindle_rpm: at(&data.spindle_rpm),
+                    load_n: at(&data.load_n),
+                    temperatures_c: &temperatures,
+                    position_mm: data.position_mm.each_ref().map(|of| at(of).unwrap_or(f64::NAN)),
+                    direction: [1.0; 3],
+                    ..Situation::UNKNOWN
+                };
+                situation.position_mm[index] = mm;
+                situation.direction[index] = side;
+                let parts = model.step(&situation);
+                match data.quantity.axis() {
+                    None => parts.elongation_um,
+                    Some(error) => parts.error_um()[error.index()],
+                }
+            })
+            .collect();
+        if um.iter().all(|um| um.is_finite()) && um.len() > 1 {
+            all.push(Curve { at_mm, um });
+        }
+    }
+    all
+}
+
+/// The places of the readings, rising, with points between them.
+fn places(position_mm: &[f64]) -> Vec<f64> {
+    let mut places: Vec<f64> = position_mm.iter().copied().filter(|mm| mm.is_finite()).collect();
+    places.sort_by(f64::total_cmp);
+    places.dedup_by(|a, b| *a - *b < 1e-3);
+    let between = (MOST_POINTS / places.len().max(1)).clamp(1, BETWEEN);
+    let mut all: Vec<f64> = places
+        .windows(2)
+        .flat_map(|pair| {
+            let step = (pair[1] - pair[0]) / between as f64;
+            (0..between).map(move |n| pair[0] + step * n as f64)
+        })
+        .collect();
+    all.extend(places.last());
+    all
+}
+
+fn median(values: &[f64]) -> f64 {
+    let mut known: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
+    known.sort_by(f64::total_cmp);
+    known.get(known.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn between_two_places_there_are_points_and_the_ends_are_the_places() {
+        let all = places(&[10.0, 0.0, 5.0, f64::NAN, 5.000_01]);
+        assert_eq!(all.len(), 41);
+        assert_eq!((all[0], all[20], all[40]), (0.0, 5.0, 10.0));
+        assert!(places(&[]).is_empty());
+    }
+}

@@ -1,0 +1,138 @@
+//! The pictures of the report: what was measured and predicted, and what is left over everything that was
+//! recorded.
+
+use std::fmt::Write as _;
+
+use trueup_machine::file::LinearAxis;
+
+use crate::{
+    answer::{
+        Diagnosis,
+        curve::{curves, moving_axis},
+        figure::{Colour, Points, picture},
+    },
+    columns::named,
+    data::Data,
+};
+
+/// Measured and predicted, and what is left, over the main axis.
+pub(super) fn predicted_and_left(diagnosis: &Diagnosis, out: &mut String) {
+    let data = &diagnosis.data;
+    let over = Over::of(data);
+    let (x_name, x) = over.axis(data);
+    let rows: Vec<usize> =
+        (0..data.rows).filter(|&row| data.used[row] && !diagnosis.aside[row]).collect();
+    let pick = |values: &[f64]| -> Vec<f64> { rows.iter().map(|&row| values[row]).collect() };
+    let x = pick(&x);
+    let measured = pick(&data.measured);
+    let (before, after) = (pick(&diagnosis.before), pick(&diagnosis.after));
+    let left = |p: &[f64]| -> Vec<f64> { measured.iter().zip(p).map(|(m, p)| m - p).collect() };
+    let (left_before, left_after) = (left(&before), left(&after));
+    out.push_str(
+        "<p>Measured (grey) and predicted before (<span class=\"b\">brown</span>) and after \
+         (<span class=\"a\">blue</span>)",
+    );
+    let mut lists = vec![Points::dots(&x, &measured, Colour::Measured)];
+    let dense = match over {
+        Over::Position(axis) => curves(diagnosis, axis),
+        _ => [Vec::new(), Vec::new()],
+    };
+    for (curves, colour) in dense.iter().zip([Colour::Before, Colour::After]) {
+        lists.extend(curves.iter().map(|it| Points::line(&it.at_mm, &it.um, colour)));
+    }
+    if lists.len() > 1 {
+        out.push_str(
+            "; the lines are the model between the points, at the median of what else was recorded",
+        );
+    } else {
+        // A line ends where a series does.
+        let mut first = 0;
+        for end in 1..=rows.len() {
+            if end == rows.len() || data.series[rows[end]] != data.series[rows[first]] {
+                for (y, colour) in [(&before, Colour::Before), (&after, Colour::After)] {
+                    lists.push(Points::line(&x[first..end], &y[first..end], colour));
+                }
+                first = end;
+            }
+        }
+    }
+    out.push_str(":</p>\n");
+    out.push_str(&picture(&x_name, "µm", &lists, false));
+    out.push_str("<p>What is left, measured minus predicted:</p>\n");
+    let lists = [
+        Points::dots(&x, &left_before, Colour::Before),
+        Points::dots(&x, &left_after, Colour::After),
+    ];
+    out.push_str(&picture(&x_name, "µm", &lists, false));
+}
+
+/// What the pictures are over.
+#[derive(Clone, Copy)]
+enum Over {
+    Position(LinearAxis),
+    Time,
+    Rows,
+}
+
+impl Over {
+    /// The position where the axis was driven from place to place, else time, else the rows.
+    fn of(data: &Data) -> Self {
+        let is_driven = data.run.is_some() || data.time_s.is_none();
+        match (moving_axis(data).filter(|_| is_driven), &data.time_s) {
+            (Some(axis), _) => Self::Position(axis),
+            (None, Some(_)) => Self::Time,
+            (None, None) => Self::Rows,
+        }
+    }
+
+    /// Its name, and its value in each row.
+    fn axis(self, data: &Data) -> (String, Vec<f64>) {
+        let rows = || (0..data.rows).map(|row| row as f64 + 1.0).collect();
+        match self {
+            Self::Position(axis) => {
+                let at_mm = data.position_mm[axis.index()].clone();
+                (format!("{}, mm", axis.name()), at_mm.unwrap_or_else(rows))
+            }
+            Self::Time => {
+                let hours = |times: &Vec<f64>| times.iter().map(|t| t / 3600.0).collect();
+                ("time, h".into(), data.time_s.as_ref().map_or_else(rows, hours))
+            }
+            Self::Rows => ("row".into(), rows()),
+        }
+    }
+}
+
+/// What is left against every column, small.
+pub(super) fn against_inputs(diagnosis: &Diagnosis, out: &mut String) {
+    let data = &diagnosis.data;
+    let rows: Vec<usize> =
+        (0..data.rows).filter(|&row| data.used[row] && !diagnosis.aside[row]).collect();
+    let left =
+        |p: &[f64]| -> Vec<f64> { rows.iter().map(|&row| data.measured[row] - p[row]).collect() };
+    let (before, after) = (left(&diagnosis.before), left(&diagnosis.after));
+    let mut names: Vec<String> =
+        ["time_s", "run", "x_mm", "y_mm", "z_mm", "spindle_rpm", "load_n"].map(String::from).into();
+    names.extend(data.temperatures.iter().map(|(name, _)| name.clone()));
+    names.extend(data.others.iter().map(|(name, _)| name.clone()));
+    let mut all = String::new();
+    let mut draw = |name: &str, x: &[f64]| {
+        let lists =
+            [Points::dots(x, &before, Colour::Before), Points::dots(x, &after, Colour::After)];
+        let _ = writeln!(all, "<div>{}</div>", picture(name, "left, µm", &lists, true));
+    };
+    for name in names {
+        if let Some(values) = named(data, &name) {
+            let x: Vec<f64> = rows.iter().map(|&row| values[row]).collect();
+            draw(&name, &x);
+        }
+    }
+    if let Some(direction) = data.own_direction() {
+        let x: Vec<f64> = rows.iter().map(|&row| direction[row]).collect();
+        draw("direction", &x);
+    }
+    let _ = write!(
+        out,
+        "<h2>What is left, against everything that was recorded</h2>\n<div class=\"grid\">{all}\
+         </div>\n"
+    );
+}
