@@ -32,7 +32,18 @@ impl<'r> Rows<'r> {
     }
 
     /// The column `name` of all runs.
+    ///
+    /// # Errors
+    /// A run has no such column, or no row of any has a value in it.
     pub(crate) fn require(&self, name: &str) -> Result<Vec<f64>, BadInput> {
+        let values = self.joined(name)?;
+        if values.iter().all(|value| value.is_nan()) {
+            return Err(self.runs[0].bad(0, name, "has no value in any row"));
+        }
+        Ok(values)
+    }
+
+    fn joined(&self, name: &str) -> Result<Vec<f64>, BadInput> {
         let mut values = Vec::with_capacity(self.count());
         for run in self.runs {
             values.extend_from_slice(run.require(name)?);
@@ -48,7 +59,7 @@ impl<'r> Rows<'r> {
         if self.runs.iter().all(|run| run.column(name).is_none()) {
             return Ok(None);
         }
-        self.require(name).map(Some)
+        self.joined(name).map(Some)
     }
 
     /// The columns of temperatures that every run has.

@@ -162,8 +162,12 @@ fn bad_input_is_named_with_its_place_and_rule() {
     for (text, expected) in [
         (
             "sensor_count,measured_elongation_um\n1,2\n",
-            "run.csv:1:1: column sensor_counts is missing; there are sensor_count, \
-             measured_elongation_um; did you mean sensor_count?",
+            "run.csv:1:1: column sensor_counts is missing; sensor_count is no column that is known: if \
+             it was meant, give it as sensor_counts",
+        ),
+        (
+            "sensor_counts,measured_elongation_um\n1,\n2,nan\n",
+            "run.csv:2:3: measured_elongation_um has no value in any row",
         ),
         (
             "sensor_counts,measured_elongation_um\n1,2\n2,3\n,4\n5,\n",

@@ -198,8 +198,8 @@ fn bad_input_is_named_with_its_place_and_rule() {
     for (text, expected) in [
         (
             "time,measured_elongation_um\n0,1\n",
-            "run.csv:1:1: column time_s is missing; there are time, measured_elongation_um; did \
-             you mean time?",
+            "run.csv:1:1: column time_s is missing; time is no column that is known: if it was meant, \
+             give it as time_s",
         ),
         (
             "time_s,measured_elongation_um\n0,1\n1,2\n2,nan\n",

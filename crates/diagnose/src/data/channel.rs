@@ -119,7 +119,7 @@ impl Channel {
     /// exponential, with the scale of the tail; a wider one parts steps of another kind from them.
     fn largest_ordinary_step(&self) -> Option<f64> {
         let mut sizes: Vec<f64> = self.steps.iter().map(|step| step.abs()).collect();
-        sizes.sort_by(|a, b| b.total_cmp(a));
+        sizes.sort_unstable_by(|a, b| b.total_cmp(a));
         let digit = sizes.iter().rev().copied().find(|size| *size > 0.0)?;
         let chances = (sizes.len() as f64 / CHANCE_STEP).ln();
         // More than a quarter of all is no fault any more, but what the channel does.
@@ -234,12 +234,14 @@ impl Channel {
     /// steps of the digit; the share of values that differ from their neighbours' median is 0.8·σ/q.
     fn frozen(&self) -> Vec<Fault> {
         let mut runs = runs_of_equal(&self.values);
-        let hold = usual_hold(&runs);
-        runs.sort_by_key(|run| std::cmp::Reverse(run.len()));
-        let readings = |run: &Range<usize>| (run.len() / hold) as f64;
-        if runs.first().is_none_or(|longest| readings(longest) <= self.longest_run(MOST_CHANGES)) {
+        let longest = runs.iter().map(Range::len).max().unwrap_or(0);
+        // Most channels are done here.
+        if longest as f64 <= self.longest_run(MOST_CHANGES) {
             return Vec::new();
         }
+        let hold = usual_hold(&runs);
+        let readings = |run: &Range<usize>| (run.len() / hold) as f64;
+        runs.sort_by_key(|run| std::cmp::Reverse(run.len()));
         // Without the longest, which may be what is asked about.
         let asked = &runs[..runs.len().min(3)];
         let is_asked = |at: usize| asked.iter().any(|run| run.contains(&at));
@@ -250,7 +252,7 @@ impl Channel {
             .collect();
         let part = rest.len() / PARTS;
         let mut levels = rest.clone();
-        levels.sort_by(f64::total_cmp);
+        levels.sort_unstable_by(f64::total_cmp);
         levels.dedup();
         if part <= 4 * ASIDE || levels.len() < LEVELS {
             return Vec::new();

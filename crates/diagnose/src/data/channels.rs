@@ -8,6 +8,7 @@
 use std::ops::Range;
 
 use trueup_machine::model::required_columns;
+use trueup_numerics::parallel::on_all_cores;
 
 use super::{
     channel::{Fault, faults},
@@ -21,6 +22,8 @@ const SHARED_CHANGES: usize = 30;
 const PAUSE_ROWS: f64 = 2.0;
 /// Rows before and after an instant by which it is asked whether a neighbour turned there.
 const TURN_ROWS: usize = 10;
+/// Below so many rows threads cost more than they bring: a channel takes a millisecond.
+const WORTH_CORES: usize = 10_000;
 /// A neighbour turned if it does so less in all but this share of its rows: a level of 1 %.
 const RARE: f64 = 0.01;
 
@@ -53,14 +56,17 @@ pub(super) fn set_aside(data: &mut Data) {
     let follows = follows(data);
     let files = files(data);
     let mut lost = vec![false; data.rows];
-    for column in 0..data.temperatures.len() {
+    let found = on_all_cores(&data.temperatures, data.rows > WORTH_CORES, |(_, values)| {
+        let of_file = |rows: &Range<usize>| faults(&values[rows.clone()], &follows[rows.clone()]);
+        files.iter().map(of_file).collect::<Vec<_>>()
+    });
+    for (column, found) in found.into_iter().enumerate() {
         let name = data.temperatures[column].0.clone();
         let is_needed = needed.contains(&name);
         let mut own = vec![false; data.rows];
         let mut has_jumped = false;
-        for rows in &files {
-            let values = &data.temperatures[column].1[rows.clone()];
-            for fault in faults(values, &follows[rows.clone()]) {
+        for (rows, faults) in files.iter().zip(found) {
+            for fault in faults {
                 let at = |range: &Range<usize>| rows.start + range.start..rows.start + range.end;
                 let told = match &fault {
                     Fault::Absent { shown, rows: all } => {
@@ -185,7 +191,7 @@ fn files(data: &Data) -> Vec<Range<usize>> {
 fn follows(data: &Data) -> Vec<bool> {
     let apart = |row: usize| data.time_s.as_ref().map_or(f64::NAN, |it| it[row] - it[row - 1]);
     let mut all: Vec<f64> = (1..data.rows).map(apart).filter(|s| *s > 0.0).collect();
-    all.sort_by(f64::total_cmp);
+    all.sort_unstable_by(f64::total_cmp);
     let usual_s = all.get(all.len() / 2).copied();
     (0..data.rows)
         .map(|row| {
