@@ -16,7 +16,7 @@ use crate::{Outcome, UserError, output};
 
 /// Turns a machine file into what another control loads, reads it back, and says how well it fits.
 ///
-/// Exit 3: exported, but something was left out or thinned.
+/// Exit 3: exported, but something was left out or thinned, or is further off than the control's rounding.
 #[derive(Args)]
 pub struct Export {
     /// The machine file.

@@ -24,6 +24,9 @@ reference_c = 20.0
 k_um_per_c = 2.0
 ";
 
+/// The steps of the table above are no more than that: its FANUC values are whole to a unit.
+const UNIT_UM: f64 = 5.0;
+
 fn desk_with(machine: &str) -> Desk {
     Desk::new(&[("m.toml", machine)])
 }
@@ -37,7 +40,7 @@ fn a_whole_export_ends_with_0_and_leaves_its_files_and_both_reports() {
         ("siemens-840d", &["MEMORY.INI", "AX_EEC.INI", "ENABLE.INI"]),
         ("fanuc", &["CNC-PARA.TXT", "PITCH.TXT"]),
     ] {
-        let line = format!("export m.toml --format {format} -o out/{format}");
+        let line = format!("export m.toml --format {format} -o out/{format} --unit-um {UNIT_UM}");
         let (out, err) = desk.said(&line, 0);
         assert!(err.is_empty() && out.contains("largest difference of all: "), "{out}{err}");
         let mut wanted: Vec<&str> = [files, &["report.txt", "report.json"]].concat();
@@ -61,6 +64,14 @@ fn what_is_left_out_ends_with_3_and_stands_in_the_json() {
     assert_eq!(json["tables"][0]["points"], 3);
     let beside = desk.text("out/report.json");
     assert_eq!(serde_json::from_str::<serde_json::Value>(&beside).expect("JSON as well"), json);
+}
+
+#[test]
+fn a_fanuc_export_that_is_off_by_micrometres_ends_with_3() {
+    let desk = desk_with(PITCH);
+    let (out, _) = desk.said("export m.toml --format fanuc -o out", 3);
+    assert!(out.contains("each value is given out at once") && out.contains("2.5 um off"), "{out}");
+    assert!(desk.path("out/PITCH.TXT").exists());
 }
 
 #[test]

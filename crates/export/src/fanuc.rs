@@ -22,7 +22,8 @@
 //!
 //! **In between:** without the option of interpolated compensation, the control gives out each
 //! value at once, taken here to be in the middle of its section; with it, evenly over the section.
-//! The report has the difference for the first as the table's, and for the second in a note.
+//! The report has the difference for the first as the table's, and for the second in a note. More than a
+//! unit and the tolerance is a loss, and the export is not whole.
 //!
 //! Two tables (3605#0): the second one's numbers begin at 3626, and 3627 is its sum at the reference
 //! point, for an axis that is referenced in the positive direction. One table: the backlash is 1851.
@@ -365,6 +366,20 @@ fn compare(
         interpolated.at
     ));
     let count = plan.points.sections();
+    // Half a unit is rounded away in each sum, and a step of one unit comes half of it too early and half
+    // too late: what is further off is no rounding.
+    let is_off = stepped.um > options.tolerance_um + options.unit_um;
+    let loss = if plan.was_thinned {
+        Some(format!("thinned to sections of {spacing_mm} mm"))
+    } else {
+        is_off.then(|| {
+            format!(
+                "each value is given out at once, in the middle of its section: up to {:.1} um off; with \
+                 the option of interpolated compensation {:.1} um",
+                stepped.um, interpolated.um
+            )
+        })
+    };
     export.report.tables.push(ExportedTable {
         file: "PITCH.TXT".to_string(),
         name: format!(
@@ -377,6 +392,6 @@ fn compare(
         spacing: Some(spacing_mm),
         constant_um: plan.constant_um,
         largest: stepped,
-        loss: plan.was_thinned.then(|| format!("thinned to sections of {spacing_mm} mm")),
+        loss,
     });
 }

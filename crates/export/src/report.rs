@@ -69,7 +69,8 @@ pub struct ExportedTable {
     /// The largest difference between the control's correction, read back from the file, and the
     /// model without `constant_um`.
     pub largest: Difference,
-    /// What was lost, if points had to be left away; the difference above contains it.
+    /// What was lost, if points had to be left away, or if the control gives its values out so that more
+    /// than its rounding is off; the difference above contains it.
     pub loss: Option<String>,
 }
 
@@ -119,7 +120,7 @@ impl Report {
         self.notes.push(note.into());
     }
 
-    /// Whether the control holds the whole model: nothing was left out, no point was left away.
+    /// Whether the control holds the whole model: nothing was left out, and nothing lost but its rounding.
     #[must_use]
     pub fn is_whole(&self) -> bool {
         self.left_out.is_empty() && self.tables.iter().all(|table| table.loss.is_none())
