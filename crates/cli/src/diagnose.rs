@@ -11,7 +11,11 @@ use anyhow::Result;
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use trueup_diagnose::{Diagnosis, Options, Verdict, diagnose_for};
-use trueup_machine::{BadInput, MachineFile, RunFile, compile::check_slopes, file};
+use trueup_machine::{
+    BadInput, Machine, MachineFile, RunFile,
+    compile::{check_slopes, compile},
+    file,
+};
 
 use crate::{Outcome, UserError, output, runs};
 
@@ -113,7 +117,9 @@ fn write(args: &Diagnose, diagnosis: &Diagnosis, name: &str, source: &str) -> Re
     inputs.extend(args.runs.iter().chain(&args.holdout).map(PathBuf::as_path));
     let extended = diagnosis.extended(source, &args.machine)?;
     let path = args.out.join("extended.toml");
-    if let Err(BadInput { rule, .. }) = check_slopes(&MachineFile::parse(&extended, &path)?) {
+    if let Some(BadInput { rule, .. }) =
+        refused(&MachineFile::parse(source, &args.machine)?, &MachineFile::parse(&extended, &path)?)
+    {
         eprintln!("warning: trueup compile will refuse {}: {rule}", path.display());
     }
     let texts = [
@@ -127,6 +133,13 @@ fn write(args: &Diagnose, diagnosis: &Diagnosis, name: &str, source: &str) -> Re
     output::write_whole(&args.out.join("residuals.csv"), &inputs, |out| {
         diagnosis.write_residuals(out)
     })
+}
+
+/// Why `compile` will refuse `extended`: a correction is too steep, or something else that is not in
+/// `believed`. A machine file that it refuses already, as one without `[inputs]`, tells no more.
+fn refused(believed: &Machine, extended: &Machine) -> Option<BadInput> {
+    let too_steep = check_slopes(extended).err();
+    too_steep.or_else(|| compile(believed).ok().and_then(|_| compile(extended).err()))
 }
 
 /// `text` in red, where it is read on a screen.
@@ -172,4 +185,25 @@ fn print(args: &Diagnose, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
         report.noise_um
     ))?;
     output::print(format_args!("{}", args.out.join("report.html").display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_the_board_cannot_run_is_told_where_the_believed_file_could_be_compiled() {
+        let read = |text: &str| {
+            let file = format!("[machine]\nname = \"m\"\nkind = \"3-axis\"\n{text}");
+            MachineFile::parse(&file, Path::new("m.toml")).expect("the test's own file")
+        };
+        let heat = "[[term]]\ncause = \"extra-heat-path\"\nquantity = \"dz\"\ncolumn = \"temp_bed_c\"\n\
+                    um_per_c = 2.0\ntime_constant_s = 600.0\nreference_c = 20.0\n";
+        let connected = "[inputs]\ntemp_bed_c = { channel = 0, kind = \"pt100\" }\n";
+        assert_eq!(refused(&read(""), &read("")), None);
+        let told =
+            refused(&read(""), &read(heat)).expect("no thermometer of that name is connected");
+        assert!(told.rule.contains("temp_bed_c"), "{}", told.rule);
+        assert_eq!(refused(&read(connected), &read(&format!("{connected}{heat}"))), None);
+    }
 }
