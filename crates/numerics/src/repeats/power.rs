@@ -1,16 +1,10 @@
 //! How many cycles would show that places differ.
 //!
 //! With p places, n cycles and an error of the size b (root mean square) beside a scatter s, F has the
-//! noncentral distribution with (p − 1, p·(n − 1)) degrees of freedom and λ = n·p·(b/s)². Its upper tail by
-//! Patnaik's two moments (Biometrika 36, 1949):
-//!
-//! ```text
-//! F′ ≈ (ν₁ + λ)/ν₁ · F(ν, ν₂)      ν = (ν₁ + λ)²/(ν₁ + 2λ)
-//! ```
-
-use statrs::distribution::{ContinuousCDF, FisherSnedecor};
+//! noncentral distribution with (p − 1, p·(n − 1)) degrees of freedom and λ = n·p·(b/s)².
 
 use super::decide::SIGNIFICANCE;
+use crate::noncentral_f;
 
 /// The chance with which the error is to be found.
 const POWER: f64 = 0.95;
@@ -35,11 +29,5 @@ pub(super) fn power(size: f64, scatter: f64, places: usize, cycles: usize) -> f6
     let more = places.saturating_sub(1) as f64;
     let freedom = (places * cycles.saturating_sub(1)) as f64;
     let lambda = (places * cycles) as f64 * (size / scatter).powi(2);
-    let shared = (more + lambda) / more;
-    let apparent = (more + lambda).powi(2) / (2.0_f64.mul_add(lambda, more));
-    let limit = FisherSnedecor::new(more, freedom).map(|it| it.inverse_cdf(1.0 - SIGNIFICANCE));
-    match (limit, FisherSnedecor::new(apparent, freedom)) {
-        (Ok(limit), Ok(noncentral)) => noncentral.sf(limit / shared),
-        _ => 0.0,
-    }
+    noncentral_f::power(SIGNIFICANCE, more, freedom, lambda)
 }

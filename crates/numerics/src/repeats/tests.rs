@@ -206,8 +206,10 @@ fn the_power_is_that_of_drawn_tables() {
             })
             .count();
         let (drawn, said) = (found as f64 / 2000.0, power(size, 1.0, 10, cycles));
-        println!("{size} in {cycles} cycles: {drawn:.3} of the draws, {said:.3} by Patnaik");
-        assert!((drawn - said).abs() < 0.04, "{drawn} {said}");
+        println!(
+            "{size} in {cycles} cycles: {drawn:.3} of the draws, {said:.3} by the noncentral F"
+        );
+        assert!((drawn - said).abs() < 0.025, "{drawn} {said}");
     }
 }
 
