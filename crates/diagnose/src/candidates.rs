@@ -122,6 +122,18 @@ impl Seen<'_> {
     }
 }
 
+impl Seen<'_> {
+    /// Times in equal ratios, from the spacing of the groups on, in s; none without a clock.
+    fn times_up_to(&self, high_s: f64) -> impl Iterator<Item = f64> {
+        /// Less than a factor of two, so that the fit begins near.
+        const RATIO: f64 = 1.6;
+        let step_s = self.problem.bounds.step_s * self.problem.groups.size as f64;
+        let first_s = self.data().time_s.as_ref().map(|_| step_s);
+        let times = std::iter::successors(first_s, |time_s| Some(time_s * RATIO));
+        times.take_while(move |time_s| *time_s <= high_s)
+    }
+}
+
 impl Survey for Seen<'_> {
     fn quantity(&self) -> Quantity {
         self.data().quantity
@@ -225,16 +237,14 @@ impl Survey for Seen<'_> {
     }
 
     fn shifts(&self) -> Settings {
-        /// From one trial to the next: less than a factor of two, so that the fit begins near.
-        const RATIO: f64 = 1.6;
         let [low_s, high_s] = self.problem.bounds.shift_s;
-        if self.data().time_s.is_none() {
-            return Settings::at([]);
-        }
-        let step_s = self.problem.bounds.step_s * self.problem.groups.size as f64;
-        let sizes = std::iter::successors(Some(step_s), |size| Some(size * RATIO));
-        let sizes = sizes.take_while(|size| *size <= high_s);
+        let sizes = self.times_up_to(high_s);
         Settings::at(sizes.flat_map(|size| [size, -size]).filter(|shift| *shift >= low_s))
+    }
+
+    fn lates(&self) -> Settings {
+        let [_, high_s] = self.problem.bounds.late_s;
+        Settings::at(self.times_up_to(high_s))
     }
 
     fn longest_period_mm(&self) -> f64 {

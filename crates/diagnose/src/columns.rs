@@ -43,6 +43,7 @@ impl Columns for Table<'_> {
             Input::Predicted => Cow::Borrowed(self.p),
             Input::Believed => whole(Some(&data.elongation)),
             Input::Time => whole(data.time_s.as_deref()),
+            Input::Run => whole(data.run.as_deref()),
             Input::Temperature { column, lag_s: 0.0 } => whole(data.temperature(column)),
             Input::Temperature { column, lag_s } => Cow::Owned(data.lagged(column, lag_s, lag_s)),
             Input::Speed => whole(data.spindle_rpm.as_deref()),

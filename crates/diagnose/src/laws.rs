@@ -2,7 +2,7 @@
 //! `trueup predict` steps row by row.
 
 use trueup_machine::{
-    effect::Constants,
+    effect::{Constants, Late},
     file::{ElongationSource, Spindle, Thermal, Warmup},
     model::{WarmupState, thermal_um},
 };
@@ -17,8 +17,10 @@ use crate::{
 pub(crate) struct Laws {
     spindle: Option<Spindle>,
     spindle_falling_s: Option<f64>,
+    spindle_late: Option<Late>,
     thermal: Option<Thermal>,
     thermal_falling_s: Option<f64>,
+    thermal_late: Option<Late>,
 }
 
 impl Laws {
@@ -27,7 +29,13 @@ impl Laws {
         let mut laws = Self::default();
         for part in parts.iter().filter(|part| part.kind.corrects()) {
             let Some(cause) = part.cause() else { continue };
-            cause.correct(&mut if part.kind.is_of_elongation(data) {
+            let is_of_elongation = part.kind.is_of_elongation(data);
+            if let Some(late) = cause.late() {
+                let own =
+                    if is_of_elongation { &mut laws.spindle_late } else { &mut laws.thermal_late };
+                *own = Some(late);
+            }
+            cause.correct(&mut if is_of_elongation {
                 let spindle = laws.spindle.get_or_insert_with(|| data.machine.spindle.clone());
                 Constants {
                     spindle: Some(spindle),
@@ -70,7 +78,8 @@ impl Laws {
                 if data.temperature(&model.sensor).is_some() =>
             {
                 let fall_s = self.spindle_falling_s.unwrap_or(model.lag_s);
-                let lagged = data.lagged(&model.sensor, model.lag_s, fall_s);
+                let lags_s = [model.lag_s, fall_s];
+                let lagged = data.followed(&model.sensor, self.spindle_late, lags_s);
                 lagged.iter().map(|c| model.k_um_per_c * (c - model.reference_c)).collect()
             }
             (Some(ElongationSource::Warmup), _, Some(model)) => {
@@ -102,7 +111,8 @@ impl Laws {
             return data.axis.clone();
         };
         let fall_s = self.thermal_falling_s.unwrap_or(thermal.lag_s);
-        let lagged = data.lagged(&thermal.sensor, thermal.lag_s, fall_s);
+        let lags_s = [thermal.lag_s, fall_s];
+        let lagged = data.followed(&thermal.sensor, self.thermal_late, lags_s);
         let position = data.own_position();
         (0..data.rows)
             .map(|row| {

@@ -25,6 +25,7 @@ fn a_cause_of_an_elongation_three_times_the_noise_is_named() {
         Hidden::SensorSaturation,
         Hidden::SensorTemperatureDrift,
         Hidden::ThermalLag,
+        Hidden::ThermometerLag,
         Hidden::GrowthAmplitude,
         Hidden::CoolingAsymmetry,
         Hidden::CentrifugalGrowth,
@@ -49,6 +50,7 @@ fn a_cause_of_an_axis_three_times_the_noise_is_named() {
         Hidden::AngularError,
         Hidden::ExpansionSlope,
         Hidden::ExpansionConstant,
+        Hidden::DriftByRun,
     ];
     let all = row(&causes, 3.0, 0..1);
     println!("{}", all.line("axis"));

@@ -6,6 +6,7 @@
 //! | `kinematics` | the tool direction, along which the growth is laid |
 //! | `thermal` | an axis's growth with a temperature |
 //! | `lag` | the first-order lag of a temperature |
+//! | `late` | the part's temperature where its thermometer is late |
 //! | `pitch` | an axis's position errors and its backlash |
 //! | `straightness` | the error of one axis along another, curved and straight |
 //! | `term` | what a diagnosis has added |
@@ -24,6 +25,7 @@
 mod elongation;
 mod kinematics;
 mod lag;
+mod late;
 pub(crate) mod pitch;
 mod reversal;
 pub(crate) mod straightness;
@@ -35,6 +37,7 @@ pub use elongation::{
 };
 pub use kinematics::{error_um, offset_um, rotated, tool_direction};
 pub use lag::Lag;
+pub use late::{part_temperature, part_temperatures};
 pub use pitch::{backlash_um, dual_pitch_um, is_reverse, pitch_um};
 pub use reversal::over_compensation_um;
 pub use straightness::{spline_um, spline_weights, squareness_um};
@@ -43,6 +46,7 @@ pub use thermal::{thermal_law, thermal_um};
 
 use std::borrow::Cow;
 
+use late::LateParts;
 use term::TermLags;
 
 use crate::file::{ElongationSource, LinearAxis, Machine, Quantity, SensorModel, Term};
@@ -52,6 +56,8 @@ use crate::file::{ElongationSource, LinearAxis, Machine, Quantity, SensorModel, 
 pub struct Situation<'a> {
     /// `None` where the run has no such column.
     pub time_s: Option<f64>,
+    /// The number of the repeat; `None` where the run has no such column.
+    pub run: Option<f64>,
     /// The displacement sensor, in the PLC's counts.
     pub sensor_counts: f64,
     /// `None` where the run has no such column: the spindle runs from the first row.
@@ -73,6 +79,7 @@ impl Situation<'_> {
     /// Nothing is known.
     pub const UNKNOWN: Self = Self {
         time_s: None,
+        run: None,
         sensor_counts: f64::NAN,
         spindle_rpm: None,
         load_n: None,
@@ -168,6 +175,7 @@ pub struct ReferenceModel<'m> {
     /// With the constants that its terms say are right.
     machine: Cow<'m, Machine>,
     falling: Falling,
+    late: LateParts,
     /// The time of the newest row that had one.
     time_s: Option<f64>,
     state: State,
@@ -195,7 +203,8 @@ impl<'m> ReferenceModel<'m> {
         if !machine.terms.is_sorted_by_key(|term| term.effect.stage()) {
             machine.to_mut().terms.sort_by_key(|term| term.effect.stage());
         }
-        Self { machine, falling, time_s: None, state: State::default() }
+        let late = LateParts::of(&machine);
+        Self { machine, falling, late, time_s: None, state: State::default() }
     }
 
     /// The model's values for the next row of the run, but for a `time-shift`, which needs the whole
@@ -261,7 +270,8 @@ impl<'m> ReferenceModel<'m> {
             }),
             Some(ElongationSource::Temperature) => {
                 spindle.temperature.as_ref().map_or(f64::NAN, |model| {
-                    let measured_c = situation.temperature_c(&model.sensor);
+                    let measured_c =
+                        self.late.followed_c(Quantity::Elongation, &model.sensor, situation);
                     let lags_s = [model.lag_s, self.falling.spindle_s.unwrap_or(model.lag_s)];
                     let lag = &mut self.state.spindle_lag;
                     let temperature_c = lag.step_either_way(lags_s, time_s, measured_c);
@@ -283,7 +293,8 @@ impl<'m> ReferenceModel<'m> {
         let position_mm = situation.position_mm[index];
         let direction = situation.direction[index];
         if let Some(thermal) = &axis.thermal {
-            let measured_c = situation.temperature_c(&thermal.sensor);
+            let of = Quantity::of_axis(which);
+            let measured_c = self.late.followed_c(of, &thermal.sensor, situation);
             let lags_s = [thermal.lag_s, self.falling.axes_s[index].unwrap_or(thermal.lag_s)];
             let lag = &mut self.state.axis_lags[index];
             let temperature_c = lag.step_either_way(lags_s, time_s, measured_c);

@@ -26,7 +26,9 @@ use std::{
 use crate::{
     file::{ElongationSource, Machine, Quantity},
     location::{BadInput, Location},
-    model::{ReferenceModel, Situation, required_columns, shifted, time_shift_s},
+    model::{
+        ReferenceModel, Situation, part_temperatures, required_columns, shifted, time_shift_s,
+    },
     run_file::RunFile,
     stored::NM_PER_UM,
 };
@@ -166,12 +168,14 @@ impl<'a> Predictor<'a> {
         })
     }
 
-    /// The model's values row by row. A time shift looks ahead and back, so that all of them are
+    /// The model's values row by row. A thermometer that is late is looked after beforehand; a time shift looks ahead and back, so that all of them are
     /// there before the first is given; otherwise none is kept.
     fn model(&self) -> Box<dyn Iterator<Item = Values> + '_> {
         let mut reference = ReferenceModel::new(self.machine);
+        let parts = part_temperatures(self.machine, |name| self.run.column(name));
         let in_time = (0..self.run.rows()).map(move |row| {
-            let temperatures = self.columns.temperatures(row);
+            let mut temperatures: Vec<(&str, f64)> = self.columns.temperatures(row);
+            temperatures.extend(parts.iter().map(|(name, part_c)| (name.as_str(), part_c[row])));
             reference.step(&self.columns.situation(row, &temperatures)).values()
         });
         let shifts_s = Quantity::ALL.map(|it| time_shift_s(&self.machine.terms, it));
@@ -264,6 +268,7 @@ fn nothing_is_known(machine: &Machine, columns: &Columns<'_>) -> bool {
         columns.temperatures_c.iter().map(|(name, _)| (*name, 20.0)).collect();
     let situation = Situation {
         time_s: columns.time_s.map(|_| 0.0),
+        run: columns.run.map(|_| 1.0),
         sensor_counts: there(&columns.sensor_counts),
         spindle_rpm: columns.spindle_rpm.map(|_| 1.0),
         load_n: columns.load_n.map(|_| 1.0),

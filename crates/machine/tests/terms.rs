@@ -1,5 +1,7 @@
 //! `[[term]]`: read, applied to the prediction, written back. Each cause's formula by hand.
 
+#[path = "terms/late.rs"]
+mod late;
 #[path = "terms/refused.rs"]
 mod refused;
 
@@ -329,6 +331,8 @@ fn one_of_each() -> Vec<(&'static str, String)> {
         ),
         (SENSOR, "elongation", "time-shift", "shift_s = 3.0"),
         (TEMPERATURE, "elongation", "thermal-lag", "time_constant_s = 1630.0"),
+        (TEMPERATURE, "elongation", "thermometer-lag", "time_constant_s = 8.5\nform = \"delay\""),
+        (AXIS, "dx", "thermometer-lag", "time_constant_s = 40.0\nform = \"lag\"\nslope_over = 0.3"),
         (SENSOR, "elongation", "slow-mode", "amplitude_um = 3.0\ntime_constant_s = 900.0"),
         (TEMPERATURE, "elongation", "slow-mode", path),
         (TEMPERATURE, "elongation", "extra-heat-path", path),
@@ -352,6 +356,7 @@ fn one_of_each() -> Vec<(&'static str, String)> {
         (AXIS, "dx", "angular-error", tilt),
         (AXIS, "dx", "step", "at_s = 4.0\nsize_um = 3.0"),
         (AXIS, "dx", "drift", "um_per_h = 3.0"),
+        (AXIS, "dx", "drift", "um_per_run = -0.5"),
         (AXIS, "dx", "outliers", "fraction = 0.01"),
         (AXIS, "dx", "reference-instrument", wave),
     ]

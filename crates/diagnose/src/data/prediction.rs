@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use trueup_machine::{
     Machine, RunFile,
     file::LinearAxis,
-    model::{ReferenceModel, Situation, shifted, time_shift_s},
+    model::{ReferenceModel, Situation, part_temperatures, shifted, time_shift_s},
 };
 
 use super::table::Data;
@@ -56,20 +56,25 @@ fn stepped(data: &Data, runs: &[Cow<'_, RunFile>], machine: &Machine) -> Stepped
     let axis = data.quantity.axis().map(LinearAxis::index);
     let list = || Vec::with_capacity(data.rows);
     let mut stepped = Stepped { elongation: list(), along: list(), axis: list(), thermal: list() };
-    let mut temperatures: Vec<(&str, f64)> =
-        data.temperatures.iter().map(|(name, _)| (name.as_str(), f64::NAN)).collect();
     let mut row = 0;
     for (number, run) in runs.iter().enumerate() {
-        let [has_time, has_speed, has_load] =
-            ["time_s", "spindle_rpm", "load_n"].map(|name| run.column(name).is_some());
+        let [has_time, has_run, has_speed, has_load] =
+            ["time_s", "run", "spindle_rpm", "load_n"].map(|name| run.column(name).is_some());
         let mut reference = ReferenceModel::new(machine);
+        let parts_c = part_temperatures(machine, |name| run.column(name));
+        let columns = data.temperatures.iter().chain(&parts_c);
+        let mut temperatures: Vec<(&str, f64)> =
+            columns.map(|(name, _)| (name.as_str(), f64::NAN)).collect();
         for own in 0..run.rows() {
             for ((_, now_c), (_, values)) in temperatures.iter_mut().zip(&data.temperatures) {
                 *now_c = values[row];
             }
+            let of_parts = temperatures.iter_mut().skip(data.temperatures.len()).zip(&parts_c);
+            of_parts.for_each(|((_, now_c), (_, values))| *now_c = values[own]);
             let of = |column: Option<&[f64]>| column.map_or(f64::NAN, |values| values[own]);
             let parts = reference.step(&Situation {
                 time_s: has_time.then(|| at(&data.time_s, row)),
+                run: has_run.then(|| at(&data.run, row)),
                 sensor_counts: of(counts[number]),
                 spindle_rpm: has_speed.then(|| at(&data.spindle_rpm, row)),
                 load_n: has_load.then(|| at(&data.load_n, row)),

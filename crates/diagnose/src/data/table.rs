@@ -5,7 +5,7 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
-use trueup_machine::{Machine, file::Quantity};
+use trueup_machine::{Machine, effect::Late, file::Quantity, model::part_temperature};
 
 use super::{
     lag::{filled, lag},
@@ -182,5 +182,33 @@ impl Data {
             (Some(values), None) => filled(values),
             (Some(values), Some(time_s)) => lag(values, time_s, &self.restart, [rise_s, fall_s]),
         }
+    }
+
+    /// The temperature of the part whose thermometer, in `column`, is late, behind a lag as in
+    /// [`Data::lagged`].
+    pub(crate) fn followed(
+        &self,
+        column: &str,
+        late: Option<Late>,
+        [rise_s, fall_s]: [f64; 2],
+    ) -> Vec<f64> {
+        let known = |data: &'_ Self| data.temperature(column).is_some() && data.time_s.is_some();
+        let Some(late) = late.filter(|_| known(self)) else {
+            return self.lagged(column, rise_s, fall_s);
+        };
+        if let Some(whole) = &self.whole {
+            return whole.pick(&whole.data.followed(column, Some(late), [rise_s, fall_s]));
+        }
+        let shown_c = self.temperature(column).unwrap_or_default();
+        let time_s = self.time_s.as_deref().unwrap_or_default();
+        let starts = (0..self.rows).filter(|&row| self.restart[row]);
+        let ends = (1..self.rows).filter(|&row| self.restart[row]).chain([self.rows]);
+        let part_c: Vec<f64> = starts
+            .zip(ends)
+            .flat_map(|(start, end)| {
+                part_temperature(late, &time_s[start..end], &shown_c[start..end])
+            })
+            .collect();
+        lag(&part_c, time_s, &self.restart, [rise_s, fall_s])
     }
 }

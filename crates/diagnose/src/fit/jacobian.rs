@@ -80,6 +80,8 @@ fn derivative_step(problem: &Problem, what: Option<&Nonlinear>, value: f64) -> f
     match what {
         Some(Nonlinear::Period | Nonlinear::ReadingPeriod) => 1e-7,
         Some(Nonlinear::TimeConstant | Nonlinear::FallingTimeConstant) => 1e-4,
+        // Between two rows a temperature is straight: over more of it its noise is less of a slope.
+        Some(Nonlinear::Late) => 0.02,
         // Half of a group of rows: within it the noise of the inputs is slope. Of single rows, between
         // which the prediction is straight, a part.
         Some(Nonlinear::Shift) => {

@@ -36,6 +36,9 @@ pub(crate) struct Bounds {
     /// Shifts of the prediction, in s: at most a tenth of the longest series, below 0 only where the
     /// run has a second clock, or the machine file such a shift.
     pub shift_s: [f64; 2],
+    /// How late a thermometer may be, in s: from the spacing of the rows, which shows less of it, to a
+    /// tenth of the longest series.
+    pub late_s: [f64; 2],
     /// How far the quantity's own axis went, in mm; above 0.
     pub travel_mm: f64,
     /// Periods, in mm.
@@ -170,10 +173,9 @@ impl Problem {
                 *value < (1.0 + NEAR) * low || *value > (1.0 - NEAR) * high
             }
             Nonlinear::Limit => *value <= self.bounds.prediction_um[0],
-            Nonlinear::Shift
-            | Nonlinear::ReadingPeriod
-            | Nonlinear::Origin
-            | Nonlinear::Instant => false,
+            Nonlinear::Late => *value > (1.0 - NEAR) * self.bounds.late_s[1],
+            Nonlinear::Shift => value.abs() > (1.0 - NEAR) * self.bounds.shift_s[1],
+            Nonlinear::ReadingPeriod | Nonlinear::Origin | Nonlinear::Instant => false,
         };
         let limits = part.kind.cause().and_then(|cause| cause.amplitude_limits());
         part.values.iter().zip(nonlinear).any(is_at_end)
@@ -212,6 +214,7 @@ impl Problem {
                         held(value, self.bounds.time_constant_s);
                     }
                     Nonlinear::Shift => held(value, self.bounds.shift_s),
+                    Nonlinear::Late => held(value, self.bounds.late_s),
                     Nonlinear::Limit => held(value, self.bounds.prediction_um),
                     Nonlinear::Period => held(value, self.bounds.period_mm),
                     Nonlinear::ReadingPeriod | Nonlinear::Origin | Nonlinear::Instant => {}
@@ -224,7 +227,7 @@ impl Problem {
     }
 }
 
-/// The share of the longest series by which the prediction may be late. What is shifted out of a record
+/// The share of the longest series by which the prediction, or a thermometer, may be late. What is shifted out of a record
 /// cannot be compared any more: nine tenths of it still are.
 const MOST_SHIFT: f64 = 0.1;
 
@@ -264,6 +267,7 @@ fn bounds(data: &Data, groups: &Groups) -> Bounds {
         time_constant_s: [0.2 * step_s, 3.0 * longest_s],
         time_s,
         step_s,
+        late_s: [0.2 * step_s, MOST_SHIFT * longest_s],
         shift_s: {
             let states_early = data.stated.iter().any(|stated| stated.effect.shift_s() < 0.0);
             let has_early = data.gauge_time_s.is_some() || states_early;

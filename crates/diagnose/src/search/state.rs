@@ -188,7 +188,7 @@ mod tests {
     #[test]
     fn a_stage_admits_all_that_the_one_before_did_and_something_more() {
         let gain = Kind::Cause(Effect::SensorGain(SensorGain::default()));
-        let drift = Kind::Cause(Effect::Drift(Drift::default()));
+        let drift = Kind::Cause(Effect::Drift(Drift::InTime { um_per_h: 0.0 }));
         let path = |has_lag| Kind::heat_of("temp_a_c", has_lag);
         let causes = [gain, path(false), path(true), drift];
         let mut stage = Some(Stage::OwnModel);

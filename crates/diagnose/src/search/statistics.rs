@@ -104,7 +104,8 @@ fn chunks(trials: &[Trial]) -> Vec<&[Trial]> {
 /// ```text
 /// Q  basis of the model's own columns        l ⊥ Q  the lists
 /// w  a trial's columns                       G = wᵀw − (wᵀQ)(wᵀQ)ᵀ,  b = wᵀl
-/// gain = bᵀ·G⁻¹·b                            of a change of fixed size: 2·b − G
+/// gain = bᵀ·G⁻¹·b                            of a change of fixed size, the first column: 2·b − G,
+///                                            and what the others explain of the rest
 /// ```
 struct Projector {
     /// Q and the lists, a row each.
@@ -152,7 +153,7 @@ impl Projector {
                 let whole = squares.diagonal();
                 let beside = squares - in_basis.transpose() * in_basis;
                 if trial.is_fixed {
-                    return on_lists.iter().map(|b| 2.0 * b - beside[(0, 0)]).collect();
+                    return explained_by_fixed(&beside, whole.as_slice(), &on_lists);
                 }
                 explained(beside, whole.as_slice(), on_lists)
             })
@@ -163,6 +164,21 @@ impl Projector {
 fn matrix(columns: &[Vec<f64>]) -> DMatrix<f64> {
     let rows = columns.first().map_or(0, Vec::len);
     DMatrix::from_iterator(rows, columns.len(), columns.iter().flatten().copied())
+}
+
+/// What a change of fixed size, the first column, and then the others explain of each list.
+fn explained_by_fixed(g: &DMatrix<f64>, whole: &[f64], b: &DMatrix<f64>) -> Vec<f64> {
+    let others = g.nrows() - 1;
+    let of_change = b.row(0).iter().map(|b| 2.0 * b - g[(0, 0)]).collect();
+    if others == 0 {
+        return of_change;
+    }
+    let mut left = b.rows(1, others).into_owned();
+    for mut list in left.column_iter_mut() {
+        list -= g.view((1, 0), (others, 1));
+    }
+    let rest = explained(g.view((1, 1), (others, others)).into_owned(), &whole[1..], left);
+    of_change.into_iter().zip(rest).map(|(change, rest)| change + rest).collect()
 }
 
 /// bᵀ·G⁻¹·b for each column b.

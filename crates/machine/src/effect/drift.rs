@@ -1,7 +1,7 @@
 //! `drift`: it wanders with time.
 //!
 //! ```text
-//! p + c·t/3600
+//! p + c·t/3600          c·run where there is no clock
 //! ```
 
 use super::{
@@ -9,23 +9,44 @@ use super::{
         Definition, Entry, Home, Input, OnBoard, Page,
         Parameter, Value, number,
     },
-    survey::{Settings, Survey},
+    survey::{Settings, Survey, targets},
 };
 use crate::{
     location::BadInput,
     file::read::Section,
 };
 
-/// A slope of the time.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Drift {
-    /// c, in µm/h.
-    pub um_per_h: f64,
+/// A slope of the time, or from run to run.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Drift {
+    /// By the clock.
+    InTime {
+        /// c, in µm/h; any sign.
+        um_per_h: f64,
+    },
+    /// By the number of the run.
+    ByRun {
+        /// c, in µm from a run to the next; any sign.
+        um_per_run: f64,
+    },
+}
+
+/// Runs that show a slope: two differ by something, whatever it is.
+const LEAST_RUNS: usize = 3;
+
+impl Drift {
+    fn rate(&self) -> (&'static str, f64) {
+        match *self {
+            Self::InTime { um_per_h } => ("um_per_h", um_per_h),
+            Self::ByRun { um_per_run } => ("um_per_run", um_per_run),
+        }
+    }
 }
 
 impl Page for Drift {
     fn entries(&self) -> Vec<Entry> {
-        vec![("um_per_h", Value::Number(self.um_per_h))]
+        let (name, rate) = self.rate();
+        vec![(name, Value::Number(rate))]
     }
 
     fn home(&self) -> Home {
@@ -37,7 +58,10 @@ impl Page for Drift {
     }
 
     fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
-        vec![Input::Time]
+        vec![match self {
+            Self::InTime { .. } => Input::Time,
+            Self::ByRun { .. } => Input::Run,
+        }]
     }
 
     fn is_compensated(&self) -> bool {
@@ -45,11 +69,14 @@ impl Page for Drift {
     }
 
     fn values(&self) -> Vec<f64> {
-        vec![self.um_per_h]
+        vec![self.rate().1]
     }
 
     fn set(&mut self, values: &[f64]) {
-        self.um_per_h = values[0];
+        match self {
+            Self::InTime { um_per_h } => *um_per_h = values[0],
+            Self::ByRun { um_per_run } => *um_per_run = values[0],
+        }
     }
 
     fn on_board(&self) -> Vec<OnBoard> {
@@ -57,36 +84,55 @@ impl Page for Drift {
     }
 
     fn sentence(&self, values: &[f64]) -> String {
-        format!("It wanders by {:+.3} µm an hour.", values[0])
+        match self {
+            Self::InTime { .. } => format!("It wanders by {:+.3} µm an hour.", values[0]),
+            Self::ByRun { .. } => {
+                format!("It wanders by {:+.3} µm from each run to the next.", values[0])
+            }
+        }
     }
 
     fn next_test(&self) -> &'static str {
-        "Repeat the run on another day: a drift that repeats has a cause."
+        match self {
+            Self::InTime { .. } => "Repeat the run on another day: a drift that repeats has a cause.",
+            Self::ByRun { .. } => {
+                "Write the time of each reading into the run (time_s), and the temperature of the \
+                 machine: a drift has a cause."
+            }
+        }
     }
 
     fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
-        vec![Parameter::Fitted("um_per_h", 0, 0.0)]
+        vec![Parameter::Fitted(self.rate().0, 0, 0.0)]
     }
 }
 
 impl Definition for Drift {
     const NAME: &'static str = "drift";
 
-    fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        &["um_per_h"]
+    fn keys(section: &Section<'_>) -> &'static [&'static str] {
+        if section.keys().contains(&"um_per_run") { &["um_per_run"] } else { &["um_per_h"] }
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        Ok(Self { um_per_h: number(section, "um_per_h")? })
+        Ok(match section.number("um_per_run")? {
+            Some(um_per_run) => Self::ByRun { um_per_run },
+            None => Self::InTime { um_per_h: number(section, "um_per_h")? },
+        })
     }
 
     fn law(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
-        add(0, x[0] / 3600.0);
+        add(0, match self {
+            Self::InTime { .. } => x[0] / 3600.0,
+            Self::ByRun { .. } => x[0],
+        });
     }
 
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
         if survey.time_s().is_some() {
-            with(Self::default(), Settings::none());
+            with(Self::InTime { um_per_h: 0.0 }, Settings::none());
+        } else if survey.column("run").is_some_and(|run| targets(run, 1e-3).len() >= LEAST_RUNS) {
+            with(Self::ByRun { um_per_run: 0.0 }, Settings::none());
         }
     }
 

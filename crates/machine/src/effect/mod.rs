@@ -38,8 +38,8 @@ use std::ops::{Deref, DerefMut};
 
 pub use law::Columns;
 pub use page::{
-    Angle, Constants, Entry, Heat, HeatPath, Home, Host, Input, Nonlinear, OnBoard, Page,
-    Parameter, Stage, Tilt, Value,
+    Angle, Constants, Entry, Heat, HeatPath, Home, Host, Input, Late, LateForm, Nonlinear, OnBoard,
+    Page, Parameter, Stage, Tilt, Value,
 };
 pub use quantity::Quantity;
 pub use reference_instrument::Read;
@@ -159,6 +159,7 @@ causes! {
     sensor_saturation::SensorSaturation "The sensor's range ends.",
     sensor_temperature_drift::SensorTemperatureDrift "The sensor follows its own temperature.",
     time_shift::TimeShift "Two clocks differ.",
+    thermometer_lag::ThermometerLag "The thermometer is late.",
     thermal_lag::ThermalLag "Growth follows its thermometer late.",
     slow_mode::SlowMode "A slow part of the growth.",
     extra_heat_path::ExtraHeatPath "Heat that the model does not know.",
@@ -244,6 +245,7 @@ impl Effect {
         for input in self.reads() {
             match input {
                 Input::Time => columns.push("time_s".into()),
+                Input::Run => columns.push("run".into()),
                 Input::Temperature { column, lag_s } => {
                     columns.push(column.into());
                     columns.extend((lag_s != 0.0).then(|| "time_s".into()));

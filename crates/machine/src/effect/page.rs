@@ -34,6 +34,8 @@ pub enum Input<'a> {
     Believed,
     /// The run's clock, in s.
     Time,
+    /// The number of the repeat.
+    Run,
     /// A temperature in °C, behind a first-order lag of so many seconds (0: none).
     Temperature {
         /// Its column, `temp_<name>_c`.
@@ -104,6 +106,8 @@ pub enum Nonlinear {
     Origin,
     /// In s: up to a tenth of the longest record; below 0 only with a second clock.
     Shift,
+    /// In s, above 0: how late a thermometer is, up to a tenth of the longest record.
+    Late,
     /// In µm, inside the range of the prediction.
     Limit,
     /// A time in s. It is searched, not fitted.
@@ -116,7 +120,11 @@ impl Nonlinear {
     pub fn is_logarithmic(self) -> bool {
         matches!(
             self,
-            Self::TimeConstant | Self::FallingTimeConstant | Self::Period | Self::ReadingPeriod
+            Self::TimeConstant
+                | Self::FallingTimeConstant
+                | Self::Late
+                | Self::Period
+                | Self::ReadingPeriod
         )
     }
 }
@@ -241,6 +249,28 @@ pub struct Heat {
     pub reference_c: f64,
 }
 
+/// How late a thermometer is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Late {
+    /// By how much, in s; above 0: the time constant of its lag, or the delay.
+    pub by_s: f64,
+    /// In which way.
+    pub form: LateForm,
+}
+
+/// In which way a thermometer is late.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum LateForm {
+    /// It shows what was.
+    Delay,
+    /// It follows by a first-order lag.
+    Lag {
+        /// Over which time the slope is taken that undoes it, as a share of the time constant, 0…1; at
+        /// least from row to row.
+        slope_over: f64,
+    },
+}
+
 /// Heat that arrives by a path of its own.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HeatPath<'a> {
@@ -356,6 +386,11 @@ pub trait Page {
     /// By how much the measurement comes later than the prediction, in s.
     fn shift_s(&self) -> f64 {
         0.0
+    }
+
+    /// How late the thermometer of the machine's own law is.
+    fn late(&self) -> Option<Late> {
+        None
     }
 
     /// What it is on the board, one form after the other.

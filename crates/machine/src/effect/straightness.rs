@@ -28,6 +28,19 @@ pub struct Straightness {
     pub spline: BSpline,
 }
 
+/// Control points of the curves that are tried.
+const CONTROLS: [usize; 4] = [5, 8, 12, 20];
+
+/// The knots of the cubic spline that passes through a value at each of these places, at least 4, in
+/// order: one at each but for the second and the last but one.
+fn knots_through(at: &[f64]) -> Vec<f64> {
+    let last = at.len() - 1;
+    let mut knots = vec![at[0]; 4];
+    knots.extend(&at[2..last - 1]);
+    knots.extend([at[last]; 4]);
+    knots
+}
+
 impl Page for Straightness {
     fn entries(&self) -> Vec<Entry> {
         vec![
@@ -124,13 +137,38 @@ impl Definition for Straightness {
         for along in survey.other_axes() {
             let column = format!("{}_mm", along.name());
             let at = targets(survey.column(&column).unwrap_or(&[]), 1e-3);
-            for controls in [5, 8, 12, 20] {
-                if at.len() >= controls + 2 && survey.groups() >= 5 * controls {
-                    let control_um = vec![0.0; controls];
-                    let knots_mm = even_knots(&at, controls);
-                    let spline = BSpline { order: 4, knots_mm, control_um };
+            let mut try_knots = |knots_mm: Vec<f64>| {
+                let controls = knots_mm.len() - 4;
+                if survey.groups() >= 5 * controls {
+                    let spline = BSpline { order: 4, knots_mm, control_um: vec![0.0; controls] };
                     with(Self { along, spline }, Settings::none());
                 }
+            };
+            for controls in CONTROLS.into_iter().filter(|controls| at.len() >= controls + 2) {
+                try_knots(even_knots(&at, controls));
+            }
+            // Of few places a map has seen each often, whatever the other axis did.
+            if (4..=CONTROLS[CONTROLS.len() - 1]).contains(&at.len()) {
+                try_knots(knots_through(&at));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_curve_through_all_places_has_a_control_point_for_each_and_takes_any_values() {
+        for at in [&[0.0, 10.0, 25.0, 40.0][..], &[0.0, 1.0, 7.0, 8.0, 20.0, 30.0]] {
+            let knots_mm = knots_through(at);
+            assert_eq!(knots_mm.len() - 4, at.len());
+            // Each control point weighs at its own place: the fit is determined.
+            let spline = BSpline { order: 4, knots_mm, control_um: vec![0.0; at.len()] };
+            for (place, &mm) in at.iter().enumerate() {
+                let (first, weights) = spline_weights(&spline, mm);
+                assert!((first..first + 4).contains(&place) && weights[place - first] > 0.01);
             }
         }
     }

@@ -99,6 +99,9 @@ pub trait Survey {
     /// Shifts in time that the record can show, in s, in equal ratios from the spacing of the rows; those
     /// below 0 too where the run has a second clock; none without a clock.
     fn shifts(&self) -> Settings;
+    /// How late a thermometer may be for the record to show it, in s, in equal ratios from the spacing of
+    /// the rows; none without a clock.
+    fn lates(&self) -> Settings;
     /// The longest period that the travel can show, in mm.
     fn longest_period_mm(&self) -> f64;
     /// The period of the strongest wave in what is left, if it turns so often over the whole length;

@@ -116,6 +116,10 @@ impl Definition for ThermalLag {
             }
             _ => return,
         };
+        // A thermometer that is late and a part that is late are one lateness, early or late.
+        if survey.has("thermometer-lag") {
+            return;
+        }
         let count = if believed_s > 0.0 { FINE_TIME_CONSTANTS } else { TIME_CONSTANTS };
         with(Self::default(), survey.time_constants(count));
     }

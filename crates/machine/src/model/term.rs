@@ -90,6 +90,7 @@ fn changed(term: &Term, lag: &mut Lag, time_s: f64, situation: &Situation<'_>, p
     let mut read = |input: &Input<'_>| match *input {
         Input::Predicted => p_um,
         Input::Time => time_s,
+        Input::Run => situation.run.unwrap_or(f64::NAN),
         Input::Temperature { column, lag_s } => {
             lag.step(lag_s, time_s, situation.temperature_c(column))
         }

@@ -10,6 +10,7 @@ use crate::{
 #[derive(Clone, Debug)]
 pub(super) struct Columns<'a> {
     pub(super) time_s: Option<&'a [f64]>,
+    pub(super) run: Option<&'a [f64]>,
     pub(super) sensor_counts: Option<&'a [f64]>,
     pub(super) spindle_rpm: Option<&'a [f64]>,
     pub(super) load_n: Option<&'a [f64]>,
@@ -27,6 +28,7 @@ impl<'a> Columns<'a> {
             run.columns().iter().filter(|column| is_temperature_column(&column.name));
         Self {
             time_s: run.column("time_s"),
+            run: run.column("run"),
             sensor_counts: run.column("sensor_counts"),
             spindle_rpm: run.column("spindle_rpm"),
             load_n: run.column("load_n"),
@@ -50,6 +52,7 @@ impl<'a> Columns<'a> {
     ) -> Situation<'t> {
         Situation {
             time_s: self.time_s.map(|times| at(Some(times), row)),
+            run: self.run.map(|runs| at(Some(runs), row)),
             sensor_counts: at(self.sensor_counts, row),
             spindle_rpm: self.spindle_rpm.map(|speeds| at(Some(speeds), row)),
             load_n: self.load_n.map(|loads| at(Some(loads), row)),

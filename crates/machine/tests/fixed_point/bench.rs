@@ -132,6 +132,7 @@ impl<'m> Bench<'m> {
         let [c, a] = moment.angles.map(|angle| f64::from(angle.0) / 1e6);
         let situation = Situation {
             time_s: Some(moment.time_s),
+            run: None,
             // A count of the paper's chain is an eighth of a code, 128 reading units.
             sensor_counts: f64::from(moment.reading.0) / 128.0,
             spindle_rpm: Some(moment.rpm.into()),

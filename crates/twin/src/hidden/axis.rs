@@ -156,7 +156,7 @@ impl AxisBench {
             bench.backlash_um = Some(tenth(stream.sign() * stream.uniform(2.0, 12.0)));
         }
 
-        let is_continued = has(Hidden::Step) || has(Hidden::Drift);
+        let is_continued = has(Hidden::Step) || has(Hidden::Drift) || has(Hidden::DriftByRun);
         let holdout_rows = (rows / 2).max(200);
         let mut tables = Vec::new();
         if is_continued {
@@ -179,6 +179,9 @@ impl AxisBench {
                 let reading: Vec<f64> = position.iter().map(|mm| from_mm - mm).collect();
                 table.set("instrument_mm", 4, reading);
             }
+        }
+        if has(Hidden::DriftByRun) {
+            tables = tables.iter().map(|table| without(table, "time_s")).collect();
         }
         bench.runs = tables.into_iter().map(|table| bench.believe(table)).collect();
         bench
@@ -302,6 +305,14 @@ pub(super) fn walk(points: usize, step: f64, stream: &mut Stream) -> Vec<f64> {
 
 fn tenth(value: f64) -> f64 {
     (value * 10.0).round() / 10.0
+}
+
+fn without(whole: &RunTable, column: &str) -> RunTable {
+    let mut rest = RunTable::new();
+    for name in whole.names().filter(|name| *name != column) {
+        rest.set(name, 9, whole.column(name).unwrap_or_default().iter().copied());
+    }
+    rest
 }
 
 fn part(whole: &RunTable, from: usize, to: usize) -> RunTable {

@@ -130,7 +130,9 @@ pub(super) fn shape(cause: Hidden, bench: &AxisBench, stream: &mut Stream) -> Op
             }
         }
         Hidden::AxisExpansion => expansion(bench, stream),
-        Hidden::Step | Hidden::Drift | Hidden::Outliers => of_any_series(cause, runs, stream),
+        Hidden::Step | Hidden::Drift | Hidden::DriftByRun | Hidden::Outliers => {
+            of_any_series(cause, runs, stream)
+        }
         // The rest is noise, or belongs to elongations; `Hidden::bases` sends none of them here.
         _ => return None,
     })

@@ -39,6 +39,7 @@ macro_rules! causes {
             pub fn answer(self) -> &'static str {
                 match self {
                     Self::Abbe => Self::AngularError.name(),
+                    Self::DriftByRun => Self::Drift.name(),
                     other => other.name(),
                 }
             }
@@ -131,6 +132,10 @@ causes! {
     AxisExpansion = "axis-expansion", Compensated, [AxisGeometry];
     /// Another constant of an axis over its temperature: all of it shifts, wherever it stands.
     ExpansionConstant = "expansion-constant", Compensated, [AxisThermal];
+    /// The thermometer that the growth is believed by follows its part by a lag.
+    ThermometerLag = "thermometer-lag", Reported, [Temperature];
+    /// `drift` where nobody wrote down the time: p + c·run, c in µm.
+    DriftByRun = "drift-by-run", Reported, [AxisGeometry];
     /// p + θ(P)·(L − L₀)/1000: the axis tilts along its travel P, by θ in µrad, and the tool is off by
     /// the tilt times its lever L along another axis. θ is a line or a smooth curve.
     AngularError = "angular-error", Compensated, [AxisGeometry];

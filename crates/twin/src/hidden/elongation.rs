@@ -29,6 +29,9 @@ pub(super) enum ElongationSource {
 pub(super) struct Bench {
     pub source: ElongationSource,
     pub max_rpm: f64,
+    /// Where the bearing's thermometer is late: by which lag in s, and the bearing's own temperature, run
+    /// by run.
+    pub late: Option<(f64, Vec<Vec<f64>>)>,
     /// The last one is the hold-out.
     pub runs: Vec<Run>,
 }
@@ -98,8 +101,10 @@ impl Bench {
             }
             tables.push(session(holdout_rows, stream));
         }
+        let late =
+            has(Hidden::ThermometerLag).then(|| late_thermometer(&mut tables, interval_s, stream));
         let runs = tables.into_iter().map(|table| believe(&source, table)).collect();
-        Self { source, max_rpm, runs }
+        Self { source, max_rpm, late, runs }
     }
 
     /// The machine file that is right but for the hidden effect.
@@ -140,7 +145,7 @@ fn draw_source(wanted: Wanted, causes: &[Hidden], stream: &mut Stream) -> Elonga
             k_um_per_c: (stream.uniform(1.2, 4.0) * 100.0).round() / 100.0,
             reference_c: stream.uniform(18.0, 22.0).round(),
             lag_s: match () {
-                () if has(Hidden::ThermalLag) => 0.0,
+                () if has(Hidden::ThermalLag) || has(Hidden::ThermometerLag) => 0.0,
                 () if has(Hidden::CoolingAsymmetry) => stream.uniform(300.0, 1500.0).round(),
                 () if stream.chance(0.5) => 0.0,
                 () => stream.uniform(100.0, 900.0).round(),
@@ -287,6 +292,26 @@ fn simulate(
         table.push("humidity_percent", 1, if stream.chance(0.01) { f64::NAN } else { moist });
     }
     table
+}
+
+/// Puts the bearing's thermometer behind a lag, and gives that back with what it would have shown.
+fn late_thermometer(
+    tables: &mut [RunTable],
+    interval_s: f64,
+    stream: &mut Stream,
+) -> (f64, Vec<Vec<f64>>) {
+    // Longer than a few rows, and long enough to show above the thermometer's own noise.
+    let lag_s = stream.log_uniform(200.0, 900.0).max(2.5 * interval_s).round();
+    let mut parts = Vec::new();
+    for table in tables {
+        let part_c = table.column("temp_front_c").unwrap_or_default().to_vec();
+        let time_s = table.column("time_s").unwrap_or_default().to_vec();
+        let shown = lagged(&time_s, &part_c, lag_s, lag_s);
+        let noisy: Vec<f64> = shown.iter().map(|c| c + 0.02 * stream.normal()).collect();
+        table.set("temp_front_c", 2, noisy);
+        parts.push(part_c);
+    }
+    (lag_s, parts)
 }
 
 /// The rows `from..to` as a table of their own.

@@ -61,6 +61,19 @@ pub(super) fn shape(cause: Hidden, bench: &Bench, stream: &mut Stream) -> Option
         Hidden::ThermalLag | Hidden::CoolingAsymmetry => {
             return Some(other_lag(cause, bench, stream));
         }
+        Hidden::ThermometerLag => {
+            let (lag_s, parts_c) = bench.late.as_ref()?;
+            let ElongationSource::Temperature { k_um_per_c, reference_c, .. } = &bench.source
+            else {
+                return None;
+            };
+            let of = |(run, part_c): (&Run, &Vec<f64>)| -> Vec<f64> {
+                let grown = part_c.iter().map(|c| k_um_per_c * (c - reference_c));
+                grown.zip(&run.believed_um).map(|(grown, p)| grown - p).collect()
+            };
+            let um = runs.iter().zip(parts_c).map(of).collect();
+            fixed(cause, vec![("time_constant_s", *lag_s)], um)
+        }
         Hidden::SlowMode => return Some(slow_mode(bench, duration_s, stream)),
         Hidden::ExtraHeatPath => {
             let column = stream.pick(&["temp_table_c", "temp_ambient_c"]);
@@ -283,6 +296,9 @@ pub(super) fn of_any_series(cause: Hidden, runs: &[Run], stream: &mut Stream) ->
                 at: Box::new(move |factor| Named::of(&[("at_s", at_s), ("size_um", factor)])),
                 ..linear(cause, "", um)
             }
+        }
+        Hidden::DriftByRun => {
+            linear(cause, "um_per_run", on_each(runs, |run| run.column("run").to_vec()))
         }
         Hidden::Drift => linear(
             cause,

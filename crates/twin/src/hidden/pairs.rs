@@ -24,8 +24,13 @@ pub const PAIRS: &[(Hidden, Hidden)] = &[
 
 /// Causes whose parameters are constants of one law of the spindle's growth: two of them at once are
 /// a product, and the effects of a challenge are a sum.
-const ONE_GROWTH: [Hidden; 4] =
-    [Hidden::ThermalLag, Hidden::CoolingAsymmetry, Hidden::GrowthRate, Hidden::GrowthAmplitude];
+const ONE_GROWTH: [Hidden; 5] = [
+    Hidden::ThermalLag,
+    Hidden::ThermometerLag,
+    Hidden::CoolingAsymmetry,
+    Hidden::GrowthRate,
+    Hidden::GrowthAmplitude,
+];
 
 /// Likewise of the sensor's characteristic: where its range ends, nothing else of it shows.
 const OF_THE_SIGNAL: [Hidden; 3] =

@@ -1,0 +1,220 @@
+//! Thermometers that are late (`thermometer-lag`): the temperature of the part from a whole column.
+//!
+//! ```text
+//! as it was τ ago:      T(t + τ)
+//! behind a lag of τ:    T(t) + d·(T(t − Δ/2 + w/2) − T(t − Δ/2 − w/2))/w          d = Δ/(e^(Δ/τ) − 1)
+//! ```
+//!
+//! Δ is the time since the row before. A row's value holds over the interval that ends with it
+//! ([`Lag`](super::Lag)), so that of what rises steadily the lag is not τ behind but d, about τ − Δ/2; the
+//! step from the row before undoes it exactly, whose slope is that of the middle between the two. Over a
+//! longer time w, or what of that is in the record, the slope is less noisy. After a gap that is much longer than τ the thermometer has arrived, and d is 0.
+//!
+//! Both look ahead, so that they are made of the recorded run before it is stepped through. A model that
+//! steps without them takes the thermometer's word.
+
+use super::Situation;
+use crate::{
+    effect::{Late, LateForm, Quantity},
+    file::{ElongationSource, Machine},
+};
+
+/// The part's temperature in °C at each time, from that of its thermometer: linear between the rows, the
+/// end values held; of one series, whose time does not run back. NaN where either is missing.
+///
+/// ```
+/// use trueup_machine::{effect::{Late, LateForm}, model::part_temperature};
+/// // It warms by 1 K in 10 s.
+/// let time_s = [0.0, 10.0, 20.0, 30.0, 40.0];
+/// let shown_c = [20.0, 21.0, 22.0, 23.0, 24.0];
+/// let delay = part_temperature(Late { by_s: 20.0, form: LateForm::Delay }, &time_s, &shown_c);
+/// assert_eq!(delay, [22.0, 23.0, 24.0, 24.0, 24.0]);
+/// let lag = part_temperature(Late { by_s: 20.0, form: LateForm::Lag { slope_over: 1.0 } }, &time_s, &shown_c);
+/// let behind_c = 1.0 / (0.5_f64.exp() - 1.0); // 10 s/(e^(10/20) − 1) at 0.1 K/s
+/// assert!((lag[2] - (22.0 + behind_c)).abs() < 1e-12);
+/// ```
+#[must_use]
+pub fn part_temperature(late: Late, time_s: &[f64], shown_c: &[f64]) -> Vec<f64> {
+    let mut shown = Shown::new(time_s, shown_c);
+    let rows = time_s.iter().zip(shown_c);
+    let mut before_s = None;
+    rows.map(|(&now_s, &now_c)| {
+        if now_s.is_nan() || now_c.is_nan() {
+            return f64::NAN;
+        }
+        let LateForm::Lag { slope_over } = late.form else {
+            return shown.at(now_s + late.by_s);
+        };
+        let elapsed_s = now_s - before_s.replace(now_s).unwrap_or(now_s);
+        let ratio = elapsed_s / late.by_s;
+        // The limit for rows at the same time.
+        let share = if ratio == 0.0 { 1.0 } else { ratio / ratio.exp_m1() };
+        let middle_s = now_s - elapsed_s / 2.0;
+        let width_s = (slope_over * late.by_s).max(elapsed_s);
+        now_c + share * late.by_s * shown.slope(middle_s, width_s)
+    })
+    .collect()
+}
+
+/// What a thermometer shows at any time.
+struct Shown {
+    /// Of the rows that have both.
+    time_s: Vec<f64>,
+    shown_c: Vec<f64>,
+    /// The row that the last question was about: the next one is near.
+    near: usize,
+}
+
+impl Shown {
+    fn new(time_s: &[f64], shown_c: &[f64]) -> Self {
+        let known = time_s.iter().zip(shown_c).filter(|(t, c)| !(**t + **c).is_nan());
+        let (time_s, shown_c) = known.unzip();
+        Self { time_s, shown_c, near: 0 }
+    }
+
+    /// The slope in K/s over `width_s` around a time, of which what is in the record counts.
+    fn slope(&mut self, middle_s: f64, width_s: f64) -> f64 {
+        let last = self.time_s.len() - 1;
+        let begin_s = (middle_s - width_s / 2.0).max(self.time_s[0]);
+        let end_s = (middle_s + width_s / 2.0).min(self.time_s[last]);
+        let risen_c = self.at(end_s) - self.at(begin_s);
+        if end_s > begin_s { risen_c / (end_s - begin_s) } else { 0.0 }
+    }
+
+    fn at(&mut self, at_s: f64) -> f64 {
+        let last = self.time_s.len() - 1;
+        while self.near > 0 && self.time_s[self.near] > at_s {
+            self.near -= 1;
+        }
+        while self.near < last && self.time_s[self.near + 1] <= at_s {
+            self.near += 1;
+        }
+        let (low, high) = (self.near, (self.near + 1).min(last));
+        let width_s = self.time_s[high] - self.time_s[low];
+        let share = if width_s > 0.0 { (at_s - self.time_s[low]) / width_s } else { 0.0 };
+        self.shown_c[low] + (self.shown_c[high] - self.shown_c[low]) * share.clamp(0.0, 1.0)
+    }
+}
+
+/// The temperatures of the parts whose thermometers are late by `machine`'s terms, for each row of a run,
+/// by the names under which [`ReferenceModel`](super::ReferenceModel) looks for them among the others;
+/// `column` gives a column of the run.
+#[must_use]
+pub fn part_temperatures<'r>(
+    machine: &Machine,
+    column: impl Fn(&str) -> Option<&'r [f64]>,
+) -> Vec<(String, Vec<f64>)> {
+    let Some(time_s) = column("time_s") else { return Vec::new() };
+    let of = |quantity: Quantity| {
+        let (sensor, late) = late_thermometer(machine, quantity)?;
+        let part_c = part_temperature(late, time_s, column(sensor)?);
+        Some((part_name(quantity), part_c))
+    };
+    Quantity::ALL.into_iter().filter_map(of).collect()
+}
+
+/// The parts whose thermometers are late.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct LateParts([bool; 4]);
+
+impl LateParts {
+    pub(super) fn of(machine: &Machine) -> Self {
+        Self(Quantity::ALL.map(|quantity| late_thermometer(machine, quantity).is_some()))
+    }
+
+    /// The temperature that `quantity` follows: its thermometer's, or what is known of the part.
+    pub(super) fn followed_c(
+        self,
+        quantity: Quantity,
+        sensor: &str,
+        situation: &Situation<'_>,
+    ) -> f64 {
+        let is_late = self.0[Quantity::ALL.iter().position(|it| *it == quantity).unwrap_or(0)];
+        let part = is_late
+            .then(|| part_name(quantity))
+            .and_then(|name| situation.temperatures_c.iter().find(|(there, _)| *there == name));
+        part.map_or_else(|| situation.temperature_c(sensor), |&(_, part_c)| part_c)
+    }
+}
+
+/// No column of a run has this name: it ends with no unit.
+fn part_name(quantity: Quantity) -> String {
+    format!("the part of {}", quantity.name())
+}
+
+/// The thermometer of `quantity`'s own law, and how late it is.
+fn late_thermometer(machine: &Machine, quantity: Quantity) -> Option<(&str, Late)> {
+    let of_quantity = machine.terms.iter().filter(|term| term.quantity == quantity);
+    let late = of_quantity.filter_map(|term| term.effect.late()).next_back()?;
+    let sensor = match quantity.axis() {
+        Some(axis) => &machine.axes[axis.index()].thermal.as_ref()?.sensor,
+        None if machine.spindle.source == Some(ElongationSource::Temperature) => {
+            &machine.spindle.temperature.as_ref()?.sensor
+        }
+        None => return None,
+    };
+    Some((sensor, late))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::Lag;
+
+    fn behind(by_s: f64, slope_over: f64) -> Late {
+        Late { by_s, form: LateForm::Lag { slope_over } }
+    }
+
+    #[test]
+    fn over_the_whole_time_constant_the_noise_of_a_thermometer_counts_less_than_twice() {
+        let time_s: Vec<f64> = (0..2000).map(f64::from).collect();
+        let mut state = 1_u32;
+        let noise_c: Vec<f64> = time_s
+            .iter()
+            .map(|_| {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                f64::from(state >> 16) / 65_536.0 - 0.5
+            })
+            .collect();
+        let rms = |c: &[f64]| (c.iter().map(|c| c * c).sum::<f64>() / c.len() as f64).sqrt();
+        let times = |over: f64| {
+            rms(&part_temperature(behind(30.0, over), &time_s, &noise_c)) / rms(&noise_c)
+        };
+        assert!(times(1.0) < 2.0, "{}", times(1.0));
+        assert!(times(0.0) > 30.0, "{}", times(0.0));
+    }
+
+    /// A part that warms and cools as 20 + 5·sin(t/500), and a thermometer 40 s behind it.
+    #[test]
+    fn what_a_lag_has_done_to_a_slow_temperature_is_undone() {
+        for spacing_s in [5.0, 20.0] {
+            let time_s: Vec<f64> = (0..400).map(|n| f64::from(n) * spacing_s).collect();
+            let part_c: Vec<f64> = time_s.iter().map(|t| 20.0 + 5.0 * (t / 500.0).sin()).collect();
+            let mut lag = Lag::default();
+            let rows = time_s.iter().zip(&part_c);
+            let shown_c: Vec<f64> = rows.map(|(&t, &c)| lag.step(40.0, t, c)).collect();
+            let exact_c = part_temperature(behind(40.0, 0.0), &time_s, &shown_c);
+            assert!(exact_c.iter().zip(&part_c).skip(1).all(|(a, b)| (a - b).abs() < 1e-9));
+            let found_c = part_temperature(behind(40.0, 1.0), &time_s, &shown_c);
+            // From where the start has passed: the thermometer was off by 0.4 K.
+            let inner = 20..380;
+            let off = |c: &[f64]| {
+                inner.clone().map(|row| (c[row] - part_c[row]).abs()).fold(0.0, f64::max)
+            };
+            assert!(
+                off(&shown_c) > 0.3 && off(&found_c) < 0.003,
+                "{} {}",
+                off(&shown_c),
+                off(&found_c)
+            );
+        }
+    }
+
+    #[test]
+    fn a_missing_row_is_missing_and_no_other_is() {
+        let late = Late { by_s: 10.0, form: LateForm::Delay };
+        let found_c = part_temperature(late, &[0.0, 10.0, 20.0], &[20.0, f64::NAN, 22.0]);
+        assert_eq!([found_c[0], found_c[2]], [21.0, 22.0]);
+        assert!(found_c[1].is_nan());
+    }
+}
