@@ -112,6 +112,15 @@ impl Folds {
         (residual, fitted.into_iter().map(|fitted| fitted.model).collect())
     }
 
+    /// What `after` leaves less of the squares than `before` in the last stretch of a record; none where
+    /// something else is left out.
+    pub(crate) fn gain_at_the_end(&self, before: &[f64], after: &[f64]) -> Option<f64> {
+        let rows = self.of_group.iter().zip(before).zip(after);
+        let last = rows.filter(|((of, _), _)| **of == self.count - 1);
+        let gain = last.map(|((_, b), a)| b * b - a * a).sum();
+        (self.unit == Unit::Stretches).then_some(gain)
+    }
+
     /// What `after` leaves less of the squares than `before`, both in groups, block by block.
     pub(crate) fn paired(&self, before: &[f64], after: &[f64]) -> Paired {
         self.blocks.paired(before, after)

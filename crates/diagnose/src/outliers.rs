@@ -19,10 +19,47 @@ pub(crate) fn gross(data: &Data, predicted: &[f64]) -> Vec<bool> {
     let rows: Vec<usize> = (0..data.rows).filter(|&row| data.used[row]).collect();
     let residual: Vec<f64> = rows.iter().map(|&row| data.measured[row] - predicted[row]).collect();
     let series: Vec<usize> = rows.iter().map(|&row| data.series[row]).collect();
-    let found = in_residual(&residual, &series, last_digit(data, &rows));
+    let mut found = in_residual(&residual, &series, last_digit(data, &rows));
+    keep_strays(&mut found, &residual, &series);
     let mut aside = vec![false; data.rows];
     rows.into_iter().zip(found).for_each(|(row, found)| aside[row] = found);
     aside
+}
+
+/// Gross errors come one by one. Where more of those `found` are neighbours on the same side than chance
+/// would let them, what these share is something that happened, and no error of a reading: they stay.
+fn keep_strays(found: &mut [bool], residual: &[f64], series: &[usize]) {
+    let is_pair = |a: usize, found: &[bool]| {
+        let b = a + 1;
+        b < found.len()
+            && found[a]
+            && found[b]
+            && series[a] == series[b]
+            && residual[a] * residual[b] > 0.0
+    };
+    let pairs: Vec<usize> = (0..found.len()).filter(|&row| is_pair(row, found)).collect();
+    let count = found.iter().filter(|found| **found).count() as f64;
+    // m of n rows drawn by chance make m²/2n pairs of one side.
+    let by_chance = count * count / (2.0 * found.len().max(1) as f64);
+    if chance_of_as_many(pairs.len(), by_chance) < CHANCE {
+        for row in pairs {
+            (found[row], found[row + 1]) = (false, false);
+        }
+    }
+}
+
+/// Neighbours are told from chance at 1 %.
+const CHANCE: f64 = 0.01;
+
+/// The chance of at least `count` where `mean` are expected (Poisson).
+fn chance_of_as_many(count: usize, mean: f64) -> f64 {
+    let mut term = (-mean).exp();
+    let mut below = 0.0;
+    for n in 0..count {
+        below += term;
+        term *= mean / (n + 1) as f64;
+    }
+    1.0 - below
 }
 
 /// The instrument's last digit: the smallest step between readings, but for the rarest.
@@ -33,4 +70,32 @@ fn last_digit(data: &Data, rows: &[usize]) -> f64 {
         values.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 1e-9).collect();
     steps.sort_by(f64::total_cmp);
     steps.get(steps.len() / 50).copied().unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn readings_that_are_off_together_are_no_gross_errors_and_single_ones_are() {
+        let series = vec![0; 500];
+        let kept = |rows: &[usize]| {
+            let mut found = vec![false; 500];
+            let mut residual = vec![0.1; 500];
+            for &row in rows {
+                (found[row], residual[row]) = (true, 9.0);
+            }
+            keep_strays(&mut found, &residual, &series);
+            (0..500).filter(|&row| found[row]).collect::<Vec<usize>>()
+        };
+        assert_eq!(kept(&[20, 140, 300, 411]), [20, 140, 300, 411]);
+        assert_eq!(kept(&[20, 21, 140, 141, 300, 411]), [300, 411]);
+    }
+
+    #[test]
+    fn the_chance_of_as_many_is_that_of_poisson() {
+        assert!((chance_of_as_many(1, 0.5) - 0.393_469).abs() < 1e-6);
+        assert!((chance_of_as_many(3, 1.0) - 0.080_301).abs() < 1e-6);
+        assert_eq!(chance_of_as_many(0, 2.0), 1.0);
+    }
 }

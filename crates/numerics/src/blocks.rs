@@ -7,7 +7,8 @@ use crate::random::Generator;
 const DRAWS: usize = 400;
 /// Blocks for an interval: fewer draw too coarse a distribution, more are shorter than they need be.
 const FEWEST: usize = 8;
-const MOST: usize = 40;
+/// Most blocks that a record is cut into.
+pub const MOST: usize = 40;
 /// Correlation times in a block, at least: then blocks are as good as independent.
 const CORRELATION_TIMES: f64 = 5.0;
 

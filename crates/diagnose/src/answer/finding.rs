@@ -157,6 +157,15 @@ fn doubted(doubt: &Doubt, gain: &Gain, left_out: Unit) -> String {
             "One of its values is where the search for it ends: the best may lie beyond.".into()
         }
         Doubt::GainsOnce => "It gains on one part of the record alone: it was seen once.".into(),
+        Doubt::DoesNotGoOn => {
+            "It does not foresee the end of the record: something else may wander."
+                .into()
+        }
+        Doubt::OnlySmooths => {
+            "Over means of three time constants it explains nothing: it may only smooth the noise of \
+             the thermometer."
+                .into()
+        }
         Doubt::OnlyTogether(other) => format!(
             "It is only certain together with {}: neither of the two stands alone.",
             named(other)

@@ -15,6 +15,10 @@ pub(crate) enum Doubt {
     AtTheEnd,
     /// It gains on one block of the record alone, and nothing on the others together.
     GainsOnce,
+    /// A drift or a jump that does not foresee the end of the record.
+    DoesNotGoOn,
+    /// A lag that only averages the noise of its thermometer.
+    OnlySmooths,
     /// It gains on left-out blocks only together with this one, or the two take each other's part back.
     OnlyTogether(Kind),
     /// This value differs between the halves of the record by more than its intervals: in each.

@@ -13,6 +13,8 @@
 //! value of it is where its search ends
 //! it gains on left-out blocks, also without the one on which    else: seen once
 //! it gains most
+//! a drift or a jump foresees the end of the record              else: it does not go on
+//! a lag is still seen over means of three time constants        else: it smooths a thermometer
 //! it gains without each other term, and no other term takes     else: only certain together
 //! back what it does
 //! its values are the same in both halves of the record          else: both are told
@@ -57,7 +59,7 @@ use aliases::aliases;
 use case::Case;
 pub(crate) use doubt::Doubt;
 use identified::is_identified;
-use needed::{Alone, gains_again, only_together};
+use needed::{Alone, gains_again, goes_on, only_smooths, only_together};
 use other_law::Curves;
 use rivals::{Rival, predict_alike, rivals};
 use table::{BetweenPoints, repeated};
@@ -178,6 +180,12 @@ fn doubts_of_values(
     }
     if !gains_again(case, &part.kind, left_out_without) {
         doubts.push(Doubt::GainsOnce);
+    }
+    if !goes_on(case, &part.kind, left_out_without) {
+        doubts.push(Doubt::DoesNotGoOn);
+    }
+    if only_smooths(case, part, left_out_without) {
+        doubts.push(Doubt::OnlySmooths);
     }
     doubts.extend(halves(case, part).map(Doubt::HalvesDiffer));
     let aliases = aliases(case, part, without, estimates);
