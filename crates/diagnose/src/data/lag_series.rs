@@ -82,9 +82,9 @@ impl Clock {
             let last = rows[rows.len() - 1] as usize;
             let (mut span_s, mut mean) = (0.0, [0.0; TERMS]);
             let mut used = rows.iter().peekable();
-            for row in first..=last {
+            for (row, elapsed_s) in (first..).zip(&elapsed_s[first..=last]) {
                 if row > first {
-                    span_s += elapsed_s[row];
+                    span_s += elapsed_s;
                 }
                 if used.next_if(|used| **used as usize == row).is_some() {
                     add(&mut mean, &exponential(span_s));
@@ -116,9 +116,9 @@ impl LagSeries {
         let of = |(piece, rows): (&Piece, &[u32])| {
             let (mut here, mut mean) = ([0.0; TERMS], [0.0; TERMS]);
             let mut used = rows.iter().peekable();
-            for row in piece.first..=piece.last {
+            for (row, &value) in (piece.first..).zip(&values[piece.first..=piece.last]) {
                 if row > piece.first {
-                    step(&mut here, values[row], &exponential(clock.elapsed_s[row]));
+                    step(&mut here, value, &exponential(clock.elapsed_s[row]));
                 }
                 if used.next_if(|used| **used as usize == row).is_some() {
                     add(&mut mean, &here);
