@@ -4,8 +4,8 @@
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 use super::{
-    Reading,
     decide::SIGNIFICANCE,
+    reading::Reading,
     table::{Law, Table},
 };
 

@@ -19,7 +19,7 @@
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 use super::{
-    Reading,
+    reading::Reading,
     table::{Law, Table},
 };
 

@@ -14,7 +14,7 @@
 //! ([`cutoff`]), and as far from what its neighbours in the same cycle, before it and after it, are from
 //! theirs: a cycle, or a part of one, that was warmer than the others is no row of gross errors.
 
-use super::Reading;
+use super::reading::Reading;
 use crate::robust::{GROSS, cutoff};
 
 /// Two repeats do not say which of them is wrong.

@@ -1,6 +1,6 @@
 //! A value for each place, and for the second side a step or a value of its own: least squares.
 
-use super::Reading;
+use super::reading::Reading;
 
 /// What a table says of the two sides.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
