@@ -47,7 +47,7 @@ impl Targets {
                 (low.min(mm), high.max(mm))
             });
             // Of nothing that was recorded as well.
-            !(high - low > SAME_MM)
+            high - low <= SAME_MM
         };
         if !others.filter_map(|(_, mm)| mm.as_ref()).all(stands) {
             return None;

@@ -139,7 +139,7 @@ fn best_part(before: &[f64], after: &[f64]) -> f64 {
     for (row, (before, after)) in before.iter().zip(after).enumerate() {
         let gain = before * before - after * after;
         gains[0][row * PARTS / rows] += gain;
-        gains[1][(2 * row * PARTS / rows + 1) / 2] += gain;
+        gains[1][(2 * row * PARTS / rows).div_ceil(2)] += gain;
     }
     gains.iter().flatten().copied().fold(0.0, f64::max)
 }

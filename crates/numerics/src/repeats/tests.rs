@@ -189,7 +189,7 @@ fn the_power_is_that_of_drawn_tables() {
     let mut noise = noise(7);
     for (size, cycles) in [(0.8, 2), (0.8, 3), (0.5, 5)] {
         // An error of this root mean square over ten places.
-        let error = |place: usize| if place % 2 == 0 { size } else { -size };
+        let error = |place: usize| if place.is_multiple_of(2) { size } else { -size };
         let found = (0..2000)
             .filter(|_| {
                 let readings: Vec<Reading> = (0..10 * cycles)
