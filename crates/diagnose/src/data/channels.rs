@@ -198,7 +198,9 @@ fn follows(data: &Data) -> Vec<bool> {
             if row == 0 || data.series[row] != data.series[row - 1] {
                 return false;
             }
-            usual_s.is_none_or(|usual_s| !(apart(row) > PAUSE_ROWS * usual_s))
+            // Where a time is missing nobody knows of a pause.
+            let is_pause = |usual_s: f64| apart(row) > PAUSE_ROWS * usual_s;
+            !usual_s.is_some_and(is_pause)
         })
         .collect()
 }
@@ -248,8 +250,8 @@ fn bridge(values: &mut [f64], not_measured: &[bool]) {
             (None, None) => (f64::NAN, f64::NAN),
         };
         let steps = (end - row + 1) as f64;
-        for at in row..end {
-            values[at] = from + (to - from) * (at - row + 1) as f64 / steps;
+        for (step, value) in values[row..end].iter_mut().enumerate() {
+            *value = from + (to - from) * (step + 1) as f64 / steps;
         }
         row = end;
     }
