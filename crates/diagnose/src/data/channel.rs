@@ -72,10 +72,18 @@ pub(super) fn faults(values: &[f64], follows: &[bool]) -> Vec<Fault> {
         fault.mask(&mut sound);
         faults.push(fault);
     }
-    let channel = Channel::of(&sound, follows);
-    let by_step = channel.parted_by_steps();
-    by_step.iter().for_each(|fault| fault.mask(&mut sound));
-    faults.extend(by_step);
+    loop {
+        let mut by_step = Channel::of(&sound, follows).parted_by_steps();
+        // What is between two absent values is judged once they are gone.
+        let is_absent = |fault: &Fault| matches!(fault, Fault::Absent { .. });
+        let is_last = !by_step.iter().any(is_absent);
+        by_step.retain(|fault| is_last || is_absent(fault));
+        by_step.iter().for_each(|fault| fault.mask(&mut sound));
+        faults.extend(by_step);
+        if is_last {
+            break;
+        }
+    }
     // What stands still without a step is seen on what is left.
     faults.extend(Channel::of(&sound, follows).frozen());
     faults
@@ -144,9 +152,12 @@ impl Channel {
         let last = stretches.len() - 1;
         let stands = |(number, stretch): &(usize, &Range<usize>)| {
             let values = &self.values[(*stretch).clone()];
-            let is_spike = *number > 0
-                && *number < last
-                && self.steps[stretch.start - 1] * self.steps[stretch.end - 1] < 0.0;
+            // A single one at an end cannot be told from a jump, and is no loss.
+            let is_spike = match *number {
+                0 => self.is_complete(stretch.end - 1),
+                number if number == last => self.is_complete(stretch.start - 1),
+                _ => self.steps[stretch.start - 1] * self.steps[stretch.end - 1] < 0.0,
+            };
             values.iter().all(|value| *value == values[0]) && (values.len() > 1 || is_spike)
         };
         let (standing, moving): (Vec<_>, Vec<_>) =

@@ -2,8 +2,9 @@
 //! jumped, a column that is a copy of another.
 //!
 //! Where a channel did not measure for a while its values are taken from the line between those around,
-//! and the rows do not count. One that did not measure for most of the time, has jumped or is a copy is
-//! no column of the runs that are searched, unless the machine file needs it. All of it is told.
+//! and the rows do not count; nor those that a jump has parted from the longest stretch. One that did not
+//! measure for most of the time, or is a copy, is no column of the runs that are searched, unless the
+//! machine file needs it. All of it is told.
 
 use std::ops::Range;
 
@@ -24,6 +25,9 @@ const PAUSE_ROWS: f64 = 2.0;
 const TURN_ROWS: usize = 10;
 /// Below so many rows threads cost more than they bring: a channel takes a millisecond.
 const WORTH_CORES: usize = 10_000;
+/// A jump back is one to the level before if what is left is less than this share of it: by a tenth its
+/// own size is known, which is several times the noise.
+const SAME_LEVEL: f64 = 0.1;
 /// A neighbour turned if it does so less in all but this share of its rows: a level of 1 %.
 const RARE: f64 = 0.01;
 
@@ -64,8 +68,9 @@ pub(super) fn set_aside(data: &mut Data) {
         let name = data.temperatures[column].0.clone();
         let is_needed = needed.contains(&name);
         let mut own = vec![false; data.rows];
-        let mut has_jumped = false;
+        let mut moved = vec![false; data.rows];
         for (rows, faults) in files.iter().zip(found) {
+            let mut jumps = Vec::new();
             for fault in faults {
                 let at = |range: &Range<usize>| rows.start + range.start..rows.start + range.end;
                 let told = match &fault {
@@ -88,25 +93,27 @@ pub(super) fn set_aside(data: &mut Data) {
                         if turns_with_another(data, column, rows.start + row, rows) {
                             continue;
                         }
-                        has_jumped = true;
-                        if is_needed {
-                            lost[rows.start + row..rows.end].fill(true);
-                        }
+                        jumps.push((rows.start + row, *by));
                         format!("jumps by {by:.3} °C at row {}, and no other one does", row + 1)
                     }
                 };
                 let file = place(data, rows.start);
                 data.notes.push(format!("{file}{name} {told}"));
             }
+            for (range, by) in other_levels(rows, &jumps) {
+                moved[range.clone()].fill(true);
+                data.temperatures[column].1[range].iter_mut().for_each(|value| *value -= by);
+            }
         }
         for rows in &files {
             bridge(&mut data.temperatures[column].1[rows.clone()], &own[rows.clone()]);
         }
-        let count = own.iter().filter(|it| **it).count();
-        if !is_needed && (has_jumped || 2 * count > data.rows) {
+        let count = own.iter().zip(&moved).filter(|(own, moved)| **own || **moved).count();
+        if !is_needed && 2 * count > data.rows {
             data.distrusted.push(name);
             continue;
         }
+        lost.iter_mut().zip(&moved).for_each(|(lost, moved)| *lost |= moved);
         // The line between its neighbours does for a single row.
         let is_long = |&row: &usize| {
             let at = |row: Option<usize>| row.is_some_and(|row| own.get(row) == Some(&true));
@@ -125,6 +132,27 @@ pub(super) fn set_aside(data: &mut Data) {
             *um = f64::NAN;
         }
     });
+}
+
+/// The stretches of a file between jumps at these rows that are not at the level of the longest, each
+/// with how much higher it is. Nobody knows whether the thermometer is still at its place there: they do
+/// not count, and are moved to that level only for what has a memory.
+fn other_levels(rows: &Range<usize>, jumps: &[(usize, f64)]) -> Vec<(Range<usize>, f64)> {
+    let mut level = 0.0;
+    let mut stretches = vec![(rows.clone(), level)];
+    for &(row, by) in jumps {
+        level += by;
+        if let Some((last, _)) = stretches.last_mut() {
+            last.end = row;
+        }
+        stretches.push((row..rows.end, level));
+    }
+    let Some((_, kept)) = stretches.iter().max_by_key(|(range, _)| range.len()).cloned() else {
+        return Vec::new();
+    };
+    let largest = jumps.iter().fold(0.0, |largest: f64, (_, by)| largest.max(by.abs()));
+    let relative = stretches.into_iter().map(|(range, level)| (range, level - kept));
+    relative.filter(|(_, by)| by.abs() > SAME_LEVEL * largest).collect()
 }
 
 /// The columns that are another one, or what was measured, with its name.
@@ -222,8 +250,7 @@ fn turns_at(values: &[f64], row: usize) -> bool {
         let turn = (after? - now? - (now? - before?)).abs();
         (!turn.is_nan()).then_some(turn)
     };
-    let near = row.saturating_sub(1)..=row + 1;
-    let Some(here) = near.filter_map(turn).reduce(f64::max) else { return false };
+    let Some(here) = turn(row) else { return false };
     // What is near it turns with it.
     let elsewhere = (0..values.len()).filter(|at| at.abs_diff(row) > 2 * TURN_ROWS);
     let (more, all) = elsewhere

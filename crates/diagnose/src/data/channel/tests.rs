@@ -106,3 +106,13 @@ fn a_jump_is_found_and_one_back_too() {
     values[4_000..].iter_mut().for_each(|value| *value -= 3.0);
     assert_eq!(found(&values).len(), 2);
 }
+
+#[test]
+fn what_is_between_absent_values_is_no_fault() {
+    let mut values = thermometer(3_000, 0.0, 0.01);
+    (0..3_000).step_by(37).for_each(|row| values[row] = -180.0);
+    values[5] = -180.0;
+    let faults = found(&values);
+    let [Fault::Absent { shown, rows }] = &faults[..] else { panic!("{faults:?}") };
+    assert_eq!((*shown, rows.len()), (-180.0, 83), "{rows:?}");
+}

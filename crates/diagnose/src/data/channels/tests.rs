@@ -112,11 +112,17 @@ fn rows_in_which_a_thermometer_is_frozen_or_absent_do_not_count() {
 }
 
 #[test]
-fn a_jump_and_a_copy_are_no_columns_any_more() {
+fn rows_beyond_a_jump_do_not_count_and_a_copy_is_no_column_any_more() {
     let jumps = run_with(|row, b| if row > 2_500 { b + 5.0 } else { b });
     let (notes, data) = searched(&machine(NOTHING), &[jumps]);
     assert!(notes[0].contains("temp_b_c jumps by ") && notes[0].contains("row 2502"), "{notes:?}");
-    assert_eq!(data.temperatures.len(), 2);
+    // The longer part is believed; what has a memory does not see the jump.
+    assert_eq!(data.used.iter().filter(|used| **used).count(), 3_499);
+    let values = &data.temperatures[1].1;
+    assert!((values[2_501] - values[2_500]).abs() < 0.3);
+    let back = run_with(|row, b| if (1_000..1_600).contains(&row) { b - 5.0 } else { b });
+    let (notes, data) = searched(&machine(NOTHING), &[back]);
+    assert_eq!(data.used.iter().filter(|used| **used).count(), 5_400, "{notes:?}");
     let copies = run_with(|row, _| celsius(row, 0.0));
     let (notes, data) = searched(&machine(NOTHING), &[copies]);
     assert!(notes[0].contains("temp_b_c is set aside: in every row it is a copy of temp_a_c"));
