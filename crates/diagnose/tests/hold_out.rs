@@ -60,11 +60,38 @@ fn what_makes_a_hold_out_worse_is_not_handed_out_and_what_does_not_is() {
     assert_eq!(report.left_out.len(), 1);
     assert!(report.findings.iter().all(|finding| !finding.claimed), "judged beside what is not so");
     assert!(report.findings.iter().any(|it| it.cause == "cutting-load" && it.compensated));
+    let html = diagnosis.html("m");
+    assert!(html.contains("class=\"verdict bad\"") && html.contains("The hold-out has chosen"));
+    assert!(html.contains("extra-heat-path temp_a_c: the hold-out becomes worse by it"));
     // The file that is handed out is predicted as any other, and is better than what was believed.
     let extended = diagnosis.extended(MACHINE, Path::new("m.toml")).expect("a machine file");
     let extended = MachineFile::parse(&extended, Path::new("x.toml")).expect("it can be loaded");
     assert_eq!(extended.terms.len(), 1);
     assert!(report.after.compensated_holdout_rms_um < 0.5 * report.before.holdout_rms_um);
+}
+
+#[test]
+fn the_zero_of_an_axis_is_no_error_of_the_runs_and_stands_in_a_hold_out() {
+    let axis = |seed: u64, cycles: u32, um_per_m: f64| {
+        let mut noise = Generator::new(seed);
+        let mut text = String::from("run,x_mm,dir_x,measured_dx_um\n");
+        for run in 0..cycles {
+            for place in 0..10 {
+                let x_mm = 50.0 * f64::from(place);
+                let um = -193.0 + um_per_m * x_mm / 1000.0 + 0.3 * noise.normal();
+                let _ = writeln!(text, "{run},{x_mm},1,{um:.3}");
+            }
+        }
+        read(&text, "r.csv")
+    };
+    let clean = diagnosed(&[axis(1, 5, 0.0)], &[axis(2, 2, 0.0)]).expect("comparable").report;
+    assert_eq!(clean.verdict, Verdict::Clean, "{:?}", clean.reasons);
+    assert!(clean.before.rms_um < 0.5 && clean.after.rms_um < 0.5, "{:?}", clean.before);
+    assert!((clean.before.holdout_rms_um - 193.0).abs() < 1.0);
+    let found = diagnosed(&[axis(1, 5, 40.0)], &[]).expect("comparable").report;
+    // A slope of 40 µm/m over 450 mm: 5.7 µm about its middle.
+    assert!((found.before.rms_um - 5.75).abs() < 0.3, "{:?}", found.before);
+    assert!(found.before.holdout_rms_um < 8.0 && found.after.holdout_rms_um < 0.6);
 }
 
 #[test]

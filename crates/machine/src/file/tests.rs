@@ -108,3 +108,16 @@ fn a_key_keeps_its_place_for_rules_found_broken_later() {
     let place = machine.places.of("limits.hold_ms");
     assert_eq!((place.line, place.column), (4, 2));
 }
+
+#[test]
+fn what_the_instrument_is_worth_is_read_written_and_above_zero() {
+    let text = format!("{SHORTEST}[instrument]\nuncertainty_um = 0.5\n");
+    let machine = parse(&text);
+    assert_eq!(machine.instrument_um, Some(0.5));
+    assert_eq!(parse(&machine.to_toml()).instrument_um, Some(0.5));
+    assert_eq!(parse(SHORTEST).instrument_um, None);
+    for wrong in ["uncertainty_um = 0.0", "uncertainty_um = -1.0", "", "uncertainty = 1.0"] {
+        let text = format!("{SHORTEST}[instrument]\n{wrong}\n");
+        assert!(MachineFile::parse(&text, Path::new("m.toml")).is_err(), "{wrong}");
+    }
+}
