@@ -54,11 +54,11 @@ impl Draws {
     pub fn add(&mut self, ratio: f64, hidden: &str, first: u64, row: &Row) {
         let cell = self.cells.entry((ratio.to_string(), hidden.to_string())).or_default();
         for (seed, score) in (first..).zip(&row.scores) {
-            let inside = score.within.iter().filter(|(_, is_inside)| *is_inside).count();
+            let inside = score.intervals.iter().filter(|it| it.is_inside(1.0)).count();
             let draw = Draw {
                 is_right: score.is_right,
                 is_wrong: score.is_wrong,
-                within: (inside, score.within.len()),
+                within: (inside, score.intervals.len()),
                 gain: score.share_of_gain,
             };
             cell.insert(seed, draw);

@@ -6,6 +6,25 @@ use trueup_diagnose::{Diagnosis, Verdict, diagnose};
 use trueup_machine::{MachineFile, RunFile};
 use trueup_twin::hidden::{Challenge, Expected, Hidden};
 
+/// A parameter as it was hidden, and as it was found.
+#[derive(Clone, Debug)]
+pub struct Interval {
+    /// The cause and the parameter.
+    pub name: String,
+    pub hidden: f64,
+    pub found: f64,
+    /// With 95 %.
+    pub ci95: [f64; 2],
+}
+
+impl Interval {
+    /// Whether what was hidden is inside, each end `times` as far from what was found.
+    pub fn is_inside(&self, times: f64) -> bool {
+        let [low, high] = self.ci95.map(|end| self.found + times * (end - self.found));
+        (low..=high).contains(&self.hidden)
+    }
+}
+
 /// What one answer was worth.
 #[derive(Clone, Debug)]
 pub struct Score {
@@ -24,8 +43,8 @@ pub struct Score {
     pub open: Vec<String>,
     /// Why causes are not claimed, with their values.
     pub doubts: Vec<String>,
-    /// Whether each true parameter is within its interval.
-    pub within: Vec<(String, bool)>,
+    /// The interval of each hidden parameter of a cause that is a finding.
+    pub intervals: Vec<Interval>,
     /// Gain on the hold-out over the possible gain; NaN where nothing is to be gained, or not every
     /// cause is claimed.
     pub share_of_gain: f64,
@@ -50,8 +69,8 @@ impl fmt::Display for Score {
         if !self.share_of_gain.is_nan() {
             write!(f, ", {:.3} of the possible gain", self.share_of_gain)?;
         }
-        for (name, is_within) in &self.within {
-            write!(f, ", {name} {}", if *is_within { "inside" } else { "OUTSIDE" })?;
+        for it in &self.intervals {
+            write!(f, ", {} {}", it.name, if it.is_inside(1.0) { "inside" } else { "OUTSIDE" })?;
         }
         for open in &self.open {
             write!(f, ", open: {open}")?;
@@ -137,17 +156,19 @@ pub fn score(challenge: &Challenge, diagnosis: &Diagnosis) -> Score {
             format!("{}: {}", finding.cause, said.cloned().collect::<Vec<_>>().join(" "))
         })
         .collect();
-    let mut within = Vec::new();
+    let mut intervals = Vec::new();
     for effect in &truth.effects {
         let finding = report.findings.iter().find(|finding| finding.cause == effect.cause.answer());
         let Some(finding) = finding else { continue };
-        for &(name, value) in &effect.parameters {
-            let ci95 = finding.parameters.get(name).map(|parameter| &parameter["ci95"]);
-            let bound = |index: usize| ci95.and_then(|ci95| ci95.get(index)?.as_f64());
-            if let (Some(low), Some(high)) = (bound(0), bound(1))
+        for &(name, hidden) in &effect.parameters {
+            let Some(parameter) = finding.parameters.get(name) else { continue };
+            let bound = |index: usize| parameter["ci95"].get(index)?.as_f64();
+            if let (Some(found), Some(low), Some(high)) =
+                (parameter["value"].as_f64(), bound(0), bound(1))
                 && high > low
             {
-                within.push((format!("{} {name}", finding.cause), low <= value && value <= high));
+                let name = format!("{} {name}", finding.cause);
+                intervals.push(Interval { name, hidden, found, ci95: [low, high] });
             }
         }
     }
@@ -168,7 +189,7 @@ pub fn score(challenge: &Challenge, diagnosis: &Diagnosis) -> Score {
         verdict: report.verdict,
         open,
         doubts,
-        within,
+        intervals,
         share_of_gain,
         visible: rms(&truth.effect_um) / truth.noise_rms_um,
     }
@@ -213,8 +234,12 @@ impl Row {
 
     /// Share of the true parameters within their intervals, and how many there were.
     pub fn within(&self) -> (f64, usize) {
-        let all: Vec<bool> =
-            self.scores.iter().flat_map(|score| score.within.iter().map(|it| it.1)).collect();
+        let all: Vec<bool> = self
+            .scores
+            .iter()
+            .flat_map(|score| &score.intervals)
+            .map(|it| it.is_inside(1.0))
+            .collect();
         let inside = all.iter().filter(|inside| **inside).count();
         (inside as f64 / all.len().max(1) as f64, all.len())
     }
