@@ -5,6 +5,8 @@
 mod key;
 #[path = "score/physical.rs"]
 mod machines;
+#[path = "score/own.rs"]
+mod own;
 
 use machines::Case;
 use trueup_machine::effect::Cause;

@@ -26,6 +26,8 @@ mod known;
 #[path = "../../tests/score/physical.rs"]
 mod machines;
 mod options;
+#[path = "../../tests/score/own.rs"]
+mod own;
 mod physical;
 mod scenarios;
 #[path = "../../tests/score/mod.rs"]

@@ -11,7 +11,10 @@ use trueup_twin::{
     simulate,
 };
 
-use crate::key::{Key, Told, True};
+use crate::{
+    key::{Key, Told, True},
+    own::own_rms,
+};
 
 /// The causes that may be named for `fault`: one or two, by physics. They were written down before the
 /// first diagnosis of such a machine, and are not changed to fit a result.
@@ -118,12 +121,9 @@ impl Case {
     /// RMS over that of the noise of what a fault does and no mixture of the others, and a constant,
     /// could do: by how much it can be told.
     fn own_ratio(&self, of: usize) -> f64 {
-        let mut basis: Vec<Vec<f64>> = vec![vec![1.0; self.faults[of].um.len()]];
         let others = self.faults.iter().enumerate().filter(|(number, _)| *number != of);
-        for (_, other) in others {
-            basis.push(beside(&other.um, &basis));
-        }
-        rms(&beside(&self.faults[of].um, &basis)) / self.noise_um
+        let others: Vec<&[f64]> = others.map(|(_, other)| &other.um[..]).collect();
+        own_rms(&self.faults[of].um, &others) / self.noise_um
     }
 
     /// The record of a day, as a run file.
@@ -180,17 +180,6 @@ impl Case {
             after_um: rms(&self.left(&extended, &second, false)),
         }
     }
-}
-
-/// What is left of `um` beside columns that are at right angles to each other.
-fn beside(um: &[f64], basis: &[Vec<f64>]) -> Vec<f64> {
-    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    let mut left = um.to_vec();
-    for column in basis {
-        let share = dot(&left, column) / dot(column, column);
-        left.iter_mut().zip(column).for_each(|(left, it)| *left -= share * it);
-    }
-    left
 }
 
 /// An answer and what it was worth.

@@ -1,0 +1,30 @@
+//! By how much what several causes do together can be told apart.
+
+/// RMS of what `of` does and no mixture of the `others`, and a constant, could do; in the unit of what
+/// is given, over the same rows.
+pub fn own_rms(of: &[f64], others: &[&[f64]]) -> f64 {
+    let mut basis = vec![vec![1.0; of.len()]];
+    for other in others {
+        let left = beside(other, &basis);
+        // One that the ones before it can do as well brings nothing, and has no direction.
+        if dot(&left, &left) > 1e-12 * dot(other, other) {
+            basis.push(left);
+        }
+    }
+    let left = beside(of, &basis);
+    (dot(&left, &left) / left.len() as f64).sqrt()
+}
+
+/// What is left of `um` beside columns that are at right angles to each other.
+fn beside(um: &[f64], basis: &[Vec<f64>]) -> Vec<f64> {
+    let mut left = um.to_vec();
+    for column in basis {
+        let share = dot(&left, column) / dot(column, column);
+        left.iter_mut().zip(column).for_each(|(left, it)| *left -= share * it);
+    }
+    left
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
