@@ -128,8 +128,9 @@ impl Case {
 
     /// The record of a day, as a run file.
     pub fn record(&self, day: u64) -> String {
-        let faults: Vec<(Fault, f64)> =
-            self.faults.iter().map(|drawn| (drawn.fault, drawn.size)).collect();
+        // Another day has another gauge: what is corrected is the machine.
+        let own = self.faults.iter().filter(|it| day == 0 || it.fault != Fault::GaugeDrift);
+        let faults: Vec<(Fault, f64)> = own.map(|drawn| (drawn.fault, drawn.size)).collect();
         simulate(&self.plant.day(day, &faults), self.plant.seed_of_day(day), || {}).to_csv()
     }
 
