@@ -1,8 +1,11 @@
 //! `drift`: it wanders with time.
 //!
 //! ```text
-//! p + c·t/3600          c·run where there is no clock
+//! p + c·t/3600          c·(run − reference) where there is no clock
 //! ```
+//!
+//! The reference is the mean of the runs: what is handed out to a board, which has no runs, is right in the
+//! middle of them and not before the first.
 
 use super::{
     page::{
@@ -28,6 +31,8 @@ pub enum Drift {
     ByRun {
         /// c, in µm from a run to the next; any sign.
         um_per_run: f64,
+        /// The run at which it is 0; it need not be a whole number.
+        reference_run: f64,
     },
 }
 
@@ -38,7 +43,7 @@ impl Drift {
     fn rate(&self) -> (&'static str, f64) {
         match *self {
             Self::InTime { um_per_h } => ("um_per_h", um_per_h),
-            Self::ByRun { um_per_run } => ("um_per_run", um_per_run),
+            Self::ByRun { um_per_run, .. } => ("um_per_run", um_per_run),
         }
     }
 }
@@ -46,7 +51,13 @@ impl Drift {
 impl Page for Drift {
     fn entries(&self) -> Vec<Entry> {
         let (name, rate) = self.rate();
-        vec![(name, Value::Number(rate))]
+        let mut entries = vec![(name, Value::Number(rate))];
+        if let Self::ByRun { reference_run, .. } = *self
+            && reference_run != 0.0
+        {
+            entries.push(("reference_run", Value::Number(reference_run)));
+        }
+        entries
     }
 
     fn home(&self) -> Home {
@@ -75,7 +86,7 @@ impl Page for Drift {
     fn set(&mut self, values: &[f64]) {
         match self {
             Self::InTime { um_per_h } => *um_per_h = values[0],
-            Self::ByRun { um_per_run } => *um_per_run = values[0],
+            Self::ByRun { um_per_run, .. } => *um_per_run = values[0],
         }
     }
 
@@ -111,12 +122,15 @@ impl Definition for Drift {
     const NAME: &'static str = "drift";
 
     fn keys(section: &Section<'_>) -> &'static [&'static str] {
-        if section.keys().contains(&"um_per_run") { &["um_per_run"] } else { &["um_per_h"] }
+        if section.keys().contains(&"um_per_run") { &["um_per_run", "reference_run"] } else { &["um_per_h"] }
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
         Ok(match section.number("um_per_run")? {
-            Some(um_per_run) => Self::ByRun { um_per_run },
+            Some(um_per_run) => {
+                let reference_run = section.number("reference_run")?.unwrap_or(0.0);
+                Self::ByRun { um_per_run, reference_run }
+            }
             None => Self::InTime { um_per_h: number(section, "um_per_h")? },
         })
     }
@@ -124,15 +138,18 @@ impl Definition for Drift {
     fn law(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
         add(0, match self {
             Self::InTime { .. } => x[0] / 3600.0,
-            Self::ByRun { .. } => x[0],
+            Self::ByRun { reference_run, .. } => x[0] - reference_run,
         });
     }
 
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
         if survey.time_s().is_some() {
             with(Self::InTime { um_per_h: 0.0 }, Settings::none());
-        } else if survey.column("run").is_some_and(|run| targets(run, 1e-3).len() >= LEAST_RUNS) {
-            with(Self::ByRun { um_per_run: 0.0 }, Settings::none());
+        } else if let Some(run) = survey.column("run").filter(|run| targets(run, 1e-3).len() >= LEAST_RUNS)
+        {
+            let known = || run.iter().filter(|run| run.is_finite());
+            let reference_run = known().sum::<f64>() / known().count() as f64;
+            with(Self::ByRun { um_per_run: 0.0, reference_run }, Settings::none());
         }
     }
 
