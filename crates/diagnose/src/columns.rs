@@ -43,7 +43,11 @@ impl Columns for Table<'_> {
             Input::Predicted => Cow::Borrowed(self.p),
             Input::Believed => whole(Some(&data.elongation)),
             Input::Time => whole(data.time_s.as_deref()),
-            Input::Run => whole(data.run.as_deref()),
+            // What is of no run is no run's number either.
+            Input::Run => {
+                let run = data.run.as_deref();
+                Cow::Owned(run.map_or_else(|| vec![f64::NAN; data.rows], filled))
+            }
             Input::Temperature { column, lag_s: 0.0 } => whole(data.temperature(column)),
             Input::Temperature { column, lag_s } => Cow::Owned(data.lagged(column, lag_s, lag_s)),
             Input::Speed => whole(data.spindle_rpm.as_deref()),

@@ -138,6 +138,8 @@ impl Definition for Drift {
     fn law(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
         add(0, match self {
             Self::InTime { .. } => x[0] / 3600.0,
+            // A record that is of no run is of the middle one.
+            Self::ByRun { .. } if x[0].is_nan() => 0.0,
             Self::ByRun { reference_run, .. } => x[0] - reference_run,
         });
     }

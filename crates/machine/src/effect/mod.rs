@@ -245,7 +245,8 @@ impl Effect {
         for input in self.reads() {
             match input {
                 Input::Time => columns.push("time_s".into()),
-                Input::Run => columns.push("run".into()),
+                // A record that is of no run is of the middle one.
+                Input::Run => {}
                 Input::Temperature { column, lag_s } => {
                     columns.push(column.into());
                     columns.extend((lag_s != 0.0).then(|| "time_s".into()));
