@@ -170,6 +170,10 @@ fn doubted(doubt: &Doubt, gain: &Gain, left_out: Unit) -> String {
             "It is only certain together with {}: neither of the two stands alone.",
             named(other)
         ),
+        Doubt::HangsOn(open) => format!(
+            "It hangs on an open question: with one of the rivals of {} it is not needed.",
+            named(open)
+        ),
         Doubt::HalvesDiffer([first, second]) => format!(
             "The first half of the record says {}, the second {}: more apart than the two are uncertain.",
             five_digits(*first),

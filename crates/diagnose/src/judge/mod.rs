@@ -17,6 +17,7 @@
 //! a lag is still seen over means of three time constants        else: it smooths a thermometer
 //! it gains without each other term, and no other term takes     else: only certain together
 //! back what it does
+//! it is needed whichever rival of another term is right         else: it hangs on that question
 //! its values are the same in both halves of the record          else: both are told
 //! no other period or time constant of its own does as well      else: aliases
 //! no curve in its place explains clearly more                   else: something goes with its inputs,
@@ -53,7 +54,12 @@ use crate::{
     kind::{Kind, Part},
     model::Model,
     parameters::{Estimates, estimates},
-    search::{Added, Found, criterion::STRONG_EVIDENCE, extend::replacements, lack_of_fit::Inputs},
+    search::{
+        Added, Found,
+        criterion::{STRONG_EVIDENCE, bic},
+        extend::{replacements, without},
+        lack_of_fit::Inputs,
+    },
 };
 use aliases::aliases;
 use case::Case;
@@ -114,6 +120,7 @@ pub(crate) fn judge(problem: &Problem, found: &Found) -> Vec<Judgement> {
     let judged = on_all_cores(&found.added, problem.is_large(), |added| judge_term(&case, added));
     let mut judged: Vec<Judgement> = judged.into_iter().flatten().collect();
     doubt_what_is_only_certain_together(&case, &mut judged);
+    doubt_what_hangs_on_an_open_question(&case, &mut judged);
     doubt_what_stands_beside_another_law(&case, &mut judged);
     judged
 }
@@ -240,6 +247,31 @@ fn doubt_what_is_only_certain_together(case: &Case<'_>, judged: &mut [Judgement]
             judged[index].doubts.push(Doubt::OnlyTogether(other));
             judged[index].is_kept &= pair.is_gain;
         }
+    }
+}
+
+/// Takes back the claims that hold only if an open question is answered one way: each must still be needed
+/// with each of the rivals in the place of a term that cannot be told from them.
+fn doubt_what_hangs_on_an_open_question(case: &Case<'_>, judged: &mut [Judgement]) {
+    let problem = case.problem;
+    let is_needed = |cause: &Kind, rival: &Rival| {
+        let model = without(problem, &rival.fitted.model, cause);
+        let without = fit(problem, &model, None);
+        bic(problem, &without) > bic(problem, &rival.fitted) + STRONG_EVIDENCE
+    };
+    let mut doubts: Vec<(usize, Kind)> = Vec::new();
+    for (index, it) in judged.iter().enumerate().filter(|(_, it)| it.doubts.is_empty()) {
+        let open = judged.iter().flat_map(|there| {
+            let rivals = there.rivals.iter().filter(|rival| rival.is_open(there.cause()));
+            rivals.map(move |rival| (there.cause(), rival))
+        });
+        let mut open = open.filter(|(cause, _)| *cause != it.cause());
+        if let Some((cause, _)) = open.find(|(_, rival)| !is_needed(it.cause(), rival)) {
+            doubts.push((index, cause.clone()));
+        }
+    }
+    for (index, cause) in doubts {
+        judged[index].doubts.push(Doubt::HangsOn(cause));
     }
 }
 
