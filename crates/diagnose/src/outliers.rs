@@ -2,6 +2,8 @@
 //! quick changes is named before its rows are suspected. Only repeats at one place say so before any
 //! cause is known.
 
+use std::collections::HashMap;
+
 use trueup_numerics::robust::in_residual;
 
 use crate::{data::Data, repeats::Targets};
@@ -21,6 +23,7 @@ pub(crate) fn gross(data: &Data, predicted: &[f64]) -> Vec<bool> {
     let series: Vec<usize> = rows.iter().map(|&row| data.series[row]).collect();
     let mut found = in_residual(&residual, &series, last_digit(data, &rows));
     keep_strays(&mut found, &residual, &series);
+    keep_single_ones(&mut found, &residual, &stops(data, &rows));
     let mut aside = vec![false; data.rows];
     rows.into_iter().zip(found).for_each(|(row, found)| aside[row] = found);
     aside
@@ -44,6 +47,36 @@ fn keep_strays(found: &mut [bool], residual: &[f64], series: &[usize]) {
     if chance_of_as_many(pairs.len(), by_chance) < CHANCE {
         for row in pairs {
             (found[row], found[row + 1]) = (false, false);
+        }
+    }
+}
+
+/// The place at which each of `rows` stands, by its position to a micrometre and its direction; none where
+/// nothing moves.
+fn stops(data: &Data, rows: &[usize]) -> Vec<(i64, bool)> {
+    let (Some(position), direction) = (data.own_position(), data.own_direction()) else {
+        return Vec::new();
+    };
+    let is_back = |row: usize| direction.is_some_and(|d| d[row] < 0.0);
+    rows.iter().map(|&row| ((position[row] * 1000.0).round() as i64, is_back(row))).collect()
+}
+
+/// Nor does a gross error come back: where more of those `found` are off to the same side at the same stop
+/// than chance would let them, what repeats there is the machine's, and they stay.
+fn keep_single_ones(found: &mut [bool], residual: &[f64], stops: &[(i64, bool)]) {
+    let far: Vec<usize> = (0..stops.len()).filter(|&row| found[row]).collect();
+    let is_same = |a: usize, b: usize| stops[a] == stops[b] && residual[a] * residual[b] > 0.0;
+    let pairs = far.iter().enumerate().flat_map(|(n, &a)| far[..n].iter().map(move |&b| (a, b)));
+    let pairs: Vec<(usize, usize)> = pairs.filter(|&(a, b)| is_same(a, b)).collect();
+    let mut rows_at: HashMap<(i64, bool), f64> = HashMap::new();
+    stops.iter().for_each(|stop| *rows_at.entry(*stop).or_default() += 1.0);
+    // Two rows drawn by chance share a stop with the sum of the squares of their shares, and a side with ½.
+    let rows = stops.len().max(1) as f64;
+    let sharing: f64 = rows_at.values().map(|count| (count / rows).powi(2)).sum();
+    let by_chance = 0.25 * far.len() as f64 * (far.len() as f64 - 1.0) * sharing;
+    if chance_of_as_many(pairs.len(), by_chance) < CHANCE {
+        for (a, b) in pairs {
+            (found[a], found[b]) = (false, false);
         }
     }
 }
@@ -90,6 +123,23 @@ mod tests {
         };
         assert_eq!(kept(&[20, 140, 300, 411]), [20, 140, 300, 411]);
         assert_eq!(kept(&[20, 21, 140, 141, 300, 411]), [300, 411]);
+    }
+
+    #[test]
+    fn readings_that_are_off_again_and_again_at_one_stop_are_the_machines() {
+        // Twelve cycles of thirty stops.
+        let stops: Vec<(i64, bool)> = (0..360).map(|row| (row % 30, false)).collect();
+        let kept = |rows: &[usize]| {
+            let mut found = vec![false; 360];
+            let mut residual = vec![0.1; 360];
+            for &row in rows {
+                (found[row], residual[row]) = (true, 9.0);
+            }
+            keep_single_ones(&mut found, &residual, &stops);
+            (0..360).filter(|&row| found[row]).collect::<Vec<usize>>()
+        };
+        assert_eq!(kept(&[20, 147, 300, 341]), [20, 147, 300, 341]);
+        assert_eq!(kept(&[30, 60, 120, 210, 300, 341]), [341]);
     }
 
     #[test]

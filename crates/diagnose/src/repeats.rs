@@ -9,7 +9,7 @@ use trueup_machine::{
     file::{Feedback, LinearAxis, Pitch},
     model::is_reverse,
 };
-use trueup_numerics::repeats::{Law, Reading, arrivals, gross, places};
+use trueup_numerics::repeats::{Law, Reading, arrivals, gross, largest_variance, places};
 
 use crate::{
     data::Data,
@@ -128,7 +128,7 @@ impl Targets {
     }
 
     /// The points of a table: start, step and number. The places themselves where they are even, else as
-    /// many points as every two neighbours still have a place between them.
+    /// many points as each is known within twice the uncertainty of one reading at every place.
     fn grid(&self) -> Option<(f64, f64, usize)> {
         /// Steps that differ by less are even: the targets may have been written in few digits.
         const EVEN: f64 = 0.05;
@@ -139,17 +139,28 @@ impl Targets {
         if steps.all(|step| (step - even.1).abs() < EVEN * even.1) {
             return Some(even);
         }
+        let places = [0, 1].map(|side| self.places_of(side));
         (3..self.at_mm.len()).rev().map(with).find(|&(start_mm, step_mm, points)| {
-            (0..points - 1).all(|n| {
-                let from = start_mm + step_mm * n as f64;
-                // The last place is the last point's.
-                self.at_mm[..self.at_mm.len() - 1]
-                    .iter()
-                    .any(|mm| (from..from + step_mm).contains(mm))
-            })
+            let is_known = |at: &Vec<f64>| {
+                at.is_empty() || largest_variance(at, start_mm, step_mm, points) <= MOST_VARIANCE
+            };
+            places.iter().all(is_known)
         })
     }
+
+    /// The places that were read on one side, in mm, rising.
+    fn places_of(&self, side: usize) -> Vec<f64> {
+        let is_read =
+            |place: usize| self.readings.iter().any(|it| it.place == place && it.side == side);
+        (0..self.at_mm.len())
+            .filter(|&place| is_read(place))
+            .map(|place| self.at_mm[place])
+            .collect()
+    }
 }
+
+/// The variance of a table's point, in those of one reading at a place: twice its uncertainty.
+const MOST_VARIANCE: f64 = 4.0;
 
 /// Numbers from 0 in the order in which keys come.
 fn numbered<K: PartialEq>(keys: impl Iterator<Item = K>) -> Vec<usize> {

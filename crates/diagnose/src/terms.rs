@@ -68,7 +68,10 @@ pub(crate) fn terms(data: &Data, model: &Model) -> Vec<Term> {
             }
         }
     }
-    let own = terms.iter().rposition(|term| term.quantity == data.quantity);
+    // On a term that the board runs, where there is one: else it would lose the zero.
+    let is_own = |term: &Term| term.quantity == data.quantity;
+    let on_board = |term: &Term| is_own(term) && term.effect.is_compensated();
+    let own = terms.iter().rposition(on_board).or_else(|| terms.iter().rposition(is_own));
     let last = own.or_else(|| terms.len().checked_sub(1));
     if let (Some(last), true) = (last, constant_um != 0.0) {
         let term = &mut terms[last];

@@ -8,6 +8,7 @@
 //! | `table` | a value for each place, and a step or another value for the second side |
 //! | `decide` | which table, if any, by an F test and by left-out cycles |
 //! | `between` | whether a line between two places foresees the one between them |
+//! | `grid` | how well places determine a table of equal steps |
 //! | `power` | how many cycles would show an error of a given size |
 //!
 //! A table that was measured several times is not judged against noise that a model of it leaves: its own
@@ -15,6 +16,7 @@
 
 mod between;
 mod decide;
+mod grid;
 mod gross;
 mod power;
 mod reading;
@@ -24,6 +26,7 @@ mod tests;
 
 pub use between::{Between, between};
 pub use decide::{Decision, Refusal, SIGNIFICANCE, Trial, decide, is_worse};
+pub use grid::largest_variance;
 pub use gross::gross;
 pub use power::cycles_for;
 pub use reading::{Reading, arrivals, places};

@@ -227,6 +227,11 @@ impl Problem {
     }
 }
 
+/// The slowest that a thermometer on a machine is, in s. A sheathed one of 6 mm in still air has shown nine
+/// tenths of a change (2.3 time constants) within ten minutes, the longest that makers state by IEC 60751;
+/// what is later than that is another part's temperature.
+const SLOWEST_THERMOMETER_S: f64 = 260.0;
+
 /// The share of the longest series by which the prediction, or a thermometer, may be late. What is shifted out of a record
 /// cannot be compared any more: nine tenths of it still are.
 const MOST_SHIFT: f64 = 0.1;
@@ -267,7 +272,7 @@ fn bounds(data: &Data, groups: &Groups) -> Bounds {
         time_constant_s: [0.2 * step_s, 3.0 * longest_s],
         time_s,
         step_s,
-        late_s: [0.2 * step_s, MOST_SHIFT * longest_s],
+        late_s: [0.2 * step_s, (MOST_SHIFT * longest_s).min(SLOWEST_THERMOMETER_S)],
         shift_s: {
             let states_early = data.stated.iter().any(|stated| stated.effect.shift_s() < 0.0);
             let has_early = data.gauge_time_s.is_some() || states_early;
