@@ -12,8 +12,9 @@ use crate::{data::Data, repeats::Targets};
 pub(crate) fn among_repeats(data: &Data, predicted: &[f64]) -> Vec<bool> {
     let used = (0..data.rows).filter(|&row| data.used[row]);
     let residual = |row: usize| data.measured[row] - predicted[row];
-    Targets::of(data, used)
-        .map_or_else(|| vec![false; data.rows], |targets| targets.gross(data, residual))
+    let Some(targets) = Targets::of(data, used) else { return vec![false; data.rows] };
+    let found = targets.gross(data, residual);
+    strays(data, predicted, &found)
 }
 
 /// Rows that are to be set aside, by what `predicted` leaves.
@@ -21,11 +22,22 @@ pub(crate) fn gross(data: &Data, predicted: &[f64]) -> Vec<bool> {
     let rows: Vec<usize> = (0..data.rows).filter(|&row| data.used[row]).collect();
     let residual: Vec<f64> = rows.iter().map(|&row| data.measured[row] - predicted[row]).collect();
     let series: Vec<usize> = rows.iter().map(|&row| data.series[row]).collect();
-    let mut found = in_residual(&residual, &series, last_digit(data, &rows));
-    keep_strays(&mut found, &residual, &series);
-    keep_single_ones(&mut found, &residual, &stops(data, &rows));
+    let far = in_residual(&residual, &series, last_digit(data, &rows));
+    let mut found = vec![false; data.rows];
+    rows.into_iter().zip(far).for_each(|(row, is_far)| found[row] = is_far);
+    strays(data, predicted, &found)
+}
+
+/// Those of the rows `found` that are gross errors: they come one by one, and do not come back.
+fn strays(data: &Data, predicted: &[f64], found: &[bool]) -> Vec<bool> {
+    let rows: Vec<usize> = (0..data.rows).filter(|&row| data.used[row]).collect();
+    let residual: Vec<f64> = rows.iter().map(|&row| data.measured[row] - predicted[row]).collect();
+    let series: Vec<usize> = rows.iter().map(|&row| data.series[row]).collect();
+    let mut kept: Vec<bool> = rows.iter().map(|&row| found[row]).collect();
+    keep_strays(&mut kept, &residual, &series);
+    keep_single_ones(&mut kept, &residual, &stops(data, &rows));
     let mut aside = vec![false; data.rows];
-    rows.into_iter().zip(found).for_each(|(row, found)| aside[row] = found);
+    rows.into_iter().zip(kept).for_each(|(row, kept)| aside[row] = kept);
     aside
 }
 

@@ -4,8 +4,7 @@ use std::collections::BTreeMap;
 
 use super::{
     Fault, Kind,
-    plant::{Directions, HELD_C},
-    spindle::thermometer,
+    kind::{Directions, HELD_C, thermometer},
 };
 use crate::{
     ambient::AmbientConfig,

@@ -15,8 +15,10 @@
 
 mod axis;
 mod fault;
+mod kind;
 mod plant;
 mod spindle;
 
 pub use fault::Fault;
-pub use plant::{Kind, Plant};
+pub use kind::Kind;
+pub use plant::Plant;

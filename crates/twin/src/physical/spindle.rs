@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::{
     Fault, Kind,
-    plant::{Directions, HELD_C},
+    kind::{Directions, HELD_C, thermometer},
 };
 use crate::{
     heat::Material,
@@ -12,7 +12,7 @@ use crate::{
     noise::Stream,
     path::{Kind as Piece, Segment},
     scenario::{CoolantConfig, Quantity, Scenario},
-    sensors::{DisplacementConfig, Spot, ThermometerConfig},
+    sensors::{DisplacementConfig, Spot},
     spindle::SpindleConfig,
 };
 
@@ -20,18 +20,6 @@ use crate::{
 const INTERVAL_S: f64 = 60.0;
 /// A shift, in s.
 const SHIFT_S: f64 = 25_000.0;
-
-/// A thermometer that is as good as thermometers on machines are.
-pub(super) fn thermometer(at: Spot) -> ThermometerConfig {
-    ThermometerConfig {
-        at,
-        offset_c: 0.0,
-        lag_s: 0.0,
-        noise_c: 0.01,
-        quantum_c: 0.01,
-        dropout: 0.0,
-    }
-}
 
 /// The machine that is drawn, and its user's file.
 pub(super) fn draw(kind: Kind, stream: &mut Stream) -> (Scenario, String) {

@@ -1,0 +1,98 @@
+//! Kinds of machines, which faults each can have, and what all of them share.
+
+use super::Fault;
+use crate::sensors::{Spot, ThermometerConfig};
+
+/// The temperature that a room is held at, and at which everything is right, in °C.
+pub(super) const HELD_C: f64 = 20.0;
+
+/// What kind of machine, and what its file says of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Kind {
+    /// A motor spindle with a displacement sensor in its nose; the file has the sensor's law.
+    SensorSpindle,
+    /// A spindle whose housing grows as its bearings heat it; the file has the warm-up.
+    WarmupSpindle,
+    /// The same with a thermometer on the housing; the file has the growth over its temperature.
+    ThermometerSpindle,
+    /// An axis measured on its screw, which stays cold; the file has no law of heat.
+    ScrewAxis,
+    /// An axis with a scale in a room that is held at its temperature; the file has no law of heat.
+    ScaleAxis,
+    /// An axis with a scale in a room that swings; the file has the scale's expansion.
+    CompensatedAxis,
+}
+
+impl Kind {
+    /// All of them.
+    pub const ALL: [Self; 6] = [
+        Self::SensorSpindle,
+        Self::WarmupSpindle,
+        Self::ThermometerSpindle,
+        Self::ScrewAxis,
+        Self::ScaleAxis,
+        Self::CompensatedAxis,
+    ];
+
+    /// Its name in tables.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::SensorSpindle => "sensor-spindle",
+            Self::WarmupSpindle => "warmup-spindle",
+            Self::ThermometerSpindle => "thermometer-spindle",
+            Self::ScrewAxis => "screw-axis",
+            Self::ScaleAxis => "scale-axis",
+            Self::CompensatedAxis => "compensated-axis",
+        }
+    }
+
+    /// The faults that such a machine can have and its model does not follow: what a sensor or a
+    /// thermometer in use sees is corrected.
+    #[must_use]
+    pub fn faults(self) -> &'static [Fault] {
+        use Fault::{
+            AxialStiffness, CoilTemperature, GaugeDrift, LostCooling, MisplacedThermometer,
+            Mounting, Room, ScrewHeating, SensorGain, SpeedGrowth, UnseenHolder, Wear,
+        };
+        match self {
+            Self::SensorSpindle => {
+                &[SensorGain, CoilTemperature, UnseenHolder, AxialStiffness, GaugeDrift]
+            }
+            Self::WarmupSpindle => {
+                &[LostCooling, Room, UnseenHolder, AxialStiffness, SpeedGrowth, GaugeDrift]
+            }
+            Self::ThermometerSpindle => &[UnseenHolder, AxialStiffness, SpeedGrowth, GaugeDrift],
+            Self::ScrewAxis => &[ScrewHeating, Room, Mounting, Wear, GaugeDrift],
+            Self::ScaleAxis => &[Room, Mounting, GaugeDrift],
+            Self::CompensatedAxis => &[MisplacedThermometer, Mounting, GaugeDrift],
+        }
+    }
+
+    pub(super) fn is_axis(self) -> bool {
+        matches!(self, Self::ScrewAxis | Self::ScaleAxis | Self::CompensatedAxis)
+    }
+}
+
+/// The way in which a fault of either direction goes, −1 or +1, and the share of the wear that grows
+/// along the screw.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Directions {
+    pub gain: f64,
+    pub coil: f64,
+    pub drift: f64,
+    pub mounting: f64,
+    pub wear_along: f64,
+}
+
+/// A thermometer that is as good as thermometers on machines are.
+pub(super) fn thermometer(at: Spot) -> ThermometerConfig {
+    ThermometerConfig {
+        at,
+        offset_c: 0.0,
+        lag_s: 0.0,
+        noise_c: 0.01,
+        quantum_c: 0.01,
+        dropout: 0.0,
+    }
+}
