@@ -19,6 +19,8 @@ use crate::{
 #[derive(Clone, Debug)]
 pub(crate) struct Folds {
     of_group: Vec<usize>,
+    /// Of a record cut into stretches: the same in stretches of another kind.
+    otherwise: Option<(Vec<usize>, usize)>,
     pub count: usize,
     pub unit: Unit,
     /// Finer blocks, for intervals.
@@ -49,6 +51,9 @@ impl fmt::Display for Unit {
 
 /// Stretches of a record: as many as a claim must gain on at least.
 const STRETCHES: usize = 6;
+/// Stretches of equal length, beside those: one cut through a record may fall well or badly for a term, two of
+/// different kinds seldom do alike.
+const PLAIN: usize = 5;
 
 impl Folds {
     /// The folds; blocks for intervals are at least five correlation times of `memory` steps long.
@@ -70,8 +75,9 @@ impl Folds {
         } else {
             (eventful(&problem.measured, STRETCHES), STRETCHES, Unit::Stretches)
         };
+        let otherwise = (unit == Unit::Stretches).then(|| (stretches(count, PLAIN), PLAIN));
         let blocks = Blocks::new(count, memory);
-        Self { of_group, count: count_folds, unit, blocks }
+        Self { of_group, otherwise, count: count_folds, unit, blocks }
     }
 
     /// Whether each group is in the second half: of the files or runs where they are left out, else of the
@@ -95,21 +101,23 @@ impl Folds {
         self.left_out_with_models(problem, model).0
     }
 
+    /// The squares that are left in each group, on the average of both ways to cut a record; with the sign
+    /// of the first.
+    fn averaged(&self, problem: &Problem, model: &Model, first: Vec<f64>) -> Vec<f64> {
+        let Some((of_group, count)) = &self.otherwise else { return first };
+        let (second, _) = left_out_of(problem, model, of_group, *count);
+        let mean = |(a, b): (f64, f64)| (0.5 * (a * a + b * b)).sqrt().copysign(a);
+        first.into_iter().zip(second).map(mean).collect()
+    }
+
     /// The same, with the model that was fitted without each fold.
     pub(crate) fn left_out_with_models(
         &self,
         problem: &Problem,
         model: &Model,
     ) -> (Vec<f64>, Vec<Model>) {
-        let folds: Vec<usize> = (0..self.count).collect();
-        let fitted = on_all_cores(&folds, problem.is_large(), |&fold| {
-            let mask: Vec<bool> = self.of_group.iter().map(|&of| of != fold).collect();
-            fit(problem, model, Some(&mask))
-        });
-        let residual = (0..self.of_group.len())
-            .map(|group| fitted[self.of_group[group]].residual[group])
-            .collect();
-        (residual, fitted.into_iter().map(|fitted| fitted.model).collect())
+        let (residual, models) = left_out_of(problem, model, &self.of_group, self.count);
+        (self.averaged(problem, model, residual), models)
     }
 
     /// What `after` leaves less of the squares than `before` in the last stretch of a record; none where
@@ -159,6 +167,23 @@ fn eventful(measured: &[f64], count: usize) -> Vec<usize> {
             ((middle * count as f64) as usize).min(count - 1)
         })
         .collect()
+}
+
+/// What `model`, fitted to the others, leaves in each group, each fold left out in turn; with the models.
+fn left_out_of(
+    problem: &Problem,
+    model: &Model,
+    of_group: &[usize],
+    count: usize,
+) -> (Vec<f64>, Vec<Model>) {
+    let folds: Vec<usize> = (0..count).collect();
+    let fitted = on_all_cores(&folds, problem.is_large(), |&fold| {
+        let mask: Vec<bool> = of_group.iter().map(|&of| of != fold).collect();
+        fit(problem, model, Some(&mask))
+    });
+    let residual =
+        (0..of_group.len()).map(|group| fitted[of_group[group]].residual[group]).collect();
+    (residual, fitted.into_iter().map(|fitted| fitted.model).collect())
 }
 
 /// The runs numbered from 0 in the order in which they come, by group.

@@ -53,9 +53,10 @@ fn keep_strays(found: &mut [bool], residual: &[f64], series: &[usize]) {
             && residual[a] * residual[b] > 0.0
     };
     let pairs: Vec<usize> = (0..found.len()).filter(|&row| is_pair(row, found)).collect();
-    let count = found.iter().filter(|found| **found).count() as f64;
-    // m of n rows drawn by chance make m²/2n pairs of one side.
-    let by_chance = count * count / (2.0 * found.len().max(1) as f64);
+    let far: Vec<usize> = (0..found.len()).filter(|&row| found[row]).collect();
+    let count = far.len() as f64;
+    // m of n rows drawn by chance make m²/n pairs.
+    let by_chance = same_side(&far, residual) * count * count / found.len().max(1) as f64;
     if chance_of_as_many(pairs.len(), by_chance) < CHANCE {
         for row in pairs {
             (found[row], found[row + 1]) = (false, false);
@@ -82,15 +83,24 @@ fn keep_single_ones(found: &mut [bool], residual: &[f64], stops: &[(i64, bool)])
     let pairs: Vec<(usize, usize)> = pairs.filter(|&(a, b)| is_same(a, b)).collect();
     let mut rows_at: HashMap<(i64, bool), f64> = HashMap::new();
     stops.iter().for_each(|stop| *rows_at.entry(*stop).or_default() += 1.0);
-    // Two rows drawn by chance share a stop with the sum of the squares of their shares, and a side with ½.
+    // Two rows drawn by chance share a stop with the sum of the squares of the stops' shares.
     let rows = stops.len().max(1) as f64;
     let sharing: f64 = rows_at.values().map(|count| (count / rows).powi(2)).sum();
-    let by_chance = 0.25 * far.len() as f64 * (far.len() as f64 - 1.0) * sharing;
-    if chance_of_as_many(pairs.len(), by_chance) < CHANCE {
+    let count = far.len() as f64;
+    let by_chance = 0.5 * count * (count - 1.0) * sharing * same_side(&far, residual);
+    // Where most rows stand at one stop, it tells nothing.
+    if sharing < 0.5 && chance_of_as_many(pairs.len(), by_chance) < CHANCE {
         for (a, b) in pairs {
             (found[a], found[b]) = (false, false);
         }
     }
+}
+
+/// The chance that two of the rows `far` are off to the same side.
+fn same_side(far: &[usize], residual: &[f64]) -> f64 {
+    let above = far.iter().filter(|row| residual[**row] > 0.0).count() as f64;
+    let share = above / far.len().max(1) as f64;
+    share * share + (1.0 - share) * (1.0 - share)
 }
 
 /// Neighbours are told from chance at 1 %.

@@ -162,7 +162,8 @@ fn reaches_nothing(part: &Part, intervals: &[[f64; 2]]) -> bool {
         let said = stated.effect.values();
         return intervals.iter().zip(&said).all(|(interval, said)| holds(*interval, *said));
     }
-    if part.kind.list_length().is_some() || part.kind.is_wave() {
+    // Waves have a phase as well, and a size by both of their values.
+    if part.kind.list_length().is_some() || part.kind.is_wave() || part.kind.is_of_instrument() {
         return false;
     }
     let nonlinear = part.kind.nonlinear();

@@ -165,7 +165,7 @@ fn both_are_found(part: usize) {
 macro_rules! parts {
     ($($name:ident $part:literal,)*) => {$(
         #[test]
-        #[ignore = "long: one draw of every tenth pair"]
+        #[ignore = "campaign: one draw of every tenth pair"]
         fn $name() {
             both_are_found($part);
         }
@@ -173,16 +173,16 @@ macro_rules! parts {
 }
 
 parts! {
-    both_of_a_pair_are_found_0 0,
-    both_of_a_pair_are_found_1 1,
-    both_of_a_pair_are_found_2 2,
-    both_of_a_pair_are_found_3 3,
-    both_of_a_pair_are_found_4 4,
-    both_of_a_pair_are_found_5 5,
-    both_of_a_pair_are_found_6 6,
-    both_of_a_pair_are_found_7 7,
-    both_of_a_pair_are_found_8 8,
-    both_of_a_pair_are_found_9 9,
+    campaign_both_of_a_pair_are_found_0 0,
+    campaign_both_of_a_pair_are_found_1 1,
+    campaign_both_of_a_pair_are_found_2 2,
+    campaign_both_of_a_pair_are_found_3 3,
+    campaign_both_of_a_pair_are_found_4 4,
+    campaign_both_of_a_pair_are_found_5 5,
+    campaign_both_of_a_pair_are_found_6 6,
+    campaign_both_of_a_pair_are_found_7 7,
+    campaign_both_of_a_pair_are_found_8 8,
+    campaign_both_of_a_pair_are_found_9 9,
 }
 
 /// No cause of the table is left out: what is hidden here are all of them.

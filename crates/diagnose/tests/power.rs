@@ -111,7 +111,7 @@ fn what_matters_less_than_could_be_told_asks_for_more() {
     let run = read(&loaded(0.0, 0.0, 3));
     let asked = |um| {
         let options = Options { quantity: None, matters_um: Some(um) };
-        let told = diagnose_for(&machine, &[run.clone()], &[], options, &mut |_, _| {});
+        let told = diagnose_for(&machine, std::slice::from_ref(&run), &[], options, &mut |_, _| {});
         told.expect("comparable").report.verdict
     };
     // 0.5 µm of noise in 300 rows: 0.13 µm at the best.

@@ -227,10 +227,10 @@ impl Problem {
     }
 }
 
-/// The slowest that a thermometer on a machine is, in s. A sheathed one of 6 mm in still air has shown nine
-/// tenths of a change (2.3 time constants) within ten minutes, the longest that makers state by IEC 60751;
-/// what is later than that is another part's temperature.
-const SLOWEST_THERMOMETER_S: f64 = 260.0;
+/// The latest that a thermometer on a machine is, in s. A sheathed one in still air has shown nine tenths of a
+/// change within ten minutes (IEC 60751: 2.3 time constants of 260 s), and as much again where it sits on
+/// another body than it stands for; what is later than a quarter of an hour is another part's temperature.
+const LATEST_THERMOMETER_S: f64 = 900.0;
 
 /// The share of the longest series by which the prediction, or a thermometer, may be late. What is shifted out of a record
 /// cannot be compared any more: nine tenths of it still are.
@@ -272,7 +272,7 @@ fn bounds(data: &Data, groups: &Groups) -> Bounds {
         time_constant_s: [0.2 * step_s, 3.0 * longest_s],
         time_s,
         step_s,
-        late_s: [0.2 * step_s, (MOST_SHIFT * longest_s).min(SLOWEST_THERMOMETER_S)],
+        late_s: [0.2 * step_s, (MOST_SHIFT * longest_s).min(LATEST_THERMOMETER_S)],
         shift_s: {
             let states_early = data.stated.iter().any(|stated| stated.effect.shift_s() < 0.0);
             let has_early = data.gauge_time_s.is_some() || states_early;

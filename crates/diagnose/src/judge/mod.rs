@@ -224,7 +224,8 @@ fn doubts_by_residual(
 
 /// The value of a part that differs most between the halves of the record, in each.
 fn halves(case: &Case<'_>, part: &Part) -> Option<[f64; 2]> {
-    if part.kind.list_length().is_some() || part.kind.has_instant() {
+    let kind = &part.kind;
+    if kind.list_length().is_some() || kind.has_instant() || kind.is_of_instrument() {
         return None;
     }
     let Found { fitted, noise, folds, .. } = case.found;
