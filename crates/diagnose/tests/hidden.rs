@@ -76,7 +76,7 @@ fn nothing_is_found_in_noise_with_and_without_a_memory() {
 #[test]
 fn two_causes_are_both_named() {
     for (first, second) in [
-        (Hidden::ThermalLag, Hidden::CentrifugalGrowth),
+        (Hidden::CentrifugalGrowth, Hidden::CuttingLoad),
         (Hidden::ExpansionSlope, Hidden::ThermalLag),
     ] {
         let challenge = draw_pair(first, second, 3.0, 0).expect("one machine shows both");

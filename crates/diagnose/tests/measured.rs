@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use trueup_diagnose::{Diagnosis, Verdict, diagnose};
+use trueup_diagnose::{Diagnosis, Verdict, diagnose, report::Finding};
 use trueup_machine::{MachineFile, RunFile};
 use trueup_measured_data::file as data;
 
@@ -131,8 +131,12 @@ fn a_frame_that_the_bed_warms_is_named_and_gross_errors_are_set_aside() {
         causes(&diagnosis),
         diagnosis.report.after.holdout_rms_um
     );
-    let slow = diagnosis.report.findings.iter().find(|finding| finding.cause == "slow-mode");
-    assert!(slow.is_some_and(|slow| !slow.claimed && !slow.next_test.is_empty()));
+    let slow = |finding: &&Finding| {
+        let time_constant = finding.parameters.get("time_constant_s");
+        time_constant.and_then(|it| it["value"].as_f64()).is_some_and(|seconds| seconds > 0.0)
+    };
+    let mut slow = diagnosis.report.findings.iter().filter(slow).peekable();
+    assert!(slow.peek().is_some() && slow.all(|slow| !slow.claimed && !slow.next_test.is_empty()));
     let Some(one) = data("voron_frame_expansion/run1.csv") else { return };
     let diagnosis = diagnosed(&machine, &[read(&one)], &[]);
     let gross = diagnosis.report.rows - diagnosis.report.rows_used;

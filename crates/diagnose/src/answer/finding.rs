@@ -171,7 +171,8 @@ fn doubted(doubt: &Doubt, gain: &Gain, left_out: Unit) -> String {
             named(other)
         ),
         Doubt::HangsOn(open) => format!(
-            "It hangs on an open question: with one of the rivals of {} it is not needed.",
+            "It hangs on an open question: {} is not settled, and with another answer to it this may not be \
+             needed.",
             named(open)
         ),
         Doubt::HalvesDiffer([first, second]) => format!(

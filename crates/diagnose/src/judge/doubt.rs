@@ -21,7 +21,8 @@ pub(crate) enum Doubt {
     OnlySmooths,
     /// It gains on left-out blocks only together with this one, or the two take each other's part back.
     OnlyTogether(Kind),
-    /// With one of the rivals of this term in that one's place it is not needed.
+    /// With one of the rivals of this term in that one's place it is not needed; or the search for this term
+    /// ended before its best.
     HangsOn(Kind),
     /// This value differs between the halves of the record by more than its intervals: in each.
     HalvesDiffer([f64; 2]),

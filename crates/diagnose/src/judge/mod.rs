@@ -121,6 +121,7 @@ pub(crate) fn judge(problem: &Problem, found: &Found) -> Vec<Judgement> {
     let mut judged: Vec<Judgement> = judged.into_iter().flatten().collect();
     doubt_what_is_only_certain_together(&case, &mut judged);
     doubt_what_hangs_on_an_open_question(&case, &mut judged);
+    doubt_what_stands_beside_an_open_end(&mut judged);
     doubt_what_stands_beside_another_law(&case, &mut judged);
     judged
 }
@@ -248,6 +249,18 @@ fn doubt_what_is_only_certain_together(case: &Case<'_>, judged: &mut [Judgement]
             judged[index].doubts.push(Doubt::OnlyTogether(other));
             judged[index].is_kept &= pair.is_gain;
         }
+    }
+}
+
+/// Takes back the claims of the machine's own constants beside one whose search ended before its best: the law
+/// that it belongs to is not the machine's, and what else is read into that law is not either.
+fn doubt_what_stands_beside_an_open_end(judged: &mut [Judgement]) {
+    let is_own = |it: &Judgement| it.cause().tier() == 0;
+    let open = judged.iter().find(|it| is_own(it) && it.doubts.contains(&Doubt::AtTheEnd));
+    let Some(open) = open.map(|it| it.cause().clone()) else { return };
+    let claimed = |it: &&mut Judgement| is_own(it) && it.doubts.is_empty();
+    for it in judged.iter_mut().filter(claimed) {
+        it.doubts.push(Doubt::HangsOn(open.clone()));
     }
 }
 
