@@ -112,7 +112,7 @@ impl<'a> Loop<'a> {
         temperatures[0] = replay::raw(LINEAR, screw_c);
         for _ in 0..HELD_MS {
             if self.ms.is_multiple_of(20) {
-                let control = Control { engage, referenced: true, zero: false };
+                let control = Control { engage, ..Control::REFERENCED };
                 let at = AxisPosition {
                     axis: LinearAxis::X,
                     position: Position((x_mm * f64::from(Position::PER_MILLIMETRE)).round() as i32),

@@ -38,7 +38,7 @@ fn calibration(folder: &TempDir, name: &str, gain: f64) -> Result<(String, Strin
 /// What a CNC that engages gets once it is live and has arrived.
 fn live_z_um(bridge: &Bridge) -> Result<f64> {
     let mut cnc = Cnc::open(bridge.connect()?)?;
-    let control = |engage| CncCommand::Control(Control { engage, referenced: true, zero: false });
+    let control = |engage| CncCommand::Control(Control { engage, ..Control::REFERENCED });
     let mut settled = 0;
     let next = |cnc: &mut Cnc<_>, engage| -> Result<Output> {
         cnc.send(control(engage))?;

@@ -136,6 +136,15 @@ fn ours(frame: &Frame) -> Result<(Frame, Values), DecodeError> {
                         one("Faults", number(faults)),
                     ],
                 ),
+                Item::State(bits) => (8, vec![one("StateBits", bits.0.into())]),
+                Item::Reset { reason, free_stack } => (
+                    9,
+                    vec![
+                        one("ResetReason", f64::from(reason as u8)),
+                        one("FreeStack", number(free_stack)),
+                    ],
+                ),
+                Item::Calibration(crc) => (10, vec![one("CalibrationCrc", crc.into())]),
             };
             values.push(one("Item", item.into()));
             values.push(one("LastRefused", f64::from(read.last_refused as u8)));
@@ -175,6 +184,8 @@ fn ours(frame: &Frame) -> Result<(Frame, Values), DecodeError> {
                 one("Engage", bit(read.engage)),
                 one("Referenced", bit(read.referenced)),
                 one("Zero", bit(read.zero)),
+                one("Service", bit(read.service)),
+                one("Confirm", bit(read.confirm)),
             ];
             (frames::control(read, counter), values)
         }

@@ -150,7 +150,7 @@ impl Bus {
         let mut sent = [None; FRAMES];
         sent[0] = request.map(|data| Frame::new(SDO_REQUEST_ID, &data)).transpose()?;
         if self.ms.is_multiple_of(20) {
-            let control = Control { engage, referenced: true, zero: false };
+            let control = Control { engage, ..Control::REFERENCED };
             sent[1] = Some(frames::control(control, self.counter));
             self.counter = self.counter.wrapping_add(1);
         }

@@ -107,7 +107,7 @@ fn left_by_the_board(
                 .map(|_| {
                     let mut frames = stand_in.frames(&now, &heard);
                     if ms.is_multiple_of(20) {
-                        let control = Control { engage: true, referenced: true, zero: false };
+                        let control = Control::ENGAGED;
                         frames[4] = Some(frames::control(control, counter));
                     } else if ms % 20 == 10 {
                         let speed = now.speed.unwrap_or_default();

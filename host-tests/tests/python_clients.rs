@@ -325,7 +325,7 @@ fn a_plant_gets_back_what_the_cnc_gets() -> Result<()> {
     let answer = plant.step(200, volts(9_164.0))?;
     assert_eq!(answer, json!({ "offset_um": [0.0, 0.0, 0.0], "quality": 0 }), "nobody engages");
 
-    let engage = CncCommand::Control(Control { engage: true, referenced: true, zero: false });
+    let engage = CncCommand::Control(Control::ENGAGED);
     let mut last = Value::Null;
     // Longer than the spindle was at the start, then shorter: the offset goes up, then down.
     for counts in [9_164.0, 4_000.0] {

@@ -65,7 +65,7 @@ impl Bench {
             .map(|_| {
                 let mut sent = [None; FRAMES];
                 if self.ms.is_multiple_of(20) {
-                    let control = Control { engage: true, referenced: true, zero };
+                    let control = Control { zero, ..Control::ENGAGED };
                     sent[0] = Some(frames::control(control, self.counter));
                     self.counter = self.counter.wrapping_add(1);
                 }

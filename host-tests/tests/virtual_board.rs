@@ -63,7 +63,7 @@ fn eventful_life(ms: u32) -> Vec<Block> {
                 let engage = !(3_300..3_600).contains(&n);
                 let zero = (3_700..3_800).contains(&n);
                 sent[0] =
-                    Some(frames::control(Control { engage, referenced: true, zero }, counter));
+                    Some(frames::control(Control { engage, zero, ..Control::REFERENCED }, counter));
                 // Some are sent twice, some are damaged on the way.
                 if !chance.is_multiple_of(7) {
                     counter = counter.wrapping_add(1);
@@ -147,7 +147,7 @@ fn the_serial_line_says_what_the_bus_says_and_growth_lifts_the_tool() {
     let mut front_end = FrontEnd::new(0.33, 1);
     let mut cnc = Cnc::open(board.line().expect("a line")).expect("an open channel");
     for _ in 0..20 {
-        let control = Control { engage: true, referenced: true, zero: false };
+        let control = Control::ENGAGED;
         cnc.send(Command::Control(control)).expect("accepted");
         let blocks: Vec<Block> = (0..20)
             .map(|_| Block {

@@ -65,7 +65,7 @@ impl Sender {
             sent[3] = Some(frames::rotary(Rotary { angles }, next(3)));
         }
         if self.ms.is_multiple_of(20) {
-            let control = Control { engage: true, referenced: true, zero: false };
+            let control = Control::ENGAGED;
             sent[4] = Some(frames::control(control, next(4)));
         }
         self.ms += 1;

@@ -110,8 +110,12 @@ pub enum ObjectKind {
     Flags,
     /// Age of the newest sample in milliseconds.
     Age,
-    /// The faults of now, one bit each.
+    /// The faults 0…15 of now, one bit each.
     Faults,
+    /// What a CNC must know beside the offsets, one bit each, as in `Status`.
+    StateBits,
+    /// Why the board last started, as in `Status`.
+    ResetReason,
     /// Milliseconds of the sample clock.
     Clock,
     /// The elongation that counts as none, in nanometres.

@@ -4,7 +4,7 @@
 //! | bytes | content |
 //! |---|---|
 //! | 0–1 | error code, see [`Fault::code`]; 0x0000: the fault of byte 3 has gone |
-//! | 2 | error register, of what is left: bit 0 any fault, bit 4 communication, bit 7 the board |
+//! | 2 | error register, of what is left: bit 0 any fault, bit 2 the supply, bit 4 communication, bit 7 the board |
 //! | 3 | which fault: its place in [`Fault::ALL`] |
 //! | 4 | the flags, as in `OffsetZ` |
 //! | 5 | the quality, as in `OffsetZ` |
@@ -22,6 +22,7 @@ use trueup_link::{
         EMERGENCY_CODE, EMERGENCY_FAULT, EMERGENCY_FLAGS, EMERGENCY_ID, EMERGENCY_INHIBIT_MS,
         EMERGENCY_QUALITY, EMERGENCY_REGISTER,
     },
+    status::StateBits,
 };
 
 /// Emergencies that are remembered.
@@ -59,11 +60,35 @@ pub enum Fault {
     WatchdogReset,
     /// The store of the board does not take what is to be kept.
     Store,
+    /// The board has restarted, and the CNC's engage sequence is not complete since.
+    Restarted,
+    /// What heat the machine has kept from before the start is not known.
+    HeatUnknown,
+    /// The newest calibration is damaged; an older one waits for `Confirm`.
+    OlderCalibration,
+    /// The board runs on the constants of the example, and gives no offset.
+    ExampleConstants,
+    /// The calibration names another machine or board, and waits for `Confirm`.
+    ForeignMachine,
+    /// A second master sends `Control`.
+    SecondMaster,
+    /// The CAN controller counts more errors than CAN calls harmless.
+    CanWarning,
+    /// The CAN controller is error passive.
+    CanPassive,
+    /// The CAN controller is off the bus.
+    CanOff,
+    /// The supply of the sensor is outside its range.
+    SupplyOff,
+    /// A source of the elongation that is not in use is dead.
+    SourceDead,
+    /// What is measured no longer fits the calibration.
+    CalibrationUnfit,
 }
 
 impl Fault {
     /// Every fault, by its number.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 26] = [
         Self::NoCalibration,
         Self::Sensor,
         Self::SamplesMissing,
@@ -78,10 +103,22 @@ impl Fault {
         Self::Can,
         Self::WatchdogReset,
         Self::Store,
+        Self::Restarted,
+        Self::HeatUnknown,
+        Self::OlderCalibration,
+        Self::ExampleConstants,
+        Self::ForeignMachine,
+        Self::SecondMaster,
+        Self::CanWarning,
+        Self::CanPassive,
+        Self::CanOff,
+        Self::SupplyOff,
+        Self::SourceDead,
+        Self::CalibrationUnfit,
     ];
 
-    /// Its error code. The upper byte is the class of CiA 301: 50 hardware of the device, 61 its
-    /// software, 63 its data, 70 an additional module, 81 communication, 90 from outside, FF
+    /// Its error code. The upper byte is the class of CiA 301: 31 the supply, 50 hardware of the device, 61 its
+    /// software, 63 its data, 70 an additional module, 81 communication, 82 its protocol, 90 from outside, FF
     /// specific to the device.
     #[must_use]
     pub const fn code(self) -> u16 {
@@ -100,50 +137,114 @@ impl Fault {
             Self::Can => 0x5003,
             Self::WatchdogReset => 0x6101,
             Self::Store => 0x5004,
+            Self::Restarted => 0x6102,
+            Self::HeatUnknown => 0xFF03,
+            Self::OlderCalibration => 0x6301,
+            Self::ExampleConstants => 0x6302,
+            Self::ForeignMachine => 0x6303,
+            Self::SecondMaster => 0x8201,
+            Self::CanWarning => 0x8110,
+            Self::CanPassive => 0x8120,
+            Self::CanOff => 0x8140,
+            Self::SupplyOff => 0x3100,
+            Self::SourceDead => 0x7003,
+            Self::CalibrationUnfit => 0xFF04,
         }
     }
 
     /// Its bit in the error register, beside bit 0, which any fault sets.
     const fn register(self) -> u8 {
         match self {
-            Self::CncLost | Self::HeartbeatLost => 1 << 4,
+            Self::CncLost
+            | Self::HeartbeatLost
+            | Self::SecondMaster
+            | Self::CanWarning
+            | Self::CanPassive
+            | Self::CanOff => 1 << 4,
             Self::NoCalibration
             | Self::Degraded
             | Self::Crystal
             | Self::Pll
             | Self::Can
             | Self::WatchdogReset
-            | Self::Store => 1 << 7,
+            | Self::Store
+            | Self::Restarted
+            | Self::OlderCalibration
+            | Self::ExampleConstants
+            | Self::ForeignMachine => 1 << 7,
+            // The voltage bit of CiA 301.
+            Self::SupplyOff => 1 << 2,
             Self::Sensor
             | Self::SamplesMissing
             | Self::SpeedUnknown
             | Self::OutsideTable
-            | Self::Clamped => 0,
+            | Self::Clamped
+            | Self::HeatUnknown
+            | Self::SourceDead
+            | Self::CalibrationUnfit => 0,
         }
     }
 }
 
 /// Some faults: bit n is [`Fault::ALL`]`[n]`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Faults(u16);
+pub struct Faults(u32);
 
 impl Faults {
-    /// A bit each, 0…0x3FFF: bit n is set for [`Fault::ALL`]`[n]`.
+    /// A bit each, 0…0x03FF_FFFF: bit n is set for [`Fault::ALL`]`[n]`.
     #[must_use]
-    pub const fn bits(self) -> u16 {
+    pub const fn bits(self) -> u32 {
         self.0
+    }
+
+    /// The first sixteen of them, as the status and object 0x2001:04 have them.
+    #[must_use]
+    pub const fn low_bits(self) -> u16 {
+        let [low, high, ..] = self.0.to_le_bytes();
+        u16::from_le_bytes([low, high])
+    }
+
+    /// The same for the CNC: what it must know beside the offsets.
+    #[must_use]
+    pub fn state(self) -> StateBits {
+        let bit = |bits: StateBits, (fault, bit)| bits.with_if(self.has(fault), bit);
+        [
+            (Fault::Restarted, StateBits::RESTARTED),
+            (Fault::HeatUnknown, StateBits::HEAT_UNKNOWN),
+            (Fault::OlderCalibration, StateBits::OLDER_CALIBRATION),
+            (Fault::ExampleConstants, StateBits::EXAMPLE_CONSTANTS),
+            (Fault::ForeignMachine, StateBits::FOREIGN_MACHINE),
+            (Fault::SecondMaster, StateBits::SECOND_MASTER),
+            (Fault::CanWarning, StateBits::CAN_WARNING),
+            (Fault::CanPassive, StateBits::CAN_PASSIVE),
+            (Fault::CanOff, StateBits::CAN_OFF),
+            (Fault::Crystal, StateBits::FALL_BACK_CLOCK),
+            (Fault::Pll, StateBits::FALL_BACK_CLOCK),
+            (Fault::SupplyOff, StateBits::SUPPLY_OFF),
+            (Fault::Store, StateBits::STORE_FAILING),
+            (Fault::SourceDead, StateBits::SOURCE_DEAD),
+            (Fault::CalibrationUnfit, StateBits::CALIBRATION_UNFIT),
+        ]
+        .into_iter()
+        .fold(StateBits::default(), bit)
     }
 
     /// These, and `fault` if `condition` holds.
     #[must_use]
     pub const fn with_if(self, condition: bool, fault: Fault) -> Self {
-        if condition { Self(self.0 | 1 << fault as u8) } else { self }
+        if condition { Self(self.0 | 1 << fault as u32) } else { self }
+    }
+
+    /// These but `fault`.
+    #[must_use]
+    pub const fn without(self, fault: Fault) -> Self {
+        Self(self.0 & !(1 << fault as u32))
     }
 
     /// Whether `fault` is among them.
     #[must_use]
     pub const fn has(self, fault: Fault) -> bool {
-        self.0 & 1 << fault as u8 != 0
+        self.0 & 1 << fault as u32 != 0
     }
 
     /// Those that an output tells of.
@@ -276,7 +377,7 @@ impl Emergencies {
         } else {
             (Fault::ALL.into_iter().find(has_gone)?, 0)
         };
-        let bit = 1 << fault as u8;
+        let bit = 1 << fault as u32;
         if code == 0 {
             self.told.0 &= !bit;
             self.seen.0 &= !bit;
@@ -411,13 +512,21 @@ mod tests {
     }
 
     #[test]
+    fn every_bit_of_the_state_is_an_emergency_too() {
+        for (bit, word) in StateBits::WORDS {
+            let tells = |fault: &Fault| Faults::default().with_if(true, *fault).state() == bit;
+            assert!(Fault::ALL.iter().any(tells), "{word}");
+        }
+    }
+
+    #[test]
     fn the_history_keeps_the_newest() {
         let mut all = Emergencies::default();
         for fault in Fault::ALL {
             told(&mut all, Faults::default().with_if(true, fault), 20);
         }
         assert_eq!(all.count(), HISTORY);
-        assert_eq!(all.error(0), Some(0x000D_5004));
+        assert_eq!(all.error(0), Some(0x0019_FF04));
         assert_eq!(all.error(8), None);
         all.clear();
         assert_eq!((all.count(), all.error(0)), (0, None));
@@ -435,7 +544,7 @@ mod tests {
         let frame = encode(&emergency);
         assert_eq!(frame.data(), &[0x30, 0x81, 0x11, 4, 0xA5, 4, 0, 0]);
         assert_eq!(decode(&frame), Ok(emergency));
-        for (byte, raw, signal) in [(3, 14, "Fault"), (5, 7, "Quality")] {
+        for (byte, raw, signal) in [(3, 26, "Fault"), (5, 7, "Quality")] {
             let mut data = *frame.data();
             data[byte] = raw;
             let wrong = Frame::full(EMERGENCY_ID, data);

@@ -132,7 +132,7 @@ fn live(mut stream: impl Read + Write, fault: Fault, engage: bool, heard: &Mutex
             control = 0;
         }
         if ms % 20 == 0 {
-            let engaged = Control { engage, referenced: true, zero: false };
+            let engaged = Control { engage, ..Control::REFERENCED };
             node.hear(&frames::control(engaged, control)).expect("in order");
             control = control.wrapping_add(1);
         }

@@ -18,6 +18,10 @@ pub const SOFTWARE: At = (0x100A, 0);
 pub const QUALITY: At = (0x2001, 1);
 /// The faults, a bit each.
 pub const FAULTS: At = (0x2001, 4);
+/// What a CNC must know beside the offsets, a bit each.
+pub const STATE_BITS: At = (0x2001, 6);
+/// Why the board last started.
+pub const RESET_REASON: At = (0x2001, 7);
 /// Whether a reference is in force.
 pub const HAS_REFERENCE: At = (0x2010, 5);
 /// The calibration for the next start.

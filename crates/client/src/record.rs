@@ -327,7 +327,7 @@ mod tests {
         temperatures[0] = Raw(111_672_925);
         for ms in 0..3_000_u32 {
             if ms % 20 == 0 {
-                let engaged = Control { engage: true, referenced: true, zero: false };
+                let engaged = Control::ENGAGED;
                 let control = frames::control(engaged, (ms / 20) as u8);
                 node.hear(&control).expect("in order");
             }

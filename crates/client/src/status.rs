@@ -6,10 +6,10 @@ use trueup_link::{
     frame::Frame,
     layout::STATUS_ID,
     receiver::StatusReceiver,
-    status::{Item, Reason},
+    status::{Item, Reason, ResetReason, StateBits},
 };
 
-use crate::words::{fault_words, micrometres};
+use crate::words::{fault_words, micrometres, state_words};
 
 /// The newest of each item.
 #[derive(Default)]
@@ -26,6 +26,11 @@ pub struct Board {
     lost: u16,
     noise_thousandths: u16,
     faults: u16,
+    state: StateBits,
+    reset_reason: ResetReason,
+    free_stack: Option<u16>,
+    /// CRC of the calibration that the board runs on, once it has said so; 0: it has none.
+    pub calibration: Option<u32>,
 }
 
 impl Board {
@@ -49,6 +54,11 @@ impl Board {
             Item::Board { noise_thousandths, faults } => {
                 (self.noise_thousandths, self.faults) = (noise_thousandths, faults);
             }
+            Item::State(state) => self.state = state,
+            Item::Reset { reason, free_stack } => {
+                (self.reset_reason, self.free_stack) = (reason, Some(free_stack));
+            }
+            Item::Calibration(crc) => self.calibration = Some(crc),
         }
     }
 
@@ -90,6 +100,10 @@ impl Board {
         if !faults.is_empty() {
             text += &format!("  faults {}", faults.join(" "));
         }
+        let state = state_words(self.state);
+        if !state.is_empty() {
+            text += &format!("  state {}", state.join(" "));
+        }
         text
     }
 
@@ -101,6 +115,11 @@ impl Board {
             "elongation_um": self.elongation_um(),
             "noise_codes": f64::from(self.noise_thousandths) / 1_000.0,
             "faults": fault_words(self.faults.into()),
+            "state": state_words(self.state),
+            "reset_reason": self.reset_reason.word(),
+            "free_stack_bytes": self.free_stack,
+            "calibration_crc":
+                self.calibration.filter(|crc| *crc != 0).map(|crc| format!("{crc:08x}")),
             "from_cnc": {
                 "damaged": self.damaged,
                 "out_of_sequence": self.out_of_sequence,
@@ -136,22 +155,29 @@ mod tests {
             Item::Elongation(Some(Nanometres(62_805))),
             Item::Refused { damaged: 2, out_of_sequence: 0 },
             Item::Board { noise_thousandths: 1_041, faults: 1 << 3 },
+            Item::State(StateBits::RESTARTED),
+            Item::Reset { reason: ResetReason::Watchdog, free_stack: 4_000 },
+            Item::Calibration(0xF4AC_FB13),
         ];
         for (counter, item) in (0..).zip(items) {
             board.hear(&encode(&Status { last_refused: Reason::Damaged, item }, counter));
         }
         assert_eq!(
             board.text(),
-            "  T0 23.45 °C  T7 -0.50 °C  from the CNC damaged 2  faults cnc-lost"
+            "  T0 23.45 °C  T7 -0.50 °C  from the CNC damaged 2  faults cnc-lost  \
+             state restarted"
         );
         let json = board.json();
         assert_eq!(json["temps_c"], json!([23.45, null, null, null, null, null, null, -0.5]));
         assert_eq!(json["elongation_um"], json!(62.805));
         assert_eq!(json["noise_codes"], json!(1.041));
+        assert_eq!(json["state"], json!(["restarted"]));
+        assert_eq!(json["reset_reason"], json!("watchdog"));
+        assert_eq!(json["calibration_crc"], json!("f4acfb13"));
         assert_eq!(json["from_cnc"]["last_refused"], json!("damaged"));
         // A repetition changes nothing and is counted.
         let repeated = Status { last_refused: Reason::None, item: Item::Elongation(None) };
-        board.hear(&encode(&repeated, 4));
+        board.hear(&encode(&repeated, 7));
         assert_eq!((board.elongation, board.refused()), (Some(Nanometres(62_805)), 1));
     }
 }

@@ -6,7 +6,7 @@ use trueup_core::{
     cnc::{Flags, Output, Quality},
     units::{NANOMETRES_PER_MICROMETRE, Nanometres},
 };
-use trueup_link::frames::State;
+use trueup_link::{frames::State, status::StateBits};
 
 /// A quality in a word.
 #[must_use]
@@ -62,7 +62,26 @@ fn fault_word(fault: Fault) -> &'static str {
         Fault::Can => "can",
         Fault::WatchdogReset => "watchdog-reset",
         Fault::Store => "store",
+        Fault::Restarted => "restarted",
+        Fault::HeatUnknown => "heat-unknown",
+        Fault::OlderCalibration => "older-calibration",
+        Fault::ExampleConstants => "example-constants",
+        Fault::ForeignMachine => "foreign-machine",
+        Fault::SecondMaster => "second-master",
+        Fault::CanWarning => "can-warning",
+        Fault::CanPassive => "can-passive",
+        Fault::CanOff => "can-off",
+        Fault::SupplyOff => "supply-off",
+        Fault::SourceDead => "source-dead",
+        Fault::CalibrationUnfit => "calibration-unfit",
     }
+}
+
+/// The bits of the state that are set, in words.
+#[must_use]
+pub fn state_words(state: StateBits) -> Vec<&'static str> {
+    let is_set = |(bit, _): &(StateBits, &str)| state.contains(*bit);
+    StateBits::WORDS.into_iter().filter(is_set).map(|(_, word)| word).collect()
 }
 
 /// A heartbeat's state in a word, as CiA 301 names it.
@@ -128,7 +147,7 @@ mod tests {
     fn every_bit_of_the_flags_has_a_word() {
         assert_eq!(flag_words(Flags(0xFF)).len(), 8);
         assert_eq!(fault_words(0x2001), ["no-calibration", "store"]);
-        assert_eq!(fault_words(0x3FFF).len(), Fault::ALL.len());
+        assert_eq!(fault_words(0x03FF_FFFF).len(), Fault::ALL.len());
         assert_eq!(flag_words(Flags::NONE), [""; 0]);
         assert_eq!(flag_words(Flags::SLEWING.with(Flags::CNC_LOST)), ["slewing", "cnc-lost"]);
     }

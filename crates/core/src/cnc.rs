@@ -24,6 +24,19 @@ pub struct Control {
     pub referenced: bool,
     /// Take the present error as the reference, at the moment this turns from false to true.
     pub zero: bool,
+    /// The operator allows that a master writes to the bridge while nothing is engaged.
+    pub service: bool,
+    /// The operator answers the question that the bridge asks, at the moment this turns from false
+    /// to true.
+    pub confirm: bool,
+}
+
+impl Control {
+    /// The operator wants offsets, and the axes are referenced.
+    pub const ENGAGED: Self =
+        Self { engage: true, referenced: true, zero: false, service: false, confirm: false };
+    /// The axes are referenced, and nothing else.
+    pub const REFERENCED: Self = Self { engage: false, ..Self::ENGAGED };
 }
 
 /// What the spindle does.

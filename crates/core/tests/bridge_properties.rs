@@ -28,7 +28,7 @@ fn command() -> impl Strategy<Value = Command> {
     let often = || prop::bool::weighted(0.95);
     prop_oneof![
         3 => (often(), often(), prop::bool::weighted(0.1)).prop_map(|(engage, referenced, zero)| {
-            Command::Control(Control { engage, referenced, zero })
+            Command::Control(Control { engage, referenced, zero, ..Control::default() })
         }),
         1 => (any::<u16>(), any::<i16>()).prop_map(|(speed, load_n)| {
             Command::Spindle(Spindle { speed: Rpm(speed), load_n })
@@ -49,7 +49,7 @@ fn greeting() -> impl Strategy<Value = Vec<Command>> {
             let position = Position(to);
             Command::Position(AxisPosition { axis, position, direction: Heading::Positive })
         });
-        let control = Control { engage: true, referenced: true, zero: false };
+        let control = Control::ENGAGED;
         let others = [
             Command::Rotary(Rotary { angles: angles.map(MicroDegrees) }),
             Command::Control(control),

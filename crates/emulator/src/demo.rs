@@ -212,7 +212,7 @@ fn play(
         let volts = volts_with_run_out(input, table.counts[row], speed);
         let mut outputs = Vec::new();
         for _ in 0..ROW_MS / BATCH_MS {
-            let control = Control { engage: true, referenced: true, zero: false };
+            let control = Control::ENGAGED;
             cnc.send(Command::Control(control))?;
             cnc.send(Command::Spindle(Spindle { speed, load_n: 0 }))?;
             let blocks: Vec<Block> = (0..BATCH_MS)

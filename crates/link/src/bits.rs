@@ -17,7 +17,7 @@
 pub struct Signal {
     /// Number of the lowest bit, 0…63: bit `n` is bit `n % 8` of byte `n / 8`.
     pub start: u8,
-    /// Number of bits, 1…32, or 1…31 where the value is not signed.
+    /// Number of bits, 1…32. The raw value of 32 unsigned bits is their pattern.
     pub length: u8,
     /// Whether the raw value is two's complement.
     pub signed: bool,
@@ -26,7 +26,7 @@ pub struct Signal {
 impl Signal {
     /// A signal of 0 and up. A place outside the frame does not compile: every use is a constant.
     pub const fn unsigned(start: u8, length: u8) -> Self {
-        assert!(length <= 31 && Self::is_in_frame(start, length));
+        assert!(length <= 32 && Self::is_in_frame(start, length));
         Self { start, length, signed: false }
     }
 
@@ -43,13 +43,14 @@ impl Signal {
     /// The smallest raw value.
     #[must_use]
     pub const fn min(self) -> i32 {
-        if self.signed { !self.max() } else { 0 }
+        if self.signed || self.length == 32 { !self.max() } else { 0 }
     }
 
     /// The largest raw value.
     #[must_use]
     pub const fn max(self) -> i32 {
-        let magnitude_bits = self.length.saturating_sub(self.signed as u8);
+        let is_pattern = self.signed || self.length == 32;
+        let magnitude_bits = self.length.saturating_sub(is_pattern as u8);
         1_i32.wrapping_shl(magnitude_bits as u32).wrapping_sub(1)
     }
 

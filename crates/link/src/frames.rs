@@ -21,9 +21,9 @@ use crate::{
     e2e,
     frame::Frame,
     layout::{
-        AGE, ANGLE_1, ANGLE_2, DIRECTION, ENGAGE, FLAGS, LOAD, MICRO_DEGREES_PER_BIT,
+        AGE, ANGLE_1, ANGLE_2, CONFIRM, DIRECTION, ENGAGE, FLAGS, LOAD, MICRO_DEGREES_PER_BIT,
         NANOMETRES_PER_BIT, NOT_AVAILABLE_RAW, OFFSET_MAX_RAW, OFFSET_X, OFFSET_Y, OFFSET_Z,
-        POSITION, QUALITY, REFERENCED, SPEED, STATE, ZERO,
+        POSITION, QUALITY, REFERENCED, SERVICE, SPEED, STATE, ZERO,
     },
 };
 
@@ -141,6 +141,8 @@ pub fn control(control: Control, counter: u8) -> Frame {
     ENGAGE.insert(&mut data, control.engage.into());
     REFERENCED.insert(&mut data, control.referenced.into());
     ZERO.insert(&mut data, control.zero.into());
+    SERVICE.insert(&mut data, control.service.into());
+    CONFIRM.insert(&mut data, control.confirm.into());
     protected(CONTROL_ID, counter, data)
 }
 
@@ -249,6 +251,8 @@ pub fn decode_control(frame: &Frame) -> Result<Control, DecodeError> {
         engage: ENGAGE.extract(data) != 0,
         referenced: REFERENCED.extract(data) != 0,
         zero: ZERO.extract(data) != 0,
+        service: SERVICE.extract(data) != 0,
+        confirm: CONFIRM.extract(data) != 0,
     })
 }
 

@@ -103,7 +103,7 @@ pub const QUALITY: Signal = Signal::unsigned(44, 4);
 pub const FLAGS: Signal = Signal::unsigned(48, 8);
 /// Age of the newest sample in milliseconds.
 pub const AGE: Signal = Signal::unsigned(56, 8);
-/// What a status frame is about: 0…7, see [`crate::status::Item`].
+/// What a status frame is about: 0…10, see [`crate::status::Item`].
 pub const ITEM: Signal = Signal::unsigned(24, 4);
 /// Why a frame of the CNC was last refused.
 pub const LAST_REFUSED: Signal = Signal::unsigned(28, 4);
@@ -121,6 +121,10 @@ pub const NO_ELONGATION_RAW: i32 = i32::MIN;
 pub const COUNT_LOW: Signal = Signal::unsigned(32, 16);
 /// The second one.
 pub const COUNT_HIGH: Signal = Signal::unsigned(48, 16);
+/// What a CNC must know of the bridge beside its offsets, a bit each.
+pub const STATE_BITS: Signal = Signal::unsigned(32, 32);
+/// CRC of the running calibration.
+pub const CALIBRATION_CRC: Signal = Signal::unsigned(32, 32);
 /// CANopen state. Bit 7 of the byte is reserved.
 pub const STATE: Signal = Signal::unsigned(0, 7);
 /// Error code of an emergency; 0: a fault has gone.
@@ -151,6 +155,10 @@ pub const ENGAGE: Signal = Signal::unsigned(24, 1);
 pub const REFERENCED: Signal = Signal::unsigned(25, 1);
 /// Take the present error as the reference.
 pub const ZERO: Signal = Signal::unsigned(26, 1);
+/// The operator is at the machine and allows what a master writes, while nothing is engaged.
+pub const SERVICE: Signal = Signal::unsigned(27, 1);
+/// The operator answers the question that the state bits ask.
+pub const CONFIRM: Signal = Signal::unsigned(28, 1);
 
 #[cfg(test)]
 mod tests;

@@ -1,5 +1,5 @@
 //! `Status`: what the bridge says of itself while it runs, one item a frame, ten frames a second, so
-//! that each item comes every 0.8 s.
+//! that each item comes every 1.1 s.
 //!
 //! | item | bits 32…47 | bits 48…63 |
 //! |---|---|---|
@@ -7,7 +7,10 @@
 //! | 4 | elongation of the spindle, 32 bits, in 0.001 µm | |
 //! | 5 | frames of the CNC that were damaged | that were repeated or out of sequence |
 //! | 6 | frames of the CNC with a wrong length or value | that never came |
-//! | 7 | RMS noise of the sensor in 0.001 codes | faults, a bit each: the numbers of `Fault` in the DBC |
+//! | 7 | RMS noise of the sensor in 0.001 codes | faults 0…15, a bit each: the numbers of `Fault` in the DBC |
+//! | 8 | state, 32 bits: [`StateBits`] | |
+//! | 9 | reason of the last reset: [`ResetReason`] | bytes of the stack that were never used |
+//! | 10 | CRC of the running calibration, 32 bits; 0: there is none | |
 //!
 //! The most negative number of a temperature and of the elongation means "not available"; counts
 //! stop at 65 535. Every frame says in bits 28…31 why a frame of the CNC was last refused, and is
@@ -19,13 +22,13 @@ use crate::{
     frame::Frame,
     frames::{self, DecodeError},
     layout::{
-        COUNT_HIGH, COUNT_LOW, ELONGATION, ITEM, LAST_REFUSED, NO_ELONGATION_RAW,
-        NO_TEMPERATURE_RAW, STATUS_ID, TEMPERATURE_HIGH, TEMPERATURE_LOW,
+        CALIBRATION_CRC, COUNT_HIGH, COUNT_LOW, ELONGATION, ITEM, LAST_REFUSED, NO_ELONGATION_RAW,
+        NO_TEMPERATURE_RAW, STATE_BITS, STATUS_ID, TEMPERATURE_HIGH, TEMPERATURE_LOW,
     },
 };
 
-/// The largest number of an item; their count is a power of two.
-pub const LAST_ITEM: u8 = 7;
+/// The largest number of an item.
+pub const LAST_ITEM: u8 = 10;
 
 /// What a `Status` frame says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -98,9 +101,141 @@ pub enum Item {
     Board {
         /// RMS noise of the raw codes in thousandths of a code.
         noise_thousandths: u16,
-        /// What is wrong, bit n is fault n of the DBC's `Fault`.
+        /// What is wrong, bit n is fault n of the DBC's `Fault`; those from 16 on are in
+        /// [`Item::State`].
         faults: u16,
     },
+    /// What a CNC must know of the bridge beside its offsets.
+    State(StateBits),
+    /// How the board came to run.
+    Reset {
+        /// Why it last started.
+        reason: ResetReason,
+        /// Bytes of the stack that were never used; 65 535 stands for all beyond.
+        free_stack: u16,
+    },
+    /// CRC of the running calibration; 0: there is none.
+    Calibration(u32),
+}
+
+/// What a CNC must know of the bridge beside its offsets: one bit a condition, 0 where all is well.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StateBits(pub u32);
+
+impl StateBits {
+    /// It has restarted, and `Engage` has not been heard as 0, 0, 0 and then 1 since.
+    pub const RESTARTED: Self = Self(1 << 0);
+    /// What heat the machine has kept from before the start is not known.
+    pub const HEAT_UNKNOWN: Self = Self(1 << 1);
+    /// The newest calibration is damaged; an older one is loaded and waits for `Confirm`.
+    pub const OLDER_CALIBRATION: Self = Self(1 << 2);
+    /// It runs on the constants of the example: no offset is ever given.
+    pub const EXAMPLE_CONSTANTS: Self = Self(1 << 3);
+    /// The calibration names another machine or board, and waits for `Confirm`.
+    pub const FOREIGN_MACHINE: Self = Self(1 << 4);
+    /// A second master sends `Control`.
+    pub const SECOND_MASTER: Self = Self(1 << 5);
+    /// The CAN controller counts more errors than CAN calls harmless (96).
+    pub const CAN_WARNING: Self = Self(1 << 6);
+    /// The CAN controller is error passive.
+    pub const CAN_PASSIVE: Self = Self(1 << 7);
+    /// The CAN controller is off the bus.
+    pub const CAN_OFF: Self = Self(1 << 8);
+    /// The board runs on a clock other than its crystal's.
+    pub const FALL_BACK_CLOCK: Self = Self(1 << 9);
+    /// The supply of the sensor is outside its range.
+    pub const SUPPLY_OFF: Self = Self(1 << 10);
+    /// The store does not take what is to be kept.
+    pub const STORE_FAILING: Self = Self(1 << 11);
+    /// A source of the elongation that is not in use is dead.
+    pub const SOURCE_DEAD: Self = Self(1 << 12);
+    /// What is measured no longer fits the calibration.
+    pub const CALIBRATION_UNFIT: Self = Self(1 << 13);
+    /// Every bit that has a meaning, with its word.
+    pub const WORDS: [(Self, &'static str); 14] = [
+        (Self::RESTARTED, "restarted"),
+        (Self::HEAT_UNKNOWN, "heat-unknown"),
+        (Self::OLDER_CALIBRATION, "older-calibration"),
+        (Self::EXAMPLE_CONSTANTS, "example-constants"),
+        (Self::FOREIGN_MACHINE, "foreign-machine"),
+        (Self::SECOND_MASTER, "second-master"),
+        (Self::CAN_WARNING, "can-warning"),
+        (Self::CAN_PASSIVE, "can-passive"),
+        (Self::CAN_OFF, "can-off"),
+        (Self::FALL_BACK_CLOCK, "fall-back-clock"),
+        (Self::SUPPLY_OFF, "supply-off"),
+        (Self::STORE_FAILING, "store-failing"),
+        (Self::SOURCE_DEAD, "source-dead"),
+        (Self::CALIBRATION_UNFIT, "calibration-unfit"),
+    ];
+
+    /// These bits, and `other` if `condition` holds.
+    #[must_use]
+    pub const fn with_if(self, condition: bool, other: Self) -> Self {
+        if condition { Self(self.0 | other.0) } else { self }
+    }
+
+    /// Whether every bit of `other` is set.
+    #[must_use]
+    pub const fn contains(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+}
+
+/// Why the board last started. The numbers are those on the wire.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u8)]
+pub enum ResetReason {
+    /// The board does not say.
+    #[default]
+    Unknown = 0,
+    /// The supply was switched on.
+    PowerOn = 1,
+    /// The reset pin.
+    Pin = 2,
+    /// The watchdog: a task hung.
+    Watchdog = 3,
+    /// The firmware itself, because a master or a load asked for it.
+    Software = 4,
+    /// The supply was too low for a moment.
+    BrownOut = 5,
+    /// The firmware stopped itself: a panic.
+    Panic = 6,
+    /// The core stopped it: a hard fault.
+    HardFault = 7,
+}
+
+impl ResetReason {
+    /// The reason with this number on the wire.
+    #[must_use]
+    pub const fn from_wire(number: u16) -> Option<Self> {
+        Some(match number {
+            0 => Self::Unknown,
+            1 => Self::PowerOn,
+            2 => Self::Pin,
+            3 => Self::Watchdog,
+            4 => Self::Software,
+            5 => Self::BrownOut,
+            6 => Self::Panic,
+            7 => Self::HardFault,
+            _ => return None,
+        })
+    }
+
+    /// In a word.
+    #[must_use]
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Unknown => "unknown",
+            Self::PowerOn => "power-on",
+            Self::Pin => "pin",
+            Self::Watchdog => "watchdog",
+            Self::Software => "software",
+            Self::BrownOut => "brown-out",
+            Self::Panic => "panic",
+            Self::HardFault => "hard-fault",
+        }
+    }
 }
 
 /// The frame that says this. `counter` counts the frames of this identifier.
@@ -134,6 +269,15 @@ pub fn encode(status: &Status, counter: u8) -> Frame {
         Item::Received { malformed, lost } => counts(&mut data, 6, malformed, lost),
         Item::Board { noise_thousandths, faults } => {
             counts(&mut data, 7, noise_thousandths, faults)
+        }
+        Item::State(StateBits(bits)) => {
+            STATE_BITS.insert(&mut data, bits.cast_signed());
+            8
+        }
+        Item::Reset { reason, free_stack } => counts(&mut data, 9, reason as u16, free_stack),
+        Item::Calibration(crc) => {
+            CALIBRATION_CRC.insert(&mut data, crc.cast_signed());
+            10
         }
     };
     ITEM.insert(&mut data, number.into());
@@ -175,6 +319,14 @@ pub fn decode(frame: &Frame) -> Result<Status, DecodeError> {
         5 => Item::Refused { damaged: count(COUNT_LOW), out_of_sequence: count(COUNT_HIGH) },
         6 => Item::Received { malformed: count(COUNT_LOW), lost: count(COUNT_HIGH) },
         7 => Item::Board { noise_thousandths: count(COUNT_LOW), faults: count(COUNT_HIGH) },
+        8 => Item::State(StateBits(STATE_BITS.extract(data).cast_unsigned())),
+        9 => {
+            let raw = count(COUNT_LOW);
+            let reason = ResetReason::from_wire(raw)
+                .ok_or(DecodeError::Value { signal: "ResetReason", raw: raw.into() })?;
+            Item::Reset { reason, free_stack: count(COUNT_HIGH) }
+        }
+        10 => Item::Calibration(CALIBRATION_CRC.extract(data).cast_unsigned()),
         other => return Err(DecodeError::Value { signal: "Item", raw: other.into() }),
     };
     Ok(Status { last_refused, item })
@@ -199,6 +351,12 @@ mod tests {
             (Item::Refused { damaged: 1, out_of_sequence: 0xFFFF }, [0x15, 1, 0, 0xFF, 0xFF]),
             (Item::Received { malformed: 0x1234, lost: 2 }, [0x16, 0x34, 0x12, 2, 0]),
             (Item::Board { noise_thousandths: 1_041, faults: 1 << 13 }, [0x17, 0x11, 4, 0, 0x20]),
+            (Item::State(StateBits(0x8000_2001)), [0x18, 1, 0x20, 0, 0x80]),
+            (
+                Item::Reset { reason: ResetReason::HardFault, free_stack: 0x1234 },
+                [0x19, 7, 0, 0x34, 0x12],
+            ),
+            (Item::Calibration(0xF4AC_FB13), [0x1A, 0x13, 0xFB, 0xAC, 0xF4]),
         ] {
             let status = Status { last_refused: Reason::Malformed, item };
             let frame = encode(&status, 9);
@@ -209,7 +367,7 @@ mod tests {
 
     #[test]
     fn an_item_or_a_reason_without_meaning_is_refused_by_name() {
-        for (signal, at, from) in [("Item", ITEM, 8), ("LastRefused", LAST_REFUSED, 5)] {
+        for (signal, at, from) in [("Item", ITEM, 11), ("LastRefused", LAST_REFUSED, 5)] {
             for raw in from..16 {
                 let status = Status { last_refused: Reason::None, item: Item::Elongation(None) };
                 let mut data = *encode(&status, 0).data();

@@ -26,8 +26,8 @@ use crate::{
 const APPLIED_WITHIN_NM: f64 = 20.0;
 /// Temperature channels of the bridge.
 pub const TEMPERATURES: usize = CHANNELS;
-/// Each item of `Status` comes every 0.8 s; three missed, and it counts as unknown.
-const STATUS_LASTS: Duration = Duration::from_millis(2_500);
+/// Each item of `Status` comes every 1.1 s; three missed, and it counts as unknown.
+const STATUS_LASTS: Duration = Duration::from_millis(3_400);
 /// How often the heartbeat turns round.
 const HEARTBEAT_HALF: Duration = Duration::from_millis(50);
 
@@ -139,7 +139,12 @@ impl Status {
                 self.elongation_um =
                     elongation.map(|it| (now, f64::from(it.0) / NANOMETRES_PER_MICROMETRE));
             }
-            Item::Refused { .. } | Item::Received { .. } | Item::Board { .. } => {}
+            Item::Refused { .. }
+            | Item::Received { .. }
+            | Item::Board { .. }
+            | Item::State(_)
+            | Item::Reset { .. }
+            | Item::Calibration(_) => {}
         }
     }
 }
@@ -221,6 +226,7 @@ impl Component {
             engage: inputs.enable && inputs.machine_on,
             referenced: inputs.homed,
             zero: inputs.zero,
+            ..Control::default()
         };
         let command = Command {
             control,

@@ -24,7 +24,7 @@ use trueup_link::{
     frames::{self, State},
     layout::{HEARTBEAT_PERIOD_MS, NMT_ID, SDO_REQUEST_ID, SERVICE_PERIOD_MS, STATUS_PERIOD_MS},
     receiver::{Receiver, Refused},
-    status::{self, Reason, Status},
+    status::{self, Reason, ResetReason, Status},
 };
 use trueup_store::load::{Load, Outcome, Slot};
 
@@ -67,6 +67,8 @@ pub struct Node<'a> {
     status_item: u8,
     status_counter: u8,
     last_refused: Reason,
+    reset_reason: ResetReason,
+    free_stack: u16,
     restart: bool,
     degraded: bool,
     last: Output,
@@ -113,6 +115,8 @@ impl<'a> Node<'a> {
             status_item: 0,
             status_counter: 0,
             last_refused: Reason::None,
+            reset_reason: ResetReason::Unknown,
+            free_stack: u16::MAX,
             restart: false,
             degraded,
             last: Output::default(),
@@ -135,6 +139,21 @@ impl<'a> Node<'a> {
     /// Notes what is wrong with the board.
     pub fn note(&mut self, fault: Fault) {
         self.board_faults = self.board_faults.with_if(true, fault);
+    }
+
+    /// Notes whether this is wrong with the board now: for what may go again.
+    pub fn note_if(&mut self, is_there: bool, fault: Fault) {
+        self.board_faults = self.board_faults.without(fault).with_if(is_there, fault);
+    }
+
+    /// Notes why the board last started.
+    pub fn note_reset(&mut self, reason: ResetReason) {
+        self.reset_reason = reason;
+    }
+
+    /// Notes how many bytes of the stack were never used.
+    pub fn note_free_stack(&mut self, bytes: u16) {
+        self.free_stack = bytes;
     }
 
     /// A calibration that has come whole, once: it is to be looked at, stored, and given back.
@@ -276,7 +295,7 @@ impl<'a> Node<'a> {
         }
         self.until_status_ms = STATUS_PERIOD_MS;
         let (item, counter) = (self.status_item, self.status_counter);
-        self.status_item = item.wrapping_add(1) & status::LAST_ITEM;
+        self.status_item = if item < status::LAST_ITEM { item.wrapping_add(1) } else { 0 };
         self.status_counter = counter.wrapping_add(1);
         let status = Status { last_refused: self.last_refused, item: self.item(item) };
         Some(status::encode(&status, counter))

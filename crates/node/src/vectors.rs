@@ -161,7 +161,7 @@ impl<'a> Vectors<'a> {
             self.send(4, |counter| frames::spindle(Spindle { speed, load_n: 0 }, counter));
             let engage = fault != Fault::LetsGo;
             let zero = self.faults && self.random.below(64) == 0;
-            let control = Control { engage, referenced: true, zero };
+            let control = Control { engage, zero, ..Control::REFERENCED };
             self.send(5, |counter| frames::control(control, counter));
         }
         self.sense(fault);

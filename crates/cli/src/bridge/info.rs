@@ -8,13 +8,14 @@ use trueup_client::{
     object,
     port::Port,
     session::Session,
-    words::{fault_words, output_json, output_text, state_word},
+    words::{fault_words, output_json, output_text, state_word, state_words},
 };
 use trueup_core::cnc::Output;
 use trueup_link::{
     frames::{self, State},
     receiver::OffsetReceiver,
     slcan::Event,
+    status::{ResetReason, StateBits},
 };
 
 use crate::{Outcome, output};
@@ -73,6 +74,8 @@ struct Objects {
     new_calibration: u32,
     has_reference: bool,
     faults: Vec<&'static str>,
+    state: Vec<&'static str>,
+    reset: &'static str,
 }
 
 impl Objects {
@@ -85,6 +88,12 @@ impl Objects {
             new_calibration: object::number(session, object::NEW_CRC)?,
             has_reference: object::number(session, object::HAS_REFERENCE)? != 0,
             faults: fault_words(object::number(session, object::FAULTS)?),
+            state: state_words(StateBits(object::number(session, object::STATE_BITS)?)),
+            reset: u16::try_from(object::number(session, object::RESET_REASON)?)
+                .ok()
+                .and_then(ResetReason::from_wire)
+                .unwrap_or_default()
+                .word(),
         })
     }
 
@@ -145,6 +154,8 @@ impl Info {
         all["new_calibration_crc"] = json!(objects.and_then(|it| crc(it.new_calibration)));
         all["has_reference"] = json!(objects.map(|it| it.has_reference));
         all["faults"] = json!(objects.map(|it| &it.faults));
+        all["state"] = json!(objects.map(|it| &it.state));
+        all["reset_reason"] = json!(objects.map(|it| it.reset));
         all
     }
 
@@ -166,6 +177,9 @@ impl Info {
             if it.has_reference { "taken by Zero" } else { "the calibration's own zero" };
         output::print(format_args!("reference    {reference}"))?;
         let faults = if it.faults.is_empty() { "none".into() } else { it.faults.join(" ") };
-        output::print(format_args!("faults       {faults}"))
+        output::print(format_args!("faults       {faults}"))?;
+        let state = if it.state.is_empty() { "all well".into() } else { it.state.join(" ") };
+        output::print(format_args!("state        {state}"))?;
+        output::print(format_args!("last reset   {}", it.reset))
     }
 }

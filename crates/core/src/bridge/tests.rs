@@ -40,7 +40,7 @@ fn calibration() -> Calibration<'static> {
         SensorLaw { k0: Nanometres(0), zero: Reading(1000 << 10), slope: Slope(1 << 28) };
     calibration
 }
-const ENGAGED: Control = Control { engage: true, referenced: true, zero: false };
+const ENGAGED: Control = Control::ENGAGED;
 
 /// A bridge with the hand that feeds it.
 struct Rig {
@@ -124,7 +124,7 @@ fn it_takes_both_engage_and_referenced() {
     for (engage, referenced) in [(true, false), (false, true), (false, false)] {
         let mut rig = Rig::new(calibration());
         for _ in 0..20 {
-            rig.control(Control { engage, referenced, zero: false });
+            rig.control(Control { engage, referenced, ..Control::default() });
             rig.run(20, 1050);
         }
         assert_eq!(rig.last.quality, Quality::Off);

@@ -34,9 +34,9 @@ fn command_frames_match_other_tools() {
     assert_eq!(spindle(cutting, 3).data(), &hex(0xfd81_03c0_5d24_fa00));
     let ends = Spindle { speed: Rpm(u16::MAX), load_n: i16::MAX };
     assert_eq!(spindle(ends, 4).data(), &hex(0x8945_04ff_ffff_7f00));
-    let run = Control { engage: true, referenced: true, zero: false };
+    let run = Control::ENGAGED;
     assert_eq!(control(run, 9).data(), &hex(0xb4e6_0903_0000_0000));
-    let zero = Control { engage: false, referenced: false, zero: true };
+    let zero = Control { zero: true, ..Control::default() };
     assert_eq!(control(zero, 10).data(), &hex(0x8537_0a04_0000_0000));
 }
 
@@ -193,13 +193,15 @@ proptest! {
     }
 
     #[test]
-    fn commands_come_back_whole(speed: u16, load_n: i16, bits in 0_u8..8, count: u8) {
+    fn commands_come_back_whole(speed: u16, load_n: i16, bits in 0_u8..32, count: u8) {
         let sent = Spindle { speed: Rpm(speed), load_n };
         prop_assert_eq!(decode_spindle(&spindle(sent, count)), Ok(sent));
         let sent = Control {
             engage: bits & 1 != 0,
             referenced: bits & 2 != 0,
             zero: bits & 4 != 0,
+            service: bits & 8 != 0,
+            confirm: bits & 16 != 0,
         };
         prop_assert_eq!(decode_control(&control(sent, count)), Ok(sent));
     }

@@ -10,7 +10,7 @@ use super::*;
 use crate::{
     DBC, e2e,
     frames::State,
-    status::{LAST_ITEM, Reason},
+    status::{LAST_ITEM, Reason, ResetReason},
 };
 use trueup_core::{
     cnc::{Heading, Quality},
@@ -104,6 +104,10 @@ const CONTRACT: [Expected; 11] = [
             ("Lost", COUNT_HIGH, 1.0, ""),
             ("Noise", COUNT_LOW, 0.001, ""),
             ("Faults", COUNT_HIGH, 1.0, ""),
+            ("StateBits", STATE_BITS, 1.0, ""),
+            ("ResetReason", COUNT_LOW, 1.0, ""),
+            ("FreeStack", COUNT_HIGH, 1.0, "byte"),
+            ("CalibrationCrc", CALIBRATION_CRC, 1.0, ""),
         ],
     },
     Expected {
@@ -170,6 +174,8 @@ const CONTRACT: [Expected; 11] = [
             ("Engage", ENGAGE, 1.0, ""),
             ("Referenced", REFERENCED, 1.0, ""),
             ("Zero", ZERO, 1.0, ""),
+            ("Service", SERVICE, 1.0, ""),
+            ("Confirm", CONFIRM, 1.0, ""),
         ],
     },
 ];
@@ -218,6 +224,13 @@ fn the_dbc_ranges_are_what_the_code_sends() {
             let expected = CONTRACT.iter().find(|it| it.name == message.name).unwrap();
             let place = expected.signals.iter().find(|it| it.0 == signal.name).unwrap().1;
             let (min, max) = match signal.name.as_str() {
+                // Patterns of 32 bits, which an `i32` cannot count.
+                "StateBits" | "CalibrationCrc" => {
+                    assert_eq!(number(signal.min), 0.0, "{at}");
+                    assert_eq!(number(signal.max), f64::from(u32::MAX), "{at}");
+                    continue;
+                }
+                "ResetReason" => (0, ResetReason::HardFault as i32),
                 "OffsetX" | "OffsetY" | "OffsetZ" => (-OFFSET_MAX_RAW, OFFSET_MAX_RAW),
                 "Quality" => (0, Quality::Fault as i32),
                 "Item" => (0, LAST_ITEM.into()),
@@ -269,6 +282,9 @@ fn the_dbc_names_every_value_as_the_code_does() {
     let reasons = (0..=u8::MAX).filter_map(Reason::from_wire);
     let reasons = reasons.map(|it| (it as i32, format!("{it:?}"))).collect();
     assert_eq!(names(STATUS_ID, "LastRefused"), of(reasons));
+    let resets = (0..=u16::MAX).filter_map(ResetReason::from_wire);
+    let resets = resets.map(|it| (it as i32, format!("{it:?}"))).collect();
+    assert_eq!(names(STATUS_ID, "ResetReason"), of(resets));
     let state = (0..=u8::MAX).filter_map(State::from_wire);
     let state = state.map(|it| (it as i32, format!("{it:?}"))).collect();
     assert_eq!(names(HEARTBEAT_ID, "State"), of(state));

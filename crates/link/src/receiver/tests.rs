@@ -13,7 +13,7 @@ use trueup_core::{
 };
 
 const TURNING: Spindle = Spindle { speed: Rpm(18_000), load_n: 120 };
-const ENGAGED: Control = Control { engage: true, referenced: true, zero: false };
+const ENGAGED: Control = Control::ENGAGED;
 
 fn output(cycle: u8) -> Output {
     let nm = i32::from(cycle) * 10;

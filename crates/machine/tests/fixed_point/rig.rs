@@ -49,7 +49,7 @@ impl<'c> Rig<'c> {
         for _ in 0..ms {
             self.ms += 1;
             let (bridge, state) = (&self.bridge, &mut self.state);
-            let control = Control { engage: true, referenced: true, zero: false };
+            let control = Control::ENGAGED;
             bridge.hear(state, Command::Control(control));
             for axis in LinearAxis::ALL {
                 let position = (self.position_mm[axis as usize] * UNITS_PER_MM).round() as i32;

@@ -70,7 +70,9 @@ impl Node<'_> {
             ObjectKind::Quality => self.last.quality as u32,
             ObjectKind::Flags => self.last.flags.0.into(),
             ObjectKind::Age => self.last.age_ms.into(),
-            ObjectKind::Faults => self.faults(&self.last).bits().into(),
+            ObjectKind::Faults => self.faults(&self.last).low_bits().into(),
+            ObjectKind::StateBits => self.faults(&self.last).state().0,
+            ObjectKind::ResetReason => self.reset_reason as u32,
             ObjectKind::Clock => self.now.0,
             ObjectKind::ReferenceElongation => nanometres(reference.elongation),
             ObjectKind::Reference(axis) => {
@@ -112,10 +114,13 @@ impl Node<'_> {
             6 => {
                 Item::Received { malformed: short(counters.malformed), lost: short(counters.lost) }
             }
-            _ => Item::Board {
+            7 => Item::Board {
                 noise_thousandths: short(self.noise_thousandths()),
-                faults: self.faults(&self.last).bits(),
+                faults: self.faults(&self.last).low_bits(),
             },
+            8 => Item::State(self.faults(&self.last).state()),
+            9 => Item::Reset { reason: self.reset_reason, free_stack: self.free_stack },
+            _ => Item::Calibration(if self.blob.is_empty() { 0 } else { identity(self.blob) }),
         }
     }
 

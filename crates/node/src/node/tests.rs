@@ -243,7 +243,7 @@ fn the_faults_of_the_bridge_and_the_board_are_told_and_remembered() {
     // The converter stops, the CNC comes and goes.
     let mut node = Node::new(Some(tests_calibration()), true);
     assert_eq!(codes_of(&pass(&mut node, 100)), [0x7002, 0x9001, 0x5000]);
-    let control = Control { engage: false, referenced: true, zero: false };
+    let control = Control::REFERENCED;
     node.hear(&frames::control(control, 0)).expect("the first");
     assert_eq!(codes_of(&pass(&mut node, 1_000)), [0x8100]);
     node.hear(&frames::control(control, 1)).expect("in order");
@@ -345,13 +345,15 @@ fn the_status_tells_each_item_in_turn_and_why_a_frame_was_refused() {
     use trueup_link::layout::STATUS_ID;
     use trueup_link::status::{Item, Reason, decode};
     let mut node = Node::new(Some(tests_calibration()), false);
+    node.note_reset(ResetReason::Watchdog);
+    node.note_free_stack(4_000);
     let statuses = |node: &mut Node<'_>, ms| -> Vec<_> {
         let said = pass(node, ms);
         let frames = said.iter().filter(|frame| frame.id() == STATUS_ID);
         frames.map(|frame| (frames::counter(frame), decode(frame).expect("ours"))).collect()
     };
-    let first = statuses(&mut node, 1_600);
-    assert_eq!(first.len(), 16, "ten a second");
+    let first = statuses(&mut node, 2_200);
+    assert_eq!(first.len(), 22, "ten a second");
     for (number, (counter, status)) in (0..).zip(&first) {
         assert_eq!((*counter, status.last_refused), (number, Reason::None));
         let item = match status.item {
@@ -360,14 +362,20 @@ fn the_status_tells_each_item_in_turn_and_why_a_frame_was_refused() {
             Item::Refused { damaged: 0, out_of_sequence: 0 } => 5,
             Item::Received { malformed: 0, lost: 0 } => 6,
             Item::Board { noise_thousandths: 0, faults } => {
-                assert_eq!(faults, node.faults(&node.last).bits());
+                assert_eq!(faults, node.faults(&node.last).low_bits());
                 7
             }
+            Item::State(bits) => {
+                assert_eq!(bits, node.faults(&node.last).state());
+                8
+            }
+            Item::Reset { reason: ResetReason::Watchdog, free_stack: 4_000 } => 9,
+            Item::Calibration(0) => 10,
             other => panic!("{other:?}"),
         };
-        assert_eq!(item, number % 8);
+        assert_eq!(item, number % 11);
     }
-    let control = Control { engage: false, referenced: true, zero: false };
+    let control = Control::REFERENCED;
     let frame = |counter| frames::control(control, counter);
     let mut damaged = *frame(0).data();
     damaged[4] ^= 1;
@@ -381,7 +389,7 @@ fn the_status_tells_each_item_in_turn_and_why_a_frame_was_refused() {
     ] {
         node.hear(&sent).ok();
         let mut found = [None; 4];
-        for (_, status) in statuses(&mut node, 800) {
+        for (_, status) in statuses(&mut node, 1_100) {
             assert_eq!(status.last_refused, reason);
             match status.item {
                 Item::Refused { damaged, out_of_sequence } => {

@@ -75,7 +75,7 @@ fn alive(level: u16) -> [Code; CODES_PER_TICK] {
 #[test]
 fn a_zero_is_told_once_and_what_it_took_can_be_given_back_to_another_node() {
     let send = |node: &mut Node<'_>, zero, counter| {
-        let control = Control { engage: true, referenced: true, zero };
+        let control = Control { zero, ..Control::ENGAGED };
         node.hear(&frames::control(control, counter)).expect("in order");
     };
     let live = |node: &mut Node<'_>, ms| {
@@ -109,7 +109,7 @@ fn a_zero_is_told_once_and_what_it_took_can_be_given_back_to_another_node() {
 
 #[test]
 fn a_damaged_control_is_counted_and_engages_nothing() {
-    let control = Control { engage: true, referenced: true, zero: false };
+    let control = Control::ENGAGED;
     let good = frames::control(control, 0);
     let mut data = *good.data();
     data[3] ^= 1;
