@@ -63,6 +63,25 @@ pub struct Segment {
 }
 
 impl Segment {
+    /// A piece of which nothing else is said: still, without load, every key at its default.
+    pub(crate) fn of(kind: Kind) -> Self {
+        Self {
+            kind,
+            spindle_rpm: 0.0,
+            load_n: 0.0,
+            duration_s: None,
+            to_mm: None,
+            feed_mm_per_min: None,
+            axis: None,
+            range_mm: None,
+            targets: None,
+            cycles: None,
+            dwell_s: None,
+            overshoot_mm: None,
+            spread_mm: None,
+        }
+    }
+
     /// The first rule that is broken.
     pub(crate) fn check(&self) -> Result<(), Rule> {
         use Kind::{Move, Positions, Spindle};

@@ -4,19 +4,23 @@
 //! ```text
 //! cargo run --release -p trueup-diagnose --example scorecard -- \
 //!     [--ratios 3,1,10] [--seeds 20] [--few 20] [--clean 150] [--first 0] [--out docs/scorecard.md] \
-//!     [--each] [--tsv FILE] [cause…|pairs|first+second]
+//!     [--each] [--tsv FILE] [cause…|first+second]
 //! … scorecard -- second [--seeds 10] [--first 0] [--each] [known+new…|known…]
 //! … scorecard -- scenarios [--seeds 50] [--first 0] [--each] [--tsv FILE] [name…]
 //! … scorecard -- physical [--seeds 300] [--first 0] [--each] [--tsv FILE] [faults|healthy]
+//! … scorecard -- pairs [--seeds 1] [--first 0] [--each] [--tsv FILE] [a+b…]
 //! … scorecard -- compare BEFORE AFTER
 //! ```
 //!
 //! `--seeds` counts at ratio 3, `--few` at the others, `--clean` for noise alone. `--each` prints every
 //! answer, `--tsv` writes a line for each. The files are written anew after each row. `second` asks
 //! what is named where the machine file has a cause already ([`mod@second`]), `scenarios` what is said of
-//! the shipped ones ([`scenarios`]), `physical` of machines with physical faults ([`mod@physical`]), `compare` what has become better or worse between two cards, draw by
-//! draw ([`compare`]).
+//! the shipped ones ([`scenarios`]), `physical` of machines with physical faults
+//! ([`mod@physical`]), `pairs` of every two causes that one machine can have ([`mod@pairs`]), `compare` what
+//! has become better or worse between two cards, draw by draw ([`compare`]).
 
+#[path = "../../tests/score/pairs.rs"]
+mod all_pairs;
 mod card;
 mod compare;
 #[path = "../../tests/score/key.rs"]
@@ -28,6 +32,7 @@ mod machines;
 mod options;
 #[path = "../../tests/score/own.rs"]
 mod own;
+mod pairs;
 mod physical;
 mod scenarios;
 #[path = "../../tests/score/mod.rs"]
@@ -122,6 +127,7 @@ fn main() -> ExitCode {
         Some("second") => return second::run(&words[1..]),
         Some("physical") => return physical::run(&words[1..]),
         Some("scenarios") => return scenarios::run(&words[1..]),
+        Some("pairs") => return pairs::run(&words[1..]),
         Some("compare") => return compare::run(&words[1..]),
         _ => {}
     }
@@ -168,7 +174,7 @@ fn main() -> ExitCode {
         }
         for &(a, b) in PAIRS {
             let both = format!("{}+{}", a.name(), b.name());
-            if is_wanted("pairs") || is_wanted(&both) {
+            if is_wanted(&both) {
                 let row = row(asked.first..asked.first + seeds, &|seed| {
                     let challenge =
                         draw_pair(a, b, ratio, seed).expect("the twin's own pairs can be drawn");

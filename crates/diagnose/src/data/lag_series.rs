@@ -223,30 +223,6 @@ mod tests {
     }
 
     #[test]
-    #[ignore = "campaign: times, which a busy machine spoils"]
-    fn campaign_a_lag_by_series_takes_less_than_a_fifth_of_the_time_of_its_rows() {
-        let count = 500_000;
-        let time_s: Vec<f64> = (0..count).map(|row| row as f64 / 20.0).collect();
-        let values: Vec<f64> = time_s.iter().map(|time_s| (time_s / 900.0).sin()).collect();
-        let restart: Vec<bool> = (0..count).map(|row| row == 0).collect();
-        let blocks = RowBlocks::new(0..count, |row| row % 32 == 0);
-        let clock = Arc::new(Clock::new(&time_s, &restart, &blocks).expect("all times"));
-        let series = LagSeries::new(&clock, &values, &blocks).expect("all values");
-        let least_s = |of: &dyn Fn() -> Vec<f64>| {
-            let once = |_| {
-                let start = std::time::Instant::now();
-                std::hint::black_box(of());
-                start.elapsed().as_secs_f64()
-            };
-            (0..7).map(once).fold(f64::INFINITY, f64::min)
-        };
-        let by_rows_s = least_s(&|| blocks.means(&lag(&values, &time_s, &restart, [600.0; 2])));
-        let by_series_s = least_s(&|| series.means(&values, &blocks, 600.0));
-        println!("{:.1} times as fast", by_rows_s / by_series_s);
-        assert!(by_series_s < 0.2 * by_rows_s, "{by_series_s} s against {by_rows_s} s");
-    }
-
-    #[test]
     fn a_gap_in_the_column_has_no_series() {
         let blocks = RowBlocks::new(0..4, |row| row % 2 == 0);
         let restart = [true, false, false, false];

@@ -6,7 +6,7 @@
 
 use super::{
     page::{
-        Constants, Definition, Entry, Home, Host, Input, Nonlinear, OnBoard, Page,
+        Constants, Definition, Entry, Home, Host, Nonlinear, Page,
         Parameter, Stage, Value, minutes, positive,
     },
     survey::{FINE_TIME_CONSTANTS, Settings, Survey},
@@ -42,10 +42,6 @@ impl Page for CoolingAsymmetry {
         1
     }
 
-    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
-        vec![]
-    }
-
     fn nonlinear(&self) -> &'static [Nonlinear] {
         &[Nonlinear::FallingTimeConstant]
     }
@@ -75,10 +71,6 @@ impl Page for CoolingAsymmetry {
         self.time_constant_s = values[0];
     }
 
-    fn on_board(&self) -> Vec<OnBoard> {
-        Vec::new()
-    }
-
     fn sentence(&self, values: &[f64]) -> String {
         format!("It cools down with a time constant of its own: {}.", minutes(values[0]))
     }
@@ -104,18 +96,10 @@ impl Definition for CoolingAsymmetry {
     }
 
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
-        let believed_s = match (survey.thermal_in_use(), survey.source()) {
-            (Some(thermal), _) => thermal.lag_s,
-            (None, Some(ElongationSource::Temperature)) => {
-                survey.spindle().temperature.as_ref().map_or(0.0, |model| model.lag_s)
-            }
-            _ => 0.0,
-        };
-        let follows = survey.thermal_in_use().is_some()
-            || survey.source() == Some(ElongationSource::Temperature);
         let is_warmup = survey.source() == Some(ElongationSource::Warmup);
         let stood = || survey.column("spindle_rpm").is_some_and(|rpm| rpm.contains(&0.0));
-        if follows && (believed_s > 0.0 || survey.has(ThermalLag::NAME)) || is_warmup && stood() {
+        let lags = |believed_s| believed_s > 0.0 || survey.has(ThermalLag::NAME);
+        if survey.believed_lag_s().is_some_and(lags) || is_warmup && stood() {
             with(Self::default(), survey.time_constants(FINE_TIME_CONSTANTS));
         }
     }

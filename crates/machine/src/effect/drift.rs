@@ -9,7 +9,7 @@
 
 use super::{
     page::{
-        Definition, Entry, Home, Input, OnBoard, Page,
+        Definition, Entry, Home, Input, Page,
         Parameter, Value, number,
     },
     survey::{Settings, Survey, targets},
@@ -88,10 +88,6 @@ impl Page for Drift {
             Self::InTime { um_per_h } => *um_per_h = values[0],
             Self::ByRun { um_per_run, .. } => *um_per_run = values[0],
         }
-    }
-
-    fn on_board(&self) -> Vec<OnBoard> {
-        Vec::new()
     }
 
     fn sentence(&self, values: &[f64]) -> String {

@@ -6,7 +6,7 @@
 
 use super::{
     page::{
-        Constants, Definition, Entry, Home, Host, Input, OnBoard, Page,
+        Constants, Definition, Entry, Home, Host, Page,
         Parameter, Stage, Value, number,
     },
     survey::{Settings, Survey},
@@ -36,22 +36,12 @@ impl Page for ExpansionConstant {
         Stage::Constant
     }
 
-    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
-        vec![]
-    }
-
     // A table has no constant to correct, and the mode "position" does not use it.
     fn refusal(&self, host: &Host<'_>) -> Option<String> {
-        match host.thermal {
-            None => Some("needs [axis.*.thermal] of the quantity's axis".into()),
-            Some(thermal) if thermal.table.is_some() => {
-                Some("corrects a constant, and there is a table".into())
-            }
-            Some(thermal) if !thermal.mode.has_constant() => {
-                Some("corrects a constant that the mode \"position\" does not use".into())
-            }
-            Some(_) => None,
-        }
+        let is_used = host.thermal.is_none_or(|thermal| thermal.mode.has_constant());
+        host.refuses_thermal_constant().or_else(|| {
+            (!is_used).then(|| "corrects a constant that the mode \"position\" does not use".into())
+        })
     }
 
     fn correct(&self, constants: &mut Constants<'_>) {
@@ -67,10 +57,6 @@ impl Page for ExpansionConstant {
 
     fn set(&mut self, values: &[f64]) {
         self.um_per_c += values[0];
-    }
-
-    fn on_board(&self) -> Vec<OnBoard> {
-        Vec::new()
     }
 
     fn sentence(&self, values: &[f64]) -> String {

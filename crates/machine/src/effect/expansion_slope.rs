@@ -6,7 +6,7 @@
 
 use super::{
     page::{
-        Constants, Definition, Entry, Home, Host, Input, OnBoard, Page,
+        Constants, Definition, Entry, Home, Host, Page,
         Parameter, Stage, Value, number,
     },
     survey::{Settings, Survey},
@@ -36,19 +36,9 @@ impl Page for ExpansionSlope {
         Stage::Constant
     }
 
-    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
-        vec![]
-    }
-
     // Another reference moves a table along the temperature; another slope has no place in it.
     fn refusal(&self, host: &Host<'_>) -> Option<String> {
-        match host.thermal {
-            None => Some("needs [axis.*.thermal] of the quantity's axis".into()),
-            Some(thermal) if thermal.table.is_some() => {
-                Some("corrects a constant, and there is a table".into())
-            }
-            Some(_) => None,
-        }
+        host.refuses_thermal_constant()
     }
 
     fn correct(&self, constants: &mut Constants<'_>) {
@@ -64,10 +54,6 @@ impl Page for ExpansionSlope {
 
     fn set(&mut self, values: &[f64]) {
         self.um_per_m_per_c += values[0];
-    }
-
-    fn on_board(&self) -> Vec<OnBoard> {
-        Vec::new()
     }
 
     fn sentence(&self, values: &[f64]) -> String {

@@ -6,7 +6,7 @@
 
 use super::{
     page::{
-        Constants, Definition, Entry, Home, Host, Input, Nonlinear, OnBoard, Page,
+        Constants, Definition, Entry, Home, Host, Nonlinear, Page,
         Parameter, Stage, Value, minutes, positive,
     },
     survey::{FINE_TIME_CONSTANTS, Settings, Survey},
@@ -35,10 +35,6 @@ impl Page for GrowthRate {
 
     fn stage(&self) -> Stage {
         Stage::Constant
-    }
-
-    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
-        vec![]
     }
 
     fn nonlinear(&self) -> &'static [Nonlinear] {
@@ -70,10 +66,6 @@ impl Page for GrowthRate {
 
     fn set(&mut self, values: &[f64]) {
         self.time_constant_s = values[0];
-    }
-
-    fn on_board(&self) -> Vec<OnBoard> {
-        Vec::new()
     }
 
     fn sentence(&self, values: &[f64]) -> String {

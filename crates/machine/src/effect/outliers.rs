@@ -1,7 +1,7 @@
 //! `outliers`: some readings are no readings. The prediction stays; such rows are set aside.
 
 use super::page::{
-        Definition, Entry, Home, Input, OnBoard, Page,
+        Definition, Entry, Home, Input, Page,
         Parameter, Value,
     };
 use crate::{
@@ -46,10 +46,6 @@ impl Page for Outliers {
     }
 
     fn set(&mut self, _: &[f64]) {}
-
-    fn on_board(&self) -> Vec<OnBoard> {
-        Vec::new()
-    }
 
     fn sentence(&self, _: &[f64]) -> String {
         "Some readings are no readings: they stand alone, far from the rest.".into()

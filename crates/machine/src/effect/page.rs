@@ -314,6 +314,17 @@ impl Host<'_> {
             Some(_) => self.thermal.is_some(),
         }
     }
+
+    /// Why no constant of the axis's thermal law can be corrected, if none can.
+    pub(crate) fn refuses_thermal_constant(&self) -> Option<String> {
+        match self.thermal {
+            None => Some("needs [axis.*.thermal] of the quantity's axis".into()),
+            Some(thermal) if thermal.table.is_some() => {
+                Some("corrects a constant, and there is a table".into())
+            }
+            Some(_) => None,
+        }
+    }
 }
 
 /// What a cause with its numbers answers.
@@ -347,7 +358,9 @@ pub trait Page {
     }
 
     /// The columns that its law reads, in its order.
-    fn inputs<'a>(&'a self, nonlinear: &[f64]) -> Vec<Input<'a>>;
+    fn inputs<'a>(&'a self, _nonlinear: &[f64]) -> Vec<Input<'a>> {
+        Vec::new()
+    }
 
     /// Its nonlinear values.
     fn nonlinear(&self) -> &'static [Nonlinear] {
@@ -393,8 +406,11 @@ pub trait Page {
         None
     }
 
-    /// What it is on the board, one form after the other.
-    fn on_board(&self) -> Vec<OnBoard>;
+    /// What it is on the board, one form after the other; none where it corrects a constant of a law, or
+    /// is not corrected.
+    fn on_board(&self) -> Vec<OnBoard> {
+        Vec::new()
+    }
 
     /// Whether its reference (a temperature, a start) is its own, and with it a constant.
     fn has_reference(&self) -> bool {

@@ -13,7 +13,7 @@ use std::f64::consts::TAU;
 
 use super::{
     page::{
-        Definition, Entry, Home, Input, Nonlinear, OnBoard, Page,
+        Definition, Entry, Home, Input, Nonlinear, Page,
         Parameter, Value,
     },
     survey::{Reading, Settings, Survey},
@@ -146,10 +146,6 @@ impl Page for ReferenceInstrument {
             self.origin_mm = None;
             self.waves.clear();
         }
-    }
-
-    fn on_board(&self) -> Vec<OnBoard> {
-        Vec::new()
     }
 
     fn sentence(&self, values: &[f64]) -> String {

@@ -6,7 +6,7 @@
 
 use super::{
     page::{
-        Constants, Definition, Entry, Home, Host, Input, OnBoard, Page,
+        Constants, Definition, Entry, Home, Host, Page,
         Parameter, Stage, Value, number,
     },
     survey::{Settings, Survey},
@@ -36,10 +36,6 @@ impl Page for ReferenceTemperature {
         Stage::Constant
     }
 
-    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
-        vec![]
-    }
-
     fn refusal(&self, host: &Host<'_>) -> Option<String> {
         host.thermal.is_none().then(|| "needs [axis.*.thermal] of the quantity's axis".into())
     }
@@ -56,10 +52,6 @@ impl Page for ReferenceTemperature {
 
     fn set(&mut self, values: &[f64]) {
         self.shift_c = values[0];
-    }
-
-    fn on_board(&self) -> Vec<OnBoard> {
-        Vec::new()
     }
 
     fn sentence(&self, values: &[f64]) -> String {

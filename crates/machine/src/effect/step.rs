@@ -6,7 +6,7 @@
 
 use super::{
     page::{
-        Definition, Entry, Home, Input, Nonlinear, OnBoard, Page,
+        Definition, Entry, Home, Input, Nonlinear, Page,
         Parameter, Value, number,
     },
     survey::{Settings, Survey},
@@ -56,10 +56,6 @@ impl Page for Step {
 
     fn set(&mut self, values: &[f64]) {
         (self.at_s, self.size_um) = (values[0], values[1]);
-    }
-
-    fn on_board(&self) -> Vec<OnBoard> {
-        Vec::new()
     }
 
     fn sentence(&self, values: &[f64]) -> String {

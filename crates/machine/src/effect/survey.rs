@@ -153,6 +153,19 @@ impl dyn Survey + '_ {
         self.thermal().filter(|thermal| self.varies(&thermal.sensor))
     }
 
+    /// The lag that is believed between the thermometer and the growth by it, in s; `None` where no
+    /// growth goes by a thermometer that has moved.
+    #[must_use]
+    pub fn believed_lag_s(&self) -> Option<f64> {
+        match (self.thermal_in_use(), self.source()) {
+            (Some(thermal), _) => Some(thermal.lag_s),
+            (None, Some(ElongationSource::Temperature)) => {
+                Some(self.spindle().temperature.as_ref().map_or(0.0, |model| model.lag_s))
+            }
+            _ => None,
+        }
+    }
+
     /// The columns of the positions of the other axes that have moved, for an axis's error.
     #[must_use]
     pub fn other_axes(&self) -> Vec<LinearAxis> {

@@ -6,13 +6,12 @@
 
 use super::{
     page::{
-        Constants, Definition, Entry, Home, Host, Input, Nonlinear, OnBoard, Page,
+        Constants, Definition, Entry, Home, Host, Nonlinear, Page,
         Parameter, Stage, Value, minutes, positive,
     },
     survey::{FINE_TIME_CONSTANTS, Settings, Survey, TIME_CONSTANTS},
 };
 use crate::{
-    file::spindle::ElongationSource,
     location::BadInput,
     file::read::Section,
 };
@@ -35,10 +34,6 @@ impl Page for ThermalLag {
 
     fn stage(&self) -> Stage {
         Stage::Constant
-    }
-
-    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
-        vec![]
     }
 
     fn nonlinear(&self) -> &'static [Nonlinear] {
@@ -77,10 +72,6 @@ impl Page for ThermalLag {
         self.time_constant_s = values[0];
     }
 
-    fn on_board(&self) -> Vec<OnBoard> {
-        Vec::new()
-    }
-
     fn sentence(&self, values: &[f64]) -> String {
         format!(
             "The machine grows later than its thermometer warms, by a time constant of {}.",
@@ -109,13 +100,7 @@ impl Definition for ThermalLag {
     }
 
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
-        let believed_s = match (survey.thermal_in_use(), survey.source()) {
-            (Some(thermal), _) => thermal.lag_s,
-            (None, Some(ElongationSource::Temperature)) => {
-                survey.spindle().temperature.as_ref().map_or(0.0, |model| model.lag_s)
-            }
-            _ => return,
-        };
+        let Some(believed_s) = survey.believed_lag_s() else { return };
         // A thermometer that is late and a part that is late are one lateness, early or late.
         if survey.has("thermometer-lag") {
             return;

@@ -17,12 +17,12 @@
 
 use super::{
     page::{
-        Definition, Entry, Home, Host, Input, Late, LateForm, Nonlinear, OnBoard, Page, Parameter, Stage,
+        Definition, Entry, Home, Host, Input, Late, LateForm, Nonlinear, Page, Parameter, Stage,
         Value, minutes, positive,
     },
     survey::{Settings, Survey},
 };
-use crate::{file::read::Section, file::spindle::ElongationSource, location::BadInput};
+use crate::{file::read::Section, location::BadInput};
 
 /// A thermometer that is late.
 #[derive(Clone, Debug, PartialEq)]
@@ -102,10 +102,6 @@ impl Page for ThermometerLag {
         self.time_constant_s = values[0];
     }
 
-    fn on_board(&self) -> Vec<OnBoard> {
-        Vec::new()
-    }
-
     // What is late is so at the first row too, whose reading people take for the part's.
     fn has_reference(&self) -> bool {
         true
@@ -147,13 +143,7 @@ impl Definition for ThermometerLag {
 
     // Beside a lag of the law that is longer, a thermometer that lags is the same as a shorter law.
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
-        let believed_s = match (survey.thermal_in_use(), survey.source()) {
-            (Some(thermal), _) => thermal.lag_s,
-            (None, Some(ElongationSource::Temperature)) => {
-                survey.spindle().temperature.as_ref().map_or(0.0, |model| model.lag_s)
-            }
-            _ => return,
-        };
+        let Some(believed_s) = survey.believed_lag_s() else { return };
         if believed_s == 0.0 && !survey.has(Self::NAME) {
             let lags = SLOPES_OVER.map(|slope_over| LateForm::Lag { slope_over });
             for form in lags.into_iter().chain([LateForm::Delay]) {

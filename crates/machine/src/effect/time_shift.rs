@@ -10,7 +10,7 @@
 
 use super::{
     page::{
-        Definition, Entry, Home, Input, Nonlinear, OnBoard, Page,
+        Definition, Entry, Home, Input, Nonlinear, Page,
         Parameter, Stage, Value, number,
     },
     survey::{Settings, Survey},
@@ -70,10 +70,6 @@ impl Page for TimeShift {
 
     fn set(&mut self, values: &[f64]) {
         self.shift_s = values[0];
-    }
-
-    fn on_board(&self) -> Vec<OnBoard> {
-        Vec::new()
     }
 
     fn sentence(&self, values: &[f64]) -> String {

@@ -4,16 +4,14 @@ use std::collections::BTreeMap;
 
 use super::{
     Fault, Kind,
-    kind::{Directions, HELD_C, thermometer},
+    kind::{Directions, HELD_C, bare, thermometers},
 };
 use crate::{
-    ambient::AmbientConfig,
     axes::{AxisConfig, AxisName, Feedback, Straightness},
     cubic_spline::CubicSpline,
-    instrument::InstrumentConfig,
     noise::Stream,
     path::{Kind as Piece, Segment},
-    scenario::{CoolantConfig, Quantity, Scenario},
+    scenario::{Quantity, Scenario},
     sensors::Spot,
 };
 
@@ -50,25 +48,11 @@ pub(super) fn draw(kind: Kind, stream: &mut Stream) -> (Scenario, String) {
         );
     }
     let scenario = Scenario {
-        name: kind.name().into(),
-        measure: vec![Quantity::Dx],
         interval_s: NEVER_S,
-        step_s: 10.0,
-        repeat: 1,
-        start_c: None,
         start_mm: [TRAVEL_MM[0], 300.0, 200.0],
-        tool_direction: [0.0, 0.0, -1.0],
-        head: Vec::new(),
-        ambient: AmbientConfig::default(),
-        coolant: CoolantConfig::default(),
-        spindle: None,
-        sensor: None,
-        thermometer: spots.into_iter().map(|(name, at)| (name.into(), thermometer(at))).collect(),
+        thermometer: thermometers(spots),
         axis: BTreeMap::from([(AxisName::X, axis)]),
-        straightness: Vec::new(),
-        abbe: Vec::new(),
-        instrument: InstrumentConfig::default(),
-        segment: Vec::new(),
+        ..bare(kind, Quantity::Dx)
     };
     (scenario, machine)
 }
@@ -76,21 +60,7 @@ pub(super) fn draw(kind: Kind, stream: &mut Stream) -> (Scenario, String) {
 /// A day: the axis works for a while, quickly or hardly at all, and is measured up and down with Y at
 /// another place each time.
 pub(super) fn programme(scenario: &mut Scenario, stream: &mut Stream) {
-    let piece = |kind: Piece| Segment {
-        kind,
-        spindle_rpm: 0.0,
-        load_n: 0.0,
-        duration_s: None,
-        to_mm: None,
-        feed_mm_per_min: Some(12_000.0),
-        axis: None,
-        range_mm: None,
-        targets: None,
-        cycles: None,
-        dwell_s: None,
-        overshoot_mm: None,
-        spread_mm: None,
-    };
+    let piece = |kind: Piece| Segment { feed_mm_per_min: Some(12_000.0), ..Segment::of(kind) };
     let [low_mm, high_mm] = TRAVEL_MM;
     let spread_mm = stream.uniform(5.0, 15.0);
     let mut feed_mm_per_min = 600.0;

@@ -1,7 +1,14 @@
 //! Kinds of machines, which faults each can have, and what all of them share.
 
+use std::collections::BTreeMap;
+
 use super::Fault;
-use crate::sensors::{Spot, ThermometerConfig};
+use crate::{
+    ambient::AmbientConfig,
+    instrument::InstrumentConfig,
+    scenario::{CoolantConfig, Quantity, Scenario},
+    sensors::{Spot, ThermometerConfig},
+};
 
 /// The temperature that a room is held at, and at which everything is right, in °C.
 pub(super) const HELD_C: f64 = 20.0;
@@ -85,14 +92,41 @@ pub(super) struct Directions {
     pub wear_along: f64,
 }
 
-/// A thermometer that is as good as thermometers on machines are.
-pub(super) fn thermometer(at: Spot) -> ThermometerConfig {
-    ThermometerConfig {
+/// Thermometers by name and place, each as good as thermometers on machines are.
+pub(super) fn thermometers(spots: Vec<(&str, Spot)>) -> BTreeMap<String, ThermometerConfig> {
+    let good = |at: Spot| ThermometerConfig {
         at,
         offset_c: 0.0,
         lag_s: 0.0,
         noise_c: 0.01,
         quantum_c: 0.01,
         dropout: 0.0,
+    };
+    spots.into_iter().map(|(name, at)| (name.to_string(), good(at))).collect()
+}
+
+/// A machine of which only the kind is known, and what is measured on it: nothing of it errs, and it does
+/// nothing yet.
+pub(super) fn bare(kind: Kind, measured: Quantity) -> Scenario {
+    Scenario {
+        name: kind.name().into(),
+        measure: vec![measured],
+        interval_s: 10.0,
+        step_s: 10.0,
+        repeat: 1,
+        start_c: None,
+        start_mm: [0.0; 3],
+        tool_direction: [0.0, 0.0, -1.0],
+        head: Vec::new(),
+        ambient: AmbientConfig::default(),
+        coolant: CoolantConfig::default(),
+        spindle: None,
+        sensor: None,
+        thermometer: BTreeMap::new(),
+        axis: BTreeMap::new(),
+        straightness: Vec::new(),
+        abbe: Vec::new(),
+        instrument: InstrumentConfig::default(),
+        segment: Vec::new(),
     }
 }

@@ -1,14 +1,11 @@
 //! Spindles: as they are healthy, what their users write, what they do in a shift, and their faults.
 
-use std::collections::BTreeMap;
-
 use super::{
     Fault, Kind,
-    kind::{Directions, HELD_C, thermometer},
+    kind::{Directions, HELD_C, bare, thermometers},
 };
 use crate::{
     heat::Material,
-    instrument::InstrumentConfig,
     noise::Stream,
     path::{Kind as Piece, Segment},
     scenario::{CoolantConfig, Quantity, Scenario},
@@ -70,27 +67,13 @@ pub(super) fn draw(kind: Kind, stream: &mut Stream) -> (Scenario, String) {
             warmup(head, &spindle, um_per_c)
         }
     };
-    let thermometer = |(name, at): (&str, Spot)| (name.to_string(), thermometer(at));
     let scenario = Scenario {
-        name: kind.name().into(),
-        measure: vec![Quantity::Elongation],
         interval_s: INTERVAL_S,
-        step_s: 10.0,
-        repeat: 1,
-        start_c: None,
-        start_mm: [0.0; 3],
-        tool_direction: [0.0, 0.0, -1.0],
-        head: Vec::new(),
-        ambient: crate::ambient::AmbientConfig::default(),
         coolant: CoolantConfig { temperature_c: HELD_C, air_share: 0.0 },
         spindle: Some(spindle),
         sensor,
-        thermometer: spots.into_iter().map(thermometer).collect(),
-        axis: BTreeMap::new(),
-        straightness: Vec::new(),
-        abbe: Vec::new(),
-        instrument: InstrumentConfig::default(),
-        segment: Vec::new(),
+        thermometer: thermometers(spots),
+        ..bare(kind, Quantity::Elongation)
     };
     (scenario, machine)
 }
@@ -117,19 +100,10 @@ fn warmup(head: &str, spindle: &SpindleConfig, um_per_c: f64) -> String {
 pub(super) fn programme(scenario: &mut Scenario, stream: &mut Stream) {
     let max_rpm = scenario.spindle.as_ref().map_or(0.0, |it| it.max_rpm);
     let piece = |spindle_rpm: f64, load_n: f64, duration_s: f64| Segment {
-        kind: Piece::Spindle,
         spindle_rpm,
         load_n,
         duration_s: Some(duration_s),
-        to_mm: None,
-        feed_mm_per_min: None,
-        axis: None,
-        range_mm: None,
-        targets: None,
-        cycles: None,
-        dwell_s: None,
-        overshoot_mm: None,
-        spread_mm: None,
+        ..Segment::of(Piece::Spindle)
     };
     let (mut passed_s, mut share_before) = (0.0, 0.0);
     while passed_s < SHIFT_S {

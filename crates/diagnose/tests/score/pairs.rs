@@ -1,0 +1,104 @@
+//! All pairs of causes that one machine can have, and what an answer to both is worth.
+//!
+//! Two causes may do the same, or nearly take each other away: a pair has to be named where each does as
+//! much as the noise that the other could not do.
+
+use trueup_twin::hidden::{Challenge, Expected, Hidden, draw_pair};
+
+use crate::{
+    own::own_rms,
+    score::{Score, answer, score},
+};
+
+/// The size of a cause, RMS over that of the noise.
+pub const RATIO: f64 = 3.0;
+/// The least share of draws that can be told in which both are named and nothing else is claimed.
+pub const RIGHT: f64 = 0.95;
+/// The largest share of them in which another cause is claimed.
+pub const WRONG: f64 = 0.01;
+/// A 95 % interval leaves one honest value in twenty outside; at twice its width, 3.9 standard
+/// deviations of a normal distribution, one in ten thousand.
+const STRETCHED: f64 = 2.0;
+/// Of the possible gain on the hold-out, what the worst answer that claims all must reach.
+const LEAST_GAIN: f64 = 0.85;
+
+/// A cause, and what is a part of it already: a table, each way one, has all that hangs on position and
+/// direction alone; another reference of a temperature or of a lever is a slope over the axis.
+const PARTS_OF: [(Hidden, Hidden); 6] = [
+    (Hidden::PitchError, Hidden::PitchScale),
+    (Hidden::PitchError, Hidden::PitchPeriodic),
+    (Hidden::PitchError, Hidden::Backlash),
+    (Hidden::PitchError, Hidden::PositionDependentBacklash),
+    (Hidden::AxisExpansion, Hidden::PitchScale),
+    (Hidden::AngularError, Hidden::PitchScale),
+];
+
+/// Causes with a name of their own.
+pub fn causes() -> Vec<Hidden> {
+    let is_named = |cause: &Hidden| {
+        matches!(cause.expected(), Expected::Compensated | Expected::Reported)
+            && cause.name() == cause.answer()
+    };
+    Hidden::ALL.iter().copied().filter(is_named).collect()
+}
+
+/// What is wrong with the values of an answer: an interval that is far off, a gain that is missing.
+pub fn faults(score: &Score) -> Vec<String> {
+    let far = score.intervals.iter().filter(|it| !it.is_inside(STRETCHED));
+    let mut faults: Vec<String> = far.map(|it| format!("{it:?}")).collect();
+    if score.share_of_gain < LEAST_GAIN {
+        faults.push(format!("{:.3} of the possible gain", score.share_of_gain));
+    }
+    faults
+}
+
+/// Two causes of one machine.
+#[derive(Clone, Copy)]
+pub struct Pair(pub Hidden, pub Hidden);
+
+/// What is said of a pair.
+pub struct Judged {
+    pub score: Score,
+    /// Both are named, claimed or not, and nothing else is claimed.
+    pub is_right: bool,
+}
+
+impl Pair {
+    /// All whose causes stand beside each other.
+    pub fn all() -> Vec<Self> {
+        let all = causes();
+        let of = |number: usize| all[number + 1..].iter().map(move |b| (number, *b));
+        let both = (0..all.len()).flat_map(of).map(|(a, b)| Self(all[a], b));
+        both.filter(|Self(a, b)| a.stands_beside(*b)).collect()
+    }
+
+    pub fn name(self) -> String {
+        format!("{}+{}", self.0.name(), self.1.name())
+    }
+
+    /// The answer to the machine of `seed` with both; `None` where nobody could tell them by its record.
+    pub fn judged(self, seed: u64) -> Option<Judged> {
+        let Self(a, b) = self;
+        let challenge = draw_pair(a, b, RATIO, seed).expect("they stand beside each other");
+        if !self.can_be_told(&challenge) {
+            return None;
+        }
+        let score = score(&challenge, &answer(&challenge));
+        let is_named = |cause: Hidden| {
+            score.named.iter().chain(&score.unclaimed).any(|name| name == cause.answer())
+        };
+        let is_right = is_named(a) && is_named(b) && !score.is_wrong;
+        Some(Judged { score, is_right })
+    }
+
+    /// Whether neither is a part of the other, and each does as much as the noise that the other could
+    /// not do.
+    fn can_be_told(self, challenge: &Challenge) -> bool {
+        let [a, b] = &challenge.truth.effects[..] else { return false };
+        let noise_um = challenge.truth.noise_rms_um;
+        !PARTS_OF.contains(&(self.0, self.1))
+            && !PARTS_OF.contains(&(self.1, self.0))
+            && own_rms(&a.um, &[&b.um]) >= noise_um
+            && own_rms(&b.um, &[&a.um]) >= noise_um
+    }
+}
