@@ -43,7 +43,7 @@ pub fn part_temperature(late: Late, time_s: &[f64], shown_c: &[f64]) -> Vec<f64>
             return f64::NAN;
         }
         let LateForm::Lag { slope_over } = late.form else {
-            return shown.at(now_s + late.by_s);
+            return shown.end_c(now_s + late.by_s);
         };
         let elapsed_s = now_s - before_s.replace(now_s).unwrap_or(now_s);
         let ratio = elapsed_s / late.by_s;
@@ -56,20 +56,21 @@ pub fn part_temperature(late: Late, time_s: &[f64], shown_c: &[f64]) -> Vec<f64>
     .collect()
 }
 
-/// What a thermometer shows at any time.
+/// What a thermometer shows at any time. Whoever asks goes forward in time, so that each of two ends has a
+/// row of its own from which it looks on.
 struct Shown {
     /// Of the rows that have both.
     time_s: Vec<f64>,
     shown_c: Vec<f64>,
-    /// The row that the last question was about: the next one is near.
-    near: usize,
+    begin: usize,
+    end: usize,
 }
 
 impl Shown {
     fn new(time_s: &[f64], shown_c: &[f64]) -> Self {
         let known = time_s.iter().zip(shown_c).filter(|(t, c)| !(**t + **c).is_nan());
         let (time_s, shown_c) = known.unzip();
-        Self { time_s, shown_c, near: 0 }
+        Self { time_s, shown_c, begin: 0, end: 0 }
     }
 
     /// The slope in K/s over `width_s` around a time, of which what is in the record counts.
@@ -77,19 +78,34 @@ impl Shown {
         let last = self.time_s.len() - 1;
         let begin_s = (middle_s - width_s / 2.0).max(self.time_s[0]);
         let end_s = (middle_s + width_s / 2.0).min(self.time_s[last]);
-        let risen_c = self.at(end_s) - self.at(begin_s);
+        let risen_c = self.end_c(end_s) - self.begin_c(begin_s);
         if end_s > begin_s { risen_c / (end_s - begin_s) } else { 0.0 }
     }
 
-    fn at(&mut self, at_s: f64) -> f64 {
-        let last = self.time_s.len() - 1;
-        while self.near > 0 && self.time_s[self.near] > at_s {
-            self.near -= 1;
+    fn begin_c(&mut self, at_s: f64) -> f64 {
+        self.begin = self.row_before(at_s, self.begin);
+        self.from_row(self.begin, at_s)
+    }
+
+    fn end_c(&mut self, at_s: f64) -> f64 {
+        self.end = self.row_before(at_s, self.end);
+        self.from_row(self.end, at_s)
+    }
+
+    /// The last row that is not after a time, or the first of all, looked for from the row `near` it.
+    fn row_before(&self, at_s: f64, mut near: usize) -> usize {
+        while near > 0 && self.time_s[near] > at_s {
+            near -= 1;
         }
-        while self.near < last && self.time_s[self.near + 1] <= at_s {
-            self.near += 1;
+        while near + 1 < self.time_s.len() && self.time_s[near + 1] <= at_s {
+            near += 1;
         }
-        let (low, high) = (self.near, (self.near + 1).min(last));
+        near
+    }
+
+    /// Linear between a row and the next, the end values held.
+    fn from_row(&self, low: usize, at_s: f64) -> f64 {
+        let high = (low + 1).min(self.time_s.len() - 1);
         let width_s = self.time_s[high] - self.time_s[low];
         let share = if width_s > 0.0 { (at_s - self.time_s[low]) / width_s } else { 0.0 };
         self.shown_c[low] + (self.shown_c[high] - self.shown_c[low]) * share.clamp(0.0, 1.0)
