@@ -1,36 +1,51 @@
-//! The demonstration reaches its figures: the paper's own measurement through the real firmware.
+//! The demonstration reaches its figures: the paper's own measurement through the real firmware, what is
+//! wrong with it found by the diagnosis and nothing else.
 
-use trueup_emulator::{
-    demo,
-    firmware::{self, Board},
-    report,
+use trueup_demo::{
+    act_one::{Asked, act_one},
+    boards::Boards,
+    page,
+    summary::Summary,
 };
+use trueup_emulator::{
+    firmware::{self, Board},
+    setup,
+};
+use trueup_machine::{MachineFile, RunFile};
 
 #[test]
-fn the_bridge_carries_the_papers_sensor_and_the_fit_brings_its_error_below_a_micrometre() {
+fn the_finder_says_what_the_paper_got_wrong_and_the_board_shows_what_that_brings() {
     let image = firmware::build(Board::Virtual).expect("the image builds");
-    let findings = demo::run(&image).expect("the demonstration runs");
-    println!("{}", findings.table());
+    let path = setup::root().join("data/paper_spindle.toml");
+    let source = MachineFile::read_text(&path).expect("the project's own");
+    let run =
+        RunFile::read(&setup::root().join("data/spindle_paper_table1.csv")).expect("the same");
+    let asked = Asked { source: &source, path: &path, run: &run, quantity: None };
+    let boards = Boards::Emulated(image);
+    let one = act_one(&boards, &asked, &mut |_, _| {}).expect("the demonstration runs");
+    println!("{}", one.text());
 
-    assert_eq!(findings.rows.len(), 15);
-    assert_eq!(findings.e2e_errors, 0);
-    // Two frames a millisecond, half a second a row, twice.
-    assert_eq!(findings.frames, 2 * 500 * 15 * 2);
-    for row in &findings.rows {
+    let summary = Summary::of(&one, boards.name(), 0.0);
+    assert_eq!((summary.board, summary.rows.len(), summary.e2e_errors), ("virtual", 15, 0));
+    for row in &one.rows {
         let off = row.bridge_um - row.sensor_um;
         assert!(off.abs() <= 0.02, "the bridge says {row:?}");
     }
-    let off = findings.rows.iter().map(|row| (row.bridge_um - row.sensor_um).abs());
+    let off = one.rows.iter().map(|row| (row.bridge_um - row.sensor_um).abs());
     println!("bridge against the sensor's counts: at most {:.4} µm", off.fold(0.0, f64::max));
-    // What the paper's constants leave, and what is left of rows that took no part in the fit.
-    assert!((findings.paper.rms_um - 9.4).abs() < 0.1, "{:?}", findings.paper);
-    assert!((findings.paper.max_um - 15.3).abs() < 0.1, "{:?}", findings.paper);
-    let calibrated = &findings.calibrated;
+    // What the paper's constants leave, and what is left of rows that took no part in the search.
+    assert!((summary.paper.rms_um - 9.4).abs() < 0.1, "{:?}", summary.paper);
+    assert!((summary.paper.max_um - 15.3).abs() < 0.1, "{:?}", summary.paper);
+    let calibrated = summary.calibrated;
     assert!(calibrated.loo_rms_um <= 0.95 && calibrated.loo_max_um <= 1.9, "{calibrated:?}");
-    assert!((calibrated.gain - 1.30).abs() < 0.01, "{calibrated:?}");
-    assert!((calibrated.offset_um + 4.0).abs() < 0.1, "{calibrated:?}");
+    assert!((calibrated.gain.expect("a line") - 1.30).abs() < 0.01, "{calibrated:?}");
+    assert!((calibrated.offset_um.expect("a line") + 4.0).abs() < 0.1, "{calibrated:?}");
+    let mut causes: Vec<&str> = summary.findings.iter().map(|it| it.cause.as_str()).collect();
+    causes.sort_unstable();
+    assert_eq!(causes, ["sensor-gain", "sensor-offset"]);
+    assert!(summary.hints.iter().any(|it| it.contains("27648")), "{:?}", summary.hints);
 
-    let page = report::page(&findings).expect("a page");
+    let page = page::page(&one);
     assert_eq!(page.matches("<svg").count(), 2);
     for outside in ["<script", "<link", "src=", "href="] {
         assert!(!page.contains(outside), "the page stands alone: {outside}");

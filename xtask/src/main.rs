@@ -8,22 +8,28 @@ use std::{
         Arc,
         atomic::{AtomicBool, Ordering},
     },
+    time::{Duration, Instant},
 };
 
 use anyhow::{Context as _, Result, bail};
 use clap::{Args, Parser, Subcommand};
+use indicatif::{ProgressBar, ProgressStyle};
 use trueup_checks::{
     structure,
     verify::{self, Tier},
 };
+use trueup_demo::{
+    act_one::{Asked, act_one},
+    boards::Boards,
+    page,
+    summary::Summary,
+};
 use trueup_emulator::{
-    demo,
     firmware::{self, Board},
     front_end::FrontEnd,
     linuxcnc, measure,
     plant::Plant,
     replay::{self, Replay},
-    report,
     serve::{self, SampleSource},
     setup, size,
 };
@@ -38,8 +44,8 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Plays a measured spindle run through the real firmware on an emulated board.
-    Demo,
+    /// Finds what is wrong in a measured run, and shows on an emulated board what mending it brings.
+    Demo(Demo),
     /// Runs the quick tier of every kind of test: host, emulated board, real clients.
     Verify(Verify),
     /// Runs a virtual bridge for any client, until Ctrl-C.
@@ -72,6 +78,19 @@ struct Verify {
     /// Every test: both tiers.
     #[arg(long, conflicts_with = "long")]
     all: bool,
+}
+
+#[derive(Args)]
+struct Demo {
+    /// Your machine file, in the place of the paper's.
+    #[arg(long, value_name = "M.toml", requires = "run")]
+    machine: Option<PathBuf>,
+    /// Your run file.
+    #[arg(long, value_name = "RUN.csv", requires = "machine")]
+    run: Option<PathBuf>,
+    /// The folder for summary.json and report.html; target/demo by default.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
 }
 
 #[derive(Args)]
@@ -117,7 +136,7 @@ fn main() -> ExitCode {
     // it would turn all options behind it into words.
     let words = std::env::args_os().filter(|word| word != "--");
     let result = match Cli::parse_from(words).command {
-        Command::Demo => run_demo(),
+        Command::Demo(options) => run_demo(&options),
         Command::Verify(Verify { all: true, .. }) => verify::run(Tier::All),
         Command::Verify(Verify { long: true, .. }) => verify::run(Tier::Long),
         Command::Verify(_) => verify::run(Tier::Quick),
@@ -139,21 +158,44 @@ fn main() -> ExitCode {
     }
 }
 
-fn run_demo() -> Result<()> {
+fn run_demo(options: &Demo) -> Result<()> {
     let image = firmware::build(Board::Virtual)?;
-    let findings = demo::run(&image)?;
-    let folder = setup::root().join("target/demo");
+    let started = Instant::now();
+    let root = setup::root();
+    let or = |path: &Option<PathBuf>, own: &str| path.clone().unwrap_or_else(|| root.join(own));
+    let path = or(&options.machine, "data/paper_spindle.toml");
+    let source = MachineFile::read_text(&path)?;
+    let run = RunFile::read(&or(&options.run, "data/spindle_paper_table1.csv"))?;
+    let folder = or(&options.out, "target/demo");
+    let boards = Boards::Emulated(image);
+
+    let bar = ProgressBar::new(100);
+    bar.set_style(ProgressStyle::with_template("[{bar:30}] {percent:>3} % {msg}")?);
+    bar.enable_steady_tick(Duration::from_millis(200));
+    let mut progress = |what: &str, share: f64| {
+        if !what.is_empty() {
+            bar.set_message(what.to_string());
+        }
+        if share.is_finite() {
+            bar.set_position((100.0 * share) as u64);
+        }
+    };
+    let asked = Asked { source: &source, path: &path, run: &run, quantity: None };
+    let one = act_one(&boards, &asked, &mut progress)?;
+    bar.finish_and_clear();
+    println!("{}", one.text());
+
+    let summary = Summary::of(&one, boards.name(), started.elapsed().as_secs_f64());
     fs::create_dir_all(&folder)?;
-    fs::write(folder.join("summary.json"), serde_json::to_string_pretty(&findings)? + "\n")?;
-    fs::write(folder.join("report.html"), report::page(&findings)?)?;
-    println!("{}", findings.table());
-    for line in findings.answer() {
-        println!("{line}");
-    }
+    fs::write(folder.join("summary.json"), serde_json::to_string_pretty(&summary)? + "\n")?;
+    fs::write(folder.join("report.html"), page::page(&one))?;
+    fs::write(folder.join("extended.toml"), &one.extended)?;
     println!(
-        "\n{} frames read as a CNC reads them, {} damaged or lost.\n\
-         The picture: target/demo/report.html   The figures: target/demo/summary.json",
-        findings.frames, findings.e2e_errors
+        "{} frames read as a CNC reads them, {} damaged or lost.\nThe page: {}   The figures: {}",
+        summary.frames,
+        summary.e2e_errors,
+        folder.join("report.html").display(),
+        folder.join("summary.json").display()
     );
     Ok(())
 }

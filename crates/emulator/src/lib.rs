@@ -2,7 +2,7 @@
 //! CNC's end of its link.
 //!
 //! ```text
-//!  run file, plant ─► replay ─► front_end ─► board (QEMU) ─► cnc ─► demo, serve, tests
+//!  run file, plant ─► replay ─► front_end ─► board (QEMU) ─► cnc ─► serve, demonstration, tests
 //! ```
 //!
 //! `setup` gets what a fresh machine lacks and `firmware` builds the images, so that each command
@@ -13,7 +13,6 @@ pub mod binary;
 pub mod board;
 pub mod call_graph;
 pub mod cnc;
-pub mod demo;
 pub mod firmware;
 pub mod front_end;
 pub mod linuxcnc;
@@ -24,7 +23,6 @@ pub mod process;
 pub mod programs;
 pub mod qemu;
 pub mod replay;
-pub mod report;
 pub mod rtt;
 pub mod serve;
 pub mod setup;

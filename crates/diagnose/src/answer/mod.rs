@@ -6,6 +6,7 @@ mod errors;
 pub(crate) mod extended;
 mod figure;
 mod finding;
+mod hint;
 pub(crate) mod hold_out;
 pub(crate) mod html;
 mod next;
@@ -143,6 +144,7 @@ pub(crate) fn conclude(
     if has_outliers {
         findings.push(outliers(&data, &after, &aside));
     }
+    let hints = hint::hints(&data.machine, &findings, &data.law);
     let report = Report {
         schema: 1,
         rows: data.rows,
@@ -174,6 +176,7 @@ pub(crate) fn conclude(
             .map(|cause| LeftOut { cause: cause.name().into(), column: cause.column() })
             .collect(),
         findings,
+        hints,
         rejected: found.rejected.into_iter().map(rejected).collect(),
     };
     let Extended { replaced: corrected, new: terms } = Extended::by(&data, &model);

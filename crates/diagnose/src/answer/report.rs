@@ -44,6 +44,9 @@ pub struct Report {
     pub left_out: Vec<LeftOut>,
     /// In the order in which they were added.
     pub findings: Vec<Finding>,
+    /// What a figure reminds of, and how to check it, a sentence each; nothing hangs on it.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub hints: Vec<String>,
     /// Causes that were tried and not taken.
     pub rejected: Vec<Rejected>,
 }

@@ -1,0 +1,290 @@
+//! Act one: a measured run. What the machine file gets wrong, the file extended by it, and what that
+//! brings, in offsets that a CNC reads from the board, on readings that the extension has not seen.
+//!
+//! A part of the readings is taken out, the rest is diagnosed, the extended file compiled and played, and
+//! the board's offsets are held against what was taken out; so for each part in turn.
+
+use std::path::Path;
+
+use anyhow::{Context as _, Result};
+use serde::Serialize;
+use trueup_diagnose::{Diagnosis, Options, diagnose_for};
+use trueup_machine::{MachineFile, RunFile, applied, compile, file::Quantity, predict::Predictor};
+use trueup_numerics::line::{Summary, fit_line};
+
+use crate::{
+    Progress, bench,
+    boards::Boards,
+    play::{Pace, Played, check, play},
+    table::without_readings,
+};
+
+/// Up to so many readings without a clock each is left out in turn; of more, whole parts.
+const SINGLY: usize = 30;
+/// Parts that are left out in turn: the rule of a diagnosis for what may be claimed (`docs/reference.md`).
+const PARTS: usize = 6;
+/// A longer run is played faster, its time constants shortened: in s of the board.
+const LONGEST_S: f64 = 60.0;
+
+/// What is asked.
+#[derive(Clone, Debug)]
+pub struct Asked<'a> {
+    /// The machine file, and where it came from.
+    pub source: &'a str,
+    /// For errors.
+    pub path: &'a Path,
+    /// What was measured.
+    pub run: &'a RunFile,
+    /// Which quantity, where the run has several.
+    pub quantity: Option<Quantity>,
+}
+
+/// One reading.
+#[derive(Clone, Debug, Serialize)]
+pub struct Row {
+    /// What the machine file says, in µm.
+    pub sensor_um: f64,
+    /// What the board sent with it, in µm.
+    pub bridge_um: f64,
+    /// What was measured, in µm.
+    pub dial_um: f64,
+    /// What a board sent whose machine file was extended from the other readings, in µm.
+    pub calibrated_um: f64,
+}
+
+/// Size of what is left.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Left {
+    /// Root mean square, in µm.
+    pub rms_um: f64,
+    /// Largest absolute one, in µm.
+    pub max_um: f64,
+}
+
+/// What came of it.
+pub struct ActOne {
+    /// What `diagnose` says of all readings.
+    pub diagnosis: Diagnosis,
+    /// The machine file with what was found.
+    pub extended: String,
+    /// The machine's name.
+    pub machine: String,
+    /// Each reading.
+    pub rows: Vec<Row>,
+    /// For the horizontal axis of pictures: its name, and the value of each row.
+    pub over: (String, Vec<f64>),
+    /// With the machine file as it is.
+    pub before: Left,
+    /// With what was found from the other readings.
+    pub after: Left,
+    /// A line of measured over sent, where there is one: gain, and what is measured at 0 in µm.
+    pub line: Option<[f64; 2]>,
+    /// The counts that the machine file takes for full scale over those of an S7.
+    pub s7_full_scale_ratio: Option<f64>,
+    /// What was done to play it, a sentence each.
+    pub notes: Vec<String>,
+    /// Frames with offsets that were received, and those that were damaged or lost.
+    pub frames: [u32; 2],
+    /// Board time, in s.
+    pub board_s: f64,
+}
+
+/// Runs act one.
+///
+/// # Errors
+/// The data are not comparable with the machine file, or a board ends.
+pub fn act_one(boards: &Boards, asked: &Asked<'_>, progress: &mut Progress<'_>) -> Result<ActOne> {
+    let (source, mut notes) = bench::connected(asked.source, asked.run)?;
+    let machine = MachineFile::parse(&source, asked.path)?;
+    let (run, told) = applied::taken_out(asked.run, Some(&machine), asked.quantity)?;
+    notes.extend(told);
+    let run: &RunFile = &run;
+    let options = Options { quantity: asked.quantity, matters_um: None };
+    let named = |run: &RunFile, progress: &mut Progress<'_>| {
+        diagnose_for(&machine, std::slice::from_ref(run), &[], options, progress)
+    };
+    let diagnosis = named(run, &mut |what, share| progress(what, 0.2 * share))?;
+    let extended = diagnosis.extended(&source, asked.path)?;
+    let quantity = Quantity::ALL
+        .into_iter()
+        .find(|quantity| quantity.name() == diagnosis.report.quantity)
+        .context("a quantity of the run")?;
+    let column = format!("measured_{}_um", quantity.name());
+    let measured = run.require(&column)?;
+
+    let faster = run.column("time_s").map(|times| faster_than(times));
+    if let Some(faster) = faster.filter(|faster| *faster > 1.0) {
+        notes.push(format!(
+            "The run is played {faster:.0} times as fast as it was measured; the time constants in the \
+             calibration are as much shorter."
+        ));
+    }
+    let stage = Stage { boards, run, quantity, faster };
+    progress("with the machine file as it is", 0.2);
+    let all = |_: usize| true;
+    let before = stage.play(&source, &all, &mut |share| progress("", 0.2 + 0.2 * share))?;
+    let (mut frames, mut board_s) = ([before.frames, before.errors], before.board_s);
+    let sent = stage.corrected(&source, &before)?;
+
+    let mut calibrated = sent.clone();
+    if extended != source {
+        let parts = parts(run, measured);
+        let count = parts.iter().max().map_or(1, |last| last + 1);
+        for part in 0..count {
+            let is_hidden = |row: usize| parts[row] == part;
+            let at = |share: f64| 0.4 + 0.6 * (part as f64 + share) / count as f64;
+            progress("each part from the others", at(0.0));
+            let rest = without_readings(run, &column, is_hidden)?;
+            let of_rest = named(&rest, &mut |_, _| {})?.extended(&source, asked.path)?;
+            if of_rest == source {
+                continue;
+            }
+            let last = (0..run.rows()).rfind(|row| is_hidden(*row)).unwrap_or(0);
+            // What has a memory needs all that was before.
+            let is_wanted =
+                |row: usize| if faster.is_some() { row <= last } else { is_hidden(row) };
+            let played = stage.play(&of_rest, &is_wanted, &mut |share| progress("", at(share)))?;
+            let said = stage.corrected(&of_rest, &played)?;
+            (0..run.rows())
+                .filter(|row| is_hidden(*row))
+                .for_each(|row| calibrated[row] = said[row]);
+            frames[0] += played.frames;
+            frames[1] += played.errors;
+            board_s += played.board_s;
+        }
+    }
+    let predictor = Predictor::new(&machine, run)?;
+    let of_file: Vec<f64> =
+        predictor.rows().map(|row| row.model.all()[quantity as usize]).collect();
+    let rows: Vec<Row> = (0..run.rows())
+        .filter(|row| measured[*row].is_finite() && sent[*row].is_finite())
+        .map(|row| Row {
+            sensor_um: of_file[row],
+            bridge_um: sent[row],
+            dial_um: measured[row],
+            calibrated_um: calibrated[row],
+        })
+        .collect();
+    let column_of = |of: fn(&Row) -> f64| rows.iter().map(of).collect::<Vec<f64>>();
+    let line = fit_line(&column_of(|row| row.bridge_um), &column_of(|row| row.dial_um));
+    Ok(ActOne {
+        over: over(run, measured, &before),
+        before: left(&rows, quantity, |row| row.bridge_um)?,
+        after: left(&rows, quantity, |row| row.calibrated_um)?,
+        line: line.ok().map(|fit| [fit.gain, fit.offset]),
+        s7_full_scale_ratio: machine
+            .inputs
+            .as_ref()
+            .and_then(|inputs| inputs.sensor.as_ref())
+            .map(|sensor| sensor.counts_full_scale / 27_648.0),
+        machine: machine.name.clone(),
+        diagnosis,
+        extended,
+        rows,
+        notes,
+        frames,
+        board_s,
+    })
+}
+
+/// How much faster than measured a run is played.
+fn faster_than(times: &[f64]) -> f64 {
+    let whole_s = times.last().unwrap_or(&0.0) - times.first().unwrap_or(&0.0);
+    if whole_s > LONGEST_S { (whole_s / LONGEST_S).ceil() } else { 1.0 }
+}
+
+/// Which part each row belongs to, from 0: whole stretches where there is a clock or are many, runs where
+/// there are several, single readings else. Rows without a reading go with those before.
+fn parts(run: &RunFile, measured: &[f64]) -> Vec<usize> {
+    let rows = run.rows();
+    let known = measured.iter().filter(|um| um.is_finite()).count();
+    if run.column("time_s").is_none() && known <= SINGLY {
+        return (0..rows).collect();
+    }
+    let numbers = run.column("run").map(|numbers| {
+        let mut kinds: Vec<f64> = numbers.iter().copied().filter(|it| it.is_finite()).collect();
+        kinds.sort_by(f64::total_cmp);
+        kinds.dedup();
+        (numbers, kinds)
+    });
+    if let Some((numbers, kinds)) = numbers.filter(|(_, kinds)| kinds.len() >= 3) {
+        let parts = PARTS.min(kinds.len());
+        let place = |number: &f64| kinds.iter().position(|it| it == number).unwrap_or(0);
+        return numbers.iter().map(|number| place(number) * parts / kinds.len()).collect();
+    }
+    (0..rows).map(|row| row * PARTS / rows).collect()
+}
+
+/// Where the run is played.
+struct Stage<'a> {
+    boards: &'a Boards,
+    run: &'a RunFile,
+    quantity: Quantity,
+    /// Against the run's clock; none where it has none.
+    faster: Option<f64>,
+}
+
+impl Stage<'_> {
+    fn play(
+        &self,
+        source: &str,
+        is_wanted: &dyn Fn(usize) -> bool,
+        progress: &mut dyn FnMut(f64),
+    ) -> Result<Played> {
+        let machine = bench::machine(source, self.faster.unwrap_or(1.0))?;
+        let pace = match self.faster {
+            Some(faster) => Pace::by_clock(self.run, faster)?,
+            None => Pace::still(self.run.rows()),
+        };
+        let played = self.boards.run(&compile(&machine)?, |bridge| {
+            play(bridge, &machine, self.run, &pace, is_wanted, progress)
+        })?;
+        check(&played, is_wanted)?;
+        Ok(played)
+    }
+
+    fn corrected(&self, source: &str, played: &Played) -> Result<Vec<f64>> {
+        let machine = bench::machine(source, 1.0)?;
+        Ok(played.corrected_um(self.quantity, &machine))
+    }
+}
+
+/// What the offsets leave; the zero of an axis's measurement is arbitrary and does not count.
+fn left(rows: &[Row], quantity: Quantity, corrected: impl Fn(&Row) -> f64) -> Result<Left> {
+    let mut left: Vec<f64> = rows.iter().map(|row| row.dial_um - corrected(row)).collect();
+    if quantity.axis().is_some() {
+        let mean = left.iter().sum::<f64>() / left.len().max(1) as f64;
+        left.iter_mut().for_each(|um| *um -= mean);
+    }
+    let summary = Summary::of(&left).context("no row is both measured and played")?;
+    Ok(Left { rms_um: summary.rms, max_um: summary.max_abs })
+}
+
+/// What the rows are drawn over: time, the position that changes most, or what the file says.
+fn over(run: &RunFile, measured: &[f64], played: &Played) -> (String, Vec<f64>) {
+    let is_drawn = |row: &usize| measured[*row].is_finite() && played.offset_um[*row].is_some();
+    let of = |values: &[f64]| (0..run.rows()).filter(is_drawn).map(|row| values[row]).collect();
+    let spread = |values: &[f64]| {
+        let known = values.iter().copied().filter(|value| value.is_finite());
+        let (low, high) = known.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
+            (low.min(value), high.max(value))
+        });
+        (high - low).max(0.0)
+    };
+    if let Some(times) = run.column("time_s") {
+        let first = times.first().copied().unwrap_or(0.0);
+        let (unit, seconds) = trueup_page::time_unit(spread(times));
+        let since: Vec<f64> = times.iter().map(|time| (time - first) / seconds).collect();
+        return (format!("time, {unit}"), of(&since));
+    }
+    let axes = ["x_mm", "y_mm", "z_mm"];
+    let axis = axes
+        .into_iter()
+        .filter_map(|name| run.column(name).map(|values| (name, values)))
+        .max_by(|a, b| spread(a.1).total_cmp(&spread(b.1)))
+        .filter(|(_, values)| spread(values) > 0.0);
+    match axis {
+        Some((name, values)) => (format!("{}, mm", name[..1].to_uppercase()), of(values)),
+        None => ("measured, µm".into(), of(measured)),
+    }
+}

@@ -1,0 +1,97 @@
+//! The board: the real firmware in QEMU, or the same application in this process. Both send the same
+//! frames to the bit (`host-tests/tests/virtual_board.rs`), so that a campaign of hundreds of machines
+//! need not wait for an emulator.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+use trueup_core::bridge::Input;
+use trueup_emulator::board::VirtualBoard;
+use trueup_link::frame::Frame;
+use trueup_machine::compile::Compiled;
+use trueup_node::node::Node;
+use trueup_pipe::Block;
+
+/// A board that runs.
+pub trait Bridge {
+    /// Lets it live through these blocks of 1 ms, at most 255, and gives what it sends meanwhile.
+    ///
+    /// # Errors
+    /// The emulator has ended.
+    fn step(&mut self, blocks: &[Block]) -> Result<Vec<Frame>>;
+}
+
+impl Bridge for VirtualBoard {
+    fn step(&mut self, blocks: &[Block]) -> Result<Vec<Frame>> {
+        Ok(Self::step(self, blocks)?.into_iter().map(|(_, frame)| frame).collect())
+    }
+}
+
+/// The application without its board.
+struct InProcess<'a>(Node<'a>);
+
+impl Bridge for InProcess<'_> {
+    fn step(&mut self, blocks: &[Block]) -> Result<Vec<Frame>> {
+        let mut sent = Vec::with_capacity(3 * blocks.len());
+        for block in blocks {
+            for frame in block.frames.iter().flatten() {
+                // What is refused is counted by the node, as on the board.
+                self.0.hear(frame).ok();
+            }
+            let input = Input {
+                codes: Some(&block.codes),
+                speed: block.speed,
+                temperatures: Some(&block.temperatures),
+            };
+            sent.extend(self.0.tick(1, input));
+            sent.extend(self.0.service());
+        }
+        Ok(sent)
+    }
+}
+
+/// Where boards come from.
+#[derive(Clone, Debug)]
+pub enum Boards {
+    /// QEMU, with this image.
+    Emulated(PathBuf),
+    /// This process.
+    InProcess,
+}
+
+impl Boards {
+    /// What they are called in `summary.json`.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Emulated(_) => "virtual",
+            Self::InProcess => "host",
+        }
+    }
+
+    /// The image of the emulated board.
+    #[must_use]
+    pub fn image(&self) -> Option<&Path> {
+        match self {
+            Self::Emulated(image) => Some(image),
+            Self::InProcess => None,
+        }
+    }
+
+    /// Starts a board with this calibration and lets `work` use it.
+    ///
+    /// # Errors
+    /// The emulator does not start, or those of `work`.
+    pub fn run<T>(
+        &self,
+        calibration: &Compiled,
+        work: impl FnOnce(&mut dyn Bridge) -> Result<T>,
+    ) -> Result<T> {
+        match self {
+            Self::Emulated(image) => work(&mut VirtualBoard::boot(image, calibration.blob())?),
+            Self::InProcess => {
+                work(&mut InProcess(Node::new(Some(calibration.calibration()), false)))
+            }
+        }
+    }
+}

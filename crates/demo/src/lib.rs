@@ -1,0 +1,29 @@
+//! The whole chain before one's eyes: measured data in, the cause named, the model extended, the gain
+//! shown in the offsets that a CNC reads from the board.
+//!
+//! ```text
+//!  run, machine file ─► diagnose ─► extended.toml ─► bench ─► compile ─► boards: play ─► offsets ─► gain
+//!  seed ─► hidden: faults in the virtual machine tool ─┘                                   (act two)
+//! ```
+//!
+//! | module | does |
+//! |---|---|
+//! | [`boards`] | the board in QEMU, and the same application in this process, bit for bit |
+//! | [`bench`] | a machine file as the bench needs it: inputs, limits, time constants shortened |
+//! | [`play`] | a run, row by row, through a board |
+//! | [`table`] | runs as text: some readings taken out, what a bridge says added |
+//! | [`act_one`] | a measured run: what is wrong, extended, and what is gained on left-out rows |
+//! | [`say`], [`page`], [`summary`] | what is said on the screen, shown on the page, written for scripts |
+#![forbid(unsafe_code)]
+
+pub mod act_one;
+pub mod bench;
+pub mod boards;
+pub mod page;
+pub mod play;
+pub mod say;
+pub mod summary;
+pub mod table;
+
+/// Hears what is being done, and how far it is, 0…1 (NaN: as before).
+pub type Progress<'p> = dyn FnMut(&str, f64) + 'p;

@@ -1,0 +1,274 @@
+//! A run, row by row, through a board; and the offsets that a CNC reads from its frames.
+//!
+//! Each row is held for a time of its own. The CNC's part is played too: it is silent about offsets
+//! until the board is up, then engages, and says where axes, angles, speed and load are.
+
+use anyhow::{Context as _, Result, bail};
+use trueup_core::{
+    cnc::{Control, Output, Quality, Spindle},
+    units::Rpm,
+};
+use trueup_emulator::{
+    board::LARGEST_BATCH,
+    front_end::FrontEnd,
+    replay::{Replay, Situation},
+    stand_in::{ReceivedFrames, StandIn},
+};
+use trueup_link::{frames, receiver::OffsetReceiver};
+use trueup_machine::{Machine, RunFile, file::Quantity};
+use trueup_pipe::Block;
+
+use crate::boards::Bridge;
+
+/// How long a row of a run without time is held: filter and slew have come to rest by then.
+pub const STILL_S: f64 = 0.5;
+/// From the start until the CNC engages, and until the first row begins.
+const ENGAGES_AT_MS: u32 = 200;
+const BEGINS_AT_MS: u32 = 500;
+/// The last offsets of a row are averaged, but not over more than this.
+const MEAN_MS: u32 = 100;
+/// Run-out of ±5 µm with 20 % second and 10 % third harmonic.
+const RUN_OUT_UM: [f64; 3] = [5.0, 1.0, 0.5];
+
+/// How a run is played.
+#[derive(Clone, Debug)]
+pub struct Pace {
+    /// How long the board sees each row, in s.
+    pub hold_s: Vec<f64>,
+    /// Whether the sensor sees the run-out of a turning spindle.
+    pub has_run_out: bool,
+    /// Seed of the front end's noise.
+    pub seed: u64,
+}
+
+impl Pace {
+    /// Each row until the filters have come to rest.
+    #[must_use]
+    pub fn still(rows: usize) -> Self {
+        Self { hold_s: vec![STILL_S; rows], has_run_out: true, seed: 2009 }
+    }
+
+    /// As the run's own clock says, `faster` times as fast: a row is what holds until its time.
+    ///
+    /// # Errors
+    /// There is no time, or it runs back.
+    pub fn by_clock(run: &RunFile, faster: f64) -> Result<Self> {
+        let times = run.require("time_s")?;
+        let mut hold_s = vec![STILL_S];
+        for pair in times.windows(2) {
+            let step_s = pair[1] - pair[0];
+            if !(step_s >= 0.0 && step_s.is_finite()) {
+                bail!("time_s runs back or is missing: this run cannot be played as one");
+            }
+            hold_s.push(step_s / faster);
+        }
+        Ok(Self { hold_s, has_run_out: false, seed: 2009 })
+    }
+}
+
+/// What a CNC has read.
+#[derive(Clone, Debug, Default)]
+pub struct Played {
+    /// What it adds on X, Y and Z at the end of each row, in µm; missing where the row was not played
+    /// or no offset was available.
+    pub offset_um: Vec<Option<[f64; 3]>>,
+    /// How good that was, 0…6.
+    pub quality: Vec<u8>,
+    /// Frames with offsets that were received.
+    pub frames: u32,
+    /// Frames that were damaged, repeated, out of order or lost.
+    pub errors: u32,
+    /// Board time, in s.
+    pub board_s: f64,
+}
+
+impl Played {
+    /// What the offsets say of `quantity` in each row, in µm: they are its opposite. NaN where missing.
+    #[must_use]
+    pub fn corrected_um(&self, quantity: Quantity, machine: &Machine) -> Vec<f64> {
+        let of = |offset: &Option<[f64; 3]>| {
+            offset.map_or(f64::NAN, |um| match quantity.axis() {
+                Some(axis) => -um[axis.index()],
+                // s = −offset·V
+                None => um.iter().zip(machine.tool_direction).map(|(um, v)| -um * v).sum(),
+            })
+        };
+        self.offset_um.iter().map(of).collect()
+    }
+}
+
+/// Plays the rows of `run` for which `is_wanted` holds; `machine` says how its inputs are connected.
+///
+/// # Errors
+/// The run cannot be played on this machine, or the board ends.
+pub fn play(
+    bridge: &mut dyn Bridge,
+    machine: &Machine,
+    run: &RunFile,
+    pace: &Pace,
+    is_wanted: &dyn Fn(usize) -> bool,
+    progress: &mut dyn FnMut(f64),
+) -> Result<Played> {
+    // A second for each row: only the order matters here.
+    let replay = Replay::new(&untimed(run)?, machine, 1.0)?;
+    let mut cnc = Player::new(machine, pace);
+    let loads = run.column("load_n");
+    let load_n = |row: usize| {
+        let newton = loads.map_or(0.0, |loads| loads[row]);
+        if newton.is_nan() { 0.0 } else { newton.clamp(-32_000.0, 32_000.0).round() }
+    };
+    let mut first = replay.at(0.0);
+    first.speed = Some(Rpm(0));
+    cnc.hold(bridge, &first, 0.0, BEGINS_AT_MS)?;
+    let mut played = Played {
+        offset_um: vec![None; run.rows()],
+        quality: vec![Quality::Off as u8; run.rows()],
+        ..Played::default()
+    };
+    let mut passed_s = 0.0;
+    let mut done_ms = 0;
+    for row in (0..run.rows()).filter(|row| is_wanted(*row)) {
+        // Rounded as a sum, so that no time is lost.
+        passed_s += pace.hold_s[row];
+        let until_ms = (passed_s * 1000.0).round() as u32;
+        let mean = cnc.hold(bridge, &replay.at(row as f64), load_n(row), until_ms - done_ms)?;
+        done_ms = until_ms;
+        if let Some((offset_um, quality)) = mean {
+            played.quality[row] = quality as u8;
+            played.offset_um[row] = offset_um;
+        }
+        progress((row + 1) as f64 / run.rows() as f64);
+    }
+    let counters = cnc.offsets.counters();
+    played.frames = counters.accepted;
+    played.errors = counters.crc_errors + counters.sequence_errors + counters.lost;
+    played.errors += cnc.offsets.unpaired();
+    played.board_s = f64::from(cnc.ms) / 1000.0;
+    Ok(played)
+}
+
+/// The run without its clock.
+fn untimed(run: &RunFile) -> Result<RunFile> {
+    let columns = run.columns().iter().filter(|column| column.name == "time_s");
+    if columns.count() == 0 {
+        return Ok(run.clone());
+    }
+    let count = (0..run.rows()).map(|row| row as f64).collect();
+    crate::table::with_columns(run, &[("time_s".into(), count)])
+}
+
+/// The CNC's part, and the front end's.
+struct Player {
+    front_end: FrontEnd,
+    stand_in: StandIn,
+    heard: ReceivedFrames,
+    offsets: OffsetReceiver,
+    last: Output,
+    /// µm of run-out as volts of the sensor; none without a sensor or run-out.
+    volts_per_um: f64,
+    has_sensor: bool,
+    ms: u32,
+    counter: u8,
+}
+
+impl Player {
+    fn new(machine: &Machine, pace: &Pace) -> Self {
+        let input = machine.inputs.as_ref().and_then(|inputs| inputs.sensor.as_ref());
+        let model = machine.spindle.sensor.as_ref();
+        let volts_per_um = input.zip(model).map_or(0.0, |(input, model)| {
+            input.volts_full_scale / (input.counts_full_scale * model.um_per_count.abs())
+        });
+        Self {
+            front_end: FrontEnd::new(input.map_or(0.0, |input| input.divider), pace.seed),
+            stand_in: StandIn::default(),
+            heard: ReceivedFrames::default(),
+            offsets: OffsetReceiver::new(),
+            last: Output::default(),
+            volts_per_um: if pace.has_run_out { volts_per_um } else { 0.0 },
+            has_sensor: input.is_some() && model.is_some(),
+            ms: 0,
+            counter: 0,
+        }
+    }
+
+    /// Holds a situation for so long; the mean of the last offsets in µm, and their worst quality. None
+    /// where nothing was sent.
+    fn hold(
+        &mut self,
+        bridge: &mut dyn Bridge,
+        now: &Situation,
+        load_n: f64,
+        ms: u32,
+    ) -> Result<Option<(Option<[f64; 3]>, Quality)>> {
+        let mean_from = ms - (ms / 5).clamp(1.min(ms), MEAN_MS);
+        let (mut outputs, mut passed) = (Vec::new(), 0);
+        while passed < ms {
+            let batch = (ms - passed).min(LARGEST_BATCH);
+            let blocks: Vec<Block> = (0..batch).map(|_| self.block(now, load_n)).collect();
+            for frame in bridge.step(&blocks)? {
+                if let Some(output) = self.offsets.accept(&frame).ok().flatten() {
+                    self.last = output;
+                    outputs.push(output);
+                }
+            }
+            passed += batch;
+        }
+        if outputs.is_empty() {
+            outputs.push(self.last);
+        }
+        let from = outputs.len().saturating_sub((ms - mean_from) as usize);
+        Ok(mean(&outputs[from.min(outputs.len() - 1)..]))
+    }
+
+    fn block(&mut self, now: &Situation, load_n: f64) -> Block {
+        let mut frames = self.stand_in.frames(now, &self.heard);
+        let engage = self.ms >= ENGAGES_AT_MS;
+        if self.ms.is_multiple_of(20) {
+            let control = Control { engage, referenced: true, ..Control::default() };
+            frames[4] = Some(frames::control(control, self.counter));
+        } else if self.ms % 20 == 10 {
+            let spindle = Spindle { speed: now.speed.unwrap_or_default(), load_n: load_n as i16 };
+            frames[4] = Some(frames::spindle(spindle, self.counter));
+            self.counter = self.counter.wrapping_add(1);
+        }
+        self.ms += 1;
+        let turn_hz = f64::from(now.speed.unwrap_or_default().0) / 60.0;
+        let (level, volts_per_um) = (now.sensor_volts, self.volts_per_um);
+        let volts = move |time_s: f64| {
+            if volts_per_um == 0.0 || turn_hz == 0.0 {
+                return level;
+            }
+            let angle = std::f64::consts::TAU * turn_hz * time_s;
+            let harmonics = RUN_OUT_UM.iter().zip(1..);
+            let um: f64 = harmonics.map(|(um, n)| um * (f64::from(n) * angle).sin()).sum();
+            level + um * volts_per_um
+        };
+        let codes =
+            if self.has_sensor { self.front_end.block(volts) } else { Block::default().codes };
+        Block { codes, speed: None, temperatures: now.temperatures, frames }
+    }
+}
+
+fn mean(outputs: &[Output]) -> Option<(Option<[f64; 3]>, Quality)> {
+    let quality = outputs.iter().map(|output| output.quality).max_by_key(|it| *it as u8)?;
+    let mut sum_nm = [0.0; 3];
+    for output in outputs {
+        let Some(offset) = output.offset else { return Some((None, quality)) };
+        sum_nm.iter_mut().zip(offset).for_each(|(sum, nm)| *sum += f64::from(nm.0));
+    }
+    let count = outputs.len() as f64;
+    Some((Some(sum_nm.map(|nm| nm / count / 1000.0)), quality))
+}
+
+/// That every wanted row has an offset that follows the error.
+///
+/// # Errors
+/// A row has none, with its number and what the board said.
+pub fn check(played: &Played, is_wanted: impl Fn(usize) -> bool) -> Result<()> {
+    let bad = |row: &usize| !(1..=3).contains(&played.quality[*row]);
+    match (0..played.quality.len()).filter(|row| is_wanted(*row)).find(bad) {
+        None => Ok(()),
+        Some(row) => Err(anyhow::anyhow!("quality {} in row {}", played.quality[row], row + 1))
+            .context("the board gives no offset"),
+    }
+}

@@ -1,0 +1,19 @@
+//! The look of every report: a page that stands alone, light or dark as the reader's screen is, that
+//! prints on A4 and fits a telephone.
+//!
+//! ```text
+//!  Page ─► html          one style; sections, cards, tables
+//!  Chart ─► figure       an SVG with its legend beside it, ticks without needless digits
+//!  Bars ─► figure        rivals side by side
+//! ```
+#![forbid(unsafe_code)]
+
+mod bars;
+mod chart;
+mod html;
+mod number;
+
+pub use bars::Bars;
+pub use chart::{Chart, Colour, Series};
+pub use html::{Page, Table, escaped};
+pub use number::{micrometres, time_unit};

@@ -1,0 +1,73 @@
+//! Numbers as people read them.
+
+/// A length in µm to the digits that mean something: two decimals, three below 0.1 µm.
+#[must_use]
+pub fn micrometres(um: f64) -> String {
+    if !um.is_finite() {
+        return "–".into();
+    }
+    let decimals = if um.abs() < 0.1 && um != 0.0 { 3 } else { 2 };
+    format!("{um:.decimals$} µm")
+}
+
+/// The unit in which a time of so many seconds reads best, and how many seconds it has.
+///
+/// ```
+/// assert_eq!(trueup_page::time_unit(90.0), ("s", 1.0));
+/// assert_eq!(trueup_page::time_unit(3_000.0), ("min", 60.0));
+/// assert_eq!(trueup_page::time_unit(25_000.0), ("h", 3_600.0));
+/// ```
+#[must_use]
+pub fn time_unit(longest_s: f64) -> (&'static str, f64) {
+    match longest_s {
+        s if s < 300.0 => ("s", 1.0),
+        s if s < 3.0 * 3600.0 => ("min", 60.0),
+        _ => ("h", 3600.0),
+    }
+}
+
+/// Round values for the ticks of an axis from `low` to `high`, about `count` of them, as text without a
+/// digit too many.
+pub(crate) fn ticks(low: f64, high: f64, count: f64) -> Vec<(f64, String)> {
+    let rough = (high - low) / count;
+    if !(rough.is_finite() && rough > 0.0) {
+        return vec![(low, format!("{low}"))];
+    }
+    let decade = 10_f64.powf(rough.log10().floor());
+    let step = [1.0, 2.0, 5.0, 10.0]
+        .into_iter()
+        .map(|round| round * decade)
+        .find(|step| *step >= rough * 0.999)
+        .unwrap_or(10.0 * decade);
+    let decimals = (-(step * 1.000_001).log10().floor()).max(0.0) as usize;
+    let first = (low / step).ceil() as i64;
+    let last = (high / step).floor() as i64;
+    let label = |value: f64| {
+        // No minus before a zero.
+        let value = if value == 0.0 { 0.0 } else { value };
+        format!("{value:.decimals$}").replace('-', "−")
+    };
+    (first..=last).map(|n| (n as f64 * step, label(n as f64 * step))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ticks_are_round_and_have_no_digit_too_many() {
+        let labels = |low, high| -> Vec<String> {
+            ticks(low, high, 5.0).into_iter().map(|(_, label)| label).collect()
+        };
+        assert_eq!(labels(0.0, 10.0), ["0", "2", "4", "6", "8", "10"]);
+        assert_eq!(labels(-0.31, 0.3), ["−0.2", "0.0", "0.2"]);
+        assert_eq!(labels(0.0, 24_000.0), ["0", "5000", "10000", "15000", "20000"]);
+        assert_eq!(ticks(3.0, 3.0, 5.0).len(), 1);
+    }
+
+    #[test]
+    fn a_length_has_the_digits_that_mean_something() {
+        let said = [0.0, 0.0312, 12.3456, f64::NAN].map(micrometres);
+        assert_eq!(said, ["0.00 µm", "0.031 µm", "12.35 µm", "–"]);
+    }
+}
