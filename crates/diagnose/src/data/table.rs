@@ -90,8 +90,9 @@ pub(crate) struct DrawnFrom {
     pub(super) lagged: Arc<Mutex<VecDeque<Lagged>>>,
 }
 
-/// A column, and the time constants of its rise and fall, to the bit; the drawn rows of it.
-pub(super) type Lagged = ((String, [u64; 2]), Vec<f64>);
+/// A column, how late its thermometer is, and the time constants of its rise and fall, in s; the drawn rows
+/// of it.
+pub(super) type Lagged = ((String, Option<Late>, [f64; 2]), Vec<f64>);
 
 impl DrawnFrom {
     /// Numbers in the columns that are kept, 8 bytes each: of a few thousand rows enough for a grid of
@@ -106,12 +107,22 @@ impl DrawnFrom {
         {
             return series.means(values, &self.blocks, rise_s);
         }
-        let asked = (column.to_owned(), [rise_s, fall_s].map(f64::to_bits));
+        self.known((column.into(), None, [rise_s, fall_s]), || {
+            self.data.lagged(column, rise_s, fall_s)
+        })
+    }
+
+    /// The drawn rows of a column that may have been asked for before; else `make` says what all rows are.
+    fn known(
+        &self,
+        asked: (String, Option<Late>, [f64; 2]),
+        make: impl FnOnce() -> Vec<f64>,
+    ) -> Vec<f64> {
         let known = || self.lagged.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, values)) = known().iter().find(|(there, _)| *there == asked) {
             return values.clone();
         }
-        let values = self.pick(&self.data.lagged(column, rise_s, fall_s));
+        let values = self.pick(&make());
         let mut known = known();
         known.push_back((asked, values.clone()));
         if known.len() * self.blocks.len() > Self::MOST_NUMBERS {
@@ -197,7 +208,9 @@ impl Data {
             return self.lagged(column, rise_s, fall_s);
         };
         if let Some(whole) = &self.whole {
-            return whole.pick(&whole.data.followed(column, Some(late), [rise_s, fall_s]));
+            let asked = (column.into(), Some(late), [rise_s, fall_s]);
+            return whole
+                .known(asked, || whole.data.followed(column, Some(late), [rise_s, fall_s]));
         }
         let shown_c = self.temperature(column).unwrap_or_default();
         let time_s = self.time_s.as_deref().unwrap_or_default();
