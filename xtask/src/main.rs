@@ -25,6 +25,7 @@ use trueup_demo::{
     summary::Summary,
 };
 use trueup_emulator::{
+    chip,
     firmware::{self, Board},
     front_end::FrontEnd,
     linuxcnc, measure,
@@ -50,6 +51,8 @@ enum Command {
     Verify(Verify),
     /// Runs a virtual bridge for any client, until Ctrl-C.
     Virtual(Virtual),
+    /// Runs the flashable image on the model of its chip: its log here, its serial line on a TCP port.
+    Chip(ChipOptions),
     /// Lets the real LinuxCNC cut on a virtual machine that the bridge corrects.
     #[command(name = "linuxcnc")]
     LinuxCnc,
@@ -118,6 +121,17 @@ struct Virtual {
     seed: u64,
 }
 
+#[derive(Args)]
+#[command(after_help = "For instance:\n  \
+    cargo xtask chip                        then: trueup bridge info --port tcp:127.0.0.1:3333\n  \
+    cargo xtask chip --ms 2000 --hse-dead   two seconds with a dead crystal, and the report\n\
+    All options of the model: crates/chip/README.md. TRUEUP_MACHINE=M.toml chooses the machine file.")]
+struct ChipOptions {
+    /// Options of the model. Without --ms it runs until Ctrl-C, without --serial on port 3333.
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "OPTION")]
+    options: Vec<String>,
+}
+
 #[derive(Clone, Copy)]
 struct Speed(Option<f64>);
 
@@ -141,6 +155,7 @@ fn main() -> ExitCode {
         Command::Verify(Verify { long: true, .. }) => verify::run(Tier::Long),
         Command::Verify(_) => verify::run(Tier::Quick),
         Command::Virtual(options) => run_virtual(options),
+        Command::Chip(ChipOptions { options }) => run_chip(options),
         Command::LinuxCnc => linuxcnc::run_and_publish().map(drop),
         Command::Size => size::report().map(|report| print!("{report}")),
         Command::Measure => measure::run(measure::VECTORS).and_then(|measured| measured.publish()),
@@ -197,6 +212,26 @@ fn run_demo(options: &Demo) -> Result<()> {
         folder.join("report.html").display(),
         folder.join("summary.json").display()
     );
+    Ok(())
+}
+
+fn run_chip(mut options: Vec<String>) -> Result<()> {
+    let Some(model) = chip::build()? else {
+        let (major, minor) = chip::OLDEST;
+        bail!("the model of the chip needs Rust {major}.{minor} or newer");
+    };
+    let image = firmware::build(Board::Stm32f405)?;
+    let has = |options: &[String], what: &str| options.iter().any(|option| option == what);
+    if !has(&options, "--serial") {
+        options.extend(["--serial", "3333"].map(Into::into));
+    }
+    if !has(&options, "--ms") {
+        // A week of the board: whoever started it ends it.
+        options.extend(["--ms", "604800000"].map(Into::into));
+    }
+    if !chip::show(&model, &image, &options)? {
+        bail!("the report has a violation: the chip would not do what the image asks");
+    }
     Ok(())
 }
 

@@ -51,6 +51,10 @@ pub fn crates() -> Result<Tally> {
         process::run(&mut command)
     };
     check(&["licenses", "bans", "sources"])?;
+    let mut model = Command::new(&deny);
+    model.args(["--manifest-path", "crates/chip/Cargo.toml", "--locked", "check", "--config"]);
+    model.arg("deny.toml").args(["licenses", "bans", "sources"]).current_dir(setup::root());
+    process::run(&mut model)?;
     let mut tally = Tally::passed(1);
     let mut fetch = Command::new(&deny);
     fetch.args(["fetch", "db"]).current_dir(setup::root());

@@ -103,7 +103,10 @@ fn run_one(
 }
 
 /// Runs a command and counts by what it prints, which also goes to `say`.
-fn hear(name: &str, command: &mut Command, say: &mut dyn FnMut(&str)) -> Result<Tally> {
+///
+/// # Errors
+/// It cannot be started.
+pub fn hear(name: &str, command: &mut Command, say: &mut dyn FnMut(&str)) -> Result<Tally> {
     command.stdin(Stdio::null()).stdout(Stdio::piped());
     let mut child = command.spawn().with_context(|| format!("cannot start {name}"))?;
     let output = child.stdout.take().context("the output was asked for")?;

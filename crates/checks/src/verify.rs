@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 use trueup_emulator::{
+    chip,
     firmware::{self, Board},
     linuxcnc, process,
     setup::{self, TOOLCHAIN_VARIABLE},
@@ -118,6 +119,19 @@ fn quick_checks(checks: &mut Verification) {
         let (mut clippy, _) = firmware::cargo_measure("clippy")?;
         tally.add(check(clippy.args(["--", "-D", "warnings"]))?);
         Ok(tally)
+    });
+    checks.step("model of the chip", || {
+        if !chip::is_supported()? {
+            let (major, minor) = chip::OLDEST;
+            return Ok(Tally::lack(&format!(
+                "the model of the chip: it needs Rust {major}.{minor}"
+            )));
+        }
+        check(chip::cargo("fmt").arg("--check"))?;
+        check(chip::cargo("clippy").args(["--locked", "--all-targets", "--", "-D", "warnings"]))?;
+        test_run::hear("chip", chip::cargo("test").arg("--locked"), &mut |line| {
+            println!("{line}");
+        })
     });
     checks.step("images", || {
         print!("{}", size::report()?);

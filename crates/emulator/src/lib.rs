@@ -12,6 +12,7 @@
 pub mod binary;
 pub mod board;
 pub mod call_graph;
+pub mod chip;
 pub mod cnc;
 pub mod firmware;
 pub mod front_end;

@@ -1,0 +1,53 @@
+//! What happens outside once a millisecond: the CNC speaks, and the client of the serial line.
+
+use super::Chip;
+use crate::time::{ms, us};
+use std::io::Read;
+
+impl Chip {
+    /// Once a millisecond: the CNC's frames, and what the serial line's client has said.
+    pub(crate) fn world_step(&mut self) {
+        let now = self.now;
+        let n = now / ms(1);
+        let w = &mut self.world;
+        w.next_at = (n + 1) * ms(1);
+        if w.script.is_some() {
+            self.script_step(n);
+            return self.uart_listen();
+        }
+        if now >= w.plan.cnc_from && now < w.plan.cnc_until {
+            if n.is_multiple_of(20) {
+                let flags =
+                    2 | u8::from(now >= w.plan.engage_at) | u8::from(now >= w.plan.zero_at) << 2;
+                w.say(now, 0x302, 0, &[flags]);
+            }
+            if n % 20 == 10 {
+                let rpm = w.plan.rpm.to_le_bytes();
+                w.say(now + us(30), 0x202, 1, &[rpm[0], rpm[1], 0, 0]);
+            }
+            if w.plan.positions > 0 && n.is_multiple_of(1000 / w.plan.positions) {
+                for (i, id) in [0x201, 0x301, 0x401].into_iter().enumerate() {
+                    let mm = 100.0 + n as f64 * 1e-3 * (i as f64 + 1.0);
+                    let p = ((mm * 1e5) as i32).to_le_bytes();
+                    w.say(now + us(10), id, 2 + i, &[p[0], p[1], p[2], p[3], 1]);
+                }
+            }
+        }
+        if let Some(port) = &w.port {
+            if w.client.is_none() {
+                w.client = port.accept().ok().map(|(c, _)| {
+                    c.set_nonblocking(true).expect("a socket");
+                    c.set_nodelay(true).expect("a socket");
+                    c
+                });
+            }
+            let mut buffer = [0; 256];
+            match w.client.as_mut().map(|c| c.read(&mut buffer)) {
+                Some(Ok(0)) => w.client = None,
+                Some(Ok(len)) => w.to_board.extend(buffer[..len].iter().map(|b| (now, *b))),
+                _ => {}
+            }
+        }
+        self.uart_listen();
+    }
+}

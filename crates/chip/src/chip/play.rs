@@ -1,0 +1,233 @@
+//! Plays a script: the CNC, the second master, floods, power cuts.
+
+use super::Chip;
+use crate::{
+    frame::{Frame, crc, protected},
+    time::us,
+};
+
+impl Chip {
+    /// What the supply held is gone.
+    pub(crate) fn lose_memory(&mut self, seed: u64) {
+        for i in 0..0x4000u64 {
+            let r = seed.wrapping_add(i).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            self.sram.write_at(8 * i, &(r ^ r >> 29).to_le_bytes()).unwrap();
+        }
+        self.rcc.csr = 0;
+    }
+
+    /// A flash word is being written.
+    pub(crate) fn script_word(&mut self) {
+        let Some(s) = &mut self.world.script else { return };
+        if s.cut_in > 0 {
+            s.cut_in -= 1;
+            if s.cut_in == 0 {
+                let seed = s.random();
+                self.cut(seed);
+                self.lose_memory(seed);
+                self.want_reset(1 << 27 | 1 << 26 | 1 << 25, "power, in a flash word");
+            }
+        }
+    }
+
+    /// Once a millisecond.
+    pub(crate) fn script_step(&mut self, n: u64) {
+        let now = self.now;
+        let Some(mut s) = self.world.script.take() else { return };
+        while s.lines.front().is_some_and(|l| l.0 <= now) {
+            let (at, words) = s.lines.pop_front().unwrap();
+            let number = |i: usize| -> f64 {
+                words
+                    .get(i)
+                    .and_then(|w| w.parse().ok())
+                    .unwrap_or_else(|| panic!("script: {words:?}"))
+            };
+            match words[0].as_str() {
+                "flags" => s.flags = number(1) as u8,
+                "control" => s.period = number(1) as u64,
+                "damage" => s.damage = words[1].clone(),
+                "flags2" => s.flags2 = number(1) as u8,
+                "control2" => s.period2 = number(1) as u64,
+                "counter2" => s.counter2 = (number(1) as u8).wrapping_sub(1),
+                "rpm" => s.rpm = number(1) as u16,
+                "spindle" => s.spindle = number(1) != 0.0,
+                "positions" => s.positions = number(1) as u64,
+                "feed" => s.feed = number(1),
+                "jump" => s.jump = number(1) != 0.0,
+                "code" => {
+                    s.code = number(1);
+                    s.slope = 0.0;
+                    s.chatter = None
+                }
+                "slope" => {
+                    s.slope = number(1);
+                    s.since = now
+                }
+                "pattern" => {
+                    s.pattern = words[1..].iter().map(|w| w.parse().expect("a code")).collect()
+                }
+                "noise" => s.noise = number(1),
+                "chatter" => s.chatter = Some(number(1)),
+                "spike" => s.spike = number(1),
+                "rtd" => {
+                    self.world.rtds[number(1) as usize].celsius = match words[2].as_str() {
+                        "open" => None,
+                        // As few ohms as there can be.
+                        "short" => Some(-242.0),
+                        t => Some(t.parse().expect("a temperature")),
+                    }
+                }
+                "flood" => s.flood = (words[1].clone(), number(2) as u64),
+                "serial_flood" => {
+                    // Bytes a millisecond; none: as fast as the line.
+                    s.serial_rate = words.get(2).map_or(0, |_| number(2) as usize);
+                    s.serial = match words[1].as_str() {
+                        "off" => Vec::new(),
+                        t => t.replace("\\r", "\r").into_bytes(),
+                    };
+                }
+                "say" => self
+                    .world
+                    .to_board
+                    .extend(words[1].replace("\\r", "\r").bytes().map(|b| (at.max(now), b))),
+                "frame" => {
+                    let data: Vec<u8> = (0..words[2].len() / 2)
+                        .map(|i| u8::from_str_radix(&words[2][2 * i..2 * i + 2], 16).expect("hex"))
+                        .collect();
+                    self.world.put(
+                        now,
+                        Frame::new(u32::from_str_radix(&words[1], 16).expect("hex"), &data),
+                    );
+                }
+                "alone" => self.faults.can_alone = number(1) != 0.0,
+                "short" => self.faults.can_short = number(1) != 0.0,
+                "stuck" => {
+                    let on = number(1) != 0.0;
+                    (self.faults.can_stuck, self.faults.can_short) = (on, on);
+                    if !on {
+                        self.can_quiet();
+                    }
+                }
+                "hse" => {
+                    if number(1) == 0.0 {
+                        self.hse_stop()
+                    } else {
+                        self.faults.hse_dead = false
+                    }
+                }
+                "cut" => s.cut_in = number(1) as u64,
+                // As `reset`, if no `cut` has come before it.
+                "reset_if_uncut" if s.cut_in == 0 => {}
+                "reset" | "reset_if_uncut" => {
+                    let (cause, why) = match words[1].as_str() {
+                        "power" => (1 << 27 | 1 << 26 | 1 << 25, "power"),
+                        "pin" => (1 << 26, "pin"),
+                        "watchdog" => (1 << 29 | 1 << 26, "watchdog (forced)"),
+                        _ => (1 << 28 | 1 << 26, "software (forced)"),
+                    };
+                    let seed = s.random();
+                    s.cut_in = 0;
+                    self.cut(seed);
+                    if why == "power" {
+                        self.lose_memory(seed)
+                    }
+                    self.want_reset(cause, why);
+                }
+                _ => panic!("script: {words:?}"),
+            }
+        }
+        if s.period > 0 && n.is_multiple_of(s.period) {
+            let body = [s.flags];
+            match s.damage.as_str() {
+                "crc" => {
+                    s.counter = s.counter.wrapping_add(1);
+                    let mut f = protected(0x302, s.counter, &body);
+                    f.data[0] ^= 0x10;
+                    self.world.put(now, f);
+                }
+                "repeat" => self.world.put(now, protected(0x302, s.counter, &body)),
+                "jump" => {
+                    s.counter = s.counter.wrapping_add(100);
+                    self.world.put(now, protected(0x302, s.counter, &body));
+                }
+                _ => {
+                    s.counter = s.counter.wrapping_add(1);
+                    self.world.put(now, protected(0x302, s.counter, &body));
+                }
+            }
+        }
+        if s.period2 > 0 && (n + 7).is_multiple_of(s.period2) {
+            s.counter2 = s.counter2.wrapping_add(1);
+            self.world.put(now, protected(0x302, s.counter2, &[s.flags2]));
+        }
+        if s.spindle && n % 20 == 10 {
+            let rpm = s.rpm.to_le_bytes();
+            self.world.put(now + us(30), protected(0x202, (n / 20) as u8, &[rpm[0], rpm[1], 0, 0]));
+        }
+        if s.positions > 0 && n.is_multiple_of(1000 / s.positions) {
+            s.x += s.feed / s.positions as f64;
+            for (i, id) in [0x201, 0x301, 0x401].into_iter().enumerate() {
+                let mm = if s.jump { 30_000.0 * (s.part() - 0.5) } else { s.x + 100.0 * i as f64 };
+                let p = ((mm * 1e5) as i32).to_le_bytes();
+                let d = if s.feed > 0.0 {
+                    1
+                } else if s.feed < 0.0 {
+                    3
+                } else {
+                    0
+                };
+                self.world.put(
+                    now + us(10),
+                    protected(id, (n / (1000 / s.positions)) as u8, &[p[0], p[1], p[2], p[3], d]),
+                );
+            }
+        }
+        for i in 0..s.flood.1 {
+            let r = s.random();
+            let data = (r ^ r.rotate_left(23)).to_le_bytes();
+            let mut f = Frame::new(0x7f0, &data);
+            match s.flood.0.as_str() {
+                "foreign" => {
+                    f.ext = r >> 40 & 3 == 0;
+                    f.id = if f.ext {
+                        (r >> 13) as u32 & 0x1fff_ffff
+                    } else {
+                        0x82 + (r >> 13) as u32 % 0x77d
+                    };
+                    f.len = (r >> 7 & 7) as u8 + 1;
+                    f.rtr = r >> 50 & 7 == 0;
+                    if !f.ext
+                        && [
+                            0x181, 0x281, 0x381, 0x201, 0x202, 0x301, 0x302, 0x401, 0x501, 0x581,
+                            0x601, 0x701,
+                        ]
+                        .contains(&f.id)
+                    {
+                        f.id = 0x7f1;
+                    }
+                }
+                // Its own identifiers, as a stranger would send them: no checksum is right.
+                _ => f.id = [0x302, 0x201, 0x301, 0x401, 0x202, 0x501][(r % 6) as usize],
+            }
+            if f.id < 0x7f0
+                || f.ext
+                || crc(f.id, &f.data) != u16::from_le_bytes([f.data[0], f.data[1]])
+            {
+                self.world.put(now + us(100 * i), f);
+            }
+        }
+        if !s.serial.is_empty() {
+            let most =
+                if s.serial_rate > 0 { self.world.to_board.len() + s.serial_rate } else { 200 };
+            while self.world.to_board.len() < most {
+                let bytes: Vec<u8> = if s.serial == b"noise" {
+                    (0..8).map(|_| s.random() as u8).collect()
+                } else {
+                    s.serial.clone()
+                };
+                self.world.to_board.extend(bytes.into_iter().map(|b| (now, b)));
+            }
+        }
+        self.world.script = Some(s);
+    }
+}

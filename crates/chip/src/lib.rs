@@ -1,0 +1,21 @@
+//! A strict STM32F405 in software: an image runs on it as it is flashed, and what silicon would not do,
+//! ignores or forbids is told. See `README.md` for what is modelled and what is not, and `CHANGES.md`
+//! for what was changed in the model and which section of the manual says so.
+//!
+//! ```text
+//!  processor ──► run ◄── chip ◄── world, script, max31865, frame
+//!   (rsemu)       │        └────► report
+//!                 └──► summary (what the program prints)
+//! ```
+
+pub mod chip;
+pub mod elf;
+pub mod frame;
+pub mod max31865;
+pub mod processor;
+pub mod report;
+pub mod run;
+pub mod script;
+pub mod summary;
+pub mod time;
+pub mod world;

@@ -1,0 +1,171 @@
+//! Runs a flashable image for the STM32F405 on a strict model of the chip, and says what it did.
+
+mod options;
+
+use options::{Options, options, usage};
+use std::{
+    collections::BTreeMap, fs, fs::File, io::Write as _, net::TcpListener, process::ExitCode,
+    time::Instant,
+};
+use trueup_chip::{
+    chip::Chip,
+    elf::Symbols,
+    processor::{FLASH_SIZE, Memories},
+    report::Grade,
+    run::{Board, Watch},
+    script::Script,
+    summary,
+    time::{micros, ms, seconds},
+    world::World,
+};
+
+/// Time of the board between two writes of its log to the file.
+const LOG_PERIOD: u64 = ms(20);
+
+fn main() -> ExitCode {
+    let options = options();
+    let image = fs::read(&options.image)
+        .unwrap_or_else(|error| usage(&format!("{}: {error}", options.image)));
+    let symbols = Symbols::read(&image);
+    let mut board = board(&options, &image);
+    let start = Instant::now();
+    let mut log = options.rtt.as_ref().map(|file| File::create(file).expect("writable"));
+    while board.now() < options.run {
+        board.run_until((board.now() + LOG_PERIOD).min(options.run));
+        let said = std::mem::take(&mut board.log);
+        if let Some(file) = &mut log {
+            file.write_all(&said).expect("writable");
+        }
+    }
+    let wall = start.elapsed().as_secs_f64();
+    save(&options, &board);
+    let now = seconds(board.now());
+    println!(
+        "== run: {now:.3} s of the board in {wall:.2} s: {:.1} × slower; {} steps, {:.1} M/s; \
+         busy {:.1} %, {} sleeps",
+        wall / now,
+        board.steps,
+        board.steps as f64 / wall / 1e6,
+        100.0 - 100.0 * seconds(board.asleep) / now,
+        board.sleeps
+    );
+    let violations = board.with_chip(|chip| {
+        summary::summary(chip, options.quiet);
+        say_report(chip, &symbols);
+        chip.report.count(Grade::Violation)
+    });
+    say_masks(&mut board, &symbols);
+    if options.trace > 0 {
+        say_places(&board.places, &symbols, options.trace as usize);
+    }
+    ExitCode::from(u8::from(violations > 0))
+}
+
+/// The board that the options ask for, before its first instruction.
+fn board(options: &Options, image: &[u8]) -> Board {
+    let memories = Memories::new();
+    if let Some(flash) = options.flash.as_ref().and_then(|file| fs::read(file).ok()) {
+        memories.flash.write_at(0, &flash).expect("a megabyte of flash");
+    }
+    let mut world = World::new(options.plan.clone());
+    if let Some(file) = &options.script {
+        world.script = Some(Script::read(&fs::read_to_string(file).expect("a script")));
+        world.rtds.iter_mut().for_each(|rtd| rtd.celsius = Some(20.0));
+    }
+    world.lsi_hz = options.lsi;
+    world.crystal_hz = options.crystal;
+    world.slow_flash = options.slow_flash;
+    world.populated = (1u32 << options.rtds) - 1;
+    for (number, rtd) in world.rtds.iter_mut().enumerate() {
+        if options.broken >> number & 1 != 0 {
+            rtd.celsius = None;
+        }
+    }
+    if let Some(port) = options.port {
+        let listener = TcpListener::bind(("127.0.0.1", port)).expect("a free port");
+        listener.set_nonblocking(true).expect("a socket");
+        // Port 0 asks for any free one: who waits for the line reads it here.
+        println!("serial: 127.0.0.1:{}", listener.local_addr().expect("a socket").port());
+        world.port = Some(listener);
+    }
+    let watch = Watch {
+        masked: options.masked,
+        places: options.trace > 0,
+        log: options.rtt.is_some(),
+        awake: options.awake,
+    };
+    let board = Board::new(image, memories, world, options.faults, watch);
+    if options.bor {
+        // As after the image has run once: brown-out level 3.
+        board.with_chip(|chip| chip.flash.optcr &= !0xc);
+    }
+    board
+}
+
+/// Writes the files that the options ask for.
+fn save(options: &Options, board: &Board) {
+    if let Some(file) = &options.flash {
+        let mut all = vec![0; FLASH_SIZE as usize];
+        board.memories().flash.read_at(0, &mut all).expect("all of it");
+        fs::write(file, &all).expect("writable");
+    }
+    let now = board.now();
+    board.with_chip(|chip| {
+        if let Some(file) = &options.log {
+            fs::write(file, summary::log(chip, now)).expect("writable");
+        }
+        if let Some(file) = &options.serial_out {
+            let bytes: Vec<u8> = chip.world.serial.iter().map(|(_, byte)| *byte).collect();
+            fs::write(file, bytes).expect("writable");
+        }
+    });
+}
+
+fn say_report(chip: &Chip, symbols: &Symbols) {
+    if chip.flash.stale != 0 {
+        println!(
+            "== a cache was on during an erase and has not been reset since (RM0090 on \
+             FLASH_ACR.DCRST): {}",
+            chip.flash.stale
+        );
+    }
+    for grade in [Grade::Fact, Grade::Unmodelled, Grade::Remark, Grade::Violation] {
+        println!("== {grade:?}: {}", chip.report.count(grade));
+        for ((of, text), item) in &chip.report.items {
+            if *of == grade {
+                println!(
+                    "   {text}  [{} ×, first at {:.3} ms, {}]",
+                    item.count,
+                    seconds(item.first) * 1e3,
+                    symbols.at(item.pc)
+                );
+            }
+        }
+    }
+}
+
+fn say_masks(board: &mut Board, symbols: &Symbols) {
+    board.masks.sort_by_key(|masked| std::cmp::Reverse(masked.length));
+    for masked in board.masks.iter().take(12) {
+        println!(
+            "   PRIMASK set for {:.2} µs at {:.3} ms from {}",
+            micros(masked.length),
+            seconds(masked.since) * 1e3,
+            symbols.at(masked.pc)
+        );
+    }
+}
+
+fn say_places(places: &BTreeMap<u32, u64>, symbols: &Symbols, most: usize) {
+    let mut by: BTreeMap<String, u64> = BTreeMap::new();
+    for (pc, count) in places {
+        let name = symbols.at(*pc);
+        *by.entry(name.split(" + ").next().unwrap_or_default().to_owned()).or_default() += count;
+    }
+    let mut by: Vec<_> = by.into_iter().collect();
+    by.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
+    println!("== where it is, sampled");
+    for (name, count) in by.into_iter().take(most) {
+        println!("   {count:8} {name}");
+    }
+}

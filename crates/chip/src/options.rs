@@ -1,0 +1,147 @@
+//! The program's options, one line each in `README.md`.
+
+use std::process::exit;
+use trueup_chip::{
+    chip::Faults,
+    frame::Frame,
+    time::{NEVER, ms},
+    world::Plan,
+};
+
+pub struct Options {
+    pub image: String,
+    pub run: u64,
+    pub faults: Faults,
+    pub plan: Plan,
+    pub port: Option<u16>,
+    pub rtt: Option<String>,
+    pub awake: bool,
+    pub quiet: bool,
+    pub trace: u64,
+    pub lsi: u64,
+    pub crystal: u64,
+    pub slow_flash: bool,
+    pub bor: bool,
+    pub broken: u32,
+    pub rtds: u32,
+    pub masked: bool,
+    pub flash: Option<String>,
+    pub serial_out: Option<String>,
+    pub script: Option<String>,
+    pub log: Option<String>,
+}
+
+pub fn options() -> Options {
+    let mut o = Options {
+        image: String::new(),
+        run: ms(2000),
+        faults: Faults::default(),
+        port: None,
+        rtt: None,
+        awake: false,
+        quiet: false,
+        trace: 0,
+        lsi: 32_000,
+        crystal: 8_000_000,
+        slow_flash: false,
+        bor: false,
+        broken: 0,
+        rtds: 8,
+        masked: false,
+        flash: None,
+        serial_out: None,
+        script: None,
+        log: None,
+        plan: Plan {
+            code: 1000.0,
+            code_after: 1200.0,
+            step_at: ms(1000),
+            noise: 1.0,
+            cnc_from: ms(50),
+            engage_at: ms(400),
+            zero_at: NEVER,
+            cnc_until: NEVER,
+            rpm: 3000,
+            says: Vec::new(),
+            positions: 100,
+            frames: Vec::new(),
+        },
+    };
+    let mut args = std::env::args().skip(1);
+    let number = |v: Option<String>, what: &str| -> u64 {
+        v.and_then(|v| v.parse().ok()).unwrap_or_else(|| usage(what))
+    };
+    while let Some(a) = args.next() {
+        match a.as_str() {
+            "--ms" => o.run = ms(number(args.next(), &a)),
+            "--code" => o.plan.code = number(args.next(), &a) as f64,
+            "--code-after" => o.plan.code_after = number(args.next(), &a) as f64,
+            "--step-ms" => o.plan.step_at = ms(number(args.next(), &a)),
+            "--noise" => o.plan.noise = number(args.next(), &a) as f64,
+            "--engage-ms" => o.plan.engage_at = ms(number(args.next(), &a)),
+            "--zero-ms" => o.plan.zero_at = ms(number(args.next(), &a)),
+            "--cnc-until-ms" => o.plan.cnc_until = ms(number(args.next(), &a)),
+            "--no-cnc" => o.plan.cnc_from = NEVER,
+            "--rpm" => o.plan.rpm = number(args.next(), &a) as u16,
+            "--positions" => o.plan.positions = number(args.next(), &a),
+            "--say" => {
+                let at = ms(number(args.next(), &a));
+                let text = args.next().unwrap_or_else(|| usage("--say")).replace("\\r", "\r");
+                o.plan.says.push((at, text.into_bytes()));
+            }
+            "--frame" => {
+                let at = ms(number(args.next(), &a));
+                let text = args.next().unwrap_or_else(|| usage("--frame"));
+                let (id, data) = text.split_once('#').unwrap_or_else(|| usage("--frame"));
+                let bytes: Vec<u8> = (0..data.len() / 2)
+                    .map(|i| {
+                        u8::from_str_radix(&data[2 * i..2 * i + 2], 16)
+                            .unwrap_or_else(|_| usage("--frame"))
+                    })
+                    .collect();
+                o.plan.frames.push((
+                    at,
+                    Frame::new(
+                        u32::from_str_radix(id, 16).unwrap_or_else(|_| usage("--frame")),
+                        &bytes,
+                    ),
+                ));
+            }
+            "--hse-stops" => o.faults.hse_stops = ms(number(args.next(), &a)),
+            "--hse-dead" => o.faults.hse_dead = true,
+            "--pll-dead" => o.faults.pll_dead = true,
+            "--can-alone" => o.faults.can_alone = true,
+            "--can-short" => o.faults.can_short = true,
+            "--can-stuck" => o.faults.can_stuck = true,
+            "--rtds" => o.rtds = number(args.next(), &a) as u32,
+            "--rtd-broken" => o.broken |= 1 << number(args.next(), &a),
+            "--lsi" => o.lsi = number(args.next(), &a),
+            "--crystal" => o.crystal = number(args.next(), &a),
+            "--bor" => o.bor = true,
+            "--slow-flash" => o.slow_flash = true,
+            "--serial" => o.port = Some(number(args.next(), &a) as u16),
+            "--serial-out" => o.serial_out = args.next(),
+            "--script" => o.script = args.next(),
+            "--log" => o.log = args.next(),
+            "--rtt" => o.rtt = args.next(),
+            "--flash" => o.flash = args.next(),
+            "--cyccnt-in-sleep" => o.awake = true,
+            "--masked" => o.masked = true,
+            "--quiet" => o.quiet = true,
+            "--trace" => o.trace = number(args.next(), &a),
+            _ if a.starts_with('-') || !o.image.is_empty() => usage(&a),
+            _ => o.image = a,
+        }
+    }
+    if o.image.is_empty() {
+        usage("no image");
+    }
+    o
+}
+
+pub fn usage(what: &str) -> ! {
+    eprintln!(
+        "{what}: see README.md\nusage: trueup-chip IMAGE.elf [--ms N] [--say MS TEXT] [--hse-dead] [--pll-dead] [--can-alone] [--can-short] [--serial PORT] …"
+    );
+    exit(2)
+}

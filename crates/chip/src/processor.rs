@@ -1,0 +1,303 @@
+//! The processor, and the only file that names its crate: another Cortex-M4F can take its place here.
+//!
+//! What the rest needs of it is small: step, sleep, stand still, interrupt lines, and memories that it
+//! shares with the DMA. It is `rsemu`'s (Thumb-2, DSP, FPv4-SP, NVIC, SysTick, DWT's cycle counter).
+
+use rsemu::core::space::{
+    AccessConstraints, AddressSpace, MappingId, MemAttrs, MemOps, MemResult, Perms, RamStore,
+    Region,
+};
+use rsemu::cpu::arm::v7m::{ArmV7m, Config, sys::Exception};
+use std::fmt;
+use std::sync::Arc;
+
+/// Bytes that the processor and the DMA both reach: `read_at`, `write_at`, `fill`.
+pub type Memory = RamStore;
+
+/// Bytes of the flash.
+pub const FLASH_SIZE: u64 = 0x10_0000;
+/// Bytes of the SRAM on the bus matrix.
+pub const SRAM_SIZE: u64 = 0x2_0000;
+const CCM_SIZE: u64 = 0x1_0000;
+const SYSTEM_SIZE: u64 = 0x1_0000;
+/// Where the peripherals are: base and length.
+const PERIPHERALS: [(u32, u64); 3] =
+    [(0x4000_0000, 0x8_0000), (0x5000_0000, 0x6_1000), (0xe004_2000, 0x400)];
+
+/// Who answers the processor beyond its memories.
+pub trait Peripherals: Send + Sync {
+    /// A read of 1, 2 or 4 bytes.
+    fn read(&self, address: u32, size: u32) -> u32;
+    /// A write of 1, 2 or 4 bytes.
+    fn write(&self, address: u32, size: u32, value: u32);
+    /// A write into the flash, at an offset, while it may be programmed.
+    fn program(&self, offset: u32, bytes: &[u8]);
+}
+
+struct Window {
+    base: u32,
+    behind: Arc<dyn Peripherals>,
+}
+
+struct Array {
+    behind: Arc<dyn Peripherals>,
+    store: Arc<Memory>,
+}
+
+impl fmt::Debug for Window {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("peripherals")
+    }
+}
+
+impl fmt::Debug for Array {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("flash")
+    }
+}
+
+impl MemOps for Window {
+    fn read(&self, offset: u64, to: &mut [u8], _: MemAttrs) -> MemResult {
+        let value = self.behind.read(self.base + offset as u32, to.len() as u32);
+        to.copy_from_slice(&value.to_le_bytes()[..to.len()]);
+        Ok(())
+    }
+
+    fn write(&self, offset: u64, from: &[u8], _: MemAttrs) -> MemResult {
+        let mut word = [0; 4];
+        word[..from.len()].copy_from_slice(from);
+        self.behind.write(self.base + offset as u32, from.len() as u32, u32::from_le_bytes(word));
+        Ok(())
+    }
+}
+
+impl MemOps for Array {
+    fn read(&self, offset: u64, to: &mut [u8], _: MemAttrs) -> MemResult {
+        self.store.read_at(offset, to)
+    }
+
+    fn write(&self, offset: u64, from: &[u8], _: MemAttrs) -> MemResult {
+        self.behind.program(offset as u32, from);
+        Ok(())
+    }
+
+    fn constraints(&self) -> AccessConstraints {
+        AccessConstraints::ANY
+    }
+}
+
+/// The interrupt lines into the processor.
+pub struct Lines(Arc<ArmV7m>);
+
+impl Lines {
+    /// Line `number`, 0 to 81.
+    pub fn interrupt(&self, number: u16, on: bool) {
+        self.0.set_irq(number, on);
+    }
+
+    /// The line that cannot be masked.
+    pub fn nmi(&self, on: bool) {
+        self.0.set_nmi(on);
+    }
+}
+
+/// The memories of the chip.
+#[derive(Clone)]
+pub struct Memories {
+    /// The flash, 1 MB, erased.
+    pub flash: Arc<Memory>,
+    /// The SRAM of the bus matrix, with what it may hold at power-on.
+    pub sram: Arc<Memory>,
+}
+
+impl Memories {
+    /// As from the factory.
+    #[must_use]
+    pub fn new() -> Memories {
+        let flash = Arc::new(Memory::new(FLASH_SIZE));
+        let sram = Arc::new(Memory::new(SRAM_SIZE));
+        flash.fill(0, FLASH_SIZE, 0xff).expect("all of it");
+        sram.fill(0, SRAM_SIZE, 0xa5).expect("all of it");
+        Memories { flash, sram }
+    }
+}
+
+impl Default for Memories {
+    fn default() -> Memories {
+        Memories::new()
+    }
+}
+
+/// The system memory: the identity of this chip (RM0090 section 39.1), the size of its flash, and the
+/// factory's calibration of the converter (DS8626 section 5.3.23, VREFINT at 3.3 V).
+fn system_memory() -> Memory {
+    const IDENTITY: [u8; 12] = [0x31, 0, 0x2a, 0, 0x0b, 0x47, 0x33, 0x32, 0x36, 0x35, 0x39, 0x35];
+    const VREFINT_CAL: u16 = 1502;
+    let system = Memory::new(SYSTEM_SIZE);
+    system.fill(0, SYSTEM_SIZE, 0xff).expect("all of it");
+    system.write_at(0x7a10, &IDENTITY).expect("within");
+    system.write_at(0x7a22, &1024u16.to_le_bytes()).expect("within");
+    system.write_at(0x7a2a, &VREFINT_CAL.to_le_bytes()).expect("within");
+    system
+}
+
+/// A Cortex-M4F with its memory map.
+pub struct Processor {
+    core: Arc<ArmV7m>,
+    space: Arc<AddressSpace>,
+    /// The flash as it is while it may be programmed: it sees writes. Otherwise it is fast and read-only.
+    writable: Arc<Region>,
+    over: Option<MappingId>,
+    bus_faults: u64,
+}
+
+fn core(space: &Arc<AddressSpace>) -> Arc<ArmV7m> {
+    let mut settings = Config::CORTEX_M4F;
+    settings.priority_bits = 4;
+    let core = Arc::new(ArmV7m::new(settings));
+    core.attach_space(space.clone());
+    core
+}
+
+impl Processor {
+    /// Out of reset, with the boot pin low: the flash begins at 0 as well.
+    pub fn new(memories: &Memories, behind: Arc<dyn Peripherals>) -> Processor {
+        let space = AddressSpace::new("f405", 32);
+        let array = Array { behind: behind.clone(), store: memories.flash.clone() };
+        let writable = Arc::new(Region::io("flash", FLASH_SIZE, Arc::new(array)));
+        {
+            let mut map = space.topology();
+            let flash = |name| Region::ram(name, memories.flash.clone());
+            map.map_with_perms(flash("boot"), 0, Perms::RX).expect("free");
+            map.map_with_perms(flash("flash"), 0x0800_0000, Perms::RX).expect("free");
+            let ccm = Region::ram("ccm", Arc::new(Memory::new(CCM_SIZE)));
+            map.map(ccm, 0x1000_0000).expect("free");
+            let system = Region::ram("system", Arc::new(system_memory()));
+            map.map(system, 0x1fff_0000).expect("free");
+            map.map(Region::ram("sram", memories.sram.clone()), 0x2000_0000).expect("free");
+            for (base, length) in PERIPHERALS {
+                let window = Window { base, behind: behind.clone() };
+                let region = Region::io("peripherals", length, Arc::new(window));
+                map.map(region, base.into()).expect("free");
+            }
+        }
+        let space = Arc::new(space);
+        Processor { core: core(&space), space, writable, over: None, bus_faults: 0 }
+    }
+
+    /// Its interrupt lines; those of before a reset lead nowhere.
+    #[must_use]
+    pub fn lines(&self) -> Lines {
+        Lines(self.core.clone())
+    }
+
+    /// A reset: registers as the manual has them, memories as they are.
+    pub fn reset(&mut self) {
+        self.core = core(&self.space);
+        self.bus_faults = 0;
+    }
+
+    /// One instruction or one exception; gives its cycles.
+    #[must_use]
+    pub fn step(&self) -> u64 {
+        self.core.step()
+    }
+
+    /// Where it is.
+    #[must_use]
+    pub fn pc(&self) -> u32 {
+        self.core.pc()
+    }
+
+    /// Whether interrupts are held off by PRIMASK.
+    #[must_use]
+    pub fn is_masked(&self) -> bool {
+        self.core.regs().primask
+    }
+
+    /// Whether the next instruction belongs to an IT block. 0.0.7 of the crate stacks xPSR without
+    /// ITSTATE: an interrupt there would make the rest of the block unconditional.
+    #[must_use]
+    pub fn is_in_it_block(&self) -> bool {
+        self.core.regs().xpsr & 0x0600_fc00 != 0
+    }
+
+    /// Whether it waits for an interrupt.
+    #[must_use]
+    pub fn is_asleep(&self) -> bool {
+        self.core.is_asleep()
+    }
+
+    /// Lets cycles go by in which no instruction is done. `counted`: CYCCNT counts them.
+    /// Gives whether SysTick has come.
+    pub fn idle(&self, cycles: u64, counted: bool) -> bool {
+        self.core.with_sys(|system| {
+            if counted {
+                system.tick_cyccnt(cycles);
+            }
+            let ticked = system.tick_systick(cycles) && system.syst_csr & 2 != 0;
+            if ticked {
+                system.set_pending(Exception::SYSTICK, true);
+            }
+            ticked
+        })
+    }
+
+    /// Cycles until SysTick comes, if it runs and interrupts.
+    #[must_use]
+    pub fn until_systick(&self) -> Option<u64> {
+        self.core.with_sys(|system| {
+            let left = u64::from(system.syst_cvr & 0xff_ffff).max(1);
+            (system.syst_csr & 3 == 3).then_some(left)
+        })
+    }
+
+    /// Whether it has asked for a reset (SYSRESETREQ).
+    #[must_use]
+    pub fn wants_reset(&self) -> bool {
+        self.core.reset_requested()
+    }
+
+    /// Lets it write into the flash, or not.
+    pub fn let_program(&mut self, on: bool) {
+        let mut map = self.space.topology();
+        match (on, self.over.take()) {
+            (true, None) => {
+                let over = map.map_with_priority(self.writable.clone(), 0x0800_0000, 1);
+                self.over = Some(over.expect("its own place"));
+            }
+            (false, Some(over)) => {
+                map.unmap(over).expect("it is mapped");
+            }
+            (_, over) => self.over = over,
+        }
+    }
+
+    /// What has gone wrong in it since the last time.
+    pub fn trouble(&mut self) -> Vec<String> {
+        let mut said = Vec::new();
+        let (count, address) = self.core.bus_faults();
+        if count != self.bus_faults {
+            self.bus_faults = count;
+            said.push(format!("bus fault at {address:#010x}"));
+        }
+        if self.core.is_locked_up() {
+            said.push("the processor is locked up".into());
+        }
+        const FAULTS: [Exception; 4] = [
+            Exception::HARD_FAULT,
+            Exception::BUS_FAULT,
+            Exception::USAGE_FAULT,
+            Exception::MEM_MANAGE,
+        ];
+        if FAULTS.contains(&self.core.current_exception()) {
+            said.push(self.core.with_sys(|system| {
+                format!(
+                    "a fault handler runs: CFSR {:#x}, HFSR {:#x}, BFAR {:#x}",
+                    system.cfsr, system.hfsr, system.bfar
+                )
+            }));
+        }
+        said
+    }
+}

@@ -1,0 +1,347 @@
+//! A board that runs: the chip and its processor in step, instruction by instruction.
+
+use crate::chip::{Chip, Faults, Shared};
+use crate::elf;
+use crate::processor::{Memories, Memory, Peripherals, Processor};
+use crate::report::Grade;
+use crate::time::ms;
+use crate::world::World;
+use std::collections::BTreeMap;
+use std::sync::{
+    Arc, Mutex, MutexGuard, PoisonError,
+    atomic::Ordering::{Relaxed, SeqCst},
+};
+
+/// The chip, filled in once the processor is there.
+type Cell = Arc<Mutex<Option<Chip>>>;
+
+/// The chip as the processor reaches it.
+struct Behind {
+    chip: Cell,
+    shared: Arc<Shared>,
+}
+
+impl Behind {
+    /// Does something to the chip at the present time.
+    fn at_once<R>(&self, work: impl FnOnce(&mut Chip) -> R) -> R {
+        let mut chip = self.chip.lock().unwrap_or_else(PoisonError::into_inner);
+        let chip = chip.as_mut().expect("the processor runs after the chip is there");
+        chip.advance(self.shared.now.load(Relaxed));
+        let result = work(chip);
+        chip.settle();
+        result
+    }
+}
+
+impl Peripherals for Behind {
+    fn read(&self, address: u32, size: u32) -> u32 {
+        self.at_once(|chip| chip.bus_read(address, size))
+    }
+
+    fn write(&self, address: u32, size: u32, value: u32) {
+        self.at_once(|chip| chip.bus_write(address, size, value));
+    }
+
+    fn program(&self, offset: u32, bytes: &[u8]) {
+        self.at_once(|chip| {
+            chip.touch();
+            chip.flash_program(offset, bytes);
+        });
+    }
+}
+
+/// A time for which interrupts were held off.
+#[derive(Clone, Copy, Debug)]
+pub struct Masked {
+    /// For how long, in ticks.
+    pub length: u64,
+    /// From when.
+    pub since: u64,
+    /// Where it began.
+    pub pc: u32,
+}
+
+/// What is watched beyond the chip itself.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Watch {
+    /// How long interrupts are held off.
+    pub masked: bool,
+    /// Where the processor is, sampled.
+    pub places: bool,
+    /// The log of the image (RTT).
+    pub log: bool,
+    /// CYCCNT counts while the processor sleeps, as it does with a debugger.
+    pub awake: bool,
+}
+
+/// An image on its board.
+pub struct Board {
+    chip: Cell,
+    shared: Arc<Shared>,
+    processor: Processor,
+    memories: Memories,
+    watch: Watch,
+    log_at: Option<u32>,
+    log_next: u64,
+    now: u64,
+    ones: u32,
+    checked: u32,
+    masked_since: Option<(u64, u32)>,
+    /// Ticks asleep.
+    pub asleep: u64,
+    /// How often it slept.
+    pub sleeps: u64,
+    /// Instructions and exceptions.
+    pub steps: u64,
+    /// What the image has logged, as a probe reads it.
+    pub log: Vec<u8>,
+    /// The longest times for which interrupts were held off, in no order.
+    pub masks: Vec<Masked>,
+    /// Where the processor was, sampled: program counter and how often.
+    pub places: BTreeMap<u32, u64>,
+}
+
+/// How many steps between two looks at the processor's faults.
+const LOOK: u32 = 1024;
+/// So many single cycles in a row may be a processor that sleeps.
+const MAY_SLEEP: u32 = 12;
+
+impl Board {
+    /// A board with an image in its flash, before its first instruction.
+    ///
+    /// # Panics
+    /// The file is no image for this flash.
+    #[must_use]
+    pub fn new(
+        image: &[u8],
+        memories: Memories,
+        world: World,
+        faults: Faults,
+        watch: Watch,
+    ) -> Board {
+        for (at, bytes) in elf::segments(image) {
+            let offset = u64::from(at - 0x0800_0000);
+            memories.flash.write_at(offset, &bytes).expect("an image for the flash");
+        }
+        let log_at = elf::Symbols::read(image).find("_SEGGER_RTT");
+        Board { log_at, ..Board::bare(memories, world, faults, watch) }
+    }
+
+    /// A board with what is in its flash already, before its first instruction.
+    #[must_use]
+    pub fn bare(memories: Memories, world: World, faults: Faults, watch: Watch) -> Board {
+        let shared = Arc::new(Shared::default());
+        let chip: Cell = Arc::new(Mutex::new(None));
+        let behind = Arc::new(Behind { chip: chip.clone(), shared: shared.clone() });
+        let processor = Processor::new(&memories, behind);
+        let fresh = Chip::new(processor.lines(), shared.clone(), memories.clone(), world, faults);
+        *chip.lock().unwrap_or_else(PoisonError::into_inner) = Some(fresh);
+        Board {
+            chip,
+            shared,
+            processor,
+            memories,
+            watch,
+            log_at: None,
+            log_next: 0,
+            now: 0,
+            ones: 0,
+            checked: 0,
+            masked_since: None,
+            asleep: 0,
+            sleeps: 0,
+            steps: 0,
+            log: Vec::new(),
+            masks: Vec::new(),
+            places: BTreeMap::new(),
+        }
+    }
+
+    /// Looks at the chip, or changes it.
+    pub fn with_chip<R>(&self, work: impl FnOnce(&mut Chip) -> R) -> R {
+        work(self.lock().as_mut().expect("it is there"))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Option<Chip>> {
+        self.chip.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The time, in ticks since power-on.
+    #[must_use]
+    pub fn now(&self) -> u64 {
+        self.now
+    }
+
+    /// Where the processor is.
+    #[must_use]
+    pub fn pc(&self) -> u32 {
+        self.processor.pc()
+    }
+
+    /// The memories, which outlast a reset.
+    #[must_use]
+    pub fn memories(&self) -> &Memories {
+        &self.memories
+    }
+
+    /// Runs until that time, in ticks since power-on.
+    pub fn run_until(&mut self, end: u64) {
+        while self.now < end {
+            let cycles = self.processor.step();
+            self.steps += 1;
+            self.pass(cycles);
+            if self.watch.masked {
+                self.watch_mask();
+            }
+            self.stand_still_for_flash();
+            if self.now >= self.shared.next.load(Relaxed) && !self.processor.is_in_it_block() {
+                self.advance();
+            }
+            self.ones = if cycles == 1 { self.ones + 1 } else { 0 };
+            if self.ones >= MAY_SLEEP {
+                self.ones = 0;
+                self.sleep(end);
+            }
+            self.after_step();
+        }
+    }
+
+    fn pass(&mut self, cycles: u64) {
+        self.now += cycles * self.shared.cycle.load(Relaxed);
+        self.shared.now.store(self.now, Relaxed);
+    }
+
+    fn advance(&self) {
+        let now = self.now;
+        self.with_chip(|chip| {
+            chip.advance(now);
+            chip.settle();
+        });
+    }
+
+    fn watch_mask(&mut self) {
+        match (self.processor.is_masked(), self.masked_since) {
+            (true, None) => self.masked_since = Some((self.now, self.processor.pc())),
+            (false, Some((since, pc))) => {
+                self.masked_since = None;
+                self.masks.push(Masked { length: self.now - since, since, pc });
+                if self.masks.len() > 4096 {
+                    self.masks.sort_by_key(|masked| std::cmp::Reverse(masked.length));
+                    self.masks.truncate(64);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// The flash gives no instruction while it is programmed or erased (RM0090 section 3.5).
+    fn stand_still_for_flash(&mut self) {
+        let until = self.shared.stall.load(Relaxed);
+        if until > self.now && (0x0800_0000..0x0810_0000).contains(&self.processor.pc()) {
+            let cycles = (until - self.now).div_ceil(self.shared.cycle.load(Relaxed));
+            self.processor.idle(cycles, true);
+            self.pass(cycles);
+        }
+    }
+
+    /// On to the next event. The processor's clock stands; FCLK and with it SysTick go on.
+    fn sleep(&mut self, end: u64) {
+        while self.processor.is_asleep() && self.now < end {
+            let cycle = self.shared.cycle.load(Relaxed);
+            let next = self.shared.next.load(Relaxed).min(end);
+            let mut cycles = next.saturating_sub(self.now).div_ceil(cycle).max(1);
+            if let Some(left) = self.processor.until_systick() {
+                cycles = cycles.min(left);
+            }
+            let woken = self.processor.idle(cycles, self.watch.awake);
+            self.pass(cycles);
+            self.asleep += cycles * cycle;
+            self.sleeps += 1;
+            self.advance();
+            let interrupted = self.with_chip(|chip| chip.interrupts());
+            if woken || interrupted || self.shared.flag.load(Relaxed) & 2 != 0 {
+                break;
+            }
+        }
+    }
+
+    fn after_step(&mut self) {
+        let flag = self.shared.flag.swap(0, SeqCst);
+        if flag & 4 != 0 {
+            let on = self.with_chip(|chip| chip.flash.programming());
+            self.processor.let_program(on);
+        }
+        if flag & 1 != 0 {
+            let pc = self.processor.pc();
+            self.with_chip(|chip| chip.report.place(pc));
+        }
+        self.checked += 1;
+        if self.checked == LOOK || flag & 2 != 0 {
+            self.checked = 0;
+            self.look(flag & 2 != 0);
+        }
+        if self.watch.log && self.now >= self.log_next {
+            self.log_next = self.now + ms(1);
+            if let Some(at) = self.log_at {
+                drain(&self.memories.sram, at, &mut self.log);
+            }
+        }
+    }
+
+    fn look(&mut self, reset: bool) {
+        let pc = self.processor.pc();
+        if self.watch.places {
+            *self.places.entry(pc).or_default() += 1;
+        }
+        let trouble = self.processor.trouble();
+        let software = self.processor.wants_reset();
+        let now = self.now;
+        self.with_chip(|chip| {
+            for text in trouble {
+                chip.say(Grade::Violation, text);
+                chip.report.place(pc);
+            }
+        });
+        if software || reset {
+            self.processor.reset();
+            let lines = self.processor.lines();
+            self.with_chip(|chip| {
+                chip.lines = lines;
+                if software {
+                    chip.resets.push((now, "software"));
+                }
+                // RM0090 7.3.21: SFTRSTF, and PINRSTF, which every reset of the chip sets.
+                let cause = if software { 1 << 28 | 1 << 26 } else { chip.reset_cause };
+                chip.reset(cause);
+                chip.settle();
+            });
+            // The reset has ended programming.
+            self.shared.flag.fetch_or(4, Relaxed);
+        }
+    }
+}
+
+/// Takes what the image has logged, as a probe does.
+fn drain(sram: &Memory, at: u32, out: &mut Vec<u8>) {
+    let at = u64::from(at - 0x2000_0000);
+    let word = |offset: u64| {
+        let mut bytes = [0; 4];
+        sram.read_at(offset, &mut bytes).expect("in the SRAM");
+        u32::from_le_bytes(bytes)
+    };
+    let mut id = [0; 10];
+    sram.read_at(at, &mut id).expect("in the SRAM");
+    let (buffer, size, write, mut read) =
+        (word(at + 28), word(at + 32), word(at + 36), word(at + 40));
+    let within = (0x2000_0000..0x2002_0000).contains(&buffer) && (1..0x2_0000).contains(&size);
+    if &id != b"SEGGER RTT" || !within || write >= size || read >= size {
+        return;
+    }
+    while read != write {
+        let mut byte = [0];
+        sram.read_at(u64::from(buffer - 0x2000_0000 + read), &mut byte).expect("in the SRAM");
+        out.push(byte[0]);
+        read = (read + 1) % size;
+    }
+    sram.write_at(at + 40, &read.to_le_bytes()).expect("in the SRAM");
+}

@@ -1,0 +1,93 @@
+//! What a script (`--script FILE`) makes of the world outside: a line is `MS KEY VALUE…`. What the board
+//! says goes to `--log FILE`, and nothing of what is inside it.
+
+use crate::time::ms;
+use std::collections::VecDeque;
+
+#[derive(Clone, Debug, Default)]
+pub struct Script {
+    pub(crate) lines: VecDeque<(u64, Vec<String>)>,
+    /// `Control` byte 3: 1 Engage, 2 Referenced, 4 Zero, 8 Service, 16 Confirm; and how often it comes, in ms; 0: not.
+    pub(crate) flags: u8,
+    pub(crate) period: u64,
+    pub(crate) damage: String,
+    pub(crate) counter: u8,
+    /// The second master's: flags, period, phase.
+    pub(crate) flags2: u8,
+    pub(crate) period2: u64,
+    pub(crate) counter2: u8,
+    pub(crate) rpm: u16,
+    pub(crate) spindle: bool,
+    pub(crate) positions: u64,
+    pub(crate) x: f64,
+    pub(crate) feed: f64,
+    pub(crate) jump: bool,
+    pub(crate) code: f64,
+    pub(crate) slope: f64,
+    pub(crate) since: u64,
+    pub(crate) noise: f64,
+    pub(crate) chatter: Option<f64>,
+    pub(crate) pattern: Vec<u32>,
+    pub(crate) turn: usize,
+    pub(crate) spike: f64,
+    /// The supply goes while the flash word of this number, from here on, is being written; 0: not.
+    pub cut_in: u64,
+    pub(crate) flood: (String, u64),
+    pub(crate) serial: Vec<u8>,
+    pub(crate) serial_rate: usize,
+    pub(crate) rng: u64,
+}
+
+impl Script {
+    pub fn read(text: &str) -> Script {
+        let mut lines: Vec<(u64, Vec<String>)> = text
+            .lines()
+            .filter(|l| !l.trim().is_empty() && !l.starts_with('#'))
+            .map(|l| {
+                let mut w = l.split_whitespace();
+                let at: f64 =
+                    w.next().and_then(|t| t.parse().ok()).unwrap_or_else(|| panic!("script: {l}"));
+                ((at * ms(1) as f64) as u64, w.map(str::to_owned).collect())
+            })
+            .collect();
+        lines.sort_by_key(|l| l.0);
+        Script {
+            lines: lines.into(),
+            flags: 2,
+            period: 20,
+            rpm: 3000,
+            spindle: true,
+            positions: 100,
+            x: 100.0,
+            code: 800.0,
+            noise: 1.0,
+            rng: 0x9e37_79b9_7f4a_7c15,
+            ..Script::default()
+        }
+    }
+    pub fn random(&mut self) -> u64 {
+        self.rng ^= self.rng << 13;
+        self.rng ^= self.rng >> 7;
+        self.rng ^= self.rng << 17;
+        self.rng >> 11
+    }
+    pub(crate) fn part(&mut self) -> f64 {
+        self.random() as f64 / (1u64 << 53) as f64
+    }
+    /// The sensor's code.
+    pub fn sample(&mut self, now: u64) -> u32 {
+        if !self.pattern.is_empty() {
+            self.turn += 1;
+            return self.pattern[self.turn % self.pattern.len()];
+        }
+        if let Some(n) = self.chatter {
+            return (self.part() * (n + 1.0)) as u32;
+        }
+        let mean = self.code + self.slope * now.saturating_sub(self.since) as f64 / ms(1000) as f64;
+        if self.spike > 0.0 && self.random().is_multiple_of(200) {
+            return if self.random() & 1 == 0 { 4095 } else { 0 };
+        }
+        let r = (self.part() + self.part() - 1.0) * self.noise;
+        (mean + r + 0.5).clamp(0.0, 4095.0) as u32
+    }
+}

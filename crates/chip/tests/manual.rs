@@ -1,0 +1,333 @@
+//! What the manual says of the registers, tried on the model: reset values, bits that clear on 0 or on 1,
+//! what happens unclocked, keys. Section numbers are RM0090's.
+
+use trueup_chip::{
+    chip::{Chip, Faults},
+    processor::Memories,
+    report::Grade,
+    run::{Board, Watch},
+    time::{NEVER, ms, us},
+    world::{Plan, World},
+};
+
+const RCC: u32 = 0x4002_3800;
+const FLASH: u32 = 0x4002_3c00;
+const GPIOA: u32 = 0x4002_0000;
+const GPIOB: u32 = 0x4002_0400;
+const TIM3: u32 = 0x4000_0400;
+const ADC1: u32 = 0x4001_2000;
+const DMA2: u32 = 0x4002_6400;
+const CAN1: u32 = 0x4000_6400;
+const USART1: u32 = 0x4001_1000;
+const IWDG: u32 = 0x4000_3000;
+
+/// A chip whose processor does nothing: the test is its bus master.
+struct Bench {
+    board: Board,
+    now: u64,
+}
+
+impl Bench {
+    fn new() -> Bench {
+        Bench::with(Faults::default())
+    }
+
+    fn with(faults: Faults) -> Bench {
+        let plan = Plan {
+            code: 1000.0,
+            code_after: 1000.0,
+            step_at: NEVER,
+            noise: 0.0,
+            cnc_from: NEVER,
+            engage_at: NEVER,
+            zero_at: NEVER,
+            cnc_until: NEVER,
+            rpm: 0,
+            says: Vec::new(),
+            positions: 0,
+            frames: Vec::new(),
+        };
+        let board = Board::bare(Memories::new(), World::new(plan), faults, Watch::default());
+        Bench { board, now: 0 }
+    }
+
+    fn at_once<R>(&self, work: impl FnOnce(&mut Chip) -> R) -> R {
+        let now = self.now;
+        self.board.with_chip(|chip| {
+            chip.advance(now);
+            let result = work(chip);
+            chip.settle();
+            result
+        })
+    }
+
+    fn read(&self, address: u32) -> u32 {
+        self.at_once(|chip| chip.bus_read(address, 4))
+    }
+
+    fn write(&self, address: u32, value: u32) {
+        self.at_once(|chip| chip.bus_write(address, 4, value));
+    }
+
+    fn set(&self, address: u32, bits: u32) {
+        self.write(address, self.read(address) | bits);
+    }
+
+    fn pass(&mut self, ticks: u64) {
+        self.now += ticks;
+        self.at_once(|_| ());
+    }
+
+    /// Violations so far that speak of `what`.
+    fn violations(&self, what: &str) -> usize {
+        self.board.with_chip(|chip| {
+            let of = |(grade, text): &&(Grade, String)| {
+                *grade == Grade::Violation && text.contains(what)
+            };
+            chip.report.items.keys().filter(of).count()
+        })
+    }
+
+    /// Programs a word by way of the processor's bus.
+    fn program(&self, offset: u32, word: u32) {
+        self.at_once(|chip| chip.flash_program(offset, &word.to_le_bytes()));
+    }
+
+    fn unlock_flash(&self) {
+        self.write(FLASH + 4, 0x4567_0123);
+        self.write(FLASH + 4, 0xcdef_89ab);
+    }
+}
+
+/// 16 MHz straight from HSI, with the units of these tests clocked.
+fn clocked() -> Bench {
+    let bench = Bench::new();
+    bench.set(RCC + 0x30, 1 | 1 << 1 | 1 << 22);
+    bench.set(RCC + 0x40, 1 << 1 | 1 << 25);
+    bench.set(RCC + 0x44, 1 << 4 | 1 << 8);
+    bench
+}
+
+#[test]
+fn registers_have_their_reset_values() {
+    let bench = clocked();
+    let fresh = Bench::new();
+    for (name, address, value) in [
+        ("RCC_PLLCFGR, 7.3.2", RCC + 4, 0x2400_3010),
+        ("RCC_CFGR, 7.3.3", RCC + 8, 0),
+        ("RCC_AHB1ENR, 7.3.10", RCC + 0x30, 0x0010_0000),
+        ("RCC_CSR, 7.3.21: power-on", RCC + 0x74, 0x0e00_0000),
+        ("FLASH_ACR, 3.9.1", FLASH, 0),
+        ("FLASH_SR, 3.9.4", FLASH + 0x0c, 0),
+        ("FLASH_CR, 3.9.5", FLASH + 0x10, 0x8000_0000),
+    ] {
+        assert_eq!(fresh.read(address), value, "{name}");
+    }
+    for (name, address, value) in [
+        ("GPIOA_MODER, 8.4.1", GPIOA, 0xa800_0000),
+        ("GPIOB_MODER, 8.4.1", GPIOB, 0x0000_0280),
+        ("GPIOA_PUPDR, 8.4.4", GPIOA + 0x0c, 0x6400_0000),
+        ("TIM3_ARR, 18.4.12", TIM3 + 0x2c, 0xffff),
+        ("DMA2_S0FCR, 10.5.10", DMA2 + 0x24, 0x21),
+        ("CAN_MCR, 32.9.2", CAN1, 0x0001_0002),
+        ("CAN_MSR, 32.9.2", CAN1 + 4, 0x0000_0c02),
+        ("CAN_TSR, 32.9.2", CAN1 + 8, 0x1c00_0000),
+        ("CAN_BTR, 32.9.2", CAN1 + 0x1c, 0x0123_0000),
+        ("CAN_FMR, 32.9.4", CAN1 + 0x200, 0x2a1c_0e01),
+        ("USART_SR, 30.6.1", USART1, 0x00c0),
+        ("ADC_HTR, 13.13.7", ADC1 + 0x24, 0xfff),
+        ("IWDG_RLR, 21.4.3", IWDG + 8, 0xfff),
+    ] {
+        assert_eq!(bench.read(address), value, "{name}");
+    }
+    assert_eq!(bench.violations(""), 0);
+}
+
+#[test]
+fn an_unclocked_unit_reads_0_and_drops_writes() {
+    // 7.3.10: "when the peripheral clock is not active, the peripheral register values may not be readable".
+    let bench = Bench::new();
+    bench.write(TIM3 + 0x2c, 99);
+    assert_eq!(bench.read(TIM3 + 0x2c), 0);
+    assert_eq!(bench.violations("TIM3: "), 2);
+    bench.set(RCC + 0x40, 1 << 1);
+    assert_eq!(bench.read(TIM3 + 0x2c), 0xffff);
+}
+
+#[test]
+fn the_crystal_and_the_pll_take_their_time_and_their_limits_are_told() {
+    let mut bench = Bench::new();
+    bench.set(RCC, 1 << 16);
+    bench.pass(us(1990));
+    assert_eq!(bench.read(RCC) >> 17 & 1, 0);
+    bench.pass(us(20));
+    assert_eq!(bench.read(RCC) >> 17 & 1, 1);
+    // Bits 31 to 28 are reserved and stay as they are.
+    bench.write(RCC + 4, 2 << 28 | 7 << 24 | 1 << 22 | 168 << 6 | 4);
+    bench.set(RCC, 1 << 24);
+    bench.pass(us(160));
+    assert_eq!(bench.read(RCC) >> 25 & 1, 1);
+    assert_eq!(bench.violations(""), 0);
+    // 7.3.2: the settings are fixed while the PLL is on; 3.5.1: five wait states at 168 MHz.
+    bench.write(RCC + 4, 0x2400_3010);
+    assert_eq!(bench.violations("RCC_PLLCFGR: written while the PLL is on"), 1);
+    bench.write(RCC + 8, 2);
+    assert_eq!(bench.violations("wait states at HCLK 168000000"), 1);
+    assert_eq!(bench.violations("at most 168, 42 and 84 MHz"), 1);
+}
+
+#[test]
+fn a_dead_crystal_never_becomes_ready() {
+    let mut bench = Bench::with(Faults { hse_dead: true, ..Faults::default() });
+    bench.set(RCC, 1 << 16);
+    bench.pass(ms(100));
+    assert_eq!(bench.read(RCC) >> 17 & 1, 0);
+}
+
+#[test]
+fn the_flash_takes_its_keys_in_order_and_only_once() {
+    let bench = Bench::new();
+    bench.unlock_flash();
+    assert_eq!(bench.read(FLASH + 0x10) >> 31, 0);
+    bench.write(FLASH + 0x10, 1 << 31);
+    // 3.6.1: a wrong key locks the register until the next reset.
+    bench.write(FLASH + 4, 0x1234_5678);
+    bench.unlock_flash();
+    assert_eq!(bench.read(FLASH + 0x10) >> 31, 1);
+    assert!(bench.violations("wrong key") > 0);
+}
+
+#[test]
+fn a_flash_word_is_programmed_in_16_microseconds_and_only_towards_0() {
+    let mut bench = Bench::new();
+    bench.unlock_flash();
+    bench.write(FLASH + 0x10, 2 << 8 | 1);
+    bench.program(0x8_0000, 0x1234_5678);
+    assert_eq!(bench.read(FLASH + 0x0c) >> 16 & 1, 1, "BSY");
+    bench.pass(us(17));
+    assert_eq!(bench.read(FLASH + 0x0c), 0);
+    bench.program(0x8_0000, 0xffff_ffff);
+    assert_eq!(bench.violations("0 into a 1"), 1);
+}
+
+#[test]
+fn error_flags_of_the_flash_clear_on_1_and_hold_up_the_next_write() {
+    let mut bench = Bench::new();
+    bench.unlock_flash();
+    // 3.9.4: PGPERR when the width written is not PSIZE's.
+    bench.write(FLASH + 0x10, 1);
+    bench.program(0x8_0000, 0);
+    assert_eq!(bench.read(FLASH + 0x0c), 0x40);
+    bench.write(FLASH + 0x0c, 0);
+    assert_eq!(bench.read(FLASH + 0x0c), 0x40, "0 leaves it");
+    bench.write(FLASH + 0x10, 2 << 8 | 1);
+    bench.program(0x8_0000, 0);
+    assert_eq!(bench.violations("with error flags set"), 1);
+    bench.write(FLASH + 0x0c, 0x40);
+    assert_eq!(bench.read(FLASH + 0x0c), 0, "1 clears it");
+    bench.program(0x8_0000, 0);
+    bench.pass(us(17));
+    assert_eq!(bench.read(FLASH + 0x0c), 0);
+}
+
+#[test]
+fn a_timer_updates_at_its_period_and_its_flag_clears_on_0() {
+    let mut bench = clocked();
+    bench.write(TIM3 + 0x2c, 799);
+    bench.write(TIM3, 1);
+    bench.pass(us(49));
+    assert_eq!(bench.read(TIM3 + 0x10) & 1, 0);
+    bench.pass(us(2));
+    assert_eq!(bench.read(TIM3 + 0x10) & 1, 1, "20 kHz of 16 MHz");
+    bench.write(TIM3 + 0x10, 0xffff);
+    assert_eq!(bench.read(TIM3 + 0x10) & 1, 1, "1 leaves it");
+    bench.write(TIM3 + 0x10, 0xfffe);
+    assert_eq!(bench.read(TIM3 + 0x10) & 1, 0, "0 clears it");
+}
+
+#[test]
+fn the_converter_needs_3_microseconds_and_its_pin() {
+    let bench = clocked();
+    bench.write(ADC1 + 8, 1);
+    bench.write(ADC1 + 8, 1 | 1 << 30);
+    assert_eq!(bench.violations("tSTAB"), 1);
+    let mut bench = clocked();
+    bench.write(ADC1 + 8, 1);
+    bench.pass(us(4));
+    bench.write(ADC1 + 8, 1 | 1 << 30);
+    assert_eq!(bench.violations("its pin is not analog"), 1);
+    bench.pass(us(10));
+    assert_eq!(bench.read(ADC1) & 2, 2, "EOC");
+    assert_eq!(bench.read(ADC1 + 0x4c), 1000);
+    assert_eq!(bench.read(ADC1) & 2, 0, "reading the data clears it");
+}
+
+#[test]
+fn can_leaves_initialisation_after_11_recessive_bits_and_never_on_a_dominant_bus() {
+    for stuck in [false, true] {
+        let mut bench = Bench::with(Faults { can_stuck: stuck, ..Faults::default() });
+        bench.set(RCC + 0x30, 2);
+        bench.set(RCC + 0x40, 1 << 25);
+        bench.write(GPIOB, 0x280 | 2 << 16 | 2 << 18);
+        bench.write(GPIOB + 0x24, 0x99);
+        bench.write(CAN1, 1);
+        bench.pass(us(10));
+        assert_eq!(bench.read(CAN1 + 4) & 3, 1, "INAK");
+        bench.write(CAN1 + 0x1c, 0x0012_0001);
+        bench.write(CAN1, 0);
+        bench.pass(us(40));
+        assert_eq!(bench.read(CAN1 + 4) & 1, u32::from(stuck), "32.4.1");
+    }
+}
+
+#[test]
+fn the_filter_and_the_timing_of_can_are_locked_outside_initialisation() {
+    let bench = clocked();
+    bench.write(CAN1 + 0x1c, 2);
+    assert_eq!(bench.violations("CAN_BTR written outside initialization"), 1);
+    bench.write(CAN1 + 0x200, 0x2a1c_0e00);
+    bench.write(CAN1 + 0x20c, 1);
+    assert_eq!(bench.violations("filter register"), 1);
+}
+
+#[test]
+fn the_watchdog_wants_its_key_and_resets_once_it_is_not_fed() {
+    let mut bench = Bench::new();
+    bench.write(IWDG + 8, 100);
+    assert_eq!(bench.violations("without 0x5555"), 1);
+    bench.write(IWDG, 0x5555);
+    bench.write(IWDG + 8, 799);
+    bench.pass(ms(1));
+    bench.write(IWDG, 0xcccc);
+    // 800 counts of 32 kHz / 4.
+    bench.pass(ms(99));
+    assert!(bench.board.with_chip(|chip| chip.resets.is_empty()));
+    bench.write(IWDG, 0xaaaa);
+    bench.pass(ms(99));
+    assert!(bench.board.with_chip(|chip| chip.resets.is_empty()));
+    bench.pass(ms(2));
+    assert_eq!(bench.board.with_chip(|chip| chip.resets[0].1), "IWDG");
+}
+
+#[test]
+fn a_dma_stream_is_switched_off_before_its_settings_change() {
+    let bench = clocked();
+    let stream = DMA2 + 0x10 + 0x18 * 7;
+    bench.write(stream + 4, 4);
+    bench.write(stream + 8, USART1 + 4);
+    bench.write(stream + 12, 0x2000_0000);
+    bench.write(stream, 4 << 25 | 1 << 10 | 1 << 6);
+    bench.write(stream, 4 << 25 | 1 << 10 | 1 << 6 | 1);
+    bench.write(stream + 4, 5);
+    assert_eq!(bench.violations("NDTR or PAR written while it is on"), 1);
+}
+
+#[test]
+fn the_dma_does_not_reach_the_core_coupled_memory() {
+    let bench = clocked();
+    let stream = DMA2 + 0x10 + 0x18 * 7;
+    bench.write(stream + 4, 4);
+    bench.write(stream + 12, 0x1000_0000);
+    bench.write(stream, 4 << 25 | 1 << 10 | 1 << 6 | 1);
+    assert_eq!(bench.violations("is not in the SRAM that it reaches"), 1);
+}
