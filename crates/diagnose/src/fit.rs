@@ -27,4 +27,4 @@ pub(crate) use halves::differs_between_halves;
 pub(crate) use jacobian::{jacobian, of_part};
 pub(crate) use problem::Problem;
 pub(crate) use solve::{Fitted, fit};
-pub(crate) use spread::spread;
+pub(crate) use spread::{Spread, spread};

@@ -4,13 +4,15 @@
 //! values, σ from [`spread`](crate::fit::spread); of a time constant or a period it is the logarithm
 //! that has it.
 
+use nalgebra::DMatrix;
 use serde_json::{Map, Value, json};
+use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 use trueup_machine::effect::{self, Nonlinear, Parameter};
-use trueup_numerics::{noise::Noise, t_quantile};
+use trueup_numerics::{least_squares::normal, noise::Noise, t_quantile};
 
 use crate::{
-    fit::{Fitted, Problem, spread},
+    fit::{Fitted, Problem, Spread, spread},
     kind::Part,
     terms,
 };
@@ -53,7 +55,8 @@ pub(crate) fn estimates(
         }
     };
     let intervals: Vec<[f64; 2]> = (0..part.values.len()).map(&interval).collect();
-    let mut reaches_nothing = reaches_nothing(part, &intervals);
+    let mut reaches_nothing =
+        reaches_nothing(part, &intervals) || list_may_be_nothing(part, index, &spread);
     let mut map = Map::new();
     let mut is_determined = true;
     let listed = part.kind.cause().map(|cause| cause.parameters(&part.values)).unwrap_or_default();
@@ -111,7 +114,10 @@ pub(crate) fn estimates(
                         (key.to_string(), value.as_ref().map_or(Value::Null, as_json))
                     })
                     .collect();
-                map.insert((*name).into(), json!({"value": record, "ci95": &intervals}));
+                map.insert(
+                    (*name).into(),
+                    json!({"value": record, "ci95": &intervals[nonlinear.len()..]}),
+                );
             }
             Parameter::Records(name, records) => {
                 let records: Vec<Map<String, Value>> = records
@@ -155,7 +161,7 @@ pub(crate) fn estimates(
 
 /// Whether the intervals of all values that say how much a part does hold the value at which it does
 /// nothing: of amplitudes and a shift 0, of a term of the machine file what the file says. Lists are
-/// judged by what they gain; a time constant may be 0.
+/// judged as wholes ([`list_may_be_nothing`]); a time constant may be 0.
 fn reaches_nothing(part: &Part, intervals: &[[f64; 2]]) -> bool {
     let holds = |[low, high]: [f64; 2], value: f64| !(value < low || value > high);
     if let Some(stated) = part.kind.stated() {
@@ -175,6 +181,42 @@ fn reaches_nothing(part: &Part, intervals: &[[f64; 2]]) -> bool {
             .any(|(_, it)| holds(*it, 0.0));
     }
     sizes.iter().all(|size| holds(*size, 0.0))
+}
+
+/// Level of the region in which the values of a list are, all together: that of the intervals of single
+/// values.
+const REGION: f64 = 0.95;
+
+/// Whether a list (a table, a spline) may be nothing: whether 0 for all of its values is in their common
+/// region of 95 %, everything else of the model fitted with them.
+///
+/// ```text
+/// vᵀ·C⁻¹·v ≤ k·F(95 %; k, independent rows less the fitted values)          k values, covariance C
+/// ```
+///
+/// A list may foresee left-out blocks by what is not its own: of a tilt whose lever ends 55 m away what is seen
+/// is a curve, and the angle is anything.
+fn list_may_be_nothing(part: &Part, index: usize, spread: &Spread) -> bool {
+    if part.kind.list_length().is_none() || part.kind.stated().is_some() {
+        return false;
+    }
+    let sd = |at: usize| spread.covariance(at, at).max(0.0).sqrt();
+    let values: Vec<(usize, f64)> = (part.kind.nonlinear().len()..part.values.len())
+        .filter_map(|value| Some((spread.row_of(index, value)?, part.values[value])))
+        .filter(|(at, _)| sd(*at) > 0.0)
+        .collect();
+    let count = values.len();
+    // By correlations, whose rounding does not depend on units.
+    let correlation = DMatrix::from_fn(count, count, |i, j| {
+        let (a, b) = (values[i].0, values[j].0);
+        spread.covariance(a, b) / (sd(a) * sd(b))
+    });
+    let lower = normal::cholesky(correlation, &vec![1.0; count]);
+    let mut scaled: Vec<f64> = values.iter().map(|(at, value)| value / sd(*at)).collect();
+    normal::forward(&lower, &mut scaled);
+    let count = count as f64;
+    FisherSnedecor::new(count, spread.freedom)
+        .is_ok_and(|f| normal::dot(&scaled, &scaled) <= count * f.inverse_cdf(REGION))
 }
 
 fn put(map: &mut Map<String, Value>, name: &str, value: f64, mut ci95: [f64; 2]) {
@@ -207,3 +249,6 @@ pub(crate) fn step_s(problem: &Problem) -> f64 {
     let [start, end] = problem.bounds.time_s;
     (end - start) / (data.recorded_rows() as f64 / data.files as f64).max(1.0)
 }
+
+#[cfg(test)]
+mod tests;

@@ -132,3 +132,45 @@ fn what_was_seen_once_is_not_claimed() {
     let often = diagnosed(&machine, &record(&|n| n % 40 < 10));
     assert!(claimed(&often).contains(&"cutting-load"), "{:?}", often.report.findings);
 }
+
+/// One map of 9 × 9 places, Z by X and Y: what `um` says at each, and noise of 0.3 µm.
+fn map(um: impl Fn(f64, f64) -> f64) -> String {
+    let mut noise = Noise(5);
+    let mut run = String::from("x_mm,y_mm,measured_dz_um\n");
+    for y in 0..9 {
+        for x in 0..9 {
+            let (x_mm, y_mm) = (30.0 * f64::from(x), 25.0 * f64::from(y));
+            run += &format!("{x_mm},{y_mm},{:.3}\n", um(x_mm, y_mm) + 0.3 * noise.next());
+        }
+    }
+    run
+}
+
+#[test]
+fn a_curve_that_is_the_same_at_every_lever_is_no_tilt_and_one_that_grows_with_it_is() {
+    let bend = |x_mm: f64| (x_mm / 80.0).sin();
+    let curve = diagnosed(HEAD, &map(|x_mm, _| 12.0 * bend(x_mm)));
+    println!("{:?}", curve.report.findings);
+    assert!(!claimed(&curve).contains(&"angular-error"));
+    let tilt = diagnosed(HEAD, &map(|x_mm, y_mm| 120.0 * bend(x_mm) * (y_mm - 60.0) / 1000.0));
+    println!("{:?}", tilt.report.findings);
+    assert!(claimed(&tilt).contains(&"angular-error"), "{:?}", claimed(&tilt));
+}
+
+#[test]
+fn one_gross_reading_is_told_of_as_one() {
+    let mut run = String::from("time_s,measured_elongation_um\n");
+    let mut noise = Noise(2);
+    for row in 0..200 {
+        let um = 0.3 * noise.next() + if row == 120 { 40.0 } else { 0.0 };
+        run += &format!("{},{um:.3}\n", 10 * row);
+    }
+    let diagnosis = diagnosed(HEAD, &run);
+    let gross = finding(&diagnosis, "outliers").expect("it stands alone");
+    assert!(
+        gross.sentence.starts_with("One reading is no reading: it stands"),
+        "{}",
+        gross.sentence
+    );
+    assert_eq!(gross.evidence[1], "Row 121 was set aside.");
+}

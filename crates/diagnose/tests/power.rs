@@ -120,6 +120,23 @@ fn what_matters_less_than_could_be_told_asks_for_more() {
 }
 
 #[test]
+fn nothing_is_promised_that_is_larger_than_all_that_is_left() {
+    let mut unpromised = 0;
+    for seed in 0..6 {
+        let diagnosis = diagnosed(MACHINE, &loaded(0.0, 150.0, seed));
+        let report = &diagnosis.report;
+        println!("{:?} {} of {}", report.verdict, report.detectable_um, report.after.rms_um);
+        if report.detectable_um.is_finite() {
+            assert!(report.detectable_um <= report.after.rms_um);
+        } else if report.verdict == Verdict::Clean {
+            unpromised += 1;
+            assert!(diagnosis.sentence().contains("cannot be said"), "{}", diagnosis.sentence());
+        }
+    }
+    assert!(unpromised > 0);
+}
+
+#[test]
 fn few_rows_are_enough_for_an_instrument_that_is_known_to_be_no_better() {
     let with =
         |uncertainty_um: f64| format!("{MACHINE}[instrument]\nuncertainty_um = {uncertainty_um}\n");

@@ -221,8 +221,14 @@ pub(crate) fn outliers(data: &Data, after: &[f64], aside: &[bool]) -> Finding {
         .map(|row| (row + 1).to_string())
         .collect();
     let (before, after) = (rms(&with), rms(&without));
-    let sentence =
-        format!("{count} readings are no readings: they stand alone, far from the rest.");
+    let sentence = match count {
+        1 => "One reading is no reading: it stands alone, far from the rest.".into(),
+        _ => format!("{count} readings are no readings: they stand alone, far from the rest."),
+    };
+    let told = match &rows[..] {
+        [row] => format!("Row {row} was set aside."),
+        rows => format!("Rows {} were set aside.", rows.join(", ")),
+    };
     Finding {
         cause: "outliers".into(),
         column: None,
@@ -238,7 +244,7 @@ pub(crate) fn outliers(data: &Data, after: &[f64], aside: &[bool]) -> Finding {
             reduction: 1.0 - after / before,
             ci95: [0.0, 1.0 - after / before],
         },
-        evidence: vec![sentence.clone(), format!("Rows {} were set aside.", rows.join(", "))],
+        evidence: vec![sentence.clone(), told],
         sentence,
         together_with: Vec::new(),
         rivals: Vec::new(),

@@ -179,15 +179,17 @@ pub(crate) fn verdict_sentence(diagnosis: &Diagnosis) -> String {
 }
 
 fn clean_sentence(report: &Report) -> String {
-    let found = format!(
-        " An error above {:.2} µm RMS that repeats would have been found with 95 %.",
-        report.detectable_um
-    );
+    let found = if report.detectable_um.is_finite() {
+        format!(
+            "An error above {:.2} µm RMS that repeats would have been found with 95 %.",
+            report.detectable_um
+        )
+    } else {
+        "Which error would have been found cannot be said: one as large as what is left could hide in it."
+            .into()
+    };
     let wandering = report.wandering.map_or("", |_| " that wanders slowly");
-    format!(
-        "Nothing is left but noise{wandering}.{} The machine file stays.",
-        if report.detectable_um.is_finite() { found.as_str() } else { "" }
-    )
+    format!("Nothing is left but noise{wandering}. {found} The machine file stays.")
 }
 
 /// A value of a cause for people: numbers to so many decimals, a list or a table as lines that wrap.

@@ -42,8 +42,9 @@ const MOST_ROWS: usize = 1_000_000;
 /// What would have been seen.
 #[derive(Clone, Debug)]
 pub(crate) struct Power {
-    /// An error of this size that repeats would have been found with 95 %: RMS, in µm; infinite where
-    /// there are too few rows for any.
+    /// An error of this size that repeats would have been found with 95 %: RMS, in µm, no more than what is
+    /// left; infinite where nothing can be promised, because an error as large as all that is left could hide
+    /// in it: there are too few rows, or what is left is too slow.
     pub found_um: f64,
     /// The size that matters: RMS, in µm.
     pub matters_um: f64,
@@ -104,8 +105,9 @@ impl Power {
         let lambda = noncentrality(POWER, level, CONSTANTS, independent - CONSTANTS - 1.0);
         // What takes away less than that is not worth a term.
         let least = ((1.0 - RELEVANT).powi(-2) - 1.0).sqrt();
+        let found_um = noise_um * (lambda / independent).sqrt().max(least);
         Self {
-            found_um: noise_um * (lambda / independent).sqrt().max(least),
+            found_um: if found_um <= left_um { found_um } else { f64::INFINITY },
             matters_um,
             is_enough: is_found(if known_um.is_some() { rows as f64 } else { count }),
             is_of_instrument,
