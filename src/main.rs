@@ -12,13 +12,13 @@
 //!
 //! | task | trigger | priority | deadline | reads | writes |
 //! |---|---|---|---|---|---|
-//! | `serial_receive` | USART1, a byte | 5 | 10.8 µs, the next byte | USART1 | byte queue |
+//! | `serial_receive` | USART1, a pause or half a ring of bytes | 5 | 1.39 ms, the other half | USART1, DMA | byte queue |
 //! | `sample` | DMA2 stream 0, 20 codes | 4 | 1 ms, the next block | samples, temperatures | node, port, CAN |
 //! | `can_receive_0`, `_1` | CAN1, a frame in the FIFO | 3 | 2 ms, the next cycle of 2 × 3 frames | CAN | node |
 //! | `listen` | bytes in the queue | 3 | 256 bytes (2.8 ms) | byte queue | port, node |
 //! | `supervise` | `SysTick`, 10 ms | 2 | 100 ms, the watchdog | node | samples, watchdog, lamp, flash |
 //! | `service` | 2 ms since its last turn | 2 | 10 ms | node | node, port, CAN |
-//! | `transmit` | lines in the port | 1 | 5 ms of frames in the port | port | USART1 |
+//! | `transmit` | lines in the port, room on the line | 1 | 5 ms of frames in the port | port | USART1, DMA |
 //! | `thermometers` | `supervise` | 1 | 1 s, then the channels count as bad | SPI2 | temperatures |
 //! | `idle` | nothing else to do | 0 | | | |
 //!
@@ -40,7 +40,7 @@ defmt::timestamp!("{=u32} ms", NOW_MS.load(Ordering::Relaxed));
 mod app {
     use super::{NOW_MS, Ordering};
     use crate::{
-        board::{self, CanIn, CanOut, Idle, Samples, SerialIn, SerialOut, Thermometers},
+        board::{self, CanIn, CanOut, Idle, Samples, Sent, SerialIn, SerialOut, Thermometers},
         supervision::{self, PERIOD_MS, Supervision},
     };
     use heapless::spsc::{Consumer, Producer, Queue};
@@ -53,7 +53,8 @@ mod app {
     /// The tasks that other tasks start have an interrupt that no pin uses. A pended interrupt cannot
     /// be lost: raised while its task runs, it makes it run again.
     const LISTEN: Interrupt = Interrupt::EXTI0;
-    const TRANSMIT: Interrupt = Interrupt::EXTI1;
+    /// The DMA raises this one too, when there is room for more.
+    const TRANSMIT: Interrupt = Interrupt::DMA2_STREAM7;
     const THERMOMETERS: Interrupt = Interrupt::EXTI2;
     const SERVICE: Interrupt = Interrupt::EXTI3;
     /// Bytes between the interrupt that takes them and the task that reads them.
@@ -69,8 +70,8 @@ mod app {
         samples: Samples,
         /// What the thermometers say, until a tick takes it.
         temperatures: Option<RawTemperatures>,
-        /// When `transmit` last had nothing left to send.
-        drained_ms: u32,
+        /// When the serial line last moved, or had nothing to move.
+        moved_ms: u32,
     }
 
     #[local]
@@ -112,7 +113,7 @@ mod app {
             can_out: parts.can_out,
             samples: parts.samples,
             temperatures: None,
-            drained_ms: 0,
+            moved_ms: 0,
         };
         let [can_in_0, can_in_1] = parts.can_in;
         let local = Local {
@@ -162,7 +163,7 @@ mod app {
         }
     }
 
-    /// A byte from the serial line: saved before the next one comes, understood later.
+    /// Bytes from the serial line: saved before more come, understood later.
     #[task(binds = USART1, priority = 5, local = [serial_in, to_listen])]
     fn serial_receive(cx: serial_receive::Context) {
         while let Some(byte) = cx.local.serial_in.read() {
@@ -170,6 +171,12 @@ mod app {
             cx.local.to_listen.enqueue(byte).ok();
         }
         rtic::pend(LISTEN);
+    }
+
+    /// The ring of the DMA is half full or full, and the line has not paused.
+    #[task(binds = DMA2_STREAM2, priority = 5)]
+    fn serial_moved(_: serial_moved::Context) {
+        rtic::pend(Interrupt::USART1);
     }
 
     /// Bytes become lines, lines become frames.
@@ -186,7 +193,7 @@ mod app {
     /// Every 10 ms: is all well? On a board whose converter is dead this is what keeps the CNC
     /// informed.
     #[task(binds = SysTick, priority = 2, local = [supervision],
-           shared = [node, port, can_out, samples, temperatures, drained_ms])]
+           shared = [node, port, can_out, samples, temperatures, moved_ms])]
     fn supervise(cx: supervise::Context) {
         let (mut shared, it) = (cx.shared, cx.local.supervision);
         if it.samples_are_missing(shared.node.lock(|node| node.blocks())) {
@@ -211,9 +218,9 @@ mod app {
             board::restart();
         }
         it.show(now, quality);
-        // Reaching this line shows that no task above hangs; the port shows that `transmit` does
+        // Reaching this line shows that no task above hangs; the line shows that `transmit` does
         // not.
-        it.feed_watchdog(now, shared.drained_ms.lock(|drained| *drained));
+        it.feed_watchdog(now, shared.moved_ms.lock(|moved| *moved));
         if it.log_is_due() {
             shared.port.lock(|port| shared.node.lock(|node| supervision::log(node, port)));
         }
@@ -234,18 +241,25 @@ mod app {
         }
     }
 
-    /// Lines to the serial line, byte by byte. It polls, because the emulator has neither the
-    /// interrupt nor the DMA for it, and because no task waits below it.
-    #[task(binds = EXTI1, priority = 1, local = [serial_out], shared = [port, node, drained_ms])]
+    /// Lines to the serial line, as much as it takes at once.
+    #[task(binds = DMA2_STREAM7, priority = 1, local = [serial_out], shared = [port, moved_ms])]
     fn transmit(mut cx: transmit::Context) {
-        while let Some(byte) = cx.shared.port.lock(Port::pop) {
-            cx.local.serial_out.write(byte);
+        let now = NOW_MS.load(Ordering::Relaxed);
+        let sent = cx.local.serial_out.send(now, |piece| {
+            cx.shared.port.lock(|port| {
+                let bytes = core::iter::from_fn(|| port.pop());
+                piece.iter_mut().zip(bytes).map(|(place, byte)| *place = byte).count()
+            })
+        });
+        if sent != Sent::Stuck {
+            cx.shared.moved_ms.lock(|moved| *moved = now);
         }
-        let now = cx.shared.node.lock(|node| node.now().0);
-        cx.shared.drained_ms.lock(|drained| *drained = now);
+        if sent == Sent::More {
+            rtic::pend(TRANSMIT);
+        }
     }
 
-    /// One thermometer is asked. Its bus is polled as well, for the same reasons.
+    /// One thermometer is asked. Its bus is polled: no task waits below it.
     #[task(binds = EXTI2, priority = 1, local = [thermometers], shared = [temperatures])]
     fn thermometers(mut cx: thermometers::Context) {
         if let Some(all) = cx.local.thermometers.turn() {

@@ -14,8 +14,8 @@ use crate::board::{Flash, Lamp, Store, Watchdog, references};
 /// Milliseconds between two turns.
 pub const PERIOD_MS: u32 = 10;
 const LOG_PERIOD_MS: u32 = 1_000;
-/// Lines that wait for so long show a task that hangs.
-const DRAIN_MS: u32 = 1_000;
+/// A serial line that has not moved for so long, with something to move, shows a task that hangs.
+const STUCK_MS: u32 = 1_000;
 
 /// What the supervisor remembers.
 pub struct Supervision {
@@ -90,9 +90,9 @@ impl Supervision {
         });
     }
 
-    /// Feeds it, unless lines have waited too long.
-    pub fn feed_watchdog(&mut self, now_ms: u32, drained_ms: u32) {
-        if now_ms.wrapping_sub(drained_ms) < DRAIN_MS {
+    /// Feeds it, unless the serial line has stood still for too long.
+    pub fn feed_watchdog(&mut self, now_ms: u32, moved_ms: u32) {
+        if now_ms.wrapping_sub(moved_ms) < STUCK_MS {
             self.watchdog.feed();
         }
     }

@@ -3,7 +3,7 @@
 //! | part | `stm32f405` | `virtual` |
 //! |---|---|---|
 //! | [`Samples`] | TIM3 → ADC1 → DMA2, 20 codes a block | blocks by semihosting from the host |
-//! | [`SerialIn`], [`SerialOut`] | USART1, 921 600 Bd | USART1 of the emulator |
+//! | [`SerialIn`], [`SerialOut`] | USART1, 921 600 Bd, by DMA | USART1 of the emulator, by polling |
 //! | [`CanIn`], [`CanOut`] | bxCAN, 1 Mbit/s, PB8/PB9 | frames in the same stream as the samples |
 //! | [`Thermometers`] | 8 MAX31865 on SPI2 | come with the samples |
 //! | [`Flash`] | two sectors of the flash | a file of the host |
@@ -16,7 +16,7 @@
 //! Both boards raise the same interrupts, so the tasks cannot tell them apart:
 //! `DMA2_STREAM0` with a block of samples (one millisecond of the sample clock), `CAN1_RX0` and
 //! `CAN1_RX1` with frames from the bus (on `virtual` all by the first), `USART1` with bytes from the
-//! serial line, `SysTick` every 10 ms. On `virtual` it is the samples that make time pass, so
+//! serial line, `DMA2_STREAM7` when there is room for more (`DMA2_STREAM2`: as `USART1`), `SysTick` every 10 ms. On `virtual` it is the samples that make time pass, so
 //! `SysTick` comes with every tenth block.
 
 use trueup_canopen::emergency::Fault;
@@ -57,6 +57,19 @@ pub struct Block {
     /// What the temperature channels say, where that comes with the samples and not from
     /// [`Thermometers`]. A channel that nothing is wired to is [`Raw::NONE`].
     pub temperatures: Option<[Raw; TEMPERATURES]>,
+}
+
+/// What has become of the bytes that wait for the serial line.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Sent {
+    /// None waits.
+    All,
+    /// A piece is going out; an interrupt comes at its end.
+    Busy,
+    /// More waits, and nobody else will ask for it.
+    More,
+    /// The line has not moved since the last time.
+    Stuck,
 }
 
 /// What a board found out about itself at start-up.

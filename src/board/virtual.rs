@@ -43,7 +43,7 @@ use trueup_link::frame::Frame;
 use trueup_pipe::{self as pipe, Record};
 use trueup_store::calibration;
 
-use super::{BLOCK, Block, Faults, Parts, TEMPERATURES, references};
+use super::{BLOCK, Block, Faults, Parts, Sent, TEMPERATURES, references};
 
 use defmt_semihosting as _;
 
@@ -182,10 +182,22 @@ impl SerialIn {
 pub struct SerialOut(#[expect(dead_code, reason = "holds that half of the USART")] Tx<USART1>);
 
 impl SerialOut {
+    /// Sends all that waits, which `fill` gives a piece at a time, byte by byte.
+    pub fn send(&mut self, _now_ms: u32, mut fill: impl FnMut(&mut [u8]) -> usize) -> Sent {
+        let mut piece = [0; 16];
+        loop {
+            let count = fill(&mut piece);
+            piece[..count].iter().for_each(|byte| self.write(*byte));
+            if count < piece.len() {
+                return Sent::All;
+            }
+        }
+    }
+
     /// The emulated USART is always ready, so that its status is not read first: each such read wakes
     /// QEMU's main loop, and halves what the line carries.
     #[allow(unsafe_code, reason = "registers of the emulated chip, and interrupts")]
-    pub fn write(&mut self, byte: u8) {
+    fn write(&mut self, byte: u8) {
         // SAFETY: this half of the USART is owned by `self`, and a data register takes any byte.
         let usart = unsafe { &*USART1::ptr() };
         // SAFETY: as above.

@@ -110,6 +110,7 @@ pub fn options() -> Options {
             "--hse-stops" => o.faults.hse_stops = ms(number(args.next(), &a)),
             "--hse-dead" => o.faults.hse_dead = true,
             "--pll-dead" => o.faults.pll_dead = true,
+            "--serial-dma-stuck" => o.faults.serial_dma_stuck = true,
             "--can-alone" => o.faults.can_alone = true,
             "--can-short" => o.faults.can_short = true,
             "--can-stuck" => o.faults.can_stuck = true,

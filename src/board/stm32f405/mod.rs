@@ -21,13 +21,19 @@ mod lamp;
 mod panic;
 mod sampling;
 mod serial;
+mod serial_dma;
 mod store;
 mod thermometers;
 mod watchdog;
 
 use cortex_m::peripheral::{SYST, syst::SystClkSource};
 use defmt_rtt as _;
-use stm32f4xx_hal::{gpio::PinState::High, pac, prelude::*};
+use stm32f4xx_hal::{
+    gpio::PinState::High,
+    pac,
+    prelude::*,
+    rcc::{Enable as _, Reset as _},
+};
 
 use super::{Faults, Parts, references};
 pub use can::{CanIn, CanOut};
@@ -74,6 +80,9 @@ pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts
     let gpioa = device.GPIOA.split(&mut rcc);
     let gpiob = device.GPIOB.split(&mut rcc);
     let gpioc = device.GPIOC.split(&mut rcc);
+    // Before any of its streams: the converter's and the serial line's.
+    pac::DMA2::enable(&mut rcc);
+    pac::DMA2::reset(&mut rcc);
     let (serial_in, serial_out) = serial::start(device.USART1, gpioa.pa9, gpioa.pa10, &mut rcc);
     let (can_in, can_out, can_answers) =
         can::start(device.CAN1, gpiob.pb9, gpiob.pb8, source, &mut rcc);

@@ -55,15 +55,13 @@ pub struct Chain {
     pub dma: DMA2,
 }
 
-/// Sets the chain up, and starts it.
+/// Sets the chain up, and starts it. The clock of DMA2 is on.
 pub fn start(chain: Chain, pin: PA0, common: &ADC_COMMON, rcc: &mut Rcc) -> Samples {
     pin.into_analog();
     let timer_hz = rcc.clocks.timclk1().raw();
     let bus_hz = rcc.clocks.pclk2().raw();
     set_up_timers(&chain, timer_hz, rcc);
     set_up_converter(&chain.adc, common, bus_hz, rcc);
-    DMA2::enable(rcc);
-    DMA2::reset(rcc);
     let mut samples = Samples { chain, taken: 0, lost: 0, restarts: 0 };
     samples.arm();
     samples

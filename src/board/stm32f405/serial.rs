@@ -1,8 +1,10 @@
 //! The serial line: USART1, 921 600 Bd, 8N1, on PA9 and PA10 (section 30).
 //!
 //! USART1 sits on APB2: 84 MHz come to within 0.16 % of the rate, APB1's 42 MHz only to 0.93 %.
-//! Bytes come in by interrupt and go out by polling: the task that sends is the lowest, so nobody
-//! waits for it, and it needs neither the transmit interrupt nor a DMA stream.
+//! The DMA moves the bytes both ways ([`super::serial_dma`]): so none is lost while the flash is
+//! programmed or interrupts are held off, and nobody waits for a byte to leave. Where the DMA does not
+//! move, as in an emulator, the board says so and falls back: bytes come in by interrupt and go out by
+//! polling, in the lowest task.
 
 use embedded_hal_nb::serial::{Read, Write};
 use stm32f4xx_hal::{
@@ -14,33 +16,91 @@ use stm32f4xx_hal::{
     serial::{Config, Rx1, Serial, Tx1},
 };
 
-use super::within;
+use super::{
+    super::Sent,
+    serial_dma::{Incoming, Outgoing},
+    within,
+};
 
 /// Polls that a byte may take to leave: some 20 times what it needs at 921 600 Bd.
 const SEND_POLLS: u32 = 4_096;
+/// Milliseconds after which a DMA that has not moved is dead: a byte takes 11 µs.
+const DMA_PATIENCE_MS: u32 = 10;
+/// Bytes taken from the port at a time: it is locked meanwhile.
+const TAKEN_AT_ONCE: usize = 16;
+/// Bytes that are polled out in one turn, 1.4 ms of the line.
+const POLLED_AT_ONCE: usize = 128;
 
-/// Sets up both directions, with an interrupt for every byte that comes in.
+/// Sets up both directions. The clock of DMA2 is on.
 pub fn start(usart: USART1, tx: PA9, rx: PA10, rcc: &mut Rcc) -> (SerialIn, SerialOut) {
     // Pulled up, so that an open line is quiet.
     let rx = rx.into_alternate().internal_resistor(Pull::Up);
     let config = Config::default().baudrate(921_600.bps());
-    let (tx, mut rx) = Serial::new(usart, (tx, rx), config, rcc)
+    let (tx, rx) = Serial::new(usart, (tx, rx), config, rcc)
         .expect("921 600 Bd is within reach of 84 MHz and of 16 MHz")
         .split();
-    rx.listen();
-    (SerialIn { rx, errors: 0 }, SerialOut { tx })
+    let mut serial_in = SerialIn { rx, incoming: Incoming::start(), errors: 0 };
+    if serial_in.incoming.is_some() {
+        serial_in.listen_for_pauses();
+    } else {
+        defmt::error!("dead: DMA of the serial line, it is polled");
+        serial_in.rx.listen();
+    }
+    let outgoing = serial_in.incoming.is_some().then(Outgoing::new);
+    (serial_in, SerialOut { tx, outgoing, moved_ms: 0 })
 }
 
 /// Bytes from the CNC.
 pub struct SerialIn {
     rx: Rx1,
+    /// `None`: the DMA is dead, and each byte has its interrupt.
+    incoming: Option<Incoming>,
     errors: u32,
 }
 
 impl SerialIn {
-    /// The byte that came in. `None`: there is none, or it came damaged, or the one after it was
+    /// The next byte that came in. `None`: there is none, or it came damaged, or the one after it was
     /// lost; reading has cleared the error then, and the checksum of the frame tells the rest.
     pub fn read(&mut self) -> Option<u8> {
+        match &mut self.incoming {
+            Some(_) => self.take_moved(),
+            None => self.take_polled(),
+        }
+    }
+
+    /// An interrupt when the line pauses for a byte's time; the DMA raises its own, half-way and at the
+    /// end of its ring.
+    #[allow(unsafe_code, reason = "registers of the USART")]
+    fn listen_for_pauses(&mut self) {
+        // SAFETY: the transmitter's bits of these registers are set in one step, before it runs.
+        let usart = unsafe { USART1::steal() };
+        usart.cr3().modify(|_, w| w.dmar().enabled().dmat().enabled());
+        usart.cr1().modify(|_, w| w.idleie().enabled());
+    }
+
+    #[allow(unsafe_code, reason = "registers of the USART")]
+    fn take_moved(&mut self) -> Option<u8> {
+        // SAFETY: this side alone reads the status for what came in.
+        let usart = unsafe { USART1::steal() };
+        let status = usart.sr().read();
+        if status.idle().bit_is_set() || status.ore().bit_is_set() {
+            // Reading the data register clears both. No byte is taken from the DMA by it: after a pause
+            // the next one is 10 µs away, and one that was overrun has come while the DMA stood.
+            let _cleared = usart.dr().read();
+        }
+        let incoming = self.incoming.as_mut()?;
+        if status.ore().bit_is_set() && !incoming.restart() {
+            defmt::error!("dead: DMA of the serial line, bytes come in by interrupt");
+            usart.cr3().modify(|_, w| w.dmar().disabled());
+            usart.cr1().modify(|_, w| w.idleie().disabled());
+            self.incoming = None;
+            self.rx.listen();
+            return None;
+        }
+        incoming.next()
+    }
+
+    fn take_polled(&mut self) -> Option<u8> {
         match Read::read(&mut self.rx) {
             Ok(byte) => Some(byte),
             Err(nb::Error::WouldBlock) => None,
@@ -63,11 +123,56 @@ impl SerialIn {
 /// Bytes to the CNC.
 pub struct SerialOut {
     tx: Tx1,
+    /// `None`: the DMA is dead, and bytes are polled out.
+    outgoing: Option<Outgoing>,
+    /// When the DMA last moved, or had nothing to move.
+    moved_ms: u32,
 }
 
 impl SerialOut {
-    /// Sends a byte, or drops it if the transmitter does not take it: a dead one must not hang us.
-    pub fn write(&mut self, byte: u8) {
-        let _sent = within(SEND_POLLS, || Write::write(&mut self.tx, byte).is_ok());
+    /// Hands over what waits, which `fill` gives a piece at a time; an interrupt comes when there is room
+    /// for more.
+    pub fn send(&mut self, now_ms: u32, mut fill: impl FnMut(&mut [u8]) -> usize) -> Sent {
+        let Some(outgoing) = &mut self.outgoing else { return self.poll_out(fill) };
+        if outgoing.is_moving() {
+            self.moved_ms = now_ms;
+            return Sent::Busy;
+        }
+        if outgoing.is_busy() {
+            if now_ms.wrapping_sub(self.moved_ms) > DMA_PATIENCE_MS {
+                defmt::error!("dead: DMA of the serial line, bytes go out by polling");
+                outgoing.stop();
+                self.outgoing = None;
+            }
+            return Sent::Stuck;
+        }
+        self.moved_ms = now_ms;
+        let count = outgoing.send(|buffer| {
+            let mut count = 0;
+            for piece in buffer.chunks_mut(TAKEN_AT_ONCE) {
+                let taken = fill(piece);
+                count += taken;
+                if taken < piece.len() {
+                    break;
+                }
+            }
+            count
+        });
+        if count == 0 { Sent::All } else { Sent::Busy }
+    }
+
+    /// A byte that the transmitter does not take is dropped: a dead one must not hang us.
+    fn poll_out(&mut self, mut fill: impl FnMut(&mut [u8]) -> usize) -> Sent {
+        for _ in 0..POLLED_AT_ONCE / TAKEN_AT_ONCE {
+            let mut piece = [0; TAKEN_AT_ONCE];
+            let count = fill(&mut piece);
+            for &byte in &piece[..count] {
+                let _sent = within(SEND_POLLS, || Write::write(&mut self.tx, byte).is_ok());
+            }
+            if count < TAKEN_AT_ONCE {
+                return Sent::All;
+            }
+        }
+        Sent::More
     }
 }

@@ -114,6 +114,9 @@ impl Chip {
                             s.left = s.ndtr;
                             s.at = 0;
                             self.dma_start(d, n);
+                            // Requests are levels: what waits is served at once.
+                            self.uart_dma_tx();
+                            self.uart_dma_rx();
                         } else if v & 1 == 0 && on {
                             // RM0090 10.3.7: switching a stream off ends it, and says so.
                             self.dma[d].isr[n / 4] |= 32 << SHIFT[n % 4];
@@ -198,6 +201,9 @@ impl Chip {
     /// One request of a peripheral. `None`: no stream listens; otherwise whether it was the last item.
     pub(crate) fn dma_request(&mut self, d: usize, n: usize, channel: u32) -> Option<bool> {
         let s = self.dma[d].s[n];
+        if self.faults.serial_dma_stuck && (d, channel) == (1, 4) {
+            return None;
+        }
         if s.cr & 1 == 0 || s.cr >> 25 & 7 != channel || self.rcc.enr[0] >> (21 + d) & 1 == 0 {
             return None;
         }

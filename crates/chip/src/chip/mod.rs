@@ -63,6 +63,8 @@ pub struct Faults {
     pub can_alone: bool,
     /// Every frame is destroyed.
     pub can_short: bool,
+    /// The streams of the serial line take their enable and move nothing.
+    pub serial_dma_stuck: bool,
     /// The receive pin is held low: the chip never sees a quiet bus.
     pub can_stuck: bool,
 }

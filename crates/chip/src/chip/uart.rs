@@ -125,7 +125,11 @@ impl Chip {
                 self.uart_listen();
             }
             16 => self.uart.cr2 = self.set("USART1_CR2", self.uart.cr2, v, 0x7f6f),
-            20 => self.uart.cr3 = self.set("USART1_CR3", self.uart.cr3, v, 0xfff),
+            20 => {
+                self.uart.cr3 = self.set("USART1_CR3", self.uart.cr3, v, 0xfff);
+                self.uart_dma_tx();
+                self.uart_dma_rx();
+            }
             _ => self.say(Grade::Unmodelled, format!("USART1: write at {off:#x}")),
         }
     }
@@ -141,12 +145,22 @@ impl Chip {
         self.uart.shift = Some(b);
         self.uart.sr = self.uart.sr & !0x40 | 0x80;
         self.uart.tx_at = self.now + (10.0 * TPS as f64 / self.uart_baud()) as u64;
-        self.uart_dma_tx();
     }
 
+    /// Asks the DMA for bytes as long as there is room (RM0090 30.3.13: TXE with DMAT is the request, a
+    /// level: a stream that is switched on later finds it).
     pub(crate) fn uart_dma_tx(&mut self) {
-        if self.uart.cr3 & 0x80 != 0 && self.uart.sr & 0x80 != 0 {
-            self.dma_request(1, 7, 4);
+        while self.uart.cr3 & 0x80 != 0 && self.uart.sr & 0x80 != 0 {
+            if self.dma_request(1, 7, 4).is_none() {
+                break;
+            }
+        }
+    }
+
+    /// Offers the DMA the byte that has come (RM0090 30.3.13: RXNE with DMAR).
+    pub(crate) fn uart_dma_rx(&mut self) {
+        if self.uart.cr3 & 0x40 != 0 && self.uart.sr & 0x20 != 0 {
+            self.dma_request(1, 2, 4).or_else(|| self.dma_request(1, 5, 4));
         }
     }
 
@@ -155,7 +169,12 @@ impl Chip {
         if let Some(b) = self.uart.shift.take() {
             self.world.byte(self.now, b);
         }
-        if self.uart.tdr.is_some() { self.uart_load() } else { self.uart.sr |= 0x40 }
+        if self.uart.tdr.is_some() {
+            self.uart_load();
+            self.uart_dma_tx();
+        } else {
+            self.uart.sr |= 0x40;
+        }
     }
 
     /// Plans the next byte that the host sends.
@@ -185,9 +204,7 @@ impl Chip {
                 self.uart.sr |= 0x20 | if off < 0.035 { 0 } else { 2 };
                 self.uart.received += 1;
                 self.uart.rx_since = self.now;
-                if self.uart.cr3 & 0x40 != 0 {
-                    self.dma_request(1, 2, 4).or_else(|| self.dma_request(1, 5, 4));
-                }
+                self.uart_dma_rx();
             }
         }
         self.uart_listen();
