@@ -190,3 +190,53 @@ fn the_watchdog_is_fed_in_time_at_both_limits_of_its_oscillator() {
         says(&report, &["resets []"]);
     }
 }
+
+/// Runs the image in a world by script.
+fn run_script(script: &str, options: &[&str]) -> Option<Report> {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("script");
+    std::fs::write(&file, script).expect("it is written");
+    let file = file.to_str().expect("a plain name");
+    run(&[&["--bor", "--script", file], options].concat())
+}
+
+/// The number before a word, on the first line that has it.
+fn number(report: &Report, word: &str) -> f64 {
+    let line = line(report, &[word]).unwrap_or_else(|| panic!("no {word:?} in\n{}", report.said));
+    let before = line.split(word).next().unwrap_or_default();
+    let last = before.split_whitespace().last().unwrap_or_default();
+    last.parse().unwrap_or_else(|_| panic!("no number before {word:?} in {line:?}"))
+}
+
+#[test]
+fn with_an_open_channel_the_processor_is_busy_for_12_percent_at_most() {
+    let Some(report) = run(&["--bor", "--ms", "900", "--say", "300", "S8\\rO\\r"]) else { return };
+    is_clean(&report);
+    assert!(number(&report, " bytes sent") > 20_000.0, "{}", report.said);
+    let busy = line(&report, &["busy "]).expect("it says how busy it is");
+    let busy = busy.split("busy ").nth(1).and_then(|rest| rest.split(' ').next());
+    let busy: f64 = busy.and_then(|number| number.parse().ok()).expect("a number");
+    assert!(busy <= 12.0, "{busy} %");
+}
+
+#[test]
+fn in_a_flood_at_the_rate_of_the_line_zero_is_stored_and_no_byte_is_lost() {
+    let script = "0 flags 2\n200 flags 3\n300 say O\\r\n400 serial_flood V\\r\n600 flags 7\n";
+    let Some(report) = run_script(script, &["--ms", "900"]) else { return };
+    is_clean(&report);
+    says(&report, &["8 words programmed"]);
+    says(&report, &["resets []"]);
+    assert!(number(&report, " received,") > 40_000.0, "{}", report.said);
+    assert_eq!(number(&report, " overruns"), 0.0, "{}", report.said);
+}
+
+#[test]
+fn where_the_dma_of_the_serial_line_does_not_move_the_line_is_polled() {
+    let options =
+        ["--serial-dma-stuck", "--ms", "450", "--say", "250", "V\\r", "--say", "270", "V\\r"];
+    let Some(report) = run(&[&["--bor"], &options[..]].concat()) else { return };
+    is_clean(&report);
+    says(&report, &["serial: \"V1013"]);
+    logs(&report, "dead: DMA of the serial line, bytes come in by interrupt");
+    logs(&report, "dead: DMA of the serial line, bytes go out by polling");
+}

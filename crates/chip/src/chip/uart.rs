@@ -182,8 +182,11 @@ impl Chip {
         if self.uart.rx_at == NEVER
             && let Some(at) = self.world.byte_at(self.now)
         {
-            self.uart.rx_at = at.max(self.now) + (10.0 * TPS as f64 / self.world.baud) as u64;
-            self.uart.idle_at = NEVER;
+            let start = at.max(self.now);
+            self.uart.rx_at = start + (10.0 * TPS as f64 / self.world.baud) as u64;
+            if start < self.uart.idle_at {
+                self.uart.idle_at = NEVER;
+            }
         }
     }
 
@@ -207,10 +210,9 @@ impl Chip {
                 self.uart_dma_rx();
             }
         }
+        // RM0090 30.3.3: idle is a whole frame of ones, unless the next start bit comes before.
+        self.uart.idle_at = self.now + (10.0 * TPS as f64 / self.world.baud) as u64;
         self.uart_listen();
-        if self.uart.rx_at == NEVER {
-            self.uart.idle_at = self.now + (10.0 * TPS as f64 / self.world.baud) as u64;
-        }
     }
 
     pub(crate) fn uart_idle(&mut self) {
