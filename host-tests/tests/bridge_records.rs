@@ -6,7 +6,7 @@
 //! its laws here has a memory, so a row that stands for half a minute of the machine is held only until
 //! filter and slew have come to rest.
 
-use std::{fmt::Write as _, path::Path};
+use std::{borrow::Cow, fmt::Write as _, path::Path};
 
 use trueup_core::{
     bridge::Input,
@@ -21,7 +21,7 @@ use trueup_emulator::{front_end::FrontEnd, replay};
 use trueup_fit::{elongation, thermal};
 use trueup_link::{frames, receiver::OffsetReceiver};
 use trueup_machine::{
-    Machine, MachineFile, RunFile, applied, compile, file::Quantity, inputs::TemperatureKind,
+    Machine, MachineFile, RunFile, applied::Unaided, compile, file::Quantity, inputs::TemperatureKind,
 };
 use trueup_node::node::Node;
 use trueup_twin::{
@@ -240,9 +240,9 @@ fn a_spindles_gain_is_the_same_with_the_bridge_off_on_and_switched() {
     let fitted = records.each_ref().map(|(engaged, run)| {
         let machine = machine(SPINDLE_BELIEVED);
         let (run, _) =
-            applied::taken_out(run, Some(&machine), Some(Quantity::Elongation)).expect("a record");
+            Unaided::of(Cow::Borrowed(run), Some(&machine), Some(Quantity::Elongation)).expect("a record");
         let report =
-            elongation::fit(&[run.into_owned()], Some(&machine), &elongation::Options::default())
+            elongation::fit(&[run], Some(&machine), &elongation::Options::default())
                 .expect("it can be fitted");
         let it = report.parameter("um_per_count").expect("fitted");
         (*engaged, (it.value, it.ci95.expect("fitted")))
@@ -265,10 +265,10 @@ fn an_axiss_expansion_is_the_same_with_the_bridge_off_on_and_switched() {
     let fitted = records.each_ref().map(|(engaged, run)| {
         let machine = machine(AXIS_BELIEVED);
         let (run, _) =
-            applied::taken_out(run, Some(&machine), Some(Quantity::Dx)).expect("a record");
+            Unaided::of(Cow::Borrowed(run), Some(&machine), Some(Quantity::Dx)).expect("a record");
         let axis = trueup_machine::file::LinearAxis::X;
         let report =
-            thermal::fit(&[run.into_owned()], axis, Some(&machine), &thermal::Options::default())
+            thermal::fit(&[run], axis, Some(&machine), &thermal::Options::default())
                 .expect("it can be fitted");
         let it = report.parameter("slope_um_per_m_per_c").expect("fitted");
         (*engaged, (it.value, it.ci95.expect("fitted")))

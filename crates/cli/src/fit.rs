@@ -17,7 +17,8 @@ use trueup_fit::{
     pitch, straightness, thermal, warmup,
 };
 use trueup_machine::{
-    BadInput, Location, Machine, MachineFile, RunFile, applied,
+    BadInput, Location, Machine, MachineFile,
+    applied::Unaided,
     compile::check_slopes,
     file::{ElongationSource, LinearAxis, ThermalMode},
 };
@@ -32,7 +33,7 @@ use crate::{Outcome, UserError, output, runs};
 
 /// The files that were read.
 struct Input {
-    runs: Vec<RunFile>,
+    runs: Vec<Unaided<'static>>,
     machine: Option<(PathBuf, String, Machine)>,
 }
 
@@ -81,15 +82,12 @@ impl Input {
                 Some((path.clone(), text, machine))
             }
         };
-        let read = |path: &PathBuf| -> Result<RunFile> {
+        let read = |path: &PathBuf| -> Result<Unaided<'static>> {
             let run = runs::read_and_warn(path)?;
             let machine = machine.as_ref().map(|(_, _, machine)| machine);
-            let (cleaned, notes) = applied::taken_out(&run, machine, None)?;
+            let (run, notes) = Unaided::of(Cow::Owned(run), machine, None)?;
             notes.iter().for_each(|note| eprintln!("warning: {note}"));
-            Ok(match cleaned {
-                Cow::Owned(cleaned) => cleaned,
-                Cow::Borrowed(_) => run,
-            })
+            Ok(run)
         };
         let runs = common.run.iter().map(read).collect::<Result<_, _>>()?;
         Ok(Self { runs, machine })
@@ -100,7 +98,7 @@ impl Input {
     }
 
     /// The one run; what takes one alone refuses several.
-    fn run(&self) -> Result<&RunFile, UserError> {
+    fn run(&self) -> Result<&Unaided<'_>, UserError> {
         match &self.runs[..] {
             [run] => Ok(run),
             runs => Err(UserError(format!(
@@ -112,7 +110,7 @@ impl Input {
     }
 
     /// What the rest of the machine file says of `run`, with a warning where it cannot.
-    fn known(&self, run: &RunFile, without: Without) -> Result<Option<Vec<f64>>, BadInput> {
+    fn known(&self, run: &Unaided<'_>, without: Without) -> Result<Option<Vec<f64>>, BadInput> {
         let Some(machine) = self.machine() else { return Ok(None) };
         let Some(known) = known(machine, run, without)? else { return Ok(None) };
         if known.is_usable() {
@@ -178,7 +176,7 @@ fn backlash_of(input: &Input, args: &Backlash) -> Result<Report> {
 
 fn position_options(
     input: &Input,
-    run: &RunFile,
+    run: &Unaided<'_>,
     axis: LinearAxis,
     runs: Option<Vec<f64>>,
 ) -> Result<pitch::Options> {
@@ -214,7 +212,7 @@ fn thermal_of(input: &Input, args: &Thermal) -> Result<Report> {
 }
 
 /// The axis of `quantity`, else the only one whose error the runs measure.
-fn axis_of(runs: &[RunFile], quantity: Option<&str>) -> Result<LinearAxis, BadInput> {
+fn axis_of(runs: &[Unaided<'_>], quantity: Option<&str>) -> Result<LinearAxis, BadInput> {
     let start = || Location::start_of(runs[0].path());
     if let Some(quantity) = quantity {
         let axis = LinearAxis::ALL.into_iter().find(|axis| quantity == format!("d{}", axis.name()));

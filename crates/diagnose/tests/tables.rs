@@ -3,11 +3,11 @@
 //!
 //! `cargo test -p trueup-diagnose --test tables -- --show-output` prints the figures.
 
-use std::path::Path;
+use std::{borrow::Cow, path::Path};
 
 use trueup_diagnose::{Diagnosis, Verdict, diagnose};
 use trueup_fit::pitch;
-use trueup_machine::{MachineFile, RunFile, file::LinearAxis};
+use trueup_machine::{MachineFile, RunFile, applied::Unaided, file::LinearAxis};
 use trueup_measured_data::file as data;
 use trueup_numerics::random::Generator;
 
@@ -110,7 +110,8 @@ fn what_does_not_repeat_is_still_refused() {
 /// Whether `trueup fit pitch` writes a table, and whether `diagnose` hands out something that goes with
 /// the axis's own position.
 fn answers(run: &RunFile, axis: LinearAxis) -> [bool; 2] {
-    let fit = pitch::fit(run, axis, &pitch::Options::default()).expect("a table of readings");
+    let (unaided, _) = Unaided::of(Cow::Borrowed(run), None, None).expect("no bridge");
+    let fit = pitch::fit(&unaided, axis, &pitch::Options::default()).expect("a table of readings");
     let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("the test's own file");
     let runs = std::slice::from_ref(run);
     let diagnosis = diagnose(&machine, runs, &[], None, &mut |_, _| {}).expect("comparable");

@@ -3,7 +3,8 @@
 //! The curve itself is found by [`straightness`].
 
 use trueup_machine::{
-    BadInput, RunFile,
+    BadInput,
+    applied::Unaided,
     file::write::{Edit, NewSection, rounded},
 };
 
@@ -22,7 +23,7 @@ const DECIMALS: i32 = 4;
 /// # Errors
 /// See [`straightness::fit_run`].
 pub fn fit(
-    run: &RunFile,
+    run: &Unaided<'_>,
     quantity: Option<&str>,
     known_um: impl FnOnce(&StraightnessCurve) -> Result<Option<Vec<f64>>, BadInput>,
     options: &Options,
@@ -116,7 +117,9 @@ fn report(curve: &StraightnessCurve, y: &[f64], positions: &[f64], column: Strin
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
+    use std::{borrow::Cow, path::Path};
+
+    use trueup_machine::RunFile;
 
     use super::*;
 
@@ -128,6 +131,7 @@ mod tests {
             text += &format!("{x},{}\n", (x / 60.0).sin() * 8.0);
         }
         let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
+        let (run, _) = Unaided::of(Cow::Owned(run), None, None).expect("no bridge");
         let report = fit(&run, None, |_| Ok(None), &Options::default()).expect("a curve");
         let names: Vec<&str> =
             report.table.lines().filter_map(|line| line.split_once(": ")).map(|it| it.0).collect();

@@ -12,7 +12,8 @@
 //! (the ignored test `a_million_rows_are_fitted`).
 
 use trueup_machine::{
-    BadInput, Machine, RunFile,
+    BadInput, Machine,
+    applied::Unaided,
     file::write::{Edit, NewSection, Value},
     file::{ElongationSource, SensorModel, is_temperature_column},
     model::elongation_um,
@@ -43,7 +44,7 @@ pub struct Options {
 /// # Errors
 /// A column is missing, too few rows have both values, or the input is the same in every row.
 pub fn fit(
-    runs: &[RunFile],
+    runs: &[Unaided<'_>],
     machine: Option<&Machine>,
     options: &Options,
 ) -> Result<Report, BadInput> {

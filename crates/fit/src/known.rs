@@ -4,7 +4,8 @@
 //! fitted a second time, or the whole would count them twice.
 
 use trueup_machine::{
-    BadInput, Machine, RunFile,
+    BadInput, Machine,
+    applied::Unaided,
     file::{ElongationSource, LinearAxis},
     predict::Predictor,
 };
@@ -49,7 +50,7 @@ impl Known {
 /// The run has a column with the name of a prediction.
 pub fn known(
     machine: &Machine,
-    run: &RunFile,
+    run: &Unaided<'_>,
     without: Without,
 ) -> Result<Option<Known>, BadInput> {
     let mut rest = machine.clone();

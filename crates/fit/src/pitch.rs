@@ -38,7 +38,8 @@ mod table;
 mod test_points;
 
 use trueup_machine::{
-    BadInput, RunFile,
+    BadInput,
+    applied::Unaided,
     file::{Backlash, Feedback, LinearAxis, Pitch},
 };
 
@@ -126,7 +127,7 @@ pub struct PitchFit {
 /// A column is missing or in another unit, a cell of a row is empty, a position comes twice in a
 /// run and direction, positions do not go with their direction, there are fewer than two targets,
 /// or a direction is missing that is asked for; with the place and the rule.
-pub fn fit(run: &RunFile, axis: LinearAxis, options: &Options) -> Result<PitchFit, BadInput> {
+pub fn fit(run: &Unaided<'_>, axis: LinearAxis, options: &Options) -> Result<PitchFit, BadInput> {
     let wanted = Wanted {
         axis,
         runs: options.runs.as_deref(),
@@ -175,7 +176,7 @@ pub fn fit(run: &RunFile, axis: LinearAxis, options: &Options) -> Result<PitchFi
 
 /// At least two targets, and the directions that are asked for.
 fn check_extent(
-    run: &RunFile,
+    run: &Unaided<'_>,
     axis: LinearAxis,
     readings: &Readings,
     options: &Options,

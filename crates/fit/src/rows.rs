@@ -1,6 +1,6 @@
 //! The rows of several runs in a row, and which of them are left out together.
 
-use trueup_machine::{BadInput, Location, RunFile};
+use trueup_machine::{BadInput, Location, applied::Unaided};
 use trueup_numerics::{
     least_squares::{Solution, Triangle},
     robust::Outlier,
@@ -13,13 +13,13 @@ const BLOCKS: usize = 5;
 
 /// Runs, their rows counted through.
 pub(crate) struct Rows<'r> {
-    runs: &'r [RunFile],
+    runs: &'r [Unaided<'r>],
 }
 
 impl<'r> Rows<'r> {
     /// # Errors
     /// There is no run at all.
-    pub(crate) fn of(runs: &'r [RunFile]) -> Result<Self, BadInput> {
+    pub(crate) fn of(runs: &'r [Unaided<'r>]) -> Result<Self, BadInput> {
         if runs.is_empty() {
             let rule = "no run is given: a fit needs a run file";
             return Err(BadInput::new(Location::start_of("".as_ref()), rule));
@@ -28,7 +28,7 @@ impl<'r> Rows<'r> {
     }
 
     pub(crate) fn count(&self) -> usize {
-        self.runs.iter().map(RunFile::rows).sum()
+        self.runs.iter().map(|run| run.rows()).sum()
     }
 
     /// The column `name` of all runs.
@@ -72,7 +72,7 @@ impl<'r> Rows<'r> {
             .collect()
     }
 
-    fn locate(&self, mut row: usize) -> (&'r RunFile, usize) {
+    fn locate(&self, mut row: usize) -> (&'r Unaided<'r>, usize) {
         for run in self.runs {
             if row < run.rows() {
                 return (run, row);

@@ -22,7 +22,8 @@
 mod table;
 
 use trueup_machine::{
-    BadInput, Machine, RunFile,
+    BadInput, Machine,
+    applied::Unaided,
     file::write::{Edit, NewSection},
     file::{LinearAxis, Thermal, ThermalMode, ThermalRow},
     model::thermal_um,
@@ -79,7 +80,7 @@ struct Data {
 /// A column is missing, too few rows have all values, the temperature is the same in every row, or
 /// the positions do not decide the mode that is asked for.
 pub fn fit(
-    runs: &[RunFile],
+    runs: &[Unaided<'_>],
     axis: LinearAxis,
     machine: Option<&Machine>,
     options: &Options,

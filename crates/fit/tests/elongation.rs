@@ -6,15 +6,16 @@ use std::path::Path;
 
 use support::{
     MACHINE, Noise, applied, assert_holds, assert_round_trip, machine, parse, predicted_rms, run,
+    unaided,
 };
 use trueup_fit::{Verdict, elongation};
-use trueup_machine::{RunFile, file::ElongationSource};
+use trueup_machine::{RunFile, applied::Unaided, file::ElongationSource};
 use trueup_measured_data::file as measured;
 
 const PAPER: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n[spindle]\nsource = \"sensor\"\n\
     [spindle.sensor]\nk0_um = 0.0\nzero_counts = 5048.0 # cold\num_per_count = 0.0152587890625\n";
 
-fn fit(run: RunFile, text: &str) -> trueup_fit::Report {
+fn fit(run: Unaided<'_>, text: &str) -> trueup_fit::Report {
     let machine = machine(text);
     elongation::fit(&[run], Some(&machine), &elongation::Options::default()).expect("a fit")
 }
@@ -22,7 +23,7 @@ fn fit(run: RunFile, text: &str) -> trueup_fit::Report {
 #[test]
 fn the_papers_table_gives_the_line_that_others_found_and_predict_agrees() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/spindle_paper_table1.csv");
-    let run = RunFile::read(&path).expect("a run file");
+    let run = unaided(RunFile::read(&path).expect("a run file"));
     let report = fit(run.clone(), PAPER);
     let (left_out, in_sample) = (report.left_out.expect("15 rows"), report.in_sample.expect("15"));
     println!("table 1: {in_sample:?}, left out {left_out:?}");
@@ -139,7 +140,7 @@ fn readings_that_have_nothing_to_do_with_it_are_not_compensated() {
 #[test]
 fn a_lag_that_fits_better_but_predicts_worse_is_not_taken() {
     let Some(path) = measured("spindle_sjtu/run.csv") else { return };
-    let run = RunFile::read(&path).expect("a run file");
+    let run = unaided(RunFile::read(&path).expect("a run file"));
     let options = elongation::Options {
         temperature: Some("temp_t0_c".into()),
         ..elongation::Options::default()

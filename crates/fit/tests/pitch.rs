@@ -12,7 +12,7 @@ use trueup_fit::{
     report::FactValue,
 };
 use trueup_machine::{
-    RunFile,
+    applied::Unaided,
     file::{Feedback, LinearAxis},
     predict::Predictor,
 };
@@ -26,7 +26,7 @@ fn shape(x: f64) -> f64 {
     15.0 * (x / 90.0).sin() + 0.02 * x
 }
 
-fn fitted(run: &RunFile, options: &Options) -> PitchFit {
+fn fitted(run: &Unaided<'_>, options: &Options) -> PitchFit {
     fit(run, X, options).expect("the test's own run keeps the rules")
 }
 
@@ -278,7 +278,7 @@ fn an_even_backlash_is_not_called_dependent_on_position() {
 }
 
 /// A record while the axis moves: `count` rows of position, direction, error, each sweep of 1000.
-fn record(count: usize) -> RunFile {
+fn record(count: usize) -> Unaided<'static> {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let mut noise = noise(12, 1.0);
     let mut text = String::from("x_mm,dir_x,measured_dx_um\n");
@@ -293,7 +293,7 @@ fn record(count: usize) -> RunFile {
     run_of(&text)
 }
 
-fn check_record(run: &RunFile) {
+fn check_record(run: &Unaided<'_>) {
     let fit = fitted(run, &Options::default());
     let pitch = fit.pitch.expect("it repeats");
     let width_um = fit.backlash.expect("a backlash is in it").width_um;

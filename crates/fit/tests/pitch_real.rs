@@ -5,20 +5,21 @@
 
 mod pitch_support;
 
-use pitch_support::{left_by_model, rms};
+use pitch_support::{left_by_model, rms, unaided};
 use trueup_fit::{
     Verdict,
     pitch::{Options, Ways, fit, fit_backlash},
 };
 use trueup_machine::{
     RunFile,
+    applied::Unaided,
     file::{LinearAxis, write::Edit},
 };
 
 /// The run of this name, `None` (and a line that says so) where the data are not there.
-fn measured(name: &str) -> Option<RunFile> {
+fn measured(name: &str) -> Option<Unaided<'static>> {
     let path = trueup_measured_data::file(&format!("ess_iso230/{name}"))?;
-    Some(RunFile::read(&path).expect("the data are a run file"))
+    Some(unaided(RunFile::read(&path).expect("the data are a run file")))
 }
 
 fn first_three(ways: Ways) -> Options {
@@ -26,7 +27,7 @@ fn first_three(ways: Ways) -> Options {
 }
 
 /// The rms on runs 4 and 5 after a fit on 1 to 3.
-fn tested(run: &RunFile, name: &str, ways: Ways) -> f64 {
+fn tested(run: &Unaided<'_>, name: &str, ways: Ways) -> f64 {
     let fit = fit(run, LinearAxis::X, &first_three(ways)).expect("the run can be fitted");
     assert!(fit.report.verdict.is_fitted(), "{name}: {:?}", fit.report.verdict);
     let left = left_by_model(run, &fit.report.edit, &[4.0, 5.0]);

@@ -1,7 +1,7 @@
 //! Straightness in closed form: what is known beforehand is found, noise is not fitted, and what is
 //! wrong with a run is told.
 
-use std::{f64::consts::TAU, path::Path};
+use std::{borrow::Cow, f64::consts::TAU, path::Path};
 
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng as _};
 use rand_distr::{Distribution as _, Normal};
@@ -11,7 +11,7 @@ use trueup_fit::{
         Fit, FitError, Method, Options, ReferenceLine, Stop, StraightnessCurve, fit, fit_run,
     },
 };
-use trueup_machine::{RunFile, file::BSpline, model::spline_um};
+use trueup_machine::{RunFile, applied::Unaided, file::BSpline, model::spline_um};
 
 fn every(step_mm: f64, travel_mm: f64) -> Vec<f64> {
     (0..=(travel_mm / step_mm).round() as u32).map(|n| f64::from(n) * step_mm).collect()
@@ -231,6 +231,7 @@ fn what_is_no_curve_is_refused_by_name() {
 
 fn from_csv(text: &str, quantity: Option<&str>) -> Result<StraightnessCurve, String> {
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own");
+    let (run, _) = Unaided::of(Cow::Owned(run), None, None).expect("no bridge");
     fit_run(&run, quantity, &tolerance(9.0)).map_err(|bad| bad.to_string())
 }
 

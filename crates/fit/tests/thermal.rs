@@ -2,20 +2,23 @@
 
 mod support;
 
-use support::{MACHINE, Noise, applied, assert_holds, assert_round_trip, machine, parse, run};
+use support::{
+    MACHINE, Noise, applied, assert_holds, assert_round_trip, machine, parse, run, unaided,
+};
 use trueup_fit::{Report, Verdict, thermal};
 use trueup_machine::{
     RunFile,
+    applied::Unaided,
     file::{LinearAxis, ThermalMode},
 };
 use trueup_measured_data::file as measured;
 
-fn fit(run: &RunFile, options: &thermal::Options) -> Report {
+fn fit(run: &Unaided<'_>, options: &thermal::Options) -> Report {
     thermal::fit(std::slice::from_ref(run), LinearAxis::X, None, options).expect("a fit")
 }
 
 /// An axis that is scanned at 0…1000 mm every 10 minutes while its screw warms up and cools.
-fn scanned(law: impl Fn(f64, f64) -> f64, lag_s: f64, noise_um: f64) -> RunFile {
+fn scanned(law: impl Fn(f64, f64) -> f64, lag_s: f64, noise_um: f64) -> Unaided<'static> {
     let mut noise = Noise::seeded(21);
     let columns = ["time_s", "x_mm", "temp_screw_c", "measured_dx_um"];
     let mut values = vec![Vec::new(); 4];
@@ -156,7 +159,7 @@ fn runs_at_several_temperatures_give_a_table_where_a_line_does_not_do() {
 #[test]
 fn the_eleven_missed_homings_of_the_voron_are_found_and_listed() {
     let Some(path) = measured("voron_frame_expansion/run1.csv") else { return };
-    let run = RunFile::read(&path).expect("a run file");
+    let run = unaided(RunFile::read(&path).expect("a run file"));
     let options = thermal::Options {
         temperature: Some("temp_frame_c".into()),
         ..thermal::Options::default()
@@ -172,7 +175,7 @@ fn the_eleven_missed_homings_of_the_voron_are_found_and_listed() {
 fn the_other_runs_of_the_voron_lose_no_row() {
     for name in ["run3", "run4"] {
         let Some(path) = measured(&format!("voron_frame_expansion/{name}.csv")) else { return };
-        let run = RunFile::read(&path).expect("a run file");
+        let run = unaided(RunFile::read(&path).expect("a run file"));
         let options = thermal::Options {
             temperature: Some("temp_frame_c".into()),
             ..thermal::Options::default()

@@ -7,7 +7,7 @@ use support::{
 };
 use trueup_fit::{Report, Verdict, warmup};
 use trueup_machine::{
-    RunFile,
+    applied::Unaided,
     file::{ElongationSource, Warmup},
     model::{WarmupState, warmup_um},
 };
@@ -30,7 +30,7 @@ fn recorded(
     rpm: impl Fn(f64) -> f64,
     noise_um: f64,
     seed: u64,
-) -> RunFile {
+) -> Unaided<'static> {
     let mut noise = Noise::seeded(seed);
     let mut state = WarmupState::default();
     let time: Vec<f64> = (0..rows).map(|row| interval_s * row as f64).collect();
@@ -43,7 +43,7 @@ fn recorded(
     run(&[("time_s", &time), ("spindle_rpm", &speed), ("measured_elongation_um", &y)])
 }
 
-fn fit(runs: &[RunFile]) -> Report {
+fn fit(runs: &[Unaided<'_>]) -> Report {
     let report = warmup::fit(runs, None).expect("a fit");
     report.parameters.iter().for_each(|parameter| println!("{parameter}"));
     report.warnings.iter().for_each(|warning| println!("{warning}"));
@@ -124,7 +124,7 @@ fn speeds_and_stops_give_the_speed_exponent_and_the_cooling() {
 
 #[test]
 fn each_speed_alone_is_reported_where_each_has_its_run() {
-    let runs: Vec<RunFile> = [12_000.0, 24_000.0]
+    let runs: Vec<Unaided<'_>> = [12_000.0, 24_000.0]
         .into_iter()
         .map(|rpm| {
             let truth = Warmup { max_um: rpm / 300.0, ..TRUTH };

@@ -12,7 +12,7 @@
 //! one, and the rest of the row stays, for what has a memory. What only says how the bridge was is no
 //! column of the run any more, so that it explains nothing.
 
-use std::borrow::Cow;
+use std::{borrow::Cow, ops::Deref};
 
 use crate::{
     compile::compile,
@@ -33,27 +33,51 @@ const STATE: [&str; 2] = ["flags", "age_ms"];
 const FIRST_UNUSABLE: f64 = 4.0;
 /// The last quality that there is.
 const LAST_QUALITY: f64 = 6.0;
-/// The rows of a run, and what of it the user is told: a sentence each.
-pub type Told<'r> = (Cow<'r, RunFile>, Vec<String>);
 
-/// `run` as it would have been measured without a bridge. One without the columns of a bridge comes
-/// back as it is.
-///
-/// `machine` says where the tool points, and which calibration was to run; without one the tool points
-/// down and the calibration is not compared. A quantity that lacks the column of its offset is left
-/// out, and told.
-///
-/// # Errors
-/// There are offsets without a quality; the `wanted` quantity, or every one, lacks the column of its
-/// offset; a quality other than 0…6; the bridge ran the calibration of another machine file.
-pub fn taken_out<'r>(
-    run: &'r RunFile,
+/// A run as it would have been measured without a bridge: the one kind of run that constants of a machine are
+/// made of.
+#[derive(Clone, Debug)]
+pub struct Unaided<'r>(Cow<'r, RunFile>);
+
+impl Deref for Unaided<'_> {
+    type Target = RunFile;
+
+    fn deref(&self) -> &RunFile {
+        &self.0
+    }
+}
+
+impl<'r> Unaided<'r> {
+    /// `run` without what a bridge applied, and what of it the user is told, a sentence each. One without the
+    /// columns of a bridge is as it was.
+    ///
+    /// `machine` says where the tool points, and which calibration was to run; without one the tool points
+    /// down and the calibration is not compared. A quantity that lacks the column of its offset is left
+    /// out, and told.
+    ///
+    /// # Errors
+    /// There are offsets without a quality; the `wanted` quantity, or every one, lacks the column of its
+    /// offset; a quality other than 0…6; the bridge ran the calibration of another machine file.
+    pub fn of(
+        run: Cow<'r, RunFile>,
+        machine: Option<&Machine>,
+        wanted: Option<Quantity>,
+    ) -> Result<(Self, Vec<String>), BadInput> {
+        let (without, notes) = taken_out(&run, machine, wanted)?;
+        Ok((Self(without.map_or(run, Cow::Owned)), notes))
+    }
+}
+
+/// `run` without what was applied; `None` where nothing was. What is told, and the errors are those of
+/// [`Unaided::of`].
+fn taken_out(
+    run: &RunFile,
     machine: Option<&Machine>,
     wanted: Option<Quantity>,
-) -> Result<Told<'r>, BadInput> {
+) -> Result<(Option<RunFile>, Vec<String>), BadInput> {
     let offsets = LinearAxis::ALL.map(|axis| run.column(&offset_name(axis)));
     if run.column(QUALITY).is_none() && offsets.iter().all(Option::is_none) {
-        return Ok((Cow::Borrowed(run), Vec::new()));
+        return Ok((None, Vec::new()));
     }
     let quality = run.require(QUALITY).map_err(|mut bad| {
         bad.rule += "; without it nobody knows in which rows an offset was applied";
@@ -100,7 +124,7 @@ pub fn taken_out<'r>(
             || LinearAxis::ALL.iter().any(|axis| offset_name(*axis) == name)
     };
     cleaned.remove(says_state);
-    Ok((Cow::Owned(cleaned), notes))
+    Ok((Some(cleaned), notes))
 }
 
 fn offset_name(axis: LinearAxis) -> String {

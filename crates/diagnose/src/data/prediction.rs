@@ -1,9 +1,8 @@
 //! What the machine file says of each row.
 
-use std::borrow::Cow;
-
 use trueup_machine::{
-    Machine, RunFile,
+    Machine,
+    applied::Unaided,
     file::LinearAxis,
     model::{ReferenceModel, Situation, part_temperatures, shifted, time_shift_s},
 };
@@ -12,7 +11,7 @@ use super::table::Data;
 
 /// Steps the reference model through the runs: as the machine file says, and by the machine's own laws,
 /// without its terms.
-pub(super) fn predict(data: &mut Data, runs: &[Cow<'_, RunFile>]) {
+pub(super) fn predict(data: &mut Data, runs: &[Unaided<'_>]) {
     let machine = data.machine.clone();
     let mut said = stepped(data, runs, &machine);
     let laws = if machine.terms.is_empty() {
@@ -46,7 +45,7 @@ struct Stepped {
     thermal: Vec<f64>,
 }
 
-fn stepped(data: &Data, runs: &[Cow<'_, RunFile>], machine: &Machine) -> Stepped {
+fn stepped(data: &Data, runs: &[Unaided<'_>], machine: &Machine) -> Stepped {
     let at = |column: &Option<Vec<f64>>, row: usize| {
         column.as_ref().map_or(f64::NAN, |values| values[row])
     };

@@ -3,7 +3,8 @@
 use std::borrow::Cow;
 
 use trueup_machine::{
-    BadInput, Machine, RunFile, applied,
+    BadInput, Machine, RunFile,
+    applied::Unaided,
     file::{Quantity, is_temperature_column},
 };
 
@@ -149,10 +150,10 @@ fn without_bridge<'r>(
     machine: &Machine,
     runs: &'r [RunFile],
     quantity: Quantity,
-) -> Result<(Vec<Cow<'r, RunFile>>, Vec<String>), BadInput> {
+) -> Result<(Vec<Unaided<'r>>, Vec<String>), BadInput> {
     let mut notes = Vec::new();
     let mut taken_out = |run: &'r RunFile| {
-        let (run, told) = applied::taken_out(run, Some(machine), Some(quantity))?;
+        let (run, told) = Unaided::of(Cow::Borrowed(run), Some(machine), Some(quantity))?;
         notes.extend(run.warnings());
         notes.extend(told);
         Ok(run)

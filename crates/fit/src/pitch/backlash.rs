@@ -11,7 +11,8 @@
 
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 use trueup_machine::{
-    BadInput, RunFile,
+    BadInput,
+    applied::Unaided,
     file::write::{Edit, NewSection, rounded},
     file::{Backlash, Feedback, LinearAxis},
 };
@@ -70,7 +71,7 @@ struct Difference {
 /// A column is missing or in another unit, a cell of a row is empty, a position comes twice in a
 /// run and direction, or no position was approached from both sides in one run.
 pub fn fit_backlash(
-    run: &RunFile,
+    run: &Unaided<'_>,
     axis: LinearAxis,
     options: &Options,
 ) -> Result<BacklashFit, BadInput> {

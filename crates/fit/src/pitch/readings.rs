@@ -10,7 +10,7 @@
 
 use std::collections::HashMap;
 
-use trueup_machine::{BadInput, RunFile, file::LinearAxis, model::is_reverse};
+use trueup_machine::{BadInput, applied::Unaided, file::LinearAxis, model::is_reverse};
 use trueup_numerics::repeats::{self, gross, places};
 
 use crate::report::SetAside;
@@ -85,7 +85,7 @@ impl Readings {
     /// # Errors
     /// A column is missing or in another unit; a value is missing in a row of this quantity; no
     /// reading is left; positions do not go with their direction; a position comes twice in a run.
-    pub(super) fn of(file: &RunFile, wanted: &Wanted<'_>) -> Result<Self, BadInput> {
+    pub(super) fn of(file: &Unaided<'_>, wanted: &Wanted<'_>) -> Result<Self, BadInput> {
         let axis = wanted.axis.name();
         let names = Names {
             position: format!("{axis}_mm"),
@@ -128,7 +128,11 @@ impl Readings {
     }
 
     /// Takes out the readings that stand alone among the repeats of their target, and says why.
-    pub(super) fn set_gross_aside(&mut self, file: &RunFile, axis: LinearAxis) -> Vec<SetAside> {
+    pub(super) fn set_gross_aside(
+        &mut self,
+        file: &Unaided<'_>,
+        axis: LinearAxis,
+    ) -> Vec<SetAside> {
         if self.is_record {
             // A cell holds the slope of the error as well.
             return Vec::new();
@@ -174,14 +178,14 @@ impl Readings {
 }
 
 /// An error at the header, its rule still to be said.
-fn no_column(file: &RunFile, name: &str) -> BadInput {
+fn no_column(file: &Unaided<'_>, name: &str) -> BadInput {
     // The empty name is never there, so that the place comes even where `name` is.
     let place = file.require("").map_or_else(|bad| bad.place, |_| file.place(0, name));
     BadInput::new(place, String::new())
 }
 
 /// The column `stem_unit`, which must not be there in another unit, be it beside it or instead.
-fn column_in<'f>(file: &'f RunFile, stem: &str, unit: &str) -> Result<&'f [f64], BadInput> {
+fn column_in<'f>(file: &'f Unaided<'_>, stem: &str, unit: &str) -> Result<&'f [f64], BadInput> {
     const LENGTHS: [&str; 7] = ["nm", "um", "mm", "cm", "m", "in", "inch"];
     let name = format!("{stem}_{unit}");
     for other in LENGTHS.iter().filter(|&&other| other != unit) {
@@ -201,7 +205,7 @@ fn column_in<'f>(file: &'f RunFile, stem: &str, unit: &str) -> Result<&'f [f64],
 }
 
 fn raw_rows(
-    file: &RunFile,
+    file: &Unaided<'_>,
     names: &Names,
     wanted: &Wanted<'_>,
 ) -> Result<(Vec<Raw>, usize), BadInput> {
@@ -326,7 +330,7 @@ fn way_name(way: usize) -> &'static str {
 
 /// Within a run a position is measured once in each direction.
 fn check_repeats(
-    file: &RunFile,
+    file: &Unaided<'_>,
     names: &Names,
     rows: &[Raw],
     target_of_row: &[usize],
@@ -353,7 +357,7 @@ fn check_repeats(
 /// by position. Without run numbers a step back to a target that was there before, or over half the
 /// travel, begins the next sweep.
 fn check_order(
-    file: &RunFile,
+    file: &Unaided<'_>,
     names: &Names,
     rows: &[Raw],
     target_of_row: &[usize],

@@ -1,7 +1,8 @@
 //! Straightness from a run file: which axis moved, which error was measured.
 
 use trueup_machine::{
-    BadInput, Location, RunFile,
+    BadInput, Location,
+    applied::Unaided,
     file::{LinearAxis, Straightness},
 };
 
@@ -41,7 +42,7 @@ impl StraightnessCurve {
 /// The quantity is not there, or there are several and none is named; no axis moves, several do, or
 /// it is the axis that is in error; a [`FitError`], with its row.
 pub fn fit_run(
-    run: &RunFile,
+    run: &Unaided<'_>,
     quantity: Option<&str>,
     options: &Options,
 ) -> Result<StraightnessCurve, BadInput> {
@@ -70,7 +71,7 @@ fn error_column(axis: LinearAxis) -> String {
 }
 
 /// The axis whose error is to be fitted.
-fn error_axis(run: &RunFile, quantity: Option<&str>) -> Result<LinearAxis, BadInput> {
+fn error_axis(run: &Unaided<'_>, quantity: Option<&str>) -> Result<LinearAxis, BadInput> {
     let whole = |rule: String| BadInput::new(Location::start_of(run.path()), rule);
     if let Some(quantity) = quantity {
         let axis = LinearAxis::ALL.into_iter().find(|axis| quantity == format!("d{}", axis.name()));
@@ -100,7 +101,11 @@ fn error_axis(run: &RunFile, quantity: Option<&str>) -> Result<LinearAxis, BadIn
 }
 
 /// The one axis that moves while the error is measured.
-fn moving_axis(run: &RunFile, error: LinearAxis, errors: &[f64]) -> Result<LinearAxis, BadInput> {
+fn moving_axis(
+    run: &Unaided<'_>,
+    error: LinearAxis,
+    errors: &[f64],
+) -> Result<LinearAxis, BadInput> {
     /// An axis that stands still reads back a little of the other's travel.
     const STILL: f64 = 1e-3;
     let travel = |axis: LinearAxis| -> Option<f64> {

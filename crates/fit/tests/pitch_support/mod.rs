@@ -1,18 +1,26 @@
 //! What the tests of the pitch fit share.
 #![allow(dead_code, reason = "each test file uses its own part of it")]
 
-use std::{fmt::Write as _, path::Path};
+use std::{borrow::Cow, fmt::Write as _, path::Path};
 
 use trueup_machine::{
     Machine, MachineFile, RunFile,
+    applied::Unaided,
     file::write::Edit,
     model::{ReferenceModel, Situation},
 };
 
 /// The run file with this content.
-pub fn run_of(text: &str) -> RunFile {
-    RunFile::from_reader(text.as_bytes(), Path::new("r.csv"))
-        .expect("the test's own text is a run file")
+pub fn run_of(text: &str) -> Unaided<'static> {
+    unaided(
+        RunFile::from_reader(text.as_bytes(), Path::new("r.csv"))
+            .expect("the test's own text is a run file"),
+    )
+}
+
+/// A run that no bridge had a part in.
+pub fn unaided(run: RunFile) -> Unaided<'static> {
+    Unaided::of(Cow::Owned(run), None, None).expect("no bridge").0
 }
 
 /// A run of sweeps up and down over `targets`: `error` in µm of run, position and direction.

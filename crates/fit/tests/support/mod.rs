@@ -2,13 +2,13 @@
 
 #![allow(dead_code, reason = "each test program uses its own part")]
 
-use std::{fmt::Write as _, path::Path};
+use std::{borrow::Cow, fmt::Write as _, path::Path};
 
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 use trueup_fit::Report;
-use trueup_machine::{Machine, MachineFile, RunFile, predict::Predictor};
+use trueup_machine::{Machine, MachineFile, RunFile, applied::Unaided, predict::Predictor};
 
 /// The shortest machine file.
 pub const MACHINE: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n";
@@ -27,7 +27,7 @@ impl Noise {
 }
 
 /// A run of these columns, under the name `run.csv`.
-pub fn run(columns: &[(&str, &[f64])]) -> RunFile {
+pub fn run(columns: &[(&str, &[f64])]) -> Unaided<'static> {
     let names: Vec<&str> = columns.iter().map(|(name, _)| *name).collect();
     let mut text = names.join(",");
     text.push('\n');
@@ -45,8 +45,14 @@ pub fn run(columns: &[(&str, &[f64])]) -> RunFile {
     parse(&text)
 }
 
-pub fn parse(text: &str) -> RunFile {
-    RunFile::from_reader(text.as_bytes(), Path::new("run.csv")).expect("the test's own text")
+/// A run that no bridge had a part in.
+pub fn unaided(run: RunFile) -> Unaided<'static> {
+    Unaided::of(Cow::Owned(run), None, None).expect("no bridge").0
+}
+
+pub fn parse(text: &str) -> Unaided<'static> {
+    let run = RunFile::from_reader(text.as_bytes(), Path::new("run.csv"));
+    unaided(run.expect("the test's own text"))
 }
 
 pub fn machine(text: &str) -> Machine {
