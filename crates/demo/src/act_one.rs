@@ -4,12 +4,16 @@
 //! A part of the readings is taken out, the rest is diagnosed, the extended file compiled and played, and
 //! the board's offsets are held against what was taken out; so for each part in turn.
 
+use std::borrow::Cow;
+
 use std::path::Path;
 
 use anyhow::{Context as _, Result};
 use serde::Serialize;
 use trueup_diagnose::{Diagnosis, Options, diagnose_for};
-use trueup_machine::{MachineFile, RunFile, applied, compile, file::Quantity, predict::Predictor};
+use trueup_machine::{
+    MachineFile, RunFile, applied::Unaided, compile, file::Quantity, predict::Predictor,
+};
 use trueup_numerics::line::{Summary, fit_line};
 
 use crate::{
@@ -96,7 +100,7 @@ pub struct ActOne {
 pub fn act_one(boards: &Boards, asked: &Asked<'_>, progress: &mut Progress<'_>) -> Result<ActOne> {
     let (source, mut notes) = bench::connected(asked.source, asked.run)?;
     let machine = MachineFile::parse(&source, asked.path)?;
-    let (run, told) = applied::taken_out(asked.run, Some(&machine), asked.quantity)?;
+    let (run, told) = Unaided::of(Cow::Borrowed(asked.run), Some(&machine), asked.quantity)?;
     notes.extend(told);
     let run: &RunFile = &run;
     let options = Options { quantity: asked.quantity, matters_um: None };
