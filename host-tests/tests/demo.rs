@@ -3,7 +3,9 @@
 
 use trueup_demo::{
     act_one::{Asked, act_one},
+    act_two::act_two,
     boards::Boards,
+    hidden::Hidden,
     page,
     summary::Summary,
 };
@@ -25,7 +27,7 @@ fn the_finder_says_what_the_paper_got_wrong_and_the_board_shows_what_that_brings
     let one = act_one(&boards, &asked, &mut |_, _| {}).expect("the demonstration runs");
     println!("{}", one.text());
 
-    let summary = Summary::of(&one, boards.name(), 0.0);
+    let summary = Summary::of(&one, None, boards.name(), 0.0);
     assert_eq!((summary.board, summary.rows.len(), summary.e2e_errors), ("virtual", 15, 0));
     for row in &one.rows {
         let off = row.bridge_um - row.sensor_um;
@@ -45,9 +47,32 @@ fn the_finder_says_what_the_paper_got_wrong_and_the_board_shows_what_that_brings
     assert_eq!(causes, ["sensor-gain", "sensor-offset"]);
     assert!(summary.hints.iter().any(|it| it.contains("27648")), "{:?}", summary.hints);
 
-    let page = page::page(&one);
+    let page = page::page(&one, None);
     assert_eq!(page.matches("<svg").count(), 2);
     for outside in ["<script", "<link", "src=", "href="] {
         assert!(!page.contains(outside), "the page stands alone: {outside}");
+    }
+}
+
+/// What is found in this process is found on the board: the record that the diagnosis gets is the same to
+/// the last digit, and the extended file comes over the line.
+#[test]
+#[ignore = "long: ten shifts of the emulated board, three times each"]
+fn hidden_faults_are_found_on_the_board_as_in_this_process() {
+    let image = firmware::build(Board::Virtual).expect("the image builds");
+    for seed in 0..10 {
+        let hidden = Hidden::draw(seed).expect("a machine that can be told");
+        let on = |boards: &Boards| {
+            act_two(boards, &hidden, &mut |_, _| {}).expect("it runs through").outcome
+        };
+        let (board, host) = (on(&Boards::Emulated(image.clone())), on(&Boards::InProcess));
+        println!("{}", board.line());
+        assert!(board.board_s <= 600.0, "{} s of board time", board.board_s);
+        assert_eq!(
+            (board.all_right, &board.missed, &board.wrong),
+            (host.all_right, &host.missed, &host.wrong)
+        );
+        assert!((board.tool_rms_before_um - host.tool_rms_before_um).abs() < 1e-3);
+        assert!((board.tool_rms_after_um - host.tool_rms_after_um).abs() < 1e-3);
     }
 }

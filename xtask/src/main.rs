@@ -8,7 +8,7 @@ use std::{
         Arc,
         atomic::{AtomicBool, Ordering},
     },
-    time::{Duration, Instant},
+    time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
 
 use anyhow::{Context as _, Result, bail};
@@ -20,7 +20,10 @@ use trueup_checks::{
 };
 use trueup_demo::{
     act_one::{Asked, act_one},
+    act_two::act_two,
     boards::Boards,
+    campaign::Campaign,
+    hidden::Hidden,
     page,
     summary::Summary,
 };
@@ -47,6 +50,18 @@ struct Cli {
 enum Command {
     /// Finds what is wrong in a measured run, and shows on an emulated board what mending it brings.
     Demo(Demo),
+    /// Hides faults in many virtual machines, and counts how often the demonstration's second act is right.
+    Hidden {
+        /// How many machines.
+        #[arg(long, default_value_t = 200)]
+        seeds: u64,
+        /// The first seed.
+        #[arg(long, default_value_t = 0)]
+        first: u64,
+        /// On the emulated board, and not on its application in this process.
+        #[arg(long)]
+        board: bool,
+    },
     /// Runs the quick tier of every kind of test: host, emulated board, real clients.
     Verify(Verify),
     /// Runs a virtual bridge for any client, until Ctrl-C.
@@ -91,6 +106,9 @@ struct Demo {
     /// Your run file.
     #[arg(long, value_name = "RUN.csv", requires = "machine")]
     run: Option<PathBuf>,
+    /// Draws the hidden fault of act two, and draws it again; another one each time by default.
+    #[arg(long)]
+    seed: Option<u64>,
     /// The folder for summary.json and report.html; target/demo by default.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -151,6 +169,7 @@ fn main() -> ExitCode {
     let words = std::env::args_os().filter(|word| word != "--");
     let result = match Cli::parse_from(words).command {
         Command::Demo(options) => run_demo(&options),
+        Command::Hidden { seeds, first, board } => run_hidden(seeds, first, board),
         Command::Verify(Verify { all: true, .. }) => verify::run(Tier::All),
         Command::Verify(Verify { long: true, .. }) => verify::run(Tier::Long),
         Command::Verify(_) => verify::run(Tier::Quick),
@@ -184,26 +203,35 @@ fn run_demo(options: &Demo) -> Result<()> {
     let folder = or(&options.out, "target/demo");
     let boards = Boards::Emulated(image);
 
-    let bar = ProgressBar::new(100);
-    bar.set_style(ProgressStyle::with_template("[{bar:30}] {percent:>3} % {msg}")?);
-    bar.enable_steady_tick(Duration::from_millis(200));
-    let mut progress = |what: &str, share: f64| {
-        if !what.is_empty() {
-            bar.set_message(what.to_string());
-        }
-        if share.is_finite() {
-            bar.set_position((100.0 * share) as u64);
-        }
-    };
+    let bar = shown()?;
     let asked = Asked { source: &source, path: &path, run: &run, quantity: None };
-    let one = act_one(&boards, &asked, &mut progress)?;
+    let one = act_one(&boards, &asked, &mut |what, share| tell(&bar, what, share))?;
     bar.finish_and_clear();
     println!("{}", one.text());
 
-    let summary = Summary::of(&one, boards.name(), started.elapsed().as_secs_f64());
+    // One's own data are played alone, unless a seed is asked for.
+    let seed = options.seed.or_else(|| options.machine.is_none().then(any_seed));
+    let two = match seed {
+        None => None,
+        Some(seed) => {
+            println!("A machine is drawn and broken by seed {seed}.");
+            let bar = shown()?;
+            let hidden = Hidden::draw(seed)?;
+            let two = act_two(&boards, &hidden, &mut |what, share| tell(&bar, what, share))?;
+            bar.finish_and_clear();
+            println!("{}", two.text());
+            Some(two)
+        }
+    };
+
+    let outcome = two.as_ref().map(|two| &two.outcome);
+    let summary = Summary::of(&one, outcome, boards.name(), started.elapsed().as_secs_f64());
     fs::create_dir_all(&folder)?;
+    if let Some(two) = &two {
+        fs::write(folder.join("act-two.svg"), page::picture_of_act_two(two))?;
+    }
     fs::write(folder.join("summary.json"), serde_json::to_string_pretty(&summary)? + "\n")?;
-    fs::write(folder.join("report.html"), page::page(&one))?;
+    fs::write(folder.join("report.html"), page::page(&one, two.as_ref()))?;
     fs::write(folder.join("extended.toml"), &one.extended)?;
     println!(
         "{} frames read as a CNC reads them, {} damaged or lost.\nThe page: {}   The figures: {}",
@@ -232,6 +260,43 @@ fn run_chip(mut options: Vec<String>) -> Result<()> {
     if !chip::show(&model, &image, &options)? {
         bail!("the report has a violation: the chip would not do what the image asks");
     }
+    Ok(())
+}
+
+/// A bar that is shown.
+fn shown() -> Result<ProgressBar> {
+    let bar = ProgressBar::new(100);
+    bar.set_style(ProgressStyle::with_template("[{bar:30}] {percent:>3} % {msg}")?);
+    bar.enable_steady_tick(Duration::from_millis(200));
+    Ok(bar)
+}
+
+fn tell(bar: &ProgressBar, what: &str, share: f64) {
+    if !what.is_empty() {
+        bar.set_message(what.to_string());
+    }
+    if share.is_finite() {
+        bar.set_position((100.0 * share) as u64);
+    }
+}
+
+/// Another one each time.
+fn any_seed() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    since.as_micros() as u64 % 1_000_000
+}
+
+fn run_hidden(seeds: u64, first: u64, on_board: bool) -> Result<()> {
+    let boards = if on_board {
+        Boards::Emulated(firmware::build(Board::Virtual)?)
+    } else {
+        Boards::InProcess
+    };
+    let mut campaign = Campaign::default();
+    for seed in first..first + seeds {
+        println!("{}", campaign.play(&boards, seed)?);
+    }
+    println!("{}", campaign.text());
     Ok(())
 }
 

@@ -11,6 +11,7 @@
 //! | [`ends`] | both directions of an open line |
 //! | [`session`] | one client's time on the line: open, hear, ask, close |
 //! | [`object`] | the objects of the bridge, by SDO |
+//! | [`load`] | a calibration, sent, read back and put to use |
 //! | [`words`] | offsets, flags, faults and states for people and as JSON |
 //! | [`status`] | what the bridge says of itself, put together |
 //! | [`record`] | a log of every frame, and a run file for `diagnose` |
@@ -22,6 +23,7 @@
 #![forbid(unsafe_code)]
 
 pub mod ends;
+pub mod load;
 pub mod object;
 pub mod port;
 pub mod record;

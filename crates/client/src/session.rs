@@ -58,6 +58,16 @@ impl Session {
         Ok(session)
     }
 
+    /// Opens the channel of a bridge whose line is open already.
+    ///
+    /// # Errors
+    /// What is behind it is silent or refuses.
+    pub fn open_over(ends: Ends) -> Result<Self> {
+        let mut session = Self::over(ends, true);
+        session.open_channel(OPEN_TIMEOUT)?;
+        Ok(session)
+    }
+
     fn over(ends: Ends, has_adapter: bool) -> Self {
         Self { ends, has_adapter, client: Client::new(), heard: VecDeque::new() }
     }

@@ -12,6 +12,8 @@ use trueup_machine::compile::Compiled;
 use trueup_node::node::Node;
 use trueup_pipe::Block;
 
+use crate::line;
+
 /// A board that runs.
 pub trait Bridge {
     /// Lets it live through these blocks of 1 ms, at most 255, and gives what it sends meanwhile.
@@ -50,6 +52,14 @@ impl Bridge for InProcess<'_> {
     }
 }
 
+/// A board that has just started, and the number of the CNC's next frame.
+pub struct Started<'b> {
+    /// The board.
+    pub bridge: &'b mut dyn Bridge,
+    /// The number.
+    pub counter: u8,
+}
+
 /// Where boards come from.
 #[derive(Clone, Debug)]
 pub enum Boards {
@@ -75,6 +85,27 @@ impl Boards {
         match self {
             Self::Emulated(image) => Some(image),
             Self::InProcess => None,
+        }
+    }
+
+    /// Starts a board with the calibration `old`, loads `new` over its line as a user would, and lets
+    /// `work` use it once it has restarted.
+    ///
+    /// # Errors
+    /// The emulator does not start, the board refuses, or those of `work`.
+    pub fn run_loaded<T>(
+        &self,
+        old: &Compiled,
+        new: &Compiled,
+        work: impl FnOnce(Started<'_>) -> Result<T>,
+    ) -> Result<T> {
+        match self {
+            Self::Emulated(image) => {
+                let mut board = VirtualBoard::boot(image, old.blob())?;
+                let counter = line::load(&mut board, new)?;
+                work(Started { bridge: &mut board, counter })
+            }
+            Self::InProcess => self.run(new, |bridge| work(Started { bridge, counter: 0 })),
         }
     }
 

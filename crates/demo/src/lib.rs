@@ -13,14 +13,22 @@
 //! | [`play`] | a run, row by row, through a board |
 //! | [`table`] | runs as text: some readings taken out, what a bridge says added |
 //! | [`act_one`] | a measured run: what is wrong, extended, and what is gained on left-out rows |
+//! | [`line`] | a calibration over the board's serial line |
+//! | [`hidden`], [`rivals`] | a machine with faults that can be told, by seed |
+//! | [`act_two`], [`campaign`] | a machine with hidden faults, found and mended; many of them |
 //! | [`say`], [`page`], [`summary`] | what is said on the screen, shown on the page, written for scripts |
 #![forbid(unsafe_code)]
 
 pub mod act_one;
+pub mod act_two;
 pub mod bench;
 pub mod boards;
+pub mod campaign;
+pub mod hidden;
+pub mod line;
 pub mod page;
 pub mod play;
+pub mod rivals;
 pub mod say;
 pub mod summary;
 pub mod table;

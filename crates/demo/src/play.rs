@@ -39,13 +39,15 @@ pub struct Pace {
     pub has_run_out: bool,
     /// Seed of the front end's noise.
     pub seed: u64,
+    /// The number of the CNC's first frame: it goes on where another part of the CNC has ended.
+    pub counter: u8,
 }
 
 impl Pace {
     /// Each row until the filters have come to rest.
     #[must_use]
     pub fn still(rows: usize) -> Self {
-        Self { hold_s: vec![STILL_S; rows], has_run_out: true, seed: 2009 }
+        Self { hold_s: vec![STILL_S; rows], has_run_out: true, seed: 2009, counter: 0 }
     }
 
     /// As the run's own clock says, `faster` times as fast: a row is what holds until its time.
@@ -62,7 +64,7 @@ impl Pace {
             }
             hold_s.push(step_s / faster);
         }
-        Ok(Self { hold_s, has_run_out: false, seed: 2009 })
+        Ok(Self { hold_s, has_run_out: false, seed: 2009, counter: 0 })
     }
 }
 
@@ -187,7 +189,7 @@ impl Player {
             volts_per_um: if pace.has_run_out { volts_per_um } else { 0.0 },
             has_sensor: input.is_some() && model.is_some(),
             ms: 0,
-            counter: 0,
+            counter: pace.counter,
         }
     }
 

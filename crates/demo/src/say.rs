@@ -4,7 +4,10 @@ use std::fmt::Write as _;
 
 use trueup_diagnose::{Diagnosis, report::Finding};
 
-use crate::act_one::ActOne;
+use crate::{
+    act_one::ActOne,
+    act_two::{ActTwo, Outcome},
+};
 
 /// A table of more readings is left to the page.
 const MOST_ROWS: usize = 20;
@@ -114,5 +117,56 @@ impl ActOne {
             );
         }
         text
+    }
+}
+
+impl ActTwo {
+    /// Act two on the screen.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let it = &self.outcome;
+        let mut text = format!(
+            "A hidden fault: seed {} (this repeats it: cargo demo -- --seed {}), a {}; the machine's clock runs \
+             {:.0} times as fast as the board's.\n",
+            it.seed, it.seed, it.machine, it.faster
+        );
+        text += &findings(&self.diagnosis);
+        text.push_str("The envelope opened:\n");
+        for fault in &it.faults {
+            let is_found = !it.missed.contains(&fault.fault);
+            let _ = writeln!(
+                text,
+                "  {} ({:.1} times the noise), which is {}: {}",
+                fault.fault,
+                fault.ratio,
+                fault.causes.join(" or "),
+                if is_found { "found" } else { "NOT FOUND" }
+            );
+        }
+        let _ = writeln!(text, "{}", it.judgement());
+        for note in &self.notes {
+            let _ = writeln!(text, "{note}");
+        }
+        text
+    }
+}
+
+impl Outcome {
+    /// Whether it was right, and what it was worth, in sentences.
+    #[must_use]
+    pub fn judgement(&self) -> String {
+        let right = match (self.all_right, self.wrong.is_empty()) {
+            (true, _) => "All that was hidden is named, and nothing else is claimed.".to_string(),
+            (false, true) => format!("Not all was found: {} is missing.", self.missed.join(", ")),
+            (false, false) => format!("A wrong name was claimed: {}.", self.wrong.join(", ")),
+        };
+        format!(
+            "{right} On another day the error at the tool falls from {:.2} to {:.2} µm RMS, {:.0} % less; \
+             the diagnosis had promised {:.0} %.",
+            self.tool_rms_before_um,
+            self.tool_rms_after_um,
+            100.0 * self.reduction,
+            100.0 * self.promised_reduction
+        )
     }
 }

@@ -3,7 +3,10 @@
 use serde::Serialize;
 use trueup_diagnose::report::Finding;
 
-use crate::act_one::{ActOne, Left, Row};
+use crate::{
+    act_one::{ActOne, Left, Row},
+    act_two::Outcome,
+};
 
 /// The figures.
 #[derive(Debug, Serialize)]
@@ -28,6 +31,9 @@ pub struct Summary<'a> {
     pub findings: &'a [Finding],
     /// As in `diagnosis.json`.
     pub hints: &'a [String],
+    /// Act two; absent where the user's own data were played alone.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hidden: Option<&'a Outcome>,
     /// How long it took, in s.
     pub wall_s: f64,
 }
@@ -46,9 +52,14 @@ pub struct Calibrated {
 }
 
 impl<'a> Summary<'a> {
-    /// The figures of act one, played on a board of this name.
+    /// The figures of act one and of act two, played on a board of this name.
     #[must_use]
-    pub fn of(one: &'a ActOne, board: &'static str, wall_s: f64) -> Self {
+    pub fn of(
+        one: &'a ActOne,
+        hidden: Option<&'a Outcome>,
+        board: &'static str,
+        wall_s: f64,
+    ) -> Self {
         let report = &one.diagnosis.report;
         Self {
             board,
@@ -66,6 +77,7 @@ impl<'a> Summary<'a> {
             verdict: report.verdict.name(),
             findings: &report.findings,
             hints: &report.hints,
+            hidden,
             wall_s,
         }
     }

@@ -51,7 +51,7 @@ fn a_gain_is_called_a_gain() {
     assert!(text.contains("1.1") && text.contains("for each micrometre"), "{text}");
     assert!(one.after.rms_um < 0.3 && one.before.rms_um > 2.0, "{:?} {:?}", one.before, one.after);
     assert!(!text.contains("27648"), "another full scale is not this gain: {text}");
-    assert!(page::page(&one).contains("sensor-gain"));
+    assert!(page::page(&one, None).contains("sensor-gain"));
 }
 
 #[test]

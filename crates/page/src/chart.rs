@@ -137,6 +137,40 @@ impl Chart {
         svg
     }
 
+    /// The chart as a picture that stands alone in a file: colours that read on light and on dark, and its
+    /// legend below.
+    #[must_use]
+    pub fn standalone(&self) -> String {
+        const STYLE: &str = "<style>text{font:12px sans-serif;fill:#7a858e}.grid{stroke:#9aa5ae;\
+             stroke-width:.4;fill:none}.zero{stroke:#7a858e;fill:none}.line{fill:none;stroke-width:1.7}\
+             .before{fill:#d9703a}.after{fill:#3b87d6}.measured{fill:#7a858e}.truth{fill:#3f9a45}\
+             text.before{fill:#d9703a}text.after{fill:#3b87d6}</style>";
+        let figure = self.figure();
+        let Some((start, end)) = figure.find("<svg").zip(figure.find("</svg>")) else {
+            return String::new();
+        };
+        let height = HEIGHT + 22.0;
+        let mut svg = figure[start..end].replacen(
+            &format!("viewBox=\"0 0 {WIDTH} {HEIGHT}\""),
+            &format!("xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {height}\""),
+            1,
+        );
+        let inside = svg.find('>').map_or(svg.len(), |at| at + 1);
+        svg.insert_str(inside, STYLE);
+        let share = (WIDTH - MARGIN[0]) / self.series.len().max(1) as f64;
+        for (number, series) in self.series.iter().enumerate() {
+            let _ = write!(
+                svg,
+                "<text class=\"{}\" x=\"{:.0}\" y=\"{:.0}\">● {}</text>",
+                series.colour.class(),
+                MARGIN[0] + share * number as f64,
+                height - 6.0,
+                escaped(&series.name)
+            );
+        }
+        svg + "</svg>\n"
+    }
+
     /// Lowest and highest of x and of y, with a margin; none where there is no point.
     fn extent(&self) -> Option<[[f64; 2]; 2]> {
         let all = || self.series.iter().flat_map(Series::shown);
@@ -188,6 +222,13 @@ mod tests {
         assert!(figure.contains("a &lt;b&gt;</span>"), "the legend is beside the picture");
         assert!(!figure.contains("NaN"));
         assert_eq!(chart(vec![[f64::NAN, 1.0]]).figure(), "");
+    }
+
+    #[test]
+    fn a_picture_that_stands_alone_has_its_legend_and_its_style() {
+        let svg = chart(vec![[0.0, 1.0], [2.0, 3.0]]).standalone();
+        assert!(svg.starts_with("<svg xmlns=") && svg.ends_with("</svg>\n"), "{svg}");
+        assert!(svg.contains("<style>") && svg.contains("● a &lt;b&gt;"), "{svg}");
     }
 
     #[test]

@@ -1,0 +1,85 @@
+//! A calibration to the board: sent, read back, and put to use.
+
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, Result, bail};
+use trueup_link::{
+    frame::Frame,
+    frames::{self, State},
+    layout::NMT_ID,
+    slcan::Event,
+};
+
+use crate::{
+    object::{self, NEW, NEW_CRC, RUNNING_CRC},
+    session::Session,
+};
+
+/// NMT: node 1 restarts.
+const RESET_NODE: [u8; 2] = [0x81, 1];
+/// How long the bridge may take to send its first heartbeat after that.
+const BOOT_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// What is being done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Step {
+    /// The calibration is sent.
+    Sending,
+    /// What the bridge has stored is read back.
+    ReadingBack,
+}
+
+/// Stores the calibration `blob` of this CRC for the next start and reads it back. `progress` hears the
+/// bytes of each step.
+///
+/// # Errors
+/// The bridge refuses, the line breaks, or what is stored is not what was sent.
+pub fn store(
+    session: &mut Session,
+    blob: &[u8],
+    crc: u32,
+    progress: &mut dyn FnMut(Step, usize),
+) -> Result<()> {
+    object::write(session, NEW, blob, |sent| progress(Step::Sending, sent))
+        .context("the calibration is not loaded")?;
+    let back = object::read(session, NEW, |got, _| progress(Step::ReadingBack, got))?;
+    let stored_crc = object::number(session, NEW_CRC)?;
+    if back != blob || stored_crc != crc {
+        bail!("what the bridge has stored is not what was sent; load it again");
+    }
+    Ok(())
+}
+
+/// Lets the bridge restart; the CRC of the calibration that it then runs on, which should be `wanted`. A
+/// bridge that is slow to hear of its restart still answers for the old one, so one answer is not believed.
+///
+/// # Errors
+/// The bridge does not come back.
+pub fn restart(session: &mut Session, wanted: u32) -> Result<u32> {
+    session.send(&Frame::new(NMT_ID, &RESET_NODE).context("a frame of two bytes")?)?;
+    let deadline = Instant::now() + BOOT_TIMEOUT;
+    loop {
+        let told =
+            wait_for_boot(session, deadline).and_then(|()| object::number(session, RUNNING_CRC));
+        match told {
+            Ok(running) if running == wanted || Instant::now() > deadline => return Ok(running),
+            Err(error) if Instant::now() > deadline => return Err(error),
+            _ => {}
+        }
+    }
+}
+
+/// Until the bridge is up again: an SLCAN channel has to be opened again.
+fn wait_for_boot(session: &mut Session, deadline: Instant) -> Result<()> {
+    // A board that stores or supervises takes up to 10 ms to hear of it.
+    let restarts = Instant::now() + Duration::from_millis(50);
+    while session.next_event(restarts)?.is_some() {}
+    session.reopen().context("the bridge does not come back after its restart")?;
+    while let Some(event) = session.next_event(deadline.max(restarts))? {
+        let Event::Frame(frame) = event else { continue };
+        if frames::decode_heartbeat(&frame).is_ok_and(|state| state != State::BootUp) {
+            return Ok(());
+        }
+    }
+    bail!("the bridge sends no heartbeat after its restart")
+}

@@ -1,0 +1,322 @@
+//! Act two: the hidden fault. The bridge runs a shift with the file that its user believes; its own
+//! record beside a gauge goes to the diagnosis; the extended file is compiled, loaded, and the machine runs
+//! another day. Whatever comes out is told, right or wrong.
+//!
+//! A shift of hours is played in minutes of the board: the machine's clock runs so many times as fast as
+//! the board's, and the time constants in the calibration are as much shorter. The record is in the
+//! machine's time.
+
+use std::path::Path;
+
+use anyhow::{Context as _, Result};
+use serde::Serialize;
+use trueup_diagnose::{Diagnosis, diagnose, report::Finding};
+use trueup_machine::{MachineFile, RunFile, compile, file::Quantity, predict::Predictor};
+use trueup_twin::noise::rms;
+
+use crate::{
+    Progress, bench,
+    boards::{Boards, Started},
+    hidden::{Hidden, causes},
+    play::{Pace, Played, play},
+    table::with_columns,
+};
+
+/// A shift takes so long on the board, in s: three of them are below ten minutes.
+const SHIFT_S: f64 = 180.0;
+/// From this quality on (hold, ramping out, fault) an offset is none.
+const FIRST_UNUSABLE: u8 = 4;
+
+/// A fault, and the causes that name it.
+#[derive(Clone, Debug, Serialize)]
+pub struct FaultSaid {
+    /// Its name.
+    pub fault: &'static str,
+    /// One or two.
+    pub causes: Vec<&'static str>,
+    /// RMS of what it does, over that of the noise.
+    pub ratio: f64,
+}
+
+/// What came of it, in the form of `summary.json`.
+#[derive(Clone, Debug, Serialize)]
+pub struct Outcome {
+    /// The seed that repeats it.
+    pub seed: u64,
+    /// The kind of machine.
+    pub machine: &'static str,
+    /// What was hidden.
+    pub faults: Vec<FaultSaid>,
+    /// By how much the nearest rival law is worse, as a difference of BIC.
+    pub gap: f64,
+    /// What was found, as in `diagnosis.json`.
+    pub findings: Vec<Finding>,
+    /// What came out.
+    pub verdict: &'static str,
+    /// Each fault is named by a finding, claimed or not, and nothing false is claimed.
+    pub all_right: bool,
+    /// Faults that no finding names.
+    pub missed: Vec<&'static str>,
+    /// Claimed causes that belong to no fault.
+    pub wrong: Vec<String>,
+    /// True error at the tool on the second day with the believed file, RMS in µm.
+    pub tool_rms_before_um: f64,
+    /// The same with the extended file, loaded into the board.
+    pub tool_rms_after_um: f64,
+    /// 1 − after/before of these.
+    pub reduction: f64,
+    /// The reduction that the diagnosis has promised: of left-out parts of the first day, less the noise
+    /// of the gauge, which the tool does not have.
+    pub promised_reduction: f64,
+    /// How much faster the machine's clock ran than the board's.
+    pub faster: f64,
+    /// Board time, in s.
+    pub board_s: f64,
+}
+
+/// Act two, with what its pictures need.
+pub struct ActTwo {
+    /// What came of it.
+    pub outcome: Outcome,
+    /// What the diagnosis says.
+    pub diagnosis: Diagnosis,
+    /// What was done, a sentence each.
+    pub notes: Vec<String>,
+    /// Of the first day: time in s, what the faults really do, what was found; in µm.
+    pub envelope: Vec<[f64; 3]>,
+    /// Of the second day: time in s, the true error at the tool with the believed and with the extended
+    /// file; in µm.
+    pub second_day: Vec<[f64; 3]>,
+}
+
+/// Runs act two on the machine of `hidden`.
+///
+/// # Errors
+/// A board ends, or the record cannot be compared.
+pub fn act_two(boards: &Boards, hidden: &Hidden, progress: &mut Progress<'_>) -> Result<ActTwo> {
+    let plant = &hidden.plant;
+    let quantity = Quantity::ALL
+        .into_iter()
+        .find(|quantity| quantity.name() == plant.quantity)
+        .context("a quantity")?;
+    let path = Path::new("machine.toml");
+    let first = hidden.record(0, false)?;
+    let (source, _) = bench::connected(&plant.machine, &first)?;
+    let mut notes = Vec::new();
+    let times = first.require("time_s")?;
+    let faster = ((times[times.len() - 1] - times[0]) / SHIFT_S).ceil().max(1.0);
+    let day = Day { boards, quantity, faster };
+
+    let believed = bench::machine(&source, faster)?;
+    let believed_blob = compile(&believed)?;
+    progress("a shift with the file that is believed", 0.0);
+    let played = boards.run(&believed_blob, |bridge| {
+        day.play(Started { bridge, counter: 0 }, &source, &first, &mut |share| {
+            progress("", 0.2 * share)
+        })
+    })?;
+    let mut board_s = played.board_s;
+    let record = day.recorded(&source, &first, &played, &hidden.measured())?;
+    progress("looking for what is wrong", 0.2);
+    let machine = MachineFile::parse(&source, path)?;
+    let diagnosis =
+        diagnose(&machine, std::slice::from_ref(&record), &[], None, &mut |what, share| {
+            progress(what, 0.2 + 0.3 * share);
+        })?;
+    let mut extended = diagnosis.extended(&source, path)?;
+    let new = bench::machine(&extended, faster).and_then(|machine| Ok(compile(&machine)?));
+    let new = match new {
+        Ok(new) => new,
+        Err(why) => {
+            notes.push(format!("The board cannot run what was found ({why}); the file stays."));
+            extended.clone_from(&source);
+            compile(&believed)?
+        }
+    };
+
+    let second = hidden.record(1, false)?;
+    let truth = hidden.record(1, true)?;
+    progress("another day as it was", 0.5);
+    let before = boards.run(&believed_blob, |bridge| {
+        day.play(Started { bridge, counter: 0 }, &source, &second, &mut |share| {
+            progress("", 0.5 + 0.2 * share);
+        })
+    })?;
+    progress("loading what was found, and the same day with it", 0.7);
+    let after = boards.run_loaded(&believed_blob, &new, |started| {
+        day.play(started, &extended, &second, &mut |share| progress("", 0.7 + 0.3 * share))
+    })?;
+    board_s += before.board_s + after.board_s;
+    let at_tool =
+        |source: &str, played: &Played| day.left(source, &truth, played, &hidden.measured());
+    let (before_um, after_um) = (at_tool(&source, &before)?, at_tool(&extended, &after)?);
+    let known = |um: &[f64]| -> f64 {
+        rms(&um.iter().copied().filter(|um| um.is_finite()).collect::<Vec<f64>>())
+    };
+    let (tool_rms_before_um, tool_rms_after_um) = (known(&before_um), known(&after_um));
+    let second_day = second
+        .require("time_s")?
+        .iter()
+        .zip(before_um.iter().zip(&after_um))
+        .map(|(time, (before, after))| [*time, *before, *after])
+        .collect();
+
+    let report = &diagnosis.report;
+    let faults: Vec<FaultSaid> = hidden
+        .faults
+        .iter()
+        .map(|it| FaultSaid { fault: it.fault.name(), causes: causes(it.fault), ratio: it.ratio })
+        .collect();
+    let (missed, wrong) = judged(&faults, &report.findings);
+    let envelope = envelope(hidden, &first, &source, &extended, quantity)?;
+    Ok(ActTwo {
+        outcome: Outcome {
+            seed: hidden.seed,
+            machine: plant.kind.name(),
+            gap: hidden.gap,
+            verdict: report.verdict.name(),
+            all_right: missed.is_empty() && wrong.is_empty(),
+            missed,
+            wrong,
+            faults,
+            findings: report.findings.clone(),
+            tool_rms_before_um,
+            tool_rms_after_um,
+            reduction: 1.0 - tool_rms_after_um / tool_rms_before_um,
+            promised_reduction: promised(&diagnosis),
+            faster,
+            board_s,
+        },
+        notes,
+        envelope,
+        second_day,
+        diagnosis,
+    })
+}
+
+/// Faults that no finding names, and claimed causes that belong to no fault.
+fn judged(faults: &[FaultSaid], findings: &[Finding]) -> (Vec<&'static str>, Vec<String>) {
+    let names = |fault: &FaultSaid, cause: &str| fault.causes.contains(&cause);
+    let is_named = |fault: &&FaultSaid| {
+        let partners = |it: &Finding| it.together_with.iter().any(|it| names(fault, &it.cause));
+        findings.iter().any(|it| names(fault, &it.cause) || partners(it))
+    };
+    let missed = faults.iter().filter(|fault| !is_named(fault)).map(|fault| fault.fault).collect();
+    let is_false =
+        |it: &&Finding| it.claimed && !faults.iter().any(|fault| names(fault, &it.cause));
+    (missed, findings.iter().filter(is_false).map(|it| it.cause.clone()).collect())
+}
+
+/// The reduction of the error at the tool that a diagnosis promises: both sides less the gauge's noise.
+fn promised(diagnosis: &Diagnosis) -> f64 {
+    let report = &diagnosis.report;
+    let at_tool = |um: f64| (um * um - report.noise_um * report.noise_um).max(0.0).sqrt();
+    let before = at_tool(report.before.holdout_rms_um);
+    let after = at_tool(report.after.compensated_holdout_rms_um);
+    if before > 0.0 { 1.0 - after / before } else { 0.0 }
+}
+
+/// What the faults really do to each row of the first day, and what the new terms say of it.
+fn envelope(
+    hidden: &Hidden,
+    run: &RunFile,
+    source: &str,
+    extended: &str,
+    quantity: Quantity,
+) -> Result<Vec<[f64; 3]>> {
+    let path = Path::new("machine.toml");
+    let predicted = |source: &str| -> Result<Vec<f64>> {
+        let machine = MachineFile::parse(source, path)?;
+        let rows: Vec<f64> = Predictor::new(&machine, run)?
+            .rows()
+            .map(|row| row.model.all()[quantity as usize])
+            .collect();
+        Ok(rows)
+    };
+    let (old, new) = (predicted(source)?, predicted(extended)?);
+    let mut found: Vec<f64> = new.iter().zip(old).map(|(new, old)| new - old).collect();
+    let mut truth: Vec<f64> =
+        (0..run.rows()).map(|row| hidden.faults.iter().map(|it| it.um[row]).sum()).collect();
+    if quantity.axis().is_some() {
+        // The zero of an axis's gauge is arbitrary.
+        for um in [&mut found, &mut truth] {
+            let mean = um.iter().sum::<f64>() / um.len() as f64;
+            um.iter_mut().for_each(|um| *um -= mean);
+        }
+    }
+    let rows = run.require("time_s")?.iter().zip(truth.into_iter().zip(found));
+    Ok(rows.map(|(time, (truth, found))| [*time, truth, found]).collect())
+}
+
+/// A day on the bench.
+struct Day<'a> {
+    boards: &'a Boards,
+    quantity: Quantity,
+    faster: f64,
+}
+
+impl Day<'_> {
+    fn play(
+        &self,
+        started: Started<'_>,
+        source: &str,
+        run: &RunFile,
+        progress: &mut dyn FnMut(f64),
+    ) -> Result<Played> {
+        let machine = bench::machine(source, self.faster)?;
+        let mut pace = Pace::by_clock(run, self.faster)?;
+        pace.counter = started.counter;
+        play(started.bridge, &machine, run, &pace, &|_| true, progress)
+            .with_context(|| format!("on the {} board", self.boards.name()))
+    }
+
+    /// What the offsets leave of what was measured, NaN in rows without an offset; the zero of an axis's
+    /// gauge does not count.
+    fn left(
+        &self,
+        source: &str,
+        run: &RunFile,
+        played: &Played,
+        measured: &str,
+    ) -> Result<Vec<f64>> {
+        let machine = bench::machine(source, 1.0)?;
+        let corrected = played.corrected_um(self.quantity, &machine);
+        let values = run.require(measured)?;
+        let mut left: Vec<f64> = (0..run.rows())
+            .map(|row| match played.quality[row] {
+                FIRST_UNUSABLE.. => f64::NAN,
+                0 => values[row],
+                _ => values[row] - corrected[row],
+            })
+            .collect();
+        if self.quantity.axis().is_some() {
+            let known: Vec<f64> = left.iter().copied().filter(|um| um.is_finite()).collect();
+            let mean = known.iter().sum::<f64>() / known.len().max(1) as f64;
+            left.iter_mut().for_each(|um| *um -= mean);
+        }
+        Ok(left)
+    }
+
+    /// The bridge's own record with the gauge beside it, as the monitor writes it: the gauge sees what the
+    /// offsets leave.
+    fn recorded(
+        &self,
+        source: &str,
+        run: &RunFile,
+        played: &Played,
+        measured: &str,
+    ) -> Result<RunFile> {
+        let machine = bench::machine(source, 1.0)?;
+        let corrected = played.corrected_um(self.quantity, &machine);
+        let seen = run.require(measured)?.iter().zip(&corrected);
+        let seen =
+            seen.map(|(um, corrected)| if corrected.is_finite() { um - corrected } else { *um });
+        let mut more = vec![(measured.to_string(), seen.collect::<Vec<f64>>())];
+        for (axis, name) in ["offset_x_um", "offset_y_um", "offset_z_um"].into_iter().enumerate() {
+            let of = |offset: &Option<[f64; 3]>| offset.map_or(f64::NAN, |um| um[axis]);
+            more.push((name.into(), played.offset_um.iter().map(of).collect()));
+        }
+        more.push(("quality".into(), played.quality.iter().map(|it| f64::from(*it)).collect()));
+        with_columns(run, &more)
+    }
+}

@@ -1,0 +1,98 @@
+//! Act two over many fixed seeds: how often all is right, how often a name is wrong, and how far the gain
+//! at the tool is from what was promised.
+
+use std::fmt::Write as _;
+
+use anyhow::Result;
+
+use crate::{
+    act_two::{Outcome, act_two},
+    boards::Boards,
+    hidden::Hidden,
+};
+
+/// The reduction at the tool may be so far from what was promised.
+const PROMISE: f64 = 0.05;
+
+/// Figures over seeds.
+#[derive(Clone, Debug, Default)]
+pub struct Campaign {
+    /// What came of each seed.
+    pub outcomes: Vec<Outcome>,
+}
+
+impl Campaign {
+    /// Plays the machine of `seed`; its line.
+    ///
+    /// # Errors
+    /// A board ends, or no machine of this seed can be told.
+    pub fn play(&mut self, boards: &Boards, seed: u64) -> Result<String> {
+        let hidden = Hidden::draw(seed)?;
+        let outcome = act_two(boards, &hidden, &mut |_, _| {})?.outcome;
+        let line = outcome.line();
+        self.outcomes.push(outcome);
+        Ok(line)
+    }
+
+    /// The figures.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let count =
+            |is: &dyn Fn(&Outcome) -> bool| self.outcomes.iter().filter(|it| is(it)).count();
+        let machines = self.outcomes.len();
+        let percent = |part: usize, of: usize| 100.0 * part as f64 / of.max(1) as f64;
+        let claimed: usize =
+            self.outcomes.iter().map(|it| it.findings.iter().filter(|it| it.claimed).count()).sum();
+        let wrong: usize = self.outcomes.iter().map(|it| it.wrong.len()).sum();
+        let (right, kept) = (count(&|it| it.all_right), count(&Outcome::is_as_promised));
+        let harm = count(&|it| it.tool_rms_after_um > 1.05 * it.tool_rms_before_um);
+        format!(
+            "{machines} machines: all right in {right} ({:.1} %); {wrong} wrong names of {claimed} claimed \
+             ({:.1} %); the reduction at the tool within {PROMISE} of the promise in {kept} ({:.1} %); made \
+             worse: {harm}",
+            percent(right, machines),
+            percent(wrong, claimed),
+            percent(kept, machines),
+        )
+    }
+}
+
+impl Outcome {
+    /// Whether the tool has got what was promised.
+    #[must_use]
+    pub fn is_as_promised(&self) -> bool {
+        (self.reduction - self.promised_reduction).abs() <= PROMISE
+    }
+
+    /// A line for a table of many.
+    #[must_use]
+    pub fn line(&self) -> String {
+        let faults: Vec<String> =
+            self.faults.iter().map(|it| format!("{} {:.1}", it.fault, it.ratio)).collect();
+        let found = self.findings.iter().map(|it| {
+            let open = if it.claimed { "" } else { "?" };
+            format!("{open}{}", it.cause)
+        });
+        let mut line = format!(
+            "seed {} {} [{}] gap {:.0}: {} {} [{}], tool {:.2} -> {:.2} um, reduction {:.3}, promised {:.3}",
+            self.seed,
+            self.machine,
+            faults.join(", "),
+            self.gap,
+            if self.all_right { "right" } else { "NOT RIGHT" },
+            self.verdict,
+            found.collect::<Vec<String>>().join(", "),
+            self.tool_rms_before_um,
+            self.tool_rms_after_um,
+            self.reduction,
+            self.promised_reduction,
+        );
+        if !self.wrong.is_empty() {
+            let _ = write!(line, ", WRONG {}", self.wrong.join(", "));
+        }
+        if !self.is_as_promised() {
+            line.push_str(", not as promised");
+        }
+        line
+    }
+}

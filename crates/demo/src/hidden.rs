@@ -1,0 +1,223 @@
+//! A machine with hidden faults, drawn by a seed: one to three physical faults of the virtual machine
+//! tool, each at least three times the noise, and each told from every rival law by the record it makes.
+//!
+//! Nothing here knows the diagnosis. Whether faults can be told is reckoned from what they really do to
+//! the record ([`crate::rivals`]); which causes name a fault is read from `docs/physical-faults.md`.
+
+use std::path::Path;
+
+use anyhow::{Context as _, Result};
+use trueup_machine::{MachineFile, RunFile, predict::Predictor};
+use trueup_twin::{
+    noise::{Stream, rms},
+    physical::{Fault, Kind, Plant},
+    scenario::Scenario,
+    simulate,
+};
+
+use crate::{
+    rivals::{Record, least_gap},
+    table::parsed,
+};
+
+/// No fault is smaller, in RMS of the noise; the figure.
+pub const LEAST_RATIO: f64 = 3.0;
+/// Faults are drawn from a little above that to so many times the noise.
+const RATIOS: [f64; 2] = [1.1 * LEAST_RATIO, 10.0];
+/// A fault that must be larger than this to be seen is none of this machine: as in
+/// `docs/physical-faults.md`, a room that swings by more, in K, is no room.
+const LARGEST_SIZE: f64 = 8.0;
+/// From each rival law it must be told by a difference of BIC of so much: Kass and Raftery (1995) call it
+/// strong; the rule of a diagnosis as well.
+pub const LEAST_GAP: f64 = 6.0;
+/// So many machines are drawn for a seed until one can be told.
+const TRIES: u64 = 200;
+
+/// A fault that is drawn.
+#[derive(Clone, Debug)]
+pub struct Drawn {
+    /// What is wrong.
+    pub fault: Fault,
+    /// How much of it ([`Fault`]).
+    pub size: f64,
+    /// RMS of what it does to the record, over that of the noise.
+    pub ratio: f64,
+    /// What it does to each row of the first day, in µm.
+    pub um: Vec<f64>,
+}
+
+/// A machine with hidden faults.
+#[derive(Clone, Debug)]
+pub struct Hidden {
+    /// What it was drawn by.
+    pub seed: u64,
+    /// The machine.
+    pub plant: Plant,
+    /// What is wrong with it.
+    pub faults: Vec<Drawn>,
+    /// RMS in µm of what the file leaves of the machine without a fault.
+    pub noise_um: f64,
+    /// By how much the nearest rival law is worse, as a difference of BIC.
+    pub gap: f64,
+}
+
+/// The causes that name `fault`: one or two, from the table of `docs/physical-faults.md`.
+#[must_use]
+pub fn causes(fault: Fault) -> Vec<&'static str> {
+    const DOCUMENT: &str = include_str!("../../../docs/physical-faults.md");
+    let begins = format!("| `{}` |", fault.name());
+    let row = DOCUMENT.lines().find_map(|line| line.strip_prefix(&begins));
+    let cell = row.and_then(|row| row.split('|').next()).unwrap_or_default();
+    cell.split('`').skip(1).step_by(2).collect()
+}
+
+impl Hidden {
+    /// The machine of `seed`.
+    ///
+    /// # Errors
+    /// None of the machines that were drawn can be told.
+    pub fn draw(seed: u64) -> Result<Self> {
+        for attempt in 0..TRIES {
+            let mut stream = Stream::new(seed, &format!("hidden fault {attempt}"));
+            let count = stream.whole(1, 3);
+            let kinds: Vec<Kind> =
+                Kind::ALL.into_iter().filter(|kind| of_machine(*kind).len() >= count).collect();
+            let kind = stream.pick(&kinds);
+            // Far from the seeds of other draws.
+            let plant = Plant::draw(kind, seed.wrapping_mul(TRIES).wrapping_add(attempt));
+            let mut hidden = Self { seed, plant, faults: Vec::new(), noise_um: 0.0, gap: 0.0 };
+            hidden.noise_um = rms(&hidden.left(&hidden.plant.day(0, &[]), 0)?);
+            let mut choice = of_machine(kind);
+            for _ in 0..count {
+                if choice.is_empty() {
+                    break;
+                }
+                let fault = choice.swap_remove(stream.whole(0, choice.len() - 1));
+                // Each fault has to be named by a finding of its own.
+                let own = causes(fault);
+                choice.retain(|other| causes(*other).iter().all(|cause| !own.contains(cause)));
+                let target = stream.log_uniform(RATIOS[0], RATIOS[1]);
+                hidden.faults.extend(hidden.sized(fault, target)?);
+            }
+            if hidden.faults.len() == count {
+                hidden.gap = hidden.least_gap()?;
+                if hidden.gap >= LEAST_GAP {
+                    return Ok(hidden);
+                }
+            }
+        }
+        anyhow::bail!("seed {seed}: none of {TRIES} machines has faults that can be told apart")
+    }
+
+    /// All faults with their sizes.
+    #[must_use]
+    pub fn sizes(&self) -> Vec<(Fault, f64)> {
+        self.faults.iter().map(|drawn| (drawn.fault, drawn.size)).collect()
+    }
+
+    /// What the gauge measures of a day, as a run file; `is_true`: by a gauge without an error.
+    ///
+    /// # Errors
+    /// None that is known.
+    pub fn record(&self, day: u64, is_true: bool) -> Result<RunFile> {
+        let mut scenario = self.plant.day(day, &self.sizes());
+        if is_true {
+            scenario.instrument.noise_um = 0.0;
+            scenario.instrument.quantum_um = 0.0;
+        }
+        parsed(&simulate(&scenario, self.plant.seed_of_day(day), || {}).to_csv(), "run.csv")
+    }
+
+    /// `fault` at a size at which it does `target` times the noise; none where this machine does not
+    /// show it so large.
+    fn sized(&self, fault: Fault, target: f64) -> Result<Option<Drawn>> {
+        let mut drawn = self.at(fault, 1.0)?;
+        for _ in 0..8 {
+            if (drawn.ratio / target - 1.0).abs() < 0.05 {
+                break;
+            }
+            // What a fault does is nearly in proportion to its size.
+            let size = (drawn.size * target / drawn.ratio).min(2.0 * LARGEST_SIZE);
+            drawn = self.at(fault, size)?;
+        }
+        Ok((drawn.size <= LARGEST_SIZE && drawn.ratio >= LEAST_RATIO).then_some(drawn))
+    }
+
+    fn at(&self, fault: Fault, size: f64) -> Result<Drawn> {
+        let with = self.left(&self.plant.day(0, &[(fault, size)]), 0)?;
+        let without = self.left(&self.plant.day_without(0, fault, size), 0)?;
+        let um: Vec<f64> = with.iter().zip(without).map(|(with, other)| with - other).collect();
+        Ok(Drawn { fault, size, ratio: rms(&um) / self.noise_um, um })
+    }
+
+    /// Measured minus predicted by the file, in µm; the zero of an axis's gauge does not count.
+    fn left(&self, scenario: &Scenario, day: u64) -> Result<Vec<f64>> {
+        let csv = simulate(scenario, self.plant.seed_of_day(day), || {}).to_csv();
+        let run = parsed(&csv, "run.csv")?;
+        let predicted = self.predicted(&run)?;
+        let measured = run.require(&self.measured())?;
+        let mut left: Vec<f64> = measured.iter().zip(predicted).map(|(m, p)| m - p).collect();
+        if self.plant.quantity != "elongation" {
+            let mean = left.iter().sum::<f64>() / left.len() as f64;
+            left.iter_mut().for_each(|um| *um -= mean);
+        }
+        Ok(left)
+    }
+
+    /// The column of the gauge.
+    #[must_use]
+    pub fn measured(&self) -> String {
+        format!("measured_{}_um", self.plant.quantity)
+    }
+
+    /// What the file of its user predicts, in µm.
+    fn predicted(&self, run: &RunFile) -> Result<Vec<f64>> {
+        let machine = MachineFile::parse(&self.plant.machine, Path::new("machine.toml"))?;
+        let predictor = Predictor::new(&machine, run)?;
+        let place = usize::from(self.plant.quantity != "elongation");
+        Ok(predictor.rows().map(|row| row.model.all()[place]).collect())
+    }
+
+    /// By how much the nearest rival of any of its faults is worse.
+    fn least_gap(&self) -> Result<f64> {
+        let run = self.record(0, false)?;
+        let record = Record {
+            predicted_um: self.predicted(&run)?,
+            is_axis: self.plant.quantity != "elongation",
+            run: &run,
+        };
+        let signatures: Vec<(Fault, &[f64])> =
+            self.faults.iter().map(|drawn| (drawn.fault, drawn.um.as_slice())).collect();
+        let gaps = least_gap(&record, &signatures, self.noise_um);
+        gaps.context("a machine without a fault")
+    }
+}
+
+/// The faults of the machine itself: the gauge is none of its parts.
+fn of_machine(kind: Kind) -> Vec<Fault> {
+    kind.faults().iter().copied().filter(|fault| *fault != Fault::GaugeDrift).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_fault_has_its_causes_in_the_document() {
+        for &fault in Fault::ALL {
+            assert!((1..=2).contains(&causes(fault).len()), "{}", fault.name());
+        }
+    }
+
+    #[test]
+    fn what_is_drawn_is_seen_and_can_be_told_and_a_seed_repeats_it() {
+        for seed in 0..4 {
+            let hidden = Hidden::draw(seed).expect("can be told");
+            assert!((1..=3).contains(&hidden.faults.len()));
+            assert!(hidden.gap >= LEAST_GAP, "{}", hidden.gap);
+            assert!(hidden.faults.iter().all(|drawn| drawn.ratio >= LEAST_RATIO));
+            let again = Hidden::draw(seed).expect("can be told");
+            assert_eq!(again.sizes(), hidden.sizes());
+        }
+    }
+}
