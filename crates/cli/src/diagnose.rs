@@ -49,7 +49,7 @@ pub struct Diagnose {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum Quantity {
+pub enum Quantity {
     Elongation,
     Dx,
     Dy,
@@ -57,7 +57,7 @@ enum Quantity {
 }
 
 impl Quantity {
-    fn of_machine(self) -> file::Quantity {
+    pub fn of_machine(self) -> file::Quantity {
         match self {
             Self::Elongation => file::Quantity::Elongation,
             Self::Dx => file::Quantity::Dx,
@@ -67,7 +67,7 @@ impl Quantity {
     }
 }
 
-fn above_zero(text: &str) -> Result<f64, String> {
+pub fn above_zero(text: &str) -> Result<f64, String> {
     let value = text.parse().ok().filter(|value: &f64| value.is_finite() && *value > 0.0);
     value.ok_or_else(|| "must be a number above 0".into())
 }

@@ -11,6 +11,7 @@
 //! | 2 | bad input, with its place and the rule broken |
 //! | 3 | done, but something asked for is not met (each command says what) |
 
+mod accept;
 mod bridge;
 mod compile;
 mod diagnose;
@@ -47,6 +48,7 @@ enum Command {
     Predict(predict::Predict),
     /// Turns a machine file into the calibration that the bridge stores.
     Compile(compile::Compile),
+    Accept(accept::Accept),
     Diagnose(diagnose::Diagnose),
     Export(export::Export),
     Fit(fit::Fit),
@@ -111,6 +113,7 @@ fn run(cli: &Cli) -> Result<Outcome> {
     match &cli.command {
         Command::Predict(args) => predict::run(args, cli.json),
         Command::Compile(args) => compile::run(args, cli.json),
+        Command::Accept(args) => accept::run(args, cli.json),
         Command::Diagnose(args) => diagnose::run(args, cli.json),
         Command::Export(args) => export::run(args, cli.json),
         Command::Fit(args) => fit::run(args, cli.json),

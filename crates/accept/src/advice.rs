@@ -1,0 +1,219 @@
+//! Which constant to change by how much: the constants of the machine file against those that the run
+//! without compensation shows, each with its interval.
+
+use serde::Serialize;
+use trueup_fit::{Report, elongation, thermal, warmup};
+use trueup_machine::{
+    BadInput, Machine, MachineFile, RunFile, applied,
+    file::{ElongationSource, LinearAxis, ThermalMode},
+};
+
+use crate::pair::Pair;
+
+/// A change below this share of a constant is none that can be seen: 1 % of a reduction of 90 % asked for
+/// is a tenth of what may be left.
+const SAME: f64 = 0.01;
+
+/// What to change.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Advice {
+    /// A sentence each.
+    pub sentences: Vec<String>,
+    /// The constants to change.
+    pub changes: Vec<Change>,
+}
+
+/// A constant of the machine file that is not what the run shows.
+#[derive(Clone, Debug, Serialize)]
+pub struct Change {
+    /// Its section and key: `spindle.warmup.max_um`.
+    pub key: String,
+    /// What the file has.
+    pub from: f64,
+    /// What the run without compensation shows.
+    pub to: f64,
+    /// Its interval, 95 %; absent for what follows from other constants.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ci95: Option<[f64; 2]>,
+}
+
+impl Advice {
+    pub(crate) fn nothing() -> Self {
+        Self { sentences: vec!["Nothing is to be changed.".into()], changes: Vec::new() }
+    }
+}
+
+/// What to change, and the machine file with it.
+///
+/// # Errors
+/// The run without compensation cannot be compared with the machine file.
+pub(crate) fn advise(
+    pair: &Pair,
+    off: &RunFile,
+    believed: Option<(&str, &Machine)>,
+) -> Result<(Advice, Option<String>), BadInput> {
+    let mut advice = Advice { sentences: vec![share_sentence(pair)], changes: Vec::new() };
+    let Some((source, machine)) = believed else {
+        advice.sentences.push(
+            "Give the machine file that the bridge ran (--machine) to be told which constant to change."
+                .into(),
+        );
+        return Ok((advice, None));
+    };
+    let (clean, _) = applied::taken_out(off, None, Some(pair.quantity))?;
+    let runs = [clean.into_owned()];
+    let Some((section, report)) = fitted(pair, machine, &runs)? else {
+        advice.sentences.push(
+            "No constants of this machine file can be fitted to such a run; trueup diagnose says what it \
+             gets wrong."
+                .into(),
+        );
+        return Ok((advice, None));
+    };
+    if !report.verdict.is_fitted() {
+        advice.sentences.push(
+            "The run without compensation does not show these constants well enough to change any; record \
+             for longer, or ask trueup diagnose."
+                .into(),
+        );
+        return Ok((advice, None));
+    }
+    let adjusted = report.edit.apply(source, off.path())?;
+    let after = MachineFile::parse(&adjusted, off.path())?;
+    let shown = constants(&section, &after);
+    for (key, from) in constants(&section, machine) {
+        let Some((_, to)) = shown.iter().copied().find(|(other, _)| *other == key) else {
+            continue;
+        };
+        let ci95 = report.parameter(key).and_then(|it| it.ci95);
+        if (to - from).abs() > SAME * from.abs().max(to.abs()) {
+            let key = format!("{section}.{key}");
+            advice.sentences.push(sentence(&key, from, to, ci95));
+            advice.changes.push(Change { key, from, to, ci95 });
+        }
+    }
+    if advice.changes.is_empty() {
+        advice.sentences.push(
+            "The constants are those that the run without compensation shows: what is left has another \
+             cause, or the bridge has not run this file. trueup diagnose looks for it."
+                .into(),
+        );
+        return Ok((advice, None));
+    }
+    Ok((advice, Some(adjusted)))
+}
+
+/// How much of what the machine does the bridge corrects: least squares of (off − on) over off.
+fn share_sentence(pair: &Pair) -> String {
+    let rows = || pair.off_um.iter().zip(&pair.on_um);
+    let corrected: f64 = rows().map(|(off, on)| off * (off - on)).sum();
+    let whole: f64 = pair.off_um.iter().map(|off| off * off).sum();
+    let share = corrected / whole;
+    match share {
+        share if !share.is_finite() => "There is no error to be corrected.".into(),
+        share if share < 0.05 => {
+            "The bridge corrects next to nothing of it: is it engaged, and are its offsets applied?".into()
+        }
+        share if share < 0.97 => format!(
+            "The bridge corrects {:.0} % of what the machine does: on the whole {:.2} times as much is needed.",
+            100.0 * share,
+            1.0 / share
+        ),
+        share if share > 1.03 => format!(
+            "The bridge corrects {:.0} % of what the machine does: on the whole {:.2} of it is needed.",
+            100.0 * share,
+            1.0 / share
+        ),
+        _ => "On the whole the bridge corrects as much as is needed: what is left has another course.".into(),
+    }
+}
+
+fn sentence(key: &str, from: f64, to: f64, ci95: Option<[f64; 2]>) -> String {
+    let interval = ci95.map_or(String::new(), |[low, high]| {
+        format!(" (95 %: {} … {})", digits(low), digits(high))
+    });
+    let change =
+        if from == 0.0 { String::new() } else { format!(", {:+.0} %", 100.0 * (to / from - 1.0)) };
+    format!("Change {key} from {} to {}{interval}{change}.", digits(from), digits(to))
+}
+
+/// A number in its first four digits.
+fn digits(number: f64) -> String {
+    format!("{number:.3e}").parse::<f64>().unwrap_or(number).to_string()
+}
+
+/// The fit of the law that the machine file corrects the pair's quantity by, and its section.
+fn fitted(
+    pair: &Pair,
+    machine: &Machine,
+    runs: &[RunFile],
+) -> Result<Option<(String, Report)>, BadInput> {
+    let Some(axis) = pair.quantity.axis() else {
+        return Ok(match machine.spindle.source {
+            Some(ElongationSource::Warmup) => {
+                Some(("spindle.warmup".into(), warmup::fit(runs, Some(machine))?))
+            }
+            Some(source) => {
+                let name = match source {
+                    ElongationSource::Sensor => "spindle.sensor",
+                    _ => "spindle.temperature",
+                };
+                let options = elongation::Options { source: Some(source), temperature: None };
+                Some((name.into(), elongation::fit(runs, Some(machine), &options)?))
+            }
+            None => None,
+        });
+    };
+    if machine.axes[axis.index()].thermal.is_none() {
+        return Ok(None);
+    }
+    let options = thermal::Options {
+        mode: None::<ThermalMode>,
+        temperature: None,
+        table_rows: None,
+        known_um: None,
+    };
+    let name = format!("axis.{}.thermal", axis.name());
+    Ok(Some((name, thermal::fit(runs, axis, Some(machine), &options)?)))
+}
+
+/// The constants of a section, by their keys.
+fn constants(section: &str, machine: &Machine) -> Vec<(&'static str, f64)> {
+    let spindle = &machine.spindle;
+    let of_axis = |axis: &LinearAxis| section == format!("axis.{}.thermal", axis.name());
+    match section {
+        "spindle.warmup" => spindle.warmup.as_ref().map_or(Vec::new(), |it| {
+            let own = [
+                ("lag_s", it.lag_s),
+                ("warm_s", it.warm_s),
+                ("max_um", it.max_um),
+                ("exponent", it.exponent),
+            ];
+            // Where the file does not state it, it follows from the others.
+            own.into_iter().chain(it.cool_s.map(|cool_s| ("cool_s", cool_s))).collect()
+        }),
+        "spindle.sensor" => spindle
+            .sensor
+            .as_ref()
+            .map_or(Vec::new(), |it| vec![("k0_um", it.k0_um), ("um_per_count", it.um_per_count)]),
+        "spindle.temperature" => spindle.temperature.as_ref().map_or(Vec::new(), |it| {
+            vec![
+                ("k_um_per_c", it.k_um_per_c),
+                ("reference_c", it.reference_c),
+                ("lag_s", it.lag_s),
+            ]
+        }),
+        _ => LinearAxis::ALL
+            .into_iter()
+            .find(of_axis)
+            .and_then(|axis| machine.axes[axis.index()].thermal.as_ref())
+            .map_or(Vec::new(), |it| {
+                vec![
+                    ("constant_um_per_c", it.constant_um_per_c),
+                    ("slope_um_per_m_per_c", it.slope_um_per_m_per_c),
+                    ("reference_c", it.reference_c),
+                    ("lag_s", it.lag_s),
+                ]
+            }),
+    }
+}

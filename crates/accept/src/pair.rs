@@ -1,0 +1,237 @@
+//! The two runs side by side: the same time since the start, or the same positions in the same order.
+
+use serde::Serialize;
+use trueup_machine::{BadInput, Location, RunFile, file::Quantity};
+
+use crate::Size;
+
+/// Parts that a run is looked at in.
+const PARTS: usize = 4;
+/// Speeds that differ by more than this share are another working condition: Smax belongs to one.
+const SAME_SPEED: f64 = 0.02;
+/// Positions that differ by more than this are others, in mm: a tenth of the finest spacing in use.
+const SAME_PLACE_MM: f64 = 0.1;
+
+/// A part of the run.
+#[derive(Clone, Debug, Serialize)]
+pub struct Part {
+    /// Where it begins and ends, in the unit of `over`.
+    pub from: f64,
+    /// Its end.
+    pub to: f64,
+    /// What these are: `time_s`, `x_mm`, `row`.
+    pub over: String,
+    /// Without the compensation.
+    pub before: Size,
+    /// With it.
+    pub after: Size,
+}
+
+/// Readings of both runs at the same times or places.
+#[derive(Clone, Debug)]
+pub struct Pair {
+    pub quantity: Quantity,
+    /// Where: seconds since the start, positions or row numbers.
+    pub at: Vec<f64>,
+    /// The column that `at` is.
+    pub over: String,
+    pub off_um: Vec<f64>,
+    pub on_um: Vec<f64>,
+    pub notes: Vec<String>,
+}
+
+impl Pair {
+    /// # Errors
+    /// The runs do not measure the same, or have nothing in common.
+    pub fn of(off: &RunFile, on: &RunFile, asked: Option<Quantity>) -> Result<Self, BadInput> {
+        let quantity = quantity_of(off, on, asked)?;
+        let column = format!("measured_{}_um", quantity.name());
+        let (off_um, on_um) = (off.require(&column)?, on.require(&column)?);
+        let mut pair = Self {
+            quantity,
+            at: Vec::new(),
+            over: String::new(),
+            off_um: Vec::new(),
+            on_um: Vec::new(),
+            notes: Vec::new(),
+        };
+        let times = |run: &RunFile| {
+            run.column("time_s").map(|times| {
+                let first = times.iter().copied().find(|time| time.is_finite()).unwrap_or(0.0);
+                times.iter().map(|time| time - first).collect::<Vec<f64>>()
+            })
+        };
+        let axis = quantity.axis().map(|axis| format!("{}_mm", axis.name()));
+        let place = axis.filter(|name| off.column(name).is_some() && on.column(name).is_some());
+        match (place, times(off), times(on)) {
+            (Some(place), ..) => pair.by_rows(off, on, off_um, on_um, &place)?,
+            (None, Some(off_s), Some(on_s)) => {
+                pair.by_time([&off_s, &on_s], off_um, on_um);
+                pair.compare_speeds([off, on], [&off_s, &on_s]);
+            }
+            _ => pair.by_rows(off, on, off_um, on_um, "row")?,
+        }
+        if pair.at.len() < 2 * PARTS {
+            let rule = format!(
+                "{} readings in common are too few, {} are needed",
+                pair.at.len(),
+                2 * PARTS
+            );
+            return Err(BadInput::new(Location::start_of(on.path()), rule));
+        }
+        if quantity.axis().is_some() {
+            pair.notes.push(
+                "The zero of an axis's gauge is arbitrary: the mean of each run does not count."
+                    .into(),
+            );
+            for um in [&mut pair.off_um, &mut pair.on_um] {
+                let mean = um.iter().sum::<f64>() / um.len() as f64;
+                um.iter_mut().for_each(|um| *um -= mean);
+            }
+        }
+        Ok(pair)
+    }
+
+    /// Readings of `off`, each with what `on` showed at that time since its start, linear between.
+    fn by_time(&mut self, [off_s, on_s]: [&[f64]; 2], off_um: &[f64], on_um: &[f64]) {
+        self.over = "time_s".into();
+        let known: Vec<(f64, f64)> = on_s
+            .iter()
+            .zip(on_um)
+            .filter(|(time, um)| time.is_finite() && um.is_finite())
+            .map(|(time, um)| (*time, *um))
+            .collect();
+        for (time, um) in
+            off_s.iter().zip(off_um).filter(|(time, um)| time.is_finite() && um.is_finite())
+        {
+            let next = known.partition_point(|(known_s, _)| known_s < time);
+            let on =
+                match (next.checked_sub(1).and_then(|before| known.get(before)), known.get(next)) {
+                    (_, Some((at, um))) if at == time => *um,
+                    (Some((a_s, a)), Some((b_s, b))) if b_s > a_s => {
+                        a + (b - a) * (time - a_s) / (b_s - a_s)
+                    }
+                    // Beyond the shorter of the two nothing is known.
+                    _ => continue,
+                };
+            self.at.push(*time);
+            self.off_um.push(*um);
+            self.on_um.push(on);
+        }
+        let known = off_um.iter().filter(|um| um.is_finite()).count();
+        if self.at.len() < known {
+            self.notes.push(format!(
+                "{} readings without compensation lie outside the run with it, and do not count.",
+                known - self.at.len()
+            ));
+        }
+    }
+
+    /// Row by row: both runs went to the same places.
+    fn by_rows(
+        &mut self,
+        off: &RunFile,
+        on: &RunFile,
+        off_um: &[f64],
+        on_um: &[f64],
+        over: &str,
+    ) -> Result<(), BadInput> {
+        if off.rows() != on.rows() {
+            let rule = format!(
+                "{} rows, but {} has {}: run the same program in both",
+                on.rows(),
+                off.path().display(),
+                off.rows()
+            );
+            return Err(BadInput::new(Location::start_of(on.path()), rule));
+        }
+        self.over = over.into();
+        let places = |run: &RunFile| run.column(over).map(<[f64]>::to_vec);
+        if let (Some(a), Some(b)) = (places(off), places(on))
+            && let Some(row) = a.iter().zip(&b).position(|(a, b)| (a - b).abs() > SAME_PLACE_MM)
+        {
+            let rule =
+                format!("{} is not {}, where the run without compensation was", b[row], a[row]);
+            return Err(on.bad(row, over, rule));
+        }
+        for row in (0..off.rows()).filter(|row| off_um[*row].is_finite() && on_um[*row].is_finite())
+        {
+            self.at.push(off.column(over).map_or(row as f64, |all| all[row]));
+            self.off_um.push(off_um[row]);
+            self.on_um.push(on_um[row]);
+        }
+        Ok(())
+    }
+
+    /// Tells where the two were not driven alike.
+    fn compare_speeds(&mut self, runs: [&RunFile; 2], times: [&[f64]; 2]) {
+        let [Some(off), Some(on)] = runs.map(|run| run.column("spindle_rpm")) else { return };
+        let at = |time: f64| {
+            let row = times[1].partition_point(|known| *known < time);
+            on.get(row).copied().unwrap_or(f64::NAN)
+        };
+        let differs = |row: &usize| {
+            let (a, b) = (off[*row], at(times[0][*row]));
+            (a - b).abs() > SAME_SPEED * a.abs().max(b.abs())
+        };
+        let rows = (0..off.len()).filter(differs).count();
+        // Where a speed changes, a row may stand on either side of it.
+        if rows > off.len() / 20 {
+            self.notes.push(format!(
+                "The spindle did not turn alike in the two runs ({rows} of {} rows): what is gone is not \
+                 the compensation's alone.",
+                off.len()
+            ));
+        }
+    }
+
+    /// The run in parts of equal length.
+    pub fn parts(&self) -> Vec<Part> {
+        let mut order: Vec<usize> = (0..self.at.len()).collect();
+        order.sort_by(|a, b| self.at[*a].total_cmp(&self.at[*b]));
+        let (low, high) = (self.at[order[0]], self.at[order[order.len() - 1]]);
+        let width = (high - low) / PARTS as f64;
+        let edge = |part: usize| low + width * part as f64;
+        (0..PARTS)
+            .filter_map(|part| {
+                let is_in =
+                    |at: f64| at >= edge(part) && (at < edge(part + 1) || part + 1 == PARTS);
+                let of = |um: &[f64]| -> Vec<f64> {
+                    order.iter().filter(|row| is_in(self.at[**row])).map(|row| um[*row]).collect()
+                };
+                let (off, on) = (of(&self.off_um), of(&self.on_um));
+                (!off.is_empty()).then(|| Part {
+                    from: edge(part),
+                    to: edge(part + 1),
+                    over: self.over.clone(),
+                    before: Size::of(&off),
+                    after: Size::of(&on),
+                })
+            })
+            .collect()
+    }
+}
+
+/// The quantity that both runs measure.
+fn quantity_of(off: &RunFile, on: &RunFile, asked: Option<Quantity>) -> Result<Quantity, BadInput> {
+    let column = |quantity: Quantity| format!("measured_{}_um", quantity.name());
+    if let Some(quantity) = asked {
+        return off.require(&column(quantity)).and(on.require(&column(quantity))).map(|_| quantity);
+    }
+    let both = |quantity: &Quantity| {
+        off.column(&column(*quantity)).is_some() && on.column(&column(*quantity)).is_some()
+    };
+    let all: Vec<Quantity> = Quantity::ALL.into_iter().filter(both).collect();
+    match all[..] {
+        [quantity] => Ok(quantity),
+        [] => Err(BadInput::new(
+            Location::start_of(on.path()),
+            "measures nothing that the run without compensation measures (measured_…_um)",
+        )),
+        _ => {
+            let names: Vec<&str> = all.iter().map(|quantity| quantity.name()).collect();
+            let rule = format!("the runs measure {}: choose one with --quantity", names.join(", "));
+            Err(BadInput::new(Location::start_of(on.path()), rule))
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! `trueup accept`: a run without and a run with compensation, what is gone, and which constant to change.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use anyhow::Result;
+use clap::Args;
+use trueup_accept::{Acceptance, Limits, accept};
+use trueup_machine::{MachineFile, file};
+
+use crate::{Outcome, UserError, diagnose::Quantity, output, runs};
+
+/// Compares a run without compensation with one with it, and says which constant to change by how much.
+///
+/// Exit 3: not as much of the error is gone as is required, or one is larger than is allowed.
+#[derive(Args)]
+pub struct Accept {
+    /// The run without compensation.
+    #[arg(long, value_name = "A.csv")]
+    off: PathBuf,
+    /// The same run with it.
+    #[arg(long, value_name = "B.csv")]
+    on: PathBuf,
+    /// So much of the RMS error must be gone, in percent.
+    #[arg(long, value_name = "PERCENT", default_value_t = 90.0, value_parser = percent)]
+    require: f64,
+    /// No error may be larger, in µm.
+    #[arg(long, value_name = "UM", value_parser = crate::diagnose::above_zero)]
+    limit_um: Option<f64>,
+    /// What to compare, where the runs measure several quantities.
+    #[arg(long)]
+    quantity: Option<Quantity>,
+    /// The machine file that the bridge ran: with it you are told which constants to change.
+    #[arg(long, value_name = "M.toml")]
+    machine: Option<PathBuf>,
+    /// The folder for acceptance.json, report.html and, where a constant is to be changed, adjusted.toml.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+fn percent(text: &str) -> Result<f64, String> {
+    let value = text.parse().ok().filter(|value: &f64| (0.0..=100.0).contains(value));
+    value.ok_or_else(|| "must be a number from 0 to 100".into())
+}
+
+pub fn run(args: &Accept, as_json: bool) -> Result<Outcome> {
+    let (off, on) = (runs::read_and_warn(&args.off)?, runs::read_and_warn(&args.on)?);
+    let source = args.machine.as_deref().map(MachineFile::read_text).transpose()?;
+    let believed = match (&source, &args.machine) {
+        (Some(source), Some(path)) => Some((source.as_str(), MachineFile::parse(source, path)?)),
+        _ => None,
+    };
+    let limits = Limits { require_percent: args.require, limit_um: args.limit_um };
+    let quantity: Option<file::Quantity> = args.quantity.map(Quantity::of_machine);
+    let believed = believed.as_ref().map(|(source, machine)| (*source, machine));
+    let acceptance = accept(&off, &on, quantity, believed, limits)?;
+    acceptance.notes.iter().for_each(|note| eprintln!("warning: {note}"));
+    let name = believed.map_or("the compensation", |(_, machine)| machine.name.as_str());
+    write(args, &acceptance, name)?;
+    if as_json {
+        output::print(serde_json::to_string_pretty(&acceptance)?)?;
+    } else {
+        print(args, &acceptance)?;
+    }
+    Ok(if acceptance.passed { Outcome::Done } else { Outcome::NotMet })
+}
+
+fn write(args: &Accept, acceptance: &Acceptance, name: &str) -> Result<()> {
+    fs::create_dir_all(&args.out)
+        .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
+    let mut inputs: Vec<&Path> = vec![&args.off, &args.on];
+    inputs.extend(args.machine.as_deref());
+    let mut texts = vec![
+        ("acceptance.json", serde_json::to_string_pretty(acceptance)? + "\n"),
+        ("report.html", acceptance.html(name)),
+    ];
+    texts.extend(acceptance.adjusted().map(|text| ("adjusted.toml", text.to_string())));
+    for (file, text) in texts {
+        output::write_whole(&args.out.join(file), &inputs, |out| out.write_all(text.as_bytes()))?;
+    }
+    Ok(())
+}
+
+fn print(args: &Accept, it: &Acceptance) -> Result<()> {
+    output::print(if it.passed { "passed" } else { "not passed" })?;
+    output::print(format_args!(
+        "{}, {} readings: {:.2} µm RMS without, {:.2} with: {:.1} % gone; largest {:.2} and {:.2} µm",
+        it.quantity,
+        it.rows,
+        it.before.rms_um,
+        it.after.rms_um,
+        100.0 * it.reduction,
+        it.before.max_um,
+        it.after.max_um
+    ))?;
+    for sentence in it.unmet.iter().chain(&it.advice.sentences) {
+        output::print(format_args!("  {sentence}"))?;
+    }
+    output::print(format_args!("{}", args.out.join("report.html").display()))
+}

@@ -1,0 +1,73 @@
+//! `trueup accept`: exit codes, files, and what it says of runs that cannot be compared.
+
+use std::{fmt::Write as _, fs, path::Path, process::Command};
+
+/// A warm-up of `left` of 60 µm, a row a minute, with a gauge of 0.1 µm.
+fn run(left: f64) -> String {
+    let mut csv = String::from("time_s,spindle_rpm,measured_elongation_um\n");
+    for minute in 0..120 {
+        let time_s = 60.0 * f64::from(minute);
+        let um = 60.0 * left * (1.0 - (-time_s / 1800.0).exp()) + 0.1 * f64::from(minute % 3 - 1);
+        writeln!(csv, "{time_s},12000,{um:.2}").expect("a string grows");
+    }
+    csv
+}
+
+fn accept(folder: &Path, more: &[&str]) -> (Option<i32>, String, String) {
+    let output = Command::new(env!("CARGO_BIN_EXE_trueup"))
+        .current_dir(folder)
+        .args(["accept", "--off", "off.csv", "--on", "on.csv", "--out", "acceptance"])
+        .args(more)
+        .output()
+        .expect("it starts");
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    (output.status.code(), text(&output.stdout), text(&output.stderr))
+}
+
+#[test]
+fn what_is_met_ends_with_0_and_what_is_not_with_3_and_a_reason() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let put = |name: &str, text: &str| fs::write(folder.path().join(name), text).expect("written");
+    put("off.csv", &run(1.0));
+    put("on.csv", &run(0.05));
+    let (code, said, _) = accept(folder.path(), &[]);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(said.starts_with("passed"), "{said}");
+    let (code, said, _) = accept(folder.path(), &["--limit-um", "1.5"]);
+    assert_eq!(code, Some(3), "{said}");
+    assert!(said.contains("1.5 µm are allowed"), "{said}");
+
+    put("on.csv", &run(0.4));
+    put(
+        "m.toml",
+        "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"warmup\"\n[spindle.warmup]\n\
+         lag_s = 0.0\nwarm_s = 7200.0\nmax_um = 36.0\nexponent = 4.0\n",
+    );
+    let (code, said, _) = accept(folder.path(), &["--machine", "m.toml"]);
+    assert_eq!(code, Some(3), "{said}");
+    assert!(said.contains("60 % of what the machine does"), "{said}");
+    assert!(said.contains("Change spindle.warmup.max_um from 36 to 5"), "{said}");
+    let json = fs::read_to_string(folder.path().join("acceptance/acceptance.json")).expect("left");
+    let json: serde_json::Value = serde_json::from_str(&json).expect("JSON");
+    for key in ["passed", "before", "after", "reduction", "advice"] {
+        assert!(!json[key].is_null(), "{key}");
+    }
+    assert_eq!(json["passed"], false);
+    assert!(folder.path().join("acceptance/adjusted.toml").exists());
+    assert!(folder.path().join("acceptance/report.html").exists());
+}
+
+#[test]
+fn runs_that_cannot_be_compared_are_refused_with_their_place() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let put = |name: &str, text: &str| fs::write(folder.path().join(name), text).expect("written");
+    put("off.csv", &run(1.0));
+    put("on.csv", &run(0.05).replace("elongation", "dx"));
+    let (code, _, said) = accept(folder.path(), &[]);
+    assert_eq!(code, Some(2), "{said}");
+    assert!(said.starts_with("on.csv:1:1:") && said.contains("measures nothing"), "{said}");
+    // A spindle that did not turn alike is told.
+    put("on.csv", &run(0.05).replace(",12000,", ",6000,"));
+    let (_, _, said) = accept(folder.path(), &[]);
+    assert!(said.contains("did not turn alike"), "{said}");
+}
