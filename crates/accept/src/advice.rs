@@ -1,10 +1,13 @@
 //! Which constant to change by how much: the constants of the machine file against those that the run
 //! without compensation shows, each with its interval.
 
+use std::borrow::Cow;
+
 use serde::Serialize;
 use trueup_fit::{Report, elongation, thermal, warmup};
 use trueup_machine::{
-    BadInput, Machine, MachineFile, RunFile, applied,
+    BadInput, Machine, MachineFile, RunFile,
+    applied::Unaided,
     file::{ElongationSource, LinearAxis, ThermalMode},
 };
 
@@ -60,8 +63,8 @@ pub(crate) fn advise(
         );
         return Ok((advice, None));
     };
-    let (clean, _) = applied::taken_out(off, None, Some(pair.quantity))?;
-    let runs = [clean.into_owned()];
+    let (unaided, _) = Unaided::of(Cow::Borrowed(off), None, Some(pair.quantity))?;
+    let runs = [unaided];
     let Some((section, report)) = fitted(pair, machine, &runs)? else {
         advice.sentences.push(
             "No constants of this machine file can be fitted to such a run; trueup diagnose says what it \
@@ -146,7 +149,7 @@ fn digits(number: f64) -> String {
 fn fitted(
     pair: &Pair,
     machine: &Machine,
-    runs: &[RunFile],
+    runs: &[Unaided<'_>],
 ) -> Result<Option<(String, Report)>, BadInput> {
     let Some(axis) = pair.quantity.axis() else {
         return Ok(match machine.spindle.source {

@@ -4,9 +4,7 @@
 //! A part of the readings is taken out, the rest is diagnosed, the extended file compiled and played, and
 //! the board's offsets are held against what was taken out; so for each part in turn.
 
-use std::borrow::Cow;
-
-use std::path::Path;
+use std::{borrow::Cow, path::Path};
 
 use anyhow::{Context as _, Result};
 use serde::Serialize;
