@@ -96,6 +96,7 @@ mod app {
         }
         let mut node = Node::new(parts.calibration.ok(), faults.degrade());
         faults.all().for_each(|fault| node.note(fault));
+        node.note_reset(parts.reset);
         node.set_blob(parts.blob);
         let (buffer, store) = parts.loading.unzip();
         if let Some(buffer) = buffer {
@@ -213,6 +214,12 @@ mod app {
             let outcome = it.keep_calibration(&mut load);
             shared.node.lock(|node| node.end_load(load, outcome));
         }
+        let bus = shared.can_out.lock(CanOut::state);
+        shared.node.lock(|node| {
+            node.note_if(bus.warning, Fault::CanWarning);
+            node.note_if(bus.passive, Fault::CanPassive);
+            node.note_if(bus.off, Fault::CanOff);
+        });
         if shared.node.lock(Node::take_restart) {
             defmt::info!("restart, as a CANopen master asks");
             board::restart();

@@ -3,9 +3,15 @@
 
 use std::{path::PathBuf, sync::OnceLock};
 
+use trueup_canopen::emergency::Fault;
 use trueup_emulator::{
     chip::{self, Report},
     firmware::{self, Board},
+};
+use trueup_link::{
+    frame::Frame,
+    layout::STATUS_ID,
+    status::{self, Item, ResetReason},
 };
 
 /// The model and the image; `None`: this compiler is too old for the model.
@@ -65,6 +71,8 @@ fn the_first_start_of_a_new_chip_sets_its_brown_out_level_and_runs_at_168_mhz() 
     says(&report, &["option bytes programmed: brown-out level 3"]);
     says(&report, &["source PLL, SYSCLK 168000000 Hz"]);
     says(&report, &["20000.000 Hz"]);
+    // The prefetch is noise in the converter.
+    says(&report, &["flash: wait states 5, prefetch 0"]);
     logs(&report, "brown-out level set to 3");
 }
 
@@ -142,6 +150,9 @@ fn a_dead_crystal_leaves_the_serial_line_and_silences_can() {
     is_clean(&report);
     says(&report, &["CAN: 0 sent"]);
     says(&report, &["serial: \"t2818"]);
+    // 168 MHz from an oscillator that is 4 % fast would be too much for the chip.
+    says(&report, &["source PLL, SYSCLK 144000000 Hz"]);
+    says(&report, &["20000.000 Hz"]);
     logs(&report, "dead: crystal");
 }
 
@@ -151,6 +162,7 @@ fn a_crystal_that_stops_leads_to_a_reset_and_a_start_without_it() {
     is_clean(&report);
     says(&report, &["resets [\"software at"]);
     logs(&report, "dead: crystal");
+    logs(&report, "the last start ended by Crystal");
 }
 
 #[test]
@@ -161,25 +173,90 @@ fn a_dead_pll_leaves_16_mhz_and_a_serial_line_that_is_2_percent_fast() {
     logs(&report, "dead: PLL");
 }
 
+/// The faults that were told as emergencies on the serial line, by their places in the list of faults.
+fn emergencies(report: &Report) -> Vec<u8> {
+    let of = |event: &String| {
+        let data = event.split(" serial t0818").nth(1)?;
+        let code = u16::from_str_radix(&format!("{}{}", &data[2..4], &data[..2]), 16).ok()?;
+        let fault = u8::from_str_radix(&data[6..8], 16).ok()?;
+        (code != 0).then_some(fault)
+    };
+    report.events.iter().filter_map(of).collect()
+}
+
 #[test]
-fn a_bus_without_a_partner_is_not_waited_for() {
-    let Some(report) = run(&["--bor", "--can-alone", "--ms", "200"]) else { return };
+fn a_bus_without_a_partner_is_told_and_not_waited_for() {
+    let options = ["--bor", "--can-alone", "--ms", "600", "--say", "55", "S8\\rO\\r"];
+    let Some(report) = run(&options) else { return };
     is_clean(&report);
     says(&report, &["TEC 128"]);
+    let told = emergencies(&report);
+    assert!(told.contains(&(Fault::CanPassive as u8)), "{told:?}");
+    assert!(!told.contains(&(Fault::CanOff as u8)), "{told:?}");
 }
 
 #[test]
-fn a_bus_that_destroys_every_frame_is_come_back_to() {
-    let Some(report) = run(&["--bor", "--can-short", "--ms", "200"]) else { return };
+fn a_bus_that_destroys_every_frame_is_told_and_come_back_to() {
+    let options = ["--bor", "--can-short", "--ms", "600", "--say", "55", "S8\\rO\\r"];
+    let Some(report) = run(&options) else { return };
     is_clean(&report);
     says(&report, &["back from bus-off by itself"]);
+    let told = emergencies(&report);
+    assert!(told.contains(&(Fault::CanOff as u8)), "{told:?}");
 }
 
 #[test]
-fn a_dominant_bus_is_not_disturbed() {
-    let Some(report) = run(&["--bor", "--can-stuck", "--ms", "200"]) else { return };
+fn a_dominant_bus_is_told_and_not_disturbed() {
+    let options = ["--bor", "--can-stuck", "--ms", "600", "--say", "55", "S8\\rO\\r"];
+    let Some(report) = run(&options) else { return };
     is_clean(&report);
     says(&report, &["CAN: 0 sent"]);
+    let told = emergencies(&report);
+    assert!(told.contains(&(Fault::CanOff as u8)), "{told:?}");
+}
+
+#[test]
+fn an_error_of_the_flash_does_not_hold_up_the_next_zero() {
+    let zero = ["--ms", "1000", "--zero-ms", "700", "--engage-ms", "800"];
+    let Some(report) = run(&[&["--bor", "--stray-flash-write", "500"], &zero[..]].concat()) else {
+        return;
+    };
+    is_clean(&report);
+    says(&report, &["8 words programmed"]);
+    logs(&report, "stored: elongation");
+}
+
+#[test]
+fn after_the_loader_the_image_starts_as_after_a_reset() {
+    let Some(report) = run(&["--bor", "--from-loader", "--ms", "300"]) else { return };
+    is_clean(&report);
+    says(&report, &["source PLL, SYSCLK 168000000 Hz"]);
+    says(&report, &["181: ", "every 1.0000 ms", "wrong CRC 0, counter jumps 0"]);
+}
+
+#[test]
+fn a_hard_fault_resets_at_once_and_the_next_start_tells_it_and_where() {
+    // An address in no memory; `Status` says why the board started once in 1.1 s.
+    let Some(report) = run(&["--bor", "--upset", "400", "30000000", "--ms", "1700"]) else {
+        return;
+    };
+    says(&report, &["resets [\"software at 0.400 s\"]"]);
+    logs(&report, "the last start ended by HardFault");
+    logs(&report, "pc 0x30000000");
+    let reasons: Vec<ResetReason> = report.events.iter().filter_map(reset_reason).collect();
+    assert_eq!(reasons.last(), Some(&ResetReason::HardFault), "{reasons:?}");
+}
+
+/// What a `Status` frame on the CAN bus says of the last reset.
+fn reset_reason(event: &String) -> Option<ResetReason> {
+    let data = event.split(" can 381 ").nth(1)?;
+    let byte = |n: usize| u8::from_str_radix(&data[2 * n..2 * n + 2], 16).expect("hex");
+    let bytes: [u8; 8] = std::array::from_fn(byte);
+    let frame = Frame::new(STATUS_ID, &bytes).expect("eight bytes");
+    match status::decode(&frame).expect("a status").item {
+        Item::Reset { reason, .. } => Some(reason),
+        _ => None,
+    }
 }
 
 #[test]

@@ -26,6 +26,7 @@ use trueup_core::{
     thermometer::Raw,
     units::{Code, Rpm},
 };
+use trueup_link::status::ResetReason;
 use trueup_store::{calibration::BlobError, reference::References};
 
 #[cfg(all(feature = "stm32f405", feature = "virtual"))]
@@ -57,6 +58,17 @@ pub struct Block {
     /// What the temperature channels say, where that comes with the samples and not from
     /// [`Thermometers`]. A channel that nothing is wired to is [`Raw::NONE`].
     pub temperatures: Option<[Raw; TEMPERATURES]>,
+}
+
+/// How a CAN controller is on its bus (ISO 11898-1, fault confinement).
+#[derive(Clone, Copy, Default)]
+pub struct CanState {
+    /// One of its error counters is at 96 or above.
+    pub warning: bool,
+    /// One is at 128 or above: it no longer destroys what others send.
+    pub passive: bool,
+    /// It takes no part: bus-off, or a bus that is never quiet.
+    pub off: bool,
 }
 
 /// What has become of the bytes that wait for the serial line.
@@ -119,6 +131,8 @@ pub struct Parts {
     /// The store of references, and the one to start with. `None` without a calibration.
     pub references: Option<(References<Flash>, Option<Reference>)>,
     pub faults: Faults,
+    /// Why the board has started.
+    pub reset: ResetReason,
     /// The bytes of the calibration in use; empty without one.
     pub blob: &'static [u8],
     /// Where a new calibration is gathered and stored; `None` on a board that cannot store one.

@@ -95,6 +95,9 @@ fn board(options: &Options, image: &[u8]) -> Board {
         awake: options.awake,
     };
     let board = Board::new(image, memories, world, options.faults, watch);
+    if options.from_loader {
+        board.start_from_loader();
+    }
     if options.bor {
         // As after the image has run once: brown-out level 3.
         board.with_chip(|chip| chip.flash.optcr &= !0xc);

@@ -17,6 +17,7 @@ pub struct Options {
     pub rtt: Option<String>,
     pub awake: bool,
     pub quiet: bool,
+    pub from_loader: bool,
     pub trace: u64,
     pub lsi: u64,
     pub crystal: u64,
@@ -40,6 +41,7 @@ pub fn options() -> Options {
         rtt: None,
         awake: false,
         quiet: false,
+        from_loader: false,
         trace: 0,
         lsi: 32_000,
         crystal: 8_000_000,
@@ -111,6 +113,14 @@ pub fn options() -> Options {
             "--hse-dead" => o.faults.hse_dead = true,
             "--pll-dead" => o.faults.pll_dead = true,
             "--serial-dma-stuck" => o.faults.serial_dma_stuck = true,
+            "--from-loader" => o.from_loader = true,
+            "--stray-flash-write" => o.faults.stray_write = ms(number(args.next(), &a)),
+            "--upset" => {
+                let at = ms(number(args.next(), &a));
+                let to = args.next().unwrap_or_else(|| usage("--upset"));
+                let to = u32::from_str_radix(to.trim_start_matches("0x"), 16);
+                o.faults.upset = (at, to.unwrap_or_else(|_| usage("--upset")));
+            }
             "--can-alone" => o.faults.can_alone = true,
             "--can-short" => o.faults.can_short = true,
             "--can-stuck" => o.faults.can_stuck = true,

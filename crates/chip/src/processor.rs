@@ -203,6 +203,16 @@ impl Processor {
         self.core.step()
     }
 
+    /// Has it go on at another place, as an upset would.
+    pub fn upset(&self, pc: u32) {
+        self.core.set_pc(pc);
+    }
+
+    /// Sets the table of its vectors, as a program that ran before would have.
+    pub fn set_vectors(&self, address: u32) {
+        self.core.with_sys(|system| system.vtor = address);
+    }
+
     /// Where it is.
     #[must_use]
     pub fn pc(&self) -> u32 {

@@ -83,6 +83,7 @@ pub struct Board {
     watch: Watch,
     log_at: Option<u32>,
     log_next: u64,
+    upset: (u64, u32),
     now: u64,
     ones: u32,
     checked: u32,
@@ -144,6 +145,7 @@ impl Board {
             watch,
             log_at: None,
             log_next: 0,
+            upset: faults.upset,
             now: 0,
             ones: 0,
             checked: 0,
@@ -155,6 +157,16 @@ impl Board {
             masks: Vec::new(),
             places: BTreeMap::new(),
         }
+    }
+
+    /// Has the image start as after the chip's own loader: on a PLL from the internal oscillator, with the
+    /// loader's vectors and the flash unlocked (AN2606, section on STM32F40xxx; RM0090 2.4).
+    pub fn start_from_loader(&self) {
+        self.processor.set_vectors(0x1fff_0000);
+        self.with_chip(|chip| {
+            chip.as_from_loader();
+            chip.settle();
+        });
     }
 
     /// Looks at the chip, or changes it.
@@ -266,6 +278,10 @@ impl Board {
     }
 
     fn after_step(&mut self) {
+        if self.upset.0 > 0 && self.now >= self.upset.0 && !self.processor.is_in_it_block() {
+            self.processor.upset(self.upset.1);
+            self.upset = (0, 0);
+        }
         let flag = self.shared.flag.swap(0, SeqCst);
         if flag & 4 != 0 {
             let on = self.with_chip(|chip| chip.flash.programming());

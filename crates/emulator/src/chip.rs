@@ -67,6 +67,9 @@ pub struct Report {
     pub said: String,
     /// The image's log, decoded.
     pub log: Vec<String>,
+    /// What the board said on its wires and when it was reset, a line an event: the time in ms, then
+    /// `can ID HEX`, `serial LINE` or `reset WHY`.
+    pub events: Vec<String>,
 }
 
 /// Runs an image on the model to the end of the time that the options say.
@@ -77,7 +80,9 @@ pub fn run<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result
     let folder = tempfile::Builder::new().prefix("trueup-").tempdir()?;
     let raw = folder.path().join("log");
     let mut command = Command::new(model);
-    command.arg(image).args(options).arg("--rtt").arg(&raw).stdin(Stdio::null());
+    let events = folder.path().join("events");
+    command.arg(image).args(options).arg("--rtt").arg(&raw).arg("--log").arg(&events);
+    command.stdin(Stdio::null());
     let output = command.output().context("cannot start the model of the chip")?;
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
     let complaint = String::from_utf8_lossy(&output.stderr);
@@ -89,7 +94,8 @@ pub fn run<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result
     );
     let mut log = Vec::new();
     Decoder::of(image)?.follow(File::open(raw)?, |line| log.push(line))?;
-    Ok(Report { clean: output.status.success(), said, log })
+    let events = std::fs::read_to_string(events)?.lines().map(Into::into).collect();
+    Ok(Report { clean: output.status.success(), said, log, events })
 }
 
 /// Runs an image for a user: its log on this program's standard output as it comes, everything else as

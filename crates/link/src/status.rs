@@ -203,6 +203,8 @@ pub enum ResetReason {
     Panic = 6,
     /// The core stopped it: a hard fault.
     HardFault = 7,
+    /// The crystal stopped.
+    Crystal = 8,
 }
 
 impl ResetReason {
@@ -218,6 +220,7 @@ impl ResetReason {
             5 => Self::BrownOut,
             6 => Self::Panic,
             7 => Self::HardFault,
+            8 => Self::Crystal,
             _ => return None,
         })
     }
@@ -234,6 +237,7 @@ impl ResetReason {
             Self::BrownOut => "brown-out",
             Self::Panic => "panic",
             Self::HardFault => "hard-fault",
+            Self::Crystal => "crystal",
         }
     }
 }

@@ -25,7 +25,7 @@ use trueup_link::{
     },
 };
 
-use super::{clocks::Source, within};
+use super::{super::CanState, clocks::Source, within};
 
 /// 1 Mbit/s at 42 MHz: prescaler 3; 1 + 11 + 2 quanta, sampled at 86 %; jump width 1.
 const BIT_TIMING: u32 = 0x001a_0002;
@@ -74,7 +74,8 @@ pub fn start(
     // SAFETY: `CanOut` uses the transmit registers alone, each `CanIn` those of its FIFO alone.
     let (second, transmitter) = unsafe { (CAN1::steal(), CAN1::steal()) };
     let can_in = [CanIn { can, fifo: 0, overruns: 0 }, CanIn { can: second, fifo: 1, overruns: 0 }];
-    (can_in, CanOut { can: transmitter, on_the_bus, late: 0, waited: 0 }, answers)
+    let worst = CanState::default();
+    (can_in, CanOut { can: transmitter, on_the_bus, late: 0, waited: 0, worst }, answers)
 }
 
 /// Out of sleep, into the initialisation mode, in which the controller is silent.
@@ -174,6 +175,8 @@ pub struct CanOut {
     late: u32,
     /// Turns for which the third mailbox was found full.
     waited: u32,
+    /// The worst since it was last asked.
+    worst: CanState,
 }
 
 impl CanOut {
@@ -197,12 +200,32 @@ impl CanOut {
         if !self.on_the_bus {
             return;
         }
+        self.look();
         let mailbox = mailbox_of(frame.id());
         if !self.is_empty(mailbox) && !self.withdraw(mailbox) {
             self.note_late(frame.id());
             return;
         }
         write(self.can.tx(usize::from(mailbox)), frame);
+    }
+
+    /// How the controller has been on its bus since this was last asked, at its worst: bus-off lasts for
+    /// 1.4 ms only, and comes again. A controller that was never meant to join is well.
+    pub fn state(&mut self) -> CanState {
+        if self.on_the_bus {
+            self.look();
+        }
+        core::mem::take(&mut self.worst)
+    }
+
+    /// Section 32.9.2, ESR. A controller that was told to join and has not left its initialisation sees no
+    /// quiet bus: a dominant one, by a short or a dead transceiver.
+    fn look(&mut self) {
+        let errors = self.can.esr().read();
+        let outside = self.can.msr().read().inak().bit_is_set();
+        self.worst.warning |= errors.ewgf().bit_is_set();
+        self.worst.passive |= errors.epvf().bit_is_set();
+        self.worst.off |= errors.boff().bit_is_set() || outside;
     }
 
     fn is_empty(&self, mailbox: u8) -> bool {

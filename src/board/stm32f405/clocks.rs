@@ -6,8 +6,11 @@
 //! | crystal | PLL | core | CAN |
 //! |---|---|---|---|
 //! | runs | locks | 168 MHz from the crystal | on |
-//! | dead | locks | 168 MHz from the internal oscillator | silent: 1 % is out of its tolerance |
+//! | dead | locks | 144 MHz from the internal oscillator | silent: 1 % is out of its tolerance |
 //! | | dead | 16 MHz from the internal oscillator | silent |
+//!
+//! The internal oscillator is up to 4 % fast (data sheet, HSI oscillator characteristics): 168 MHz from it
+//! might be 175, above what the chip is made for. 144 MHz is not, and is a whole multiple of 20 kHz.
 //!
 //! At 16 MHz the serial line is 2.1 % fast, at the edge of what a receiver takes.
 //!
@@ -15,50 +18,76 @@
 //! internal oscillator and raises the NMI. Every timer would be wrong from then on, so the NMI
 //! resets, and the start that follows finds the dead crystal and reports it.
 
-use cortex_m::{asm, peripheral::SCB};
+use cortex_m::peripheral::{SCB, SYST, syst::SystClkSource};
 use stm32f4xx_hal::{
-    pac::RCC,
+    pac::{FLASH, RCC},
     prelude::*,
     rcc::{Config, Rcc},
 };
 
-use super::within;
+use super::{
+    last_words::{self, Core, Why},
+    within,
+};
 
 /// What the core is clocked from.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Source {
     /// 168 MHz from the crystal.
     Crystal,
-    /// 168 MHz from the internal oscillator: exact to about 1 %.
+    /// 144 MHz from the internal oscillator: exact to about 1 %, 4 % when hot or cold.
     InternalThroughPll,
     /// 16 MHz straight from the internal oscillator.
     Internal,
 }
 
-/// Core cycles in 10 µs while the chip still runs from its internal oscillator at 16 MHz.
-const TEN_MICROSECONDS: u32 = 160;
-/// A crystal starts in about 2 ms (data sheet, HSE oscillator characteristics); 100 ms is ample.
-const CRYSTAL_POLLS: u32 = 10_000;
-/// The PLL locks in at most 300 µs (data sheet, main PLL characteristics); 10 ms is ample.
-const PLL_POLLS: u32 = 1_000;
+/// Core cycles in a millisecond while the chip still runs from its internal oscillator at 16 MHz.
+const MILLISECOND: u32 = 16_000;
+/// A crystal starts in about 2 ms (data sheet, HSE oscillator characteristics): ten times that.
+const CRYSTAL_TIME: u32 = 20 * MILLISECOND;
+/// The PLL locks in at most 300 µs (data sheet, main PLL characteristics): ten times that.
+const PLL_TIME: u32 = 3 * MILLISECOND;
+/// All bits of SysTick's counter, which counts down.
+const SYSTICK_MASK: u32 = 0xFF_FFFF;
 
-/// Starts the best clock there is, and says which.
-pub fn start(rcc: RCC) -> (Rcc, Source) {
+/// Starts the best clock there is, and says which. SysTick measures the time until then.
+pub fn start(rcc: RCC, flash: &FLASH, systick: &mut SYST) -> (Rcc, Source) {
+    systick.set_clock_source(SystClkSource::Core);
+    systick.set_reload(SYSTICK_MASK);
+    systick.clear_current();
+    systick.enable_counter();
+    back_to_reset(&rcc);
     let source = best_source(&rcc);
     let rcc = rcc.freeze(configuration(source));
+    // The HAL has switched it on. The errata of the F40x name it as noise in the converter, and the
+    // caches hold what matters.
+    flash.acr().modify(|_, w| w.prften().clear_bit());
     match source {
         Source::Crystal => {
             rcc.cr().modify(|_, w| w.csson().on());
             defmt::info!("clock: 168 MHz from the crystal");
         }
         Source::InternalThroughPll => {
-            defmt::error!("clock: 168 MHz from the internal oscillator, CAN stays silent");
+            defmt::error!("clock: 144 MHz from the internal oscillator, CAN stays silent");
         }
         Source::Internal => {
             defmt::error!("clock: 16 MHz from the internal oscillator, CAN stays silent");
         }
     }
     (rcc, source)
+}
+
+/// The clock tree as a reset leaves it. After a loader ("leave", "go") the image starts in the loader's
+/// state: on a PLL of its own, whose settings cannot be changed while it runs.
+fn back_to_reset(rcc: &RCC) {
+    rcc.cr().modify(|_, w| w.hsion().on());
+    soon(PLL_TIME, || rcc.cr().read().hsirdy().bit_is_set());
+    rcc.cfgr().modify(|_, w| w.sw().hsi());
+    soon(PLL_TIME, || rcc.cfgr().read().sws().is_hsi());
+    rcc.cfgr().reset();
+    rcc.cr().modify(|_, w| w.pllon().off().csson().off());
+    soon(PLL_TIME, || rcc.cr().read().pllrdy().bit_is_clear());
+    rcc.cr().modify(|_, w| w.hseon().off().hsebyp().clear_bit());
 }
 
 fn best_source(rcc: &RCC) -> Source {
@@ -81,49 +110,57 @@ fn best_source(rcc: &RCC) -> Source {
 
 fn crystal_starts(rcc: &RCC) -> bool {
     rcc.cr().modify(|_, w| w.hseon().on());
-    soon(CRYSTAL_POLLS, || rcc.cr().read().hserdy().bit_is_set())
+    soon(CRYSTAL_TIME, || rcc.cr().read().hserdy().bit_is_set())
 }
 
 /// Tries the PLL on its later settings, and leaves it off, because the HAL sets it up anew.
 #[allow(unsafe_code, reason = "registers of the clock tree")]
 fn pll_locks(rcc: &RCC, from_crystal: bool) -> bool {
-    // 8 MHz / 4 or 16 MHz / 8 is 2 MHz, times 168, by 2 (the reset value of P): 168 MHz.
-    let input_divider = if from_crystal { 4 } else { 8 };
+    // 8 MHz / 4 or 16 MHz / 8 is 2 MHz, times 168 or 144, by 2 (the reset value of P).
+    let (input_divider, factor) = if from_crystal { (4, 168) } else { (8, 144) };
     rcc.pllcfgr().write(|w| {
         // SAFETY: M, N and Q are within the ranges of section 7.3.2, and the PLL is off.
-        unsafe { w.pllm().bits(input_divider).plln().bits(168).pllq().bits(7) };
+        unsafe { w.pllm().bits(input_divider).plln().bits(factor).pllq().bits(7) };
         w.pllp().div2().pllsrc().bit(from_crystal)
     });
     rcc.cr().modify(|_, w| w.pllon().on());
-    let locks = soon(PLL_POLLS, || rcc.cr().read().pllrdy().bit_is_set());
+    let locks = soon(PLL_TIME, || rcc.cr().read().pllrdy().bit_is_set());
     rcc.cr().modify(|_, w| w.pllon().off());
     // Its settings are locked until it has stopped.
-    locks && soon(PLL_POLLS, || rcc.cr().read().pllrdy().bit_is_clear())
+    locks && soon(PLL_TIME, || rcc.cr().read().pllrdy().bit_is_clear())
 }
 
-/// [`within`] at 10 µs a poll, before the clocks are set.
-fn soon(polls: u32, mut ready: impl FnMut() -> bool) -> bool {
-    within(polls, || {
-        asm::delay(TEN_MICROSECONDS);
-        ready()
-    })
+/// Whether `ready` came true within so many core cycles, below 2²⁴, by SysTick. A poll takes some cycles,
+/// so that many polls are the limit where SysTick stands.
+fn soon(cycles: u32, mut ready: impl FnMut() -> bool) -> bool {
+    let start = SYST::get_current();
+    let mut is_ready = false;
+    within(cycles, || {
+        is_ready = ready();
+        is_ready || start.wrapping_sub(SYST::get_current()) & SYSTICK_MASK >= cycles
+    });
+    is_ready || ready()
 }
 
 fn configuration(source: Source) -> Config {
-    let config = match source {
-        Source::Crystal => Config::hse(8.MHz()),
-        Source::InternalThroughPll => Config::hsi(),
-        Source::Internal => return Config::hsi(),
+    // The buses at a quarter and at half of the core's rate, 42 and 84 MHz at the most; 42 MHz on APB1 is
+    // what CAN's bit timing counts on.
+    let with = |config: Config, core: u32| {
+        config.sysclk(core.MHz()).hclk(core.MHz()).pclk1((core / 4).MHz()).pclk2((core / 2).MHz())
     };
-    // The buses at their highest rates; 42 MHz on APB1 is what CAN's bit timing counts on.
-    config.sysclk(168.MHz()).hclk(168.MHz()).pclk1(42.MHz()).pclk2(84.MHz())
+    match source {
+        Source::Crystal => with(Config::hse(8.MHz()), 168),
+        Source::InternalThroughPll => with(Config::hsi(), 144),
+        Source::Internal => Config::hsi(),
+    }
 }
 
-/// The crystal has stopped. Nothing is logged: the NMI may have come in the midst of a log.
+/// The crystal has stopped: a record for the next start. Nothing is logged: the NMI may have come in the midst of a log.
 // SAFETY: "unsafe" is how cortex-m-rt marks a handler that critical sections do not hold off; this
-// one shares nothing.
+// one writes a record that nobody else writes any more.
 #[cortex_m_rt::exception]
 #[allow(unsafe_code, reason = "registers of the clock tree")]
 unsafe fn NonMaskableInt() -> ! {
+    last_words::leave(Why::Crystal, Core::default(), None);
     SCB::sys_reset()
 }

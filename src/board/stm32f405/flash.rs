@@ -28,6 +28,8 @@ const SECTOR_SIZE: usize = 128 * 1024;
 const SECTORS: usize = 2;
 /// The two keys that unlock the control register (section 3.6.1).
 const UNLOCK: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
+/// PGSERR, PGPERR, PGAERR, WRPERR, OPERR and EOP.
+const ERRORS: u32 = 0xF3;
 /// A word needs 100 µs at most; this is about 1 ms.
 const WRITE_POLLS: u32 = 16_384;
 /// Milliseconds that an erase may take, twice what the data sheet says.
@@ -49,6 +51,10 @@ impl Flash {
     pub fn split(controller: FLASH) -> [Self; 2] {
         // SAFETY: the two are used one after the other, by the start and then by one task.
         let second = unsafe { FLASH::steal() };
+        // A loader may have left it unlocked; every write here unlocks for itself.
+        if is_idle(&controller) && controller.cr().read().lock().bit_is_clear() {
+            controller.cr().reset();
+        }
         [
             Self { controller, sector: FIRST_SECTOR },
             Self { controller: second, sector: FIRST_SECTOR + SECTORS as u8 },
@@ -80,13 +86,20 @@ impl Flash {
         for key in UNLOCK {
             flash.keyr().write(|w| w.key().set(key));
         }
-        // A flag is cleared by writing it back.
-        flash.sr().modify(|_, w| w);
+        clear_errors(flash);
         let done = flash.cr().read().lock().bit_is_clear() && work(flash) && !has_failed(flash);
         // Its reset value: locked, and nothing asked.
         flash.cr().reset();
         if done { Ok(()) } else { Err(NorFlashErrorKind::Other) }
     }
+}
+
+/// A flag is cleared by writing 1 to it (section 3.9.4). Not by `modify`, which spares such bits: one error
+/// would hold up every later write.
+#[allow(unsafe_code, reason = "registers and words of the flash")]
+fn clear_errors(flash: &FLASH) {
+    // SAFETY: the flags of the register, and no other bit.
+    flash.sr().write(|w| unsafe { w.bits(ERRORS) });
 }
 
 fn is_idle(flash: &FLASH) -> bool {
@@ -145,6 +158,8 @@ impl NorFlash for Flash {
                 // constant is overwritten. A bus fault cannot follow: a locked or busy controller
                 // ignores the write and says so in its flags.
                 unsafe { ptr::write_volatile(words.add(n), u32::from_le_bytes(*word)) };
+                // The word has left the core before its end is waited for (section 3.6.3).
+                cortex_m::asm::dsb();
                 within(WRITE_POLLS, || is_idle(flash))
             })
         })

@@ -18,6 +18,7 @@ mod can;
 mod clocks;
 mod flash;
 mod lamp;
+mod last_words;
 mod panic;
 mod sampling;
 mod serial;
@@ -55,11 +56,17 @@ static CALIBRATION: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/calibratio
 /// Turns of the supervisor in one second.
 const SUPERVISOR_HZ: u32 = 100;
 
-/// Brings up every part, the watchdog last: from then on the supervisor has to keep it quiet.
+/// Brings up every part, the watchdog first; once all are up, the supervisor has to keep it quiet.
 pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts {
+    let mut watchdog = Watchdog::start(device.IWDG, &device.DBGMCU);
     let reset = watchdog::last_reset(&device.RCC);
     defmt::info!("reset by {}", reset);
-    let (mut rcc, source) = clocks::start(device.RCC);
+    let last_words = last_words::take();
+    let reset_reason = watchdog::reason(reset, last_words.as_ref());
+    if let Some(words) = last_words.filter(|_| reset != Reset::PowerOn) {
+        words.say();
+    }
+    let (mut rcc, source) = clocks::start(device.RCC, &device.FLASH, &mut core.SYST);
     brown_out::protect(&device.FLASH, reset);
     keep_debugger_connected(&device.DBGMCU);
 
@@ -117,6 +124,7 @@ pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts
     };
     let samples = sampling::start(chain, gpioa.pa0, &device.ADC_COMMON, &mut rcc);
     start_supervisor_clock(&mut core.SYST, rcc.clocks.hclk().raw());
+    watchdog.tighten();
     Parts {
         samples,
         serial_in,
@@ -131,7 +139,8 @@ pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts
         faults,
         blob,
         loading: Some((buffer, store)),
-        watchdog: Watchdog::start(device.IWDG, &device.DBGMCU),
+        watchdog,
+        reset: reset_reason,
     }
 }
 

@@ -1,5 +1,8 @@
 //! The watchdog, and what the last reset came from (sections 21 and 7.3.21).
 
+use trueup_link::status::ResetReason;
+
+use super::last_words::{LastWords, Why};
 use stm32f4xx_hal::{
     pac::{DBGMCU, IWDG, RCC},
     prelude::*,
@@ -43,6 +46,22 @@ pub fn last_reset(rcc: &RCC) -> Reset {
     }
 }
 
+/// Why the board started, as it tells it: a reset by software has several reasons, and a watchdog that bit
+/// while the board was ending itself is not the first of them.
+pub fn reason(reset: Reset, last_words: Option<&LastWords>) -> ResetReason {
+    match (reset, last_words.map(|words| words.why)) {
+        (Reset::PowerOn, _) => ResetReason::PowerOn,
+        (Reset::BrownOut, _) => ResetReason::BrownOut,
+        (_, Some(Why::Panic)) => ResetReason::Panic,
+        (_, Some(Why::HardFault)) => ResetReason::HardFault,
+        (_, Some(Why::Crystal)) => ResetReason::Crystal,
+        (Reset::Watchdog, None) => ResetReason::Watchdog,
+        (Reset::Software, None) => ResetReason::Software,
+        (Reset::Pin, None) => ResetReason::Pin,
+        (Reset::Unknown, None) => ResetReason::Unknown,
+    }
+}
+
 /// The independent watchdog: resets the chip unless it is fed.
 ///
 /// 100 ms are ten turns of the supervisor that feeds it. Its oscillator is not exact (17…47 kHz,
@@ -51,13 +70,19 @@ pub fn last_reset(rcc: &RCC) -> Reset {
 pub struct Watchdog(IndependentWatchdog);
 
 impl Watchdog {
-    /// Starts it, and nothing but a reset stops it again; it pauses while a debugger halts the
-    /// core.
+    /// Starts it, first of all parts, and nothing but a reset stops it again; it pauses while a debugger
+    /// halts the core. A start has 8 s by the watchdog's own clock, at least 5.4 s: erasing two sectors of
+    /// the flash takes 4 s at most.
     pub fn start(iwdg: IWDG, dbgmcu: &DBGMCU) -> Self {
         let mut watchdog = IndependentWatchdog::new(iwdg);
         watchdog.stop_on_debug(dbgmcu, true);
-        watchdog.start(100.millis());
+        watchdog.start(8_000.millis());
         Self(watchdog)
+    }
+
+    /// The start is done: from now on it is fed by the supervisor.
+    pub fn tighten(&mut self) {
+        self.0.start(100.millis());
     }
 
     /// Another 100 ms.

@@ -64,6 +64,10 @@ impl Flash {
             before: (0, Vec::new()),
         }
     }
+    pub(crate) fn unlock(&mut self) {
+        self.cr &= !(1 << 31);
+    }
+
     pub(crate) fn programming(&self) -> bool {
         self.cr & 1 != 0 && self.cr >> 31 == 0
     }
@@ -303,6 +307,13 @@ impl Chip {
         self.flash.stats.words += 1;
         self.flash_busy(us(16));
         self.script_word();
+    }
+
+    /// A write to the array that nothing was set up for: RM0090 3.9.4, PGSERR. The firmware did not ask for
+    /// it, so it is no violation of its own.
+    pub(crate) fn flash_stray_write(&mut self) {
+        self.flash.sr |= 0x80;
+        self.say(Grade::Fact, "flash: a stray write from outside leaves PGSERR".into());
     }
 
     /// The supply goes: of a word in flight some bits are written, of a sector some words are erased.

@@ -65,6 +65,10 @@ pub struct Faults {
     pub can_short: bool,
     /// The streams of the serial line take their enable and move nothing.
     pub serial_dma_stuck: bool,
+    /// When something writes to the flash that has not been unlocked for it; 0: never.
+    pub stray_write: u64,
+    /// When the program counter is upset, and to what; 0: never.
+    pub upset: (u64, u32),
     /// The receive pin is held low: the chip never sees a quiet bus.
     pub can_stuck: bool,
 }

@@ -9,6 +9,10 @@ impl Chip {
     pub(crate) fn world_step(&mut self) {
         let now = self.now;
         let n = now / ms(1);
+        if self.faults.stray_write > 0 && now >= self.faults.stray_write {
+            self.faults.stray_write = 0;
+            self.flash_stray_write();
+        }
         let w = &mut self.world;
         w.next_at = (n + 1) * ms(1);
         if w.script.is_some() {

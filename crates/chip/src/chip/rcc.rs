@@ -126,6 +126,17 @@ impl Chip {
         );
     }
 
+    /// The clock tree, and the lock of the flash, as the loader leaves them: 60 MHz from HSI by the PLL.
+    pub(crate) fn as_from_loader(&mut self) {
+        self.rcc.pllcfgr = 2 << 28 | 5 << 24 | 1 << 16 | 240 << 6 | 16;
+        self.rcc.cr |= 1 << 24 | 1 << 25;
+        self.rcc.cfgr = 4 << 10 | 2 << 2 | 2;
+        self.rcc.sw_wanted = 2;
+        self.flash.acr = 2;
+        self.flash.unlock();
+        self.clocks();
+    }
+
     pub(crate) fn try_switch(&mut self) {
         let want = self.rcc.sw_wanted;
         let ready = match want {

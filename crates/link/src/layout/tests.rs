@@ -230,7 +230,7 @@ fn the_dbc_ranges_are_what_the_code_sends() {
                     assert_eq!(number(signal.max), f64::from(u32::MAX), "{at}");
                     continue;
                 }
-                "ResetReason" => (0, ResetReason::HardFault as i32),
+                "ResetReason" => (0, ResetReason::Crystal as i32),
                 "OffsetX" | "OffsetY" | "OffsetZ" => (-OFFSET_MAX_RAW, OFFSET_MAX_RAW),
                 "Quality" => (0, Quality::Fault as i32),
                 "Item" => (0, LAST_ITEM.into()),

@@ -1,0 +1,132 @@
+//! What a start that ends badly leaves to the next one: why, and where, in RAM that a reset leaves as it
+//! is and the start does not clear.
+//!
+//! A log is lost where no probe listens, and a watchdog's reset says nothing. So a panic, a hard fault and
+//! a crystal that stops write a record before they reset; the next start reads it once. After power-on
+//! the RAM holds anything, so a record counts with its checksum only.
+
+use core::{
+    mem::MaybeUninit,
+    sync::atomic::{AtomicU32, Ordering, fence},
+};
+
+/// Words of a record: kind, four numbers, the place's line, its file in six words, and the checksum.
+const WORDS: usize = 13;
+/// Bytes of a file's name that are kept, its end.
+const FILE: usize = 24;
+/// The checksum of nothing but zeros: so that cleared RAM is no record.
+const SEED: u32 = 0x7472_7565;
+
+#[unsafe(link_section = ".uninit.last_words")]
+#[allow(unsafe_code, reason = "a place in RAM that the start leaves as it is")]
+static RECORD: MaybeUninit<[AtomicU32; WORDS]> = MaybeUninit::uninit();
+
+#[allow(unsafe_code, reason = "a place in RAM that the start leaves as it is")]
+fn record() -> &'static [AtomicU32; WORDS] {
+    // SAFETY: any bits are a value of these.
+    unsafe { RECORD.assume_init_ref() }
+}
+
+/// Why the board stopped itself.
+#[derive(Clone, Copy, PartialEq, Eq, defmt::Format)]
+#[repr(u32)]
+pub enum Why {
+    /// A panic.
+    Panic = 1,
+    /// The core stopped it: a hard fault.
+    HardFault = 2,
+    /// The crystal stopped.
+    Crystal = 3,
+}
+
+/// Where the core was: program counter, link register, fault status and address.
+#[derive(Clone, Copy, Default, defmt::Format)]
+pub struct Core {
+    pub pc: u32,
+    pub lr: u32,
+    /// CFSR, as in the Armv7-M manual, B3.2.15.
+    pub status: u32,
+    /// The address at fault, where the status says that there is one.
+    pub address: u32,
+}
+
+/// What was left.
+pub struct LastWords {
+    pub why: Why,
+    pub core: Core,
+    line: u32,
+    file: [u8; FILE],
+}
+
+impl LastWords {
+    /// Into the log.
+    pub fn say(&self) {
+        let start = self.file.iter().take_while(|byte| **byte == 0).count();
+        let file = core::str::from_utf8(&self.file[start..]).unwrap_or_default();
+        defmt::error!(
+            "the last start ended by {}: {=str}:{=u32}, pc {=u32:#x}, lr {=u32:#x}, CFSR {=u32:#x}, address {=u32:#x}",
+            self.why,
+            file,
+            self.line,
+            self.core.pc,
+            self.core.lr,
+            self.core.status,
+            self.core.address
+        );
+    }
+}
+
+fn checksum(words: &[u32]) -> u32 {
+    words.iter().fold(SEED, |sum, word| sum.rotate_left(5) ^ word)
+}
+
+/// Leaves a record to the next start. The first of a start stays: what fails after it, fails because of it.
+pub fn leave(why: Why, core: Core, place: Option<&core::panic::Location<'_>>) {
+    if read().is_some() {
+        return;
+    }
+    let mut words = [0; WORDS];
+    words[0] = why as u32;
+    words[1..5].copy_from_slice(&[core.pc, core.lr, core.status, core.address]);
+    if let Some(place) = place {
+        words[5] = place.line();
+        let name = place.file().as_bytes();
+        let kept = &name[name.len().saturating_sub(FILE)..];
+        let mut file = [0; FILE];
+        file[FILE - kept.len()..].copy_from_slice(kept);
+        for (word, bytes) in words[6..].iter_mut().zip(file.as_chunks().0) {
+            *word = u32::from_le_bytes(*bytes);
+        }
+    }
+    words[WORDS - 1] = checksum(&words[..WORDS - 1]);
+    for (place, word) in record().iter().zip(words) {
+        place.store(word, Ordering::Relaxed);
+    }
+    fence(Ordering::SeqCst);
+}
+
+fn read() -> Option<LastWords> {
+    let words: [u32; WORDS] = core::array::from_fn(|n| record()[n].load(Ordering::Relaxed));
+    if words[WORDS - 1] != checksum(&words[..WORDS - 1]) {
+        return None;
+    }
+    let why = match words[0] {
+        1 => Why::Panic,
+        2 => Why::HardFault,
+        3 => Why::Crystal,
+        _ => return None,
+    };
+    let mut file = [0; FILE];
+    for (bytes, word) in file.as_chunks_mut().0.iter_mut().zip(&words[6..]) {
+        *bytes = word.to_le_bytes();
+    }
+    let core = Core { pc: words[1], lr: words[2], status: words[3], address: words[4] };
+    Some(LastWords { why, core, line: words[5], file })
+}
+
+/// What the last start has left, once.
+pub fn take() -> Option<LastWords> {
+    let words = read();
+    record().iter().for_each(|place| place.store(0, Ordering::Relaxed));
+    words
+}
