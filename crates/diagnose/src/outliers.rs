@@ -20,9 +20,12 @@ pub(crate) fn among_repeats(data: &Data, predicted: &[f64]) -> Vec<bool> {
 /// Rows that are to be set aside, by what `predicted` leaves.
 pub(crate) fn gross(data: &Data, predicted: &[f64]) -> Vec<bool> {
     let rows: Vec<usize> = (0..data.rows).filter(|&row| data.used[row]).collect();
-    let residual: Vec<f64> = rows.iter().map(|&row| data.measured[row] - predicted[row]).collect();
-    let series: Vec<usize> = rows.iter().map(|&row| data.series[row]).collect();
-    let far = in_residual(&residual, &series, last_digit(data, &rows));
+    let far = {
+        let residual: Vec<f64> =
+            rows.iter().map(|&row| data.measured[row] - predicted[row]).collect();
+        let series: Vec<usize> = rows.iter().map(|&row| data.series[row]).collect();
+        in_residual(&residual, &series, last_digit(data, &rows))
+    };
     let mut found = vec![false; data.rows];
     rows.into_iter().zip(far).for_each(|(row, is_far)| found[row] = is_far);
     strays(data, predicted, &found)

@@ -14,6 +14,7 @@ mod clock;
 mod fields;
 mod line;
 mod meant;
+mod places;
 
 use std::{
     collections::HashMap,
@@ -30,6 +31,7 @@ use crate::{
 use cells::Cells;
 use fields::{BadQuote, Fields, separator_of};
 use line::Line;
+use places::Places;
 
 /// The longest run file that is read, in bytes: a million rows of fifty numbers of twenty digits.
 pub const MOST_BYTES: u64 = 1 << 30;
@@ -47,7 +49,7 @@ pub struct RunFile {
     columns: Vec<Column>,
     header_line: usize,
     /// The line of each row, from 1: empty lines and comments are no rows.
-    line_of_row: Vec<usize>,
+    line_of_row: Vec<u32>,
     slips: Vec<Slip>,
 }
 
@@ -68,7 +70,7 @@ pub struct Column {
     /// Its value in each row; NaN where it is missing.
     pub values: Vec<f64>,
     /// The character column at which each value stands in its line, from 1.
-    starts: Vec<u32>,
+    starts: Places,
 }
 
 /// How much a run file may hold.
@@ -246,8 +248,8 @@ impl RunFile {
             .iter()
             .find(|there| there.name == column)
             .and_then(|there| there.starts.get(row))
-            .map_or(1, |&start| start as usize);
-        Location { file: self.path.clone(), line, column }
+            .unwrap_or(1);
+        Location { file: self.path.clone(), line: line as usize, column }
     }
 
     /// The value of `column` in `row` (from 0) breaks a rule; `rule` goes on after the column's
@@ -297,7 +299,7 @@ impl RunFile {
             self.columns.push(Column {
                 name: name.to_string(),
                 values: Vec::new(),
-                starts: Vec::new(),
+                starts: Places::new(),
             });
         }
         Ok(())
@@ -357,7 +359,7 @@ impl RunFile {
                 .and_then(|value| check_direction(&column.name, value))
                 .map_err(|rule| BadInput::new(place(), format!("{} {rule}", column.name)))?;
             column.values.push(value);
-            column.starts.push(u32::try_from(field.column).unwrap_or(u32::MAX));
+            column.starts.push(field.column);
             there += 1;
         }
         if there < wanted {
@@ -366,7 +368,8 @@ impl RunFile {
             let end = line.text.chars().count() + 1;
             return Err(BadInput::new(line.place(&self.path, end), rule));
         }
-        self.line_of_row.push(line.number);
+        // The file has less than 2³⁰ bytes.
+        self.line_of_row.push(u32::try_from(line.number).unwrap_or(u32::MAX));
         Ok(())
     }
 }

@@ -22,7 +22,8 @@ fn times(a: Complex, b: Complex) -> Complex {
 }
 
 fn turned(angle: f64) -> Complex {
-    [angle.cos(), angle.sin()]
+    let (sin, cos) = angle.sin_cos();
+    [cos, sin]
 }
 
 /// S at `count` frequencies from `first` on, `step` apart, of `values` at the points `at`: real and

@@ -112,51 +112,68 @@ impl Whitener {
     /// Values with this noise in them, made independent with variance 1: as many as there are rows.
     #[must_use]
     pub fn apply(&self, values: &[f64]) -> Vec<f64> {
-        let mut state = 0.0;
-        let mut out = Vec::with_capacity(values.len());
-        for (((value, decay), gain), scale) in
-            values.iter().zip(&self.decay).zip(&self.gain).zip(&self.scale)
-        {
-            state *= decay;
-            let innovation = value - state;
-            out.push(innovation * scale);
-            state += gain * innovation;
-        }
+        let mut out = vec![0.0; self.decay.len()];
+        self.apply_side_by_side([values], [&mut out]);
         out
     }
 }
 
 impl Whitener {
-    /// [`apply`](Self::apply) to each of `columns`, four side by side: one alone waits for each step.
+    /// [`apply`](Self::apply) to each of `columns`.
     pub fn apply_all<'c>(&self, columns: impl IntoIterator<Item = &'c Vec<f64>>) -> Vec<Vec<f64>> {
-        const LANES: usize = 4;
         let columns: Vec<&Vec<f64>> = columns.into_iter().collect();
-        if self.is_white {
-            return columns.into_iter().cloned().collect();
+        let rows = self.decay.len();
+        let mut all = vec![0.0; rows * columns.len()];
+        self.apply_into(&columns, &mut all);
+        all.chunks_exact(rows.max(1)).map(<[f64]>::to_vec).collect()
+    }
+
+    /// [`apply`](Self::apply) to each of `columns`, one after the other into `out`, which has as many numbers
+    /// as all of them.
+    pub fn apply_into(&self, columns: &[&Vec<f64>], out: &mut [f64]) {
+        /// Columns side by side: one alone waits for each step.
+        const LANES: usize = 4;
+        let rows = self.decay.len();
+        if rows == 0 {
+            return;
         }
-        let mut all = Vec::with_capacity(columns.len());
-        let chunks = columns.chunks_exact(LANES);
-        let rest = chunks.remainder();
-        for chunk in chunks {
-            let rows = self.decay.len();
-            let read: [&[f64]; LANES] = std::array::from_fn(|lane| &chunk[lane][..rows]);
-            let mut out: [Vec<f64>; LANES] = std::array::from_fn(|_| vec![0.0; rows]);
-            let written = out.each_mut().map(|out| &mut out[..rows]);
-            let mut state = [0.0; LANES];
-            for (row, ((decay, gain), scale)) in
-                self.decay.iter().zip(&self.gain).zip(&self.scale).enumerate()
-            {
-                for lane in 0..LANES {
-                    let before = state[lane] * decay;
-                    let innovation = read[lane][row] - before;
-                    written[lane][row] = innovation * scale;
-                    state[lane] = before + gain * innovation;
-                }
+        for (columns, out) in columns.chunks(LANES).zip(out.chunks_mut(LANES * rows)) {
+            let mut written = out.chunks_exact_mut(rows);
+            if self.is_white {
+                written.zip(columns).for_each(|(out, column)| out.copy_from_slice(&column[..rows]));
+                continue;
             }
-            all.extend(out);
+            let &[a, b, c, d] = columns else {
+                for (out, column) in written.zip(columns) {
+                    self.apply_side_by_side([&column[..rows]], [out]);
+                }
+                continue;
+            };
+            let read = [a, b, c, d].map(|column| &column[..rows]);
+            let written = [(); LANES].map(|()| written.next().unwrap_or_default());
+            self.apply_side_by_side(read, written);
         }
-        all.extend(rest.iter().map(|column| self.apply(column)));
-        all
+    }
+
+    /// The filter, on columns and into slices of as many rows as there are.
+    fn apply_side_by_side<const LANES: usize>(
+        &self,
+        read: [&[f64]; LANES],
+        mut written: [&mut [f64]; LANES],
+    ) {
+        let rows = self.decay.len();
+        let read = read.map(|read| &read[..rows]);
+        let written = written.each_mut().map(|out| &mut out[..rows]);
+        let mut state = [0.0; LANES];
+        let filter = self.decay.iter().zip(&self.gain).zip(&self.scale);
+        for (row, ((decay, gain), scale)) in filter.enumerate() {
+            for lane in 0..LANES {
+                let before = state[lane] * decay;
+                let innovation = read[lane][row] - before;
+                written[lane][row] = innovation * scale;
+                state[lane] = before + gain * innovation;
+            }
+        }
     }
 }
 

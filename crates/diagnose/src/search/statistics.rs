@@ -134,8 +134,12 @@ impl Projector {
 
     /// The gain of each trial on each list.
     fn gains(&self, whitener: &Whitener, trials: &[Trial]) -> Vec<Vec<f64>> {
-        let white = whitener.apply_all(trials.iter().flat_map(|trial| &trial.columns));
-        let products = &self.left * matrix(&white);
+        let columns: Vec<&Vec<f64>> = trials.iter().flat_map(|trial| &trial.columns).collect();
+        let rows = self.left.ncols();
+        let mut white = DMatrix::zeros(rows, columns.len());
+        whitener.apply_into(&columns, white.as_mut_slice());
+        let products = &self.left * &white;
+        let white: Vec<&[f64]> = white.as_slice().chunks_exact(rows).collect();
         let lists = self.sums.len();
         let mut first = 0;
         trials
@@ -147,9 +151,14 @@ impl Projector {
                 let on_lists = products.view((self.basis, first), (lists, count)).transpose();
                 first += count;
                 // The lower half is all that is read.
-                let squares = DMatrix::from_fn(count, count, |i, j| {
-                    if j <= i { dot(&own[i], &own[j]) } else { 0.0 }
-                });
+                let squares =
+                    DMatrix::from_fn(
+                        count,
+                        count,
+                        |i, j| {
+                            if j <= i { dot(own[i], own[j]) } else { 0.0 }
+                        },
+                    );
                 let whole = squares.diagonal();
                 let beside = squares - in_basis.transpose() * in_basis;
                 if trial.is_fixed {

@@ -126,8 +126,9 @@ impl Definition for PitchPeriodic {
     fn law(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
         for (number, wave) in self.waves.iter().enumerate() {
             let turn = TAU * f64::from(wave.harmonic) / nonlinear[0];
-            add(2 * number, (turn * x[0]).sin());
-            add(2 * number + 1, (turn * x[0]).cos());
+            let (sin, cos) = (turn * x[0]).sin_cos();
+            add(2 * number, sin);
+            add(2 * number + 1, cos);
         }
     }
 

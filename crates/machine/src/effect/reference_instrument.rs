@@ -194,8 +194,9 @@ impl Definition for ReferenceInstrument {
                 _ => x[0] / nonlinear[0],
             };
             let turns = f64::from(wave.harmonic) * turns;
-            add(2 * number, (TAU * turns).sin());
-            add(2 * number + 1, (TAU * turns).cos());
+            let (sin, cos) = (TAU * turns).sin_cos();
+            add(2 * number, sin);
+            add(2 * number + 1, cos);
         }
     }
 

@@ -75,16 +75,21 @@ pub fn solve(
     damping: f64,
 ) -> NormalSolution {
     let count = columns.len();
-    let product = |a: &[f64], b: &[f64]| match mask {
-        None => dot(a, b),
-        Some(mask) => {
-            a.iter().zip(b).zip(mask).map(|((a, b), &used)| if used { a * b } else { 0.0 }).sum()
-        }
+    // 0 in a row that does not count is that row left out of every sum.
+    let masked: Option<Vec<Vec<f64>>> = mask.map(|mask| {
+        let counted = |column: &[f64]| {
+            column.iter().zip(mask).map(|(value, &used)| if used { *value } else { 0.0 }).collect()
+        };
+        columns.iter().map(Vec::as_slice).chain([target]).map(counted).collect()
+    });
+    let (columns, target) = match masked.as_deref().and_then(<[_]>::split_last) {
+        Some((target, columns)) => (columns, target.as_slice()),
+        None => (columns, target),
     };
     let scale: Vec<f64> = columns
         .iter()
         .map(|column| {
-            let norm = product(column, column).sqrt();
+            let norm = dot(column, column).sqrt();
             if norm > 0.0 { norm.recip() } else { 0.0 }
         })
         .collect();
@@ -92,10 +97,10 @@ pub fn solve(
     let mut right = vec![0.0; count];
     for i in 0..count {
         for j in 0..=i {
-            let value = product(&columns[i], &columns[j]) * scale[i] * scale[j];
+            let value = dot(&columns[i], &columns[j]) * scale[i] * scale[j];
             normal[(i, j)] = value;
         }
-        right[i] = product(&columns[i], target) * scale[i];
+        right[i] = dot(&columns[i], target) * scale[i];
     }
     for i in 0..count {
         normal[(i, i)] += damping;

@@ -33,17 +33,20 @@ pub fn in_residual(residual: &[f64], series: &[usize], resolution: f64) -> Vec<b
             residual[at] - around[around.len() / 2]
         })
         .collect();
-    let sizes = sorted(differences.iter().map(|difference| difference.abs()));
+    let mut work: Vec<f64> = differences.iter().map(|difference| difference.abs()).collect();
+    work.sort_unstable_by(f64::total_cmp);
     // Readings in whole steps of an instrument may all be alike: then what is not alike sets the
     // scale, as the mean of the inner nine tenths.
-    let inner = &sizes[..count * 9 / 10];
+    let inner = &work[..count * 9 / 10];
     let mean = inner.iter().sum::<f64>() / inner.len().max(1) as f64;
-    let scale = (NORMAL * sizes[count / 2]).max(1.2533 * mean).max(0.6 * resolution);
+    let scale = (NORMAL * work[count / 2]).max(1.2533 * mean).max(0.6 * resolution);
     if scale <= 0.0 {
         return none;
     }
-    let middle = sorted(residual.iter().copied())[count / 2];
-    let overall = NORMAL * sorted(residual.iter().map(|r| (r - middle).abs()))[count / 2];
+    work.copy_from_slice(residual);
+    let middle = in_the_middle(&mut work);
+    work.iter_mut().for_each(|value| *value = (*value - middle).abs());
+    let overall = NORMAL * in_the_middle(&mut work);
     // One in a thousand clean runs has a row beyond it.
     let limit = scale * (2.0 * (500.0 * count as f64).ln()).sqrt().max(6.0);
     let is_far = |row: usize| {
@@ -62,8 +65,7 @@ pub fn in_residual(residual: &[f64], series: &[usize], resolution: f64) -> Vec<b
     found
 }
 
-fn sorted(values: impl Iterator<Item = f64>) -> Vec<f64> {
-    let mut sorted: Vec<f64> = values.collect();
-    sorted.sort_unstable_by(f64::total_cmp);
-    sorted
+/// The value that half of `values`, at least one, are below; their order changes.
+fn in_the_middle(values: &mut [f64]) -> f64 {
+    *values.select_nth_unstable_by(values.len() / 2, f64::total_cmp).1
 }
