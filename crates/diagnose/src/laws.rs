@@ -54,6 +54,42 @@ impl Laws {
         laws
     }
 
+    /// The laws of the machine file.
+    fn own(data: &Data) -> Self {
+        let spindle = &data.machine.spindle;
+        let is_thermal = spindle.source == Some(ElongationSource::Temperature);
+        Self {
+            spindle: is_thermal.then(|| spindle.clone()),
+            thermal: own_thermal(data).cloned(),
+            ..Self::default()
+        }
+    }
+
+    /// `data` as if the thermometers of the machine's own laws were smoothed over `width_s`, without being
+    /// late.
+    pub(crate) fn smoothed(data: &Data, width_s: f64) -> Data {
+        let mut smooth = data.clone();
+        if let Some(whole) = &data.whole {
+            let all = Self::smoothed(&whole.data, width_s);
+            smooth.axis = whole.pick(&all.axis);
+            smooth.thermal = whole.pick(&all.thermal);
+            smooth.law = whole.pick(&all.law);
+            smooth.elongation = whole.pick(&all.elongation);
+            return smooth;
+        }
+        let laws = Self::own(data);
+        let of_spindle = laws.spindle.as_ref().and_then(|it| it.temperature.as_ref());
+        let columns = [laws.thermal.as_ref().map(|it| &it.sensor), of_spindle.map(|it| &it.sensor)];
+        columns.into_iter().flatten().for_each(|column| smooth.smooth(column, width_s));
+        let (axis, law) = (laws.axis(&smooth), laws.elongation(&smooth));
+        for row in 0..data.rows {
+            smooth.thermal[row] += axis[row] - data.axis[row];
+            smooth.elongation[row] += law[row] - data.law[row];
+        }
+        (smooth.axis, smooth.law) = (axis, law);
+        smooth
+    }
+
     /// The time constant with which the model's own heat rises.
     pub(crate) fn rise_s(&self, data: &Data) -> Option<f64> {
         let spindle = self.spindle.as_ref().unwrap_or(&data.machine.spindle);

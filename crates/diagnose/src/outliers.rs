@@ -31,6 +31,25 @@ pub(crate) fn gross(data: &Data, predicted: &[f64]) -> Vec<bool> {
     strays(data, predicted, &found)
 }
 
+/// Whether one of the rows `aside` is surely an error of the reading: of a record in time, one that has rows
+/// on both sides at the same speed and load. At a start or a change it may be that the reading was taken
+/// a moment before it.
+pub(crate) fn are_of_readings(data: &Data, aside: &[bool]) -> bool {
+    let is_record = data.time_s.is_some() && data.own_position().is_none();
+    let inputs = [&data.spindle_rpm, &data.load_n];
+    let goes_on = |input: &[f64], row: usize| input[row] == input[row - 1] || input[row].is_nan();
+    // What is another value in most rows is measured and not commanded: no row is at a change of it.
+    let is_held = |input: &&Vec<f64>| {
+        2 * (1..data.rows).filter(|&row| goes_on(input, row)).count() > data.rows
+    };
+    let held: Vec<&Vec<f64>> = inputs.into_iter().flatten().filter(is_held).collect();
+    let follows = |row: usize| {
+        row < data.rows && !data.restart[row] && held.iter().all(|input| goes_on(input, row))
+    };
+    let is_sure = |row: usize| !is_record || follows(row) && follows(row + 1);
+    (0..data.rows).any(|row| aside[row] && is_sure(row))
+}
+
 /// Those of the rows `found` that are gross errors: they come one by one, and do not come back.
 fn strays(data: &Data, predicted: &[f64], found: &[bool]) -> Vec<bool> {
     let rows: Vec<usize> = (0..data.rows).filter(|&row| data.used[row]).collect();

@@ -202,6 +202,25 @@ fn doubted(doubt: &Doubt, gain: &Gain, left_out: Unit) -> String {
     }
 }
 
+/// The rows that are `aside`, as users count them.
+fn rows_aside(aside: &[bool]) -> String {
+    let rows = aside.iter().enumerate().filter(|(_, aside)| **aside);
+    let rows: Vec<String> = rows.take(12).map(|(row, _)| (row + 1).to_string()).collect();
+    format!("{} {}", if rows.len() == 1 { "row" } else { "rows" }, rows.join(", "))
+}
+
+/// What is told of rows that were set aside where a record begins, or where speed or load change; none
+/// where there are none.
+pub(crate) fn at_changes(aside: &[bool]) -> Option<String> {
+    aside.contains(&true).then(|| {
+        format!(
+            "Set aside: {}, at a start or a change of speed or load. What was read there may be of a moment \
+             before it.",
+            rows_aside(aside)
+        )
+    })
+}
+
 /// The finding of rows that were set aside.
 pub(crate) fn outliers(data: &Data, after: &[f64], aside: &[bool]) -> Finding {
     let with = errors(data, after, None);
@@ -215,19 +234,10 @@ pub(crate) fn outliers(data: &Data, after: &[f64], aside: &[bool]) -> Finding {
     let half = z / (1.0 + z * z / n) * (share * (1.0 - share) / n + z * z / (4.0 * n * n)).sqrt();
     parameters
         .insert("fraction".into(), json!({"value": share, "ci95": [center - half, center + half]}));
-    let rows: Vec<String> = (0..data.rows)
-        .filter(|&row| aside[row])
-        .take(12)
-        .map(|row| (row + 1).to_string())
-        .collect();
     let (before, after) = (rms(&with), rms(&without));
     let sentence = match count {
         1 => "One reading is no reading: it stands alone, far from the rest.".into(),
         _ => format!("{count} readings are no readings: they stand alone, far from the rest."),
-    };
-    let told = match &rows[..] {
-        [row] => format!("Row {row} was set aside."),
-        rows => format!("Rows {} were set aside.", rows.join(", ")),
     };
     Finding {
         cause: "outliers".into(),
@@ -244,7 +254,7 @@ pub(crate) fn outliers(data: &Data, after: &[f64], aside: &[bool]) -> Finding {
             reduction: 1.0 - after / before,
             ci95: [0.0, 1.0 - after / before],
         },
-        evidence: vec![sentence.clone(), told],
+        evidence: vec![sentence.clone(), format!("Set aside: {}.", rows_aside(aside))],
         sentence,
         together_with: Vec::new(),
         rivals: Vec::new(),

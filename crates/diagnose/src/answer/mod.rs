@@ -31,13 +31,14 @@ use crate::{
     judge::Judgement,
     kind::Kind,
     model::Model,
+    outliers::are_of_readings,
     parameters::step_s,
     repeats::{self, Repeats},
     search::{Found, Tried, extend::without},
     terms::Extended,
 };
 use errors::{about_zero, errors, largest, within_groups};
-use finding::{finding, merged, outliers};
+use finding::{at_changes, finding, merged, outliers};
 use hold_out::HoldOut;
 use power::Power;
 use report::{After, Before, Finding, LeftOut, Rejected, Report};
@@ -110,7 +111,11 @@ pub(crate) fn conclude(
     let holdout_compensated_um =
         if compensated == model { holdout_after_um } else { unseen.after_um(&compensated) };
 
-    let has_outliers = aside.contains(&true);
+    let has_outliers = are_of_readings(&data, &aside);
+    let mut notes = asked.notes;
+    if !has_outliers {
+        notes.extend(at_changes(&aside));
+    }
     let repeats = repeats::analyse(&data, &after, &aside);
     let left_um = rms(&after_rows);
     let power = Power::new(problem, &found, left_um, after_rows.len(), asked.matters_um);
@@ -169,7 +174,7 @@ pub(crate) fn conclude(
         },
         verdict,
         reasons: reasons.iter().map(ToString::to_string).collect(),
-        notes: asked.notes,
+        notes,
         holdout_used: !dropped.is_empty(),
         left_out: dropped
             .iter()

@@ -60,3 +60,44 @@ pub(super) fn lag(
     }
     if out.iter().any(|value| value.is_nan()) { filled(&out) } else { out }
 }
+
+/// `values` smoothed over `width_s` without being late: behind a lag of half of it in time, of that
+/// behind one against time.
+pub(super) fn smoothed(
+    values: &[f64],
+    time_s: &[f64],
+    restart: &[bool],
+    width_s: f64,
+) -> Vec<f64> {
+    let reversed = |list: &[f64]| list.iter().rev().copied().collect::<Vec<f64>>();
+    let against_s: Vec<f64> = time_s.iter().rev().map(|time_s| -time_s).collect();
+    // Against time a series begins where it ends.
+    let ends: Vec<bool> =
+        (0..values.len()).rev().map(|row| restart.get(row + 1).copied().unwrap_or(true)).collect();
+    let lags_s = [0.5 * width_s; 2];
+    let against = lag(&reversed(values), &against_s, &ends, lags_s);
+    lag(&reversed(&against), time_s, restart, lags_s)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn smoothing_takes_noise_away_and_is_not_late() {
+        let rows = 400;
+        let time_s: Vec<f64> = (0..rows).map(f64::from).collect();
+        let restart: Vec<bool> = (0..rows).map(|row| row % 200 == 0).collect();
+        // A slope with a reading up and one down, twice.
+        let noise = |row: i32| if row % 2 == 0 { 1.0 } else { -1.0 };
+        let slope = |row: i32| 0.1 * f64::from(row % 200);
+        let values: Vec<f64> = (0..rows).map(|row| slope(row) + noise(row)).collect();
+        let smooth = smoothed(&values, &time_s, &restart, 20.0);
+        let late = lag(&values, &time_s, &restart, [20.0; 2]);
+        for row in [100, 300] {
+            let [smooth, late] = [&smooth, &late].map(|list| list[row as usize] - slope(row));
+            assert!(smooth.abs() < 0.05, "{smooth}");
+            assert!((late + 2.0).abs() < 0.1, "{late}");
+        }
+    }
+}

@@ -8,7 +8,7 @@ use std::{
 use trueup_machine::{Machine, effect::Late, file::Quantity, model::part_temperature};
 
 use super::{
-    lag::{filled, lag},
+    lag::{filled, lag, smoothed},
     lag_series::LagSeries,
     row_blocks::RowBlocks,
     stated::Stated,
@@ -192,6 +192,15 @@ impl Data {
             (None, _) => vec![0.0; self.rows],
             (Some(values), None) => filled(values),
             (Some(values), Some(time_s)) => lag(values, time_s, &self.restart, [rise_s, fall_s]),
+        }
+    }
+
+    /// Smooths a temperature over `width_s`, without making it late.
+    pub(crate) fn smooth(&mut self, column: &str, width_s: f64) {
+        let Some(time_s) = self.time_s.as_deref() else { return };
+        let found = self.temperatures.iter_mut().find(|(there, _)| there == column);
+        if let Some((_, values)) = found {
+            *values = smoothed(values, time_s, &self.restart, width_s);
         }
     }
 

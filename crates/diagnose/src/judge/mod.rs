@@ -14,7 +14,7 @@
 //! it gains on left-out blocks, also without the one on which    else: seen once
 //! it gains most
 //! a drift or a jump foresees the end of the record              else: it does not go on
-//! a lag is still seen over means of three time constants        else: it smooths a thermometer
+//! a lag foresees better than smoothing that is not late         else: it smooths a thermometer
 //! it gains without each other term, and no other term takes     else: only certain together
 //! back what it does
 //! it is needed whichever rival of another term is right         else: it hangs on that question
@@ -192,7 +192,7 @@ fn doubts_of_values(
     if !goes_on(case, &part.kind, left_out_without) {
         doubts.push(Doubt::DoesNotGoOn);
     }
-    if only_smooths(case, part, left_out_without) {
+    if only_smooths(case, part, without) {
         doubts.push(Doubt::OnlySmooths);
     }
     doubts.extend(halves(case, part).map(Doubt::HalvesDiffer));

@@ -1,12 +1,11 @@
 //! What a term gains where it was left out of the fit, alone and beside another one.
 
 use trueup_machine::effect::Effect;
-use trueup_numerics::blocks::MOST as MOST_BLOCKS;
-
 use crate::{
-    fit::fit,
+    fit::{Fitted, Problem, fit},
     judge::case::Case,
     kind::{Kind, Part},
+    laws::Laws,
     search::extend::{centred_effect, take_back, without},
 };
 
@@ -27,42 +26,16 @@ pub(crate) fn goes_on(case: &Case<'_>, cause: &Kind, left_out_without: &[f64]) -
             .is_none_or(|gain| gain > 0.0)
 }
 
-/// Rows over which a lag is looked at, in time constants: over three of them all of it has come.
-const TIME_CONSTANTS: f64 = 3.0;
-
-/// Whether a lag of the machine's own law only smooths the noise of its thermometer: over means of so many
-/// rows that noise averages out and a lag does not, it then foresees no better than none.
-pub(crate) fn only_smooths(case: &Case<'_>, part: &Part, left_out_without: &[f64]) -> bool {
+/// Whether a lag of the machine's own law only smooths the noise of its thermometer: the model without it
+/// foresees as well over that thermometer smoothed as much, and not late.
+pub(crate) fn only_smooths(case: &Case<'_>, part: &Part, without: &Fitted) -> bool {
     if !part.kind.has_time_constant() || part.kind.amplitudes() > 0 {
         return false;
     }
     let problem = case.problem;
-    let step_s = problem.bounds.step_s * problem.groups.size as f64;
-    let count = (TIME_CONSTANTS * part.values[0] / step_s).ceil().max(1.0) as usize;
-    // Where the means are fewer than blocks, the record shows the lag itself.
-    if count * MOST_BLOCKS > problem.groups.len() {
-        return false;
-    }
-    let [before, after] = [left_out_without, &case.left_out].map(|list| means(case, list, count));
-    !case.folds().paired(&before, &after).is_better()
-}
-
-/// `values` of the groups, each that of the mean of `count` neighbours.
-fn means(case: &Case<'_>, values: &[f64], count: usize) -> Vec<f64> {
-    let problem = case.problem;
-    let series = |group: usize| problem.data.series[problem.groups.first_row[group]];
-    let mut means = Vec::with_capacity(values.len());
-    let mut start = 0;
-    while start < values.len() {
-        let end = (start..(start + count).min(values.len()))
-            .take_while(|&group| series(group) == series(start))
-            .last()
-            .map_or(start + 1, |last| last + 1);
-        let mean = values[start..end].iter().sum::<f64>() / (end - start) as f64;
-        means.resize(end, mean);
-        start = end;
-    }
-    means
+    let smooth = Laws::smoothed(&problem.data, part.values[0]);
+    let smooth = Problem::new(smooth, problem.groups.clone());
+    !case.paired(&case.folds().left_out(&smooth, &without.model)).is_better()
 }
 
 /// A term with what the answer leaves without it where that was left out.

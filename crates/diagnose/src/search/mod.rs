@@ -16,6 +16,7 @@
 //! | `state` | the model in work, its terms, what was rejected and why |
 //! | `choose` | which extension is taken |
 //! | `table` | a table that was measured several times, judged by its repeats |
+//! | `float` | several terms at once, what one alone cannot show |
 //! | `revise` | what is looked at again once other terms are there |
 //! | `simplify` | what is made simpler at the end |
 //!
@@ -25,6 +26,7 @@
 mod choose;
 pub(crate) mod criterion;
 pub(crate) mod extend;
+mod float;
 pub(crate) mod lack_of_fit;
 mod revise;
 pub(crate) mod scan;
@@ -59,7 +61,7 @@ const MOST_ROUNDS: usize = MOST_TERMS + 7;
 const MOST_RETURNS: usize = 3;
 /// Candidates that are fitted with everything else, of those that a scan puts first.
 const MOST_FITTED: usize = 10;
-/// Groups times fitted values up to which two terms ahead are looked at: it is many fits.
+/// Groups times fitted values up to which several terms ahead are looked at: it is many fits.
 const MOST_WORK_AHEAD: usize = 40_000;
 
 /// The outcome.
@@ -210,8 +212,8 @@ impl Search<'_> {
         let work = self.problem.groups.len() * degrees(&self.fitted.model);
         if !self.has_looked_ahead && !is_empty && work < MOST_WORK_AHEAD {
             self.has_looked_ahead = true;
-            progress("looking two terms ahead", f64::NAN);
-            if self.look_two_ahead() {
+            progress("looking several terms ahead", f64::NAN);
+            if self.float() {
                 self.revise();
                 return Round::Widened;
             }

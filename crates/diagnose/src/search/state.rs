@@ -33,7 +33,7 @@ pub(crate) struct Search<'p> {
     pub given_up: Vec<Kind>,
     /// Terms that only the statistic of squares called for.
     pub by_squares: Vec<Kind>,
-    /// Whether two terms ahead have been looked at.
+    /// Whether several terms ahead have been looked at.
     pub has_looked_ahead: bool,
     /// Whether a table was judged by its repeats.
     pub has_judged_repeats: bool,

@@ -62,7 +62,10 @@ impl Key {
             findings.map(|finding| finding.cause.clone()).collect::<Vec<String>>()
         };
         let is_true = |finding: &Finding| self.allowed.iter().any(|it| it.is(finding));
-        let (claimed, open) = (names(&|it| it.claimed), names(&|it| !it.claimed));
+        let (claimed, mut open) = (names(&|it| it.claimed), names(&|it| !it.claimed));
+        // Two that are only certain together are one finding, and both are named.
+        let partners = report.findings.iter().flat_map(|finding| &finding.together_with);
+        open.extend(partners.map(|partner| partner.cause.clone()));
         let is_in = |list: &[&str], names: &[String]| names.iter().any(|it| list.contains(&&**it));
         let needed: Vec<(bool, bool)> = self
             .needed

@@ -1,0 +1,111 @@
+//! Several terms at once: what one term alone cannot show.
+//!
+//! A search term by term stops where no single term is worth it, and keeps a rich term that took the
+//! part of several plain ones. This one floats on from the model in work (sequential floating forward
+//! selection: Pudil, Novovičová, Kittler, 1994): it adds the best term whether it is worth it or not,
+//! takes away every term that is not needed beside it, and so on; the best model on the way is the
+//! answer, if it is clearly better and foresees better. As each term is the best of many that were tried,
+//! it pays for that: models are compared by
+//!
+//! ```text
+//! EBIC = BIC + 2·terms·ln(causes that may be tried)          (Chen and Chen, 2008, with γ = 1)
+//! ```
+
+use trueup_numerics::parallel::on_all_cores;
+
+use crate::{
+    candidates::possible,
+    fit::{Fitted, fit},
+    gain::Gain,
+    kind::Kind,
+    search::{
+        MOST_TERMS,
+        criterion::{STRONG_EVIDENCE, bic},
+        extend::{Extension, with_each_cause, without},
+        state::{Added, Search},
+    },
+};
+
+/// Terms that are added without being worth it, before the search turns back: two may hide each other,
+/// and a third one both.
+const MOST_AHEAD: usize = 3;
+/// Candidates that are fitted for each term.
+const MOST_FITTED: usize = 8;
+
+impl Search<'_> {
+    /// Floats on from the model in work; whether that has changed it.
+    pub(crate) fn float(&mut self) -> bool {
+        let price = self.price();
+        let score = |fitted: &Fitted| bic(self.problem, fitted) + price * fitted.model.parts.len() as f64;
+        let own = score(&self.fitted);
+        let mut here = self.fitted.clone();
+        let mut best: Option<(f64, Fitted)> = None;
+        let mut ahead = 0;
+        while ahead < MOST_AHEAD && here.model.parts.len() < MOST_TERMS {
+            let Some(there) = self.with_one_more(&here) else { break };
+            here = self.without_what_is_not_needed(there, price);
+            let score = score(&here);
+            if score < best.as_ref().map_or(own, |(best, _)| *best) - STRONG_EVIDENCE {
+                best = Some((score, here.clone()));
+                ahead = 0;
+            } else {
+                ahead += 1;
+            }
+        }
+        let Some((_, fitted)) = best else { return false };
+        let [before, after] = [&self.fitted, &fitted].map(|it| self.foresight(it));
+        if !self.folds.paired(&before, &after).is_better() {
+            return false;
+        }
+        self.adopt(fitted, &before, &after);
+        true
+    }
+
+    /// What each term pays for the choice among all causes.
+    fn price(&self) -> f64 {
+        let fitted = &self.fitted;
+        let causes = possible(self.problem, &fitted.model, &fitted.residual);
+        2.0 * (causes.len().max(1) as f64).ln()
+    }
+
+    /// `base` with the cause of the best BIC, whatever it is. What is looked for at many periods or instants
+    /// answers for that where it is alone.
+    fn with_one_more(&self, base: &Fitted) -> Option<Extension> {
+        let is_open = |cause: &Kind| {
+            let is_searched = cause.is_wave() || cause.is_of_instrument() || cause.has_instant();
+            cause.tier() < 3 && !is_searched && !self.given_up.contains(cause)
+        };
+        Extension::best(with_each_cause(self.problem, base, MOST_FITTED, is_open))
+    }
+
+    /// A model without the terms that cost more than they explain; the one that has just come stays.
+    fn without_what_is_not_needed(&self, new: Extension, price: f64) -> Fitted {
+        let Extension { cause, mut fitted, mut bic } = new;
+        loop {
+            let others: Vec<Kind> = fitted.model.parts.iter().map(|part| part.kind.clone()).collect();
+            let others: Vec<Kind> = others.into_iter().filter(|kind| *kind != cause).collect();
+            let less = on_all_cores(&others, self.problem.is_large(), |kind| {
+                let model = without(self.problem, &fitted.model, kind);
+                Extension::new(self.problem, kind.clone(), fit(self.problem, &model, None))
+            });
+            match Extension::best(less) {
+                Some(less) if less.bic < bic + price => (fitted, bic) = (less.fitted, less.bic),
+                _ => return fitted,
+            }
+        }
+    }
+
+    /// Takes `fitted` for the model in work; `before` and `after`: what the two leave on left-out blocks.
+    fn adopt(&mut self, fitted: Fitted, before: &[f64], after: &[f64]) {
+        let reduction = self.folds.reduction(before, after);
+        let gain = Gain::new([self.fitted.rms(), fitted.rms()], [before, after], &reduction);
+        self.fitted = fitted;
+        self.added.retain(|there| self.fitted.model.has(&there.cause));
+        self.by_squares.retain(|cause| self.fitted.model.has(cause));
+        for part in &self.fitted.model.parts {
+            if !self.added.iter().any(|there| there.cause == part.kind) {
+                self.added.push(Added { cause: part.kind.clone(), gain, tried: Vec::new() });
+            }
+        }
+    }
+}
