@@ -82,6 +82,15 @@ impl Kind {
         self.cause().is_some_and(Effect::has_time_constant)
     }
 
+    /// Whether it goes with something that was measured or commanded beside the quantity: not with time
+    /// alone, nor bent with the prediction, nor a constant.
+    pub(crate) fn has_own_input(&self) -> bool {
+        self.cause().is_none_or(|effect| {
+            let is_of_clock = effect.is_in_time() && !effect.has_time_constant();
+            !is_of_clock && !effect.is_constant() && effect.stage() != Stage::Bend
+        })
+    }
+
     /// Whether its first value is a time that is searched, not fitted.
     pub(crate) fn has_instant(&self) -> bool {
         self.cause().is_some_and(Effect::has_instant)

@@ -4,7 +4,7 @@
 
 use std::collections::HashMap;
 
-use trueup_numerics::robust::in_residual;
+use trueup_numerics::robust::{in_residual, median};
 
 use crate::{data::Data, repeats::Targets};
 
@@ -31,23 +31,30 @@ pub(crate) fn gross(data: &Data, predicted: &[f64]) -> Vec<bool> {
     strays(data, predicted, &found)
 }
 
-/// Whether one of the rows `aside` is surely an error of the reading: of a record in time, one that has rows
-/// on both sides at the same speed and load. At a start or a change it may be that the reading was taken
-/// a moment before it.
+/// Neighbours farther away in time than so many times the median say nothing of a reading.
+const NEAR: f64 = 2.0;
+
+/// Whether one of the rows `aside` is surely an error of the reading: of a record in time, one that has near
+/// rows on both sides at the same speed and load. At a start, a pause or a change the reading may be right,
+/// and what happened there is not known.
 pub(crate) fn are_of_readings(data: &Data, aside: &[bool]) -> bool {
-    let is_record = data.time_s.is_some() && data.own_position().is_none();
+    let Some(time_s) = data.time_s.as_deref() else { return aside.contains(&true) };
     let inputs = [&data.spindle_rpm, &data.load_n];
-    let goes_on = |input: &[f64], row: usize| input[row] == input[row - 1] || input[row].is_nan();
+    let is_same = |input: &[f64], row: usize| input[row] == input[row - 1] || input[row].is_nan();
     // What is another value in most rows is measured and not commanded: no row is at a change of it.
     let is_held = |input: &&Vec<f64>| {
-        2 * (1..data.rows).filter(|&row| goes_on(input, row)).count() > data.rows
+        2 * (1..data.rows).filter(|&row| is_same(input, row)).count() > data.rows
     };
     let held: Vec<&Vec<f64>> = inputs.into_iter().flatten().filter(is_held).collect();
+    let inside: Vec<usize> = (1..data.rows).filter(|&row| !data.restart[row]).collect();
+    let elapsed_s = |row: usize| time_s[row] - time_s[row - 1];
+    let typical_s = median(&mut inside.iter().map(|&row| elapsed_s(row)).collect::<Vec<f64>>());
     let follows = |row: usize| {
-        row < data.rows && !data.restart[row] && held.iter().all(|input| goes_on(input, row))
+        inside.binary_search(&row).is_ok()
+            && elapsed_s(row) <= NEAR * typical_s
+            && held.iter().all(|input| is_same(input, row))
     };
-    let is_sure = |row: usize| !is_record || follows(row) && follows(row + 1);
-    (0..data.rows).any(|row| aside[row] && is_sure(row))
+    (0..data.rows).any(|row| aside[row] && follows(row) && follows(row + 1))
 }
 
 /// Those of the rows `found` that are gross errors: they come one by one, and do not come back.

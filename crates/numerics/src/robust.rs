@@ -44,4 +44,5 @@ mod tests;
 pub use relation::{ROWS_A_COLUMN, in_relation};
 pub use residual::in_residual;
 pub use series::{FEWEST_IN_SERIES, in_series};
+pub use statistics::median;
 pub use statistics::{GROSS, Outlier, cutoff};

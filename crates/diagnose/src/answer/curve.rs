@@ -6,6 +6,7 @@ use trueup_machine::{
     file::LinearAxis,
     model::{ReferenceModel, Situation},
 };
+use trueup_numerics::robust::median;
 
 use crate::{
     answer::{Diagnosis, range::extent},
@@ -59,8 +60,8 @@ fn of_machine(data: &Data, machine: &Machine, axis: LinearAxis) -> Vec<Curve> {
         sides.push(1.0);
     }
     let temperatures: Vec<(&str, f64)> =
-        data.temperatures.iter().map(|(name, of)| (name.as_str(), median(of))).collect();
-    let at = |column: &Option<Vec<f64>>| column.as_deref().map(median);
+        data.temperatures.iter().map(|(name, of)| (name.as_str(), middle(of))).collect();
+    let at = |column: &Option<Vec<f64>>| column.as_deref().map(middle);
     let mut model = ReferenceModel::new(machine);
     let mut all = Vec::new();
     for side in sides {
@@ -113,10 +114,9 @@ fn places(position_mm: &[f64]) -> Vec<f64> {
     all
 }
 
-fn median(values: &[f64]) -> f64 {
-    let mut known: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
-    known.sort_by(f64::total_cmp);
-    known.get(known.len() / 2).copied().unwrap_or(f64::NAN)
+/// The median of what is there.
+fn middle(values: &[f64]) -> f64 {
+    median(&mut values.iter().copied().filter(|value| value.is_finite()).collect::<Vec<f64>>())
 }
 
 #[cfg(test)]

@@ -63,12 +63,7 @@ pub(super) fn lag(
 
 /// `values` smoothed over `width_s` without being late: behind a lag of half of it in time, of that
 /// behind one against time.
-pub(super) fn smoothed(
-    values: &[f64],
-    time_s: &[f64],
-    restart: &[bool],
-    width_s: f64,
-) -> Vec<f64> {
+pub(super) fn smoothed(values: &[f64], time_s: &[f64], restart: &[bool], width_s: f64) -> Vec<f64> {
     let reversed = |list: &[f64]| list.iter().rev().copied().collect::<Vec<f64>>();
     let against_s: Vec<f64> = time_s.iter().rev().map(|time_s| -time_s).collect();
     // Against time a series begins where it ends.

@@ -22,7 +22,7 @@ pub(crate) enum Doubt {
     /// It gains on left-out blocks only together with this one, or the two take each other's part back.
     OnlyTogether(Kind),
     /// With one of the rivals of this term in that one's place it is not needed; or the search for this term
-    /// ended before its best.
+    /// ended before its best; or this one is open, and what it lacks may be that.
     HangsOn(Kind),
     /// This value differs between the halves of the record by more than its intervals: in each.
     HalvesDiffer([f64; 2]),

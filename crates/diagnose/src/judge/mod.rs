@@ -18,6 +18,8 @@
 //! it gains without each other term, and no other term takes     else: only certain together
 //! back what it does
 //! it is needed whichever rival of another term is right         else: it hangs on that question
+//! it has an input of its own (a jump, a drift, an offset and a     else: it may be what an open term lacks
+//! curvature have none), or no other term is open
 //! its values are the same in both halves of the record          else: both are told
 //! no other period or time constant of its own does as well      else: aliases
 //! no curve in its place explains clearly more                   else: something goes with its inputs,
@@ -123,6 +125,7 @@ pub(crate) fn judge(problem: &Problem, found: &Found) -> Vec<Judgement> {
     doubt_what_hangs_on_an_open_question(&case, &mut judged);
     doubt_what_stands_beside_an_open_end(&mut judged);
     doubt_what_stands_beside_another_law(&case, &mut judged);
+    doubt_what_may_be_the_rest_of_an_open_term(&mut judged);
     judged
 }
 
@@ -259,6 +262,17 @@ fn doubt_what_stands_beside_an_open_end(judged: &mut [Judgement]) {
     let open = judged.iter().find(|it| is_own(it) && it.doubts.contains(&Doubt::AtTheEnd));
     let Some(open) = open.map(|it| it.cause().clone()) else { return };
     let claimed = |it: &&mut Judgement| is_own(it) && it.doubts.is_empty();
+    for it in judged.iter_mut().filter(claimed) {
+        it.doubts.push(Doubt::HangsOn(open.clone()));
+    }
+}
+
+/// Takes back the claims of what has no input of its own where another term is open: whatever that one lacks
+/// goes with time and with the prediction as well.
+fn doubt_what_may_be_the_rest_of_an_open_term(judged: &mut [Judgement]) {
+    let open = judged.iter().find(|it| !it.doubts.is_empty() && !it.cause().is_of_instrument());
+    let Some(open) = open.map(|it| it.cause().clone()) else { return };
+    let claimed = |it: &&mut Judgement| it.doubts.is_empty() && !it.cause().has_own_input();
     for it in judged.iter_mut().filter(claimed) {
         it.doubts.push(Doubt::HangsOn(open.clone()));
     }

@@ -1,6 +1,5 @@
 //! What a term gains where it was left out of the fit, alone and beside another one.
 
-use trueup_machine::effect::Effect;
 use crate::{
     fit::{Fitted, Problem, fit},
     judge::case::Case,
@@ -8,6 +7,7 @@ use crate::{
     laws::Laws,
     search::extend::{centred_effect, take_back, without},
 };
+use trueup_machine::effect::Effect;
 
 /// Whether a term still gains without the block on which it gains most. Tables and curves answer for
 /// themselves, cycle by cycle.

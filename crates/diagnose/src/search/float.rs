@@ -36,13 +36,15 @@ impl Search<'_> {
     /// Floats on from the model in work; whether that has changed it.
     pub(crate) fn float(&mut self) -> bool {
         let price = self.price();
-        let score = |fitted: &Fitted| bic(self.problem, fitted) + price * fitted.model.parts.len() as f64;
+        let score =
+            |fitted: &Fitted| bic(self.problem, fitted) + price * fitted.model.parts.len() as f64;
         let own = score(&self.fitted);
         let mut here = self.fitted.clone();
         let mut best: Option<(f64, Fitted)> = None;
         let mut ahead = 0;
         while ahead < MOST_AHEAD && here.model.parts.len() < MOST_TERMS {
             let Some(there) = self.with_one_more(&here) else { break };
+            let there = self.begun_anew(there);
             here = self.without_what_is_not_needed(there, price);
             let score = score(&here);
             if score < best.as_ref().map_or(own, |(best, _)| *best) - STRONG_EVIDENCE {
@@ -78,11 +80,27 @@ impl Search<'_> {
         Extension::best(with_each_cause(self.problem, base, MOST_FITTED, is_open))
     }
 
+    /// The same terms, each time constant looked for again beside the others: a fit stays where it began.
+    fn begun_anew(&self, new: Extension) -> Extension {
+        let Extension { cause, mut fitted, .. } = new;
+        let parts: Vec<Kind> = fitted.model.parts.iter().map(|part| part.kind.clone()).collect();
+        for kind in parts.iter().filter(|kind| kind.has_time_constant() && **kind != cause) {
+            let less = fit(self.problem, &without(self.problem, &fitted.model, kind), None);
+            let again = with_each_cause(self.problem, &less, MOST_FITTED, |there| there == kind);
+            match Extension::best(again) {
+                Some(again) if again.fitted.sum < fitted.sum => fitted = again.fitted,
+                _ => {}
+            }
+        }
+        Extension::new(self.problem, cause, fitted)
+    }
+
     /// A model without the terms that cost more than they explain; the one that has just come stays.
     fn without_what_is_not_needed(&self, new: Extension, price: f64) -> Fitted {
         let Extension { cause, mut fitted, mut bic } = new;
         loop {
-            let others: Vec<Kind> = fitted.model.parts.iter().map(|part| part.kind.clone()).collect();
+            let others: Vec<Kind> =
+                fitted.model.parts.iter().map(|part| part.kind.clone()).collect();
             let others: Vec<Kind> = others.into_iter().filter(|kind| *kind != cause).collect();
             let less = on_all_cores(&others, self.problem.is_large(), |kind| {
                 let model = without(self.problem, &fitted.model, kind);

@@ -15,7 +15,7 @@
 //! theirs: a cycle, or a part of one, that was warmer than the others is no row of gross errors.
 
 use super::reading::Reading;
-use crate::robust::{GROSS, cutoff};
+use crate::robust::{GROSS, cutoff, median};
 
 /// Two repeats do not say which of them is wrong.
 const FEWEST_REPEATS: usize = 3;
@@ -38,7 +38,8 @@ pub fn gross(readings: &[Reading]) -> Vec<bool> {
     let Some(scale) = scale(readings, &groups) else { return none };
     let mut deviation = vec![f64::NAN; readings.len()];
     for group in groups.iter().filter(|group| group.len() >= FEWEST_REPEATS) {
-        let middle = median(group.iter().map(|&row| readings[row].value));
+        let mut values: Vec<f64> = group.iter().map(|&row| readings[row].value).collect();
+        let middle = median(&mut values);
         group.iter().for_each(|&row| deviation[row] = readings[row].value - middle);
     }
     let limit = cutoff(readings.len(), groups.len()).max(GROSS) * scale;
@@ -77,7 +78,7 @@ fn scale(readings: &[Reading], groups: &[Vec<usize>]) -> Option<f64> {
         }
     }
     let step = pairs.iter().copied().filter(|pair| *pair > 1e-9).fold(f64::INFINITY, f64::min);
-    let scale = (median(pairs.into_iter()) / PAIR).max(OF_STEP * step);
+    let scale = (median(&mut pairs) / PAIR).max(OF_STEP * step);
     (scale.is_finite() && scale > 0.0).then_some(scale)
 }
 
@@ -98,15 +99,4 @@ fn around(readings: &[Reading], deviation: &[f64], row: usize) -> [f64; 2] {
             .min_by(|a, b| a.abs().total_cmp(&b.abs()))
             .unwrap_or(f64::NAN),
     })
-}
-
-/// The median; NaN of nothing.
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut sorted: Vec<f64> = values.collect();
-    sorted.sort_unstable_by(f64::total_cmp);
-    match sorted.len() {
-        0 => f64::NAN,
-        n if n % 2 == 1 => sorted[n / 2],
-        n => f64::midpoint(sorted[n / 2 - 1], sorted[n / 2]),
-    }
 }

@@ -61,7 +61,7 @@ pub(super) fn resolution(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// The median; NaN of nothing. Reorders `values`.
-pub(super) fn median(values: &mut [f64]) -> f64 {
+pub fn median(values: &mut [f64]) -> f64 {
     let middle = values.len() / 2;
     if values.is_empty() {
         return f64::NAN;
