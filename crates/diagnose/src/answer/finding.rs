@@ -162,8 +162,8 @@ fn doubted(doubt: &Doubt, gain: &Gain, left_out: Unit) -> String {
                 .into()
         }
         Doubt::OnlySmooths => {
-            "Over means of three time constants it explains nothing: it may only smooth the noise of \
-             the thermometer."
+            "Its thermometer smoothed as much, and not late, foresees as well: it may only smooth the \
+             noise of the thermometer."
                 .into()
         }
         Doubt::OnlyTogether(other) => format!(

@@ -213,7 +213,7 @@ impl Search<'_> {
         if !self.has_looked_ahead && !is_empty && work < MOST_WORK_AHEAD {
             self.has_looked_ahead = true;
             progress("looking several terms ahead", f64::NAN);
-            if self.float() {
+            if self.float() || self.look_two_ahead() {
                 self.revise();
                 return Round::Widened;
             }

@@ -1,13 +1,17 @@
 //! What is looked at again once other terms are there: whether a term is still needed, and whether
-//! another cause does better in its place.
+//! another cause, or two of them, do better in its place.
+
+use trueup_numerics::parallel::on_all_cores;
 
 use crate::{
     candidates::columns_in_use,
+    fit::Fitted,
+    gain::Gain,
     kind::Kind,
     search::{
         criterion::{STRONG_EVIDENCE, bic, degrees},
-        extend::Extension,
-        state::Search,
+        extend::{Extension, with_each_cause},
+        state::{Added, Search},
     },
 };
 
@@ -91,6 +95,49 @@ impl Search<'_> {
         self.left_out_um(&other.fitted) < most * self.left_out_um(&self.fitted)
     }
 
+    /// Two terms may do together what the one that is there does nearly as well alone. Tries, in the
+    /// place of each term, each good rival together with the best that can then be added; whether it
+    /// has changed the model.
+    pub(crate) fn look_two_ahead(&mut self) -> bool {
+        let own = self.bic();
+        let terms: Vec<usize> = (0..self.added.len()).collect();
+        let pairs = on_all_cores(&terms, self.problem.is_large(), |&index| {
+            self.pair_in_place(index, own - STRONG_EVIDENCE)
+        });
+        let best = pairs.into_iter().flatten().min_by(|a, b| a.bic.total_cmp(&b.bic));
+        let Some(pair) = best else { return false };
+        let [before, after] = [&self.fitted, &pair.fitted].map(|it| self.left_out_um(it));
+        if after >= before {
+            return false;
+        }
+        let gain = self.added[pair.index].gain;
+        let gain = Gain { left_out_before_um: before, left_out_after_um: after, ..gain };
+        self.fitted = pair.fitted;
+        let [first, second] = pair.causes;
+        self.added[pair.index].cause = first;
+        self.added.push(Added { cause: second, gain, tried: Vec::new() });
+        true
+    }
+
+    /// The best pair in the place of a term with a BIC below `most`.
+    fn pair_in_place(&self, index: usize, most: f64) -> Option<Pair> {
+        // Two of what is farther away are no better than one of what is near.
+        let tier = self.added[index].cause.tier();
+        let is_near = |it: &Extension| it.cause.tier() <= tier;
+        let mut best: Option<Pair> = None;
+        let places = self.replacements(&self.added[index].cause, 4);
+        for first in places.instead.into_iter().filter(is_near) {
+            let pairs = with_each_cause(self.problem, &first.fitted, 3, |_| true);
+            for second in pairs.into_iter().filter(is_near) {
+                let Extension { cause, fitted, bic } = second;
+                if bic < best.as_ref().map_or(most, |best| best.bic) {
+                    best = Some(Pair { bic, index, causes: [first.cause.clone(), cause], fitted });
+                }
+            }
+        }
+        best
+    }
+
     /// A slow path of a column that the model does not go by otherwise is a path, not a second one.
     pub(crate) fn name_paths(&mut self) {
         let used = columns_in_use(&self.problem.data, &self.fitted.model);
@@ -107,4 +154,13 @@ impl Search<'_> {
             }
         }
     }
+}
+
+/// Two causes in the place of one term.
+struct Pair {
+    bic: f64,
+    /// The term's number.
+    index: usize,
+    causes: [Kind; 2],
+    fitted: Fitted,
 }
