@@ -172,5 +172,5 @@ fn one_gross_reading_is_told_of_as_one() {
         "{}",
         gross.sentence
     );
-    assert_eq!(gross.evidence[1], "Row 121 was set aside.");
+    assert_eq!(gross.evidence[1], "Set aside: row 121.");
 }
