@@ -68,10 +68,14 @@ pub(crate) fn estimates(
             }
             Parameter::Fixed(name, value) => put(&mut map, name, *value, [*value; 2]),
             Parameter::Instant(name, number) => {
-                // A jump is as sharp as its neighbours in time.
+                // A jump is as sharp as its neighbours in time, of which the one before may be long ago.
                 let at_s = part.values[*number];
                 let step_s = step_s(problem) * problem.groups.size as f64;
-                put(&mut map, name, at_s, [at_s - 2.0 * step_s, at_s + step_s]);
+                let rows = (0..data.rows).filter(|&row| data.used[row]);
+                let times = rows.filter_map(|row| data.time_s.as_ref().map(|times| times[row]));
+                let before_s = times.filter(|time_s| *time_s < at_s).fold(f64::NAN, f64::max);
+                let first_s = (at_s - 2.0 * step_s).min(before_s);
+                put(&mut map, name, at_s, [first_s, at_s + step_s]);
             }
             Parameter::Waves(harmonics) => {
                 // Of several waves the largest is the one that is named.

@@ -63,6 +63,7 @@ fn a_wave_on_a_grid_is_one_of_many_and_one_on_uneven_places_is_claimed() {
     assert!(!claimed(&diagnosis).contains(&"pitch-periodic"));
     if let Some(wave) = finding(&diagnosis, "pitch-periodic") {
         assert!(!wave.compensated && wave.evidence.iter().any(|it| it.contains("does as well at")));
+        assert!(wave.next_test.starts_with("Measure at "), "{}", wave.next_test);
     }
     let mut noise = Noise(3);
     let uneven: Vec<f64> = (0..60).map(|n| 3.7 * f64::from(n) + 0.9 * noise.next()).collect();
@@ -173,4 +174,28 @@ fn one_gross_reading_is_told_of_as_one() {
         gross.sentence
     );
     assert_eq!(gross.evidence[1], "Set aside: row 121.");
+}
+
+/// An hour in which the tool moves by 2 µm at 2010 s, and nobody reads it for `pause_s` before.
+fn jump(pause_s: i32) -> String {
+    let mut noise = Noise(9);
+    let mut run = String::from("time_s,temp_a_c,measured_elongation_um\n");
+    for time_s in (0..360).map(|row| 10 * row).filter(|it| !(2010 - pause_s..2010).contains(it)) {
+        let um = if time_s >= 2010 { 2.0 } else { 0.0 } + 0.3 * noise.next();
+        run += &format!("{time_s},{:.2},{um:.3}\n", 20.0 + 0.05 * noise.next());
+    }
+    run
+}
+
+#[test]
+fn a_jump_in_a_pause_may_have_come_at_any_time_of_it() {
+    for pause_s in [0, 300] {
+        let diagnosis = diagnosed(HEAD, &jump(pause_s));
+        let step = finding(&diagnosis, "step").expect("there is one");
+        let end = |index: usize| step.parameters["at_s"]["ci95"][index].as_f64().expect("a number");
+        println!("{} {}", end(0), end(1));
+        let before_s = f64::from(2000 - pause_s);
+        assert!(step.claimed && end(0) <= before_s && end(0) > before_s - 30.0);
+        assert!((2010.0..2040.0).contains(&end(1)));
+    }
 }

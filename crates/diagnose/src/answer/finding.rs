@@ -7,6 +7,7 @@ use trueup_numerics::blocks::rms;
 
 use crate::{
     answer::{
+        aliases::aliases_decided,
         errors::errors,
         next::next,
         report::{Finding, Partner, Rival},
@@ -43,7 +44,12 @@ pub(crate) fn finding(problem: &Problem, it: &Judgement, left_out: Unit) -> Find
             "Measure again with nothing varied but what goes with {inputs}, in many small steps, up \
              and down."
         ),
-        None => next(problem, &it.part, cause.next_test(rival_in_doubt(it)).to_string()),
+        None => {
+            match it.doubts.iter().find_map(|doubt| aliases_decided(problem, &it.part, doubt)) {
+                Some(asked) => asked,
+                None => next(problem, &it.part, cause.next_test(rival_in_doubt(it)).to_string()),
+            }
+        }
     };
     let rivals = it.rivals.iter().map(|rival| Rival {
         cause: rival.cause.name().into(),

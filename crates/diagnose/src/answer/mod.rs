@@ -1,6 +1,7 @@
 //! The answer: the model as it is handed out, what it brings on data that nothing was fitted to, and
 //! the verdict.
 
+mod aliases;
 mod curve;
 mod errors;
 pub(crate) mod extended;

@@ -1,9 +1,8 @@
 //! Other values of the same cause that the data cannot tell from its own.
 //!
 //! A wave that is looked at on a grid has the same values there as waves of other periods, one as good
-//! as the other; a lag that a record does not show out may be short or long; a jump may have come at
-//! another time. Other values are tried over all that the data could show, with everything else of
-//! the model fitted beside them.
+//! as the other; a lag that a record does not show out may be short or long. Other values are tried over
+//! all that the data could show, with everything else of the model fitted beside them.
 
 use trueup_numerics::least_squares::normal::{dot, solve};
 

@@ -26,7 +26,7 @@ pub(crate) enum Doubt {
     HangsOn(Kind),
     /// This value differs between the halves of the record by more than its intervals: in each.
     HalvesDiffer([f64; 2]),
-    /// The same cause with these first values (a period in mm, a time constant or an instant in s) does
+    /// The same cause with these first values (a period in mm, a time constant in s) does
     /// as well.
     Alias(Vec<f64>),
     /// A curve over these explains clearly more in its place.
