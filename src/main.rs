@@ -59,8 +59,6 @@ mod app {
     const SERVICE: Interrupt = Interrupt::EXTI3;
     /// Bytes between the interrupt that takes them and the task that reads them.
     const QUEUE: usize = 256;
-    /// What `N` answers on the serial line.
-    const SERIAL_NUMBER: u16 = 1;
 
     #[shared]
     struct Shared {
@@ -110,7 +108,7 @@ mod app {
         defmt::info!("trueup bridge {} is up", env!("CARGO_PKG_VERSION"));
         let shared = Shared {
             node,
-            port: Port::new(SERIAL_NUMBER),
+            port: Port::new(parts.number),
             can_out: parts.can_out,
             samples: parts.samples,
             temperatures: None,

@@ -21,7 +21,8 @@ use trueup_emulator::{front_end::FrontEnd, replay};
 use trueup_fit::{elongation, thermal};
 use trueup_link::{frames, receiver::OffsetReceiver};
 use trueup_machine::{
-    Machine, MachineFile, RunFile, applied::Unaided, compile, file::Quantity, inputs::TemperatureKind,
+    Machine, MachineFile, RunFile, applied::Unaided, compile, file::Quantity,
+    inputs::TemperatureKind,
 };
 use trueup_node::node::Node;
 use trueup_twin::{
@@ -239,11 +240,10 @@ fn a_spindles_gain_is_the_same_with_the_bridge_off_on_and_switched() {
     agree("gain", 1.25, &gains);
     let fitted = records.each_ref().map(|(engaged, run)| {
         let machine = machine(SPINDLE_BELIEVED);
-        let (run, _) =
-            Unaided::of(Cow::Borrowed(run), Some(&machine), Some(Quantity::Elongation)).expect("a record");
-        let report =
-            elongation::fit(&[run], Some(&machine), &elongation::Options::default())
-                .expect("it can be fitted");
+        let (run, _) = Unaided::of(Cow::Borrowed(run), Some(&machine), Some(Quantity::Elongation))
+            .expect("a record");
+        let report = elongation::fit(&[run], Some(&machine), &elongation::Options::default())
+            .expect("it can be fitted");
         let it = report.parameter("um_per_count").expect("fitted");
         (*engaged, (it.value, it.ci95.expect("fitted")))
     });
@@ -267,9 +267,8 @@ fn an_axiss_expansion_is_the_same_with_the_bridge_off_on_and_switched() {
         let (run, _) =
             Unaided::of(Cow::Borrowed(run), Some(&machine), Some(Quantity::Dx)).expect("a record");
         let axis = trueup_machine::file::LinearAxis::X;
-        let report =
-            thermal::fit(&[run], axis, Some(&machine), &thermal::Options::default())
-                .expect("it can be fitted");
+        let report = thermal::fit(&[run], axis, Some(&machine), &thermal::Options::default())
+            .expect("it can be fitted");
         let it = report.parameter("slope_um_per_m_per_c").expect("fitted");
         (*engaged, (it.value, it.ci95.expect("fitted")))
     });

@@ -129,6 +129,12 @@ fn the_serial_line_answers_as_slcan_does() {
     is_clean(&report);
     says(&report, &["serial: \"V1013"]);
     says(&report, &["serial: \"t2818"]);
+    // The number of the model's chip, hashed as FNV-1a is described; not that of every other board.
+    let number = [0x31, 0, 0x2a, 0, 0x0b, 0x47, 0x33, 0x32, 0x36, 0x35, 0x39, 0x35_u8];
+    let hash = number
+        .iter()
+        .fold(0x811c_9dc5_u32, |hash, byte| (hash ^ u32::from(*byte)).wrapping_mul(16_777_619));
+    says(&report, &[&format!("serial: \"N{:04X}", (hash >> 16) ^ (hash & 0xffff))]);
 }
 
 #[test]
@@ -163,6 +169,21 @@ fn a_crystal_that_stops_leads_to_a_reset_and_a_start_without_it() {
     says(&report, &["resets [\"software at"]);
     logs(&report, "dead: crystal");
     logs(&report, "the last start ended by Crystal");
+}
+
+#[test]
+fn crystals_of_8_12_16_and_25_mhz_are_told_apart_and_any_other_counts_as_dead() {
+    for hertz in ["8000000", "12000000", "16000000", "25000000"] {
+        let Some(report) = run(&["--bor", "--crystal", hertz, "--ms", "150"]) else { return };
+        is_clean(&report);
+        says(&report, &["source PLL, SYSCLK 168000000 Hz"]);
+        says(&report, &["CAN: 1000000 bit/s, sample point 85.7"]);
+    }
+    let Some(report) = run(&["--bor", "--crystal", "10000000", "--ms", "150"]) else { return };
+    is_clean(&report);
+    says(&report, &["source PLL, SYSCLK 144000000 Hz"]);
+    says(&report, &["CAN: 0 sent"]);
+    logs(&report, "is none of 8, 12, 16, 25 MHz");
 }
 
 #[test]

@@ -133,6 +133,8 @@ pub struct Parts {
     pub faults: Faults,
     /// Why the board has started.
     pub reset: ResetReason,
+    /// What `N` answers on the serial line: a hash of the number that the chip has from its factory.
+    pub number: u16,
     /// The bytes of the calibration in use; empty without one.
     pub blob: &'static [u8],
     /// Where a new calibration is gathered and stored; `None` on a board that cannot store one.

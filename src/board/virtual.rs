@@ -128,6 +128,7 @@ pub fn start(_core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts {
         references,
         faults: Faults::default(),
         reset: ResetReason::Unknown,
+        number: 1,
         blob: if calibration_is_good { blob.unwrap_or_default() } else { &[] },
         loading: Some((buffer_of_load, Store)),
     }

@@ -15,6 +15,7 @@ const FLASH: u32 = 0x4002_3c00;
 const GPIOA: u32 = 0x4002_0000;
 const GPIOB: u32 = 0x4002_0400;
 const TIM3: u32 = 0x4000_0400;
+const TIM11: u32 = 0x4001_4800;
 const ADC1: u32 = 0x4001_2000;
 const DMA2: u32 = 0x4002_6400;
 const CAN1: u32 = 0x4000_6400;
@@ -330,4 +331,27 @@ fn the_dma_does_not_reach_the_core_coupled_memory() {
     bench.write(stream + 12, 0x1000_0000);
     bench.write(stream, 4 << 25 | 1 << 10 | 1 << 6 | 1);
     assert_eq!(bench.violations("is not in the SRAM that it reaches"), 1);
+}
+
+#[test]
+fn timer_11_measures_the_crystal_against_the_internal_oscillator() {
+    let mut bench = Bench::new();
+    bench.set(RCC, 1 << 16);
+    bench.pass(ms(3));
+    bench.set(RCC + 8, 31 << 16);
+    bench.set(RCC + 0x44, 1 << 18);
+    bench.write(TIM11 + 0x50, 2);
+    bench.write(TIM11 + 0x18, 3 << 2 | 1);
+    bench.write(TIM11 + 0x20, 1);
+    bench.write(TIM11, 1);
+    // 8 periods of 8 MHz / 31 are 31 µs: 496 counts of 16 MHz.
+    bench.pass(us(32));
+    assert_eq!(bench.read(TIM11 + 0x10) & 0x202, 2, "CC1IF");
+    assert_eq!(bench.read(TIM11 + 0x34), 496);
+    assert_eq!(bench.read(TIM11 + 0x10) & 0x202, 0, "reading the capture clears it");
+    bench.pass(us(31));
+    assert_eq!(bench.read(TIM11 + 0x34), 992);
+    bench.pass(us(62));
+    assert_eq!(bench.read(TIM11 + 0x10) & 0x202, 0x202, "two at once: CC1OF");
+    assert_eq!(bench.violations(""), 0);
 }

@@ -61,7 +61,7 @@ pub fn start(
     if !answers {
         defmt::error!("dead: CAN");
     }
-    let on_the_bus = answers && source == Source::Crystal;
+    let on_the_bus = answers && matches!(source, Source::Crystal { .. });
     if on_the_bus {
         // Only now does the controller get its pins: one with a wrong clock must not reach the
         // bus. Pulled up, so that a missing transceiver looks like a quiet bus.

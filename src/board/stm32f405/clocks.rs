@@ -1,6 +1,7 @@
 //! The clock tree: 168 MHz from the crystal, or the best that is alive (section 7.2).
 //!
-//! The HAL waits for a crystal and for the PLL without a limit. So both are tried here first,
+//! Which crystal there is, is measured, not believed ([`super::crystal`]); one that is not known counts as
+//! dead. The HAL waits for a crystal and for the PLL without a limit. So both are tried here first,
 //! with a limit, and the HAL is only asked for what was seen to work:
 //!
 //! | crystal | PLL | core | CAN |
@@ -20,12 +21,13 @@
 
 use cortex_m::peripheral::{SCB, SYST, syst::SystClkSource};
 use stm32f4xx_hal::{
-    pac::{FLASH, RCC},
+    pac::{FLASH, RCC, TIM11},
     prelude::*,
     rcc::{Config, Rcc},
 };
 
 use super::{
+    crystal,
     last_words::{self, Core, Why},
     within,
 };
@@ -34,7 +36,10 @@ use super::{
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Source {
     /// 168 MHz from the crystal.
-    Crystal,
+    Crystal {
+        /// Its rate as measured, one of those known.
+        mhz: u32,
+    },
     /// 144 MHz from the internal oscillator: exact to about 1 %, 4 % when hot or cold.
     InternalThroughPll,
     /// 16 MHz straight from the internal oscillator.
@@ -51,21 +56,21 @@ const PLL_TIME: u32 = 3 * MILLISECOND;
 const SYSTICK_MASK: u32 = 0xFF_FFFF;
 
 /// Starts the best clock there is, and says which. SysTick measures the time until then.
-pub fn start(rcc: RCC, flash: &FLASH, systick: &mut SYST) -> (Rcc, Source) {
+pub fn start(rcc: RCC, timer: &TIM11, flash: &FLASH, systick: &mut SYST) -> (Rcc, Source) {
     systick.set_clock_source(SystClkSource::Core);
     systick.set_reload(SYSTICK_MASK);
     systick.clear_current();
     systick.enable_counter();
     back_to_reset(&rcc);
-    let source = best_source(&rcc);
+    let source = best_source(&rcc, timer);
     let rcc = rcc.freeze(configuration(source));
     // The HAL has switched it on. The errata of the F40x name it as noise in the converter, and the
     // caches hold what matters.
     flash.acr().modify(|_, w| w.prften().clear_bit());
     match source {
-        Source::Crystal => {
+        Source::Crystal { mhz } => {
             rcc.cr().modify(|_, w| w.csson().on());
-            defmt::info!("clock: 168 MHz from the crystal");
+            defmt::info!("clock: 168 MHz from the crystal of {} MHz", mhz);
         }
         Source::InternalThroughPll => {
             defmt::error!("clock: 144 MHz from the internal oscillator, CAN stays silent");
@@ -90,18 +95,19 @@ fn back_to_reset(rcc: &RCC) {
     rcc.cr().modify(|_, w| w.hseon().off().hsebyp().clear_bit());
 }
 
-fn best_source(rcc: &RCC) -> Source {
+fn best_source(rcc: &RCC, timer: &TIM11) -> Source {
     if crystal_starts(rcc) {
-        if pll_locks(rcc, true) {
-            return Source::Crystal;
+        match crystal::measure(rcc, timer) {
+            Some(mhz) if pll_locks(rcc, Some(mhz)) => return Source::Crystal { mhz },
+            Some(_) => defmt::error!("dead: PLL on the crystal"),
+            None => defmt::error!("dead: crystal, its rate is none that is known"),
         }
-        defmt::error!("dead: PLL on the crystal");
     } else {
         defmt::error!("dead: crystal");
     }
     // Off, lest it come to life behind the back of the board.
     rcc.cr().modify(|_, w| w.hseon().off());
-    if pll_locks(rcc, false) {
+    if pll_locks(rcc, None) {
         return Source::InternalThroughPll;
     }
     defmt::error!("dead: PLL");
@@ -115,13 +121,17 @@ fn crystal_starts(rcc: &RCC) -> bool {
 
 /// Tries the PLL on its later settings, and leaves it off, because the HAL sets it up anew.
 #[allow(unsafe_code, reason = "registers of the clock tree")]
-fn pll_locks(rcc: &RCC, from_crystal: bool) -> bool {
-    // 8 MHz / 4 or 16 MHz / 8 is 2 MHz, times 168 or 144, by 2 (the reset value of P).
-    let (input_divider, factor) = if from_crystal { (4, 168) } else { (8, 144) };
+fn pll_locks(rcc: &RCC, crystal_mhz: Option<u32>) -> bool {
+    // 2 MHz times 168 or 144, by 2 (the reset value of P); from 25 MHz 1 MHz times 336.
+    let (input_divider, factor) = match crystal_mhz {
+        Some(mhz) if mhz % 2 == 0 => (mhz / 2, 168),
+        Some(mhz) => (mhz, 336),
+        None => (8, 144),
+    };
     rcc.pllcfgr().write(|w| {
         // SAFETY: M, N and Q are within the ranges of section 7.3.2, and the PLL is off.
-        unsafe { w.pllm().bits(input_divider).plln().bits(factor).pllq().bits(7) };
-        w.pllp().div2().pllsrc().bit(from_crystal)
+        unsafe { w.pllm().bits(input_divider as u8).plln().bits(factor).pllq().bits(7) };
+        w.pllp().div2().pllsrc().bit(crystal_mhz.is_some())
     });
     rcc.cr().modify(|_, w| w.pllon().on());
     let locks = soon(PLL_TIME, || rcc.cr().read().pllrdy().bit_is_set());
@@ -149,7 +159,7 @@ fn configuration(source: Source) -> Config {
         config.sysclk(core.MHz()).hclk(core.MHz()).pclk1((core / 4).MHz()).pclk2((core / 2).MHz())
     };
     match source {
-        Source::Crystal => with(Config::hse(8.MHz()), 168),
+        Source::Crystal { mhz } => with(Config::hse(mhz.MHz()), 168),
         Source::InternalThroughPll => with(Config::hsi(), 144),
         Source::Internal => Config::hsi(),
     }

@@ -1,4 +1,4 @@
-//! The board that is flashed: an STM32F405RG with an 8 MHz crystal.
+//! The board that is flashed: an STM32F405RG with a crystal of 8, 12, 16 or 25 MHz.
 //!
 //! | pin | signal |
 //! |---|---|
@@ -16,7 +16,9 @@
 mod brown_out;
 mod can;
 mod clocks;
+mod crystal;
 mod flash;
+mod identity;
 mod lamp;
 mod last_words;
 mod panic;
@@ -66,7 +68,7 @@ pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts
     if let Some(words) = last_words.filter(|_| reset != Reset::PowerOn) {
         words.say();
     }
-    let (mut rcc, source) = clocks::start(device.RCC, &device.FLASH, &mut core.SYST);
+    let (mut rcc, source) = clocks::start(device.RCC, &device.TIM11, &device.FLASH, &mut core.SYST);
     brown_out::protect(&device.FLASH, reset);
     keep_debugger_connected(&device.DBGMCU);
 
@@ -94,7 +96,7 @@ pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts
     let (can_in, can_out, can_answers) =
         can::start(device.CAN1, gpiob.pb9, gpiob.pb8, source, &mut rcc);
     let faults = Faults {
-        crystal: source != Source::Crystal,
+        crystal: !matches!(source, Source::Crystal { .. }),
         pll: source == Source::Internal,
         can: !can_answers,
         watchdog_reset: reset == Reset::Watchdog,
@@ -141,6 +143,7 @@ pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts
         loading: Some((buffer, store)),
         watchdog,
         reset: reset_reason,
+        number: identity::short(),
     }
 }
 

@@ -145,6 +145,7 @@ impl Chip {
             0x4000_6400 => self.can_read(off),
             0x4001_1000 => self.uart_read(off),
             0x4000_3800 => self.spi_read(off),
+            0x4001_4800 => self.tim11_read(off),
             0x4000_3000 => match off {
                 0 => 0,
                 4 => self.iwdg.pr,
@@ -204,6 +205,7 @@ impl Chip {
             0x4000_6400 => self.can_write(off, v),
             0x4001_1000 => self.uart_write(off, v),
             0x4000_3800 => self.spi_write(off, v),
+            0x4001_4800 => self.tim11_write(off, v),
             0x4000_3000 => self.iwdg_write(off, v),
             0x4001_3800 => {
                 if let Some(r) = self.syscfg.get_mut(off as usize / 4) {

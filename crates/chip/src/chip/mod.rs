@@ -16,6 +16,7 @@ mod play;
 mod rcc;
 mod spi;
 mod tim;
+mod tim11;
 mod uart;
 
 use crate::{
@@ -37,6 +38,7 @@ use std::sync::{
     atomic::{AtomicU64, Ordering},
 };
 use tim::Tim;
+use tim11::Tim11;
 use uart::Uart;
 
 /// What the run loop and the bus share without a lock.
@@ -101,6 +103,7 @@ pub struct Chip {
     pub flash: Flash,
     pub gpio: [Gpio; 9],
     pub tims: Vec<Tim>,
+    pub tim11: Tim11,
     pub adc: Adc,
     pub dma: [Dma; 2],
     pub can: Can,
@@ -168,6 +171,7 @@ impl Chip {
             flash: Flash::default(),
             gpio: Default::default(),
             tims: Vec::new(),
+            tim11: Tim11::default(),
             adc: Adc::default(),
             dma: Default::default(),
             can: Can::default(),
@@ -211,6 +215,7 @@ impl Chip {
         self.flash = Flash::reset(self.flash.stats);
         self.flash.optcr = options;
         self.tims = Tim::all();
+        self.tim11 = Tim11::default();
         self.adc = Adc {
             htr: 0xfff,
             end_at: NEVER,

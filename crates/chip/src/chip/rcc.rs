@@ -9,6 +9,7 @@ use super::{
     gpio::Gpio,
     spi::Spi,
     tim::Tim,
+    tim11::Tim11,
     uart::Uart,
 };
 use crate::{
@@ -345,6 +346,7 @@ impl Chip {
             0x4000_6400 => self.can = Can::reset(),
             0x4001_1000 => self.uart = Uart::reset(),
             0x4000_3800 => self.spi = Spi::reset(),
+            0x4001_4800 => self.tim11 = Tim11::default(),
             _ => {
                 let fresh = Tim::all();
                 for (i, f) in fresh.into_iter().enumerate() {

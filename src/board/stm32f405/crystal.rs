@@ -1,0 +1,74 @@
+//! Which crystal there is, measured against the internal oscillator (section 7.2.11).
+//!
+//! The board is drawn for 8 MHz, but boards with 12, 16 and 25 MHz are as common, and with the wrong
+//! divider a crystal of 12 MHz would run the core at 252 MHz. TIM11 captures the crystal divided by 31
+//! while it counts the internal oscillator, which is true to 8 % at any temperature (data sheet, HSI
+//! oscillator characteristics): the nearest two of these crystals differ by 28 %.
+
+use stm32f4xx_hal::pac::{RCC, TIM11};
+
+use super::within;
+
+/// Crystals that the clock tree has settings for, in MHz.
+const KNOWN_MHZ: [u32; 4] = [8, 12, 16, 25];
+/// How far the measured rate may be off, in percent: the oscillator's 8 and the measurement's own 1.
+const TOLERANCE_PERCENT: u32 = 10;
+/// The internal oscillator, which the core and TIM11 run from meanwhile.
+const INTERNAL_KHZ: u32 = 16_000;
+/// RTCPRE: a capture of 25 MHz comes every 10 µs, time enough for a poll.
+const DIVISION: u8 = 31;
+/// Periods of the divided crystal in one capture (IC1PSC).
+const PERIODS: u32 = 8;
+/// Captures that are measured over: 120 µs at 8 MHz, exact to 0.1 %.
+const CAPTURES: u32 = 4;
+/// A capture takes 31 µs at 8 MHz: some fifty polls. A crystal below 0.5 MHz is none.
+const POLLS: u32 = 1_000;
+
+/// The crystal that runs, in MHz; `None`: it is none of those known, or it cannot be measured. Its rate is
+/// in the log.
+#[allow(unsafe_code, reason = "registers of a timer and of the clock tree")]
+pub fn measure(rcc: &RCC, timer: &TIM11) -> Option<u32> {
+    rcc.apb2enr().modify(|_, w| w.tim11en().enabled());
+    // A read of the register lets the clock come up (errata sheet, delay after an RCC clock enabling).
+    let _clocked = rcc.apb2enr().read();
+    rcc.apb2rstr().modify(|_, w| w.tim11rst().set_bit());
+    rcc.apb2rstr().modify(|_, w| w.tim11rst().clear_bit());
+    // SAFETY: 31 is a divisor that section 7.3.3 allows.
+    rcc.cfgr().modify(|_, w| unsafe { w.rtcpre().bits(DIVISION) });
+    // SAFETY: TI1_RMP 2 is the divided crystal (section 19.5.12); CC1S 1 and IC1PSC 3 (section 19.5.7) are
+    // the input itself, every eighth period.
+    unsafe {
+        timer.or().write(|w| w.rmp().bits(2));
+        timer.ccmr1_input().write(|w| w.bits(3 << 2 | 1));
+    }
+    timer.ccer().write(|w| w.cc1e().set_bit());
+    timer.cr1().write(|w| w.cen().enabled());
+    let counts = capture(timer).and_then(|first| {
+        let mut last = first;
+        for _ in 0..CAPTURES {
+            last = capture(timer)?;
+        }
+        Some(u32::from(last.wrapping_sub(first)))
+    });
+    let missed = timer.sr().read().cc1of().bit_is_set();
+    timer.cr1().reset();
+    rcc.apb2enr().modify(|_, w| w.tim11en().disabled());
+    // SAFETY: no clock for the RTC.
+    rcc.cfgr().modify(|_, w| unsafe { w.rtcpre().bits(0) });
+    let counts = counts.filter(|counts| *counts > 0 && !missed)?;
+    let khz = u32::from(DIVISION) * PERIODS * CAPTURES * INTERNAL_KHZ / counts;
+    let known = KNOWN_MHZ
+        .into_iter()
+        .find(|mhz| khz.abs_diff(mhz * 1_000) * 100 <= mhz * 1_000 * TOLERANCE_PERCENT);
+    match known {
+        Some(mhz) => defmt::info!("crystal: {} MHz, measured {} kHz", mhz, khz),
+        None => defmt::error!("crystal: {} kHz is none of 8, 12, 16, 25 MHz", khz),
+    }
+    known
+}
+
+/// The count at the next capture.
+fn capture(timer: &TIM11) -> Option<u16> {
+    within(POLLS, || timer.sr().read().cc1if().bit_is_set())
+        .then(|| timer.ccr1().read().bits() as u16)
+}

@@ -1,0 +1,22 @@
+//! The number that tells this chip from every other: 96 bits that the factory wrote (section 39.1).
+
+use core::ptr;
+
+/// Where they are: the place on the wafer, the wafer, and the lot.
+const UNIQUE: *const u8 = 0x1FFF_7A10 as *const u8;
+
+/// The chip's number, lowest byte first.
+#[allow(unsafe_code, reason = "bytes of the system memory")]
+fn unique() -> [u8; 12] {
+    // SAFETY: twelve bytes that every chip of this kind has, and that never change.
+    core::array::from_fn(|n| unsafe { ptr::read_volatile(UNIQUE.add(n)) })
+}
+
+/// Its hash, for people and for `N` on the serial line: FNV-1a over 32 bits, folded to 16. Two boards
+/// of a shop have the same one once in 65 536 pairs.
+pub fn short() -> u16 {
+    let hash = unique()
+        .into_iter()
+        .fold(0x811C_9DC5_u32, |hash, byte| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193));
+    (hash >> 16) as u16 ^ hash as u16
+}
