@@ -20,10 +20,14 @@ fn main() {
     println!("cargo:rerun-if-changed=memory.x");
 
     println!("cargo:rerun-if-env-changed=TRUEUP_MACHINE");
-    let machine = env::var("TRUEUP_MACHINE").unwrap_or_else(|_| {
+    let given = env::var("TRUEUP_MACHINE");
+    println!("cargo:rustc-env=TRUEUP_EXAMPLE={}", u8::from(given.is_err()));
+    let machine = given.unwrap_or_else(|_| {
         // A board must not take somebody else's spindle for its own without a word.
         if env::var_os("CARGO_FEATURE_STM32F405").is_some() {
-            println!("cargo:warning=TRUEUP_MACHINE is not set: {EXAMPLE} is linked in");
+            println!(
+                "cargo:warning=TRUEUP_MACHINE is not set: {EXAMPLE} is linked in, and gives no offset"
+            );
         }
         EXAMPLE.into()
     });

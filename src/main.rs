@@ -48,7 +48,8 @@ mod app {
     use trueup_canopen::emergency::Fault;
     use trueup_core::{bridge::Input, channels::RawTemperatures};
     use trueup_link::{frame::Frame, slcan::Port};
-    use trueup_node::node::{Frames, Node};
+    use trueup_node::node::{Frames, Line, Node};
+    use trueup_store::retained;
 
     /// The tasks that other tasks start have an interrupt that no pin uses. A pended interrupt cannot
     /// be lost: raised while its task runs, it makes it run again.
@@ -96,6 +97,12 @@ mod app {
         faults.all().for_each(|fault| node.note(fault));
         node.note_reset(parts.reset);
         node.set_blob(parts.blob);
+        if parts.is_older {
+            node.ask(Fault::OlderCalibration);
+        }
+        if parts.is_example {
+            node.bar_example();
+        }
         let (buffer, store) = parts.loading.unzip();
         if let Some(buffer) = buffer {
             node.set_buffer(buffer);
@@ -103,6 +110,10 @@ mod app {
         let (references, reference) = parts.references.unzip();
         if let Some(reference) = reference.flatten() {
             node.set_reference(reference);
+        }
+        match retained::load(parts.retained) {
+            None if board::COLD_AT_START => {}
+            kept => node.resume(kept.as_ref()),
         }
         let (to_listen, from_serial) = cx.local.queue.split();
         defmt::info!("trueup bridge {} is up", env!("CARGO_PKG_VERSION"));
@@ -123,7 +134,13 @@ mod app {
             thermometers: parts.thermometers,
             to_listen,
             from_serial,
-            supervision: Supervision::new(parts.watchdog, parts.lamp, references, store),
+            supervision: Supervision::new(
+                parts.watchdog,
+                parts.lamp,
+                references,
+                store,
+                parts.retained,
+            ),
             idle: parts.idle,
         };
         (shared, local)
@@ -150,7 +167,7 @@ mod app {
     fn can_receive_0(mut cx: can_receive_0::Context) {
         while let Some(frame) = cx.local.can_in_0.receive() {
             // What is refused is counted there and shows in the log.
-            cx.shared.node.lock(|node| node.hear(&frame)).ok();
+            cx.shared.node.lock(|node| node.hear(Line::Can, &frame)).ok();
         }
     }
 
@@ -158,7 +175,7 @@ mod app {
     #[task(binds = CAN1_RX1, priority = 3, local = [can_in_1], shared = [node])]
     fn can_receive_1(mut cx: can_receive_1::Context) {
         while let Some(frame) = cx.local.can_in_1.receive() {
-            cx.shared.node.lock(|node| node.hear(&frame)).ok();
+            cx.shared.node.lock(|node| node.hear(Line::Can, &frame)).ok();
         }
     }
 
@@ -183,7 +200,7 @@ mod app {
     fn listen(mut cx: listen::Context) {
         while let Some(byte) = cx.local.from_serial.dequeue() {
             if let Some(frame) = cx.shared.port.lock(|port| port.receive(byte)) {
-                cx.shared.node.lock(|node| node.hear(&frame)).ok();
+                cx.shared.node.lock(|node| node.hear(Line::Serial, &frame)).ok();
             }
         }
         rtic::pend(TRANSMIT);
@@ -197,9 +214,12 @@ mod app {
         let (mut shared, it) = (cx.shared, cx.local.supervision);
         if it.samples_are_missing(shared.node.lock(|node| node.blocks())) {
             shared.samples.lock(Samples::restart);
+        }
+        // This clock goes on whatever becomes of the samples, and with it every timeout.
+        if let Some(behind_ms) = shared.node.lock(|node| node.catch_up(PERIOD_MS)) {
             let temperatures = shared.temperatures.lock(Option::take);
             let input = Input { temperatures: temperatures.as_ref(), ..Input::default() };
-            let frames = shared.node.lock(|node| tick(node, PERIOD_MS, input));
+            let frames = shared.node.lock(|node| tick(node, behind_ms, input));
             shared.can_out.lock(|can| shared.port.lock(|port| send(&frames, can, port)));
         }
         let (now, quality, zero) =
@@ -218,8 +238,14 @@ mod app {
             node.note_if(bus.passive, Fault::CanPassive);
             node.note_if(bus.off, Fault::CanOff);
         });
+        if let Some(question) = shared.node.lock(Node::take_confirmed)
+            && !it.keep_answer(question, shared.node.lock(|node| node.blob()))
+        {
+            shared.node.lock(|node| node.note(Fault::Store));
+        }
         if shared.node.lock(Node::take_restart) {
             defmt::info!("restart, as a CANopen master asks");
+            it.retain(&shared.node.lock(|node| node.kept()));
             board::restart();
         }
         it.show(now, quality);
@@ -227,6 +253,7 @@ mod app {
         // not.
         it.feed_watchdog(now, shared.moved_ms.lock(|moved| *moved));
         if it.log_is_due() {
+            it.retain(&shared.node.lock(|node| node.kept()));
             shared.port.lock(|port| shared.node.lock(|node| supervision::log(node, port)));
         }
         rtic::pend(THERMOMETERS);

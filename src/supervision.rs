@@ -1,12 +1,14 @@
 //! What the supervisor decides every 10 ms, and what it says once a second.
 
 use micromath::F32Ext as _;
+use trueup_canopen::emergency::Fault;
 use trueup_core::cnc::Quality;
 use trueup_link::slcan::Port;
 use trueup_node::node::{Node, Zero};
 use trueup_store::{
     load::{Load, Outcome},
     reference::References,
+    retained,
 };
 
 use crate::board::{Flash, Lamp, Store, Watchdog, references};
@@ -25,6 +27,8 @@ pub struct Supervision {
     references: Option<References<Flash>>,
     /// Where a loaded calibration is kept.
     store: Option<Store>,
+    /// What outlasts a reset.
+    retained: &'static mut retained::Copies,
     blocks: u32,
     silent: bool,
     until_log_ms: u32,
@@ -36,8 +40,15 @@ impl Supervision {
         lamp: Lamp,
         references: Option<References<Flash>>,
         store: Option<Store>,
+        retained: &'static mut retained::Copies,
     ) -> Self {
-        Self { watchdog, lamp, references, store, blocks: 0, silent: false, until_log_ms: 0 }
+        let (blocks, silent, until_log_ms) = (0, false, 0);
+        Self { watchdog, lamp, references, store, retained, blocks, silent, until_log_ms }
+    }
+
+    /// Keeps what is to outlast a reset. Once a second is often enough: no heat changes faster.
+    pub fn retain(&mut self, kept: &retained::Kept) {
+        retained::save(self.retained, kept);
     }
 
     /// Looks at a calibration that has come whole, and stores it for the next start.
@@ -56,6 +67,19 @@ impl Supervision {
         }
         defmt::info!("calibration of {=usize} bytes stored: used from the next start", blob.len());
         Outcome::Stored
+    }
+
+    /// Stores what the operator has answered; `false`: it is not stored, and is asked again at the
+    /// next start.
+    pub fn keep_answer(&mut self, question: Fault, blob: &[u8]) -> bool {
+        defmt::info!("confirmed: fault {=u8}", question as u8);
+        let Self { store, watchdog, .. } = self;
+        match (question, store) {
+            // It is the newest again.
+            (Fault::OlderCalibration, Some(store)) => store.keep(blob, || watchdog.feed()),
+            (Fault::OlderCalibration, None) => false,
+            _ => true,
+        }
     }
 
     /// Whether no block came since the last turn; a change is logged.

@@ -24,6 +24,8 @@ PATIENCE_S = 20.0
 NUMBERS = {0x04: "<i", 0x05: "<B", 0x06: "<H", 0x07: "<I"}
 TEXT = 0x09
 RUNNING, NEW = (0x2100, 1), (0x2100, 2)
+# Bits of Control: engaged and referenced; referenced, with the operator's leave to write.
+ENGAGED, SERVICE = 3, 10
 STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 0x02, 0x80, 0x81, 0x82
 
 
@@ -32,7 +34,7 @@ class Session:
         self.network, self.node, self.sdo, self.new = network, node, node.sdo, new
         self.sdo.RESPONSE_TIMEOUT = PATIENCE_S
         self.states, self.cycles, self.gaps, self.last = [], 0, 0, None
-        self.control_counter = 0
+        self.control_counter, self.says = 0, None
         network.subscribe(HEARTBEAT, lambda _id, data, _time: self.states.append(data[0]))
         network.subscribe(OFFSET_XY, self.hear_offset)
 
@@ -155,25 +157,24 @@ class Session:
             seen.append({"misuse": name, "expected": f"{expected:08X}", "abort": said, "took_s": took_s})
         return seen
 
-    def send_control(self, engage):
+    def keep_control(self):
+        """What a CNC says all the time, as long as there is one."""
+        while True:
+            if self.says is not None:
+                self.send_control(self.says)
+            time.sleep(0.02)
+
+    def send_control(self, bits):
         data = bytearray(8)
         data[2] = self.control_counter
-        data[3] = 3 if engage else 2
+        data[3] = bits
         e2e.p05.e2e_p05_protect(data, CONTROL, increment_counter=True)
         self.control_counter = data[2]
         self.network.send_message(CONTROL, bytes(data))
 
     def engaged(self):
         """What is refused while an offset is followed."""
-        over = threading.Event()
-
-        def keep():
-            while not over.is_set():
-                self.send_control(True)
-                time.sleep(0.02)
-
-        thread = threading.Thread(target=keep, daemon=True)
-        thread.start()
+        self.says = ENGAGED
         try:
             self.wait("live", lambda: self.number(0x2001, 1) == 1)
             self.wait("settled", lambda: not self.number(0x2001, 2) & 2)
@@ -196,11 +197,10 @@ class Session:
                     0x2010, 6, b"zero")),
             ])
         finally:
-            over.set()
-            thread.join()
+            self.says = None
         self.wait("CNC lost", lambda: self.emergencies_from(0x8100))
         self.wait("off", lambda: self.number(0x2001, 1) == 0)
-        self.send_control(False)
+        self.says = SERVICE
         self.wait("CNC back", lambda: 0 in self.emergencies_from(0x8100))
         return values, misuses
 
@@ -238,6 +238,8 @@ class Session:
         # After this the counter starts again as well.
         gaps = self.gaps
         self.node.nmt.send_command(RESET_NODE)
+        time.sleep(0.05)
+        self.says = None
         time.sleep(0.5)
         # The boot-up message comes while the adapter is still closed, so a heartbeat has to do.
         end, beats = time.monotonic() + PATIENCE_S, len(self.states)
@@ -256,10 +258,16 @@ class Session:
         }
 
     def play(self):
-        self.wait("operational", lambda: 5 in self.states)
+        self.wait("a heartbeat", lambda: 4 in self.states)
         saw = {}
+        without = [("nobody allows it", 0x08000022, lambda: self.sdo.download(
+            0x1017, 0, struct.pack("<H", 0)))]
+        saw["misuses"] = self.commit(without)
+        threading.Thread(target=self.keep_control, daemon=True).start()
+        self.says = SERVICE
+        self.wait("the operator allows it", lambda: self.number(0x2001, 8) == 2)
         saw["values"], saw["wrong"] = self.read_everything()
-        saw["misuses"] = self.commit(self.misuses())
+        saw["misuses"] += self.commit(self.misuses())
         running = self.sdo.upload(*RUNNING)
         saw["running"] = running.hex()
         cycles, began = self.cycles, time.monotonic()

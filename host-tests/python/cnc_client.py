@@ -1,8 +1,9 @@
 """A CNC made of other people's code: python-can speaks SLCAN, cantools reads the DBC, autosar-e2e
 protects and checks. It plays one session with a bridge and prints what it saw as JSON.
 
-The session: listen; send damaged `Control` frames, then repeated ones; engage and wait until the
-offset has settled; listen for 1,000 cycles; disengage and listen until the offset is gone.
+The session: listen; send damaged `Control` frames, then repeated ones, as two masters would; say for
+4 s that nothing is engaged, as after every start of a bridge; engage and wait until the offset has
+settled; listen for 1,000 cycles; disengage and listen until the offset is gone.
 """
 
 import argparse
@@ -19,7 +20,7 @@ OFFSET_XY, OFFSET_Z, STATUS = 0x181, 0x281, 0x381
 HEARTBEAT, EMERGENCY = 0x701, 0x081
 SPINDLE, CONTROL = 0x202, 0x302
 PERIOD_S = 0.020
-OFF, LIVE, RAMPING_OUT = 0, 1, 5
+OFF, LIVE, RAMPING_OUT, FAULT = 0, 1, 5, 6
 SLEWING, CNC_LOST = 1 << 1, 1 << 4
 SETTLED_CYCLES = 100
 MEASURED_CYCLES = 1_000
@@ -123,12 +124,13 @@ def summary(cycles):
         name: [min(cycle[name] for cycle in cycles), max(cycle[name] for cycle in cycles)]
         for name in ("OffsetX", "OffsetY", "OffsetZ", "Flags", "Age")
     }
-    z = [cycle["OffsetZ"] for cycle in cycles]
+    available = [cycle["OffsetZ"] for cycle in cycles if cycle["Quality"] != FAULT]
+    z = available or [None]
     ramp = [cycle["OffsetZ"] for cycle in cycles if cycle["Quality"] == RAMPING_OUT]
     return {
         "cycles": len(cycles),
         "qualities": qualities,
-        "mean_z_um": sum(z) / len(z),
+        "mean_z_um": sum(available) / len(available) if available else None,
         "last_z_um": z[-1],
         "largest_step_um": max((abs(b - a) for a, b in zip(z, z[1:])), default=0.0),
         "ramp_turns_back": any(b > a for a, b in zip(ramp, ramp[1:])),
@@ -160,7 +162,7 @@ def session(bus, database):
             cycles.append(ear.next_cycle(cyclic))
         seen[name] = summary(cycles)
 
-    want = {"Engage": 1, "Referenced": 1, "Zero": 0}
+    want = {"Engage": 1, "Referenced": 1, "Zero": 0, "Service": 0, "Confirm": 0}
     refuse = {**want, "Engage": 0}
 
     def damaged(_sent):
@@ -194,6 +196,7 @@ def session(bus, database):
     phase("damaged", damaged, lambda cycles, sent: sent > 30 and len(cycles) >= 600)
     # A repeated frame is not a sign of life either.
     phase("repeated", repeated, lambda cycles, sent: sent > 30 and cycles[-1]["Flags"] & CNC_LOST)
+    phase("releasing", cutting(refuse), lambda _cycles, sent: sent > 200)
     phase("engaging", cutting(want), settled)
     phase("live", cutting(want), lambda cycles, _sent: len(cycles) >= MEASURED_CYCLES)
     phase("disengaging", cutting(refuse), gone)

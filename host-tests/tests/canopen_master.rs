@@ -94,7 +94,7 @@ fn pypi_canopen_reads_every_object_loads_a_calibration_and_gets_each_abort_code(
         assert!((nm / 1_000.0 - GROWN_UM).abs() < 0.3, "{nm} nm");
     }
 
-    assert_eq!((&saw["first_state"], &saw["states"]), (&json!(0), &json!([0, 5])));
+    assert_eq!((&saw["first_state"], &saw["states"]), (&json!(0), &json!([0, 4, 5])));
     let rate = saw["heartbeats_per_s"].as_f64().context("a rate")?;
     assert!((40.0..60.0).contains(&rate), "{rate} heartbeats a second");
     let codes: Vec<u64> = saw["emergencies"]
@@ -148,10 +148,11 @@ impl Bus {
     /// Two milliseconds, with a request, and the CNC engaged or not.
     fn step(&mut self, request: Option<[u8; 8]>, engage: bool) -> Result<()> {
         let mut sent = [None; FRAMES];
-        sent[0] = request.map(|data| Frame::new(SDO_REQUEST_ID, &data)).transpose()?;
+        sent[1] = request.map(|data| Frame::new(SDO_REQUEST_ID, &data)).transpose()?;
         if self.ms.is_multiple_of(20) {
-            let control = Control { engage, ..Control::REFERENCED };
-            sent[1] = Some(frames::control(control, self.counter));
+            let engage = engage && self.ms >= 60;
+            let control = Control { engage, service: !engage, ..Control::REFERENCED };
+            sent[0] = Some(frames::control(control, self.counter));
             self.counter = self.counter.wrapping_add(1);
         }
         self.ms += 2;

@@ -44,7 +44,7 @@ fn on_a_board(model: &str, run: &RunFile) -> String {
         let rest = "kind = \"linear\", zero_counts = 4000, counts_per_c = 16";
         writeln!(text, "{name} = {{ channel = {channel}, {rest} }}").expect("a string grows");
     }
-    text.push_str("[limits]\nmax_um = { x = 5000, y = 5000, z = 5000 }\nslew_um_per_s = 100000\n");
+    text.push_str("[limits]\nmax_um = { x = 5000, y = 5000, z = 5000 }\nslew_um_per_s = 10000\n");
     text
 }
 
@@ -107,7 +107,7 @@ fn left_by_the_board(
                 .map(|_| {
                     let mut frames = stand_in.frames(&now, &heard);
                     if ms.is_multiple_of(20) {
-                        let control = Control::ENGAGED;
+                        let control = Control { engage: ms >= 60, ..Control::REFERENCED };
                         frames[4] = Some(frames::control(control, counter));
                     } else if ms % 20 == 10 {
                         let speed = now.speed.unwrap_or_default();

@@ -65,7 +65,8 @@ impl Bench {
             .map(|_| {
                 let mut sent = [None; FRAMES];
                 if self.ms.is_multiple_of(20) {
-                    let control = Control { zero, ..Control::ENGAGED };
+                    let engage = self.ms >= 60;
+                    let control = Control { engage, zero, ..Control::REFERENCED };
                     sent[0] = Some(frames::control(control, self.counter));
                     self.counter = self.counter.wrapping_add(1);
                 }

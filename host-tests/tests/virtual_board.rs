@@ -17,7 +17,7 @@ use trueup_emulator::{
 };
 use trueup_link::{frame::Frame, frames, receiver::OffsetReceiver, slcan::Event};
 use trueup_machine::{Compiled, MachineFile, compile};
-use trueup_node::node::Node;
+use trueup_node::node::{Line, Node};
 use trueup_pipe::{Block, FRAMES};
 
 /// Blocks handed over at once.
@@ -60,12 +60,12 @@ fn eventful_life(ms: u32) -> Vec<Block> {
             let mut sent = [None; FRAMES];
             let silent = (4_000..4_700).contains(&n) || (5_200..8_600).contains(&n);
             if n % 20 == 7 && !silent {
-                let engage = !(3_300..3_600).contains(&n);
+                let engage = n > 400 && !(3_300..3_600).contains(&n);
                 let zero = (3_700..3_800).contains(&n);
                 sent[0] =
                     Some(frames::control(Control { engage, zero, ..Control::REFERENCED }, counter));
                 // Some are sent twice, some are damaged on the way.
-                if !chance.is_multiple_of(7) {
+                if !chance.is_multiple_of(97) {
                     counter = counter.wrapping_add(1);
                 }
                 if chance.is_multiple_of(11) {
@@ -97,7 +97,7 @@ fn on_the_host(blocks: &[Block]) -> Sent {
     for block in blocks {
         for frame in block.frames.iter().flatten() {
             // What is refused is part of this life.
-            node.hear(frame).ok();
+            node.hear(Line::Can, frame).ok();
         }
         let input = Input {
             codes: Some(&block.codes),

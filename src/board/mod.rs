@@ -11,6 +11,7 @@
 //! | [`Watchdog`] | IWDG, 100 ms | none: the host watches |
 //! | [`Lamp`] | LED | none |
 //! | calibration | linked into the image, or loaded over it | a file of the host, or loaded over it |
+//! | RAM that outlasts a reset | `.uninit` | the same |
 //! | [`restart`] | reset | reset of the emulator at the end of a batch |
 //!
 //! Both boards raise the same interrupts, so the tasks cannot tell them apart:
@@ -27,7 +28,7 @@ use trueup_core::{
     units::{Code, Rpm},
 };
 use trueup_link::status::ResetReason;
-use trueup_store::{calibration::BlobError, reference::References};
+use trueup_store::{calibration::BlobError, reference::References, retained};
 
 #[cfg(all(feature = "stm32f405", feature = "virtual"))]
 compile_error!("choose one board: --features stm32f405 or --features virtual");
@@ -35,6 +36,7 @@ compile_error!("choose one board: --features stm32f405 or --features virtual");
 compile_error!("choose a board: --features stm32f405 or --features virtual");
 
 pub mod references;
+mod reset_ram;
 #[cfg(feature = "stm32f405")]
 mod stm32f405;
 #[cfg(feature = "stm32f405")]
@@ -137,6 +139,12 @@ pub struct Parts {
     pub number: u16,
     /// The bytes of the calibration in use; empty without one.
     pub blob: &'static [u8],
+    /// The calibration that was loaded last is damaged, and this is an older one.
+    pub is_older: bool,
+    /// The calibration is the example's: somebody else's spindle.
+    pub is_example: bool,
+    /// What outlasts a reset, unless the power was gone.
+    pub retained: &'static mut retained::Copies,
     /// Where a new calibration is gathered and stored; `None` on a board that cannot store one.
     pub loading: Option<(&'static mut [u8], Store)>,
 }

@@ -43,7 +43,7 @@ use trueup_link::{frame::Frame, status::ResetReason};
 use trueup_pipe::{self as pipe, Record};
 use trueup_store::calibration;
 
-use super::{BLOCK, Block, CanState, Faults, Parts, Sent, TEMPERATURES, references};
+use super::{BLOCK, Block, CanState, Faults, Parts, Sent, TEMPERATURES, references, reset_ram};
 
 use defmt_semihosting as _;
 
@@ -61,6 +61,9 @@ static TO_BUS: Mutex<RefCell<Vec<Record, 1024>>> = Mutex::new(RefCell::new(Vec::
 
 /// The board is to start anew once the batch is done.
 static RESTART: AtomicBool = AtomicBool::new(false);
+
+/// A process that starts is a machine that was cold for a day, as `predict` takes it.
+pub const COLD_AT_START: bool = true;
 
 /// Blocks that are read at once: 4 KB.
 const BLOCKS_AT_ONCE: usize = 32;
@@ -95,7 +98,9 @@ pub fn start(_core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts {
     let blob: &'static mut [u8] = cortex_m::singleton!(: [u8; calibration::MAX_SIZE] = [0; _])
         .expect("the board starts once");
     let mut length = Store::load(blob);
+    let mut is_older = false;
     if calibration::decode(&blob[..length]).is_err() {
+        is_older = length > 0;
         length = open(c"calibration.bin").map_or(0, |mut file| read_all(&mut file, blob));
     }
     let blob: &'static [u8] = blob;
@@ -130,6 +135,9 @@ pub fn start(_core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts {
         reset: ResetReason::Unknown,
         number: 1,
         blob: if calibration_is_good { blob.unwrap_or_default() } else { &[] },
+        is_older,
+        is_example: false,
+        retained: reset_ram::take(),
         loading: Some((buffer_of_load, Store)),
     }
 }

@@ -116,6 +116,8 @@ pub enum ObjectKind {
     StateBits,
     /// Why the board last started, as in `Status`.
     ResetReason,
+    /// Who may write: a number of [`Authority`].
+    Authority,
     /// Milliseconds of the sample clock.
     Clock,
     /// The elongation that counts as none, in nanometres.
@@ -142,6 +144,19 @@ pub enum ObjectKind {
     Input(u8),
     /// 0: the process value is valid; 1: it is not.
     InputStatus(u8),
+}
+
+/// Whether a master may write now. Whatever changes the bridge needs the operator's `Service` in
+/// the `Control` of the CNC, or of a tool where there is no CNC, and that nothing is engaged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Authority {
+    /// Nobody sends `Control`: a tool may, with `Service`.
+    NoMaster = 0,
+    /// The one who sends `Control` has not set `Service`, or has engaged.
+    NoService = 1,
+    /// It has.
+    Service = 2,
 }
 
 /// A counter of [`trueup_link::receiver::Counters`].

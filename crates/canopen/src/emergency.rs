@@ -84,11 +84,13 @@ pub enum Fault {
     SourceDead,
     /// What is measured no longer fits the calibration.
     CalibrationUnfit,
+    /// A `Zero` was not taken: the axes are not referenced, or an input is missing.
+    ZeroRefused,
 }
 
 impl Fault {
     /// Every fault, by its number.
-    pub const ALL: [Self; 26] = [
+    pub const ALL: [Self; 27] = [
         Self::NoCalibration,
         Self::Sensor,
         Self::SamplesMissing,
@@ -115,6 +117,7 @@ impl Fault {
         Self::SupplyOff,
         Self::SourceDead,
         Self::CalibrationUnfit,
+        Self::ZeroRefused,
     ];
 
     /// Its error code. The upper byte is the class of CiA 301: 31 the supply, 50 hardware of the device, 61 its
@@ -149,6 +152,7 @@ impl Fault {
             Self::SupplyOff => 0x3100,
             Self::SourceDead => 0x7003,
             Self::CalibrationUnfit => 0xFF04,
+            Self::ZeroRefused => 0xFF05,
         }
     }
 
@@ -181,7 +185,8 @@ impl Fault {
             | Self::Clamped
             | Self::HeatUnknown
             | Self::SourceDead
-            | Self::CalibrationUnfit => 0,
+            | Self::CalibrationUnfit
+            | Self::ZeroRefused => 0,
         }
     }
 }
@@ -191,7 +196,7 @@ impl Fault {
 pub struct Faults(u32);
 
 impl Faults {
-    /// A bit each, 0…0x03FF_FFFF: bit n is set for [`Fault::ALL`]`[n]`.
+    /// A bit each, 0…0x07FF_FFFF: bit n is set for [`Fault::ALL`]`[n]`.
     #[must_use]
     pub const fn bits(self) -> u32 {
         self.0
@@ -526,7 +531,7 @@ mod tests {
             told(&mut all, Faults::default().with_if(true, fault), 20);
         }
         assert_eq!(all.count(), HISTORY);
-        assert_eq!(all.error(0), Some(0x0019_FF04));
+        assert_eq!(all.error(0), Some(0x001A_FF05));
         assert_eq!(all.error(8), None);
         all.clear();
         assert_eq!((all.count(), all.error(0)), (0, None));
@@ -544,7 +549,7 @@ mod tests {
         let frame = encode(&emergency);
         assert_eq!(frame.data(), &[0x30, 0x81, 0x11, 4, 0xA5, 4, 0, 0]);
         assert_eq!(decode(&frame), Ok(emergency));
-        for (byte, raw, signal) in [(3, 26, "Fault"), (5, 7, "Quality")] {
+        for (byte, raw, signal) in [(3, 27, "Fault"), (5, 7, "Quality")] {
             let mut data = *frame.data();
             data[byte] = raw;
             let wrong = Frame::full(EMERGENCY_ID, data);

@@ -22,7 +22,8 @@ pub enum Command {
     },
     /// Loads a calibration, reads it back, and restarts the board with it.
     ///
-    /// Nothing is loaded while offsets are being followed: let the CNC disengage first.
+    /// Nothing is loaded while offsets are being followed: let the CNC disengage first, and set
+    /// Service there. Where no CNC is heard, this says so itself.
     /// Exit 3: it is stored, but the board does not run on it.
     Load {
         /// The calibration, as `compile` writes it.

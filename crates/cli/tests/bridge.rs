@@ -21,7 +21,7 @@ use trueup_core::{
 };
 use trueup_link::{frame::Frame, frames, layout::SDO_ANSWER_ID, slcan::Port};
 use trueup_machine::{Compiled, Machine, MachineFile, RunFile, compile};
-use trueup_node::node::Node;
+use trueup_node::node::{Line, Node};
 use trueup_store::{
     calibration::{MAX_SIZE, decode, identity},
     load::Outcome,
@@ -93,7 +93,7 @@ fn live(mut stream: impl Read + Write, fault: Fault, engage: bool, heard: &Mutex
     let compiled = paper();
     let (mut node, mut port) = started(Box::leak(compiled.blob().into()));
     let mut stored: Option<Vec<u8>> = None;
-    let mut control = 0;
+    let mut control = 0_u32;
     // 100 codes above the paper's zero: 12.2 µm, which the slew limit reaches in 0.6 s.
     let codes: [Code; CODES_PER_TICK] = std::array::from_fn(|n| Code(731 + (n % 2) as u16));
     let start = Instant::now();
@@ -111,7 +111,7 @@ fn live(mut stream: impl Read + Write, fault: Fault, engage: bool, heard: &Mutex
                 heard.bytes.extend(&bytes[..length]);
                 for frame in bytes[..length].iter().filter_map(|&b| port.receive(b)) {
                     heard.frames += 1;
-                    node.hear(&frame).expect("no tool sends a damaged frame");
+                    node.hear(Line::Serial, &frame).expect("no tool sends a damaged frame");
                 }
             }
             Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
@@ -132,9 +132,11 @@ fn live(mut stream: impl Read + Write, fault: Fault, engage: bool, heard: &Mutex
             control = 0;
         }
         if ms % 20 == 0 {
-            let engaged = Control { engage, ..Control::REFERENCED };
-            node.hear(&frames::control(engaged, control)).expect("in order");
-            control = control.wrapping_add(1);
+            // As after every start: three times not engaged.
+            let engaged =
+                Control { engage: engage && control >= 3, service: !engage, ..Control::REFERENCED };
+            node.hear(Line::Can, &frames::control(engaged, control as u8)).expect("in order");
+            control += 1;
         }
         let speed = Some(Rpm(24_000));
         let sent = node.tick(1, Input { codes: Some(&codes), speed, ..Input::default() });

@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail};
+use trueup_canopen::dictionary::Authority;
 use trueup_link::{
     frame::Frame,
     frames::{self, State},
@@ -11,10 +12,12 @@ use trueup_link::{
 };
 
 use crate::{
-    object::{self, NEW, NEW_CRC, RUNNING_CRC},
+    object::{self, AUTHORITY, NEW, NEW_CRC, RUNNING_CRC},
     session::Session,
 };
 
+/// How long the bridge may take to hear that it may be written to.
+const LEAVE_TIMEOUT: Duration = Duration::from_secs(2);
 /// NMT: node 1 restarts.
 const RESET_NODE: [u8; 2] = [0x81, 1];
 /// How long the bridge may take to send its first heartbeat after that.
@@ -40,6 +43,7 @@ pub fn store(
     crc: u32,
     progress: &mut dyn FnMut(Step, usize),
 ) -> Result<()> {
+    ask_leave(session)?;
     object::write(session, NEW, blob, |sent| progress(Step::Sending, sent))
         .context("the calibration is not loaded")?;
     let back = object::read(session, NEW, |got, _| progress(Step::ReadingBack, got))?;
@@ -57,6 +61,8 @@ pub fn store(
 /// The bridge does not come back.
 pub fn restart(session: &mut Session, wanted: u32) -> Result<u32> {
     session.send(&Frame::new(NMT_ID, &RESET_NODE).context("a frame of two bytes")?)?;
+    // A CNC that comes back is to be the only master.
+    session.end_service();
     let deadline = Instant::now() + BOOT_TIMEOUT;
     loop {
         let told =
@@ -64,6 +70,28 @@ pub fn restart(session: &mut Session, wanted: u32) -> Result<u32> {
         match told {
             Ok(running) if running == wanted || Instant::now() > deadline => return Ok(running),
             Err(error) if Instant::now() > deadline => return Err(error),
+            _ => {}
+        }
+    }
+}
+
+/// Whatever changes a bridge needs `Service`. Where there is a CNC only its own counts: the operator
+/// is asked for it. Where there is none, or no longer, the session says it.
+fn ask_leave(session: &mut Session) -> Result<()> {
+    let deadline = Instant::now() + LEAVE_TIMEOUT;
+    let (none, given) = (Authority::NoMaster as u32, Authority::Service as u32);
+    let mut asks = false;
+    loop {
+        match object::number(session, AUTHORITY)? {
+            authority if authority == given => return Ok(()),
+            authority if authority == none && !asks => {
+                asks = true;
+                session.allow_service();
+            }
+            _ if Instant::now() > deadline => bail!(
+                "the CNC on this bridge's line does not allow it: set Service there (LinuxCNC: the pin \
+                 trueup.0.service) with Engage off, and load again"
+            ),
             _ => {}
         }
     }

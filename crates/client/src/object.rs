@@ -22,6 +22,8 @@ pub const FAULTS: At = (0x2001, 4);
 pub const STATE_BITS: At = (0x2001, 6);
 /// Why the board last started.
 pub const RESET_REASON: At = (0x2001, 7);
+/// Who may write: a number of [`Authority`](trueup_canopen::dictionary::Authority).
+pub const AUTHORITY: At = (0x2001, 8);
 /// Whether a reference is in force.
 pub const HAS_REFERENCE: At = (0x2010, 5);
 /// The calibration for the next start.

@@ -297,7 +297,7 @@ mod tests {
     };
     use trueup_link::frames;
     use trueup_machine::{RunFile, compile};
-    use trueup_node::node::Node;
+    use trueup_node::node::{Line, Node};
 
     /// A spindle whose sensor drifts with its own temperature by 0.2 µm/°C.
     const DRIFTING: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n\
@@ -327,9 +327,9 @@ mod tests {
         temperatures[0] = Raw(111_672_925);
         for ms in 0..3_000_u32 {
             if ms % 20 == 0 {
-                let engaged = Control::ENGAGED;
+                let engaged = Control { engage: ms >= 60, ..Control::REFERENCED };
                 let control = frames::control(engaged, (ms / 20) as u8);
-                node.hear(&control).expect("in order");
+                node.hear(Line::Can, &control).expect("in order");
             }
             let input = Input {
                 codes: Some(&codes),

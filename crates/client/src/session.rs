@@ -6,8 +6,10 @@ use std::{
 };
 
 use anyhow::{Context as _, Error, Result, bail};
+use trueup_core::cnc::Control;
 use trueup_link::{
     frame::Frame,
+    frames,
     slcan::{Client, Event, client, encode_line},
 };
 
@@ -25,6 +27,8 @@ const CLOSE_TIMEOUT: Duration = Duration::from_millis(300);
 /// of the tries meanwhile.
 const RESTART_TIMEOUT: Duration = Duration::from_secs(10);
 const RETRY_TIMEOUT: Duration = Duration::from_millis(500);
+/// From one `Control` with `Service` to the next: a fifth of the link timeout that is usual.
+const SERVICE_PERIOD: Duration = Duration::from_millis(100);
 /// The lines in [`client::OPEN`], each of which is answered.
 const OPEN_LINES: usize = 4;
 
@@ -34,6 +38,8 @@ pub struct Session {
     has_adapter: bool,
     client: Client,
     heard: VecDeque<Event>,
+    /// The `Control` with which a tool allows itself to write: its counter, and when it is due.
+    service: Option<(u8, Instant)>,
 }
 
 impl Session {
@@ -69,7 +75,7 @@ impl Session {
     }
 
     fn over(ends: Ends, has_adapter: bool) -> Self {
-        Self { ends, has_adapter, client: Client::new(), heard: VecDeque::new() }
+        Self { ends, has_adapter, client: Client::new(), heard: VecDeque::new(), service: None }
     }
 
     /// Opens the channel again of a bridge that restarts, and has not yet, or just now.
@@ -117,6 +123,28 @@ impl Session {
         Ok(())
     }
 
+    /// Sends `Control` with `Service` from now on, as long as events are waited for: for a bridge
+    /// that hears no CNC.
+    pub fn allow_service(&mut self) {
+        self.service = Some((0, Instant::now()));
+    }
+
+    /// Ends that.
+    pub fn end_service(&mut self) {
+        self.service = None;
+    }
+
+    /// Sends `Control`, if it is due.
+    fn send_control(&mut self) -> Result<()> {
+        let now = Instant::now();
+        let Some((counter, due)) = self.service.filter(|(_, due)| now >= *due) else {
+            return Ok(());
+        };
+        let control = Control { service: true, ..Control::default() };
+        self.service = Some((counter.wrapping_add(1), due.max(now) + SERVICE_PERIOD));
+        self.send(&frames::control(control, counter))
+    }
+
     /// Sends lines, whose answers come as events. Where the port has no adapter, only frames are
     /// heard by anyone.
     ///
@@ -147,6 +175,7 @@ impl Session {
             if Instant::now() >= deadline {
                 return Ok(None);
             }
+            self.send_control()?;
             if let Some(event) = self.heard.pop_front() {
                 return Ok(Some(event));
             }

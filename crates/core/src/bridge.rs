@@ -22,9 +22,10 @@
 //! | does not engage, or is not referenced | | to 0, at the slew limit | ramping out |
 //! | any of these, offset arrived at 0 | sensor and temperatures believable | 0 | off |
 //! | any of these, offset arrived at 0 | faulty or missing | none | fault |
+//! | any, while the offset is barred ([`State::bar`]) | | to 0, at the slew limit; then none | ramping out; fault |
 //!
-//! Lost and returned is no jump: every way back goes through the slew limit, and so does the way
-//! from one source of the elongation to another.
+//! Lost and returned is no jump: every way back goes through the slew limit. From one source of the
+//! elongation to another the offset goes on where it was (`sources`).
 //!
 //! Work is done when its input changes. A tick does what comes every millisecond: samples, the
 //! errors added up, limits. What a position moves is computed when the position is heard, the tool
@@ -43,11 +44,14 @@
 //! | ages, what is fresh, course, target, flags | ~460 | | |
 
 mod needs;
+mod sources;
 mod state;
 
 use self::needs::RequiredInputs;
+use self::sources::SelectedSource;
+pub use self::sources::{KeptJoint, REJOIN_NM_PER_S, RETURN_MS};
 use self::state::{Age, Mode};
-pub use self::state::{Reference, SAMPLES_TIMEOUT_MS, State, TEMPERATURE_TIMEOUT_MS};
+pub use self::state::{Reference, SAMPLES_TIMEOUT_MS, STARVED_MS, State, TEMPERATURE_TIMEOUT_MS};
 use crate::{
     calibration::{Calibration, ElongationSource},
     channels::RawTemperatures,
@@ -55,12 +59,15 @@ use crate::{
     dimensions::{CHANNELS, CODES_PER_TICK, STEP_MS},
     geometry::{CachedErrors, ErrorSums},
     heat,
+    heat_memory::HeatMemory,
     limits::LimitStatus,
-    term::{self, OperatingPoint},
     tip,
     tool::Direction,
-    units::{Code, Fine, Millis, Nanometres, Rpm},
+    units::{Code, Fine, Millis, Nanometres, Rpm, Temperature},
 };
+
+/// Thermometers that agree within this belong to a machine that has no heat of its own: 0.5 K.
+pub const COLD_WITHIN: Temperature = Temperature(Temperature::PER_KELVIN / 2);
 
 /// What the bridge knows of the machine.
 #[derive(Clone, Debug)]
@@ -80,26 +87,6 @@ pub struct Input<'a> {
     pub speed: Option<Rpm>,
     /// What the temperature channels deliver; `None` where nothing new came.
     pub temperatures: Option<&'a RawTemperatures>,
-}
-
-/// The source of the elongation that is used.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum SelectedSource {
-    /// The machine file asks for none.
-    Unneeded,
-    /// It asks for some, but none is fresh.
-    Missing,
-    /// This one.
-    Source(ElongationSource),
-}
-
-impl SelectedSource {
-    fn source(self) -> Option<ElongationSource> {
-        match self {
-            Self::Source(source) => Some(source),
-            Self::Unneeded | Self::Missing => None,
-        }
-    }
 }
 
 impl<'a> Bridge<'a> {
@@ -128,7 +115,7 @@ impl<'a> Bridge<'a> {
                 // An edge needs a known `Control` before it: a CNC that starts with the bit
                 // already set has asked for nothing.
                 let was = state.control.value(timeout_ms);
-                if control.zero && was.is_some_and(|was| !was.zero) {
+                if control.zero && control.referenced && was.is_some_and(|was| !was.zero) {
                     self.zero(state);
                 }
                 state.control.hear(control);
@@ -142,7 +129,7 @@ impl<'a> Bridge<'a> {
                     _ if self.needs.rotary => kinematics.direction(angles),
                     _ => kinematics.zero,
                 };
-                state.tool.hear((angles, direction));
+                state.hear_angles(angles, direction);
             }
             Command::Position(heard) => {
                 if let Some(axis) = self.calibration.axes.get(heard.axis as usize)
@@ -156,13 +143,12 @@ impl<'a> Bridge<'a> {
 
     /// The present error becomes the reference, if it is known.
     fn zero(&self, state: &mut State) {
-        let chosen = self.source(state);
-        if chosen != SelectedSource::Missing
+        if state.joint.selected != SelectedSource::Missing
             && self.knows_temperatures(state)
             && self.knows_place(state)
         {
             let axes = self.axis_errors(state).sums;
-            state.reference = Reference { elongation: self.elongation(state, chosen), axes };
+            state.reference = Reference { elongation: self.elongation(state), axes };
         }
     }
 
@@ -188,19 +174,21 @@ impl<'a> Bridge<'a> {
         }
         self.heat_up(state, elapsed_ms, speed);
 
-        let chosen = self.source(state);
+        let chosen = self.select(state, elapsed_ms);
         let place = self.knows_place(state);
         let fresh = chosen != SelectedSource::Missing && place && self.knows_temperatures(state);
         let control = state.control.value(limits.link_timeout_ms);
         let mode = state.mode(control, fresh, limits.hold_ms);
-        let (mut status, mut outside) = (LimitStatus::default(), false);
+        let (mut status, mut outside, mut rejoins) = (LimitStatus::default(), false, false);
         match mode {
             Mode::Follow => {
                 let errors = self.axis_errors(state);
-                let (target, clamped) = self.target(state, self.elongation(state, chosen), &errors);
+                let (target, clamped) = self.target(state, self.elongation(state), &errors);
+                state.joint.is_anchored = true;
                 status = state.applied.step(limits, target, elapsed_ms);
                 status.clamped |= clamped | errors.clamped;
                 outside = errors.outside;
+                rejoins = self.is_rejoining(state);
             }
             // What is applied is held; it does not travel on to where it was going.
             Mode::Hold => {}
@@ -209,19 +197,21 @@ impl<'a> Bridge<'a> {
             }
         }
 
-        let missing = self.needs.sensor && state.codes_age.is_above(SAMPLES_TIMEOUT_MS);
+        let missing = self.needs.sensor
+            && (state.codes_age.is_above(SAMPLES_TIMEOUT_MS)
+                || !state.starved_age.is_above(STARVED_MS));
         let unbelievable = (self.needs.sensor && !missing && !state.believable)
-            || state.channels.any_faulty(self.needs.temperatures);
+            || state.channels.any_faulty(self.needs.watched);
         let quality = match mode {
             Mode::Follow => self.quality(chosen),
             Mode::Hold => Quality::Hold,
             Mode::RampOut if !state.applied.is_zero() => Quality::RampingOut,
-            Mode::RampOut if self.is_faulty(state) => Quality::Fault,
+            Mode::RampOut if state.barred || self.is_faulty(state, chosen) => Quality::Fault,
             Mode::RampOut => Quality::Off,
         };
         let flags = Flags::NONE
             .with_if(status.clamped, Flags::CLAMPED)
-            .with_if(status.slewing, Flags::SLEWING)
+            .with_if(status.slewing || rejoins, Flags::SLEWING)
             .with_if(unbelievable, Flags::SENSOR_FAULT)
             .with_if(missing, Flags::SAMPLES_MISSING)
             .with_if(state.cnc_known && (control.is_none() || !place), Flags::CNC_LOST)
@@ -270,6 +260,10 @@ impl<'a> Bridge<'a> {
         let Some(item) = phase.checked_sub(CHANNELS) else {
             return self.take_temperature(state, phase);
         };
+        if item == 0 {
+            self.rejoin(state);
+            self.know_heat(state);
+        }
         let temperatures = state.channels.temperatures();
         state.heat.step_item(&self.calibration, item, &temperatures, speed);
         if let Some(axis) = LinearAxis::ALL.get(item) {
@@ -281,6 +275,33 @@ impl<'a> Bridge<'a> {
         }
     }
 
+    /// Heat that is not known is, once its thermometers agree, or what can be left of it is small.
+    fn know_heat(&self, state: &mut State) {
+        if state.heat.is_unknown() {
+            let connected = self.calibration.thermometers.iter().map(Option::is_some);
+            let temperatures = state.channels.temperatures();
+            let is_cold = heat::agree(connected.zip(temperatures), COLD_WITHIN);
+            state.heat.wait(is_cold);
+        }
+    }
+
+    /// The operator says that the machine is cold.
+    pub fn confirm_cold(&self, state: &mut State) {
+        state.heat.wait(true);
+    }
+
+    /// The heat that outlasts a reset.
+    #[must_use]
+    pub fn heat_memory(&self, state: &State) -> HeatMemory {
+        state.heat.memory(&self.calibration)
+    }
+
+    /// Goes on with the heat from before a reset; without one it is not known, where something has
+    /// to know it.
+    pub fn resume_heat(&self, state: &mut State, memory: &HeatMemory) {
+        state.heat.resume(&self.calibration, memory);
+    }
+
     /// Reads a temperature channel, if something is connected to it.
     fn take_temperature(&self, state: &mut State, number: usize) {
         if let (Some(Some(thermometer)), Some(raw)) =
@@ -289,36 +310,6 @@ impl<'a> Bridge<'a> {
             let fresh = !state.raw_age.is_above(TEMPERATURE_TIMEOUT_MS);
             state.channels.hear(number, fresh.then(|| thermometer.read(*raw).ok()).flatten());
         }
-    }
-
-    /// The first source of the elongation that is fresh.
-    #[inline]
-    fn source(&self, state: &State) -> SelectedSource {
-        // As nearly always.
-        if self.needs.first == Some(ElongationSource::Sensor) && state.sensor_is_fresh() {
-            return SelectedSource::Source(ElongationSource::Sensor);
-        }
-        self.source_of_chain(state)
-    }
-
-    #[inline(never)]
-    fn source_of_chain(&self, state: &State) -> SelectedSource {
-        let spindle = &self.calibration.spindle;
-        let mut chosen = SelectedSource::Unneeded;
-        for source in spindle.chain.into_iter().flatten() {
-            let is_fresh = match source {
-                ElongationSource::Sensor => state.sensor_is_fresh(),
-                ElongationSource::Temperature => spindle
-                    .temperature
-                    .is_some_and(|temperature| state.temperature(temperature.channel).is_some()),
-                ElongationSource::Warmup => spindle.warmup.is_some(),
-            };
-            if is_fresh {
-                return SelectedSource::Source(source);
-            }
-            chosen = SelectedSource::Missing;
-        }
-        chosen
     }
 
     /// Whether the temperatures of the axes are there.
@@ -337,22 +328,16 @@ impl<'a> Bridge<'a> {
             && (!self.needs.operating_point || state.spindle.value(timeout_ms).is_some())
     }
 
-    /// Whether an input of the board itself is broken for which there is no other. What has only
-    /// not come yet is not broken.
-    fn is_faulty(&self, state: &State) -> bool {
-        let spindle = &self.calibration.spindle;
-        let mut sources = spindle.chain.iter().flatten().peekable();
-        let has_source = sources.peek().is_some();
-        let all_broken = sources.all(|source| match source {
-            ElongationSource::Sensor => {
-                state.codes_age.is_above(SAMPLES_TIMEOUT_MS) || !state.believable
-            }
-            ElongationSource::Temperature => {
-                spindle.temperature.is_none_or(|it| state.channels.is_faulty(it.channel))
-            }
-            ElongationSource::Warmup => spindle.warmup.is_none(),
-        });
-        (has_source && all_broken) || state.channels.any_faulty(self.needs.temperatures)
+    /// Whether an input of the board itself is broken for which there is no other, or what it would
+    /// follow is not known. What has only not come yet is not broken.
+    fn is_faulty(&self, state: &State, chosen: SelectedSource) -> bool {
+        let lacks_heat = || {
+            state.heat.is_unknown()
+                && (chosen == SelectedSource::Missing || !self.knows_temperatures(state))
+        };
+        self.all_sources_are_dead(state)
+            || state.channels.any_faulty(self.needs.temperatures)
+            || lacks_heat()
     }
 
     /// The errors of the axes at the present place.
@@ -397,31 +382,6 @@ impl<'a> Bridge<'a> {
         }
     }
 
-    /// The elongation by a source, with the terms of a diagnosis. They were fitted to the first
-    /// source, and say nothing of another.
-    #[inline]
-    fn elongation(&self, state: &State, chosen: SelectedSource) -> Nanometres {
-        let by_sensor = state.elongation.unwrap_or_default();
-        let plain = tip::elongation_by(chosen.source(), by_sensor, &state.heat);
-        let is_first = match chosen {
-            SelectedSource::Source(source) => self.needs.first == Some(source),
-            SelectedSource::Unneeded => true,
-            SelectedSource::Missing => false,
-        };
-        if self.needs.terms && is_first { self.with_terms(state, plain) } else { plain }
-    }
-
-    #[inline(never)]
-    fn with_terms(&self, state: &State, plain: Nanometres) -> Nanometres {
-        let spindle = state.spindle.latest();
-        let operating = OperatingPoint {
-            speed: spindle.map(|spindle| spindle.speed),
-            load: spindle.map_or(0, |spindle| i32::from(spindle.load_n).saturating_mul(256)),
-        };
-        let terms = &self.calibration.terms;
-        term::elongation(terms, plain.fine(), state.heat.terms(), operating).rounded()
-    }
-
     /// The offset that undoes the error since the reference; and whether the elongation along an
     /// axis was held at its limit.
     fn target(
@@ -447,35 +407,20 @@ impl<'a> Bridge<'a> {
             None => self.calibration.kinematics.zero,
         }
     }
-
-    /// The quality of an offset that is followed: how far down the chain its source stands.
-    fn quality(&self, chosen: SelectedSource) -> Quality {
-        let is_first = |source| self.needs.first == Some(source);
-        match chosen {
-            SelectedSource::Source(ElongationSource::Temperature)
-                if !is_first(ElongationSource::Temperature) =>
-            {
-                Quality::TemperatureModel
-            }
-            SelectedSource::Source(ElongationSource::Warmup)
-                if !is_first(ElongationSource::Warmup) =>
-            {
-                Quality::WarmUpModel
-            }
-            _ => Quality::Live,
-        }
-    }
 }
 
-/// The age of the newest sample that the offset rests on.
+/// The age of the oldest input that the offset rests on: the newest sample, and the positions and
+/// angles of axes that move. Temperatures are slow, and have a limit of their own.
+#[inline]
 fn age(state: &State, chosen: SelectedSource) -> Age {
-    match chosen {
+    let sampled = match chosen {
         SelectedSource::Source(ElongationSource::Sensor) | SelectedSource::Missing => {
             state.elongation_age
         }
         SelectedSource::Source(ElongationSource::Temperature) => state.raw_age,
         SelectedSource::Source(ElongationSource::Warmup) | SelectedSource::Unneeded => Age::NEW,
-    }
+    };
+    sampled.max(state.oldest_motion())
 }
 
 #[cfg(test)]

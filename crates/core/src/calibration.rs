@@ -88,6 +88,14 @@ pub struct SpindleTemperature<'a> {
     pub law: Law<'a>,
 }
 
+impl SpindleTemperature<'_> {
+    /// Whether it lags, and so has to know what was before.
+    #[must_use]
+    pub fn has_memory(&self) -> bool {
+        [self.smoothing, self.smoothing_falling] != [SmoothingFactor::NO_LAG; 2]
+    }
+}
+
 /// The warm-up model, and what drives it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SpindleWarmup<'a> {

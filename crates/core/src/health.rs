@@ -3,7 +3,7 @@
 //! Three ways in which a sensor lies, each from its own sign:
 //! - **At a rail**: a broken wire pulls the divider to 0 V, a short or a dead supply to full scale.
 //!   A single code at a rail is a spike: the last good code stands in for it. Four in a row are a
-//!   fault, which clears after 10 ms of good codes.
+//!   fault, and so is more than a fifth of all codes; it clears after 10 ms of good codes.
 //! - **Frozen**: a live converter is never quiet for 200 ms; a code that does not change for that
 //!   long is a hung converter or a disconnected chain.
 //!
@@ -22,6 +22,10 @@ pub const LOW_RAIL: Code = Code(8);
 pub const HIGH_RAIL: Code = Code(4087);
 /// So many codes at a rail in a row are a fault, fewer are spikes.
 pub const FAULT_AFTER_CODES: u16 = 4;
+/// A code at a rail outweighs so many good ones: a sensor that lies at a rail in more than a fifth of
+/// its codes is there, and noise takes it off at times.
+const GOOD_PER_RAIL: u16 = 4;
+const RAILED: u16 = FAULT_AFTER_CODES * GOOD_PER_RAIL;
 /// So many good codes in a row end a fault: 10 ms.
 pub const GOOD_AFTER_CODES: u16 = 200;
 /// So many equal codes in a row are a frozen converter: 200 ms.
@@ -31,6 +35,7 @@ pub const FROZEN_AFTER_CODES: u16 = 4_000;
 #[derive(Clone, Debug, Default)]
 pub struct Health {
     good: Code,
+    /// Codes at a rail, [`GOOD_PER_RAIL`] each, less the good ones.
     at_rail: u16,
     not_at_rail: u16,
     railed: bool,
@@ -85,7 +90,7 @@ impl Health {
     fn take_ordinary(&mut self, codes: &[Code; CODES_PER_TICK]) {
         let [.., last] = codes;
         self.good = *last;
-        self.at_rail = 0;
+        self.at_rail = self.at_rail.saturating_sub(BLOCK);
         self.not_at_rail = self.not_at_rail.saturating_add(BLOCK);
         self.railed &= self.not_at_rail < GOOD_AFTER_CODES;
     }
@@ -98,14 +103,14 @@ impl Health {
         for code in &mut self.mended {
             if is_at_rail(*code) {
                 self.not_at_rail = 0;
-                self.at_rail = self.at_rail.saturating_add(1);
+                self.at_rail = self.at_rail.saturating_add(GOOD_PER_RAIL).min(RAILED);
                 *code = self.good;
             } else {
-                self.at_rail = 0;
+                self.at_rail = self.at_rail.saturating_sub(1);
                 self.not_at_rail = self.not_at_rail.saturating_add(1);
                 self.good = *code;
             }
-            if self.at_rail >= FAULT_AFTER_CODES {
+            if self.at_rail >= RAILED {
                 self.railed = true;
             } else if self.not_at_rail >= GOOD_AFTER_CODES {
                 self.railed = false;
@@ -230,6 +235,23 @@ mod tests {
             // 16 good codes came with the fault.
             assert_eq!(blind * CODES_PER_TICK, 180);
         }
+    }
+
+    #[test]
+    fn a_sensor_at_the_rail_that_noise_takes_off_at_times_is_a_fault() {
+        for pattern in [&[0, 0, 0, 20][..], &[0, 20], &[0, 0, 20, 20], &[4095, 4000, 4095]] {
+            let mut health = Health::default();
+            assert!(health.check(&lively(700)).is_some());
+            let codes = core::array::from_fn(|n| Code(pattern[n % pattern.len()]));
+            let blind =
+                (0..20).map(|_| health.check(&codes).is_none()).collect::<std::vec::Vec<_>>();
+            assert!(blind[2..].iter().all(|it| *it), "{pattern:?}: {blind:?}");
+        }
+        // A spike in twenty codes is none.
+        let mut health = Health::default();
+        let mut codes = lively(700);
+        codes[7] = Code(0);
+        assert!((0..1_000).all(|_| health.check(&codes).is_some()));
     }
 
     #[test]

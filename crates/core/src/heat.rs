@@ -11,6 +11,7 @@ use crate::{
     calibration::Calibration,
     dimensions::{CHANNELS, MAX_TERMS},
     gradient::Gradient,
+    heat_memory::{HeatMemory, KeptLag, Key},
     lag::{Lag, SmoothingFactor},
     set::IndexSet,
     term::TermStates,
@@ -45,6 +46,23 @@ pub struct Heat {
     terms: TermStates,
     /// Axes whose law has had a temperature.
     known: IndexSet,
+    /// Steps until what was before the start no longer matters; 0: it is known.
+    unknown_steps: u32,
+}
+
+/// What may be left of an error of heat that is not known: 1 µm.
+const LEFT_NM: i64 = 1_000;
+
+/// Whether these are at least two thermometers, all of which agree within `within`. One that is
+/// connected and not known agrees with none.
+pub fn agree(all: impl Iterator<Item = (bool, Option<Temperature>)>, within: Temperature) -> bool {
+    let (mut count, mut least, mut most) = (0_u32, i32::MAX, i32::MIN);
+    for (_, temperature) in all.filter(|(is_connected, _)| *is_connected) {
+        let Some(Temperature(temperature)) = temperature else { return false };
+        count = count.saturating_add(1);
+        (least, most) = (least.min(temperature), most.max(temperature));
+    }
+    count >= 2 && most.saturating_sub(least) <= within.0
 }
 
 impl Heat {
@@ -78,7 +96,11 @@ impl Heat {
                     [thermal.smoothing, thermal.smoothing_falling],
                 );
                 (heat.constant, heat.gradient) = thermal.law.at(lagged);
-                self.known.insert(item);
+                let has_memory =
+                    [thermal.smoothing, thermal.smoothing_falling] != [SmoothingFactor::NO_LAG; 2];
+                if self.unknown_steps == 0 || !has_memory {
+                    self.known.insert(item);
+                }
             }
         } else if item == SPINDLE {
             if let Some(spindle) = &calibration.spindle.temperature
@@ -92,7 +114,8 @@ impl Heat {
                 self.by_temperature = spindle.law.at(lagged).0;
             }
         } else if let Some(term) = item.checked_sub(FIRST_TERM) {
-            self.terms.step(&calibration.terms, term, temperatures);
+            let is_known = self.unknown_steps == 0;
+            self.terms.step(&calibration.terms, term, temperatures, is_known);
         } else if let Some(warmup) = &calibration.spindle.warmup {
             let drive = warmup.drive(speed);
             warmup.law.step(&mut self.running, drive);
@@ -106,6 +129,69 @@ impl Heat {
         self.axes.get(axis).map_or_else(Default::default, |heat| (heat.constant, heat.gradient))
     }
 
+    /// Whether it is not known how warm the machine was before the start.
+    #[must_use]
+    pub const fn is_unknown(&self) -> bool {
+        self.unknown_steps != 0
+    }
+
+    /// A step of 100 ms in which it is not known; `is_cold`: it is, and there is no heat but that of
+    /// the thermometers.
+    pub fn wait(&mut self, is_cold: bool) {
+        if is_cold && self.is_unknown() {
+            *self = Self::default();
+        } else {
+            self.unknown_steps = self.unknown_steps.saturating_sub(1);
+        }
+    }
+
+    /// What of it outlasts a reset.
+    #[must_use]
+    pub fn memory(&self, calibration: &Calibration<'_>) -> HeatMemory {
+        let mut memory = HeatMemory::default();
+        if self.is_unknown() {
+            return memory;
+        }
+        let with_lags = self.axes.iter().map(|axis| axis.lag).zip(axis_keys(calibration));
+        for (lag, key) in with_lags.chain([(self.spindle, spindle_key(calibration))]) {
+            if let (Some(lag), Some(key)) = (lag, key) {
+                memory.keep(KeptLag { key, lag, running_ms: 0 });
+            }
+        }
+        if let Some(key) = running_key(calibration) {
+            let warmup::State { running_ms, heat } = self.running;
+            memory.keep(KeptLag { key, lag: heat, running_ms });
+        }
+        self.terms.keep(&calibration.terms, &mut memory);
+        memory
+    }
+
+    /// Goes on from before a reset. Where a law that remembers finds nothing, the heat is not known
+    /// until what can be left of the error is [`LEFT_NM`].
+    pub fn resume(&mut self, calibration: &Calibration<'_>, memory: &HeatMemory) {
+        let mut slowest = 0;
+        let mut find = |key: Option<Key>, largest: Nanometres| {
+            let key = key?;
+            let found = memory.find(key);
+            if found.is_none() {
+                slowest = slowest.max(steps_until_known(key, largest));
+            }
+            found
+        };
+        let max = calibration.limits.max;
+        for ((axis, key), max) in self.axes.iter_mut().zip(axis_keys(calibration)).zip(max) {
+            axis.lag = find(key, max).map(|kept| kept.lag);
+        }
+        let [x, y, z] = max;
+        let largest = Nanometres(x.0.max(y.0).max(z.0));
+        self.spindle = find(spindle_key(calibration), largest).map(|kept| kept.lag);
+        if let Some(kept) = find(running_key(calibration), largest) {
+            self.running = warmup::State { running_ms: kept.running_ms, heat: kept.lag };
+        }
+        self.terms.resume(&calibration.terms, |key| find(Some(key), largest));
+        self.unknown_steps = slowest;
+    }
+
     /// Whether the laws of these axes have each had a temperature yet.
     #[must_use]
     pub fn knows(&self, axes: IndexSet) -> bool {
@@ -115,7 +201,7 @@ impl Heat {
     /// The terms over time have begun so many steps ago.
     pub fn run_ahead(&mut self, calibration: &Calibration<'_>, term: usize, steps: u32) {
         for _ in 0..steps {
-            self.terms.step(&calibration.terms, term, &[None; CHANNELS]);
+            self.terms.step(&calibration.terms, term, &[None; CHANNELS], true);
         }
     }
 
@@ -136,6 +222,38 @@ impl Heat {
     pub fn by_running_time(&self) -> Nanometres {
         self.by_running_time.rounded()
     }
+}
+
+/// Steps until a law that begins anywhere within its limits is right to [`LEFT_NM`]: its offset can
+/// be wrong by twice the largest at the start, and no more, because it is clamped.
+fn steps_until_known(key: Key, largest: Nanometres) -> u32 {
+    let parts = i64::from(largest.0).saturating_mul(2).checked_div(LEFT_NM).unwrap_or(0);
+    let parts = u32::try_from(parts).unwrap_or(u32::MAX).max(2);
+    let slower = SmoothingFactor(key.rising.0.min(key.falling.0));
+    slower.steps_to_one_of(parts)
+}
+
+/// What the lags of the axes follow; `None` without a lag.
+fn axis_keys(calibration: &Calibration<'_>) -> impl Iterator<Item = Option<Key>> {
+    calibration.axes.iter().map(|axis| {
+        let thermal = axis.thermal.as_ref()?;
+        key(thermal.channel, thermal.smoothing, thermal.smoothing_falling)
+    })
+}
+
+fn spindle_key(calibration: &Calibration<'_>) -> Option<Key> {
+    let spindle = calibration.spindle.temperature.as_ref()?;
+    key(spindle.channel, spindle.smoothing, spindle.smoothing_falling)
+}
+
+fn running_key(calibration: &Calibration<'_>) -> Option<Key> {
+    let law = &calibration.spindle.warmup.as_ref()?.law;
+    key(Key::RUNNING, law.smoothing_heating, law.smoothing_cooling)
+}
+
+fn key(input: u8, rising: SmoothingFactor, falling: SmoothingFactor) -> Option<Key> {
+    let has_memory = [rising, falling] != [SmoothingFactor::NO_LAG; 2];
+    has_memory.then_some(Key { input, rising, falling })
 }
 
 /// The temperature of a channel.

@@ -23,6 +23,17 @@ impl SmoothingFactor {
     pub const NO_LAG: Self = Self(u32::MAX);
     /// The value stays as it is.
     pub const HOLD: Self = Self(0);
+
+    /// Steps after which a difference is down to one of `parts`, or less. It is counted in half-lives,
+    /// ln 2/α of them at most.
+    #[must_use]
+    pub fn steps_to_one_of(self, parts: u32) -> u32 {
+        /// ln 2 in Q32.
+        const LN_2: u64 = 2_977_044_472;
+        let halvings = u64::from(u32::BITS.saturating_sub(parts.saturating_sub(1).leading_zeros()));
+        let steps = halvings.saturating_mul(LN_2).checked_div(self.0.into());
+        steps.map_or(u32::MAX, |steps| u32::try_from(steps).unwrap_or(u32::MAX).saturating_add(1))
+    }
 }
 
 /// A value that follows its input.
@@ -40,6 +51,27 @@ impl Lag {
     #[must_use]
     pub const fn settled(x: i32) -> Self {
         Self { state: (x as i64) << Self::FRACTION_BITS }
+    }
+
+    /// Its state, for keeping.
+    #[must_use]
+    pub const fn to_bits(self) -> i64 {
+        self.state
+    }
+
+    /// The lag with this state, which any `i64` of 60 bits and a sign is; more saturates.
+    #[must_use]
+    pub const fn from_bits(bits: i64) -> Self {
+        let (least, most) = (Self::settled(i32::MIN).state, Self::settled(i32::MAX).state);
+        Self {
+            state: if bits < least {
+                least
+            } else if bits > most {
+                most
+            } else {
+                bits
+            },
+        }
     }
 
     /// Follows `x`, which has held over the step that ends now.

@@ -60,6 +60,7 @@ pub mod geometry;
 pub mod gradient;
 pub mod health;
 pub mod heat;
+pub mod heat_memory;
 pub mod kinematics;
 pub mod lag;
 pub mod limits;

@@ -31,6 +31,12 @@ impl IndexSet {
         self.0 &= !Self::bit(number);
     }
 
+    /// The numbers of both.
+    #[must_use]
+    pub const fn and(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
     /// Whether every number of `others` is in it.
     #[must_use]
     pub const fn has_all(self, others: Self) -> bool {

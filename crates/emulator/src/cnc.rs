@@ -6,7 +6,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, bail};
-use trueup_core::cnc::{Command, LinearAxis, Output};
+use trueup_core::cnc::{Command, Control, LinearAxis, Output};
 use trueup_link::{
     frames,
     receiver::OffsetReceiver,
@@ -19,6 +19,8 @@ pub struct Cnc<S> {
     client: Client,
     waiting: VecDeque<Event>,
     control_counter: u8,
+    /// The bridge has heard three times that nothing is engaged: it gives no offset before.
+    has_begun: bool,
     spindle_counter: u8,
     position_counters: [u8; 3],
     rotary_counter: u8,
@@ -39,6 +41,7 @@ impl<S: Read + Write> Cnc<S> {
             client: Client::new(),
             waiting: VecDeque::new(),
             control_counter: 0,
+            has_begun: false,
             spindle_counter: 0,
             position_counters: [0; 3],
             rotary_counter: 0,
@@ -85,6 +88,12 @@ impl<S: Read + Write> Cnc<S> {
     /// # Errors
     /// The line breaks, or the board refuses.
     pub fn send(&mut self, command: Command) -> Result<()> {
+        if matches!(command, Command::Control(control) if control.engage) && !self.has_begun {
+            self.has_begun = true;
+            for _ in frames::released() {
+                self.send(Command::Control(Control::REFERENCED))?;
+            }
+        }
         let (frame, counter) = match command {
             Command::Control(control) => {
                 (frames::control(control, self.control_counter), &mut self.control_counter)

@@ -146,6 +146,13 @@ pub fn control(control: Control, counter: u8) -> Frame {
     protected(CONTROL_ID, counter, data)
 }
 
+/// How a CNC begins after every start of the bridge, before it raises `Engage`: three `Control`
+/// frames without it, with the counters 0, 1 and 2.
+#[must_use]
+pub fn released() -> [Frame; 3] {
+    [0, 1, 2].map(|counter| control(Control::REFERENCED, counter))
+}
+
 /// The identifier of `PositionX`, `PositionY` or `PositionZ`.
 #[must_use]
 pub const fn position_id(axis: LinearAxis) -> u16 {

@@ -138,6 +138,15 @@ impl Receiver {
         }))
     }
 
+    /// Whether a frame with this identifier is one that a CNC sends.
+    #[must_use]
+    pub const fn is_from_cnc(id: u16) -> bool {
+        matches!(
+            id,
+            POSITION_X_ID | POSITION_Y_ID | POSITION_Z_ID | ROTARY_ID | SPINDLE_ID | CONTROL_ID
+        )
+    }
+
     /// What has arrived so far.
     #[must_use]
     pub const fn counters(&self) -> Counters {
@@ -301,6 +310,12 @@ impl From<E2eError> for Refused {
 }
 
 impl Refused {
+    /// Whether the frame was whole, but not in sequence.
+    #[must_use]
+    pub const fn is_sound(&self) -> bool {
+        matches!(self, Self::E2e(E2eError::Repeated { .. } | E2eError::WrongSequence { .. }))
+    }
+
     /// The reason, as a status frame tells it.
     #[must_use]
     pub const fn reason(&self) -> Reason {

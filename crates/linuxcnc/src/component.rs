@@ -16,6 +16,7 @@ use trueup_link::{
 
 use crate::{
     NANOMETRES_PER_MICROMETRE, NANOMETRES_PER_MILLIMETRE,
+    engage::Engage,
     follower::{Follower, Pace, Reading},
     offsets::{Limits, ReceivedOffsets, Target},
     sender::{Command, Sender},
@@ -58,6 +59,10 @@ pub struct Inputs {
     pub homed: bool,
     /// The operator takes the present error as the reference.
     pub zero: bool,
+    /// The operator allows that a master writes to the bridge while nothing is engaged.
+    pub service: bool,
+    /// The operator answers the question that the bridge asks.
+    pub confirm: bool,
     /// Commanded positions of X, Y and Z in mm, without the external offset.
     pub position_mm: [f64; 3],
     /// What LinuxCNC did with the offsets of X, Y and Z.
@@ -113,6 +118,7 @@ pub struct Component {
     offsets: ReceivedOffsets,
     followers: [Follower; 3],
     sender: Sender,
+    engage: Engage,
     status: Status,
     offset_nm: [i32; 3],
 }
@@ -158,6 +164,7 @@ impl Component {
             offsets: ReceivedOffsets::new(now),
             followers: Default::default(),
             sender: Sender::new(options.position_period, options.sends_rotary, options.against_um),
+            engage: Engage::default(),
             status: Status::default(),
             offset_nm: [0; 3],
         }
@@ -223,10 +230,16 @@ impl Component {
         outputs.heartbeat = (now.as_millis() / HEARTBEAT_HALF.as_millis()) % 2 == 1;
 
         let control = Control {
-            engage: inputs.enable && inputs.machine_on,
+            engage: self.engage.step(
+                now,
+                inputs.enable && inputs.machine_on,
+                fresh.is_none_or(|output| output.quality != Quality::Fault),
+                at_zero,
+            ),
             referenced: inputs.homed,
             zero: inputs.zero,
-            ..Control::default()
+            service: inputs.service,
+            confirm: inputs.confirm,
         };
         let command = Command {
             control,
@@ -374,7 +387,7 @@ mod tests {
             [(true, true, true), (true, false, true), (false, true, true), (true, true, false)]
         {
             world.inputs = Inputs { enable, machine_on, homed, ..world.inputs };
-            world.live(2);
+            world.live(200);
             let said = world.controls.last().expect("at once");
             assert_eq!((said.engage, said.referenced), (enable && machine_on, homed));
         }
@@ -388,7 +401,7 @@ mod tests {
         let said = status::Status { last_refused: status::Reason::None, item };
         let frame = Event::Frame(status::encode(&said, 0));
         world.component.hear(Duration::from_millis(world.ms), &frame);
-        world.live(2_500);
+        world.live(3_400);
         assert_eq!(world.outputs.temperatures_c[..5], [None, None, Some(23.45), None, None]);
         world.live(2);
         assert_eq!(world.outputs.temperatures_c, [None; TEMPERATURES]);

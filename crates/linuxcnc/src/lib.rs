@@ -26,6 +26,7 @@
 //! | `axis.L.pos-cmd` is without the external offset | sent to the bridge as it is |
 
 pub mod component;
+pub mod engage;
 pub mod follower;
 pub mod hal;
 pub mod ini;

@@ -7,7 +7,9 @@
 //! | `enable` | bit in | the operator wants offsets |
 //! | `machine-on`, `homed` | bit in | `motion.motion-enabled`, `motion.is-all-homed` |
 //! | `zero` | bit in | a rising edge takes the present error as the reference |
-//! | `L-cmd` | float in | `axis.L.pos-cmd`, L = x, y, z |
+//! | `service` | bit in | the operator allows that `bridge load` and CANopen masters write, while nothing is engaged |
+//! | `confirm` | bit in | a rising edge answers the question that the bridge asks |
+//! | `L-cmd` | float in | `axis.L.pos-cmd`, L = x, y, z; nan, or not connected: the bridge is not told |
 //! | `L-request`, `L-eoffset` | float in | `axis.L.eoffset-request`, `axis.L.eoffset` |
 //! | `angle-1`, `angle-2` | float in | commanded angles of the head axes, degrees |
 //! | `spindle-rpm`, `load-n` | float in | speed in r/min, axial cutting force in N |
@@ -52,6 +54,8 @@ pub struct Pins<'hal> {
     machine_on: Pin<'hal, bool>,
     homed: Pin<'hal, bool>,
     zero: Pin<'hal, bool>,
+    service: Pin<'hal, bool>,
+    confirm: Pin<'hal, bool>,
     angles: [Pin<'hal, f64>; 2],
     spindle_rpm: Pin<'hal, f64>,
     load_n: Pin<'hal, f64>,
@@ -95,8 +99,13 @@ impl<'hal> Pins<'hal> {
             // other than the present one would be a change, and move the axis.
             let counts = hal.output(&full(&format!("{letter}-counts")))?;
             counts.set(hal.foreign(&format!("axis.{letter}.eoffset-counts")).unwrap_or(0));
+            // Until it is connected it says that it is not: 0 would be a position.
+            let command = hal.input(&full(&format!("{letter}-cmd")))?;
+            if !hal.adopts() {
+                command.set(f64::NAN);
+            }
             Ok(AxisPins {
-                command: hal.input(&full(&format!("{letter}-cmd")))?,
+                command,
                 request: hal.input(&full(&format!("{letter}-request")))?,
                 eoffset: hal.input(&full(&format!("{letter}-eoffset")))?,
                 counts,
@@ -115,6 +124,8 @@ impl<'hal> Pins<'hal> {
             machine_on: hal.input(&full("machine-on"))?,
             homed: hal.input(&full("homed"))?,
             zero: hal.input(&full("zero"))?,
+            service: hal.input(&full("service"))?,
+            confirm: hal.input(&full("confirm"))?,
             angles: [hal.input(&full("angle-1"))?, hal.input(&full("angle-2"))?],
             spindle_rpm: hal.input(&full("spindle-rpm"))?,
             load_n: hal.input(&full("load-n"))?,
@@ -145,6 +156,8 @@ impl<'hal> Pins<'hal> {
             machine_on: self.machine_on.get(),
             homed: self.homed.get(),
             zero: self.zero.get(),
+            service: self.service.get(),
+            confirm: self.confirm.get(),
             position_mm: self.axes.each_ref().map(|axis| axis.command.get() * self.mm_per_unit),
             readings: self.axes.each_ref().map(|axis| Reading {
                 request_nm: nm(axis.request.get()),

@@ -2,10 +2,12 @@
 //!
 //! | frame | from | when |
 //! |---|---|---|
-//! | `Control` | enable, machine on, homed, zero | every 20 ms, and at once when it changes |
+//! | `Control` | enable, machine on, homed, zero, service, confirm | every 20 ms, and at once when it changes |
 //! | `PositionX/Y/Z` | the commanded position without the external offset | every period while it changes, else every 50 ms |
 //! | `Rotary` | the angles, where there are any | as the positions |
 //! | `Spindle` | speed and load | every 20 ms while they change, else every 50 ms |
+//!
+//! What is not a number is not sent: the bridge then knows that it does not know.
 //!
 //! A direction is where the axis was last sent, +1 or −1, also while it stands. It turns when the
 //! command has gone back by more than 1 µm: the last digits of a command that LinuxCNC computes as a
@@ -167,6 +169,9 @@ impl Sender {
             due.push(frames::control(control, counter));
         }
         for (place, axis) in LinearAxis::ALL.into_iter().enumerate() {
+            if !command.position_mm[place].is_finite() || !command.offset_mm[place].is_finite() {
+                continue;
+            }
             let position = position(command.position_mm[place]);
             let driven = self::position(command.position_mm[place] + command.offset_mm[place]);
             let reversal = self.reversals[place];
@@ -177,7 +182,7 @@ impl Sender {
                 due.push(frames::position(there, counter));
             }
         }
-        if self.sends_rotary {
+        if self.sends_rotary && command.angles_deg.iter().all(|angle| angle.is_finite()) {
             let rotary = Rotary { angles: command.angles_deg.map(angle) };
             if let Some(counter) =
                 self.rotary.due(now, rotary, self.position_period, STANDING_PERIOD)
@@ -187,7 +192,10 @@ impl Sender {
         }
         let spindle = spindle(command.spindle_rpm, command.load_n);
         let often = Duration::from_millis(SPINDLE_PERIOD_MS.into());
-        if let Some(counter) = self.spindle.due(now, spindle, often, STANDING_PERIOD) {
+        if command.spindle_rpm.is_finite()
+            && command.load_n.is_finite()
+            && let Some(counter) = self.spindle.due(now, spindle, often, STANDING_PERIOD)
+        {
             due.push(frames::spindle(spindle, counter));
         }
         due
@@ -203,7 +211,7 @@ impl Sender {
     }
 }
 
-/// Conversions saturate; what is not a number is 0.
+/// Conversions saturate; what is not a number is not sent.
 #[allow(clippy::cast_possible_truncation, reason = "a cast of a float saturates")]
 fn position(mm: f64) -> Position {
     Position((mm * f64::from(Position::PER_MILLIMETRE)).round() as i32)
@@ -333,11 +341,28 @@ mod tests {
     }
 
     #[test]
+    fn what_is_not_a_number_is_not_sent() {
+        for wrong in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+            let mut sender = Sender::new(ms(2), true, [Some(0.0); 3]);
+            let command = Command {
+                position_mm: [wrong, 1.0, wrong],
+                angles_deg: [0.0, wrong],
+                load_n: wrong,
+                ..Command::default()
+            };
+            let heard = said(&mut sender, ms(0), &command);
+            let is_y =
+                |it: &Received| matches!(it, Received::Position(at) if at.axis == LinearAxis::Y);
+            assert_eq!(heard.len(), 2, "Control and Y alone: {heard:?}");
+            assert!(heard.iter().any(is_y));
+        }
+    }
+
+    #[test]
     fn angles_come_within_one_turn_and_nothing_wraps() {
         assert_eq!(angle(370.0), MicroDegrees(10_000_000));
         assert_eq!(angle(-190.5), MicroDegrees(169_500_000));
         assert_eq!(position(1e30), Position(i32::MAX));
-        assert_eq!(position(f64::NAN), Position(0));
         assert_eq!(spindle(-24_000.0, 1e9), Spindle { speed: Rpm(24_000), load_n: i16::MAX });
         let mut sender = Sender::new(ms(2), true, [Some(0.0); 3]);
         let command = Command { angles_deg: [725.0, -30.0], ..Command::default() };

@@ -11,7 +11,9 @@ use trueup_core::{
     units::{Nanometres, Reading},
 };
 use trueup_machine::{Compiled, MachineFile, compile, show};
-use trueup_store::calibration::{MAX_OFFSET_NM, MAX_SIZE, decode, encode};
+use trueup_store::calibration::{
+    MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_OFFSET_NM, MAX_SIZE, MAX_SLEW_NM_PER_S, decode, encode,
+};
 
 /// Repeatable random numbers (xorshift).
 struct Random(u64);
@@ -58,9 +60,9 @@ impl Random {
         calibration.limits = Limits {
             max: [(); 3]
                 .map(|()| Nanometres(self.uniform(0.0, f64::from(MAX_OFFSET_NM) + 1.0) as i32)),
-            slew_nm_per_s: (self.integer() as u32).max(1),
-            link_timeout_ms: (self.integer() as u32).max(1),
-            hold_ms: self.integer() as u32,
+            slew_nm_per_s: (self.integer() as u32 % (MAX_SLEW_NM_PER_S + 1)).max(1),
+            link_timeout_ms: (self.integer() as u32 % (MAX_LINK_TIMEOUT_MS + 1)).max(1),
+            hold_ms: self.integer() as u32 % (MAX_HOLD_MS + 1),
         };
         loop {
             let sensor = SensorLaw {

@@ -15,21 +15,35 @@ use trueup_canopen::{
 use trueup_core::{
     bridge::{self, Bridge, Input, Reference},
     calibration::Calibration,
-    cnc::{Command, Flags, Output, Quality},
+    cnc::{Command, Control, Flags, Output, Quality},
     health::Noise,
     units::Millis,
 };
 use trueup_link::{
     frame::Frame,
     frames::{self, State},
-    layout::{HEARTBEAT_PERIOD_MS, NMT_ID, SDO_REQUEST_ID, SERVICE_PERIOD_MS, STATUS_PERIOD_MS},
+    layout::{
+        CONTROL_ID, HEARTBEAT_PERIOD_MS, NMT_ID, SDO_REQUEST_ID, SERVICE_PERIOD_MS,
+        STATUS_PERIOD_MS,
+    },
     receiver::{Receiver, Refused},
     status::{self, Reason, ResetReason, Status},
 };
-use trueup_store::load::{Load, Outcome, Slot};
+use trueup_store::{
+    load::{Load, Outcome, Slot},
+    retained::Kept,
+};
 
+mod master;
 mod network;
 mod objects;
+
+pub use master::Line;
+use master::Master;
+
+/// A millisecond that was lost is forgiven in this time: a converter that is restarted loses one, and
+/// they must not add up over a day.
+const FORGIVEN_MS: u32 = 1_000;
 
 /// The frames of one tick: both halves of a cycle's offsets.
 pub type Frames = [Frame; 2];
@@ -42,6 +56,9 @@ pub struct Node<'a> {
     state: bridge::State,
     receiver: Receiver,
     now: Millis,
+    /// The same by a clock that does not count samples.
+    clock: Millis,
+    until_forgiven_ms: u32,
     blocks: u32,
     counter: u8,
     since_heartbeat_ms: u32,
@@ -56,8 +73,13 @@ pub struct Node<'a> {
     server: sdo::Server,
     answer: Option<Frame>,
     emergencies: Emergencies,
-    /// Of the board, which stay.
+    /// Of the board, which stay until it says otherwise.
     board_faults: Faults,
+    /// What the operator is asked: nothing is available until it is answered.
+    questions: Faults,
+    /// The last question that was answered, for the board to keep.
+    confirmed: Option<Fault>,
+    master: Master,
     /// The blob of the running calibration.
     blob: &'a [u8],
     slot: Slot<'a>,
@@ -72,9 +94,9 @@ pub struct Node<'a> {
     restart: bool,
     degraded: bool,
     last: Output,
-    /// `Zero` in the last `Control`; at the start as if it had been set.
-    zero_bit: bool,
     zero: Option<Zero>,
+    /// A `Zero` was refused since [`Node::service`] last ran.
+    zero_refused: bool,
 }
 
 /// What came of a `Zero`.
@@ -91,11 +113,13 @@ impl<'a> Node<'a> {
     /// a fall-back.
     #[must_use]
     pub fn new(calibration: Option<Calibration<'a>>, degraded: bool) -> Self {
-        Self {
+        let mut node = Self {
             bridge: calibration.map(Bridge::new),
             state: bridge::State::default(),
             receiver: Receiver::default(),
             now: Millis::default(),
+            clock: Millis::default(),
+            until_forgiven_ms: 0,
             blocks: 0,
             counter: 0,
             since_heartbeat_ms: 0,
@@ -108,6 +132,9 @@ impl<'a> Node<'a> {
             answer: None,
             emergencies: Emergencies::default(),
             board_faults: Faults::default(),
+            questions: Faults::default(),
+            confirmed: None,
+            master: Master::default(),
             blob: &[],
             slot: Slot::None,
             noise: Noise::default(),
@@ -120,14 +147,22 @@ impl<'a> Node<'a> {
             restart: false,
             degraded,
             last: Output::default(),
-            zero_bit: true,
             zero: None,
-        }
+            zero_refused: false,
+        };
+        node.bar();
+        node
     }
 
     /// Lets a CANopen master read the blob of the running calibration.
     pub fn set_blob(&mut self, blob: &'a [u8]) {
         self.blob = blob;
+    }
+
+    /// The blob of the running calibration; empty without one.
+    #[must_use]
+    pub fn blob(&self) -> &'a [u8] {
+        self.blob
     }
 
     /// Lets a CANopen master load a calibration through this buffer; without one it is told that
@@ -167,12 +202,54 @@ impl<'a> Node<'a> {
         self.answer = self.server.end(outcome).or(self.answer);
     }
 
-    /// Takes a frame from the bus. Gives the command it carried, `None` if it is nobody's here.
+    /// Asks the operator something at the start: of these [`Fault::ForeignMachine`] and
+    /// [`Fault::OlderCalibration`], nothing is available until `Confirm` has answered it.
+    pub fn ask(&mut self, question: Fault) {
+        self.questions = self.questions.with_if(true, question);
+        self.bar();
+    }
+
+    /// The running constants are those of the example: nothing is ever available.
+    pub fn bar_example(&mut self) {
+        self.note(Fault::ExampleConstants);
+        self.bar();
+    }
+
+    /// The question that was answered last, once.
+    pub fn take_confirmed(&mut self) -> Option<Fault> {
+        self.confirmed.take()
+    }
+
+    /// What is barred is not available: until the engage sequence is complete, the questions are
+    /// answered, and the constants are somebody's.
+    fn bar(&mut self) {
+        let asks = [Fault::ForeignMachine, Fault::OlderCalibration];
+        let barred = !self.master.is_started()
+            || asks.into_iter().any(|question| self.questions.has(question))
+            || self.board_faults.has(Fault::ExampleConstants);
+        self.state.bar(barred);
+    }
+
+    /// The first question that is open is answered.
+    fn confirm(&mut self) {
+        let open = [Fault::ForeignMachine, Fault::OlderCalibration, Fault::HeatUnknown];
+        let first = open.into_iter().find(|question| self.questions.has(*question));
+        if let Some(question) = first {
+            self.questions = self.questions.without(question);
+            if let (Fault::HeatUnknown, Some(bridge)) = (question, &self.bridge) {
+                bridge.confirm_cold(&mut self.state);
+            }
+            self.confirmed = Some(question);
+        }
+    }
+
+    /// Takes a frame from a line. Gives the command it carried, `None` if it is nobody's here, or
+    /// not from the master.
     ///
     /// # Errors
     /// A frame for this node that is damaged, repeated or out of order; it is counted and has no
     /// effect.
-    pub fn hear(&mut self, frame: &Frame) -> Result<Option<Command>, Refused> {
+    pub fn hear(&mut self, line: Line, frame: &Frame) -> Result<Option<Command>, Refused> {
         if frame.id() == SDO_REQUEST_ID {
             // Taken out, because what it reads and writes is the rest of this node.
             let mut server = self.server;
@@ -185,33 +262,85 @@ impl<'a> Node<'a> {
             return Ok(None);
         }
         self.consumer.hear(frame);
+        if Receiver::is_from_cnc(frame.id()) && !self.master.admits(line) {
+            return Ok(None);
+        }
         let heard = self.receiver.accept(frame);
         if let Err(refused) = &heard {
             self.last_refused = refused.reason();
+            if frame.id() == CONTROL_ID {
+                self.master.refuse(refused.is_sound());
+            }
         }
         let command = heard?;
-        if let (Some(bridge), Some(command)) = (&self.bridge, command) {
-            let before = self.state.reference();
-            bridge.hear(&mut self.state, command);
-            self.note_zero(command, before);
+        match (command, &self.bridge) {
+            (Some(Command::Control(control)), _) => self.hear_control(line, control),
+            (Some(command), Some(bridge)) => bridge.hear(&mut self.state, command),
+            _ => {}
         }
         Ok(command)
     }
 
-    fn note_zero(&mut self, command: Command, before: Reference) {
-        let Command::Control(control) = command else { return };
-        let was_set = core::mem::replace(&mut self.zero_bit, control.zero);
+    fn hear_control(&mut self, line: Line, control: Control) {
+        let Some(heard) = self.master.take(line, control) else { return };
+        if heard.confirm {
+            self.confirm();
+        }
+        self.bar();
+        let Some(bridge) = &self.bridge else { return };
+        let before = self.state.reference();
+        bridge.hear(&mut self.state, Command::Control(heard.control));
         let now = self.state.reference();
         if now != before {
             self.zero = Some(Zero::Taken(now));
-        } else if control.zero && !was_set && self.zero.is_none() {
+        } else if heard.zero && self.zero.is_none() {
             self.zero = Some(Zero::Unchanged);
+            self.zero_refused = true;
         }
     }
 
     /// What came of the last `Zero`, once.
     pub fn take_zero(&mut self) -> Option<Zero> {
         self.zero.take()
+    }
+
+    /// What is to outlast a reset.
+    #[must_use]
+    pub fn kept(&self) -> Kept {
+        let heat = self.bridge.as_ref().map(|bridge| bridge.heat_memory(&self.state));
+        Kept { heat: heat.unwrap_or_default(), joint: self.state.kept_joint() }
+    }
+
+    /// Goes on from before a reset; with nothing kept, the power was gone, and what heat the machine
+    /// has is not known. A board that is cold at its start does not call this.
+    pub fn resume(&mut self, kept: Option<&Kept>) {
+        let Some(bridge) = &self.bridge else { return };
+        let Kept { heat, joint } = kept.copied().unwrap_or_default();
+        bridge.resume_heat(&mut self.state, &heat);
+        if let Some(joint) = joint {
+            self.state.resume_joint(joint);
+        }
+    }
+
+    /// So much time has passed by a clock that does not count samples. Gives for how long there were
+    /// none, if that is more than a turn of the supervisor: a tick without any makes up for it.
+    pub fn catch_up(&mut self, elapsed_ms: u32) -> Option<u32> {
+        self.clock = self.clock.after(elapsed_ms);
+        let behind_ms = self.clock.since(self.now);
+        if behind_ms.cast_signed() <= 0 {
+            self.clock = self.now;
+            return None;
+        }
+        self.until_forgiven_ms = self.until_forgiven_ms.saturating_add(elapsed_ms);
+        if self.until_forgiven_ms >= FORGIVEN_MS {
+            self.until_forgiven_ms = 0;
+            self.clock = Millis(self.clock.0.wrapping_sub(1));
+        }
+        if behind_ms < elapsed_ms {
+            return None;
+        }
+        self.state.starve();
+        Some(behind_ms)
     }
 
     /// Takes up a reference that was stored.
@@ -259,7 +388,15 @@ impl<'a> Node<'a> {
         // A fault of a single tick is not overlooked.
         let flags = core::mem::take(&mut self.flags_since);
         self.consumer.tick(elapsed_ms);
+        let link_timeout_ms =
+            self.bridge.as_ref().map_or(u32::MAX, |it| it.calibration().limits.link_timeout_ms);
+        self.master.tick(elapsed_ms, link_timeout_ms);
+        self.questions = self
+            .questions
+            .without(Fault::HeatUnknown)
+            .with_if(self.state.heat_is_unknown(), Fault::HeatUnknown);
         let seen = self.faults(&Output { flags, ..output });
+        self.zero_refused = false;
         let now = self.faults(&output);
         self.emergencies.note(elapsed_ms, seen);
         self.answer = self.server.tick(elapsed_ms).or(self.answer);
@@ -310,6 +447,14 @@ impl<'a> Node<'a> {
             .with_if(self.bridge.is_none(), Fault::NoCalibration)
             .with_if(self.consumer.is_lost(), Fault::HeartbeatLost)
             .with_if(self.degraded && !known, Fault::Degraded)
+            .with_if(!self.master.is_started(), Fault::Restarted)
+            .with_if(self.master.is_second(), Fault::SecondMaster)
+            .with_if(self.zero_refused, Fault::ZeroRefused)
+            .with_if(
+                self.bridge.as_ref().is_some_and(|it| it.fall_back_is_dead(&self.state)),
+                Fault::SourceDead,
+            )
+            .and(self.questions)
     }
 
     /// The time of the last tick.
@@ -382,5 +527,7 @@ pub(crate) fn tests_calibration() -> Calibration<'static> {
     }
 }
 
+#[cfg(test)]
+mod restart_tests;
 #[cfg(test)]
 mod tick_tests;

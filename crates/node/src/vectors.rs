@@ -23,7 +23,7 @@ use trueup_link::{
     frames::{self, CONTROL_PERIOD_MS, POSITION_PERIOD_MS, ROTARY_PERIOD_MS},
 };
 
-use crate::node::{Frames, Node};
+use crate::node::{Frames, Line, Node};
 
 /// Where X, Y and Z go, from 0, in positions: a large gantry, and a little beyond its tables.
 const REACH: [u32; 3] = [1_435_000_000, 301_000_000, 251_000_000];
@@ -128,8 +128,13 @@ impl<'a> Vectors<'a> {
     /// A node that has just been switched on.
     #[must_use]
     pub fn new(calibration: Calibration<'a>, seed: u32, faults: bool) -> Self {
+        let mut node = Node::new(Some(calibration), false);
+        for frame in frames::released() {
+            // In order: none is refused.
+            node.hear(Line::Can, &frame).ok();
+        }
         Self {
-            node: Node::new(Some(calibration), false),
+            node,
             random: Random::new(seed),
             faults,
             number: 0,
@@ -138,7 +143,8 @@ impl<'a> Vectors<'a> {
             codes: [Code(0); CODES_PER_TICK],
             temperatures: [Raw::NONE; CHANNELS],
             sent: Vec::new(),
-            counters: [0; 6],
+            // After the three of `Control` above.
+            counters: [0, 0, 0, 0, 0, 3],
             checksum: 0xcbf2_9ce4_8422_2325,
         }
     }
@@ -176,7 +182,7 @@ impl<'a> Vectors<'a> {
     pub fn hear(&mut self) {
         for frame in &self.sent {
             // A refusal is one of the things that are compared.
-            self.node.hear(frame).ok();
+            self.node.hear(Line::Can, frame).ok();
         }
     }
 

@@ -4,20 +4,22 @@ use trueup_canopen::sdo::{
     Abort,
     client::{At, ClientError, Download, Progress, Upload},
 };
-use trueup_core::bridge::Input;
-use trueup_link::frame::Frame;
-use trueup_node::node::Node;
+use trueup_core::{bridge::Input, cnc::Control};
+use trueup_link::{frame::Frame, frames};
+use trueup_node::node::{Line, Node};
 use trueup_store::{calibration::MAX_SIZE, load::Outcome};
 
 fn node() -> Node<'static> {
     let mut node = Node::new(None, false);
     node.set_buffer(Box::leak(vec![0; MAX_SIZE].into()));
+    let control = Control { service: true, ..Control::REFERENCED };
+    node.hear(Line::Serial, &frames::control(control, 0)).expect("the first");
     node
 }
 
 /// What the node says to a request, offsets and heartbeats among it; and what a board does.
 fn said(node: &mut Node<'_>, request: Frame) -> Vec<Frame> {
-    node.hear(&request).expect("an SDO");
+    node.hear(Line::Can, &request).expect("an SDO");
     if let Some(load) = node.take_load() {
         node.end_load(load, Outcome::Stored);
     }

@@ -8,7 +8,7 @@
 //! |---|---|---|
 //! | 0 | magic `TRUP`; `u16` schema 3; `u16` length of all of the blob in bytes | |
 //! | 8 | 3 × `i32` largest offset on X, Y, Z | nm, 0…5 242 870 |
-//! | 20 | `u32` slew limit; `u32` link timeout; `u32` hold | nm/s; ms |
+//! | 20 | `u32` slew limit; `u32` link timeout; `u32` hold | nm/s, up to 10⁷; ms, up to 60 000 and 600 000 |
 //! | 32 | 3 × `i32` tool direction at angles 0 | 2⁻³⁰, together a unit vector |
 //! | 44 | 4 × `u8`: first and second axis that turn the tool (1, 2, 3: A, B, C), 0, 0 | |
 //! | 48 | 4 × `u8`: sources of the elongation in their order (1 sensor, 2 temperature, 3 warm-up), 0 | |
@@ -70,7 +70,10 @@ mod wire;
 
 pub use error::{BlobError, TooLarge};
 use format::{CRC_SIZE, HEAD_SIZE};
-pub use format::{FIXED_SIZE, MAGIC, MAX_OFFSET_NM, MAX_SIZE, SCHEMA};
+pub use format::{
+    FIXED_SIZE, MAGIC, MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_OFFSET_NM, MAX_SIZE,
+    MAX_SLEW_NM_PER_S, SCHEMA,
+};
 use records::FixedPart;
 use wire::{Field as _, Reader, Writer};
 

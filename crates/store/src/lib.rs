@@ -2,7 +2,8 @@
 //! power.
 //!
 //! `calibration` is the layout of what the host compiles for the board, `load` the way of a new one
-//! to the board, `slots` where a board keeps it, and `reference` what the board stores of itself.
+//! to the board, `slots` where a board keeps it, `reference` what the board stores of itself, and
+//! `retained` what outlasts a reset in RAM.
 //! Nothing here touches hardware, allocates, reads a clock, or panics on any input.
 #![no_std]
 #![forbid(unsafe_code)]
@@ -17,6 +18,7 @@ mod crc;
 pub mod load;
 mod log;
 pub mod reference;
+pub mod retained;
 pub mod slots;
 #[cfg(test)]
 mod strict_flash;

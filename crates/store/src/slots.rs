@@ -13,7 +13,11 @@
 //! the start, before anything runs that an erase would hold up. A sector of 128 KB takes seven.
 //!
 //! A calibration belongs to the image that it was loaded over: an image with another machine file
-//! wins over what was loaded before it, or flashing would have no effect and say nothing.
+//! wins over what was loaded before it, or flashing would have no effect and say nothing. An image
+//! with the example's constants wins over nothing: whatever was loaded counts.
+//!
+//! A newest one that is damaged makes an older one count, and that is told: it is not what the
+//! operator has loaded. A load that a power cut has ended is none: its head is blank.
 
 use embedded_storage::nor_flash::NorFlash;
 
@@ -80,29 +84,40 @@ pub struct Found {
     pub foreign: u32,
     /// Slots that hold something, but no calibration.
     pub damaged: u32,
+    /// One of these was stored after `newest`, or there is none beside it: what counts is older than
+    /// what was loaded last.
+    pub newer_is_damaged: bool,
 }
 
 /// The stored calibrations, open for one image.
 #[derive(Debug)]
 pub struct Slots<F> {
     log: Log<F>,
-    base: u32,
+    base: Option<u32>,
 }
 
 impl<F: NorFlash> Slots<F> {
-    /// Looks at all of the flash. `base` is the calibration of the image; each stored calibration is
-    /// read into `buffer` of [`MAX_SIZE`] bytes and checked.
-    pub fn open(flash: F, base: u32, buffer: &mut [u8]) -> (Self, Found) {
+    /// Looks at all of the flash. `base` is the calibration of the image, `None` for one with the
+    /// example's constants; each stored calibration is read into `buffer` of [`MAX_SIZE`] bytes and
+    /// checked.
+    pub fn open(flash: F, base: Option<u32>, buffer: &mut [u8]) -> (Self, Found) {
         let mut found = Found::default();
         let mut half = None;
+        // The largest number of a damaged one, and of any record before each head that is none.
+        let (mut last, mut damaged) = (0, None);
         let mut log = Log::open(flash, SLOT_SIZE, |flash, slot| {
             let Some(head) = Head::read(flash, slot) else {
                 found.damaged = found.damaged.saturating_add(1);
+                if !is_blank_head(flash, slot) {
+                    // It came after the record before it, whatever number it had.
+                    damaged = damaged.max(Some(last));
+                }
                 return None;
             };
             let sequence = head.sequence;
+            last = sequence;
             let address = slot.address.saturating_add(HEAD);
-            if head.base != base {
+            if base.is_some_and(|base| head.base != base) {
                 found.foreign = found.foreign.saturating_add(1);
             } else if let Some(length) = check(flash, address, head.identity, buffer) {
                 if found.newest.is_none_or(|other| sequence > other.sequence) {
@@ -111,9 +126,12 @@ impl<F: NorFlash> Slots<F> {
                 }
             } else {
                 found.damaged = found.damaged.saturating_add(1);
+                damaged = damaged.max(Some(sequence));
             }
             Some(sequence)
         });
+        let newest = found.newest.map_or(0, |newest| newest.sequence);
+        found.newer_is_damaged = damaged.is_some_and(|number| number >= newest);
         // What counts must never be in the half that is emptied.
         if let Some(half) = half {
             log.activate(half);
@@ -130,7 +148,7 @@ impl<F: NorFlash> Slots<F> {
         if blob.len() > MAX_SIZE {
             return Err(StoreError::NotTaken);
         }
-        let (base, identity) = (self.base, calibration::identity(blob));
+        let (base, identity) = (self.base.unwrap_or(0), calibration::identity(blob));
         let stored = self.log.append(1, |flash, slot, sequence| {
             let mut at = slot.address.saturating_add(HEAD);
             for part in blob.chunks(PART_SIZE) {
@@ -159,6 +177,12 @@ impl<F: NorFlash> Slots<F> {
     pub const fn flash(&self) -> &F {
         &self.log.flash
     }
+}
+
+/// Whether the head was never written: the load before it was not finished.
+fn is_blank_head<F: NorFlash>(flash: &mut F, slot: Slot) -> bool {
+    let mut bytes = [0; HEAD as usize];
+    flash.read(slot.address, &mut bytes).is_ok() && bytes.iter().all(|byte| *byte == 0xFF)
 }
 
 /// The length of the blob there, if it is the expected one and a bridge can run on it.

@@ -38,7 +38,7 @@ use stm32f4xx_hal::{
     rcc::{Enable as _, Reset as _},
 };
 
-use super::{Faults, Parts, references};
+use super::{Faults, Parts, references, reset_ram};
 pub use can::{CanIn, CanOut};
 use clocks::Source;
 pub use flash::Flash;
@@ -54,6 +54,12 @@ pub use watchdog::Watchdog;
 /// What the host compiled from the machine file, linked into the image. One that was loaded over it
 /// counts instead.
 static CALIBRATION: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/calibration.bin"));
+
+/// It is the example's, because nobody gave a machine file when the image was built.
+const IS_EXAMPLE: bool = matches!(env!("TRUEUP_EXAMPLE").as_bytes(), b"1");
+
+/// After a power cut nobody knows how warm the machine is.
+pub const COLD_AT_START: bool = false;
 
 /// Turns of the supervisor in one second.
 const SUPERVISOR_HZ: u32 = 100;
@@ -76,8 +82,9 @@ pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts
     let [calibrations, flash] = Flash::split(device.FLASH);
     let buffer: &'static mut [u8] = cortex_m::singleton!(: [u8; calibration::MAX_SIZE] = [0; _])
         .expect("the board starts once");
-    let base = calibration::whole(CALIBRATION).map_or(0, calibration::identity);
-    let (store, loaded) = Store::open(calibrations, base, buffer);
+    let own = calibration::whole(CALIBRATION).map_or(0, calibration::identity);
+    let (store, loaded, is_older) = Store::open(calibrations, (!IS_EXAMPLE).then_some(own), buffer);
+    let is_example = IS_EXAMPLE && loaded.is_none();
     let blob = calibration::whole(loaded.unwrap_or(CALIBRATION));
     let calibration =
         blob.and_then(|blob| Ok((calibration::identity(blob), calibration::decode(blob)?)));
@@ -140,6 +147,9 @@ pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts
         references,
         faults,
         blob,
+        is_older,
+        is_example,
+        retained: reset_ram::take(),
         loading: Some((buffer, store)),
         watchdog,
         reset: reset_reason,

@@ -12,13 +12,17 @@ use super::Flash;
 pub struct Store(Slots<Flash>);
 
 impl Store {
-    /// Opens it over the image's own calibration, `base`, and gives the blob that was loaded over it,
-    /// if there is one. An erase may be needed to make room, so this is for the time before samples
+    /// Opens it over the image's own calibration, `base`, or over an example, and gives the blob that
+    /// was loaded over it, if there is one, and whether one that was loaded later is damaged. An erase may be needed to make room, so this is for the time before samples
     /// are taken and the watchdog runs. `buffer` takes one calibration at a time.
     #[allow(unsafe_code, reason = "a slice of the flash")]
-    pub fn open(flash: Flash, base: u32, buffer: &mut [u8]) -> (Self, Option<&'static [u8]>) {
+    pub fn open(
+        flash: Flash,
+        base: Option<u32>,
+        buffer: &mut [u8],
+    ) -> (Self, Option<&'static [u8]>, bool) {
         let (mut slots, found) = Slots::open(flash, base, buffer);
-        let Found { newest, foreign, damaged } = found;
+        let Found { newest, foreign, damaged, newer_is_damaged } = found;
         if foreign > 0 {
             defmt::info!("stored calibrations of other images, not used: {}", foreign);
         }
@@ -36,7 +40,7 @@ impl Store {
             // before the next time this is called.
             unsafe { slots.flash().mapped(stored.address, stored.length) }
         });
-        (Self(slots), loaded)
+        (Self(slots), loaded, newer_is_damaged)
     }
 
     /// Stores a calibration for the next start; `false`: it is not stored. `feed` is for the

@@ -179,7 +179,7 @@ pub const OBJECTS: &[Object] = &[
         0x2001,
         "State of the bridge",
         &[
-            count(7),
+            count(8),
             read(1, "Quality", Type::U8, ObjectKind::Quality),
             read(2, "Flags", Type::U8, ObjectKind::Flags),
             read(3, "Age of the newest sample in ms", Type::U8, ObjectKind::Age),
@@ -187,6 +187,7 @@ pub const OBJECTS: &[Object] = &[
             read(5, "Sample clock in ms", Type::U32, ObjectKind::Clock),
             read(6, "State bits", Type::U32, ObjectKind::StateBits),
             read(7, "Reason of the last reset", Type::U8, ObjectKind::ResetReason),
+            read(8, "Who may write", Type::U8, ObjectKind::Authority),
         ],
     ),
     record(

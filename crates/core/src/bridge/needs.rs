@@ -18,6 +18,8 @@ pub(super) struct RequiredInputs {
     pub rotary: bool,
     /// Channels of the axes; that of the spindle is one source among others.
     pub temperatures: IndexSet,
+    /// Every channel that something depends on, in use or not.
+    pub watched: IndexSet,
     /// Axes with a law over temperature.
     pub laws: IndexSet,
     /// Whether the sensor is one of the sources of the elongation.
@@ -86,12 +88,18 @@ impl RequiredInputs {
                 _ => {}
             }
         }
+        if let Some(temperature) = &calibration.spindle.temperature
+            && chain.contains(&Some(ElongationSource::Temperature))
+        {
+            needs.watched.insert(temperature.channel.into());
+        }
         for (number, axis) in calibration.axes.iter().enumerate() {
             if let Some(thermal) = &axis.thermal {
                 needs.temperatures.insert(thermal.channel.into());
                 needs.laws.insert(number);
             }
         }
+        needs.watched = needs.watched.and(needs.temperatures);
         needs
     }
 }

@@ -1,5 +1,6 @@
 //! What the bridge remembers from tick to tick.
 
+use super::sources::Joint;
 use crate::{
     channels::{Channels, RawTemperatures},
     cnc::{AxisPosition, Control, Spindle},
@@ -16,6 +17,9 @@ use crate::{
 
 /// Without samples for so long the converter counts as stopped, and a reading as stale.
 pub const SAMPLES_TIMEOUT_MS: u32 = 20;
+/// After blocks were missing the reading counts as stale for so long: many turns of the supervisor that
+/// looks for them, so that it does not flicker.
+pub const STARVED_MS: u32 = 100;
 /// Without a temperature for so long its channel counts as bad.
 pub const TEMPERATURE_TIMEOUT_MS: u32 = 1_000;
 
@@ -39,9 +43,14 @@ pub struct State {
     pub(super) tool: Heard<([MicroDegrees; 2], Direction)>,
     pub(super) place: Place,
     pub(super) position_age: [Age; 3],
+    /// Axes, and as the fourth the angles, that were somewhere else in the frame before.
+    moving: [bool; 4],
+    pub(super) joint: Joint,
     /// Whether the CNC was ever heard: silence is a loss only after that.
     pub(super) cnc_known: bool,
     pub(super) codes_age: Age,
+    /// Since blocks were missing.
+    pub(super) starved_age: Age,
     /// By the sensor.
     pub(super) elongation: Option<Nanometres>,
     pub(super) elongation_age: Age,
@@ -58,6 +67,8 @@ pub struct State {
     /// How long ago the offset was last live; `None` if it is not to be held.
     live_age: Option<Age>,
     pub(super) applied: Applied,
+    /// Nothing is followed, and nothing is available.
+    pub(super) barred: bool,
 }
 
 /// The error that counts as none: what `Zero` has taken.
@@ -132,16 +143,22 @@ impl State {
         self.now
     }
 
-    /// The newest elongation by the sensor, before reference and limits.
+    /// The elongation by the sensor, before reference and limits; `None` where it is not fresh.
     #[must_use]
     pub fn elongation(&self) -> Option<Nanometres> {
-        self.elongation
+        self.elongation.filter(|_| self.sensor_is_fresh())
     }
 
     /// The temperature of a channel, where one is connected and believable.
     #[must_use]
     pub fn temperature(&self, channel: u8) -> Option<Temperature> {
         self.channels.temperature(channel)
+    }
+
+    /// Whether it is not known how warm the machine was before the start.
+    #[must_use]
+    pub fn heat_is_unknown(&self) -> bool {
+        self.heat.is_unknown()
     }
 
     /// The error that counts as none.
@@ -153,6 +170,12 @@ impl State {
     /// Takes up a reference that was stored.
     pub fn set_reference(&mut self, reference: Reference) {
         self.reference = reference;
+    }
+
+    /// Bars the offset, or gives it free: while it is barred it goes to 0, and is not available
+    /// from then on.
+    pub fn bar(&mut self, barred: bool) {
+        self.barred = barred;
     }
 
     /// The noise of the raw codes since the last call.
@@ -174,7 +197,28 @@ impl State {
         let before = (*position, travel.reversal());
         *position = heard.position;
         travel.update(config, heard.position, heard.direction as i8);
-        before != (*position, travel.reversal())
+        let has_moved = before.0 != *position;
+        let changed = before != (*position, travel.reversal());
+        if let Some(moving) = self.moving.get_mut(number) {
+            *moving = has_moved;
+        }
+        changed
+    }
+
+    /// Takes the angles of the head, and where they point the tool.
+    pub(super) fn hear_angles(&mut self, angles: [MicroDegrees; 2], direction: Direction) {
+        let [.., moving] = &mut self.moving;
+        *moving = self.tool.latest().is_some_and(|(before, _)| before != angles);
+        self.tool.hear((angles, direction));
+    }
+
+    /// The age of the oldest position or angle of what moves.
+    #[inline]
+    pub(super) fn oldest_motion(&self) -> Age {
+        let [x, y, z] = self.position_age;
+        let ages = [x, y, z, self.tool.age];
+        let of_moving = |(is_moving, age): (bool, Age)| if is_moving { age } else { Age::NEW };
+        self.moving.into_iter().zip(ages).map(of_moving).fold(Age::NEW, Age::max)
     }
 
     pub(super) fn grow_older(&mut self, elapsed_ms: u32) {
@@ -185,6 +229,7 @@ impl State {
             age.grow(elapsed_ms);
         }
         self.codes_age.grow(elapsed_ms);
+        self.starved_age.grow(elapsed_ms);
         self.elongation_age.grow(elapsed_ms);
         self.raw_age.grow(elapsed_ms);
         if let Some(age) = &mut self.live_age {
@@ -196,11 +241,20 @@ impl State {
         self.elongation.is_some()
             && self.believable
             && !self.elongation_age.is_above(SAMPLES_TIMEOUT_MS)
+            && self.starved_age.is_above(STARVED_MS)
+    }
+
+    /// Blocks of samples are missing, by a clock that does not count them: what the filter has is
+    /// not what it takes it for.
+    pub fn starve(&mut self) {
+        self.filter.clear();
+        self.starved_age = Age::NEW;
     }
 
     /// Decides where the offset goes, and remembers when it was last live.
     pub(super) fn mode(&mut self, control: Option<Control>, fresh: bool, hold_ms: u32) -> Mode {
-        if control.is_some_and(|control| !(control.engage && control.referenced)) {
+        let is_free = |control: Control| control.engage && control.referenced && !self.barred;
+        if self.barred || control.is_some_and(|control| !is_free(control)) {
             self.live_age = None;
         } else if control.is_some() && fresh {
             self.live_age = Some(Age::NEW);

@@ -1,5 +1,8 @@
 //! The bridge as a whole, tick by tick: what each row of its table promises.
 
+mod heat;
+mod sources;
+
 use super::*;
 use crate::{
     calibration::AxisThermal,
@@ -421,32 +424,4 @@ fn a_tilted_head_takes_growth_to_both_axes() {
     // 102.4 µm along (0, 0.5, −0.866): error (0, 51.2, −88.681), offset its opposite.
     let expected = [Nanometres(0), Nanometres(-51_200), Nanometres(88_681)];
     assert_eq!(rig.last.offset, Some(expected));
-}
-
-#[test]
-fn a_lost_sensor_is_followed_by_the_next_source_without_a_jump() {
-    let mut machine = calibration();
-    machine.spindle.chain[1] = Some(ElongationSource::Warmup);
-    machine.spindle.warmup = Some(crate::calibration::SpindleWarmup {
-        law: crate::warmup::Warmup {
-            lag_ms: 0,
-            max: Nanometres(30_000).fine(),
-            smoothing_heating: SmoothingFactor::NO_LAG,
-            smoothing_cooling: SmoothingFactor::NO_LAG,
-            full: 1 << crate::warmup::Warmup::FULL_FRACTION_BITS,
-        },
-        power: Default::default(),
-    });
-    let mut rig = Rig::new(machine);
-    rig.run_engaged(200, 1050);
-    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::Live, 51_200));
-    let mut before = 51_200;
-    for _ in 0..100 {
-        rig.control(ENGAGED);
-        rig.tick(Some([Code(0); CODES_PER_TICK]));
-        assert!((rig.z_nm() - before).abs() <= 1_000);
-        before = rig.z_nm();
-    }
-    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::WarmUpModel, 30_000));
-    assert!(rig.last.flags.contains(Flags::SENSOR_FAULT));
 }

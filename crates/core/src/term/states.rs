@@ -2,11 +2,25 @@
 
 use crate::{
     dimensions::{CHANNELS, MAX_TERMS},
-    lag::Lag,
+    heat_memory::{HeatMemory, KeptLag, Key},
+    lag::{Lag, SmoothingFactor},
     set::IndexSet,
     term::effect::{Effect, Terms, UNIT_STEP},
     units::{Fine, Temperature},
 };
+
+/// What each term's lag follows; `None` without one.
+fn keys(terms: &Terms<'_>) -> impl Iterator<Item = Option<Key>> {
+    terms.iter().map(|term| match term.as_ref()?.effect {
+        Effect::Heat { channel, smoothing, .. } if smoothing != SmoothingFactor::NO_LAG => {
+            Some(Key { input: channel, rising: smoothing, falling: smoothing })
+        }
+        Effect::Time { smoothing, .. } => {
+            Some(Key { input: Key::TIME, rising: smoothing, falling: smoothing })
+        }
+        _ => None,
+    })
+}
 
 /// What the terms remember: their lags, and what heat and time have made of them.
 #[derive(Clone, Debug, Default)]
@@ -25,6 +39,7 @@ impl TermStates {
         terms: &Terms<'_>,
         index: usize,
         temperatures: &[Option<Temperature>; CHANNELS],
+        is_heat_known: bool,
     ) {
         let (Some(Some(term)), Some(lag), Some(value)) =
             (terms.get(index), self.lags.get_mut(index), self.values.get_mut(index))
@@ -37,7 +52,9 @@ impl TermStates {
                 if let Some(Temperature(now)) = temperature {
                     let lag = lag.get_or_insert(Lag::settled(now));
                     lag.step(now, smoothing);
-                    self.known.insert(index);
+                    if is_heat_known || smoothing == SmoothingFactor::NO_LAG {
+                        self.known.insert(index);
+                    }
                     let warmer = lag.value().saturating_sub(reference.0);
                     *value = Fine(per_temperature.times(warmer.into()));
                 }
@@ -48,6 +65,22 @@ impl TermStates {
                 *value = Fine(amplitude.times(lag.value().into()));
             }
             _ => {}
+        }
+    }
+
+    /// Adds its lags to what outlasts a reset.
+    pub fn keep(&self, terms: &Terms<'_>, memory: &mut HeatMemory) {
+        for (lag, key) in self.lags.iter().zip(keys(terms)) {
+            if let (Some(lag), Some(key)) = (*lag, key) {
+                memory.keep(KeptLag { key, lag, running_ms: 0 });
+            }
+        }
+    }
+
+    /// Goes on from before a reset.
+    pub fn resume(&mut self, terms: &Terms<'_>, mut find: impl FnMut(Key) -> Option<KeptLag>) {
+        for (lag, key) in self.lags.iter_mut().zip(keys(terms)) {
+            *lag = key.and_then(&mut find).map(|kept| kept.lag);
         }
     }
 

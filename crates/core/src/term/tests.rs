@@ -83,8 +83,8 @@ fn heat_follows_its_lag_and_time_its_own() {
     assert!(!states.knows(heated));
     let mut temperatures = [None; CHANNELS];
     let mut heat_up = |temperatures: &_| {
-        states.step(&terms, 0, temperatures);
-        states.step(&terms, 1, temperatures);
+        states.step(&terms, 0, temperatures, true);
+        states.step(&terms, 1, temperatures, true);
         let (errors, _) = axis_errors(&terms, &states, &Place::default());
         let grown = elongation(&terms, Fine::ZERO, &states, OperatingPoint::default());
         (um(errors[0]), um(grown))
@@ -237,7 +237,7 @@ fn nothing_extreme_panics() {
             for x in extremes {
                 let mut states = TermStates::default();
                 for index in 0..=MAX_TERMS {
-                    states.step(&terms, index, &[Some(Temperature(x)); CHANNELS]);
+                    states.step(&terms, index, &[Some(Temperature(x)); CHANNELS], true);
                 }
                 let place = Place { position: [Position(x); 3], ..Place::default() };
                 let _ = axis_errors(&terms, &states, &place);

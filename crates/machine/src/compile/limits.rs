@@ -1,6 +1,7 @@
 //! How far and how fast an offset may go, and how long silence is tolerated.
 
 use trueup_core::{limits::Limits, units::Nanometres};
+use trueup_store::calibration::{MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_SLEW_NM_PER_S};
 
 use crate::{
     file::{self, LinearAxis, Machine},
@@ -25,17 +26,28 @@ pub(super) fn compile(machine: &Machine) -> Result<Limits, BadInput> {
         }
         *stored = Nanometres(rounded(max_um * NM_PER_UM).expect("held to ±5.3 mm above"));
     }
-    let slew_nm_per_s = rounded_unsigned(limits.slew_um_per_s * NM_PER_UM).filter(|&nm| nm > 0);
+    let slew_nm_per_s = rounded_unsigned(limits.slew_um_per_s * NM_PER_UM)
+        .filter(|nm| (1..=MAX_SLEW_NM_PER_S).contains(nm));
     let slew_nm_per_s = slew_nm_per_s.ok_or_else(|| {
         let rule = format!(
-            "{} is not within 0.001 to 4294967 µm/s, what the board can store",
-            limits.slew_um_per_s
+            "{} is not within 0.001 to {} µm/s, the most that the board allows",
+            limits.slew_um_per_s,
+            MAX_SLEW_NM_PER_S / 1_000
         );
         machine.places.bad("limits.slew_um_per_s", rule)
     })?;
     if limits.link_timeout_ms == 0 {
         let rule = "must be at least 1: at 0 the CNC would always count as lost";
         return Err(machine.places.bad("limits.link_timeout_ms", rule));
+    }
+    for (key, ms, most) in [
+        ("link_timeout_ms", limits.link_timeout_ms, MAX_LINK_TIMEOUT_MS),
+        ("hold_ms", limits.hold_ms, MAX_HOLD_MS),
+    ] {
+        if ms > most {
+            let rule = format!("{ms} is above {most}, the most that the board allows");
+            return Err(machine.places.bad(&format!("limits.{key}"), rule));
+        }
     }
     Ok(Limits {
         max,

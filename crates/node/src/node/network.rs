@@ -9,8 +9,8 @@ use super::{Node, default_heartbeat_ms};
 impl Node<'_> {
     pub(super) fn network_command(&mut self, frame: &Frame) {
         match Command::decode(frame) {
-            Some(Command::ResetNode) if self.is_at_rest() => self.restart = true,
-            Some(Command::ResetCommunication) => self.reset_communication(),
+            Some(Command::ResetNode) if self.may_be_changed() => self.restart = true,
+            Some(Command::ResetCommunication) if self.is_at_rest() => self.reset_communication(),
             _ => {}
         }
     }

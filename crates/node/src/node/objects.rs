@@ -1,7 +1,7 @@
 //! What stands behind the object dictionary: the node's own values.
 
 use trueup_canopen::{
-    dictionary::{Counter, ELONGATION_INPUT, FORGET, NOT_AVAILABLE, ObjectKind},
+    dictionary::{Authority, Counter, ELONGATION_INPUT, FORGET, NOT_AVAILABLE, ObjectKind},
     sdo::{Abort, ObjectValue, Objects},
 };
 use trueup_core::{
@@ -15,6 +15,11 @@ use trueup_store::{calibration::identity, load::LoadError};
 use super::{Node, Zero};
 
 impl Node<'_> {
+    /// Whether the operator allows that a master changes the board, and no offset is followed.
+    pub(super) fn may_be_changed(&self) -> bool {
+        self.is_at_rest() && self.master.authority() == Authority::Service
+    }
+
     /// Whether no offset is followed: only then may the board be changed under it.
     pub(super) fn is_at_rest(&self) -> bool {
         matches!(self.last.quality, Quality::Off | Quality::Fault)
@@ -73,6 +78,7 @@ impl Node<'_> {
             ObjectKind::Faults => self.faults(&self.last).low_bits().into(),
             ObjectKind::StateBits => self.faults(&self.last).state().0,
             ObjectKind::ResetReason => self.reset_reason as u32,
+            ObjectKind::Authority => self.master.authority() as u32,
             ObjectKind::Clock => self.now.0,
             ObjectKind::ReferenceElongation => nanometres(reference.elongation),
             ObjectKind::Reference(axis) => {
@@ -156,6 +162,10 @@ impl Objects for Node<'_> {
 
     fn write(&mut self, what: ObjectKind, number: u32) -> Result<(), Abort> {
         let short = || u16::try_from(number).map_err(|_| Abort::Value);
+        // A stranger on the bus must not change it, nor anybody under a tool that cuts.
+        if !self.may_be_changed() {
+            return Err(Abort::DeviceState);
+        }
         match what {
             ObjectKind::ErrorCount if number == 0 => self.emergencies.clear(),
             ObjectKind::Inhibit => self.emergencies.set_inhibit(short()?),
@@ -165,8 +175,8 @@ impl Objects for Node<'_> {
                 self.since_heartbeat_ms = 0;
             }
             ObjectKind::Forget if number != FORGET => return Err(Abort::Value),
-            // The offset would walk away under the tool.
-            ObjectKind::Forget if !self.is_at_rest() => return Err(Abort::DeviceState),
+            // Again and again it would only fill the flash.
+            ObjectKind::Forget if self.state.reference() == Reference::default() => {}
             ObjectKind::Forget => {
                 self.state.set_reference(Reference::default());
                 self.zero = Some(Zero::Taken(Reference::default()));
@@ -177,7 +187,7 @@ impl Objects for Node<'_> {
     }
 
     fn open(&mut self, _: ObjectKind, size: Option<u32>) -> Result<(), Abort> {
-        if !self.is_at_rest() {
+        if !self.may_be_changed() {
             return Err(Abort::DeviceState);
         }
         self.slot.open(size).map_err(abort)
@@ -188,7 +198,7 @@ impl Objects for Node<'_> {
     }
 
     fn close(&mut self) -> Result<(), Abort> {
-        if !self.is_at_rest() {
+        if !self.may_be_changed() {
             return Err(Abort::DeviceState);
         }
         self.slot.close().map_err(abort)

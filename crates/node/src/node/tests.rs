@@ -6,7 +6,7 @@ use trueup_canopen::{
     dictionary::{Access, FORGET, OBJECTS, Type},
     sdo::Abort,
 };
-use trueup_core::cnc::Control;
+use trueup_core::{cnc::Control, units::Nanometres};
 use trueup_link::layout::{CONTROL_ID, EMERGENCY_ID, HEARTBEAT_ID, SDO_ANSWER_ID};
 use trueup_store::calibration::{MAX_SIZE, encode, identity};
 
@@ -14,18 +14,34 @@ fn blob() -> Vec<u8> {
     encode(&super::tests_calibration(), &mut [0; MAX_SIZE]).expect("it is small").to_vec()
 }
 
+std::thread_local! {
+    /// The counter of the `Control` with which the operator allows to write; `None`: nobody does.
+    static SERVICE: core::cell::Cell<Option<u8>> = const { core::cell::Cell::new(None) };
+}
+
 /// Lets so many milliseconds pass without samples; gives what was said besides the offsets.
 fn pass(node: &mut Node<'_>, ms: u32) -> Vec<Frame> {
     let said = (0..ms).flat_map(|_| {
         node.tick(1, Input::default());
+        if node.now().0.is_multiple_of(100) && SERVICE.get().is_some() {
+            service(node);
+        }
         node.service()
     });
     said.collect()
 }
 
+/// The operator allows to write, and goes on to.
+fn service(node: &mut Node<'_>) {
+    let counter = SERVICE.get().map_or(0, |counter| counter.wrapping_add(1));
+    SERVICE.set(Some(counter));
+    let control = Control { service: true, ..Control::REFERENCED };
+    node.hear(Line::Can, &frames::control(control, counter)).expect("in order");
+}
+
 fn hear(node: &mut Node<'_>, data: [u8; 8]) {
     let request = Frame::new(SDO_REQUEST_ID, &data).expect("a full frame");
-    assert_eq!(node.hear(&request), Ok(None));
+    assert_eq!(node.hear(Line::Can, &request), Ok(None));
 }
 
 /// What is answered to a request within 200 ms.
@@ -51,6 +67,7 @@ fn read(node: &mut Node<'_>, index: u16, subindex: u8) -> Result<u32, u32> {
 }
 
 fn write(node: &mut Node<'_>, index: u16, subindex: u8, number: u32) -> Result<(), u32> {
+    service(node);
     let answer = ask(node, request(0x22, index, subindex, number));
     let abort = u32::from_le_bytes(*answer.last_chunk().expect("8 bytes"));
     if answer[0] == 0x80 { Err(abort) } else { Ok(()) }
@@ -59,6 +76,7 @@ fn write(node: &mut Node<'_>, index: u16, subindex: u8, number: u32) -> Result<(
 /// Sends a whole domain; the answer to the last segment is still to come.
 fn send_calibration(node: &mut Node<'_>, bytes: &[u8]) {
     let size = u32::try_from(bytes.len()).expect("a blob");
+    service(node);
     assert_eq!(ask(node, request(0x21, 0x2100, 2, size))[0], 0x60);
     let last = bytes.chunks(7).count() - 1;
     for (number, part) in bytes.chunks(7).enumerate() {
@@ -171,11 +189,16 @@ fn nothing_is_loaded_or_forgotten_while_an_offset_is_followed_or_without_a_store
         let answer = ask(node, request(0x21, 0x2100, 2, 700));
         u32::from_le_bytes(*answer.last_chunk().expect("8 bytes"))
     };
+    assert_eq!(load(&mut node), Abort::DeviceState.code(), "nobody has allowed it");
+    service(&mut node);
     assert_eq!(load(&mut node), Abort::CannotStore.code());
     node.set_buffer(Box::leak(vec![0; 800].into()));
     assert_eq!(load(&mut node), 0);
     let too_long = ask(&mut node, request(0x21, 0x2100, 2, 801));
     assert_eq!(u32::from_le_bytes(*too_long.last_chunk().unwrap()), Abort::TooLong.code());
+    assert_eq!(write(&mut node, 0x2010, 6, FORGET), Ok(()));
+    assert_eq!(node.take_zero(), None, "there is none to forget");
+    node.set_reference(Reference { elongation: Nanometres(1), ..Reference::default() });
     assert_eq!(write(&mut node, 0x2010, 6, FORGET), Ok(()));
     assert!(matches!(node.take_zero(), Some(Zero::Taken(_))));
     assert_eq!(write(&mut node, 0x2010, 6, FORGET + 1), Err(Abort::Value.code()));
@@ -214,10 +237,11 @@ fn codes_of(said: &[Frame]) -> Vec<u16> {
 #[test]
 fn the_heartbeat_of_a_node_that_was_heard_is_missed() {
     let mut node = Node::new(Some(tests_calibration()), false);
-    pass(&mut node, 200);
+    pass(&mut node, 1_000);
     assert_eq!(write(&mut node, 0x1016, 1, 0x0002_0032), Ok(()));
     assert_eq!(codes_of(&pass(&mut node, 200)), [], "it was never heard");
-    let beat = |node: &mut Node<'_>| node.hear(&Frame::new(0x702, &[5]).unwrap()).map(drop);
+    let beat =
+        |node: &mut Node<'_>| node.hear(Line::Can, &Frame::new(0x702, &[5]).unwrap()).map(drop);
     for _ in 0..5 {
         assert_eq!(beat(&mut node), Ok(()));
         assert_eq!(codes_of(&pass(&mut node, 50)), []);
@@ -233,20 +257,21 @@ fn the_faults_of_the_bridge_and_the_board_are_told_and_remembered() {
     let mut node = Node::new(None, true);
     node.note(Fault::Crystal);
     node.note(Fault::WatchdogReset);
-    assert_eq!(codes_of(&pass(&mut node, 100)), [0x6300, 0x5001, 0x6101]);
-    assert_eq!(read(&mut node, 0x1003, 0), Ok(3));
-    assert_eq!(read(&mut node, 0x1003, 1), Ok(0x000C_6101));
+    assert_eq!(codes_of(&pass(&mut node, 100)), [0x6300, 0x5001, 0x6101, 0x6102]);
+    assert_eq!(read(&mut node, 0x1003, 0), Ok(4));
+    assert_eq!(read(&mut node, 0x1003, 1), Ok(0x000E_6102));
     assert_eq!(read(&mut node, 0x1001, 0), Ok(0x81));
     assert_eq!(write(&mut node, 0x1003, 0, 0), Ok(()));
     assert_eq!(read(&mut node, 0x1003, 0), Ok(0));
 
     // The converter stops, the CNC comes and goes.
+    SERVICE.set(None);
     let mut node = Node::new(Some(tests_calibration()), true);
-    assert_eq!(codes_of(&pass(&mut node, 100)), [0x7002, 0x9001, 0x5000]);
+    assert_eq!(codes_of(&pass(&mut node, 100)), [0x7002, 0x9001, 0x5000, 0x6102]);
     let control = Control::REFERENCED;
-    node.hear(&frames::control(control, 0)).expect("the first");
+    node.hear(Line::Can, &frames::control(control, 0)).expect("the first");
     assert_eq!(codes_of(&pass(&mut node, 1_000)), [0x8100]);
-    node.hear(&frames::control(control, 1)).expect("in order");
+    node.hear(Line::Can, &frames::control(control, 1)).expect("in order");
     assert_eq!(codes_of(&pass(&mut node, 100)), [0]);
 }
 
@@ -268,7 +293,7 @@ fn two_frames_beside_the_offsets_never_come_in_the_same_or_the_next_tick() {
 }
 
 fn command(node: &mut Node<'_>, data: &[u8]) {
-    assert_eq!(node.hear(&Frame::new(NMT_ID, data).expect("short")), Ok(None));
+    assert_eq!(node.hear(Line::Can, &Frame::new(NMT_ID, data).expect("short")), Ok(None));
 }
 
 #[test]
@@ -283,6 +308,10 @@ fn a_node_restarts_only_when_it_is_asked_itself_and_no_offset_is_followed() {
         assert!(!node.take_restart(), "{data:02X?}");
     }
     for data in [[0x81, 1], [0x81, 0]] {
+        let mut alone = Node::new(Some(tests_calibration()), false);
+        command(&mut alone, &data);
+        assert!(!alone.take_restart(), "nobody has allowed it");
+        service(&mut node);
         command(&mut node, &data);
         assert_eq!((node.take_restart(), node.take_restart()), (true, false));
         for quality in [Quality::Live, Quality::Hold, Quality::RampingOut] {
@@ -322,6 +351,7 @@ fn stop_and_start_change_no_frame() {
 fn reset_communication_sets_back_what_cia_301_says_and_the_offsets_go_on() {
     let mut node = Node::new(Some(tests_calibration()), false);
     pass(&mut node, 10);
+    service(&mut node);
     for (index, subindex, value) in [(0x1015, 0, 500), (0x1017, 0, 20), (0x1016, 1, 0x0002_0032)] {
         let command = if index == 0x1016 { 0x23 } else { 0x2B };
         assert_eq!(ask(&mut node, request(command, index, subindex, value))[0], 0x60);
@@ -387,7 +417,7 @@ fn the_status_tells_each_item_in_turn_and_why_a_frame_was_refused() {
         (Frame::new(CONTROL_ID, &[0; 7]).unwrap(), Reason::Malformed, [1, 2, 1, 0]),
         (frame(103), Reason::Malformed, [1, 2, 1, 2]),
     ] {
-        node.hear(&sent).ok();
+        node.hear(Line::Can, &sent).ok();
         let mut found = [None; 4];
         for (_, status) in statuses(&mut node, 1_100) {
             assert_eq!(status.last_refused, reason);
@@ -419,6 +449,6 @@ fn a_fault_of_a_single_tick_is_told_whenever_it_comes() {
             assert_eq!(is_flagged, speed.is_none(), "a single tick");
             said.extend(node.service());
         }
-        assert_eq!(codes_of(&said), [0x9001, 0], "at {phase}");
+        assert_eq!(codes_of(&said), [0x6102, 0x9001, 0], "at {phase}");
     }
 }

@@ -1,7 +1,7 @@
 //! What a CNC has of a node: offsets, and what becomes of its commands.
 
 use super::*;
-use std::vec::Vec;
+use std::{vec, vec::Vec};
 use trueup_core::{
     cnc::Control,
     dimensions::CODES_PER_TICK,
@@ -67,6 +67,15 @@ fn a_board_on_a_fall_back_marks_every_frame() {
     }
 }
 
+/// A node that has heard the engage sequence but for its end; the next counter is 3.
+fn started() -> Node<'static> {
+    let mut node = Node::new(Some(tests_calibration()), false);
+    for frame in frames::released() {
+        node.hear(Line::Can, &frame).expect("in order");
+    }
+    node
+}
+
 /// Codes that are alive, at a level and a half.
 fn alive(level: u16) -> [Code; CODES_PER_TICK] {
     core::array::from_fn(|n| Code(level + u16::from(n % 2 == 1)))
@@ -76,32 +85,29 @@ fn alive(level: u16) -> [Code; CODES_PER_TICK] {
 fn a_zero_is_told_once_and_what_it_took_can_be_given_back_to_another_node() {
     let send = |node: &mut Node<'_>, zero, counter| {
         let control = Control { zero, ..Control::ENGAGED };
-        node.hear(&frames::control(control, counter)).expect("in order");
+        node.hear(Line::Can, &frames::control(control, counter)).expect("in order");
     };
     let live = |node: &mut Node<'_>, ms| {
         for _ in 0..ms {
             node.tick(1, Input { codes: Some(&alive(700)), ..Input::default() });
         }
     };
-    let mut node = Node::new(Some(tests_calibration()), false);
-    // A CNC that starts with the bit set has asked for nothing; without samples it is refused.
-    send(&mut node, true, 0);
-    assert_eq!(node.take_zero(), None);
-    send(&mut node, false, 1);
-    send(&mut node, true, 2);
+    let mut node = started();
+    // Without samples it is refused.
+    send(&mut node, true, 3);
     assert_eq!((node.take_zero(), node.take_zero()), (Some(Zero::Unchanged), None));
     live(&mut node, 400);
-    send(&mut node, false, 3);
-    send(&mut node, true, 4);
+    send(&mut node, false, 4);
     send(&mut node, true, 5);
+    send(&mut node, true, 6);
     let Some(Zero::Taken(reference)) = node.take_zero() else { panic!("not taken") };
     assert_ne!(reference, Reference::default());
     assert_eq!(node.take_zero(), None);
 
-    let mut again = Node::new(Some(tests_calibration()), false);
+    let mut again = started();
     again.set_reference(reference);
     live(&mut again, 400);
-    send(&mut again, false, 0);
+    send(&mut again, false, 3);
     live(&mut again, 10);
     assert_eq!(again.last().quality, Quality::Live);
     assert_eq!(again.last().offset, Some([Nanometres::ZERO; 3]));
@@ -110,18 +116,162 @@ fn a_zero_is_told_once_and_what_it_took_can_be_given_back_to_another_node() {
 #[test]
 fn a_damaged_control_is_counted_and_engages_nothing() {
     let control = Control::ENGAGED;
-    let good = frames::control(control, 0);
+    let good = frames::control(control, 3);
     let mut data = *good.data();
     data[3] ^= 1;
     let damaged = Frame::new(good.id(), &data).unwrap();
     for (frame, engages) in [(damaged, false), (good, true)] {
-        let mut node = Node::new(Some(tests_calibration()), false);
-        assert_eq!(node.hear(&frame).is_ok(), engages);
+        let mut node = started();
+        assert_eq!(node.hear(Line::Can, &frame).is_ok(), engages);
         assert_eq!(node.receiver().counters().crc_errors, u32::from(!engages));
         for _ in 0..450 {
             let codes = core::array::from_fn(|n| Code(if n % 2 == 0 { 700 } else { 701 }));
             node.tick(1, Input { codes: Some(&codes), ..Input::default() });
         }
         assert_eq!(node.last().quality == Quality::Live, engages);
+    }
+}
+
+/// What a board does with such a history of `Control`, each 20 ms after the one before.
+fn after(controls: impl IntoIterator<Item = (Line, Control)>, node: &mut Node<'_>) {
+    let mut counters = [3_u8; 2];
+    for (line, control) in controls {
+        let counter = &mut counters[usize::from(line == Line::Serial)];
+        node.hear(line, &frames::control(control, *counter)).ok();
+        *counter = counter.wrapping_add(1);
+        for _ in 0..20 {
+            node.tick(1, Input { codes: Some(&alive(700)), ..Input::default() });
+            node.service();
+        }
+    }
+}
+
+fn state(node: &Node<'_>) -> trueup_link::status::StateBits {
+    node.faults(node.last()).state()
+}
+
+#[test]
+fn after_a_start_nothing_is_available_until_engage_was_0_three_times_and_then_1() {
+    use trueup_link::status::StateBits;
+    let (on, off) = ((Line::Can, Control::ENGAGED), (Line::Can, Control::REFERENCED));
+    for (heard, is_available) in [
+        (vec![], false),
+        (vec![on; 50], false),
+        (vec![off; 50], false),
+        (vec![off, off, on, on, on], false),
+        (vec![on, off, off, on, off, on], false),
+        (vec![on, off, off, off, on], true),
+    ] {
+        let mut node = Node::new(Some(tests_calibration()), false);
+        after(std::iter::repeat_n(on, 20).chain(heard.clone()), &mut node);
+        assert_eq!(node.last().offset.is_some(), is_available, "{heard:?}");
+        assert_eq!(state(&node).contains(StateBits::RESTARTED), !is_available);
+        let quality = if is_available { Quality::Live } else { Quality::Fault };
+        assert_eq!(node.last().quality, quality);
+    }
+}
+
+#[test]
+fn a_question_bars_the_offset_until_confirm_has_answered_it_and_one_edge_answers_one() {
+    use trueup_link::status::StateBits;
+    let mut node = started();
+    node.ask(Fault::OlderCalibration);
+    node.ask(Fault::ForeignMachine);
+    let confirm = Control { confirm: true, ..Control::ENGAGED };
+    let plain = Control::ENGAGED;
+    after([plain; 30].map(|it| (Line::Can, it)), &mut node);
+    assert_eq!((node.last().quality, node.last().offset), (Quality::Fault, None));
+    let both = StateBits::OLDER_CALIBRATION.0 | StateBits::FOREIGN_MACHINE.0;
+    assert_eq!(state(&node).0, both);
+    for (held, left, answered) in [
+        (3, StateBits::OLDER_CALIBRATION, Fault::ForeignMachine),
+        (1, StateBits::default(), Fault::OlderCalibration),
+    ] {
+        let heard = std::iter::repeat_n(plain, 3).chain(std::iter::repeat_n(confirm, held));
+        // The counters go on where they were.
+        node.receiver = Receiver::new();
+        after(heard.map(|it| (Line::Can, it)), &mut node);
+        assert_eq!(state(&node), left);
+        assert_eq!((node.take_confirmed(), node.take_confirmed()), (Some(answered), None));
+    }
+    assert_eq!(node.last().quality, Quality::Live);
+}
+
+#[test]
+fn example_constants_are_never_live() {
+    let mut node = started();
+    node.bar_example();
+    let confirm = |n: u32| Control { confirm: n.is_multiple_of(5), ..Control::ENGAGED };
+    after((0..200).map(|n| (Line::Can, confirm(n))), &mut node);
+    assert_eq!((node.last().quality, node.last().offset), (Quality::Fault, None));
+    assert!(state(&node).contains(trueup_link::status::StateBits::EXAMPLE_CONSTANTS));
+}
+
+#[test]
+fn a_master_on_another_line_is_told_and_has_no_effect() {
+    let mut node = started();
+    let zero = |n: u32| Control { zero: n.is_multiple_of(7), ..Control::REFERENCED };
+    let both = (0..100).flat_map(|n| [(Line::Can, Control::ENGAGED), (Line::Serial, zero(n))]);
+    after(both, &mut node);
+    assert_eq!(node.last().quality, Quality::Live);
+    assert_eq!(node.take_zero(), None);
+    assert!(state(&node).contains(trueup_link::status::StateBits::SECOND_MASTER));
+    after((0..200).map(|_| (Line::Can, Control::ENGAGED)), &mut node);
+    assert_eq!(state(&node).0 & trueup_link::status::StateBits::SECOND_MASTER.0, 0);
+}
+
+#[test]
+fn two_masters_on_one_line_take_no_zero_and_are_not_followed() {
+    // One ahead of the other at equal rate: each second frame is accepted, always of the same one.
+    for lead in [0_u8, 1, 5, 100] {
+        let mut node = started();
+        for n in 0..100_u8 {
+            let first = Control { zero: true, ..Control::ENGAGED };
+            for (control, counter) in [(first, n + 3), (Control::REFERENCED, n + 3 + lead)] {
+                node.hear(Line::Can, &frames::control(control, counter)).ok();
+                for _ in 0..10 {
+                    node.tick(
+                        1,
+                        Input { codes: Some(&alive(700 + u16::from(n))), ..Input::default() },
+                    );
+                    node.service();
+                }
+            }
+        }
+        assert!(state(&node).contains(trueup_link::status::StateBits::SECOND_MASTER), "{lead}");
+        assert!(!matches!(node.take_zero(), Some(Zero::Taken(_))), "{lead}");
+        assert_ne!(node.last().quality, Quality::Live, "{lead}");
+    }
+}
+
+#[test]
+fn a_cnc_that_restarts_is_no_second_master() {
+    let mut node = started();
+    after((0..50).map(|_| (Line::Can, Control::ENGAGED)), &mut node);
+    for _ in 0..2 {
+        after((0..150).map(|_| (Line::Can, Control::ENGAGED)), &mut node);
+        assert_eq!(state(&node).0, 0);
+        assert_eq!(node.last().quality, Quality::Live);
+    }
+}
+
+#[test]
+fn a_zero_that_is_refused_is_told() {
+    for control in [Control { referenced: false, ..Control::ENGAGED }, Control::default()] {
+        let mut node = started();
+        after([(Line::Can, control); 20], &mut node);
+        node.receiver = Receiver::new();
+        node.hear(Line::Can, &frames::control(Control { zero: true, ..control }, 0))
+            .expect("whole");
+        assert_eq!(node.take_zero(), Some(Zero::Unchanged));
+        let said = (0..100).filter_map(|_| {
+            node.tick(1, Input { codes: Some(&alive(700)), ..Input::default() });
+            node.service()
+        });
+        let codes: Vec<_> = said
+            .filter(|frame| frame.id() == trueup_link::layout::EMERGENCY_ID)
+            .map(|frame| u16::from_le_bytes([frame.data()[0], frame.data()[1]]))
+            .collect();
+        assert!(codes.contains(&Fault::ZeroRefused.code()), "{codes:04X?}");
     }
 }

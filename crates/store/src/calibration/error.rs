@@ -65,6 +65,15 @@ pub enum BlobError {
         /// The value in nanometres.
         found: i32,
     },
+    /// A slew limit, a link timeout or a hold is more than the firmware allows any calibration.
+    Limit {
+        /// Offset of the value.
+        offset: usize,
+        /// The value, in nm/s or ms.
+        found: u32,
+        /// The most.
+        most: u32,
+    },
     /// A number that stands for nothing: of a channel, an axis, a source.
     Value {
         /// Offset of the value.
@@ -103,6 +112,9 @@ impl fmt::Display for BlobError {
                 f,
                 "largest offset {found} nm at {offset} is not within 0…{MAX_OFFSET_NM} nm"
             ),
+            Self::Limit { offset, found, most } => {
+                write!(f, "the limit {found} at {offset} is above the firmware's own, {most}")
+            }
             Self::Value { offset, found } => write!(f, "{found} at {offset} has no meaning"),
             Self::Table { offset } => {
                 write!(f, "the table named at {offset} is outside the blob or contradicts itself")

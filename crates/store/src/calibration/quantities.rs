@@ -69,6 +69,26 @@ impl<'b> Field<'b> for MaxOffset {
     }
 }
 
+/// A number of a limit, at most `MOST`.
+pub(super) struct Limit<const MOST: u32>(pub u32);
+
+impl<'b, const MOST: u32> Field<'b> for Limit<MOST> {
+    const SIZE: usize = 4;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        self.0.put(to);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Self {
+        let offset = from.at;
+        let found = u32::get(from);
+        if found > MOST {
+            from.refuse(BlobError::Limit { offset, found, most: MOST });
+        }
+        Self(found)
+    }
+}
+
 impl<'b> Field<'b> for Direction {
     const SIZE: usize = 12;
 

@@ -23,8 +23,8 @@ use trueup_core::{
 };
 
 use super::{
-    format::{FIXED_SIZE, HEAD_SIZE},
-    quantities::{Chain, Channel, HeadAxes, MaxOffset},
+    format::{FIXED_SIZE, HEAD_SIZE, MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_SLEW_NM_PER_S},
+    quantities::{Chain, Channel, HeadAxes, Limit, MaxOffset},
     terms::Terms,
     wire::{Field, record},
 };
@@ -33,9 +33,9 @@ record! {
     /// All that follows the mark, the schema and the length.
     FixedPart<'b> {
         max_offsets: [MaxOffset; 3],
-        slew_nm_per_s: u32,
-        link_timeout_ms: u32,
-        hold_ms: u32,
+        slew_nm_per_s: Limit<MAX_SLEW_NM_PER_S>,
+        link_timeout_ms: Limit<MAX_LINK_TIMEOUT_MS>,
+        hold_ms: Limit<MAX_HOLD_MS>,
         tool_direction: Direction,
         head_axes: HeadAxes,
         chain: Chain,
@@ -98,9 +98,9 @@ impl<'b> FixedPart<'b> {
         };
         Self {
             max_offsets: max.map(MaxOffset),
-            slew_nm_per_s,
-            link_timeout_ms,
-            hold_ms,
+            slew_nm_per_s: Limit(slew_nm_per_s),
+            link_timeout_ms: Limit(link_timeout_ms),
+            hold_ms: Limit(hold_ms),
             tool_direction: zero,
             head_axes: HeadAxes(head_axes),
             chain: Chain(chain),
@@ -143,9 +143,9 @@ impl<'b> FixedPart<'b> {
             terms: self.terms,
             limits: Limits {
                 max: self.max_offsets.map(|max| max.0),
-                slew_nm_per_s: self.slew_nm_per_s,
-                link_timeout_ms: self.link_timeout_ms,
-                hold_ms: self.hold_ms,
+                slew_nm_per_s: self.slew_nm_per_s.0,
+                link_timeout_ms: self.link_timeout_ms.0,
+                hold_ms: self.hold_ms.0,
             },
         }
     }

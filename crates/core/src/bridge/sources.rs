@@ -1,0 +1,297 @@
+//! Which source of the elongation is used, and how one takes over from another without a step.
+//!
+//! Each source has a zero of its own: a sensor's is where it was mounted, a model's where it was
+//! fitted, and they disagree by micrometres. So a source that takes over is shifted by what makes
+//! the elongation go on where it was: it tells how the spindle grows from there. Back on the first
+//! source the shift is taken back at [`REJOIN_NM_PER_S`], and told as an offset on its way. A source
+//! that returns is asked again only once it has been fresh for [`RETURN_MS`].
+//!
+//! As long as none is used a fall-back waits until the sources before it are dead, which is known
+//! within half a second: else it would be shifted against one that only has not come yet. And its zero is not
+//! known where `Zero` has taken a reference by the
+//! first source: until that source has been there, or the shift has outlasted the reset, there is no
+//! elongation.
+
+use super::{Bridge, State};
+use crate::{
+    bridge::state::{Reference, SAMPLES_TIMEOUT_MS, STARVED_MS},
+    calibration::ElongationSource,
+    cnc::Quality,
+    dimensions::STEP_MS,
+    term::{self, OperatingPoint},
+    tip,
+    units::Nanometres,
+};
+
+/// How fast the shift between two sources is taken back: 10 nm in a second, slower than any heat, so
+/// that a change of source never shows on a part.
+pub const REJOIN_NM_PER_S: i32 = 10;
+/// A source that returns has to be fresh for so long: five times the longest window of the filter.
+pub const RETURN_MS: u32 = 1_000;
+
+/// The same in a step of the heat.
+#[allow(clippy::cast_possible_wrap, reason = "1 nm")]
+const REJOIN_NM_PER_STEP: i32 = REJOIN_NM_PER_S * STEP_MS as i32 / 1_000;
+
+/// The source of the elongation that is used.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum SelectedSource {
+    /// The machine file asks for some, but none is fresh.
+    #[default]
+    Missing,
+    /// It asks for none.
+    Unneeded,
+    /// This one.
+    Source(ElongationSource),
+}
+
+impl SelectedSource {
+    fn source(self) -> Option<ElongationSource> {
+        match self {
+            Self::Source(source) => Some(source),
+            Self::Unneeded | Self::Missing => None,
+        }
+    }
+}
+
+/// The source in use, and how it joins the one before.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Joint {
+    pub selected: SelectedSource,
+    /// The last one that was used.
+    last: Option<ElongationSource>,
+    /// What is added to what it says.
+    shift: Nanometres,
+    /// An offset was followed, or the first source was there: from then on the elongation goes on.
+    pub is_anchored: bool,
+    /// How long a better source has been fresh.
+    returned_ms: u32,
+    /// `last` was used before a reset, and nothing has been since.
+    is_resumed: bool,
+}
+
+/// What of it outlasts a reset.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct KeptJoint {
+    /// The source that was used last.
+    pub source: ElongationSource,
+    /// What was added to what it says.
+    pub shift: Nanometres,
+}
+
+impl State {
+    /// The source that was used last and its shift, once the elongation goes on.
+    #[must_use]
+    pub fn kept_joint(&self) -> Option<KeptJoint> {
+        let Joint { last, shift, is_anchored, .. } = self.joint;
+        last.filter(|_| is_anchored).map(|source| KeptJoint { source, shift })
+    }
+
+    /// Goes on from where it was before a reset.
+    pub fn resume_joint(&mut self, kept: KeptJoint) {
+        let KeptJoint { source, shift } = kept;
+        self.joint = Joint {
+            last: Some(source),
+            shift,
+            is_anchored: true,
+            is_resumed: true,
+            ..Joint::default()
+        };
+    }
+}
+
+impl Bridge<'_> {
+    /// The source of this tick.
+    #[inline]
+    pub(super) fn select(&self, state: &mut State, elapsed_ms: u32) -> SelectedSource {
+        const SENSOR: SelectedSource = SelectedSource::Source(ElongationSource::Sensor);
+        // As nearly always.
+        if self.needs.first == Some(ElongationSource::Sensor)
+            && state.joint.selected == SENSOR
+            && state.sensor_is_fresh()
+        {
+            return SENSOR;
+        }
+        self.reselect(state, elapsed_ms)
+    }
+
+    #[inline(never)]
+    fn reselect(&self, state: &mut State, elapsed_ms: u32) -> SelectedSource {
+        let best = self.first_fresh(state);
+        let present = state.joint.selected;
+        let stays = present.source().is_some_and(|source| self.is_fresh(state, source));
+        let returned_ms = if stays && best != present && state.joint.is_anchored {
+            state.joint.returned_ms.saturating_add(elapsed_ms)
+        } else {
+            RETURN_MS
+        };
+        state.joint.returned_ms = if best == present { 0 } else { returned_ms };
+        if best != present && returned_ms >= RETURN_MS {
+            self.take_over(state, best);
+        }
+        state.joint.selected
+    }
+
+    fn take_over(&self, state: &mut State, next: SelectedSource) {
+        if let Some(source) = next.source() {
+            if state.joint.is_resumed && state.joint.last != Some(source) {
+                // What that one would say now is not known: this one counts from its own zero.
+                state.joint = Joint::default();
+                if !self.has_zero(state, source) {
+                    return;
+                }
+            }
+            state.joint.is_resumed = false;
+            if let Some(last) = state.joint.last
+                && last != source
+                && state.joint.is_anchored
+            {
+                let goes_on = i64::from(self.raw(state, last).0)
+                    .wrapping_add(state.joint.shift.0.into())
+                    .wrapping_sub(self.raw(state, source).0.into());
+                state.joint.shift = Nanometres::saturating(goes_on);
+            }
+            state.joint.last = Some(source);
+            state.joint.is_anchored |= self.needs.first == Some(source);
+        }
+        state.joint.selected = next;
+        state.joint.returned_ms = 0;
+    }
+
+    /// A step of the heat: on the first source the shift is taken back.
+    pub(super) fn rejoin(&self, state: &mut State) {
+        let shift = &mut state.joint.shift;
+        if self.is_first(state.joint.selected) && shift.0 != 0 {
+            let step = shift.0.clamp(-REJOIN_NM_PER_STEP, REJOIN_NM_PER_STEP);
+            *shift = Nanometres(shift.0.wrapping_sub(step));
+        }
+    }
+
+    /// Whether the shift is still being taken back.
+    pub(super) fn is_rejoining(&self, state: &State) -> bool {
+        state.joint.shift.0 != 0 && self.is_first(state.joint.selected)
+    }
+
+    fn is_first(&self, selected: SelectedSource) -> bool {
+        selected.source().is_some_and(|source| self.needs.first == Some(source))
+    }
+
+    #[inline(never)]
+    fn first_fresh(&self, state: &State) -> SelectedSource {
+        let mut chosen = SelectedSource::Unneeded;
+        for source in self.calibration.spindle.chain.into_iter().flatten() {
+            if self.is_fresh(state, source) && self.has_zero(state, source) {
+                return SelectedSource::Source(source);
+            }
+            chosen = SelectedSource::Missing;
+            let is_awaited = state.joint.selected.source().is_none();
+            if is_awaited && !self.is_dead(state, source) {
+                break;
+            }
+        }
+        chosen
+    }
+
+    /// Whether what a source says counts from the same zero as the reference.
+    fn has_zero(&self, state: &State, source: ElongationSource) -> bool {
+        self.needs.first == Some(source)
+            || state.joint.is_anchored
+            || state.reference == Reference::default()
+    }
+
+    fn is_fresh(&self, state: &State, source: ElongationSource) -> bool {
+        let spindle = &self.calibration.spindle;
+        match source {
+            ElongationSource::Sensor => state.sensor_is_fresh(),
+            ElongationSource::Temperature => spindle.temperature.is_some_and(|temperature| {
+                state.temperature(temperature.channel).is_some()
+                    && (!state.heat.is_unknown() || !temperature.has_memory())
+            }),
+            ElongationSource::Warmup => spindle.warmup.is_some() && !state.heat.is_unknown(),
+        }
+    }
+
+    /// Whether a source can tell nothing now. What has only not come yet is not dead.
+    fn is_dead(&self, state: &State, source: ElongationSource) -> bool {
+        let spindle = &self.calibration.spindle;
+        match source {
+            ElongationSource::Sensor => {
+                state.codes_age.is_above(SAMPLES_TIMEOUT_MS)
+                    || !state.believable
+                    || !state.starved_age.is_above(STARVED_MS)
+            }
+            ElongationSource::Temperature => spindle.temperature.is_none_or(|it| {
+                state.channels.is_faulty(it.channel) || (state.heat.is_unknown() && it.has_memory())
+            }),
+            ElongationSource::Warmup => spindle.warmup.is_none() || state.heat.is_unknown(),
+        }
+    }
+
+    /// Whether every source of the elongation is dead or without a zero, and there are some.
+    pub(super) fn all_sources_are_dead(&self, state: &State) -> bool {
+        let mut sources = self.calibration.spindle.chain.into_iter().flatten().peekable();
+        sources.peek().is_some()
+            && sources.all(|it| self.is_dead(state, it) || !self.has_zero(state, it))
+    }
+
+    /// Whether a fall-back could not take over if it were needed: it is watched before it is.
+    #[must_use]
+    pub fn fall_back_is_dead(&self, state: &State) -> bool {
+        let sources = self.calibration.spindle.chain.into_iter().flatten();
+        sources.skip(1).any(|source| self.is_dead(state, source))
+    }
+
+    /// The elongation by the source in use, as it goes on from the one before.
+    #[inline]
+    pub(super) fn elongation(&self, state: &State) -> Nanometres {
+        let raw = match state.joint.selected.source() {
+            Some(source) => self.raw(state, source),
+            None => self.terms_alone(state),
+        };
+        let sum = i64::from(raw.0).wrapping_add(state.joint.shift.0.into());
+        Nanometres::saturating(sum)
+    }
+
+    /// What a source says, with the terms of a diagnosis. They were fitted to the first source, and
+    /// say nothing of another.
+    #[inline]
+    fn raw(&self, state: &State, source: ElongationSource) -> Nanometres {
+        let by_sensor = state.elongation.unwrap_or_default();
+        let plain = tip::elongation_by(Some(source), by_sensor, &state.heat);
+        if self.needs.terms && self.needs.first == Some(source) {
+            self.with_terms(state, plain)
+        } else {
+            plain
+        }
+    }
+
+    /// Terms of an elongation that has no source.
+    fn terms_alone(&self, state: &State) -> Nanometres {
+        if self.needs.terms && state.joint.selected == SelectedSource::Unneeded {
+            self.with_terms(state, Nanometres::ZERO)
+        } else {
+            Nanometres::ZERO
+        }
+    }
+
+    #[inline(never)]
+    fn with_terms(&self, state: &State, plain: Nanometres) -> Nanometres {
+        let spindle = state.spindle.latest();
+        let operating = OperatingPoint {
+            speed: spindle.map(|spindle| spindle.speed),
+            load: spindle.map_or(0, |spindle| i32::from(spindle.load_n).saturating_mul(256)),
+        };
+        let terms = &self.calibration.terms;
+        term::elongation(terms, plain.fine(), state.heat.terms(), operating).rounded()
+    }
+
+    /// The quality of an offset that is followed: how far down the chain its source stands.
+    pub(super) fn quality(&self, selected: SelectedSource) -> Quality {
+        match selected.source() {
+            Some(source) if self.needs.first == Some(source) => Quality::Live,
+            Some(ElongationSource::Temperature) => Quality::TemperatureModel,
+            Some(ElongationSource::Warmup) => Quality::WarmUpModel,
+            _ => Quality::Live,
+        }
+    }
+}

@@ -1,0 +1,137 @@
+//! Heat over a restart: resumed, cold, or not known.
+
+use super::*;
+use crate::heat_memory::HeatMemory;
+
+/// As `expanding`, with a lag of 40 s, and a second thermometer.
+fn lagging() -> Calibration<'static> {
+    let mut machine = expanding();
+    machine.thermometers[5] = machine.thermometers[3];
+    // 1 − e^(−0.1/40) in Q32.
+    let smoothing = SmoothingFactor(10_724_000);
+    let thermal = machine.axes[0].thermal.as_mut().expect("it has one");
+    (thermal.smoothing, thermal.smoothing_falling) = (smoothing, smoothing);
+    machine
+}
+
+/// Engaged at 1 m for so long, at these temperatures.
+fn live(rig: &mut Rig, ms: u32, screw: i32, other: i32) -> Output {
+    for _ in 0..ms {
+        rig.control(ENGAGED);
+        rig.bridge.hear(
+            &mut rig.state,
+            Command::Position(AxisPosition {
+                axis: LinearAxis::X,
+                position: Position(1_000 * Position::PER_MILLIMETRE),
+                direction: Heading::Positive,
+            }),
+        );
+        let mut raw = [Raw::NONE; CHANNELS];
+        (raw[3], raw[5]) = (Raw(screw * 256), Raw(other * 256));
+        rig.now = rig.now.after(1);
+        let input = Input { temperatures: Some(&raw), speed: Some(Rpm(0)), codes: None };
+        rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
+    }
+    rig.last
+}
+
+fn x_nm(output: &Output) -> i32 {
+    output.offset.expect("available")[0].0
+}
+
+/// Warmed from 20 °C for 20 s, when a lag of 40 s is on its way.
+fn warming() -> Rig {
+    let mut rig = Rig::new(lagging());
+    live(&mut rig, 1_000, 20, 20);
+    live(&mut rig, 20_000, 21, 20);
+    rig
+}
+
+#[test]
+fn a_reset_keeps_the_heat_and_the_offset_is_as_without_it() {
+    let mut without = warming();
+    let memory = without.bridge.heat_memory(&without.state);
+    let mut with = Rig::new(lagging());
+    with.bridge.resume_heat(&mut with.state, &memory);
+    assert!(!with.state.heat_is_unknown());
+    for seconds in [1, 10, 30] {
+        let (a, b) = (
+            x_nm(&live(&mut without, seconds * 1_000, 21, 20)),
+            x_nm(&live(&mut with, seconds * 1_000, 21, 20)),
+        );
+        assert!((a - b).abs() <= 300, "{a} without, {b} with a reset");
+        assert!(a < -35_000, "{a}");
+    }
+}
+
+#[test]
+fn without_its_heat_a_machine_whose_thermometers_differ_gives_nothing_until_it_no_longer_matters() {
+    let mut rig = Rig::new(lagging());
+    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default());
+    let output = live(&mut rig, 1_000, 21, 20);
+    assert_eq!((output.quality, output.offset), (Quality::Fault, None));
+    assert!(rig.state.heat_is_unknown());
+    // 400 µm are 1 µm after nine half-lives of 27.7 s: 250 s.
+    live(&mut rig, 247_000, 21, 20);
+    assert!(rig.state.heat_is_unknown());
+    let output = live(&mut rig, 4_000, 21, 20);
+    assert_eq!((output.quality, x_nm(&output)), (Quality::Live, -100_000));
+}
+
+#[test]
+fn a_machine_whose_thermometers_agree_is_cold_and_so_is_one_that_the_operator_calls_so() {
+    let mut rig = Rig::new(lagging());
+    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default());
+    let output = live(&mut rig, 1_000, 21, 21);
+    assert_eq!(output.quality, Quality::Live);
+
+    let mut rig = Rig::new(lagging());
+    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default());
+    live(&mut rig, 1_000, 21, 20);
+    assert!(rig.state.heat_is_unknown());
+    rig.bridge.confirm_cold(&mut rig.state);
+    assert_eq!(live(&mut rig, 1_000, 21, 20).quality, Quality::Live);
+}
+
+#[test]
+fn a_lone_thermometer_never_agrees_with_itself_and_one_that_is_broken_with_none() {
+    let mut machine = lagging();
+    machine.thermometers[5] = None;
+    let mut rig = Rig::new(machine);
+    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default());
+    live(&mut rig, 2_000, 21, 21);
+    assert!(rig.state.heat_is_unknown());
+
+    let mut rig = Rig::new(lagging());
+    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default());
+    warm(&mut rig, 2_000, Some(21), 1_000);
+    assert!(rig.state.heat_is_unknown(), "channel 5 says nothing");
+}
+
+#[test]
+fn a_machine_without_a_law_that_remembers_needs_no_heat() {
+    for machine in [expanding(), calibration()] {
+        let mut rig = Rig::new(machine);
+        rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default());
+        assert!(!rig.state.heat_is_unknown());
+    }
+}
+
+#[test]
+fn heat_is_known_again_by_channel_and_time_constant_alone() {
+    let rig = warming();
+    let memory = rig.bridge.heat_memory(&rig.state);
+    for (change, is_known) in [(0, true), (1, false), (2, false)] {
+        let mut other = lagging();
+        other.limits.hold_ms = 77;
+        let thermal = other.axes[0].thermal.as_mut().expect("it has one");
+        match change {
+            0 => thermal.origin = Position(9),
+            1 => thermal.channel = 5,
+            _ => thermal.smoothing.0 += 1,
+        }
+        let mut rig = Rig::new(other);
+        rig.bridge.resume_heat(&mut rig.state, &memory);
+        assert_eq!(!rig.state.heat_is_unknown(), is_known, "{change}");
+    }
+}

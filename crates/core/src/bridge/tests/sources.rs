@@ -1,0 +1,169 @@
+//! One source of the elongation takes over from another, and what the CNC is told meanwhile.
+
+use super::*;
+use crate::calibration::{SpindleTemperature, SpindleWarmup};
+
+/// K₀ grows by 10 µm a kelvin above 20 °C.
+const TEN_UM_PER_K: [[u8; 20]; 1] = [{
+    // 10 000 nm in 1/256, by 1.024 K, Q4.
+    let words = [20 * 4_096_000, 0, 41_943_040, 0, 0];
+    let mut bytes = [0; 20];
+    let mut n = 0;
+    while n < 20 {
+        bytes[n] = (words[n / 4] as i32).to_le_bytes()[n % 4];
+        n += 1;
+    }
+    bytes
+}];
+
+/// The sensor of `calibration`, then a temperature on channel 3, then a warm-up of 30 µm at once.
+fn chain() -> Calibration<'static> {
+    let mut machine = calibration();
+    machine.spindle.chain =
+        [ElongationSource::Sensor, ElongationSource::Temperature, ElongationSource::Warmup]
+            .map(Some);
+    machine.thermometers[3] = Some(Thermometer::Linear { zero: 0, slope: 16_000, shift: 0 });
+    machine.spindle.temperature = Some(SpindleTemperature {
+        channel: 3,
+        smoothing: SmoothingFactor::NO_LAG,
+        smoothing_falling: SmoothingFactor::NO_LAG,
+        law: Law { pieces: &TEN_UM_PER_K },
+    });
+    machine.spindle.warmup = Some(SpindleWarmup {
+        law: crate::warmup::Warmup {
+            lag_ms: 0,
+            max: Nanometres(30_000).fine(),
+            smoothing_heating: SmoothingFactor::NO_LAG,
+            smoothing_cooling: SmoothingFactor::NO_LAG,
+            full: 1 << crate::warmup::Warmup::FULL_FRACTION_BITS,
+        },
+        power: Default::default(),
+    });
+    machine
+}
+
+/// Engaged for so long; `code`: what the sensor reads; `kelvin`: above 0 °C, `None` for broken.
+fn hold(rig: &mut Rig, ms: u32, code: u16, kelvin: Option<i32>) -> Output {
+    for n in 0..ms {
+        rig.control(ENGAGED);
+        let codes = core::array::from_fn(|n| Code((code + (n % 4) as u16).saturating_sub(1)));
+        let codes = if code == 0 { [Code(0); CODES_PER_TICK] } else { codes };
+        let mut raw = [Raw::NONE; CHANNELS];
+        raw[3] = kelvin.map_or(Raw::NONE, |kelvin| Raw(kelvin * 256));
+        rig.now = rig.now.after(1);
+        let input =
+            Input { temperatures: Some(&raw), speed: Some(Rpm(24_000)), codes: Some(&codes) };
+        let before = rig.last.offset;
+        rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
+        if let (Some(before), Some(after)) = (before, rig.last.offset) {
+            assert!((after[2].0 - before[2].0).abs() <= 1_000, "{n}");
+        }
+    }
+    rig.last
+}
+
+#[test]
+fn a_source_that_takes_over_goes_on_where_the_one_before_was() {
+    let mut rig = Rig::new(chain());
+    hold(&mut rig, 1_300, 1_050, Some(22));
+    let grown = rig.z_nm();
+    assert!((grown - 51_700).abs() < 600, "the sensor: {grown}");
+    // The models say 20 and 30 µm; they tell how it grows from here.
+    hold(&mut rig, 1_000, 0, Some(22));
+    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::TemperatureModel, grown));
+    hold(&mut rig, 1_000, 0, Some(23));
+    assert_eq!(rig.z_nm(), grown + 10_000);
+    hold(&mut rig, 1_000, 0, None);
+    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::WarmUpModel, grown + 10_000));
+    assert!(rig.last.flags.contains(Flags::SENSOR_FAULT));
+    // The sensor returns: debounced, without a step, and its difference is taken back at 10 nm/s.
+    hold(&mut rig, 900, 1_050, Some(23));
+    assert_ne!(rig.last.quality, Quality::Live, "not before it was fresh for a second");
+    hold(&mut rig, 1_400, 1_050, Some(23));
+    assert_eq!(rig.last.quality, Quality::Live);
+    assert!(rig.last.flags.contains(Flags::SLEWING), "told");
+    let before = rig.z_nm();
+    assert!((before - grown - 10_000).abs() <= 20, "{before}");
+    hold(&mut rig, 10_000, 1_050, Some(23));
+    assert!((before - rig.z_nm() - 100).abs() <= 2, "10 nm in a second: {}", rig.z_nm());
+}
+
+#[test]
+fn ten_thousand_changes_of_source_leave_10_nm_in_the_first_second() {
+    let mut rig = Rig::new(chain());
+    hold(&mut rig, 1_300, 1_050, Some(22));
+    let mut random = 7_u32;
+    let mut before = rig.z_nm();
+    // Every change is one of the chosen source: where nothing grows nothing may move.
+    for _ in 0..10_000 {
+        random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        let (code, kelvin) =
+            [(1_050, Some(22)), (0, Some(22)), (0, None)][(random >> 16) as usize % 3];
+        hold(&mut rig, 1_000, code, kelvin);
+        assert!((rig.z_nm() - before).abs() <= 10, "{} after {before}", rig.z_nm());
+        before = rig.z_nm();
+    }
+}
+
+#[test]
+fn a_fall_back_whose_zero_is_not_known_is_not_used() {
+    let reference = Reference { elongation: Nanometres(60_000), ..Reference::default() };
+    let mut rig = Rig::new(chain());
+    rig.state.set_reference(reference);
+    hold(&mut rig, 2_000, 0, Some(22));
+    assert_eq!((rig.last.quality, rig.last.offset), (Quality::Fault, None));
+    // It has outlasted the reset: it goes on.
+    let kept = KeptJoint { source: ElongationSource::Temperature, shift: Nanometres(41_000) };
+    let mut rig = Rig::new(chain());
+    rig.state.set_reference(reference);
+    rig.state.resume_joint(kept);
+    hold(&mut rig, 2_000, 0, Some(22));
+    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::TemperatureModel, 1_000));
+    assert_eq!(rig.state.kept_joint(), Some(kept));
+}
+
+#[test]
+fn a_fall_back_that_is_dead_is_told_while_it_is_not_needed() {
+    let mut rig = Rig::new(chain());
+    hold(&mut rig, 1_300, 1_050, Some(22));
+    assert!(!rig.bridge.fall_back_is_dead(&rig.state));
+    let output = hold(&mut rig, 1_000, 1_050, None);
+    assert_eq!(output.quality, Quality::Live);
+    assert!(output.flags.contains(Flags::SENSOR_FAULT));
+    assert!(rig.bridge.fall_back_is_dead(&rig.state));
+    let output = hold(&mut rig, 500, 1_050, Some(22));
+    assert_eq!(output.flags, Flags::NONE);
+    assert!(!rig.bridge.fall_back_is_dead(&rig.state));
+}
+
+#[test]
+fn what_the_sensor_last_said_is_not_told_once_it_is_lost() {
+    let mut rig = Rig::new(chain());
+    hold(&mut rig, 300, 1_050, Some(22));
+    assert!(rig.state.elongation().is_some());
+    hold(&mut rig, 10, 0, Some(22));
+    assert_eq!(rig.state.elongation(), None);
+}
+
+#[test]
+fn the_age_is_that_of_the_oldest_position_of_an_axis_that_moves() {
+    let mut rig = Rig::new(expanding());
+    warm(&mut rig, 300, Some(21), 1_000);
+    for n in 1..=20 {
+        warm(&mut rig, 1, Some(21), 1_000 + n);
+    }
+    assert!(rig.last.age_ms <= 1);
+    let temperatures = [Raw::NONE; CHANNELS];
+    for n in 1..=200_u8 {
+        rig.control(ENGAGED);
+        rig.now = rig.now.after(1);
+        let input = Input { temperatures: Some(&temperatures), speed: None, codes: None };
+        rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
+        assert_eq!(rig.last.age_ms, n + 1, "it was on its way when it was last heard");
+    }
+    // One that stands says so, and rests.
+    warm(&mut rig, 2, Some(21), 1_020);
+    rig.tick(None);
+    rig.tick(None);
+    assert_eq!(rig.last.age_ms, 0);
+}

@@ -1,0 +1,148 @@
+//! Who commands the bridge, and what it waits for before it gives an offset.
+//!
+//! **The engage sequence.** After every start, whatever its reason, the offset that the CNC still
+//! applies is not known here. So nothing is available until `Engage` has been heard as 0 in three
+//! accepted `Control` frames, one after the other, and then as 1: a CNC raises it only when the
+//! offset that it applies is 0.
+//!
+//! **One master.** The line on which `Control` was last accepted is the master's, until it has been
+//! silent for the link timeout: what a CNC would send is not heard from another line meanwhile, and
+//! that it came is told. On the same line a second master shows in the counters: each time the two change over, one frame is
+//! repeated or out of sequence. A sound link has none of these and a CNC that restarts has one, so
+//! three within 2.4 s are a second master. Neither is believed then, as if both were silent.
+//!
+//! **Edges** of `Zero` and `Confirm` count only after three accepted frames in a row: two masters
+//! that disagree on a bit make no edge of it.
+
+use trueup_canopen::dictionary::Authority;
+use trueup_core::cnc::Control;
+
+/// A wire on which the bridge is spoken to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Line {
+    /// The CAN bus.
+    Can,
+    /// SLCAN on the serial line.
+    Serial,
+}
+
+/// So many accepted frames in a row make the engage sequence, and an edge believable.
+const STEADY: u8 = 3;
+/// What a frame out of sequence weighs, and the sum that is a second master: three frames.
+const WEIGHT: u8 = 4;
+const SECOND_MASTER: u8 = 3 * WEIGHT;
+/// The sum goes down by one in this time: 2.4 s for three frames.
+const LEAK_MS: u32 = 200;
+/// Another line is told for so long after it was heard.
+const TOLD_MS: u32 = LEAK_MS * SECOND_MASTER as u32;
+
+/// The master's `Control`, and whether it is one.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Master {
+    /// Where the last `Control` was accepted; `None`: none was, or it is too long ago.
+    line: Option<Line>,
+    silent_ms: u32,
+    last: Control,
+    /// Frames accepted since the last one that was refused, up to [`STEADY`].
+    steady: u8,
+    /// Of these, in a row and at the end, with `Engage` 0.
+    released: u8,
+    /// The engage sequence is complete.
+    is_started: bool,
+    /// Frames out of sequence, weighed.
+    strange: u8,
+    leak_ms: u32,
+    /// Two share the line, and neither is believed.
+    is_doubtful: bool,
+    /// For so long it is still told that another line was heard.
+    other_line_ms: u32,
+}
+
+/// What a `Control` frame comes to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Heard {
+    /// What the bridge is to follow: `Zero` is set at its edge alone.
+    pub control: Control,
+    /// `Zero` was asked for.
+    pub zero: bool,
+    /// `Confirm` was asked for.
+    pub confirm: bool,
+}
+
+impl Master {
+    /// Whether what a CNC sends is heard from this line.
+    pub fn admits(&mut self, line: Line) -> bool {
+        let is_his = self.line.is_none_or(|his| his == line);
+        if !is_his {
+            self.other_line_ms = TOLD_MS;
+        }
+        is_his
+    }
+
+    /// A `Control` that was accepted; `None`: it is not believed.
+    pub fn take(&mut self, line: Line, control: Control) -> Option<Heard> {
+        let is_rise = |was: bool, is: bool| is && !was && self.steady >= STEADY;
+        let rose = is_rise(self.last.zero, control.zero);
+        let confirm = is_rise(self.last.confirm, control.confirm);
+        let zero = control.zero && !self.last.zero && self.line.is_some();
+        self.line = Some(line);
+        self.silent_ms = 0;
+        self.steady = self.steady.saturating_add(1).min(STEADY);
+        self.last = control;
+        if control.engage {
+            self.is_started |= self.released >= STEADY && !self.is_doubtful;
+            self.released = 0;
+        } else {
+            self.released = self.released.saturating_add(1).min(STEADY);
+        }
+        let control = Control { zero: rose, confirm: false, ..control };
+        (!self.is_doubtful).then_some(Heard { control, zero, confirm })
+    }
+
+    /// A `Control` that was refused; `is_sound`: it was whole, but not in sequence.
+    pub fn refuse(&mut self, is_sound: bool) {
+        self.steady = 0;
+        self.released = 0;
+        if is_sound {
+            // So much more that it lasts for a while after the last of them.
+            self.strange = self.strange.saturating_add(WEIGHT).min(SECOND_MASTER + WEIGHT);
+            self.is_doubtful |= self.strange >= SECOND_MASTER;
+        }
+    }
+
+    /// Time passes.
+    pub fn tick(&mut self, elapsed_ms: u32, link_timeout_ms: u32) {
+        self.silent_ms = self.silent_ms.saturating_add(elapsed_ms);
+        if self.silent_ms > link_timeout_ms {
+            (self.line, self.steady, self.released) = (None, 0, 0);
+        }
+        self.leak_ms = self.leak_ms.saturating_add(elapsed_ms);
+        if self.leak_ms >= LEAK_MS {
+            self.leak_ms = 0;
+            self.strange = self.strange.saturating_sub(1);
+            self.is_doubtful &= self.strange > 0;
+        }
+        self.other_line_ms = self.other_line_ms.saturating_sub(elapsed_ms);
+    }
+
+    /// Whether the engage sequence is complete.
+    pub const fn is_started(&self) -> bool {
+        self.is_started
+    }
+
+    /// Whether more than one sends `Control`.
+    pub const fn is_second(&self) -> bool {
+        self.is_doubtful || self.other_line_ms > 0
+    }
+
+    /// Who may write, as the dictionary has it.
+    pub fn authority(&self) -> Authority {
+        if self.line.is_none() {
+            Authority::NoMaster
+        } else if self.last.service && !self.last.engage && !self.is_doubtful {
+            Authority::Service
+        } else {
+            Authority::NoService
+        }
+    }
+}

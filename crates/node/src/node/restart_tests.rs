@@ -1,0 +1,163 @@
+//! What a restart keeps, what it does not, and time that samples do not count.
+
+use super::*;
+use crate::node::tests_calibration;
+use trueup_core::{
+    calibration::{ElongationSource, SpindleWarmup},
+    cnc::Spindle,
+    dimensions::CODES_PER_TICK,
+    lag::SmoothingFactor,
+    units::{Code, Nanometres, Rpm},
+    warmup::Warmup,
+};
+
+/// A spindle without a sensor that grows by 80 µm, with a time constant of 20 s.
+fn warming_up() -> Calibration<'static> {
+    let mut calibration = tests_calibration();
+    calibration.limits.slew_nm_per_s = 10_000;
+    calibration.spindle.chain = [Some(ElongationSource::Warmup), None, None];
+    calibration.spindle.warmup = Some(SpindleWarmup {
+        law: Warmup {
+            lag_ms: 0,
+            max: Nanometres(80_000).fine(),
+            // 1 − e^(−0.1/20) in Q32.
+            smoothing_heating: SmoothingFactor(21_421_336),
+            smoothing_cooling: SmoothingFactor(21_421_336),
+            full: 1 << Warmup::FULL_FRACTION_BITS,
+        },
+        power: Default::default(),
+    });
+    calibration
+}
+
+/// A node with the CNC that engages it, after the engage sequence.
+struct Life {
+    node: Node<'static>,
+    counter: u8,
+}
+
+impl Life {
+    fn begins(calibration: Calibration<'static>) -> Self {
+        Self { node: Node::new(Some(calibration), false), counter: 0 }
+    }
+
+    fn say(&mut self, control: Control) {
+        for frame in [
+            frames::control(control, self.counter),
+            frames::spindle(Spindle { speed: Rpm(12_000), load_n: 0 }, self.counter),
+        ] {
+            self.node.hear(Line::Can, &frame).expect("in order");
+        }
+        self.counter = self.counter.wrapping_add(1);
+    }
+
+    /// Released for 60 ms, then engaged.
+    fn goes_on(&mut self, ms: u32, control: Control) -> Output {
+        for n in 0..ms {
+            if n % 20 == 0 {
+                self.say(control);
+            }
+            self.node.tick(1, Input::default());
+            self.node.service();
+        }
+        *self.node.last()
+    }
+}
+
+fn z_nm(output: &Output) -> i32 {
+    output.offset.expect("available")[2].0
+}
+
+#[test]
+fn a_reset_keeps_the_warm_up_and_the_reference_and_the_offset_comes_back_as_it_was() {
+    let mut before = Life::begins(warming_up());
+    before.goes_on(60, Control::REFERENCED);
+    before.goes_on(20_000, Control::ENGAGED);
+    let grown = z_nm(before.node.last());
+    assert!((grown - 50_600).abs() < 500, "63 % of 80 µm: {grown}");
+    let kept = before.node.kept();
+
+    let mut after = Life::begins(warming_up());
+    after.node.resume(Some(&kept));
+    assert_eq!(after.goes_on(60, Control::ENGAGED).offset, None, "engaged by level is not enough");
+    after.goes_on(60, Control::REFERENCED);
+    after.goes_on(8_000, Control::ENGAGED);
+    before.goes_on(8_120, Control::ENGAGED);
+    let (without, with) = (z_nm(before.node.last()), z_nm(after.node.last()));
+    assert!((without - with).abs() < 1_000, "{without} without the reset, {with} with it");
+}
+
+#[test]
+fn after_a_power_cut_the_heat_is_not_known_and_confirm_says_that_it_is_cold() {
+    let mut life = Life::begins(warming_up());
+    life.node.resume(None);
+    life.goes_on(60, Control::REFERENCED);
+    let output = life.goes_on(1_000, Control::ENGAGED);
+    assert_eq!((output.quality, output.offset), (Quality::Fault, None));
+    let bits = life.node.faults(&output).state();
+    assert_eq!(bits, trueup_link::status::StateBits::HEAT_UNKNOWN);
+    life.goes_on(20, Control { confirm: true, ..Control::ENGAGED });
+    let output = life.goes_on(1_000, Control::ENGAGED);
+    assert_eq!(output.quality, Quality::Live);
+    assert_eq!(life.node.faults(&output).state().0, 0);
+}
+
+#[test]
+fn heat_that_is_not_known_is_waited_for_until_it_no_longer_matters() {
+    let mut life = Life::begins(warming_up());
+    life.node.resume(None);
+    life.goes_on(60, Control::REFERENCED);
+    // 1 mm to 1 µm are ten half-lives of 13.9 s.
+    assert_eq!(life.goes_on(137_000, Control::ENGAGED).offset, None);
+    let output = life.goes_on(3_000, Control::ENGAGED);
+    assert_eq!(output.quality, Quality::Live);
+    let bits = life.node.faults(&output).state();
+    assert_eq!(bits.0, 0, "and told no longer");
+}
+
+/// One block in ten milliseconds: by the samples time goes ten times slower.
+#[test]
+fn a_clock_of_its_own_finds_missing_blocks_and_keeps_every_timeout() {
+    let alive: [Code; CODES_PER_TICK] = core::array::from_fn(|n| Code(700 + u16::from(n == 1)));
+    let mut node = Node::new(Some(tests_calibration()), false);
+    for frame in frames::released() {
+        node.hear(Line::Can, &frame).expect("in order");
+    }
+    node.hear(Line::Can, &frames::control(Control::ENGAGED, 3)).expect("in order");
+    let block = Input { codes: Some(&alive), speed: Some(Rpm(12_000)), temperatures: None };
+    for _ in 0..30 {
+        for _ in 0..10 {
+            node.tick(1, block);
+        }
+        assert_eq!(node.catch_up(10), None, "as many as there should be");
+    }
+    assert_eq!(node.last().quality, Quality::Live);
+    let before = node.now();
+    let mut missing_after_ms = None;
+    for ms in (0..3_000).step_by(10) {
+        node.tick(1, block);
+        if let Some(behind_ms) = node.catch_up(10) {
+            node.tick(behind_ms, Input::default());
+        }
+        let is_missing = node.last().flags.contains(Flags::SAMPLES_MISSING);
+        missing_after_ms = missing_after_ms.or(is_missing.then_some(ms));
+        assert!(missing_after_ms.is_none() || is_missing, "it flickers at {ms} ms");
+    }
+    let passed_ms = node.now().since(before);
+    assert!((2_980..=3_000).contains(&passed_ms), "{passed_ms} ms by its clock");
+    assert!(missing_after_ms.is_some_and(|ms| ms <= 20), "{missing_after_ms:?}");
+    assert!(node.last().flags.contains(Flags::CNC_LOST), "silent for 3 s");
+    assert_eq!(node.last().quality, Quality::Fault);
+}
+
+#[test]
+fn a_millisecond_that_is_lost_now_and_then_is_no_missing_block() {
+    let mut node = Node::new(Some(tests_calibration()), false);
+    for turn in 0..10_000 {
+        let count = if turn % 150 == 0 { 9 } else { 10 };
+        for _ in 0..count {
+            node.tick(1, Input::default());
+        }
+        assert_eq!(node.catch_up(10), None, "at turn {turn}");
+    }
+}
