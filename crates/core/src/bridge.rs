@@ -147,6 +147,7 @@ impl<'a> Bridge<'a> {
             && self.knows_temperatures(state)
             && self.knows_place(state)
         {
+            self.join(state);
             let axes = self.axis_errors(state).sums;
             state.reference = Reference { elongation: self.elongation(state), axes };
         }

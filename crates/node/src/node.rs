@@ -343,6 +343,12 @@ impl<'a> Node<'a> {
         Some(behind_ms)
     }
 
+    /// The error that counts as none.
+    #[must_use]
+    pub fn reference(&self) -> Reference {
+        self.state.reference()
+    }
+
     /// Takes up a reference that was stored.
     pub fn set_reference(&mut self, reference: Reference) {
         self.state.set_reference(reference);

@@ -167,6 +167,14 @@ impl Bridge<'_> {
         }
     }
 
+    /// `Zero` makes the present error the reference: on the first source it counts as that one tells it,
+    /// and there is nothing left to take back.
+    pub(super) fn join(&self, state: &mut State) {
+        if self.is_first(state.joint.selected) {
+            state.joint.shift = Nanometres::ZERO;
+        }
+    }
+
     /// Whether the shift is still being taken back.
     pub(super) fn is_rejoining(&self, state: &State) -> bool {
         state.joint.shift.0 != 0 && self.is_first(state.joint.selected)

@@ -1,0 +1,73 @@
+//! A simulator by seed: node, wire, RAM that outlasts a reset, clock, spindle, thermometers, a CNC and
+//! restarts. What must hold is looked at in every tick; a failure prints the seed that repeats it to
+//! the bit.
+//!
+//! `cargo test -p trueup-node --test simulator` runs two million ticks, the long test ten million;
+//! `TRUEUP_SEEDS=from..to` chooses the seeds, for a soak of any length.
+
+mod world;
+
+use std::{env, time::Instant};
+use world::{Seen, World};
+
+/// Ticks of one seed: ten minutes.
+const TICKS: u64 = 600_000;
+
+fn live(seed: u32, ticks: u64) -> Seen {
+    let mut world = World::new(seed);
+    for _ in 0..ticks {
+        world.tick();
+    }
+    world.seen
+}
+
+fn soak(seeds: impl Iterator<Item = u32>, ticks: u64) -> Vec<Seen> {
+    let started = Instant::now();
+    let all: Vec<Seen> = seeds.map(|seed| live(seed, ticks)).collect();
+    let sum = |of: fn(&Seen) -> u64| all.iter().map(of).sum::<u64>();
+    let count = sum(|it| it.ticks);
+    println!(
+        "{} seeds, {count} ticks, {} restarts ({} power cuts), {} zeros, {:.0} times life; worst \
+         live offset {} nm off",
+        all.len(),
+        sum(|it| it.restarts.into()),
+        sum(|it| it.power_cuts.into()),
+        sum(|it| it.zeros.into()),
+        count as f64 / 1e3 / started.elapsed().as_secs_f64(),
+        all.iter().map(|it| it.worst_live_nm).max().unwrap_or(0),
+    );
+    let qualities: Vec<u64> =
+        (0..7).map(|n| all.iter().map(|it| it.qualities[n]).sum::<u64>()).collect();
+    println!("ticks of each quality: {qualities:?}");
+    all
+}
+
+#[test]
+fn whatever_fails_the_offset_never_steps_and_is_what_it_says() {
+    let all = soak(1..5, TICKS / 2);
+    for quality in 0..7 {
+        assert!(all.iter().any(|it| it.qualities[quality] > 0), "{quality} was never there");
+    }
+    assert!(all.iter().map(|it| it.restarts).sum::<u32>() > 10);
+    assert!(all.iter().map(|it| it.zeros).sum::<u32>() > 10);
+    assert!(all.iter().any(|it| it.worst_live_nm > 0), "something was compared");
+}
+
+#[test]
+fn a_seed_repeats_itself_to_the_bit() {
+    assert_eq!(live(9, 20_000), live(9, 20_000));
+    assert_ne!(live(9, 20_000).checksum, live(10, 20_000).checksum);
+}
+
+#[test]
+#[ignore = "long: ten million ticks, or the seeds of TRUEUP_SEEDS"]
+fn ten_million_ticks() {
+    let (from, to) = match env::var("TRUEUP_SEEDS") {
+        Ok(seeds) => {
+            let (from, to) = seeds.split_once("..").expect("from..to");
+            (from.parse().expect("a number"), to.parse().expect("a number"))
+        }
+        Err(_) => (100, 117),
+    };
+    soak(from..to, TICKS);
+}

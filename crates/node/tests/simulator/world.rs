@@ -1,0 +1,532 @@
+//! The world of a bridge: a spindle that grows, thermometers, a CNC that obeys the rules of the
+//! README, faults of all of them, restarts. Drawn from a seed alone.
+//!
+//! Nothing here is the bridge's own: growth is the exact solution of a first-order heat in `f64`, the
+//! CNC is written from the README.
+
+use trueup_core::{
+    bridge::Input,
+    calibration::{Calibration, ElongationSource, SpindleTemperature, SpindleWarmup},
+    channels::RawTemperatures,
+    cnc::{Control, Output, Quality, Spindle},
+    dimensions::{CHANNELS, CODES_PER_TICK},
+    kinematics::Kinematics,
+    lag::SmoothingFactor,
+    limits::Limits,
+    sensor::{SensorLaw, Slope},
+    thermal::{Law, Piece},
+    thermometer::{Raw, Thermometer},
+    tool::Direction,
+    units::{Code, Fine, Nanometres, Reading, Rpm, Temperature},
+    warmup::Warmup,
+};
+use trueup_link::{frame::Frame, frames, receiver::OffsetReceiver};
+use trueup_node::{
+    node::{Line, Node},
+    vectors::Random,
+};
+use trueup_store::retained::{self, Copies, SIZE};
+
+/// The largest offset on an axis, nm, and the slew limit, nm in a millisecond.
+pub const MAX_NM: i32 = 150_000;
+pub const SLEW_NM_PER_MS: i32 = 200;
+/// What a wire bit may add to a step.
+const WIRE_NM: i32 = 10;
+/// A code is so many nanometres of growth.
+const NM_PER_CODE: f64 = 122.0;
+const ZERO_CODE: f64 = 600.0;
+/// τ of the spindle's heat, and its growth when warm through.
+const TAU_S: f64 = 60.0;
+const GROWTH_NM: f64 = 60_000.0;
+/// The law by temperature, in nm a kelvin.
+const NM_PER_KELVIN: i32 = 4_000;
+
+/// What is wrong, for a while.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    None,
+    SensorOpen,
+    SensorShort,
+    SensorStuck,
+    SensorRail,
+    Spikes,
+    NoBlocks,
+    FewBlocks,
+    ThermometerOpen,
+    CncSilent,
+    CncLetsGo,
+    DamagedFrames,
+    LostFrames,
+    SecondMaster,
+    OtherLine,
+}
+
+const FAULTS: [Fault; 15] = [
+    Fault::None,
+    Fault::SensorOpen,
+    Fault::SensorShort,
+    Fault::SensorStuck,
+    Fault::SensorRail,
+    Fault::Spikes,
+    Fault::NoBlocks,
+    Fault::FewBlocks,
+    Fault::ThermometerOpen,
+    Fault::CncSilent,
+    Fault::CncLetsGo,
+    Fault::DamagedFrames,
+    Fault::LostFrames,
+    Fault::SecondMaster,
+    Fault::OtherLine,
+];
+
+fn pieces() -> &'static [[u8; 20]] {
+    // K₀ rises by NM_PER_KELVIN from 20 °C: 1/16 of 1/256 nm by 1.024 K.
+    let slope = f64::from(NM_PER_KELVIN) * 256.0 * 1.024 * 16.0;
+    let start = Temperature(20 * Temperature::PER_KELVIN);
+    let piece = Piece { start, constant_slope: slope.round() as i32, ..Piece::default() };
+    Box::leak(Box::new([piece.to_bytes()]))
+}
+
+/// A sensor, then a temperature with a lag, then running time.
+pub fn calibration() -> Calibration<'static> {
+    let mut thermometers = [None; CHANNELS];
+    // One count a kelvin.
+    thermometers[2] = Some(Thermometer::Linear { zero: 0, slope: 16_000, shift: 0 });
+    thermometers[4] = thermometers[2];
+    let per_step = SmoothingFactor((-(-0.1 / TAU_S).exp_m1() * 2_f64.powi(32)).round() as u32);
+    let temperature = SpindleTemperature {
+        channel: 2,
+        smoothing: per_step,
+        smoothing_falling: per_step,
+        law: Law { pieces: pieces() },
+    };
+    let warmup = SpindleWarmup {
+        law: Warmup {
+            lag_ms: 0,
+            max: Fine((GROWTH_NM * 256.0) as i32),
+            smoothing_heating: per_step,
+            smoothing_cooling: per_step,
+            full: 1 << Warmup::FULL_FRACTION_BITS,
+        },
+        power: Default::default(),
+    };
+    Calibration {
+        thermometers,
+        spindle: trueup_core::calibration::SpindleModel {
+            chain: [
+                ElongationSource::Sensor,
+                ElongationSource::Temperature,
+                ElongationSource::Warmup,
+            ]
+            .map(Some),
+            sensor: SensorLaw {
+                k0: Nanometres(0),
+                zero: Reading((ZERO_CODE * 1024.0) as i32),
+                slope: Slope((NM_PER_CODE / 1024.0 * 2_f64.powi(28)).round() as i32),
+            },
+            temperature: Some(temperature),
+            warmup: Some(warmup),
+        },
+        kinematics: Kinematics { zero: Direction::DOWN, axes: [None; 2] },
+        axes: Default::default(),
+        straightness: Default::default(),
+        squareness: Default::default(),
+        terms: Default::default(),
+        limits: Limits {
+            max: [Nanometres(MAX_NM); 3],
+            slew_nm_per_s: SLEW_NM_PER_MS as u32 * 1_000,
+            link_timeout_ms: 500,
+            hold_ms: 2_000,
+        },
+    }
+}
+
+/// The machine: how far the spindle has grown, and whether it runs.
+struct GrowingSpindle {
+    heat: f64,
+    runs: bool,
+}
+
+impl GrowingSpindle {
+    fn live(&mut self) {
+        let target = if self.runs { 1.0 } else { 0.0 };
+        self.heat += (target - self.heat) * (1e-3 / TAU_S);
+    }
+
+    fn grown_nm(&self) -> f64 {
+        self.heat * GROWTH_NM
+    }
+}
+
+/// The CNC, by the README: what it applies follows what it hears, at the slew limit, and `Engage` is
+/// raised only where it applies nothing.
+struct Cnc {
+    ears: OffsetReceiver,
+    applied_nm: i32,
+    heard: Option<Output>,
+    silent_ms: u32,
+    wants: bool,
+    raised: bool,
+    since_ms: u32,
+    counters: [u8; 2],
+}
+
+impl Cnc {
+    fn hear(&mut self, frame: &Frame) {
+        if let Ok(Some(output)) = self.ears.accept(frame) {
+            (self.heard, self.silent_ms) = (Some(output), 0);
+        }
+    }
+
+    /// A millisecond: it moves what it applies.
+    fn live(&mut self) {
+        self.silent_ms = self.silent_ms.saturating_add(1);
+        self.since_ms = self.since_ms.saturating_add(1);
+        let available = self.heard.filter(|_| self.silent_ms <= 100).and_then(|it| it.offset);
+        let goal = match available {
+            Some(offset) => Some(offset[2].0),
+            None if self.silent_ms <= 2_000 && self.silent_ms > 100 => None,
+            None => Some(0),
+        };
+        if let Some(goal) = goal {
+            let step =
+                (goal - self.applied_nm).clamp(-SLEW_NM_PER_MS - WIRE_NM, SLEW_NM_PER_MS + WIRE_NM);
+            self.applied_nm += step;
+        }
+        let waits = available.is_none() && self.silent_ms <= 100;
+        let falls = self.raised && (!self.wants || (waits && self.since_ms >= 1_000));
+        let rises = !self.raised && self.wants && self.applied_nm == 0 && self.since_ms >= 120;
+        if falls || rises {
+            (self.raised, self.since_ms) = (rises, 0);
+        }
+    }
+
+    fn control(&mut self, zero: bool) -> Frame {
+        let control = Control { engage: self.raised, zero, ..Control::REFERENCED };
+        let counter = self.counters[0];
+        self.counters[0] = counter.wrapping_add(1);
+        frames::control(control, counter)
+    }
+
+    fn spindle(&mut self, runs: bool) -> Frame {
+        let counter = self.counters[1];
+        self.counters[1] = counter.wrapping_add(1);
+        frames::spindle(Spindle { speed: Rpm(if runs { 12_000 } else { 0 }), load_n: 0 }, counter)
+    }
+}
+
+/// What was seen, so that a run can be judged by what it has been through.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Seen {
+    pub ticks: u64,
+    pub restarts: u32,
+    pub power_cuts: u32,
+    pub zeros: u32,
+    /// Ticks of each quality.
+    pub qualities: [u64; 7],
+    /// The largest difference between offset and error while live and not on its way, in nm.
+    pub worst_live_nm: i32,
+    /// FNV-1a over everything that was sent.
+    pub checksum: u64,
+}
+
+/// A world and its bridge.
+pub struct World {
+    seed: u32,
+    random: Random,
+    node: Node<'static>,
+    ram: Box<Copies>,
+    spindle: GrowingSpindle,
+    cnc: Cnc,
+    fault: Fault,
+    fault_ms: u32,
+    /// The tick in which the fault came.
+    began: u64,
+    /// Of the last tick: what went out, and its counter.
+    before: Option<Output>,
+    /// Milliseconds since the start of the node, with all inputs well.
+    well_ms: u32,
+    since_start_ms: u32,
+    released: u32,
+    engaged_after_release: bool,
+    room_c: f64,
+    /// What `Zero` has taken last, as the machine was, in nm; `None`: a fall-back was in use.
+    reference_nm: Option<f64>,
+    pub seen: Seen,
+}
+
+impl World {
+    pub fn new(seed: u32) -> Self {
+        let random = Random::new(seed.wrapping_mul(0x9E37_79B9) | 1);
+        Self {
+            seed,
+            random,
+            node: Node::new(Some(calibration()), false),
+            ram: Box::new([[0; SIZE]; 2]),
+            spindle: GrowingSpindle { heat: 0.0, runs: true },
+            cnc: Cnc {
+                ears: OffsetReceiver::new(),
+                applied_nm: 0,
+                heard: None,
+                silent_ms: u32::MAX,
+                wants: true,
+                raised: false,
+                since_ms: 0,
+                counters: [0; 2],
+            },
+            fault: Fault::None,
+            fault_ms: 5_000,
+            began: 0,
+            before: None,
+            well_ms: 0,
+            since_start_ms: 0,
+            released: 0,
+            engaged_after_release: false,
+            room_c: 21.0,
+            reference_nm: Some(0.0),
+            seen: Seen { checksum: 0xcbf2_9ce4_8422_2325, ..Seen::default() },
+        }
+    }
+
+    /// One in so many.
+    fn chance(&mut self, one_in: u32) -> bool {
+        self.random.below(one_in) == 0
+    }
+
+    fn codes(&mut self) -> [Code; CODES_PER_TICK] {
+        let level = ZERO_CODE + self.spindle.grown_nm() / NM_PER_CODE;
+        let fault = self.fault;
+        let random = &mut self.random;
+        let spike = random.below(20) as usize;
+        core::array::from_fn(|n| {
+            let noise = f64::from(random.around(1_000)) / 1_000.0;
+            let code = (level + noise).round().clamp(0.0, 4_095.0) as u16;
+            Code(match fault {
+                Fault::SensorOpen => 0,
+                Fault::SensorShort => 4_095,
+                Fault::SensorStuck => 777,
+                Fault::SensorRail if n % 4 != 3 => 0,
+                Fault::SensorRail => 20,
+                Fault::Spikes if n == spike => 4_095,
+                _ => code,
+            })
+        })
+    }
+
+    fn raw(&self) -> RawTemperatures {
+        let mut raw = [Raw::NONE; CHANNELS];
+        let counts = |celsius: f64| Raw((celsius * 256.0).round() as i32);
+        // The housing follows at once; its own law has the lag.
+        let front = self.room_c + if self.spindle.runs { 15.0 } else { 0.0 };
+        raw[4] = counts(self.room_c);
+        if self.fault != Fault::ThermometerOpen {
+            raw[2] = counts(front);
+        }
+        raw
+    }
+
+    fn next_fault(&mut self) {
+        self.fault_ms = self.fault_ms.saturating_sub(1);
+        if self.fault_ms > 0 {
+            return;
+        }
+        let is_well = self.fault == Fault::None;
+        let drawn = self.random.below(FAULTS.len() as u32) as usize;
+        self.fault = if is_well { FAULTS[drawn] } else { Fault::None };
+        self.fault_ms = 200 + self.random.below(if is_well { 6_000 } else { 9_000 });
+        self.began = self.seen.ticks;
+        self.spindle.runs = !self.chance(4);
+        self.cnc.wants = self.fault != Fault::CncLetsGo;
+    }
+
+    fn restart(&mut self) {
+        self.seen.restarts += 1;
+        let cut = self.chance(4);
+        if cut {
+            self.seen.power_cuts += 1;
+            for byte in self.ram.iter_mut().flatten() {
+                *byte = self.random.next().to_le_bytes()[1];
+            }
+        }
+        let reference = self.node.reference();
+        self.node = Node::new(Some(calibration()), false);
+        self.node.set_reference(reference);
+        let kept = retained::load(&self.ram);
+        assert_eq!(kept.is_none(), cut, "{}", self.place());
+        self.node.resume(kept.as_ref());
+        (self.before, self.since_start_ms, self.released) = (None, 0, 0);
+        (self.engaged_after_release, self.well_ms) = (false, 0);
+    }
+
+    fn place(&self) -> String {
+        format!("seed {}, tick {}, {:?}", self.seed, self.seen.ticks, self.fault)
+    }
+
+    /// What the CNC and strangers send in this millisecond.
+    fn speak(&mut self) {
+        if !self.seen.ticks.is_multiple_of(20) || self.fault == Fault::CncSilent {
+            return;
+        }
+        let zero = self.chance(400);
+        let (mut control, spindle) = (self.cnc.control(zero), self.cnc.spindle(self.spindle.runs));
+        let lost = self.fault == Fault::LostFrames && self.chance(3);
+        if self.fault == Fault::DamagedFrames && self.chance(3) {
+            let mut data = *control.data();
+            data[self.random.below(8) as usize] ^= 1 << self.random.below(8);
+            control = Frame::new(control.id(), &data).expect("8 bytes");
+        }
+        if !lost {
+            let before = self.node.reference();
+            let heard = self.node.hear(Line::Can, &control);
+            let said = frames::decode_control(&control).expect("its own length");
+            match heard {
+                Ok(_) if !said.engage => self.released += 1,
+                Ok(_) => {
+                    self.engaged_after_release |= self.released >= 3;
+                    self.released = 0;
+                }
+                Err(_) => self.released = 0,
+            }
+            if self.node.reference() != before {
+                self.seen.zeros += 1;
+                let is_live = self.node.last().quality == Quality::Live;
+                self.reference_nm = is_live.then(|| self.spindle.grown_nm());
+            }
+            self.node.hear(Line::Can, &spindle).ok();
+        }
+        let stranger = match self.fault {
+            Fault::SecondMaster => Line::Can,
+            Fault::OtherLine => Line::Serial,
+            _ => return,
+        };
+        let engage = self.chance(2);
+        let control = Control { engage, zero: true, ..Control::REFERENCED };
+        let counter = self.cnc.counters[0].wrapping_add(self.random.below(4) as u8);
+        self.node.hear(stranger, &frames::control(control, counter)).ok();
+    }
+
+    /// A millisecond.
+    pub fn tick(&mut self) {
+        self.seen.ticks += 1;
+        self.since_start_ms += 1;
+        self.next_fault();
+        self.spindle.live();
+        if self.chance(40_000) {
+            self.restart();
+        }
+        self.speak();
+        let (codes, raw) = (self.codes(), self.raw());
+        let phase = self.seen.ticks % 10;
+        let has_block = match self.fault {
+            Fault::NoBlocks => false,
+            Fault::FewBlocks => phase == 0,
+            _ => true,
+        };
+        if has_block {
+            let temperatures = phase == 5 || self.fault == Fault::FewBlocks;
+            let temperatures = temperatures.then_some(&raw);
+            self.one(1, Input { codes: Some(&codes), speed: None, temperatures });
+        }
+        if phase == 9
+            && let Some(behind_ms) = self.node.catch_up(10)
+        {
+            self.one(behind_ms, Input { temperatures: Some(&raw), ..Input::default() });
+        }
+        if self.seen.ticks.is_multiple_of(1_000) {
+            retained::save(&mut self.ram, &self.node.kept());
+        }
+        let was = self.cnc.applied_nm;
+        self.cnc.live();
+        let step = (self.cnc.applied_nm - was).abs();
+        assert!(step <= SLEW_NM_PER_MS + WIRE_NM, "the CNC steps by {step}: {}", self.place());
+    }
+
+    fn one(&mut self, elapsed_ms: u32, input: Input<'_>) {
+        let sent = self.node.tick(elapsed_ms, input);
+        for frame in sent.iter().chain(&self.node.service()) {
+            for byte in frame.data() {
+                self.seen.checksum =
+                    (self.seen.checksum ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3);
+            }
+            self.cnc.hear(frame);
+        }
+        let output = *self.node.last();
+        self.seen.qualities[output.quality as usize] += 1;
+        self.judge(elapsed_ms, &output);
+        self.before = Some(output);
+    }
+
+    /// What must hold in every tick, whatever happens.
+    fn judge(&mut self, elapsed_ms: u32, output: &Output) {
+        let place = || {
+            format!("seed {}, tick {}, {:?}: {output:?}", self.seed, self.seen.ticks, self.fault)
+        };
+        let offset = output.offset.map(|offset| offset.map(|axis| axis.0));
+        // Not available and Fault are one.
+        assert_eq!(offset.is_none(), output.quality == Quality::Fault, "{}", place());
+        // Nothing before the engage sequence.
+        if !self.engaged_after_release {
+            assert_eq!(offset, None, "before the engage sequence: {}", place());
+        }
+        let Some(offset) = offset else { return };
+        // Limits.
+        assert!(offset.iter().all(|nm| nm.abs() <= MAX_NM), "beyond its limit: {}", place());
+        // No step, whatever comes, goes, or takes over; from "not available" it begins at 0.
+        let before =
+            self.before.and_then(|it| it.offset).map_or([0; 3], |it| it.map(|axis| axis.0));
+        let most = SLEW_NM_PER_MS * elapsed_ms as i32;
+        for (nm, before) in offset.iter().zip(before) {
+            assert!((nm - before).abs() <= most, "a step from {before}: {}", place());
+        }
+        if output.quality == Quality::Off {
+            assert_eq!(offset, [0; 3], "{}", place());
+        }
+        // Live says that the sensor is there.
+        let is_blind = matches!(
+            self.fault,
+            Fault::SensorOpen
+                | Fault::SensorShort
+                | Fault::SensorRail
+                | Fault::NoBlocks
+                | Fault::FewBlocks
+        );
+        let lasts = self.lasts_ms();
+        if is_blind && lasts > 50 || self.fault == Fault::SensorStuck && lasts > 250 {
+            assert_ne!(output.quality, Quality::Live, "blind for {lasts} ms: {}", place());
+            assert_ne!(output.flags.0 & 0x0C, 0, "not told: {}", place());
+        }
+        // Followed and held end in time.
+        if self.fault == Fault::CncSilent && lasts > 520 {
+            let is_on = matches!(
+                output.quality,
+                Quality::Live | Quality::TemperatureModel | Quality::WarmUpModel
+            );
+            assert!(!is_on, "the CNC is silent for {lasts} ms: {}", place());
+        }
+        if self.fault == Fault::CncSilent && lasts > 2_530 {
+            assert_ne!(output.quality, Quality::Hold, "for {lasts} ms: {}", place());
+        }
+        self.compare(output, offset[2]);
+    }
+
+    /// While it is live, settled and well, the offset is what the machine has grown by.
+    fn compare(&mut self, output: &Output, z_nm: i32) {
+        let is_settled = output.quality == Quality::Live && output.flags.0 & 0x0F == 0;
+        self.well_ms = if is_settled && self.fault == Fault::None { self.well_ms + 1 } else { 0 };
+        if self.well_ms < 1_000 {
+            return;
+        }
+        if let Some(reference_nm) = self.reference_nm {
+            let truth = (self.spindle.grown_nm() - reference_nm).round() as i32;
+            let off = (z_nm - truth).abs();
+            self.seen.worst_live_nm = self.seen.worst_live_nm.max(off);
+            // Noise of a code or so at the reference and now, a tick of growth, half a code of rounding.
+            assert!(off <= 250, "seed {}, tick {}: off by {off} nm", self.seed, self.seen.ticks);
+        }
+    }
+
+    /// How long the fault has been there.
+    fn lasts_ms(&self) -> u32 {
+        u32::try_from(self.seen.ticks - self.began).unwrap_or(u32::MAX)
+    }
+}
