@@ -5,7 +5,7 @@
 //!   A single code at a rail is a spike: the last good code stands in for it. Four in a row are a
 //!   fault, and so is more than a fifth of all codes; it clears after 10 ms of good codes.
 //! - **Frozen**: a live converter is never quiet for 200 ms; a code that does not change for that
-//!   long is a hung converter or a disconnected chain.
+//!   long, or has not since the start, is a hung converter or a disconnected chain.
 //!
 //! The noise is measured on the way, from second differences, because they pass over growth and
 //! run-out and keep the noise: their variance is six times that of the codes.
@@ -126,6 +126,8 @@ impl Health {
         // The whole block, and the code before it as well.
         self.equal = match u16::try_from(again) {
             Ok(again) if again.saturating_add(1) < BLOCK => again,
+            // At the start it is frozen until a code has changed.
+            _ if !self.begun => FROZEN_AFTER_CODES,
             _ if before == *last => self.equal.saturating_add(BLOCK),
             _ => BLOCK.saturating_sub(1),
         };
@@ -265,8 +267,13 @@ mod tests {
     #[test]
     fn a_frozen_converter_is_found_after_200_ms_and_a_lively_one_never() {
         let mut health = Health::default();
-        let alive = (0..).take_while(|_| health.check(&[Code(700); CODES_PER_TICK]).is_some());
-        assert_eq!(alive.count(), 200);
+        assert!(
+            (0..300).all(|_| health.check(&[Code(700); CODES_PER_TICK]).is_none()),
+            "from the start"
+        );
+        assert!(health.check(&lively(700)).is_some());
+        let alive = (0..).take_while(|_| health.check(&[Code(701); CODES_PER_TICK]).is_some());
+        assert_eq!(alive.count(), 199, "the last code of the block before is the same");
         assert!(health.check(&lively(700)).is_some(), "one change ends it");
         for _ in 0..1000 {
             assert!(health.check(&lively(700)).is_some());

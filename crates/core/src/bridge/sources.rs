@@ -54,6 +54,10 @@ impl SelectedSource {
     }
 }
 
+/// What is told once in a step of the heat, so many steps ago at most: a sensor that freezes is found
+/// after 200 ms, and what it said meanwhile is not what the next source goes on from.
+const BEFORE_STEPS: usize = 3;
+
 /// The source in use, and how it joins the one before.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Joint {
@@ -64,6 +68,8 @@ pub(super) struct Joint {
     shift: Nanometres,
     /// An offset was followed, or the first source was there: from then on the elongation goes on.
     pub is_anchored: bool,
+    /// The elongation at the last steps of the heat, the oldest first; `None`: not by this source.
+    before: [Option<Nanometres>; BEFORE_STEPS],
     /// How long a better source has been fresh.
     returned_ms: u32,
     /// `last` was used before a reset, and nothing has been since.
@@ -146,10 +152,20 @@ impl Bridge<'_> {
                 && last != source
                 && state.joint.is_anchored
             {
-                let goes_on = i64::from(self.raw(state, last).0)
-                    .wrapping_add(state.joint.shift.0.into())
-                    .wrapping_sub(self.raw(state, source).0.into());
-                state.joint.shift = Nanometres::saturating(goes_on);
+                let latest = || {
+                    let sum =
+                        i64::from(self.raw(state, last).0).wrapping_add(state.joint.shift.0.into());
+                    Nanometres::saturating(sum)
+                };
+                // A source that is still there, and only gives way, is right to the last.
+                let stays = self.is_fresh(state, last);
+                let oldest = state.joint.before.into_iter().flatten().next();
+                let joins_at = oldest.filter(|_| !stays).unwrap_or_else(latest);
+                let shift = i64::from(joins_at.0).wrapping_sub(self.raw(state, source).0.into());
+                state.joint.shift = Nanometres::saturating(shift);
+            }
+            if state.joint.last != Some(source) {
+                state.joint.before = [None; BEFORE_STEPS];
             }
             state.joint.last = Some(source);
             state.joint.is_anchored |= self.needs.first == Some(source);
@@ -160,6 +176,11 @@ impl Bridge<'_> {
 
     /// A step of the heat: on the first source the shift is taken back.
     pub(super) fn rejoin(&self, state: &mut State) {
+        if let SelectedSource::Source(_) = state.joint.selected {
+            let now = self.elongation(state);
+            let [_, second, third] = state.joint.before;
+            state.joint.before = [second, third, Some(now)];
+        }
         let shift = &mut state.joint.shift;
         if self.is_first(state.joint.selected) && shift.0 != 0 {
             let step = shift.0.clamp(-REJOIN_NM_PER_STEP, REJOIN_NM_PER_STEP);

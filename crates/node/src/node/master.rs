@@ -11,8 +11,10 @@
 //! repeated or out of sequence. A sound link has none of these and a CNC that restarts has one, so
 //! three within 2.4 s are a second master. Neither is believed then, as if both were silent.
 //!
-//! **Edges** of `Zero` and `Confirm` count only after three accepted frames in a row: two masters
-//! that disagree on a bit make no edge of it.
+//! **Edges** of `Zero` and `Confirm` count once the bit was 0 after three accepted frames in a row and
+//! then 1 in three more: two masters that disagree on a bit make no edge of it, and neither does a
+//! single frame of a stranger that has guessed the counter. A `Zero` that was shorter is refused, and
+//! told.
 
 use trueup_canopen::dictionary::Authority;
 use trueup_core::cnc::Control;
@@ -36,6 +38,46 @@ const LEAK_MS: u32 = 200;
 /// Another line is told for so long after it was heard.
 const TOLD_MS: u32 = LEAK_MS * SECOND_MASTER as u32;
 
+/// A bit of `Control` whose edge means something.
+#[derive(Clone, Copy, Debug, Default)]
+struct Edge {
+    /// It was 0 in a frame of a master that is steady.
+    is_armed: bool,
+    /// Frames in a row with it set, up to [`STEADY`].
+    run: u8,
+}
+
+/// What an edge comes to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Asked {
+    No,
+    Yes,
+    /// It was taken back, or a frame was refused, before it could be believed.
+    TooShort,
+}
+
+impl Edge {
+    fn hear(&mut self, bit: bool, is_steady: bool) -> Asked {
+        let was_begun = (1..STEADY).contains(&self.run);
+        if !bit {
+            *self = Self { is_armed: is_steady, run: 0 };
+            return if was_begun { Asked::TooShort } else { Asked::No };
+        }
+        if !self.is_armed || self.run == STEADY {
+            return Asked::No;
+        }
+        self.run = self.run.saturating_add(1);
+        if self.run == STEADY { Asked::Yes } else { Asked::No }
+    }
+
+    /// A frame was refused. Whether that has cut it short.
+    fn cut(&mut self) -> bool {
+        let was_begun = (1..STEADY).contains(&self.run);
+        *self = Self::default();
+        was_begun
+    }
+}
+
 /// The master's `Control`, and whether it is one.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Master {
@@ -43,6 +85,10 @@ pub(super) struct Master {
     line: Option<Line>,
     silent_ms: u32,
     last: Control,
+    zero: Edge,
+    confirm: Edge,
+    /// A `Zero` was cut short, and nobody was told yet.
+    zero_was_cut: bool,
     /// Frames accepted since the last one that was refused, up to [`STEADY`].
     steady: u8,
     /// Of these, in a row and at the end, with `Engage` 0.
@@ -61,9 +107,9 @@ pub(super) struct Master {
 /// What a `Control` frame comes to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Heard {
-    /// What the bridge is to follow: `Zero` is set at its edge alone.
+    /// What the bridge is to follow: `Zero` is set where its edge is believed, and in this frame alone.
     pub control: Control,
-    /// `Zero` was asked for.
+    /// `Zero` was asked for, believed or not.
     pub zero: bool,
     /// `Confirm` was asked for.
     pub confirm: bool,
@@ -81,13 +127,14 @@ impl Master {
 
     /// A `Control` that was accepted; `None`: it is not believed.
     pub fn take(&mut self, line: Line, control: Control) -> Option<Heard> {
-        let is_rise = |was: bool, is: bool| is && !was && self.steady >= STEADY;
-        let rose = is_rise(self.last.zero, control.zero);
-        let confirm = is_rise(self.last.confirm, control.confirm);
-        let zero = control.zero && !self.last.zero && self.line.is_some();
         self.line = Some(line);
         self.silent_ms = 0;
         self.steady = self.steady.saturating_add(1).min(STEADY);
+        let is_steady = self.steady >= STEADY;
+        let asked = self.zero.hear(control.zero, is_steady);
+        let confirm = self.confirm.hear(control.confirm, is_steady) == Asked::Yes;
+        let was_cut = core::mem::take(&mut self.zero_was_cut);
+        let zero = was_cut || asked != Asked::No;
         self.last = control;
         if control.engage {
             self.is_started |= self.released >= STEADY && !self.is_doubtful;
@@ -95,7 +142,7 @@ impl Master {
         } else {
             self.released = self.released.saturating_add(1).min(STEADY);
         }
-        let control = Control { zero: rose, confirm: false, ..control };
+        let control = Control { zero: asked == Asked::Yes, confirm: false, ..control };
         (!self.is_doubtful).then_some(Heard { control, zero, confirm })
     }
 
@@ -103,6 +150,8 @@ impl Master {
     pub fn refuse(&mut self, is_sound: bool) {
         self.steady = 0;
         self.released = 0;
+        self.zero_was_cut |= self.zero.cut();
+        self.confirm.cut();
         if is_sound {
             // So much more that it lasts for a while after the last of them.
             self.strange = self.strange.saturating_add(WEIGHT).min(SECOND_MASTER + WEIGHT);

@@ -96,7 +96,7 @@ fn after_a_power_cut_the_heat_is_not_known_and_confirm_says_that_it_is_cold() {
     assert_eq!((output.quality, output.offset), (Quality::Fault, None));
     let bits = life.node.faults(&output).state();
     assert_eq!(bits, trueup_link::status::StateBits::HEAT_UNKNOWN);
-    life.goes_on(20, Control { confirm: true, ..Control::ENGAGED });
+    life.goes_on(60, Control { confirm: true, ..Control::ENGAGED });
     let output = life.goes_on(1_000, Control::ENGAGED);
     assert_eq!(output.quality, Quality::Live);
     assert_eq!(life.node.faults(&output).state().0, 0);

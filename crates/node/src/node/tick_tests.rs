@@ -93,13 +93,16 @@ fn a_zero_is_told_once_and_what_it_took_can_be_given_back_to_another_node() {
         }
     };
     let mut node = started();
-    // Without samples it is refused.
-    send(&mut node, true, 3);
+    // Without samples it is refused, and so is one that is too short.
+    (3..6).for_each(|counter| send(&mut node, true, counter));
     assert_eq!((node.take_zero(), node.take_zero()), (Some(Zero::Unchanged), None));
     live(&mut node, 400);
-    send(&mut node, false, 4);
-    send(&mut node, true, 5);
-    send(&mut node, true, 6);
+    send(&mut node, false, 6);
+    (7..9).for_each(|counter| send(&mut node, true, counter));
+    assert_eq!(node.take_zero(), None);
+    send(&mut node, false, 9);
+    assert_eq!(node.take_zero(), Some(Zero::Unchanged));
+    (10..14).for_each(|counter| send(&mut node, true, counter));
     let Some(Zero::Taken(reference)) = node.take_zero() else { panic!("not taken") };
     assert_ne!(reference, Reference::default());
     assert_eq!(node.take_zero(), None);
@@ -184,8 +187,8 @@ fn a_question_bars_the_offset_until_confirm_has_answered_it_and_one_edge_answers
     let both = StateBits::OLDER_CALIBRATION.0 | StateBits::FOREIGN_MACHINE.0;
     assert_eq!(state(&node).0, both);
     for (held, left, answered) in [
-        (3, StateBits::OLDER_CALIBRATION, Fault::ForeignMachine),
-        (1, StateBits::default(), Fault::OlderCalibration),
+        (9, StateBits::OLDER_CALIBRATION, Fault::ForeignMachine),
+        (3, StateBits::default(), Fault::OlderCalibration),
     ] {
         let heard = std::iter::repeat_n(plain, 3).chain(std::iter::repeat_n(confirm, held));
         // The counters go on where they were.
@@ -201,7 +204,7 @@ fn a_question_bars_the_offset_until_confirm_has_answered_it_and_one_edge_answers
 fn example_constants_are_never_live() {
     let mut node = started();
     node.bar_example();
-    let confirm = |n: u32| Control { confirm: n.is_multiple_of(5), ..Control::ENGAGED };
+    let confirm = |n: u32| Control { confirm: n % 10 < 5, ..Control::ENGAGED };
     after((0..200).map(|n| (Line::Can, confirm(n))), &mut node);
     assert_eq!((node.last().quality, node.last().offset), (Quality::Fault, None));
     assert!(state(&node).contains(trueup_link::status::StateBits::EXAMPLE_CONSTANTS));
@@ -210,7 +213,7 @@ fn example_constants_are_never_live() {
 #[test]
 fn a_master_on_another_line_is_told_and_has_no_effect() {
     let mut node = started();
-    let zero = |n: u32| Control { zero: n.is_multiple_of(7), ..Control::REFERENCED };
+    let zero = |n: u32| Control { zero: n % 14 < 7, ..Control::REFERENCED };
     let both = (0..100).flat_map(|n| [(Line::Can, Control::ENGAGED), (Line::Serial, zero(n))]);
     after(both, &mut node);
     assert_eq!(node.last().quality, Quality::Live);
@@ -261,8 +264,10 @@ fn a_zero_that_is_refused_is_told() {
         let mut node = started();
         after([(Line::Can, control); 20], &mut node);
         node.receiver = Receiver::new();
-        node.hear(Line::Can, &frames::control(Control { zero: true, ..control }, 0))
-            .expect("whole");
+        for counter in 0..3 {
+            let zero = Control { zero: true, ..control };
+            node.hear(Line::Can, &frames::control(zero, counter)).expect("whole");
+        }
         assert_eq!(node.take_zero(), Some(Zero::Unchanged));
         let said = (0..100).filter_map(|_| {
             node.tick(1, Input { codes: Some(&alive(700)), ..Input::default() });

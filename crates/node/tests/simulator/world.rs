@@ -53,6 +53,7 @@ pub enum Fault {
     NoBlocks,
     FewBlocks,
     ThermometerOpen,
+    BothOpen,
     CncSilent,
     CncLetsGo,
     DamagedFrames,
@@ -61,7 +62,7 @@ pub enum Fault {
     OtherLine,
 }
 
-const FAULTS: [Fault; 15] = [
+const FAULTS: [Fault; 16] = [
     Fault::None,
     Fault::SensorOpen,
     Fault::SensorShort,
@@ -71,6 +72,7 @@ const FAULTS: [Fault; 15] = [
     Fault::NoBlocks,
     Fault::FewBlocks,
     Fault::ThermometerOpen,
+    Fault::BothOpen,
     Fault::CncSilent,
     Fault::CncLetsGo,
     Fault::DamagedFrames,
@@ -250,6 +252,8 @@ pub struct World {
     released: u32,
     engaged_after_release: bool,
     room_c: f64,
+    /// Frames in which the CNC still says `Zero`.
+    zero_frames: u32,
     /// What `Zero` has taken last, as the machine was, in nm; `None`: a fall-back was in use.
     reference_nm: Option<f64>,
     pub seen: Seen,
@@ -283,6 +287,7 @@ impl World {
             released: 0,
             engaged_after_release: false,
             room_c: 21.0,
+            zero_frames: 0,
             reference_nm: Some(0.0),
             seen: Seen { checksum: 0xcbf2_9ce4_8422_2325, ..Seen::default() },
         }
@@ -302,7 +307,7 @@ impl World {
             let noise = f64::from(random.around(1_000)) / 1_000.0;
             let code = (level + noise).round().clamp(0.0, 4_095.0) as u16;
             Code(match fault {
-                Fault::SensorOpen => 0,
+                Fault::SensorOpen | Fault::BothOpen => 0,
                 Fault::SensorShort => 4_095,
                 Fault::SensorStuck => 777,
                 Fault::SensorRail if n % 4 != 3 => 0,
@@ -319,7 +324,7 @@ impl World {
         // The housing follows at once; its own law has the lag.
         let front = self.room_c + if self.spindle.runs { 15.0 } else { 0.0 };
         raw[4] = counts(self.room_c);
-        if self.fault != Fault::ThermometerOpen {
+        if !matches!(self.fault, Fault::ThermometerOpen | Fault::BothOpen) {
             raw[2] = counts(front);
         }
         raw
@@ -367,7 +372,11 @@ impl World {
         if !self.seen.ticks.is_multiple_of(20) || self.fault == Fault::CncSilent {
             return;
         }
-        let zero = self.chance(400);
+        if self.zero_frames == 0 && self.chance(400) {
+            self.zero_frames = 5;
+        }
+        let zero = self.zero_frames > 0;
+        self.zero_frames = self.zero_frames.saturating_sub(1);
         let (mut control, spindle) = (self.cnc.control(zero), self.cnc.spindle(self.spindle.runs));
         let lost = self.fault == Fault::LostFrames && self.chance(3);
         if self.fault == Fault::DamagedFrames && self.chance(3) {
@@ -389,7 +398,10 @@ impl World {
             }
             if self.node.reference() != before {
                 self.seen.zeros += 1;
-                let is_live = self.node.last().quality == Quality::Live;
+                // What was just broken may still be in the filter.
+                let is_live = self.node.last().quality == Quality::Live
+                    && self.fault == Fault::None
+                    && self.lasts_ms() > 500;
                 self.reference_nm = is_live.then(|| self.spindle.grown_nm());
             }
             self.node.hear(Line::Can, &spindle).ok();
@@ -402,7 +414,9 @@ impl World {
         let engage = self.chance(2);
         let control = Control { engage, zero: true, ..Control::REFERENCED };
         let counter = self.cnc.counters[0].wrapping_add(self.random.below(4) as u8);
+        let before = self.node.reference();
         self.node.hear(stranger, &frames::control(control, counter)).ok();
+        assert_eq!(self.node.reference(), before, "a stranger takes a Zero: {}", self.place());
     }
 
     /// A millisecond.
@@ -485,12 +499,14 @@ impl World {
         let is_blind = matches!(
             self.fault,
             Fault::SensorOpen
+                | Fault::BothOpen
                 | Fault::SensorShort
                 | Fault::SensorRail
                 | Fault::NoBlocks
                 | Fault::FewBlocks
         );
-        let lasts = self.lasts_ms();
+        // After a start it has to be found anew.
+        let lasts = self.lasts_ms().min(self.since_start_ms);
         if is_blind && lasts > 50 || self.fault == Fault::SensorStuck && lasts > 250 {
             assert_ne!(output.quality, Quality::Live, "blind for {lasts} ms: {}", place());
             assert_ne!(output.flags.0 & 0x0C, 0, "not told: {}", place());
