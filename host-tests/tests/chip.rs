@@ -342,7 +342,7 @@ fn in_a_flood_at_the_rate_of_the_line_zero_is_stored_and_no_byte_is_lost() {
 #[test]
 fn where_the_dma_of_the_serial_line_does_not_move_the_line_is_polled() {
     let options =
-        ["--serial-dma-stuck", "--ms", "450", "--say", "250", "V\\r", "--say", "270", "V\\r"];
+        ["--serial-dma-stuck", "--ms", "400", "--say", "250", "V\\r", "--say", "270", "V\\r"];
     let Some(report) = run(&[&["--bor"], &options[..]].concat()) else { return };
     is_clean(&report);
     says(&report, &["serial: \"V1013"]);

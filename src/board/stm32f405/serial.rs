@@ -141,8 +141,9 @@ impl SerialOut {
         if outgoing.is_busy() {
             if now_ms.wrapping_sub(self.moved_ms) > DMA_PATIENCE_MS {
                 defmt::error!("dead: DMA of the serial line, bytes go out by polling");
-                outgoing.stop();
-                self.outgoing = None;
+                for byte in self.outgoing.take().into_iter().flat_map(Outgoing::give_up) {
+                    self.poll(byte);
+                }
             }
             return Sent::Stuck;
         }
@@ -162,13 +163,15 @@ impl SerialOut {
     }
 
     /// A byte that the transmitter does not take is dropped: a dead one must not hang us.
+    fn poll(&mut self, byte: u8) {
+        let _sent = within(SEND_POLLS, || Write::write(&mut self.tx, byte).is_ok());
+    }
+
     fn poll_out(&mut self, mut fill: impl FnMut(&mut [u8]) -> usize) -> Sent {
         for _ in 0..POLLED_AT_ONCE / TAKEN_AT_ONCE {
             let mut piece = [0; TAKEN_AT_ONCE];
             let count = fill(&mut piece);
-            for &byte in &piece[..count] {
-                let _sent = within(SEND_POLLS, || Write::write(&mut self.tx, byte).is_ok());
-            }
+            piece[..count].iter().for_each(|byte| self.poll(*byte));
             if count < TAKEN_AT_ONCE {
                 return Sent::All;
             }

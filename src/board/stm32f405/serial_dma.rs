@@ -111,13 +111,15 @@ impl Incoming {
 /// Bytes that go out.
 pub struct Outgoing {
     dma: DMA2,
+    /// Bytes of the last piece.
+    count: usize,
     /// Bytes left when they were last counted.
     left: u16,
 }
 
 impl Outgoing {
     pub fn new() -> Self {
-        Self { dma: controller(), left: 0 }
+        Self { dma: controller(), count: 0, left: 0 }
     }
 
     /// Whether a piece is still going out.
@@ -135,8 +137,12 @@ impl Outgoing {
         has_moved && self.is_busy()
     }
 
-    pub fn stop(&mut self) {
+    /// Gives up, and gives the bytes that have not gone out.
+    pub fn give_up(self) -> impl Iterator<Item = u8> {
+        let left = usize::from(self.dma.st(7).ndtr().read().ndt().bits());
         stop(self.dma.st(7));
+        let rest = self.count.saturating_sub(left)..self.count;
+        OUT[rest].iter().map(|place| place.load(Ordering::Relaxed))
     }
 
     /// Sends what `fill` puts into the buffer, and gives how much that is. No piece is going out.
@@ -157,6 +163,7 @@ impl Outgoing {
             stream.par().write(|w| w.pa().bits(data_register()));
             stream.m0ar().write(|w| w.m0a().bits(OUT.as_ptr() as u32));
         }
+        self.count = count;
         self.left = count as u16;
         stream.ndtr().write(|w| w.ndt().set(self.left));
         stream.fcr().reset();
