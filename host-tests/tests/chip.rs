@@ -125,7 +125,7 @@ fn what_zero_has_taken_is_stored_and_taken_up_at_the_next_start() {
     let Some(report) = run(&first) else { return };
     is_clean(&report);
     logs(&report, "stored: elongation");
-    let second = ["--ms", "500", "--flash", flash, "--engage-ms", "200"];
+    let second = ["--ms", "800", "--flash", flash, "--engage-ms", "500"];
     let Some(report) = run(&second) else { return };
     is_clean(&report);
     logs(&report, "taken up: elongation");
