@@ -66,7 +66,7 @@ pub struct Outcome {
     /// 1 − after/before of these.
     pub reduction: f64,
     /// The reduction that the diagnosis has promised: of left-out parts of the first day, less the noise
-    /// of the gauge, which the tool does not have.
+    /// of the gauge, which is known, and which the tool does not have.
     pub promised_reduction: f64,
     /// How much faster the machine's clock ran than the board's.
     pub faster: f64,
@@ -183,7 +183,7 @@ pub fn act_two(boards: &Boards, hidden: &Hidden, progress: &mut Progress<'_>) ->
             tool_rms_before_um,
             tool_rms_after_um,
             reduction: 1.0 - tool_rms_after_um / tool_rms_before_um,
-            promised_reduction: promised(&diagnosis),
+            promised_reduction: promised(&diagnosis, plant.gauge_um),
             faster,
             board_s,
         },
@@ -207,10 +207,11 @@ fn judged(faults: &[FaultSaid], findings: &[Finding]) -> (Vec<&'static str>, Vec
     (missed, findings.iter().filter(is_false).map(|it| it.cause.clone()).collect())
 }
 
-/// The reduction of the error at the tool that a diagnosis promises: both sides less the gauge's noise.
-fn promised(diagnosis: &Diagnosis) -> f64 {
+/// The reduction of the error at the tool that a diagnosis promises: both sides less what the gauge is worth
+/// by its certificate, `gauge_um` of noise, which the tool does not have.
+fn promised(diagnosis: &Diagnosis, gauge_um: f64) -> f64 {
     let report = &diagnosis.report;
-    let at_tool = |um: f64| (um * um - report.noise_um * report.noise_um).max(0.0).sqrt();
+    let at_tool = |um: f64| (um * um - gauge_um * gauge_um).max(0.0).sqrt();
     let before = at_tool(report.before.holdout_rms_um);
     let after = at_tool(report.after.compensated_holdout_rms_um);
     if before > 0.0 { 1.0 - after / before } else { 0.0 }

@@ -1,7 +1,7 @@
 //! The page of the demonstration: first what is wrong and what to do, then pictures, then tables.
 
 use trueup_diagnose::{Diagnosis, Verdict, report::Finding};
-use trueup_page::{Bars, Chart, Colour, Page, Series, Table, micrometres, time_unit};
+use trueup_page::{Bars, Chart, Colour, Page, Series, Table, micrometres, significant, time_unit};
 
 use crate::{act_one::ActOne, act_two::ActTwo, say};
 
@@ -49,8 +49,7 @@ fn of_act_two(page: &mut Page, two: &ActTwo) {
     verdict(page, &two.diagnosis);
     page.pictures(&[second_day(two).figure(), envelope(two).figure()]);
     page.subheading("The envelope opened");
-    let mut table =
-        Table::new(&["hidden", "times the noise", "named by", "found", "value", "95 %"]);
+    let mut table = Table::new(&["hidden", "size", "named by", "found", "value", "95 %"]);
     for fault in &it.faults {
         let mut cells =
             vec![fault.fault.to_string(), format!("{:.1}", fault.ratio), fault.causes.join(" or ")];
@@ -58,8 +57,9 @@ fn of_act_two(page: &mut Page, two: &ActTwo) {
         cells.extend(match finding {
             None => ["not found".to_string(), "–".into(), "–".into()],
             Some(finding) => {
-                let first = finding.parameters.iter().find(|(_, it)| it["value"].is_number());
-                let number = |value: &serde_json::Value| value.as_f64().map_or("–".into(), short);
+                let first = finding.parameters.iter().find(|(_, it)| it["ci95"][0].is_number());
+                let number =
+                    |value: &serde_json::Value| value.as_f64().map_or("–".into(), significant);
                 let (value, interval) = first.map_or(("–".into(), "–".into()), |(name, it)| {
                     let ends = [0, 1].map(|end| number(&it["ci95"][end]));
                     (format!("{name} {}", number(&it["value"])), ends.join(" … "))
@@ -70,6 +70,7 @@ fn of_act_two(page: &mut Page, two: &ActTwo) {
         table.row(&cells);
     }
     page.table(&table);
+    page.note("Size: RMS of what the fault does, over that of the noise.");
     page.text(&it.judgement());
     causes(page, &it.findings);
     page.note(&format!(
@@ -134,14 +135,14 @@ fn of_act_one(page: &mut Page, one: &ActOne) {
     page.pictures(&pictures(one));
     causes(page, &one.diagnosis.report.findings);
     let mut table =
-        Table::new(&["measured", "bridge, as it is", "off by", "bridge, extended", "off by"]);
+        Table::new(&["measured, µm", "bridge as it is", "off by", "extended", "off by"]);
     for row in one.rows.iter().step_by(one.rows.len().div_ceil(MOST_ROWS).max(1)) {
         table.row(&[
-            format!("{:.1} µm", row.dial_um),
-            format!("{:.2} µm", row.bridge_um),
-            format!("{:+.2} µm", row.bridge_um - row.dial_um),
-            format!("{:.2} µm", row.calibrated_um),
-            format!("{:+.2} µm", row.calibrated_um - row.dial_um),
+            format!("{:.1}", row.dial_um),
+            format!("{:.2}", row.bridge_um),
+            format!("{:+.2}", row.bridge_um - row.dial_um),
+            format!("{:.2}", row.calibrated_um),
+            format!("{:+.2}", row.calibrated_um - row.dial_um),
         ]);
     }
     page.heading("Reading by reading");
@@ -159,7 +160,9 @@ pub(crate) fn verdict(page: &mut Page, diagnosis: &Diagnosis) {
     let mut sentences = vec![diagnosis.sentence()];
     sentences.extend(report.findings.iter().map(|it| it.sentence.clone()));
     sentences.extend(report.hints.iter().cloned());
-    page.card(state, report.verdict.name(), &sentences);
+    let mut heading = report.verdict.name().replace('-', " ");
+    heading[..1].make_ascii_uppercase();
+    page.card(state, &heading, &sentences);
 }
 
 fn pictures(one: &ActOne) -> Vec<String> {
@@ -201,9 +204,10 @@ pub(crate) fn causes(page: &mut Page, findings: &[Finding]) {
         let mut table = Table::new(&["", "value", "95 %"]);
         for (name, parameter) in &finding.parameters {
             if let Some(value) = parameter["value"].as_f64() {
-                let end =
-                    |index: usize| parameter["ci95"][index].as_f64().map_or("–".into(), short);
-                table.row(&[name.clone(), short(value), format!("{} … {}", end(0), end(1))]);
+                let end = |index: usize| {
+                    parameter["ci95"][index].as_f64().map_or("–".into(), significant)
+                };
+                table.row(&[name.clone(), significant(value), format!("{} … {}", end(0), end(1))]);
             }
         }
         page.table(&table);
@@ -222,13 +226,4 @@ pub(crate) fn causes(page: &mut Page, findings: &[Finding]) {
         page.pictures(&[Bars { title: title.into(), bars, clear: CLEAR }.figure()]);
         page.text(&format!("To measure next: {}", finding.next_test));
     }
-}
-
-/// A value in four digits that mean something.
-pub(crate) fn short(value: f64) -> String {
-    if value == 0.0 {
-        return "0".into();
-    }
-    let decimals = (3.0 - value.abs().log10().floor()).clamp(0.0, 6.0) as usize;
-    format!("{value:.decimals$}")
 }

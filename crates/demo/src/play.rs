@@ -22,6 +22,9 @@ use crate::boards::Bridge;
 
 /// How long a row of a run without time is held: filter and slew have come to rest by then.
 pub const STILL_S: f64 = 0.5;
+/// How long the first row of a run with time is held, for which what has a memory is at rest; filters have
+/// settled before it.
+const FIRST_S: f64 = 0.02;
 /// From the start until the CNC engages, and until the first row begins.
 const ENGAGES_AT_MS: u32 = 200;
 const BEGINS_AT_MS: u32 = 500;
@@ -56,7 +59,7 @@ impl Pace {
     /// There is no time, or it runs back.
     pub fn by_clock(run: &RunFile, faster: f64) -> Result<Self> {
         let times = run.require("time_s")?;
-        let mut hold_s = vec![STILL_S];
+        let mut hold_s = vec![FIRST_S];
         for pair in times.windows(2) {
             let step_s = pair[1] - pair[0];
             if !(step_s >= 0.0 && step_s.is_finite()) {

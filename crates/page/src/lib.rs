@@ -16,4 +16,4 @@ mod number;
 pub use bars::Bars;
 pub use chart::{Chart, Colour, Series};
 pub use html::{Page, Table, escaped};
-pub use number::{micrometres, time_unit};
+pub use number::{micrometres, significant, time_unit};

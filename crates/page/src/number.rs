@@ -10,6 +10,21 @@ pub fn micrometres(um: f64) -> String {
     format!("{um:.decimals$} µm")
 }
 
+/// A number in four digits that mean something.
+///
+/// ```
+/// assert_eq!(trueup_page::significant(1629.63), "1630");
+/// assert_eq!(trueup_page::significant(0.081_912), "0.08191");
+/// ```
+#[must_use]
+pub fn significant(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return if value == 0.0 { "0".into() } else { "–".into() };
+    }
+    let decimals = (3.0 - value.abs().log10().floor()).clamp(0.0, 9.0) as usize;
+    format!("{value:.decimals$}")
+}
+
 /// The unit in which a time of so many seconds reads best, and how many seconds it has.
 ///
 /// ```

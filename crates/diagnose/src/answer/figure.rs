@@ -1,14 +1,8 @@
-//! The pictures of the report, as SVG.
+//! The pictures of the report, in the look of all reports.
 
-use plotters::prelude::*;
+use trueup_page::{Chart, Series};
 
-const SIZE: (u32, u32) = (820, 260);
-const SMALL: (u32, u32) = (400, 240);
-const BEFORE: RGBColor = RGBColor(190, 90, 40);
-const AFTER: RGBColor = RGBColor(30, 90, 170);
-const MEASURED: RGBColor = RGBColor(60, 60, 60);
-/// A picture does not show more points than that.
-const MOST_POINTS: usize = 1500;
+pub(crate) use trueup_page::Colour;
 
 /// Points (x, y) of one colour.
 pub(crate) struct Points<'a> {
@@ -28,72 +22,23 @@ impl<'a> Points<'a> {
     }
 }
 
-/// What is drawn.
-#[derive(Clone, Copy)]
-pub(crate) enum Colour {
-    Before,
-    After,
-    Measured,
+/// What a colour stands for.
+fn name(colour: Colour) -> &'static str {
+    match colour {
+        Colour::Before => "the machine file as it is",
+        Colour::After => "extended",
+        Colour::Measured => "measured",
+        Colour::Truth => "true",
+    }
 }
 
 /// A picture of `lists` over one axis; an empty text where there is nothing to be drawn.
-pub(crate) fn picture(x_name: &str, y_name: &str, lists: &[Points<'_>], is_small: bool) -> String {
-    drawn(x_name, y_name, lists, if is_small { SMALL } else { SIZE }).unwrap_or_default()
-}
-
-fn drawn(x_name: &str, y_name: &str, lists: &[Points<'_>], size: (u32, u32)) -> Option<String> {
-    let extent = |of: fn(&Points<'_>) -> Vec<f64>| {
-        let all = lists.iter().flat_map(of).filter(|value| value.is_finite());
-        let (low, high) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
-            (low.min(value), high.max(value))
-        });
-        let margin = if high > low { 0.04 * (high - low) } else { 0.5 };
-        (low <= high).then_some(low - margin..high + margin)
-    };
-    let x_range = extent(|points| points.x.to_vec())?;
-    let y_range = extent(|points| points.y.to_vec())?;
-    let mut svg = String::new();
-    {
-        let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
-        root.fill(&WHITE).ok()?;
-        let mut chart = ChartBuilder::on(&root)
-            .margin(8)
-            .x_label_area_size(36)
-            .y_label_area_size(56)
-            .build_cartesian_2d(x_range, y_range)
-            .ok()?;
-        chart
-            .configure_mesh()
-            .x_desc(x_name)
-            .y_desc(y_name)
-            .x_labels(6)
-            .y_labels(6)
-            .light_line_style(WHITE)
-            .draw()
-            .ok()?;
-        for list in lists {
-            let colour = match list.colour {
-                Colour::Before => BEFORE,
-                Colour::After => AFTER,
-                Colour::Measured => MEASURED,
-            };
-            let every = list.x.len().div_ceil(MOST_POINTS).max(1);
-            let points: Vec<(f64, f64)> = list
-                .x
-                .iter()
-                .zip(list.y)
-                .step_by(every)
-                .filter(|(x, y)| x.is_finite() && y.is_finite())
-                .map(|(x, y)| (*x, *y))
-                .collect();
-            if list.is_line {
-                chart.draw_series(LineSeries::new(points, colour)).ok()?;
-            } else {
-                let dot = |at| Circle::new(at, 2, colour.mix(0.6).filled());
-                chart.draw_series(points.into_iter().map(dot)).ok()?;
-            }
-        }
-        root.present().ok()?;
-    }
-    Some(svg)
+pub(crate) fn picture(title: &str, x_name: &str, y_name: &str, lists: &[Points<'_>]) -> String {
+    let series = lists.iter().map(|list| {
+        let points = list.x.iter().zip(list.y).map(|(x, y)| [*x, *y]).collect();
+        let of = if list.is_line { Series::line } else { Series::dots };
+        of(name(list.colour), list.colour, points)
+    });
+    Chart { title: title.into(), x: x_name.into(), y: y_name.into(), series: series.collect() }
+        .figure()
 }

@@ -2,35 +2,23 @@
 
 use std::fmt::Write as _;
 
+use trueup_page::{Page, escaped, micrometres, significant};
+
 use crate::answer::{
     Diagnosis,
     pictures::{against_inputs, predicted_and_left},
     report::{Finding, LeftOut, Report, Verdict},
 };
 
-const STYLE: &str = "body{font:16px/1.5 system-ui,sans-serif;max-width:54rem;margin:2rem auto;\
-padding:0 1rem;color:#222}h1,h2,h3{line-height:1.2}table{border-collapse:collapse}td,th{padding:\
-.2rem .8rem .2rem 0;text-align:left;vertical-align:top;border-bottom:1px solid #ddd}.verdict{\
-padding:.4rem 1rem;border-left:6px solid}.good{background:#edf6ee;border-color:#2e7d32}.open{\
-background:#fdf5e4;border-color:#b7791f}.bad{background:#fdecea;border-color:#b3261e}.bad h2{\
-color:#b3261e}.grid{display:flex;flex-wrap:\
-wrap}.b{color:#be5a28}.a{color:#1e5aaa}svg{max-width:100%;height:auto}";
-
 pub(crate) fn html(diagnosis: &Diagnosis, machine_name: &str) -> String {
     let report = &diagnosis.report;
     let mut out = String::new();
-    let title = format!("Diagnosis of {}", escaped(machine_name));
-    let _ = write!(
-        out,
-        "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{title}</title>\
-         <style>{STYLE}</style></head><body>\n<h1>{title}</h1>\n"
-    );
     verdict(diagnosis, &mut out);
     let _ = write!(
         out,
         "<h2>What was believed, and what the machine does</h2>\n<p>{} rows of <b>{}</b> were \
-         compared. The machine file as it is leaves <span class=\"b\">{:.2} µm RMS</span> (largest \
-         {:.2} µm){}. One reading has a noise of {:.2} µm: nothing can become better than that.</p>\n",
+         compared. The machine file as it is leaves <span class=\"before\">{:.2} µm RMS</span> (largest \
+         {:.2} µm){}. {}</p>\n",
         report.rows_used,
         escaped(&report.quantity),
         report.before.rms_um,
@@ -39,11 +27,11 @@ pub(crate) fn html(diagnosis: &Diagnosis, machine_name: &str) -> String {
             String::new()
         } else {
             format!(
-                ", the extended one <span class=\"a\">{:.2} µm RMS</span> (largest {:.2} µm)",
+                ", the extended one <span class=\"after\">{:.2} µm RMS</span> (largest {:.2} µm)",
                 report.after.rms_um, report.after.max_um
             )
         },
-        report.noise_um
+        noise_sentence(diagnosis)
     );
     predicted_and_left(diagnosis, &mut out);
     if !report.findings.is_empty() {
@@ -54,13 +42,14 @@ pub(crate) fn html(diagnosis: &Diagnosis, machine_name: &str) -> String {
     }
     let _ = write!(
         out,
-        "<h2>The gain on data that nothing was fitted to</h2>\n<table><tr><th></th><th>before</th>\
+        "<h2>The gain on data that nothing was fitted to</h2>\n<div class=\"table\"><table><tr><th></th><th>before</th>\
          <th>after</th><th>of it corrected by the board</th></tr><tr><td>RMS</td><td>{:.3} µm</td>\
-         <td>{:.3} µm</td><td>{:.3} µm</td></tr></table>\n",
+         <td>{:.3} µm</td><td>{:.3} µm</td></tr></table></div>\n",
         report.before.holdout_rms_um,
         report.after.holdout_rms_um,
         report.after.compensated_holdout_rms_um
     );
+    list(&report.hints, &mut out);
     if report.holdout_used {
         out.push_str(
             "<p class=\"note\">The hold-out has chosen what is handed out: these are no longer figures \
@@ -70,7 +59,7 @@ pub(crate) fn html(diagnosis: &Diagnosis, machine_name: &str) -> String {
     against_inputs(diagnosis, &mut out);
     if !report.rejected.is_empty() {
         out.push_str(
-            "<h2>Tried, and not taken</h2>\n<table><tr><th>cause</th><th>column</th><th>would \
+            "<h2>Tried, and not taken</h2>\n<div class=\"table\"><table><tr><th>cause</th><th>column</th><th>would \
              leave</th><th>left out</th><th>why not</th></tr>\n",
         );
         for rejected in &report.rejected {
@@ -84,10 +73,21 @@ pub(crate) fn html(diagnosis: &Diagnosis, machine_name: &str) -> String {
                 escaped(&rejected.reason)
             );
         }
-        out.push_str("</table>\n");
+        out.push_str("</table></div>\n");
     }
-    out.push_str("</body></html>\n");
-    out
+    let mut page = Page::new(&format!("Diagnosis of {machine_name}"));
+    page.raw(&out);
+    page.html()
+}
+
+/// What the noise of a reading is known from: repeats measure it, a row and its neighbour only bound it.
+fn noise_sentence(diagnosis: &Diagnosis) -> String {
+    let um = micrometres(diagnosis.report.noise_um);
+    if diagnosis.noise_is_measured {
+        format!("Repeats of one reading scatter by {um}: no model becomes better than that.")
+    } else {
+        format!("What differs from row to row and goes with nothing is {um}.")
+    }
 }
 
 /// The verdict in its colour, why it is so, and what must be known beside it.
@@ -95,7 +95,7 @@ fn verdict(diagnosis: &Diagnosis, out: &mut String) {
     let report = &diagnosis.report;
     let _ = writeln!(
         out,
-        "<div class=\"verdict {}\"><h2>{}</h2><p>{}</p>",
+        "<div class=\"card verdict {}\"><h2>{}</h2><p>{}</p>",
         colour(report.verdict),
         report.verdict.name(),
         escaped(&verdict_sentence(diagnosis))
@@ -192,19 +192,19 @@ fn clean_sentence(report: &Report) -> String {
     format!("Nothing is left but noise{wandering}. {found} The machine file stays.")
 }
 
-/// A value of a cause for people: numbers to so many decimals, a list or a table as lines that wrap.
-fn readable(value: &serde_json::Value, decimals: usize) -> String {
+/// A value of a cause for people: numbers in four digits, a list or a table as lines that wrap.
+fn readable(value: &serde_json::Value) -> String {
     use serde_json::Value;
     match value {
         Value::Null => String::new(),
-        Value::Number(number) => format!("{:.decimals$}", number.as_f64().unwrap_or(f64::NAN)),
+        Value::Number(number) => significant(number.as_f64().unwrap_or(f64::NAN)),
         Value::Array(items) => {
             let between = if items.iter().any(Value::is_object) { "<br>" } else { ", " };
-            items.iter().map(|item| readable(item, 3)).collect::<Vec<_>>().join(between)
+            items.iter().map(|item| readable(item)).collect::<Vec<_>>().join(between)
         }
         Value::Object(members) => {
             let known = members.iter().filter(|(_, value)| !value.is_null());
-            let named = known.map(|(name, it)| format!("{}: {}", escaped(name), readable(it, 3)));
+            let named = known.map(|(name, it)| format!("{}: {}", escaped(name), readable(it)));
             named.collect::<Vec<_>>().join("<br>")
         }
         Value::String(text) => escaped(text),
@@ -226,28 +226,28 @@ fn cause(finding: &Finding, out: &mut String) {
         finding.column.as_ref().map_or(String::new(), |column| format!(": {}", escaped(column))),
         escaped(&finding.sentence)
     );
-    out.push_str("<table>\n");
+    out.push_str("<div class=\"table\"><table>\n");
     for (name, parameter) in &finding.parameters {
         let value = &parameter["value"];
         let ci95 = &parameter["ci95"];
         let number = |value: &serde_json::Value| {
-            value.as_f64().map_or_else(|| value.to_string(), |number| format!("{number:.5}"))
+            value.as_f64().map_or_else(|| value.to_string(), significant)
         };
         let interval = match (ci95.get(0).and_then(serde_json::Value::as_f64), ci95.get(1)) {
-            (Some(low), Some(high)) => format!("95 %: {low:.5} … {}", number(high)),
+            (Some(low), Some(high)) => format!("95 %: {} … {}", significant(low), number(high)),
             _ => String::new(),
         };
         let _ = writeln!(
             out,
             "<tr><td>{name}</td><td>{}</td><td>{interval}</td></tr>",
-            readable(value, 5)
+            readable(value)
         );
     }
     let gain = &finding.gain;
     let _ = writeln!(
         out,
         "<tr><td>left out</td><td>{:.3} → {:.3} µm</td><td>{:.0} % less (95 %: {:.0} … {:.0} %)\
-         </td></tr></table>",
+         </td></tr></table></div>",
         gain.left_out_before_um,
         gain.left_out_after_um,
         100.0 * gain.reduction,
@@ -270,8 +270,4 @@ fn cause(finding: &Finding, out: &mut String) {
         );
     }
     let _ = writeln!(out, "<p><b>To measure next:</b> {}</p>", escaped(&finding.next_test));
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

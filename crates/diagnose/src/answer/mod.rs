@@ -65,6 +65,8 @@ pub struct Diagnosis {
     pub(crate) after: Vec<f64>,
     /// Rows that were set aside.
     pub(crate) aside: Vec<bool>,
+    /// Whether the noise of a reading is known from its repeats.
+    pub(crate) noise_is_measured: bool,
 }
 
 /// What the answer depends on beside what was found.
@@ -186,7 +188,8 @@ pub(crate) fn conclude(
         rejected: found.rejected.into_iter().map(rejected).collect(),
     };
     let Extended { replaced: corrected, new: terms } = Extended::by(&data, &model);
-    Ok(Diagnosis { report, terms, corrected, data, before, after, aside })
+    let noise_is_measured = repeats.is_some();
+    Ok(Diagnosis { report, terms, corrected, data, before, after, aside, noise_is_measured })
 }
 
 /// The model as it is handed out: terms that are not kept leave, and the others are fitted again

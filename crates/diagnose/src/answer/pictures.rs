@@ -4,6 +4,7 @@
 use std::fmt::Write as _;
 
 use trueup_machine::file::LinearAxis;
+use trueup_page::time_unit;
 
 use crate::{
     answer::{
@@ -28,10 +29,6 @@ pub(super) fn predicted_and_left(diagnosis: &Diagnosis, out: &mut String) {
     let (before, after) = (pick(&diagnosis.before), pick(&diagnosis.after));
     let left = |p: &[f64]| -> Vec<f64> { measured.iter().zip(p).map(|(m, p)| m - p).collect() };
     let (left_before, left_after) = (left(&before), left(&after));
-    out.push_str(
-        "<p>Measured (grey) and predicted before (<span class=\"b\">brown</span>) and after \
-         (<span class=\"a\">blue</span>)",
-    );
     let mut lists = vec![Points::dots(&x, &measured, Colour::Measured)];
     let dense = match over {
         Over::Position(axis) => curves(diagnosis, axis),
@@ -40,11 +37,8 @@ pub(super) fn predicted_and_left(diagnosis: &Diagnosis, out: &mut String) {
     for (curves, colour) in dense.iter().zip([Colour::Before, Colour::After]) {
         lists.extend(curves.iter().map(|it| Points::line(&it.at_mm, &it.um, colour)));
     }
-    if lists.len() > 1 {
-        out.push_str(
-            "; the lines are the model between the points, at the median of what else was recorded",
-        );
-    } else {
+    let has_curves = lists.len() > 1;
+    if !has_curves {
         // A line ends where a series does.
         let mut first = 0;
         for end in 1..=rows.len() {
@@ -56,14 +50,20 @@ pub(super) fn predicted_and_left(diagnosis: &Diagnosis, out: &mut String) {
             }
         }
     }
-    out.push_str(":</p>\n");
-    out.push_str(&picture(&x_name, "µm", &lists, false));
-    out.push_str("<p>What is left, measured minus predicted:</p>\n");
+    let between = if has_curves {
+        " (lines: the model between the points, at the median of what else was recorded)"
+    } else {
+        ""
+    };
+    let title = format!("Measured and predicted{between}");
+    out.push_str("<div class=\"grid\">");
+    out.push_str(&picture(&title, &x_name, "µm", &lists));
     let lists = [
         Points::dots(&x, &left_before, Colour::Before),
         Points::dots(&x, &left_after, Colour::After),
     ];
-    out.push_str(&picture(&x_name, "µm", &lists, false));
+    out.push_str(&picture("What is left: measured minus predicted", &x_name, "µm", &lists));
+    out.push_str("</div>\n");
 }
 
 /// What the pictures are over.
@@ -94,8 +94,13 @@ impl Over {
                 (format!("{}, mm", axis.name()), at_mm.unwrap_or_else(rows))
             }
             Self::Time => {
-                let hours = |times: &Vec<f64>| times.iter().map(|t| t / 3600.0).collect();
-                ("time, h".into(), data.time_s.as_ref().map_or_else(rows, hours))
+                let times = data.time_s.as_deref().unwrap_or_default();
+                let known = times.iter().copied().filter(|time| time.is_finite());
+                let (first, last) = known.fold((f64::INFINITY, 0.0_f64), |(first, last), time| {
+                    (first.min(time), last.max(time))
+                });
+                let (unit, seconds) = time_unit(last - first);
+                (format!("time, {unit}"), times.iter().map(|time| time / seconds).collect())
             }
             Self::Rows => ("row".into(), rows()),
         }
@@ -118,7 +123,7 @@ pub(super) fn against_inputs(diagnosis: &Diagnosis, out: &mut String) {
     let mut draw = |name: &str, x: &[f64]| {
         let lists =
             [Points::dots(x, &before, Colour::Before), Points::dots(x, &after, Colour::After)];
-        let _ = writeln!(all, "<div>{}</div>", picture(name, "left, µm", &lists, true));
+        all.push_str(&picture(&format!("What is left against {name}"), name, "left, µm", &lists));
     };
     for name in names {
         if let Some(values) = named(data, &name) {

@@ -1,0 +1,153 @@
+//! Every report in a real browser, headless Chromium: nothing is cut at 1280 and at 390 px, light and dark,
+//! no error is said, and the figures of a page are those of its JSON. Without a Chromium it is skipped.
+
+use std::{fmt::Write as _, fs, path::Path, process::Command};
+
+use trueup_accept::{Limits, accept};
+use trueup_demo::{
+    act_one::{Asked, act_one},
+    act_two::act_two,
+    boards::Boards,
+    hidden::Hidden,
+    page,
+    summary::Summary,
+    table::parsed,
+};
+use trueup_diagnose::diagnose;
+use trueup_emulator::{process, setup};
+use trueup_machine::{MachineFile, RunFile};
+use trueup_page::micrometres;
+
+/// Asks the page itself, once it is laid out: how wide the window is, what reaches beyond it or out of its
+/// own box, and what was said to be an error.
+const PROBE: &str = r#"<script>
+const errors = []; addEventListener('error', event => errors.push(event.message));
+addEventListener('load', () => {
+  const wide = innerWidth, cut = [];
+  for (const it of document.querySelectorAll('body *'))
+    if (it.getBoundingClientRect().right > wide + 1) cut.push(it.tagName + ':' + it.textContent.slice(0, 40));
+  for (const it of document.querySelectorAll('.table'))
+    if (it.scrollWidth > it.clientWidth + 1) cut.push('table:' + it.textContent.slice(0, 40));
+  const dark = matchMedia('(prefers-color-scheme: dark)').matches;
+  const paper = getComputedStyle(document.body).backgroundColor;
+  parent.postMessage(JSON.stringify(
+    {wide, scroll: document.documentElement.scrollWidth, cut, errors, dark, paper}), '*');
+});
+</script></head>"#;
+/// A browser's window has a least width, a frame in it has not.
+const FRAME: &str = "<!doctype html><script>addEventListener('message', event => {\
+    document.body.textContent = 'PROBE ' + event.data})</script><body style=\"margin:0\">\
+    <iframe src=\"page.html\" style=\"border:0;height:800px;width:WIDTHpx\"></iframe></body>";
+
+fn chromium() -> Option<std::path::PathBuf> {
+    ["chromium", "chromium-browser", "google-chrome"].into_iter().find_map(process::find)
+}
+
+/// What the browser says of a page at this width.
+fn probed(browser: &Path, folder: &Path, html: &str, width: u32, dark: bool) -> serde_json::Value {
+    let file = folder.join("page.html");
+    fs::write(&file, html.replacen("</head>", PROBE, 1)).expect("written");
+    let frame = folder.join("frame.html");
+    fs::write(&frame, FRAME.replace("WIDTH", &width.to_string())).expect("written");
+    let mut command = Command::new(browser);
+    command.args(["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]);
+    command.arg(format!("--user-data-dir={}", folder.join("profile").display()));
+    // In the browser's own time: as long as the page takes to say something.
+    command.args(["--window-size=1300,900", "--virtual-time-budget=10000"]);
+    if dark {
+        command.arg("--force-dark-mode");
+    }
+    let output = command.arg("--dump-dom").arg(format!("file://{}", frame.display())).output();
+    let text = String::from_utf8_lossy(&output.expect("it starts").stdout).into_owned();
+    let said = text.rsplit("PROBE ").next().and_then(|rest| rest.split("</body>").next());
+    let said = said.unwrap_or_else(|| panic!("the page did not come up: {text}"));
+    serde_json::from_str(&said.replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&"))
+        .expect("JSON")
+}
+
+fn demonstration() -> String {
+    let path = setup::root().join("data/paper_spindle.toml");
+    let source = MachineFile::read_text(&path).expect("the project's own");
+    let run =
+        RunFile::read(&setup::root().join("data/spindle_paper_table1.csv")).expect("the same");
+    let asked = Asked { source: &source, path: &path, run: &run, quantity: None };
+    let one = act_one(&Boards::InProcess, &asked, &mut |_, _| {}).expect("it runs");
+    let hidden = Hidden::draw(7).expect("a machine that can be told");
+    let two = act_two(&Boards::InProcess, &hidden, &mut |_, _| {}).expect("it runs");
+    let html = page::page(&one, Some(&two));
+    // What the page says is what the JSON says.
+    let summary = Summary::of(&one, Some(&two.outcome), "host", 0.0);
+    let json = serde_json::to_value(&summary).expect("JSON");
+    for um in [
+        &json["paper"]["rms_um"],
+        &json["calibrated"]["loo_rms_um"],
+        &json["calibrated"]["loo_max_um"],
+        &json["hidden"]["tool_rms_before_um"],
+        &json["hidden"]["tool_rms_after_um"],
+    ] {
+        let said = micrometres(um.as_f64().expect("a number"));
+        assert!(html.contains(&said), "{said} is not on the page");
+    }
+    for finding in json["findings"].as_array().expect("a list") {
+        assert!(html.contains(finding["sentence"].as_str().expect("a sentence")));
+    }
+    html
+}
+
+fn diagnosis() -> String {
+    let hidden = Hidden::draw(0).expect("a machine that can be told");
+    let run = hidden.record(0, false).expect("a record");
+    let machine = MachineFile::parse(&hidden.plant.machine, Path::new("m.toml")).expect("a file");
+    let diagnosis = diagnose(&machine, &[run], &[], None, &mut |_, _| {}).expect("comparable");
+    diagnosis.html("an axis")
+}
+
+fn acceptance() -> String {
+    let run = |left: f64| {
+        let mut csv = String::from("time_s,measured_elongation_um\n");
+        for minute in 0..120 {
+            let um = 60.0 * left * (1.0 - (-f64::from(minute) / 30.0).exp());
+            writeln!(csv, "{},{um:.2}", 60 * minute).expect("a string grows");
+        }
+        parsed(&csv, "run.csv").expect("a run file")
+    };
+    let file = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"warmup\"\n\
+                [spindle.warmup]\nlag_s = 0.0\nwarm_s = 7200.0\nmax_um = 36.0\nexponent = 4.0\n";
+    let machine = MachineFile::parse(file, Path::new("m.toml")).expect("a file");
+    let it = accept(&run(1.0), &run(0.4), None, Some((file, &machine)), Limits::default());
+    it.expect("comparable").html("a spindle")
+}
+
+#[test]
+#[ignore = "long: a browser for each page, width and colour"]
+fn no_page_is_cut_or_wrong_in_a_browser() {
+    let Some(browser) = chromium() else {
+        println!("skipped: there is no Chromium here (apt-get install chromium)");
+        return;
+    };
+    let folder = tempfile::tempdir().expect("a folder");
+    let pages = [
+        ("demonstration", demonstration()),
+        ("diagnosis", diagnosis()),
+        ("acceptance", acceptance()),
+    ];
+    for (name, html) in &pages {
+        for outside in ["<script", "<link", "src=", "href=", "url("] {
+            assert!(!html.contains(outside), "{name} stands alone: {outside}");
+        }
+        let mut papers = Vec::new();
+        for (width, dark) in [(1280, false), (390, false), (390, true)] {
+            let said = probed(&browser, folder.path(), html, width, dark);
+            println!("{name} at {width} px: {said}");
+            assert_eq!(said["wide"], width, "the window is as wide as asked");
+            assert!(
+                said["scroll"].as_u64().is_some_and(|it| it <= u64::from(width)),
+                "{name}: {said}"
+            );
+            assert_eq!(said["cut"], serde_json::json!([]), "{name} at {width} px");
+            assert_eq!(said["errors"], serde_json::json!([]), "{name}");
+            papers.push(said["paper"].clone());
+        }
+        assert_ne!(papers[1], papers[2], "{name}: in the dark it is dark");
+    }
+}
