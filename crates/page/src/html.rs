@@ -38,7 +38,7 @@ margin:.2rem 0}.bars .track{background:var(--card);height:.8rem}.bars i{display:
 .bars i.before{background:var(--before)}.bars i.after{background:var(--after)}.bars b{text-align:right}\
 .table{overflow-x:auto}table{border-collapse:collapse;font-variant-numeric:tabular-nums}\
 td,th{padding:.2rem .8rem .2rem 0;text-align:right;vertical-align:top;border-bottom:1px solid var(--rule);\
-overflow-wrap:normal}@media(max-width:600px){td,th{padding:.15rem .45rem .15rem 0;font-size:.78rem}}\
+overflow-wrap:normal}@media(max-width:600px){td,th{padding:.15rem .4rem .15rem 0;font-size:.75rem;overflow-wrap:anywhere}}\
 .left td,.left th{text-align:left}td:first-child,th:first-child,td.text{text-align:left}\
 @page{size:A4;margin:15mm}\
 @media print{:root{--ink:#000;--soft:#444;--paper:#fff;--card:#f2f2f2;--rule:#bbb;--before:#a04010;\
