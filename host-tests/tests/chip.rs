@@ -319,7 +319,7 @@ fn number(report: &Report, word: &str) -> f64 {
 
 #[test]
 fn with_an_open_channel_the_processor_is_busy_for_12_percent_at_most() {
-    let Some(report) = run(&["--bor", "--ms", "900", "--say", "300", "S8\\rO\\r"]) else { return };
+    let Some(report) = run(&["--bor", "--ms", "1500", "--say", "300", "S8\\rO\\r"]) else { return };
     is_clean(&report);
     assert!(number(&report, " bytes sent") > 20_000.0, "{}", report.said);
     let busy = line(&report, &["busy "]).expect("it says how busy it is");
