@@ -52,8 +52,9 @@ def listed():
                     yield name, path, float(there[3].replace("_", ""))
 
 
-def ask_the_environment(name, path):
-    """The constant of this name is a function in the copy, and is called wherever it was read."""
+def ask_the_environment(name, path, is_alone):
+    """The constant of this name is a function in the copy, and is called wherever it was read; `is_alone`: no
+    other has its name."""
     crate = "crate" if path.parts[1] == "numerics" else "trueup_numerics"
     key = f"{path.stem}::{name}"
     body = (
@@ -68,7 +69,7 @@ def ask_the_environment(name, path):
         text = file.read_text()
         is_own = file == COPY / path
         imports = re.findall(r"^\s*(?:pub(?:\([a-z]+\))? )?use [^;]+;", text, re.M)
-        if not is_own and not any(path.stem in it and word.search(it) for it in imports):
+        if not is_own and not any((is_alone or path.stem in it) and word.search(it) for it in imports):
             continue
         text = re.sub(DEFINED.format(name=name), body, text, flags=re.M) if is_own else text
         used, in_use = [], False
@@ -89,10 +90,11 @@ def build(thresholds):
         there.parent.mkdir(parents=True, exist_ok=True)
         if (ROOT / file).is_file():
             shutil.copy2(ROOT / file, there)
-    keys = [ask_the_environment(name, path) for name, path, _ in thresholds]
+    names = [name for name, _, _ in thresholds]
+    keys = [ask_the_environment(name, path, names.count(name) == 1) for name, path, _ in thresholds]
     hook = COPY / "crates/numerics/src/lib.rs"
     hook.write_text(hook.read_text() + HOOK)
-    command = ["cargo", "test", "--release", "--no-run", "--message-format=json", "-p", "trueup-diagnose"]
+    command = ["cargo", "test", "--release", "--no-run", "--message-format=json-render-diagnostics", "-p", "trueup-diagnose"]
     for test in TESTS:
         command += ["--test", test]
     built = subprocess.run(command, cwd=COPY, check=True, stdout=subprocess.PIPE, text=True)

@@ -23,7 +23,7 @@ pub(crate) fn gross(data: &Data, predicted: &[f64]) -> Vec<bool> {
     let far = {
         let residual: Vec<f64> =
             rows.iter().map(|&row| data.measured[row] - predicted[row]).collect();
-        let series: Vec<usize> = rows.iter().map(|&row| data.series[row]).collect();
+        let series: Vec<u32> = rows.iter().map(|&row| data.series[row]).collect();
         in_residual(&residual, &series, last_digit(data, &rows))
     };
     let mut found = vec![false; data.rows];
@@ -61,7 +61,7 @@ pub(crate) fn are_of_readings(data: &Data, aside: &[bool]) -> bool {
 fn strays(data: &Data, predicted: &[f64], found: &[bool]) -> Vec<bool> {
     let rows: Vec<usize> = (0..data.rows).filter(|&row| data.used[row]).collect();
     let residual: Vec<f64> = rows.iter().map(|&row| data.measured[row] - predicted[row]).collect();
-    let series: Vec<usize> = rows.iter().map(|&row| data.series[row]).collect();
+    let series: Vec<u32> = rows.iter().map(|&row| data.series[row]).collect();
     let mut kept: Vec<bool> = rows.iter().map(|&row| found[row]).collect();
     keep_strays(&mut kept, &residual, &series);
     keep_single_ones(&mut kept, &residual, &stops(data, &rows));
@@ -72,7 +72,7 @@ fn strays(data: &Data, predicted: &[f64], found: &[bool]) -> Vec<bool> {
 
 /// Gross errors come one by one. Where more of those `found` are neighbours on the same side than chance
 /// would let them, what these share is something that happened, and no error of a reading: they stay.
-fn keep_strays(found: &mut [bool], residual: &[f64], series: &[usize]) {
+fn keep_strays(found: &mut [bool], residual: &[f64], series: &[u32]) {
     let is_pair = |a: usize, found: &[bool]| {
         let b = a + 1;
         b < found.len()

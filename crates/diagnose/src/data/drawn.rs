@@ -51,7 +51,7 @@ impl Data {
             columns.iter().map(|(name, values)| (name.clone(), of(values))).collect()
         };
         let lags = if is_condensed { self.lag_series(&blocks) } else { Vec::new() };
-        let series: Vec<usize> = rows.iter().map(|&row| self.series[row]).collect();
+        let series: Vec<u32> = rows.iter().map(|&row| self.series[row]).collect();
         Self {
             rows: rows.len(),
             file: rows.iter().map(|&row| self.file[row]).collect(),

@@ -24,7 +24,7 @@ pub(crate) struct Groups {
 impl Groups {
     /// Groups of `size` rows.
     pub(crate) fn new(data: &Data, used: &[bool], size: usize) -> Self {
-        let mut open: Option<(usize, usize)> = None;
+        let mut open: Option<(u32, usize)> = None;
         let rows = RowBlocks::new((0..data.rows).filter(|&row| used[row]), |row| match &mut open {
             Some((series, in_group)) if *series == data.series[row] && *in_group < size => {
                 *in_group += 1;
@@ -36,7 +36,7 @@ impl Groups {
             }
         });
         let first_row = rows.first_rows();
-        let series: Vec<usize> = first_row.iter().map(|&row| data.series[row]).collect();
+        let series: Vec<u32> = first_row.iter().map(|&row| data.series[row]).collect();
         let time = |row: usize| {
             let time = data.time_s.as_ref().map_or(row as f64, |times| times[row]);
             if time.is_nan() { row as f64 } else { time }
@@ -73,7 +73,7 @@ impl Groups {
 }
 
 /// How far each group is from the one before in median steps, by the mean times of both.
-fn steps(clock: &[f64], series: &[usize]) -> Steps {
+fn steps(clock: &[f64], series: &[u32]) -> Steps {
     let gap = |group: usize| clock[group] - clock[group - 1];
     let is_next = |group: usize| group > 0 && series[group] == series[group - 1];
     let mut gaps: Vec<f64> =

@@ -54,7 +54,7 @@ impl Data {
             }
         }
         let mut series = Vec::with_capacity(rows);
-        let mut number: usize = 0;
+        let mut number: u32 = 0;
         for row in 0..rows {
             // Where there is time, it says how far apart two runs are.
             let new_run = row > 0

@@ -28,7 +28,7 @@ pub(crate) struct Data {
     /// Rows at which states begin anew: the first of a file, and where time runs back.
     pub restart: Vec<bool>,
     /// The number of the series of each row: files, runs, restarts.
-    pub series: Vec<usize>,
+    pub series: Vec<u32>,
     pub time_s: Option<Vec<f64>>,
     /// The gauge's own clock, in s, where the run has it beside `time_s`: the two may differ either way.
     pub gauge_time_s: Option<Vec<f64>>,

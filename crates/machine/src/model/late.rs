@@ -84,12 +84,12 @@ impl Shown {
 
     fn begin_c(&mut self, at_s: f64) -> f64 {
         self.begin = self.row_before(at_s, self.begin);
-        self.from_row(self.begin, at_s)
+        self.along_from(self.begin, at_s)
     }
 
     fn end_c(&mut self, at_s: f64) -> f64 {
         self.end = self.row_before(at_s, self.end);
-        self.from_row(self.end, at_s)
+        self.along_from(self.end, at_s)
     }
 
     /// The last row that is not after a time, or the first of all, looked for from the row `near` it.
@@ -104,7 +104,7 @@ impl Shown {
     }
 
     /// Linear between a row and the next, the end values held.
-    fn from_row(&self, low: usize, at_s: f64) -> f64 {
+    fn along_from(&self, low: usize, at_s: f64) -> f64 {
         let high = (low + 1).min(self.time_s.len() - 1);
         let width_s = self.time_s[high] - self.time_s[low];
         let share = if width_s > 0.0 { (at_s - self.time_s[low]) / width_s } else { 0.0 };
