@@ -43,13 +43,15 @@
 //! | both frames | 215 | | |
 //! | ages, what is fresh, course, target, flags | ~460 | | |
 
+mod joint;
 mod needs;
 mod sources;
 mod state;
 
+pub use self::joint::KeptJoint;
+use self::joint::SelectedSource;
 use self::needs::RequiredInputs;
-use self::sources::SelectedSource;
-pub use self::sources::{KeptJoint, REJOIN_NM_PER_S, RETURN_MS};
+pub use self::sources::{REJOIN_NM_PER_S, RETURN_MS};
 use self::state::{Age, Mode};
 pub use self::state::{Reference, SAMPLES_TIMEOUT_MS, STARVED_MS, State, TEMPERATURE_TIMEOUT_MS};
 use crate::{

@@ -29,21 +29,16 @@ use trueup_link::{
     receiver::{Receiver, Refused},
     status::{self, Reason, ResetReason, Status},
 };
-use trueup_store::{
-    load::{Load, Outcome, Slot},
-    retained::Kept,
-};
+use trueup_store::load::{Load, Outcome, Slot};
 
 mod master;
 mod network;
 mod objects;
+mod questions;
+mod restart;
 
 pub use master::Line;
 use master::Master;
-
-/// A millisecond that was lost is forgiven in this time: a converter that is restarted loses one, and
-/// they must not add up over a day.
-const FORGIVEN_MS: u32 = 1_000;
 
 /// The frames of one tick: both halves of a cycle's offsets.
 pub type Frames = [Frame; 2];
@@ -202,47 +197,6 @@ impl<'a> Node<'a> {
         self.answer = self.server.end(outcome).or(self.answer);
     }
 
-    /// Asks the operator something at the start: of these [`Fault::ForeignMachine`] and
-    /// [`Fault::OlderCalibration`], nothing is available until `Confirm` has answered it.
-    pub fn ask(&mut self, question: Fault) {
-        self.questions = self.questions.with_if(true, question);
-        self.bar();
-    }
-
-    /// The running constants are those of the example: nothing is ever available.
-    pub fn bar_example(&mut self) {
-        self.note(Fault::ExampleConstants);
-        self.bar();
-    }
-
-    /// The question that was answered last, once.
-    pub fn take_confirmed(&mut self) -> Option<Fault> {
-        self.confirmed.take()
-    }
-
-    /// What is barred is not available: until the engage sequence is complete, the questions are
-    /// answered, and the constants are somebody's.
-    fn bar(&mut self) {
-        let asks = [Fault::ForeignMachine, Fault::OlderCalibration];
-        let barred = !self.master.is_started()
-            || asks.into_iter().any(|question| self.questions.has(question))
-            || self.board_faults.has(Fault::ExampleConstants);
-        self.state.bar(barred);
-    }
-
-    /// The first question that is open is answered.
-    fn confirm(&mut self) {
-        let open = [Fault::ForeignMachine, Fault::OlderCalibration, Fault::HeatUnknown];
-        let first = open.into_iter().find(|question| self.questions.has(*question));
-        if let Some(question) = first {
-            self.questions = self.questions.without(question);
-            if let (Fault::HeatUnknown, Some(bridge)) = (question, &self.bridge) {
-                bridge.confirm_cold(&mut self.state);
-            }
-            self.confirmed = Some(question);
-        }
-    }
-
     /// Takes a frame from a line. Gives the command it carried, `None` if it is nobody's here, or
     /// not from the master.
     ///
@@ -302,45 +256,6 @@ impl<'a> Node<'a> {
     /// What came of the last `Zero`, once.
     pub fn take_zero(&mut self) -> Option<Zero> {
         self.zero.take()
-    }
-
-    /// What is to outlast a reset.
-    #[must_use]
-    pub fn kept(&self) -> Kept {
-        let heat = self.bridge.as_ref().map(|bridge| bridge.heat_memory(&self.state));
-        Kept { heat: heat.unwrap_or_default(), joint: self.state.kept_joint() }
-    }
-
-    /// Goes on from before a reset; with nothing kept, the power was gone, and what heat the machine
-    /// has is not known. A board that is cold at its start does not call this.
-    pub fn resume(&mut self, kept: Option<&Kept>) {
-        let Some(bridge) = &self.bridge else { return };
-        let Kept { heat, joint } = kept.copied().unwrap_or_default();
-        bridge.resume_heat(&mut self.state, &heat);
-        if let Some(joint) = joint {
-            self.state.resume_joint(joint);
-        }
-    }
-
-    /// So much time has passed by a clock that does not count samples. Gives for how long there were
-    /// none, if that is more than a turn of the supervisor: a tick without any makes up for it.
-    pub fn catch_up(&mut self, elapsed_ms: u32) -> Option<u32> {
-        self.clock = self.clock.after(elapsed_ms);
-        let behind_ms = self.clock.since(self.now);
-        if behind_ms.cast_signed() <= 0 {
-            self.clock = self.now;
-            return None;
-        }
-        self.until_forgiven_ms = self.until_forgiven_ms.saturating_add(elapsed_ms);
-        if self.until_forgiven_ms >= FORGIVEN_MS {
-            self.until_forgiven_ms = 0;
-            self.clock = Millis(self.clock.0.wrapping_sub(1));
-        }
-        if behind_ms < elapsed_ms {
-            return None;
-        }
-        self.state.starve();
-        Some(behind_ms)
     }
 
     /// The error that counts as none.

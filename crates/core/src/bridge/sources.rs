@@ -12,7 +12,10 @@
 //! first source: until that source has been there, or the shift has outlasted the reset, there is no
 //! elongation.
 
-use super::{Bridge, State};
+use super::{
+    Bridge, State,
+    joint::{BEFORE_STEPS, Joint, KeptJoint, SelectedSource},
+};
 use crate::{
     bridge::state::{Reference, SAMPLES_TIMEOUT_MS, STARVED_MS},
     calibration::ElongationSource,
@@ -32,58 +35,6 @@ pub const RETURN_MS: u32 = 1_000;
 /// The same in a step of the heat.
 #[allow(clippy::cast_possible_wrap, reason = "1 nm")]
 const REJOIN_NM_PER_STEP: i32 = REJOIN_NM_PER_S * STEP_MS as i32 / 1_000;
-
-/// The source of the elongation that is used.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) enum SelectedSource {
-    /// The machine file asks for some, but none is fresh.
-    #[default]
-    Missing,
-    /// It asks for none.
-    Unneeded,
-    /// This one.
-    Source(ElongationSource),
-}
-
-impl SelectedSource {
-    fn source(self) -> Option<ElongationSource> {
-        match self {
-            Self::Source(source) => Some(source),
-            Self::Unneeded | Self::Missing => None,
-        }
-    }
-}
-
-/// What is told once in a step of the heat, so many steps ago at most: a sensor that freezes is found
-/// after 200 ms, and what it said meanwhile is not what the next source goes on from.
-const BEFORE_STEPS: usize = 3;
-
-/// The source in use, and how it joins the one before.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Joint {
-    pub selected: SelectedSource,
-    /// The last one that was used.
-    last: Option<ElongationSource>,
-    /// What is added to what it says.
-    shift: Nanometres,
-    /// An offset was followed, or the first source was there: from then on the elongation goes on.
-    pub is_anchored: bool,
-    /// The elongation at the last steps of the heat, the oldest first; `None`: not by this source.
-    before: [Option<Nanometres>; BEFORE_STEPS],
-    /// How long a better source has been fresh.
-    returned_ms: u32,
-    /// `last` was used before a reset, and nothing has been since.
-    is_resumed: bool,
-}
-
-/// What of it outlasts a reset.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct KeptJoint {
-    /// The source that was used last.
-    pub source: ElongationSource,
-    /// What was added to what it says.
-    pub shift: Nanometres,
-}
 
 impl State {
     /// The source that was used last and its shift, once the elongation goes on.

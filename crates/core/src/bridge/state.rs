@@ -1,6 +1,6 @@
 //! What the bridge remembers from tick to tick.
 
-use super::sources::Joint;
+use super::joint::Joint;
 use crate::{
     channels::{Channels, RawTemperatures},
     cnc::{AxisPosition, Control, Spindle},

@@ -5,6 +5,7 @@
 //! `cargo test -p trueup-node --test simulator` runs two million ticks, the long test ten million;
 //! `TRUEUP_SEEDS=from..to` chooses the seeds, for a soak of any length.
 
+mod machine;
 mod world;
 
 use std::{env, time::Instant};

@@ -6,40 +6,22 @@
 
 use trueup_core::{
     bridge::Input,
-    calibration::{Calibration, ElongationSource, SpindleTemperature, SpindleWarmup},
     channels::RawTemperatures,
-    cnc::{Control, Output, Quality, Spindle},
+    cnc::{Control, Output, Quality},
     dimensions::{CHANNELS, CODES_PER_TICK},
-    kinematics::Kinematics,
-    lag::SmoothingFactor,
-    limits::Limits,
-    sensor::{SensorLaw, Slope},
-    thermal::{Law, Piece},
-    thermometer::{Raw, Thermometer},
-    tool::Direction,
-    units::{Code, Fine, Nanometres, Reading, Rpm, Temperature},
-    warmup::Warmup,
+    thermometer::Raw,
+    units::Code,
 };
-use trueup_link::{frame::Frame, frames, receiver::OffsetReceiver};
+use trueup_link::{frame::Frame, frames};
 use trueup_node::{
     node::{Line, Node},
     vectors::Random,
 };
 use trueup_store::retained::{self, Copies, SIZE};
 
-/// The largest offset on an axis, nm, and the slew limit, nm in a millisecond.
-pub const MAX_NM: i32 = 150_000;
-pub const SLEW_NM_PER_MS: i32 = 200;
-/// What a wire bit may add to a step.
-const WIRE_NM: i32 = 10;
-/// A code is so many nanometres of growth.
-const NM_PER_CODE: f64 = 122.0;
-const ZERO_CODE: f64 = 600.0;
-/// τ of the spindle's heat, and its growth when warm through.
-const TAU_S: f64 = 60.0;
-const GROWTH_NM: f64 = 60_000.0;
-/// The law by temperature, in nm a kelvin.
-const NM_PER_KELVIN: i32 = 4_000;
+use crate::machine::{
+    Cnc, GrowingSpindle, MAX_NM, NM_PER_CODE, SLEW_NM_PER_MS, WIRE_NM, ZERO_CODE, calibration,
+};
 
 /// What is wrong, for a while.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -80,142 +62,6 @@ const FAULTS: [Fault; 16] = [
     Fault::SecondMaster,
     Fault::OtherLine,
 ];
-
-fn pieces() -> &'static [[u8; 20]] {
-    // K₀ rises by NM_PER_KELVIN from 20 °C: 1/16 of 1/256 nm by 1.024 K.
-    let slope = f64::from(NM_PER_KELVIN) * 256.0 * 1.024 * 16.0;
-    let start = Temperature(20 * Temperature::PER_KELVIN);
-    let piece = Piece { start, constant_slope: slope.round() as i32, ..Piece::default() };
-    Box::leak(Box::new([piece.to_bytes()]))
-}
-
-/// A sensor, then a temperature with a lag, then running time.
-pub fn calibration() -> Calibration<'static> {
-    let mut thermometers = [None; CHANNELS];
-    // One count a kelvin.
-    thermometers[2] = Some(Thermometer::Linear { zero: 0, slope: 16_000, shift: 0 });
-    thermometers[4] = thermometers[2];
-    let per_step = SmoothingFactor((-(-0.1 / TAU_S).exp_m1() * 2_f64.powi(32)).round() as u32);
-    let temperature = SpindleTemperature {
-        channel: 2,
-        smoothing: per_step,
-        smoothing_falling: per_step,
-        law: Law { pieces: pieces() },
-    };
-    let warmup = SpindleWarmup {
-        law: Warmup {
-            lag_ms: 0,
-            max: Fine((GROWTH_NM * 256.0) as i32),
-            smoothing_heating: per_step,
-            smoothing_cooling: per_step,
-            full: 1 << Warmup::FULL_FRACTION_BITS,
-        },
-        power: Default::default(),
-    };
-    Calibration {
-        thermometers,
-        spindle: trueup_core::calibration::SpindleModel {
-            chain: [
-                ElongationSource::Sensor,
-                ElongationSource::Temperature,
-                ElongationSource::Warmup,
-            ]
-            .map(Some),
-            sensor: SensorLaw {
-                k0: Nanometres(0),
-                zero: Reading((ZERO_CODE * 1024.0) as i32),
-                slope: Slope((NM_PER_CODE / 1024.0 * 2_f64.powi(28)).round() as i32),
-            },
-            temperature: Some(temperature),
-            warmup: Some(warmup),
-        },
-        kinematics: Kinematics { zero: Direction::DOWN, axes: [None; 2] },
-        axes: Default::default(),
-        straightness: Default::default(),
-        squareness: Default::default(),
-        terms: Default::default(),
-        limits: Limits {
-            max: [Nanometres(MAX_NM); 3],
-            slew_nm_per_s: SLEW_NM_PER_MS as u32 * 1_000,
-            link_timeout_ms: 500,
-            hold_ms: 2_000,
-        },
-    }
-}
-
-/// The machine: how far the spindle has grown, and whether it runs.
-struct GrowingSpindle {
-    heat: f64,
-    runs: bool,
-}
-
-impl GrowingSpindle {
-    fn live(&mut self) {
-        let target = if self.runs { 1.0 } else { 0.0 };
-        self.heat += (target - self.heat) * (1e-3 / TAU_S);
-    }
-
-    fn grown_nm(&self) -> f64 {
-        self.heat * GROWTH_NM
-    }
-}
-
-/// The CNC, by the README: what it applies follows what it hears, at the slew limit, and `Engage` is
-/// raised only where it applies nothing.
-struct Cnc {
-    ears: OffsetReceiver,
-    applied_nm: i32,
-    heard: Option<Output>,
-    silent_ms: u32,
-    wants: bool,
-    raised: bool,
-    since_ms: u32,
-    counters: [u8; 2],
-}
-
-impl Cnc {
-    fn hear(&mut self, frame: &Frame) {
-        if let Ok(Some(output)) = self.ears.accept(frame) {
-            (self.heard, self.silent_ms) = (Some(output), 0);
-        }
-    }
-
-    /// A millisecond: it moves what it applies.
-    fn live(&mut self) {
-        self.silent_ms = self.silent_ms.saturating_add(1);
-        self.since_ms = self.since_ms.saturating_add(1);
-        let available = self.heard.filter(|_| self.silent_ms <= 100).and_then(|it| it.offset);
-        let goal = match available {
-            Some(offset) => Some(offset[2].0),
-            None if self.silent_ms <= 2_000 && self.silent_ms > 100 => None,
-            None => Some(0),
-        };
-        if let Some(goal) = goal {
-            let step =
-                (goal - self.applied_nm).clamp(-SLEW_NM_PER_MS - WIRE_NM, SLEW_NM_PER_MS + WIRE_NM);
-            self.applied_nm += step;
-        }
-        let waits = available.is_none() && self.silent_ms <= 100;
-        let falls = self.raised && (!self.wants || (waits && self.since_ms >= 1_000));
-        let rises = !self.raised && self.wants && self.applied_nm == 0 && self.since_ms >= 120;
-        if falls || rises {
-            (self.raised, self.since_ms) = (rises, 0);
-        }
-    }
-
-    fn control(&mut self, zero: bool) -> Frame {
-        let control = Control { engage: self.raised, zero, ..Control::REFERENCED };
-        let counter = self.counters[0];
-        self.counters[0] = counter.wrapping_add(1);
-        frames::control(control, counter)
-    }
-
-    fn spindle(&mut self, runs: bool) -> Frame {
-        let counter = self.counters[1];
-        self.counters[1] = counter.wrapping_add(1);
-        frames::spindle(Spindle { speed: Rpm(if runs { 12_000 } else { 0 }), load_n: 0 }, counter)
-    }
-}
 
 /// What was seen, so that a run can be judged by what it has been through.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -268,16 +114,7 @@ impl World {
             node: Node::new(Some(calibration()), false),
             ram: Box::new([[0; SIZE]; 2]),
             spindle: GrowingSpindle { heat: 0.0, runs: true },
-            cnc: Cnc {
-                ears: OffsetReceiver::new(),
-                applied_nm: 0,
-                heard: None,
-                silent_ms: u32::MAX,
-                wants: true,
-                raised: false,
-                since_ms: 0,
-                counters: [0; 2],
-            },
+            cnc: Cnc::new(),
             fault: Fault::None,
             fault_ms: 5_000,
             began: 0,

@@ -1,0 +1,123 @@
+//! Each fault is told once when it comes and once when it has gone.
+
+use super::*;
+use can_dbc::{Dbc, MessageId};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    format,
+    vec::Vec,
+};
+
+/// Code, register and number of whatever is told in so many milliseconds of these faults.
+fn told(all: &mut Emergencies, now: Faults, ms: u32) -> Vec<(u16, u8, u8)> {
+    let output = Output::default();
+    let mut frames = Vec::new();
+    for _ in 0..ms {
+        all.note(1, now);
+        frames.extend(all.next(now, &output));
+    }
+    let fields = |frame: &Frame| {
+        let data = frame.data();
+        (u16::from_le_bytes([data[0], data[1]]), data[2], data[3])
+    };
+    frames.iter().map(fields).collect()
+}
+
+#[test]
+fn every_fault_has_a_code_of_its_own_and_stands_at_its_number() {
+    let codes: BTreeSet<u16> = Fault::ALL.map(Fault::code).into();
+    assert_eq!(codes.len(), Fault::ALL.len());
+    assert!(!codes.contains(&0));
+    for (number, fault) in Fault::ALL.into_iter().enumerate() {
+        assert_eq!(fault as usize, number);
+    }
+}
+
+#[test]
+fn the_dbc_names_every_fault_by_its_number() {
+    let dbc = Dbc::try_from(trueup_link::DBC).expect("a DBC");
+    let id = MessageId::Standard(EMERGENCY_ID);
+    let names = dbc.value_descriptions_for_signal(id, "Fault").expect("names of faults");
+    let named: BTreeMap<_, _> =
+        names.iter().map(|value| (value.id, value.description.clone())).collect();
+    let ours = Fault::ALL.map(|fault| (i64::from(fault as u8), format!("{fault:?}")));
+    assert_eq!(named, ours.into());
+}
+
+#[test]
+fn each_fault_is_told_when_it_comes_and_when_it_has_gone() {
+    for fault in Fault::ALL {
+        let mut all = Emergencies::default();
+        let there = Faults::default().with_if(true, fault);
+        let (code, number) = (fault.code(), fault as u8);
+        assert_eq!(told(&mut all, there, 100), [(code, 1 | fault.register(), number)]);
+        assert_eq!(told(&mut all, Faults::default(), 100), [(0, 0, number)]);
+        assert_eq!(told(&mut all, Faults::default(), 100), []);
+        assert_eq!(all.error(0), Some(u32::from(code) | u32::from(number) << 16));
+    }
+}
+
+#[test]
+fn a_fault_that_flickers_is_told_no_more_often_than_the_inhibit_time_permits() {
+    let mut all = Emergencies::default();
+    let there = Faults::default().with_if(true, Fault::Sensor);
+    let mut sent = 0;
+    for _ in 0..500 {
+        sent += told(&mut all, there, 1).len() + told(&mut all, Faults::default(), 1).len();
+    }
+    assert!((90..=100).contains(&sent), "{sent} in a second");
+    all.set_inhibit(1_000);
+    let both = there.with_if(true, Fault::Clamped);
+    assert!(told(&mut all, both, 300).len() <= 3);
+}
+
+#[test]
+fn a_fault_of_one_tick_within_the_inhibit_time_is_told_all_the_same() {
+    let mut all = Emergencies::default();
+    let sensor = Faults::default().with_if(true, Fault::Sensor);
+    assert_eq!(told(&mut all, sensor, 1).len(), 1);
+    let both = sensor.with_if(true, Fault::Clamped);
+    assert_eq!(told(&mut all, both, 1), []);
+    assert_eq!(told(&mut all, sensor, 50), [(0xFF02, 1, 7), (0, 1, 7)]);
+}
+
+#[test]
+fn every_bit_of_the_state_is_an_emergency_too() {
+    for (bit, word) in StateBits::WORDS {
+        let tells = |fault: &Fault| Faults::default().with_if(true, *fault).state() == bit;
+        assert!(Fault::ALL.iter().any(tells), "{word}");
+    }
+}
+
+#[test]
+fn the_history_keeps_the_newest() {
+    let mut all = Emergencies::default();
+    for fault in Fault::ALL {
+        told(&mut all, Faults::default().with_if(true, fault), 20);
+    }
+    assert_eq!(all.count(), HISTORY);
+    assert_eq!(all.error(0), Some(0x001A_FF05));
+    assert_eq!(all.error(8), None);
+    all.clear();
+    assert_eq!((all.count(), all.error(0)), (0, None));
+}
+
+#[test]
+fn what_is_encoded_is_decoded_and_what_has_no_meaning_is_named() {
+    let emergency = Emergency {
+        code: 0x8130,
+        register: 0x11,
+        fault: Fault::HeartbeatLost,
+        flags: Flags(0xA5),
+        quality: Quality::Hold,
+    };
+    let frame = encode(&emergency);
+    assert_eq!(frame.data(), &[0x30, 0x81, 0x11, 4, 0xA5, 4, 0, 0]);
+    assert_eq!(decode(&frame), Ok(emergency));
+    for (byte, raw, signal) in [(3, 27, "Fault"), (5, 7, "Quality")] {
+        let mut data = *frame.data();
+        data[byte] = raw;
+        let wrong = Frame::full(EMERGENCY_ID, data);
+        assert_eq!(decode(&wrong), Err(DecodeError::Value { signal, raw: raw.into() }));
+    }
+}

@@ -1,0 +1,56 @@
+//! Which source of the elongation is in use, and how it joins the one before: what `sources` decides,
+//! remembered from tick to tick.
+
+use crate::{calibration::ElongationSource, units::Nanometres};
+
+/// The source of the elongation that is used.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum SelectedSource {
+    /// The machine file asks for some, but none is fresh.
+    #[default]
+    Missing,
+    /// It asks for none.
+    Unneeded,
+    /// This one.
+    Source(ElongationSource),
+}
+
+impl SelectedSource {
+    pub fn source(self) -> Option<ElongationSource> {
+        match self {
+            Self::Source(source) => Some(source),
+            Self::Unneeded | Self::Missing => None,
+        }
+    }
+}
+
+/// What is told once in a step of the heat, so many steps ago at most: a sensor that freezes is found
+/// after 200 ms, and what it said meanwhile is not what the next source goes on from.
+pub(super) const BEFORE_STEPS: usize = 3;
+
+/// The source in use, and how it joins the one before.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Joint {
+    pub selected: SelectedSource,
+    /// The last one that was used.
+    pub last: Option<ElongationSource>,
+    /// What is added to what it says.
+    pub shift: Nanometres,
+    /// An offset was followed, or the first source was there: from then on the elongation goes on.
+    pub is_anchored: bool,
+    /// The elongation at the last steps of the heat, the oldest first; `None`: not by this source.
+    pub before: [Option<Nanometres>; BEFORE_STEPS],
+    /// How long a better source has been fresh.
+    pub returned_ms: u32,
+    /// `last` was used before a reset, and nothing has been since.
+    pub is_resumed: bool,
+}
+
+/// What of it outlasts a reset.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct KeptJoint {
+    /// The source that was used last.
+    pub source: ElongationSource,
+    /// What was added to what it says.
+    pub shift: Nanometres,
+}

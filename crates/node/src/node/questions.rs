@@ -1,0 +1,48 @@
+//! What the operator is asked, and what is barred until it is answered.
+
+use trueup_canopen::emergency::Fault;
+
+use super::Node;
+
+impl Node<'_> {
+    /// Asks the operator something at the start: of these [`Fault::ForeignMachine`] and
+    /// [`Fault::OlderCalibration`], nothing is available until `Confirm` has answered it.
+    pub fn ask(&mut self, question: Fault) {
+        self.questions = self.questions.with_if(true, question);
+        self.bar();
+    }
+
+    /// The running constants are those of the example: nothing is ever available.
+    pub fn bar_example(&mut self) {
+        self.note(Fault::ExampleConstants);
+        self.bar();
+    }
+
+    /// The question that was answered last, once.
+    pub fn take_confirmed(&mut self) -> Option<Fault> {
+        self.confirmed.take()
+    }
+
+    /// What is barred is not available: until the engage sequence is complete, the questions are
+    /// answered, and the constants are somebody's.
+    pub(super) fn bar(&mut self) {
+        let asks = [Fault::ForeignMachine, Fault::OlderCalibration];
+        let barred = !self.master.is_started()
+            || asks.into_iter().any(|question| self.questions.has(question))
+            || self.board_faults.has(Fault::ExampleConstants);
+        self.state.bar(barred);
+    }
+
+    /// The first question that is open is answered.
+    pub(super) fn confirm(&mut self) {
+        let open = [Fault::ForeignMachine, Fault::OlderCalibration, Fault::HeatUnknown];
+        let first = open.into_iter().find(|question| self.questions.has(*question));
+        if let Some(question) = first {
+            self.questions = self.questions.without(question);
+            if let (Fault::HeatUnknown, Some(bridge)) = (question, &self.bridge) {
+                bridge.confirm_cold(&mut self.state);
+            }
+            self.confirmed = Some(question);
+        }
+    }
+}

@@ -1,0 +1,51 @@
+//! What outlasts a reset, and time that samples do not count.
+
+use trueup_core::units::Millis;
+use trueup_store::retained::Kept;
+
+use super::Node;
+
+/// A millisecond that was lost is forgiven in this time: a converter that is restarted loses one, and
+/// they must not add up over a day.
+const FORGIVEN_MS: u32 = 1_000;
+
+impl Node<'_> {
+    /// What is to outlast a reset.
+    #[must_use]
+    pub fn kept(&self) -> Kept {
+        let heat = self.bridge.as_ref().map(|bridge| bridge.heat_memory(&self.state));
+        Kept { heat: heat.unwrap_or_default(), joint: self.state.kept_joint() }
+    }
+
+    /// Goes on from before a reset; with nothing kept, the power was gone, and what heat the machine
+    /// has is not known. A board that is cold at its start does not call this.
+    pub fn resume(&mut self, kept: Option<&Kept>) {
+        let Some(bridge) = &self.bridge else { return };
+        let Kept { heat, joint } = kept.copied().unwrap_or_default();
+        bridge.resume_heat(&mut self.state, &heat);
+        if let Some(joint) = joint {
+            self.state.resume_joint(joint);
+        }
+    }
+
+    /// So much time has passed by a clock that does not count samples. Gives for how long there were
+    /// none, if that is more than a turn of the supervisor: a tick without any makes up for it.
+    pub fn catch_up(&mut self, elapsed_ms: u32) -> Option<u32> {
+        self.clock = self.clock.after(elapsed_ms);
+        let behind_ms = self.clock.since(self.now);
+        if behind_ms.cast_signed() <= 0 {
+            self.clock = self.now;
+            return None;
+        }
+        self.until_forgiven_ms = self.until_forgiven_ms.saturating_add(elapsed_ms);
+        if self.until_forgiven_ms >= FORGIVEN_MS {
+            self.until_forgiven_ms = 0;
+            self.clock = Millis(self.clock.0.wrapping_sub(1));
+        }
+        if behind_ms < elapsed_ms {
+            return None;
+        }
+        self.state.starve();
+        Some(behind_ms)
+    }
+}

@@ -1,0 +1,181 @@
+//! The machine and its CNC: a spindle that grows, a bridge's calibration for it, and a CNC that obeys
+//! the rules of the README.
+
+use trueup_core::{
+    calibration::{Calibration, ElongationSource, SpindleModel, SpindleTemperature, SpindleWarmup},
+    cnc::{Control, Output, Spindle},
+    dimensions::CHANNELS,
+    kinematics::Kinematics,
+    lag::SmoothingFactor,
+    limits::Limits,
+    sensor::{SensorLaw, Slope},
+    thermal::{Law, Piece},
+    thermometer::Thermometer,
+    tool::Direction,
+    units::{Fine, Nanometres, Reading, Rpm, Temperature},
+    warmup::Warmup,
+};
+use trueup_link::{frame::Frame, frames, receiver::OffsetReceiver};
+
+/// The largest offset on an axis, nm, and the slew limit, nm in a millisecond.
+pub const MAX_NM: i32 = 150_000;
+pub const SLEW_NM_PER_MS: i32 = 200;
+/// What a wire bit may add to a step.
+pub const WIRE_NM: i32 = 10;
+/// A code is so many nanometres of growth.
+pub const NM_PER_CODE: f64 = 122.0;
+pub const ZERO_CODE: f64 = 600.0;
+/// τ of the spindle's heat, and its growth when warm through.
+pub const TAU_S: f64 = 60.0;
+pub const GROWTH_NM: f64 = 60_000.0;
+/// The law by temperature, in nm a kelvin.
+pub const NM_PER_KELVIN: i32 = 4_000;
+
+fn pieces() -> &'static [[u8; 20]] {
+    // K₀ rises by NM_PER_KELVIN from 20 °C: 1/16 of 1/256 nm by 1.024 K.
+    let slope = f64::from(NM_PER_KELVIN) * 256.0 * 1.024 * 16.0;
+    let start = Temperature(20 * Temperature::PER_KELVIN);
+    let piece = Piece { start, constant_slope: slope.round() as i32, ..Piece::default() };
+    Box::leak(Box::new([piece.to_bytes()]))
+}
+
+/// A sensor, then a temperature with a lag, then running time.
+pub fn calibration() -> Calibration<'static> {
+    let mut thermometers = [None; CHANNELS];
+    // One count a kelvin.
+    thermometers[2] = Some(Thermometer::Linear { zero: 0, slope: 16_000, shift: 0 });
+    thermometers[4] = thermometers[2];
+    let per_step = SmoothingFactor((-(-0.1 / TAU_S).exp_m1() * 2_f64.powi(32)).round() as u32);
+    let temperature = SpindleTemperature {
+        channel: 2,
+        smoothing: per_step,
+        smoothing_falling: per_step,
+        law: Law { pieces: pieces() },
+    };
+    let warmup = SpindleWarmup {
+        law: Warmup {
+            lag_ms: 0,
+            max: Fine((GROWTH_NM * 256.0) as i32),
+            smoothing_heating: per_step,
+            smoothing_cooling: per_step,
+            full: 1 << Warmup::FULL_FRACTION_BITS,
+        },
+        power: Default::default(),
+    };
+    Calibration {
+        thermometers,
+        spindle: SpindleModel {
+            chain: [
+                ElongationSource::Sensor,
+                ElongationSource::Temperature,
+                ElongationSource::Warmup,
+            ]
+            .map(Some),
+            sensor: SensorLaw {
+                k0: Nanometres(0),
+                zero: Reading((ZERO_CODE * 1024.0) as i32),
+                slope: Slope((NM_PER_CODE / 1024.0 * 2_f64.powi(28)).round() as i32),
+            },
+            temperature: Some(temperature),
+            warmup: Some(warmup),
+        },
+        kinematics: Kinematics { zero: Direction::DOWN, axes: [None; 2] },
+        axes: Default::default(),
+        straightness: Default::default(),
+        squareness: Default::default(),
+        terms: Default::default(),
+        limits: Limits {
+            max: [Nanometres(MAX_NM); 3],
+            slew_nm_per_s: SLEW_NM_PER_MS as u32 * 1_000,
+            link_timeout_ms: 500,
+            hold_ms: 2_000,
+        },
+    }
+}
+
+/// The machine: how far the spindle has grown, and whether it runs.
+pub struct GrowingSpindle {
+    pub heat: f64,
+    pub runs: bool,
+}
+
+impl GrowingSpindle {
+    pub fn live(&mut self) {
+        let target = if self.runs { 1.0 } else { 0.0 };
+        self.heat += (target - self.heat) * (1e-3 / TAU_S);
+    }
+
+    pub fn grown_nm(&self) -> f64 {
+        self.heat * GROWTH_NM
+    }
+}
+
+/// The CNC, by the README: what it applies follows what it hears, at the slew limit, and `Engage` is
+/// raised only where it applies nothing.
+pub struct Cnc {
+    pub ears: OffsetReceiver,
+    pub applied_nm: i32,
+    pub heard: Option<Output>,
+    pub silent_ms: u32,
+    pub wants: bool,
+    pub raised: bool,
+    pub since_ms: u32,
+    pub counters: [u8; 2],
+}
+
+impl Cnc {
+    pub fn new() -> Self {
+        Self {
+            ears: OffsetReceiver::new(),
+            applied_nm: 0,
+            heard: None,
+            silent_ms: u32::MAX,
+            wants: true,
+            raised: false,
+            since_ms: 0,
+            counters: [0; 2],
+        }
+    }
+
+    pub fn hear(&mut self, frame: &Frame) {
+        if let Ok(Some(output)) = self.ears.accept(frame) {
+            (self.heard, self.silent_ms) = (Some(output), 0);
+        }
+    }
+
+    /// A millisecond: it moves what it applies.
+    pub fn live(&mut self) {
+        self.silent_ms = self.silent_ms.saturating_add(1);
+        self.since_ms = self.since_ms.saturating_add(1);
+        let available = self.heard.filter(|_| self.silent_ms <= 100).and_then(|it| it.offset);
+        let goal = match available {
+            Some(offset) => Some(offset[2].0),
+            None if self.silent_ms <= 2_000 && self.silent_ms > 100 => None,
+            None => Some(0),
+        };
+        if let Some(goal) = goal {
+            let step =
+                (goal - self.applied_nm).clamp(-SLEW_NM_PER_MS - WIRE_NM, SLEW_NM_PER_MS + WIRE_NM);
+            self.applied_nm += step;
+        }
+        let waits = available.is_none() && self.silent_ms <= 100;
+        let falls = self.raised && (!self.wants || (waits && self.since_ms >= 1_000));
+        let rises = !self.raised && self.wants && self.applied_nm == 0 && self.since_ms >= 120;
+        if falls || rises {
+            (self.raised, self.since_ms) = (rises, 0);
+        }
+    }
+
+    pub fn control(&mut self, zero: bool) -> Frame {
+        let control = Control { engage: self.raised, zero, ..Control::REFERENCED };
+        let counter = self.counters[0];
+        self.counters[0] = counter.wrapping_add(1);
+        frames::control(control, counter)
+    }
+
+    pub fn spindle(&mut self, runs: bool) -> Frame {
+        let counter = self.counters[1];
+        self.counters[1] = counter.wrapping_add(1);
+        frames::spindle(Spindle { speed: Rpm(if runs { 12_000 } else { 0 }), load_n: 0 }, counter)
+    }
+}
