@@ -113,7 +113,8 @@ impl<'a> Loop<'a> {
         temperatures[0] = replay::raw(LINEAR, screw_c);
         for _ in 0..HELD_MS {
             if self.ms.is_multiple_of(20) {
-                let engage = engage && self.ms >= 60;
+                // Engaged once, because before that nothing is available, off neither.
+                let engage = (engage || self.ms < 200) && self.ms >= 60;
                 let control = Control { engage, ..Control::REFERENCED };
                 let at = AxisPosition {
                     axis: LinearAxis::X,
