@@ -98,6 +98,8 @@ pub struct World {
     released: u32,
     engaged_after_release: bool,
     room_c: f64,
+    /// Where a new source took over, and how long ago.
+    joined: Option<(i32, u32)>,
     /// Frames in which the CNC still says `Zero`.
     zero_frames: u32,
     /// What `Zero` has taken last, as the machine was, in nm; `None`: a fall-back was in use.
@@ -124,6 +126,7 @@ impl World {
             released: 0,
             engaged_after_release: false,
             room_c: 21.0,
+            joined: None,
             zero_frames: 0,
             reference_nm: Some(0.0),
             seen: Seen { checksum: 0xcbf2_9ce4_8422_2325, ..Seen::default() },
@@ -235,6 +238,7 @@ impl World {
             }
             if self.node.reference() != before {
                 self.seen.zeros += 1;
+                self.joined = None;
                 // What was just broken may still be in the filter.
                 let is_live = self.node.last().quality == Quality::Live
                     && self.fault == Fault::None
@@ -302,6 +306,13 @@ impl World {
             self.cnc.hear(frame);
         }
         let output = *self.node.last();
+        // What the CNC has of it is the same, rounded to a bit of 10 nm.
+        if let (Some(heard), Some(offset)) =
+            (self.cnc.heard.and_then(|it| it.offset), output.offset)
+        {
+            let off = (heard[2].0 - offset[2].0).abs();
+            assert!(off <= WIRE_NM / 2, "the wire says {}: {}", heard[2].0, self.place());
+        }
         self.seen.qualities[output.quality as usize] += 1;
         self.judge(elapsed_ms, &output);
         self.before = Some(output);
@@ -359,7 +370,29 @@ impl World {
         if self.fault == Fault::CncSilent && lasts > 2_530 {
             assert_ne!(output.quality, Quality::Hold, "for {lasts} ms: {}", place());
         }
+        self.joins(elapsed_ms, output, offset[2]);
         self.compare(output, offset[2]);
+    }
+
+    /// A change of source leaves the offset where it was, but for what the machine has grown by. (A
+    /// sensor that freezes elsewhere has said so for 200 ms; that is not looked at here.)
+    fn joins(&mut self, elapsed_ms: u32, output: &Output, z_nm: i32) {
+        let is_on = |it: Quality| {
+            matches!(it, Quality::Live | Quality::TemperatureModel | Quality::WarmUpModel)
+        };
+        let before = self.before.map(|it| it.quality);
+        let has_changed = before.is_some_and(|it| it != output.quality && is_on(it));
+        if !is_on(output.quality) || self.fault == Fault::SensorStuck {
+            self.joined = None;
+        } else if has_changed && self.before.is_some_and(|it| it.flags.0 & 0x03 == 0) {
+            self.joined = Some((z_nm, 0));
+        }
+        if let Some((joined_nm, ms)) = self.joined {
+            let moved = (z_nm - joined_nm).abs();
+            // A second of growth of either model, and as much again.
+            assert!(moved <= 2_000, "{moved} nm in {ms} ms of a new source: {}", self.place());
+            self.joined = (ms < 1_000).then_some((joined_nm, ms + elapsed_ms));
+        }
     }
 
     /// While it is live, settled and well, the offset is what the machine has grown by.
