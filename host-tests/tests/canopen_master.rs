@@ -135,6 +135,7 @@ struct Bus {
     last: Option<Output>,
     counter: u8,
     ms: u32,
+    confirm: bool,
 }
 
 impl Bus {
@@ -142,7 +143,7 @@ impl Bus {
         let front_end = FrontEnd::new(0.33, 5);
         let offsets = OffsetReceiver::new();
         let answers = VecDeque::new();
-        Self { board, front_end, offsets, answers, last: None, counter: 0, ms: 0 }
+        Self { board, front_end, offsets, answers, last: None, counter: 0, ms: 0, confirm: false }
     }
 
     /// Two milliseconds, with a request, and the CNC engaged or not.
@@ -151,7 +152,8 @@ impl Bus {
         sent[1] = request.map(|data| Frame::new(SDO_REQUEST_ID, &data)).transpose()?;
         if self.ms.is_multiple_of(20) {
             let engage = engage && self.ms >= 60;
-            let control = Control { engage, service: !engage, ..Control::REFERENCED };
+            let confirm = self.confirm;
+            let control = Control { engage, service: !engage, confirm, ..Control::REFERENCED };
             sent[0] = Some(frames::control(control, self.counter));
             self.counter = self.counter.wrapping_add(1);
         }
@@ -232,12 +234,20 @@ fn a_loaded_calibration_is_used_from_the_next_start_and_a_dead_store_is_told() -
     let z = bus.live_z_um()?;
     assert!((z - 0.5 * GROWN_UM).abs() < 0.3, "{z} µm by the new one");
 
-    // One that is damaged in the store is not used.
+    // One that is damaged in the store is not used, and what is used instead waits for Confirm.
     let mut damaged = new.blob().to_vec();
     damaged[100] ^= 1;
     fs::write(&loaded, damaged)?;
     let mut bus = Bus::new(bus.board.restart(&image, old.blob())?);
+    let refused = bus.live_z_um().expect_err("not what was loaded").to_string();
+    assert!(refused.contains("Fault"), "{refused}");
+    bus.confirm = true;
     let z = bus.live_z_um()?;
     assert!((z - GROWN_UM).abs() < 0.3, "{z} µm by the one it was started with");
+    // It is the newest again, and nothing is asked at the next start.
+    assert_eq!(fs::read(&loaded)?, old.blob());
+    let mut bus = Bus::new(bus.board.restart(&image, new.blob())?);
+    let z = bus.live_z_um()?;
+    assert!((z - GROWN_UM).abs() < 0.3, "{z} µm by the one that was confirmed");
     Ok(())
 }

@@ -50,8 +50,8 @@ fn python_can_cantools_and_autosar_e2e_engage_it_and_read_every_frame() -> Resul
     assert_eq!(saw["wrong"], json!([]), "every frame is read, protected, in order, in pairs");
     assert_eq!(
         saw["states"],
-        json!([0, 5]),
-        "one heartbeat says: boot-up, the others: operational"
+        json!([0, 4, 5]),
+        "one heartbeat says: boot-up, the others: stopped until it is engaged, then operational"
     );
     assert_eq!(saw["offset_xy"], saw["offset_z"]);
     let cycles = saw["offset_z"].as_u64().context("a count")?;
@@ -260,7 +260,7 @@ fn whoever_goes_in_mid_line_leaves_no_half_line_to_the_next() -> Result<()> {
     for _ in 0..10 {
         let mut cnc = Cnc::open(bridge.connect()?)?;
         assert_eq!(cnc.ask("V")?, "V1013");
-        assert_eq!(cnc.next_output()?.quality, Quality::Off);
+        assert_eq!(cnc.next_output()?.quality, Quality::Fault, "nobody has engaged it");
         cnc.write(b"t302")?;
     }
     Ok(())

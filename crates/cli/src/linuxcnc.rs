@@ -21,7 +21,7 @@ use trueup_linuxcnc::{
     offsets,
     run::{self, Settings},
 };
-use trueup_machine::{MachineFile, file::LinearAxis, model::over_compensation_um};
+use trueup_machine::{MachineFile, compile, file::LinearAxis, model::over_compensation_um};
 
 use crate::{Outcome, UserError};
 
@@ -109,6 +109,8 @@ pub fn run(args: &LinuxCnc) -> Result<Outcome> {
     let machine = args.machine.as_ref().map(|path| MachineFile::read(path)).transpose()?;
     let against_um = LinearAxis::ALL
         .map(|axis| machine.as_ref().map(|machine| over_compensation_um(machine, axis)));
+    // What does not compile is told by `compile`; here it only cannot be compared.
+    let calibration = machine.as_ref().and_then(|machine| compile(machine).ok()).map(|it| it.crc());
     let limits = machine.map(|machine| machine.limits).unwrap_or_default();
     let slew_um_per_s = args.slew_um_per_s.unwrap_or(limits.slew_um_per_s);
     let ini = match &args.ini {
@@ -128,6 +130,7 @@ pub fn run(args: &LinuxCnc) -> Result<Outcome> {
         name: args.name.clone(),
         mm_per_unit: ini.mm_per_unit,
         temperatures: args.temperatures,
+        calibration,
         turn: Duration::from_secs_f64(ini.cycle_s / TURNS_PER_CYCLE),
         options: trueup_linuxcnc::Options {
             limits: offsets::Limits {

@@ -11,7 +11,7 @@ use trueup_link::{
     layout::STATUS_ID,
     receiver::{Counters, StatusReceiver},
     slcan::Event,
-    status::Item,
+    status::{Item, StateBits},
 };
 
 use crate::{
@@ -107,6 +107,10 @@ pub struct Outputs {
     pub temperatures_c: [Option<f64>; TEMPERATURES],
     /// The elongation of the spindle by its sensor, in µm; `None` where the bridge does not say.
     pub elongation_um: Option<f64>,
+    /// What the bridge says of itself beside its offsets.
+    pub state: StateBits,
+    /// CRC of the calibration that the bridge runs on, once it has said so; 0: none.
+    pub calibration: Option<u32>,
     /// Turns round ten times a second as long as the component lives.
     pub heartbeat: bool,
 }
@@ -129,6 +133,8 @@ struct Status {
     receiver: StatusReceiver,
     temperatures_c: [Option<(Duration, f64)>; TEMPERATURES],
     elongation_um: Option<(Duration, f64)>,
+    state: StateBits,
+    calibration: Option<u32>,
 }
 
 impl Status {
@@ -145,12 +151,12 @@ impl Status {
                 self.elongation_um =
                     elongation.map(|it| (now, f64::from(it.0) / NANOMETRES_PER_MICROMETRE));
             }
+            Item::State(state) => self.state = state,
+            Item::Calibration(crc) => self.calibration = Some(crc),
             Item::Refused { .. }
             | Item::Received { .. }
             | Item::Board { .. }
-            | Item::State(_)
-            | Item::Reset { .. }
-            | Item::Calibration(_) => {}
+            | Item::Reset { .. } => {}
         }
     }
 }
@@ -227,6 +233,7 @@ impl Component {
         };
         outputs.temperatures_c = self.status.temperatures_c.map(known);
         outputs.elongation_um = known(self.status.elongation_um);
+        (outputs.state, outputs.calibration) = (self.status.state, self.status.calibration);
         outputs.heartbeat = (now.as_millis() / HEARTBEAT_HALF.as_millis()) % 2 == 1;
 
         let control = Control {

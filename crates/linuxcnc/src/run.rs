@@ -7,8 +7,9 @@ use std::{
     time::{Duration, Instant},
 };
 
-use trueup_client::ends::Ends;
+use trueup_client::{ends::Ends, words::state_words};
 use trueup_core::cnc::Quality;
+use trueup_link::status::StateBits;
 
 use crate::{
     component::{Component, Options, Outputs},
@@ -29,6 +30,8 @@ pub struct Settings {
     pub mm_per_unit: f64,
     /// How many `temp-NN` pins there are.
     pub temperatures: u8,
+    /// CRC of what `compile` makes of the machine file; `None`: without one.
+    pub calibration: Option<u32>,
     /// From one turn of the loop to the next.
     pub turn: Duration,
     /// How it decides.
@@ -46,13 +49,13 @@ pub fn run(
     stop: &AtomicBool,
     mut tell: impl FnMut(&str),
 ) -> Result<(), HalError> {
-    let Settings { name, mm_per_unit, temperatures, turn, options } = settings;
+    let Settings { name, mm_per_unit, temperatures, calibration, turn, options } = settings;
     let hal = Hal::new(name, &pid_pin(name))?;
     let pins = Pins::new(&hal, name, *mm_per_unit, *temperatures)?;
     let line = Line::keep(open);
     let start = Instant::now();
     let mut component = Component::new(start.elapsed(), *options);
-    let mut news = News::default();
+    let mut news = News { expected: *calibration, ..News::default() };
     hal.ready()?;
     if hal.adopts() {
         tell("takes over the pins of a component that was killed");
@@ -87,6 +90,10 @@ pub fn run(
 struct News {
     down: Option<String>,
     state: Option<(bool, bool, bool, bool, Quality)>,
+    /// CRC of the machine file, and what the bridge last ran on.
+    expected: Option<u32>,
+    running: Option<u32>,
+    bits: StateBits,
 }
 
 impl News {
@@ -98,7 +105,31 @@ impl News {
         }
     }
 
+    /// What the bridge says of itself, when it changes.
+    fn of_bridge(&mut self, outputs: &Outputs, tell: &mut impl FnMut(&str)) {
+        if outputs.calibration != self.running {
+            self.running = outputs.calibration;
+            if let (Some(expected), Some(running)) = (self.expected, self.running)
+                && expected != running
+            {
+                tell(&format!(
+                    "the bridge runs on the calibration {running:08x}, the machine file makes \
+                     {expected:08x}: load it (trueup bridge load), or name the right file"
+                ));
+            }
+        }
+        if outputs.state != self.bits {
+            self.bits = outputs.state;
+            let words = state_words(self.bits);
+            match words[..] {
+                [] => tell("the bridge says that all is well"),
+                _ => tell(&format!("the bridge says: {}", words.join(" "))),
+            }
+        }
+    }
+
     fn of(&mut self, outputs: &Outputs, tell: &mut impl FnMut(&str)) {
+        self.of_bridge(outputs, tell);
         let Outputs { connected, fault, limited, not_taken, quality, .. } = *outputs;
         let state = (connected, fault, limited, not_taken, quality);
         if self.state.replace(state) == Some(state) {
@@ -132,5 +163,31 @@ impl News {
                 "; LinuxCNC does not let an axis follow (soft limit, joint mode, OFFSET_AV_RATIO)";
         }
         tell(&text);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_calibration_than_the_machine_files_is_told_once_and_so_is_each_state() {
+        let mut news = News { expected: Some(0xABCD), ..News::default() };
+        let mut told = Vec::new();
+        let says = |calibration, state| Outputs { calibration, state, ..Outputs::default() };
+        for outputs in [
+            says(None, StateBits::default()),
+            says(Some(0xABCD), StateBits::default()),
+            says(Some(0x1234), StateBits::default()),
+            says(Some(0x1234), StateBits::OLDER_CALIBRATION),
+            says(Some(0x1234), StateBits::OLDER_CALIBRATION),
+            says(Some(0xABCD), StateBits::default()),
+        ] {
+            news.of_bridge(&outputs, &mut |text: &str| told.push(text.to_owned()));
+        }
+        assert_eq!(told.len(), 3, "{told:#?}");
+        assert!(told[0].contains("00001234") && told[0].contains("0000abcd"));
+        assert_eq!(told[1], "the bridge says: older-calibration");
+        assert_eq!(told[2], "the bridge says that all is well");
     }
 }

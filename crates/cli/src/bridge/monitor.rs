@@ -23,6 +23,8 @@ use trueup_link::{
     slcan::Event,
 };
 
+use trueup_machine::{MachineFile, compile};
+
 use crate::{Outcome, output};
 
 /// From one line to the next.
@@ -44,8 +46,9 @@ pub fn run(
         .transpose()?;
     let mut session = Session::open(&port)?;
     eprintln!("listening only: this command engages nothing");
+    let expected = record.and_then(|(_, machine)| machine).and_then(compiled_crc);
     if let Some(recorder) = &mut recorder {
-        recorder.runs(running_calibration(&mut session));
+        recorder.runs(running_calibration(&mut session, expected));
     }
     let mut tally = Tally::default();
     let mut outcome = Outcome::Done;
@@ -61,7 +64,7 @@ pub fn run(
                 recorder.hear(frame, SystemTime::now())?;
                 // It may have been given another one.
                 if frames::decode_heartbeat(frame) == Ok(State::BootUp) {
-                    recorder.runs(running_calibration(&mut session));
+                    recorder.runs(running_calibration(&mut session, expected));
                 }
             }
         }
@@ -97,12 +100,27 @@ pub fn run(
 }
 
 /// The CRC of the calibration that the bridge runs; `None`, with a warning, where it does not say.
-fn running_calibration(session: &mut Session) -> Option<u32> {
+/// One that is not `expected` is told.
+fn running_calibration(session: &mut Session, expected: Option<u32>) -> Option<u32> {
     let told = object::number(session, object::RUNNING_CRC);
+    if let (Ok(running), Some(expected)) = (&told, expected)
+        && *running != expected
+    {
+        eprintln!(
+            "warning: the bridge runs on the calibration {running:08x}, the machine file makes \
+             {expected:08x}: what is recorded is not of this file"
+        );
+    }
     told.inspect_err(|error| {
         eprintln!("warning: {error}; in the recording calibration_crc is left empty");
     })
     .ok()
+}
+
+/// The CRC of what `compile` makes of a machine file. What does not compile cannot be compared.
+fn compiled_crc(machine: &Path) -> Option<u32> {
+    let machine = MachineFile::read(machine).ok()?;
+    compile(&machine).ok().map(|compiled| compiled.crc())
 }
 
 /// What was heard since the start, and since the last line.

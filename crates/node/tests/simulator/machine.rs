@@ -18,7 +18,7 @@ use trueup_core::{
 use trueup_link::{frame::Frame, frames, receiver::OffsetReceiver};
 
 /// The largest offset on an axis, nm, and the slew limit, nm in a millisecond.
-pub const MAX_NM: i32 = 45_000;
+pub const MAX_NM: i32 = 15_000;
 pub const SLEW_NM_PER_MS: i32 = 200;
 /// What a wire bit may add to a step.
 pub const WIRE_NM: i32 = 10;
