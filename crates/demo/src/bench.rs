@@ -7,8 +7,9 @@ use anyhow::{Context as _, Result};
 use toml_edit::{DocumentMut, InlineTable, Item, Table, TableLike, value};
 use trueup_machine::{Machine, MachineFile, RunFile, file::is_temperature_column};
 
-/// Rows follow each other on the bench much faster than a machine warms: no slew limit may show.
-const SLEW_UM_PER_S: f64 = 100_000.0;
+/// Rows follow each other on the bench much faster than a machine warms: the slew limit is
+/// the largest that a board takes.
+const SLEW_UM_PER_S: f64 = 10_000.0;
 /// The wire's own limit is ±5.24 mm.
 const LARGEST_UM: f64 = 5_000.0;
 /// The board has so many temperature channels.
