@@ -349,3 +349,20 @@ fn where_the_dma_of_the_serial_line_does_not_move_the_line_is_polled() {
     logs(&report, "dead: DMA of the serial line, bytes come in by interrupt");
     logs(&report, "dead: DMA of the serial line, bytes go out by polling");
 }
+
+#[test]
+fn after_a_power_cut_in_the_first_zero_the_board_is_heard_within_200_ms() {
+    for word in [1, 4, 8] {
+        let script = format!("0 flags 2\n250 flags 3\n500 cut {word}\n700 flags 7\n900 flags 3\n");
+        let Some(report) = run_script(&script, &["--ms", "1100"]) else { return };
+        is_clean(&report);
+        let at = |what: &str, from: f64| {
+            let times = report.events.iter().filter(|event| event.contains(what));
+            let mut times = times.filter_map(|event| event.split(' ').next()?.parse::<f64>().ok());
+            times.find(|time| *time > from)
+        };
+        let cut = at("reset power, in a flash word", 0.0).expect("the power is cut");
+        let heard = at(" can 281 ", cut).expect("the board is heard again");
+        assert!(heard - cut < 200.0, "word {word}: silent for {} ms", heard - cut);
+    }
+}

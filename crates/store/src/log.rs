@@ -100,9 +100,12 @@ impl<F: NorFlash> Log<F> {
             }
         }
         let (first, second) = (log.first, log.second);
-        // Without any record the half with more room is taken.
+        // Without any record the first half is taken as long as it has room. Not the one with more room:
+        // after a first record that a power cut has torn the other half would have to be emptied, for a
+        // second in which the board is silent.
+        let first_is_full = first.used >= log.slots_per_half();
         let second_is_ahead = second.newest > first.newest
-            || (second.newest == first.newest && second.used < first.used);
+            || (second.newest == first.newest && first_is_full && second.used < first.used);
         if second_is_ahead {
             log.active = Half::Second;
         }

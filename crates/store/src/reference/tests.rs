@@ -127,6 +127,19 @@ fn a_power_cut_at_any_byte_of_a_record_loses_that_record_at_most() {
 }
 
 #[test]
+fn a_first_record_that_is_cut_needs_no_erase_at_the_next_start() {
+    for fuel in 1..RECORD_SIZE {
+        let mut cut = open(&Flash::erased(), OURS).0;
+        cut.log.flash.fuel = fuel;
+        assert!(cut.append(reference(1)).is_err());
+        let mut log = open(&cut.log.flash, OURS).0;
+        assert_eq!(log.make_room(), Ok(false), "cut at byte {fuel}");
+        log.append(reference(2)).unwrap();
+        assert_eq!(loaded(&log.log.flash), Some(reference(2)));
+    }
+}
+
+#[test]
 fn a_power_cut_at_any_byte_of_making_room_loses_nothing() {
     // Ours is in the old half, alone or not: it has to move before the erase.
     for others in 0..SLOTS {
