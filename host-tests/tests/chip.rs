@@ -6,7 +6,7 @@ use std::{path::PathBuf, sync::OnceLock};
 use trueup_canopen::emergency::Fault;
 use trueup_emulator::{
     chip::{self, Report},
-    firmware::{self, Board},
+    firmware, setup,
 };
 use trueup_link::{
     frame::Frame,
@@ -20,7 +20,8 @@ fn parts() -> Option<&'static (PathBuf, PathBuf)> {
     PARTS
         .get_or_init(|| {
             let model = chip::build().expect("the model builds")?;
-            Some((model, firmware::build(Board::Stm32f405).expect("the image builds")))
+            let machine = setup::root().join("data/paper_spindle.toml");
+            Some((model, firmware::build_for(&machine).expect("the image builds")))
         })
         .as_ref()
 }

@@ -2,7 +2,7 @@
 
 use std::{
     fs::{self, File},
-    path::PathBuf,
+    path::{Path, PathBuf},
     process::Command,
 };
 
@@ -109,7 +109,23 @@ fn cargo_for(verb: &str, feature: &str) -> Result<(Command, PathBuf)> {
 /// # Errors
 /// It does not compile, or there is no way to the target.
 pub fn build(board: Board) -> Result<PathBuf> {
+    build_as(board, board.feature(), None)
+}
+
+/// Builds the image that is flashed, for a machine: without one it has the example's constants, and gives
+/// no offset.
+///
+/// # Errors
+/// As [`build`]; the machine file cannot be used.
+pub fn build_for(machine: &Path) -> Result<PathBuf> {
+    build_as(Board::Stm32f405, "stm32f405-for-a-machine", Some(machine))
+}
+
+fn build_as(board: Board, name: &str, machine: Option<&Path>) -> Result<PathBuf> {
     let (mut command, folder) = cargo("build", board)?;
+    if let Some(machine) = machine {
+        command.env("TRUEUP_MACHINE", machine);
+    }
     let images = folder.join("images");
     fs::create_dir_all(&images)?;
     // Cargo gives both boards the same file name, so nobody else may build until the copy is made;
@@ -122,7 +138,7 @@ pub fn build(board: Board) -> Result<PathBuf> {
     // one step, because another command may be reading the old one just now.
     let copy = tempfile::NamedTempFile::new_in(&images)?;
     fs::copy(&built, &copy).with_context(|| format!("{} is missing", built.display()))?;
-    let image = images.join(format!("trueup-{}.elf", board.feature()));
+    let image = images.join(format!("trueup-{name}.elf"));
     copy.persist(&image)?;
     if board == Board::Stm32f405 {
         fs::write(image.with_extension("bin"), binary::of(&image)?)?;

@@ -17,11 +17,7 @@ const LARGEST_SHARE: f64 = 0.08;
 /// Whether each row is a gross error. `series` tells which rows are neighbours: those of one number;
 /// `resolution` is the instrument's last digit, in the unit of `residual`, or 0.
 #[must_use]
-pub fn in_residual(
-    residual: &[f64],
-    series: &[impl PartialEq],
-    resolution: f64,
-) -> Vec<bool> {
+pub fn in_residual(residual: &[f64], series: &[impl PartialEq], resolution: f64) -> Vec<bool> {
     let count = residual.len();
     let none = vec![false; count];
     if count < FEWEST {
