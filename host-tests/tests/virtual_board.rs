@@ -93,6 +93,8 @@ fn on_the_board(blocks: &[Block]) -> Sent {
 fn on_the_host(blocks: &[Block]) -> Sent {
     let compiled = compiled();
     let mut node = Node::new(Some(compiled.calibration()), false);
+    // The status tells its CRC.
+    node.set_blob(compiled.blob());
     let mut sent = Sent::new();
     for block in blocks {
         for frame in block.frames.iter().flatten() {

@@ -15,9 +15,9 @@ const PLANTED: [(&str, &str, &str); 20] = [
         "Reach::of(limits.slew_nm_per_s.saturating_mul(2), elapsed_ms)",
     ),
     (
-        "core/src/limits.rs",
-        "let (goal, _) = target.clamped(max);",
-        "let (goal, _) = target.clamped(Nanometres(max.0.saturating_mul(2)));",
+        "core/src/bridge/sources.rs",
+        "Some(ElongationSource::Temperature) => Quality::TemperatureModel,",
+        "Some(ElongationSource::Temperature) => Quality::Live,",
     ),
     ("core/src/bridge.rs", "Mode::Hold => {}", "Mode::Hold => state.applied = Default::default(),"),
     (
