@@ -41,6 +41,8 @@ pub struct Heat {
     axes: [AxisHeat; 3],
     spindle: Option<Lag>,
     by_temperature: Fine,
+    /// `by_temperature` is that of a temperature, and not yet nothing.
+    knows_spindle: bool,
     running: warmup::State,
     by_running_time: Fine,
     terms: TermStates,
@@ -112,6 +114,7 @@ impl Heat {
                     [spindle.smoothing, spindle.smoothing_falling],
                 );
                 self.by_temperature = spindle.law.at(lagged).0;
+                self.knows_spindle = true;
             }
         } else if let Some(term) = item.checked_sub(FIRST_TERM) {
             let is_known = self.unknown_steps == 0;
@@ -187,6 +190,8 @@ impl Heat {
         self.spindle = find(spindle_key(calibration), largest).map(|kept| kept.lag);
         if let Some(kept) = find(running_key(calibration), largest) {
             self.running = warmup::State { running_ms: kept.running_ms, heat: kept.lag };
+            let law = calibration.spindle.warmup.as_ref().map(|warmup| &warmup.law);
+            self.by_running_time = law.map_or(Fine::ZERO, |law| law.elongation(&self.running));
         }
         self.terms.resume(&calibration.terms, |key| find(Some(key), largest));
         self.unknown_steps = slowest;
@@ -209,6 +214,12 @@ impl Heat {
     #[must_use]
     pub fn terms(&self) -> &TermStates {
         &self.terms
+    }
+
+    /// Whether the spindle's law has had a temperature yet.
+    #[must_use]
+    pub const fn knows_spindle(&self) -> bool {
+        self.knows_spindle
     }
 
     /// The elongation by the spindle's temperature.

@@ -115,9 +115,8 @@ impl Bridge<'_> {
                 let shift = i64::from(joins_at.0).wrapping_sub(self.raw(state, source).0.into());
                 state.joint.shift = Nanometres::saturating(shift);
             }
-            if state.joint.last != Some(source) {
-                state.joint.before = [None; BEFORE_STEPS];
-            }
+            // What it has said before it was lost is no longer where it goes on from.
+            state.joint.before = [None; BEFORE_STEPS];
             state.joint.last = Some(source);
             state.joint.is_anchored |= self.needs.first == Some(source);
         }
@@ -185,6 +184,7 @@ impl Bridge<'_> {
             ElongationSource::Sensor => state.sensor_is_fresh(),
             ElongationSource::Temperature => spindle.temperature.is_some_and(|temperature| {
                 state.temperature(temperature.channel).is_some()
+                    && state.heat.knows_spindle()
                     && (!state.heat.is_unknown() || !temperature.has_memory())
             }),
             ElongationSource::Warmup => spindle.warmup.is_some() && !state.heat.is_unknown(),
