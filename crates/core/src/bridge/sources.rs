@@ -143,6 +143,7 @@ impl Bridge<'_> {
     pub(super) fn join(&self, state: &mut State) {
         if self.is_first(state.joint.selected) {
             state.joint.shift = Nanometres::ZERO;
+            state.joint.before = [None; BEFORE_STEPS];
         }
     }
 

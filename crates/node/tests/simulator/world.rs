@@ -100,6 +100,8 @@ pub struct World {
     room_c: f64,
     /// Where a new source took over, and how long ago.
     joined: Option<(i32, u32)>,
+    /// Something was kept in RAM since the last power cut.
+    has_kept: bool,
     /// Frames in which the CNC still says `Zero`.
     zero_frames: u32,
     /// What `Zero` has taken last, as the machine was, in nm; `None`: a fall-back was in use.
@@ -127,6 +129,7 @@ impl World {
             engaged_after_release: false,
             room_c: 21.0,
             joined: None,
+            has_kept: false,
             zero_frames: 0,
             reference_nm: Some(0.0),
             seen: Seen { checksum: 0xcbf2_9ce4_8422_2325, ..Seen::default() },
@@ -197,7 +200,9 @@ impl World {
         self.node = Node::new(Some(calibration()), false);
         self.node.set_reference(reference);
         let kept = retained::load(&self.ram);
-        assert_eq!(kept.is_none(), cut, "{}", self.place());
+        // Nothing has been kept since the last cut, or all of it is lost.
+        self.has_kept &= !cut;
+        assert_eq!(kept.is_some(), self.has_kept, "{}", self.place());
         self.node.resume(kept.as_ref());
         (self.before, self.since_start_ms, self.released) = (None, 0, 0);
         (self.engaged_after_release, self.well_ms) = (false, 0);
@@ -289,6 +294,7 @@ impl World {
         }
         if self.seen.ticks.is_multiple_of(1_000) {
             retained::save(&mut self.ram, &self.node.kept());
+            self.has_kept = true;
         }
         let was = self.cnc.applied_nm;
         self.cnc.live();
