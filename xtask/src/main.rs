@@ -233,12 +233,13 @@ fn run_demo(options: &Demo) -> Result<()> {
     fs::write(folder.join("summary.json"), serde_json::to_string_pretty(&summary)? + "\n")?;
     fs::write(folder.join("report.html"), page::page(&one, two.as_ref()))?;
     fs::write(folder.join("extended.toml"), &one.extended)?;
+    let shown_at = folder.strip_prefix(&root).unwrap_or(&folder);
     println!(
         "{} frames read as a CNC reads them, {} damaged or lost.\nThe page: {}   The figures: {}",
         summary.frames,
         summary.e2e_errors,
-        folder.join("report.html").display(),
-        folder.join("summary.json").display()
+        shown_at.join("report.html").display(),
+        shown_at.join("summary.json").display()
     );
     Ok(())
 }
