@@ -200,7 +200,7 @@ fn readable(value: &serde_json::Value) -> String {
         Value::Number(number) => significant(number.as_f64().unwrap_or(f64::NAN)),
         Value::Array(items) => {
             let between = if items.iter().any(Value::is_object) { "<br>" } else { ", " };
-            items.iter().map(|item| readable(item)).collect::<Vec<_>>().join(between)
+            items.iter().map(readable).collect::<Vec<_>>().join(between)
         }
         Value::Object(members) => {
             let known = members.iter().filter(|(_, value)| !value.is_null());
