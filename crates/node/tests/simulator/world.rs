@@ -336,7 +336,10 @@ impl World {
         if !self.engaged_after_release {
             assert_eq!(offset, None, "before the engage sequence: {}", place());
         }
-        let Some(offset) = offset else { return };
+        let Some(offset) = offset else {
+            self.joined = None;
+            return;
+        };
         // Limits.
         assert!(offset.iter().all(|nm| nm.abs() <= MAX_NM), "beyond its limit: {}", place());
         // No step, whatever comes, goes, or takes over; from "not available" it begins at 0.
