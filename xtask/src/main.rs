@@ -249,7 +249,11 @@ fn run_chip(mut options: Vec<String>) -> Result<()> {
         let (major, minor) = chip::OLDEST;
         bail!("the model of the chip needs Rust {major}.{minor} or newer");
     };
-    let image = firmware::build(Board::Stm32f405)?;
+    // Without a machine file of the user's, one that is named: the example's constants give no offset.
+    let image = match std::env::var_os("TRUEUP_MACHINE") {
+        Some(_) => firmware::build(Board::Stm32f405)?,
+        None => firmware::build_for(&setup::root().join("data/paper_spindle.toml"))?,
+    };
     let has = |options: &[String], what: &str| options.iter().any(|option| option == what);
     if !has(&options, "--serial") {
         options.extend(["--serial", "3333"].map(Into::into));
