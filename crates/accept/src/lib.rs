@@ -118,14 +118,19 @@ pub fn accept(
     let reduction = 1.0 - after.rms_um / before.rms_um;
     let required_reduction = limits.require_percent / 100.0;
     let mut unmet = Vec::new();
-    if !(reduction >= required_reduction) {
+    // What is not a number is not enough either.
+    let is_enough = reduction >= required_reduction;
+    if !is_enough {
         unmet.push(format!(
             "{:.1} % of the error is gone, {:.1} % is required.",
             100.0 * reduction,
             limits.require_percent
         ));
     }
-    if let Some(limit_um) = limits.limit_um.filter(|limit_um| !(after.max_um <= *limit_um)) {
+    if let Some(limit_um) = limits.limit_um.filter(|limit_um| {
+        let is_within = after.max_um <= *limit_um;
+        !is_within
+    }) {
         unmet.push(format!(
             "The largest error is {:.2} µm, {limit_um} µm are allowed.",
             after.max_um

@@ -114,7 +114,7 @@ pub fn act_one(boards: &Boards, asked: &Asked<'_>, progress: &mut Progress<'_>) 
     let column = format!("measured_{}_um", quantity.name());
     let measured = run.require(&column)?;
 
-    let faster = run.column("time_s").map(|times| faster_than(times));
+    let faster = run.column("time_s").map(faster_than);
     if let Some(faster) = faster.filter(|faster| *faster > 1.0) {
         notes.push(format!(
             "The run is played {faster:.0} times as fast as it was measured; the time constants in the \
