@@ -4,7 +4,8 @@
 //! part of several plain ones. This one floats on from the model in work (sequential floating forward
 //! selection: Pudil, Novovičová, Kittler, 1994): it adds the best term whether it is worth it or not,
 //! takes away every term that is not needed beside it, and so on; the best model on the way is the
-//! answer, if it is clearly better and foresees better. As each term is the best of many that were tried,
+//! answer, if it is clearly better and foresees better, or as good with no more values
+//! and foresees better beyond doubt. As each term is the best of many that were tried,
 //! it pays for that: models are compared by
 //!
 //! ```text
@@ -20,7 +21,7 @@ use crate::{
     kind::Kind,
     search::{
         MOST_TERMS,
-        criterion::{STRONG_EVIDENCE, bic},
+        criterion::{STRONG_EVIDENCE, bic, degrees},
         extend::{Extension, centred_effect, take_back, with_each_cause, without},
         state::{Added, Search},
     },
@@ -35,66 +36,63 @@ const MOST_LEFT_OUT: f64 = 2.0;
 /// Candidates that are fitted for each term.
 const MOST_FITTED: usize = 8;
 
-/// A model that is better than the one in work.
-struct Better {
-    score: f64,
+/// A model and what it is worth.
+struct Assessed {
     fitted: Fitted,
+    score: f64,
     /// What it leaves on left-out blocks, in each group, in µm.
     left_out: Vec<f64>,
-}
-
-/// What a model must be better than.
-struct Own {
-    score: f64,
-    left_out: Vec<f64>,
-    /// What each term pays for the choice among all causes.
-    price: f64,
 }
 
 impl Search<'_> {
     /// Floats on from the model in work; whether that has changed it.
     pub(crate) fn float(&mut self) -> bool {
-        let mut own =
-            Own { score: 0.0, left_out: self.foresight(&self.fitted), price: self.price() };
-        own.score = self.score(&self.fitted, &own);
-        let better = self.float_from(self.fitted.clone(), &own);
-        let Some(Better { fitted, left_out, .. }) = better else { return false };
-        self.adopt(fitted, &own.left_out, &left_out);
-        true
-    }
-
-    /// The best model on the way from `here` that is clearly better than the `own`, and foresees better.
-    fn float_from(&self, mut here: Fitted, own: &Own) -> Option<Better> {
-        let mut best: Option<Better> = None;
+        let price = self.price();
+        let own = self.assessed(self.fitted.clone(), price);
+        let mut here = own.fitted.clone();
+        let mut best: Option<Assessed> = None;
         let mut ahead = 0;
         while ahead < MOST_AHEAD && here.model.parts.len() < MOST_TERMS {
             let Some(there) = self.with_one_more(&here) else { break };
             let there = self.begun_anew(there);
-            here = self.without_what_is_not_needed(there, own.price);
-            let score = self.score(&here, own);
-            let least = best.as_ref().map_or(own.score, |best| best.score);
-            let sound = (score < least - STRONG_EVIDENCE).then(|| self.sound(&here, score, own));
-            match sound.flatten() {
+            here = self.without_what_is_not_needed(there, price);
+            let before = best.as_ref().unwrap_or(&own);
+            // What scores worse is not worth being left out in turn.
+            let is_near = self.score(&here, price) < before.score + STRONG_EVIDENCE;
+            let there = is_near.then(|| self.assessed(here.clone(), price));
+            match there.filter(|there| self.is_better(there, before)) {
                 Some(better) => (best, ahead) = (Some(better), 0),
                 None => ahead += 1,
             }
         }
-        best
+        let Some(best) = best else { return false };
+        self.adopt(best, &own);
+        true
     }
 
-    /// `fitted`, if no terms of it cancel, it is identified, and it foresees better than the `own` model.
-    fn sound(&self, fitted: &Fitted, score: f64, own: &Own) -> Option<Better> {
-        if self.has_terms_that_cancel(fitted) {
-            return None;
-        }
-        let left_out = self.foresight(fitted);
-        let is_identified = rms(&left_out).powi(2) <= MOST_LEFT_OUT * fitted.rms().powi(2);
-        let is_sound = is_identified && self.folds.paired(&own.left_out, &left_out).is_better();
-        is_sound.then(|| Better { score, fitted: fitted.clone(), left_out })
+    fn score(&self, fitted: &Fitted, price: f64) -> f64 {
+        bic(self.problem, fitted) + price * fitted.model.parts.len() as f64
     }
 
-    fn score(&self, fitted: &Fitted, own: &Own) -> f64 {
-        bic(self.problem, fitted) + own.price * fitted.model.parts.len() as f64
+    fn assessed(&self, fitted: Fitted, price: f64) -> Assessed {
+        let (score, left_out) = (self.score(&fitted, price), self.foresight(&fitted));
+        Assessed { fitted, score, left_out }
+    }
+
+    /// Whether one model is clearly better than another one and foresees better; or as good with no more
+    /// values, and foresees better beyond doubt. No terms of it may cancel, and it must be identified.
+    fn is_better(&self, one: &Assessed, other: &Assessed) -> bool {
+        let gap = other.score - one.score;
+        let paired = self.folds.paired(&other.left_out, &one.left_out);
+        let is_better = match gap {
+            STRONG_EVIDENCE.. => paired.is_better(),
+            _ => {
+                let [one, other] = [one, other].map(|it| degrees(&it.fitted.model));
+                gap > -STRONG_EVIDENCE && one <= other && paired.is_certain()
+            }
+        };
+        let is_identified = rms(&one.left_out).powi(2) <= MOST_LEFT_OUT * one.fitted.rms().powi(2);
+        is_better && is_identified && !self.has_terms_that_cancel(&one.fitted)
     }
 
     /// What each term pays for the choice among all causes.
@@ -156,8 +154,9 @@ impl Search<'_> {
         }
     }
 
-    /// Takes `fitted` for the model in work; `before` and `after`: what the two leave on left-out blocks.
-    fn adopt(&mut self, fitted: Fitted, before: &[f64], after: &[f64]) {
+    /// Takes a better model for the `own`.
+    fn adopt(&mut self, Assessed { fitted, left_out, .. }: Assessed, own: &Assessed) {
+        let (before, after) = (&own.left_out[..], &left_out[..]);
         let reduction = self.folds.reduction(before, after);
         let gain = Gain::new([self.fitted.rms(), fitted.rms()], [before, after], &reduction);
         self.fitted = fitted;
