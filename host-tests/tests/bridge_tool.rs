@@ -121,6 +121,13 @@ fn can_utils_and_python_can_read_a_recording_and_diagnose_its_run_file() -> Resu
     let run = file(&folder, "run.csv", &run)?;
     let bridge = Bridge::start(&["--machine", &machine, "--run", &run])?;
     let port = format!("tcp:{}", bridge.address());
+    // Engaged for a moment: before that it says "not available", and there is nothing to compare.
+    let mut cnc = Cnc::open(bridge.connect()?)?;
+    for engage in [true, false] {
+        cnc.send(CncCommand::Control(Control { engage, ..Control::REFERENCED }))?;
+    }
+    cnc.ask("C")?;
+    drop(cnc);
     let place = folder.path().join("recorded");
     let record = place.to_str().context("text")?;
     let (code, told, err) = json_of(&[
