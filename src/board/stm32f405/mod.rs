@@ -153,7 +153,7 @@ pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts
         loading: Some((buffer, store)),
         watchdog,
         reset: reset_reason,
-        number: identity::short(),
+        number: identity::short(&device.DBGMCU),
     }
 }
 
