@@ -27,6 +27,7 @@
 //! heat add. Predicting, compiling and diagnosing have this order from
 //! [`in_order`](crate::file::in_order).
 
+mod forms;
 mod heat;
 mod law;
 mod page;

@@ -22,6 +22,7 @@ use crate::{
     location::BadInput,
 };
 
+pub use super::forms::{Angle, Heat, Late, LateForm, Tilt};
 pub use super::quantity::Quantity;
 pub use crate::file::write::section::Value;
 
@@ -211,63 +212,6 @@ pub enum OnBoard {
         amplitude_um: f64,
         /// φ.
         phase_deg: f64,
-    },
-}
-
-/// θ(P)·(L − L₀)/1000: what an axis that tilts does at a lever.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Tilt {
-    /// Of P: the axis that tilts; `None`: the own one.
-    pub along: Option<LinearAxis>,
-    /// Of L: another axis.
-    pub lever: LinearAxis,
-    /// L₀ in mm.
-    pub origin_mm: f64,
-    /// θ.
-    pub angle: Angle,
-}
-
-/// An angle over the position of an axis, in µrad.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Angle {
-    /// c·P/1000, c in µrad/m.
-    Line(f64),
-    /// A spline, its control points in µrad: µm at a lever of a metre.
-    Curve(BSpline),
-}
-
-/// c·(lag_τ(T) − T_ref): what something adds that follows a temperature.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Heat {
-    /// T: a column `temp_<name>_c`.
-    pub column: String,
-    /// c, in µm/K.
-    pub um_per_c: f64,
-    /// τ in s; 0: no lag.
-    pub time_constant_s: f64,
-    /// T_ref in °C.
-    pub reference_c: f64,
-}
-
-/// How late a thermometer is.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Late {
-    /// By how much, in s; above 0: the time constant of its lag, or the delay.
-    pub by_s: f64,
-    /// In which way.
-    pub form: LateForm,
-}
-
-/// In which way a thermometer is late.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum LateForm {
-    /// It shows what was.
-    Delay,
-    /// It follows by a first-order lag.
-    Lag {
-        /// Over which time the slope is taken that undoes it, as a share of the time constant, 0…1; at
-        /// least from row to row.
-        slope_over: f64,
     },
 }
 
