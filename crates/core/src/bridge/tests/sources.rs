@@ -10,7 +10,7 @@ const TEN_UM_PER_K: [[u8; 20]; 1] = [{
     let mut bytes = [0; 20];
     let mut n = 0;
     while n < 20 {
-        bytes[n] = (words[n / 4] as i32).to_le_bytes()[n % 4];
+        bytes[n] = words[n / 4].to_le_bytes()[n % 4];
         n += 1;
     }
     bytes
