@@ -276,12 +276,13 @@ fn a_hard_fault_resets_at_once_and_the_next_start_tells_it_and_where() {
     says(&report, &["resets [\"software at 0.400 s\"]"]);
     logs(&report, "the last start ended by HardFault");
     logs(&report, "pc 0x30000000");
-    let reasons: Vec<ResetReason> = report.events.iter().filter_map(reset_reason).collect();
+    let reasons: Vec<ResetReason> =
+        report.events.iter().filter_map(|event| reset_reason(event)).collect();
     assert_eq!(reasons.last(), Some(&ResetReason::HardFault), "{reasons:?}");
 }
 
 /// What a `Status` frame on the CAN bus says of the last reset.
-fn reset_reason(event: &String) -> Option<ResetReason> {
+fn reset_reason(event: &str) -> Option<ResetReason> {
     let data = event.split(" can 381 ").nth(1)?;
     let byte = |n: usize| u8::from_str_radix(&data[2 * n..2 * n + 2], 16).expect("hex");
     let bytes: [u8; 8] = std::array::from_fn(byte);
