@@ -13,8 +13,10 @@ fn board_and_host_send_the_same_frames_and_a_tick_takes_few_instructions() {
     assert!(measured.identical);
     assert_eq!(measured.json["host_vectors_identical"], ALL_FAULTS);
     let number = |pointer: &str| measured.json.pointer(pointer).unwrap().as_u64().unwrap();
-    assert!(number("/tick_instructions/median") <= 1_500);
-    assert!(number("/tick_instructions/max") <= 1_950);
+    // What watches every source, in use or not, costs some seventy of them.
+    assert!(number("/tick_instructions/median") <= 1_600);
+    assert!(number("/tick_instructions/max") <= 2_100);
+    assert!(number("/millisecond_instructions/median") <= 5_600);
     assert!(number("/millisecond_instructions/max") <= 6_000);
     assert!(number("/spline_eval/ours") <= 40);
     assert!(number("/spline_eval/ours_max") <= 56);
