@@ -36,10 +36,10 @@ fn loaded(hidden_um: f64, memory_rows: f64, seed: u64) -> String {
     text
 }
 
-/// Of so many clean runs, how many show an error of `share` of the size that the answer says would have
-/// been found.
+/// Of so many clean runs whose answer promises a size, how many show an error of `share` of it; clean runs are
+/// at least nine of ten.
 fn found(share: f64, memory_rows: f64, seeds: u64) -> (u64, u64) {
-    let (mut found, mut clean) = (0, 0);
+    let (mut found, mut promised, mut clean) = (0, 0, 0);
     for seed in 0..seeds {
         let without = diagnosed(MACHINE, &loaded(0.0, memory_rows, seed));
         if without.report.verdict != Verdict::Clean {
@@ -47,34 +47,40 @@ fn found(share: f64, memory_rows: f64, seeds: u64) -> (u64, u64) {
         }
         clean += 1;
         let um = share * without.report.detectable_um;
+        // Under a memory an error as large as all that is left could hide in some of them.
+        if !um.is_finite() {
+            continue;
+        }
+        promised += 1;
         let with = diagnosed(MACHINE, &loaded(um, memory_rows, seed));
         found += u64::from(with.report.verdict != Verdict::Clean);
         if seed == 0 {
             println!("memory {memory_rows}: {um:.3} µm RMS beside 0.5, {:?}", with.report.verdict);
         }
     }
-    println!("memory {memory_rows}, {share} of the size: {found} of {clean}");
-    (found, clean)
+    println!("memory {memory_rows}, {share} of the size: {found} of {promised}, {clean} clean");
+    assert!(10 * clean >= 9 * seeds && promised > 0, "{promised} of {clean}");
+    (found, promised)
 }
 
 #[test]
 fn an_error_of_the_size_that_would_have_been_found_is_found() {
-    let (found, clean) = found(1.0, 0.0, 8);
+    let (found, promised) = found(1.0, 0.0, 8);
     // With 95 % each, all of eight or but one in 94 of 100 cases; the draws are fixed.
-    assert!(clean >= 7 && found + 1 >= clean, "{found} of {clean}");
+    assert!(found + 1 >= promised, "{found} of {promised}");
 }
 
 #[test]
 #[ignore = "long: 200 diagnoses"]
 fn the_power_that_is_told_is_the_one_that_there_is() {
-    for memory_rows in [0.0, 8.0] {
-        let (seen, clean) = found(1.0, memory_rows, 40);
-        assert!(clean >= 36 && seen as f64 >= 0.9 * clean as f64, "{seen} of {clean}");
+    for memory_rows in [0.0, 1.0] {
+        let (seen, promised) = found(1.0, memory_rows, 40);
+        assert!(seen as f64 >= 0.9 * promised as f64, "{seen} of {promised}");
     }
     // It is no promise that would be kept anyway. Under a memory it is one for the errors that show worst:
     // this load changes faster.
-    let (seen, clean) = found(0.25, 0.0, 20);
-    assert!((seen as f64) < 0.5 * clean as f64, "{seen} of {clean}");
+    let (seen, promised) = found(0.25, 0.0, 20);
+    assert!((seen as f64) < 0.5 * promised as f64, "{seen} of {promised}");
 }
 
 #[test]
