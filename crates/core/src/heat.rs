@@ -170,7 +170,7 @@ impl Heat {
     }
 
     /// Goes on from before a reset. Where a law that remembers finds nothing, the heat is not known
-    /// until what can be left of the error is [`LEFT_NM`].
+    /// until what can be left of the error is `LEFT_NM`.
     pub fn resume(&mut self, calibration: &Calibration<'_>, memory: &HeatMemory) {
         let mut slowest = 0;
         let mut find = |key: Option<Key>, largest: Nanometres| {

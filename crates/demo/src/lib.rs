@@ -9,11 +9,11 @@
 //! | module | does |
 //! |---|---|
 //! | [`boards`] | the board in QEMU, and the same application in this process, bit for bit |
-//! | [`bench`] | a machine file as the bench needs it: inputs, limits, time constants shortened |
+//! | [`mod@bench`] | a machine file as the bench needs it: inputs, limits, time constants shortened |
 //! | [`play`] | a run, row by row, through a board |
 //! | [`table`] | runs as text: some readings taken out, what a bridge says added |
 //! | [`act_one`] | a measured run: what is wrong, extended, and what is gained on left-out rows |
-//! | [`line`] | a calibration over the board's serial line |
+//! | [`mod@line`] | a calibration over the board's serial line |
 //! | [`hidden`], [`rivals`] | a machine with faults that can be told, by seed |
 //! | [`act_two`], [`campaign`] | a machine with hidden faults, found and mended; many of them |
 //! | [`say`], [`page`], [`summary`] | what is said on the screen, shown on the page, written for scripts |
