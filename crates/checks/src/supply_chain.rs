@@ -52,8 +52,8 @@ pub fn crates() -> Result<Tally> {
     };
     check(&["licenses", "bans", "sources"])?;
     let mut model = Command::new(&deny);
-    model.args(["--manifest-path", "crates/chip/Cargo.toml", "--locked", "check", "--config"]);
-    model.arg("deny.toml").args(["licenses", "bans", "sources"]).current_dir(setup::root());
+    model.args(["--config", "deny.toml", "--manifest-path", "crates/chip/Cargo.toml", "--locked"]);
+    model.args(["check", "licenses", "bans", "sources"]).current_dir(setup::root());
     process::run(&mut model)?;
     let mut tally = Tally::passed(1);
     let mut fetch = Command::new(&deny);
