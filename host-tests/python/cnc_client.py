@@ -169,7 +169,8 @@ def session(bus, database):
         control.send(damage=True, **want)
 
     def repeated(sent):
-        control.send(repeat=sent > 0, **(refuse if sent == 0 else want))
+        # After so many damaged ones three in a row have to be good before one is believed.
+        control.send(repeat=sent > 2, **(refuse if sent <= 2 else want))
 
     def cutting(wanted):
         def send(_sent):

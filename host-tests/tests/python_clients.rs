@@ -73,7 +73,7 @@ fn python_can_cantools_and_autosar_e2e_engage_it_and_read_every_frame() -> Resul
     for (phase, flags, why) in [
         ("listening", 0, "no Control was sent"),
         ("damaged", 0, "the CRC of each Control was wrong, so none was heard"),
-        ("repeated", CNC_LOST, "after the first, which does not engage, each is a repetition"),
+        ("repeated", CNC_LOST, "after the first three, which do not engage, each is a repetition"),
     ] {
         let saw = &phases[phase];
         assert_eq!(saw["qualities"], json!([6]), "{why}: {saw}");

@@ -5,7 +5,7 @@
 //!            Output                          Command
 //!              │                                ▲
 //!   frames ────▼── encode           decode ─────┴──── frames      layout = trueup.dbc
-//!   e2e    ────▼── protect           check ─────▲──── receiver
+//!   e2e    ────▼── protect           check ─────▲──── stream, receiver
 //!   frame  ────▼──────── CAN 2.0 ───────────────┴──── frame
 //!   slcan  ────▼──────── ASCII lines ───────────┴──── slcan
 //! ```
@@ -30,6 +30,7 @@ pub mod layout;
 pub mod receiver;
 pub mod slcan;
 pub mod status;
+pub mod stream;
 
 /// The signal description that CAN tools read; `layout` holds the same numbers for the code.
 pub const DBC: &str = include_str!("../trueup.dbc");

@@ -1,5 +1,5 @@
 //! From received frames to what they say: only whole, new frames in order get through, and
-//! everything refused is counted.
+//! everything refused is counted. Each identifier is a [`Stream`] of its own, which is trusted or not.
 //!
 //! [`Receiver`] is the board's ear for the CNC; [`OffsetReceiver`] and [`StatusReceiver`] are the
 //! CNC's, or a monitor's, ears for the board.
@@ -9,7 +9,7 @@ use core::{error::Error, fmt};
 use trueup_core::cnc::{Command, LinearAxis, Output};
 
 use crate::{
-    e2e::{Checker, E2eError},
+    e2e::E2eError,
     frame::Frame,
     frames::{
         self, CONTROL_ID, DecodeError, OFFSET_XY_ID, OFFSET_Z_ID, OffsetXy, OffsetZ, POSITION_X_ID,
@@ -17,6 +17,7 @@ use crate::{
     },
     layout::STATUS_ID,
     status::{self, Reason, Status},
+    stream::{Stream, StreamError},
 };
 
 /// What has arrived since the start, in frames. Each count stops at its largest value.
@@ -28,7 +29,7 @@ pub struct Counters {
     pub malformed: u32,
     /// Frames that were damaged or sent under another identifier.
     pub crc_errors: u32,
-    /// Frames that were repeated or out of sequence.
+    /// Frames that were repeated or out of sequence, or came before their stream was trusted again.
     pub sequence_errors: u32,
     /// Frames that never came, from gaps in the counter of frames that were used.
     pub lost: u32,
@@ -41,7 +42,7 @@ impl Counters {
     /// Checks the protection of a frame, reads it, and counts how that went.
     fn admit<T>(
         &mut self,
-        checker: &mut Checker,
+        stream: &mut Stream,
         frame: &Frame,
         decode: impl FnOnce(&Frame) -> Result<T, DecodeError>,
     ) -> Result<T, Refused> {
@@ -50,17 +51,19 @@ impl Counters {
         let content = decode(frame);
         if let Err(error @ DecodeError::Length { .. }) = content {
             count(&mut self.malformed);
+            stream.note_damaged(E2eError::TooShort { len: frame.len() });
             return Err(error.into());
         }
-        match checker.accept(frame) {
+        match stream.accept(frame) {
             Ok(lost) => self.lost = self.lost.saturating_add(lost.into()),
             Err(error) => {
                 count(match error {
-                    E2eError::TooShort { .. } => &mut self.malformed,
-                    E2eError::Crc { .. } => &mut self.crc_errors,
-                    E2eError::Repeated { .. } | E2eError::WrongSequence { .. } => {
-                        &mut self.sequence_errors
-                    }
+                    StreamError::Frame(E2eError::TooShort { .. }) => &mut self.malformed,
+                    StreamError::Frame(E2eError::Crc { .. }) => &mut self.crc_errors,
+                    StreamError::Frame(
+                        E2eError::Repeated { .. } | E2eError::WrongSequence { .. },
+                    )
+                    | StreamError::Untrusted(_) => &mut self.sequence_errors,
                 });
                 return Err(error.into());
             }
@@ -80,12 +83,12 @@ fn count(counter: &mut u32) {
 /// The board's ear for the CNC: every frame that it sends, each identifier with its own sequence.
 #[derive(Clone, Copy, Debug)]
 pub struct Receiver {
-    position_x: Checker,
-    position_y: Checker,
-    position_z: Checker,
-    rotary: Checker,
-    spindle: Checker,
-    control: Checker,
+    position_x: Stream,
+    position_y: Stream,
+    position_z: Stream,
+    rotary: Stream,
+    spindle: Stream,
+    control: Stream,
     counters: Counters,
 }
 
@@ -94,12 +97,12 @@ impl Receiver {
     #[must_use]
     pub const fn new() -> Self {
         Self {
-            position_x: Checker::new(POSITION_X_ID),
-            position_y: Checker::new(POSITION_Y_ID),
-            position_z: Checker::new(POSITION_Z_ID),
-            rotary: Checker::new(ROTARY_ID),
-            spindle: Checker::new(SPINDLE_ID),
-            control: Checker::new(CONTROL_ID),
+            position_x: Stream::new(POSITION_X_ID),
+            position_y: Stream::new(POSITION_Y_ID),
+            position_z: Stream::new(POSITION_Z_ID),
+            rotary: Stream::new(ROTARY_ID),
+            spindle: Stream::new(SPINDLE_ID),
+            control: Stream::new(CONTROL_ID),
             counters: Counters::NOTHING,
         }
     }
@@ -110,9 +113,9 @@ impl Receiver {
     /// A frame for the bridge that must not be used. It is counted.
     pub fn accept(&mut self, frame: &Frame) -> Result<Option<Command>, Refused> {
         let counters = &mut self.counters;
-        let mut position = |axis: LinearAxis, checker: &mut Checker| {
+        let mut position = |axis: LinearAxis, stream: &mut Stream| {
             counters
-                .admit(checker, frame, |frame| frames::decode_position(axis, frame))
+                .admit(stream, frame, |frame| frames::decode_position(axis, frame))
                 .map(Command::Position)
         };
         Ok(Some(match frame.id() {
@@ -174,8 +177,8 @@ enum Half {
 /// and in less than 256 ms, after which a counter comes round again.
 #[derive(Clone, Copy, Debug)]
 pub struct OffsetReceiver {
-    xy: Checker,
-    z: Checker,
+    xy: Stream,
+    z: Stream,
     waiting: Option<(u8, Half)>,
     counters: Counters,
     unpaired: u32,
@@ -186,8 +189,8 @@ impl OffsetReceiver {
     #[must_use]
     pub const fn new() -> Self {
         Self {
-            xy: Checker::new(OFFSET_XY_ID),
-            z: Checker::new(OFFSET_Z_ID),
+            xy: Stream::new(OFFSET_XY_ID),
+            z: Stream::new(OFFSET_Z_ID),
             waiting: None,
             counters: Counters::NOTHING,
             unpaired: 0,
@@ -247,7 +250,7 @@ impl Default for OffsetReceiver {
 /// An ear for the bridge's `Status`.
 #[derive(Clone, Copy, Debug)]
 pub struct StatusReceiver {
-    checker: Checker,
+    stream: Stream,
     counters: Counters,
 }
 
@@ -255,7 +258,7 @@ impl StatusReceiver {
     /// A receiver that has heard nothing yet.
     #[must_use]
     pub const fn new() -> Self {
-        Self { checker: Checker::new(STATUS_ID), counters: Counters::NOTHING }
+        Self { stream: Stream::new(STATUS_ID), counters: Counters::NOTHING }
     }
 
     /// What this frame says.
@@ -263,7 +266,7 @@ impl StatusReceiver {
     /// # Errors
     /// Another frame, or one that must not be used. It is counted.
     pub fn accept(&mut self, frame: &Frame) -> Result<Status, Refused> {
-        self.counters.admit(&mut self.checker, frame, status::decode)
+        self.counters.admit(&mut self.stream, frame, status::decode)
     }
 
     /// What has arrived so far, in frames.
@@ -295,6 +298,8 @@ pub enum Refused {
     Decode(DecodeError),
     /// Its protection does not hold.
     E2e(E2eError),
+    /// It is whole and in order, but too many before it were not, the last of them for this.
+    Untrusted(E2eError),
 }
 
 impl From<DecodeError> for Refused {
@@ -303,27 +308,33 @@ impl From<DecodeError> for Refused {
     }
 }
 
-impl From<E2eError> for Refused {
-    fn from(error: E2eError) -> Self {
-        Self::E2e(error)
+impl From<StreamError> for Refused {
+    fn from(error: StreamError) -> Self {
+        match error {
+            StreamError::Frame(error) => Self::E2e(error),
+            StreamError::Untrusted(error) => Self::Untrusted(error),
+        }
     }
 }
 
 impl Refused {
-    /// Whether the frame was whole, but not in sequence.
+    /// Whether the frame was whole, but not in sequence: what a second sender would do.
     #[must_use]
     pub const fn is_sound(&self) -> bool {
         matches!(self, Self::E2e(E2eError::Repeated { .. } | E2eError::WrongSequence { .. }))
     }
 
-    /// The reason, as a status frame tells it.
+    /// The reason, as a status frame tells it: of a frame whose stream is not trusted, why that is.
     #[must_use]
     pub const fn reason(&self) -> Reason {
         match self {
-            Self::Decode(_) | Self::E2e(E2eError::TooShort { .. }) => Reason::Malformed,
-            Self::E2e(E2eError::Crc { .. }) => Reason::Damaged,
-            Self::E2e(E2eError::Repeated { .. }) => Reason::Repeated,
-            Self::E2e(E2eError::WrongSequence { .. }) => Reason::WrongSequence,
+            Self::Decode(_) => Reason::Malformed,
+            Self::E2e(error) | Self::Untrusted(error) => match error {
+                E2eError::TooShort { .. } => Reason::Malformed,
+                E2eError::Crc { .. } => Reason::Damaged,
+                E2eError::Repeated { .. } => Reason::Repeated,
+                E2eError::WrongSequence { .. } => Reason::WrongSequence,
+            },
         }
     }
 }
@@ -333,6 +344,7 @@ impl fmt::Display for Refused {
         match self {
             Self::Decode(error) => error.fmt(f),
             Self::E2e(error) => error.fmt(f),
+            Self::Untrusted(error) => write!(f, "not trusted yet: before it, {error}"),
         }
     }
 }
