@@ -68,7 +68,7 @@ const SPINDLE_BELIEVED: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n\
     [inputs]\nsensor = { volts_full_scale = 10.0, counts_full_scale = 32768, divider = 0.33 }\n\
     [spindle]\nsource = \"sensor\"\n\
     [spindle.sensor]\nk0_um = 0.0\nzero_counts = 5048.0\num_per_count = 0.0152587890625\n\
-    [limits]\nmax_um = { x = 5000, y = 5000, z = 5000 }\nslew_um_per_s = 10000\n";
+    [limits]\nmax_um = { x = 4000, y = 4000, z = 4000 }\nslew_um_per_s = 10000\n";
 
 /// An axis whose screw expands by 1.25 times what is believed.
 const AXIS: &str = "name = \"axis\"\nmeasure = [\"dx\"]\nstart_mm = [100.0, 0.0, 0.0]\n\
@@ -79,7 +79,7 @@ const AXIS_BELIEVED: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n\
     [inputs]\ntemp_screw_c = { channel = 0, kind = \"linear\", zero_counts = 4000, counts_per_c = 256 }\n\
     [axis.x.thermal]\nmode = \"position\"\nsensor = \"temp_screw_c\"\nreference_c = 20.0\n\
     slope_um_per_m_per_c = 10.0\norigin_mm = 0.0\n\
-    [limits]\nmax_um = { x = 5000, y = 5000, z = 5000 }\nslew_um_per_s = 10000\n";
+    [limits]\nmax_um = { x = 4000, y = 4000, z = 4000 }\nslew_um_per_s = 10000\n";
 
 fn machine(text: &str) -> Machine {
     MachineFile::parse(text, Path::new("m.toml")).expect("right")

@@ -44,7 +44,7 @@ fn on_a_board(model: &str, run: &RunFile) -> String {
         let rest = "kind = \"linear\", zero_counts = 4000, counts_per_c = 16";
         writeln!(text, "{name} = {{ channel = {channel}, {rest} }}").expect("a string grows");
     }
-    text.push_str("[limits]\nmax_um = { x = 5000, y = 5000, z = 5000 }\nslew_um_per_s = 10000\n");
+    text.push_str("[limits]\nmax_um = { x = 4000, y = 4000, z = 4000 }\nslew_um_per_s = 10000\n");
     text
 }
 

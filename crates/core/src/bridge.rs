@@ -51,7 +51,7 @@ mod state;
 pub use self::joint::KeptJoint;
 use self::joint::SelectedSource;
 use self::needs::RequiredInputs;
-pub use self::sources::{REJOIN_NM_PER_S, RETURN_MS};
+pub use self::sources::RETURN_MS;
 use self::state::{Age, Mode};
 pub use self::state::{Reference, SAMPLES_TIMEOUT_MS, STARVED_MS, State, TEMPERATURE_TIMEOUT_MS};
 use crate::{
@@ -65,11 +65,8 @@ use crate::{
     limits::LimitStatus,
     tip,
     tool::Direction,
-    units::{Code, Fine, Millis, Nanometres, Rpm, Temperature},
+    units::{Code, Fine, Millis, Nanometres, Rpm},
 };
-
-/// Thermometers that agree within this belong to a machine that has no heat of its own: 0.5 K.
-pub const COLD_WITHIN: Temperature = Temperature(Temperature::PER_KELVIN / 2);
 
 /// What the bridge knows of the machine.
 #[derive(Clone, Debug)]
@@ -283,7 +280,7 @@ impl<'a> Bridge<'a> {
         if state.heat.is_unknown() {
             let connected = self.calibration.thermometers.iter().map(Option::is_some);
             let temperatures = state.channels.temperatures();
-            let is_cold = heat::agree(connected.zip(temperatures), COLD_WITHIN);
+            let is_cold = heat::agree(connected.zip(temperatures), self.calibration.cold_within);
             state.heat.wait(is_cold);
         }
     }

@@ -16,7 +16,7 @@ use crate::{
     thermal::Law,
     thermometer::Thermometer,
     travel,
-    units::{Fine, Position, Rpm},
+    units::{Fine, Position, Rpm, Temperature},
     warmup,
 };
 
@@ -39,6 +39,21 @@ pub struct Calibration<'a> {
     pub terms: Terms<'a>,
     /// How far and how fast an offset may go, and how long silence is tolerated.
     pub limits: Limits,
+    /// Thermometers that agree within this belong to a machine that has no heat of its own.
+    pub cold_within: Temperature,
+    /// The machine and the board that it is for.
+    pub names: Names<'a>,
+}
+
+/// The machine and the board that a calibration is for, as the user names them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Names<'a> {
+    /// The machine's name, in UTF-8; empty: nobody has named it.
+    pub machine: &'a [u8],
+    /// The machine's serial number, in UTF-8; empty: none was given.
+    pub serial: &'a [u8],
+    /// The number of the board's chip, 96 bits, the lowest word first; 0: any board.
+    pub board: [u32; 3],
 }
 
 /// The six pairs of axes: the error is along the first while the second moves.

@@ -13,6 +13,8 @@ pub struct Limits {
     pub link_timeout_ms: u32,
     /// How long the last offset is held before it is taken back to 0.
     pub hold_ms: u32,
+    /// How fast the difference between two sources of the elongation is taken back, in nanometres a second.
+    pub rejoin_nm_per_s: u32,
 }
 
 /// Picometres in a nanometre; also (nanometres a second)·milliseconds in one.
@@ -58,6 +60,7 @@ impl Applied {
     ///     slew_nm_per_s: 20_000,
     ///     link_timeout_ms: 500,
     ///     hold_ms: 2_000,
+    ///     rejoin_nm_per_s: 10,
     /// };
     /// let mut applied = Applied::default();
     /// // 20 µm/s are 20 nm in a millisecond.
@@ -178,6 +181,7 @@ mod tests {
         slew_nm_per_s: 500,
         link_timeout_ms: 500,
         hold_ms: 2_000,
+        rejoin_nm_per_s: 10,
     };
 
     #[test]

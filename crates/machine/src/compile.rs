@@ -16,6 +16,7 @@ mod inputs;
 mod kinematics;
 mod lag;
 mod limits;
+mod names;
 mod pitch;
 mod sensor;
 mod slope;
@@ -41,7 +42,6 @@ use squareness::{compile_squareness, crossed};
 pub use account::LARGEST_DIFFERENCE_NM;
 pub use inputs::SHOWN_INPUT;
 pub(crate) use lag::time_constant_s;
-pub use limits::WIRE_LIMIT_UM;
 pub(crate) use sensor::UM_PER_COUNT_OF_NO_SLOPE;
 pub use sensor::stored_law_nm;
 pub use slope::{
@@ -125,6 +125,8 @@ pub fn compile(machine: &Machine) -> Result<Compiled, BadInput> {
         squareness,
         terms: term::views(&terms),
         limits,
+        cold_within: names::cold_within(machine)?,
+        names: names::names(machine),
     };
     let mut room = vec![0; 4 * MAX_SIZE];
     let blob = encode(&calibration, &mut room)
@@ -150,10 +152,13 @@ pub fn compile(machine: &Machine) -> Result<Compiled, BadInput> {
     Ok(Compiled { blob, parts, largest_difference_nm })
 }
 
+/// What a machine is called that its calibration does not name.
+pub const UNNAMED: &str = "shown";
+
 /// A machine that compiles to `calibration`, or as nearly as the machine file can say it.
 ///
-/// Counts are ADC codes ([`SHOWN_INPUT`]), the temperature of channel 3 is `temp_ch3_c`, the machine
-/// is called `shown`; its tool direction is written in few decimals and not of length 1.
+/// Counts are ADC codes ([`SHOWN_INPUT`]), the temperature of channel 3 is `temp_ch3_c`, a machine without
+/// a name is called `shown`; its tool direction is written in few decimals and not of length 1.
 #[must_use]
 pub fn inverse(calibration: &Calibration<'_>) -> Machine {
     let has_sensor = spindle::has_sensor(&calibration.spindle);
@@ -161,7 +166,9 @@ pub fn inverse(calibration: &Calibration<'_>) -> Machine {
     let curves = squareness::pairs().into_iter().zip(&calibration.straightness);
     let curves = curves.filter(|(_, curve)| !curve.is_empty());
     Machine {
-        name: "shown".into(),
+        name: names::text(calibration.names.machine).unwrap_or_else(|| UNNAMED.into()),
+        serial: names::text(calibration.names.serial),
+        board: Some(calibration.names.board).filter(|board| *board != [0; 3]),
         kind,
         head_axes,
         tool_direction,
@@ -177,6 +184,7 @@ pub fn inverse(calibration: &Calibration<'_>) -> Machine {
             .collect(),
         squareness: squareness::inverse(&calibration.squareness),
         limits: limits::inverse(&calibration.limits),
+        cold_within_c: names::cold_within_c(calibration.cold_within),
         instrument_um: None,
         terms: term::inverse(calibration),
         places: Locations::default(),

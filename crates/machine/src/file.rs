@@ -13,6 +13,7 @@ pub(crate) mod read;
 pub(crate) mod spindle;
 pub(crate) mod straightness;
 mod term;
+mod thermal_state;
 pub mod write;
 
 use std::path::Path;
@@ -23,7 +24,7 @@ pub use axis::{
 };
 pub use inputs::is_temperature_column;
 pub use limits::Limits;
-pub use machine::{Kind, Machine};
+pub use machine::{Kind, Machine, board_text};
 pub use spindle::{ElongationSource, SensorModel, Spindle, TemperatureModel, Warmup};
 pub use straightness::{BSpline, SplineFault, Squareness, Straightness};
 pub use term::{Term, in_order};
@@ -38,7 +39,7 @@ use read::Document;
 use write::{Edit, NewSection};
 
 /// Sections of the format that this version reads.
-const SECTIONS: [&str; 9] = [
+const SECTIONS: [&str; 10] = [
     "machine",
     "inputs",
     "spindle",
@@ -46,6 +47,7 @@ const SECTIONS: [&str; 9] = [
     "straightness",
     "squareness",
     "limits",
+    "thermal_state",
     "instrument",
     "term",
 ];
@@ -86,7 +88,7 @@ impl MachineFile {
         root.allow_only(&SECTIONS)?;
 
         let machine = root.required("machine", root.section("machine")?)?;
-        let (name, kind, head_axes, tool_direction) = machine::read(&machine)?;
+        let identity = machine::read(&machine)?;
         let inputs = root.section("inputs")?.map(|inputs| inputs::read(&inputs)).transpose()?;
         let spindle = match root.section("spindle")? {
             Some(spindle) => spindle::read(&spindle)?,
@@ -108,21 +110,28 @@ impl MachineFile {
             Some(limits) => limits::read(&limits)?,
             None => Limits::default(),
         };
+        let cold_within_c = match root.section("thermal_state")? {
+            Some(state) => thermal_state::read(&state)?,
+            None => thermal_state::COLD_WITHIN_C,
+        };
         let instrument_um = match root.section("instrument")? {
             Some(instrument) => Some(instrument::read(&instrument)?),
             None => None,
         };
         let mut machine = Machine {
-            name,
-            kind,
-            head_axes,
-            tool_direction,
+            name: identity.name,
+            serial: identity.serial,
+            board: identity.board,
+            kind: identity.kind,
+            head_axes: identity.head_axes,
+            tool_direction: identity.tool_direction,
             inputs,
             spindle,
             axes,
             straightness,
             squareness,
             limits,
+            cold_within_c,
             instrument_um,
             terms: Vec::new(),
             places: Locations::default(),
@@ -150,6 +159,9 @@ impl Machine {
         sections.extend(self.straightness.iter().map(straightness::write_straightness));
         sections.extend(straightness::write_squareness(&self.squareness));
         sections.push(limits::write(&self.limits));
+        if self.cold_within_c != thermal_state::COLD_WITHIN_C {
+            sections.push(thermal_state::write(self.cold_within_c));
+        }
         sections.extend(self.instrument_um.map(instrument::write));
         sections
     }

@@ -13,7 +13,7 @@ use std::path::Path;
 use trueup_core::{calibration::Calibration, units::Code};
 
 use crate::{
-    compile::{UM_PER_COUNT_OF_NO_SLOPE, compile, inverse},
+    compile::{UM_PER_COUNT_OF_NO_SLOPE, UNNAMED, compile, inverse},
     file::{
         Machine, MachineFile, Term,
         write::{Edit, NewSection},
@@ -69,7 +69,7 @@ pub fn show(calibration: &Calibration<'_>) -> Shown {
 fn explained(section: NewSection, machine: &Machine) -> NewSection {
     let sensor = machine.inputs.as_ref().and_then(|inputs| inputs.sensor);
     match section.name() {
-        "machine" => section.note("name", "a calibration holds no name"),
+        "machine" if machine.name == UNNAMED => section.note("name", "the calibration has none"),
         "inputs" if sensor.is_some() => section
             .remark(format!(
                 "Assumed: counts are ADC codes, {} for {REFERENCE_VOLTS} V at the ADC. A",

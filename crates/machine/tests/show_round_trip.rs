@@ -8,11 +8,12 @@ use trueup_core::{
     limits::Limits,
     sensor::{SensorLaw, Slope},
     tool::Direction,
-    units::{Nanometres, Reading},
+    units::{Nanometres, Reading, Temperature},
 };
 use trueup_machine::{Compiled, MachineFile, compile, show};
 use trueup_store::calibration::{
-    MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_OFFSET_NM, MAX_SIZE, MAX_SLEW_NM_PER_S, decode, encode,
+    MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_OFFSET_NM, MAX_REJOIN_NM_PER_S, MAX_SIZE,
+    MAX_SLEW_NM_PER_S, decode, encode,
 };
 
 /// Repeatable random numbers (xorshift).
@@ -63,7 +64,10 @@ impl Random {
             slew_nm_per_s: (self.integer() as u32 % (MAX_SLEW_NM_PER_S + 1)).max(1),
             link_timeout_ms: (self.integer() as u32 % (MAX_LINK_TIMEOUT_MS + 1)).max(1),
             hold_ms: self.integer() as u32 % (MAX_HOLD_MS + 1),
+            rejoin_nm_per_s: (self.integer() as u32 % (MAX_REJOIN_NM_PER_S + 1)).max(1),
         };
+        calibration.cold_within = Temperature(self.integer() & 0x0F_FFFF);
+        calibration.names.board = [(); 3].map(|()| self.integer().unsigned_abs());
         loop {
             let sensor = SensorLaw {
                 k0: Nanometres(self.integer()),

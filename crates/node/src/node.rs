@@ -420,12 +420,12 @@ mod tests;
 #[cfg(test)]
 pub(crate) fn tests_calibration() -> Calibration<'static> {
     use trueup_core::{
-        calibration::{ElongationSource, SpindleModel},
+        calibration::{ElongationSource, Names, SpindleModel},
         kinematics::Kinematics,
         limits::Limits,
         sensor::{SensorLaw, Slope},
         tool::Direction,
-        units::{Nanometres, Reading},
+        units::{Nanometres, Reading, Temperature},
     };
     Calibration {
         thermometers: [None; 8],
@@ -444,7 +444,10 @@ pub(crate) fn tests_calibration() -> Calibration<'static> {
             slew_nm_per_s: 1_000,
             link_timeout_ms: 500,
             hold_ms: 2_000,
+            rejoin_nm_per_s: 10,
         },
+        cold_within: Temperature(Temperature::PER_KELVIN / 2),
+        names: Names::default(),
     }
 }
 

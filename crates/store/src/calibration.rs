@@ -6,8 +6,8 @@
 //!
 //! | offset | field | unit |
 //! |---|---|---|
-//! | 0 | magic `TRUP`; `u16` schema 3; `u16` length of all of the blob in bytes | |
-//! | 8 | 3 × `i32` largest offset on X, Y, Z | nm, 0…5 242 870 |
+//! | 0 | magic `TRUP`; `u16` schema 4; `u16` length of all of the blob in bytes | |
+//! | 8 | 3 × `i32` largest offset on X, Y, Z | nm, 0…4 000 000 |
 //! | 20 | `u32` slew limit; `u32` link timeout; `u32` hold | nm/s, up to 10⁷; ms, up to 60 000 and 600 000 |
 //! | 32 | 3 × `i32` tool direction at angles 0 | 2⁻³⁰, together a unit vector |
 //! | 44 | 4 × `u8`: first and second axis that turn the tool (1, 2, 3: A, B, C), 0, 0 | |
@@ -21,7 +21,10 @@
 //! | 544 | 6 × `i32` squareness, in the same order | 2⁻³⁶ nm per 10 nm |
 //! | 568 | `u32` smoothing factor of the spindle's temperature while it falls | |
 //! | 572 | terms of a diagnosis: a table of 24 bytes each | |
-//! | 576 | the tables, each record on a multiple of 2 bytes | |
+//! | 576 | `u32` way back from one source to another; `i32` thermometers of a cold machine agree within | nm/s, up to 1000; 2⁻¹² mK, 0…5 K |
+//! | 584 | 3 × `u32` number of the board's chip, the lowest word first; 0: any board | |
+//! | 596 | the machine's name and its serial number: tables of a byte each, UTF-8 | |
+//! | 604 | the tables, in the order of their references | |
 //! | length − 4 | CRC-32/AUTOSAR of all bytes before it | |
 //!
 //! A linear axis: `u32` channel (255: none), `u32` smoothing factor, `i32` origin, law; pitch: `i32` start,
@@ -71,8 +74,8 @@ mod wire;
 pub use error::{BlobError, TooLarge};
 use format::{CRC_SIZE, HEAD_SIZE};
 pub use format::{
-    FIXED_SIZE, MAGIC, MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_OFFSET_NM, MAX_SIZE,
-    MAX_SLEW_NM_PER_S, SCHEMA,
+    FIXED_SIZE, MAGIC, MAX_COLD_WITHIN, MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_OFFSET_NM,
+    MAX_REJOIN_NM_PER_S, MAX_SIZE, MAX_SLEW_NM_PER_S, SCHEMA,
 };
 use records::FixedPart;
 use wire::{Field as _, Reader, Writer};

@@ -36,6 +36,8 @@ pub(super) struct Joint {
     pub last: Option<ElongationSource>,
     /// What is added to what it says.
     pub shift: Nanometres,
+    /// What of the way back is less than a nanometre, in picometres: 0…999.
+    pub rest: u32,
     /// An offset was followed, or the first source was there: from then on the elongation goes on.
     pub is_anchored: bool,
     /// The elongation at the last steps of the heat, the oldest first; `None`: not by this source.

@@ -3,7 +3,7 @@
 //! Each source has a zero of its own: a sensor's is where it was mounted, a model's where it was
 //! fitted, and they disagree by micrometres. So a source that takes over is shifted by what makes
 //! the elongation go on where it was: it tells how the spindle grows from there. Back on the first
-//! source the shift is taken back at [`REJOIN_NM_PER_S`], and told as an offset on its way. A source
+//! source the shift is taken back at `rejoin_nm_per_s` of the [limits](crate::limits::Limits), and told as an offset on its way. A source
 //! that returns is asked again only once it has been fresh for [`RETURN_MS`].
 //!
 //! As long as none is used a fall-back waits until the sources before it are dead, which is known
@@ -26,15 +26,11 @@ use crate::{
     units::Nanometres,
 };
 
-/// How fast the shift between two sources is taken back: 10 nm in a second, slower than any heat, so
-/// that a change of source never shows on a part.
-pub const REJOIN_NM_PER_S: i32 = 10;
 /// A source that returns has to be fresh for so long: five times the longest window of the filter.
 pub const RETURN_MS: u32 = 1_000;
 
-/// The same in a step of the heat.
-#[allow(clippy::cast_possible_wrap, reason = "1 nm")]
-const REJOIN_NM_PER_STEP: i32 = REJOIN_NM_PER_S * STEP_MS as i32 / 1_000;
+/// (Nanometres a second)·milliseconds in a nanometre.
+const MILLISECONDS_PER_SECOND: u32 = 1_000;
 
 impl State {
     /// The source that was used last and its shift, once the elongation goes on.
@@ -131,10 +127,14 @@ impl Bridge<'_> {
             let [_, second, third] = state.joint.before;
             state.joint.before = [second, third, Some(now)];
         }
-        let shift = &mut state.joint.shift;
-        if self.is_first(state.joint.selected) && shift.0 != 0 {
-            let step = shift.0.clamp(-REJOIN_NM_PER_STEP, REJOIN_NM_PER_STEP);
-            *shift = Nanometres(shift.0.wrapping_sub(step));
+        if self.is_rejoining(state) {
+            let rate = self.calibration.limits.rejoin_nm_per_s;
+            let Joint { shift, rest, .. } = &mut state.joint;
+            let due = rate.saturating_mul(STEP_MS).saturating_add(*rest);
+            *rest = due % MILLISECONDS_PER_SECOND;
+            let most = due / MILLISECONDS_PER_SECOND;
+            let step = shift.0.unsigned_abs().min(most).cast_signed();
+            *shift = Nanometres(shift.0.wrapping_sub(step.wrapping_mul(shift.0.signum())));
         }
     }
 

@@ -5,7 +5,7 @@ mod sources;
 
 use super::*;
 use crate::{
-    calibration::AxisThermal,
+    calibration::{AxisThermal, Names},
     cnc::{AxisPosition, Control, Heading, LinearAxis, Spindle},
     kinematics::{self, Kinematics},
     lag::SmoothingFactor,
@@ -13,7 +13,7 @@ use crate::{
     sensor::{SensorLaw, Slope},
     thermal::Law,
     thermometer::{Raw, Thermometer},
-    units::{MicroDegrees, Position, Reading},
+    units::{MicroDegrees, Position, Reading, Temperature},
 };
 
 /// A machine with nothing but limits.
@@ -31,7 +31,10 @@ fn plain() -> Calibration<'static> {
             slew_nm_per_s: 1_000_000,
             link_timeout_ms: 500,
             hold_ms: 2_000,
+            rejoin_nm_per_s: 10,
         },
+        cold_within: Temperature(Temperature::PER_KELVIN / 2),
+        names: Names::default(),
     }
 }
 

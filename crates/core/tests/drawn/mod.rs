@@ -3,7 +3,7 @@
 use proptest::{prelude::*, sample::select};
 use trueup_core::{
     calibration::{
-        AxisModel, AxisThermal, Calibration, Dual, ElongationSource, SpindleModel,
+        AxisModel, AxisThermal, Calibration, Dual, ElongationSource, Names, SpindleModel,
         SpindleTemperature, SpindleWarmup,
     },
     cnc::LinearAxis,
@@ -249,12 +249,14 @@ impl Machine {
                 slew_nm_per_s: slew,
                 link_timeout_ms: link,
                 hold_ms: hold,
+                rejoin_nm_per_s: hold.rotate_left(9),
             });
         let usual = (1..1_000_000_u32).prop_map(|slew_nm_per_s| Limits {
             max: [200_000, 300_000, 500_000].map(Nanometres),
             slew_nm_per_s,
             link_timeout_ms: 500,
             hold_ms: 2_000,
+            rejoin_nm_per_s: 10,
         });
         let spindle = (
             prop::array::uniform(prop::option::of(source)),
@@ -328,6 +330,8 @@ impl Machine {
             squareness: self.squareness.map(Gradient),
             terms: std::array::from_fn(|index| self.terms.get(index).copied()),
             limits: self.limits,
+            cold_within: Temperature(Temperature::PER_KELVIN / 2),
+            names: Names::default(),
         }
     }
 }

@@ -5,7 +5,7 @@ use trueup_core::{
     kinematics::RotaryAxis,
     sensor::{SensorLaw, Slope},
     tool::Direction,
-    units::{Nanometres, Position, Reading},
+    units::{Nanometres, Position, Reading, Temperature},
 };
 
 use super::{inputs::linear_thermometer, *};
@@ -175,7 +175,13 @@ fn what_does_not_fit_is_refused_with_its_key_and_place() {
             "k0_um = 2147400\nzero_counts = 0.0\num_per_count = 0.0152587890625",
             "13:10: spindle.sensor gives 2147900 µm at 32768 counts",
         ),
-        ("x = 200.0", "x = 5242.88", "limits.max_um.x 5242.88 is not within 0 to 5242.87"),
+        ("x = 200.0", "x = 4000.1", "limits.max_um.x 4000.1 is not within 0 to 4000 µm"),
+        ("[limits]", "[limits]\nrejoin_um_per_s = 1.1", "limits.rejoin_um_per_s 1.1 is not within"),
+        (
+            "[limits]",
+            "[thermal_state]\ncold_within_c = 5.1\n[limits]",
+            "thermal_state.cold_within_c 5.1 is not within 0 to 5 °C",
+        ),
         ("slew_um_per_s = 20.0", "slew_um_per_s = 0.0004", "limits.slew_um_per_s 0.0004 is not"),
         ("slew_um_per_s = 20.0", "slew_um_per_s = 5e6", "limits.slew_um_per_s 5000000 is not"),
         (
@@ -260,8 +266,31 @@ fn counts_of_a_linear_thermometer_are_read_to_a_tenth_of_a_millikelvin() {
 }
 
 #[test]
-fn the_widest_limits_of_the_wire_fit() {
-    let limits =
-        compile(&paper_but("x = 200.0", "x = 5242.87")).expect("fits").calibration().limits;
-    assert_eq!(limits.max[0], Nanometres(5_242_870));
+fn the_widest_limits_of_the_board_fit() {
+    let compiled = compile(&paper_but(
+        "[limits]\nmax_um = { x = 200.0,",
+        "[thermal_state]\ncold_within_c = 5\n[limits]\nrejoin_um_per_s = 1\nmax_um = { x = 4000.0,",
+    ));
+    let compiled = compiled.expect("fits");
+    let calibration = compiled.calibration();
+    assert_eq!(calibration.limits.max[0], Nanometres(4_000_000));
+    assert_eq!(calibration.limits.rejoin_nm_per_s, 1_000);
+    assert_eq!(calibration.cold_within, Temperature(5 * Temperature::PER_KELVIN));
+}
+
+#[test]
+fn a_calibration_names_its_machine_and_its_board() {
+    let board = "0123456789abcdef00ff0001";
+    let named =
+        paper_but("[machine]", &format!("[machine]\nserial = \"17 / 4\"\nboard = \"{board}\""));
+    let compiled = compile(&named).expect("fits");
+    let names = compiled.calibration().names;
+    assert_eq!((names.machine, names.serial), (named.name.as_bytes(), &b"17 / 4"[..]));
+    assert_eq!(names.board, [0x00FF_0001, 0x89AB_CDEF, 0x0123_4567]);
+    let again = inverse(&compiled.calibration());
+    assert_eq!(
+        (&again.name, &again.serial, again.board),
+        (&named.name, &named.serial, named.board)
+    );
+    assert_eq!(crate::file::board_text(names.board), board);
 }

@@ -18,6 +18,8 @@ pub struct Limits {
     pub link_timeout_ms: u32,
     /// How long the last offset is held before it is taken back to 0.
     pub hold_ms: u32,
+    /// How fast the difference between two sources of the elongation is taken back, in µm a second, above 0.
+    pub rejoin_um_per_s: f64,
 }
 
 impl Default for Limits {
@@ -27,12 +29,14 @@ impl Default for Limits {
             slew_um_per_s: 20.0,
             link_timeout_ms: 500,
             hold_ms: 2000,
+            rejoin_um_per_s: 0.01,
         }
     }
 }
 
 pub(super) fn read(section: &Section<'_>) -> Result<Limits, BadInput> {
-    section.allow_only(&["max_um", "slew_um_per_s", "link_timeout_ms", "hold_ms"])?;
+    let keys = ["max_um", "slew_um_per_s", "link_timeout_ms", "hold_ms", "rejoin_um_per_s"];
+    section.allow_only(&keys)?;
     let mut limits = Limits::default();
     if let Some(max) = section.section("max_um")? {
         let axes = LinearAxis::ALL.map(LinearAxis::name);
@@ -45,6 +49,7 @@ pub(super) fn read(section: &Section<'_>) -> Result<Limits, BadInput> {
     limits.link_timeout_ms =
         section.whole("link_timeout_ms", 1, u32::MAX)?.unwrap_or(limits.link_timeout_ms);
     limits.hold_ms = section.whole("hold_ms", 0, u32::MAX)?.unwrap_or(limits.hold_ms);
+    limits.rejoin_um_per_s = section.positive("rejoin_um_per_s")?.unwrap_or(limits.rejoin_um_per_s);
     Ok(limits)
 }
 
@@ -56,4 +61,5 @@ pub(super) fn write(limits: &Limits) -> NewSection {
         .number("slew_um_per_s", limits.slew_um_per_s)
         .whole("link_timeout_ms", limits.link_timeout_ms)
         .whole("hold_ms", limits.hold_ms)
+        .number("rejoin_um_per_s", limits.rejoin_um_per_s)
 }

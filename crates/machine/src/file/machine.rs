@@ -15,6 +15,10 @@ use crate::{
 pub struct Machine {
     /// The user's name for it.
     pub name: String,
+    /// Its serial number, which tells it from another one of that name.
+    pub serial: Option<String>,
+    /// The number of the board's chip, 96 bits, the lowest word first, where the calibration is for that board alone.
+    pub board: Option<[u32; 3]>,
     /// Which axes turn the tool or the table.
     pub kind: Kind,
     /// The rotary axes that carry the spindle, from the frame to the tool; as many as
@@ -34,6 +38,8 @@ pub struct Machine {
     pub squareness: Vec<Squareness>,
     /// How far and how fast an offset may go, and how long silence is tolerated.
     pub limits: Limits,
+    /// Thermometers that agree within this in °C belong to a machine that has no heat of its own; 0…5.
+    pub cold_within_c: f64,
     /// What the measuring instrument is worth: the expanded uncertainty of one reading in µm (95 %, above
     /// 0), where it is known. The board has no use for it.
     pub instrument_um: Option<f64>,
@@ -79,14 +85,32 @@ impl Kind {
     }
 }
 
-type MachineSection = (String, Kind, Vec<RotaryAxis>, [f64; 3]);
+/// What `[machine]` says.
+pub(super) struct Identity {
+    pub name: String,
+    pub serial: Option<String>,
+    pub board: Option<[u32; 3]>,
+    pub kind: Kind,
+    pub head_axes: Vec<RotaryAxis>,
+    pub tool_direction: [f64; 3],
+}
 
-pub(super) fn read(section: &Section<'_>) -> Result<MachineSection, BadInput> {
-    section.allow_only(&["name", "kind", "head_axes", "tool_direction"])?;
+pub(super) fn read(section: &Section<'_>) -> Result<Identity, BadInput> {
+    section.allow_only(&["name", "serial", "board", "kind", "head_axes", "tool_direction"])?;
     let name = section.required("name", section.text("name")?)?;
-    if name.trim().is_empty() {
-        return Err(section.bad("name", "must not be empty"));
+    let serial = section.text("serial")?;
+    for (key, text) in [("name", Some(name)), ("serial", serial)] {
+        if text.is_some_and(|text| text.trim().is_empty()) {
+            return Err(section.bad(key, "must not be empty"));
+        }
     }
+    let board = match section.text("board")? {
+        Some(written) => Some(read_board(written).ok_or_else(|| {
+            let rule = "must be the 24 hexadecimal digits of the board's chip, as `bridge info` prints them";
+            section.bad("board", rule)
+        })?),
+        None => None,
+    };
     let kinds = [Kind::ThreeAxis, Kind::HeadHead, Kind::TableTable, Kind::HeadTable]
         .map(|kind| (kind.name(), kind));
     let kind = section.required("kind", section.choice("kind", &kinds)?)?;
@@ -97,7 +121,21 @@ pub(super) fn read(section: &Section<'_>) -> Result<MachineSection, BadInput> {
         })?,
         None => [0.0, 0.0, -1.0],
     };
-    Ok((name.to_string(), kind, head_axes, tool_direction))
+    let (name, serial) = (name.to_string(), serial.map(str::to_string));
+    Ok(Identity { name, serial, board, kind, head_axes, tool_direction })
+}
+
+/// The number of a chip, the lowest word first; never 0, which is no chip's.
+fn read_board(written: &str) -> Option<[u32; 3]> {
+    let is_hex = written.len() == 24 && written.bytes().all(|digit| digit.is_ascii_hexdigit());
+    let number = u128::from_str_radix(written, 16).ok().filter(|number| is_hex && *number != 0)?;
+    Some([0, 32, 64].map(|bits| (number >> bits & u128::from(u32::MAX)) as u32))
+}
+
+/// A chip's number as it is written: 24 hexadecimal digits, the highest first.
+#[must_use]
+pub fn board_text([low, middle, high]: [u32; 3]) -> String {
+    format!("{high:08x}{middle:08x}{low:08x}")
 }
 
 fn read_head_axes(section: &Section<'_>, kind: Kind) -> Result<Vec<RotaryAxis>, BadInput> {
@@ -140,8 +178,14 @@ fn normalised(vector: [f64; 3]) -> Option<[f64; 3]> {
 }
 
 pub(super) fn write(machine: &Machine) -> NewSection {
-    let mut section =
-        NewSection::new("machine").text("name", &machine.name).text("kind", machine.kind.name());
+    let mut section = NewSection::new("machine").text("name", &machine.name);
+    if let Some(serial) = &machine.serial {
+        section = section.text("serial", serial);
+    }
+    if let Some(board) = machine.board {
+        section = section.text("board", board_text(board));
+    }
+    section = section.text("kind", machine.kind.name());
     if !machine.head_axes.is_empty() {
         let names = machine.head_axes.iter().map(|axis| axis.name().to_string());
         section = section.with("head_axes", Value::Texts(names.collect()));

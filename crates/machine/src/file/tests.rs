@@ -72,6 +72,7 @@ fn every_key_that_is_run_arrives_in_its_field() {
         slew_um_per_s: 5.5,
         link_timeout_ms: 250,
         hold_ms: 0,
+        rejoin_um_per_s: 0.01,
     };
     assert_eq!(machine.limits, limits);
 }
@@ -107,6 +108,31 @@ fn a_key_keeps_its_place_for_rules_found_broken_later() {
     assert_eq!((place.line, place.column), (5, 16));
     let place = machine.places.of("limits.hold_ms");
     assert_eq!((place.line, place.column), (4, 2));
+}
+
+#[test]
+fn what_names_a_machine_and_how_it_is_cold_is_read_and_written() {
+    let text = SHORTEST
+        .replace("[machine]", "[machine]\nserial = \"7\"\nboard = \"0000000000000000000000A5\"")
+        + "[limits]\nrejoin_um_per_s = 0.5\n[thermal_state]\ncold_within_c = 0.25\n";
+    let machine = parse(&text);
+    assert_eq!((machine.serial.as_deref(), machine.board), (Some("7"), Some([0xA5, 0, 0])));
+    assert_eq!((machine.limits.rejoin_um_per_s, machine.cold_within_c), (0.5, 0.25));
+    let again = parse(&machine.to_toml());
+    assert_eq!((&again.serial, again.board), (&machine.serial, machine.board));
+    assert_eq!((again.limits, again.cold_within_c), (machine.limits, machine.cold_within_c));
+    assert_eq!((parse(SHORTEST).serial, parse(SHORTEST).cold_within_c), (None, 0.5));
+    for wrong in [
+        "serial = \" \"",
+        "board = \"00\"",
+        "board = \"000000000000000000000000\"",
+        "board = \"+123456789abcdef00ff0001\"",
+    ] {
+        let text = SHORTEST.replace("[machine]", &format!("[machine]\n{wrong}"));
+        assert!(MachineFile::parse(&text, Path::new("m.toml")).is_err(), "{wrong}");
+    }
+    let text = format!("{SHORTEST}[thermal_state]\ncold_within_c = -0.1\n");
+    assert!(MachineFile::parse(&text, Path::new("m.toml")).is_err());
 }
 
 #[test]

@@ -31,7 +31,9 @@ pub(super) fn difference_nm(a: &Calibration<'_>, b: &Calibration<'_>) -> Option<
     const ELONGATION_NM: f64 = 1e6;
     let is_alike = a.thermometers == b.thermometers
         && a.kinematics.axes == b.kinematics.axes
-        && a.limits == b.limits;
+        && a.limits == b.limits
+        && a.cold_within == b.cold_within
+        && a.names == b.names;
     if !is_alike {
         return None;
     }

@@ -93,7 +93,7 @@ pub fn machine_of(kind: &str, sections: &str) -> String {
         "[machine]\nname = \"mill\"\nkind = {kind}\n[inputs]\n\
          sensor = {{ volts_full_scale = 10.0, counts_full_scale = 32768, divider = 0.33 }}\n\
          temp_x_c = {{ channel = 2, kind = \"linear\", zero_counts = 4000, counts_per_c = 16 }}\n\
-         [limits]\nmax_um = {{ x = 5000, y = 5000, z = 5000 }}\nslew_um_per_s = 10000\n{sections}"
+         [limits]\nmax_um = {{ x = 4000, y = 4000, z = 4000 }}\nslew_um_per_s = 10000\n{sections}"
     )
 }
 

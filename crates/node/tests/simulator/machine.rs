@@ -2,7 +2,9 @@
 //! the rules of the README.
 
 use trueup_core::{
-    calibration::{Calibration, ElongationSource, SpindleModel, SpindleTemperature, SpindleWarmup},
+    calibration::{
+        Calibration, ElongationSource, Names, SpindleModel, SpindleTemperature, SpindleWarmup,
+    },
     cnc::{Control, Output, Spindle},
     dimensions::CHANNELS,
     kinematics::Kinematics,
@@ -89,7 +91,10 @@ pub fn calibration() -> Calibration<'static> {
             slew_nm_per_s: SLEW_NM_PER_MS as u32 * 1_000,
             link_timeout_ms: 500,
             hold_ms: 2_000,
+            rejoin_nm_per_s: 10,
         },
+        cold_within: Temperature(Temperature::PER_KELVIN / 2),
+        names: Names::default(),
     }
 }
 

@@ -58,18 +58,19 @@ pub enum BlobError {
         /// The components, in 2⁻³⁰.
         found: [i32; 3],
     },
-    /// A largest offset is negative, or more than the frames to the CNC can carry.
+    /// A largest offset is negative, or more than the firmware allows any calibration.
     MaxOffset {
         /// Offset of the value.
         offset: usize,
         /// The value in nanometres.
         found: i32,
     },
-    /// A slew limit, a link timeout or a hold is more than the firmware allows any calibration.
+    /// A slew limit, a link timeout, a hold, a way back or an agreement of a cold machine's thermometers is
+    /// more than the firmware allows any calibration.
     Limit {
         /// Offset of the value.
         offset: usize,
-        /// The value, in nm/s or ms.
+        /// The value, as it lies there.
         found: u32,
         /// The most.
         most: u32,

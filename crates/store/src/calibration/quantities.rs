@@ -20,7 +20,7 @@ use trueup_core::{
 
 use super::{
     error::BlobError,
-    format::{MAX_OFFSET_NM, NONE},
+    format::{MAX_COLD_WITHIN, MAX_OFFSET_NM, NONE},
     wire::{Field, Reader, Writer, fields, numbers},
 };
 
@@ -86,6 +86,42 @@ impl<'b, const MOST: u32> Field<'b> for Limit<MOST> {
             from.refuse(BlobError::Limit { offset, found, most: MOST });
         }
         Self(found)
+    }
+}
+
+/// Within how much the thermometers of a cold machine agree, 0 K…[`MAX_COLD_WITHIN`].
+pub(super) struct ColdWithin(pub Temperature);
+
+impl<'b> Field<'b> for ColdWithin {
+    const SIZE: usize = 4;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        self.0.put(to);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Self {
+        let offset = from.at;
+        let within = Temperature::get(from);
+        if !(Temperature(0)..=MAX_COLD_WITHIN).contains(&within) {
+            let most = MAX_COLD_WITHIN.0.cast_unsigned();
+            from.refuse(BlobError::Limit { offset, found: within.0.cast_unsigned(), most });
+        }
+        Self(within)
+    }
+}
+
+/// Bytes of a text: a reference to them.
+pub(super) struct Text<'b>(pub &'b [u8]);
+
+impl<'b> Field<'b> for Text<'b> {
+    const SIZE: usize = 4;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        to.table(self.0.as_chunks::<1>().0);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Self {
+        Self(from.table::<1>().as_flattened())
     }
 }
 

@@ -2,7 +2,7 @@
 
 use trueup_core::{
     calibration::{
-        AxisModel, AxisThermal, Calibration, Dual, ElongationSource, SpindleModel,
+        AxisModel, AxisThermal, Calibration, Dual, ElongationSource, Names, SpindleModel,
         SpindleTemperature, SpindleWarmup,
     },
     cnc::LinearAxis,
@@ -23,8 +23,11 @@ use trueup_core::{
 };
 
 use super::{
-    format::{FIXED_SIZE, HEAD_SIZE, MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_SLEW_NM_PER_S},
-    quantities::{Chain, Channel, HeadAxes, Limit, MaxOffset},
+    format::{
+        FIXED_SIZE, HEAD_SIZE, MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_REJOIN_NM_PER_S,
+        MAX_SLEW_NM_PER_S,
+    },
+    quantities::{Chain, Channel, ColdWithin, HeadAxes, Limit, MaxOffset, Text},
     terms::Terms,
     wire::{Field, record},
 };
@@ -51,6 +54,11 @@ record! {
         squareness: [Gradient; 6],
         spindle_smoothing_falling: SmoothingFactor,
         terms: Terms<'b>,
+        rejoin_nm_per_s: Limit<MAX_REJOIN_NM_PER_S>,
+        cold_within: ColdWithin,
+        board: [u32; 3],
+        machine_name: Text<'b>,
+        machine_serial: Text<'b>,
     }
 }
 const _: () = assert!(FixedPart::SIZE + HEAD_SIZE == FIXED_SIZE);
@@ -86,7 +94,9 @@ impl<'b> FixedPart<'b> {
             straightness,
             squareness,
             terms,
-            limits: Limits { max, slew_nm_per_s, link_timeout_ms, hold_ms },
+            limits: Limits { max, slew_nm_per_s, link_timeout_ms, hold_ms, rejoin_nm_per_s },
+            cold_within,
+            names: Names { machine, serial, board },
         } = *calibration;
         let none = SmoothingFactor(0);
         let never = Warmup {
@@ -116,6 +126,11 @@ impl<'b> FixedPart<'b> {
             squareness,
             spindle_smoothing_falling: temperature.map_or(none, |it| it.smoothing_falling),
             terms,
+            rejoin_nm_per_s: Limit(rejoin_nm_per_s),
+            cold_within: ColdWithin(cold_within),
+            board,
+            machine_name: Text(machine),
+            machine_serial: Text(serial),
         }
     }
 
@@ -146,6 +161,13 @@ impl<'b> FixedPart<'b> {
                 slew_nm_per_s: self.slew_nm_per_s.0,
                 link_timeout_ms: self.link_timeout_ms.0,
                 hold_ms: self.hold_ms.0,
+                rejoin_nm_per_s: self.rejoin_nm_per_s.0,
+            },
+            cold_within: self.cold_within.0,
+            names: Names {
+                machine: self.machine_name.0,
+                serial: self.machine_serial.0,
+                board: self.board,
             },
         }
     }

@@ -8,7 +8,7 @@ use proptest::prelude::*;
 use std::vec::Vec;
 use trueup_core::{
     calibration::{
-        AxisModel, AxisThermal, Dual, ElongationSource, SpindleModel, SpindleTemperature,
+        AxisModel, AxisThermal, Dual, ElongationSource, Names, SpindleModel, SpindleTemperature,
         SpindleWarmup,
     },
     cnc::LinearAxis,
@@ -145,7 +145,10 @@ pub(crate) fn with_sample<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
             slew_nm_per_s: 20_000,
             link_timeout_ms: 500,
             hold_ms: 2_000,
+            rejoin_nm_per_s: 11,
         },
+        cold_within: Temperature(Temperature::PER_KELVIN / 2),
+        names: Names { machine: b"gantry", serial: b"17/4", board: [1, 2, 3] },
     })
 }
 
@@ -206,7 +209,7 @@ fn a_tilt_comes_back_and_one_without_a_meaning_is_refused() {
 fn the_fields_lie_where_the_table_says() {
     let blob = sample();
     let word = |at: usize| i32::from_le_bytes(*blob[at..].first_chunk().unwrap());
-    assert_eq!(&blob[..6], b"TRUP\x03\x00");
+    assert_eq!(&blob[..6], b"TRUP\x04\x00");
     assert_eq!(usize::from(u16::from_le_bytes([blob[6], blob[7]])), blob.len());
     for (at, value) in [
         (8, 200_000),
@@ -227,6 +230,9 @@ fn the_fields_lie_where_the_table_says() {
         (368 + 60, 4),
         (544, -3),
         (568, 9),
+        (576, 11),
+        (580, Temperature::PER_KELVIN / 2),
+        (592, 3),
     ] {
         assert_eq!(word(at), value, "at {at}");
     }
@@ -242,7 +248,7 @@ fn the_fields_lie_where_the_table_says() {
 #[test]
 fn the_bytes_with_something_in_every_field_are_those_of_the_first_writer() {
     let blob = sample();
-    assert_eq!((blob.len(), identity(&blob)), (1_232, 0xBFE9_8143));
+    assert_eq!((blob.len(), identity(&blob)), (1_270, 0xA539_7E71));
 }
 
 #[test]
