@@ -8,6 +8,7 @@
 //!                 └──► summary (what the program prints)
 //! ```
 
+pub mod accelerator;
 pub mod chip;
 pub mod elf;
 pub mod frame;

@@ -40,13 +40,15 @@ fn main() -> ExitCode {
     let wall = start.elapsed().as_secs_f64();
     save(&options, &board);
     let now = seconds(board.now());
+    let up = board.first_sleep.unwrap_or(0);
     println!(
         "== run: {now:.3} s of the board in {wall:.2} s: {:.1} × slower; {} steps, {:.1} M/s; \
-         busy {:.1} %, {} sleeps",
+         busy {:.1} % since it first slept at {:.1} ms, {} sleeps",
         wall / now,
         board.steps,
         board.steps as f64 / wall / 1e6,
-        100.0 - 100.0 * seconds(board.asleep) / now,
+        100.0 - 100.0 * board.asleep as f64 / (board.now() - up).max(1) as f64,
+        seconds(up) * 1e3,
         board.sleeps
     );
     let violations = board.with_chip(|chip| {
@@ -75,6 +77,8 @@ fn board(options: &Options, image: &[u8]) -> Board {
     world.lsi_hz = options.lsi;
     world.crystal_hz = options.crystal;
     world.slow_flash = options.slow_flash;
+    world.supply = options.supply;
+    world.inputs = options.inputs;
     world.populated = (1u32 << options.rtds) - 1;
     for (number, rtd) in world.rtds.iter_mut().enumerate() {
         if options.broken >> number & 1 != 0 {

@@ -5,7 +5,7 @@ use trueup_chip::{
     chip::Faults,
     frame::Frame,
     time::{NEVER, ms},
-    world::Plan,
+    world::{NOMINAL_SUPPLY, Plan},
 };
 
 pub struct Options {
@@ -22,6 +22,8 @@ pub struct Options {
     pub lsi: u64,
     pub crystal: u64,
     pub slow_flash: bool,
+    pub supply: f64,
+    pub inputs: [f64; 16],
     pub bor: bool,
     pub broken: u32,
     pub rtds: u32,
@@ -46,6 +48,8 @@ pub fn options() -> Options {
         lsi: 32_000,
         crystal: 8_000_000,
         slow_flash: false,
+        supply: NOMINAL_SUPPLY,
+        inputs: [0.0; 16],
         bor: false,
         broken: 0,
         rtds: 8,
@@ -71,6 +75,9 @@ pub fn options() -> Options {
     };
     let mut args = std::env::args().skip(1);
     let number = |v: Option<String>, what: &str| -> u64 {
+        v.and_then(|v| v.parse().ok()).unwrap_or_else(|| usage(what))
+    };
+    let decimal = |v: Option<String>, what: &str| -> f64 {
         v.and_then(|v| v.parse().ok()).unwrap_or_else(|| usage(what))
     };
     while let Some(a) = args.next() {
@@ -120,6 +127,13 @@ pub fn options() -> Options {
                 let to = args.next().unwrap_or_else(|| usage("--upset"));
                 let to = u32::from_str_radix(to.trim_start_matches("0x"), 16);
                 o.faults.upset = (at, to.unwrap_or_else(|_| usage("--upset")));
+            }
+            "--adc-stalls" => o.faults.adc_stalls = ms(number(args.next(), &a)),
+            "--supply" => o.supply = decimal(args.next(), &a),
+            "--input" => {
+                let channel = number(args.next(), &a) as usize;
+                let volts = decimal(args.next(), &a);
+                *o.inputs.get_mut(channel).unwrap_or_else(|| usage(&a)) = volts;
             }
             "--can-alone" => o.faults.can_alone = true,
             "--can-short" => o.faults.can_short = true,

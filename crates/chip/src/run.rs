@@ -1,8 +1,9 @@
 //! A board that runs: the chip and its processor in step, instruction by instruction.
 
+use crate::accelerator::Accelerator;
 use crate::chip::{Chip, Faults, Shared};
 use crate::elf;
-use crate::processor::{Memories, Memory, Peripherals, Processor};
+use crate::processor::{FLASH_SIZE, Memories, Memory, Peripherals, Processor};
 use crate::report::Grade;
 use crate::time::ms;
 use crate::world::World;
@@ -80,6 +81,8 @@ pub struct Board {
     shared: Arc<Shared>,
     processor: Processor,
     memories: Memories,
+    accelerator: Accelerator,
+    acr: u64,
     watch: Watch,
     log_at: Option<u32>,
     log_next: u64,
@@ -90,6 +93,8 @@ pub struct Board {
     masked_since: Option<(u64, u32)>,
     /// Ticks asleep.
     pub asleep: u64,
+    /// When it first slept: what comes before is the start.
+    pub first_sleep: Option<u64>,
     /// How often it slept.
     pub sleeps: u64,
     /// Instructions and exceptions.
@@ -102,6 +107,8 @@ pub struct Board {
     pub places: BTreeMap<u32, u64>,
 }
 
+/// Where the flash is.
+const FLASH: u32 = 0x0800_0000;
 /// How many steps between two looks at the processor's faults.
 const LOOK: u32 = 1024;
 /// So many single cycles in a row may be a processor that sleeps.
@@ -142,6 +149,8 @@ impl Board {
             shared,
             processor,
             memories,
+            accelerator: Accelerator::default(),
+            acr: 0,
             watch,
             log_at: None,
             log_next: 0,
@@ -151,6 +160,7 @@ impl Board {
             checked: 0,
             masked_since: None,
             asleep: 0,
+            first_sleep: None,
             sleeps: 0,
             steps: 0,
             log: Vec::new(),
@@ -199,9 +209,13 @@ impl Board {
     /// Runs until that time, in ticks since power-on.
     pub fn run_until(&mut self, end: u64) {
         while self.now < end {
+            let pc = self.processor.pc();
             let cycles = self.processor.step();
             self.steps += 1;
             self.pass(cycles);
+            if let Some(offset) = pc.checked_sub(FLASH).filter(|at| u64::from(*at) < FLASH_SIZE) {
+                self.wait_for_flash(offset);
+            }
             if self.watch.masked {
                 self.watch_mask();
             }
@@ -221,6 +235,20 @@ impl Board {
     fn pass(&mut self, cycles: u64) {
         self.now += cycles * self.shared.cycle.load(Relaxed);
         self.shared.now.store(self.now, Relaxed);
+    }
+
+    /// The wait states of the instruction that was executed. Time goes on, for SysTick and CYCCNT as well.
+    fn wait_for_flash(&mut self, offset: u32) {
+        let acr = self.shared.acr.load(Relaxed);
+        if acr != self.acr {
+            self.acr = acr;
+            self.accelerator.set(acr as u32);
+        }
+        let waits = self.accelerator.fetch(offset, acr as u32);
+        if waits > 0 {
+            self.processor.idle(waits, true);
+            self.pass(waits);
+        }
     }
 
     fn advance(&self) {
@@ -265,6 +293,7 @@ impl Board {
             if let Some(left) = self.processor.until_systick() {
                 cycles = cycles.min(left);
             }
+            self.first_sleep.get_or_insert(self.now);
             let woken = self.processor.idle(cycles, self.watch.awake);
             self.pass(cycles);
             self.asleep += cycles * cycle;

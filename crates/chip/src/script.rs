@@ -74,8 +74,8 @@ impl Script {
     pub(crate) fn part(&mut self) -> f64 {
         self.random() as f64 / (1u64 << 53) as f64
     }
-    /// The sensor's code.
-    pub fn sample(&mut self, now: u64) -> u32 {
+    /// The sensor's code; `scale`: what one code has become, with a supply that is not as it should be.
+    pub fn sample(&mut self, now: u64, scale: f64) -> u32 {
         if !self.pattern.is_empty() {
             self.turn += 1;
             return self.pattern[self.turn % self.pattern.len()];
@@ -88,6 +88,6 @@ impl Script {
             return if self.random() & 1 == 0 { 4095 } else { 0 };
         }
         let r = (self.part() + self.part() - 1.0) * self.noise;
-        (mean + r + 0.5).clamp(0.0, 4095.0) as u32
+        (scale * mean + r + 0.5).clamp(0.0, 4095.0) as u32
     }
 }

@@ -48,12 +48,13 @@ fn signed(v: u64, bits: u32) -> i64 {
 
 pub fn summary(c: &Chip, quiet: bool) {
     let lamp = c.world.lamp.len();
+    let adc = &c.adc.unit[0];
     println!(
         "== chip: resets {:?}; ADC {} conversions, {:.3} Hz; DMA2 stream 0 {} transfers; lamp changed {lamp} times",
         c.resets.iter().map(|(t, w)| format!("{w} at {:.3} s", seconds(*t))).collect::<Vec<_>>(),
-        c.adc.conversions,
-        (c.adc.conversions.max(2) - 1) as f64
-            / seconds(c.adc.last_at.saturating_sub(c.adc.first_at)).max(1e-9),
+        adc.conversions,
+        (adc.conversions.max(2) - 1) as f64
+            / seconds(adc.last_at.saturating_sub(adc.first_at)).max(1e-9),
         c.dma[1].transfers[0]
     );
     println!(

@@ -10,6 +10,24 @@ use std::collections::VecDeque;
 use std::io::Write;
 use std::net::{TcpListener, TcpStream};
 
+/// Volts of VDDA and VREF+ at which codes are given.
+pub const NOMINAL_SUPPLY: f64 = 3.3;
+/// Volts of this chip's internal reference: what its factory value of 1502 says (DS8626, at 3.3 V).
+const VREFINT: f64 = 1502.0 / 4095.0 * 3.3;
+/// DS8626, temperature sensor: volts at 25 °C, and a kelvin more; this chip is at 30 °C.
+const TEMPERATURE_25: f64 = 0.76;
+const TEMPERATURE_SLOPE: f64 = 0.0025;
+/// Volts of VBAT; the converter sees half of it (DS8626, VBAT monitoring).
+const BATTERY: f64 = 3.0;
+
+/// The next of a sequence that looks like chance, 0 to 1.
+fn part(state: &mut u64) -> f64 {
+    *state ^= *state << 13;
+    *state ^= *state >> 7;
+    *state ^= *state << 17;
+    (*state >> 11) as f64 / (1u64 << 53) as f64
+}
+
 /// What the run plays.
 #[derive(Clone, Debug)]
 pub struct Plan {
@@ -40,6 +58,10 @@ pub struct World {
     pub lsi_hz: u64,
     pub baud: f64,
     pub slow_flash: bool,
+    /// VDDA and VREF+, volts: what the converters measure by.
+    pub supply: f64,
+    /// Volts at the converters' inputs 0 to 15, but for the sensor's.
+    pub inputs: [f64; 16],
     pub rtds: Vec<Rtd>,
     pub populated: u32,
     pub next_at: u64,
@@ -50,6 +72,7 @@ pub struct World {
     pub script: Option<Script>,
     pub(crate) counters: [u8; 5],
     pub(crate) rng: u64,
+    slow_rng: u64,
     pub lamp: Vec<(u64, bool)>,
     pub port: Option<TcpListener>,
     pub(crate) client: Option<TcpStream>,
@@ -70,6 +93,8 @@ impl World {
             lsi_hz: 32_000,
             baud: 921_600.0,
             slow_flash: false,
+            supply: NOMINAL_SUPPLY,
+            inputs: [0.0; 16],
             rtds: (0..8).map(|n| Rtd::new(Some(20.0 + 3.0 * f64::from(n)))).collect(),
             populated: 0xff,
             queue,
@@ -78,6 +103,7 @@ impl World {
             to_board,
             counters: [0; 5],
             rng: 0x9e37_79b9_7f4a_7c15,
+            slow_rng: 0x9e37_79b9_7f4a_7c15,
             lamp: Vec::new(),
             port: None,
             client: None,
@@ -85,22 +111,29 @@ impl World {
         }
     }
     pub(crate) fn random(&mut self) -> f64 {
-        self.rng ^= self.rng << 13;
-        self.rng ^= self.rng >> 7;
-        self.rng ^= self.rng << 17;
-        (self.rng >> 11) as f64 / (1u64 << 53) as f64
+        part(&mut self.rng)
     }
-    /// What a channel of the converter gives.
-    pub(crate) fn code(&mut self, ch: u32, now: u64) -> u32 {
-        if ch != 0 {
-            return 0;
-        }
+    /// What a channel of a converter gives, of 12 bits.
+    pub(crate) fn code(&mut self, channel: u32, now: u64) -> u32 {
+        let volts = match channel {
+            0 => return self.sensor_code(now),
+            16 => TEMPERATURE_25 + TEMPERATURE_SLOPE * 5.0,
+            17 => VREFINT,
+            18 => BATTERY / 2.0,
+            input => self.inputs.get(input as usize).copied().unwrap_or_default(),
+        };
+        let dither = 0.5 * (part(&mut self.slow_rng) + part(&mut self.slow_rng) - 1.0);
+        (volts / self.supply * 4095.0 + dither + 0.5).clamp(0.0, 4095.0) as u32
+    }
+    /// The sensor is given in codes, as they are with the nominal supply.
+    fn sensor_code(&mut self, now: u64) -> u32 {
+        let scale = NOMINAL_SUPPLY / self.supply;
         if let Some(s) = &mut self.script {
-            return s.sample(now);
+            return s.sample(now, scale);
         }
         let mean = if now < self.plan.step_at { self.plan.code } else { self.plan.code_after };
         let r = (self.random() + self.random() - 1.0) * self.plan.noise;
-        (mean + r + 0.5).clamp(0.0, 4095.0) as u32
+        (scale * mean + r + 0.5).clamp(0.0, 4095.0) as u32
     }
     pub(crate) fn level(&self, port: usize, pin: u32) -> Option<bool> {
         matches!((port, pin), (0, 10) | (1, 8)).then_some(true)

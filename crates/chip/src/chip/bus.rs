@@ -33,6 +33,8 @@ pub(crate) const GATES: &[(u32, usize, u32, &str)] = &[
     (0x4001_1000, 4, 4, "USART1"),
     (0x4001_1400, 4, 5, "USART6"),
     (0x4001_2000, 4, 8, "ADC1"),
+    (0x4001_2100, 4, 9, "ADC2"),
+    (0x4001_2200, 4, 10, "ADC3"),
     (0x4001_2c00, 4, 11, "SDIO"),
     (0x4001_3000, 4, 12, "SPI1"),
     (0x4001_3800, 4, 14, "SYSCFG"),
@@ -57,7 +59,11 @@ pub(crate) const BUSES: [&str; 5] = ["AHB1", "AHB2", "AHB3", "APB1", "APB2"];
 impl Chip {
     /// Whether a unit's clock runs; if not, silicon reads 0 and drops writes.
     pub(crate) fn clocked(&mut self, addr: u32, what: &str) -> bool {
-        let base = addr & !0x3ff;
+        let base = match addr {
+            // Three converters in one kilobyte, and with the first of them what they share.
+            0x4001_2000..=0x4001_22ff => addr & !0xff,
+            _ => addr & !0x3ff,
+        };
         let Some((_, bus, bit, name)) = GATES.iter().find(|g| g.0 == base) else { return true };
         if self.rcc.rstr[*bus] >> bit & 1 != 0 {
             self.violation(format!("{name}: {what} while it is held in reset"));
@@ -84,7 +90,7 @@ impl Chip {
             self.violation(format!("unaligned read of {size} bytes at {addr:#010x}"));
         }
         // Reading data registers clears flags.
-        self.dirty |= matches!(word, 0x4001_1004 | 0x4000_380c | 0x4001_204c);
+        self.dirty |= matches!(word, 0x4001_1004 | 0x4000_380c | 0x4001_204c | 0x4001_214c);
         self.read(word) >> shift & (u32::MAX >> (32 - 8 * size))
     }
 

@@ -7,6 +7,7 @@ mod adc;
 mod bus;
 mod can;
 mod can_bus;
+mod convert;
 mod dma;
 mod flash;
 mod gpio;
@@ -25,7 +26,7 @@ use crate::{
     time::NEVER,
     world::World,
 };
-use adc::Adc;
+use adc::{Adc, Adcs};
 use can::Can;
 use dma::Dma;
 use flash::Flash;
@@ -50,6 +51,8 @@ pub struct Shared {
     pub cycle: AtomicU64,
     /// The flash does not answer before this.
     pub stall: AtomicU64,
+    /// FLASH_ACR, and a count of its writes in the upper half.
+    pub acr: AtomicU64,
     /// 1: something new in the report; 2: reset wanted; 4: programming was switched on or off.
     pub flag: AtomicU64,
 }
@@ -61,6 +64,8 @@ pub struct Faults {
     /// When the crystal stops; 0: never.
     pub hse_stops: u64,
     pub pll_dead: bool,
+    /// When a converter stops in the middle of a conversion, for as long as it is on; 0: never.
+    pub adc_stalls: u64,
     /// Nobody acknowledges on the bus.
     pub can_alone: bool,
     /// Every frame is destroyed.
@@ -104,7 +109,7 @@ pub struct Chip {
     pub gpio: [Gpio; 9],
     pub tims: Vec<Tim>,
     pub tim11: Tim11,
-    pub adc: Adc,
+    pub adc: Adcs,
     pub dma: [Dma; 2],
     pub can: Can,
     pub uart: Uart,
@@ -131,7 +136,7 @@ enum Ev {
     Lsi,
     TimUp(usize),
     TimCc(usize, usize),
-    Adc,
+    Adc(usize),
     CanEnd,
     CanStart,
     CanMode,
@@ -172,7 +177,7 @@ impl Chip {
             gpio: Default::default(),
             tims: Vec::new(),
             tim11: Tim11::default(),
-            adc: Adc::default(),
+            adc: Adcs::default(),
             dma: Default::default(),
             can: Can::default(),
             uart: Uart::default(),
@@ -216,14 +221,7 @@ impl Chip {
         self.flash.optcr = options;
         self.tims = Tim::all();
         self.tim11 = Tim11::default();
-        self.adc = Adc {
-            htr: 0xfff,
-            end_at: NEVER,
-            conversions: self.adc.conversions,
-            first_at: self.adc.first_at,
-            last_at: self.adc.last_at,
-            ..Adc::default()
-        };
+        self.adc = Adcs { unit: self.adc.unit.each_ref().map(Adc::reset), ..Adcs::default() };
         self.dma = Default::default();
         self.can = Can::reset();
         self.uart = Uart::reset();
@@ -237,6 +235,7 @@ impl Chip {
         }
         self.irqs = [false; 82];
         self.dirty = true;
+        self.tell_acr(1 << 11);
         self.clocks();
     }
 
@@ -278,7 +277,11 @@ impl Chip {
                 }
             }
         }
-        take(self.adc.end_at, Ev::Adc);
+        for (n, adc) in self.adc.unit.iter().enumerate() {
+            if !adc.stalled {
+                take(adc.end_at, Ev::Adc(n));
+            }
+        }
         take(self.can.end_at, Ev::CanEnd);
         take(self.can.mode_at, Ev::CanMode);
         if self.can.end_at == NEVER {
@@ -321,7 +324,7 @@ impl Chip {
                 }
                 Ev::TimUp(i) => self.tim_update(i),
                 Ev::TimCc(i, ch) => self.tim_compare(i, ch),
-                Ev::Adc => self.adc_end(),
+                Ev::Adc(n) => self.adc_end(n),
                 Ev::CanEnd => self.can_end(),
                 Ev::CanStart => self.can_start(),
                 Ev::CanMode => self.can_mode(),
@@ -365,10 +368,7 @@ impl Chip {
         for t in &self.tims {
             want[t.irq] |= t.sr & t.dier & 0x5f != 0;
         }
-        let a = &self.adc;
-        want[18] = (a.sr & 2 != 0 && a.cr1 & 1 << 5 != 0)
-            || (a.sr & 1 << 5 != 0 && a.cr1 & 1 << 26 != 0)
-            || (a.sr & 1 != 0 && a.cr1 & 1 << 6 != 0);
+        want[18] = self.adc.unit.iter().any(Adc::line);
         self.dma_lines(&mut want);
         self.can_lines(&mut want);
         want[37] = self.uart_line();

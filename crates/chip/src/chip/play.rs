@@ -77,6 +77,9 @@ impl Chip {
                         t => Some(t.parse().expect("a temperature")),
                     }
                 }
+                "supply" => self.world.supply = number(1),
+                "input" => self.world.inputs[number(1) as usize] = number(2),
+                "adc_stall" => self.faults.adc_stalls = now,
                 "flood" => s.flood = (words[1].clone(), number(2) as u64),
                 "serial_flood" => {
                     // Bytes a millisecond; none: as fast as the line.

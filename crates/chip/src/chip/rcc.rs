@@ -2,7 +2,7 @@
 
 use super::{
     Chip,
-    adc::Adc,
+    adc::Adcs,
     bus::{BUSES, GATES},
     can::Can,
     dma::Dma,
@@ -134,6 +134,7 @@ impl Chip {
         self.rcc.cfgr = 4 << 10 | 2 << 2 | 2;
         self.rcc.sw_wanted = 2;
         self.flash.acr = 2;
+        self.tell_acr(0);
         self.flash.unlock();
         self.clocks();
     }
@@ -340,7 +341,8 @@ impl Chip {
             0x4002_0000..=0x4002_23ff => {
                 self.gpio[(base as usize - 0x4002_0000) / 0x400] = Gpio::default()
             }
-            0x4001_2000 => self.adc = Adc { htr: 0xfff, end_at: NEVER, ..Adc::default() },
+            // 7.3.9: one bit resets all three.
+            0x4001_2000 => self.adc = Adcs::default(),
             0x4002_6000 => self.dma[0] = Dma::default(),
             0x4002_6400 => self.dma[1] = Dma::default(),
             0x4000_6400 => self.can = Can::reset(),

@@ -1,6 +1,9 @@
 //! The timers, up-counting: update and compare events, preload, trigger output to the converter.
 
-use super::Chip;
+use super::{
+    Chip,
+    convert::Sequence::{Injected, Regular},
+};
 use crate::{
     report::Grade,
     time::{NEVER, TPS},
@@ -173,7 +176,7 @@ impl Chip {
         }
     }
 
-    /// RM0090 table "external trigger for regular channels".
+    /// RM0090 tables 69 and 70: what starts regular and injected sequences.
     pub(crate) fn trgo(&mut self, i: usize) {
         let name = self.tims[i].name;
         for j in 0..self.tims.len() {
@@ -217,9 +220,15 @@ impl Chip {
             }
         }
         match self.tims[i].name {
-            "TIM2" => self.adc_trigger(6),
-            "TIM3" => self.adc_trigger(8),
-            "TIM8" => self.adc_trigger(14),
+            "TIM1" => self.adc_trigger(Injected, 1),
+            "TIM2" => {
+                self.adc_trigger(Regular, 6);
+                self.adc_trigger(Injected, 3);
+            }
+            "TIM3" => self.adc_trigger(Regular, 8),
+            "TIM4" => self.adc_trigger(Injected, 9),
+            "TIM5" => self.adc_trigger(Injected, 11),
+            "TIM8" => self.adc_trigger(Regular, 14),
             _ => {}
         }
     }
@@ -228,22 +237,33 @@ impl Chip {
         if self.tims[i].ccer >> (4 * ch) & 1 == 0 {
             return;
         }
-        let source = match (self.tims[i].name, ch) {
-            ("TIM1", 0) => 0,
-            ("TIM1", 1) => 1,
-            ("TIM1", 2) => 2,
-            ("TIM2", 1) => 3,
-            ("TIM2", 2) => 4,
-            ("TIM2", 3) => 5,
-            ("TIM3", 0) => 7,
-            ("TIM4", 3) => 9,
-            ("TIM5", 0) => 10,
-            ("TIM5", 1) => 11,
-            ("TIM5", 2) => 12,
-            ("TIM8", 0) => 13,
+        let (sequence, source) = match (self.tims[i].name, ch) {
+            ("TIM1", 0) => (Regular, 0),
+            ("TIM1", 1) => (Regular, 1),
+            ("TIM1", 2) => (Regular, 2),
+            ("TIM1", 3) => (Injected, 0),
+            ("TIM2", 0) => (Injected, 2),
+            ("TIM2", 1) => (Regular, 3),
+            ("TIM2", 2) => (Regular, 4),
+            ("TIM2", 3) => (Regular, 5),
+            ("TIM3", 0) => (Regular, 7),
+            ("TIM3", 1) => (Injected, 4),
+            ("TIM3", 3) => (Injected, 5),
+            ("TIM4", 0) => (Injected, 6),
+            ("TIM4", 1) => (Injected, 7),
+            ("TIM4", 2) => (Injected, 8),
+            ("TIM4", 3) => (Regular, 9),
+            ("TIM5", 0) => (Regular, 10),
+            ("TIM5", 1) => (Regular, 11),
+            ("TIM5", 2) => (Regular, 12),
+            ("TIM5", 3) => (Injected, 10),
+            ("TIM8", 0) => (Regular, 13),
+            ("TIM8", 1) => (Injected, 12),
+            ("TIM8", 2) => (Injected, 13),
+            ("TIM8", 3) => (Injected, 14),
             _ => return,
         };
-        self.adc_trigger(source);
+        self.adc_trigger(sequence, source);
     }
 
     pub(crate) fn tim_read(&mut self, i: usize, off: u32) -> u32 {

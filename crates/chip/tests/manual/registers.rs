@@ -1,113 +1,13 @@
 //! What the manual says of the registers, tried on the model: reset values, bits that clear on 0 or on 1,
 //! what happens unclocked, keys. Section numbers are RM0090's.
 
-use trueup_chip::{
-    chip::{Chip, Faults},
-    processor::Memories,
-    report::Grade,
-    run::{Board, Watch},
-    time::{NEVER, ms, us},
-    world::{Plan, World},
+use crate::bench::{
+    ADC1, Bench, CAN1, DMA2, FLASH, GPIOA, GPIOB, IWDG, RCC, TIM3, TIM11, USART1, clocked,
 };
-
-const RCC: u32 = 0x4002_3800;
-const FLASH: u32 = 0x4002_3c00;
-const GPIOA: u32 = 0x4002_0000;
-const GPIOB: u32 = 0x4002_0400;
-const TIM3: u32 = 0x4000_0400;
-const TIM11: u32 = 0x4001_4800;
-const ADC1: u32 = 0x4001_2000;
-const DMA2: u32 = 0x4002_6400;
-const CAN1: u32 = 0x4000_6400;
-const USART1: u32 = 0x4001_1000;
-const IWDG: u32 = 0x4000_3000;
-
-/// A chip whose processor does nothing: the test is its bus master.
-struct Bench {
-    board: Board,
-    now: u64,
-}
-
-impl Bench {
-    fn new() -> Bench {
-        Bench::with(Faults::default())
-    }
-
-    fn with(faults: Faults) -> Bench {
-        let plan = Plan {
-            code: 1000.0,
-            code_after: 1000.0,
-            step_at: NEVER,
-            noise: 0.0,
-            cnc_from: NEVER,
-            engage_at: NEVER,
-            zero_at: NEVER,
-            cnc_until: NEVER,
-            rpm: 0,
-            says: Vec::new(),
-            positions: 0,
-            frames: Vec::new(),
-        };
-        let board = Board::bare(Memories::new(), World::new(plan), faults, Watch::default());
-        Bench { board, now: 0 }
-    }
-
-    fn at_once<R>(&self, work: impl FnOnce(&mut Chip) -> R) -> R {
-        let now = self.now;
-        self.board.with_chip(|chip| {
-            chip.advance(now);
-            let result = work(chip);
-            chip.settle();
-            result
-        })
-    }
-
-    fn read(&self, address: u32) -> u32 {
-        self.at_once(|chip| chip.bus_read(address, 4))
-    }
-
-    fn write(&self, address: u32, value: u32) {
-        self.at_once(|chip| chip.bus_write(address, 4, value));
-    }
-
-    fn set(&self, address: u32, bits: u32) {
-        self.write(address, self.read(address) | bits);
-    }
-
-    fn pass(&mut self, ticks: u64) {
-        self.now += ticks;
-        self.at_once(|_| ());
-    }
-
-    /// Violations so far that speak of `what`.
-    fn violations(&self, what: &str) -> usize {
-        self.board.with_chip(|chip| {
-            let of = |(grade, text): &&(Grade, String)| {
-                *grade == Grade::Violation && text.contains(what)
-            };
-            chip.report.items.keys().filter(of).count()
-        })
-    }
-
-    /// Programs a word by way of the processor's bus.
-    fn program(&self, offset: u32, word: u32) {
-        self.at_once(|chip| chip.flash_program(offset, &word.to_le_bytes()));
-    }
-
-    fn unlock_flash(&self) {
-        self.write(FLASH + 4, 0x4567_0123);
-        self.write(FLASH + 4, 0xcdef_89ab);
-    }
-}
-
-/// 16 MHz straight from HSI, with the units of these tests clocked.
-fn clocked() -> Bench {
-    let bench = Bench::new();
-    bench.set(RCC + 0x30, 1 | 1 << 1 | 1 << 22);
-    bench.set(RCC + 0x40, 1 << 1 | 1 << 25);
-    bench.set(RCC + 0x44, 1 << 4 | 1 << 8);
-    bench
-}
+use trueup_chip::{
+    chip::Faults,
+    time::{ms, us},
+};
 
 #[test]
 fn registers_have_their_reset_values() {
@@ -209,6 +109,20 @@ fn a_flash_word_is_programmed_in_16_microseconds_and_only_towards_0() {
     assert_eq!(bench.read(FLASH + 0x0c), 0);
     bench.program(0x8_0000, 0xffff_ffff);
     assert_eq!(bench.violations("0 into a 1"), 1);
+}
+
+#[test]
+fn a_flash_word_takes_100_microseconds_at_the_most() {
+    // DS8626 table 39, programming time of a word.
+    let mut bench = Bench::new();
+    bench.at_once(|chip| chip.world.slow_flash = true);
+    bench.unlock_flash();
+    bench.write(FLASH + 0x10, 2 << 8 | 1);
+    bench.program(0x8_0000, 0);
+    bench.pass(us(99));
+    assert_eq!(bench.read(FLASH + 0x0c) >> 16 & 1, 1, "BSY");
+    bench.pass(us(2));
+    assert_eq!(bench.read(FLASH + 0x0c), 0);
 }
 
 #[test]

@@ -1,0 +1,117 @@
+//! What the flash costs the processor: wait states, less what the accelerator's instruction cache saves.
+//!
+//! RM0090 3.5.1: a read of the flash takes LATENCY wait states and brings 128 bits. 3.5.2: of those the
+//! cache keeps 64 lines, and the one that was least recently used goes; what it holds costs nothing; the
+//! prefetch brings the next line while this one is executed. Data reads, by a cache of their own of 8
+//! lines, are not seen here and cost nothing.
+
+/// Bytes of a line as a shift: 128 bits.
+const LINE: u32 = 4;
+const LINES: usize = 64;
+/// Lines of the flash, 1 MB.
+const ALL: usize = 0x10_0000 >> LINE;
+const NOWHERE: u8 = u8::MAX;
+
+const LATENCY: u32 = 7;
+const PREFETCH: u32 = 1 << 8;
+const INSTRUCTION_CACHE: u32 = 1 << 9;
+const RESET: u32 = 1 << 11;
+
+/// The accelerator's memory.
+pub struct Accelerator {
+    /// Where each line of the flash is kept.
+    place: Vec<u8>,
+    line: [u32; LINES],
+    used: [u64; LINES],
+    clock: u64,
+    current: u32,
+    /// Wait states so far.
+    pub waited: u64,
+}
+
+impl Default for Accelerator {
+    fn default() -> Accelerator {
+        Accelerator {
+            place: vec![NOWHERE; ALL],
+            line: [0; LINES],
+            used: [0; LINES],
+            clock: 0,
+            current: u32::MAX,
+            waited: 0,
+        }
+    }
+}
+
+impl Accelerator {
+    /// Cycles that the processor waits for the instruction at this offset of the flash, with this FLASH_ACR.
+    pub fn fetch(&mut self, offset: u32, acr: u32) -> u64 {
+        let line = offset >> LINE;
+        if line == self.current {
+            return 0;
+        }
+        let follows = line == self.current.wrapping_add(1);
+        self.current = line;
+        let is_brought = acr & PREFETCH != 0 && follows;
+        let is_kept = acr & INSTRUCTION_CACHE != 0 && self.look_up(line);
+        let waits = if is_brought || is_kept { 0 } else { u64::from(acr & LATENCY) };
+        self.waited += waits;
+        waits
+    }
+
+    /// A write of FLASH_ACR: ICRST empties the cache.
+    pub fn set(&mut self, acr: u32) {
+        if acr & RESET != 0 {
+            let waited = self.waited;
+            *self = Accelerator { waited, ..Accelerator::default() };
+        }
+    }
+
+    /// Whether the line is in the cache; it is from now on.
+    fn look_up(&mut self, line: u32) -> bool {
+        self.clock += 1;
+        let place = self.place[line as usize];
+        if place != NOWHERE {
+            self.used[place as usize] = self.clock;
+            return true;
+        }
+        let oldest = (0..LINES).min_by_key(|slot| self.used[*slot]).expect("there are lines");
+        if self.used[oldest] > 0 {
+            self.place[self.line[oldest] as usize] = NOWHERE;
+        }
+        self.place[line as usize] = oldest as u8;
+        self.line[oldest] = line;
+        self.used[oldest] = self.clock;
+        false
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn without_the_cache_each_new_line_of_16_bytes_waits() {
+        let mut it = Accelerator::default();
+        let waits = |it: &mut Accelerator, acr| (0..32).map(|n| it.fetch(2 * n, acr)).sum::<u64>();
+        assert_eq!(waits(&mut it, 5), 4 * 5);
+        assert_eq!(waits(&mut it, 5), 4 * 5, "and again");
+        assert_eq!(waits(&mut it, 0), 0, "at 30 MHz there is none");
+        assert_eq!(waits(&mut it, 5 | PREFETCH), 5, "only the first is not foreseen");
+    }
+
+    #[test]
+    fn the_cache_holds_64_lines_and_drops_the_one_that_was_not_used_for_longest() {
+        let mut it = Accelerator::default();
+        let acr = 5 | INSTRUCTION_CACHE;
+        let all = |it: &mut Accelerator, lines: u32| {
+            (0..lines).map(|n| it.fetch(n << LINE, acr)).sum::<u64>()
+        };
+        assert_eq!(all(&mut it, 64), 64 * 5);
+        assert_eq!(all(&mut it, 64), 0);
+        // A loop of one line more than fits finds none of them.
+        assert_eq!(all(&mut it, 65), 5);
+        assert_eq!(all(&mut it, 65), 65 * 5);
+        it.set(acr | RESET);
+        assert_eq!(it.fetch(64 << LINE, acr), 5);
+    }
+}

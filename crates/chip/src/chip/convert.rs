@@ -1,0 +1,254 @@
+//! What the converters do: triggers, sampling times, regular and injected sequences, overrun, requests to
+//! the DMA (RM0090 sections 13.3 to 13.9), and what the channels see.
+
+use super::{Chip, adc::Adc};
+use crate::{
+    report::Grade,
+    time::{NEVER, TPS, us},
+};
+
+/// A sequence that an external event starts, as bits of ADC_CR2.
+#[derive(Clone, Copy)]
+pub(crate) enum Sequence {
+    /// EXTEN, EXTSEL.
+    Regular,
+    /// JEXTEN, JEXTSEL.
+    Injected,
+}
+
+/// A conversion: its channel, cycles of sampling, bits of its result and as many cycles.
+struct Conversion {
+    channel: u32,
+    sampling: u64,
+    bits: u64,
+}
+
+/// DS8626, embedded reference voltage: to sample it takes at least 10 µs (t_S_vrefint).
+const INTERNAL_SAMPLING: u64 = us(10);
+/// DS8626, temperature sensor and reference: start-up at most 10 µs.
+const INTERNAL_START: u64 = us(10);
+
+impl Adc {
+    fn conversion(&self) -> Conversion {
+        let channel = if self.injected {
+            // 13.13.12: of fewer than four the sequence begins at JSQ4 less their number.
+            let first = 3 - (self.jsqr >> 20 & 3);
+            self.jsqr >> (5 * (first + self.injected_rank)) & 31
+        } else {
+            self.sqr[2 - (self.rank / 6).min(2) as usize] >> (5 * (self.rank % 6)) & 31
+        };
+        let times = if channel >= 10 {
+            self.smpr[0] >> (3 * (channel - 10))
+        } else {
+            self.smpr[1] >> (3 * channel)
+        };
+        let sampling = [3, 15, 28, 56, 84, 112, 144, 480][(times & 7) as usize];
+        let bits = [12, 10, 8, 6][(self.cr1 >> 24 & 3) as usize];
+        Conversion { channel, sampling, bits }
+    }
+
+    fn is_triggered_by(&self, sequence: Sequence, source: u32) -> bool {
+        let (enable, select) = match sequence {
+            Sequence::Regular => (28, 24),
+            Sequence::Injected => (20, 16),
+        };
+        self.cr2 >> enable & 3 != 0 && self.cr2 >> select & 15 == source
+    }
+}
+
+impl Chip {
+    /// Ticks in a cycle of the converters' clock.
+    pub(crate) fn adc_tick(&self) -> u64 {
+        self.pclk2 * u64::from(((self.adc.ccr >> 16 & 3) + 1) * 2)
+    }
+
+    /// An event that may start a sequence.
+    pub(crate) fn adc_trigger(&mut self, sequence: Sequence, source: u32) {
+        for n in 0..3 {
+            if self.adc.unit[n].is_triggered_by(sequence, source) {
+                match sequence {
+                    Sequence::Regular => self.adc_start(n),
+                    Sequence::Injected => self.adc_inject(n),
+                }
+            }
+        }
+    }
+
+    fn adc_is_up(&mut self, n: usize) -> bool {
+        let (on, since) = (self.adc.unit[n].cr2 & 1 != 0, self.adc.unit[n].on_at);
+        if !on {
+            self.violation(format!("ADC{}: triggered while it is off", n + 1));
+        } else if self.now < since + us(3) {
+            self.violation(format!("ADC{}: started within 3 µs of ADON (tSTAB)", n + 1));
+        }
+        on
+    }
+
+    /// A regular sequence begins, or the next part of a discontinuous one (13.3.10).
+    pub(crate) fn adc_start(&mut self, n: usize) {
+        if !self.adc_is_up(n) {
+            return;
+        }
+        let adc = &mut self.adc.unit[n];
+        if adc.end_at != NEVER && adc.injected {
+            adc.regular_waits = true;
+            return;
+        }
+        if adc.end_at != NEVER {
+            if !adc.stalled {
+                self.violation(format!("ADC{}: triggered while it converts", n + 1));
+            }
+            return;
+        }
+        if adc.sr & 1 << 5 != 0 && adc.cr2 & 1 << 8 != 0 {
+            return;
+        }
+        if adc.cr1 & 1 << 11 == 0 {
+            adc.rank = 0;
+        }
+        adc.sr |= 1 << 4;
+        self.adc_next(n);
+    }
+
+    /// An injected sequence begins. 13.3.9: it breaks off a regular conversion, which is then done again.
+    pub(crate) fn adc_inject(&mut self, n: usize) {
+        if !self.adc_is_up(n) {
+            return;
+        }
+        let adc = &mut self.adc.unit[n];
+        if adc.stalled {
+            return;
+        }
+        if adc.end_at != NEVER && adc.injected {
+            return self.violation(format!("ADC{}: injected while it injects", n + 1));
+        }
+        if adc.end_at != NEVER {
+            adc.regular_waits = true;
+            let text = format!("ADC{}: an injected conversion breaks off a regular one", n + 1);
+            self.say(Grade::Remark, text);
+        }
+        let adc = &mut self.adc.unit[n];
+        (adc.injected, adc.injected_rank) = (true, 0);
+        adc.sr |= 1 << 3;
+        self.adc_next(n);
+    }
+
+    fn adc_next(&mut self, n: usize) {
+        let Conversion { channel, sampling, bits } = self.adc.unit[n].conversion();
+        let tick = self.adc_tick();
+        self.adc.unit[n].end_at = self.now + (sampling + bits) * tick;
+        self.adc_check(n, channel, sampling * tick);
+        if self.faults.adc_stalls > 0 && self.now >= self.faults.adc_stalls {
+            self.faults.adc_stalls = 0;
+            self.adc.unit[n].stalled = true;
+        }
+        self.say(
+            Grade::Fact,
+            format!(
+                "ADC{}: channel {channel}, {} Hz, {sampling} + {bits} cycles = {:.2} µs",
+                n + 1,
+                TPS / tick,
+                ((sampling + bits) * tick) as f64 / us(1) as f64
+            ),
+        );
+    }
+
+    /// Whether the channel has something to convert.
+    fn adc_check(&mut self, n: usize, channel: u32, sampling: u64) {
+        // DS8626, pin table: ADC1 and ADC2 share these pins; ADC3 has others on F.
+        let pin = match channel {
+            0..=7 => Some((0, channel)),
+            8..=9 => Some((1, channel - 8)),
+            10..=15 => Some((2, channel - 10)),
+            _ => None,
+        };
+        if let Some((port, pin)) = pin {
+            if self.pin_mode(port, pin) != 3 {
+                let text = format!("channel {channel} converted while its pin is not analog");
+                self.violation(format!("ADC{}: {text}", n + 1));
+            }
+            return;
+        }
+        // 13.3.3 and 13.11: channels 16 to 18 are ADC1's alone.
+        if n != 0 || channel > 18 {
+            return self.violation(format!("ADC{}: nothing is at channel {channel}", n + 1));
+        }
+        let (enable, what) = if channel == 18 { (22, "VBATE") } else { (23, "TSVREFE") };
+        if self.adc.ccr >> enable & 1 == 0 {
+            self.violation(format!("ADC1: channel {channel} converted without {what}"));
+        } else if channel != 18 && self.now < self.adc.internal_at + INTERNAL_START {
+            self.violation(format!("ADC1: channel {channel} converted within 10 µs of {what}"));
+        }
+        if channel != 18 && sampling < INTERNAL_SAMPLING {
+            self.violation(format!("ADC1: channel {channel} sampled for less than 10 µs"));
+        }
+    }
+
+    /// A conversion ends.
+    pub(crate) fn adc_end(&mut self, n: usize) {
+        self.adc.unit[n].end_at = NEVER;
+        let Conversion { channel, bits, .. } = self.adc.unit[n].conversion();
+        let code = self.world.code(channel, self.now) >> (12 - bits);
+        let adc = &mut self.adc.unit[n];
+        let code = if adc.cr2 & 1 << 11 != 0 { code << (16 - bits) } else { code };
+        if adc.injected { self.adc_end_injected(n, code) } else { self.adc_end_regular(n, code) }
+    }
+
+    fn adc_end_injected(&mut self, n: usize, code: u32) {
+        let adc = &mut self.adc.unit[n];
+        adc.jdr[adc.injected_rank as usize] = code;
+        adc.injections += 1;
+        if adc.injected_rank < adc.jsqr >> 20 & 3 {
+            adc.injected_rank += 1;
+            return self.adc_next(n);
+        }
+        adc.sr |= 1 << 2;
+        adc.injected = false;
+        if std::mem::take(&mut adc.regular_waits) {
+            self.adc_next(n);
+        }
+    }
+
+    fn adc_end_regular(&mut self, n: usize, code: u32) {
+        let adc = &mut self.adc.unit[n];
+        if adc.conversions == 0 {
+            adc.first_at = self.now;
+        }
+        adc.conversions += 1;
+        adc.last_at = self.now;
+        let scan = adc.cr1 & 1 << 8 != 0;
+        let last = !scan || adc.rank >= adc.sqr[0] >> 20 & 15;
+        let dma = adc.cr2 & 1 << 8 != 0;
+        if adc.unread && (dma || adc.cr2 & 1 << 10 != 0) {
+            adc.sr |= 1 << 5;
+            return self.say(Grade::Remark, format!("ADC{}: overrun", n + 1));
+        }
+        adc.dr = code;
+        if dma || last || adc.cr2 & 1 << 10 != 0 {
+            adc.sr |= 2;
+        }
+        adc.unread = true;
+        if dma && !adc.dma_over {
+            // RM0090 table 43: who of DMA2 listens to which converter, as (stream, channel).
+            let streams = [[(0, 0), (4, 0)], [(2, 1), (3, 1)], [(0, 2), (1, 2)]][n];
+            let done = streams
+                .into_iter()
+                .find_map(|(stream, channel)| self.dma_request(1, stream, channel));
+            let adc = &mut self.adc.unit[n];
+            if done == Some(true) && adc.cr2 & 1 << 9 == 0 {
+                adc.dma_over = true;
+            }
+        }
+        let adc = &mut self.adc.unit[n];
+        adc.rank = if last { 0 } else { adc.rank + 1 };
+        // 13.3.10: a discontinuous sequence waits for a trigger after each DISCNUM + 1.
+        let discontinuous = adc.cr1 & 1 << 11 != 0;
+        if discontinuous && adc.cr1 >> 13 & 7 != 0 {
+            let text = format!("ADC{}: discontinuous by more than one", n + 1);
+            return self.say(Grade::Unmodelled, text);
+        }
+        if (!last && !discontinuous) || (last && adc.cr2 & 2 != 0) {
+            self.adc_next(n);
+        }
+    }
+}
