@@ -116,6 +116,10 @@ pub enum ObjectKind {
     StateBits,
     /// Why the board last started, as in `Status`.
     ResetReason,
+    /// Of where the last start stopped.
+    Stop(Stop),
+    /// How often the board has started for a reason, a number of `ResetReason`, since power-on.
+    Resets(u8),
     /// Who may write: a number of [`Authority`].
     Authority,
     /// Milliseconds of the sample clock.
@@ -157,6 +161,40 @@ pub enum Authority {
     NoService = 1,
     /// It has.
     Service = 2,
+}
+
+/// The tasks of the board, in the order of their numbers, which begin at 1.
+pub const TASKS: [&str; 11] = [
+    "start",
+    "serial_receive",
+    "sample",
+    "can_receive_0",
+    "can_receive_1",
+    "listen",
+    "supervise",
+    "service",
+    "transmit",
+    "thermometers",
+    "idle",
+];
+
+/// What is known of the place where the last start stopped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stop {
+    /// Program counter of a fault; 0: it was none.
+    ProgramCounter,
+    /// Link register of a fault.
+    LinkRegister,
+    /// CFSR, the status of a fault (Armv7-M manual, B3.2.15).
+    FaultStatus,
+    /// The address at fault, or that of the register that had changed.
+    Address,
+    /// The line of a panic; 0: it was none.
+    Line,
+    /// The end of the name of the file of a panic.
+    File,
+    /// The task that ran, a number of [`TASKS`]; 0: none is known.
+    Task,
 }
 
 /// A counter of [`trueup_link::receiver::Counters`].

@@ -86,11 +86,15 @@ pub enum Fault {
     CalibrationUnfit,
     /// A `Zero` was not taken: the axes are not referenced, or an input is missing.
     ZeroRefused,
+    /// The last start ended by a panic, a hard fault, a stack overflow or a register that had changed.
+    Stopped,
+    /// The board has found its image, its RAM or its CRC unit damaged, and gives no offset.
+    SelfTest,
 }
 
 impl Fault {
     /// Every fault, by its number.
-    pub const ALL: [Self; 27] = [
+    pub const ALL: [Self; 29] = [
         Self::NoCalibration,
         Self::Sensor,
         Self::SamplesMissing,
@@ -118,6 +122,8 @@ impl Fault {
         Self::SourceDead,
         Self::CalibrationUnfit,
         Self::ZeroRefused,
+        Self::Stopped,
+        Self::SelfTest,
     ];
 
     /// Its error code. The upper byte is the class of CiA 301: 31 the supply, 50 hardware of the device, 61 its
@@ -153,6 +159,8 @@ impl Fault {
             Self::SourceDead => 0x7003,
             Self::CalibrationUnfit => 0xFF04,
             Self::ZeroRefused => 0xFF05,
+            Self::Stopped => 0x6103,
+            Self::SelfTest => 0x5005,
         }
     }
 
@@ -175,7 +183,9 @@ impl Fault {
             | Self::Restarted
             | Self::OlderCalibration
             | Self::ExampleConstants
-            | Self::ForeignMachine => 1 << 7,
+            | Self::ForeignMachine
+            | Self::Stopped
+            | Self::SelfTest => 1 << 7,
             // The voltage bit of CiA 301.
             Self::SupplyOff => 1 << 2,
             Self::Sensor
@@ -196,7 +206,7 @@ impl Fault {
 pub struct Faults(u32);
 
 impl Faults {
-    /// A bit each, 0…0x07FF_FFFF: bit n is set for [`Fault::ALL`]`[n]`.
+    /// A bit each, 0…0x1FFF_FFFF: bit n is set for [`Fault::ALL`]`[n]`.
     #[must_use]
     pub const fn bits(self) -> u32 {
         self.0
@@ -229,6 +239,7 @@ impl Faults {
             (Fault::Store, StateBits::STORE_FAILING),
             (Fault::SourceDead, StateBits::SOURCE_DEAD),
             (Fault::CalibrationUnfit, StateBits::CALIBRATION_UNFIT),
+            (Fault::SelfTest, StateBits::SELF_TEST),
         ]
         .into_iter()
         .fold(StateBits::default(), bit)

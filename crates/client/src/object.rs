@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail};
+pub use trueup_canopen::dictionary::TASKS;
 use trueup_canopen::sdo::client::{At, Download, Progress, Upload};
 use trueup_link::{frame::Frame, slcan::Event};
 
@@ -22,6 +23,15 @@ pub const FAULTS: At = (0x2001, 4);
 pub const STATE_BITS: At = (0x2001, 6);
 /// Why the board last started.
 pub const RESET_REASON: At = (0x2001, 7);
+/// Where the last start stopped: program counter, link register, CFSR, address, and a panic's line.
+pub const STOP: [At; 5] = [(0x2002, 1), (0x2002, 2), (0x2002, 3), (0x2002, 4), (0x2002, 5)];
+/// The end of the name of a panic's file.
+pub const STOP_FILE: At = (0x2002, 6);
+/// The task that ran when the last start stopped: a number of
+/// [`TASKS`], 0 if it is not known.
+pub const STOP_TASK: At = (0x2002, 7);
+/// How often the board has started since power-on: the first of the reasons.
+pub const RESETS: At = (0x2003, 1);
 /// Who may write: a number of [`Authority`](trueup_canopen::dictionary::Authority).
 pub const AUTHORITY: At = (0x2001, 8);
 /// Whether a reference is in force.

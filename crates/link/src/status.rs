@@ -151,8 +151,10 @@ impl StateBits {
     pub const SOURCE_DEAD: Self = Self(1 << 12);
     /// What is measured no longer fits the calibration.
     pub const CALIBRATION_UNFIT: Self = Self(1 << 13);
+    /// The board has found itself damaged: its image, its RAM or its CRC unit. It gives no offset.
+    pub const SELF_TEST: Self = Self(1 << 14);
     /// Every bit that has a meaning, with its word.
-    pub const WORDS: [(Self, &'static str); 14] = [
+    pub const WORDS: [(Self, &'static str); 15] = [
         (Self::RESTARTED, "restarted"),
         (Self::HEAT_UNKNOWN, "heat-unknown"),
         (Self::OLDER_CALIBRATION, "older-calibration"),
@@ -167,6 +169,7 @@ impl StateBits {
         (Self::STORE_FAILING, "store-failing"),
         (Self::SOURCE_DEAD, "source-dead"),
         (Self::CALIBRATION_UNFIT, "calibration-unfit"),
+        (Self::SELF_TEST, "self-test"),
     ];
 
     /// These bits, and `other` if `condition` holds.
@@ -205,9 +208,16 @@ pub enum ResetReason {
     HardFault = 7,
     /// The crystal stopped.
     Crystal = 8,
+    /// The stack ran into its guard.
+    StackOverflow = 9,
+    /// A register of the chip was found other than it was set up.
+    Registers = 10,
 }
 
 impl ResetReason {
+    /// How many there are; the numbers on the wire are those below.
+    pub const COUNT: usize = 11;
+
     /// The reason with this number on the wire.
     #[must_use]
     pub const fn from_wire(number: u16) -> Option<Self> {
@@ -221,6 +231,8 @@ impl ResetReason {
             6 => Self::Panic,
             7 => Self::HardFault,
             8 => Self::Crystal,
+            9 => Self::StackOverflow,
+            10 => Self::Registers,
             _ => return None,
         })
     }
@@ -238,6 +250,8 @@ impl ResetReason {
             Self::Panic => "panic",
             Self::HardFault => "hard-fault",
             Self::Crystal => "crystal",
+            Self::StackOverflow => "stack-overflow",
+            Self::Registers => "registers",
         }
     }
 }

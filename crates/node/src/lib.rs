@@ -5,7 +5,8 @@
 //!   CNC, master ── frames ──► node ── frames ──► CNC, master
 //!                 samples ──►  │
 //!          core: the law ◄─────┤
-//!          canopen, store ◄────┘          vectors ──► random inputs of a node, for a checksum
+//!          canopen, store ◄────┤
+//!                 start ◄──────┘          vectors ──► random inputs of a node, for a checksum
 //! ```
 //!
 //! Nothing here touches hardware, allocates, reads a clock, or panics on any input.
@@ -18,4 +19,5 @@
 extern crate std;
 
 pub mod node;
+pub mod start;
 pub mod vectors;

@@ -31,6 +31,8 @@ use trueup_link::{
 };
 use trueup_store::load::{Load, Outcome, Slot};
 
+use crate::start::Start;
+
 mod master;
 mod network;
 mod objects;
@@ -84,7 +86,7 @@ pub struct Node<'a> {
     status_item: u8,
     status_counter: u8,
     last_refused: Reason,
-    reset_reason: ResetReason,
+    start: Start,
     free_stack: u16,
     restart: bool,
     degraded: bool,
@@ -137,7 +139,7 @@ impl<'a> Node<'a> {
             status_item: 0,
             status_counter: 0,
             last_refused: Reason::None,
-            reset_reason: ResetReason::Unknown,
+            start: Start::default(),
             free_stack: u16::MAX,
             restart: false,
             degraded,
@@ -178,7 +180,12 @@ impl<'a> Node<'a> {
 
     /// Notes why the board last started.
     pub fn note_reset(&mut self, reason: ResetReason) {
-        self.reset_reason = reason;
+        self.start.reason = reason;
+    }
+
+    /// Notes where the last start stopped, and how often the board has started.
+    pub fn note_start(&mut self, start: Start) {
+        self.start = start;
     }
 
     /// Notes how many bytes of the stack were never used.

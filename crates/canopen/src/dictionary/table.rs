@@ -4,7 +4,9 @@ use trueup_link::layout::{
     EMERGENCY_ID, EMERGENCY_INHIBIT_MS, HEARTBEAT_PERIOD_MS, SDO_ANSWER_ID, SDO_REQUEST_ID,
 };
 
-use super::{Access, Counter, DIGITS, ELONGATION_INPUT, Entry, Object, ObjectKind, Shape, Type};
+use super::{
+    Access, Counter, DIGITS, ELONGATION_INPUT, Entry, Object, ObjectKind, Shape, Stop, Type,
+};
 
 const fn constant(subindex: u8, name: &'static str, kind: Type, number: u32) -> Entry {
     let what = ObjectKind::Fixed(number);
@@ -83,6 +85,9 @@ const fn status(subindex: u8, name: &'static str) -> Entry {
 }
 const fn value(subindex: u8, name: &'static str) -> Entry {
     read(subindex, name, Type::I32, ObjectKind::Input(subindex.saturating_sub(1)))
+}
+const fn resets(subindex: u8, name: &'static str) -> Entry {
+    read(subindex, name, Type::U16, ObjectKind::Resets(subindex.saturating_sub(1)))
 }
 const fn error(subindex: u8, name: &'static str) -> Entry {
     read(subindex, name, Type::U32, ObjectKind::Error(subindex.saturating_sub(1)))
@@ -188,6 +193,38 @@ pub const OBJECTS: &[Object] = &[
             read(6, "State bits", Type::U32, ObjectKind::StateBits),
             read(7, "Reason of the last reset", Type::U8, ObjectKind::ResetReason),
             read(8, "Who may write", Type::U8, ObjectKind::Authority),
+        ],
+    ),
+    record(
+        0x2002,
+        "Where the last start stopped",
+        &[
+            count(7),
+            read(1, "Program counter", Type::U32, ObjectKind::Stop(Stop::ProgramCounter)),
+            read(2, "Link register", Type::U32, ObjectKind::Stop(Stop::LinkRegister)),
+            read(3, "Fault status (CFSR)", Type::U32, ObjectKind::Stop(Stop::FaultStatus)),
+            read(4, "Address", Type::U32, ObjectKind::Stop(Stop::Address)),
+            read(5, "Line", Type::U32, ObjectKind::Stop(Stop::Line)),
+            read(6, "File", Type::Text, ObjectKind::Stop(Stop::File)),
+            read(7, "Task", Type::U8, ObjectKind::Stop(Stop::Task)),
+        ],
+    ),
+    array(
+        0x2003,
+        "Starts since power-on",
+        &[
+            count(11),
+            resets(1, "For an unknown reason"),
+            resets(2, "By the supply"),
+            resets(3, "By the reset pin"),
+            resets(4, "By the watchdog"),
+            resets(5, "As a master asked"),
+            resets(6, "After a brown-out"),
+            resets(7, "After a panic"),
+            resets(8, "After a hard fault"),
+            resets(9, "After the crystal stopped"),
+            resets(10, "After a stack overflow"),
+            resets(11, "After a register had changed"),
         ],
     ),
     record(

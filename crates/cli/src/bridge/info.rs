@@ -1,6 +1,9 @@
 //! `trueup bridge info`: who the bridge is, what it runs on, and how it is.
 
-use std::time::{Duration, Instant};
+use std::{
+    collections::BTreeMap,
+    time::{Duration, Instant},
+};
 
 use anyhow::{Result, bail};
 use serde_json::{Value, json};
@@ -75,7 +78,11 @@ struct Objects {
     has_reference: bool,
     faults: Vec<&'static str>,
     state: Vec<&'static str>,
-    reset: &'static str,
+    reset: ResetReason,
+    /// What it left behind, in words; empty: nothing.
+    stop: String,
+    /// How often it has started since power-on, and why.
+    resets: Vec<(&'static str, u32)>,
 }
 
 impl Objects {
@@ -92,8 +99,9 @@ impl Objects {
             reset: u16::try_from(object::number(session, object::RESET_REASON)?)
                 .ok()
                 .and_then(ResetReason::from_wire)
-                .unwrap_or_default()
-                .word(),
+                .unwrap_or_default(),
+            stop: stop(session)?,
+            resets: resets(session)?,
         })
     }
 
@@ -108,6 +116,42 @@ impl Objects {
             crc => format!("CRC {crc:08x}{new}"),
         }
     }
+}
+
+/// Where the last start stopped, in words that follow its reason; empty: nothing is known of it.
+fn stop(session: &mut Session) -> Result<String> {
+    let mut numbers = [0; 5];
+    for (number, at) in numbers.iter_mut().zip(object::STOP) {
+        *number = object::number(session, at)?;
+    }
+    let [pc, lr, status, address, line] = numbers;
+    let mut words = String::new();
+    if line != 0 {
+        words += &format!(" at {}:{line}", object::text(session, object::STOP_FILE)?);
+    }
+    if pc != 0 || status != 0 {
+        words += &format!(" at pc {pc:#010x}, lr {lr:#010x}, CFSR {status:#010x}");
+    }
+    if address != 0 {
+        words += &format!(", address {address:#010x}");
+    }
+    let task = usize::try_from(object::number(session, object::STOP_TASK)?)?;
+    if let Some(task) = task.checked_sub(1).and_then(|at| object::TASKS.get(at)) {
+        words += &format!(", in task {task}");
+    }
+    Ok(words)
+}
+
+/// The reasons for which the board has started since power-on, and how often.
+fn resets(session: &mut Session) -> Result<Vec<(&'static str, u32)>> {
+    let (index, first) = object::RESETS;
+    let mut all = Vec::new();
+    for (number, subindex) in (0..).zip(first..).take(ResetReason::COUNT) {
+        let count = object::number(session, (index, subindex))?;
+        let word = ResetReason::from_wire(number).unwrap_or_default().word();
+        all.extend((count > 0).then_some((word, count)));
+    }
+    Ok(all)
 }
 
 /// Asks the bridge at `port` and prints what it says.
@@ -155,7 +199,10 @@ impl Info {
         all["has_reference"] = json!(objects.map(|it| it.has_reference));
         all["faults"] = json!(objects.map(|it| &it.faults));
         all["state"] = json!(objects.map(|it| &it.state));
-        all["reset_reason"] = json!(objects.map(|it| it.reset));
+        all["reset_reason"] = json!(objects.map(|it| it.reset.word()));
+        all["reset_at"] = json!(objects.map(|it| &it.stop).filter(|stop| !stop.is_empty()));
+        all["resets"] =
+            json!(objects.map(|it| it.resets.iter().copied().collect::<BTreeMap<_, _>>()));
         all
     }
 
@@ -180,6 +227,8 @@ impl Info {
         output::print(format_args!("faults       {faults}"))?;
         let state = if it.state.is_empty() { "all well".into() } else { it.state.join(" ") };
         output::print(format_args!("state        {state}"))?;
-        output::print(format_args!("last reset   {}", it.reset))
+        output::print(format_args!("last reset   {}{}", it.reset.word(), it.stop))?;
+        let resets = it.resets.iter().map(|(word, count)| format!("{word} {count}"));
+        output::print(format_args!("starts       {}", resets.collect::<Vec<_>>().join(", ")))
     }
 }

@@ -1,7 +1,7 @@
 //! What stands behind the object dictionary: the node's own values.
 
 use trueup_canopen::{
-    dictionary::{Authority, Counter, ELONGATION_INPUT, FORGET, NOT_AVAILABLE, ObjectKind},
+    dictionary::{Authority, Counter, ELONGATION_INPUT, FORGET, NOT_AVAILABLE, ObjectKind, Stop},
     sdo::{Abort, ObjectValue, Objects},
 };
 use trueup_core::{
@@ -77,7 +77,9 @@ impl Node<'_> {
             ObjectKind::Age => self.last.age_ms.into(),
             ObjectKind::Faults => self.faults(&self.last).low_bits().into(),
             ObjectKind::StateBits => self.faults(&self.last).state().0,
-            ObjectKind::ResetReason => self.reset_reason as u32,
+            ObjectKind::ResetReason => self.start.reason as u32,
+            ObjectKind::Stop(what) => self.start.stop.number(what).ok_or(Abort::NoData)?,
+            ObjectKind::Resets(reason) => self.start.resets(reason).into(),
             ObjectKind::Authority => self.master.authority() as u32,
             ObjectKind::Clock => self.now.0,
             ObjectKind::ReferenceElongation => nanometres(reference.elongation),
@@ -125,7 +127,7 @@ impl Node<'_> {
                 faults: self.faults(&self.last).low_bits(),
             },
             8 => Item::State(self.faults(&self.last).state()),
-            9 => Item::Reset { reason: self.reset_reason, free_stack: self.free_stack },
+            9 => Item::Reset { reason: self.start.reason, free_stack: self.free_stack },
             _ => Item::Calibration(if self.blob.is_empty() { 0 } else { identity(self.blob) }),
         }
     }
@@ -154,6 +156,7 @@ impl Objects for Node<'_> {
     fn read(&self, what: ObjectKind) -> Result<ObjectValue<'_>, Abort> {
         Ok(ObjectValue::Bytes(match what {
             ObjectKind::Text(text) => text.as_bytes(),
+            ObjectKind::Stop(Stop::File) => self.start.stop.file(),
             ObjectKind::Running if !self.blob.is_empty() => self.blob,
             ObjectKind::New => self.slot.stored().ok_or(Abort::NoData)?,
             number => return self.number(number).map(ObjectValue::Number),

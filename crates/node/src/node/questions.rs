@@ -18,18 +18,25 @@ impl Node<'_> {
         self.bar();
     }
 
+    /// The board has found itself damaged: nothing is available until it starts anew and is not.
+    pub fn bar_damaged(&mut self) {
+        self.note(Fault::SelfTest);
+        self.bar();
+    }
+
     /// The question that was answered last, once.
     pub fn take_confirmed(&mut self) -> Option<Fault> {
         self.confirmed.take()
     }
 
     /// What is barred is not available: until the engage sequence is complete, the questions are
-    /// answered, and the constants are somebody's.
+    /// answered, the constants are somebody's, and the board is not damaged.
     pub(super) fn bar(&mut self) {
         let asks = [Fault::ForeignMachine, Fault::OlderCalibration];
         let barred = !self.master.is_started()
             || asks.into_iter().any(|question| self.questions.has(question))
-            || self.board_faults.has(Fault::ExampleConstants);
+            || self.board_faults.has(Fault::ExampleConstants)
+            || self.board_faults.has(Fault::SelfTest);
         self.state.bar(barred);
     }
 

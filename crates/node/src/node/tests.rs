@@ -1,6 +1,7 @@
 //! What a CANopen master has of a node: its heartbeat, emergencies, objects, and a calibration.
 
 use super::*;
+use crate::start::{Start, Stop};
 use std::{boxed::Box, vec, vec::Vec};
 use trueup_canopen::{
     dictionary::{Access, FORGET, OBJECTS, Type},
@@ -136,6 +137,23 @@ fn every_object_that_can_be_read_is_answered_with_its_type() {
             }
         }
     }
+}
+
+#[test]
+fn how_the_last_start_ended_is_read_by_a_master() {
+    let (blob, mut buffer) = (blob(), vec![0; MAX_SIZE]);
+    let mut node = whole(&blob, &mut buffer);
+    let mut start = Start { reason: ResetReason::Panic, ..Start::default() };
+    start.stop = Stop { pc: 0x0800_1234, lr: 5, status: 0x200, address: 6, line: 77, ..start.stop };
+    start.stop.task = 3;
+    start.stop.file[20..].copy_from_slice(b"a.rs");
+    start.counts[ResetReason::Panic as usize] = 2;
+    node.note_start(start);
+    let numbers = [1, 2, 3, 4, 5, 7].map(|sub| read(&mut node, 0x2002, sub));
+    assert_eq!(numbers, [0x0800_1234, 5, 0x200, 6, 77, 3].map(Ok));
+    assert_eq!(read_domain(&mut node, 0x2002, 6), b"a.rs");
+    assert_eq!(read(&mut node, 0x2001, 7), Ok(6));
+    assert_eq!([6, 7, 8].map(|sub| read(&mut node, 0x2003, sub)), [0, 2, 0].map(Ok));
 }
 
 #[test]

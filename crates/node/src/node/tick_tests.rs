@@ -211,6 +211,15 @@ fn example_constants_are_never_live() {
 }
 
 #[test]
+fn a_damaged_board_is_never_live_and_says_so() {
+    let mut node = started();
+    node.bar_damaged();
+    after((0..200).map(|_| (Line::Can, Control::ENGAGED)), &mut node);
+    assert_eq!((node.last().quality, node.last().offset), (Quality::Fault, None));
+    assert!(state(&node).contains(trueup_link::status::StateBits::SELF_TEST));
+}
+
+#[test]
 fn a_master_on_another_line_is_told_and_has_no_effect() {
     let mut node = started();
     let zero = |n: u32| Control { zero: n % 14 < 7, ..Control::REFERENCED };
