@@ -15,7 +15,7 @@ use anyhow::{Context as _, Result, bail};
 use clap::{Args, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use trueup_checks::{
-    structure,
+    campaign, structure,
     verify::{self, Tier},
 };
 use trueup_demo::{
@@ -81,6 +81,16 @@ enum Command {
         /// Draws of each effect.
         #[arg(default_value_t = 20)]
         seeds: u32,
+    },
+    /// Lets the simulated bridge live through faults and restarts for a thousand million ticks, 12 days of
+    /// a board.
+    Soak {
+        /// How many ticks of a millisecond.
+        #[arg(long, default_value_t = 1_000_000_000)]
+        ticks: u64,
+        /// The first seed, each lives for ten minutes; the one that a failure has printed repeats it.
+        #[arg(long, default_value_t = 1_000)]
+        seed: u32,
     },
     /// Counts circles of files, long files, and places that name one cause; fails above the limits.
     Structure,
@@ -179,6 +189,7 @@ fn main() -> ExitCode {
         Command::Size => size::report().map(|report| print!("{report}")),
         Command::Measure => measure::run(measure::VECTORS).and_then(|measured| measured.publish()),
         Command::Scorecard { seeds } => verify::scorecard(seeds),
+        Command::Soak { ticks, seed } => campaign::soak(ticks, seed),
         Command::Structure => structure::check(&setup::root()).map(|report| print!("{report}")),
         Command::Setup => setup::everything(),
     };

@@ -3,9 +3,11 @@
 //!
 //! ```text
 //!  verify ─► structure, supply_chain, test_run ─► tally
+//!  campaign: soak
 //! ```
 #![forbid(unsafe_code)]
 
+pub mod campaign;
 mod cargo;
 pub mod structure;
 mod supply_chain;

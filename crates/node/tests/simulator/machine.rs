@@ -3,7 +3,8 @@
 
 use trueup_core::{
     calibration::{
-        Calibration, ElongationSource, Names, SpindleModel, SpindleTemperature, SpindleWarmup,
+        AxisModel, Calibration, ElongationSource, Names, SpindleModel, SpindleTemperature,
+        SpindleWarmup,
     },
     cnc::{Control, Output, Spindle},
     dimensions::CHANNELS,
@@ -18,6 +19,8 @@ use trueup_core::{
     warmup::Warmup,
 };
 use trueup_link::{frame::Frame, frames, receiver::OffsetReceiver};
+
+use crate::axis::pitch;
 
 /// The largest offset on an axis, nm, and the slew limit, nm in a millisecond.
 pub const MAX_NM: i32 = 15_000;
@@ -41,8 +44,8 @@ fn pieces() -> &'static [[u8; 20]] {
     Box::leak(Box::new([piece.to_bytes()]))
 }
 
-/// A sensor, then a temperature with a lag, then running time.
-pub fn calibration() -> Calibration<'static> {
+/// A sensor, then a temperature with a lag, then running time; and one of the two tables of X.
+pub fn calibration(table: usize) -> Calibration<'static> {
     let mut thermometers = [None; CHANNELS];
     // One count a kelvin.
     thermometers[2] = Some(Thermometer::Linear { zero: 0, slope: 16_000, shift: 0 });
@@ -82,7 +85,11 @@ pub fn calibration() -> Calibration<'static> {
             warmup: Some(warmup),
         },
         kinematics: Kinematics { zero: Direction::DOWN, axes: [None; 2] },
-        axes: Default::default(),
+        axes: [
+            AxisModel { pitch: Some(pitch(table)), ..AxisModel::default() },
+            AxisModel::default(),
+            AxisModel::default(),
+        ],
         straightness: Default::default(),
         squareness: Default::default(),
         terms: Default::default(),

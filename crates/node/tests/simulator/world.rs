@@ -5,7 +5,7 @@
 //! CNC is written from the README.
 
 use trueup_core::{
-    bridge::Input,
+    bridge::{Input, Reference},
     channels::RawTemperatures,
     cnc::{Control, Output, Quality},
     dimensions::{CHANNELS, CODES_PER_TICK},
@@ -19,8 +19,11 @@ use trueup_node::{
 };
 use trueup_store::retained::{self, Copies, SIZE};
 
+mod judge;
+
+use crate::axis::Axis;
 use crate::machine::{
-    Cnc, GrowingSpindle, MAX_NM, NM_PER_CODE, SLEW_NM_PER_MS, WIRE_NM, ZERO_CODE, calibration,
+    Cnc, GrowingSpindle, NM_PER_CODE, SLEW_NM_PER_MS, WIRE_NM, ZERO_CODE, calibration,
 };
 
 /// What is wrong, for a while.
@@ -36,6 +39,7 @@ pub enum Fault {
     FewBlocks,
     ThermometerOpen,
     BothOpen,
+    PositionsStop,
     CncSilent,
     CncLetsGo,
     DamagedFrames,
@@ -44,7 +48,7 @@ pub enum Fault {
     OtherLine,
 }
 
-const FAULTS: [Fault; 16] = [
+const FAULTS: [Fault; 17] = [
     Fault::None,
     Fault::SensorOpen,
     Fault::SensorShort,
@@ -55,6 +59,7 @@ const FAULTS: [Fault; 16] = [
     Fault::FewBlocks,
     Fault::ThermometerOpen,
     Fault::BothOpen,
+    Fault::PositionsStop,
     Fault::CncSilent,
     Fault::CncLetsGo,
     Fault::DamagedFrames,
@@ -70,12 +75,22 @@ pub struct Seen {
     pub restarts: u32,
     pub power_cuts: u32,
     pub zeros: u32,
+    /// Starts with another table.
+    pub tables: u32,
     /// Ticks of each quality.
     pub qualities: [u64; 7],
     /// The largest difference between offset and error while live and not on its way, in nm.
     pub worst_live_nm: i32,
     /// FNV-1a over everything that was sent.
     pub checksum: u64,
+}
+
+/// What `Zero` has taken last, as the machine was.
+#[derive(Clone, Copy, Debug)]
+struct Zeroed {
+    reference: Reference,
+    /// Growth and error of X in nm; `None`: a fall-back was in use.
+    truth_nm: Option<[f64; 2]>,
 }
 
 /// A world and its bridge.
@@ -85,6 +100,17 @@ pub struct World {
     node: Node<'static>,
     ram: Box<Copies>,
     spindle: GrowingSpindle,
+    axis: Axis,
+    /// Which table is loaded.
+    table: usize,
+    /// What `Zero` has taken with each.
+    zeroed: [Zeroed; 2],
+    /// Since a block of samples, a set of temperatures, a `Control` that was believed, in ms.
+    block_ms: u32,
+    temperatures_ms: u32,
+    control_ms: u32,
+    /// Milliseconds without a block that the node was not told of yet: its clock is so much behind.
+    untold_ms: u32,
     cnc: Cnc,
     fault: Fault,
     fault_ms: u32,
@@ -104,8 +130,6 @@ pub struct World {
     has_kept: bool,
     /// Frames in which the CNC still says `Zero`.
     zero_frames: u32,
-    /// What `Zero` has taken last, as the machine was, in nm; `None`: a fall-back was in use.
-    reference_nm: Option<f64>,
     pub seen: Seen,
 }
 
@@ -115,9 +139,16 @@ impl World {
         Self {
             seed,
             random,
-            node: Node::new(Some(calibration()), false),
+            node: Node::new(Some(calibration(0)), false),
             ram: Box::new([[0; SIZE]; 2]),
             spindle: GrowingSpindle { heat: 0.0, runs: true },
+            axis: Axis::default(),
+            table: 0,
+            zeroed: [Zeroed { reference: Reference::default(), truth_nm: Some([0.0; 2]) }; 2],
+            block_ms: 0,
+            temperatures_ms: 0,
+            control_ms: 0,
+            untold_ms: 0,
             cnc: Cnc::new(),
             fault: Fault::None,
             fault_ms: 5_000,
@@ -131,7 +162,6 @@ impl World {
             joined: None,
             has_kept: false,
             zero_frames: 0,
-            reference_nm: Some(0.0),
             seen: Seen { checksum: 0xcbf2_9ce4_8422_2325, ..Seen::default() },
         }
     }
@@ -184,6 +214,8 @@ impl World {
         self.fault_ms = 200 + self.random.below(if is_well { 6_000 } else { 9_000 });
         self.began = self.seen.ticks;
         self.spindle.runs = !self.chance(4);
+        let drawn = self.random.next() >> 8;
+        self.axis.turn(drawn);
         self.cnc.wants = self.fault != Fault::CncLetsGo;
     }
 
@@ -196,9 +228,14 @@ impl World {
                 *byte = self.random.next().to_le_bytes()[1];
             }
         }
-        let reference = self.node.reference();
-        self.node = Node::new(Some(calibration()), false);
-        self.node.set_reference(reference);
+        // A calibration that was loaded counts from the next start; a reference belongs to its own.
+        if self.chance(3) {
+            self.seen.tables += 1;
+            self.table = 1 - self.table;
+        }
+        self.node = Node::new(Some(calibration(self.table)), false);
+        self.node.set_reference(self.zeroed[self.table].reference);
+        self.axis.forget();
         let kept = retained::load(&self.ram);
         // Nothing has been kept since the last cut, or all of it is lost.
         self.has_kept &= !cut;
@@ -214,7 +251,11 @@ impl World {
 
     /// What the CNC and strangers send in this millisecond.
     fn speak(&mut self) {
-        if !self.seen.ticks.is_multiple_of(20) || self.fault == Fault::CncSilent {
+        if self.fault == Fault::CncSilent {
+            return;
+        }
+        self.speak_of_the_axis();
+        if !self.seen.ticks.is_multiple_of(20) {
             return;
         }
         if self.zero_frames == 0 && self.chance(400) {
@@ -223,16 +264,14 @@ impl World {
         let zero = self.zero_frames > 0;
         self.zero_frames = self.zero_frames.saturating_sub(1);
         let (mut control, spindle) = (self.cnc.control(zero), self.cnc.spindle(self.spindle.runs));
-        let lost = self.fault == Fault::LostFrames && self.chance(3);
-        if self.fault == Fault::DamagedFrames && self.chance(3) {
-            let mut data = *control.data();
-            data[self.random.below(8) as usize] ^= 1 << self.random.below(8);
-            control = Frame::new(control.id(), &data).expect("8 bytes");
-        }
-        if !lost {
+        if let Some(arrived) = self.carry(control) {
+            control = arrived;
             let before = self.node.reference();
             let heard = self.node.hear(Line::Can, &control);
             let said = frames::decode_control(&control).expect("its own length");
+            if heard.is_ok() {
+                self.control_ms = 0;
+            }
             match heard {
                 Ok(_) if !said.engage => self.released += 1,
                 Ok(_) => {
@@ -248,7 +287,10 @@ impl World {
                 let is_live = self.node.last().quality == Quality::Live
                     && self.fault == Fault::None
                     && self.lasts_ms() > 500;
-                self.reference_nm = is_live.then(|| self.spindle.grown_nm());
+                let truth_nm = || Some([self.spindle.grown_nm(), self.axis.error_nm(self.table)?]);
+                let truth_nm = is_live.then(truth_nm).flatten();
+                let reference = self.node.reference();
+                self.zeroed[self.table] = Zeroed { reference, truth_nm };
             }
             self.node.hear(Line::Can, &spindle).ok();
         }
@@ -261,14 +303,45 @@ impl World {
         let control = Control { engage, zero: true, ..Control::REFERENCED };
         let counter = self.cnc.counters[0].wrapping_add(self.random.below(4) as u8);
         let before = self.node.reference();
-        self.node.hear(stranger, &frames::control(control, counter)).ok();
+        let heard = self.node.hear(stranger, &frames::control(control, counter));
+        if heard.is_ok_and(|heard| heard.is_some()) {
+            self.control_ms = 0;
+        }
         assert_eq!(self.node.reference(), before, "a stranger takes a Zero: {}", self.place());
+    }
+
+    /// What of a frame arrives.
+    fn carry(&mut self, frame: Frame) -> Option<Frame> {
+        let is_hit = self.chance(3);
+        match self.fault {
+            Fault::LostFrames if is_hit => None,
+            Fault::DamagedFrames if is_hit => {
+                let mut data = *frame.data();
+                data[self.random.below(8) as usize] ^= 1 << self.random.below(8);
+                Some(Frame::new(frame.id(), &data).expect("8 bytes"))
+            }
+            _ => Some(frame),
+        }
+    }
+
+    fn speak_of_the_axis(&mut self) {
+        if let Some(frame) = self.axis.speak(self.seen.ticks)
+            && self.fault != Fault::PositionsStop
+            && let Some(frame) = self.carry(frame)
+            && self.node.hear(Line::Can, &frame).is_ok_and(|heard| heard.is_some())
+        {
+            self.axis.was_heard();
+        }
     }
 
     /// A millisecond.
     pub fn tick(&mut self) {
         self.seen.ticks += 1;
         self.since_start_ms += 1;
+        for age in [&mut self.block_ms, &mut self.temperatures_ms, &mut self.control_ms] {
+            *age = age.saturating_add(1);
+        }
+        self.axis.live();
         self.next_fault();
         self.spindle.live();
         if self.chance(40_000) {
@@ -286,10 +359,13 @@ impl World {
             let temperatures = phase == 5 || self.fault == Fault::FewBlocks;
             let temperatures = temperatures.then_some(&raw);
             self.one(1, Input { codes: Some(&codes), speed: None, temperatures });
+        } else {
+            self.untold_ms += 1;
         }
         if phase == 9
             && let Some(behind_ms) = self.node.catch_up(10)
         {
+            self.untold_ms = 0;
             self.one(behind_ms, Input { temperatures: Some(&raw), ..Input::default() });
         }
         if self.seen.ticks.is_multiple_of(1_000) {
@@ -303,6 +379,12 @@ impl World {
     }
 
     fn one(&mut self, elapsed_ms: u32, input: Input<'_>) {
+        if input.codes.is_some() {
+            self.block_ms = 0;
+        }
+        if input.temperatures.is_some() {
+            self.temperatures_ms = 0;
+        }
         let sent = self.node.tick(elapsed_ms, input);
         for frame in sent.iter().chain(&self.node.service()) {
             for byte in frame.data() {
@@ -322,102 +404,6 @@ impl World {
         self.seen.qualities[output.quality as usize] += 1;
         self.judge(elapsed_ms, &output);
         self.before = Some(output);
-    }
-
-    /// What must hold in every tick, whatever happens.
-    fn judge(&mut self, elapsed_ms: u32, output: &Output) {
-        let place = || {
-            format!("seed {}, tick {}, {:?}: {output:?}", self.seed, self.seen.ticks, self.fault)
-        };
-        let offset = output.offset.map(|offset| offset.map(|axis| axis.0));
-        // Not available and Fault are one.
-        assert_eq!(offset.is_none(), output.quality == Quality::Fault, "{}", place());
-        // Nothing before the engage sequence.
-        if !self.engaged_after_release {
-            assert_eq!(offset, None, "before the engage sequence: {}", place());
-        }
-        let Some(offset) = offset else {
-            self.joined = None;
-            return;
-        };
-        // Limits.
-        assert!(offset.iter().all(|nm| nm.abs() <= MAX_NM), "beyond its limit: {}", place());
-        // No step, whatever comes, goes, or takes over; from "not available" it begins at 0.
-        let before =
-            self.before.and_then(|it| it.offset).map_or([0; 3], |it| it.map(|axis| axis.0));
-        let most = SLEW_NM_PER_MS * elapsed_ms as i32;
-        for (nm, before) in offset.iter().zip(before) {
-            assert!((nm - before).abs() <= most, "a step from {before}: {}", place());
-        }
-        if output.quality == Quality::Off {
-            assert_eq!(offset, [0; 3], "{}", place());
-        }
-        // Live says that the sensor is there.
-        let is_blind = matches!(
-            self.fault,
-            Fault::SensorOpen
-                | Fault::BothOpen
-                | Fault::SensorShort
-                | Fault::SensorRail
-                | Fault::NoBlocks
-                | Fault::FewBlocks
-        );
-        // After a start it has to be found anew.
-        let lasts = self.lasts_ms().min(self.since_start_ms);
-        if is_blind && lasts > 50 || self.fault == Fault::SensorStuck && lasts > 250 {
-            assert_ne!(output.quality, Quality::Live, "blind for {lasts} ms: {}", place());
-            assert_ne!(output.flags.0 & 0x0C, 0, "not told: {}", place());
-        }
-        // Followed and held end in time.
-        if self.fault == Fault::CncSilent && lasts > 520 {
-            let is_on = matches!(
-                output.quality,
-                Quality::Live | Quality::TemperatureModel | Quality::WarmUpModel
-            );
-            assert!(!is_on, "the CNC is silent for {lasts} ms: {}", place());
-        }
-        if self.fault == Fault::CncSilent && lasts > 2_530 {
-            assert_ne!(output.quality, Quality::Hold, "for {lasts} ms: {}", place());
-        }
-        self.joins(elapsed_ms, output, offset[2]);
-        self.compare(output, offset[2]);
-    }
-
-    /// A change of source leaves the offset where it was, but for what the machine has grown by. (A
-    /// sensor that freezes elsewhere has said so for 200 ms; that is not looked at here.)
-    fn joins(&mut self, elapsed_ms: u32, output: &Output, z_nm: i32) {
-        let is_on = |it: Quality| {
-            matches!(it, Quality::Live | Quality::TemperatureModel | Quality::WarmUpModel)
-        };
-        let before = self.before.map(|it| it.quality);
-        let has_changed = before.is_some_and(|it| it != output.quality && is_on(it));
-        if !is_on(output.quality) || self.fault == Fault::SensorStuck {
-            self.joined = None;
-        } else if has_changed && self.before.is_some_and(|it| it.flags.0 & 0x03 == 0) {
-            self.joined = Some((z_nm, 0));
-        }
-        if let Some((joined_nm, ms)) = self.joined {
-            let moved = (z_nm - joined_nm).abs();
-            // A second of growth of either model, and as much again.
-            assert!(moved <= 2_000, "{moved} nm in {ms} ms of a new source: {}", self.place());
-            self.joined = (ms < 1_000).then_some((joined_nm, ms + elapsed_ms));
-        }
-    }
-
-    /// While it is live, settled and well, the offset is what the machine has grown by.
-    fn compare(&mut self, output: &Output, z_nm: i32) {
-        let is_settled = output.quality == Quality::Live && output.flags.0 & 0x0F == 0;
-        self.well_ms = if is_settled && self.fault == Fault::None { self.well_ms + 1 } else { 0 };
-        if self.well_ms < 1_000 {
-            return;
-        }
-        if let Some(reference_nm) = self.reference_nm {
-            let truth = (self.spindle.grown_nm() - reference_nm).round() as i32;
-            let off = (z_nm - truth).abs();
-            self.seen.worst_live_nm = self.seen.worst_live_nm.max(off);
-            // Noise of a code or so at the reference and now, a tick of growth, half a code of rounding.
-            assert!(off <= 250, "seed {}, tick {}: off by {off} nm", self.seed, self.seen.ticks);
-        }
     }
 
     /// How long the fault has been there.
