@@ -2,6 +2,7 @@
 
 mod heat;
 mod sources;
+mod timeouts;
 
 use super::*;
 use crate::{

@@ -280,18 +280,7 @@ impl World {
                 }
                 Err(_) => self.released = 0,
             }
-            if self.node.reference() != before {
-                self.seen.zeros += 1;
-                self.joined = None;
-                // What was just broken may still be in the filter.
-                let is_live = self.node.last().quality == Quality::Live
-                    && self.fault == Fault::None
-                    && self.lasts_ms() > 500;
-                let truth_nm = || Some([self.spindle.grown_nm(), self.axis.error_nm(self.table)?]);
-                let truth_nm = is_live.then(truth_nm).flatten();
-                let reference = self.node.reference();
-                self.zeroed[self.table] = Zeroed { reference, truth_nm };
-            }
+            self.note_zero(before);
             self.node.hear(Line::Can, &spindle).ok();
         }
         let stranger = match self.fault {
@@ -307,7 +296,29 @@ impl World {
         if heard.is_ok_and(|heard| heard.is_some()) {
             self.control_ms = 0;
         }
-        assert_eq!(self.node.reference(), before, "a stranger takes a Zero: {}", self.place());
+        // Where the CNC asks for it in the same moment, it is the CNC's, whoever's frame completes it.
+        assert!(
+            zero || self.node.reference() == before,
+            "a stranger takes a Zero: {}",
+            self.place()
+        );
+        self.note_zero(before);
+    }
+
+    /// Remembers what a `Zero` has taken, if one has.
+    fn note_zero(&mut self, before: Reference) {
+        let reference = self.node.reference();
+        if reference != before {
+            self.seen.zeros += 1;
+            self.joined = None;
+            // What was just broken may still be in the filter.
+            let is_live = self.node.last().quality == Quality::Live
+                && self.fault == Fault::None
+                && self.lasts_ms() > 500;
+            let truth_nm = || Some([self.spindle.grown_nm(), self.axis.error_nm(self.table)?]);
+            let truth_nm = is_live.then(truth_nm).flatten();
+            self.zeroed[self.table] = Zeroed { reference, truth_nm };
+        }
     }
 
     /// What of a frame arrives.
