@@ -107,9 +107,13 @@ mod app {
         if let Some(buffer) = buffer {
             node.set_buffer(buffer);
         }
-        let (references, reference) = parts.references.unzip();
-        if let Some(reference) = reference.flatten() {
+        let (references, kept) = parts.references;
+        if let Some(reference) = kept.reference {
             node.set_reference(reference);
+        }
+        node.set_writes(references.writes().clone());
+        if !parts.is_example {
+            node.belong(kept.named, parts.chip);
         }
         match retained::load(parts.retained) {
             None if board::COLD_AT_START => {}
@@ -242,6 +246,10 @@ mod app {
             && !it.keep_answer(question, shared.node.lock(|node| node.blob()))
         {
             shared.node.lock(|node| node.note(Fault::Store));
+        }
+        while let Some(write) = shared.node.lock(Node::take_write) {
+            let stored = it.keep_write(&write);
+            shared.node.lock(|node| node.end_write(&write, stored));
         }
         if shared.node.lock(Node::take_restart) {
             defmt::info!("restart, as a CANopen master asks");

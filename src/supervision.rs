@@ -9,6 +9,7 @@ use trueup_store::{
     load::{Load, Outcome},
     reference::References,
     retained,
+    writes::Write,
 };
 
 use crate::board::{Flash, Lamp, Store, Watchdog, references};
@@ -23,8 +24,7 @@ const STUCK_MS: u32 = 1_000;
 pub struct Supervision {
     watchdog: Watchdog,
     lamp: Lamp,
-    /// `None` without a calibration: nothing can be stored then.
-    references: Option<References<Flash>>,
+    references: References<Flash>,
     /// Where a loaded calibration is kept.
     store: Option<Store>,
     /// What outlasts a reset.
@@ -38,7 +38,7 @@ impl Supervision {
     pub fn new(
         watchdog: Watchdog,
         lamp: Lamp,
-        references: Option<References<Flash>>,
+        references: References<Flash>,
         store: Option<Store>,
         retained: &'static mut retained::Copies,
     ) -> Self {
@@ -99,10 +99,12 @@ impl Supervision {
 
     /// Stores what a `Zero` has taken; `false`: it was not stored.
     pub fn keep(&mut self, zero: Option<Zero>) -> bool {
-        match (&mut self.references, zero) {
-            (Some(references), Some(zero)) => references::keep(references, zero),
-            _ => true,
-        }
+        zero.is_none_or(|zero| references::keep(&mut self.references, zero))
+    }
+
+    /// Stores who has written what; gives it with its number, or `None`: it was not stored.
+    pub fn keep_write(&mut self, write: &Write) -> Option<Write> {
+        references::keep_write(&mut self.references, write)
     }
 
     /// On: live; fast: fault; slow: anything else.

@@ -22,7 +22,6 @@
 
 use trueup_canopen::emergency::Fault;
 use trueup_core::{
-    bridge::Reference,
     calibration::Calibration,
     thermometer::Raw,
     units::{Code, Rpm},
@@ -130,13 +129,15 @@ pub struct Parts {
     pub idle: Idle,
     pub thermometers: Thermometers,
     pub calibration: Result<Calibration<'static>, BlobError>,
-    /// The store of references, and the one to start with. `None` without a calibration.
-    pub references: Option<(References<Flash>, Option<Reference>)>,
+    /// The store of references and writes, and what it holds for the start.
+    pub references: (References<Flash>, references::Kept),
     pub faults: Faults,
     /// Why the board has started.
     pub reset: ResetReason,
     /// What `N` answers on the serial line: a hash of the number that the chip has from its factory.
     pub number: u16,
+    /// The number that the chip has from its factory, the lowest word first.
+    pub chip: [u32; 3],
     /// The bytes of the calibration in use; empty without one.
     pub blob: &'static [u8],
     /// The calibration that was loaded last is damaged, and this is an older one.

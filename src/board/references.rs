@@ -1,17 +1,21 @@
-//! The stored references: opened at the start, added to by `Zero`, and every step of it in the log.
+//! The stored references and writes: opened at the start, added to by `Zero` and by whoever writes, and every
+//! step of it in the log.
 //!
 //! A store that fails costs the reference of the next start, never an offset of this one.
 
 use embedded_storage::nor_flash::NorFlash;
 use trueup_core::bridge::Reference;
 use trueup_node::node::Zero;
-use trueup_store::reference::{Found, References};
+use trueup_store::{
+    reference::{Found, References},
+    writes::Write,
+};
 
-/// Opens the store, makes room in it, and gives the reference to start with. An erase may be needed
+/// Opens the store, makes room in it, and gives what it holds for the start. An erase may be needed
 /// for that, so this is for the time before samples are taken and the watchdog runs.
-pub fn open<F: NorFlash>(flash: F, calibration: u32) -> (References<F>, Option<Reference>) {
+pub fn open<F: NorFlash>(flash: F, calibration: u32) -> (References<F>, Kept) {
     let (mut references, found) = References::open(flash, calibration);
-    let Found { reference, foreign, damaged } = found;
+    let Found { reference, named, foreign, damaged } = found;
     match reference {
         Some((number, reference)) => say(number, &reference, "taken up"),
         None => defmt::info!("no reference is stored for this calibration"),
@@ -27,7 +31,16 @@ pub fn open<F: NorFlash>(flash: F, calibration: u32) -> (References<F>, Option<R
         Ok(true) => defmt::info!("room made for references"),
         Err(error) => defmt::error!("dead: store of references, {}", Text(&error)),
     }
-    (references, reference.map(|(_, reference)| reference))
+    (references, Kept { reference: reference.map(|(_, reference)| reference), named })
+}
+
+/// What the store holds for the start.
+#[derive(Clone, Copy, Default)]
+pub struct Kept {
+    /// The reference to start with.
+    pub reference: Option<Reference>,
+    /// The machine that the board belongs to, as `trueup_store::writes::identity` has it.
+    pub named: Option<u32>,
 }
 
 /// Stores what a `Zero` has taken; `false`: it is not stored.
@@ -48,6 +61,21 @@ pub fn keep<F: NorFlash>(references: &mut References<F>, zero: Zero) -> bool {
                 false
             }
         },
+    }
+}
+
+/// Stores who has written what; gives it with its number, or `None`: it is not stored.
+pub fn keep_write<F: NorFlash>(references: &mut References<F>, write: &Write) -> Option<Write> {
+    let word = write.what.word();
+    match references.append_write(write) {
+        Ok(stored) => {
+            defmt::info!("write {=u32}: {=str} {=u32:#x}", stored.sequence, word, write.about);
+            Some(stored)
+        }
+        Err(error) => {
+            defmt::error!("write NOT stored: {=str}, {}", word, Text(&error));
+            None
+        }
     }
 }
 

@@ -108,8 +108,8 @@ pub fn start(_core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts {
     let calibration =
         blob.and_then(|blob| Ok((calibration::identity(blob), calibration::decode(blob)?)));
     let calibration_is_good = calibration.is_ok();
-    let references =
-        calibration.as_ref().ok().map(|(identity, _)| references::open(Flash::load(), *identity));
+    let identity = calibration.as_ref().map_or(0, |(identity, _)| *identity);
+    let references = references::open(Flash::load(), identity);
     let buffer_of_load: &'static mut [u8] =
         cortex_m::singleton!(: [u8; calibration::MAX_SIZE] = [0; _])
             .expect("the board starts once");
@@ -134,6 +134,7 @@ pub fn start(_core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts {
         faults: Faults::default(),
         reset: ResetReason::Unknown,
         number: 1,
+        chip: [1, 0, 0],
         blob: if calibration_is_good { blob.unwrap_or_default() } else { &[] },
         is_older,
         is_example: false,
@@ -259,7 +260,7 @@ impl Thermometers {
 /// The flash, in two small sectors: a copy of the host's file, which follows every change.
 pub struct Flash([u8; 2 * SECTOR_SIZE]);
 
-const SECTOR_SIZE: usize = 1024;
+const SECTOR_SIZE: usize = 4096;
 
 impl Flash {
     /// As the host's file has it; what is not there is blank.

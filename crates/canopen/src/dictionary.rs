@@ -144,6 +144,16 @@ pub enum ObjectKind {
     RunningCrc,
     /// CRC of the blob for the next start, once it is stored; 0: none was loaded.
     NewCrc,
+    /// The last writes to the board.
+    WriteLog,
+    /// Seconds since 1970 (UTC); 0: nobody has told the time.
+    Utc,
+    /// Name of the machine that the running calibration is for.
+    MachineName,
+    /// Serial number of that machine.
+    MachineSerial,
+    /// A word of the number of the chip that the running calibration is for, 0…2; all 0: any.
+    MachineBoard(u8),
     /// A process value: a temperature, 0…7, or the elongation, 8.
     Input(u8),
     /// 0: the process value is valid; 1: it is not.

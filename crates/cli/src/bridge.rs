@@ -54,6 +54,10 @@ pub enum Command {
         /// the elongation.
         #[arg(long, value_name = "M.toml", requires = "record")]
         machine: Option<PathBuf>,
+        /// Record nothing of a bridge that runs on another calibration than the machine file makes:
+        /// exit 2.
+        #[arg(long, requires = "machine")]
+        strict: bool,
     },
 }
 
@@ -71,9 +75,9 @@ pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
         Command::Load { calibration, port, keep_running } => {
             load::run(calibration, &port.port, *keep_running, as_json)
         }
-        Command::Monitor { port, count, record, machine } => {
+        Command::Monitor { port, count, record, machine, strict } => {
             let record = record.as_deref().map(|record| (record, machine.as_deref()));
-            monitor::run(&port.port, *count, record, as_json)
+            monitor::run(&port.port, *count, record, *strict, as_json)
         }
     }
 }

@@ -40,6 +40,9 @@ pub struct LinuxCnc {
     /// Takes the limits from this machine file: the same that the bridge was loaded with.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
+    /// Engages no bridge that runs on another calibration than the machine file makes.
+    #[arg(long, requires = "machine")]
+    strict: bool,
     /// LinuxCNC's .ini: servo period, units, and what is left for offsets.
     #[arg(long, value_name = "FILE", env = "INI_FILE_NAME")]
     ini: Option<PathBuf>,
@@ -109,8 +112,10 @@ pub fn run(args: &LinuxCnc) -> Result<Outcome> {
     let machine = args.machine.as_ref().map(|path| MachineFile::read(path)).transpose()?;
     let against_um = LinearAxis::ALL
         .map(|axis| machine.as_ref().map(|machine| over_compensation_um(machine, axis)));
-    // What does not compile is told by `compile`; here it only cannot be compared.
-    let calibration = machine.as_ref().and_then(|machine| compile(machine).ok()).map(|it| it.crc());
+    let compiled = machine.as_ref().map(compile).transpose();
+    // What does not compile is told by `compile`; without --strict it only cannot be compared.
+    let compiled = if args.strict { compiled? } else { compiled.unwrap_or_default() };
+    let calibration = compiled.map(|it| it.crc());
     let limits = machine.map(|machine| machine.limits).unwrap_or_default();
     let slew_um_per_s = args.slew_um_per_s.unwrap_or(limits.slew_um_per_s);
     let ini = match &args.ini {
@@ -131,6 +136,7 @@ pub fn run(args: &LinuxCnc) -> Result<Outcome> {
         mm_per_unit: ini.mm_per_unit,
         temperatures: args.temperatures,
         calibration,
+        is_strict: args.strict,
         turn: Duration::from_secs_f64(ini.cycle_s / TURNS_PER_CYCLE),
         options: trueup_linuxcnc::Options {
             limits: offsets::Limits {

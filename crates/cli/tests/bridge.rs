@@ -5,7 +5,7 @@ mod desk;
 
 use std::{
     io::{ErrorKind, Read, Write},
-    net::TcpListener,
+    net::{TcpListener, TcpStream},
     path::Path,
     sync::{Arc, Mutex},
     thread,
@@ -61,6 +61,15 @@ fn bridge(fault: Fault) -> (String, Arc<Mutex<ReceivedBytes>>) {
 }
 
 fn bridge_with(fault: Fault, engage: bool) -> (String, Arc<Mutex<ReceivedBytes>>) {
+    listening(fault, engage, false)
+}
+
+/// The same for one tool after the other.
+fn bridge_many(fault: Fault, engage: bool) -> (String, Arc<Mutex<ReceivedBytes>>) {
+    listening(fault, engage, true)
+}
+
+fn listening(fault: Fault, engage: bool, many: bool) -> (String, Arc<Mutex<ReceivedBytes>>) {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = format!("tcp:{}", listener.local_addr().expect("bound above"));
     let heard = Arc::new(Mutex::new(ReceivedBytes::default()));
@@ -68,7 +77,12 @@ fn bridge_with(fault: Fault, engage: bool) -> (String, Arc<Mutex<ReceivedBytes>>
     thread::spawn(move || {
         let (stream, _) = listener.accept().expect("the tool connects");
         stream.set_nonblocking(true).expect("a plain socket");
-        live(stream, fault, engage, &told);
+        if many {
+            listener.set_nonblocking(true).expect("a plain socket");
+            live(Tools { listener, stream: Some(stream) }, fault, engage, &told);
+        } else {
+            live(stream, fault, engage, &told);
+        }
     });
     (address, heard)
 }
@@ -126,6 +140,9 @@ fn live(mut stream: impl Read + Write, fault: Fault, engage: bool, heard: &Mutex
             }
             node.end_load(load, outcome);
         }
+        while let Some(write) = node.take_write() {
+            node.end_write(&write, Some(trueup_store::writes::Write { sequence: 7, ..write }));
+        }
         if node.take_restart() {
             let blob = stored.take().unwrap_or_else(|| compiled.blob().to_vec());
             (node, port) = started(Box::leak(blob.into()));
@@ -156,6 +173,43 @@ fn live(mut stream: impl Read + Write, fault: Fault, engage: bool, heard: &Mutex
         if fault != Fault::Silent && write_all(&mut stream, &answer).is_err() {
             return;
         }
+    }
+}
+
+/// One tool after the other on the same bridge.
+struct Tools {
+    listener: TcpListener,
+    stream: Option<TcpStream>,
+}
+
+impl Read for Tools {
+    fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
+        if let Some(stream) = &mut self.stream {
+            match stream.read(bytes) {
+                Ok(0) => self.stream = None,
+                read => return read,
+            }
+        }
+        let (stream, _) = self.listener.accept()?;
+        stream.set_nonblocking(true)?;
+        self.stream = Some(stream);
+        Err(ErrorKind::WouldBlock.into())
+    }
+}
+
+impl Write for Tools {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        match &mut self.stream {
+            Some(stream) => match stream.write(bytes) {
+                Err(error) if error.kind() != ErrorKind::WouldBlock => Ok(bytes.len()),
+                written => written,
+            },
+            None => Ok(bytes.len()),
+        }
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
     }
 }
 
@@ -272,6 +326,7 @@ fn info_tells_version_serial_number_and_state() {
         "\noffsets      x ",
         "\ndevice       trueup bridge 0.",
         &format!("\ncalibration  CRC {crc}\n"),
+        "\nmachine      paper\n",
         "\nreference    the calibration's own zero\n",
         "\nfaults       none\n",
     ] {
@@ -378,11 +433,23 @@ fn a_calibration_is_loaded_read_back_and_put_to_use() {
     assert_eq!((&told["crc"], &told["running_crc"]), (&crc.clone().into(), &crc.clone().into()));
     assert_eq!((&told["read_back_is_equal"], &told["restarted"]), (&true.into(), &true.into()));
 
-    let (port, _) = bridge_with(Fault::None, false);
+    let (port, _) = bridge_many(Fault::None, false);
     let (out, _) = desk.said(&format!("bridge load cal.bin --port {port} --keep-running"), 0);
     let running = format!("{:08x}", identity(paper().blob()));
     assert!(out.contains(&format!("stored and read back the same, CRC {crc}\n")), "{out}");
     assert!(out.ends_with(&format!("now the bridge runs on {running}\n")), "{out}");
+    // Who has loaded it is told, and so is what waits when another one is loaded.
+    let (out, _) = desk.said(&format!("bridge info --port {port}"), 0);
+    assert!(out.contains(&format!("\nwritten      #7 loaded calibration {crc}, 20")), "{out}");
+    assert!(out.ends_with(" s after a start, by serial\n"), "{out}");
+    let mut third = paper_machine();
+    third.limits.slew_um_per_s *= 3.0;
+    desk.write("third.bin", compile(&third).expect("it fits").blob());
+    let (_, err) = desk.said(&format!("bridge load third.bin --port {port} --keep-running"), 0);
+    assert!(
+        err.contains(&format!("the calibration {crc} was loaded before and never used")),
+        "{err}"
+    );
 }
 
 #[test]
@@ -458,6 +525,17 @@ fn a_recording_is_a_log_of_every_frame_and_a_run_file() {
     // A recording is not written over.
     let (_, err) = record("1 --record here", 2);
     assert!(err.contains("bridge.log: the recording cannot be created: "), "{err}");
+
+    // Another machine file than the bridge's: told, and with --strict refused before anything is written.
+    let mut other = paper_machine();
+    other.limits.slew_um_per_s *= 2.0;
+    desk.write("other.toml", other.to_toml());
+    let (_, err) = record("1 --record told --machine other.toml", 0);
+    assert!(err.contains("what is recorded is not of this file"), "{err}");
+    let (_, err) = record("1 --record strict --machine other.toml --strict", 2);
+    assert!(err.contains("what is recorded is not of this file"), "{err}");
+    assert!(!desk.path("strict").exists());
+    record("1 --record same --machine m.toml --strict", 0);
 
     // Without a machine file the channels have no names, and the elongation stands for the counts.
     record("1 --record bus.log", 0);

@@ -14,6 +14,7 @@
 //! | [`load`] | a calibration, sent, read back and put to use |
 //! | [`words`] | offsets, flags, faults and states for people and as JSON |
 //! | [`status`] | what the bridge says of itself, put together |
+//! | [`writes`] | who has written to the bridge |
 //! | [`record`] | a log of every frame, and a run file for `diagnose` |
 //! | `socket_can` | the CAN interface, with the feature `socketcan` on Linux |
 //!
@@ -32,6 +33,7 @@ pub mod session;
 mod socket_can;
 pub mod status;
 pub mod words;
+pub mod writes;
 
 use std::{fmt, io, path::PathBuf};
 

@@ -1,6 +1,6 @@
 //! A calibration to the board: sent, read back, and put to use.
 
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context as _, Result, bail};
 use trueup_canopen::dictionary::Authority;
@@ -12,7 +12,7 @@ use trueup_link::{
 };
 
 use crate::{
-    object::{self, AUTHORITY, NEW, NEW_CRC, RUNNING_CRC},
+    object::{self, AUTHORITY, NEW, NEW_CRC, RUNNING_CRC, UTC},
     session::Session,
 };
 
@@ -44,6 +44,12 @@ pub fn store(
     progress: &mut dyn FnMut(Step, usize),
 ) -> Result<()> {
     ask_leave(session)?;
+    // For the log of writes; a board of an older version has no such object.
+    if let Ok(since) = SystemTime::now().duration_since(UNIX_EPOCH)
+        && let Ok(utc_s) = u32::try_from(since.as_secs())
+    {
+        object::write(session, UTC, &utc_s.to_le_bytes(), |_| ()).ok();
+    }
     object::write(session, NEW, blob, |sent| progress(Step::Sending, sent))
         .context("the calibration is not loaded")?;
     let back = object::read(session, NEW, |got, _| progress(Step::ReadingBack, got))?;

@@ -43,6 +43,15 @@ pub const RUNNING_CRC: At = (0x2100, 3);
 /// The CRC of the calibration for the next start; 0: none was loaded.
 pub const NEW_CRC: At = (0x2100, 4);
 
+/// Name of the machine that the running calibration is for.
+pub const MACHINE_NAME: At = (0x2101, 1);
+/// Serial number of that machine.
+pub const MACHINE_SERIAL: At = (0x2101, 2);
+/// The last writes to the board.
+pub const WRITES: At = (0x2110, 1);
+/// Seconds since 1970 (UTC).
+pub const UTC: At = (0x2110, 2);
+
 /// How long an answer may take: a calibration is stored before its last segment is answered.
 const PATIENCE: Duration = Duration::from_secs(2);
 

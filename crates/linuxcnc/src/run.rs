@@ -32,6 +32,8 @@ pub struct Settings {
     pub temperatures: u8,
     /// CRC of what `compile` makes of the machine file; `None`: without one.
     pub calibration: Option<u32>,
+    /// Engages no bridge that runs on another calibration, or has not said on which.
+    pub is_strict: bool,
     /// From one turn of the loop to the next.
     pub turn: Duration,
     /// How it decides.
@@ -49,13 +51,14 @@ pub fn run(
     stop: &AtomicBool,
     mut tell: impl FnMut(&str),
 ) -> Result<(), HalError> {
-    let Settings { name, mm_per_unit, temperatures, calibration, turn, options } = settings;
+    let Settings { name, mm_per_unit, temperatures, calibration, is_strict, turn, options } =
+        settings;
     let hal = Hal::new(name, &pid_pin(name))?;
     let pins = Pins::new(&hal, name, *mm_per_unit, *temperatures)?;
     let line = Line::keep(open);
     let start = Instant::now();
     let mut component = Component::new(start.elapsed(), *options);
-    let mut news = News { expected: *calibration, ..News::default() };
+    let mut news = News { expected: *calibration, is_strict: *is_strict, ..News::default() };
     hal.ready()?;
     if hal.adopts() {
         tell("takes over the pins of a component that was killed");
@@ -74,7 +77,9 @@ pub fn run(
                 LineEvent::Received(event) => component.hear(now, &event),
             }
         }
-        let (outputs, frames) = component.step(now, &pins.read());
+        let mut inputs = pins.read();
+        inputs.enable &= news.lets_engage();
+        let (outputs, frames) = component.step(now, &inputs);
         pins.write(&outputs);
         for frame in frames {
             line.send(frame);
@@ -93,6 +98,7 @@ struct News {
     /// CRC of the machine file, and what the bridge last ran on.
     expected: Option<u32>,
     running: Option<u32>,
+    is_strict: bool,
     bits: StateBits,
 }
 
@@ -105,6 +111,11 @@ impl News {
         }
     }
 
+    /// Whether the bridge may be engaged, by the calibration that it runs on.
+    fn lets_engage(&self) -> bool {
+        !self.is_strict || (self.expected.is_some() && self.running == self.expected)
+    }
+
     /// What the bridge says of itself, when it changes.
     fn of_bridge(&mut self, outputs: &Outputs, tell: &mut impl FnMut(&str)) {
         if outputs.calibration != self.running {
@@ -114,7 +125,8 @@ impl News {
             {
                 tell(&format!(
                     "the bridge runs on the calibration {running:08x}, the machine file makes \
-                     {expected:08x}: load it (trueup bridge load), or name the right file"
+                     {expected:08x}: load it (trueup bridge load), or name the right file{}",
+                    if self.is_strict { "; until then nothing is engaged (--strict)" } else { "" }
                 ));
             }
         }
@@ -185,9 +197,26 @@ mod tests {
         ] {
             news.of_bridge(&outputs, &mut |text: &str| told.push(text.to_owned()));
         }
+        assert!(news.lets_engage(), "without --strict it is told, and that is all");
         assert_eq!(told.len(), 3, "{told:#?}");
         assert!(told[0].contains("00001234") && told[0].contains("0000abcd"));
         assert_eq!(told[1], "the bridge says: older-calibration");
         assert_eq!(told[2], "the bridge says that all is well");
+    }
+
+    #[test]
+    fn a_strict_component_engages_only_what_runs_on_its_machine_file() {
+        let says = |calibration| Outputs { calibration, ..Outputs::default() };
+        for (expected, running, lets) in [
+            (Some(0xABCD), None, false),
+            (Some(0xABCD), Some(0x1234), false),
+            (Some(0xABCD), Some(0xABCD), true),
+            (None, Some(0xABCD), false),
+            (None, None, false),
+        ] {
+            let mut news = News { expected, is_strict: true, ..News::default() };
+            news.of_bridge(&says(running), &mut |_: &str| ());
+            assert_eq!(news.lets_engage(), lets, "{expected:?} {running:?}");
+        }
     }
 }

@@ -29,7 +29,11 @@ use trueup_link::{
     receiver::{Receiver, Refused},
     status::{self, Reason, ResetReason, Status},
 };
-use trueup_store::load::{Load, Outcome, Slot};
+use trueup_store::{
+    calibration::identity,
+    load::{Load, Outcome, Slot},
+    writes::What,
+};
 
 use crate::start::Start;
 
@@ -38,9 +42,11 @@ mod network;
 mod objects;
 mod questions;
 mod restart;
+mod writes;
 
 pub use master::Line;
 use master::Master;
+use writes::Log;
 
 /// The frames of one tick: both halves of a cycle's offsets.
 pub type Frames = [Frame; 2];
@@ -80,6 +86,10 @@ pub struct Node<'a> {
     /// The blob of the running calibration.
     blob: &'a [u8],
     slot: Slot<'a>,
+    /// CRC of the calibration that is stored for the next start; 0: none was loaded.
+    new_crc: u32,
+    /// Who has written.
+    log: Log,
     noise: Noise,
     until_status_ms: u32,
     /// Which item the next status frame is about, and its counter.
@@ -134,6 +144,8 @@ impl<'a> Node<'a> {
             master: Master::default(),
             blob: &[],
             slot: Slot::None,
+            new_crc: 0,
+            log: Log::default(),
             noise: Noise::default(),
             until_status_ms: 0,
             status_item: 0,
@@ -201,6 +213,10 @@ impl<'a> Node<'a> {
     /// Gives it back, and lets the master know what came of it.
     pub fn end_load(&mut self, load: Load<'a>, outcome: Outcome) {
         let outcome = self.slot.give_back(load, outcome).map_err(objects::abort);
+        if let (Ok(()), Some(stored)) = (outcome, self.slot.stored()) {
+            self.new_crc = identity(stored);
+            self.log_load(self.new_crc);
+        }
         self.answer = self.server.end(outcome).or(self.answer);
     }
 
@@ -212,6 +228,7 @@ impl<'a> Node<'a> {
     /// effect.
     pub fn hear(&mut self, line: Line, frame: &Frame) -> Result<Option<Command>, Refused> {
         if frame.id() == SDO_REQUEST_ID {
+            self.log.speaks(line);
             // Taken out, because what it reads and writes is the rest of this node.
             let mut server = self.server;
             self.answer = server.hear(frame, self).or(self.answer);
@@ -245,7 +262,7 @@ impl<'a> Node<'a> {
     fn hear_control(&mut self, line: Line, control: Control) {
         let Some(heard) = self.master.take(line, control) else { return };
         if heard.confirm {
-            self.confirm();
+            self.confirm(line);
         }
         self.bar();
         let Some(bridge) = &self.bridge else { return };
@@ -254,6 +271,7 @@ impl<'a> Node<'a> {
         let now = self.state.reference();
         if now != before {
             self.zero = Some(Zero::Taken(now));
+            self.log(What::Zeroed, now.elongation.0.cast_unsigned(), Some(line));
         } else if heard.zero && self.zero.is_none() {
             self.zero = Some(Zero::Unchanged);
             self.zero_refused = true;
@@ -462,3 +480,5 @@ pub(crate) fn tests_calibration() -> Calibration<'static> {
 mod restart_tests;
 #[cfg(test)]
 mod tick_tests;
+#[cfg(test)]
+mod write_tests;

@@ -9,6 +9,11 @@ pub(crate) fn checksum(bytes: &[u8]) -> u32 {
     CRC.checksum(bytes)
 }
 
+/// A CRC of parts.
+pub(crate) fn digest() -> crc::Digest<'static, u32> {
+    CRC.digest()
+}
+
 /// Puts the CRC of all bytes before them into the last four.
 pub(crate) fn seal(bytes: &mut [u8]) {
     if let Some((content, crc)) = bytes.split_last_chunk_mut() {

@@ -2,7 +2,8 @@
 //! power.
 //!
 //! `calibration` is the layout of what the host compiles for the board, `load` the way of a new one
-//! to the board, `slots` where a board keeps it, `reference` what the board stores of itself, and
+//! to the board, `slots` where a board keeps it, `reference` what the board stores of itself,
+//! `writes` who has written to it, and
 //! `retained` what outlasts a reset in RAM.
 //! Nothing here touches hardware, allocates, reads a clock, or panics on any input.
 #![no_std]
@@ -22,5 +23,6 @@ pub mod retained;
 pub mod slots;
 #[cfg(test)]
 mod strict_flash;
+pub mod writes;
 
 pub use log::StoreError;

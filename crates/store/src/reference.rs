@@ -9,6 +9,8 @@
 //! | 24 | `u32` layout, 1 | |
 //! | 28 | CRC-32/AUTOSAR of the 28 bytes before it | |
 //!
+//! Between them lie the [writes](crate::writes), with a layout of their own.
+//!
 //! A record is written from its first byte to its last, and its CRC comes last, as `log` demands.
 //! A reference belongs to the constants that it was computed with, so one of another calibration is
 //! not taken up; it counts again when that calibration is back, until its half is emptied.
@@ -22,6 +24,7 @@ use trueup_core::{
 use crate::{
     crc,
     log::{Half, Log, StoreError, write_part},
+    writes::{self, What, Write, Writes},
 };
 
 /// Bytes of a slot, which a record fills.
@@ -74,11 +77,28 @@ impl Record {
     }
 }
 
+/// The bytes of a write.
+fn encode_write(write: &Write) -> Bytes {
+    let mut bytes = [0; RECORD_SIZE];
+    let words = write.to_bytes().into_iter().chain(writes::LAYOUT.to_le_bytes());
+    bytes.iter_mut().zip(words).for_each(|(place, byte)| *place = byte);
+    crc::seal(&mut bytes);
+    bytes
+}
+
+/// `None`: these bytes are no write.
+fn decode_write(bytes: &Bytes) -> Option<Write> {
+    let (write, layout) = crc::unseal(bytes)?.split_first_chunk()?;
+    (layout == writes::LAYOUT.to_le_bytes()).then(|| Write::from_bytes(write)).flatten()
+}
+
 /// What the flash was found to hold.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Found {
     /// The newest reference of this calibration, with its sequence number.
     pub reference: Option<(u32, Reference)>,
+    /// The machine and the board that the board belongs to: [`writes::identity`] of their names.
+    pub named: Option<u32>,
     /// Records of other calibrations.
     pub foreign: u32,
     /// Slots that hold something, but no record.
@@ -92,16 +112,28 @@ pub struct References<F> {
     calibration: u32,
     /// The reference of this calibration that counts, and the half that its record is in.
     current: Option<(Reference, Half)>,
+    /// The write that has named the board's machine, and the half that it is in.
+    named: Option<(Write, Half)>,
+    writes: Writes,
 }
 
 impl<F: NorFlash> References<F> {
     /// Reads all of the flash. What cannot be read counts as damaged.
     pub fn open(flash: F, calibration: u32) -> (Self, Found) {
         let mut found = Found::default();
-        let mut current = None;
+        let (mut current, mut named, mut oldest_first) =
+            (None, None::<(Write, Half)>, [None; writes::KEPT]);
         let log = Log::open(flash, SLOT_SIZE, |flash, slot| {
             let mut bytes = [0; RECORD_SIZE];
             let is_read = flash.read(slot.address, &mut bytes).is_ok();
+            if let Some(write) = is_read.then(|| decode_write(&bytes)).flatten() {
+                let is_newer = named.is_none_or(|(other, _)| write.sequence > other.sequence);
+                if write.what == What::Named && is_newer {
+                    named = Some((write, slot.half));
+                }
+                insert(&mut oldest_first, write);
+                return Some(write.sequence);
+            }
             let Some(record) = is_read.then(|| Record::decode(&bytes)).flatten() else {
                 found.damaged = found.damaged.saturating_add(1);
                 return None;
@@ -114,7 +146,30 @@ impl<F: NorFlash> References<F> {
             }
             Some(record.sequence)
         });
-        (Self { log, calibration, current }, found)
+        found.named = named.map(|(write, _)| write.about);
+        let mut writes = Writes::default();
+        oldest_first.iter().flatten().for_each(|write| writes.push(write));
+        (Self { log, calibration, current, named, writes }, found)
+    }
+
+    /// The last writes that were found at the start.
+    pub const fn writes(&self) -> &Writes {
+        &self.writes
+    }
+
+    /// Appends a write; gives it with its sequence number.
+    ///
+    /// # Errors
+    /// [`StoreError`]; what was stored before still counts.
+    pub fn append_write(&mut self, write: &Write) -> Result<Write, StoreError> {
+        let (sequence, slot) = self.log.append(ATTEMPTS, |flash, slot, sequence| {
+            write_part(flash, slot.address, &encode_write(&Write { sequence, ..*write }))
+        })?;
+        let stored = Write { sequence, ..*write };
+        if stored.what == What::Named {
+            self.named = Some((stored, slot.half));
+        }
+        Ok(stored)
     }
 
     /// Appends a reference; gives the sequence number of its record.
@@ -138,18 +193,45 @@ impl<F: NorFlash> References<F> {
     /// [`StoreError`]; what is stored still counts.
     pub fn make_room(&mut self) -> Result<bool, StoreError> {
         // What still counts moves on before its half goes. Where there is no room for it, after.
-        let moved = self.current.filter(|(_, half)| *half != self.log.active());
-        let has_room = self.log.has_room();
-        if let (Some((reference, _)), true) = (moved, has_room) {
+        let active = self.log.active();
+        let mut reference = self.current.filter(|(_, half)| *half != active);
+        let mut named = self.named.filter(|(_, half)| *half != active);
+        if self.log.has_room()
+            && let Some((reference, _)) = reference.take()
+        {
             self.append(reference)?;
         }
+        if self.log.has_room()
+            && let Some((named, _)) = named.take()
+        {
+            self.append_write(&named)?;
+        }
         let emptied = self.log.make_room()?;
-        if let (Some((reference, _)), false) = (moved, has_room) {
+        if let Some((reference, _)) = reference {
             self.append(reference)?;
+        }
+        if let Some((named, _)) = named {
+            self.append_write(&named)?;
         }
         Ok(emptied)
     }
 }
 
+/// Keeps the newest, the oldest first, whatever order they come in.
+fn insert(all: &mut [Option<Write>; writes::KEPT], mut write: Write) {
+    for place in all.iter_mut().rev() {
+        match place {
+            Some(other) if other.sequence < write.sequence => core::mem::swap(other, &mut write),
+            Some(_) => {}
+            None => {
+                *place = Some(write);
+                return;
+            }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod write_tests;

@@ -14,6 +14,18 @@ fn unique() -> [u8; 12] {
     core::array::from_fn(|n| unsafe { ptr::read_volatile(UNIQUE.add(n)) })
 }
 
+/// The chip's number, the lowest word first; 1 in an emulator without a device code.
+pub fn words(dbgmcu: &DBGMCU) -> [u32; 3] {
+    if dbgmcu.idcode().read().bits() == 0 {
+        return [1, 0, 0];
+    }
+    let mut words = [0; 3];
+    for (word, bytes) in words.iter_mut().zip(unique().as_chunks().0) {
+        *word = u32::from_le_bytes(*bytes);
+    }
+    words
+}
+
 /// Its hash, for people and for `N` on the serial line: FNV-1a over 32 bits, folded to 16. Two boards
 /// of a shop have the same one once in 65 536 pairs.
 ///

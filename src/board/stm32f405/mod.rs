@@ -88,8 +88,8 @@ pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts
     let blob = calibration::whole(loaded.unwrap_or(CALIBRATION));
     let calibration =
         blob.and_then(|blob| Ok((calibration::identity(blob), calibration::decode(blob)?)));
-    let references =
-        calibration.as_ref().ok().map(|(identity, _)| references::open(flash, *identity));
+    let identity = calibration.as_ref().map_or(0, |(identity, _)| *identity);
+    let references = references::open(flash, identity);
     let calibration = calibration.map(|(_, calibration)| calibration);
     let blob = if calibration.is_ok() { blob.unwrap_or_default() } else { &[] };
 
@@ -154,6 +154,7 @@ pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts
         watchdog,
         reset: reset_reason,
         number: identity::short(&device.DBGMCU),
+        chip: identity::words(&device.DBGMCU),
     }
 }
 

@@ -282,6 +282,27 @@ pub const OBJECTS: &[Object] = &[
             read(4, "CRC of the new calibration", Type::U32, ObjectKind::NewCrc),
         ],
     ),
+    record(
+        0x2101,
+        "Machine of the running calibration",
+        &[
+            count(5),
+            read(1, "Name", Type::Text, ObjectKind::MachineName),
+            read(2, "Serial number", Type::Text, ObjectKind::MachineSerial),
+            read(3, "Board, low word of its chip's number", Type::U32, ObjectKind::MachineBoard(0)),
+            read(4, "Board, middle word", Type::U32, ObjectKind::MachineBoard(1)),
+            read(5, "Board, high word", Type::U32, ObjectKind::MachineBoard(2)),
+        ],
+    ),
+    record(
+        0x2110,
+        "Writes to the board",
+        &[
+            count(2),
+            read(1, "The last writes (24 bytes each)", Type::Domain, ObjectKind::WriteLog),
+            set(2, "Time of day in s since 1970 (UTC)", Type::U32, ObjectKind::Utc, 0),
+        ],
+    ),
     array(0x6131, "AI physical unit process value", inputs!(celsius, micrometres)),
     array(0x6132, "AI decimal digits process value", inputs!(digits, digits)),
     array(0x6150, "AI status", inputs!(status, status)),

@@ -12,6 +12,7 @@ use trueup_client::{
     port::Port,
     session::Session,
     words::{fault_words, output_json, output_text, state_word, state_words},
+    writes,
 };
 use trueup_core::cnc::Output;
 use trueup_link::{
@@ -20,6 +21,7 @@ use trueup_link::{
     slcan::Event,
     status::{ResetReason, StateBits},
 };
+use trueup_store::writes::Write;
 
 use crate::{Outcome, output};
 
@@ -75,6 +77,12 @@ struct Objects {
     calibration: u32,
     /// The one for the next start; 0: none was loaded.
     new_calibration: u32,
+    /// Name of the machine that it is for; empty: it says none.
+    machine: String,
+    /// Serial number of that machine.
+    serial: String,
+    /// Who has written to the board, the last at the end.
+    writes: Vec<Write>,
     has_reference: bool,
     faults: Vec<&'static str>,
     state: Vec<&'static str>,
@@ -93,6 +101,12 @@ impl Objects {
             software: object::text(session, object::SOFTWARE)?,
             calibration: object::number(session, object::RUNNING_CRC)?,
             new_calibration: object::number(session, object::NEW_CRC)?,
+            // An empty one is refused.
+            machine: object::text(session, object::MACHINE_NAME).unwrap_or_default(),
+            serial: object::text(session, object::MACHINE_SERIAL).unwrap_or_default(),
+            writes: writes::writes(
+                &object::read(session, object::WRITES, |_, _| ()).unwrap_or_default(),
+            ),
             has_reference: object::number(session, object::HAS_REFERENCE)? != 0,
             faults: fault_words(object::number(session, object::FAULTS)?),
             state: state_words(StateBits(object::number(session, object::STATE_BITS)?)),
@@ -103,6 +117,14 @@ impl Objects {
             stop: stop(session)?,
             resets: resets(session)?,
         })
+    }
+
+    fn machine_text(&self) -> String {
+        match (&self.machine[..], &self.serial[..]) {
+            ("", "") => "not named".into(),
+            (name, "") => name.into(),
+            (name, serial) => format!("{name}, serial {serial}"),
+        }
     }
 
     fn calibration_text(&self) -> String {
@@ -196,6 +218,11 @@ impl Info {
         all["software"] = json!(objects.map(|it| &it.software));
         all["calibration_crc"] = json!(objects.and_then(|it| crc(it.calibration)));
         all["new_calibration_crc"] = json!(objects.and_then(|it| crc(it.new_calibration)));
+        let named = |text: &str| (!text.is_empty()).then(|| text.to_owned());
+        all["machine"] = json!(objects.and_then(|it| named(&it.machine)));
+        all["machine_serial"] = json!(objects.and_then(|it| named(&it.serial)));
+        all["writes"] =
+            json!(objects.map(|it| it.writes.iter().map(writes::json).collect::<Vec<_>>()));
         all["has_reference"] = json!(objects.map(|it| it.has_reference));
         all["faults"] = json!(objects.map(|it| &it.faults));
         all["state"] = json!(objects.map(|it| &it.state));
@@ -220,6 +247,7 @@ impl Info {
         let Objects { device, hardware, software, .. } = it;
         output::print(format_args!("device       {device} {software} on {hardware}"))?;
         output::print(format_args!("calibration  {}", it.calibration_text()))?;
+        output::print(format_args!("machine      {}", it.machine_text()))?;
         let reference =
             if it.has_reference { "taken by Zero" } else { "the calibration's own zero" };
         output::print(format_args!("reference    {reference}"))?;
@@ -229,6 +257,9 @@ impl Info {
         output::print(format_args!("state        {state}"))?;
         output::print(format_args!("last reset   {}{}", it.reset.word(), it.stop))?;
         let resets = it.resets.iter().map(|(word, count)| format!("{word} {count}"));
-        output::print(format_args!("starts       {}", resets.collect::<Vec<_>>().join(", ")))
+        output::print(format_args!("starts       {}", resets.collect::<Vec<_>>().join(", ")))?;
+        it.writes.iter().rev().try_for_each(|write| {
+            output::print(format_args!("written      {}", writes::text(write)))
+        })
     }
 }

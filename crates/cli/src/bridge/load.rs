@@ -7,7 +7,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde_json::json;
 use trueup_client::{
     load::{self, Step},
-    object::{self, QUALITY, RUNNING_CRC},
+    object::{self, NEW_CRC, QUALITY, RUNNING_CRC},
     port::Port,
     session::Session,
     words::quality_word,
@@ -36,6 +36,14 @@ pub fn run(from: &Path, port: &str, keep_running: bool, as_json: bool) -> Result
             "nothing is loaded while offsets are being followed (the bridge is {}): let the CNC \
              disengage first",
             quality_word(quality)
+        );
+    }
+
+    let waiting = object::number(&mut session, NEW_CRC)?;
+    if waiting != 0 && waiting != crc && waiting != object::number(&mut session, RUNNING_CRC)? {
+        eprintln!(
+            "warning: the calibration {waiting:08x} was loaded before and never used; this one takes \
+             its place"
         );
     }
 

@@ -25,7 +25,7 @@ use trueup_link::{
 
 use trueup_machine::{MachineFile, compile};
 
-use crate::{Outcome, output};
+use crate::{Outcome, UserError, output};
 
 /// From one line to the next.
 const PERIOD: Duration = Duration::from_secs(1);
@@ -33,22 +33,29 @@ const PERIOD: Duration = Duration::from_secs(1);
 const SILENT_LINES: u32 = 3;
 
 /// Prints `count` lines, or lines without end. `record` is where a recording begins, with the
-/// machine file that names its columns.
+/// machine file that names its columns; `is_strict`: only of a bridge that runs on what that file makes.
 pub fn run(
     port: &str,
     count: Option<u64>,
     record: Option<(&Path, Option<&Path>)>,
+    is_strict: bool,
     as_json: bool,
 ) -> Result<Outcome> {
     let port = Port::parse(port)?;
+    let machine = record.and_then(|(_, machine)| machine);
+    let expected = match machine {
+        Some(machine) if is_strict => Some(compile(&MachineFile::read(machine)?)?.crc()),
+        machine => machine.and_then(compiled_crc),
+    };
+    let mut session = Session::open(&port)?;
+    let calibration = Calibration { expected, is_strict };
+    let running = record.map(|_| calibration.ask(&mut session)).transpose()?;
     let mut recorder = record
         .map(|(path, machine)| Recorder::begin(path, machine, port.interface()))
         .transpose()?;
-    let mut session = Session::open(&port)?;
     eprintln!("listening only: this command engages nothing");
-    let expected = record.and_then(|(_, machine)| machine).and_then(compiled_crc);
-    if let Some(recorder) = &mut recorder {
-        recorder.runs(running_calibration(&mut session, expected));
+    if let (Some(recorder), Some(running)) = (&mut recorder, running) {
+        recorder.runs(running);
     }
     let mut tally = Tally::default();
     let mut outcome = Outcome::Done;
@@ -64,7 +71,7 @@ pub fn run(
                 recorder.hear(frame, SystemTime::now())?;
                 // It may have been given another one.
                 if frames::decode_heartbeat(frame) == Ok(State::BootUp) {
-                    recorder.runs(running_calibration(&mut session, expected));
+                    recorder.runs(calibration.ask(&mut session)?);
                 }
             }
         }
@@ -99,22 +106,35 @@ pub fn run(
     Ok(outcome)
 }
 
-/// The CRC of the calibration that the bridge runs; `None`, with a warning, where it does not say.
-/// One that is not `expected` is told.
-fn running_calibration(session: &mut Session, expected: Option<u32>) -> Option<u32> {
-    let told = object::number(session, object::RUNNING_CRC);
-    if let (Ok(running), Some(expected)) = (&told, expected)
-        && *running != expected
-    {
-        eprintln!(
-            "warning: the bridge runs on the calibration {running:08x}, the machine file makes \
-             {expected:08x}: what is recorded is not of this file"
-        );
+/// The calibration that the bridge should run.
+struct Calibration {
+    /// What the machine file makes.
+    expected: Option<u32>,
+    /// Any other is refused.
+    is_strict: bool,
+}
+
+impl Calibration {
+    /// The CRC of the calibration that the bridge runs; `None`, with a warning, where it does not say.
+    /// One that is not expected is told, or refused.
+    fn ask(&self, session: &mut Session) -> Result<Option<u32>> {
+        let told = object::number(session, object::RUNNING_CRC);
+        let sentence = match (&told, self.expected) {
+            (Ok(running), Some(expected)) if *running != expected => format!(
+                "the bridge runs on the calibration {running:08x}, the machine file makes \
+                 {expected:08x}: what is recorded is not of this file"
+            ),
+            (Err(error), _) => {
+                format!("{error}; in the recording calibration_crc is left empty")
+            }
+            _ => return Ok(told.ok()),
+        };
+        if self.is_strict {
+            bail!(UserError(sentence));
+        }
+        eprintln!("warning: {sentence}");
+        Ok(told.ok())
     }
-    told.inspect_err(|error| {
-        eprintln!("warning: {error}; in the recording calibration_crc is left empty");
-    })
-    .ok()
 }
 
 /// The CRC of what `compile` makes of a machine file. What does not compile cannot be compared.

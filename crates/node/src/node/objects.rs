@@ -10,7 +10,7 @@ use trueup_core::{
     units::{Nanometres, Temperature},
 };
 use trueup_link::{layout::NO_TEMPERATURE_RAW, status::Item};
-use trueup_store::{calibration::identity, load::LoadError};
+use trueup_store::{calibration::identity, load::LoadError, writes::What};
 
 use super::{Node, Zero};
 
@@ -92,11 +92,21 @@ impl Node<'_> {
             ObjectKind::Counter(counter) => self.counter(counter),
             ObjectKind::RunningCrc if self.blob.is_empty() => 0,
             ObjectKind::RunningCrc => identity(self.blob),
-            ObjectKind::NewCrc => self.slot.stored().map_or(0, identity),
+            ObjectKind::NewCrc => self.new_crc,
+            ObjectKind::Utc => self.utc_s(),
+            ObjectKind::MachineBoard(word) => {
+                let word = self.names().board.get(usize::from(word)).copied();
+                word.ok_or(Abort::NoSubindex)?
+            }
             ObjectKind::Input(number) => signed(self.input(number).unwrap_or(NOT_AVAILABLE)),
             ObjectKind::InputStatus(number) => self.input(number).is_none().into(),
             ObjectKind::Forget => return Err(Abort::WriteOnly),
-            ObjectKind::Text(_) | ObjectKind::Running | ObjectKind::New => {
+            ObjectKind::Text(_)
+            | ObjectKind::Running
+            | ObjectKind::New
+            | ObjectKind::WriteLog
+            | ObjectKind::MachineName
+            | ObjectKind::MachineSerial => {
                 return Err(Abort::NoData);
             }
         })
@@ -158,6 +168,9 @@ impl Objects for Node<'_> {
             ObjectKind::Text(text) => text.as_bytes(),
             ObjectKind::Stop(Stop::File) => self.start.stop.file(),
             ObjectKind::Running if !self.blob.is_empty() => self.blob,
+            ObjectKind::WriteLog if !self.log.bytes().is_empty() => self.log.bytes(),
+            ObjectKind::MachineName if !self.names().machine.is_empty() => self.names().machine,
+            ObjectKind::MachineSerial if !self.names().serial.is_empty() => self.names().serial,
             ObjectKind::New => self.slot.stored().ok_or(Abort::NoData)?,
             number => return self.number(number).map(ObjectValue::Number),
         }))
@@ -177,12 +190,14 @@ impl Objects for Node<'_> {
                 self.heartbeat_period_ms = short()?;
                 self.since_heartbeat_ms = 0;
             }
+            ObjectKind::Utc => self.set_utc_s(number),
             ObjectKind::Forget if number != FORGET => return Err(Abort::Value),
             // Again and again it would only fill the flash.
             ObjectKind::Forget if self.state.reference() == Reference::default() => {}
             ObjectKind::Forget => {
                 self.state.set_reference(Reference::default());
                 self.zero = Some(Zero::Taken(Reference::default()));
+                self.log(What::Forgotten, 0, self.log.speaker());
             }
             _ => return Err(Abort::Value),
         }
@@ -204,6 +219,7 @@ impl Objects for Node<'_> {
         if !self.may_be_changed() {
             return Err(Abort::DeviceState);
         }
+        self.log.loads();
         self.slot.close().map_err(abort)
     }
 }

@@ -2,7 +2,9 @@
 
 use trueup_canopen::emergency::Fault;
 
-use super::Node;
+use trueup_store::writes::What;
+
+use super::{Line, Node};
 
 impl Node<'_> {
     /// Asks the operator something at the start: of these [`Fault::ForeignMachine`] and
@@ -41,7 +43,7 @@ impl Node<'_> {
     }
 
     /// The first question that is open is answered.
-    pub(super) fn confirm(&mut self) {
+    pub(super) fn confirm(&mut self, line: Line) {
         let open = [Fault::ForeignMachine, Fault::OlderCalibration, Fault::HeatUnknown];
         let first = open.into_iter().find(|question| self.questions.has(*question));
         if let Some(question) = first {
@@ -50,6 +52,10 @@ impl Node<'_> {
                 bridge.confirm_cold(&mut self.state);
             }
             self.confirmed = Some(question);
+            self.log(What::Confirmed, u32::from(question as u8), Some(line));
+            if question == Fault::ForeignMachine {
+                self.name(Some(line));
+            }
         }
     }
 }

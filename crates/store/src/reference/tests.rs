@@ -3,15 +3,15 @@
 use super::*;
 use crate::strict_flash::StrictFlash;
 
-const SLOTS: u32 = 8;
-const HALF: u32 = SLOTS * SLOT_SIZE;
+pub(super) const SLOTS: u32 = 8;
+pub(super) const HALF: u32 = SLOTS * SLOT_SIZE;
 const SIZE: usize = 2 * HALF as usize;
-type Flash = StrictFlash<{ HALF as usize }>;
-const OURS: u32 = 0xC0FF_EE01;
+pub(super) type Flash = StrictFlash<{ HALF as usize }>;
+pub(super) const OURS: u32 = 0xC0FF_EE01;
 const OTHER: u32 = 0x0BAD_CAFE;
 
 /// References that differ in every byte.
-fn reference(n: u32) -> Reference {
+pub(super) fn reference(n: u32) -> Reference {
     let value = |k: u32| (n * 0x0101_0101).wrapping_mul(2 * k + 1) as i32;
     Reference {
         elongation: Nanometres(value(1)),
@@ -19,7 +19,7 @@ fn reference(n: u32) -> Reference {
     }
 }
 
-fn open(flash: &Flash, calibration: u32) -> (References<Flash>, Found) {
+pub(super) fn open(flash: &Flash, calibration: u32) -> (References<Flash>, Found) {
     References::open(flash.powered(), calibration)
 }
 
@@ -87,7 +87,7 @@ fn a_reference_of_another_calibration_is_not_taken_up_and_not_lost() {
     log.append(reference(1)).unwrap();
     // Others fill both halves, and room is made again and again.
     let (mut others, found) = open(&log.log.flash, OTHER);
-    assert_eq!(found, Found { reference: None, foreign: 1, damaged: 0 });
+    assert_eq!(found, Found { foreign: 1, ..Found::default() });
     for n in 2..SLOTS {
         others.append(reference(n)).unwrap();
     }
@@ -172,7 +172,7 @@ fn every_flipped_bit_of_a_record_is_found() {
         let mut flash = log.log.flash.clone();
         flash.bytes[RECORD_SIZE + bit / 8] ^= 1 << (bit % 8);
         let (_, found) = open(&flash, OURS);
-        let expected = Found { reference: Some((1, reference(1))), foreign: 0, damaged: 1 };
+        let expected = Found { reference: Some((1, reference(1))), damaged: 1, ..Found::default() };
         assert_eq!(found, expected, "bit {bit}");
     }
 }

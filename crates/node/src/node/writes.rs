@@ -1,0 +1,123 @@
+//! Who writes to the board: each write is noted with its time and line, for the board to store, and told by
+//! object 0x2110. And whether the calibration is of this machine and this board.
+
+use heapless::Deque;
+use trueup_canopen::emergency::Fault;
+use trueup_core::{calibration::Names, units::Millis};
+use trueup_store::{
+    calibration,
+    writes::{self, Origin, What, Write, Writes},
+};
+
+use super::{Line, Node};
+
+/// Writes that the board has not stored yet: it does so every 10 ms, and each needs a frame or more.
+const WAITING: usize = 4;
+
+/// The writes of a node.
+#[derive(Debug, Default)]
+pub(super) struct Log {
+    last: Writes,
+    waiting: Deque<Write, WAITING>,
+    /// Where the last SDO request came from, and that which has ended a load.
+    speaker: Option<Line>,
+    loader: Option<Line>,
+    /// The time of day that was told, and when.
+    utc: Option<(u32, Millis)>,
+}
+
+impl Log {
+    pub fn speaks(&mut self, line: Line) {
+        self.speaker = Some(line);
+    }
+
+    pub const fn speaker(&self) -> Option<Line> {
+        self.speaker
+    }
+
+    pub fn loads(&mut self) {
+        self.loader = self.speaker;
+    }
+
+    pub fn bytes(&self) -> &[u8] {
+        self.last.bytes()
+    }
+}
+
+impl Node<'_> {
+    /// Tells the writes that the board has stored before the start.
+    pub fn set_writes(&mut self, writes: Writes) {
+        self.log.last = writes;
+    }
+
+    /// A write that is to be stored, once; [`Self::end_write`] is to follow.
+    pub fn take_write(&mut self) -> Option<Write> {
+        self.log.waiting.pop_front()
+    }
+
+    /// Tells a write as it is `stored`, with its number; `None`: it is not.
+    pub fn end_write(&mut self, write: &Write, stored: Option<Write>) {
+        if stored.is_none() {
+            self.note(Fault::Store);
+        }
+        self.log.last.push(&stored.unwrap_or(*write));
+    }
+
+    /// Compares the names in the calibration with those that the board belongs to, as
+    /// [`writes::identity`] has them, and with the number of its chip. A board without names takes the
+    /// first; for any other machine, or a calibration of another board, the operator is asked. To be
+    /// called at the start, for a calibration that is not an example's.
+    pub fn belong(&mut self, named: Option<u32>, chip: [u32; 3]) {
+        let names = self.names();
+        let identity = writes::identity(&names);
+        let is_of_another_board = names.board != [0; 3] && names.board != chip;
+        match named {
+            _ if identity == 0 => {}
+            Some(named) if named == identity => {}
+            None if !is_of_another_board => self.name(None),
+            _ => self.ask(Fault::ForeignMachine),
+        }
+    }
+
+    /// The board belongs to the machine of its calibration from now on.
+    pub(super) fn name(&mut self, line: Option<Line>) {
+        let identity = writes::identity(&self.names());
+        self.log(What::Named, identity, line);
+    }
+
+    /// The machine and the board that the running calibration is for.
+    pub(super) fn names(&self) -> Names<'_> {
+        self.bridge.as_ref().map(|it| it.calibration().names).unwrap_or_default()
+    }
+
+    /// Seconds since 1970; 0: nobody has told the time.
+    pub(super) fn utc_s(&self) -> u32 {
+        let Some((utc_s, at)) = self.log.utc else { return 0 };
+        utc_s.saturating_add(self.now.since(at) / 1_000)
+    }
+
+    pub(super) fn set_utc_s(&mut self, utc_s: u32) {
+        self.log.utc = (utc_s > 0).then_some((utc_s, self.now));
+    }
+
+    /// A calibration is stored for the next start.
+    pub(super) fn log_load(&mut self, crc: u32) {
+        self.log(What::Loaded, crc, self.log.loader);
+    }
+
+    /// Notes a write over a line, or of the board itself.
+    pub(super) fn log(&mut self, what: What, about: u32, line: Option<Line>) {
+        let origin = match line {
+            None => Origin::Board,
+            Some(Line::Can) => Origin::Can,
+            Some(Line::Serial) => Origin::Serial,
+        };
+        let running = if self.blob.is_empty() { 0 } else { calibration::identity(self.blob) };
+        let (at_ms, utc_s) = (self.now.0, self.utc_s());
+        let write = Write { sequence: 0, calibration: running, about, at_ms, utc_s, what, origin };
+        if self.log.waiting.push_back(write).is_err() {
+            // The board does not store: it is told all the same.
+            self.log.last.push(&write);
+        }
+    }
+}

@@ -1,0 +1,247 @@
+//! What was written to the board, when, and over which line: the log that outlasts the power.
+//!
+//! A write is told from the node (RAM, and object 0x2110) and kept beside the references
+//! ([`crate::reference`]), in a slot of the same 32 bytes:
+//!
+//! | offset | a record, little-endian | unit |
+//! |---|---|---|
+//! | 0 | `u32` sequence number, over references and writes | |
+//! | 4 | `u32` the calibration that ran: the CRC of its blob; 0: none | |
+//! | 8 | `u32` what it was about, see [`What`] | |
+//! | 12 | `u32` time since the start of the board | ms |
+//! | 16 | `u32` time of day; 0: nobody has told it | s since 1970, UTC |
+//! | 20 | `u8` what, `u8` line (0 the board itself, 1 CAN, 2 serial), 0, 0 | |
+//! | 24 | `u32` layout, 2 | |
+//! | 28 | CRC-32/AUTOSAR of the 28 bytes before it | |
+//!
+//! The object has the first 24 bytes of each, the oldest of the last [`KEPT`] first.
+
+use trueup_core::calibration::Names;
+
+use crate::crc;
+
+/// Bytes of a write in the object.
+pub const SIZE: usize = 24;
+/// So many writes are told by the object.
+pub const KEPT: usize = 16;
+/// The layout of a record of a write.
+pub(crate) const LAYOUT: u32 = 2;
+
+/// What was written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum What {
+    /// A calibration; about: its CRC.
+    Loaded = 1,
+    /// `Zero` has taken a reference; about: its elongation in nm, as `i32`.
+    Zeroed,
+    /// The reference was forgotten.
+    Forgotten,
+    /// The operator has answered a question; about: the number of the fault that was asked.
+    Confirmed,
+    /// The board belongs to another machine from now on; about: [`identity`] of its names.
+    Named,
+}
+
+impl What {
+    /// All of them.
+    pub const ALL: [Self; 5] =
+        [Self::Loaded, Self::Zeroed, Self::Forgotten, Self::Confirmed, Self::Named];
+
+    /// In a word.
+    #[must_use]
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Loaded => "loaded",
+            Self::Zeroed => "zeroed",
+            Self::Forgotten => "forgotten",
+            Self::Confirmed => "confirmed",
+            Self::Named => "named",
+        }
+    }
+}
+
+/// Where a write came from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Origin {
+    /// The board itself.
+    #[default]
+    Board = 0,
+    /// The CAN bus.
+    Can,
+    /// The serial line.
+    Serial,
+}
+
+impl Origin {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Board, Self::Can, Self::Serial];
+
+    /// In a word.
+    #[must_use]
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Board => "board",
+            Self::Can => "can",
+            Self::Serial => "serial",
+        }
+    }
+}
+
+/// One write.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Write {
+    /// Its number in the store; 0: it is not stored.
+    pub sequence: u32,
+    /// The calibration that ran, by the CRC of its blob; 0: none.
+    pub calibration: u32,
+    /// What it was about, see [`What`].
+    pub about: u32,
+    /// Milliseconds since the start of the board.
+    pub at_ms: u32,
+    /// Seconds since 1970 (UTC); 0: nobody has told the board the time.
+    pub utc_s: u32,
+    /// What was written.
+    pub what: What,
+    /// Where it came from.
+    pub origin: Origin,
+}
+
+impl Write {
+    /// The bytes of the object.
+    #[must_use]
+    pub fn to_bytes(&self) -> [u8; SIZE] {
+        let mut bytes = [0; SIZE];
+        let kind = u32::from(self.what as u8) | u32::from(self.origin as u8) << 8;
+        let words = [self.sequence, self.calibration, self.about, self.at_ms, self.utc_s, kind];
+        for (place, word) in bytes.as_chunks_mut().0.iter_mut().zip(words) {
+            *place = word.to_le_bytes();
+        }
+        bytes
+    }
+
+    /// The write in the bytes of the object; `None`: of another version.
+    #[must_use]
+    pub fn from_bytes(bytes: &[u8; SIZE]) -> Option<Self> {
+        let &[sequence, calibration, about, at_ms, utc_s, [what, origin, ..]] =
+            bytes.as_chunks::<4>().0
+        else {
+            return None;
+        };
+        let [sequence, calibration, about, at_ms, utc_s] =
+            [sequence, calibration, about, at_ms, utc_s].map(u32::from_le_bytes);
+        let what = What::ALL.into_iter().find(|it| *it as u8 == what)?;
+        let origin = Origin::ALL.into_iter().find(|it| *it as u8 == origin)?;
+        Some(Self { sequence, calibration, about, at_ms, utc_s, what, origin })
+    }
+}
+
+/// The last writes, as the object has them.
+#[derive(Clone, Debug)]
+pub struct Writes {
+    bytes: [u8; SIZE * KEPT],
+    length: usize,
+}
+
+impl Default for Writes {
+    fn default() -> Self {
+        Self { bytes: [0; _], length: 0 }
+    }
+}
+
+impl Writes {
+    /// Adds one; the oldest gives way.
+    pub fn push(&mut self, write: &Write) {
+        if self.length == self.bytes.len() {
+            self.bytes.copy_within(SIZE.., 0);
+            self.length = self.length.saturating_sub(SIZE);
+        }
+        let end = self.length.saturating_add(SIZE);
+        if let Some(place) = self.bytes.get_mut(self.length..end) {
+            place.iter_mut().zip(write.to_bytes()).for_each(|(place, byte)| *place = byte);
+            self.length = end;
+        }
+    }
+
+    /// The bytes of the object, the oldest write first.
+    #[must_use]
+    pub fn bytes(&self) -> &[u8] {
+        self.bytes.get(..self.length).unwrap_or_default()
+    }
+}
+
+/// What tells the names of a machine and a board from others; 0: the calibration names neither.
+#[must_use]
+pub fn identity(names: &Names<'_>) -> u32 {
+    let Names { machine, serial, board } = *names;
+    if machine.is_empty() && serial.is_empty() && board == [0; 3] {
+        return 0;
+    }
+    let mut digest = crc::digest();
+    // Between them what is in no text, so that a name cannot run into a number.
+    for part in [machine, &[0xFF], serial, &[0xFF]] {
+        digest.update(part);
+    }
+    board.iter().for_each(|word| digest.update(&word.to_le_bytes()));
+    digest.finalize().max(1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::vec::Vec;
+
+    fn write(sequence: u32) -> Write {
+        let what = What::ALL[sequence as usize % What::ALL.len()];
+        let origin = Origin::ALL[sequence as usize % Origin::ALL.len()];
+        let about = sequence.wrapping_mul(0x0101_0101);
+        Write { sequence, calibration: 7, about, at_ms: 1_000, utc_s: 1_790_000_000, what, origin }
+    }
+
+    #[test]
+    fn the_last_writes_are_told_the_oldest_first() {
+        let mut writes = Writes::default();
+        assert_eq!(writes.bytes(), [0; 0]);
+        for sequence in 1..=40 {
+            writes.push(&write(sequence));
+            let told: Vec<_> =
+                writes.bytes().as_chunks().0.iter().filter_map(Write::from_bytes).collect();
+            let first = sequence.saturating_sub(KEPT as u32) + 1;
+            assert_eq!(told, (first..=sequence).map(write).collect::<Vec<_>>());
+        }
+    }
+
+    #[test]
+    fn a_write_of_another_version_is_none() {
+        let mut bytes = write(3).to_bytes();
+        assert_eq!(Write::from_bytes(&bytes), Some(write(3)));
+        bytes[21] = 3;
+        assert_eq!(Write::from_bytes(&bytes), None);
+        bytes[21] = 0;
+        bytes[20] = 6;
+        assert_eq!(Write::from_bytes(&bytes), None);
+    }
+
+    #[test]
+    fn names_that_differ_anywhere_have_another_identity_and_no_names_have_none() {
+        let names = |machine: &'static str, serial: &'static str, board| Names {
+            machine: machine.as_bytes(),
+            serial: serial.as_bytes(),
+            board,
+        };
+        assert_eq!(identity(&Names::default()), 0);
+        let all = [
+            names("gantry", "", [0; 3]),
+            names("gantr", "y", [0; 3]),
+            names("", "gantry", [0; 3]),
+            names("gantry", "1", [0; 3]),
+            names("gantry", "1", [1, 0, 0]),
+            names("gantry", "1", [0, 0, 1]),
+        ];
+        let mut identities: Vec<_> = all.iter().map(identity).collect();
+        identities.sort_unstable();
+        identities.dedup();
+        assert_eq!(identities.len(), all.len());
+    }
+}
