@@ -108,8 +108,9 @@ mod app {
             node.set_buffer(buffer);
         }
         let (references, kept) = parts.references;
-        if let Some(reference) = kept.reference {
+        if let Some((reference, supply)) = kept.reference {
             node.set_reference(reference);
+            node.set_supply_basis(supply);
         }
         node.set_writes(references.writes().clone());
         if !parts.is_example {
@@ -216,6 +217,9 @@ mod app {
            shared = [node, port, can_out, samples, temperatures, moved_ms])]
     fn supervise(cx: supervise::Context) {
         let (mut shared, it) = (cx.shared, cx.local.supervision);
+        if let Some(code) = shared.samples.lock(|samples| samples.internal_reference()) {
+            shared.node.lock(|node| node.hear_supply(code));
+        }
         if it.samples_are_missing(shared.node.lock(|node| node.blocks())) {
             shared.samples.lock(Samples::restart);
         }
@@ -226,9 +230,10 @@ mod app {
             let frames = shared.node.lock(|node| tick(node, behind_ms, input));
             shared.can_out.lock(|can| shared.port.lock(|port| send(&frames, can, port)));
         }
-        let (now, quality, zero) =
-            shared.node.lock(|node| (node.now().0, node.last().quality, node.take_zero()));
-        if !it.keep(zero) {
+        let (now, quality, zero, supply) = shared.node.lock(|node| {
+            (node.now().0, node.last().quality, node.take_zero(), node.supply_basis())
+        });
+        if !it.keep(zero, supply) {
             shared.node.lock(|node| node.note(Fault::Store));
         }
         // Looked at and stored outside the lock: neither holds up a tick.

@@ -2,7 +2,7 @@
 
 use micromath::F32Ext as _;
 use trueup_canopen::emergency::Fault;
-use trueup_core::cnc::Quality;
+use trueup_core::{cnc::Quality, supply::Level};
 use trueup_link::slcan::Port;
 use trueup_node::node::{Node, Zero};
 use trueup_store::{
@@ -98,8 +98,8 @@ impl Supervision {
     }
 
     /// Stores what a `Zero` has taken; `false`: it was not stored.
-    pub fn keep(&mut self, zero: Option<Zero>) -> bool {
-        zero.is_none_or(|zero| references::keep(&mut self.references, zero))
+    pub fn keep(&mut self, zero: Option<Zero>, supply: Level) -> bool {
+        zero.is_none_or(|zero| references::keep(&mut self.references, zero, supply))
     }
 
     /// Stores who has written what; gives it with its number, or `None`: it was not stored.

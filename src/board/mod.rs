@@ -2,10 +2,10 @@
 //!
 //! | part | `stm32f405` | `virtual` |
 //! |---|---|---|
-//! | [`Samples`] | TIM3 → ADC1 → DMA2, 20 codes a block | blocks by semihosting from the host |
+//! | [`Samples`] | TIM3 → ADC1 → DMA2, 20 codes a block; VREFINT between them | blocks by semihosting from the host |
 //! | [`SerialIn`], [`SerialOut`] | USART1, 921 600 Bd, by DMA | USART1 of the emulator, by polling |
 //! | [`CanIn`], [`CanOut`] | bxCAN, 1 Mbit/s, PB8/PB9 | frames in the same stream as the samples |
-//! | [`Thermometers`] | 8 MAX31865 on SPI2 | come with the samples |
+//! | [`Thermometers`] | 8 MAX31865 on SPI2, linear inputs by ADC2 | come with the samples |
 //! | [`Flash`] | two sectors of the flash | a file of the host |
 //! | [`Store`] of a new calibration | two more sectors | a file of the host |
 //! | [`Watchdog`] | IWDG, 100 ms | none: the host watches |

@@ -4,7 +4,7 @@
 //! A store that fails costs the reference of the next start, never an offset of this one.
 
 use embedded_storage::nor_flash::NorFlash;
-use trueup_core::bridge::Reference;
+use trueup_core::{bridge::Reference, supply::Level};
 use trueup_node::node::Zero;
 use trueup_store::{
     reference::{Found, References},
@@ -15,7 +15,7 @@ use trueup_store::{
 /// for that, so this is for the time before samples are taken and the watchdog runs.
 pub fn open<F: NorFlash>(flash: F, calibration: u32) -> (References<F>, Kept) {
     let (mut references, found) = References::open(flash, calibration);
-    let Found { reference, named, foreign, damaged } = found;
+    let Found { reference, supply, named, foreign, damaged } = found;
     match reference {
         Some((number, reference)) => say(number, &reference, "taken up"),
         None => defmt::info!("no reference is stored for this calibration"),
@@ -31,20 +31,22 @@ pub fn open<F: NorFlash>(flash: F, calibration: u32) -> (References<F>, Kept) {
         Ok(true) => defmt::info!("room made for references"),
         Err(error) => defmt::error!("dead: store of references, {}", Text(&error)),
     }
-    (references, Kept { reference: reference.map(|(_, reference)| reference), named })
+    let reference = reference.map(|(_, reference)| (reference, supply));
+    (references, Kept { reference, named })
 }
 
 /// What the store holds for the start.
 #[derive(Clone, Copy, Default)]
 pub struct Kept {
-    /// The reference to start with.
-    pub reference: Option<Reference>,
+    /// The reference to start with, and the level of the supply that it counts from.
+    pub reference: Option<(Reference, Level)>,
     /// The machine that the board belongs to, as `trueup_store::writes::identity` has it.
     pub named: Option<u32>,
 }
 
 /// Stores what a `Zero` has taken; `false`: it is not stored.
-pub fn keep<F: NorFlash>(references: &mut References<F>, zero: Zero) -> bool {
+pub fn keep<F: NorFlash>(references: &mut References<F>, zero: Zero, supply: Level) -> bool {
+    references.set_supply(supply);
     match zero {
         Zero::Unchanged => {
             defmt::warn!("zero: the reference stays, an input is missing or the error is the same");

@@ -38,7 +38,10 @@ use stm32f4xx_hal::{
     rcc,
     serial::{self, Rx, Serial, Tx},
 };
-use trueup_core::{channels::RawTemperatures, units::Millis};
+use trueup_core::{
+    channels::RawTemperatures,
+    units::{Code, Millis},
+};
 use trueup_link::{frame::Frame, status::ResetReason};
 use trueup_pipe::{self as pipe, Record};
 use trueup_store::calibration;
@@ -178,6 +181,11 @@ impl Samples {
 
     /// There is no converter that could have stopped.
     pub fn restart(&mut self) {}
+
+    /// Nor one that has a supply.
+    pub fn internal_reference(&mut self) -> Option<Code> {
+        None
+    }
 }
 
 /// Bytes from the CNC.

@@ -84,8 +84,8 @@ pub fn summary(c: &Chip, quiet: bool) {
         c.uart.overruns,
         seconds(c.uart.longest) * 1e6,
         seconds(c.uart.longest_at) * 1e3,
-        seconds(c.dma[1].longest) * 1e6,
-        seconds(c.dma[1].longest_at) * 1e3,
+        seconds(c.dma[1].longest[0]) * 1e6,
+        seconds(c.dma[1].longest_at[0]) * 1e3,
         c.spi.bytes,
         c.irq_counts.iter().enumerate().filter(|(_, n)| **n > 0).collect::<Vec<_>>()
     );

@@ -228,12 +228,14 @@ impl<'a> Bridge<'a> {
     /// Codes to elongation.
     fn sense(&self, state: &mut State, codes: &[Code; CODES_PER_TICK], speed: Option<Rpm>) {
         state.codes_age = Age::NEW;
-        let clean = state.health.check(codes);
+        let supply = state.supply();
+        let clean = state.health.check(codes).zip(supply);
         state.believable = clean.is_some();
         match clean {
             None => state.filter.clear(),
-            Some(clean) => {
+            Some((clean, scale)) => {
                 if let Some(reading) = state.filter.tick(clean, speed) {
+                    let reading = scale.of(reading);
                     state.elongation = Some(self.calibration.spindle.sensor.elongation(reading));
                     state.elongation_age = Age::NEW;
                 }
@@ -308,7 +310,9 @@ impl<'a> Bridge<'a> {
             (self.calibration.thermometers.get(number), state.raw.get(number))
         {
             let fresh = !state.raw_age.is_above(TEMPERATURE_TIMEOUT_MS);
-            state.channels.hear(number, fresh.then(|| thermometer.read(*raw).ok()).flatten());
+            let raw =
+                fresh.then_some(*raw).and_then(|raw| thermometer.at_basis(raw, state.supply()));
+            state.channels.hear(number, raw.and_then(|raw| thermometer.read(raw).ok()));
         }
     }
 

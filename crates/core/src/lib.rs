@@ -70,6 +70,7 @@ pub mod pt100;
 pub mod revolution_mean;
 pub mod sensor;
 pub mod set;
+pub mod supply;
 pub mod term;
 #[cfg(test)]
 mod testing;

@@ -12,6 +12,7 @@
 use crate::{
     fixed::rounded_shift,
     pt100,
+    supply::Scale,
     units::{MicroOhms, Temperature},
 };
 
@@ -75,6 +76,16 @@ impl Thermometer {
     /// The most binary places of a slope.
     pub const MAX_SHIFT: u8 = 31;
 
+    /// A delivery as it would be with the converter's supply as it was: a linear chain is measured by it, a
+    /// PT100's resistance is not. `None`: it is measured by a supply that is not believed.
+    #[must_use]
+    pub fn at_basis(&self, raw: Raw, supply: Option<Scale>) -> Option<Raw> {
+        match self {
+            Self::Linear { .. } if raw != Raw::NONE => Some(Raw(supply?.of_raw(raw.0))),
+            _ => Some(raw),
+        }
+    }
+
     /// The temperature that a delivery means.
     ///
     /// ```
@@ -111,6 +122,10 @@ impl Thermometer {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{
+        supply::{Level, Supply},
+        units::Code,
+    };
     extern crate std;
 
     /// Seed 002: 4000 counts at 0 °C, 16 counts per kelvin.
@@ -238,6 +253,19 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn a_linear_chain_is_measured_by_the_supply_and_a_pt100_is_not() {
+        let mut supply = Supply::default();
+        supply.set_basis(Level(1_500 * 16));
+        (0..500).for_each(|_| supply.hear(Code(1_515)));
+        let scale = Some(supply.scale());
+        assert_eq!(PAPER.at_basis(Raw(1_010_000), scale), Some(Raw(1_000_000)));
+        assert_eq!(PAPER.at_basis(Raw(1_010_000), None), None);
+        assert_eq!(PAPER.at_basis(Raw::NONE, None), Some(Raw::NONE));
+        let pt100 = Thermometer::Pt100;
+        assert_eq!(pt100.at_basis(Raw(110_000_000), None), Some(Raw(110_000_000)));
     }
 
     #[test]

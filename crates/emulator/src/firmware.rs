@@ -121,6 +121,14 @@ pub fn build_for(machine: &Path) -> Result<PathBuf> {
     build_as(Board::Stm32f405, "stm32f405-for-a-machine", Some(machine))
 }
 
+/// As [`build_for`], beside it: for one who compares two machines.
+///
+/// # Errors
+/// As [`build_for`].
+pub fn build_for_another(machine: &Path) -> Result<PathBuf> {
+    build_as(Board::Stm32f405, "stm32f405-for-another-machine", Some(machine))
+}
+
 fn build_as(board: Board, name: &str, machine: Option<&Path>) -> Result<PathBuf> {
     let (mut command, folder) = cargo("build", board)?;
     if let Some(machine) = machine {

@@ -17,6 +17,7 @@ use trueup_core::{
     calibration::Calibration,
     cnc::{Command, Control, Flags, Output, Quality},
     health::Noise,
+    supply::Supply,
     units::Millis,
 };
 use trueup_link::{
@@ -42,6 +43,7 @@ mod network;
 mod objects;
 mod questions;
 mod restart;
+mod supply;
 mod writes;
 
 pub use master::Line;
@@ -104,6 +106,7 @@ pub struct Node<'a> {
     zero: Option<Zero>,
     /// A `Zero` was refused since [`Node::service`] last ran.
     zero_refused: bool,
+    supply: Supply,
 }
 
 /// What came of a `Zero`.
@@ -158,6 +161,7 @@ impl<'a> Node<'a> {
             last: Output::default(),
             zero: None,
             zero_refused: false,
+            supply: Supply::default(),
         };
         node.bar();
         node

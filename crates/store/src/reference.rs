@@ -6,7 +6,8 @@
 //! | 4 | `u32` the calibration that it was taken with: the CRC of its blob | |
 //! | 8 | `i32` elongation | nm |
 //! | 12 | 3 × `i32` errors of X, Y, Z | 1/256 nm |
-//! | 24 | `u32` layout, 1 | |
+//! | 24 | `u16` layout, 1 | |
+//! | 26 | `u16` level of the converter's internal reference that it counts from; 0: not known | 1/16 code |
 //! | 28 | CRC-32/AUTOSAR of the 28 bytes before it | |
 //!
 //! Between them lie the [writes](crate::writes), with a layout of their own.
@@ -18,6 +19,7 @@
 use embedded_storage::nor_flash::NorFlash;
 use trueup_core::{
     bridge::Reference,
+    supply::Level,
     units::{Fine, Nanometres},
 };
 
@@ -32,7 +34,7 @@ const SLOT_SIZE: u32 = 32;
 /// Bytes of a record.
 pub const RECORD_SIZE: usize = SLOT_SIZE as usize;
 /// The layout described here.
-const LAYOUT: u32 = 1;
+const LAYOUT: u16 = 1;
 /// How many slots are tried for one record.
 const ATTEMPTS: u32 = 3;
 
@@ -44,13 +46,15 @@ struct Record {
     sequence: u32,
     calibration: u32,
     reference: Reference,
+    supply: Level,
 }
 
 impl Record {
     fn encode(&self) -> Bytes {
         let Reference { elongation, axes: [x, y, z] } = self.reference;
         let [elongation, x, y, z] = [elongation.0, x.0, y.0, z.0].map(i32::cast_unsigned);
-        let words = [self.sequence, self.calibration, elongation, x, y, z, LAYOUT];
+        let layout = u32::from(LAYOUT) | u32::from(self.supply.0) << 16;
+        let words = [self.sequence, self.calibration, elongation, x, y, z, layout];
         let mut bytes = [0; RECORD_SIZE];
         for (place, word) in bytes.as_chunks_mut().0.iter_mut().zip(words) {
             *place = word.to_le_bytes();
@@ -66,13 +70,15 @@ impl Record {
         else {
             return None;
         };
-        (u32::from_le_bytes(layout) == LAYOUT).then(|| Self {
+        let [low, high, supply_low, supply_high] = layout;
+        (u16::from_le_bytes([low, high]) == LAYOUT).then(|| Self {
             sequence: u32::from_le_bytes(sequence),
             calibration: u32::from_le_bytes(calibration),
             reference: Reference {
                 elongation: Nanometres(i32::from_le_bytes(elongation)),
                 axes: [x, y, z].map(|axis| Fine(i32::from_le_bytes(axis))),
             },
+            supply: Level(u16::from_le_bytes([supply_low, supply_high])),
         })
     }
 }
@@ -99,6 +105,8 @@ pub struct Found {
     pub reference: Option<(u32, Reference)>,
     /// The machine and the board that the board belongs to: [`writes::identity`] of their names.
     pub named: Option<u32>,
+    /// The level of the supply that it counts from.
+    pub supply: Level,
     /// Records of other calibrations.
     pub foreign: u32,
     /// Slots that hold something, but no record.
@@ -115,6 +123,8 @@ pub struct References<F> {
     /// The write that has named the board's machine, and the half that it is in.
     named: Option<(Write, Half)>,
     writes: Writes,
+    /// Goes into every record.
+    supply: Level,
 }
 
 impl<F: NorFlash> References<F> {
@@ -142,6 +152,7 @@ impl<F: NorFlash> References<F> {
                 found.foreign = found.foreign.saturating_add(1);
             } else if found.reference.is_none_or(|(newest, _)| record.sequence > newest) {
                 found.reference = Some((record.sequence, record.reference));
+                found.supply = record.supply;
                 current = Some((record.reference, slot.half));
             }
             Some(record.sequence)
@@ -149,7 +160,7 @@ impl<F: NorFlash> References<F> {
         found.named = named.map(|(write, _)| write.about);
         let mut writes = Writes::default();
         oldest_first.iter().flatten().for_each(|write| writes.push(write));
-        (Self { log, calibration, current, named, writes }, found)
+        (Self { log, calibration, current, named, writes, supply: found.supply }, found)
     }
 
     /// The last writes that were found at the start.
@@ -172,14 +183,23 @@ impl<F: NorFlash> References<F> {
         Ok(stored)
     }
 
+    /// Records from now on say that their references count from this level of the supply.
+    pub fn set_supply(&mut self, supply: Level) {
+        self.supply = supply;
+    }
+
     /// Appends a reference; gives the sequence number of its record.
     ///
     /// # Errors
     /// [`StoreError`]; what was stored before still counts.
     pub fn append(&mut self, reference: Reference) -> Result<u32, StoreError> {
-        let calibration = self.calibration;
+        let (calibration, supply) = (self.calibration, self.supply);
         let (sequence, slot) = self.log.append(ATTEMPTS, |flash, slot, sequence| {
-            write_part(flash, slot.address, &Record { sequence, calibration, reference }.encode())
+            write_part(
+                flash,
+                slot.address,
+                &Record { sequence, calibration, reference, supply }.encode(),
+            )
         })?;
         self.current = Some((reference, slot.half));
         Ok(sequence)

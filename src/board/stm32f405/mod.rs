@@ -3,6 +3,7 @@
 //! | pin | signal |
 //! |---|---|
 //! | PA0 | displacement sensor behind its filter and divider, 0 V … VREF+ |
+//! | PA1 … PA7, PB0 | linear temperature inputs of channels 0 … 6, 7, where the machine file has them |
 //! | PA9, PA10 | serial transmit and receive, 921 600 Bd |
 //! | PB9, PB8 | CAN transmit and receive, to a transceiver |
 //! | PB13, PB14, PB15 | SCK, MISO, MOSI of the temperature converters |
@@ -21,6 +22,7 @@ mod flash;
 mod identity;
 mod lamp;
 mod last_words;
+mod linear_inputs;
 mod panic;
 mod sampling;
 mod serial;
@@ -47,6 +49,7 @@ pub use sampling::Samples;
 pub use serial::{SerialIn, SerialOut};
 pub use store::Store;
 pub use thermometers::Thermometers;
+use trueup_core::thermometer::Thermometer;
 use trueup_store::calibration;
 use watchdog::Reset;
 pub use watchdog::Watchdog;
@@ -118,11 +121,13 @@ pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts
         gpioc.pc6.into_push_pull_output_in_state(High).erase(),
         gpioc.pc7.into_push_pull_output_in_state(High).erase(),
     ];
-    let thermometers = thermometers::start(
+    let known = calibration.as_ref().map(|it| it.thermometers).unwrap_or_default();
+    let plan = sampling::Plan::at(rcc.clocks.pclk2().raw());
+    let mut thermometers = thermometers::start(
         device.SPI2,
         (gpiob.pb13, gpiob.pb14, gpiob.pb15),
         selects,
-        calibration.as_ref().map(|it| it.thermometers).unwrap_or_default(),
+        known,
         &mut rcc,
     );
     let chain = sampling::Chain {
@@ -132,6 +137,14 @@ pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts
         dma: device.DMA2,
     };
     let samples = sampling::start(chain, gpioa.pa0, &device.ADC_COMMON, &mut rcc);
+    // After the first converter's, because a reset is for all of them.
+    if known.iter().flatten().any(|it| matches!(it, Thermometer::Linear { .. })) {
+        let pins = (
+            gpioa.pa1, gpioa.pa2, gpioa.pa3, gpioa.pa4, gpioa.pa5, gpioa.pa6, gpioa.pa7, gpiob.pb0,
+        );
+        let inputs = linear_inputs::start(device.ADC2, pins, plan.others(), &mut rcc);
+        thermometers.set_linear(inputs);
+    }
     start_supervisor_clock(&mut core.SYST, rcc.clocks.hclk().raw());
     watchdog.tighten();
     Parts {

@@ -2,8 +2,20 @@
 //!
 //! ```text
 //! TIM3 update, 20 kHz ──► ADC1 channel 0 (PA0) ──► DMA2 stream 0 ──► buffer 0 │ buffer 1
-//!        └──► TIM2 counts the triggers                                20 codes each, in turn
+//!   │    └──► TIM2 counts the triggers                                20 codes each, in turn
+//!   └ compare 1 ──► ADC2, the linear inputs        (both when the sensor's conversion is over)
+//!     compare 4 ──► ADC1 injected, VREFINT ──► JDR1
 //! ```
+//!
+//! What is not the sensor is converted in the part of the 50 µs that the sensor leaves, so that neither
+//! converter samples while the other one decides a bit of the sensor's code, and no conversion of the
+//! sensor is ever broken off.
+//!
+//! | APB2 | converter clock | sensor | VREFINT, at least 10 µs of sampling | together, of 50 µs |
+//! |---|---|---|---|---|
+//! | 84 MHz | 21 MHz | 480 + 12 cycles, 23.4 µs | 480 + 12 cycles, 23.4 µs | 47.9 µs |
+//! | 72 MHz, internal oscillator | 18 MHz | 144 + 12, 8.7 µs | 480 + 12, 27.3 µs | 37.0 µs |
+//! | 16 MHz, no PLL | 8 MHz | 144 + 12, 19.5 µs | 112 + 12, 15.5 µs | 36.0 µs |
 //!
 //! The DMA fills one buffer while the task takes the other, and changes over by itself (double
 //! buffer mode, section 10.3.9). The task has 1 ms. TIM2 tells whether it was in time: unlike the
@@ -20,8 +32,11 @@ use core::sync::atomic::{AtomicU16, Ordering, fence};
 
 use stm32f4xx_hal::{
     gpio::PA0,
-    pac::{ADC_COMMON, ADC1, DMA2, TIM2, TIM3},
+    pac::{
+        ADC_COMMON, ADC1, DMA2, TIM2, TIM3, adc_common::ccr::ADCPRE, adc1::smpr1::SMP10 as Cycles,
+    },
     rcc::{Enable, Rcc, Reset},
+    signature::VrefCal,
 };
 use trueup_core::units::Code;
 
@@ -34,8 +49,12 @@ use super::{
 const SAMPLES_PER_SECOND: u32 = 20_000;
 /// [`BLOCK`] as the DMA counts it.
 const BLOCK_LENGTH: u16 = BLOCK as u16;
-/// Clocks of the converter for 480 of sampling and 12 of conversion (section 13.5).
-const LONGEST_CONVERSION: u32 = 480 + 12;
+/// The channel of the internal reference, VREFINT (section 13.10).
+const INTERNAL_REFERENCE: u8 = 17;
+/// Between the end of the sensor's conversion and the next one, in microseconds.
+const PAUSE_US: u32 = 1;
+/// The supply's share of 3.3 V, in thousandths, by which it may differ before the log remarks it.
+const REMARK_PER_MILLE: u32 = 50;
 /// A stream stops within one transfer, far less than a microsecond; this is some ten.
 const STOP_POLLS: u32 = 200;
 
@@ -60,21 +79,65 @@ pub fn start(chain: Chain, pin: PA0, common: &ADC_COMMON, rcc: &mut Rcc) -> Samp
     pin.into_analog();
     let timer_hz = rcc.clocks.timclk1().raw();
     let bus_hz = rcc.clocks.pclk2().raw();
-    set_up_timers(&chain, timer_hz, rcc);
-    set_up_converter(&chain.adc, common, bus_hz, rcc);
-    let mut samples = Samples { chain, taken: 0, lost: 0, restarts: 0 };
+    let plan = Plan::at(bus_hz);
+    set_up_timers(&chain, timer_hz, plan.pause_begins(bus_hz, timer_hz), rcc);
+    set_up_converter(&chain.adc, common, &plan, rcc);
+    let mut samples = Samples { chain, taken: 0, lost: 0, restarts: 0, remarked: false };
     samples.arm();
     samples
 }
 
-/// Both 84 MHz and 16 MHz are whole multiples of 20 kHz, so the rate is as exact as the clock.
-fn set_up_timers(chain: &Chain, timer_hz: u32, rcc: &mut Rcc) {
+/// How the 50 µs are shared.
+pub struct Plan {
+    divider: ADCPRE,
+    /// The clock of APB2 by it.
+    divided_by: u32,
+    sensor: Cycles,
+    sensor_cycles: u32,
+    /// For VREFINT and the linear inputs.
+    others: Cycles,
+}
+
+impl Plan {
+    /// By the clock of APB2. A quarter of 84 MHz is below the limit of 36 MHz (data sheet, ADC
+    /// characteristics), and lets the sensor's pin settle for as long as the converter offers.
+    pub fn at(bus_hz: u32) -> Self {
+        let (divider, divided_by, sensor, sensor_cycles, others) = match bus_hz {
+            84_000_000.. => (ADCPRE::Div4, 4, Cycles::Cycles480, 480, Cycles::Cycles480),
+            20_000_000.. => (ADCPRE::Div4, 4, Cycles::Cycles144, 144, Cycles::Cycles480),
+            _ => (ADCPRE::Div2, 2, Cycles::Cycles144, 144, Cycles::Cycles112),
+        };
+        Self { divider, divided_by, sensor, sensor_cycles, others }
+    }
+
+    /// Sampling of what is not the sensor.
+    pub fn others(&self) -> Cycles {
+        self.others
+    }
+
+    /// When the sensor's conversion is over, in counts of the timer. A conversion is 12 cycles of
+    /// deciding after those of sampling (section 13.5).
+    fn pause_begins(&self, bus_hz: u32, timer_hz: u32) -> u16 {
+        let counts_per_cycle = self.divided_by * (timer_hz / bus_hz);
+        let count = (self.sensor_cycles + 12) * counts_per_cycle + timer_hz / 1_000_000 * PAUSE_US;
+        u16::try_from(count).expect("less than a period of the timer")
+    }
+}
+
+/// 84, 72 and 16 MHz are whole multiples of 20 kHz, so the rate is as exact as the clock.
+fn set_up_timers(chain: &Chain, timer_hz: u32, pause: u16, rcc: &mut Rcc) {
     TIM3::enable(rcc);
     TIM3::reset(rcc);
     let period = u16::try_from(timer_hz / SAMPLES_PER_SECOND - 1)
         .expect("84 MHz / 20 kHz = 4200 fits 16 bits");
     chain.tim3.arr().write(|w| w.arr().set(period));
     chain.tim3.cr2().write(|w| w.mms().update());
+    // PWM mode 2: the output rises at the compare value, once in a period, and that is the event.
+    chain.tim3.ccr1().write(|w| w.ccr().set(pause));
+    chain.tim3.ccr4().write(|w| w.ccr().set(pause));
+    chain.tim3.ccmr1_output().write(|w| w.oc1m().pwm_mode2());
+    chain.tim3.ccmr2_output().write(|w| w.oc4m().pwm_mode2());
+    chain.tim3.ccer().write(|w| w.cc1e().enabled().cc4e().enabled());
 
     TIM2::enable(rcc);
     TIM2::reset(rcc);
@@ -83,16 +146,19 @@ fn set_up_timers(chain: &Chain, timer_hz: u32, rcc: &mut Rcc) {
     chain.tim2.cr1().write(|w| w.cen().enabled());
 }
 
-/// One channel, 12 bits, right-aligned. A quarter of APB2 is 21 MHz, below the limit of 36 MHz
-/// (data sheet, ADC characteristics), and lets the pin settle for as long as the converter offers:
-/// 480 clocks, 22.9 µs. At 16 MHz that would outlast the period, and 144 clocks take 36 µs.
-fn set_up_converter(adc: &ADC1, common: &ADC_COMMON, bus_hz: u32, rcc: &mut Rcc) {
+/// One channel, 12 bits, right-aligned; and as injected one VREFINT, which needs its switch and 10 µs.
+#[allow(unsafe_code, reason = "a channel of the converter")]
+fn set_up_converter(adc: &ADC1, common: &ADC_COMMON, plan: &Plan, rcc: &mut Rcc) {
     ADC1::enable(rcc);
+    // Resets all three converters.
     ADC1::reset(rcc);
-    common.ccr().modify(|_, w| w.adcpre().div4());
-    let longest_fits = bus_hz / 4 >= LONGEST_CONVERSION * SAMPLES_PER_SECOND;
-    adc.smpr2().write(|w| if longest_fits { w.smp0().cycles480() } else { w.smp0().cycles144() });
-    // A sequence of one, channel 0, and no scan are what the reset left.
+    common.ccr().modify(|_, w| w.adcpre().variant(plan.divider).tsvrefe().enabled());
+    adc.smpr2().write(|w| w.smp0().variant(plan.sensor));
+    adc.smpr1().write(|w| w.smp17().variant(plan.others));
+    // Of a sequence of one it is the fourth that counts (section 13.13.12).
+    // SAFETY: a channel that the converter has, in the five bits of JSQ4.
+    unsafe { adc.jsqr().write(|w| w.jsq4().bits(INTERNAL_REFERENCE)) };
+    // A regular sequence of one, channel 0, and no scan are what the reset left.
 }
 
 /// Blocks of conversions, one every millisecond.
@@ -102,6 +168,8 @@ pub struct Samples {
     taken: u32,
     lost: u32,
     restarts: u32,
+    /// The supply was held against the factory's value.
+    remarked: bool,
 }
 
 impl Samples {
@@ -123,6 +191,16 @@ impl Samples {
         }
         self.taken = self.taken.wrapping_add(u32::from(BLOCK_LENGTH));
         Some(Block { codes, speed: None, temperatures: None })
+    }
+
+    /// The last code of the chip's internal reference; `None` before the first.
+    pub fn internal_reference(&mut self) -> Option<Code> {
+        let code = self.chain.adc.jdr1().read().jdata().bits();
+        let code = (code != 0).then_some(Code(code))?;
+        if !core::mem::replace(&mut self.remarked, true) {
+            remark_supply(code);
+        }
+        Some(code)
     }
 
     /// Starts the chain anew, whatever state it is in: called when blocks are missing.
@@ -176,6 +254,7 @@ impl Samples {
         // Requests go on past the last transfer of a buffer (DDS), as circular mode needs.
         self.chain.adc.cr2().write(|w| {
             w.exten().rising_edge().extsel().tim3trgo();
+            w.jexten().rising_edge().jextsel().tim3cc4();
             w.dma().enabled().dds().continuous().adon().enabled()
         });
         self.chain.tim2.cnt().write(|w| w.cnt().set(0));
@@ -221,5 +300,19 @@ impl Samples {
             w.ctcif0().clear().chtif0().clear().cteif0().clear();
             w.cdmeif0().clear().cfeif0().clear()
         });
+    }
+}
+
+/// What the supply is by the factory's value, which was taken at 3.3 V (data sheet, VREFINT_CAL): it is no
+/// more than a remark, because a board may be made for another supply.
+fn remark_supply(code: Code) {
+    let factory = u32::from(VrefCal::get().read());
+    let millivolts = 3_300 * factory / u32::from(code.0);
+    if factory == 0 || factory >= u32::from(Code::MAX.0) {
+        defmt::info!("the chip has no factory value of its internal reference");
+    } else if millivolts.abs_diff(3_300) > 3_300 * REMARK_PER_MILLE / 1_000 {
+        defmt::warn!("supply: {=u32} mV by the factory's value, expected 3300", millivolts);
+    } else {
+        defmt::info!("supply: {=u32} mV by the factory's value", millivolts);
     }
 }

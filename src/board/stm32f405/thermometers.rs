@@ -25,7 +25,7 @@ use trueup_core::{
 };
 use trueup_max31865::{Converter, Reading, TURN_MS};
 
-use super::{super::TEMPERATURES, within};
+use super::{super::TEMPERATURES, linear_inputs::LinearInputs, within};
 
 /// Turns in a round: one for each channel, and two that are left over.
 const ROUND: usize = 10;
@@ -59,6 +59,8 @@ struct Channel {
 pub struct Thermometers {
     spi: Spi<SPI2>,
     channels: [Channel; TEMPERATURES],
+    /// Where the machine file has some.
+    linear: Option<LinearInputs>,
     turn: usize,
     rounds: u32,
 }
@@ -82,19 +84,15 @@ pub fn start(
         thermometer: thermometers.next().flatten(),
         changes: 0,
     });
-    for (number, channel) in channels.iter().enumerate() {
-        if matches!(channel.thermometer, Some(Thermometer::Linear { .. })) {
-            defmt::error!(
-                "temperature channel {}: \"linear\" in the machine file, but this board reads \
-                 PT100s; it stays missing",
-                number
-            );
-        }
-    }
-    Thermometers { spi, channels, turn: 0, rounds: 0 }
+    Thermometers { spi, channels, linear: None, turn: 0, rounds: 0 }
 }
 
 impl Thermometers {
+    /// Linear channels are read by these.
+    pub fn set_linear(&mut self, inputs: LinearInputs) {
+        self.linear = Some(inputs);
+    }
+
     /// One turn, every 10 ms. After each round it gives what all channels deliver.
     pub fn turn(&mut self) -> Option<RawTemperatures> {
         let number = self.turn;
@@ -110,7 +108,15 @@ impl Thermometers {
         if self.rounds == ROUNDS_TO_ANSWER {
             self.log_who_answers();
         }
-        Some(self.channels.each_ref().map(Channel::raw))
+        let linear = self.linear.as_mut().map(LinearInputs::take);
+        Some(core::array::from_fn(|number| {
+            let channel = &self.channels[number];
+            if channel.is_linear() {
+                linear.map_or(Raw::NONE, |all| all[number])
+            } else {
+                channel.converter.reading().raw()
+            }
+        }))
     }
 
     fn log_who_answers(&self) {
@@ -118,7 +124,7 @@ impl Thermometers {
             self.channels.iter().rev().fold(0, |bits, it| bits << 1 | u8::from(is_so(it)))
         };
         let answering = bits(|it| it.converter.reading() != Reading::Missing);
-        let wanted = bits(|it| it.thermometer.is_some());
+        let wanted = bits(|it| it.thermometer.is_some() && !it.is_linear());
         defmt::info!(
             "temperature converters that answer: {=u8:#010b}, in the machine file: {=u8:#010b}",
             answering,
@@ -131,11 +137,8 @@ impl Thermometers {
 }
 
 impl Channel {
-    fn raw(&self) -> Raw {
-        match self.thermometer {
-            Some(Thermometer::Linear { .. }) => Raw::NONE,
-            _ => self.converter.reading().raw(),
-        }
+    fn is_linear(&self) -> bool {
+        matches!(self.thermometer, Some(Thermometer::Linear { .. }))
     }
 
     fn turn(&mut self, number: usize, spi: &mut Spi<SPI2>) {

@@ -20,9 +20,9 @@ pub struct Dma {
     pub(crate) s: [Stream; 8],
     pub transfers: [u64; 8],
     pub(crate) full_at: [u64; 8],
-    /// From a full block to its flag being cleared, at the longest.
-    pub longest: u64,
-    pub longest_at: u64,
+    /// From a full block to its flag being cleared, at the longest, by stream.
+    pub longest: [u64; 8],
+    pub longest_at: [u64; 8],
 }
 
 impl Default for Dma {
@@ -32,8 +32,8 @@ impl Default for Dma {
             s: [Stream { fcr: 0x21, ..Stream::default() }; 8],
             transfers: [0; 8],
             full_at: [0; 8],
-            longest: 0,
-            longest_at: 0,
+            longest: [0; 8],
+            longest_at: [0; 8],
         }
     }
 }
@@ -80,9 +80,9 @@ impl Chip {
                         != 0
                     {
                         let wait = self.now - self.dma[d].full_at[n];
-                        if wait > self.dma[d].longest {
-                            self.dma[d].longest = wait;
-                            self.dma[d].longest_at = self.dma[d].full_at[n];
+                        if wait > self.dma[d].longest[n] {
+                            self.dma[d].longest[n] = wait;
+                            self.dma[d].longest_at[n] = self.dma[d].full_at[n];
                         }
                     }
                 }

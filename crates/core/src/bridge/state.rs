@@ -10,6 +10,7 @@ use crate::{
     heat::Heat,
     limits::Applied,
     place::Place,
+    supply::Scale,
     tool::Direction,
     travel,
     units::{Fine, MicroDegrees, Millis, Nanometres, Temperature},
@@ -69,6 +70,10 @@ pub struct State {
     pub(super) applied: Applied,
     /// Nothing is followed, and nothing is available.
     pub(super) barred: bool,
+    /// By what readings of the converter are multiplied.
+    scale: Scale,
+    /// The converter's supply is not believed, and nothing that is measured by it.
+    supply_is_off: bool,
 }
 
 /// The error that counts as none: what `Zero` has taken.
@@ -147,6 +152,16 @@ impl State {
     #[must_use]
     pub fn elongation(&self) -> Option<Nanometres> {
         self.elongation.filter(|_| self.sensor_is_fresh())
+    }
+
+    /// Takes by what readings of the converter are to be multiplied; `None`: its supply is not believed.
+    pub fn set_supply(&mut self, scale: Option<Scale>) {
+        self.supply_is_off = scale.is_none();
+        self.scale = scale.unwrap_or_default();
+    }
+
+    pub(super) fn supply(&self) -> Option<Scale> {
+        (!self.supply_is_off).then_some(self.scale)
     }
 
     /// The temperature of a channel, where one is connected and believable.

@@ -196,6 +196,7 @@ impl Objects for Node<'_> {
             ObjectKind::Forget if self.state.reference() == Reference::default() => {}
             ObjectKind::Forget => {
                 self.state.set_reference(Reference::default());
+                self.supply.forget_basis();
                 self.zero = Some(Zero::Taken(Reference::default()));
                 self.log(What::Forgotten, 0, self.log.speaker());
             }

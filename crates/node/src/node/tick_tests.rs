@@ -289,3 +289,34 @@ fn a_zero_that_is_refused_is_told() {
         assert!(codes.contains(&Fault::ZeroRefused.code()), "{codes:04X?}");
     }
 }
+
+#[test]
+fn a_supply_that_drifts_changes_no_offset_and_one_that_is_broken_is_told_and_not_believed() {
+    // The sensor stays where it is; the supply falls by 2 %, and by 5 %: codes rise by as much.
+    let mut node = started();
+    let run = |node: &mut Node<'_>, percent: u16| {
+        let code = |code: u16| Code(code + code / 100 * percent);
+        let mut counter = 3;
+        for ms in 0..4_000 {
+            let mean = code(700).0;
+            let codes = core::array::from_fn(|n| Code(mean + u16::from(n % 2 == 0)));
+            if ms % 20 == 0 {
+                node.hear(Line::Can, &frames::control(Control::ENGAGED, counter)).ok();
+                counter = counter.wrapping_add(1);
+            }
+            if ms % 10 == 0 {
+                node.hear_supply(code(1_500));
+            }
+            node.tick(1, Input { codes: Some(&codes), ..Input::default() });
+            node.service();
+        }
+        (node.state.elongation(), node.board_faults.has(Fault::SupplyOff))
+    };
+    let (Some(before), false) = run(&mut node, 0) else { panic!("the sensor is heard") };
+    let (Some(drifted), false) = run(&mut node, 2) else { panic!("2 % are corrected") };
+    // 700 codes are 85 µm, of which 2 % would be 1.7 µm; half a code is 61 nm.
+    assert!((drifted.0 - before.0).abs() < 70, "{before:?} {drifted:?}");
+    assert_eq!(run(&mut node, 5), (None, true));
+    assert!(node.last().flags.0 & Flags::SENSOR_FAULT.0 != 0);
+    assert!(run(&mut node, 0).0.is_some(), "and it comes back");
+}

@@ -36,13 +36,14 @@ fn the_bytes_of_a_record_are_as_the_table_says() {
             elongation: Nanometres(62_805),
             axes: [Fine(-1), Fine(0), Fine(256)],
         },
+        supply: Level(0x5DE0),
     };
     let bytes = record.encode();
     assert_eq!(
         bytes[..28],
         [
             2, 0, 0, 0, 0x44, 0x33, 0x22, 0x11, 0x55, 0xF5, 0, 0, 0xFF, 0xFF, 0xFF, 0xFF, 0, 0, 0,
-            0, 0, 1, 0, 0, 1, 0, 0, 0
+            0, 0, 1, 0, 0, 1, 0, 0xE0, 0x5D
         ]
     );
     assert_eq!(Record::decode(&bytes), Some(record));
@@ -50,6 +51,21 @@ fn the_bytes_of_a_record_are_as_the_table_says() {
         (Record::decode(&[0xFF; RECORD_SIZE]), Record::decode(&[0; RECORD_SIZE])),
         (None, None)
     );
+}
+
+#[test]
+fn the_level_of_the_supply_goes_with_the_reference_through_every_move() {
+    let (mut log, found) = open(&Flash::erased(), OURS);
+    assert_eq!(found.supply, Level(0));
+    log.set_supply(Level(24_001));
+    // More than the flash holds: records move, and after a start what was found goes on.
+    for n in 1..=4 * SLOTS {
+        log.append(reference(n)).unwrap();
+        log.make_room().unwrap();
+        let (reopened, found) = open(&log.log.flash, OURS);
+        assert_eq!(found.supply, Level(24_001), "{n}");
+        log = reopened;
+    }
 }
 
 #[test]
