@@ -126,6 +126,8 @@ pub struct World {
     room_c: f64,
     /// Where a new source took over, and how long ago.
     joined: Option<(i32, u32)>,
+    /// The tick of the last `Zero`.
+    zero_tick: u64,
     /// Something was kept in RAM since the last power cut.
     has_kept: bool,
     /// Frames in which the CNC still says `Zero`.
@@ -160,6 +162,7 @@ impl World {
             engaged_after_release: false,
             room_c: 21.0,
             joined: None,
+            zero_tick: 0,
             has_kept: false,
             zero_frames: 0,
             seen: Seen { checksum: 0xcbf2_9ce4_8422_2325, ..Seen::default() },
@@ -310,7 +313,7 @@ impl World {
         let reference = self.node.reference();
         if reference != before {
             self.seen.zeros += 1;
-            self.joined = None;
+            (self.joined, self.zero_tick) = (None, self.seen.ticks);
             // What was just broken may still be in the filter.
             let is_live = self.node.last().quality == Quality::Live
                 && self.fault == Fault::None

@@ -81,11 +81,15 @@ impl World {
     }
 
     /// A change of source leaves the offset where it was, but for what the machine has grown by. (A
-    /// sensor that freezes elsewhere has said so for 200 ms; that is not looked at here.)
+    /// sensor that freezes elsewhere has said so for 200 ms, and a `Zero` in the same millisecond sets off for
+    /// 0: neither is looked at here.)
     fn joins(&mut self, elapsed_ms: u32, output: &Output, z_nm: i32) {
         let before = self.before.map(|it| it.quality);
         let has_changed = before.is_some_and(|it| it != output.quality && is_on(it));
-        if !is_on(output.quality) || self.fault == Fault::SensorStuck {
+        if !is_on(output.quality)
+            || self.fault == Fault::SensorStuck
+            || self.zero_tick == self.seen.ticks
+        {
             self.joined = None;
         } else if has_changed && self.before.is_some_and(|it| it.flags.0 & 0x03 == 0) {
             self.joined = Some((z_nm, 0));
