@@ -14,6 +14,11 @@
 //! must end with what makes it valid, or have that written last: a power cut then leaves a slot
 //! that holds no record, which is passed over from then on, and the record before it counts.
 //!
+//! A word that the power was cut in may be read differently each time, as whole now and as damaged later.
+//! So a record that was found at a start is not relied on alone: before a half is emptied its owner
+//! appends anew what would be left as the only one ([`Only`]), and numbers leave room for what was not
+//! read.
+//!
 //! Not `sequential-storage`, whose pages and items could do this: it erases inside the call that
 //! stores, when a page is full; and it passes over a damaged item without a word, where a machine's
 //! log should tell.
@@ -56,6 +61,33 @@ impl Half {
     }
 }
 
+/// Where the records of an owner are, of which the newest counts.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Only {
+    first: u32,
+    second: u32,
+}
+
+impl Only {
+    /// A record of the owner was found in this half.
+    pub fn note(&mut self, half: Half) {
+        let count = match half {
+            Half::First => &mut self.first,
+            Half::Second => &mut self.second,
+        };
+        *count = count.saturating_add(1);
+    }
+
+    /// Whether there is one alone in this half, and in the other one what counted before it.
+    pub const fn is_in(self, half: Half) -> bool {
+        let (own, others) = match half {
+            Half::First => (self.first, self.second),
+            Half::Second => (self.second, self.first),
+        };
+        own == 1 && others > 0
+    }
+}
+
 /// What a half holds.
 #[derive(Clone, Copy, Debug, Default)]
 struct Content {
@@ -63,6 +95,8 @@ struct Content {
     used: u32,
     /// The largest sequence number in it; 0: it has no record.
     newest: u32,
+    /// Slots that hold something, but no record as they were read.
+    unread: u32,
 }
 
 /// The log, open.
@@ -94,8 +128,12 @@ impl<F: NorFlash> Log<F> {
                     continue;
                 }
                 log.note_used(slot);
-                if let Some(sequence) = read(&mut log.flash, slot) {
-                    log.note_record(slot, sequence);
+                match read(&mut log.flash, slot) {
+                    Some(sequence) => log.note_record(slot, sequence),
+                    None => {
+                        let content = log.content(half);
+                        content.unread = content.unread.saturating_add(1);
+                    }
                 }
             }
         }
@@ -123,8 +161,12 @@ impl<F: NorFlash> Log<F> {
         attempts: u32,
         mut write: impl FnMut(&mut F, Slot, u32) -> bool,
     ) -> Result<(u32, Slot), StoreError> {
+        // A slot that a power cut has torn may be read as a record the next time, with a number that is
+        // at most so much larger: this one has to win over it.
         let newest = self.first.newest.max(self.second.newest);
-        let sequence = newest.checked_add(1).ok_or(StoreError::Full)?;
+        let unread = self.first.unread.saturating_add(self.second.unread);
+        let step = unread.saturating_add(1);
+        let sequence = newest.checked_add(step).ok_or(StoreError::Full)?;
         for _ in 0..attempts {
             let slot = self.next_slot()?;
             self.note_used(slot);
@@ -144,7 +186,7 @@ impl<F: NorFlash> Log<F> {
     /// [`StoreError::NotErased`].
     pub fn make_room(&mut self) -> Result<bool, StoreError> {
         let spare = self.active.other();
-        if self.content(spare).used == 0 {
+        if !self.has_spare_content() {
             return Ok(false);
         }
         let slots = self.slots_per_half();
@@ -165,6 +207,11 @@ impl<F: NorFlash> Log<F> {
     /// The half that is written to, which [`Self::make_room`] leaves alone.
     pub const fn active(&self) -> Half {
         self.active
+    }
+
+    /// Whether there is anything in the half that is not active.
+    pub fn has_spare_content(&mut self) -> bool {
+        self.content(self.active.other()).used > 0
     }
 
     /// Whether the active half takes another record.

@@ -25,7 +25,7 @@ use trueup_core::{
 
 use crate::{
     crc,
-    log::{Half, Log, StoreError, write_part},
+    log::{Half, Log, Only, StoreError, write_part},
     writes::{self, What, Write, Writes},
 };
 
@@ -125,6 +125,9 @@ pub struct References<F> {
     writes: Writes,
     /// Goes into every record.
     supply: Level,
+    /// Of the references that were found at the start, and of the names.
+    only: Only,
+    only_named: Only,
 }
 
 impl<F: NorFlash> References<F> {
@@ -133,11 +136,15 @@ impl<F: NorFlash> References<F> {
         let mut found = Found::default();
         let (mut current, mut named, mut oldest_first) =
             (None, None::<(Write, Half)>, [None; writes::KEPT]);
+        let (mut only, mut only_named) = (Only::default(), Only::default());
         let log = Log::open(flash, SLOT_SIZE, |flash, slot| {
             let mut bytes = [0; RECORD_SIZE];
             let is_read = flash.read(slot.address, &mut bytes).is_ok();
             if let Some(write) = is_read.then(|| decode_write(&bytes)).flatten() {
                 let is_newer = named.is_none_or(|(other, _)| write.sequence > other.sequence);
+                if write.what == What::Named {
+                    only_named.note(slot.half);
+                }
                 if write.what == What::Named && is_newer {
                     named = Some((write, slot.half));
                 }
@@ -150,7 +157,10 @@ impl<F: NorFlash> References<F> {
             };
             if record.calibration != calibration {
                 found.foreign = found.foreign.saturating_add(1);
-            } else if found.reference.is_none_or(|(newest, _)| record.sequence > newest) {
+                return Some(record.sequence);
+            }
+            only.note(slot.half);
+            if found.reference.is_none_or(|(newest, _)| record.sequence > newest) {
                 found.reference = Some((record.sequence, record.reference));
                 found.supply = record.supply;
                 current = Some((record.reference, slot.half));
@@ -160,7 +170,8 @@ impl<F: NorFlash> References<F> {
         found.named = named.map(|(write, _)| write.about);
         let mut writes = Writes::default();
         oldest_first.iter().flatten().for_each(|write| writes.push(write));
-        (Self { log, calibration, current, named, writes, supply: found.supply }, found)
+        let supply = found.supply;
+        (Self { log, calibration, current, named, only, only_named, writes, supply }, found)
     }
 
     /// The last writes that were found at the start.
@@ -179,6 +190,7 @@ impl<F: NorFlash> References<F> {
         let stored = Write { sequence, ..*write };
         if stored.what == What::Named {
             self.named = Some((stored, slot.half));
+            self.only_named = Only::default();
         }
         Ok(stored)
     }
@@ -202,6 +214,7 @@ impl<F: NorFlash> References<F> {
             )
         })?;
         self.current = Some((reference, slot.half));
+        self.only = Only::default();
         Ok(sequence)
     }
 
@@ -212,10 +225,12 @@ impl<F: NorFlash> References<F> {
     /// # Errors
     /// [`StoreError`]; what is stored still counts.
     pub fn make_room(&mut self) -> Result<bool, StoreError> {
-        // What still counts moves on before its half goes. Where there is no room for it, after.
-        let active = self.log.active();
-        let mut reference = self.current.filter(|(_, half)| *half != active);
-        let mut named = self.named.filter(|(_, half)| *half != active);
+        // What still counts moves on before its half goes, and is written anew where it would be left
+        // alone: a power cut may have torn it. Where there is no room for it, after.
+        let (active, has_spare) = (self.log.active(), self.log.has_spare_content());
+        let moves = |half: Half, only: Only| half != active || has_spare && only.is_in(active);
+        let mut reference = self.current.filter(|(_, half)| moves(*half, self.only));
+        let mut named = self.named.filter(|(_, half)| moves(*half, self.only_named));
         if self.log.has_room()
             && let Some((reference, _)) = reference.take()
         {

@@ -10,7 +10,8 @@
 //!
 //! The blob is written first, read back and compared, and the head comes last, as `log` demands:
 //! a power cut leaves a slot without a head, and the calibration before it counts. Room is made at
-//! the start, before anything runs that an erase would hold up. A sector of 128 KB takes seven.
+//! the start, before anything runs that an erase would hold up. A sector of 128 KB takes seven, of which
+//! one may be a copy of another.
 //!
 //! A calibration belongs to the image that it was loaded over: an image with another machine file
 //! wins over what was loaded before it, or flashing would have no effect and say nothing. An image
@@ -24,7 +25,7 @@ use embedded_storage::nor_flash::NorFlash;
 use crate::{
     calibration::{self, MAX_SIZE},
     crc,
-    log::{Log, PART_SIZE, Slot, StoreError, write_part},
+    log::{Half, Log, Only, PART_SIZE, Slot, StoreError, write_part},
 };
 
 /// Bytes before the blob.
@@ -54,10 +55,10 @@ impl Head {
         bytes
     }
 
-    /// The head of a slot; `None`: there is none.
-    fn read<F: NorFlash>(flash: &mut F, slot: Slot) -> Option<Self> {
+    /// The head of the slot there; `None`: there is none.
+    fn read_at<F: NorFlash>(flash: &mut F, address: u32) -> Option<Self> {
         let mut bytes = [0; HEAD as usize];
-        flash.read(slot.address, &mut bytes).ok()?;
+        flash.read(address, &mut bytes).ok()?;
         let &[sequence, base, identity] = crc::unseal(&bytes)?.as_chunks().0 else { return None };
         let number = u32::from_le_bytes;
         Some(Self { sequence: number(sequence), base: number(base), identity: number(identity) })
@@ -94,6 +95,8 @@ pub struct Found {
 pub struct Slots<F> {
     log: Log<F>,
     base: Option<u32>,
+    /// The one that counts, if the start has found it alone in its half with an older one in the other.
+    alone: Option<Stored>,
 }
 
 impl<F: NorFlash> Slots<F> {
@@ -102,11 +105,11 @@ impl<F: NorFlash> Slots<F> {
     /// checked.
     pub fn open(flash: F, base: Option<u32>, buffer: &mut [u8]) -> (Self, Found) {
         let mut found = Found::default();
-        let mut half = None;
+        let (mut half, mut only): (Option<Half>, _) = (None, Only::default());
         // The largest number of a damaged one, and of any record before each head that is none.
         let (mut last, mut damaged) = (0, None);
         let mut log = Log::open(flash, SLOT_SIZE, |flash, slot| {
-            let Some(head) = Head::read(flash, slot) else {
+            let Some(head) = Head::read_at(flash, slot.address) else {
                 found.damaged = found.damaged.saturating_add(1);
                 if !is_blank_head(flash, slot) {
                     // It came after the record before it, whatever number it had.
@@ -120,6 +123,7 @@ impl<F: NorFlash> Slots<F> {
             if base.is_some_and(|base| head.base != base) {
                 found.foreign = found.foreign.saturating_add(1);
             } else if let Some(length) = check(flash, address, head.identity, buffer) {
+                only.note(slot.half);
                 if found.newest.is_none_or(|other| sequence > other.sequence) {
                     found.newest = Some(Stored { sequence, address, length });
                     half = Some(slot.half);
@@ -136,7 +140,8 @@ impl<F: NorFlash> Slots<F> {
         if let Some(half) = half {
             log.activate(half);
         }
-        (Self { log, base }, found)
+        let alone = found.newest.filter(|_| half.is_some_and(|half| only.is_in(half)));
+        (Self { log, base, alone }, found)
     }
 
     /// Stores a blob, as [`calibration::whole`] gives it; gives its sequence number. `between` is
@@ -149,6 +154,7 @@ impl<F: NorFlash> Slots<F> {
             return Err(StoreError::NotTaken);
         }
         let (base, identity) = (self.base.unwrap_or(0), calibration::identity(blob));
+        self.alone = None;
         let stored = self.log.append(1, |flash, slot, sequence| {
             let mut at = slot.address.saturating_add(HEAD);
             for part in blob.chunks(PART_SIZE) {
@@ -170,7 +176,40 @@ impl<F: NorFlash> Slots<F> {
     /// # Errors
     /// [`StoreError`]; what is stored still counts.
     pub fn make_room(&mut self) -> Result<bool, StoreError> {
+        // What would be left alone is written anew first: a power cut may have torn its head, and the next
+        // start may not find it. Where there is no room for that, what was found has to do.
+        if let Some(stored) = self.alone
+            && self.log.has_spare_content()
+            && self.log.has_room()
+        {
+            self.alone = None;
+            self.copy(stored)?;
+        }
         self.log.make_room()
+    }
+
+    /// Appends what is stored there once more.
+    fn copy(&mut self, stored: Stored) -> Result<(), StoreError> {
+        let head = stored.address.saturating_sub(HEAD);
+        self.log.append(1, |flash, slot, sequence| {
+            let mut part = [0; PART_SIZE];
+            let mut done = 0;
+            while done < stored.length {
+                let length = stored.length.saturating_sub(done).min(PART_SIZE);
+                let Some(bytes) = part.get_mut(..length) else { return false };
+                // No more than a slot, which ends within 32 bits.
+                let at = u32::try_from(done).unwrap_or(u32::MAX);
+                let to = slot.address.saturating_add(HEAD).saturating_add(at);
+                let is_read = flash.read(stored.address.saturating_add(at), bytes).is_ok();
+                if !is_read || !write_part(flash, to, bytes) {
+                    return false;
+                }
+                done = done.saturating_add(length);
+            }
+            let Some(head) = Head::read_at(flash, head) else { return false };
+            write_part(flash, slot.address, &Head { sequence, ..head }.encode())
+        })?;
+        Ok(())
     }
 
     /// The flash, for one who reads it in place.

@@ -1,7 +1,15 @@
 //! A flash for tests that forgives nothing, and whose power can be cut at any byte.
+//!
+//! What a cut leaves behind is not what the data sheet of a good cell says: bits that were on their way
+//! from 1 to 0 may be read as either from then on, and differently each time, until the word is written
+//! with a 0 there or its sector is erased. Bits of a sector whose erase was cut are undefined.
 
+use core::cell::Cell;
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
-use std::vec::Vec;
+use std::{collections::BTreeMap, vec::Vec};
+
+/// So many bytes behind a cut in an erase are read differently twice.
+const WAVERING_ERASE: usize = 64;
 
 /// A strict flash: a bit only goes from 1 to 0, a word is written when it is erased or not at
 /// all, and the power is cut when the fuel is burnt: one unit a byte written or erased.
@@ -13,12 +21,33 @@ pub struct StrictFlash<const SECTOR: usize> {
     pub fuel: usize,
     /// Does not take a single bit.
     pub dead: bool,
+    /// Whether a cut leaves bits that are read differently; else it leaves them as they were.
+    pub wavers: bool,
+    /// The power is off.
+    pub off: bool,
+    /// Bytes with such bits, 1 where a bit is not sure to be 1.
+    pub wavering: BTreeMap<usize, u8>,
+    /// The next draw.
+    pub random: Cell<u32>,
 }
 
 impl<const SECTOR: usize> StrictFlash<SECTOR> {
     /// Blank.
     pub fn erased() -> Self {
-        Self { bytes: std::vec![0xFF; 2 * SECTOR], fuel: usize::MAX, dead: false }
+        Self::holding(std::vec![0xFF; 2 * SECTOR])
+    }
+
+    /// It holds these bytes.
+    pub fn holding(bytes: Vec<u8>) -> Self {
+        let random = Cell::new(0x2545_F491);
+        let wavering = BTreeMap::new();
+        Self { bytes, fuel: usize::MAX, dead: false, wavers: false, off: false, wavering, random }
+    }
+
+    /// Blank, and a cut leaves bits that are read differently twice, as this seed has it.
+    pub fn wavering(seed: u32) -> Self {
+        let random = Cell::new(seed.wrapping_mul(0x9E37_79B9) | 1);
+        Self { wavers: true, random, ..Self::erased() }
     }
 
     fn burn(&mut self) -> Result<(), NorFlashErrorKind> {
@@ -28,7 +57,16 @@ impl<const SECTOR: usize> StrictFlash<SECTOR> {
 
     /// The power is back.
     pub fn powered(&self) -> Self {
-        Self { fuel: usize::MAX, ..self.clone() }
+        Self { fuel: usize::MAX, off: false, ..self.clone() }
+    }
+
+    fn draw(&self) -> u8 {
+        let mut random = self.random.get();
+        random ^= random << 13;
+        random ^= random >> 17;
+        random ^= random << 5;
+        self.random.set(random);
+        (random >> 11) as u8
     }
 }
 
@@ -40,7 +78,18 @@ impl<const SECTOR: usize> ReadNorFlash for StrictFlash<SECTOR> {
     const READ_SIZE: usize = 1;
 
     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Self::Error> {
-        bytes.copy_from_slice(&self.bytes[offset as usize..][..bytes.len()]);
+        let from = offset as usize;
+        bytes.copy_from_slice(&self.bytes[from..][..bytes.len()]);
+        // Cells on the edge often go all one way, and then the word looks sound.
+        let mode = self.draw() % 4;
+        for (at, bits) in self.wavering.range(from..from + bytes.len()) {
+            let read_as_0 = match mode {
+                0 => u8::MAX,
+                1 => 0,
+                _ => self.draw(),
+            };
+            bytes[at - from] &= !(bits & read_as_0);
+        }
         Ok(())
     }
 
@@ -57,10 +106,23 @@ impl<const SECTOR: usize> NorFlash for StrictFlash<SECTOR> {
         assert_eq!((offset % 4, bytes.len() % 4), (0, 0), "whole words");
         for (word, at) in bytes.chunks(4).zip((offset as usize..).step_by(4)) {
             assert_eq!(self.bytes[at..at + 4], [0xFF; 4], "a word is written once");
-            for (byte, at) in word.iter().zip(at..) {
-                self.burn()?;
+            for (n, (byte, at)) in word.iter().zip(at..).enumerate() {
+                if let Err(cut) = self.burn() {
+                    let was_off = core::mem::replace(&mut self.off, true);
+                    // The word is written at once, so all of its bits that were to be 0 are on their way.
+                    if self.wavers && !was_off {
+                        let rest =
+                            word.iter().enumerate().skip(n).map(|(k, byte)| (at - n + k, !byte));
+                        self.wavering.extend(rest.filter(|(_, bits)| *bits != 0));
+                    }
+                    return Err(cut);
+                }
                 if !self.dead {
                     self.bytes[at] &= byte;
+                    // What is written with a 0 is sure, what is not stays as it was.
+                    if let Some(bits) = self.wavering.get_mut(&at) {
+                        *bits &= byte;
+                    }
                 }
             }
         }
@@ -71,16 +133,24 @@ impl<const SECTOR: usize> NorFlash for StrictFlash<SECTOR> {
         assert_eq!((from as usize % SECTOR, (to - from) as usize), (0, SECTOR));
         for at in from as usize..to as usize {
             if let Err(cut) = self.burn() {
+                if core::mem::replace(&mut self.off, true) {
+                    return Err(cut);
+                }
                 // What the erase had not come to is undefined.
                 let noise = (0_u8..=u8::MAX).cycle().map(|n| n.wrapping_mul(151) ^ 0x5A);
                 self.bytes[at..to as usize]
                     .iter_mut()
                     .zip(noise)
                     .for_each(|(byte, bits)| *byte |= bits);
+                if self.wavers {
+                    let rest = at..(to as usize).min(at + WAVERING_ERASE);
+                    self.wavering.extend(rest.map(|at| (at, 0xFF)));
+                }
                 return Err(cut);
             }
             if !self.dead {
                 self.bytes[at] = 0xFF;
+                self.wavering.remove(&at);
             }
         }
         Ok(())

@@ -7,12 +7,12 @@
 use trueup_core::{
     bridge::{Input, Reference},
     channels::RawTemperatures,
-    cnc::{Control, Output, Quality},
+    cnc::{Command, Control, Output, Quality},
     dimensions::{CHANNELS, CODES_PER_TICK},
     thermometer::Raw,
     units::Code,
 };
-use trueup_link::{frame::Frame, frames};
+use trueup_link::{frame::Frame, frames, receiver::Refused};
 use trueup_node::{
     node::{Line, Node},
     vectors::Random,
@@ -272,17 +272,7 @@ impl World {
             let before = self.node.reference();
             let heard = self.node.hear(Line::Can, &control);
             let said = frames::decode_control(&control).expect("its own length");
-            if heard.is_ok() {
-                self.control_ms = 0;
-            }
-            match heard {
-                Ok(_) if !said.engage => self.released += 1,
-                Ok(_) => {
-                    self.engaged_after_release |= self.released >= 3;
-                    self.released = 0;
-                }
-                Err(_) => self.released = 0,
-            }
+            self.note_control(&heard, said.engage);
             self.note_zero(before);
             self.node.hear(Line::Can, &spindle).ok();
         }
@@ -296,9 +286,7 @@ impl World {
         let counter = self.cnc.counters[0].wrapping_add(self.random.below(4) as u8);
         let before = self.node.reference();
         let heard = self.node.hear(stranger, &frames::control(control, counter));
-        if heard.is_ok_and(|heard| heard.is_some()) {
-            self.control_ms = 0;
-        }
+        self.note_control(&heard, engage);
         // Where the CNC asks for it in the same moment, it is the CNC's, whoever's frame completes it.
         assert!(
             zero || self.node.reference() == before,
@@ -306,6 +294,23 @@ impl World {
             self.place()
         );
         self.note_zero(before);
+    }
+
+    /// Follows the engage sequence, whoever sends it: a stranger on the same line cannot be told from the
+    /// CNC by one frame.
+    fn note_control(&mut self, heard: &Result<Option<Command>, Refused>, engage: bool) {
+        match heard {
+            Ok(None) => return,
+            Ok(Some(_)) if !engage => self.released += 1,
+            Ok(Some(_)) => {
+                self.engaged_after_release |= self.released >= 3;
+                self.released = 0;
+            }
+            Err(_) => self.released = 0,
+        }
+        if heard.is_ok() {
+            self.control_ms = 0;
+        }
     }
 
     /// Remembers what a `Zero` has taken, if one has.

@@ -152,6 +152,28 @@ pub(crate) fn with_sample<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
     })
 }
 
+/// A calibration with limits and nothing else.
+pub(crate) fn with_smallest<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
+    with_sample(|sample| {
+        check(Calibration {
+            thermometers: Default::default(),
+            spindle: SpindleModel::default(),
+            kinematics: Kinematics { axes: [None; 2], ..sample.kinematics },
+            axes: Default::default(),
+            straightness: Default::default(),
+            squareness: Default::default(),
+            terms: Default::default(),
+            names: Default::default(),
+            ..sample
+        })
+    })
+}
+
+/// A table of these points, from 0 on.
+pub(crate) fn pitch_of(points: &[[u8; 4]]) -> Pitch<'_> {
+    Pitch { start: Position(0), step: Interval::new(1_000), forward: points, reverse: None }
+}
+
 fn sample() -> Vec<u8> {
     with_sample(|calibration| {
         let mut bytes = [0; MAX_SIZE];

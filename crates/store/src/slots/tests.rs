@@ -3,6 +3,7 @@
 use super::*;
 use crate::strict_flash::StrictFlash;
 use std::{vec, vec::Vec};
+use trueup_core::calibration::Calibration;
 
 /// Two slots, and a rest that is too small for a third.
 const SECTOR: usize = 2 * SLOT_SIZE as usize + 1_000;
@@ -40,11 +41,15 @@ fn the_newest_counts_through_more_than_the_flash_holds() {
     assert_eq!(128 * 1024 / SLOT_SIZE, 7, "of the chip's sectors");
     let mut flash = Flash::erased();
     assert_eq!(open(&flash, IMAGE).1, Found::default());
+    let mut last = 0;
     for number in 1..20 {
         let (mut slots, _) = open(&flash, IMAGE);
         slots.make_room().expect("a good flash");
         let mut turns = 0;
-        assert_eq!(slots.store(&blob(number), || turns += 1), Ok(number));
+        let sequence = slots.store(&blob(number), || turns += 1).expect("room was made");
+        // Once in a half what would be left alone is copied, which takes a number too.
+        assert!((last + 1..=last + 2).contains(&sequence), "{sequence} after {last}");
+        last = sequence;
         assert_eq!(turns, blob(number).len().div_ceil(PART_SIZE), "the watchdog was told");
         flash = slots.log.flash;
         assert_eq!(newest(&flash), Some(blob(number)), "number {number}");
@@ -134,7 +139,7 @@ fn a_dead_flash_takes_nothing_and_says_so() {
     let (mut slots, _) = open(&dead, IMAGE);
     slots.log.flash.dead = true;
     assert_eq!(slots.store(&blob(1), || ()), Err(StoreError::NotTaken));
-    let zeros = Flash { bytes: vec![0; 2 * SECTOR], ..dead };
+    let zeros = Flash { dead: true, ..Flash::holding(vec![0; 2 * SECTOR]) };
     let (mut slots, found) = open(&zeros, IMAGE);
     slots.log.flash.dead = true;
     assert_eq!(found.damaged, 4);
@@ -180,4 +185,119 @@ fn an_image_with_the_examples_constants_wins_over_nothing() {
     let flash = slots.log.flash;
     assert_eq!(example(&flash).1.newest.map(|it| it.sequence), Some(2));
     assert_eq!(newest(&flash), Some(blob(1)));
+}
+
+/// A calibration of this many words at least, that no other number has.
+fn blob_of(words: usize, number: u32) -> Vec<u8> {
+    calibration::tests::with_smallest(|calibration| {
+        let points: Vec<[u8; 4]> = (0..words as u32).map(|n| (n ^ number).to_le_bytes()).collect();
+        let mut calibration: Calibration<'_> = calibration;
+        calibration.limits.hold_ms = number;
+        calibration.axes[0].pitch = (words > 0).then(|| calibration::tests::pitch_of(&points));
+        calibration::encode(&calibration, &mut [0; MAX_SIZE]).expect("it fits").to_vec()
+    })
+}
+
+/// A start, then a load, as a board does it.
+fn live(flash: &Flash, fuel: usize, blob: &[u8]) -> (Flash, bool) {
+    let (mut slots, _) = open(flash, IMAGE);
+    slots.log.flash.fuel = fuel;
+    let is_stored = slots.make_room().is_ok() && slots.store(blob, || ()).is_ok();
+    (slots.log.flash, is_stored)
+}
+
+/// What a life burns: up to the end of making room, and in all.
+fn burnt(flash: &Flash, blob: &[u8]) -> [usize; 2] {
+    const FUEL: usize = usize::MAX / 2;
+    let (mut slots, _) = open(flash, IMAGE);
+    slots.log.flash.fuel = FUEL;
+    slots.make_room().expect("powered");
+    let room = FUEL - slots.log.flash.fuel;
+    slots.store(blob, || ()).expect("room was made");
+    [room, FUEL - slots.log.flash.fuel]
+}
+
+/// Two lives end at these places; whichever way the wavering bits are read, what counts is the old one or
+/// a new one, and the last if it was said to be stored.
+fn judge(flash: &Flash, old: Option<&[u8]>, blobs: [&[u8]; 2], cuts: [usize; 2]) {
+    let (once, was_stored) = live(flash, cuts[0], blobs[0]);
+    let (twice, is_stored) = live(&once, cuts[1], blobs[1]);
+    for _ in 0..2 {
+        let found = newest(&twice);
+        let found = found.as_deref();
+        let is_one =
+            found == Some(blobs[1]) || found == Some(blobs[0]) || (found == old && !was_stored);
+        assert!(is_one, "neither, cut at {cuts:?}");
+        assert!(!is_stored || found == Some(blobs[1]), "stored, cut at {cuts:?}");
+    }
+}
+
+/// So many stored before, and then wavering.
+fn filled(before: u32, words: usize, seed: u32) -> (Flash, Option<Vec<u8>>) {
+    let mut flash = Flash::wavering(seed);
+    for number in 1..=before {
+        flash = live(&flash, usize::MAX, &blob_of(words, number)).0;
+    }
+    let old = newest(&flash);
+    (flash, old)
+}
+
+#[test]
+#[ignore = "long: all pairs of words, twenty seconds"]
+fn two_power_cuts_in_a_row_at_any_two_words_leave_the_old_or_a_new_one() {
+    // The smallest blob there is. With two stored the next is the first of its half.
+    let blobs = [blob_of(0, 77), blob_of(0, 88)];
+    let blobs = blobs.each_ref().map(Vec::as_slice);
+    let mut pairs = 0;
+    for before in [1, 2] {
+        let (flash, old) = filled(before, 0, before);
+        let [_, all] = burnt(&flash, blobs[0]);
+        for first in (0..=all).step_by(4) {
+            let [room, all] = burnt(&live(&flash, first, blobs[0]).0, blobs[1]);
+            // Within an erase every byte is like the one before it.
+            let erase = room.saturating_sub(SECTOR)..room;
+            let is_like = |at: usize| erase.contains(&at) && (at - erase.start) % 2_004 != 0;
+            for second in (0..=all).step_by(4).filter(|at| !is_like(*at)) {
+                judge(&flash, old.as_deref(), blobs, [first, second]);
+                pairs += 1;
+            }
+        }
+    }
+    std::println!("{pairs} pairs of {} words", blobs[0].len() / 4);
+}
+
+/// Cuts drawn on the largest blob.
+fn drawn_pairs(pairs: u32) {
+    let words = (MAX_SIZE - blob_of(0, 1).len()) / 4;
+    let blobs = [blob_of(words, 77), blob_of(words, 88)];
+    let blobs = blobs.each_ref().map(Vec::as_slice);
+    assert!(blobs[0].len() > MAX_SIZE - 4, "{} bytes", blobs[0].len());
+    let mut random = 1_u32;
+    let mut draw = |end: usize| {
+        random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (u64::from(random) * end as u64 >> 32) as usize
+    };
+    let states: Vec<_> = (0..=4).map(|before| filled(before, words, before + 1)).collect();
+    for _ in 0..pairs {
+        let (flash, old) = &states[draw(states.len())];
+        // Half of the cuts lie where it matters: in the last words of what is written.
+        let near_end = |all: usize, draw: &mut dyn FnMut(usize) -> usize| {
+            if draw(2) == 0 { all.saturating_sub(draw(64)) } else { draw(all + 1) }
+        };
+        let [_, all] = burnt(flash, blobs[0]);
+        let first = near_end(all, &mut draw);
+        let [_, all] = burnt(&live(flash, first, blobs[0]).0, blobs[1]);
+        judge(flash, old.as_deref(), blobs, [first, near_end(all, &mut draw)]);
+    }
+}
+
+#[test]
+fn two_power_cuts_drawn_on_the_largest_leave_the_old_or_a_new_one() {
+    drawn_pairs(300);
+}
+
+#[test]
+#[ignore = "long: a hundred thousand pairs of cuts"]
+fn two_power_cuts_drawn_a_hundred_thousand_times_leave_the_old_or_a_new_one() {
+    drawn_pairs(100_000);
 }
