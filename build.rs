@@ -10,9 +10,17 @@ use trueup_machine::{compile::compile, file::MachineFile};
 /// What an image is for that nobody gave a machine file.
 const EXAMPLE: &str = "data/paper_spindle.toml";
 
+/// Where the stack of the board that is flashed ends, and what lies below it.
+const GUARD: &str = "src/board/stm32f405/guard.x";
+
 fn main() {
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
-    fs::copy("memory.x", out.join("memory.x")).expect("OUT_DIR can be written");
+    let mut memory = fs::read_to_string("memory.x").expect("it stands beside this file");
+    if env::var_os("CARGO_FEATURE_STM32F405").is_some() {
+        memory += &fs::read_to_string(GUARD).expect("it stands beside the board");
+    }
+    fs::write(out.join("memory.x"), memory).expect("OUT_DIR can be written");
+    println!("cargo:rerun-if-changed={GUARD}");
     println!("cargo:rustc-link-search={}", out.display());
     println!("cargo:rustc-link-arg-bins=--nmagic");
     println!("cargo:rustc-link-arg-bins=-Tlink.x");

@@ -6,7 +6,7 @@
 //!                 │  └► service: heartbeat, emergencies, SDO answers ─► both
 //!                 │ Control, Spindle
 //!  CAN ─► can_receive ─► node ◄─ listen ◄─ serial_receive ◄──────────── serial line
-//!  10 ms ─► supervise: converter, watchdog, lamp, log; what is taken and loaded is stored
+//!  10 ms ─► supervise: converter, self-test, watchdog, lamp, log; what is taken and loaded is stored
 //!              └► thermometers: one of eight asked; all of them to sample, every 100 ms
 //! ```
 //!
@@ -16,18 +16,21 @@
 //! | `sample` | DMA2 stream 0, 20 codes | 4 | 1 ms, the next block | samples, temperatures | node, port, CAN |
 //! | `can_receive_0`, `_1` | CAN1, a frame in the FIFO | 3 | 2 ms, the next cycle of 2 × 3 frames | CAN | node |
 //! | `listen` | bytes in the queue | 3 | 256 bytes (2.8 ms) | byte queue | port, node |
-//! | `supervise` | `SysTick`, 10 ms | 2 | 100 ms, the watchdog | node | samples, watchdog, lamp, flash |
+//! | `supervise` | `SysTick`, 10 ms | 2 | 100 ms, the watchdog | node, image, registers, stack | samples, watchdog, lamp, flash |
 //! | `service` | 2 ms since its last turn | 2 | 10 ms | node | node, port, CAN |
 //! | `transmit` | lines in the port, room on the line | 1 | 5 ms of frames in the port | port | USART1, DMA |
 //! | `thermometers` | `supervise` | 1 | 1 s, then the channels count as bad | SPI2 | temperatures |
 //! | `idle` | nothing else to do | 0 | | | |
 //!
-//! The tasks are the same on every board; what a board is, is behind [`board`]. What the bridge
+//! Each task says when it begins and ends a turn ([`alive`]); the watchdog is fed by that. The tasks are the same on every board; what a board is, is behind [`board`]. What the bridge
 //! computes is in `trueup-core`, what it says in `trueup-link`, both tested on the host.
 #![no_std]
 #![no_main]
 
+mod alive;
 mod board;
+#[cfg(feature = "faults")]
+mod faults;
 mod supervision;
 
 use core::sync::atomic::{AtomicU32, Ordering};
@@ -40,7 +43,11 @@ defmt::timestamp!("{=u32} ms", NOW_MS.load(Ordering::Relaxed));
 mod app {
     use super::{NOW_MS, Ordering};
     use crate::{
-        board::{self, CanIn, CanOut, Idle, Samples, Sent, SerialIn, SerialOut, Thermometers},
+        alive::{self, Task},
+        board::{
+            self, Buffer, CanIn, CanOut, Idle, Samples, SelfTest, Sent, SerialIn, SerialOut,
+            Thermometers,
+        },
         supervision::{self, PERIOD_MS, Supervision},
     };
     use heapless::spsc::{Consumer, Producer, Queue};
@@ -69,8 +76,6 @@ mod app {
         samples: Samples,
         /// What the thermometers say, until a tick takes it.
         temperatures: Option<RawTemperatures>,
-        /// When the serial line last moved, or had nothing to move.
-        moved_ms: u32,
     }
 
     #[local]
@@ -83,25 +88,29 @@ mod app {
         to_listen: Producer<'static, u8>,
         from_serial: Consumer<'static, u8>,
         supervision: Supervision,
+        self_test: SelfTest,
         idle: Idle,
     }
 
-    #[init(local = [queue: Queue<u8, QUEUE> = Queue::new()])]
+    #[init(local = [queue: Queue<u8, QUEUE> = Queue::new(), buffer: Buffer = [0; _]])]
     fn init(cx: init::Context) -> (Shared, Local) {
-        let parts = board::start(cx.core, cx.device);
+        let parts = board::start(cx.core, cx.device, cx.local.buffer);
         let faults = parts.faults;
         if let Err(error) = &parts.calibration {
             defmt::error!("calibration refused: {}", defmt::Display2Format(error));
         }
         let mut node = Node::new(parts.calibration.ok(), faults.degrade());
         faults.all().for_each(|fault| node.note(fault));
-        node.note_reset(parts.reset);
+        node.note_start(parts.start);
         node.set_blob(parts.blob);
         if parts.is_older {
             node.ask(Fault::OlderCalibration);
         }
         if parts.is_example {
             node.bar_example();
+        }
+        if parts.self_test.is_damaged() {
+            node.bar_damaged();
         }
         let (buffer, store) = parts.loading.unzip();
         if let Some(buffer) = buffer {
@@ -122,13 +131,14 @@ mod app {
         }
         let (to_listen, from_serial) = cx.local.queue.split();
         defmt::info!("trueup bridge {} is up", env!("CARGO_PKG_VERSION"));
+        #[cfg(feature = "faults")]
+        defmt::error!("a test build: it breaks when it is told to");
         let shared = Shared {
             node,
             port: Port::new(parts.number),
             can_out: parts.can_out,
             samples: parts.samples,
             temperatures: None,
-            moved_ms: 0,
         };
         let [can_in_0, can_in_1] = parts.can_in;
         let local = Local {
@@ -146,6 +156,7 @@ mod app {
                 store,
                 parts.retained,
             ),
+            self_test: parts.self_test,
             idle: parts.idle,
         };
         (shared, local)
@@ -155,6 +166,7 @@ mod app {
     #[task(binds = DMA2_STREAM0, priority = 4,
            shared = [node, port, can_out, samples, temperatures])]
     fn sample(cx: sample::Context) {
+        let _turn = alive::enter(Task::Sample);
         let mut shared = cx.shared;
         let Some(block) = shared.samples.lock(Samples::take) else { return };
         let temperatures = block.temperatures.or_else(|| shared.temperatures.lock(Option::take));
@@ -170,6 +182,7 @@ mod app {
     /// A frame from the bus, in the first FIFO.
     #[task(binds = CAN1_RX0, priority = 3, local = [can_in_0], shared = [node])]
     fn can_receive_0(mut cx: can_receive_0::Context) {
+        let _turn = alive::enter(Task::CanReceive0);
         while let Some(frame) = cx.local.can_in_0.receive() {
             // What is refused is counted there and shows in the log.
             cx.shared.node.lock(|node| node.hear(Line::Can, &frame)).ok();
@@ -179,6 +192,7 @@ mod app {
     /// A frame from the bus, in the second FIFO.
     #[task(binds = CAN1_RX1, priority = 3, local = [can_in_1], shared = [node])]
     fn can_receive_1(mut cx: can_receive_1::Context) {
+        let _turn = alive::enter(Task::CanReceive1);
         while let Some(frame) = cx.local.can_in_1.receive() {
             cx.shared.node.lock(|node| node.hear(Line::Can, &frame)).ok();
         }
@@ -187,6 +201,7 @@ mod app {
     /// Bytes from the serial line: saved before more come, understood later.
     #[task(binds = USART1, priority = 5, local = [serial_in, to_listen])]
     fn serial_receive(cx: serial_receive::Context) {
+        let _turn = alive::enter(Task::SerialReceive);
         while let Some(byte) = cx.local.serial_in.read() {
             // A full queue loses the byte; the line it belongs to is then refused and counted.
             cx.local.to_listen.enqueue(byte).ok();
@@ -203,6 +218,7 @@ mod app {
     /// Bytes become lines, lines become frames.
     #[task(binds = EXTI0, priority = 3, local = [from_serial], shared = [port, node])]
     fn listen(mut cx: listen::Context) {
+        let _turn = alive::enter(Task::Listen);
         while let Some(byte) = cx.local.from_serial.dequeue() {
             if let Some(frame) = cx.shared.port.lock(|port| port.receive(byte)) {
                 cx.shared.node.lock(|node| node.hear(Line::Serial, &frame)).ok();
@@ -213,10 +229,11 @@ mod app {
 
     /// Every 10 ms: is all well? On a board whose converter is dead this is what keeps the CNC
     /// informed.
-    #[task(binds = SysTick, priority = 2, local = [supervision],
-           shared = [node, port, can_out, samples, temperatures, moved_ms])]
+    #[task(binds = SysTick, priority = 2, local = [supervision, self_test],
+           shared = [node, port, can_out, samples, temperatures])]
     fn supervise(cx: supervise::Context) {
-        let (mut shared, it) = (cx.shared, cx.local.supervision);
+        let _turn = alive::enter(Task::Supervise);
+        let (mut shared, it, self_test) = (cx.shared, cx.local.supervision, cx.local.self_test);
         if let Some(code) = shared.samples.lock(|samples| samples.internal_reference()) {
             shared.node.lock(|node| node.hear_supply(code));
         }
@@ -262,9 +279,18 @@ mod app {
             board::restart();
         }
         it.show(now, quality);
-        // Reaching this line shows that no task above hangs; the line shows that `transmit` does
-        // not.
-        it.feed_watchdog(now, shared.moved_ms.lock(|moved| *moved));
+        #[cfg(feature = "faults")]
+        crate::faults::provoke();
+        self_test.turn();
+        let free_stack = self_test.free_stack();
+        shared.node.lock(|node| {
+            node.note_free_stack(free_stack);
+            if self_test.is_damaged() {
+                node.bar_damaged();
+            }
+        });
+        // Reaching this line shows that no task above hangs; the turns of those below are counted.
+        it.feed_watchdog();
         if it.log_is_due() {
             it.retain(&shared.node.lock(|node| node.kept()));
             shared.port.lock(|port| shared.node.lock(|node| supervision::log(node, port)));
@@ -276,6 +302,7 @@ mod app {
     /// What a CANopen node has to say besides the offsets. Nothing of it is in the tick.
     #[task(binds = EXTI3, priority = 2, shared = [node, port, can_out])]
     fn service(cx: service::Context) {
+        let _turn = alive::enter(Task::Service);
         let mut shared = cx.shared;
         // It stays due, and the next tick asks again.
         if shared.can_out.lock(CanOut::is_busy) {
@@ -287,8 +314,9 @@ mod app {
     }
 
     /// Lines to the serial line, as much as it takes at once.
-    #[task(binds = DMA2_STREAM7, priority = 1, local = [serial_out], shared = [port, moved_ms])]
+    #[task(binds = DMA2_STREAM7, priority = 1, local = [serial_out], shared = [port])]
     fn transmit(mut cx: transmit::Context) {
+        let _turn = alive::enter(Task::Transmit);
         let now = NOW_MS.load(Ordering::Relaxed);
         let sent = cx.local.serial_out.send(now, |piece| {
             cx.shared.port.lock(|port| {
@@ -296,9 +324,6 @@ mod app {
                 piece.iter_mut().zip(bytes).map(|(place, byte)| *place = byte).count()
             })
         });
-        if sent != Sent::Stuck {
-            cx.shared.moved_ms.lock(|moved| *moved = now);
-        }
         if sent == Sent::More {
             rtic::pend(TRANSMIT);
         }
@@ -307,6 +332,7 @@ mod app {
     /// One thermometer is asked. Its bus is polled: no task waits below it.
     #[task(binds = EXTI2, priority = 1, local = [thermometers], shared = [temperatures])]
     fn thermometers(mut cx: thermometers::Context) {
+        let _turn = alive::enter(Task::Thermometers);
         if let Some(all) = cx.local.thermometers.turn() {
             cx.shared.temperatures.lock(|temperatures| *temperatures = Some(all));
         }

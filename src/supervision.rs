@@ -12,13 +12,14 @@ use trueup_store::{
     writes::Write,
 };
 
-use crate::board::{Flash, Lamp, Store, Watchdog, references};
+use crate::{
+    alive::{self, Roll, Task},
+    board::{Flash, Lamp, Store, Watchdog, references},
+};
 
 /// Milliseconds between two turns.
 pub const PERIOD_MS: u32 = 10;
 const LOG_PERIOD_MS: u32 = 1_000;
-/// A serial line that has not moved for so long, with something to move, shows a task that hangs.
-const STUCK_MS: u32 = 1_000;
 
 /// What the supervisor remembers.
 pub struct Supervision {
@@ -29,6 +30,9 @@ pub struct Supervision {
     store: Option<Store>,
     /// What outlasts a reset.
     retained: &'static mut retained::Copies,
+    roll: Roll,
+    /// The task that hangs: from then on the watchdog is not fed.
+    hanging: Option<Task>,
     blocks: u32,
     silent: bool,
     until_log_ms: u32,
@@ -42,8 +46,18 @@ impl Supervision {
         store: Option<Store>,
         retained: &'static mut retained::Copies,
     ) -> Self {
-        let (blocks, silent, until_log_ms) = (0, false, 0);
-        Self { watchdog, lamp, references, store, retained, blocks, silent, until_log_ms }
+        Self {
+            watchdog,
+            lamp,
+            references,
+            store,
+            retained,
+            roll: Roll::default(),
+            hanging: None,
+            blocks: 0,
+            silent: false,
+            until_log_ms: 0,
+        }
     }
 
     /// Keeps what is to outlast a reset. Once a second is often enough: no heat changes faster.
@@ -116,10 +130,17 @@ impl Supervision {
         });
     }
 
-    /// Feeds it, unless the serial line has stood still for too long.
-    pub fn feed_watchdog(&mut self, now_ms: u32, moved_ms: u32) {
-        if now_ms.wrapping_sub(moved_ms) < STUCK_MS {
-            self.watchdog.feed();
+    /// Feeds it, unless a task hangs; then it is the mark of that one that the next start finds.
+    pub fn feed_watchdog(&mut self) {
+        if let Some(task) = self.roll.call(PERIOD_MS)
+            && self.hanging.is_none()
+        {
+            defmt::error!("a task hangs: {}", task);
+            self.hanging = Some(task);
+        }
+        match self.hanging {
+            Some(task) => alive::accuse(task),
+            None => self.watchdog.feed(),
         }
     }
 

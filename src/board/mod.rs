@@ -9,6 +9,7 @@
 //! | [`Flash`] | two sectors of the flash | a file of the host |
 //! | [`Store`] of a new calibration | two more sectors | a file of the host |
 //! | [`Watchdog`] | IWDG, 100 ms | none: the host watches |
+//! | [`SelfTest`] | RAM, image, registers, stack | none |
 //! | [`Lamp`] | LED | none |
 //! | calibration | linked into the image, or loaded over it | a file of the host, or loaded over it |
 //! | RAM that outlasts a reset | `.uninit` | the same |
@@ -26,7 +27,7 @@ use trueup_core::{
     thermometer::Raw,
     units::{Code, Rpm},
 };
-use trueup_link::status::ResetReason;
+use trueup_node::start::Start;
 use trueup_store::{calibration::BlobError, reference::References, retained};
 
 #[cfg(all(feature = "stm32f405", feature = "virtual"))]
@@ -45,6 +46,9 @@ pub use stm32f405::*;
 mod r#virtual;
 #[cfg(feature = "virtual")]
 pub use r#virtual::*;
+
+/// Where a calibration is gathered.
+pub type Buffer = [u8; trueup_store::calibration::MAX_SIZE];
 
 /// Conversions in one block: one millisecond at 20 kS/s.
 pub const BLOCK: usize = 20;
@@ -77,12 +81,10 @@ pub struct CanState {
 pub enum Sent {
     /// None waits.
     All,
-    /// A piece is going out; an interrupt comes at its end.
+    /// A piece is going out, or is held up; an interrupt comes at its end.
     Busy,
     /// More waits, and nobody else will ask for it.
     More,
-    /// The line has not moved since the last time.
-    Stuck,
 }
 
 /// What a board found out about itself at start-up.
@@ -96,6 +98,8 @@ pub struct Faults {
     pub can: bool,
     /// The last reset came from the watchdog.
     pub watchdog_reset: bool,
+    /// The last start stopped itself.
+    pub stopped: bool,
 }
 
 impl Faults {
@@ -111,6 +115,7 @@ impl Faults {
             (self.pll, Fault::Pll),
             (self.can, Fault::Can),
             (self.watchdog_reset, Fault::WatchdogReset),
+            (self.stopped, Fault::Stopped),
         ];
         all.into_iter().filter_map(|(is_there, fault)| is_there.then_some(fault))
     }
@@ -132,8 +137,9 @@ pub struct Parts {
     /// The store of references and writes, and what it holds for the start.
     pub references: (References<Flash>, references::Kept),
     pub faults: Faults,
-    /// Why the board has started.
-    pub reset: ResetReason,
+    /// How the board came to run.
+    pub start: Start,
+    pub self_test: SelfTest,
     /// What `N` answers on the serial line: a hash of the number that the chip has from its factory.
     pub number: u16,
     /// The number that the chip has from its factory, the lowest word first.

@@ -42,9 +42,12 @@ use trueup_core::{
     channels::RawTemperatures,
     units::{Code, Millis},
 };
-use trueup_link::{frame::Frame, status::ResetReason};
+use trueup_link::frame::Frame;
+use trueup_node::start::Start;
 use trueup_pipe::{self as pipe, Record};
 use trueup_store::calibration;
+
+use crate::alive::{self, Task};
 
 use super::{BLOCK, Block, CanState, Faults, Parts, Sent, TEMPERATURES, references, reset_ram};
 
@@ -75,7 +78,12 @@ const BLOCKS_PER_SUPERVISION: u32 = 10;
 
 /// Brings the board up.
 #[allow(unsafe_code, reason = "registers of the emulated chip, and interrupts")]
-pub fn start(_core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts {
+pub fn start(
+    _core: cortex_m::Peripherals,
+    device: pac::Peripherals,
+    buffer_of_load: &'static mut super::Buffer,
+) -> Parts {
+    alive::stay(Task::Start);
     // QEMU has no RCC: its oscillator bits never come up, and the HAL waits for none on HSI.
     let mut rcc = device.RCC.freeze(rcc::Config::hsi());
     let port_a = device.GPIOA.split(&mut rcc);
@@ -113,9 +121,6 @@ pub fn start(_core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts {
     let calibration_is_good = calibration.is_ok();
     let identity = calibration.as_ref().map_or(0, |(identity, _)| *identity);
     let references = references::open(Flash::load(), identity);
-    let buffer_of_load: &'static mut [u8] =
-        cortex_m::singleton!(: [u8; calibration::MAX_SIZE] = [0; _])
-            .expect("the board starts once");
     let samples = open(c"samples").expect("the host makes this pipe before it starts the board");
     let frames =
         File::create(c"frames").expect("the host makes this pipe before it starts the board");
@@ -135,7 +140,8 @@ pub fn start(_core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts {
         calibration: calibration.map(|(_, calibration)| calibration),
         references,
         faults: Faults::default(),
-        reset: ResetReason::Unknown,
+        start: Start::default(),
+        self_test: SelfTest,
         number: 1,
         chip: [1, 0, 0],
         blob: if calibration_is_good { blob.unwrap_or_default() } else { &[] },
@@ -348,6 +354,22 @@ impl Watchdog {
     pub fn feed(&mut self) {}
 }
 
+/// An emulator is never damaged.
+pub struct SelfTest;
+
+impl SelfTest {
+    pub fn turn(&mut self) {}
+
+    pub fn is_damaged(&self) -> bool {
+        false
+    }
+
+    /// Not known.
+    pub fn free_stack(&mut self) -> u16 {
+        u16::MAX
+    }
+}
+
 /// No lamp.
 pub struct Lamp;
 
@@ -367,7 +389,9 @@ pub struct Idle {
 
 impl Idle {
     pub fn run(&mut self) -> ! {
+        alive::stay(Task::Idle);
         loop {
+            alive::beat(Task::Idle);
             let mut left = Self::wait_for_blocks() as usize;
             while left > 0 {
                 let count = left.min(BLOCKS_AT_ONCE);

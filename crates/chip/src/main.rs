@@ -98,9 +98,15 @@ fn board(options: &Options, image: &[u8]) -> Board {
         log: options.rtt.is_some(),
         awake: options.awake,
     };
-    let board = Board::new(image, memories, world, options.faults, watch);
+    let mut board = Board::new(image, memories, world, options.faults, watch);
     if options.from_loader {
         board.start_from_loader();
+    }
+    if options.ram_stuck != 0 {
+        board.stick_ram(options.ram_stuck);
+    }
+    if options.write_protected {
+        board.with_chip(|chip| chip.flash.optcr &= !(0xf00 << 16));
     }
     if options.bor {
         // As after the image has run once: brown-out level 3.

@@ -25,6 +25,8 @@ pub struct Options {
     pub supply: f64,
     pub inputs: [f64; 16],
     pub bor: bool,
+    pub write_protected: bool,
+    pub ram_stuck: u32,
     pub broken: u32,
     pub rtds: u32,
     pub masked: bool,
@@ -51,6 +53,8 @@ pub fn options() -> Options {
         supply: NOMINAL_SUPPLY,
         inputs: [0.0; 16],
         bor: false,
+        write_protected: false,
+        ram_stuck: 0,
         broken: 0,
         rtds: 8,
         masked: false,
@@ -143,6 +147,12 @@ pub fn options() -> Options {
             "--lsi" => o.lsi = number(args.next(), &a),
             "--crystal" => o.crystal = number(args.next(), &a),
             "--bor" => o.bor = true,
+            "--write-protected" => o.write_protected = true,
+            "--ram-stuck" => {
+                let at = args.next().unwrap_or_else(|| usage("--ram-stuck"));
+                let at = u32::from_str_radix(at.trim_start_matches("0x"), 16);
+                o.ram_stuck = at.unwrap_or_else(|_| usage("--ram-stuck"));
+            }
             "--slow-flash" => o.slow_flash = true,
             "--serial" => o.port = Some(number(args.next(), &a) as u16),
             "--serial-out" => o.serial_out = args.next(),

@@ -18,6 +18,7 @@ pub type Memory = RamStore;
 pub const FLASH_SIZE: u64 = 0x10_0000;
 /// Bytes of the SRAM on the bus matrix.
 pub const SRAM_SIZE: u64 = 0x2_0000;
+const SRAM: u32 = 0x2000_0000;
 const CCM_SIZE: u64 = 0x1_0000;
 const SYSTEM_SIZE: u64 = 0x1_0000;
 /// Where the peripherals are: base and length.
@@ -68,6 +69,36 @@ impl MemOps for Window {
         word[..from.len()].copy_from_slice(from);
         self.behind.write(self.base + offset as u32, from.len() as u32, u32::from_le_bytes(word));
         Ok(())
+    }
+}
+
+/// A word of the SRAM whose lowest bit is stuck at 1.
+struct Stuck {
+    store: Arc<Memory>,
+    base: u64,
+}
+
+impl fmt::Debug for Stuck {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("stuck")
+    }
+}
+
+impl MemOps for Stuck {
+    fn read(&self, offset: u64, to: &mut [u8], _: MemAttrs) -> MemResult {
+        self.store.read_at(self.base + offset, to)?;
+        if offset == 0 {
+            to[0] |= 1;
+        }
+        Ok(())
+    }
+
+    fn write(&self, offset: u64, from: &[u8], _: MemAttrs) -> MemResult {
+        self.store.write_at(self.base + offset, from)
+    }
+
+    fn constraints(&self) -> AccessConstraints {
+        AccessConstraints::ANY
     }
 }
 
@@ -266,6 +297,14 @@ impl Processor {
     #[must_use]
     pub fn wants_reset(&self) -> bool {
         self.core.reset_requested()
+    }
+
+    /// Has the lowest bit of a word of the SRAM stuck at 1, as the processor sees it.
+    pub fn stick_ram(&self, memories: &Memories, address: u32) {
+        let stuck = Stuck { store: memories.sram.clone(), base: u64::from(address - SRAM) };
+        let region = Arc::new(Region::io("stuck", 4, Arc::new(stuck)));
+        let mut map = self.space.topology();
+        map.map_with_priority(region, u64::from(address), 1).expect("in the SRAM");
     }
 
     /// Lets it write into the flash, or not.

@@ -179,6 +179,11 @@ impl Board {
         });
     }
 
+    /// Has the lowest bit of that word of the SRAM stuck at 1.
+    pub fn stick_ram(&mut self, address: u32) {
+        self.processor.stick_ram(&self.memories, address);
+    }
+
     /// Looks at the chip, or changes it.
     pub fn with_chip<R>(&self, work: impl FnOnce(&mut Chip) -> R) -> R {
         work(self.lock().as_mut().expect("it is there"))

@@ -10,7 +10,7 @@ use anyhow::{Context as _, Result};
 use rustix::fs::{FlockOperation, flock};
 
 use crate::{
-    binary, process,
+    binary, process, seal,
     setup::{self, TARGET, Toolchain},
 };
 
@@ -109,7 +109,7 @@ fn cargo_for(verb: &str, feature: &str) -> Result<(Command, PathBuf)> {
 /// # Errors
 /// It does not compile, or there is no way to the target.
 pub fn build(board: Board) -> Result<PathBuf> {
-    build_as(board, board.feature(), None)
+    build_as(board, board.feature(), board.feature(), None)
 }
 
 /// Builds the image that is flashed, for a machine: without one it has the example's constants, and gives
@@ -118,7 +118,8 @@ pub fn build(board: Board) -> Result<PathBuf> {
 /// # Errors
 /// As [`build`]; the machine file cannot be used.
 pub fn build_for(machine: &Path) -> Result<PathBuf> {
-    build_as(Board::Stm32f405, "stm32f405-for-a-machine", Some(machine))
+    let board = Board::Stm32f405;
+    build_as(board, board.feature(), "stm32f405-for-a-machine", Some(machine))
 }
 
 /// As [`build_for`], beside it: for one who compares two machines.
@@ -126,11 +127,20 @@ pub fn build_for(machine: &Path) -> Result<PathBuf> {
 /// # Errors
 /// As [`build_for`].
 pub fn build_for_another(machine: &Path) -> Result<PathBuf> {
-    build_as(Board::Stm32f405, "stm32f405-for-another-machine", Some(machine))
+    let board = Board::Stm32f405;
+    build_as(board, board.feature(), "stm32f405-for-another-machine", Some(machine))
 }
 
-fn build_as(board: Board, name: &str, machine: Option<&Path>) -> Result<PathBuf> {
-    let (mut command, folder) = cargo("build", board)?;
+/// The same with the feature `faults`: it breaks when it is told to, and is never for a machine.
+///
+/// # Errors
+/// As [`build_for`].
+pub fn build_that_breaks(machine: &Path) -> Result<PathBuf> {
+    build_as(Board::Stm32f405, "faults", "stm32f405-faults", Some(machine))
+}
+
+fn build_as(board: Board, feature: &str, name: &str, machine: Option<&Path>) -> Result<PathBuf> {
+    let (mut command, folder) = cargo_for("build", feature)?;
     if let Some(machine) = machine {
         command.env("TRUEUP_MACHINE", machine);
     }
@@ -147,6 +157,9 @@ fn build_as(board: Board, name: &str, machine: Option<&Path>) -> Result<PathBuf>
     let copy = tempfile::NamedTempFile::new_in(&images)?;
     fs::copy(&built, &copy).with_context(|| format!("{} is missing", built.display()))?;
     let image = images.join(format!("trueup-{name}.elf"));
+    if board == Board::Stm32f405 {
+        seal::seal(copy.path())?;
+    }
     copy.persist(&image)?;
     if board == Board::Stm32f405 {
         fs::write(image.with_extension("bin"), binary::of(&image)?)?;

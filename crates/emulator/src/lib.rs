@@ -25,6 +25,7 @@ pub mod programs;
 pub mod qemu;
 pub mod replay;
 pub mod rtt;
+pub mod seal;
 pub mod serve;
 pub mod setup;
 pub mod size;

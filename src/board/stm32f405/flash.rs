@@ -19,7 +19,7 @@ use embedded_storage::nor_flash::{
 };
 use stm32f4xx_hal::pac::{FLASH, flash::cr::PSIZE};
 
-use super::within;
+use super::{mpu, within};
 
 /// Where sector 8 begins.
 const START: usize = 0x0808_0000;
@@ -87,7 +87,9 @@ impl Flash {
             flash.keyr().write(|w| w.key().set(key));
         }
         clear_errors(flash);
-        let done = flash.cr().read().lock().bit_is_clear() && work(flash) && !has_failed(flash);
+        let done = flash.cr().read().lock().bit_is_clear()
+            && mpu::with_store(|| work(flash))
+            && !has_failed(flash);
         // Its reset value: locked, and nothing asked.
         flash.cr().reset();
         if done { Ok(()) } else { Err(NorFlashErrorKind::Other) }

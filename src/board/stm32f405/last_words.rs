@@ -1,8 +1,8 @@
 //! What a start that ends badly leaves to the next one: why, and where, in RAM that a reset leaves as it
 //! is and the start does not clear.
 //!
-//! A log is lost where no probe listens, and a watchdog's reset says nothing. So a panic, a hard fault and
-//! a crystal that stops write a record before they reset; the next start reads it once. After power-on
+//! A log is lost where no probe listens, and a watchdog's reset says nothing. So a panic, a hard fault,
+//! a crystal that stops and a register that has changed write a record before they reset; the next start reads it once. After power-on
 //! the RAM holds anything, so a record counts with its checksum only.
 
 use core::{
@@ -10,10 +10,12 @@ use core::{
     sync::atomic::{AtomicU32, Ordering, fence},
 };
 
-/// Words of a record: kind, four numbers, the place's line, its file in six words, and the checksum.
-const WORDS: usize = 13;
-/// Bytes of a file's name that are kept, its end.
-const FILE: usize = 24;
+use trueup_node::start::{FILE, Stop};
+
+use crate::alive;
+
+/// Words of a record: kind, four numbers, the place's line, its file in six words, the task, and the checksum.
+const WORDS: usize = 14;
 /// The checksum of nothing but zeros: so that cleared RAM is no record.
 const SEED: u32 = 0x7472_7565;
 
@@ -37,6 +39,10 @@ pub enum Why {
     HardFault = 2,
     /// The crystal stopped.
     Crystal = 3,
+    /// The stack ran into its guard.
+    StackOverflow = 4,
+    /// A register was other than it was set up.
+    Registers = 5,
 }
 
 /// Where the core was: program counter, link register, fault status and address.
@@ -53,25 +59,24 @@ pub struct Core {
 /// What was left.
 pub struct LastWords {
     pub why: Why,
-    pub core: Core,
-    line: u32,
-    file: [u8; FILE],
+    pub stop: Stop,
 }
 
 impl LastWords {
     /// Into the log.
     pub fn say(&self) {
-        let start = self.file.iter().take_while(|byte| **byte == 0).count();
-        let file = core::str::from_utf8(&self.file[start..]).unwrap_or_default();
+        let Stop { pc, lr, status, address, line, task, .. } = self.stop;
+        let file = core::str::from_utf8(self.stop.file()).unwrap_or_default();
         defmt::error!(
-            "the last start ended by {}: {=str}:{=u32}, pc {=u32:#x}, lr {=u32:#x}, CFSR {=u32:#x}, address {=u32:#x}",
+            "the last start ended by {}: {=str}:{=u32}, pc {=u32:#x}, lr {=u32:#x}, CFSR {=u32:#x}, address {=u32:#x}, task {=u8}",
             self.why,
             file,
-            self.line,
-            self.core.pc,
-            self.core.lr,
-            self.core.status,
-            self.core.address
+            line,
+            pc,
+            lr,
+            status,
+            address,
+            task
         );
     }
 }
@@ -98,6 +103,7 @@ pub fn leave(why: Why, core: Core, place: Option<&core::panic::Location<'_>>) {
             *word = u32::from_le_bytes(*bytes);
         }
     }
+    words[WORDS - 2] = alive::mark().into();
     words[WORDS - 1] = checksum(&words[..WORDS - 1]);
     for (place, word) in record().iter().zip(words) {
         place.store(word, Ordering::Relaxed);
@@ -114,14 +120,17 @@ fn read() -> Option<LastWords> {
         1 => Why::Panic,
         2 => Why::HardFault,
         3 => Why::Crystal,
+        4 => Why::StackOverflow,
+        5 => Why::Registers,
         _ => return None,
     };
     let mut file = [0; FILE];
     for (bytes, word) in file.as_chunks_mut().0.iter_mut().zip(&words[6..]) {
         *bytes = word.to_le_bytes();
     }
-    let core = Core { pc: words[1], lr: words[2], status: words[3], address: words[4] };
-    Some(LastWords { why, core, line: words[5], file })
+    let [_, pc, lr, status, address, line, ..] = words;
+    let [task, ..] = words[WORDS - 2].to_le_bytes();
+    Some(LastWords { why, stop: Stop { pc, lr, status, address, line, file, task } })
 }
 
 /// What the last start has left, once.

@@ -20,18 +20,25 @@ mod clocks;
 mod crystal;
 mod flash;
 mod identity;
+mod image;
 mod lamp;
 mod last_words;
 mod linear_inputs;
+mod mpu;
 mod panic;
+mod ram_test;
+mod registers;
+mod resets;
 mod sampling;
+mod self_test;
 mod serial;
 mod serial_dma;
+mod stack;
 mod store;
 mod thermometers;
 mod watchdog;
 
-use cortex_m::peripheral::{SYST, syst::SystClkSource};
+use cortex_m::peripheral::{SCB, SYST, syst::SystClkSource};
 use defmt_rtt as _;
 use stm32f4xx_hal::{
     gpio::PinState::High,
@@ -40,16 +47,20 @@ use stm32f4xx_hal::{
     rcc::{Enable as _, Reset as _},
 };
 
-use super::{Faults, Parts, references, reset_ram};
+use super::{Buffer, Faults, Parts, references, reset_ram};
+use crate::alive::{self, Task};
 pub use can::{CanIn, CanOut};
 use clocks::Source;
 pub use flash::Flash;
 pub use lamp::Lamp;
 pub use sampling::Samples;
+pub use self_test::SelfTest;
 pub use serial::{SerialIn, SerialOut};
 pub use store::Store;
 pub use thermometers::Thermometers;
 use trueup_core::thermometer::Thermometer;
+use trueup_link::status::ResetReason;
+use trueup_node::start::{Start, Stop};
 use trueup_store::calibration;
 use watchdog::Reset;
 pub use watchdog::Watchdog;
@@ -68,23 +79,23 @@ pub const COLD_AT_START: bool = false;
 const SUPERVISOR_HZ: u32 = 100;
 
 /// Brings up every part, the watchdog first; once all are up, the supervisor has to keep it quiet.
-pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts {
+pub fn start(
+    mut core: cortex_m::Peripherals,
+    device: pac::Peripherals,
+    buffer: &'static mut Buffer,
+) -> Parts {
     let mut watchdog = Watchdog::start(device.IWDG, &device.DBGMCU);
     let reset = watchdog::last_reset(&device.RCC);
     defmt::info!("reset by {}", reset);
-    let last_words = last_words::take();
-    let reset_reason = watchdog::reason(reset, last_words.as_ref());
-    if let Some(words) = last_words.filter(|_| reset != Reset::PowerOn) {
-        words.say();
-    }
+    let began = start_of(reset);
+    mpu::protect(&core.MPU);
+    trap_divisions_by_zero(&core.SCB);
     let (mut rcc, source) = clocks::start(device.RCC, &device.TIM11, &device.FLASH, &mut core.SYST);
     brown_out::protect(&device.FLASH, reset);
     keep_debugger_connected(&device.DBGMCU);
 
     // Before anything runs that an erase would hold up.
     let [calibrations, flash] = Flash::split(device.FLASH);
-    let buffer: &'static mut [u8] = cortex_m::singleton!(: [u8; calibration::MAX_SIZE] = [0; _])
-        .expect("the board starts once");
     let own = calibration::whole(CALIBRATION).map_or(0, calibration::identity);
     let (store, loaded, is_older) = Store::open(calibrations, (!IS_EXAMPLE).then_some(own), buffer);
     let is_example = IS_EXAMPLE && loaded.is_none();
@@ -99,6 +110,8 @@ pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts
     let gpioa = device.GPIOA.split(&mut rcc);
     let gpiob = device.GPIOB.split(&mut rcc);
     let gpioc = device.GPIOC.split(&mut rcc);
+    // Before samples are taken: it takes longer than a block.
+    let self_test = SelfTest::start(device.CRC, &mut rcc);
     // Before any of its streams: the converter's and the serial line's.
     pac::DMA2::enable(&mut rcc);
     pac::DMA2::reset(&mut rcc);
@@ -110,6 +123,13 @@ pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts
         pll: source == Source::Internal,
         can: !can_answers,
         watchdog_reset: reset == Reset::Watchdog,
+        stopped: matches!(
+            began.reason,
+            ResetReason::Panic
+                | ResetReason::HardFault
+                | ResetReason::StackOverflow
+                | ResetReason::Registers
+        ),
     };
     let selects = [
         gpioc.pc0.into_push_pull_output_in_state(High).erase(),
@@ -165,10 +185,37 @@ pub fn start(mut core: cortex_m::Peripherals, device: pac::Peripherals) -> Parts
         retained: reset_ram::take(),
         loading: Some((buffer, store)),
         watchdog,
-        reset: reset_reason,
+        start: began,
+        self_test,
         number: identity::short(&device.DBGMCU),
         chip: identity::words(&device.DBGMCU),
     }
+}
+
+/// What is known of how the board came to run, before a task of this start leaves its own mark.
+fn start_of(reset: Reset) -> Start {
+    let last_words = last_words::take().filter(|_| reset != Reset::PowerOn);
+    let reason = watchdog::reason(reset, last_words.as_ref());
+    let stop = match &last_words {
+        Some(words) => words.stop,
+        // Nobody could leave a record: the one who ran is the one who hung.
+        None if reset == Reset::Watchdog => Stop { task: alive::mark(), ..Stop::default() },
+        None => Stop::default(),
+    };
+    if let Some(words) = &last_words {
+        words.say();
+    } else if stop.task != 0 {
+        defmt::error!("the watchdog bit in task {=u8}", stop.task);
+    }
+    alive::stay(Task::Start);
+    Start { reason, stop, counts: resets::count(reason) }
+}
+
+/// A division by zero is a fault, and not 0 (Armv7-M manual, B3.2.8, DIV_0_TRP).
+#[allow(unsafe_code, reason = "registers of the core")]
+fn trap_divisions_by_zero(scb: &SCB) {
+    // SAFETY: no other bit changes, and no code here divides by zero on purpose.
+    unsafe { scb.ccr.modify(|it| it | 1 << 4) };
 }
 
 /// SysTick raises its interrupt a hundred times a second, whichever clock the core runs from.
@@ -193,7 +240,7 @@ fn within(polls: u32, mut ready: impl FnMut() -> bool) -> bool {
 
 /// Starts the board anew.
 pub fn restart() {
-    cortex_m::peripheral::SCB::sys_reset()
+    SCB::sys_reset()
 }
 
 /// What the core does when no task has work.
@@ -202,7 +249,9 @@ pub struct Idle;
 impl Idle {
     /// Sleeps until the next interrupt; timers, converter and DMA go on.
     pub fn run(&mut self) -> ! {
+        alive::stay(Task::Idle);
         loop {
+            alive::beat(Task::Idle);
             cortex_m::asm::wfi();
         }
     }

@@ -12,11 +12,19 @@ use core::{
 use cortex_m::{asm, interrupt, peripheral::SCB};
 use cortex_m_rt::ExceptionFrame;
 
-use super::last_words::{self, Core, Why};
+use super::{
+    last_words::{self, Core, Why},
+    mpu,
+};
 
 /// About 20 ms at the full clock: a probe gets the log out before the reset clears it. Well below the
 /// watchdog at either limit of its oscillator.
 const TIME_TO_READ: u32 = 1_680_000;
+
+/// MMARVALID, BFARVALID, and MSTKERR with STKERR (Armv7-M manual, B3.2.15).
+const MEMORY_ADDRESS_VALID: u32 = 1 << 7;
+const BUS_ADDRESS_VALID: u32 = 1 << 15;
+const NOT_STACKED: u32 = 1 << 4 | 1 << 12;
 
 #[panic_handler]
 fn panic(info: &PanicInfo) -> ! {
@@ -32,7 +40,8 @@ fn panic(info: &PanicInfo) -> ! {
     SCB::sys_reset()
 }
 
-/// The core cannot go on: a bad address, an unknown instruction, a division that it was told to refuse.
+/// The core cannot go on: a bad address, an unknown instruction, a division by zero, what the memory protection
+/// forbids. These come as hard faults, because no handler of their own is switched on.
 /// Nothing is logged: the fault may have come in the midst of a log.
 // SAFETY: "unsafe" is how cortex-m-rt marks a handler that critical sections do not hold off; this
 // one writes a record that nobody else writes any more.
@@ -40,11 +49,22 @@ fn panic(info: &PanicInfo) -> ! {
 #[allow(unsafe_code, reason = "registers of the core")]
 unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
     // SAFETY: reading these has no effect.
-    let (status, address) = unsafe {
+    let (status, memory, bus) = unsafe {
         let scb = &*SCB::PTR;
-        (scb.cfsr.read(), scb.bfar.read())
+        (scb.cfsr.read(), scb.mmfar.read(), scb.bfar.read())
     };
-    let core = Core { pc: frame.pc(), lr: frame.lr(), status, address };
-    last_words::leave(Why::HardFault, core, None);
+    let address = match status {
+        _ if status & MEMORY_ADDRESS_VALID != 0 => memory,
+        _ if status & BUS_ADDRESS_VALID != 0 => bus,
+        _ => 0,
+    };
+    let why = if status & NOT_STACKED != 0 || mpu::GUARD.contains(&address) {
+        Why::StackOverflow
+    } else {
+        Why::HardFault
+    };
+    // What was not stacked is not there.
+    let (pc, lr) = if status & NOT_STACKED == 0 { (frame.pc(), frame.lr()) } else { (0, 0) };
+    last_words::leave(why, Core { pc, lr, status, address }, None);
     SCB::sys_reset()
 }

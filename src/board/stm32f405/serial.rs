@@ -145,7 +145,7 @@ impl SerialOut {
                     self.poll(byte);
                 }
             }
-            return Sent::Stuck;
+            return Sent::Busy;
         }
         self.moved_ms = now_ms;
         let count = outgoing.send(|buffer| {

@@ -55,6 +55,8 @@ pub fn reason(reset: Reset, last_words: Option<&LastWords>) -> ResetReason {
         (_, Some(Why::Panic)) => ResetReason::Panic,
         (_, Some(Why::HardFault)) => ResetReason::HardFault,
         (_, Some(Why::Crystal)) => ResetReason::Crystal,
+        (_, Some(Why::StackOverflow)) => ResetReason::StackOverflow,
+        (_, Some(Why::Registers)) => ResetReason::Registers,
         (Reset::Watchdog, None) => ResetReason::Watchdog,
         (Reset::Software, None) => ResetReason::Software,
         (Reset::Pin, None) => ResetReason::Pin,

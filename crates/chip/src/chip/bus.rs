@@ -139,6 +139,7 @@ impl Chip {
         match a & !0x3ff {
             0x4002_3800 => self.rcc_read(off),
             0x4002_3c00 => self.flash_read(off),
+            0x4002_3000 => self.crc_read(off),
             0x4000_7000 => match off {
                 0 => self.pwr_cr,
                 4 => self.pwr_cr & 0x4000,
@@ -192,6 +193,7 @@ impl Chip {
         match a & !0x3ff {
             0x4002_3800 => self.rcc_write(off, v),
             0x4002_3c00 => self.flash_write(off, v),
+            0x4002_3000 => self.crc_write(off, v),
             0x4000_7000 => match off {
                 0 => {
                     if (v ^ self.pwr_cr) & 0x4000 != 0 && self.rcc.cr & 1 << 24 != 0 {

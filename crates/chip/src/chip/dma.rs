@@ -198,6 +198,12 @@ impl Chip {
         );
     }
 
+    /// 10.3.18: a transfer error raises TEIF and switches the stream off.
+    pub(crate) fn dma_fails(&mut self, d: usize, n: usize) {
+        self.dma[d].isr[n / 4] |= 8 << SHIFT[n % 4];
+        self.dma[d].s[n].cr &= !1;
+    }
+
     /// One request of a peripheral. `None`: no stream listens; otherwise whether it was the last item.
     pub(crate) fn dma_request(&mut self, d: usize, n: usize, channel: u32) -> Option<bool> {
         let s = self.dma[d].s[n];
@@ -216,8 +222,7 @@ impl Chip {
         if !reachable {
             // A transfer error: RM0090 10.3.16.
             self.violation(format!("DMA{} stream {n}: transfer error at {memory:#010x}", d + 1));
-            self.dma[d].isr[n / 4] |= 8 << SHIFT[n % 4];
-            self.dma[d].s[n].cr &= !1;
+            self.dma_fails(d, n);
             return Some(true);
         }
         match s.cr >> 6 & 3 {

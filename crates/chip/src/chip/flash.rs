@@ -232,6 +232,10 @@ impl Chip {
                     return self.violation(format!("flash: sector {n} does not exist"));
                 }
                 let (at, len) = sector(n);
+                if self.is_write_protected(at) {
+                    self.flash.sr |= 0x10;
+                    return self.say(Grade::Fact, format!("flash: sector {n} is protected"));
+                }
                 let mut old = vec![0; len as usize];
                 self.rom.read_at(u64::from(at), &mut old).expect("in the flash");
                 self.flash.before = (at, old);
@@ -265,6 +269,12 @@ impl Chip {
         }
     }
 
+    /// RM0090 3.7.4: nWRP of its sector is 0.
+    fn is_write_protected(&self, at: u32) -> bool {
+        let is_in = |n: &u32| (sector(*n).0..sector(*n).0 + sector(*n).1).contains(&at);
+        (0..12).find(is_in).is_some_and(|n| self.flash.optcr >> (16 + n) & 1 == 0)
+    }
+
     /// A write of the processor into the array.
     pub fn flash_program(&mut self, at: u32, bytes: &[u8]) {
         let cr = self.flash.cr;
@@ -280,6 +290,10 @@ impl Chip {
                 "flash: write at {at:#x} with error flags set ({:#x})",
                 self.flash.sr
             ));
+        }
+        if self.is_write_protected(at) {
+            self.flash.sr |= 0x10;
+            return self.say(Grade::Fact, format!("flash: write at {at:#x}, which is protected"));
         }
         if bytes.len() != 1 << (cr >> 8 & 3) {
             self.flash.sr |= 0x40;

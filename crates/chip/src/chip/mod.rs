@@ -8,6 +8,7 @@ mod bus;
 mod can;
 mod can_bus;
 mod convert;
+mod crc;
 mod dma;
 mod flash;
 mod gpio;
@@ -19,6 +20,7 @@ mod spi;
 mod tim;
 mod tim11;
 mod uart;
+mod upset;
 
 use crate::{
     processor::{Lines, Memories, Memory},
@@ -28,6 +30,7 @@ use crate::{
 };
 use adc::{Adc, Adcs};
 use can::Can;
+use crc::Crc;
 use dma::Dma;
 use flash::Flash;
 use gpio::Gpio;
@@ -106,6 +109,7 @@ pub struct Chip {
     pub tclk2: u64,
     pub pwr_cr: u32,
     pub flash: Flash,
+    pub crc: Crc,
     pub gpio: [Gpio; 9],
     pub tims: Vec<Tim>,
     pub tim11: Tim11,
@@ -174,6 +178,7 @@ impl Chip {
             tclk2: 0,
             pwr_cr: 0,
             flash: Flash::default(),
+            crc: Crc::default(),
             gpio: Default::default(),
             tims: Vec::new(),
             tim11: Tim11::default(),
@@ -219,6 +224,7 @@ impl Chip {
         let options = self.flash.optcr | 1;
         self.flash = Flash::reset(self.flash.stats);
         self.flash.optcr = options;
+        self.crc = Crc::default();
         self.tims = Tim::all();
         self.tim11 = Tim11::default();
         self.adc = Adcs { unit: self.adc.unit.each_ref().map(Adc::reset), ..Adcs::default() };

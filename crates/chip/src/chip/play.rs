@@ -126,6 +126,8 @@ impl Chip {
                         "power" => (1 << 27 | 1 << 26 | 1 << 25, "power"),
                         "pin" => (1 << 26, "pin"),
                         "watchdog" => (1 << 29 | 1 << 26, "watchdog (forced)"),
+                        // 7.3.21: the brown-out sets BORRSTF alone beside the pin's.
+                        "brown_out" => (1 << 26 | 1 << 25, "brown-out"),
                         _ => (1 << 28 | 1 << 26, "software (forced)"),
                     };
                     let seed = s.random();
@@ -136,6 +138,7 @@ impl Chip {
                     }
                     self.want_reset(cause, why);
                 }
+                _ if self.upset(&words) => {}
                 _ => panic!("script: {words:?}"),
             }
         }

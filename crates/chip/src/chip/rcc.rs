@@ -5,6 +5,7 @@ use super::{
     adc::Adcs,
     bus::{BUSES, GATES},
     can::Can,
+    crc::Crc,
     dma::Dma,
     gpio::Gpio,
     spi::Spi,
@@ -343,6 +344,7 @@ impl Chip {
             }
             // 7.3.9: one bit resets all three.
             0x4001_2000 => self.adc = Adcs::default(),
+            0x4002_3000 => self.crc = Crc::default(),
             0x4002_6000 => self.dma[0] = Dma::default(),
             0x4002_6400 => self.dma[1] = Dma::default(),
             0x4000_6400 => self.can = Can::reset(),

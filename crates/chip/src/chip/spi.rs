@@ -8,6 +8,8 @@ use crate::{
 
 #[derive(Default)]
 pub struct Spi {
+    /// What MISO says whoever is selected, if its wire is stuck.
+    pub stuck: Option<u8>,
     pub(crate) cr1: u32,
     pub(crate) cr2: u32,
     pub(crate) sr: u32,
@@ -173,7 +175,7 @@ impl Chip {
             self.spi.sr |= 0x40;
             self.say(Grade::Remark, "SPI2: overrun".into());
         } else {
-            self.spi.rdr = u16::from(answer);
+            self.spi.rdr = u16::from(self.spi.stuck.unwrap_or(answer));
         }
         self.spi.sr |= 1;
         if self.spi.cr2 & 1 != 0 {

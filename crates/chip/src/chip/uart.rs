@@ -1,6 +1,6 @@
 //! USART1, asynchronous, eight bits.
 
-use super::Chip;
+use super::{Chip, upset::Disturbance};
 use crate::{
     report::Grade,
     time::{NEVER, TPS},
@@ -21,6 +21,7 @@ pub struct Uart {
     pub idle_at: u64,
     pub(crate) sr_read: bool,
     pub overruns: u64,
+    pub disturbed: Disturbance,
     pub received: u64,
     pub(crate) rx_since: u64,
     pub longest: u64,
@@ -192,7 +193,13 @@ impl Chip {
 
     pub(crate) fn uart_rx_end(&mut self) {
         self.uart.rx_at = NEVER;
-        let Some(b) = self.world.byte_take() else { return };
+        let Some(mut b) = self.world.byte_take() else { return };
+        let mut disturbed = 0;
+        if self.uart.disturbed.count > 0 {
+            self.uart.disturbed.count -= 1;
+            disturbed = self.uart.disturbed.flags;
+            b = self.uart.disturbed.byte.unwrap_or(b);
+        }
         if self.uart.cr1 & 0x2004 == 0x2004 {
             if self.muxed(&[(0, 10), (1, 7)], 7).is_none() {
                 self.violation("USART1: receives without a pin on AF7".into());
@@ -204,7 +211,7 @@ impl Chip {
                 self.say(Grade::Remark, "USART1: overrun, a byte of the host is lost".into());
             } else {
                 self.uart.rdr = u32::from(if off < 0.035 { b } else { b ^ 0x55 });
-                self.uart.sr |= 0x20 | if off < 0.035 { 0 } else { 2 };
+                self.uart.sr |= 0x20 | disturbed | if off < 0.035 { 0 } else { 2 };
                 self.uart.received += 1;
                 self.uart.rx_since = self.now;
                 self.uart_dma_rx();

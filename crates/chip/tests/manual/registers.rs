@@ -269,3 +269,31 @@ fn timer_11_measures_the_crystal_against_the_internal_oscillator() {
     assert_eq!(bench.read(TIM11 + 0x10) & 0x202, 0x202, "two at once: CC1OF");
     assert_eq!(bench.violations(""), 0);
 }
+
+#[test]
+fn the_crc_unit_takes_words_highest_bit_first_and_begins_at_ones() {
+    const CRC: u32 = 0x4002_3000;
+    let bench = Bench::new();
+    bench.set(RCC + 0x30, 1 << 12);
+    assert_eq!(bench.read(CRC), u32::MAX, "4.4.1");
+    // Known of every chip with this unit (AN4187): a word of zeros.
+    bench.write(CRC, 0);
+    assert_eq!(bench.read(CRC), 0xc704_dd7b);
+    bench.write(CRC + 8, 1);
+    assert_eq!(bench.read(CRC), u32::MAX, "4.4.3");
+    bench.write(CRC, 0x1234_5678);
+    assert_eq!(bench.read(CRC), 0xdf8a_8a2b);
+}
+
+#[test]
+fn a_protected_sector_raises_wrperr_and_stays() {
+    let bench = Bench::new();
+    bench.board.with_chip(|chip| chip.flash.optcr &= !(1 << (16 + 8)));
+    bench.unlock_flash();
+    bench.write(FLASH + 0x10, 0x201);
+    bench.program(0x8_0000, 0);
+    assert_eq!(bench.read(FLASH + 0x0c) & 0x10, 0x10, "3.9.4");
+    bench.write(FLASH + 0x0c, 0x10);
+    bench.program(0xa_0000, 0);
+    assert_eq!(bench.read(FLASH + 0x0c) & 0x10, 0, "the next sector is not");
+}

@@ -1,0 +1,71 @@
+//! Faults from outside that no program asks for: a bit that flips, a converter or a stream that fails, a line that is
+//! disturbed, a bus whose wire is stuck. What the chip makes of them is the manual's.
+
+use super::Chip;
+use crate::report::Grade;
+
+/// What a byte on the serial line is disturbed by.
+#[derive(Clone, Copy, Default)]
+pub struct Disturbance {
+    /// Bytes that are still to be disturbed.
+    pub count: u32,
+    /// Flags that the receiver raises with them (RM0090 30.6.1): 2 FE, 4 NF.
+    pub flags: u32,
+    /// The byte that it sees; `None`: the one that was sent.
+    pub byte: Option<u8>,
+}
+
+impl Chip {
+    /// What a line of a script says; `false`: it is no upset.
+    pub(crate) fn upset(&mut self, words: &[String]) -> bool {
+        let hex = |i: usize| {
+            let word = words.get(i).map(|word| word.trim_start_matches("0x"));
+            word.and_then(|word| u32::from_str_radix(word, 16).ok())
+                .unwrap_or_else(|| panic!("script: {words:?}"))
+        };
+        match words[0].as_str() {
+            // Bits of a word of the SRAM or of a register flip.
+            "poke" => {
+                let (address, bits) = (hex(1), hex(2));
+                if (0x2000_0000..0x2002_0000).contains(&address) {
+                    let at = u64::from(address - 0x2000_0000);
+                    let mut word = [0; 4];
+                    self.sram.read_at(at, &mut word).expect("in the SRAM");
+                    let flipped = u32::from_le_bytes(word) ^ bits;
+                    self.sram.write_at(at, &flipped.to_le_bytes()).expect("in the SRAM");
+                } else if (0x0800_0000..0x0810_0000).contains(&address) {
+                    let at = u64::from(address - 0x0800_0000);
+                    let mut word = [0; 4];
+                    self.rom.read_at(at, &mut word).expect("in the flash");
+                    let flipped = u32::from_le_bytes(word) ^ bits;
+                    self.rom.write_at(at, &flipped.to_le_bytes()).expect("in the flash");
+                } else {
+                    let flipped = self.read(address) ^ bits;
+                    self.write(address, flipped);
+                }
+                self.say(Grade::Fact, format!("upset: {bits:#x} flips at {address:#010x}"));
+            }
+            // 13.8.1: OVR ends the requests to the DMA.
+            "adc_overrun" => {
+                self.adc.unit[0].sr |= 1 << 5;
+                self.adc.unit[0].dma_over = true;
+                self.say(Grade::Fact, "upset: ADC1 is overrun".into());
+            }
+            // 10.3.18: a transfer error switches the stream off and raises TEIF.
+            "dma_error" => self.dma_fails(1, hex(1) as usize),
+            // 30.3.10 and 30.6.1: a break is a frame of zeros with a framing error.
+            "serial_error" => {
+                let (flags, byte) = match words[1].as_str() {
+                    "break" => (2, Some(0)),
+                    "framing" => (2, None),
+                    _ => (4, None),
+                };
+                self.uart.disturbed = Disturbance { count: hex(2), flags, byte };
+            }
+            "miso" => self.spi.stuck = Some(if hex(1) != 0 { 0xff } else { 0 }),
+            _ => return false,
+        }
+        self.touch();
+        true
+    }
+}

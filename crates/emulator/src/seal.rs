@@ -1,0 +1,78 @@
+//! Length and CRC of an image, written into it after it is linked: the board holds itself against them
+//! (`src/board/stm32f405/image.rs`).
+
+use std::{fs, path::Path};
+
+use anyhow::{Context as _, Result, ensure};
+use object::{Object as _, ObjectSection as _, ObjectSymbol as _};
+
+use crate::binary;
+
+/// The image's own words for it: length and CRC.
+const CHECK: &str = "TRUEUP_IMAGE_CHECK";
+const CHECK_SIZE: usize = 8;
+
+/// Writes the length and the CRC of an image into it. Whoever changes its bytes afterwards calls it again.
+///
+/// # Errors
+/// The image cannot be read or written, or has no place for them.
+pub fn seal(image: &Path) -> Result<()> {
+    let mut bytes = fs::read(image).with_context(|| image.display().to_string())?;
+    let (address, place) = find(&bytes, CHECK).context("the image has no place for a CRC")?;
+    let mut flash = binary::of(image)?;
+    flash.resize(flash.len().next_multiple_of(4), 0xFF);
+    let own = usize::try_from(address - binary::FLASH_START)?;
+    ensure!(
+        own + CHECK_SIZE <= flash.len() && own.is_multiple_of(4),
+        "its place is not in the image"
+    );
+    let crc = flash[..own].as_chunks().0.iter().chain(flash[own + CHECK_SIZE..].as_chunks().0);
+    let crc = crc.fold(u32::MAX, |crc, word| step(crc, u32::from_le_bytes(*word)));
+    let words = [u32::try_from(flash.len())?, crc];
+    for (place, word) in bytes[place..place + CHECK_SIZE].as_chunks_mut().0.iter_mut().zip(words) {
+        *place = word.to_le_bytes();
+    }
+    // What the image is padded with up to a word is not in it, and is erased flash on the board.
+    fs::write(image, bytes).with_context(|| image.display().to_string())
+}
+
+/// CRC-32 by 0x04C1_1DB7, highest bit first, as the chip's unit has it.
+fn step(crc: u32, word: u32) -> u32 {
+    (0..32).fold(crc ^ word, |crc, _| {
+        let shifted = crc << 1;
+        if crc >> 31 == 0 { shifted } else { shifted ^ 0x04C1_1DB7 }
+    })
+}
+
+/// The address of a symbol in an image.
+///
+/// # Errors
+/// The image cannot be read.
+pub fn symbol(image: &Path, name: &str) -> Result<Option<u32>> {
+    let bytes = fs::read(image).with_context(|| image.display().to_string())?;
+    let file = object::File::parse(&*bytes)?;
+    let found = file.symbols().find(|symbol| symbol.name() == Ok(name));
+    Ok(found.map(|symbol| u32::try_from(symbol.address())).transpose()?)
+}
+
+/// The address of a symbol in a file, and its place there.
+fn find(bytes: &[u8], name: &str) -> Option<(u32, usize)> {
+    let file = object::File::parse(bytes).ok()?;
+    let symbol = file.symbols().find(|symbol| symbol.name() == Ok(name))?;
+    let section = file.section_by_index(symbol.section_index()?).ok()?;
+    let (start, _) = section.file_range()?;
+    let place = start + (symbol.address() - section.address());
+    Some((u32::try_from(symbol.address()).ok()?, usize::try_from(place).ok()?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::step;
+
+    #[test]
+    fn the_crc_is_that_of_the_chips_unit() {
+        // AN4187: a word of zeros.
+        assert_eq!(step(u32::MAX, 0), 0xC704_DD7B);
+        assert_eq!(step(u32::MAX, 0x1234_5678), 0xDF8A_8A2B);
+    }
+}

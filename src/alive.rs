@@ -1,0 +1,133 @@
+//! Which task runs, and whether each has had its turn: the watchdog is fed by it, and the next start
+//! finds here who held it up.
+//!
+//! A task that hangs above the supervisor's priority holds up the supervisor: the watchdog bites, and
+//! the mark of the task that ran is still in RAM that a reset does not clear. One that hangs below it
+//! takes no more turns: the supervisor sees that, marks it, and no longer feeds.
+
+use core::{
+    mem::MaybeUninit,
+    sync::atomic::{AtomicBool, AtomicU16, AtomicU32, Ordering},
+};
+
+/// The tasks, by the numbers of `trueup_canopen::dictionary::TASKS`.
+#[derive(Clone, Copy, PartialEq, Eq, defmt::Format)]
+#[repr(u8)]
+pub enum Task {
+    /// From the reset to the first turn of any task.
+    Start = 1,
+    SerialReceive,
+    Sample,
+    CanReceive0,
+    CanReceive1,
+    Listen,
+    Supervise,
+    Service,
+    Transmit,
+    Thermometers,
+    Idle,
+}
+
+/// The tasks that have a turn all the time, whatever comes over the wires, and do not hold up the
+/// supervisor if they hang.
+const STEADY: [Task; 4] = [Task::Service, Task::Transmit, Task::Thermometers, Task::Idle];
+/// Milliseconds without a turn after which one of them counts as hanging: the longest deadline among
+/// them, that of the thermometers (`main.rs`).
+const PATIENCE_MS: u32 = 1_000;
+/// Above the number of a task in its mark: so that RAM after power-on is no mark.
+const MARK: u32 = 0x7461_7300;
+
+/// A bit for each task that has ended a turn since this was last asked.
+static DONE: AtomicU16 = AtomicU16::new(0);
+
+/// The mark of the task that runs.
+#[unsafe(link_section = ".uninit.RUNNING")]
+#[allow(unsafe_code, reason = "a place in RAM that the start leaves as it is")]
+static RUNNING: MaybeUninit<AtomicU32> = MaybeUninit::uninit();
+
+#[allow(unsafe_code, reason = "a place in RAM that the start leaves as it is")]
+fn running() -> &'static AtomicU32 {
+    // SAFETY: any bits are a value of it.
+    unsafe { RUNNING.assume_init_ref() }
+}
+
+/// The mark is that of a task that hangs.
+static ACCUSED: AtomicBool = AtomicBool::new(false);
+
+fn set(mark: u32) {
+    if !ACCUSED.load(Ordering::Relaxed) {
+        running().store(mark, Ordering::Relaxed);
+    }
+}
+
+/// The number of the task that ran; 0: none is known. For a board with a watchdog of its own.
+#[cfg(feature = "stm32f405")]
+pub fn mark() -> u8 {
+    let [number, ..] = (running().load(Ordering::Relaxed) ^ MARK).to_le_bytes();
+    let is_mark = running().load(Ordering::Relaxed) & !0xFF == MARK;
+    if is_mark { number } else { 0 }
+}
+
+/// A turn of a task, which ends when it is dropped.
+pub struct Turn {
+    task: Task,
+    /// The mark of the task that this one interrupts.
+    before: u32,
+}
+
+/// A task hangs: its mark stays, whatever still runs.
+pub fn accuse(task: Task) {
+    ACCUSED.store(true, Ordering::Relaxed);
+    running().store(MARK | task as u32, Ordering::Relaxed);
+}
+
+/// A task begins a turn.
+pub fn enter(task: Task) -> Turn {
+    // Who interrupts between these two puts the mark back before this goes on.
+    let before = running().load(Ordering::Relaxed);
+    set(MARK | task as u32);
+    #[cfg(feature = "faults")]
+    crate::faults::hang_if(task as u32);
+    Turn { task, before }
+}
+
+impl Drop for Turn {
+    fn drop(&mut self) {
+        DONE.fetch_or(1 << self.task as u16, Ordering::Relaxed);
+        set(self.before);
+    }
+}
+
+/// The task that nothing is below: its turns have no end, so it says when it is alive.
+pub fn stay(task: Task) {
+    running().store(MARK | task as u32, Ordering::Relaxed);
+}
+
+/// A task that stays is alive.
+pub fn beat(task: Task) {
+    DONE.fetch_or(1 << task as u16, Ordering::Relaxed);
+    #[cfg(feature = "faults")]
+    crate::faults::hang_if(task as u32);
+}
+
+/// For how long the steady tasks have had no turn.
+#[derive(Default)]
+pub struct Roll {
+    silent_ms: [u32; STEADY.len()],
+}
+
+impl Roll {
+    /// After each `elapsed_ms`: the task that hangs, if one does.
+    pub fn call(&mut self, elapsed_ms: u32) -> Option<Task> {
+        let done = DONE.swap(0, Ordering::Relaxed);
+        let mut hanging = None;
+        for (task, silent) in STEADY.into_iter().zip(&mut self.silent_ms) {
+            let was_there = done >> task as u16 & 1 != 0;
+            *silent = if was_there { 0 } else { silent.saturating_add(elapsed_ms) };
+            if *silent >= PATIENCE_MS {
+                hanging = Some(task);
+            }
+        }
+        hanging
+    }
+}

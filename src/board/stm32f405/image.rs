@@ -1,0 +1,131 @@
+//! Whether the image in the flash is the one that was built: its CRC, by the unit of the chip (section 4),
+//! at the start and then all the time, a piece at each turn of the supervisor.
+//!
+//! The build writes length and CRC into the image after it is linked ([`CHECK`]; `trueup_emulator::seal`). An
+//! image that went another way has none: it runs, and says that it cannot be checked.
+
+use core::ptr::{addr_of, read_volatile};
+
+use stm32f4xx_hal::{
+    pac::CRC,
+    rcc::{Enable as _, Rcc, Reset as _},
+};
+
+/// Where the image begins.
+const START: u32 = 0x0800_0000;
+/// Words a turn: 1 KB every 10 ms, so that an image of 112 KB has its turn every 1.1 s.
+const PIECE: u32 = 256;
+/// What the unit makes of a word of zeros (CRC-32 by 0x04C1_1DB7, from ones, highest bit first).
+const CRC_OF_ZERO: u32 = 0xC704_DD7B;
+/// Bytes that the linker may fill (`memory.x`).
+const MOST: u32 = 512 * 1024;
+/// As the linker leaves it.
+const NONE: u32 = u32::MAX;
+
+#[repr(C)]
+struct Check {
+    /// Bytes of the image, a multiple of four.
+    length: u32,
+    /// Its CRC, without these two words.
+    crc: u32,
+}
+
+#[used]
+#[unsafe(export_name = "TRUEUP_IMAGE_CHECK")]
+#[allow(unsafe_code, reason = "a name that the build knows")]
+static CHECK: Check = Check { length: NONE, crc: NONE };
+
+/// What is known of the image.
+#[derive(Clone, Copy, PartialEq, Eq, defmt::Format)]
+pub enum Verdict {
+    /// It is the one that was built.
+    Whole,
+    /// It says no CRC.
+    Unsealed,
+    /// It is another one.
+    Damaged,
+    /// The CRC unit does not work: nothing is known.
+    NoUnit,
+}
+
+/// The check that goes on.
+pub struct Image {
+    unit: CRC,
+    at: u32,
+    verdict: Verdict,
+}
+
+impl Image {
+    /// Checks it once.
+    pub fn start(unit: CRC, rcc: &mut Rcc) -> Self {
+        CRC::enable(rcc);
+        CRC::reset(rcc);
+        let mut image = Self { unit, at: START, verdict: Verdict::Unsealed };
+        image.feed(0);
+        image.verdict = match (image.unit.dr().read().bits(), stated()) {
+            (CRC_OF_ZERO, (NONE, NONE)) => Verdict::Unsealed,
+            (CRC_OF_ZERO, (length, _)) if length > MOST || length % 4 != 0 => Verdict::Damaged,
+            (CRC_OF_ZERO, _) => Verdict::Whole,
+            _ => Verdict::NoUnit,
+        };
+        image.begin();
+        while image.verdict == Verdict::Whole && !image.turn() {}
+        match image.verdict {
+            Verdict::Whole => defmt::info!("image: CRC {=u32:#010x}, whole", stated().1),
+            Verdict::Unsealed => defmt::warn!("image: no CRC was built in, it is not checked"),
+            Verdict::Damaged => defmt::error!("dead: image, its CRC is wrong"),
+            Verdict::NoUnit => defmt::error!("dead: CRC unit, the image is not checked"),
+        }
+        image
+    }
+
+    /// Whether no offset may be given.
+    pub fn is_bad(&self) -> bool {
+        matches!(self.verdict, Verdict::Damaged | Verdict::NoUnit)
+    }
+
+    /// Takes the next piece; `true`: it was the last one.
+    #[allow(unsafe_code, reason = "words of the flash")]
+    pub fn turn(&mut self) -> bool {
+        if self.verdict != Verdict::Whole {
+            return true;
+        }
+        let (length, crc) = stated();
+        let end = START.saturating_add(length);
+        let own = addr_of!(CHECK) as u32;
+        let stop = end.min(self.at + 4 * PIECE);
+        while self.at < stop {
+            if self.at != own && self.at != own + 4 {
+                // SAFETY: a word of the flash: `length` is at most [`MOST`].
+                self.feed(unsafe { read_volatile(self.at as *const u32) });
+            }
+            self.at += 4;
+        }
+        let is_over = self.at >= end;
+        if is_over {
+            if self.unit.dr().read().bits() != crc {
+                self.verdict = Verdict::Damaged;
+            }
+            self.begin();
+        }
+        is_over
+    }
+
+    fn begin(&mut self) {
+        self.at = START;
+        self.unit.cr().write(|w| w.reset().set_bit());
+    }
+
+    #[allow(unsafe_code, reason = "registers of the CRC unit")]
+    fn feed(&mut self, word: u32) {
+        // SAFETY: any word.
+        self.unit.dr().write(|w| unsafe { w.bits(word) });
+    }
+}
+
+/// Length and CRC as the build has written them.
+#[allow(unsafe_code, reason = "a static that the build changes after the compiler has seen it")]
+fn stated() -> (u32, u32) {
+    // SAFETY: the static is there; volatile, because its value is not the one that was compiled.
+    unsafe { (read_volatile(addr_of!(CHECK.length)), read_volatile(addr_of!(CHECK.crc))) }
+}

@@ -1,0 +1,89 @@
+//! The memory protection unit of the core (Armv7-M manual, B3.5): what no task may do ends in a fault.
+//!
+//! | region | may be | so that |
+//! |---|---|---|
+//! | 0x0000_0000, 128 MB | nothing | a null pointer is no memory |
+//! | flash, the image | read and run | the image is never written |
+//! | flash, the store | read | nothing but [`with_store`] writes to it |
+//! | RAM | read and written | data are never run |
+//! | 16 KB below the stack | nothing | a stack that overflows stops before it reaches a variable |
+//!
+//! What lies outside of these is as without it. Faults themselves run without it, so that one on a full
+//! stack can still be told. A later region counts where two overlap.
+
+use core::ops::Range;
+
+use cortex_m::{
+    asm,
+    peripheral::{MPU, mpu::RegisterBlock},
+};
+
+/// The guard below the stack: below [`STACK`], and above all variables (`guard.x`).
+pub const GUARD: Range<u32> = 0x2000_C000..0x2001_0000;
+/// The stack.
+pub const STACK: Range<u32> = 0x2001_0000..0x2002_0000;
+
+/// Region of the store.
+const STORE: Region =
+    Region { number: 2, start: 0x0808_0000, log2_size: 19, attributes: READ | NO_RUN };
+const REGIONS: [Region; 5] = [
+    Region { number: 0, start: 0, log2_size: 27, attributes: NO_RUN },
+    Region { number: 1, start: 0x0800_0000, log2_size: 20, attributes: READ },
+    STORE,
+    Region { number: 3, start: 0x2000_0000, log2_size: 17, attributes: WRITE | NO_RUN | SHAREABLE },
+    Region { number: 4, start: GUARD.start, log2_size: 14, attributes: NO_RUN },
+];
+const _: () = assert!(GUARD.end - GUARD.start == 1 << 14 && GUARD.end == STACK.start);
+
+/// AP 6: read by everybody; C: as flash is cached.
+const READ: u32 = 6 << 24 | 1 << 17;
+/// AP 1: read and written by privileged code, which all of this is.
+const WRITE: u32 = 1 << 24 | 1 << 17;
+const SHAREABLE: u32 = 1 << 18;
+/// XN.
+const NO_RUN: u32 = 1 << 28;
+/// ENABLE and PRIVDEFENA.
+const ON: u32 = 1 | 1 << 2;
+
+struct Region {
+    number: u32,
+    start: u32,
+    /// At least 5; `start` is a multiple of the size.
+    log2_size: u32,
+    attributes: u32,
+}
+
+impl Region {
+    /// Sets it at once: what comes next is held to it.
+    #[allow(unsafe_code, reason = "registers of the core")]
+    fn set(&self, mpu: &RegisterBlock) {
+        // SAFETY: the regions leave every task what it uses; the start of this one is aligned to its size.
+        unsafe {
+            mpu.rbar.write(self.start | 1 << 4 | self.number);
+            mpu.rasr.write(self.attributes | (self.log2_size - 1) << 1 | 1);
+        }
+        asm::dsb();
+        asm::isb();
+    }
+}
+
+/// Switches it on.
+#[allow(unsafe_code, reason = "registers of the core")]
+pub fn protect(mpu: &MPU) {
+    REGIONS.iter().for_each(|region| region.set(mpu));
+    // SAFETY: as above.
+    unsafe { mpu.ctrl.write(ON) };
+    asm::dsb();
+    asm::isb();
+}
+
+/// Does `work`, which may write to the store.
+#[allow(unsafe_code, reason = "registers of the core")]
+pub fn with_store<R>(work: impl FnOnce() -> R) -> R {
+    // SAFETY: after the start only the region of the store is changed, only here, and by one task.
+    let mpu = unsafe { &*MPU::PTR };
+    Region { attributes: WRITE | NO_RUN, ..STORE }.set(mpu);
+    let result = work();
+    STORE.set(mpu);
+    result
+}
