@@ -435,6 +435,22 @@ fn a_linear_input_is_read_and_the_sensor_does_not_notice() {
 }
 
 #[test]
+#[ignore = "long: a minute of the board"]
+fn a_healthy_minute_with_everything_on_has_no_violation_and_no_remark() {
+    // Both lines, positions as often as there can be, thermometers, a `Zero`.
+    let options = ["--bor", "--ms", "60000", "--say", "100", "S8\\rO\\r", "--engage-ms", "400"];
+    let more = ["--zero-ms", "2000", "--positions", "500", "--noise", "2", "--quiet"];
+    let Some(report) = run(&[&options[..], &more].concat()) else { return };
+    is_clean(&report);
+    for grade in ["== Remark: 0", "== Unmodelled: 0", "resets []"] {
+        says(&report, &[grade]);
+    }
+    sends_every_millisecond(&report);
+    says(&report, &["OffsetZ at", "quality 1", "(last)"]);
+    assert_eq!(number(&report, " overruns"), 0.0, "{}", report.said);
+}
+
+#[test]
 fn after_a_power_cut_in_the_first_zero_the_board_is_heard_within_200_ms() {
     for word in [1, 4, 8] {
         let script = format!("0 flags 2\n250 flags 3\n500 cut {word}\n700 flags 7\n900 flags 3\n");
