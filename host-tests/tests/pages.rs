@@ -14,7 +14,13 @@ use trueup_demo::{
     table::parsed,
 };
 use trueup_diagnose::diagnose;
-use trueup_emulator::{process, setup};
+use trueup_emulator::{
+    linuxcnc::{
+        self,
+        figures::{Check, Curves, ErrorCurve, Figures, Stair},
+    },
+    process, setup,
+};
 use trueup_machine::{MachineFile, RunFile};
 use trueup_page::micrometres;
 
@@ -118,6 +124,40 @@ fn acceptance() -> String {
     it.expect("comparable").html("a spindle")
 }
 
+/// The page of the loop with LinuxCNC, of figures that nobody has measured.
+fn loop_with_linuxcnc() -> String {
+    let curve = |size_um: f64| {
+        let at: Vec<f64> = (0..500).map(f64::from).collect();
+        let before_um: Vec<f64> = at.iter().map(|mm| size_um * (mm / 60.0).sin()).collect();
+        let after_um = before_um.iter().map(|um| 0.02 * um).collect();
+        ErrorCurve { at, before_um, after_um }
+    };
+    let check = Check {
+        name: "straightness along the diagonal, X, Y and Z together",
+        before_um: Some(195.19),
+        after_um: Some(3.49),
+        value: 98.21,
+        unit: "%",
+        limit: 95.0,
+        at_least: true,
+    };
+    let missed = Check { name: "a figure that is missed", value: 12.0, ..check.clone() };
+    linuxcnc::page::page(&Figures {
+        checks: vec![check, missed],
+        stairs: vec![Stair { z_mm: -1250.0, before_um: [-12.5, 3.0], after_um: [0.1, -0.2] }],
+        curves: Curves {
+            diagonal_y: curve(40.0),
+            diagonal_z: curve(90.0),
+            arc_z: curve(20.0),
+            warm_up: curve(80.0),
+            five_axes: curve(85.0),
+        },
+        machine_file: "[machine]\nname = \"a gantry with a very long line in its file\"\n"
+            .repeat(30),
+        ..Figures::default()
+    })
+}
+
 #[test]
 #[ignore = "long: a browser for each page, width and colour"]
 fn no_page_is_cut_or_wrong_in_a_browser() {
@@ -130,6 +170,7 @@ fn no_page_is_cut_or_wrong_in_a_browser() {
         ("demonstration", demonstration()),
         ("diagnosis", diagnosis()),
         ("acceptance", acceptance()),
+        ("loop with LinuxCNC", loop_with_linuxcnc()),
     ];
     for (name, html) in &pages {
         for outside in ["<script", "<link", "src=", "href=", "url("] {

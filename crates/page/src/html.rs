@@ -39,6 +39,7 @@ margin:.2rem 0}.bars .track{background:var(--card);height:.8rem}.bars i{display:
 .table{overflow-x:auto}table{border-collapse:collapse;font-variant-numeric:tabular-nums}\
 td,th{padding:.2rem .8rem .2rem 0;text-align:right;vertical-align:top;border-bottom:1px solid var(--rule);\
 overflow-wrap:normal}@media(max-width:600px){td,th{padding:.15rem .4rem .15rem 0;font-size:.75rem;overflow-wrap:anywhere}}\
+pre{font-size:.8rem;white-space:pre-wrap}summary{cursor:pointer;margin:.8rem 0}\
 .left td,.left th{text-align:left}td:first-child,th:first-child,td.text{text-align:left}\
 @page{size:A4;margin:15mm}\
 @media print{:root{--ink:#000;--soft:#444;--paper:#fff;--card:#f2f2f2;--rule:#bbb;--before:#a04010;\
@@ -123,6 +124,13 @@ impl Page {
     /// A table.
     pub fn table(&mut self, table: &Table) {
         self.body.push_str(&table.html());
+    }
+
+    /// A text that only some want to read, behind its heading, its lines as they are.
+    pub fn details(&mut self, heading: &str, text: &str) {
+        let (heading, text) = (escaped(heading), escaped(text));
+        let _ =
+            writeln!(self.body, "<details><summary>{heading}</summary><pre>{text}</pre></details>");
     }
 
     /// HTML that was made elsewhere, in the classes of the style; what a user wrote must be escaped in it.

@@ -99,7 +99,7 @@ impl Check {
 }
 
 /// The error across a path, axis by axis.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct Across {
     /// Range on X, Y and Z before, in µm.
     pub before_um: [f64; 3],
@@ -108,7 +108,7 @@ pub struct Across {
 }
 
 /// What was compressed, and what was not.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct Time {
     /// Seconds of board and machine in the warm-up.
     pub warm_up_s: u32,
@@ -131,7 +131,7 @@ pub struct Time {
 }
 
 /// All of it.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct Figures {
     /// Always `virtual`: the firmware ran on the emulated board.
     pub board: &'static str,

@@ -166,7 +166,7 @@ pub fn run_and_publish() -> Result<Option<u32>> {
     let folder = setup::root().join("target/linuxcnc");
     fs::create_dir_all(&folder)?;
     fs::write(folder.join("summary.json"), serde_json::to_string_pretty(&figures)? + "\n")?;
-    fs::write(folder.join("report.html"), page::page(&figures)?)?;
+    fs::write(folder.join("report.html"), page::page(&figures))?;
     println!("{}", figures.table());
     println!(
         "\nThe picture: target/linuxcnc/report.html   The figures: target/linuxcnc/summary.json"

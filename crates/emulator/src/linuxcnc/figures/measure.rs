@@ -23,7 +23,7 @@ pub struct Stair {
 }
 
 /// How late the offsets are.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct Lag {
     /// Over the whole diagonal, in ms.
     pub mean_ms: f64,
