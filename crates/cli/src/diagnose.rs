@@ -184,6 +184,13 @@ fn print(args: &Diagnose, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
         report.after.holdout_rms_um,
         report.noise_um
     ))?;
+    if diagnosis.corrects() {
+        let at_tool = &report.at_tool;
+        output::print(format_args!(
+            "promised at the tool, on days like these: {:.3} µm RMS before, {:.3} after",
+            at_tool.before_um, at_tool.after_um
+        ))?;
+    }
     output::print(format_args!("{}", args.out.join("report.html").display()))
 }
 

@@ -100,7 +100,7 @@ pub fn diagnose_for(
         found,
         &judged,
         aside,
-        Asked { hold_out: test.as_ref(), matters_um, notes },
+        Asked { runs, hold_out: test.as_ref(), matters_um, notes },
     )
 }
 

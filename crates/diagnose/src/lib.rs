@@ -62,10 +62,10 @@ use std::{
 
 pub use answer::{
     Diagnosis,
-    report::{self, Report, Verdict},
+    report::{self, AtTool, Report, Verdict},
 };
 pub use diagnose::{Options, Progress, diagnose, diagnose_for};
-use trueup_machine::BadInput;
+use trueup_machine::{BadInput, RunFile};
 
 impl Diagnosis {
     /// `diagnosis.json`.
@@ -86,6 +86,21 @@ impl Diagnosis {
     #[must_use]
     pub fn sentence(&self) -> String {
         answer::html::verdict_sentence(self)
+    }
+
+    /// What is promised of the error at the tool on another day, from its inputs: what it measures is not
+    /// looked at, but where it measures is.
+    ///
+    /// # Errors
+    /// A column is missing that the model or a term needs.
+    pub fn promised_on(&self, day: &RunFile) -> Result<AtTool, BadInput> {
+        self.promise.on(&self.data, std::slice::from_ref(day))
+    }
+
+    /// Whether the extended machine file corrects anything.
+    #[must_use]
+    pub fn corrects(&self) -> bool {
+        !self.terms.is_empty() || !self.corrected.is_empty()
     }
 
     /// `extended.toml`: the machine file `source` (at `path`, for errors) with the terms.

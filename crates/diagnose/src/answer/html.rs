@@ -49,6 +49,9 @@ pub(crate) fn html(diagnosis: &Diagnosis, machine_name: &str) -> String {
         report.after.holdout_rms_um,
         report.after.compensated_holdout_rms_um
     );
+    if diagnosis.corrects() {
+        let _ = writeln!(out, "<p>{}</p>", escaped(&promise(report)));
+    }
     list(&report.hints, &mut out);
     if report.holdout_used {
         out.push_str(
@@ -78,6 +81,18 @@ pub(crate) fn html(diagnosis: &Diagnosis, machine_name: &str) -> String {
     let mut page = Page::new(&format!("Diagnosis of {machine_name}"));
     page.raw(&out);
     page.html()
+}
+
+/// What the tool may expect, in a sentence: the noise of the gauge is none of it.
+fn promise(report: &Report) -> String {
+    let at_tool = &report.at_tool;
+    format!(
+        "At the tool, which has no noise of a gauge, days like these promise {} RMS with the extended file on \
+         the board, in the place of {}: {:.0} % less.",
+        micrometres(at_tool.after_um),
+        micrometres(at_tool.before_um),
+        100.0 * at_tool.reduction
+    )
 }
 
 /// What the noise of a reading is known from: repeats measure it, a row and its neighbour only bound it.

@@ -2,6 +2,7 @@
 //! the verdict.
 
 mod aliases;
+pub(crate) mod at_tool;
 mod curve;
 mod errors;
 pub(crate) mod extended;
@@ -23,7 +24,7 @@ mod worse;
 
 use std::sync::Arc;
 
-use trueup_machine::{BadInput, file::Term};
+use trueup_machine::{BadInput, RunFile, file::Term};
 use trueup_numerics::blocks::rms;
 
 use crate::{
@@ -67,10 +68,13 @@ pub struct Diagnosis {
     pub(crate) aside: Vec<bool>,
     /// Whether the noise of a reading is known from its repeats.
     pub(crate) noise_is_measured: bool,
+    pub(crate) promise: at_tool::Grounds,
 }
 
 /// What the answer depends on beside what was found.
 pub(crate) struct Asked<'a> {
+    /// The runs, as files.
+    pub runs: &'a [RunFile],
     pub hold_out: Option<&'a HoldOut<'a>>,
     /// The size of an error that matters: RMS, in µm; by default what is left.
     pub matters_um: Option<f64>,
@@ -114,6 +118,7 @@ pub(crate) fn conclude(
     let holdout_compensated_um =
         if compensated == model { holdout_after_um } else { unseen.after_um(&compensated) };
 
+    let promise = at_tool::Grounds::new(problem, &found, &compensated);
     let has_outliers = are_of_readings(&data, &aside);
     let mut notes = asked.notes;
     if !has_outliers {
@@ -185,11 +190,22 @@ pub(crate) fn conclude(
             .collect(),
         findings,
         hints,
+        at_tool: promise.on(&data, asked.runs)?,
         rejected: found.rejected.into_iter().map(rejected).collect(),
     };
     let Extended { replaced: corrected, new: terms } = Extended::by(&data, &model);
     let noise_is_measured = repeats.is_some();
-    Ok(Diagnosis { report, terms, corrected, data, before, after, aside, noise_is_measured })
+    Ok(Diagnosis {
+        report,
+        terms,
+        corrected,
+        data,
+        before,
+        after,
+        aside,
+        noise_is_measured,
+        promise,
+    })
 }
 
 /// The model as it is handed out: terms that are not kept leave, and the others are fitted again

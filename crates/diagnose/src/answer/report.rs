@@ -29,6 +29,8 @@ pub struct Report {
     pub before: Before,
     /// What the extended one leaves.
     pub after: After,
+    /// What is promised of the error at the tool on days like those of the runs.
+    pub at_tool: AtTool,
     /// What came out.
     pub verdict: Verdict,
     /// Why, a sentence each.
@@ -93,6 +95,25 @@ pub struct After {
     pub holdout_rms_um: f64,
     /// The same with only the terms that a board may correct.
     pub compensated_holdout_rms_um: f64,
+}
+
+/// The error at the tool as it is foreseen, RMS in µm: without the noise of the gauge, which the tool does not
+/// have.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct AtTool {
+    /// With the machine file as it is.
+    pub before_um: f64,
+    /// With the extended one on the board.
+    pub after_um: f64,
+    /// 1 − after/before; 0 where there is nothing to be corrected.
+    pub reduction: f64,
+}
+
+impl AtTool {
+    pub(super) fn new(before_um: f64, after_um: f64) -> Self {
+        let reduction = if before_um > 0.0 { 1.0 - after_um / before_um } else { 0.0 };
+        Self { before_um, after_um, reduction }
+    }
 }
 
 /// What came out.

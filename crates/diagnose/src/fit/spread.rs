@@ -15,6 +15,7 @@ use super::{
 
 /// The covariance of the fitted values, under noise of this memory: of logarithmic ones that of the
 /// logarithm.
+#[derive(Clone, Debug)]
 pub(crate) struct Spread {
     /// Without values that nothing determines.
     parameters: Vec<Parameter>,
@@ -27,6 +28,11 @@ impl Spread {
     /// The row of the covariance in which a part's value stands; none where nothing determines it.
     pub(crate) fn row_of(&self, part: usize, value: usize) -> Option<usize> {
         self.parameters.iter().position(|at| *at == Some((part, value)))
+    }
+
+    /// The row of the covariance in which a value of the model stands, or its constant.
+    pub(crate) fn place_of(&self, parameter: &Parameter) -> Option<usize> {
+        self.parameters.iter().position(|at| at == parameter)
     }
 
     /// The covariance of two rows.

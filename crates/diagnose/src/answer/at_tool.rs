@@ -1,0 +1,202 @@
+//! What the answer promises: the error at the tool on a day, as it is and with the extended file on the
+//! board.
+//!
+//! A reading holds the noise of the gauge, the tool does not; and another day asks for more or less of what
+//! was found. So the promise is reckoned from the inputs of the day that it is for (temperatures, speeds,
+//! positions; its readings are not looked at), and from nothing that this day will show:
+//!
+//! ```text
+//! left²   = mean gᵀ·C·g      the values are not known better    (g: change by each value on that day, C: their covariance)
+//!         + mean δ²          the inputs are noisy, and the board passes that on (δ: what their noise changes)
+//!         + u²               what wandered slowly in the first record and goes with nothing
+//! before² = mean c² + left²  c: what the extended file corrects more than the file as it is
+//! ```
+//!
+//! The zero of an axis's measurement is arbitrary and does not count. What comes only once, or is not the
+//! machine's, is not foreseen: a promise is for what the board corrects.
+
+use nalgebra::DMatrix;
+use trueup_machine::{BadInput, RunFile, file::is_temperature_column};
+use trueup_numerics::{random::Generator, robust::median};
+
+use crate::{
+    answer::{errors::about_zero, report::AtTool},
+    data::{Data, Groups},
+    fit::{Fitted, Problem, Spread, jacobian, spread},
+    model::Model,
+    search::Found,
+};
+
+/// So often noise is drawn into the inputs.
+const DRAWS: u64 = 4;
+
+/// What a promise is reckoned from.
+#[derive(Clone, Debug)]
+pub(crate) struct Grounds {
+    /// As the board runs it.
+    model: Model,
+    /// How well its values are known.
+    spread: Spread,
+    /// Mean square of what wanders, in µm².
+    wanders: f64,
+}
+
+impl Grounds {
+    /// Of `compensated`, the model as the board runs it.
+    pub(super) fn new(problem: &Problem, found: &Found, compensated: &Model) -> Self {
+        let residual = problem.residual(compensated);
+        let sum = residual.iter().map(|r| r * r).sum();
+        let fitted =
+            Fitted { model: compensated.clone(), residual, sum, degrees: found.fitted.degrees };
+        let rows = found.fitted.residual.len() as f64;
+        let variance = found.fitted.sum / (rows - found.fitted.degrees as f64).max(1.0);
+        Self {
+            model: compensated.clone(),
+            spread: spread(problem, &fitted, found.noise),
+            wanders: (1.0 - found.noise.white) * variance,
+        }
+    }
+
+    /// On the days of `runs`; `training`: what was fitted to.
+    ///
+    /// # Errors
+    /// A column is missing.
+    pub(crate) fn on(&self, training: &Data, runs: &[RunFile]) -> Result<AtTool, BadInput> {
+        let day = |runs: &[RunFile]| -> Result<Data, BadInput> {
+            let mut day = Data::new(&training.machine, runs, training.quantity)?;
+            day.refer_to(training);
+            Ok(day)
+        };
+        let data = day(runs)?;
+        let used = data.used.clone();
+        // About zero, where that is arbitrary.
+        let mean_square = |data: &Data, um: &[f64]| {
+            let rows = um.iter().zip(&used).filter(|(um, used)| **used && um.is_finite());
+            let rows = about_zero(data, rows.map(|(um, _)| *um).collect());
+            rows.iter().map(|um| um * um).sum::<f64>() / rows.len().max(1) as f64
+        };
+        let difference = |one: &[f64], other: &[f64]| -> Vec<f64> {
+            one.iter().zip(other).map(|(one, other)| one - other).collect()
+        };
+        let [believed, extended] = [&Model::default(), &self.model].map(|it| it.predict(&data));
+        let corrected = mean_square(&data, &difference(&extended, &believed));
+        let mut noise = [0.0; 2];
+        for draw in 0..DRAWS {
+            let mut generator = Generator::new(draw + 1);
+            let noisy: Vec<RunFile> =
+                runs.iter().map(|run| noisy(run, &mut generator)).collect::<Result<_, _>>()?;
+            let noisy = day(&noisy)?;
+            for (sum, (model, as_it_was)) in
+                noise.iter_mut().zip([(&Model::default(), &believed), (&self.model, &extended)])
+            {
+                let moved = difference(&model.predict(&noisy), as_it_was);
+                *sum += mean_square(&data, &moved) / DRAWS as f64;
+            }
+        }
+        let groups = Groups::new(&data, &used, 1);
+        let is_axis = data.quantity.axis().is_some();
+        let values = self.spread.on(&Problem::new(data, groups), &self.model, is_axis);
+        let left = values + noise[1] + self.wanders;
+        let before = corrected + values + noise[0] + self.wanders;
+        Ok(AtTool::new(before.sqrt(), left.sqrt()))
+    }
+}
+
+impl Spread {
+    /// Mean square on a day of what `model` may be off because its values are not known better, in µm².
+    fn on(&self, day: &Problem, model: &Model, is_about_zero: bool) -> f64 {
+        let (parameters, columns) = jacobian(day, model);
+        let known: Vec<(usize, Vec<f64>)> = parameters
+            .iter()
+            .zip(columns)
+            .filter_map(|(parameter, mut column)| {
+                let row = self.place_of(parameter)?;
+                if is_about_zero {
+                    let mean = column.iter().sum::<f64>() / column.len().max(1) as f64;
+                    column.iter_mut().for_each(|um| *um -= mean);
+                }
+                Some((row, column))
+            })
+            .collect();
+        let rows = day.groups.len();
+        let changes = DMatrix::from_fn(rows, known.len(), |row, n| known[n].1[row]);
+        let covariance = DMatrix::from_fn(known.len(), known.len(), |i, j| {
+            self.covariance(known[i].0, known[j].0)
+        });
+        let spread = &changes * covariance;
+        spread.dot(&changes).max(0.0) / rows.max(1) as f64
+    }
+}
+
+/// `run` with as much noise in its inputs once more as they have.
+fn noisy(run: &RunFile, generator: &mut Generator) -> Result<RunFile, BadInput> {
+    let is_noisy = |name: &str| name == "sensor_counts" || is_temperature_column(name);
+    let columns: Vec<(&str, Vec<f64>)> = run
+        .columns()
+        .iter()
+        .map(|column| {
+            let mut values = column.values.clone();
+            if is_noisy(&column.name) {
+                let noise = noise_of(&values);
+                values.iter_mut().for_each(|value| *value += noise * generator.normal());
+            }
+            (column.name.as_str(), values)
+        })
+        .collect();
+    let names: Vec<&str> = columns.iter().map(|(name, _)| *name).collect();
+    let mut text = names.join(",") + "\n";
+    for row in 0..run.rows() {
+        let cell = |(_, values): &(&str, Vec<f64>)| match values[row] {
+            value if value.is_finite() => value.to_string(),
+            _ => String::new(),
+        };
+        text += &(columns.iter().map(cell).collect::<Vec<String>>().join(",") + "\n");
+    }
+    RunFile::from_reader(text.as_bytes(), run.path())
+}
+
+/// The noise of a slow input, as a standard deviation: from fourth differences, in which a course that is
+/// smooth over five rows leaves nothing, by their median, so that what jumps now and then does not count. At
+/// least that of its last digit (an even distribution over it).
+fn noise_of(values: &[f64]) -> f64 {
+    /// Of the differences 1, −4, 6, −4, 1: √(1 + 16 + 36 + 16 + 1).
+    const LENGTH: f64 = 8.366_600_265_340_756;
+    /// A normal distribution's median of sizes, in standard deviations.
+    const MEDIAN: f64 = 0.674_489_750_196_082;
+    let there: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
+    let mut differences: Vec<f64> = there
+        .windows(5)
+        .map(|it| (it[0] - 4.0 * it[1] + 6.0 * it[2] - 4.0 * it[3] + it[4]).abs())
+        .collect();
+    if differences.is_empty() {
+        return 0.0;
+    }
+    let steps = there.windows(2).map(|pair| (pair[1] - pair[0]).abs()).filter(|step| *step > 1e-9);
+    let digit = steps.fold(f64::INFINITY, f64::min);
+    let digit = if digit.is_finite() { digit / 12_f64.sqrt() } else { 0.0 };
+    (median(&mut differences) / MEDIAN / LENGTH).max(digit)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_noise_of_an_input_is_told_from_its_course_and_its_jumps() {
+        let mut generator = Generator::new(3);
+        let mut drawn = |noise: f64| -> Vec<f64> {
+            let course = |row: usize| {
+                let warm = 40.0 * (1.0 - (-(row as f64) / 17.0).exp());
+                if row > 200 { warm - 9.0 } else { warm }
+            };
+            (0..400).map(|row| course(row) + noise * generator.normal()).collect()
+        };
+        for noise in [0.01, 0.3] {
+            let told = noise_of(&drawn(noise));
+            assert!((told / noise - 1.0).abs() < 0.15, "{told} for {noise}");
+        }
+        let stairs: Vec<f64> = (0..400).map(|row| f64::from(row / 40) * 0.0625).collect();
+        assert!((noise_of(&stairs) - 0.0625 / 12_f64.sqrt()).abs() < 1e-9);
+        assert_eq!(noise_of(&[3.0; 50]), 0.0);
+    }
+}
