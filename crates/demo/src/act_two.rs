@@ -65,8 +65,8 @@ pub struct Outcome {
     pub tool_rms_after_um: f64,
     /// 1 − after/before of these.
     pub reduction: f64,
-    /// The reduction that the diagnosis has promised: of left-out parts of the first day, less the noise
-    /// of the gauge, which is known, and which the tool does not have.
+    /// The reduction that the diagnosis has promised for what this day asks: from its temperatures, speeds
+    /// and positions alone.
     pub promised_reduction: f64,
     /// How much faster the machine's clock ran than the board's.
     pub faster: f64,
@@ -167,6 +167,9 @@ pub fn act_two(boards: &Boards, hidden: &Hidden, progress: &mut Progress<'_>) ->
         .iter()
         .map(|it| FaultSaid { fault: it.fault.name(), causes: causes(it.fault), ratio: it.ratio })
         .collect();
+    // The day as its bridge sees it: readings are not foreseen from readings.
+    let unread = hidden.unread(&second)?;
+    let promised = diagnosis.promised_on(&unread)?;
     let (missed, wrong) = judged(&faults, &report.findings);
     let envelope = envelope(hidden, &first, &source, &extended, quantity)?;
     Ok(ActTwo {
@@ -183,7 +186,7 @@ pub fn act_two(boards: &Boards, hidden: &Hidden, progress: &mut Progress<'_>) ->
             tool_rms_before_um,
             tool_rms_after_um,
             reduction: 1.0 - tool_rms_after_um / tool_rms_before_um,
-            promised_reduction: promised(&diagnosis, plant.gauge_um),
+            promised_reduction: promised.reduction,
             faster,
             board_s,
         },
@@ -205,16 +208,6 @@ fn judged(faults: &[FaultSaid], findings: &[Finding]) -> (Vec<&'static str>, Vec
     let is_false =
         |it: &&Finding| it.claimed && !faults.iter().any(|fault| names(fault, &it.cause));
     (missed, findings.iter().filter(is_false).map(|it| it.cause.clone()).collect())
-}
-
-/// The reduction of the error at the tool that a diagnosis promises: both sides less what the gauge is worth
-/// by its certificate, `gauge_um` of noise, which the tool does not have.
-fn promised(diagnosis: &Diagnosis, gauge_um: f64) -> f64 {
-    let report = &diagnosis.report;
-    let at_tool = |um: f64| (um * um - gauge_um * gauge_um).max(0.0).sqrt();
-    let before = at_tool(report.before.holdout_rms_um);
-    let after = at_tool(report.after.compensated_holdout_rms_um);
-    if before > 0.0 { 1.0 - after / before } else { 0.0 }
 }
 
 /// What the faults really do to each row of the first day, and what the new terms say of it.

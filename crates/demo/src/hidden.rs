@@ -6,18 +6,19 @@
 
 use std::path::Path;
 
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 use trueup_machine::{MachineFile, RunFile, predict::Predictor};
 use trueup_twin::{
     noise::{Stream, rms},
+    path::legs,
     physical::{Fault, Kind, Plant},
     scenario::Scenario,
     simulate,
 };
 
 use crate::{
-    rivals::{Record, least_gap},
-    table::parsed,
+    rivals::{Gaps, Record, gaps},
+    table::{parsed, with_columns, without_readings},
 };
 
 /// No fault is smaller, in RMS of the noise; the figure.
@@ -30,6 +31,10 @@ const LARGEST_SIZE: f64 = 8.0;
 /// From each rival law it must be told by a difference of BIC of so much: Kass and Raftery (1995) call it
 /// strong; the rule of a diagnosis as well.
 pub const LEAST_GAP: f64 = 6.0;
+/// A bridge's monitor writes down all the time what the bridge knows: a row at least so often, in s, also
+/// while an axis works and nobody reads a gauge. A scale that follows its air for hours has done so between
+/// the measurements too.
+const MONITOR_S: f64 = 60.0;
 /// So many machines are drawn for a seed until one can be told.
 const TRIES: u64 = 200;
 
@@ -42,7 +47,7 @@ pub struct Drawn {
     pub size: f64,
     /// RMS of what it does to the record, over that of the noise.
     pub ratio: f64,
-    /// What it does to each row of the first day, in µm.
+    /// What it does to each row of the first day, in µm, read or not.
     pub um: Vec<f64>,
 }
 
@@ -57,7 +62,7 @@ pub struct Hidden {
     pub faults: Vec<Drawn>,
     /// RMS in µm of what the file leaves of the machine without a fault.
     pub noise_um: f64,
-    /// By how much the nearest rival law is worse, as a difference of BIC.
+    /// By how much the nearest answer is worse in which a fault is not named, as a difference of BIC.
     pub gap: f64,
 }
 
@@ -86,7 +91,7 @@ impl Hidden {
             // Far from the seeds of other draws.
             let plant = Plant::draw(kind, seed.wrapping_mul(TRIES).wrapping_add(attempt));
             let mut hidden = Self { seed, plant, faults: Vec::new(), noise_um: 0.0, gap: 0.0 };
-            hidden.noise_um = rms(&hidden.left(&hidden.plant.day(0, &[]), 0)?);
+            hidden.noise_um = hidden.rms_read(&hidden.left(&hidden.plant.day(0, &[]), 0)?);
             let mut choice = of_machine(kind);
             for _ in 0..count {
                 if choice.is_empty() {
@@ -100,8 +105,10 @@ impl Hidden {
                 hidden.faults.extend(hidden.sized(fault, target)?);
             }
             if hidden.faults.len() == count {
-                hidden.gap = hidden.least_gap()?;
-                if hidden.gap >= LEAST_GAP {
+                let gaps = hidden.gaps()?;
+                hidden.gap = gaps.instead;
+                // A law of no fault beside the right ones must not better them.
+                if hidden.gap >= LEAST_GAP && gaps.beside >= 0.0 {
                     return Ok(hidden);
                 }
             }
@@ -115,7 +122,8 @@ impl Hidden {
         self.faults.iter().map(|drawn| (drawn.fault, drawn.size)).collect()
     }
 
-    /// What the gauge measures of a day, as a run file; `is_true`: by a gauge without an error.
+    /// What the bridge's monitor writes down in a day, with the readings of the gauge beside it, as a run
+    /// file; `is_true`: by a gauge without an error.
     ///
     /// # Errors
     /// None that is known.
@@ -125,7 +133,73 @@ impl Hidden {
             scenario.instrument.noise_um = 0.0;
             scenario.instrument.quantum_um = 0.0;
         }
-        parsed(&simulate(&scenario, self.plant.seed_of_day(day), || {}).to_csv(), "run.csv")
+        let run = self.monitored(&scenario, day)?;
+        let is_read = self.is_read(&scenario, day);
+        let run = without_readings(&run, &self.measured(), |row| !is_read[row])?;
+        // What lies between two measurements is of the next one.
+        let Some(runs) = run.column("run") else { return Ok(run) };
+        let mut runs = runs.to_vec();
+        for row in (0..runs.len().saturating_sub(1)).rev().filter(|row| !is_read[*row]) {
+            runs[row] = runs[row + 1];
+        }
+        with_columns(&run, &[("run".into(), runs)])
+    }
+
+    /// `run` with 0 in the place of each reading.
+    ///
+    /// # Errors
+    /// There is no gauge.
+    pub fn unread(&self, run: &RunFile) -> Result<RunFile> {
+        let nothing = run.require(&self.measured())?.iter().map(|um| 0.0 * um).collect();
+        with_columns(run, &[(self.measured(), nothing)])
+    }
+
+    /// The rows of a day, the gauge read in all of them.
+    fn monitored(&self, scenario: &Scenario, day: u64) -> Result<RunFile> {
+        let mut scenario = scenario.clone();
+        scenario.interval_s = MONITOR_S;
+        let csv = simulate(&scenario, self.plant.seed_of_day(day), || {}).to_csv();
+        let run = parsed(&csv, "run.csv")?;
+        // The first row has what comes next, and of a machine that has not begun: it stands still.
+        let still = ["spindle_rpm", "load_n"].into_iter().filter_map(|name| {
+            let mut values = run.column(name)?.to_vec();
+            *values.first_mut()? = 0.0;
+            Some((name.to_string(), values))
+        });
+        with_columns(&run, &still.collect::<Vec<(String, Vec<f64>)>>())
+    }
+
+    /// In which of these rows the gauge is read: an axis is measured where it stands at a target, a spindle
+    /// always.
+    fn is_read(&self, scenario: &Scenario, day: u64) -> Vec<bool> {
+        let Scenario { segment, repeat, start_mm, .. } = scenario;
+        let legs = legs(segment, *repeat, *start_mm, MONITOR_S, self.plant.seed_of_day(day));
+        let is_axis = self.is_axis();
+        let mut at_mm = *start_mm;
+        let mut is_read = Vec::new();
+        for leg in legs {
+            let stands = at_mm == leg.to_mm;
+            at_mm = leg.to_mm;
+            if leg.row_of_run.is_some() {
+                is_read.push(!is_axis || stands);
+            }
+        }
+        is_read
+    }
+
+    fn is_axis(&self) -> bool {
+        self.plant.quantity != "elongation"
+    }
+
+    /// RMS over the rows of the first day that are read.
+    fn rms_read(&self, um: &[f64]) -> f64 {
+        let is_read = self.is_read(&self.plant.day(0, &[]), 0);
+        rms(&um
+            .iter()
+            .zip(is_read)
+            .filter(|(_, read)| *read)
+            .map(|(um, _)| *um)
+            .collect::<Vec<f64>>())
     }
 
     /// `fault` at a size at which it does `target` times the noise; none where this machine does not
@@ -147,18 +221,19 @@ impl Hidden {
         let with = self.left(&self.plant.day(0, &[(fault, size)]), 0)?;
         let without = self.left(&self.plant.day_without(0, fault, size), 0)?;
         let um: Vec<f64> = with.iter().zip(without).map(|(with, other)| with - other).collect();
-        Ok(Drawn { fault, size, ratio: rms(&um) / self.noise_um, um })
+        Ok(Drawn { fault, size, ratio: self.rms_read(&um) / self.noise_um, um })
     }
 
-    /// Measured minus predicted by the file, in µm; the zero of an axis's gauge does not count.
+    /// Measured minus predicted by the file in every row, in µm; the zero of an axis's gauge does not count.
     fn left(&self, scenario: &Scenario, day: u64) -> Result<Vec<f64>> {
-        let csv = simulate(scenario, self.plant.seed_of_day(day), || {}).to_csv();
-        let run = parsed(&csv, "run.csv")?;
+        let run = self.monitored(scenario, day)?;
         let predicted = self.predicted(&run)?;
         let measured = run.require(&self.measured())?;
         let mut left: Vec<f64> = measured.iter().zip(predicted).map(|(m, p)| m - p).collect();
-        if self.plant.quantity != "elongation" {
-            let mean = left.iter().sum::<f64>() / left.len() as f64;
+        if self.is_axis() {
+            let is_read = self.is_read(scenario, day);
+            let read = || left.iter().zip(&is_read).filter(|(_, read)| **read).map(|(um, _)| um);
+            let mean = read().sum::<f64>() / read().count() as f64;
             left.iter_mut().for_each(|um| *um -= mean);
         }
         Ok(left)
@@ -174,22 +249,22 @@ impl Hidden {
     fn predicted(&self, run: &RunFile) -> Result<Vec<f64>> {
         let machine = MachineFile::parse(&self.plant.machine, Path::new("machine.toml"))?;
         let predictor = Predictor::new(&machine, run)?;
-        let place = usize::from(self.plant.quantity != "elongation");
+        let place = usize::from(self.is_axis());
         Ok(predictor.rows().map(|row| row.model.all()[place]).collect())
     }
 
-    /// By how much the nearest rival of any of its faults is worse.
-    fn least_gap(&self) -> Result<f64> {
+    /// How far the right answer is from others.
+    fn gaps(&self) -> Result<Gaps> {
         let run = self.record(0, false)?;
         let record = Record {
             predicted_um: self.predicted(&run)?,
-            is_axis: self.plant.quantity != "elongation",
+            is_read: &self.is_read(&self.plant.day(0, &self.sizes()), 0),
+            is_axis: self.is_axis(),
             run: &run,
         };
         let signatures: Vec<(Fault, &[f64])> =
             self.faults.iter().map(|drawn| (drawn.fault, drawn.um.as_slice())).collect();
-        let gaps = least_gap(&record, &signatures, self.noise_um);
-        gaps.context("a machine without a fault")
+        Ok(gaps(&record, &signatures, self.noise_um))
     }
 }
 

@@ -1,27 +1,39 @@
 //! Whether hidden faults can be told from rival laws, reckoned from what they really do to the record.
 //!
-//! Each fault is explained by its own law, or by a rival's, beside what all other hidden faults really do
-//! and a constant; the best law of each side counts:
+//! An answer is a set of laws, fitted together with a constant to all that the hidden faults really do:
 //!
 //! ```text
-//! BIC = n·ln((RSS + n·σ²)/n) + k·ln n        expected: RSS is what the law leaves of the true effect
-//! gap = BIC of the best rival − BIC of the best own law
+//! BIC = n·ln((RSS + n·σ²)/n) + k·ln n        expected: RSS is what the laws leave of the true effect
+//! gap = BIC of the best rival answer − BIC of the best right one
 //! ```
+//!
+//! A right answer has a law of its own for every fault and none that belongs to no fault. Its rivals are the
+//! sets of up to three laws (as many as faults are hidden at most) that stand in its place: one law in the
+//! place of another, a pair in the place of a pair, one in the place of two. What is more than right counts as
+//! well: a law of no fault beside it, which makes up for what the physics does and the laws do not say.
 //!
 //! The laws are those of physics over the columns of the record; which belongs to which fault follows
 //! from what the fault is. Nothing of a diagnosis is used.
 
 use trueup_machine::{RunFile, file::is_temperature_column};
-use trueup_numerics::least_squares::normal::solve;
+use trueup_numerics::least_squares::normal::dot;
 use trueup_twin::physical::Fault;
 
-/// Time constants that a law may have: from the interval of rows to some hours, in s.
-const LAGS_S: [f64; 8] = [0.0, 120.0, 300.0, 700.0, 1_500.0, 3_000.0, 6_000.0, 12_000.0];
+/// Time constants that a law may have: from the interval of rows to some hours, in s, half as long again
+/// each. What one does that lies between two of them, both do.
+const LAGS_S: [f64; 13] = [
+    0.0, 120.0, 180.0, 270.0, 400.0, 600.0, 900.0, 1_350.0, 2_000.0, 3_000.0, 4_500.0, 6_800.0,
+    10_000.0,
+];
+/// The most laws of a rival answer.
+const MOST_LAWS: usize = 3;
 
 /// A record, and what the file says of it.
 pub struct Record<'r> {
     /// Its columns.
     pub run: &'r RunFile,
+    /// Rows in which the gauge was read.
+    pub is_read: &'r [bool],
     /// What the user's file predicts, in µm.
     pub predicted_um: Vec<f64>,
     /// Whether an axis was measured.
@@ -37,37 +49,166 @@ struct Law {
     more: usize,
 }
 
-/// By how much the nearest rival of any fault is worse than its own law, as a difference of BIC under noise
-/// of this RMS in µm; none without a fault.
+/// How far the right answer is from others, as differences of BIC.
+#[derive(Clone, Copy, Debug)]
+pub struct Gaps {
+    /// By how much the best answer is worse that stands in its place: a fault is not named, or a law of no
+    /// fault takes the place of one of its own, with no constant more.
+    pub instead: f64,
+    /// By how much the right answer becomes worse by a law of no fault beside it.
+    pub beside: f64,
+}
+
+/// Of hidden faults, each with what it does to every row, under noise of this RMS in µm.
 #[must_use]
-pub fn least_gap(record: &Record<'_>, faults: &[(Fault, &[f64])], noise_um: f64) -> Option<f64> {
+pub fn gaps(record: &Record<'_>, faults: &[(Fault, &[f64])], noise_um: f64) -> Gaps {
     let laws = if record.is_axis { axis_laws(record) } else { spindle_laws(record) };
     let rows = record.run.rows();
     let all: Vec<f64> =
         (0..rows).map(|row| faults.iter().map(|(_, um)| um[row]).sum::<f64>()).collect();
-    let gap = |number: usize| {
-        let others = faults.iter().enumerate().filter(|(other, _)| *other != number);
-        let mut base = vec![vec![1.0; rows]];
-        base.extend(others.map(|(_, (_, um))| um.to_vec()));
-        let bic = |law: &Law| {
-            let columns = [base.clone(), law.columns.clone()].concat();
-            let fitted = solve(&columns, &all, None, 0.0).coefficients;
-            let left = |row: usize| {
-                let sum: f64 = columns.iter().zip(&fitted).map(|(column, b)| column[row] * b).sum();
-                all[row] - sum
-            };
-            let squares: f64 = (0..rows).map(|row| left(row).powi(2)).sum();
-            let n = rows as f64;
-            let constants = (law.columns.len() + law.more) as f64;
-            n * ((squares + n * noise_um * noise_um) / n).ln() + constants * n.ln()
-        };
-        let best = |is_own: bool| {
-            let of = laws.iter().filter(|law| law.own.contains(&faults[number].0) == is_own);
-            of.map(bic).fold(f64::INFINITY, f64::min)
-        };
-        best(false) - best(true)
+    let answers = Answers::new(&laws, &all, record.is_read, noise_um);
+    let names = |law: &Law| -> u32 {
+        let own = faults.iter().enumerate().filter(|(_, (fault, _))| law.own.contains(fault));
+        own.map(|(number, _)| 1 << number).sum()
     };
-    (0..faults.len()).map(gap).reduce(f64::min)
+    let named: Vec<u32> = laws.iter().map(names).collect();
+    let everything = (1 << faults.len()) - 1;
+
+    let (mut unnamed, mut right) = (f64::INFINITY, (f64::INFINITY, Vec::new()));
+    // All named, and something more: the best of each number of constants.
+    let mut mixed = [f64::INFINITY; 3 * MOST_LAWS + 1];
+    let mut set = Vec::new();
+    each_set(laws.len(), MOST_LAWS, &mut set, &mut |set| {
+        let is_named = set.iter().fold(0, |all, law| all | named[*law]) == everything;
+        let bic = answers.bic(set);
+        if !is_named {
+            unnamed = unnamed.min(bic);
+        } else if set.iter().any(|law| named[*law] == 0) {
+            let best = &mut mixed[answers.constants(set)];
+            *best = best.min(bic);
+        } else if bic < right.0 {
+            right = (bic, set.to_vec());
+        }
+    });
+    let (mut best, mut set) = right;
+    // What no single law of a fault does, two of its laws may: a path from the nose and one from the air.
+    loop {
+        let with = |law: usize| [set.as_slice(), &[law]].concat();
+        let own = (0..laws.len()).filter(|law| named[*law] != 0 && !set.contains(law));
+        let better = own.map(|law| (answers.bic(&with(law)), law));
+        match better.min_by(|a, b| a.0.total_cmp(&b.0)) {
+            Some((bic, law)) if bic < best => (best, set) = (bic, with(law)),
+            _ => break,
+        }
+    }
+    let (instead, beside) = mixed.split_at(mixed.len().min(answers.constants(&set) + 1));
+    let least = |bics: &[f64]| bics.iter().copied().fold(f64::INFINITY, f64::min);
+    let foreign = (0..laws.len()).filter(|law| named[*law] == 0);
+    let added = foreign.map(|law| answers.bic(&[set.as_slice(), &[law]].concat()));
+    Gaps {
+        instead: least(instead).min(unnamed) - best,
+        beside: added.fold(least(beside), f64::min) - best,
+    }
+}
+
+/// Calls `work` with every set of up to `most` of `laws` laws, by their numbers.
+fn each_set(laws: usize, most: usize, set: &mut Vec<usize>, work: &mut impl FnMut(&[usize])) {
+    let first = set.last().map_or(0, |last| last + 1);
+    for law in first..laws {
+        set.push(law);
+        work(set);
+        if set.len() < most {
+            each_set(laws, most, set, work);
+        }
+        set.pop();
+    }
+}
+
+/// Sums over the rows that are read, so that a set of laws costs no more than its constants.
+struct Answers {
+    rows: f64,
+    /// n·σ².
+    noise: f64,
+    /// Σ of what is to be explained, squared, about its mean.
+    total: f64,
+    /// Of each law, where its columns are, and how many constants it has.
+    laws: Vec<(std::ops::Range<usize>, usize)>,
+    /// Products of all columns, each about its mean and of length 1; the last with what is explained.
+    products: Vec<Vec<f64>>,
+}
+
+impl Answers {
+    fn new(laws: &[Law], all: &[f64], is_read: &[bool], noise_um: f64) -> Self {
+        let centred = |column: &[f64]| -> Vec<f64> {
+            let rows = column.iter().zip(is_read).filter(|(_, read)| **read);
+            let mut read: Vec<f64> = rows.map(|(value, _)| *value).collect();
+            let mean = read.iter().sum::<f64>() / read.len().max(1) as f64;
+            read.iter_mut().for_each(|value| *value -= mean);
+            read
+        };
+        let target = centred(all);
+        let (mut columns, mut places) = (Vec::new(), Vec::new());
+        for law in laws {
+            let from = columns.len();
+            for column in &law.columns {
+                let mut column = centred(column);
+                let length = dot(&column, &column).sqrt();
+                if length > 0.0 {
+                    column.iter_mut().for_each(|value| *value /= length);
+                }
+                columns.push(column);
+            }
+            places.push((from..columns.len(), law.columns.len() + law.more));
+        }
+        let products = columns.iter().map(|one| {
+            let others = columns.iter().chain([&target]);
+            others.map(|other| dot(one, other)).collect()
+        });
+        let rows = target.len() as f64;
+        Self {
+            rows,
+            noise: rows * noise_um * noise_um,
+            total: dot(&target, &target),
+            laws: places,
+            products: products.collect(),
+        }
+    }
+
+    /// How many constants these laws have.
+    fn constants(&self, set: &[usize]) -> usize {
+        set.iter().map(|law| self.laws[*law].1).sum()
+    }
+
+    /// BIC of these laws together: what they leave by elimination (Cholesky), a column that others make up
+    /// left out.
+    fn bic(&self, set: &[usize]) -> f64 {
+        /// A column of length 1 of which others leave so little (squared) is none of its own.
+        const NOTHING: f64 = 1e-9;
+        let columns = || set.iter().flat_map(|law| self.laws[*law].0.clone());
+        let last = self.products.len();
+        let mut lower: Vec<Vec<f64>> = Vec::with_capacity(2 * set.len());
+        let mut used: Vec<usize> = Vec::with_capacity(2 * set.len());
+        let mut solved: Vec<f64> = Vec::with_capacity(2 * set.len());
+        for column in columns() {
+            let mut row: Vec<f64> = Vec::with_capacity(used.len() + 1);
+            for (n, other) in used.iter().enumerate() {
+                let done: f64 = row.iter().zip(&lower[n]).map(|(a, b)| a * b).sum();
+                row.push((self.products[column][*other] - done) / lower[n][n]);
+            }
+            let own = self.products[column][column] - row.iter().map(|it| it * it).sum::<f64>();
+            if own < NOTHING {
+                continue;
+            }
+            let done: f64 = row.iter().zip(&solved).map(|(a, b)| a * b).sum();
+            solved.push((self.products[column][last] - done) / own.sqrt());
+            row.push(own.sqrt());
+            lower.push(row);
+            used.push(column);
+        }
+        let left = (self.total - solved.iter().map(|it| it * it).sum::<f64>()).max(0.0);
+        self.rows * ((left + self.noise) / self.rows).ln()
+            + self.constants(set) as f64 * self.rows.ln()
+    }
 }
 
 /// Laws of a spindle's growth.
@@ -92,7 +233,10 @@ fn spindle_laws(record: &Record<'_>) -> Vec<Law> {
     }
     laws.extend(run.column("load_n").map(|load| law(&[AxialStiffness], 0, vec![load.to_vec()])));
     for lag_s in &LAGS_S[1..] {
-        laws.push(law(&[LostCooling], 1, vec![lagged(time_s, predicted_um, *lag_s)]));
+        // Over a smaller conductance heat ends higher and comes later: both at once, or the later alone.
+        let late = lagged(time_s, predicted_um, *lag_s);
+        laws.push(law(&[LostCooling], 1, vec![late.clone()]));
+        laws.push(law(&[LostCooling], 0, vec![predicted_um.clone(), late]));
         let rises = time_s.iter().map(|time| 1.0 - (-(time - time_s[0]) / lag_s).exp()).collect();
         laws.push(law(&[UnseenHolder], 1, vec![rises]));
     }
@@ -176,8 +320,8 @@ mod tests {
         let run = parsed(&csv, "r.csv").expect("a run");
         let um: Vec<f64> = run.column("load_n").expect("there").iter().map(|n| n / 200.0).collect();
         let predicted_um = (0..200).map(|row| f64::from(row).sqrt()).collect();
-        let record = Record { run: &run, predicted_um, is_axis: false };
-        least_gap(&record, &[(Fault::AxialStiffness, &um)], noise_um).expect("one fault")
+        let record = Record { run: &run, is_read: &[true; 200], predicted_um, is_axis: false };
+        gaps(&record, &[(Fault::AxialStiffness, &um)], noise_um).instead
     }
 
     #[test]
