@@ -92,6 +92,22 @@ enum Command {
         #[arg(long, default_value_t = 1_000)]
         seed: u32,
     },
+    /// Fuzzes what comes from outside: calibrations, flash, SDO, both ends of the line, files, plants.
+    Fuzz {
+        /// For each of them.
+        #[arg(long, default_value_t = 15)]
+        minutes: u64,
+    },
+    /// Changes the code that a board runs in places drawn at random, and counts how many changes its tests
+    /// find: a minute or so for each.
+    Mutants {
+        /// How many.
+        #[arg(long, default_value_t = 300)]
+        draw: usize,
+        /// Draws the same again.
+        #[arg(long, default_value_t = 1)]
+        seed: u64,
+    },
     /// Counts circles of files, long files, and places that name one cause; fails above the limits.
     Structure,
     /// Gets what this machine lacks: target, QEMU, Python clients.
@@ -189,6 +205,8 @@ fn main() -> ExitCode {
         Command::Size => size::report().map(|report| print!("{report}")),
         Command::Measure => measure::run(measure::VECTORS).and_then(|measured| measured.publish()),
         Command::Scorecard { seeds } => verify::scorecard(seeds),
+        Command::Fuzz { minutes } => campaign::fuzz(minutes),
+        Command::Mutants { draw, seed } => campaign::mutants(draw, seed),
         Command::Soak { ticks, seed } => campaign::soak(ticks, seed),
         Command::Structure => structure::check(&setup::root()).map(|report| print!("{report}")),
         Command::Setup => setup::everything(),

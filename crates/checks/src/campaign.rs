@@ -1,21 +1,126 @@
-//! What nobody waits for: the soak, the fuzzing, the mutants. A command each, niced by whoever likes,
-//! with the figures of `docs/robustness.md` as their last lines.
+//! What nobody waits for: the soak, the fuzzing, the mutants. A command each, niced by whoever likes;
+//! `docs/robustness.md` has what they have printed.
 
-use anyhow::Result;
-use trueup_emulator::process;
+use std::{fmt::Write as _, fs, process::Command};
+
+use anyhow::{Context as _, Result, ensure};
+use serde_json::Value;
+use trueup_emulator::{process, setup};
 
 use crate::cargo;
 
-/// Lets the simulator run for so many ticks, from this seed on, on all cores; a failure prints the seed
-/// that repeats it.
+/// The version that is asked for.
+const MUTANTS: &str = "27.1.0";
+/// The crates whose tests are tried.
+const PACKAGES: [&str; 4] = ["trueup-core", "trueup-link", "trueup-store", "trueup-node"];
+/// Hostile blobs in a soak of a thousand million ticks.
+const TICKS_PER_BLOB: u64 = 100;
+
+/// Lets the simulator run for so many ticks, from this seed on, on all cores, and tries a hostile
+/// calibration for each hundred of them; a failure prints the seed that repeats it.
 ///
 /// # Errors
 /// It does not build, or something did not hold.
 pub fn soak(ticks: u64, seed: u32) -> Result<()> {
+    let run = |test: &str| {
+        let mut command = cargo::locked("test");
+        command
+            .args(["--profile", "soak", "-p", "trueup-node", "--test", "simulator", "--"])
+            .args(["--ignored", "--exact", test, "--nocapture"])
+            .env("TRUEUP_SOAK_TICKS", ticks.to_string())
+            .env("TRUEUP_SOAK_BLOBS", (ticks / TICKS_PER_BLOB).max(1_000).to_string())
+            .env("TRUEUP_SOAK_SEED", seed.to_string());
+        process::run(&mut command)
+    };
+    run("campaign_soak")?;
+    run("hostile::campaign_hostile_blobs")
+}
+
+/// Lets each of the fuzz targets run for so many minutes, one on each core at a time; prints how many inputs
+/// each has had.
+///
+/// # Errors
+/// It does not build, or an input does what none may.
+pub fn fuzz(minutes: u64) -> Result<()> {
     let mut test = cargo::locked("test");
-    test.args(["--profile", "soak", "-p", "trueup-node", "--test", "simulator", "--"])
-        .args(["--ignored", "--exact", "campaign_soak", "--nocapture"])
-        .env("TRUEUP_SOAK_TICKS", ticks.to_string())
-        .env("TRUEUP_SOAK_SEED", seed.to_string());
+    test.args([
+        "--profile",
+        "soak",
+        "-p",
+        "trueup-host-tests",
+        "--test",
+        "fuzz",
+        "--",
+        "--nocapture",
+    ])
+    .env("TRUEUP_FUZZ_S", (60 * minutes).to_string());
     process::run(&mut test)
+}
+
+/// Draws mutants of the crates that a board runs, and counts how many their own tests catch. Each is built
+/// and tested in a copy of the source; `target/mutants` has the lists.
+///
+/// # Errors
+/// cargo-mutants cannot be had, or the tests fail without a mutant. A mutant that is missed is no error.
+pub fn mutants(draw: usize, seed: u64) -> Result<()> {
+    let program = cargo::tool("cargo-mutants", MUTANTS)?;
+    let packages: Vec<&str> = PACKAGES.iter().flat_map(|name| ["-p", name]).collect();
+    let call = || {
+        let mut command = Command::new(&program);
+        command.arg("mutants").args(&packages).current_dir(setup::root());
+        command
+    };
+    let listed: Value = serde_json::from_str(&process::output(call().args(["--list", "--json"]))?)?;
+    let names = listed.as_array().context("a list of mutants")?.iter();
+    let mut names: Vec<&str> = names.filter_map(|it| it["name"].as_str()).collect();
+    names.sort_unstable();
+    let mut config = String::from("examine_re = [\n");
+    for name in drawn(names, draw, seed) {
+        let escaped: String = name.chars().flat_map(|it| escaped(it)).collect();
+        writeln!(config, "  '''^{escaped}$''',")?;
+    }
+    config.push_str("]\n");
+    let folder = setup::root().join("target/mutants");
+    fs::create_dir_all(&folder)?;
+    fs::write(folder.join("drawn.toml"), config)?;
+    let mut run = call();
+    run.args(["--no-shuffle", "--timeout", "120", "--config"]).arg(folder.join("drawn.toml"));
+    let status = run.arg("-o").arg(&folder).status()?;
+    // 2: some were missed, 3: some ran into the time limit, which is as good as caught.
+    ensure!(matches!(status.code(), Some(0 | 2 | 3)), "cargo-mutants: {status}");
+    Ok(())
+}
+
+/// As many of these as are asked for, the same for the same seed.
+fn drawn<T>(mut from: Vec<T>, count: usize, seed: u64) -> Vec<T> {
+    let mut state = seed;
+    let mut drawn = Vec::new();
+    while drawn.len() < count && !from.is_empty() {
+        // Knuth's MMIX.
+        state =
+            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        let number = (state >> 33) as usize % from.len();
+        drawn.push(from.swap_remove(number));
+    }
+    drawn
+}
+
+/// A character as a regular expression has it.
+fn escaped(character: char) -> impl Iterator<Item = char> {
+    let is_special = r"\.+*?()|[]{}^$".contains(character);
+    is_special.then_some('\\').into_iter().chain([character])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_seed_draws_each_once_and_the_same_again() {
+        let mut all = drawn((0..50).collect(), 60, 7);
+        assert_eq!(all, drawn((0..50).collect(), 60, 7));
+        assert_ne!(all[..20], drawn((0..50).collect(), 20, 8));
+        all.sort_unstable();
+        assert!(all.into_iter().eq(0..50));
+    }
 }

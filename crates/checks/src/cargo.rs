@@ -1,8 +1,12 @@
 //! The cargo that runs this, at the root of the project and with the versions of its lock file.
 
-use std::process::Command;
+use std::{
+    path::{Path, PathBuf},
+    process::Command,
+};
 
-use trueup_emulator::setup;
+use anyhow::Result;
+use trueup_emulator::{process, setup};
 
 /// `cargo <verb> --locked`, to be gone on with.
 pub fn locked(verb: &str) -> Command {
@@ -16,4 +20,29 @@ pub fn plain(verb: &str) -> Command {
     let mut command = Command::new(std::env::var_os("CARGO").unwrap_or("cargo".into()));
     command.arg(verb).current_dir(setup::root());
     command
+}
+
+/// A program of others in this version, built once into the project's own folder.
+///
+/// # Errors
+/// It cannot be had or built.
+pub fn tool(name: &str, version: &str) -> Result<PathBuf> {
+    let folder = setup::root().join("target/tools");
+    let program = folder.join("bin").join(name);
+    if !is_wanted(&program, version) {
+        eprintln!("building {name} {version} into target/tools");
+        let mut install = locked("install");
+        // It runs for a second: what counts is how long it takes to build.
+        install.args(["--debug", "--force", name, "--version", version, "--root"]).arg(&folder);
+        install.arg("--target-dir").arg(folder.join("build"));
+        process::run(&mut install)?;
+        std::fs::remove_dir_all(folder.join("build"))?;
+    }
+    Ok(program)
+}
+
+fn is_wanted(program: &Path, version: &str) -> bool {
+    // Behind the name: `cargo-deny 0.20.2`.
+    process::output(Command::new(program).arg("--version"))
+        .is_ok_and(|said| said.split_whitespace().nth(1) == Some(version))
 }

@@ -1,9 +1,6 @@
 //! What the project is built from: the compiler, and other people's crates.
 
-use std::{
-    path::{Path, PathBuf},
-    process::Command,
-};
+use std::{path::PathBuf, process::Command};
 
 use anyhow::{Context as _, Result, ensure};
 use trueup_emulator::{process, setup};
@@ -71,29 +68,9 @@ pub fn crates() -> Result<Tally> {
     Ok(tally)
 }
 
-/// cargo-deny, built once into the project's own folder.
+/// cargo-deny, for the licences and sources of crates.
 fn deny() -> Result<PathBuf> {
-    let folder = setup::root().join("target/tools");
-    let program = folder.join("bin/cargo-deny");
-    if !is_wanted(&program) {
-        eprintln!(
-            "building cargo-deny {DENY} into target/tools, for the licences and sources of crates"
-        );
-        let mut install = cargo::locked("install");
-        // It runs for a second: what counts is how long it takes to build.
-        install
-            .args(["--debug", "--force", "cargo-deny", "--version", DENY, "--root"])
-            .arg(&folder);
-        install.arg("--target-dir").arg(folder.join("build"));
-        process::run(&mut install)?;
-        std::fs::remove_dir_all(folder.join("build"))?;
-    }
-    Ok(program)
-}
-
-fn is_wanted(program: &Path) -> bool {
-    process::output(Command::new(program).arg("--version"))
-        .is_ok_and(|said| said.split_whitespace().nth(1) == Some(DENY))
+    cargo::tool("cargo-deny", DENY)
 }
 
 #[cfg(test)]

@@ -105,6 +105,13 @@ impl Plant {
                         return Ok(None);
                     }
                 }
+                Err(error) if error.kind() == ErrorKind::InvalidData => {
+                    bail!(
+                        "{}, line {}: this is not UTF-8",
+                        self.peer,
+                        self.number.saturating_add(1)
+                    );
+                }
                 Err(error) => return Err(error).context("the line to the plant is broken"),
             }
         }

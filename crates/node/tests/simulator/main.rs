@@ -9,6 +9,7 @@
 #![allow(clippy::arithmetic_side_effects, clippy::cast_possible_truncation, clippy::cast_sign_loss)]
 
 mod axis;
+mod hostile;
 mod machine;
 mod world;
 

@@ -1,0 +1,154 @@
+//! Blobs that somebody has made to do harm: any bytes at all with a CRC that is right. They are refused
+//! with the reason, or what they make the bridge do stays within the caps of the firmware.
+
+use std::{collections::BTreeMap, env};
+
+use crc::{CRC_32_AUTOSAR, Crc};
+use trueup_core::{
+    bridge::Input,
+    cnc::{AxisPosition, Control, Heading, LinearAxis, Quality, Rotary, Spindle},
+    dimensions::CODES_PER_TICK,
+    thermometer::Raw,
+    units::{Code, MicroDegrees, Position, Rpm},
+};
+use trueup_link::frames;
+use trueup_node::{
+    node::{Line, Node},
+    vectors::Random,
+};
+use trueup_store::calibration::{
+    MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_OFFSET_NM, MAX_SIZE, MAX_SLEW_NM_PER_S, decode, encode,
+};
+
+use crate::machine;
+
+/// A slot of the board's flash.
+type Slot = [u8; MAX_SIZE];
+/// How long a bridge lives on what was not refused, in ms: through the engage sequence and on its way.
+const LIFE_MS: u8 = 130;
+
+/// Makes the CRC right.
+fn seal(blob: &mut [u8]) {
+    let end = blob.len() - 4;
+    let crc = Crc::<u32>::new(&CRC_32_AUTOSAR).checksum(&blob[..end]);
+    blob[end..].copy_from_slice(&crc.to_le_bytes());
+}
+
+/// A blob that is whole and has something wrong, or nothing.
+fn hostile<'s>(random: &mut Random, seeds: &[Vec<u8>], slot: &'s mut Slot) -> &'s mut [u8] {
+    let seed = &seeds[random.below(seeds.len() as u32) as usize];
+    slot[..seed.len()].copy_from_slice(seed);
+    let blob = &mut slot[..seed.len()];
+    for _ in 0..=random.below(4) {
+        // The head of 8 bytes stays: what is wrong there is told before anything is read.
+        let at = 8 + random.below(blob.len() as u32 - 12) as usize;
+        let word = 8 + (at - 8) / 4 * 4;
+        match random.below(4) {
+            0 => blob[at] ^= 1 << random.below(8),
+            1 => blob[at] = random.next() as u8,
+            // Words at the ends of their range, and others.
+            2 => {
+                let ends = [0, 1, -1, i32::MAX, i32::MIN, 1 << 20, -(1 << 20), 255];
+                let end = ends[random.below(8) as usize];
+                blob[word..word + 4].copy_from_slice(&end.to_le_bytes());
+            }
+            _ => {
+                let any = random.next() >> random.below(32);
+                blob[word..word + 4].copy_from_slice(&any.to_le_bytes());
+            }
+        }
+    }
+    seal(blob);
+    blob
+}
+
+/// A bridge lives on this calibration, with any inputs, and stays within the caps.
+fn lives_within_the_caps(random: &mut Random, blob: &[u8], number: u64) -> bool {
+    let calibration = decode(blob).expect("it was not refused");
+    let limits = calibration.limits;
+    assert!(limits.slew_nm_per_s <= MAX_SLEW_NM_PER_S, "blob {number}: {limits:?}");
+    assert!(limits.link_timeout_ms <= MAX_LINK_TIMEOUT_MS, "blob {number}: {limits:?}");
+    assert!(limits.hold_ms <= MAX_HOLD_MS, "blob {number}: {limits:?}");
+    let mut node = Node::new(Some(calibration), false);
+    let mut before = [0; 3];
+    let mut was_on = false;
+    let level = random.below(4_096) as i32;
+    for ms in 0..LIFE_MS {
+        if ms % 10 == 0 {
+            let counter = ms / 10;
+            let any = random.next() as i32;
+            let control = Control { engage: counter >= 4, ..Control::REFERENCED };
+            let _ = node.hear(Line::Can, &frames::control(control, counter));
+            let spindle = Spindle { speed: Rpm(any as u16), load_n: any as i16 };
+            let _ = node.hear(Line::Can, &frames::spindle(spindle, counter));
+            let angles = [any / 16, any / 32].map(MicroDegrees);
+            let _ = node.hear(Line::Can, &frames::rotary(Rotary { angles }, counter));
+            for axis in LinearAxis::ALL {
+                let position = Position(random.next() as i32 / 2);
+                let at = AxisPosition { axis, position, direction: Heading::Positive };
+                let _ = node.hear(Line::Can, &frames::position(at, counter));
+            }
+        }
+        let codes: [Code; CODES_PER_TICK] =
+            core::array::from_fn(|_| Code((level + random.around(3)).clamp(0, 4_095) as u16));
+        let raw = [Raw(random.next() as i32 >> 16); 8];
+        let temperatures = (ms % 10 == 5).then_some(&raw);
+        node.tick(1, Input { codes: Some(&codes), speed: None, temperatures });
+        let output = node.last();
+        was_on |= output.quality == Quality::Live;
+        let Some(offset) = output.offset else {
+            before = [0; 3];
+            continue;
+        };
+        for (axis, before) in offset.iter().zip(before) {
+            assert!(axis.0.abs() <= MAX_OFFSET_NM, "blob {number}, {ms} ms: {output:?}");
+            let step = (axis.0 - before).unsigned_abs();
+            assert!(step <= MAX_SLEW_NM_PER_S / 1_000, "blob {number}, {ms} ms: {output:?}");
+        }
+        before = offset.map(|axis| axis.0);
+    }
+    was_on
+}
+
+fn attack(blobs: u64, seed: u32) {
+    let mut slot = [0; MAX_SIZE];
+    let seeds: Vec<Vec<u8>> = [0, 1]
+        .map(|table| encode(&machine::calibration(table), &mut slot).expect("it fits").to_vec())
+        .into();
+    let mut random = Random::new(seed);
+    let (mut refused, mut reasons, mut live) = (0_u64, BTreeMap::new(), 0_u64);
+    for number in 0..blobs {
+        let blob = hostile(&mut random, &seeds, &mut slot);
+        match decode(blob) {
+            Err(error) => {
+                let said = format!("{error:?}");
+                let kind = said.split([' ', '(', '{']).next().unwrap_or_default().to_string();
+                assert_ne!(kind, "Crc", "blob {number}: its CRC is right");
+                assert!(!error.to_string().is_empty());
+                *reasons.entry(kind).or_insert(0_u64) += 1;
+                refused += 1;
+            }
+            Ok(_) => live += u64::from(lives_within_the_caps(&mut random, blob, number)),
+        }
+    }
+    println!("{blobs} blobs: {refused} refused, {reasons:?}; {live} of the others went live");
+    assert!(refused > blobs / 10 && live > blobs / 100, "both happen");
+}
+
+#[test]
+fn a_hostile_blob_with_a_right_crc_is_refused_or_stays_within_the_caps() {
+    attack(20_000, 1);
+}
+
+#[test]
+#[ignore = "long: a hundred thousand hostile blobs"]
+fn a_hundred_thousand_hostile_blobs_are_refused_or_stay_within_the_caps() {
+    attack(100_000, 2);
+}
+
+#[test]
+#[ignore = "campaign: cargo xtask soak"]
+fn campaign_hostile_blobs() {
+    let blobs = env::var("TRUEUP_SOAK_BLOBS").map_or(10_000_000, |it| it.parse().expect("a count"));
+    attack(blobs, 3);
+}
