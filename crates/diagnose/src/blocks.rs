@@ -12,6 +12,7 @@ use trueup_numerics::{
 
 use crate::{
     fit::{Problem, fit},
+    kind::Part,
     model::Model,
 };
 
@@ -177,13 +178,31 @@ fn left_out_of(
     count: usize,
 ) -> (Vec<f64>, Vec<Model>) {
     let folds: Vec<usize> = (0..count).collect();
+    let begun = model.unsettled_start().map(|[start, _]| begun_as_recorded(problem, model, start));
     let fitted = on_all_cores(&folds, problem.is_large(), |&fold| {
         let mask: Vec<bool> = of_group.iter().map(|&of| of != fold).collect();
-        fit(problem, model, Some(&mask))
+        match &begun {
+            Some((problem, model)) if of_group.first() == Some(&fold) => {
+                fit(problem, model, Some(&mask))
+            }
+            _ => fit(problem, model, Some(&mask)),
+        }
     });
     let residual =
         (0..of_group.len()).map(|group| fitted[of_group[group]].residual[group]).collect();
     (residual, fitted.into_iter().map(|fitted| fitted.model).collect())
+}
+
+/// Where a record begins nobody can foresee how far the machine had settled: the stretch with the start is
+/// foreseen from the `start` that was fitted to the whole. What was measured less that, and the rest of the
+/// model.
+fn begun_as_recorded(problem: &Problem, model: &Model, start: &Part) -> (Problem, Model) {
+    let mut rest = model.clone();
+    rest.parts.retain(|part| part != start);
+    let [whole, less] = [model, &rest].map(|model| problem.predicted(model));
+    let measured = problem.measured.iter().zip(whole.iter().zip(&less));
+    let measured = measured.map(|(m, (whole, less))| m - (whole - less)).collect();
+    (problem.measuring(measured), rest)
 }
 
 /// The runs numbered from 0 in the order in which they come, by group.

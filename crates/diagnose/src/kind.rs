@@ -82,6 +82,11 @@ impl Kind {
         self.cause().is_some_and(Effect::has_time_constant)
     }
 
+    /// Whether it settles from the start of the record on, whatever is measured beside it.
+    pub(crate) fn is_from_the_start(&self) -> bool {
+        self.has_time_constant() && self.cause().is_some_and(Effect::is_in_time)
+    }
+
     /// Whether it goes with something that was measured or commanded beside the quantity: not with time
     /// alone, nor bent with the prediction, nor a constant.
     pub(crate) fn has_own_input(&self) -> bool {

@@ -68,26 +68,47 @@ impl Laws {
     /// `data` as if the thermometers of the machine's own laws were smoothed over `width_s`, without being
     /// late.
     pub(crate) fn smoothed(data: &Data, width_s: f64) -> Data {
-        let mut smooth = data.clone();
+        Self::with_thermometers(data, &|data, column| data.smooth(column, width_s))
+    }
+
+    /// `data` as if the temperature of `column`, or (none) the thermometers of the machine's own laws, came
+    /// behind a lag of `late_s`. None of a table that was drawn from a larger one.
+    pub(crate) fn behind(data: &Data, column: Option<&str>, late_s: f64) -> Option<Data> {
+        if data.whole.is_some() {
+            return None;
+        }
+        Some(match column {
+            Some(column) => {
+                let mut late = data.clone();
+                late.delay(column, late_s);
+                late
+            }
+            None => Self::with_thermometers(data, &|data, column| data.delay(column, late_s)),
+        })
+    }
+
+    /// `data` with the thermometers of the machine's own laws changed, and these laws with them.
+    fn with_thermometers(data: &Data, change: &dyn Fn(&mut Data, &str)) -> Data {
+        let mut changed = data.clone();
         if let Some(whole) = &data.whole {
-            let all = Self::smoothed(&whole.data, width_s);
-            smooth.axis = whole.pick(&all.axis);
-            smooth.thermal = whole.pick(&all.thermal);
-            smooth.law = whole.pick(&all.law);
-            smooth.elongation = whole.pick(&all.elongation);
-            return smooth;
+            let all = Self::with_thermometers(&whole.data, change);
+            changed.axis = whole.pick(&all.axis);
+            changed.thermal = whole.pick(&all.thermal);
+            changed.law = whole.pick(&all.law);
+            changed.elongation = whole.pick(&all.elongation);
+            return changed;
         }
         let laws = Self::own(data);
         let of_spindle = laws.spindle.as_ref().and_then(|it| it.temperature.as_ref());
         let columns = [laws.thermal.as_ref().map(|it| &it.sensor), of_spindle.map(|it| &it.sensor)];
-        columns.into_iter().flatten().for_each(|column| smooth.smooth(column, width_s));
-        let (axis, law) = (laws.axis(&smooth), laws.elongation(&smooth));
+        columns.into_iter().flatten().for_each(|column| change(&mut changed, column));
+        let (axis, law) = (laws.axis(&changed), laws.elongation(&changed));
         for row in 0..data.rows {
-            smooth.thermal[row] += axis[row] - data.axis[row];
-            smooth.elongation[row] += law[row] - data.law[row];
+            changed.thermal[row] += axis[row] - data.axis[row];
+            changed.elongation[row] += law[row] - data.law[row];
         }
-        (smooth.axis, smooth.law) = (axis, law);
-        smooth
+        (changed.axis, changed.law) = (axis, law);
+        changed
     }
 
     /// The time constant with which the model's own heat rises.

@@ -37,6 +37,20 @@ impl Model {
         self.parts.iter().any(|part| part.kind == *kind)
     }
 
+    /// The part that settles from the start on as fast as the law of another part does, and that part: the
+    /// machine had not settled when the record began, and the lagged law cannot know where it stood.
+    pub(crate) fn unsettled_start(&self) -> Option<[&Part; 2]> {
+        let is_start = |part: &&Part| part.kind.is_from_the_start();
+        let start = self.parts.iter().find(is_start)?;
+        let late = |part: &&Part| {
+            // Twice as fast or half as fast is another law.
+            let is_alike =
+                || (part.values[0] / start.values[0]).ln().abs() < std::f64::consts::LN_2;
+            part.kind.has_time_constant() && !is_start(part) && is_alike()
+        };
+        self.parts.iter().find(late).map(|late| [start, late])
+    }
+
     /// Whether it, or the machine file, moves all of the model in time.
     pub(crate) fn has_shift(&self, data: &Data) -> bool {
         self.parts.iter().any(|part| part.kind.is_shift())

@@ -162,6 +162,18 @@ fn doubted(doubt: &Doubt, gain: &Gain, left_out: Unit) -> String {
         Doubt::AtTheEnd => {
             "One of its values is where the search for it ends: the best may lie beyond.".into()
         }
+        Doubt::SlowerThanRecord => {
+            "It is slower than the record is long: where it ends has not been seen.".into()
+        }
+        Doubt::StartOf(late) => format!(
+            "It settles as fast as {} does: the machine may not have been at rest when the record began.",
+            named(late)
+        ),
+        Doubt::FormOf(law) => format!(
+            "It may only make up for the form of {}: a part is behind its thermometer by a lag of the first \
+             order only nearly, and was not at rest when the record began.",
+            named(law)
+        ),
         Doubt::GainsOnce => "It gains on one part of the record alone: it was seen once.".into(),
         Doubt::DoesNotGoOn => {
             "It does not foresee the end of the record: something else may wander."

@@ -209,15 +209,34 @@ pub(crate) fn conclude(
 }
 
 /// The model as it is handed out: terms that are not kept leave, and the others are fitted again
-/// without them.
+/// without them; but what is of this record alone is left out only then, for beside it the others are right.
 fn kept(problem: &Problem, found: &Found, judged: &[Judgement]) -> Model {
     let model = &found.fitted.model;
-    let open = judged.iter().filter(|it| !it.is_kept).map(Judgement::cause);
+    let left_out = || judged.iter().filter(|it| !it.is_kept);
+    let open = left_out().filter(|it| !it.is_of_this_record()).map(Judgement::cause);
     let mut kept = without_all(problem, model, open);
     if !kept.parts.is_empty() && kept.parts.len() < model.parts.len() {
         kept = fit(problem, &kept, None).model;
     }
+    for it in left_out().filter(|it| it.is_of_this_record()) {
+        kept = without_this_record(problem, &kept, it);
+    }
     kept
+}
+
+/// `model` without a term that another record would show otherwise, and with what of it lasts: where a start
+/// has settled to, and where something slow stood at first.
+fn without_this_record(problem: &Problem, model: &Model, term: &Judgement) -> Model {
+    let mut rest = without_all(problem, model, std::iter::once(term.cause()));
+    if let Some(constant_um) = &mut rest.constant_um {
+        let parts = model.parts.iter().filter(|part| part.kind != *term.cause()).cloned().collect();
+        let less = Model { parts, ..model.clone() };
+        let [with, less] = [model, &less].map(|model| problem.predicted(model));
+        let mut effect = with.iter().zip(&less).map(|(with, less)| with - less);
+        let lasting = if term.is_of_the_start() { effect.next_back() } else { effect.next() };
+        *constant_um += lasting.unwrap_or(0.0);
+    }
+    rest
 }
 
 /// `model` without the terms of these causes. Without a term the machine file stays, and with it its

@@ -204,6 +204,15 @@ impl Data {
         }
     }
 
+    /// A temperature behind a lag.
+    pub(crate) fn delay(&mut self, column: &str, late_s: f64) {
+        let Some(time_s) = self.time_s.as_deref() else { return };
+        let found = self.temperatures.iter_mut().find(|(there, _)| there == column);
+        if let Some((_, values)) = found {
+            *values = lag(values, time_s, &self.restart, [late_s; 2]);
+        }
+    }
+
     /// The temperature of the part whose thermometer, in `column`, is late, behind a lag as in
     /// [`Data::lagged`].
     pub(crate) fn followed(

@@ -29,6 +29,8 @@ pub(crate) struct Problem {
 pub(crate) struct Bounds {
     /// Time constants, in s.
     pub time_constant_s: [f64; 2],
+    /// The longest series, in s.
+    pub longest_s: f64,
     /// Times of the record, in s.
     pub time_s: [f64; 2],
     /// From row to row, in s; above 0.
@@ -151,7 +153,7 @@ impl Problem {
     /// Whether a time constant is so short that the record shows all of it: three of them pass at
     /// least five times over.
     pub(crate) fn is_short(&self, time_constant_s: f64) -> bool {
-        15.0 * time_constant_s < self.bounds.time_constant_s[1] / 3.0
+        15.0 * time_constant_s < self.bounds.longest_s
     }
 
     /// Whether a value of a part is where its search ends, so that the best may lie beyond: a time
@@ -270,6 +272,7 @@ fn bounds(data: &Data, groups: &Groups) -> Bounds {
     let prediction_um = finite(extent(&mut prediction.iter().copied()), [0.0, 1.0]);
     Bounds {
         time_constant_s: [0.2 * step_s, 3.0 * longest_s],
+        longest_s,
         time_s,
         step_s,
         late_s: [0.2 * step_s, (MOST_SHIFT * longest_s).min(LATEST_THERMOMETER_S)],

@@ -13,6 +13,13 @@ pub(crate) enum Doubt {
     MayBeNothing,
     /// A value of it is where its search ends: the best may lie beyond.
     AtTheEnd,
+    /// Its time constant is longer than the record: where it ends has not been seen.
+    SlowerThanRecord,
+    /// It settles from the start on as fast as this term's law: it may be where that law stood when the record
+    /// began.
+    StartOf(Kind),
+    /// It may make up for the form of this lagged law.
+    FormOf(Kind),
     /// It gains on one block of the record alone, and nothing on the others together.
     GainsOnce,
     /// A drift or a jump that does not foresee the end of the record.
@@ -43,5 +50,10 @@ impl Doubt {
     /// Whether it is doubted how large the term is, if it is anything.
     pub(crate) fn is_of_size(&self) -> bool {
         matches!(self, Self::MayBeNothing | Self::AtTheEnd | Self::GainsOnce)
+    }
+
+    /// Whether another record, which begins elsewhere, would show it otherwise.
+    pub(crate) fn is_of_this_record(&self) -> bool {
+        matches!(self, Self::SlowerThanRecord | Self::StartOf(_))
     }
 }

@@ -11,6 +11,10 @@
 //! out is foreseen, and a slow path was seen more than once
 //! the interval of its size does not hold nothing, and no        else: not certain
 //! value of it is where its search ends
+//! its time constant is no longer than the record                else: where it ends was not seen
+//! it is not as fast from the start on as a lagged law beside it else: it may be where that law stood
+//! it does more than a lagged law beside it may miss, and is     else: it may make up for the form of
+//! needed with a second lag there, and without the start         that law
 //! it gains on left-out blocks, also without the one on which    else: seen once
 //! it gains most
 //! a drift or a jump foresees the end of the record              else: it does not go on
@@ -41,6 +45,7 @@
 mod aliases;
 mod case;
 mod doubt;
+mod form;
 mod identified;
 mod needed;
 mod other_law;
@@ -66,6 +71,7 @@ use crate::{
 use aliases::aliases;
 use case::Case;
 pub(crate) use doubt::Doubt;
+use form::form_of;
 use identified::is_identified;
 use needed::{Alone, gains_again, goes_on, only_smooths, only_together};
 use other_law::Curves;
@@ -104,6 +110,16 @@ impl Judgement {
             Doubt::OtherLaw(inputs) => Some(inputs),
             _ => None,
         })
+    }
+
+    /// Whether another record would show it otherwise.
+    pub(crate) fn is_of_this_record(&self) -> bool {
+        self.doubts.iter().any(Doubt::is_of_this_record)
+    }
+
+    /// Whether it may be where a lagged law stood when the record began.
+    pub(crate) fn is_of_the_start(&self) -> bool {
+        self.doubts.iter().any(|doubt| matches!(doubt, Doubt::StartOf(_)))
     }
 
     /// Of the cause against the best rival, 0…1.
@@ -159,7 +175,8 @@ fn judge_term(case: &Case<'_>, added: &Added) -> Option<Judgement> {
     let is_kept = predict_alike(case, &open)
         && !is_alias_of_wave
         && !doubts.contains(&Doubt::NotRepeated)
-        && (is_foreseen || !doubts.iter().any(Doubt::is_of_size));
+        && (is_foreseen || !doubts.iter().any(Doubt::is_of_size))
+        && (case.folds().are_records() || !doubts.iter().any(Doubt::is_of_this_record));
     Some(Judgement {
         part: part.clone(),
         parameters: estimates.named,
@@ -189,6 +206,13 @@ fn doubts_of_values(
     if case.problem.is_at_the_end(part) {
         doubts.push(Doubt::AtTheEnd);
     }
+    if part.kind.has_time_constant() && part.values[0] > case.problem.bounds.longest_s {
+        doubts.push(Doubt::SlowerThanRecord);
+    }
+    match case.found.fitted.model.unsettled_start() {
+        Some([start, late]) if start == part => doubts.push(Doubt::StartOf(late.kind.clone())),
+        _ => {}
+    }
     if !gains_again(case, &part.kind, left_out_without) {
         doubts.push(Doubt::GainsOnce);
     }
@@ -199,6 +223,7 @@ fn doubts_of_values(
         doubts.push(Doubt::OnlySmooths);
     }
     doubts.extend(halves(case, part).map(Doubt::HalvesDiffer));
+    doubts.extend(form_of(case, part, without).map(Doubt::FormOf));
     let aliases = aliases(case, part, without, estimates);
     if !aliases.is_empty() {
         doubts.push(Doubt::Alias(aliases));

@@ -12,7 +12,17 @@ use trueup_machine::effect::Effect;
 /// Whether a term still gains without the block on which it gains most. Tables and curves answer for
 /// themselves, cycle by cycle.
 pub(crate) fn gains_again(case: &Case<'_>, cause: &Kind, left_out_without: &[f64]) -> bool {
-    cause.list_length().is_some() || case.paired(left_out_without).without_best > 0.0
+    cause.list_length().is_some()
+        || case.paired(left_out_without).without_best > 0.0
+            && !(cause.is_from_the_start() && hangs_on_one_reading(case, left_out_without))
+}
+
+/// Whether most of what a term gains is gained at a single reading.
+fn hangs_on_one_reading(case: &Case<'_>, left_out_without: &[f64]) -> bool {
+    let rows = left_out_without.iter().zip(&case.left_out);
+    let gains: Vec<f64> = rows.map(|(before, after)| before * before - after * after).collect();
+    let largest = gains.iter().copied().fold(0.0, f64::max);
+    2.0 * largest > gains.iter().sum::<f64>()
 }
 
 /// Whether what only the clock tells, a drift or a jump, also foresees the end of the record, where

@@ -12,7 +12,7 @@
 //! EBIC = BIC + 2·terms·ln(causes that may be tried)          (Chen and Chen, 2008, with γ = 1)
 //! ```
 
-use trueup_numerics::{blocks::rms, parallel::on_all_cores};
+use trueup_numerics::{blocks::rms, noise::Noise, parallel::on_all_cores};
 
 use crate::{
     candidates::possible,
@@ -21,7 +21,7 @@ use crate::{
     kind::Kind,
     search::{
         MOST_TERMS,
-        criterion::{STRONG_EVIDENCE, bic, degrees},
+        criterion::{STRONG_EVIDENCE, bic, degrees, noise_of},
         extend::{Extension, centred_effect, take_back, with_each_cause, without},
         state::{Added, Search},
     },
@@ -36,6 +36,40 @@ const MOST_LEFT_OUT: f64 = 2.0;
 /// Candidates that are fitted for each term.
 const MOST_FITTED: usize = 8;
 
+/// By what a step is taken. Whether the way was worth it, is always asked of the likelihood and of what is
+/// foreseen.
+#[derive(Clone, Copy)]
+enum Yardstick {
+    /// BIC, the memory of the noise estimated.
+    Likelihood,
+    /// The same as if the noise had no memory: as long as several slow laws are missing, the likelihood takes them
+    /// for slow noise, and one of them alone for nothing.
+    Squares,
+}
+
+impl Yardstick {
+    fn of(self, Extension { fitted, bic, .. }: &Extension) -> f64 {
+        match self {
+            Self::Likelihood => *bic,
+            Self::Squares => {
+                let rows = fitted.residual.len() as f64;
+                rows * fitted.sum.max(f64::MIN_POSITIVE).ln()
+                    + degrees(&fitted.model) as f64 * rows.ln()
+            }
+        }
+    }
+}
+
+/// How a float goes on.
+#[derive(Clone, Copy)]
+struct Way {
+    by: Yardstick,
+    /// Whether it may add lists: curves and tables.
+    with_lists: bool,
+    /// What each term pays for the choice among all causes.
+    price: f64,
+}
+
 /// A model and what it is worth.
 struct Assessed {
     fitted: Fitted,
@@ -49,25 +83,43 @@ impl Search<'_> {
     pub(crate) fn float(&mut self) -> bool {
         let price = self.price();
         let own = self.assessed(self.fitted.clone(), price);
-        let mut here = own.fitted.clone();
+        // A list has room for much that is none of it, and nothing else is needed beside it.
+        let mut plain = own.fitted.model.clone();
+        plain.parts.retain(|part| part.kind.list_length().is_none());
+        let has_list = plain.parts.len() < own.fitted.model.parts.len();
+        let plain = has_list.then(|| fit(self.problem, &plain, None));
+        let noise = noise_of(self.problem, &own.fitted.residual, degrees(&own.fitted.model));
+        let by_squares = (noise != Noise::WHITE).then_some(Yardstick::Squares);
+        let found =
+            [Some(Yardstick::Likelihood), by_squares].into_iter().flatten().find_map(|by| {
+                let way = |with_lists| Way { by, with_lists, price };
+                self.floated(&own.fitted, &own, way(true))
+                    .or_else(|| self.floated(plain.as_ref()?, &own, way(false)))
+            });
+        let Some(found) = found else { return false };
+        self.adopt(found, &own);
+        true
+    }
+
+    /// The best model on a way from `start` that is better than the `own`.
+    fn floated(&self, start: &Fitted, own: &Assessed, way: Way) -> Option<Assessed> {
+        let mut here = start.clone();
         let mut best: Option<Assessed> = None;
         let mut ahead = 0;
         while ahead < MOST_AHEAD && here.model.parts.len() < MOST_TERMS {
-            let Some(there) = self.with_one_more(&here) else { break };
+            let Some(there) = self.with_one_more(&here, way) else { break };
             let there = self.begun_anew(there);
-            here = self.without_what_is_not_needed(there, price);
-            let before = best.as_ref().unwrap_or(&own);
+            here = self.without_what_is_not_needed(there, way);
+            let before = best.as_ref().unwrap_or(own);
             // What scores worse is not worth being left out in turn.
-            let is_near = self.score(&here, price) < before.score + STRONG_EVIDENCE;
-            let there = is_near.then(|| self.assessed(here.clone(), price));
+            let is_near = self.score(&here, way.price) < before.score + STRONG_EVIDENCE;
+            let there = is_near.then(|| self.assessed(here.clone(), way.price));
             match there.filter(|there| self.is_better(there, before)) {
                 Some(better) => (best, ahead) = (Some(better), 0),
                 None => ahead += 1,
             }
         }
-        let Some(best) = best else { return false };
-        self.adopt(best, &own);
-        true
+        best
     }
 
     fn score(&self, fitted: &Fitted, price: f64) -> f64 {
@@ -84,12 +136,13 @@ impl Search<'_> {
     fn is_better(&self, one: &Assessed, other: &Assessed) -> bool {
         let gap = other.score - one.score;
         let paired = self.folds.paired(&other.left_out, &one.left_out);
+        let [own, others] = [one, other].map(|it| degrees(&it.fitted.model));
         let is_better = match gap {
-            STRONG_EVIDENCE.. => paired.is_better(),
-            _ => {
-                let [one, other] = [one, other].map(|it| degrees(&it.fitted.model));
-                gap > -STRONG_EVIDENCE && one <= other && paired.is_certain()
+            STRONG_EVIDENCE.. if own < others => {
+                paired.is_better() || self.foresees_as_well(&one.fitted, &other.left_out)
             }
+            STRONG_EVIDENCE.. => paired.is_better(),
+            _ => gap > -STRONG_EVIDENCE && own <= others && paired.is_certain(),
         };
         let is_identified = rms(&one.left_out).powi(2) <= MOST_LEFT_OUT * one.fitted.rms().powi(2);
         is_better && is_identified && !self.has_terms_that_cancel(&one.fitted)
@@ -104,12 +157,35 @@ impl Search<'_> {
 
     /// `base` with the cause of the best BIC, whatever it is. What is looked for at many periods or instants
     /// answers for that where it is alone.
-    fn with_one_more(&self, base: &Fitted) -> Option<Extension> {
+    fn with_one_more(&self, base: &Fitted, way: Way) -> Option<Extension> {
         let is_open = |cause: &Kind| {
             let is_searched = cause.is_wave() || cause.is_of_instrument() || cause.has_instant();
-            cause.tier() < 3 && !is_searched && !cause.is_shift() && !self.given_up.contains(cause)
+            let is_admitted = way.with_lists || cause.list_length().is_none();
+            cause.tier() < 3 && !is_searched && !cause.is_shift() && is_admitted
         };
-        Extension::best(with_each_cause(self.problem, base, MOST_FITTED, is_open))
+        let all = with_each_cause(self.problem, base, MOST_FITTED, is_open);
+        let all = all.into_iter().map(|it| self.from_where_it_began(it, way.price));
+        all.min_by(|a, b| way.by.of(a).total_cmp(&way.by.of(b)))
+    }
+
+    /// A model with a new lagged law from wherever that stood when the record began, if that is worth a term.
+    fn from_where_it_began(&self, new: Extension, price: f64) -> Extension {
+        let model = &new.fitted.model;
+        let is_late = new.cause.has_time_constant() && !new.cause.is_from_the_start();
+        if !is_late || model.parts.iter().any(|part| part.kind.is_from_the_start()) {
+            return new;
+        }
+        let with_start = with_each_cause(self.problem, &new.fitted, 1, Kind::is_from_the_start)
+            .into_iter()
+            .next();
+        match with_start {
+            Some(with)
+                if with.bic + price < new.bic && with.fitted.model.unsettled_start().is_some() =>
+            {
+                Extension { cause: new.cause, ..with }
+            }
+            _ => new,
+        }
     }
 
     /// Whether two terms take each other back: rich terms that cancel follow whatever a law leaves.
@@ -137,19 +213,18 @@ impl Search<'_> {
     }
 
     /// A model without the terms that cost more than they explain; the one that has just come stays.
-    fn without_what_is_not_needed(&self, new: Extension, price: f64) -> Fitted {
-        let Extension { cause, mut fitted, mut bic } = new;
+    fn without_what_is_not_needed(&self, new: Extension, way: Way) -> Fitted {
+        let mut here = new;
         loop {
-            let others: Vec<Kind> =
-                fitted.model.parts.iter().map(|part| part.kind.clone()).collect();
-            let others: Vec<Kind> = others.into_iter().filter(|kind| *kind != cause).collect();
+            let others = here.fitted.model.parts.iter().map(|part| part.kind.clone());
+            let others: Vec<Kind> = others.filter(|kind| *kind != here.cause).collect();
             let less = on_all_cores(&others, self.problem.is_large(), |kind| {
-                let model = without(self.problem, &fitted.model, kind);
-                Extension::new(self.problem, kind.clone(), fit(self.problem, &model, None))
+                let model = without(self.problem, &here.fitted.model, kind);
+                Extension::new(self.problem, here.cause.clone(), fit(self.problem, &model, None))
             });
-            match Extension::best(less) {
-                Some(less) if less.bic < bic + price => (fitted, bic) = (less.fitted, less.bic),
-                _ => return fitted,
+            match less.into_iter().min_by(|a, b| way.by.of(a).total_cmp(&way.by.of(b))) {
+                Some(less) if way.by.of(&less) < way.by.of(&here) + way.price => here = less,
+                _ => return here.fitted,
             }
         }
     }

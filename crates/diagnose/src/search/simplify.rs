@@ -30,6 +30,7 @@ impl Search<'_> {
         self.drop_what_does_not_gain();
         self.simplest_of_equals();
         self.name_paths();
+        self.name_by_size();
         self.given_up.len() > given_up
     }
 
@@ -219,9 +220,32 @@ impl Search<'_> {
             .min_by(|a, b| a.1.sum.total_cmp(&b.1.sum))
     }
 
+    /// Of two paths of a column the one that does more is the first, whichever was found before.
+    fn name_by_size(&mut self) {
+        let size = |cause: &Kind| rms(&centred_effect(self.problem, &self.fitted, cause));
+        let second = |it: &Added| it.cause.heat_path().filter(|path| path.is_second).is_some();
+        let renamed = self.added.iter().filter(|it| second(it)).find_map(|it| {
+            let own_path = it.cause.as_own_path(true)?;
+            let column = it.cause.heat_path()?.column;
+            let first = |there: &&Added| {
+                let path = there.cause.heat_path().filter(|path| !path.is_second);
+                path.is_some_and(|path| path.column == column && !path.has_lag)
+            };
+            let first = self.added.iter().find(first)?;
+            (size(&it.cause) > size(&first.cause)).then(|| (it.cause.clone(), own_path))
+        });
+        let Some((second, own_path)) = renamed else { return };
+        for part in self.fitted.model.parts.iter_mut().filter(|part| part.kind == second) {
+            part.kind = own_path.clone();
+        }
+        for it in self.added.iter_mut().filter(|it| it.cause == second) {
+            it.cause = own_path.clone();
+        }
+    }
+
     /// Whether `other` foresees left-out blocks as well as a model that leaves `own` there: within the
     /// standard error of the difference, or by a share that does not matter.
-    fn foresees_as_well(&self, other: &Fitted, own: &[f64]) -> bool {
+    pub(crate) fn foresees_as_well(&self, other: &Fitted, own: &[f64]) -> bool {
         let there = self.foresight(other);
         !self.folds.paired(&there, own).is_better() || rms(&there) <= EQUAL_PREDICTION * rms(own)
     }
@@ -263,8 +287,12 @@ impl Search<'_> {
                 .filter(|it| degrees(&it.fitted.model) < own)
                 .map(|it| (bic_gap(self.problem, &self.fitted, &it.fitted), it))
                 .min_by(|a, b| a.0.total_cmp(&b.0));
+            // What ended where its search ends has the wrong form; how well it fits here says nothing.
+            let cause = &self.added[index].cause;
+            let mut parts = self.fitted.model.parts.iter().filter(|part| part.kind == *cause);
+            let is_at_the_end = parts.any(|part| self.problem.is_at_the_end(part));
             if let Some((gap, it)) = simpler
-                && gap < STRONG_EVIDENCE
+                && (gap < STRONG_EVIDENCE || is_at_the_end)
                 && self.foresees_as_well(&it.fitted, &with)
             {
                 self.replace(index, it);

@@ -1,0 +1,107 @@
+//! Whether a term only makes up for the form of a lagged law beside it.
+//!
+//! Heat of a machine is behind its thermometer by a lag of the first order only nearly: it goes through one
+//! body into the next, and where a record begins a body may stand anywhere between. What a small term adds
+//! to such a law may be that. So a term beside a lagged law must
+//!
+//! ```text
+//! do more that only it can do than a lag of the first order misses      if it goes with heat as well
+//! be needed with the law's temperature behind a second lag,             if it has no time constant
+//! of a part of its time constant
+//! be needed where the record's start, two of the law's time constants   if it has no time constant
+//! long, is left out
+//! ```
+
+use trueup_numerics::{blocks::rms, noise};
+
+use crate::{
+    fit::{Fitted, Problem, fit},
+    judge::case::Case,
+    kind::{Kind, Part},
+    laws::Laws,
+    search::{criterion::STRONG_EVIDENCE, extend::centred_effect},
+};
+
+/// What a lag of the first order misses of a body that is heated from its side: the share of its mean temperature
+/// that is not of the slowest mode, 1 − 8/π² (Carslaw and Jaeger, Conduction of Heat in Solids, 3.3).
+const FORM: f64 = 0.19;
+/// Time constants of a second body, as parts of that of the first: a shorter one is not seen beside it, and of two
+/// alike the form changes most.
+const SECOND_BODY: [f64; 4] = [0.1, 0.2, 0.4, 0.8];
+/// Of a start that had not settled a seventh is left after so many time constants.
+const SETTLED: f64 = 2.0;
+/// The share of the record that must be left without its start for the question to be fair.
+const LEAST_LEFT: f64 = 0.5;
+
+/// The lagged law whose form may be all that `part` stands for; `without` lacks the part.
+pub(crate) fn form_of(case: &Case<'_>, part: &Part, without: &Fitted) -> Option<Kind> {
+    let kind = &part.kind;
+    let is_list = kind.list_length().is_some();
+    if is_list || !kind.has_own_input() || kind.is_of_instrument() || kind.has_instant() {
+        return None;
+    }
+    let is_of_heat = kind.heat_path().is_some() || !kind.is_added();
+    let laws = case.found.fitted.model.parts.iter();
+    let mut laws = laws.filter(|law| {
+        law.kind != *kind && law.kind.has_time_constant() && !law.kind.is_from_the_start()
+    });
+    let law = laws.find(|law| {
+        is_of_heat && is_within_form(case, law, without)
+            || !kind.has_time_constant()
+                && (is_second_body(case, law, without) || is_of_the_start(case, law, without))
+    });
+    law.map(|law| law.kind.clone())
+}
+
+/// Whether what nothing else does than the term that `without` lacks is less than `law` may miss.
+fn is_within_form(case: &Case<'_>, law: &Part, without: &Fitted) -> bool {
+    let fitted = &case.found.fitted;
+    let rows = fitted.residual.len() as f64;
+    let own_um = ((without.sum - fitted.sum).max(0.0) / rows).sqrt();
+    own_um < FORM * rms(&centred_effect(case.problem, fitted, &law.kind))
+}
+
+/// Whether a second body behind `law` does as well as the term that `without` lacks.
+fn is_second_body(case: &Case<'_>, law: &Part, without: &Fitted) -> bool {
+    let problem = case.problem;
+    let price = (problem.groups.len() as f64).ln();
+    let column = law.kind.heat_path().map(|path| path.column);
+    SECOND_BODY.iter().any(|share| {
+        let late_s = share * law.values[0];
+        let Some(late) = Laws::behind(&problem.data, column, late_s) else { return false };
+        let late = Problem::new(late, problem.groups.clone());
+        let there = fit(&late, &without.model, None);
+        case.bic_gap(&there) + price < STRONG_EVIDENCE
+    })
+}
+
+/// Whether the term that `without` lacks is not needed once `law` has settled.
+fn is_of_the_start(case: &Case<'_>, law: &Part, without: &Fitted) -> bool {
+    let (problem, found) = (case.problem, case.found);
+    let Some(times) = problem.data.time_s.as_deref() else { return false };
+    let groups = &problem.groups;
+    let mut start_s = f64::NAN;
+    let mut series = None;
+    let mask: Vec<bool> = (0..groups.len())
+        .map(|group| {
+            let row = groups.first_row[group];
+            if series != Some(problem.data.series[row]) {
+                (series, start_s) = (Some(problem.data.series[row]), times[row]);
+            }
+            times[row] - start_s > SETTLED * law.values[0]
+        })
+        .collect();
+    let left = mask.iter().filter(|is_left| **is_left).count() as f64 / mask.len() as f64;
+    if left < LEAST_LEFT {
+        return false;
+    }
+    let squares = |fitted: &Fitted| {
+        let there = fit(problem, &fitted.model, Some(&mask));
+        let rows = there.residual.iter().zip(&mask).filter(|(_, is_left)| **is_left);
+        rows.map(|(residual, _)| residual * residual).sum::<f64>()
+    };
+    let [with, without_it] = [&found.fitted, without].map(squares);
+    let independent = (left * noise::effective_rows(found.noise, &groups.steps)).max(3.0);
+    let values = found.fitted.degrees.saturating_sub(without.degrees).max(1) as f64;
+    independent * (without_it / with).ln() - values * independent.ln() < STRONG_EVIDENCE
+}
