@@ -1,4 +1,4 @@
-//! Whether a term only makes up for the form of a lagged law beside it.
+//! Whether a term only makes up for the form of a lagged law beside it, or for where that law stood at the start.
 //!
 //! Heat of a machine is behind its thermometer by a lag of the first order only nearly: it goes through one
 //! body into the next, and where a record begins a body may stand anywhere between. What a small term adds
@@ -19,9 +19,14 @@ use crate::{
     judge::case::Case,
     kind::{Kind, Part},
     laws::Laws,
-    search::{criterion::STRONG_EVIDENCE, extend::centred_effect},
+    search::{
+        criterion::STRONG_EVIDENCE,
+        extend::{Extension, centred_effect, with_each_cause},
+    },
 };
 
+/// Lagged laws that are tried beside what settles from the start on.
+const MOST_LAWS: usize = 4;
 /// What a lag of the first order misses of a body that is heated from its side: the share of its mean temperature
 /// that is not of the slowest mode, 1 − 8/π² (Carslaw and Jaeger, Conduction of Heat in Solids, 3.3).
 const FORM: f64 = 0.19;
@@ -36,8 +41,10 @@ const LEAST_LEFT: f64 = 0.5;
 /// The lagged law whose form may be all that `part` stands for; `without` lacks the part.
 pub(crate) fn form_of(case: &Case<'_>, part: &Part, without: &Fitted) -> Option<Kind> {
     let kind = &part.kind;
-    let is_list = kind.list_length().is_some();
-    if is_list || !kind.has_own_input() || kind.is_of_instrument() || kind.has_instant() {
+    let is_plain = kind
+        .cause()
+        .is_some_and(|cause| cause.is_constant() || kind.is_added() && cause.is_in_time());
+    if is_plain || kind.list_length().is_some() || kind.is_of_instrument() || kind.has_instant() {
         return None;
     }
     let is_of_heat = kind.heat_path().is_some() || !kind.is_added();
@@ -51,6 +58,28 @@ pub(crate) fn form_of(case: &Case<'_>, part: &Part, without: &Fitted) -> Option<
                 && (is_second_body(case, law, without) || is_of_the_start(case, law, without))
     });
     law.map(|law| law.kind.clone())
+}
+
+/// The lagged law of which `part`, which settles from the start on, may be where that law stood when the record
+/// began: one of the answer, or one that was not found and foresees as well together with it.
+pub(crate) fn start_of(case: &Case<'_>, part: &Part) -> Option<Kind> {
+    if !part.kind.is_from_the_start() {
+        return None;
+    }
+    let answer = &case.found.fitted;
+    let begins = |fitted: &Fitted| match fitted.model.unsettled_start() {
+        Some([start, late]) if start.kind == part.kind => Some(late.kind.clone()),
+        _ => None,
+    };
+    let is_late = |cause: &Kind| cause.heat_path().is_some_and(|path| path.has_lag);
+    let is_rival = |it: &Extension| {
+        case.bic_gap(&it.fitted) < STRONG_EVIDENCE
+            && !case.paired(&case.left_out_of(&it.fitted)).is_better()
+    };
+    begins(answer).or_else(|| {
+        let mut others = with_each_cause(case.problem, answer, MOST_LAWS, is_late).into_iter();
+        others.find_map(|it| begins(&it.fitted).filter(|_| is_rival(&it)))
+    })
 }
 
 /// Whether what nothing else does than the term that `without` lacks is less than `law` may miss.

@@ -71,7 +71,7 @@ use crate::{
 use aliases::aliases;
 use case::Case;
 pub(crate) use doubt::Doubt;
-use form::form_of;
+use form::{form_of, start_of};
 use identified::is_identified;
 use needed::{Alone, gains_again, goes_on, only_smooths, only_together};
 use other_law::Curves;
@@ -209,10 +209,7 @@ fn doubts_of_values(
     if part.kind.has_time_constant() && part.values[0] > case.problem.bounds.longest_s {
         doubts.push(Doubt::SlowerThanRecord);
     }
-    match case.found.fitted.model.unsettled_start() {
-        Some([start, late]) if start == part => doubts.push(Doubt::StartOf(late.kind.clone())),
-        _ => {}
-    }
+    doubts.extend(start_of(case, part).map(Doubt::StartOf));
     if !gains_again(case, &part.kind, left_out_without) {
         doubts.push(Doubt::GainsOnce);
     }
