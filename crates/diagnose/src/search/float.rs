@@ -164,12 +164,12 @@ impl Search<'_> {
             cause.tier() < 3 && !is_searched && !cause.is_shift() && is_admitted
         };
         let all = with_each_cause(self.problem, base, MOST_FITTED, is_open);
-        let all = all.into_iter().map(|it| self.from_where_it_began(it, way.price));
+        let all = all.into_iter().map(|it| self.with_its_start(it, way.price));
         all.min_by(|a, b| way.by.of(a).total_cmp(&way.by.of(b)))
     }
 
     /// A model with a new lagged law from wherever that stood when the record began, if that is worth a term.
-    fn from_where_it_began(&self, new: Extension, price: f64) -> Extension {
+    fn with_its_start(&self, new: Extension, price: f64) -> Extension {
         let model = &new.fitted.model;
         let is_late = new.cause.has_time_constant() && !new.cause.is_from_the_start();
         if !is_late || model.parts.iter().any(|part| part.kind.is_from_the_start()) {
