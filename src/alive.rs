@@ -3,7 +3,8 @@
 //!
 //! A task that hangs above the supervisor's priority holds up the supervisor: the watchdog bites, and
 //! the mark of the task that ran is still in RAM that a reset does not clear. One that hangs below it
-//! takes no more turns: the supervisor sees that, marks it, and no longer feeds.
+//! takes no more turns, nor do those that it holds up: the supervisor sees that, leaves the mark of the one that it has
+//! interrupted, and no longer feeds.
 
 use core::{
     mem::MaybeUninit,
@@ -75,10 +76,12 @@ pub struct Turn {
     before: u32,
 }
 
-/// A task hangs: its mark stays, whatever still runs.
-pub fn accuse(task: Task) {
-    ACCUSED.store(true, Ordering::Relaxed);
-    running().store(MARK | task as u32, Ordering::Relaxed);
+impl Turn {
+    /// The task that this one has interrupted hangs: its mark stays, whatever still runs.
+    pub fn accuse_interrupted(&self) {
+        ACCUSED.store(true, Ordering::Relaxed);
+        running().store(self.before, Ordering::Relaxed);
+    }
 }
 
 /// A task begins a turn.
@@ -117,17 +120,15 @@ pub struct Roll {
 }
 
 impl Roll {
-    /// After each `elapsed_ms`: the task that hangs, if one does.
-    pub fn call(&mut self, elapsed_ms: u32) -> Option<Task> {
+    /// After each `elapsed_ms`: whether a task has had no turn for too long.
+    pub fn call(&mut self, elapsed_ms: u32) -> bool {
         let done = DONE.swap(0, Ordering::Relaxed);
-        let mut hanging = None;
+        let mut hangs = false;
         for (task, silent) in STEADY.into_iter().zip(&mut self.silent_ms) {
             let was_there = done >> task as u16 & 1 != 0;
             *silent = if was_there { 0 } else { silent.saturating_add(elapsed_ms) };
-            if *silent >= PATIENCE_MS {
-                hanging = Some(task);
-            }
+            hangs |= *silent >= PATIENCE_MS;
         }
-        hanging
+        hangs
     }
 }

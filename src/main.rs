@@ -50,6 +50,7 @@ mod app {
         },
         supervision::{self, PERIOD_MS, Supervision},
     };
+    use core::mem::MaybeUninit;
     use heapless::spsc::{Consumer, Producer, Queue};
     use stm32f4xx_hal::pac::Interrupt;
     use trueup_canopen::emergency::Fault;
@@ -70,7 +71,8 @@ mod app {
 
     #[shared]
     struct Shared {
-        node: Node<'static>,
+        /// Where it lies for good: it is large, and moving it would cost the stack its size each time.
+        node: &'static mut Node<'static>,
         port: Port,
         can_out: CanOut,
         samples: Samples,
@@ -92,14 +94,15 @@ mod app {
         idle: Idle,
     }
 
-    #[init(local = [queue: Queue<u8, QUEUE> = Queue::new(), buffer: Buffer = [0; _]])]
+    #[init(local = [queue: Queue<u8, QUEUE> = Queue::new(), buffer: Buffer = [0; _],
+                    place: MaybeUninit<Node<'static>> = MaybeUninit::uninit()])]
     fn init(cx: init::Context) -> (Shared, Local) {
         let parts = board::start(cx.core, cx.device, cx.local.buffer);
         let faults = parts.faults;
         if let Err(error) = &parts.calibration {
             defmt::error!("calibration refused: {}", defmt::Display2Format(error));
         }
-        let mut node = Node::new(parts.calibration.ok(), faults.degrade());
+        let node = cx.local.place.write(Node::new(parts.calibration.ok(), faults.degrade()));
         faults.all().for_each(|fault| node.note(fault));
         node.note_start(parts.start);
         node.set_blob(parts.blob);
@@ -232,7 +235,7 @@ mod app {
     #[task(binds = SysTick, priority = 2, local = [supervision, self_test],
            shared = [node, port, can_out, samples, temperatures])]
     fn supervise(cx: supervise::Context) {
-        let _turn = alive::enter(Task::Supervise);
+        let turn = alive::enter(Task::Supervise);
         let (mut shared, it, self_test) = (cx.shared, cx.local.supervision, cx.local.self_test);
         if let Some(code) = shared.samples.lock(|samples| samples.internal_reference()) {
             shared.node.lock(|node| node.hear_supply(code));
@@ -254,7 +257,7 @@ mod app {
             shared.node.lock(|node| node.note(Fault::Store));
         }
         // Looked at and stored outside the lock: neither holds up a tick.
-        if let Some(mut load) = shared.node.lock(Node::take_load) {
+        if let Some(mut load) = shared.node.lock(|node| node.take_load()) {
             let outcome = it.keep_calibration(&mut load);
             shared.node.lock(|node| node.end_load(load, outcome));
         }
@@ -264,16 +267,16 @@ mod app {
             node.note_if(bus.passive, Fault::CanPassive);
             node.note_if(bus.off, Fault::CanOff);
         });
-        if let Some(question) = shared.node.lock(Node::take_confirmed)
+        if let Some(question) = shared.node.lock(|node| node.take_confirmed())
             && !it.keep_answer(question, shared.node.lock(|node| node.blob()))
         {
             shared.node.lock(|node| node.note(Fault::Store));
         }
-        while let Some(write) = shared.node.lock(Node::take_write) {
+        while let Some(write) = shared.node.lock(|node| node.take_write()) {
             let stored = it.keep_write(&write);
             shared.node.lock(|node| node.end_write(&write, stored));
         }
-        if shared.node.lock(Node::take_restart) {
+        if shared.node.lock(|node| node.take_restart()) {
             defmt::info!("restart, as a CANopen master asks");
             it.retain(&shared.node.lock(|node| node.kept()));
             board::restart();
@@ -290,7 +293,7 @@ mod app {
             }
         });
         // Reaching this line shows that no task above hangs; the turns of those below are counted.
-        it.feed_watchdog();
+        it.feed_watchdog(&turn);
         if it.log_is_due() {
             it.retain(&shared.node.lock(|node| node.kept()));
             shared.port.lock(|port| shared.node.lock(|node| supervision::log(node, port)));
@@ -308,7 +311,7 @@ mod app {
         if shared.can_out.lock(CanOut::is_busy) {
             return;
         }
-        if let Some(frame) = shared.node.lock(Node::service) {
+        if let Some(frame) = shared.node.lock(|node| node.service()) {
             shared.can_out.lock(|can| shared.port.lock(|port| send(&[frame], can, port)));
         }
     }

@@ -13,7 +13,7 @@ use trueup_store::{
 };
 
 use crate::{
-    alive::{self, Roll, Task},
+    alive::{Roll, Turn},
     board::{Flash, Lamp, Store, Watchdog, references},
 };
 
@@ -31,8 +31,8 @@ pub struct Supervision {
     /// What outlasts a reset.
     retained: &'static mut retained::Copies,
     roll: Roll,
-    /// The task that hangs: from then on the watchdog is not fed.
-    hanging: Option<Task>,
+    /// A task does: from then on the watchdog is not fed.
+    hangs: bool,
     blocks: u32,
     silent: bool,
     until_log_ms: u32,
@@ -53,7 +53,7 @@ impl Supervision {
             store,
             retained,
             roll: Roll::default(),
-            hanging: None,
+            hangs: false,
             blocks: 0,
             silent: false,
             until_log_ms: 0,
@@ -130,17 +130,15 @@ impl Supervision {
         });
     }
 
-    /// Feeds it, unless a task hangs; then it is the mark of that one that the next start finds.
-    pub fn feed_watchdog(&mut self) {
-        if let Some(task) = self.roll.call(PERIOD_MS)
-            && self.hanging.is_none()
-        {
-            defmt::error!("a task hangs: {}", task);
-            self.hanging = Some(task);
+    /// Feeds it, unless a task hangs; then the next start finds the one that this turn has interrupted.
+    pub fn feed_watchdog(&mut self, turn: &Turn) {
+        if self.roll.call(PERIOD_MS) && !self.hangs {
+            defmt::error!("a task hangs");
+            self.hangs = true;
+            turn.accuse_interrupted();
         }
-        match self.hanging {
-            Some(task) => alive::accuse(task),
-            None => self.watchdog.feed(),
+        if !self.hangs {
+            self.watchdog.feed();
         }
     }
 

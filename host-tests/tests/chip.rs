@@ -219,7 +219,7 @@ fn emergencies(report: &Report) -> Vec<u8> {
 
 #[test]
 fn a_bus_without_a_partner_is_told_and_not_waited_for() {
-    let options = ["--bor", "--can-alone", "--ms", "600", "--say", "82", "S8\\rO\\r"];
+    let options = ["--bor", "--can-alone", "--ms", "600", "--say", "89", "S8\\rO\\r"];
     let Some(report) = run(&options) else { return };
     is_clean(&report);
     says(&report, &["TEC 128"]);
@@ -230,7 +230,7 @@ fn a_bus_without_a_partner_is_told_and_not_waited_for() {
 
 #[test]
 fn a_bus_that_destroys_every_frame_is_told_and_come_back_to() {
-    let options = ["--bor", "--can-short", "--ms", "600", "--say", "82", "S8\\rO\\r"];
+    let options = ["--bor", "--can-short", "--ms", "600", "--say", "89", "S8\\rO\\r"];
     let Some(report) = run(&options) else { return };
     is_clean(&report);
     says(&report, &["back from bus-off by itself"]);
@@ -240,7 +240,7 @@ fn a_bus_that_destroys_every_frame_is_told_and_come_back_to() {
 
 #[test]
 fn a_dominant_bus_is_told_and_not_disturbed() {
-    let options = ["--bor", "--can-stuck", "--ms", "600", "--say", "82", "S8\\rO\\r"];
+    let options = ["--bor", "--can-stuck", "--ms", "600", "--say", "89", "S8\\rO\\r"];
     let Some(report) = run(&options) else { return };
     is_clean(&report);
     says(&report, &["CAN: 0 sent"]);

@@ -6,7 +6,7 @@
 //! | flash, the image | read and run | the image is never written |
 //! | flash, the store | read | nothing but [`with_store`] writes to it |
 //! | RAM | read and written | data are never run |
-//! | 16 KB below the stack | nothing | a stack that overflows stops before it reaches a variable |
+//! | 8 KB below the stack | nothing | a stack that overflows stops before it reaches a variable |
 //!
 //! What lies outside of these is as without it. Faults themselves run without it, so that one on a full
 //! stack can still be told. A later region counts where two overlap.
@@ -19,9 +19,9 @@ use cortex_m::{
 };
 
 /// The guard below the stack: below [`STACK`], and above all variables (`guard.x`).
-pub const GUARD: Range<u32> = 0x2000_C000..0x2001_0000;
+pub const GUARD: Range<u32> = 0x2000_A000..0x2000_C000;
 /// The stack.
-pub const STACK: Range<u32> = 0x2001_0000..0x2002_0000;
+pub const STACK: Range<u32> = 0x2000_C000..0x2002_0000;
 
 /// Region of the store.
 const STORE: Region =
@@ -31,9 +31,9 @@ const REGIONS: [Region; 5] = [
     Region { number: 1, start: 0x0800_0000, log2_size: 20, attributes: READ },
     STORE,
     Region { number: 3, start: 0x2000_0000, log2_size: 17, attributes: WRITE | NO_RUN | SHAREABLE },
-    Region { number: 4, start: GUARD.start, log2_size: 14, attributes: NO_RUN },
+    Region { number: 4, start: GUARD.start, log2_size: 13, attributes: NO_RUN },
 ];
-const _: () = assert!(GUARD.end - GUARD.start == 1 << 14 && GUARD.end == STACK.start);
+const _: () = assert!(GUARD.end - GUARD.start == 1 << 13 && GUARD.end == STACK.start);
 
 /// AP 6: read by everybody; C: as flash is cached.
 const READ: u32 = 6 << 24 | 1 << 17;

@@ -4,7 +4,7 @@ use core::ptr::read_volatile;
 
 use super::{mpu::STACK, ram_test::PAINT};
 
-/// Words that are looked at in a turn, so that a look at the whole stack takes 0.6 s.
+/// Words that are looked at in a turn, so that a look at the whole stack takes 0.8 s.
 const PIECE: u32 = 256;
 
 /// A look at the stack that goes on, from its end upwards.
