@@ -10,7 +10,7 @@
 //! | 26 | `u16` level of the converter's internal reference that it counts from; 0: not known | 1/16 code |
 //! | 28 | CRC-32/AUTOSAR of the 28 bytes before it | |
 //!
-//! Between them lie the [writes](crate::writes), with a layout of their own.
+//! Between them lie the [writes], with a layout of their own.
 //!
 //! A record is written from its first byte to its last, and its CRC comes last, as `log` demands.
 //! A reference belongs to the constants that it was computed with, so one of another calibration is
