@@ -76,7 +76,7 @@ pub fn mutants(draw: usize, seed: u64) -> Result<()> {
     names.sort_unstable();
     let mut config = String::from("examine_re = [\n");
     for name in drawn(names, draw, seed) {
-        let escaped: String = name.chars().flat_map(|it| escaped(it)).collect();
+        let escaped: String = name.chars().flat_map(escaped).collect();
         writeln!(config, "  '''^{escaped}$''',")?;
     }
     config.push_str("]\n");

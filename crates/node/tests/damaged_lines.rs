@@ -5,7 +5,7 @@
 //! and of a board as lines.
 
 // A test may count as it likes: what overflows panics.
-#![allow(clippy::arithmetic_side_effects, clippy::cast_possible_truncation)]
+#![allow(clippy::arithmetic_side_effects, clippy::cast_possible_truncation, clippy::cast_sign_loss)]
 
 use std::thread;
 
@@ -252,7 +252,7 @@ fn a_byte_lost_doubled_inserted_or_swapped_costs_at_most_two_frames_and_makes_no
     let mut forms = 0;
     for number in 18..24 {
         let before = Ears::after(&all[..number]).board;
-        let whole: Vec<u8> = all[number..].iter().flat_map(|frame| line(frame)).collect();
+        let whole: Vec<u8> = all[number..].iter().flat_map(line).collect();
         let mut judge = |bytes: &[u8], at: usize| {
             forms += 1;
             let got = heard(&mut before.clone(), bytes);
@@ -302,7 +302,7 @@ fn frames_lost_doubled_inserted_or_swapped_are_heard_once_in_their_order() {
                 _ => stream.extend(pair),
             }
         }
-        let bytes: Vec<u8> = stream.iter().flat_map(|frame| line(frame)).collect();
+        let bytes: Vec<u8> = stream.iter().flat_map(line).collect();
         let got = heard(&mut Receiver::new(), &bytes);
         let own: Vec<&Frame> = got.iter().map(|it| &it.0).filter(|it| **it != foreign).collect();
         assert!(own.len() > 400, "seed {seed}: {} heard", own.len());
