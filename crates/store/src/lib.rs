@@ -9,7 +9,7 @@
 #![no_std]
 #![forbid(unsafe_code)]
 // A test that overflows fails, which is what a test is for.
-#![cfg_attr(test, allow(clippy::arithmetic_side_effects))]
+#![cfg_attr(test, allow(clippy::arithmetic_side_effects, clippy::cast_possible_truncation))]
 
 #[cfg(test)]
 extern crate std;

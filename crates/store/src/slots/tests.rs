@@ -256,7 +256,8 @@ fn two_power_cuts_in_a_row_at_any_two_words_leave_the_old_or_a_new_one() {
             let [room, all] = burnt(&live(&flash, first, blobs[0]).0, blobs[1]);
             // Within an erase every byte is like the one before it.
             let erase = room.saturating_sub(SECTOR)..room;
-            let is_like = |at: usize| erase.contains(&at) && (at - erase.start) % 2_004 != 0;
+            let is_like =
+                |at: usize| erase.contains(&at) && !(at - erase.start).is_multiple_of(2_004);
             for second in (0..=all).step_by(4).filter(|at| !is_like(*at)) {
                 judge(&flash, old.as_deref(), blobs, [first, second]);
                 pairs += 1;
@@ -275,7 +276,7 @@ fn drawn_pairs(pairs: u32) {
     let mut random = 1_u32;
     let mut draw = |end: usize| {
         random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        (u64::from(random) * end as u64 >> 32) as usize
+        ((u64::from(random) * end as u64) >> 32) as usize
     };
     let states: Vec<_> = (0..=4).map(|before| filled(before, words, before + 1)).collect();
     for _ in 0..pairs {
