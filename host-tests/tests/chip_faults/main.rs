@@ -1,0 +1,216 @@
+//! Every fault of the flashable image that the list names, provoked on the model of its chip: what becomes of it, within
+//! what time, and what the board says after it. The page `docs/faults.md` is printed from the same list.
+
+mod case;
+mod list;
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    sync::{
+        Mutex, OnceLock,
+        atomic::{AtomicUsize, Ordering},
+    },
+    thread,
+};
+
+use case::Seen;
+use list::{Image, Run, runs};
+use trueup_emulator::{chip, firmware, seal, setup};
+
+/// Of 80 KB (`src/board/stm32f405/guard.x`).
+const HALF_A_STACK: u16 = 40 * 1024;
+/// What the breaking image is told by, and only it.
+const KEY: &str = "TRUEUP_FAULT_KEY";
+
+/// The model and the images; `None`: this compiler is too old for the model.
+struct Parts {
+    model: PathBuf,
+    flashed: PathBuf,
+    breaking: PathBuf,
+    _folder: tempfile::TempDir,
+    unusable: [PathBuf; 2],
+}
+
+fn parts() -> Option<&'static Parts> {
+    static PARTS: OnceLock<Option<Parts>> = OnceLock::new();
+    PARTS
+        .get_or_init(|| {
+            let model = chip::build().expect("the model builds")?;
+            let machine = setup::root().join("host-tests/tests/chip_faults/machine.toml");
+            let flashed = firmware::build_for(&machine).expect("the image builds");
+            let folder = tempfile::tempdir().expect("a folder");
+            // Another machine's image may be built under the same name.
+            let own = folder.path().join("flashed.elf");
+            fs::copy(&flashed, &own).expect("it is copied");
+            let breaking = firmware::build_that_breaks(&machine).expect("the image builds");
+            let unusable = [0, 1].map(|kind| spoil(&own, &machine, kind));
+            Some(Parts { model, flashed: own, breaking, _folder: folder, unusable })
+        })
+        .as_ref()
+}
+
+/// A copy of the image whose calibration is damaged (0) or of another schema (1), sealed again.
+fn spoil(image: &Path, machine: &Path, kind: usize) -> PathBuf {
+    let machine = trueup_machine::file::MachineFile::read(machine).expect("a machine file");
+    let compiled = trueup_machine::compile::compile(&machine).expect("it compiles");
+    let blob = compiled.blob();
+    let mut bytes = fs::read(image).expect("the image");
+    let at = bytes.windows(blob.len()).position(|part| part == blob).expect("it is linked in");
+    if kind == 0 {
+        bytes[at + blob.len() / 2] ^= 0x10;
+    } else {
+        let other = other_schema(blob);
+        bytes[at..at + other.len()].copy_from_slice(&other);
+    }
+    let copy = image.with_file_name(format!("unusable-{kind}.elf"));
+    fs::write(&copy, bytes).expect("it is written");
+    seal::seal(&copy).expect("it has a place for it");
+    copy
+}
+
+/// The same blob, whole, with the next schema's number.
+fn other_schema(blob: &[u8]) -> Vec<u8> {
+    let mut other = blob.to_vec();
+    other[4] = other[4].wrapping_add(1);
+    let end = other.len() - 4;
+    let crc = crc::Crc::<u32>::new(&crc::CRC_32_AUTOSAR).checksum(&other[..end]);
+    other[end..].copy_from_slice(&crc.to_le_bytes());
+    other
+}
+
+/// Objects that are asked for all the time: state bits, reason of the reset, task.
+const ASKED: [&str; 3] = ["4001200600000000", "4001200700000000", "4002200700000000"];
+
+fn script(run: &Run, key: Option<u32>) -> String {
+    let mut script = run.script.clone();
+    if let Some(key) = key {
+        script = script.replace("KEY", &format!("{key:x}"));
+    }
+    for at in (0..run.ms).step_by(10) {
+        let ask = ASKED[at as usize / 10 % 3];
+        script += &if run.is_serial {
+            format!("{at} say t6018{ask}\\r\n")
+        } else {
+            format!("{at} frame 601 {ask}\n")
+        };
+    }
+    script
+}
+
+/// Plays a run; gives what was not as the list says.
+fn play(parts: &Parts, run: &Run) -> Vec<String> {
+    let image = match run.image {
+        Image::Flashed => &parts.flashed,
+        Image::Breaking => &parts.breaking,
+        Image::NoCalibration => &parts.unusable[0],
+        Image::OtherSchema => &parts.unusable[1],
+    };
+    let key = seal::symbol(image, KEY).expect("an image");
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("script");
+    fs::write(&file, script(run, key)).expect("it is written");
+    let mut options: Vec<String> = run.options.iter().map(|it| (*it).into()).collect();
+    options.extend(["--ms".into(), run.ms.to_string(), "--script".into()]);
+    options.push(file.to_str().expect("a plain name").into());
+    let report = chip::run(&parts.model, image, &options).expect("the model runs");
+    let seen = Seen::of(&report.events);
+    let mut wrong = Vec::new();
+    for (how, case) in &run.cases {
+        for missing in case.missing(&seen) {
+            wrong.push(format!("{}: {}, {how}: {missing}", run.name, case.fault));
+        }
+    }
+    // A stack that was never used by more than half, in any of these lives.
+    wrong.extend(
+        seen.free_stack
+            .iter()
+            .filter(|free| **free < HALF_A_STACK)
+            .map(|free| format!("{}: {free} bytes of the stack were never used", run.name)),
+    );
+    // Resets that no case asks for.
+    let asked = run.cases.iter().filter(|(_, case)| case.restart.is_some()).count();
+    if seen.resets.len() != asked {
+        wrong.push(format!("{}: {} resets at {:?}", run.name, seen.resets.len(), seen.resets));
+    }
+    if !wrong.is_empty() && std::env::var_os("TRUEUP_FAULTS_LOG").is_some() {
+        eprintln!("== {}\n{}\n{}", run.name, report.said, report.log.join("\n"));
+    }
+    wrong
+}
+
+#[test]
+fn faults_of_the_core_end_as_the_list_says() {
+    play_those(|run| run.name == "core");
+}
+
+#[test]
+#[ignore = "long: 48 s of the board, in 28 lives"]
+fn every_fault_of_the_list_ends_as_it_says() {
+    play_those(|_| true);
+}
+
+fn play_those(is_meant: impl Fn(&Run) -> bool) {
+    let Some(parts) = parts() else {
+        println!("skipped: the model of the chip needs a newer compiler");
+        return;
+    };
+    let runs: Vec<Run> = runs().into_iter().filter(is_meant).collect();
+    let (next, wrong) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+    thread::scope(|scope| {
+        for _ in 0..2 {
+            scope.spawn(|| {
+                while let Some(run) = runs.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    wrong.lock().expect("nobody panics").extend(play(parts, run));
+                }
+            });
+        }
+    });
+    let wrong = wrong.into_inner().expect("nobody panics");
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn only_the_breaking_image_can_be_told_to_break() {
+    let machine = setup::root().join("host-tests/tests/chip_faults/machine.toml");
+    let breaking = firmware::build_that_breaks(&machine).expect("it builds");
+    assert!(seal::symbol(&breaking, KEY).expect("an image").is_some());
+    for board in firmware::Board::ALL {
+        let image = firmware::build(board).expect("it builds");
+        assert_eq!(seal::symbol(&image, KEY).expect("an image"), None, "{}", board.feature());
+    }
+}
+
+/// With `TRUEUP_WRITE_FAULTS=1` it writes the page instead.
+#[test]
+fn the_page_is_what_the_list_says() {
+    let runs = runs();
+    let count: usize = runs.iter().map(|run| run.cases.len()).sum();
+    let mut page = HEAD.replace("COUNT", &count.to_string());
+    for run in &runs {
+        run.cases.iter().for_each(|(how, case)| page += &case.line(how));
+    }
+    let path = setup::root().join("docs/faults.md");
+    if std::env::var_os("TRUEUP_WRITE_FAULTS").is_some() {
+        fs::write(&path, &page).expect("the folder of the documentation");
+    }
+    println!("{count} cases in {} runs", runs.len());
+    assert!(count >= 40, "{count}");
+    let file = fs::read_to_string(&path).expect("the page");
+    assert!(
+        file == page,
+        "write it again: TRUEUP_WRITE_FAULTS=1 cargo test … --test chip_faults page"
+    );
+}
+
+const HEAD: &str = "\
+# Faults of the flashable image
+
+Each of these COUNT faults is provoked in the image that is flashed, on the model of its chip (`crates/chip`), by
+`cargo test -p trueup-host-tests --features emulator --test chip_faults -- --include-ignored`, and ends as its line says. The board was
+engaged before, where the fault does not come at the start. A board that starts anew is \"not available\" (quality 6) until it is engaged
+again, and `trueup bridge info` names the last column. Nothing of this has been seen on hardware.
+
+| fault | how it comes | quality | flag | state | emergency | within ms | named after the restart |
+|---|---|---|---|---|---|---|---|
+";
