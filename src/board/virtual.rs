@@ -274,7 +274,7 @@ impl Thermometers {
 /// The flash, in two small sectors: a copy of the host's file, which follows every change.
 pub struct Flash([u8; 2 * SECTOR_SIZE]);
 
-const SECTOR_SIZE: usize = 4096;
+const SECTOR_SIZE: usize = 1024;
 
 impl Flash {
     /// As the host's file has it; what is not there is blank.

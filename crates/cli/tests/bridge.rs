@@ -2,10 +2,11 @@
 //! SLCAN port of the firmware, without its hardware.
 
 mod desk;
+mod wire;
 
 use std::{
     io::{ErrorKind, Read, Write},
-    net::{TcpListener, TcpStream},
+    net::TcpListener,
     path::Path,
     sync::{Arc, Mutex},
     thread,
@@ -26,16 +27,10 @@ use trueup_store::{
     calibration::{MAX_SIZE, decode, identity},
     load::Outcome,
 };
+use wire::{ReceivedBytes, Tools, damaged, write_all};
 
 /// The paper's spindle.
 const PAPER: &str = include_str!("../../../data/paper_spindle.toml");
-
-/// What the bridge has heard from its client.
-#[derive(Default)]
-struct ReceivedBytes {
-    bytes: Vec<u8>,
-    frames: usize,
-}
 
 /// What is wrong with the bridge.
 #[derive(Clone, Copy, PartialEq)]
@@ -174,61 +169,6 @@ fn live(mut stream: impl Read + Write, fault: Fault, engage: bool, heard: &Mutex
             return;
         }
     }
-}
-
-/// One tool after the other on the same bridge.
-struct Tools {
-    listener: TcpListener,
-    stream: Option<TcpStream>,
-}
-
-impl Read for Tools {
-    fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
-        if let Some(stream) = &mut self.stream {
-            match stream.read(bytes) {
-                Ok(0) => self.stream = None,
-                read => return read,
-            }
-        }
-        let (stream, _) = self.listener.accept()?;
-        stream.set_nonblocking(true)?;
-        self.stream = Some(stream);
-        Err(ErrorKind::WouldBlock.into())
-    }
-}
-
-impl Write for Tools {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        match &mut self.stream {
-            Some(stream) => match stream.write(bytes) {
-                Err(error) if error.kind() != ErrorKind::WouldBlock => Ok(bytes.len()),
-                written => written,
-            },
-            None => Ok(bytes.len()),
-        }
-    }
-
-    fn flush(&mut self) -> std::io::Result<()> {
-        Ok(())
-    }
-}
-
-/// A socket that does not block may take bytes in parts.
-fn write_all(stream: &mut impl Write, mut bytes: &[u8]) -> std::io::Result<()> {
-    while !bytes.is_empty() {
-        match stream.write(bytes) {
-            Ok(taken) => bytes = &bytes[taken..],
-            Err(error) if error.kind() == ErrorKind::WouldBlock => thread::yield_now(),
-            Err(error) => return Err(error),
-        }
-    }
-    Ok(())
-}
-
-fn damaged(frame: &Frame) -> Frame {
-    let mut data = *frame.data();
-    data[5] ^= 0x04;
-    Frame::new(frame.id(), &data[..frame.len().into()]).expect("the frame's own identifier")
 }
 
 /// A run that needs no files, and must end with `code`.

@@ -43,11 +43,13 @@
 //! | both frames | 215 | | |
 //! | ages, what is fresh, course, target, flags | ~460 | | |
 
+mod agreement;
 mod joint;
 mod needs;
 mod sources;
 mod state;
 
+pub use self::agreement::{LASTS_STEPS, LEAST_NM};
 pub use self::joint::KeptJoint;
 use self::joint::SelectedSource;
 use self::needs::RequiredInputs;

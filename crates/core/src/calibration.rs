@@ -90,6 +90,11 @@ pub enum ElongationSource {
     Warmup,
 }
 
+impl ElongationSource {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Sensor, Self::Temperature, Self::Warmup];
+}
+
 /// Elongation by a temperature: k·(T − T₀), with a lag.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SpindleTemperature<'a> {

@@ -8,6 +8,10 @@
 //! elongation:  s = measured − offset·V      V the tool's direction: (0, 0, −1) gives measured + offset_z
 //! ```
 //!
+//! A CNC that is given no offset (quality 6) takes back what it applies: after `hold_ms`, and the way from the
+//! largest offset at the slew limit. So what was measured after that is the machine's own, also before a CNC
+//! has engaged for the first time.
+//!
 //! Rows in which nobody knows what was applied are set aside: their measured value becomes a missing
 //! one, and the rest of the row stays, for what has a memory. What only says how the bridge was is no
 //! column of the run any more, so that it explains nothing.
@@ -33,6 +37,9 @@ const STATE: [&str; 2] = ["flags", "age_ms"];
 const FIRST_UNUSABLE: f64 = 4.0;
 /// The last quality that there is.
 const LAST_QUALITY: f64 = 6.0;
+
+/// A CNC may be so much later than its limits say, in seconds: it hears of a fault, and starts.
+const LATE_S: f64 = 1.0;
 
 /// A run as it would have been measured without a bridge: the one kind of run that constants of a machine are
 /// made of.
@@ -87,7 +94,8 @@ fn taken_out(
     let file = run.path().display();
     let mut notes = Vec::new();
     notes.extend(calibration(run, machine)?.map(|note| format!("{file}: {note}")));
-    let record = Record { run, machine, quality, offsets };
+    let taken_back = taken_back(run, machine, quality);
+    let record = Record { run, machine, quality, offsets, taken_back };
     let mut cleaned = run.clone();
     let mut not_known = None;
     let mut is_any = false;
@@ -180,6 +188,28 @@ struct Record<'r> {
     machine: Option<&'r Machine>,
     quality: &'r [f64],
     offsets: [Option<&'r [f64]>; 3],
+    /// The rows in which a CNC has taken back what it applied, because it was given no offset for so long.
+    taken_back: Vec<bool>,
+}
+
+/// The rows from which on no offset was available for longer than a CNC takes to go to 0.
+fn taken_back(run: &RunFile, machine: Option<&Machine>, quality: &[f64]) -> Vec<bool> {
+    let limits = machine.map(|machine| machine.limits).unwrap_or_default();
+    let way_um = limits.max_um.into_iter().fold(0.0, f64::max);
+    let lasts_s = f64::from(limits.hold_ms) / 1e3 + way_um / limits.slew_um_per_s + LATE_S;
+    let Some(time_s) = run.column("time_s") else { return vec![false; quality.len()] };
+    let (mut since, mut before) = (None, f64::NAN);
+    let rows = quality.iter().zip(time_s).map(|(&quality, &now)| {
+        if quality != LAST_QUALITY || now.is_nan() || now < before {
+            since = None;
+        }
+        before = now;
+        if quality != LAST_QUALITY || now.is_nan() {
+            return false;
+        }
+        now - *since.get_or_insert(now) > lasts_s
+    });
+    rows.collect()
 }
 
 /// How many measured rows could not be used.
@@ -196,7 +226,8 @@ impl Account {
             let rows = self.rows;
             (count > 0).then(|| format!("{name}: {count} of {rows} rows are set aside: {why}"))
         };
-        let unusable = "the bridge held, ramped out or was not available (quality 4 and above)";
+        let unusable = "the bridge held, ramped out or was not available (quality 4 and above), or not for long enough that \
+                        a CNC has taken its offset back";
         let unknown = "quality or offset is missing, so what the bridge applied is not known";
         [told(self.unusable, unusable), told(self.unknown, unknown)].into_iter().flatten()
     }
@@ -209,7 +240,8 @@ impl Record<'_> {
 
     /// The column without which nothing is known of `quantity` in any row in which the bridge was on.
     fn lacks(&self, quantity: Quantity) -> Option<String> {
-        if self.quality.iter().all(|&quality| quality == 0.0) {
+        let is_without = |(&quality, taken_back): (&f64, &bool)| quality == 0.0 || *taken_back;
+        if self.quality.iter().zip(&self.taken_back).all(is_without) {
             return None;
         }
         let missing = |axis: &LinearAxis| self.offsets[axis.index()].is_none();
@@ -248,6 +280,9 @@ impl Record<'_> {
                 return f64::NAN;
             }
             account.rows += 1;
+            if self.taken_back[row] {
+                return measured[row];
+            }
             if self.quality[row] >= FIRST_UNUSABLE {
                 account.unusable += 1;
                 return f64::NAN;

@@ -87,6 +87,42 @@ fn rows_in_which_nobody_knows_what_was_applied_are_set_aside_and_counted() {
     assert!(notes[1].contains("measured_dz_um: 2 of 7 rows") && notes[1].contains("missing"));
 }
 
+/// A bridge says 6 until a CNC has engaged it, and again when it fails. By the limits of the machine file a CNC
+/// is at 0 after 2 s of hold, 500 µm at 20 µm/s, and 1 s: 28 s.
+#[test]
+fn a_bridge_without_an_offset_for_longer_than_a_cnc_takes_to_go_to_0_was_without_one() {
+    let mut text = "time_s,measured_dz_um,offset_z_um,quality\n".to_string();
+    let quality = |s: u32| match s {
+        60..90 => 1,
+        _ => 6,
+    };
+    for s in 0..140 {
+        let offset = if quality(s) == 1 { "-9" } else { "" };
+        text += &format!("{s},5,{offset},{}\n", quality(s));
+    }
+    let (dz, notes) = taken_out(THREE_AXIS, &text, "measured_dz_um");
+    for (s, dz) in (0..).zip(&dz) {
+        let expected = match s {
+            0..=28 | 90..=118 => None,
+            60..90 => Some(14.0),
+            _ => Some(5.0),
+        };
+        assert_eq!(*dz, expected, "at {s} s");
+    }
+    assert!(notes.iter().any(|note| note.contains("58 of 140 rows")), "{notes:?}");
+    // A CNC that may be slower is waited for longer, and without a clock for ever.
+    let slow = format!("{THREE_AXIS}[limits]\nhold_ms = 60000\n");
+    assert_eq!(taken_out(&slow, &text, "measured_dz_um").0[..60], [None; 60]);
+    let timeless = text.replace("time_s", "flow");
+    assert_eq!(taken_out(THREE_AXIS, &timeless, "measured_dz_um").0[120..], [None; 20]);
+    // Where nothing was ever applied, no column of an offset is needed.
+    let never: String = (0..40).map(|s| format!("{s},5,6\n")).collect();
+    let never = format!("time_s,measured_dz_um,quality\n{never}");
+    let run = run(&never);
+    let refused = Unaided::of(Cow::Borrowed(&run), Some(&machine(THREE_AXIS)), None);
+    assert!(refused.is_err(), "its first rows are not known");
+}
+
 #[test]
 fn what_cannot_be_taken_out_is_refused_where_it_is_wanted() {
     let offsets = "measured_dz_um,offset_z_um\n1,2\n";

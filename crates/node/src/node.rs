@@ -404,6 +404,10 @@ impl<'a> Node<'a> {
                 self.bridge.as_ref().is_some_and(|it| it.fall_back_is_dead(&self.state)),
                 Fault::SourceDead,
             )
+            .with_if(
+                self.bridge.as_ref().is_some_and(|it| it.is_unfit(&self.state)),
+                Fault::CalibrationUnfit,
+            )
             .and(self.questions)
     }
 

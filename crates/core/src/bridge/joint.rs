@@ -1,6 +1,7 @@
 //! Which source of the elongation is in use, and how it joins the one before: what `sources` decides,
 //! remembered from tick to tick.
 
+use super::agreement::{Agreement, Past};
 use crate::{calibration::ElongationSource, units::Nanometres};
 
 /// The source of the elongation that is used.
@@ -40,12 +41,14 @@ pub(super) struct Joint {
     pub rest: u32,
     /// An offset was followed, or the first source was there: from then on the elongation goes on.
     pub is_anchored: bool,
-    /// The elongation at the last steps of the heat, the oldest first; `None`: not by this source.
-    pub before: [Option<Nanometres>; BEFORE_STEPS],
+    /// The last steps of the heat, the oldest first; `None`: not by this source.
+    pub before: [Option<Past>; BEFORE_STEPS],
     /// How long a better source has been fresh.
     pub returned_ms: u32,
     /// `last` was used before a reset, and nothing has been since.
     pub is_resumed: bool,
+    /// Whether the sources grow alike.
+    pub agreement: Agreement,
 }
 
 /// What of it outlasts a reset.

@@ -14,6 +14,7 @@
 
 use super::{
     Bridge, State,
+    agreement::Past,
     joint::{BEFORE_STEPS, Joint, KeptJoint, SelectedSource},
 };
 use crate::{
@@ -107,8 +108,15 @@ impl Bridge<'_> {
                 // A source that is still there, and only gives way, is right to the last.
                 let stays = self.is_fresh(state, last);
                 let oldest = state.joint.before.into_iter().flatten().next();
-                let joins_at = oldest.filter(|_| !stays).unwrap_or_else(latest);
-                let shift = i64::from(joins_at.0).wrapping_sub(self.raw(state, source).0.into());
+                let (joins_at, said) = match oldest.filter(|_| !stays) {
+                    // Where the two were at that time: it tells how the spindle has grown since.
+                    Some(Past { elongation, raw }) => {
+                        let said = raw.get(source as usize).copied().flatten();
+                        (elongation, said.unwrap_or_else(|| self.raw(state, source)))
+                    }
+                    None => (latest(), self.raw(state, source)),
+                };
+                let shift = i64::from(joins_at.0).wrapping_sub(said.0.into());
                 state.joint.shift = Nanometres::saturating(shift);
             }
             // What it has said before it was lost is no longer where it goes on from.
@@ -123,9 +131,12 @@ impl Bridge<'_> {
     /// A step of the heat: on the first source the shift is taken back.
     pub(super) fn rejoin(&self, state: &mut State) {
         if let SelectedSource::Source(_) = state.joint.selected {
-            let now = self.elongation(state);
+            let raw = ElongationSource::ALL
+                .map(|it| self.is_fresh(state, it).then(|| self.raw(state, it)));
+            let now = Past { elongation: self.elongation(state), raw };
             let [_, second, third] = state.joint.before;
             state.joint.before = [second, third, Some(now)];
+            state.joint.agreement.step(self.needs.first, &now);
         }
         if self.is_rejoining(state) {
             let rate = self.calibration.limits.rejoin_nm_per_s;
@@ -220,6 +231,12 @@ impl Bridge<'_> {
     pub fn fall_back_is_dead(&self, state: &State) -> bool {
         let sources = self.calibration.spindle.chain.into_iter().flatten();
         sources.skip(1).any(|source| self.is_dead(state, source))
+    }
+
+    /// Whether what the sources measure no longer fits the calibration: they grow apart.
+    #[must_use]
+    pub const fn is_unfit(&self, state: &State) -> bool {
+        state.joint.agreement.is_off()
     }
 
     /// The elongation by the source in use, as it goes on from the one before.

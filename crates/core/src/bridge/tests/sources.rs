@@ -167,3 +167,40 @@ fn the_age_is_that_of_the_oldest_position_of_an_axis_that_moves() {
     rig.tick(None);
     assert_eq!(rig.last.age_ms, 0);
 }
+
+#[test]
+fn sources_that_grow_apart_for_a_minute_no_longer_fit_and_those_that_differ_by_less_do() {
+    // 1.024 µm a code, 10 µm a kelvin.
+    for (codes, kelvin, is_unfit) in [
+        (0, 20, false),
+        (50, 20, true),
+        (50, 24, false),
+        (50, 22, true),
+        (14, 20, false),
+        (0, 23, true),
+    ] {
+        let mut machine = chain();
+        (machine.spindle.chain[2], machine.spindle.warmup) = (None, None);
+        let mut rig = Rig::new(machine);
+        hold(&mut rig, 1_300, 1_000, Some(20));
+        hold(&mut rig, 59_000, 1_000 + codes, Some(kelvin));
+        assert!(!rig.bridge.is_unfit(&rig.state), "not before a minute");
+        hold(&mut rig, 2_000, 1_000 + codes, Some(kelvin));
+        assert_eq!(rig.bridge.is_unfit(&rig.state), is_unfit, "{codes} codes, {kelvin} °C");
+        // Where they agree again it fits again.
+        hold(&mut rig, 1_000, 1_000, Some(20));
+        assert!(!rig.bridge.is_unfit(&rig.state));
+    }
+}
+
+#[test]
+fn a_source_that_takes_over_from_a_lost_one_keeps_the_growth_since() {
+    let mut rig = Rig::new(chain());
+    hold(&mut rig, 1_300, 1_050, Some(22));
+    let grown = rig.z_nm();
+    // The temperature has risen while the sensor's last words are 300 ms old.
+    hold(&mut rig, 250, 1_050, Some(23));
+    hold(&mut rig, 500, 0, Some(23));
+    assert_eq!(rig.last.quality, Quality::TemperatureModel);
+    assert_eq!(rig.z_nm(), grown + 10_000, "since then by its own word");
+}
