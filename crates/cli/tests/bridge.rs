@@ -20,7 +20,7 @@ use trueup_core::{
     dimensions::CODES_PER_TICK,
     units::{Code, Rpm},
 };
-use trueup_link::{frame::Frame, frames, layout::SDO_ANSWER_ID, slcan::Port};
+use trueup_link::{frames, layout::SDO_ANSWER_ID, slcan::Port};
 use trueup_machine::{Compiled, Machine, MachineFile, RunFile, compile};
 use trueup_node::node::{Line, Node};
 use trueup_store::{
