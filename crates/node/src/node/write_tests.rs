@@ -93,7 +93,7 @@ fn another_machine_gives_no_offset_until_confirm_and_is_the_boards_own_from_then
 fn store(node: &mut Node<'_>, first: u32) -> Vec<Write> {
     let mut stored = Vec::new();
     while let Some(write) = node.take_write() {
-        let sequence = first + stored.len() as u32;
+        let sequence = first + u32::try_from(stored.len()).expect("a few entries");
         let kept = Write { sequence, ..write };
         node.end_write(&write, Some(kept));
         stored.push(kept);

@@ -346,7 +346,7 @@ impl Rig {
             Some((Kind::Off | Kind::Open | Kind::Short, _)) => false,
             Some((Kind::Slow, _)) => due(400),
             Some((Kind::Delayed, lasts)) => lasts > 1_000 && due(period_ms),
-            Some((Kind::Intermittent, _)) => due(period_ms) && self.bits() % 2 == 0,
+            Some((Kind::Intermittent, _)) => due(period_ms) && self.bits().is_multiple_of(2),
             _ => due(period_ms),
         }
     }
