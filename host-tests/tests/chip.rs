@@ -255,7 +255,7 @@ fn an_error_of_the_flash_does_not_hold_up_the_next_zero() {
         return;
     };
     is_clean(&report);
-    says(&report, &["8 words programmed"]);
+    says(&report, &["24 words programmed"]);
     logs(&report, "stored: elongation");
 }
 
@@ -335,7 +335,7 @@ fn in_a_flood_at_the_rate_of_the_line_zero_is_stored_and_no_byte_is_lost() {
     let script = "0 flags 2\n200 flags 3\n300 say O\\r\n400 serial_flood V\\r\n600 flags 7\n";
     let Some(report) = run_script(script, &["--ms", "900"]) else { return };
     is_clean(&report);
-    says(&report, &["8 words programmed"]);
+    says(&report, &["24 words programmed"]);
     says(&report, &["resets []"]);
     assert!(number(&report, " received,") > 40_000.0, "{}", report.said);
     assert_eq!(number(&report, " overruns"), 0.0, "{}", report.said);

@@ -170,9 +170,9 @@ fn a_record_with_any_byte_flipped_is_refused_and_logged() {
     // What is refused has no effect, and the next Zero is stored behind it.
     assert!((last_z_um(&bench.live(800, 40.0, false)) - 40.0).abs() < 0.1);
     bench.live(400, 40.0, true);
-    bench.logged("reference 4 stored");
+    bench.logged("reference 5 stored");
     let mut bench = bench.restart(&ours);
-    bench.logged("reference 4 taken up");
+    bench.logged("reference 5 taken up");
     assert!(last_z_um(&bench.live(400, 40.0, false)).abs() < 0.1);
 }
 
