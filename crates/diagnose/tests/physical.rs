@@ -79,7 +79,8 @@ fn faults_that_hide_each_other_are_named() {
 /// corrected on another day does not begin there.
 #[test]
 fn where_a_lagged_law_stood_at_the_start_is_not_claimed() {
-    for seed in [1060, 1144] {
+    // Of the last, part of what lasts of the start is in the sensor's zero.
+    for seed in [1060, 1144, 190] {
         let judged = Case::draw(seed).judged();
         assert!(judged.told.is_right() && !judged.is_harmed(), "seed {seed}: {judged}");
         assert!(judged.told.open.iter().any(|cause| cause == "slow-mode"), "seed {seed}: {judged}");

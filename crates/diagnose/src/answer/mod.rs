@@ -24,14 +24,14 @@ mod worse;
 
 use std::sync::Arc;
 
-use trueup_machine::{BadInput, RunFile, file::Term};
+use trueup_machine::{BadInput, RunFile, effect::Effect, file::Term};
 use trueup_numerics::blocks::rms;
 
 use crate::{
     data::Data,
     fit::{Problem, fit},
     judge::Judgement,
-    kind::Kind,
+    kind::{Kind, Part},
     model::Model,
     outliers::are_of_readings,
     parameters::step_s,
@@ -228,13 +228,16 @@ fn kept(problem: &Problem, found: &Found, judged: &[Judgement]) -> Model {
 /// has settled to, and where something slow stood at first.
 fn without_this_record(problem: &Problem, model: &Model, term: &Judgement) -> Model {
     let mut rest = without_all(problem, model, std::iter::once(term.cause()));
-    if let Some(constant_um) = &mut rest.constant_um {
-        let parts = model.parts.iter().filter(|part| part.kind != *term.cause()).cloned().collect();
-        let less = Model { parts, ..model.clone() };
-        let [with, less] = [model, &less].map(|model| problem.predicted(model));
-        let mut effect = with.iter().zip(&less).map(|(with, less)| with - less);
-        let lasting = if term.is_of_the_start() { effect.next_back() } else { effect.next() };
-        *constant_um += lasting.unwrap_or(0.0);
+    let parts = model.parts.iter().filter(|part| part.kind != *term.cause()).cloned().collect();
+    let less = Model { parts, ..model.clone() };
+    let [with, less] = [model, &less].map(|model| problem.predicted(model));
+    let mut effect = with.iter().zip(&less).map(|(with, less)| with - less);
+    let lasting = if term.is_of_the_start() { effect.next_back() } else { effect.next() };
+    // The zero is a constant of its own, or that of the sensor.
+    let of_sensor = |part: &&mut Part| part.kind.cause().is_some_and(Effect::is_constant);
+    let of_sensor = rest.parts.iter_mut().find(of_sensor).map(|part| &mut part.values[0]);
+    if let Some(zero_um) = rest.constant_um.as_mut().or(of_sensor) {
+        *zero_um += lasting.unwrap_or(0.0);
     }
     rest
 }
