@@ -170,6 +170,10 @@ pub fn act_two(boards: &Boards, hidden: &Hidden, progress: &mut Progress<'_>) ->
     // The day as its bridge sees it: readings are not foreseen from readings.
     let unread = hidden.unread(&second)?;
     let promised = diagnosis.promised_on(&unread)?;
+    // What the bridge is off its own model, as the first day has shown, it will be again, before and after.
+    let of_bridge_um = day.off_the_model(&source, &first, &played)?;
+    let [before, after] = [promised.before_um, promised.after_um].map(|um| um.hypot(of_bridge_um));
+    let promised_reduction = 1.0 - after / before.max(f64::MIN_POSITIVE);
     let (missed, wrong) = judged(&faults, &report.findings);
     let envelope = envelope(hidden, &first, &source, &extended, quantity)?;
     Ok(ActTwo {
@@ -186,7 +190,7 @@ pub fn act_two(boards: &Boards, hidden: &Hidden, progress: &mut Progress<'_>) ->
             tool_rms_before_um,
             tool_rms_after_um,
             reduction: 1.0 - tool_rms_after_um / tool_rms_before_um,
-            promised_reduction: promised.reduction,
+            promised_reduction,
             faster,
             board_s,
         },
@@ -262,6 +266,26 @@ impl Day<'_> {
         pace.counter = started.counter;
         play(started.bridge, &machine, run, &pace, &|_| true, progress)
             .with_context(|| format!("on the {} board", self.boards.name()))
+    }
+
+    /// What the bridge corrects less what the file `source` predicts, RMS in µm: the steps of its clock, of its
+    /// codes and of its arithmetic. The zero of an axis's gauge does not count.
+    fn off_the_model(&self, source: &str, run: &RunFile, played: &Played) -> Result<f64> {
+        let machine = MachineFile::parse(source, Path::new("machine.toml"))?;
+        let corrected = played.corrected_um(self.quantity, &bench::machine(source, 1.0)?);
+        let predicted: Vec<f64> = Predictor::new(&machine, run)?
+            .rows()
+            .map(|row| row.compensated.all()[self.quantity as usize])
+            .collect();
+        let rows =
+            (0..run.rows()).filter(|&row| (1..FIRST_UNUSABLE).contains(&played.quality[row]));
+        let apart = rows.map(|row| corrected[row] - predicted[row]).filter(|um| um.is_finite());
+        let mut apart: Vec<f64> = apart.collect();
+        if self.quantity.axis().is_some() {
+            let mean = apart.iter().sum::<f64>() / apart.len().max(1) as f64;
+            apart.iter_mut().for_each(|um| *um -= mean);
+        }
+        Ok(if apart.is_empty() { 0.0 } else { rms(&apart) })
     }
 
     /// What the offsets leave of what was measured, NaN in rows without an offset; the zero of an axis's

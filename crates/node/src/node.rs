@@ -230,7 +230,7 @@ impl<'a> Node<'a> {
     /// # Errors
     /// A frame for this node that is damaged, repeated or out of order; it is counted and has no
     /// effect.
-    // A function of its own in every image: which functions it reaches is looked up there.
+    // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
     #[inline(never)]
     pub fn hear(&mut self, line: Line, frame: &Frame) -> Result<Option<Command>, Refused> {
         if frame.id() == SDO_REQUEST_ID {
@@ -301,7 +301,7 @@ impl<'a> Node<'a> {
     }
 
     /// One tick that ends `elapsed_ms` after the last one. Gives the frames to send.
-    // A function of its own in every image: which functions it reaches is looked up there.
+    // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
     #[inline(never)]
     pub fn tick(&mut self, elapsed_ms: u32, input: Input<'_>) -> Frames {
         self.now = self.now.after(elapsed_ms);
@@ -331,8 +331,6 @@ impl<'a> Node<'a> {
     /// answer to an SDO request, in this order, one frame at most. On the bus they share a place, so there are
     /// [`SERVICE_PERIOD_MS`] from one to the next, however often this is called.
     // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
-    #[inline(never)]
-    // A function of its own in every image: which functions it reaches is looked up there.
     #[inline(never)]
     pub fn service(&mut self) -> Option<Frame> {
         if !self.service_is_due() {

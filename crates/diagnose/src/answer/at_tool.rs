@@ -20,7 +20,7 @@ use trueup_machine::{BadInput, RunFile, file::is_temperature_column};
 use trueup_numerics::{random::Generator, robust::median};
 
 use crate::{
-    answer::{errors::about_zero, report::AtTool},
+    answer::{errors::about_zero, report::AtTool, wandering::wanders},
     data::{Data, Groups},
     fit::{Fitted, Problem, Spread, jacobian, spread},
     model::Model,
@@ -53,7 +53,11 @@ impl Grounds {
         Self {
             model: compensated.clone(),
             spread: spread(problem, &fitted, found.noise),
-            wanders: (1.0 - found.noise.white) * variance,
+            wanders: if wanders(problem, found) {
+                (1.0 - found.noise.white) * variance
+            } else {
+                0.0
+            },
         }
     }
 

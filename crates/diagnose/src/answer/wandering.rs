@@ -18,16 +18,12 @@ pub(crate) struct Wandering {
 }
 
 impl Wandering {
-    /// Of what `found` leaves, where there is time and nothing of it goes with what was recorded. Noise
-    /// wanders if its memory leaves less than half of the rows
-    /// independent: then neighbours say more about a row than its own reading does.
+    /// Of what `found` leaves, where there is time and nothing of it goes with what was recorded.
     pub(super) fn of(problem: &Problem, found: &Found) -> Option<Self> {
         if problem.data.time_s.is_none() || !found.lack_of_fit.is_empty() {
             return None;
         }
-        let steps = &problem.groups.steps;
-        let independent = noise::effective_rows(found.noise, steps);
-        if independent > 0.5 * problem.groups.len() as f64 {
+        if !wanders(problem, found) {
             return None;
         }
         let data = &problem.data;
@@ -37,6 +33,13 @@ impl Wandering {
             to_record: not_recorded(data),
         })
     }
+}
+
+/// Whether what `found` leaves wanders: its memory leaves less than half of the rows independent, so that
+/// neighbours say more about a row than its own reading does.
+pub(super) fn wanders(problem: &Problem, found: &Found) -> bool {
+    let independent = noise::effective_rows(found.noise, &problem.groups.steps);
+    independent <= 0.5 * problem.groups.len() as f64
 }
 
 /// What moves machines slowly and is no column of these runs.
