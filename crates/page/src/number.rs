@@ -10,19 +10,26 @@ pub fn micrometres(um: f64) -> String {
     format!("{um:.decimals$} µm")
 }
 
-/// A number in four digits that mean something.
+/// A number in four digits that mean something, in thousandths and less where it begins behind the point.
 ///
 /// ```
 /// assert_eq!(trueup_page::significant(1629.63), "1630");
-/// assert_eq!(trueup_page::significant(0.081_912), "0.08191");
+/// assert_eq!(trueup_page::significant(0.9541), "0.9541");
+/// assert_eq!(trueup_page::significant(-0.011_394), "-11.39·10⁻³");
+/// assert_eq!(trueup_page::significant(0.000_020_5), "20.50·10⁻⁶");
 /// ```
 #[must_use]
 pub fn significant(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {
         return if value == 0.0 { "0".into() } else { "–".into() };
     }
+    let (value, unit) = match value.abs() {
+        size if size >= 0.1 => (value, ""),
+        size if size >= 1e-4 => (value * 1e3, "·10⁻³"),
+        _ => (value * 1e6, "·10⁻⁶"),
+    };
     let decimals = (3.0 - value.abs().log10().floor()).clamp(0.0, 9.0) as usize;
-    format!("{value:.decimals$}")
+    format!("{value:.decimals$}{unit}")
 }
 
 /// The unit in which a time of so many seconds reads best, and how many seconds it has.
