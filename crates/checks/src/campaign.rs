@@ -57,8 +57,9 @@ pub fn fuzz(minutes: u64) -> Result<()> {
     process::run(&mut test)
 }
 
-/// Draws mutants of the crates that a board runs, and counts how many their own tests catch. Each is built
-/// and tested in a copy of the source; `target/mutants` has the lists.
+/// Draws mutants of the crates that a board runs, and counts how many their own tests catch: the unit tests of
+/// the crate first, which take seconds, and what those miss goes through all tests of the four crates. Built and
+/// tested in a copy of the source; `target/mutants` has the lists.
 ///
 /// # Errors
 /// cargo-mutants cannot be had, or the tests fail without a mutant. A mutant that is missed is no error.
@@ -74,21 +75,63 @@ pub fn mutants(draw: usize, seed: u64) -> Result<()> {
     let names = listed.as_array().context("a list of mutants")?.iter();
     let mut names: Vec<&str> = names.filter_map(|it| it["name"].as_str()).collect();
     names.sort_unstable();
+    let drawn = drawn(names, draw, seed);
+    let by_unit = try_mutants(call(), "unit-tests", &drawn, &["--cargo-test-arg=--lib"])?;
+    let missed: Vec<&str> = by_unit.missed.lines().collect();
+    let all_tests = PACKAGES.map(|name| format!("--test-package={name}"));
+    let by_all = match missed[..] {
+        [] => Outcome::default(),
+        _ => try_mutants(call(), "all-tests", &missed, &all_tests.each_ref().map(String::as_str))?,
+    };
+    println!(
+        "{} drawn: {} caught, {} by the time limit, {} do not compile, {} missed\n{}",
+        drawn.len(),
+        by_unit.caught + by_all.caught,
+        by_unit.timed_out + by_all.timed_out,
+        by_unit.unviable,
+        by_all.missed.lines().count(),
+        by_all.missed
+    );
+    Ok(())
+}
+
+/// What became of some mutants; `missed` has a line for each that nothing caught.
+#[derive(Default)]
+struct Outcome {
+    caught: usize,
+    timed_out: usize,
+    unviable: usize,
+    missed: String,
+}
+
+/// Tries these mutants with these options, and leaves the lists in `target/mutants/<folder>`.
+fn try_mutants(
+    mut run: Command,
+    folder: &str,
+    names: &[&str],
+    options: &[&str],
+) -> Result<Outcome> {
     let mut config = String::from("examine_re = [\n");
-    for name in drawn(names, draw, seed) {
+    for name in names {
         let escaped: String = name.chars().flat_map(escaped).collect();
         writeln!(config, "  '''^{escaped}$''',")?;
     }
     config.push_str("]\n");
-    let folder = setup::root().join("target/mutants");
+    let folder = setup::root().join("target/mutants").join(folder);
     fs::create_dir_all(&folder)?;
     fs::write(folder.join("drawn.toml"), config)?;
-    let mut run = call();
     run.args(["--no-shuffle", "--timeout", "120", "--config"]).arg(folder.join("drawn.toml"));
-    let status = run.arg("-o").arg(&folder).status()?;
+    let status = run.args(options).arg("-o").arg(&folder).status()?;
     // 2: some were missed, 3: some ran into the time limit, which is as good as caught.
     ensure!(matches!(status.code(), Some(0 | 2 | 3)), "cargo-mutants: {status}");
-    Ok(())
+    let list = |name: &str| fs::read_to_string(folder.join("mutants.out").join(name));
+    let count = |name: &str| list(name).map(|text| text.lines().count());
+    Ok(Outcome {
+        caught: count("caught.txt")?,
+        timed_out: count("timeout.txt")?,
+        unviable: count("unviable.txt")?,
+        missed: list("missed.txt")?,
+    })
 }
 
 /// As many of these as are asked for, the same for the same seed.
