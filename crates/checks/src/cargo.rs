@@ -29,7 +29,7 @@ pub fn plain(verb: &str) -> Command {
 pub fn tool(name: &str, version: &str) -> Result<PathBuf> {
     let folder = setup::root().join("target/tools");
     let program = folder.join("bin").join(name);
-    if !is_wanted(&program, version) {
+    if !is_wanted(&program, name, version) {
         eprintln!("building {name} {version} into target/tools");
         let mut install = locked("install");
         // It runs for a second: what counts is how long it takes to build.
@@ -41,8 +41,10 @@ pub fn tool(name: &str, version: &str) -> Result<PathBuf> {
     Ok(program)
 }
 
-fn is_wanted(program: &Path, version: &str) -> bool {
+fn is_wanted(program: &Path, name: &str, version: &str) -> bool {
+    // As cargo calls it: cargo-mutants knows no option without its verb.
+    let verb = name.trim_start_matches("cargo-");
     // Behind the name: `cargo-deny 0.20.2`.
-    process::output(Command::new(program).arg("--version"))
+    process::output(Command::new(program).args([verb, "--version"]))
         .is_ok_and(|said| said.split_whitespace().nth(1) == Some(version))
 }
