@@ -278,8 +278,12 @@ mod tests {
     const SLEW: f64 = 500e3;
 
     fn component() -> Component {
-        let pace =
-            Pace { slew_nm_per_s: SLEW, cycle_s: 1e-3, acceleration_nm_per_s2: f64::INFINITY };
+        let pace = Pace {
+            slew_nm_per_s: SLEW,
+            cycle_s: 1e-3,
+            acceleration_nm_per_s2: f64::INFINITY,
+            planner_keeps_slew: true,
+        };
         let limits = Limits {
             max_nm: [200_000; 3],
             stale: Duration::from_millis(100),

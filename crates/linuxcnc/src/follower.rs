@@ -5,7 +5,7 @@
 //!
 //! ```text
 //! r' = r + clamp(g − r, −d, d)         then kept within c ± lead, and counts ← counts + (r' − r)
-//! lead = v²/(2a) + d + (what c has come since the step before, at most d)
+//! lead = v²/(2a) + d, where LinuxCNC keeps the limit as well + (what c has come since the step before, at most d)
 //! ```
 //!
 //! Three things make it safe:
@@ -20,7 +20,9 @@
 //!   u = −aT + √(2a·e + a²T²) at the distance e = r − c, with a its acceleration. u = v at
 //!   e = v²/(2a) + vT, which is `lead`: an offset that could not move for a while (joint mode, soft
 //!   limit) cannot hurry afterwards. The rest is what the planner covers in the cycle that
-//!   `eoffset` does not show yet, taken from the cycle that it shows.
+//!   `eoffset` does not show yet, taken from the cycle that it shows. A planner that stops in that very cycle
+//!   would hurry by it afterwards; so it is given only where `OFFSET_AV_RATIO` has LinuxCNC itself keep the limit.
+//!   Where it has not, an offset follows at 1/(1 + 2aT/v) of the limit at least, never below half of it.
 
 use std::time::Duration;
 
@@ -49,6 +51,8 @@ pub struct Pace {
     /// The acceleration of LinuxCNC's planner for this offset, in nanometres a second²; infinite
     /// where it is not known, which costs speed, not safety.
     pub acceleration_nm_per_s2: f64,
+    /// LinuxCNC itself lets this offset change no faster than the slew limit (`OFFSET_AV_RATIO`).
+    pub planner_keeps_slew: bool,
 }
 
 impl Pace {
@@ -163,7 +167,8 @@ impl Follower {
         let goal = goal_nm.map_or(request, f64::from);
         let wanted = (goal - request).clamp(-pace.step(), pace.step());
         let moved = (offset - self.offset_before) * wanted.signum();
-        let lead = pace.lead() + moved.clamp(0.0, pace.step());
+        let covers = if pace.planner_keeps_slew { moved.clamp(0.0, pace.step()) } else { 0.0 };
+        let lead = pace.lead() + covers;
         let next = (request + wanted).clamp(offset - lead, offset + lead);
         if (next - (request + wanted)).abs() < SAME {
             self.held_since = None;

@@ -28,6 +28,14 @@ pub struct AxisMotion {
     pub ratio: f64,
 }
 
+impl AxisMotion {
+    /// How fast LinuxCNC itself lets an offset of this axis change, µm/s; to a billionth, which is arithmetic.
+    fn most_um_per_s(&self) -> Option<f64> {
+        let most = self.velocity_mm_per_s? * self.ratio * MICROMETRES_PER_MILLIMETRE;
+        Some((most * 1e9).round() / 1e9)
+    }
+}
+
 /// What the file says.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ini {
@@ -102,6 +110,7 @@ impl Ini {
                 .map(|acceleration| acceleration * axis.ratio * NANOMETRES_PER_MILLIMETRE)
                 .filter(|&acceleration| acceleration > 0.0)
                 .unwrap_or(f64::INFINITY),
+            planner_keeps_slew: axis.most_um_per_s().is_some_and(|most| most <= slew_um_per_s),
         })
     }
 
@@ -117,8 +126,11 @@ impl Ini {
                 ));
                 continue;
             }
-            let Some(velocity) = axis.velocity_mm_per_s else { continue };
-            let most_um_per_s = velocity * axis.ratio * MICROMETRES_PER_MILLIMETRE;
+            let (Some(velocity), Some(most_um_per_s)) =
+                (axis.velocity_mm_per_s, axis.most_um_per_s())
+            else {
+                continue;
+            };
             let proper = slew_um_per_s / MICROMETRES_PER_MILLIMETRE / velocity;
             if most_um_per_s < slew_um_per_s {
                 remarks.push(format!(
@@ -239,12 +251,28 @@ mod tests {
         let x = "MAX_ACCELERATION = 500\nOFFSET_AV_RATIO = 0.25";
         let [x, y, _] = with_x(x).paces(20.0);
         // 500 mm/s² · 0.25 = 125 mm/s².
-        let slew = Pace { slew_nm_per_s: 2e4, cycle_s: 1e-3, acceleration_nm_per_s2: 1.25e8 };
+        let slew = Pace {
+            slew_nm_per_s: 2e4,
+            cycle_s: 1e-3,
+            acceleration_nm_per_s2: 1.25e8,
+            planner_keeps_slew: false,
+        };
         assert_eq!(x, slew);
         let unknown = Pace { acceleration_nm_per_s2: f64::INFINITY, ..slew };
-        assert_eq!(y, unknown);
+        // Y's share of its speed is the slew limit.
+        assert_eq!(y, Pace { planner_keeps_slew: true, ..unknown });
         // An acceleration without a share moves nothing, and must not divide by 0.
         assert_eq!(with_x("MAX_ACCELERATION = 500").paces(20.0)[0], unknown);
+    }
+
+    #[test]
+    fn linuxcnc_keeps_the_slew_limit_where_its_share_of_the_speed_is_no_more() {
+        for (ratio, keeps) in
+            [("0.0025", true), ("0.0024", true), ("0.002501", false), ("0.1", false)]
+        {
+            let x = format!("MAX_VELOCITY = 200\nOFFSET_AV_RATIO = {ratio}");
+            assert_eq!(with_x(&x).paces(500.0)[0].planner_keeps_slew, keeps, "{ratio}");
+        }
     }
 
     #[test]

@@ -136,6 +136,7 @@ fn pace(slew_um_per_s: f64, acceleration_mm_per_s2: f64) -> Pace {
         slew_nm_per_s: slew_um_per_s * 1e3,
         cycle_s: CYCLE_S,
         acceleration_nm_per_s2: acceleration_mm_per_s2 * 1e6,
+        planner_keeps_slew: false,
     }
 }
 
@@ -165,8 +166,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
 
     /// `top`: what `OFFSET_AV_RATIO` permits, in slew limits. With 1, LinuxCNC itself keeps the
-    /// limit, with more the component alone does; then a change of mode in the very cycle after a
-    /// step may let one step be up to twice as large.
+    /// limit, with more the component alone does.
     #[test]
     fn no_step_is_larger_than_the_slew_limit_allows_and_the_goal_is_reached(
         events in events(),
@@ -175,11 +175,10 @@ proptest! {
         acceleration in prop_oneof![Just(5.0), Just(50.0), Just(500.0)],
         top in prop_oneof![Just(1.0), Just(40.0)],
     ) {
-        let pace = pace(slew, acceleration);
+        let pace = Pace { planner_keeps_slew: top <= 1.0, ..pace(slew, acceleration) };
         let motion = Motion::new(slew * 1e3 * top, acceleration * 1e6, counts);
         let mut both = Both::new(pace, motion);
-        let changes_mode = events.iter().any(|(event, _)| matches!(event, Event::Mode(_)));
-        let most = pace.step() * if top > 1.0 && changes_mode { 2.0 } else { 1.0 };
+        let most = pace.step();
         let mut goal = Some(0);
         for (event, turns) in &events {
             match *event {
@@ -197,7 +196,7 @@ proptest! {
         both.motion.homed = true;
         both.motion.moves = true;
         // A whole turn round at the limit, and then some for the planner to settle.
-        let cycles = (130_000.0 / pace.step()) as u32 * 2 + 1_500;
+        let cycles = (130_000.0 / pace.step()) as u32 * 3 + 1_500;
         for _ in 0..cycles {
             let step = both.cycle(2, Some(31_234));
             prop_assert!(step <= most + 1e-3, "{step} of {most} nm");

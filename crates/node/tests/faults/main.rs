@@ -7,3 +7,5 @@ mod changes;
 mod emergencies;
 mod matrix;
 mod rig;
+#[path = "../spindle_model/mod.rs"]
+mod spindle_model;

@@ -4,26 +4,22 @@
 use trueup_canopen::emergency::{Fault, decode};
 use trueup_core::{
     bridge::Input,
-    calibration::{
-        AxisModel, AxisThermal, Calibration, ElongationSource, Names, SpindleModel,
-        SpindleTemperature, SpindleWarmup,
-    },
+    calibration::{AxisModel, AxisThermal, Calibration, Names},
     cnc::{AxisPosition, Control, Heading, LinearAxis, Output, Spindle},
     dimensions::{CHANNELS, CODES_PER_TICK},
     kinematics::Kinematics,
     lag::SmoothingFactor,
     limits::Limits,
     pitch::Pitch,
-    sensor::{SensorLaw, Slope},
-    thermal::{Law, Piece},
     thermometer::{Raw, Thermometer},
     tool::Direction,
     travel::Interval,
-    units::{Code, Fine, Nanometres, Position, Reading, Rpm, Temperature},
-    warmup::Warmup,
+    units::{Code, Nanometres, Position, Rpm, Temperature},
 };
 use trueup_link::{frame::Frame, frames, layout::EMERGENCY_ID};
 use trueup_node::node::{Line, Node};
+
+use crate::spindle_model::{KnownSpindle, law};
 
 /// A code is so many nanometres of growth; the sensor reads so many codes without any.
 const NM_PER_CODE: f64 = 122.0;
@@ -40,15 +36,6 @@ const RAW_PER_K: f64 = 4_096.0;
 const SPINDLE_NM_PER_K: f64 = 4_000.0;
 const AXIS_NM_PER_K: f64 = 2_000.0;
 const SPEED: u16 = 12_000;
-
-/// K₀(T) that rises by so much a kelvin from 20 °C.
-fn law(nm_per_kelvin: f64) -> Law<'static> {
-    // 1/16 of 1/256 nm by 1.024 K.
-    let slope = nm_per_kelvin * 256.0 * 1.024 * 16.0;
-    let start = Temperature(20 * Temperature::PER_KELVIN);
-    let piece = Piece { start, constant_slope: slope.round() as i32, ..Piece::default() };
-    Law { pieces: Box::leak(Box::new([piece.to_bytes()])) }
-}
 
 /// 20 µm a metre over 1 m.
 fn table() -> Pitch<'static> {
@@ -67,9 +54,15 @@ pub fn calibration() -> Calibration<'static> {
     thermometers[SPINDLE_CHANNEL] = Some(linear);
     thermometers[AXIS_CHANNEL] = Some(linear);
     let none = SmoothingFactor::NO_LAG;
-    let per_step = SmoothingFactor((-(-0.1 / TAU_S).exp_m1() * 2_f64.powi(32)).round() as u32);
-    let sources =
-        [ElongationSource::Sensor, ElongationSource::Temperature, ElongationSource::Warmup];
+    let spindle = KnownSpindle {
+        zero_code: ZERO_CODE,
+        nm_per_code: NM_PER_CODE,
+        channel: SPINDLE_CHANNEL as u8,
+        nm_per_kelvin: SPINDLE_NM_PER_K,
+        lag: none,
+        growth_nm: GROWTH_NM,
+        tau_s: TAU_S,
+    };
     let x = AxisModel {
         thermal: Some(AxisThermal {
             channel: AXIS_CHANNEL as u8,
@@ -83,30 +76,7 @@ pub fn calibration() -> Calibration<'static> {
     };
     Calibration {
         thermometers,
-        spindle: SpindleModel {
-            chain: sources.map(Some),
-            sensor: SensorLaw {
-                k0: Nanometres(0),
-                zero: Reading((ZERO_CODE * 1024.0) as i32),
-                slope: Slope((NM_PER_CODE / 1024.0 * 2_f64.powi(28)).round() as i32),
-            },
-            temperature: Some(SpindleTemperature {
-                channel: SPINDLE_CHANNEL as u8,
-                smoothing: none,
-                smoothing_falling: none,
-                law: law(SPINDLE_NM_PER_K),
-            }),
-            warmup: Some(SpindleWarmup {
-                law: Warmup {
-                    lag_ms: 0,
-                    max: Fine((GROWTH_NM * 256.0) as i32),
-                    smoothing_heating: per_step,
-                    smoothing_cooling: per_step,
-                    full: 1 << Warmup::FULL_FRACTION_BITS,
-                },
-                power: Default::default(),
-            }),
-        },
+        spindle: spindle.model(),
         kinematics: Kinematics { zero: Direction::DOWN, axes: [None; 2] },
         axes: [x, AxisModel::default(), AxisModel::default()],
         straightness: Default::default(),

@@ -2,25 +2,21 @@
 //! the rules of the README.
 
 use trueup_core::{
-    calibration::{
-        AxisModel, Calibration, ElongationSource, Names, SpindleModel, SpindleTemperature,
-        SpindleWarmup,
-    },
+    calibration::{AxisModel, Calibration, Names},
     cnc::{Control, Output, Spindle},
     dimensions::CHANNELS,
     kinematics::Kinematics,
-    lag::SmoothingFactor,
     limits::Limits,
-    sensor::{SensorLaw, Slope},
-    thermal::{Law, Piece},
     thermometer::Thermometer,
     tool::Direction,
-    units::{Fine, Nanometres, Reading, Rpm, Temperature},
-    warmup::Warmup,
+    units::{Nanometres, Rpm, Temperature},
 };
 use trueup_link::{frame::Frame, frames, receiver::OffsetReceiver};
 
-use crate::axis::pitch;
+use crate::{
+    axis::pitch,
+    spindle_model::{KnownSpindle, per_step},
+};
 
 /// The largest offset on an axis, nm, and the slew limit, nm in a millisecond.
 pub const MAX_NM: i32 = 15_000;
@@ -36,54 +32,24 @@ pub const GROWTH_NM: f64 = 60_000.0;
 /// The law by temperature, in nm a kelvin.
 pub const NM_PER_KELVIN: i32 = 4_000;
 
-fn pieces() -> &'static [[u8; 20]] {
-    // K₀ rises by NM_PER_KELVIN from 20 °C: 1/16 of 1/256 nm by 1.024 K.
-    let slope = f64::from(NM_PER_KELVIN) * 256.0 * 1.024 * 16.0;
-    let start = Temperature(20 * Temperature::PER_KELVIN);
-    let piece = Piece { start, constant_slope: slope.round() as i32, ..Piece::default() };
-    Box::leak(Box::new([piece.to_bytes()]))
-}
-
 /// A sensor, then a temperature with a lag, then running time; and one of the two tables of X.
 pub fn calibration(table: usize) -> Calibration<'static> {
     let mut thermometers = [None; CHANNELS];
     // One count a kelvin.
     thermometers[2] = Some(Thermometer::Linear { zero: 0, slope: 16_000, shift: 0 });
     thermometers[4] = thermometers[2];
-    let per_step = SmoothingFactor((-(-0.1 / TAU_S).exp_m1() * 2_f64.powi(32)).round() as u32);
-    let temperature = SpindleTemperature {
+    let spindle = KnownSpindle {
+        zero_code: ZERO_CODE,
+        nm_per_code: NM_PER_CODE,
         channel: 2,
-        smoothing: per_step,
-        smoothing_falling: per_step,
-        law: Law { pieces: pieces() },
-    };
-    let warmup = SpindleWarmup {
-        law: Warmup {
-            lag_ms: 0,
-            max: Fine((GROWTH_NM * 256.0) as i32),
-            smoothing_heating: per_step,
-            smoothing_cooling: per_step,
-            full: 1 << Warmup::FULL_FRACTION_BITS,
-        },
-        power: Default::default(),
+        nm_per_kelvin: NM_PER_KELVIN.into(),
+        lag: per_step(TAU_S),
+        growth_nm: GROWTH_NM,
+        tau_s: TAU_S,
     };
     Calibration {
         thermometers,
-        spindle: SpindleModel {
-            chain: [
-                ElongationSource::Sensor,
-                ElongationSource::Temperature,
-                ElongationSource::Warmup,
-            ]
-            .map(Some),
-            sensor: SensorLaw {
-                k0: Nanometres(0),
-                zero: Reading((ZERO_CODE * 1024.0) as i32),
-                slope: Slope((NM_PER_CODE / 1024.0 * 2_f64.powi(28)).round() as i32),
-            },
-            temperature: Some(temperature),
-            warmup: Some(warmup),
-        },
+        spindle: spindle.model(),
         kinematics: Kinematics { zero: Direction::DOWN, axes: [None; 2] },
         axes: [
             AxisModel { pitch: Some(pitch(table)), ..AxisModel::default() },

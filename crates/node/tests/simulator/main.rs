@@ -11,6 +11,8 @@
 mod axis;
 mod hostile;
 mod machine;
+#[path = "../spindle_model/mod.rs"]
+mod spindle_model;
 mod world;
 
 use std::{
