@@ -111,6 +111,7 @@ mod app {
         let node = cx.local.place.write(Node::new(parts.calibration.ok(), faults.degrade()));
         faults.all().for_each(|fault| node.note(fault));
         node.note_start(parts.start);
+        node.set_serial_number(parts.serial_number);
         node.set_blob(parts.blob);
         if parts.is_older {
             node.ask(Fault::OlderCalibration);
@@ -144,7 +145,7 @@ mod app {
         defmt::error!("a test build: it breaks when it is told to");
         let shared = Shared {
             node,
-            port: Port::new(parts.number),
+            port: Port::new(board::short(parts.serial_number)),
             can_out: parts.can_out,
             samples: parts.samples,
             temperatures: None,

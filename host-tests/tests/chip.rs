@@ -133,6 +133,14 @@ fn what_zero_has_taken_is_stored_and_taken_up_at_the_next_start() {
     says(&report, &["OffsetZ at", " 0.0", "µm, quality 1", "(last)"]);
 }
 
+/// The number of the model's chip, hashed as FNV-1a is described; not that of every other board.
+fn hash_of_the_number() -> u32 {
+    let number = [0x31, 0, 0x2a, 0, 0x0b, 0x47, 0x33, 0x32, 0x36, 0x35, 0x39, 0x35_u8];
+    number
+        .iter()
+        .fold(0x811c_9dc5_u32, |hash, byte| (hash ^ u32::from(*byte)).wrapping_mul(16_777_619))
+}
+
 #[test]
 fn the_serial_line_answers_as_slcan_does() {
     let Some(report) = run(&["--bor", "--ms", "500", "--say", "300", "V\\rN\\rS8\\rO\\r"]) else {
@@ -141,22 +149,18 @@ fn the_serial_line_answers_as_slcan_does() {
     is_clean(&report);
     says(&report, &["serial: \"V1013"]);
     says(&report, &["serial: \"t2818"]);
-    // The number of the model's chip, hashed as FNV-1a is described; not that of every other board.
-    let number = [0x31, 0, 0x2a, 0, 0x0b, 0x47, 0x33, 0x32, 0x36, 0x35, 0x39, 0x35_u8];
-    let hash = number
-        .iter()
-        .fold(0x811c_9dc5_u32, |hash, byte| (hash ^ u32::from(*byte)).wrapping_mul(16_777_619));
+    let hash = hash_of_the_number();
     says(&report, &[&format!("serial: \"N{:04X}", (hash >> 16) ^ (hash & 0xffff))]);
 }
 
 #[test]
-fn a_canopen_master_reads_the_device_type() {
-    let Some(report) = run(&["--bor", "--ms", "300", "--frame", "200", "601#4000100000000000"])
-    else {
-        return;
-    };
+fn a_canopen_master_reads_the_device_type_and_the_boards_own_serial_number() {
+    let ask = ["--frame", "200", "601#4000100000000000", "--frame", "220", "601#4018100400000000"];
+    let Some(report) = run(&[&["--bor", "--ms", "300"], &ask[..]].concat()) else { return };
     is_clean(&report);
     says(&report, &["581 at", "[43, 00, 10, 00"]);
+    let answer = format!(" can 581 43181004{:08x}", hash_of_the_number().swap_bytes());
+    assert!(report.events.iter().any(|event| event.contains(&answer)), "no {answer}");
 }
 
 #[test]

@@ -121,6 +121,12 @@ impl Faults {
     }
 }
 
+/// The serial number folded to 16 bits, as `N` answers it on the serial line. Two boards of a shop have the
+/// same one once in 65 536 pairs.
+pub const fn short(serial_number: u32) -> u16 {
+    (serial_number >> 16) as u16 ^ serial_number as u16
+}
+
 /// A board that is up, in parts, each for one task.
 pub struct Parts {
     pub samples: Samples,
@@ -140,8 +146,8 @@ pub struct Parts {
     /// How the board came to run.
     pub start: Start,
     pub self_test: SelfTest,
-    /// What `N` answers on the serial line: a hash of the number that the chip has from its factory.
-    pub number: u16,
+    /// A hash of the number that the chip has from its factory.
+    pub serial_number: u32,
     /// The number that the chip has from its factory, the lowest word first.
     pub chip: [u32; 3],
     /// The bytes of the calibration in use; empty without one.

@@ -142,7 +142,7 @@ pub fn start(
         faults: Faults::default(),
         start: Start::default(),
         self_test: SelfTest,
-        number: 1,
+        serial_number: 1,
         chip: [1, 0, 0],
         blob: if calibration_is_good { blob.unwrap_or_default() } else { &[] },
         is_older,

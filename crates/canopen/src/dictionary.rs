@@ -90,6 +90,8 @@ pub enum ObjectKind {
     Fixed(u32),
     /// A constant text, in ASCII.
     Text(&'static str),
+    /// A hash of the number that the chip has from its factory, 0…2³² − 1.
+    SerialNumber,
     /// CiA 301 error register.
     ErrorRegister,
     /// How many errors the history holds; writing 0 clears it.

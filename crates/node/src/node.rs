@@ -99,6 +99,8 @@ pub struct Node<'a> {
     status_counter: u8,
     last_refused: Reason,
     start: Start,
+    /// As CANopen's identity object has it.
+    serial_number: u32,
     free_stack: u16,
     restart: bool,
     degraded: bool,
@@ -155,6 +157,7 @@ impl<'a> Node<'a> {
             status_counter: 0,
             last_refused: Reason::None,
             start: Start::default(),
+            serial_number: 1,
             free_stack: u16::MAX,
             restart: false,
             degraded,

@@ -17,6 +17,8 @@ pub struct Case {
     pub flag: Option<(Flags, &'static str)>,
     pub state: Option<StateBits>,
     pub emergency: Option<Fault>,
+    /// The emergency came before anybody listened: the history, object 0x1003, has it.
+    pub is_history: bool,
     /// The board starts anew, and says why.
     pub restart: Option<ResetReason>,
     /// The task that it names after that.
@@ -27,7 +29,8 @@ impl Case {
     /// A fault that changes nothing, unless more is said.
     pub const fn new(fault: &'static str, at: u32, within: u32) -> Self {
         let (quality, flag, state, emergency) = (None, None, None, None);
-        Self { fault, at, within, quality, flag, state, emergency, restart: None, task: None }
+        let (is_history, restart, task) = (false, None, None);
+        Self { fault, at, within, quality, flag, state, emergency, is_history, restart, task }
     }
 
     pub const fn quality(self, quality: Quality) -> Self {
@@ -44,6 +47,11 @@ impl Case {
 
     pub const fn emergency(self, fault: Fault) -> Self {
         Self { emergency: Some(fault), ..self }
+    }
+
+    /// An emergency that whoever opens the line later reads in the history, because there is no CAN.
+    pub const fn history(self, fault: Fault) -> Self {
+        Self { emergency: Some(fault), is_history: true, ..self }
     }
 
     /// The board is "not available" meanwhile.
@@ -90,9 +98,14 @@ impl Case {
             want(offsets().any(|(_, (_, it))| it.contains(flag)), format!("flag {name}"));
         }
         if let Some(fault) = self.emergency {
-            let mut told = seen.emergencies.iter();
-            let is_told = told.any(|(time, it)| within(time) && *it == fault as u8);
-            want(is_told, format!("emergency {fault:?}"));
+            // As CiA 301 packs it: the code, and the manufacturer's half above it.
+            let entry = u32::from(fault.code()) | (fault as u32) << 16;
+            let is_kept = seen.objects.iter().any(|(time, ((index, _), value))| {
+                within(time) && *index == HISTORY && *value == entry
+            });
+            let is_told =
+                seen.emergencies.iter().any(|(time, it)| within(time) && *it == fault as u8);
+            want(if self.is_history { is_kept } else { is_told }, format!("emergency {fault:?}"));
         }
         let mut object =
             |index: u16, subindex: u8, is_right: &dyn Fn(u32) -> bool, what: String| {
@@ -125,6 +138,7 @@ impl Case {
         });
         let emergency =
             self.emergency.map_or(String::new(), |it| format!("{:04X} {it:?}", it.code()));
+        let emergency = if self.is_history { emergency + ", in 0x1003" } else { emergency };
         let restart = self.restart.map_or(String::new(), |it| match self.task {
             Some(task) => format!("`{}`, in task `{task}`", it.word()),
             None => format!("`{}`", it.word()),
@@ -135,6 +149,9 @@ impl Case {
         )
     }
 }
+
+/// CiA 301: the pre-defined error field, the newest emergency first.
+pub const HISTORY: u16 = 0x1003;
 
 /// Index and sub-index of an object.
 type At = (u16, u8);

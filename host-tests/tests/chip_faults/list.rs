@@ -196,13 +196,10 @@ fn image_changes() -> Run {
 }
 
 fn ram() -> Run {
-    run("ram", "", 600).options(&["--bor", "--ram-stuck", "20012340"]).case(
-        "a bit that is always 1",
-        Case::new("the RAM is damaged", 0, 300)
-            .quality(Quality::Fault)
-            .state(StateBits::SELF_TEST)
-            .emergency(Fault::SelfTest),
-    )
+    let damaged = Case::new("the RAM is damaged", 0, 300).quality(Quality::Fault);
+    let options = &["--bor", "--ram-stuck", "20012340"];
+    let told = damaged.state(StateBits::SELF_TEST).emergency(Fault::SelfTest);
+    run("ram", "", 600).options(options).case("a bit that is always 1", told)
 }
 
 fn sampling() -> Run {
@@ -238,31 +235,28 @@ fn cable() -> Run {
         .case("the input at its end", off("the sensor's cable is short to the supply", 2_300))
 }
 
+/// The sensor goes on; what would take its place has gone.
+fn dead_source(fault: &'static str, at: u32, within: u32) -> Case {
+    Case::new(fault, at, within).state(StateBits::SOURCE_DEAD).emergency(Fault::SourceDead)
+}
+
 fn thermometers() -> Run {
-    let dead = |fault, at| {
-        Case::new(fault, at, 600).state(StateBits::SOURCE_DEAD).emergency(Fault::SourceDead)
-    };
+    let dead = |fault, at| dead_source(fault, at, 600);
     run("thermometers", "800 rtd 0 open\n1600 rtd 0 20\n2400 rtd 0 short\n", 3_200)
         .case("its wire is off", dead("a thermometer is open", 800))
         .case("its wires touch", dead("a thermometer is short", 2_400))
 }
 
 fn spi() -> Run {
-    let dead = |fault, at| {
-        Case::new(fault, at, 1_200).state(StateBits::SOURCE_DEAD).emergency(Fault::SourceDead)
-    };
     run("spi", "800 miso 0\n", 2_200)
-        .case("MISO is low for ever", dead("the thermometers' bus is stuck", 800))
+        .case("MISO is low for ever", dead_source("the thermometers' bus is stuck", 800, 1_200))
 }
 
 fn no_thermometer() -> Run {
-    run("no thermometer", "", 1_800).options(&["--bor", "--rtds", "0"]).case(
-        "none is fitted",
-        Case::new("the thermometers are missing", 0, 1_400)
-            .quality(Quality::Live)
-            .state(StateBits::SOURCE_DEAD)
-            .emergency(Fault::SourceDead),
-    )
+    let missing = dead_source("the thermometers are missing", 0, 1_400).quality(Quality::Live);
+    run("no thermometer", "", 1_800)
+        .options(&["--bor", "--rtds", "0"])
+        .case("none is fitted", missing)
 }
 
 fn can() -> Run {
@@ -344,7 +338,8 @@ fn crystal_stops() -> Run {
         Case::new("the crystal stops", 500, 600)
             .restart(ResetReason::Crystal)
             .flag(Flags::BOARD_DEGRADED, "board degraded")
-            .state(StateBits::FALL_BACK_CLOCK),
+            .state(StateBits::FALL_BACK_CLOCK)
+            .history(Fault::Crystal),
     )
 }
 
@@ -360,17 +355,17 @@ fn without_can(name: &'static str, options: &'static [&'static str], case: Case,
 }
 
 fn dead_crystal() -> Run {
-    let case = Case::new("the crystal is dead", 0, 500);
+    let case = Case::new("the crystal is dead", 0, 500).history(Fault::Crystal);
     without_can("dead crystal", &["--bor", "--hse-dead"], case, "it never starts")
 }
 
 fn unknown_crystal() -> Run {
-    let case = Case::new("an unknown crystal", 0, 500);
+    let case = Case::new("an unknown crystal", 0, 500).history(Fault::Crystal);
     without_can("unknown crystal", &["--bor", "--crystal", "10000000"], case, "one of 10 MHz")
 }
 
 fn dead_pll() -> Run {
-    let case = Case::new("the PLL is dead", 0, 1_500);
+    let case = Case::new("the PLL is dead", 0, 1_500).history(Fault::Pll);
     let mut run = without_can("dead pll", &["--bor", "--pll-dead"], case, "it never locks");
     run.script += "700 say S8\\rO\\r\n";
     run.ms = 1_600;
@@ -403,7 +398,14 @@ fn write_protected() -> Run {
     run("write-protected", "500 flags 7\n520 flags 3\n", 900)
         .options(&["--bor", "--write-protected"])
         .case(
-            "the option bytes protect the store, and a `Zero` comes",
+            "the option bytes protect the store: the start tells",
+            Case::new("the store cannot be written", 0, 250)
+                .quality(Quality::Fault)
+                .state(StateBits::STORE_FAILING)
+                .emergency(Fault::Store),
+        )
+        .case(
+            "the same, and a `Zero` comes",
             Case::new("the store cannot be written", 500, 300).state(StateBits::STORE_FAILING),
         )
 }

@@ -26,16 +26,13 @@ pub fn words(dbgmcu: &DBGMCU) -> [u32; 3] {
     words
 }
 
-/// Its hash, for people and for `N` on the serial line: FNV-1a over 32 bits, folded to 16. Two boards
-/// of a shop have the same one once in 65 536 pairs.
-///
-/// An emulator without a device code has no system memory either, where the number would stand: 1.
-pub fn short(dbgmcu: &DBGMCU) -> u16 {
+/// Its hash, FNV-1a over 32 bits, for CANopen's serial number; 1 in an emulator without a device code,
+/// which has no system memory either, where the number would stand.
+pub fn hash(dbgmcu: &DBGMCU) -> u32 {
     if dbgmcu.idcode().read().bits() == 0 {
         return 1;
     }
-    let hash = unique()
+    unique()
         .into_iter()
-        .fold(0x811C_9DC5_u32, |hash, byte| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193));
-    (hash >> 16) as u16 ^ hash as u16
+        .fold(0x811C_9DC5, |hash, byte| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193))
 }

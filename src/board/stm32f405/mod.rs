@@ -165,6 +165,7 @@ pub fn start(
         let inputs = linear_inputs::start(device.ADC2, pins, plan.others(), &mut rcc);
         thermometers.set_linear(inputs);
     }
+    let serial_number = identity::hash(&device.DBGMCU);
     start_supervisor_clock(&mut core.SYST, rcc.clocks.hclk().raw());
     watchdog.tighten();
     Parts {
@@ -187,7 +188,7 @@ pub fn start(
         watchdog,
         start: began,
         self_test,
-        number: identity::short(&device.DBGMCU),
+        serial_number,
         chip: identity::words(&device.DBGMCU),
     }
 }

@@ -158,7 +158,7 @@ pub const OBJECTS: &[Object] = &[
             constant(1, "Vendor-ID", Type::U32, 0),
             constant(2, "Product code", Type::U32, 1),
             constant(3, "Revision number", Type::U32, 0x0001_0000),
-            constant(4, "Serial number", Type::U32, 1),
+            read(4, "Serial number", Type::U32, ObjectKind::SerialNumber),
         ],
     ),
     record(

@@ -15,6 +15,11 @@ use trueup_store::{calibration::identity, load::LoadError, writes::What};
 use super::{Node, Zero};
 
 impl Node<'_> {
+    /// Sets the serial number of the identity object (0x1018:04), 0…2³² − 1: a board of its own has its own.
+    pub fn set_serial_number(&mut self, number: u32) {
+        self.serial_number = number;
+    }
+
     /// Whether the operator allows that a master changes the board, and no offset is followed.
     pub(super) fn may_be_changed(&self) -> bool {
         self.is_at_rest() && self.master.authority() == Authority::Service
@@ -62,6 +67,7 @@ impl Node<'_> {
         let reference = self.state.reference();
         Ok(match what {
             ObjectKind::Fixed(number) => number,
+            ObjectKind::SerialNumber => self.serial_number,
             ObjectKind::ErrorRegister => self.faults(&self.last).register().into(),
             ObjectKind::ErrorCount => u32::try_from(self.emergencies.count()).unwrap_or(u32::MAX),
             ObjectKind::Error(number) => self.emergencies.error(number).ok_or(Abort::NoData)?,
