@@ -20,6 +20,7 @@ mod fit;
 mod linuxcnc;
 mod output;
 mod predict;
+mod program;
 mod runs;
 mod show;
 mod simulate;
@@ -62,6 +63,7 @@ enum Command {
         #[arg(value_name = "CAL.bin")]
         calibration: PathBuf,
     },
+    Program(program::Program),
     Simulate(simulate::Simulate),
     /// Looks at a bridge, real or virtual, or gives it a calibration.
     Bridge {
@@ -119,6 +121,7 @@ fn run(cli: &Cli) -> Result<Outcome> {
         Command::Fit(args) => fit::run(args, cli.json),
         Command::LinuxCnc(args) => linuxcnc::run(args),
         Command::Show { calibration } => show::run(calibration, cli.json),
+        Command::Program(args) => program::run(args, cli.json),
         Command::Simulate(args) => simulate::run(args, cli.json),
         Command::Bridge { command } => bridge::run(command, cli.json),
     }

@@ -121,6 +121,7 @@ pub(super) fn inverse(axis: &calibration::AxisModel<'_>) -> file::AxisModel {
     let has_backlash = *backlash != Fine::ZERO || *travel != travel::Config::default();
     file::AxisModel {
         feedback: Feedback::Screw,
+        travel_mm: None,
         thermal: thermal.as_ref().map(heat::inverse_of_axis),
         pitch: pitch.as_ref().map(pitch::inverse),
         backlash: has_backlash.then(|| Backlash {

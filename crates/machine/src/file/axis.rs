@@ -64,6 +64,9 @@ impl RotaryAxis {
 pub struct AxisModel {
     /// Where its position is measured.
     pub feedback: Feedback,
+    /// How far it may be sent, in mm of machine coordinates, the lower end first; `None`: not
+    /// known. For programs that measure; no correction depends on it.
+    pub travel_mm: Option<[f64; 2]>,
     /// How it grows with a temperature.
     pub thermal: Option<Thermal>,
     /// Its position errors; of the first of two drives where there is a `dual`.
@@ -228,10 +231,11 @@ pub(super) fn read(section: &Section<'_>) -> Result<[AxisModel; 3], BadInput> {
 }
 
 fn read_axis(section: &Section<'_>, of: LinearAxis) -> Result<AxisModel, BadInput> {
-    section.allow_only(&["feedback", "thermal", "pitch", "backlash", "dual"])?;
+    section.allow_only(&["feedback", "travel_mm", "thermal", "pitch", "backlash", "dual"])?;
     let feedbacks = [("screw", Feedback::Screw), ("scale", Feedback::Scale)];
     let axis = AxisModel {
         feedback: section.choice("feedback", &feedbacks)?.unwrap_or_default(),
+        travel_mm: read_travel(section)?,
         thermal: section.section("thermal")?.map(|thermal| read_thermal(&thermal)).transpose()?,
         pitch: section.section("pitch")?.map(|pitch| read_pitch_alone(&pitch)).transpose()?,
         backlash: section.section("backlash")?.map(|lash| read_backlash(&lash)).transpose()?,
@@ -258,6 +262,17 @@ fn read_axis(section: &Section<'_>, of: LinearAxis) -> Result<AxisModel, BadInpu
         }
     }
     Ok(axis)
+}
+
+fn read_travel(section: &Section<'_>) -> Result<Option<[f64; 2]>, BadInput> {
+    let Some(ends) = section.numbers("travel_mm")? else { return Ok(None) };
+    match ends[..] {
+        [low, high] if low < high => Ok(Some([low, high])),
+        _ => {
+            let rule = "must be the two ends of the travel, the lower one first: [0.0, 1000.0]";
+            Err(section.bad("travel_mm", rule))
+        }
+    }
 }
 
 fn read_thermal(section: &Section<'_>) -> Result<Thermal, BadInput> {
@@ -369,8 +384,16 @@ fn read_dual(section: &Section<'_>, driven: LinearAxis) -> Result<Dual, BadInput
 pub(super) fn write(axis: &AxisModel, of: LinearAxis) -> Vec<NewSection> {
     let name = format!("axis.{}", of.name());
     let mut sections = Vec::new();
-    if axis.feedback == Feedback::Scale {
-        sections.push(NewSection::new(&name).text("feedback", "scale"));
+    let is_scale = axis.feedback == Feedback::Scale;
+    if is_scale || axis.travel_mm.is_some() {
+        let mut own = NewSection::new(&name);
+        if is_scale {
+            own = own.text("feedback", "scale");
+        }
+        if let Some(ends) = axis.travel_mm {
+            own = own.numbers("travel_mm", &ends[..]);
+        }
+        sections.push(own);
     }
     sections.extend(axis.thermal.as_ref().map(|thermal| write_thermal(&name, thermal)));
     sections.extend(

@@ -1,0 +1,225 @@
+//! `trueup program`: the motion programs that measure a machine, and the run files to be filled in.
+
+use std::{fs, path::PathBuf};
+
+use anyhow::Result;
+use clap::{Args, ValueEnum};
+use serde_json::json;
+use trueup_machine::{MachineFile, file::LinearAxis};
+use trueup_program::{Gauge, Kind, Options, control, plans, template};
+
+use crate::{Outcome, UserError, output};
+
+/// Writes the program that measures a machine, for your control, and the run file to be filled in.
+///
+/// The program stays inside travel_mm of the machine file and moves only the axes that it names. Run it
+/// in the air, with a hand on the feed override, before you trust it with a gauge.
+#[derive(Args)]
+pub struct Program {
+    /// What is to be measured.
+    kind: What,
+    /// The machine file; its travel_mm say how far the axes may go.
+    #[arg(long, value_name = "M.toml")]
+    machine: PathBuf,
+    /// The control that is to run it.
+    #[arg(long = "for", value_name = "CONTROL")]
+    control: For,
+    /// The folder for the programs and run files; made if it is not there.
+    #[arg(short, long, alias = "output", value_name = "DIR")]
+    out: PathBuf,
+    /// These axes only; left out, all whose travel is known.
+    #[arg(long, value_name = "x,y,z", value_delimiter = ',')]
+    axis: Vec<Axis>,
+    /// The travel of an axis, in mm, where the machine file does not say it, or less of it.
+    #[arg(long, value_name = "x=0:1000", value_delimiter = ',', allow_hyphen_values = true)]
+    travel: Vec<String>,
+    /// The feed of the moves before a reading, in mm/min; backlash is measured at each of several. 1000.
+    #[arg(long, value_name = "MM/MIN", value_delimiter = ',')]
+    feed: Vec<f64>,
+    /// How long the axes stand for a reading, in s.
+    #[arg(long, value_name = "S", default_value_t = Options::default().dwell_s)]
+    dwell_s: f64,
+    /// How often; left out, 7 for backlash, 5 for pitch, 3 for straightness and diagonal, 6 rounds of heat.
+    #[arg(long, value_name = "N")]
+    repeats: Option<u32>,
+    /// From target to target, in mm.
+    #[arg(long, value_name = "MM")]
+    step_mm: Option<f64>,
+    /// backlash: by what it is measured. A dial needs room and a stop at each place, a laser neither.
+    #[arg(long, default_value = "dial")]
+    gauge: By,
+    /// warmup: the speed; left out, rated_rpm of the machine file.
+    #[arg(long, value_name = "R/MIN")]
+    rpm: Option<f64>,
+    /// warmup: from reading to reading, in s.
+    #[arg(long, value_name = "S", default_value_t = Options::default().every_s)]
+    every_s: f64,
+    /// warmup: for how long, in s (7200); axis-heat: how long in each round (1200).
+    #[arg(long, value_name = "S")]
+    heat_s: Option<f64>,
+    /// axis-heat: how fast the axis is run warm, in mm/min.
+    #[arg(long, value_name = "MM/MIN", default_value_t = Options::default().heat_feed_mm_per_min)]
+    heat_feed: f64,
+    /// axis-heat: where it is run warm and measured, in mm; left out, 500:1500 as far as the travel has it.
+    #[arg(long, value_name = "500:1500", allow_hyphen_values = true)]
+    range_mm: Option<String>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum What {
+    /// The play of an axis: the middle and near both ends, seven times each.
+    Backlash,
+    /// Position errors there and back over uneven targets.
+    Pitch,
+    /// How the other axes err while one moves.
+    Straightness,
+    /// The growth of the spindle from cold, read once a minute.
+    Warmup,
+    /// The growth of an axis that is run warm.
+    AxisHeat,
+    /// Two axes at once: what all corrections together leave.
+    Diagonal,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum For {
+    /// LinuxCNC.
+    #[value(name = "linuxcnc")]
+    LinuxCnc,
+    /// FANUC, milling.
+    Fanuc,
+    /// Siemens SINUMERIK 840D sl, 828D.
+    Siemens,
+    /// HEIDENHAIN Klartext.
+    Heidenhain,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum By {
+    /// An indicator at one place.
+    Dial,
+    /// A laser interferometer along the whole way.
+    Laser,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Axis {
+    X,
+    Y,
+    Z,
+}
+
+/// Writes the programs of a kind.
+pub fn run(args: &Program, as_json: bool) -> Result<Outcome> {
+    let machine = MachineFile::read(&args.machine)?;
+    let kind = match args.kind {
+        What::Backlash => Kind::Backlash,
+        What::Pitch => Kind::Pitch,
+        What::Straightness => Kind::Straightness,
+        What::Warmup => Kind::Warmup,
+        What::AxisHeat => Kind::AxisHeat,
+        What::Diagonal => Kind::Diagonal,
+    };
+    let control = match args.control {
+        For::LinuxCnc => control::Control::LinuxCnc,
+        For::Fanuc => control::Control::Fanuc,
+        For::Siemens => control::Control::Siemens,
+        For::Heidenhain => control::Control::Heidenhain,
+    };
+    let (plans, notes) = plans(kind, &machine, &options(args)?)
+        .map_err(|refused| UserError(format!("{}: {refused}", args.machine.display())))?;
+    notes.iter().for_each(|note| eprintln!("warning: {note}"));
+    fs::create_dir_all(&args.out)
+        .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
+    let mut written = Vec::new();
+    for plan in &plans {
+        let (name, text) = control::program(plan, control);
+        let templates = template::templates(plan);
+        let runs: Vec<&str> = templates.iter().map(|(name, _)| name.as_str()).collect();
+        let readings = plan.readings().len();
+        let minutes = plan.least_seconds() / 60.0;
+        written.push(json!({
+            "program": name, "runs": runs, "readings": readings, "least_minutes": minutes,
+            "extent_mm": plan.extent_mm(), "then": plan.then,
+        }));
+        if !as_json {
+            let extent = plan.extent_mm();
+            let ways = ["x", "y", "z"].iter().zip(extent).filter_map(|(axis, extent)| {
+                extent.map(|[low, high]| format!(", {axis} {low} to {high} mm"))
+            });
+            let ways: String = ways.collect();
+            output::print(format_args!(
+                "{name}: {readings} readings, at least {minutes:.0} min{ways}; fill in {}\n  then: {}",
+                runs.join(", "),
+                plan.then
+            ))?;
+        }
+        for (name, text) in [(name, text)].into_iter().chain(templates.iter().cloned()) {
+            let path = args.out.join(name);
+            // A run file that somebody has filled in is hours of work.
+            if path.extension().is_some_and(|it| it == "csv")
+                && fs::read_to_string(&path).is_ok_and(|there| there != text)
+            {
+                return Err(UserError(format!(
+                    "{}: is there already, and not empty: move it away first",
+                    path.display()
+                ))
+                .into());
+            }
+            let inputs = [args.machine.as_path()];
+            output::write_whole(&path, &inputs, |out| out.write_all(text.as_bytes()))?;
+        }
+    }
+    if as_json {
+        output::print(json!({ "output": args.out.to_string_lossy(), "programs": written }))?;
+    }
+    Ok(Outcome::Done)
+}
+
+fn options(args: &Program) -> Result<Options, UserError> {
+    let mut travel_mm = [None; 3];
+    for entry in &args.travel {
+        let named = entry.split_once('=').and_then(|(name, range)| {
+            let axis = ["x", "y", "z"].iter().position(|axis| *axis == name.trim())?;
+            Some((axis, ends(range)?))
+        });
+        let (axis, ends) = named.ok_or_else(|| {
+            UserError(format!("--travel {entry}: must be like x=0:1000, the smaller first"))
+        })?;
+        travel_mm[axis] = Some(ends);
+    }
+    let range = args.range_mm.as_deref().map(|text| {
+        let wrong =
+            || UserError(format!("--range-mm {text}: must be like 500:1500, the smaller first"));
+        ends(text).ok_or_else(wrong)
+    });
+    let axis = |axis: &Axis| match axis {
+        Axis::X => LinearAxis::X,
+        Axis::Y => LinearAxis::Y,
+        Axis::Z => LinearAxis::Z,
+    };
+    Ok(Options {
+        axes: args.axis.iter().map(axis).collect(),
+        travel_mm,
+        feeds_mm_per_min: args.feed.clone(),
+        dwell_s: args.dwell_s,
+        repeats: args.repeats,
+        step_mm: args.step_mm,
+        gauge: match args.gauge {
+            By::Dial => Gauge::Dial,
+            By::Laser => Gauge::Laser,
+        },
+        spindle_rpm: args.rpm,
+        every_s: args.every_s,
+        heat_s: args.heat_s,
+        heat_range_mm: range.transpose()?,
+        heat_feed_mm_per_min: args.heat_feed,
+    })
+}
+
+/// `0:1000`, the smaller first.
+fn ends(text: &str) -> Option<[f64; 2]> {
+    let (low, high) = text.split_once(':')?;
+    let ends: [f64; 2] = [low.trim().parse().ok()?, high.trim().parse().ok()?];
+    (ends.iter().all(|end| end.is_finite()) && ends[0] < ends[1]).then_some(ends)
+}

@@ -1,0 +1,55 @@
+//! How a control says a step, and what all of them have in common.
+
+use crate::plan::Plan;
+
+/// X, Y and Z as controls call them.
+pub(super) const AXES: [char; 3] = ['X', 'Y', 'Z'];
+
+/// How a control says it.
+pub(super) trait Dialect {
+    /// Everything up to the first step.
+    fn head(&mut self, plan: &Plan);
+    /// A line for the reader.
+    fn note(&mut self, text: &str);
+    /// The control waits for the operator, who does this.
+    fn stop(&mut self, text: &str);
+    /// As fast as it goes.
+    fn rapid(&mut self, to: &Ends);
+    /// At a feed in mm/min.
+    fn line(&mut self, to: &Ends, feed: f64);
+    /// By so many µm from where the axis stands.
+    fn by(&mut self, axis: usize, um: i64, feed: f64);
+    /// Turns the spindle, or stops it.
+    fn spindle(&mut self, rpm: f64);
+    /// Stands for so many seconds; a reading is taken at the end.
+    fn dwell(&mut self, s: f64, is_reading: bool);
+    /// Begins what is done so many times.
+    fn repeat(&mut self, times: u32);
+    /// Ends it.
+    fn repeated(&mut self);
+    /// The text as a whole.
+    fn end(&mut self) -> String;
+}
+
+/// Where a move ends, in µm.
+pub(super) struct Ends {
+    /// By axis: where it stands, if that is known, and where it is sent.
+    pub(super) axes: Vec<(usize, Option<i64>, i64)>,
+}
+
+/// `12.5`, `-50`: as few digits as say it.
+pub(super) fn number(um: i64) -> String {
+    let text = format!("{:.3}", um as f64 / 1000.0);
+    text.trim_end_matches('0').trim_end_matches('.').to_string()
+}
+
+/// As far as every control's characters go.
+pub(super) fn plain(text: &str) -> String {
+    let plain = |c: char| match c {
+        '(' | '[' => '<',
+        ')' | ']' => '>',
+        c if c.is_ascii() && !c.is_ascii_control() => c,
+        _ => '?',
+    };
+    text.chars().map(plain).collect()
+}

@@ -1,0 +1,67 @@
+//! Position errors there and back over uneven targets (ISO 230-2; seed 004).
+//!
+//! Targets of equal distance may all stand on the same phase of the screw, and its periodic error is
+//! then invisible. So each is moved on by a share of the step, r·step with r from 0 to a quarter, in the
+//! sequence n·φ mod 1 (φ the golden ratio), which fills any phase evenly and is the same each time.
+
+use trueup_machine::Machine;
+
+use super::{Plans, WITHOUT_CORRECTION, go, measured};
+use crate::{
+    options::Options,
+    plan::{Column, Plan, Step},
+    travel::{Refused, Travel, micrometres, travels},
+};
+
+/// Runs in each direction (ISO 230-2).
+const REPEATS: u32 = 5;
+/// So many steps on an axis, at least (ISO 230-2 has 5 a metre; a table wants more).
+const STEPS: f64 = 20.0;
+/// And at most so far from target to target, in mm (ISO 230-2, axes above 2 m).
+const LONGEST_STEP_MM: f64 = 250.0;
+/// How far a target may be moved on, as a share of the step.
+const UNEVEN: f64 = 0.25;
+/// The golden ratio less 1.
+const GOLDEN: f64 = 0.618_033_988_749_895;
+
+pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refused> {
+    let (travels, notes) = travels(machine, options)?;
+    let plans = travels.iter().map(|travel| plan(travel, options)).collect::<Result<_, _>>()?;
+    Ok((plans, notes))
+}
+
+fn plan(travel: &Travel, options: &Options) -> Result<Plan, Refused> {
+    let (axis, feed) = (travel.axis, options.feed());
+    let targets = targets(travel, options)?;
+    let mut steps = vec![Step::Rapid(travel.at(travel.low_mm))];
+    let read = |mm: &f64| [go(travel, *mm, feed), Step::Read(options.dwell_s)];
+    let mut run: Vec<Step> = targets.iter().flat_map(read).collect();
+    run.push(go(travel, travel.high_mm, feed));
+    run.extend(targets.iter().rev().flat_map(read));
+    run.push(go(travel, travel.low_mm, feed));
+    steps.push(Step::Repeat { times: options.repeats.unwrap_or(REPEATS), steps: run });
+    let mut columns = vec![Column::Run, Column::Position(axis.index())];
+    columns.extend([Column::Direction(axis.index()), Column::Empty(measured(axis))]);
+    Ok(Plan {
+        name: format!("pitch-{}", axis.name()),
+        notes: vec![WITHOUT_CORRECTION.to_string()],
+        steps,
+        columns,
+        then: format!("trueup fit pitch --run pitch-{}.csv", axis.name()),
+        records: Vec::new(),
+    })
+}
+
+fn targets(travel: &Travel, options: &Options) -> Result<Vec<f64>, Refused> {
+    let [low, high] = travel.inside_mm();
+    let step = options.step_mm.unwrap_or(((high - low) / STEPS).min(LONGEST_STEP_MM));
+    let mut targets = travel.even_targets_mm(step)?;
+    let apart = targets[1] - targets[0];
+    // The last one stays: beyond it is only the over-travel.
+    let last = targets.len() - 1;
+    for (n, target) in targets.iter_mut().enumerate().take(last) {
+        let share = (n as f64 * GOLDEN).fract();
+        *target = micrometres(*target + UNEVEN * apart * share);
+    }
+    Ok(targets)
+}

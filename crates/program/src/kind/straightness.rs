@@ -1,0 +1,57 @@
+//! How the other two axes err while one moves, there and back (seed 003).
+
+use trueup_machine::{Machine, file::LinearAxis};
+
+use super::{Plans, WITHOUT_CORRECTION, go, measured};
+use crate::{
+    options::Options,
+    plan::{Column, Plan, Step},
+    travel::{Refused, Travel, travels},
+};
+
+/// There and back so often: the scatter of three shows what a curve is worth.
+const REPEATS: u32 = 3;
+/// So many steps on an axis, at least: three for each of the paper's first ten control points, less the
+/// two ends.
+const STEPS: f64 = 24.0;
+/// And at most so far from target to target, in mm: the length of the paper's slide.
+const LONGEST_STEP_MM: f64 = 240.0;
+
+pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refused> {
+    let (travels, notes) = travels(machine, options)?;
+    let plans = travels.iter().map(|travel| plan(travel, options)).collect::<Result<_, _>>()?;
+    Ok((plans, notes))
+}
+
+fn plan(travel: &Travel, options: &Options) -> Result<Plan, Refused> {
+    let (axis, feed) = (travel.axis, options.feed());
+    let [low, high] = travel.inside_mm();
+    let step = options.step_mm.unwrap_or(((high - low) / STEPS).min(LONGEST_STEP_MM));
+    let targets = travel.even_targets_mm(step)?;
+    let read = |mm: &f64| [go(travel, *mm, feed), Step::Read(options.dwell_s)];
+    let mut run: Vec<Step> = targets.iter().flat_map(read).collect();
+    run.push(go(travel, travel.high_mm, feed));
+    run.extend(targets.iter().rev().flat_map(read));
+    run.push(go(travel, travel.low_mm, feed));
+    let times = options.repeats.unwrap_or(REPEATS);
+    let steps = vec![Step::Rapid(travel.at(travel.low_mm)), Step::Repeat { times, steps: run }];
+    let others: Vec<LinearAxis> =
+        LinearAxis::ALL.into_iter().filter(|other| *other != axis).collect();
+    let mut columns = vec![Column::Run, Column::Position(axis.index())];
+    columns.push(Column::Direction(axis.index()));
+    columns.extend(others.iter().map(|other| Column::Empty(measured(*other))));
+    let note = "Read the deviation of both other axes, or run it once for each; a column that you do \
+                not fill in, delete.";
+    Ok(Plan {
+        name: format!("straightness-{}", axis.name()),
+        notes: vec![WITHOUT_CORRECTION.to_string(), note.to_string()],
+        steps,
+        columns,
+        then: format!(
+            "trueup fit straightness --run straightness-{}.csv --quantity d{}",
+            axis.name(),
+            others[0].name()
+        ),
+        records: Vec::new(),
+    })
+}

@@ -1,0 +1,70 @@
+//! Programs that measure: what a control is to do so that a run file can be filled in.
+//!
+//! ```text
+//! machine file (travel) ─► kind ─► Plan (moves, dwells, readings) ─┬─► the text of a control
+//!                                                                  └─► the run file to be filled in
+//! ```
+//!
+//! The run file's rows are found by walking through the plan's own moves, so that position,
+//! direction and feed of a reading cannot differ from what the control is told.
+//!
+//! | module | does |
+//! |---|---|
+//! | [`plan`] | moves, dwells and readings, and the walk through them |
+//! | [`travel`] | what an axis may be sent to; what does not fit is refused |
+//! | [`options`] | feeds, repeats, places |
+//! | `kind` | one page for each kind of measurement |
+//! | [`control`] | the text of LinuxCNC, FANUC, Siemens, HEIDENHAIN |
+//! | [`template`] | the run file to be filled in |
+#![forbid(unsafe_code)]
+
+pub mod control;
+mod kind;
+pub mod options;
+pub mod plan;
+pub mod template;
+pub mod travel;
+
+use trueup_machine::Machine;
+
+pub use control::Control;
+pub use options::{Gauge, Options};
+pub use plan::Plan;
+pub use travel::Refused;
+
+/// What is to be measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// What an axis loses on a reversal, at three places.
+    Backlash,
+    /// Position errors there and back.
+    Pitch,
+    /// How an axis errs across its way.
+    Straightness,
+    /// The growth of the spindle from cold.
+    Warmup,
+    /// The growth of an axis that is run warm.
+    AxisHeat,
+    /// Two axes at once: what all corrections together leave.
+    Diagonal,
+}
+
+/// The plans of `kind` for this machine, one for each axis, plane or spindle; and notes of what has none.
+///
+/// # Errors
+/// The travel is not known, or what is asked for does not fit in it.
+pub fn plans(
+    kind: Kind,
+    machine: &Machine,
+    options: &Options,
+) -> Result<(Vec<Plan>, Vec<String>), Refused> {
+    options.check()?;
+    match kind {
+        Kind::Backlash => kind::backlash::plans(machine, options),
+        Kind::Pitch => kind::pitch::plans(machine, options),
+        Kind::Straightness => kind::straightness::plans(machine, options),
+        Kind::Warmup => kind::warmup::plans(machine, options),
+        Kind::AxisHeat => kind::axis_heat::plans(machine, options),
+        Kind::Diagonal => kind::diagonal::plans(machine, options),
+    }
+}

@@ -1,0 +1,215 @@
+//! A measurement as a control is to run it, in no control's words.
+//!
+//! Positions are machine coordinates in mm. Each measured move is straight and at a stated feed; a
+//! reading is taken while the axes stand.
+
+/// What is to be done, in order.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Step {
+    /// A line for the reader.
+    Note(String),
+    /// The control waits for the operator, who does this.
+    Stop(String),
+    /// As fast as the machine goes to a position, in mm; `None`: that axis stays.
+    Rapid([Option<f64>; 3]),
+    /// In a straight line at a feed.
+    Move {
+        /// The end in mm; `None`: that axis stays.
+        to_mm: [Option<f64>; 3],
+        /// Along the line, above 0.
+        feed_mm_per_min: f64,
+    },
+    /// One axis by a way from where it stands, wherever that is: the program knows no more of it.
+    By {
+        /// X, Y or Z: 0, 1, 2.
+        axis: usize,
+        /// The way in mm.
+        mm: f64,
+        /// Above 0.
+        feed_mm_per_min: f64,
+    },
+    /// The spindle turns to the right; 0: it stops. In r/min.
+    Spindle(f64),
+    /// All stand.
+    Dwell(f64),
+    /// All stand for so many seconds, and a reading is taken at the end.
+    Read(f64),
+    /// The steps so many times.
+    Repeat {
+        /// At least 1.
+        times: u32,
+        /// Of the outermost repeat: its turns are the numbers of the runs.
+        steps: Vec<Step>,
+    },
+}
+
+/// A reading as the plan takes it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reading {
+    /// The turn of the outermost repeat, from 1.
+    pub run: u32,
+    /// Where the axes stand, in mm; `None`: this program has not sent that axis anywhere.
+    pub position_mm: [Option<f64>; 3],
+    /// The direction of each axis's last move: 1, −1; 0: none yet.
+    pub direction: [i8; 3],
+    /// The feed of the last move in mm/min.
+    pub feed_mm_per_min: Option<f64>,
+    /// The spindle's speed in r/min.
+    pub spindle_rpm: f64,
+    /// Seconds that the dwells before it last, its own included.
+    pub dwelt_s: f64,
+}
+
+/// What stands in a column of the run file.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Column {
+    /// `run`.
+    Run,
+    /// `time_s`: the dwells so far; only where nothing moves.
+    Time,
+    /// `x_mm` of an axis.
+    Position(usize),
+    /// `dir_x` of an axis.
+    Direction(usize),
+    /// `feed_mm_per_min`.
+    Feed,
+    /// `spindle_rpm`.
+    Speed,
+    /// To be filled in.
+    Empty(String),
+}
+
+/// A program and its run file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plan {
+    /// The name of both files, without an ending: `backlash-x`.
+    pub name: String,
+    /// What the operator has to know before it runs, a sentence each.
+    pub notes: Vec<String>,
+    /// What is done.
+    pub steps: Vec<Step>,
+    /// The columns of the run file.
+    pub columns: Vec<Column>,
+    /// What to do with the filled file.
+    pub then: String,
+    /// The parts that the run file is recorded in, where it is more than one: `off`, `on`.
+    pub records: Vec<&'static str>,
+}
+
+impl Plan {
+    /// The readings in their order.
+    #[must_use]
+    pub fn readings(&self) -> Vec<Reading> {
+        let mut walk = Walk::new();
+        walk.all(&self.steps);
+        walk.readings
+    }
+
+    /// Seconds for moves at their feeds and for dwells; rapid moves, stops and accelerations are not
+    /// counted.
+    #[must_use]
+    pub fn least_seconds(&self) -> f64 {
+        let mut walk = Walk::new();
+        walk.all(&self.steps);
+        walk.dwelt_s + walk.moved_s
+    }
+
+    /// The lowest and highest position of each axis in mm; `None` where it is not sent anywhere.
+    #[must_use]
+    pub fn extent_mm(&self) -> [Option<[f64; 2]>; 3] {
+        let mut walk = Walk::new();
+        walk.all(&self.steps);
+        walk.extent_mm
+    }
+}
+
+/// The machine on its way through the steps.
+struct Walk {
+    now: Reading,
+    dwelt_s: f64,
+    moved_s: f64,
+    is_in_repeat: bool,
+    extent_mm: [Option<[f64; 2]>; 3],
+    readings: Vec<Reading>,
+}
+
+impl Walk {
+    fn new() -> Self {
+        let now = Reading {
+            run: 1,
+            position_mm: [None; 3],
+            direction: [0; 3],
+            feed_mm_per_min: None,
+            spindle_rpm: 0.0,
+            dwelt_s: 0.0,
+        };
+        let (readings, extent_mm) = (Vec::new(), [None; 3]);
+        Self { now, dwelt_s: 0.0, moved_s: 0.0, is_in_repeat: false, extent_mm, readings }
+    }
+
+    fn all(&mut self, steps: &[Step]) {
+        steps.iter().for_each(|step| self.one(step));
+    }
+
+    fn one(&mut self, step: &Step) {
+        match step {
+            Step::Note(_) | Step::Stop(_) => {}
+            Step::Rapid(to_mm) => {
+                self.go(to_mm);
+            }
+            Step::Move { to_mm, feed_mm_per_min } => {
+                let way_mm = self.go(to_mm);
+                self.now.feed_mm_per_min = Some(*feed_mm_per_min);
+                self.moved_s += 60.0 * way_mm / feed_mm_per_min;
+            }
+            Step::By { axis, mm, feed_mm_per_min } => {
+                let to_mm = self.now.position_mm[*axis].map(|at| at + mm);
+                self.turn(*axis, *mm);
+                self.now.position_mm[*axis] = to_mm;
+                self.moved_s += 60.0 * mm.abs() / feed_mm_per_min;
+            }
+            Step::Spindle(rpm) => self.now.spindle_rpm = *rpm,
+            Step::Dwell(s) => self.dwelt_s += s,
+            Step::Read(s) => {
+                self.dwelt_s += s;
+                self.readings.push(Reading { dwelt_s: self.dwelt_s, ..self.now });
+            }
+            Step::Repeat { times, steps } => {
+                let is_outermost = !self.is_in_repeat;
+                self.is_in_repeat = true;
+                for turn in 1..=*times {
+                    if is_outermost {
+                        self.now.run = turn;
+                    }
+                    self.all(steps);
+                }
+                if is_outermost {
+                    self.is_in_repeat = false;
+                    self.now.run = 1;
+                }
+            }
+        }
+    }
+
+    /// Goes there; the way in mm, as far as it is known.
+    fn go(&mut self, to_mm: &[Option<f64>; 3]) -> f64 {
+        let mut square = 0.0;
+        for (axis, to) in to_mm.iter().enumerate() {
+            let Some(to) = *to else { continue };
+            if let Some(at) = self.now.position_mm[axis] {
+                self.turn(axis, to - at);
+                square += (to - at) * (to - at);
+            }
+            self.now.position_mm[axis] = Some(to);
+            let [low, high] = self.extent_mm[axis].unwrap_or([to; 2]);
+            self.extent_mm[axis] = Some([low.min(to), high.max(to)]);
+        }
+        square.sqrt()
+    }
+
+    fn turn(&mut self, axis: usize, mm: f64) {
+        if mm != 0.0 {
+            self.now.direction[axis] = if mm > 0.0 { 1 } else { -1 };
+        }
+    }
+}

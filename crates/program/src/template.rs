@@ -1,0 +1,73 @@
+//! The run file to be filled in: a row for each reading, in the order of the program.
+
+use crate::plan::{Column, Plan, Reading};
+
+const AXES: [&str; 3] = ["x", "y", "z"];
+
+/// The run files of `plan`, by name: empty where something is to be measured.
+#[must_use]
+pub fn templates(plan: &Plan) -> Vec<(String, String)> {
+    let text = text(plan);
+    if plan.records.is_empty() {
+        return vec![(format!("{}.csv", plan.name), text)];
+    }
+    plan.records
+        .iter()
+        .map(|record| (format!("{}-{record}.csv", plan.name), text.clone()))
+        .collect()
+}
+
+fn text(plan: &Plan) -> String {
+    let empty: Vec<&str> = plan.columns.iter().filter_map(empty).collect();
+    let mut text = format!(
+        "# {}: fill in {}, a row for each reading, errors as actual minus commanded\n# then: {}\n",
+        plan.name,
+        empty.join(", "),
+        plan.then
+    );
+    let names: Vec<String> = plan.columns.iter().map(name).collect();
+    text += &names.join(",");
+    text.push('\n');
+    for reading in plan.readings() {
+        let cells: Vec<String> = plan.columns.iter().map(|column| cell(column, &reading)).collect();
+        text += &cells.join(",");
+        text.push('\n');
+    }
+    text
+}
+
+fn empty(column: &Column) -> Option<&str> {
+    match column {
+        Column::Empty(name) => Some(name),
+        _ => None,
+    }
+}
+
+fn name(column: &Column) -> String {
+    match column {
+        Column::Run => "run".into(),
+        Column::Time => "time_s".into(),
+        Column::Position(axis) => format!("{}_mm", AXES[*axis]),
+        Column::Direction(axis) => format!("dir_{}", AXES[*axis]),
+        Column::Feed => "feed_mm_per_min".into(),
+        Column::Speed => "spindle_rpm".into(),
+        Column::Empty(name) => name.clone(),
+    }
+}
+
+fn cell(column: &Column, reading: &Reading) -> String {
+    match column {
+        Column::Run => reading.run.to_string(),
+        Column::Time => reading.dwelt_s.to_string(),
+        Column::Position(axis) => {
+            reading.position_mm[*axis].map_or(String::new(), |mm| mm.to_string())
+        }
+        Column::Direction(axis) => match reading.direction[*axis] {
+            0 => String::new(),
+            way => way.to_string(),
+        },
+        Column::Feed => reading.feed_mm_per_min.map_or(String::new(), |feed| feed.to_string()),
+        Column::Speed => reading.spindle_rpm.to_string(),
+        Column::Empty(_) => String::new(),
+    }
+}

@@ -1,0 +1,100 @@
+//! LinuxCNC's own interpreter reads the programs: every dwell comes where the run file says that it
+//! does, from the side and at the feed that it says.
+
+mod support;
+
+use std::{fs, process::Command};
+
+use support::machine;
+use trueup_program::{Control, Gauge, Kind, Options, Plan, control, plan::Reading, plans};
+
+/// Where the interpreter says that the machine stands, by axis.
+#[derive(Clone, Copy, Default)]
+struct Stand {
+    mm: [f64; 3],
+    direction: [i8; 3],
+    feed: f64,
+    is_to_be_read: bool,
+}
+
+/// What `rs274` makes of a program: where it stands at each dwell with a reading.
+fn stands(program: &str) -> Option<Vec<Stand>> {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("program.ngc");
+    fs::write(&path, program).expect("it is written");
+    let done = Command::new("rs274").arg("-g").arg(&path).current_dir(&folder).output();
+    let done = match done {
+        Ok(done) => done,
+        Err(_) => return None,
+    };
+    let said = String::from_utf8_lossy(&done.stdout);
+    assert!(done.status.success(), "{program}\n{said}{}", String::from_utf8_lossy(&done.stderr));
+    let (mut now, mut found) = (Stand::default(), Vec::new());
+    for line in said.lines() {
+        let Some((_, call)) = line.split_once("..... ") else { continue };
+        let numbers = || {
+            let inside =
+                call.split_once('(').and_then(|it| it.1.split_once(')')).unwrap_or_default();
+            inside.0.split(", ").map(|number| number.parse::<f64>().expect("a number"))
+        };
+        if call.starts_with("STRAIGHT_") {
+            for (axis, to) in numbers().take(3).enumerate() {
+                if to != now.mm[axis] {
+                    now.direction[axis] = if to > now.mm[axis] { 1 } else { -1 };
+                }
+                now.mm[axis] = to;
+            }
+        } else if call.starts_with("SET_FEED_RATE") {
+            now.feed = numbers().next().expect("a feed");
+        } else if call.starts_with("COMMENT(\"read\")") {
+            now.is_to_be_read = true;
+        } else if call.starts_with("DWELL") && now.is_to_be_read {
+            found.push(now);
+            now.is_to_be_read = false;
+        }
+    }
+    Some(found)
+}
+
+fn check(plan: &Plan) -> bool {
+    let Some(stands) = stands(&control::program(plan, Control::LinuxCnc).1) else { return false };
+    let readings = plan.readings();
+    assert_eq!(stands.len(), readings.len(), "{}", plan.name);
+    for (n, (stand, reading)) in stands.iter().zip(&readings).enumerate() {
+        let Reading { position_mm, direction, feed_mm_per_min, .. } = *reading;
+        for axis in 0..3 {
+            let Some(mm) = position_mm[axis] else { continue };
+            assert!((stand.mm[axis] - mm).abs() < 1e-4, "{} {n}: {reading:?}", plan.name);
+            assert_eq!(stand.direction[axis], direction[axis], "{} {n}: {reading:?}", plan.name);
+        }
+        // A dial's other axis has made the last move.
+        if let Some(feed) = feed_mm_per_min {
+            assert_eq!(stand.feed, feed, "{} {n}", plan.name);
+        }
+    }
+    true
+}
+
+#[test]
+fn linuxcncs_interpreter_stands_where_the_run_file_says() {
+    let kinds = [
+        Kind::Backlash,
+        Kind::Pitch,
+        Kind::Straightness,
+        Kind::Warmup,
+        Kind::AxisHeat,
+        Kind::Diagonal,
+    ];
+    for kind in kinds {
+        for gauge in [Gauge::Dial, Gauge::Laser] {
+            let options =
+                Options { gauge, feeds_mm_per_min: vec![1000.0, 200.0], ..Options::default() };
+            for plan in plans(kind, &machine(), &options).expect("it fits").0 {
+                if !check(&plan) {
+                    println!("skipped: LinuxCNC's interpreter (rs274) is not here");
+                    return;
+                }
+            }
+        }
+    }
+}
