@@ -17,6 +17,7 @@ mod compile;
 mod diagnose;
 mod export;
 mod fit;
+mod gateway;
 mod linuxcnc;
 mod output;
 mod predict;
@@ -65,6 +66,11 @@ enum Command {
     },
     Program(program::Program),
     Simulate(simulate::Simulate),
+    /// Brings a bridge to a control that has a PLC: offsets into its registers, positions out of them.
+    Gateway {
+        #[command(subcommand)]
+        command: gateway::Command,
+    },
     /// Looks at a bridge, real or virtual, or gives it a calibration.
     Bridge {
         #[command(subcommand)]
@@ -123,6 +129,7 @@ fn run(cli: &Cli) -> Result<Outcome> {
         Command::Show { calibration } => show::run(calibration, cli.json),
         Command::Program(args) => program::run(args, cli.json),
         Command::Simulate(args) => simulate::run(args, cli.json),
+        Command::Gateway { command } => gateway::run(command),
         Command::Bridge { command } => bridge::run(command, cli.json),
     }
 }

@@ -9,6 +9,7 @@
 //! |---|---|
 //! | [`port`] | TCP, a serial device or a CAN interface, opened to lines of SLCAN both ways |
 //! | [`ends`] | both directions of an open line |
+//! | [`line`](mod@line) | a line that is opened again whenever it breaks, for who stays on it |
 //! | [`session`] | one client's time on the line: open, hear, ask, close |
 //! | [`object`] | the objects of the bridge, by SDO |
 //! | [`load`] | a calibration, sent, read back and put to use |
@@ -24,6 +25,7 @@
 #![forbid(unsafe_code)]
 
 pub mod ends;
+pub mod line;
 pub mod load;
 pub mod object;
 pub mod port;

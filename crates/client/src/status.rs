@@ -26,7 +26,8 @@ pub struct Board {
     lost: u16,
     noise_thousandths: u16,
     faults: u16,
-    state: StateBits,
+    /// What a CNC must know beside the offsets.
+    pub state: StateBits,
     reset_reason: ResetReason,
     free_stack: Option<u16>,
     /// CRC of the calibration that the board runs on, once it has said so; 0: it has none.

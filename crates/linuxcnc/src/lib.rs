@@ -9,8 +9,8 @@
 //!
 //! What is decided ([`offsets`], [`follower`], [`sender`], put together in [`component`]) takes time
 //! and inputs as arguments and knows no HAL, so that a test can drive it through years. [`hal`] is
-//! the only file with `unsafe`, [`pins`] names every pin, [`line`](mod@line) keeps the connection
-//! to the bridge alive, [`run()`] is the loop.
+//! the only file with `unsafe`, [`pins`] names every pin, [`trueup_client::line`] keeps the
+//! connection to the bridge alive, [`run()`] is the loop.
 //!
 //! How LinuxCNC treats external offsets (`src/emc/motion/axis.c` and `control.c` of 2.9) and what
 //! that means here:
@@ -30,7 +30,6 @@ pub mod engage;
 pub mod follower;
 pub mod hal;
 pub mod ini;
-pub mod line;
 pub mod offsets;
 pub mod pins;
 pub mod run;

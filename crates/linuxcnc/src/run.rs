@@ -7,14 +7,17 @@ use std::{
     time::{Duration, Instant},
 };
 
-use trueup_client::{ends::Ends, words::state_words};
+use trueup_client::{
+    ends::Ends,
+    line::{Line, LineEvent},
+    words::state_words,
+};
 use trueup_core::cnc::Quality;
 use trueup_link::status::StateBits;
 
 use crate::{
     component::{Component, Options, Outputs},
     hal::{Hal, HalError},
-    line::{Line, LineEvent},
     pins::{Pins, pid_pin},
 };
 

@@ -9,17 +9,18 @@ use std::{
     sync::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicBool, Ordering},
-        mpsc::{self, Receiver, Sender, SyncSender},
+        mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender},
     },
     thread,
     time::{Duration, Instant},
 };
 
-use trueup_client::ends::{Ends, is_timeout};
 use trueup_link::{
     frame::Frame,
     slcan::{Client, Event, client, encode_line},
 };
+
+use crate::ends::{Ends, is_timeout};
 
 /// Frames that may wait: of a few milliseconds.
 const QUEUE: usize = 32;
@@ -165,8 +166,11 @@ fn write(mut writer: Box<dyn Write + Send>, frames: &Receiver<Frame>, reopen: &A
         if reopen.swap(false, Ordering::Relaxed) && writer.write_all(client::OPEN).is_err() {
             return;
         }
-        let Ok(first) = frames.recv_timeout(SILENT) else {
-            return;
+        let first = match frames.recv_timeout(SILENT) {
+            Ok(first) => first,
+            // One who only listens has nothing to send.
+            Err(RecvTimeoutError::Timeout) => continue,
+            Err(RecvTimeoutError::Disconnected) => return,
         };
         // What has come together goes out together.
         let mut bytes = encode_line(&first).into_bytes().to_vec();
@@ -239,6 +243,27 @@ mod tests {
             thread::sleep(Duration::from_millis(5));
         }
         assert!(refusals > 10, "it does answer: {refusals}");
+    }
+
+    #[test]
+    fn one_who_only_listens_keeps_his_line() {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let number = listener.local_addr().unwrap().port();
+        thread::spawn(move || {
+            let (mut stream, _) = listener.accept().unwrap();
+            let frame = encode_line(&frames::heartbeat(frames::State::Operational));
+            while stream.write_all(frame.as_bytes()).is_ok() {
+                thread::sleep(Duration::from_millis(20));
+            }
+        });
+        let line = Line::keep(move || open(number));
+        let start = Instant::now();
+        while start.elapsed() < 2 * SILENT {
+            for heard in line.heard() {
+                assert!(!matches!(heard, LineEvent::Down(_)), "nothing was wrong: {heard:?}");
+            }
+            thread::sleep(Duration::from_millis(5));
+        }
     }
 
     #[test]

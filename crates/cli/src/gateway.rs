@@ -1,0 +1,191 @@
+//! `trueup gateway`: the bridge for controls with a PLC. What it does is in `trueup-gateway`.
+
+use std::{
+    net::{SocketAddr, TcpListener, ToSocketAddrs as _},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context as _, Result};
+use clap::{Args, Subcommand};
+use trueup_client::port::Port;
+use trueup_gateway::{
+    bridge::{self, Shared},
+    health::{self, PlcEnd},
+    modbus,
+    s7::{self, End, Target, client::Place},
+};
+
+use crate::{Outcome, UserError, output};
+
+/// How often is looked whether there is something to tell.
+const LOOK: Duration = Duration::from_millis(50);
+/// How long `--once` waits for the first valid offsets, and for the PLC.
+const ONCE: Duration = Duration::from_secs(5);
+
+#[derive(Subcommand)]
+pub enum Command {
+    /// Serves the bridge as Modbus registers over TCP, until Ctrl-C.
+    ///
+    /// Any number of masters read, one writes. The table of registers: docs/modbus.md.
+    /// Exit 3 with --once: it could listen, but no valid offsets came.
+    Modbus {
+        #[command(flatten)]
+        bridge: Bridge,
+        /// Where masters connect. Only this computer's reach it unless you name another address:
+        /// whoever reaches it can engage the bridge.
+        #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:502")]
+        listen: String,
+        /// The unit that is answered, beside 255.
+        #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=247))]
+        unit: u8,
+    },
+    /// Writes the bridge's offsets into a data block of an S7, and reads positions and Control out of
+    /// it, until Ctrl-C.
+    ///
+    /// The block and the PLC's program: integrations/siemens-840d.
+    /// Exit 3 with --once: the block was written, but no valid offsets came.
+    S7 {
+        #[command(flatten)]
+        bridge: Bridge,
+        /// Where the CPU is: HOST, or HOST:PORT.
+        #[arg(long, value_name = "HOST")]
+        plc: String,
+        /// The number of the data block.
+        #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+        db: u16,
+        /// The CPU's rack.
+        #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=7))]
+        rack: u8,
+        /// The CPU's slot: 2 in a 300 and an 840D sl, 1 or 0 in a 1500.
+        #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u8).range(0..=31))]
+        slot: u8,
+        /// How often a second it is written.
+        #[arg(long, value_name = "HZ", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=500))]
+        rate: u32,
+    },
+}
+
+#[derive(Args)]
+pub struct Bridge {
+    /// Where the bridge is: tcp:HOST:PORT, a serial device, or a CAN interface (can0).
+    #[arg(long, value_name = "PORT")]
+    port: String,
+    /// Try once whether both ends are there, say how they are, and end.
+    #[arg(long)]
+    once: bool,
+}
+
+/// Serves a PLC.
+pub fn run(command: &Command) -> Result<Outcome> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = stop.clone();
+    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
+    let shared = Shared::new(stop.clone());
+    let ended = match command {
+        Command::Modbus { bridge, listen, unit } => {
+            run_modbus(&shared, bridge, &resolve(listen)?, *unit)
+        }
+        Command::S7 { bridge, plc, db, rack, slot, rate } => {
+            let place = Place { address: plc.clone(), rack: *rack, slot: *slot };
+            let period = Duration::from_secs(1) / *rate;
+            run_s7(&shared, bridge, &Target { place, db: *db, period })
+        }
+    };
+    stop.store(true, Ordering::Relaxed);
+    ended
+}
+
+fn resolve(listen: &str) -> Result<Vec<SocketAddr>> {
+    let resolved = listen.to_socket_addrs();
+    let wrong = |why: String| UserError(format!("--listen \"{listen}\": {why}; ADDR:PORT"));
+    Ok(resolved.map_err(|error| wrong(error.to_string()))?.collect())
+}
+
+fn keep(shared: &Shared, bridge: &Bridge) -> Result<thread::JoinHandle<()>> {
+    let port = Port::parse(&bridge.port)?;
+    Ok(bridge::keep(shared.clone(), move || port.open()))
+}
+
+fn run_modbus(
+    shared: &Shared,
+    bridge: &Bridge,
+    listen: &[SocketAddr],
+    unit: u8,
+) -> Result<Outcome> {
+    let line = keep(shared, bridge)?;
+    let listener = TcpListener::bind(listen).with_context(|| {
+        format!(
+            "nothing can listen at {listen:?}; a port below 1024 needs the right to it \
+             (the systemd unit has it), and no other program there"
+        )
+    })?;
+    let address = listener.local_addr()?;
+    eprintln!("Modbus masters reach the bridge at tcp:{address}, unit {unit} or 255");
+    if !address.ip().is_loopback() {
+        eprintln!("warning: every computer that reaches {address} can engage the bridge");
+    }
+    let masters = modbus::serve(shared.clone(), listener, unit)?;
+    let end =
+        || PlcEnd { is_up: masters.connected() > 0, given: masters.answers(), ..PlcEnd::default() };
+    if bridge.once {
+        let hears = wait_for_bridge(shared);
+        output::print(health::line(shared, &end()))?;
+        return Ok(if hears { Outcome::Done } else { Outcome::NotMet });
+    }
+    tell(shared, &line, end, end)
+}
+
+fn run_s7(shared: &Shared, bridge: &Bridge, target: &Target) -> Result<Outcome> {
+    let line = keep(shared, bridge)?;
+    if bridge.once {
+        let hears = wait_for_bridge(shared);
+        s7::once(shared, target)?;
+        let end = PlcEnd { is_up: true, given: 1, ..PlcEnd::default() };
+        output::print(health::line(shared, &end))?;
+        return Ok(if hears { Outcome::Done } else { Outcome::NotMet });
+    }
+    let end = End::default();
+    let (ours, theirs, target) = (shared.clone(), end.clone(), target.clone());
+    let plc = thread::spawn(move || s7::serve(&ours, &target, &theirs));
+    let outcome = tell(shared, &line, || end.look(), || end.take())?;
+    // It ends with its present write, which cannot last.
+    plc.join().ok().context("the thread of the PLC")?;
+    Ok(outcome)
+}
+
+/// Whether the bridge is heard within a few seconds.
+fn wait_for_bridge(shared: &Shared) -> bool {
+    let start = Instant::now();
+    while start.elapsed() < ONCE && !shared.has_ended() {
+        if shared.hub().hears_bridge(shared.now()) {
+            return true;
+        }
+        thread::sleep(LOOK);
+    }
+    false
+}
+
+/// Prints a line a second, and one whenever something has changed, until the end.
+fn tell(
+    shared: &Shared,
+    line: &thread::JoinHandle<()>,
+    look: impl Fn() -> PlcEnd,
+    take: impl Fn() -> PlcEnd,
+) -> Result<Outcome> {
+    let (mut news, mut due) = (None, Instant::now());
+    while !shared.has_ended() && !line.is_finished() {
+        let now = health::line(shared, &look());
+        let changed = news.replace(health::news(&now)) != Some(health::news(&now));
+        if changed || Instant::now() >= due {
+            output::print(health::line(shared, &take()))?;
+            due = Instant::now() + health::PERIOD;
+        }
+        thread::sleep(LOOK);
+    }
+    Ok(Outcome::Done)
+}

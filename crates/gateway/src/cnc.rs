@@ -1,0 +1,115 @@
+//! Frames for the bridge from what the PLC says: at most as often as the bus permits, a change of
+//! `Control` at once.
+
+use std::time::Duration;
+
+use trueup_core::cnc::{Control, LinearAxis};
+use trueup_link::{
+    frame::Frame,
+    frames::{self, CONTROL_PERIOD_MS, POSITION_PERIOD_MS, SPINDLE_PERIOD_MS},
+};
+use trueup_modbus::cnc::Cnc;
+
+/// Frames of one identifier: their counter, and when the last was sent.
+#[derive(Clone, Copy, Debug, Default)]
+struct Course {
+    counter: u8,
+    sent: Option<Duration>,
+}
+
+impl Course {
+    /// The counter of the next frame, if it is due.
+    fn due(&mut self, now: Duration, period_ms: u32, at_once: bool) -> Option<u8> {
+        let period = Duration::from_millis(period_ms.into());
+        let waits = self.sent.is_some_and(|sent| now.saturating_sub(sent) < period);
+        if waits && !at_once {
+            return None;
+        }
+        self.sent = Some(now);
+        let counter = self.counter;
+        self.counter = counter.wrapping_add(1);
+        Some(counter)
+    }
+}
+
+/// What is sent to the bridge.
+#[derive(Debug, Default)]
+pub struct Speaker {
+    control: Course,
+    positions: [Course; 3],
+    rotary: Course,
+    spindle: Course,
+    last: Option<Control>,
+    due: Vec<Frame>,
+}
+
+impl Speaker {
+    /// Takes what the PLC has just said; nothing is repeated by itself.
+    pub fn say(&mut self, now: Duration, said: &Cnc) {
+        let has_changed = self.last.replace(said.control) != Some(said.control);
+        if let Some(counter) = self.control.due(now, CONTROL_PERIOD_MS, has_changed) {
+            self.due.push(frames::control(said.control, counter));
+        }
+        for axis in LinearAxis::ALL {
+            let place = axis as usize;
+            if let Some(position) = said.positions[place]
+                && let Some(counter) = self.positions[place].due(now, POSITION_PERIOD_MS, false)
+            {
+                self.due.push(frames::position(position, counter));
+            }
+        }
+        if let Some(rotary) = said.rotary
+            && let Some(counter) = self.rotary.due(now, POSITION_PERIOD_MS, false)
+        {
+            self.due.push(frames::rotary(rotary, counter));
+        }
+        if let Some(spindle) = said.spindle
+            && let Some(counter) = self.spindle.due(now, SPINDLE_PERIOD_MS, false)
+        {
+            self.due.push(frames::spindle(spindle, counter));
+        }
+    }
+
+    /// The frames that are due.
+    pub fn take(&mut self) -> Vec<Frame> {
+        std::mem::take(&mut self.due)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trueup_core::{
+        cnc::{AxisPosition, Command, Heading, Spindle},
+        units::{Position, Rpm},
+    };
+    use trueup_link::receiver::Receiver;
+
+    #[test]
+    fn a_plc_that_is_faster_than_the_bus_loses_nothing_but_repetitions() {
+        let at = |axis| AxisPosition { axis, position: Position(7), direction: Heading::Positive };
+        let mut said = Cnc {
+            control: Control::REFERENCED,
+            positions: LinearAxis::ALL.map(|axis| Some(at(axis))),
+            rotary: None,
+            spindle: Some(Spindle { speed: Rpm(9), load_n: -3 }),
+        };
+        let (mut speaker, mut receiver) = (Speaker::default(), Receiver::new());
+        let (mut controls, mut positions, mut others) = (vec![], 0, 0);
+        for ms in 0..100 {
+            said.control.engage = ms >= 33;
+            speaker.say(Duration::from_millis(ms), &said);
+            for frame in speaker.take() {
+                match receiver.accept(&frame).expect("in order") {
+                    Some(Command::Control(control)) => controls.push((ms, control.engage)),
+                    Some(Command::Position(_)) => positions += 1,
+                    _ => others += 1,
+                }
+            }
+        }
+        let expected = [(0, false), (20, false), (33, true), (53, true), (73, true), (93, true)];
+        assert_eq!(controls, expected);
+        assert_eq!((positions, others), (150, 5));
+        assert_eq!(speaker.take(), []);
+    }
+}

@@ -1,0 +1,87 @@
+//! How both ends are, as a line of JSON: once a second, and at once when something has changed.
+
+use std::time::Duration;
+
+use serde_json::{Value, json};
+use trueup_client::words::{output_json, state_words};
+use trueup_link::status::StateBits;
+use trueup_modbus::cnc::Refused;
+
+use crate::bridge::Shared;
+
+/// How often it is told.
+pub const PERIOD: Duration = Duration::from_secs(1);
+
+/// The PLC's end, as whoever serves it knows it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PlcEnd {
+    /// It is connected, or at least one master is.
+    pub is_up: bool,
+    /// Why it last was not.
+    pub why: Option<String>,
+    /// Blocks that it has been given.
+    pub given: u64,
+    /// The longest that one took since the last line, in milliseconds.
+    pub longest_ms: f64,
+}
+
+/// What a line says.
+#[must_use]
+pub fn line(shared: &Shared, plc: &PlcEnd) -> Value {
+    let now = shared.now();
+    let bridge_line = shared.line();
+    let hub = shared.hub();
+    let (said, counters) = (hub.said(), hub.counters());
+    let mut bridge = output_json(Some(&said.output));
+    if let Some(bridge) = bridge.as_object_mut() {
+        bridge.insert("line".into(), word(bridge_line.is_up).into());
+        bridge.insert("why".into(), bridge_line.why.into());
+        bridge.insert("heard".into(), hub.hears_bridge(now).into());
+        bridge.insert("age_ms".into(), said.age_ms.into());
+        bridge.insert("state".into(), state_words(StateBits(said.state)).into());
+        let wrong = counters.crc_errors + counters.sequence_errors + counters.malformed;
+        bridge.insert("refused_frames".into(), wrong.into());
+        bridge.insert("lost_frames".into(), counters.lost.into());
+    }
+    let control = hub.control(now);
+    json!({
+        "t_s": (now.as_secs_f64() * 1e3).round() / 1e3,
+        "bridge": bridge,
+        "plc": {
+            "line": word(plc.is_up),
+            "why": plc.why,
+            "given": plc.given,
+            "longest_ms": (plc.longest_ms * 1e3).round() / 1e3,
+            "heard": control.is_some(),
+            "engage": control.map(|control| control.engage),
+            "refused": said.refused,
+            "last_refused": refused_word(said.last_refused),
+        },
+    })
+}
+
+/// What has to be told at once when it changes.
+#[must_use]
+pub fn news(line: &Value) -> [Value; 7] {
+    let of = |end: &str, what: &str| line[end][what].clone();
+    [
+        of("bridge", "line"),
+        of("bridge", "heard"),
+        of("bridge", "quality"),
+        of("bridge", "state"),
+        of("plc", "line"),
+        of("plc", "heard"),
+        of("plc", "engage"),
+    ]
+}
+
+fn word(is_up: bool) -> &'static str {
+    if is_up { "up" } else { "down" }
+}
+
+fn refused_word(number: u16) -> Option<String> {
+    [Refused::Malformed, Refused::Damaged, Refused::Repeated, Refused::WrongSequence]
+        .into_iter()
+        .find(|it| *it as u16 == number)
+        .map(|it| it.to_string())
+}

@@ -1,0 +1,147 @@
+//! The hub between a bridge and masters that say what the test says.
+
+use super::*;
+use trueup_core::units::Nanometres;
+use trueup_link::{
+    frames::{offset_xy, offset_z},
+    status::{Item, Reason, Status, encode},
+};
+
+fn ms(ms: u64) -> Duration {
+    Duration::from_millis(ms)
+}
+
+fn say(hub: &mut Hub, now: u64, offset: Option<i32>) {
+    let quality = if offset.is_some() { Quality::Live } else { Quality::Fault };
+    let offset = offset.map(|nm| [nm, -nm, nm].map(Nanometres));
+    let output = Output { offset, quality, age_ms: 2, ..Output::default() };
+    let counter = hub.said().counter.wrapping_add(1) as u8;
+    for frame in [offset_xy(&output, counter), offset_z(&output, counter)] {
+        hub.hear(ms(now), &Event::Frame(frame));
+    }
+    hub.refresh(ms(now));
+}
+
+fn read(hub: &Hub) -> Input {
+    Input::decode(&hub.input()).expect("a block is whole")
+}
+
+fn z_nm(input: &Input) -> Option<i32> {
+    input.output.offset.map(|[_, _, z]| z.0)
+}
+
+#[test]
+fn before_anything_was_heard_nothing_is_available() {
+    let hub = Hub::new();
+    assert_eq!((z_nm(&read(&hub)), read(&hub).output.quality), (None, Quality::Fault));
+}
+
+#[test]
+fn the_counter_moves_with_each_pair_and_stands_without() {
+    let mut hub = Hub::new();
+    say(&mut hub, 1, Some(1_000));
+    let first = read(&hub);
+    assert_eq!((z_nm(&first), first.age_ms), (Some(1_000), 2));
+    for now in 2..=101 {
+        hub.refresh(ms(now));
+        assert_eq!(read(&hub), first, "an old offset gets no new counter");
+    }
+    say(&mut hub, 102, Some(1_010));
+    assert_eq!(read(&hub).counter, first.counter.wrapping_add(1));
+    assert_eq!(z_nm(&read(&hub)), Some(1_010));
+}
+
+#[test]
+fn a_silent_bridge_is_told_by_a_gateway_that_lives() {
+    let mut hub = Hub::new();
+    say(&mut hub, 1, Some(1_000));
+    let mut last = read(&hub).counter;
+    for now in 102..110 {
+        hub.refresh(ms(now));
+        let input = read(&hub);
+        assert_eq!((z_nm(&input), input.output.quality), (None, Quality::Fault));
+        assert_eq!(input.counter, last.wrapping_add(1));
+        last = input.counter;
+    }
+    assert_eq!(read(&hub).age_ms, 2 + 108);
+}
+
+#[test]
+fn half_a_pair_changes_nothing_and_a_damaged_one_is_counted() {
+    let mut hub = Hub::new();
+    say(&mut hub, 1, Some(1_000));
+    let before = read(&hub);
+    let output = Output { offset: Some([Nanometres(9); 3]), ..Output::default() };
+    let counter = hub.said().counter.wrapping_add(1) as u8;
+    hub.hear(ms(2), &Event::Frame(offset_xy(&output, counter)));
+    let whole = offset_z(&output, counter);
+    let mut data = *whole.data();
+    data[7] ^= 1;
+    hub.hear(ms(2), &Event::Frame(Frame::new(whole.id(), &data).expect("eight bytes")));
+    hub.refresh(ms(2));
+    assert_eq!(read(&hub), before);
+    assert_eq!(hub.counters().crc_errors, 1);
+}
+
+#[test]
+fn status_is_told_until_it_is_too_old() {
+    let mut hub = Hub::new();
+    let items = [
+        Item::Temperatures { pair: 0, centi_c: [Some(2_345), None] },
+        Item::State(StateBits::RESTARTED),
+        Item::Calibration(7),
+    ];
+    for (counter, item) in (0..).zip(items) {
+        let status = Status { last_refused: Reason::None, item };
+        hub.hear(ms(0), &Event::Frame(encode(&status, counter)));
+    }
+    say(&mut hub, 3_400, Some(0));
+    let input = read(&hub);
+    assert_eq!((input.centi_c[0], input.state, input.calibration), (Some(2_345), 1, 7));
+    say(&mut hub, 3_401, Some(0));
+    let input = read(&hub);
+    assert_eq!((input.centi_c[0], input.state, input.calibration), (None, 0, 0));
+}
+
+fn engaged() -> Cnc {
+    Cnc { control: Control::ENGAGED, ..Cnc::default() }
+}
+
+#[test]
+fn only_a_new_block_of_the_one_master_becomes_a_frame() {
+    let mut hub = Hub::new();
+    assert_eq!(hub.take(ms(0), 1, &engaged().encode(5)), Ok(Taken::Used));
+    assert_eq!(hub.frames().len(), 1);
+    let bad = {
+        let mut block = engaged().encode(6);
+        block[1] ^= 1;
+        block
+    };
+    for (block, why) in [
+        (engaged().encode(5), Refused::Repeated),
+        (bad, Refused::Damaged),
+        (engaged().encode(99), Refused::WrongSequence),
+    ] {
+        assert_eq!(hub.take(ms(40), 1, &block), Ok(Taken::Refused(why)));
+        assert!(hub.frames().is_empty() && hub.holding()[0] == 5);
+    }
+    say(&mut hub, 50, Some(0));
+    assert_eq!((read(&hub).last_refused, read(&hub).refused), (4, 3));
+    assert_eq!(hub.take(ms(60), 1, &engaged().encode(100)), Ok(Taken::Used));
+    // Another one: kept out and told, until the first is silent or gone.
+    let other = engaged().encode(7_000);
+    assert_eq!(hub.take(ms(70), 2, &other), Err(Busy));
+    say(&mut hub, 71, Some(0));
+    assert_eq!(read(&hub).state, StateBits::SECOND_MASTER.0);
+    assert_eq!(hub.take(ms(560), 2, &other), Err(Busy));
+    assert_eq!(hub.control(ms(560)), Some(Control::ENGAGED));
+    assert_eq!(hub.control(ms(561)), None);
+    assert_eq!(hub.take(ms(561), 2, &other), Ok(Taken::Used));
+    assert_eq!(hub.take(ms(570), 1, &engaged().encode(101)), Err(Busy));
+    hub.leave(1);
+    assert_eq!(hub.take(ms(571), 1, &engaged().encode(101)), Err(Busy));
+    hub.leave(2);
+    assert_eq!(hub.take(ms(572), 1, &engaged().encode(3)), Ok(Taken::Used));
+    hub.frames();
+    assert!(hub.frames().is_empty(), "nothing is repeated by itself");
+}

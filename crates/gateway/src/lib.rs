@@ -1,0 +1,29 @@
+//! The bridge for controls with a PLC: what it says goes into registers, what the PLC says comes out of
+//! them.
+//!
+//! ```text
+//!            ┌──────────── hub ────────────┐
+//!  bridge ──►│ offsets, status ► input     │──► modbus: any number of masters read, one writes
+//!     line   │                             │
+//!  bridge ◄──│ frames ◄ cnc ◄ holding      │◄── s7: one data block of one CPU, written and read
+//!            └─────────────────────────────┘
+//! ```
+//!
+//! | module | does |
+//! |---|---|
+//! | [`hub`] | both blocks, with time as an argument: what is new, what is stale, whose block is taken |
+//! | [`cnc`] | frames for the bridge from what the PLC says, no oftener than the bus permits |
+//! | [`bridge`] | the thread that keeps the line to the bridge |
+//! | [`modbus`] | Modbus TCP |
+//! | [`s7`] | ISO-on-TCP: the small client, and the loop that writes and reads the data block |
+//! | [`health`] | how both ends are, as lines of JSON |
+//!
+//! A gateway invents no life: an old offset never gets a new counter, and `Control` goes to the bridge
+//! only when the PLC has sent a new block. Whichever end dies, the other finds out by itself.
+
+pub mod bridge;
+pub mod cnc;
+pub mod health;
+pub mod hub;
+pub mod modbus;
+pub mod s7;

@@ -1,0 +1,171 @@
+//! A data block of an S7 CPU: the input block is written into it, the holding block read out of it, so
+//! many times a second; after a fault the connection is made again.
+//!
+//! ```text
+//!  byte   0 … 55    input block, written by the gateway alone
+//!        64 … 97    holding block, written by the PLC's program alone
+//! ```
+
+pub mod client;
+
+use std::{
+    sync::{Arc, Mutex, PoisonError},
+    thread,
+    time::{Duration, Instant},
+};
+
+use trueup_modbus::{
+    cnc,
+    table::{HOLDING_LEN, INPUT_LEN},
+};
+
+use crate::{bridge::Shared, health::PlcEnd};
+use client::{Client, Error, Place};
+
+/// Where the holding block begins in the data block, in bytes.
+pub const HOLDING_AT: usize = 64;
+/// Bytes of the input block.
+const INPUT_BYTES: usize = 2 * INPUT_LEN;
+/// Bytes of the holding block.
+const HOLDING_BYTES: usize = 2 * HOLDING_LEN;
+/// Before the first try to connect again; each further one waits twice as long.
+const FIRST_PAUSE: Duration = Duration::from_millis(250);
+/// The longest of these: whoever has plugged the cable in again waits no longer.
+const LAST_PAUSE: Duration = Duration::from_secs(4);
+/// The one master there is.
+const PLC: u64 = 0;
+
+/// Where the block is.
+#[derive(Clone, Debug)]
+pub struct Target {
+    /// The CPU.
+    pub place: Place,
+    /// The number of the data block.
+    pub db: u16,
+    /// From one write to the next.
+    pub period: Duration,
+}
+
+/// How the PLC's end is, for whoever tells it.
+#[derive(Clone, Debug, Default)]
+pub struct End(Arc<Mutex<PlcEnd>>);
+
+impl End {
+    /// How it is; the longest write is counted anew from here.
+    #[must_use]
+    pub fn take(&self) -> PlcEnd {
+        let mut end = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let now = end.clone();
+        end.longest_ms = 0.0;
+        now
+    }
+
+    /// How it is.
+    #[must_use]
+    pub fn look(&self) -> PlcEnd {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    fn change(&self, change: impl FnOnce(&mut PlcEnd)) {
+        change(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner));
+    }
+}
+
+/// Writes and reads until the end.
+pub fn serve(shared: &Shared, target: &Target, end: &End) {
+    let mut pause = FIRST_PAUSE;
+    while !shared.has_ended() {
+        let why = match Client::connect(&target.place) {
+            Ok(mut client) => {
+                end.change(|end| (end.is_up, end.why) = (true, None));
+                let (why, has_written) = exchange(shared, target, &mut client, end);
+                if has_written {
+                    pause = FIRST_PAUSE;
+                }
+                shared.hub().leave(PLC);
+                why
+            }
+            Err(error) => Some(error),
+        };
+        let Some(why) = why else { return };
+        end.change(|end| (end.is_up, end.why) = (false, Some(why.to_string())));
+        let until = Instant::now() + pause;
+        while Instant::now() < until && !shared.has_ended() {
+            thread::sleep(FIRST_PAUSE.min(until.saturating_duration_since(Instant::now())));
+        }
+        pause = LAST_PAUSE.min(2 * pause);
+    }
+}
+
+/// Writes and reads until something breaks; why, and whether anything was written. `None`: it is the
+/// end.
+fn exchange(
+    shared: &Shared,
+    target: &Target,
+    client: &mut Client,
+    end: &End,
+) -> (Option<Error>, bool) {
+    let mut has_written = false;
+    let mut last = None;
+    let mut due = Instant::now();
+    while !shared.has_ended() {
+        let started = Instant::now();
+        let block = shared.hub().input();
+        if let Err(error) = client.write(target.db, 0, &bytes(&block)) {
+            return (Some(error), has_written);
+        }
+        has_written = true;
+        let took = started.elapsed().as_secs_f64() * 1e3;
+        end.change(|end| {
+            end.given += 1;
+            end.longest_ms = end.longest_ms.max(took);
+        });
+        let mut read = [0; HOLDING_BYTES];
+        if let Err(error) = client.read(target.db, HOLDING_AT, &mut read) {
+            return (Some(error), has_written);
+        }
+        let block = registers(&read);
+        // A program that is slower than this says the same again, which is no fault of its own; zeros
+        // are a block that no program has written yet.
+        if last.replace(block) != Some(block) && block != [0; HOLDING_LEN] {
+            // There is no second master here, and what is refused is told in the block.
+            shared.hub().take(shared.now(), PLC, &block).ok();
+        }
+        due += target.period;
+        match due.checked_duration_since(Instant::now()) {
+            Some(rest) => thread::sleep(rest),
+            // Late: what was left out is not made up for.
+            None => due = Instant::now(),
+        }
+    }
+    (None, has_written)
+}
+
+/// Writes the present block once and reads it back.
+///
+/// # Errors
+/// The CPU cannot be reached, has no such data block, or has not kept what was written.
+pub fn once(shared: &Shared, target: &Target) -> Result<(), Error> {
+    let mut client = Client::connect(&target.place)?;
+    let written = bytes(&shared.hub().input());
+    client.write(target.db, 0, &written)?;
+    let mut read = [0; INPUT_BYTES];
+    client.read(target.db, 0, &mut read)?;
+    if read == written { Ok(()) } else { Err(Error::NotKept) }
+}
+
+fn bytes(block: &[u16; INPUT_LEN]) -> [u8; INPUT_BYTES] {
+    let mut bytes = [0; INPUT_BYTES];
+    for (place, word) in bytes.chunks_exact_mut(2).zip(block) {
+        place.copy_from_slice(&word.to_be_bytes());
+    }
+    bytes
+}
+
+fn registers(bytes: &[u8; HOLDING_BYTES]) -> cnc::Registers {
+    let mut block = [0; HOLDING_LEN];
+    for (place, word) in block.iter_mut().zip(bytes.as_chunks::<2>().0) {
+        *place = u16::from_be_bytes(*word);
+    }
+    block
+}

@@ -1,0 +1,262 @@
+//! The little of S7 communication that a data block needs: connect, write bytes, read bytes.
+//!
+//! ```text
+//!  TPKT (RFC 1006)   03 00 length
+//!  COTP (ISO 8073)   connect request, confirm; data: 02 F0 80
+//!  S7                32 kind 00 00 reference  length of parameters, of data  [error]
+//!                    F0 set up: jobs, jobs, PDU length     04 read   05 write: one item, area DB
+//! ```
+//!
+//! A CPU answers within the timeout or the connection is given up: whoever calls makes a new one. An
+//! answer is read to its length however the network cuts it, must bear the reference of its request,
+//! and is believed only as far as it reaches.
+
+use std::{
+    fmt,
+    io::{self, Read as _, Write as _},
+    net::{TcpStream, ToSocketAddrs as _},
+    time::Duration,
+};
+
+/// The port of ISO-on-TCP.
+pub const PORT: u16 = 102;
+/// How long the CPU may take for anything.
+const TIMEOUT: Duration = Duration::from_millis(500);
+/// How long it may take to connect.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(2);
+/// The PDU that is asked for; the smallest CPUs grant 240.
+const PDU_LENGTH: u16 = 480;
+/// The bytes of a write beside its data: header, one item, head of the data.
+const WRITE_OVERHEAD: usize = 28;
+const TPKT_LEN: usize = 4;
+const COTP_DATA: [u8; 3] = [0x02, 0xF0, 0x80];
+const JOB: u8 = 1;
+const ANSWER: u8 = 3;
+const SET_UP: u8 = 0xF0;
+const READ: u8 = 4;
+const WRITE: u8 = 5;
+const DONE: u8 = 0xFF;
+/// An S7 "basic" connection, beside those of programming devices and panels.
+const BASIC: u8 = 3;
+
+/// Where a CPU is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// HOST or HOST:PORT.
+    pub address: String,
+    /// Rack 0…7.
+    pub rack: u8,
+    /// Slot 0…31; 2 for the CPU of a 300 and of an 840D sl.
+    pub slot: u8,
+}
+
+/// Why a CPU does not do what it was asked for.
+#[derive(Debug)]
+pub enum Error {
+    /// The network: no such host, nobody listens, a line that is cut, no answer in time.
+    Io(io::Error),
+    /// It answers, but what is none of the protocol's answers.
+    Answer(&'static str),
+    /// It refuses, with class and code of its error.
+    Refused(u8, u8),
+    /// The data block is not there, too short, or closed to others; the item's code.
+    Item(u8),
+    /// What was written is not what is read.
+    NotKept,
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Io(error) if trueup_client::ends::is_timeout(error) => {
+                write!(f, "the PLC does not answer in time")
+            }
+            Self::Io(error) => write!(f, "the PLC cannot be reached: {error}"),
+            Self::Answer(what) => write!(f, "what answers is no S7: {what}"),
+            Self::Refused(class, code) => {
+                write!(f, "the PLC refuses: error class 0x{class:02X}, code 0x{code:02X}")
+            }
+            Self::Item(0x0A) => f.write_str("the PLC has no such data block"),
+            Self::Item(0x05) => f.write_str(
+                "the data block is too short, or stored as optimized: see integrations/siemens-840d",
+            ),
+            Self::Item(0x03) => f.write_str("the PLC does not let others at this data block"),
+            Self::Item(code) => write!(f, "the PLC does not do it: return code 0x{code:02X}"),
+            Self::NotKept => f.write_str(
+                "what is read back is not what was written: does another write to this data block?",
+            ),
+        }
+    }
+}
+
+impl std::error::Error for Error {}
+
+impl From<io::Error> for Error {
+    fn from(error: io::Error) -> Self {
+        Self::Io(error)
+    }
+}
+
+/// A connection to a CPU.
+#[derive(Debug)]
+pub struct Client {
+    stream: TcpStream,
+    reference: u16,
+    pdu_length: usize,
+}
+
+impl Client {
+    /// Connects, and agrees on the length of a PDU.
+    ///
+    /// # Errors
+    /// Nobody is there, or it is no CPU, or not in this slot.
+    pub fn connect(place: &Place) -> Result<Self, Error> {
+        let stream = connect(&place.address)?;
+        stream.set_nodelay(true)?;
+        stream.set_read_timeout(Some(TIMEOUT))?;
+        stream.set_write_timeout(Some(TIMEOUT))?;
+        let mut client = Self { stream, reference: 0, pdu_length: usize::from(PDU_LENGTH) };
+        let slot = (place.rack & 7) << 5 | (place.slot & 31);
+        client.send(&[
+            0x11, 0xE0, 0, 0, 0, 1, 0, // connect request, references, class 0
+            0xC0, 1, 0x0A, // TPDU of 1024 bytes
+            0xC1, 2, 1, 0, // our TSAP
+            0xC2, 2, BASIC, slot, // the CPU's
+        ])?;
+        match client.receive()?[..] {
+            [_, 0xD0, ..] => {}
+            _ => return Err(Error::Answer("it does not confirm the connection (rack, slot?)")),
+        }
+        let [high, low] = PDU_LENGTH.to_be_bytes();
+        let (answer, _) = client.ask(&[SET_UP, 0, 0, 1, 0, 1, high, low], &[])?;
+        match answer[..] {
+            [SET_UP, _, _, _, _, _, high, low] => {
+                client.pdu_length = usize::from(u16::from_be_bytes([high, low]));
+            }
+            _ => return Err(Error::Answer("it does not agree on a length")),
+        }
+        Ok(client)
+    }
+
+    /// Writes bytes into a data block, in one job, so that they arrive together.
+    ///
+    /// # Errors
+    /// The CPU does not take them, or the line is broken. At most as many as fit a PDU.
+    pub fn write(&mut self, db: u16, start: usize, bytes: &[u8]) -> Result<(), Error> {
+        if bytes.len() + WRITE_OVERHEAD > self.pdu_length {
+            return Err(Error::Answer("its PDU is too short for the block"));
+        }
+        let bits = short(8 * bytes.len())?.to_be_bytes();
+        let data = [&[0, 4][..], &bits, bytes].concat();
+        let (parameters, answer) = self.ask(&item(WRITE, db, start, bytes.len())?, &data)?;
+        match (&parameters[..], &answer[..]) {
+            ([WRITE, 1], [DONE, ..]) => Ok(()),
+            ([WRITE, 1], &[code, ..]) => Err(Error::Item(code)),
+            _ => Err(Error::Answer("to a write")),
+        }
+    }
+
+    /// Reads bytes out of a data block, in one job.
+    ///
+    /// # Errors
+    /// The CPU does not give them, or the line is broken.
+    pub fn read(&mut self, db: u16, start: usize, bytes: &mut [u8]) -> Result<(), Error> {
+        let (parameters, answer) = self.ask(&item(READ, db, start, bytes.len())?, &[])?;
+        let bits = short(8 * bytes.len())?.to_be_bytes();
+        match (&parameters[..], &answer[..]) {
+            ([READ, 1], [DONE, 4, high, low, data @ ..])
+                if [*high, *low] == bits && data.len() >= bytes.len() =>
+            {
+                bytes.copy_from_slice(&data[..bytes.len()]);
+                Ok(())
+            }
+            ([READ, 1], [code, ..]) if *code != DONE => Err(Error::Item(*code)),
+            _ => Err(Error::Answer("to a read")),
+        }
+    }
+
+    /// Parameters and data of the answer to a job.
+    fn ask(&mut self, parameters: &[u8], data: &[u8]) -> Result<(Vec<u8>, Vec<u8>), Error> {
+        self.reference = self.reference.wrapping_add(1);
+        let reference = self.reference.to_be_bytes();
+        let lengths =
+            [short(parameters.len())?.to_be_bytes(), short(data.len())?.to_be_bytes()].concat();
+        let header = [&[0x32, JOB, 0, 0][..], &reference, &lengths].concat();
+        self.send(&[&COTP_DATA, &header[..], parameters, data].concat())?;
+        let answer = self.receive()?;
+        let Some(answer) = answer.strip_prefix(&COTP_DATA) else {
+            return Err(Error::Answer("a telegram in parts"));
+        };
+        let &[0x32, ANSWER, _, _, r0, r1, p0, p1, d0, d1, class, code, ref rest @ ..] = answer
+        else {
+            return Err(Error::Answer("no answer to a job"));
+        };
+        if [r0, r1] != reference {
+            return Err(Error::Answer("an answer to another job"));
+        }
+        if (class, code) != (0, 0) {
+            return Err(Error::Refused(class, code));
+        }
+        let (parameters, data) =
+            [[p0, p1], [d0, d1]].map(u16::from_be_bytes).map(usize::from).into();
+        match rest.split_at_checked(parameters) {
+            Some((parameters, rest)) if rest.len() >= data => {
+                Ok((parameters.to_vec(), rest[..data].to_vec()))
+            }
+            _ => Err(Error::Answer("cut off")),
+        }
+    }
+
+    fn send(&mut self, payload: &[u8]) -> Result<(), Error> {
+        let [high, low] = short(TPKT_LEN + payload.len())?.to_be_bytes();
+        Ok(self.stream.write_all(&[&[3, 0, high, low], payload].concat())?)
+    }
+
+    fn receive(&mut self) -> Result<Vec<u8>, Error> {
+        let mut header = [0; TPKT_LEN];
+        self.stream.read_exact(&mut header)?;
+        let [3, _, high, low] = header else { return Err(Error::Answer("no TPKT")) };
+        let length = usize::from(u16::from_be_bytes([high, low]));
+        let Some(length) = length.checked_sub(TPKT_LEN) else {
+            return Err(Error::Answer("a TPKT without a length"));
+        };
+        let mut payload = vec![0; length];
+        self.stream.read_exact(&mut payload)?;
+        Ok(payload)
+    }
+}
+
+/// Parameters of a job on bytes of a data block.
+fn item(function: u8, db: u16, start: usize, length: usize) -> Result<[u8; 14], Error> {
+    const BYTE: u8 = 2;
+    const DATA_BLOCK: u8 = 0x84;
+    let [l0, l1] = short(length)?.to_be_bytes();
+    let [d0, d1] = db.to_be_bytes();
+    // In bits; three bytes hold them.
+    let [_, a0, a1, a2] = (u32::from(short(start)?) << 3).to_be_bytes();
+    Ok([function, 1, 0x12, 0x0A, 0x10, BYTE, l0, l1, d0, d1, DATA_BLOCK, a0, a1, a2])
+}
+
+fn short(length: usize) -> Result<u16, Error> {
+    u16::try_from(length).map_err(|_| Error::Answer("too long for a telegram"))
+}
+
+/// To the first of the name's addresses that answers.
+fn connect(address: &str) -> io::Result<TcpStream> {
+    let has_port = address
+        .rsplit_once(':')
+        .is_some_and(|(host, port)| !host.contains(':') && port.parse::<u16>().is_ok());
+    let addresses =
+        if has_port { address.to_socket_addrs()? } else { (address, PORT).to_socket_addrs()? };
+    let mut last = io::Error::from(io::ErrorKind::AddrNotAvailable);
+    for address in addresses {
+        match TcpStream::connect_timeout(&address, CONNECT_TIMEOUT) {
+            Ok(stream) => return Ok(stream),
+            Err(error) => last = error,
+        }
+    }
+    Err(last)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,242 @@
+//! The holding block: what the control says, from registers, with the checks of a frame on CAN.
+
+use core::{error::Error, fmt};
+
+use trueup_core::{
+    cnc::{AxisPosition, Control, Heading, LinearAxis, Rotary, Spindle},
+    units::{MicroDegrees, Position, Rpm},
+};
+use trueup_link::{e2e::MAX_DELTA, layout::MICRO_DEGREES_PER_BIT};
+
+use crate::{
+    protect::{get, get_long, is_whole, put, put_long, seal},
+    table::{
+        ANGLE_1, ANGLE_2, CNC_COUNTER, CONTROL, DIRECTIONS, HOLDING_DATA_ID, HOLDING_LEN, LOAD,
+        POSITION_X, POSITION_Y, POSITION_Z, PRESENT, SPEED,
+    },
+};
+
+/// The block as it stands in the registers.
+pub type Registers = [u16; HOLDING_LEN];
+
+const ROTARY: u16 = 1 << 3;
+const SPINDLE: u16 = 1 << 4;
+/// Bits of `Control` and of `Present` that have a meaning.
+const KNOWN: u16 = 0x1F;
+
+/// What the control says in one block.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Cnc {
+    /// Its sign of life, and what it allows.
+    pub control: Control,
+    /// Where X, Y and Z are sent; `None`: the control does not say.
+    pub positions: [Option<AxisPosition>; 3],
+    /// Where the rotary axes are sent.
+    pub rotary: Option<Rotary>,
+    /// What the spindle does.
+    pub spindle: Option<Spindle>,
+}
+
+impl Cnc {
+    /// The registers, as a PLC has to make them.
+    #[must_use]
+    pub fn encode(&self, counter: u16) -> Registers {
+        let mut block = [0; HOLDING_LEN];
+        let Control { engage, referenced, zero, service, confirm } = self.control;
+        let flags = [engage, referenced, zero, service, confirm];
+        let bits = |flags: &[bool]| {
+            flags.iter().rev().fold(0_u16, |bits, flag| bits << 1 | u16::from(*flag))
+        };
+        let [x, y, z] = self.positions.map(|position| position.is_some());
+        let present = [x, y, z, self.rotary.is_some(), self.spindle.is_some()];
+        put(&mut block, CNC_COUNTER, counter);
+        put(&mut block, CONTROL, bits(&flags));
+        put(&mut block, PRESENT, bits(&present));
+        let mut directions = 0;
+        for (place, position) in
+            [POSITION_X, POSITION_Y, POSITION_Z].into_iter().zip(self.positions).rev()
+        {
+            directions <<= 2;
+            if let Some(AxisPosition { position, direction, .. }) = position {
+                put_long(&mut block, place, position.0.cast_unsigned());
+                directions |= u16::from((direction as i8).cast_unsigned() & 3);
+            }
+        }
+        put(&mut block, DIRECTIONS, directions);
+        if let Some(Rotary { angles }) = self.rotary {
+            for (place, angle) in [ANGLE_1, ANGLE_2].into_iter().zip(angles) {
+                let raw = angle.0.wrapping_div(MICRO_DEGREES_PER_BIT);
+                put_long(&mut block, place, raw.cast_unsigned());
+            }
+        }
+        if let Some(Spindle { speed, load_n }) = self.spindle {
+            put(&mut block, SPEED, speed.0);
+            put(&mut block, LOAD, load_n.cast_unsigned());
+        }
+        seal(&mut block, HOLDING_DATA_ID);
+        block
+    }
+
+    /// What the registers say, their protection aside; `None`: a bit or a direction without meaning, or
+    /// an angle beyond what a number holds.
+    fn decode(block: &Registers) -> Option<Self> {
+        let (control, present) = (get(block, CONTROL), get(block, PRESENT));
+        let directions = get(block, DIRECTIONS);
+        if (control | present) & !KNOWN != 0 || directions & !0x3F != 0 {
+            return None;
+        }
+        let bit = |n: u16| control & 1 << n != 0;
+        let mut positions = [None; 3];
+        let places = [POSITION_X, POSITION_Y, POSITION_Z].into_iter().zip(LinearAxis::ALL);
+        for (n, ((place, axis), position)) in (0_u16..).zip(places.zip(&mut positions)) {
+            let direction = match directions >> n.saturating_mul(2) & 3 {
+                0 => Heading::Standing,
+                1 => Heading::Positive,
+                3 => Heading::Negative,
+                _ => return None,
+            };
+            let at = AxisPosition { axis, position: Position(get_long(block, place)), direction };
+            *position = (present & 1 << n != 0).then_some(at);
+        }
+        let angle = |place| get_long(block, place).checked_mul(MICRO_DEGREES_PER_BIT);
+        let rotary = if present & ROTARY == 0 {
+            None
+        } else {
+            Some(Rotary { angles: [angle(ANGLE_1)?, angle(ANGLE_2)?].map(MicroDegrees) })
+        };
+        let spindle =
+            Spindle { speed: Rpm(get(block, SPEED)), load_n: get(block, LOAD).cast_signed() };
+        Some(Self {
+            control: Control {
+                engage: bit(0),
+                referenced: bit(1),
+                zero: bit(2),
+                service: bit(3),
+                confirm: bit(4),
+            },
+            positions,
+            rotary,
+            spindle: (present & SPINDLE != 0).then_some(spindle),
+        })
+    }
+}
+
+/// Why a block must not be used. The numbers are those of `LastRefused`, and of `Status` on CAN.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u16)]
+pub enum Refused {
+    /// A value in it has no meaning.
+    Malformed = 1,
+    /// Its CRC is wrong: damaged, half old, or meant for elsewhere.
+    Damaged = 2,
+    /// It has the counter of the block before.
+    Repeated = 3,
+    /// Its counter has moved by more than 15.
+    WrongSequence = 4,
+}
+
+impl fmt::Display for Refused {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Malformed => "a value without meaning",
+            Self::Damaged => "the CRC is wrong",
+            Self::Repeated => "the counter is repeated",
+            Self::WrongSequence => "the counter is out of sequence",
+        })
+    }
+}
+
+impl Error for Refused {}
+
+/// Checks the blocks of one master, one after the other.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Checker {
+    last: Option<u16>,
+}
+
+impl Checker {
+    /// What this block says, if it is to be used. The first whole block sets the counter.
+    ///
+    /// # Errors
+    /// The block must not be used. After [`Refused::WrongSequence`] the next in order is taken.
+    pub fn accept(&mut self, block: &Registers) -> Result<Cnc, Refused> {
+        if !is_whole(block, HOLDING_DATA_ID) {
+            return Err(Refused::Damaged);
+        }
+        let counter = get(block, CNC_COUNTER);
+        if let Some(last) = self.last.replace(counter) {
+            match counter.wrapping_sub(last) {
+                0 => return Err(Refused::Repeated),
+                delta if delta > u16::from(MAX_DELTA) => return Err(Refused::WrongSequence),
+                _ => {}
+            }
+        }
+        Cnc::decode(block).ok_or(Refused::Malformed)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn said() -> Cnc {
+        let at = |axis, position, direction| {
+            Some(AxisPosition { axis, position: Position(position), direction })
+        };
+        Cnc {
+            control: Control { zero: true, ..Control::ENGAGED },
+            positions: [
+                at(LinearAxis::X, -100_000, Heading::Negative),
+                None,
+                at(LinearAxis::Z, 1, Heading::Positive),
+            ],
+            rotary: Some(Rotary { angles: [30_000_000, -500].map(MicroDegrees) }),
+            spindle: Some(Spindle { speed: Rpm(24_000), load_n: -1 }),
+        }
+    }
+
+    #[test]
+    fn the_registers_are_those_of_the_documentation() {
+        let block = said().encode(7);
+        let expected = [7, 0b111, 0b11101, 0b01_00_11, 0xFFFE, 0x7960, 0, 0, 0, 1];
+        assert_eq!(block[..10], expected);
+        assert_eq!(block[10..16], [0, 60_000, 0xFFFF, 0xFFFF, 24_000, 0xFFFF]);
+        assert_eq!(Checker::default().accept(&block), Ok(said()));
+    }
+
+    #[test]
+    fn steps_of_the_counter_are_judged_as_on_can_across_its_wrap() {
+        for last in [0, 1, 0xFFF0, 0xFFFF_u16] {
+            for delta in [0, 1, 15, 16, 0x8000, 0xFFFF_u16] {
+                let mut checker = Checker::default();
+                assert!(checker.accept(&said().encode(last)).is_ok());
+                let counter = last.wrapping_add(delta);
+                let expected = match delta {
+                    0 => Err(Refused::Repeated),
+                    1..=15 => Ok(said()),
+                    _ => Err(Refused::WrongSequence),
+                };
+                assert_eq!(checker.accept(&said().encode(counter)), expected, "{last} {delta}");
+                let next = counter.wrapping_add(1);
+                assert_eq!(checker.accept(&said().encode(next)), Ok(said()));
+            }
+        }
+    }
+
+    #[test]
+    fn what_has_no_meaning_is_refused_whole() {
+        for (place, value) in [
+            (CONTROL, 1 << 5),
+            (PRESENT, 1 << 5),
+            (DIRECTIONS, 2),
+            (DIRECTIONS, 1 << 6),
+            (ANGLE_1, 0x7FFF),
+        ] {
+            let mut block = said().encode(1);
+            block[place] = value;
+            assert_eq!(Checker::default().accept(&block), Err(Refused::Damaged));
+            seal(&mut block, HOLDING_DATA_ID);
+            assert_eq!(Checker::default().accept(&block), Err(Refused::Malformed), "{place}");
+        }
+    }
+}

@@ -1,0 +1,235 @@
+//! One request of a master, answered: Modbus Application Protocol V1.1b3, over TCP or a serial line.
+//!
+//! | function | here |
+//! |---|---|
+//! | 4 read input registers | any part of the input block, out of one snapshot |
+//! | 3 read holding registers | any part of the holding block that was last taken |
+//! | 16 write multiple registers | the whole holding block, at address 0 |
+//! | every other | exception 01 |
+//!
+//! | exception | when |
+//! |---|---|
+//! | 01 illegal function | no such function here |
+//! | 02 illegal data address | an address, or address and length together, outside the block; a write of a part of it |
+//! | 03 illegal data value | a length of 0 or beyond the standard's, or one that does not fit the request |
+//! | 06 server device busy | another master writes |
+//! | 0B gateway target device failed to respond | TCP: a unit that is not there |
+//!
+//! No answer: a broadcast (unit 0; a command that engages one bridge is addressed to one, so nothing
+//! moves), a serial frame for another unit or with a wrong checksum, bytes that are no request.
+//!
+//! The library builds and parses frames. What it would let pass is asked before it sees them: a byte
+//! count that is not twice the quantity, a quantity of 0, bytes behind the end, an unknown function in
+//! a serial frame that is damaged.
+
+use crc::{CRC_16_MODBUS, Crc};
+use heapless::Vec;
+use rmodbus::{
+    ModbusProto,
+    server::{ModbusFrame, Read, Write},
+};
+
+use crate::{cnc, input, table::HOLDING_LEN};
+
+/// The largest frame: 253 bytes of a request, the header of TCP before them.
+pub const MAX_FRAME: usize = 260;
+/// Bytes before the unit in a frame of TCP.
+pub const HEADER_LEN: usize = 6;
+/// A broadcast.
+const BROADCAST: u8 = 0;
+/// Over TCP, the one that listens, whatever its number.
+const WHOEVER_LISTENS: u8 = 255;
+const READ_HOLDING: u8 = 3;
+const READ_INPUT: u8 = 4;
+const WRITE_HOLDING: u8 = 16;
+/// The most registers that one request reads, or writes.
+const MOST_READ: u16 = 125;
+const MOST_WRITTEN: u16 = 123;
+
+static CHECKSUM: Crc<u16> = Crc::<u16>::new(&CRC_16_MODBUS);
+
+/// An answer.
+pub type Response = Vec<u8, MAX_FRAME>;
+
+/// What the request comes over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Transport {
+    /// TCP: a header with transaction and length before the unit.
+    Tcp,
+    /// A serial line in RTU mode: a checksum at the end.
+    Rtu,
+}
+
+/// Another master writes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Busy;
+
+/// What stands behind the registers.
+pub trait Bridge {
+    /// The input block as it is now, of one moment.
+    fn input(&self) -> input::Registers;
+    /// The holding block that was last taken; zeros before.
+    fn holding(&self) -> cnc::Registers;
+    /// Takes a block as it was written. Whether it may be used is for [`cnc::Checker`]; one that may
+    /// not is acknowledged, refused and counted.
+    ///
+    /// # Errors
+    /// Another master writes.
+    fn take(&mut self, block: &cnc::Registers) -> Result<(), Busy>;
+}
+
+/// The exceptions that are given, by the standard's numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Exception {
+    Function = 1,
+    Address = 2,
+    Value = 3,
+    Busy = 6,
+    NoTarget = 0x0B,
+}
+
+/// Answers one whole frame, addressed to `unit`. Whether there is an answer to send.
+pub fn answer(
+    transport: Transport,
+    unit: u8,
+    request: &[u8],
+    bridge: &mut impl Bridge,
+    response: &mut Response,
+) -> bool {
+    response.clear();
+    let Some((addressed, pdu)) = opened(transport, request) else { return false };
+    let &[function, ..] = pdu else { return false };
+    if addressed == BROADCAST {
+        return false;
+    }
+    let is_ours =
+        addressed == unit || (transport == Transport::Tcp && addressed == WHOEVER_LISTENS);
+    let answered = if is_ours {
+        admitted(pdu).and_then(|()| answered(transport, addressed, request, bridge, response))
+    } else if transport == Transport::Rtu {
+        return false;
+    } else {
+        Err(Exception::NoTarget)
+    };
+    match answered {
+        Ok(()) => true,
+        Err(exception) => refused(transport, request, addressed, function, exception, response),
+    }
+}
+
+/// The unit and what it is asked; `None`: no whole frame.
+fn opened(transport: Transport, request: &[u8]) -> Option<(u8, &[u8])> {
+    match transport {
+        Transport::Tcp => {
+            let &[_, _, 0, 0, high, low, unit, ref pdu @ ..] = request else { return None };
+            let length = usize::from(u16::from_be_bytes([high, low]));
+            (request.len().checked_sub(HEADER_LEN) == Some(length)).then_some((unit, pdu))
+        }
+        Transport::Rtu => {
+            let (covered, checksum) = request.split_last_chunk::<2>()?;
+            let is_whole = CHECKSUM.checksum(covered) == u16::from_le_bytes(*checksum);
+            let (unit, pdu) = covered.split_first()?;
+            is_whole.then_some((*unit, pdu))
+        }
+    }
+}
+
+/// Whether the request has the standard's form.
+fn admitted(pdu: &[u8]) -> Result<(), Exception> {
+    match *pdu {
+        [READ_HOLDING | READ_INPUT, _, _, high, low] => {
+            let count = u16::from_be_bytes([high, low]);
+            if (1..=MOST_READ).contains(&count) { Ok(()) } else { Err(Exception::Value) }
+        }
+        [WRITE_HOLDING, _, _, high, low, bytes, ref data @ ..] => {
+            let count = u16::from_be_bytes([high, low]);
+            let is_right = (1..=MOST_WRITTEN).contains(&count)
+                && u16::from(bytes) == count.saturating_mul(2)
+                && data.len() == usize::from(bytes);
+            if is_right { Ok(()) } else { Err(Exception::Value) }
+        }
+        [READ_HOLDING | READ_INPUT | WRITE_HOLDING, ..] => Err(Exception::Value),
+        _ => Err(Exception::Function),
+    }
+}
+
+/// Reads or writes, and puts the answer together.
+fn answered(
+    transport: Transport,
+    unit: u8,
+    request: &[u8],
+    bridge: &mut impl Bridge,
+    response: &mut Response,
+) -> Result<(), Exception> {
+    let proto = match transport {
+        Transport::Tcp => ModbusProto::TcpUdp,
+        Transport::Rtu => ModbusProto::Rtu,
+    };
+    // What it may find wrong has been found before; nothing is read or written then.
+    let odd = |_| Exception::Value;
+    let mut frame = ModbusFrame::new(unit, request, proto, response);
+    frame.parse().map_err(odd)?;
+    if frame.readonly {
+        let holding = frame.func == rmodbus::consts::ModbusFunction::GetHoldings;
+        let Read::Words(words) = frame.get_external_read().map_err(odd)? else {
+            return Err(Exception::Function);
+        };
+        let place = usize::from(words.address)..;
+        let place = place.start..place.start.saturating_add(usize::from(words.count));
+        let (read, written);
+        let block = if holding {
+            written = bridge.holding();
+            written.get(place)
+        } else {
+            read = bridge.input();
+            read.get(place)
+        };
+        let block = block.ok_or(Exception::Address)?;
+        for (place, word) in words.buf.chunks_exact_mut(2).zip(block) {
+            place.copy_from_slice(&word.to_be_bytes());
+        }
+        frame.process_external_read(Ok(())).map_err(odd)?;
+    } else {
+        let Write::Words(words) = frame.get_external_write().map_err(odd)? else {
+            return Err(Exception::Function);
+        };
+        if words.address != 0 || usize::from(words.count) != HOLDING_LEN {
+            return Err(Exception::Address);
+        }
+        let mut block = [0; HOLDING_LEN];
+        let (pairs, _) = words.data.as_chunks::<2>();
+        for (place, word) in block.iter_mut().zip(pairs) {
+            *place = u16::from_be_bytes(*word);
+        }
+        bridge.take(&block).map_err(|Busy| Exception::Busy)?;
+        frame.process_external_write(Ok(())).map_err(odd)?;
+    }
+    frame.finalize_response().map_err(odd)
+}
+
+/// An exception in place of an answer. Always to be sent.
+fn refused(
+    transport: Transport,
+    request: &[u8],
+    unit: u8,
+    function: u8,
+    exception: Exception,
+    response: &mut Response,
+) -> bool {
+    response.clear();
+    let body = [unit, function | 0x80, exception as u8];
+    // Nine bytes at most go into an answer.
+    let written = match (transport, request) {
+        (Transport::Tcp, &[a, b, ..]) => response
+            .extend_from_slice(&[a, b, 0, 0, 0, 3])
+            .and_then(|()| response.extend_from_slice(&body)),
+        _ => {
+            let checksum = CHECKSUM.checksum(&body).to_le_bytes();
+            response.extend_from_slice(&body).and_then(|()| response.extend_from_slice(&checksum))
+        }
+    };
+    written.is_ok()
+}
+
+#[cfg(test)]
+pub(crate) mod tests;

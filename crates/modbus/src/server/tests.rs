@@ -1,0 +1,216 @@
+//! Requests by hand, as the standard writes them, and any bytes at all.
+
+use super::*;
+use crate::{cnc::Cnc, input::Input};
+use proptest::prelude::*;
+use std::{vec, vec::Vec as List};
+
+/// Registers that count what was taken.
+pub(crate) struct Mock {
+    pub(crate) input: input::Registers,
+    pub(crate) taken: List<cnc::Registers>,
+    pub(crate) is_busy: bool,
+}
+
+impl Mock {
+    pub(crate) fn new() -> Self {
+        Self { input: Input::default().encode(), taken: vec![], is_busy: false }
+    }
+}
+
+impl Bridge for Mock {
+    fn input(&self) -> input::Registers {
+        self.input
+    }
+
+    fn holding(&self) -> cnc::Registers {
+        self.taken.last().copied().unwrap_or([0; HOLDING_LEN])
+    }
+
+    fn take(&mut self, block: &cnc::Registers) -> Result<(), Busy> {
+        if self.is_busy {
+            return Err(Busy);
+        }
+        self.taken.push(*block);
+        Ok(())
+    }
+}
+
+fn tcp(unit: u8, pdu: &[u8]) -> List<u8> {
+    let length = u16::try_from(pdu.len() + 1).unwrap().to_be_bytes();
+    [&[0xAB, 0xCD, 0, 0][..], &length, &[unit], pdu].concat()
+}
+
+pub(crate) fn rtu(unit: u8, pdu: &[u8]) -> List<u8> {
+    let body = [&[unit], pdu].concat();
+    let checksum = CHECKSUM.checksum(&body).to_le_bytes();
+    [&body[..], &checksum].concat()
+}
+
+pub(crate) fn write(block: &[u16]) -> List<u8> {
+    let count = u16::try_from(block.len()).unwrap();
+    let mut pdu = vec![16, 0, 0];
+    pdu.extend(count.to_be_bytes());
+    pdu.push(u8::try_from(2 * block.len()).unwrap());
+    pdu.extend(block.iter().flat_map(|word| word.to_be_bytes()));
+    pdu
+}
+
+/// What is answered to a PDU over TCP and over RTU, without header and checksum; `None`: nothing.
+fn ask(bridge: &mut Mock, unit: u8, pdu: &[u8]) -> [Option<List<u8>>; 2] {
+    let mut response = Response::new();
+    let over_tcp = answer(Transport::Tcp, 1, &tcp(unit, pdu), bridge, &mut response).then(|| {
+        assert_eq!(response[..4], [0xAB, 0xCD, 0, 0]);
+        let length = usize::from(u16::from_be_bytes([response[4], response[5]]));
+        assert_eq!(length, response.len() - 6);
+        assert_eq!(response[6], unit);
+        response[7..].to_vec()
+    });
+    let over_rtu = answer(Transport::Rtu, 1, &rtu(unit, pdu), bridge, &mut response).then(|| {
+        assert_eq!(rtu(response[0], &response[1..response.len() - 2]), response[..]);
+        response[1..response.len() - 2].to_vec()
+    });
+    [over_tcp, over_rtu]
+}
+
+#[test]
+fn the_whole_input_block_is_read_in_one_request() {
+    let mut bridge = Mock::new();
+    let mut expected = vec![4, 56];
+    expected.extend(bridge.input.iter().flat_map(|word| word.to_be_bytes()));
+    let answers = ask(&mut bridge, 1, &[4, 0, 0, 0, 28]);
+    assert_eq!(answers, [Some(expected.clone()), Some(expected)]);
+    let quality = Some(vec![4, 2, 0, 0]);
+    assert_eq!(ask(&mut bridge, 1, &[4, 0, 8, 0, 1]), [quality.clone(), quality]);
+}
+
+#[test]
+fn the_whole_holding_block_is_written_and_read_back() {
+    let mut bridge = Mock::new();
+    let block = Cnc::default().encode(5);
+    let echo = Some(vec![16, 0, 0, 0, 17]);
+    assert_eq!(ask(&mut bridge, 1, &write(&block)), [echo.clone(), echo]);
+    assert_eq!(bridge.taken, [block, block]);
+    let [Some(read), _] = ask(&mut bridge, 1, &[3, 0, 0, 0, 17]) else { panic!() };
+    assert_eq!(read[2..4], [0, 5]);
+}
+
+#[test]
+fn each_fault_gets_the_exception_that_the_standard_names_and_moves_nothing() {
+    let mut bridge = Mock::new();
+    let part = write(&[0; 16]);
+    let more = write(&[0; 18]);
+    let mut elsewhere = write(&[0; 17]);
+    elsewhere[2] = 1;
+    let mut wrong_bytes = write(&[0; 17]);
+    wrong_bytes[5] = 33;
+    let mut cut = write(&[0; 17]);
+    cut.pop();
+    let long = [write(&[0; 17]), vec![0]].concat();
+    let none = write(&[]);
+    for (pdu, exception) in [
+        // 01: coils, discrete inputs, one register, diagnostics, mask write, file records, no such.
+        (&[1, 0, 0, 0, 1][..], 1),
+        (&[2, 0, 0, 0, 1], 1),
+        (&[5, 0, 0, 0xFF, 0], 1),
+        (&[6, 0, 0, 0, 1], 1),
+        (&[8, 0, 0, 0, 0], 1),
+        (&[15, 0, 0, 0, 1, 1, 1], 1),
+        (&[22, 0, 0, 0, 0, 0, 0], 1),
+        (&[23, 0, 0, 0, 1, 0, 0, 0, 1, 2, 0, 0], 1),
+        (&[0], 1),
+        (&[0x7F], 1),
+        (&[0x83, 0], 1),
+        (&[0xFF], 1),
+        // 02: behind the block, over its end, a part of it.
+        (&[4, 0, 28, 0, 1], 2),
+        (&[4, 0, 27, 0, 2], 2),
+        (&[4, 0xFF, 0xFF, 0, 125], 2),
+        (&[3, 0, 17, 0, 1], 2),
+        (&part, 2),
+        (&more, 2),
+        (&elsewhere, 2),
+        // 03: lengths.
+        (&[4, 0, 0, 0, 0], 3),
+        (&[4, 0, 0, 0, 126], 3),
+        (&[4, 0, 0, 0xFF, 0xFF], 3),
+        (&[4, 0, 0, 0], 3),
+        (&[4, 0, 0, 0, 1, 0], 3),
+        (&[3], 3),
+        (&[16, 0, 0], 3),
+        (&wrong_bytes, 3),
+        (&cut, 3),
+        (&long, 3),
+        (&none, 3),
+    ] {
+        let said = Some(vec![pdu[0] | 0x80, exception]);
+        assert_eq!(ask(&mut bridge, 1, pdu), [said.clone(), said], "{pdu:?}");
+    }
+    assert_eq!(bridge.taken, [[0; HOLDING_LEN]; 0]);
+    bridge.is_busy = true;
+    let said = Some(vec![0x90, 6]);
+    assert_eq!(ask(&mut bridge, 1, &write(&[0; 17])), [said.clone(), said]);
+}
+
+#[test]
+fn a_broadcast_is_neither_answered_nor_followed_and_another_unit_is_not_us() {
+    let mut bridge = Mock::new();
+    let block = write(&Cnc::default().encode(0));
+    for pdu in [&block[..], &[4, 0, 0, 0, 28], &[99]] {
+        assert_eq!(ask(&mut bridge, 0, pdu), [None, None]);
+        let no_target = Some(vec![pdu[0] | 0x80, 0x0B]);
+        assert_eq!(ask(&mut bridge, 2, pdu), [no_target, None]);
+    }
+    assert!(bridge.taken.is_empty());
+    let [Some(read), None] = ask(&mut bridge, 255, &[4, 0, 0, 0, 28]) else { panic!() };
+    assert_eq!(read[..2], [4, 56]);
+}
+
+#[test]
+fn a_frame_whose_length_or_checksum_is_wrong_is_not_answered() {
+    let mut bridge = Mock::new();
+    let mut response = Response::new();
+    let block = write(&Cnc::default().encode(0));
+    let good = [tcp(1, &block), rtu(1, &block)];
+    for (transport, good) in [Transport::Tcp, Transport::Rtu].into_iter().zip(good) {
+        for length in 0..good.len() {
+            assert!(!answer(transport, 1, &good[..length], &mut bridge, &mut response));
+        }
+        let long = [&good[..], &[0x55]].concat();
+        assert!(!answer(transport, 1, &long, &mut bridge, &mut response));
+    }
+    let good = rtu(1, &block);
+    for bit in 0..8 * good.len() {
+        let mut bad = good.clone();
+        bad[bit / 8] ^= 1 << (bit % 8);
+        assert!(!answer(Transport::Rtu, 1, &bad, &mut bridge, &mut response), "bit {bit}");
+    }
+    let mut other = tcp(1, &block);
+    other[2] = 1;
+    assert!(!answer(Transport::Tcp, 1, &other, &mut bridge, &mut response), "another protocol");
+    assert!(bridge.taken.is_empty());
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(4_000))]
+
+    /// No bytes panic, and only a whole write of the whole block is ever taken.
+    #[test]
+    fn any_request_is_answered_or_left_and_nothing_else_moves(
+        unit in 0_u8..3,
+        function in prop_oneof![Just(3_u8), Just(4), Just(16), any::<u8>()],
+        rest in proptest::collection::vec(any::<u8>(), 0..260),
+    ) {
+        let mut bridge = Mock::new();
+        let pdu = [&[function], &rest[..]].concat();
+        let answers = ask(&mut bridge, unit, &pdu);
+        if !bridge.taken.is_empty() {
+            prop_assert!(pdu.starts_with(&[16, 0, 0, 0, 17, 34]) && pdu.len() == 40 && unit == 1);
+        }
+        prop_assert!(unit != 0 || answers == [None, None]);
+        let mut response = Response::new();
+        for transport in [Transport::Tcp, Transport::Rtu] {
+            answer(transport, 1, &rest, &mut bridge, &mut response);
+        }
+    }
+}

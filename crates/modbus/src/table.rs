@@ -1,0 +1,185 @@
+//! Every register: where it stands, how wide it is, what it says.
+//!
+//! A block starts at address 0 of its kind; a name's second register is the lower half (the high word
+//! comes first, as an S7 keeps a `DINT`). In a data block of an S7 a register is two bytes, so its
+//! address is twice the number here, from where the block begins.
+
+/// What a name is made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Form {
+    /// One register, 0…65 535.
+    Unsigned,
+    /// One register, −32 768…32 767.
+    Signed,
+    /// Two registers, the high one first, −2³¹…2³¹ − 1.
+    Long,
+    /// Two registers, the high one first, bits or 0…2³² − 1.
+    LongUnsigned,
+}
+
+impl Form {
+    /// How many registers.
+    #[must_use]
+    pub const fn registers(self) -> usize {
+        match self {
+            Self::Unsigned | Self::Signed => 1,
+            Self::Long | Self::LongUnsigned => 2,
+        }
+    }
+
+    /// As IEC 61131-3 calls it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Unsigned => "WORD",
+            Self::Signed => "INT",
+            Self::Long => "DINT",
+            Self::LongUnsigned => "DWORD",
+        }
+    }
+}
+
+/// One name of a block.
+#[derive(Clone, Copy, Debug)]
+pub struct Register {
+    /// Its address: of its first register, from 0.
+    pub address: usize,
+    /// What it is made of.
+    pub form: Form,
+    /// Its name.
+    pub name: &'static str,
+    /// Its unit for one step of the number; empty: none.
+    pub unit: &'static str,
+    /// What it says.
+    pub text: &'static str,
+}
+
+/// The number in [`LAYOUT`]: another means another table.
+pub const LAYOUT_NUMBER: u16 = 1;
+/// The data ID of the input block, which its CRC covers: the CAN identifier of `OffsetXY`.
+pub const INPUT_DATA_ID: u16 = trueup_link::layout::OFFSET_XY_ID;
+/// The data ID of the holding block: the CAN identifier of `Control`.
+pub const HOLDING_DATA_ID: u16 = trueup_link::layout::CONTROL_ID;
+/// The offset and the elongation that mean "not available".
+pub const NOT_AVAILABLE: i32 = i32::MIN;
+/// The temperature that means "not available".
+pub const NO_TEMPERATURE: i16 = i16::MIN;
+
+macro_rules! block {
+    ($(#[$doc:meta])* $all:ident, $len:ident: $($const:ident $address:literal $form:ident $name:literal $unit:literal $text:literal;)*) => {
+        $(#[doc = concat!("Address of `", $name, "`: ", $text)] pub const $const: usize = $address;)*
+        $(#[$doc])*
+        pub const $all: &[Register] = &[
+            $(Register { address: $address, form: Form::$form, name: $name, unit: $unit, text: $text },)*
+        ];
+        /// Registers of that block, its CRC included.
+        pub const $len: usize = end($all);
+    };
+}
+
+const fn end(block: &[Register]) -> usize {
+    let last = &block[block.len().saturating_sub(1)];
+    last.address.saturating_add(last.form.registers())
+}
+
+block! {
+    /// Input registers: what the bridge says (function 4).
+    INPUT, INPUT_LEN:
+    LAYOUT 0 Unsigned "Layout" "" "1. Another number means another table: use nothing.";
+    COUNTER 1 Unsigned "Counter" "" "One more with each new content, 65535 is followed by 0. While it stands still, nothing new came: the gateway or its line is dead. While the bridge is silent it goes on, with Quality 6.";
+    OFFSET_X 2 Long "OffsetX" "0.01 µm" "What the control adds to its command on X. -2147483648: not available.";
+    OFFSET_Y 4 Long "OffsetY" "0.01 µm" "The same on Y.";
+    OFFSET_Z 6 Long "OffsetZ" "0.01 µm" "The same on Z.";
+    QUALITY 8 Unsigned "Quality" "" "0 off, 1 live, 2 temperature model, 3 warm-up model, 4 hold, 5 ramping out, 6 fault: no offset.";
+    FLAGS 9 Unsigned "Flags" "" "Bit 0 clamped, 1 slewing, 2 sensor fault, 3 samples missing, 4 CNC lost, 5 speed unknown, 6 outside a table, 7 board degraded.";
+    AGE 10 Unsigned "Age" "ms" "Since the newest sample that the offsets rest on, the way up to here included. The bridge says no more than 255.";
+    LAST_REFUSED 11 Unsigned "LastRefused" "" "Why a holding block was last refused: 0 none was, 1 a value without meaning, 2 its CRC, 3 its counter stood still, 4 its counter jumped.";
+    REFUSED 12 Unsigned "Refused" "" "Holding blocks that were refused; stops at 65535.";
+    STATE 13 LongUnsigned "State" "" "State bits of the bridge as in Status item 8; 0: all is well.";
+    CALIBRATION 15 LongUnsigned "Calibration" "" "CRC of the calibration that the bridge runs on; 0: none, or not yet known.";
+    ELONGATION 17 Long "Elongation" "0.001 µm" "Elongation of the spindle by its sensor. -2147483648: not available.";
+    TEMPERATURE_0 19 Signed "Temperature0" "0.01 °C" "Temperature of channel 0 of the machine file. -32768: not available.";
+    TEMPERATURE_1 20 Signed "Temperature1" "0.01 °C" "Channel 1.";
+    TEMPERATURE_2 21 Signed "Temperature2" "0.01 °C" "Channel 2.";
+    TEMPERATURE_3 22 Signed "Temperature3" "0.01 °C" "Channel 3.";
+    TEMPERATURE_4 23 Signed "Temperature4" "0.01 °C" "Channel 4.";
+    TEMPERATURE_5 24 Signed "Temperature5" "0.01 °C" "Channel 5.";
+    TEMPERATURE_6 25 Signed "Temperature6" "0.01 °C" "Channel 6.";
+    TEMPERATURE_7 26 Signed "Temperature7" "0.01 °C" "Channel 7.";
+    INPUT_CRC 27 Unsigned "Crc" "" "CRC over the registers before it and the data ID 0x0181.";
+}
+
+block! {
+    /// Holding registers: what the control says (function 16, the whole block in one request; function 3
+    /// reads back what was last taken).
+    HOLDING, HOLDING_LEN:
+    CNC_COUNTER 0 Unsigned "Counter" "" "One more with each block, 65535 is followed by 0. Steps of 1 to 15 are taken.";
+    CONTROL 1 Unsigned "Control" "" "Bit 0 Engage, 1 Referenced, 2 Zero, 3 Service, 4 Confirm. The control's sign of life: without a new block for the link timeout the bridge holds, then ramps out.";
+    PRESENT 2 Unsigned "Present" "" "Which of the values below are meant: bit 0 X, 1 Y, 2 Z, 3 both angles, 4 speed and load. The others are not sent to the bridge, which then knows that it does not know.";
+    DIRECTIONS 3 Unsigned "Directions" "" "Which way each axis came: bits 0 and 1 X, 2 and 3 Y, 4 and 5 Z; 0 standing, 1 positive, 3 negative.";
+    POSITION_X 4 Long "PositionX" "0.00001 mm" "Commanded machine position of X without the external offset.";
+    POSITION_Y 6 Long "PositionY" "0.00001 mm" "The same of Y.";
+    POSITION_Z 8 Long "PositionZ" "0.00001 mm" "The same of Z.";
+    ANGLE_1 10 Long "Angle1" "0.0005°" "Commanded angle of the first of the machine file's head_axes.";
+    ANGLE_2 12 Long "Angle2" "0.0005°" "Commanded angle of the second.";
+    SPEED 14 Unsigned "Speed" "r/min" "Spindle speed, whichever way it turns.";
+    LOAD 15 Signed "Load" "N" "Axial cutting force; pushing the tool back is positive.";
+    HOLDING_CRC 16 Unsigned "Crc" "" "CRC over the registers before it and the data ID 0x0302.";
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::{format, fs, string::String};
+
+    #[test]
+    fn a_block_has_neither_holes_nor_overlaps() {
+        for block in [INPUT, HOLDING] {
+            let mut next = 0;
+            for register in block {
+                assert_eq!(register.address, next, "{}", register.name);
+                next += register.form.registers();
+            }
+            assert!(next <= 123, "more than one request writes");
+        }
+    }
+
+    fn markdown(block: &[Register], function: &str) -> String {
+        let mut text = format!(
+            "| address | byte in an S7 | name | type | unit | {function} |\n|---|---|---|---|---|---|\n"
+        );
+        for Register { address, form, name, unit, text: what } in block {
+            let last = address + form.registers() - 1;
+            let place =
+                if last == *address { format!("{address}") } else { format!("{address}–{last}") };
+            text += &format!(
+                "| {place} | {} | `{name}` | {} | {unit} | {what} |\n",
+                2 * address,
+                form.name()
+            );
+        }
+        text
+    }
+
+    /// The tables of the documentation are these; `TRUEUP_WRITE_DOCS=1` writes them.
+    #[test]
+    fn the_documentation_has_these_tables() {
+        const PAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/modbus.md");
+        let page = fs::read_to_string(PAGE).expect("docs/modbus.md");
+        let mut wanted = page.clone();
+        for (mark, table) in [
+            ("input registers", markdown(INPUT, "what the bridge says (function 4)")),
+            ("holding registers", markdown(HOLDING, "what the control says (functions 16 and 3)")),
+        ] {
+            let (begin, end) = (format!("<!-- {mark} -->\n"), format!("<!-- end of {mark} -->"));
+            let (before, rest) = wanted.split_once(&begin).expect("the mark of its begin");
+            let (_, after) = rest.split_once(&end).expect("the mark of its end");
+            wanted = format!("{before}{begin}{table}{end}{after}");
+        }
+        if std::env::var_os("TRUEUP_WRITE_DOCS").is_some() {
+            fs::write(PAGE, &wanted).expect("the page can be written");
+        } else {
+            assert!(page == wanted, "TRUEUP_WRITE_DOCS=1 cargo test -p trueup-modbus writes it");
+        }
+    }
+}
