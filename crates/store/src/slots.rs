@@ -18,7 +18,8 @@
 //! with the example's constants wins over nothing: whatever was loaded counts.
 //!
 //! A newest one that is damaged makes an older one count, and that is told: it is not what the
-//! operator has loaded. A load that a power cut has ended is none: its head is blank.
+//! operator has loaded. A load that a power cut has ended is none: its head has no CRC. Only a cut within the
+//! CRC itself looks like damage, and the operator is asked.
 
 use embedded_storage::nor_flash::NorFlash;
 
@@ -111,7 +112,7 @@ impl<F: NorFlash> Slots<F> {
         let mut log = Log::open(flash, SLOT_SIZE, |flash, slot| {
             let Some(head) = Head::read_at(flash, slot.address) else {
                 found.damaged = found.damaged.saturating_add(1);
-                if !is_blank_head(flash, slot) {
+                if !is_unfinished_head(flash, slot) {
                     // It came after the record before it, whatever number it had.
                     damaged = damaged.max(Some(last));
                 }
@@ -218,10 +219,11 @@ impl<F: NorFlash> Slots<F> {
     }
 }
 
-/// Whether the head was never written: the load before it was not finished.
-fn is_blank_head<F: NorFlash>(flash: &mut F, slot: Slot) -> bool {
-    let mut bytes = [0; HEAD as usize];
-    flash.read(slot.address, &mut bytes).is_ok() && bytes.iter().all(|byte| *byte == 0xFF)
+/// Whether the last word of the head, its CRC, was never written: the load before it was not finished.
+fn is_unfinished_head<F: NorFlash>(flash: &mut F, slot: Slot) -> bool {
+    let mut crc = [0; 4];
+    let at = slot.address.saturating_add(HEAD.saturating_sub(4));
+    flash.read(at, &mut crc).is_ok() && crc == [0xFF; 4]
 }
 
 /// The length of the blob there, if it is the expected one and a bridge can run on it.

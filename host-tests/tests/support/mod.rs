@@ -2,6 +2,8 @@
 //! whatever it starts in turn. Nothing of it outlives the test.
 #![allow(dead_code, reason = "each test uses its share")]
 
+pub mod chip;
+
 use std::{
     fs,
     io::{BufRead as _, BufReader},

@@ -1,0 +1,95 @@
+//! A CANopen master by script: what it sends at which time, and what it was told.
+
+/// From one request to the next; the bridge answers every 2 ms.
+const STEP_MS: f64 = 2.2;
+
+/// The frames that load a blob into object 0x2100:02, a segmented download (CiA 301, 7.2.4.3.3), and when the last
+/// was sent.
+pub fn load(blob: &[u8], from_ms: f64) -> (String, f64) {
+    let count = blob.chunks(7).count();
+    let size = hex(&(blob.len() as u32).to_le_bytes());
+    let mut script = format!("{from_ms} frame 601 21002102{size}\n");
+    let mut at = from_ms;
+    for (number, part) in blob.chunks(7).enumerate() {
+        at += STEP_MS;
+        let head = (number & 1) << 4 | (7 - part.len()) << 1 | usize::from(number + 1 == count);
+        let mut data = vec![head as u8];
+        data.extend(part);
+        data.resize(8, 0);
+        script += &format!("{at:.1} frame 601 {}\n", hex(&data));
+    }
+    (script, at)
+}
+
+/// What it runs on, what it has for the next start, and its state bits.
+pub fn questions(from_ms: f64) -> String {
+    let objects = ["40002103", "40002104", "40012006"];
+    let asked = objects.iter().enumerate();
+    asked.map(|(n, it)| format!("{} frame 601 {it}00000000\n", from_ms + 4.0 * n as f64)).collect()
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// What the board has told, with the times in ms.
+#[derive(Default)]
+pub struct Told {
+    /// Answers of SDO.
+    answers: Vec<(f64, [u8; 8])>,
+    /// Codes of emergencies.
+    pub emergencies: Vec<(f64, u16)>,
+    pub offsets: Vec<f64>,
+    /// The quality of each of them.
+    pub qualities: Vec<u8>,
+    pub resets: Vec<f64>,
+}
+
+impl Told {
+    /// Of the model's events.
+    pub fn of(events: &[String]) -> Self {
+        let mut told = Self::default();
+        for event in events {
+            let mut words = event.split(' ');
+            let time: f64 = words.next().and_then(|it| it.parse().ok()).expect("a time");
+            match (words.next(), words.next(), words.next()) {
+                (Some("reset"), ..) => told.resets.push(time),
+                (Some("can"), Some("281"), Some(hex)) => {
+                    told.offsets.push(time);
+                    told.qualities.push(bytes(hex)[5] >> 4);
+                }
+                (Some("can"), Some("081"), Some(hex)) => {
+                    let [low, high, ..] = bytes(hex);
+                    told.emergencies.push((time, u16::from_le_bytes([low, high])));
+                }
+                (Some("can"), Some("581"), Some(hex)) => told.answers.push((time, bytes(hex))),
+                _ => {}
+            }
+        }
+        told
+    }
+
+    /// The last value of an object of four bytes that was read after that time.
+    pub fn object(&self, (index, subindex): (u16, u8), after: f64) -> Option<u32> {
+        let [low, high] = index.to_le_bytes();
+        let is_it = |(time, data): &&(f64, [u8; 8])| {
+            *time > after && data[..4] == [0x43, low, high, subindex]
+        };
+        let (_, data) = self.answers.iter().rfind(is_it)?;
+        Some(u32::from_le_bytes(*data.last_chunk().expect("eight bytes")))
+    }
+
+    /// Whether the last segment of a load was answered before that time: one answer to the first request, one to
+    /// each of 88 segments.
+    pub fn is_accepted(&self, before: f64) -> bool {
+        let is_taken = |data: &[u8; 8]| data[0] == 0x60 || data[0] & 0xEF == 0x20;
+        let taken = |(time, data): &&(f64, [u8; 8])| *time < before && is_taken(data);
+        self.answers.iter().filter(taken).count() > 88
+    }
+}
+
+fn bytes(hex: &str) -> [u8; 8] {
+    std::array::from_fn(|n| {
+        hex.get(2 * n..2 * n + 2).and_then(|it| u8::from_str_radix(it, 16).ok()).unwrap_or(0)
+    })
+}

@@ -1,0 +1,134 @@
+//! The two slots of calibrations in the chip's flash, damaged: the first, the second, both.
+
+use std::{fs, ops::Range};
+
+use anyhow::{Context as _, Result, ensure};
+use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
+use trueup_store::{
+    calibration::{MAX_SIZE, identity},
+    slots::Slots,
+};
+
+use super::{Told, all, chip, compiled, master};
+
+/// Of the chip's megabyte of flash, the sectors 8 and 9 (RM0090, table 5).
+const SECTORS: Range<usize> = 0x8_0000..0xC_0000;
+
+/// The two sectors.
+struct Sectors<'m>(&'m mut [u8]);
+
+impl ErrorType for Sectors<'_> {
+    type Error = NorFlashErrorKind;
+}
+
+impl ReadNorFlash for Sectors<'_> {
+    const READ_SIZE: usize = 4;
+
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Self::Error> {
+        bytes.copy_from_slice(&self.0[offset as usize..][..bytes.len()]);
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        self.0.len()
+    }
+}
+
+impl NorFlash for Sectors<'_> {
+    const WRITE_SIZE: usize = 4;
+    const ERASE_SIZE: usize = 128 * 1024;
+
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), Self::Error> {
+        self.0[from as usize..to as usize].fill(0xFF);
+        Ok(())
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Self::Error> {
+        self.0[offset as usize..][..bytes.len()].copy_from_slice(bytes);
+        Ok(())
+    }
+}
+
+/// What is damaged of a slot.
+#[derive(Clone, Copy, PartialEq)]
+enum Part {
+    Nothing,
+    /// A bit in the middle of the calibration.
+    Blob,
+    /// A bit of the CRC before it.
+    Head,
+}
+
+/// A megabyte with two loaded calibrations, half and a quarter of the growth, each damaged as it says.
+fn flash(damaged: [Part; 2]) -> Vec<u8> {
+    let mut flash = vec![0xFF; 1 << 20];
+    let base = identity(compiled(1.0).blob());
+    let loaded = [0.5, 0.25].map(compiled);
+    let buffer = &mut [0; MAX_SIZE];
+    let (mut slots, _) = Slots::open(Sectors(&mut flash[SECTORS]), Some(base), buffer);
+    for calibration in &loaded {
+        slots.store(calibration.blob(), || ()).expect("there is room");
+    }
+    for (calibration, part) in loaded.iter().zip(damaged) {
+        let blob = calibration.blob();
+        let at = flash.windows(blob.len()).position(|it| it == blob).expect("it is there");
+        match part {
+            Part::Nothing => {}
+            Part::Blob => flash[at + blob.len() / 2] ^= 0x10,
+            Part::Head => flash[at - 1] ^= 0x10,
+        }
+    }
+    flash
+}
+
+/// A start with such a flash: the growth that it runs on, and whether it asks for `Confirm`, and what becomes of that.
+fn start(damaged: [Part; 2], gain: f64, asks: bool) -> Result<()> {
+    let Some(chip) = chip() else { return Ok(()) };
+    let file = tempfile::NamedTempFile::new_in(&chip.folder)?;
+    fs::write(&file, flash(damaged))?;
+    let path = file.path().to_str().context("a plain name")?;
+    // Engaged, then confirmed, then another start.
+    let script = format!(
+        "0 flags 2\n250 flags 3\n{}400 flags 2\n440 flags 18\n520 flags 2\n600 flags 3\n{}\
+         700 reset power\n700 flags 2\n950 flags 3\n{}",
+        master::questions(370.0),
+        master::questions(670.0),
+        master::questions(1_060.0)
+    );
+    let report = chip.live(1_090, &script, &["--flash", path])?;
+    ensure!(report.clean, "a violation:\n{}", report.said);
+    let told = Told::of(&report.events);
+    let running = told.object((0x2100, 3), 0.0).context("it does not say what it runs on")?;
+    ensure!(running == identity(compiled(gain).blob()), "it runs on {running:08x}");
+    let is_asked = told.emergencies.iter().any(|(time, code)| *time < 250.0 && *code == 0x6301);
+    ensure!(is_asked == asks, "asks: {is_asked}, {:x?}", told.emergencies);
+    let quality = |from: f64| {
+        let at = told.offsets.iter().position(|time| *time > from);
+        at.and_then(|at| told.qualities.get(at)).copied()
+    };
+    // Not available until somebody has said that the older one will do; then live; and not asked again.
+    let (before, after) = (quality(390.0), quality(690.0));
+    ensure!(before == Some(if asks { 6 } else { 1 }), "quality {before:?} before the answer");
+    ensure!(after == Some(1), "quality {after:?} after the answer");
+    ensure!(quality(1_080.0) == Some(1), "quality {:?} after the next start", quality(1_080.0));
+    let again = told.emergencies.iter().any(|(time, code)| *time > 700.0 && *code == 0x6301);
+    ensure!(!again, "it asks again after the next start");
+    Ok(())
+}
+
+#[test]
+fn of_damaged_slots_the_other_counts_and_of_both_the_images_own_and_the_operator_is_asked() {
+    use Part::{Blob, Head, Nothing};
+    let cases = [
+        ("none is damaged", [Nothing, Nothing], 0.25, false),
+        ("the older one is", [Blob, Nothing], 0.25, false),
+        ("the newer one is", [Nothing, Blob], 0.5, true),
+        ("the newer one's head is", [Nothing, Head], 0.5, true),
+        ("both are", [Blob, Blob], 1.0, true),
+        ("the heads of both are", [Head, Head], 1.0, true),
+    ];
+    all(&cases.map(|(what, ..)| what.to_owned()), |what| {
+        let (_, damaged, gain, asks) = cases.iter().find(|it| it.0 == what).expect("one of them");
+        start(*damaged, *gain, *asks)
+    });
+}

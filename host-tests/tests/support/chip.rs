@@ -1,0 +1,58 @@
+//! A flashable image of a test's own on the model of its chip.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use anyhow::Result;
+use tempfile::TempDir;
+use trueup_emulator::{
+    chip::{self, Report},
+    firmware,
+};
+
+/// The model, an image that is nobody else's, and a folder for what they need.
+pub struct Chip {
+    /// The model's program.
+    pub model: PathBuf,
+    /// The image.
+    pub image: PathBuf,
+    /// For files of the test.
+    pub folder: TempDir,
+}
+
+impl Chip {
+    /// The image of this machine; `None`: the compiler is too old for the model.
+    pub fn of_machine(text: &str) -> Result<Option<Self>> {
+        Self::built(text, firmware::build_for_another)
+    }
+
+    /// The same that breaks when it is told to.
+    pub fn that_breaks(text: &str) -> Result<Option<Self>> {
+        Self::built(text, firmware::build_that_breaks)
+    }
+
+    fn built(text: &str, build: fn(&Path) -> Result<PathBuf>) -> Result<Option<Self>> {
+        let Some(model) = chip::build()? else {
+            println!("skipped: the model of the chip needs a newer compiler");
+            return Ok(None);
+        };
+        let folder = tempfile::tempdir()?;
+        let machine = folder.path().join("machine.toml");
+        fs::write(&machine, text)?;
+        let image = folder.path().join("image.elf");
+        // Another test may build another machine's under the same name.
+        fs::copy(build(&machine)?, &image)?;
+        Ok(Some(Self { model, image, folder }))
+    }
+
+    /// Lets it live for so long in a world by script.
+    pub fn live(&self, ms: u32, script: &str, options: &[&str]) -> Result<Report> {
+        let file = tempfile::NamedTempFile::new_in(&self.folder)?;
+        fs::write(&file, script)?;
+        let (ms, path) = (ms.to_string(), file.path().to_string_lossy());
+        let own = ["--bor", "--ms", &ms, "--script", &path];
+        chip::run(&self.model, &self.image, &[&own[..], options].concat())
+    }
+}
