@@ -203,6 +203,73 @@ fn a_component_that_is_ended_and_loaded_again_goes_on_where_the_offset_stands() 
     })
 }
 
+/// Within this the feed stands: the watchdog's time, the component's own look at its wires, and an axis that
+/// brakes from 100 mm/s.
+const HELD_WITHIN_MS: usize = 500;
+
+/// While X is on its way something happens to the component: the feed stands in time, as long as it lasts, and
+/// the offset with it; then it goes on by itself.
+fn holds_the_feed(
+    rig: &mut Rig,
+    what: &str,
+    hurt: impl Fn(&mut Rig) -> Result<()>,
+    mend: impl Fn(&mut Rig) -> Result<()>,
+) -> Result<()> {
+    rig.cnc.act("begin_mdi", "text", "G53 G1 X1900 F6000")?;
+    let names = ["axis.x.pos-cmd", "motion.feed-inhibit"];
+    rig.cnc.wait("on its way", 10, &names, |seen| seen[0] > 5.0 && seen[1] == 0.0)?;
+    rig.begin()?;
+    hurt(rig)?;
+    // In the time of the servo thread, which counts: on a busy computer it has fewer cycles than the wall.
+    rig.cnc.wait("the feed is held", 20, &["motion.feed-inhibit"], |seen| seen == [1.0])?;
+    rest(500);
+    let held = rig.cnc.pins(&["motion.feed-inhibit", "axis.x.pos-cmd", "axis.z.eoffset"])?;
+    let cycles = rig.cycles()?;
+    let last = cycles.windows(2).rposition(|pair| pair[0].command[0] != pair[1].command[0]);
+    let last = last.with_context(|| format!("{what}: it never moved"))?;
+    println!("{what}: the feed stands after {last} ms");
+    ensure!(last <= HELD_WITHIN_MS, "{what}: the feed goes on for {last} ms");
+    ensure!(held[0] == 1.0 && last + 2 < cycles.len(), "{what}: {held:?}");
+    ensure!((held[2] * 1e3 - GROWN_UM).abs() < CLOSE_UM, "{what}: the offset stands: {held:?}");
+    let said = rig.cnc.ask(&json!({"do": "stat"}))?["said"].to_string();
+    ensure!(said.contains("trueup: the feed is held"), "{what}: the operator is told: {said}");
+    rig.begin()?;
+    mend(rig)?;
+    let x_mm = held[1];
+    rig.cnc.wait("it goes on", 10, &["axis.x.pos-cmd"], |seen| seen[0] > x_mm + 5.0)?;
+    rig.cnc.ask(&json!({"do": "abort"}))?;
+    rig.cnc.act("mdi", "text", "G53 G0 X0 Y0 Z0")?;
+    rig.cnc.act("teleop", "on", true)?;
+    rig.applied()
+}
+
+#[test]
+#[ignore = "long: the real LinuxCNC"]
+fn a_component_that_is_killed_stopped_or_unwired_holds_the_feed_within_half_a_second() -> Result<()>
+{
+    scenario(GROWN_UM, |rig| {
+        let send =
+            |name: &'static str| move |rig: &mut Rig| signal(name, rig.cnc.pin("trueup.0.pid")?);
+        holds_the_feed(rig, "kill -9", send("-KILL"), restart)?;
+        holds_the_feed(rig, "SIGTERM", send("-TERM"), restart)?;
+        holds_the_feed(rig, "SIGSTOP", send("-STOP"), send("-CONT"))?;
+        for (pin, wire) in [
+            ("heartbeat", "trueup-heartbeat trueup.0.heartbeat"),
+            ("z-counts", "trueup-z trueup.0.z-counts"),
+            ("z-request", "trueup-z-req trueup.0.z-request"),
+            ("enable-out", "trueup-eoff-on trueup.0.enable-out"),
+        ] {
+            holds_the_feed(
+                rig,
+                pin,
+                |rig| rig.cnc.halcmd(&format!("unlinkp trueup.0.{pin}")).map(drop),
+                |rig| rig.cnc.halcmd(&format!("net {wire}")).map(drop),
+            )?;
+        }
+        Ok(())
+    })
+}
+
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn damaged_lost_doubled_and_swapped_frames_move_nothing_that_was_not_meant() -> Result<()> {

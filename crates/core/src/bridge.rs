@@ -68,6 +68,7 @@ use crate::{
     tip,
     tool::Direction,
     units::{Code, Fine, Millis, Nanometres, Rpm},
+    window,
 };
 
 /// What the bridge knows of the machine.
@@ -89,6 +90,9 @@ pub struct Input<'a> {
     /// What the temperature channels deliver; `None` where nothing new came.
     pub temperatures: Option<&'a RawTemperatures>,
 }
+
+/// The millisecond of each 100 in which the sources are asked, after temperatures and heat have had theirs.
+const ASKING_PHASE: usize = CHANNELS + heat::ITEMS;
 
 impl<'a> Bridge<'a> {
     /// A bridge for this machine.
@@ -231,7 +235,8 @@ impl<'a> Bridge<'a> {
     fn sense(&self, state: &mut State, codes: &[Code; CODES_PER_TICK], speed: Option<Rpm>) {
         state.codes_age = Age::NEW;
         let supply = state.supply();
-        let clean = state.health.check(codes).zip(supply);
+        let turns = speed.is_some_and(|speed| speed.0 > window::SLOWEST.0);
+        let clean = state.health.check(codes, turns).zip(supply);
         state.believable = clean.is_some();
         match clean {
             None => state.filter.clear(),
@@ -245,14 +250,14 @@ impl<'a> Bridge<'a> {
         }
     }
 
-    /// Every 100 ms each temperature is read once, and then each part of the heat is stepped once:
-    /// one of them a millisecond, and in most milliseconds none.
+    /// Every 100 ms each temperature is read once, then each part of the heat is stepped once, and then the
+    /// sources are asked what they say: one of them a millisecond, and in most milliseconds none.
     fn heat_up(&self, state: &mut State, elapsed_ms: u32, speed: Option<Rpm>) {
         for _ in 0..elapsed_ms.min(STEP_MS) {
             let phase = if state.phase_ms >= STEP_MS { 0 } else { state.phase_ms };
             state.phase_ms = phase.saturating_add(1);
             let phase = phase as usize;
-            if phase < const { CHANNELS + heat::ITEMS } {
+            if phase <= ASKING_PHASE {
                 self.heat_step(state, phase, speed);
             }
         }
@@ -264,8 +269,10 @@ impl<'a> Bridge<'a> {
         let Some(item) = phase.checked_sub(CHANNELS) else {
             return self.take_temperature(state, phase);
         };
+        if phase == ASKING_PHASE {
+            return self.rejoin(state);
+        }
         if item == 0 {
-            self.rejoin(state);
             self.know_heat(state);
         }
         let temperatures = state.channels.temperatures();

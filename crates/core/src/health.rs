@@ -4,8 +4,14 @@
 //! - **At a rail**: a broken wire pulls the divider to 0 V, a short or a dead supply to full scale.
 //!   A single code at a rail is a spike: the last good code stands in for it. Four in a row are a
 //!   fault, and so is more than a fifth of all codes; it clears after 10 ms of good codes.
-//! - **Frozen**: a live converter is never quiet for 200 ms; a code that does not change for that
-//!   long, or has not since the start, is a hung converter or a disconnected chain.
+//! - **Frozen**: a code that does not change for 200 ms, or has not since the start, is a hung converter or a
+//!   disconnected chain; but only where a live one must show: by run-out while the spindle turns, or by its noise
+//!   where it was lively before. Of a quiet sensor whose spindle stands it proves nothing. Blocks with a
+//!   change are weighed against blocks without: noise of 0.3 codes RMS leaves 14 % without at the most (in
+//!   the middle of a code it passes its edges by one reading in ten), and a sensor is lively once the first have
+//!   outweighed the others for a second. When the spindle stops, that has to be shown anew, unless noise alone is
+//!   beyond what run-out without any could leave: a smooth curve in whole codes has second differences of 20
+//!   codes² a block, noise of half a code has 40.
 //!
 //! The noise is measured on the way, from second differences, because they pass over growth and
 //! run-out and keep the noise: their variance is six times that of the codes.
@@ -31,8 +37,17 @@ pub const GOOD_AFTER_CODES: u16 = 200;
 /// So many equal codes in a row are a frozen converter: 200 ms.
 pub const FROZEN_AFTER_CODES: u16 = 4_000;
 
+/// A sensor is not known to be lively: so many blocks with a change have to outweigh those without, 1 s.
+const NOT_LIVELY: u16 = 1_000;
+/// Up to here it is: below the blocks of a freeze that is being counted, and above what the still blocks of
+/// noise of 0.3 codes reach by chance (a walk that steps up with 14 %: (0.14/0.86)⁴⁰ = 10⁻³²).
+const LIVELY: u16 = FROZEN_AFTER_CODES / BLOCK + 40;
+
+/// Twice what any run-out without noise leaves, as [`Health::liveliness`] has it.
+const LIVELY_BY_NOISE: u32 = 40 << 6;
+
 /// What is remembered from block to block.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Health {
     good: Code,
     /// Codes at a rail, [`GOOD_PER_RAIL`] each, less the good ones.
@@ -41,6 +56,13 @@ pub struct Health {
     railed: bool,
     /// How often in a row the last code has come again.
     equal: u16,
+    /// Blocks without a change less those with one; stands while it is frozen.
+    still: u16,
+    frozen: bool,
+    /// Whether the spindle turned at the last block.
+    turned: bool,
+    /// The squared second differences of a block, averaged over 64 of them, Q6.
+    liveliness: u32,
     /// The last two codes.
     before: [Code; 2],
     /// Whether there has been a block yet.
@@ -59,14 +81,39 @@ pub struct Noise {
     pub count: u32,
 }
 
+impl Default for Health {
+    fn default() -> Self {
+        Self {
+            good: Code::default(),
+            at_rail: 0,
+            not_at_rail: 0,
+            railed: false,
+            equal: 0,
+            still: NOT_LIVELY,
+            frozen: false,
+            turned: false,
+            liveliness: 0,
+            before: [Code::default(); 2],
+            begun: false,
+            noise: Noise::default(),
+            mended: [Code::default(); CODES_PER_TICK],
+        }
+    }
+}
+
 impl Health {
-    /// Looks at one tick of codes. Gives the codes for the filter, spikes replaced, or `None`
+    /// Looks at one tick of codes; `turns`: the spindle does, so that run-out must show. Gives the codes for the filter, spikes replaced, or `None`
     /// while the sensor cannot be believed.
     #[inline(never)]
     pub fn check<'c>(
         &'c mut self,
         codes: &'c [Code; CODES_PER_TICK],
+        turns: bool,
     ) -> Option<&'c [Code; CODES_PER_TICK]> {
+        if self.turned && !turns && self.liveliness < LIVELY_BY_NOISE {
+            self.still = NOT_LIVELY;
+        }
+        self.turned = turns;
         self.count_equal(codes);
         let squares = ordinary_squares(codes);
         if squares.is_some() {
@@ -77,7 +124,7 @@ impl Health {
         self.measure_noise(codes, squares.unwrap_or_else(|| all_squares(codes)));
         // Before the first good code there is nothing that could stand in for a spike.
         let blind = self.good == Code(0);
-        let believable = !self.railed && !blind && self.equal < FROZEN_AFTER_CODES;
+        let believable = !self.railed && !blind && !self.frozen;
         believable.then_some(if squares.is_some() { codes } else { &self.mended })
     }
 
@@ -123,14 +170,26 @@ impl Health {
         let [.., last] = codes;
         let again = codes.iter().rev().skip(1).take_while(|code| *code == last).count();
         let [_, before] = self.before;
-        // The whole block, and the code before it as well.
-        self.equal = match u16::try_from(again) {
-            Ok(again) if again.saturating_add(1) < BLOCK => again,
+        let again = u16::try_from(again).unwrap_or(BLOCK);
+        if again.saturating_add(1) < BLOCK {
+            self.equal = again;
+            self.frozen = false;
+            self.still = self.still.saturating_sub(1);
+            return;
+        }
+        if self.begun && before == *last {
+            // The whole block, and the code before it as well.
+            self.equal = self.equal.saturating_add(BLOCK);
+        } else {
             // At the start it is frozen until a code has changed.
-            _ if !self.begun => FROZEN_AFTER_CODES,
-            _ if before == *last => self.equal.saturating_add(BLOCK),
-            _ => BLOCK.saturating_sub(1),
-        };
+            self.frozen = !self.begun;
+            self.equal = BLOCK.saturating_sub(1);
+        }
+        if self.equal >= FROZEN_AFTER_CODES {
+            self.frozen |= self.turned || self.still <= LIVELY;
+        } else {
+            self.still = self.still.saturating_add(1).min(NOT_LIVELY);
+        }
     }
 
     /// Adds the second differences of a block: the first two, which begin in the block before, and
@@ -146,6 +205,8 @@ impl Health {
             count = BLOCK;
         }
         let squares = u32::try_from(squares).unwrap_or(u32::MAX);
+        let newest = squares.min(u16::MAX.into());
+        self.liveliness = self.liveliness.wrapping_sub(self.liveliness >> 6).wrapping_add(newest);
         self.noise.squares = self.noise.squares.saturating_add(squares);
         self.noise.count = self.noise.count.saturating_add(count.into());
         self.before = [*last_but_one, *last];
@@ -217,7 +278,7 @@ mod tests {
         let mut codes = lively(700);
         codes[5] = Code(4095);
         codes[6] = Code(0);
-        let clean = health.check(&codes).expect("two codes are a spike");
+        let clean = health.check(&codes, false).expect("two codes are a spike");
         assert_eq!(clean[5], codes[4]);
         assert_eq!(clean[6], codes[4]);
         assert_eq!(clean[7], codes[7]);
@@ -227,13 +288,13 @@ mod tests {
     fn four_codes_at_a_rail_are_a_fault_until_10_ms_are_good() {
         for rail in [Code(0), Code(8), Code(4087), Code(4095)] {
             let mut health = Health::default();
-            assert!(health.check(&lively(700)).is_some());
+            assert!(health.check(&lively(700), false).is_some());
             let mut codes = lively(700);
             codes[..3].fill(rail);
-            assert!(health.check(&codes).is_some(), "three are not yet a fault");
+            assert!(health.check(&codes, false).is_some(), "three are not yet a fault");
             codes[..4].fill(rail);
-            assert!(health.check(&codes).is_none(), "four are");
-            let blind = (0..).take_while(|_| health.check(&lively(700)).is_none()).count();
+            assert!(health.check(&codes, false).is_none(), "four are");
+            let blind = (0..).take_while(|_| health.check(&lively(700), false).is_none()).count();
             // 16 good codes came with the fault.
             assert_eq!(blind * CODES_PER_TICK, 180);
         }
@@ -243,24 +304,25 @@ mod tests {
     fn a_sensor_at_the_rail_that_noise_takes_off_at_times_is_a_fault() {
         for pattern in [&[0, 0, 0, 20][..], &[0, 20], &[0, 0, 20, 20], &[4095, 4000, 4095]] {
             let mut health = Health::default();
-            assert!(health.check(&lively(700)).is_some());
+            assert!(health.check(&lively(700), false).is_some());
             let codes = core::array::from_fn(|n| Code(pattern[n % pattern.len()]));
-            let blind =
-                (0..20).map(|_| health.check(&codes).is_none()).collect::<std::vec::Vec<_>>();
+            let blind = (0..20)
+                .map(|_| health.check(&codes, false).is_none())
+                .collect::<std::vec::Vec<_>>();
             assert!(blind[2..].iter().all(|it| *it), "{pattern:?}: {blind:?}");
         }
         // A spike in twenty codes is none.
         let mut health = Health::default();
         let mut codes = lively(700);
         codes[7] = Code(0);
-        assert!((0..1_000).all(|_| health.check(&codes).is_some()));
+        assert!((0..1_000).all(|_| health.check(&codes, false).is_some()));
     }
 
     #[test]
     fn a_board_that_starts_with_a_broken_wire_is_blind() {
         let mut health = Health::default();
         for _ in 0..100 {
-            assert!(health.check(&[Code(0); CODES_PER_TICK]).is_none());
+            assert!(health.check(&[Code(0); CODES_PER_TICK], false).is_none());
         }
     }
 
@@ -268,16 +330,41 @@ mod tests {
     fn a_frozen_converter_is_found_after_200_ms_and_a_lively_one_never() {
         let mut health = Health::default();
         assert!(
-            (0..300).all(|_| health.check(&[Code(700); CODES_PER_TICK]).is_none()),
+            (0..300).all(|_| health.check(&[Code(700); CODES_PER_TICK], false).is_none()),
             "from the start"
         );
-        assert!(health.check(&lively(700)).is_some());
-        let alive = (0..).take_while(|_| health.check(&[Code(701); CODES_PER_TICK]).is_some());
+        let before = (0..1_000).take_while(|_| health.check(&lively(700), false).is_some());
+        assert_eq!(before.count(), 1_000);
+        let alive =
+            (0..).take_while(|_| health.check(&[Code(701); CODES_PER_TICK], false).is_some());
         assert_eq!(alive.count(), 199, "the last code of the block before is the same");
-        assert!(health.check(&lively(700)).is_some(), "one change ends it");
+        assert!(health.check(&lively(700), false).is_some(), "one change ends it");
         for _ in 0..1000 {
-            assert!(health.check(&lively(700)).is_some());
+            assert!(health.check(&lively(700), false).is_some());
         }
+    }
+
+    #[test]
+    fn a_quiet_sensor_is_not_frozen_and_neither_is_one_whose_spindle_has_stopped() {
+        let mut health = Health::default();
+        // A change in ten blocks: noise far below 0.3 codes, and then none for seconds.
+        for n in 0..10_000 {
+            let code = if n % 10 == 0 { lively(700) } else { [Code(701); CODES_PER_TICK] };
+            assert!(health.check(&code, false).is_some(), "at {n}");
+        }
+        assert!((0..10_000).all(|_| health.check(&[Code(701); CODES_PER_TICK], false).is_some()));
+        // Run-out of ±10 codes without any noise, and then a spindle that stands.
+        let mut health = Health::default();
+        for ms in 0..5_000_u32 {
+            let codes = core::array::from_fn(|n| {
+                let angle = (f64::from(ms) + n as f64 / 20.0) * 0.2 * core::f64::consts::TAU;
+                Code((700.0 + 10.0 * angle.sin()).round() as u16)
+            });
+            assert!(health.check(&codes, true).is_some());
+        }
+        assert!((0..10_000).all(|_| health.check(&[Code(701); CODES_PER_TICK], false).is_some()));
+        // And turns again, without a change: that is no spindle.
+        assert!(health.check(&[Code(701); CODES_PER_TICK], true).is_none());
     }
 
     #[test]
@@ -286,9 +373,9 @@ mod tests {
         // the same RMS has √6: so the estimate of this stream is 4/√6.
         let mut health = Health::default();
         let codes = core::array::from_fn(|n| Code(if n % 2 == 0 { 999 } else { 1001 }));
-        health.check(&codes);
+        health.check(&codes, false);
         health.take_noise();
-        health.check(&codes);
+        health.check(&codes, false);
         let noise = health.take_noise();
         assert_eq!((noise.squares, noise.count), (20 * 16, 20));
         assert_eq!(health.take_noise(), Noise::default());

@@ -118,6 +118,13 @@ struct Adopted {
     cell: Box<UnsafeCell<*mut c_void>>,
 }
 
+/// What the HAL knows of a pin.
+struct Found {
+    kind: c_int,
+    data: *mut c_void,
+    is_connected: bool,
+}
+
 impl Hal {
     /// Registers a component.
     ///
@@ -189,6 +196,12 @@ impl Hal {
         Some(T::from_raw(unsafe { ptr::read_volatile(data.cast::<T::Raw>()) }))
     }
 
+    /// Whether anybody's pin is connected to a signal; `None` if there is none of this name.
+    #[must_use]
+    pub fn is_connected(&self, name: &str) -> Option<bool> {
+        self.look_up(&text(name).ok()?).map(|found| found.is_connected)
+    }
+
     /// Says that all pins are there: `loadusr -W` waits for it.
     ///
     /// # Errors
@@ -243,13 +256,21 @@ impl Hal {
 
     /// Where the value of anybody's pin of this kind is.
     fn find(&self, pin: &CStr, kind: c_int) -> Option<*mut c_void> {
+        self.look_up(pin)
+            .filter(|found| found.kind == kind && !found.data.is_null())
+            .map(|found| found.data)
+    }
+
+    fn look_up(&self, pin: &CStr) -> Option<Found> {
         let by_name = self
             .function::<PinByName>("hal_get_pin_value_by_name", b"hal_get_pin_value_by_name\0")
             .ok()?;
-        let (mut found, mut data, mut connected) = (0, ptr::null_mut(), false);
+        let mut found = Found { kind: 0, data: ptr::null_mut(), is_connected: false };
         // SAFETY: the signature is that of `hal.h`; the three places are valid for writing.
-        let code = unsafe { by_name(pin.as_ptr(), &mut found, &mut data, &mut connected) };
-        (code == 0 && found == kind && !data.is_null()).then_some(data)
+        let code = unsafe {
+            by_name(pin.as_ptr(), &mut found.kind, &mut found.data, &mut found.is_connected)
+        };
+        (code == 0).then_some(found)
     }
 
     /// A function of the library; `F` is its type in `hal.h`.

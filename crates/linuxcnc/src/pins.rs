@@ -24,8 +24,10 @@
 //! | `crc-errors`, `seq-errors`, `malformed`, `lost` | u32 out | frames since the start |
 //! | `temp-NN` | float out | a temperature of the bridge in °C, by its channel; nan while it is not known |
 //! | `elongation-um` | float out | what the spindle's sensor reads, before reference and limits; nan while it is not known |
-//! | `heartbeat` | bit out | 10 Hz as long as the component lives |
+//! | `heartbeat` | bit out | 10 Hz as long as the component lives and its wires are whole |
 //! | `pid` | u32 out | its process |
+
+use std::cell::Cell;
 
 use crate::{
     component::{Inputs, Outputs},
@@ -36,6 +38,9 @@ use crate::{
 /// A count is a nanometre.
 const MM_PER_COUNT: f64 = 1e-6;
 const AXES: [&str; 3] = ["x", "y", "z"];
+/// Without the wire of one of these, and of an axis' four, an offset no longer does what it says.
+const WIRES: [&str; 5] = ["machine-on", "homed", "scale", "enable-out", "heartbeat"];
+const AXIS_WIRES: [&str; 4] = ["cmd", "request", "eoffset", "counts"];
 
 /// The pins of an axis.
 struct AxisPins<'hal> {
@@ -45,6 +50,12 @@ struct AxisPins<'hal> {
     counts: Pin<'hal, i32>,
     offset_um: Pin<'hal, f64>,
     applied_um: Pin<'hal, f64>,
+}
+
+/// A pin that nothing works without, once it is connected.
+struct Wire {
+    name: String,
+    was_connected: Cell<bool>,
 }
 
 /// All pins of the component. Lengths at the pins are in the units of the .ini, temperatures in °C.
@@ -74,6 +85,8 @@ pub struct Pins<'hal> {
     temperatures: Vec<Pin<'hal, f64>>,
     elongation_um: Pin<'hal, f64>,
     heartbeat: Pin<'hal, bool>,
+    hal: &'hal Hal,
+    wires: Vec<Wire>,
 }
 
 /// The pin that tells which process the component called `name` is.
@@ -118,7 +131,12 @@ impl<'hal> Pins<'hal> {
         hal.output::<u32>(&pid_pin(name))?.set(std::process::id());
         let [x, y, z] = AXES.map(axis);
         let temperature = |number: u8| hal.output(&full(&format!("temp-{number:02}")));
+        let of_axes = AXES.iter().flat_map(|axis| AXIS_WIRES.map(|pin| format!("{axis}-{pin}")));
+        let wires = WIRES.map(String::from).into_iter().chain(of_axes);
+        let wire = |pin: String| Wire { name: full(&pin), was_connected: Cell::new(false) };
         Ok(Self {
+            hal,
+            wires: wires.map(wire).collect(),
             mm_per_unit,
             enable: hal.input(&full("enable"))?,
             machine_on: hal.input(&full("machine-on"))?,
@@ -145,6 +163,20 @@ impl<'hal> Pins<'hal> {
             elongation_um: hal.output(&full("elongation-um"))?,
             heartbeat: hal.output(&full("heartbeat"))?,
         })
+    }
+
+    /// A pin that was connected and is no longer. One that never was belongs to an axis that the machine does
+    /// not have.
+    #[must_use]
+    pub fn cut_wire(&self) -> Option<&str> {
+        let is_cut = |wire: &&Wire| {
+            let is_connected = self.hal.is_connected(&wire.name) == Some(true);
+            wire.was_connected.set(wire.was_connected.get() || is_connected);
+            wire.was_connected.get() && !is_connected
+        };
+        // Each is looked at, so that each is known once it has been there.
+        let cut: Vec<&Wire> = self.wires.iter().filter(is_cut).collect();
+        cut.first().map(|wire| wire.name.as_str())
     }
 
     /// What the pins say.

@@ -21,8 +21,8 @@ use crate::{
     pins::{Pins, pid_pin},
 };
 
-/// How often adopted pins are looked after.
-const REFRESH: Duration = Duration::from_millis(100);
+/// How often adopted pins, and the wires, are looked after.
+const REFRESH: Duration = Duration::from_millis(50);
 
 /// How the component appears in the HAL.
 #[derive(Clone, Debug)]
@@ -67,11 +67,14 @@ pub fn run(
         tell("takes over the pins of a component that was killed");
     }
     let mut refreshed = Duration::ZERO;
+    let mut cut = None;
     while !stop.load(Ordering::Relaxed) {
         let now = start.elapsed();
         if now.saturating_sub(refreshed) >= REFRESH {
             refreshed = now;
             hal.refresh();
+            cut = pins.cut_wire();
+            news.wire(cut, &mut tell);
         }
         for heard in line.heard() {
             match heard {
@@ -82,7 +85,9 @@ pub fn run(
         }
         let mut inputs = pins.read();
         inputs.enable &= news.lets_engage();
-        let (outputs, frames) = component.step(now, &inputs);
+        let (mut outputs, frames) = component.step(now, &inputs);
+        // What watches the heartbeat holds the feed, as if the component were gone.
+        outputs.heartbeat &= cut.is_none();
         pins.write(&outputs);
         for frame in frames {
             line.send(frame);
@@ -103,9 +108,24 @@ struct News {
     running: Option<u32>,
     is_strict: bool,
     bits: StateBits,
+    cut: Option<String>,
 }
 
 impl News {
+    /// A wire that is cut is told once, and that it is whole again.
+    fn wire(&mut self, cut: Option<&str>, tell: &mut impl FnMut(&str)) {
+        if self.cut.as_deref() == cut {
+            return;
+        }
+        self.cut = cut.map(String::from);
+        match cut {
+            Some(pin) => tell(&format!(
+                "the pin {pin} is no longer connected: the heartbeat stops, and with trueup_watchdog.hal the feed"
+            )),
+            None => tell("all pins are connected again: the heartbeat goes on"),
+        }
+    }
+
     /// The same reason is told once.
     fn line_down(&mut self, why: &str, tell: &mut impl FnMut(&str)) {
         if self.down.as_deref() != Some(why) {
@@ -205,6 +225,17 @@ mod tests {
         assert!(told[0].contains("00001234") && told[0].contains("0000abcd"));
         assert_eq!(told[1], "the bridge says: older-calibration");
         assert_eq!(told[2], "the bridge says that all is well");
+    }
+
+    #[test]
+    fn a_wire_that_is_cut_is_told_once_and_so_is_its_mending() {
+        let mut news = News::default();
+        let mut told = Vec::new();
+        for cut in [None, Some("trueup.0.z-counts"), Some("trueup.0.z-counts"), None, None] {
+            news.wire(cut, &mut |text: &str| told.push(text.to_owned()));
+        }
+        assert_eq!(told.len(), 2, "{told:#?}");
+        assert!(told[0].contains("trueup.0.z-counts") && told[1].contains("again"));
     }
 
     #[test]

@@ -63,6 +63,7 @@ TASK = milltask
 CYCLE_TIME = 0.001
 [HAL]
 HALFILE = {here}/machine.hal
+HALFILE = {here}/trueup_watchdog.hal
 HALFILE = {here}/trueup.hal
 HALFILE = {here}/loop.hal
 [TRAJ]

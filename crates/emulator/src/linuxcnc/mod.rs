@@ -193,11 +193,13 @@ fn start(
     let folder = Headless::new_folder()?;
     fs::copy(trueup, folder.path().join("trueup"))?;
     let here = folder.path().to_str().context("a temporary folder has a plain name")?.to_owned();
-    let shipped = fs::read_to_string(setup::root().join("integrations/linuxcnc/trueup.hal"))?;
+    let sample =
+        |name: &str| fs::read_to_string(setup::root().join("integrations/linuxcnc").join(name));
     let texts = [
         ("loop.ini", config::ini(plant.address(), &here)),
         ("machine.hal", config::machine_hal()),
-        ("trueup.hal", config::trueup_hal(&shipped)),
+        ("trueup_watchdog.hal", sample("trueup_watchdog.hal")?),
+        ("trueup.hal", config::trueup_hal(&sample("trueup.hal")?)),
         ("loop.hal", config::loop_hal()),
         ("machine.toml", measured.text.clone()),
         ("loop.tbl", String::new()),

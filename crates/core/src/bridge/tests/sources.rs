@@ -198,8 +198,8 @@ fn a_source_that_takes_over_from_a_lost_one_keeps_the_growth_since() {
     let mut rig = Rig::new(chain());
     hold(&mut rig, 1_300, 1_050, Some(22));
     let grown = rig.z_nm();
-    // The temperature has risen while the sensor's last words are 300 ms old.
-    hold(&mut rig, 250, 1_050, Some(23));
+    // The temperature has risen while the sensor's last words are 150 ms old: a frozen one is found after 200.
+    hold(&mut rig, 150, 1_050, Some(23));
     hold(&mut rig, 500, 0, Some(23));
     assert_eq!(rig.last.quality, Quality::TemperatureModel);
     assert_eq!(rig.z_nm(), grown + 10_000, "since then by its own word");
