@@ -249,6 +249,19 @@ pub fn log2asc() -> Result<PathBuf> {
     process::find(PROGRAM).context("can-utils is installed but log2asc is not on PATH")
 }
 
+/// The path of `mbpoll`, a Modbus master, for the tests of the gateway.
+///
+/// # Errors
+/// It is missing and cannot be installed.
+pub fn mbpoll() -> Result<PathBuf> {
+    const PROGRAM: &str = "mbpoll";
+    let _alone = alone()?;
+    if process::find(PROGRAM).is_none() {
+        install(&[PROGRAM], "mbpoll, a Modbus master")?;
+    }
+    process::find(PROGRAM).context("mbpoll is installed but not on PATH")
+}
+
 /// What the quick tests need: all but LinuxCNC, which is large.
 ///
 /// # Errors
@@ -258,6 +271,7 @@ pub fn quick() -> Result<()> {
     qemu()?;
     python()?;
     log2asc()?;
+    mbpoll()?;
     Ok(())
 }
 

@@ -140,7 +140,7 @@ mod tests {
                 assert_eq!(register.address, next, "{}", register.name);
                 next += register.form.registers();
             }
-            assert!(next <= 123, "more than one request writes");
+            assert!(next <= 123, "one request reads or writes it");
         }
     }
 
@@ -159,6 +159,38 @@ mod tests {
             );
         }
         text
+    }
+
+    fn awl(block: &[Register], prefix: &str) -> String {
+        let line = |register: &Register| {
+            let Register { address, form, name, unit, .. } = register;
+            let unit = unit.replace('µ', "u").replace('°', "deg ");
+            let field = format!("  {prefix}{name} : {};", form.name());
+            let place = format!("{field:<30}// +{}  {unit}", 2 * address);
+            format!("{}\n", place.trim_end())
+        };
+        block.iter().map(line).collect()
+    }
+
+    /// The data block of an S7 is this one; `TRUEUP_WRITE_DOCS=1` writes it.
+    #[test]
+    fn the_data_block_of_the_s7_has_these_fields() {
+        const FILE: &str =
+            concat!(env!("CARGO_MANIFEST_DIR"), "/../../integrations/siemens-840d/trueup_db.awl");
+        let wanted = format!(
+            "// trueup: what the gateway writes (byte 0 to 55), and what it reads (byte 64 to 97). Made from the table\n\
+             // of registers in crates/modbus; what each means: docs/modbus.md. Not optimized, not write-protected.\n\
+             DATA_BLOCK DB 900\nTITLE = trueup\nVERSION : 1.0\nSTRUCT\n{}  Reserved : ARRAY [1..4] OF WORD;\n\
+             // from byte 64\n{}END_STRUCT;\nBEGIN\nEND_DATA_BLOCK\n",
+            awl(INPUT, ""),
+            awl(HOLDING, "Cnc")
+        );
+        if std::env::var_os("TRUEUP_WRITE_DOCS").is_some() {
+            fs::write(FILE, &wanted).expect("the file can be written");
+        } else {
+            let file = fs::read_to_string(FILE).expect("trueup_db.awl");
+            assert!(file == wanted, "TRUEUP_WRITE_DOCS=1 cargo test -p trueup-modbus writes it");
+        }
     }
 
     /// The tables of the documentation are these; `TRUEUP_WRITE_DOCS=1` writes them.

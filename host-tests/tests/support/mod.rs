@@ -154,6 +154,11 @@ impl Running {
         }
     }
 
+    /// The number of its process.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
     /// Sends it a signal, by its name.
     pub fn signal(&self, name: &str) -> Result<()> {
         signal(name, self.child.id())

@@ -31,7 +31,9 @@ const WRITE_OVERHEAD: usize = 28;
 const TPKT_LEN: usize = 4;
 const COTP_DATA: [u8; 3] = [0x02, 0xF0, 0x80];
 const JOB: u8 = 1;
+/// With data, or without: what is refused may have none.
 const ANSWER: u8 = 3;
+const ACKNOWLEDGEMENT: u8 = 2;
 const SET_UP: u8 = 0xF0;
 const READ: u8 = 4;
 const WRITE: u8 = 5;
@@ -187,7 +189,21 @@ impl Client {
         let Some(answer) = answer.strip_prefix(&COTP_DATA) else {
             return Err(Error::Answer("a telegram in parts"));
         };
-        let &[0x32, ANSWER, _, _, r0, r1, p0, p1, d0, d1, class, code, ref rest @ ..] = answer
+        let &[
+            0x32,
+            ANSWER | ACKNOWLEDGEMENT,
+            _,
+            _,
+            r0,
+            r1,
+            p0,
+            p1,
+            d0,
+            d1,
+            class,
+            code,
+            ref rest @ ..,
+        ] = answer
         else {
             return Err(Error::Answer("no answer to a job"));
         };

@@ -1,0 +1,132 @@
+//! `trueup gateway modbus` between the real firmware and masters that this project did not write:
+//! pymodbus and Debian's mbpoll.
+
+mod support;
+
+use std::{
+    process::{Command, Stdio},
+    thread,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context as _, Result, ensure};
+use serde_json::{Value, json};
+use support::{Bridge, GROWN_UM, Running, trueup};
+use trueup_emulator::setup;
+
+/// Noise after the filter, the rounding of a code and of the wire.
+const TOLERANCE_UM: f64 = 0.3;
+
+/// A bridge that has grown, and a gateway before it.
+struct World {
+    bridge: Bridge,
+    gateway: Running,
+    port: String,
+}
+
+impl World {
+    fn start() -> Result<Self> {
+        let bridge = Bridge::start_grown()?;
+        let mut command = trueup()?;
+        command.args(["gateway", "modbus", "--listen", "127.0.0.1:0", "--port"]);
+        command.arg(format!("tcp:{}", bridge.address()));
+        let mut gateway = Running::start(&mut command)?;
+        let address = gateway.wait_for("reach the bridge at tcp:", ",")?;
+        let (_, port) = address.rsplit_once(':').context("an address has a port")?;
+        Ok(Self { bridge, gateway, port: port.into() })
+    }
+}
+
+#[test]
+fn pymodbus_engages_it_reads_it_and_gets_the_exception_that_the_standard_names() -> Result<()> {
+    let python = setup::python()?;
+    let world = World::start()?;
+    let output = Command::new(python)
+        .arg(setup::root().join("host-tests/python/modbus_master.py"))
+        .args(["127.0.0.1", &world.port])
+        .stdin(Stdio::null())
+        .output()?;
+    let said = String::from_utf8_lossy(&output.stderr);
+    ensure!(output.status.success(), "{said}\nthe gateway: {}", world.gateway.said());
+    let saw: Value = serde_json::from_slice(&output.stdout)?;
+    println!("{saw:#}");
+
+    assert_eq!(saw["wrong"], json!([]), "every block is whole");
+    assert_eq!(saw["released"]["offset_um"], json!([null, null, null]), "nobody has engaged it");
+    assert_eq!((&saw["released"]["quality"], &saw["released"]["state"]), (&json!(6), &json!(1)));
+    let is_grown = |said: &Value| {
+        let z = said["offset_um"][2].as_f64().unwrap_or(f64::NAN);
+        (z - GROWN_UM).abs() < TOLERANCE_UM && said["offset_um"][0] == 0.0 && said["quality"] == 1
+    };
+    assert!(is_grown(&saw["live"]), "the growth is undone: {}", saw["live"]);
+    let elongation = saw["live"]["elongation_um"].as_f64().unwrap_or(f64::NAN);
+    assert!((elongation - GROWN_UM).abs() < TOLERANCE_UM, "{elongation}");
+    assert!(saw["live"]["age_ms"].as_u64().is_some_and(|age| age < 100), "{}", saw["live"]);
+    assert_eq!(
+        saw["exceptions"],
+        json!({
+            "coils": 1, "discrete inputs": 1, "one register": 1, "read and write": 1,
+            "behind the end": 2, "a part": 2, "elsewhere": 2, "another unit": 11,
+        })
+    );
+    assert_eq!(saw["refused by faults"], 0);
+    assert_eq!(saw["acknowledged"], json!([null, null, null]), "and not used:");
+    assert!(is_grown(&saw["after faults"]), "nothing moved: {}", saw["after faults"]);
+    assert_eq!(
+        (&saw["after faults"]["refused"], &saw["after faults"]["last_refused"]),
+        (&json!(3), &json!(4))
+    );
+    assert!(is_grown(&saw["after broadcast"]), "{}", saw["after broadcast"]);
+    assert_eq!(saw["second master"], 6);
+    assert_eq!(saw["second master is told"], 1);
+    // Live until the link timeout, held, taken back, off.
+    assert_eq!(saw["silent"], json!([1, 4, 5, 0]));
+    assert_eq!(saw["ramp turns back"], false);
+    assert_eq!(saw["silent at the end"], json!([0, 0.0]));
+    Ok(())
+}
+
+#[test]
+fn mbpoll_reads_the_offsets_as_the_page_says() -> Result<()> {
+    let mbpoll = setup::mbpoll()?;
+    let world = World::start()?;
+    let end = Instant::now() + Duration::from_secs(20);
+    loop {
+        let output = Command::new(&mbpoll)
+            .args(["-m", "tcp", "-p", &world.port, "-t", "3:int", "-B", "-0", "-r", "2"])
+            .args(["-c", "3", "-1", "127.0.0.1"])
+            .output()?;
+        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        // Nobody has engaged it: not available.
+        if said.contains("[6]:") && said.matches("-2147483648").count() == 3 {
+            return Ok(());
+        }
+        ensure!(Instant::now() < end, "{said}{}", String::from_utf8_lossy(&output.stderr));
+        thread::sleep(Duration::from_millis(200));
+    }
+}
+
+#[test]
+fn a_gateway_outlives_its_bridge_and_tells_it_and_once_says_how_both_ends_are() -> Result<()> {
+    let mut world = World::start()?;
+    let address = world.bridge.address().to_owned();
+    let once = |expected: i32| -> Result<Value> {
+        let mut command = trueup()?;
+        command.args(["gateway", "modbus", "--listen", "127.0.0.1:0", "--once"]);
+        let output = command.args(["--port", &format!("tcp:{address}")]).output()?;
+        let said = String::from_utf8_lossy(&output.stderr);
+        ensure!(output.status.code() == Some(expected), "{:?} {said}", output.status);
+        Ok(serde_json::from_slice(&output.stdout)?)
+    };
+    world.bridge.command.signal("TERM")?;
+    world.bridge.command.end()?;
+    let alone = once(3)?;
+    assert_eq!(
+        (&alone["bridge"]["line"], &alone["bridge"]["heard"]),
+        (&json!("down"), &json!(false))
+    );
+    assert!(world.gateway.said().contains("reach the bridge"), "it serves on");
+    world.gateway.signal("TERM")?;
+    assert!(world.gateway.end()?.status.success());
+    Ok(())
+}
