@@ -107,6 +107,35 @@ fn mbpoll_reads_the_offsets_as_the_page_says() -> Result<()> {
 }
 
 #[test]
+#[ignore = "long: the real LinuxCNC"]
+fn mb2hal_reads_the_block_with_the_sample_that_is_delivered() -> Result<()> {
+    let Some(_linuxcnc) = setup::linuxcnc()? else {
+        println!("skipped: this distribution has no package of LinuxCNC");
+        return Ok(());
+    };
+    let world = World::start()?;
+    let folder = tempfile::tempdir()?;
+    let sample = std::fs::read_to_string(setup::root().join("integrations/modbus/mb2hal.ini"))?;
+    let here = sample.replace("TCP_PORT=502", &format!("TCP_PORT={}", world.port));
+    ensure!(here != sample, "the sample names a port");
+    let ini = support::file(&folder, "mb2hal.ini", &here)?;
+    let hal =
+        format!("loadusr -Wn trueup-gateway mb2hal config={ini}\nloadusr -w sleep 2\nshow pin\n");
+    let hal = support::file(&folder, "read.hal", &hal)?;
+    let output = Command::new("halrun").args(["-f", &hal]).stdin(Stdio::null()).output()?;
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    println!("{said}");
+    let pin = |number: u32| -> Option<&str> {
+        let name = format!("trueup-gateway.input.{number:02}.int");
+        let line = said.lines().find(|line| line.ends_with(&name))?;
+        line.split_whitespace().nth(3)
+    };
+    // The layout, "not available" on X, quality 6: nobody has engaged it.
+    assert_eq!([pin(0), pin(2), pin(3), pin(8)], ["1", "32768", "0", "6"].map(Some));
+    Ok(())
+}
+
+#[test]
 fn a_gateway_outlives_its_bridge_and_tells_it_and_once_says_how_both_ends_are() -> Result<()> {
     let mut world = World::start()?;
     let address = world.bridge.address().to_owned();

@@ -11,13 +11,13 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use clap::{Args, Subcommand};
+use clap::{Args, Subcommand, ValueEnum};
 use trueup_client::port::Port;
 use trueup_gateway::{
     bridge::{self, Shared},
-    health::{self, PlcEnd},
-    modbus,
-    s7::{self, End, Target, client::Place},
+    health::{self, End, PlcEnd},
+    modbus, rtu,
+    s7::{self, Target, client::Place},
 };
 
 use crate::{Outcome, UserError, output};
@@ -40,6 +40,15 @@ pub enum Command {
         /// whoever reaches it can engage the bridge.
         #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:502")]
         listen: String,
+        /// Answers a master on this serial port instead, in RTU mode.
+        #[arg(long, value_name = "DEVICE", conflicts_with = "listen")]
+        serial: Option<String>,
+        /// The speed of that port.
+        #[arg(long, default_value_t = 19_200, requires = "serial", value_parser = clap::value_parser!(u32).range(1_200..=1_000_000))]
+        baud: u32,
+        /// Its parity; without one there are two stop bits.
+        #[arg(long, value_enum, default_value_t = Parity::Even, requires = "serial")]
+        parity: Parity,
         /// The unit that is answered, beside 255.
         #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=247))]
         unit: u8,
@@ -70,6 +79,13 @@ pub enum Command {
     },
 }
 
+#[derive(Clone, Copy, ValueEnum)]
+pub enum Parity {
+    Even,
+    Odd,
+    None,
+}
+
 #[derive(Args)]
 pub struct Bridge {
     /// Where the bridge is: tcp:HOST:PORT, a serial device, or a CAN interface (can0).
@@ -87,7 +103,16 @@ pub fn run(command: &Command) -> Result<Outcome> {
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
     let shared = Shared::new(stop.clone());
     let ended = match command {
-        Command::Modbus { bridge, listen, unit } => {
+        Command::Modbus { bridge, serial: Some(device), baud, parity, unit, .. } => {
+            let parity = match parity {
+                Parity::Even => serialport::Parity::Even,
+                Parity::Odd => serialport::Parity::Odd,
+                Parity::None => serialport::Parity::None,
+            };
+            let line = rtu::Line { device: device.clone(), baud: *baud, parity };
+            run_rtu(&shared, bridge, line, *unit)
+        }
+        Command::Modbus { bridge, listen, unit, .. } => {
             run_modbus(&shared, bridge, &resolve(listen)?, *unit)
         }
         Command::S7 { bridge, plc, db, rack, slot, rate } => {
@@ -138,6 +163,23 @@ fn run_modbus(
         return Ok(if hears { Outcome::Done } else { Outcome::NotMet });
     }
     tell(shared, &line, end, end)
+}
+
+fn run_rtu(shared: &Shared, bridge: &Bridge, line: rtu::Line, unit: u8) -> Result<Outcome> {
+    let thread = keep(shared, bridge)?;
+    if bridge.once {
+        let hears = wait_for_bridge(shared);
+        line.open().with_context(|| format!("the serial device {}", line.device))?;
+        let end = PlcEnd { is_up: true, ..PlcEnd::default() };
+        output::print(health::line(shared, &end))?;
+        return Ok(if hears { Outcome::Done } else { Outcome::NotMet });
+    }
+    let end = End::default();
+    let (ours, theirs) = (shared.clone(), end.clone());
+    let plc = thread::spawn(move || rtu::serve(&ours, || line.open(), unit, &theirs));
+    let outcome = tell(shared, &thread, || end.look(), || end.take())?;
+    plc.join().ok().context("the thread of the PLC")?;
+    Ok(outcome)
 }
 
 fn run_s7(shared: &Shared, bridge: &Bridge, target: &Target) -> Result<Outcome> {

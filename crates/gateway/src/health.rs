@@ -1,6 +1,9 @@
 //! How both ends are, as a line of JSON: once a second, and at once when something has changed.
 
-use std::time::Duration;
+use std::{
+    sync::{Arc, Mutex, PoisonError},
+    time::Duration,
+};
 
 use serde_json::{Value, json};
 use trueup_client::words::{output_json, state_words};
@@ -23,6 +26,32 @@ pub struct PlcEnd {
     pub given: u64,
     /// The longest that one took since the last line, in milliseconds.
     pub longest_ms: f64,
+}
+
+/// How the PLC's end is, for whoever tells it.
+#[derive(Clone, Debug, Default)]
+pub struct End(Arc<Mutex<PlcEnd>>);
+
+impl End {
+    /// How it is; the longest write is counted anew from here.
+    #[must_use]
+    pub fn take(&self) -> PlcEnd {
+        let mut end = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let now = end.clone();
+        end.longest_ms = 0.0;
+        now
+    }
+
+    /// How it is.
+    #[must_use]
+    pub fn look(&self) -> PlcEnd {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Changes it.
+    pub fn change(&self, change: impl FnOnce(&mut PlcEnd)) {
+        change(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner));
+    }
 }
 
 /// What a line says.

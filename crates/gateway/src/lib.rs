@@ -15,8 +15,10 @@
 //! | [`cnc`] | frames for the bridge from what the PLC says, no oftener than the bus permits |
 //! | [`bridge`] | the thread that keeps the line to the bridge |
 //! | [`modbus`] | Modbus TCP |
+//! | [`rtu`] | Modbus RTU on a serial port |
 //! | [`s7`] | ISO-on-TCP: the small client, and the loop that writes and reads the data block |
 //! | [`health`] | how both ends are, as lines of JSON |
+//! | [`pause`] | how long is waited before something is opened again |
 //!
 //! A gateway invents no life: an old offset never gets a new counter, and `Control` goes to the bridge
 //! only when the PLC has sent a new block. Whichever end dies, the other finds out by itself.
@@ -26,4 +28,6 @@ pub mod cnc;
 pub mod health;
 pub mod hub;
 pub mod modbus;
+pub mod pause;
+pub mod rtu;
 pub mod s7;

@@ -55,9 +55,11 @@ impl Masters {
 }
 
 /// One master's view of the hub.
-struct Registers<'a> {
-    shared: &'a Shared,
-    master: Master,
+pub struct Registers<'a> {
+    /// The hub.
+    pub shared: &'a Shared,
+    /// The master's number.
+    pub master: Master,
 }
 
 impl Bridge for Registers<'_> {

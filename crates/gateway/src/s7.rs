@@ -9,7 +9,6 @@
 pub mod client;
 
 use std::{
-    sync::{Arc, Mutex, PoisonError},
     thread,
     time::{Duration, Instant},
 };
@@ -19,7 +18,7 @@ use trueup_modbus::{
     table::{HOLDING_LEN, INPUT_LEN},
 };
 
-use crate::{bridge::Shared, health::PlcEnd};
+use crate::{bridge::Shared, health::End, pause::Pause};
 use client::{Client, Error, Place};
 
 /// Where the holding block begins in the data block, in bytes.
@@ -28,10 +27,6 @@ pub const HOLDING_AT: usize = 64;
 const INPUT_BYTES: usize = 2 * INPUT_LEN;
 /// Bytes of the holding block.
 const HOLDING_BYTES: usize = 2 * HOLDING_LEN;
-/// Before the first try to connect again; each further one waits twice as long.
-const FIRST_PAUSE: Duration = Duration::from_millis(250);
-/// The longest of these: whoever has plugged the cable in again waits no longer.
-const LAST_PAUSE: Duration = Duration::from_secs(4);
 /// The one master there is.
 const PLC: u64 = 0;
 
@@ -46,41 +41,16 @@ pub struct Target {
     pub period: Duration,
 }
 
-/// How the PLC's end is, for whoever tells it.
-#[derive(Clone, Debug, Default)]
-pub struct End(Arc<Mutex<PlcEnd>>);
-
-impl End {
-    /// How it is; the longest write is counted anew from here.
-    #[must_use]
-    pub fn take(&self) -> PlcEnd {
-        let mut end = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let now = end.clone();
-        end.longest_ms = 0.0;
-        now
-    }
-
-    /// How it is.
-    #[must_use]
-    pub fn look(&self) -> PlcEnd {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
-    }
-
-    fn change(&self, change: impl FnOnce(&mut PlcEnd)) {
-        change(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner));
-    }
-}
-
 /// Writes and reads until the end.
 pub fn serve(shared: &Shared, target: &Target, end: &End) {
-    let mut pause = FIRST_PAUSE;
+    let mut pause = Pause::default();
     while !shared.has_ended() {
         let why = match Client::connect(&target.place) {
             Ok(mut client) => {
                 end.change(|end| (end.is_up, end.why) = (true, None));
                 let (why, has_written) = exchange(shared, target, &mut client, end);
                 if has_written {
-                    pause = FIRST_PAUSE;
+                    pause = Pause::default();
                 }
                 shared.hub().leave(PLC);
                 why
@@ -89,11 +59,7 @@ pub fn serve(shared: &Shared, target: &Target, end: &End) {
         };
         let Some(why) = why else { return };
         end.change(|end| (end.is_up, end.why) = (false, Some(why.to_string())));
-        let until = Instant::now() + pause;
-        while Instant::now() < until && !shared.has_ended() {
-            thread::sleep(FIRST_PAUSE.min(until.saturating_duration_since(Instant::now())));
-        }
-        pause = LAST_PAUSE.min(2 * pause);
+        pause.wait(shared);
     }
 }
 
@@ -106,7 +72,7 @@ fn exchange(
     end: &End,
 ) -> (Option<Error>, bool) {
     let mut has_written = false;
-    let mut last = None;
+    let mut seen = Seen::default();
     let mut due = Instant::now();
     while !shared.has_ended() {
         let started = Instant::now();
@@ -125,9 +91,7 @@ fn exchange(
             return (Some(error), has_written);
         }
         let block = registers(&read);
-        // A program that is slower than this says the same again, which is no fault of its own; zeros
-        // are a block that no program has written yet.
-        if last.replace(block) != Some(block) && block != [0; HOLDING_LEN] {
+        if seen.is_new(block) {
             // There is no second master here, and what is refused is told in the block.
             shared.hub().take(shared.now(), PLC, &block).ok();
         }
@@ -139,6 +103,18 @@ fn exchange(
         }
     }
     (None, has_written)
+}
+
+/// What was last read. Memory keeps what a program has written long after it has stopped: only what
+/// changes is said now.
+#[derive(Default)]
+struct Seen(Option<cnc::Registers>);
+
+impl Seen {
+    /// Whether the PLC has said this since the last look: not at the first, and not what stands there.
+    fn is_new(&mut self, block: cnc::Registers) -> bool {
+        self.0.replace(block).is_some_and(|before| before != block)
+    }
 }
 
 /// Writes the present block once and reads it back.
@@ -168,4 +144,18 @@ fn registers(bytes: &[u8; HOLDING_BYTES]) -> cnc::Registers {
         *place = u16::from_be_bytes(*word);
     }
     block
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trueup_modbus::cnc::Cnc;
+
+    #[test]
+    fn what_a_stopped_program_has_left_in_the_block_is_no_sign_of_life() {
+        let mut seen = Seen::default();
+        let blocks = [7, 7, 7, 8, 8, 9].map(|counter| Cnc::default().encode(counter));
+        let new = blocks.map(|block| seen.is_new(block));
+        assert_eq!(new, [false, false, false, true, false, true]);
+    }
 }
