@@ -15,25 +15,31 @@ const MUTANTS: &str = "27.1.0";
 const PACKAGES: [&str; 4] = ["trueup-core", "trueup-link", "trueup-store", "trueup-node"];
 /// Hostile blobs in a soak of a thousand million ticks.
 const TICKS_PER_BLOB: u64 = 100;
+/// Hours of a sound sensor in it, at each noise.
+const HOURS_PER_TICK: f64 = 300.0 / 1e9;
 
-/// Lets the simulator run for so many ticks, from this seed on, on all cores, and tries a hostile
-/// calibration for each hundred of them; a failure prints the seed that repeats it.
+/// Lets the simulator run for so many ticks, from this seed on, on all cores, tries a hostile calibration for each
+/// hundred of them, draws faults for the detectors, and lets sound sensors live for 300 hours of each noise in a thousand
+/// million ticks; a failure prints the seed that repeats it.
 ///
 /// # Errors
 /// It does not build, or something did not hold.
 pub fn soak(ticks: u64, seed: u32) -> Result<()> {
-    let run = |test: &str| {
+    let run = |package: &str, binary: &str, test: &str| {
         let mut command = cargo::locked("test");
         command
-            .args(["--profile", "soak", "-p", "trueup-node", "--test", "simulator", "--"])
+            .args(["--profile", "soak", "-p", package, "--test", binary, "--"])
             .args(["--ignored", "--exact", test, "--nocapture"])
+            .env("TRUEUP_SOAK_HOURS", (ticks as f64 * HOURS_PER_TICK).to_string())
             .env("TRUEUP_SOAK_TICKS", ticks.to_string())
             .env("TRUEUP_SOAK_BLOBS", (ticks / TICKS_PER_BLOB).max(1_000).to_string())
             .env("TRUEUP_SOAK_SEED", seed.to_string());
         process::run(&mut command)
     };
-    run("campaign_soak")?;
-    run("hostile::campaign_hostile_blobs")
+    run("trueup-node", "simulator", "campaign_soak")?;
+    run("trueup-node", "simulator", "hostile::campaign_hostile_blobs")?;
+    run("trueup-core", "detectors", "campaign_every_detector_finds_3000_faults_in_time")?;
+    run("trueup-core", "detectors", "campaign_a_sound_sensor_is_believed_for_hundreds_of_hours")
 }
 
 /// Lets each of the fuzz targets run for so many minutes, one on each core at a time; prints how many inputs

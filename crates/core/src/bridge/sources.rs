@@ -138,7 +138,9 @@ impl Bridge<'_> {
             state.joint.before = [second, third, Some(now)];
             state.joint.agreement.step(self.needs.first, &now);
         }
-        if self.is_rejoining(state) {
+        // Not in the first steps of a source: what heat moves between two of them is added to it.
+        let [has_settled, ..] = state.joint.before.map(|past| past.is_some());
+        if has_settled && self.is_rejoining(state) {
             let rate = self.calibration.limits.rejoin_nm_per_s;
             let Joint { shift, rest, .. } = &mut state.joint;
             let due = rate.saturating_mul(STEP_MS).saturating_add(*rest);

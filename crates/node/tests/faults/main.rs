@@ -5,6 +5,7 @@
 
 mod changes;
 mod emergencies;
+mod flooded;
 mod matrix;
 mod rig;
 #[path = "../spindle_model/mod.rs"]

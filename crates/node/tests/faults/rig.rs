@@ -191,6 +191,8 @@ pub struct Rig {
     /// Emergencies of faults that have come, with their time.
     pub told: Vec<(u32, Fault)>,
     pub last: Output,
+    /// Where the CNC is.
+    pub line: Line,
     seed: u64,
     counters: [u8; 3],
     repeated: Option<Frame>,
@@ -215,6 +217,7 @@ impl Rig {
             offset_mm: 0.0,
             told: Vec::new(),
             last: Output::default(),
+            line: Line::Can,
             seed: seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1,
             counters: [0; 3],
             repeated: None,
@@ -323,7 +326,7 @@ impl Rig {
 
     fn hear(&mut self, frame: &Frame) {
         // What is refused is the business of the receiver.
-        self.node.hear(Line::Can, frame).ok();
+        self.node.hear(self.line, frame).ok();
     }
 
     fn next(&mut self, number: usize) -> u8 {
@@ -420,7 +423,12 @@ impl Rig {
 
     /// As a CNC: three times not engaged, then engaged, until the offset has arrived.
     pub fn engaged(seed: u64) -> Self {
-        let mut rig = Self::new(seed);
+        Self::engaged_over(Line::Can, seed)
+    }
+
+    /// The same, with the CNC on this line.
+    pub fn engaged_over(line: Line, seed: u64) -> Self {
+        let mut rig = Self { line, ..Self::new(seed) };
         rig.run(500);
         rig.engage = true;
         rig.run(3_000);
