@@ -170,7 +170,10 @@ fn pitch_of(input: &Input, args: &Pitch) -> Result<Report> {
 fn backlash_of(input: &Input, args: &Backlash) -> Result<Report> {
     let run = input.run()?;
     let axis = axis_of(&input.runs, args.quantity.as_deref())?;
-    let options = position_options(input, run, axis, args.repeats.clone())?;
+    let options = pitch::Options {
+        feed_mm_per_min: args.feed,
+        ..position_options(input, run, axis, args.repeats.clone())?
+    };
     Ok(pitch::fit_backlash(run, axis, &options)?.report)
 }
 

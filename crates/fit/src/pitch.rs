@@ -9,6 +9,7 @@
 //! | `scatter` | how far repeats lie apart, beside how far targets do |
 //! | `summary` | what was found, in a report |
 //! | `backlash` | backlash alone |
+//! | `by_feed` | whether it depends on the feed, and which feed counts |
 //! | `test_points` | pitches that the targets cannot see |
 //!
 //! [`fit`] sets aside what stands alone among the repeats of its target, and leaves the decision to
@@ -29,6 +30,8 @@
 //! test `pitch_real` prints them): x 33.2 → 4.8, z 11.6 → 1.2, and the stage `muts_x` is refused.
 
 mod backlash;
+mod by_feed;
+mod difference;
 mod judge;
 mod readings;
 mod resample;
@@ -79,6 +82,9 @@ pub struct Options {
     pub known_um: Option<Vec<f64>>,
     /// Which width [`fit_backlash`] takes.
     pub width: WidthRule,
+    /// The feed that parts are cut at, in mm/min, where backlash depends on it; `None`: the slowest
+    /// that was measured.
+    pub feed_mm_per_min: Option<f64>,
 }
 
 impl Default for Options {
@@ -91,6 +97,7 @@ impl Default for Options {
             feedback: Feedback::Screw,
             known_um: None,
             width: WidthRule::Automatic,
+            feed_mm_per_min: None,
         }
     }
 }
@@ -132,6 +139,7 @@ pub fn fit(run: &Unaided<'_>, axis: LinearAxis, options: &Options) -> Result<Pit
         axis,
         runs: options.runs.as_deref(),
         known_um: options.known_um.as_deref(),
+        by_feed: false,
         in_order: true,
     };
     let mut readings = Readings::of(run, &wanted)?;

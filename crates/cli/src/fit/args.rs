@@ -118,6 +118,10 @@ pub struct Backlash {
     /// Only the repeats with these numbers in the column run.
     #[arg(long, value_name = "1,2,3", value_delimiter = ',')]
     pub repeats: Option<Vec<f64>>,
+    /// The feed that parts are cut at, where the run has several and backlash depends on it; left out,
+    /// the slowest.
+    #[arg(long, value_name = "MM/MIN")]
+    pub feed: Option<f64>,
 }
 
 #[derive(Args)]

@@ -6,6 +6,9 @@
 //! its sign: a CNC that over-compensates has a negative one. A sweep over more positions gives
 //! their mean, because the largest of many would over-compensate at all the others.
 //!
+//! Readings at several feeds are told apart in `by_feed`: where the width depends on the feed, one feed's
+//! alone is fitted.
+//!
 //! Whether b̄ᵢ changes along the axis is asked by analysis of variance: the scatter of the b̄ᵢ beside
 //! that of the repeats, F at 95 %. Whether B is worth laying in is asked on runs left out.
 
@@ -18,9 +21,10 @@ use trueup_machine::{
 };
 
 use super::{
-    Options,
+    Options, by_feed,
+    difference::{Difference, differences},
     judge::{fold_of, folds, is_gain},
-    readings::{Readings, Wanted, measured_column},
+    readings::{FEED, Readings, Wanted, measured_column},
     summary::{half_interval, left_out_by},
     table::DECIMALS,
 };
@@ -57,14 +61,6 @@ pub struct BacklashFit {
     pub depends_on_position: bool,
 }
 
-/// One difference: a position approached from both sides in one run.
-#[derive(Clone, Copy)]
-struct Difference {
-    target: usize,
-    run: usize,
-    um: f64,
-}
-
 /// The backlash of `axis`, from the same columns as [`fit`](super::fit).
 ///
 /// # Errors
@@ -79,10 +75,11 @@ pub fn fit_backlash(
         axis,
         runs: options.runs.as_deref(),
         known_um: options.known_um.as_deref(),
+        by_feed: true,
         in_order: false,
     };
-    let readings = Readings::of(run, &wanted)?;
-    let differences = differences(&readings);
+    let mut readings = Readings::of(run, &wanted)?;
+    let mut differences = differences(&readings);
     if differences.is_empty() {
         let direction = format!("dir_{}", axis.name());
         let rule = match readings.has_way() {
@@ -91,6 +88,12 @@ pub fn fit_backlash(
             _ => "is never 1".to_string(),
         } + ": backlash needs positions that were approached from both sides";
         return Err(run.bad(0, &direction, rule));
+    }
+    let feed = by_feed::told(&readings, &differences, options)
+        .map_err(|rule| run.bad(0, if run.column(FEED).is_some() { FEED } else { "" }, rule))?;
+    if let Some(feed) = &feed {
+        readings.list.retain(|reading| reading.feed == feed.chosen);
+        differences.retain(|difference| difference.feed == feed.chosen);
     }
     let by_target = by_target(&readings, &differences);
     let means: Vec<(f64, f64)> =
@@ -103,6 +106,9 @@ pub fn fit_backlash(
     let width_um = rounded(width(means.iter().map(|mean| mean.1), rule), DECIMALS);
     let p = chance(&by_target);
     let mut report = report(&readings, &differences, axis, rule, width_um);
+    if let Some(feed) = feed {
+        feed.say(&mut report, width_um);
+    }
     let other = |rule| width(means.iter().map(|mean| mean.1), rule);
     report.facts.push(Fact::numbers("position_mm", means.iter().map(|it| it.0).collect()));
     report.facts.push(Fact::numbers("reversal_um", means.iter().map(|it| it.1).collect()));
@@ -132,20 +138,6 @@ pub fn fit_backlash(
         Backlash { width_um, ramp_mm: 0.0, hysteresis_um: 0.0 }
     });
     Ok(BacklashFit { report, backlash, by_position: means, depends_on_position })
-}
-
-/// Pairs the readings of a position in a run.
-fn differences(readings: &Readings) -> Vec<Difference> {
-    let mut order: Vec<_> = readings.list.iter().collect();
-    order.sort_by_key(|reading| (reading.target, reading.run, reading.way));
-    // Of a record with several readings in a cell, the neighbours.
-    let pair = |pair: &[&super::Reading]| match pair {
-        [a, b] if (a.target, a.run) == (b.target, b.run) && a.way < b.way => {
-            Some(Difference { target: a.target, run: a.run, um: b.um - a.um })
-        }
-        _ => None,
-    };
-    order.windows(2).filter_map(pair).collect()
 }
 
 /// Position in mm and differences in µm, of each target that has any.

@@ -15,6 +15,10 @@ use trueup_numerics::repeats::{self, gross, places};
 
 use crate::report::SetAside;
 
+/// The column of the feed.
+pub(super) const FEED: &str = "feed_mm_per_min";
+/// Feeds nearer than this share are one, as speeds of a spindle are.
+pub(super) const SAME_FEED: f64 = 0.02;
 /// More positions than this are gathered in cells.
 pub(super) const MOST_TARGETS: usize = 2048;
 
@@ -29,6 +33,8 @@ pub(super) struct Reading {
     pub way: usize,
     /// Its run, from 0.
     pub run: usize,
+    /// The feed of its approach, by its place in [`Readings::feeds_mm_per_min`].
+    pub feed: usize,
     /// The error in µm.
     pub um: f64,
 }
@@ -38,6 +44,8 @@ pub(super) struct Reading {
 pub(super) struct Readings {
     /// The targets in mm, rising.
     pub targets_mm: Vec<f64>,
+    /// Feeds of the approach, rising; one, 0, where they are not asked for or not known.
+    pub feeds_mm_per_min: Vec<f64>,
     /// In the order of the rows.
     pub list: Vec<Reading>,
     /// Runs that have a reading.
@@ -55,6 +63,8 @@ pub(super) struct Wanted<'a> {
     pub runs: Option<&'a [f64]>,
     /// Taken off each row's value, in µm.
     pub known_um: Option<&'a [f64]>,
+    /// Whether readings at several feeds are to be told apart.
+    pub by_feed: bool,
     /// Whether positions must rise and fall with the direction of approach.
     pub in_order: bool,
 }
@@ -65,6 +75,8 @@ struct Raw {
     position_mm: f64,
     way: usize,
     run: f64,
+    /// 0 where it is not asked for.
+    feed: f64,
     um: f64,
 }
 
@@ -116,15 +128,26 @@ impl Readings {
         let mut numbers: Vec<f64> = rows.iter().map(|raw| raw.run).collect();
         numbers.sort_by(f64::total_cmp);
         numbers.dedup();
+        let mut feeds: Vec<f64> = rows.iter().map(|raw| raw.feed).collect();
+        feeds.sort_by(f64::total_cmp);
+        feeds.dedup_by(|b, a| *b <= *a * (1.0 + SAME_FEED));
         let list = rows.iter().zip(&target_of_row).map(|(raw, &target)| Reading {
             row: raw.row,
             target,
             way: raw.way,
             run: numbers.partition_point(|&number| number < raw.run),
+            feed: feeds.partition_point(|&feed| feed <= raw.feed).saturating_sub(1),
             um: raw.um,
         });
         let list = list.collect();
-        Ok(Self { targets_mm, list, runs: numbers.len(), rows_incomplete, is_record })
+        Ok(Self {
+            targets_mm,
+            feeds_mm_per_min: feeds,
+            list,
+            runs: numbers.len(),
+            rows_incomplete,
+            is_record,
+        })
     }
 
     /// Takes out the readings that stand alone among the repeats of their target, and says why.
@@ -217,6 +240,7 @@ fn raw_rows(
         bad
     })?;
     let numbers = file.column("run");
+    let feeds = if wanted.by_feed { file.column(FEED) } else { None };
     let (mut rows, mut rows_incomplete) = (Vec::new(), 0);
     for (row, ((&um, &position_mm), &direction)) in
         measured.iter().zip(positions).zip(directions).enumerate()
@@ -227,7 +251,13 @@ fn raw_rows(
         }
         // A reading that was not taken is an empty cell, as it is for `diagnose`.
         let is_numbered = numbers.is_none() || !run.is_nan();
-        if um.is_nan() || position_mm.is_nan() || direction.is_nan() || !is_numbered {
+        let feed = feeds.map_or(0.0, |feeds| feeds[row]);
+        if feed.is_nan()
+            || um.is_nan()
+            || position_mm.is_nan()
+            || direction.is_nan()
+            || !is_numbered
+        {
             rows_incomplete += 1;
             continue;
         }
@@ -237,7 +267,7 @@ fn raw_rows(
             return Err(file.bad(row, &names.measured, rule));
         }
         let way = usize::from(is_reverse(direction));
-        rows.push(Raw { row, position_mm, way, run, um: um - known });
+        rows.push(Raw { row, position_mm, way, run, feed, um: um - known });
     }
     Ok((rows, rows_incomplete))
 }
@@ -286,10 +316,10 @@ fn targets_of(rows: &[Raw]) -> (Vec<f64>, Vec<usize>, bool) {
 
 /// Numbers the runs of a file without the column, from 1.
 fn number_runs(rows: &mut [Raw], target_of_row: &[usize], is_record: bool) {
-    let mut arrivals: HashMap<(usize, usize), usize> = HashMap::new();
+    let mut arrivals: HashMap<(usize, usize, u64), usize> = HashMap::new();
     let mut comes_again = false;
     for (raw, &target) in rows.iter_mut().zip(target_of_row) {
-        let arrivals = arrivals.entry((target, raw.way)).or_default();
+        let arrivals = arrivals.entry((target, raw.way, raw.feed.to_bits())).or_default();
         *arrivals += 1;
         comes_again |= *arrivals > 1;
         raw.run = *arrivals as f64;
@@ -335,9 +365,10 @@ fn check_repeats(
     rows: &[Raw],
     target_of_row: &[usize],
 ) -> Result<(), BadInput> {
-    let mut seen: HashMap<(usize, usize, u64), usize> = HashMap::with_capacity(rows.len());
+    let mut seen: HashMap<(usize, usize, u64, u64), usize> = HashMap::with_capacity(rows.len());
     for (raw, &target) in rows.iter().zip(target_of_row) {
-        if let Some(first) = seen.insert((target, raw.way, raw.run.to_bits()), raw.row) {
+        let once = (target, raw.way, raw.run.to_bits(), raw.feed.to_bits());
+        if let Some(first) = seen.insert(once, raw.row) {
             let rule = format!(
                 "{} is measured twice in run {}, approached in the {} direction (before in line \
                  {}): number the repeats in the column run",

@@ -4,7 +4,7 @@
 //! used. So it is told, with the name that was probably meant.
 
 /// Known columns without their unit, with it, and whether the name alone, without any unit, is told.
-const KNOWN: [(&str, &str, bool); 18] = [
+const KNOWN: [(&str, &str, bool); 19] = [
     ("time", "s", true),
     ("gauge_time", "s", true),
     ("x", "mm", true),
@@ -22,6 +22,7 @@ const KNOWN: [(&str, &str, bool); 18] = [
     ("offset_z", "um", true),
     ("spindle", "rpm", false),
     ("load", "n", false),
+    ("feed", "mm_per_min", false),
     ("sensor", "counts", false),
 ];
 

@@ -1,0 +1,81 @@
+//! Backlash that depends on the feed (seed 004): told, and not averaged away.
+
+mod pitch_support;
+
+use std::fmt::Write as _;
+
+use pitch_support::run_of;
+use rand::{Rng as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution as _, Normal};
+use trueup_fit::pitch::{BacklashFit, Options, fit_backlash};
+use trueup_machine::file::LinearAxis;
+
+/// Three places, seven times, at each feed with its width; noise of 0.3 µm.
+fn run(widths: &[(f64, f64)], seed: u64) -> String {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let normal = Normal::new(0.0, 0.3).expect("a positive width");
+    let mut text = String::from("run,x_mm,dir_x,feed_mm_per_min,measured_dx_um\n");
+    for &(feed, width) in widths {
+        for (place, run) in [50, 500, 950].into_iter().flat_map(|at| (1..=7).map(move |n| (at, n)))
+        {
+            for (dir, um) in [(-1, width), (1, 0.0)] {
+                let um = um + normal.sample(&mut rng);
+                writeln!(text, "{run},{place},{dir},{feed},{um}").expect("a string takes all");
+            }
+        }
+    }
+    text
+}
+
+fn fitted(text: &str, feed_mm_per_min: Option<f64>) -> BacklashFit {
+    let options = Options { feed_mm_per_min, ..Options::default() };
+    fit_backlash(&run_of(text), LinearAxis::X, &options).expect("it keeps the rules")
+}
+
+fn width(fit: &BacklashFit) -> f64 {
+    fit.backlash.as_ref().expect("a width").width_um
+}
+
+#[test]
+fn six_and_eleven_micrometres_do_not_become_eight_and_a_half() {
+    let text = run(&[(1000.0, 6.0), (200.0, 11.0)], 1);
+    let slow = fitted(&text, None);
+    assert!((width(&slow) - 11.0).abs() < 0.5, "{:?}", slow.report);
+    let told = slow.report.warnings.join(" ");
+    for part in ["depends on the feed", "um at 200 mm/min", "at 1000 mm/min -", "--feed"] {
+        assert!(told.contains(part), "{part}: {told}");
+    }
+    let fast = fitted(&text, Some(1000.0));
+    assert!((width(&fast) - 6.0).abs() < 0.5, "{:?}", fast.report);
+    let told = fast.report.warnings.join(" ");
+    assert!(told.contains("at 200 mm/min 5.") || told.contains("at 200 mm/min 4."), "{told}");
+    assert_eq!((slow.report.rows_used, fast.report.rows_used), (42, 42));
+}
+
+#[test]
+fn feeds_that_do_not_differ_are_one_measurement_but_for_one_in_a_hundred() {
+    let mut told = 0;
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    for _ in 0..200 {
+        let fit = fitted(&run(&[(1000.0, 6.0), (200.0, 6.0)], rng.random()), None);
+        let warned = fit.report.warnings.iter().any(|it| it.contains("depends on the feed"));
+        told += usize::from(warned);
+        assert_eq!(fit.report.rows_used, if warned { 42 } else { 84 });
+    }
+    println!("told of {told} in 200 without a difference");
+    // The 99 % limit of a binomial with 1 %.
+    assert!(told <= 6, "{told}");
+}
+
+#[test]
+fn a_feed_that_was_not_measured_is_refused_with_those_that_were() {
+    let options = |feed| Options { feed_mm_per_min: Some(feed), ..Options::default() };
+    let text = run(&[(1000.0, 6.0), (200.0, 11.0)], 1);
+    let said = fit_backlash(&run_of(&text), LinearAxis::X, &options(500.0)).expect_err("not there");
+    assert!(said.rule.contains("but 200, 1000"), "{said}");
+    let without = text.replace("feed_mm_per_min", "note");
+    let one = without.lines().take(43).collect::<Vec<_>>().join("\n");
+    let said = fit_backlash(&run_of(&one), LinearAxis::X, &options(500.0)).expect_err("no column");
+    assert!(said.rule.contains("feed_mm_per_min"), "{said}");
+}

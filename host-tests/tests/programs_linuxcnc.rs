@@ -1,0 +1,433 @@
+//! `trueup program` on the real LinuxCNC: it runs the program that measures, a virtual machine moves as
+//! its joints are sent, the indicator is read by itself wherever the machine stands as the run file says,
+//! and `trueup fit` gets back what was put into that machine. Nobody touches anything in between.
+//!
+//! ```text
+//! plan ─► LinuxCNC ─ every servo cycle ─► twin ─ at each dwell ─► run file, filled in ─► fit
+//! ```
+//!
+//! Travel and soft limits are the same: a program that goes too far stops with LinuxCNC's error.
+
+use std::{
+    borrow::Cow,
+    collections::BTreeMap,
+    fs,
+    io::{BufRead as _, BufReader},
+    path::Path,
+};
+
+use anyhow::{Context as _, Result, bail, ensure};
+use trueup_emulator::{
+    linuxcnc::headless::{DISPLAY, Headless},
+    setup::{self, LinuxCnc},
+};
+use trueup_fit::{Report, curve, pitch, straightness, thermal, warmup};
+use trueup_machine::{
+    Machine as Believed, MachineFile, RunFile,
+    applied::Unaided,
+    file::{LinearAxis, write::Edit},
+    model::{pitch_um, spline_um},
+};
+use trueup_program::{Control, Gauge, Kind, Options, Plan, control, plans, template};
+use trueup_twin::{
+    Scenario,
+    instrument::Instrument,
+    machine::{Command, Machine},
+};
+
+const CONFIGURATION: &str = "\
+[EMC]
+VERSION = 1.1
+MACHINE = trueup-programs
+DEBUG = 0
+[DISPLAY]
+DISPLAY = FOLDER/SCREEN
+[RS274NGC]
+PARAMETER_FILE = FOLDER/sim.var
+[EMCMOT]
+EMCMOT = motmod
+COMM_TIMEOUT = 1.0
+SERVO_PERIOD = 1000000
+[TASK]
+TASK = milltask
+CYCLE_TIME = 0.001
+[HAL]
+HALFILE = FOLDER/sim.hal
+[TRAJ]
+COORDINATES = XYZ
+LINEAR_UNITS = mm
+ANGULAR_UNITS = degree
+DEFAULT_LINEAR_VELOCITY = 5000
+MAX_LINEAR_VELOCITY = 5000
+[EMCIO]
+EMCIO = io
+CYCLE_TIME = 0.1
+TOOL_TABLE = FOLDER/sim.tbl
+[KINS]
+KINEMATICS = trivkins
+JOINTS = 3
+";
+const OF_JOINT: &str = "\
+TYPE = LINEAR
+FERROR = 10
+MIN_FERROR = 10
+HOME = 0
+HOME_OFFSET = 0
+HOME_SEARCH_VEL = 0
+HOME_LATCH_VEL = 0
+HOME_SEQUENCE = 0
+";
+const WIRES: &str = "\
+loadrt [KINS]KINEMATICS
+loadrt [EMCMOT]EMCMOT servo_period_nsec=[EMCMOT]SERVO_PERIOD num_joints=[KINS]JOINTS
+loadrt sampler depth=16000 cfg=ffff
+addf motion-command-handler servo-thread
+addf motion-controller servo-thread
+addf sampler.0 servo-thread
+net x joint.0.motor-pos-cmd => joint.0.motor-pos-fb sampler.0.pin.0
+net y joint.1.motor-pos-cmd => joint.1.motor-pos-fb sampler.0.pin.1
+net z joint.2.motor-pos-cmd => joint.2.motor-pos-fb sampler.0.pin.2
+net speed spindle.0.speed-out => sampler.0.pin.3
+net estop iocontrol.0.user-enable-out => iocontrol.0.emc-enable-in
+";
+/// The gantry's travel in mm, which are also the control's soft limits.
+const TRAVEL_MM: [f64; 3] = [14_300.0, 3_000.0, 2_500.0];
+const BELIEVED: &str = "\
+[machine]
+name = \"gantry\"
+kind = \"3-axis\"
+[axis.x]
+travel_mm = [0.0, 14300.0]
+[axis.x.thermal]
+mode = \"position\"
+sensor = \"temp_screw_c\"
+reference_c = 23.0
+[axis.y]
+travel_mm = [0.0, 3000.0]
+[axis.z]
+travel_mm = [0.0, 2500.0]
+";
+/// Standard deviation of the indicator in µm.
+const NOISE_UM: f64 = 0.3;
+/// How long a program stands for a reading, in s.
+const DWELL_S: f64 = 0.4;
+/// The indicator is read after this share of it.
+const SETTLED: f64 = 0.6;
+/// A reading comes within so many seconds of the one before.
+const PATIENCE_S: u64 = 90;
+
+/// What LinuxCNC and the virtual machine make of a plan: the run file, filled in. A second of LinuxCNC is
+/// `factor` seconds of the machine.
+fn measure(cnc: &mut Headless, plan: &Plan, scenario: &Scenario, factor: f64) -> Result<String> {
+    let program = control::program(plan, Control::LinuxCnc);
+    fs::write(cnc.folder().join(&program.0), program.1)?;
+    let text = template::templates(plan).remove(0).1;
+    let header = text.lines().nth(2).context("a header")?;
+    let names: Vec<&str> = header.split(',').collect();
+    let mut filled = format!("{header}\n");
+    let mut rows = text.lines().skip(3).zip(plan.readings());
+
+    let mut machine = Machine::new(scenario, 1);
+    let mut instruments: BTreeMap<&str, Instrument> = names
+        .iter()
+        .filter(|name| name.starts_with("measured_"))
+        .map(|name| (*name, Instrument::new(&scenario.instrument, name, 1)))
+        .collect();
+    let (sampler, cycles) = cnc.sample()?;
+    cnc.begin(&program.0)?;
+    let (mut before, mut stood, mut began_s) = ([f64::NAN; 3], 0.0, None);
+    let mut next = rows.next();
+    let mut silent_s = 0.0;
+    for line in BufReader::new(cycles).lines() {
+        let line = line?;
+        ensure!(!line.contains("overrun"), "the recorder was overrun");
+        let values: Vec<f64> =
+            line.split_whitespace().skip(1).filter_map(|word| word.parse().ok()).collect();
+        let &[x, y, z, speed] = &values[..] else { bail!("a line of the recorder is {line:?}") };
+        let position_mm = [x, y, z];
+        let command = Command { position_mm, spindle_rpm: speed, ..Command::default() };
+        machine.step(0.001 * factor, &command);
+        if speed > 0.0 && began_s.is_none() {
+            began_s = Some(machine.time_s());
+        }
+        stood = if position_mm == before { stood + 0.001 } else { 0.0 };
+        before = position_mm;
+        silent_s += 0.001;
+        let Some((row, reading)) = next else { break };
+        let is_there = if plan.extent_mm() == [None; 3] {
+            // Nothing moves: the clock says when.
+            began_s.is_some_and(|began| machine.time_s() - began >= reading.dwelt_s * factor)
+        } else {
+            let directions = machine.axes().directions();
+            let is_at = |axis: usize| {
+                reading.position_mm[axis].is_none_or(|mm| {
+                    (mm - position_mm[axis]).abs() < 1e-5
+                        && f64::from(reading.direction[axis]) == directions[axis]
+                })
+            };
+            // Once for each time that it stands: the reading is due in one cycle alone.
+            let due = SETTLED * DWELL_S;
+            (0..3).all(is_at) && (due..due + 0.0015).contains(&stood)
+        };
+        if is_there {
+            let time_s = machine.time_s();
+            let errors = machine.tip_error_um();
+            let elongation_um = machine.elongation_um();
+            let temperatures: Vec<(String, f64)> =
+                machine.temperatures_c().into_iter().map(|(name, c)| (name.into(), c)).collect();
+            let cells = names.iter().zip(row.split(',')).map(|(name, cell)| {
+                let value = match *name {
+                    "time_s" => time_s - began_s.unwrap_or(0.0),
+                    "measured_elongation_um" => {
+                        instruments.get_mut(name)?.read(time_s, elongation_um, 0.0)
+                    }
+                    "measured_dx_um" => instruments.get_mut(name)?.read(time_s, errors[0], x),
+                    "measured_dy_um" => instruments.get_mut(name)?.read(time_s, errors[1], y),
+                    "measured_dz_um" => instruments.get_mut(name)?.read(time_s, errors[2], z),
+                    _ if !cell.is_empty() => return Some(cell.to_string()),
+                    other => temperatures.iter().find(|(name, _)| name == other)?.1,
+                };
+                Some(value.to_string())
+            });
+            let cells: Option<Vec<String>> = cells.collect();
+            filled += &(cells.context("a column that the machine does not have")?.join(",") + "\n");
+            next = rows.next();
+            silent_s = 0.0;
+        }
+        if silent_s > PATIENCE_S as f64
+            || (silent_s % 2.0 < 0.001 && !cnc.is_busy()? && silent_s > 4.0)
+        {
+            bail!("{}: no reading at {:?}; LinuxCNC stands at {position_mm:?}", plan.name, reading);
+        }
+    }
+    drop(sampler);
+    cnc.wait("the program's end", PATIENCE_S, &["motion.program-line"], |_| true)?;
+    while cnc.is_busy()? {
+        std::thread::sleep(std::time::Duration::from_millis(50));
+    }
+    println!("{}: {} readings by themselves", plan.name, plan.readings().len());
+    Ok(filled)
+}
+
+fn start(linuxcnc: LinuxCnc) -> Result<Headless> {
+    let folder = Headless::new_folder()?;
+    let here = folder.path().to_str().context("a temporary folder has a plain name")?;
+    let mut text = CONFIGURATION.replace("FOLDER", here).replace("SCREEN", DISPLAY);
+    for (joint, (axis, travel)) in ["X", "Y", "Z"].into_iter().zip(TRAVEL_MM).enumerate() {
+        let limits = format!(
+            "MIN_LIMIT = -0.0001\nMAX_LIMIT = {}\nMAX_VELOCITY = 5000\nMAX_ACCELERATION = 50000\n",
+            travel + 0.0001
+        );
+        text += &format!("[AXIS_{axis}]\n{limits}[JOINT_{joint}]\n{OF_JOINT}{limits}");
+    }
+    for (name, text) in [("sim.ini", text.as_str()), ("sim.hal", WIRES), ("sim.tbl", "")] {
+        fs::write(folder.path().join(name), text)?;
+    }
+    let mut cnc = Headless::start(folder, "sim.ini", linuxcnc)?;
+    cnc.switch_on()?;
+    Ok(cnc)
+}
+
+fn believed() -> Believed {
+    MachineFile::parse(BELIEVED, Path::new("gantry.toml")).expect("a machine file")
+}
+
+fn scenario(what: &str) -> Scenario {
+    let text = format!(
+        "name = \"a gantry to be measured\"\nmeasure = [\"dx\"]\n[instrument]\nnoise_um = {NOISE_UM}\n\
+         [ambient]\nmean_c = 20.0\n[thermometer.screw]\nat = \"screw_x\"\nlag_s = 0.0\nnoise_c = 0.01\n\
+         [axis.x]\nscrew_heating_c = 0.0\n{what}\n[[segment]]\nkind = \"spindle\"\nduration_s = 60.0\n"
+    );
+    Scenario::parse(&text, Path::new("s.toml")).unwrap_or_else(|bad| panic!("{bad:?}\n{text}"))
+}
+
+fn run_of(text: &str) -> Unaided<'static> {
+    let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
+    Unaided::of(Cow::Owned(run), None, None).expect("no bridge").0
+}
+
+/// What is asked for alike: moves of 60 m/min, and short dwells.
+fn options(axes: &[LinearAxis]) -> Options {
+    Options {
+        axes: axes.to_vec(),
+        feeds_mm_per_min: vec![60_000.0],
+        dwell_s: DWELL_S,
+        gauge: Gauge::Laser,
+        ..Options::default()
+    }
+}
+
+fn made(kind: Kind, options: &Options) -> Result<Vec<Plan>> {
+    Ok(plans(kind, &believed(), options)?.0)
+}
+
+fn machine_of(edits: &[&Edit]) -> Result<Believed> {
+    let mut text = BELIEVED.to_string();
+    for edit in edits {
+        text = edit.apply(&text, Path::new("m.toml"))?;
+    }
+    Ok(MachineFile::parse(&text, Path::new("m.toml"))?)
+}
+
+fn holds(report: &Report, name: &str, truth: f64) {
+    let found = report.parameter(name).unwrap_or_else(|| panic!("{name}: {report:?}"));
+    println!("{found}; true {truth}");
+    let [low, high] = found.ci95.expect("it was fitted");
+    assert!(low <= truth && truth <= high, "{found} does not hold {truth}");
+}
+
+fn rms(um: &[f64]) -> f64 {
+    (um.iter().map(|x| x * x).sum::<f64>() / um.len() as f64).sqrt()
+}
+
+const X: LinearAxis = LinearAxis::X;
+const Y: LinearAxis = LinearAxis::Y;
+
+#[test]
+#[ignore = "long: the real LinuxCNC"]
+fn backlash_is_got_back_from_its_program() -> Result<()> {
+    let Some(control) = setup::linuxcnc()? else {
+        println!("skipped: this distribution has no package of LinuxCNC");
+        return Ok(());
+    };
+    let mut cnc = start(control)?;
+    let plan = made(Kind::Backlash, &options(&[X]))?.remove(0);
+    let run = run_of(&measure(&mut cnc, &plan, &scenario("backlash_um = 6.0"), 1.0)?);
+    let fit = pitch::fit_backlash(&run, X, &pitch::Options::default())?;
+    assert_eq!(fit.report.rows_used, 42);
+    holds(&fit.report, "width_um", 6.0);
+    cnc.end()
+}
+
+#[test]
+#[ignore = "long: the real LinuxCNC"]
+fn pitch_and_backlash_are_got_back_from_their_program() -> Result<()> {
+    let Some(control) = setup::linuxcnc()? else {
+        println!("skipped: this distribution has no package of LinuxCNC");
+        return Ok(());
+    };
+    let mut cnc = start(control)?;
+    let plan = made(Kind::Pitch, &options(&[Y]))?.remove(0);
+    let truth = |mm: f64| 5.0 * mm / 1000.0;
+    let machine = scenario("[axis.y]\npitch_um_per_m = 5.0\nbacklash_um = 4.0");
+    let run = run_of(&measure(&mut cnc, &plan, &machine, 1.0)?);
+    let fit = pitch::fit(&run, Y, &pitch::Options::default())?;
+    holds(&fit.report, "width_um", 4.0);
+    let table = fit.pitch.context("a table")?;
+    let off: Vec<f64> = plan
+        .readings()
+        .iter()
+        .filter_map(|it| it.position_mm[1])
+        .map(|mm| pitch_um(&table, mm, 1.0) - truth(mm))
+        .collect();
+    // A point of the table rests on ten readings; four standard errors of one.
+    let largest = off.iter().fold(0.0_f64, |largest, um| largest.max(um.abs()));
+    println!("the table is {:.3} um RMS, at most {largest:.3} um, beside the truth", rms(&off));
+    assert!(largest < 4.0 * NOISE_UM / 10_f64.sqrt(), "{off:?}");
+    cnc.end()
+}
+
+#[test]
+#[ignore = "long: the real LinuxCNC"]
+fn straightness_is_got_back_and_holds_on_the_diagonal() -> Result<()> {
+    let Some(control) = setup::linuxcnc()? else {
+        println!("skipped: this distribution has no package of LinuxCNC");
+        return Ok(());
+    };
+    let mut cnc = start(control)?;
+    let machine = scenario(
+        "[[straightness]]\nerror = \"z\"\nalong = \"x\"\npoints = [[0.0, 0.0], [3000.0, 40.0], \
+         [7000.0, -20.0], [11000.0, 30.0], [14300.0, 0.0]]\n[[straightness]]\nerror = \"z\"\n\
+         along = \"y\"\npoints = [[0.0, 0.0], [1000.0, 9.0], [2000.0, -6.0], [3000.0, 0.0]]\n",
+    );
+    let mut edits = Vec::new();
+    for plan in made(Kind::Straightness, &options(&[X, Y]))? {
+        let run = run_of(&measure(&mut cnc, &plan, &machine, 1.0)?);
+        let wanted = straightness::Options::default();
+        let report = curve::fit(&run, Some("dz"), |_| Ok(None), &wanted)?;
+        let left = report.left_out.context("positions left out")?;
+        println!("{}: {:.3} um RMS at positions left out", plan.name, left.rms_um);
+        assert!(left.rms_um < 1.2 * NOISE_UM, "{left:?}");
+        edits.push(report.edit);
+    }
+    let fitted = machine_of(&edits.iter().collect::<Vec<_>>())?;
+    assert_eq!(fitted.straightness.len(), 2);
+    let at = |axis: LinearAxis, mm: f64| {
+        let curve = fitted.straightness.iter().find(|curve| curve.along == axis);
+        curve.map_or(f64::NAN, |curve| spline_um(&curve.spline, mm))
+    };
+    let plan = made(Kind::Diagonal, &options(&[X, Y]))?.remove(0);
+    let text = measure(&mut cnc, &plan, &machine, 1.0)?;
+    let run = run_of(&text);
+    let column = |name| run.column(name).expect("it was written");
+    let (x, y, dz) = (column("x_mm"), column("y_mm"), column("measured_dz_um"));
+    let left: Vec<f64> = (0..run.rows()).map(|n| dz[n] - at(X, x[n]) - at(Y, y[n])).collect();
+    println!("diagonal: {:.2} um RMS, {:.3} after both curves", rms(dz), rms(&left));
+    assert!(rms(&left) < 1.2 * NOISE_UM);
+    cnc.end()
+}
+
+#[test]
+#[ignore = "long: the real LinuxCNC"]
+fn a_warm_up_is_got_back_from_its_program() -> Result<()> {
+    let Some(control) = setup::linuxcnc()? else {
+        println!("skipped: this distribution has no package of LinuxCNC");
+        return Ok(());
+    };
+    let mut cnc = start(control)?;
+    // Two hours in 24 s.
+    let factor = 300.0;
+    let wanted = Options {
+        dwell_s: 0.1,
+        every_s: 0.4,
+        heat_s: Some(24.0),
+        spindle_rpm: Some(12_000.0),
+        ..Options::default()
+    };
+    let plan = made(Kind::Warmup, &wanted)?.remove(0);
+    let text = measure(&mut cnc, &plan, &scenario("[spindle]"), factor)?;
+    let run = run_of(&text);
+    let fit = warmup::fit(std::slice::from_ref(&run), None)?;
+    let left = fit.left_out.context("blocks left out")?;
+    let grown = fit.before.context("it was measured")?;
+    println!("{:?}: {grown:?}, left out {left:?}", fit.parameters);
+    assert!(fit.verdict.is_fitted() && left.rms_um < 0.1 * grown.rms_um, "{left:?}");
+    cnc.end()
+}
+
+#[test]
+#[ignore = "long: the real LinuxCNC"]
+fn the_growth_of_an_axis_is_got_back_from_its_program() -> Result<()> {
+    let Some(control) = setup::linuxcnc()? else {
+        println!("skipped: this distribution has no package of LinuxCNC");
+        return Ok(());
+    };
+    let mut cnc = start(control)?;
+    // Twenty minutes in 8 s: strokes of 1 m at 60 m/min are 2.4 m/min of the machine's.
+    let factor = 150.0;
+    let wanted = Options {
+        heat_s: Some(8.0),
+        heat_feed_mm_per_min: 60_000.0,
+        repeats: Some(4),
+        ..options(&[X])
+    };
+    let plan = made(Kind::AxisHeat, &wanted)?.remove(0);
+    let machine = scenario("");
+    let machine = Scenario {
+        axis: machine
+            .axis
+            .into_iter()
+            .map(|(name, mut axis)| {
+                axis.screw_heating_c = 15.0;
+                axis.screw_um_per_m_per_c = 11.5;
+                (name, axis)
+            })
+            .collect(),
+        ..machine
+    };
+    let run = run_of(&measure(&mut cnc, &plan, &machine, factor)?);
+    let fit = thermal::fit(std::slice::from_ref(&run), X, None, &thermal::Options::default())?;
+    println!("{:?} {:?}", fit.parameters, fit.warnings);
+    holds(&fit, "slope_um_per_m_per_c", 11.5);
+    cnc.end()
+}
