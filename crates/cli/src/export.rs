@@ -9,7 +9,9 @@ use std::{
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
-use trueup_export::{ExportedTable, Format, LeftOut, Options, Report, Units, export};
+use trueup_export::{
+    ExportedTable, Format, LeftOut, Options, Report, Units, export, fanuc::Series,
+};
 use trueup_machine::MachineFile;
 
 use crate::{Outcome, UserError, output};
@@ -47,6 +49,9 @@ pub struct Export {
     /// FANUC's detection unit.
     #[arg(long, value_name = "UM", default_value_t = 1.0)]
     unit_um: f64,
+    /// FANUC: 0 for the old Series 0, whose parameters are keyed in by hand; left out, 0i and later.
+    #[arg(long, value_name = "0", value_parser = ["0", "0i"], default_value = "0i")]
+    series: String,
     /// Temperatures for the Siemens setting data; left out, each axis is at its reference.
     #[arg(long, value_name = "temp_x_c=30", value_delimiter = ',', allow_hyphen_values = true)]
     temperature: Vec<String>,
@@ -124,6 +129,7 @@ fn options(args: &Export) -> Result<Options, UserError> {
         },
         tolerance_um: positive("--tolerance-um", args.tolerance_um)?,
         unit_um: positive("--unit-um", args.unit_um)?,
+        fanuc: if args.series == "0" { Series::Zero } else { Series::I },
         most_points: args.max_points,
         elongation_um: finite("--elongation-um", args.elongation_um)?,
         ..Options::default()

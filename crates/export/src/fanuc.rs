@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `CNC-PARA.TXT` | `N03620A1P…`: parameters, one value an axis |
 //! | `PITCH.TXT` | `N10000P…`: the value of point 0, and so on |
+//! | `SERIES-0.TXT` | for the old Series 0 instead of both: a sheet to be keyed in |
 //!
 //! Point number `ref` (3620) is at the reference point; number N is the section that ends at
 //! reference + (N − ref)·spacing (3624). Its value is −7 … +7 times the magnification (3623), in
@@ -33,6 +34,7 @@
 //! them up in the manual of the control before loading.
 
 mod read;
+mod series0;
 mod straightness;
 
 use std::fmt::Write as _;
@@ -40,6 +42,7 @@ use std::fmt::Write as _;
 use trueup_machine::{Machine, file::LinearAxis};
 
 pub use read::{AxisTables, Control};
+pub use series0::read as read_series_0;
 
 use crate::{
     Export, ExportedTable, File, Options,
@@ -49,6 +52,16 @@ use crate::{
     report::Approach,
     text::number,
 };
+
+/// Which FANUC: the numbers of its parameters.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Series {
+    /// 0i, 16i, 18i, 30i and their kin: parameters from 3620.
+    #[default]
+    I,
+    /// The old Series 0 (seed 004): parameters 1000, 2000, 0011, 756, 757, keyed in by hand.
+    Zero,
+}
 
 /// So many point numbers has an axis.
 pub const MOST_POINTS: usize = 128;
@@ -113,7 +126,10 @@ struct Planned<'m> {
 }
 
 pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) {
-    let chosen = straightness::chosen(machine, options, &mut export.report);
+    let chosen = match options.fanuc {
+        Series::I => straightness::chosen(machine, options, &mut export.report),
+        Series::Zero => series0::without_straightness(machine, &mut export.report),
+    };
     let all_drives = drives(machine, options);
     for drive in all_drives.iter().filter(|drive| drive.is_flat()) {
         let section = drive.section();
@@ -127,6 +143,13 @@ pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) 
                 .iter()
                 .find(|drive| drive.axis == axis && drive.is_second == is_second)
                 .filter(|drive| !drive.is_flat());
+            if options.fanuc == Series::Zero
+                && let Some(drive) = drive
+                && let Some(reason) = series0::refuses(drive)
+            {
+                export.report.leave_out(drive.section(), reason);
+                continue;
+            }
             let along: Vec<Cross<'_>> =
                 chosen.iter().filter(|cross| cross.along == axis && !is_second).cloned().collect();
             if drive.is_none() && along.is_empty() {
@@ -140,8 +163,10 @@ pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) 
             }
         }
     }
-    if !planned.is_empty() {
-        write(&planned, options, export);
+    match options.fanuc {
+        _ if planned.is_empty() => {}
+        Series::I => write(&planned, options, export),
+        Series::Zero => series0::write(planned, options, export),
     }
     let reason = "the growth is given to the control by its PMC at run time (one scalar along the \
                   tool; in small steps, a jump of 9999 units is an alarm), not by a table";
@@ -279,7 +304,7 @@ fn write(planned: &[Planned<'_>], options: &Options, export: &mut Export) {
         }
     }
     pitch.push_str("%\n");
-    let pairs = straightness::plan(planned, options, number_of);
+    let pairs = straightness::plan(planned, options, number_of, &mut export.report);
     let text = parameter_text(&parameters, &pairs);
     let (para, pitch) =
         ("CNC-PARA.TXT".to_string(), File { name: "PITCH.TXT".into(), text: pitch });
@@ -338,13 +363,22 @@ fn compare(
     export: &mut Export,
 ) {
     let Some(drive) = &plan.drive else { return };
-    let back = match control.axis(axis) {
-        Ok(back) => back,
+    match control.axis(axis) {
+        Ok(back) => compare_axis(plan, drive, &back, (axis, "PITCH.TXT"), options, export),
         Err(rule) => {
             export.report.leave_out(drive.section(), format!("it reads back wrong: {rule}"));
-            return;
         }
-    };
+    }
+}
+
+fn compare_axis(
+    plan: &Planned<'_>,
+    drive: &Drive<'_>,
+    back: &AxisTables,
+    (axis, file): (usize, &str),
+    options: &Options,
+    export: &mut Export,
+) {
     let Points { reference_mm, spacing_mm, .. } = plan.points;
     let positions_mm = plan.points.positions_mm();
     let range = (positions_mm[0], positions_mm[positions_mm.len() - 1]);
@@ -381,7 +415,7 @@ fn compare(
         })
     };
     export.report.tables.push(ExportedTable {
-        file: "PITCH.TXT".to_string(),
+        file: file.to_string(),
         name: format!(
             "axis {axis}, points {} to {}, magnification {}",
             back.first, back.last, plan.magnification

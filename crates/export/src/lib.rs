@@ -113,6 +113,8 @@ pub struct Options {
     pub most_points: Option<usize>,
     /// FANUC's detection unit, in µm; above 0.
     pub unit_um: f64,
+    /// Which FANUC.
+    pub fanuc: fanuc::Series,
     /// Temperatures in °C, by column, at which the Siemens setting data are written; a column that
     /// is missing is at its reference, where the axis has no thermal error.
     pub temperatures_c: BTreeMap<String, f64>,
@@ -129,6 +131,7 @@ impl Default for Options {
             tolerance_um: 0.1,
             most_points: None,
             unit_um: 1.0,
+            fanuc: fanuc::Series::default(),
             temperatures_c: BTreeMap::new(),
             elongation_um: 0.0,
         }

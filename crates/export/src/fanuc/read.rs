@@ -131,6 +131,20 @@ pub struct AxisTables {
 }
 
 impl AxisTables {
+    /// One table, its first value at point 1, so many sections of it before the reference point. `values`
+    /// and `backlash` are in detection units.
+    pub(super) fn one(negative: usize, spacing_mm: f64, values: Vec<i64>, backlash: i64) -> Self {
+        Self {
+            first: 1,
+            last: values.len() as i64,
+            negative,
+            spacing_mm,
+            tables: vec![values],
+            at_reference: 0,
+            backlash,
+        }
+    }
+
     /// What the control adds, in detection units, so far from the reference point. A section's value
     /// comes at once in its middle, or evenly over it.
     #[must_use]

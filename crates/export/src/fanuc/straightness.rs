@@ -3,7 +3,8 @@
 //! For a moving axis (5711 …) and the one that is corrected (5721 …), the numbers of four points of
 //! the moving axis (5731 …, 5741 …, 5751 …) and the correction at each, in detection units (5761 …,
 //! 5771 …, 5781 …). It is straight between them; the ends are the first and the last point of the
-//! axis, and the two in between are where they keep the lines nearest to the curve.
+//! axis, and the two in between are where they keep the lines nearest to the curve. A curve of which four
+//! points take less than nine tenths is not written: it is left out, with what they would lose.
 
 use trueup_machine::Machine;
 
@@ -33,8 +34,8 @@ pub(super) fn chosen<'m>(
             report.leave_out(cross.section(), reason);
             continue;
         };
-        let values =
-            (0..=1000).map(|k| cross.error_um(first + (last - first) * f64::from(k) / 1e3));
+        let values = (0..=PLACES)
+            .map(|k| cross.error_um(first + (last - first) * f64::from(k) / f64::from(PLACES)));
         let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), um| {
             (low.min(um), high.max(um))
         });
@@ -50,6 +51,12 @@ pub(super) fn chosen<'m>(
     }
     with_span.into_iter().map(|(_, cross)| cross).collect()
 }
+
+/// A curve of which more than this stays is not written: nine tenths gone is what a compensation is for
+/// (seed 003; `trueup accept`).
+const MOST_LOSS: f64 = 0.1;
+/// So many places of a curve are looked at before it is taken.
+const PLACES: u32 = 1000;
 
 /// One pair of axes as it is written.
 pub(super) struct Pair<'m> {
@@ -87,6 +94,7 @@ pub(super) fn plan<'m>(
     planned: &[Planned<'m>],
     options: &Options,
     number_of: impl Fn(&Planned<'m>) -> usize,
+    report: &mut Report,
 ) -> Vec<Pair<'m>> {
     let mut pairs = Vec::new();
     for (index, plan) in planned.iter().enumerate() {
@@ -104,6 +112,26 @@ pub(super) fn plan<'m>(
             rows.extend(missing);
             rows.sort_unstable();
             let at = |k: usize| rows.get(k).copied().unwrap_or(positions_mm.len() - 1);
+            let nodes: Vec<(f64, f64)> =
+                [0, 1, 2, 3].map(|k| (positions_mm[at(k)], error_um[at(k)])).into();
+            let (first, last) = (positions_mm[0], positions_mm[positions_mm.len() - 1]);
+            let (mut off_um, mut low, mut high) = (0.0_f64, f64::INFINITY, f64::NEG_INFINITY);
+            for k in 0..=PLACES {
+                let mm = first + (last - first) * f64::from(k) / f64::from(PLACES);
+                let um = cross.error_um(mm) - constant_um;
+                off_um = off_um.max((um - interpolated(&nodes, mm)).abs());
+                (low, high) = (low.min(um), high.max(um));
+            }
+            if off_um > MOST_LOSS * (high - low) && off_um > options.tolerance_um + options.unit_um
+            {
+                let reason = format!(
+                    "straightness has {POINTS} points, and lines between the best {POINTS} are \
+                     {off_um:.1} um off, of {:.1} um: not written",
+                    high - low
+                );
+                report.leave_out(cross.section(), reason);
+                continue;
+            }
             let corrected = cross.error.index() + 1;
             pairs.push(Pair {
                 order: pairs.len() as u32,
