@@ -12,13 +12,14 @@ use std::{
     borrow::Cow,
     collections::BTreeMap,
     fs,
-    io::{BufRead as _, BufReader},
+    io::{BufRead as _, BufReader, Lines},
     path::Path,
+    process::ChildStdout,
 };
 
 use anyhow::{Context as _, Result, bail, ensure};
 use trueup_emulator::{
-    linuxcnc::headless::{DISPLAY, Headless},
+    linuxcnc::headless::{DISPLAY, Headless, Sampler},
     setup::{self, LinuxCnc},
 };
 use trueup_fit::{Report, curve, pitch, straightness, thermal, warmup};
@@ -110,7 +111,7 @@ travel_mm = [0.0, 2500.0]
 /// Standard deviation of the indicator in µm.
 const NOISE_UM: f64 = 0.3;
 /// How long a program stands for a reading, in s.
-const DWELL_S: f64 = 0.4;
+const DWELL_S: f64 = 0.25;
 /// The indicator is read after this share of it.
 const SETTLED: f64 = 0.6;
 /// A reading comes within so many seconds of the one before.
@@ -118,7 +119,8 @@ const PATIENCE_S: u64 = 90;
 
 /// What LinuxCNC and the virtual machine make of a plan: the run file, filled in. A second of LinuxCNC is
 /// `factor` seconds of the machine.
-fn measure(cnc: &mut Headless, plan: &Plan, scenario: &Scenario, factor: f64) -> Result<String> {
+fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Result<String> {
+    let Rig { cnc, cycles, .. } = rig;
     let program = control::program(plan, Control::LinuxCnc);
     fs::write(cnc.folder().join(&program.0), program.1)?;
     let text = template::templates(plan).remove(0).1;
@@ -133,12 +135,11 @@ fn measure(cnc: &mut Headless, plan: &Plan, scenario: &Scenario, factor: f64) ->
         .filter(|name| name.starts_with("measured_"))
         .map(|name| (*name, Instrument::new(&scenario.instrument, name, 1)))
         .collect();
-    let (sampler, cycles) = cnc.sample()?;
     cnc.begin(&program.0)?;
     let (mut before, mut stood, mut began_s) = ([f64::NAN; 3], 0.0, None);
     let mut next = rows.next();
     let mut silent_s = 0.0;
-    for line in BufReader::new(cycles).lines() {
+    for line in cycles {
         let line = line?;
         ensure!(!line.contains("overrun"), "the recorder was overrun");
         let values: Vec<f64> =
@@ -200,7 +201,6 @@ fn measure(cnc: &mut Headless, plan: &Plan, scenario: &Scenario, factor: f64) ->
             bail!("{}: no reading at {:?}; LinuxCNC stands at {position_mm:?}", plan.name, reading);
         }
     }
-    drop(sampler);
     cnc.wait("the program's end", PATIENCE_S, &["motion.program-line"], |_| true)?;
     while cnc.is_busy()? {
         std::thread::sleep(std::time::Duration::from_millis(50));
@@ -209,7 +209,21 @@ fn measure(cnc: &mut Headless, plan: &Plan, scenario: &Scenario, factor: f64) ->
     Ok(filled)
 }
 
-fn start(linuxcnc: LinuxCnc) -> Result<Headless> {
+/// LinuxCNC, and what its recorder says of each servo cycle: always read, or it is overrun.
+struct Rig {
+    cnc: Headless,
+    cycles: Lines<BufReader<ChildStdout>>,
+    recorder: Sampler,
+}
+
+impl Rig {
+    fn end(mut self) -> Result<()> {
+        drop(self.recorder);
+        self.cnc.end()
+    }
+}
+
+fn start(linuxcnc: LinuxCnc) -> Result<Rig> {
     let folder = Headless::new_folder()?;
     let here = folder.path().to_str().context("a temporary folder has a plain name")?;
     let mut text = CONFIGURATION.replace("FOLDER", here).replace("SCREEN", DISPLAY);
@@ -225,7 +239,8 @@ fn start(linuxcnc: LinuxCnc) -> Result<Headless> {
     }
     let mut cnc = Headless::start(folder, "sim.ini", linuxcnc)?;
     cnc.switch_on()?;
-    Ok(cnc)
+    let (recorder, cycles) = cnc.sample()?;
+    Ok(Rig { cnc, cycles: BufReader::new(cycles).lines(), recorder })
 }
 
 fn believed() -> Believed {
@@ -235,7 +250,7 @@ fn believed() -> Believed {
 fn scenario(what: &str) -> Scenario {
     let text = format!(
         "name = \"a gantry to be measured\"\nmeasure = [\"dx\"]\n[instrument]\nnoise_um = {NOISE_UM}\n\
-         [ambient]\nmean_c = 20.0\n[thermometer.screw]\nat = \"screw_x\"\nlag_s = 0.0\nnoise_c = 0.01\n\
+         [ambient]\nmean_c = 20.0\n[thermometer.screw]\nat = \"screw_x\"\nlag_s = 0.0\nnoise_c = 0.01\nquantum_c = 0.0\n\
          [axis.x]\nscrew_heating_c = 0.0\n{what}\n[[segment]]\nkind = \"spindle\"\nduration_s = 60.0\n"
     );
     Scenario::parse(&text, Path::new("s.toml")).unwrap_or_else(|bad| panic!("{bad:?}\n{text}"))
@@ -290,13 +305,13 @@ fn backlash_is_got_back_from_its_program() -> Result<()> {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
-    let mut cnc = start(control)?;
+    let mut rig = start(control)?;
     let plan = made(Kind::Backlash, &options(&[X]))?.remove(0);
-    let run = run_of(&measure(&mut cnc, &plan, &scenario("backlash_um = 6.0"), 1.0)?);
+    let run = run_of(&measure(&mut rig, &plan, &scenario("backlash_um = 6.0"), 1.0)?);
     let fit = pitch::fit_backlash(&run, X, &pitch::Options::default())?;
     assert_eq!(fit.report.rows_used, 42);
     holds(&fit.report, "width_um", 6.0);
-    cnc.end()
+    rig.end()
 }
 
 #[test]
@@ -306,11 +321,12 @@ fn pitch_and_backlash_are_got_back_from_their_program() -> Result<()> {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
-    let mut cnc = start(control)?;
+    let mut rig = start(control)?;
     let plan = made(Kind::Pitch, &options(&[Y]))?.remove(0);
     let truth = |mm: f64| 5.0 * mm / 1000.0;
-    let machine = scenario("[axis.y]\npitch_um_per_m = 5.0\nbacklash_um = 4.0");
-    let run = run_of(&measure(&mut cnc, &plan, &machine, 1.0)?);
+    let machine =
+        scenario("[axis.y]\nscrew_heating_c = 0.0\npitch_um_per_m = 5.0\nbacklash_um = 4.0");
+    let run = run_of(&measure(&mut rig, &plan, &machine, 1.0)?);
     let fit = pitch::fit(&run, Y, &pitch::Options::default())?;
     holds(&fit.report, "width_um", 4.0);
     let table = fit.pitch.context("a table")?;
@@ -324,7 +340,7 @@ fn pitch_and_backlash_are_got_back_from_their_program() -> Result<()> {
     let largest = off.iter().fold(0.0_f64, |largest, um| largest.max(um.abs()));
     println!("the table is {:.3} um RMS, at most {largest:.3} um, beside the truth", rms(&off));
     assert!(largest < 4.0 * NOISE_UM / 10_f64.sqrt(), "{off:?}");
-    cnc.end()
+    rig.end()
 }
 
 #[test]
@@ -334,15 +350,16 @@ fn straightness_is_got_back_and_holds_on_the_diagonal() -> Result<()> {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
-    let mut cnc = start(control)?;
+    let mut rig = start(control)?;
     let machine = scenario(
         "[[straightness]]\nerror = \"z\"\nalong = \"x\"\npoints = [[0.0, 0.0], [3000.0, 40.0], \
          [7000.0, -20.0], [11000.0, 30.0], [14300.0, 0.0]]\n[[straightness]]\nerror = \"z\"\n\
          along = \"y\"\npoints = [[0.0, 0.0], [1000.0, 9.0], [2000.0, -6.0], [3000.0, 0.0]]\n",
     );
     let mut edits = Vec::new();
-    for plan in made(Kind::Straightness, &options(&[X, Y]))? {
-        let run = run_of(&measure(&mut cnc, &plan, &machine, 1.0)?);
+    let there_and_back = Options { repeats: Some(2), ..options(&[X, Y]) };
+    for plan in made(Kind::Straightness, &there_and_back)? {
+        let run = run_of(&measure(&mut rig, &plan, &machine, 1.0)?);
         let wanted = straightness::Options::default();
         let report = curve::fit(&run, Some("dz"), |_| Ok(None), &wanted)?;
         let left = report.left_out.context("positions left out")?;
@@ -356,15 +373,16 @@ fn straightness_is_got_back_and_holds_on_the_diagonal() -> Result<()> {
         let curve = fitted.straightness.iter().find(|curve| curve.along == axis);
         curve.map_or(f64::NAN, |curve| spline_um(&curve.spline, mm))
     };
-    let plan = made(Kind::Diagonal, &options(&[X, Y]))?.remove(0);
-    let text = measure(&mut cnc, &plan, &machine, 1.0)?;
+    let once = Options { repeats: Some(1), ..options(&[X, Y]) };
+    let plan = made(Kind::Diagonal, &once)?.remove(0);
+    let text = measure(&mut rig, &plan, &machine, 1.0)?;
     let run = run_of(&text);
     let column = |name| run.column(name).expect("it was written");
     let (x, y, dz) = (column("x_mm"), column("y_mm"), column("measured_dz_um"));
     let left: Vec<f64> = (0..run.rows()).map(|n| dz[n] - at(X, x[n]) - at(Y, y[n])).collect();
     println!("diagonal: {:.2} um RMS, {:.3} after both curves", rms(dz), rms(&left));
     assert!(rms(&left) < 1.2 * NOISE_UM);
-    cnc.end()
+    rig.end()
 }
 
 #[test]
@@ -374,7 +392,7 @@ fn a_warm_up_is_got_back_from_its_program() -> Result<()> {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
-    let mut cnc = start(control)?;
+    let mut rig = start(control)?;
     // Two hours in 24 s.
     let factor = 300.0;
     let wanted = Options {
@@ -385,14 +403,14 @@ fn a_warm_up_is_got_back_from_its_program() -> Result<()> {
         ..Options::default()
     };
     let plan = made(Kind::Warmup, &wanted)?.remove(0);
-    let text = measure(&mut cnc, &plan, &scenario("[spindle]"), factor)?;
+    let text = measure(&mut rig, &plan, &scenario("[spindle]"), factor)?;
     let run = run_of(&text);
     let fit = warmup::fit(std::slice::from_ref(&run), None)?;
     let left = fit.left_out.context("blocks left out")?;
     let grown = fit.before.context("it was measured")?;
     println!("{:?}: {grown:?}, left out {left:?}", fit.parameters);
     assert!(fit.verdict.is_fitted() && left.rms_um < 0.1 * grown.rms_um, "{left:?}");
-    cnc.end()
+    rig.end()
 }
 
 #[test]
@@ -402,7 +420,7 @@ fn the_growth_of_an_axis_is_got_back_from_its_program() -> Result<()> {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
-    let mut cnc = start(control)?;
+    let mut rig = start(control)?;
     // Twenty minutes in 8 s: strokes of 1 m at 60 m/min are 2.4 m/min of the machine's.
     let factor = 150.0;
     let wanted = Options {
@@ -425,9 +443,9 @@ fn the_growth_of_an_axis_is_got_back_from_its_program() -> Result<()> {
             .collect(),
         ..machine
     };
-    let run = run_of(&measure(&mut cnc, &plan, &machine, factor)?);
+    let run = run_of(&measure(&mut rig, &plan, &machine, factor)?);
     let fit = thermal::fit(std::slice::from_ref(&run), X, None, &thermal::Options::default())?;
     println!("{:?} {:?}", fit.parameters, fit.warnings);
     holds(&fit, "slope_um_per_m_per_c", 11.5);
-    cnc.end()
+    rig.end()
 }

@@ -13,6 +13,7 @@
 
 mod accept;
 mod bridge;
+mod compare;
 mod compile;
 mod diagnose;
 mod export;
@@ -25,6 +26,7 @@ mod program;
 mod runs;
 mod show;
 mod simulate;
+mod trend;
 
 use std::{path::PathBuf, process::ExitCode};
 
@@ -50,6 +52,7 @@ enum Command {
     Predict(predict::Predict),
     /// Turns a machine file into the calibration that the bridge stores.
     Compile(compile::Compile),
+    Compare(compare::Compare),
     Accept(accept::Accept),
     Diagnose(diagnose::Diagnose),
     Export(export::Export),
@@ -66,6 +69,7 @@ enum Command {
     },
     Program(program::Program),
     Simulate(simulate::Simulate),
+    Trend(trend::Trend),
     /// Brings a bridge to a control that has a PLC: offsets into its registers, positions out of them.
     Gateway {
         #[command(subcommand)]
@@ -121,6 +125,7 @@ fn run(cli: &Cli) -> Result<Outcome> {
     match &cli.command {
         Command::Predict(args) => predict::run(args, cli.json),
         Command::Compile(args) => compile::run(args, cli.json),
+        Command::Compare(args) => compare::run(args, cli.json),
         Command::Accept(args) => accept::run(args, cli.json),
         Command::Diagnose(args) => diagnose::run(args, cli.json),
         Command::Export(args) => export::run(args, cli.json),
@@ -129,6 +134,7 @@ fn run(cli: &Cli) -> Result<Outcome> {
         Command::Show { calibration } => show::run(calibration, cli.json),
         Command::Program(args) => program::run(args, cli.json),
         Command::Simulate(args) => simulate::run(args, cli.json),
+        Command::Trend(args) => trend::run(args, cli.json),
         Command::Gateway { command } => gateway::run(command),
         Command::Bridge { command } => bridge::run(command, cli.json),
     }

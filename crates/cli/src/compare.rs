@@ -1,0 +1,98 @@
+//! `trueup compare`: two runs place by place.
+
+use std::{fs, path::PathBuf};
+
+use anyhow::Result;
+use clap::Args;
+use trueup_compare::{
+    compare::{Comparison, compare},
+    page,
+};
+use trueup_machine::file;
+
+use crate::{
+    Outcome, UserError,
+    diagnose::{Quantity, above_zero},
+    output, runs,
+};
+
+/// Compares two runs of one program place by place: unloaded against cut, this year against last.
+///
+/// Exit 3: with --limit-um, a place differs by more.
+#[derive(Args)]
+pub struct Compare {
+    /// The earlier run.
+    #[arg(value_name = "A.csv")]
+    a: PathBuf,
+    /// The later one.
+    #[arg(value_name = "B.csv")]
+    b: PathBuf,
+    /// What to compare, where the runs measure several quantities.
+    #[arg(long)]
+    quantity: Option<Quantity>,
+    /// No place may differ by more, in µm, the shift of all taken off.
+    #[arg(long, value_name = "UM", value_parser = above_zero)]
+    limit_um: Option<f64>,
+    /// A folder for comparison.json and report.html.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+/// So many places are printed; all of them are in the JSON and on the page.
+const LISTED: usize = 12;
+
+/// Compares the two runs.
+pub fn run(args: &Compare, as_json: bool) -> Result<Outcome> {
+    let (a, b) = (runs::read_and_warn(&args.a)?, runs::read_and_warn(&args.b)?);
+    let quantity: Option<file::Quantity> = args.quantity.map(Quantity::of_machine);
+    let it = compare(&a, &b, quantity)?;
+    let json = serde_json::to_string_pretty(&it)?;
+    if let Some(folder) = &args.out {
+        fs::create_dir_all(folder)
+            .map_err(|error| UserError(format!("{}: cannot be made: {error}", folder.display())))?;
+        let names = [&args.a, &args.b].map(|path| path.display().to_string());
+        let html = page::of_comparison(&it, [&names[0], &names[1]]);
+        for (name, text) in [("comparison.json", format!("{json}\n")), ("report.html", html)] {
+            let inputs = [args.a.as_path(), args.b.as_path()];
+            output::write_whole(&folder.join(name), &inputs, |out| out.write_all(text.as_bytes()))?;
+        }
+    }
+    if as_json {
+        output::print(json)?;
+    } else {
+        print(&it)?;
+    }
+    let is_met = args.limit_um.is_none_or(|limit| it.max_um <= limit);
+    Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
+}
+
+fn print(it: &Comparison) -> Result<()> {
+    output::print(match (it.differs, it.cause) {
+        (true, Some(cause)) => format!("they differ: {cause}"),
+        (true, None) => "they differ".into(),
+        (false, _) => "no difference beyond the scatter of the readings".into(),
+    })?;
+    for sentence in &it.sentences {
+        output::print(format_args!("  {sentence}"))?;
+    }
+    let scatter =
+        it.repeatability_um.map_or(String::new(), |um| format!("; a reading scatters by {um:.2}"));
+    output::print(format_args!(
+        "{} at {} places: {:.2} µm RMS, largest {:.2}{scatter}",
+        it.quantity,
+        it.places.len(),
+        it.rms_um,
+        it.max_um
+    ))?;
+    let mut places: Vec<_> = it.places.iter().collect();
+    places.sort_by(|a, b| b.difference_um.abs().total_cmp(&a.difference_um.abs()));
+    for place in places.iter().take(if it.differs { LISTED } else { 0 }) {
+        let way = ["downwards", "", "upwards"][usize::try_from(place.direction + 1).unwrap_or(1)];
+        let half = place.half_width_um.map_or(String::new(), |half| format!(" ± {half:.2}"));
+        output::print(format_args!(
+            "  {} mm {way}: {:+.2}{half} µm",
+            place.at_mm, place.difference_um
+        ))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,83 @@
+//! `trueup trend`: constants over dated files.
+
+use std::{fs, path::PathBuf};
+
+use anyhow::Result;
+use clap::Args;
+use trueup_compare::{dated, page, trend::trends};
+use trueup_machine::MachineFile;
+
+use crate::{Outcome, UserError, diagnose::above_zero, output, runs};
+
+/// Shows how backlash, pitch and other constants change over dated run files or machine files, and when to
+/// measure again.
+///
+/// The day is in a file's name, 2026-11-22 or 20261122.
+#[derive(Args)]
+pub struct Trend {
+    /// The folder with the files, .csv and .toml.
+    #[arg(value_name = "DIR")]
+    folder: PathBuf,
+    /// A change that matters, in the unit of the constant; left out, what one measurement can tell.
+    #[arg(long, value_name = "UM", value_parser = above_zero)]
+    limit_um: Option<f64>,
+    /// A folder for trend.json and report.html.
+    #[arg(long, value_name = "OUT")]
+    out: Option<PathBuf>,
+}
+
+/// Reads the folder and tells the trends.
+pub fn run(args: &Trend, as_json: bool) -> Result<Outcome> {
+    let bad = |rule: String| UserError(format!("{}: {rule}", args.folder.display()));
+    let entries =
+        fs::read_dir(&args.folder).map_err(|error| bad(format!("cannot be read: {error}")))?;
+    let mut paths: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
+    paths.sort();
+    let mut days = Vec::new();
+    for path in paths {
+        let kind = path.extension().and_then(|kind| kind.to_str()).unwrap_or_default().to_string();
+        let name =
+            path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        if !matches!(kind.as_str(), "csv" | "toml") {
+            continue;
+        }
+        let Some(day) = dated::day_of(&name) else {
+            eprintln!("warning: {name}: passed over, its name has no date like 2026-11-22");
+            continue;
+        };
+        let constants = match kind.as_str() {
+            "toml" => dated::of_machine(&MachineFile::read(&path)?),
+            _ => dated::of_run(&runs::read_and_warn(&path)?),
+        };
+        if constants.is_empty() {
+            eprintln!("warning: {name}: passed over, it has no backlash, pitch or growth");
+            continue;
+        }
+        days.push((day, constants));
+    }
+    if days.is_empty() {
+        return Err(bad("has no dated .csv or .toml with a constant in it".into()).into());
+    }
+    let found = trends(&days, args.limit_um);
+    let json = serde_json::to_string_pretty(&found)?;
+    if let Some(folder) = &args.out {
+        fs::create_dir_all(folder)
+            .map_err(|error| UserError(format!("{}: cannot be made: {error}", folder.display())))?;
+        let html = page::of_trends(&found, &args.folder.display().to_string());
+        for (name, text) in [("trend.json", format!("{json}\n")), ("report.html", html)] {
+            output::write_whole(&folder.join(name), &[], |out| out.write_all(text.as_bytes()))?;
+        }
+    }
+    if as_json {
+        output::print(json)?;
+    } else {
+        for it in &found {
+            output::print(format_args!("{}: {}", it.name, it.sentence))?;
+            for point in &it.points {
+                let half = point.half_width.map_or(String::new(), |half| format!(" ± {half:.2}"));
+                output::print(format_args!("  {} {:.2}{half}", point.date, point.value))?;
+            }
+        }
+    }
+    Ok(Outcome::Done)
+}

@@ -1,0 +1,367 @@
+//! Two runs place by place: unloaded against cut (seed 003), this year against last.
+//!
+//! ```text
+//! d(place) = mean B − mean A,   its 95 %: t·s·√(1/n_A + 1/n_B),   s from the repeats at all places
+//! ```
+//!
+//! A place is a position with its direction of approach. The zero of an axis's gauge is arbitrary, so the
+//! mean of all differences is told apart and taken off. What is left is asked, in this order of simplicity,
+//!
+//! ```text
+//! nothing, backlash (w where d < 0), a slope along the axis that moved, both, a curve (another at each place)
+//! ```
+//!
+//! and the law of least BIC is the answer, if it is better than nothing by strong evidence (6, Kass and
+//! Raftery 1995). A curve has a value a place, so it is only told from the others with repeats.
+
+use serde::Serialize;
+use trueup_machine::{BadInput, Location, RunFile, file::Quantity};
+use trueup_numerics::{least_squares::Triangle, repeats::places, t_quantile};
+
+/// A difference of BIC from which evidence is strong.
+const STRONG_EVIDENCE: f64 = 6.0;
+/// Places nearer than this are one, in mm: a tenth of the finest spacing in use, as `accept` has it.
+const SAME_PLACE_MM: f64 = 0.1;
+/// The fewest places that both runs have.
+const FEWEST: usize = 3;
+
+/// The difference at one place.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Place {
+    /// Where, in mm.
+    pub at_mm: f64,
+    /// How it was approached: 1 or −1; 0 where the runs do not say.
+    pub direction: i8,
+    /// Mean of B minus mean of A, in µm, the shift of all taken off.
+    pub difference_um: f64,
+    /// Half its 95 % interval in µm; `None` without repeats.
+    pub half_width_um: Option<f64>,
+    /// Readings of A and of B.
+    pub readings: [usize; 2],
+}
+
+/// A constant that is another one in B.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Change {
+    /// Of which cause: `backlash` in µm, `pitch-scale` or `cross-axis` in µm/m.
+    pub cause: &'static str,
+    /// B minus A.
+    pub value: f64,
+    /// Half its 95 % interval.
+    pub half_width: f64,
+}
+
+/// What the two runs differ by.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Comparison {
+    /// What was measured: `dx`.
+    pub quantity: String,
+    /// The column of the places: `x_mm`.
+    pub over: String,
+    /// Mean of all differences, in µm: the gauge's zero, or a shift of the machine.
+    pub shift_um: f64,
+    /// Half its 95 % interval.
+    pub shift_half_width_um: Option<f64>,
+    /// Each place.
+    pub places: Vec<Place>,
+    /// Places that only one of the runs has.
+    pub unmatched: usize,
+    /// Standard deviation of one reading, from the repeats, in µm.
+    pub repeatability_um: Option<f64>,
+    /// Root mean square and largest difference in µm.
+    pub rms_um: f64,
+    /// The largest one.
+    pub max_um: f64,
+    /// Whether they differ by more than repeats do.
+    pub differs: bool,
+    /// The cause that explains it, by its name in the reference.
+    pub cause: Option<&'static str>,
+    /// What has changed by how much; empty for a curve, which is in the places.
+    pub changes: Vec<Change>,
+    /// What it is, in sentences.
+    pub sentences: Vec<String>,
+}
+
+struct Row {
+    at: f64,
+    direction: i8,
+    um: f64,
+}
+
+/// Compares what `a` and `b` measured of `asked`, or of the only quantity that both have.
+///
+/// # Errors
+/// They do not measure the same, or have fewer than three places in common.
+pub fn compare(a: &RunFile, b: &RunFile, asked: Option<Quantity>) -> Result<Comparison, BadInput> {
+    let quantity = quantity_of(a, b, asked)?;
+    let over = moving_axis(a, b, quantity)?;
+    let rows = [rows_of(a, quantity, &over)?, rows_of(b, quantity, &over)?];
+    let all: Vec<f64> = rows.iter().flatten().map(|row| row.at).collect();
+    let (targets, target_of) = places(&all, 10.0 * SAME_PLACE_MM);
+    // By place and direction: the readings of A and of B.
+    let mut cells: Vec<[Vec<f64>; 2]> = vec![<[Vec<f64>; 2]>::default(); 3 * targets.len()];
+    let numbered =
+        rows.iter().enumerate().flat_map(|(run, rows)| rows.iter().map(move |row| (run, row)));
+    for ((run, row), target) in numbered.zip(target_of) {
+        let way = usize::try_from(row.direction + 1).unwrap_or(1);
+        cells[3 * target + way][run].push(row.um);
+    }
+    let mean = |um: &[f64]| um.iter().sum::<f64>() / um.len() as f64;
+    let (mut squares, mut freedom) = (0.0, 0);
+    for um in cells.iter().flatten().filter(|um| um.len() > 1) {
+        squares += um.iter().map(|it| (it - mean(um)).powi(2)).sum::<f64>();
+        freedom += um.len() - 1;
+    }
+    let variance = (freedom > 0).then(|| squares / freedom as f64);
+    let t = if freedom > 0 { t_quantile(0.975, freedom as f64) } else { f64::NAN };
+    let mut found = Vec::new();
+    let mut unmatched = 0;
+    for (number, [a, b]) in cells.iter().enumerate() {
+        match (a.len(), b.len()) {
+            (0, 0) => {}
+            (0, _) | (_, 0) => unmatched += 1,
+            (n_a, n_b) => {
+                let share = 1.0 / n_a as f64 + 1.0 / n_b as f64;
+                found.push(Place {
+                    at_mm: targets[number / 3],
+                    direction: (number % 3) as i8 - 1,
+                    difference_um: mean(b) - mean(a),
+                    half_width_um: variance.map(|variance| t * (variance * share).sqrt()),
+                    readings: [n_a, n_b],
+                });
+            }
+        }
+    }
+    if found.len() < FEWEST {
+        let rule = format!(
+            "has {} places in common with {}, and {FEWEST} are needed: run the same program in both",
+            found.len(),
+            a.path().display()
+        );
+        return Err(BadInput::new(Location::start_of(b.path()), rule));
+    }
+    Ok(judged(quantity, over, found, unmatched, variance, t))
+}
+
+fn judged(
+    quantity: Quantity,
+    over: String,
+    mut places: Vec<Place>,
+    unmatched: usize,
+    variance: Option<f64>,
+    t: f64,
+) -> Comparison {
+    let count = places.len() as f64;
+    let shift_um = places.iter().map(|it| it.difference_um).sum::<f64>() / count;
+    let shares: f64 =
+        places.iter().map(|it| it.readings.map(|n| 1.0 / n as f64).iter().sum::<f64>()).sum();
+    let shift_half_width_um = variance.map(|variance| t * (variance * shares).sqrt() / count);
+    places.iter_mut().for_each(|it| it.difference_um -= shift_um);
+    let um: Vec<f64> = places.iter().map(|it| it.difference_um).collect();
+    let rms_um = (um.iter().map(|um| um * um).sum::<f64>() / count).sqrt();
+    let max_um = um.iter().fold(0.0_f64, |most, um| most.max(um.abs()));
+    let along =
+        over.strip_suffix("_mm") == quantity.axis().map(trueup_machine::file::LinearAxis::name);
+    let laws = Law::all(&places, along, variance);
+    let best = laws.iter().min_by(|a, b| a.bic.total_cmp(&b.bic));
+    let nothing = laws[0].bic;
+    let best = best.filter(|best| best.constants > 1 && nothing - best.bic >= STRONG_EVIDENCE);
+    let mut sentences = best.map_or_else(Vec::new, |best| best.sentences.clone());
+    if best.is_none() {
+        sentences.push("The two runs do not differ by more than their readings scatter.".into());
+    }
+    if quantity.axis().is_some() {
+        sentences.push(format!(
+            "A shift of {shift_um:+.2} µm everywhere is taken off: the zero of a gauge is arbitrary."
+        ));
+    }
+    if unmatched > 0 {
+        sentences.push(format!("{unmatched} places are in one run only, and do not count."));
+    }
+    if variance.is_none() {
+        sentences.push("No place was read twice in a run, so how far readings scatter is taken from what the simplest law leaves: repeat each place to be sure.".into());
+    }
+    Comparison {
+        quantity: quantity.name().into(),
+        over,
+        shift_um,
+        shift_half_width_um,
+        unmatched,
+        repeatability_um: variance.map(f64::sqrt),
+        rms_um,
+        max_um,
+        differs: best.is_some(),
+        cause: best.and_then(|best| best.cause),
+        changes: best.map_or_else(Vec::new, |best| best.changes.clone()),
+        sentences,
+        places,
+    }
+}
+
+/// A law of the differences, fitted.
+struct Law {
+    cause: Option<&'static str>,
+    constants: usize,
+    bic: f64,
+    changes: Vec<Change>,
+    sentences: Vec<String>,
+}
+
+impl Law {
+    fn all(places: &[Place], along: bool, variance: Option<f64>) -> Vec<Self> {
+        let both = [-1, 1].iter().all(|way| places.iter().any(|it| it.direction == *way));
+        let backlash = if both { Some(0) } else { None };
+        let slope = Some(1);
+        let slope_name = if along { "pitch-scale" } else { "cross-axis" };
+        let curve_name = if along { "pitch-error" } else { "straightness" };
+        let mut laws = vec![Self::linear(places, variance, slope_name, &[])];
+        laws.extend(backlash.map(|it| Self::linear(places, variance, slope_name, &[it])));
+        laws.extend(slope.map(|it| Self::linear(places, variance, slope_name, &[it])));
+        if both {
+            laws.push(Self::linear(places, variance, slope_name, &[0, 1]));
+        }
+        if variance.is_some() {
+            let largest = places
+                .iter()
+                .max_by(|a, b| a.difference_um.abs().total_cmp(&b.difference_um.abs()));
+            let sentence = largest.map_or(String::new(), |it| {
+                format!(
+                    "They differ by a curve: most at {} mm, by {:+.2} µm{}.",
+                    it.at_mm,
+                    it.difference_um,
+                    it.half_width_um.map_or(String::new(), |half| format!(" ± {half:.2}"))
+                )
+            });
+            laws.push(Self {
+                cause: Some(curve_name),
+                constants: places.len(),
+                bic: places.len() as f64 * (places.len() as f64).ln(),
+                changes: Vec::new(),
+                sentences: vec![sentence],
+            });
+        }
+        laws
+    }
+
+    /// A constant and these of: 1 where the approach was negative; the position in m.
+    fn linear(
+        places: &[Place],
+        variance: Option<f64>,
+        slope_name: &'static str,
+        columns: &[usize],
+    ) -> Self {
+        let middle = places.iter().map(|it| it.at_mm).sum::<f64>() / places.len() as f64;
+        let row = |it: &Place| {
+            let all = [f64::from(u8::from(it.direction < 0)), (it.at_mm - middle) / 1000.0];
+            let mut x = vec![1.0];
+            x.extend(columns.iter().map(|column| all[*column]));
+            x
+        };
+        // Weighted by what each place rests on.
+        let weight =
+            |it: &Place| (1.0 / it.readings.map(|n| 1.0 / n as f64).iter().sum::<f64>()).sqrt();
+        let mut triangle = Triangle::new(1 + columns.len());
+        for it in places {
+            let w = weight(it);
+            let x: Vec<f64> = row(it).iter().map(|x| w * x).collect();
+            triangle.add(&x, w * it.difference_um);
+        }
+        let constants = 1 + columns.len();
+        let none = Self {
+            cause: None,
+            constants,
+            bic: f64::INFINITY,
+            changes: Vec::new(),
+            sentences: Vec::new(),
+        };
+        let Ok(fit) = triangle.solve() else { return none };
+        let squares: f64 = places
+            .iter()
+            .map(|it| (weight(it) * (it.difference_um - fit.at(&row(it)))).powi(2))
+            .sum();
+        let count = places.len() as f64;
+        let fitted = match variance {
+            Some(variance) => squares / variance.max(f64::MIN_POSITIVE),
+            None => count * (squares / count).max(f64::MIN_POSITIVE).ln(),
+        };
+        // With repeats the scatter is theirs; without, what is left.
+        let half = |n: usize| match variance {
+            Some(variance) => {
+                fit.half_width(n) * (variance / fit.variance().max(f64::MIN_POSITIVE)).sqrt()
+            }
+            None => fit.half_width(n),
+        };
+        let changes: Vec<Change> = columns
+            .iter()
+            .enumerate()
+            .map(|(n, column)| Change {
+                cause: if *column == 0 { "backlash" } else { slope_name },
+                value: fit.coefficients[n + 1],
+                half_width: half(n + 1),
+            })
+            .collect();
+        let sentences = changes.iter().map(|Change { cause, value, half_width }| match *cause {
+            "backlash" => format!("Backlash has changed by {value:+.2} ± {half_width:.2} µm."),
+            _ => format!("The error has changed by {value:+.2} ± {half_width:.2} µm over a metre."),
+        });
+        let sentences = sentences.collect();
+        let bic = fitted + constants as f64 * count.ln();
+        Self { cause: changes.first().map(|it| it.cause), constants, bic, changes, sentences }
+    }
+}
+
+fn quantity_of(a: &RunFile, b: &RunFile, asked: Option<Quantity>) -> Result<Quantity, BadInput> {
+    let column = |quantity: Quantity| format!("measured_{}_um", quantity.name());
+    if let Some(quantity) = asked {
+        return a.require(&column(quantity)).and(b.require(&column(quantity))).map(|_| quantity);
+    }
+    let both = |it: &Quantity| a.column(&column(*it)).is_some() && b.column(&column(*it)).is_some();
+    let all: Vec<Quantity> = Quantity::ALL.into_iter().filter(both).collect();
+    match all[..] {
+        [quantity] => Ok(quantity),
+        [] => Err(BadInput::new(
+            Location::start_of(b.path()),
+            format!("measures nothing that {} measures (measured_…_um)", a.path().display()),
+        )),
+        _ => {
+            let names: Vec<&str> = all.iter().map(|quantity| quantity.name()).collect();
+            let rule = format!("the runs measure {}: choose one with --quantity", names.join(", "));
+            Err(BadInput::new(Location::start_of(b.path()), rule))
+        }
+    }
+}
+
+/// The column of the axis that travels most in both.
+fn moving_axis(a: &RunFile, b: &RunFile, quantity: Quantity) -> Result<String, BadInput> {
+    let travel = |run: &RunFile, name: &str| {
+        let there = run.column(name)?.iter().copied().filter(|mm| mm.is_finite());
+        let (low, high) = there.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), mm| {
+            (low.min(mm), high.max(mm))
+        });
+        (high > low).then_some(high - low)
+    };
+    let names = ["x_mm", "y_mm", "z_mm"];
+    let least = |name: &'static str| Some((travel(a, name)?.min(travel(b, name)?), name));
+    let best = names.into_iter().filter_map(least).max_by(|a, b| a.0.total_cmp(&b.0));
+    best.map(|(_, name)| name.to_string()).ok_or_else(|| {
+        let rule = format!(
+            "no axis moves in both runs, so {} cannot be compared place by place; for two runs in time \
+             use trueup accept",
+            quantity.name()
+        );
+        BadInput::new(Location::start_of(b.path()), rule)
+    })
+}
+
+fn rows_of(run: &RunFile, quantity: Quantity, over: &str) -> Result<Vec<Row>, BadInput> {
+    let um = run.require(&format!("measured_{}_um", quantity.name()))?;
+    let at = run.require(over)?;
+    let directions = run.column(&format!("dir_{}", &over[..1]));
+    let rows = (0..run.rows()).filter(|row| um[*row].is_finite() && at[*row].is_finite());
+    let direction = |row: usize| match directions.map(|all| all[row]) {
+        Some(way) if way < 0.0 => -1,
+        Some(way) if way > 0.0 => 1,
+        _ => 0,
+    };
+    Ok(rows.map(|row| Row { at: at[row], direction: direction(row), um: um[row] }).collect())
+}

@@ -1,0 +1,90 @@
+//! A comparison and a trend as pages with pictures.
+
+use trueup_page::{Chart, Colour, Page, Series, Table, micrometres};
+
+use crate::{
+    compare::{Comparison, Place},
+    trend::Trend,
+};
+
+/// The page of a comparison of two runs, by their names.
+#[must_use]
+pub fn of_comparison(it: &Comparison, [a, b]: [&str; 2]) -> String {
+    let mut page = Page::new(&format!("{a} and {b}"));
+    let (state, heading) =
+        if it.differs { ("open", "They differ") } else { ("good", "No difference") };
+    page.card(state, heading, &it.sentences);
+    let scatter = it.repeatability_um.map_or("not known".into(), micrometres);
+    page.figures(&[
+        (micrometres(it.rms_um), "RMS difference, the shift taken off".into(), "before"),
+        (micrometres(it.max_um), "largest".into(), "before"),
+        (scatter, "standard deviation of a reading, from repeats".into(), ""),
+    ]);
+    let of = |way: i8| -> Vec<[f64; 2]> {
+        let mine = it.places.iter().filter(|place| place.direction == way);
+        mine.map(|place| [place.at_mm, place.difference_um]).collect()
+    };
+    let ways = [
+        (1, "approached upwards", Colour::After),
+        (-1, "downwards", Colour::Before),
+        (0, "", Colour::Measured),
+    ];
+    let series = ways
+        .into_iter()
+        .map(|(way, name, colour)| Series::dots(name, colour, of(way)))
+        .filter(|series| !series.points.is_empty());
+    let chart = Chart {
+        title: format!("{b} minus {a}"),
+        x: format!("{}, mm", it.over[..1].to_uppercase()),
+        y: format!("difference of {}, µm", it.quantity),
+        series: series.collect(),
+    };
+    page.pictures(&[chart.figure()]);
+    page.heading("Place by place");
+    let mut table = Table::new(&["mm", "direction", "difference, µm", "95 %, µm", "readings"]);
+    for Place { at_mm, direction, difference_um, half_width_um, readings: [a, b] } in &it.places {
+        table.row(&[
+            at_mm.to_string(),
+            direction.to_string(),
+            format!("{difference_um:+.2}"),
+            half_width_um.map_or("–".into(), |half| format!("± {half:.2}")),
+            format!("{a} + {b}"),
+        ]);
+    }
+    page.table(&table);
+    page.html()
+}
+
+/// The page of trends.
+#[must_use]
+pub fn of_trends(trends: &[Trend], folder: &str) -> String {
+    let mut page = Page::new(&format!("What changes in {folder}"));
+    let say = |it: &Trend| format!("{}: {}", it.name, it.sentence);
+    page.card("open", "Constants over time", &trends.iter().map(say).collect::<Vec<_>>());
+    let picture = |it: &Trend| {
+        let points: Vec<[f64; 2]> =
+            it.points.iter().map(|point| [point.days, point.value]).collect();
+        let mut series = vec![Series::dots("measured", Colour::Measured, points)];
+        if let ([first, .., last], Some([rate, _])) = (&it.points[..], it.per_year) {
+            // The line of least squares passes through the means.
+            let count = it.points.len() as f64;
+            let days = it.points.iter().map(|point| point.days).sum::<f64>() / count;
+            let value = it.points.iter().map(|point| point.value).sum::<f64>() / count;
+            let at = |day: f64| [day, value + rate * (day - days) / 365.25];
+            series.push(Series::line("line", Colour::After, vec![at(first.days), at(last.days)]));
+        }
+        let from = it.points.first().map_or("", |point| &point.date);
+        Chart { title: it.name.clone(), x: format!("days from {from}"), y: it.name.clone(), series }
+            .figure()
+    };
+    page.pictures(&trends.iter().map(picture).collect::<Vec<_>>());
+    let mut table = Table::new(&["constant", "day", "value", "95 %"]);
+    for it in trends {
+        for point in &it.points {
+            let half = point.half_width.map_or("–".into(), |half| format!("± {half:.2}"));
+            table.row(&[it.name.clone(), point.date.clone(), format!("{:.3}", point.value), half]);
+        }
+    }
+    page.table(&table);
+    page.html()
+}

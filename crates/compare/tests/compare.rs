@@ -1,0 +1,128 @@
+//! Two runs that differ by something known, and many that change.
+
+use std::{fmt::Write as _, path::Path};
+
+use rand::{Rng as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution as _, Normal};
+use trueup_compare::{
+    compare::{Comparison, compare},
+    dated::{Constant, day_of, of_run},
+    trend::trends,
+};
+use trueup_machine::RunFile;
+
+/// Three runs up and down over 21 places of X, with noise of 0.3 µm: `error` of position and direction.
+fn run(quantity: &str, seed: u64, error: impl Fn(f64, f64) -> f64) -> RunFile {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let normal = Normal::new(0.0, 0.3).expect("a positive width");
+    let mut text = format!("run,x_mm,dir_x,measured_{quantity}_um\n");
+    for run in 1..=3 {
+        for (dir, k) in (0..=20).map(|k| (1, k)).chain((0..=20).rev().map(|k| (-1, k))) {
+            let x = 50.0 * f64::from(k);
+            let um = error(x, f64::from(dir)) + normal.sample(&mut rng);
+            writeln!(text, "{run},{x},{dir},{um}").expect("a string takes all");
+        }
+    }
+    RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file")
+}
+
+fn pitch(x: f64) -> f64 {
+    8.0 * (x / 170.0).sin()
+}
+
+fn between(quantity: &str, seed: u64, change: impl Fn(f64, f64) -> f64) -> Comparison {
+    let a = run(quantity, seed, |x, _| pitch(x));
+    let b = run(quantity, seed + 1000, |x, dir| pitch(x) + 3.0 + change(x, dir));
+    compare(&a, &b, None).expect("they have places in common")
+}
+
+#[test]
+fn equal_runs_do_not_differ_but_for_chance() {
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let told = (0..200).filter(|_| between("dx", rng.random(), |_, _| 0.0).differs).count();
+    println!("{told} of 200 equal pairs are told to differ");
+    // By the difference of BIC one in a hundred or two; the 99 % limit of a binomial with 2 %.
+    assert!(told <= 10, "{told}");
+    let it = between("dx", 1, |_, _| 0.0);
+    assert!((it.shift_um - 3.0).abs() < 0.2 && it.places.len() == 42, "{it:?}");
+}
+
+#[test]
+fn this_years_backlash_is_told_from_last_years_with_its_interval() {
+    let it = between("dx", 5, |_, dir| if dir < 0.0 { 2.0 } else { 0.0 });
+    assert_eq!((it.differs, it.cause), (true, Some("backlash")), "{it:?}");
+    assert!(it.sentences[0].starts_with("Backlash has changed by +"), "{:?}", it.sentences);
+    // The interval holds the truth as often as it says; 89 is the 99 % limit of a binomial.
+    let holds = |seed: &u64| {
+        let it = between("dx", *seed, |_, dir| if dir < 0.0 { 2.0 } else { 0.0 });
+        it.changes.first().is_some_and(|change| (change.value - 2.0).abs() <= change.half_width)
+    };
+    let held = (100..200).filter(holds).count();
+    println!("the interval of the change holds the truth in {held} of 100");
+    assert!(held >= 89, "{held}");
+    // Each place has an interval, and 95 of 100 hold the truth.
+    let truth = |dir: i8| if dir < 0 { 1.0 } else { -1.0 };
+    let held = it.places.iter().filter(|place| {
+        (place.difference_um - truth(place.direction)).abs()
+            <= place.half_width_um.expect("repeats")
+    });
+    assert!(held.count() >= 36, "{it:?}");
+}
+
+#[test]
+fn a_longer_screw_is_a_slope() {
+    let it = between("dx", 7, |x, _| 5.0 * x / 1000.0);
+    assert_eq!(it.cause, Some("pitch-scale"), "{it:?}");
+}
+
+#[test]
+fn an_unloaded_and_a_cut_guideway_differ_by_a_curve() {
+    let it = between("dz", 9, |x, _| 6.0 * (x / 120.0).cos());
+    assert_eq!((it.differs, it.cause), (true, Some("straightness")), "{it:?}");
+    assert!(it.sentences[0].contains("by a curve"), "{:?}", it.sentences);
+}
+
+#[test]
+fn runs_without_places_in_common_are_refused() {
+    let a = run("dx", 1, |x, _| pitch(x));
+    let text = "x_mm,measured_dx_um\n7001,0\n7002,0\n7003,0\n7004,0\n";
+    let b = RunFile::from_reader(text.as_bytes(), Path::new("b.csv")).expect("a run file");
+    let said = compare(&a, &b, None).expect_err("nothing in common").to_string();
+    assert!(said.contains("0 places in common"), "{said}");
+    let c = run("dz", 1, |_, _| 0.0);
+    assert!(compare(&a, &c, None).is_err());
+}
+
+#[test]
+fn wear_is_a_line_with_an_interval_and_a_date() {
+    // 4 µm of backlash, and 1.5 µm more each year, over two years.
+    let dates = ["2024-01-10", "2024-07-10", "2025-01-10", "2025-07-10", "2026-01-10"];
+    let day = |date: &str| day_of(date).expect("a date");
+    let first = day(dates[0]);
+    let days: Vec<(i64, Vec<Constant>)> = dates
+        .into_iter()
+        .map(|date| {
+            let years = (day(date) - first) as f64 / 365.25;
+            let width = 4.0 + 1.5 * years;
+            let run = run("dx", years.to_bits(), |_, dir| if dir < 0.0 { width } else { 0.0 });
+            (day(date), of_run(&run))
+        })
+        .collect();
+    let found = trends(&days, Some(2.0));
+    let wear = found.iter().find(|it| it.name == "axis.x.backlash.width_um").expect("it is there");
+    let [rate, half] = wear.per_year.expect("five days");
+    println!("{wear:?}");
+    assert!(wear.changes && (rate - 1.5).abs() <= half && half < 0.5, "{wear:?}");
+    // 2 µm at 1.5 µm a year are 16 months, less where the rate may be faster.
+    let by = wear.measure_again_by.as_deref().expect("a day");
+    assert!(("2026-10-01".."2027-05-12").contains(&by), "{by}");
+    let slope = found.iter().find(|it| it.name.contains("slope")).expect("it is there");
+    assert!(
+        !slope.changes || slope.per_year.is_some_and(|[rate, _]| rate.abs() < 0.3),
+        "{slope:?}"
+    );
+    // Two days are no trend.
+    let two = trends(&days[..2], None);
+    assert!(two[0].per_year.is_none() && two[0].sentence.contains("needs 3"), "{two:?}");
+}
