@@ -112,8 +112,8 @@ travel_mm = [0.0, 2500.0]
 const NOISE_UM: f64 = 0.3;
 /// How long a program stands for a reading, in s.
 const DWELL_S: f64 = 0.25;
-/// The indicator is read after this share of it.
-const SETTLED: f64 = 0.6;
+/// The indicator is read after so many servo cycles of it: a loaded computer loses some.
+const SETTLED: u32 = 30;
 /// A reading comes within so many seconds of the one before.
 const PATIENCE_S: u64 = 90;
 
@@ -136,7 +136,7 @@ fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Resu
         .map(|name| (*name, Instrument::new(&scenario.instrument, name, 1)))
         .collect();
     cnc.begin(&program.0)?;
-    let (mut before, mut stood, mut began_s) = ([f64::NAN; 3], 0.0, None);
+    let (mut before, mut stood, mut began_s) = ([f64::NAN; 3], 0, None);
     let mut next = rows.next();
     let mut silent_s = 0.0;
     for line in cycles {
@@ -151,7 +151,7 @@ fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Resu
         if speed > 0.0 && began_s.is_none() {
             began_s = Some(machine.time_s());
         }
-        stood = if position_mm == before { stood + 0.001 } else { 0.0 };
+        stood = if position_mm == before { stood + 1 } else { 0 };
         before = position_mm;
         silent_s += 0.001;
         let Some((row, reading)) = next else { break };
@@ -167,8 +167,7 @@ fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Resu
                 })
             };
             // Once for each time that it stands: the reading is due in one cycle alone.
-            let due = SETTLED * DWELL_S;
-            (0..3).all(is_at) && (due..due + 0.0015).contains(&stood)
+            (0..3).all(is_at) && stood == SETTLED
         };
         if is_there {
             let time_s = machine.time_s();

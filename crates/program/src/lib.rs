@@ -11,7 +11,8 @@
 //! | module | does |
 //! |---|---|
 //! | [`plan`] | moves, dwells and readings, and the walk through them |
-//! | [`travel`] | what an axis may be sent to; what does not fit is refused |
+//! | `travel` | what an axis may be sent to |
+//! | `refused` | what does not fit |
 //! | [`options`] | feeds, repeats, places |
 //! | `kind` | one page for each kind of measurement |
 //! | [`control`] | the text of LinuxCNC, FANUC, Siemens, HEIDENHAIN |
@@ -22,15 +23,16 @@ pub mod control;
 mod kind;
 pub mod options;
 pub mod plan;
+mod refused;
 pub mod template;
-pub mod travel;
+mod travel;
 
 use trueup_machine::Machine;
 
 pub use control::Control;
 pub use options::{Gauge, Options};
 pub use plan::Plan;
-pub use travel::Refused;
+pub use refused::Refused;
 
 /// What is to be measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -2,7 +2,7 @@
 
 use trueup_machine::file::LinearAxis;
 
-use crate::travel::Refused;
+use crate::refused::Refused;
 
 /// By what is measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -1,22 +1,8 @@
-//! How far an axis may be sent, and what does not fit in it.
-
-use std::fmt;
+//! How far an axis may be sent.
 
 use trueup_machine::{Machine, file::LinearAxis};
 
-use crate::options::Options;
-
-/// Why there is no program: a sentence for the user.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Refused(pub String);
-
-impl fmt::Display for Refused {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-impl std::error::Error for Refused {}
+use crate::{options::Options, refused::Refused};
 
 /// An axis and its travel in mm.
 #[derive(Clone, Copy, Debug, PartialEq)]

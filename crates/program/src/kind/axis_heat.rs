@@ -7,7 +7,8 @@ use super::{Plans, go, measured, temperatures};
 use crate::{
     options::Options,
     plan::{Column, Plan, Step},
-    travel::{Refused, Travel, even, micrometres, travels},
+    refused::Refused,
+    travel::{Travel, even, micrometres, travels},
 };
 
 /// Where, in mm (seed 002).

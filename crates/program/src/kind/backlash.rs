@@ -13,7 +13,8 @@ use super::{Plans, WITHOUT_CORRECTION, capital, go, measured};
 use crate::{
     options::{Gauge, Options},
     plan::{Column, Plan, Step},
-    travel::{Refused, Travel, travels},
+    refused::Refused,
+    travel::{Travel, travels},
 };
 
 /// How often at each place: "generally seven" (seed 004).

@@ -7,7 +7,8 @@ use super::{Plans, capital, measured};
 use crate::{
     options::Options,
     plan::{Column, Plan, Step},
-    travel::{Refused, Travel, even, micrometres, travels},
+    refused::Refused,
+    travel::{Travel, even, micrometres, travels},
 };
 
 /// There and back so often.

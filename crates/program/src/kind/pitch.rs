@@ -10,7 +10,8 @@ use super::{Plans, WITHOUT_CORRECTION, go, measured};
 use crate::{
     options::Options,
     plan::{Column, Plan, Step},
-    travel::{Refused, Travel, micrometres, travels},
+    refused::Refused,
+    travel::{Travel, micrometres, travels},
 };
 
 /// Runs in each direction (ISO 230-2).

@@ -6,7 +6,8 @@ use super::{Plans, WITHOUT_CORRECTION, go, measured};
 use crate::{
     options::Options,
     plan::{Column, Plan, Step},
-    travel::{Refused, Travel, travels},
+    refused::Refused,
+    travel::{Travel, travels},
 };
 
 /// There and back so often: the scatter of three shows what a curve is worth.

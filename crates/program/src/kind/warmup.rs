@@ -9,7 +9,7 @@ use super::Plans;
 use crate::{
     options::Options,
     plan::{Column, Plan, Step},
-    travel::Refused,
+    refused::Refused,
 };
 
 /// Two hours at full speed (seed 000).
