@@ -40,6 +40,10 @@ def block(counter, offset, quality):
     return body + struct.pack(">H", crc(body, 0x0181))
 
 
+KINDS = ["plc line", "plc line", "bridge line", "bridge line", "bridge line", "damage", "swap", "replay", "half",
+         "stop", "slow", "refuse", "never", "disable", "bridge restart"]
+
+
 class Bridge:
     """What the bridge says, millisecond by millisecond."""
 
@@ -95,7 +99,7 @@ def main():
     shown = block(0, None, 6)
     old = shown
     told = {"held": 0, "ramped": 0, "no offset": 0, "followed": 0}
-    kinds = {}
+    kinds, deck = {}, []
     largest = worst = 0.0
     nck, written_at = [0.0] * 3, 0
     cuts, until, kind, plc_stopped = 0, 1_000, "none", False
@@ -110,10 +114,12 @@ def main():
             plc.set_bit("enable", True)
         if now >= until:
             cuts += kind == "none"
-            kind = "none" if kind != "none" else random.choice(
-                ["plc line", "plc line", "bridge line", "bridge line", "bridge line", "damage", "swap", "replay",
-                 "half", "stop", "slow", "refuse", "never", "disable", "bridge restart"]
-            )
+            if kind == "none":
+                if not deck:
+                    deck = random.sample(KINDS, len(KINDS))
+                kind = deck.pop()
+            else:
+                kind = "none"
             longest = 600 if kind == "none" else random.choice([60, 400, 800, 3_500])
             until = now + random.randrange(20, longest + 20)
             kinds[kind] = kinds.get(kind, 0) + 1

@@ -45,6 +45,8 @@ class Cpu:
             parser.parseText(path.read_text())
             self.cpu.load(parser.getParseTree())
         self.cpu.build()
+        # A busy computer is no fault of the program.
+        self.cpu.setCycleTimeLimit(60.0)
         self.cpu.startup()
         self.flags = self.cpu.flags.getDataBytes()
         self.block = self.cpu.getDB(900).structInstance.memory.getDataBytes()

@@ -195,6 +195,7 @@ fn cuts(count: u32) -> Result<()> {
     println!("{saw}");
     // The rounding of a REAL.
     assert!(number(&saw["above_slew_um"]) < 1e-3 && number(&saw["largest_step_um"]) > 0.5, "{saw}");
+    assert!(number(&saw["rejected"]) > 5.0, "what is not whole is not used: {saw}");
     for told in ["held", "ramped", "followed"] {
         assert!(number(&saw["cycles"][told]) > 10.0, "{told}: {saw}");
     }
