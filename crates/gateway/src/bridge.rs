@@ -1,7 +1,7 @@
 //! The thread that keeps the line to the bridge, and what it shares with those who serve PLCs.
 
 use std::{
-    io,
+    io::{self, Read},
     sync::{
         Arc, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicBool, Ordering},
@@ -79,13 +79,26 @@ impl Shared {
     }
 }
 
+/// Reads at most once a turn: a thread that woke for each frame would cost more than all the rest.
+struct OnceATurn(Box<dyn Read + Send>);
+
+impl Read for OnceATurn {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        thread::sleep(TURN);
+        self.0.read(bytes)
+    }
+}
+
 /// Keeps a line to the bridge, in a thread of its own, until the end.
 pub fn keep(
     shared: Shared,
-    open: impl FnMut() -> io::Result<Ends> + Send + 'static,
+    mut open: impl FnMut() -> io::Result<Ends> + Send + 'static,
 ) -> JoinHandle<()> {
     thread::spawn(move || {
-        let line = Line::keep(open);
+        let line = Line::keep(move || {
+            let (reader, writer) = open()?;
+            Ok((Box::new(OnceATurn(reader)), writer))
+        });
         while !shared.has_ended() {
             let frames = {
                 let mut hub = shared.hub();
