@@ -15,6 +15,9 @@ use super::{
     sites::Sites,
 };
 
+/// The feed of the paper's cut, at which corners are printed, in mm/min.
+const FEED_MM_PER_MIN: f64 = 1000.0;
+
 /// A way to a curve.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Way {
@@ -72,6 +75,9 @@ pub struct Compared {
     /// Largest absolute curvature in µm/mm². For straight lines a bend over half the distance to
     /// both neighbours, which is as sharp as the data can say.
     pub curvature_um_per_mm2: f64,
+    /// Largest jump of the slope at a corner, in µm/mm: at a feed of 1 mm/s the correction's speed jumps by as
+    /// many µm/s. 0 for what has no corners.
+    pub corner_um_per_mm: f64,
 }
 
 impl fmt::Display for Compared {
@@ -94,7 +100,12 @@ impl fmt::Display for Compared {
             f,
             "; slope up to {:.4} um/mm, curvature up to {:.2e} um/mm2",
             self.slope_um_per_mm, self.curvature_um_per_mm2
-        )
+        )?;
+        if self.corner_um_per_mm > 0.0 {
+            let um_per_s = self.corner_um_per_mm * FEED_MM_PER_MIN / 60.0;
+            write!(f, "; corners of {um_per_s:.2} um/s at {FEED_MM_PER_MIN} mm/min")?;
+        }
+        Ok(())
     }
 }
 
@@ -124,6 +135,14 @@ impl Model {
             Self::Polynomial(polynomial) => polynomial.chebyshev.len(),
             Self::Lines { x, .. } => x.len(),
         }
+    }
+
+    /// Largest jump of the slope in µm/mm: lines alone have any.
+    fn corner(&self) -> f64 {
+        let Self::Lines { x, y } = self else { return 0.0 };
+        let slopes: Vec<f64> =
+            (1..x.len()).map(|n| (y[n] - y[n - 1]) / (x[n] - x[n - 1])).collect();
+        slopes.windows(2).fold(0.0, |most, pair| f64::max(most, (pair[1] - pair[0]).abs()))
     }
 
     /// Largest absolute slope and curvature.
@@ -264,6 +283,7 @@ pub(super) fn table(fit: &Fit) -> Vec<Compared> {
                 left_out,
                 slope_um_per_mm,
                 curvature_um_per_mm2,
+                corner_um_per_mm: model.corner(),
             }
         })
         .collect()
@@ -309,6 +329,20 @@ mod tests {
     }
 
     #[test]
+    fn lines_jump_in_speed_at_their_corners_and_nothing_else_does() {
+        // A roof of 1 µm in 100 mm up and down: the slope goes from 0.01 to −0.01 µm/mm, so at 1 mm/s the
+        // speed jumps by 0.02 µm/s; of an axis that follows in a millisecond that asks 20 µm/s².
+        let lines = Model::Lines { x: vec![0.0, 100.0, 200.0], y: vec![0.0, 1.0, 0.0] };
+        assert!((lines.corner() - 0.02).abs() < 1e-12);
+        let x: Vec<f64> = (0..60).map(|k| 10.0 * f64::from(k)).collect();
+        let y: Vec<f64> = x.iter().map(|x| 5.0 * (x / 40.0).sin()).collect();
+        let fit = super::super::fit(&x, &y, &Options::default()).expect("sound data");
+        for row in fit.compare() {
+            assert_eq!(row.corner_um_per_mm > 0.0, row.way == Way::Lines, "{row}");
+        }
+    }
+
+    #[test]
     fn a_row_of_the_comparison_is_one_line_with_all_its_figures() {
         let residual = Residual::of(&[1.0, -1.0]);
         let row = Compared {
@@ -318,12 +352,13 @@ mod tests {
             left_out: Some(residual),
             slope_um_per_mm: 0.5,
             curvature_um_per_mm2: 0.00123,
+            corner_um_per_mm: 0.06,
         };
         assert_eq!(
             row.to_string(),
             "straight lines: 9 coefficients; residual: range 2.00 um, mean 0.00 um, mean square 1.000 um2, \
              largest 1.00 um; at positions left out 1.00 um RMS; slope up to 0.5000 um/mm, \
-             curvature up to 1.23e-3 um/mm2"
+             curvature up to 1.23e-3 um/mm2; corners of 1.00 um/s at 1000 mm/min"
         );
     }
 
