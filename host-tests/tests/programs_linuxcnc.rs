@@ -111,9 +111,10 @@ travel_mm = [0.0, 2500.0]
 /// Standard deviation of the indicator in µm.
 const NOISE_UM: f64 = 0.3;
 /// How long a program stands for a reading, in s.
-const DWELL_S: f64 = 0.25;
-/// The indicator is read after so many servo cycles of it: a loaded computer loses some.
-const SETTLED: u32 = 30;
+const DWELL_S: f64 = 0.4;
+/// The indicator is read once the joints have stood for so many servo cycles: a loaded computer loses most of a
+/// dwell.
+const SETTLED: u32 = 2;
 /// A reading comes within so many seconds of the one before.
 const PATIENCE_S: u64 = 30;
 
