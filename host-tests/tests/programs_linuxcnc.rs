@@ -47,7 +47,7 @@ DISPLAY = FOLDER/SCREEN
 PARAMETER_FILE = FOLDER/sim.var
 [EMCMOT]
 EMCMOT = motmod
-COMM_TIMEOUT = 1.0
+COMM_TIMEOUT = 30.0
 SERVO_PERIOD = 1000000
 [TASK]
 TASK = milltask
@@ -360,8 +360,11 @@ fn straightness_is_got_back_and_holds_on_the_diagonal() -> Result<()> {
          along = \"y\"\npoints = [[0.0, 0.0], [1000.0, 9.0], [2000.0, -6.0], [3000.0, 0.0]]\n",
     );
     let mut edits = Vec::new();
-    let there_and_back = Options { repeats: Some(2), ..options(&[X, Y]) };
-    for plan in made(Kind::Straightness, &there_and_back)? {
+    let there_and_back = |axis, step_mm| {
+        let wanted = Options { repeats: Some(2), step_mm: Some(step_mm), ..options(&[axis]) };
+        made(Kind::Straightness, &wanted)
+    };
+    for plan in [there_and_back(X, 400.0)?, there_and_back(Y, 120.0)?].concat() {
         let run = run_of(&measure(&mut rig, &plan, &machine, 1.0)?);
         let wanted = straightness::Options::default();
         let report = curve::fit(&run, Some("dz"), |_| Ok(None), &wanted)?;
