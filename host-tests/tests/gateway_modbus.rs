@@ -107,6 +107,26 @@ fn mbpoll_reads_the_offsets_as_the_page_says() -> Result<()> {
 }
 
 #[test]
+fn pymodbus_and_mbpoll_read_it_over_a_serial_line() -> Result<()> {
+    let output = Command::new(setup::python()?)
+        .arg(setup::root().join("host-tests/python/rtu_masters.py"))
+        .arg(trueup()?.get_program())
+        .arg(setup::mbpoll()?)
+        .output()?;
+    ensure!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let saw: Value = serde_json::from_slice(&output.stdout)?;
+    // The layout, "not available" on three axes, quality 6: there is no bridge.
+    assert_eq!(
+        (&saw["block"][0], &saw["block"][2], &saw["block"][8]),
+        (&json!(1), &json!(0x8000), &json!(6))
+    );
+    assert_eq!(saw["exception"], 1);
+    let said = saw["mbpoll"].as_str().context("what it prints")?;
+    assert_eq!(said.matches("-2147483648").count(), 3, "{said}");
+    Ok(())
+}
+
+#[test]
 #[ignore = "long: the real LinuxCNC"]
 fn mb2hal_reads_the_block_with_the_sample_that_is_delivered() -> Result<()> {
     let Some(_linuxcnc) = setup::linuxcnc()? else {
