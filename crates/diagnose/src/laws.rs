@@ -72,32 +72,25 @@ impl Laws {
     }
 
     /// `data` as if the temperature of `column`, or (none) the thermometers of the machine's own laws, came
-    /// behind a lag of `late_s`. None of a table that was drawn from a larger one.
-    pub(crate) fn behind(data: &Data, column: Option<&str>, late_s: f64) -> Option<Data> {
-        if data.whole.is_some() {
-            return None;
-        }
-        Some(match column {
-            Some(column) => {
+    /// behind a lag of `late_s`.
+    pub(crate) fn behind(data: &Data, column: Option<&str>, late_s: f64) -> Data {
+        match (column, &data.whole) {
+            (None, _) => Self::with_thermometers(data, &|data, column| data.delay(column, late_s)),
+            (Some(_), Some(whole)) => data.drawn_from(Self::behind(&whole.data, column, late_s)),
+            (Some(column), None) => {
                 let mut late = data.clone();
                 late.delay(column, late_s);
                 late
             }
-            None => Self::with_thermometers(data, &|data, column| data.delay(column, late_s)),
-        })
+        }
     }
 
     /// `data` with the thermometers of the machine's own laws changed, and these laws with them.
     fn with_thermometers(data: &Data, change: &dyn Fn(&mut Data, &str)) -> Data {
-        let mut changed = data.clone();
         if let Some(whole) = &data.whole {
-            let all = Self::with_thermometers(&whole.data, change);
-            changed.axis = whole.pick(&all.axis);
-            changed.thermal = whole.pick(&all.thermal);
-            changed.law = whole.pick(&all.law);
-            changed.elongation = whole.pick(&all.elongation);
-            return changed;
+            return data.drawn_from(Self::with_thermometers(&whole.data, change));
         }
+        let mut changed = data.clone();
         let laws = Self::own(data);
         let of_spindle = laws.spindle.as_ref().and_then(|it| it.temperature.as_ref());
         let columns = [laws.thermal.as_ref().map(|it| &it.sensor), of_spindle.map(|it| &it.sensor)];

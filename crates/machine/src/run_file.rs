@@ -233,6 +233,24 @@ impl RunFile {
         }
     }
 
+    /// The first `rows` rows, with what `change` makes of the values of each column: a run that was not measured.
+    #[must_use]
+    pub fn altered(&self, rows: usize, mut change: impl FnMut(&str, &mut [f64])) -> Self {
+        let rows = rows.min(self.rows());
+        let columns = self.columns.iter().map(|column| {
+            let mut values = column.values[..rows].to_vec();
+            change(&column.name, &mut values);
+            Column { name: column.name.clone(), values, starts: column.starts.clone() }
+        });
+        Self {
+            path: self.path.clone(),
+            columns: columns.collect(),
+            header_line: self.header_line,
+            line_of_row: self.line_of_row[..rows].to_vec(),
+            slips: self.slips.clone(),
+        }
+    }
+
     /// Leaves out the columns whose name is one of these.
     pub(crate) fn remove(&mut self, is_one: impl Fn(&str) -> bool) {
         self.columns.retain(|column| !is_one(&column.name));

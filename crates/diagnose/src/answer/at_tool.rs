@@ -8,12 +8,14 @@
 //! ```text
 //! left²   = mean gᵀ·C·g      the values are not known better    (g: change by each value on that day, C: their covariance)
 //!         + mean δ²          the inputs are noisy, and the board passes that on (δ: what their noise changes)
-//!         + u²               what wandered slowly in the first record and goes with nothing
+//!         + u²               what wanders slowly and goes with nothing, where the first record shows that
 //! before² = mean c² + left²  c: what the extended file corrects more than the file as it is
 //! ```
 //!
 //! The zero of an axis's measurement is arbitrary and does not count. What comes only once, or is not the
 //! machine's, is not foreseen: a promise is for what the board corrects.
+
+use std::sync::Arc;
 
 use nalgebra::DMatrix;
 use trueup_machine::{BadInput, RunFile, file::is_temperature_column};
@@ -27,8 +29,12 @@ use crate::{
     search::Found,
 };
 
-/// So often noise is drawn into the inputs.
-const DRAWS: u64 = 4;
+/// So many rows of a day are looked at: a mean square of as many that are independent is known to 1 %.
+const MOST_ROWS: usize = 20_000;
+/// Noise is drawn into the inputs until there are so many rows of it, but not more often than
+/// [`MOST_DRAWS`]: the root of its mean square is known to 2 % then.
+const ENOUGH_ROWS: usize = 2_000;
+const MOST_DRAWS: usize = 4;
 
 /// What a promise is reckoned from.
 #[derive(Clone, Debug)]
@@ -66,44 +72,77 @@ impl Grounds {
     /// # Errors
     /// A column is missing.
     pub(crate) fn on(&self, training: &Data, runs: &[RunFile]) -> Result<AtTool, BadInput> {
-        let day = |runs: &[RunFile]| -> Result<Data, BadInput> {
-            let mut day = Data::new(&training.machine, runs, training.quantity)?;
-            day.refer_to(training);
-            Ok(day)
-        };
-        let data = day(runs)?;
-        let used = data.used.clone();
-        // About zero, where that is arbitrary.
-        let mean_square = |data: &Data, um: &[f64]| {
-            let rows = um.iter().zip(&used).filter(|(um, used)| **used && um.is_finite());
-            let rows = about_zero(data, rows.map(|(um, _)| *um).collect());
-            rows.iter().map(|um| um * um).sum::<f64>() / rows.len().max(1) as f64
-        };
-        let difference = |one: &[f64], other: &[f64]| -> Vec<f64> {
-            one.iter().zip(other).map(|(one, other)| one - other).collect()
+        self.on_table(&Arc::new(day(training, runs)?), runs)
+    }
+
+    /// On the days of `runs`, which are in `table`.
+    ///
+    /// # Errors
+    /// A column is missing.
+    pub(super) fn on_table(&self, table: &Arc<Data>, runs: &[RunFile]) -> Result<AtTool, BadInput> {
+        let step = table.rows.div_ceil(MOST_ROWS);
+        let data = if step > 1 {
+            let mask: Vec<bool> = (0..table.rows).map(|row| row % step == 0).collect();
+            Arc::new(table.subset(&mask))
+        } else {
+            table.clone()
         };
         let [believed, extended] = [&Model::default(), &self.model].map(|it| it.predict(&data));
         let corrected = mean_square(&data, &difference(&extended, &believed));
-        let mut noise = [0.0; 2];
-        for draw in 0..DRAWS {
-            let mut generator = Generator::new(draw + 1);
-            let noisy: Vec<RunFile> =
-                runs.iter().map(|run| noisy(run, &mut generator)).collect::<Result<_, _>>()?;
-            let noisy = day(&noisy)?;
-            for (sum, (model, as_it_was)) in
-                noise.iter_mut().zip([(&Model::default(), &believed), (&self.model, &extended)])
-            {
-                let moved = difference(&model.predict(&noisy), as_it_was);
-                *sum += mean_square(&data, &moved) / DRAWS as f64;
-            }
-        }
-        let groups = Groups::new(&data, &used, 1);
+        let noise = self.noise(table, runs)?;
+        let groups = Groups::new(&data, &data.used, 1);
         let is_axis = data.quantity.axis().is_some();
         let values = self.spread.on(&Problem::new(data, groups), &self.model, is_axis);
         let left = values + noise[1] + self.wanders;
         let before = corrected + values + noise[0] + self.wanders;
         Ok(AtTool::new(before.sqrt(), left.sqrt()))
     }
+
+    /// Mean square of what the noise of the inputs changes, in µm²: with the file as it is, and extended. It is
+    /// the same all day, and is drawn for the first rows of each run alone.
+    fn noise(&self, table: &Data, runs: &[RunFile]) -> Result<[f64; 2], BadInput> {
+        let most = MOST_ROWS.div_ceil(runs.len());
+        // Where it was read does not matter.
+        let read = |name: &str, values: &mut [f64]| {
+            if name.starts_with("measured_") {
+                values.fill(0.0);
+            }
+        };
+        let first: Vec<RunFile> = runs.iter().map(|run| run.altered(most, read)).collect();
+        let data = day(table, &first)?;
+        let models = [&Model::default(), &self.model];
+        let as_it_was = models.map(|it| it.predict(&data));
+        let draws = (ENOUGH_ROWS / data.rows).clamp(1, MOST_DRAWS);
+        let mut noise = [0.0; 2];
+        let mut generator = Generator::new(1);
+        for _ in 0..draws {
+            let noisy: Vec<RunFile> = first.iter().map(|run| noisy(run, &mut generator)).collect();
+            let noisy = day(table, &noisy)?;
+            for ((sum, model), was) in noise.iter_mut().zip(models).zip(&as_it_was) {
+                let moved = difference(&model.predict(&noisy), was);
+                *sum += mean_square(&data, &moved) / draws as f64;
+            }
+        }
+        Ok(noise)
+    }
+}
+
+/// The table of `runs`, counted from where `training` is counted from.
+fn day(training: &Data, runs: &[RunFile]) -> Result<Data, BadInput> {
+    let mut day = Data::new(&training.machine, runs, training.quantity)?;
+    day.refer_to(training);
+    Ok(day)
+}
+
+fn difference(one: &[f64], other: &[f64]) -> Vec<f64> {
+    one.iter().zip(other).map(|(one, other)| one - other).collect()
+}
+
+/// Of the rows that count; about zero, where that is arbitrary.
+fn mean_square(data: &Data, um: &[f64]) -> f64 {
+    let rows = um.iter().zip(&data.used).filter(|(um, used)| **used && um.is_finite());
+    let rows = about_zero(data, rows.map(|(um, _)| *um).collect());
+    rows.iter().map(|um| um * um).sum::<f64>() / rows.len().max(1) as f64
 }
 
 impl Spread {
@@ -133,30 +172,13 @@ impl Spread {
 }
 
 /// `run` with as much noise in its inputs once more as they have.
-fn noisy(run: &RunFile, generator: &mut Generator) -> Result<RunFile, BadInput> {
-    let is_noisy = |name: &str| name == "sensor_counts" || is_temperature_column(name);
-    let columns: Vec<(&str, Vec<f64>)> = run
-        .columns()
-        .iter()
-        .map(|column| {
-            let mut values = column.values.clone();
-            if is_noisy(&column.name) {
-                let noise = noise_of(&values);
-                values.iter_mut().for_each(|value| *value += noise * generator.normal());
-            }
-            (column.name.as_str(), values)
-        })
-        .collect();
-    let names: Vec<&str> = columns.iter().map(|(name, _)| *name).collect();
-    let mut text = names.join(",") + "\n";
-    for row in 0..run.rows() {
-        let cell = |(_, values): &(&str, Vec<f64>)| match values[row] {
-            value if value.is_finite() => value.to_string(),
-            _ => String::new(),
-        };
-        text += &(columns.iter().map(cell).collect::<Vec<String>>().join(",") + "\n");
-    }
-    RunFile::from_reader(text.as_bytes(), run.path())
+fn noisy(run: &RunFile, generator: &mut Generator) -> RunFile {
+    run.altered(run.rows(), |name, values| {
+        if name == "sensor_counts" || is_temperature_column(name) {
+            let noise = noise_of(values);
+            values.iter_mut().for_each(|value| *value += noise * generator.normal());
+        }
+    })
 }
 
 /// The noise of a slow input, as a standard deviation: from fourth differences, in which a course that is

@@ -190,7 +190,7 @@ pub(crate) fn conclude(
             .collect(),
         findings,
         hints,
-        at_tool: promise.on(&data, asked.runs)?,
+        at_tool: promise.on_table(&data, asked.runs)?,
         rejected: found.rejected.into_iter().map(rejected).collect(),
     };
     let Extended { replaced: corrected, new: terms } = Extended::by(&data, &model);

@@ -6,14 +6,14 @@
 //! measure for most of the time, or is a copy, is no column of the runs that are searched, unless the
 //! machine file needs it. All of it is told.
 
-use std::ops::Range;
+use std::{ops::Range, sync::Arc};
 
 use trueup_machine::model::required_columns;
 use trueup_numerics::parallel::on_all_cores;
 
 use super::{
     channel::{Fault, faults},
-    table::Data,
+    table::{Column, Data},
 };
 
 /// Changes of a value from row to row that two columns must share before they are called copies: each
@@ -45,7 +45,7 @@ impl Data {
             self.notes.push(format!("{}{name} is set aside as a whole", place(&self, 0)));
         }
         let distrusted = std::mem::take(&mut self.distrusted);
-        let is_kept = |(name, _): &(String, Vec<f64>)| {
+        let is_kept = |(name, _): &Column| {
             !distrusted.contains(name) && !copies.iter().any(|(copy, _)| copy == name)
         };
         self.temperatures.retain(is_kept);
@@ -102,11 +102,14 @@ pub(super) fn set_aside(data: &mut Data) {
             }
             for (range, by) in other_levels(rows, &jumps) {
                 moved[range.clone()].fill(true);
-                data.temperatures[column].1[range].iter_mut().for_each(|value| *value -= by);
+                Arc::make_mut(&mut data.temperatures[column].1)[range]
+                    .iter_mut()
+                    .for_each(|value| *value -= by);
             }
         }
         for rows in &files {
-            bridge(&mut data.temperatures[column].1[rows.clone()], &own[rows.clone()]);
+            let values = Arc::make_mut(&mut data.temperatures[column].1);
+            bridge(&mut values[rows.clone()], &own[rows.clone()]);
         }
         let count = own.iter().zip(&moved).filter(|(own, moved)| **own || **moved).count();
         if !is_needed && 2 * count > data.rows {
@@ -158,7 +161,7 @@ fn other_levels(rows: &Range<usize>, jumps: &[(usize, f64)]) -> Vec<(Range<usize
 /// The columns that are another one, or what was measured, with its name.
 fn copies(data: &Data) -> Vec<(String, String)> {
     let needed = required_columns(&data.machine);
-    let all: Vec<&(String, Vec<f64>)> = data.temperatures.iter().chain(&data.others).collect();
+    let all: Vec<&Column> = data.temperatures.iter().chain(&data.others).collect();
     let mut copies: Vec<(String, String)> = Vec::new();
     for (number, (name, values)) in all.iter().enumerate() {
         if needed.contains(name) {
@@ -237,7 +240,7 @@ fn follows(data: &Data) -> Vec<bool> {
 /// happened, happened to the machine.
 fn turns_with_another(data: &Data, column: usize, row: usize, rows: &Range<usize>) -> bool {
     let others = data.temperatures.iter().enumerate().filter(|(at, _)| *at != column);
-    let columns = others.map(|(_, (_, values))| values);
+    let columns = others.map(|(_, (_, values))| values.as_ref());
     let drives = data.spindle_rpm.iter().chain(&data.load_n);
     columns.chain(drives).any(|values| turns_at(&values[rows.clone()], row - rows.start))
 }

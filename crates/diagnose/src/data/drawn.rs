@@ -9,7 +9,7 @@ use super::{
     lag::filled,
     lag_series::{Clock, LagSeries},
     row_blocks::RowBlocks,
-    table::{Data, DrawnFrom},
+    table::{Column, Data, DrawnFrom},
 };
 
 /// Pieces of a group that a search works on in the place of its rows. The mean of what bends over a
@@ -47,10 +47,10 @@ impl Data {
         let first = |values: &Option<Vec<f64>>| -> Option<Vec<f64>> {
             values.as_ref().map(|values| rows.iter().map(|&row| values[row]).collect())
         };
-        let named = |columns: &[(String, Vec<f64>)], of: &dyn Fn(&Vec<f64>) -> Vec<f64>| {
-            columns.iter().map(|(name, values)| (name.clone(), of(values))).collect()
+        let named = |columns: &[Column], of: &dyn Fn(&Vec<f64>) -> Vec<f64>| {
+            columns.iter().map(|(name, values)| (name.clone(), Arc::new(of(values)))).collect()
         };
-        let lags = if is_condensed { self.lag_series(&blocks) } else { Vec::new() };
+        let lags = self.lag_series(&blocks, &self.temperatures);
         let series: Vec<u32> = rows.iter().map(|&row| self.series[row]).collect();
         Self {
             rows: rows.len(),
@@ -87,24 +87,56 @@ impl Data {
             notes: Vec::new(),
             whole: Some(DrawnFrom {
                 data: self.clone(),
-                series: Arc::new(lags),
+                series: lags,
                 blocks,
                 lagged: Arc::default(),
             }),
         }
     }
 
-    /// Of each column of temperatures that has no gap.
-    fn lag_series(&self, blocks: &RowBlocks) -> Vec<(String, LagSeries)> {
+    /// The same rows of `whole`: another table than that these were drawn from in some of the temperatures,
+    /// and in what the machine's own laws make of them.
+    pub(crate) fn drawn_from(&self, whole: Self) -> Self {
+        let Some(before) = &self.whole else { return whole };
+        let blocks = before.blocks.clone();
+        let is_changed = |(name, values): &&Column| {
+            before
+                .data
+                .temperature(name)
+                .is_none_or(|there| !std::ptr::eq(there, values.as_slice()))
+        };
+        let changed: Vec<Column> = whole.temperatures.iter().filter(is_changed).cloned().collect();
+        let pick = |values: &[f64]| blocks.means(values);
+        let mut drawn = self.clone();
+        for (name, values) in &mut drawn.temperatures {
+            if let Some((_, all)) = changed.iter().find(|(there, _)| there == name) {
+                *values = Arc::new(pick(&filled(all)));
+            }
+        }
+        (drawn.elongation, drawn.law) = (pick(&whole.elongation), pick(&whole.law));
+        (drawn.axis, drawn.thermal) = (pick(&whole.axis), pick(&whole.thermal));
+        let mut series = before.series.clone();
+        series.retain(|(name, _)| !changed.iter().any(|(there, _)| there == name));
+        series.extend(whole.lag_series(&blocks, &changed));
+        drawn.whole =
+            Some(DrawnFrom { data: Arc::new(whole), series, blocks, lagged: Arc::default() });
+        drawn
+    }
+
+    /// Of each of `columns` that has no gap, where rows are means.
+    fn lag_series(&self, blocks: &RowBlocks, columns: &[Column]) -> Vec<(String, Arc<LagSeries>)> {
+        if !blocks.has_means() {
+            return Vec::new();
+        }
         let times = self.time_s.as_deref();
         let Some(clock) = times.and_then(|times| Clock::new(times, &self.restart, blocks)) else {
             return Vec::new();
         };
         let clock = Arc::new(clock);
-        let of = |(name, values): &(String, Vec<f64>)| {
-            Some((name.clone(), LagSeries::new(&clock, values, blocks)?))
+        let of = |(name, values): &Column| {
+            Some((name.clone(), Arc::new(LagSeries::new(&clock, values, blocks)?)))
         };
-        let all = on_all_cores(&self.temperatures, true, of);
+        let all = on_all_cores(columns, true, of);
         all.into_iter().flatten().collect()
     }
 }

@@ -61,9 +61,10 @@ fn stepped(data: &Data, runs: &[Unaided<'_>], machine: &Machine) -> Stepped {
             ["time_s", "run", "spindle_rpm", "load_n"].map(|name| run.column(name).is_some());
         let mut reference = ReferenceModel::new(machine);
         let parts_c = part_temperatures(machine, |name| run.column(name));
-        let columns = data.temperatures.iter().chain(&parts_c);
+        let columns = data.temperatures.iter().map(|(name, _)| name);
+        let columns = columns.chain(parts_c.iter().map(|(name, _)| name));
         let mut temperatures: Vec<(&str, f64)> =
-            columns.map(|(name, _)| (name.as_str(), f64::NAN)).collect();
+            columns.map(|name| (name.as_str(), f64::NAN)).collect();
         for own in 0..run.rows() {
             for ((_, now_c), (_, values)) in temperatures.iter_mut().zip(&data.temperatures) {
                 *now_c = values[row];

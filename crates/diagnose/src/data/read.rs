@@ -1,6 +1,6 @@
 //! From runs to the table: all files one after the other, in series, with what the model says.
 
-use std::borrow::Cow;
+use std::{borrow::Cow, sync::Arc};
 
 use trueup_machine::{
     BadInput, Machine, RunFile,
@@ -82,7 +82,7 @@ impl Data {
             } else {
                 &mut others
             };
-            target.push((column.name.clone(), joined(name).unwrap_or_default()));
+            target.push((column.name.clone(), Arc::new(joined(name).unwrap_or_default())));
         }
         let mut data = Self {
             machine: machine.clone(),

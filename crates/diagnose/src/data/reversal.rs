@@ -1,10 +1,12 @@
 //! Columns that follow from where the axis turned.
 
-use super::table::Data;
+use std::sync::Arc;
+
+use super::table::{Column, Data};
 
 /// For ways in equal ratios between the shortest and the longest steps: u ← (u + Δd)·e^(−|ΔP|/way),
 /// Δd the change of the direction. Nothing where the axis never turns.
-pub(super) fn reversal_decay(data: &Data) -> Vec<(String, Vec<f64>)> {
+pub(super) fn reversal_decay(data: &Data) -> Vec<Column> {
     const WAYS: i32 = 6;
     let (Some(own), Some(direction)) = (data.own_position(), data.own_direction()) else {
         return Vec::new();
@@ -36,7 +38,7 @@ pub(super) fn reversal_decay(data: &Data) -> Vec<(String, Vec<f64>)> {
                     left
                 })
                 .collect();
-            (format!("the last reversal, taken up over {way_mm:.3} mm"), values)
+            (format!("the last reversal, taken up over {way_mm:.3} mm"), Arc::new(values))
         })
         .collect()
 }

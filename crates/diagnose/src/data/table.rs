@@ -34,11 +34,11 @@ pub(crate) struct Data {
     pub gauge_time_s: Option<Vec<f64>>,
     pub run: Option<Vec<f64>>,
     /// By column, in °C.
-    pub temperatures: Vec<(String, Vec<f64>)>,
+    pub temperatures: Vec<Column>,
     /// Those of them that did not measure for most of the time, or have jumped.
     pub distrusted: Vec<String>,
     /// Columns that this project does not know.
-    pub others: Vec<(String, Vec<f64>)>,
+    pub others: Vec<Column>,
     /// In 1/min.
     pub spindle_rpm: Option<Vec<f64>>,
     /// The load along the tool, in N.
@@ -47,7 +47,7 @@ pub(crate) struct Data {
     pub direction: [Option<Vec<f64>>; 3],
     /// What is left of the last reversal of the quantity's own axis if it is taken up over a way, for
     /// several ways, each under its name.
-    pub reversal_decay: Vec<(String, Vec<f64>)>,
+    pub reversal_decay: Vec<Column>,
     /// The quantity, in µm.
     pub measured: Vec<f64>,
     /// The machine file's terms that change the quantity.
@@ -78,6 +78,9 @@ pub(crate) struct Data {
     pub whole: Option<DrawnFrom>,
 }
 
+/// A column's name and values; shared, since most copies of a table change one column or none.
+pub(super) type Column = (String, Arc<Vec<f64>>);
+
 /// The table that rows were drawn from.
 #[derive(Clone, Debug)]
 pub(crate) struct DrawnFrom {
@@ -85,7 +88,7 @@ pub(crate) struct DrawnFrom {
     /// Which of its rows each row is, or is the mean of.
     pub(super) blocks: RowBlocks,
     /// Where rows are means: the columns of temperatures that have no gap, for any lag.
-    pub(super) series: Arc<Vec<(String, LagSeries)>>,
+    pub(super) series: Vec<(String, Arc<LagSeries>)>,
     /// Columns behind a lag that were asked for, the newest last.
     pub(super) lagged: Arc<Mutex<VecDeque<Lagged>>>,
 }
@@ -200,7 +203,7 @@ impl Data {
         let Some(time_s) = self.time_s.as_deref() else { return };
         let found = self.temperatures.iter_mut().find(|(there, _)| there == column);
         if let Some((_, values)) = found {
-            *values = smoothed(values, time_s, &self.restart, width_s);
+            *values = Arc::new(smoothed(values, time_s, &self.restart, width_s));
         }
     }
 
@@ -209,7 +212,7 @@ impl Data {
         let Some(time_s) = self.time_s.as_deref() else { return };
         let found = self.temperatures.iter_mut().find(|(there, _)| there == column);
         if let Some((_, values)) = found {
-            *values = lag(values, time_s, &self.restart, [late_s; 2]);
+            *values = Arc::new(lag(values, time_s, &self.restart, [late_s; 2]));
         }
     }
 

@@ -97,7 +97,7 @@ fn is_second_body(case: &Case<'_>, law: &Part, without: &Fitted) -> bool {
     let column = law.kind.heat_path().map(|path| path.column);
     SECOND_BODY.iter().any(|share| {
         let late_s = share * law.values[0];
-        let Some(late) = Laws::behind(&problem.data, column, late_s) else { return false };
+        let late = Laws::behind(&problem.data, column, late_s);
         let late = Problem::new(late, problem.groups.clone());
         let there = fit(&late, &without.model, None);
         case.bic_gap(&there) + price < STRONG_EVIDENCE
