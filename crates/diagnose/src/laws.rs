@@ -65,42 +65,56 @@ impl Laws {
         }
     }
 
-    /// `data` as if the thermometers of the machine's own laws were smoothed over `width_s`, without being
-    /// late.
-    pub(crate) fn smoothed(data: &Data, width_s: f64) -> Data {
-        Self::with_thermometers(data, &|data, column| data.smooth(column, width_s))
+    /// The columns of their thermometers.
+    fn columns(&self) -> impl Iterator<Item = &str> {
+        let of_spindle = self.spindle.as_ref().and_then(|it| it.temperature.as_ref());
+        let columns = [self.thermal.as_ref().map(|it| &it.sensor), of_spindle.map(|it| &it.sensor)];
+        columns.into_iter().flatten().map(String::as_str)
     }
 
-    /// `data` as if the temperature of `column`, or (none) the thermometers of the machine's own laws, came
-    /// behind a lag of `late_s`.
+    /// `data` as if the thermometers of the machine's own laws, and that of `column`, were smoothed over
+    /// `width_s`, without being late.
+    pub(crate) fn smoothed(data: &Data, column: Option<&str>, width_s: f64) -> Data {
+        let own = Self::own(data);
+        let others = column.filter(|column| !own.columns().any(|own| own == *column));
+        let columns: Vec<&str> = own.columns().chain(others).collect();
+        Self::with_thermometers(data, &columns, &|data, column| data.smooth(column, width_s))
+    }
+
+    /// `data` as if a term's temperature of `column`, or (none) those of the machine's own laws, came behind a
+    /// lag of `late_s`.
     pub(crate) fn behind(data: &Data, column: Option<&str>, late_s: f64) -> Data {
+        let delay = |data: &mut Data, column: &str| data.delay(column, late_s);
         match (column, &data.whole) {
-            (None, _) => Self::with_thermometers(data, &|data, column| data.delay(column, late_s)),
+            (None, _) => {
+                let own = Self::own(data);
+                Self::with_thermometers(data, &own.columns().collect::<Vec<_>>(), &delay)
+            }
             (Some(_), Some(whole)) => data.drawn_from(Self::behind(&whole.data, column, late_s)),
             (Some(column), None) => {
                 let mut late = data.clone();
-                late.delay(column, late_s);
+                delay(&mut late, column);
                 late
             }
         }
     }
 
-    /// `data` with the thermometers of the machine's own laws changed, and these laws with them.
-    fn with_thermometers(data: &Data, change: &dyn Fn(&mut Data, &str)) -> Data {
+    /// `data` with the thermometers of `columns` changed, and the machine's own laws with them.
+    fn with_thermometers(data: &Data, columns: &[&str], change: &dyn Fn(&mut Data, &str)) -> Data {
         if let Some(whole) = &data.whole {
-            return data.drawn_from(Self::with_thermometers(&whole.data, change));
+            return data.drawn_from(Self::with_thermometers(&whole.data, columns, change));
         }
         let mut changed = data.clone();
+        columns.iter().for_each(|column| change(&mut changed, column));
         let laws = Self::own(data);
-        let of_spindle = laws.spindle.as_ref().and_then(|it| it.temperature.as_ref());
-        let columns = [laws.thermal.as_ref().map(|it| &it.sensor), of_spindle.map(|it| &it.sensor)];
-        columns.into_iter().flatten().for_each(|column| change(&mut changed, column));
-        let (axis, law) = (laws.axis(&changed), laws.elongation(&changed));
-        for row in 0..data.rows {
-            changed.thermal[row] += axis[row] - data.axis[row];
-            changed.elongation[row] += law[row] - data.law[row];
+        if laws.columns().any(|own| columns.contains(&own)) {
+            let (axis, law) = (laws.axis(&changed), laws.elongation(&changed));
+            for row in 0..data.rows {
+                changed.thermal[row] += axis[row] - data.axis[row];
+                changed.elongation[row] += law[row] - data.law[row];
+            }
+            (changed.axis, changed.law) = (axis, law);
         }
-        (changed.axis, changed.law) = (axis, law);
         changed
     }
 

@@ -55,6 +55,7 @@ pub(crate) mod table;
 use serde_json::{Map, Value};
 use trueup_numerics::parallel::on_all_cores;
 
+use crate::search::smoothing::only_smooths;
 use crate::{
     fit::{Fitted, Problem, differs_between_halves, fit},
     gain::Gain,
@@ -73,7 +74,7 @@ use case::Case;
 pub(crate) use doubt::Doubt;
 use form::{form_of, start_of};
 use identified::is_identified;
-use needed::{Alone, gains_again, goes_on, only_smooths, only_together};
+use needed::{Alone, gains_again, goes_on, only_together};
 use other_law::Curves;
 use rivals::{Rival, predict_alike, rivals};
 use table::{BetweenPoints, repeated};
@@ -216,7 +217,7 @@ fn doubts_of_values(
     if !goes_on(case, &part.kind, left_out_without) {
         doubts.push(Doubt::DoesNotGoOn);
     }
-    if only_smooths(case, part, without) {
+    if only_smooths(case.problem, case.folds(), part, &without.model, &case.left_out) {
         doubts.push(Doubt::OnlySmooths);
     }
     doubts.extend(halves(case, part).map(Doubt::HalvesDiffer));

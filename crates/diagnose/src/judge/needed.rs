@@ -1,10 +1,9 @@
 //! What a term gains where it was left out of the fit, alone and beside another one.
 
 use crate::{
-    fit::{Fitted, Problem, fit},
+    fit::fit,
     judge::case::Case,
-    kind::{Kind, Part},
-    laws::Laws,
+    kind::Kind,
     search::extend::{centred_effect, take_back, without},
 };
 use trueup_machine::effect::Effect;
@@ -34,18 +33,6 @@ pub(crate) fn goes_on(case: &Case<'_>, cause: &Kind, left_out_without: &[f64]) -
             .folds()
             .gain_at_the_end(left_out_without, &case.left_out)
             .is_none_or(|gain| gain > 0.0)
-}
-
-/// Whether a lag of the machine's own law only smooths the noise of its thermometer: the model without it
-/// foresees as well over that thermometer smoothed as much, and not late.
-pub(crate) fn only_smooths(case: &Case<'_>, part: &Part, without: &Fitted) -> bool {
-    if !part.kind.has_time_constant() || part.kind.amplitudes() > 0 {
-        return false;
-    }
-    let problem = case.problem;
-    let smooth = Laws::smoothed(&problem.data, part.values[0]);
-    let smooth = Problem::new(smooth, problem.groups.clone());
-    !case.paired(&case.folds().left_out(&smooth, &without.model)).is_better()
 }
 
 /// A term with what the answer leaves without it where that was left out.

@@ -19,6 +19,7 @@
 //! | `float` | several terms at once, what one alone cannot show |
 //! | `revise` | what is looked at again once other terms are there |
 //! | `simplify` | what is made simpler at the end |
+//! | `smoothing` | lags that only take noise away |
 //!
 //! Models whose BIC cannot be told apart are equal; then the simpler cause wins, among those the one
 //! that predicts left-out blocks better, and the machine's own model and sensors come before others.
@@ -31,6 +32,7 @@ pub(crate) mod lack_of_fit;
 mod revise;
 pub(crate) mod scan;
 mod simplify;
+pub(crate) mod smoothing;
 pub(crate) mod state;
 mod statistics;
 pub(crate) mod table;

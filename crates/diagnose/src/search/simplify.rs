@@ -14,7 +14,7 @@ use crate::{
     model::Model,
     search::{
         criterion::{EQUAL_PREDICTION, STRONG_EVIDENCE, bic, bic_gap, degrees},
-        extend::{Extension, centred_effect, take_back, with_each_cause, without},
+        extend::{Extension, centred_effect, take_back, with_each_cause},
         state::{Added, Search},
     },
 };
@@ -27,6 +27,7 @@ impl Search<'_> {
         self.table_for_both_ways();
         self.laws_for_a_table();
         self.unstack();
+        self.drop_what_only_smooths();
         self.drop_what_does_not_gain();
         self.simplest_of_equals();
         self.name_paths();
@@ -212,11 +213,7 @@ impl Search<'_> {
         };
         let pair = pairs.into_iter().find(is_stack)?;
         pair.into_iter()
-            .map(|index| {
-                let cause = &self.added[index].cause;
-                let model = without(self.problem, &self.fitted.model, cause);
-                (index, fit(self.problem, &model, None))
-            })
+            .map(|index| (index, self.without(&self.added[index].cause)))
             .min_by(|a, b| a.1.sum.total_cmp(&b.1.sum))
     }
 
@@ -258,8 +255,7 @@ impl Search<'_> {
             let with = self.foresight(&self.fitted);
             let least = (0..self.added.len())
                 .map(|index| {
-                    let model = without(self.problem, &self.fitted.model, &self.added[index].cause);
-                    let without = fit(self.problem, &model, None);
+                    let without = self.without(&self.added[index].cause);
                     let paired = self.folds.paired(&self.foresight(&without), &with);
                     (index, without, paired)
                 })

@@ -10,7 +10,7 @@ use crate::{
     model::Model,
     search::{
         criterion::{bic, left_out_um},
-        extend::{Extension, Replacements, replacements},
+        extend::{Extension, Replacements, replacements, without},
         scan::Draw,
     },
 };
@@ -153,6 +153,11 @@ impl<'p> Search<'p> {
     /// What `fitted` leaves on left-out blocks, in each group, in µm.
     pub(crate) fn foresight(&self, fitted: &Fitted) -> Vec<f64> {
         self.folds.left_out(self.problem, &fitted.model)
+    }
+
+    /// The model in work without a term.
+    pub(crate) fn without(&self, cause: &Kind) -> Fitted {
+        fit(self.problem, &without(self.problem, &self.fitted.model, cause), None)
     }
 
     /// The model in work without a term, and with other causes in its place.
