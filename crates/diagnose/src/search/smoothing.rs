@@ -4,8 +4,16 @@
 use trueup_machine::effect::Effect;
 
 use crate::{
-    blocks::Folds, fit::Problem, kind::Part, laws::Laws, model::Model, parameters::step_s,
-    search::state::Search,
+    blocks::Folds,
+    fit::{Fitted, Problem, fit},
+    kind::Part,
+    laws::Laws,
+    model::Model,
+    parameters::step_s,
+    search::{
+        criterion::{STRONG_EVIDENCE, bic},
+        state::Search,
+    },
 };
 
 /// Smoothed over so many of its time constants: as much as the lag does, and as much as several of them do
@@ -21,18 +29,23 @@ pub(crate) fn only_smooths(
     without: &Model,
     left_out: &[f64],
 ) -> bool {
-    if !has_memory(part) {
-        return false;
-    }
-    let column = part.kind.heat_path().map(|path| path.column);
+    smoothed_for(problem, part).any(|smooth| foresees(folds, &smooth, without, left_out))
+}
+
+/// The data with thermometers that are smoothed as much as `part` does it; none where it has no lag.
+fn smoothed_for(problem: &Problem, part: &Part) -> impl Iterator<Item = Problem> {
+    let widths = has_memory(part).then_some(WIDTHS);
     // A lag within a step smooths neighbours.
-    let lag_s = part.values[0].max(step_s(problem));
-    WIDTHS.iter().any(|times| {
-        let smooth = Laws::smoothed(&problem.data, column, times * lag_s);
-        let smooth = Problem::new(smooth, problem.groups.clone());
-        let paired = folds.paired(&folds.left_out(&smooth, without), left_out);
-        !paired.is_better()
+    let lag_s = part.values.first().map_or(0.0, |lag_s| lag_s.max(step_s(problem)));
+    let column = part.kind.column();
+    widths.into_iter().flatten().map(move |times| {
+        let smooth = Laws::smoothed(&problem.data, column.as_deref(), times * lag_s);
+        Problem::new(smooth, problem.groups.clone())
     })
+}
+
+fn foresees(folds: &Folds, smooth: &Problem, without: &Model, left_out: &[f64]) -> bool {
+    !folds.paired(&folds.left_out(smooth, without), left_out).is_better()
 }
 
 /// Whether the first value of a term is how late a thermometer, or what it shows, is.
@@ -46,22 +59,28 @@ fn has_memory(part: &Part) -> bool {
 impl Search<'_> {
     /// A lag that only smooths leaves: beside it the other terms have the wrong sizes.
     pub(super) fn drop_what_only_smooths(&mut self) {
-        let mut index = 0;
-        while index < self.added.len() {
-            let cause = self.added[index].cause.clone();
-            let part = self.fitted.model.parts.iter().find(|part| part.kind == cause).cloned();
-            if let Some(part) = part.filter(has_memory) {
-                let without = self.without(&cause);
-                let left_out = self.foresight(&self.fitted);
-                let folds = &self.folds;
-                if only_smooths(self.problem, folds, &part, &without.model, &left_out) {
-                    self.given_up.push(cause);
-                    self.remove(index, without);
-                    index = 0;
-                    continue;
-                }
-            }
-            index += 1;
+        while let Some((index, without)) = self.smoothing() {
+            self.given_up.push(self.added[index].cause.clone());
+            self.remove(index, without);
         }
+    }
+
+    /// The first term that only smooths, also by all that is known of these rows, and the model without it.
+    fn smoothing(&self) -> Option<(usize, Fitted)> {
+        let parts = &self.fitted.model.parts;
+        let own = self.bic();
+        let mut left_out = None;
+        self.added.iter().enumerate().find_map(|(index, it)| {
+            let part = parts.iter().find(|part| part.kind == it.cause && has_memory(part))?;
+            let without = self.without(&it.cause);
+            let left_out = left_out.get_or_insert_with(|| self.foresight(&self.fitted));
+            let is_as_good = |smooth: Problem| {
+                let fitted = fit(&smooth, &without.model, None);
+                bic(&smooth, &fitted) < own + STRONG_EVIDENCE
+                    && foresees(&self.folds, &smooth, &without.model, left_out)
+            };
+            let only_smooths = smoothed_for(self.problem, part).any(is_as_good);
+            only_smooths.then_some((index, without))
+        })
     }
 }
