@@ -295,7 +295,10 @@ def main():
     parser.add_argument("channel", help="what python-can opens, for example socket://HOST:PORT")
     parser.add_argument("eds")
     parser.add_argument("calibration", help="the blob to load")
+    parser.add_argument("--patience", type=float, default=PATIENCE_S, metavar="S",
+                        help="how long to wait for each answer: more where the board is slower than life")
     options = parser.parse_args()
+    globals()["PATIENCE_S"] = options.patience
     # Whatever hangs, this ends.
     faulthandler.dump_traceback_later(15 * PATIENCE_S, exit=True)
     with open(options.calibration, "rb") as file:
