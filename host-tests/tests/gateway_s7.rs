@@ -10,7 +10,7 @@ use std::{
     net::{TcpListener, TcpStream},
     process::{Child, ChildStdin, Command, Stdio},
     sync::{
-        Arc, Mutex,
+        Arc, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicBool, Ordering},
     },
     thread,
@@ -183,12 +183,26 @@ fn random_cuts_damage_and_a_nck_that_is_slow_or_refuses_never_make_a_step_above_
 }
 
 #[test]
-#[ignore = "long: a thousand cuts in awlsim"]
+#[ignore = "long: hundreds of cuts in awlsim"]
+fn hundreds_of_random_cuts_of_either_line_never_make_a_step_above_the_slew_limit() -> Result<()> {
+    cuts(250)
+}
+
+#[test]
+#[ignore = "campaign: cargo test -p trueup-host-tests --features emulator --test gateway_s7 thousand -- --ignored --nocapture"]
 fn a_thousand_random_cuts_of_either_line_never_make_a_step_above_the_slew_limit() -> Result<()> {
     cuts(1_000)
 }
 
+/// awlsim is slow and its times are real: a PLC beside others on a busy computer holds longer than its line is
+/// away, and a bridge that has taken its offset back has nothing that could be swapped.
+fn alone() -> MutexGuard<'static, ()> {
+    static ALONE: Mutex<()> = Mutex::new(());
+    ALONE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 fn cuts(count: u32) -> Result<()> {
+    let _alone = alone();
     let output = Command::new(setup::python()?)
         .arg(setup::root().join("host-tests/python/s7_cuts.py"))
         .args(["--cuts", &count.to_string()])
@@ -211,6 +225,7 @@ fn cuts(count: u32) -> Result<()> {
 #[test]
 #[ignore = "long: nine faults, each held and taken back"]
 fn whatever_breaks_is_held_taken_back_and_told_and_comes_back_by_itself() -> Result<()> {
+    let _alone = alone();
     let (bridge, mut plc, first) = following()?;
     let port = format!("tcp:{}", bridge.address());
 
@@ -224,7 +239,6 @@ fn whatever_breaks_is_held_taken_back_and_told_and_comes_back_by_itself() -> Res
         ("the PLC's cable is cut", json!({ "cut": true }), json!({ "join": true })),
         ("the block stands still", json!({ "freeze": true }), json!({ "freeze": false })),
         ("every block is damaged", json!({ "damage": 1_000_000 }), json!({ "damage": 0 })),
-        ("X and Z are swapped", json!({ "swap": true }), json!({ "swap": false })),
         ("an old block again and again", json!({ "replay": 1_000_000 }), json!({ "replay": 0 })),
     ] {
         println!("{name}");
@@ -233,6 +247,15 @@ fn whatever_breaks_is_held_taken_back_and_told_and_comes_back_by_itself() -> Res
         plc.order(&end)?;
         plc.until(name, is_there)?;
     }
+
+    // The bridge, which is released after a second, may have taken its offset back before the hold ends: zeros that
+    // are swapped are whole.
+    println!("X and Z are swapped");
+    plc.order(&json!({ "swap": true }))?;
+    plc.until("it is held", is_held)?;
+    plc.until("it is taken back", |cycle| nck_um(cycle)[2].abs() < 0.05)?;
+    plc.order(&json!({ "swap": false }))?;
+    plc.until("nothing is swapped", is_there)?;
 
     println!("the PLC stops and starts");
     plc.order(&json!({ "stop": true }))?;
@@ -255,6 +278,7 @@ fn whatever_breaks_is_held_taken_back_and_told_and_comes_back_by_itself() -> Res
 #[test]
 #[ignore = "long: it takes the slew limit's time"]
 fn the_setting_data_undo_the_growth_and_a_killed_gateway_is_held_and_taken_back() -> Result<()> {
+    let _alone = alone();
     let (_bridge, plc, gateway) = following()?;
     gateway.signal("KILL")?;
     held_then_taken_back(&plc)?;
@@ -323,6 +347,7 @@ fn processor_s(id: u32) -> Result<f64> {
 #[test]
 #[ignore = "long: a minute of latency and cost"]
 fn data_reach_the_plc_within_30_ms_and_the_gateway_costs_a_twentieth_of_a_core() -> Result<()> {
+    let _alone = alone();
     const SECONDS: f64 = 60.0;
     let stop = Arc::new(AtomicBool::new(false));
     let address = clock_bridge(stop.clone())?;
@@ -348,6 +373,7 @@ fn data_reach_the_plc_within_30_ms_and_the_gateway_costs_a_twentieth_of_a_core()
 
 #[test]
 fn once_says_how_both_ends_are() -> Result<()> {
+    let _alone = alone();
     let plc = Plc::start(&["--latency"])?;
     let bridge = Bridge::start_grown()?;
     let once = |host: &str, db: &str| -> Result<(Option<i32>, String, String)> {

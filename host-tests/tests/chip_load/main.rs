@@ -110,12 +110,24 @@ fn a_power_cut_in_a_load_leaves_the_old_or_the_new_calibration() {
 }
 
 #[test]
-#[ignore = "long: a power cut in each of 173 words"]
+#[ignore = "long: a power cut in each sixth of 173 words"]
+fn a_power_cut_in_many_words_of_a_load_leaves_the_old_or_the_new_calibration() {
+    every(6);
+}
+
+#[test]
+#[ignore = "campaign: cargo test -p trueup-host-tests --features emulator --test chip_load any_word -- --ignored"]
 fn a_power_cut_in_any_word_of_a_load_leaves_the_old_or_the_new_calibration() {
+    every(1);
+}
+
+/// A cut in each `step`th word of a load.
+fn every(step: usize) {
     let Some(chip) = chip() else { return };
-    let words = load(chip, "").expect("a whole load");
+    // A cut far beyond the end: the power goes when all is written.
+    let words = load(chip, &cut_in(100_000)).expect("a whole load");
     println!("{words} words");
-    all(&cuts(1..=words), |fault| load(chip, fault).map(drop));
+    all(&cuts((1..=words).step_by(step)), |fault| load(chip, fault).map(drop));
 }
 
 #[test]
