@@ -253,7 +253,11 @@ fn whatever_breaks_is_held_taken_back_and_told_and_comes_back_by_itself() -> Res
     println!("X and Z are swapped");
     plc.order(&json!({ "swap": true }))?;
     plc.until("it is held", is_held)?;
+    plc.until("it is told", |cycle| cycle["fault"] == true)?;
     plc.until("it is taken back", |cycle| nck_um(cycle)[2].abs() < 0.05)?;
+    // Engaged anew again and again, and told all the time.
+    let since = plc.until("engaged anew", |cycle| cycle["engaged"] == true)?;
+    ensure!(since.iter().all(|cycle| cycle["fault"] == true), "a fault that comes and goes");
     plc.order(&json!({ "swap": false }))?;
     plc.until("nothing is swapped", is_there)?;
 
