@@ -6,10 +6,10 @@
 
 use trueup_machine::Machine;
 
-use super::{Plans, WITHOUT_CORRECTION, go, measured};
+use super::{Plans, WITHOUT_CORRECTION, even_targets_mm, measured, there_and_back};
 use crate::{
     options::Options,
-    plan::{Column, Plan, Step},
+    plan::{Column, Plan},
     refused::Refused,
     travel::{Travel, micrometres, travels},
 };
@@ -32,15 +32,9 @@ pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refus
 }
 
 fn plan(travel: &Travel, options: &Options) -> Result<Plan, Refused> {
-    let (axis, feed) = (travel.axis, options.feed());
-    let targets = targets(travel, options)?;
-    let mut steps = vec![Step::Rapid(travel.at(travel.low_mm))];
-    let read = |mm: &f64| [go(travel, *mm, feed), Step::Read(options.dwell_s)];
-    let mut run: Vec<Step> = targets.iter().flat_map(read).collect();
-    run.push(go(travel, travel.high_mm, feed));
-    run.extend(targets.iter().rev().flat_map(read));
-    run.push(go(travel, travel.low_mm, feed));
-    steps.push(Step::Repeat { times: options.repeats.unwrap_or(REPEATS), steps: run });
+    let axis = travel.axis;
+    let times = options.repeats.unwrap_or(REPEATS);
+    let steps = there_and_back(travel, &targets(travel, options)?, times, options);
     let mut columns = vec![Column::Run, Column::Position(axis.index())];
     columns.extend([Column::Direction(axis.index()), Column::Empty(measured(axis))]);
     Ok(Plan {
@@ -54,9 +48,7 @@ fn plan(travel: &Travel, options: &Options) -> Result<Plan, Refused> {
 }
 
 fn targets(travel: &Travel, options: &Options) -> Result<Vec<f64>, Refused> {
-    let [low, high] = travel.inside_mm();
-    let step = options.step_mm.unwrap_or(((high - low) / STEPS).min(LONGEST_STEP_MM));
-    let mut targets = travel.even_targets_mm(step)?;
+    let mut targets = even_targets_mm(travel, options, STEPS, LONGEST_STEP_MM)?;
     let apart = targets[1] - targets[0];
     // The last one stays: beyond it is only the over-travel.
     let last = targets.len() - 1;

@@ -2,10 +2,10 @@
 
 use trueup_machine::{Machine, file::LinearAxis};
 
-use super::{Plans, WITHOUT_CORRECTION, go, measured};
+use super::{Plans, WITHOUT_CORRECTION, even_targets_mm, measured, there_and_back};
 use crate::{
     options::Options,
-    plan::{Column, Plan, Step},
+    plan::{Column, Plan},
     refused::Refused,
     travel::{Travel, travels},
 };
@@ -25,17 +25,10 @@ pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refus
 }
 
 fn plan(travel: &Travel, options: &Options) -> Result<Plan, Refused> {
-    let (axis, feed) = (travel.axis, options.feed());
-    let [low, high] = travel.inside_mm();
-    let step = options.step_mm.unwrap_or(((high - low) / STEPS).min(LONGEST_STEP_MM));
-    let targets = travel.even_targets_mm(step)?;
-    let read = |mm: &f64| [go(travel, *mm, feed), Step::Read(options.dwell_s)];
-    let mut run: Vec<Step> = targets.iter().flat_map(read).collect();
-    run.push(go(travel, travel.high_mm, feed));
-    run.extend(targets.iter().rev().flat_map(read));
-    run.push(go(travel, travel.low_mm, feed));
+    let axis = travel.axis;
+    let targets = even_targets_mm(travel, options, STEPS, LONGEST_STEP_MM)?;
     let times = options.repeats.unwrap_or(REPEATS);
-    let steps = vec![Step::Rapid(travel.at(travel.low_mm)), Step::Repeat { times, steps: run }];
+    let steps = there_and_back(travel, &targets, times, options);
     let others: Vec<LinearAxis> =
         LinearAxis::ALL.into_iter().filter(|other| *other != axis).collect();
     let mut columns = vec![Column::Run, Column::Position(axis.index())];
