@@ -84,8 +84,8 @@ impl fmt::Display for Unusable {
             }
             Self::NoSocketCan { interface } => write!(
                 f,
-                "--port {interface}: this tool was built without SocketCAN; build it on Linux by \
-                 cargo build --release -p trueup-cli --features socketcan"
+                "--port {interface}: this tool was built without SocketCAN; on Linux it has it: cargo install \
+                 --path crates/cli, without --no-default-features"
             ),
             Self::Folder { path, error } => {
                 write!(f, "{}: cannot be made: {error}", path.display())

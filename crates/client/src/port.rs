@@ -171,7 +171,7 @@ mod tests {
             let error = Port::parse(text).expect_err(text).to_string();
             let phrase = format!("--port {text}: this tool was built without SocketCAN");
             assert!(
-                error.starts_with(&phrase) && error.contains("--features socketcan"),
+                error.starts_with(&phrase) && error.contains("without --no-default-features"),
                 "{error}"
             );
         }

@@ -78,7 +78,7 @@ fn xtask_chip_shows_the_log_and_serves_any_slcan_client_with_a_dead_crystal() ->
     ensure!(terminal.signal("INT")?.success(), "it takes the signal");
     terminal.0.wait()?;
     let said = said.join().expect("nobody panics").join("\n");
-    for text in ["dead: crystal", "trueup bridge 0.1.0 is up"] {
+    for text in ["dead: crystal", "trueup bridge 0.2.0 is up"] {
         ensure!(said.contains(text), "no {text:?} in\n{said}");
     }
     Ok(())
