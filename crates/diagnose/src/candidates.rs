@@ -190,6 +190,10 @@ impl Survey for Seen<'_> {
         model.parts.iter().any(|part| part.kind.name() == cause)
     }
 
+    fn adds(&self, cause: &str) -> bool {
+        self.model.parts.iter().any(|part| part.kind.name() == cause)
+    }
+
     fn has_instrument(&self) -> bool {
         self.model.parts.iter().any(|part| part.kind.is_of_instrument())
     }

@@ -52,6 +52,11 @@ impl Columns for Table<'_> {
             Input::Temperature { column, lag_s } => Cow::Owned(data.lagged(column, lag_s, lag_s)),
             Input::Speed => whole(data.spindle_rpm.as_deref()),
             Input::Load => whole(data.load_n.as_deref()),
+            // Where it is missing it is not that of the row before.
+            Input::Feed => Cow::Owned(match named(data, "feed_mm_per_min") {
+                Some(feeds) => feeds.to_vec(),
+                None => vec![f64::NAN; data.rows],
+            }),
             Input::OwnPosition => whole(data.own_position()),
             Input::OwnDirection => match data.own_direction() {
                 Some(direction) => Cow::Borrowed(direction),

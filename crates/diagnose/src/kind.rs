@@ -40,6 +40,20 @@ pub(crate) struct Part {
     pub values: Vec<f64>,
 }
 
+impl Part {
+    /// Leaves what runs where nobody says the feed.
+    pub(crate) fn forget_feed(&mut self) {
+        let Some(cause) = self.kind.cause() else { return };
+        let whole = cause.with(&self.values);
+        let held = whole.without_feed();
+        if held != whole {
+            self.values = held.values();
+            let neutral = held.with(&vec![0.0; held.degrees()]);
+            self.kind = Kind::Cause(neutral);
+        }
+    }
+}
+
 impl Kind {
     /// The cause, neutral or as the machine file says, if it is one.
     pub(crate) fn cause(&self) -> Option<&Effect> {

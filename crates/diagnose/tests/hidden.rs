@@ -45,6 +45,7 @@ fn a_cause_of_an_axis_three_times_the_noise_is_named() {
     let causes = [
         Hidden::PitchPeriodic,
         Hidden::PositionDependentBacklash,
+        Hidden::FeedDependentBacklash,
         Hidden::Straightness,
         Hidden::CrossAxis,
         Hidden::AngularError,

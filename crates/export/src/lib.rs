@@ -187,7 +187,10 @@ impl Error for Refused {}
 pub fn export(machine: &Machine, format: Format, options: &Options) -> Result<Export, Refused> {
     // Some terms of a diagnosis say which constants of the model are right.
     let (machine, _) = corrected(Cow::Borrowed(machine));
-    let machine = &*machine;
+    let mut machine = machine.into_owned();
+    // A table of a control goes by position and direction, not by feed.
+    machine.terms.iter_mut().for_each(|term| term.effect = term.effect.without_feed());
+    let machine = &machine;
     let mut export =
         Export { files: Vec::new(), report: Report::new(format, &machine.name, options) };
     for (section, reason) in course::terms_left_out(machine, options) {

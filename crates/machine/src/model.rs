@@ -65,6 +65,8 @@ pub struct Situation<'a> {
     /// The axial cutting force, pushing the tool back is positive; `None` where the run has no such
     /// column.
     pub load_n: Option<f64>,
+    /// The feed at which the position was approached; above 0.
+    pub feed_mm_per_min: f64,
     /// Temperatures in °C by the name of their column.
     pub temperatures_c: &'a [(&'a str, f64)],
     /// X, Y and Z.
@@ -83,6 +85,7 @@ impl Situation<'_> {
         sensor_counts: f64::NAN,
         spindle_rpm: None,
         load_n: None,
+        feed_mm_per_min: f64::NAN,
         temperatures_c: &[],
         position_mm: [f64::NAN; 3],
         angle_deg: [f64::NAN; 3],

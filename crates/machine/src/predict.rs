@@ -272,6 +272,7 @@ fn nothing_is_known(machine: &Machine, columns: &Columns<'_>) -> bool {
         sensor_counts: there(&columns.sensor_counts),
         spindle_rpm: columns.spindle_rpm.map(|_| 1.0),
         load_n: columns.load_n.map(|_| 1.0),
+        feed_mm_per_min: there(&columns.feed_mm_per_min),
         temperatures_c: &temperatures,
         position_mm: columns.position_mm.each_ref().map(there),
         angle_deg: columns.angle_deg.each_ref().map(there),

@@ -1,5 +1,7 @@
 //! `[[term]]`: read, applied to the prediction, written back. Each cause's formula by hand.
 
+#[path = "terms/feed.rs"]
+mod feed;
 #[path = "terms/late.rs"]
 mod late;
 #[path = "terms/refused.rs"]
@@ -350,6 +352,12 @@ fn one_of_each() -> Vec<(&'static str, String)> {
         (AXIS, "dx", "pitch-periodic", wave),
         (AXIS, "dx", "backlash", "width_um = 3.0"),
         (AXIS, "dx", "position-dependent-backlash", "um_per_m = 3.0"),
+        (
+            AXIS,
+            "dx",
+            "feed-dependent-backlash",
+            "feeds_mm_per_min = [100.0, 1000.0]\nwidth_um = [6.0, 11.0]\nat_feed_mm_per_min = 1000.0",
+        ),
         (AXIS, "dx", "straightness", spline),
         (AXIS, "dx", "cross-axis", "axis = \"z\"\num_per_m = 3.0"),
         (AXIS, "dx", "angular-error", "lever = \"z\"\norigin_mm = -40.0\nurad_per_m = 30.0"),

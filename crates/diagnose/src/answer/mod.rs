@@ -253,10 +253,12 @@ fn without_all<'c>(
     if kept.parts.is_empty() { Model::default() } else { kept }
 }
 
-/// The model as the board runs it: without what only happened once, and what is not the machine's.
+/// The model as the board runs it: without what only happened once, and what is not the machine's; and it
+/// is not told the feed.
 fn compensated(model: &Model) -> Model {
     let mut compensated = model.clone();
     compensated.parts.retain(|part| part.kind.is_compensated());
+    compensated.parts.iter_mut().for_each(Part::forget_feed);
     if compensated.parts.is_empty() { Model::default() } else { compensated }
 }
 

@@ -52,6 +52,7 @@ fn stepped(data: &Data, runs: &[Unaided<'_>], machine: &Machine) -> Stepped {
     let angles: Vec<[Option<&[f64]>; 3]> =
         runs.iter().map(|run| ["a_deg", "b_deg", "c_deg"].map(|name| run.column(name))).collect();
     let counts: Vec<Option<&[f64]>> = runs.iter().map(|run| run.column("sensor_counts")).collect();
+    let feeds: Vec<Option<&[f64]>> = runs.iter().map(|run| run.column("feed_mm_per_min")).collect();
     let axis = data.quantity.axis().map(LinearAxis::index);
     let list = || Vec::with_capacity(data.rows);
     let mut stepped = Stepped { elongation: list(), along: list(), axis: list(), thermal: list() };
@@ -78,6 +79,7 @@ fn stepped(data: &Data, runs: &[Unaided<'_>], machine: &Machine) -> Stepped {
                 sensor_counts: of(counts[number]),
                 spindle_rpm: has_speed.then(|| at(&data.spindle_rpm, row)),
                 load_n: has_load.then(|| at(&data.load_n, row)),
+                feed_mm_per_min: of(feeds[number]),
                 temperatures_c: &temperatures,
                 position_mm: [0, 1, 2].map(|n| at(&data.position_mm[n], row)),
                 angle_deg: angles[number].map(of),

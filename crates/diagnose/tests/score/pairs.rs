@@ -24,7 +24,8 @@ const LEAST_GAIN: f64 = 0.85;
 
 /// A cause, and what is a part of it already: a table, each way one, has all that hangs on position and
 /// direction alone; another reference of a temperature or of a lever is a slope over the axis.
-const PARTS_OF: [(Hidden, Hidden); 6] = [
+const PARTS_OF: [(Hidden, Hidden); 7] = [
+    (Hidden::FeedDependentBacklash, Hidden::Backlash),
     (Hidden::PitchError, Hidden::PitchScale),
     (Hidden::PitchError, Hidden::PitchPeriodic),
     (Hidden::PitchError, Hidden::Backlash),

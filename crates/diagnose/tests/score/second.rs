@@ -97,7 +97,7 @@ fn halve(effect: &mut Effect, challenge: &Challenge) {
         *value = nothing + (*value - nothing) / 2.0;
     }
     for (name, values) in &mut effect.tables {
-        if *name != "knots_mm" {
+        if !["knots_mm", "feeds_mm_per_min"].contains(name) {
             values.iter_mut().for_each(|value| *value /= 2.0);
         }
     }

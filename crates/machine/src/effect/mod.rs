@@ -178,6 +178,7 @@ causes! {
     pitch_periodic::PitchPeriodic "The error repeats with each turn or graduation.",
     backlash::Backlash "The axis is left behind on reversal.",
     position_dependent_backlash::PositionDependentBacklash "Backlash differs along the axis.",
+    feed_dependent_backlash::FeedDependentBacklash "Backlash differs with the feed.",
     straightness::Straightness "The guide is not straight.",
     cross_axis::CrossAxis "Another axis, as it moves, tilts or shifts this one.",
     angular_error::AngularError "An axis tilts as it goes, and the tool is off by its lever.",
@@ -234,6 +235,7 @@ impl Effect {
             Input::Temperature { column, .. } => Some(column.into()),
             Input::Speed => Some("spindle_rpm".into()),
             Input::Load => Some("load_n".into()),
+            Input::Feed => Some(feed_dependent_backlash::FEED.into()),
             Input::Position(axis) => Some(format!("{}_mm", axis.name())),
             _ => None,
         }
@@ -246,8 +248,9 @@ impl Effect {
         for input in self.reads() {
             match input {
                 Input::Time => columns.push("time_s".into()),
-                // A record that is of no run is of the middle one.
-                Input::Run => {}
+                // A record that is of no run is of the middle one, and one that does not say its feed is at
+                // that which is corrected.
+                Input::Run | Input::Feed => {}
                 Input::Temperature { column, lag_s } => {
                     columns.push(column.into());
                     columns.extend((lag_s != 0.0).then(|| "time_s".into()));
@@ -304,6 +307,18 @@ impl Effect {
     #[must_use]
     pub fn is_by_direction(&self) -> bool {
         self.reads().contains(&Input::OwnDirection)
+    }
+
+    /// What of it a machine runs that is not told the feed while it corrects, as no control and no board is:
+    /// the width of one feed where it goes with the feed, else all of it.
+    #[must_use]
+    pub fn without_feed(&self) -> Self {
+        if !self.reads().contains(&Input::Feed) {
+            return self.clone();
+        }
+        let forms = self.on_board();
+        let held = forms.iter().find_map(|form| Self::from_board(None, form, &mut 0.0));
+        held.unwrap_or_else(|| self.clone())
     }
 
     /// Whether its law reads the clock.

@@ -48,6 +48,8 @@ pub enum Input<'a> {
     Speed,
     /// The axial cutting force, in N; positive where it pushes the tool back.
     Load,
+    /// The feed at which the position was approached, in mm/min; missing where the run does not say.
+    Feed,
     /// The position of the quantity's own axis, in mm.
     OwnPosition,
     /// The direction in which it was approached: +1 or −1; a missing one is +1.

@@ -77,6 +77,8 @@ pub trait Survey {
     fn is_in_use(&self, column: &str) -> bool;
     /// Whether the model has a cause of this name already.
     fn has(&self, cause: &str) -> bool;
+    /// Whether the model has added a cause of this name to what the machine file says.
+    fn adds(&self, cause: &str) -> bool;
     /// Whether the model has an error of the reference instrument already.
     fn has_instrument(&self) -> bool;
     /// Whether the model has a zero of its own.

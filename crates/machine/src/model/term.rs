@@ -96,6 +96,7 @@ fn changed(term: &Term, lag: &mut Lag, time_s: f64, situation: &Situation<'_>, p
         }
         Input::Speed => situation.spindle_rpm.unwrap_or(f64::NAN),
         Input::Load => situation.load_n.unwrap_or(f64::NAN),
+        Input::Feed => situation.feed_mm_per_min,
         Input::OwnPosition => quantity.axis().map_or(f64::NAN, of),
         Input::OwnDirection => {
             quantity.axis().map_or(1.0, |axis| situation.direction[axis.index()])

@@ -14,6 +14,7 @@ pub(super) struct Columns<'a> {
     pub(super) sensor_counts: Option<&'a [f64]>,
     pub(super) spindle_rpm: Option<&'a [f64]>,
     pub(super) load_n: Option<&'a [f64]>,
+    pub(super) feed_mm_per_min: Option<&'a [f64]>,
     pub(super) temperatures_c: Vec<(&'a str, &'a [f64])>,
     pub(super) position_mm: [Option<&'a [f64]>; 3],
     pub(super) angle_deg: [Option<&'a [f64]>; 3],
@@ -32,6 +33,7 @@ impl<'a> Columns<'a> {
             sensor_counts: run.column("sensor_counts"),
             spindle_rpm: run.column("spindle_rpm"),
             load_n: run.column("load_n"),
+            feed_mm_per_min: run.column("feed_mm_per_min"),
             temperatures_c: temperatures
                 .map(|column| (column.name.as_str(), column.values.as_slice()))
                 .collect(),
@@ -56,6 +58,7 @@ impl<'a> Columns<'a> {
             sensor_counts: at(self.sensor_counts, row),
             spindle_rpm: self.spindle_rpm.map(|speeds| at(Some(speeds), row)),
             load_n: self.load_n.map(|loads| at(Some(loads), row)),
+            feed_mm_per_min: at(self.feed_mm_per_min, row),
             temperatures_c,
             position_mm: self.position_mm.map(|values| at(values, row)),
             angle_deg: self.angle_deg.map(|values| at(values, row)),

@@ -137,6 +137,7 @@ impl<'m> Bench<'m> {
             sensor_counts: f64::from(moment.reading.0) / 128.0,
             spindle_rpm: Some(moment.rpm.into()),
             load_n: None,
+            feed_mm_per_min: f64::NAN,
             temperatures_c: &temperatures,
             position_mm: position.map(|units| f64::from(units) / UNITS_PER_MM),
             angle_deg: [a, f64::NAN, c],

@@ -67,6 +67,8 @@ pub(super) struct AxisBench {
     pub thermal: Option<ThermalLaw>,
     pub pitch: Option<PitchLaw>,
     pub backlash_um: Option<f64>,
+    /// The feeds at which positions are approached, where that is written down; else empty.
+    pub feeds_mm_per_min: Vec<f64>,
     /// The last one is the hold-out.
     pub runs: Vec<Run>,
 }
@@ -141,6 +143,7 @@ impl AxisBench {
             thermal: is_thermal.then(|| draw_thermal(causes, travel_mm, stream)),
             pitch: None,
             backlash_um: None,
+            feeds_mm_per_min: Vec::new(),
             runs: Vec::new(),
         };
         // Another axis than the measured one says nothing of these two.
@@ -179,6 +182,21 @@ impl AxisBench {
                 let reading: Vec<f64> = position.iter().map(|mm| from_mm - mm).collect();
                 table.set("instrument_mm", 4, reading);
             }
+        }
+        if has(Hidden::FeedDependentBacklash) {
+            // Each cycle at the next of a few feeds: which comes when has nothing to do with the clock.
+            let slowest = 100.0 * stream.whole(1, 5) as f64;
+            let ratio = stream.uniform(2.5, 5.0);
+            let count = stream.whole(2, 4);
+            let feeds: Vec<f64> = (0..count)
+                .map(|n| (slowest * ratio.powi(n as i32) / 10.0).round() * 10.0)
+                .collect();
+            for table in &mut tables {
+                let cycles = table.column("run").unwrap_or_default().iter();
+                let feed = cycles.map(|cycle| feeds[*cycle as usize % count]).collect::<Vec<f64>>();
+                table.set("feed_mm_per_min", 0, feed);
+            }
+            bench.feeds_mm_per_min = feeds;
         }
         if has(Hidden::DriftByRun) {
             tables = tables.iter().map(|table| without(table, "time_s")).collect();

@@ -35,6 +35,7 @@ pub(super) fn shape(cause: Hidden, bench: &AxisBench, stream: &mut Stream) -> Op
         Hidden::PositionDependentBacklash => {
             linear(cause, "um_per_m", along(&|mm, d| mm / 1000.0 * where_reverse(d)))
         }
+        Hidden::FeedDependentBacklash => by_feed(bench, stream),
         Hidden::PitchError => {
             let (start_mm, step_mm, count) = bench.grid?;
             let forward = walk(count, 1.0, stream);
@@ -136,6 +137,37 @@ pub(super) fn shape(cause: Hidden, bench: &AxisBench, stream: &mut Stream) -> Op
         // The rest is noise, or belongs to elongations; `Hidden::bases` sends none of them here.
         _ => return None,
     })
+}
+
+/// Another width at each feed, wider the faster the axis comes: its friction and its mass take up more.
+fn by_feed(bench: &AxisBench, stream: &mut Stream) -> Shape {
+    let feeds = bench.feeds_mm_per_min.clone();
+    let mut width = stream.uniform(0.0, 1.0);
+    let mut widths = vec![width];
+    for _ in 1..feeds.len() {
+        width += stream.uniform(0.6, 1.4);
+        widths.push(width);
+    }
+    let direction = format!("dir_{}", AXES[bench.error]);
+    let um = on_each(&bench.runs, |run| {
+        let rows = run.column("feed_mm_per_min").iter().zip(run.column(&direction));
+        rows.map(|(feed, direction)| {
+            let of_feed = feeds.iter().position(|there| there == feed);
+            if *direction < 0.0 { of_feed.map_or(0.0, |number| widths[number]) } else { 0.0 }
+        })
+        .collect()
+    });
+    Shape {
+        column: Some("feed_mm_per_min".into()),
+        at: Box::new(move |factor| Named {
+            parameters: Vec::new(),
+            tables: vec![
+                ("feeds_mm_per_min", feeds.clone()),
+                ("width_um", widths.iter().map(|um| factor * um).collect()),
+            ],
+        }),
+        ..linear(Hidden::FeedDependentBacklash, "", um)
+    }
 }
 
 /// What the axis's heat does otherwise than believed.

@@ -118,6 +118,8 @@ causes! {
     Backlash = "backlash", Compensated, [AxisGeometry];
     /// p + c·P/1000 where d < 0: a width that changes along the axis by c in µm/m.
     PositionDependentBacklash = "position-dependent-backlash", Compensated, [AxisGeometry];
+    /// p + w(F) where d < 0: a width for each feed F at which positions are approached.
+    FeedDependentBacklash = "feed-dependent-backlash", Compensated, [AxisGeometry];
     /// p + a smooth curve over the position of another axis, its best straight line taken out.
     Straightness = "straightness", Compensated, [AxisGeometry];
     /// p + c·P_other/1000: the position of another axis in mm, c in µm/m.
