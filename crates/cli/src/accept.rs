@@ -10,7 +10,7 @@ use clap::Args;
 use trueup_accept::{Acceptance, Limits, accept};
 use trueup_machine::{MachineFile, file};
 
-use crate::{Outcome, UserError, diagnose::Quantity, output, runs};
+use crate::{Outcome, UserError, diagnose::Quantity, files, output, report};
 
 /// Compares a run without compensation with one with it, and says which constant to change by how much.
 ///
@@ -46,17 +46,17 @@ fn percent(text: &str) -> Result<f64, String> {
 }
 
 pub fn run(args: &Accept, as_json: bool) -> Result<Outcome> {
-    let (off, on) = (runs::read_and_warn(&args.off)?, runs::read_and_warn(&args.on)?);
+    let (off, on) = (files::run(&args.off, None)?, files::run(&args.on, None)?);
     let source = args.machine.as_deref().map(MachineFile::read_text).transpose()?;
     let believed = match (&source, &args.machine) {
-        (Some(source), Some(path)) => Some((source.as_str(), MachineFile::parse(source, path)?)),
+        (Some(source), Some(path)) => Some((source.as_str(), files::parsed(source, path)?)),
         _ => None,
     };
     let limits = Limits { require_percent: args.require, limit_um: args.limit_um };
     let quantity: Option<file::Quantity> = args.quantity.map(Quantity::of_machine);
     let believed = believed.as_ref().map(|(source, machine)| (*source, machine));
     let acceptance = accept(&off, &on, quantity, believed, limits)?;
-    acceptance.notes.iter().for_each(|note| eprintln!("warning: {note}"));
+    acceptance.notes.iter().for_each(report::warn);
     let name = believed.map_or("the compensation", |(_, machine)| machine.name.as_str());
     write(args, &acceptance, name)?;
     if as_json {

@@ -13,7 +13,7 @@ use trueup_machine::file;
 use crate::{
     Outcome, UserError,
     diagnose::{Quantity, above_zero},
-    output, runs,
+    files, output,
 };
 
 /// Compares two runs of one program place by place: unloaded against cut, this year against last.
@@ -43,7 +43,7 @@ const LISTED: usize = 12;
 
 /// Compares the two runs.
 pub fn run(args: &Compare, as_json: bool) -> Result<Outcome> {
-    let (a, b) = (runs::read_and_warn(&args.a)?, runs::read_and_warn(&args.b)?);
+    let (a, b) = (files::run(&args.a, None)?, files::run(&args.b, None)?);
     let quantity: Option<file::Quantity> = args.quantity.map(Quantity::of_machine);
     let it = compare(&a, &b, quantity)?;
     let json = serde_json::to_string_pretty(&it)?;

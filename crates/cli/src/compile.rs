@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::Args;
 use serde_json::json;
-use trueup_machine::{MachineFile, compile};
+use trueup_machine::{check::corrects_nothing, compile};
 
-use crate::{Outcome, output};
+use crate::{Outcome, files, output, report};
 
 #[derive(Args)]
 pub struct Compile {
@@ -22,8 +22,11 @@ pub struct Compile {
 /// Compiles the machine file.
 pub fn run(args: &Compile, as_json: bool) -> Result<Outcome> {
     let Compile { machine, output: to } = args;
-    let read = MachineFile::read(machine)?;
+    let read = files::machine(machine)?;
     let compiled = compile(&read)?;
+    if let Some(nothing) = corrects_nothing(&read) {
+        report::in_short(machine, &[nothing]);
+    }
     let blob = compiled.blob();
     output::write_whole(to, &[machine], |out| out.write_all(blob))?;
 

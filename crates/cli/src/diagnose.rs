@@ -17,7 +17,7 @@ use trueup_machine::{
     file,
 };
 
-use crate::{Outcome, UserError, output, runs};
+use crate::{Outcome, UserError, files, output, report};
 
 /// Shows what the machine file gets wrong, names the cause, and writes the machine file with it.
 ///
@@ -74,10 +74,10 @@ pub fn above_zero(text: &str) -> Result<f64, String> {
 
 pub fn run(args: &Diagnose, as_json: bool) -> Result<Outcome> {
     let source = MachineFile::read_text(&args.machine)?;
-    let mut machine = MachineFile::parse(&source, &args.machine)?;
+    let mut machine = files::parsed(&source, &args.machine)?;
     machine.instrument_um = args.instrument_um.or(machine.instrument_um);
     let read = |paths: &[PathBuf]| -> Result<Vec<RunFile>> {
-        paths.iter().map(|path| Ok(runs::read(path)?)).collect()
+        paths.iter().map(|path| Ok(files::run_of_known_names(path, &machine)?)).collect()
     };
     let (runs, holdout) = (read(&args.runs)?, read(&args.holdout)?);
     fs::create_dir_all(&args.out)
@@ -95,7 +95,7 @@ pub fn run(args: &Diagnose, as_json: bool) -> Result<Outcome> {
     bar.finish_and_clear();
     let diagnosis = diagnosis?;
     for note in &diagnosis.report.notes {
-        eprintln!("warning: {note}");
+        report::warn(note);
     }
     write(args, &diagnosis, &machine.name, &source)?;
     print(args, &diagnosis, as_json)?;
@@ -120,7 +120,7 @@ fn write(args: &Diagnose, diagnosis: &Diagnosis, name: &str, source: &str) -> Re
     if let Some(BadInput { rule, .. }) =
         refused(&MachineFile::parse(source, &args.machine)?, &MachineFile::parse(&extended, &path)?)
     {
-        eprintln!("warning: trueup compile will refuse {}: {rule}", path.display());
+        report::warn(format_args!("trueup compile will refuse {}: {rule}", path.display()));
     }
     let texts = [
         ("diagnosis.json", diagnosis.json()? + "\n"),

@@ -12,9 +12,8 @@ use serde_json::{Value, json};
 use trueup_export::{
     ExportedTable, Format, LeftOut, Options, Report, Units, export, fanuc::Series,
 };
-use trueup_machine::MachineFile;
 
-use crate::{Outcome, UserError, output};
+use crate::{Outcome, UserError, files, output};
 
 /// Turns a machine file into what another control loads, reads it back, and says how well it fits.
 ///
@@ -84,7 +83,7 @@ enum Unit {
 
 /// Exports the machine file into the folder.
 pub fn run(args: &Export, as_json: bool) -> Result<Outcome> {
-    let machine = MachineFile::read(&args.machine)?;
+    let machine = files::machine(&args.machine)?;
     let options = options(args)?;
     let format = match args.format {
         Control::Siemens840d => Format::Siemens840d,

@@ -29,7 +29,7 @@ use self::args::{
     Backlash, By, Common, Elongation, Kind, Method, Mode, Pitch, ReferenceLine, Straightness,
     Thermal, Warmup, Ways,
 };
-use crate::{Outcome, UserError, output, runs};
+use crate::{Outcome, UserError, files, output, runs};
 
 /// The files that were read.
 struct Input {
@@ -78,15 +78,15 @@ impl Input {
             None => None,
             Some(path) => {
                 let text = MachineFile::read_text(path)?;
-                let machine = MachineFile::parse(&text, path)?;
+                let machine = files::parsed(&text, path)?;
                 Some((path.clone(), text, machine))
             }
         };
         let read = |path: &PathBuf| -> Result<Unaided<'static>> {
-            let run = runs::read_and_warn(path)?;
             let machine = machine.as_ref().map(|(_, _, machine)| machine);
+            let run = files::run(path, machine)?;
             let (run, notes) = Unaided::of(Cow::Owned(run), machine, None)?;
-            notes.iter().for_each(|note| eprintln!("warning: {note}"));
+            notes.iter().for_each(crate::report::warn);
             Ok(run)
         };
         let runs = common.run.iter().map(read).collect::<Result<_, _>>()?;
@@ -122,10 +122,10 @@ impl Input {
         } else {
             format!(": the run lacks {}", missing_columns.join(", "))
         };
-        eprintln!(
-            "warning: {}: the other sections of the machine file are not subtracted{lacks}",
+        crate::report::warn(format_args!(
+            "{}: the other sections of the machine file are not subtracted{lacks}",
             run.path().display()
-        );
+        ));
         Ok(None)
     }
 }
@@ -262,7 +262,7 @@ fn warn_of_slopes(input: &Input, text: &str, path: &Path) -> Result<()> {
         None => MachineFile::parse(&format!("{HEAD}{text}"), path)?,
     };
     if let Err(BadInput { rule, .. }) = check_slopes(&machine) {
-        eprintln!("warning: trueup compile will refuse {}: {rule}", path.display());
+        crate::report::warn(format_args!("trueup compile will refuse {}: {rule}", path.display()));
     }
     Ok(())
 }

@@ -21,9 +21,9 @@ use trueup_linuxcnc::{
     offsets,
     run::{self, Settings},
 };
-use trueup_machine::{MachineFile, compile, file::LinearAxis, model::over_compensation_um};
+use trueup_machine::{compile, file::LinearAxis, model::over_compensation_um};
 
-use crate::{Outcome, UserError};
+use crate::{Outcome, UserError, files};
 
 /// Turns of the loop in a servo cycle: a step is seen to be taken soon after it was.
 const TURNS_PER_CYCLE: f64 = 2.5;
@@ -109,7 +109,7 @@ impl Log {
 pub fn run(args: &LinuxCnc) -> Result<Outcome> {
     let mut log = Log::open(args.log.as_deref())?;
     let port = Port::parse(&args.port)?;
-    let machine = args.machine.as_ref().map(|path| MachineFile::read(path)).transpose()?;
+    let machine = args.machine.as_ref().map(|path| files::machine(path)).transpose()?;
     let against_um = LinearAxis::ALL
         .map(|axis| machine.as_ref().map(|machine| over_compensation_um(machine, axis)));
     let compiled = machine.as_ref().map(compile).transpose();

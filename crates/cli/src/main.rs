@@ -13,19 +13,23 @@
 
 mod accept;
 mod bridge;
+mod check;
 mod compare;
 mod compile;
 mod diagnose;
 mod export;
+mod files;
 mod fit;
 mod gateway;
 mod linuxcnc;
 mod output;
 mod predict;
 mod program;
+mod report;
 mod runs;
 mod show;
 mod simulate;
+mod summary;
 mod trend;
 
 use std::{path::PathBuf, process::ExitCode};
@@ -35,6 +39,8 @@ use clap::{Parser, Subcommand};
 use trueup_client::Unusable;
 use trueup_machine::BadInput;
 
+use report::Manner;
+
 /// Errors of a machine tool: what the model predicts, and what the bridge compensates.
 #[derive(Parser)]
 #[command(name = "trueup", version, propagate_version = true)]
@@ -42,6 +48,12 @@ struct Cli {
     /// Print JSON instead of text.
     #[arg(long, global = true)]
     json: bool,
+    /// Say errors alone, no warnings.
+    #[arg(short, long, global = true)]
+    quiet: bool,
+    /// Say more: what a machine file will do, before it is used.
+    #[arg(short, long, global = true, conflicts_with = "quiet")]
+    verbose: bool,
     #[command(subcommand)]
     command: Command,
 }
@@ -52,6 +64,7 @@ enum Command {
     Predict(predict::Predict),
     /// Turns a machine file into the calibration that the bridge stores.
     Compile(compile::Compile),
+    Check(check::Check),
     Compare(compare::Compare),
     Accept(accept::Accept),
     Diagnose(diagnose::Diagnose),
@@ -104,20 +117,24 @@ impl std::error::Error for UserError {}
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
+    report::set(Manner { json: cli.json, quiet: cli.quiet, verbose: cli.verbose });
     match run(&cli) {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::NotMet) => ExitCode::from(3),
-        Err(error)
-            if error.is::<BadInput>() || error.is::<UserError>() || error.is::<Unusable>() =>
-        {
-            // Alone on its line and without a word before it, so that `file:line:column` is a link.
-            eprintln!("{error}");
-            ExitCode::from(2)
-        }
-        Err(error) => {
-            eprintln!("error: {error:#}");
-            ExitCode::from(1)
-        }
+        Err(error) => match error.downcast::<BadInput>() {
+            Ok(error) => {
+                report::bad_input(error);
+                ExitCode::from(2)
+            }
+            Err(error) if error.is::<UserError>() || error.is::<Unusable>() => {
+                report::error(error);
+                ExitCode::from(2)
+            }
+            Err(error) => {
+                report::error(format_args!("{error:#}"));
+                ExitCode::from(1)
+            }
+        },
     }
 }
 
@@ -125,6 +142,7 @@ fn run(cli: &Cli) -> Result<Outcome> {
     match &cli.command {
         Command::Predict(args) => predict::run(args, cli.json),
         Command::Compile(args) => compile::run(args, cli.json),
+        Command::Check(args) => check::run(args, cli.json),
         Command::Compare(args) => compare::run(args, cli.json),
         Command::Accept(args) => accept::run(args, cli.json),
         Command::Diagnose(args) => diagnose::run(args, cli.json),

@@ -5,12 +5,9 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use clap::Args;
 use serde_json::json;
-use trueup_machine::{
-    MachineFile,
-    predict::{Predictor, Written},
-};
+use trueup_machine::predict::{Predictor, Written};
 
-use crate::{Outcome, output, runs};
+use crate::{Outcome, files, output, report, runs};
 
 #[derive(Args)]
 pub struct Predict {
@@ -28,18 +25,21 @@ pub struct Predict {
 /// Predicts the run by the machine file.
 pub fn run(args: &Predict, as_json: bool) -> Result<Outcome> {
     let Predict { machine: machine_path, run: run_path, output: to } = args;
-    let machine = MachineFile::read(machine_path)?;
-    let run = runs::read_and_warn(run_path)?;
+    let machine = files::machine(machine_path)?;
+    let run = files::run(run_path, Some(&machine))?;
     let predictor = Predictor::new(&machine, &run)?;
     if let Some(why) = predictor.why_no_bridge() {
-        eprintln!("warning: {}: the bridge's columns stay empty: {why}", machine_path.display());
+        report::warn(format_args!(
+            "{}: the bridge's columns stay empty: {why}",
+            machine_path.display()
+        ));
     }
     if !predictor.missing_columns().is_empty() {
-        eprintln!(
-            "warning: {}: the run lacks these columns, and what depends on them stays empty: {}",
+        report::warn(format_args!(
+            "{}: the run lacks these columns, and what depends on them stays empty: {}",
             run_path.display(),
             predictor.missing_columns().join(", ")
-        );
+        ));
     }
     let bar = runs::progress("writing", run.rows() as u64, runs::bytes(run_path));
     let written = output::write_whole(to, &[machine_path, run_path], |out| {
@@ -52,7 +52,9 @@ pub fn run(args: &Predict, as_json: bool) -> Result<Outcome> {
 fn report(written: &Written, to: &Path, as_json: bool) -> Result<Outcome> {
     if let Some(place) = &written.first_out_of_range {
         let rows = written.rows_out_of_range;
-        eprintln!("warning: {place}: sensor_counts is outside the input's range in {rows} rows");
+        report::warn(format_args!(
+            "{place}: sensor_counts is outside the input's range in {rows} rows"
+        ));
     }
     if as_json {
         output::print(json!({

@@ -5,10 +5,10 @@ use std::{fs, path::PathBuf};
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use serde_json::json;
-use trueup_machine::{MachineFile, file::LinearAxis};
+use trueup_machine::file::LinearAxis;
 use trueup_program::{Gauge, Kind, Options, control, plans, template};
 
-use crate::{Outcome, UserError, output};
+use crate::{Outcome, UserError, files, output, report};
 
 /// Writes the program that measures a machine, for your control, and the run file to be filled in.
 ///
@@ -111,7 +111,7 @@ enum Axis {
 
 /// Writes the programs of a kind.
 pub fn run(args: &Program, as_json: bool) -> Result<Outcome> {
-    let machine = MachineFile::read(&args.machine)?;
+    let machine = files::machine(&args.machine)?;
     let kind = match args.kind {
         What::Backlash => Kind::Backlash,
         What::Pitch => Kind::Pitch,
@@ -128,7 +128,7 @@ pub fn run(args: &Program, as_json: bool) -> Result<Outcome> {
     };
     let (plans, notes) = plans(kind, &machine, &options(args)?)
         .map_err(|refused| UserError(format!("{}: {refused}", args.machine.display())))?;
-    notes.iter().for_each(|note| eprintln!("warning: {note}"));
+    notes.iter().for_each(report::warn);
     fs::create_dir_all(&args.out)
         .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
     let mut written = Vec::new();

@@ -18,13 +18,6 @@ pub fn read(path: &Path) -> Result<RunFile, BadInput> {
     run
 }
 
-/// The same, with what the user is to be told of its columns said on standard error.
-pub fn read_and_warn(path: &Path) -> Result<RunFile, BadInput> {
-    let run = read(path)?;
-    run.warnings().for_each(|warning| eprintln!("warning: {warning}"));
-    Ok(run)
-}
-
 /// The size of the run; 0 where it is not a plain file.
 pub fn bytes(path: &Path) -> u64 {
     path.metadata().map_or(0, |metadata| metadata.len())

@@ -7,7 +7,7 @@ use serde_json::json;
 use trueup_machine::show;
 use trueup_store::calibration::{decode, whole};
 
-use crate::{Outcome, UserError, output};
+use crate::{Outcome, UserError, output, report};
 
 /// Prints the calibration in the file `from`.
 pub fn run(from: &Path, as_json: bool) -> Result<Outcome> {
@@ -16,12 +16,15 @@ pub fn run(from: &Path, as_json: bool) -> Result<Outcome> {
     let calibration = decode(&bytes).map_err(|error| bad(error.to_string()))?;
     let more = bytes.len() - whole(&bytes).map_or(bytes.len(), <[u8]>::len);
     if more > 0 {
-        eprintln!("warning: {}: {more} bytes after the calibration are ignored", from.display());
+        report::warn(format_args!(
+            "{}: {more} bytes after the calibration are ignored",
+            from.display()
+        ));
     }
     let shown = show::show(&calibration);
     let not_met = shown.largest_difference_nm.as_ref().err();
     if let Some(reason) = not_met {
-        eprintln!("warning: {}: does not compile back: {reason}", from.display());
+        report::warn(format_args!("{}: does not compile back: {reason}", from.display()));
     }
     if as_json {
         output::print(json!({

@@ -5,9 +5,8 @@ use std::{fs, path::PathBuf};
 use anyhow::Result;
 use clap::Args;
 use trueup_compare::{dated, page, trend::trends};
-use trueup_machine::MachineFile;
 
-use crate::{Outcome, UserError, diagnose::above_zero, output, runs};
+use crate::{Outcome, UserError, diagnose::above_zero, files, output, report};
 
 /// Shows how backlash, pitch and other constants change over dated run files or machine files, and when to
 /// measure again.
@@ -42,15 +41,15 @@ pub fn run(args: &Trend, as_json: bool) -> Result<Outcome> {
             continue;
         }
         let Some(day) = dated::day_of(&name) else {
-            eprintln!("warning: {name}: passed over, its name has no date like 2026-11-22");
+            report::warn(format_args!("{name}: passed over, its name has no date like 2026-11-22"));
             continue;
         };
         let constants = match kind.as_str() {
-            "toml" => dated::of_machine(&MachineFile::read(&path)?),
-            _ => dated::of_run(&runs::read_and_warn(&path)?),
+            "toml" => dated::of_machine(&files::machine(&path)?),
+            _ => dated::of_run(&files::run(&path, None)?),
         };
         if constants.is_empty() {
-            eprintln!("warning: {name}: passed over, it has no backlash, pitch or growth");
+            report::warn(format_args!("{name}: passed over, it has no backlash, pitch or growth"));
             continue;
         }
         days.push((day, constants));

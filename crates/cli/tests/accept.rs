@@ -65,7 +65,7 @@ fn runs_that_cannot_be_compared_are_refused_with_their_place() {
     put("on.csv", &run(0.05).replace("elongation", "dx"));
     let (code, _, said) = accept(folder.path(), &[]);
     assert_eq!(code, Some(2), "{said}");
-    assert!(said.starts_with("on.csv:1:1:") && said.contains("measures nothing"), "{said}");
+    assert!(said.contains("--> on.csv:1:1\n") && said.contains("measures nothing"), "{said}");
     // A spindle that did not turn alike is told.
     put("on.csv", &run(0.05).replace(",12000,", ",6000,"));
     let (_, _, said) = accept(folder.path(), &[]);

@@ -31,7 +31,7 @@ fn limited(desk: &Desk, line: &str) -> Output {
 /// What the command says of a file that it must refuse.
 fn refused(desk: &Desk, line: &str) -> String {
     let output = limited(desk, line);
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    let said = desk::in_one_line(&String::from_utf8_lossy(&output.stderr));
     assert_eq!(output.status.code(), Some(2), "{line}: {said}");
     said
 }

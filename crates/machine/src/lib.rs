@@ -14,12 +14,14 @@
 //! | [`applied`] | what a bridge applied while a run was measured, taken out again |
 //! | [`model`] | the reference: what the model says of a run, row by row, in `f64` |
 //! | [`compile`](mod@compile) | a [`Machine`] in the integers of the board, and back |
+//! | [`check`] | what a file will do, and what in it is unlikely to be meant |
 //! | [`show`] | a calibration written as a machine file |
 //! | [`predict`] | a run with what the model and the board's integers say of each row |
 #![forbid(unsafe_code)]
 
 pub mod applied;
 pub mod bounded;
+pub mod check;
 pub mod compile;
 pub mod effect;
 pub mod file;

@@ -69,18 +69,44 @@ pub struct BadInput {
     pub place: Location,
     /// The rule that is broken, with the name and the value at fault.
     pub rule: String,
+    /// What to do about it, a sentence without its full stop, where there is more to say than the rule.
+    pub help: Option<String>,
+    /// What else is wrong with the same file, in the order of its lines; none of them has others.
+    pub others: Vec<BadInput>,
 }
 
 impl BadInput {
     /// `rule` is broken at `place`.
     #[must_use]
     pub fn new(place: Location, rule: impl Into<String>) -> Self {
-        Self { place, rule: rule.into() }
+        Self { place, rule: rule.into(), help: None, others: Vec::new() }
+    }
+
+    /// The same, with what to do about it.
+    #[must_use]
+    pub fn with_help(self, help: impl Into<String>) -> Self {
+        Self { help: Some(help.into()), ..self }
+    }
+
+    /// All of these as one: the first in the file, with the others; `None` where there are none.
+    #[must_use]
+    pub fn gathered(errors: impl IntoIterator<Item = Self>) -> Option<Self> {
+        let mut errors: Vec<Self> = errors.into_iter().flat_map(Self::one_by_one).collect();
+        errors.sort_by_key(|error| (error.place.line, error.place.column));
+        let mut errors = errors.into_iter();
+        let first = errors.next()?;
+        Some(Self { others: errors.collect(), ..first })
+    }
+
+    /// It, and each of the others, alone.
+    pub fn one_by_one(mut self) -> impl Iterator<Item = Self> {
+        let others = std::mem::take(&mut self.others);
+        std::iter::once(self).chain(others)
     }
 }
 
 impl Display for BadInput {
-    /// One line, whatever the user's text in the rule contains.
+    /// One line, whatever the user's text in the rule contains; without help and others.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}: ", self.place)?;
         for c in self.rule.chars() {

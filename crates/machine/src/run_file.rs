@@ -12,6 +12,7 @@
 mod cells;
 mod clock;
 mod fields;
+mod known;
 mod line;
 mod meant;
 mod places;
@@ -32,6 +33,8 @@ use cells::Cells;
 use fields::{BadQuote, Fields, separator_of};
 use line::Line;
 use places::Places;
+
+pub use known::{KNOWN_COLUMNS, KnownColumn, is_known_column};
 
 /// The longest run file that is read, in bytes: a million rows of fifty numbers of twenty digits.
 pub const MOST_BYTES: u64 = 1 << 30;
@@ -202,12 +205,13 @@ impl RunFile {
         })
     }
 
-    /// What the user is to be told of the columns: names that look like a known one, a sentence each,
-    /// with its place.
-    pub fn warnings(&self) -> impl Iterator<Item = String> {
+    /// Names of columns that look like a known one, each with its place and what was probably meant.
+    pub fn slips(&self) -> impl Iterator<Item = BadInput> {
         self.slips.iter().map(|Slip { name, meant, column }| {
-            let place = self.header_column(*column);
-            format!("{place}: {name} is no column that is known; did you mean {meant}?")
+            let rule = format!("{name} is no column that is known; did you mean {meant}?");
+            let help =
+                format!("give it as {meant}, in that unit; else it is only a possible explanation");
+            BadInput::new(self.header_column(*column), rule).with_help(help)
         })
     }
 

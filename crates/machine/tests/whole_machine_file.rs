@@ -170,6 +170,7 @@ fn every_key_of_the_example_arrives_in_its_field() {
     let x = AxisModel {
         feedback: Feedback::Screw,
         travel_mm: None,
+        rapid_mm_per_min: None,
         thermal: Some(thermal),
         pitch: Some(pitch([0.0, 1.5, 2.0], Some([0.5, 2.0, 2.5]))),
         backlash: None,

@@ -13,7 +13,7 @@ const LISTED_ROWS: usize = 20;
 /// Prints what was found: warnings on standard error, the rest as text or JSON.
 pub fn print(report: &Report, common: &Common, written: bool, as_json: bool) -> Result<()> {
     for warning in &report.warnings {
-        eprintln!("warning: {warning}");
+        crate::report::warn(warning);
     }
     if as_json {
         return output::print(json_of(report, common, written));

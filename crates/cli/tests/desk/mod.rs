@@ -62,12 +62,36 @@ impl Desk {
             .expect("the tool was built for this test")
     }
 
-    /// Standard output and standard error of a run that must end with `code`.
+    /// Standard output and standard error of a run that must end with `code`; where that is 2, each error in
+    /// one line, as [`in_one_line`] has it.
     pub fn said(&self, line: &str, code: i32) -> (String, String) {
         let output = self.trueup(line);
         let text = |bytes| String::from_utf8(bytes).expect("the tool prints UTF-8");
         let (out, err) = (text(output.stdout), text(output.stderr));
         assert_eq!(output.status.code(), Some(code), "{line}: {out}{err}");
-        (out, err)
+        (out, if code == 2 { in_one_line(&err) } else { err })
     }
+}
+
+/// What was said, with `file:line:column: rule` for the error, its place and its line with a caret; the
+/// form itself is tested in `check.rs`.
+pub fn in_one_line(said: &str) -> String {
+    let mut lines: Vec<String> = Vec::new();
+    for line in said.lines() {
+        let before = lines.last().and_then(|line| line.strip_prefix("error: "));
+        if let (Some(rule), Some(place)) = (before, line.trim_start().strip_prefix("--> ")) {
+            let told = format!("{place}: {rule}");
+            lines.pop();
+            lines.push(told);
+        } else {
+            lines.push(line.to_string());
+        }
+    }
+    let is_drawn = |line: &str| {
+        let line = line.trim_start_matches([' ', '0', '1', '2', '3', '4', '5', '6', '7', '8', '9']);
+        line.starts_with('|') || line.starts_with("= help:")
+    };
+    // An error without a line of a file has none but its sentence.
+    let rest = lines.iter().filter(|line| !is_drawn(line));
+    rest.map(|line| line.strip_prefix("error: ").unwrap_or(line).to_string() + "\n").collect()
 }

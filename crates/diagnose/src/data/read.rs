@@ -154,7 +154,7 @@ fn without_bridge<'r>(
     let mut notes = Vec::new();
     let mut taken_out = |run: &'r RunFile| {
         let (run, told) = Unaided::of(Cow::Borrowed(run), Some(machine), Some(quantity))?;
-        notes.extend(run.warnings());
+        notes.extend(run.slips().map(|slip| slip.to_string()));
         notes.extend(told);
         Ok(run)
     };

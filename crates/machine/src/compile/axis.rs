@@ -122,6 +122,7 @@ pub(super) fn inverse(axis: &calibration::AxisModel<'_>) -> file::AxisModel {
     file::AxisModel {
         feedback: Feedback::Screw,
         travel_mm: None,
+        rapid_mm_per_min: None,
         thermal: thermal.as_ref().map(heat::inverse_of_axis),
         pitch: pitch.as_ref().map(pitch::inverse),
         backlash: has_backlash.then(|| Backlash {

@@ -67,6 +67,9 @@ pub struct AxisModel {
     /// How far it may be sent, in mm of machine coordinates, the lower end first; `None`: not
     /// known. For programs that measure; no correction depends on it.
     pub travel_mm: Option<[f64; 2]>,
+    /// Its rapid traverse in mm a minute, above 0; `None`: not known. What the slew limit is held
+    /// against; no correction depends on it.
+    pub rapid_mm_per_min: Option<f64>,
     /// How it grows with a temperature.
     pub thermal: Option<Thermal>,
     /// Its position errors; of the first of two drives where there is a `dual`.
@@ -231,11 +234,20 @@ pub(super) fn read(section: &Section<'_>) -> Result<[AxisModel; 3], BadInput> {
 }
 
 fn read_axis(section: &Section<'_>, of: LinearAxis) -> Result<AxisModel, BadInput> {
-    section.allow_only(&["feedback", "travel_mm", "thermal", "pitch", "backlash", "dual"])?;
+    section.allow_only(&[
+        "feedback",
+        "travel_mm",
+        "rapid_mm_per_min",
+        "thermal",
+        "pitch",
+        "backlash",
+        "dual",
+    ])?;
     let feedbacks = [("screw", Feedback::Screw), ("scale", Feedback::Scale)];
     let axis = AxisModel {
         feedback: section.choice("feedback", &feedbacks)?.unwrap_or_default(),
         travel_mm: read_travel(section)?,
+        rapid_mm_per_min: section.positive("rapid_mm_per_min")?,
         thermal: section.section("thermal")?.map(|thermal| read_thermal(&thermal)).transpose()?,
         pitch: section.section("pitch")?.map(|pitch| read_pitch_alone(&pitch)).transpose()?,
         backlash: section.section("backlash")?.map(|lash| read_backlash(&lash)).transpose()?,
@@ -385,13 +397,16 @@ pub(super) fn write(axis: &AxisModel, of: LinearAxis) -> Vec<NewSection> {
     let name = format!("axis.{}", of.name());
     let mut sections = Vec::new();
     let is_scale = axis.feedback == Feedback::Scale;
-    if is_scale || axis.travel_mm.is_some() {
+    if is_scale || axis.travel_mm.is_some() || axis.rapid_mm_per_min.is_some() {
         let mut own = NewSection::new(&name);
         if is_scale {
             own = own.text("feedback", "scale");
         }
         if let Some(ends) = axis.travel_mm {
             own = own.numbers("travel_mm", &ends[..]);
+        }
+        if let Some(rapid) = axis.rapid_mm_per_min {
+            own = own.number("rapid_mm_per_min", rapid);
         }
         sections.push(own);
     }

@@ -63,7 +63,7 @@ fn times_of_day_are_seconds_from_the_first() {
             assert_eq!(time_s[..1], [Some(0.0)], "{name} {times:?}");
             assert!((time_s[1].expect("a time") - 1.5).abs() < 1e-9, "{times:?}");
             assert_eq!(time_s[2..], [None, Some(2.0)], "{times:?}");
-            assert_eq!((run.columns().len(), run.warnings().count()), (2, 0));
+            assert_eq!((run.columns().len(), run.slips().count()), (2, 0));
         }
     }
     // A second clock counts from the same instant; beside seconds a time of day says nothing new.
@@ -76,7 +76,7 @@ fn times_of_day_are_seconds_from_the_first() {
 #[test]
 fn a_column_that_looks_like_a_known_one_is_told() {
     let run = parse("time_s,X (mm),measured_dz_mm,flow\n0,1,2,3\n");
-    let warnings: Vec<String> = run.warnings().collect();
+    let warnings: Vec<String> = run.slips().map(|slip| slip.to_string()).collect();
     assert_eq!(
         warnings,
         [
@@ -90,7 +90,7 @@ fn a_column_that_looks_like_a_known_one_is_told() {
         "{bad}"
     );
     // Where the known one is there as well, it is something else.
-    assert_eq!(parse("x_mm,x_um\n1,1000\n").warnings().count(), 0);
+    assert_eq!(parse("x_mm,x_um\n1,1000\n").slips().count(), 0);
 }
 
 #[test]

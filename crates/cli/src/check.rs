@@ -1,0 +1,143 @@
+//! `trueup check`: what machine files and runs will do, and what in them is unlikely to be meant.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+use clap::Args;
+use serde_json::{Value, json};
+use trueup_machine::{
+    Machine, MachineFile, RunFile,
+    check::{self, AxisSummary, Summary, Warning},
+    run_file::is_known_column,
+};
+
+use crate::{Outcome, output, report, runs, summary};
+
+/// Says what machine files and run files will do, and what in them looks wrong.
+///
+/// A run is held against the machine file that is given with it.
+///
+/// Exit 3: something looks wrong.
+#[derive(Args)]
+#[command(after_help = "Examples:
+  trueup check machine.toml
+  trueup check machine.toml run1.csv run2.csv
+  trueup check *.csv --machine machine.toml --json")]
+pub struct Check {
+    /// Machine files (.toml) and run files.
+    #[arg(value_name = "FILE", required = true)]
+    files: Vec<PathBuf>,
+    /// The machine file that the runs are held against; by default the only one among FILE.
+    #[arg(short, long, value_name = "M.toml")]
+    machine: Option<PathBuf>,
+}
+
+/// Checks each file.
+pub fn run(args: &Check, as_json: bool) -> Result<Outcome> {
+    let is_machine = |path: &&PathBuf| path.extension().is_some_and(|kind| kind == "toml");
+    let (machines, run_files): (Vec<_>, Vec<_>) = args.files.iter().partition(is_machine);
+    let only = match &machines[..] {
+        [path] => Some(*path),
+        _ => None,
+    };
+    let beside = match args.machine.as_ref().or(only) {
+        Some(path) if !run_files.is_empty() => Some(MachineFile::read(path)?),
+        _ => None,
+    };
+    let mut told = Vec::new();
+    let mut doubts = 0;
+    for path in &args.files {
+        let (warnings, summary) = if is_machine(&path) {
+            of_machine(path, &MachineFile::read(path)?, as_json)?
+        } else {
+            of_run(path, &runs::read(path)?, beside.as_ref(), as_json)?
+        };
+        doubts += warnings.len();
+        if as_json {
+            let object =
+                |it: &Warning| report::object("warning", &it.what, Some(&it.place), Some(&it.help));
+            let warnings: Vec<Value> = warnings.iter().map(object).collect();
+            told.push(json!({
+                "file": path.to_string_lossy(), "does": summary, "warnings": warnings
+            }));
+        } else {
+            warnings.iter().for_each(report::warning);
+        }
+    }
+    if as_json {
+        output::print(Value::from(told))?;
+    } else {
+        output::print(match doubts {
+            0 => "nothing looks wrong".to_string(),
+            1 => "1 thing looks wrong".to_string(),
+            doubts => format!("{doubts} things look wrong"),
+        })?;
+    }
+    Ok(if doubts == 0 { Outcome::Done } else { Outcome::NotMet })
+}
+
+fn of_machine(path: &Path, machine: &Machine, as_json: bool) -> Result<(Vec<Warning>, Value)> {
+    let mut warnings = check::machine(machine);
+    let summary = Summary::of(machine);
+    // Without [inputs] it is a file to predict with, and no board is meant.
+    if let (Err(error), true) = (&summary.bytes, machine.inputs.is_some()) {
+        warnings.push(Warning {
+            place: error.place.clone(),
+            what: format!("no board can run this: {}", error.rule),
+            help: error.help.clone().unwrap_or_else(|| "`trueup compile` refuses it".into()),
+        });
+    }
+    if !as_json {
+        output::print(format_args!(
+            "{}: {}",
+            path.display(),
+            summary::in_words(machine, &summary)
+        ))?;
+    }
+    Ok((warnings, in_numbers(machine, &summary)))
+}
+
+fn in_numbers(machine: &Machine, summary: &Summary) -> Value {
+    let axis = |axis: &AxisSummary| {
+        let parts = axis.parts.iter().map(|it| json!({"key": it.key, "largest_um": it.largest_um}));
+        let parts: Vec<Value> = parts.collect();
+        json!({
+            "axis": axis.axis.name(),
+            "largest_um": axis.largest_um(),
+            "limit_um": axis.limit_um,
+            "parts": parts,
+        })
+    };
+    json!({
+        "machine": machine.name,
+        "kind": machine.kind.name(),
+        "axes": summary.axes.iter().map(axis).collect::<Vec<Value>>(),
+        "slew_um_per_s": summary.slew_um_per_s,
+        "slowest_rapid_mm_per_min": summary.slowest_rapid_mm_per_min,
+        "um_per_count": summary.sensor.map(|sensor| sensor.um_per_count),
+        "um_per_code": summary.sensor.map(|sensor| sensor.um_per_code),
+        "sensor_range_um": summary.sensor.map(|sensor| sensor.range_um),
+        "board_bytes": summary.bytes.as_ref().ok(),
+        "board_refuses": summary.bytes.as_ref().err().map(ToString::to_string),
+        "board_bytes_most": summary.most_bytes,
+    })
+}
+
+fn of_run(
+    path: &Path,
+    run: &RunFile,
+    machine: Option<&Machine>,
+    as_json: bool,
+) -> Result<(Vec<Warning>, Value)> {
+    let names = run.columns().iter().map(|column| column.name.as_str());
+    let (known, others): (Vec<&str>, Vec<&str>) = names.partition(|name| is_known_column(name));
+    if !as_json {
+        let mut words = format!("{}: {} rows of {}", path.display(), run.rows(), known.join(", "));
+        if !others.is_empty() {
+            words += &format!("; kept as possible explanations: {}", others.join(", "));
+        }
+        output::print(words)?;
+    }
+    let does = json!({"rows": run.rows(), "known_columns": known, "other_columns": others});
+    Ok((check::run(run, machine), does))
+}

@@ -1,0 +1,55 @@
+//! What a machine file will do, in words.
+
+use trueup_machine::{
+    Machine,
+    check::{AxisSummary, Summary},
+};
+
+/// A line for the machine, each axis, the limits, the sensor and the board.
+pub fn in_words(machine: &Machine, summary: &Summary) -> String {
+    let mut lines = vec![format!("\"{}\", {}", machine.name.escape_debug(), machine.kind.name())];
+    lines.extend(summary.axes.iter().map(axis_in_words));
+    lines.push(format!(
+        "changes by at most {} µm/s: 1 % of the rapid traverse of axes from {:.0} mm/min on",
+        summary.slew_um_per_s, summary.slowest_rapid_mm_per_min
+    ));
+    if let Some(sensor) = &summary.sensor {
+        lines.push(format!(
+            "sensor: {:.1} µm from 0 to {} V ({} counts); {:.4} µm a count, {:.4} µm a code of the board's \
+             converter, which it averages",
+            sensor.range_um,
+            sensor.volts_full_scale,
+            sensor.counts_full_scale,
+            sensor.um_per_count,
+            sensor.um_per_code
+        ));
+    }
+    lines.push(match &summary.bytes {
+        Ok(bytes) => {
+            let share = 100.0 * *bytes as f64 / summary.most_bytes as f64;
+            format!("on the board: {bytes} of {} bytes ({share:.0} %)", summary.most_bytes)
+        }
+        Err(error) => format!("on the board: not as it is: {}", error.rule),
+    });
+    lines.join("\n  ")
+}
+
+fn axis_in_words(axis: &AxisSummary) -> String {
+    let name = axis.axis.name().to_uppercase();
+    if axis.parts.is_empty() {
+        return format!("{name}: not corrected");
+    }
+    let parts: Vec<String> = axis
+        .parts
+        .iter()
+        .map(|part| match part.largest_um {
+            Some(um) => format!("{} {um:.1}", part.key),
+            None => format!("{} ?", part.key),
+        })
+        .collect();
+    let largest = match axis.largest_um() {
+        Some(um) => format!("up to {um:.1} µm"),
+        None => "as far as its parts go (? grows with something that the file does not say)".into(),
+    };
+    format!("{name}: {largest}, held to {} µm: {}", axis.limit_um, parts.join(" + "))
+}

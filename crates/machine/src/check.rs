@@ -1,0 +1,71 @@
+//! What a machine file or a run will do, and what in it is unlikely to be meant.
+//!
+//! What cannot be is refused by whoever reads it. What can be, and hardly ever is (a temperature in
+//! kelvin, a table beyond the travel), is a [`Warning`] with its line: the correction would run, and
+//! cut with it. A rule is one small function; where it has a number, that stands with its source in
+//! `docs/thresholds.md`. A rule that would fire on a right file is a fault: the shipped files and
+//! every measured set that the project knows are silent.
+//!
+//! | page | asks |
+//! |---|---|
+//! | `sensor` | can the sensor read that, and in these units |
+//! | `heat` | is that a temperature in °C, and an expansion of any material |
+//! | `limits` | is the slew limit slow enough for the axes, does a limit leave room for what it limits |
+//! | `place` | do the tool, the tables and the curves lie where the machine is |
+//! | `twice` | is one thing corrected by two entries |
+//! | `nothing` | does the file correct anything at all |
+//! | `extent` | how large each correction may become |
+//! | `run` | are the columns of a run in the units of their names |
+//! | `summary` | what the file will do |
+
+mod extent;
+mod heat;
+mod limits;
+mod nothing;
+mod place;
+mod run;
+mod sensor;
+mod summary;
+mod twice;
+mod warning;
+
+use crate::{file::Machine, run_file::RunFile};
+
+pub use nothing::corrects_nothing;
+pub use summary::{AxisSummary, Summary};
+pub use warning::Warning;
+
+/// Everything in the machine file that is unlikely to be meant, in the order of its lines.
+#[must_use]
+pub fn machine(machine: &Machine) -> Vec<Warning> {
+    let rules: [fn(&Machine) -> Vec<Warning>; 5] =
+        [sensor::warnings, heat::warnings, limits::warnings, place::warnings, twice::warnings];
+    in_order(rules.iter().flat_map(|rule| rule(machine)))
+}
+
+/// Everything in the run that is unlikely to be meant, in the order of its places; held against the
+/// machine's model where there is one.
+#[must_use]
+pub fn run(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning> {
+    let of_names = run.slips().map(|slip| Warning {
+        place: slip.place,
+        what: slip.rule,
+        help: slip.help.unwrap_or_default(),
+    });
+    in_order(of_names.chain(values(run, machine)))
+}
+
+/// The same without what the names of the columns say, for a command that says that itself.
+#[must_use]
+pub fn values(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning> {
+    run::warnings(run, machine)
+}
+
+fn in_order(warnings: impl Iterator<Item = Warning>) -> Vec<Warning> {
+    let mut warnings: Vec<Warning> = warnings.collect();
+    warnings.sort_by_key(|warning| (warning.place.line, warning.place.column));
+    warnings
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,153 @@
+//! How large each correction may become: the largest error that an entry of the file can make.
+
+use crate::{
+    effect::OnBoard,
+    file::{BSpline, LinearAxis, Machine, Pitch, Thermal},
+};
+
+/// By how much a machine's temperature may differ from the one it is right at, in K: half of what lies
+/// between the 20 °C of ISO 1 and the 40 °C at which EN 60204-1 lets a machine work.
+pub(super) const ROOM_C: f64 = 10.0;
+
+/// The largest error that one entry can make on an axis.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Part {
+    /// Its key in the machine file.
+    pub key: String,
+    /// In µm, either way; `None`: it grows with a travel that the file does not say.
+    pub largest_um: Option<f64>,
+}
+
+/// Both ends of an axis in mm: its travel, else where its tables and curves reach.
+pub(super) fn reach_mm(machine: &Machine, axis: LinearAxis) -> Option<[f64; 2]> {
+    let model = &machine.axes[axis.index()];
+    if model.travel_mm.is_some() {
+        return model.travel_mm;
+    }
+    let tables = [model.pitch.as_ref(), model.dual.as_ref().map(|dual| &dual.pitch)];
+    let tables = tables.into_iter().flatten().map(ends_mm);
+    let curves = machine.straightness.iter().filter(|curve| curve.along == axis);
+    let curves = curves.filter_map(|curve| knots_mm(&curve.spline));
+    tables.chain(curves).reduce(|[a, b], [c, d]| [a.min(c), b.max(d)])
+}
+
+/// Where a table begins and ends, in mm.
+pub(super) fn ends_mm(pitch: &Pitch) -> [f64; 2] {
+    let steps = pitch.forward_um.len().saturating_sub(1) as f64;
+    [pitch.start_mm, pitch.start_mm + pitch.step_mm * steps]
+}
+
+/// Where a curve begins and ends, in mm.
+pub(super) fn knots_mm(spline: &BSpline) -> Option<[f64; 2]> {
+    Some([*spline.knots_mm.first()?, *spline.knots_mm.last()?])
+}
+
+/// What the file can make on an axis by its position and its heat, without the elongation.
+pub(super) fn of_axis(machine: &Machine, axis: LinearAxis) -> Vec<Part> {
+    let model = &machine.axes[axis.index()];
+    let key = |name: &str| format!("axis.{}.{name}", axis.name());
+    let own_mm = reach_mm(machine, axis);
+    let mut parts = Vec::new();
+    let mut add = |key: String, largest_um: Option<f64>| parts.push(Part { key, largest_um });
+    if let Some(thermal) = &model.thermal {
+        add(key("thermal"), of_heat(thermal, own_mm));
+    }
+    let drives = [model.pitch.as_ref(), model.dual.as_ref().map(|dual| &dual.pitch)];
+    if let Some(um) = drives.into_iter().flatten().map(of_table).reduce(f64::max) {
+        add(key("pitch"), Some(um));
+    }
+    if let Some(backlash) = &model.backlash {
+        add(key("backlash"), Some(backlash.width_um.abs()));
+    }
+    for curve in machine.straightness.iter().filter(|curve| curve.error == axis) {
+        add(format!("straightness.{}", curve.name()), Some(largest(&curve.spline.control_um)));
+    }
+    for line in machine.squareness.iter().filter(|line| line.error == axis) {
+        let along_mm = reach_mm(machine, line.along);
+        add(format!("squareness.{}", line.name()), along_mm.map(|mm| of_line(line.um_per_m, mm)));
+    }
+    for (index, term) in machine.terms.iter().enumerate() {
+        if term.quantity.axis() == Some(axis) && term.effect.is_compensated() {
+            let forms = term.effect.on_board();
+            let um = forms.iter().map(|form| of_form(machine, form, own_mm)).sum::<Option<f64>>();
+            add(format!("term[{index}]"), um.map(|um| um + term.constant_um.abs()));
+        }
+    }
+    parts
+}
+
+fn of_heat(thermal: &Thermal, own_mm: Option<[f64; 2]>) -> Option<f64> {
+    let arm_m = match thermal.mode.has_position() {
+        false => 0.0,
+        true => {
+            let arm = |mm: f64| (mm - thermal.origin_mm).abs() / 1000.0;
+            own_mm.map(|[low, high]| arm(low).max(arm(high)))?
+        }
+    };
+    let constant = f64::from(u8::from(thermal.mode.has_constant()));
+    let um = |constant_um: f64, slope_um_per_m: f64| {
+        (constant * constant_um).abs() + (slope_um_per_m * arm_m).abs()
+    };
+    Some(match &thermal.table {
+        Some(rows) => {
+            rows.iter().map(|row| um(row.constant_um, row.slope_um_per_m)).fold(0.0, f64::max)
+        }
+        None => um(thermal.constant_um_per_c * ROOM_C, thermal.slope_um_per_m_per_c * ROOM_C),
+    })
+}
+
+fn of_form(machine: &Machine, form: &OnBoard, own_mm: Option<[f64; 2]>) -> Option<f64> {
+    Some(match form {
+        &OnBoard::Offset(um) => um.abs(),
+        OnBoard::Heat(heat) => (heat.um_per_c * ROOM_C).abs(),
+        &OnBoard::OwnPosition(um_per_m) => of_line(um_per_m, own_mm?),
+        &OnBoard::Position { axis, um_per_m } => of_line(um_per_m, reach_mm(machine, axis)?),
+        &OnBoard::Reversed { width_um, um_per_m } => match um_per_m {
+            0.0 => width_um.abs(),
+            _ => width_um.abs() + of_line(um_per_m, own_mm?),
+        },
+        OnBoard::Table(pitch) => of_table(pitch),
+        OnBoard::Curve(_, spline) => largest(&spline.control_um),
+        OnBoard::Thermal(thermal) => of_heat(thermal, own_mm)?,
+        &OnBoard::Wave { amplitude_um, .. } => amplitude_um.abs(),
+        &OnBoard::Time { amplitude_um, .. } => amplitude_um.abs(),
+        OnBoard::Gain(_)
+        | OnBoard::Curvature(_)
+        | OnBoard::Saturation(_)
+        | OnBoard::Speed(_)
+        | OnBoard::Load(_)
+        | OnBoard::Tilt(_) => return None,
+    })
+}
+
+fn of_table(pitch: &Pitch) -> f64 {
+    largest(&pitch.forward_um).max(pitch.reverse_um.as_deref().map_or(0.0, largest))
+}
+
+fn of_line(um_per_m: f64, [low, high]: [f64; 2]) -> f64 {
+    (um_per_m * low.abs().max(high.abs()) / 1000.0).abs()
+}
+
+/// Of a spline's control points: the curve lies within them.
+fn largest(um: &[f64]) -> f64 {
+    um.iter().fold(0.0, |largest, um| um.abs().max(largest))
+}
+
+/// What the elongation can be, in µm either way, each source by its section; a sensor's is its range.
+pub(super) fn of_elongation(machine: &Machine) -> Vec<Part> {
+    let spindle = &machine.spindle;
+    if spindle.source.is_none() {
+        return Vec::new();
+    }
+    let part = |key: &str, um: f64| Part { key: key.into(), largest_um: Some(um.abs()) };
+    let sensor = spindle.sensor.as_ref().map(|model| {
+        let input = machine.inputs.as_ref().and_then(|inputs| inputs.sensor);
+        let at = |counts: f64| crate::model::elongation_um(model, counts).abs();
+        let largest_um = input.map(|input| at(0.0).max(at(input.counts_full_scale)));
+        Part { key: "spindle.sensor".into(), largest_um }
+    });
+    let temperature = spindle.temperature.as_ref();
+    let temperature = temperature.map(|it| part("spindle.temperature", it.k_um_per_c * ROOM_C));
+    let warmup = spindle.warmup.as_ref().map(|it| part("spindle.warmup", it.max_um));
+    [sensor, temperature, warmup].into_iter().flatten().collect()
+}

@@ -1,0 +1,137 @@
+//! The laws of heat: temperatures in °C, and expansions that a material has.
+
+use super::{extent::ROOM_C, warning::Warning};
+use crate::file::{LinearAxis, Machine, Thermal, write::Value};
+
+/// 0 °C in kelvin.
+pub(super) const ZERO_C_IN_K: f64 = 273.15;
+
+/// Temperatures of a machine, in °C: EN 60204-1 asks of one that it works at 5 to 40 °C, and what runs in
+/// it is warmer by 30 K at most. A number from 273.15 higher is such a temperature in kelvin.
+pub(super) const OF_A_MACHINE_C: [f64; 2] = [-5.0, 70.0];
+
+/// A law that over [`ROOM_C`] and a metre makes less than the smallest step of an offset on the wire, in µm,
+/// corrects nothing: its number is in another unit.
+const SMALLEST_STEP_UM: f64 = 0.01;
+
+/// More than this in µm/(m·K) is no metal: aluminium has 23.8, zinc 30, and a thermometer that sees a
+/// third of what the part does makes three times as much of it.
+const MOST_UM_PER_M_PER_C: f64 = 100.0;
+
+pub(super) fn warnings(machine: &Machine) -> Vec<Warning> {
+    let mut warnings = Vec::new();
+    for (axis, name) in machine.axes.iter().zip(LinearAxis::ALL) {
+        let key = format!("axis.{}.thermal", name.name());
+        if let Some(thermal) = &axis.thermal {
+            warnings.extend(kelvin_of_law(machine, thermal, &key));
+            warnings.extend(slope_in_another_unit(machine, thermal, &key));
+            warnings.extend(constant_in_another_unit(machine, thermal, &key));
+        }
+    }
+    if let Some(model) = &machine.spindle.temperature {
+        let key = "spindle.temperature";
+        warnings.extend(kelvin(machine, &format!("{key}.reference_c"), model.reference_c));
+        warnings.extend(too_small(machine, &format!("{key}.k_um_per_c"), model.k_um_per_c, "µm"));
+        warnings.extend(shrinking(machine, &format!("{key}.k_um_per_c"), model.k_um_per_c));
+    }
+    if let Some(model) = &machine.spindle.warmup {
+        warnings.extend(shrinking(machine, "spindle.warmup.max_um", model.max_um));
+    }
+    for (index, term) in machine.terms.iter().enumerate() {
+        for (entry, value) in term.effect.entries() {
+            if let ("reference_c", Value::Number(reference_c)) = (entry, value) {
+                let key = format!("term[{index}].reference_c");
+                warnings.extend(kelvin(machine, &key, reference_c));
+            }
+        }
+    }
+    warnings
+}
+
+fn kelvin_of_law(machine: &Machine, thermal: &Thermal, key: &str) -> Vec<Warning> {
+    match &thermal.table {
+        None => kelvin(machine, &format!("{key}.reference_c"), thermal.reference_c)
+            .into_iter()
+            .collect(),
+        Some(rows) => {
+            let rows = rows.iter().enumerate();
+            let warnings = rows.filter_map(|(row, it)| {
+                kelvin(machine, &format!("{key}.table[{row}][0]"), it.temperature_c)
+            });
+            warnings.take(1).collect()
+        }
+    }
+}
+
+/// Whether a temperature that stands for °C is one of a machine in kelvin.
+pub(super) fn is_kelvin(temperature: f64) -> bool {
+    let [coldest, hottest] = OF_A_MACHINE_C;
+    (coldest..=hottest).contains(&(temperature - ZERO_C_IN_K))
+}
+
+fn kelvin(machine: &Machine, key: &str, temperature_c: f64) -> Option<Warning> {
+    is_kelvin(temperature_c).then(|| {
+        let celsius = temperature_c - ZERO_C_IN_K;
+        let what = format!("{temperature_c} °C looks like kelvin: it would be {celsius:.2} °C");
+        Warning::at(machine, key, &what, format!("temperatures are in °C: write {celsius:.2}"))
+    })
+}
+
+fn slope_in_another_unit(machine: &Machine, thermal: &Thermal, key: &str) -> Option<Warning> {
+    if thermal.table.is_some() || !thermal.mode.has_position() {
+        return None;
+    }
+    let key = format!("{key}.slope_um_per_m_per_c");
+    let slope = thermal.slope_um_per_m_per_c;
+    if slope.abs() > MOST_UM_PER_M_PER_C {
+        let what = format!(
+            "{slope} µm/(m·K) is more than any metal expands by (steel 11.5, aluminium 23.8)"
+        );
+        let help = "write µm for one metre and one kelvin";
+        return Some(Warning::at(machine, &key, &what, help));
+    }
+    too_small(machine, &key, slope, "µm for each metre")
+}
+
+fn constant_in_another_unit(machine: &Machine, thermal: &Thermal, key: &str) -> Option<Warning> {
+    let is_used = thermal.table.is_none() && thermal.mode.has_constant();
+    let key = format!("{key}.constant_um_per_c");
+    is_used.then(|| too_small(machine, &key, thermal.constant_um_per_c, "µm")).flatten()
+}
+
+/// A value that is there and makes nothing: 11.5e-6 where 11.5 µm/(m·K) is meant.
+fn too_small(machine: &Machine, key: &str, value: f64, of: &str) -> Option<Warning> {
+    let made_um = (value * ROOM_C).abs();
+    (value != 0.0 && made_um < SMALLEST_STEP_UM).then(|| {
+        let what = format!(
+            "{value} makes {made_um:.2e} {of} over {ROOM_C} K, less than an offset's step of \
+             {SMALLEST_STEP_UM} µm: the correction would do nothing"
+        );
+        let help = if key.ends_with("slope_um_per_m_per_c") {
+            format!(
+                "the unit is µm/(m·K): an expansion of {value} for one kelvin is {}",
+                per_million(value)
+            )
+        } else {
+            "the unit is µm for one kelvin".into()
+        };
+        Warning::at(machine, key, &what, help)
+    })
+}
+
+/// A coefficient in 1/K as µm/(m·K), in the digits that it has.
+fn per_million(value: f64) -> f64 {
+    format!("{:.6e}", value * 1e6).parse().unwrap_or(value * 1e6)
+}
+
+fn shrinking(machine: &Machine, key: &str, value: f64) -> Option<Warning> {
+    (value < 0.0).then(|| {
+        let what = format!("{value} is negative: the spindle would shrink as it becomes warm");
+        Warning::at(
+            machine,
+            key,
+            &what,
+            "an elongation is positive where the tool comes out of the spindle",
+        )
+    })
+}

@@ -1,0 +1,92 @@
+//! The limits: a slew that no axis notices, and room for what they limit.
+
+use super::{
+    extent::{self, Part, ROOM_C},
+    warning::Warning,
+};
+use crate::file::{LinearAxis, Machine};
+
+/// The fastest change of an offset as a share of the axis's rapid traverse: the default of Siemens' MD32760
+/// (field notes), at which a following error does not show.
+const SHARE_OF_RAPID: f64 = 0.01;
+
+/// The rapid traverse of an axis that does not say its own, in mm/min: what a slow machine tool does.
+pub(super) const SLOW_RAPID_MM_PER_MIN: f64 = 10_000.0;
+
+pub(super) fn warnings(machine: &Machine) -> Vec<Warning> {
+    let of_axes = LinearAxis::ALL.into_iter().flat_map(|axis| no_room(machine, axis));
+    too_fast(machine).into_iter().chain(of_axes).chain(no_room_for_growth(machine)).collect()
+}
+
+/// The fastest slew that an axis of this rapid traverse does not notice, in µm/s.
+pub(super) fn unnoticed_um_per_s(rapid_mm_per_min: f64) -> f64 {
+    const UM_PER_S: f64 = 1000.0 / 60.0;
+    rapid_mm_per_min * UM_PER_S * SHARE_OF_RAPID
+}
+
+fn too_fast(machine: &Machine) -> Option<Warning> {
+    let rapids = LinearAxis::ALL.map(|axis| (axis, machine.axes[axis.index()].rapid_mm_per_min));
+    let stated = rapids.into_iter().filter_map(|(axis, rapid)| Some((axis, rapid?)));
+    let slowest = stated.min_by(|a, b| a.1.total_cmp(&b.1));
+    let rapid = slowest.map_or(SLOW_RAPID_MM_PER_MIN, |(_, rapid)| rapid);
+    let most = unnoticed_um_per_s(rapid);
+    let slew = machine.limits.slew_um_per_s;
+    if slew <= most {
+        return None;
+    }
+    let (whose, help) = match slowest {
+        Some((axis, _)) => (
+            format!("axis {}, whose rapid traverse is {rapid} mm/min", axis.name()),
+            format!("write slew_um_per_s = {most:.0} or less"),
+        ),
+        None => (
+            format!("an axis of {rapid} mm/min, a slow machine's"),
+            "write rapid_mm_per_min into [axis.x], [axis.y] and [axis.z] if yours are faster, or a \
+             smaller slew_um_per_s: heat needs 20"
+                .into(),
+        ),
+    };
+    let what = format!(
+        "{slew} is more than 1 % ({most:.0} µm/s) of {whose}: the offset would jerk the axis"
+    );
+    Some(Warning::at(machine, "limits.slew_um_per_s", &what, help))
+}
+
+/// Parts that alone are larger than their axis's limit.
+fn no_room(machine: &Machine, axis: LinearAxis) -> Vec<Warning> {
+    let limit_um = machine.limits.max_um[axis.index()];
+    let parts = extent::of_axis(machine, axis).into_iter();
+    parts.filter_map(|part| beyond(machine, &part, axis, limit_um)).collect()
+}
+
+/// Models of the growth that reach beyond the limit on the axis that the tool lies along. The sensor's
+/// range is no growth: a sensor may well see more than the limit lets through.
+fn no_room_for_growth(machine: &Machine) -> Vec<Warning> {
+    let along = LinearAxis::ALL.into_iter().max_by(|a, b| {
+        let share = |axis: &LinearAxis| machine.tool_direction[axis.index()].abs();
+        share(a).total_cmp(&share(b))
+    });
+    let Some(axis) = along else { return Vec::new() };
+    let share = machine.tool_direction[axis.index()].abs();
+    let limit_um = machine.limits.max_um[axis.index()];
+    let parts =
+        extent::of_elongation(machine).into_iter().filter(|part| part.key != "spindle.sensor");
+    let parts = parts.map(|part| Part { largest_um: part.largest_um.map(|um| um * share), ..part });
+    parts.filter_map(|part| beyond(machine, &part, axis, limit_um)).collect()
+}
+
+fn beyond(machine: &Machine, part: &Part, axis: LinearAxis, limit_um: f64) -> Option<Warning> {
+    let um = part.largest_um.filter(|um| *um > limit_um)?;
+    let heat = if part.key.ends_with("thermal") || part.key.ends_with("temperature") {
+        format!(" within {ROOM_C} K")
+    } else {
+        String::new()
+    };
+    let axis = axis.name();
+    let what =
+        format!("{limit_um} µm is below what it limits: {} makes {um:.1} µm{heat}", part.key);
+    let help = format!(
+        "a larger limits.max_um.{axis}, or a smaller correction; beyond the limit the offset stands still"
+    );
+    Some(Warning::at(machine, &format!("limits.max_um.{axis}"), &what, help))
+}

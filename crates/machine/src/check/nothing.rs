@@ -1,0 +1,31 @@
+//! Whether a file corrects anything: `compile` and `load` say so, since a board with it would stay at 0.
+
+use super::{
+    extent::{of_axis, of_elongation},
+    warning::Warning,
+};
+use crate::file::{LinearAxis, Machine};
+
+/// A warning for a file with which every offset stays at 0; `None` where something is corrected.
+#[must_use]
+pub fn corrects_nothing(machine: &Machine) -> Option<Warning> {
+    let is_there = |um: Option<f64>| um != Some(0.0);
+    let grows = of_elongation(machine).iter().any(|part| is_there(part.largest_um))
+        || machine.has_elongation() && machine.spindle.source.is_none();
+    let parts = LinearAxis::ALL.into_iter().flat_map(|axis| of_axis(machine, axis));
+    let errs = parts.into_iter().any(|part| is_there(part.largest_um));
+    (!grows && !errs).then(|| {
+        let what = if machine.spindle.source.is_none() && machine.spindle.sensor.is_some() {
+            "corrects nothing: [spindle] has a sensor and no source = \"sensor\""
+        } else {
+            "corrects nothing: a board with it leaves every offset at 0"
+        };
+        Warning::at(
+            machine,
+            "machine",
+            what,
+            "write a [spindle] source, or an [axis.…] or [straightness.…] section; `trueup fit` makes them from \
+             measured runs",
+        )
+    })
+}

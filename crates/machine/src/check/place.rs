@@ -1,0 +1,77 @@
+//! Where things are: the tool's direction, and tables and curves beside the travel of their axis.
+
+use super::{
+    extent::{ends_mm, knots_mm},
+    warning::Warning,
+};
+use crate::file::{LinearAxis, Machine};
+
+/// How far a curve may reach beyond the travel, as a share of it: ends are rounded up.
+pub(super) const OVERHANG: f64 = 0.01;
+
+pub(super) fn warnings(machine: &Machine) -> Vec<Warning> {
+    tool_up(machine).into_iter().chain(tables(machine)).chain(curves(machine)).collect()
+}
+
+fn tool_up(machine: &Machine) -> Option<Warning> {
+    let [_, _, z] = machine.tool_direction;
+    (z > 0.0).then(|| {
+        Warning::at(
+            machine,
+            "machine.tool_direction",
+            &format!("points up (Z {z:+.3}): from the spindle nose to the tip it is down on most machines"),
+            "a tool that hangs down is [0.0, 0.0, -1.0]; with the wrong sign a growing spindle is pushed \
+             into the part",
+        )
+    })
+}
+
+/// A table may begin or end one step beyond the travel, so that it covers it.
+fn tables(machine: &Machine) -> Vec<Warning> {
+    let mut warnings = Vec::new();
+    for axis in LinearAxis::ALL {
+        let model = &machine.axes[axis.index()];
+        let Some(travel_mm) = model.travel_mm else { continue };
+        let drives = [
+            (model.pitch.as_ref(), "pitch"),
+            (model.dual.as_ref().map(|dual| &dual.pitch), "dual.pitch"),
+        ];
+        for (pitch, name) in drives {
+            let Some(pitch) = pitch else { continue };
+            let key = format!("axis.{}.{name}.start_mm", axis.name());
+            warnings.extend(outside(machine, &key, ends_mm(pitch), travel_mm, pitch.step_mm, axis));
+        }
+    }
+    warnings
+}
+
+fn curves(machine: &Machine) -> Vec<Warning> {
+    let curves = machine.straightness.iter();
+    curves
+        .filter_map(|curve| {
+            let travel_mm = machine.axes[curve.along.index()].travel_mm?;
+            let spare_mm = OVERHANG * (travel_mm[1] - travel_mm[0]);
+            let key = format!("straightness.{}.knots_mm", curve.name());
+            outside(machine, &key, knots_mm(&curve.spline)?, travel_mm, spare_mm, curve.along)
+        })
+        .collect()
+}
+
+fn outside(
+    machine: &Machine,
+    key: &str,
+    [first, last]: [f64; 2],
+    [low, high]: [f64; 2],
+    spare_mm: f64,
+    axis: LinearAxis,
+) -> Option<Warning> {
+    if first >= low - spare_mm && last <= high + spare_mm {
+        return None;
+    }
+    let what = format!(
+        "reaches from {first} to {last} mm, outside the travel of {}, {low} to {high} mm",
+        axis.name()
+    );
+    let help = "positions are those of the machine's own coordinates, in mm; are start, step and unit right?";
+    Some(Warning::at(machine, key, &what, help))
+}

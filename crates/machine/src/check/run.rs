@@ -1,0 +1,169 @@
+//! The columns of a run, held against the units of their names: kelvin, volts, millimetres.
+
+use super::{
+    heat::is_kelvin,
+    place,
+    sensor::{FULL_COUNTS, S7_COUNTS},
+    warning::Warning,
+};
+use crate::{
+    file::{LinearAxis, Machine, Quantity, is_temperature_column},
+    predict::Predictor,
+    run_file::{Column, RunFile},
+};
+
+/// Measured and predicted are in units a thousand (or a million) apart where the line through both has a
+/// slope within a factor of two of it …
+const FACTOR_OF_TWO: f64 = 2.0;
+/// … and explains more than half of what was measured: noise does not follow a prediction.
+const HALF: f64 = 0.5;
+
+/// Rows that a statement about a whole column needs: of three values in the wrong unit none is in the right
+/// one by chance.
+const FEWEST_ROWS: usize = 3;
+
+/// So many rows are held against the model: a long run need not be predicted whole to know its unit.
+const LOOKED_AT: usize = 10_000;
+
+/// What a sensor gives at most, in V: 10 V, and a tenth more where it overruns.
+const MOST_VOLTS: f64 = 11.0;
+
+pub(super) fn warnings(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning> {
+    let mut warnings: Vec<Warning> = run
+        .columns()
+        .iter()
+        .filter(|column| is_temperature_column(&column.name))
+        .filter_map(|column| kelvin(run, column))
+        .collect();
+    if let Some(column) = run.columns().iter().find(|column| column.name == "sensor_counts") {
+        warnings.extend(volts(run, column));
+        warnings.extend(machine.and_then(|machine| ends_at_s7(run, column, machine)));
+    }
+    if let Some(machine) = machine {
+        warnings.extend(outside_travel(run, machine));
+        warnings.extend(in_another_unit(run, machine));
+    }
+    warnings
+}
+
+fn values(column: &Column) -> impl Iterator<Item = f64> {
+    column.values.iter().copied().filter(|value| !value.is_nan())
+}
+
+/// The least and the most of a column with values enough.
+fn range(column: &Column) -> Option<[f64; 2]> {
+    let (mut range, mut rows) = ([f64::INFINITY, f64::NEG_INFINITY], 0);
+    for value in values(column) {
+        range = [range[0].min(value), range[1].max(value)];
+        rows += 1;
+    }
+    (rows >= FEWEST_ROWS).then_some(range)
+}
+
+fn at(run: &RunFile, column: &str, what: &str, help: impl Into<String>) -> Warning {
+    let row = run.column(column).and_then(|values| values.iter().position(|it| !it.is_nan()));
+    let place = run.place(row.unwrap_or(0), column);
+    Warning { place, what: format!("{column} {what}"), help: help.into() }
+}
+
+fn kelvin(run: &RunFile, column: &Column) -> Option<Warning> {
+    let [least, most] = range(column)?;
+    (is_kelvin(least) && is_kelvin(most)).then(|| {
+        let what = format!("is from {least} to {most}: that looks like kelvin, not °C");
+        at(run, &column.name, &what, "temperatures are in °C: take 273.15 away from each")
+    })
+}
+
+fn volts(run: &RunFile, column: &Column) -> Option<Warning> {
+    let [least, most] = range(column)?;
+    let has_fraction = values(column).any(|value| value.fract() != 0.0);
+    (has_fraction && least >= 0.0 && most <= MOST_VOLTS && most > 0.0).then(|| {
+        let what = format!("is from {least} to {most}: that looks like volts, not counts");
+        let help = "counts = V · counts_full_scale / volts_full_scale of [inputs] sensor";
+        at(run, &column.name, &what, help)
+    })
+}
+
+/// Readings that pile up at 27648 where the file's full scale is 32768: the input ends there.
+fn ends_at_s7(run: &RunFile, column: &Column, machine: &Machine) -> Option<Warning> {
+    let input = machine.inputs.as_ref()?.sensor?;
+    let [_, most] = range(column)?;
+    let at_end = values(column).filter(|&value| value == S7_COUNTS).count();
+    (input.counts_full_scale == FULL_COUNTS && most == S7_COUNTS && at_end >= FEWEST_ROWS).then(|| {
+        let what = format!(
+            "ends at {S7_COUNTS} in {at_end} rows, and the machine file's counts_full_scale is {FULL_COUNTS}"
+        );
+        let help = "a SIMATIC S7 input reaches 10 V at 27648 counts: write counts_full_scale = 27648";
+        at(run, &column.name, &what, help)
+    })
+}
+
+/// Positions that the axis cannot have.
+fn outside_travel(run: &RunFile, machine: &Machine) -> Vec<Warning> {
+    let axes = LinearAxis::ALL.into_iter().filter_map(|axis| {
+        let [low, high] = machine.axes[axis.index()].travel_mm?;
+        let name = format!("{}_mm", axis.name());
+        let column = run.columns().iter().find(|column| column.name == name)?;
+        let [least, most] = range(column)?;
+        let spare_mm = place::OVERHANG * (high - low);
+        (least < low - spare_mm || most > high + spare_mm).then(|| {
+            let what = format!(
+                "is from {least} to {most} mm, outside the travel_mm of the machine file, {low} to {high}"
+            );
+            at(run, &name, &what, "positions are those of the machine's own coordinates, in mm")
+        })
+    });
+    axes.collect()
+}
+
+/// What was measured beside what the model says: the same curve, a thousand times as large or as small.
+fn in_another_unit(run: &RunFile, machine: &Machine) -> Vec<Warning> {
+    let names = Quantity::ALL.map(|quantity| format!("measured_{}_um", quantity.name()));
+    if names.iter().all(|name| run.column(name).is_none()) {
+        return Vec::new();
+    }
+    // What a bridge has corrected is measured without what the model predicts.
+    if run.column("quality").is_some() {
+        return Vec::new();
+    }
+    let first = run.altered(LOOKED_AT, |_, _| {});
+    let Ok(predictor) = Predictor::new(machine, &first) else { return Vec::new() };
+    let predicted: Vec<[f64; 4]> = predictor.model().map(|values| values.all()).collect();
+    let units = names.iter().enumerate().filter_map(|(number, name)| {
+        let measured = run.column(name)?;
+        let pairs = predicted.iter().zip(measured).map(|(row, um)| (row[number], *um));
+        let slope = shared_slope(pairs.filter(|(a, b)| !a.is_nan() && !b.is_nan()))?;
+        let is_near =
+            |factor: f64| (factor / FACTOR_OF_TWO..=factor * FACTOR_OF_TWO).contains(&slope);
+        let (unit, how) = [
+            (1e-3, ("mm", "a thousandth")),
+            (1e-6, ("m", "a millionth")),
+            (1e3, ("nm", "a thousand times")),
+        ]
+        .into_iter()
+        .find_map(|(factor, words)| is_near(factor).then_some(words))?;
+        let what =
+            format!("is {how} of what the machine file predicts: it looks like {unit}, not µm");
+        Some(at(run, name, &what, "write it in µm, or look for the unit in the machine file"))
+    });
+    units.collect()
+}
+
+/// The slope of the line through pairs (predicted, measured), where it explains more than half of the
+/// latter; `None` where there is nothing to compare.
+fn shared_slope(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
+    let pairs: Vec<(f64, f64)> = pairs.collect();
+    if pairs.len() < FEWEST_ROWS {
+        return None;
+    }
+    let count = pairs.len() as f64;
+    let (sum_x, sum_y) = pairs.iter().fold((0.0, 0.0), |(a, b), (x, y)| (a + x, b + y));
+    let (mean_x, mean_y) = (sum_x / count, sum_y / count);
+    let [mut xx, mut xy, mut yy] = [0.0; 3];
+    for (x, y) in pairs.iter().map(|(x, y)| (x - mean_x, y - mean_y)) {
+        xx += x * x;
+        xy += x * y;
+        yy += y * y;
+    }
+    (xx > 0.0 && yy > 0.0 && xy * xy > HALF * xx * yy).then(|| xy / xx)
+}

@@ -1,0 +1,115 @@
+//! What a machine file will do: how far each axis may be moved and by what, how fast, how finely the
+//! sensor is read, and how much of the board's memory it takes.
+
+use trueup_store::calibration::MAX_SIZE;
+
+use super::{
+    extent::{Part, of_axis, of_elongation},
+    limits::unnoticed_um_per_s,
+};
+use crate::{
+    compile::{SHOWN_INPUT, compile},
+    file::{LinearAxis, Machine},
+    location::BadInput,
+};
+
+/// What a machine file will do.
+#[derive(Clone, Debug)]
+pub struct Summary {
+    /// X, Y and Z.
+    pub axes: [AxisSummary; 3],
+    /// The fastest change of an offset, in µm/s.
+    pub slew_um_per_s: f64,
+    /// The slowest rapid traverse, in mm/min, of which the slew is 1 %.
+    pub slowest_rapid_mm_per_min: f64,
+    /// How finely the displacement sensor is read; `None` where none is connected.
+    pub sensor: Option<SensorSummary>,
+    /// Bytes of the calibration, or why the board cannot have it.
+    pub bytes: Result<usize, BadInput>,
+    /// Bytes that a calibration may have.
+    pub most_bytes: usize,
+}
+
+/// What becomes of one axis.
+#[derive(Clone, Debug)]
+pub struct AxisSummary {
+    /// Which.
+    pub axis: LinearAxis,
+    /// What corrects it, each with its largest error.
+    pub parts: Vec<Part>,
+    /// The largest offset on X, Y or Z that the board gives, in µm.
+    pub limit_um: f64,
+}
+
+/// How finely a displacement sensor is read.
+#[derive(Clone, Copy, Debug)]
+pub struct SensorSummary {
+    /// µm for one count of the run file.
+    pub um_per_count: f64,
+    /// µm for one code of the board's converter, before it averages.
+    pub um_per_code: f64,
+    /// µm from 0 to full scale.
+    pub range_um: f64,
+    /// What the sensor gives at full scale, in V.
+    pub volts_full_scale: f64,
+    /// The counts at full scale.
+    pub counts_full_scale: f64,
+}
+
+impl AxisSummary {
+    /// The largest error of all parts together, in µm: what they make if all are at their largest and of
+    /// one sign. `None` where one of them grows with a travel that is not known.
+    #[must_use]
+    pub fn largest_um(&self) -> Option<f64> {
+        self.parts.iter().map(|part| part.largest_um).sum()
+    }
+}
+
+impl Summary {
+    /// Of a machine.
+    #[must_use]
+    pub fn of(machine: &Machine) -> Self {
+        let compiled = compile(machine);
+        let slew_um_per_s = machine.limits.slew_um_per_s;
+        Self {
+            axes: LinearAxis::ALL.map(|axis| AxisSummary {
+                axis,
+                parts: parts(machine, axis),
+                limit_um: machine.limits.max_um[axis.index()],
+            }),
+            slew_um_per_s,
+            slowest_rapid_mm_per_min: slew_um_per_s / unnoticed_um_per_s(1.0),
+            sensor: sensor(machine),
+            bytes: compiled.map(|compiled| compiled.blob().len()),
+            most_bytes: MAX_SIZE,
+        }
+    }
+}
+
+/// The parts of an axis, and the share of the growth that comes to lie along it: all of it where a head
+/// can turn the tool there.
+fn parts(machine: &Machine, axis: LinearAxis) -> Vec<Part> {
+    let share = match machine.head_axes.is_empty() {
+        true => machine.tool_direction[axis.index()].abs(),
+        false => 1.0,
+    };
+    let source = machine.spindle.source.map(|source| format!("spindle.{}", source.name()));
+    let growth =
+        of_elongation(machine).into_iter().filter(|part| Some(&part.key) == source.as_ref());
+    let growth =
+        growth.map(|part| Part { largest_um: part.largest_um.map(|um| um * share), ..part });
+    growth.filter(|part| part.largest_um != Some(0.0)).chain(of_axis(machine, axis)).collect()
+}
+
+fn sensor(machine: &Machine) -> Option<SensorSummary> {
+    let model = machine.spindle.sensor.as_ref()?;
+    let input = machine.inputs.as_ref()?.sensor?;
+    let um_per_count = model.um_per_count.abs();
+    Some(SensorSummary {
+        um_per_count,
+        um_per_code: um_per_count * input.counts_from_codes(SHOWN_INPUT.codes_from_counts(1.0)),
+        range_um: um_per_count * input.counts_full_scale,
+        volts_full_scale: input.volts_full_scale,
+        counts_full_scale: input.counts_full_scale,
+    })
+}

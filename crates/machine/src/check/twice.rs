@@ -1,0 +1,115 @@
+//! One thing that two entries correct: the offset would be twice as large as the error.
+
+use super::{extent::knots_mm, warning::Warning};
+use crate::file::{ElongationSource, LinearAxis, Machine, Term};
+use crate::{effect::OnBoard, model::spline_um};
+
+/// Two numbers for one thing, measured twice, differ by less than this share.
+const ALIKE: f64 = 0.2;
+
+pub(super) fn warnings(machine: &Machine) -> Vec<Warning> {
+    let mut warnings = Vec::new();
+    warnings.extend(pasted_twice(machine));
+    warnings.extend(backlash(machine));
+    warnings.extend(squareness(machine));
+    warnings.extend(heat_of_the_tool(machine));
+    warnings
+}
+
+fn key(index: usize) -> String {
+    format!("term[{index}]")
+}
+
+fn are_alike(a: f64, b: f64) -> bool {
+    a * b > 0.0 && (a - b).abs() <= ALIKE * a.abs().max(b.abs())
+}
+
+/// Two terms with the same cause, quantity and numbers.
+fn pasted_twice(machine: &Machine) -> Vec<Warning> {
+    let terms = machine.terms.iter().enumerate();
+    let repeats = terms.filter_map(|(index, term)| {
+        let before: &[Term] = machine.terms.get(..index)?;
+        let first = before.iter().position(|earlier| earlier == term)?;
+        let line = machine.places.of(&key(first)).line;
+        let what =
+            format!("is the same as the [[term]] on line {line}: its error is corrected twice");
+        Some(Warning::at(machine, &key(index), &what, "take one of the two out"))
+    });
+    repeats.collect()
+}
+
+/// A `backlash` term beside a section that has the width already.
+fn backlash(machine: &Machine) -> Vec<Warning> {
+    let terms = machine.terms.iter().enumerate();
+    let doubled = terms.filter_map(|(index, term)| {
+        let axis = term.quantity.axis()?;
+        let model = &machine.axes[axis.index()];
+        let section = model.backlash.map(|it| ("backlash", it.width_um)).or_else(|| {
+            let pitch = model.pitch.as_ref()?;
+            let pairs = pitch.reverse_um.as_ref()?.iter().zip(&pitch.forward_um);
+            let widths: Vec<f64> = pairs.map(|(reverse, forward)| reverse - forward).collect();
+            Some(("pitch.reverse_um", widths.iter().sum::<f64>() / widths.len() as f64))
+        });
+        let (name, width_um) = section?;
+        let forms = term.effect.on_board();
+        let added_um = forms.iter().find_map(|form| match form {
+            OnBoard::Reversed { width_um, .. } => Some(*width_um),
+            _ => None,
+        })?;
+        are_alike(width_um, added_um).then(|| {
+            let what = format!(
+                "adds {added_um} µm of backlash to the {width_um:.1} µm of axis.{}.{name}",
+                axis.name()
+            );
+            let help = "if both are the same backlash, take one of them out";
+            Warning::at(machine, &key(index), &what, help)
+        })
+    });
+    doubled.collect()
+}
+
+/// A squareness beside a straightness curve of the same two axes that still contains it: its ends are as
+/// far apart as the squareness makes them.
+fn squareness(machine: &Machine) -> Vec<Warning> {
+    let lines = machine.squareness.iter();
+    let doubled = lines.filter_map(|line| {
+        let same = |curve: &&crate::file::Straightness| {
+            curve.error == line.error && curve.along == line.along
+        };
+        let curve = machine.straightness.iter().find(same)?;
+        let [first, last] = knots_mm(&curve.spline)?;
+        let rise_um = spline_um(&curve.spline, last) - spline_um(&curve.spline, first);
+        let line_um = line.um_per_m * (last - first) / 1000.0;
+        are_alike(rise_um, line_um).then(|| {
+            let what = format!(
+                "makes {line_um:.1} µm over the length of straightness.{}, which rises by {rise_um:.1} µm itself",
+                curve.name()
+            );
+            let help = "if the curve contains the squareness, take one of the two out";
+            Warning::at(machine, &format!("squareness.{}", line.name()), &what, help)
+        })
+    });
+    doubled.collect()
+}
+
+/// The growth of the spindle and a constant of the axis along it by the same thermometer.
+fn heat_of_the_tool(machine: &Machine) -> Option<Warning> {
+    let spindle = machine.spindle.temperature.as_ref();
+    let spindle =
+        spindle.filter(|_| machine.spindle.source == Some(ElongationSource::Temperature))?;
+    let axes = LinearAxis::ALL.into_iter();
+    let axis =
+        axes.filter(|axis| machine.tool_direction[axis.index()].abs() > 0.5).find(|axis| {
+            let thermal = machine.axes[axis.index()].thermal.as_ref();
+            let constant =
+                |it: &crate::file::Thermal| it.mode.has_constant() && it.constant_um_per_c != 0.0;
+            thermal.is_some_and(|it| it.sensor == spindle.sensor && constant(it))
+        })?;
+    let what = format!(
+        "is {}, which [spindle.temperature] goes by as well: both move the tool along {}",
+        spindle.sensor,
+        axis.name().to_uppercase()
+    );
+    let help = "if both are the growth of the spindle, take one of them out";
+    Some(Warning::at(machine, &format!("axis.{}.thermal.sensor", axis.name()), &what, help))
+}

@@ -1,0 +1,25 @@
+//! Something in a file that can be, and hardly ever is.
+
+use crate::{
+    file::Machine,
+    location::{BadInput, Location},
+};
+
+/// Something in a file that can be, and hardly ever is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Warning {
+    /// Where.
+    pub place: Location,
+    /// What stands there, and why it is doubted.
+    pub what: String,
+    /// What to do about it.
+    pub help: String,
+}
+
+impl Warning {
+    /// Of the key of a machine file; `what` goes on after the key: "40000 is beyond …".
+    pub(super) fn at(machine: &Machine, key: &str, what: &str, help: impl Into<String>) -> Self {
+        let BadInput { place, rule, .. } = machine.places.bad(key, what);
+        Self { place, what: rule, help: help.into() }
+    }
+}

@@ -1,0 +1,85 @@
+//! The columns of a run file that the project knows: the one list, from which `docs/reference.md` is made.
+
+/// A column that is known.
+#[derive(Clone, Copy, Debug)]
+pub struct KnownColumn {
+    /// Its name; `<name>` stands for any word.
+    pub name: &'static str,
+    /// Its unit, or the values that it may have; empty where it is a bare number.
+    pub unit: &'static str,
+    /// What it is.
+    pub meaning: &'static str,
+}
+
+const fn known(name: &'static str, unit: &'static str, meaning: &'static str) -> KnownColumn {
+    KnownColumn { name, unit, meaning }
+}
+
+const APPROACH: &str =
+    "direction in which the position was approached; +1 where the column is missing";
+const COMMANDED: &str = "commanded position";
+const ROTARY: &str = "rotary axis";
+const MEASURED: &str = "the error on an axis, actual minus commanded";
+const OFFSET: &str = "what a bridge told the CNC to add while the row was measured";
+
+/// All of them, in the order of the reference.
+pub const KNOWN_COLUMNS: &[KnownColumn] = &[
+    known("time_s", "s", "time"),
+    known(
+        "gauge_time_s",
+        "s",
+        "the clock of the gauge's own logger, beside `time_s`; with it `diagnose` takes the gauge to be early \
+         as well as late",
+    ),
+    known("run", "", "number of the repeat"),
+    known("sensor_counts", "counts", "the spindle's displacement sensor"),
+    known("spindle_rpm", "r/min", "speed; without it the spindle counts as running"),
+    known("load_n", "N", "axial cutting force; pushing the tool back is positive"),
+    known("temp_<name>_c", "°C", "any number of temperatures"),
+    known("x_mm", "mm", COMMANDED),
+    known("y_mm", "mm", COMMANDED),
+    known("z_mm", "mm", COMMANDED),
+    known("a_deg", "°", ROTARY),
+    known("b_deg", "°", ROTARY),
+    known("c_deg", "°", ROTARY),
+    known("dir_x", "+1, −1", APPROACH),
+    known("dir_y", "+1, −1", APPROACH),
+    known("dir_z", "+1, −1", APPROACH),
+    known(
+        "feed_mm_per_min",
+        "mm/min",
+        "the feed at which the position was approached; `fit backlash` tells whether backlash depends on it",
+    ),
+    known("measured_elongation_um", "µm", "the growth of the spindle"),
+    known("measured_dx_um", "µm", MEASURED),
+    known("measured_dy_um", "µm", MEASURED),
+    known("measured_dz_um", "µm", MEASURED),
+    known("offset_x_um", "µm", OFFSET),
+    known("offset_y_um", "µm", OFFSET),
+    known("offset_z_um", "µm", OFFSET),
+    known(
+        "quality",
+        "0…6",
+        "of these offsets: 0 off, 1 to 3 on, 4 held, 5 ramping out, 6 not available",
+    ),
+    known("calibration_crc", "", "the calibration that the bridge ran, as a decimal number"),
+];
+
+/// Whether a column of this name is known.
+///
+/// ```
+/// use trueup_machine::run_file::is_known_column;
+/// assert!(is_known_column("temp_bed_c") && is_known_column("x_mm"));
+/// assert!(!is_known_column("temp__c") && !is_known_column("flow"));
+/// ```
+#[must_use]
+pub fn is_known_column(name: &str) -> bool {
+    let is_it = |known: &KnownColumn| match known.name.split_once("<name>") {
+        None => known.name == name,
+        Some((before, after)) => name
+            .strip_prefix(before)
+            .and_then(|rest| rest.strip_suffix(after))
+            .is_some_and(|inner| !inner.is_empty() && !inner.starts_with('_')),
+    };
+    KNOWN_COLUMNS.iter().any(is_it)
+}
