@@ -15,7 +15,7 @@ use anyhow::{Context as _, Result, bail};
 use clap::{Args, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use trueup_checks::{
-    campaign, structure,
+    book, campaign, structure,
     verify::{self, Tier},
 };
 use trueup_demo::{
@@ -110,6 +110,8 @@ enum Command {
     },
     /// Counts circles of files, long files, and places that name one cause; fails above the limits.
     Structure,
+    /// Makes web pages of the book, docs/book, in target/book.
+    Book,
     /// Gets what this machine lacks: target, QEMU, Python clients.
     Setup,
 }
@@ -209,6 +211,7 @@ fn main() -> ExitCode {
         Command::Mutants { draw, seed } => campaign::mutants(draw, seed),
         Command::Soak { ticks, seed } => campaign::soak(ticks, seed),
         Command::Structure => structure::check(&setup::root()).map(|report| print!("{report}")),
+        Command::Book => book::render().map(|page| println!("{}", page.display())),
         Command::Setup => setup::everything(),
     };
     match result {

@@ -43,8 +43,10 @@ pub fn tool(name: &str, version: &str) -> Result<PathBuf> {
 
 fn is_wanted(program: &Path, name: &str, version: &str) -> bool {
     // As cargo calls it: cargo-mutants knows no option without its verb.
-    let verb = name.trim_start_matches("cargo-");
-    // Behind the name: `cargo-deny 0.20.2`.
-    process::output(Command::new(program).args([verb, "--version"]))
-        .is_ok_and(|said| said.split_whitespace().nth(1) == Some(version))
+    let verb = name.strip_prefix("cargo-");
+    // Behind the name: `cargo-deny 0.20.2`, `mdbook v0.5.4`.
+    process::output(Command::new(program).args(verb).arg("--version")).is_ok_and(|said| {
+        let said = said.split_whitespace().nth(1).unwrap_or_default();
+        said.trim_start_matches('v') == version
+    })
 }

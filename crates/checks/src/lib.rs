@@ -3,10 +3,11 @@
 //!
 //! ```text
 //!  verify ─► structure, supply_chain, test_run ─► tally
-//!  campaign: soak
+//!  campaign: soak      book: the manual, and the links of all documents
 //! ```
 #![forbid(unsafe_code)]
 
+pub mod book;
 pub mod campaign;
 mod cargo;
 pub mod structure;
