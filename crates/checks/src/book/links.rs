@@ -66,22 +66,6 @@ fn is_code(line: &str, place: usize) -> bool {
     line[..place].matches('`').count() % 2 == 1
 }
 
-/// What is between backquotes and is a path of this project: it has a slash, and no blank, option,
-/// placeholder or address in it.
-pub fn paths(text: &str) -> Vec<&str> {
-    let mut in_code = false;
-    let lines = text.lines().filter(|line| {
-        let fence = line.trim_start().starts_with("```");
-        in_code ^= fence;
-        !in_code && !fence
-    });
-    lines
-        .flat_map(|line| line.split('`').skip(1).step_by(2))
-        .filter(|word| word.contains('/') && !word.starts_with("target/"))
-        .filter(|word| !word.contains([' ', '<', '*', ':', '{', '…']))
-        .collect()
-}
-
 /// Path and anchor of a target, the anchor with its `#`.
 pub fn split(target: &str) -> (&str, &str) {
     target.split_at(target.find('#').unwrap_or(target.len()))
@@ -206,12 +190,5 @@ mod tests {
         let wanted =
             ["page.md:3: there is no heading for #other", "page.md:3: there is no none.md"];
         assert_eq!(told, wanted);
-    }
-
-    #[test]
-    fn paths_are_what_is_quoted_and_has_a_slash() {
-        let text =
-            "`src/main.rs`, `cargo x a/b`, `crates/*/x`, `name`, [x](y/z)\n```\n`a/b`\n```\n";
-        assert_eq!(paths(text), ["src/main.rs"]);
     }
 }

@@ -117,7 +117,9 @@ pub fn render() -> Result<PathBuf> {
         fs::write(source.join(&page.name), text)?;
     }
     let mdbook = cargo::tool("mdbook", MDBOOK)?;
-    process::run(Command::new(mdbook).args(["build", "--dest-dir", "html"]).arg(&folder))?;
+    process::run(
+        Command::new(mdbook).args(["build", "--dest-dir"]).arg(folder.join("html")).arg(&folder),
+    )?;
     Ok(folder.join("html/index.html"))
 }
 
@@ -127,6 +129,22 @@ mod tests {
 
     fn root() -> PathBuf {
         normal(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../.."))
+    }
+
+    /// What is between backquotes and is a path of this project: it has a slash, and no blank, option,
+    /// placeholder or address in it.
+    fn paths(text: &str) -> Vec<&str> {
+        let mut in_code = false;
+        let lines = text.lines().filter(|line| {
+            let fence = line.trim_start().starts_with("```");
+            in_code ^= fence;
+            !in_code && !fence
+        });
+        lines
+            .flat_map(|line| line.split('`').skip(1).step_by(2))
+            .filter(|word| word.contains('/') && !word.starts_with("target/"))
+            .filter(|word| !word.contains([' ', '<', '*', ':', '{', '…']))
+            .collect()
     }
 
     #[test]
@@ -143,7 +161,7 @@ mod tests {
         let mut named = 0;
         for page in ["ARCHITECTURE.md", "CONTRIBUTING.md"] {
             let text = fs::read_to_string(root().join(page)).expect("it is there");
-            for path in links::paths(&text) {
+            for path in paths(&text) {
                 assert!(root().join(path).exists(), "{page}: there is no {path}");
                 named += 1;
             }
@@ -155,5 +173,12 @@ mod tests {
     fn the_readme_is_short() {
         let lines = fs::read_to_string(root().join("README.md")).expect("it is there");
         assert!(lines.lines().count() <= 150, "what it loses belongs to the book");
+    }
+
+    #[test]
+    fn paths_are_what_is_quoted_and_has_a_slash() {
+        let text =
+            "`src/main.rs`, `cargo x a/b`, `crates/*/x`, `name`, [x](y/z)\n```\n`a/b`\n```\n";
+        assert_eq!(paths(text), ["src/main.rs"]);
     }
 }
