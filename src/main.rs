@@ -161,6 +161,7 @@ mod app {
             from_serial,
             supervision: Supervision::new(
                 parts.watchdog,
+                parts.brown_out,
                 parts.lamp,
                 references,
                 store,
@@ -300,7 +301,7 @@ mod app {
             }
         });
         // Reaching this line shows that no task above hangs; the turns of those below are counted.
-        it.feed_watchdog(&turn);
+        it.feed_watchdog(&turn, quality);
         if it.log_is_due() {
             it.retain(&shared.node.lock(|node| node.kept()));
             shared.port.lock(|port| shared.node.lock(|node| supervision::log(node, port)));

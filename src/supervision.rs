@@ -14,7 +14,7 @@ use trueup_store::{
 
 use crate::{
     alive::{Roll, Turn},
-    board::{Flash, Lamp, Store, Watchdog, references},
+    board::{BrownOut, Flash, Lamp, Store, Watchdog, references},
 };
 
 /// Milliseconds between two turns.
@@ -24,6 +24,7 @@ const LOG_PERIOD_MS: u32 = 1_000;
 /// What the supervisor remembers.
 pub struct Supervision {
     watchdog: Watchdog,
+    brown_out: BrownOut,
     lamp: Lamp,
     references: References<Flash>,
     /// Where a loaded calibration is kept.
@@ -41,6 +42,7 @@ pub struct Supervision {
 impl Supervision {
     pub fn new(
         watchdog: Watchdog,
+        brown_out: BrownOut,
         lamp: Lamp,
         references: References<Flash>,
         store: Option<Store>,
@@ -48,6 +50,7 @@ impl Supervision {
     ) -> Self {
         Self {
             watchdog,
+            brown_out,
             lamp,
             references,
             store,
@@ -131,7 +134,7 @@ impl Supervision {
     }
 
     /// Feeds it, unless a task hangs; then the next start finds the one that this turn has interrupted.
-    pub fn feed_watchdog(&mut self, turn: &Turn) {
+    pub fn feed_watchdog(&mut self, turn: &Turn, quality: Quality) {
         if self.roll.call(PERIOD_MS) && !self.hangs {
             defmt::error!("a task hangs");
             self.hangs = true;
@@ -139,6 +142,8 @@ impl Supervision {
         }
         if !self.hangs {
             self.watchdog.feed();
+            self.brown_out
+                .turn(!matches!(quality, Quality::Off | Quality::Fault), &mut self.watchdog);
         }
     }
 

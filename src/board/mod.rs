@@ -9,6 +9,7 @@
 //! | [`Flash`] | two sectors of the flash | a file of the host |
 //! | [`Store`] of a new calibration | two more sectors | a file of the host |
 //! | [`Watchdog`] | IWDG, 100 ms | none: the host watches |
+//! | [`BrownOut`] | level 3, in the option bytes | none |
 //! | [`SelfTest`] | RAM, image, registers, stack | none |
 //! | [`Lamp`] | LED | none |
 //! | calibration | linked into the image, or loaded over it | a file of the host, or loaded over it |
@@ -136,6 +137,8 @@ pub struct Parts {
     pub can_in: [CanIn; 2],
     pub can_out: CanOut,
     pub watchdog: Watchdog,
+    /// What is still to be done about the supply's lowest level.
+    pub brown_out: BrownOut,
     pub lamp: Lamp,
     pub idle: Idle,
     pub thermometers: Thermometers,

@@ -12,6 +12,8 @@
 //! Time is what the samples say. Nothing here depends on how fast the host is, so the same blocks
 //! give the same frames.
 
+mod absent;
+
 use core::{
     cell::RefCell,
     sync::atomic::{AtomicBool, AtomicU32, Ordering},
@@ -51,6 +53,7 @@ use crate::alive::{self, Task};
 
 use super::{BLOCK, Block, CanState, Faults, Parts, Sent, TEMPERATURES, references, reset_ram};
 
+pub use absent::{BrownOut, Lamp, SelfTest, Watchdog};
 use defmt_semihosting as _;
 
 /// Blocks that the host has announced and the board has not read.
@@ -134,6 +137,7 @@ pub fn start(
         can_in: [CanIn, CanIn],
         can_out: CanOut,
         watchdog: Watchdog,
+        brown_out: BrownOut,
         lamp: Lamp,
         idle: Idle { samples, frames, buffer },
         thermometers: Thermometers,
@@ -345,36 +349,6 @@ impl Store {
 /// the board is up again.
 pub fn restart() {
     RESTART.store(true, Ordering::Relaxed);
-}
-
-/// The host watches over its emulator.
-pub struct Watchdog;
-
-impl Watchdog {
-    pub fn feed(&mut self) {}
-}
-
-/// An emulator is never damaged.
-pub struct SelfTest;
-
-impl SelfTest {
-    pub fn turn(&mut self) {}
-
-    pub fn is_damaged(&self) -> bool {
-        false
-    }
-
-    /// Not known.
-    pub fn free_stack(&mut self) -> u16 {
-        u16::MAX
-    }
-}
-
-/// No lamp.
-pub struct Lamp;
-
-impl Lamp {
-    pub fn set(&mut self, _on: bool) {}
 }
 
 /// Announced blocks as they come from the pipe.

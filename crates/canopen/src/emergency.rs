@@ -88,7 +88,7 @@ pub enum Fault {
     ZeroRefused,
     /// The last start ended by a panic, a hard fault, a stack overflow or a register that had changed.
     Stopped,
-    /// The board has found its image, its RAM or its CRC unit damaged, and gives no offset.
+    /// The board has found its image or its RAM damaged, and gives no offset.
     SelfTest,
 }
 

@@ -123,6 +123,8 @@ pub fn options() -> Options {
             "--hse-stops" => o.faults.hse_stops = ms(number(args.next(), &a)),
             "--hse-dead" => o.faults.hse_dead = true,
             "--pll-dead" => o.faults.pll_dead = true,
+            "--capture-dead" => o.faults.capture_dead = true,
+            "--crc-dead" => o.faults.crc_dead = true,
             "--serial-dma-stuck" => o.faults.serial_dma_stuck = true,
             "--from-loader" => o.from_loader = true,
             "--stray-flash-write" => o.faults.stray_write = ms(number(args.next(), &a)),

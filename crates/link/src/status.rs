@@ -151,7 +151,7 @@ impl StateBits {
     pub const SOURCE_DEAD: Self = Self(1 << 12);
     /// What is measured no longer fits the calibration.
     pub const CALIBRATION_UNFIT: Self = Self(1 << 13);
-    /// The board has found itself damaged: its image, its RAM or its CRC unit. It gives no offset.
+    /// The board has found itself damaged: its image or its RAM. It gives no offset.
     pub const SELF_TEST: Self = Self(1 << 14);
     /// Every bit that has a meaning, with its word.
     pub const WORDS: [(Self, &'static str); 15] = [

@@ -2,11 +2,16 @@
 //!
 //! Out of the factory a chip runs down to 1.8 V, where 168 MHz are out of its specification. Level
 //! 3 resets it below about 2.8 V (data sheet, embedded reset and power control block). The level
-//! is an option byte (section 3.6.1), kept without power, so it is written once in a board's life.
+//! is an option byte (section 3.6.1), kept without power, so it is written once in a board's life: by the
+//! first start of a new board. That takes a quarter of a second in which the core stands still, so a board
+//! that a machine relies on already, whose option bytes somebody else has changed, comes up first, and does it
+//! when it has given no offset for a while.
 
+use super::{
+    watchdog::{Reset, Watchdog},
+    within,
+};
 use stm32f4xx_hal::pac::FLASH;
-
-use super::{watchdog::Reset, within};
 
 /// BOR_LEV for level 3; 0b11 is "off". The register crate has its names the wrong way round.
 const LEVEL_3: u8 = 0b00;
@@ -16,21 +21,58 @@ const UNLOCK: [u32; 2] = [0x0819_2A3B, 0x4C5D_6E7F];
 const WRITE_MS: u32 = 2_000;
 /// Core cycles in a millisecond at the full clock; a slower clock only waits longer.
 const MILLISECOND: u32 = 168_000;
+/// Turns of the supervisor without an offset until the level is raised on a board in service: 2 s. A CNC that
+/// engages just then is held up by the quarter of a second.
+const TURNS: u32 = 200;
 
-/// Raises the brown-out level to 3 if it is not there yet.
-///
-/// Only after power-on, so that no loop of resets can wear the option bytes out if they do not
-/// take the value.
-pub fn protect(flash: &FLASH, reset: Reset) {
-    if is_protected(flash) {
-        return;
+/// The level, and what is still to be done about it.
+pub struct BrownOut {
+    /// Of the flash.
+    controller: FLASH,
+    is_due: bool,
+    turns: u32,
+}
+
+impl BrownOut {
+    /// Looks at it.
+    ///
+    /// It is raised only after power-on, so that no loop of resets can wear the option bytes out if they do
+    /// not take the value.
+    #[allow(unsafe_code, reason = "the flash has two users")]
+    pub fn look(reset: Reset) -> Self {
+        // SAFETY: start and supervisor use it, and the stores of the supervisor not at the same time.
+        let controller = unsafe { FLASH::steal() };
+        let is_low = !is_protected(&controller);
+        if is_low && reset != Reset::PowerOn {
+            defmt::warn!("brown-out level is not 3; it will be set at the next power-on");
+        }
+        Self { controller, is_due: is_low && reset == Reset::PowerOn, turns: 0 }
     }
-    if reset != Reset::PowerOn {
-        defmt::warn!("brown-out level is not 3; it will be set at the next power-on");
-    } else if write(flash) {
-        defmt::info!("brown-out level set to 3");
-    } else {
-        defmt::error!("dead: option bytes, the brown-out level is still not 3");
+
+    /// Raises it at once, if it is low.
+    pub fn raise(&mut self) {
+        if !self.is_due {
+            return;
+        }
+        self.is_due = false;
+        if write(&self.controller) {
+            defmt::info!("brown-out level set to 3");
+        } else {
+            defmt::error!("dead: option bytes, the brown-out level is still not 3");
+        }
+    }
+
+    /// A turn of the supervisor: raises it, if it is low and no offset was given for a while.
+    pub fn turn(&mut self, gives_offset: bool, watchdog: &mut Watchdog) {
+        self.turns = if gives_offset { 0 } else { self.turns + 1 };
+        if self.is_due && self.turns >= TURNS {
+            watchdog.loosen();
+            // Until it counts by the new limit.
+            cortex_m::asm::delay(MILLISECOND);
+            watchdog.feed();
+            self.raise();
+            watchdog.tighten();
+        }
     }
 }
 

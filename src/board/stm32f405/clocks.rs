@@ -19,7 +19,7 @@
 //! internal oscillator and raises the NMI. Every timer would be wrong from then on, so the NMI
 //! resets, and the start that follows finds the dead crystal and reports it.
 
-use cortex_m::peripheral::{SCB, SYST, syst::SystClkSource};
+use cortex_m::peripheral::{SCB, SYST};
 use stm32f4xx_hal::{
     pac::{FLASH, RCC, TIM11},
     prelude::*,
@@ -29,7 +29,7 @@ use stm32f4xx_hal::{
 use super::{
     crystal,
     last_words::{self, Core, Why},
-    within,
+    stopwatch::{self, soon},
 };
 
 /// What the core is clocked from.
@@ -52,15 +52,10 @@ const MILLISECOND: u32 = 16_000;
 const CRYSTAL_TIME: u32 = 20 * MILLISECOND;
 /// The PLL locks in at most 300 µs (data sheet, main PLL characteristics): ten times that.
 const PLL_TIME: u32 = 3 * MILLISECOND;
-/// All bits of SysTick's counter, which counts down.
-const SYSTICK_MASK: u32 = 0xFF_FFFF;
 
 /// Starts the best clock there is, and says which. SysTick measures the time until then.
 pub fn start(rcc: RCC, timer: &TIM11, flash: &FLASH, systick: &mut SYST) -> (Rcc, Source) {
-    systick.set_clock_source(SystClkSource::Core);
-    systick.set_reload(SYSTICK_MASK);
-    systick.clear_current();
-    systick.enable_counter();
+    stopwatch::start(systick);
     back_to_reset(&rcc);
     let source = best_source(&rcc, timer);
     let rcc = rcc.freeze(configuration(source));
@@ -138,18 +133,6 @@ fn pll_locks(rcc: &RCC, crystal_mhz: Option<u32>) -> bool {
     rcc.cr().modify(|_, w| w.pllon().off());
     // Its settings are locked until it has stopped.
     locks && soon(PLL_TIME, || rcc.cr().read().pllrdy().bit_is_clear())
-}
-
-/// Whether `ready` came true within so many core cycles, below 2²⁴, by SysTick. A poll takes some cycles,
-/// so that many polls are the limit where SysTick stands.
-fn soon(cycles: u32, mut ready: impl FnMut() -> bool) -> bool {
-    let start = SYST::get_current();
-    let mut is_ready = false;
-    within(cycles, || {
-        is_ready = ready();
-        is_ready || start.wrapping_sub(SYST::get_current()) & SYSTICK_MASK >= cycles
-    });
-    is_ready || ready()
 }
 
 fn configuration(source: Source) -> Config {

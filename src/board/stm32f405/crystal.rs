@@ -4,10 +4,14 @@
 //! divider a crystal of 12 MHz would run the core at 252 MHz. TIM11 captures the crystal divided by 31
 //! while it counts the internal oscillator, which is true to 8 % at any temperature (data sheet, HSI
 //! oscillator characteristics): the nearest two of these crystals differ by 28 %.
+//!
+//! Where that timer captures nothing, the watchdog's oscillator is the witness: it says only a rough 17 to
+//! 47 kHz, but the same before and after. The core counts its own cycles over the same number of its
+//! periods twice, once on the internal oscillator and once on the crystal; their ratio is that of the two.
 
-use stm32f4xx_hal::pac::{RCC, TIM11};
+use stm32f4xx_hal::pac::{IWDG, RCC, TIM11};
 
-use super::within;
+use super::{stopwatch, within};
 
 /// Crystals that the clock tree has settings for, in MHz.
 const KNOWN_MHZ: [u32; 4] = [8, 12, 16, 25];
@@ -24,10 +28,33 @@ const CAPTURES: u32 = 4;
 /// A capture takes 31 µs at 8 MHz: some fifty polls. A crystal below 0.5 MHz is none.
 const POLLS: u32 = 1_000;
 
+/// Updates of the watchdog's prescaler that are measured over, each of 5 periods of its oscillator (section
+/// 21.4.4): at least 6 800 core cycles, where one poll is 0.2 %.
+const UPDATES: u32 = 8;
+/// An update takes at most 294 µs (17 kHz, data sheet, LSI oscillator characteristics), 7 400 cycles of a
+/// crystal of 25 MHz; a poll takes more than one.
+const UPDATE_POLLS: u32 = 10_000;
+
 /// The crystal that runs, in MHz; `None`: it is none of those known, or it cannot be measured. Its rate is
-/// in the log.
-#[allow(unsafe_code, reason = "registers of a timer and of the clock tree")]
+/// in the log. The core runs from the internal oscillator before and after, and SysTick counts its cycles.
 pub fn measure(rcc: &RCC, timer: &TIM11) -> Option<u32> {
+    let khz = captured_khz(rcc, timer).or_else(|| {
+        defmt::warn!("crystal: TIM11 captures nothing, the watchdog's oscillator measures it");
+        khz_by_watchdog(rcc)
+    })?;
+    let known = KNOWN_MHZ
+        .into_iter()
+        .find(|mhz| khz.abs_diff(mhz * 1_000) * 100 <= mhz * 1_000 * TOLERANCE_PERCENT);
+    match known {
+        Some(mhz) => defmt::info!("crystal: {} MHz, measured {} kHz", mhz, khz),
+        None => defmt::error!("crystal: {} kHz is none of 8, 12, 16, 25 MHz", khz),
+    }
+    known
+}
+
+/// The crystal's rate by TIM11; `None`: nothing was captured, or a capture was missed.
+#[allow(unsafe_code, reason = "registers of a timer and of the clock tree")]
+fn captured_khz(rcc: &RCC, timer: &TIM11) -> Option<u32> {
     rcc.apb2enr().modify(|_, w| w.tim11en().enabled());
     // A read of the register lets the clock come up (errata sheet, delay after an RCC clock enabling).
     let _clocked = rcc.apb2enr().read();
@@ -56,19 +83,49 @@ pub fn measure(rcc: &RCC, timer: &TIM11) -> Option<u32> {
     // SAFETY: no clock for the RTC.
     rcc.cfgr().modify(|_, w| unsafe { w.rtcpre().bits(0) });
     let counts = counts.filter(|counts| *counts > 0 && !missed)?;
-    let khz = u32::from(DIVISION) * PERIODS * CAPTURES * INTERNAL_KHZ / counts;
-    let known = KNOWN_MHZ
-        .into_iter()
-        .find(|mhz| khz.abs_diff(mhz * 1_000) * 100 <= mhz * 1_000 * TOLERANCE_PERCENT);
-    match known {
-        Some(mhz) => defmt::info!("crystal: {} MHz, measured {} kHz", mhz, khz),
-        None => defmt::error!("crystal: {} kHz is none of 8, 12, 16, 25 MHz", khz),
-    }
-    known
+    Some(u32::from(DIVISION) * PERIODS * CAPTURES * INTERNAL_KHZ / counts)
 }
 
 /// The count at the next capture.
 fn capture(timer: &TIM11) -> Option<u16> {
     within(POLLS, || timer.sr().read().cc1if().bit_is_set())
         .then(|| timer.ccr1().read().bits() as u16)
+}
+
+/// The crystal's rate by the watchdog's oscillator; `None`: the watchdog does not answer. The core runs from
+/// the crystal meanwhile, without wait states, which do up to 30 MHz (section 3.5.1), and under the clock
+/// security system, lest it stop for good with the crystal.
+fn khz_by_watchdog(rcc: &RCC) -> Option<u32> {
+    let internal = update_cycles()?;
+    rcc.cr().modify(|_, w| w.csson().on());
+    rcc.cfgr().modify(|_, w| w.sw().hse());
+    let runs = within(UPDATE_POLLS, || rcc.cfgr().read().sws().is_hse());
+    let crystal = if runs { update_cycles() } else { None };
+    rcc.cfgr().modify(|_, w| w.sw().hsi());
+    let is_back = within(UPDATE_POLLS, || rcc.cfgr().read().sws().is_hsi());
+    rcc.cr().modify(|_, w| w.csson().off());
+    // At most 75 000 cycles: no overflow.
+    crystal.filter(|_| is_back && internal > 0).map(|cycles| cycles * INTERNAL_KHZ / internal)
+}
+
+/// How many cycles the core makes while the watchdog's prescaler is written again and again with what it is.
+#[allow(unsafe_code, reason = "registers of the watchdog")]
+fn update_cycles() -> Option<u32> {
+    /// Lets the prescaler be written (IWDG_KR, section 21.4.1).
+    const UNLOCK: u16 = 0x5555;
+    // SAFETY: the watchdog's owner does nothing before the start is done, and finds everything as it was.
+    let watchdog = unsafe { &*IWDG::ptr() };
+    let done = || within(UPDATE_POLLS, || watchdog.sr().read().pvu().bit_is_clear());
+    let update = || {
+        // SAFETY: the key, and the value that it has.
+        unsafe { watchdog.kr().write(|w| w.bits(UNLOCK)) };
+        watchdog.pr().modify(|_, w| w);
+        done()
+    };
+    // The first update begins at any time, the others with the end of the one before.
+    if !done() || !update() {
+        return None;
+    }
+    let start = stopwatch::now();
+    (0..UPDATES).all(|_| update()).then(|| stopwatch::cycles_since(start))
 }

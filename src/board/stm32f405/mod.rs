@@ -34,6 +34,7 @@ mod self_test;
 mod serial;
 mod serial_dma;
 mod stack;
+mod stopwatch;
 mod store;
 mod thermometers;
 mod watchdog;
@@ -49,6 +50,7 @@ use stm32f4xx_hal::{
 
 use super::{Buffer, Faults, Parts, references, reset_ram};
 use crate::alive::{self, Task};
+pub use brown_out::BrownOut;
 pub use can::{CanIn, CanOut};
 use clocks::Source;
 pub use flash::Flash;
@@ -91,7 +93,7 @@ pub fn start(
     mpu::protect(&core.MPU);
     trap_divisions_by_zero(&core.SCB);
     let (mut rcc, source) = clocks::start(device.RCC, &device.TIM11, &device.FLASH, &mut core.SYST);
-    brown_out::protect(&device.FLASH, reset);
+    let mut brown_out = BrownOut::look(reset);
     keep_debugger_connected(&device.DBGMCU);
 
     // Before anything runs that an erase would hold up.
@@ -104,6 +106,11 @@ pub fn start(
         blob.and_then(|blob| Ok((calibration::identity(blob), calibration::decode(blob)?)));
     let identity = calibration.as_ref().map_or(0, |(identity, _)| *identity);
     let references = references::open(flash, identity);
+    let kept = &references.1;
+    if loaded.is_none() && kept.reference.is_none() && kept.named.is_none() {
+        // Nobody waits for a new board.
+        brown_out.raise();
+    }
     let calibration = calibration.map(|(_, calibration)| calibration);
     let blob = if calibration.is_ok() { blob.unwrap_or_default() } else { &[] };
 
@@ -186,6 +193,7 @@ pub fn start(
         retained: reset_ram::take(),
         loading: Some((buffer, store)),
         watchdog,
+        brown_out,
         start: began,
         self_test,
         serial_number,

@@ -76,10 +76,16 @@ impl Watchdog {
     /// halts the core. A start has 8 s by the watchdog's own clock, at least 5.4 s: erasing two sectors of
     /// the flash takes 4 s at most.
     pub fn start(iwdg: IWDG, dbgmcu: &DBGMCU) -> Self {
-        let mut watchdog = IndependentWatchdog::new(iwdg);
-        watchdog.stop_on_debug(dbgmcu, true);
-        watchdog.start(8_000.millis());
-        Self(watchdog)
+        let mut watchdog = Self(IndependentWatchdog::new(iwdg));
+        watchdog.0.stop_on_debug(dbgmcu, true);
+        watchdog.loosen();
+        watchdog
+    }
+
+    /// Lets a start or an erase take its time. The longer limit holds from the next [`Self::feed`] on that comes a
+    /// millisecond later: its registers take five periods of its oscillator, 0.3 ms at most (section 21.4.4).
+    pub fn loosen(&mut self) {
+        self.0.start(8_000.millis());
     }
 
     /// The start is done: from now on it is fed by the supervisor.

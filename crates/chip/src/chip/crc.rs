@@ -21,6 +21,7 @@ impl Default for Crc {
 impl Chip {
     pub(crate) fn crc_read(&mut self, off: u32) -> u32 {
         match off {
+            0 if self.faults.crc_dead => 0,
             0 => self.crc.dr,
             4 => self.crc.idr,
             8 => 0,

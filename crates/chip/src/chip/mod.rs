@@ -73,6 +73,10 @@ pub struct Faults {
     pub can_alone: bool,
     /// Every frame is destroyed.
     pub can_short: bool,
+    /// TIM11 captures nothing.
+    pub capture_dead: bool,
+    /// The CRC unit takes nothing, and reads as 0.
+    pub crc_dead: bool,
     /// The streams of the serial line take their enable and move nothing.
     pub serial_dma_stuck: bool,
     /// When something writes to the flash that has not been unlocked for it; 0: never.

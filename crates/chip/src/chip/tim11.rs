@@ -25,6 +25,9 @@ pub struct Tim11 {
 impl Chip {
     /// Ticks of the simulation between two captures; `None`: nothing is captured.
     fn tim11_period(&self) -> Option<u64> {
+        if self.faults.capture_dead {
+            return None;
+        }
         let t = &self.tim11;
         let division = u64::from(self.rcc.cfgr >> 16 & 31);
         let is_connected = t.option & 3 == 2 && t.ccmr1 & 3 == 1 && t.ccer & 1 != 0;

@@ -1,6 +1,8 @@
 //! The flashable image, unmodified, on the model of its chip (`crates/chip`): healthy, and with each part
 //! dead that has a fall-back. The model knows the manuals and not the firmware, so what it finds counts.
 
+mod starts;
+
 use std::{path::PathBuf, sync::OnceLock};
 
 use trueup_canopen::emergency::Fault;
@@ -8,12 +10,6 @@ use trueup_emulator::{
     chip::{self, Report},
     firmware, setup,
 };
-use trueup_link::{
-    frame::Frame,
-    layout::STATUS_ID,
-    status::{self, Item, ResetReason},
-};
-
 /// The model and the image; `None`: this compiler is too old for the model.
 fn parts() -> Option<&'static (PathBuf, PathBuf)> {
     static PARTS: OnceLock<Option<(PathBuf, PathBuf)>> = OnceLock::new();
@@ -76,18 +72,6 @@ fn is_clean(report: &Report) {
 fn logs(report: &Report, text: &str) {
     let said = report.log.iter().any(|line| line.contains(text));
     assert!(said, "the log does not say {text:?}:\n{}", report.log.join("\n"));
-}
-
-#[test]
-fn the_first_start_of_a_new_chip_sets_its_brown_out_level_and_runs_at_168_mhz() {
-    let Some(report) = run(&["--ms", "600"]) else { return };
-    is_clean(&report);
-    says(&report, &["option bytes programmed: brown-out level 3"]);
-    says(&report, &["source PLL, SYSCLK 168000000 Hz"]);
-    says(&report, &["20000.000 Hz"]);
-    // The prefetch is noise in the converter.
-    says(&report, &["flash: wait states 5, prefetch 0"]);
-    logs(&report, "brown-out level set to 3");
 }
 
 #[test]
@@ -163,51 +147,11 @@ fn a_canopen_master_reads_the_device_type_and_the_boards_own_serial_number() {
     assert!(report.events.iter().any(|event| event.contains(&answer)), "no {answer}");
 }
 
-#[test]
-fn a_dead_crystal_leaves_the_serial_line_and_silences_can() {
-    let Some(report) = run(&["--bor", "--hse-dead", "--ms", "800", "--say", "600", "S8\\rO\\r"])
-    else {
-        return;
-    };
-    is_clean(&report);
-    says(&report, &["CAN: 0 sent"]);
-    says(&report, &["serial: \"t2818"]);
-    // 168 MHz from an oscillator that is 4 % fast would be too much for the chip.
-    says(&report, &["source PLL, SYSCLK 144000000 Hz"]);
-    says(&report, &["20000.000 Hz"]);
-    logs(&report, "dead: crystal");
-}
-
-#[test]
-fn a_crystal_that_stops_leads_to_a_reset_and_a_start_without_it() {
-    let Some(report) = run(&["--bor", "--hse-stops", "600", "--ms", "1400"]) else { return };
-    is_clean(&report);
-    says(&report, &["resets [\"software at"]);
-    logs(&report, "dead: crystal");
-    logs(&report, "the last start ended by Crystal");
-}
-
-#[test]
-fn crystals_of_8_12_16_and_25_mhz_are_told_apart_and_any_other_counts_as_dead() {
-    for hertz in ["8000000", "12000000", "16000000", "25000000"] {
-        let Some(report) = run(&["--bor", "--crystal", hertz, "--ms", "150"]) else { return };
-        is_clean(&report);
-        says(&report, &["source PLL, SYSCLK 168000000 Hz"]);
-        says(&report, &["CAN: 1000000 bit/s, sample point 85.7"]);
-    }
-    let Some(report) = run(&["--bor", "--crystal", "10000000", "--ms", "150"]) else { return };
-    is_clean(&report);
-    says(&report, &["source PLL, SYSCLK 144000000 Hz"]);
-    says(&report, &["CAN: 0 sent"]);
-    logs(&report, "is none of 8, 12, 16, 25 MHz");
-}
-
-#[test]
-fn a_dead_pll_leaves_16_mhz_and_a_serial_line_that_is_2_percent_fast() {
-    let Some(report) = run(&["--bor", "--pll-dead", "--ms", "900"]) else { return };
-    // The rate is 2.1 % off: the one violation, and the reference says so.
-    says(&report, &["USART1: 941176 Bd"]);
-    logs(&report, "dead: PLL");
+/// Runs the image with a client that opens the channel as soon as the board hears: it is up after some 90 ms,
+/// and looks at its lines 10 ms later.
+fn run_heard_from_the_start(options: &[&str]) -> Option<Report> {
+    let opens = ["88", "90", "92", "94", "96", "98", "100"].map(|at| ["--say", at, "S8\\rO\\r"]);
+    run(&[&["--bor"], opens.as_flattened(), options].concat())
 }
 
 /// The faults that were told as emergencies on the serial line, by their places in the list of faults.
@@ -223,8 +167,7 @@ fn emergencies(report: &Report) -> Vec<u8> {
 
 #[test]
 fn a_bus_without_a_partner_is_told_and_not_waited_for() {
-    let options = ["--bor", "--can-alone", "--ms", "600", "--say", "89", "S8\\rO\\r"];
-    let Some(report) = run(&options) else { return };
+    let Some(report) = run_heard_from_the_start(&["--can-alone", "--ms", "600"]) else { return };
     is_clean(&report);
     says(&report, &["TEC 128"]);
     let told = emergencies(&report);
@@ -234,8 +177,7 @@ fn a_bus_without_a_partner_is_told_and_not_waited_for() {
 
 #[test]
 fn a_bus_that_destroys_every_frame_is_told_and_come_back_to() {
-    let options = ["--bor", "--can-short", "--ms", "600", "--say", "89", "S8\\rO\\r"];
-    let Some(report) = run(&options) else { return };
+    let Some(report) = run_heard_from_the_start(&["--can-short", "--ms", "600"]) else { return };
     is_clean(&report);
     says(&report, &["back from bus-off by itself"]);
     let told = emergencies(&report);
@@ -244,8 +186,7 @@ fn a_bus_that_destroys_every_frame_is_told_and_come_back_to() {
 
 #[test]
 fn a_dominant_bus_is_told_and_not_disturbed() {
-    let options = ["--bor", "--can-stuck", "--ms", "600", "--say", "89", "S8\\rO\\r"];
-    let Some(report) = run(&options) else { return };
+    let Some(report) = run_heard_from_the_start(&["--can-stuck", "--ms", "600"]) else { return };
     is_clean(&report);
     says(&report, &["CAN: 0 sent"]);
     let told = emergencies(&report);
@@ -261,49 +202,6 @@ fn an_error_of_the_flash_does_not_hold_up_the_next_zero() {
     is_clean(&report);
     says(&report, &["24 words programmed"]);
     logs(&report, "stored: elongation");
-}
-
-#[test]
-fn after_the_loader_the_image_starts_as_after_a_reset() {
-    let Some(report) = run(&["--bor", "--from-loader", "--ms", "300"]) else { return };
-    is_clean(&report);
-    says(&report, &["source PLL, SYSCLK 168000000 Hz"]);
-    sends_every_millisecond(&report);
-}
-
-#[test]
-fn a_hard_fault_resets_at_once_and_the_next_start_tells_it_and_where() {
-    // An address in no memory; `Status` says why the board started once in 1.1 s.
-    let Some(report) = run(&["--bor", "--upset", "400", "30000000", "--ms", "1700"]) else {
-        return;
-    };
-    says(&report, &["resets [\"software at 0.400 s\"]"]);
-    logs(&report, "the last start ended by HardFault");
-    logs(&report, "pc 0x30000000");
-    let reasons: Vec<ResetReason> =
-        report.events.iter().filter_map(|event| reset_reason(event)).collect();
-    assert_eq!(reasons.last(), Some(&ResetReason::HardFault), "{reasons:?}");
-}
-
-/// What a `Status` frame on the CAN bus says of the last reset.
-fn reset_reason(event: &str) -> Option<ResetReason> {
-    let data = event.split(" can 381 ").nth(1)?;
-    let byte = |n: usize| u8::from_str_radix(&data[2 * n..2 * n + 2], 16).expect("hex");
-    let bytes: [u8; 8] = std::array::from_fn(byte);
-    let frame = Frame::new(STATUS_ID, &bytes).expect("eight bytes");
-    match status::decode(&frame).expect("a status").item {
-        Item::Reset { reason, .. } => Some(reason),
-        _ => None,
-    }
-}
-
-#[test]
-fn the_watchdog_is_fed_in_time_at_both_limits_of_its_oscillator() {
-    for hertz in ["47000", "17000"] {
-        let Some(report) = run(&["--bor", "--lsi", hertz, "--ms", "400"]) else { return };
-        is_clean(&report);
-        says(&report, &["resets []"]);
-    }
 }
 
 /// Runs the image in a world by script.
@@ -452,21 +350,4 @@ fn a_healthy_minute_with_everything_on_has_no_violation_and_no_remark() {
     sends_every_millisecond(&report);
     says(&report, &["OffsetZ at", "quality 1", "(last)"]);
     assert_eq!(number(&report, " overruns"), 0.0, "{}", report.said);
-}
-
-#[test]
-fn after_a_power_cut_in_the_first_zero_the_board_is_heard_within_200_ms() {
-    for word in [1, 4, 8] {
-        let script = format!("0 flags 2\n250 flags 3\n500 cut {word}\n700 flags 7\n900 flags 3\n");
-        let Some(report) = run_script(&script, &["--ms", "1100"]) else { return };
-        is_clean(&report);
-        let at = |what: &str, from: f64| {
-            let times = report.events.iter().filter(|event| event.contains(what));
-            let mut times = times.filter_map(|event| event.split(' ').next()?.parse::<f64>().ok());
-            times.find(|time| *time > from)
-        };
-        let cut = at("reset power, in a flash word", 0.0).expect("the power is cut");
-        let heard = at(" can 281 ", cut).expect("the board is heard again");
-        assert!(heard - cut < 200.0, "word {word}: silent for {} ms", heard - cut);
-    }
 }

@@ -1,0 +1,38 @@
+//! Time while the clocks are still being chosen: SysTick counts the core's cycles.
+
+use cortex_m::peripheral::{SYST, syst::SystClkSource};
+
+use super::within;
+
+/// All bits of SysTick's counter, which counts down.
+const MASK: u32 = 0xFF_FFFF;
+
+/// Lets it count.
+pub fn start(systick: &mut SYST) {
+    systick.set_clock_source(SystClkSource::Core);
+    systick.set_reload(MASK);
+    systick.clear_current();
+    systick.enable_counter();
+}
+
+/// What [`cycles_since`] counts from.
+pub fn now() -> u32 {
+    SYST::get_current()
+}
+
+/// Core cycles since then, below 2²⁴.
+pub fn cycles_since(start: u32) -> u32 {
+    start.wrapping_sub(now()) & MASK
+}
+
+/// Whether `ready` came true within so many core cycles, below 2²⁴, by SysTick. A poll takes some cycles,
+/// so that many polls are the limit where SysTick stands.
+pub fn soon(cycles: u32, mut ready: impl FnMut() -> bool) -> bool {
+    let start = now();
+    let mut is_ready = false;
+    within(cycles, || {
+        is_ready = ready();
+        is_ready || cycles_since(start) >= cycles
+    });
+    is_ready || ready()
+}
