@@ -4,7 +4,6 @@
 //! difference that the export states.
 
 use std::{
-    fs,
     path::Path,
     thread,
     time::{Duration, Instant},
@@ -12,7 +11,10 @@ use std::{
 
 use anyhow::{Context as _, Result, ensure};
 use trueup_emulator::{
-    linuxcnc::headless::{DISPLAY, Headless},
+    linuxcnc::{
+        headless::Headless,
+        three_joints::{self, Axis},
+    },
     setup::{self, LinuxCnc},
 };
 use trueup_export::{Approach, Export, Format, Options, export, linuxcnc};
@@ -30,64 +32,11 @@ const RESTS: u32 = 5;
 const SETTLED_UM: f64 = 1e-3;
 const JOINTS: [&str; 3] = ["x", "y", "z"];
 
-const CONFIGURATION: &str = "\
-[EMC]
-VERSION = 1.1
-MACHINE = trueup
-DEBUG = 0
-[DISPLAY]
-DISPLAY = FOLDER/SCREEN
-[RS274NGC]
-PARAMETER_FILE = FOLDER/sim.var
-[EMCMOT]
-EMCMOT = motmod
-COMM_TIMEOUT = 1.0
-SERVO_PERIOD = 1000000
-[TASK]
-TASK = milltask
-CYCLE_TIME = 0.001
-[HAL]
-HALFILE = FOLDER/sim.hal
-[TRAJ]
-COORDINATES = XYZ
-LINEAR_UNITS = mm
-ANGULAR_UNITS = degree
-DEFAULT_LINEAR_VELOCITY = 5000
-MAX_LINEAR_VELOCITY = 5000
-[EMCIO]
-EMCIO = io
-CYCLE_TIME = 0.1
-TOOL_TABLE = FOLDER/sim.tbl
-[KINS]
-KINEMATICS = trivkins
-JOINTS = 3
-";
 const OF_AXIS: &str = "\
 MIN_LIMIT = -20000
 MAX_LIMIT = 20000
 MAX_VELOCITY = 5000
 MAX_ACCELERATION = 100000
-";
-const OF_JOINT: &str = "\
-TYPE = LINEAR
-FERROR = 10
-MIN_FERROR = 10
-HOME = 0
-HOME_OFFSET = 0
-HOME_SEARCH_VEL = 0
-HOME_LATCH_VEL = 0
-HOME_SEQUENCE = 0
-COMP_FILE_TYPE = 1
-";
-const WIRES: &str = "\
-loadrt [KINS]KINEMATICS
-loadrt [EMCMOT]EMCMOT servo_period_nsec=[EMCMOT]SERVO_PERIOD num_joints=[KINS]JOINTS
-addf motion-command-handler servo-thread
-addf motion-controller servo-thread
-net x joint.0.motor-pos-cmd => joint.0.motor-pos-fb
-net y joint.1.motor-pos-cmd => joint.1.motor-pos-fb
-net z joint.2.motor-pos-cmd => joint.2.motor-pos-fb
-net estop iocontrol.0.user-enable-out => iocontrol.0.emc-enable-in
 ";
 
 /// X: 400 points each way, more than LinuxCNC stores. Y: 12 points and a backlash. Z: a backlash.
@@ -124,21 +73,11 @@ fn run(
     files: &[(String, String)],
     moves: &[[f64; 3]],
 ) -> Result<Vec<[f64; 3]>> {
-    let folder = Headless::new_folder()?;
-    let here = folder.path().to_str().context("a temporary folder has a plain name")?;
-    let mut configuration = CONFIGURATION.replace("FOLDER", here).replace("SCREEN", DISPLAY);
-    for (joint, axis) in JOINTS.iter().enumerate() {
-        configuration += &format!("[AXIS_{}]\n{OF_AXIS}", axis.to_uppercase());
-        configuration += &format!("[JOINT_{joint}]\n{OF_JOINT}{OF_AXIS}");
-        configuration += &format!("COMP_FILE = {here}/{axis}.comp\n");
-    }
-    let texts = [("sim.ini", configuration.as_str()), ("sim.hal", WIRES), ("sim.tbl", "")];
-    let files = files.iter().map(|(name, text)| (name.as_str(), text.as_str()));
-    for (name, text) in texts.into_iter().chain(files) {
-        fs::write(folder.path().join(name), text)?;
-    }
-    let mut cnc = Headless::start(folder, "sim.ini", linuxcnc)?;
-    cnc.switch_on()?;
+    let axes = JOINTS.map(|axis| Axis {
+        limits: OF_AXIS.into(),
+        joint: format!("COMP_FILE_TYPE = 1\nCOMP_FILE = FOLDER/{axis}.comp\n"),
+    });
+    let mut cnc = three_joints::start(linuxcnc, &axes, "", files)?;
     let begun = Instant::now();
     let mut added = Vec::with_capacity(moves.len());
     for [x, y, z] in moves {

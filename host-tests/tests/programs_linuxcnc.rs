@@ -19,7 +19,10 @@ use std::{
 
 use anyhow::{Context as _, Result, bail, ensure};
 use trueup_emulator::{
-    linuxcnc::headless::{DISPLAY, Headless, Sampler},
+    linuxcnc::{
+        headless::{Headless, Sampler},
+        three_joints::{self, Axis},
+    },
     setup::{self, LinuxCnc},
 };
 use trueup_fit::{Report, curve, pitch, straightness, thermal, warmup};
@@ -36,60 +39,14 @@ use trueup_twin::{
     machine::{Command, Machine},
 };
 
-const CONFIGURATION: &str = "\
-[EMC]
-VERSION = 1.1
-MACHINE = trueup-programs
-DEBUG = 0
-[DISPLAY]
-DISPLAY = FOLDER/SCREEN
-[RS274NGC]
-PARAMETER_FILE = FOLDER/sim.var
-[EMCMOT]
-EMCMOT = motmod
-COMM_TIMEOUT = 30.0
-SERVO_PERIOD = 1000000
-[TASK]
-TASK = milltask
-CYCLE_TIME = 0.001
-[HAL]
-HALFILE = FOLDER/sim.hal
-[TRAJ]
-COORDINATES = XYZ
-LINEAR_UNITS = mm
-ANGULAR_UNITS = degree
-DEFAULT_LINEAR_VELOCITY = 5000
-MAX_LINEAR_VELOCITY = 5000
-[EMCIO]
-EMCIO = io
-CYCLE_TIME = 0.1
-TOOL_TABLE = FOLDER/sim.tbl
-[KINS]
-KINEMATICS = trivkins
-JOINTS = 3
-";
-const OF_JOINT: &str = "\
-TYPE = LINEAR
-FERROR = 10
-MIN_FERROR = 10
-HOME = 0
-HOME_OFFSET = 0
-HOME_SEARCH_VEL = 0
-HOME_LATCH_VEL = 0
-HOME_SEQUENCE = 0
-";
-const WIRES: &str = "\
-loadrt [KINS]KINEMATICS
-loadrt [EMCMOT]EMCMOT servo_period_nsec=[EMCMOT]SERVO_PERIOD num_joints=[KINS]JOINTS
+/// What it commands in each servo cycle.
+const RECORDER: &str = "\
 loadrt sampler depth=16000 cfg=ffff
-addf motion-command-handler servo-thread
-addf motion-controller servo-thread
 addf sampler.0 servo-thread
-net x joint.0.motor-pos-cmd => joint.0.motor-pos-fb sampler.0.pin.0
-net y joint.1.motor-pos-cmd => joint.1.motor-pos-fb sampler.0.pin.1
-net z joint.2.motor-pos-cmd => joint.2.motor-pos-fb sampler.0.pin.2
+net x sampler.0.pin.0
+net y sampler.0.pin.1
+net z sampler.0.pin.2
 net speed spindle.0.speed-out => sampler.0.pin.3
-net estop iocontrol.0.user-enable-out => iocontrol.0.emc-enable-in
 ";
 /// The gantry's travel in mm, which are also the control's soft limits.
 const TRAVEL_MM: [f64; 3] = [14_300.0, 3_000.0, 2_500.0];
@@ -227,21 +184,14 @@ impl Rig {
 }
 
 fn start(linuxcnc: LinuxCnc) -> Result<Rig> {
-    let folder = Headless::new_folder()?;
-    let here = folder.path().to_str().context("a temporary folder has a plain name")?;
-    let mut text = CONFIGURATION.replace("FOLDER", here).replace("SCREEN", DISPLAY);
-    for (joint, (axis, travel)) in ["X", "Y", "Z"].into_iter().zip(TRAVEL_MM).enumerate() {
-        let limits = format!(
+    let axes = TRAVEL_MM.map(|travel_mm| Axis {
+        limits: format!(
             "MIN_LIMIT = -0.0001\nMAX_LIMIT = {}\nMAX_VELOCITY = 5000\nMAX_ACCELERATION = 50000\n",
-            travel + 0.0001
-        );
-        text += &format!("[AXIS_{axis}]\n{limits}[JOINT_{joint}]\n{OF_JOINT}{limits}");
-    }
-    for (name, text) in [("sim.ini", text.as_str()), ("sim.hal", WIRES), ("sim.tbl", "")] {
-        fs::write(folder.path().join(name), text)?;
-    }
-    let mut cnc = Headless::start(folder, "sim.ini", linuxcnc)?;
-    cnc.switch_on()?;
+            travel_mm + 0.0001
+        ),
+        joint: String::new(),
+    });
+    let cnc = three_joints::start(linuxcnc, &axes, RECORDER, &[])?;
     let (recorder, cycles) = cnc.sample()?;
     Ok(Rig { cnc, cycles: BufReader::new(cycles).lines(), recorder })
 }

@@ -105,7 +105,8 @@ MAX_FORWARD_VELOCITY = 24000
     text
 }
 
-const JOINT: &str = "\
+/// A joint that is where it is told to be.
+pub(super) const JOINT: &str = "\
 FERROR = 10
 MIN_FERROR = 10
 HOME = 0

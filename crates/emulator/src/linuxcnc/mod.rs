@@ -18,6 +18,8 @@
 //! | machine file | measured on the twin, fitted, diagnosed | [`measured`] |
 //! | figures | from every servo cycle | [`figures`], [`page`] |
 //!
+//! Tests that need a control and no bridge start the LinuxCNC of [`three_joints`].
+//!
 //! What is compressed, and how: in the warm-up a second of the wall is up to [`COMPRESSION`] seconds of
 //! board and machine; LinuxCNC stays in real time and its G-code waits for the machine's clock. The
 //! board counts silence of the CNC in its own time, so it gets `[limits]` that are as many times
@@ -30,6 +32,7 @@ pub mod headless;
 pub mod measured;
 pub mod page;
 pub mod plant;
+pub mod three_joints;
 
 use std::{
     fs,

@@ -3,7 +3,7 @@
 
 use trueup_machine::Machine;
 
-use super::{Plans, go, measured, temperatures};
+use super::{Plans, go, measured, temperature};
 use crate::{
     options::Options,
     plan::{Column, Plan, Step},
@@ -64,7 +64,7 @@ fn plan(machine: &Machine, travel: &Travel, options: &Options) -> Result<Plan, R
     steps.extend(measure());
     let mut columns = vec![Column::Empty("time_s".into()), Column::Position(axis.index())];
     columns.push(Column::Direction(axis.index()));
-    columns.extend(temperatures(machine, axis).into_iter().map(Column::Empty));
+    columns.push(Column::Empty(temperature(machine, axis)));
     columns.push(Column::Empty(measured(axis)));
     let notes = [
         "Begin with a machine that has stood still over night.",

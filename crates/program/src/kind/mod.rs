@@ -57,10 +57,11 @@ fn measured(axis: LinearAxis) -> String {
     format!("measured_d{}_um", axis.name())
 }
 
-/// The columns of the temperatures that the machine's laws go by, each once.
-fn temperatures(machine: &Machine, axis: LinearAxis) -> Vec<String> {
-    let own = machine.axes[axis.index()].thermal.as_ref().map(|thermal| thermal.sensor.clone());
-    vec![own.unwrap_or_else(|| format!("temp_screw_{}_c", axis.name()))]
+/// The column of the temperature that an axis's law goes by.
+fn temperature(machine: &Machine, axis: LinearAxis) -> String {
+    let thermal = machine.axes[axis.index()].thermal.as_ref();
+    thermal
+        .map_or_else(|| format!("temp_screw_{}_c", axis.name()), |thermal| thermal.sensor.clone())
 }
 
 /// That all corrections of the control must be off.

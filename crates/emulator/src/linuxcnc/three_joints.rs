@@ -1,0 +1,96 @@
+//! A LinuxCNC of three simulated joints, which are where they are told to be: for tests that need a control and
+//! no bridge.
+
+use std::fs;
+
+use anyhow::{Context as _, Result};
+
+use super::{
+    config::JOINT,
+    headless::{DISPLAY, Headless},
+};
+use crate::setup::LinuxCnc;
+
+/// A busy computer answers late.
+const CONFIGURATION: &str = "\
+[EMC]
+VERSION = 1.1
+MACHINE = trueup
+DEBUG = 0
+[DISPLAY]
+DISPLAY = FOLDER/SCREEN
+[RS274NGC]
+PARAMETER_FILE = FOLDER/sim.var
+[EMCMOT]
+EMCMOT = motmod
+COMM_TIMEOUT = 30.0
+SERVO_PERIOD = 1000000
+[TASK]
+TASK = milltask
+CYCLE_TIME = 0.001
+[HAL]
+HALFILE = FOLDER/sim.hal
+[TRAJ]
+COORDINATES = XYZ
+LINEAR_UNITS = mm
+ANGULAR_UNITS = degree
+DEFAULT_LINEAR_VELOCITY = 5000
+MAX_LINEAR_VELOCITY = 5000
+[EMCIO]
+EMCIO = io
+CYCLE_TIME = 0.1
+TOOL_TABLE = FOLDER/sim.tbl
+[KINS]
+KINEMATICS = trivkins
+JOINTS = 3
+";
+const WIRES: &str = "\
+loadrt [KINS]KINEMATICS
+loadrt [EMCMOT]EMCMOT servo_period_nsec=[EMCMOT]SERVO_PERIOD num_joints=[KINS]JOINTS
+addf motion-command-handler servo-thread
+addf motion-controller servo-thread
+net x joint.0.motor-pos-cmd => joint.0.motor-pos-fb
+net y joint.1.motor-pos-cmd => joint.1.motor-pos-fb
+net z joint.2.motor-pos-cmd => joint.2.motor-pos-fb
+net estop iocontrol.0.user-enable-out => iocontrol.0.emc-enable-in
+";
+
+/// What an axis has, as lines of an INI file.
+#[derive(Clone, Debug)]
+pub struct Axis {
+    /// Limits and speeds, of the axis and its joint.
+    pub limits: String,
+    /// What its joint has beside them; `FOLDER` is where the files are.
+    pub joint: String,
+}
+
+/// Starts it with X, Y and Z, more HAL lines, and more files of its folder, and switches it on. The signals `x`,
+/// `y` and `z` are the joints' positions in mm.
+///
+/// # Errors
+/// It does not start; with what it said.
+pub fn start(
+    control: LinuxCnc,
+    axes: &[Axis; 3],
+    hal: &str,
+    files: &[(String, String)],
+) -> Result<Headless> {
+    let folder = Headless::new_folder()?;
+    let here = folder.path().to_str().context("a temporary folder has a plain name")?;
+    let mut text = CONFIGURATION.to_string();
+    for (number, (name, Axis { limits, joint })) in ["X", "Y", "Z"].iter().zip(axes).enumerate() {
+        text += &format!(
+            "[AXIS_{name}]\n{limits}[JOINT_{number}]\nTYPE = LINEAR\n{JOINT}{joint}{limits}"
+        );
+    }
+    let text = text.replace("FOLDER", here).replace("SCREEN", DISPLAY);
+    let wires = [WIRES, hal].concat();
+    let own = [("sim.ini", text.as_str()), ("sim.hal", &wires), ("sim.tbl", "")];
+    let files = files.iter().map(|(name, text)| (name.as_str(), text.as_str()));
+    for (name, text) in own.into_iter().chain(files) {
+        fs::write(folder.path().join(name), text)?;
+    }
+    let mut cnc = Headless::start(folder, "sim.ini", control)?;
+    cnc.switch_on()?;
+    Ok(cnc)
+}
