@@ -23,6 +23,7 @@ use std::{
     fs::File,
     io::{BufRead, BufReader},
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 use crate::{
@@ -70,8 +71,8 @@ struct Slip {
 pub struct Column {
     /// Its name in the header, without surrounding blanks.
     pub name: String,
-    /// Its value in each row; NaN where it is missing.
-    pub values: Vec<f64>,
+    /// Its value in each row; NaN where it is missing. Shared with who goes on with it: a run may be large.
+    pub values: Arc<Vec<f64>>,
     /// The character column at which each value stands in its line, from 1.
     starts: Places,
 }
@@ -233,7 +234,7 @@ impl RunFile {
     /// Other values in the place of those of the column `name`, one for each row.
     pub(crate) fn replace(&mut self, name: &str, values: Vec<f64>) {
         if let Some(column) = self.columns.iter_mut().find(|column| column.name == name) {
-            column.values = values;
+            column.values = Arc::new(values);
         }
     }
 
@@ -244,7 +245,11 @@ impl RunFile {
         let columns = self.columns.iter().map(|column| {
             let mut values = column.values[..rows].to_vec();
             change(&column.name, &mut values);
-            Column { name: column.name.clone(), values, starts: column.starts.clone() }
+            Column {
+                name: column.name.clone(),
+                values: Arc::new(values),
+                starts: column.starts.clone(),
+            }
         });
         Self {
             path: self.path.clone(),
@@ -320,7 +325,7 @@ impl RunFile {
             }
             self.columns.push(Column {
                 name: name.to_string(),
-                values: Vec::new(),
+                values: Arc::default(),
                 starts: Places::new(),
             });
         }
@@ -380,7 +385,7 @@ impl RunFile {
                 .read(there, &column.name, field.text.trim())
                 .and_then(|value| check_direction(&column.name, value))
                 .map_err(|rule| BadInput::new(place(), format!("{} {rule}", column.name)))?;
-            column.values.push(value);
+            Arc::make_mut(&mut column.values).push(value);
             column.starts.push(field.column);
             there += 1;
         }

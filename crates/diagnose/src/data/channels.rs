@@ -107,7 +107,8 @@ pub(super) fn set_aside(data: &mut Data) {
                     .for_each(|value| *value -= by);
             }
         }
-        for rows in &files {
+        let lies = |rows: &&Range<usize>| own[(*rows).clone()].contains(&true);
+        for rows in files.iter().filter(lies) {
             let values = Arc::make_mut(&mut data.temperatures[column].1);
             bridge(&mut values[rows.clone()], &own[rows.clone()]);
         }

@@ -82,7 +82,11 @@ impl Data {
             } else {
                 &mut others
             };
-            target.push((column.name.clone(), Arc::new(joined(name).unwrap_or_default())));
+            let values = match &runs[..] {
+                [_] => Arc::clone(&column.values),
+                _ => Arc::new(joined(name).unwrap_or_default()),
+            };
+            target.push((column.name.clone(), values));
         }
         let mut data = Self {
             machine: machine.clone(),

@@ -91,7 +91,7 @@ fn what_was_written_is_a_run_file_with_the_same_values() {
     assert_eq!(after.columns().len(), 3 + COLUMNS.len());
     for (before, after) in before.columns().iter().zip(after.columns()) {
         assert_eq!(before.name, after.name);
-        for (before, after) in before.values.iter().zip(&after.values) {
+        for (before, after) in before.values.iter().zip(after.values.iter()) {
             assert!(before == after || before.is_nan() && after.is_nan());
         }
     }
