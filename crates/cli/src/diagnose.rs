@@ -10,14 +10,15 @@ use std::{
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use trueup_diagnose::{Diagnosis, Options, Verdict, diagnose_for};
+use trueup_diagnose::{Diagnosis, MISSING_INPUTS, Options, Verdict, diagnose_for};
 use trueup_machine::{
     BadInput, Machine, MachineFile, RunFile,
     compile::{check_slopes, compile},
     file,
 };
+use trueup_page::micrometres;
 
-use crate::{Outcome, UserError, files, output, report};
+use crate::{Outcome, UserError, files, origin, output, report};
 
 /// Shows what the machine file gets wrong, names the cause, and writes the machine file with it.
 ///
@@ -122,9 +123,13 @@ fn write(args: &Diagnose, diagnosis: &Diagnosis, name: &str, source: &str) -> Re
     {
         report::warn(format_args!("trueup compile will refuse {}: {rule}", path.display()));
     }
+    let lines = &diagnosis.report.missing_inputs;
+    if !lines.is_empty() {
+        eprintln!("help: {MISSING_INPUTS}\n{}", lines.join("\n"));
+    }
     let texts = [
         ("diagnosis.json", diagnosis.json()? + "\n"),
-        ("report.html", diagnosis.html(name)),
+        ("report.html", diagnosis.html(name, &origin::of(&inputs)?)),
         ("extended.toml", extended),
     ];
     for (file, text) in texts {
@@ -174,21 +179,22 @@ fn print(args: &Diagnose, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
         output::print(format_args!("    next: {}", finding.next_test))?;
     }
     output::print(format_args!(
-        "{}, {} rows: {:.3} µm RMS before, {:.3} after; {}: {:.3} before, {:.3} after; noise {:.3}",
+        "{}, {} rows: {} RMS before, {} after; {}: {} before, {} after; noise {}",
         report.quantity,
         report.rows_used,
-        report.before.rms_um,
-        report.after.rms_um,
+        micrometres(report.before.rms_um),
+        micrometres(report.after.rms_um),
         if report.holdout_used { "on the hold-out, which has chosen" } else { "not fitted to" },
-        report.before.holdout_rms_um,
-        report.after.holdout_rms_um,
-        report.noise_um
+        micrometres(report.before.holdout_rms_um),
+        micrometres(report.after.holdout_rms_um),
+        micrometres(report.noise_um)
     ))?;
     if diagnosis.corrects() {
         let at_tool = &report.at_tool;
         output::print(format_args!(
-            "promised at the tool, on days like these: {:.3} µm RMS before, {:.3} after",
-            at_tool.before_um, at_tool.after_um
+            "promised at the tool, on days like these: {} RMS before, {} after",
+            micrometres(at_tool.before_um),
+            micrometres(at_tool.after_um)
         ))?;
     }
     output::print(format_args!("{}", args.out.join("report.html").display()))

@@ -22,6 +22,7 @@ mod files;
 mod fit;
 mod gateway;
 mod linuxcnc;
+mod origin;
 mod output;
 mod predict;
 mod program;

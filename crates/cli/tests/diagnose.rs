@@ -69,6 +69,46 @@ fn json_is_printed_and_the_rows_are_written() {
     assert_eq!(desk.text("d/residuals.csv").lines().count(), 16);
 }
 
+/// Two thermometers, of which the board has one; the machine grows with both.
+fn two_thermometers(rows: u32) -> Desk {
+    let machine = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[inputs]\ntemp_front_c = { channel = 0, kind = \
+                   \"pt100\" }\n[spindle]\nsource = \"temperature\"\n[spindle.temperature]\nsensor = \
+                   \"temp_front_c\"\nreference_c = 20.0\nk_um_per_c = 2.0\n";
+    let mut run = String::from("time_s,temp_front_c,temp_bed_c,measured_elongation_um\n");
+    for row in 0..rows {
+        let turn = f64::from(row) / f64::from(rows) * std::f64::consts::TAU;
+        let (front, bed) = (24.0 + 4.0 * (3.0 * turn).sin(), 22.0 + 2.0 * (2.0 * turn).cos());
+        let noise = f64::from(row.wrapping_mul(2_654_435_761) >> 20) / 4096.0 - 0.5;
+        let um = 2.0 * (front - 20.0) + 1.5 * (bed - 20.0) + noise;
+        run += &format!("{row},{front:.3},{bed:.3},{um:.3}\n");
+    }
+    Desk::new(&[("m.toml", machine), ("run.csv", &run)])
+}
+
+#[test]
+fn what_the_board_lacks_for_a_term_is_given_as_lines_and_with_them_the_file_compiles() {
+    let desk = two_thermometers(600);
+    let (_, err) = desk.said("diagnose --machine m.toml --run run.csv --out d", 0);
+    let line = "temp_bed_c = { channel = 1, kind = \"pt100\" }";
+    assert!(err.contains(line), "{err}");
+    assert_eq!(answer(&desk)["missing_inputs"], serde_json::json!([line]));
+    assert!(desk.text("d/report.html").contains("temp_bed_c = { channel = 1"));
+    desk.said("compile d/extended.toml -o cal.bin", 2);
+    let pasted = desk.text("d/extended.toml").replace("[inputs]\n", &format!("[inputs]\n{line}\n"));
+    desk.write("pasted.toml", pasted);
+    desk.said("compile pasted.toml -o cal.bin", 0);
+}
+
+#[test]
+fn a_report_says_what_it_was_made_from_and_is_small_however_long_the_run() {
+    let desk = two_thermometers(20_000);
+    desk.said("diagnose --machine m.toml --run run.csv --out d", 0);
+    let page = desk.text("d/report.html");
+    assert!(page.len() < 200_000, "{} bytes", page.len());
+    let foot = format!("Made by trueup {} on 20", env!("CARGO_PKG_VERSION"));
+    assert!(page.contains(&foot) && page.contains("from m.toml (CRC-32 "), "{page}");
+}
+
 #[test]
 fn what_cannot_be_compared_is_refused_with_its_place() {
     let desk = desk();

@@ -66,6 +66,11 @@ pub use answer::{
 };
 pub use diagnose::{Options, Progress, diagnose, diagnose_for};
 use trueup_machine::{BadInput, RunFile};
+pub use trueup_page::Origin;
+
+/// What is to be done with [`Report::missing_inputs`].
+pub const MISSING_INPUTS: &str = "the board reads a thermometer only where [inputs] says on which channel it is: put \
+                                  these lines there, with the channel and the kind of yours";
 
 impl Diagnosis {
     /// `diagnosis.json`.
@@ -76,10 +81,10 @@ impl Diagnosis {
         serde_json::to_string_pretty(&self.report)
     }
 
-    /// `report.html`, of a machine of this name.
+    /// `report.html`, of a machine of this name; `origin` is what it was made from.
     #[must_use]
-    pub fn html(&self, machine_name: &str) -> String {
-        answer::html::html(self, machine_name)
+    pub fn html(&self, machine_name: &str, origin: &Origin) -> String {
+        answer::html::html(self, machine_name, origin)
     }
 
     /// The verdict in a sentence.

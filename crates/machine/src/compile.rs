@@ -40,7 +40,7 @@ use spindle::SpindleTables;
 use squareness::{compile_squareness, crossed};
 
 pub use account::LARGEST_DIFFERENCE_NM;
-pub use inputs::SHOWN_INPUT;
+pub use inputs::{SHOWN_INPUT, missing_inputs};
 pub(crate) use lag::time_constant_s;
 pub(crate) use sensor::UM_PER_COUNT_OF_NO_SLOPE;
 pub use sensor::stored_law_nm;

@@ -2,14 +2,12 @@
 
 use std::fmt::Write as _;
 
-use crate::{html::escaped, number::ticks};
+use crate::{html::escaped, number::ticks, seen};
 
 const WIDTH: f64 = 480.0;
 const HEIGHT: f64 = 290.0;
 /// Left, right, top, bottom: room for the numbers and the names of the axes.
 const MARGIN: [f64; 4] = [58.0, 12.0, 12.0, 44.0];
-/// A picture does not show more points than that.
-const MOST_POINTS: usize = 1200;
 
 /// What is drawn, and so in which colour: the same on every page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -108,24 +106,15 @@ impl Chart {
         );
         for series in &self.series {
             let class = series.colour.class();
-            let points = series.shown().map(|[x, y]| [at_x(x), at_y(y)]);
-            if series.is_line {
-                let mut path = String::new();
-                for (n, [x, y]) in points.enumerate() {
-                    let _ = write!(path, "{}{x:.1} {y:.1}", if n == 0 { 'M' } else { 'L' });
-                }
-                let _ = write!(svg, "<path class=\"line {class}\" d=\"{path}\"/>");
-            } else {
-                for [x, y] in points {
-                    let _ = write!(
-                        svg,
-                        "<circle class=\"dot {class}\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"2.4\"/>"
-                    );
-                }
-            }
+            let points: Vec<[f64; 2]> = series.shown().map(|[x, y]| [at_x(x), at_y(y)]).collect();
+            let (kind, path) = match series.is_line {
+                true => ("line", seen::line(&points)),
+                false => ("dots", seen::dots(&points)),
+            };
+            let _ = write!(svg, "<path class=\"{kind} {class}\" d=\"{path}\"/>");
         }
         let _ = write!(svg, "</svg><figcaption>{}", escaped(&self.title));
-        for series in &self.series {
+        for series in self.legend() {
             let _ = write!(
                 svg,
                 " <span class=\"key {}\">{}</span>",
@@ -141,10 +130,11 @@ impl Chart {
     /// legend below.
     #[must_use]
     pub fn standalone(&self) -> String {
-        const STYLE: &str = "<style>text{font:12px sans-serif;fill:#7a858e}.grid{stroke:#9aa5ae;\
-             stroke-width:.4;fill:none}.zero{stroke:#7a858e;fill:none}.line{fill:none;stroke-width:1.7}\
-             .before{fill:#d9703a}.after{fill:#3b87d6}.measured{fill:#7a858e}.truth{fill:#3f9a45}\
-             text.before{fill:#d9703a}text.after{fill:#3b87d6}</style>";
+        const STYLE: &str = "<style>text{font:12px sans-serif;fill:#7a858e}path{fill:none}\
+             .grid{stroke:#9aa5ae;stroke-width:.4}.zero{stroke:#7a858e}.line{stroke-width:1.7}\
+             .dots{stroke-width:4.8;stroke-linecap:round}path.before{stroke:#d9703a}\
+             path.after{stroke:#3b87d6}path.measured{stroke:#7a858e}path.truth{stroke:#3f9a45}\
+             text.before{fill:#d9703a}text.after{fill:#3b87d6}text.truth{fill:#3f9a45}</style>";
         let figure = self.figure();
         let Some((start, end)) = figure.find("<svg").zip(figure.find("</svg>")) else {
             return String::new();
@@ -157,8 +147,9 @@ impl Chart {
         );
         let inside = svg.find('>').map_or(svg.len(), |at| at + 1);
         svg.insert_str(inside, STYLE);
-        let share = (WIDTH - MARGIN[0]) / self.series.len().max(1) as f64;
-        for (number, series) in self.series.iter().enumerate() {
+        let legend = self.legend();
+        let share = (WIDTH - MARGIN[0]) / legend.len().max(1) as f64;
+        for (number, series) in legend.into_iter().enumerate() {
             let _ = write!(
                 svg,
                 "<text class=\"{}\" x=\"{:.0}\" y=\"{:.0}\">● {}</text>",
@@ -169,6 +160,17 @@ impl Chart {
             );
         }
         svg + "</svg>\n"
+    }
+
+    /// One of each name and colour: a run may be many lines.
+    fn legend(&self) -> Vec<&Series> {
+        let mut legend: Vec<&Series> = Vec::new();
+        for series in &self.series {
+            if !legend.iter().any(|it| (&it.name, it.colour) == (&series.name, series.colour)) {
+                legend.push(series);
+            }
+        }
+        legend
     }
 
     /// Lowest and highest of x and of y, with a margin; none where there is no point.
@@ -200,9 +202,8 @@ impl Series {
     }
 
     fn shown(&self) -> impl Iterator<Item = [f64; 2]> {
-        let every = self.points.len().div_ceil(MOST_POINTS).max(1);
         let is_there = |point: &&[f64; 2]| point.iter().all(|value| value.is_finite());
-        self.points.iter().step_by(every).filter(is_there).copied()
+        self.points.iter().filter(is_there).copied()
     }
 }
 
@@ -218,7 +219,7 @@ mod tests {
     #[test]
     fn a_point_that_is_missing_is_left_out_and_without_points_there_is_no_picture() {
         let figure = chart(vec![[0.0, 1.0], [1.0, f64::NAN], [2.0, 3.0]]).figure();
-        assert_eq!(figure.matches("<circle").count(), 2);
+        assert_eq!(figure.matches("h0").count(), 2);
         assert!(figure.contains("a &lt;b&gt;</span>"), "the legend is beside the picture");
         assert!(!figure.contains("NaN"));
         assert_eq!(chart(vec![[f64::NAN, 1.0]]).figure(), "");
@@ -232,10 +233,22 @@ mod tests {
     }
 
     #[test]
+    fn the_lines_of_a_run_have_one_entry_in_the_legend() {
+        let mut chart = chart(vec![[0.0, 1.0], [2.0, 3.0]]);
+        chart.series.push(chart.series[0].clone());
+        let figure = chart.figure();
+        assert_eq!(
+            (figure.matches("<path class=\"dots").count(), figure.matches("class=\"key").count()),
+            (2, 1)
+        );
+    }
+
+    #[test]
     fn every_point_is_inside_the_picture() {
         let figure = chart(vec![[-5.0, 1e-4], [7.0, 2e-4]]).figure();
-        for part in figure.split("cx=\"").skip(1) {
-            let x: f64 = part.split('"').next().and_then(|x| x.parse().ok()).expect("a number");
+        let (_, dots) = figure.split_once("class=\"dots before\" d=\"").expect("dots");
+        for dot in dots.split("h0").filter_map(|dot| dot.strip_prefix('M')) {
+            let x: f64 = dot.split(' ').next().and_then(|x| x.parse().ok()).expect("a number");
             assert!((MARGIN[0]..=WIDTH - MARGIN[1]).contains(&x), "{x}");
         }
     }

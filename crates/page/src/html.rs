@@ -28,8 +28,9 @@ svg .grid{stroke:var(--rule);stroke-width:.7;fill:none}\
 svg .zero{stroke:var(--soft);stroke-width:1;fill:none}svg .line{fill:none;stroke-width:1.7}\
 svg .line.before{stroke:var(--before)}svg .line.after{stroke:var(--after)}\
 svg .line.measured{stroke:var(--measured)}svg .line.truth{stroke:var(--truth);stroke-dasharray:6 4}\
-svg .dot.before{fill:var(--before)}svg .dot.after{fill:var(--after)}\
-svg .dot.measured{fill:var(--measured)}svg .dot.truth{fill:var(--truth)}\
+svg .dots{fill:none;stroke-width:4.8;stroke-linecap:round}\
+svg .dots.before{stroke:var(--before)}svg .dots.after{stroke:var(--after)}\
+svg .dots.measured{stroke:var(--measured)}svg .dots.truth{stroke:var(--truth)}\
 span.before,b.before{color:var(--before)}span.after,b.after{color:var(--after)}\
 .key{white-space:nowrap;margin-left:.8rem;font-weight:600}.key::before{content:\"● \"}\
 .key.measured{color:var(--measured)}.key.truth{color:var(--truth)}\

@@ -12,8 +12,11 @@ mod bars;
 mod chart;
 mod html;
 mod number;
+mod origin;
+mod seen;
 
 pub use bars::Bars;
 pub use chart::{Chart, Colour, Series};
 pub use html::{Page, Table, escaped};
-pub use number::{micrometres, significant, time_unit};
+pub use number::{micrometres, significant, time_unit, within};
+pub use origin::Origin;

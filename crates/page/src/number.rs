@@ -1,22 +1,22 @@
 //! Numbers as people read them.
 
-/// A length in µm to the digits that mean something: two decimals, three below 0.1 µm.
+/// A length in µm to three digits that mean something, none below a nanometre.
 #[must_use]
 pub fn micrometres(um: f64) -> String {
     if !um.is_finite() {
         return "–".into();
     }
-    let decimals = if um.abs() < 0.1 && um != 0.0 { 3 } else { 2 };
+    let decimals = decimals_of_three(um, 3);
     format!("{um:.decimals$} µm")
 }
 
-/// A number in four digits that mean something, in thousandths and less where it begins behind the point.
+/// A number in three digits that mean something, in thousandths and less where it begins behind the point.
 ///
 /// ```
 /// assert_eq!(trueup_page::significant(1629.63), "1630");
-/// assert_eq!(trueup_page::significant(0.9541), "0.9541");
-/// assert_eq!(trueup_page::significant(-0.011_394), "-11.39·10⁻³");
-/// assert_eq!(trueup_page::significant(0.000_020_5), "20.50·10⁻⁶");
+/// assert_eq!(trueup_page::significant(0.9541), "0.954");
+/// assert_eq!(trueup_page::significant(-0.011_394), "−11.4·10⁻³");
+/// assert_eq!(trueup_page::significant(0.000_020_5), "20.5·10⁻⁶");
 /// ```
 #[must_use]
 pub fn significant(value: f64) -> String {
@@ -28,8 +28,34 @@ pub fn significant(value: f64) -> String {
         size if size >= 1e-4 => (value * 1e3, "·10⁻³"),
         _ => (value * 1e6, "·10⁻⁶"),
     };
-    let decimals = (3.0 - value.abs().log10().floor()).clamp(0.0, 9.0) as usize;
-    format!("{value:.decimals$}{unit}")
+    let decimals = decimals_of_three(value, 9);
+    format!("{value:.decimals$}{unit}").replace('-', "−")
+}
+
+/// The decimals with which a number has three digits that mean something, up to `most`.
+fn decimals_of_three(value: f64, most: usize) -> usize {
+    if value == 0.0 {
+        return 0;
+    }
+    (2.0 - value.abs().log10().floor()).clamp(0.0, most as f64) as usize
+}
+
+/// A value and the ends of its interval, all to the second digit of the interval's width: more would say more than
+/// is known, less would hide it.
+///
+/// ```
+/// assert_eq!(trueup_page::within(800.013, [799.921, 800.104]), ["800.01", "799.92", "800.10"]);
+/// assert_eq!(trueup_page::within(-12_345.6, [-13_000.0, -11_000.0]), ["−12346", "−13000", "−11000"]);
+/// assert_eq!(trueup_page::within(1.24, [1.24, 1.24]), ["1.24"; 3]);
+/// ```
+#[must_use]
+pub fn within(value: f64, [low, high]: [f64; 2]) -> [String; 3] {
+    let width = high - low;
+    if !(width > 0.0 && width.is_finite()) {
+        return [value, low, high].map(significant);
+    }
+    let decimals = (1.0 - width.log10().floor()).clamp(0.0, 9.0) as usize;
+    [value, low, high].map(|number| format!("{number:.decimals$}").replace('-', "−"))
 }
 
 /// The unit in which a time of so many seconds reads best, and how many seconds it has.
@@ -90,6 +116,6 @@ mod tests {
     #[test]
     fn a_length_has_the_digits_that_mean_something() {
         let said = [0.0, 0.0312, 12.3456, f64::NAN].map(micrometres);
-        assert_eq!(said, ["0.00 µm", "0.031 µm", "12.35 µm", "–"]);
+        assert_eq!(said, ["0 µm", "0.031 µm", "12.3 µm", "–"]);
     }
 }

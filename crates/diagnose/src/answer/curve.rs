@@ -9,7 +9,7 @@ use trueup_machine::{
 use trueup_numerics::robust::median;
 
 use crate::{
-    answer::{Diagnosis, range::extent},
+    answer::{Diagnosis, extended, range::extent},
     data::Data,
 };
 
@@ -42,12 +42,8 @@ pub(super) fn moving_axis(data: &Data) -> Option<LinearAxis> {
 /// from; what else was recorded stands at its median. None where that does not say all that is needed.
 pub(super) fn curves(diagnosis: &Diagnosis, axis: LinearAxis) -> [Vec<Curve>; 2] {
     let believed = diagnosis.data.machine.clone();
-    let mut extended = believed.clone();
-    for (number, term) in &diagnosis.corrected {
-        extended.terms[*number] = term.clone();
-    }
-    extended.terms.extend(diagnosis.terms.iter().cloned());
-    [believed, extended].map(|machine| of_machine(&diagnosis.data, &machine, axis))
+    [believed, extended::machine(diagnosis)]
+        .map(|machine| of_machine(&diagnosis.data, &machine, axis))
 }
 
 fn of_machine(data: &Data, machine: &Machine, axis: LinearAxis) -> Vec<Curve> {

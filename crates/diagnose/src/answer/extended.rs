@@ -4,9 +4,21 @@
 use std::path::Path;
 
 use trueup_machine::{
-    BadInput,
+    BadInput, Machine,
     file::{Term, write::Edit},
 };
+
+use super::Diagnosis;
+
+/// The extended machine.
+pub(crate) fn machine(diagnosis: &Diagnosis) -> Machine {
+    let mut machine = diagnosis.data.machine.clone();
+    for (number, term) in &diagnosis.corrected {
+        machine.terms[*number] = term.clone();
+    }
+    machine.terms.extend(diagnosis.terms.iter().cloned());
+    machine
+}
 
 /// `source` with `terms` at the end of its terms, and `corrected` in the place of those of these
 /// numbers. It is read back, so that what is handed out can be loaded.

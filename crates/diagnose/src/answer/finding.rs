@@ -4,6 +4,7 @@ use serde_json::{Map, json};
 
 use trueup_machine::effect::Value;
 use trueup_numerics::blocks::rms;
+use trueup_page::micrometres;
 
 use crate::{
     answer::{
@@ -28,10 +29,15 @@ pub(crate) fn finding(problem: &Problem, it: &Judgement, left_out: Unit) -> Find
     let first = &it.first_gain;
     let mut evidence = vec![
         sentence.clone(),
-        format!("Without it {rms_before_um:.3} µm RMS are left, with it {rms_after_um:.3} µm."),
         format!(
-            "On left-out {left_out} the error falls from {:.3} to {:.3} µm RMS.",
-            first.left_out_before_um, first.left_out_after_um
+            "Without it {} RMS are left, with it {}.",
+            micrometres(rms_before_um),
+            micrometres(rms_after_um)
+        ),
+        format!(
+            "On left-out {left_out} the error falls from {} to {} RMS.",
+            micrometres(first.left_out_before_um),
+            micrometres(first.left_out_after_um)
         ),
     ];
     evidence.extend(changed(&it.part));
@@ -152,9 +158,10 @@ fn doubted(doubt: &Doubt, gain: &Gain, left_out: Unit) -> String {
     match doubt {
         Doubt::Rival(rival) => format!("{} explains these data as well.", named(rival)),
         Doubt::NotIdentified => format!(
-            "It is not yet identified by these data: fitted to all {:.3} µm RMS are left, on \
-             left-out {left_out} {:.3} µm.",
-            gain.rms_after_um, gain.left_out_after_um
+            "It is not yet identified by these data: fitted to all {} RMS are left, on \
+             left-out {left_out} {}.",
+            micrometres(gain.rms_after_um),
+            micrometres(gain.left_out_after_um)
         ),
         Doubt::MayBeNothing => {
             "It may as well be nothing: the interval of its size holds that.".into()

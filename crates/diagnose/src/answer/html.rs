@@ -2,33 +2,37 @@
 
 use std::fmt::Write as _;
 
-use trueup_page::{Page, escaped, micrometres, significant};
+use trueup_page::{Origin, Page, escaped, micrometres, significant, within};
 
-use crate::answer::{
-    Diagnosis,
-    pictures::{against_inputs, predicted_and_left},
-    report::{Finding, LeftOut, Report, Verdict},
+use crate::{
+    MISSING_INPUTS,
+    answer::{
+        Diagnosis,
+        pictures::{against_inputs, predicted_and_left},
+        report::{Finding, LeftOut, Report, Verdict},
+    },
 };
 
-pub(crate) fn html(diagnosis: &Diagnosis, machine_name: &str) -> String {
+pub(crate) fn html(diagnosis: &Diagnosis, machine_name: &str, origin: &Origin) -> String {
     let report = &diagnosis.report;
     let mut out = String::new();
     verdict(diagnosis, &mut out);
     let _ = write!(
         out,
         "<h2>What was believed, and what the machine does</h2>\n<p>{} rows of <b>{}</b> were \
-         compared. The machine file as it is leaves <span class=\"before\">{:.2} µm RMS</span> (largest \
-         {:.2} µm){}. {}</p>\n",
+         compared. The machine file as it is leaves <span class=\"before\">{} RMS</span> (largest {}){}. \
+         {}</p>\n",
         report.rows_used,
         escaped(&report.quantity),
-        report.before.rms_um,
-        report.before.max_um,
+        micrometres(report.before.rms_um),
+        micrometres(report.before.max_um),
         if report.findings.is_empty() {
             String::new()
         } else {
             format!(
-                ", the extended one <span class=\"after\">{:.2} µm RMS</span> (largest {:.2} µm)",
-                report.after.rms_um, report.after.max_um
+                ", the extended one <span class=\"after\">{} RMS</span> (largest {})",
+                micrometres(report.after.rms_um),
+                micrometres(report.after.max_um)
             )
         },
         noise_sentence(diagnosis)
@@ -43,14 +47,19 @@ pub(crate) fn html(diagnosis: &Diagnosis, machine_name: &str) -> String {
     let _ = write!(
         out,
         "<h2>The gain on data that nothing was fitted to</h2>\n<div class=\"table\"><table><tr><th></th><th>before</th>\
-         <th>after</th><th>of it corrected by the board</th></tr><tr><td>RMS</td><td>{:.3} µm</td>\
-         <td>{:.3} µm</td><td>{:.3} µm</td></tr></table></div>\n",
-        report.before.holdout_rms_um,
-        report.after.holdout_rms_um,
-        report.after.compensated_holdout_rms_um
+         <th>after</th><th>of it corrected by the board</th></tr><tr><td>RMS</td><td>{}</td>\
+         <td>{}</td><td>{}</td></tr></table></div>\n",
+        micrometres(report.before.holdout_rms_um),
+        micrometres(report.after.holdout_rms_um),
+        micrometres(report.after.compensated_holdout_rms_um)
     );
     if diagnosis.corrects() {
         let _ = writeln!(out, "<p>{}</p>", escaped(&promise(report)));
+    }
+    if !report.missing_inputs.is_empty() {
+        let (what, lines) =
+            (sentence_case(MISSING_INPUTS), escaped(&report.missing_inputs.join("\n")));
+        let _ = writeln!(out, "<p>{what}:</p>\n<pre>{lines}</pre>");
     }
     list(&report.hints, &mut out);
     if report.holdout_used {
@@ -66,13 +75,13 @@ pub(crate) fn html(diagnosis: &Diagnosis, machine_name: &str) -> String {
              leave</th><th>left out</th><th>why not</th></tr>\n",
         );
         for rejected in &report.rejected {
-            let left = rejected.left_out_um.map_or(String::new(), |um| format!("{um:.3} µm"));
+            let left = rejected.left_out_um.map_or(String::new(), micrometres);
             let _ = writeln!(
                 out,
-                "<tr><td>{}</td><td>{}</td><td>{:.3} µm</td><td>{left}</td><td>{}</td></tr>",
+                "<tr><td>{}</td><td>{}</td><td>{}</td><td>{left}</td><td>{}</td></tr>",
                 rejected.cause,
                 escaped(rejected.column.as_deref().unwrap_or("")),
-                rejected.rms_um,
+                micrometres(rejected.rms_um),
                 escaped(&rejected.reason)
             );
         }
@@ -80,7 +89,13 @@ pub(crate) fn html(diagnosis: &Diagnosis, machine_name: &str) -> String {
     }
     let mut page = Page::new(&format!("Diagnosis of {machine_name}"));
     page.raw(&out);
+    page.origin(origin);
     page.html()
+}
+
+fn sentence_case(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map(|first| first.to_uppercase().chain(letters).collect()).unwrap_or_default()
 }
 
 /// What the tool may expect, in a sentence: the noise of the gauge is none of it.
@@ -110,10 +125,11 @@ fn verdict(diagnosis: &Diagnosis, out: &mut String) {
     let report = &diagnosis.report;
     let _ = writeln!(
         out,
-        "<div class=\"card verdict {}\"><h2>{}</h2><p>{}</p>",
+        "<div class=\"card verdict {}\"><h2>{}</h2><p>{}</p><p class=\"soft\">Verdict: {}</p>",
         colour(report.verdict),
-        report.verdict.name(),
-        escaped(&verdict_sentence(diagnosis))
+        headline(report.verdict),
+        escaped(&verdict_sentence(diagnosis)),
+        report.verdict.name()
     );
     list(&report.reasons, out);
     out.push_str("</div>\n");
@@ -137,6 +153,19 @@ fn verdict(diagnosis: &Diagnosis, out: &mut String) {
     if !left_out.is_empty() {
         out.push_str("<p>The board does not correct:</p>\n");
         list(&left_out, out);
+    }
+}
+
+/// The verdict as a heading.
+fn headline(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Clean => "The machine does what its file says",
+        Verdict::Explained => "What the machine file gets wrong is explained",
+        Verdict::PartlyExplained => "Part of what the machine file gets wrong is explained",
+        Verdict::Unexplained => "The machine file is wrong, and the cause is not known",
+        Verdict::DoNotCompensate => "Do not correct this machine: mend it first",
+        Verdict::DoesNotTransfer => "What explains these runs does not hold on another day",
+        Verdict::TooLittleData => "There are too few readings for an answer",
     }
 }
 
@@ -196,8 +225,8 @@ pub(crate) fn verdict_sentence(diagnosis: &Diagnosis) -> String {
 fn clean_sentence(report: &Report) -> String {
     let found = if report.detectable_um.is_finite() {
         format!(
-            "An error above {:.2} µm RMS that repeats would have been found with 95 %.",
-            report.detectable_um
+            "An error above {} RMS that repeats would have been found with 95 %.",
+            micrometres(report.detectable_um)
         )
     } else {
         "Which error would have been found cannot be said: one as large as what is left could hide in it."
@@ -207,7 +236,7 @@ fn clean_sentence(report: &Report) -> String {
     format!("Nothing is left but noise{wandering}. {found} The machine file stays.")
 }
 
-/// A value of a cause for people: numbers in four digits, a list or a table as lines that wrap.
+/// A value of a cause for people: numbers in three digits, a list or a table as lines that wrap.
 fn readable(value: &serde_json::Value) -> String {
     use serde_json::Value;
     match value {
@@ -236,35 +265,32 @@ fn cause(finding: &Finding, out: &mut String) {
     };
     let _ = write!(
         out,
-        "<h3>{}{} <small>({state})</small></h3>\n<p>{}</p>\n",
+        "<h3>{}</h3>\n<p class=\"soft\">Cause: {}{}; {state}</p>\n",
+        escaped(&finding.sentence),
         finding.cause,
-        finding.column.as_ref().map_or(String::new(), |column| format!(": {}", escaped(column))),
-        escaped(&finding.sentence)
+        finding.column.as_ref().map_or(String::new(), |it| format!(" of {}", escaped(it)))
     );
     out.push_str("<div class=\"table\"><table>\n");
     for (name, parameter) in &finding.parameters {
         let value = &parameter["value"];
         let ci95 = &parameter["ci95"];
-        let number = |value: &serde_json::Value| {
-            value.as_f64().map_or_else(|| value.to_string(), significant)
+        let end = |number: usize| ci95.get(number).and_then(serde_json::Value::as_f64);
+        let (value, interval) = match (value.as_f64(), end(0), end(1)) {
+            (Some(value), Some(low), Some(high)) => {
+                let [value, low, high] = within(value, [low, high]);
+                (value, format!("95 %: {low} … {high}"))
+            }
+            _ => (readable(value), String::new()),
         };
-        let interval = match (ci95.get(0).and_then(serde_json::Value::as_f64), ci95.get(1)) {
-            (Some(low), Some(high)) => format!("95 %: {} … {}", significant(low), number(high)),
-            _ => String::new(),
-        };
-        let _ = writeln!(
-            out,
-            "<tr><td>{name}</td><td>{}</td><td>{interval}</td></tr>",
-            readable(value)
-        );
+        let _ = writeln!(out, "<tr><td>{name}</td><td>{value}</td><td>{interval}</td></tr>");
     }
     let gain = &finding.gain;
     let _ = writeln!(
         out,
-        "<tr><td>left out</td><td>{:.3} → {:.3} µm</td><td>{:.0} % less (95 %: {:.0} … {:.0} %)\
+        "<tr><td>left out</td><td>{} → {}</td><td>{:.0} % less (95 %: {:.0} … {:.0} %)\
          </td></tr></table></div>",
-        gain.left_out_before_um,
-        gain.left_out_after_um,
+        micrometres(gain.left_out_before_um),
+        micrometres(gain.left_out_after_um),
         100.0 * gain.reduction,
         100.0 * gain.ci95[0],
         100.0 * gain.ci95[1]

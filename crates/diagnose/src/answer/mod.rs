@@ -24,7 +24,7 @@ mod worse;
 
 use std::sync::Arc;
 
-use trueup_machine::{BadInput, RunFile, effect::Effect, file::Term};
+use trueup_machine::{BadInput, RunFile, compile::missing_inputs, effect::Effect, file::Term};
 use trueup_numerics::blocks::rms;
 
 use crate::{
@@ -190,12 +190,13 @@ pub(crate) fn conclude(
             .collect(),
         findings,
         hints,
+        missing_inputs: Vec::new(),
         at_tool: promise.on_table(&data, asked.runs)?,
         rejected: found.rejected.into_iter().map(rejected).collect(),
     };
     let Extended { replaced: corrected, new: terms } = Extended::by(&data, &model);
     let noise_is_measured = repeats.is_some();
-    Ok(Diagnosis {
+    let mut diagnosis = Diagnosis {
         report,
         terms,
         corrected,
@@ -205,7 +206,11 @@ pub(crate) fn conclude(
         aside,
         noise_is_measured,
         promise,
-    })
+    };
+    if diagnosis.corrects() {
+        diagnosis.report.missing_inputs = missing_inputs(&extended::machine(&diagnosis));
+    }
+    Ok(diagnosis)
 }
 
 /// The model as it is handed out: terms that are not kept leave, and the others are fitted again

@@ -16,6 +16,9 @@ use crate::{
     data::Data,
 };
 
+/// More lines than that over each other are a cloud.
+const MOST_LINES: usize = 12;
+
 /// Measured and predicted, and what is left, over the main axis.
 pub(super) fn predicted_and_left(diagnosis: &Diagnosis, out: &mut String) {
     let data = &diagnosis.data;
@@ -38,7 +41,12 @@ pub(super) fn predicted_and_left(diagnosis: &Diagnosis, out: &mut String) {
         lists.extend(curves.iter().map(|it| Points::line(&it.at_mm, &it.um, colour)));
     }
     let has_curves = lists.len() > 1;
-    if !has_curves {
+    let series =
+        1 + rows.windows(2).filter(|two| data.series[two[0]] != data.series[two[1]]).count();
+    if !has_curves && series > MOST_LINES {
+        lists.push(Points::dots(&x, &before, Colour::Before));
+        lists.push(Points::dots(&x, &after, Colour::After));
+    } else if !has_curves {
         // A line ends where a series does.
         let mut first = 0;
         for end in 1..=rows.len() {

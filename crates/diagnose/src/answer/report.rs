@@ -49,6 +49,10 @@ pub struct Report {
     /// What a figure reminds of, and how to check it, a sentence each; nothing hangs on it.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub hints: Vec<String>,
+    /// The lines that `[inputs]` of the extended machine file lacks for the board to correct by it; a machine file
+    /// that does not describe its thermometers lacks all.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub missing_inputs: Vec<String>,
     /// Causes that were tried and not taken.
     pub rejected: Vec<Rejected>,
 }

@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use trueup_page::micrometres;
+
 use crate::{
     answer::{power::Power, report::Verdict, transfer::Transfer, wandering::Wandering},
     judge::Judgement,
@@ -60,9 +62,10 @@ impl fmt::Display for Reason {
             }
             Self::DoesNotRepeat(repeats) => write!(
                 f,
-                "at equal positions the readings scatter by {:.2} µm, more than the {:.2} µm that \
-                 repeat: what is corrected today is wrong tomorrow",
-                repeats.scatter_um, repeats.systematic_um
+                "at equal positions the readings scatter by {}, more than the {} that repeat: what \
+                 is corrected today is wrong tomorrow",
+                micrometres(repeats.scatter_um),
+                micrometres(repeats.systematic_um)
             ),
             Self::BetweenPoints => f.write_str(
                 "a table holds at its points; what it is worth between them these points cannot show",
@@ -73,20 +76,24 @@ impl fmt::Display for Reason {
             Self::OnlyNoise => f.write_str("nothing is left but noise: the model stays"),
             Self::Harm { before_um, after_um } => write!(
                 f,
-                "what explains the runs makes the hold-out worse: {before_um:.2} µm RMS before, \
-                 {after_um:.2} µm with all of it"
+                "what explains the runs makes the hold-out worse: {} RMS before, {} with all of it",
+                micrometres(*before_um),
+                micrometres(*after_um)
             ),
             Self::WorseAt(place) => f.write_str(place),
             Self::NoGainUnseen { before_um, after_um } => write!(
                 f,
-                "the hold-out gains nothing: {before_um:.4} µm RMS before, {after_um:.4} µm after"
+                "the hold-out gains nothing: {} RMS before, {} after",
+                micrometres(*before_um),
+                micrometres(*after_um)
             ),
             Self::OfInstrument => f.write_str(
                 "what is left is as small as what the instrument is worth: the model stays",
             ),
             Self::TooLittle(Power { rows, matters_um, needed, .. }) => write!(
                 f,
-                "{rows} rows cannot tell an error of {matters_um:.2} µm RMS from noise: {needed}"
+                "{rows} rows cannot tell an error of {} RMS from noise: {needed}",
+                micrometres(*matters_um)
             ),
             Self::Wanders(wandering) => wandering.fmt(f),
             Self::NothingFires => f.write_str("no test of structure fires on what is left"),

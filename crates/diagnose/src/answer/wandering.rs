@@ -4,6 +4,8 @@ use std::fmt;
 
 use trueup_numerics::noise;
 
+use trueup_page::micrometres;
+
 use crate::{data::Data, fit::Problem, parameters::step_s, search::Found};
 
 /// Slow wandering.
@@ -64,7 +66,11 @@ fn not_recorded(data: &Data) -> Vec<&'static str> {
 
 impl fmt::Display for Wandering {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "what is left wanders slowly: {:.2} µm RMS with a memory of ", self.rms_um)?;
+        write!(
+            f,
+            "what is left wanders slowly: {} RMS with a memory of ",
+            micrometres(self.rms_um)
+        )?;
         match self.memory_s {
             seconds if seconds < 120.0 => write!(f, "{seconds:.0} s")?,
             seconds => write!(f, "{:.0} minutes", seconds / 60.0)?,

@@ -5,9 +5,10 @@ use std::collections::BTreeMap;
 use trueup_core::{dimensions::CHANNELS, thermometer::Thermometer};
 
 use crate::{
-    file::Machine,
-    inputs::{Inputs, SensorInput, TemperatureInput, TemperatureKind},
+    file::{Machine, is_temperature_column},
+    inputs::{Inputs, LAST_CHANNEL, SensorInput, TemperatureInput, TemperatureKind},
     location::BadInput,
+    model::required_columns,
     stored::{PER_KELVIN, fewest_decimals, rounded, written},
 };
 
@@ -27,6 +28,32 @@ pub(super) fn channel(machine: &Machine, key: &str, column: &str) -> Result<u8, 
         );
         machine.places.bad(&format!("{key}.sensor"), rule)
     })
+}
+
+/// The lines of `[inputs]` that a board needs beside those of `machine` for the temperatures of its laws and
+/// terms; each gets the first channel that is free. Nothing where none is missing.
+///
+/// What is connected there nobody knows here: a PT100 is written, the usual thermometer.
+#[must_use]
+pub fn missing_inputs(machine: &Machine) -> Vec<String> {
+    let connected = machine.inputs.as_ref().map(|inputs| &inputs.temperatures);
+    let is_missing = |name: &String| {
+        is_temperature_column(name) && connected.is_none_or(|there| !there.contains_key(name))
+    };
+    let is_free = |channel: &u8| {
+        connected.is_none_or(|there| there.values().all(|input| input.channel != *channel))
+    };
+    let mut free = (0..=LAST_CHANNEL).filter(is_free);
+    let line = |name: String| match free.next() {
+        Some(channel) => format!("{name} = {{ channel = {channel}, kind = \"pt100\" }}"),
+        None => format!("# {name}: no channel is free"),
+    };
+    let missing = required_columns(&machine.compensated()).into_iter().filter(is_missing);
+    let mut lines: Vec<String> = missing.map(line).collect();
+    if !lines.is_empty() && machine.inputs.is_none() {
+        lines.insert(0, "[inputs]".into());
+    }
+    lines
 }
 
 pub(super) fn thermometers(machine: &Machine) -> Result<[Option<Thermometer>; CHANNELS], BadInput> {

@@ -1,0 +1,51 @@
+//! What a report was made from: version, day and files.
+
+use std::{
+    fs::File,
+    io::{BufRead as _, BufReader},
+    path::Path,
+};
+
+use anyhow::{Context as _, Result};
+use crc::{CRC_32_ISO_HDLC, Crc};
+use time::OffsetDateTime;
+use trueup_page::Origin;
+
+/// That of a report of today from these files.
+pub fn of(files: &[&Path]) -> Result<Origin> {
+    let named = |path: &&Path| Ok((path.display().to_string(), crc32(path)?));
+    Ok(Origin {
+        version: env!("CARGO_PKG_VERSION").into(),
+        date: OffsetDateTime::now_utc().date().to_string(),
+        files: files.iter().map(named).collect::<Result<_>>()?,
+    })
+}
+
+fn crc32(path: &Path) -> Result<u32> {
+    const CRC: Crc<u32, crc::Table<16>> = Crc::<u32, crc::Table<16>>::new(&CRC_32_ISO_HDLC);
+    let during = || format!("while reading {} again", path.display());
+    let mut file = BufReader::with_capacity(1 << 16, File::open(path).with_context(during)?);
+    let mut digest = CRC.digest();
+    loop {
+        let part = file.fill_buf().with_context(during)?;
+        if part.is_empty() {
+            return Ok(digest.finalize());
+        }
+        digest.update(part);
+        let read = part.len();
+        file.consume(read);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_crc_is_that_of_zip() {
+        let file = tempfile::NamedTempFile::new().expect("a temporary file");
+        std::fs::write(file.path(), "123456789").expect("it is written");
+        // The check value of CRC-32/ISO-HDLC.
+        assert_eq!(crc32(file.path()).expect("it is read"), 0xCBF4_3926);
+    }
+}
