@@ -3,6 +3,7 @@
 pub mod info;
 pub mod load;
 pub mod monitor;
+mod plain;
 
 use std::path::PathBuf;
 
@@ -36,29 +37,12 @@ pub enum Command {
         #[arg(long)]
         keep_running: bool,
     },
-    /// Prints the offsets and the temperatures once a second, until Ctrl-C. It only listens: nothing
-    /// is engaged by it.
+    /// Shows a bridge live: sensor, growth, offsets by cause, temperatures, faults with what to do.
     ///
-    /// Exit 3: frames were damaged or out of order, or a second passed without offsets.
-    Monitor {
-        #[command(flatten)]
-        port: Port,
-        /// Stop after this many lines.
-        #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
-        count: Option<u64>,
-        /// Write every frame down, as `candump -l` does, and a run file for `diagnose`: to
-        /// `FILE.log` and `FILE.csv`, or to `bridge.log` and `bridge.csv` in a folder.
-        #[arg(long, value_name = "DIR|FILE.log")]
-        record: Option<PathBuf>,
-        /// The machine file: it names the temperatures of the run file, and makes sensor counts of
-        /// the elongation.
-        #[arg(long, value_name = "M.toml", requires = "record")]
-        machine: Option<PathBuf>,
-        /// Record nothing of a bridge that runs on another calibration than the machine file makes:
-        /// exit 2.
-        #[arg(long, requires = "machine")]
-        strict: bool,
-    },
+    /// On a terminal it is a screen with keys (q quit, r record, g gauge reading, t trend, ? help).
+    /// Otherwise it prints a line a second, until Ctrl-C. It only listens and asks: nothing is engaged by it.
+    /// Exit 3: frames were damaged or out of order, or (lines) a second passed without offsets.
+    Monitor(monitor::Monitor),
 }
 
 #[derive(Args)]
@@ -75,9 +59,6 @@ pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
         Command::Load { calibration, port, keep_running } => {
             load::run(calibration, &port.port, *keep_running, as_json)
         }
-        Command::Monitor { port, count, record, machine, strict } => {
-            let record = record.as_deref().map(|record| (record, machine.as_deref()));
-            monitor::run(&port.port, *count, record, *strict, as_json)
-        }
+        Command::Monitor(args) => monitor::run(args, as_json),
     }
 }

@@ -16,6 +16,9 @@
 //! | [`words`] | offsets, flags, faults and states for people and as JSON |
 //! | [`status`] | what the bridge says of itself, put together |
 //! | [`writes`] | who has written to the bridge |
+//! | [`remedy`] | what to do about each of the words |
+//! | [`poll`] | an object asked for again and again while frames flow by |
+//! | [`cnc`] | what the CNC says, where it can be heard |
 //! | [`record`] | a log of every frame, and a run file for `diagnose` |
 //! | `socket_can` | the CAN interface, with the feature `socketcan` on Linux |
 //!
@@ -24,12 +27,15 @@
 
 #![forbid(unsafe_code)]
 
+pub mod cnc;
 pub mod ends;
 pub mod line;
 pub mod load;
 pub mod object;
+pub mod poll;
 pub mod port;
 pub mod record;
+pub mod remedy;
 pub mod session;
 #[cfg(all(feature = "socketcan", target_os = "linux"))]
 mod socket_can;
@@ -57,6 +63,8 @@ pub enum Unusable {
         /// The interface's name, such as `can0`.
         interface: String,
     },
+    /// The bridge runs on another calibration than the machine file makes, or does not say on which.
+    OtherCalibration,
     /// The folder of a recording cannot be made.
     Folder {
         /// The folder that cannot be made.
@@ -86,6 +94,10 @@ impl fmt::Display for Unusable {
                 f,
                 "--port {interface}: this tool was built without SocketCAN; on Linux it has it: cargo install \
                  --path crates/cli, without --no-default-features"
+            ),
+            Self::OtherCalibration => f.write_str(
+                "not recorded: the bridge does not run the calibration of the machine file; load it, \
+                 or leave --strict out",
             ),
             Self::Folder { path, error } => {
                 write!(f, "{}: cannot be made: {error}", path.display())

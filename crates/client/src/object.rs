@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail};
-pub use trueup_canopen::dictionary::TASKS;
+pub use trueup_canopen::dictionary::{NOT_AVAILABLE, TASKS};
 use trueup_canopen::sdo::client::{At, Download, Progress, Upload};
 use trueup_link::{frame::Frame, slcan::Event};
 
@@ -36,6 +36,10 @@ pub const RESETS: At = (0x2003, 1);
 pub const AUTHORITY: At = (0x2001, 8);
 /// Whether a reference is in force.
 pub const HAS_REFERENCE: At = (0x2010, 5);
+/// The elongation in thousandths of a µm, as of this moment.
+pub const ELONGATION: At = (0x9130, trueup_canopen::dictionary::ELONGATION_INPUT);
+/// The calibration that the bridge runs on.
+pub const RUNNING: At = (0x2100, 1);
 /// The calibration for the next start.
 pub const NEW: At = (0x2100, 2);
 /// The CRC of the running calibration; 0: it has no valid one.

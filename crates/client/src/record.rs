@@ -14,9 +14,8 @@
 //! sensor's temperature too, comes after it and is in the offsets only. So the counts are those that
 //! the sensor gave, averaged by the board. `calibration_crc` names the calibration that the bridge ran,
 //! as a decimal number. What `diagnose` needs besides is a measurement: a column `measured_…_um`, of
-//! what is left while the CNC follows the offsets; they are taken out of it again.
-
-mod cnc;
+//! what is left while the CNC follows the offsets; they are taken out of it again. It is there where a
+//! gauge is read, with a value in each row in which a reading was marked.
 
 use std::{
     fs::{self, File, OpenOptions},
@@ -32,10 +31,18 @@ use trueup_link::{
     frames::{OFFSET_XY_ID, counter},
     receiver::OffsetReceiver,
 };
-use trueup_machine::{Machine, MachineFile, file::SensorModel, model::sensor_counts};
+use trueup_machine::{
+    Machine, MachineFile,
+    file::{Quantity, SensorModel},
+    model::sensor_counts,
+};
 
-use self::cnc::Cnc;
-use crate::{Unusable, status::Board, words::offset_um};
+use crate::{
+    Unusable,
+    cnc::{self, Cnc},
+    status::Board,
+    words::offset_um,
+};
 
 /// Milliseconds of the bridge from one row to the next.
 pub const ROW_MS: u64 = 100;
@@ -53,6 +60,9 @@ pub struct Recorder {
     board: Board,
     /// The CRC of the running calibration, 0 for none; `None`: not known.
     calibration: Option<u32>,
+    /// What the gauge has said since the last row, in µm; the quantity that it measures.
+    marked_um: Option<f64>,
+    gauge: Option<Quantity>,
     next_row_ms: u64,
     frames: u64,
     rows: u64,
@@ -76,12 +86,18 @@ struct Columns {
 
 impl Recorder {
     /// Begins both files, which must not be there yet: `<path>.log` and `.csv`, or `bridge.log` and
-    /// `bridge.csv` in the folder `path`. In the log the frames come from this interface.
+    /// `bridge.csv` in the folder `path`. In the log the frames come from this interface. A `gauge` that
+    /// measures a quantity has its column.
     ///
     /// # Errors
     /// [`Unusable`]: they cannot be made here; [`trueup_machine::BadInput`]: the machine file. A disk
     /// that is full.
-    pub fn begin(path: &Path, machine: Option<&Path>, interface: &str) -> Result<Self> {
+    pub fn begin(
+        path: &Path,
+        machine: Option<&Path>,
+        interface: &str,
+        gauge: Option<Quantity>,
+    ) -> Result<Self> {
         let columns = match machine {
             Some(machine) => Columns::of(&MachineFile::read(machine)?),
             None => Columns::unnamed(),
@@ -95,7 +111,8 @@ impl Recorder {
         };
         let run = log.with_extension("csv");
         let (log, mut run) = (Out::create(log)?, Out::create(run)?);
-        run.line(&columns.header())?;
+        let measured = gauge.map(|quantity| format!(",measured_{}_um", quantity.name()));
+        run.line(&(columns.header() + &measured.unwrap_or_default()))?;
         Ok(Self {
             log,
             interface: interface.into(),
@@ -106,6 +123,8 @@ impl Recorder {
             cnc: Cnc::default(),
             board: Board::default(),
             calibration: None,
+            marked_um: None,
+            gauge,
             next_row_ms: 0,
             frames: 0,
             rows: 0,
@@ -116,6 +135,11 @@ impl Recorder {
     /// say.
     pub fn runs(&mut self, calibration: Option<u32>) {
         self.calibration = calibration;
+    }
+
+    /// A reading of the gauge in µm; it stands in the next row. Without a gauge it is dropped.
+    pub fn mark(&mut self, um: f64) {
+        self.marked_um = self.gauge.map(|_| um);
     }
 
     /// Takes a frame that was heard at this moment.
@@ -136,7 +160,10 @@ impl Recorder {
         {
             self.next_row_ms = (self.clock.ms / ROW_MS + 1) * ROW_MS;
             self.rows += 1;
-            let row = self.row(&output);
+            let mut row = self.row(&output);
+            if self.gauge.is_some() {
+                row = row + "," + &decimals(self.marked_um.take(), 3);
+            }
             self.run.line(&row)?;
         }
         Ok(())
@@ -318,7 +345,7 @@ mod tests {
         let compiled = compile(&machine).expect("it fits");
         let mut node = Node::new(Some(compiled.calibration()), false);
         let log = folder.path().join("run.log");
-        let mut recorder = Recorder::begin(&log, Some(&path), "can0").expect("a new file");
+        let mut recorder = Recorder::begin(&log, Some(&path), "can0", None).expect("a new file");
 
         // On average 100.5 codes of 12 bits above the zero of 631, so 804 counts and 12.27 µm.
         let codes: [Code; CODES_PER_TICK] = std::array::from_fn(|n| Code(731 + (n % 2) as u16));
@@ -370,7 +397,7 @@ mod tests {
     #[test]
     fn a_recording_that_cannot_begin_is_for_the_user_to_mend() {
         let folder = tempfile::tempdir().expect("a folder");
-        let begin = |name: &str| Recorder::begin(&folder.path().join(name), None, "can0");
+        let begin = |name: &str| Recorder::begin(&folder.path().join(name), None, "can0", None);
         begin("here").expect("a new folder");
         for (name, phrase) in [
             ("here", "bridge.log: the recording cannot be created: "),

@@ -63,6 +63,26 @@ impl Board {
         }
     }
 
+    /// What is wrong with the board and what a CNC must know of it, in words.
+    #[must_use]
+    pub fn words(&self) -> Vec<&'static str> {
+        let mut words = fault_words(self.faults.into());
+        words.extend(state_words(self.state));
+        words
+    }
+
+    /// Frames of the CNC that the board has refused: damaged, out of sequence, malformed.
+    #[must_use]
+    pub const fn refused_of_cnc(&self) -> [u16; 3] {
+        [self.damaged, self.out_of_sequence, self.malformed]
+    }
+
+    /// RMS noise of the sensor in ADC codes.
+    #[must_use]
+    pub fn noise_codes(&self) -> f64 {
+        f64::from(self.noise_thousandths) / 1_000.0
+    }
+
     /// Status frames that were damaged or out of order.
     #[must_use]
     pub fn refused(&self) -> u32 {
@@ -114,7 +134,7 @@ impl Board {
         json!({
             "temps_c": self.centi_c.map(|it| it.map(|centi_c| f64::from(centi_c) / 100.0)),
             "elongation_um": self.elongation_um(),
-            "noise_codes": f64::from(self.noise_thousandths) / 1_000.0,
+            "noise_codes": self.noise_codes(),
             "faults": fault_words(self.faults.into()),
             "state": state_words(self.state),
             "reset_reason": self.reset_reason.word(),

@@ -47,7 +47,8 @@ pub fn json(write: &Write) -> Value {
 }
 
 /// Seconds since 1970 as a date and a time (ISO 8601), by the Gregorian calendar.
-fn utc_text(utc_s: u32) -> String {
+#[must_use]
+pub fn utc_text(utc_s: u32) -> String {
     const DAY_S: u32 = 86_400;
     let is_leap = |year: u32| {
         year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400))

@@ -200,6 +200,12 @@ impl<'m> ReferenceModel<'m> {
         Self::of(Cow::Borrowed(machine))
     }
 
+    /// The same, with a machine of its own.
+    #[must_use]
+    pub fn owning(machine: Machine) -> ReferenceModel<'static> {
+        ReferenceModel::of(Cow::Owned(machine))
+    }
+
     /// The same, of a machine that may be its own.
     pub(crate) fn of(machine: Cow<'m, Machine>) -> Self {
         let (mut machine, falling) = corrected(machine);

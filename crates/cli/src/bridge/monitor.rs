@@ -1,244 +1,100 @@
-//! `trueup bridge monitor`: the offsets once a second, how well they arrive, and what the bridge says
-//! of itself; on request, all of it written down.
+//! `trueup bridge monitor`: the live screen on a terminal, lines everywhere else.
 
 use std::{
-    path::Path,
-    time::{Duration, Instant, SystemTime},
+    io::{IsTerminal as _, stdin, stdout},
+    path::PathBuf,
 };
 
-use anyhow::{Result, bail};
-use serde_json::{Value, json};
-use trueup_client::{
-    object,
-    port::Port,
-    record::Recorder,
-    session::Session,
-    status::Board,
-    words::{output_json, output_text},
-};
-use trueup_core::cnc::Output;
-use trueup_link::{
-    frames::{self, State},
-    receiver::{Counters, OffsetReceiver},
-    slcan::Event,
+use anyhow::Result;
+use clap::{Args, ValueEnum};
+use trueup_machine::file::Quantity;
+use trueup_screen::{
+    indicator::{Indicator, Unit},
+    live,
 };
 
-use trueup_machine::{MachineFile, compile};
+use super::{Port, plain};
+use crate::Outcome;
 
-use crate::{Outcome, UserError, output};
-
-/// From one line to the next.
-const PERIOD: Duration = Duration::from_secs(1);
-/// Without any offsets for so many lines there is nothing to monitor.
-const SILENT_LINES: u32 = 3;
-
-/// Prints `count` lines, or lines without end. `record` is where a recording begins, with the
-/// machine file that names its columns; `is_strict`: only of a bridge that runs on what that file makes.
-pub fn run(
-    port: &str,
+#[derive(Args)]
+pub struct Monitor {
+    #[command(flatten)]
+    port: Port,
+    /// The machine file: shares of the causes, volts, names of temperatures. Without it the screen reads
+    /// the board's own calibration.
+    #[arg(long, value_name = "M.toml")]
+    machine: Option<PathBuf>,
+    /// Write every frame down, as `candump -l` does, and a run file for `diagnose`: to `FILE.log` and
+    /// `FILE.csv`, or to `bridge.log` and `bridge.csv` in a folder.
+    #[arg(long, value_name = "DIR|FILE.log")]
+    record: Option<PathBuf>,
+    /// Record nothing of a bridge that runs on another calibration than the machine file makes: exit 2.
+    #[arg(long, requires = "machine", requires = "record")]
+    strict: bool,
+    /// What the gauge measures: the growth of the tool, or the error of an axis.
+    #[arg(long, value_name = "QUANTITY", value_enum, default_value_t = Gauge::Elongation)]
+    gauge: Gauge,
+    /// A gauge that sends its readings: a serial device or tcp:HOST:PORT; Mitutoyo Digimatic
+    /// (01A+00012.345) or a value a line.
+    #[arg(long, value_name = "PORT", requires = "indicator_unit")]
+    indicator: Option<String>,
+    /// The unit of its values.
+    #[arg(long, value_name = "UNIT", value_enum)]
+    indicator_unit: Option<IndicatorUnit>,
+    /// Its speed on a serial line, in Bd.
+    #[arg(long, value_name = "BD", default_value_t = 9_600)]
+    indicator_baud: u32,
+    /// Lines even on a terminal.
+    #[arg(long)]
+    plain: bool,
+    /// Lines, and stop after this many.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     count: Option<u64>,
-    record: Option<(&Path, Option<&Path>)>,
-    is_strict: bool,
-    as_json: bool,
-) -> Result<Outcome> {
-    let port = Port::parse(port)?;
-    let machine = record.and_then(|(_, machine)| machine);
-    let expected = match machine {
-        Some(machine) if is_strict => Some(compile(&MachineFile::read(machine)?)?.crc()),
-        machine => machine.and_then(compiled_crc),
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Gauge {
+    Elongation,
+    Dx,
+    Dy,
+    Dz,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum IndicatorUnit {
+    Mm,
+    Um,
+    Inch,
+}
+
+/// Shows the bridge, or prints a line a second.
+pub fn run(args: &Monitor, as_json: bool) -> Result<Outcome> {
+    let is_screen = stdout().is_terminal() && stdin().is_terminal();
+    if as_json || args.plain || args.count.is_some() || !is_screen {
+        let record = args.record.as_deref().map(|record| (record, args.machine.as_deref()));
+        return plain::run(&args.port.port, args.count, record, args.strict, as_json);
+    }
+    let unit = match args.indicator_unit {
+        Some(IndicatorUnit::Um) => Unit::Micrometre,
+        Some(IndicatorUnit::Inch) => Unit::Inch,
+        Some(IndicatorUnit::Mm) | None => Unit::Millimetre,
     };
-    let mut session = Session::open(&port)?;
-    let calibration = Calibration { expected, is_strict };
-    let running = record.map(|_| calibration.ask(&mut session)).transpose()?;
-    let mut recorder = record
-        .map(|(path, machine)| Recorder::begin(path, machine, port.interface()))
-        .transpose()?;
-    eprintln!("listening only: this command engages nothing");
-    if let (Some(recorder), Some(running)) = (&mut recorder, running) {
-        recorder.runs(running);
-    }
-    let mut tally = Tally::default();
-    let mut outcome = Outcome::Done;
-    let mut silent_lines = 0;
-    let start = Instant::now();
-    let mut line_start = start;
-    let mut lines = 0_u64;
-    while count.is_none_or(|count| lines < count) {
-        let line_end = line_start + PERIOD;
-        while let Some(event) = session.next_event(line_end)? {
-            tally.hear(&event);
-            if let (Some(recorder), Event::Frame(frame)) = (&mut recorder, &event) {
-                recorder.hear(frame, SystemTime::now())?;
-                // It may have been given another one.
-                if frames::decode_heartbeat(frame) == Ok(State::BootUp) {
-                    recorder.runs(calibration.ask(&mut session)?);
-                }
-            }
-        }
-        if let Some(recorder) = &mut recorder {
-            recorder.flush()?;
-        }
-        let now = Instant::now();
-        let second = tally.take(now - line_start);
-        line_start = now;
-        lines += 1;
-        if as_json {
-            output::print(second.json(now - start, &tally.board))?;
-        } else {
-            output::print(second.text() + &tally.board.text())?;
-        }
-        silent_lines = if second.output.is_none() { silent_lines + 1 } else { 0 };
-        if silent_lines == SILENT_LINES {
-            let hint = match tally.frames {
-                0 => "no frame came; does the board sample, does its plant run?",
-                _ => "frames came, but no valid pair of offsets",
-            };
-            bail!("no offsets for {} s: {hint}", SILENT_LINES);
-        }
-        if !second.is_sound() {
-            outcome = Outcome::NotMet;
-        }
-    }
-    session.close();
-    if let Some(recorder) = &recorder {
-        eprintln!("{}", recorder.summary());
-    }
-    Ok(outcome)
-}
-
-/// The calibration that the bridge should run.
-struct Calibration {
-    /// What the machine file makes.
-    expected: Option<u32>,
-    /// Any other is refused.
-    is_strict: bool,
-}
-
-impl Calibration {
-    /// The CRC of the calibration that the bridge runs; `None`, with a warning, where it does not say.
-    /// One that is not expected is told, or refused.
-    fn ask(&self, session: &mut Session) -> Result<Option<u32>> {
-        let told = object::number(session, object::RUNNING_CRC);
-        let sentence = match (&told, self.expected) {
-            (Ok(running), Some(expected)) if *running != expected => format!(
-                "the bridge runs on the calibration {running:08x}, the machine file makes \
-                 {expected:08x}: what is recorded is not of this file"
-            ),
-            (Err(error), _) => {
-                format!("{error}; in the recording calibration_crc is left empty")
-            }
-            _ => return Ok(told.ok()),
-        };
-        if self.is_strict {
-            bail!(UserError(sentence));
-        }
-        eprintln!("warning: {sentence}");
-        Ok(told.ok())
-    }
-}
-
-/// The CRC of what `compile` makes of a machine file. What does not compile cannot be compared.
-fn compiled_crc(machine: &Path) -> Option<u32> {
-    let machine = MachineFile::read(machine).ok()?;
-    compile(&machine).ok().map(|compiled| compiled.crc())
-}
-
-/// What was heard since the start, and since the last line.
-#[derive(Default)]
-struct Tally {
-    offsets: OffsetReceiver,
-    board: Board,
-    frames: u64,
-    frames_at_last_line: u64,
-    /// Lines that carry no frame that can be read.
-    malformed_lines: u32,
-    output: Option<Output>,
-}
-
-/// A line of the monitor.
-struct Second {
-    /// The newest offsets; `None` if none came.
-    output: Option<Output>,
-    frames_per_s: f64,
-    /// Since the start.
-    counters: Counters,
-    /// Since the start.
-    refused_statuses: u32,
-    /// Since the start.
-    malformed_lines: u32,
-    /// Since the start.
-    unpaired: u32,
-}
-
-impl Tally {
-    fn hear(&mut self, event: &Event) {
-        match event {
-            Event::Frame(frame) => {
-                self.frames += 1;
-                self.board.hear(frame);
-                // What is refused is counted in `offsets`.
-                if let Ok(Some(output)) = self.offsets.accept(frame) {
-                    self.output = Some(output);
-                }
-            }
-            Event::Malformed(_) => self.malformed_lines = self.malformed_lines.saturating_add(1),
-            Event::Accepted | Event::Refused | Event::Other(_) => {}
-        }
-    }
-
-    fn take(&mut self, elapsed: Duration) -> Second {
-        let frames = self.frames - self.frames_at_last_line;
-        self.frames_at_last_line = self.frames;
-        Second {
-            output: self.output.take(),
-            frames_per_s: frames as f64 / elapsed.as_secs_f64(),
-            counters: self.offsets.counters(),
-            refused_statuses: self.board.refused(),
-            malformed_lines: self.malformed_lines,
-            unpaired: self.offsets.unpaired(),
-        }
-    }
-}
-
-impl Second {
-    /// Offsets came, and until now no frame was damaged or out of order.
-    fn is_sound(&self) -> bool {
-        let Counters { malformed, crc_errors, sequence_errors, .. } = self.counters;
-        self.output.is_some()
-            && malformed == 0
-            && crc_errors == 0
-            && sequence_errors == 0
-            && self.malformed_lines == 0
-            && self.refused_statuses == 0
-    }
-
-    fn text(&self) -> String {
-        let output = match &self.output {
-            Some(output) => output_text(output),
-            None => "no offsets came".into(),
-        };
-        let Counters { malformed, crc_errors, sequence_errors, lost, .. } = self.counters;
-        format!(
-            "{output}  {:.0} frames/s  errors: crc {crc_errors}, sequence {sequence_errors}, \
-             malformed {}, lost {lost}, unpaired {}",
-            self.frames_per_s,
-            malformed.saturating_add(self.malformed_lines),
-            self.unpaired,
-        )
-    }
-
-    fn json(&self, since_start: Duration, board: &Board) -> Value {
-        let Counters { malformed, crc_errors, sequence_errors, lost, .. } = self.counters;
-        let mut line = output_json(self.output.as_ref());
-        line["time_s"] = json!(since_start.as_secs_f64());
-        line["frames_per_s"] = json!(self.frames_per_s);
-        line["crc_errors"] = json!(crc_errors);
-        line["sequence_errors"] = json!(sequence_errors);
-        line["malformed"] = json!(malformed.saturating_add(self.malformed_lines));
-        line["lost"] = json!(lost);
-        line["unpaired"] = json!(self.unpaired);
-        line["refused_statuses"] = json!(self.refused_statuses);
-        line["board"] = board.json();
-        line
-    }
+    let is_sound = live::run(live::Options {
+        port: args.port.port.clone(),
+        machine: args.machine.clone(),
+        record: args.record.clone(),
+        is_strict: args.strict,
+        quantity: match args.gauge {
+            Gauge::Elongation => Quantity::Elongation,
+            Gauge::Dx => Quantity::Dx,
+            Gauge::Dy => Quantity::Dy,
+            Gauge::Dz => Quantity::Dz,
+        },
+        indicator: args.indicator.clone().map(|port| Indicator {
+            port,
+            baud: args.indicator_baud,
+            unit,
+        }),
+    })?;
+    Ok(if is_sound { Outcome::Done } else { Outcome::NotMet })
 }

@@ -1,0 +1,174 @@
+//! A bridge that runs in this process: the node and the SLCAN port of the firmware, without its hardware.
+#![allow(dead_code, reason = "each test uses its share")]
+
+use std::{
+    io::{ErrorKind, Read, Write},
+    net::TcpListener,
+    path::Path,
+    sync::{Arc, Mutex},
+    thread,
+    time::{Duration, Instant},
+};
+
+use trueup_core::{
+    bridge::Input,
+    cnc::Control,
+    dimensions::CODES_PER_TICK,
+    units::{Code, Rpm},
+};
+use trueup_link::{frames, layout::SDO_ANSWER_ID, slcan::Port};
+use trueup_machine::{Compiled, Machine, MachineFile, compile};
+use trueup_node::node::{Line, Node};
+use trueup_store::{
+    calibration::{MAX_SIZE, decode},
+    load::Outcome,
+};
+
+use crate::wire::{ReceivedBytes, Tools, damaged, write_all};
+
+/// The paper's spindle.
+pub const PAPER: &str = include_str!("../../../../data/paper_spindle.toml");
+
+/// What is wrong with the bridge.
+#[derive(Clone, Copy, PartialEq)]
+pub enum Fault {
+    None,
+    /// A bit of every hundredth frame is flipped.
+    Noise,
+    /// It answers, but sends no frame.
+    NoFrames,
+    /// It says nothing at all.
+    Silent,
+    /// It closes the line after a while.
+    Leaves,
+    /// Its store gives back other bytes than it was given.
+    Forgetful,
+    /// Its store takes nothing.
+    Full,
+}
+
+/// A bridge at a port of this machine, engaged by a CNC that it has elsewhere.
+pub fn bridge(fault: Fault) -> (String, Arc<Mutex<ReceivedBytes>>) {
+    bridge_with(fault, true)
+}
+
+pub fn bridge_with(fault: Fault, engage: bool) -> (String, Arc<Mutex<ReceivedBytes>>) {
+    listening(fault, engage, false)
+}
+
+/// The same for one tool after the other.
+pub fn bridge_many(fault: Fault, engage: bool) -> (String, Arc<Mutex<ReceivedBytes>>) {
+    listening(fault, engage, true)
+}
+
+fn listening(fault: Fault, engage: bool, many: bool) -> (String, Arc<Mutex<ReceivedBytes>>) {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let address = format!("tcp:{}", listener.local_addr().expect("bound above"));
+    let heard = Arc::new(Mutex::new(ReceivedBytes::default()));
+    let told = heard.clone();
+    thread::spawn(move || {
+        let (stream, _) = listener.accept().expect("the tool connects");
+        stream.set_nonblocking(true).expect("a plain socket");
+        if many {
+            listener.set_nonblocking(true).expect("a plain socket");
+            live(Tools { listener, stream: Some(stream) }, fault, engage, &told);
+        } else {
+            live(stream, fault, engage, &told);
+        }
+    });
+    (address, heard)
+}
+
+pub fn paper_machine() -> Machine {
+    MachineFile::parse(PAPER, Path::new("m.toml")).expect("the project's own file")
+}
+
+pub fn paper() -> Compiled {
+    compile(&paper_machine()).expect("the paper's sensor fits")
+}
+
+/// A node that runs on this blob, as after a start.
+fn started(blob: &'static [u8]) -> (Node<'static>, Port) {
+    let mut node = Node::new(Some(decode(blob).expect("a calibration")), false);
+    node.set_blob(blob);
+    node.set_buffer(Box::leak(vec![0; MAX_SIZE].into()));
+    (node, Port::new(0x00A1))
+}
+
+pub fn live(
+    mut stream: impl Read + Write,
+    fault: Fault,
+    engage: bool,
+    heard: &Mutex<ReceivedBytes>,
+) {
+    let compiled = paper();
+    let (mut node, mut port) = started(Box::leak(compiled.blob().into()));
+    let mut stored: Option<Vec<u8>> = None;
+    let mut control = 0_u32;
+    // 100 codes above the paper's zero: 12.2 µm, which the slew limit reaches in 0.6 s.
+    let codes: [Code; CODES_PER_TICK] = std::array::from_fn(|n| Code(731 + (n % 2) as u16));
+    let start = Instant::now();
+    let mut bytes = [0; 256];
+    for ms in 0_u32.. {
+        let due = Duration::from_millis(ms.into());
+        thread::sleep(due.saturating_sub(start.elapsed()));
+        if fault == Fault::Leaves && ms > 1_300 {
+            return;
+        }
+        match stream.read(&mut bytes) {
+            Ok(0) => return,
+            Ok(length) => {
+                let mut heard = heard.lock().expect("nobody panics with it");
+                heard.bytes.extend(&bytes[..length]);
+                for frame in bytes[..length].iter().filter_map(|&b| port.receive(b)) {
+                    heard.frames += 1;
+                    node.hear(Line::Serial, &frame).expect("no tool sends a damaged frame");
+                }
+            }
+            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
+            Err(_) => return,
+        }
+        if let Some(mut load) = node.take_load() {
+            let mut outcome = Outcome::Stored;
+            match load.check() {
+                Err(_) => outcome = Outcome::Refused,
+                Ok(_) if fault == Fault::Full => outcome = Outcome::NotStored,
+                Ok(blob) => stored = Some(blob.to_vec()),
+            }
+            node.end_load(load, outcome);
+        }
+        while let Some(write) = node.take_write() {
+            node.end_write(&write, Some(trueup_store::writes::Write { sequence: 7, ..write }));
+        }
+        if node.take_restart() {
+            let blob = stored.take().unwrap_or_else(|| compiled.blob().to_vec());
+            (node, port) = started(Box::leak(blob.into()));
+            control = 0;
+        }
+        if ms % 20 == 0 {
+            // As after every start: three times not engaged.
+            let engaged =
+                Control { engage: engage && control >= 3, service: !engage, ..Control::REFERENCED };
+            node.hear(Line::Can, &frames::control(engaged, control as u8)).expect("in order");
+            control += 1;
+        }
+        let speed = Some(Rpm(24_000));
+        let sent = node.tick(1, Input { codes: Some(&codes), speed, ..Input::default() });
+        let sent = sent.into_iter().chain(node.service());
+        if fault != Fault::NoFrames {
+            for frame in &sent.collect::<Vec<_>>() {
+                let flip = match fault {
+                    Fault::Noise => ms % 100 == 99,
+                    // A segment that is read: the first byte says which.
+                    Fault::Forgetful => frame.id() == SDO_ANSWER_ID && frame.data()[0] == 0x10,
+                    _ => false,
+                };
+                port.send(&if flip { damaged(frame) } else { *frame });
+            }
+        }
+        let answer: Vec<u8> = std::iter::from_fn(|| port.pop()).collect();
+        if fault != Fault::Silent && write_all(&mut stream, &answer).is_err() {
+            return;
+        }
+    }
+}

@@ -1,0 +1,221 @@
+//! `bridge monitor` as a live screen, in a pseudo terminal of three sizes, against a bridge in this process.
+#![cfg(target_os = "linux")]
+
+mod desk;
+mod pretended;
+mod wire;
+
+use std::{
+    fs::File,
+    io::{Read as _, Write as _},
+    net::TcpListener,
+    process::{Child, Command, ExitStatus},
+    sync::{Arc, Mutex},
+    thread,
+    time::{Duration, Instant},
+};
+
+use desk::Desk;
+use pretended::{Fault, PAPER, bridge_many};
+use rustix::{
+    pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt},
+    termios::{Winsize, tcsetwinsize},
+};
+use trueup_machine::RunFile;
+
+/// The tool in a terminal.
+struct Terminal {
+    child: Child,
+    keys: File,
+    screen: Arc<Mutex<vt100::Parser>>,
+    bytes: Arc<Mutex<Vec<u8>>>,
+}
+
+impl Terminal {
+    fn start(desk: &Desk, line: &str, (columns, rows): (u16, u16), no_colour: bool) -> Self {
+        let ours = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).expect("a pseudo terminal");
+        grantpt(&ours).and_then(|()| unlockpt(&ours)).expect("it is ours");
+        let name = ptsname(&ours, Vec::new()).expect("it has a name");
+        let name = name.to_str().expect("plain");
+        let theirs = File::options().read(true).write(true).open(name).expect("unlocked");
+        let size = Winsize { ws_row: rows, ws_col: columns, ws_xpixel: 0, ws_ypixel: 0 };
+        tcsetwinsize(&theirs, size).expect("a terminal");
+        let mut command = Command::new("setsid");
+        command
+            // The terminal is its own, whatever terminal the tests run in.
+            .args(["--ctty", env!("CARGO_BIN_EXE_trueup")])
+            .args(line.split(' '))
+            .current_dir(desk.path("."))
+            .env("TERM", "xterm-256color")
+            .env_remove("NO_COLOR")
+            .stdin(theirs.try_clone().expect("a file"))
+            .stdout(theirs.try_clone().expect("a file"))
+            .stderr(theirs);
+        if no_colour {
+            command.env("NO_COLOR", "1");
+        }
+        let child = command.spawn().expect("util-linux has setsid");
+        // The command holds the other end, and would keep it open.
+        drop(command);
+        let screen = Arc::new(Mutex::new(vt100::Parser::new(rows, columns, 0)));
+        let bytes = Arc::new(Mutex::new(Vec::new()));
+        let keys = File::from(ours);
+        let mut reader = keys.try_clone().expect("a file");
+        let (drawn, all) = (screen.clone(), bytes.clone());
+        thread::spawn(move || {
+            let mut buffer = [0; 4096];
+            // At the end of the other side a read fails.
+            while let Ok(length @ 1..) = reader.read(&mut buffer) {
+                drawn.lock().expect("nobody panics with it").process(&buffer[..length]);
+                all.lock().expect("nobody panics with it").extend_from_slice(&buffer[..length]);
+            }
+        });
+        Self { child, keys, screen, bytes }
+    }
+
+    fn text(&self) -> String {
+        self.screen.lock().expect("nobody panics with it").screen().contents()
+    }
+
+    /// Until the screen shows all of these.
+    fn shows(&self, phrases: &[&str]) -> String {
+        let start = Instant::now();
+        loop {
+            let text = self.text();
+            match phrases.iter().find(|phrase| !text.contains(**phrase)) {
+                None => return text,
+                Some(phrase) if start.elapsed() > Duration::from_secs(20) => {
+                    panic!("\"{phrase}\" does not come:\n{text}")
+                }
+                Some(_) => thread::sleep(Duration::from_millis(50)),
+            }
+        }
+    }
+
+    fn press(&mut self, keys: &str) {
+        self.keys.write_all(keys.as_bytes()).expect("the terminal is open");
+    }
+
+    fn ended(&mut self) -> ExitStatus {
+        let start = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().expect("it is ours") {
+                return status;
+            }
+            assert!(start.elapsed() < Duration::from_secs(10), "it does not end:\n{}", self.text());
+            thread::sleep(Duration::from_millis(20));
+        }
+    }
+}
+
+impl Drop for Terminal {
+    fn drop(&mut self) {
+        self.child.kill().ok();
+        self.child.wait().ok();
+    }
+}
+
+#[test]
+fn at_three_sizes_it_shows_the_growth_and_q_ends_it() {
+    let desk = Desk::new(&[("m.toml", PAPER)]);
+    for size in [(80, 24), (120, 40), (60, 15)] {
+        let (port, _) = bridge_many(Fault::None, true);
+        let line = format!("bridge monitor --port {port} --machine m.toml");
+        let mut terminal = Terminal::start(&desk, &line, size, true);
+        // 100.5 codes above the paper's zero.
+        let text = terminal.shows(&[
+            "paper, calibration ",
+            " of m.toml",
+            "LIVE  every input is fresh",
+            "+12.27 µm",
+            "1.7859 V",
+            "731.50 codes",
+            "+12.27\n",
+            "No faults",
+            "q quit",
+        ]);
+        assert!(text.lines().count() <= size.1.into(), "{text}");
+        let bytes = terminal.bytes.lock().expect("nobody panics with it").clone();
+        let codes = String::from_utf8_lossy(&bytes).into_owned();
+        for colour in ["\u{1b}[3", "\u{1b}[9", "\u{1b}[38"] {
+            let is_colour = codes.split(colour).skip(1).any(|it| {
+                it.starts_with(|digit: char| ('0'..='7').contains(&digit))
+                    && it[1..].starts_with('m')
+            });
+            assert!(!is_colour, "NO_COLOR is set");
+        }
+        terminal.press("q");
+        assert_eq!(terminal.ended().code(), Some(0), "{}", terminal.text());
+        // What was there before comes back.
+        assert!(!terminal.screen.lock().expect("ours").screen().alternate_screen());
+    }
+}
+
+#[test]
+fn without_a_machine_file_it_reads_the_boards_own_calibration() {
+    let desk = Desk::new(&[]);
+    let (port, heard) = bridge_many(Fault::None, true);
+    let mut terminal =
+        Terminal::start(&desk, &format!("bridge monitor --port {port}"), (80, 24), false);
+    terminal.shows(&["paper, calibration ", "731.50 codes", "spindle growth"]);
+    terminal.press("\u{3}");
+    assert_eq!(terminal.ended().code(), Some(0), "Ctrl-C");
+    assert!(heard.lock().expect("nobody panics with it").frames > 0, "it has asked");
+}
+
+#[test]
+fn r_records_and_g_writes_readings_typed_and_live() {
+    let desk = Desk::new(&[("m.toml", PAPER)]);
+    let (port, _) = bridge_many(Fault::None, true);
+    let gauge = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let at = gauge.local_addr().expect("bound above");
+    let line = format!(
+        "bridge monitor --port {port} --machine m.toml --indicator tcp:{at} --indicator-unit mm"
+    );
+    let mut terminal = Terminal::start(&desk, &line, (80, 24), true);
+    let (mut gauge, _) = gauge.accept().expect("the tool listens to its gauge");
+    terminal.shows(&["+12.27 µm"]);
+    terminal.press("g");
+    terminal.shows(&["press r first"]);
+    terminal.press("r");
+    terminal.shows(&["recording to bridge-", "end recording"]);
+    terminal.press("g-3.5\r");
+    terminal.shows(&["-3.50 µm written down"]);
+    thread::sleep(Duration::from_millis(300));
+    gauge.write_all(b"01A+0.0125\r").expect("it is connected");
+    terminal.shows(&["gauge elongation +12.50 µm"]);
+    terminal.press("g");
+    terminal.shows(&["+12.50 µm written down"]);
+    thread::sleep(Duration::from_millis(300));
+    terminal.press("r");
+    terminal.shows(&[" rows in "]);
+    terminal.press("q");
+    assert_eq!(terminal.ended().code(), Some(0));
+
+    let files = desk.files(".");
+    let folder = files.iter().find(|it| it.starts_with("bridge-")).expect("a recording");
+    let run = RunFile::read(&desk.path(folder).join("bridge.csv")).expect("a run file");
+    let marked = run.column("measured_elongation_um").expect("the gauge's column").iter();
+    assert_eq!(marked.filter(|um| !um.is_nan()).collect::<Vec<_>>(), [&-3.5, &12.5]);
+    assert!(run.column("sensor_counts").is_some());
+}
+
+#[test]
+fn a_fault_is_told_with_its_remedy_and_a_line_that_breaks_is_tried_again() {
+    let desk = Desk::new(&[]);
+    // It closes the line 1.3 s after it was opened.
+    let (port, _) = pretended::bridge(Fault::Leaves);
+    let mut terminal =
+        Terminal::start(&desk, &format!("bridge monitor --port {port}"), (80, 24), true);
+    terminal.shows(&["GROWTH".to_lowercase().as_str(), "LIVE"]);
+    terminal.shows(&["NO OFFSETS COME", "line down, trying again"]);
+    terminal.press("q");
+    terminal.ended();
+
+    let (port, _) = bridge_many(Fault::None, false);
+    let mut terminal =
+        Terminal::start(&desk, &format!("bridge monitor --port {port}"), (60, 15), true);
+    terminal.shows(&["restarted: engage anew"]);
+    terminal.press("q");
+    assert_eq!(terminal.ended().code(), Some(0));
+}

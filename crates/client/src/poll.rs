@@ -1,0 +1,149 @@
+//! An object that is asked for again and again while frames flow by, so that none of them is missed.
+//!
+//! The bridge serves one client of its objects at a time. Where somebody else is served (a master that
+//! loads), nothing is asked until that one has been silent for [`BACK_OFF`].
+
+use std::time::{Duration, Instant};
+
+use trueup_canopen::sdo::client::{At, Progress, Upload};
+use trueup_link::{
+    frame::Frame,
+    layout::{SDO_ANSWER_ID, SDO_REQUEST_ID},
+};
+
+/// An answer that takes longer than this is given up: a bridge answers within 10 ms.
+const PATIENCE: Duration = Duration::from_millis(500);
+/// The pause after somebody else's transfer: longer than a calibration takes to be stored.
+const BACK_OFF: Duration = Duration::from_secs(5);
+
+/// What a frame has brought.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Heard {
+    /// Nothing of this object.
+    Nothing,
+    /// This is to be sent.
+    Ask(Frame),
+    /// The object's bytes.
+    Bytes(Vec<u8>),
+    /// The bridge does not give it.
+    Refused,
+}
+
+/// One object, and when it is asked for next.
+#[derive(Debug)]
+pub struct Poll {
+    at: At,
+    period: Duration,
+    due: Instant,
+    running: Option<(Upload, Vec<u8>, Instant)>,
+}
+
+impl Poll {
+    /// Asks for the object `at` every `period`, from now on.
+    #[must_use]
+    pub fn new(at: At, period: Duration, now: Instant) -> Self {
+        Self { at, period, due: now, running: None }
+    }
+
+    /// The request, if one is due.
+    pub fn due(&mut self, now: Instant) -> Option<Frame> {
+        if self.running.as_ref().is_some_and(|(_, _, last)| now.duration_since(*last) > PATIENCE) {
+            self.running = None;
+        }
+        if self.running.is_some() || now < self.due {
+            return None;
+        }
+        self.due = now + self.period;
+        let (upload, first) = Upload::start(self.at);
+        self.running = Some((upload, Vec::new(), now));
+        Some(first)
+    }
+
+    /// Takes a frame from the bus.
+    pub fn hear(&mut self, frame: &Frame, now: Instant) -> Heard {
+        let is_of_sdo = [SDO_ANSWER_ID, SDO_REQUEST_ID].contains(&frame.id());
+        let Some((upload, bytes, last)) = &mut self.running else {
+            if is_of_sdo {
+                self.due = now + BACK_OFF;
+            }
+            return Heard::Nothing;
+        };
+        match upload.hear(frame, bytes) {
+            Ok(Progress::Unchanged) => {
+                if is_of_sdo {
+                    self.running = None;
+                    self.due = now + BACK_OFF;
+                }
+                Heard::Nothing
+            }
+            Ok(Progress::Ask(request)) => {
+                *last = now;
+                Heard::Ask(request)
+            }
+            Ok(Progress::Done) => {
+                let bytes = std::mem::take(bytes);
+                self.running = None;
+                Heard::Bytes(bytes)
+            }
+            Err(_) => {
+                self.running = None;
+                Heard::Refused
+            }
+        }
+    }
+
+    /// An answer is waited for.
+    #[must_use]
+    pub fn is_running(&self) -> bool {
+        self.running.is_some()
+    }
+
+    /// How much has come of how many bytes, while the object comes in parts.
+    #[must_use]
+    pub fn progress(&self) -> Option<(usize, u32)> {
+        let (upload, bytes, _) = self.running.as_ref()?;
+        Some((bytes.len(), upload.announced()?))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const AT: At = (0x9130, 9);
+
+    fn answer(data: [u8; 8]) -> Frame {
+        Frame::new(SDO_ANSWER_ID, &data).expect("eight bytes")
+    }
+
+    #[test]
+    fn an_object_is_asked_for_once_a_period_and_its_bytes_are_given() {
+        let start = Instant::now();
+        let period = Duration::from_millis(200);
+        let mut poll = Poll::new(AT, period, start);
+        assert!(poll.due(start).is_some_and(|it| it.id() == SDO_REQUEST_ID));
+        assert_eq!(poll.due(start + period), None, "the answer has not come");
+        let value = answer([0x43, 0x30, 0x91, 9, 1, 2, 3, 4]);
+        assert_eq!(poll.hear(&value, start), Heard::Bytes(vec![1, 2, 3, 4]));
+        assert_eq!(poll.due(start + period / 2), None);
+        assert!(poll.due(start + period).is_some());
+        // One that never comes is given up.
+        assert_eq!(poll.due(start + 3 * period), None);
+        assert!(poll.due(start + 6 * period).is_some());
+        let abort = answer([0x80, 0x30, 0x91, 9, 0, 0, 2, 6]);
+        assert_eq!(poll.hear(&abort, start + 6 * period), Heard::Refused);
+    }
+
+    #[test]
+    fn who_is_served_meanwhile_is_not_disturbed() {
+        let start = Instant::now();
+        let mut poll = Poll::new(AT, Duration::from_millis(200), start);
+        // A segment of somebody's load is answered.
+        assert_eq!(poll.hear(&answer([0x20, 0, 0, 0, 0, 0, 0, 0]), start), Heard::Nothing);
+        assert_eq!(poll.due(start + BACK_OFF / 2), None);
+        assert!(poll.due(start + BACK_OFF).is_some());
+        // Or while an answer of our own is waited for.
+        poll.hear(&answer([0x60, 0, 0x21, 2, 0, 0, 0, 0]), start + BACK_OFF);
+        assert_eq!(poll.due(start + BACK_OFF + PATIENCE), None);
+    }
+}

@@ -1,0 +1,82 @@
+//! What to do about each word that the bridge says of itself: a flag, a fault or a bit of its state.
+
+/// The words in the order of this list, what is worst first, each once, with its remedy.
+#[must_use]
+pub fn remedies(words: &[&str]) -> Vec<(&'static str, &'static str)> {
+    REMEDIES.into_iter().filter(|(word, _)| words.contains(word)).collect()
+}
+
+/// Every word, with what it means and what to do.
+pub const REMEDIES: [(&str, &str); 37] = [
+    ("self-test", "the board found itself damaged: flash it again; if it stays, replace the board"),
+    ("no-calibration", "load one: trueup bridge load CAL.bin --port …"),
+    ("example-constants", "it runs on the example: compile your machine file and load it"),
+    ("older-calibration", "the newest is damaged: load it again, or Confirm the older one"),
+    ("foreign-machine", "made for another machine or board: load the right one, or Confirm it"),
+    ("stopped", "the last start ended in a fault: trueup bridge info says where; report it"),
+    ("watchdog-reset", "a task hung: trueup bridge info says which; report it"),
+    ("restarted", "engage anew: Engage off, then on"),
+    ("sensor-fault", "see sensor"),
+    ("sensor", "sensor or thermometer out of range or stuck: check cable, supply and gap"),
+    (
+        "samples-missing",
+        "the converter stopped: it restarts by itself; if it stays, switch off and on",
+    ),
+    ("supply-off", "the sensor's supply is out of range: measure it at the board"),
+    ("source-dead", "a spare source is dead: look for the temperature that is not available"),
+    ("calibration-unfit", "what is measured no longer fits: measure the machine again and fit"),
+    ("cnc-lost", "no frames from the CNC: check cable, bit rate, and that its program runs"),
+    ("heartbeat-lost", "the node of object 1016 is silent: check it, or set 1016 to 0"),
+    ("second-master", "two controls send Control: switch one off"),
+    ("speed-unknown", "the CNC sends no spindle speed: send Spindle at least every 500 ms"),
+    ("heat-unknown", "heat kept from before is not known: let it cool, or Confirm"),
+    ("zero-refused", "Zero was not taken: reference the axes and look for missing inputs"),
+    (
+        "outside-table",
+        "a position beyond its table: the end value is held; measure the whole travel",
+    ),
+    ("clamped", "an axis is at its largest offset: check zero and sign, or raise max_um"),
+    ("slewing", "on the way to the new offset: wait"),
+    ("board-degraded", "see the other words"),
+    ("degraded", "it runs on a fall-back source: look for the input that is missing"),
+    ("crystal", "the crystal is dead: serial only, no CAN; replace it"),
+    ("pll", "the clock cannot be made: serial only, no CAN; replace the board"),
+    ("fall-back-clock", "it runs without its crystal: serial only, no CAN"),
+    ("can", "the CAN controller does not answer: switch off and on; replace the board"),
+    ("can-off", "off the bus: look for a short or a wrong bit rate; it comes back by itself"),
+    (
+        "can-passive",
+        "nobody acknowledges: is the CNC on, its bit rate right, the bus ended by 120 Ω?",
+    ),
+    ("can-warning", "errors on the bus: check termination, shield and length"),
+    ("store", "the store takes nothing: what is loaded is lost at power-off; replace the board"),
+    ("store-failing", "see store"),
+    ("cnc-malformed", "the CNC sends frames of a wrong form: check its program against trueup.dbc"),
+    ("cnc-damaged", "frames of the CNC come damaged: check termination and shield"),
+    ("cnc-sequence", "frames of the CNC come twice or out of order: does a second program send?"),
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::words::{fault_words, flag_words};
+    use trueup_core::cnc::Flags;
+    use trueup_link::status::StateBits;
+
+    #[test]
+    fn every_word_has_its_remedy() {
+        let states = StateBits::WORDS.map(|(_, word)| word);
+        for word in flag_words(Flags(0xFF)).into_iter().chain(fault_words(u32::MAX)).chain(states) {
+            assert_eq!(remedies(&[word]).len(), 1, "{word}");
+        }
+    }
+
+    #[test]
+    fn what_is_worst_comes_first_and_no_word_twice() {
+        let words = remedies(&["slewing", "sensor", "self-test", "sensor"]).into_iter();
+        assert_eq!(
+            words.map(|(word, _)| word).collect::<Vec<_>>(),
+            ["self-test", "sensor", "slewing"]
+        );
+    }
+}

@@ -1,0 +1,371 @@
+//! All that the screen knows, and what a key does. No terminal and no clock: time is an argument, in
+//! seconds since the screen began.
+
+use trueup_client::{
+    cnc::Cnc,
+    remedy::remedies,
+    status::Board,
+    words::{flag_words, offset_um},
+};
+use trueup_core::cnc::Output;
+use trueup_link::{
+    frame::Frame,
+    receiver::{Counters, OffsetReceiver},
+};
+use trueup_machine::file::Quantity;
+
+use crate::{
+    laws::{Laws, Moment, Share},
+    trend::{SERIES, Trend},
+};
+
+/// Offsets older than this are not shown as being of now: 1 s is a thousand cycles.
+const STALE_S: f64 = 1.0;
+/// A reading of the sensor that was asked for counts for so long; then the one of the status does.
+const ASKED_S: f64 = 1.0;
+/// A gauge's reading older than this is not of the moment at which a key is pressed.
+pub const FRESH_S: f64 = 1.0;
+/// A message stands for so long.
+const MESSAGE_S: f64 = 8.0;
+
+/// A key that was pressed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Key {
+    /// A character.
+    Char(char),
+    /// Return.
+    Enter,
+    /// Escape.
+    Escape,
+    /// Backspace.
+    Backspace,
+    /// Ctrl-C.
+    Interrupt,
+}
+
+/// What the loop is to do.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Action {
+    /// End.
+    Quit,
+    /// Begin a recording.
+    Record,
+    /// End the recording.
+    EndRecording,
+    /// Write this reading of the gauge down, in µm.
+    Mark(f64),
+}
+
+/// The line to the bridge.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Link {
+    /// It is being opened.
+    Opening,
+    /// It is open.
+    Up,
+    /// It is not, and is tried again; why.
+    Down(String),
+}
+
+/// Whose laws the screen uses.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// Nobody's.
+    None,
+    /// The board's own calibration; so many percent of it have come.
+    Reading(u32),
+    /// The board's own calibration.
+    Board,
+    /// A machine file of this name.
+    File(String),
+}
+
+/// The gauge that measures the machine while the bridge runs.
+#[derive(Clone, Debug)]
+pub struct Gauge {
+    /// What it measures.
+    pub quantity: Quantity,
+    /// It speaks to this computer; otherwise its readings are typed.
+    pub is_live: bool,
+    /// The newest reading in µm, and when.
+    pub latest: Option<(f64, f64)>,
+    /// What is wrong with it.
+    pub trouble: Option<String>,
+}
+
+/// All that the screen knows.
+pub struct State {
+    /// Where the bridge is, as the user wrote it.
+    pub port: String,
+    /// The line.
+    pub link: Link,
+    /// What makes shares and volts of what is heard.
+    pub laws: Option<Laws>,
+    /// Where they are from.
+    pub source: Source,
+    /// The gauge.
+    pub gauge: Gauge,
+    /// What is being typed of a gauge's reading.
+    pub prompt: Option<String>,
+    /// Where the recording goes.
+    pub recording: Option<String>,
+    /// Readings of the gauge that were written down.
+    pub marks: u32,
+    /// Every key is explained.
+    pub is_helping: bool,
+    /// What the board says of itself.
+    pub board: Board,
+    /// The share of each cause.
+    pub shares: Vec<Share>,
+    /// The last minutes.
+    pub trend: Trend,
+    /// Which of the series is drawn.
+    pub series: usize,
+    /// Frames in the last second.
+    pub frames_per_s: f64,
+    /// Lines that carry no frame that can be read.
+    pub malformed_lines: u32,
+    offsets: OffsetReceiver,
+    output: Option<(Output, f64)>,
+    asked: Option<(Option<f64>, f64)>,
+    cnc: Cnc,
+    frames: u32,
+    counted_s: f64,
+    message: Option<(String, f64)>,
+    now_s: f64,
+}
+
+impl State {
+    /// Before anything was heard of the bridge at `port`.
+    #[must_use]
+    pub fn new(port: &str, quantity: Quantity, has_indicator: bool) -> Self {
+        Self {
+            port: port.into(),
+            link: Link::Opening,
+            laws: None,
+            source: Source::None,
+            gauge: Gauge { quantity, is_live: has_indicator, latest: None, trouble: None },
+            prompt: None,
+            recording: None,
+            marks: 0,
+            is_helping: false,
+            board: Board::default(),
+            shares: Vec::new(),
+            trend: Trend::default(),
+            series: 0,
+            frames_per_s: 0.0,
+            malformed_lines: 0,
+            offsets: OffsetReceiver::new(),
+            output: None,
+            asked: None,
+            cnc: Cnc::default(),
+            frames: 0,
+            counted_s: 0.0,
+            message: None,
+            now_s: 0.0,
+        }
+    }
+
+    /// Takes a frame from the bus.
+    pub fn hear(&mut self, frame: &Frame, now_s: f64) {
+        self.now_s = now_s;
+        self.frames += 1;
+        self.board.hear(frame);
+        self.cnc.hear(frame, (now_s * 1_000.0) as u64);
+        // What is refused is counted in there.
+        if let Ok(Some(output)) = self.offsets.accept(frame) {
+            self.output = Some((output, now_s));
+        }
+    }
+
+    /// The elongation that was asked for, in µm; `None`: the sensor gives none.
+    pub fn answered(&mut self, growth_um: Option<f64>, now_s: f64) {
+        self.asked = Some((growth_um, now_s));
+    }
+
+    /// The gauge's newest reading, or what is wrong with it. A reading that is waited for is written down.
+    pub fn gauged(&mut self, heard: Result<f64, String>, now_s: f64) -> Option<Action> {
+        self.now_s = now_s;
+        match heard {
+            Ok(um) => {
+                self.gauge.latest = Some((um, now_s));
+                self.gauge.trouble = None;
+                self.prompt.take().is_some().then_some(Action::Mark(um))
+            }
+            Err(why) => {
+                self.gauge.trouble = Some(why);
+                None
+            }
+        }
+    }
+
+    /// Takes a sample for the trend, and the shares of this moment: a few times a second.
+    pub fn sample(&mut self, now_s: f64) {
+        self.now_s = now_s;
+        if now_s - self.counted_s >= 1.0 {
+            self.frames_per_s = f64::from(self.frames) / (now_s - self.counted_s);
+            (self.frames, self.counted_s) = (0, now_s);
+        }
+        let growth_um = self.growth_um();
+        self.shares = match &mut self.laws {
+            Some(laws) => laws.shares(&Moment {
+                time_s: now_s,
+                growth_um,
+                centi_c: &self.board.centi_c,
+                cnc: &self.cnc,
+            }),
+            None => Vec::new(),
+        };
+        let mut values = [f64::NAN; SERIES];
+        values[0] = growth_um.unwrap_or(f64::NAN);
+        values[1..4].copy_from_slice(&self.offset_um().unwrap_or([f64::NAN; 3]));
+        for (value, centi_c) in values[4..].iter_mut().zip(self.board.centi_c) {
+            *value = centi_c.map_or(f64::NAN, |it| f64::from(it) / 100.0);
+        }
+        self.trend.push(now_s, values);
+    }
+
+    /// What a key does.
+    pub fn key(&mut self, key: Key) -> Option<Action> {
+        if key == Key::Interrupt {
+            return Some(Action::Quit);
+        }
+        if self.prompt.is_some() {
+            return self.typed(key);
+        }
+        let is_helping = std::mem::take(&mut self.is_helping);
+        match key {
+            Key::Char('q' | 'Q') => return Some(Action::Quit),
+            Key::Escape if !is_helping => return Some(Action::Quit),
+            Key::Char('r' | 'R') => {
+                let is_recording = self.recording.is_some();
+                return Some(if is_recording { Action::EndRecording } else { Action::Record });
+            }
+            Key::Char('g' | 'G') => return self.asks_for_a_reading(),
+            Key::Char('t' | 'T') => self.next_series(),
+            Key::Char('?' | 'h') => self.is_helping = !is_helping,
+            _ => {}
+        }
+        None
+    }
+
+    fn asks_for_a_reading(&mut self) -> Option<Action> {
+        if self.recording.is_none() {
+            self.say("press r first: a gauge reading is written into a recording");
+            return None;
+        }
+        match self.gauge.latest {
+            Some((um, at_s)) if self.gauge.is_live && self.now_s - at_s <= FRESH_S => {
+                Some(Action::Mark(um))
+            }
+            _ => {
+                self.prompt = Some(String::new());
+                None
+            }
+        }
+    }
+
+    fn typed(&mut self, key: Key) -> Option<Action> {
+        let text = self.prompt.as_mut()?;
+        match key {
+            Key::Char(it @ ('0'..='9' | '+' | '-' | '.')) => text.push(it),
+            Key::Char(',') => self.say("a decimal point, not a comma"),
+            Key::Backspace => _ = text.pop(),
+            Key::Enter => match text.parse::<f64>() {
+                Ok(um) => {
+                    self.prompt = None;
+                    return Some(Action::Mark(um));
+                }
+                Err(_) => self.say("type the reading in µm, such as -3.5, then Enter; Esc leaves"),
+            },
+            Key::Escape => self.prompt = None,
+            Key::Char(_) | Key::Interrupt => {}
+        }
+        None
+    }
+
+    /// The next series of which something is known.
+    fn next_series(&mut self) {
+        let after = (1..=SERIES).map(|step| (self.series + step) % SERIES);
+        let known = after.into_iter().find(|which| !self.trend.series(*which).is_empty());
+        self.series = known.unwrap_or(self.series);
+    }
+
+    /// Tells the user something.
+    pub fn say(&mut self, message: impl Into<String>) {
+        self.message = Some((message.into(), self.now_s));
+    }
+
+    /// What there is to tell, while it is new.
+    #[must_use]
+    pub fn message(&self) -> Option<&str> {
+        let (message, at_s) = self.message.as_ref()?;
+        (self.now_s - at_s < MESSAGE_S).then_some(message)
+    }
+
+    /// The moment that the screen shows, in s since it began.
+    #[must_use]
+    pub fn now_s(&self) -> f64 {
+        self.now_s
+    }
+
+    /// The newest offsets; `None` where none came lately.
+    #[must_use]
+    pub fn output(&self) -> Option<&Output> {
+        let (output, at_s) = self.output.as_ref()?;
+        (self.now_s - at_s <= STALE_S).then_some(output)
+    }
+
+    /// The offsets of X, Y and Z in µm, if they are available.
+    #[must_use]
+    pub fn offset_um(&self) -> Option<[f64; 3]> {
+        self.output().and_then(offset_um)
+    }
+
+    /// The growth by the sensor, in µm: the newest that is known.
+    #[must_use]
+    pub fn growth_um(&self) -> Option<f64> {
+        match self.asked {
+            Some((growth_um, at_s)) if self.now_s - at_s <= ASKED_S => growth_um,
+            _ => self.board.elongation_um(),
+        }
+    }
+
+    /// What was received of the offsets, since the screen began.
+    #[must_use]
+    pub fn counters(&self) -> Counters {
+        self.offsets.counters()
+    }
+
+    /// Halves of offsets that were dropped because their other half never came.
+    #[must_use]
+    pub fn unpaired(&self) -> u32 {
+        self.offsets.unpaired()
+    }
+
+    /// The CNC is heard on this line.
+    #[must_use]
+    pub fn hears_cnc(&self) -> bool {
+        let now_ms = (self.now_s * 1_000.0) as u64;
+        self.cnc.position_mm(now_ms).iter().any(Option::is_some)
+    }
+
+    /// What is wrong, with what to do about it.
+    #[must_use]
+    pub fn troubles(&self) -> Vec<(&'static str, &'static str)> {
+        let mut words = self.board.words();
+        words.extend(self.output().map(|output| flag_words(output.flags)).unwrap_or_default());
+        let of_cnc = ["cnc-damaged", "cnc-sequence", "cnc-malformed"];
+        let refused = of_cnc.into_iter().zip(self.board.refused_of_cnc());
+        words.extend(refused.filter(|(_, count)| *count > 0).map(|(word, _)| word));
+        remedies(&words)
+    }
+
+    /// Nothing on the line was damaged or out of order.
+    #[must_use]
+    pub fn is_sound(&self) -> bool {
+        let Counters { malformed, crc_errors, sequence_errors, .. } = self.counters();
+        let refused = self.board.refused() + self.malformed_lines;
+        malformed + crc_errors + sequence_errors + refused == 0
+    }
+}

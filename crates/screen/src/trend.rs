@@ -1,0 +1,50 @@
+//! The last minutes of what is watched.
+
+use std::collections::VecDeque;
+
+/// So far back, in s: what a finger, a spindle's start and the first of the heat take.
+pub const WINDOW_S: f64 = 300.0;
+/// What is watched: the growth, three offsets, eight temperatures.
+pub const SERIES: usize = 12;
+
+/// A ring of samples.
+#[derive(Clone, Debug, Default)]
+pub struct Trend {
+    samples: VecDeque<(f64, [f64; SERIES])>,
+}
+
+impl Trend {
+    /// Adds what is known at `time_s`; NaN: it is not. Drops what is older than [`WINDOW_S`].
+    pub fn push(&mut self, time_s: f64, values: [f64; SERIES]) {
+        self.samples.push_back((time_s, values));
+        while self.samples.front().is_some_and(|(at, _)| *at < time_s - WINDOW_S) {
+            self.samples.pop_front();
+        }
+    }
+
+    /// One series as (seconds before the newest, value), without what is not known.
+    #[must_use]
+    pub fn series(&self, which: usize) -> Vec<(f64, f64)> {
+        let newest_s = self.samples.back().map_or(0.0, |(at, _)| *at);
+        let points = self.samples.iter().map(|(at, values)| (at - newest_s, values[which]));
+        points.filter(|(_, value)| !value.is_nan()).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_keeps_five_minutes_and_leaves_out_what_is_not_known() {
+        let mut trend = Trend::default();
+        for second in 0..=400_u16 {
+            let mut values = [f64::from(second); SERIES];
+            values[1] = if second % 2 == 0 { f64::NAN } else { 1.0 };
+            trend.push(second.into(), values);
+        }
+        let growth = trend.series(0);
+        assert_eq!((growth.first(), growth.last()), (Some(&(-300.0, 100.0)), Some(&(0.0, 400.0))));
+        assert_eq!(trend.series(1).len(), 150);
+    }
+}

@@ -1,0 +1,144 @@
+//! The state as lines of a terminal of any size: what matters most stands on top, and where there is no
+//! room the trend goes first, then the shares.
+
+mod lines;
+mod trend;
+
+use ratatui::{
+    Frame,
+    layout::{Constraint, Layout, Rect},
+    style::{Color, Modifier, Style},
+    text::{Line, Span},
+    widgets::Paragraph,
+};
+
+use crate::state::{Link, State};
+
+/// Rows without which a trend says nothing.
+const LEAST_TREND: u16 = 4;
+/// What every key does.
+const KEYS: [(&str, &str); 5] =
+    [("q", "quit"), ("r", "record"), ("g", "gauge"), ("t", "trend"), ("?", "help")];
+const HELP: [&str; 9] = [
+    "q  quit; the bridge goes on as it was",
+    "r  begin or end a recording: every frame, and a run file for diagnose",
+    "g  write a reading of the gauge into the recording, typed or live",
+    "t  draw the next: growth, offset of X, Y, Z, temperatures",
+    "?  this help; any key closes it",
+    "",
+    "Offsets are what the CNC has to add: a tool that grows is lifted, +Z.",
+    "A ? is a share that nobody can compute: its position or temperature",
+    "is not heard on this line. \"rest\" is slew, limits, zero, and what is ?.",
+];
+
+/// How things are told apart: by letters and weight always, by colour where it is wanted.
+#[derive(Clone, Copy, Debug)]
+pub struct Theme {
+    /// Colours may be used.
+    pub has_colour: bool,
+}
+
+impl Theme {
+    fn heading(self) -> Style {
+        Style::new().add_modifier(Modifier::BOLD)
+    }
+
+    fn good(self) -> Style {
+        if self.has_colour { Style::new().fg(Color::Green) } else { Style::new() }
+    }
+
+    fn bad(self) -> Style {
+        let style = Style::new().add_modifier(Modifier::BOLD);
+        if self.has_colour { style.fg(Color::Red) } else { style }
+    }
+
+    fn number(self) -> Style {
+        let style = Style::new().add_modifier(Modifier::BOLD);
+        if self.has_colour { style.fg(Color::Cyan) } else { style }
+    }
+}
+
+/// Draws the whole screen.
+pub fn draw(frame: &mut Frame<'_>, state: &State, theme: Theme) {
+    let area = frame.area();
+    let width = area.width.into();
+    let top = lines::top(state, theme, width);
+    let table = lines::offsets(state, theme, true);
+    let short = lines::offsets(state, theme, false);
+    let below = lines::below(state, theme, width);
+    let troubles = lines::troubles(state, theme, width);
+    let rows = |lines: &[Line<'_>]| u16::try_from(lines.len()).unwrap_or(u16::MAX);
+    // The line of messages and the line of keys.
+    let fixed = rows(&top) + rows(&below) + rows(&troubles) + 2;
+    let fits = |table: &[Line<'_>], trend| fixed + rows(table) + trend <= area.height;
+    let table = if fits(&table, LEAST_TREND) { table } else { short };
+    let spare = area.height.saturating_sub(fixed + rows(&table));
+    let trend = if spare >= LEAST_TREND { spare } else { 0 };
+    // Troubles that do not fit are cut off at their end, where the lesser ones stand.
+    let [at_top, at_table, at_below, at_troubles, at_trend, at_message, at_keys] =
+        Layout::vertical([
+            Constraint::Length(rows(&top)),
+            Constraint::Length(rows(&table)),
+            Constraint::Length(rows(&below)),
+            Constraint::Fill(1),
+            Constraint::Length(trend),
+            Constraint::Length(1),
+            Constraint::Length(1),
+        ])
+        .areas(area);
+    frame.render_widget(Paragraph::new(top), at_top);
+    frame.render_widget(Paragraph::new(table), at_table);
+    frame.render_widget(Paragraph::new(below), at_below);
+    frame.render_widget(Paragraph::new(troubles), at_troubles);
+    if trend > 0 {
+        trend::draw(frame, at_trend, state, theme);
+    }
+    frame.render_widget(Paragraph::new(message(state, theme)), at_message);
+    frame.render_widget(Paragraph::new(keys(state, theme)), at_keys);
+    if state.is_helping {
+        help(frame, area, theme);
+    }
+}
+
+fn message(state: &State, theme: Theme) -> Line<'static> {
+    let quantity = state.gauge.quantity.name();
+    if let Some(typed) = &state.prompt {
+        let or_live = if state.gauge.is_live { " (or press its button)" } else { "" };
+        return Line::styled(
+            format!("measured {quantity} in µm{or_live}: {typed}_"),
+            theme.heading(),
+        );
+    }
+    if let Some(message) = state.message() {
+        return Line::styled(message.to_owned(), theme.heading());
+    }
+    match &state.link {
+        Link::Down(why) => Line::styled(format!("line down, trying again: {why}"), theme.bad()),
+        Link::Opening => Line::raw("opening the line"),
+        Link::Up => match &state.recording {
+            Some(to) => Line::raw(format!("recording to {to}, {} gauge readings", state.marks)),
+            None => Line::raw("listening only: nothing is engaged by this screen"),
+        },
+    }
+}
+
+fn keys(state: &State, theme: Theme) -> Line<'static> {
+    let mut spans = Vec::new();
+    for (key, word) in KEYS {
+        let word = if key == "r" && state.recording.is_some() { "end recording" } else { word };
+        spans.push(Span::styled(key, theme.heading()));
+        spans.push(Span::raw(format!(" {word}   ")));
+    }
+    Line::from(spans)
+}
+
+fn help(frame: &mut Frame<'_>, area: Rect, theme: Theme) {
+    let height = (HELP.len() as u16).min(area.height.saturating_sub(2));
+    let at = Rect { y: area.height.saturating_sub(height + 1), height, ..area };
+    frame.render_widget(ratatui::widgets::Clear, at);
+    let lines = HELP.map(|line| Line::styled(line, theme.heading()));
+    frame.render_widget(Paragraph::new(lines.to_vec()), at);
+}
+
+#[cfg(test)]
+mod tests;

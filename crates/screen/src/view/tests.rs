@@ -1,0 +1,220 @@
+use std::path::Path;
+
+use ratatui::{Terminal, backend::TestBackend, style::Color};
+use trueup_core::{
+    bridge::Input,
+    cnc::Control,
+    dimensions::{CHANNELS, CODES_PER_TICK},
+    thermometer::Raw,
+    units::{Code, Rpm},
+};
+use trueup_link::frames;
+use trueup_machine::{MachineFile, compile, file::Quantity};
+use trueup_node::node::{Line as NodeLine, Node};
+
+use super::*;
+use crate::{
+    laws::Laws,
+    state::{Action, Key, Source},
+};
+
+/// A spindle whose sensor has a thermometer of its own, and which heats X.
+const MACHINE: &str = "[machine]\nname = \"lathe 7\"\nkind = \"3-axis\"\n\
+    [inputs]\nsensor = { volts_full_scale = 10.0, counts_full_scale = 32768, divider = 0.33 }\n\
+    temp_coil_c = { channel = 0, kind = \"pt100\" }\n\
+    [spindle]\nsource = \"sensor\"\n\
+    [spindle.sensor]\nk0_um = 0.0\nzero_counts = 5048.0\num_per_count = 0.0152587890625\n\
+    [axis.x.thermal]\nsensor = \"temp_coil_c\"\nreference_c = 20.0\nconstant_um_per_c = 0.5\nmode = \"constant\"\n";
+
+/// What a screen knows after `ms` of a bridge whose sensor gives `code`, engaged if wanted.
+fn watched(ms: u32, code: u16, engage: bool) -> State {
+    let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("right");
+    let compiled = compile(&machine).expect("it fits");
+    let mut node = Node::new(Some(compiled.calibration()), false);
+    node.set_blob(compiled.blob());
+    let mut state = State::new("tcp:bridge:3333", Quantity::Elongation, false);
+    state.link = Link::Up;
+    state.laws = Some(Laws::of(machine));
+    state.source = Source::File("m.toml".into());
+    let codes: [Code; CODES_PER_TICK] = std::array::from_fn(|n| Code(code + (n % 2) as u16));
+    let mut temperatures = [Raw::NONE; CHANNELS];
+    // A PT100 at 30 °C: 100·(1 + 3.9083·10⁻³·30 − 5.775·10⁻⁷·30²) Ω.
+    temperatures[0] = Raw(111_672_925);
+    for now in 0..ms {
+        if now % 20 == 0 {
+            let control = Control { engage: engage && now >= 60, ..Control::REFERENCED };
+            let control = frames::control(control, (now / 20) as u8);
+            node.hear(NodeLine::Can, &control).expect("in order");
+        }
+        let input = Input {
+            codes: Some(&codes),
+            speed: Some(Rpm(24_000)),
+            temperatures: Some(&temperatures),
+        };
+        for frame in node.tick(1, input).into_iter().chain(node.service()) {
+            state.hear(&frame, f64::from(now) / 1_000.0);
+        }
+        if now % 200 == 199 {
+            state.sample(f64::from(now) / 1_000.0);
+        }
+    }
+    state
+}
+
+fn screen(state: &State, (width, height): (u16, u16), has_colour: bool) -> (String, bool) {
+    let mut terminal = Terminal::new(TestBackend::new(width, height)).expect("it has no device");
+    terminal.draw(|frame| draw(frame, state, Theme { has_colour })).expect("it has no device");
+    let buffer = terminal.backend().buffer();
+    let is_coloured = buffer.content.iter().any(|cell| cell.fg != Color::Reset);
+    let rows = buffer.content.chunks(width.into());
+    let text = rows.map(|row| row.iter().map(|cell| cell.symbol()).collect::<String>() + "\n");
+    (text.collect(), is_coloured)
+}
+
+fn has(text: &str, phrases: &[&str]) {
+    for phrase in phrases {
+        assert!(text.contains(phrase), "{phrase} is missing:\n{text}");
+    }
+}
+
+#[test]
+fn at_three_sizes_the_number_the_finger_moves_stands_on_the_screen() {
+    // 100.5 codes above the zero of 631: 12.27 µm, at 1.7860 V; 0.5 µm/K · 10 K against X.
+    let state = watched(4_000, 731, true);
+    for size in [(80, 24), (120, 40), (60, 15)] {
+        let (text, _) = screen(&state, size, false);
+        println!("{text}");
+        has(
+            &text,
+            &[
+                "lathe 7",
+                "LIVE  every input is fresh",
+                "Growth",
+                "+12.27 µm",
+                "1.7859 V",
+                "731.50 codes",
+                "given to the CNC      -5.00      +0.00     +12.27",
+                "coil 30.00 °C",
+                "No faults",
+                "q quit",
+                "nothing is engaged",
+            ],
+        );
+    }
+    let (text, _) = screen(&state, (80, 24), false);
+    has(
+        &text,
+        &[
+            "spindle growth        +0.00      +0.00     +12.27",
+            "axis heat             -5.00      +0.00      +0.00",
+            "rest                  +0.00      +0.00      +0.00",
+            "growth, µm, the last",
+            "crc 0, sequence 0, malformed 0, lost 0",
+        ],
+    );
+}
+
+#[test]
+fn a_pushed_target_moves_volts_and_growth() {
+    let before = watched(4_000, 731, false);
+    let after = watched(4_000, 741, false);
+    let (text, _) = screen(&before, (80, 24), false);
+    has(&text, &["restarted: engage anew", "+12.27 µm"]);
+    let (text, _) = screen(&after, (80, 24), false);
+    // Ten codes are 80 counts: 1.22 µm, 24 mV.
+    has(&text, &["+13.49 µm", "1.8103 V", "741.50 codes"]);
+}
+
+#[test]
+fn a_fault_stands_there_with_its_remedy_at_every_size_and_without_colour() {
+    // At 0 V the sensor is out of its range, or its cable off.
+    let state = watched(4_000, 0, true);
+    for size in [(80, 24), (120, 40), (60, 15)] {
+        let (text, is_coloured) = screen(&state, size, false);
+        assert!(!is_coloured, "no colour was allowed");
+        has(&text, &["gives no reading", "sensor: sensor or thermometer out of range"]);
+    }
+    assert!(screen(&state, (80, 24), true).1, "with colours it has some");
+}
+
+#[test]
+fn silence_is_told_and_not_shown_as_the_last_offset() {
+    let mut state = watched(4_000, 731, true);
+    state.link = Link::Down("the bridge has closed the line".into());
+    state.sample(6.0);
+    let (text, _) = screen(&state, (80, 24), false);
+    has(&text, &["NO OFFSETS COME", "none", "line down, trying again: the bridge has closed"]);
+    assert!(!text.contains("given to the CNC      -5.00"), "{text}");
+}
+
+#[test]
+fn another_calibration_than_the_files_is_told() {
+    let mut state = watched(4_000, 731, true);
+    has(&screen(&state, (80, 24), false).0, &[" of m.toml"]);
+    let other = MACHINE.replace("k0_um = 0.0", "k0_um = 1.0");
+    state.laws = Some(Laws::of(MachineFile::parse(&other, Path::new("m.toml")).expect("right")));
+    has(&screen(&state, (80, 24), false).0, &[" NOT of m.toml"]);
+}
+
+#[test]
+fn keys_record_mark_turn_the_trend_and_help() {
+    let mut state = watched(4_000, 731, true);
+    assert_eq!(state.key(Key::Char('g')), None);
+    has(&screen(&state, (80, 24), false).0, &["press r first"]);
+    assert_eq!(state.key(Key::Char('r')), Some(Action::Record));
+    state.recording = Some("bridge-1".into());
+    assert_eq!(state.key(Key::Char('g')), None);
+    for key in ['-', '3', '.', '5', 'x', '1'] {
+        assert_eq!(state.key(Key::Char(key)), None);
+    }
+    has(&screen(&state, (80, 24), false).0, &["measured elongation in µm: -3.51_"]);
+    assert_eq!(state.key(Key::Backspace), None);
+    assert_eq!(state.key(Key::Enter), Some(Action::Mark(-3.5)));
+    // q is not quit while a number is typed.
+    state.key(Key::Char('g'));
+    assert_eq!(state.key(Key::Char('q')), None);
+    assert_eq!(state.key(Key::Enter), None, "nothing was typed");
+    assert_eq!(state.key(Key::Escape), None);
+    assert_eq!(state.key(Key::Char('r')), Some(Action::EndRecording));
+
+    has(&screen(&state, (80, 24), false).0, &["growth, µm, the last"]);
+    state.key(Key::Char('t'));
+    has(&screen(&state, (80, 24), false).0, &["offset of X, µm, the last"]);
+    (0..3).for_each(|_| _ = state.key(Key::Char('t')));
+    has(&screen(&state, (80, 24), false).0, &["coil, °C, the last"]);
+    state.key(Key::Char('t'));
+    has(&screen(&state, (80, 24), false).0, &["growth, µm, the last"]);
+
+    state.key(Key::Char('?'));
+    has(&screen(&state, (60, 15), false).0, &["quit; the bridge goes on as it was"]);
+    assert_eq!(state.key(Key::Escape), None, "it closes the help");
+    assert_eq!(state.key(Key::Escape), Some(Action::Quit));
+    assert_eq!(state.key(Key::Char('q')), Some(Action::Quit));
+    assert_eq!(state.key(Key::Interrupt), Some(Action::Quit));
+}
+
+#[test]
+fn a_gauge_that_speaks_is_written_down_at_once_and_an_old_reading_never() {
+    let mut state = watched(4_000, 731, true);
+    (state.gauge.is_live, state.recording) = (true, Some("there".into()));
+    assert_eq!(state.gauged(Ok(-2.5), 4.0), None);
+    assert_eq!(state.key(Key::Char('g')), Some(Action::Mark(-2.5)));
+    has(&screen(&state, (80, 24), false).0, &["gauge elongation -2.50 µm"]);
+    state.sample(9.0);
+    assert_eq!(state.key(Key::Char('g')), None, "it is five seconds old");
+    has(&screen(&state, (80, 24), false).0, &["or press its button", "(5 s ago)"]);
+    assert_eq!(state.gauged(Ok(-2.75), 10.0), Some(Action::Mark(-2.75)));
+    assert_eq!(state.gauged(Err("indicator: gone".into()), 11.0), None);
+    has(&screen(&state, (80, 24), false).0, &["indicator: gone"]);
+}
+
+#[test]
+fn no_size_is_too_small_to_draw() {
+    let mut state = watched(1_000, 0, true);
+    for width in [1, 2, 7, 20, 300] {
+        for height in [1, 2, 3, 5, 8, 60] {
+            state.is_helping = !state.is_helping;
+            screen(&state, (width, height), true);
+        }
+    }
+}
