@@ -30,14 +30,10 @@ use trueup_demo::{
 use trueup_emulator::{
     chip,
     firmware::{self, Board},
-    front_end::FrontEnd,
-    linuxcnc, measure,
-    plant::Plant,
-    replay::{self, Replay},
-    serve::{self, SampleSource},
-    setup, size,
+    linuxcnc, measure, replay, setup, size,
+    virtual_bridge::{self, Played, Settings},
 };
-use trueup_machine::{BadInput, MachineFile, RunFile, compile};
+use trueup_machine::{BadInput, MachineFile, RunFile};
 
 #[derive(Parser)]
 #[command(name = "cargo xtask", about = "The project's own commands")]
@@ -73,6 +69,8 @@ enum Command {
     LinuxCnc,
     /// Prints the size of the firmware images.
     Size,
+    /// Builds the firmware images that an installed `trueup` carries, in target/carried.
+    Images,
     /// Counts instructions on the emulated board, and compares its frames with the host's.
     Measure,
     /// Hides each effect in the virtual machine's data, and counts how often it is named right: the
@@ -205,6 +203,7 @@ fn main() -> ExitCode {
         Command::Chip(ChipOptions { options }) => run_chip(options),
         Command::LinuxCnc => linuxcnc::run_and_publish().map(drop),
         Command::Size => size::report().map(|report| print!("{report}")),
+        Command::Images => firmware::carried().map(|folder| println!("{}", folder.display())),
         Command::Measure => measure::run(measure::VECTORS).and_then(|measured| measured.publish()),
         Command::Scorecard { seeds } => verify::scorecard(seeds),
         Command::Fuzz { minutes } => campaign::fuzz(minutes),
@@ -339,34 +338,18 @@ fn run_hidden(seeds: u64, first: u64, on_board: bool) -> Result<()> {
 
 fn run_virtual(options: Virtual) -> Result<()> {
     let machine = options.machine.unwrap_or(setup::root().join("data/paper_spindle.toml"));
-    let machine = MachineFile::read(&machine)?;
-    let compiled = compile(&machine)?;
-    let sensor = machine.inputs.as_ref().and_then(|inputs| inputs.sensor.as_ref());
-    let run = options.run.map(|path| RunFile::read(&path)).transpose()?;
-    if let Some(run) = &run {
-        let names = run.columns().iter().map(|column| column.name.as_str());
-        let unused: Vec<_> = names.filter(|name| !Replay::uses(&machine, name)).collect();
-        if !unused.is_empty() {
-            eprintln!("not replayed, this machine has no input for them: {}", unused.join(", "));
-        }
-    }
-    let replay = run.map(|run| Replay::new(&run, &machine, options.row_s)).transpose()?;
-    let listener = serve::listen(&options.cnc)?;
-    let image = firmware::build(Board::Virtual)?;
-    let source = match (replay, options.plant) {
-        (Some(replay), _) => SampleSource::Run { replay, speed: options.speed.0 },
-        (None, Some(plant)) => {
-            let temperatures = machine.inputs.as_ref().map(|inputs| inputs.temperatures.clone());
-            let address = serve::tcp_address(&plant)?;
-            SampleSource::Plant(Plant::connect(address, temperatures.unwrap_or_default())?)
-        }
-        (None, None) => bail!("either --run or --plant"),
-    };
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
-    // Port 0 asks for any free one, so this is what was got, not what was asked for.
-    eprintln!("the CNC's line is at tcp:{} (SLCAN)", listener.local_addr()?);
-    let front_end = FrontEnd::new(sensor.map_or(0.0, |sensor| sensor.divider), options.seed);
-    serve::serve(&image, compiled.blob(), front_end, listener, source, stop)
+    let played = match (options.run, options.plant) {
+        (Some(path), _) => {
+            let run = RunFile::read(&path)?;
+            Played::Run { run, row_s: options.row_s, speed: options.speed.0 }
+        }
+        (None, Some(address)) => Played::Plant { address },
+        (None, None) => bail!("either --run or --plant"),
+    };
+    let settings = Settings { cnc: options.cnc, played, seed: options.seed };
+    let image = || firmware::build(Board::Virtual);
+    virtual_bridge::run(&MachineFile::read(&machine)?, settings, image, stop)
 }

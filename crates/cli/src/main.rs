@@ -13,15 +13,19 @@
 
 mod accept;
 mod bridge;
+mod carried;
 mod check;
 mod compare;
 mod compile;
 mod diagnose;
+mod examples;
 mod export;
 mod files;
+mod firmware;
 mod fit;
 mod gateway;
 mod linuxcnc;
+mod manual;
 mod origin;
 mod output;
 mod predict;
@@ -32,11 +36,13 @@ mod show;
 mod simulate;
 mod summary;
 mod trend;
+#[cfg(unix)]
+mod virtual_board;
 
 use std::{path::PathBuf, process::ExitCode};
 
 use anyhow::Result;
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, Parser, Subcommand};
 use trueup_client::Unusable;
 use trueup_machine::BadInput;
 
@@ -84,6 +90,12 @@ enum Command {
     Program(program::Program),
     Simulate(simulate::Simulate),
     Trend(trend::Trend),
+    #[cfg(unix)]
+    Virtual(virtual_board::Virtual),
+    Firmware(firmware::Firmware),
+    Examples(examples::Examples),
+    Completions(manual::Completions),
+    Man(manual::Man),
     /// Brings a bridge to a control that has a PLC: offsets into its registers, positions out of them.
     Gateway {
         #[command(subcommand)]
@@ -154,6 +166,12 @@ fn run(cli: &Cli) -> Result<Outcome> {
         Command::Program(args) => program::run(args, cli.json),
         Command::Simulate(args) => simulate::run(args, cli.json),
         Command::Trend(args) => trend::run(args, cli.json),
+        #[cfg(unix)]
+        Command::Virtual(args) => virtual_board::run(args),
+        Command::Firmware(args) => firmware::run(args, cli.json),
+        Command::Examples(args) => examples::run(args, cli.json),
+        Command::Completions(args) => manual::completions(args, Cli::command()),
+        Command::Man(args) => manual::man(args, Cli::command(), cli.json),
         Command::Gateway { command } => gateway::run(command),
         Command::Bridge { command } => bridge::run(command, cli.json),
     }

@@ -82,3 +82,11 @@ pub fn print(result: impl std::fmt::Display) -> Result<()> {
         other => other.context("standard output cannot be written"),
     }
 }
+
+/// Prints which files were written into a folder.
+pub fn list(folder: &Path, names: &[String], as_json: bool) -> Result<()> {
+    if as_json {
+        return print(serde_json::json!({ "folder": folder, "files": names }));
+    }
+    names.iter().try_for_each(|name| print(folder.join(name).display()))
+}

@@ -23,6 +23,19 @@ pub enum Board {
     Virtual,
 }
 
+/// Names the machine file that is linked into an image.
+const MACHINE_VARIABLE: &str = "TRUEUP_MACHINE";
+
+/// Which machine file is linked in.
+#[derive(Clone, Copy)]
+enum Linked<'a> {
+    /// The one that the user has named in the environment, if any.
+    Named,
+    /// The example, whatever the environment says: it never gives an offset.
+    Example,
+    File(&'a Path),
+}
+
 impl Board {
     /// Both boards.
     pub const ALL: [Self; 2] = [Self::Stm32f405, Self::Virtual];
@@ -109,7 +122,7 @@ fn cargo_for(verb: &str, feature: &str) -> Result<(Command, PathBuf)> {
 /// # Errors
 /// It does not compile, or there is no way to the target.
 pub fn build(board: Board) -> Result<PathBuf> {
-    build_as(board, board.feature(), board.feature(), None)
+    build_as(board, board.feature(), board.feature(), Linked::Named)
 }
 
 /// Builds the image that is flashed, for a machine: without one it has the example's constants, and gives
@@ -119,7 +132,7 @@ pub fn build(board: Board) -> Result<PathBuf> {
 /// As [`build`]; the machine file cannot be used.
 pub fn build_for(machine: &Path) -> Result<PathBuf> {
     let board = Board::Stm32f405;
-    build_as(board, board.feature(), "stm32f405-for-a-machine", Some(machine))
+    build_as(board, board.feature(), "stm32f405-for-a-machine", Linked::File(machine))
 }
 
 /// As [`build_for`], beside it: for one who compares two machines.
@@ -128,7 +141,7 @@ pub fn build_for(machine: &Path) -> Result<PathBuf> {
 /// As [`build_for`].
 pub fn build_for_another(machine: &Path) -> Result<PathBuf> {
     let board = Board::Stm32f405;
-    build_as(board, board.feature(), "stm32f405-for-another-machine", Some(machine))
+    build_as(board, board.feature(), "stm32f405-for-another-machine", Linked::File(machine))
 }
 
 /// The same with the feature `faults`: it breaks when it is told to, and is never for a machine.
@@ -136,14 +149,38 @@ pub fn build_for_another(machine: &Path) -> Result<PathBuf> {
 /// # Errors
 /// As [`build_for`].
 pub fn build_that_breaks(machine: &Path) -> Result<PathBuf> {
-    build_as(Board::Stm32f405, "faults", "stm32f405-faults", Some(machine))
+    build_as(Board::Stm32f405, "faults", "stm32f405-faults", Linked::File(machine))
 }
 
-fn build_as(board: Board, feature: &str, name: &str, machine: Option<&Path>) -> Result<PathBuf> {
-    let (mut command, folder) = cargo_for("build", feature)?;
-    if let Some(machine) = machine {
-        command.env("TRUEUP_MACHINE", machine);
+/// The images that an installed tool carries, without a machine of anybody's: their folder.
+///
+/// # Errors
+/// As [`build`].
+pub fn carried() -> Result<PathBuf> {
+    let folder = setup::root().join("target/carried");
+    fs::create_dir_all(&folder)?;
+    // The one of the chip has its plain bytes beside it.
+    for board in Board::ALL {
+        let name = format!("carried-{}", board.feature());
+        let image = build_as(board, board.feature(), &name, Linked::Example)?;
+        for kind in ["elf", "bin"] {
+            let built = image.with_extension(kind);
+            if built.is_file() {
+                let copy = folder.join(format!("trueup-{}.{kind}", board.feature()));
+                fs::rename(&built, &copy).with_context(|| copy.display().to_string())?;
+            }
+        }
     }
+    Ok(folder)
+}
+
+fn build_as(board: Board, feature: &str, name: &str, machine: Linked) -> Result<PathBuf> {
+    let (mut command, folder) = cargo_for("build", feature)?;
+    match machine {
+        Linked::Named => &mut command,
+        Linked::Example => command.env_remove(MACHINE_VARIABLE),
+        Linked::File(machine) => command.env(MACHINE_VARIABLE, machine),
+    };
     let images = folder.join("images");
     fs::create_dir_all(&images)?;
     // Cargo gives both boards the same file name, so nobody else may build until the copy is made;

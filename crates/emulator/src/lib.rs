@@ -2,7 +2,7 @@
 //! CNC's end of its link.
 //!
 //! ```text
-//!  run file, plant ─► replay ─► front_end ─► board (QEMU) ─► cnc ─► serve, demonstration, tests
+//!  run file, plant ─► replay ─► front_end ─► board (QEMU) ─► cnc ─► serve ─► virtual_bridge, tests
 //! ```
 //!
 //! `setup` gets what a fresh machine lacks and `firmware` builds the images, so that each command
@@ -30,3 +30,4 @@ pub mod serve;
 pub mod setup;
 pub mod size;
 pub mod stand_in;
+pub mod virtual_bridge;

@@ -18,6 +18,8 @@ use crate::process;
 pub const TARGET: &str = "thumbv7em-none-eabihf";
 /// Set to `distribution` it forces the second way to the target.
 pub const TOOLCHAIN_VARIABLE: &str = "TRUEUP_TOOLCHAIN";
+/// The emulator's program, and the package that has it.
+pub const QEMU: &str = "qemu-system-arm";
 /// The oldest QEMU that has what the board needs.
 const OLDEST_QEMU: (u32, u32) = (7, 2);
 
@@ -126,12 +128,14 @@ fn distribution() -> Result<()> {
 /// # Errors
 /// It is missing and cannot be installed, or it is too old.
 pub fn qemu() -> Result<PathBuf> {
-    const PROGRAM: &str = "qemu-system-arm";
-    let _alone = alone()?;
-    if process::find(PROGRAM).is_none() {
-        install(&[PROGRAM], "QEMU, the emulator")?;
+    // An installed tool has no folder in which anybody could be waited for.
+    if process::find(QEMU).is_none() {
+        let _alone = alone()?;
+        if process::find(QEMU).is_none() {
+            install(&[QEMU], "QEMU, the emulator")?;
+        }
     }
-    let path = process::find(PROGRAM).context("qemu-system-arm is installed but not on PATH")?;
+    let path = process::find(QEMU).context("qemu-system-arm is installed but not on PATH")?;
     let said = process::output(Command::new(&path).arg("--version"))?;
     let version = said.split("version ").nth(1).unwrap_or_default();
     let mut numbers = version.split('.').map(|number| number.parse::<u32>().unwrap_or(0));

@@ -1,0 +1,105 @@
+//! A release build of the tool carries the firmware images, so that an installed `trueup` needs no source
+//! tree. Where they are missing, or older than what they are built from, `cargo xtask images` builds
+//! them; where that cannot be, the tool comes without them, and says so when they are asked for.
+//!
+//! `TRUEUP_WITHOUT_FIRMWARE=1` leaves them out. A build for tests carries nothing.
+
+use std::{
+    env, fs,
+    path::{Path, PathBuf},
+    process::Command,
+    time::SystemTime,
+};
+
+/// What is carried, with the constant of `carried.rs` that names it.
+const IMAGES: [&str; 3] = ["trueup-virtual.elf", "trueup-stm32f405.elf", "trueup-stm32f405.bin"];
+/// What the images are built from.
+const SOURCES: [&str; 13] = [
+    "Cargo.lock",
+    "build.rs",
+    "memory.x",
+    "src",
+    "data/paper_spindle.toml",
+    "crates/canopen/src",
+    "crates/core/src",
+    "crates/link/src",
+    "crates/machine/src",
+    "crates/max31865/src",
+    "crates/node/src",
+    "crates/pipe/src",
+    "crates/store/src",
+];
+const LEFT_OUT: &str = "TRUEUP_WITHOUT_FIRMWARE";
+
+fn main() {
+    println!("cargo:rerun-if-changed=build.rs");
+    println!("cargo:rerun-if-env-changed={LEFT_OUT}");
+    let package = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").expect("cargo sets it"));
+    let root = package.join("../..");
+    let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets it"));
+    let is_release = env::var("PROFILE").is_ok_and(|profile| profile == "release");
+    let carried = is_release && env::var_os(LEFT_OUT).is_none();
+    let folder = root.join("target/carried");
+    if carried {
+        for source in SOURCES {
+            println!("cargo:rerun-if-changed={}", root.join(source).display());
+        }
+        if !is_fresh(&root, &folder) {
+            build(&root);
+        }
+    }
+    let mut list = String::from("&[");
+    for name in IMAGES {
+        let image = folder.join(name);
+        if carried && image.is_file() {
+            let image = image.canonicalize().expect("it is a file");
+            list += &format!("({name:?}, include_bytes!({image:?}).as_slice()), ");
+        } else if carried {
+            // Tried again at the next build.
+            println!("cargo:rerun-if-changed={}", image.display());
+            println!("cargo:warning={name} is missing: trueup will come without it");
+        }
+    }
+    fs::write(out.join("carried.rs"), list + "]").expect("OUT_DIR can be written");
+}
+
+/// Whether all images are there and none is older than what it is built from.
+fn is_fresh(root: &Path, folder: &Path) -> bool {
+    let changed = |path: &Path| fs::metadata(path).and_then(|it| it.modified()).ok();
+    let images = IMAGES.map(|name| changed(&folder.join(name)));
+    let newest = SOURCES.iter().filter_map(|source| newest(&root.join(source))).max();
+    images.into_iter().min().flatten() > newest
+}
+
+/// When something in a folder, or a file, was last changed.
+fn newest(path: &Path) -> Option<SystemTime> {
+    let Ok(entries) = fs::read_dir(path) else {
+        return fs::metadata(path).and_then(|it| it.modified()).ok();
+    };
+    entries.flatten().filter_map(|entry| newest(&entry.path())).max()
+}
+
+/// Builds the images by the project's own command, in another profile's folder than this build.
+fn build(root: &Path) {
+    println!("cargo:warning=building the firmware images that trueup carries: some minutes");
+    let mut command = Command::new(env::var_os("CARGO").unwrap_or("cargo".into()));
+    command.args(["run", "--quiet", "--locked", "--bin", "xtask", "--", "images"]);
+    command.current_dir(root);
+    // What is set for this build script is not meant for that build.
+    for (name, _) in env::vars_os() {
+        let name = name.to_string_lossy().into_owned();
+        let is_ours = ["CARGO_CFG_", "CARGO_FEATURE_", "CARGO_PKG_", "DEP_", "CARGO_MANIFEST_"];
+        if is_ours.iter().any(|it| name.starts_with(it))
+            || ["CARGO_ENCODED_RUSTFLAGS", "OUT_DIR", "TARGET", "HOST", "PROFILE"]
+                .contains(&name.as_str())
+        {
+            command.env_remove(name);
+        }
+    }
+    let said = match command.output() {
+        Ok(output) if output.status.success() => return,
+        Ok(output) => String::from_utf8_lossy(&output.stderr).trim().replace('\n', " | "),
+        Err(error) => error.to_string(),
+    };
+    println!("cargo:warning=`cargo xtask images` has failed: {said}");
+}

@@ -1,0 +1,48 @@
+//! The firmware images that this tool carries, and where else they may be.
+
+use std::{fs, path::Path};
+
+use anyhow::{Context as _, Result};
+
+use crate::UserError;
+
+/// The image for QEMU.
+pub const VIRTUAL: &str = "trueup-virtual.elf";
+
+/// Name and bytes of each; none in a build for tests, or where they could not be built.
+const CARRIED: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/carried.rs"));
+/// Where `cargo xtask images` puts them, in the tree that this tool was built from.
+const BUILT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../target/carried");
+
+/// Puts the images into a folder that there is, all of them or the one that is named, and gives their
+/// names.
+///
+/// # Errors
+/// This tool has none, or they cannot be written.
+pub fn write(folder: &Path, wanted: Option<&str>) -> Result<Vec<String>> {
+    let mut written = Vec::new();
+    let is_wanted = |name: &str| wanted.is_none_or(|wanted| wanted == name);
+    for (name, bytes) in CARRIED.iter().filter(|(name, _)| is_wanted(name)) {
+        let path = folder.join(name);
+        fs::write(&path, bytes).with_context(|| path.display().to_string())?;
+        written.push((*name).to_string());
+    }
+    if CARRIED.is_empty() {
+        for entry in fs::read_dir(BUILT).into_iter().flatten().flatten() {
+            let name = entry.file_name().to_string_lossy().into_owned();
+            if is_wanted(&name) {
+                let path = folder.join(&name);
+                fs::copy(entry.path(), &path).with_context(|| path.display().to_string())?;
+                written.push(name);
+            }
+        }
+    }
+    if written.is_empty() {
+        let reason = "this trueup carries no firmware: it is a build for tests, or the images could \
+                      not be built with it. In the source tree `cargo xtask images` builds them and \
+                      says what is missing; then install again: cargo install --path crates/cli";
+        return Err(UserError(reason.into()).into());
+    }
+    written.sort();
+    Ok(written)
+}

@@ -1,0 +1,27 @@
+//! `trueup firmware`: the images for a board, and the keys to their logs.
+
+use std::{fs, path::PathBuf};
+
+use anyhow::{Context as _, Result};
+use clap::Args;
+
+use crate::{Outcome, carried, output};
+
+/// Writes the firmware images: .bin to be flashed, and .elf, which alone can read the log of a board
+/// that runs it.
+///
+/// They are for any machine: load a calibration with `trueup bridge load`. How to flash: the book, First
+/// power-on.
+#[derive(Args)]
+pub struct Firmware {
+    /// The folder; it is made if there is none.
+    #[arg(value_name = "DIR")]
+    folder: PathBuf,
+}
+
+/// Writes them.
+pub fn run(args: &Firmware, as_json: bool) -> Result<Outcome> {
+    fs::create_dir_all(&args.folder).with_context(|| args.folder.display().to_string())?;
+    output::list(&args.folder, &carried::write(&args.folder, None)?, as_json)?;
+    Ok(Outcome::Done)
+}

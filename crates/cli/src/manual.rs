@@ -1,0 +1,52 @@
+//! `trueup completions` and `trueup man`: what a shell and `man` know of this tool, out of its own
+//! description of its commands.
+
+use std::{
+    fs,
+    io::{self, Write as _},
+    path::PathBuf,
+};
+
+use anyhow::{Context as _, Result};
+use clap::{Args, Command};
+use clap_complete::Shell;
+
+use crate::{Outcome, output};
+
+/// Prints what a shell completes this tool's commands and options with.
+///
+/// bash: trueup completions bash > ~/.local/share/bash-completion/completions/trueup
+#[derive(Args)]
+pub struct Completions {
+    /// The shell.
+    shell: Shell,
+}
+
+/// Writes the manual's pages, one for each command: man ./trueup-fit.1.
+#[derive(Args)]
+pub struct Man {
+    /// The folder; it is made if there is none.
+    #[arg(value_name = "DIR")]
+    folder: PathBuf,
+}
+
+/// Prints the completions.
+pub fn completions(args: &Completions, mut tool: Command) -> Result<Outcome> {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut tool, "trueup", &mut script);
+    io::stdout().write_all(&script)?;
+    Ok(Outcome::Done)
+}
+
+/// Writes the pages.
+pub fn man(args: &Man, tool: Command, as_json: bool) -> Result<Outcome> {
+    fs::create_dir_all(&args.folder).with_context(|| args.folder.display().to_string())?;
+    clap_mangen::generate_to(tool.disable_help_subcommand(true), &args.folder)?;
+    let entries = fs::read_dir(&args.folder)?;
+    let names = entries.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned()));
+    let mut pages: Vec<String> = names.collect::<Result<_>>()?;
+    pages.retain(|name| name.starts_with("trueup") && name.ends_with(".1"));
+    pages.sort();
+    output::list(&args.folder, &pages, as_json)?;
+    Ok(Outcome::Done)
+}
