@@ -15,6 +15,7 @@
 //! | [`instrument`] | the reference instrument, with its own |
 //! | [`head`] | rotary axes that turn the tool |
 //! | [`machine`] | all of it as one machine, stepped by its drives |
+//! | [`month`] | a month of a machine that ages, with a probe now and then |
 //! | [`path`] | speeds, loads, ways, position runs |
 //! | [`scenario`] | all of these in one file |
 //! | [`run`] | a scenario that is run: `trueup simulate` |
@@ -49,6 +50,7 @@ pub mod heat;
 pub mod hidden;
 pub mod instrument;
 pub mod machine;
+pub mod month;
 pub mod noise;
 pub mod path;
 pub mod physical;
