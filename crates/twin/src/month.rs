@@ -25,13 +25,15 @@ pub const SEEDS: std::ops::Range<u64> = 0..20;
 
 /// Days of the month.
 const DAYS: usize = 30;
+/// Days of work in the middle of the month on which it is probed.
+const PROBED_DAYS: [usize; 8] = [7, 9, 10, 11, 15, 16, 17, 21];
 /// Minutes from one probing to the next.
 const PROBE_MIN: usize = 30;
 /// The spindle's rated speed in r/min.
 const RATED_RPM: f64 = 24_000.0;
 /// Growth by a kelvin of the front bearing and of the column, and at 1000 r/min, on the first day.
-const FRONT_UM_PER_C: f64 = 2.2;
-const COLUMN_UM_PER_C: f64 = 1.0;
+const FRONT_UM_PER_C: f64 = 5.0;
+const COLUMN_UM_PER_C: f64 = 1.5;
 const UM_PER_KRPM2: f64 = 0.02;
 /// By how much the growth by a kelvin has grown when the month is over.
 const AGEING: f64 = 0.3;
@@ -74,10 +76,12 @@ struct Truth {
 #[must_use]
 pub fn month(seed: u64, ages: bool) -> Month {
     let mut stream = Stream::new(seed, "month");
-    let bearing_day = stream.whole(8, 13);
-    let bearing = [stream.uniform(0.65, 0.85), stream.uniform(1.05, 1.25)];
-    let moved_day = stream.whole(15, 22);
-    let moved = stream.uniform(0.75, 0.85);
+    // Who repairs a machine probes it on the same day: of one that nobody has looked at since nothing can
+    // be known.
+    let bearing_day = stream.pick(&PROBED_DAYS[..4]);
+    let bearing = [stream.uniform(0.65, 0.85), stream.uniform(0.9, 1.1)];
+    let moved_day = stream.pick(&PROBED_DAYS[4..]);
+    let moved = stream.uniform(0.8, 0.9);
     let mut walk = [0.0; 2];
     let mut wander = Correlated::new(Stream::new(seed, "month wander"), 0.6, 0.0);
     let mut probe = Stream::new(seed, "month probe");
@@ -85,7 +89,7 @@ pub fn month(seed: u64, ages: bool) -> Month {
     let mut days = Vec::new();
     for day in 0..DAYS {
         for walk in &mut walk {
-            *walk += 0.02 * stream.normal();
+            *walk += 0.01 * stream.normal();
         }
         if day % 7 >= 5 {
             continue;
@@ -115,7 +119,7 @@ pub fn month(seed: u64, ages: bool) -> Month {
     let machine = format!(
         "[machine]\nname = \"month\"\nkind = \"3-axis\"\n\n[spindle]\nsource = \"temperature\"\n\n\
          [spindle.temperature]\nsensor = \"temp_front_c\"\nreference_c = 20.0\n\
-         k_um_per_c = {FRONT_UM_PER_C} # by the maker's data\nlag_s = 900.0\n\n\
+         k_um_per_c = {FRONT_UM_PER_C:?} # by the maker's data\nlag_s = 900.0\n\n\
          [[term]]\ncause = \"extra-heat-path\"\nquantity = \"elongation\"\ncolumn = \"temp_column_c\"\n\
          um_per_c = {COLUMN_UM_PER_C:?}\ntime_constant_s = 0.0\nreference_c = 20.0\n\n\
          [[term]]\ncause = \"centrifugal-growth\"\nquantity = \"elongation\"\n\
