@@ -24,6 +24,7 @@ mod files;
 mod firmware;
 mod fit;
 mod gateway;
+mod learn;
 mod linuxcnc;
 mod manual;
 mod origin;
@@ -77,6 +78,7 @@ enum Command {
     Diagnose(diagnose::Diagnose),
     Export(export::Export),
     Fit(fit::Fit),
+    Learn(learn::Learn),
     #[command(name = "linuxcnc")]
     LinuxCnc(linuxcnc::LinuxCnc),
     /// Prints a calibration back as a machine file.
@@ -161,6 +163,7 @@ fn run(cli: &Cli) -> Result<Outcome> {
         Command::Diagnose(args) => diagnose::run(args, cli.json),
         Command::Export(args) => export::run(args, cli.json),
         Command::Fit(args) => fit::run(args, cli.json),
+        Command::Learn(args) => learn::run(args, cli.json),
         Command::LinuxCnc(args) => linuxcnc::run(args),
         Command::Show { calibration } => show::run(calibration, cli.json),
         Command::Program(args) => program::run(args, cli.json),

@@ -170,7 +170,8 @@ impl<'a> Predictor<'a> {
 
     /// The model's values row by row. A thermometer that is late is looked after beforehand; a time shift looks ahead and back, so that all of them are
     /// there before the first is given; otherwise none is kept.
-    pub(crate) fn model(&self) -> Box<dyn Iterator<Item = Values> + '_> {
+    #[must_use]
+    pub fn model(&self) -> Box<dyn Iterator<Item = Values> + '_> {
         let mut reference = ReferenceModel::new(self.machine);
         let parts = part_temperatures(self.machine, |name| self.run.column(name));
         let in_time = (0..self.run.rows()).map(move |row| {

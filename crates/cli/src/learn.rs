@@ -1,0 +1,203 @@
+//! `trueup learn`: constants that follow the machine, from readings that it takes itself.
+
+use std::{
+    fs,
+    io::{self, BufReader},
+    path::{Path, PathBuf},
+};
+
+use anyhow::Result;
+use clap::Args;
+use serde_json::{Value, json};
+use trueup_learn::{Constant, Learned, Limits, Memory, learn};
+use trueup_machine::{MachineFile, RunFile, file};
+
+use crate::{
+    Outcome, UserError,
+    diagnose::{Quantity, above_zero},
+    output, runs,
+};
+
+/// Lets the constants of a machine file follow the machine: slowly, within bounds, never by one reading.
+///
+/// The readings are the rows of a record in which measured_…_um has a value: of a probe on a ball or a block, a
+/// tool setter, a laser barrier. Your machine file stays as it is; what was learned is written to another one,
+/// and what is known to a .learn.json beside that. Load the new file when the machine is at rest.
+///
+/// Exit 3: no reading of the record was used, or a bound was reached.
+#[derive(Args)]
+pub struct Learn {
+    /// Your machine file.
+    #[arg(long, value_name = "M.toml")]
+    machine: PathBuf,
+    /// A record with readings, in the order in which they were taken; - is standard input.
+    #[arg(long, value_name = "RUN.csv", required_unless_present = "undo")]
+    run: Vec<PathBuf>,
+    /// The machine file with what was learned.
+    #[arg(short, long, value_name = "LEARNED.toml")]
+    output: PathBuf,
+    /// What is learned, where the record measures several quantities.
+    #[arg(long)]
+    quantity: Option<Quantity>,
+    /// No constant changes by more than so much of itself, in percent.
+    #[arg(long, value_name = "PERCENT", default_value_t = 100.0 * Limits::default().share, value_parser = above_zero)]
+    limit_percent: f64,
+    /// Together they change the correction nowhere by more, in µm.
+    #[arg(long, value_name = "UM", default_value_t = Limits::default().total_um, value_parser = above_zero)]
+    limit_um: f64,
+    /// One reading changes it by no more, in µm.
+    #[arg(long, value_name = "UM", default_value_t = Limits::default().step_um, value_parser = above_zero)]
+    step_um: f64,
+    /// Takes the last change back.
+    #[arg(long, conflicts_with = "run")]
+    undo: bool,
+}
+
+/// A constant as it is now.
+struct Now<'a> {
+    key: &'a str,
+    file: f64,
+    learned: f64,
+    half_width: f64,
+}
+
+/// Learns from the records, or takes the last change back.
+pub fn run(args: &Learn, as_json: bool) -> Result<Outcome> {
+    let source = MachineFile::read_text(&args.machine)?;
+    let known = args.output.with_extension("learn.json");
+    let mut memory = remembered(&known)?;
+    if args.undo {
+        return undo(args, &source, &known, memory);
+    }
+    let limits = Limits {
+        share: args.limit_percent / 100.0,
+        total_um: args.limit_um,
+        step_um: args.step_um,
+    };
+    let quantity: Option<file::Quantity> = args.quantity.map(Quantity::of_machine);
+    let mut outcome = Outcome::Done;
+    for path in &args.run {
+        let run = read(path)?;
+        let learned = learn(&source, &args.machine, &run, quantity, memory.take(), &limits)?;
+        let mut inputs: Vec<&Path> = vec![&args.machine];
+        inputs.extend(args.run.iter().map(PathBuf::as_path));
+        save(args, &inputs, &known, &learned.machine, &learned.memory)?;
+        if as_json {
+            output::print(serde_json::to_string_pretty(&said(&learned))?)?;
+        } else {
+            print(path, &learned)?;
+        }
+        if !learned.readings.iter().any(|it| it.used) || learned.is_held {
+            outcome = Outcome::NotMet;
+        }
+        memory = Some(learned.memory);
+    }
+    if !as_json {
+        output::print(format_args!("{}", args.output.display()))?;
+    }
+    Ok(outcome)
+}
+
+fn read(path: &Path) -> Result<RunFile> {
+    if path == Path::new("-") {
+        let run = RunFile::from_reader(BufReader::new(io::stdin()), Path::new("standard input"))?;
+        run.warnings().for_each(|warning| eprintln!("warning: {warning}"));
+        return Ok(run);
+    }
+    Ok(runs::read_and_warn(path)?)
+}
+
+/// What is known from before; `None` where there is no such file yet.
+fn remembered(path: &Path) -> Result<Option<Memory>> {
+    let bad = |rule: String| UserError(format!("{}: {rule}", path.display()));
+    match fs::read_to_string(path) {
+        Ok(text) => Ok(Some(
+            Memory::read(&text)
+                .map_err(|rule| bad(format!("is not what trueup learn has written: {rule}")))?,
+        )),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(bad(format!("cannot be read: {error}")).into()),
+    }
+}
+
+/// Both files; what is known first, for with it the other can be made again.
+fn save(
+    args: &Learn,
+    inputs: &[&Path],
+    known: &Path,
+    machine: &str,
+    memory: &Memory,
+) -> Result<()> {
+    let json = memory.write()?;
+    output::write_whole(known, inputs, |out| out.write_all(json.as_bytes()))?;
+    output::write_whole(&args.output, inputs, |out| out.write_all(machine.as_bytes()))
+}
+
+fn undo(args: &Learn, source: &str, known: &Path, memory: Option<Memory>) -> Result<Outcome> {
+    let bad = |rule: &str| UserError(format!("{}: {rule}", known.display()));
+    let mut memory = memory.ok_or_else(|| bad("is not there, so nothing was learned"))?;
+    let undone =
+        memory.undo().ok_or_else(|| bad("has no change that is not taken back already"))?;
+    let machine = memory.applied_to(source, &args.machine).ok_or_else(|| {
+        bad("was learned beside another machine file than this one, or than it was then")
+    })?;
+    save(args, &[&args.machine], known, &machine, &memory)?;
+    for (key, from, to) in &undone.constants {
+        output::print(format_args!("{key}: {to} is {from} again"))?;
+    }
+    Ok(Outcome::Done)
+}
+
+fn now(learned: &Learned) -> Vec<Now<'_>> {
+    let memory = &learned.memory;
+    let shares = memory.applied[1..].iter().zip(&learned.half_widths);
+    memory
+        .constants
+        .iter()
+        .zip(shares)
+        .map(|(Constant { key, believed }, (share, half_width))| Now {
+            key,
+            file: *believed,
+            learned: believed * (1.0 + share),
+            half_width: *half_width,
+        })
+        .collect()
+}
+
+fn said(learned: &Learned) -> Value {
+    let constants: Vec<Value> = now(learned)
+        .iter()
+        .map(|it| json!({"key": it.key, "file": it.file, "learned": it.learned, "half_width": it.half_width}))
+        .collect();
+    // Not what was known before: that is for --undo.
+    let changes: Vec<Value> = learned
+        .memory
+        .changes
+        .iter()
+        .map(|it| json!({"record": it.record, "constants": it.constants, "reason": it.reason}))
+        .collect();
+    json!({
+        "used": learned.readings.iter().filter(|it| it.used).count(),
+        "readings": learned.readings,
+        "constants": constants,
+        "changes": changes,
+        "notes": learned.notes,
+    })
+}
+
+fn print(path: &Path, learned: &Learned) -> Result<()> {
+    let used = learned.readings.iter().filter(|it| it.used).count();
+    let all = learned.readings.len();
+    output::print(format_args!("{}: {used} of {all} readings used", path.display()))?;
+    for it in learned.readings.iter() {
+        if let Some(reason) = &it.reason {
+            output::print(format_args!("  row {}: {:.1} µm, {reason}", it.row, it.measured_um))?;
+        }
+    }
+    for Now { key, file, learned, half_width } in now(learned) {
+        output::print(format_args!(
+            "  {key}: {file} in your file, {learned:.4} learned, ± {half_width:.2}"
+        ))?;
+    }
+    learned.notes.iter().try_for_each(|note| output::print(format_args!("  {note}")))
+}

@@ -1,0 +1,61 @@
+//! `trueup learn` as a user calls it: records in, a second machine file out, and the way back.
+
+mod desk;
+
+use desk::Desk;
+use serde_json::Value;
+
+const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"temperature\"\n\
+                       [spindle.temperature]\nsensor = \"temp_a_c\"\nreference_c = 20.0\n\
+                       k_um_per_c = 2.0 # the maker's\n";
+
+/// A day of readings each half hour, of a spindle that grows by 2.6 µm/K.
+fn day(number: u32) -> String {
+    let mut text = "time_s,temp_a_c,measured_elongation_um\n".to_string();
+    for n in 0..30 {
+        let celsius = 25.0 + 10.0 * f64::from(n % 7) / 6.0;
+        let um = 2.6 * (celsius - 20.0) + [0.6, -0.6, 0.2, -0.2, -0.4, 0.4][n as usize % 6];
+        let time_s = 86_400 * number + 1800 * n;
+        text += &format!("{time_s},{celsius:.3},{um:.3}\n");
+    }
+    text
+}
+
+#[test]
+fn days_are_learned_from_and_the_last_change_is_taken_back() {
+    let desk = Desk::new(&[("m.toml", MACHINE), ("1.csv", &day(1)), ("2.csv", &day(2))]);
+    let (out, _) = desk.said("learn --machine m.toml --run 1.csv -o learned.toml", 0);
+    assert!(out.contains("30 of 30 readings used"), "{out}");
+    assert!(out.contains("spindle.temperature.k_um_per_c: 2 in your file"), "{out}");
+    let first = desk.text("learned.toml");
+    assert!(first.contains("# the maker's") && first != MACHINE, "{first}");
+    let (out, _) = desk.said("--json learn --machine m.toml --run 2.csv -o learned.toml", 0);
+    let said: Value = serde_json::from_str(&out).expect("JSON");
+    let constant = &said["constants"][0];
+    let learned = constant["learned"].as_f64().expect("a number");
+    assert!((learned - 2.6).abs() < 0.1 && constant["file"] == 2.0, "{constant}");
+    assert_eq!(desk.text("m.toml"), MACHINE, "the user's own file stays");
+    // The calibration can be made of it.
+    desk.said("compile learned.toml -o cal.bin", 0);
+    desk.said("learn --undo --machine m.toml -o learned.toml", 0);
+    assert_eq!(desk.text("learned.toml"), first);
+    desk.said("learn --undo --machine m.toml -o learned.toml", 0);
+    assert_eq!(desk.text("learned.toml"), MACHINE);
+    let (_, err) = desk.said("learn --undo --machine m.toml -o learned.toml", 2);
+    assert!(err.contains("no change that is not taken back already"), "{err}");
+    let (_, err) = desk.said("learn --machine m.toml --run 1.csv -o learned.toml", 2);
+    assert!(err.contains("each record counts once"), "{err}");
+}
+
+#[test]
+fn a_bound_that_is_reached_is_told_and_ends_with_3() {
+    let desk = Desk::new(&[("m.toml", MACHINE), ("1.csv", &day(1))]);
+    let line = "learn --machine m.toml --run 1.csv -o learned.toml --limit-percent 5";
+    let (out, _) = desk.said(line, 3);
+    assert!(out.contains("A bound was reached"), "{out}");
+    assert!(
+        desk.text("learned.toml").contains("k_um_per_c = 2.1 "),
+        "{}",
+        desk.text("learned.toml")
+    );
+}

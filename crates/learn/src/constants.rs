@@ -1,0 +1,239 @@
+//! The constants of a machine file that can follow the machine: those by which its prediction is
+//! multiplied. A time constant, a reference, a table are none; they are for `trueup fit` and `diagnose`.
+//!
+//! Each constant c is learned as the share x by which it is more than the file says: c·(1 + x). The
+//! prediction is linear in all of them, so that
+//!
+//! ```text
+//! error = p₀ + x₀ + Σ xᵢ·gᵢ        gᵢ = (prediction with cᵢ twice as large) − p₀
+//! ```
+//!
+//! x₀ is the zero of the reference, in µm: for the growth of a spindle it is written where the source
+//! has a place for it; for an axis it is nobody's.
+
+use serde::{Deserialize, Serialize};
+use toml_edit::{DocumentMut, Item, Value};
+use trueup_machine::{
+    BadInput, Machine, MachineFile, RunFile,
+    effect::{Effect, Stage},
+    file::{ElongationSource, LinearAxis, Quantity, write},
+    predict::Predictor,
+};
+
+/// A constant that is learned.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Constant {
+    /// Its place in the machine file: `spindle.temperature.k_um_per_c`, `term[1].um_per_c`.
+    pub key: String,
+    /// What the user's own file says, in the unit of the key; not 0.
+    pub believed: f64,
+}
+
+/// What can be learned of `quantity`, in the order of the file.
+pub(crate) fn constants(machine: &Machine, quantity: Quantity) -> Vec<Constant> {
+    let mut all = Vec::new();
+    let mut add = |key: String, believed: f64| {
+        if believed != 0.0 && believed.is_finite() {
+            all.push(Constant { key, believed });
+        }
+    };
+    let spindle = &machine.spindle;
+    match spindle.source {
+        Some(ElongationSource::Sensor) => {
+            if let Some(sensor) = &spindle.sensor {
+                add("spindle.sensor.um_per_count".into(), sensor.um_per_count);
+            }
+        }
+        Some(ElongationSource::Warmup) => {
+            if let Some(warmup) = &spindle.warmup {
+                add("spindle.warmup.max_um".into(), warmup.max_um);
+            }
+        }
+        Some(ElongationSource::Temperature) => {
+            if let Some(law) = &spindle.temperature {
+                add("spindle.temperature.k_um_per_c".into(), law.k_um_per_c);
+            }
+        }
+        None => {}
+    }
+    if let Some(axis) = quantity.axis() {
+        let (model, name) = (&machine.axes[axis.index()], axis.name());
+        if let Some(thermal) = model.thermal.as_ref().filter(|it| it.table.is_none()) {
+            if thermal.mode.has_constant() {
+                add(format!("axis.{name}.thermal.constant_um_per_c"), thermal.constant_um_per_c);
+            }
+            if thermal.mode.has_position() {
+                let slope = thermal.slope_um_per_m_per_c;
+                add(format!("axis.{name}.thermal.slope_um_per_m_per_c"), slope);
+            }
+        }
+        if let Some(backlash) = &model.backlash {
+            add(format!("axis.{name}.backlash.width_um"), backlash.width_um);
+        }
+    }
+    for (index, term) in machine.terms.iter().enumerate() {
+        let is_of = term.quantity == quantity
+            || term.quantity == Quantity::Elongation && quantity.axis().is_some();
+        if let Some((key, believed)) = amplitude(&term.effect).filter(|_| is_of) {
+            add(format!("term[{index}].{key}"), believed);
+        }
+    }
+    all
+}
+
+/// The one amplitude of a term that is added, with its key.
+fn amplitude(effect: &Effect) -> Option<(&'static str, f64)> {
+    let is_one =
+        effect.stage() == Stage::Sum && effect.amplitudes() == 1 && effect.is_compensated();
+    let last = *effect.values().last().filter(|_| is_one)?;
+    let entries = effect.entries().into_iter();
+    entries.into_iter().find_map(|(key, value)| match value {
+        write::Value::Number(number) if number == last && key.contains("um") => Some((key, number)),
+        _ => None,
+    })
+}
+
+/// `source`, the user's machine file, with other constants; what else it says, comments too, stays. `None`
+/// where it has no section for one.
+pub(crate) fn with(source: &str, changed: &[(String, f64)]) -> Option<String> {
+    let mut document: DocumentMut = source.parse().ok()?;
+    for (key, number) in changed {
+        let (section, name) = key.rsplit_once('.')?;
+        let section = find(document.as_item_mut(), section)?.as_table_like_mut()?;
+        let decor = section.get(name).and_then(Item::as_value).map(|old| old.decor().clone());
+        let mut new = Value::from(*number);
+        if let Some(decor) = decor {
+            *new.decor_mut() = decor;
+        }
+        section.insert(name, new.into());
+    }
+    Some(document.to_string())
+}
+
+/// The number that stands at a place.
+pub(crate) fn number(source: &str, key: &str) -> Option<f64> {
+    let mut document: DocumentMut = source.parse().ok()?;
+    let item = find(document.as_item_mut(), key)?;
+    item.as_float().or_else(|| item.as_integer().map(|whole| whole as f64))
+}
+
+fn find<'d>(root: &'d mut Item, key: &str) -> Option<&'d mut Item> {
+    key.split('.').try_fold(root, |item, name| {
+        let Some((array, number)) = name.split_once('[') else {
+            return item.as_table_like_mut()?.get_mut(name);
+        };
+        let number: usize = number.trim_end_matches(']').parse().ok()?;
+        let array = item.as_table_like_mut()?.get_mut(array)?;
+        // An array of tables, or an array of inline ones.
+        let is_there = match &*array {
+            Item::ArrayOfTables(tables) => number < tables.len(),
+            other => other.as_array().is_some_and(|array| number < array.len()),
+        };
+        if is_there { array.get_mut(number) } else { None }
+    })
+}
+
+/// Where the zero of the growth is written, and what an added micrometre makes of the number there;
+/// `None` where the file has no place for it.
+pub(crate) fn zero(machine: &Machine, quantity: Quantity) -> Option<(&'static str, f64, f64)> {
+    if quantity != Quantity::Elongation {
+        return None;
+    }
+    let spindle = &machine.spindle;
+    match spindle.source? {
+        ElongationSource::Sensor => {
+            Some(("spindle.sensor.k0_um", spindle.sensor.as_ref()?.k0_um, 1.0))
+        }
+        ElongationSource::Temperature => {
+            let law = spindle.temperature.as_ref()?;
+            Some(("spindle.temperature.reference_c", law.reference_c, -1.0 / law.k_um_per_c))
+        }
+        ElongationSource::Warmup => None,
+    }
+}
+
+/// What the file's own constants predict, and what each adds to that where it is twice as large, in µm.
+pub(crate) struct Sensitivity {
+    /// By row; NaN where the row does not say enough.
+    pub believed_um: Vec<f64>,
+    /// By row: 1 for the zero, then one for each constant.
+    pub um: Vec<Vec<f64>>,
+}
+
+impl Sensitivity {
+    /// Of `run` by the machine file `source`.
+    ///
+    /// # Errors
+    /// `source` is no machine file; the run lacks a column without which nothing can be predicted.
+    pub fn of(
+        source: &str,
+        constants: &[Constant],
+        run: &RunFile,
+        quantity: Quantity,
+    ) -> Result<Self, BadInput> {
+        let predicted = |text: &str| -> Result<Vec<f64>, BadInput> {
+            let machine = MachineFile::parse(text, run.path())?;
+            let index = Quantity::ALL.iter().position(|it| *it == quantity).unwrap_or(0);
+            let rows = Predictor::new(&machine, run)?;
+            let um: Vec<f64> = rows.model().map(|values| values.all()[index]).collect();
+            Ok(um)
+        };
+        let believed_um = predicted(source)?;
+        let mut um: Vec<Vec<f64>> = believed_um.iter().map(|_| vec![1.0]).collect();
+        for Constant { key, believed } in constants {
+            let twice = with(source, &[(key.clone(), 2.0 * believed)]).unwrap_or_default();
+            for ((row, twice), once) in um.iter_mut().zip(predicted(&twice)?).zip(&believed_um) {
+                row.push(twice - once);
+            }
+        }
+        Ok(Self { believed_um, um })
+    }
+}
+
+/// What is measured in `run`: the `wanted` quantity, or the only one.
+///
+/// # Errors
+/// It is not there, or there are several to choose from.
+pub(crate) fn measured(run: &RunFile, wanted: Option<Quantity>) -> Result<Quantity, BadInput> {
+    let name = |quantity: Quantity| format!("measured_{}_um", quantity.name());
+    if let Some(wanted) = wanted {
+        return run.require(&name(wanted)).map(|_| wanted);
+    }
+    let is_there = |quantity: &Quantity| run.column(&name(*quantity)).is_some();
+    let there: Vec<Quantity> = Quantity::ALL.into_iter().filter(is_there).collect();
+    match there[..] {
+        [only] => Ok(only),
+        [] => run.require("measured_elongation_um").map(|_| Quantity::Elongation),
+        ref several => {
+            let names: Vec<&str> = several.iter().map(|quantity| quantity.name()).collect();
+            let rule = format!("measures {}: say which with --quantity", names.join(", "));
+            Err(run.bad(0, &name(several[0]), rule))
+        }
+    }
+}
+
+/// The name of an axis's quantity, or the elongation.
+pub(crate) fn named(name: &str) -> Option<Quantity> {
+    let axes = LinearAxis::ALL.len();
+    Quantity::ALL.into_iter().take(axes + 1).find(|quantity| quantity.name() == name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_number_leaves_the_rest_of_the_file_as_it_is() {
+        let source = "# mine\n[spindle.temperature]\nk_um_per_c = 2.0 # by hand\n\n[[term]]\na = 1\n\
+                      [[term]]\num_per_c = 3.0\n";
+        let changed =
+            [("spindle.temperature.k_um_per_c".into(), 2.5), ("term[1].um_per_c".into(), 4.0)];
+        let text = with(source, &changed).expect("both are there");
+        assert_eq!(text, source.replace("2.0 #", "2.5 #").replace("3.0", "4.0"));
+        assert_eq!(number(&text, "term[1].um_per_c"), Some(4.0));
+        // What was left to its default is written; a section that is not there is not made up.
+        let zero = with(source, &[("spindle.temperature.lag_s".into(), 1.0)]).expect("a section");
+        assert!(zero.contains("lag_s = 1.0"), "{zero}");
+        assert_eq!(with(source, &[("spindle.sensor.k0_um".into(), 1.0)]), None);
+    }
+}

@@ -1,0 +1,254 @@
+//! Recursive least squares with forgetting, one reading at a time.
+//!
+//! ```text
+//! P ← P + prior·Δt/horizon, at most prior     it forgets: what was known long ago is known less well
+//! S = gᵀ·P·g + R                              what a reading may differ by: what is not known, and the reading
+//! ν = y − gᵀ·x                                what it differs by; beyond 4·√S it is refused
+//! K = P·g/S,  x ← x + K·ν,  P ← P − K·Kᵀ·S    ν held to ±2·√S, as Huber has it
+//! ```
+//!
+//! x are shares of constants (and the zero, in µm). To forget by adding, and not by a factor, leaves what
+//! no reading has looked at where it was; its interval grows with its age up to what was believed before
+//! the first reading, and never beyond. R, the square of what a reading repeats to, is taken from the
+//! readings themselves by their median.
+//!
+//! One reading far from the rest is a chip or a drop of coolant. Four of six on the same side are a
+//! machine that has changed: a new bearing, a thermometer that sits elsewhere. Then all is as uncertain
+//! again as before the first reading, and these readings are taken after all.
+
+use serde::{Deserialize, Serialize};
+use trueup_numerics::robust::median;
+
+/// A reading farther off than so many standard deviations is refused: one good one in 16 000.
+const REFUSED: f64 = 4.0;
+/// Beyond so many it does not count for more: Huber's bound at which squares of normal noise lose 1 %.
+const COUNTS: f64 = 2.0;
+/// So many of the last [`LAST`] on one side, all refused, are a change: of 5 % bad readings on either side
+/// by chance once in 80 000 readings.
+const CHANGED: usize = 4;
+const LAST: usize = 6;
+/// The readings whose scatter is R: the median of so many is known to a seventh.
+const SCATTER: usize = 64;
+/// From so many readings on their own scatter is believed.
+const ENOUGH: usize = 8;
+/// No probe repeats better, in µm.
+const FINEST_UM: f64 = 0.1;
+
+/// What the readings have said so far.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Filter {
+    /// The time in which it forgets all, in s.
+    horizon_s: f64,
+    /// The zero in µm, then shares.
+    pub x: Vec<f64>,
+    /// The covariance of `x`, row by row.
+    p: Vec<f64>,
+    /// Variances before the first reading.
+    prior: Vec<f64>,
+    /// What one reading repeats to, in µm, as far as known.
+    noise_um: f64,
+    /// ν and gᵀ·P·g of readings that were taken.
+    taken: Vec<[f64; 2]>,
+    /// The last readings: which side they were refused on (0: taken), and they.
+    last: Vec<(i8, Vec<f64>, f64)>,
+}
+
+/// What became of a reading.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Fate {
+    /// Used.
+    Taken,
+    /// Refused: so many µm off, and so many standard deviations.
+    Refused { off_um: f64, deviations: f64 },
+    /// The machine has changed, and it and those before it are used.
+    Changed,
+}
+
+impl Filter {
+    /// Nothing is known but that each value is 0 within `prior` (standard deviations).
+    pub fn new(horizon_s: f64, prior: &[f64], noise_um: f64) -> Self {
+        let prior: Vec<f64> = prior.iter().map(|deviation| deviation * deviation).collect();
+        let mut it = Self {
+            horizon_s,
+            x: vec![0.0; prior.len()],
+            p: Vec::new(),
+            prior,
+            noise_um,
+            taken: Vec::new(),
+            last: Vec::new(),
+        };
+        it.forget_all();
+        it
+    }
+
+    /// What one reading repeats to, in µm.
+    pub fn noise_um(&self) -> f64 {
+        self.noise_um
+    }
+
+    /// Half the 95 % interval of each value.
+    pub fn half_widths(&self) -> Vec<f64> {
+        let n = self.x.len();
+        (0..n).map(|i| 1.96 * self.p[i * n + i].max(0.0).sqrt()).collect()
+    }
+
+    /// What it foresees where the sensitivities are `g`.
+    pub fn foresees(&self, g: &[f64]) -> f64 {
+        g.iter().zip(&self.x).map(|(g, x)| g * x).sum()
+    }
+
+    /// `dt_s` have passed without a reading.
+    pub fn age(&mut self, dt_s: f64) {
+        let n = self.x.len();
+        let share = (dt_s.max(0.0) / self.horizon_s).min(1.0);
+        for i in 0..n {
+            self.p[i * n + i] += self.prior[i] * share;
+        }
+        for i in 0..n {
+            let too_wide = self.p[i * n + i] / self.prior[i];
+            if too_wide > 1.0 {
+                for j in 0..n {
+                    self.p[i * n + j] /= too_wide.sqrt();
+                    self.p[j * n + i] /= too_wide.sqrt();
+                }
+            }
+        }
+    }
+
+    /// Takes `y_um` where the sensitivities are `g`, or refuses it.
+    pub fn take(&mut self, g: &[f64], y_um: f64) -> Fate {
+        let off_um = y_um - self.foresees(g);
+        let deviations = off_um / self.deviation(g);
+        let is_refused = deviations.abs() > REFUSED;
+        let side = if is_refused { deviations.signum() as i8 } else { 0 };
+        self.last.push((side, g.to_vec(), y_um));
+        if self.last.len() > LAST {
+            self.last.remove(0);
+        }
+        if !is_refused {
+            self.update(g, y_um);
+            return Fate::Taken;
+        }
+        let on_this_side = |it: &&(i8, Vec<f64>, f64)| it.0 == side;
+        if self.last.iter().filter(on_this_side).count() < CHANGED {
+            return Fate::Refused { off_um, deviations: deviations.abs() };
+        }
+        let again: Vec<_> = self.last.drain(..).filter(|it| it.0 == side).collect();
+        self.forget_all();
+        again.iter().for_each(|(_, g, y_um)| self.update(g, *y_um));
+        Fate::Changed
+    }
+
+    fn deviation(&self, g: &[f64]) -> f64 {
+        (self.unknown(g) + self.noise_um.powi(2)).sqrt()
+    }
+
+    /// gᵀ·P·g.
+    fn unknown(&self, g: &[f64]) -> f64 {
+        self.p_times(g).iter().zip(g).map(|(pg, g)| pg * g).sum::<f64>().max(0.0)
+    }
+
+    fn p_times(&self, g: &[f64]) -> Vec<f64> {
+        let rows = self.p.chunks(g.len());
+        rows.map(|row| row.iter().zip(g).map(|(p, g)| p * g).sum()).collect()
+    }
+
+    fn update(&mut self, g: &[f64], y_um: f64) {
+        let unknown = self.unknown(g);
+        let s = unknown + self.noise_um.powi(2);
+        let off_um = y_um - self.foresees(g);
+        let held_um = off_um.clamp(-COUNTS * s.sqrt(), COUNTS * s.sqrt());
+        let pg = self.p_times(g);
+        let n = g.len();
+        for i in 0..n {
+            self.x[i] += pg[i] / s * held_um;
+            for j in 0..n {
+                self.p[i * n + j] -= pg[i] * pg[j] / s;
+            }
+        }
+        self.taken.push([off_um.abs(), unknown]);
+        if self.taken.len() > SCATTER {
+            self.taken.remove(0);
+        }
+        if self.taken.len() >= ENOUGH {
+            let middle = |index: usize| {
+                let mut all: Vec<f64> = self.taken.iter().map(|it| it[index]).collect();
+                median(&mut all)
+            };
+            // The median of the magnitude of normal noise is 1/1.4826 of its standard deviation.
+            let scatter = (1.4826 * middle(0)).powi(2);
+            self.noise_um = (scatter - middle(1)).max(scatter / 4.0).sqrt().max(FINEST_UM);
+        }
+    }
+
+    fn forget_all(&mut self) {
+        let n = self.prior.len();
+        self.p = vec![0.0; n * n];
+        for i in 0..n {
+            self.p[i * n + i] = self.prior[i];
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HOUR: f64 = 3600.0;
+
+    fn settled() -> Filter {
+        let mut filter = Filter::new(1e7, &[5.0, 0.25], 1.0);
+        for n in 0..40 {
+            filter.age(HOUR);
+            let g = [1.0, 20.0 + 10.0 * f64::from(n % 5)];
+            // 10 % more than believed, and the zero 2 µm off; repeats to half a micrometre.
+            let y = 2.0 + 0.1 * g[1] + 0.5 * if n % 2 == 0 { 1.0 } else { -1.0 };
+            filter.take(&g, y);
+        }
+        filter
+    }
+
+    #[test]
+    fn a_constant_is_found_within_its_interval() {
+        let filter = settled();
+        let half = filter.half_widths();
+        assert!((filter.x[1] - 0.1).abs() < half[1] && half[1] < 0.03, "{:?} {half:?}", filter.x);
+        assert!((filter.x[0] - 2.0).abs() < half[0], "{:?} {half:?}", filter.x);
+    }
+
+    #[test]
+    fn one_reading_that_stands_alone_is_refused_and_changes_nothing() {
+        let mut filter = settled();
+        let before = filter.x.clone();
+        let fate = filter.take(&[1.0, 40.0], 40.0);
+        assert!(matches!(fate, Fate::Refused { .. }), "{fate:?}");
+        assert_eq!(filter.x, before);
+    }
+
+    #[test]
+    fn four_of_six_on_one_side_are_a_machine_that_has_changed() {
+        let mut filter = settled();
+        let fates: Vec<Fate> = (0..4).map(|_| filter.take(&[1.0, 40.0], 30.0)).collect();
+        assert!(fates[..3].iter().all(|fate| matches!(fate, Fate::Refused { .. })), "{fates:?}");
+        assert_eq!(fates[3], Fate::Changed);
+        assert!((filter.foresees(&[1.0, 40.0]) - 30.0).abs() < 12.0, "{:?}", filter.x);
+        // Of two sides none is a change: bad readings come from both.
+        let mut filter = settled();
+        for n in 0..12 {
+            let off = if n % 2 == 0 { 30.0 } else { -30.0 };
+            assert!(matches!(filter.take(&[1.0, 40.0], off), Fate::Refused { .. }));
+        }
+    }
+
+    #[test]
+    fn what_is_not_measured_is_known_less_well_with_age_but_never_less_than_before() {
+        let mut filter = settled();
+        let fresh = filter.half_widths();
+        filter.age(100.0 * HOUR);
+        let old = filter.half_widths();
+        assert!(old[1] > fresh[1], "{fresh:?} {old:?}");
+        filter.age(1e9);
+        let oldest = filter.half_widths();
+        assert!((oldest[1] - 1.96 * 0.25).abs() < 1e-9 && (oldest[0] - 1.96 * 5.0).abs() < 1e-9);
+    }
+}

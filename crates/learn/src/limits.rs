@@ -1,0 +1,75 @@
+//! How far learning may go: for each constant, for all together, and by one reading.
+
+use serde::{Deserialize, Serialize};
+
+/// Bounds of what is learned.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Limits {
+    /// A constant is never changed by more than this share of what the user's file says; above 0.
+    pub share: f64,
+    /// In no row does all that is learned change the correction by more, in µm; above 0.
+    pub total_um: f64,
+    /// One reading never changes the correction by more, where it was taken, in µm; above 0.
+    pub step_um: f64,
+}
+
+impl Default for Limits {
+    /// A constant at most doubles and keeps its sign: what is farther off is another machine, and is to be
+    /// measured. 100 µm together: half of what the clamp of X and Y lets through by default. 5 µm by a reading:
+    /// a twentieth of that.
+    fn default() -> Self {
+        Self { share: 1.0, total_um: 100.0, step_um: 5.0 }
+    }
+}
+
+impl Limits {
+    /// `wanted` within the bounds, where rows have the sensitivities `rows`; and whether it was held.
+    pub(crate) fn held(&self, wanted: &[f64], rows: &[Vec<f64>]) -> (Vec<f64>, bool) {
+        let mut held = wanted.to_vec();
+        let mut is_held = false;
+        for share in &mut held[1..] {
+            let within = share.clamp(-self.share, self.share);
+            is_held |= within != *share;
+            *share = within;
+        }
+        let most_um = rows.iter().map(|g| times(g, &held).abs()).fold(0.0, f64::max);
+        if most_um > self.total_um {
+            held.iter_mut().for_each(|x| *x *= self.total_um / most_um);
+            is_held = true;
+        }
+        (held, is_held)
+    }
+
+    /// One reading's way from what is `applied` towards what is `wanted`, where it was taken at `g`.
+    pub(crate) fn step(&self, applied: &[f64], wanted: &[f64], g: &[f64]) -> Vec<f64> {
+        let way: Vec<f64> = wanted.iter().zip(applied).map(|(to, from)| to - from).collect();
+        let um = times(g, &way).abs();
+        let share = if um > self.step_um { self.step_um / um } else { 1.0 };
+        applied.iter().zip(way).map(|(from, way)| from + share * way).collect()
+    }
+}
+
+/// What values change where the sensitivities are `g`, in µm; 0 where these are not known.
+pub(crate) fn times(g: &[f64], x: &[f64]) -> f64 {
+    let um: f64 = g.iter().zip(x).map(|(g, x)| g * x).sum();
+    if um.is_finite() { um } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_constant_all_together_and_one_reading_are_held() {
+        let limits = Limits { share: 0.3, total_um: 20.0, step_um: 2.0 };
+        let rows = vec![vec![1.0, 50.0]];
+        assert_eq!(limits.held(&[0.0, 0.2], &rows), (vec![0.0, 0.2], false));
+        assert_eq!(limits.held(&[0.0, -0.9], &[vec![1.0, 10.0]]), (vec![0.0, -0.3], true));
+        let (held, is_held) = limits.held(&[10.0, 0.3], &rows);
+        assert!(is_held && (times(&rows[0], &held) - 20.0).abs() < 1e-9, "{held:?}");
+        let stepped = limits.step(&[0.0, 0.0], &[0.0, 0.2], &rows[0]);
+        assert!((times(&rows[0], &stepped) - 2.0).abs() < 1e-9, "{stepped:?}");
+        // A row in which nothing is known changes nothing.
+        assert_eq!(times(&[1.0, f64::NAN], &[1.0, 1.0]), 0.0);
+    }
+}

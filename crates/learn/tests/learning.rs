@@ -1,0 +1,119 @@
+//! What `trueup learn` promises of single records: refusals with a reason, bounds, the way back.
+
+use std::path::Path;
+
+use trueup_learn::{Learned, Limits, Memory, learn};
+use trueup_machine::RunFile;
+
+const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"temperature\"\n\
+                       [spindle.temperature]\nsensor = \"temp_a_c\"\nreference_c = 20.0\n\
+                       k_um_per_c = 2.0 # the maker's\n";
+
+/// A record of readings every half hour, `um` of the temperature and the number of the reading.
+fn record(first_s: f64, count: usize, um: impl Fn(f64, usize) -> f64) -> RunFile {
+    let mut text = "time_s,temp_a_c,measured_elongation_um\n".to_string();
+    for n in 0..count {
+        let celsius = 25.0 + 10.0 * ((n % 7) as f64) / 6.0;
+        let scatter = [0.6, -0.6, 0.2, -0.2, -0.4, 0.4][n % 6];
+        let time_s = first_s + 1800.0 * n as f64;
+        text += &format!("{time_s},{celsius:.3},{:.3}\n", um(celsius, n) + scatter);
+    }
+    RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file")
+}
+
+fn taught(run: &RunFile, memory: Option<Memory>, limits: &Limits) -> Learned {
+    learn(MACHINE, Path::new("m.toml"), run, None, memory, limits)
+        .unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// k of the machine file.
+fn k(learned: &str) -> f64 {
+    let line = learned.lines().find_map(|line| line.strip_prefix("k_um_per_c = "));
+    let number = line.and_then(|line| line.split('#').next()).expect("it is there");
+    number.trim().parse().expect("a number")
+}
+
+/// 30 % more than believed.
+fn grown(celsius: f64, _: usize) -> f64 {
+    2.6 * (celsius - 20.0)
+}
+
+#[test]
+fn a_constant_that_has_changed_is_followed_and_the_comment_stays() {
+    let learned = taught(&record(0.0, 60, grown), None, &Limits::default());
+    assert!((k(&learned.machine) - 2.6).abs() < 0.1, "{}", learned.machine);
+    assert!(learned.machine.contains("# the maker's"), "{}", learned.machine);
+    assert!(learned.half_widths[0] < 0.2 && learned.half_widths[0] > 0.0);
+    let change = learned.memory.changes.last().expect("it is logged");
+    assert_eq!(change.constants[0].0, "spindle.temperature.k_um_per_c");
+    assert!(change.reason.starts_with("What was learned is applied"), "{}", change.reason);
+}
+
+#[test]
+fn a_bad_reading_is_refused_with_the_reason_and_one_reading_changes_nothing() {
+    let right = |celsius: f64, n: usize| 2.0 * (celsius - 20.0) + if n == 30 { 45.0 } else { 0.0 };
+    let learned = taught(&record(0.0, 40, right), None, &Limits::default());
+    let bad = &learned.readings[30];
+    let reason = bad.reason.as_deref().expect("a reason");
+    assert!(!bad.used && reason.contains("times what a reading may differ by"), "{reason}");
+    assert_eq!(learned.machine, MACHINE);
+    assert!(learned.memory.changes.is_empty());
+    // Nor does one alone, however far it is off.
+    let one = taught(&record(0.0, 1, |_, _| 80.0), None, &Limits::default());
+    assert_eq!(one.machine, MACHINE);
+}
+
+#[test]
+fn no_bound_is_passed_and_reaching_one_is_told() {
+    let limits = Limits { share: 0.1, ..Limits::default() };
+    let learned = taught(&record(0.0, 60, grown), None, &limits);
+    assert!(k(&learned.machine) <= 2.2 + 1e-9, "{}", learned.machine);
+    assert!(learned.notes.iter().any(|note| note.contains("A bound was reached")));
+    let limits = Limits { total_um: 3.0, ..Limits::default() };
+    let learned = taught(&record(0.0, 60, grown), None, &limits);
+    assert!(learned.memory.applied.iter().all(|x| x.abs() < 3.1), "{:?}", learned.memory.applied);
+    // 15 K above the reference is the most: 3 µm of it are 0.2 µm/K.
+    assert!(k(&learned.machine) < 2.4, "{}", learned.machine);
+}
+
+#[test]
+fn a_change_is_undone_and_its_record_is_not_learned_from_again() {
+    let first = taught(&record(0.0, 60, grown), None, &Limits::default());
+    let mut memory = first.memory.clone();
+    let undone = memory.undo().expect("there is one");
+    assert_eq!(undone.constants[0].0, "spindle.temperature.k_um_per_c");
+    let path = Path::new("m.toml");
+    assert_eq!(memory.applied_to(MACHINE, path).as_deref(), Some(MACHINE));
+    assert!(memory.undo().is_none(), "only once");
+    let again =
+        learn(MACHINE, path, &record(0.0, 60, grown), None, Some(memory), &Limits::default());
+    let rule = again.expect_err("it was learned from").rule;
+    assert!(rule.contains("each record counts once"), "{rule}");
+}
+
+#[test]
+fn what_is_known_outlives_the_program_and_a_file_changed_by_hand_begins_anew() {
+    let first = taught(&record(0.0, 60, grown), None, &Limits::default());
+    let text = first.memory.write().expect("it can be written");
+    let memory = Memory::read(&text).expect("what was written");
+    let next = record(2e5, 12, grown);
+    let both = [first.memory, memory].map(|it| taught(&next, Some(it), &Limits::default()).machine);
+    assert_eq!(both[0], both[1]);
+    let memory = Memory::read(&text).expect("what was written");
+    let edited = MACHINE.replace("2.0 #", "2.6 #");
+    let learned =
+        learn(&edited, Path::new("m.toml"), &next, None, Some(memory), &Limits::default());
+    let learned = learned.unwrap_or_else(|error| panic!("{error}"));
+    assert_eq!(learned.machine, edited);
+    assert!(learned.notes[0].contains("was changed by hand"), "{:?}", learned.notes);
+    assert!(Memory::read("{}").is_err());
+}
+
+#[test]
+fn a_row_without_a_temperature_teaches_nothing_and_says_so() {
+    let text = "time_s,temp_a_c,measured_elongation_um\n0,25,10\n60,,55\n";
+    let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
+    let learned = taught(&run, None, &Limits::default());
+    assert!(!learned.readings[1].used);
+    assert!(learned.readings[1].reason.as_deref().is_some_and(|it| it.contains("temperature")));
+}
