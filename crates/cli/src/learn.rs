@@ -10,12 +10,12 @@ use anyhow::Result;
 use clap::Args;
 use serde_json::{Value, json};
 use trueup_learn::{Constant, Learned, Limits, Memory, learn};
-use trueup_machine::{MachineFile, RunFile, file};
+use trueup_machine::{Machine, MachineFile, RunFile, file};
 
 use crate::{
     Outcome, UserError,
     diagnose::{Quantity, above_zero},
-    output, runs,
+    files, output,
 };
 
 /// Lets the constants of a machine file follow the machine: slowly, within bounds, never by one reading.
@@ -69,6 +69,7 @@ pub fn run(args: &Learn, as_json: bool) -> Result<Outcome> {
     if args.undo {
         return undo(args, &source, &known, memory);
     }
+    let machine = files::parsed(&source, &args.machine)?;
     let limits = Limits {
         share: args.limit_percent / 100.0,
         total_um: args.limit_um,
@@ -77,7 +78,7 @@ pub fn run(args: &Learn, as_json: bool) -> Result<Outcome> {
     let quantity: Option<file::Quantity> = args.quantity.map(Quantity::of_machine);
     let mut outcome = Outcome::Done;
     for path in &args.run {
-        let run = read(path)?;
+        let run = read(path, &machine)?;
         let learned = learn(&source, &args.machine, &run, quantity, memory.take(), &limits)?;
         let mut inputs: Vec<&Path> = vec![&args.machine];
         inputs.extend(args.run.iter().map(PathBuf::as_path));
@@ -98,13 +99,11 @@ pub fn run(args: &Learn, as_json: bool) -> Result<Outcome> {
     Ok(outcome)
 }
 
-fn read(path: &Path) -> Result<RunFile> {
+fn read(path: &Path, machine: &Machine) -> Result<RunFile> {
     if path == Path::new("-") {
-        let run = RunFile::from_reader(BufReader::new(io::stdin()), Path::new("standard input"))?;
-        run.warnings().for_each(|warning| eprintln!("warning: {warning}"));
-        return Ok(run);
+        return Ok(RunFile::from_reader(BufReader::new(io::stdin()), Path::new("standard input"))?);
     }
-    Ok(runs::read_and_warn(path)?)
+    Ok(files::run(path, Some(machine))?)
 }
 
 /// What is known from before; `None` where there is no such file yet.

@@ -5,7 +5,8 @@ mod desk;
 use desk::Desk;
 use serde_json::Value;
 
-const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"temperature\"\n\
+const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[inputs]\n\
+                       temp_a_c = { channel = 0, kind = \"pt100\" }\n[spindle]\nsource = \"temperature\"\n\
                        [spindle.temperature]\nsensor = \"temp_a_c\"\nreference_c = 20.0\n\
                        k_um_per_c = 2.0 # the maker's\n";
 
