@@ -82,7 +82,7 @@ fn the_tool_loads_a_calibration_and_the_board_runs_on_it_after_its_restart() -> 
     drop(raw);
 
     for (file, crc, gain) in [(&new, &new_crc, 0.5), (&old, &old_crc, 1.0)] {
-        let (code, told, err) = json_of(&["bridge", "load", file, "--port", &port])?;
+        let (code, told, err) = json_of(&["bridge", "load", file, "--yes", "--port", &port])?;
         println!("{told:?}");
         assert_eq!(code, Some(0), "{err}");
         assert_eq!(told[0]["running_crc"], json!(crc));

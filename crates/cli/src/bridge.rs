@@ -1,11 +1,11 @@
 //! `trueup bridge`: what can be asked of a bridge. How it is spoken to is in `trueup-client`.
 
+mod backup;
 pub mod info;
 pub mod load;
 pub mod monitor;
 mod plain;
-
-use std::path::PathBuf;
+mod who;
 
 use anyhow::Result;
 use clap::{Args, Subcommand};
@@ -16,27 +16,20 @@ use crate::Outcome;
 pub enum Command {
     /// Asks the bridge who it is, what it runs on, and how it is.
     ///
-    /// Exit 3: it answers, but no heartbeat or no offsets came.
-    Info {
-        #[command(flatten)]
-        port: Port,
-    },
-    /// Loads a calibration, reads it back, and restarts the board with it.
+    /// Exit 3: it answers, but no heartbeat or no offsets came, or it does not run what --machine makes.
+    Info(info::Ask),
+    /// Loads a calibration: says what it changes, asks, reads it back, and restarts the board with it.
     ///
     /// Nothing is loaded while offsets are being followed: let the CNC disengage first, and set
     /// Service there. Where no CNC is heard, this says so itself.
     /// Exit 3: it is stored, but the board does not run on it.
-    Load {
-        /// The calibration, as `compile` writes it.
-        #[arg(value_name = "CAL.bin")]
-        calibration: PathBuf,
-        #[command(flatten)]
-        port: Port,
-        /// Leave the board running on the calibration it has; the new one is used from its next
-        /// start.
-        #[arg(long)]
-        keep_running: bool,
-    },
+    Load(load::Load),
+    /// Writes all that a board holds to a file, so that a dead board is replaced by another one.
+    Save(backup::Save),
+    /// Loads what `save` has kept into a board, as `load` does, and says what cannot be written back.
+    ///
+    /// Exit 3: it is stored, but the board does not run on it.
+    Restore(backup::Restore),
     /// Shows a bridge live: sensor, growth, offsets by cause, temperatures, faults with what to do.
     ///
     /// On a terminal it is a screen with keys (q quit, r record, g gauge reading, t trend, ? help).
@@ -52,13 +45,13 @@ pub struct Port {
     port: String,
 }
 
-/// Asks, loads or listens.
+/// Asks, loads, keeps or listens.
 pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
     match command {
-        Command::Info { port } => info::run(&port.port, as_json),
-        Command::Load { calibration, port, keep_running } => {
-            load::run(calibration, &port.port, *keep_running, as_json)
-        }
+        Command::Info(args) => info::run(args, as_json),
+        Command::Load(args) => load::run(args, as_json),
+        Command::Save(args) => backup::save(args, as_json),
+        Command::Restore(args) => backup::restore(args, as_json),
         Command::Monitor(args) => monitor::run(args, as_json),
     }
 }

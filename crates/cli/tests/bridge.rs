@@ -5,7 +5,6 @@ mod pretended;
 mod wire;
 
 use std::{
-    io::{ErrorKind, Read, Write},
     net::TcpListener,
     sync::{Arc, Mutex},
     thread,
@@ -13,7 +12,7 @@ use std::{
 };
 
 use desk::Desk;
-use pretended::{Fault, PAPER, bridge, bridge_many, bridge_with, live, paper, paper_machine};
+use pretended::{Fault, PAPER, Tty, bridge, bridge_many, bridge_with, live, paper, paper_machine};
 use trueup_machine::{RunFile, compile};
 use trueup_store::calibration::identity;
 use wire::ReceivedBytes;
@@ -158,28 +157,6 @@ fn a_port_that_is_wrong_ends_with_2_and_one_without_a_bridge_with_1() {
     }
 }
 
-/// The bridge's end of a pseudo terminal, which fails while the tool has not opened the other.
-#[cfg(unix)]
-struct Terminal(serialport::TTYPort);
-
-#[cfg(unix)]
-impl Read for Terminal {
-    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
-        self.0.read(buffer).map_err(|_| ErrorKind::WouldBlock.into())
-    }
-}
-
-#[cfg(unix)]
-impl Write for Terminal {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        self.0.write(bytes)
-    }
-
-    fn flush(&mut self) -> std::io::Result<()> {
-        Ok(())
-    }
-}
-
 /// A pseudo terminal is a serial device, but for its speed.
 #[cfg(unix)]
 #[test]
@@ -193,7 +170,7 @@ fn a_serial_device_is_monitored_like_a_port() {
     drop(theirs);
     let heard = Arc::new(Mutex::new(ReceivedBytes::default()));
     let told = heard.clone();
-    thread::spawn(move || live(Terminal(ours), Fault::None, true, &told));
+    thread::spawn(move || live(Tty(ours), Fault::None, true, &told));
     let (out, _) = monitor(&device, "1 --json", 0);
     assert_eq!(json_lines(&out)[0]["quality_word"], "live");
     assert_eq!(heard.lock().expect("nobody panics with it").frames, 0);
@@ -214,14 +191,14 @@ fn other() -> (Desk, u32) {
 fn a_calibration_is_loaded_read_back_and_put_to_use() {
     let (desk, crc) = other();
     let (port, _) = bridge_with(Fault::None, false);
-    let (out, _) = desk.said(&format!("bridge load cal.bin --port {port} --json"), 0);
+    let (out, _) = desk.said(&format!("bridge load cal.bin --yes --port {port} --json"), 0);
     let told = &json_lines(&out)[0];
     let crc = format!("{crc:08x}");
     assert_eq!((&told["crc"], &told["running_crc"]), (&crc.clone().into(), &crc.clone().into()));
     assert_eq!((&told["read_back_is_equal"], &told["restarted"]), (&true.into(), &true.into()));
 
     let (port, _) = bridge_many(Fault::None, false);
-    let (out, _) = desk.said(&format!("bridge load cal.bin --port {port} --keep-running"), 0);
+    let (out, _) = desk.said(&format!("bridge load cal.bin --yes --port {port} --keep-running"), 0);
     let running = format!("{:08x}", identity(paper().blob()));
     assert!(out.contains(&format!("stored and read back the same, CRC {crc}\n")), "{out}");
     assert!(out.ends_with(&format!("now the bridge runs on {running}\n")), "{out}");
@@ -232,7 +209,8 @@ fn a_calibration_is_loaded_read_back_and_put_to_use() {
     let mut third = paper_machine();
     third.limits.slew_um_per_s *= 3.0;
     desk.write("third.bin", compile(&third).expect("it fits").blob());
-    let (_, err) = desk.said(&format!("bridge load third.bin --port {port} --keep-running"), 0);
+    let (_, err) =
+        desk.said(&format!("bridge load third.bin --yes --port {port} --keep-running"), 0);
     assert!(
         err.contains(&format!("the calibration {crc} was loaded before and never used")),
         "{err}"
@@ -255,7 +233,7 @@ fn what_must_not_or_cannot_be_loaded_is_told_and_nothing_changes() {
         (Fault::NoFrames, false, &["error: object 2001:1: no answer in 2 s"]),
     ] {
         let (port, _) = bridge_with(fault, engage);
-        let (out, err) = desk.said(&format!("bridge load cal.bin --port {port}"), 1);
+        let (out, err) = desk.said(&format!("bridge load cal.bin --yes --port {port}"), 1);
         assert_eq!(out, "", "{err}");
         assert!(phrases.iter().any(|phrase| err.contains(phrase)), "{err}");
     }
@@ -270,7 +248,7 @@ fn what_must_not_or_cannot_be_loaded_is_told_and_nothing_changes() {
         ("damaged.bin", "damaged.bin: "),
         ("none.bin", "none.bin: cannot be read: "),
     ] {
-        let (out, err) = desk.said(&format!("bridge load {file} --port {port}"), 2);
+        let (out, err) = desk.said(&format!("bridge load {file} --yes --port {port}"), 2);
         assert_eq!(out, "", "{err}");
         assert!(err.contains(phrase), "{err}");
     }

@@ -3,117 +3,15 @@
 
 mod desk;
 mod pretended;
+mod terminal;
 mod wire;
 
-use std::{
-    fs::File,
-    io::{Read as _, Write as _},
-    net::TcpListener,
-    process::{Child, Command, ExitStatus},
-    sync::{Arc, Mutex},
-    thread,
-    time::{Duration, Instant},
-};
+use std::{io::Write as _, net::TcpListener, thread, time::Duration};
 
 use desk::Desk;
 use pretended::{Fault, PAPER, bridge_many};
-use rustix::{
-    pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt},
-    termios::{Winsize, tcsetwinsize},
-};
+use terminal::Terminal;
 use trueup_machine::RunFile;
-
-/// The tool in a terminal.
-struct Terminal {
-    child: Child,
-    keys: File,
-    screen: Arc<Mutex<vt100::Parser>>,
-    bytes: Arc<Mutex<Vec<u8>>>,
-}
-
-impl Terminal {
-    fn start(desk: &Desk, line: &str, (columns, rows): (u16, u16), no_colour: bool) -> Self {
-        let ours = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).expect("a pseudo terminal");
-        grantpt(&ours).and_then(|()| unlockpt(&ours)).expect("it is ours");
-        let name = ptsname(&ours, Vec::new()).expect("it has a name");
-        let name = name.to_str().expect("plain");
-        let theirs = File::options().read(true).write(true).open(name).expect("unlocked");
-        let size = Winsize { ws_row: rows, ws_col: columns, ws_xpixel: 0, ws_ypixel: 0 };
-        tcsetwinsize(&theirs, size).expect("a terminal");
-        let mut command = Command::new("setsid");
-        command
-            // The terminal is its own, whatever terminal the tests run in.
-            .args(["--ctty", env!("CARGO_BIN_EXE_trueup")])
-            .args(line.split(' '))
-            .current_dir(desk.path("."))
-            .env("TERM", "xterm-256color")
-            .env_remove("NO_COLOR")
-            .stdin(theirs.try_clone().expect("a file"))
-            .stdout(theirs.try_clone().expect("a file"))
-            .stderr(theirs);
-        if no_colour {
-            command.env("NO_COLOR", "1");
-        }
-        let child = command.spawn().expect("util-linux has setsid");
-        // The command holds the other end, and would keep it open.
-        drop(command);
-        let screen = Arc::new(Mutex::new(vt100::Parser::new(rows, columns, 0)));
-        let bytes = Arc::new(Mutex::new(Vec::new()));
-        let keys = File::from(ours);
-        let mut reader = keys.try_clone().expect("a file");
-        let (drawn, all) = (screen.clone(), bytes.clone());
-        thread::spawn(move || {
-            let mut buffer = [0; 4096];
-            // At the end of the other side a read fails.
-            while let Ok(length @ 1..) = reader.read(&mut buffer) {
-                drawn.lock().expect("nobody panics with it").process(&buffer[..length]);
-                all.lock().expect("nobody panics with it").extend_from_slice(&buffer[..length]);
-            }
-        });
-        Self { child, keys, screen, bytes }
-    }
-
-    fn text(&self) -> String {
-        self.screen.lock().expect("nobody panics with it").screen().contents()
-    }
-
-    /// Until the screen shows all of these.
-    fn shows(&self, phrases: &[&str]) -> String {
-        let start = Instant::now();
-        loop {
-            let text = self.text();
-            match phrases.iter().find(|phrase| !text.contains(**phrase)) {
-                None => return text,
-                Some(phrase) if start.elapsed() > Duration::from_secs(20) => {
-                    panic!("\"{phrase}\" does not come:\n{text}")
-                }
-                Some(_) => thread::sleep(Duration::from_millis(50)),
-            }
-        }
-    }
-
-    fn press(&mut self, keys: &str) {
-        self.keys.write_all(keys.as_bytes()).expect("the terminal is open");
-    }
-
-    fn ended(&mut self) -> ExitStatus {
-        let start = Instant::now();
-        loop {
-            if let Some(status) = self.child.try_wait().expect("it is ours") {
-                return status;
-            }
-            assert!(start.elapsed() < Duration::from_secs(10), "it does not end:\n{}", self.text());
-            thread::sleep(Duration::from_millis(20));
-        }
-    }
-}
-
-impl Drop for Terminal {
-    fn drop(&mut self) {
-        self.child.kill().ok();
-        self.child.wait().ok();
-    }
-}
 
 #[test]
 fn at_three_sizes_it_shows_the_growth_and_q_ends_it() {

@@ -19,3 +19,11 @@ pub fn is_timeout(error: &io::Error) -> bool {
     use io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
     matches!(error.kind(), Interrupted | TimedOut | WouldBlock)
 }
+
+/// Whether a serial port that failed to open so is in use by another program: by the system's own word, or
+/// by that of `serialport`, which locks a device that it opens, and has no kind for it.
+#[must_use]
+pub fn is_busy(error: &io::Error) -> bool {
+    error.kind() == io::ErrorKind::ResourceBusy
+        || ["exclusive lock", "resource busy"].iter().any(|it| error.to_string().contains(it))
+}

@@ -12,7 +12,7 @@ use trueup_link::{
 };
 
 use crate::{
-    object::{self, AUTHORITY, NEW, NEW_CRC, RUNNING_CRC, UTC},
+    object::{self, AUTHORITY, NEW, NEW_CRC, RUNNING, RUNNING_CRC, UTC},
     session::Session,
 };
 
@@ -58,6 +58,21 @@ pub fn store(
         bail!("what the bridge has stored is not what was sent; load it again");
     }
     Ok(())
+}
+
+/// The calibration that the bridge runs on; `None`: it has no valid one. `progress` hears how many bytes
+/// have come, and of how many.
+///
+/// # Errors
+/// The line breaks, or the bridge does not give it.
+pub fn running(
+    session: &mut Session,
+    progress: impl FnMut(usize, Option<u32>),
+) -> Result<Option<Vec<u8>>> {
+    match object::number(session, RUNNING_CRC)? {
+        0 => Ok(None),
+        _ => object::read(session, RUNNING, progress).map(Some),
+    }
 }
 
 /// Lets the bridge restart; the CRC of the calibration that it then runs on, which should be `wanted`. A

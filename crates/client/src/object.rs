@@ -4,7 +4,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail};
 pub use trueup_canopen::dictionary::{NOT_AVAILABLE, TASKS};
-use trueup_canopen::sdo::client::{At, Download, Progress, Upload};
+pub use trueup_canopen::sdo::client::At;
+use trueup_canopen::sdo::client::{Download, Progress, Upload};
 use trueup_link::{frame::Frame, slcan::Event};
 
 use crate::session::Session;

@@ -14,7 +14,7 @@ use trueup_link::{
 };
 
 use crate::{
-    ends::{Ends, is_timeout},
+    ends::{Ends, is_busy, is_timeout},
     port::Port,
 };
 
@@ -51,6 +51,10 @@ impl Session {
         let ends = port.open().map_err(|error| match port {
             Port::Tcp(address) => Error::from(error).context(format!(
                 "no connection to tcp:{address}; is a bridge listening there (cargo virtual)?"
+            )),
+            Port::Serial(device) if is_busy(&error) => Error::from(error).context(format!(
+                "the serial device {device} is busy: another program talks to the bridge (a monitor, \
+                 LinuxCNC, slcand); end it first"
             )),
             Port::Serial(device) => {
                 Error::from(error).context(format!("the serial device {device} cannot be opened"))
@@ -115,7 +119,8 @@ impl Session {
                 Some(Event::Frame(_) | Event::Malformed(_) | Event::Other(_)) => {}
                 None => bail!(
                     "the bridge has answered {answers} of {OPEN_LINES} lines in {} s; is it a \
-                     bridge, and is it powered?",
+                     bridge, is it powered, and does no other program talk to it? It serves one at a \
+                     time",
                     timeout.as_secs_f64()
                 ),
             }

@@ -6,6 +6,7 @@
 //! calibration that no machine file compiles to (one that was not written by
 //! [`compile`](mod@crate::compile)) is shown as well, with the reason.
 
+pub mod changes;
 mod difference;
 
 use std::path::Path;

@@ -2,10 +2,12 @@
 
 use std::{
     collections::BTreeMap,
+    path::{Path, PathBuf},
     time::{Duration, Instant},
 };
 
 use anyhow::{Result, bail};
+use clap::Args;
 use serde_json::{Value, json};
 use trueup_client::{
     object,
@@ -21,9 +23,20 @@ use trueup_link::{
     slcan::Event,
     status::{ResetReason, StateBits},
 };
+use trueup_machine::compile;
 use trueup_store::writes::Write;
 
-use crate::{Outcome, output};
+use super::who;
+use crate::{Outcome, files, output};
+
+#[derive(Args)]
+pub struct Ask {
+    #[command(flatten)]
+    port: super::Port,
+    /// Say whether the bridge runs on what this machine file makes, and what differs.
+    #[arg(long, value_name = "M.toml")]
+    machine: Option<PathBuf>,
+}
 
 /// How long answers, a heartbeat and offsets are waited for: 20 heartbeats.
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -176,9 +189,23 @@ fn resets(session: &mut Session) -> Result<Vec<(&'static str, u32)>> {
     Ok(all)
 }
 
-/// Asks the bridge at `port` and prints what it says.
-pub fn run(port: &str, as_json: bool) -> Result<Outcome> {
-    let port = Port::parse(port)?;
+/// What the machine file makes of the bridge's calibration.
+enum Comparison {
+    /// No file was given, or the bridge did not answer.
+    None,
+    /// It runs on nothing that can be compared.
+    Nothing,
+    /// What differs from what it runs on, a sentence each; empty: nothing.
+    Differences(Vec<String>),
+}
+
+/// Asks the bridge and prints what it says.
+pub fn run(args: &Ask, as_json: bool) -> Result<Outcome> {
+    let port = Port::parse(&args.port.port)?;
+    let wanted = match &args.machine {
+        Some(path) => Some(compile(&files::machine(path)?)?),
+        None => None,
+    };
     let has_adapter = port.has_adapter();
     let mut session = Session::open(&port)?;
     session.write(b"V\rN\r")?;
@@ -196,14 +223,55 @@ pub fn run(port: &str, as_json: bool) -> Result<Outcome> {
         Some(_) => Some(Objects::ask(&mut session)?),
         None => None,
     };
+    let mut comparison = Comparison::None;
+    if let (Some(it), Some(wanted)) = (&objects, &wanted) {
+        comparison = match who::differences(&mut session, wanted.blob())? {
+            // What the board computes is the same; the bytes may have been written by another version.
+            Some(all) => Comparison::Differences(all),
+            None if it.calibration == wanted.crc() => Comparison::Differences(Vec::new()),
+            None => Comparison::Nothing,
+        };
+    }
+    if objects.is_some() {
+        who::compare_versions(&mut session)?;
+    }
     session.close();
     if as_json {
-        output::print(info.json(objects.as_ref()))?;
+        let mut all = info.json(objects.as_ref());
+        if let Comparison::Differences(differences) = &comparison {
+            all["differs_from_machine"] = json!(differences);
+        }
+        output::print(all)?;
     } else {
         info.print(objects.as_ref())?;
+        comparison.print(args.machine.as_deref())?;
     }
-    let is_met = objects.is_some() && info.is_complete(has_adapter);
+    let is_other = match &comparison {
+        Comparison::None => false,
+        Comparison::Nothing => true,
+        Comparison::Differences(all) => !all.is_empty(),
+    };
+    let is_met = objects.is_some() && info.is_complete(has_adapter) && !is_other;
     Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
+}
+
+impl Comparison {
+    fn print(&self, machine: Option<&Path>) -> Result<()> {
+        let file = machine.map(|path| path.display().to_string()).unwrap_or_default();
+        match self {
+            Self::None => Ok(()),
+            Self::Nothing => {
+                output::print(format_args!("{file}: the bridge runs on nothing like it"))
+            }
+            Self::Differences(all) if all.is_empty() => {
+                output::print(format_args!("{file}: the bridge runs on it"))
+            }
+            Self::Differences(all) => {
+                output::print(format_args!("{file}: the bridge does NOT run on it; with it:"))?;
+                all.iter().try_for_each(|change| output::print(format_args!("  {change}")))
+            }
+        }
+    }
 }
 
 impl Info {

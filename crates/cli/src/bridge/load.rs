@@ -1,79 +1,89 @@
-//! `trueup bridge load`: a calibration to the board, read back and put to use.
+//! `trueup bridge load`: a calibration to the board, shown against what it runs on, asked for, read back and
+//! put to use.
 
-use std::{fs, path::Path};
+use std::{
+    fs,
+    io::{IsTerminal as _, Write as _, stderr, stdin},
+    path::{Path, PathBuf},
+};
 
 use anyhow::{Context as _, Result, bail};
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use clap::Args;
+use indicatif::ProgressBar;
 use serde_json::json;
 use trueup_client::{
     load::{self, Step},
     object::{self, NEW_CRC, QUALITY, RUNNING_CRC},
-    port::Port,
+    port::Port as Line,
     session::Session,
     words::quality_word,
 };
 use trueup_core::cnc::Quality;
+use trueup_machine::{check::corrects_nothing, compile::inverse};
 use trueup_store::calibration::{decode, identity, whole};
 
-use crate::{Outcome, UserError, output};
+use super::{Port, who};
+use crate::{Outcome, UserError, output, report};
 
-/// Loads the calibration in the file `from`; unless `keep_running`, the board then restarts with
-/// it.
-pub fn run(from: &Path, port: &str, keep_running: bool, as_json: bool) -> Result<Outcome> {
-    let bad = |rule: String| UserError(format!("{}: {rule}", from.display()));
-    let bytes = fs::read(from).map_err(|error| bad(format!("cannot be read: {error}")))?;
-    decode(&bytes).map_err(|error| bad(error.to_string()))?;
-    // What follows the blob is not part of it.
-    let blob = whole(&bytes).map_err(|error| bad(error.to_string()))?;
-    let crc = identity(blob);
+#[derive(Args)]
+pub struct Load {
+    /// The calibration, as `compile` writes it.
+    #[arg(value_name = "CAL.bin")]
+    calibration: PathBuf,
+    #[command(flatten)]
+    port: Port,
+    #[command(flatten)]
+    how: How,
+}
 
-    let mut session = Session::open(&Port::parse(port)?)?;
-    let quality = object::number(&mut session, QUALITY)?;
-    let quality = u8::try_from(quality).ok().and_then(Quality::from_wire);
-    let quality = quality.context("the bridge sends an unknown quality")?;
-    if !matches!(quality, Quality::Off | Quality::Fault) {
-        bail!(
-            "nothing is loaded while offsets are being followed (the bridge is {}): let the CNC \
-             disengage first",
-            quality_word(quality)
-        );
-    }
+/// How a calibration is put to use.
+#[derive(Args, Clone, Copy)]
+pub struct How {
+    /// Load without asking: for scripts.
+    #[arg(short, long)]
+    pub yes: bool,
+    /// Leave the board running on the calibration it has; the new one is used from its next start.
+    #[arg(long)]
+    pub keep_running: bool,
+}
 
-    let waiting = object::number(&mut session, NEW_CRC)?;
-    if waiting != 0 && waiting != crc && waiting != object::number(&mut session, RUNNING_CRC)? {
-        eprintln!(
-            "warning: the calibration {waiting:08x} was loaded before and never used; this one takes \
-             its place"
-        );
-    }
-
-    let mut bar: Option<(Step, ProgressBar)> = None;
-    let stored = load::store(&mut session, blob, crc, &mut |step, bytes| {
-        if bar.as_ref().is_none_or(|(of, _)| *of != step) {
-            let what = if step == Step::Sending { "loading" } else { "reading back" };
-            if let Some((_, before)) = bar.replace((step, self::bar(what, blob.len()))) {
-                before.finish_and_clear();
-            }
+impl How {
+    /// Somebody is there to be asked, or need not be.
+    pub fn can_ask(self, as_json: bool) -> Result<(), UserError> {
+        if self.yes || !as_json && stdin().is_terminal() {
+            return Ok(());
         }
-        if let Some((_, bar)) = &bar {
-            bar.set_position(bytes as u64);
-        }
-    });
-    if let Some((_, bar)) = bar {
-        bar.finish_and_clear();
+        let rule =
+            "nobody is there to be asked whether to load it; with --yes it is loaded without";
+        Err(UserError(rule.into()))
     }
-    stored?;
+}
 
-    let mut running = object::number(&mut session, RUNNING_CRC)?;
-    if !keep_running {
-        running = load::restart(&mut session, crc)?;
-    }
+/// What became of a load.
+pub struct Loaded {
+    /// CRC of the calibration that was loaded.
+    pub crc: u32,
+    /// CRC of the one that the bridge runs on now.
+    pub running: u32,
+    /// What it has changed; `None`: the bridge ran on nothing that could be compared.
+    pub differences: Option<Vec<String>>,
+}
+
+/// Loads the calibration of a file.
+pub fn run(args: &Load, as_json: bool) -> Result<Outcome> {
+    let blob = read(&args.calibration)?;
+    args.how.can_ask(as_json)?;
+    let mut session = Session::open(&Line::parse(&args.port.port)?)?;
+    let loaded = put(&mut session, &blob, args.how);
     session.close();
+    let Loaded { crc, running, differences } = loaded?;
+    let keep_running = args.how.keep_running;
     let is_met = keep_running || running == crc;
     if as_json {
         output::print(json!({
             "bytes": blob.len(),
             "crc": format!("{crc:08x}"),
+            "differences": differences,
             "read_back_is_equal": true,
             "restarted": !keep_running,
             "running_crc": format!("{running:08x}"),
@@ -92,9 +102,83 @@ pub fn run(from: &Path, port: &str, keep_running: bool, as_json: bool) -> Result
     Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
 }
 
-fn bar(what: &'static str, bytes: usize) -> ProgressBar {
-    let style = ProgressStyle::with_template("{msg} {wide_bar} {bytes} of {total_bytes} {eta}");
-    ProgressBar::with_draw_target(Some(bytes as u64), ProgressDrawTarget::stderr())
-        .with_style(style.expect("the template is a constant"))
-        .with_message(what)
+/// The calibration in a file, without what follows it.
+fn read(path: &Path) -> Result<Vec<u8>> {
+    let bad = |rule: String| UserError(format!("{}: {rule}", path.display()));
+    let bytes = fs::read(path).map_err(|error| bad(format!("cannot be read: {error}")))?;
+    let calibration = decode(&bytes).map_err(|error| bad(error.to_string()))?;
+    if corrects_nothing(&inverse(&calibration)).is_some() {
+        report::warn(format_args!(
+            "{}: corrects nothing: a board with it leaves every offset at 0",
+            path.display()
+        ));
+    }
+    Ok(whole(&bytes).map_err(|error| bad(error.to_string()))?.to_vec())
+}
+
+/// Shows what `blob` changes, asks, and loads it; unless `keep_running`, the board then restarts with it.
+pub fn put(session: &mut Session, blob: &[u8], how: How) -> Result<Loaded> {
+    let crc = identity(blob);
+    let quality = object::number(session, QUALITY)?;
+    let quality = u8::try_from(quality).ok().and_then(Quality::from_wire);
+    let quality = quality.context("the bridge sends an unknown quality")?;
+    if !matches!(quality, Quality::Off | Quality::Fault) {
+        bail!(
+            "nothing is loaded while offsets are being followed (the bridge is {}): let the CNC \
+             disengage first",
+            quality_word(quality)
+        );
+    }
+    who::compare_versions(session)?;
+    let waiting = object::number(session, NEW_CRC)?;
+    if waiting != 0 && waiting != crc && waiting != object::number(session, RUNNING_CRC)? {
+        report::warn(format_args!(
+            "the calibration {waiting:08x} was loaded before and never used; this one takes its place"
+        ));
+    }
+    let differences = who::differences(session, blob)?;
+    match &differences {
+        None => eprintln!("the bridge has no calibration to compare with"),
+        Some(all) if all.is_empty() => eprintln!("the bridge runs on the same laws already"),
+        Some(all) => {
+            eprintln!("what changes:");
+            all.iter().for_each(|change| eprintln!("  {change}"));
+        }
+    }
+    if !how.yes && !agreed()? {
+        bail!(UserError("not loaded: you have not said yes".into()));
+    }
+    store(session, blob, crc)?;
+    let running = match how.keep_running {
+        true => object::number(session, RUNNING_CRC)?,
+        false => load::restart(session, crc)?,
+    };
+    Ok(Loaded { crc, running, differences })
+}
+
+fn agreed() -> Result<bool> {
+    eprint!("Load it? [y/N] ");
+    stderr().flush()?;
+    let mut answer = String::new();
+    stdin().read_line(&mut answer)?;
+    Ok(matches!(answer.trim().to_ascii_lowercase().as_str(), "y" | "yes"))
+}
+
+fn store(session: &mut Session, blob: &[u8], crc: u32) -> Result<()> {
+    let mut bar: Option<(Step, ProgressBar)> = None;
+    let stored = load::store(session, blob, crc, &mut |step, bytes| {
+        if bar.as_ref().is_none_or(|(of, _)| *of != step) {
+            let what = if step == Step::Sending { "loading" } else { "reading back" };
+            if let Some((_, before)) = bar.replace((step, who::bar(what, blob.len()))) {
+                before.finish_and_clear();
+            }
+        }
+        if let Some((_, bar)) = &bar {
+            bar.set_position(bytes as u64);
+        }
+    });
+    if let Some((_, bar)) = bar {
+        bar.finish_and_clear();
+    }
+    stored
 }

@@ -172,3 +172,25 @@ pub fn live(
         }
     }
 }
+
+/// The bridge's end of a pseudo terminal, which fails while the tool has not opened the other.
+#[cfg(unix)]
+pub struct Tty(pub serialport::TTYPort);
+
+#[cfg(unix)]
+impl Read for Tty {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        self.0.read(buffer).map_err(|_| ErrorKind::WouldBlock.into())
+    }
+}
+
+#[cfg(unix)]
+impl Write for Tty {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0.write(bytes)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}

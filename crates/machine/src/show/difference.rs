@@ -67,11 +67,11 @@ fn both<T>(a: Option<T>, b: Option<T>, difference: impl Fn(T, T) -> Option<f64>)
 }
 
 /// The difference of two gradients over 1 m, in nm.
-fn metre_of(a: Gradient, b: Gradient) -> f64 {
+pub(super) fn metre_of(a: Gradient, b: Gradient) -> f64 {
     f64::from(a.0.abs_diff(b.0)) / GRADIENT_PER_UM_PER_M * NM_PER_UM
 }
 
-fn spindle_difference_nm(
+pub(super) fn spindle_difference_nm(
     a: &calibration::SpindleModel<'_>,
     b: &calibration::SpindleModel<'_>,
 ) -> Option<f64> {
@@ -120,7 +120,7 @@ fn checked_temperatures() -> impl Iterator<Item = Temperature> {
 }
 
 /// Of K₀, or of what tanβ makes of 1 m, in nm.
-fn law_difference_nm(a: Law<'_>, b: Law<'_>) -> f64 {
+pub(super) fn law_difference_nm(a: Law<'_>, b: Law<'_>) -> f64 {
     let at = |t| {
         let ((constant_a, gradient_a), (constant_b, gradient_b)) = (a.at(t), b.at(t));
         let constant = f64::from(constant_a.0.abs_diff(constant_b.0)) / FINE_PER_NM;
@@ -152,7 +152,7 @@ fn axis_difference_nm(
 }
 
 /// At the points, half way to the next, and half way from one direction to the other.
-fn pitch_difference_nm(a: &Pitch<'_>, b: &Pitch<'_>) -> Option<f64> {
+pub(super) fn pitch_difference_nm(a: &Pitch<'_>, b: &Pitch<'_>) -> Option<f64> {
     if (a.start, a.step, a.forward.len()) != (b.start, b.step, b.forward.len()) {
         return None;
     }
@@ -168,8 +168,20 @@ fn pitch_difference_nm(a: &Pitch<'_>, b: &Pitch<'_>) -> Option<f64> {
     Some(f64::from(off.max().unwrap_or(0)) / FINE_PER_NM)
 }
 
+/// The largest error of a table, at its points and in both directions, in nm.
+pub(super) fn pitch_largest_nm(pitch: &Pitch<'_>) -> Option<f64> {
+    let places = (0_i64..).take(pitch.forward.len()).map(|n| {
+        let place = i64::from(pitch.start.0) + n * i64::from(pitch.step.length());
+        Position(i32::try_from(place).unwrap_or(i32::MAX))
+    });
+    let errors = places.flat_map(|place| {
+        [Fraction::ZERO, Fraction::ONE].map(|blend| pitch.at(place, blend).0.0.unsigned_abs())
+    });
+    errors.max().map(|largest| f64::from(largest) / FINE_PER_NM)
+}
+
 /// At the ends of the segments of `a` and at places between, in the curves' units.
-fn curve_difference(a: &Curve<'_>, b: &Curve<'_>) -> f64 {
+pub(super) fn curve_difference(a: &Curve<'_>, b: &Curve<'_>) -> f64 {
     const PLACES: i64 = 17;
     let mut start = a.first().0;
     let mut worst = 0;
@@ -186,7 +198,7 @@ fn curve_difference(a: &Curve<'_>, b: &Curve<'_>) -> f64 {
 }
 
 /// How far two terms are apart, in nm; `None` where they are not the same kind of thing.
-fn term_difference_nm(a: &Term<'_>, b: &Term<'_>) -> Option<f64> {
+pub(super) fn term_difference_nm(a: &Term<'_>, b: &Term<'_>) -> Option<f64> {
     /// So far from 0 waves are held against each other, in position units: 15 m.
     const REACH: f64 = 1.5e9;
     if a.target != b.target || a.constant != b.constant {

@@ -1,0 +1,135 @@
+//! Who is who: what a bridge runs on against a machine file, what a load changes and whether it asks, a board
+//! that is saved and restored, and a port that is another program's.
+#![cfg(target_os = "linux")]
+
+mod desk;
+mod pretended;
+mod terminal;
+mod wire;
+
+use std::sync::{Arc, Mutex};
+
+use desk::Desk;
+use pretended::{Fault, PAPER, bridge_many, paper};
+use terminal::Terminal;
+
+/// The paper's machine, and the same with another gain and slew limit.
+fn desk() -> Desk {
+    let other = PAPER
+        .replace("0.0152587890625 # 500/32768", "0.0170")
+        .replace("slew_um_per_s = 20.0", "slew_um_per_s = 10.0");
+    let desk = Desk::new(&[("m.toml", PAPER), ("other.toml", &other)]);
+    desk.said("compile other.toml -o other.bin", 0);
+    desk.said("compile m.toml -o same.bin", 0);
+    desk
+}
+
+#[test]
+fn info_says_whether_the_bridge_runs_on_the_machine_file() {
+    let desk = desk();
+    let (port, _) = bridge_many(Fault::None, true);
+    let (out, _) = desk.said(&format!("bridge info --machine m.toml --port {port}"), 0);
+    assert!(out.ends_with("m.toml: the bridge runs on it\n"), "{out}");
+    let (out, _) = desk.said(&format!("bridge info --machine other.toml --port {port}"), 3);
+    // 32768 counts are 500 µm, or 557; the zero stays.
+    for phrase in [
+        "other.toml: the bridge does NOT run on it; with it:\n",
+        "\n  spindle growth: its law, up to 48.2",
+        "\n  slew limit: 20 becomes 10 µm/s\n",
+    ] {
+        assert!(out.contains(phrase), "{phrase}: {out}");
+    }
+    let (out, _) = desk.said(&format!("bridge info --json --machine other.toml --port {port}"), 3);
+    let told: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+    assert_eq!(told["differs_from_machine"].as_array().map(Vec::len), Some(2), "{told}");
+}
+
+#[test]
+fn load_tells_what_changes_and_asks() {
+    let desk = desk();
+    // Without a terminal nobody can be asked, and nothing reaches the bridge.
+    let (port, heard) = bridge_many(Fault::None, false);
+    let (out, err) = desk.said(&format!("bridge load other.bin --port {port}"), 2);
+    assert!(out.is_empty() && err.contains("with --yes it is loaded without"), "{err}");
+    for (answer, code, phrase) in [
+        ("\r", 2, "not loaded: you have not said yes"),
+        ("n\r", 2, "not loaded: you have not said yes"),
+        ("y\r", 0, "the bridge has restarted and uses it"),
+    ] {
+        let line = format!("bridge load other.bin --port {port}");
+        let mut terminal = Terminal::start(&desk, &line, (100, 24), true);
+        terminal.shows(&["what changes:", "slew limit: 20 becomes 10 µm/s", "Load it? [y/N]"]);
+        terminal.press(answer);
+        terminal.shows(&[phrase]);
+        assert_eq!(terminal.ended().code(), Some(code), "{}", terminal.text());
+    }
+    assert!(heard.lock().expect("nobody panics with it").frames > 0);
+    let (_, err) = desk.said(&format!("bridge load other.bin --yes --port {port}"), 0);
+    assert!(err.contains("the bridge runs on the same laws already"), "{err}");
+}
+
+#[test]
+fn a_board_is_saved_and_another_one_takes_its_place() {
+    let desk = desk();
+    let (port, _) = bridge_many(Fault::None, false);
+    desk.said(&format!("bridge load other.bin --yes --port {port}"), 0);
+    let (out, _) = desk.said(&format!("bridge save board.json --port {port}"), 0);
+    assert!(out.starts_with("board.json: calibration ") && out.contains("of \"paper\""), "{out}");
+
+    // Another board, which runs on what it came with.
+    let (port, _) = bridge_many(Fault::None, false);
+    let (out, err) = desk.said(&format!("bridge restore board.json --yes --port {port}"), 0);
+    assert!(err.contains("slew limit: 20 becomes 10 µm/s"), "{err}");
+    assert!(out.ends_with("restored\n"), "{out}");
+    let (out, _) = desk.said(&format!("bridge info --machine other.toml --port {port}"), 0);
+    assert!(out.ends_with("other.toml: the bridge runs on it\n"), "{out}");
+    // To the byte, and so what is saved of it.
+    desk.said(&format!("bridge save again.json --port {port}"), 0);
+    let calibration = |file: &str| {
+        let all: serde_json::Value = serde_json::from_str(&desk.text(file)).expect("JSON");
+        all["calibration"].as_str().map(str::to_owned)
+    };
+    assert_eq!(calibration("board.json"), calibration("again.json"));
+}
+
+#[test]
+fn a_saved_file_that_is_damaged_is_refused_before_anything_is_sent() {
+    let desk = desk();
+    let (port, heard) = bridge_many(Fault::None, false);
+    desk.said(&format!("bridge save board.json --port {port}"), 0);
+    let whole = desk.text("board.json");
+    let crc = format!("{:08x}", paper().crc());
+    let before = heard.lock().expect("nobody panics with it").frames;
+    for (damaged, phrase) in [
+        (whole.replace("trueup-bridge-1", "else"), "is not what bridge save writes"),
+        (whole.replace(&crc, "00000000"), "the calibration is not the one of its CRC"),
+        (whole.replacen("\"calibration\": \"", "\"calibration\": \"zz", 1), "hexadecimal"),
+        (whole.replacen("\"calibration\": \"", "\"calibration\": \"00", 1), "damaged.json: "),
+        (whole[..whole.len() / 2].to_owned(), "is not what bridge save writes"),
+    ] {
+        desk.write("damaged.json", damaged);
+        let (out, err) = desk.said(&format!("bridge restore damaged.json --yes --port {port}"), 2);
+        assert!(out.is_empty() && err.contains(phrase), "{phrase}: {err}");
+    }
+    assert_eq!(heard.lock().expect("nobody panics with it").frames, before);
+}
+
+#[test]
+fn a_serial_device_that_another_program_has_is_busy() {
+    use serialport::{SerialPort as _, TTYPort};
+    let (mut ours, mut theirs) = TTYPort::pair().expect("this machine has pseudo terminals");
+    ours.set_timeout(std::time::Duration::from_millis(1)).expect("a plain terminal");
+    theirs.set_exclusive(false).expect("a plain terminal");
+    let device = theirs.name().expect("a pseudo terminal has a name");
+    drop(theirs);
+    let told = Arc::new(Mutex::new(wire::ReceivedBytes::default()));
+    std::thread::spawn(move || pretended::live(pretended::Tty(ours), Fault::None, true, &told));
+    let desk = Desk::new(&[]);
+    let line = format!("bridge monitor --port {device}");
+    let mut first = Terminal::start(&desk, &line, (80, 24), true);
+    first.shows(&["LIVE"]);
+    let (out, err) = desk.said(&format!("bridge info --port {device}"), 1);
+    assert!(out.is_empty() && err.contains(&format!("{device} is busy")), "{err}");
+    first.press("q");
+    first.ended();
+}
