@@ -2,7 +2,10 @@
 
 use std::collections::BTreeSet;
 
-use trueup_client::words::{fault_words, flag_words, quality_word, state_words};
+use trueup_client::{
+    remedy::REMEDIES,
+    words::{fault_words, flag_words, quality_word, state_words},
+};
 use trueup_core::cnc::{Flags, Quality};
 use trueup_link::status::{ResetReason, StateBits};
 
@@ -30,4 +33,7 @@ fn every_word_on_the_screen_is_on_the_page_and_no_other() {
     assert_eq!(words("## Faults and state"), conditions.collect());
     let reasons = (0..).map_while(ResetReason::from_wire).map(ResetReason::word);
     assert_eq!(words("## Why it last started"), reasons.collect());
+    let all = ["## Flags", "## Faults and state", "## Frames of the CNC"].map(words);
+    let remedies = REMEDIES.iter().map(|(word, _)| *word).collect();
+    assert_eq!(all.into_iter().flatten().collect::<BTreeSet<_>>(), remedies);
 }
