@@ -124,6 +124,8 @@ pub enum ObjectKind {
     Resets(u8),
     /// Who may write: a number of [`Authority`].
     Authority,
+    /// Every fault, a bit each, as [`crate::emergency::Faults::bits`] has them.
+    AllFaults,
     /// Milliseconds of the sample clock.
     Clock,
     /// The elongation that counts as none, in nanometres.

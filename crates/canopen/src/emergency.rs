@@ -212,7 +212,7 @@ impl Faults {
         self.0
     }
 
-    /// The first sixteen of them, as the status and object 0x2001:04 have them.
+    /// The first sixteen of them, as the status and object 0x2001:04 have them; 0x2001:09 has all.
     #[must_use]
     pub const fn low_bits(self) -> u16 {
         let [low, high, ..] = self.0.to_le_bytes();

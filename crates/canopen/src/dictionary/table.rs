@@ -184,15 +184,16 @@ pub const OBJECTS: &[Object] = &[
         0x2001,
         "State of the bridge",
         &[
-            count(8),
+            count(9),
             read(1, "Quality", Type::U8, ObjectKind::Quality),
             read(2, "Flags", Type::U8, ObjectKind::Flags),
             read(3, "Age of the newest sample in ms", Type::U8, ObjectKind::Age),
-            read(4, "Faults", Type::U16, ObjectKind::Faults),
+            read(4, "Faults 0 to 15", Type::U16, ObjectKind::Faults),
             read(5, "Sample clock in ms", Type::U32, ObjectKind::Clock),
             read(6, "State bits", Type::U32, ObjectKind::StateBits),
             read(7, "Reason of the last reset", Type::U8, ObjectKind::ResetReason),
             read(8, "Who may write", Type::U8, ObjectKind::Authority),
+            read(9, "All faults", Type::U32, ObjectKind::AllFaults),
         ],
     ),
     record(

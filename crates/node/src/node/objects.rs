@@ -82,6 +82,7 @@ impl Node<'_> {
             ObjectKind::Flags => self.last.flags.0.into(),
             ObjectKind::Age => self.last.age_ms.into(),
             ObjectKind::Faults => self.faults(&self.last).low_bits().into(),
+            ObjectKind::AllFaults => self.faults(&self.last).bits(),
             ObjectKind::StateBits => self.faults(&self.last).state().0,
             ObjectKind::ResetReason => self.start.reason as u32,
             ObjectKind::Stop(what) => self.start.stop.number(what).ok_or(Abort::NoData)?,

@@ -24,7 +24,7 @@ fn number(rig: &Rig, what: ObjectKind) -> u32 {
 
 /// Whether anything that the objects tell has changed.
 fn bits(rig: &Rig) -> (u32, u32) {
-    (number(rig, ObjectKind::Faults), number(rig, ObjectKind::StateBits))
+    (number(rig, ObjectKind::AllFaults), number(rig, ObjectKind::StateBits))
 }
 
 /// `Control` from a master of its own line, as often as given.
