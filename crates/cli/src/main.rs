@@ -27,12 +27,15 @@ mod gateway;
 mod learn;
 mod linuxcnc;
 mod manual;
+mod new;
 mod origin;
 mod output;
 mod predict;
 mod program;
+mod questions;
 mod report;
 mod runs;
+mod schema;
 mod show;
 mod simulate;
 mod summary;
@@ -68,7 +71,6 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Adds to each row of a run what the model and the bridge's arithmetic say.
     Predict(predict::Predict),
     /// Turns a machine file into the calibration that the bridge stores.
     Compile(compile::Compile),
@@ -89,7 +91,9 @@ enum Command {
         #[arg(value_name = "CAL.bin")]
         calibration: PathBuf,
     },
+    New(new::New),
     Program(program::Program),
+    Schema(schema::Schema),
     Simulate(simulate::Simulate),
     Trend(trend::Trend),
     #[cfg(unix)]
@@ -167,6 +171,8 @@ fn run(cli: &Cli) -> Result<Outcome> {
         Command::LinuxCnc(args) => linuxcnc::run(args),
         Command::Show { calibration } => show::run(calibration, cli.json),
         Command::Program(args) => program::run(args, cli.json),
+        Command::New(args) => new::run(args, cli.json),
+        Command::Schema(args) => schema::run(args),
         Command::Simulate(args) => simulate::run(args, cli.json),
         Command::Trend(args) => trend::run(args, cli.json),
         #[cfg(unix)]

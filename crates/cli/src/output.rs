@@ -5,21 +5,34 @@ use std::{
     io::{self, BufWriter, Write},
     path::{Path, PathBuf},
     process,
+    sync::atomic::{AtomicBool, Ordering},
 };
 
 use anyhow::{Context as _, Result};
 
 use crate::UserError;
 
+/// Whether standard output is a file's content.
+static IS_TAKEN: AtomicBool = AtomicBool::new(false);
+
 /// Writes `path` by `write`. Until that has succeeded nothing at `path` is changed: what is written
 /// stands in a file beside it, which then takes its name.
 ///
-/// `inputs` are never written over.
+/// `inputs` are never written over. The path `-` is standard output; what a command says of its own goes to
+/// standard error from then on.
 pub fn write_whole<T>(
     path: &Path,
     inputs: &[&Path],
     write: impl FnOnce(&mut dyn Write) -> io::Result<T>,
 ) -> Result<T> {
+    if is_standard_output(path) {
+        IS_TAKEN.store(true, Ordering::Relaxed);
+        let mut out = BufWriter::new(io::stdout().lock());
+        return match write(&mut out).and_then(|result| out.flush().map(|()| result)) {
+            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => process::exit(0),
+            other => other.context("standard output cannot be written"),
+        };
+    }
     // A link is followed, so that the file it leads to is written and not the link.
     let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
     if inputs.iter().any(|input| fs::canonicalize(input).is_ok_and(|input| input == target)) {
@@ -56,6 +69,11 @@ pub fn write_whole<T>(
     Ok(result)
 }
 
+/// Whether a path stands for standard output.
+pub fn is_standard_output(path: &Path) -> bool {
+    path == Path::new("-")
+}
+
 /// An empty file in the folder of `target`, removed unless it is given a name.
 fn beside(target: &Path) -> io::Result<tempfile::NamedTempFile> {
     let folder = match target.parent() {
@@ -76,6 +94,10 @@ fn beside(target: &Path) -> io::Result<tempfile::NamedTempFile> {
 /// Prints a result on a line of its own. A reader that has seen enough (`| head`) ends the program
 /// in peace.
 pub fn print(result: impl std::fmt::Display) -> Result<()> {
+    if IS_TAKEN.load(Ordering::Relaxed) {
+        eprintln!("{result}");
+        return Ok(());
+    }
     let mut out = io::stdout().lock();
     match writeln!(out, "{result}").and_then(|()| out.flush()) {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => process::exit(0),

@@ -9,7 +9,12 @@ use trueup_machine::predict::{Predictor, Written};
 
 use crate::{Outcome, files, output, report, runs};
 
+/// Adds to each row of a run what the model and the bridge's arithmetic say.
+///
+/// Exit 3: somewhere the bridge is further from the model than `compile` has promised.
 #[derive(Args)]
+#[command(after_help = "Example:
+  trueup predict --machine machine.toml --run run.csv -o predicted.csv")]
 pub struct Predict {
     /// The machine file.
     #[arg(long, value_name = "M.toml")]
@@ -46,10 +51,25 @@ pub fn run(args: &Predict, as_json: bool) -> Result<Outcome> {
         predictor.write(out, || bar.inc(1))
     })?;
     bar.finish_and_clear();
-    report(&written, to, as_json)
+    let broken = broken_promise(&predictor, &written);
+    if let Some(how) = &broken {
+        let row = written.broken_promise.map_or(0, |(row, _)| row);
+        report::warn(format_args!("{}: {how}", run.place(row, "time_s")));
+    }
+    print(&written, to, as_json)?;
+    Ok(if broken.is_some() { Outcome::NotMet } else { Outcome::Done })
 }
 
-fn report(written: &Written, to: &Path, as_json: bool) -> Result<Outcome> {
+/// How the bridge is further from the model than `compile` has promised, if it is.
+fn broken_promise(predictor: &Predictor<'_>, written: &Written) -> Option<String> {
+    let ((_, nm), promised_nm) = (written.broken_promise?, predictor.promised_nm()?);
+    Some(format!(
+        "the bridge is {nm:.1} nm from the model, and compile has promised {promised_nm:.1}: the row asks \
+         for what the board's numbers cannot hold"
+    ))
+}
+
+fn print(written: &Written, to: &Path, as_json: bool) -> Result<()> {
     if let Some(place) = &written.first_out_of_range {
         let rows = written.rows_out_of_range;
         report::warn(format_args!(
@@ -64,7 +84,7 @@ fn report(written: &Written, to: &Path, as_json: bool) -> Result<Outcome> {
             "rows_out_of_range": written.rows_out_of_range,
             "largest_difference_nm": written.largest_difference_nm,
         }))?;
-        return Ok(Outcome::Done);
+        return Ok(());
     }
     output::print(format_args!("{}: {} rows", to.display(), written.rows))?;
     if written.rows_without_counts > 0 {
@@ -74,5 +94,5 @@ fn report(written: &Written, to: &Path, as_json: bool) -> Result<Outcome> {
     if let Some(nm) = written.largest_difference_nm {
         output::print(format_args!("largest difference of the bridge from the model: {nm:.3} nm"))?;
     }
-    Ok(Outcome::Done)
+    Ok(())
 }

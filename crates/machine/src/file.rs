@@ -7,11 +7,13 @@
 pub(crate) mod axis;
 pub(crate) mod inputs;
 mod instrument;
+pub mod keys;
 mod limits;
 mod machine;
 pub(crate) mod read;
 pub(crate) mod spindle;
 pub(crate) mod straightness;
+mod structure;
 mod term;
 mod thermal_state;
 pub mod write;
@@ -33,24 +35,10 @@ pub use crate::effect::{Cause, Effect, Quantity, Wave};
 
 use crate::{
     bounded,
-    location::{BadInput, Locations, without_byte_order_mark},
+    location::{BadInput, without_byte_order_mark},
 };
 use read::Document;
 use write::{Edit, NewSection};
-
-/// Sections of the format that this version reads.
-const SECTIONS: [&str; 10] = [
-    "machine",
-    "inputs",
-    "spindle",
-    "axis",
-    "straightness",
-    "squareness",
-    "limits",
-    "thermal_state",
-    "instrument",
-    "term",
-];
 
 /// The longest machine file that is read, in bytes: forty times what the board could store of it.
 pub const MOST_BYTES: u64 = 4 << 20;
@@ -85,40 +73,41 @@ impl MachineFile {
     pub fn parse(source: &str, path: &Path) -> Result<Machine, BadInput> {
         let document = Document::parse(without_byte_order_mark(source), path)?;
         let root = document.root();
-        root.allow_only(&SECTIONS)?;
-
-        let machine = root.required("machine", root.section("machine")?)?;
-        let identity = machine::read(&machine)?;
-        let inputs = root.section("inputs")?.map(|inputs| inputs::read(&inputs)).transpose()?;
-        let spindle = match root.section("spindle")? {
-            Some(spindle) => spindle::read(&spindle)?,
-            None => Spindle::default(),
-        };
-        let axes = match root.section("axis")? {
-            Some(axes) => axis::read(&axes)?,
-            None => Default::default(),
-        };
-        let straightness = match root.section("straightness")? {
-            Some(curves) => straightness::read_straightness(&curves)?,
-            None => Vec::new(),
-        };
-        let squareness = match root.section("squareness")? {
-            Some(angles) => straightness::read_squareness(&angles)?,
-            None => Vec::new(),
-        };
-        let limits = match root.section("limits")? {
-            Some(limits) => limits::read(&limits)?,
-            None => Limits::default(),
-        };
-        let cold_within_c = match root.section("thermal_state")? {
-            Some(state) => thermal_state::read(&state)?,
-            None => thermal_state::COLD_WITHIN_C,
-        };
-        let instrument_um = match root.section("instrument")? {
-            Some(instrument) => Some(instrument::read(&instrument)?),
-            None => None,
-        };
-        let mut machine = Machine {
+        // Each section can be read by itself once its keys are right.
+        let mut faults = structure::faults(&root, keys::FILE);
+        faults.extend(
+            root.sections("term").into_iter().flatten().filter_map(|it| term::read(&it).err()),
+        );
+        if let Some(error) = BadInput::gathered(faults) {
+            return Err(error);
+        }
+        let section = |name: &str| root.section(name).ok().flatten();
+        let mut faults = Faults::default();
+        let identity = faults.of(section("machine").map(|it| machine::read(&it)));
+        let inputs = faults.of(section("inputs").map(|it| inputs::read(&it)));
+        let connected = inputs.as_ref().and_then(|inputs| inputs.sensor);
+        let spindle = faults.of(section("spindle").map(|it| spindle::read(&it, connected)));
+        let axes = faults.of(section("axis").map(|it| axis::read(&it)));
+        let curves =
+            faults.of(section("straightness").map(|it| straightness::read_straightness(&it)));
+        let angles = faults.of(section("squareness").map(|it| straightness::read_squareness(&it)));
+        let limits = faults.of(section("limits").map(|it| limits::read(&it)));
+        let cold_within_c = faults.of(section("thermal_state").map(|it| thermal_state::read(&it)));
+        let instrument_um = faults.of(section("instrument").map(|it| instrument::read(&it)));
+        let (spindle, axes) = (spindle.unwrap_or_default(), axes.unwrap_or_default());
+        let mut terms = Vec::new();
+        for section in root.sections("term")? {
+            let term = term::read(&section)?;
+            if faults.0.is_empty() {
+                faults.0.extend(term::check(&section, &term, &spindle, &axes).err());
+            }
+            terms.push(term);
+        }
+        if let Some(error) = BadInput::gathered(faults.0) {
+            return Err(error);
+        }
+        let identity = identity.expect("a section that is missing, or cannot be read, is a fault");
+        Ok(Machine {
             name: identity.name,
             serial: identity.serial,
             board: identity.board,
@@ -128,21 +117,28 @@ impl MachineFile {
             inputs,
             spindle,
             axes,
-            straightness,
-            squareness,
-            limits,
-            cold_within_c,
+            straightness: curves.unwrap_or_default(),
+            squareness: angles.unwrap_or_default(),
+            limits: limits.unwrap_or_default(),
+            cold_within_c: cold_within_c.unwrap_or(thermal_state::COLD_WITHIN_C),
             instrument_um,
-            terms: Vec::new(),
-            places: Locations::default(),
-        };
-        for section in root.sections("term")? {
-            let term = term::read(&section)?;
-            term::check(&section, &term, &machine.spindle, &machine.axes)?;
-            machine.terms.push(term);
-        }
-        machine.places = document.into_places();
-        Ok(machine)
+            terms,
+            places: document.into_places(),
+        })
+    }
+}
+
+/// What is wrong so far.
+#[derive(Default)]
+struct Faults(Vec<BadInput>);
+
+impl Faults {
+    /// What was read of a section, if it is there and right.
+    fn of<T>(&mut self, read: Option<Result<T, BadInput>>) -> Option<T> {
+        read.transpose().unwrap_or_else(|error| {
+            self.0.push(error);
+            None
+        })
     }
 }
 

@@ -15,7 +15,9 @@
 //! | [`model`] | the reference: what the model says of a run, row by row, in `f64` |
 //! | [`compile`](mod@compile) | a [`Machine`] in the integers of the board, and back |
 //! | [`check`] | what a file will do, and what in it is unlikely to be meant |
+//! | [`schema`] | every key and column, for editors and for the reference |
 //! | [`show`] | a calibration written as a machine file |
+//! | [`template`] | a machine file to begin with |
 //! | [`predict`] | a run with what the model and the board's integers say of each row |
 #![forbid(unsafe_code)]
 
@@ -30,8 +32,10 @@ pub mod location;
 pub mod model;
 pub mod predict;
 pub mod run_file;
+pub mod schema;
 pub mod show;
 mod stored;
+pub mod template;
 
 pub use compile::{Compiled, compile};
 pub use file::{Machine, MachineFile};

@@ -23,6 +23,8 @@ use std::{
     io::{self, Write},
 };
 
+use trueup_core::dimensions::STEP_MS;
+
 use crate::{
     file::{ElongationSource, Machine, Quantity},
     location::{BadInput, Location},
@@ -48,6 +50,10 @@ pub const COLUMNS: [&str; 8] = [
     "predicted_dz_um",
     "bridge_dz_um",
 ];
+
+/// One bit of an offset on the wire, in nm: what fixed-point arithmetic may add to the differences that
+/// [`compile`](crate::compile()) states, because nobody can see it.
+pub const WIRE_STEP_NM: f64 = 10.0;
 
 /// Both sides for one row; a value that cannot be predicted is NaN on both.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -96,6 +102,9 @@ pub struct Written {
     pub first_out_of_range: Option<Location>,
     /// The largest difference between model and bridge, in nm; `None` without a bridge or rows.
     pub largest_difference_nm: Option<f64>,
+    /// Where the bridge is further from the model than [`Predictor::promised_nm`], the furthest: its row, from
+    /// 0, and the difference in nm.
+    pub broken_promise: Option<(usize, f64)>,
 }
 
 impl<'a> Predictor<'a> {
@@ -132,6 +141,14 @@ impl<'a> Predictor<'a> {
     #[must_use]
     pub fn why_no_bridge(&self) -> Option<&str> {
         self.bridge.as_ref().err().map(String::as_str)
+    }
+
+    /// The largest difference between bridge and model that `compile` promises, in nm: those of all parts of
+    /// the calibration together, and [`WIRE_STEP_NM`]. `None` without a bridge.
+    #[must_use]
+    pub fn promised_nm(&self) -> Option<f64> {
+        let bridge = self.bridge.as_ref().ok()?;
+        Some(bridge.compiled.parts.iter().map(|(_, nm)| nm).sum::<f64>() + WIRE_STEP_NM)
     }
 
     /// Columns that the machine's model needs and the run does not have: what depends on them is
@@ -217,12 +234,15 @@ impl<'a> Predictor<'a> {
             rows_out_of_range: 0,
             first_out_of_range: None,
             largest_difference_nm: None,
+            broken_promise: None,
         };
         for column in self.run.columns() {
             write_name(&mut out, &column.name)?;
             out.write_all(b",")?;
         }
         writeln!(out, "{}", COLUMNS.join(","))?;
+        let promised_nm = self.promised_nm().unwrap_or(0.0);
+        let mut before = Values { elongation_um: f64::NAN, error_um: [f64::NAN; 3] };
         for (row, prediction) in self.rows().enumerate() {
             for column in self.run.columns() {
                 let value = column.values.get(row).copied().unwrap_or(f64::NAN);
@@ -232,17 +252,40 @@ impl<'a> Predictor<'a> {
                 out.write_all(b",")?;
             }
             write_prediction(&mut out, &prediction)?;
-            self.note(row, &prediction, &mut written);
+            let between_nm = self.between_steps_nm(row, before, prediction.compensated);
+            self.note(row, &prediction, promised_nm + between_nm, &mut written);
+            before = prediction.compensated;
             row_done();
         }
         out.flush()?;
         Ok(written)
     }
 
-    fn note(&self, row: usize, prediction: &Prediction, written: &mut Written) {
+    /// What a row that lies between two steps of the board's heat may be off beside the promise, in nm: the
+    /// model's change since the row before, by the share of the time that the step is early or late. A lag
+    /// is never faster at the end of an interval than in its mean; twice that.
+    fn between_steps_nm(&self, row: usize, before: Values, now: Values) -> f64 {
+        let step_s = f64::from(STEP_MS) / 1_000.0;
+        let Some((time_s, earlier)) = self.columns.time_s.zip(row.checked_sub(1)) else {
+            return 0.0;
+        };
+        let since_start_s = time_s[row] - time_s[0];
+        let off_s = since_start_s - (since_start_s / step_s).round() * step_s;
+        let share = (2.0 * off_s.abs() / (time_s[row] - time_s[earlier])).min(1.0);
+        let changes =
+            before.all().into_iter().zip(now.all()).map(|(before, now)| (now - before).abs());
+        let change_um = changes.filter(|um| !um.is_nan()).fold(0.0, f64::max);
+        if share.is_nan() { 0.0 } else { share * change_um * NM_PER_UM }
+    }
+
+    fn note(&self, row: usize, prediction: &Prediction, allowed_nm: f64, written: &mut Written) {
         if let Some(difference_nm) = prediction.difference_nm() {
             let before = written.largest_difference_nm.unwrap_or(0.0);
             written.largest_difference_nm = Some(before.max(difference_nm));
+            let worst = written.broken_promise.map_or(0.0, |(_, nm)| nm);
+            if difference_nm > allowed_nm && difference_nm > worst {
+                written.broken_promise = Some((row, difference_nm));
+            }
         }
         if self.machine.spindle.source != Some(ElongationSource::Sensor) {
             return;

@@ -223,7 +223,6 @@ pub struct Dual {
 }
 
 pub(super) fn read(section: &Section<'_>) -> Result<[AxisModel; 3], BadInput> {
-    section.allow_only(&LinearAxis::ALL.map(LinearAxis::name))?;
     let mut axes = <[AxisModel; 3]>::default();
     for (axis, of) in axes.iter_mut().zip(LinearAxis::ALL) {
         if let Some(section) = section.section(of.name())? {
@@ -234,22 +233,13 @@ pub(super) fn read(section: &Section<'_>) -> Result<[AxisModel; 3], BadInput> {
 }
 
 fn read_axis(section: &Section<'_>, of: LinearAxis) -> Result<AxisModel, BadInput> {
-    section.allow_only(&[
-        "feedback",
-        "travel_mm",
-        "rapid_mm_per_min",
-        "thermal",
-        "pitch",
-        "backlash",
-        "dual",
-    ])?;
     let feedbacks = [("screw", Feedback::Screw), ("scale", Feedback::Scale)];
     let axis = AxisModel {
         feedback: section.choice("feedback", &feedbacks)?.unwrap_or_default(),
         travel_mm: read_travel(section)?,
         rapid_mm_per_min: section.positive("rapid_mm_per_min")?,
         thermal: section.section("thermal")?.map(|thermal| read_thermal(&thermal)).transpose()?,
-        pitch: section.section("pitch")?.map(|pitch| read_pitch_alone(&pitch)).transpose()?,
+        pitch: section.section("pitch")?.map(|pitch| read_pitch(&pitch)).transpose()?,
         backlash: section.section("backlash")?.map(|lash| read_backlash(&lash)).transpose()?,
         dual: section.section("dual")?.map(|dual| read_dual(&dual, of)).transpose()?,
     };
@@ -288,10 +278,6 @@ fn read_travel(section: &Section<'_>) -> Result<Option<[f64; 2]>, BadInput> {
 }
 
 fn read_thermal(section: &Section<'_>) -> Result<Thermal, BadInput> {
-    let text = ["mode", "sensor"];
-    let numbers =
-        ["reference_c", "constant_um_per_c", "slope_um_per_m_per_c", "origin_mm", "lag_s", "table"];
-    section.allow_only(&[&text[..], &numbers[..]].concat())?;
     let modes = [ThermalMode::Constant, ThermalMode::Position, ThermalMode::Both]
         .map(|mode| (mode.name(), mode));
     let number = |key| section.number(key).map(Option::unwrap_or_default);
@@ -335,14 +321,6 @@ fn read_thermal_rows(
     Ok(rows.into_iter().map(row).collect())
 }
 
-fn read_pitch_alone(section: &Section<'_>) -> Result<Pitch, BadInput> {
-    section.allow_only(&PITCH_KEYS)?;
-    read_pitch(section)
-}
-
-/// The keys of a position table.
-const PITCH_KEYS: [&str; 4] = ["start_mm", "step_mm", "forward_um", "reverse_um"];
-
 /// A position table among the keys of `section`, which may have others.
 pub(crate) fn read_pitch(section: &Section<'_>) -> Result<Pitch, BadInput> {
     let start_mm = section.required("start_mm", section.number("start_mm")?)?;
@@ -363,7 +341,6 @@ pub(crate) fn read_pitch(section: &Section<'_>) -> Result<Pitch, BadInput> {
 }
 
 fn read_backlash(section: &Section<'_>) -> Result<Backlash, BadInput> {
-    section.allow_only(&["width_um", "ramp_mm", "hysteresis_um"])?;
     Ok(Backlash {
         width_um: section.required("width_um", section.number("width_um")?)?,
         ramp_mm: section.not_negative("ramp_mm")?.unwrap_or(0.0),
@@ -372,7 +349,6 @@ fn read_backlash(section: &Section<'_>) -> Result<Backlash, BadInput> {
 }
 
 fn read_dual(section: &Section<'_>, driven: LinearAxis) -> Result<Dual, BadInput> {
-    section.allow_only(&["across", "first_mm", "second_mm", "pitch"])?;
     let names = LinearAxis::ALL.map(|axis| (axis.name(), axis));
     let across = section.required("across", section.choice("across", &names)?)?;
     if across == driven {
@@ -389,7 +365,7 @@ fn read_dual(section: &Section<'_>, driven: LinearAxis) -> Result<Dual, BadInput
         return Err(section.bad("second_mm", rule));
     }
     let pitch = section.required("pitch", section.section("pitch")?)?;
-    Ok(Dual { across, first_mm, second_mm, pitch: read_pitch_alone(&pitch)? })
+    Ok(Dual { across, first_mm, second_mm, pitch: read_pitch(&pitch)? })
 }
 
 /// The sections of the axis `of`.

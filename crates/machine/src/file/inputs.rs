@@ -20,18 +20,13 @@ pub(super) fn read(section: &Section<'_>) -> Result<Inputs, BadInput> {
         if key == "sensor" {
             inputs.sensor =
                 section.section(key)?.map(|sensor| read_sensor_input(&sensor)).transpose()?;
-        } else if is_temperature_column(key) {
-            let Some(channel) = section.section(key)? else { continue };
+        } else if let Some(channel) = section.section(key)? {
             let input = read_temperature_input(&channel)?;
             if let Some(other) = column_of_channel.insert(input.channel, key) {
                 let rule = format!("{} is already that of {other}", input.channel);
                 return Err(channel.bad("channel", rule));
             }
             inputs.temperatures.insert(key.to_string(), input);
-        } else {
-            let mut error = section.unknown(key, ["sensor"]);
-            error.rule.push_str("; the inputs are sensor and temp_<name>_c");
-            return Err(error);
         }
     }
     Ok(inputs)
@@ -60,7 +55,6 @@ pub fn is_temperature_column(name: &str) -> bool {
 }
 
 fn read_sensor_input(section: &Section<'_>) -> Result<SensorInput, BadInput> {
-    section.allow_only(&["volts_full_scale", "counts_full_scale", "divider"])?;
     let positive = |key| section.required(key, section.positive(key)?);
     let sensor = SensorInput {
         volts_full_scale: positive("volts_full_scale")?,
@@ -81,7 +75,6 @@ fn read_sensor_input(section: &Section<'_>) -> Result<SensorInput, BadInput> {
 }
 
 fn read_temperature_input(section: &Section<'_>) -> Result<TemperatureInput, BadInput> {
-    section.allow_only(&["channel", "kind", "zero_counts", "counts_per_c"])?;
     let channel = section.required("channel", section.whole("channel", 0, LAST_CHANNEL.into())?)?;
     let channel = u8::try_from(channel).expect("held to the range of u8 above");
     let zero_counts = section.number("zero_counts")?;

@@ -5,7 +5,6 @@ use crate::location::BadInput;
 
 /// The expanded uncertainty of one reading in µm (95 %), above 0.
 pub(super) fn read(section: &Section<'_>) -> Result<f64, BadInput> {
-    section.allow_only(&["uncertainty_um"])?;
     section.required("uncertainty_um", section.positive("uncertainty_um")?)
 }
 

@@ -35,12 +35,9 @@ impl Default for Limits {
 }
 
 pub(super) fn read(section: &Section<'_>) -> Result<Limits, BadInput> {
-    let keys = ["max_um", "slew_um_per_s", "link_timeout_ms", "hold_ms", "rejoin_um_per_s"];
-    section.allow_only(&keys)?;
     let mut limits = Limits::default();
     if let Some(max) = section.section("max_um")? {
         let axes = LinearAxis::ALL.map(LinearAxis::name);
-        max.allow_only(&axes)?;
         for (limit, axis) in limits.max_um.iter_mut().zip(axes) {
             *limit = max.not_negative(axis)?.unwrap_or(*limit);
         }

@@ -96,7 +96,6 @@ pub(super) struct Identity {
 }
 
 pub(super) fn read(section: &Section<'_>) -> Result<Identity, BadInput> {
-    section.allow_only(&["name", "serial", "board", "kind", "head_axes", "tool_direction"])?;
     let name = section.required("name", section.text("name")?)?;
     let serial = section.text("serial")?;
     for (key, text) in [("name", Some(name)), ("serial", serial)] {

@@ -3,7 +3,7 @@
 //! A model that is not the source is kept: it is what the board falls back to.
 
 use super::{inputs::read_temperature_column, read::Section, write::section::NewSection};
-use crate::location::BadInput;
+use crate::{inputs::SensorInput, location::BadInput};
 
 /// How the spindle grows.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -102,14 +102,14 @@ pub struct TemperatureModel {
     pub lag_s: f64,
 }
 
-pub(super) fn read(section: &Section<'_>) -> Result<Spindle, BadInput> {
-    section.allow_only(&["source", "sensor", "warmup", "temperature"])?;
+/// The section; `input` is what `[inputs]` says of the displacement sensor.
+pub(super) fn read(section: &Section<'_>, input: Option<SensorInput>) -> Result<Spindle, BadInput> {
     let sources =
         [ElongationSource::Sensor, ElongationSource::Warmup, ElongationSource::Temperature]
             .map(|source| (source.name(), source));
     let spindle = Spindle {
         source: section.choice("source", &sources)?,
-        sensor: section.section("sensor")?.map(|model| read_sensor(&model)).transpose()?,
+        sensor: section.section("sensor")?.map(|model| read_sensor(&model, input)).transpose()?,
         warmup: section.section("warmup")?.map(|model| read_warmup(&model)).transpose()?,
         temperature: section
             .section("temperature")?
@@ -128,23 +128,35 @@ pub(super) fn read(section: &Section<'_>) -> Result<Spindle, BadInput> {
     Ok(spindle)
 }
 
-fn read_sensor(section: &Section<'_>) -> Result<SensorModel, BadInput> {
-    section.allow_only(&["k0_um", "zero_counts", "um_per_count", "temperature"])?;
-    let number = |key| section.required(key, section.number(key)?);
-    let k0_um = number("k0_um")?;
-    let zero_counts = number("zero_counts")?;
-    let um_per_count = number("um_per_count")?;
+fn read_sensor(section: &Section<'_>, input: Option<SensorInput>) -> Result<SensorModel, BadInput> {
+    let k0_um = section.required("k0_um", section.number("k0_um")?)?;
+    let counts_per_v = input.map(|input| input.counts_full_scale / input.volts_full_scale);
+    let either =
+        |counts: &str, volts: &str, in_counts: fn(f64, f64) -> f64| match (
+            section.number(counts)?,
+            section.number(volts)?,
+        ) {
+            (Some(_), Some(_)) => {
+                Err(section.bad(volts, format!("stands beside {counts}: write one of the two")))
+            }
+            (None, Some(value)) => match counts_per_v {
+                Some(counts_per_v) => Ok((in_counts(value, counts_per_v), volts.to_string())),
+                None => Err(section
+                    .bad(volts, "needs [inputs] sensor, which says how many counts a volt is")),
+            },
+            (value, None) => Ok((section.required(counts, value)?, counts.to_string())),
+        };
+    let (zero_counts, _) = either("zero_counts", "zero_v", |v, counts_per_v| v * counts_per_v)?;
+    let (um_per_count, key) =
+        either("um_per_count", "um_per_v", |um_per_v, counts_per_v| um_per_v / counts_per_v)?;
     if um_per_count == 0.0 {
-        return Err(section.bad("um_per_count", "must not be 0"));
+        return Err(section.bad(&key, "must not be 0"));
     }
     let temperature = read_temperature_column(section, "temperature")?;
     Ok(SensorModel { k0_um, zero_counts, um_per_count, temperature })
 }
 
 fn read_warmup(section: &Section<'_>) -> Result<Warmup, BadInput> {
-    let required = ["lag_s", "warm_s", "max_um", "exponent"];
-    let optional = ["cool_s", "rated_rpm", "speed_exponent"];
-    section.allow_only(&[&required[..], &optional[..]].concat())?;
     let warmup = Warmup {
         lag_s: section.required("lag_s", section.not_negative("lag_s")?)?,
         warm_s: section.required("warm_s", section.positive("warm_s")?)?,
@@ -169,7 +181,6 @@ fn read_warmup(section: &Section<'_>) -> Result<Warmup, BadInput> {
 }
 
 fn read_temperature(section: &Section<'_>) -> Result<TemperatureModel, BadInput> {
-    section.allow_only(&["sensor", "reference_c", "k_um_per_c", "lag_s"])?;
     let number = |key| section.required(key, section.number(key)?);
     Ok(TemperatureModel {
         sensor: section.required("sensor", read_temperature_column(section, "sensor")?)?,

@@ -147,11 +147,9 @@ impl BSpline {
 
 pub(super) fn read_straightness(section: &Section<'_>) -> Result<Vec<Straightness>, BadInput> {
     let names = Straightness::PAIRS.map(pair_name);
-    section.allow_only(&names.each_ref().map(String::as_str))?;
     let mut curves = Vec::new();
     for ((error, along), name) in Straightness::PAIRS.into_iter().zip(&names) {
         if let Some(section) = section.section(name)? {
-            section.allow_only(&["order", "knots_mm", CONTROL])?;
             curves.push(Straightness { error, along, spline: read_spline(&section, CONTROL)? });
         }
     }
@@ -181,7 +179,6 @@ pub(super) fn read_squareness(section: &Section<'_>) -> Result<Vec<Squareness>, 
     let all = Straightness::PAIRS
         .map(|(error, along)| Squareness { error, along, um_per_m: 0.0 })
         .map(|angle| (angle.name(), angle));
-    section.allow_only(&all.each_ref().map(|(name, _)| name.as_str()))?;
     let mut angles = Vec::new();
     for (name, angle) in all {
         if let Some(um_per_m) = section.number(&name)? {

@@ -8,7 +8,6 @@ pub(super) const COLD_WITHIN_C: f64 = 0.5;
 
 /// Thermometers that agree within this in °C belong to a cold machine; at least 0.
 pub(super) fn read(section: &Section<'_>) -> Result<f64, BadInput> {
-    section.allow_only(&["cold_within_c"])?;
     section.required("cold_within_c", section.not_negative("cold_within_c")?)
 }
 

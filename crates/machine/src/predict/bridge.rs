@@ -28,7 +28,7 @@ pub(super) struct Bridge {
     pub(super) input: Option<SensorInput>,
     /// The temperature column of each channel.
     channels: [Option<String>; CHANNELS],
-    compiled: Compiled,
+    pub(super) compiled: Compiled,
 }
 
 impl Bridge {

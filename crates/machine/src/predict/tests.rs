@@ -125,3 +125,25 @@ fn what_cannot_be_predicted_is_refused_with_its_place() {
         assert!(error.starts_with(complaint), "{error}");
     }
 }
+
+#[test]
+fn a_row_that_the_boards_numbers_cannot_hold_breaks_the_promise_and_one_between_its_steps_does_not()
+{
+    let axis = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[axis.x.thermal]\nmode = \"position\"\n\
+                sensor = \"temp_a_c\"\nreference_c = 20\nslope_um_per_m_per_c = 11.5\nlag_s = 30\n";
+    let machine = MachineFile::parse(axis, Path::new("m.toml")).expect("a machine");
+    let written = |rows: &str| {
+        let text = format!("time_s,x_mm,temp_a_c\n{rows}");
+        let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
+        let predictor = Predictor::new(&machine, &run).expect("it can be predicted");
+        predictor.write(Vec::new(), || {}).expect("a Vec can be written")
+    };
+    // 8.4 m beyond what a sum of errors may be: 303 mm of growth.
+    let (row, nm) = written("0,0,20\n600,30000,900\n").broken_promise.expect("it is broken");
+    assert!(row == 1 && nm > 1e8, "{nm}");
+    assert_eq!(written("0,0,20\n600,9000,30\n1200,9000,25\n").broken_promise, None);
+    // 50 ms after a step of the board, while the temperature runs away.
+    let between = written("0,9000,20\n10,9000,20\n10.25,9000,40\n");
+    assert!(between.largest_difference_nm.expect("a bridge") > WIRE_STEP_NM, "{between:?}");
+    assert_eq!(between.broken_promise, None);
+}

@@ -1,0 +1,230 @@
+//! `trueup new`: a machine file to begin with, from flags or, on a terminal, from questions.
+
+use std::{
+    io::{IsTerminal as _, stdin, stdout},
+    path::PathBuf,
+};
+
+use anyhow::Result;
+use clap::{Args, ValueEnum};
+use serde_json::json;
+use trueup_machine::{
+    BadInput, MachineFile,
+    file::{Feedback, Kind, LinearAxis, RotaryAxis},
+    template::{Control, Sheet, Template},
+};
+
+use crate::{Outcome, UserError, output, questions, report};
+
+/// Writes a machine file to begin with: commented, and it compiles as it is.
+///
+/// On a terminal what no flag says is asked for; otherwise, or with --yes, the defaults are taken.
+#[derive(Args)]
+#[command(after_help = "Examples:
+  trueup new -o mill.toml
+  trueup new -o mill.toml --yes --name mill --travel x=0:600 --travel y=0:400 --travel z=-300:0 \\
+      --sensor-um-per-v 50 --sensor-zero-v 1.54 --thermometer screw --control siemens
+  trueup new -o - --yes --kind head-head --head-axes c,a      on standard output")]
+pub struct New {
+    /// Where to write the machine file; `-` is standard output. A file that is there is left alone.
+    #[arg(short, long, value_name = "M.toml")]
+    output: PathBuf,
+    /// The machine's name.
+    #[arg(short, long)]
+    name: Option<String>,
+    /// Which rotary axes carry the tool (head) and which the workpiece (table).
+    #[arg(short, long, value_enum)]
+    kind: Option<KindName>,
+    /// The rotary axes that carry the spindle, from the frame to the tool: c,a.
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "AXES")]
+    head_axes: Option<Vec<RotaryName>>,
+    /// An axis and the ends of its travel in mm, once for each: x=0:600.
+    #[arg(short, long, value_name = "AXIS=FROM:TO", value_parser = travel, allow_hyphen_values = true)]
+    travel: Vec<(LinearAxis, [f64; 2])>,
+    /// Where the positions are measured.
+    #[arg(long, value_enum)]
+    feedback: Option<FeedbackName>,
+    /// The rapid traverse in mm/min.
+    #[arg(long, value_name = "MM_PER_MIN", value_parser = above_zero)]
+    rapid: Option<f64>,
+    /// The displacement sensor's µm for one volt, from its data sheet; without it there is none.
+    #[arg(long, value_name = "UM", value_parser = not_zero, allow_hyphen_values = true)]
+    sensor_um_per_v: Option<f64>,
+    /// What a voltmeter shows at the sensor when the machine is cold, in V; by default half of its range.
+    #[arg(long, value_name = "V", value_parser = questions::finite)]
+    sensor_zero_v: Option<f64>,
+    /// The sensor's output at the end of its range, in V; by default 10.
+    #[arg(long, value_name = "V", value_parser = above_zero)]
+    sensor_volts: Option<f64>,
+    /// A PT100 and where it is, once for each: screw.
+    #[arg(long, value_name = "WHERE", value_parser = questions::word)]
+    thermometer: Vec<String>,
+    /// The control that gets the offsets.
+    #[arg(short, long, value_enum)]
+    control: Option<ControlName>,
+    /// Ask nothing.
+    #[arg(short, long)]
+    yes: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum KindName {
+    #[value(name = "3-axis")]
+    ThreeAxis,
+    HeadHead,
+    HeadTable,
+    TableTable,
+}
+
+impl KindName {
+    fn kind(self) -> Kind {
+        match self {
+            Self::ThreeAxis => Kind::ThreeAxis,
+            Self::HeadHead => Kind::HeadHead,
+            Self::HeadTable => Kind::HeadTable,
+            Self::TableTable => Kind::TableTable,
+        }
+    }
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum RotaryName {
+    A,
+    B,
+    C,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum FeedbackName {
+    Screw,
+    Scale,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ControlName {
+    #[value(name = "linuxcnc")]
+    LinuxCnc,
+    Siemens,
+    Fanuc,
+    Heidenhain,
+}
+
+fn above_zero(text: &str) -> Result<f64, String> {
+    questions::finite(text)
+        .and_then(|value| if value > 0.0 { Ok(value) } else { Err("must be above 0".into()) })
+}
+
+fn not_zero(text: &str) -> Result<f64, String> {
+    questions::finite(text)
+        .and_then(|value| if value != 0.0 { Ok(value) } else { Err("must not be 0".into()) })
+}
+
+fn travel(text: &str) -> Result<(LinearAxis, [f64; 2]), String> {
+    let (axis, range) = text.split_once('=').ok_or("must be an axis and its ends: x=0:600")?;
+    let axis = LinearAxis::ALL.into_iter().find(|it| it.name() == axis.trim().to_lowercase());
+    Ok((axis.ok_or("the axis must be x, y or z")?, questions::ends(range)?))
+}
+
+/// Writes the file.
+pub fn run(args: &New, as_json: bool) -> Result<Outcome> {
+    let asks = !args.yes && !as_json && stdin().is_terminal() && stdout().is_terminal();
+    let template = match (by_flags(args)?, asks) {
+        (template, true) => questions::ask(template, &said(args))?,
+        (template, false) => template,
+    };
+    let is_stdout = output::is_standard_output(&args.output);
+    let name = if is_stdout { "machine.toml".into() } else { args.output.to_string_lossy() };
+    let text = template.to_toml(&name);
+    // What cannot be, and no flag alone could tell: a head with three axes, two thermometers of a name.
+    MachineFile::parse(&text, &args.output).map_err(|BadInput { rule, .. }| UserError(rule))?;
+    if !is_stdout && args.output.exists() {
+        return Err(UserError(format!(
+            "{}: is there already, and is left alone",
+            args.output.display()
+        ))
+        .into());
+    }
+    output::write_whole(&args.output, &[], |out| out.write_all(text.as_bytes()))?;
+    if as_json {
+        output::print(json!({"output": name, "machine": template.name}))?;
+    } else {
+        output::print(format_args!("{name}: written; its last lines say what comes next"))?;
+    }
+    if template.axes.is_empty() {
+        report::warn("no axis was named: write [axis.x] with its travel_mm before you measure");
+    }
+    Ok(Outcome::Done)
+}
+
+/// What needs no question.
+fn said(args: &New) -> questions::Said {
+    questions::Said {
+        name: args.name.is_some(),
+        kind: args.kind.is_some(),
+        axes: !args.travel.is_empty(),
+        feedback: args.feedback.is_some(),
+        rapid: args.rapid.is_some(),
+        sensor: args.sensor_um_per_v.is_some(),
+        thermometers: !args.thermometer.is_empty(),
+        control: args.control.is_some(),
+    }
+}
+
+fn by_flags(args: &New) -> Result<Template, UserError> {
+    let kind = args.kind.unwrap_or(KindName::ThreeAxis).kind();
+    let mut axes = args.travel.clone();
+    axes.sort_by_key(|(axis, _)| *axis);
+    if let Some(pair) = axes.windows(2).find(|pair| pair[0].0 == pair[1].0) {
+        return Err(UserError(format!("--travel {} is given twice", pair[0].0.name())));
+    }
+    let twice = |name: &&String| args.thermometer.iter().filter(|it| it == name).count() > 1;
+    if let Some(name) = args.thermometer.iter().find(twice) {
+        return Err(UserError(format!("--thermometer {name} is given twice")));
+    }
+    Ok(Template {
+        name: args.name.clone().unwrap_or_else(|| "machine".into()),
+        kind,
+        head_axes: head_axes(args.head_axes.as_deref(), kind),
+        axes,
+        feedback: feedback(args),
+        rapid_mm_per_min: args.rapid,
+        sensor: args.sensor_um_per_v.map(|um_per_v| sheet(args, um_per_v)),
+        thermometers: args.thermometer.clone(),
+        control: control(args),
+    })
+}
+
+/// The axes of the head, by default those of the usual machine of its kind.
+fn head_axes(names: Option<&[RotaryName]>, kind: Kind) -> Vec<RotaryAxis> {
+    let rotary = |name: &RotaryName| match name {
+        RotaryName::A => RotaryAxis::A,
+        RotaryName::B => RotaryAxis::B,
+        RotaryName::C => RotaryAxis::C,
+    };
+    match names {
+        Some(names) => names.iter().map(rotary).collect(),
+        None => questions::usual_head(kind),
+    }
+}
+
+fn feedback(args: &New) -> Feedback {
+    match args.feedback {
+        Some(FeedbackName::Scale) => Feedback::Scale,
+        Some(FeedbackName::Screw) | None => Feedback::Screw,
+    }
+}
+
+fn sheet(args: &New, um_per_v: f64) -> Sheet {
+    let volts_full_scale = args.sensor_volts.unwrap_or(10.0);
+    let zero_v = args.sensor_zero_v.unwrap_or(volts_full_scale / 2.0);
+    Sheet { volts_full_scale, um_per_v, zero_v }
+}
+
+fn control(args: &New) -> Control {
+    match args.control {
+        Some(ControlName::Siemens) => Control::Siemens,
+        Some(ControlName::Fanuc) => Control::Fanuc,
+        Some(ControlName::Heidenhain) => Control::Heidenhain,
+        Some(ControlName::LinuxCnc) | None => Control::LinuxCnc,
+    }
+}

@@ -1,0 +1,77 @@
+//! `trueup new` and `trueup schema`, and a result on standard output.
+
+mod desk;
+
+use desk::Desk;
+
+#[test]
+fn a_new_file_compiles_and_nothing_in_it_is_doubted() {
+    let desk = Desk::new(&[]);
+    let line = "new -o m.toml --yes --name mill --travel x=0:600 --travel z=-300:0 --rapid 15000 \
+                --sensor-um-per-v 50 --sensor-zero-v 1.54 --thermometer screw --control siemens";
+    let (out, err) = desk.said(line, 0);
+    assert!(out.starts_with("m.toml: written") && err.is_empty(), "{out}{err}");
+    let text = desk.text("m.toml");
+    for phrase in [
+        "zero_v = 1.54 #",
+        "counts_full_scale = 27648, divider = 0.328",
+        "travel_mm = [-300.0, 0.0]",
+    ] {
+        assert!(text.contains(phrase), "{phrase}: {text}");
+    }
+    assert_eq!(desk.said("check m.toml", 0).1, "");
+    assert_eq!(desk.said("compile m.toml -o m.bin", 0).1, "");
+    // It is the user's from now on.
+    let (_, err) = desk.said(line, 2);
+    assert!(err.contains("m.toml: is there already"), "{err}");
+    assert_eq!(desk.text("m.toml"), text);
+}
+
+#[test]
+fn without_a_terminal_nothing_is_asked_and_a_dash_is_standard_output() {
+    let desk = Desk::new(&[]);
+    let (text, err) = desk.said("new -o - --kind head-head --head-axes c,a --travel x=0:600", 0);
+    assert!(text.starts_with("# What is known of this machine."), "{text}");
+    assert!(err.contains("machine.toml: written"), "{err}");
+    desk.write("m.toml", &text);
+    let (toml, err) = desk.said("compile m.toml -o c.bin", 0);
+    assert!(
+        toml.contains("calibration of \"machine\"") && err.contains("corrects nothing"),
+        "{toml}{err}"
+    );
+    let blob = desk.trueup("compile m.toml -o -");
+    assert_eq!(blob.stdout, desk.read("c.bin"), "the calibration and nothing else");
+    assert!(desk.files(".").iter().all(|name| name != "-"));
+}
+
+#[test]
+fn what_the_flags_contradict_is_refused() {
+    let desk = Desk::new(&[]);
+    for (flags, phrase) in [
+        ("--kind head-head --head-axes c", "must name exactly two"),
+        ("--travel x=0:6 --travel x=0:7", "--travel x is given twice"),
+        ("--travel x=6:0", "the lower end stands first"),
+        ("--travel w=0:6", "the axis must be x, y or z"),
+        ("--sensor-um-per-v 0", "must not be 0"),
+        ("--thermometer a --thermometer a", "--thermometer a is given twice"),
+        ("--thermometer a-b", "must be a word"),
+    ] {
+        let (_, err) = desk.said(&format!("new -o m.toml --yes {flags}"), 2);
+        assert!(err.contains(phrase), "{flags}: {err}");
+    }
+    assert!(desk.files(".").is_empty());
+}
+
+#[test]
+fn the_schema_and_the_columns_are_json_and_markdown() {
+    let desk = Desk::new(&[]);
+    let json = |line: &str| -> serde_json::Value {
+        serde_json::from_str(&desk.said(line, 0).0).expect("JSON")
+    };
+    let schema = json("schema");
+    assert_eq!(schema["$schema"], "https://json-schema.org/draft/2020-12/schema");
+    assert_eq!(schema["properties"]["limits"]["properties"]["hold_ms"]["default"], 2000);
+    assert!(json("schema run").as_array().is_some_and(|columns| columns.len() > 20));
+    assert!(desk.said("schema --markdown", 0).0.starts_with("| key | unit | range |"));
+    assert!(desk.said("schema run --markdown", 0).0.starts_with("| column | unit | what |"));
+}

@@ -1,0 +1,84 @@
+//! The file held against the table of keys: everything that is unknown, missing, of the wrong type or
+//! outside its range, all of it at once.
+
+use std::collections::BTreeSet;
+
+use super::{
+    inputs::{is_temperature_column, read_temperature_column},
+    keys::{Form, Key, Need},
+    read::Section,
+};
+use crate::location::BadInput;
+
+/// What is wrong with the keys of `section`, in no order.
+pub(super) fn faults(section: &Section<'_>, keys: &'static [Key]) -> Vec<BadInput> {
+    let mut faults = Vec::new();
+    let names: Vec<&str> = keys.iter().map(|key| key.name).collect();
+    for name in section.keys() {
+        match keys.iter().find(|key| is_named(key, name)) {
+            Some(key) => of_value(section, name, key, &mut faults),
+            None => faults.push(unknown(section, name, &names)),
+        }
+    }
+    // A misspelt key would be reported as a missing one too.
+    if section.keys().iter().any(|name| !keys.iter().any(|key| is_named(key, name))) {
+        return faults;
+    }
+    let there: BTreeSet<&str> = section.keys().into_iter().collect();
+    for key in keys.iter().filter(|key| key.need == Need::Required) {
+        if !there.contains(key.name) {
+            let missing = section.required::<()>(key.name, None);
+            let help = format!("{}: {}", key.name, key.meaning);
+            faults.extend(missing.err().map(|error| error.with_help(with_example(help, key))));
+        }
+    }
+    faults
+}
+
+fn unknown(section: &Section<'_>, name: &str, names: &[&str]) -> BadInput {
+    let mut error = section.unknown(name, names.iter().copied());
+    if names.contains(&"temp_<name>_c") {
+        error.rule.push_str("; the inputs are sensor and temp_<name>_c");
+    }
+    error.with_help(format!("the keys here are {}", names.join(", ")))
+}
+
+fn is_named(key: &Key, name: &str) -> bool {
+    if key.name.contains('<') { is_temperature_column(name) } else { key.name == name }
+}
+
+fn with_example(help: String, key: &Key) -> String {
+    match key.example {
+        "" => help,
+        example => format!("{help}, as in {} = {example}", key.name),
+    }
+}
+
+fn of_value(section: &Section<'_>, name: &str, key: &Key, faults: &mut Vec<BadInput>) {
+    let result = match key.form {
+        Form::Text => section.text(name).map(drop),
+        Form::Column => read_temperature_column(section, name).map(drop),
+        Form::Choice(choices) => {
+            let choices: Vec<(&str, ())> = choices.iter().map(|choice| (*choice, ())).collect();
+            section.choice(name, &choices).map(drop)
+        }
+        Form::Choices(_) => section.texts(name).map(drop),
+        Form::Number => section.number(name).map(drop),
+        Form::Positive => section.positive(name).map(drop),
+        Form::NotNegative => section.not_negative(name).map(drop),
+        // The order of a spline has a rule of its own, with the reason.
+        Form::Whole(..) if name == "order" => section.whole(name, 0, u32::MAX).map(drop),
+        Form::Whole(least, most) => section.whole(name, least, most).map(drop),
+        Form::Numbers => section.numbers(name).map(drop),
+        Form::NumberOrNumbers => section.number_or_numbers(name).map(drop),
+        Form::Vector => section.vector(name).map(drop),
+        Form::Rows => section.rows(name).map(drop),
+        Form::Terms => section.sections(name).map(drop),
+        Form::Table(keys) => section.section(name).map(|inner| {
+            faults.extend(inner.iter().flat_map(|inner| self::faults(inner, keys)));
+        }),
+    };
+    let unit = if key.unit.is_empty() { String::new() } else { format!(" ({})", key.unit) };
+    let help = with_example(format!("{}{unit}: {}", key.name, key.meaning), key);
+    faults.extend(result.err().map(|error| error.with_help(help)));
+}

@@ -1,0 +1,239 @@
+//! Every key of the machine file and every column of a run, from the tables that the readers use: as a JSON
+//! schema (draft 2020-12) for editors, and as the tables of `docs/reference.md`.
+
+use std::path::Path;
+
+use serde_json::{Map, Value, json};
+
+use crate::{
+    effect::Cause,
+    file::{
+        keys::{FILE, Form, Key, Need, TERM, TERM_KEYS},
+        read::{Document, MOST_ELEMENTS},
+    },
+    run_file::KNOWN_COLUMNS,
+};
+
+/// The machine file as a JSON schema.
+#[must_use]
+pub fn machine_file() -> Value {
+    let mut schema = table(FILE);
+    let head = [
+        ("$schema", "https://json-schema.org/draft/2020-12/schema"),
+        ("title", "Machine file of trueup"),
+        (
+            "description",
+            "What is believed about a machine tool. What is missing is not part of it.",
+        ),
+    ];
+    if let Some(map) = schema.as_object_mut() {
+        map.extend(head.map(|(key, text)| (key.to_string(), text.into())));
+    }
+    schema
+}
+
+/// The columns of a run that are known, each with its unit and meaning.
+#[must_use]
+pub fn run_columns() -> Value {
+    let column = |it: &crate::run_file::KnownColumn| json!({"name": it.name, "unit": it.unit, "description": plain(it.meaning)});
+    KNOWN_COLUMNS.iter().map(column).collect()
+}
+
+/// A meaning without the marks of Markdown.
+fn plain(meaning: &str) -> String {
+    meaning.replace('`', "")
+}
+
+fn table(keys: &[Key]) -> Value {
+    let (mut properties, mut patterns) = (Map::new(), Map::new());
+    for key in keys {
+        match key.name.split_once("<name>") {
+            None => properties.insert(key.name.into(), value(key)),
+            Some((before, after)) => patterns.insert(format!("^{before}.+{after}$"), value(key)),
+        };
+    }
+    let required = keys.iter().filter(|key| key.need == Need::Required).map(|key| key.name);
+    let required: Vec<&str> = required.collect();
+    let mut table = json!({
+        "type": "object", "properties": properties, "additionalProperties": false,
+    });
+    if !patterns.is_empty() {
+        table["patternProperties"] = patterns.into();
+    }
+    if !required.is_empty() {
+        table["required"] = required.into();
+    }
+    table
+}
+
+fn value(key: &Key) -> Value {
+    let numbers = json!({
+        "type": "array", "items": {"type": "number"}, "minItems": 1, "maxItems": MOST_ELEMENTS,
+    });
+    let three = json!({"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3});
+    let mut schema = match key.form {
+        Form::Text => json!({"type": "string"}),
+        Form::Choice(choices) => json!({"enum": choices}),
+        Form::Choices(choices) => {
+            json!({"type": "array", "items": {"enum": choices}, "maxItems": 2})
+        }
+        Form::Column => json!({"type": "string", "pattern": "^temp_.+_c$"}),
+        Form::Number => json!({"type": "number"}),
+        Form::Positive => json!({"type": "number", "exclusiveMinimum": 0}),
+        Form::NotNegative => json!({"type": "number", "minimum": 0}),
+        Form::Whole(least, most) => json!({"type": "integer", "minimum": least, "maximum": most}),
+        Form::Numbers => numbers,
+        Form::NumberOrNumbers => json!({"anyOf": [{"type": "number"}, numbers]}),
+        Form::Vector => three,
+        Form::Rows => json!({
+            "type": "array", "items": three, "minItems": 1, "maxItems": MOST_ELEMENTS,
+        }),
+        Form::Table(keys) => table(keys),
+        Form::Terms => json!({"type": "array", "items": term()}),
+    };
+    let unit = if key.unit.is_empty() { String::new() } else { format!(" ({})", key.unit) };
+    schema["description"] = format!("{}{unit}", plain(key.meaning)).into();
+    // TOML's strings, numbers and arrays of them are JSON as well.
+    let json_of = |toml: &str| serde_json::from_str::<Value>(toml).ok();
+    if let Need::Default(default) = key.need
+        && let Some(default) = json_of(default)
+    {
+        schema["default"] = default;
+    }
+    if let Some(example) = json_of(key.example) {
+        schema["examples"] = json!([example]);
+    }
+    schema
+}
+
+/// A term: the keys that all have, and those of its cause.
+fn term() -> Value {
+    let causes: Vec<Value> = Cause::ALL
+        .iter()
+        .map(|cause| {
+            let common = TERM.iter().map(|key| key.name);
+            let names: Vec<&str> = common.chain(keys_of(*cause)).collect();
+            json!({
+                "if": {"properties": {"cause": {"const": cause.name()}}},
+                "then": {"propertyNames": {"enum": names}},
+            })
+        })
+        .collect();
+    let mut schema = table(&[TERM, TERM_KEYS].concat());
+    let names: Vec<&str> = Cause::ALL.iter().map(|cause| cause.name()).collect();
+    schema["properties"]["cause"] = json!({"enum": names, "description": "the cause's name"});
+    schema["allOf"] = causes.into();
+    schema
+}
+
+/// The keys of a cause besides those that all have: which of them go together depends on what stands
+/// there, so that the page is asked beside each of them.
+#[must_use]
+pub fn keys_of(cause: Cause) -> Vec<&'static str> {
+    let mut names: Vec<&'static str> = Vec::new();
+    for beside in [""].into_iter().chain(TERM_KEYS.iter().map(|key| key.name)) {
+        let text = if beside.is_empty() { "[t]\n".into() } else { format!("[t]\n{beside} = 1\n") };
+        let Ok(document) = Document::parse(&text, Path::new("")) else { continue };
+        let Ok(Some(section)) = document.root().section("t") else { continue };
+        for name in cause.keys(&section) {
+            if !names.contains(name) {
+                names.push(name);
+            }
+        }
+    }
+    names
+}
+
+/// The machine file's keys as a table of Markdown.
+#[must_use]
+pub fn machine_table() -> String {
+    let mut rows =
+        "| key | unit | range | default | what | for example |\n|---|---|---|---|---|---|\n"
+            .to_string();
+    rows_of(FILE, "", &mut rows);
+    rows
+}
+
+/// The rows of a section and of those in it. What is there several times alike is there once.
+fn rows_of(keys: &[Key], section: &str, rows: &mut String) {
+    let is_table = |key: &&Key| matches!(key.form, Form::Table(_));
+    for key in keys.iter().filter(|key| !is_table(key)) {
+        if matches!(key.form, Form::Terms) {
+            rows.push_str(&format!(
+                "| `[[{}]]` | | | | {}, see below | |\n",
+                key.name, key.meaning
+            ));
+            continue;
+        }
+        let default = match key.need {
+            Need::Required => "needed".into(),
+            Need::Optional => String::new(),
+            Need::Default(default) => format!("`{default}`"),
+        };
+        rows.push_str(&format!(
+            "| `{}` | {} | {} | {default} | {} | {} |\n",
+            key.name,
+            key.unit,
+            range(key),
+            key.meaning,
+            if matches!(key.need, Need::Default(_)) {
+                String::new()
+            } else {
+                format!("`{}`", key.example)
+            },
+        ));
+    }
+    let mut seen: Vec<(*const Key, String)> = Vec::new();
+    for key in keys.iter().filter(is_table) {
+        let Form::Table(inner) = key.form else { continue };
+        let name = if section.is_empty() {
+            key.name.to_string()
+        } else {
+            format!("{section}.{}", key.name)
+        };
+        let alike = seen.iter().find(|(first, _)| *first == inner.as_ptr());
+        let as_there = alike.map(|(_, first)| format!("; keys as in `[{first}]`"));
+        // The second drive's table is that of the first.
+        let of_drive = (key.name == "pitch" && section.ends_with("dual"))
+            .then(|| "; keys as in `[axis.x.pitch]`".to_string());
+        let elsewhere = as_there.or(of_drive);
+        rows.push_str(&format!(
+            "| **`[{name}]`** | | | | {}{} | |\n",
+            key.meaning,
+            elsewhere.as_deref().unwrap_or_default()
+        ));
+        if elsewhere.is_none() {
+            rows_of(inner, &name, rows);
+        }
+        seen.push((inner.as_ptr(), name));
+    }
+}
+
+fn range(key: &Key) -> String {
+    let listed = |choices: &[&str]| {
+        choices.iter().map(|choice| format!("`\"{choice}\"`")).collect::<Vec<_>>().join(", ")
+    };
+    match key.form {
+        Form::Choice(choices) | Form::Choices(choices) => listed(choices),
+        Form::Positive => "above 0".into(),
+        Form::NotNegative => "from 0".into(),
+        Form::Whole(least, u32::MAX) => format!("whole, from {least}"),
+        Form::Whole(least, most) => format!("whole, {least} to {most}"),
+        Form::Numbers => format!("1 to {MOST_ELEMENTS} numbers"),
+        Form::Rows => format!("1 to {MOST_ELEMENTS} rows"),
+        Form::Vector => "three numbers".into(),
+        Form::Column => "`temp_<name>_c`".into(),
+        Form::Text => "text".into(),
+        _ => String::new(),
+    }
+}
+
+/// The known columns of a run as a table of Markdown.
+#[must_use]
+pub fn run_table() -> String {
+    let mut rows = "| column | unit | what |\n|---|---|---|\n".to_string();
+    for column in KNOWN_COLUMNS {
+        rows.push_str(&format!("| `{}` | {} | {} |\n", column.name, column.unit, column.meaning));
+    }
+    rows
+}
