@@ -2,7 +2,8 @@
 //! tree. Where they are missing, or older than what they are built from, `cargo xtask images` builds
 //! them; where that cannot be, the tool comes without them, and says so when they are asked for.
 //!
-//! `TRUEUP_WITHOUT_FIRMWARE=1` leaves them out. A build for tests carries nothing.
+//! `TRUEUP_FIRMWARE=0` leaves them out. A build for tests carries nothing, unless `TRUEUP_FIRMWARE=1` says
+//! that it takes what `cargo xtask images` has built before.
 
 use std::{
     env, fs,
@@ -29,22 +30,28 @@ const SOURCES: [&str; 13] = [
     "crates/pipe/src",
     "crates/store/src",
 ];
-const LEFT_OUT: &str = "TRUEUP_WITHOUT_FIRMWARE";
+const CARRIED: &str = "TRUEUP_FIRMWARE";
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
-    println!("cargo:rerun-if-env-changed={LEFT_OUT}");
+    println!("cargo:rerun-if-env-changed={CARRIED}");
     let package = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").expect("cargo sets it"));
     let root = package.join("../..");
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets it"));
     let is_release = env::var("PROFILE").is_ok_and(|profile| profile == "release");
-    let carried = is_release && env::var_os(LEFT_OUT).is_none();
+    let carried = match env::var(CARRIED).as_deref() {
+        Ok("0") => false,
+        Ok("1") => true,
+        _ => is_release,
+    };
     let folder = root.join("target/carried");
     if carried {
         for source in SOURCES {
             println!("cargo:rerun-if-changed={}", root.join(source).display());
         }
-        if !is_fresh(&root, &folder) {
+        // A build for tests stands in the folder that the project's own command is built in, and would
+        // wait for itself.
+        if is_release && !is_fresh(&root, &folder) {
             build(&root);
         }
     }

@@ -15,7 +15,7 @@ use anyhow::{Context as _, Result, bail};
 use clap::{Args, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use trueup_checks::{
-    book, campaign, structure,
+    book, campaign, debian, structure,
     verify::{self, Tier},
 };
 use trueup_demo::{
@@ -108,6 +108,8 @@ enum Command {
     },
     /// Counts circles of files, long files, and places that name one cause; fails above the limits.
     Structure,
+    /// Makes the Debian package of the host tool, in target/debian.
+    Deb,
     /// Makes web pages of the book, docs/book, in target/book.
     Book,
     /// Gets what this machine lacks: target, QEMU, Python clients.
@@ -210,6 +212,7 @@ fn main() -> ExitCode {
         Command::Mutants { draw, seed } => campaign::mutants(draw, seed),
         Command::Soak { ticks, seed } => campaign::soak(ticks, seed),
         Command::Structure => structure::check(&setup::root()).map(|report| print!("{report}")),
+        Command::Deb => debian::package().map(|package| println!("{}", package.display())),
         Command::Book => book::render().map(|page| println!("{}", page.display())),
         Command::Setup => setup::everything(),
     };

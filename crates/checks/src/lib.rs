@@ -3,13 +3,14 @@
 //!
 //! ```text
 //!  verify ─► structure, supply_chain, test_run ─► tally
-//!  campaign: soak      book: the manual, and the links of all documents
+//!  campaign: soak      book: the manual, and the links of all documents      debian: the package
 //! ```
 #![forbid(unsafe_code)]
 
 pub mod book;
 pub mod campaign;
 mod cargo;
+pub mod debian;
 pub mod structure;
 mod supply_chain;
 mod tally;
