@@ -15,6 +15,7 @@ mod accept;
 mod bridge;
 mod carried;
 mod check;
+mod commission;
 mod compare;
 mod compile;
 mod diagnose;
@@ -75,6 +76,7 @@ enum Command {
     /// Turns a machine file into the calibration that the bridge stores.
     Compile(compile::Compile),
     Check(check::Check),
+    Commission(commission::Commission),
     Compare(compare::Compare),
     Accept(accept::Accept),
     Diagnose(diagnose::Diagnose),
@@ -162,6 +164,7 @@ fn run(cli: &Cli) -> Result<Outcome> {
         Command::Predict(args) => predict::run(args, cli.json),
         Command::Compile(args) => compile::run(args, cli.json),
         Command::Check(args) => check::run(args, cli.json),
+        Command::Commission(args) => commission::run(args, cli.json),
         Command::Compare(args) => compare::run(args, cli.json),
         Command::Accept(args) => accept::run(args, cli.json),
         Command::Diagnose(args) => diagnose::run(args, cli.json),

@@ -170,7 +170,7 @@ fn a_serial_device_is_monitored_like_a_port() {
     drop(theirs);
     let heard = Arc::new(Mutex::new(ReceivedBytes::default()));
     let told = heard.clone();
-    thread::spawn(move || live(Tty(ours), Fault::None, true, &told));
+    thread::spawn(move || live(Tty(ours), Fault::None, || true, &told));
     let (out, _) = monitor(&device, "1 --json", 0);
     assert_eq!(json_lines(&out)[0]["quality_word"], "live");
     assert_eq!(heard.lock().expect("nobody panics with it").frames, 0);

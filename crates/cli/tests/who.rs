@@ -123,7 +123,7 @@ fn a_serial_device_that_another_program_has_is_busy() {
     let device = theirs.name().expect("a pseudo terminal has a name");
     drop(theirs);
     let told = Arc::new(Mutex::new(wire::ReceivedBytes::default()));
-    std::thread::spawn(move || pretended::live(pretended::Tty(ours), Fault::None, true, &told));
+    std::thread::spawn(move || pretended::live(pretended::Tty(ours), Fault::None, || true, &told));
     let desk = Desk::new(&[]);
     let line = format!("bridge monitor --port {device}");
     let mut first = Terminal::start(&desk, &line, (80, 24), true);

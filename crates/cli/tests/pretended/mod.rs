@@ -53,15 +53,26 @@ pub fn bridge(fault: Fault) -> (String, Arc<Mutex<ReceivedBytes>>) {
 }
 
 pub fn bridge_with(fault: Fault, engage: bool) -> (String, Arc<Mutex<ReceivedBytes>>) {
-    listening(fault, engage, false)
+    listening(fault, move || engage, false)
 }
 
 /// The same for one tool after the other.
 pub fn bridge_many(fault: Fault, engage: bool) -> (String, Arc<Mutex<ReceivedBytes>>) {
-    listening(fault, engage, true)
+    listening(fault, move || engage, true)
 }
 
-fn listening(fault: Fault, engage: bool, many: bool) -> (String, Arc<Mutex<ReceivedBytes>>) {
+/// The same, engaged when its CNC says so.
+pub fn bridge_steered(
+    is_engaged: impl Fn() -> bool + Send + 'static,
+) -> (String, Arc<Mutex<ReceivedBytes>>) {
+    listening(Fault::None, is_engaged, true)
+}
+
+fn listening(
+    fault: Fault,
+    is_engaged: impl Fn() -> bool + Send + 'static,
+    many: bool,
+) -> (String, Arc<Mutex<ReceivedBytes>>) {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = format!("tcp:{}", listener.local_addr().expect("bound above"));
     let heard = Arc::new(Mutex::new(ReceivedBytes::default()));
@@ -71,9 +82,9 @@ fn listening(fault: Fault, engage: bool, many: bool) -> (String, Arc<Mutex<Recei
         stream.set_nonblocking(true).expect("a plain socket");
         if many {
             listener.set_nonblocking(true).expect("a plain socket");
-            live(Tools { listener, stream: Some(stream) }, fault, engage, &told);
+            live(Tools { listener, stream: Some(stream) }, fault, is_engaged, &told);
         } else {
-            live(stream, fault, engage, &told);
+            live(stream, fault, is_engaged, &told);
         }
     });
     (address, heard)
@@ -98,7 +109,7 @@ fn started(blob: &'static [u8]) -> (Node<'static>, Port) {
 pub fn live(
     mut stream: impl Read + Write,
     fault: Fault,
-    engage: bool,
+    is_engaged: impl Fn() -> bool,
     heard: &Mutex<ReceivedBytes>,
 ) {
     let compiled = paper();
@@ -146,6 +157,7 @@ pub fn live(
             control = 0;
         }
         if ms % 20 == 0 {
+            let engage = is_engaged();
             // As after every start: three times not engaged.
             let engaged =
                 Control { engage: engage && control >= 3, service: !engage, ..Control::REFERENCED };

@@ -1,0 +1,289 @@
+//! `trueup commission`: from a machine that stands to one that is corrected and accepted, step by step (seed
+//! 001, S1–S7), with a test of the sign before anything else.
+//!
+//! ```text
+//!  sign ─► program ─► off (measured) ─► fit ─► load ─► on (measured) ─► accept ─► done
+//!                        ▲                                               │ not enough
+//!                        └───────────────── the next round ◄─────────────┘
+//! ```
+//!
+//! Each step is a command of this tool, which the log repeats word by word, so that a colleague can do it by
+//! hand. What was done stands in `commission.json`: the same command goes on where it stopped.
+
+mod answers;
+mod journal;
+mod sign;
+mod watch;
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use anyhow::{Context as _, Result};
+use clap::{Args, Parser as _};
+use trueup_machine::{Machine, MachineFile, RunFile, file::ElongationSource};
+
+use self::{
+    answers::Answers,
+    journal::{Journal, Step},
+};
+use crate::{Cli, Outcome, UserError, files, output};
+
+/// Commissions a spindle: sign test, programs, measuring, fit, load, acceptance, as often as is needed.
+///
+/// It asks for what you measure, keeps every run, file and command in one folder, and goes on where it
+/// stopped when you give the same command again.
+/// Exit 3: it has stopped before the end: an answer is missing, the sign is wrong, or it is not accepted yet.
+#[derive(Args)]
+pub struct Commission {
+    /// The machine file; it is copied, and never changed.
+    #[arg(long, value_name = "M.toml")]
+    machine: PathBuf,
+    /// Where the bridge is: tcp:HOST:PORT, a serial device, or a CAN interface (can0).
+    #[arg(long, value_name = "PORT")]
+    port: String,
+    /// The control that runs the programs: linuxcnc, fanuc, siemens or heidenhain.
+    #[arg(long = "for", value_name = "CONTROL")]
+    control: String,
+    /// The folder for everything; made if it is not there.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// So much of the RMS error must be gone, in percent.
+    #[arg(long, value_name = "PERCENT", default_value_t = 90.0)]
+    require: f64,
+    /// The speed of the warm-up in r/min; left out, rated_rpm of the machine file.
+    #[arg(long, value_name = "R/MIN")]
+    rpm: Option<f64>,
+    /// How long the warm-up takes, in s; left out, 7200.
+    #[arg(long, value_name = "S")]
+    heat_s: Option<f64>,
+    /// The answers from here on, a line each, for whoever is not at the terminal.
+    #[arg(long, value_name = "FILE")]
+    readings: Option<PathBuf>,
+}
+
+/// Goes on from step to step.
+pub fn run(args: &Commission, as_json: bool) -> Result<Outcome> {
+    let text = MachineFile::read_text(&args.machine)?;
+    let machine = files::parsed(&text, &args.machine)?;
+    fs::create_dir_all(&args.out)
+        .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
+    let kept = args.out.join("machine.toml");
+    match fs::read_to_string(&kept) {
+        Ok(before) if before != text => {
+            return Err(UserError(format!(
+                "{}: was begun with another machine file; give another folder",
+                args.out.display()
+            ))
+            .into());
+        }
+        Ok(_) => {}
+        Err(_) => output::write_whole(&kept, &[], |out| out.write_all(text.as_bytes()))?,
+    }
+    let journal = Journal::open(&args.out)?;
+    let answers = Answers::of(args.readings.as_deref())?;
+    let mut work = Work { args, machine, journal, answers, as_json };
+    loop {
+        let step = work.journal.next;
+        if step == Step::Done {
+            output::print(format_args!("accepted; all of it is in {}", args.out.display()))?;
+            return Ok(Outcome::Done);
+        }
+        work.journal.log(&format!("round {}: {}", work.journal.round, step.title()))?;
+        match work.step(step)? {
+            Some(next) => work.journal.proceed(next)?,
+            None => {
+                output::print(format_args!(
+                    "stopped at \"{}\"; the same command goes on from here",
+                    work.journal.next.title()
+                ))?;
+                return Ok(Outcome::NotMet);
+            }
+        }
+    }
+}
+
+struct Work<'a> {
+    args: &'a Commission,
+    machine: Machine,
+    journal: Journal,
+    answers: Answers,
+    as_json: bool,
+}
+
+impl Work<'_> {
+    /// Does a step; the one after it, or `None`: it is not done.
+    fn step(&mut self, step: Step) -> Result<Option<Step>> {
+        let round = self.journal.round;
+        let (believed, fitted) = (self.file(round - 1, "toml"), self.file(round, "toml"));
+        Ok(match step {
+            Step::Sign => self.sign()?.then_some(Step::Program),
+            Step::Program => self.program()?.then_some(Step::Off),
+            Step::Off => {
+                self.disengaged()?;
+                let question = "run warmup from cold, without compensation; the filled-in run file";
+                self.measured("off", question)?.then_some(Step::Fit)
+            }
+            Step::Fit => {
+                let run = self.path(&format!("off-{round}.csv"));
+                let words =
+                    ["fit", self.kind(), "--run", &run, "--machine", &believed, "-o", &fitted];
+                self.command(&words)?.then_some(Step::Load)
+            }
+            Step::Load => {
+                let blob = self.file(round, "bin");
+                self.disengaged()?;
+                let is_done = self.command(&["compile", &fitted, "-o", &blob])?
+                    && self.command(&[
+                        "bridge",
+                        "load",
+                        &blob,
+                        "--yes",
+                        "--port",
+                        &self.args.port,
+                    ])?;
+                is_done.then_some(Step::On)
+            }
+            Step::On => {
+                let question =
+                    "let the machine grow cold, engage, run warmup again; the filled-in run file";
+                self.measured("on", question)?.then_some(Step::Accept)
+            }
+            Step::Accept => self.accept(&fitted)?,
+            Step::Done => Some(Step::Done),
+        })
+    }
+
+    /// A path in the folder, as a command takes it.
+    fn path(&self, name: &str) -> String {
+        self.args.out.join(name).to_string_lossy().into_owned()
+    }
+
+    /// The machine file or calibration of a round; that of round 0 is the user's.
+    fn file(&self, round: u32, kind: &str) -> String {
+        self.path(&if round == 0 {
+            format!("machine.{kind}")
+        } else {
+            format!("machine-{round}.{kind}")
+        })
+    }
+
+    fn kind(&self) -> &'static str {
+        match self.machine.spindle.source {
+            Some(ElongationSource::Sensor | ElongationSource::Temperature) => "elongation",
+            Some(ElongationSource::Warmup) | None => "warmup",
+        }
+    }
+
+    /// Runs a command of this tool and writes it down; whether it has done all that was asked for.
+    fn command(&mut self, words: &[&str]) -> Result<bool> {
+        self.journal.log(&format!("  trueup {}", words.join(" ")))?;
+        let json = self.as_json.then_some("--json");
+        let all = ["trueup"].into_iter().chain(json).chain(words.iter().copied());
+        let cli = Cli::try_parse_from(all).context("a command of this tool")?;
+        match crate::run(&cli) {
+            Ok(Outcome::Done) => Ok(true),
+            Ok(Outcome::NotMet) => {
+                self.journal.log("  not all of it is met")?;
+                Ok(false)
+            }
+            Err(error) => {
+                self.journal.log(&format!("  {error:#}"))?;
+                Err(error)
+            }
+        }
+    }
+
+    /// 10 µm are given by a calibration of their own, and measured.
+    fn sign(&mut self) -> Result<bool> {
+        let test = sign::machine(&self.machine)?;
+        let (file, blob) = (self.path("sign.toml"), self.path("sign.bin"));
+        output::write_whole(Path::new(&file), &[], |out| out.write_all(test.to_toml().as_bytes()))?;
+        self.disengaged()?;
+        let port = self.args.port.clone();
+        let is_loaded = self.command(&["compile", &file, "-o", &blob])?
+            && self.command(&["bridge", "load", &blob, "--yes", "--port", &port])?;
+        if !is_loaded {
+            return Ok(false);
+        }
+        self.journal.log(sign::HOW)?;
+        let direction = self.machine.tool_direction;
+        watch::until(&port, |output| sign::is_given(output, direction))?;
+        let Some(answer) = self.answers.ask(sign::QUESTION)? else { return Ok(false) };
+        let Ok(moved_um) = answer.trim().parse::<f64>() else {
+            self.journal.log(&format!("  \"{answer}\" is not a reading in µm"))?;
+            return Ok(false);
+        };
+        let verdict = sign::verdict(moved_um);
+        self.journal.log(&format!("  measured {moved_um:+.1} µm: {}", verdict.text()))?;
+        Ok(verdict.is_right())
+    }
+
+    fn program(&mut self) -> Result<bool> {
+        let (machine, out) = (self.path("machine.toml"), self.path("program"));
+        let rpm = self.args.rpm.map(|rpm| rpm.to_string());
+        let heat_s = self.args.heat_s.map(|heat_s| heat_s.to_string());
+        let control = self.args.control.clone();
+        let mut words =
+            vec!["program", "warmup", "--machine", &machine, "--for", &control, "--out", &out];
+        words.extend(rpm.iter().flat_map(|rpm| ["--rpm", rpm.as_str()]));
+        words.extend(heat_s.iter().flat_map(|heat_s| ["--heat-s", heat_s.as_str()]));
+        self.command(&words)
+    }
+
+    /// Asks for a run that was measured, and keeps it.
+    fn measured(&mut self, which: &str, question: &str) -> Result<bool> {
+        let Some(answer) = self.answers.ask(question)? else { return Ok(false) };
+        let from = PathBuf::from(answer.trim());
+        let run = files::run(&from, None)?;
+        if readings(&run) == 0 {
+            let what = format!("  {}: no measured_elongation_um is filled in", from.display());
+            self.journal.log(&what)?;
+            return Ok(false);
+        }
+        let kept = self.path(&format!("{which}-{}.csv", self.journal.round));
+        let bytes = fs::read(&from).with_context(|| format!("while reading {}", from.display()))?;
+        output::write_whole(Path::new(&kept), &[], |out| out.write_all(&bytes))?;
+        self.journal.log(&format!("  {}, {} readings", from.display(), readings(&run)))?;
+        Ok(true)
+    }
+
+    /// Whether it is enough. If not, the next round begins; the command ends, so that it is read.
+    fn accept(&mut self, fitted: &str) -> Result<Option<Step>> {
+        let round = self.journal.round;
+        let [off, on] = ["off", "on"].map(|which| self.path(&format!("{which}-{round}.csv")));
+        let (out, require) = (self.path(&format!("accept-{round}")), self.args.require.to_string());
+        let words = [
+            "accept",
+            "--off",
+            &off,
+            "--on",
+            &on,
+            "--require",
+            &require,
+            "--machine",
+            fitted,
+            "--out",
+            &out,
+        ];
+        if self.command(&words)? {
+            self.journal.log("accepted")?;
+            return Ok(Some(Step::Done));
+        }
+        self.journal.next_round()?;
+        Ok(None)
+    }
+
+    fn disengaged(&mut self) -> Result<()> {
+        watch::disengaged(&self.args.port, || {
+            eprintln!("disengage at the CNC: nothing is loaded while offsets are followed");
+        })
+    }
+}
+
+/// How many readings a run has.
+fn readings(run: &RunFile) -> usize {
+    let measured = run.column("measured_elongation_um").unwrap_or_default();
+    measured.iter().filter(|um| !um.is_nan()).count()
+}

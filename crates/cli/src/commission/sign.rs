@@ -1,0 +1,175 @@
+//! The test of the sign: a calibration under which the tool has grown by 10 µm whatever the machine does, so
+//! that the CNC has to lift it by 10 µm. Signs are where a part is lost; 10 µm lose none.
+
+use trueup_client::words::offset_um;
+use trueup_core::cnc::{Output, Quality};
+use trueup_machine::{
+    Machine,
+    file::{ElongationSource, Warmup},
+};
+
+use crate::UserError;
+
+/// The growth that is pretended, in µm.
+const GROWTH_UM: f64 = 10.0;
+/// The offset is there when it is within this, in µm: ten steps of the wire, a tenth of a dial's division.
+const GIVEN_WITHIN_UM: f64 = 0.1;
+/// Half of the growth: nearer to it than to nothing, and as far the other way.
+const HALF_UM: f64 = GROWTH_UM / 2.0;
+/// A slope that turns 10 V into less than 0.1 µm and is still none of 0.
+const NO_SLOPE_UM_PER_COUNT: f64 = 1e-6;
+
+/// What is to be done at the machine.
+pub const HOW: &str = "  set all angles to 0 and a gauge at the tool's tip to zero, disengaged; start the \
+                       spindle if it has no sensor; then engage at the CNC";
+/// What is asked for then.
+pub const QUESTION: &str =
+    "how far has the tip moved, in µm (+ further out of the spindle, - back into it)";
+
+/// The machine under that calibration.
+pub fn machine(machine: &Machine) -> Result<Machine, UserError> {
+    let mut test = machine.clone();
+    for (axis, direction) in machine.limits.max_um.into_iter().zip(machine.tool_direction) {
+        if (direction * GROWTH_UM).abs() > axis {
+            let rule = format!("limits.max_um is below the {GROWTH_UM} µm of the sign test");
+            return Err(UserError(rule));
+        }
+    }
+    test.terms.clear();
+    test.straightness.clear();
+    test.squareness.clear();
+    for axis in &mut test.axes {
+        (axis.thermal, axis.pitch, axis.backlash, axis.dual) = (None, None, None, None);
+    }
+    test.spindle.temperature = None;
+    let has_input = machine.inputs.as_ref().is_some_and(|inputs| inputs.sensor.is_some());
+    match test.spindle.sensor.as_mut().filter(|_| has_input) {
+        Some(sensor) => {
+            sensor.k0_um = GROWTH_UM;
+            sensor.um_per_count = NO_SLOPE_UM_PER_COUNT;
+            sensor.temperature = None;
+            (test.spindle.source, test.spindle.warmup) = (Some(ElongationSource::Sensor), None);
+        }
+        None => {
+            test.spindle.sensor = None;
+            test.spindle.source = Some(ElongationSource::Warmup);
+            // Warm after ten seconds at any speed.
+            test.spindle.warmup = Some(Warmup {
+                lag_s: 0.0,
+                warm_s: 10.0,
+                max_um: GROWTH_UM,
+                exponent: 4.0,
+                cool_s: None,
+                rated_rpm: None,
+                speed_exponent: 0.0,
+            });
+        }
+    }
+    Ok(test)
+}
+
+/// The bridge gives what lifts the tool by the growth.
+pub fn is_given(output: &Output, tool_direction: [f64; 3]) -> bool {
+    let is_live = matches!(output.quality, Quality::Live | Quality::WarmUpModel);
+    let Some(offset) = offset_um(output).filter(|_| is_live) else { return false };
+    let along: f64 = offset.iter().zip(tool_direction).map(|(offset, v)| offset * v).sum();
+    (along + GROWTH_UM).abs() <= GIVEN_WITHIN_UM
+}
+
+/// What the reading says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    Right,
+    Wrong,
+    Nothing,
+    TooMuch,
+}
+
+/// Of the tip's way in µm, positive out of the spindle: it must have gone back by the growth.
+pub fn verdict(moved_um: f64) -> Verdict {
+    match moved_um {
+        it if (it + GROWTH_UM).abs() <= HALF_UM => Verdict::Right,
+        it if (it - GROWTH_UM).abs() <= HALF_UM => Verdict::Wrong,
+        it if it.abs() < HALF_UM => Verdict::Nothing,
+        _ => Verdict::TooMuch,
+    }
+}
+
+impl Verdict {
+    pub fn is_right(self) -> bool {
+        self == Self::Right
+    }
+
+    pub fn text(self) -> &'static str {
+        match self {
+            Self::Right => "the sign is right",
+            Self::Wrong => {
+                "WRONG SIGN: the CNC applies the offset the wrong way. Change the sign where it adds the \
+                 offset (LinuxCNC: eoffset-scale; 840D: the sign in the PLC program), not in the machine \
+                 file, and test again"
+            }
+            Self::Nothing => {
+                "nothing has moved: look whether the CNC has offsets enabled on this axis, and is referenced \
+                 and engaged; then test again"
+            }
+            Self::TooMuch => {
+                "10 µm were given and it is not 10 µm that moved: look for a wrong unit (mm, 0.1 µm) or a \
+                 loose gauge; then test again"
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+    use trueup_core::{cnc::Flags, units::Nanometres};
+    use trueup_machine::{MachineFile, compile};
+
+    #[test]
+    fn the_tip_must_go_back_by_ten_micrometres() {
+        for (moved_um, verdict_of_it) in [
+            (-10.0, Verdict::Right),
+            (-8.0, Verdict::Right),
+            (10.0, Verdict::Wrong),
+            (12.0, Verdict::Wrong),
+            (0.4, Verdict::Nothing),
+            (-1.0, Verdict::Nothing),
+            (-100.0, Verdict::TooMuch),
+            (10_000.0, Verdict::TooMuch),
+            (f64::NAN, Verdict::TooMuch),
+        ] {
+            assert_eq!(verdict(moved_um), verdict_of_it, "{moved_um}");
+        }
+    }
+
+    #[test]
+    fn what_is_given_lifts_the_tool() {
+        let output = |z: i32, quality| Output {
+            offset: Some([0, 0, z].map(Nanometres)),
+            quality,
+            flags: Flags::NONE,
+            age_ms: 1,
+        };
+        let down = [0.0, 0.0, -1.0];
+        assert!(is_given(&output(10_000, Quality::Live), down));
+        assert!(!is_given(&output(-10_000, Quality::Live), down));
+        assert!(!is_given(&output(9_000, Quality::Live), down), "on its way");
+        assert!(!is_given(&output(10_000, Quality::Hold), down));
+    }
+
+    #[test]
+    fn the_test_compiles_for_machines_with_and_without_a_sensor() {
+        let of = |text: &str| MachineFile::parse(text, Path::new("m.toml")).expect("right");
+        let mut paper = of(include_str!("../../../../data/paper_spindle.toml"));
+        let gantry = of(include_str!("../../../../data/gantry.toml"));
+        for believed in [&paper, &gantry] {
+            let test = machine(believed).expect("its limits leave room");
+            compile(&test).expect("the board can run it");
+            assert!(test.has_elongation() && test.straightness.is_empty());
+        }
+        paper.limits.max_um[2] = 9.0;
+        assert!(machine(&paper).is_err(), "it would be clamped");
+    }
+}

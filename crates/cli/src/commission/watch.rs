@@ -1,0 +1,44 @@
+//! Waits for what the person at the CNC does: the bridge says when it is done.
+
+use std::time::{Duration, Instant};
+
+use anyhow::{Result, bail};
+use trueup_client::{port::Port, session::Session};
+use trueup_core::cnc::{Output, Quality};
+use trueup_link::{receiver::OffsetReceiver, slcan::Event};
+
+/// Somebody walks to the machine, sets a gauge and comes back.
+const PATIENCE: Duration = Duration::from_secs(600);
+
+/// Until the bridge's offsets are as wanted.
+pub fn until(port: &str, is_wanted: impl Fn(&Output) -> bool) -> Result<()> {
+    let mut session = Session::open(&Port::parse(port)?)?;
+    let deadline = Instant::now() + PATIENCE;
+    let mut offsets = OffsetReceiver::new();
+    while let Some(event) = session.next_event(deadline)? {
+        let Event::Frame(frame) = event else { continue };
+        if let Ok(Some(output)) = offsets.accept(&frame)
+            && is_wanted(&output)
+        {
+            session.close();
+            return Ok(());
+        }
+    }
+    session.close();
+    bail!(
+        "the bridge does not come to it in {} min; the same command goes on",
+        PATIENCE.as_secs() / 60
+    )
+}
+
+/// Until nothing is followed; `tell` once, if it has to be waited for.
+pub fn disengaged(port: &str, tell: impl Fn()) -> Result<()> {
+    let is_told = std::cell::Cell::new(false);
+    until(port, |output| {
+        let is_off = matches!(output.quality, Quality::Off | Quality::Fault);
+        if !is_off && !is_told.replace(true) {
+            tell();
+        }
+        is_off
+    })
+}
