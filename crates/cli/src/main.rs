@@ -41,6 +41,7 @@ mod show;
 mod simulate;
 mod summary;
 mod trend;
+mod trust;
 #[cfg(unix)]
 mod virtual_board;
 
@@ -98,6 +99,7 @@ enum Command {
     Schema(schema::Schema),
     Simulate(simulate::Simulate),
     Trend(trend::Trend),
+    Trust(trust::Watch),
     #[cfg(unix)]
     Virtual(virtual_board::Virtual),
     Firmware(firmware::Firmware),
@@ -178,6 +180,7 @@ fn run(cli: &Cli) -> Result<Outcome> {
         Command::Schema(args) => schema::run(args),
         Command::Simulate(args) => simulate::run(args, cli.json),
         Command::Trend(args) => trend::run(args, cli.json),
+        Command::Trust(args) => trust::run(args, cli.json),
         #[cfg(unix)]
         Command::Virtual(args) => virtual_board::run(args),
         Command::Firmware(args) => firmware::run(args, cli.json),

@@ -1,4 +1,5 @@
-//! `trueup learn` as a user calls it: records in, a second machine file out, and the way back.
+//! `trueup learn` and `trueup trust` as a user calls them: records in, a second machine file out, the way
+//! back, and an alarm.
 
 mod desk;
 
@@ -59,4 +60,26 @@ fn a_bound_that_is_reached_is_told_and_ends_with_3() {
         "{}",
         desk.text("learned.toml")
     );
+}
+
+#[test]
+fn a_record_that_no_longer_fits_ends_with_3_and_says_what_to_measure() {
+    let day = |added: f64| {
+        let mut text = "time_s,temp_a_c,measured_elongation_um\n".to_string();
+        for n in 0..240 {
+            let celsius = 30.0 + 8.0 * (f64::from(n) / 30.0).sin();
+            let scatter = [0.6, -0.6, 0.2, -0.2, -0.4, 0.4, 0.1][n as usize % 7];
+            let um = 2.0 * (celsius - 20.0) + scatter + if n < 120 { 0.0 } else { added };
+            text += &format!("{},{celsius:.3},{um:.3}\n", 60 * n);
+        }
+        text
+    };
+    let files = [("m.toml", MACHINE), ("then.csv", &day(0.0)), ("now.csv", &day(3.0))];
+    let desk = Desk::new(&files);
+    let same = "trust --machine m.toml --calibrated then.csv --run then.csv";
+    let (out, _) = desk.said(same, 0);
+    assert!(out.starts_with("the calibration fits"), "{out}");
+    let (out, _) = desk.said("trust --machine m.toml --calibrated then.csv --run now.csv", 3);
+    assert!(out.contains("no longer fits: row 12"), "{out}");
+    assert!(out.contains("touch off the tool"), "{out}");
 }

@@ -18,6 +18,8 @@
 //! The user's own machine file stays as it is; what was learned is a second file with the same sections and
 //! other numbers. It never makes a machine worse by intent: as long as the file as it is foresees the readings
 //! as well as what was learned, the file as it is stands.
+//!
+//! [`mod@trust`] asks the other question: whether the calibration still fits at all.
 #![forbid(unsafe_code)]
 
 mod bank;
@@ -27,6 +29,7 @@ mod learn;
 mod limits;
 mod memory;
 mod readings;
+pub mod trust;
 
 pub use constants::Constant;
 pub use learn::{Learned, Taken, learn};

@@ -1,0 +1,73 @@
+//! `trueup trust`: whether the calibration still fits.
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use clap::Args;
+use trueup_learn::trust::{Trust, trust};
+use trueup_machine::file;
+
+use crate::{
+    Outcome,
+    diagnose::{Quantity, above_zero},
+    files, output,
+};
+
+/// Watches whether a record still fits the machine file, and says which measurement to take where it does not.
+///
+/// What is measured is held against the model; where nothing is, the displacement sensor against the model of
+/// temperature or of time that the file has beside it. What scatter is usual is taken from a record of the time
+/// when the calibration was right.
+///
+/// Exit 3: the calibration no longer fits.
+#[derive(Args)]
+pub struct Watch {
+    /// The machine file that was right then.
+    #[arg(long, value_name = "M.toml")]
+    machine: PathBuf,
+    /// A record from when it was right: at least 200 rows.
+    #[arg(long, value_name = "THEN.csv")]
+    calibrated: PathBuf,
+    /// The record to look at.
+    #[arg(long, value_name = "RUN.csv")]
+    run: PathBuf,
+    /// What to look at, where the records measure several quantities.
+    #[arg(long)]
+    quantity: Option<Quantity>,
+    /// So many hours of records pass on average between two false alarms.
+    #[arg(long, value_name = "HOURS", default_value_t = 1000.0, value_parser = above_zero)]
+    false_alarm_h: f64,
+}
+
+/// Watches the record.
+pub fn run(args: &Watch, as_json: bool) -> Result<Outcome> {
+    let machine = files::machine(&args.machine)?;
+    let then = files::run(&args.calibrated, Some(&machine))?;
+    let now = files::run(&args.run, Some(&machine))?;
+    let quantity: Option<file::Quantity> = args.quantity.map(Quantity::of_machine);
+    let found = trust(&machine, &then, &now, quantity, args.false_alarm_h)?;
+    if as_json {
+        output::print(serde_json::to_string_pretty(&found)?)?;
+    } else {
+        print(&found)?;
+    }
+    Ok(if found.alarm.is_some() { Outcome::NotMet } else { Outcome::Done })
+}
+
+fn print(found: &Trust) -> Result<()> {
+    match &found.alarm {
+        None => output::print("the calibration fits")?,
+        Some(alarm) => {
+            let when = alarm.time_s.map_or(String::new(), |time_s| format!(", {time_s:.0} s"));
+            output::print(format_args!(
+                "the calibration no longer fits: row {}{when}, {:+.1} µm",
+                alarm.row, alarm.moved_um
+            ))?;
+            output::print(format_args!("  {}", alarm.next))?;
+        }
+    }
+    output::print(format_args!(
+        "  {} rows; usual scatter {:.2} µm; a false alarm once in {:.0} hours",
+        found.rows, found.noise.sigma_um, found.false_alarm_h
+    ))
+}
