@@ -25,6 +25,7 @@ mod files;
 mod firmware;
 mod fit;
 mod gateway;
+mod help;
 mod learn;
 mod linuxcnc;
 mod manual;
@@ -48,7 +49,7 @@ mod virtual_board;
 use std::{path::PathBuf, process::ExitCode};
 
 use anyhow::Result;
-use clap::{CommandFactory as _, Parser, Subcommand};
+use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use trueup_client::Unusable;
 use trueup_machine::BadInput;
 
@@ -139,7 +140,8 @@ impl std::fmt::Display for UserError {
 impl std::error::Error for UserError {}
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let matches = help::with_examples(Cli::command()).get_matches();
+    let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     report::set(Manner { json: cli.json, quiet: cli.quiet, verbose: cli.verbose });
     match run(&cli) {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
@@ -185,9 +187,50 @@ fn run(cli: &Cli) -> Result<Outcome> {
         Command::Virtual(args) => virtual_board::run(args),
         Command::Firmware(args) => firmware::run(args, cli.json),
         Command::Examples(args) => examples::run(args, cli.json),
-        Command::Completions(args) => manual::completions(args, Cli::command()),
-        Command::Man(args) => manual::man(args, Cli::command(), cli.json),
+        Command::Completions(args) => {
+            manual::completions(args, help::with_examples(Cli::command()))
+        }
+        Command::Man(args) => manual::man(args, help::with_examples(Cli::command()), cli.json),
         Command::Gateway { command } => gateway::run(command),
         Command::Bridge { command } => bridge::run(command, cli.json),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn each(command: &clap::Command, path: &str, with: &mut dyn FnMut(&str, &clap::Command)) {
+        for inner in command.get_subcommands() {
+            let path = format!("{path} {}", inner.get_name());
+            if !inner.has_subcommands() {
+                with(path.trim(), inner);
+            }
+            each(inner, &path, with);
+        }
+    }
+
+    #[test]
+    fn every_help_ends_with_an_example() {
+        let mut asked = 0;
+        each(&help::with_examples(Cli::command()), "", &mut |path, command| {
+            let after = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            assert!(after.contains("trueup "), "{path} has no example: {after}");
+            asked += 1;
+        });
+        assert!(asked > 25, "{asked}");
+    }
+
+    #[test]
+    fn every_example_is_a_line_that_the_tool_takes() {
+        for line in help::lines() {
+            let words = line.split(" > ").next().unwrap_or_default().split(' ');
+            let taken = Cli::command().try_get_matches_from(words);
+            assert!(
+                taken.is_ok(),
+                "{line}: {}",
+                taken.err().map(|it| it.to_string()).unwrap_or_default()
+            );
+        }
     }
 }
