@@ -51,6 +51,11 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("bridge save", "trueup bridge save board.tar --port /dev/ttyUSB0"),
     ("bridge restore", "trueup bridge restore board.tar --port /dev/ttyUSB0"),
     ("learn", "trueup learn --machine machine.toml --run record.csv -o learned.toml"),
+    ("trust", "trueup trust --machine machine.toml --calibrated then.csv --run now.csv"),
+    (
+        "commission",
+        "trueup commission --machine machine.toml --port /dev/ttyUSB0 --for siemens --out commissioning",
+    ),
 ];
 
 /// The lines that are examples.
