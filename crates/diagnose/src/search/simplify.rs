@@ -287,9 +287,12 @@ impl Search<'_> {
             let cause = &self.added[index].cause;
             let mut parts = self.fitted.model.parts.iter().filter(|part| part.kind == *cause);
             let is_at_the_end = parts.any(|part| self.problem.is_at_the_end(part));
-            if let Some((gap, it)) = simpler
-                && (gap < STRONG_EVIDENCE || is_at_the_end)
-                && self.foresees_as_well(&it.fitted, &with)
+            let Some((gap, it)) = simpler else { continue };
+            let as_well = || self.foresees_as_well(&it.fitted, &with);
+            // What the likelihood prefers clearly need only not foresee worse beyond doubt.
+            let is_open = || !self.folds.paired(&self.foresight(&it.fitted), &with).is_certain();
+            if (gap < STRONG_EVIDENCE || is_at_the_end) && as_well()
+                || gap < -STRONG_EVIDENCE && is_open()
             {
                 self.replace(index, it);
             }
