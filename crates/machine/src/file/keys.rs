@@ -1,6 +1,6 @@
 //! Every key of the machine file, once: its form, unit, default, meaning and an example.
 //!
-//! The reader holds every file against this table ([`structure`](super::structure)), so that a key that does
+//! The reader holds every file against this table (`structure.rs`), so that a key that does
 //! not stand here is refused wherever it is used; the JSON schema and the tables of `docs/reference.md` are
 //! made of it ([`crate::schema`]).
 
