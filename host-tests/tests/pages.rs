@@ -105,7 +105,7 @@ fn diagnosis() -> String {
     let run = hidden.record(0, false).expect("a record");
     let machine = MachineFile::parse(&hidden.plant.machine, Path::new("m.toml")).expect("a file");
     let diagnosis = diagnose(&machine, &[run], &[], None, &mut |_, _| {}).expect("comparable");
-    diagnosis.html("an axis")
+    diagnosis.html("an axis", &trueup_page::Origin::default())
 }
 
 fn acceptance() -> String {
