@@ -16,7 +16,7 @@ pub(crate) const COLUMNS: [&str; 8] =
 const DECIMALS: [usize; VALUES] = [0, 0, 5, 5, 5, 0, 0, 0, 4, 4];
 const VALUES: usize = COLUMNS.len() + 2;
 
-/// What the CNC has said, where it can be heard: the values of [`COLUMNS`] and two angles, and when.
+/// What the CNC has said, where it can be heard: the values of its columns of a run file and two angles, and when.
 #[derive(Default)]
 pub struct Cnc {
     receiver: Receiver,

@@ -1,7 +1,7 @@
 //! An object that is asked for again and again while frames flow by, so that none of them is missed.
 //!
 //! The bridge serves one client of its objects at a time. Where somebody else is served (a master that
-//! loads), nothing is asked until that one has been silent for [`BACK_OFF`].
+//! loads), nothing is asked until that one has been silent for five seconds.
 
 use std::time::{Duration, Instant};
 
