@@ -4,7 +4,8 @@
 //! was believed to do: from the bytes of a function the branches are decoded (Armv7-M, `bl`, `b`,
 //! conditional `b`), and where they lead is walked in turn. Data among the code is known by the
 //! image's mapping symbols. A branch whose target is in a register cannot be followed; every
-//! function with one is told ([`Reached::blind`]).
+//! function with one is told ([`Reached::blind`]). For the stack ([`CallGraph::deepest`]) a function that
+//! branches by a register may call each one whose address it holds.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -15,6 +16,8 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 use object::{Object as _, ObjectSection as _, ObjectSymbol as _, SymbolKind};
 
+use crate::frames::{self, Frame};
+
 /// The functions of an image and where each of them branches to.
 pub struct CallGraph {
     functions: BTreeMap<u64, Function>,
@@ -24,6 +27,7 @@ struct Function {
     name: String,
     end: u64,
     branches: Branches,
+    frame: Frame,
 }
 
 /// Where a function branches to.
@@ -89,6 +93,7 @@ impl CallGraph {
                     name: symbol.name()?.to_owned(),
                     end: start + symbol.size(),
                     branches: branches(code, start, is_data),
+                    frame: frames::frame(code, start, is_data),
                 },
             );
         }
@@ -131,6 +136,91 @@ impl CallGraph {
             }
         }
         Ok(reached)
+    }
+}
+
+/// What a function and those that it calls take of the stack.
+#[derive(Clone, Debug, Default)]
+pub struct Depth {
+    /// Bytes of the deepest chain of calls.
+    pub bytes: u64,
+    /// Its functions, from the outermost one.
+    pub chain: Vec<String>,
+    /// Those that call what no address in them says, anywhere below: their calls are not counted.
+    pub blind: BTreeSet<String>,
+}
+
+impl CallGraph {
+    /// The deepest stack of the function of this name. Those with a part of `without` in their name are left
+    /// out below it, and all that they call.
+    ///
+    /// # Errors
+    /// There is no such function, a call leads to none, functions call each other in a circle, or one takes as
+    /// much as a register says.
+    pub fn deepest(&self, name: &str, without: &[&str]) -> Result<Depth> {
+        let start = self.functions.iter().find(|(_, function)| function.name == name);
+        let (start, _) = start.with_context(|| format!("no function is called {name}"))?;
+        self.walk(*start, without, &mut BTreeMap::new(), &mut Vec::new())
+    }
+
+    /// The deepest stack of all functions with one of these parts in their name, as [`Self::deepest`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn deepest_of(&self, parts: &[&str], without: &[&str]) -> Result<Depth> {
+        let (mut known, mut all) = (BTreeMap::new(), Depth::default());
+        for (start, function) in &self.functions {
+            if parts.iter().any(|part| function.name.contains(part)) {
+                let depth = self.walk(*start, without, &mut known, &mut Vec::new())?;
+                if depth.bytes > all.bytes {
+                    all = depth;
+                }
+            }
+        }
+        Ok(all)
+    }
+
+    fn walk(
+        &self,
+        start: u64,
+        without: &[&str],
+        known: &mut BTreeMap<u64, Depth>,
+        above: &mut Vec<u64>,
+    ) -> Result<Depth> {
+        if let Some(depth) = known.get(&start) {
+            return Ok(depth.clone());
+        }
+        let Function { name, branches, frame, .. } = &self.functions[&start];
+        ensure!(!above.contains(&start), "{name} calls itself, in a circle");
+        ensure!(!frame.is_open, "{name} takes as much of the stack as a register says");
+        let held = frame.pointers.iter().map(|pointer| pointer - 1);
+        let held: Vec<u64> = held.filter(|at| self.functions.contains_key(at)).collect();
+        let mut depth = Depth::default();
+        if branches.by_register && held.is_empty() {
+            depth.blind.insert(name.clone());
+        }
+        above.push(start);
+        for target in branches.targets.iter().chain(&held) {
+            let (called, function) = self
+                .functions
+                .range(..=target)
+                .next_back()
+                .filter(|(_, function)| *target < function.end)
+                .with_context(|| format!("{name} branches to no function"))?;
+            if *called == start || without.iter().any(|part| function.name.contains(part)) {
+                continue;
+            }
+            let below = self.walk(*called, without, known, above)?;
+            depth.blind.extend(below.blind);
+            if below.bytes > depth.bytes {
+                (depth.bytes, depth.chain) = (below.bytes, below.chain);
+            }
+        }
+        above.pop();
+        depth.bytes += frame.bytes;
+        depth.chain.insert(0, name.clone());
+        known.insert(start, depth.clone());
+        Ok(depth)
     }
 }
 

@@ -15,6 +15,7 @@ pub mod call_graph;
 pub mod chip;
 pub mod cnc;
 pub mod firmware;
+mod frames;
 pub mod front_end;
 pub mod linuxcnc;
 pub mod log;

@@ -233,6 +233,43 @@ fn with_an_open_channel_the_processor_is_busy_for_12_percent_at_most() {
 }
 
 #[test]
+fn foreign_and_damaged_lines_move_nothing() {
+    // The master is on the bus. `Control` with a wrong CRC, cut short and too long; the bridge's own offset; an
+    // extended, a remote and an unknown frame; identifiers that are none; text; a line without an end.
+    let lines = [
+        "t30280000000000000000",
+        "t3028AAAA07",
+        "t3028FFFFFFFFFFFFFFFFFFFF",
+        "t18180000000000000000",
+        "T0000030280000000000000000",
+        "r3028",
+        "t12380011223344556677",
+        "t9998",
+        "tXYZ8",
+        "hello",
+        &"t".repeat(300),
+    ];
+    let mut script =
+        String::from("0 flags 2\n200 flags 3\n240 flags 7\n300 flags 3\n300 say S8\\rO\\r\n");
+    for (number, line) in lines.iter().cycle().take(10 * lines.len()).enumerate() {
+        script += &format!("{} say {line}\\r\n", 500 + 4 * number);
+    }
+    let Some(report) = run_script(&script, &["--ms", "1100"]) else { return };
+    is_clean(&report);
+    says(&report, &["resets []"]);
+    says(&report, &["OffsetZ at", "quality 1", "(last)"]);
+    assert!(number(&report, " received,") > 4_000.0, "{}", report.said);
+    // Somebody says `Control` there, however badly: that is told.
+    let told = emergencies(&report);
+    assert!(told.contains(&(Fault::SecondMaster as u8)), "{told:?}");
+    let offsets = offsets_z(&report, 480.0);
+    let first = offsets.first().expect("an offset").1;
+    let last = offsets.last().expect("an offset").1;
+    // Noise of ±1 code leaves 0.01 µm.
+    assert!((last - first).abs() < 0.05, "{first} µm, then {last} µm");
+}
+
+#[test]
 fn in_a_flood_at_the_rate_of_the_line_zero_is_stored_and_no_byte_is_lost() {
     let script = "0 flags 2\n200 flags 3\n300 say O\\r\n400 serial_flood V\\r\n600 flags 7\n";
     let Some(report) = run_script(script, &["--ms", "900"]) else { return };
