@@ -1,6 +1,6 @@
 //! Whether the image in the flash is the one that was built: its CRC, by the unit of the chip (section 4),
 //! at the start and then all the time, a piece at each turn of the supervisor. Where the unit is dead, the core
-//! works it out itself: ten times slower, 10 ms of the start.
+//! works it out itself: twenty times slower, 22 ms of the start.
 //!
 //! The build writes length and CRC into the image after it is linked ([`CHECK`]; `trueup_emulator::seal`). An
 //! image that went another way has none: it runs, and says that it cannot be checked.
