@@ -340,7 +340,8 @@ fn run_hidden(seeds: u64, first: u64, on_board: bool) -> Result<()> {
 }
 
 fn run_virtual(options: Virtual) -> Result<()> {
-    let machine = options.machine.unwrap_or(setup::root().join("data/paper_spindle.toml"));
+    let own = || setup::root().join("data/paper_spindle.toml");
+    let machine = MachineFile::read(&options.machine.unwrap_or_else(own))?;
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
@@ -354,5 +355,5 @@ fn run_virtual(options: Virtual) -> Result<()> {
     };
     let settings = Settings { cnc: options.cnc, played, seed: options.seed };
     let image = || firmware::build(Board::Virtual);
-    virtual_bridge::run(&MachineFile::read(&machine)?, settings, image, stop)
+    virtual_bridge::run(&machine, settings, image, stop)
 }
