@@ -52,6 +52,7 @@ fn with_compensation(desk: &Desk, machine: &str) {
 }
 
 #[test]
+#[ignore = "long: calibrations go over the line at its pace"]
 fn a_machine_is_commissioned_in_two_sittings() {
     let (desk, line) = begun();
     desk.write("first.txt", "# the tip went back by\n-9.5\noff.csv\n");
@@ -97,6 +98,7 @@ fn a_machine_is_commissioned_in_two_sittings() {
 }
 
 #[test]
+#[ignore = "long: calibrations go over the line at its pace"]
 fn a_wrong_sign_stops_it_before_anything_is_measured() {
     let (desk, line) = begun();
     for (answer, phrase) in [
@@ -114,6 +116,7 @@ fn a_wrong_sign_stops_it_before_anything_is_measured() {
 }
 
 #[test]
+#[ignore = "long: calibrations go over the line at its pace"]
 fn what_is_not_enough_is_not_accepted_and_the_next_round_begins() {
     let (desk, line) = begun();
     // Nothing is gone: the same readings again.

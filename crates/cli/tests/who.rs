@@ -45,6 +45,7 @@ fn info_says_whether_the_bridge_runs_on_the_machine_file() {
 }
 
 #[test]
+#[ignore = "long: calibrations go over the line at its pace"]
 fn load_tells_what_changes_and_asks() {
     let desk = desk();
     // Without a terminal nobody can be asked, and nothing reaches the bridge.
@@ -69,6 +70,7 @@ fn load_tells_what_changes_and_asks() {
 }
 
 #[test]
+#[ignore = "long: calibrations go over the line at its pace"]
 fn a_board_is_saved_and_another_one_takes_its_place() {
     let desk = desk();
     let (port, _) = bridge_many(Fault::None, false);
