@@ -52,6 +52,13 @@ fn crc(data_id: u16, covered: &[u8]) -> u16 {
     digest.finalize()
 }
 
+/// Whether a frame is whole and was sent under its identifier, whatever its counter.
+#[must_use]
+pub fn is_whole(frame: &Frame) -> bool {
+    matches!(frame.payload(), &[low, high, ref covered @ ..]
+        if u16::from_le_bytes([low, high]) == crc(frame.id(), covered))
+}
+
 /// Checks the frames of one identifier, one after the other.
 #[derive(Clone, Copy, Debug)]
 pub struct Checker {

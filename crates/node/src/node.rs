@@ -21,6 +21,7 @@ use trueup_core::{
     units::Millis,
 };
 use trueup_link::{
+    e2e,
     frame::Frame,
     frames::{self, State},
     layout::{
@@ -250,6 +251,9 @@ impl<'a> Node<'a> {
         }
         self.consumer.hear(frame);
         if Receiver::is_from_cnc(frame.id()) && !self.master.admits(line) {
+            if e2e::is_whole(frame) {
+                self.master.hear_other();
+            }
             return Ok(None);
         }
         let heard = self.receiver.accept(frame);
@@ -456,41 +460,10 @@ fn default_heartbeat_ms() -> u16 {
 #[cfg(test)]
 mod tests;
 
-/// A bridge with a sensor and nothing else.
 #[cfg(test)]
-pub(crate) fn tests_calibration() -> Calibration<'static> {
-    use trueup_core::{
-        calibration::{ElongationSource, Names, SpindleModel},
-        kinematics::Kinematics,
-        limits::Limits,
-        sensor::{SensorLaw, Slope},
-        tool::Direction,
-        units::{Nanometres, Reading, Temperature},
-    };
-    Calibration {
-        thermometers: [None; 8],
-        spindle: SpindleModel {
-            chain: [Some(ElongationSource::Sensor), None, None],
-            sensor: SensorLaw { k0: Nanometres(0), zero: Reading(0), slope: Slope(1 << 28) },
-            ..SpindleModel::default()
-        },
-        kinematics: Kinematics { zero: Direction::DOWN, axes: [None; 2] },
-        axes: Default::default(),
-        straightness: Default::default(),
-        squareness: Default::default(),
-        terms: Default::default(),
-        limits: Limits {
-            max: [Nanometres(500_000); 3],
-            slew_nm_per_s: 1_000,
-            link_timeout_ms: 500,
-            hold_ms: 2_000,
-            rejoin_nm_per_s: 10,
-        },
-        cold_within: Temperature(Temperature::PER_KELVIN / 2),
-        names: Names::default(),
-    }
-}
-
+mod example;
+#[cfg(test)]
+pub(crate) use example::tests_calibration;
 #[cfg(test)]
 mod restart_tests;
 #[cfg(test)]

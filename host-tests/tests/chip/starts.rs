@@ -113,7 +113,6 @@ fn a_board_in_service_is_live_before_its_option_bytes_are_set_again() {
 }
 
 #[test]
-#[ignore = "long: three seconds of the board"]
 fn the_option_bytes_of_a_board_in_service_are_set_while_it_gives_no_offset() {
     let folder = tempfile::tempdir().expect("a folder");
     let Some(flash) = flash_in_service(&folder) else { return };

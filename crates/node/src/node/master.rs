@@ -117,12 +117,13 @@ pub(super) struct Heard {
 
 impl Master {
     /// Whether what a CNC sends is heard from this line.
-    pub fn admits(&mut self, line: Line) -> bool {
-        let is_his = self.line.is_none_or(|his| his == line);
-        if !is_his {
-            self.other_line_ms = TOLD_MS;
-        }
-        is_his
+    pub fn admits(&self, line: Line) -> bool {
+        self.line.is_none_or(|his| his == line)
+    }
+
+    /// Somebody speaks as a CNC on a line that is not the master's. What came damaged is noise, and nobody.
+    pub fn hear_other(&mut self) {
+        self.other_line_ms = TOLD_MS;
     }
 
     /// A `Control` that was accepted; `None`: it is not believed.

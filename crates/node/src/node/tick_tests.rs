@@ -233,6 +233,24 @@ fn a_master_on_another_line_is_told_and_has_no_effect() {
 }
 
 #[test]
+fn what_comes_damaged_over_another_line_is_noise_and_no_second_master() {
+    let mut node = started();
+    for counter in 3..60_u8 {
+        node.hear(Line::Can, &frames::control(Control::ENGAGED, counter)).expect("in order");
+        let mut data = *frames::control(Control::REFERENCED, counter).data();
+        data[3 + usize::from(counter) % 5] ^= 1 << (counter % 8);
+        let noise = Frame::new(CONTROL_ID, &data).expect("eight bytes");
+        assert_eq!(node.hear(Line::Serial, &noise), Ok(None));
+        for _ in 0..20 {
+            node.tick(1, Input { codes: Some(&alive(700)), ..Input::default() });
+            node.service();
+        }
+        assert_eq!(state(&node).0 & trueup_link::status::StateBits::SECOND_MASTER.0, 0);
+    }
+    assert_eq!(node.last().quality, Quality::Live);
+}
+
+#[test]
 fn two_masters_on_one_line_take_no_zero_and_are_not_followed() {
     // One ahead of the other at equal rate: each second frame is accepted, always of the same one.
     for lead in [0_u8, 1, 5, 100] {

@@ -1,0 +1,36 @@
+//! The calibration that the tests of this folder run on.
+
+use trueup_core::{
+    calibration::{Calibration, ElongationSource, Names, SpindleModel},
+    kinematics::Kinematics,
+    limits::Limits,
+    sensor::{SensorLaw, Slope},
+    tool::Direction,
+    units::{Nanometres, Reading, Temperature},
+};
+
+/// A bridge with a sensor and nothing else.
+pub(crate) fn tests_calibration() -> Calibration<'static> {
+    Calibration {
+        thermometers: [None; 8],
+        spindle: SpindleModel {
+            chain: [Some(ElongationSource::Sensor), None, None],
+            sensor: SensorLaw { k0: Nanometres(0), zero: Reading(0), slope: Slope(1 << 28) },
+            ..SpindleModel::default()
+        },
+        kinematics: Kinematics { zero: Direction::DOWN, axes: [None; 2] },
+        axes: Default::default(),
+        straightness: Default::default(),
+        squareness: Default::default(),
+        terms: Default::default(),
+        limits: Limits {
+            max: [Nanometres(500_000); 3],
+            slew_nm_per_s: 1_000,
+            link_timeout_ms: 500,
+            hold_ms: 2_000,
+            rejoin_nm_per_s: 10,
+        },
+        cold_within: Temperature(Temperature::PER_KELVIN / 2),
+        names: Names::default(),
+    }
+}
