@@ -30,8 +30,7 @@ use trueup_demo::{
 use trueup_emulator::{
     chip,
     firmware::{self, Board},
-    linuxcnc, measure, replay, setup, size,
-    virtual_bridge::{self, Played, Settings},
+    linuxcnc, measure, setup, size, virtual_bridge,
 };
 use trueup_machine::{BadInput, MachineFile, RunFile};
 
@@ -147,24 +146,8 @@ struct Virtual {
     /// The machine file.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
-    /// Where the bridge listens for the CNC (SLCAN).
-    #[arg(long, value_name = "tcp:HOST:PORT", default_value = "tcp:127.0.0.1:3333")]
-    cnc: String,
-    /// The run file to replay; it starts when a client opens the channel.
-    #[arg(long, value_name = "R.csv", conflicts_with = "plant", required_unless_present = "plant")]
-    run: Option<PathBuf>,
-    /// Board time in multiples of real time, or "max".
-    #[arg(long, value_name = "N", default_value = "1", value_parser = speed)]
-    speed: Speed,
-    /// Seconds that a row lasts in a run file without time_s.
-    #[arg(long, value_name = "S", default_value_t = replay::DEFAULT_ROW_S)]
-    row_s: f64,
-    /// Where a plant listens that plays the machine, in JSON lines.
-    #[arg(long, value_name = "tcp:HOST:PORT")]
-    plant: Option<String>,
-    /// Seed of the front end's noise.
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
+    #[command(flatten)]
+    options: virtual_bridge::Options,
 }
 
 #[derive(Args)]
@@ -176,19 +159,6 @@ struct ChipOptions {
     /// Options of the model. Without --ms it runs until Ctrl-C, without --serial on port 3333.
     #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "OPTION")]
     options: Vec<String>,
-}
-
-#[derive(Clone, Copy)]
-struct Speed(Option<f64>);
-
-fn speed(text: &str) -> Result<Speed, String> {
-    if text == "max" {
-        return Ok(Speed(None));
-    }
-    match text.parse::<f64>() {
-        Ok(speed) if speed > 0.0 && speed.is_finite() => Ok(Speed(Some(speed))),
-        _ => Err("a speed is a number above 0, or \"max\"".into()),
-    }
 }
 
 fn main() -> ExitCode {
@@ -339,21 +309,12 @@ fn run_hidden(seeds: u64, first: u64, on_board: bool) -> Result<()> {
     Ok(())
 }
 
-fn run_virtual(options: Virtual) -> Result<()> {
+fn run_virtual(asked: Virtual) -> Result<()> {
     let own = || setup::root().join("data/paper_spindle.toml");
-    let machine = MachineFile::read(&options.machine.unwrap_or_else(own))?;
+    let machine = MachineFile::read(&asked.machine.unwrap_or_else(own))?;
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
-    let played = match (options.run, options.plant) {
-        (Some(path), _) => {
-            let run = RunFile::read(&path)?;
-            Played::Run { run, row_s: options.row_s, speed: options.speed.0 }
-        }
-        (None, Some(address)) => Played::Plant { address },
-        (None, None) => bail!("either --run or --plant"),
-    };
-    let settings = Settings { cnc: options.cnc, played, seed: options.seed };
     let image = || firmware::build(Board::Virtual);
-    virtual_bridge::run(&machine, settings, image, stop)
+    virtual_bridge::run(&machine, &asked.options, image, stop)
 }

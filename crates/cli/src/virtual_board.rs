@@ -10,13 +10,8 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use clap::Args;
-use trueup_emulator::{
-    process,
-    replay::DEFAULT_ROW_S,
-    setup::QEMU,
-    virtual_bridge::{self, Played, Settings},
-};
-use trueup_machine::{MachineFile, RunFile};
+use trueup_emulator::{process, setup::QEMU, virtual_bridge};
+use trueup_machine::MachineFile;
 
 use crate::{Outcome, UserError, carried};
 
@@ -33,39 +28,11 @@ pub struct Virtual {
     /// The machine file.
     #[arg(long, value_name = "M.toml")]
     machine: PathBuf,
-    /// Where the bridge listens for the CNC (SLCAN).
-    #[arg(long, value_name = "tcp:HOST:PORT", default_value = "tcp:127.0.0.1:3333")]
-    cnc: String,
-    /// The run file to replay; its last row is held.
-    #[arg(long, value_name = "R.csv", conflicts_with = "plant", required_unless_present = "plant")]
-    run: Option<PathBuf>,
-    /// Board time in multiples of real time, or "max".
-    #[arg(long, value_name = "N", default_value = "1", value_parser = speed)]
-    speed: Speed,
-    /// Seconds that a row lasts in a run file without time_s.
-    #[arg(long, value_name = "S", default_value_t = DEFAULT_ROW_S)]
-    row_s: f64,
-    /// Where a plant listens that plays the machine, in JSON lines.
-    #[arg(long, value_name = "tcp:HOST:PORT")]
-    plant: Option<String>,
-    /// Seed of the front end's noise.
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
+    #[command(flatten)]
+    options: virtual_bridge::Options,
     /// Another firmware image for QEMU than the one that this tool carries.
     #[arg(long, value_name = "FILE.elf")]
     image: Option<PathBuf>,
-}
-
-/// Multiples of real time; `None`: as fast as it goes.
-#[derive(Clone, Copy)]
-struct Speed(Option<f64>);
-
-fn speed(text: &str) -> Result<Speed, String> {
-    match (text, text.parse::<f64>()) {
-        ("max", _) => Ok(Speed(None)),
-        (_, Ok(speed)) if speed > 0.0 && speed.is_finite() => Ok(Speed(Some(speed))),
-        _ => Err("a speed is a number above 0, or \"max\"".into()),
-    }
 }
 
 /// Runs it.
@@ -76,13 +43,6 @@ pub fn run(args: &Virtual) -> Result<Outcome> {
         return Err(UserError(reason).into());
     }
     let machine = MachineFile::read(&args.machine)?;
-    let played = match (&args.run, &args.plant) {
-        (Some(path), _) => {
-            let run = RunFile::read(path)?;
-            Played::Run { run, row_s: args.row_s, speed: args.speed.0 }
-        }
-        (None, plant) => Played::Plant { address: plant.clone().unwrap_or_default() },
-    };
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
@@ -95,7 +55,6 @@ pub fn run(args: &Virtual) -> Result<Outcome> {
             Ok(folder.path().join(carried::VIRTUAL))
         }
     };
-    let settings = Settings { cnc: args.cnc.clone(), played, seed: args.seed };
-    virtual_bridge::run(&machine, settings, image, stop)?;
+    virtual_bridge::run(&machine, &args.options, image, stop)?;
     Ok(Outcome::Done)
 }

@@ -6,42 +6,50 @@ use std::{
     sync::{Arc, atomic::AtomicBool},
 };
 
-use anyhow::Result;
+use anyhow::{Result, bail};
+use clap::Args;
 use trueup_machine::{Machine, RunFile, compile};
 
 use crate::{
     front_end::FrontEnd,
     plant::Plant,
-    replay::Replay,
+    replay::{DEFAULT_ROW_S, Replay},
     serve::{self, SampleSource},
 };
 
-/// Who plays the machine.
-pub enum Played {
-    /// A run file.
-    Run {
-        /// The run file.
-        run: RunFile,
-        /// Seconds that a row lasts where there is no `time_s`, above 0.
-        row_s: f64,
-        /// Board time in multiples of real time; `None`: as fast as it goes.
-        speed: Option<f64>,
-    },
-    /// A plant, another program.
-    Plant {
-        /// Where it listens: `tcp:HOST:PORT`.
-        address: String,
-    },
+/// What is asked for beside the machine: the options that both commands have.
+#[derive(Args)]
+pub struct Options {
+    /// Where the bridge listens for the CNC (SLCAN); port 0 is any free one.
+    #[arg(long, value_name = "tcp:HOST:PORT", default_value = "tcp:127.0.0.1:3333")]
+    cnc: String,
+    /// The run file to replay, from the moment a client opens the channel; its last row is held.
+    #[arg(long, value_name = "R.csv", conflicts_with = "plant", required_unless_present = "plant")]
+    run: Option<PathBuf>,
+    /// Board time in multiples of real time, or "max".
+    #[arg(long, value_name = "N", default_value = "1", value_parser = speed)]
+    speed: Speed,
+    /// Seconds that a row lasts in a run file without time_s.
+    #[arg(long, value_name = "S", default_value_t = DEFAULT_ROW_S)]
+    row_s: f64,
+    /// Where a plant listens that plays the machine, in JSON lines.
+    #[arg(long, value_name = "tcp:HOST:PORT")]
+    plant: Option<String>,
+    /// Seed of the front end's noise.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
 }
 
-/// What is asked for beside the machine.
-pub struct Settings {
-    /// Where the bridge listens for the CNC: `tcp:HOST:PORT`; port 0 is any free one.
-    pub cnc: String,
-    /// Who plays the machine.
-    pub played: Played,
-    /// Seed of the front end's noise.
-    pub seed: u64,
+/// Multiples of real time; `None`: as fast as it goes.
+#[derive(Clone, Copy)]
+struct Speed(Option<f64>);
+
+fn speed(text: &str) -> Result<Speed, String> {
+    match (text, text.parse::<f64>()) {
+        ("max", _) => Ok(Speed(None)),
+        (_, Ok(speed)) if speed > 0.0 && speed.is_finite() => Ok(Speed(Some(speed))),
+        _ => Err("a speed is a number above 0, or \"max\"".into()),
+    }
 }
 
 /// Runs the bridge until `stop` is set or the plant leaves. `image` gives the firmware for QEMU; it is
@@ -51,38 +59,41 @@ pub struct Settings {
 /// The machine file or the run cannot be used, the port is in use, nobody plays, or QEMU ends.
 pub fn run(
     machine: &Machine,
-    settings: Settings,
+    options: &Options,
     image: impl FnOnce() -> Result<PathBuf>,
     stop: Arc<AtomicBool>,
 ) -> Result<()> {
     let compiled = compile(machine)?;
     let inputs = machine.inputs.as_ref();
     // A plant is connected to when all else is ready: it waits for its first answer from then on.
-    let played = match settings.played {
-        Played::Plant { address } => Err(address),
-        Played::Run { run, row_s, speed } => {
+    let played = match (&options.run, &options.plant) {
+        (Some(path), _) => {
+            let run = RunFile::read(path)?;
             let names = run.columns().iter().map(|column| column.name.as_str());
             let unused: Vec<_> = names.filter(|name| !Replay::uses(machine, name)).collect();
             if !unused.is_empty() {
                 let unused = unused.join(", ");
                 eprintln!("not replayed, this machine has no input for them: {unused}");
             }
-            Ok(SampleSource::Run { replay: Replay::new(&run, machine, row_s)?, speed })
+            let replay = Replay::new(&run, machine, options.row_s)?;
+            Ok(SampleSource::Run { replay, speed: options.speed.0 })
         }
+        (None, Some(address)) => Err(address),
+        (None, None) => bail!("either --run or --plant"),
     };
-    let listener = serve::listen(&settings.cnc)?;
+    let listener = serve::listen(&options.cnc)?;
     let image = image()?;
     let source = match played {
         Ok(run) => run,
         Err(address) => {
             let temperatures = inputs.map(|inputs| inputs.temperatures.clone());
-            let address = serve::tcp_address(&address)?;
+            let address = serve::tcp_address(address)?;
             SampleSource::Plant(Plant::connect(address, temperatures.unwrap_or_default())?)
         }
     };
     // Port 0 asks for any free one, so this is what was got, not what was asked for.
     eprintln!("the CNC's line is at tcp:{} (SLCAN)", listener.local_addr()?);
     let divider = inputs.and_then(|inputs| inputs.sensor.as_ref()).map_or(0.0, |it| it.divider);
-    let front_end = FrontEnd::new(divider, settings.seed);
+    let front_end = FrontEnd::new(divider, options.seed);
     serve::serve(&image, compiled.blob(), front_end, listener, source, stop)
 }
