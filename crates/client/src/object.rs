@@ -1,11 +1,15 @@
 //! Objects of the bridge, read and written by SDO over an open session.
 
-use std::time::{Duration, Instant};
+use std::{
+    error::Error,
+    fmt,
+    time::{Duration, Instant},
+};
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result};
 pub use trueup_canopen::dictionary::{NOT_AVAILABLE, TASKS};
 pub use trueup_canopen::sdo::client::At;
-use trueup_canopen::sdo::client::{Download, Progress, Upload};
+use trueup_canopen::sdo::client::{ClientError, Download, Progress, Upload, give_up};
 use trueup_link::{frame::Frame, slcan::Event};
 
 use crate::session::Session;
@@ -60,7 +64,22 @@ pub const UTC: At = (0x2110, 2);
 /// How long an answer may take: a calibration is stored before its last segment is answered.
 const PATIENCE: Duration = Duration::from_secs(2);
 
+/// No answer has come.
+#[derive(Debug)]
+struct NoAnswer(At);
+
+impl fmt::Display for NoAnswer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self((index, subindex)) = self;
+        write!(f, "object {index:04X}:{subindex}: no answer in {} s", PATIENCE.as_secs())
+    }
+}
+
+impl Error for NoAnswer {}
+
 /// Reads an object. `progress` hears how many bytes have come, and of how many.
+///
+/// A frame may be lost on the line, and reading changes nothing: it is tried twice.
 ///
 /// # Errors
 /// The bridge refuses or does not answer, or the line is broken.
@@ -68,6 +87,25 @@ pub fn read(
     session: &mut Session,
     at: At,
     mut progress: impl FnMut(usize, Option<u32>),
+) -> Result<Vec<u8>> {
+    match read_once(session, at, &mut progress) {
+        Err(error) if may_be_the_line(&error) => {
+            session.send(&give_up(at))?;
+            read_once(session, at, &mut progress)
+        }
+        read => read,
+    }
+}
+
+fn may_be_the_line(error: &anyhow::Error) -> bool {
+    error.is::<NoAnswer>()
+        || error.downcast_ref::<ClientError>().is_some_and(ClientError::may_be_the_line)
+}
+
+fn read_once(
+    session: &mut Session,
+    at: At,
+    progress: &mut impl FnMut(usize, Option<u32>),
 ) -> Result<Vec<u8>> {
     let (mut upload, first) = Upload::start(at);
     let mut bytes = Vec::new();
@@ -118,7 +156,7 @@ pub fn write(
 
 fn transfer(
     session: &mut Session,
-    (index, subindex): At,
+    at: At,
     first: Frame,
     mut hear: impl FnMut(&Frame) -> Result<Progress>,
 ) -> Result<()> {
@@ -126,7 +164,7 @@ fn transfer(
     let mut deadline = Instant::now() + PATIENCE;
     loop {
         let Some(event) = session.next_event(deadline)? else {
-            bail!("object {index:04X}:{subindex}: no answer in {} s", PATIENCE.as_secs());
+            return Err(NoAnswer(at).into());
         };
         let Event::Frame(frame) = event else { continue };
         match hear(&frame)? {

@@ -58,6 +58,18 @@ impl fmt::Display for ClientError {
 
 impl Error for ClientError {}
 
+impl ClientError {
+    /// Whether the line may be to blame, and the same may be answered when it is asked for again: a
+    /// request was lost, or an answer.
+    #[must_use]
+    pub const fn may_be_the_line(&self) -> bool {
+        match *self {
+            Self::Aborted { code, .. } => code == Abort::Timeout.code(),
+            Self::Unexpected { .. } => true,
+        }
+    }
+}
+
 /// An object that is being read.
 #[derive(Clone, Copy, Debug)]
 pub struct Upload {
@@ -108,6 +120,8 @@ impl Upload {
                 bytes.extend([a, b, c, d].into_iter().take(4_usize.saturating_sub(unused)));
                 Ok(Progress::Done)
             }
+            // The answer to an earlier start of the same, which was given up.
+            (2, Some(false)) if is_of(answer, self.at) => Ok(Progress::Unchanged),
             (0, Some(toggle)) if is_toggled(command) == toggle => {
                 let [_, data @ ..] = answer;
                 let length = SEGMENT.saturating_sub(usize::from(command >> 1 & 7));
@@ -217,6 +231,12 @@ fn request(data: [u8; 8]) -> Frame {
     Frame::full(SDO_REQUEST_ID, data)
 }
 
+/// Ends a transfer whose answer has not come, so that it can be started again.
+#[must_use]
+pub fn give_up(at: At) -> Frame {
+    request(initiated(0x80, at, Abort::Timeout.code()))
+}
+
 /// The bytes of a frame that is an answer of the bridge.
 fn answer(frame: &Frame) -> Option<&[u8; 8]> {
     (frame.id() == SDO_ANSWER_ID && usize::from(frame.len()) == Frame::MAX_LEN)
@@ -267,6 +287,20 @@ mod tests {
         assert_eq!(bytes, [3]);
         let answer = Frame::full(SDO_ANSWER_ID, initiated(0x60, at, 0));
         assert_eq!(download.hear(&answer), Ok(Progress::Done));
+    }
+
+    #[test]
+    fn a_read_that_was_started_twice_takes_one_of_the_two_answers() {
+        let at = (0x2100, 1);
+        let frame = |data| Frame::full(SDO_ANSWER_ID, data);
+        let (mut upload, _) = Upload::start(at);
+        let mut bytes = Vec::new();
+        let started = frame(initiated(0x41, at, 7));
+        assert!(matches!(upload.hear(&started, &mut bytes), Ok(Progress::Ask(_))));
+        assert_eq!(upload.hear(&started, &mut bytes), Ok(Progress::Unchanged));
+        let all = frame([0x01, 1, 2, 3, 4, 5, 6, 7]);
+        assert_eq!(upload.hear(&all, &mut bytes), Ok(Progress::Done));
+        assert_eq!(bytes, [1, 2, 3, 4, 5, 6, 7]);
     }
 
     proptest! {
