@@ -5,17 +5,15 @@
 //! touches.
 #![cfg(unix)]
 
-mod desk;
-
 use std::{
     fs::File,
     io::Write as _,
     process::{Command, Output},
 };
 
-use desk::Desk;
+use crate::desk::Desk;
 
-const PAPER: &str = include_str!("../../../data/paper_spindle.toml");
+const PAPER: &str = include_str!("../../../../data/paper_spindle.toml");
 const GIGABYTE: u64 = 1_000_000_000;
 
 fn limited(desk: &Desk, line: &str) -> Output {
@@ -31,7 +29,7 @@ fn limited(desk: &Desk, line: &str) -> Output {
 /// What the command says of a file that it must refuse.
 fn refused(desk: &Desk, line: &str) -> String {
     let output = limited(desk, line);
-    let said = desk::in_one_line(&String::from_utf8_lossy(&output.stderr));
+    let said = crate::desk::in_one_line(&String::from_utf8_lossy(&output.stderr));
     assert_eq!(output.status.code(), Some(2), "{line}: {said}");
     said
 }

@@ -1,9 +1,5 @@
 //! `bridge monitor`, `info` and `load` against a bridge that runs in this process.
 
-mod desk;
-mod pretended;
-mod wire;
-
 use std::{
     net::TcpListener,
     sync::{Arc, Mutex},
@@ -11,11 +7,13 @@ use std::{
     time::Duration,
 };
 
-use desk::Desk;
-use pretended::{Fault, PAPER, Tty, bridge, bridge_many, bridge_with, live, paper, paper_machine};
+use crate::desk::Desk;
+use crate::pretended::{
+    Fault, PAPER, Tty, bridge, bridge_many, bridge_with, live, paper, paper_machine,
+};
+use crate::wire::ReceivedBytes;
 use trueup_machine::{RunFile, compile};
 use trueup_store::calibration::identity;
-use wire::ReceivedBytes;
 
 /// A run that needs no files, and must end with `code`.
 fn said(line: &str, code: i32) -> (String, String) {
@@ -127,6 +125,21 @@ fn info_tells_version_serial_number_and_state() {
     assert_eq!(told["heartbeat"], "operational");
     assert_eq!((&told["calibration_crc"], &told["faults"]), (&crc.into(), &serde_json::json!([])));
     assert_eq!(told["new_calibration_crc"], serde_json::Value::Null);
+}
+
+#[test]
+fn a_request_that_is_lost_on_the_line_is_asked_for_again() {
+    // A start, and a segment of the calibration.
+    for lost in [1, 20] {
+        let desk = Desk::new(&[]);
+        let (port, heard) = bridge_with(Fault::Loses(lost), false);
+        desk.said(&format!("bridge save saved.json --port {port}"), 0);
+        assert!(heard.lock().expect("nobody panics with it").frames > lost);
+        let saved: serde_json::Value =
+            serde_json::from_str(&desk.text("saved.json")).expect("JSON");
+        let bytes = paper().blob().iter().map(|byte| format!("{byte:02x}")).collect::<String>();
+        assert_eq!(saved["calibration"], bytes.as_str());
+    }
 }
 
 #[test]

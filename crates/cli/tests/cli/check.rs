@@ -1,17 +1,15 @@
 //! `trueup check`, and how errors and warnings are said. The shipped files and every measured set must be
 //! silent: a warning that is wrong is worse than none.
 
-mod desk;
-
 use std::{
     fs,
     path::{Path, PathBuf},
 };
 
-use desk::Desk;
+use crate::desk::Desk;
 use serde_json::Value;
 
-const PAPER: &str = include_str!("../../../data/paper_spindle.toml");
+const PAPER: &str = include_str!("../../../../data/paper_spindle.toml");
 const RUN: &str = "sensor_counts,measured_elongation_um\n5376,3\n5638,8\n5900,12\n";
 
 fn desk() -> Desk {

@@ -1,14 +1,10 @@
 //! `commission` on a bridge in this process, with the virtual machine tool as the machine and its indicator as
 //! the gauge: the sign test, a stop, going on, acceptance.
 
-mod desk;
-mod pretended;
-mod wire;
-
 use std::fs;
 
-use desk::Desk;
-use pretended::{PAPER, bridge_steered};
+use crate::desk::Desk;
+use crate::pretended::{PAPER, bridge_steered};
 use trueup_machine::RunFile;
 
 /// Two hours at full speed and one hour of cooling: a sensor that shows too little.

@@ -1,15 +1,13 @@
 //! `trueup diagnose` as a user runs it: what it prints, what it leaves, and how it ends.
 
-mod desk;
-
 use std::path::Path;
 
-use desk::Desk;
+use crate::desk::Desk;
 use serde_json::Value;
 use trueup_machine::RunFile;
 
-const PAPER: &str = include_str!("../../../data/paper_spindle.toml");
-const TABLE: &str = include_str!("../../../data/spindle_paper_table1.csv");
+const PAPER: &str = include_str!("../../../../data/paper_spindle.toml");
+const TABLE: &str = include_str!("../../../../data/spindle_paper_table1.csv");
 
 fn desk() -> Desk {
     Desk::new(&[("m.toml", PAPER), ("run.csv", TABLE)])

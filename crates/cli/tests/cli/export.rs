@@ -1,8 +1,6 @@
 //! `trueup export`: the files, the report beside them, and the exit codes.
 
-mod desk;
-
-use desk::Desk;
+use crate::desk::Desk;
 
 const PITCH: &str = "\
 [machine]

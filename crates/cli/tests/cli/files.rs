@@ -1,18 +1,16 @@
 //! `predict`, `compile` and `show` as a user runs them: what they print, write and leave alone,
 //! and how they end.
 
-mod desk;
-
 #[cfg(unix)]
 use std::{fs, path::Path};
 
-use desk::Desk;
+use crate::desk::Desk;
 use trueup_core::units::Nanometres;
 use trueup_machine::RunFile;
 use trueup_store::calibration::{MAX_SIZE, decode, encode};
 
-const PAPER: &str = include_str!("../../../data/paper_spindle.toml");
-const TABLE: &str = include_str!("../../../data/spindle_paper_table1.csv");
+const PAPER: &str = include_str!("../../../../data/paper_spindle.toml");
+const TABLE: &str = include_str!("../../../../data/spindle_paper_table1.csv");
 /// The fixed part of the calibration and its CRC: the paper has no tables.
 const PAPER_BYTES: usize = 613;
 

@@ -1,11 +1,9 @@
 //! `fit` as a user runs it: all six kinds, from a run to a machine file that predicts, and how it
 //! refuses.
 
-mod desk;
-
 use std::{fmt::Write as _, fs};
 
-use desk::Desk;
+use crate::desk::Desk;
 use trueup_machine::{Machine, MachineFile, RunFile};
 use trueup_measured_data::file as measured;
 
@@ -53,7 +51,7 @@ fn noise(row: usize) -> f64 {
 #[test]
 fn elongation_by_the_sensor_goes_into_the_users_own_file() {
     let desk = desk();
-    desk.write("run.csv", include_str!("../../../data/spindle_paper_table1.csv"));
+    desk.write("run.csv", include_str!("../../../../data/spindle_paper_table1.csv"));
     let line = "fit elongation --run run.csv --machine m.toml -o out.toml";
     let (out, _) = desk.said(line, 0);
     assert!(out.starts_with("elongation of measured_elongation_um: fitted\n"), "{out}");
@@ -208,7 +206,7 @@ fn straightness_of_a_real_bed() {
 #[test]
 fn without_a_machine_file_the_section_alone_is_written() {
     let desk = desk();
-    desk.write("run.csv", include_str!("../../../data/spindle_paper_table1.csv"));
+    desk.write("run.csv", include_str!("../../../../data/spindle_paper_table1.csv"));
     desk.said("fit elongation --run run.csv -o section.toml", 0);
     let section = desk.text("section.toml");
     assert!(section.contains("\n[spindle.sensor]\nk0_um = "), "{section}");

@@ -1,8 +1,6 @@
 //! What an installed tool brings along: examples, completions, the manual's pages, the firmware.
 
-mod desk;
-
-use desk::Desk;
+use crate::desk::Desk;
 
 #[test]
 fn the_examples_are_written_and_work_and_nothing_of_the_users_is_lost() {

@@ -1,9 +1,7 @@
 //! `trueup learn` and `trueup trust` as a user calls them: records in, a second machine file out, the way
 //! back, and an alarm.
 
-mod desk;
-
-use desk::Desk;
+use crate::desk::Desk;
 use serde_json::Value;
 
 const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[inputs]\n\

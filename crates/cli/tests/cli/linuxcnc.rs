@@ -1,9 +1,7 @@
 //! `trueup linuxcnc` tells what is wrong before it touches LinuxCNC. That it works, the tests with the
 //! real LinuxCNC show (`host-tests`): here it never gets as far, so that none has to be installed.
 
-mod desk;
-
-use desk::Desk;
+use crate::desk::Desk;
 
 /// A bridge that nobody asks.
 const PORT: &str = "--port tcp:127.0.0.1:1";

@@ -1,8 +1,6 @@
 //! `trueup new` and `trueup schema`, and a result on standard output.
 
-mod desk;
-
-use desk::Desk;
+use crate::desk::Desk;
 
 #[test]
 fn a_new_file_compiles_and_nothing_in_it_is_doubted() {

@@ -1,10 +1,8 @@
 //! `program`, `compare` and `trend` as a user runs them.
 
-mod desk;
-
 use std::fmt::Write as _;
 
-use desk::Desk;
+use crate::desk::Desk;
 
 const MACHINE: &str =
     "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n[axis.x]\ntravel_mm = [0.0, 1000.0]\n";

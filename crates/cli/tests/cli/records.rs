@@ -1,12 +1,10 @@
 //! Records of a bridge, and run files as people have them, as a user hands them in.
 
-mod desk;
-
-use desk::Desk;
+use crate::desk::Desk;
 use serde_json::Value;
 use trueup_machine::{MachineFile, compile};
 
-const PAPER: &str = include_str!("../../../data/paper_spindle.toml");
+const PAPER: &str = include_str!("../../../../data/paper_spindle.toml");
 
 /// A spindle that warms up and cools while a bridge corrects what the machine file says, four fifths of
 /// it, from row 100 to row 300; it ramps out for 5 rows, and a logger has lost the quality of 2.

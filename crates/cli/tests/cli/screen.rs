@@ -1,16 +1,11 @@
 //! `bridge monitor` as a live screen, in a pseudo terminal of three sizes, against a bridge in this process.
 #![cfg(target_os = "linux")]
 
-mod desk;
-mod pretended;
-mod terminal;
-mod wire;
-
 use std::{io::Write as _, net::TcpListener, thread, time::Duration};
 
-use desk::Desk;
-use pretended::{Fault, PAPER, bridge_many};
-use terminal::Terminal;
+use crate::desk::Desk;
+use crate::pretended::{Fault, PAPER, bridge_many};
+use crate::terminal::Terminal;
 use trueup_machine::RunFile;
 
 #[test]
@@ -102,7 +97,7 @@ fn r_records_and_g_writes_readings_typed_and_live() {
 fn a_fault_is_told_with_its_remedy_and_a_line_that_breaks_is_tried_again() {
     let desk = Desk::new(&[]);
     // It closes the line 1.3 s after it was opened.
-    let (port, _) = pretended::bridge(Fault::Leaves);
+    let (port, _) = crate::pretended::bridge(Fault::Leaves);
     let mut terminal =
         Terminal::start(&desk, &format!("bridge monitor --port {port}"), (80, 24), true);
     terminal.shows(&["GROWTH".to_lowercase().as_str(), "LIVE"]);

@@ -1,15 +1,13 @@
 //! `trueup simulate` as a user runs it, and the twin's challenges against the host's own model.
 
-mod desk;
-
 use std::path::Path;
 
-use desk::Desk;
+use crate::desk::Desk;
 use trueup_machine::{MachineFile, RunFile, predict::Predictor};
 use trueup_twin::hidden::{Challenge, Hidden, draw};
 
-const WARMUP: &str = include_str!("../../../data/scenario-warmup.toml");
-const AXIS: &str = include_str!("../../../data/scenario-axis.toml");
+const WARMUP: &str = include_str!("../../../../data/scenario-warmup.toml");
+const AXIS: &str = include_str!("../../../../data/scenario-axis.toml");
 
 fn desk() -> Desk {
     Desk::new(&[("warmup.toml", WARMUP), ("axis.toml", AXIS)])

@@ -4,11 +4,9 @@
 //! output, then standard error, then the exit code if it is not 0. A line `…` stands for any lines. A
 //! block ```` ```csv NAME ```` is a file. `TRUEUP_WRITE_TUTORIAL=1` writes the page anew where it differs.
 
-mod desk;
-
 use std::{fs, path::Path};
 
-use desk::Desk;
+use crate::desk::Desk;
 
 /// What a command prints, as a reader of the page sees it.
 fn printed(desk: &Desk, command: &str) -> String {

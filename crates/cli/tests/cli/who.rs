@@ -2,16 +2,11 @@
 //! that is saved and restored, and a port that is another program's.
 #![cfg(target_os = "linux")]
 
-mod desk;
-mod pretended;
-mod terminal;
-mod wire;
-
 use std::sync::{Arc, Mutex};
 
-use desk::Desk;
-use pretended::{Fault, PAPER, bridge_many, paper};
-use terminal::Terminal;
+use crate::desk::Desk;
+use crate::pretended::{Fault, PAPER, bridge_many, paper};
+use crate::terminal::Terminal;
 
 /// The paper's machine, and the same with another gain and slew limit.
 fn desk() -> Desk {
@@ -124,8 +119,10 @@ fn a_serial_device_that_another_program_has_is_busy() {
     theirs.set_exclusive(false).expect("a plain terminal");
     let device = theirs.name().expect("a pseudo terminal has a name");
     drop(theirs);
-    let told = Arc::new(Mutex::new(wire::ReceivedBytes::default()));
-    std::thread::spawn(move || pretended::live(pretended::Tty(ours), Fault::None, || true, &told));
+    let told = Arc::new(Mutex::new(crate::wire::ReceivedBytes::default()));
+    std::thread::spawn(move || {
+        crate::pretended::live(crate::pretended::Tty(ours), Fault::None, || true, &told)
+    });
     let desk = Desk::new(&[]);
     let line = format!("bridge monitor --port {device}");
     let mut first = Terminal::start(&desk, &line, (80, 24), true);

@@ -1,10 +1,8 @@
 //! Backlash that depends on the feed (seed 004): told, and not averaged away.
 
-mod pitch_support;
-
 use std::fmt::Write as _;
 
-use pitch_support::run_of;
+use crate::pitch_support::run_of;
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, Normal};

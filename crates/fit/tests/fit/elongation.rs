@@ -1,10 +1,8 @@
 //! `fit elongation`: known truth, the way through a machine file, real runs, bad input.
 
-mod support;
-
 use std::path::Path;
 
-use support::{
+use crate::support::{
     MACHINE, Noise, applied, assert_holds, assert_round_trip, machine, parse, predicted_rms, run,
     unaided,
 };

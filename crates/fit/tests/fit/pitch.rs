@@ -1,8 +1,6 @@
 //! The pitch and backlash fits on axes whose true errors are known.
 
-mod pitch_support;
-
-use pitch_support::{machine_of, rms, run_of, sweeps};
+use crate::pitch_support::{machine_of, rms, run_of, sweeps};
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, Normal};
@@ -319,9 +317,9 @@ fn a_record_of_a_moving_axis_is_fitted_in_cells() {
     check_record(&record(20_000));
 }
 
-/// `cargo test --release -p trueup-fit --test pitch -- --ignored --show-output`
+/// `cargo test --release -p trueup-fit --test fit pitch -- --ignored --show-output`
 #[test]
-#[ignore = "campaign: cargo test -p trueup-fit --release --test pitch -- --ignored --show-output"]
+#[ignore = "campaign: cargo test -p trueup-fit --release --test fit pitch -- --ignored --show-output"]
 fn campaign_a_million_rows_are_fitted() {
     check_record(&record(1_000_000));
     let targets: Vec<f64> = (0..500).map(|n| f64::from(n) * 0.8).collect();

@@ -1,11 +1,9 @@
 //! The pitch fit on measured axes: the set `ess_iso230`, five runs of ISO 230-2 each, fitted
 //! on some runs and tested on the others as `trueup predict` would correct them.
 //!
-//! `cargo test -p trueup-fit --test pitch_real -- --show-output` prints the figures.
+//! `cargo test -p trueup-fit --test fit pitch_real -- --show-output` prints the figures.
 
-mod pitch_support;
-
-use pitch_support::{left_by_model, rms, unaided};
+use crate::pitch_support::{left_by_model, rms, unaided};
 use trueup_fit::{
     Verdict,
     pitch::{Options, Ways, fit, fit_backlash},

@@ -1,8 +1,6 @@
 //! What a run must keep to be fitted: every broken rule is named with its line and column.
 
-mod pitch_support;
-
-use pitch_support::run_of;
+use crate::pitch_support::run_of;
 use trueup_fit::pitch::{Options, Ways, fit, fit_backlash};
 use trueup_machine::file::LinearAxis;
 

@@ -1,6 +1,6 @@
 //! A real bed: the mean X profile of a mesh of 101 × 101 heights (bed form and guides together),
 //! fitted at the even points, tested at the odd ones. Figures:
-//! `cargo test -p trueup-fit --test straightness_bed -- --show-output`.
+//! `cargo test -p trueup-fit --test fit straightness_bed -- --show-output`.
 
 use trueup_fit::straightness::{Fit, Options, Stop, fit};
 use trueup_machine::model::spline_um;

@@ -1,12 +1,9 @@
 //! The paper's machine (`docs/physics.md` section 4): six curves with its travels and amplitudes, and the
 //! two-axis diagonal cut.
 //!
-//! The paper prints no data, so the curves are [seeded](guideway). Figures: `cargo test -p trueup-fit --test straightness_paper -- --show-output`.
+//! The paper prints no data, so the curves are seeded (`support/guideway.rs`). Figures: `cargo test -p trueup-fit --test fit straightness_paper -- --show-output`.
 
-#[path = "support/guideway.rs"]
-mod guideway;
-
-use guideway::{CURVES, Guideway};
+use crate::support::guideway::{CURVES, Guideway};
 use trueup_fit::straightness::{Compared, Fit, Method, Options, Stop, fit};
 use trueup_machine::model::spline_um;
 

@@ -1,8 +1,6 @@
 //! `fit thermal`: known truth, the way through a machine file, real runs, bad input.
 
-mod support;
-
-use support::{
+use crate::support::{
     MACHINE, Noise, applied, assert_holds, assert_round_trip, machine, parse, run, unaided,
 };
 use trueup_fit::{Report, Verdict, thermal};
@@ -143,7 +141,7 @@ fn runs_at_several_temperatures_give_a_table_where_a_line_does_not_do() {
         .collect();
     let columns: [(&str, &[f64]); 4] =
         [("run", &number), ("x_mm", &x), ("temp_screw_c", &warm), ("measured_dx_um", &y)];
-    let straight = support::run(&columns);
+    let straight = crate::support::run(&columns);
     let report = fit(&straight, &thermal::Options::default());
     let axis = applied(&report, MACHINE).axes[0].thermal.clone().expect("written");
     assert_eq!((axis.mode, axis.table), (ThermalMode::Position, None));

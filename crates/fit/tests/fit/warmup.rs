@@ -1,8 +1,6 @@
 //! `fit warmup`: known truth, the way through a machine file, bad input.
 
-mod support;
-
-use support::{
+use crate::support::{
     MACHINE, Noise, applied, assert_holds, assert_round_trip, machine, parse, predicted_rms, run,
 };
 use trueup_fit::{Report, Verdict, warmup};
@@ -149,7 +147,7 @@ fn an_instrument_that_was_not_at_zero_is_taken_off_and_said() {
     let y: Vec<f64> =
         run.column("measured_elongation_um").expect("there").iter().map(|y| y + 12.0).collect();
     let time = run.column("time_s").expect("there").to_vec();
-    let run = support::run(&[("time_s", &time), ("measured_elongation_um", &y)]);
+    let run = crate::support::run(&[("time_s", &time), ("measured_elongation_um", &y)]);
     let report = fit(&[run]);
     assert_holds(&report, "time_constant_s", 1335.0);
     assert!(report.warnings.iter().any(|w| w.contains("does not begin at 0")), "{report:?}");
@@ -161,7 +159,7 @@ fn gross_errors_are_listed_and_do_not_move_the_fit() {
     let mut y = run.column("measured_elongation_um").expect("there").to_vec();
     let time = run.column("time_s").expect("there").to_vec();
     (y[40], y[41], y[90]) = (-300.0, -300.0, 500.0);
-    let run = support::run(&[("time_s", &time), ("measured_elongation_um", &y)]);
+    let run = crate::support::run(&[("time_s", &time), ("measured_elongation_um", &y)]);
     let report = fit(std::slice::from_ref(&run));
     let lines: Vec<usize> = report.set_aside.iter().map(|row| row.place.line).collect();
     assert_eq!(lines, [42, 43, 92]);

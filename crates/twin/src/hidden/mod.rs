@@ -9,7 +9,7 @@
 //!
 //! and `believed` is exactly what the machine file says of the written columns: this module works it
 //! out by code of its own, from the rounded values that the file shows. The host's model gives the same
-//! on every row within 1e-9 µm (`crates/cli/tests/simulate.rs`).
+//! on every row within 1e-9 µm (`crates/cli/tests/cli/simulate.rs`).
 //!
 //! # Conventions
 //! - The table of causes (`docs/reference.md`, Causes) says what each effect does to p, the believed

@@ -2,7 +2,6 @@
 //! with what it prints, leaves there and ends with. Files are named as the user names them, so that no
 //! test depends on where the folder lies, and a run that ends with another code than the test says
 //! fails with all that it has printed.
-#![allow(dead_code, reason = "each test uses its share")]
 
 use std::{
     fs,

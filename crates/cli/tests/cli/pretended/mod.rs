@@ -1,5 +1,4 @@
 //! A bridge that runs in this process: the node and the SLCAN port of the firmware, without its hardware.
-#![allow(dead_code, reason = "each test uses its share")]
 
 use std::{
     io::{ErrorKind, Read, Write},
@@ -27,7 +26,7 @@ use trueup_store::{
 use crate::wire::{ReceivedBytes, Tools, damaged, write_all};
 
 /// The paper's spindle.
-pub const PAPER: &str = include_str!("../../../../data/paper_spindle.toml");
+pub const PAPER: &str = include_str!("../../../../../data/paper_spindle.toml");
 
 /// What is wrong with the bridge.
 #[derive(Clone, Copy, PartialEq)]
@@ -37,6 +36,8 @@ pub enum Fault {
     Noise,
     /// It answers, but sends no frame.
     NoFrames,
+    /// Of what the tool sends, this frame is lost, counted from 0.
+    Loses(usize),
     /// It says nothing at all.
     Silent,
     /// It closes the line after a while.
@@ -133,6 +134,9 @@ pub fn live(
                 heard.bytes.extend(&bytes[..length]);
                 for frame in bytes[..length].iter().filter_map(|&b| port.receive(b)) {
                     heard.frames += 1;
+                    if fault == Fault::Loses(heard.frames - 1) {
+                        continue;
+                    }
                     node.hear(Line::Serial, &frame).expect("no tool sends a damaged frame");
                 }
             }

@@ -1,5 +1,4 @@
 //! The tool in a pseudo terminal: what it draws is read as a terminal would show it.
-#![allow(dead_code, reason = "each test uses its share")]
 
 use std::{
     fs::File,

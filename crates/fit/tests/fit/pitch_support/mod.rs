@@ -1,5 +1,4 @@
 //! What the tests of the pitch fit share.
-#![allow(dead_code, reason = "each test file uses its own part of it")]
 
 use std::{borrow::Cow, fmt::Write as _, path::Path};
 

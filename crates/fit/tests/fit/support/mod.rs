@@ -1,6 +1,6 @@
 //! What the tests of whole fits share: runs from numbers, and the way through a machine file.
 
-#![allow(dead_code, reason = "each test program uses its own part")]
+pub mod guideway;
 
 use std::{borrow::Cow, fmt::Write as _, path::Path};
 

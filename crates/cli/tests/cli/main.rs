@@ -1,0 +1,27 @@
+//! The tool as its users call it: by the words of a line, in one program, so that what the tests share is
+//! built and linked once.
+
+mod accept;
+mod bounds;
+mod bridge;
+mod check;
+mod commission;
+mod desk;
+mod diagnose;
+mod export;
+mod files;
+mod fit;
+mod install;
+mod learn;
+mod linuxcnc;
+mod new;
+mod papers;
+mod pretended;
+mod records;
+mod screen;
+mod simulate;
+#[cfg(target_os = "linux")]
+mod terminal;
+mod tutorial;
+mod who;
+mod wire;

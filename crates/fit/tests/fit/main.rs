@@ -1,0 +1,15 @@
+//! `fit` on curves whose constants are known, on the papers' figures and on measured data, in one program, so
+//! that what the tests share is built and linked once.
+
+mod backlash_by_feed;
+mod elongation;
+mod pitch;
+mod pitch_real;
+mod pitch_rules;
+mod pitch_support;
+mod straightness;
+mod straightness_bed;
+mod straightness_paper;
+mod support;
+mod thermal;
+mod warmup;
