@@ -2,6 +2,7 @@
 
 mod args;
 mod report;
+mod table1;
 
 use std::{
     borrow::Cow,
@@ -26,8 +27,8 @@ use trueup_machine::{
 pub use args::Fit;
 
 use self::args::{
-    Backlash, By, Common, Elongation, Kind, Method, Mode, Pitch, ReferenceLine, Straightness,
-    Thermal, Warmup, Ways,
+    Backlash, By, Common, Elongation, Kind, Method, Mode, Pitch, Straightness, Thermal, Warmup,
+    Ways,
 };
 use crate::{Outcome, UserError, files, output, runs};
 
@@ -40,6 +41,7 @@ struct Input {
 /// Fits what is asked for.
 pub fn run(args: &Fit, as_json: bool) -> Result<Outcome> {
     let common = match &args.kind {
+        Kind::Table1(args) => return table1::run(args, as_json),
         Kind::Straightness(Straightness { common, .. })
         | Kind::Pitch(Pitch { common, .. })
         | Kind::Backlash(Backlash { common, .. })
@@ -47,10 +49,11 @@ pub fn run(args: &Fit, as_json: bool) -> Result<Outcome> {
         | Kind::Warmup(Warmup { common })
         | Kind::Thermal(Thermal { common, .. }) => common,
     };
-    let input = Input::read(common)?;
+    let input = Input::read(&common.run, common.machine.as_ref())?;
     let bytes: u64 = common.run.iter().map(|path| runs::bytes(path)).sum();
     let spinner = spinner("fitting", bytes);
     let report = match &args.kind {
+        Kind::Table1(_) => unreachable!("has returned"),
         Kind::Straightness(args) => straightness_of(&input, args)?,
         Kind::Pitch(args) => pitch_of(&input, args)?,
         Kind::Backlash(args) => backlash_of(&input, args)?,
@@ -73,8 +76,8 @@ pub fn run(args: &Fit, as_json: bool) -> Result<Outcome> {
 }
 
 impl Input {
-    fn read(common: &Common) -> Result<Self> {
-        let machine = match &common.machine {
+    fn read(runs: &[PathBuf], machine: Option<&PathBuf>) -> Result<Self> {
+        let machine = match machine {
             None => None,
             Some(path) => {
                 let text = MachineFile::read_text(path)?;
@@ -89,7 +92,7 @@ impl Input {
             notes.iter().for_each(crate::report::warn);
             Ok(run)
         };
-        let runs = common.run.iter().map(read).collect::<Result<_, _>>()?;
+        let runs = runs.iter().map(read).collect::<Result<_, _>>()?;
         Ok(Self { runs, machine })
     }
 
@@ -137,11 +140,7 @@ fn straightness_of(input: &Input, args: &Straightness) -> Result<Report> {
             Method::LeastSquares => straightness::Method::LeastSquares,
             Method::Paper => straightness::Method::Paper,
         },
-        reference: match args.reference {
-            ReferenceLine::AsMeasured => straightness::ReferenceLine::AsMeasured,
-            ReferenceLine::EndPoints => straightness::ReferenceLine::EndPoints,
-            ReferenceLine::LeastSquares => straightness::ReferenceLine::LeastSquares,
-        },
+        reference: args.reference.of_fit(),
         ..straightness::Options::default()
     };
     let run = input.run()?;

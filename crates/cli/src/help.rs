@@ -34,6 +34,10 @@ const EXAMPLES: &[(&str, &str)] = &[
     ),
     ("fit warmup", "trueup fit warmup --run measured.csv --machine machine.toml -o fitted.toml"),
     ("fit thermal", "trueup fit thermal --run measured.csv --machine machine.toml -o fitted.toml"),
+    (
+        "fit table1",
+        "trueup fit table1 --run z_of_x.csv --run z_of_y.csv --run diagonal.csv -o table1.html",
+    ),
     ("linuxcnc", "trueup linuxcnc --port tcp:127.0.0.1:7700 --machine machine.toml"),
     ("show", "trueup show machine.bin > shown.toml"),
     ("program", "trueup program backlash --machine machine.toml --for siemens -o measure"),

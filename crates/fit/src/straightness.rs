@@ -38,11 +38,13 @@
 
 mod compare;
 mod knots;
+mod model;
 mod paper;
 mod path;
 mod residual;
 mod run;
 mod sites;
+pub mod table1;
 
 use std::{error::Error, fmt};
 

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
+use trueup_fit::straightness;
 
 /// Fits a section of the machine file to measured runs, and says how well.
 ///
@@ -28,6 +29,8 @@ pub enum Kind {
     Warmup(Warmup),
     /// [axis.x.thermal]: an axis's growth with a temperature.
     Thermal(Thermal),
+    /// B-spline, polynomial and lines side by side on your straightness runs: nothing is fitted for the bridge.
+    Table1(Table1),
 }
 
 #[derive(Args)]
@@ -62,6 +65,39 @@ pub struct Straightness {
     pub method: Method,
 }
 
+/// The table of seed 003 on your own runs: what a B-spline, a polynomial of degree 7 and straight lines leave of each
+/// curve and of each diagonal (range, mean, mean square, within any metre), how much the correction's speed jumps at
+/// the corners of lines, and what that asks of the axis.
+///
+/// A run in which one axis moves is a curve; one in which two move is a diagonal, and needs the curves of both.
+#[derive(Args)]
+pub struct Table1 {
+    /// A run file; several, one for each curve and each diagonal.
+    #[arg(long, value_name = "RUN.csv", required = true)]
+    pub run: Vec<PathBuf>,
+    /// The machine file: what a bridge in the runs had applied is taken off by it.
+    #[arg(long, value_name = "M.toml")]
+    pub machine: Option<PathBuf>,
+    /// The error: dx, dy or dz; may be left out where each run measures one only.
+    #[arg(long, value_name = "dx|dy|dz")]
+    pub quantity: Option<String>,
+    /// The largest residual allowed; left out, down to the noise.
+    #[arg(long, value_name = "UM")]
+    pub tolerance_um: Option<f64>,
+    /// The straight line from which the errors count.
+    #[arg(long, default_value = "as-measured")]
+    pub reference: ReferenceLine,
+    /// The feed along the way, in mm/min.
+    #[arg(long, value_name = "MM/MIN", default_value_t = 1000.0, value_parser = crate::diagnose::above_zero)]
+    pub feed: f64,
+    /// How often the control gives its axes a new target, in ms.
+    #[arg(long, value_name = "MS", default_value_t = 1.0, value_parser = crate::diagnose::above_zero)]
+    pub cycle_ms: f64,
+    /// The page with the table and the speeds, drawn.
+    #[arg(short, long, value_name = "TABLE.html")]
+    pub output: PathBuf,
+}
+
 #[derive(Clone, Copy, ValueEnum)]
 pub enum ReferenceLine {
     /// None: the readings are errors already.
@@ -70,6 +106,16 @@ pub enum ReferenceLine {
     EndPoints,
     /// The least squares line.
     LeastSquares,
+}
+
+impl ReferenceLine {
+    pub fn of_fit(self) -> straightness::ReferenceLine {
+        match self {
+            Self::AsMeasured => straightness::ReferenceLine::AsMeasured,
+            Self::EndPoints => straightness::ReferenceLine::EndPoints,
+            Self::LeastSquares => straightness::ReferenceLine::LeastSquares,
+        }
+    }
 }
 
 #[derive(Clone, Copy, ValueEnum)]

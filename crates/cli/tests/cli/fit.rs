@@ -204,6 +204,42 @@ fn straightness_of_a_real_bed() {
 }
 
 #[test]
+fn ways_to_a_curve_stand_side_by_side_on_curves_and_diagonals() {
+    let error = |mm: f64| 8.0 * (mm / 90.0).sin();
+    let mut texts = ["x_mm", "y_mm", "x_mm,y_mm"].map(|names| format!("{names},measured_dz_um\n"));
+    for n in 0..60 {
+        let at = 10.0 * f64::from(n);
+        for (text, row) in texts.iter_mut().zip([
+            format!("{at},{}", error(at)),
+            format!("{at},{}", error(at + 200.0)),
+            format!("{at},{at},{}", error(at) + error(at + 200.0)),
+        ]) {
+            writeln!(text, "{row}").expect("a string");
+        }
+    }
+    let desk = desk();
+    for (name, text) in ["x.csv", "y.csv", "xy.csv"].into_iter().zip(texts) {
+        desk.write(name, text);
+    }
+    let line =
+        "fit table1 --run x.csv --run xy.csv --run y.csv --tolerance-um 0.5 --feed 6000 -o t.html";
+    let (out, _) = desk.said(line, 0);
+    println!("{out}");
+    for entry in ["z_of_x, 60", "z_of_y, 60", "dz on the diagonal of x and y, 60"] {
+        assert!(out.contains(&format!("{entry} positions\n  without: range ")), "{out}");
+    }
+    assert_eq!(out.matches("  straight lines: range 0.00 um, mean 0.00 um").count(), 3, "{out}");
+    assert!(desk.text("t.html").contains("<svg"));
+    let (json, _) = desk.said(&format!("{line} --json"), 0);
+    // Along the diagonal each axis has 1/√2 of the feed.
+    let jump = |entry| number(&json, &format!("/entries/{entry}/ways/4/jump_mm_per_s"));
+    let most = f64::max(jump(0), jump(1));
+    assert!((jump(2) - most / 2_f64.sqrt()).abs() < 1e-9 && most > 0.0, "{json}");
+    let (_, error) = desk.said("fit table1 --run xy.csv -o t.html", 2);
+    assert!(error.contains("give the run of z over x alone by --run as well"), "{error}");
+}
+
+#[test]
 fn without_a_machine_file_the_section_alone_is_written() {
     let desk = desk();
     desk.write("run.csv", include_str!("../../../../data/spindle_paper_table1.csv"));

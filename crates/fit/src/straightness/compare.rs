@@ -5,11 +5,10 @@
 
 use std::fmt;
 
-use trueup_machine::{file::BSpline, model::spline_um};
-use trueup_numerics::least_squares::Triangle;
-
 use super::{
-    Fit, Method, Options, paper,
+    Fit, Method, Options,
+    model::{Model, Polynomial},
+    paper,
     path::{Found, MOST_CELLS},
     residual::Residual,
     sites::Sites,
@@ -34,7 +33,8 @@ pub enum Way {
 }
 
 impl Way {
-    const ALL: [Self; 5] =
+    /// All of them, in the order of the table.
+    pub(super) const ALL: [Self; 5] =
         [Self::Paper, Self::PapersPoints, Self::LeastSquares, Self::Polynomial, Self::Lines];
 
     /// The way of a fit by `method`.
@@ -109,168 +109,15 @@ impl fmt::Display for Compared {
     }
 }
 
-/// A curve of any of the ways.
-enum Model {
-    Spline(BSpline),
-    Polynomial(Polynomial),
-    Lines { x: Vec<f64>, y: Vec<f64> },
-}
-
-impl Model {
-    fn at(&self, x_mm: f64) -> f64 {
-        match self {
-            Self::Spline(spline) => spline_um(spline, x_mm),
-            Self::Polynomial(polynomial) => polynomial.derivatives(x_mm)[0],
-            Self::Lines { x, y } => {
-                let n = x.partition_point(|&at| at <= x_mm).clamp(1, x.len() - 1);
-                let share = (x_mm - x[n - 1]) / (x[n] - x[n - 1]);
-                y[n - 1] + share * (y[n] - y[n - 1])
-            }
-        }
-    }
-
-    fn coefficients(&self) -> usize {
-        match self {
-            Self::Spline(spline) => spline.control_um.len(),
-            Self::Polynomial(polynomial) => polynomial.chebyshev.len(),
-            Self::Lines { x, .. } => x.len(),
-        }
-    }
-
-    /// Largest jump of the slope in µm/mm: lines alone have any.
-    fn corner(&self) -> f64 {
-        let Self::Lines { x, y } = self else { return 0.0 };
-        let slopes: Vec<f64> =
-            (1..x.len()).map(|n| (y[n] - y[n - 1]) / (x[n] - x[n - 1])).collect();
-        slopes.windows(2).fold(0.0, |most, pair| f64::max(most, (pair[1] - pair[0]).abs()))
-    }
-
-    /// Largest absolute slope and curvature.
-    fn steepest(&self) -> (f64, f64) {
-        match self {
-            Self::Spline(spline) => crate::bspline::steepest(spline, 9),
-            Self::Polynomial(polynomial) => polynomial.steepest(),
-            Self::Lines { x, y } => {
-                let slopes: Vec<f64> =
-                    (1..x.len()).map(|n| (y[n] - y[n - 1]) / (x[n] - x[n - 1])).collect();
-                let bend = |n: usize| (slopes[n] - slopes[n - 1]) / (0.5 * (x[n + 1] - x[n - 1]));
-                let largest = |values: &mut dyn Iterator<Item = f64>| {
-                    values.fold(0.0, |largest: f64, value| largest.max(value.abs()))
-                };
-                (largest(&mut slopes.iter().copied()), largest(&mut (1..slopes.len()).map(bend)))
-            }
-        }
-    }
-
-    fn residual(&self, sites: &Sites) -> Residual {
-        let left: Vec<f64> = sites.points().map(|(x, y, _)| y - self.at(x)).collect();
-        Residual::of(&left)
-    }
-}
-
-/// A polynomial in Chebyshev's form over the measured range.
-struct Polynomial {
-    ends: [f64; 2],
-    chebyshev: Vec<f64>,
-}
-
-impl Polynomial {
-    /// The least squares polynomial of `degree`, or of the highest below it that the sites allow.
-    fn fit(sites: &Sites, degree: usize) -> Self {
-        let ends = sites.ends();
-        let count = (degree + 1).min(sites.len() - 1);
-        let mut row = vec![0.0; count];
-        for count in (1..=count).rev() {
-            let mut triangle = Triangle::new(count);
-            for (x, y, weight) in sites.points() {
-                let root = weight.sqrt();
-                let values = chebyshev(local(ends, x)).map(|[t, ..]| root * t);
-                row.iter_mut().zip(values).for_each(|(row, value)| *row = value);
-                triangle.add(&row[..count], root * y);
-            }
-            if let Ok(solution) = triangle.solve() {
-                return Self { ends, chebyshev: solution.coefficients };
-            }
-        }
-        Self { ends, chebyshev: vec![0.0] }
-    }
-
-    /// Value, slope and curvature.
-    fn derivatives(&self, x_mm: f64) -> [f64; 3] {
-        let scale = 2.0 / (self.ends[1] - self.ends[0]);
-        let mut sum = [0.0; 3];
-        for (c, t) in self.chebyshev.iter().zip(chebyshev(local(self.ends, x_mm))) {
-            for (sum, t) in sum.iter_mut().zip(t) {
-                *sum += c * t;
-            }
-        }
-        [sum[0], sum[1] * scale, sum[2] * scale * scale]
-    }
-
-    fn steepest(&self) -> (f64, f64) {
-        const PLACES: u32 = 500;
-        (0..=PLACES).fold((0.0_f64, 0.0_f64), |(slope, curvature), n| {
-            let share = f64::from(n) / f64::from(PLACES);
-            let at = self.ends[0] + share * (self.ends[1] - self.ends[0]);
-            let [_, first, second] = self.derivatives(at);
-            (slope.max(first.abs()), curvature.max(second.abs()))
-        })
-    }
-}
-
-/// A position as −1…1.
-fn local([first, last]: [f64; 2], x: f64) -> f64 {
-    2.0 * (x - first) / (last - first) - 1.0
-}
-
-/// Chebyshev's polynomials T₀, T₁, … at u with their first and second derivatives.
-fn chebyshev(u: f64) -> impl Iterator<Item = [f64; 3]> {
-    let mut pair = ([1.0, 0.0, 0.0], [u, 1.0, 0.0]);
-    std::iter::from_fn(move || {
-        let (now, next) = pair;
-        // T_{n+1} = 2u·T_n − T_{n−1}, differentiated once and twice.
-        let after = [
-            2.0 * u * next[0] - now[0],
-            2.0 * (next[0] + u * next[1]) - now[1],
-            2.0 * (2.0 * next[1] + u * next[2]) - now[2],
-        ];
-        pair = (next, after);
-        Some(now)
-    })
-}
-
 pub(super) fn table(fit: &Fit) -> Vec<Compared> {
-    let options = Options {
-        tolerance_um: fit.tolerance_um,
-        method: Method::LeastSquares,
-        reference: fit.reference,
-        most_coefficients: fit.most_coefficients,
-    };
-    let tolerance = fit.tolerance_um.unwrap_or(fit.residual.largest_um);
-    let papers = |sites: &Sites, control| {
-        Model::Spline(paper::fit(&sites.thinned(MOST_CELLS), tolerance, control).0)
-    };
-    let model_of = |way, sites: &Sites| match way {
-        Way::Paper => papers(sites, paper::Control::Readings),
-        Way::PapersPoints => papers(sites, paper::Control::LeastSquares),
-        Way::LeastSquares => Model::Spline(Found::of(sites, &options).spline),
-        Way::Polynomial => Model::Polynomial(Polynomial::fit(sites, 7)),
-        Way::Lines => Model::Lines { x: sites.x.clone(), y: sites.y.clone() },
-    };
     const ENOUGH: usize = 8;
     let halves = [0, 1].map(|from| fit.sites.every_second(from));
-    let is_own = fit.method == Method::LeastSquares;
-    Way::ALL
+    models(fit)
         .into_iter()
-        .map(|way| {
-            let model = match way {
-                // It is there already.
-                Way::LeastSquares if is_own => Model::Spline(fit.spline.clone()),
-                _ => model_of(way, &fit.sites),
-            };
+        .map(|(way, model)| {
             let left_out = (halves[1].len() >= ENOUGH).then(|| {
                 let [_, last] = halves[0].ends();
-                let half = model_of(way, &halves[0]);
+                let half = model_of(fit, way, &halves[0]);
                 let inside = halves[1].points().filter(|&(x, ..)| x <= last);
                 let left: Vec<f64> = inside.map(|(x, y, _)| y - half.at(x)).collect();
                 Residual::of(&left)
@@ -289,44 +136,49 @@ pub(super) fn table(fit: &Fit) -> Vec<Compared> {
         .collect()
 }
 
+/// The curve of the same readings by each way.
+pub(super) fn models(fit: &Fit) -> Vec<(Way, Model)> {
+    let is_own = fit.method == Method::LeastSquares;
+    let model = |way| match way {
+        // It is there already.
+        Way::LeastSquares if is_own => Model::Spline(fit.spline.clone()),
+        _ => model_of(fit, way, &fit.sites),
+    };
+    Way::ALL.into_iter().map(|way| (way, model(way))).collect()
+}
+
+/// How the largest residual falls as points join by the paper's way: control points, and µm.
+pub(super) fn papers_steps(fit: &Fit) -> Vec<(usize, f64)> {
+    paper::fit(&fit.sites.thinned(MOST_CELLS), tolerance(fit), paper::Control::Readings).steps
+}
+
+/// What the paper's rule takes for its ε: the tolerance, else what the fit has left.
+fn tolerance(fit: &Fit) -> f64 {
+    fit.tolerance_um.unwrap_or(fit.residual.largest_um)
+}
+
+fn model_of(fit: &Fit, way: Way, sites: &Sites) -> Model {
+    let options = Options {
+        tolerance_um: fit.tolerance_um,
+        method: Method::LeastSquares,
+        reference: fit.reference,
+        most_coefficients: fit.most_coefficients,
+    };
+    let papers = |control| {
+        Model::Spline(paper::fit(&sites.thinned(MOST_CELLS), tolerance(fit), control).spline)
+    };
+    match way {
+        Way::Paper => papers(paper::Control::Readings),
+        Way::PapersPoints => papers(paper::Control::LeastSquares),
+        Way::LeastSquares => Model::Spline(Found::of(sites, &options).spline),
+        Way::Polynomial => Model::Polynomial(Polynomial::fit(sites, 7)),
+        Way::Lines => Model::Lines { x: sites.x.clone(), y: sites.y.clone() },
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn sites(count: usize, error_um: impl Fn(f64) -> f64) -> Sites {
-        let x: Vec<f64> = (0..count).map(|n| 10.0 * n as f64).collect();
-        let y: Vec<f64> = x.iter().map(|&x| error_um(x)).collect();
-        Sites::of(&x, &y).expect("sound")
-    }
-
-    #[test]
-    fn a_polynomial_of_degree_7_is_found_with_its_derivatives() {
-        let seventh = |x: f64| (x / 100.0 - 1.0).powi(7);
-        let polynomial = Polynomial::fit(&sites(21, seventh), 7);
-        for x in [0.0, 13.0, 100.0, 200.0] {
-            let u: f64 = x / 100.0 - 1.0;
-            let expected = [u.powi(7), 7.0 * u.powi(6) / 100.0, 42.0 * u.powi(5) / 1e4];
-            for (found, expected) in polynomial.derivatives(x).iter().zip(expected) {
-                assert!((found - expected).abs() < 1e-12, "{found} {expected}");
-            }
-        }
-        let (slope, curvature) = polynomial.steepest();
-        assert!((slope - 0.07).abs() < 1e-12 && (curvature - 0.0042).abs() < 1e-12);
-    }
-
-    #[test]
-    fn few_sites_lower_the_degree() {
-        assert_eq!(Polynomial::fit(&sites(5, |x| x), 7).chebyshev.len(), 4);
-    }
-
-    #[test]
-    fn straight_lines_pass_through_every_point_and_bend_there() {
-        let sites = sites(4, |x| if x == 10.0 { 5.0 } else { 0.0 });
-        let lines = Model::Lines { x: sites.x.clone(), y: sites.y.clone() };
-        assert_eq!(lines.residual(&sites).range_um, 0.0);
-        assert_eq!(lines.at(5.0), 2.5);
-        assert_eq!(lines.steepest(), (0.5, 0.1));
-    }
 
     #[test]
     fn lines_jump_in_speed_at_their_corners_and_nothing_else_does() {

@@ -29,8 +29,19 @@ pub(super) enum Control {
     LeastSquares,
 }
 
-/// The fit, and whether all residuals are within the tolerance.
-pub(super) fn fit(sites: &Sites, tolerance_um: f64, control: Control) -> (BSpline, bool) {
+/// What the paper's rule comes to.
+#[derive(Clone, Debug)]
+pub(super) struct Chosen {
+    /// The curve.
+    pub(super) spline: BSpline,
+    /// Whether all residuals are within the tolerance.
+    pub(super) is_within: bool,
+    /// On the way there: how many control points, and the largest residual with them in µm.
+    pub(super) steps: Vec<(usize, f64)>,
+}
+
+/// The fit.
+pub(super) fn fit(sites: &Sites, tolerance_um: f64, control: Control) -> Chosen {
     let last = sites.len() - 1;
     let mut is_chosen = vec![false; sites.len()];
     (is_chosen[0], is_chosen[last]) = (true, true);
@@ -45,22 +56,26 @@ pub(super) fn fit(sites: &Sites, tolerance_um: f64, control: Control) -> (BSplin
         is_chosen[site] = true;
     }
     let mut reached: Option<BSpline> = None;
+    let mut steps = Vec::new();
     loop {
         let chosen: Vec<usize> = (0..=last).filter(|&site| is_chosen[site]).collect();
         let Some(spline) = through(sites, &chosen, control) else {
             // Least squares in knots that the points do not determine: the fit before stands.
             let fallback =
                 || through(sites, &chosen, Control::Readings).expect("needs no solution");
-            return (reached.unwrap_or_else(fallback), false);
+            let spline = reached.unwrap_or_else(fallback);
+            return Chosen { spline, is_within: false, steps };
         };
         let residuals = sites.residuals(&spline);
-        if residuals.iter().all(|residual| residual.abs() <= tolerance_um) {
-            return (spline, true);
+        let largest_um = residuals.iter().fold(0.0, |most: f64, residual| most.max(residual.abs()));
+        steps.push((chosen.len(), largest_um));
+        if largest_um <= tolerance_um {
+            return Chosen { spline, is_within: true, steps };
         }
         let worst = (0..=last)
             .filter(|&site| !is_chosen[site])
             .max_by(|&a, &b| residuals[a].abs().total_cmp(&residuals[b].abs()));
-        let Some(worst) = worst else { return (spline, false) };
+        let Some(worst) = worst else { return Chosen { spline, is_within: false, steps } };
         is_chosen[worst] = true;
         reached = Some(spline);
     }
@@ -113,10 +128,10 @@ mod tests {
 
     #[test]
     fn a_level_line_needs_only_the_points_to_begin_with() {
-        let (spline, is_within) = fit(&sites(40, |_| -3.0), 1e-9, Control::Readings);
+        let Chosen { spline, is_within, .. } = fit(&sites(40, |_| -3.0), 1e-9, Control::Readings);
         assert!(is_within && spline.control_um.len() < 11, "{spline:?}");
         // Rising by 1 µm from point to point, it is bent by no more than that at the ends.
-        let (_, is_within) = fit(&sites(40, |x| 0.1 * x - 3.0), 1.0, Control::Readings);
+        let Chosen { is_within, .. } = fit(&sites(40, |x| 0.1 * x - 3.0), 1.0, Control::Readings);
         assert!(is_within);
     }
 
@@ -125,7 +140,7 @@ mod tests {
         let sites = sites(200, |x| 50.0 * (x / 150.0).sin());
         let mut counts = Vec::new();
         for tolerance_um in [10.0, 3.0, 1.0] {
-            let (spline, is_within) = fit(&sites, tolerance_um, Control::Readings);
+            let Chosen { spline, is_within, .. } = fit(&sites, tolerance_um, Control::Readings);
             assert!(is_within);
             assert_eq!(spline.check(), Ok(()));
             let residuals = sites.residuals(&spline);
@@ -138,7 +153,7 @@ mod tests {
     #[test]
     fn readings_that_alternate_are_never_within() {
         let sites = sites(30, |x| if (x / 10.0) % 2.0 == 0.0 { 5.0 } else { -5.0 });
-        let (spline, is_within) = fit(&sites, 1.0, Control::Readings);
+        let Chosen { spline, is_within, .. } = fit(&sites, 1.0, Control::Readings);
         assert!(!is_within);
         assert_eq!(spline.control_um.len(), 30);
     }
@@ -146,7 +161,7 @@ mod tests {
     #[test]
     fn four_points_are_enough() {
         for count in 4..9 {
-            let (spline, _) = fit(&sites(count, |x| x * x), 1e-3, Control::Readings);
+            let Chosen { spline, .. } = fit(&sites(count, |x| x * x), 1e-3, Control::Readings);
             assert_eq!(spline.check(), Ok(()));
         }
     }

@@ -31,7 +31,8 @@ impl Found {
                     let best = Self::least_squares(sites, options);
                     Residual::of(&sites.residuals(&best.spline)).largest_um
                 });
-                let (spline, is_within) = paper::fit(sites, tolerance, paper::Control::Readings);
+                let paper::Chosen { spline, is_within, .. } =
+                    paper::fit(sites, tolerance, paper::Control::Readings);
                 Self { spline, stopped: if is_within { Stop::Tolerance } else { Stop::Points } }
             }
         }

@@ -66,12 +66,15 @@ pub fn fit_run(
     Ok(StraightnessCurve { error, along, fit, rows_incomplete: run.rows() - rows.len() })
 }
 
-fn error_column(axis: LinearAxis) -> String {
+pub(super) fn error_column(axis: LinearAxis) -> String {
     format!("measured_d{}_um", axis.name())
 }
 
 /// The axis whose error is to be fitted.
-fn error_axis(run: &Unaided<'_>, quantity: Option<&str>) -> Result<LinearAxis, BadInput> {
+pub(super) fn error_axis(
+    run: &Unaided<'_>,
+    quantity: Option<&str>,
+) -> Result<LinearAxis, BadInput> {
     let whole = |rule: String| BadInput::new(Location::start_of(run.path()), rule);
     if let Some(quantity) = quantity {
         let axis = LinearAxis::ALL.into_iter().find(|axis| quantity == format!("d{}", axis.name()));
@@ -100,14 +103,8 @@ fn error_axis(run: &Unaided<'_>, quantity: Option<&str>) -> Result<LinearAxis, B
     }
 }
 
-/// The one axis that moves while the error is measured.
-fn moving_axis(
-    run: &Unaided<'_>,
-    error: LinearAxis,
-    errors: &[f64],
-) -> Result<LinearAxis, BadInput> {
-    /// An axis that stands still reads back a little of the other's travel.
-    const STILL: f64 = 1e-3;
+/// The axes whose positions a run has, each with how far it goes in mm where the error is measured.
+fn travels(run: &Unaided<'_>, errors: &[f64]) -> Vec<(LinearAxis, f64)> {
     let travel = |axis: LinearAxis| -> Option<f64> {
         let positions = run.column(&format!("{}_mm", axis.name()))?.iter().zip(errors);
         let there = positions.filter(|(x, y)| !x.is_nan() && !y.is_nan()).map(|(&x, _)| x);
@@ -115,13 +112,30 @@ fn moving_axis(
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
         Some(f64::max(high - low, 0.0))
     };
-    let travels: Vec<(LinearAxis, f64)> =
-        LinearAxis::ALL.into_iter().filter_map(|axis| Some((axis, travel(axis)?))).collect();
+    LinearAxis::ALL.into_iter().filter_map(|axis| Some((axis, travel(axis)?))).collect()
+}
+
+/// Those of `travels` that move.
+pub(super) fn moving(run: &Unaided<'_>, errors: &[f64]) -> Vec<(LinearAxis, f64)> {
+    /// An axis that stands still reads back a little of the other's travel.
+    const STILL: f64 = 1e-3;
+    let mut travels = travels(run, errors);
     let longest = travels.iter().map(|(_, mm)| *mm).fold(0.0, f64::max);
-    let moving: Vec<_> = travels.iter().filter(|(_, mm)| *mm > STILL * longest).collect();
+    travels.retain(|(_, mm)| *mm > STILL * longest);
+    travels
+}
+
+/// The one axis that moves while the error is measured.
+fn moving_axis(
+    run: &Unaided<'_>,
+    error: LinearAxis,
+    errors: &[f64],
+) -> Result<LinearAxis, BadInput> {
+    let travels = travels(run, errors);
+    let moving = moving(run, errors);
     let whole = |rule: String| BadInput::new(Location::start_of(run.path()), rule);
     match moving[..] {
-        [&(axis, _)] if axis != error => Ok(axis),
+        [(axis, _)] if axis != error => Ok(axis),
         [_] => Err(whole(format!(
             "{} while {} itself moves is a positioning error: `trueup fit pitch`",
             error_column(error),
@@ -141,7 +155,7 @@ fn moving_axis(
             )))
         }
         ref several => {
-            let named = |(axis, mm): &&(LinearAxis, f64)| format!("{}_mm by {mm} mm", axis.name());
+            let named = |(axis, mm): &(LinearAxis, f64)| format!("{}_mm by {mm} mm", axis.name());
             let names: Vec<String> = several.iter().map(named).collect();
             Err(whole(format!(
                 "several axes move ({}): a straightness is measured with one moving alone",

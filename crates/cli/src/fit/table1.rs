@@ -1,0 +1,98 @@
+//! `trueup fit table1`: ways to a straightness curve side by side.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+use serde_json::{Value, json};
+use trueup_fit::straightness::{
+    Options,
+    table1::{Asked, Entry, Left, Row, Table1, table1},
+};
+
+use super::{Input, args};
+use crate::{Outcome, output};
+
+/// Makes the table, prints it, and writes the page.
+pub fn run(args: &args::Table1, as_json: bool) -> Result<Outcome> {
+    let input = Input::read(&args.run, args.machine.as_ref())?;
+    let options = Options {
+        tolerance_um: args.tolerance_um,
+        reference: args.reference.of_fit(),
+        ..Options::default()
+    };
+    let asked = Asked {
+        quantity: args.quantity.as_deref(),
+        options,
+        feed_mm_per_min: args.feed,
+        cycle_ms: args.cycle_ms,
+    };
+    let table = table1(&input.runs, &asked)?;
+    let mut inputs: Vec<&Path> = args.run.iter().map(PathBuf::as_path).collect();
+    inputs.extend(args.machine.as_deref());
+    output::write_whole(&args.output, &inputs, |out| out.write_all(table.html().as_bytes()))?;
+    if as_json {
+        output::print(json_of(&table, &args.output))?;
+    } else {
+        for entry in &table.entries {
+            print(entry)?;
+        }
+        output::print(format_args!(
+            "jumps and accelerations at {} mm/min, a new target each {} ms\n{}",
+            table.feed_mm_per_min,
+            table.cycle_ms,
+            args.output.display()
+        ))?;
+    }
+    Ok(Outcome::Done)
+}
+
+fn print(entry: &Entry) -> Result<()> {
+    output::print(format_args!("{}, {} positions", entry.name, entry.positions))?;
+    output::print(format_args!("  without: {}", said(&entry.without)))?;
+    for row in &entry.rows {
+        let Row { way, jump_mm_per_s, acceleration_mm_per_s2, .. } = row;
+        output::print(format_args!(
+            "  {way}: {}; jumps of {jump_mm_per_s:.6} mm/s, asks {acceleration_mm_per_s2:.4} mm/s2",
+            said(&row.left)
+        ))?;
+    }
+    Ok(())
+}
+
+fn said(Left { residual, over_a_metre_um }: &Left) -> String {
+    // + 0.0 turns -0 into 0.
+    let mean_um = (residual.mean_um * 100.0).round() / 100.0 + 0.0;
+    format!(
+        "range {:.2} um, mean {mean_um:.2} um, mean square {:.2} um2, {over_a_metre_um:.2} um in any metre",
+        residual.range_um, residual.mean_square_um2
+    )
+}
+
+fn json_of(table: &Table1, page: &Path) -> Value {
+    let left = |Left { residual, over_a_metre_um }: &Left| {
+        json!({
+            "range_um": residual.range_um, "mean_um": residual.mean_um,
+            "mean_square_um2": residual.mean_square_um2, "largest_um": residual.largest_um,
+            "over_a_metre_um": over_a_metre_um,
+        })
+    };
+    let row = |row: &Row| {
+        json!({
+            "way": row.way.to_string(), "coefficients": row.coefficients, "left": left(&row.left),
+            "jump_mm_per_s": row.jump_mm_per_s,
+            "acceleration_mm_per_s2": row.acceleration_mm_per_s2,
+        })
+    };
+    let entry = |entry: &Entry| {
+        json!({
+            "name": entry.name, "positions": entry.positions, "without": left(&entry.without),
+            "ways": entry.rows.iter().map(row).collect::<Vec<_>>(),
+            "papers_control_points": entry.steps,
+        })
+    };
+    json!({
+        "entries": table.entries.iter().map(entry).collect::<Vec<_>>(),
+        "feed_mm_per_min": table.feed_mm_per_min, "cycle_ms": table.cycle_ms,
+        "output": page.to_string_lossy(),
+    })
+}

@@ -1,0 +1,202 @@
+//! The paper's Table 1 (`docs/physics.md` section 4) on [seeded guideways](guideway): six curves, and the three
+//! diagonals as a gauge would read them. The paper prints no data. Figures:
+//! `cargo test -p trueup-fit --test table1 -- --show-output`.
+
+#[path = "support/guideway.rs"]
+mod guideway;
+
+use std::{borrow::Cow, fmt::Write as _, path::Path};
+
+use guideway::{CURVES, Guideway};
+use trueup_fit::straightness::{
+    Options, Way,
+    table1::{Asked, Entry, Row, Table1, table1},
+};
+use trueup_machine::{RunFile, applied::Unaided};
+
+/// The paper's feed, and a control's cycle.
+const FEED_MM_PER_MIN: f64 = 1000.0;
+const CYCLE_MS: f64 = 1.0;
+/// Sets of six curves.
+const SETS: std::ops::Range<u64> = 0..8;
+/// The two curves of each diagonal: Δz, Δy, Δx; the paper's range without any correction, and with B-splines, in µm.
+const DIAGONALS: [(&str, [usize; 2], [f64; 2]); 3] =
+    [("z", [0, 2], [160.0, 7.9]), ("y", [1, 5], [91.0, 8.0]), ("x", [3, 4], [41.0, 3.6])];
+
+fn run(text: &str) -> Unaided<'static> {
+    let run = RunFile::from_reader(text.as_bytes(), Path::new("run.csv")).expect("a run file");
+    Unaided::of(Cow::Owned(run), None, None).expect("no bridge").0
+}
+
+/// `z_of_x` of a set, as a laser reads it.
+fn curve(set: u64, number: usize) -> (Guideway, Unaided<'static>) {
+    let (name, travel_mm, step_mm, range_um, _) = CURVES[number];
+    let seed = 100 * set + number as u64;
+    let way = Guideway::new(seed, travel_mm, range_um);
+    let (at, um) = way.measured(seed, step_mm);
+    let mut text = format!("{}_mm,measured_d{}_um\n", &name[5..], &name[..1]);
+    for (at, um) in at.iter().zip(um) {
+        let _ = writeln!(text, "{at},{um}");
+    }
+    (way, run(&text))
+}
+
+/// The diagonal of two curves, read every 240 mm of the longer axis where that is X, else at 60 places.
+fn diagonal(set: u64, error: &str, pair: [usize; 2]) -> Unaided<'static> {
+    let ways = pair.map(|number| curve(set, number).0);
+    let names = pair.map(|number| &CURVES[number].0[5..]);
+    let places = if ways[0].travel_mm > 10_000.0 { (ways[0].travel_mm / 240.0) as u32 } else { 60 };
+    let mut text = format!("{}_mm,{}_mm,measured_d{error}_um\n", names[0], names[1]);
+    for n in 0..=places {
+        let share = f64::from(n) / f64::from(places);
+        let [a, b] = [0, 1].map(|it: usize| share * ways[it].travel_mm);
+        let _ = writeln!(text, "{a},{b},{}", ways[0].at(a) + ways[1].at(b));
+    }
+    run(&text)
+}
+
+/// Both curves of a diagonal and itself, at the smaller of the two ε that the paper's curves keep to.
+fn table(set: u64, error: &str, pair: [usize; 2]) -> (Table1, f64) {
+    let [first, second] = pair.map(|number| curve(set, number).1);
+    let tolerance_um = CURVES[pair[0]].4.min(CURVES[pair[1]].4);
+    let table = table1(&[first, second, diagonal(set, error, pair)], &asked(tolerance_um));
+    (table.expect("a table"), tolerance_um)
+}
+
+fn asked(tolerance_um: f64) -> Asked<'static> {
+    let options = Options { tolerance_um: Some(tolerance_um), ..Options::default() };
+    Asked { quantity: None, options, feed_mm_per_min: FEED_MM_PER_MIN, cycle_ms: CYCLE_MS }
+}
+
+fn of(entry: &Entry, way: Way) -> &Row {
+    entry.rows.iter().find(|row| row.way == way).expect("each way is there")
+}
+
+#[test]
+fn the_papers_order_of_the_ways_where_its_reason_holds() {
+    let (mut cannot_follow, mut all) = (0, 0);
+    for set in SETS {
+        for (error, pair, [papers_without, papers_with]) in DIAGONALS {
+            let (table, tolerance_um) = table(set, error, pair);
+            let [own, polynomial, lines] = [Way::LeastSquares, Way::Polynomial, Way::Lines]
+                .map(|way| table.entries.iter().map(|entry| of(entry, way)).collect::<Vec<_>>());
+            for n in 0..table.entries.len() {
+                let entry = &table.entries[n];
+                // A polynomial cannot follow what is irregular: where it cannot, it leaves more.
+                let cannot = polynomial[n].left.residual.largest_um > tolerance_um;
+                assert!(
+                    !cannot || polynomial[n].left.residual.range_um > own[n].left.residual.range_um,
+                    "set {set} {}",
+                    entry.name
+                );
+                cannot_follow += usize::from(cannot);
+                all += 1;
+                // Lines alone jump in speed, and ask the most of the axis.
+                for row in &entry.rows {
+                    let is_lines = row.way == Way::Lines;
+                    assert_eq!(row.jump_mm_per_s > 0.0, is_lines, "{}", row.way);
+                    assert!(
+                        is_lines || row.acceleration_mm_per_s2 < lines[n].acceleration_mm_per_s2,
+                        "set {set} {} {}",
+                        entry.name,
+                        row.way
+                    );
+                }
+            }
+            let entry = table.entries.last().expect("the diagonal");
+            println!(
+                "set {set} {}: {:.0} um (paper {papers_without}) -> B-spline {:.1} ({papers_with}), polynomial {:.1}, \
+                 lines {:.1}; within any metre {:.1}, {:.1}, {:.1}; lines jump by {:.1e} mm/s, which asks {:.2} mm/s2, \
+                 B-spline {:.0e}",
+                entry.name,
+                entry.without.residual.range_um,
+                own[2].left.residual.range_um,
+                polynomial[2].left.residual.range_um,
+                lines[2].left.residual.range_um,
+                own[2].left.over_a_metre_um,
+                polynomial[2].left.over_a_metre_um,
+                lines[2].left.over_a_metre_um,
+                lines[2].jump_mm_per_s,
+                lines[2].acceleration_mm_per_s2,
+                own[2].acceleration_mm_per_s2,
+            );
+        }
+    }
+    println!("degree 7 cannot follow {cannot_follow} of {all}");
+    assert!(2 * cannot_follow > all, "{cannot_follow} of {all}");
+}
+
+#[test]
+fn a_curve_within_half_of_5_um_keeps_5_um_in_any_metre() {
+    // Whatever is within ±ε differs by 2ε at most, over a metre or over the whole way.
+    for (set, number) in [(0, 0), (1, 1), (2, 2)] {
+        let table = table1(&[curve(set, number).1], &asked(2.5)).expect("a table");
+        let own = of(&table.entries[0], Way::LeastSquares);
+        assert!(own.left.over_a_metre_um <= 5.0, "{}", own.left.over_a_metre_um);
+        assert!(table.entries[0].without.over_a_metre_um > 5.0);
+    }
+}
+
+#[test]
+fn a_metre_is_counted_where_it_is_and_not_beyond() {
+    // A step of 6 µm within 1500 mm: none of it within 1000 mm but a slope of 4.
+    let text = "x_mm,measured_dz_um\n0,0\n500,0\n1000,2\n1500,4\n2000,6\n2500,6\n3000,6\n3500,6\n";
+    let table = table1(&[run(text)], &asked(0.5)).expect("a table");
+    assert_eq!(table.entries[0].without.over_a_metre_um, 4.0);
+    assert_eq!(table.entries[0].without.residual.range_um, 6.0);
+}
+
+#[test]
+fn a_roof_of_lines_jumps_by_what_the_hand_finds() {
+    // 1 µm in 100 mm up and down: the slope changes by 0.02 µm/mm; at 6000 mm/min, 100 mm/s, by 2 µm/s, and in a cycle of
+    // 2 ms that asks 1 mm/s².
+    let text = "x_mm,measured_dz_um\n0,0\n50,0.5\n100,1\n150,0.5\n200,0\n";
+    let fast = Asked { feed_mm_per_min: 6000.0, cycle_ms: 2.0, ..asked(5.0) };
+    let table = table1(&[run(text)], &fast).expect("a table");
+    let lines = of(&table.entries[0], Way::Lines);
+    assert!((lines.jump_mm_per_s - 0.002).abs() < 1e-12, "{}", lines.jump_mm_per_s);
+    assert!((lines.acceleration_mm_per_s2 - 1.0).abs() < 1e-9);
+    // Along a diagonal of two such roofs the first moves 0.6 of the way, the second 0.8.
+    let first = "x_mm,measured_dz_um\n0,0\n150,1.5\n300,3\n450,1.5\n600,0\n";
+    let second = "y_mm,measured_dz_um\n0,0\n200,0\n400,0\n600,0\n800,0\n";
+    let across =
+        "x_mm,y_mm,measured_dz_um\n0,0,0\n150,200,1.5\n300,400,3\n450,600,1.5\n600,800,0\n";
+    let table = table1(&[run(first), run(second), run(across)], &fast).expect("a table");
+    let lines = of(&table.entries[2], Way::Lines);
+    assert!(lines.left.residual.range_um < 1e-9, "the sum of its curves");
+    assert!((lines.jump_mm_per_s - 0.6 * 0.002).abs() < 1e-12, "{}", lines.jump_mm_per_s);
+}
+
+#[test]
+fn the_papers_way_begins_with_ten_points_and_the_eleventh_joins() {
+    let (_, run) = curve(0, 0);
+    let table = table1(&[run], &asked(9.0)).expect("a table");
+    let steps = &table.entries[0].steps;
+    println!("control points and the largest residual in um: {steps:.2?}");
+    let counts: Vec<usize> = steps.iter().map(|(points, _)| *points).collect();
+    assert_eq!(counts[..2], [10, 11]);
+    assert!(counts.windows(2).all(|pair| pair[1] == pair[0] + 1));
+    let (first, last) = (steps[0].1, steps.last().expect("steps").1);
+    assert!(first > 9.0 && last <= 9.0, "{first} {last}");
+}
+
+#[test]
+fn a_diagonal_without_its_curves_or_off_its_line_is_refused() {
+    let diagonal = || run("x_mm,y_mm,measured_dz_um\n0,0,0\n150,200,1\n300,400,2\n450,600,1\n");
+    let error = table1(&[diagonal()], &asked(1.0)).expect_err("no curves");
+    assert!(error.rule.contains("give the run of z over x alone"), "{error}");
+    let bent = run("x_mm,y_mm,measured_dz_um\n0,0,0\n150,220,1\n300,400,2\n450,600,1\n");
+    let along = |axis| run(&format!("{axis}_mm,measured_dz_um\n0,0\n200,1\n400,1\n600,0\n"));
+    let error = table1(&[along("x"), along("y"), bent], &asked(1.0)).expect_err("bent");
+    assert!(error.rule.contains("off the straight line"), "{error}");
+}
+
+#[test]
+fn the_page_draws_the_speeds_and_names_each_way() {
+    let (table, _) = table(0, "z", [0, 2]);
+    let html = table.html();
+    assert_eq!(html.matches("<svg").count(), 3);
+    for name in ["z_of_x", "z_of_y", "dz on the diagonal of x and y", "polynomial of degree 7"] {
+        assert!(html.contains(name), "{name}");
+    }
+}
