@@ -11,5 +11,6 @@ mod straightness;
 mod straightness_bed;
 mod straightness_paper;
 mod support;
+mod table1;
 mod thermal;
 mod warmup;

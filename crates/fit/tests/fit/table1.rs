@@ -1,13 +1,10 @@
-//! The paper's Table 1 (`docs/physics.md` section 4) on [seeded guideways](guideway): six curves, and the three
+//! The paper's Table 1 (`docs/physics.md` section 4) on seeded guideways (`support/guideway.rs`): six curves, and the three
 //! diagonals as a gauge would read them. The paper prints no data. Figures:
-//! `cargo test -p trueup-fit --test table1 -- --show-output`.
-
-#[path = "support/guideway.rs"]
-mod guideway;
+//! `cargo test -p trueup-fit --test fit table1 -- --show-output`.
 
 use std::{borrow::Cow, fmt::Write as _, path::Path};
 
-use guideway::{CURVES, Guideway};
+use crate::support::guideway::{CURVES, Guideway};
 use trueup_fit::straightness::{
     Options, Way,
     table1::{Asked, Entry, Row, Table1, table1},
