@@ -19,7 +19,7 @@ const TICKS_PER_BLOB: u64 = 100;
 const HOURS_PER_TICK: f64 = 300.0 / 1e9;
 
 /// Lets the simulator run for so many ticks, from this seed on, on all cores, tries a hostile calibration for each
-/// hundred of them, draws faults for the detectors, and lets sound sensors live for 300 hours of each noise in a thousand
+/// hundred of them, changes its source ten thousand times, draws faults for the detectors, and lets sound sensors live for 300 hours of each noise in a thousand
 /// million ticks; a failure prints the seed that repeats it.
 ///
 /// # Errors
@@ -37,6 +37,11 @@ pub fn soak(ticks: u64, seed: u32) -> Result<()> {
         process::run(&mut command)
     };
     run("trueup-node", "simulator", "campaign_soak")?;
+    run(
+        "trueup-node",
+        "faults",
+        "changes::campaign_ten_thousand_changes_of_source_go_on_with_the_growth",
+    )?;
     run("trueup-node", "simulator", "hostile::campaign_hostile_blobs")?;
     run("trueup-core", "detectors", "campaign_every_detector_finds_3000_faults_in_time")?;
     run("trueup-core", "detectors", "campaign_a_sound_sensor_is_believed_for_hundreds_of_hours")

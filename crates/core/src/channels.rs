@@ -88,6 +88,14 @@ impl Channels {
         self.faulty.has_any(channels)
     }
 
+    /// Whether the last reading of a channel was a good one; of one that does not exist none is.
+    #[must_use]
+    pub fn is_current(&self, channel: u8) -> bool {
+        self.channels
+            .get(usize::from(channel))
+            .is_some_and(|it| it.temperature.is_some() && it.bad == 0)
+    }
+
     /// Whether a channel is faulty; one that does not exist is.
     #[must_use]
     pub fn is_faulty(&self, channel: u8) -> bool {

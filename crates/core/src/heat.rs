@@ -41,7 +41,7 @@ pub struct Heat {
     axes: [AxisHeat; 3],
     spindle: Option<Lag>,
     by_temperature: Fine,
-    /// `by_temperature` is that of a temperature, and not yet nothing.
+    /// `by_temperature` is that of a temperature of the last step: not yet nothing, and not of before the thermometer was lost.
     knows_spindle: bool,
     running: warmup::State,
     by_running_time: Fine,
@@ -105,6 +105,7 @@ impl Heat {
                 }
             }
         } else if item == SPINDLE {
+            self.knows_spindle = false;
             if let Some(spindle) = &calibration.spindle.temperature
                 && let Some(temperature) = channel(temperatures, spindle.channel)
             {
@@ -216,7 +217,7 @@ impl Heat {
         &self.terms
     }
 
-    /// Whether the spindle's law has had a temperature yet.
+    /// Whether the spindle's law had a temperature at its last step.
     #[must_use]
     pub const fn knows_spindle(&self) -> bool {
         self.knows_spindle

@@ -27,7 +27,7 @@ impl SelectedSource {
 
 /// What is told once in a step of the heat, so many steps ago at most: a sensor that freezes is found
 /// after 200 ms, and what it said meanwhile is not what the next source goes on from.
-pub(super) const BEFORE_STEPS: usize = 3;
+pub(super) const BEFORE_STEPS: usize = 4;
 
 /// The source in use, and how it joins the one before.
 #[derive(Clone, Copy, Debug, Default)]
@@ -43,6 +43,8 @@ pub(super) struct Joint {
     pub is_anchored: bool,
     /// The last steps of the heat, the oldest first; `None`: not by this source.
     pub before: [Option<Past>; BEFORE_STEPS],
+    /// For how many steps of the heat the source has been in use.
+    pub steps: u32,
     /// How long a better source has been fresh.
     pub returned_ms: u32,
     /// `last` was used before a reset, and nothing has been since.

@@ -29,6 +29,8 @@ use crate::{
 
 /// A source that returns has to be fresh for so long: five times the longest window of the filter.
 pub const RETURN_MS: u32 = 1_000;
+/// The same in steps of the heat; for as long the shift of a source that has taken over stays as it is.
+const RETURN_STEPS: u32 = RETURN_MS / STEP_MS;
 
 /// (Nanometres a second)·milliseconds in a nanometre.
 const MILLISECONDS_PER_SECOND: u32 = 1_000;
@@ -106,7 +108,7 @@ impl Bridge<'_> {
                     Nanometres::saturating(sum)
                 };
                 // A source that is still there, and only gives way, is right to the last.
-                let stays = self.is_fresh(state, last);
+                let stays = self.is_fresh(state, last) && self.is_told(state, last);
                 let oldest = state.joint.before.into_iter().flatten().next();
                 let (joins_at, said) = match oldest.filter(|_| !stays) {
                     // Where the two were at that time: it tells how the spindle has grown since.
@@ -118,9 +120,12 @@ impl Bridge<'_> {
                 };
                 let shift = i64::from(joins_at.0).wrapping_sub(said.0.into());
                 state.joint.shift = Nanometres::saturating(shift);
+                // What one has said before it was lost is no longer where the next goes on from.
+                if !stays {
+                    state.joint.before = [None; BEFORE_STEPS];
+                }
             }
-            // What it has said before it was lost is no longer where it goes on from.
-            state.joint.before = [None; BEFORE_STEPS];
+            state.joint.steps = 0;
             state.joint.last = Some(source);
             state.joint.is_anchored |= self.needs.first == Some(source);
         }
@@ -130,17 +135,21 @@ impl Bridge<'_> {
 
     /// A step of the heat: on the first source the shift is taken back.
     pub(super) fn rejoin(&self, state: &mut State) {
-        if let SelectedSource::Source(_) = state.joint.selected {
+        if let SelectedSource::Source(source) = state.joint.selected {
             let raw = ElongationSource::ALL
                 .map(|it| self.is_fresh(state, it).then(|| self.raw(state, it)));
             let now = Past { elongation: self.elongation(state), raw };
-            let [_, second, third] = state.joint.before;
-            state.joint.before = [second, third, Some(now)];
+            // A thermometer that says nothing new may be about to be given up: what the spindle grows
+            // meanwhile the next source is to tell.
+            if self.is_told(state, source) {
+                let [_, second, third, last] = state.joint.before;
+                state.joint.before = [second, third, last, Some(now)];
+            }
             state.joint.agreement.step(self.needs.first, &now);
         }
-        // Not in the first steps of a source: what heat moves between two of them is added to it.
-        let [has_settled, ..] = state.joint.before.map(|past| past.is_some());
-        if has_settled && self.is_rejoining(state) {
+        // Not in its first second: then the offset goes on with the growth, and nothing else moves it.
+        state.joint.steps = state.joint.steps.saturating_add(1);
+        if state.joint.steps > RETURN_STEPS && self.is_rejoining(state) {
             let rate = self.calibration.limits.rejoin_nm_per_s;
             let Joint { shift, rest, .. } = &mut state.joint;
             let due = rate.saturating_mul(STEP_MS).saturating_add(*rest);
@@ -203,6 +212,13 @@ impl Bridge<'_> {
             }),
             ElongationSource::Warmup => spindle.warmup.is_some() && !state.heat.is_unknown(),
         }
+    }
+
+    /// Whether what a source says is of this step of the heat.
+    fn is_told(&self, state: &State, source: ElongationSource) -> bool {
+        let temperature = &self.calibration.spindle.temperature;
+        source != ElongationSource::Temperature
+            || temperature.is_none_or(|it| state.channels.is_current(it.channel))
     }
 
     /// Whether a source can tell nothing now. What has only not come yet is not dead.

@@ -1,5 +1,7 @@
 //! Resets and changes of source, drawn: the offset that a CNC applies goes on.
 
+use std::collections::VecDeque;
+
 use crate::rig::{Kind, Part, Rig, calibration};
 use trueup_core::cnc::{Flags, Quality};
 use trueup_node::node::Node;
@@ -95,64 +97,112 @@ fn a_thousand_resets_are_within_a_micrometre_of_a_bridge_without_them() {
     resets(1_000, 4);
 }
 
-/// So many changes of source: by how much the offset goes beyond the true growth in the first second of each, in nm.
+/// What may make a bridge change its source, beside the sensor's cable.
+const CAUSES: [Option<(Part, Kind)>; 5] = [
+    None,
+    Some((Part::SpindleThermometer, Kind::Off)),
+    Some((Part::Sensor, Kind::Off)),
+    Some((Part::Sensor, Kind::Stuck)),
+    Some((Part::Blocks, Kind::Off)),
+];
+/// What is asked of an offset is its mean over so long: its noise is the sensor's, and no step.
+const MEAN_MS: usize = 100;
+/// A fault is found within so long; what it does meanwhile is in the matrix.
+const FOUND_MS: u32 = 450;
+/// From one fault to the next, and before a fault: what two do at once no source can tell.
+const APART_MS: u32 = 1_200;
+/// Changes after each time of warming up or cooling down.
+const CHANGES_A_TIME: u32 = 24;
+
+/// How far the offset is from the growth, in nm, over the last [`MEAN_MS`].
+#[derive(Default)]
+struct Deviation(VecDeque<f64>);
+
+impl Deviation {
+    fn note(&mut self, rig: &Rig) {
+        self.0.push_back(f64::from(rig.applied_nm()[1]) - rig.grown_nm());
+        if self.0.len() > MEAN_MS {
+            self.0.pop_front();
+        }
+    }
+
+    fn mean_nm(&self) -> f64 {
+        self.0.iter().sum::<f64>() / self.0.len().max(1) as f64
+    }
+}
+
+/// A fault and what follows from it; the changes of source in it, and by how much the offset goes beyond the true
+/// growth in the first second of each, in nm.
+fn changes_by_a_fault(rig: &mut Rig, worst_nm: &mut f64) -> u32 {
+    let drawn = rig.bits();
+    let blind = drawn.is_multiple_of(3);
+    let follows = rig.fault.is_some() || rig.blind != blind;
+    let since = rig.ms + 1 + if follows { APART_MS } else { 0 };
+    rig.blind = blind;
+    rig.fault =
+        CAUSES[(drawn >> 8) as usize % CAUSES.len()].map(|(part, kind)| (part, kind, since));
+    let mut deviation = Deviation::default();
+    (0..MEAN_MS).for_each(|_| deviation.note(rig));
+    let mut before_fault_nm = deviation.mean_nm();
+    let (mut done, mut change) = (0, None);
+    for _ in 0..3_900 + (drawn >> 16) % 500 {
+        let (quality, before_nm) = (rig.last.quality as u8, deviation.mean_nm());
+        if rig.ms + 1 == since {
+            (before_fault_nm, change) = (before_nm, None);
+        }
+        rig.live();
+        deviation.note(rig);
+        let next = rig.last.quality as u8;
+        let is_hidden = (since..since + FOUND_MS).contains(&rig.ms);
+        if next != quality {
+            // To a better source while a fault is there that nothing has found yet: that is the fault's.
+            let counts = quality <= 3 && next <= 3 && (next > quality || !is_hidden);
+            let from_nm = if is_hidden { before_fault_nm } else { before_nm };
+            change = counts.then_some((rig.ms, from_nm));
+            done += u32::from(counts);
+        }
+        // What a hidden fault has moved is taken back at the slew limit, and then is the mean over.
+        if let Some((at, from_nm)) = change
+            && (2 * MEAN_MS as u32..1_000).contains(&(rig.ms - at))
+        {
+            *worst_nm = worst_nm.max((deviation.mean_nm() - from_nm).abs());
+        }
+    }
+    done
+}
+
+/// So many changes of source of a spindle that warms up or cools down, by up to 44 nm/s.
 fn changes(count: u32, seed: u64) -> f64 {
     let mut rig = Rig::engaged(seed);
-    // What noise leaves behind the filter is not what is asked (1 nm); with less the codes themselves show.
-    rig.noise_codes = 0.6;
-    let mut worst_nm = 0.0_f64;
-    let mut done = 0;
+    let (mut done, mut worst_nm) = (0, 0.0);
     while done < count {
-        if rig.heat < 0.2 {
-            // Warm, and then standing still, where the filter's window is longest and its noise least.
-            (rig.runs, rig.blind, rig.fault) = (true, false, None);
-            rig.run(300_000);
-            rig.runs = false;
-            rig.run(5_000);
-        }
-        // The sensor's cable, or the thermometer's, or both.
-        let drawn = rig.bits();
-        rig.blind = drawn.is_multiple_of(2);
-        let is_off = (drawn >> 8).is_multiple_of(4);
-        let since = rig.ms + 1;
-        rig.fault = is_off.then_some((Part::SpindleThermometer, Kind::Off, since));
-        let before = rig.last.quality;
-        let mut begin: Option<(f64, f64, u32)> = None;
-        let mut last = (f64::from(rig.applied_nm()[1]), rig.grown_nm());
-        for _ in 0..(2_700 + (drawn >> 16) % 500) {
-            let quality = rig.last.quality;
-            rig.live();
-            if rig.last.quality != quality && rig.last.quality as u8 <= 3 {
-                begin = Some((last.0, last.1, rig.ms));
-                done += u32::from(rig.last.quality != before);
-            }
-            last = (f64::from(rig.applied_nm()[1]), rig.grown_nm());
-            if let Some((offset, grown, at)) = begin
-                && rig.ms - at < 1_000
-            {
-                worst_nm = worst_nm.max(((last.0 - offset) - (last.1 - grown)).abs());
-            }
+        rig.runs = rig.bits().is_multiple_of(2);
+        // A source goes on from one reading of the sensor, noise and all: here 1 nm RMS behind the filter's windows.
+        // At 17 000 r/min, where they are short, the rounding to codes alone leaves 4 nm. Where nothing turns
+        // it takes noise, or the codes themselves show.
+        rig.speed = 400 + (rig.bits() % 1_100) as u16;
+        rig.noise_codes = if rig.runs { 0.1 } else { 0.6 };
+        (rig.blind, rig.fault) = (false, None);
+        let ms = 5_000 + (rig.bits() % 300_000) as u32;
+        rig.run(ms);
+        let until = done + CHANGES_A_TIME;
+        while done < until.min(count) {
+            done += changes_by_a_fault(&mut rig, &mut worst_nm);
         }
     }
     println!(
-        "{count} changes of source: {worst_nm:.1} nm beyond the true growth in the first second"
+        "{done} changes of source: {worst_nm:.1} nm beyond the true growth in the first second"
     );
     worst_nm
 }
 
 #[test]
-fn a_change_of_source_goes_on_with_the_growth() {
-    assert!(changes(40, 5) <= 10.0);
+fn five_hundred_changes_of_source_go_on_with_the_growth() {
+    assert!(changes(500, 5) <= 10.0);
 }
 
 #[test]
-#[ignore = "long: a thousand changes of source"]
-fn a_thousand_changes_of_source_go_on_with_the_growth() {
-    assert!(changes(1_000, 7) <= 10.0);
-}
-
-#[test]
-#[ignore = "campaign: cargo test -p trueup-node --test faults campaign -- --ignored --nocapture"]
+#[ignore = "campaign: cargo xtask soak"]
 fn campaign_ten_thousand_changes_of_source_go_on_with_the_growth() {
     assert!(changes(10_000, 6) <= 10.0);
 }

@@ -185,6 +185,8 @@ pub struct Rig {
     pub blind: bool,
     pub heat: f64,
     pub runs: bool,
+    /// Of the spindle while it runs, in r/min.
+    pub speed: u16,
     pub noise_codes: f64,
     /// How far X is from where it usually goes, in mm.
     pub offset_mm: f64,
@@ -213,6 +215,7 @@ impl Rig {
             blind: false,
             heat: 0.0,
             runs: true,
+            speed: SPEED,
             noise_codes: 1.0,
             offset_mm: 0.0,
             told: Vec::new(),
@@ -267,7 +270,8 @@ impl Rig {
         });
         let blocks = self.fault_of(Part::Blocks);
         let codes = core::array::from_fn(|n| {
-            let angle = (f64::from(self.ms) + n as f64 / 20.0) * 0.2 * std::f64::consts::TAU;
+            let turns = f64::from(self.speed) / 60_000.0;
+            let angle = (f64::from(self.ms) + n as f64 / 20.0) * turns * std::f64::consts::TAU;
             let alive = level + turn * angle.sin() + self.noise_codes * self.normal();
             let alive = alive.round().clamp(0.0, 4_095.0);
             let code = match fault {
@@ -352,7 +356,7 @@ impl Rig {
             self.hear(&frame);
         }
         if self.sends(Part::Speed, 20) {
-            let true_speed = if self.runs { SPEED } else { 0 };
+            let true_speed = if self.runs { self.speed } else { 0 };
             let speed = match self.fault_of(Part::Speed) {
                 Some((Kind::Garbage, _)) => (self.bits() % 24_000) as u16,
                 Some((Kind::Bias, _)) => true_speed + 120,

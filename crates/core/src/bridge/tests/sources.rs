@@ -204,3 +204,19 @@ fn a_source_that_takes_over_from_a_lost_one_keeps_the_growth_since() {
     assert_eq!(rig.last.quality, Quality::TemperatureModel);
     assert_eq!(rig.z_nm(), grown + 10_000, "since then by its own word");
 }
+
+#[test]
+fn a_thermometer_that_returns_as_the_sensor_is_lost_tells_nothing_of_before() {
+    // In every millisecond of a step of the heat.
+    for lead_ms in 0..100 {
+        let mut machine = chain();
+        (machine.spindle.chain[2], machine.spindle.warmup) = (None, None);
+        let mut rig = Rig::new(machine);
+        hold(&mut rig, 1_300, 1_050, Some(22));
+        hold(&mut rig, 1_000 + lead_ms, 1_050, None);
+        let grown = rig.z_nm();
+        // The spindle's housing is 5 K warmer than when it was last heard of.
+        hold(&mut rig, 600, 0, Some(27));
+        assert_eq!((rig.last.quality, rig.z_nm()), (Quality::TemperatureModel, grown), "{lead_ms}");
+    }
+}
