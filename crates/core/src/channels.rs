@@ -8,24 +8,47 @@ pub type RawTemperatures = [Raw; CHANNELS];
 /// A channel is given up after so many bad readings in a row, 100 ms apart.
 pub const FAULT_AFTER_READINGS: u8 = 4;
 
+/// From one reading to the next no thermometer moves by more: its element follows what it touches with a
+/// time constant of a second or more (a sheathed PT100 in flowing water; on a machine's part it is slower), and what
+/// it touches does not jump by more than from ice to boiling coolant: 100 K·(1 − e^(−0.1 s/1 s)) = 9.5 K.
+pub const MOST_PER_READING: Temperature = Temperature(10 * Temperature::PER_KELVIN);
+
 /// A temperature channel: its last good reading, until it is given up.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Channel {
     temperature: Option<Temperature>,
+    /// The last reading, good or not.
+    before: Option<Temperature>,
     bad: u8,
 }
 
 impl Channel {
-    /// Takes what the channel's thermometer reads.
+    /// Takes what the channel's thermometer reads. None is bad, and so is a jump by more than
+    /// [`MOST_PER_READING`].
     ///
-    /// A single bad reading changes nothing, because a spark from the drives can cause one.
+    /// A single bad reading changes nothing, because a spark from the drives can cause one. After
+    /// [`FAULT_AFTER_READINGS`] in a row the channel is given up, until as many agree among themselves.
     pub fn hear(&mut self, reading: Option<Temperature>) {
-        if reading.is_some() {
-            *self = Self { temperature: reading, bad: 0 };
-        } else {
-            self.bad = self.bad.saturating_add(1);
-            if self.bad >= FAULT_AFTER_READINGS {
-                self.temperature = None;
+        /// So many still count as bad when the last of those that have to agree is heard.
+        const LAST: u8 = 2;
+        let before = core::mem::replace(&mut self.before, reading);
+        let is_first = self.temperature.is_none() && self.bad == 0;
+        let near = |it: Temperature, now: Temperature| {
+            it.0.abs_diff(now.0) <= MOST_PER_READING.0.unsigned_abs()
+        };
+        let follows = |now: &Temperature| {
+            is_first || self.temperature.or(before).is_some_and(|it| near(it, *now))
+        };
+        match reading.filter(follows) {
+            Some(_) if self.temperature.is_none() && self.bad > LAST => {
+                self.bad = self.bad.saturating_sub(1);
+            }
+            Some(_) => (self.temperature, self.bad) = (reading, 0),
+            None => {
+                self.bad = self.bad.saturating_add(1).min(FAULT_AFTER_READINGS);
+                if self.bad == FAULT_AFTER_READINGS {
+                    self.temperature = None;
+                }
             }
         }
     }

@@ -9,11 +9,11 @@
 use std::{env, f64::consts::TAU, sync::OnceLock, thread};
 
 use trueup_core::{
-    channels::Channel,
+    channels::{Channel, Channels},
     dimensions::CODES_PER_TICK,
     health::Health,
     thermometer::{Raw, Thermometer},
-    units::Code,
+    units::{Code, Temperature},
 };
 
 type Block = [Code; CODES_PER_TICK];
@@ -271,5 +271,59 @@ fn three_thousand_dead_thermometers_are_found_at_the_fourth_reading_and_none_bef
             channel.is_faulty()
         });
         assert_eq!(readings, Some(4), "{dead:?}");
+    }
+}
+
+/// How often a channel is bad, for `readings` readings a tenth of a second apart.
+fn bad_readings(readings: impl Iterator<Item = f64>) -> usize {
+    let mut channels = Channels::default();
+    let heard = readings.map(|celsius| {
+        channels.hear(0, Some(Temperature((celsius * f64::from(Temperature::PER_KELVIN)) as i32)));
+        channels.is_current(0)
+    });
+    heard.filter(|is_good| !is_good).count()
+}
+
+#[test]
+fn three_thousand_thermometers_that_jump_are_found_at_the_fourth_reading_and_sound_ones_never() {
+    let mut random = Random::new(21);
+    let mut beyond = || {
+        let by = random.between(10.5, 120.0);
+        if random.bits().is_multiple_of(2) { by } else { -by }
+    };
+    let step =
+        |celsius: f64| Some(Temperature((celsius * f64::from(Temperature::PER_KELVIN)) as i32));
+    for draw in 0..3_000 {
+        let by = beyond();
+        let mut channel = Channel::default();
+        (0..10).for_each(|_| channel.hear(step(40.0)));
+        // Three are sparks.
+        (0..draw % 4).for_each(|_| channel.hear(step(40.0 + by)));
+        assert_eq!(channel.temperature(), step(40.0), "after {} of {by} K", draw % 4);
+        channel.hear(step(40.0));
+        // One that stays is told, and then taken for what it is.
+        let mut heard = |_: &u32| {
+            channel.hear(step(40.0 + by));
+            channel.is_faulty()
+        };
+        assert_eq!((1..=10).find(&mut heard), Some(4), "{by} K");
+        assert_eq!((5..=10).find(|it| !heard(it)), Some(7), "{by} K");
+        // Any that do not agree are no temperature.
+        let mut wild = Channel::default();
+        (0..10).for_each(|_| wild.hear(step(40.0)));
+        for reading in 1..=40 {
+            let now = if reading % 2 == 0 { 40.0 + by } else { 40.0 - by };
+            wild.hear(step(now));
+            assert_eq!(wild.is_faulty(), reading >= 4);
+        }
+    }
+    // A probe of a second or slower that is thrown from anything between ice and boiling coolant into the other.
+    let mut random = Random::new(22);
+    for _ in 0..3_000 {
+        let (from, to) = (random.between(0.0, 100.0), random.between(0.0, 100.0));
+        let tau_s = random.between(1.0, 60.0);
+        let rest = |n: u32| (-0.1 * f64::from(n.saturating_sub(10)) / tau_s).exp();
+        let sound = (0..200).map(|n| to + (from - to) * rest(n) + 0.03 * random.normal());
+        assert_eq!(bad_readings(sound), 0, "from {from} to {to} °C by {tau_s} s");
     }
 }

@@ -29,6 +29,8 @@ use crate::node::{Frames, Line, Node};
 const REACH: [u32; 3] = [1_435_000_000, 301_000_000, 251_000_000];
 /// A PT100 at 20 °C in micro-ohms, and a linear chain at 20 °C in 1/256 counts.
 const COLD: [u32; 2] = [107_793_500, 1_105_920];
+/// And up to 40 K above.
+const WARMTH_MK: u32 = 40_000;
 
 /// Milliseconds of a phase, as a power of two: 4 s, longer than the default silence after which the
 /// CNC is lost (0.5 s) and the hold after that (2 s) together.
@@ -117,6 +119,8 @@ pub struct Vectors<'a> {
     level: u32,
     codes: [Code; CODES_PER_TICK],
     temperatures: RawTemperatures,
+    /// How far each is above the coldest, in millikelvin.
+    warmth_mk: [u32; CHANNELS],
     /// What the CNC sends in this millisecond.
     sent: Vec<Frame, 6>,
     /// Of the three positions, the angles, the spindle, the control.
@@ -142,6 +146,7 @@ impl<'a> Vectors<'a> {
             level: 700,
             codes: [Code(0); CODES_PER_TICK],
             temperatures: [Raw::NONE; CHANNELS],
+            warmth_mk: [WARMTH_MK >> 1; CHANNELS],
             sent: Vec::new(),
             // After the three of `Control` above.
             counters: [0, 0, 0, 0, 0, 3],
@@ -227,12 +232,20 @@ impl<'a> Vectors<'a> {
                 .to_le_bytes();
             *code = Code(u16::from_le_bytes([low, high]));
         }
-        for (number, temperature) in self.temperatures.iter_mut().enumerate() {
+        let channels = self.temperatures.iter_mut().zip(&mut self.warmth_mk);
+        for (number, (temperature, warmth_mk)) in channels.enumerate() {
+            // Slowly, as heat is: a thermometer that jumps is not believed.
+            let walked = warmth_mk.saturating_add_signed(random.around(100));
+            *warmth_mk = walked.min(WARMTH_MK);
             let [pt100, linear] = COLD;
-            // Up to 40 K: 0.3851 Ω in a kelvin, 16 counts of 256.
-            let (cold, span) = if number == 1 { (linear, 163_840) } else { (pt100, 15_404_000) };
-            let raw = cold.wrapping_add(random.below(span)).cast_signed();
-            *temperature = if fault == Fault::NoTemperatures { Raw::NONE } else { Raw(raw) };
+            // 0.3851 Ω in a kelvin, 16 counts of 256.
+            let raw = match number {
+                1 => linear.wrapping_add(warmth_mk.wrapping_mul(4_096) / 1_000),
+                _ => pt100.wrapping_add(warmth_mk.wrapping_mul(385)),
+            };
+            let raw =
+                if fault == Fault::NoTemperatures { Raw::NONE } else { Raw(raw.cast_signed()) };
+            *temperature = raw;
         }
     }
 

@@ -46,7 +46,8 @@ fn provoke(fault: Fault, rig: &mut Rig) {
         Fault::CncLost => breaks(Part::Control, Kind::Off),
         Fault::SpeedUnknown => breaks(Part::Speed, Kind::Off),
         Fault::SourceDead => breaks(Part::SpindleThermometer, Kind::Off),
-        Fault::Clamped => breaks(Part::AxisThermometer, Kind::Garbage),
+        // 4 µm of heat and 15 to 19 µm of the table.
+        Fault::Clamped => rig.offset_mm = 350.0,
         Fault::OutsideTable => breaks(Part::Position, Kind::Drift),
         Fault::HeatUnknown => {
             rig.node = Node::new(Some(crate::rig::calibration()), false);
@@ -82,7 +83,10 @@ fn provoke(fault: Fault, rig: &mut Rig) {
 
 /// Milliseconds from the moment at which the objects tell of a fault to its emergency.
 fn told_after(fault: Fault) -> u32 {
-    let mut rig = Rig::engaged(7);
+    let mut rig = match fault {
+        Fault::Clamped => Rig::engaged_within(20_000, 7),
+        _ => Rig::engaged(7),
+    };
     if fault == Fault::OutsideTable {
         // 10 mm a minute from 590 mm need long to leave the table: begin far out.
         rig.offset_mm = 405.0;

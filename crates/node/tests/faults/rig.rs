@@ -432,11 +432,21 @@ impl Rig {
 
     /// The same, with the CNC on this line.
     pub fn engaged_over(line: Line, seed: u64) -> Self {
-        let mut rig = Self { line, ..Self::new(seed) };
-        rig.run(500);
-        rig.engage = true;
-        rig.run(3_000);
-        rig
+        Self { line, ..Self::new(seed) }.into_engaged()
+    }
+
+    /// The same, with this as the largest offset of X.
+    pub fn engaged_within(x_nm: i32, seed: u64) -> Self {
+        let mut narrow = calibration();
+        narrow.limits.max[0] = Nanometres(x_nm);
+        Self { node: Node::new(Some(narrow), false), ..Self::new(seed) }.into_engaged()
+    }
+
+    fn into_engaged(mut self) -> Self {
+        self.run(500);
+        self.engage = true;
+        self.run(3_000);
+        self
     }
 
     /// What a CNC applies on X and Z, in nm: nothing where nothing is available.
