@@ -400,7 +400,7 @@ fn a_broken_calibration_gives_no_offset_and_the_log_says_why() -> Result<()> {
     ];
     for (blob, why) in blobs {
         let mut board = VirtualBoard::boot(&image, &blob)?;
-        let mut front_end = FrontEnd::new(0.33, 1);
+        let mut front_end = FrontEnd::new(0.328, 1);
         let blocks: Vec<Block> = (0..200)
             .map(|_| Block { codes: front_end.block(|_| 2.0), ..Block::default() })
             .collect();

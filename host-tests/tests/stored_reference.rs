@@ -54,7 +54,7 @@ impl Bench {
     }
 
     fn around(image: PathBuf, board: VirtualBoard) -> Self {
-        let front_end = FrontEnd::new(0.33, 3);
+        let front_end = FrontEnd::new(0.328, 3);
         Self { image, board, front_end, offsets: OffsetReceiver::new(), counter: 0, ms: 0 }
     }
 

@@ -40,7 +40,7 @@ fn boot() -> VirtualBoard {
 /// A life with everything in it: growth, a speed that changes, a broken wire, spikes, a CNC that
 /// engages, disengages, sends damaged and repeated frames, falls silent and comes back.
 fn eventful_life(ms: u32) -> Vec<Block> {
-    let mut front_end = FrontEnd::new(0.33, 42);
+    let mut front_end = FrontEnd::new(0.328, 42);
     let mut random = 7_u32;
     let mut counter = 0;
     (0..ms)
@@ -146,7 +146,7 @@ fn two_runs_on_the_board_are_the_same_to_the_bit() {
 fn the_serial_line_says_what_the_bus_says_and_growth_lifts_the_tool() {
     const SETTLED_VOLTS: f64 = 9_164.0 * 10.0 / 32_768.0;
     let mut board = boot();
-    let mut front_end = FrontEnd::new(0.33, 1);
+    let mut front_end = FrontEnd::new(0.328, 1);
     let mut cnc = Cnc::open(board.line().expect("a line")).expect("an open channel");
     for _ in 0..20 {
         let control = Control::ENGAGED;
@@ -181,7 +181,7 @@ fn the_serial_line_says_what_the_bus_says_and_growth_lifts_the_tool() {
 #[test]
 fn the_log_measures_the_noise_of_the_front_end() {
     let mut board = boot();
-    let mut front_end = FrontEnd::new(0.33, 1);
+    let mut front_end = FrontEnd::new(0.328, 1);
     for _ in 0..12 {
         let blocks: Vec<Block> = (0..BATCH)
             .map(|_| Block { codes: front_end.block(|_| 3.0), ..Block::default() })
@@ -221,7 +221,7 @@ fn a_malformed_line_rings_the_bell_and_is_counted_in_the_log() {
         let refused = cnc.ask(bad).expect_err("a line that is none");
         assert!(refused.to_string().contains(bad), "{refused}");
     }
-    let mut front_end = FrontEnd::new(0.33, 1);
+    let mut front_end = FrontEnd::new(0.328, 1);
     let blocks: Vec<Block> =
         (0..20).map(|_| Block { codes: front_end.block(|_| 3.0), ..Block::default() }).collect();
     board.step(&blocks).expect("the board lives");

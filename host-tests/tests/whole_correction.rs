@@ -129,7 +129,8 @@ fn growth_um(hours: f64) -> f64 {
 
 /// A millisecond of codes whose mean is the sensor's reading, alive by ±1.
 fn codes(sensor_um: f64, ms: u32) -> [Code; 20] {
-    let level = (5048.0 + sensor_um / (500.0 / 32768.0)) / 8.0;
+    // The divider of the wiring takes 10 V, 32768 counts, to 3.28 of the converter's 3.3 V, 4096 codes.
+    let level = (5048.0 + sensor_um / (500.0 / 32768.0)) / 8.0 * (3.28 / 3.3);
     std::array::from_fn(|n| {
         // Golden-ratio dither: its mean over any window is the level.
         let dither = (f64::from(ms * 20 + n as u32) * 0.618_033_988_749_895).fract();
@@ -265,7 +266,7 @@ fn with_everything_on_the_offsets_along_a_diagonal_are_minus_the_prediction() {
 
     let mut board = boot(&compiled);
     let (mut offsets, mut sender) = (OffsetReceiver::new(), Sender::default());
-    let mut front_end = FrontEnd::new(0.33, 5);
+    let mut front_end = FrontEnd::new(0.328, 5);
     let (mut worst, mut largest) = (0.0_f64, 0.0_f64);
     for (at, prediction) in places.iter().zip(&predictions) {
         let blocks: Vec<Block> = (0..1_000)

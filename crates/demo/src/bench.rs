@@ -29,7 +29,7 @@ pub fn connected(source: &str, run: &RunFile) -> Result<(String, Vec<String>)> {
         let mut sensor = InlineTable::new();
         sensor.insert("volts_full_scale", 10.0.into());
         sensor.insert("counts_full_scale", 32768.into());
-        sensor.insert("divider", 0.33.into());
+        sensor.insert("divider", 0.328.into());
         inputs.insert("sensor", value(sensor));
         notes.push("For the bench the sensor gives 10 V at 32768 counts.".into());
     }

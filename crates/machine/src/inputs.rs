@@ -9,7 +9,8 @@
 //! reading = 1024 · codes
 //! ```
 //!
-//! With the paper's sensor (10 V, 32768 counts, divider 0.33) one code is exactly 8 counts.
+//! With the paper's sensor (10 V at 32768 counts) and the divider of the wiring, 0.328, one code is 8.05 counts;
+//! with one that takes 10 V to the whole 3.3 V it would be 8.
 
 use std::collections::BTreeMap;
 

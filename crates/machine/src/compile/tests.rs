@@ -11,9 +11,11 @@ use trueup_core::{
 use super::{inputs::linear_thermometer, *};
 use crate::{MachineFile, file::SensorModel, inputs::SensorInput, stored::NM_PER_UM};
 
-/// The paper's machine file with `from` replaced by `to`.
+/// The paper's machine file with `from` replaced by `to`, behind a divider that takes its 10 V to the
+/// converter's 3.3: a code is 8 counts there, and all numbers are whole.
 fn paper_but(from: &str, to: &str) -> Machine {
     let text = include_str!("../../../../data/paper_spindle.toml");
+    let text = &text.replace("divider = 0.328", "divider = 0.33");
     assert!(text.contains(from), "{from} is not in the paper's machine file");
     MachineFile::parse(&text.replace(from, to), Path::new("paper.toml"))
         .expect("the changed file is right by itself")
@@ -32,6 +34,20 @@ fn the_papers_constants_are_exact_in_the_boards_integers() {
     assert_eq!(compiled.calibration().spindle.sensor.k0, Nanometres(0));
     assert_eq!(compiled.calibration().kinematics.zero, Direction::DOWN);
     assert!(compiled.largest_difference_nm < 1e-9);
+}
+
+/// 10 V are 3.28 of 3.3 V, 0.99394 of 2²² reading units: 500 000 nm over so many, times 2²⁸, are
+/// 32 195 121.95; 5048 of 32768 counts are 642 227.98 units.
+#[test]
+fn behind_the_divider_of_the_wiring_the_constants_are_the_nearest_integers() {
+    let text = include_str!("../../../../data/paper_spindle.toml");
+    let machine =
+        MachineFile::parse(text, Path::new("paper.toml")).expect("the project's own file");
+    let compiled = compile(&machine).expect("the paper's sensor fits");
+    let sensor = compiled.calibration().spindle.sensor;
+    assert_eq!((sensor.slope, sensor.zero), (Slope(32_195_122), Reading(642_228)));
+    // 0.05 of the slope's unit over the whole range, 0.8 pm; 0.02 of the zero's, 2.4 pm.
+    assert!(compiled.largest_difference_nm < 0.01, "{}", compiled.largest_difference_nm);
 }
 
 #[test]

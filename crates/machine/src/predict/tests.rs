@@ -4,7 +4,7 @@ use std::path::Path;
 
 const PAPER: &str = include_str!("../../../../data/paper_spindle.toml");
 const INPUT: &str =
-    "sensor = { volts_full_scale = 10.0, counts_full_scale = 32768, divider = 0.33 }";
+    "sensor = { volts_full_scale = 10.0, counts_full_scale = 32768, divider = 0.328 }";
 
 fn machine(text: &str) -> Machine {
     MachineFile::parse(text, Path::new("m.toml")).expect("the test's own machine file")
