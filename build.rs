@@ -7,6 +7,9 @@ use std::{env, fs, path::Path, path::PathBuf, process::exit};
 
 use trueup_machine::{compile::compile, file::MachineFile};
 
+#[path = "commit.rs"]
+mod commit;
+
 /// What an image is for that nobody gave a machine file.
 const EXAMPLE: &str = "data/paper_spindle.toml";
 
@@ -26,6 +29,7 @@ fn main() {
     println!("cargo:rustc-link-arg-bins=-Tlink.x");
     println!("cargo:rustc-link-arg-bins=-Tdefmt.x");
     println!("cargo:rerun-if-changed=memory.x");
+    commit::tell(Path::new("."));
 
     println!("cargo:rerun-if-env-changed=TRUEUP_MACHINE");
     let given = env::var("TRUEUP_MACHINE");

@@ -112,6 +112,7 @@ mod app {
         faults.all().for_each(|fault| node.note(fault));
         node.note_start(parts.start);
         node.set_serial_number(parts.serial_number);
+        node.note_commit(board::COMMIT);
         node.set_blob(parts.blob);
         if parts.is_older {
             node.ask(Fault::OlderCalibration);

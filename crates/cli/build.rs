@@ -12,12 +12,16 @@ use std::{
     time::SystemTime,
 };
 
+#[path = "../../commit.rs"]
+mod commit;
+
 /// What is carried, with the constant of `carried.rs` that names it.
 const IMAGES: [&str; 3] = ["trueup-virtual.elf", "trueup-stm32f405.elf", "trueup-stm32f405.bin"];
 /// What the images are built from.
-const SOURCES: [&str; 13] = [
+const SOURCES: [&str; 14] = [
     "Cargo.lock",
     "build.rs",
+    "commit.rs",
     "memory.x",
     "src",
     "data/paper_spindle.toml",
@@ -38,6 +42,8 @@ fn main() {
     let package = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").expect("cargo sets it"));
     let root = package.join("../..");
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets it"));
+    // An image says its commit, so that one of another commit is another image.
+    let with_commit = commit::tell(&root);
     let is_release = env::var("PROFILE").is_ok_and(|profile| profile == "release");
     let carried = match env::var(CARRIED).as_deref() {
         Ok("0") => false,
@@ -51,7 +57,7 @@ fn main() {
         }
         // A build for tests stands in the folder that the project's own command is built in, and would
         // wait for itself.
-        if is_release && !is_fresh(&root, &folder) {
+        if is_release && !is_fresh(&root, &folder, &with_commit) {
             build(&root);
         }
     }
@@ -71,10 +77,11 @@ fn main() {
 }
 
 /// Whether all images are there and none is older than what it is built from.
-fn is_fresh(root: &Path, folder: &Path) -> bool {
+fn is_fresh(root: &Path, folder: &Path, with_commit: &[PathBuf]) -> bool {
     let changed = |path: &Path| fs::metadata(path).and_then(|it| it.modified()).ok();
     let images = IMAGES.map(|name| changed(&folder.join(name)));
-    let newest = SOURCES.iter().filter_map(|source| newest(&root.join(source))).max();
+    let sources = SOURCES.iter().map(|source| root.join(source));
+    let newest = sources.chain(with_commit.iter().cloned()).filter_map(|it| newest(&it)).max();
     images.into_iter().min().flatten() > newest
 }
 

@@ -51,6 +51,12 @@ pub use r#virtual::*;
 /// Where a calibration is gathered.
 pub type Buffer = [u8; trueup_store::calibration::MAX_SIZE];
 
+/// From which commit of the source the image was built: the first 32 bits of its hash; 0: it is not known.
+pub const COMMIT: u32 = match u32::from_str_radix(env!("TRUEUP_COMMIT"), 16) {
+    Ok(commit) => commit,
+    Err(_) => 0,
+};
+
 /// Conversions in one block: one millisecond at 20 kS/s.
 pub const BLOCK: usize = 20;
 /// Temperature channels.

@@ -124,6 +124,8 @@ pub enum ObjectKind {
     Resets(u8),
     /// Who may write: a number of [`Authority`].
     Authority,
+    /// The first 32 bits of the hash of the commit that the image was built from; 0: it is not known.
+    Commit,
     /// Every fault, a bit each, as [`crate::emergency::Faults::bits`] has them.
     AllFaults,
     /// Milliseconds of the sample clock.

@@ -46,7 +46,7 @@ mod trust;
 #[cfg(unix)]
 mod virtual_board;
 
-use std::{path::PathBuf, process::ExitCode};
+use std::{env, ffi::OsString, path::PathBuf, process::ExitCode};
 
 use anyhow::Result;
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
@@ -55,9 +55,12 @@ use trueup_machine::BadInput;
 
 use report::Manner;
 
+/// The version and the commit that this tool was built from.
+const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("TRUEUP_COMMIT"), ")");
+
 /// Errors of a machine tool: what the model predicts, and what the bridge compensates.
 #[derive(Parser)]
-#[command(name = "trueup", version, propagate_version = true)]
+#[command(name = "trueup", version = VERSION, propagate_version = true)]
 struct Cli {
     /// Print JSON instead of text.
     #[arg(long, global = true)]
@@ -70,6 +73,13 @@ struct Cli {
     verbose: bool,
     #[command(subcommand)]
     command: Command,
+}
+
+impl Cli {
+    /// A command line as users write it, with its short forms.
+    fn read(words: impl IntoIterator<Item: Into<OsString> + Clone>) -> Result<Self, clap::Error> {
+        Self::from_arg_matches(&help::with_examples(Self::command()).try_get_matches_from(words)?)
+    }
 }
 
 #[derive(Subcommand)]
@@ -140,8 +150,7 @@ impl std::fmt::Display for UserError {
 impl std::error::Error for UserError {}
 
 fn main() -> ExitCode {
-    let matches = help::with_examples(Cli::command()).get_matches();
-    let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
+    let cli = Cli::read(env::args_os()).unwrap_or_else(|error| error.exit());
     report::set(Manner { json: cli.json, quiet: cli.quiet, verbose: cli.verbose });
     match run(&cli) {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
@@ -225,7 +234,7 @@ mod tests {
     fn every_example_is_a_line_that_the_tool_takes() {
         for line in help::lines() {
             let words = line.split(" > ").next().unwrap_or_default().split(' ');
-            let taken = Cli::command().try_get_matches_from(words);
+            let taken = Cli::read(words);
             assert!(
                 taken.is_ok(),
                 "{line}: {}",

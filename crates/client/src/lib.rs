@@ -27,6 +27,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod build;
 pub mod cnc;
 pub mod ends;
 pub mod line;

@@ -102,6 +102,8 @@ pub struct Node<'a> {
     start: Start,
     /// As CANopen's identity object has it.
     serial_number: u32,
+    /// As the object has it; 0: it is not known.
+    commit: u32,
     free_stack: u16,
     restart: bool,
     degraded: bool,
@@ -159,6 +161,7 @@ impl<'a> Node<'a> {
             last_refused: Reason::None,
             start: Start::default(),
             serial_number: 1,
+            commit: 0,
             free_stack: u16::MAX,
             restart: false,
             degraded,
@@ -206,6 +209,12 @@ impl<'a> Node<'a> {
     /// Notes where the last start stopped, and how often the board has started.
     pub fn note_start(&mut self, start: Start) {
         self.start = start;
+    }
+
+    /// Notes from which commit of the source the image was built: the first 32 bits of its hash; 0: nobody
+    /// knows.
+    pub fn note_commit(&mut self, commit: u32) {
+        self.commit = commit;
     }
 
     /// Notes how many bytes of the stack were never used.

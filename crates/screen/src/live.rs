@@ -14,6 +14,7 @@ use ratatui::{
 };
 use trueup_client::{
     Unusable,
+    build::{Build, COMMIT},
     line::{Line, LineEvent},
     object,
     poll::{Heard, Poll},
@@ -48,6 +49,8 @@ const AGAIN: Duration = Duration::from_secs(3_600);
 pub struct Options {
     /// Where the bridge is.
     pub port: String,
+    /// Who shows it: a bridge of another source is told.
+    pub tool: Build,
     /// The machine file.
     pub machine: Option<PathBuf>,
     /// Where a recording goes, which begins at once; otherwise `r` begins one in a folder of this day and
@@ -85,6 +88,7 @@ pub fn run(options: Options) -> Result<bool> {
         recorder: None,
         start: Instant::now(),
         growth: Poll::new(object::ELONGATION, SAMPLE, Instant::now()),
+        commit: Poll::new(COMMIT, AGAIN, Instant::now()),
         calibration: None,
     };
     if live.options.record.is_some() && !live.options.is_strict {
@@ -107,6 +111,8 @@ struct Live {
     recorder: Option<Recorder>,
     start: Instant,
     growth: Poll,
+    /// Asked for once as well.
+    commit: Poll,
     /// The calibration of this CRC is being read, or was.
     calibration: Option<(u32, Poll)>,
 }
@@ -203,6 +209,15 @@ impl Live {
             }
             return Ok(());
         }
+        if self.commit.is_running() {
+            if let Heard::Bytes(answer) = self.commit.hear(frame, now) {
+                let bridge = self.options.tool.with_commit(&answer);
+                if let Some(difference) = self.options.tool.difference(&bridge) {
+                    self.state.say(difference);
+                }
+            }
+            return Ok(());
+        }
         match self.growth.hear(frame, now) {
             Heard::Ask(request) => line.send(request),
             Heard::Bytes(bytes) => {
@@ -228,10 +243,13 @@ impl Live {
         {
             self.calibration = Some((crc, Poll::new(object::RUNNING, AGAIN, now)));
         }
-        let calibration = self.calibration.as_mut().and_then(|(_, poll)| poll.due(now));
+        let calibration = self.calibration.as_mut().filter(|_| !self.commit.is_running());
+        let calibration = calibration.and_then(|(_, poll)| poll.due(now));
         let is_reading = self.calibration.as_ref().is_some_and(|(_, poll)| poll.is_running());
-        let growth = if is_reading { None } else { self.growth.due(now) };
-        for request in calibration.into_iter().chain(growth) {
+        let commit = if is_reading { None } else { self.commit.due(now) };
+        let is_asking = is_reading || self.commit.is_running();
+        let growth = if is_asking { None } else { self.growth.due(now) };
+        for request in calibration.into_iter().chain(commit).chain(growth) {
             line.send(request);
         }
     }

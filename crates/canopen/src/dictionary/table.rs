@@ -184,7 +184,7 @@ pub const OBJECTS: &[Object] = &[
         0x2001,
         "State of the bridge",
         &[
-            count(9),
+            count(10),
             read(1, "Quality", Type::U8, ObjectKind::Quality),
             read(2, "Flags", Type::U8, ObjectKind::Flags),
             read(3, "Age of the newest sample in ms", Type::U8, ObjectKind::Age),
@@ -194,6 +194,7 @@ pub const OBJECTS: &[Object] = &[
             read(7, "Reason of the last reset", Type::U8, ObjectKind::ResetReason),
             read(8, "Who may write", Type::U8, ObjectKind::Authority),
             read(9, "All faults", Type::U32, ObjectKind::AllFaults),
+            read(10, "Commit of the source of the image", Type::U32, ObjectKind::Commit),
         ],
     ),
     record(

@@ -10,6 +10,7 @@ use anyhow::{Result, bail};
 use clap::Args;
 use serde_json::{Value, json};
 use trueup_client::{
+    build::Build,
     object,
     port::Port,
     session::Session,
@@ -85,7 +86,7 @@ impl Info {
 struct Objects {
     device: String,
     hardware: String,
-    software: String,
+    software: Build,
     /// 0: it has no valid one.
     calibration: u32,
     /// The one for the next start; 0: none was loaded.
@@ -111,7 +112,7 @@ impl Objects {
         Ok(Self {
             device: object::text(session, object::NAME)?,
             hardware: object::text(session, object::HARDWARE)?,
-            software: object::text(session, object::SOFTWARE)?,
+            software: who::compare_builds(session)?,
             calibration: object::number(session, object::RUNNING_CRC)?,
             new_calibration: object::number(session, object::NEW_CRC)?,
             // An empty one is refused.
@@ -232,9 +233,6 @@ pub fn run(args: &Ask, as_json: bool) -> Result<Outcome> {
             None => Comparison::Nothing,
         };
     }
-    if objects.is_some() {
-        who::compare_versions(&mut session)?;
-    }
     session.close();
     if as_json {
         let mut all = info.json(objects.as_ref());
@@ -283,7 +281,7 @@ impl Info {
         all["heartbeat"] = json!(self.heartbeat.map(state_word));
         all["device"] = json!(objects.map(|it| &it.device));
         all["hardware"] = json!(objects.map(|it| &it.hardware));
-        all["software"] = json!(objects.map(|it| &it.software));
+        all["software"] = json!(objects.map(|it| it.software.to_string()));
         all["calibration_crc"] = json!(objects.and_then(|it| crc(it.calibration)));
         all["new_calibration_crc"] = json!(objects.and_then(|it| crc(it.new_calibration)));
         let named = |text: &str| (!text.is_empty()).then(|| text.to_owned());

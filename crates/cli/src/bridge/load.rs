@@ -40,7 +40,7 @@ pub struct Load {
 #[derive(Args, Clone, Copy)]
 pub struct How {
     /// Load without asking: for scripts.
-    #[arg(short, long)]
+    #[arg(long)]
     pub yes: bool,
     /// Leave the board running on the calibration it has; the new one is used from its next start.
     #[arg(long)]
@@ -129,7 +129,7 @@ pub fn put(session: &mut Session, blob: &[u8], how: How) -> Result<Loaded> {
             quality_word(quality)
         );
     }
-    who::compare_versions(session)?;
+    who::compare_builds(session)?;
     let waiting = object::number(session, NEW_CRC)?;
     if waiting != 0 && waiting != crc && waiting != object::number(session, RUNNING_CRC)? {
         report::warn(format_args!(

@@ -13,7 +13,7 @@ use trueup_screen::{
     live,
 };
 
-use super::{Port, plain};
+use super::{Port, plain, who};
 use crate::Outcome;
 
 #[derive(Args)]
@@ -81,6 +81,7 @@ pub fn run(args: &Monitor, as_json: bool) -> Result<Outcome> {
     };
     let is_sound = live::run(live::Options {
         port: args.port.port.clone(),
+        tool: who::tool(),
         machine: args.machine.clone(),
         record: args.record.clone(),
         is_strict: args.strict,

@@ -1,12 +1,8 @@
-//! Who is who: the calibration that a bridge runs on against another one, in words; versions that differ.
+//! Who is who: the calibration that a bridge runs on against another one, in words; firmware and tool that are not of the same source.
 
 use anyhow::Result;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use trueup_client::{
-    load,
-    object::{self, SOFTWARE},
-    session::Session,
-};
+use trueup_client::{build::Build, load, session::Session};
 use trueup_machine::show::changes::changes;
 use trueup_store::calibration::decode;
 
@@ -30,16 +26,18 @@ pub fn differences(session: &mut Session, new: &[u8]) -> Result<Option<Vec<Strin
     })
 }
 
-/// Says where the bridge's firmware is of another version than this tool.
-pub fn compare_versions(session: &mut Session) -> Result<()> {
-    let (tool, bridge) = (env!("CARGO_PKG_VERSION"), object::text(session, SOFTWARE)?);
-    if bridge != tool {
-        report::warn(format_args!(
-            "the bridge's firmware is {bridge}, this tool {tool}: flash the image of this version, or use \
-             the tool of that one"
-        ));
+/// This tool's.
+pub fn tool() -> Build {
+    Build::new(env!("CARGO_PKG_VERSION"), env!("TRUEUP_COMMIT"))
+}
+
+/// Says where the bridge's firmware is of another version or commit than this tool. Gives the firmware's.
+pub fn compare_builds(session: &mut Session) -> Result<Build> {
+    let bridge = Build::ask(session)?;
+    if let Some(difference) = tool().difference(&bridge) {
+        report::warn(difference);
     }
-    Ok(())
+    Ok(bridge)
 }
 
 /// A bar over so many bytes, on standard error.

@@ -5,7 +5,7 @@
 use std::sync::{Arc, Mutex};
 
 use crate::desk::Desk;
-use crate::pretended::{Fault, PAPER, bridge_many, paper};
+use crate::pretended::{Fault, PAPER, bridge_many, bridge_with, paper};
 use crate::terminal::Terminal;
 
 /// The paper's machine, and the same with another gain and slew limit.
@@ -26,10 +26,10 @@ fn info_says_whether_the_bridge_runs_on_the_machine_file() {
     let (out, _) = desk.said(&format!("bridge info --machine m.toml --port {port}"), 0);
     assert!(out.ends_with("m.toml: the bridge runs on it\n"), "{out}");
     let (out, _) = desk.said(&format!("bridge info --machine other.toml --port {port}"), 3);
-    // 32768 counts are 500 µm, or 557; the zero stays.
+    // The zero stays; at the converter's last code, 32966 counts, 426.0 µm become 474.6.
     for phrase in [
         "other.toml: the bridge does NOT run on it; with it:\n",
-        "\n  spindle growth: its law, up to 48.2",
+        "\n  spindle growth: its law, up to 48.61",
         "\n  slew limit: 20 becomes 10 µm/s\n",
     ] {
         assert!(out.contains(phrase), "{phrase}: {out}");
@@ -37,6 +37,47 @@ fn info_says_whether_the_bridge_runs_on_the_machine_file() {
     let (out, _) = desk.said(&format!("bridge info --json --machine other.toml --port {port}"), 3);
     let told: serde_json::Value = serde_json::from_str(&out).expect("JSON");
     assert_eq!(told["differs_from_machine"].as_array().map(Vec::len), Some(2), "{told}");
+}
+
+#[test]
+fn a_firmware_of_another_commit_is_told_on_connecting() {
+    let desk = desk();
+    let (out, _) = desk.said("--version", 0);
+    let tool = out.trim_end().strip_prefix("trueup ").expect("its name").to_owned();
+    let told = format!(
+        "the bridge's firmware is {} (00000007), this tool {tool}",
+        env!("CARGO_PKG_VERSION")
+    );
+    let is_known = env!("TRUEUP_COMMIT") != "unknown";
+    let (port, _) = bridge_with(Fault::OtherSource, false);
+    let (_, err) = desk.said(&format!("bridge info --port {port}"), 0);
+    assert_eq!(err.contains(&told), is_known, "{err}");
+    let (port, _) = bridge_with(Fault::OtherSource, false);
+    let mut terminal =
+        Terminal::start(&desk, &format!("bridge monitor --port {port}"), (200, 30), true);
+    if is_known {
+        terminal.shows(&["the bridge's firmware is", "(00000007)"]);
+    }
+    terminal.press("q");
+    terminal.ended();
+    // One that does not know its own is not doubted.
+    let (port, _) = bridge_with(Fault::None, false);
+    let (_, err) = desk.said(&format!("bridge info --port {port}"), 0);
+    assert!(!err.contains("firmware"), "{err}");
+}
+
+#[test]
+fn a_calibration_that_corrects_nothing_is_told_before_it_is_loaded() {
+    let desk = desk();
+    desk.write("nothing.toml", "[machine]\nname = \"m\"\nkind = \"3-axis\"\n");
+    desk.said("compile nothing.toml -o nothing.bin", 0);
+    let (port, _) = bridge_many(Fault::None, false);
+    // Nobody is there to be asked.
+    for (file, is_told) in [("nothing.bin", true), ("other.bin", false)] {
+        let (_, err) = desk.said(&format!("bridge load {file} --port {port}"), 2);
+        let told = format!("{file}: corrects nothing: a board with it leaves every offset at 0");
+        assert_eq!(err.contains(&told), is_told, "{err}");
+    }
 }
 
 #[test]

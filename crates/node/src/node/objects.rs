@@ -87,6 +87,7 @@ impl Node<'_> {
             ObjectKind::ResetReason => self.start.reason as u32,
             ObjectKind::Stop(what) => self.start.stop.number(what).ok_or(Abort::NoData)?,
             ObjectKind::Resets(reason) => self.start.resets(reason).into(),
+            ObjectKind::Commit => self.commit,
             ObjectKind::Authority => self.master.authority() as u32,
             ObjectKind::Clock => self.now.0,
             ObjectKind::ReferenceElongation => nanometres(reference.elongation),

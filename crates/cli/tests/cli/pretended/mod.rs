@@ -11,9 +11,9 @@ use std::{
 
 use trueup_core::{
     bridge::Input,
-    cnc::Control,
+    cnc::{AxisPosition, Control, Heading, LinearAxis},
     dimensions::CODES_PER_TICK,
-    units::{Code, Rpm},
+    units::{Code, Position, Rpm},
 };
 use trueup_link::{frames, layout::SDO_ANSWER_ID, slcan::Port};
 use trueup_machine::{Compiled, Machine, MachineFile, compile};
@@ -46,6 +46,8 @@ pub enum Fault {
     Forgetful,
     /// Its store takes nothing.
     Full,
+    /// Its firmware is of another commit than the tool.
+    OtherSource,
 }
 
 /// A bridge at a port of this machine, engaged by a CNC that it has elsewhere.
@@ -115,10 +117,14 @@ pub fn live(
 ) {
     let compiled = paper();
     let (mut node, mut port) = started(Box::leak(compiled.blob().into()));
+    if fault == Fault::OtherSource {
+        node.note_commit(7);
+    }
     let mut stored: Option<Vec<u8>> = None;
     let mut control = 0_u32;
-    // 100 codes above the paper's zero: 12.2 µm, which the slew limit reaches in 0.6 s.
-    let codes: [Code; CODES_PER_TICK] = std::array::from_fn(|n| Code(731 + (n % 2) as u16));
+    // The paper's zero is 5048 of its 32768 counts at 10 V: 627.2 codes behind the divider. 100 codes
+    // above it, 805.4 counts, are 12.3 µm, which the slew limit reaches in 0.6 s.
+    let codes: [Code; CODES_PER_TICK] = std::array::from_fn(|n| Code(727 + (n % 2) as u16));
     let start = Instant::now();
     let mut bytes = [0; 256];
     for ms in 0_u32.. {
@@ -166,6 +172,12 @@ pub fn live(
             let engaged =
                 Control { engage: engage && control >= 3, service: !engage, ..Control::REFERENCED };
             node.hear(Line::Can, &frames::control(engaged, control as u8)).expect("in order");
+            // Its axes stand.
+            for axis in LinearAxis::ALL {
+                let stands =
+                    AxisPosition { axis, position: Position(0), direction: Heading::Positive };
+                node.hear(Line::Can, &frames::position(stands, control as u8)).expect("in order");
+            }
             control += 1;
         }
         let speed = Some(Rpm(24_000));

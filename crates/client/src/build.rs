@@ -1,0 +1,79 @@
+//! Of which source a bridge's firmware was built, and a tool that speaks to it: the two have to agree.
+
+use std::fmt::{self, Display};
+
+use anyhow::Result;
+
+use crate::{
+    object::{self, At, SOFTWARE},
+    session::Session,
+};
+
+/// The commit of the image's source: the first 32 bits of its hash; 0: the image does not know.
+pub const COMMIT: At = (0x2001, 10);
+
+/// A version and, where it is known, the commit that it is of.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Build {
+    version: String,
+    /// The first 32 bits of its hash.
+    commit: Option<u32>,
+}
+
+impl Build {
+    /// Of a tool, as its build script tells it: `commit` in 8 hexadecimal digits; anything else is not known.
+    #[must_use]
+    pub fn new(version: &str, commit: &str) -> Self {
+        Self { version: version.into(), commit: u32::from_str_radix(commit, 16).ok() }
+    }
+
+    /// What the bridge says of itself. A firmware from before 0x2001:0A was there says no commit.
+    ///
+    /// # Errors
+    /// It does not say its version, or the line is broken.
+    pub fn ask(session: &mut Session) -> Result<Self> {
+        let version = object::text(session, SOFTWARE)?;
+        let commit = object::number(session, COMMIT).ok().filter(|commit| *commit != 0);
+        Ok(Self { version, commit })
+    }
+
+    /// The same version, of the commit that a bridge has answered.
+    #[must_use]
+    pub fn with_commit(&self, answer: &[u8]) -> Self {
+        let commit = answer.first_chunk().copied().map(u32::from_le_bytes);
+        Self { version: self.version.clone(), commit: commit.filter(|commit| *commit != 0) }
+    }
+
+    /// What to say where the bridge's firmware is of another source than this tool; `None` where it is of the
+    /// same, as far as both know theirs.
+    ///
+    /// ```
+    /// use trueup_client::build::Build;
+    /// let tool = Build::new("0.2.0", "1a2b3c4d");
+    /// assert_eq!(tool.difference(&Build::new("0.2.0", "1a2b3c4d")), None);
+    /// assert_eq!(tool.difference(&Build::new("0.2.0", "unknown")), None);
+    /// let said = tool.difference(&Build::new("0.2.0", "00000007")).unwrap();
+    /// assert!(said.starts_with("the bridge's firmware is 0.2.0 (00000007), this tool 0.2.0 (1a2b3c4d)"));
+    /// assert!(tool.difference(&Build::new("0.1.0", "unknown")).is_some());
+    /// ```
+    #[must_use]
+    pub fn difference(&self, bridge: &Self) -> Option<String> {
+        let is_other_commit =
+            self.commit.zip(bridge.commit).is_some_and(|(tool, bridge)| tool != bridge);
+        (self.version != bridge.version || is_other_commit).then(|| {
+            format!(
+                "the bridge's firmware is {bridge}, this tool {self}: flash the image of this tool \
+                 (`trueup firmware`), or use the tool of that one"
+            )
+        })
+    }
+}
+
+impl Display for Build {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.commit {
+            Some(commit) => write!(f, "{} ({commit:08x})", self.version),
+            None => write!(f, "{}", self.version),
+        }
+    }
+}
