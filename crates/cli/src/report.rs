@@ -49,13 +49,16 @@ pub fn manner() -> Manner {
     MANNER.get().copied().unwrap_or_default()
 }
 
-/// Each error of a file, and how many there are where there is more than one.
+/// Each error of a file, and how many there are where there is more than one, or more than are listed.
 pub fn bad_input(error: BadInput) {
+    let unlisted = error.unlisted;
     let errors: Vec<BadInput> = error.one_by_one().collect();
     for BadInput { place, rule, help, .. } in &errors {
         say(Level::ERROR, rule, Some(place), help.as_deref());
     }
-    if errors.len() > 1 && !manner().json {
+    if unlisted > 0 {
+        self::error(format_args!("and {unlisted} more in this file"));
+    } else if errors.len() > 1 && !manner().json {
         eprintln!("{} errors", errors.len());
     }
 }

@@ -37,7 +37,7 @@ use crate::{
     bounded,
     location::{BadInput, without_byte_order_mark},
 };
-use read::Document;
+use read::{Document, Section};
 use write::{Edit, NewSection};
 
 /// The longest machine file that is read, in bytes: forty times what the board could store of it.
@@ -75,9 +75,8 @@ impl MachineFile {
         let root = document.root();
         // Each section can be read by itself once its keys are right.
         let mut faults = structure::faults(&root, keys::FILE);
-        faults.extend(
-            root.sections("term").into_iter().flatten().filter_map(|it| term::read(&it).err()),
-        );
+        let terms = || root.sections("term").into_iter().flatten();
+        faults.extend(terms().flat_map(|it| structure::faults_of_term(&it)));
         if let Some(error) = BadInput::gathered(faults) {
             return Err(error);
         }
@@ -95,14 +94,16 @@ impl MachineFile {
         let cold_within_c = faults.of(section("thermal_state").map(|it| thermal_state::read(&it)));
         let instrument_um = faults.of(section("instrument").map(|it| instrument::read(&it)));
         let (spindle, axes) = (spindle.unwrap_or_default(), axes.unwrap_or_default());
-        let mut terms = Vec::new();
-        for section in root.sections("term")? {
-            let term = term::read(&section)?;
-            if faults.0.is_empty() {
-                faults.0.extend(term::check(&section, &term, &spindle, &axes).err());
-            }
-            terms.push(term);
+        let read = terms().map(|section| Ok((term::read(&section)?, section)));
+        let read: Vec<(Term, Section<'_>)> = read.collect::<Result<_, BadInput>>()?;
+        // Beside a section that cannot be read nobody knows what a term belongs to.
+        if faults.0.is_empty() {
+            let misplaced = |(term, section)| term::check(section, term, &spindle, &axes).err();
+            faults
+                .0
+                .extend(read.iter().map(|(term, section)| (term, section)).filter_map(misplaced));
         }
+        let terms = read.into_iter().map(|(term, _)| term).collect();
         if let Some(error) = BadInput::gathered(faults.0) {
             return Err(error);
         }

@@ -71,15 +71,21 @@ pub struct BadInput {
     pub rule: String,
     /// What to do about it, a sentence without its full stop, where there is more to say than the rule.
     pub help: Option<String>,
-    /// What else is wrong with the same file, in the order of its lines; none of them has others.
+    /// What else is wrong with the same file, in the order of its lines, fewer than [`MOST_LISTED`]; none
+    /// of them has others.
     pub others: Vec<BadInput>,
+    /// How much more is wrong with it than that.
+    pub unlisted: usize,
 }
+
+/// So many faults of a file are told with their lines: more than a screen of them nobody reads.
+pub const MOST_LISTED: usize = 20;
 
 impl BadInput {
     /// `rule` is broken at `place`.
     #[must_use]
     pub fn new(place: Location, rule: impl Into<String>) -> Self {
-        Self { place, rule: rule.into(), help: None, others: Vec::new() }
+        Self { place, rule: rule.into(), help: None, others: Vec::new(), unlisted: 0 }
     }
 
     /// The same, with what to do about it.
@@ -91,16 +97,20 @@ impl BadInput {
     /// All of these as one: the first in the file, with the others; `None` where there are none.
     #[must_use]
     pub fn gathered(errors: impl IntoIterator<Item = Self>) -> Option<Self> {
-        let mut errors: Vec<Self> = errors.into_iter().flat_map(Self::one_by_one).collect();
+        let mut unlisted = 0;
+        let counted = errors.into_iter().inspect(|error| unlisted += error.unlisted);
+        let mut errors: Vec<Self> = counted.flat_map(Self::one_by_one).collect();
         errors.sort_by_key(|error| (error.place.line, error.place.column));
-        let mut errors = errors.into_iter();
+        unlisted += errors.len().saturating_sub(MOST_LISTED);
+        let mut errors = errors.into_iter().take(MOST_LISTED);
         let first = errors.next()?;
-        Some(Self { others: errors.collect(), ..first })
+        Some(Self { others: errors.collect(), unlisted, ..first })
     }
 
-    /// It, and each of the others, alone.
+    /// It, and each of the others that are listed, alone.
     pub fn one_by_one(mut self) -> impl Iterator<Item = Self> {
         let others = std::mem::take(&mut self.others);
+        self.unlisted = 0;
         std::iter::once(self).chain(others)
     }
 }

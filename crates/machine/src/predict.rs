@@ -17,6 +17,7 @@
 
 mod bridge;
 mod columns;
+mod digits;
 
 use std::{
     borrow::Cow,
@@ -36,6 +37,7 @@ use crate::{
 };
 use bridge::{Bridge, BridgeRun};
 use columns::{Columns, at};
+use digits::{write_micro, write_shortest};
 
 pub use crate::model::Values;
 
@@ -247,7 +249,7 @@ impl<'a> Predictor<'a> {
             for column in self.run.columns() {
                 let value = column.values.get(row).copied().unwrap_or(f64::NAN);
                 if !value.is_nan() {
-                    write!(out, "{value}")?;
+                    write_shortest(&mut out, value)?;
                 }
                 out.write_all(b",")?;
             }
@@ -348,7 +350,7 @@ fn write_prediction(out: &mut impl Write, prediction: &Prediction) -> io::Result
         }
         if !value.is_nan() {
             // + 0.0 turns −0 into 0.
-            write!(out, "{:.6}", value + 0.0)?;
+            write_micro(out, value + 0.0)?;
         }
     }
     out.write_all(b"\n")

@@ -11,14 +11,17 @@
 
 mod cells;
 mod clock;
+mod faults;
 mod fields;
 mod known;
 mod line;
 mod meant;
+mod order;
 mod places;
+mod reading;
+mod table;
 
 use std::{
-    collections::HashMap,
     fmt::Display,
     fs::File,
     io::{BufRead, BufReader},
@@ -28,23 +31,13 @@ use std::{
 
 use crate::{
     bounded,
-    location::{BadInput, Location, did_you_mean, shortened},
+    location::{BadInput, Location, did_you_mean},
 };
-use cells::Cells;
-use fields::{BadQuote, Fields, separator_of};
-use line::Line;
-use places::Places;
+use table::{Bounds, Slip, Table};
+
+pub use table::{Column, MOST_BYTES, MOST_COLUMNS, MOST_VALUES};
 
 pub use known::{KNOWN_COLUMNS, KnownColumn, is_known_column};
-
-/// The longest run file that is read, in bytes: a million rows of fifty numbers of twenty digits.
-pub const MOST_BYTES: u64 = 1 << 30;
-
-/// The most columns that a run file may have.
-pub const MOST_COLUMNS: usize = 4096;
-
-/// The most values that a run file may have, rows times columns: a million rows of fifty columns.
-pub const MOST_VALUES: usize = 50_000_000;
 
 /// A measured run.
 #[derive(Clone, Debug)]
@@ -55,33 +48,6 @@ pub struct RunFile {
     /// The line of each row, from 1: empty lines and comments are no rows.
     line_of_row: Vec<u32>,
     slips: Vec<Slip>,
-}
-
-/// A column that is not known, and the known one that was probably meant.
-#[derive(Clone, Debug)]
-struct Slip {
-    name: String,
-    meant: String,
-    /// The character column of its name in the header, from 1.
-    column: usize,
-}
-
-/// One column of a run.
-#[derive(Clone, Debug)]
-pub struct Column {
-    /// Its name in the header, without surrounding blanks.
-    pub name: String,
-    /// Its value in each row; NaN where it is missing. Shared with who goes on with it: a run may be large.
-    pub values: Arc<Vec<f64>>,
-    /// The character column at which each value stands in its line, from 1.
-    starts: Places,
-}
-
-/// How much a run file may hold.
-#[derive(Clone, Copy)]
-struct Bounds {
-    bytes: u64,
-    values: usize,
 }
 
 impl RunFile {
@@ -113,49 +79,16 @@ impl RunFile {
     /// fewer fields than the header; text, a decimal comma or an infinite value where a number
     /// belongs; `time_s` that runs back while `run` stays the same; `dir_*` other than 1 and −1;
     /// text that is not UTF-8; a source that cannot be read; more than [`MOST_BYTES`],
-    /// [`MOST_COLUMNS`] or [`MOST_VALUES`].
+    /// [`MOST_COLUMNS`] or [`MOST_VALUES`]. All that is wrong with a file is told at once, up to
+    /// [`MOST_LISTED`](crate::location::MOST_LISTED) faults with their places.
     pub fn from_reader(source: impl BufRead, path: &Path) -> Result<Self, BadInput> {
         Self::within(Bounds { bytes: MOST_BYTES, values: MOST_VALUES }, source, path)
     }
 
-    fn within(bounds: Bounds, mut source: impl BufRead, path: &Path) -> Result<Self, BadInput> {
-        let mut line = Line::new(bounds.bytes);
-        loop {
-            if !line.read(&mut source, path)? {
-                let rule = "is empty: a run file needs a header row with the names of its columns";
-                return Err(BadInput::new(Location::start_of(path), rule));
-            }
-            if line.is_content() {
-                break;
-            }
-        }
-        let separator = separator_of(&line.text);
-        let mut run = Self {
-            path: path.to_path_buf(),
-            columns: Vec::new(),
-            header_line: line.number,
-            line_of_row: Vec::new(),
-            slips: Vec::new(),
-        };
-        run.read_header(&line, separator)?;
-        let mut cells = Cells::new(run.columns.len());
-        let mut order = TimeOrder::new(&run.columns);
-
-        while line.read(&mut source, path)? {
-            if line.is_content() {
-                run.check_room(&line, bounds.values)?;
-                run.read_row(&line, separator, &mut cells)?;
-                order.check(&run, &cells)?;
-            }
-        }
-        if run.line_of_row.is_empty() {
-            return Err(BadInput::new(
-                run.header_place(),
-                "there is a header row, but no row of values",
-            ));
-        }
-        run.name_clock(&cells);
-        Ok(run)
+    fn within(bounds: Bounds, source: impl BufRead, path: &Path) -> Result<Self, BadInput> {
+        let Table { columns, header_line, line_of_row, slips } =
+            reading::read(bounds, source, path)?;
+        Ok(Self { path: path.to_path_buf(), columns, header_line, line_of_row, slips })
     }
 
     /// The path under which the run was read.
@@ -293,169 +226,6 @@ impl RunFile {
 
     fn header_column(&self, column: usize) -> Location {
         Location { file: self.path.clone(), line: self.header_line, column }
-    }
-
-    fn read_header(&mut self, line: &Line, separator: char) -> Result<(), BadInput> {
-        let mut first_of_name = HashMap::new();
-        for field in Fields::of(&line.text, separator) {
-            let field = field.map_err(|fault| bad_quote(line, &self.path, fault))?;
-            let name = field.text.trim();
-            let bad = |rule: String| BadInput::new(line.place(&self.path, field.column), rule);
-            if name.is_empty() {
-                return Err(bad(format!("column {} has no name", self.columns.len() + 1)));
-            }
-            if name.parse::<f64>().is_ok() {
-                return Err(bad(format!(
-                    "the first row must name the columns, but {} is a number",
-                    shortened(name)
-                )));
-            }
-            if name.contains('\t') {
-                return Err(bad("columns must be separated by , or ; and not by tabs".into()));
-            }
-            if self.columns.len() == MOST_COLUMNS {
-                return Err(bad(format!("more than {MOST_COLUMNS} columns")));
-            }
-            let number = self.columns.len() + 1;
-            if let Some(first) = first_of_name.insert(name.to_string(), number) {
-                return Err(bad(format!("column {name} is repeated: it is also column {first}")));
-            }
-            if let Some(meant) = meant::meant(name) {
-                self.slips.push(Slip { name: name.to_string(), meant, column: field.column });
-            }
-            self.columns.push(Column {
-                name: name.to_string(),
-                values: Arc::default(),
-                starts: Places::new(),
-            });
-        }
-        Ok(())
-    }
-
-    /// The time of a logger, if it was one, is `time_s`; where there is one already it is left out: it
-    /// explains nothing that `time_s` does not. What is known by then is no slip any more.
-    fn name_clock(&mut self, cells: &Cells) {
-        let mut number = 0;
-        let mut has_time_s = self.column("time_s").is_some();
-        self.columns.retain_mut(|column| {
-            let is_clock = cells.holds_times(number) && clock::is_of_logger(&column.name);
-            number += 1;
-            if is_clock && !has_time_s {
-                column.name = "time_s".into();
-                has_time_s = true;
-                return true;
-            }
-            !is_clock
-        });
-        let columns = &self.columns;
-        let is_there = |name: &str| columns.iter().any(|column| column.name == name);
-        self.slips.retain(|slip| !is_there(&slip.meant) && is_there(&slip.name));
-    }
-
-    /// Refuses the row on `line` where it would make more than `most` values.
-    fn check_room(&self, line: &Line, most: usize) -> Result<(), BadInput> {
-        let columns = self.columns.len();
-        if (self.rows() + 1) * columns <= most {
-            return Ok(());
-        }
-        let rule =
-            format!("more than {most} values ({columns} columns): leave out rows or columns");
-        Err(BadInput::new(line.place(&self.path, 1), rule))
-    }
-
-    fn read_row(
-        &mut self,
-        line: &Line,
-        separator: char,
-        cells: &mut Cells,
-    ) -> Result<(), BadInput> {
-        let wanted = self.columns.len();
-        let mut there = 0;
-        for field in Fields::of(&line.text, separator) {
-            let field = field.map_err(|fault| bad_quote(line, &self.path, fault))?;
-            let place = || line.place(&self.path, field.column);
-            let Some(column) = self.columns.get_mut(there) else {
-                let fields = Fields::of(&line.text, separator).count();
-                let hint =
-                    if separator == ',' { " (decimals are written with a point)" } else { "" };
-                let rule = format!("the row has {fields} fields, the header {wanted}{hint}");
-                return Err(BadInput::new(place(), rule));
-            };
-            let value = cells
-                .read(there, &column.name, field.text.trim())
-                .and_then(|value| check_direction(&column.name, value))
-                .map_err(|rule| BadInput::new(place(), format!("{} {rule}", column.name)))?;
-            Arc::make_mut(&mut column.values).push(value);
-            column.starts.push(field.column);
-            there += 1;
-        }
-        if there < wanted {
-            let missing = &self.columns[there].name;
-            let rule = format!("the row has {there} fields, the header {wanted}: no {missing}");
-            let end = line.text.chars().count() + 1;
-            return Err(BadInput::new(line.place(&self.path, end), rule));
-        }
-        // The file has less than 2³⁰ bytes.
-        self.line_of_row.push(u32::try_from(line.number).unwrap_or(u32::MAX));
-        Ok(())
-    }
-}
-
-fn bad_quote(line: &Line, path: &Path, fault: BadQuote) -> BadInput {
-    BadInput::new(line.place(path, fault.column), fault.rule)
-}
-
-/// `dir_x`, `dir_y`, `dir_z` are the direction of approach: 1 or −1.
-fn check_direction(column: &str, value: f64) -> Result<f64, String> {
-    let is_direction = matches!(column, "dir_x" | "dir_y" | "dir_z");
-    if is_direction && !value.is_nan() && value.abs() != 1.0 {
-        return Err(format!("must be 1 or -1, not {value}"));
-    }
-    Ok(value)
-}
-
-/// Rows are in time order within a `run`.
-struct TimeOrder {
-    time_column: Option<usize>,
-    /// That of a logger, if it comes to hold times.
-    clock_column: Option<usize>,
-    run_column: Option<usize>,
-    /// `time_s` and `run` of the newest row that has a time.
-    newest: Option<(f64, Option<f64>)>,
-}
-
-impl TimeOrder {
-    fn new(columns: &[Column]) -> Self {
-        let find = |name| columns.iter().position(|column| column.name == name);
-        Self {
-            time_column: find("time_s"),
-            clock_column: columns.iter().position(|column| clock::is_of_logger(&column.name)),
-            run_column: find("run"),
-            newest: None,
-        }
-    }
-
-    /// Looks at the newest row of `run`.
-    fn check(&mut self, run: &RunFile, cells: &Cells) -> Result<(), BadInput> {
-        let newest_value = |column: usize| run.columns[column].values.last().copied();
-        let clock = || self.clock_column.filter(|&column| cells.holds_times(column));
-        let Some(time_column) = self.time_column.or_else(clock) else { return Ok(()) };
-        let Some(time) = newest_value(time_column).filter(|time| !time.is_nan()) else {
-            return Ok(());
-        };
-        // Two missing run numbers are the same run; as NaN they would not be equal.
-        let number = self.run_column.and_then(newest_value).filter(|number| !number.is_nan());
-        if let Some((time_before, number_before)) = self.newest
-            && number == number_before
-            && time < time_before
-        {
-            let rule = format!(
-                "runs back from {time_before} to {time} within a run: rows are in time order"
-            );
-            return Err(run.bad(run.rows() - 1, &run.columns[time_column].name, rule));
-        }
-        self.newest = Some((time, number));
-        Ok(())
     }
 }
 

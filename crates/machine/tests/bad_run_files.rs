@@ -5,7 +5,7 @@ use std::{
     path::Path,
 };
 
-use trueup_machine::{BadInput, RunFile, run_file::MOST_COLUMNS};
+use trueup_machine::{BadInput, RunFile, location::MOST_LISTED, run_file::MOST_COLUMNS};
 
 fn error_of(bytes: &[u8]) -> BadInput {
     match RunFile::from_reader(bytes, Path::new("bad.csv")) {
@@ -155,4 +155,47 @@ fn a_column_too_many_is_refused_at_its_name() {
     let error = error_of(header(MOST_COLUMNS + 1).as_bytes()).to_string();
     let column = header(MOST_COLUMNS).len() + 1;
     assert_eq!(error, format!("bad.csv:1:{column}: more than 4096 columns"));
+}
+
+/// Lines and columns of all that is told of `text`, and how much more there is.
+fn places_of(text: &str) -> (Vec<(usize, usize)>, usize) {
+    let error = error_of(text.as_bytes());
+    let unlisted = error.unlisted;
+    (error.one_by_one().map(|it| (it.place.line, it.place.column)).collect(), unlisted)
+}
+
+#[test]
+fn all_that_is_wrong_with_a_file_is_told_at_once_in_its_order() {
+    let text = "time_s,x_mm,x_mm,,dir_x\n\
+                0,1,2,3,1\n\
+                1,abc,2,inf,0\n\
+                2,1,2,3\n\
+                3,1,2,3,1,9\n\
+                4,\"1,2,3,1\n\
+                # a comment\n\
+                2.5,1,2,3,1\n\
+                2.6,1,2,3,-1\n";
+    let wanted = [(1, 13), (1, 18), (3, 3), (3, 9), (3, 13), (4, 8), (5, 11), (6, 3)];
+    assert_eq!(places_of(text), (wanted.to_vec(), 0));
+    // Of a row that is wrong the time counts, where it can be read: this one runs back.
+    let late = "time_s,x_mm\n5,x\n4,1\n4,2\n";
+    assert_eq!(places_of(late), (vec![(2, 3), (3, 1)], 0));
+    // Each says what to do about it.
+    for error in error_of(text.as_bytes()).one_by_one() {
+        assert!(error.help.is_some(), "{error}");
+    }
+    let latin_1 = error_of(b"a,b\n1,x\n\xb5,2\n3,y\n");
+    let places: Vec<usize> = latin_1.one_by_one().map(|it| it.place.line).collect();
+    assert_eq!(places, [2, 3, 4]);
+}
+
+#[test]
+fn of_a_file_that_is_wrong_everywhere_twenty_faults_are_told_and_the_others_counted() {
+    let text = "time_s;x_mm\n".to_string() + &"0;1,5\n".repeat(332);
+    let (places, unlisted) = places_of(&text);
+    assert_eq!((places.len(), unlisted), (MOST_LISTED, 312));
+    assert_eq!((places[0], places[19]), ((2, 3), (21, 3)));
+    // What stops the reading is among them.
+    let cut = text + &"1".repeat(2 << 20);
+    assert_eq!(places_of(&cut).1, 313);
 }

@@ -103,6 +103,9 @@ fn a_reference_in_kelvin() {
     let table = "reference_c = 20.0\ntable = [[293.15, 0.0, 0.0], [303.15, 10.0, 115.0]]\n\
                  constant_um_per_c = 1.0\nslope";
     doubted("reference_c = 20.0\nconstant_um_per_c = 1.0\nslope", table, "table", "kelvin");
+    // A law without a table has the one reference.
+    let law = "reference_c = 293.15\nconstant_um_per_c = 1.0\nslope";
+    doubted("reference_c = 20.0\nconstant_um_per_c = 1.0\nslope", law, "reference_c", "kelvin");
 }
 
 #[test]
@@ -181,6 +184,15 @@ fn tables_and_curves_outside_the_travel() {
     let knots = "knots_mm = [0.0, 0.0, 500.0, 1000.0, 1000.0]";
     let in_metres = "knots_mm = [0.0, 0.0, 5000.0, 10000.0, 10000.0]";
     doubted(knots, in_metres, "knots_mm", "from 0 to 10000 mm, outside the travel of x");
+    let second = "pitch = { start_mm = 9000.0, step_mm = 500.0, forward_um = [0.0, 1.0] }";
+    let dual =
+        format!("[axis.x.dual]\nacross = \"y\"\nfirst_mm = 0.0\nsecond_mm = 900.0\n{second}\n");
+    doubted(
+        "[axis.x.backlash]\n",
+        &(dual + "[axis.x.backlash]\n"),
+        "pitch = {",
+        "from 9000 to 9500 mm",
+    );
     // A table may end one step beyond.
     let longer = RIGHT.replace("forward_um = [0.0, 4.0, 2.0]", "forward_um = [0.0, 4.0, 2.0, 1.0]");
     assert_eq!(super::machine(&parse(&longer)), []);

@@ -149,6 +149,24 @@ impl<'d> Section<'d> {
         in_order.into_iter().map(|(_, key)| key).collect()
     }
 
+    /// Where `key` stands, or would.
+    pub(crate) fn place(&self, key: &str) -> Location {
+        self.document.places.of(&dotted(&self.name, key))
+    }
+
+    /// What `read` makes of this section with these `keys` of another one in it.
+    pub(crate) fn with<T>(
+        &self,
+        other: &Section<'_>,
+        keys: &[&str],
+        read: impl FnOnce(&Section<'_>) -> T,
+    ) -> T {
+        let mut table = self.table.clone();
+        let added = keys.iter().filter_map(|key| other.table.get_key_value(*key));
+        table.extend(added.map(|(key, value)| (key.clone(), value.clone())));
+        read(&Section { document: self.document, table: &table, name: self.name.clone() })
+    }
+
     /// `value` if it is there.
     ///
     /// # Errors

@@ -1,17 +1,35 @@
 //! The file held against the table of keys: everything that is unknown, missing, of the wrong type or
 //! outside its range, all of it at once.
 
-use std::collections::BTreeSet;
+use std::{collections::BTreeSet, path::Path};
 
 use super::{
     inputs::{is_temperature_column, read_temperature_column},
-    keys::{Form, Key, Need},
-    read::Section,
+    keys::{Form, Key, Need, TERM, TERM_KEYS},
+    read::{Document, Section},
+    term,
 };
-use crate::location::BadInput;
+use crate::{effect::Cause, location::BadInput};
 
 /// What is wrong with the keys of `section`, in no order.
-pub(super) fn faults(section: &Section<'_>, keys: &'static [Key]) -> Vec<BadInput> {
+pub(super) fn faults(section: &Section<'_>, keys: &[Key]) -> Vec<BadInput> {
+    let mut faults = faults_of_values(section, keys);
+    // A misspelt key would be reported as a missing one too.
+    if section.keys().iter().any(|name| !keys.iter().any(|key| is_named(key, name))) {
+        return faults;
+    }
+    let there: BTreeSet<&str> = section.keys().into_iter().collect();
+    for key in keys.iter().filter(|key| key.need == Need::Required) {
+        if !there.contains(key.name) {
+            faults
+                .extend(section.required::<()>(key.name, None).err().map(|it| explained(it, key)));
+        }
+    }
+    faults
+}
+
+/// What is wrong with what stands in `section`, whatever is missing.
+fn faults_of_values(section: &Section<'_>, keys: &[Key]) -> Vec<BadInput> {
     let mut faults = Vec::new();
     let names: Vec<&str> = keys.iter().map(|key| key.name).collect();
     for name in section.keys() {
@@ -20,19 +38,55 @@ pub(super) fn faults(section: &Section<'_>, keys: &'static [Key]) -> Vec<BadInpu
             None => faults.push(unknown(section, name, &names)),
         }
     }
-    // A misspelt key would be reported as a missing one too.
-    if section.keys().iter().any(|name| !keys.iter().any(|key| is_named(key, name))) {
+    faults
+}
+
+/// What is wrong with a `[[term]]`, in no order. Which keys its cause needs is known by its page alone, which
+/// stops at the first that is missing: it reads the term again with the example of that key, and so on.
+pub(super) fn faults_of_term(section: &Section<'_>) -> Vec<BadInput> {
+    let all = [TERM, TERM_KEYS].concat();
+    let cause = section.text("cause").ok().flatten().and_then(Cause::named);
+    let Some(cause) = cause else {
+        let mut faults = faults(section, &all);
+        // One that is there and is text, but is none.
+        if faults.iter().all(|fault| fault.place != section.place("cause")) {
+            faults.extend(term::read(section).err());
+        }
+        return faults;
+    };
+    let names = cause.keys(section);
+    let is_one =
+        |key: &&Key| names.contains(&key.name) || TERM.iter().any(|common| common.name == key.name);
+    let keys: Vec<Key> = all.iter().filter(is_one).copied().collect();
+    let mut faults = faults(section, &keys);
+    // A misspelt key would be reported as a missing one too; a wrong value hides the rules that go by it.
+    if !faults_of_values(section, &keys).is_empty() {
         return faults;
     }
-    let there: BTreeSet<&str> = section.keys().into_iter().collect();
-    for key in keys.iter().filter(|key| key.need == Need::Required) {
-        if !there.contains(key.name) {
-            let missing = section.required::<()>(key.name, None);
-            let help = format!("{}: {}", key.name, key.meaning);
-            faults.extend(missing.err().map(|error| error.with_help(with_example(help, key))));
-        }
+    let examples = keys.iter().map(|key| format!("{} = {}\n", key.name, key.example));
+    let examples = examples.collect::<String>();
+    let Ok(examples) = Document::parse(&examples, Path::new("")) else { return faults };
+    let mut added: Vec<&str> = Vec::new();
+    loop {
+        let read = section.with(&examples.root(), &added, |section| cause.read(section).map(drop));
+        let Err(error) = read else { return faults };
+        let is_missing = |key: &&Key| {
+            !added.contains(&key.name)
+                && section.required::<()>(key.name, None).is_err_and(|missing| missing == error)
+        };
+        let Some(key) = keys.iter().find(is_missing) else {
+            // A rule of the page beside an example says nothing of what is there.
+            faults.extend(Some(error).filter(|_| added.is_empty()));
+            return faults;
+        };
+        faults.push(explained(error, key));
+        added.push(key.name);
     }
-    faults
+}
+
+/// With what `key` is, and an example of it.
+fn explained(error: BadInput, key: &Key) -> BadInput {
+    error.with_help(with_example(format!("{}: {}", key.name, key.meaning), key))
 }
 
 fn unknown(section: &Section<'_>, name: &str, names: &[&str]) -> BadInput {

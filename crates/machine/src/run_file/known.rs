@@ -65,6 +65,18 @@ pub const KNOWN_COLUMNS: &[KnownColumn] = &[
     known("calibration_crc", "", "the calibration that the bridge ran, as a decimal number"),
 ];
 
+/// The known column of this name.
+pub(super) fn known_column(name: &str) -> Option<&'static KnownColumn> {
+    let is_it = |known: &&KnownColumn| match known.name.split_once("<name>") {
+        None => known.name == name,
+        Some((before, after)) => name
+            .strip_prefix(before)
+            .and_then(|rest| rest.strip_suffix(after))
+            .is_some_and(|inner| !inner.is_empty() && !inner.starts_with('_')),
+    };
+    KNOWN_COLUMNS.iter().find(is_it)
+}
+
 /// Whether a column of this name is known.
 ///
 /// ```
@@ -74,12 +86,5 @@ pub const KNOWN_COLUMNS: &[KnownColumn] = &[
 /// ```
 #[must_use]
 pub fn is_known_column(name: &str) -> bool {
-    let is_it = |known: &KnownColumn| match known.name.split_once("<name>") {
-        None => known.name == name,
-        Some((before, after)) => name
-            .strip_prefix(before)
-            .and_then(|rest| rest.strip_suffix(after))
-            .is_some_and(|inner| !inner.is_empty() && !inner.starts_with('_')),
-    };
-    KNOWN_COLUMNS.iter().any(is_it)
+    known_column(name).is_some()
 }

@@ -14,6 +14,21 @@ use crate::{
 /// columns as a file may have.
 const MOST_BYTES_OF_A_LINE: usize = 1 << 20;
 
+/// What cannot be read.
+pub(super) enum Unread {
+    /// This line; the next one can be.
+    Line(BadInput),
+    /// This line and all after it.
+    Rest(BadInput),
+}
+
+impl Unread {
+    pub(super) fn into_error(self) -> BadInput {
+        let (Self::Line(error) | Self::Rest(error)) = self;
+        error
+    }
+}
+
 /// The line that is being read.
 pub(super) struct Line {
     bytes: Vec<u8>,
@@ -34,28 +49,24 @@ impl Line {
     }
 
     /// The next line of `source`; false at its end.
-    pub(super) fn read(
-        &mut self,
-        source: &mut impl BufRead,
-        path: &Path,
-    ) -> Result<bool, BadInput> {
+    pub(super) fn read(&mut self, source: &mut impl BufRead, path: &Path) -> Result<bool, Unread> {
         self.bytes.clear();
         self.number += 1;
         let most = MOST_BYTES_OF_A_LINE as u64 + 1;
         let read = source.take(most).read_until(b'\n', &mut self.bytes).map_err(|error| {
-            BadInput::new(self.place(path, 1), format!("cannot be read: {error}"))
+            Unread::Rest(BadInput::new(self.place(path, 1), format!("cannot be read: {error}")))
         })?;
         if read > MOST_BYTES_OF_A_LINE {
             let rule = format!(
                 "the line is longer than {MOST_BYTES_OF_A_LINE} bytes: a run file has one \
                  observation a line"
             );
-            return Err(BadInput::new(self.place(path, 1), rule));
+            return Err(Unread::Rest(BadInput::new(self.place(path, 1), rule)));
         }
         self.file_bytes += read as u64;
         if self.file_bytes > self.most_bytes {
             let rule = format!("the file goes on here, {}", at_most(self.most_bytes));
-            return Err(BadInput::new(self.place(path, 1), rule));
+            return Err(Unread::Rest(BadInput::new(self.place(path, 1), rule)));
         }
         let mut bytes = self.bytes.strip_suffix(b"\n").unwrap_or(&self.bytes);
         bytes = bytes.strip_suffix(b"\r").unwrap_or(bytes);
@@ -64,12 +75,15 @@ impl Line {
         }
         let text = str::from_utf8(bytes).map_err(|error| {
             let column = String::from_utf8_lossy(&bytes[..error.valid_up_to()]).chars().count() + 1;
-            BadInput::new(self.place(path, column), "is not UTF-8 text")
+            Unread::Line(
+                BadInput::new(self.place(path, column), "is not UTF-8 text")
+                    .with_help("save the file as UTF-8; µ and ° of another encoding are not read"),
+            )
         })?;
         if let Some(at) = text.find('\r') {
             let column = text[..at].chars().count() + 1;
             let rule = "a carriage return alone does not end a line: use LF or CRLF";
-            return Err(BadInput::new(self.place(path, column), rule));
+            return Err(Unread::Line(BadInput::new(self.place(path, column), rule)));
         }
         self.text.clear();
         self.text.push_str(text);

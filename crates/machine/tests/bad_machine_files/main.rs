@@ -359,3 +359,33 @@ fn a_file_that_cannot_be_read_or_is_not_utf_8_is_refused() {
     assert_eq!((latin_1.place.line, latin_1.place.column), (2, 10));
     assert_eq!(latin_1.rule, "is not UTF-8 text");
 }
+
+#[test]
+fn each_term_tells_all_that_is_wrong_with_it() {
+    let terms = "[[term]]\ncause = \"step\"\nquantity = \"dx\"\nat_s = \"soon\"\nsize_um = true\n\
+                 [[term]]\ncause = \"straightness\"\n\
+                 [[term]]\ncause = \"backlsh\"\nquantity = \"dq\"\ncolour = 1\n\
+                 [[term]]\ncause = \"pitch-error\"\nquantity = \"dx\"\nstart_mm = 0\nstep_mm = 0\n";
+    let error = error_of(&format!("{MACHINE}{terms}"));
+    let told: Vec<String> = error.one_by_one().map(|it| it.to_string()).collect();
+    let wanted = [
+        "7:8: term[0].at_s must be a number",
+        "8:11: term[0].size_um must be a number",
+        "9:1: term[1].quantity is missing",
+        "9:1: term[1].along is missing",
+        "9:1: term[1].order is missing",
+        "9:1: term[1].knots_mm is missing",
+        "9:1: term[1].control_um is missing",
+        "12:9: term[2].cause \"backlsh\" is not known; did you mean backlash?",
+        "13:12: term[2].quantity must be",
+        "14:1: unknown key term[2].colour",
+        "19:11: term[3].step_mm must be above 0",
+    ];
+    for phrase in wanted {
+        let phrase = format!("bad.toml:{phrase}");
+        assert!(told.iter().any(|line| line.starts_with(&phrase)), "{phrase}: {told:#?}");
+    }
+    // The keys of the table that is wrong besides are not asked for.
+    assert!(told.iter().all(|line| !line.contains("forward_um")), "{told:#?}");
+    assert_eq!(told.len(), wanted.len(), "{told:#?}");
+}

@@ -1,0 +1,32 @@
+//! What is wrong with a run file, as far as anybody reads: a logger that writes decimal commas has a fault in
+//! every row.
+
+use crate::location::{BadInput, MOST_LISTED};
+
+/// The faults so far: what is not listed is counted.
+#[derive(Default)]
+pub(super) struct Faults {
+    /// In the order of the file.
+    listed: Vec<BadInput>,
+    unlisted: usize,
+}
+
+impl Faults {
+    pub(super) fn note(&mut self, fault: BadInput) {
+        if self.listed.len() < MOST_LISTED {
+            self.listed.push(fault);
+        } else {
+            self.unlisted += 1;
+        }
+    }
+
+    pub(super) fn count(&self) -> usize {
+        self.listed.len() + self.unlisted
+    }
+
+    /// All of them as one; `None` without any.
+    pub(super) fn into_error(self) -> Option<BadInput> {
+        let error = BadInput::gathered(self.listed)?;
+        Some(BadInput { unlisted: error.unlisted + self.unlisted, ..error })
+    }
+}

@@ -1,0 +1,50 @@
+//! Rows are in time order within a `run`.
+
+use super::{cells::Cells, clock};
+
+/// The time of the rows so far.
+pub(super) struct TimeOrder {
+    time_column: Option<usize>,
+    /// That of a logger, if it comes to hold times.
+    clock_column: Option<usize>,
+    run_column: Option<usize>,
+    /// `time_s` and `run` of the newest row that has a time.
+    newest: Option<(f64, Option<f64>)>,
+}
+
+impl TimeOrder {
+    /// Of a file with columns of these names.
+    pub(super) fn new(names: &[&str]) -> Self {
+        let find = |name| names.iter().position(|there| *there == name);
+        Self {
+            time_column: find("time_s"),
+            clock_column: names.iter().position(|name| clock::is_of_logger(name)),
+            run_column: find("run"),
+            newest: None,
+        }
+    }
+
+    /// Looks at the next row, a value and its place for each column; else the column at fault and the rule
+    /// that it breaks. The rows after it are held against it: a clock that was set back is told once.
+    pub(super) fn check(
+        &mut self,
+        row: &[(f64, usize)],
+        cells: &Cells,
+    ) -> Result<(), (usize, String)> {
+        let value = |column: usize| row.get(column).map(|(value, _)| *value);
+        let clock = || self.clock_column.filter(|&column| cells.holds_times(column));
+        let Some(column) = self.time_column.or_else(clock) else { return Ok(()) };
+        let Some(time) = value(column).filter(|time| !time.is_nan()) else { return Ok(()) };
+        // Two missing run numbers are the same run; as NaN they would not be equal.
+        let number = self.run_column.and_then(value).filter(|number| !number.is_nan());
+        match self.newest.replace((time, number)) {
+            Some((before, number_before)) if number == number_before && time < before => {
+                let rule = format!(
+                    "runs back from {before} to {time} within a run: rows are in time order"
+                );
+                Err((column, rule))
+            }
+            _ => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,303 @@
+//! A run file read line by line into columns. What is wrong with a row does not keep the next ones from being
+//! looked at: all faults of a file are told at once.
+
+use std::{collections::HashMap, io::BufRead, path::Path, sync::Arc};
+
+use super::{
+    cells::Cells,
+    clock,
+    faults::Faults,
+    fields::{BadQuote, Fields, separator_of},
+    known,
+    line::{Line, Unread},
+    meant,
+    order::TimeOrder,
+    places::Places,
+    table::{Bounds, Column, MOST_COLUMNS, Slip, Table},
+};
+use crate::location::{BadInput, Location, shortened};
+
+/// A file that is being read.
+pub(super) struct Reading<'p> {
+    path: &'p Path,
+    separator: char,
+    header_line: usize,
+    columns: Vec<Filling>,
+    slips: Vec<Slip>,
+    line_of_row: Vec<u32>,
+    cells: Cells,
+    order: TimeOrder,
+    /// The row that is being read: values, and where each stands.
+    row: Vec<(f64, usize)>,
+    faults: Faults,
+}
+
+/// A column that is being filled.
+struct Filling {
+    name: String,
+    is_direction: bool,
+    values: Vec<f64>,
+    starts: Places,
+}
+
+/// Reads all of `source`.
+pub(super) fn read(
+    bounds: Bounds,
+    mut source: impl BufRead,
+    path: &Path,
+) -> Result<Table, BadInput> {
+    let mut line = Line::new(bounds.bytes);
+    loop {
+        if !line.read(&mut source, path).map_err(Unread::into_error)? {
+            let rule = "is empty: a run file needs a header row with the names of its columns";
+            return Err(BadInput::new(Location::start_of(path), rule));
+        }
+        if line.is_content() {
+            break;
+        }
+    }
+    let mut reading = Reading::of_header(&line, path)?;
+    loop {
+        match line.read(&mut source, path) {
+            Ok(false) => break,
+            Ok(true) if !line.is_content() => {}
+            Ok(true) => {
+                if let Err(error) = reading.check_room(&line, bounds.values) {
+                    reading.faults.note(error);
+                    break;
+                }
+                reading.row(&line);
+            }
+            Err(Unread::Line(error)) => reading.faults.note(error),
+            Err(Unread::Rest(error)) => {
+                reading.faults.note(error);
+                break;
+            }
+        }
+    }
+    reading.end()
+}
+
+impl<'p> Reading<'p> {
+    fn of_header(line: &Line, path: &'p Path) -> Result<Self, BadInput> {
+        let separator = separator_of(&line.text);
+        let mut columns = Vec::new();
+        let mut slips = Vec::new();
+        let mut faults = Faults::default();
+        let mut first_of_name = HashMap::new();
+        for field in Fields::of(&line.text, separator) {
+            let field = field.map_err(|fault| bad_quote(line, path, fault))?;
+            let name = field.text.trim();
+            let bad = |rule: String| BadInput::new(line.place(path, field.column), rule);
+            let number = columns.len() + 1;
+            // Where these are wrong nobody knows what the rows should be.
+            if name.parse::<f64>().is_ok() {
+                let rule = format!(
+                    "the first row must name the columns, but {} is a number",
+                    shortened(name)
+                );
+                return Err(bad(rule).with_help(
+                    "write a row before it with a name for each column, as in time_s,sensor_counts",
+                ));
+            }
+            if name.contains('\t') {
+                return Err(bad("columns must be separated by , or ; and not by tabs".into()));
+            }
+            if columns.len() == MOST_COLUMNS {
+                return Err(bad(format!("more than {MOST_COLUMNS} columns")));
+            }
+            if name.is_empty() {
+                faults.note(bad(format!("column {number} has no name")).with_help(
+                    "give it one; a name that is not known is kept as a possible explanation",
+                ));
+            } else if let Some(first) = first_of_name.insert(name.to_string(), number) {
+                let rule = format!("column {name} is repeated: it is also column {first}");
+                faults.note(bad(rule).with_help("leave one of them out, or give it another name"));
+            }
+            if let Some(meant) = meant::meant(name) {
+                slips.push(Slip { name: name.to_string(), meant, column: field.column });
+            }
+            columns.push(Filling {
+                name: name.to_string(),
+                is_direction: matches!(name, "dir_x" | "dir_y" | "dir_z"),
+                values: Vec::new(),
+                starts: Places::new(),
+            });
+        }
+        let names: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
+        Ok(Self {
+            path,
+            separator,
+            header_line: line.number,
+            cells: Cells::new(columns.len()),
+            order: TimeOrder::new(&names),
+            row: Vec::with_capacity(columns.len()),
+            columns,
+            slips,
+            line_of_row: Vec::new(),
+            faults,
+        })
+    }
+
+    /// Refuses the row on `line` where it would make more than `most` values.
+    fn check_room(&self, line: &Line, most: usize) -> Result<(), BadInput> {
+        let columns = self.columns.len();
+        if (self.line_of_row.len() + 1) * columns <= most {
+            return Ok(());
+        }
+        let rule =
+            format!("more than {most} values ({columns} columns): leave out rows or columns");
+        Err(BadInput::new(line.place(self.path, 1), rule))
+    }
+
+    /// Takes the row on `line`, or notes what is wrong with it.
+    fn row(&mut self, line: &Line) {
+        let faults_before = self.faults.count();
+        self.row.clear();
+        self.read_fields(line);
+        if self.row.len() != self.columns.len() {
+            return;
+        }
+        if let Err((column, rule)) = self.order.check(&self.row, &self.cells) {
+            self.fault(line, self.row[column].1, column, &rule);
+        }
+        if self.faults.count() != faults_before {
+            return;
+        }
+        for (column, &(value, start)) in self.columns.iter_mut().zip(&self.row) {
+            column.values.push(value);
+            column.starts.push(start);
+        }
+        // The file has less than 2³⁰ bytes.
+        self.line_of_row.push(u32::try_from(line.number).unwrap_or(u32::MAX));
+    }
+
+    /// Splits the row on `line`; as many values as the header has names, unless that is its fault.
+    fn read_fields(&mut self, line: &Line) {
+        let wanted = self.columns.len();
+        for field in Fields::of(&line.text, self.separator) {
+            let field = match field {
+                Ok(field) => field,
+                Err(fault) => {
+                    self.row.clear();
+                    return self.faults.note(bad_quote(line, self.path, fault));
+                }
+            };
+            let there = self.row.len();
+            let Some(column) = self.columns.get(there) else {
+                self.row.clear();
+                return self.faults.note(self.too_many(line, field.column));
+            };
+            let read = self.cells.read(there, &column.name, field.text.trim());
+            let read = read.and_then(|value| match column.is_direction {
+                true => check_direction(value),
+                false => Ok(value),
+            });
+            match read {
+                Ok(value) => self.row.push((value, field.column)),
+                Err(rule) => {
+                    self.fault(line, field.column, there, &rule);
+                    self.row.push((f64::NAN, field.column));
+                }
+            }
+        }
+        let there = self.row.len();
+        if there < wanted {
+            let missing = &self.columns[there].name;
+            let rule = format!("the row has {there} fields, the header {wanted}: no {missing}");
+            let end = line.text.chars().count() + 1;
+            let error = BadInput::new(line.place(self.path, end), rule);
+            self.faults.note(error.with_help(
+                "every row has a field for each column; one without a value is left empty",
+            ));
+        }
+    }
+
+    fn too_many(&self, line: &Line, column: usize) -> BadInput {
+        let wanted = self.columns.len();
+        let fields = Fields::of(&line.text, self.separator).count();
+        let (hint, help) = match self.separator {
+            ',' => (
+                " (decimals are written with a point)",
+                "write 1.5 and not 1,5; or separate the columns by ; in the header too",
+            ),
+            _ => ("", "every row has one field for each column of the header"),
+        };
+        let rule = format!("the row has {fields} fields, the header {wanted}{hint}");
+        BadInput::new(line.place(self.path, column), rule).with_help(help)
+    }
+
+    /// The value of a column breaks a rule, which goes on after the column's name.
+    fn fault(&mut self, line: &Line, place: usize, column: usize, rule: &str) {
+        let name = &self.columns[column].name;
+        let place = line.place(self.path, place);
+        self.faults.note(BadInput::new(place, format!("{name} {rule}")).with_help(help(name)));
+    }
+
+    /// The run, or all that is wrong with it.
+    fn end(self) -> Result<Table, BadInput> {
+        if let Some(error) = self.faults.into_error() {
+            return Err(error);
+        }
+        if self.line_of_row.is_empty() {
+            let header = Location { file: self.path.into(), line: self.header_line, column: 1 };
+            return Err(BadInput::new(header, "there is a header row, but no row of values"));
+        }
+        let columns = self.columns.into_iter().map(|column| Column {
+            name: column.name,
+            values: Arc::new(column.values),
+            starts: column.starts,
+        });
+        let mut table = Table {
+            columns: columns.collect(),
+            header_line: self.header_line,
+            line_of_row: self.line_of_row,
+            slips: self.slips,
+        };
+        name_clock(&mut table, &self.cells);
+        Ok(table)
+    }
+}
+
+fn bad_quote(line: &Line, path: &Path, fault: BadQuote) -> BadInput {
+    BadInput::new(line.place(path, fault.column), fault.rule)
+        .with_help("numbers need no quotes; a quote inside a quoted name is written twice")
+}
+
+/// `dir_x`, `dir_y`, `dir_z` are the direction of approach: 1 or −1.
+fn check_direction(value: f64) -> Result<f64, String> {
+    if !value.is_nan() && value.abs() != 1.0 {
+        return Err(format!("must be 1 or -1, not {value}"));
+    }
+    Ok(value)
+}
+
+/// What belongs into a column of this name.
+fn help(name: &str) -> String {
+    let value = "a number with a decimal point; empty or nan where there is none";
+    match known::known_column(name) {
+        Some(column) if column.unit.is_empty() => format!("{name}: {}; {value}", column.meaning),
+        Some(column) => format!("{name} ({}): {}; {value}", column.unit, column.meaning),
+        None => value.into(),
+    }
+}
+
+/// The time of a logger, if it was one, is `time_s`; where there is one already it is left out: it
+/// explains nothing that `time_s` does not. What is known by then is no slip any more.
+fn name_clock(table: &mut Table, cells: &Cells) {
+    let mut number = 0;
+    let mut has_time_s = table.columns.iter().any(|column| column.name == "time_s");
+    table.columns.retain_mut(|column| {
+        let is_clock = cells.holds_times(number) && clock::is_of_logger(&column.name);
+        number += 1;
+        if is_clock && !has_time_s {
+            column.name = "time_s".into();
+            has_time_s = true;
+            return true;
+        }
+        !is_clock
+    });
+    let columns = &table.columns;
+    let is_there = |name: &str| columns.iter().any(|column| column.name == name);
+    table.slips.retain(|slip| !is_there(&slip.meant) && is_there(&slip.name));
+}

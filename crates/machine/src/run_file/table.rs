@@ -1,0 +1,50 @@
+//! What a run file holds when it is read, and how much that may be.
+
+use std::sync::Arc;
+
+use super::places::Places;
+
+/// The longest run file that is read, in bytes: a million rows of fifty numbers of twenty digits.
+pub const MOST_BYTES: u64 = 1 << 30;
+
+/// The most columns that a run file may have.
+pub const MOST_COLUMNS: usize = 4096;
+
+/// The most values that a run file may have, rows times columns: a million rows of fifty columns.
+pub const MOST_VALUES: usize = 50_000_000;
+
+/// One column of a run.
+#[derive(Clone, Debug)]
+pub struct Column {
+    /// Its name in the header, without surrounding blanks.
+    pub name: String,
+    /// Its value in each row; NaN where it is missing. Shared with who goes on with it: a run may be large.
+    pub values: Arc<Vec<f64>>,
+    /// The character column at which each value stands in its line, from 1.
+    pub(super) starts: Places,
+}
+
+/// A column that is not known, and the known one that was probably meant.
+#[derive(Clone, Debug)]
+pub(super) struct Slip {
+    pub(super) name: String,
+    pub(super) meant: String,
+    /// The character column of its name in the header, from 1.
+    pub(super) column: usize,
+}
+
+/// How much a run file may hold.
+#[derive(Clone, Copy)]
+pub(super) struct Bounds {
+    pub(super) bytes: u64,
+    pub(super) values: usize,
+}
+
+/// A run as it was read.
+pub(super) struct Table {
+    pub(super) columns: Vec<Column>,
+    pub(super) header_line: usize,
+    /// The line of each row, from 1: empty lines and comments are no rows.
+    pub(super) line_of_row: Vec<u32>,
+    pub(super) slips: Vec<Slip>,
+}
