@@ -1,4 +1,5 @@
-//! `trueup schema`: every key of the machine file and every column of a run, for editors and the reference.
+//! `trueup schema`: every key of the machine file and of a scenario, every column of a run, for editors and
+//! the reference.
 
 use anyhow::Result;
 use clap::{Args, ValueEnum};
@@ -6,12 +7,14 @@ use trueup_machine::schema;
 
 use crate::{Outcome, output};
 
-/// Prints what a machine file may hold, as a JSON schema for your editor, or the columns of a run.
+/// Prints what a machine file or a scenario may hold, as a JSON schema for your editor, or the columns of a
+/// run.
 #[derive(Args)]
 #[command(after_help = "Examples:
   trueup schema > trueup.schema.json      then, as the first line of a machine file:
       #:schema ./trueup.schema.json       (Even Better TOML, taplo)
   trueup schema run
+  trueup schema scenario
   trueup schema --markdown                the tables of docs/reference.md")]
 pub struct Schema {
     /// Of which file.
@@ -28,17 +31,26 @@ enum Of {
     Machine,
     /// The columns of a run.
     Run,
+    /// The scenario of `simulate`.
+    Scenario,
 }
 
 /// Prints it.
 pub fn run(args: &Schema) -> Result<Outcome> {
-    match (args.of, args.markdown) {
-        (Of::Machine, false) => {
-            output::print(serde_json::to_string_pretty(&schema::machine_file())?)?
-        }
-        (Of::Machine, true) => output::print(schema::machine_table().trim_end())?,
-        (Of::Run, false) => output::print(serde_json::to_string_pretty(&schema::run_columns())?)?,
-        (Of::Run, true) => output::print(schema::run_table().trim_end())?,
+    let table = || match args.of {
+        Of::Machine => schema::machine_table(),
+        Of::Run => schema::run_table(),
+        Of::Scenario => trueup_twin::schema::scenario_table(),
+    };
+    let schema = || match args.of {
+        Of::Machine => schema::machine_file(),
+        Of::Run => schema::run_columns(),
+        Of::Scenario => trueup_twin::schema::scenario(),
+    };
+    if args.markdown {
+        output::print(table().trim_end())?;
+    } else {
+        output::print(serde_json::to_string_pretty(&schema())?)?;
     }
     Ok(Outcome::Done)
 }

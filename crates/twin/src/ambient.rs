@@ -7,6 +7,7 @@
 //! The wander is people, doors and sun: a random walk that is drawn back to 0 with a time constant,
 //! of a given standard deviation.
 
+use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::noise::Stream;
@@ -14,7 +15,7 @@ use crate::noise::Stream;
 const DAY_S: f64 = 86_400.0;
 
 /// The air as a scenario describes it.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct AmbientConfig {
     /// Mean of the day in °C.

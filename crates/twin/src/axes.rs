@@ -15,7 +15,8 @@
 
 use std::collections::BTreeMap;
 
-use serde::Deserialize;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 use crate::{broken::Rule, cubic_spline::CubicSpline};
 
@@ -23,7 +24,7 @@ use crate::{broken::Rule, cubic_spline::CubicSpline};
 pub const NAMES: [&str; 3] = ["x", "y", "z"];
 
 /// A linear axis.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum AxisName {
     /// X, number 0.
@@ -43,7 +44,7 @@ impl AxisName {
 }
 
 /// Where the position of an axis is measured.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Feedback {
     /// On the screw: its heat and its backlash are errors.
@@ -54,7 +55,7 @@ pub enum Feedback {
 }
 
 /// An axis as a scenario describes it. Every error is 0 by default but for the expansion.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct AxisConfig {
     /// Where the position is measured.
@@ -143,7 +144,7 @@ impl AxisConfig {
 }
 
 /// The error of one axis along another.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Straightness {
     /// The axis that is in error.
@@ -159,7 +160,7 @@ pub struct Straightness {
 }
 
 /// An angle along one axis that shows at the end of an arm.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Abbe {
     /// The axis that is in error.

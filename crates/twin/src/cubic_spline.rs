@@ -7,6 +7,9 @@
 //! h_{i−1}·M_{i−1} + 2·(h_{i−1} + h_i)·M_i + h_i·M_{i+1} = 6·((y_{i+1} − y_i)/h_i − (y_i − y_{i−1})/h_{i−1})
 //! ```
 
+use std::borrow::Cow;
+
+use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::{Deserialize, Deserializer, de::Error as _};
 
 /// A curve through points; held outside them.
@@ -74,6 +77,20 @@ impl CubicSpline {
 impl<'de> Deserialize<'de> for CubicSpline {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         Self::through(Vec::deserialize(deserializer)?).map_err(D::Error::custom)
+    }
+}
+
+impl JsonSchema for CubicSpline {
+    fn inline_schema() -> bool {
+        true
+    }
+
+    fn schema_name() -> Cow<'static, str> {
+        "points".into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        Vec::<[f64; 2]>::json_schema(generator)
     }
 }
 

@@ -4,10 +4,11 @@
 //! it first, the one next to the frame turns what came of that. Turns are right-handed about +X (A),
 //! +Y (B), +Z (C).
 
+use schemars::JsonSchema;
 use serde::Deserialize;
 
 /// A rotary axis.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum RotaryAxis {
     /// Turns about X.

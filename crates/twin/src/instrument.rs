@@ -7,6 +7,7 @@
 //! The reading is what the instrument stands at: the elongation itself, or on an axis its position.
 //! Jumps come by chance, as of a foot that slips, and stay.
 
+use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::{
@@ -16,7 +17,7 @@ use crate::{
 };
 
 /// The instrument as a scenario describes it; without faults by default.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct InstrumentConfig {
     /// What it shows of 1 µm.

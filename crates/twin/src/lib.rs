@@ -56,6 +56,7 @@ pub mod path;
 pub mod physical;
 pub mod run;
 pub mod scenario;
+pub mod schema;
 pub mod sensors;
 pub mod spindle;
 pub mod table;

@@ -11,12 +11,13 @@
 //! has a direction of approach. Its targets may be put off even distances by chance (`spread_mm`),
 //! because points on multiples of a pitch do not show a periodic error.
 
+use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::{axes::AxisName, broken::Rule, noise::Stream};
 
 /// What a piece does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Kind {
     /// The axes stand.
@@ -28,7 +29,7 @@ pub enum Kind {
 }
 
 /// A piece as a scenario describes it. Keys that another kind uses are refused.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Segment {
     /// What it does.

@@ -6,6 +6,7 @@
 
 use std::{collections::BTreeMap, path::Path};
 
+use schemars::JsonSchema;
 use serde::Deserialize;
 use toml::de::DeTable;
 
@@ -28,7 +29,7 @@ pub const MOST_ROWS: f64 = 5e6;
 pub const SHORTEST_STEP_S: f64 = 1e-3;
 
 /// What is measured.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Quantity {
     /// How far the tool tip is out of the spindle.
@@ -50,7 +51,7 @@ impl Quantity {
 }
 
 /// The coolant of the spindle.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct CoolantConfig {
     /// Its temperature in °C.
@@ -66,7 +67,7 @@ impl Default for CoolantConfig {
 }
 
 /// A virtual machine tool and what it does: all that `simulate` needs besides a seed.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Scenario {
     /// What it is of, for the reader.
@@ -76,7 +77,7 @@ pub struct Scenario {
     /// From row to row, in s, above 0.
     #[serde(default = "ten")]
     pub interval_s: f64,
-    /// The longest step of the simulation in s, at least [`SHORTEST_STEP_S`].
+    /// The longest step of the simulation in s, at least 0.001.
     #[serde(default = "five")]
     pub step_s: f64,
     /// How often the segments are gone through.
@@ -90,9 +91,8 @@ pub struct Scenario {
     /// From the spindle nose to the tool tip; its length does not count.
     #[serde(default = "down")]
     pub tool_direction: [f64; 3],
-    /// The rotary axes that carry the spindle, from the frame to the tool; at most
-    /// [`head::MOST_AXES`]. In a run of segments they stand
-    /// at 0.
+    /// The rotary axes that carry the spindle, from the frame to the tool; at most two.
+    /// In a run of segments they stand at 0.
     #[serde(default)]
     pub head: Vec<head::RotaryAxis>,
     /// The air around the machine.
@@ -107,9 +107,11 @@ pub struct Scenario {
     pub sensor: Option<DisplacementConfig>,
     /// The thermometers, by the name in their column `temp_<name>_c`.
     #[serde(default)]
+    #[schemars(extend("propertyNames" = {"pattern": "^[A-Za-z0-9_]+$"}))]
     pub thermometer: BTreeMap<String, ThermometerConfig>,
     /// The axes; one that is not here is right.
     #[serde(default)]
+    #[schemars(extend("propertyNames" = {"enum": crate::axes::NAMES}))]
     pub axis: BTreeMap<AxisName, AxisConfig>,
     /// What one axis does to another.
     #[serde(default)]

@@ -13,6 +13,7 @@
 
 use std::collections::VecDeque;
 
+use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::{
@@ -21,7 +22,7 @@ use crate::{
 };
 
 /// The displacement sensor in the spindle nose; without faults by default.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct DisplacementConfig {
     /// The counts of a cold spindle.
@@ -181,7 +182,7 @@ pub(crate) fn memory(dt_s: f64, constant_s: f64) -> f64 {
 }
 
 /// Where a thermometer may be put.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Spot {
     /// The air around the machine.
@@ -234,7 +235,7 @@ impl Spot {
 }
 
 /// A thermometer, where it is and how it errs.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ThermometerConfig {
     /// Where it is.

@@ -17,6 +17,7 @@
 //!   housing, the holder and the tool beyond the sensor, and gives way to the axial force by
 //!   load/stiffness. All growth is positive out of the spindle.
 
+use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::{
@@ -25,7 +26,7 @@ use crate::{
 };
 
 /// A spindle as a scenario describes it; the defaults are a 24 000 r/min motorised spindle.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct SpindleConfig {
     /// Length of the shaft in m.

@@ -70,6 +70,14 @@ fn the_schema_and_the_columns_are_json_and_markdown() {
     assert_eq!(schema["$schema"], "https://json-schema.org/draft/2020-12/schema");
     assert_eq!(schema["properties"]["limits"]["properties"]["hold_ms"]["default"], 2000);
     assert!(json("schema run").as_array().is_some_and(|columns| columns.len() > 20));
+    let scenario = json("schema scenario");
+    assert_eq!(scenario["properties"]["interval_s"]["default"], 10.0);
     assert!(desk.said("schema --markdown", 0).0.starts_with("| key | unit | range |"));
     assert!(desk.said("schema run --markdown", 0).0.starts_with("| column | unit | what |"));
+    let table = desk.said("schema scenario --markdown", 0).0;
+    let page = include_str!("../../../../docs/reference.md");
+    assert!(
+        page.contains(table.trim_end()),
+        "put what `trueup schema scenario --markdown` prints into docs/reference.md"
+    );
 }
