@@ -108,7 +108,11 @@ enum Command {
     /// Counts circles of files, long files, and places that name one cause; fails above the limits.
     Structure,
     /// Makes the Debian package of the host tool, in target/debian.
-    Deb,
+    Deb {
+        /// Then installs it into an empty Debian, uses the tool there, and removes it; as root, with debootstrap.
+        #[arg(long = "try")]
+        is_tried: bool,
+    },
     /// Makes web pages of the book, docs/book, in target/book.
     Book,
     /// Gets what this machine lacks: target, QEMU, Python clients.
@@ -182,7 +186,7 @@ fn main() -> ExitCode {
         Command::Mutants { draw, seed } => campaign::mutants(draw, seed),
         Command::Soak { ticks, seed } => campaign::soak(ticks, seed),
         Command::Structure => structure::check(&setup::root()).map(|report| print!("{report}")),
-        Command::Deb => debian::package().map(|package| println!("{}", package.display())),
+        Command::Deb { is_tried } => deb(is_tried),
         Command::Book => book::render().map(|page| println!("{}", page.display())),
         Command::Setup => setup::everything(),
     };
@@ -194,6 +198,15 @@ fn main() -> ExitCode {
             ExitCode::from(if error.is::<BadInput>() { 2 } else { 1 })
         }
     }
+}
+
+fn deb(is_tried: bool) -> Result<()> {
+    let package = debian::package()?;
+    if is_tried {
+        debian::try_out(&package)?;
+    }
+    println!("{}", package.display());
+    Ok(())
 }
 
 fn run_demo(options: &Demo) -> Result<()> {

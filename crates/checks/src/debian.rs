@@ -1,4 +1,5 @@
-//! The Debian package of the host tool: `cargo xtask deb`.
+//! The Debian package of the host tool: `cargo xtask deb`; with `--try` it is installed into an empty Debian
+//! and used there, because a tool that runs where it was built proves nothing.
 //!
 //! It has the tool, which carries firmware, examples and the controls' files in itself, its manual's
 //! pages and what shells complete it with. What goes where stands in the tool's own manifest.
@@ -36,6 +37,48 @@ pub fn package() -> Result<PathBuf> {
     let packages = packages.filter(|path| path.extension().is_some_and(|kind| kind == "deb"));
     let newest = packages.max_by_key(|path| fs::metadata(path).and_then(|it| it.modified()).ok());
     newest.context("cargo-deb has left no package")
+}
+
+/// What is done in the empty root, by a shell that stops at the first failure.
+const TRIAL: &str = "\
+set -e
+apt-get install -y --no-install-recommends /trueup.deb
+cd /tmp
+trueup --version
+trueup examples try
+trueup check try/paper_spindle.toml
+trueup predict -m try/paper_spindle.toml -r try/spindle_paper_table1.csv -o out.csv
+trueup diagnose -m try/paper_spindle.toml -r try/spindle_paper_table1.csv -o found
+trueup compile found/extended.toml -o cal.bin
+trueup show cal.bin > shown.toml
+test $(trueup firmware images | wc -l) = 3
+test -f /usr/share/man/man1/trueup.1.gz
+test -f /usr/share/bash-completion/completions/trueup
+apt-get remove -y trueup
+test ! -e /usr/bin/trueup
+";
+
+/// Installs a package into an empty Debian, uses the tool there, and removes it again. About a minute, and
+/// the packages of a minimal Debian from its mirror.
+///
+/// # Errors
+/// This user is not root, debootstrap is not there, or a step fails; what it said stands above.
+pub fn try_out(package: &Path) -> Result<()> {
+    let is_root = process::output(Command::new("id").arg("-u"))?.trim() == "0";
+    ensure!(is_root, "a root file system is made by root alone: sudo cargo xtask deb --try");
+    let debootstrap = process::find("debootstrap")
+        .context("debootstrap is not on PATH: sudo apt install debootstrap")?;
+    let folder = setup::root().join("target/deb-root");
+    if folder.is_dir() {
+        fs::remove_dir_all(&folder)?;
+    }
+    process::run(Command::new(debootstrap).args(["--variant=minbase", "stable"]).arg(&folder))?;
+    fs::copy(package, folder.join("trueup.deb"))?;
+    let mut trial = Command::new("chroot");
+    trial.arg(&folder).args(["/usr/bin/env", "-i", "PATH=/usr/sbin:/usr/bin:/sbin:/bin"]);
+    trial.args(["HOME=/root", "DEBIAN_FRONTEND=noninteractive", "/bin/sh", "-c", TRIAL]);
+    process::run(&mut trial)?;
+    Ok(fs::remove_dir_all(&folder)?)
 }
 
 /// Lets a tool write its manual's pages and completions, and checks that it carries the firmware.
