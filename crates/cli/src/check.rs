@@ -28,7 +28,7 @@ pub struct Check {
     #[arg(value_name = "FILE", required = true)]
     files: Vec<PathBuf>,
     /// The machine file that the runs are held against; by default the only one among FILE.
-    #[arg(short, long, value_name = "M.toml")]
+    #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
 }
 

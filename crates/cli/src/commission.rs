@@ -7,6 +7,8 @@
 //!                        └───────────────── the next round ◄─────────────┘
 //! ```
 //!
+//! A spindle is commissioned by a warm-up, an axis by its pitch or its backlash: the steps are the same.
+//!
 //! Each step is a command of this tool, which the log repeats word by word, so that a colleague can do it by
 //! hand. What was done stands in `commission.json`: the same command goes on where it stopped.
 
@@ -21,8 +23,11 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use clap::{Args, Parser as _};
-use trueup_machine::{Machine, MachineFile, RunFile, file::ElongationSource};
+use clap::{Args, ValueEnum};
+use trueup_machine::{
+    Machine, MachineFile, RunFile,
+    file::{ElongationSource, LinearAxis, Quantity, Spindle},
+};
 
 use self::{
     answers::Answers,
@@ -30,13 +35,19 @@ use self::{
 };
 use crate::{Cli, Outcome, UserError, files, output};
 
-/// Commissions a spindle: sign test, programs, measuring, fit, load, acceptance, as often as is needed.
+/// Commissions a spindle or an axis: sign test, programs, measuring, fit, load, acceptance, as often as is
+/// needed.
 ///
 /// It asks for what you measure, keeps every run, file and command in one folder, and goes on where it
 /// stopped when you give the same command again.
 /// Exit 3: it has stopped before the end: an answer is missing, the sign is wrong, or it is not accepted yet.
 #[derive(Args)]
 pub struct Commission {
+    /// What is commissioned; left out, the growth of the spindle that the machine file describes.
+    kind: Option<What>,
+    /// The axis, for pitch and backlash.
+    #[arg(long, value_name = "x|y|z", value_parser = axis)]
+    axis: Option<LinearAxis>,
     /// The machine file; it is copied, and never changed.
     #[arg(long, value_name = "M.toml")]
     machine: PathBuf,
@@ -63,10 +74,89 @@ pub struct Commission {
     readings: Option<PathBuf>,
 }
 
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum What {
+    /// The growth of the spindle, from cold.
+    Warmup,
+    /// The position errors of an axis.
+    Pitch,
+    /// The play of an axis.
+    Backlash,
+}
+
+fn axis(name: &str) -> Result<LinearAxis, String> {
+    let found = LinearAxis::ALL.into_iter().find(|axis| axis.name() == name);
+    found.ok_or_else(|| "must be x, y or z".into())
+}
+
+/// What is commissioned, with its axis.
+#[derive(Clone, Copy)]
+enum Subject {
+    Spindle,
+    Pitch(LinearAxis),
+    Backlash(LinearAxis),
+}
+
+impl Subject {
+    /// As it was asked for, if the machine file leaves no doubt.
+    fn of(args: &Commission, machine: &Machine) -> Result<Self, UserError> {
+        let file = args.machine.display();
+        let no_axis = |kind: &str| {
+            UserError(format!("{kind} is of an axis: say which, --axis x, --axis y or --axis z"))
+        };
+        match (args.kind, args.axis) {
+            (Some(What::Pitch), Some(axis)) => Ok(Self::Pitch(axis)),
+            (Some(What::Backlash), Some(axis)) => Ok(Self::Backlash(axis)),
+            (Some(What::Pitch), None) => Err(no_axis("pitch")),
+            (Some(What::Backlash), None) => Err(no_axis("backlash")),
+            (Some(What::Warmup) | None, Some(_)) => Err(UserError(
+                "an axis is commissioned by its pitch or its backlash: trueup commission pitch --axis …".into(),
+            )),
+            (Some(What::Warmup), None) => Ok(Self::Spindle),
+            (None, None) if machine.spindle == Spindle::default() => Err(UserError(format!(
+                "{file} has no [spindle]: say what is to be commissioned: trueup commission warmup, or \
+                 pitch or backlash with --axis. Straightness and the heat of an axis are measured and \
+                 fitted by hand: trueup program, trueup fit"
+            ))),
+            (None, None) => Ok(Self::Spindle),
+        }
+    }
+
+    /// The program that measures it.
+    fn program(self) -> &'static str {
+        match self {
+            Self::Spindle => "warmup",
+            Self::Pitch(_) => "pitch",
+            Self::Backlash(_) => "backlash",
+        }
+    }
+
+    fn axis(self) -> Option<LinearAxis> {
+        match self {
+            Self::Spindle => None,
+            Self::Pitch(axis) | Self::Backlash(axis) => Some(axis),
+        }
+    }
+
+    /// What is measured.
+    fn quantity(self) -> &'static str {
+        self.axis().map_or(Quantity::Elongation, Quantity::of_axis).name()
+    }
+
+    /// In one word and a letter, for the journal.
+    fn name(self) -> String {
+        match self.axis() {
+            None => self.program().into(),
+            Some(axis) => format!("{} {}", self.program(), axis.name()),
+        }
+    }
+}
+
 /// Goes on from step to step.
 pub fn run(args: &Commission, as_json: bool) -> Result<Outcome> {
     let text = MachineFile::read_text(&args.machine)?;
     let machine = files::parsed(&text, &args.machine)?;
+    let subject = Subject::of(args, &machine)?;
     fs::create_dir_all(&args.out)
         .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
     let kept = args.out.join("machine.toml");
@@ -81,9 +171,9 @@ pub fn run(args: &Commission, as_json: bool) -> Result<Outcome> {
         Ok(_) => {}
         Err(_) => output::write_whole(&kept, &[], |out| out.write_all(text.as_bytes()))?,
     }
-    let journal = Journal::open(&args.out)?;
+    let journal = Journal::open(&args.out, &subject.name())?;
     let answers = Answers::of(args.readings.as_deref())?;
-    let mut work = Work { args, machine, journal, answers, as_json };
+    let mut work = Work { args, subject, machine, journal, answers, as_json };
     loop {
         let step = work.journal.next;
         if step == Step::Done {
@@ -106,6 +196,7 @@ pub fn run(args: &Commission, as_json: bool) -> Result<Outcome> {
 
 struct Work<'a> {
     args: &'a Commission,
+    subject: Subject,
     machine: Machine,
     journal: Journal,
     answers: Answers,
@@ -122,13 +213,19 @@ impl Work<'_> {
             Step::Program => self.program()?.then_some(Step::Off),
             Step::Off => {
                 self.disengaged()?;
-                let question = "run warmup from cold, without compensation; the filled-in run file";
-                self.measured("off", question)?.then_some(Step::Fit)
+                let question = match self.subject {
+                    Subject::Spindle => "run warmup from cold, without compensation".into(),
+                    axis => format!("run {}, without compensation", axis.program()),
+                };
+                self.measured("off", &question)?.then_some(Step::Fit)
             }
             Step::Fit => {
                 let run = self.path(&format!("off-{round}.csv"));
-                let words =
-                    ["fit", self.kind(), "--run", &run, "--machine", &believed, "-o", &fitted];
+                let mut words =
+                    vec!["fit", self.fit(), "--run", &run, "--machine", &believed, "-o", &fitted];
+                if self.subject.axis().is_some() {
+                    words.extend(["--quantity", self.subject.quantity()]);
+                }
                 self.command(&words)?.then_some(Step::Load)
             }
             Step::Load => {
@@ -146,9 +243,13 @@ impl Work<'_> {
                 is_done.then_some(Step::On)
             }
             Step::On => {
-                let question =
-                    "let the machine grow cold, engage, run warmup again; the filled-in run file";
-                self.measured("on", question)?.then_some(Step::Accept)
+                let question = match self.subject {
+                    Subject::Spindle => {
+                        "let the machine grow cold, engage, run warmup again".into()
+                    }
+                    axis => format!("engage, run {} again", axis.program()),
+                };
+                self.measured("on", &question)?.then_some(Step::Accept)
             }
             Step::Accept => self.accept(&fitted)?,
             Step::Done => Some(Step::Done),
@@ -169,10 +270,13 @@ impl Work<'_> {
         })
     }
 
-    fn kind(&self) -> &'static str {
-        match self.machine.spindle.source {
-            Some(ElongationSource::Sensor | ElongationSource::Temperature) => "elongation",
-            Some(ElongationSource::Warmup) | None => "warmup",
+    /// The kind of `fit` that makes its section.
+    fn fit(&self) -> &'static str {
+        match (self.subject, self.machine.spindle.source) {
+            (Subject::Spindle, Some(ElongationSource::Sensor | ElongationSource::Temperature)) => {
+                "elongation"
+            }
+            (subject, _) => subject.program(),
         }
     }
 
@@ -181,7 +285,7 @@ impl Work<'_> {
         self.journal.log(&format!("  trueup {}", words.join(" ")))?;
         let json = self.as_json.then_some("--json");
         let all = ["trueup"].into_iter().chain(json).chain(words.iter().copied());
-        let cli = Cli::try_parse_from(all).context("a command of this tool")?;
+        let cli = Cli::read(all).context("a command of this tool")?;
         match crate::run(&cli) {
             Ok(Outcome::Done) => Ok(true),
             Ok(Outcome::NotMet) => {
@@ -197,7 +301,8 @@ impl Work<'_> {
 
     /// 10 µm are given by a calibration of their own, and measured.
     fn sign(&mut self) -> Result<bool> {
-        let test = sign::machine(&self.machine)?;
+        let axis = self.subject.axis();
+        let test = sign::machine(&self.machine, axis)?;
         let (file, blob) = (self.path("sign.toml"), self.path("sign.bin"));
         output::write_whole(Path::new(&file), &[], |out| out.write_all(test.to_toml().as_bytes()))?;
         self.disengaged()?;
@@ -207,10 +312,10 @@ impl Work<'_> {
         if !is_loaded {
             return Ok(false);
         }
-        self.journal.log(sign::HOW)?;
-        let direction = self.machine.tool_direction;
+        self.journal.log(&sign::how(axis))?;
+        let direction = sign::direction(&self.machine, axis);
         watch::until(&port, |output| sign::is_given(output, direction))?;
-        let Some(answer) = self.answers.ask(sign::QUESTION)? else { return Ok(false) };
+        let Some(answer) = self.answers.ask(&sign::question(axis))? else { return Ok(false) };
         let Ok(moved_um) = answer.trim().parse::<f64>() else {
             self.journal.log(&format!("  \"{answer}\" is not a reading in µm"))?;
             return Ok(false);
@@ -226,7 +331,9 @@ impl Work<'_> {
         let heat_s = self.args.heat_s.map(|heat_s| heat_s.to_string());
         let control = self.args.control.clone();
         let mut words =
-            vec!["program", "warmup", "--machine", &machine, "--for", &control, "--out", &out];
+            vec!["program", self.subject.program(), "--machine", &machine, "--for", &control];
+        words.extend(["--out", &out]);
+        words.extend(self.subject.axis().iter().flat_map(|axis| ["--axis", axis.name()]));
         words.extend(rpm.iter().flat_map(|rpm| ["--rpm", rpm.as_str()]));
         words.extend(heat_s.iter().flat_map(|heat_s| ["--heat-s", heat_s.as_str()]));
         self.command(&words)
@@ -234,18 +341,21 @@ impl Work<'_> {
 
     /// Asks for a run that was measured, and keeps it.
     fn measured(&mut self, which: &str, question: &str) -> Result<bool> {
-        let Some(answer) = self.answers.ask(question)? else { return Ok(false) };
+        let question = format!("{question}; the filled-in run file");
+        let Some(answer) = self.answers.ask(&question)? else { return Ok(false) };
         let from = PathBuf::from(answer.trim());
         let run = files::run(&from, None)?;
-        if readings(&run) == 0 {
-            let what = format!("  {}: no measured_elongation_um is filled in", from.display());
+        let column = format!("measured_{}_um", self.subject.quantity());
+        let readings = readings(&run, &column);
+        if readings == 0 {
+            let what = format!("  {}: no {column} is filled in", from.display());
             self.journal.log(&what)?;
             return Ok(false);
         }
         let kept = self.path(&format!("{which}-{}.csv", self.journal.round));
         let bytes = fs::read(&from).with_context(|| format!("while reading {}", from.display()))?;
         output::write_whole(Path::new(&kept), &[], |out| out.write_all(&bytes))?;
-        self.journal.log(&format!("  {}, {} readings", from.display(), readings(&run)))?;
+        self.journal.log(&format!("  {}, {readings} readings", from.display()))?;
         Ok(true)
     }
 
@@ -266,6 +376,8 @@ impl Work<'_> {
             fitted,
             "--out",
             &out,
+            "--quantity",
+            self.subject.quantity(),
         ];
         if self.command(&words)? {
             self.journal.log("accepted")?;
@@ -282,8 +394,8 @@ impl Work<'_> {
     }
 }
 
-/// How many readings a run has.
-fn readings(run: &RunFile) -> usize {
-    let measured = run.column("measured_elongation_um").unwrap_or_default();
+/// How many readings a column of a run has.
+fn readings(run: &RunFile, column: &str) -> usize {
+    let measured = run.column(column).unwrap_or_default();
     measured.iter().filter(|um| !um.is_nan()).count()
 }

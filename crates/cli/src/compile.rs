@@ -15,7 +15,7 @@ pub struct Compile {
     #[arg(value_name = "M.toml")]
     machine: PathBuf,
     /// Where to write the calibration.
-    #[arg(short, long, value_name = "CAL.bin")]
+    #[arg(long, value_name = "CAL.bin")]
     output: PathBuf,
 }
 

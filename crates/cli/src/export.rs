@@ -28,7 +28,7 @@ pub struct Export {
     format: Control,
     /// The folder for the files and report.txt; made if it is not there. Files of the same names
     /// are replaced.
-    #[arg(short, long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR")]
     output: PathBuf,
     /// The control's unit of length (Siemens, LinuxCNC).
     #[arg(long, default_value = "mm")]

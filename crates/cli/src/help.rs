@@ -1,6 +1,25 @@
-//! Examples for the `--help` of each command, in one place, so that none is forgotten (a test asks each).
+//! Examples for the `--help` of each command, and the short forms of options, each in one place: so that no
+//! command is forgotten (a test asks each), and a letter means the same in all of them.
 
-use clap::Command;
+use clap::{Arg, Command};
+
+/// Options that have a short form, whichever command has them. `-q` and `-v` are every command's own.
+const SHORT: &[(&str, char)] = &[
+    ("machine", 'm'),
+    ("run", 'r'),
+    ("port", 'p'),
+    ("for", 'f'),
+    ("format", 'f'),
+    ("out", 'o'),
+    ("output", 'o'),
+    ("axis", 'a'),
+    ("scenario", 's'),
+    ("yes", 'y'),
+    ("name", 'n'),
+    ("kind", 'k'),
+    ("travel", 't'),
+    ("control", 'c'),
+];
 
 /// By the words of a command, what its help ends with. A command that is not here has its own.
 const EXAMPLES: &[(&str, &str)] = &[
@@ -68,12 +87,13 @@ pub fn lines() -> impl Iterator<Item = &'static str> {
     EXAMPLES.iter().map(|(_, line)| *line)
 }
 
-/// The tool with its examples.
+/// The tool with its examples and short forms.
 pub fn with_examples(tool: Command) -> Command {
     named(tool, "")
 }
 
 fn named(command: Command, path: &str) -> Command {
+    let command = command.mut_args(with_short);
     let example = EXAMPLES.iter().find(|(name, _)| *name == path);
     let command = match example {
         Some((_, line)) if command.get_after_help().is_none() => {
@@ -85,4 +105,46 @@ fn named(command: Command, path: &str) -> Command {
         let path = format!("{path} {}", inner.get_name());
         named(inner, path.trim_start())
     })
+}
+
+fn with_short(option: Arg) -> Arg {
+    let short = SHORT.iter().find(|(long, _)| option.get_long() == Some(*long));
+    match short {
+        Some((_, letter)) if option.get_short().is_none() => option.short(*letter),
+        _ => option,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Cli;
+    use clap::CommandFactory as _;
+
+    /// Every command that has an option of the table, by its path.
+    fn each(command: &Command, path: &str, with: &mut dyn FnMut(&str, &Arg)) {
+        command.get_arguments().for_each(|option| with(path, option));
+        for inner in command.get_subcommands() {
+            each(inner, &format!("{path} {}", inner.get_name()), with);
+        }
+    }
+
+    #[test]
+    fn a_letter_means_the_same_in_every_command() {
+        let tool = with_examples(Cli::command());
+        // No letter stands twice in a command.
+        tool.clone().debug_assert();
+        let mut counted = 0;
+        each(&tool, "", &mut |path, option| {
+            let Some(long) = option.get_long() else { return };
+            let wanted = SHORT.iter().find(|(name, _)| *name == long).map(|(_, letter)| *letter);
+            if let Some(letter) = option.get_short() {
+                let is_global = ["quiet", "verbose", "help", "version"].contains(&long);
+                assert!(is_global || Some(letter) == wanted, "{path} -{letter} is --{long}");
+            }
+            assert!(wanted.is_none() || option.get_short() == wanted, "{path} --{long}");
+            counted += usize::from(wanted.is_some());
+        });
+        assert!(counted > 40, "{counted}");
+    }
 }

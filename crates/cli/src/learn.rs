@@ -34,7 +34,7 @@ pub struct Learn {
     #[arg(long, value_name = "RUN.csv", required_unless_present = "undo")]
     run: Vec<PathBuf>,
     /// The machine file with what was learned.
-    #[arg(short, long, value_name = "LEARNED.toml")]
+    #[arg(long, value_name = "LEARNED.toml")]
     output: PathBuf,
     /// What is learned, where the record measures several quantities.
     #[arg(long)]

@@ -27,19 +27,19 @@ use crate::{Outcome, UserError, output, questions, report};
   trueup new -o - --yes --kind head-head --head-axes c,a      on standard output")]
 pub struct New {
     /// Where to write the machine file; `-` is standard output. A file that is there is left alone.
-    #[arg(short, long, value_name = "M.toml")]
+    #[arg(long, value_name = "M.toml")]
     output: PathBuf,
     /// The machine's name.
-    #[arg(short, long)]
+    #[arg(long)]
     name: Option<String>,
     /// Which rotary axes carry the tool (head) and which the workpiece (table).
-    #[arg(short, long, value_enum)]
+    #[arg(long, value_enum)]
     kind: Option<KindName>,
     /// The rotary axes that carry the spindle, from the frame to the tool: c,a.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "AXES")]
     head_axes: Option<Vec<RotaryName>>,
     /// An axis and the ends of its travel in mm, once for each: x=0:600.
-    #[arg(short, long, value_name = "AXIS=FROM:TO", value_parser = travel, allow_hyphen_values = true)]
+    #[arg(long, value_name = "AXIS=FROM:TO", value_parser = travel, allow_hyphen_values = true)]
     travel: Vec<(LinearAxis, [f64; 2])>,
     /// Where the positions are measured.
     #[arg(long, value_enum)]
@@ -60,10 +60,10 @@ pub struct New {
     #[arg(long, value_name = "WHERE", value_parser = questions::word)]
     thermometer: Vec<String>,
     /// The control that gets the offsets.
-    #[arg(short, long, value_enum)]
+    #[arg(long, value_enum)]
     control: Option<ControlName>,
     /// Ask nothing.
-    #[arg(short, long)]
+    #[arg(long)]
     yes: bool,
 }
 

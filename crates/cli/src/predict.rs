@@ -23,7 +23,7 @@ pub struct Predict {
     #[arg(long, value_name = "RUN.csv")]
     run: PathBuf,
     /// Where to write the run with the predictions.
-    #[arg(short, long, value_name = "OUT.csv")]
+    #[arg(long, value_name = "OUT.csv")]
     output: PathBuf,
 }
 

@@ -25,7 +25,7 @@ pub struct Program {
     #[arg(long = "for", value_name = "CONTROL")]
     control: For,
     /// The folder for the programs and run files; made if it is not there.
-    #[arg(short, long, alias = "output", value_name = "DIR")]
+    #[arg(long, alias = "output", value_name = "DIR")]
     out: PathBuf,
     /// These axes only; left out, all whose travel is known.
     #[arg(long, value_name = "x,y,z", value_delimiter = ',')]

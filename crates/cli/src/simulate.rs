@@ -24,7 +24,7 @@ pub struct Simulate {
     #[arg(long, value_name = "N")]
     seed: u64,
     /// Where to write the run.
-    #[arg(short, long, value_name = "RUN.csv")]
+    #[arg(long, value_name = "RUN.csv")]
     output: PathBuf,
 }
 

@@ -2,7 +2,7 @@
 //!
 //! The file is JSON. The calibration goes back whole, with its names. What a board learns on its machine and
 //! does not let anybody write (the reference that `Zero` has taken, its log of writes) is kept in the file to
-//! be read, and `restore` says so.
+//! be read: of a reference `restore` warns, and ends with 3, because offsets would count from another zero.
 
 use std::{fs, path::PathBuf};
 
@@ -22,7 +22,7 @@ use super::{
     Port,
     load::{How, put},
 };
-use crate::{Outcome, UserError, output};
+use crate::{Outcome, UserError, output, report};
 
 /// What the file says that it is.
 const FORMAT: &str = "trueup-bridge-1";
@@ -143,18 +143,24 @@ pub fn restore(args: &Restore, as_json: bool) -> Result<Outcome> {
             "the calibration names a board: another one asks for Confirm (foreign-machine)".into(),
         );
     }
-    if let Some(reference) = all["reference"].as_object() {
+    let reference = all["reference"].as_object().map(|reference| {
         let told = reference.iter().filter_map(|(name, nm)| {
             let axis = name.trim_end_matches("_nm");
             Some(format!("{axis} {:+.2}", nm.as_f64()? / 1_000.0))
         });
-        notes.push(format!(
-            "the reference that Zero had taken is not written ({} µm): set Zero again with the machine as \
-             it was then",
+        format!(
+            "the reference that Zero had taken is NOT on this board ({} µm): its offsets count from the \
+             calibration's own zero. Before anything is cut: bring the machine into the state in which tools \
+             are touched off, home it, and let the CNC set Zero again (LinuxCNC: pin trueup.zero)",
             told.collect::<Vec<_>>().join(", ")
-        ));
+        )
+    });
+    if let Some(reference) = &reference {
+        report::warn(reference);
+        notes.push(reference.clone());
     }
-    let is_met = args.how.keep_running || loaded.running == loaded.crc;
+    let is_used = args.how.keep_running || loaded.running == loaded.crc;
+    let is_met = is_used && reference.is_none();
     if as_json {
         output::print(json!({
             "crc": format!("{crc:08x}"),
@@ -163,7 +169,8 @@ pub fn restore(args: &Restore, as_json: bool) -> Result<Outcome> {
         }))?;
     } else {
         output::print(format_args!("calibration {crc:08x}, {} bytes, restored", blob.len()))?;
-        notes.iter().try_for_each(output::print)?;
+        let mut others = notes.iter().filter(|note| reference.as_ref() != Some(*note));
+        others.try_for_each(output::print)?;
     }
     Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
 }

@@ -69,6 +69,8 @@ impl Step {
 /// What was done, in a folder.
 pub struct Journal {
     folder: PathBuf,
+    /// What is commissioned.
+    subject: String,
     /// The step to be done.
     pub next: Step,
     /// 1 at first; one more each time that it was not accepted.
@@ -76,16 +78,23 @@ pub struct Journal {
 }
 
 impl Journal {
-    /// Goes on with the one in `folder`, or begins it.
-    pub fn open(folder: &Path) -> Result<Self> {
+    /// Goes on with the one in `folder`, which is of the same subject, or begins it.
+    pub fn open(folder: &Path, subject: &str) -> Result<Self> {
         let path = folder.join("commission.json");
-        let mut journal = Self { folder: folder.into(), next: Step::Sign, round: 1 };
+        let subject = subject.to_owned();
+        let mut journal = Self { folder: folder.into(), subject, next: Step::Sign, round: 1 };
         let Ok(text) = fs::read_to_string(&path) else {
             journal.keep()?;
             return Ok(journal);
         };
         let damaged = || UserError(format!("{}: is not what commission writes", path.display()));
         let all: Value = serde_json::from_str(&text).map_err(|_| damaged())?;
+        // One from before there were axes is of the spindle.
+        let begun = all["of"].as_str().unwrap_or("warmup");
+        if begun != journal.subject {
+            let rule = format!("{}: was begun for {begun}; give another folder", folder.display());
+            return Err(UserError(rule).into());
+        }
         let round = all["round"].as_u64().and_then(|it| u32::try_from(it).ok());
         journal.round = round.filter(|round| *round > 0).ok_or_else(damaged)?;
         let step = Step::ALL.into_iter().find(|step| all["next"] == step.word());
@@ -107,7 +116,7 @@ impl Journal {
     }
 
     fn keep(&self) -> Result<()> {
-        let all = json!({ "next": self.next.word(), "round": self.round });
+        let all = json!({ "of": self.subject, "next": self.next.word(), "round": self.round });
         let text = serde_json::to_string_pretty(&all)? + "\n";
         let path = self.folder.join("commission.json");
         output::write_whole(&path, &[], |out| out.write_all(text.as_bytes()))
@@ -134,18 +143,19 @@ mod tests {
     #[test]
     fn it_goes_on_where_it_stopped_and_a_damaged_one_is_refused() {
         let folder = tempfile::tempdir().expect("a folder");
-        let mut journal = Journal::open(folder.path()).expect("a new one");
+        let mut journal = Journal::open(folder.path(), "warmup").expect("a new one");
         assert_eq!((journal.next, journal.round), (Step::Sign, 1));
         for step in Step::ALL {
             journal.proceed(step).expect("it is written");
-            assert_eq!(Journal::open(folder.path()).expect("right").next, step);
+            assert_eq!(Journal::open(folder.path(), "warmup").expect("right").next, step);
         }
         journal.next_round().expect("it is written");
-        let again = Journal::open(folder.path()).expect("right");
+        let again = Journal::open(folder.path(), "warmup").expect("right");
         assert_eq!((again.next, again.round), (Step::Off, 2));
+        assert!(Journal::open(folder.path(), "pitch x").is_err(), "another subject");
         for damaged in ["", "{}", r#"{"next": "on", "round": 0}"#, r#"{"next": "x", "round": 1}"#] {
             fs::write(folder.path().join("commission.json"), damaged).expect("writable");
-            assert!(Journal::open(folder.path()).is_err(), "{damaged}");
+            assert!(Journal::open(folder.path(), "warmup").is_err(), "{damaged}");
         }
     }
 }

@@ -1,11 +1,12 @@
 //! The test of the sign: a calibration under which the tool has grown by 10 µm whatever the machine does, so
-//! that the CNC has to lift it by 10 µm. Signs are where a part is lost; 10 µm lose none.
+//! that the CNC has to lift it by 10 µm; or under which an axis stands 10 µm too far, so that it has to be
+//! brought back. Signs are where a part is lost; 10 µm lose none.
 
 use trueup_client::words::offset_um;
 use trueup_core::cnc::{Output, Quality};
 use trueup_machine::{
     Machine,
-    file::{ElongationSource, Warmup},
+    file::{ElongationSource, LinearAxis, Pitch, Spindle, Warmup},
 };
 
 use crate::UserError;
@@ -20,16 +21,45 @@ const HALF_UM: f64 = GROWTH_UM / 2.0;
 const NO_SLOPE_UM_PER_COUNT: f64 = 1e-6;
 
 /// What is to be done at the machine.
-pub const HOW: &str = "  set all angles to 0 and a gauge at the tool's tip to zero, disengaged; start the \
-                       spindle if it has no sensor; then engage at the CNC";
-/// What is asked for then.
-pub const QUESTION: &str =
-    "how far has the tip moved, in µm (+ further out of the spindle, - back into it)";
+pub fn how(axis: Option<LinearAxis>) -> String {
+    match axis.map(letter) {
+        None => "  set all angles to 0 and a gauge at the tool's tip to zero, disengaged; start the spindle if \
+                 it has no sensor; then engage at the CNC"
+            .into(),
+        Some(axis) => format!(
+            "  home the machine, let {axis} stand, and set a gauge along {axis} to zero, disengaged; then \
+             engage at the CNC"
+        ),
+    }
+}
 
-/// The machine under that calibration.
-pub fn machine(machine: &Machine) -> Result<Machine, UserError> {
+/// What is asked for then.
+pub fn question(axis: Option<LinearAxis>) -> String {
+    match axis.map(letter) {
+        None => {
+            "how far has the tip moved, in µm (+ further out of the spindle, - back into it)".into()
+        }
+        Some(axis) => format!("how far has {axis} moved, in µm (+ in its positive direction)"),
+    }
+}
+
+/// As it stands on the machine.
+fn letter(axis: LinearAxis) -> String {
+    axis.name().to_uppercase()
+}
+
+/// Along what the error is: the tool, or an axis.
+pub fn direction(machine: &Machine, axis: Option<LinearAxis>) -> [f64; 3] {
+    match axis {
+        None => machine.tool_direction,
+        Some(axis) => LinearAxis::ALL.map(|it| f64::from(u8::from(it == axis))),
+    }
+}
+
+/// The machine under that calibration: of an axis, or of the tool.
+pub fn machine(machine: &Machine, axis: Option<LinearAxis>) -> Result<Machine, UserError> {
     let mut test = machine.clone();
-    for (axis, direction) in machine.limits.max_um.into_iter().zip(machine.tool_direction) {
+    for (axis, direction) in machine.limits.max_um.into_iter().zip(direction(machine, axis)) {
         if (direction * GROWTH_UM).abs() > axis {
             let rule = format!("limits.max_um is below the {GROWTH_UM} µm of the sign test");
             return Err(UserError(rule));
@@ -40,6 +70,14 @@ pub fn machine(machine: &Machine) -> Result<Machine, UserError> {
     test.squareness.clear();
     for axis in &mut test.axes {
         (axis.thermal, axis.pitch, axis.backlash, axis.dual) = (None, None, None, None);
+    }
+    if let Some(axis) = axis {
+        test.spindle = Spindle::default();
+        // Ends are held: the error is there wherever the axis stands.
+        let forward_um = vec![GROWTH_UM; 2];
+        let everywhere = Pitch { start_mm: 0.0, step_mm: 1.0, forward_um, reverse_um: None };
+        test.axes[axis.index()].pitch = Some(everywhere);
+        return Ok(test);
     }
     test.spindle.temperature = None;
     let has_input = machine.inputs.as_ref().is_some_and(|inputs| inputs.sensor.is_some());
@@ -68,11 +106,11 @@ pub fn machine(machine: &Machine) -> Result<Machine, UserError> {
     Ok(test)
 }
 
-/// The bridge gives what lifts the tool by the growth.
-pub fn is_given(output: &Output, tool_direction: [f64; 3]) -> bool {
+/// The bridge gives what takes the error in this direction away.
+pub fn is_given(output: &Output, direction: [f64; 3]) -> bool {
     let is_live = matches!(output.quality, Quality::Live | Quality::WarmUpModel);
     let Some(offset) = offset_um(output).filter(|_| is_live) else { return false };
-    let along: f64 = offset.iter().zip(tool_direction).map(|(offset, v)| offset * v).sum();
+    let along: f64 = offset.iter().zip(direction).map(|(offset, v)| offset * v).sum();
     (along + GROWTH_UM).abs() <= GIVEN_WITHIN_UM
 }
 
@@ -85,7 +123,7 @@ pub enum Verdict {
     TooMuch,
 }
 
-/// Of the tip's way in µm, positive out of the spindle: it must have gone back by the growth.
+/// Of the way in µm, positive where the error is: it must have gone back by as much.
 pub fn verdict(moved_um: f64) -> Verdict {
     match moved_um {
         it if (it + GROWTH_UM).abs() <= HALF_UM => Verdict::Right,
@@ -157,6 +195,9 @@ mod tests {
         assert!(!is_given(&output(-10_000, Quality::Live), down));
         assert!(!is_given(&output(9_000, Quality::Live), down), "on its way");
         assert!(!is_given(&output(10_000, Quality::Hold), down));
+        // An axis that stands too far is brought back.
+        assert!(is_given(&output(-10_000, Quality::Live), [0.0, 0.0, 1.0]));
+        assert!(!is_given(&output(-10_000, Quality::Live), [1.0, 0.0, 0.0]));
     }
 
     #[test]
@@ -165,11 +206,18 @@ mod tests {
         let mut paper = of(include_str!("../../../../data/paper_spindle.toml"));
         let gantry = of(include_str!("../../../../data/gantry.toml"));
         for believed in [&paper, &gantry] {
-            let test = machine(believed).expect("its limits leave room");
+            let test = machine(believed, None).expect("its limits leave room");
             compile(&test).expect("the board can run it");
             assert!(test.has_elongation() && test.straightness.is_empty());
         }
+        for axis in LinearAxis::ALL {
+            let test = machine(&gantry, Some(axis)).expect("its limits leave room");
+            compile(&test).expect("the board can run it");
+            assert!(!test.has_elongation() && test.axes[axis.index()].pitch.is_some());
+        }
         paper.limits.max_um[2] = 9.0;
-        assert!(machine(&paper).is_err(), "it would be clamped");
+        assert!(machine(&paper, None).is_err(), "it would be clamped");
+        assert!(machine(&paper, Some(LinearAxis::Z)).is_err(), "it would be clamped");
+        assert!(machine(&paper, Some(LinearAxis::X)).is_ok());
     }
 }

@@ -42,7 +42,7 @@ pub struct Common {
     #[arg(long, value_name = "M.toml")]
     pub machine: Option<PathBuf>,
     /// Where to write the machine file or the section.
-    #[arg(short, long, value_name = "OUT.toml")]
+    #[arg(long, value_name = "OUT.toml")]
     pub output: PathBuf,
 }
 
