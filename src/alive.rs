@@ -27,6 +27,8 @@ pub enum Task {
     Transmit,
     Thermometers,
     Idle,
+    ModbusLine,
+    Modbus,
 }
 
 /// The tasks that have a turn all the time, whatever comes over the wires, and do not hold up the

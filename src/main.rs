@@ -14,10 +14,12 @@
 //! |---|---|---|---|---|---|
 //! | `serial_receive` | USART1, a pause or half a ring of bytes | 5 | 1.39 ms, the other half | USART1, DMA | byte queue |
 //! | `sample` | DMA2 stream 0, 20 codes | 4 | 1 ms, the next block | samples, temperatures | node, port, CAN |
+//! | `modbus_line` | USART3, a byte from the PLC, room for one to it | 5 | 95 µs, the next byte at 115 200 Bd | USART3 | byte queues |
 //! | `can_receive_0`, `_1` | CAN1, a frame in the FIFO | 3 | 2 ms, the next cycle of 2 × 3 frames | CAN | node |
 //! | `listen` | bytes in the queue | 3 | 256 bytes (2.8 ms) | byte queue | port, node |
 //! | `supervise` | `SysTick`, 10 ms | 2 | 100 ms, the watchdog | node, image, registers, stack | samples, watchdog, lamp, flash |
 //! | `service` | 2 ms since its last turn | 2 | 10 ms | node | node, port, CAN |
+//! | `modbus` | TIM5, 3.5 characters of silence; bytes in the queue | 2 | 6 ms, 64 bytes | byte queue, node | node, byte queue |
 //! | `transmit` | lines in the port, room on the line | 1 | 5 ms of frames in the port | port | USART1, DMA |
 //! | `thermometers` | `supervise` | 1 | 1 s, then the channels count as bad | SPI2 | temperatures |
 //! | `idle` | nothing else to do | 0 | | | |
@@ -37,6 +39,7 @@ mod alive;
 mod board;
 #[cfg(feature = "faults")]
 mod faults;
+mod plc;
 mod supervision;
 
 use core::sync::atomic::{AtomicU32, Ordering};
@@ -51,9 +54,10 @@ mod app {
     use crate::{
         alive::{self, Task},
         board::{
-            self, Buffer, CanIn, CanOut, Idle, Samples, SelfTest, Sent, SerialIn, SerialOut,
-            Thermometers,
+            self, Buffer, CanIn, CanOut, Idle, Rs485, Samples, SelfTest, Sent, SerialIn, SerialOut,
+            Silence, Thermometers,
         },
+        plc::Registers,
         supervision::{self, PERIOD_MS, Supervision},
     };
     use core::mem::MaybeUninit;
@@ -62,6 +66,10 @@ mod app {
     use trueup_canopen::emergency::Fault;
     use trueup_core::{bridge::Input, channels::RawTemperatures};
     use trueup_link::{frame::Frame, slcan::Port};
+    use trueup_modbus::{
+        rtu::{Heard, Slave},
+        server::Response,
+    };
     use trueup_node::node::{Frames, Line, Node};
     use trueup_store::retained;
 
@@ -74,6 +82,10 @@ mod app {
     const SERVICE: Interrupt = Interrupt::EXTI3;
     /// Bytes between the interrupt that takes them and the task that reads them.
     const QUEUE: usize = 256;
+    /// The same of the PLC's line: 6 ms at 115 200 Bd.
+    const HEARD: usize = 64;
+    /// An answer of up to 61 bytes.
+    const ANSWER: usize = 64;
 
     #[shared]
     struct Shared {
@@ -90,6 +102,13 @@ mod app {
     struct Local {
         serial_in: SerialIn,
         serial_out: SerialOut,
+        rs485: Rs485,
+        to_modbus: Producer<'static, Heard>,
+        from_modbus: Consumer<'static, u8>,
+        slave: Slave,
+        silence: Silence,
+        heard: Consumer<'static, Heard>,
+        answer: Producer<'static, u8>,
         can_in_0: CanIn,
         can_in_1: CanIn,
         thermometers: Thermometers,
@@ -101,6 +120,7 @@ mod app {
     }
 
     #[init(local = [queue: Queue<u8, QUEUE> = Queue::new(), buffer: Buffer = [0; _],
+                    bytes_heard: Queue<Heard, HEARD> = Queue::new(), bytes_said: Queue<u8, ANSWER> = Queue::new(),
                     place: MaybeUninit<Node<'static>> = MaybeUninit::uninit()])]
     fn init(cx: init::Context) -> (Shared, Local) {
         let parts = board::start(cx.core, cx.device, cx.local.buffer);
@@ -141,6 +161,8 @@ mod app {
             kept => node.resume(kept.as_ref()),
         }
         let (to_listen, from_serial) = cx.local.queue.split();
+        let (to_modbus, heard) = cx.local.bytes_heard.split();
+        let (answer, from_modbus) = cx.local.bytes_said.split();
         defmt::info!("trueup bridge {} is up", env!("CARGO_PKG_VERSION"));
         #[cfg(feature = "faults")]
         defmt::error!("a test build: it breaks when it is told to");
@@ -155,6 +177,13 @@ mod app {
         let local = Local {
             serial_in: parts.serial_in,
             serial_out: parts.serial_out,
+            rs485: parts.plc.line,
+            to_modbus,
+            from_modbus,
+            slave: Slave::new(parts.plc.unit, parts.plc.timing),
+            silence: parts.plc.silence,
+            heard,
+            answer,
             can_in_0,
             can_in_1,
             thermometers: parts.thermometers,
@@ -237,6 +266,37 @@ mod app {
             }
         }
         rtic::pend(TRANSMIT);
+    }
+
+    /// Bytes from the PLC, each with its time, and those of an answer to it.
+    #[task(binds = USART3, priority = 5, local = [rs485, to_modbus, from_modbus])]
+    fn modbus_line(cx: modbus_line::Context) {
+        let _turn = alive::enter(Task::ModbusLine);
+        while let Some(heard) = cx.local.rs485.take() {
+            // A full queue loses the byte; the checksum of its frame tells.
+            cx.local.to_modbus.enqueue(heard).ok();
+        }
+        cx.local.rs485.send(|| cx.local.from_modbus.dequeue());
+        rtic::pend(Interrupt::TIM5);
+    }
+
+    /// Bytes become requests, requests are answered.
+    #[task(binds = TIM5, priority = 2, shared = [node],
+           local = [slave, silence, heard, answer, response: Response = Response::new()])]
+    fn modbus(cx: modbus::Context) {
+        let _turn = alive::enter(Task::Modbus);
+        let it = cx.local;
+        while let Some(heard) = it.heard.dequeue() {
+            it.slave.hear(heard);
+        }
+        // Read behind the bytes: no time of theirs is later.
+        let now_us = it.silence.now_us();
+        if it.slave.poll(now_us, &mut Registers(cx.shared.node), it.response) {
+            for byte in &*it.response {
+                it.answer.enqueue(*byte).ok();
+            }
+            rtic::pend(Interrupt::USART3);
+        }
     }
 
     /// Every 10 ms: is all well? On a board whose converter is dead this is what keeps the CNC

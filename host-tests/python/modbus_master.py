@@ -166,7 +166,8 @@ def main():
     print(json.dumps(saw))
 
 
-try:
-    main()
-except ModbusException as error:
-    raise SystemExit(f"pymodbus: {error}")
+if __name__ == "__main__":
+    try:
+        main()
+    except ModbusException as error:
+        raise SystemExit(f"pymodbus: {error}")

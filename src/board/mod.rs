@@ -4,6 +4,7 @@
 //! |---|---|---|
 //! | [`Samples`] | TIM3 → ADC1 → DMA2, 20 codes a block; VREFINT between them | blocks by semihosting from the host |
 //! | [`SerialIn`], [`SerialOut`] | USART1, 921 600 Bd, by DMA | USART1 of the emulator, by polling |
+//! | [`Rs485`], [`Silence`] | USART3, bytes by interrupt; TIM5 | none |
 //! | [`CanIn`], [`CanOut`] | bxCAN, 1 Mbit/s, PB8/PB9 | frames in the same stream as the samples |
 //! | [`Thermometers`] | 8 MAX31865 on SPI2, linear inputs by ADC2 | come with the samples |
 //! | [`Flash`] | two sectors of the flash | a file of the host |
@@ -19,7 +20,8 @@
 //! Both boards raise the same interrupts, so the tasks cannot tell them apart:
 //! `DMA2_STREAM0` with a block of samples (one millisecond of the sample clock), `CAN1_RX0` and
 //! `CAN1_RX1` with frames from the bus (on `virtual` all by the first), `USART1` with bytes from the
-//! serial line, `DMA2_STREAM7` when there is room for more (`DMA2_STREAM2`: as `USART1`), `SysTick` every 10 ms. On `virtual` it is the samples that make time pass, so
+//! serial line, `DMA2_STREAM7` when there is room for more (`DMA2_STREAM2`: as `USART1`), `USART3` with bytes from
+//! the PLC and room for more, `TIM5` when it has been silent, `SysTick` every 10 ms. On `virtual` it is the samples that make time pass, so
 //! `SysTick` comes with every tenth block.
 
 use trueup_canopen::emergency::Fault;
@@ -28,6 +30,7 @@ use trueup_core::{
     thermometer::Raw,
     units::{Code, Rpm},
 };
+use trueup_modbus::rtu::Timing;
 use trueup_node::start::Start;
 use trueup_store::{calibration::BlobError, reference::References, retained};
 
@@ -134,11 +137,21 @@ pub const fn short(serial_number: u32) -> u16 {
     (serial_number >> 16) as u16 ^ serial_number as u16
 }
 
+/// The line for a PLC, in parts, and how it is set.
+pub struct Plc {
+    /// Its address, 1 to 247.
+    pub unit: u8,
+    pub timing: Timing,
+    pub line: Rs485,
+    pub silence: Silence,
+}
+
 /// A board that is up, in parts, each for one task.
 pub struct Parts {
     pub samples: Samples,
     pub serial_in: SerialIn,
     pub serial_out: SerialOut,
+    pub plc: Plc,
     /// One for each interrupt.
     pub can_in: [CanIn; 2],
     pub can_out: CanOut,

@@ -45,15 +45,18 @@ use trueup_core::{
     units::{Code, Millis},
 };
 use trueup_link::frame::Frame;
+use trueup_modbus::rtu::Timing;
 use trueup_node::start::Start;
 use trueup_pipe::{self as pipe, Record};
 use trueup_store::calibration;
 
 use crate::alive::{self, Task};
 
-use super::{BLOCK, Block, CanState, Faults, Parts, Sent, TEMPERATURES, references, reset_ram};
+use super::{
+    BLOCK, Block, CanState, Faults, Parts, Plc, Sent, TEMPERATURES, references, reset_ram,
+};
 
-pub use absent::{BrownOut, Lamp, SelfTest, Watchdog};
+pub use absent::{BrownOut, Lamp, Rs485, SelfTest, Silence, Watchdog};
 use defmt_semihosting as _;
 
 /// Blocks that the host has announced and the board has not read.
@@ -134,6 +137,7 @@ pub fn start(
         samples: Samples,
         serial_in: SerialIn(serial_in),
         serial_out: SerialOut(serial_out),
+        plc: Plc { unit: 1, timing: Timing::at(19_200), line: Rs485, silence: Silence },
         can_in: [CanIn, CanIn],
         can_out: CanOut,
         watchdog: Watchdog,

@@ -180,7 +180,7 @@ pub enum Authority {
 }
 
 /// The tasks of the board, in the order of their numbers, which begin at 1.
-pub const TASKS: [&str; 11] = [
+pub const TASKS: [&str; 13] = [
     "start",
     "serial_receive",
     "sample",
@@ -192,6 +192,8 @@ pub const TASKS: [&str; 11] = [
     "transmit",
     "thermometers",
     "idle",
+    "modbus_line",
+    "modbus",
 ];
 
 /// What is known of the place where the last start stopped.

@@ -19,4 +19,5 @@ pub mod run;
 pub mod script;
 pub mod summary;
 pub mod time;
+pub mod wire;
 pub mod world;

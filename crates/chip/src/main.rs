@@ -85,13 +85,18 @@ fn board(options: &Options, image: &[u8]) -> Board {
             rtd.celsius = None;
         }
     }
-    if let Some(port) = options.port {
+    let named = ["serial", "modbus"].into_iter().zip(options.ports).zip(&mut world.wires);
+    for ((name, port), wire) in named {
+        let Some(port) = port else { continue };
         let listener = TcpListener::bind(("127.0.0.1", port)).expect("a free port");
         listener.set_nonblocking(true).expect("a socket");
         // Port 0 asks for any free one: who waits for the line reads it here.
-        println!("serial: 127.0.0.1:{}", listener.local_addr().expect("a socket").port());
-        world.port = Some(listener);
+        println!("{name}: 127.0.0.1:{}", listener.local_addr().expect("a socket").port());
+        wire.port = Some(listener);
     }
+    world.low = options.low.clone();
+    let plc = &mut world.wires[1];
+    (plc.baud, plc.parity, plc.stop_bits) = options.plc;
     let watch = Watch {
         masked: options.masked,
         places: options.trace > 0,
@@ -128,7 +133,7 @@ fn save(options: &Options, board: &Board) {
             fs::write(file, summary::log(chip, now)).expect("writable");
         }
         if let Some(file) = &options.serial_out {
-            let bytes: Vec<u8> = chip.world.serial.iter().map(|(_, byte)| *byte).collect();
+            let bytes: Vec<u8> = chip.world.wires[0].heard.iter().map(|(_, byte)| *byte).collect();
             fs::write(file, bytes).expect("writable");
         }
     });

@@ -5,6 +5,7 @@ use trueup_chip::{
     chip::Faults,
     frame::Frame,
     time::{NEVER, ms},
+    wire::Parity,
     world::{NOMINAL_SUPPLY, Plan},
 };
 
@@ -13,7 +14,11 @@ pub struct Options {
     pub run: u64,
     pub faults: Faults,
     pub plan: Plan,
-    pub port: Option<u16>,
+    /// Of the wires.
+    pub ports: [Option<u16>; 2],
+    /// The RS-485 line as its master has it: speed, parity, stop bits.
+    pub plc: (f64, Parity, u32),
+    pub low: Vec<(usize, u32)>,
     pub rtt: Option<String>,
     pub awake: bool,
     pub quiet: bool,
@@ -41,7 +46,9 @@ pub fn options() -> Options {
         image: String::new(),
         run: ms(2000),
         faults: Faults::default(),
-        port: None,
+        ports: [None; 2],
+        plc: (19_200.0, Parity::Even, 1),
+        low: Vec::new(),
         rtt: None,
         awake: false,
         quiet: false,
@@ -156,7 +163,11 @@ pub fn options() -> Options {
                 o.ram_stuck = at.unwrap_or_else(|_| usage("--ram-stuck"));
             }
             "--slow-flash" => o.slow_flash = true,
-            "--serial" => o.port = Some(number(args.next(), &a) as u16),
+            "--serial" => o.ports[0] = Some(number(args.next(), &a) as u16),
+            "--modbus" => o.ports[1] = Some(number(args.next(), &a) as u16),
+            "--modbus-baud" => o.plc.0 = number(args.next(), &a) as f64,
+            "--modbus-no-parity" => (o.plc.1, o.plc.2) = (Parity::None, 2),
+            "--low" => o.low.push(pin(&args.next().unwrap_or_else(|| usage(&a)))),
             "--serial-out" => o.serial_out = args.next(),
             "--script" => o.script = args.next(),
             "--log" => o.log = args.next(),
@@ -174,6 +185,12 @@ pub fn options() -> Options {
         usage("no image");
     }
     o
+}
+
+/// The port and number of a pin like `PC12`.
+fn pin(name: &str) -> (usize, u32) {
+    let &[b'P', port @ b'A'..=b'I', ..] = name.as_bytes() else { usage(name) };
+    (usize::from(port - b'A'), name[2..].parse().unwrap_or_else(|_| usage(name)))
 }
 
 pub fn usage(what: &str) -> ! {

@@ -298,7 +298,12 @@ impl Board {
             if let Some(left) = self.processor.until_systick() {
                 cycles = cycles.min(left);
             }
-            self.first_sleep.get_or_insert(self.now);
+            if self.first_sleep.is_none() {
+                self.first_sleep = Some(self.now);
+                // What was held off while the image began is no wait of a task.
+                self.masks.clear();
+                self.with_chip(|chip| chip.irq_longest.fill(0));
+            }
             let woken = self.processor.idle(cycles, self.watch.awake);
             self.pass(cycles);
             self.asleep += cycles * cycle;

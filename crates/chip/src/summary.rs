@@ -5,6 +5,7 @@ use crate::{
     frame::{Frame, crc},
     report::Grade,
     time::seconds,
+    wire::Wire,
 };
 use std::collections::BTreeMap;
 
@@ -19,13 +20,14 @@ pub fn log(c: &Chip, now: u64) -> String {
         lines.push((*at, format!("can {:03X} {bytes}", frame.id)));
     }
     let mut text = String::new();
-    for (at, byte) in &c.world.serial {
+    for (at, byte) in &c.world.wires[0].heard {
         match *byte {
             b'\r' => lines.push((*at, format!("serial {}", std::mem::take(&mut text)))),
             7 => lines.push((*at, format!("serial {}\\a", std::mem::take(&mut text)))),
             byte => text.push(byte.into()),
         }
     }
+    lines.extend(answers(&c.world.wires[1]));
     lines.extend(c.resets.iter().map(|(at, why)| (*at, format!("reset {why}"))));
     lines.sort_by_key(|line| line.0);
     let at = |ticks: u64| seconds(ticks) * 1e3;
@@ -40,6 +42,20 @@ pub fn log(c: &Chip, now: u64) -> String {
         out += &format!("{:.4} {grade} {text} [{} x]\n", at(item.first), item.count);
     }
     out + &format!("{:.4} end\n", at(now))
+}
+
+/// What the board said on the RS-485 line, cut where it paused: when it began, and the bytes.
+fn answers(wire: &Wire) -> Vec<(u64, String)> {
+    let mut all: Vec<(u64, String)> = Vec::new();
+    let mut last = 0;
+    for (at, byte) in &wire.heard {
+        if all.is_empty() || at - last > 2 * wire.character() {
+            all.push((at - wire.character(), "modbus ".into()));
+        }
+        last = *at;
+        all.last_mut().expect("there is one").1 += &format!("{byte:02x}");
+    }
+    all
 }
 
 fn signed(v: u64, bits: u32) -> i64 {
@@ -79,15 +95,30 @@ pub fn summary(c: &Chip, quiet: bool) {
     );
     println!(
         "   serial: {} bytes sent, {} received, {} overruns, a byte waits {:.1} µs at the longest (at {:.3} ms); a block of samples {:.1} µs (at {:.3} ms); SPI: {} bytes; interrupts {:?}",
-        c.world.serial.len(),
-        c.uart.received,
-        c.uart.overruns,
-        seconds(c.uart.longest) * 1e6,
-        seconds(c.uart.longest_at) * 1e3,
+        c.world.wires[0].heard.len(),
+        c.uart[0].received,
+        c.uart[0].overruns,
+        seconds(c.uart[0].longest) * 1e6,
+        seconds(c.uart[0].longest_at) * 1e3,
         seconds(c.dma[1].longest[0]) * 1e6,
         seconds(c.dma[1].longest_at[0]) * 1e3,
         c.spi.bytes,
         c.irq_counts.iter().enumerate().filter(|(_, n)| **n > 0).collect::<Vec<_>>()
+    );
+    let up: Vec<String> = (0..)
+        .zip(c.irq_longest)
+        .filter(|(_, longest)| *longest > 0)
+        .map(|(n, longest): (usize, u64)| format!("{n}: {:.1} µs", seconds(longest) * 1e6))
+        .collect();
+    println!("   interrupt lines up at the longest: {}", up.join(", "));
+    let plc = &c.uart[1];
+    println!(
+        "   RS-485: {} bytes sent, {} received, {} overruns, a byte waits {:.1} µs at the longest (at {:.3} ms)",
+        c.world.wires[1].heard.len(),
+        plc.received,
+        plc.overruns,
+        seconds(plc.longest) * 1e6,
+        seconds(plc.longest_at) * 1e3
     );
     for (i, r) in c.world.rtds.iter().enumerate().filter(|(_, r)| r.conversions + r.reads > 0) {
         println!(
@@ -178,8 +209,8 @@ pub fn summary(c: &Chip, quiet: bool) {
             );
         }
     }
-    if !quiet && !c.world.serial.is_empty() {
-        let text: String = c.world.serial.iter().map(|b| b.1 as char).collect();
+    if !quiet && !c.world.wires[0].heard.is_empty() {
+        let text: String = c.world.wires[0].heard.iter().map(|b| b.1 as char).collect();
         for line in text.split('\r').take(12) {
             println!("   serial: {line:?}");
         }

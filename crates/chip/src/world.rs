@@ -5,10 +5,9 @@ use crate::{
     max31865::Rtd,
     script::Script,
     time::{NEVER, ms},
+    wire::{Parity, Wire},
 };
 use std::collections::VecDeque;
-use std::io::Write;
-use std::net::{TcpListener, TcpStream};
 
 /// Volts of VDDA and VREF+ at which codes are given.
 pub const NOMINAL_SUPPLY: f64 = 3.3;
@@ -56,7 +55,10 @@ pub struct World {
     pub plan: Plan,
     pub crystal_hz: u64,
     pub lsi_hz: u64,
-    pub baud: f64,
+    /// The serial line of the CNC, and the RS-485 line of a PLC.
+    pub wires: [Wire; 2],
+    /// Pins that a switch holds at ground: port, pin.
+    pub low: Vec<(usize, u32)>,
     pub slow_flash: bool,
     /// VDDA and VREF+, volts: what the converters measure by.
     pub supply: f64,
@@ -67,23 +69,23 @@ pub struct World {
     pub next_at: u64,
     pub queue: VecDeque<(u64, Frame)>,
     pub log: Vec<(u64, Frame)>,
-    pub serial: Vec<(u64, u8)>,
-    pub to_board: VecDeque<(u64, u8)>,
     pub script: Option<Script>,
     pub(crate) counters: [u8; 5],
     pub(crate) rng: u64,
     slow_rng: u64,
     pub lamp: Vec<(u64, bool)>,
-    pub port: Option<TcpListener>,
-    pub(crate) client: Option<TcpStream>,
 }
 
 impl World {
     pub fn new(plan: Plan) -> World {
-        let mut to_board: VecDeque<(u64, u8)> = VecDeque::new();
+        let mut serial = Wire::new(921_600.0);
         for (t, bytes) in &plan.says {
-            to_board.extend(bytes.iter().map(|b| (*t, *b)));
+            serial.to_board.extend(bytes.iter().map(|b| (*t, *b)));
         }
+        // What Modbus over serial line V1.02 has as default (2.5.1, 3.1): 19 200 Bd, even parity.
+        let mut rs485 = Wire::new(19_200.0);
+        rs485.parity = Parity::Even;
+        rs485.drive = Some((1, 12));
         let mut queue: VecDeque<(u64, Frame)> = plan.frames.iter().copied().collect();
         queue.make_contiguous().sort_by_key(|f| f.0);
         World {
@@ -91,7 +93,8 @@ impl World {
             plan,
             crystal_hz: 8_000_000,
             lsi_hz: 32_000,
-            baud: 921_600.0,
+            wires: [serial, rs485],
+            low: Vec::new(),
             slow_flash: false,
             supply: NOMINAL_SUPPLY,
             inputs: [0.0; 16],
@@ -99,14 +102,10 @@ impl World {
             populated: 0xff,
             queue,
             log: Vec::new(),
-            serial: Vec::new(),
-            to_board,
             counters: [0; 5],
             rng: 0x9e37_79b9_7f4a_7c15,
             slow_rng: 0x9e37_79b9_7f4a_7c15,
             lamp: Vec::new(),
-            port: None,
-            client: None,
             script: None,
         }
     }
@@ -136,7 +135,10 @@ impl World {
         (scale * mean + r + 0.5).clamp(0.0, 4095.0) as u32
     }
     pub(crate) fn level(&self, port: usize, pin: u32) -> Option<bool> {
-        matches!((port, pin), (0, 10) | (1, 8)).then_some(true)
+        if self.low.contains(&(port, pin)) {
+            return Some(false);
+        }
+        matches!((port, pin), (0, 10) | (1, 8) | (1, 11)).then_some(true)
     }
     pub(crate) fn pulled_up(&self, _port: usize, _pin: u32) -> bool {
         true
@@ -152,20 +154,6 @@ impl World {
     }
     pub(crate) fn heard(&mut self, now: u64, frame: Frame) {
         self.log.push((now, frame));
-    }
-    pub(crate) fn byte(&mut self, now: u64, b: u8) {
-        self.serial.push((now, b));
-        if let Some(c) = &mut self.client
-            && c.write_all(&[b]).is_err()
-        {
-            self.client = None;
-        }
-    }
-    pub(crate) fn byte_at(&self, _now: u64) -> Option<u64> {
-        self.to_board.front().map(|b| b.0)
-    }
-    pub(crate) fn byte_take(&mut self) -> Option<u8> {
-        self.to_board.pop_front().map(|b| b.1)
     }
     pub(crate) fn say(&mut self, now: u64, id: u32, counter: usize, body: &[u8]) {
         let frame = protected(id, self.counters[counter], body);

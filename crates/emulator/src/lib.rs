@@ -21,6 +21,7 @@ pub mod linuxcnc;
 pub mod log;
 pub mod measure;
 pub mod plant;
+pub mod plc;
 pub mod process;
 pub mod programs;
 pub mod qemu;

@@ -63,11 +63,11 @@ pub struct Registers<'a> {
 }
 
 impl Bridge for Registers<'_> {
-    fn input(&self) -> input::Registers {
+    fn input(&mut self) -> input::Registers {
         self.shared.hub().input()
     }
 
-    fn holding(&self) -> cnc::Registers {
+    fn holding(&mut self) -> cnc::Registers {
         self.shared.hub().holding()
     }
 

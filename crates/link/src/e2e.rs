@@ -46,8 +46,13 @@ pub fn protect(data_id: u16, counter: u8, data: &mut [u8; 8]) {
 
 /// The CRC over the bytes after the CRC field, and the data ID.
 fn crc(data_id: u16, covered: &[u8]) -> u16 {
+    crc_of(data_id, [covered])
+}
+
+/// The CRC of the profile over these parts, one behind the other, and the data ID.
+pub fn crc_of(data_id: u16, parts: impl IntoIterator<Item = impl AsRef<[u8]>>) -> u16 {
     let mut digest = CRC.digest();
-    digest.update(covered);
+    parts.into_iter().for_each(|part| digest.update(part.as_ref()));
     digest.update(&data_id.to_le_bytes());
     digest.finalize()
 }

@@ -77,6 +77,8 @@ impl Cnc {
         block
     }
 
+    // On a board it is to be small, whoever calls it.
+    #[inline(never)]
     /// What the registers say, their protection aside; `None`: a bit or a direction without meaning, or
     /// an angle beyond what a number holds.
     fn decode(block: &Registers) -> Option<Self> {

@@ -9,9 +9,7 @@
 //! The counter is a register of its own. The data ID tells an input block from a holding block, so that
 //! neither passes for the other.
 
-use crc::{CRC_16_IBM_3740, Crc};
-
-static CRC: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_3740);
+use trueup_link::e2e::crc_of;
 
 /// The CRC of these registers under this data ID.
 ///
@@ -23,12 +21,7 @@ static CRC: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_3740);
 /// ```
 #[must_use]
 pub fn crc(registers: &[u16], data_id: u16) -> u16 {
-    let mut digest = CRC.digest();
-    for register in registers {
-        digest.update(&register.to_be_bytes());
-    }
-    digest.update(&data_id.to_le_bytes());
-    digest.finalize()
+    crc_of(data_id, registers.iter().map(|register| register.to_be_bytes()))
 }
 
 /// Puts the CRC into the last register of a block.

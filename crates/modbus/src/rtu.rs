@@ -56,6 +56,15 @@ const fn half_characters(count: u32, baud: u32) -> u32 {
     }
 }
 
+/// A byte as it came.
+#[derive(Clone, Copy, Debug)]
+pub struct Heard {
+    /// When, in microseconds; may wrap.
+    pub at_us: u32,
+    /// `None`: its parity or its stop bit was wrong, or one was lost.
+    pub byte: Option<u8>,
+}
+
 /// A slave: bytes in, with their time; whole frames answered.
 #[derive(Clone, Debug)]
 pub struct Slave {
@@ -71,6 +80,14 @@ impl Slave {
     #[must_use]
     pub const fn new(unit: u8, timing: Timing) -> Self {
         Self { unit, timing, bytes: Vec::new(), last_us: 0, is_broken: false }
+    }
+
+    /// Takes what has come.
+    pub fn hear(&mut self, heard: Heard) {
+        match heard.byte {
+            Some(byte) => self.receive(heard.at_us, byte),
+            None => self.receive_damaged(heard.at_us),
+        }
     }
 
     /// Takes a byte that has come at this time, in microseconds; the time may wrap.

@@ -22,7 +22,7 @@
 //! count that is not twice the quantity, a quantity of 0, bytes behind the end, an unknown function in
 //! a serial frame that is damaged.
 
-use crc::{CRC_16_MODBUS, Crc};
+use crc::{CRC_16_MODBUS, Crc, NoTable};
 use heapless::Vec;
 use rmodbus::{
     ModbusProto,
@@ -46,7 +46,14 @@ const WRITE_HOLDING: u8 = 16;
 const MOST_READ: u16 = 125;
 const MOST_WRITTEN: u16 = 123;
 
-static CHECKSUM: Crc<u16> = Crc::<u16>::new(&CRC_16_MODBUS);
+/// Without a table, which would be half a kilobyte of a board's flash.
+static CHECKSUM: Crc<u16, NoTable> = Crc::<u16, NoTable>::new(&CRC_16_MODBUS);
+
+/// The two bytes behind a serial frame.
+#[must_use]
+pub fn checksum(bytes: &[u8]) -> [u8; 2] {
+    CHECKSUM.checksum(bytes).to_le_bytes()
+}
 
 /// An answer.
 pub type Response = Vec<u8, MAX_FRAME>;
@@ -67,9 +74,9 @@ pub struct Busy;
 /// What stands behind the registers.
 pub trait Bridge {
     /// The input block as it is now, of one moment.
-    fn input(&self) -> input::Registers;
+    fn input(&mut self) -> input::Registers;
     /// The holding block that was last taken; zeros before.
-    fn holding(&self) -> cnc::Registers;
+    fn holding(&mut self) -> cnc::Registers;
     /// Takes a block as it was written. Whether it may be used is for [`cnc::Checker`]; one that may
     /// not is acknowledged, refused and counted.
     ///
@@ -127,7 +134,7 @@ fn opened(transport: Transport, request: &[u8]) -> Option<(u8, &[u8])> {
         }
         Transport::Rtu => {
             let (covered, checksum) = request.split_last_chunk::<2>()?;
-            let is_whole = CHECKSUM.checksum(covered) == u16::from_le_bytes(*checksum);
+            let is_whole = self::checksum(covered) == *checksum;
             let (unit, pdu) = covered.split_first()?;
             is_whole.then_some((*unit, pdu))
         }
@@ -224,8 +231,8 @@ fn refused(
             .extend_from_slice(&[a, b, 0, 0, 0, 3])
             .and_then(|()| response.extend_from_slice(&body)),
         _ => {
-            let checksum = CHECKSUM.checksum(&body).to_le_bytes();
-            response.extend_from_slice(&body).and_then(|()| response.extend_from_slice(&checksum))
+            let ending = checksum(&body);
+            response.extend_from_slice(&body).and_then(|()| response.extend_from_slice(&ending))
         }
     };
     written.is_ok()

@@ -43,12 +43,14 @@ mod master;
 mod network;
 mod objects;
 mod questions;
+mod registers;
 mod restart;
 mod supply;
 mod writes;
 
 pub use master::Line;
 use master::Master;
+use registers::Registers;
 use writes::Log;
 
 /// The frames of one tick: both halves of a cycle's offsets.
@@ -86,6 +88,8 @@ pub struct Node<'a> {
     /// The last question that was answered, for the board to keep.
     confirmed: Option<Fault>,
     master: Master,
+    /// Of the RS-485 line.
+    registers: Registers,
     /// The blob of the running calibration.
     blob: &'a [u8],
     slot: Slot<'a>,
@@ -150,6 +154,7 @@ impl<'a> Node<'a> {
             questions: Faults::default(),
             confirmed: None,
             master: Master::default(),
+            registers: Registers::default(),
             blob: &[],
             slot: Slot::None,
             new_crc: 0,
@@ -473,6 +478,8 @@ mod tests;
 mod example;
 #[cfg(test)]
 pub(crate) use example::tests_calibration;
+#[cfg(test)]
+mod register_tests;
 #[cfg(test)]
 mod restart_tests;
 #[cfg(test)]

@@ -10,7 +10,7 @@
 //! | 8 | `u32` what it was about, see [`What`] | |
 //! | 12 | `u32` time since the start of the board | ms |
 //! | 16 | `u32` time of day; 0: nobody has told it | s since 1970, UTC |
-//! | 20 | `u8` what, `u8` line (0 the board itself, 1 CAN, 2 serial), 0, 0 | |
+//! | 20 | `u8` what, `u8` line (0 the board itself, 1 CAN, 2 serial, 3 Modbus), 0, 0 | |
 //! | 24 | `u32` layout, 2 | |
 //! | 28 | CRC-32/AUTOSAR of the 28 bytes before it | |
 //!
@@ -72,11 +72,13 @@ pub enum Origin {
     Can,
     /// The serial line.
     Serial,
+    /// Modbus on the RS-485 line.
+    Modbus,
 }
 
 impl Origin {
     /// All of them.
-    pub const ALL: [Self; 3] = [Self::Board, Self::Can, Self::Serial];
+    pub const ALL: [Self; 4] = [Self::Board, Self::Can, Self::Serial, Self::Modbus];
 
     /// In a word.
     #[must_use]
@@ -85,6 +87,7 @@ impl Origin {
             Self::Board => "board",
             Self::Can => "can",
             Self::Serial => "serial",
+            Self::Modbus => "modbus",
         }
     }
 }

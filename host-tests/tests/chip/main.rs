@@ -2,6 +2,7 @@
 //! dead that has a fall-back. The model knows the manuals and not the firmware, so what it finds counts.
 
 mod starts;
+mod waits;
 
 use std::{path::PathBuf, sync::OnceLock};
 

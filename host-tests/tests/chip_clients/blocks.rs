@@ -51,7 +51,7 @@ fn compiled() -> Result<Compiled> {
 }
 
 /// The offset in Z of an `OffsetZ`, in 10 nm.
-fn offset(data: &[u8; 8]) -> i32 {
+pub fn offset(data: &[u8; 8]) -> i32 {
     ((u64::from_le_bytes(*data) << 20).cast_signed() >> 44) as i32
 }
 

@@ -6,6 +6,7 @@ mod support;
 
 mod blocks;
 mod command;
+mod modbus;
 
 use std::{
     ffi::OsStr,

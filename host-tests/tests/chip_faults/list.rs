@@ -113,12 +113,15 @@ fn tasks_that_hold_up_the_supervisor() -> Run {
         (6, "listen"),
         (7, "supervise"),
         (8, "service"),
+        (12, "modbus_line"),
+        (13, "modbus"),
     ];
     let mut script = String::new();
     for (at, (number, _)) in (300..).step_by(450).zip(tasks) {
-        script += &format!("{at} poke {KEY} {number:x}\n{} say V\\r\n", at + 2);
+        let after = at + 2;
+        script += &format!("{at} poke {KEY} {number:x}\n{after} say V\\r\n{after} modbus 01\n");
     }
-    let mut run = run("tasks above", &script, 300 + 450 * 7).image(Image::Breaking);
+    let mut run = run("tasks above", &script, 300 + 450 * 9).image(Image::Breaking);
     for (at, (_, task)) in (300..).step_by(450).zip(tasks) {
         run = run.case(&format!("`{task}` never ends"), hang(task, at, 400));
     }

@@ -5,6 +5,8 @@
 //! | PA0 | displacement sensor behind its filter and divider, 0 V … VREF+ |
 //! | PA1 … PA7, PB0 | linear temperature inputs of channels 0 … 6, 7, where the machine file has them |
 //! | PA9, PA10 | serial transmit and receive, 921 600 Bd |
+//! | PB10, PB11, PB12 | RS-485 transmit, receive, and drive: high while the board sends |
+//! | PC8 … PC11, PB5, PB6 | switches of the RS-485 line to ground: address, speed, parity |
 //! | PB9, PB8 | CAN transmit and receive, to a transceiver |
 //! | PB13, PB14, PB15 | SCK, MISO, MOSI of the temperature converters |
 //! | PC0 … PC7 | select the converter of channel 0 … 7: low |
@@ -29,6 +31,7 @@ mod panic;
 mod ram_test;
 mod registers;
 mod resets;
+mod rs485;
 mod sampling;
 mod self_test;
 mod serial;
@@ -55,6 +58,7 @@ pub use can::{CanIn, CanOut};
 use clocks::Source;
 pub use flash::Flash;
 pub use lamp::Lamp;
+pub use rs485::{Rs485, Silence};
 pub use sampling::Samples;
 pub use self_test::SelfTest;
 pub use serial::{SerialIn, SerialOut};
@@ -123,6 +127,20 @@ pub fn start(
     pac::DMA2::enable(&mut rcc);
     pac::DMA2::reset(&mut rcc);
     let (serial_in, serial_out) = serial::start(device.USART1, gpioa.pa9, gpioa.pa10, &mut rcc);
+    let plc_pins = rs485::Pins {
+        transmit: gpiob.pb10,
+        receive: gpiob.pb11,
+        drive: gpiob.pb12,
+        rate: gpiob.pb5.into_pull_up_input().erase(),
+        parity: gpiob.pb6.into_pull_up_input().erase(),
+        address: [
+            gpioc.pc8.into_pull_up_input().erase(),
+            gpioc.pc9.into_pull_up_input().erase(),
+            gpioc.pc10.into_pull_up_input().erase(),
+            gpioc.pc11.into_pull_up_input().erase(),
+        ],
+    };
+    let plc = rs485::start(device.USART3, device.TIM5, plc_pins, &mut rcc);
     let (can_in, can_out, can_answers) =
         can::start(device.CAN1, gpiob.pb9, gpiob.pb8, source, &mut rcc);
     let faults = Faults {
@@ -179,6 +197,7 @@ pub fn start(
         samples,
         serial_in,
         serial_out,
+        plc,
         can_in,
         can_out,
         lamp: Lamp::new(gpioc.pc12),

@@ -10,7 +10,7 @@ use core::ptr::read_volatile;
 type Watched = (u32, u32);
 
 const ALL: u32 = u32::MAX;
-const WATCHED: [Watched; 50] = [
+const WATCHED: [Watched; 56] = [
     // Clocks: which run, PLL, dividers and what was switched to, and every unit's own (sections 7.3.1 to 7.3.14).
     (0x4002_3800, 0x010D_0001),
     (0x4002_3804, 0x0F43_7FFF),
@@ -49,6 +49,13 @@ const WATCHED: [Watched; 50] = [
     (0x4001_1008, ALL),
     (0x4001_100C, 0x0000_B40C),
     (0x4001_1010, ALL),
+    // USART3: rate, frame; TIM5: its clock (sections 30.6 and 18.4).
+    (0x4000_4808, ALL),
+    (0x4000_480C, 0x0000_B62C),
+    (0x4000_4810, ALL),
+    (0x4000_0C0C, ALL),
+    (0x4000_0C28, ALL),
+    (0x4000_0C2C, ALL),
     // SPI2, without enable (section 28.5).
     (0x4000_3800, 0x0000_FFBF),
     // CAN1: mode, bit timing, interrupts, filters (section 32.9).

@@ -1,5 +1,7 @@
 //! What an emulated board has no need of.
 
+use trueup_modbus::rtu::Heard;
+
 /// The host watches over its emulator.
 pub struct Watchdog;
 
@@ -27,6 +29,26 @@ impl SelfTest {
     /// Not known.
     pub fn free_stack(&mut self) -> u16 {
         u16::MAX
+    }
+}
+
+/// No line for a PLC.
+pub struct Rs485;
+
+impl Rs485 {
+    pub fn take(&mut self) -> Option<Heard> {
+        None
+    }
+
+    pub fn send(&mut self, _next: impl FnMut() -> Option<u8>) {}
+}
+
+/// Nobody is waited for.
+pub struct Silence;
+
+impl Silence {
+    pub fn now_us(&mut self) -> u32 {
+        0
     }
 }
 

@@ -90,7 +90,8 @@ impl Chip {
             self.violation(format!("unaligned read of {size} bytes at {addr:#010x}"));
         }
         // Reading data registers clears flags.
-        self.dirty |= matches!(word, 0x4001_1004 | 0x4000_380c | 0x4001_204c | 0x4001_214c);
+        self.dirty |=
+            matches!(word, 0x4001_1004 | 0x4000_4804 | 0x4000_380c | 0x4001_204c | 0x4001_214c);
         self.read(word) >> shift & (u32::MAX >> (32 - 8 * size))
     }
 
@@ -111,8 +112,9 @@ impl Chip {
             0x4000_0000..=0x4001_ffff => {
                 let v = if size == 1 { v * 0x0101_0101 } else { v * 0x0001_0001 };
                 // Half-words are allowed in the SPI, the USART, the timers and the watchdog.
-                let narrow_ok = matches!(addr & !0x3ff, 0x4000_3000 | 0x4000_3800 | 0x4001_1000)
-                    || (0x4000_0000..0x4000_2400).contains(&addr);
+                let narrow_ok =
+                    matches!(addr & !0x3ff, 0x4000_3000 | 0x4000_3800 | 0x4000_4800 | 0x4001_1000)
+                        || (0x4000_0000..0x4000_2400).contains(&addr);
                 if !narrow_ok || (size == 1 && addr & !0x3ff != 0x4000_3800) {
                     self.violation(format!(
                         "{size}-byte write at {addr:#010x}: the bridge repeats it in every lane"
@@ -150,7 +152,8 @@ impl Chip {
             0x4002_6000 => self.dma_read(0, off),
             0x4002_6400 => self.dma_read(1, off),
             0x4000_6400 => self.can_read(off),
-            0x4001_1000 => self.uart_read(off),
+            0x4001_1000 => self.uart_read(0, off),
+            0x4000_4800 => self.uart_read(1, off),
             0x4000_3800 => self.spi_read(off),
             0x4001_4800 => self.tim11_read(off),
             0x4000_3000 => match off {
@@ -211,7 +214,8 @@ impl Chip {
             0x4002_6000 => self.dma_write(0, off, v),
             0x4002_6400 => self.dma_write(1, off, v),
             0x4000_6400 => self.can_write(off, v),
-            0x4001_1000 => self.uart_write(off, v),
+            0x4001_1000 => self.uart_write(0, off, v),
+            0x4000_4800 => self.uart_write(1, off, v),
             0x4000_3800 => self.spi_write(off, v),
             0x4001_4800 => self.tim11_write(off, v),
             0x4000_3000 => self.iwdg_write(off, v),

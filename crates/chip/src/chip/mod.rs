@@ -120,7 +120,8 @@ pub struct Chip {
     pub adc: Adcs,
     pub dma: [Dma; 2],
     pub can: Can,
-    pub uart: Uart,
+    /// As [`uart::UNITS`] names them.
+    pub uart: [Uart; 2],
     pub spi: Spi,
     pub iwdg: Iwdg,
     pub(crate) exti: Exti,
@@ -128,6 +129,9 @@ pub struct Chip {
     pub(crate) dbgmcu: [u32; 4],
     pub irqs: [bool; 82],
     pub irq_counts: [u64; 82],
+    /// Since when each line is up, and the longest that it was up: the wait for its handler, and its service.
+    irq_since: [u64; 82],
+    pub irq_longest: [u64; 82],
     pub world: World,
     pub reset_cause: u32,
     pub resets: Vec<(u64, &'static str)>,
@@ -148,9 +152,9 @@ enum Ev {
     CanEnd,
     CanStart,
     CanMode,
-    UartTx,
-    UartRx,
-    UartIdle,
+    UartTx(usize),
+    UartRx(usize),
+    UartIdle(usize),
     Spi,
     Iwdg,
     Flash,
@@ -189,7 +193,7 @@ impl Chip {
             adc: Adcs::default(),
             dma: Default::default(),
             can: Can::default(),
-            uart: Uart::default(),
+            uart: Default::default(),
             spi: Spi::default(),
             iwdg: Iwdg::default(),
             exti: Exti::default(),
@@ -197,6 +201,8 @@ impl Chip {
             dbgmcu: [0; 4],
             irqs: [false; 82],
             irq_counts: [0; 82],
+            irq_since: [0; 82],
+            irq_longest: [0; 82],
             world,
             reset_cause: 0,
             resets: Vec::new(),
@@ -234,7 +240,7 @@ impl Chip {
         self.adc = Adcs { unit: self.adc.unit.each_ref().map(Adc::reset), ..Adcs::default() };
         self.dma = Default::default();
         self.can = Can::reset();
-        self.uart = Uart::reset();
+        self.uart = [Uart::reset(), Uart::reset()];
         self.spi = Spi::reset();
         self.iwdg =
             Iwdg { rlr: 0xfff, expire: NEVER, longest: self.iwdg.longest, ..Iwdg::default() };
@@ -297,9 +303,11 @@ impl Chip {
         if self.can.end_at == NEVER {
             take(self.world.can_ready(), Ev::CanStart);
         }
-        take(self.uart.tx_at, Ev::UartTx);
-        take(self.uart.rx_at, Ev::UartRx);
-        take(self.uart.idle_at, Ev::UartIdle);
+        for (n, uart) in self.uart.iter().enumerate() {
+            take(uart.tx_at, Ev::UartTx(n));
+            take(uart.rx_at, Ev::UartRx(n));
+            take(uart.idle_at, Ev::UartIdle(n));
+        }
         take(self.spi.end_at, Ev::Spi);
         take(self.iwdg.expire, Ev::Iwdg);
         take(self.flash.done_at, Ev::Flash);
@@ -338,9 +346,9 @@ impl Chip {
                 Ev::CanEnd => self.can_end(),
                 Ev::CanStart => self.can_start(),
                 Ev::CanMode => self.can_mode(),
-                Ev::UartTx => self.uart_tx_end(),
-                Ev::UartRx => self.uart_rx_end(),
-                Ev::UartIdle => self.uart_idle(),
+                Ev::UartTx(n) => self.uart_tx_end(n),
+                Ev::UartRx(n) => self.uart_rx_end(n),
+                Ev::UartIdle(n) => self.uart_idle(n),
                 Ev::Spi => self.spi_end(),
                 Ev::Iwdg => {
                     self.iwdg.expire = NEVER;
@@ -381,7 +389,8 @@ impl Chip {
         want[18] = self.adc.unit.iter().any(Adc::line);
         self.dma_lines(&mut want);
         self.can_lines(&mut want);
-        want[37] = self.uart_line();
+        want[37] = self.uart_line(0);
+        want[39] = self.uart_line(1);
         want[36] = self.spi_line();
         self.lines.nmi(self.rcc.cir & 0x80 != 0);
         want[4] = self.flash.line();
@@ -390,6 +399,12 @@ impl Chip {
             if on != self.irqs[n] {
                 self.irqs[n] = on;
                 self.irq_counts[n] += u64::from(on);
+                if on {
+                    self.irq_since[n] = self.now;
+                } else {
+                    let up = self.now - self.irq_since[n];
+                    self.irq_longest[n] = self.irq_longest[n].max(up);
+                }
                 self.lines.interrupt(n as u16, on);
             }
         }

@@ -2,7 +2,6 @@
 
 use super::Chip;
 use crate::time::{ms, us};
-use std::io::{ErrorKind, Read};
 
 impl Chip {
     /// Once a millisecond: the CNC's frames, and what the serial line's client has said.
@@ -17,8 +16,7 @@ impl Chip {
         w.next_at = (n + 1) * ms(1);
         if w.script.is_some() {
             self.script_step(n);
-            self.hear_client();
-            return self.uart_listen();
+            return self.hear_clients();
         }
         if now >= w.plan.cnc_from && now < w.plan.cnc_until {
             if n.is_multiple_of(20) {
@@ -38,27 +36,14 @@ impl Chip {
                 }
             }
         }
-        self.hear_client();
-        self.uart_listen();
+        self.hear_clients();
     }
 
-    /// Bytes of the client at the port; who has gone makes room for the next.
-    fn hear_client(&mut self) {
-        let (now, w) = (self.now, &mut self.world);
-        let Some(port) = &w.port else { return };
-        if w.client.is_none() {
-            w.client = port.accept().ok().map(|(c, _)| {
-                c.set_nonblocking(true).expect("a socket");
-                c.set_nodelay(true).expect("a socket");
-                c
-            });
-        }
-        let mut buffer = [0; 256];
-        match w.client.as_mut().map(|c| c.read(&mut buffer)) {
-            Some(Ok(0)) => w.client = None,
-            Some(Ok(len)) => w.to_board.extend(buffer[..len].iter().map(|b| (now, *b))),
-            Some(Err(error)) if error.kind() != ErrorKind::WouldBlock => w.client = None,
-            _ => {}
+    /// What the hosts of the wires say.
+    fn hear_clients(&mut self) {
+        for n in 0..self.uart.len() {
+            self.world.wires[n].hear_client(self.now);
+            self.uart_listen(n);
         }
     }
 }

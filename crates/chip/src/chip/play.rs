@@ -6,6 +6,13 @@ use crate::{
     time::us,
 };
 
+/// Bytes of two digits each.
+fn bytes(hex: &str) -> Vec<u8> {
+    (0..hex.len() / 2)
+        .map(|i| u8::from_str_radix(&hex[2 * i..2 * i + 2], 16).expect("hex"))
+        .collect()
+}
+
 impl Chip {
     /// What the supply held is gone.
     pub(crate) fn lose_memory(&mut self, seed: u64) {
@@ -89,18 +96,16 @@ impl Chip {
                         t => t.replace("\\r", "\r").into_bytes(),
                     };
                 }
-                "say" => self
-                    .world
+                "say" => self.world.wires[0]
                     .to_board
                     .extend(words[1].replace("\\r", "\r").bytes().map(|b| (at.max(now), b))),
+                "modbus" => {
+                    let bytes = bytes(&words[1]);
+                    self.world.wires[1].to_board.extend(bytes.iter().map(|b| (at.max(now), *b)));
+                }
                 "frame" => {
-                    let data: Vec<u8> = (0..words[2].len() / 2)
-                        .map(|i| u8::from_str_radix(&words[2][2 * i..2 * i + 2], 16).expect("hex"))
-                        .collect();
-                    self.world.put(
-                        now,
-                        Frame::new(u32::from_str_radix(&words[1], 16).expect("hex"), &data),
-                    );
+                    let id = u32::from_str_radix(&words[1], 16).expect("hex");
+                    self.world.put(now, Frame::new(id, &bytes(&words[2])));
                 }
                 "alone" => self.faults.can_alone = number(1) != 0.0,
                 "short" => self.faults.can_short = number(1) != 0.0,
@@ -223,15 +228,18 @@ impl Chip {
             }
         }
         if !s.serial.is_empty() {
-            let most =
-                if s.serial_rate > 0 { self.world.to_board.len() + s.serial_rate } else { 200 };
-            while self.world.to_board.len() < most {
+            let most = if s.serial_rate > 0 {
+                self.world.wires[0].to_board.len() + s.serial_rate
+            } else {
+                200
+            };
+            while self.world.wires[0].to_board.len() < most {
                 let bytes: Vec<u8> = if s.serial == b"noise" {
                     (0..8).map(|_| s.random() as u8).collect()
                 } else {
                     s.serial.clone()
                 };
-                self.world.to_board.extend(bytes.into_iter().map(|b| (now, b)));
+                self.world.wires[0].to_board.extend(bytes.into_iter().map(|b| (now, b)));
             }
         }
         self.world.script = Some(s);

@@ -348,7 +348,8 @@ impl Chip {
             0x4002_6000 => self.dma[0] = Dma::default(),
             0x4002_6400 => self.dma[1] = Dma::default(),
             0x4000_6400 => self.can = Can::reset(),
-            0x4001_1000 => self.uart = Uart::reset(),
+            0x4001_1000 => self.uart[0] = Uart::reset(),
+            0x4000_4800 => self.uart[1] = Uart::reset(),
             0x4000_3800 => self.spi = Spi::reset(),
             0x4001_4800 => self.tim11 = Tim11::default(),
             _ => {

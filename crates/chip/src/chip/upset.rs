@@ -9,7 +9,7 @@ use crate::report::Grade;
 pub struct Disturbance {
     /// Bytes that are still to be disturbed.
     pub count: u32,
-    /// Flags that the receiver raises with them (RM0090 30.6.1): 2 FE, 4 NF.
+    /// Flags that the receiver raises with them (RM0090 30.6.1): 1 PE, 2 FE, 4 NF.
     pub flags: u32,
     /// The byte that it sees; `None`: the one that was sent.
     pub byte: Option<u8>,
@@ -54,13 +54,15 @@ impl Chip {
             // 10.3.18: a transfer error switches the stream off and raises TEIF.
             "dma_error" => self.dma_fails(1, hex(1) as usize),
             // 30.3.10 and 30.6.1: a break is a frame of zeros with a framing error.
-            "serial_error" => {
+            "serial_error" | "modbus_error" => {
                 let (flags, byte) = match words[1].as_str() {
                     "break" => (2, Some(0)),
                     "framing" => (2, None),
+                    "parity" => (1, None),
                     _ => (4, None),
                 };
-                self.uart.disturbed = Disturbance { count: hex(2), flags, byte };
+                let unit = usize::from(words[0] == "modbus_error");
+                self.uart[unit].disturbed = Disturbance { count: hex(2), flags, byte };
             }
             "miso" => self.spi.stuck = Some(if hex(1) != 0 { 0xff } else { 0 }),
             _ => return false,

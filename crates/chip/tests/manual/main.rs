@@ -3,3 +3,4 @@
 mod bench;
 mod converters;
 mod registers;
+mod serial;

@@ -19,11 +19,11 @@ impl Mock {
 }
 
 impl Bridge for Mock {
-    fn input(&self) -> input::Registers {
+    fn input(&mut self) -> input::Registers {
         self.input
     }
 
-    fn holding(&self) -> cnc::Registers {
+    fn holding(&mut self) -> cnc::Registers {
         self.taken.last().copied().unwrap_or([0; HOLDING_LEN])
     }
 
@@ -43,8 +43,7 @@ fn tcp(unit: u8, pdu: &[u8]) -> List<u8> {
 
 pub(crate) fn rtu(unit: u8, pdu: &[u8]) -> List<u8> {
     let body = [&[unit], pdu].concat();
-    let checksum = CHECKSUM.checksum(&body).to_le_bytes();
-    [&body[..], &checksum].concat()
+    [&body[..], &checksum(&body)].concat()
 }
 
 pub(crate) fn write(block: &[u16]) -> List<u8> {

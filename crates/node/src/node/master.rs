@@ -26,6 +26,8 @@ pub enum Line {
     Can,
     /// SLCAN on the serial line.
     Serial,
+    /// Modbus on the RS-485 line.
+    Modbus,
 }
 
 /// So many accepted frames in a row make the engage sequence, and an edge believable.

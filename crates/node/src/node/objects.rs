@@ -151,7 +151,9 @@ impl Node<'_> {
     }
 
     /// A temperature in 0.01 °C.
-    fn centi_c(&self, channel: u8) -> Option<i16> {
+    // Once in the image, not once for each channel.
+    #[inline(never)]
+    pub(super) fn centi_c(&self, channel: u8) -> Option<i16> {
         const STEP: i32 = 10 * Temperature::PER_MILLIKELVIN;
         let Temperature(temperature) = self.state.temperature(channel)?;
         let rounded = temperature.saturating_add(STEP / 2).div_euclid(STEP);

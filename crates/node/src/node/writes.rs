@@ -111,6 +111,7 @@ impl Node<'_> {
             None => Origin::Board,
             Some(Line::Can) => Origin::Can,
             Some(Line::Serial) => Origin::Serial,
+            Some(Line::Modbus) => Origin::Modbus,
         };
         let running = if self.blob.is_empty() { 0 } else { calibration::identity(self.blob) };
         let (at_ms, utc_s) = (self.now.0, self.utc_s());

@@ -72,6 +72,10 @@ fn arrives(flood: Flood, over: Line, ms: u32) -> u32 {
                     }
                 }
             }
+            Line::Modbus => {
+                let block = std::array::from_fn(|_| random.bits() as u16);
+                rig.node.hear_block(&block).ok();
+            }
         }
         rig.live();
         twin.live();
@@ -88,7 +92,7 @@ fn a_flooded_wire_takes_no_offset_from_the_other_one() {
     for flood in FLOODS {
         // Bytes that are no frame do not come over CAN.
         let lines: &[Line] = match flood {
-            Flood::Bytes => &[Line::Serial],
+            Flood::Bytes => &[Line::Serial, Line::Modbus],
             _ => &[Line::Serial, Line::Can],
         };
         for &over in lines {

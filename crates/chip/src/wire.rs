@@ -1,0 +1,92 @@
+//! A serial wire of the board, and the host at its other end.
+
+use crate::time::TPS;
+use std::{
+    collections::VecDeque,
+    io::{ErrorKind, Read as _, Write as _},
+    net::{TcpListener, TcpStream},
+};
+
+/// What a character has between its eight bits and its stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Parity {
+    None,
+    Even,
+}
+
+/// A wire.
+pub struct Wire {
+    /// The host's speed.
+    pub baud: f64,
+    pub parity: Parity,
+    pub stop_bits: u32,
+    /// The pin that has to be high for what the board sends to reach it: port, pin.
+    pub drive: Option<(usize, u32)>,
+    /// What the board has said, and when.
+    pub heard: Vec<(u64, u8)>,
+    /// What the host says, and from when on.
+    pub to_board: VecDeque<(u64, u8)>,
+    /// Where a client may be the host.
+    pub port: Option<TcpListener>,
+    client: Option<TcpStream>,
+}
+
+impl Wire {
+    /// One that is driven all the time, with ten bits to a character.
+    #[must_use]
+    pub fn new(baud: f64) -> Self {
+        Self {
+            baud,
+            parity: Parity::None,
+            stop_bits: 1,
+            drive: None,
+            heard: Vec::new(),
+            to_board: VecDeque::new(),
+            port: None,
+            client: None,
+        }
+    }
+
+    /// How long one of the host's characters takes, in ticks.
+    #[must_use]
+    pub fn character(&self) -> u64 {
+        let bits = 9 + u32::from(self.parity != Parity::None) + self.stop_bits;
+        (f64::from(bits) * TPS as f64 / self.baud) as u64
+    }
+
+    pub(crate) fn hear(&mut self, now: u64, byte: u8) {
+        self.heard.push((now, byte));
+        if let Some(client) = &mut self.client
+            && client.write_all(&[byte]).is_err()
+        {
+            self.client = None;
+        }
+    }
+
+    pub(crate) fn next_at(&self) -> Option<u64> {
+        self.to_board.front().map(|byte| byte.0)
+    }
+
+    pub(crate) fn take(&mut self) -> Option<u8> {
+        self.to_board.pop_front().map(|byte| byte.1)
+    }
+
+    /// Takes what the client at the port has said; who has gone makes room for the next.
+    pub(crate) fn hear_client(&mut self, now: u64) {
+        let Some(port) = &self.port else { return };
+        if self.client.is_none() {
+            self.client = port.accept().ok().map(|(client, _)| {
+                client.set_nonblocking(true).expect("a socket");
+                client.set_nodelay(true).expect("a socket");
+                client
+            });
+        }
+        let mut buffer = [0; 256];
+        match self.client.as_mut().map(|client| client.read(&mut buffer)) {
+            Some(Ok(0)) => self.client = None,
+            Some(Ok(len)) => self.to_board.extend(buffer[..len].iter().map(|byte| (now, *byte))),
+            Some(Err(error)) if error.kind() != ErrorKind::WouldBlock => self.client = None,
+            _ => {}
+        }
+    }
+}

@@ -1,0 +1,188 @@
+//! A PLC on the RS-485 line: it engages by the rules of CAN, its faults move nothing, and no block is half old.
+
+use std::{vec, vec::Vec};
+use trueup_core::{
+    bridge::Input,
+    cnc::{Control, Quality},
+    units::Code,
+};
+use trueup_link::{frames, status::StateBits};
+use trueup_modbus::{
+    cnc::{self, Cnc},
+    input,
+    rtu::{Slave, Timing},
+    server::{Bridge, Busy, Response},
+};
+
+use super::*;
+use crate::node::tests_calibration;
+
+fn block(control: Control, counter: u16) -> cnc::Registers {
+    Cnc { control, ..Cnc::default() }.encode(counter)
+}
+
+/// Lets so many milliseconds pass with a sensor at this code.
+fn pass(node: &mut Node<'_>, ms: u32, code: u16) {
+    for n in 0..ms {
+        let noise = core::array::from_fn(|i| Code(code + ((n as usize + i) % 2) as u16));
+        node.tick(1, Input { codes: Some(&noise), ..Input::default() });
+        node.service();
+    }
+}
+
+/// A node whose PLC has said this, a block each 20 ms; the counter of the next one.
+fn after(node: &mut Node<'_>, said: &[Control], first: u16) -> u16 {
+    let mut counter = first;
+    for control in said {
+        assert_eq!(node.hear_block(&block(*control, counter)), Ok(()));
+        counter = counter.wrapping_add(1);
+        pass(node, 20, 700);
+    }
+    counter
+}
+
+fn engaged() -> (Node<'static>, u16) {
+    let mut calibration = tests_calibration();
+    // 1 µm in a millisecond.
+    calibration.limits.slew_nm_per_s = 1_000_000;
+    let mut node = Node::new(Some(calibration), false);
+    let counter = after(&mut node, &[Control::REFERENCED; 4], 0xFFF8);
+    let counter = after(&mut node, &[Control::ENGAGED; 60], counter);
+    assert_eq!(node.last().quality, Quality::Live);
+    (node, counter)
+}
+
+fn state(node: &Node<'_>) -> StateBits {
+    StateBits(node.said().state)
+}
+
+#[test]
+fn a_plc_engages_by_the_sequence_and_a_plc_that_falls_silent_is_a_lost_cnc() {
+    let (on, off) = (Control::ENGAGED, Control::REFERENCED);
+    for (heard, is_available) in
+        [(vec![on; 20], false), (vec![off, off, on, on], false), (vec![off, off, off, on], true)]
+    {
+        let mut node = Node::new(Some(tests_calibration()), false);
+        after(&mut node, &heard, 7);
+        assert_eq!(node.last().offset.is_some(), is_available, "{heard:?}");
+        assert_eq!(state(&node).contains(StateBits::RESTARTED), !is_available);
+    }
+    let (mut node, _) = engaged();
+    let qualities: Vec<Quality> = (0..4_000)
+        .map(|_| {
+            pass(&mut node, 1, 700);
+            node.last().quality
+        })
+        .collect();
+    let mut course = qualities.clone();
+    course.dedup();
+    assert_eq!(course[..2], [Quality::Live, Quality::Hold], "{course:?}");
+    // The link timeout of 500 ms, of which 20 had passed before.
+    assert_eq!(qualities.iter().filter(|it| **it == Quality::Live).count(), 480);
+    assert_eq!(course.last(), Some(&Quality::Off));
+}
+
+#[test]
+fn blocks_that_are_damaged_repeated_or_jump_are_counted_and_move_nothing() {
+    let (mut node, counter) = engaged();
+    let before = *node.last();
+    assert!(before.offset.is_some_and(|all| all[2].0.abs() > 1_000), "{before:?}");
+    let mut damaged = block(Control::default(), counter);
+    damaged[1] ^= 1;
+    for (bad, reason) in [
+        (damaged, 2),
+        (block(Control::default(), counter.wrapping_sub(1)), 3),
+        (block(Control::default(), counter.wrapping_add(900)), 4),
+    ] {
+        assert_eq!(node.hear_block(&bad), Ok(()), "it is acknowledged");
+        assert_eq!(node.said().last_refused, reason);
+        pass(&mut node, 20, 700);
+        let moved = [node.last(), &before].map(|it| it.offset.expect("live")[2].0);
+        assert!(
+            moved[0].abs_diff(moved[1]) < 100,
+            "it is off by that if it is followed: {moved:?}"
+        );
+        assert_eq!(node.last().quality, Quality::Live);
+    }
+    assert_eq!(node.said().refused, 3);
+    // As on CAN, three that are whole and out of order within 2.4 s are two masters.
+    assert!(!state(&node).contains(StateBits::SECOND_MASTER));
+    node.hear_block(&block(Control::default(), counter)).expect("acknowledged");
+    pass(&mut node, 2, 700);
+    assert!(state(&node).contains(StateBits::SECOND_MASTER));
+}
+
+#[test]
+fn a_plc_beside_a_cnc_on_can_is_busy_and_told_and_noise_is_not() {
+    let mut node = Node::new(Some(tests_calibration()), false);
+    let can = |node: &mut Node<'_>, control, counter| {
+        node.hear(Line::Can, &frames::control(control, counter)).expect("in order");
+        pass(node, 20, 700);
+    };
+    (0..4).for_each(|n| can(&mut node, Control::REFERENCED, n));
+    (4..30).for_each(|n| can(&mut node, Control::ENGAGED, n));
+    for (damage, is_told) in [(1, false), (0, true)] {
+        for n in 30..40 {
+            let mut theirs = block(Control::default(), n);
+            theirs[5] ^= damage;
+            assert_eq!(node.hear_block(&theirs), Err(Busy));
+            can(&mut node, Control::ENGAGED, n as u8 + if is_told { 10 } else { 0 });
+        }
+        assert_eq!(state(&node).contains(StateBits::SECOND_MASTER), is_told);
+        assert_eq!(node.last().quality, Quality::Live);
+    }
+    assert_eq!(node.said().refused, 0);
+}
+
+/// The node, as its slave reaches it.
+struct Reached<'n>(&'n mut Node<'static>);
+
+impl Bridge for Reached<'_> {
+    fn input(&mut self) -> input::Registers {
+        self.0.said().encode()
+    }
+
+    fn holding(&mut self) -> cnc::Registers {
+        self.0.holding()
+    }
+
+    fn take(&mut self, block: &cnc::Registers) -> Result<(), Busy> {
+        self.0.hear_block(block)
+    }
+}
+
+#[test]
+fn of_100_000_polls_of_values_that_change_every_millisecond_none_is_half_old() {
+    // Read input registers 0 to 27 of unit 1.
+    const ASK: [u8; 8] = [1, 4, 0, 0, 0, 28, 0xF1, 0xC3];
+    let (mut node, mut counter) = engaged();
+    let mut slave = Slave::new(1, Timing::at(115_200));
+    let (mut response, mut now_us) = (Response::new(), 0_u32);
+    let mut last = None;
+    let mut changed = 0;
+    for n in 0..100_000_u32 {
+        for byte in ASK {
+            now_us = now_us.wrapping_add(96);
+            slave.receive(now_us, byte);
+        }
+        now_us = now_us.wrapping_add(1_750);
+        assert!(slave.poll(now_us, &mut Reached(&mut node), &mut response));
+        let mut words = [0; 28];
+        for (word, pair) in words.iter_mut().zip(response[3..59].as_chunks::<2>().0) {
+            *word = u16::from_be_bytes(*pair);
+        }
+        let said = input::Input::decode(&words).expect("a whole block");
+        let round = |it: trueup_core::units::Nanometres| (it.0 as f64 / 10.0).round() as i32 * 10;
+        let wanted = node.last().offset.map(|all| all.map(round));
+        assert_eq!(said.output.offset.map(|all| all.map(|it| it.0)), wanted, "poll {n}");
+        assert_eq!(said.counter, (node.now().0 & 0xFFFF) as u16);
+        assert_eq!((said.output.quality, said.state), (Quality::Live, 0), "poll {n}");
+        changed += u32::from(last.replace(said.elongation) != Some(said.elongation));
+        pass(&mut node, 1, 700 + (n / 8 % 1_000) as u16);
+        if n % 20 == 0 {
+            node.hear_block(&block(Control::ENGAGED, counter)).expect("nobody else is there");
+            counter = counter.wrapping_add(1);
+        }
+    }
+    assert!(changed > 50_000, "they change: {changed}");
+}

@@ -1,0 +1,91 @@
+//! How long a task waits at the longest, and how long interrupts are off, on each clock that the board may have to
+//! live with: a factor of two below the deadline (`src/main.rs`). `docs/robustness.md` has the figures.
+
+use std::thread;
+
+use trueup_core::cnc::Control;
+use trueup_emulator::{chip::Report, plc};
+
+use super::run;
+
+/// A clock: its name, the options for it, how long to live in ms, the speed of the PLC's line, and what a byte of
+/// that takes in µs.
+type Clock = (&'static str, &'static [&'static str], &'static str, &'static [&'static str], f64);
+
+const FAST: &[&str] = &["--low", "PB5", "--modbus-baud", "115200"];
+const CLOCKS: [Clock; 3] = [
+    ("168 MHz", &[], "900", FAST, 95.0),
+    ("144 MHz", &["--hse-dead"], "900", FAST, 95.0),
+    // Its start takes two thirds of a second.
+    ("16 MHz", &["--hse-dead", "--pll-dead"], "1400", &[], 573.0),
+];
+
+/// Lines of interrupts, the task of each, and its deadline in µs.
+const LINES: [(u32, &str, f64); 7] = [
+    (20, "can_receive_0", 2_000.0),
+    (21, "can_receive_1", 2_000.0),
+    (37, "serial_receive", 1_390.0),
+    (58, "serial_receive", 1_390.0),
+    (56, "sample", 1_000.0),
+    (50, "modbus", 6_000.0),
+    (70, "transmit", 5_000.0),
+];
+
+/// All lines are open and busy, a PLC engages, and `Zero` is taken and stored.
+fn script() -> String {
+    let read = plc::read();
+    let mut script = "0 control 0\n0 positions 500\n100 say S8\\rO\\r\n".to_string();
+    for (counter, at) in (0..).zip((250..1_400).step_by(90)) {
+        let zero = at > 600;
+        let control =
+            if counter < 3 { Control::REFERENCED } else { Control { zero, ..Control::ENGAGED } };
+        let write = plc::write(control, counter);
+        script += &format!("{at} modbus {write}\n{} modbus {read}\n", at + 45);
+    }
+    script
+}
+
+/// The number before the unit behind these words, in µs.
+fn behind(report: &Report, words: &str) -> Option<f64> {
+    let (_, rest) = report.said.split_once(words)?;
+    rest.trim_start_matches([':', ' ']).split_once(" µs")?.0.parse().ok()
+}
+
+#[test]
+fn no_task_waits_for_half_its_deadline_on_any_clock() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("script");
+    std::fs::write(&file, script()).expect("writable");
+    let path = file.to_str().expect("a plain name");
+    let lived = |(clock, dead, ms, line, byte_us): Clock| {
+        let own = ["--bor", "--ms", ms, "--masked", "--script", path];
+        let Some(report) = run(&[&own[..], dead, line].concat()) else { return };
+        // At 16 MHz the serial line is 2.1 % fast, which the model notes.
+        let is_as_known = report.said.contains("Violation: 1") && report.said.contains("941176 Bd");
+        assert!(report.clean || is_as_known, "{}", report.said);
+        assert_eq!(report.said.matches(" 0 overruns").count(), 2, "{}", report.said);
+        let masked = behind(&report, "PRIMASK set for").expect("some");
+        let (_, plc) = report.said.split_once("RS-485").expect("it is told");
+        let (_, plc) = plc.split_once("waits ").expect("it is told");
+        let byte: f64 = plc.split_once(" µs").expect("a time").0.parse().expect("a number");
+        let mut text = format!("{clock}: interrupts off {masked}, modbus_line {byte}");
+        assert!(masked < byte_us / 2.0 && byte < byte_us / 2.0, "{text}");
+        let up = report.said.split_once("lines up at the longest: ").expect("told").1;
+        let up: Vec<&str> = up.lines().next().expect("a line").split(", ").collect();
+        for (line, task, deadline) in LINES {
+            let name = format!("{line}: ");
+            let wait = up.iter().find_map(|it| it.strip_prefix(&name)?.strip_suffix(" µs"));
+            // Without a crystal there is no CAN.
+            let Some(wait) = wait else { continue };
+            text += &format!(", {task} {wait}");
+            assert!(wait.parse::<f64>().expect("a number") < deadline / 2.0, "{text}");
+        }
+        println!("{text} µs");
+    };
+    let lived = &lived;
+    thread::scope(|scope| {
+        for clock in CLOCKS {
+            scope.spawn(move || lived(clock));
+        }
+    });
+}
