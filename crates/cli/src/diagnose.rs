@@ -1,5 +1,7 @@
 //! `trueup diagnose`: what the simulation gets wrong, its cause, and the machine file with it.
 
+mod next;
+
 use std::{
     env, fs,
     io::{self, IsTerminal as _},
@@ -44,6 +46,10 @@ pub struct Diagnose {
     /// What the measuring instrument is worth, in µm (95 %), in the place of the machine file's.
     #[arg(long, value_name = "UM", value_parser = above_zero)]
     instrument_um: Option<f64>,
+    /// Also plan the shortest run of the spindle that tells open causes apart: next.csv to be filled in, next.json, and
+    /// the program for this control.
+    #[arg(long, value_name = "CONTROL")]
+    next: Option<crate::program::For>,
     /// The folder for diagnosis.json, report.html, extended.toml and residuals.csv.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -100,6 +106,9 @@ pub fn run(args: &Diagnose, as_json: bool) -> Result<Outcome> {
     }
     write(args, &diagnosis, &machine.name, &source)?;
     print(args, &diagnosis, as_json)?;
+    if let Some(control) = args.next {
+        next::write(&diagnosis, control, &args.out, as_json)?;
+    }
     Ok(if diagnosis.report.verdict.is_met() { Outcome::Done } else { Outcome::NotMet })
 }
 

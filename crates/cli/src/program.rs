@@ -82,7 +82,7 @@ enum What {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum For {
+pub enum For {
     /// LinuxCNC.
     #[value(name = "linuxcnc")]
     LinuxCnc,
@@ -92,6 +92,17 @@ enum For {
     Siemens,
     /// HEIDENHAIN Klartext.
     Heidenhain,
+}
+
+impl For {
+    pub fn control(self) -> control::Control {
+        match self {
+            Self::LinuxCnc => control::Control::LinuxCnc,
+            Self::Fanuc => control::Control::Fanuc,
+            Self::Siemens => control::Control::Siemens,
+            Self::Heidenhain => control::Control::Heidenhain,
+        }
+    }
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -120,12 +131,7 @@ pub fn run(args: &Program, as_json: bool) -> Result<Outcome> {
         What::AxisHeat => Kind::AxisHeat,
         What::Diagonal => Kind::Diagonal,
     };
-    let control = match args.control {
-        For::LinuxCnc => control::Control::LinuxCnc,
-        For::Fanuc => control::Control::Fanuc,
-        For::Siemens => control::Control::Siemens,
-        For::Heidenhain => control::Control::Heidenhain,
-    };
+    let control = args.control.control();
     let (plans, notes) = plans(kind, &machine, &options(args)?)
         .map_err(|refused| UserError(format!("{}: {refused}", args.machine.display())))?;
     notes.iter().for_each(report::warn);

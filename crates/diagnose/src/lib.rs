@@ -34,6 +34,7 @@
 //! | `outliers`, `repeats` | gross errors; what does not come back |
 //! | `judge` | whether a term's name is claimed, and why not |
 //! | `answer`, `parameters`, `terms` | the answer, for scripts and for people |
+//! | `next` | the shortest run that tells open causes apart |
 #![forbid(unsafe_code)]
 
 mod answer;
@@ -48,6 +49,7 @@ mod judge;
 mod kind;
 mod laws;
 mod model;
+mod next;
 mod outliers;
 mod parameters;
 mod repeats;
@@ -65,6 +67,7 @@ pub use answer::{
     report::{self, AtTool, Report, Verdict},
 };
 pub use diagnose::{Options, Progress, diagnose, diagnose_for};
+pub use next::{Next, NoNext, Stretch, Told};
 use trueup_machine::{BadInput, RunFile};
 pub use trueup_page::Origin;
 
@@ -100,6 +103,23 @@ impl Diagnosis {
     /// A column is missing that the model or a term needs.
     pub fn promised_on(&self, day: &RunFile) -> Result<AtTool, BadInput> {
         self.promise.on(&self.data, std::slice::from_ref(day))
+    }
+
+    /// The shortest run of the spindle that tells what is open apart.
+    ///
+    /// # Errors
+    /// Nothing is open, or no run that was thought of answers it: why.
+    pub fn next(&self) -> Result<Next, NoNext> {
+        next::next(&self.questions, &self.data, &self.runs)
+    }
+
+    /// What a further run has measured for the first open cause against its rival: the difference of −2·ln of their
+    /// likelihoods, above 0 for the cause that was named; none where nothing is open.
+    ///
+    /// # Errors
+    /// A column is missing that the model needs.
+    pub fn told_apart_by(&self, run: &RunFile) -> Result<Option<f64>, BadInput> {
+        next::told_apart_by(&self.questions, &self.data, run)
     }
 
     /// Whether the extended machine file corrects anything.

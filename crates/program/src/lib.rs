@@ -30,6 +30,7 @@ mod travel;
 use trueup_machine::Machine;
 
 pub use control::Control;
+pub use kind::speeds::{Stretch, speeds};
 pub use options::{Gauge, Options};
 pub use plan::Plan;
 pub use refused::Refused;

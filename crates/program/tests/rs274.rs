@@ -6,7 +6,9 @@ mod support;
 use std::{fs, process::Command};
 
 use support::machine;
-use trueup_program::{Control, Gauge, Kind, Options, Plan, control, plan::Reading, plans};
+use trueup_program::{
+    Control, Gauge, Kind, Options, Plan, Stretch, control, plan::Reading, plans, speeds,
+};
 
 /// Where the interpreter says that the machine stands, by axis.
 #[derive(Clone, Copy, Default)]
@@ -85,6 +87,11 @@ fn linuxcncs_interpreter_stands_where_the_run_file_says() {
         Kind::AxisHeat,
         Kind::Diagonal,
     ];
+    let stretch = |rpm, load_n| Stretch { rpm, minutes: 4.0, load_n };
+    let stretches = [stretch(6000.0, 0.0), stretch(6000.0, 300.0), stretch(0.0, 0.0)];
+    let planned = speeds(&stretches, 20.0, &["temp_front_c".into()], "to tell a from b");
+    assert_eq!(planned.readings().len(), 37);
+    check(&planned);
     for kind in kinds {
         for gauge in [Gauge::Dial, Gauge::Laser] {
             let options =

@@ -16,6 +16,7 @@
 //! | [`head`] | rotary axes that turn the tool |
 //! | [`machine`] | all of it as one machine, stepped by its drives |
 //! | [`month`] | a month of a machine that ages, with a probe now and then |
+//! | [`trial`] | a spindle that may be run as one likes, with one thing wrong in its file |
 //! | [`path`] | speeds, loads, ways, position runs |
 //! | [`scenario`] | all of these in one file |
 //! | [`run`] | a scenario that is run: `trueup simulate` |
@@ -60,6 +61,7 @@ pub mod schema;
 pub mod sensors;
 pub mod spindle;
 pub mod table;
+pub mod trial;
 
 pub use run::simulate;
 pub use scenario::{BadScenario, Scenario};

@@ -122,3 +122,33 @@ fn what_cannot_be_compared_is_refused_with_its_place() {
         assert!(err.starts_with(complaint), "{err}");
     }
 }
+
+#[test]
+fn the_next_run_is_a_program_and_a_run_file_that_is_not_written_over() {
+    // Two paths of heat that nobody can tell apart in a quarter of an hour.
+    let trial = trueup_twin::trial::Trial::drawn(53);
+    let first = trial.run(&[(trueup_twin::trial::RATED_RPM, 15.0)], 1);
+    let desk = Desk::new(&[("m.toml", &trial.machine), ("first.csv", &first)]);
+    let line = "diagnose --machine m.toml --run first.csv --next linuxcnc --out d";
+    let (out, _) = desk.said(line, 3);
+    println!("{out}");
+    assert!(out.contains("next run, ") && out.contains(" r/min for "), "{out}");
+    assert!(out.contains("times the noise of a reading"), "{out}");
+    let program = desk.text("d/next.ngc");
+    assert!(program.contains("M3 S") && program.contains("(read)"), "{program}");
+    let next: Value = serde_json::from_str(&desk.text("d/next.json")).expect("it is JSON");
+    assert!(next["told"][0]["score_gap"].as_f64().expect("a number") >= 6.0);
+    let template = desk.text("d/next.csv");
+    let head =
+        "time_s,spindle_rpm,temp_front_c,temp_column_c,temp_housing_c,measured_elongation_um";
+    assert!(template.lines().any(|line| line == head), "{template}");
+    desk.write("d/next.csv", template.replacen(",,", ",20.5,", 1));
+    let (_, error) = desk.said(line, 2);
+    assert!(error.contains("is there already, and not empty"), "{error}");
+    // What is claimed asks for nothing.
+    desk.write("run.csv", TABLE);
+    desk.write("paper.toml", PAPER);
+    let (out, _) =
+        desk.said("diagnose --machine paper.toml --run run.csv --next siemens --out e", 0);
+    assert!(out.contains("next run: no cause is open"), "{out}");
+}

@@ -33,6 +33,7 @@ use crate::{
     judge::Judgement,
     kind::{Kind, Part},
     model::Model,
+    next::question::{Question, questions},
     outliers::are_of_readings,
     parameters::step_s,
     repeats::{self, Repeats},
@@ -69,6 +70,9 @@ pub struct Diagnosis {
     /// Whether the noise of a reading is known from its repeats.
     pub(crate) noise_is_measured: bool,
     pub(crate) promise: at_tool::Grounds,
+    /// What is open, and the runs as they were read: for the run that comes next.
+    pub(crate) questions: Vec<Question>,
+    pub(crate) runs: Vec<RunFile>,
 }
 
 /// What the answer depends on beside what was found.
@@ -119,6 +123,7 @@ pub(crate) fn conclude(
         if compensated == model { holdout_after_um } else { unseen.after_um(&compensated) };
 
     let promise = at_tool::Grounds::new(problem, &found, &compensated);
+    let questions = questions(problem, &found, judged);
     let has_outliers = are_of_readings(&data, &aside);
     let mut notes = asked.notes;
     if !has_outliers {
@@ -206,6 +211,8 @@ pub(crate) fn conclude(
         aside,
         noise_is_measured,
         promise,
+        questions,
+        runs: asked.runs.to_vec(),
     };
     if diagnosis.corrects() {
         diagnosis.report.missing_inputs = missing_inputs(&extended::machine(&diagnosis));

@@ -4,6 +4,7 @@ pub(crate) mod axis_heat;
 pub(crate) mod backlash;
 pub(crate) mod diagonal;
 pub(crate) mod pitch;
+pub(crate) mod speeds;
 pub(crate) mod straightness;
 pub(crate) mod warmup;
 

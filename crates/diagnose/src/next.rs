@@ -1,0 +1,240 @@
+//! The shortest run of the spindle that tells open causes apart: design of experiments by the models that were
+//! fitted.
+//!
+//! ```text
+//! open causes ─► Question    two fitted models, how far each may be off, the noise
+//! runs        ─► Foresight   what thermometers and sensors will show at speeds that were not run
+//! candidates  ─► gap         expected −2·ln of the likelihood ratio on each; the shortest that suffices
+//! ```
+//!
+//! Only speeds up to the fastest that the runs have, from cold, are thought of: there the fitted laws have been
+//! seen. A run that was not measured is no proof: the gap is expected under the smaller of the two, and what the
+//! run then shows decides.
+
+pub(crate) mod candidates;
+pub(crate) mod foresight;
+pub(crate) mod question;
+
+use std::fmt;
+
+use serde::Serialize;
+use trueup_machine::{BadInput, RunFile};
+
+use crate::{data::Data, search::criterion::STRONG_EVIDENCE};
+use candidates::candidates;
+use foresight::Foresight;
+use question::{Question, Separation};
+
+/// The expected gap with which the measured one is strong evidence in 19 of 20 cases: a log likelihood ratio that
+/// is expected to be G scatters by 2√G, so that G − 1.645·2√G ≥ 6.
+const SUFFICES: f64 = 21.0;
+
+/// A part of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Stretch {
+    /// The spindle's speed in r/min; 0: it stands.
+    pub rpm: f64,
+    /// How long, in minutes, above 0.
+    pub minutes: f64,
+    /// The axial cutting force in N; 0: in the air.
+    pub load_n: f64,
+}
+
+/// What a run will tell of two causes.
+#[derive(Clone, Debug, Serialize)]
+pub struct Told {
+    /// The cause that was named, and the one that cannot be told from it.
+    pub causes: [String; 2],
+    /// How far their predictions come apart at most, in µm.
+    pub difference_um: f64,
+    /// The noise of one reading, in µm: a standard deviation.
+    pub noise_um: f64,
+    /// The expected difference of their scores (−2 ln likelihood), in the less certain of both cases.
+    pub score_gap: f64,
+}
+
+/// The next run.
+#[derive(Clone, Debug, Serialize)]
+pub struct Next {
+    /// What the spindle does, from cold.
+    pub stretches: Vec<Stretch>,
+    /// How long all of it lasts.
+    pub minutes: f64,
+    /// From reading to reading, in s.
+    pub every_s: f64,
+    /// What is to be read beside the growth: the columns of the runs.
+    pub inputs: Vec<String>,
+    /// What it tells, the question first that it was chosen for.
+    pub told: Vec<Told>,
+}
+
+/// Why there is none.
+#[derive(Clone, Debug, PartialEq)]
+pub enum NoNext {
+    /// Every name is claimed.
+    NothingOpen,
+    /// The runs have no time, no speed, or measure an axis: only runs of a spindle are foreseen.
+    NotForeseen(&'static str),
+    /// None of the runs that were thought of tells them apart: the causes, and the largest gap.
+    NotApart([String; 2], f64),
+}
+
+impl fmt::Display for NoNext {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NothingOpen => f.write_str("no cause is open: there is nothing to be told apart"),
+            Self::NotForeseen(why) => write!(
+                f,
+                "{why}: the next run is worked out for the growth of a spindle alone; the sentences after \
+                 \"next:\" say what to measure, and trueup program writes it"
+            ),
+            Self::NotApart([one, other], gap) => write!(
+                f,
+                "no run of the spindle up to an hour and a half tells {one} from {other}: the best would bring a \
+                 score gap of {gap:.1}, and {STRONG_EVIDENCE} is strong evidence"
+            ),
+        }
+    }
+}
+
+impl Next {
+    /// The run and what it brings, in a machinist's words.
+    #[must_use]
+    pub fn sentence(&self) -> String {
+        let stretch = |it: &Stretch| {
+            let minutes = format!("{:.0} minutes", it.minutes);
+            match (it.rpm > 0.0, it.load_n > 0.0) {
+                (false, _) => format!("stop for {minutes}"),
+                (true, false) => format!("run at {:.0} r/min for {minutes}", it.rpm),
+                (true, true) => {
+                    format!("cut with {:.0} N at {:.0} r/min for {minutes}", it.load_n, it.rpm)
+                }
+            }
+        };
+        let mut done: Vec<String> = Vec::new();
+        let mut rest = self.stretches.as_slice();
+        while !rest.is_empty() {
+            // A pair that comes again and again is said once.
+            let times =
+                rest.chunks(2).take_while(|pair| pair == &&rest[..2.min(rest.len())]).count();
+            if times > 2 {
+                let pair: Vec<String> = rest[..2].iter().map(stretch).collect();
+                done.push(format!("{times} times: {}", pair.join(" and ")));
+                rest = &rest[2 * times..];
+            } else {
+                done.push(stretch(&rest[0]));
+                rest = &rest[1..];
+            }
+        }
+        let mut text =
+            format!("from cold, {}; read every {:.0} s", done.join(", then "), self.every_s);
+        for Told { causes: [one, other], difference_um, noise_um, score_gap } in &self.told {
+            text += &format!(
+                ": then {one} and {other} differ by up to {difference_um:.1} µm, {:.0} times the noise of a reading \
+                 (expected score gap {score_gap:.0}; {STRONG_EVIDENCE} is strong evidence)",
+                difference_um / noise_um
+            );
+        }
+        text
+    }
+}
+
+/// The shortest run that answers the first of `questions` that any answers.
+pub(crate) fn next(questions: &[Question], data: &Data, runs: &[RunFile]) -> Result<Next, NoNext> {
+    if questions.is_empty() {
+        return Err(NoNext::NothingOpen);
+    }
+    if data.quantity.axis().is_some() {
+        return Err(NoNext::NotForeseen("the runs measure an axis"));
+    }
+    let foresight = Foresight::of(runs).map_err(NoNext::NotForeseen)?;
+    let foreseen: Vec<(Vec<Stretch>, Data)> = candidates(&foresight)
+        .into_iter()
+        .filter_map(|run| {
+            let table = foresight.table(&run, data)?;
+            Some((run, table))
+        })
+        .collect();
+    let mut refused = None;
+    for (number, question) in questions.iter().enumerate() {
+        let gaps: Vec<Separation> =
+            foreseen.iter().map(|(_, table)| question.separation(table)).collect();
+        let shorter = |a: &usize, b: &usize| {
+            let [one, other] = [a, b].map(|n| length_min(&foreseen[*n].0));
+            one.total_cmp(&other).then(gaps[*b].gap.total_cmp(&gaps[*a].gap))
+        };
+        let enough = (0..gaps.len()).filter(|n| gaps[*n].gap >= SUFFICES).min_by(shorter);
+        let most = (0..gaps.len()).max_by(|a, b| gaps[*a].gap.total_cmp(&gaps[*b].gap));
+        let Some(most) = most else { continue };
+        if gaps[most].gap < STRONG_EVIDENCE {
+            refused.get_or_insert(NoNext::NotApart(question.causes.clone(), gaps[most].gap));
+            continue;
+        }
+        let (stretches, table) = &foreseen[enough.unwrap_or(most)];
+        let mut told = vec![question.told(table)];
+        let others = questions.iter().enumerate().filter(|(other, _)| *other != number);
+        let others = others.map(|(_, question)| question.told(table));
+        told.extend(others.filter(|told| told.score_gap >= STRONG_EVIDENCE));
+        let minutes = length_min(stretches);
+        return Ok(Next {
+            stretches: stretches.clone(),
+            minutes,
+            every_s: foresight.every_s,
+            inputs: foresight.inputs(),
+            told,
+        });
+    }
+    Err(refused
+        .unwrap_or(NoNext::NotForeseen("the machine file needs a column that only positions have")))
+}
+
+/// What `run` has measured for the first of `questions`.
+pub(crate) fn told_apart_by(
+    questions: &[Question],
+    data: &Data,
+    run: &RunFile,
+) -> Result<Option<f64>, BadInput> {
+    let Some(question) = questions.first() else { return Ok(None) };
+    let mut table = Data::new(&data.machine, std::slice::from_ref(run), data.quantity)?;
+    table.refer_to(data);
+    Ok(Some(question.score(&table)))
+}
+
+fn length_min(stretches: &[Stretch]) -> f64 {
+    stretches.iter().map(|stretch| stretch.minutes).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_is_said_in_words_and_what_alternates_is_said_once() {
+        let stretch = |rpm, minutes, load_n| Stretch { rpm, minutes, load_n };
+        let told = Told {
+            causes: ["a".into(), "b".into()],
+            difference_um: 7.0,
+            noise_um: 0.35,
+            score_gap: 41.2,
+        };
+        let mut next = Next {
+            stretches: vec![stretch(6000.0, 12.0, 0.0), stretch(0.0, 8.0, 0.0)],
+            minutes: 20.0,
+            every_s: 60.0,
+            inputs: Vec::new(),
+            told: vec![told],
+        };
+        assert_eq!(
+            next.sentence(),
+            "from cold, run at 6000 r/min for 12 minutes, then stop for 8 minutes; read every 60 s: then a and b differ \
+             by up to 7.0 µm, 20 times the noise of a reading (expected score gap 41; 6 is strong evidence)"
+        );
+        next.told.clear();
+        next.stretches = [stretch(6000.0, 2.0, 0.0), stretch(6000.0, 2.0, 300.0)].repeat(4);
+        assert_eq!(
+            next.sentence(),
+            "from cold, 4 times: run at 6000 r/min for 2 minutes and cut with 300 N at 6000 r/min for 2 minutes; read \
+             every 60 s"
+        );
+    }
+}
