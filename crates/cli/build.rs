@@ -93,11 +93,11 @@ fn newest(path: &Path) -> Option<SystemTime> {
     entries.flatten().filter_map(|entry| newest(&entry.path())).max()
 }
 
-/// Builds the images by the project's own command, in another profile's folder than this build.
+/// Builds the images as `cargo xtask images` does, in another profile's folder than this build.
 fn build(root: &Path) {
     println!("cargo:warning=building the firmware images that trueup carries: some minutes");
     let mut command = Command::new(env::var_os("CARGO").unwrap_or("cargo".into()));
-    command.args(["run", "--quiet", "--locked", "--bin", "xtask", "--", "images"]);
+    command.args(["run", "--quiet", "--locked", "-p", "trueup-emulator", "--bin", "images"]);
     command.current_dir(root);
     // What is set for this build script is not meant for that build.
     for (name, _) in env::vars_os() {
@@ -115,5 +115,5 @@ fn build(root: &Path) {
         Ok(output) => String::from_utf8_lossy(&output.stderr).trim().replace('\n', " | "),
         Err(error) => error.to_string(),
     };
-    println!("cargo:warning=`cargo xtask images` has failed: {said}");
+    println!("cargo:warning=the firmware images are not built: {said}");
 }

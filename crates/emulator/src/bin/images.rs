@@ -1,0 +1,19 @@
+//! Builds the firmware images that an installed `trueup` carries, and prints their folder.
+//!
+//! `cargo xtask images` does the same; a release build of the tool calls this, which needs a third of what
+//! the project's own commands are built from.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    match trueup_emulator::firmware::carried() {
+        Ok(folder) => {
+            println!("{}", folder.display());
+            ExitCode::SUCCESS
+        }
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
