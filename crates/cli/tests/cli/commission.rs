@@ -40,8 +40,8 @@ fn with_compensation(desk: &Desk, machine: &str, quantity: &str, kept: &[&str]) 
     let measured = format!("measured_{quantity}_um");
     let predicted = column(&format!("predicted_{quantity}_um"));
     let mut text = format!("{},{measured}\n", kept.join(","));
-    for row in 0..run.rows() {
-        let left = column(&measured)[row] - predicted[row];
+    for (row, (measured, predicted)) in column(&measured).iter().zip(predicted).enumerate() {
+        let left = measured - predicted;
         kept.iter().for_each(|name| text += &format!("{},", column(name)[row]));
         text += &format!("{left:.2}\n");
     }
