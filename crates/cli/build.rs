@@ -18,7 +18,7 @@ mod commit;
 /// What is carried, with the constant of `carried.rs` that names it.
 const IMAGES: [&str; 3] = ["trueup-virtual.elf", "trueup-stm32f405.elf", "trueup-stm32f405.bin"];
 /// What the images are built from.
-const SOURCES: [&str; 14] = [
+const SOURCES: [&str; 15] = [
     "Cargo.lock",
     "build.rs",
     "commit.rs",
@@ -30,6 +30,7 @@ const SOURCES: [&str; 14] = [
     "crates/link/src",
     "crates/machine/src",
     "crates/max31865/src",
+    "crates/modbus/src",
     "crates/node/src",
     "crates/pipe/src",
     "crates/store/src",
