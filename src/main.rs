@@ -24,11 +24,10 @@
 //! | `thermometers` | `supervise` | 1 | 1 s, then the channels count as bad | SPI2 | temperatures |
 //! | `idle` | nothing else to do | 0 | | | |
 //!
-//! Measured on the model of the chip, both lines open and a `Zero` taken (`cargo xtask chip --ms 1300 --masked
-//! --say 100 'S8\rO\r' --engage-ms 300 --zero-ms 700`, and with `--pll-dead`): interrupts are off for 13.8 µs at
-//! the longest, 90 µs on 16 MHz, each time for the log; a block of samples waits 9.0 µs of its 1 ms. Only where
-//! the DMA of the serial line is dead, and its bytes come one by one every 10.8 µs, a line of the log may cost
-//! one of them.
+//! Measured on the model of the chip, all lines busy and a `Zero` stored (host-tests, `chip` `waits`; docs/robustness.md): no
+//! task that hardware calls waits for half its deadline, but `transmit` at 16 MHz, which is late. Interrupts are off for 15 µs at the
+//! longest, 94 µs on 16 MHz, each time for the log: only a PLC at 115 200 Bd may lose a byte by that, and only on 16 MHz,
+//! and the serial line where its DMA is dead.
 //!
 //! Each task says when it begins and ends a turn ([`alive`]); the watchdog is fed by that. The tasks are the same on every board; what a board is, is behind [`board`]. What the bridge
 //! computes is in `trueup-core`, what it says in `trueup-link`, both tested on the host.
