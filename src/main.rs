@@ -26,7 +26,7 @@
 //!
 //! Measured on the model of the chip, all lines busy and a `Zero` stored (host-tests, `chip` `waits`; docs/robustness.md): no
 //! task that hardware calls waits for half its deadline, but `transmit` at 16 MHz, which is late. Interrupts are off for 15 µs at the
-//! longest, 94 µs on 16 MHz, each time for the log: only a PLC at 115 200 Bd may lose a byte by that, and only on 16 MHz,
+//! longest, 135 µs on 16 MHz, each time for the log: only a PLC at 115 200 Bd may lose a byte by that, and only on 16 MHz,
 //! and the serial line where its DMA is dead.
 //!
 //! Each task says when it begins and ends a turn ([`alive`]); the watchdog is fed by that. The tasks are the same on every board; what a board is, is behind [`board`]. What the bridge
