@@ -223,3 +223,24 @@ fn positioning(axis: &AxisModel<'_>, name: LinearAxis, place: &Place) -> (Fine, 
     }
     (error, outside)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_part_is_held_to_its_limit_and_any_that_is_held_is_told() {
+        for bits in 0..16_u8 {
+            let part = |bit: u8| Fine(if bits & bit == 0 { 10 } else { -300 });
+            let error = AxisError {
+                thermal: part(1),
+                positioning: part(2),
+                guides: part(4),
+                terms: part(8),
+            };
+            let held = i32::try_from(bits.count_ones()).expect("4 at the most");
+            let sum = Fine(10 * (4 - held) - 100 * held);
+            assert_eq!(error.sum(Fine(100)), (sum, held > 0), "{error:?}");
+        }
+    }
+}

@@ -17,7 +17,7 @@
 //! run-out and keep the noise: their variance is six times that of the codes.
 //!
 //! All of it is asked a block at a time. An ordinary block, no code of which is at a rail, needs no
-//! counter for single codes and goes to the filter where it lies: 299 instructions (`cargo
+//! counter for single codes and goes to the filter where it lies: 309 instructions (`cargo
 //! measure`), where counters for each code took 1,023.
 
 use crate::{dimensions::CODES_PER_TICK, units::Code};

@@ -414,6 +414,25 @@ fn zero_takes_all_of_the_present_error() {
 }
 
 #[test]
+fn an_axis_that_is_not_square_errs_along_the_other_where_it_goes() {
+    let mut machine = plain();
+    // X over Y, 10 µm/m.
+    machine.squareness[0] = crate::gradient::Gradient(6_871_948);
+    let mut rig = Rig::new(machine);
+    for (y_mm, x_nm) in [(1_000, -10_000), (0, 0), (2_000, -20_000), (-500, 5_000)] {
+        for _ in 0..100 {
+            rig.control(ENGAGED);
+            let position = Position(y_mm * Position::PER_MILLIMETRE);
+            let heard =
+                AxisPosition { axis: LinearAxis::Y, position, direction: Heading::Positive };
+            rig.bridge.hear(&mut rig.state, Command::Position(heard));
+            rig.tick(None);
+        }
+        assert_eq!(rig.last.offset, Some([Nanometres(x_nm), Nanometres(0), Nanometres(0)]));
+    }
+}
+
+#[test]
 fn a_tilted_head_takes_growth_to_both_axes() {
     let mut machine = calibration();
     machine.kinematics.axes = [Some(kinematics::RotaryAxis::A), None];

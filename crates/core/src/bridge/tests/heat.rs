@@ -1,5 +1,6 @@
 //! Heat over a restart: resumed, cold, or not known.
 
+use super::sources::TEN_UM_PER_K;
 use super::*;
 use crate::heat_memory::HeatMemory;
 
@@ -134,4 +135,53 @@ fn heat_is_known_again_by_channel_and_time_constant_alone() {
         rig.bridge.resume_heat(&mut rig.state, &memory);
         assert_eq!(!rig.state.heat_is_unknown(), is_known, "{change}");
     }
+}
+
+/// Growth by a temperature on channel 3 that lags by 40 s, 100 nm a kelvin; nothing else.
+fn lagging_spindle() -> Calibration<'static> {
+    let mut machine = lagging();
+    let thermal = machine.axes[0].thermal.take().expect("it has one");
+    machine.spindle.chain[0] = Some(ElongationSource::Temperature);
+    machine.spindle.temperature = Some(crate::calibration::SpindleTemperature {
+        channel: 3,
+        smoothing: thermal.smoothing,
+        smoothing_falling: thermal.smoothing_falling,
+        law: Law { pieces: &TEN_UM_PER_K },
+    });
+    machine
+}
+
+#[test]
+fn a_spindle_follows_its_thermometer_once_in_a_step() {
+    let mut rig = Rig::new(lagging_spindle());
+    live(&mut rig, 1_000, 20, 20);
+    let before = rig.last.offset.expect("available")[2].0;
+    live(&mut rig, 40_000, 21, 20);
+    let grown = rig.last.offset.expect("available")[2].0 - before;
+    // 10 µm·(1 − 1/e), to a step of the heat.
+    assert!((grown - 6_321).abs() <= 30, "{grown}");
+}
+
+#[test]
+fn a_term_of_a_temperature_is_known_where_the_heat_is() {
+    use crate::term::{Effect, Target, Term};
+    let mut machine = lagging();
+    machine.axes[0].thermal = None;
+    machine.terms[0] = Some(Term {
+        target: Target::Axis(LinearAxis::X),
+        constant: Fine(256_000),
+        effect: Effect::Heat {
+            channel: 3,
+            smoothing: SmoothingFactor(10_724_000),
+            reference: Temperature(20 * Temperature::PER_KELVIN),
+            per_temperature: Default::default(),
+        },
+    });
+    let mut rig = Rig::new(machine);
+    let output = live(&mut rig, 1_000, 21, 20);
+    assert_eq!((output.quality, x_nm(&output)), (Quality::Live, -1_000));
+    let mut rig = Rig::new(machine);
+    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default());
+    let output = live(&mut rig, 1_000, 21, 20);
+    assert_eq!((output.quality, output.offset), (Quality::Fault, None));
 }

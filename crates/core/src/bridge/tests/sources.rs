@@ -4,7 +4,7 @@ use super::*;
 use crate::calibration::{SpindleTemperature, SpindleWarmup};
 
 /// K₀ grows by 10 µm a kelvin above 20 °C.
-const TEN_UM_PER_K: [[u8; 20]; 1] = [{
+pub(super) const TEN_UM_PER_K: [[u8; 20]; 1] = [{
     // 10 000 nm in 1/256, by 1.024 K, Q4.
     let words: [i32; 5] = [20 * 4_096_000, 0, 41_943_040, 0, 0];
     let mut bytes = [0; 20];
