@@ -24,7 +24,7 @@ fn block(control: Control, counter: u16) -> cnc::Registers {
 /// Lets so many milliseconds pass with a sensor at this code.
 fn pass(node: &mut Node<'_>, ms: u32, code: u16) {
     for n in 0..ms {
-        let noise = core::array::from_fn(|i| Code(code + ((n as usize + i) % 2) as u16));
+        let noise = core::array::from_fn(|i| Code(code + u16::from((n as usize + i) % 2 == 1)));
         node.tick(1, Input { codes: Some(&noise), ..Input::default() });
         node.service();
     }
@@ -126,7 +126,7 @@ fn a_plc_beside_a_cnc_on_can_is_busy_and_told_and_noise_is_not() {
             let mut theirs = block(Control::default(), n);
             theirs[5] ^= damage;
             assert_eq!(node.hear_block(&theirs), Err(Busy));
-            can(&mut node, Control::ENGAGED, n as u8 + if is_told { 10 } else { 0 });
+            can(&mut node, Control::ENGAGED, n.to_le_bytes()[0] + if is_told { 10 } else { 0 });
         }
         assert_eq!(state(&node).contains(StateBits::SECOND_MASTER), is_told);
         assert_eq!(node.last().quality, Quality::Live);
@@ -172,7 +172,7 @@ fn of_100_000_polls_of_values_that_change_every_millisecond_none_is_half_old() {
             *word = u16::from_be_bytes(*pair);
         }
         let said = input::Input::decode(&words).expect("a whole block");
-        let round = |it: trueup_core::units::Nanometres| (it.0 as f64 / 10.0).round() as i32 * 10;
+        let round = |it: trueup_core::units::Nanometres| (it.0.abs() + 5) / 10 * 10 * it.0.signum();
         let wanted = node.last().offset.map(|all| all.map(round));
         assert_eq!(said.output.offset.map(|all| all.map(|it| it.0)), wanted, "poll {n}");
         assert_eq!(said.counter, (node.now().0 & 0xFFFF) as u16);
