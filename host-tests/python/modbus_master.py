@@ -166,8 +166,7 @@ def main():
     print(json.dumps(saw))
 
 
-if __name__ == "__main__":
-    try:
-        main()
-    except ModbusException as error:
-        raise SystemExit(f"pymodbus: {error}")
+try:
+    main()
+except ModbusException as error:
+    raise SystemExit(f"pymodbus: {error}")

@@ -1,16 +1,11 @@
-//! The RS-485 line of the flashable image: masters of others engage it, their faults get the exception that the
-//! standard names or none, and what is polled is of one cycle.
-
-use std::process::{Command, Stdio};
+//! The RS-485 line of the flashable image: a PLC engages it, and what it polls is of one cycle.
 
 use anyhow::{Context as _, Result, ensure};
-use serde_json::{Value, json};
 use trueup_core::cnc::{Control, Quality};
-use trueup_emulator::{chip::Line, plc, setup};
+use trueup_emulator::plc;
 use trueup_modbus::input::Input;
 
 use super::{
-    CODE, GROWN_UM, LONG,
     blocks::offset,
     support::{FAST_MACHINE, chip::Chip},
 };
@@ -88,45 +83,8 @@ fn what_a_plc_polls_is_of_one_cycle_while_values_change_every_millisecond() -> R
 }
 
 #[test]
-#[ignore = "long: nine seconds of the board"]
+#[ignore = "long: nine seconds of the board, half a minute as slow as the model is"]
 fn of_400_polls_none_is_half_old() -> Result<()> {
     println!("{:?} reads, none half old", polled(9_000)?);
-    Ok(())
-}
-
-#[test]
-#[ignore = "long: two masters' session, as slow as the model is"]
-fn pymodbus_and_mbpoll_engage_the_flashable_image_and_their_faults_move_nothing() -> Result<()> {
-    let Some(chip) = Chip::of_machine(FAST_MACHINE)? else { return Ok(()) };
-    let code = CODE.to_string();
-    let options = [&LONG[..], &["--code", &code, "--code-after", &code, "--no-cnc"]].concat();
-    // There before a board waits for them.
-    let (python, mbpoll) = (setup::python()?, setup::mbpoll()?);
-    let line = Line::start_plc(&chip.model, &chip.image, &options)?;
-    let output = Command::new(python)
-        .arg(setup::root().join("host-tests/python/board_masters.py"))
-        .arg(line.port.to_string())
-        .arg(mbpoll)
-        .stdin(Stdio::null())
-        .output()?;
-    ensure!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let saw: Value = serde_json::from_slice(&output.stdout)?;
-    println!("{saw:#}");
-    assert_eq!(saw["wrong"], json!([]), "every block is whole");
-    assert_eq!(saw["released"]["quality"], 6, "nobody has engaged it");
-    let is_grown = |said: &Value| {
-        let z = said["offset_um"][2].as_f64().unwrap_or(f64::NAN);
-        (z - GROWN_UM).abs() < 0.3 && said["quality"] == 1
-    };
-    assert!(is_grown(&saw["live"]), "the growth is undone: {}", saw["live"]);
-    let expected = json!({
-        "coils": 1, "one register": 1, "behind the end": 2, "a part": 2, "elsewhere": 2,
-    });
-    assert_eq!(saw["exceptions"], expected);
-    let after = &saw["after faults"];
-    assert!(is_grown(after), "nothing moved: {after}");
-    assert_eq!((&after["refused"], &after["last_refused"]), (&json!(2), &json!(3)));
-    let said = saw["mbpoll"].as_str().context("what it prints")?;
-    assert!(said.contains("[6]:") && !said.contains("-2147483648"), "{said}");
     Ok(())
 }
