@@ -17,7 +17,7 @@ use trueup_emulator::{
 fn entries(board: Board) -> &'static [&'static str] {
     match board {
         Board::Stm32f405 => {
-            &["4Node4tick", "4Node4hear", "4Node7service", "4Node4said", "4Node10hear_block"]
+            &["4Node4tick", "4Node4hear", "4Node7service", "Node$GT$4said", "Node$GT$10hear_block"]
         }
         Board::Virtual => &["4Node4tick", "4Node4hear", "4Node7service"],
     }

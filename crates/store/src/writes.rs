@@ -219,7 +219,7 @@ mod tests {
     fn a_write_of_another_version_is_none() {
         let mut bytes = write(3).to_bytes();
         assert_eq!(Write::from_bytes(&bytes), Some(write(3)));
-        bytes[21] = 3;
+        bytes[21] = 4;
         assert_eq!(Write::from_bytes(&bytes), None);
         bytes[21] = 0;
         bytes[20] = 6;

@@ -260,9 +260,8 @@ fn foreign_and_damaged_lines_move_nothing() {
     says(&report, &["resets []"]);
     says(&report, &["OffsetZ at", "quality 1", "(last)"]);
     assert!(number(&report, " received,") > 4_000.0, "{}", report.said);
-    // Somebody says `Control` there, however badly: that is told.
-    let told = emergencies(&report);
-    assert!(told.contains(&(Fault::SecondMaster as u8)), "{told:?}");
+    // What comes damaged is noise, and no second master.
+    assert!(emergencies(&report).is_empty(), "{:?}", emergencies(&report));
     let offsets = offsets_z(&report, 480.0);
     let first = offsets.first().expect("an offset").1;
     let last = offsets.last().expect("an offset").1;
