@@ -49,7 +49,6 @@ fn with_compensation(desk: &Desk, machine: &str, quantity: &str, kept: &[&str]) 
 }
 
 #[test]
-#[ignore = "long: calibrations go over the line at its pace"]
 fn a_machine_is_commissioned_in_two_sittings() {
     let (desk, line) = begun();
     desk.write("first.txt", "# the tip went back by\n-9.5\noff.csv\n");
@@ -95,7 +94,6 @@ fn a_machine_is_commissioned_in_two_sittings() {
 }
 
 #[test]
-#[ignore = "long: calibrations go over the line at its pace"]
 fn a_wrong_sign_stops_it_before_anything_is_measured() {
     let (desk, line) = begun();
     for (answer, phrase) in [
@@ -113,7 +111,6 @@ fn a_wrong_sign_stops_it_before_anything_is_measured() {
 }
 
 #[test]
-#[ignore = "long: calibrations go over the line at its pace"]
 fn what_is_not_enough_is_not_accepted_and_the_next_round_begins() {
     let (desk, line) = begun();
     // Nothing is gone: the same readings again.
@@ -132,7 +129,6 @@ const AXIS: &str = "name = \"axis\"\nmeasure = [\"dx\"]\ninterval_s = 10.0\n\
     feed_mm_per_min = 5000.0\n";
 
 #[test]
-#[ignore = "long: calibrations go over the line at its pace"]
 fn an_axis_is_commissioned_by_its_pitch() {
     let machine =
         "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n[axis.x]\ntravel_mm = [-5.0, 1005.0]\n";

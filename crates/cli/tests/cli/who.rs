@@ -81,7 +81,6 @@ fn a_calibration_that_corrects_nothing_is_told_before_it_is_loaded() {
 }
 
 #[test]
-#[ignore = "long: calibrations go over the line at its pace"]
 fn load_tells_what_changes_and_asks() {
     let desk = desk();
     // Without a terminal nobody can be asked, and nothing reaches the bridge.
@@ -106,7 +105,6 @@ fn load_tells_what_changes_and_asks() {
 }
 
 #[test]
-#[ignore = "long: calibrations go over the line at its pace"]
 fn a_board_is_saved_and_another_one_takes_its_place() {
     let desk = desk();
     let (port, _) = bridge_many(Fault::None, false);

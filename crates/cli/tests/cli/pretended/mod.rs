@@ -83,6 +83,8 @@ fn listening(
     thread::spawn(move || {
         let (stream, _) = listener.accept().expect("the tool connects");
         stream.set_nonblocking(true).expect("a plain socket");
+        // As the virtual board has it: a frame would wait for the answer to the one before, 40 ms.
+        stream.set_nodelay(true).expect("a plain socket");
         if many {
             listener.set_nonblocking(true).expect("a plain socket");
             live(Tools { listener, stream: Some(stream) }, fault, is_engaged, &told);

@@ -24,6 +24,7 @@ impl Read for Tools {
         }
         let (stream, _) = self.listener.accept()?;
         stream.set_nonblocking(true)?;
+        stream.set_nodelay(true)?;
         self.stream = Some(stream);
         Err(ErrorKind::WouldBlock.into())
     }
