@@ -20,6 +20,9 @@ pub struct Channel {
     /// The last reading, good or not.
     before: Option<Temperature>,
     bad: u8,
+    /// How many have agreed with the one before since the start, up to [`FAULT_AFTER_READINGS`]; a channel that was
+    /// given up counts as one of which all have.
+    agreed: u8,
 }
 
 impl Channel {
@@ -27,27 +30,35 @@ impl Channel {
     /// [`MOST_PER_READING`].
     ///
     /// A single bad reading changes nothing, because a spark from the drives can cause one. After
-    /// [`FAULT_AFTER_READINGS`] in a row the channel is given up, until as many agree among themselves.
+    /// [`FAULT_AFTER_READINGS`] in a row the channel is given up, until as many agree among themselves. After a start
+    /// any is taken until so many have agreed: a converter's first results are none, or not yet settled.
     pub fn hear(&mut self, reading: Option<Temperature>) {
         /// So many still count as bad when the last of those that have to agree is heard.
         const LAST: u8 = 2;
         let before = core::mem::replace(&mut self.before, reading);
-        let is_first = self.temperature.is_none() && self.bad == 0;
+        let is_new = self.agreed < FAULT_AFTER_READINGS;
         let near = |it: Temperature, now: Temperature| {
             it.0.abs_diff(now.0) <= MOST_PER_READING.0.unsigned_abs()
         };
         let follows = |now: &Temperature| {
-            is_first || self.temperature.or(before).is_some_and(|it| near(it, *now))
+            is_new || self.temperature.or(before).is_some_and(|it| near(it, *now))
         };
         match reading.filter(follows) {
-            Some(_) if self.temperature.is_none() && self.bad > LAST => {
+            Some(_) if !is_new && self.temperature.is_none() && self.bad > LAST => {
                 self.bad = self.bad.saturating_sub(1);
             }
-            Some(_) => (self.temperature, self.bad) = (reading, 0),
+            Some(now) => {
+                if is_new {
+                    let agrees = self.temperature.is_some_and(|it| near(it, now));
+                    self.agreed = if agrees { self.agreed.saturating_add(1) } else { 0 };
+                }
+                (self.temperature, self.bad) = (reading, 0);
+            }
             None => {
                 self.bad = self.bad.saturating_add(1).min(FAULT_AFTER_READINGS);
                 if self.bad == FAULT_AFTER_READINGS {
                     self.temperature = None;
+                    self.agreed = FAULT_AFTER_READINGS;
                 }
             }
         }

@@ -327,3 +327,16 @@ fn three_thousand_thermometers_that_jump_are_found_at_the_fourth_reading_and_sou
         assert_eq!(bad_readings(sound), 0, "from {from} to {to} °C by {tau_s} s");
     }
 }
+
+#[test]
+fn a_thermometer_whose_first_results_are_none_or_unsettled_is_believed_at_the_first_that_is_right()
+{
+    let step = |celsius: i32| Some(Temperature(celsius * Temperature::PER_KELVIN));
+    for first in [&[][..], &[None], &[None, None, None], &[None, step(-40)], &[step(300), step(90)]]
+    {
+        let mut channel = Channel::default();
+        first.iter().for_each(|it| channel.hear(*it));
+        channel.hear(step(20));
+        assert!(!channel.is_faulty() && channel.temperature() == step(20), "after {first:?}");
+    }
+}
