@@ -56,8 +56,7 @@ impl Channel {
             }
             None => {
                 self.bad = self.bad.saturating_add(1).min(FAULT_AFTER_READINGS);
-                if self.bad == FAULT_AFTER_READINGS {
-                    self.temperature = None;
+                if self.bad == FAULT_AFTER_READINGS && self.temperature.take().is_some() {
                     self.agreed = FAULT_AFTER_READINGS;
                 }
             }
