@@ -27,8 +27,8 @@ use trueup_machine::{
 pub use args::Fit;
 
 use self::args::{
-    Backlash, By, Common, Elongation, Kind, Method, Mode, Pitch, Straightness, Thermal, Warmup,
-    Ways,
+    Backlash, By, Common, Elongation, Kind, Measured, Method, Mode, Pitch, Positions, Straightness,
+    Thermal, Warmup, Ways,
 };
 use crate::{Outcome, UserError, files, output, runs};
 
@@ -49,8 +49,8 @@ pub fn run(args: &Fit, as_json: bool) -> Result<Outcome> {
         | Kind::Warmup(Warmup { common })
         | Kind::Thermal(Thermal { common, .. }) => common,
     };
-    let input = Input::read(&common.run, common.machine.as_ref())?;
-    let bytes: u64 = common.run.iter().map(|path| runs::bytes(path)).sum();
+    let input = Input::read(&common.measured)?;
+    let bytes: u64 = common.measured.run.iter().map(|path| runs::bytes(path)).sum();
     let spinner = spinner("fitting", bytes);
     let report = match &args.kind {
         Kind::Table1(_) => unreachable!("has returned"),
@@ -76,7 +76,7 @@ pub fn run(args: &Fit, as_json: bool) -> Result<Outcome> {
 }
 
 impl Input {
-    fn read(runs: &[PathBuf], machine: Option<&PathBuf>) -> Result<Self> {
+    fn read(Measured { run: runs, machine }: &Measured) -> Result<Self> {
         let machine = match machine {
             None => None,
             Some(path) => {
@@ -135,64 +135,55 @@ impl Input {
 
 fn straightness_of(input: &Input, args: &Straightness) -> Result<Report> {
     let options = straightness::Options {
-        tolerance_um: args.tolerance_um,
         method: match args.method {
             Method::LeastSquares => straightness::Method::LeastSquares,
             Method::Paper => straightness::Method::Paper,
         },
-        reference: args.reference.of_fit(),
-        ..straightness::Options::default()
+        ..args.curve.options()
     };
     let run = input.run()?;
     let known = |curve: &straightness::StraightnessCurve| {
         input.known(run, Without::Straightness { error: curve.error, along: curve.along })
     };
-    Ok(curve::fit(run, args.quantity.as_deref(), known, &options)?)
+    Ok(curve::fit(run, args.curve.error.quantity.as_deref(), known, &options)?)
 }
 
 fn pitch_of(input: &Input, args: &Pitch) -> Result<Report> {
-    let run = input.run()?;
-    let axis = axis_of(&input.runs, args.quantity.as_deref())?;
     let ways = match args.ways {
         Ways::Automatic => pitch::Ways::Automatic,
         Ways::One => pitch::Ways::One,
         Ways::Both => pitch::Ways::Both,
     };
-    let options = pitch::Options {
-        ways,
-        step_mm: args.step_mm,
-        ..position_options(input, run, axis, args.repeats.clone())?
-    };
+    let (run, axis, options) = positions(input, &args.positions)?;
+    let options = pitch::Options { ways, step_mm: args.step_mm, ..options };
     Ok(pitch::fit(run, axis, &options)?.report)
 }
 
 fn backlash_of(input: &Input, args: &Backlash) -> Result<Report> {
-    let run = input.run()?;
-    let axis = axis_of(&input.runs, args.quantity.as_deref())?;
-    let options = pitch::Options {
-        feed_mm_per_min: args.feed,
-        ..position_options(input, run, axis, args.repeats.clone())?
-    };
+    let (run, axis, options) = positions(input, &args.positions)?;
+    let options = pitch::Options { feed_mm_per_min: args.feed, ..options };
     Ok(pitch::fit_backlash(run, axis, &options)?.report)
 }
 
-fn position_options(
-    input: &Input,
-    run: &Unaided<'_>,
-    axis: LinearAxis,
-    runs: Option<Vec<f64>>,
-) -> Result<pitch::Options> {
+/// The one run, whose error it is, and what both fits of positions are asked for.
+fn positions<'a>(
+    input: &'a Input,
+    args: &Positions,
+) -> Result<(&'a Unaided<'a>, LinearAxis, pitch::Options)> {
+    let run = input.run()?;
+    let axis = axis_of(&input.runs, args.error.quantity.as_deref())?;
     let feedback = input.machine().map(|machine| machine.axes[axis.index()].feedback);
-    Ok(pitch::Options {
-        runs,
+    let options = pitch::Options {
+        runs: args.repeats.clone(),
         feedback: feedback.unwrap_or_default(),
         known_um: input.known(run, Without::Position(axis))?,
         ..pitch::Options::default()
-    })
+    };
+    Ok((run, axis, options))
 }
 
 fn thermal_of(input: &Input, args: &Thermal) -> Result<Report> {
-    let axis = axis_of(&input.runs, args.quantity.as_deref())?;
+    let axis = axis_of(&input.runs, args.error.quantity.as_deref())?;
     let mut known_um = Vec::new();
     for run in &input.runs {
         match input.known(run, Without::Thermal(axis))? {
@@ -247,7 +238,7 @@ fn write(input: &Input, common: &Common, report: &Report) -> Result<bool> {
     };
     warn_of_slopes(input, &text, &common.output)?;
     // The machine file itself may be written over: that is what a user means who names it twice.
-    let inputs: Vec<&Path> = common.run.iter().map(PathBuf::as_path).collect();
+    let inputs: Vec<&Path> = common.measured.run.iter().map(PathBuf::as_path).collect();
     output::write_whole(&common.output, &inputs, |out| out.write_all(text.as_bytes()))?;
     Ok(true)
 }

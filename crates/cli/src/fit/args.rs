@@ -33,26 +33,40 @@ pub enum Kind {
     Table1(Table1),
 }
 
+/// What was measured, and what is believed.
 #[derive(Args)]
-pub struct Common {
-    /// A run file; warmup, thermal and elongation take several.
+pub struct Measured {
+    /// A run file; warmup, thermal, elongation and table1 take several.
     #[arg(long, value_name = "RUN.csv", required = true)]
     pub run: Vec<PathBuf>,
-    /// The machine file that the section is put into; left out, the section alone is written.
+    /// The machine file: by it what a bridge in the runs had applied is taken off, and into it a section is
+    /// put; left out, the section alone is written.
     #[arg(long, value_name = "M.toml")]
     pub machine: Option<PathBuf>,
+}
+
+#[derive(Args)]
+pub struct Common {
+    #[command(flatten)]
+    pub measured: Measured,
     /// Where to write the machine file or the section.
     #[arg(long, value_name = "OUT.toml")]
     pub output: PathBuf,
 }
 
+/// Which error of an axis.
 #[derive(Args)]
-pub struct Straightness {
-    #[command(flatten)]
-    pub common: Common,
-    /// The error: dx, dy or dz; may be left out where the run measures one only.
+pub struct Error {
+    /// The error: dx, dy or dz; may be left out where each run measures one only.
     #[arg(long, value_name = "dx|dy|dz")]
     pub quantity: Option<String>,
+}
+
+/// What a curve of straightness is made by.
+#[derive(Args)]
+pub struct Curve {
+    #[command(flatten)]
+    pub error: Error,
     /// Take as many coefficients as it needs to keep every residual within this; left out, as many
     /// as the noise allows.
     #[arg(long, value_name = "UM")]
@@ -60,6 +74,34 @@ pub struct Straightness {
     /// The straight line from which the error counts.
     #[arg(long, default_value = "as-measured")]
     pub reference: ReferenceLine,
+}
+
+impl Curve {
+    pub fn options(&self) -> straightness::Options {
+        straightness::Options {
+            tolerance_um: self.tolerance_um,
+            reference: self.reference.of_fit(),
+            ..straightness::Options::default()
+        }
+    }
+}
+
+/// Which readings of an axis's positions.
+#[derive(Args)]
+pub struct Positions {
+    #[command(flatten)]
+    pub error: Error,
+    /// Only the repeats with these numbers in the column run.
+    #[arg(long, value_name = "1,2,3", value_delimiter = ',')]
+    pub repeats: Option<Vec<f64>>,
+}
+
+#[derive(Args)]
+pub struct Straightness {
+    #[command(flatten)]
+    pub common: Common,
+    #[command(flatten)]
+    pub curve: Curve,
     /// How the curve is found.
     #[arg(long, default_value = "least-squares")]
     pub method: Method,
@@ -72,21 +114,10 @@ pub struct Straightness {
 /// A run in which one axis moves is a curve; one in which two move is a diagonal, and needs the curves of both.
 #[derive(Args)]
 pub struct Table1 {
-    /// A run file; several, one for each curve and each diagonal.
-    #[arg(long, value_name = "RUN.csv", required = true)]
-    pub run: Vec<PathBuf>,
-    /// The machine file: what a bridge in the runs had applied is taken off by it.
-    #[arg(long, value_name = "M.toml")]
-    pub machine: Option<PathBuf>,
-    /// The error: dx, dy or dz; may be left out where each run measures one only.
-    #[arg(long, value_name = "dx|dy|dz")]
-    pub quantity: Option<String>,
-    /// The largest residual allowed; left out, down to the noise.
-    #[arg(long, value_name = "UM")]
-    pub tolerance_um: Option<f64>,
-    /// The straight line from which the errors count.
-    #[arg(long, default_value = "as-measured")]
-    pub reference: ReferenceLine,
+    #[command(flatten)]
+    pub measured: Measured,
+    #[command(flatten)]
+    pub curve: Curve,
     /// The feed along the way, in mm/min.
     #[arg(long, value_name = "MM/MIN", default_value_t = 1000.0, value_parser = crate::diagnose::above_zero)]
     pub feed: f64,
@@ -109,7 +140,7 @@ pub enum ReferenceLine {
 }
 
 impl ReferenceLine {
-    pub fn of_fit(self) -> straightness::ReferenceLine {
+    fn of_fit(self) -> straightness::ReferenceLine {
         match self {
             Self::AsMeasured => straightness::ReferenceLine::AsMeasured,
             Self::EndPoints => straightness::ReferenceLine::EndPoints,
@@ -130,12 +161,8 @@ pub enum Method {
 pub struct Pitch {
     #[command(flatten)]
     pub common: Common,
-    /// The axis's error: dx, dy or dz; may be left out where the run measures one only.
-    #[arg(long, value_name = "dx|dy|dz")]
-    pub quantity: Option<String>,
-    /// Only the repeats with these numbers in the column run.
-    #[arg(long, value_name = "1,2,3", value_delimiter = ',')]
-    pub repeats: Option<Vec<f64>>,
+    #[command(flatten)]
+    pub positions: Positions,
     /// The step of the table; left out, that of the positions measured.
     #[arg(long, value_name = "MM")]
     pub step_mm: Option<f64>,
@@ -158,12 +185,8 @@ pub enum Ways {
 pub struct Backlash {
     #[command(flatten)]
     pub common: Common,
-    /// The axis's error: dx, dy or dz; may be left out where the run measures one only.
-    #[arg(long, value_name = "dx|dy|dz")]
-    pub quantity: Option<String>,
-    /// Only the repeats with these numbers in the column run.
-    #[arg(long, value_name = "1,2,3", value_delimiter = ',')]
-    pub repeats: Option<Vec<f64>>,
+    #[command(flatten)]
+    pub positions: Positions,
     /// The feed that parts are cut at, where the run has several and backlash depends on it; left out,
     /// the slowest.
     #[arg(long, value_name = "MM/MIN")]
@@ -200,9 +223,8 @@ pub struct Warmup {
 pub struct Thermal {
     #[command(flatten)]
     pub common: Common,
-    /// The axis's error: dx, dy or dz; may be left out where the run measures one only.
-    #[arg(long, value_name = "dx|dy|dz")]
-    pub quantity: Option<String>,
+    #[command(flatten)]
+    pub error: Error,
     /// Which terms; left out, the machine file's, else what the run shows.
     #[arg(long)]
     pub mode: Option<Mode>,

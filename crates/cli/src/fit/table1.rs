@@ -4,31 +4,23 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use serde_json::{Value, json};
-use trueup_fit::straightness::{
-    Options,
-    table1::{Asked, Entry, Left, Row, Table1, table1},
-};
+use trueup_fit::straightness::table1::{Asked, Entry, Left, Row, Table1, table1};
 
 use super::{Input, args};
 use crate::{Outcome, output};
 
 /// Makes the table, prints it, and writes the page.
 pub fn run(args: &args::Table1, as_json: bool) -> Result<Outcome> {
-    let input = Input::read(&args.run, args.machine.as_ref())?;
-    let options = Options {
-        tolerance_um: args.tolerance_um,
-        reference: args.reference.of_fit(),
-        ..Options::default()
-    };
+    let args::Measured { run, machine } = &args.measured;
+    let input = Input::read(&args.measured)?;
     let asked = Asked {
-        quantity: args.quantity.as_deref(),
-        options,
+        quantity: args.curve.error.quantity.as_deref(),
+        options: args.curve.options(),
         feed_mm_per_min: args.feed,
         cycle_ms: args.cycle_ms,
     };
     let table = table1(&input.runs, &asked)?;
-    let mut inputs: Vec<&Path> = args.run.iter().map(PathBuf::as_path).collect();
-    inputs.extend(args.machine.as_deref());
+    let inputs: Vec<&Path> = run.iter().chain(machine).map(PathBuf::as_path).collect();
     output::write_whole(&args.output, &inputs, |out| out.write_all(table.html().as_bytes()))?;
     if as_json {
         output::print(json_of(&table, &args.output))?;
