@@ -176,17 +176,12 @@ fn chebyshev(u: f64) -> impl Iterator<Item = [f64; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn sites(count: usize, error_um: impl Fn(f64) -> f64) -> Sites {
-        let x: Vec<f64> = (0..count).map(|n| 10.0 * n as f64).collect();
-        let y: Vec<f64> = x.iter().map(|&x| error_um(x)).collect();
-        Sites::of(&x, &y).expect("sound")
-    }
+    use crate::straightness::sites::every_10_mm;
 
     #[test]
     fn a_polynomial_of_degree_7_is_found_with_its_derivatives() {
         let seventh = |x: f64| (x / 100.0 - 1.0).powi(7);
-        let polynomial = Polynomial::fit(&sites(21, seventh), 7);
+        let polynomial = Polynomial::fit(&every_10_mm(21, seventh), 7);
         for x in [0.0, 13.0, 100.0, 200.0] {
             let u: f64 = x / 100.0 - 1.0;
             let expected = [u.powi(7), 7.0 * u.powi(6) / 100.0, 42.0 * u.powi(5) / 1e4];
@@ -200,12 +195,12 @@ mod tests {
 
     #[test]
     fn few_sites_lower_the_degree() {
-        assert_eq!(Polynomial::fit(&sites(5, |x| x), 7).chebyshev.len(), 4);
+        assert_eq!(Polynomial::fit(&every_10_mm(5, |x| x), 7).chebyshev.len(), 4);
     }
 
     #[test]
     fn straight_lines_pass_through_every_point_and_bend_there() {
-        let sites = sites(4, |x| if x == 10.0 { 5.0 } else { 0.0 });
+        let sites = every_10_mm(4, |x| if x == 10.0 { 5.0 } else { 0.0 });
         let lines = Model::Lines { x: sites.x.clone(), y: sites.y.clone() };
         assert_eq!(lines.residual(&sites).range_um, 0.0);
         assert_eq!(lines.at(5.0), 2.5);

@@ -119,25 +119,22 @@ fn through(sites: &Sites, chosen: &[usize], control: Control) -> Option<BSpline>
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn sites(count: usize, error_um: impl Fn(f64) -> f64) -> Sites {
-        let x: Vec<f64> = (0..count).map(|n| 10.0 * n as f64).collect();
-        let y: Vec<f64> = x.iter().map(|&x| error_um(x)).collect();
-        Sites::of(&x, &y).expect("sound")
-    }
+    use crate::straightness::sites::every_10_mm;
 
     #[test]
     fn a_level_line_needs_only_the_points_to_begin_with() {
-        let Chosen { spline, is_within, .. } = fit(&sites(40, |_| -3.0), 1e-9, Control::Readings);
+        let Chosen { spline, is_within, .. } =
+            fit(&every_10_mm(40, |_| -3.0), 1e-9, Control::Readings);
         assert!(is_within && spline.control_um.len() < 11, "{spline:?}");
         // Rising by 1 µm from point to point, it is bent by no more than that at the ends.
-        let Chosen { is_within, .. } = fit(&sites(40, |x| 0.1 * x - 3.0), 1.0, Control::Readings);
+        let Chosen { is_within, .. } =
+            fit(&every_10_mm(40, |x| 0.1 * x - 3.0), 1.0, Control::Readings);
         assert!(is_within);
     }
 
     #[test]
     fn points_join_until_all_residuals_are_within() {
-        let sites = sites(200, |x| 50.0 * (x / 150.0).sin());
+        let sites = every_10_mm(200, |x| 50.0 * (x / 150.0).sin());
         let mut counts = Vec::new();
         for tolerance_um in [10.0, 3.0, 1.0] {
             let Chosen { spline, is_within, .. } = fit(&sites, tolerance_um, Control::Readings);
@@ -152,7 +149,7 @@ mod tests {
 
     #[test]
     fn readings_that_alternate_are_never_within() {
-        let sites = sites(30, |x| if (x / 10.0) % 2.0 == 0.0 { 5.0 } else { -5.0 });
+        let sites = every_10_mm(30, |x| if (x / 10.0) % 2.0 == 0.0 { 5.0 } else { -5.0 });
         let Chosen { spline, is_within, .. } = fit(&sites, 1.0, Control::Readings);
         assert!(!is_within);
         assert_eq!(spline.control_um.len(), 30);
@@ -161,7 +158,8 @@ mod tests {
     #[test]
     fn four_points_are_enough() {
         for count in 4..9 {
-            let Chosen { spline, .. } = fit(&sites(count, |x| x * x), 1e-3, Control::Readings);
+            let Chosen { spline, .. } =
+                fit(&every_10_mm(count, |x| x * x), 1e-3, Control::Readings);
             assert_eq!(spline.check(), Ok(()));
         }
     }

@@ -164,3 +164,11 @@ impl Sites {
         Self { x: take(&self.x), y: take(&self.y), weight, within, rows }
     }
 }
+
+/// Sites for tests, every 10 mm from 0 on.
+#[cfg(test)]
+pub(super) fn every_10_mm(count: usize, error_um: impl Fn(f64) -> f64) -> Sites {
+    let x: Vec<f64> = (0..count).map(|n| 10.0 * n as f64).collect();
+    let y: Vec<f64> = x.iter().map(|&x| error_um(x)).collect();
+    Sites::of(&x, &y).expect("sound")
+}
