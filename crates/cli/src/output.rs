@@ -69,6 +69,17 @@ pub fn write_whole<T>(
     Ok(result)
 }
 
+/// Writes a program, or the run file that is filled in beside it. A run file that is there with anything else
+/// in it stays: somebody has filled it in, and that is hours of work.
+pub fn write_measurement(path: &Path, inputs: &[&Path], text: &str) -> Result<()> {
+    let is_run = path.extension().is_some_and(|kind| kind == "csv");
+    if is_run && fs::read_to_string(path).is_ok_and(|there| there != text) {
+        let rule = "is there already, and not empty: move it away first";
+        return Err(UserError(format!("{}: {rule}", path.display())).into());
+    }
+    write_whole(path, inputs, |out| out.write_all(text.as_bytes()))
+}
+
 /// Whether a path stands for standard output.
 pub fn is_standard_output(path: &Path) -> bool {
     path == Path::new("-")

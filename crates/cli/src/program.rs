@@ -161,19 +161,7 @@ pub fn run(args: &Program, as_json: bool) -> Result<Outcome> {
             ))?;
         }
         for (name, text) in [(name, text)].into_iter().chain(templates.iter().cloned()) {
-            let path = args.out.join(name);
-            // A run file that somebody has filled in is hours of work.
-            if path.extension().is_some_and(|it| it == "csv")
-                && fs::read_to_string(&path).is_ok_and(|there| there != text)
-            {
-                return Err(UserError(format!(
-                    "{}: is there already, and not empty: move it away first",
-                    path.display()
-                ))
-                .into());
-            }
-            let inputs = [args.machine.as_path()];
-            output::write_whole(&path, &inputs, |out| out.write_all(text.as_bytes()))?;
+            output::write_measurement(&args.out.join(name), &[&args.machine], &text)?;
         }
     }
     if as_json {

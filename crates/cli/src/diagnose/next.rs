@@ -1,12 +1,12 @@
 //! `trueup diagnose --next`: the run that comes next, as a program and a run file.
 
-use std::{fs, path::Path};
+use std::path::Path;
 
 use anyhow::Result;
 use trueup_diagnose::{Diagnosis, NoNext};
 use trueup_program::{Stretch, control, speeds, template};
 
-use crate::{UserError, output, program::For, report};
+use crate::{output, program::For, report};
 
 /// Writes it into the folder `out`, or says why there is none.
 pub fn write(diagnosis: &Diagnosis, control: For, out: &Path, as_json: bool) -> Result<()> {
@@ -35,17 +35,7 @@ pub fn write(diagnosis: &Diagnosis, control: For, out: &Path, as_json: bool) -> 
     ];
     texts.extend(template::templates(&plan));
     for (file, text) in texts {
-        let path = out.join(file);
-        // A run file that somebody has filled in is hours of work.
-        let is_run = path.extension().is_some_and(|it| it == "csv");
-        if is_run && fs::read_to_string(&path).is_ok_and(|there| there != text) {
-            return Err(UserError(format!(
-                "{}: is there already, and not empty: move it away first",
-                path.display()
-            ))
-            .into());
-        }
-        output::write_whole(&path, &[], |file| file.write_all(text.as_bytes()))?;
+        output::write_measurement(&out.join(file), &[], &text)?;
     }
     if as_json {
         return Ok(());
