@@ -77,153 +77,186 @@ fn parse(text: &str) -> Machine {
     MachineFile::parse(text, Path::new("m.toml")).expect("a file that can be read")
 }
 
-/// With `right` written as `wrong` there is one warning: on the line of `line`, which says `phrase`.
+/// A rule, with a file that breaks it and one that comes as near as it may; each is [`RIGHT`] with some of
+/// its text written otherwise.
+struct Rule {
+    name: &'static str,
+    wrong: &'static [(&'static str, &'static str)],
+    /// The beginning of the line that it points to.
+    line: &'static str,
+    /// A part of what it says.
+    says: &'static str,
+    near: &'static [(&'static str, &'static str)],
+}
+
+const ROOM: (&str, &str) = ("x = 200.0", "x = 4000.0");
+const TERM: &str = "cause = \"backlash\"\nquantity = \"dx\"\nwidth_um = 1.0\n";
+const HEAT_OF_X: &str =
+    "reference_c = 20.0\nconstant_um_per_c = 1.0\nslope_um_per_m_per_c = 11.5\n";
+const KNOTS: &str = "[0.0, 0.0, 500.0, 1000.0, 1000.0]";
+const HEAT_OF_Z: &str = "sensor = \"temp_b_c\"\nreference_c = 20.0\nconstant_um_per_c = 1.5";
+const SAME_HEAT: &str = "sensor = \"temp_a_c\"\nreference_c = 20.0\nconstant_um_per_c = 1.5";
+
+#[rustfmt::skip]
+const RULES: &[Rule] = &[
+    // heat
+    Rule {
+        name: "an axis's reference in kelvin", line: "reference_c = 293.15", says: "it would be 20.00 °C",
+        wrong: &[(HEAT_OF_X, "reference_c = 293.15\nconstant_um_per_c = 1.0\nslope_um_per_m_per_c = 11.5\n")],
+        near: &[(HEAT_OF_X, "reference_c = 70.0\nconstant_um_per_c = 1.0\nslope_um_per_m_per_c = 11.5\n")],
+    },
+    Rule {
+        name: "a table's temperature in kelvin", line: "table", says: "kelvin",
+        wrong: &[(HEAT_OF_X, "table = [[293.15, 0.0, 0.0], [303.15, 10.0, 10.0]]\n")],
+        near: &[(HEAT_OF_X, "table = [[20.0, 0.0, 0.0], [30.0, 10.0, 10.0]]\n")],
+    },
+    Rule {
+        name: "the spindle's reference in kelvin", line: "reference_c = 293.15", says: "kelvin",
+        wrong: &[("reference_c = 20.0\nk_um", "reference_c = 293.15\nk_um")],
+        near: &[("reference_c = 20.0\nk_um", "reference_c = 70.0\nk_um")],
+    },
+    Rule {
+        name: "a term's reference in kelvin", line: "reference_c = 295.0", says: "kelvin",
+        wrong: &[(TERM, "cause = \"extra-heat-path\"\nquantity = \"dx\"\ncolumn = \"temp_a_c\"\num_per_c = 1.0\n\
+                         time_constant_s = 0.0\nreference_c = 295.0\n")],
+        near: &[(TERM, "cause = \"extra-heat-path\"\nquantity = \"dx\"\ncolumn = \"temp_a_c\"\num_per_c = 1.0\n\
+                        time_constant_s = 0.0\nreference_c = 25.0\n")],
+    },
+    Rule {
+        name: "a slope in 1/K", line: "slope_um_per_m_per_c", says: "would do nothing",
+        wrong: &[("c = 11.5\n", "c = 11.5e-6\n")], near: &[("c = 11.5\n", "c = 0.001\n")],
+    },
+    Rule {
+        name: "a slope of no metal", line: "slope_um_per_m_per_c", says: "more than any metal",
+        wrong: &[("c = 11.5\n", "c = 101.0\n"), ROOM], near: &[("c = 11.5\n", "c = 100.0\n"), ROOM],
+    },
+    Rule {
+        name: "an axis's constant in another unit", line: "constant_um_per_c", says: "would do nothing",
+        wrong: &[("um_per_c = 1.5\n", "um_per_c = 1.5e-6\n")], near: &[("um_per_c = 1.5\n", "um_per_c = 0.001\n")],
+    },
+    Rule {
+        name: "the spindle's constant in another unit", line: "k_um_per_c", says: "would do nothing",
+        wrong: &[("k_um_per_c = 2.0", "k_um_per_c = 2e-6")], near: &[("k_um_per_c = 2.0", "k_um_per_c = 0.001")],
+    },
+    Rule {
+        name: "a spindle that shrinks with its temperature", line: "k_um_per_c", says: "shrink",
+        wrong: &[("k_um_per_c = 2.0", "k_um_per_c = -2.0")], near: &[("k_um_per_c = 2.0", "k_um_per_c = 8.0")],
+    },
+    Rule {
+        name: "a spindle that shrinks as it runs", line: "max_um", says: "shrink",
+        wrong: &[("max_um = 80.0", "max_um = -80.0")], near: &[("max_um = 80.0", "max_um = 500.0")],
+    },
+    // sensor
+    Rule {
+        name: "a zero beyond full scale", line: "zero_counts",
+        says: "beyond full scale: the input gives 0 to 27648",
+        wrong: &[("= 5048.0", "= 27649.0")], near: &[("= 5048.0", "= 27648.0")],
+    },
+    Rule {
+        name: "a zero below nothing", line: "zero_counts", says: "beyond full scale",
+        wrong: &[("= 5048.0", "= -1.0")], near: &[("= 5048.0", "= 0.0")],
+    },
+    Rule {
+        name: "a negative gain", line: "um_per_count", says: "is negative",
+        wrong: &[("um_per_count = 0", "um_per_count = -0")], near: &[],
+    },
+    Rule {
+        name: "32768 where the input reaches 27648", line: "sensor = ", says: "does not go with um_per_count",
+        wrong: &[("scale = 27648", "scale = 32768")],
+        near: &[("scale = 27648", "scale = 32768"), ("0.018084490740740741", "0.0152587890625")],
+    },
+    Rule {
+        name: "27648 where the input reaches 32768", line: "sensor = ", says: "does not go with um_per_count",
+        wrong: &[("0.018084490740740741", "0.0152587890625")], near: &[("0.018084490740740741", "0.0180")],
+    },
+    Rule {
+        name: "a sensor that nobody makes", line: "um_per_count", says: "makes a sensor of",
+        wrong: &[("= 0.018084490740740741", "= 0.00036")], near: &[("= 0.018084490740740741", "= 0.00037")],
+    },
+    // place
+    Rule {
+        name: "a tool that points up", line: "tool_direction", says: "points up",
+        wrong: &[("[0.0, 0.0, -1.0]", "[0.0, 0.0, 1.0]")], near: &[("[0.0, 0.0, -1.0]", "[1.0, 0.0, 0.0]")],
+    },
+    Rule {
+        name: "a table outside the travel", line: "start_mm", says: "from -501 to 499 mm, outside",
+        wrong: &[("start_mm = 0.0", "start_mm = -501.0")], near: &[("start_mm = 0.0", "start_mm = -500.0")],
+    },
+    Rule {
+        name: "a second drive's table outside the travel", line: "pitch = {", says: "from 9000 to 9500 mm",
+        wrong: &[("[axis.x.backlash]\n", "[axis.x.dual]\nacross = \"y\"\nfirst_mm = 0.0\nsecond_mm = 900.0\n\
+                   pitch = { start_mm = 9000.0, step_mm = 500.0, forward_um = [0.0, 1.0] }\n[axis.x.backlash]\n")],
+        near: &[("[axis.x.backlash]\n", "[axis.x.dual]\nacross = \"y\"\nfirst_mm = 0.0\nsecond_mm = 900.0\n\
+                  pitch = { start_mm = 1000.0, step_mm = 500.0, forward_um = [0.0, 1.0] }\n[axis.x.backlash]\n")],
+    },
+    Rule {
+        name: "a curve outside the travel", line: "knots_mm", says: "from 0 to 1011 mm, outside the travel of x",
+        wrong: &[(KNOTS, "[0.0, 0.0, 500.0, 1011.0, 1011.0]")], near: &[(KNOTS, "[0.0, 0.0, 500.0, 1010.0, 1010.0]")],
+    },
+    // limits
+    Rule {
+        // 1 % of 12 m/min is 2 mm/s.
+        name: "a slew that the axes notice", line: "slew", says: "1 % (2000 µm/s) of axis x",
+        wrong: &[("s = 20.0\n", "s = 2001.0\n")], near: &[("s = 20.0\n", "s = 2000.0\n")],
+    },
+    Rule {
+        name: "a slew that a slow axis notices", line: "slew", says: "a slow machine's",
+        wrong: &[("s = 20.0\n", "s = 1667.0\n"), ("rapid_mm_per_min = 12000.0\n", "")],
+        near: &[("s = 20.0\n", "s = 1666.0\n"), ("rapid_mm_per_min = 12000.0\n", "")],
+    },
+    Rule {
+        name: "a limit below an axis's error", line: "max_um", says: "axis.x.thermal makes 125.0 µm within 10 K",
+        wrong: &[("x = 200.0", "x = 124.0")], near: &[("x = 200.0", "x = 125.0")],
+    },
+    Rule {
+        name: "a limit below the growth", line: "max_um", says: "spindle.warmup makes 80.0 µm",
+        wrong: &[("z = 500.0", "z = 79.0")], near: &[("z = 500.0", "z = 80.0")],
+    },
+    // twice
+    Rule {
+        name: "backlash twice", line: "[[term]]", says: "adds 2.5 µm of backlash to the 3.0 µm",
+        wrong: &[("width_um = 1.0", "width_um = 2.5")], near: &[("width_um = 1.0", "width_um = 2.3")],
+    },
+    Rule {
+        name: "squareness twice", line: "z_of_x_um_per_m", says: "which rises by 5.2 µm itself",
+        wrong: &[("control_um = [0.0, 5.0, 0.0]", "control_um = [0.0, 5.0, 5.2]")],
+        near: &[("control_um = [0.0, 5.0, 0.0]", "control_um = [0.0, 5.0, -5.2]")],
+    },
+    Rule {
+        name: "the heat of the tool twice", line: "sensor = \"temp_a_c\"", says: "both move the tool along Z",
+        wrong: &[(HEAT_OF_Z, SAME_HEAT)],
+        near: &[(HEAT_OF_Z, SAME_HEAT), ("source = \"temperature\"", "source = \"warmup\"")],
+    },
+    Rule {
+        name: "a term twice", line: "[[term]]", says: "is the same as the [[term]]",
+        wrong: &[(TERM, "cause = \"backlash\"\nquantity = \"dx\"\nwidth_um = 1.0\n\n[[term]]\ncause = \"backlash\"\n\
+                         quantity = \"dx\"\nwidth_um = 1.0\n")],
+        near: &[(TERM, "cause = \"backlash\"\nquantity = \"dx\"\nwidth_um = 1.0\n\n[[term]]\ncause = \"backlash\"\n\
+                        quantity = \"dx\"\nwidth_um = 1.1\n")],
+    },
+];
+
+/// [`RIGHT`], so written.
 #[track_caller]
-fn doubted(right: &str, wrong: &str, line: &str, phrase: &str) {
-    assert_eq!(RIGHT.matches(right).count(), 1, "{right}");
-    let text = RIGHT.replace(right, wrong);
-    let warnings = super::machine(&parse(&text));
-    assert_eq!(warnings.len(), 1, "{warnings:#?}");
-    let there = text.lines().nth(warnings[0].place.line - 1).expect("a line of the file");
-    assert!(there.starts_with(line), "{there}: {warnings:?}");
-    assert!(warnings[0].what.contains(phrase), "{warnings:?}");
-    assert!(!warnings[0].help.is_empty(), "{warnings:?}");
+fn written(pairs: &[(&str, &str)]) -> String {
+    pairs.iter().fold(RIGHT.to_owned(), |text, (right, other)| {
+        assert_eq!(text.matches(right).count(), 1, "{right}");
+        text.replace(right, other)
+    })
 }
 
 #[test]
-fn a_right_file_is_silent() {
-    assert_eq!(super::machine(&parse(RIGHT)), []);
-    assert_eq!(corrects_nothing(&parse(RIGHT)), None);
-}
-
-#[test]
-fn a_reference_in_kelvin() {
-    let wrong = "reference_c = 293.15\nk_um_per_c";
-    doubted("reference_c = 20.0\nk_um_per_c", wrong, "reference_c", "would be 20.00 °C");
-    let table = "reference_c = 20.0\ntable = [[293.15, 0.0, 0.0], [303.15, 10.0, 115.0]]\n\
-                 constant_um_per_c = 1.0\nslope";
-    doubted("reference_c = 20.0\nconstant_um_per_c = 1.0\nslope", table, "table", "kelvin");
-    // A law without a table has the one reference.
-    let law = "reference_c = 293.15\nconstant_um_per_c = 1.0\nslope";
-    doubted("reference_c = 20.0\nconstant_um_per_c = 1.0\nslope", law, "reference_c", "kelvin");
-}
-
-#[test]
-fn the_reference_of_a_term_in_kelvin() {
-    let term = "cause = \"extra-heat-path\"\nquantity = \"dx\"\ncolumn = \"temp_a_c\"\num_per_c = 1.0\n\
-                time_constant_s = 0.0\nreference_c = 295.0\n";
-    let plain = "cause = \"backlash\"\nquantity = \"dx\"\nwidth_um = 1.0\n";
-    doubted(plain, term, "reference_c = 295.0", "kelvin");
-}
-
-#[test]
-fn a_slope_in_another_unit() {
-    doubted("c = 11.5\n", "c = 11.5e-6\n", "slope_um_per_m_per_c", "would do nothing");
-    let roomy = RIGHT.replace("x = 200.0", "x = 4000.0");
-    let told = super::machine(&parse(&roomy.replace("c = 11.5\n", "c = 115.0\n")));
-    assert!(told.len() == 1 && told[0].what.contains("more than any metal"), "{told:?}");
-}
-
-#[test]
-fn a_constant_in_another_unit() {
-    doubted("um_per_c = 1.5\n", "um_per_c = 1.5e-6\n", "constant_um_per_c", "would do nothing");
-    doubted("k_um_per_c = 2.0", "k_um_per_c = 2e-6", "k_um_per_c", "would do nothing");
-}
-
-#[test]
-fn a_zero_beyond_full_scale() {
-    doubted(
-        "= 5048.0",
-        "= 30000.0",
-        "zero_counts",
-        "beyond full scale: the input gives 0 to 27648",
-    );
-    doubted("= 5048.0", "= -1.0", "zero_counts", "beyond full scale");
-}
-
-#[test]
-fn a_negative_gain() {
-    doubted("um_per_count = 0", "um_per_count = -0", "um_per_count", "is negative");
-    doubted("k_um_per_c = 2.0", "k_um_per_c = -2.0", "k_um_per_c", "shrink");
-    doubted("max_um = 80.0", "max_um = -80.0", "max_um", "shrink");
-}
-
-#[test]
-fn counts_of_another_input() {
-    let told = "does not go with um_per_count";
-    doubted("scale = 27648", "scale = 32768", "sensor = ", told);
-    // 500/32768 where the input ends at 27648.
-    doubted("0.018084490740740741", "0.0152587890625", "sensor = ", told);
-}
-
-#[test]
-fn a_sensor_that_nobody_makes() {
-    doubted("= 0.018084490740740741", "= 0.018e-3", "um_per_count", "makes a sensor of");
-}
-
-#[test]
-fn a_tool_that_points_up() {
-    doubted("[0.0, 0.0, -1.0]", "[0.0, 0.0, 1.0]", "tool_direction", "points up");
-}
-
-#[test]
-fn a_slew_that_the_axes_notice() {
-    let slew = "slew_um_per_s = 20.0";
-    // 1 % of 12 m/min is 2 mm/s.
-    doubted(slew, "slew_um_per_s = 2001.0", "slew", "1 % (2000 µm/s) of axis x");
-    let unknown = RIGHT.replace("rapid_mm_per_min = 12000.0\n", "");
-    let silent = unknown.replace(slew, "slew_um_per_s = 1600.0");
-    assert_eq!(super::machine(&parse(&silent)), []);
-    let fast = super::machine(&parse(&unknown.replace(slew, "slew_um_per_s = 1700.0")));
-    assert!(fast.len() == 1 && fast[0].help.contains("rapid_mm_per_min"), "{fast:?}");
-}
-
-#[test]
-fn tables_and_curves_outside_the_travel() {
-    doubted("start_mm = 0.0", "start_mm = -1600.0", "start_mm", "from -1600 to -600 mm, outside");
-    let knots = "knots_mm = [0.0, 0.0, 500.0, 1000.0, 1000.0]";
-    let in_metres = "knots_mm = [0.0, 0.0, 5000.0, 10000.0, 10000.0]";
-    doubted(knots, in_metres, "knots_mm", "from 0 to 10000 mm, outside the travel of x");
-    let second = "pitch = { start_mm = 9000.0, step_mm = 500.0, forward_um = [0.0, 1.0] }";
-    let dual =
-        format!("[axis.x.dual]\nacross = \"y\"\nfirst_mm = 0.0\nsecond_mm = 900.0\n{second}\n");
-    doubted(
-        "[axis.x.backlash]\n",
-        &(dual + "[axis.x.backlash]\n"),
-        "pitch = {",
-        "from 9000 to 9500 mm",
-    );
-    // A table may end one step beyond.
-    let longer = RIGHT.replace("forward_um = [0.0, 4.0, 2.0]", "forward_um = [0.0, 4.0, 2.0, 1.0]");
-    assert_eq!(super::machine(&parse(&longer)), []);
-}
-
-#[test]
-fn a_limit_below_what_it_limits() {
-    doubted("x = 200.0", "x = 100.0", "max_um", "axis.x.thermal makes 125.0 µm within 10 K");
-    doubted("z = 500.0", "z = 70.0", "max_um", "spindle.warmup makes 80.0 µm");
-}
-
-#[test]
-fn one_thing_corrected_twice() {
-    doubted(
-        "width_um = 1.0",
-        "width_um = 2.9",
-        "[[term]]",
-        "adds 2.9 µm of backlash to the 3.0 µm",
-    );
-    let curve = "control_um = [0.0, 5.0, 0.0]";
-    doubted(
-        curve,
-        "control_um = [0.0, 5.0, 5.2]",
-        "z_of_x_um_per_m",
-        "which rises by 5.2 µm itself",
-    );
-    let other = "sensor = \"temp_b_c\"\nreference_c = 20.0\nconstant_um_per_c = 1.5";
-    let same = other.replace("temp_b", "temp_a");
-    doubted(other, &same, "sensor = \"temp_a_c\"", "both move the tool along Z");
-    let term = &RIGHT[RIGHT.find("[[term]]").expect("there is one")..];
-    doubted(term, &term.repeat(2), "[[term]]", "is the same as the [[term]]");
+fn each_rule_has_a_file_that_breaks_it_and_one_beside_it_that_does_not() {
+    for Rule { name, wrong, line, says, near } in RULES {
+        let text = written(wrong);
+        let warnings = super::machine(&parse(&text));
+        assert_eq!(warnings.len(), 1, "{name}: {warnings:#?}");
+        let there = text.lines().nth(warnings[0].place.line - 1).expect("a line of the file");
+        assert!(there.starts_with(line), "{name}: {there}: {warnings:?}");
+        assert!(warnings[0].what.contains(says), "{name}: {warnings:?}");
+        assert!(!warnings[0].help.is_empty(), "{name}: {warnings:?}");
+        assert_eq!(super::machine(&parse(&written(near))), [], "{name}, as near as it may come");
+    }
 }
 
 #[test]
@@ -256,7 +289,7 @@ fn run_doubted(wrong: &str, right: &str, machine: Option<&Machine>, phrase: &str
 
 #[test]
 fn a_run_in_kelvin() {
-    let right = "time_s,temp_a_c,temp_he_c\n0,20.5,240\n1,21.5,250\n2,22.5,255\n";
+    let right = "time_s,temp_a_c,temp_he_c\n0,70,240\n1,69,250\n2,70,255\n";
     let wrong = "time_s,temp_a_c\n0,293.6\n1,294.6\n2,295.6\n";
     run_doubted(
         wrong,
@@ -268,9 +301,10 @@ fn a_run_in_kelvin() {
 
 #[test]
 fn volts_for_counts() {
-    let (wrong, right) =
-        ("sensor_counts\n1.54\n1.60\n2.1\n", "sensor_counts\n5048\n5244.5\n6881\n");
-    run_doubted(wrong, right, None, "looks like volts");
+    let wrong = "sensor_counts\n1.54\n1.60\n11\n";
+    for right in ["sensor_counts\n1.54\n1.60\n11.1\n", "sensor_counts\n1\n2\n11\n"] {
+        run_doubted(wrong, right, None, "looks like volts");
+    }
 }
 
 #[test]
@@ -280,8 +314,14 @@ fn counts_that_end_at_the_input_of_an_s7() {
         .replace("0.018084490740740741", "0.0152587890625");
     let machine = parse(&machine);
     let wrong = "sensor_counts\n27000\n27648\n27648\n27648\n";
-    let right = "sensor_counts\n27000\n27647\n27648\n27700\n";
-    run_doubted(wrong, right, Some(&machine), "ends at 27648 in 3 rows");
+    for right in [
+        "sensor_counts\n27000\n27647\n27648\n27648\n",
+        "sensor_counts\n27648\n27648\n27648\n27649\n",
+    ] {
+        run_doubted(wrong, right, Some(&machine), "ends at 27648 in 3 rows");
+    }
+    // Of an input that has 27648 it is the end of its range.
+    assert_eq!(told_of_run(wrong, Some(&parse(RIGHT))), [""; 0]);
 }
 
 #[test]
@@ -305,7 +345,8 @@ fn measured_in_another_unit() {
 fn positions_outside_the_travel() {
     let machine = parse(RIGHT);
     let run = |scale: f64| format!("x_mm\n{}\n{}\n{}\n", 0.0, 500.0 * scale, 1000.0 * scale);
-    run_doubted(&run(1000.0), &run(1.0), Some(&machine), "outside the travel_mm");
+    run_doubted(&run(1000.0), &run(1.01), Some(&machine), "outside the travel_mm");
+    run_doubted(&run(1.011), &run(1.0), Some(&machine), "outside the travel_mm");
 }
 
 #[test]
