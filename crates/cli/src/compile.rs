@@ -7,13 +7,12 @@ use clap::Args;
 use serde_json::json;
 use trueup_machine::{check::corrects_nothing, compile};
 
-use crate::{Outcome, files, output, report};
+use crate::{Outcome, files, machine_arg::MachineArg, output, report};
 
 #[derive(Args)]
 pub struct Compile {
-    /// The machine file.
-    #[arg(value_name = "M.toml")]
-    machine: PathBuf,
+    #[command(flatten)]
+    machine: MachineArg,
     /// Where to write the calibration.
     #[arg(long, value_name = "CAL.bin")]
     output: PathBuf,
@@ -21,7 +20,7 @@ pub struct Compile {
 
 /// Compiles the machine file.
 pub fn run(args: &Compile, as_json: bool) -> Result<Outcome> {
-    let Compile { machine, output: to } = args;
+    let (machine, to) = (args.machine.path(), &args.output);
     let read = files::machine(machine)?;
     let compiled = compile(&read)?;
     if let Some(nothing) = corrects_nothing(&read) {

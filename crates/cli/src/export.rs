@@ -13,16 +13,15 @@ use trueup_export::{
     ExportedTable, Format, LeftOut, Options, Report, Units, export, fanuc::Series,
 };
 
-use crate::{Outcome, UserError, files, output};
+use crate::{Outcome, UserError, files, machine_arg::MachineArg, output};
 
 /// Turns a machine file into what another control loads, reads it back, and says how well it fits.
 ///
 /// Exit 3: exported, but something was left out or thinned, or is further off than the control's rounding.
 #[derive(Args)]
 pub struct Export {
-    /// The machine file.
-    #[arg(value_name = "M.toml")]
-    machine: PathBuf,
+    #[command(flatten)]
+    machine: MachineArg,
     /// The control that is to read the files.
     #[arg(long)]
     format: Control,
@@ -83,7 +82,8 @@ enum Unit {
 
 /// Exports the machine file into the folder.
 pub fn run(args: &Export, as_json: bool) -> Result<Outcome> {
-    let machine = files::machine(&args.machine)?;
+    let file = args.machine.path();
+    let machine = files::machine(file)?;
     let options = options(args)?;
     let format = match args.format {
         Control::Siemens840d => Format::Siemens840d,
@@ -92,7 +92,7 @@ pub fn run(args: &Export, as_json: bool) -> Result<Outcome> {
         Control::LinuxCnc => Format::LinuxCnc,
     };
     let export = export(&machine, format, &options)
-        .map_err(|refused| UserError(format!("{}: {refused}", args.machine.display())))?;
+        .map_err(|refused| UserError(format!("{}: {refused}", file.display())))?;
 
     let folder = &args.output;
     fs::create_dir_all(folder).map_err(|error| {
@@ -103,8 +103,7 @@ pub fn run(args: &Export, as_json: bool) -> Result<Outcome> {
     let companions = [("report.txt", text), ("report.json", format!("{report:#}\n"))];
     let files = export.files.iter().map(|file| (file.name.as_str(), &file.text));
     for (name, text) in files.chain(companions.iter().map(|(name, text)| (*name, text))) {
-        let inputs = [args.machine.as_path()];
-        output::write_whole(&folder.join(name), &inputs, |out| out.write_all(text.as_bytes()))?;
+        output::write_whole(&folder.join(name), &[file], |out| out.write_all(text.as_bytes()))?;
     }
     if as_json {
         output::print(report)?;

@@ -28,6 +28,7 @@ mod gateway;
 mod help;
 mod learn;
 mod linuxcnc;
+mod machine_arg;
 mod manual;
 mod new;
 mod origin;

@@ -130,6 +130,44 @@ fn predict_goes_on_where_the_board_could_not_and_says_why() {
 }
 
 #[test]
+fn predict_ends_with_3_where_the_board_is_further_off_than_compile_promised() {
+    let desk = desk();
+    desk.write(
+        "hot.toml",
+        "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[axis.x.thermal]\nmode = \"position\"\n\
+         sensor = \"temp_a_c\"\nreference_c = 20\nslope_um_per_m_per_c = 11.5\nlag_s = 30\n",
+    );
+    // 303 mm of growth are 8.4 m beyond what a sum of errors may be; 1.1 mm are none.
+    for (celsius, mm, code) in [(900, 30_000, 3), (30, 9_000, 0)] {
+        desk.write("hot.csv", format!("time_s,x_mm,temp_a_c\n0,0,20\n600,{mm},{celsius}\n"));
+        let (out, err) = desk.said("predict --machine hot.toml --run hot.csv -o out.csv", code);
+        assert!(out.starts_with("out.csv: 2 rows\n"), "it is written: {out}");
+        let told = "hot.csv:3:1: the bridge is ";
+        assert_eq!(err.contains(told) && err.contains("compile has promised"), code == 3, "{err}");
+    }
+}
+
+#[test]
+fn compile_and_export_take_the_machine_file_as_a_word_or_behind_m_and_not_both() {
+    let backlash = "[axis.x]\ntravel_mm = [0.0, 100.0]\n[axis.x.backlash]\nwidth_um = 3.0\n";
+    let machine = format!("[machine]\nname = \"m\"\nkind = \"3-axis\"\n{backlash}");
+    let desk = Desk::new(&[("m.toml", &machine)]);
+    for command in ["compile M -o cal.bin", "export M --format linuxcnc -o tables"] {
+        let line = |machine: &str| command.replace(" M ", machine);
+        let said: Vec<_> = [" m.toml ", " -m m.toml ", " --machine m.toml "]
+            .map(|machine| desk.trueup(&line(machine)))
+            .into();
+        assert!(said.iter().all(|it| it.status == said[0].status), "{said:?}");
+        assert!(said.iter().all(|it| it.stdout == said[0].stdout), "{said:?}");
+        assert!(!said[0].stdout.is_empty(), "{said:?}");
+        for machine in [" ", " m.toml -m m.toml "] {
+            let (out, err) = desk.said(&line(machine), 2);
+            assert!(out.is_empty() && err.contains("--machine <M.toml>"), "{err}");
+        }
+    }
+}
+
+#[test]
 fn bad_input_ends_with_2_its_place_and_an_untouched_output() {
     let desk = desk();
     desk.write("typo.toml", PAPER.replace("zero_counts", "zero_count"));
