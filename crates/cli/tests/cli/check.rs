@@ -86,6 +86,20 @@ fn every_command_that_reads_a_file_says_its_doubts_on_a_line_and_q_does_not() {
 }
 
 #[test]
+fn what_no_board_can_run_is_told_where_a_board_is_meant() {
+    let desk = desk();
+    let steep = "[straightness.z_of_x]\norder = 2\nknots_mm = [0.0, 0.0, 1.0, 1.0]\ncontrol_um = [0.0, 90.0]\n";
+    desk.write("steep.toml", format!("{PAPER}\n{steep}"));
+    let said = told(&desk, "check steep.toml", 3);
+    assert!(said.contains("no board can run this") && said.contains("steep.toml:"), "{said}");
+    // To predict with it may be so.
+    let (head, rest) = PAPER.split_once("[inputs]").expect("it has inputs");
+    let (_, law) = rest.split_once("[spindle]").expect("and a spindle");
+    desk.write("model.toml", format!("{head}[spindle]{law}\n{steep}"));
+    assert_eq!(told(&desk, "check model.toml", 0), "");
+}
+
+#[test]
 fn a_file_that_corrects_nothing_is_told_by_compile_and_not_by_check() {
     let desk = desk();
     desk.write("nothing.toml", "[machine]\nname = \"m\"\nkind = \"3-axis\"\n");

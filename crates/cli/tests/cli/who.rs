@@ -129,6 +129,24 @@ fn a_board_is_saved_and_another_one_takes_its_place() {
 }
 
 #[test]
+fn a_reference_that_zero_had_taken_is_told_and_a_restore_without_it_ends_with_3() {
+    let desk = desk();
+    let (port, _) = bridge_many(Fault::Zeroed, false);
+    desk.said(&format!("bridge save board.json --port {port}"), 0);
+    let saved: serde_json::Value = serde_json::from_str(&desk.text("board.json")).expect("JSON");
+    assert_eq!(saved["reference"]["elongation_nm"], 2_500, "{saved}");
+
+    let (port, _) = bridge_many(Fault::None, false);
+    let line = format!("bridge restore board.json --yes --port {port}");
+    let (out, err) = desk.said(&line, 3);
+    assert!(out.ends_with("restored\n"), "all else is there: {out}");
+    let told = "the reference that Zero had taken is NOT on this board (elongation +2.50, x +0.00";
+    assert!(err.contains(told) && err.contains("let the CNC set Zero again"), "{err}");
+    let (out, _) = desk.said(&format!("{line} --json"), 3);
+    assert!(out.contains("Zero had taken"), "{out}");
+}
+
+#[test]
 fn a_saved_file_that_is_damaged_is_refused_before_anything_is_sent() {
     let desk = desk();
     let (port, heard) = bridge_many(Fault::None, false);

@@ -10,10 +10,10 @@ use std::{
 };
 
 use trueup_core::{
-    bridge::Input,
+    bridge::{Input, Reference},
     cnc::{AxisPosition, Control, Heading, LinearAxis},
     dimensions::CODES_PER_TICK,
-    units::{Code, Position, Rpm},
+    units::{Code, Nanometres, Position, Rpm},
 };
 use trueup_link::{frames, layout::SDO_ANSWER_ID, slcan::Port};
 use trueup_machine::{Compiled, Machine, MachineFile, compile};
@@ -48,6 +48,8 @@ pub enum Fault {
     Full,
     /// Its firmware is of another commit than the tool.
     OtherSource,
+    /// Its CNC has set `Zero` where the spindle had grown by 2.5 µm.
+    Zeroed,
 }
 
 /// A bridge at a port of this machine, engaged by a CNC that it has elsewhere.
@@ -121,6 +123,10 @@ pub fn live(
     let (mut node, mut port) = started(Box::leak(compiled.blob().into()));
     if fault == Fault::OtherSource {
         node.note_commit(7);
+    }
+    if fault == Fault::Zeroed {
+        let elongation = Nanometres(2_500);
+        node.set_reference(Reference { elongation, ..Reference::default() });
     }
     let mut stored: Option<Vec<u8>> = None;
     let mut control = 0_u32;
