@@ -50,7 +50,7 @@ impl Session {
     pub fn open(port: &Port) -> Result<Self> {
         let ends = port.open().map_err(|error| match port {
             Port::Tcp(address) => Error::from(error).context(format!(
-                "no connection to tcp:{address}; is a bridge listening there (cargo virtual)?"
+                "no connection to tcp:{address}; is a bridge listening there (trueup virtual)?"
             )),
             Port::Serial(device) if is_busy(&error) => Error::from(error).context(format!(
                 "the serial device {device} is busy: another program talks to the bridge (a monitor, \

@@ -3,7 +3,7 @@
 //! Nothing moves but the spindle: where the gauge stands is the operator's choice. The same program
 //! runs twice, from cold each time: without compensation, and with it.
 
-use trueup_machine::Machine;
+use trueup_machine::{Machine, file::ElongationSource};
 
 use super::Plans;
 use crate::{
@@ -45,6 +45,10 @@ pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refus
         "Growth out of the spindle is positive. Delete columns that you have no values for.",
         "First without compensation; then, cold again, the same with it.",
     ];
+    let fit = match spindle.source {
+        Some(ElongationSource::Sensor | ElongationSource::Temperature) => "elongation",
+        Some(ElongationSource::Warmup) | None => "warmup",
+    };
     let plan = Plan {
         name: "warmup".into(),
         notes: notes.map(String::from).into(),
@@ -55,10 +59,9 @@ pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refus
             Step::Spindle(0.0),
         ],
         columns,
-        then:
-            "trueup fit warmup --run warmup-off.csv; then trueup accept --off warmup-off.csv --on \
-               warmup-on.csv"
-                .into(),
+        then: format!(
+            "trueup fit {fit} --run warmup-off.csv; then trueup accept --off warmup-off.csv --on warmup-on.csv"
+        ),
         records: vec!["off", "on"],
     };
     Ok((vec![plan], Vec::new()))
