@@ -17,6 +17,7 @@ pub mod cnc;
 pub mod firmware;
 mod frames;
 pub mod front_end;
+pub mod hand;
 pub mod linuxcnc;
 pub mod log;
 pub mod measure;

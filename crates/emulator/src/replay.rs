@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 
 use trueup_core::{
     channels::RawTemperatures,
-    cnc::{AxisPosition, Heading, LinearAxis, Rotary},
+    cnc::{AxisPosition, Control, Heading, LinearAxis, Rotary},
     dimensions::CHANNELS,
     pt100,
     thermometer::Raw,
@@ -44,6 +44,8 @@ pub struct Situation {
     pub positions: [Option<AxisPosition>; 3],
     /// Where the rotary axes of the head are sent, if the run says so.
     pub rotary: Option<Rotary>,
+    /// What the CNC says, where it is not a client of the serial line.
+    pub control: Option<Control>,
 }
 
 /// A run, ready to be played.

@@ -31,6 +31,7 @@ use trueup_pipe::Block;
 use crate::{
     board::{LARGEST_BATCH, MAY_WAIT, VirtualBoard},
     front_end::FrontEnd,
+    hand::Hand,
     plant::{Answer, Plant},
     replay::{Replay, Situation},
     stand_in::{ReceivedFrames, StandIn},
@@ -67,12 +68,13 @@ pub fn serve(
     front_end: FrontEnd,
     listener: TcpListener,
     source: SampleSource,
+    hand: &Hand,
     stop: Arc<AtomicBool>,
 ) -> Result<()> {
     let mut board = VirtualBoard::boot(image, calibration)?;
     eprintln!("the bridge is up in QEMU (process {})", board.qemu().id());
     end_with(stop.clone(), board.qemu().id());
-    let result = play(&mut board, front_end, listener, source, &stop);
+    let result = play(&mut board, front_end, listener, source, hand, &stop);
     // Whatever broke because it was stopped is not an error.
     if stop.load(Ordering::Relaxed) { Ok(()) } else { result }
 }
@@ -99,6 +101,7 @@ fn play(
     mut front_end: FrontEnd,
     listener: TcpListener,
     source: SampleSource,
+    hand: &Hand,
     stop: &AtomicBool,
 ) -> Result<()> {
     let opened = Arc::new(AtomicBool::new(false));
@@ -120,9 +123,10 @@ fn play(
         while left > 0 {
             let batch = left.min(LARGEST_BATCH);
             left -= batch;
+            let control = hand.control();
             let blocks: Vec<Block> = (0..batch)
                 .map(|_| {
-                    let now = situation(front_end.time_s());
+                    let now = Situation { control, ..situation(front_end.time_s()) };
                     Block {
                         codes: front_end.block(|_| now.sensor_volts),
                         speed: now.speed,
@@ -148,11 +152,17 @@ fn play(
                 thread::sleep(Duration::from_millis(5));
             }
             let mut pace = Pace::new(speed);
+            let mut lived_s = 0.0;
+            let mut began_s = 0.0;
             while !stop.load(Ordering::Relaxed) {
+                if hand.take_again() {
+                    began_s = lived_s;
+                }
                 match pace.due() {
                     0 => thread::sleep(Duration::from_micros(300)),
                     due => {
-                        live(board, &|time| replay.at(time), due)?;
+                        live(board, &|time| replay.at(time - began_s), due)?;
+                        lived_s += f64::from(due) / 1_000.0;
                     }
                 }
             }

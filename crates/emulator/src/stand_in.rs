@@ -1,12 +1,16 @@
 //! Stands in for a CNC that does not say where its axes are: sends the positions and angles of the
-//! run on the bus, as often as a CNC would, each until the CNC sends that frame itself.
+//! run on the bus, as often as a CNC would, each until the CNC sends that frame itself. Where a
+//! hand plays the CNC, its `Control` as well.
 
 use std::sync::atomic::{AtomicU8, Ordering};
 
 use trueup_link::{
     frame::Frame,
     frames,
-    layout::{POSITION_PERIOD_MS, POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID},
+    layout::{
+        CONTROL_PERIOD_MS, POSITION_PERIOD_MS, POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID,
+        ROTARY_ID,
+    },
 };
 use trueup_pipe::FRAMES;
 
@@ -14,7 +18,9 @@ use crate::replay::Situation;
 
 /// The frames that a run can stand in for.
 const IDS: [u16; 4] = [POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID];
-const _: () = assert!(IDS.len() <= FRAMES);
+/// The place of `Control`, behind them: a tool that writes sends one itself now and then, and is no CNC.
+const CONTROL: usize = IDS.len();
+const _: () = assert!(CONTROL < FRAMES);
 
 /// Which of these frames the CNC has sent itself: a bit each.
 #[derive(Debug, Default)]
@@ -40,18 +46,20 @@ impl ReceivedFrames {
 pub struct StandIn {
     ms: u32,
     /// Each identifier counts for itself.
-    counters: [u8; 4],
+    counters: [u8; CONTROL + 1],
 }
 
 impl StandIn {
     /// The frames of the next millisecond.
     pub fn frames(&mut self, now: &Situation, heard: &ReceivedFrames) -> [Option<Frame>; FRAMES] {
-        let is_due = self.ms.is_multiple_of(POSITION_PERIOD_MS);
+        let ms = self.ms;
         self.ms = self.ms.wrapping_add(1);
         let mut sent = [None; FRAMES];
-        if !is_due {
+        if !ms.is_multiple_of(POSITION_PERIOD_MS) {
             return sent;
         }
+        let control = now.control.filter(|_| ms.is_multiple_of(CONTROL_PERIOD_MS));
+        sent[CONTROL] = control.map(|control| frames::control(control, self.counters[CONTROL]));
         let [x, y, z] = now.positions;
         for (place, position) in [x, y, z].into_iter().enumerate() {
             sent[place] = position.map(|there| frames::position(there, self.counters[place]));
@@ -72,7 +80,7 @@ impl StandIn {
 mod tests {
     use super::*;
     use trueup_core::{
-        cnc::{AxisPosition, Heading, LinearAxis, Rotary},
+        cnc::{AxisPosition, Command, Control, Heading, LinearAxis, Rotary},
         units::Position,
     };
     use trueup_link::receiver::Receiver;
@@ -106,5 +114,24 @@ mod tests {
         assert_eq!(ids(2).len(), 3, "none of these is a position");
         heard.note(b"t20180000000000000000");
         assert_eq!(ids(2), [POSITION_Z_ID, ROTARY_ID]);
+    }
+
+    #[test]
+    fn control_is_sent_every_20_ms_whatever_a_client_sends() {
+        let now = Situation { control: Some(Control::ENGAGED), ..Situation::default() };
+        let (mut stand_in, heard, mut receiver) =
+            (StandIn::default(), ReceivedFrames::default(), Receiver::new());
+        let mut at_ms = Vec::new();
+        for ms in 0..100 {
+            heard.note(b"t30280000000000000000");
+            for frame in stand_in.frames(&now, &heard).into_iter().flatten() {
+                let told = receiver.accept(&frame).expect("in order");
+                assert_eq!(told, Some(Command::Control(Control::ENGAGED)), "{frame:?}");
+                at_ms.push(ms);
+            }
+        }
+        assert_eq!(at_ms, [0, 20, 40, 60, 80]);
+        let silent = stand_in.frames(&Situation::default(), &heard);
+        assert_eq!(silent, [None; FRAMES], "another one is the CNC");
     }
 }

@@ -12,6 +12,7 @@ use trueup_machine::{Machine, RunFile, compile};
 
 use crate::{
     front_end::FrontEnd,
+    hand::Hand,
     plant::Plant,
     replay::{DEFAULT_ROW_S, Replay},
     serve::{self, SampleSource},
@@ -95,5 +96,6 @@ pub fn run(
     eprintln!("the CNC's line is at tcp:{} (SLCAN)", listener.local_addr()?);
     let divider = inputs.and_then(|inputs| inputs.sensor.as_ref()).map_or(0.0, |it| it.divider);
     let front_end = FrontEnd::new(divider, options.seed);
-    serve::serve(&image, compiled.blob(), front_end, listener, source, stop)
+    let hand = Hand::at_standard_input();
+    serve::serve(&image, compiled.blob(), front_end, listener, source, &hand, stop)
 }

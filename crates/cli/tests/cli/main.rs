@@ -6,6 +6,7 @@ mod bounds;
 mod bridge;
 mod check;
 mod commission;
+mod commission_board;
 mod desk;
 mod diagnose;
 mod export;

@@ -1,0 +1,128 @@
+//! The hand at the CNC of a virtual bridge: what is typed where the bridge was started. From the first
+//! `engage` or `disengage` on the bridge hears a CNC on its bus, homed and with `Engage` or without, where it
+//! allows that it is written to; `again` plays the run from its start. So that a commissioning can be
+//! rehearsed, whose tool has the only line.
+
+use std::{
+    io::{self, IsTerminal as _},
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread,
+    time::Duration,
+};
+
+use rustix::{
+    event::{PollFd, PollFlags, Timespec, poll},
+    process::getpgrp,
+    termios::tcgetpgrp,
+};
+use trueup_core::cnc::Control;
+
+/// How often it is looked whether this command has the terminal.
+const LOOK: Duration = Duration::from_millis(200);
+
+/// What has been typed.
+#[derive(Clone, Debug, Default)]
+pub struct Hand {
+    control: Arc<Mutex<Option<Control>>>,
+    again: Arc<AtomicBool>,
+}
+
+impl Hand {
+    /// A hand that types at standard input.
+    #[must_use]
+    pub fn at_standard_input() -> Self {
+        let hand = Self::default();
+        let typed = hand.clone();
+        thread::spawn(move || {
+            let mut line = String::new();
+            while has_line() {
+                line.clear();
+                match io::stdin().read_line(&mut line) {
+                    Ok(1..) => eprintln!("{}", typed.take(line.trim())),
+                    _ => return,
+                }
+            }
+        });
+        hand
+    }
+
+    /// Takes a word; what is said of it.
+    fn take(&self, word: &str) -> &'static str {
+        let control = |engage| {
+            let control = Control { engage, service: !engage, ..Control::REFERENCED };
+            *self.control.lock().unwrap_or_else(PoisonError::into_inner) = Some(control);
+        };
+        match word {
+            "engage" => {
+                control(true);
+                "the CNC engages"
+            }
+            "disengage" => {
+                control(false);
+                "the CNC has disengaged"
+            }
+            "again" => {
+                self.again.store(true, Ordering::Relaxed);
+                "the run begins again"
+            }
+            _ => "engage, disengage, or again (the run from its start)",
+        }
+    }
+
+    /// What the CNC says; `None`: there is none on the bus.
+    #[must_use]
+    pub fn control(&self) -> Option<Control> {
+        *self.control.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Whether the run is to begin again, once.
+    #[must_use]
+    pub fn take_again(&self) -> bool {
+        self.again.swap(false, Ordering::Relaxed)
+    }
+}
+
+/// Waits until a line is there to be read; `false`: never. A command in the background that reads its terminal
+/// is stopped, so it does not.
+fn has_line() -> bool {
+    let stdin = io::stdin();
+    if !stdin.is_terminal() {
+        return true;
+    }
+    let patience = Timespec::try_from(LOOK).ok();
+    loop {
+        if !tcgetpgrp(&stdin).is_ok_and(|group| group == getpgrp()) {
+            thread::sleep(LOOK);
+            continue;
+        }
+        let mut wanted = [PollFd::new(&stdin, PollFlags::IN)];
+        match poll(&mut wanted, patience.as_ref()) {
+            Ok(1..) => return true,
+            // Nobody has typed, or a signal came.
+            Ok(0) | Err(rustix::io::Errno::INTR) => {}
+            Err(_) => return false,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_are_taken_and_others_say_which_there_are() {
+        let hand = Hand::default();
+        assert_eq!((hand.control(), hand.take_again()), (None, false));
+        hand.take("engage");
+        assert_eq!(hand.control(), Some(Control::ENGAGED));
+        assert!(hand.take("on").contains("disengage"));
+        assert_eq!(hand.control(), Some(Control::ENGAGED));
+        hand.take("disengage");
+        assert_eq!(hand.control(), Some(Control { service: true, ..Control::REFERENCED }));
+        hand.take("again");
+        assert_eq!((hand.take_again(), hand.take_again()), (true, false));
+    }
+}
