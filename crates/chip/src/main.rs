@@ -10,7 +10,7 @@ use std::{
 use trueup_chip::{
     chip::Chip,
     elf::Symbols,
-    processor::{FLASH_SIZE, Memories},
+    processor::{FLASH_SIZE, Memories, PENDED},
     report::Grade,
     run::{Board, Watch},
     script::Script,
@@ -75,6 +75,7 @@ fn board(options: &Options, image: &[u8]) -> Board {
         world.rtds.iter_mut().for_each(|rtd| rtd.celsius = Some(20.0));
     }
     world.lsi_hz = options.lsi;
+    world.battery = options.battery;
     world.crystal_hz = options.crystal;
     world.slow_flash = options.slow_flash;
     world.supply = options.supply;
@@ -171,6 +172,12 @@ fn say_masks(board: &mut Board, symbols: &Symbols) {
             seconds(masked.since) * 1e3,
             symbols.at(masked.pc)
         );
+    }
+    let waits = PENDED.iter().zip(board.pended_longest).filter(|(_, longest)| *longest > 0);
+    let waits: Vec<String> =
+        waits.map(|((name, _), longest)| format!("{name}: {:.1} µs", micros(longest))).collect();
+    if !waits.is_empty() {
+        println!("   pending at the longest: {}", waits.join(", "));
     }
 }
 

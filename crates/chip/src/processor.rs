@@ -25,6 +25,11 @@ const SYSTEM_SIZE: u64 = 0x1_0000;
 const PERIPHERALS: [(u32, u64); 3] =
     [(0x4000_0000, 0x8_0000), (0x5000_0000, 0x6_1000), (0xe004_2000, 0x400)];
 
+/// Exceptions that no unit of the chip raises while its lines are not used, but its program does: name and number (Armv7-M,
+/// B1.5.2; RM0090 table 61).
+pub const PENDED: [(&str, u16); 6] =
+    [("SysTick", 15), ("EXTI0", 22), ("EXTI1", 23), ("EXTI2", 24), ("EXTI3", 25), ("EXTI4", 26)];
+
 /// Who answers the processor beyond its memories.
 pub trait Peripherals: Send + Sync {
     /// A read of 1, 2 or 4 bytes.
@@ -261,6 +266,12 @@ impl Processor {
     #[must_use]
     pub fn is_in_it_block(&self) -> bool {
         self.core.regs().xpsr & 0x0600_fc00 != 0
+    }
+
+    /// Whether each exception of [`PENDED`] is pending: raised, and its handler not yet begun.
+    #[must_use]
+    pub fn pended(&self) -> [bool; PENDED.len()] {
+        self.core.with_sys(|system| PENDED.map(|(_, number)| system.is_pending(Exception(number))))
     }
 
     /// Whether it waits for an interrupt.

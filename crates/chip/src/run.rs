@@ -3,7 +3,7 @@
 use crate::accelerator::Accelerator;
 use crate::chip::{Chip, Faults, Shared};
 use crate::elf;
-use crate::processor::{FLASH_SIZE, Memories, Memory, Peripherals, Processor};
+use crate::processor::{FLASH_SIZE, Memories, Memory, PENDED, Peripherals, Processor};
 use crate::report::Grade;
 use crate::time::ms;
 use crate::world::World;
@@ -65,7 +65,7 @@ pub struct Masked {
 /// What is watched beyond the chip itself.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Watch {
-    /// How long interrupts are held off.
+    /// How long interrupts are held off, and how long what the program raises waits.
     pub masked: bool,
     /// Where the processor is, sampled.
     pub places: bool,
@@ -91,6 +91,9 @@ pub struct Board {
     ones: u32,
     checked: u32,
     masked_since: Option<(u64, u32)>,
+    pended_since: [Option<u64>; PENDED.len()],
+    /// The longest that each of [`PENDED`] waited for its handler to begin.
+    pub pended_longest: [u64; PENDED.len()],
     /// Ticks asleep.
     pub asleep: u64,
     /// When it first slept: what comes before is the start.
@@ -159,6 +162,8 @@ impl Board {
             ones: 0,
             checked: 0,
             masked_since: None,
+            pended_since: [None; PENDED.len()],
+            pended_longest: [0; PENDED.len()],
             asleep: 0,
             first_sleep: None,
             sleeps: 0,
@@ -265,6 +270,17 @@ impl Board {
     }
 
     fn watch_mask(&mut self) {
+        let pended = self.processor.pended().into_iter().zip(&mut self.pended_since);
+        for ((is, since), longest) in pended.zip(&mut self.pended_longest) {
+            match (is, *since) {
+                (true, None) => *since = Some(self.now),
+                (false, Some(from)) => {
+                    *longest = (*longest).max(self.now - from);
+                    *since = None;
+                }
+                _ => {}
+            }
+        }
         match (self.processor.is_masked(), self.masked_since) {
             (true, None) => self.masked_since = Some((self.now, self.processor.pc())),
             (false, Some((since, pc))) => {
@@ -302,6 +318,7 @@ impl Board {
                 self.first_sleep = Some(self.now);
                 // What was held off while the image began is no wait of a task.
                 self.masks.clear();
+                self.pended_longest.fill(0);
                 self.with_chip(|chip| chip.irq_longest.fill(0));
             }
             let woken = self.processor.idle(cycles, self.watch.awake);

@@ -55,6 +55,9 @@ pub struct World {
     pub plan: Plan,
     pub crystal_hz: u64,
     pub lsi_hz: u64,
+    /// The crystal on OSC32, and whether VBAT has a battery of its own.
+    pub lse_hz: u64,
+    pub battery: bool,
     /// The serial line of the CNC, and the RS-485 line of a PLC.
     pub wires: [Wire; 2],
     /// Pins that a switch holds at ground: port, pin.
@@ -93,6 +96,8 @@ impl World {
             plan,
             crystal_hz: 8_000_000,
             lsi_hz: 32_000,
+            lse_hz: 32_768,
+            battery: false,
             wires: [serial, rs485],
             low: Vec::new(),
             slow_flash: false,

@@ -51,6 +51,7 @@ pub(crate) const GATES: &[(u32, usize, u32, &str)] = &[
     (0x4002_1c00, 0, 7, "GPIOH"),
     (0x4002_2000, 0, 8, "GPIOI"),
     (0x4002_3000, 0, 12, "CRC"),
+    (0x4002_4000, 0, 18, "backup SRAM"),
     (0x4002_6000, 0, 21, "DMA1"),
     (0x4002_6400, 0, 22, "DMA2"),
 ];
@@ -62,6 +63,7 @@ impl Chip {
         let base = match addr {
             // Three converters in one kilobyte, and with the first of them what they share.
             0x4001_2000..=0x4001_22ff => addr & !0xff,
+            0x4002_4000..=0x4002_4fff => 0x4002_4000,
             _ => addr & !0x3ff,
         };
         let Some((_, bus, bit, name)) = GATES.iter().find(|g| g.0 == base) else { return true };
@@ -122,9 +124,10 @@ impl Chip {
                 }
                 self.write(word, if narrow_ok { v & 0xffff } else { v });
             }
-            0x4002_0000..=0x4002_23ff => {
+            0x4002_0000..=0x4002_23ff | 0x4002_4000..=0x4002_4fff => {
                 let lanes = (u32::MAX >> (32 - 8 * size)) << ((addr & 3) * 8);
-                let keep = if word & 0x3ff == 0x18 { 0 } else { self.read(word) & !lanes };
+                let is_bsrr = word < 0x4002_4000 && word & 0x3ff == 0x18;
+                let keep = if is_bsrr { 0 } else { self.read(word) & !lanes };
                 self.write(word, keep | v << ((addr & 3) * 8) & lanes);
             }
             _ => {
@@ -144,7 +147,7 @@ impl Chip {
             0x4002_3000 => self.crc_read(off),
             0x4000_7000 => match off {
                 0 => self.pwr_cr,
-                4 => self.pwr_cr & 0x4000,
+                4 => self.pwr_csr_read(),
                 _ => 0,
             },
             0x4002_0000..=0x4002_2000 => self.gpio_read((a as usize - 0x4002_0000) / 0x400, off),
@@ -155,6 +158,8 @@ impl Chip {
             0x4001_1000 => self.uart_read(0, off),
             0x4000_4800 => self.uart_read(1, off),
             0x4000_3800 => self.spi_read(off),
+            0x4000_2800 => self.rtc_read(off),
+            0x4002_4000..=0x4002_4c00 => self.backup_sram_read(a & 0xfff),
             0x4001_4800 => self.tim11_read(off),
             0x4000_3000 => match off {
                 0 => 0,
@@ -204,7 +209,7 @@ impl Chip {
                     }
                     self.pwr_cr = self.set("PWR_CR", self.pwr_cr, v & !0xc, 0x43ff);
                 }
-                4 => {}
+                4 => self.pwr_csr_write(v),
                 _ => self.violation(format!("PWR: write at {off:#x}")),
             },
             0x4002_0000..=0x4002_2000 => {
@@ -217,6 +222,8 @@ impl Chip {
             0x4001_1000 => self.uart_write(0, off, v),
             0x4000_4800 => self.uart_write(1, off, v),
             0x4000_3800 => self.spi_write(off, v),
+            0x4000_2800 => self.rtc_write(off, v),
+            0x4002_4000..=0x4002_4c00 => self.backup_sram_write(a & 0xfff, v),
             0x4001_4800 => self.tim11_write(off, v),
             0x4000_3000 => self.iwdg_write(off, v),
             0x4001_3800 => {

@@ -4,6 +4,7 @@
 //! or leaves undefined goes into the report, beside what silicon would do.
 
 mod adc;
+mod backup;
 mod bus;
 mod can;
 mod can_bus;
@@ -16,6 +17,7 @@ mod iwdg;
 mod outside;
 mod play;
 mod rcc;
+mod rtc;
 mod spi;
 mod tim;
 mod tim11;
@@ -29,6 +31,7 @@ use crate::{
     world::World,
 };
 use adc::{Adc, Adcs};
+use backup::Backup;
 use can::Can;
 use crc::Crc;
 use dma::Dma;
@@ -67,6 +70,8 @@ pub struct Faults {
     /// When the crystal stops; 0: never.
     pub hse_stops: u64,
     pub pll_dead: bool,
+    /// The 32 kHz crystal does not swing.
+    pub lse_dead: bool,
     /// When a converter stops in the middle of a conversion, for as long as it is on; 0: never.
     pub adc_stalls: u64,
     /// Nobody acknowledges on the bus.
@@ -112,6 +117,7 @@ pub struct Chip {
     pub tclk1: u64,
     pub tclk2: u64,
     pub pwr_cr: u32,
+    pub backup: Backup,
     pub flash: Flash,
     pub crc: Crc,
     pub gpio: [Gpio; 9],
@@ -185,6 +191,7 @@ impl Chip {
             tclk1: 0,
             tclk2: 0,
             pwr_cr: 0,
+            backup: Backup::default(),
             flash: Flash::default(),
             crc: Crc::default(),
             gpio: Default::default(),
@@ -228,6 +235,7 @@ impl Chip {
             ..Rcc::default()
         };
         self.pwr_cr = 0x4000;
+        self.backup.rtc.system_reset(self.now);
         self.gpio = Default::default();
         self.gpio[0] = Gpio { moder: 0xa800_0000, pupdr: 0x6400_0000, ..Gpio::default() };
         self.gpio[1] = Gpio { moder: 0x280, ospeedr: 0xc0, pupdr: 0x100, ..Gpio::default() };

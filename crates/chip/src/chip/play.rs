@@ -14,8 +14,9 @@ fn bytes(hex: &str) -> Vec<u8> {
 }
 
 impl Chip {
-    /// What the supply held is gone.
-    pub(crate) fn lose_memory(&mut self, seed: u64) {
+    /// The supply is gone for so many seconds, and what it held. Time itself goes on for the backup domain only.
+    pub(crate) fn lose_memory(&mut self, seed: u64, seconds: u64) {
+        self.backup_outlasts(seconds);
         for i in 0..0x4000u64 {
             let r = seed.wrapping_add(i).wrapping_mul(0x9e37_79b9_7f4a_7c15);
             self.sram.write_at(8 * i, &(r ^ r >> 29).to_le_bytes()).unwrap();
@@ -31,7 +32,7 @@ impl Chip {
             if s.cut_in == 0 {
                 let seed = s.random();
                 self.cut(seed);
-                self.lose_memory(seed);
+                self.lose_memory(seed, 0);
                 self.want_reset(1 << 27 | 1 << 26 | 1 << 25, "power, in a flash word");
             }
         }
@@ -123,6 +124,7 @@ impl Chip {
                         self.faults.hse_dead = false
                     }
                 }
+                "lse" => self.lse(number(1) != 0.0),
                 "cut" => s.cut_in = number(1) as u64,
                 // As `reset`, if no `cut` has come before it.
                 "reset_if_uncut" if s.cut_in == 0 => {}
@@ -139,7 +141,7 @@ impl Chip {
                     s.cut_in = 0;
                     self.cut(seed);
                     if why == "power" {
-                        self.lose_memory(seed)
+                        self.lose_memory(seed, words.get(2).map_or(0, |_| number(2) as u64));
                     }
                     self.want_reset(cause, why);
                 }

@@ -28,7 +28,6 @@ pub struct Rcc {
     pub rstr: [u32; 5],
     pub enr: [u32; 5],
     pub(crate) lpenr: [u32; 5],
-    pub(crate) bdcr: u32,
     pub csr: u32,
     pub(crate) sscgr: u32,
     pub(crate) plli2s: u32,
@@ -195,7 +194,7 @@ impl Chip {
             0x50 | 0x54 | 0x58 => r.lpenr[(off as usize - 0x50) / 4],
             0x60 => r.lpenr[3],
             0x64 => r.lpenr[4],
-            0x70 => r.bdcr,
+            0x70 => self.bdcr_read(),
             0x74 => r.csr,
             0x80 => r.sscgr,
             0x84 => r.plli2s,
@@ -318,7 +317,7 @@ impl Chip {
                 };
                 self.rcc.lpenr[i] = v;
             }
-            0x70 => self.rcc.bdcr = v,
+            0x70 => self.bdcr_write(v),
             0x74 => {
                 if v & 1 != 0 && self.rcc.csr & 3 == 0 {
                     self.rcc.lsi_at = now + us(40);
