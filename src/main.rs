@@ -25,7 +25,7 @@
 //! | `idle` | nothing else to do | 0 | | | |
 //!
 //! Measured on the model of the chip, all lines busy and a `Zero` stored (host-tests, `chip` `waits`; docs/robustness.md): no
-//! task that hardware calls waits for half its deadline, but `transmit` at 16 MHz, which is late. Interrupts are off for 15 µs at the
+//! task waits for half its deadline, on any clock. Interrupts are off for 15 µs at the
 //! longest, 135 µs on 16 MHz, each time for the log: only a PLC at 115 200 Bd may lose a byte by that, and only on 16 MHz,
 //! and the serial line where its DMA is dead.
 //!
@@ -125,7 +125,7 @@ mod app {
         let parts = board::start(cx.core, cx.device, cx.local.buffer);
         let faults = parts.faults;
         if let Err(error) = &parts.calibration {
-            defmt::error!("calibration refused: {}", defmt::Display2Format(error));
+            defmt::error!("calibration refused: {}", error);
         }
         let node = cx.local.place.write(Node::new(parts.calibration.ok(), faults.degrade()));
         faults.all().for_each(|fault| node.note(fault));
@@ -389,12 +389,8 @@ mod app {
     fn transmit(mut cx: transmit::Context) {
         let _turn = alive::enter(Task::Transmit);
         let now = NOW_MS.load(Ordering::Relaxed);
-        let sent = cx.local.serial_out.send(now, |piece| {
-            cx.shared.port.lock(|port| {
-                let bytes = core::iter::from_fn(|| port.pop());
-                piece.iter_mut().zip(bytes).map(|(place, byte)| *place = byte).count()
-            })
-        });
+        let sent =
+            cx.local.serial_out.send(now, |piece| cx.shared.port.lock(|port| port.take(piece)));
         if sent == Sent::More {
             rtic::pend(TRANSMIT);
         }

@@ -73,7 +73,7 @@ impl Supervision {
         let blob = match load.check() {
             Ok(blob) => blob,
             Err(error) => {
-                defmt::error!("calibration refused: {}", defmt::Display2Format(&error));
+                defmt::error!("calibration refused: {}", error);
                 return Outcome::Refused;
             }
         };

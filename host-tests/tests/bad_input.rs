@@ -389,13 +389,13 @@ fn a_broken_calibration_gives_no_offset_and_the_log_says_why() -> Result<()> {
     let image = firmware::build(Board::Virtual)?;
     let blobs = [
         // The mark, the layout's number, a limit, the sensor's slope, the checksum itself.
-        (flipped(0), "are not the mark"),
-        (flipped(4), "schema 0 at 4 is not 4"),
-        (flipped(17), "the CRC at the end is"),
-        (flipped(61), "the CRC at the end is"),
-        (flipped(good.len() - 1), "the CRC at the end is"),
-        (good[..good.len() - 1].to_vec(), "bytes are too short"),
-        (Vec::new(), "0 bytes are too short"),
+        (flipped(0), "Magic { found: "),
+        (flipped(4), "Schema { found: 0 }"),
+        (flipped(17), "Crc { stored: "),
+        (flipped(61), "Crc { stored: "),
+        (flipped(good.len() - 1), "Crc { stored: "),
+        (good[..good.len() - 1].to_vec(), "TooShort { len: "),
+        (Vec::new(), "TooShort { len: 0 }"),
         (good.to_vec(), ""),
     ];
     for (blob, why) in blobs {

@@ -29,7 +29,7 @@ pub fn open<F: NorFlash>(flash: F, calibration: u32) -> (References<F>, Kept) {
     match references.make_room() {
         Ok(false) => {}
         Ok(true) => defmt::info!("room made for references"),
-        Err(error) => defmt::error!("dead: store of references, {}", Text(&error)),
+        Err(error) => defmt::error!("dead: store of references, {}", error),
     }
     let reference = reference.map(|(_, reference)| (reference, supply));
     (references, Kept { reference, named })
@@ -59,7 +59,7 @@ pub fn keep<F: NorFlash>(references: &mut References<F>, zero: Zero, supply: Lev
             }
             Err(error) => {
                 say(0, &reference, "NOT stored");
-                defmt::error!("the reference is lost with the power: {}", Text(&error));
+                defmt::error!("the reference is lost with the power: {}", error);
                 false
             }
         },
@@ -75,13 +75,11 @@ pub fn keep_write<F: NorFlash>(references: &mut References<F>, write: &Write) ->
             Some(stored)
         }
         Err(error) => {
-            defmt::error!("write NOT stored: {=str}, {}", word, Text(&error));
+            defmt::error!("write NOT stored: {=str}, {}", word, error);
             None
         }
     }
 }
-
-use defmt::Display2Format as Text;
 
 fn say(number: u32, reference: &Reference, what: &str) {
     let [x, y, z] = reference.axes.map(|axis| axis.rounded().0);

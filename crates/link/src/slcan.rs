@@ -45,15 +45,27 @@ pub type Line = Vec<u8, MAX_LINE>;
 /// ```
 #[must_use]
 pub fn encode_line(frame: &Frame) -> String<MAX_FRAME_LINE> {
+    let (line, len) = bytes_of_line(frame);
+    let text = line.get(..len).and_then(|line| str::from_utf8(line).ok());
+    text.and_then(|text| String::try_from(text).ok()).unwrap_or_default()
+}
+
+/// The bytes of [`encode_line`], and how many they are: as a board sends them, thousands of lines a second.
+fn bytes_of_line(frame: &Frame) -> ([u8; MAX_FRAME_LINE], usize) {
+    let mut line = [CR; MAX_FRAME_LINE];
     let [high, low] = frame.id().to_be_bytes();
     let head = [b't', digit(high), digit(low >> 4), digit(low), digit(frame.len())];
-    let data = frame.payload().iter().flat_map(|byte| [digit(byte >> 4), digit(*byte)]);
-    let mut line = String::new();
-    for byte in head.into_iter().chain(data).chain([CR]) {
-        let pushed = line.push(char::from(byte));
-        debug_assert!(pushed.is_ok(), "5 characters, at most 16 of data, and the end");
+    let (first, data) = line.split_at_mut(head.len());
+    first.copy_from_slice(&head);
+    for (place, byte) in data.as_chunks_mut::<2>().0.iter_mut().zip(frame.payload()) {
+        *place = [digit(byte >> 4), digit(*byte)];
     }
-    line
+    (line, len_of_line(frame))
+}
+
+/// Characters of a frame's line: 5, two of each byte, and the end.
+fn len_of_line(frame: &Frame) -> usize {
+    usize::from(frame.len()).saturating_mul(2).saturating_add(6)
 }
 
 /// The frame of a line; its end may be left out, and digits may be in lower case.
@@ -69,10 +81,8 @@ pub fn decode_line(line: &[u8]) -> Result<Frame, SlcanError> {
 }
 
 fn digit(nibble: u8) -> u8 {
-    match nibble & 0xF {
-        decimal @ 0..=9 => b'0' | decimal,
-        letter => (b'A' - 10).saturating_add(letter),
-    }
+    const DIGITS: &[u8; 16] = b"0123456789ABCDEF";
+    DIGITS.get(usize::from(nibble & 0xF)).copied().unwrap_or_default()
 }
 
 /// What follows the first character of a line, read from left to right.

@@ -301,6 +301,7 @@ pub(crate) fn write_part<F: NorFlash>(flash: &mut F, address: u32, part: &[u8]) 
 
 /// Why a record is not stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum StoreError {
     /// Both halves are full.
     Full,

@@ -1,5 +1,5 @@
 //! How long a task waits at the longest, and how long interrupts are off, on each clock that the board may have to
-//! live with: a factor of two below the deadline (`src/main.rs`), but for the serial line's output at 16 MHz.
+//! live with: a factor of two below the deadline (`src/main.rs`), and no offset is lost on the serial line.
 //! `docs/robustness.md` has the figures.
 
 use std::thread;
@@ -31,8 +31,15 @@ const LINES: [(u32, &str, f64); 7] = [
     (50, "modbus", 6_000.0),
     (70, "transmit", 5_000.0),
 ];
-/// At 19 200 Bd the bytes in the queue of `modbus` last six times as long; `transmit` is late, and pairs are dropped.
-const OTHERWISE_AT_16_MHZ: [u32; 2] = [50, 70];
+/// At 19 200 Bd the bytes in the queue of `modbus` last six times as long.
+const SLOW_MODBUS_US: f64 = 36_000.0;
+/// What software starts, the task of each, and its deadline in µs: how long it is pending.
+const STARTED: [(&str, &str, f64); 4] = [
+    ("EXTI0", "listen", 2_800.0),
+    ("SysTick", "supervise", 100_000.0),
+    ("EXTI3", "service", 10_000.0),
+    ("EXTI2", "thermometers", 1_000_000.0),
+];
 
 /// All lines are open and busy, a PLC engages, and `Zero` is taken and stored.
 fn script(from_ms: u32) -> String {
@@ -53,6 +60,16 @@ fn script(from_ms: u32) -> String {
 fn behind(report: &Report, words: &str) -> Option<f64> {
     let (_, rest) = report.said.split_once(words)?;
     rest.trim_start_matches([':', ' ']).split_once(" µs")?.0.parse().ok()
+}
+
+/// Offsets on the serial line, and how often one did not follow the other.
+fn offsets(report: &Report) -> (usize, usize) {
+    let counter = |event: &String| {
+        let (_, data) = event.split_once(" serial t2818")?;
+        Some(u8::from_str_radix(&data[4..6], 16).expect("hex"))
+    };
+    let all: Vec<u8> = report.events.iter().filter_map(counter).collect();
+    (all.len(), all.windows(2).filter(|pair| pair[1] != pair[0].wrapping_add(1)).count())
 }
 
 #[test]
@@ -76,19 +93,33 @@ fn no_task_waits_for_half_its_deadline_on_any_clock() {
         let byte: f64 = plc.split_once(" µs").expect("a time").0.parse().expect("a number");
         let mut text = format!("{clock}: interrupts off {masked}, modbus_line {byte}");
         assert!(masked < byte_us / 2.0 && byte < byte_us / 2.0, "{text}");
-        let up = report.said.split_once("lines up at the longest: ").expect("told").1;
-        let up: Vec<&str> = up.lines().next().expect("a line").split(", ").collect();
-        for (line, task, deadline) in LINES {
-            let name = format!("{line}: ");
-            let wait = up.iter().find_map(|it| it.strip_prefix(&name)?.strip_suffix(" µs"));
-            // Without a crystal there is no CAN.
-            let Some(wait) = wait else { continue };
+        let told = |words: &str| {
+            let (_, rest) = report.said.split_once(words).expect("it is told");
+            rest.lines().next().expect("a line").split(", ").collect::<Vec<_>>()
+        };
+        let up = told("lines up at the longest: ");
+        let pending = told("pending at the longest: ");
+        let lines = LINES.map(|(line, task, deadline)| (&up, line.to_string(), task, deadline));
+        let started = STARTED.map(|(name, task, deadline)| (&pending, name.into(), task, deadline));
+        for (waits, name, task, deadline) in lines.into_iter().chain(started) {
+            let name = format!("{name}: ");
+            let wait = waits.iter().find_map(|it| it.strip_prefix(&name)?.strip_suffix(" µs"));
+            // Without a crystal there is no CAN; half a ring of bytes in a row need not come; where the processor is fast,
+            // the supervisor has never waited.
+            let Some(wait) = wait else {
+                let is_silent = task.starts_with("can_") && clock != "168 MHz";
+                let is_quick = task == "supervise" && clock != "16 MHz";
+                assert!(is_silent || is_quick || task == "serial_receive", "{clock}: no {task}");
+                continue;
+            };
             text += &format!(", {task} {wait}");
-            let is_otherwise = clock == "16 MHz" && OTHERWISE_AT_16_MHZ.contains(&line);
-            let is_in_time = wait.parse::<f64>().expect("a number") < deadline / 2.0;
-            assert!(is_in_time || is_otherwise, "{text}");
+            let is_slow = clock == "16 MHz" && task == "modbus";
+            let deadline = if is_slow { SLOW_MODBUS_US } else { deadline };
+            assert!(wait.parse::<f64>().expect("a number") < deadline / 2.0, "{text}");
         }
-        println!("{text} µs");
+        let (count, lost) = offsets(&report);
+        println!("{text} µs; {count} offsets on the serial line, {lost} lost");
+        assert!(count > 600 && lost == 0, "{clock}");
     };
     let lived = &lived;
     thread::scope(|scope| {

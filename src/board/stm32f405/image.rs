@@ -78,7 +78,7 @@ impl Image {
         CRC::enable(rcc);
         CRC::reset(rcc);
         let mut image = Self { unit, by_core: None, at: START, verdict: Verdict::Unsealed };
-        image.feed(0);
+        image.feed(core::iter::once(0));
         if image.crc() != step(u32::MAX, 0) {
             defmt::error!("dead: CRC unit, the core checks the image");
             image.by_core = Some(u32::MAX);
@@ -113,13 +113,11 @@ impl Image {
         let end = START.saturating_add(length);
         let own = addr_of!(CHECK) as u32;
         let stop = end.min(self.at + 4 * PIECE);
-        while self.at < stop {
-            if self.at != own && self.at != own + 4 {
-                // SAFETY: a word of the flash: `length` is at most [`MOST`].
-                self.feed(unsafe { read_volatile(self.at as *const u32) });
-            }
-            self.at += 4;
-        }
+        let places = (self.at..stop).step_by(4).filter(|at| *at != own && *at != own + 4);
+        // SAFETY: words of the flash: `length` is at most [`MOST`].
+        let words = places.map(|at| unsafe { read_volatile(at as *const u32) });
+        self.at = stop;
+        self.feed(words);
         let is_over = self.at >= end;
         if is_over {
             if self.crc() != crc {
@@ -143,14 +141,15 @@ impl Image {
     }
 
     #[allow(unsafe_code, reason = "registers of the CRC unit")]
-    fn feed(&mut self, word: u32) {
+    fn feed(&mut self, words: impl Iterator<Item = u32>) {
         match &mut self.by_core {
-            Some(crc) => {
-                *crc = step(*crc, word);
-            }
+            Some(crc) => *crc = words.fold(*crc, step),
             None => {
-                // SAFETY: any word.
-                self.unit.dr().write(|w| unsafe { w.bits(word) });
+                let unit = self.unit.dr();
+                for word in words {
+                    // SAFETY: any word.
+                    unit.write(|w| unsafe { w.bits(word) });
+                }
             }
         }
     }

@@ -34,7 +34,10 @@ fn panic(info: &PanicInfo) -> ! {
     // A panic inside the logger would panic again here, for ever.
     if !PANICKED.swap(true, Ordering::Relaxed) {
         last_words::leave(Why::Panic, Core::default(), info.location());
-        defmt::error!("{}", defmt::Display2Format(info));
+        // The place and not the words: these would bring the formatting of `core` into the image, 10 KB.
+        if let Some(place) = info.location() {
+            defmt::error!("panic at {=str}:{=u32}", place.file(), place.line());
+        }
         asm::delay(TIME_TO_READ);
     }
     SCB::sys_reset()

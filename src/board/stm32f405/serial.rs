@@ -13,7 +13,7 @@ use stm32f4xx_hal::{
     pac::USART1,
     prelude::*,
     rcc::Rcc,
-    serial::{Config, Rx1, Serial, Tx1},
+    serial::{Config, Error, Rx1, Serial, Tx1},
 };
 
 use super::{
@@ -26,7 +26,7 @@ use super::{
 const SEND_POLLS: u32 = 4_096;
 /// Milliseconds after which a DMA that has not moved is dead: a byte takes 11 µs.
 const DMA_PATIENCE_MS: u32 = 10;
-/// Bytes taken from the port at a time: it is locked meanwhile.
+/// Bytes taken from the port at a time, to be polled out.
 const TAKEN_AT_ONCE: usize = 16;
 /// Bytes that are polled out in one turn, 1.4 ms of the line.
 const POLLED_AT_ONCE: usize = 128;
@@ -108,11 +108,13 @@ impl SerialIn {
                 self.errors = self.errors.saturating_add(1);
                 // A line full of noise must not fill the log as well.
                 if self.errors.is_power_of_two() {
-                    defmt::warn!(
-                        "serial: {}, error number {}",
-                        defmt::Debug2Format(&error),
-                        self.errors
-                    );
+                    let what = match error {
+                        Error::Overrun => defmt::intern!("overrun"),
+                        Error::FrameFormat => defmt::intern!("framing"),
+                        Error::Noise => defmt::intern!("noise"),
+                        _ => defmt::intern!("parity, or none that is known"),
+                    };
+                    defmt::warn!("serial: {=istr}, error number {}", what, self.errors);
                 }
                 None
             }
@@ -132,7 +134,7 @@ pub struct SerialOut {
 impl SerialOut {
     /// Hands over what waits, which `fill` gives a piece at a time; an interrupt comes when there is room
     /// for more.
-    pub fn send(&mut self, now_ms: u32, mut fill: impl FnMut(&mut [u8]) -> usize) -> Sent {
+    pub fn send(&mut self, now_ms: u32, fill: impl FnMut(&mut [u8]) -> usize) -> Sent {
         let Some(outgoing) = &mut self.outgoing else { return self.poll_out(fill) };
         if outgoing.is_moving() {
             self.moved_ms = now_ms;
@@ -148,18 +150,7 @@ impl SerialOut {
             return Sent::Busy;
         }
         self.moved_ms = now_ms;
-        let count = outgoing.send(|buffer| {
-            let mut count = 0;
-            for piece in buffer.chunks_mut(TAKEN_AT_ONCE) {
-                let taken = fill(piece);
-                count += taken;
-                if taken < piece.len() {
-                    break;
-                }
-            }
-            count
-        });
-        if count == 0 { Sent::All } else { Sent::Busy }
+        if outgoing.send(fill) == 0 { Sent::All } else { Sent::Busy }
     }
 
     /// A byte that the transmitter does not take is dropped: a dead one must not hang us.

@@ -5,7 +5,7 @@
 //! say when to look. What goes out goes in pieces of up to 128 bytes, with an interrupt at the end of each.
 //! Stream 0 of the same controller is the converter's: each clears its own flags only.
 
-use core::sync::atomic::{AtomicU8, Ordering, fence};
+use core::sync::atomic::{AtomicU8, AtomicU32, Ordering, fence};
 
 use stm32f4xx_hal::pac::{DMA2, USART1, dma2::ST};
 
@@ -23,7 +23,8 @@ const STOP_POLLS: u32 = 200;
 /// What the DMA writes and reads. Atomic, so that the compiler expects the values to change by
 /// themselves; in the SRAM of the bus matrix, which the DMA reaches.
 static IN: [AtomicU8; RING] = [const { AtomicU8::new(0) }; RING];
-static OUT: [AtomicU8; PIECE] = [const { AtomicU8::new(0) }; PIECE];
+/// Words, so that four bytes go in at once.
+static OUT: [AtomicU32; PIECE / 4] = [const { AtomicU32::new(0) }; PIECE / 4];
 
 #[allow(unsafe_code, reason = "registers of the DMA")]
 fn controller() -> DMA2 {
@@ -141,8 +142,8 @@ impl Outgoing {
     pub fn give_up(self) -> impl Iterator<Item = u8> {
         let left = usize::from(self.dma.st(7).ndtr().read().ndt().bits());
         stop(self.dma.st(7));
-        let rest = self.count.saturating_sub(left)..self.count;
-        OUT[rest].iter().map(|place| place.load(Ordering::Relaxed))
+        let bytes = OUT.iter().flat_map(|word| word.load(Ordering::Relaxed).to_le_bytes());
+        bytes.take(self.count).skip(self.count.saturating_sub(left))
     }
 
     /// Sends what `fill` puts into the buffer, and gives how much that is. No piece is going out.
@@ -153,8 +154,8 @@ impl Outgoing {
         if count == 0 {
             return 0;
         }
-        for (place, byte) in OUT.iter().zip(&bytes[..count]) {
-            place.store(*byte, Ordering::Relaxed);
+        for (place, word) in OUT.iter().zip(bytes.as_chunks().0) {
+            place.store(u32::from_le_bytes(*word), Ordering::Relaxed);
         }
         let stream = self.dma.st(7);
         // SAFETY: the stream is off. It will read `count` bytes, which are static and atomic, and write

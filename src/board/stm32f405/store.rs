@@ -1,6 +1,5 @@
 //! Calibrations that a master has loaded: kept in flash, read where they lie, from the next start on.
 
-use defmt::Display2Format as Text;
 use trueup_store::{
     StoreError,
     slots::{Found, Slots},
@@ -32,7 +31,7 @@ impl Store {
         match slots.make_room() {
             Ok(false) => {}
             Ok(true) => defmt::info!("room made for calibrations"),
-            Err(error) => defmt::error!("dead: store of calibrations, {}", Text(&error)),
+            Err(error) => defmt::error!("dead: store of calibrations, {}", error),
         }
         let loaded = newest.map(|stored| {
             defmt::info!("loaded calibration {} is used", stored.sequence);
@@ -53,11 +52,11 @@ impl Store {
                 true
             }
             Err(error @ StoreError::Full) => {
-                defmt::error!("calibration NOT stored, restart the board: {}", Text(&error));
+                defmt::error!("calibration NOT stored, restart the board: {}", error);
                 false
             }
             Err(error) => {
-                defmt::error!("calibration NOT stored: {}", Text(&error));
+                defmt::error!("calibration NOT stored: {}", error);
                 false
             }
         }

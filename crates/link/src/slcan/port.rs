@@ -14,9 +14,9 @@
 //! Clients set a bit rate, a filter or a repeated `O` whether or not that makes sense on a serial
 //! line; refusing would stop them. `Z1` is refused: it would promise time stamps.
 
-use heapless::Deque;
+use heapless::Vec;
 
-use super::{BELL, CR, Fields, LineSplitter, SlcanError, digit, encode_line};
+use super::{BELL, CR, Fields, LineSplitter, SlcanError, bytes_of_line, digit, len_of_line};
 use crate::frame::Frame;
 
 /// Bytes that wait to be transmitted. One cycle of offsets is 44, so this is 5 ms of traffic: older
@@ -61,7 +61,8 @@ pub struct Port {
     serial: u16,
     channel: Channel,
     lines: LineSplitter,
-    tx: Deque<u8, TX_CAPACITY>,
+    /// The oldest first.
+    tx: Vec<u8, TX_CAPACITY>,
     counters: PortCounters,
     last_error: Option<SlcanError>,
 }
@@ -74,7 +75,7 @@ impl Port {
             serial,
             channel: Channel::Closed,
             lines: LineSplitter::new(),
-            tx: Deque::new(),
+            tx: Vec::new(),
             counters: PortCounters { malformed: 0, dropped: 0 },
             last_error: None,
         }
@@ -107,22 +108,34 @@ impl Port {
         if !self.is_open() {
             return false;
         }
-        let line_len = |frame| encode_line(frame).len();
-        let needed = frames.iter().map(line_len).fold(ANSWER_RESERVE, usize::saturating_add);
+        let needed = frames.iter().map(len_of_line).fold(ANSWER_RESERVE, usize::saturating_add);
         if needed > self.room() {
             let lost = u32::try_from(frames.len()).unwrap_or(u32::MAX);
             self.counters.dropped = self.counters.dropped.saturating_add(lost);
             return false;
         }
         for frame in frames {
-            self.queue(encode_line(frame).as_bytes());
+            let (line, len) = bytes_of_line(frame);
+            self.queue(line.get(..len).unwrap_or_default());
         }
         true
     }
 
     /// The next byte to transmit.
     pub fn pop(&mut self) -> Option<u8> {
-        self.tx.pop_front()
+        let mut byte = [0];
+        (self.take(&mut byte) == 1).then_some(byte[0])
+    }
+
+    /// The next bytes to transmit, as many as there are and `piece` has room for; gives how many.
+    pub fn take(&mut self, piece: &mut [u8]) -> usize {
+        let count = self.tx.len().min(piece.len());
+        let (oldest, rest) = self.tx.split_at(count);
+        piece.iter_mut().zip(oldest).for_each(|(place, byte)| *place = *byte);
+        let left = rest.len();
+        self.tx.copy_within(count.., 0);
+        self.tx.truncate(left);
+        count
     }
 
     /// Whether a client listens.
@@ -212,10 +225,8 @@ impl Port {
 
     /// The caller has made sure of the room.
     fn queue(&mut self, bytes: &[u8]) {
-        for byte in bytes {
-            let queued = self.tx.push_back(*byte);
-            debug_assert!(queued.is_ok());
-        }
+        let queued = self.tx.extend_from_slice(bytes);
+        debug_assert!(queued.is_ok());
     }
 }
 

@@ -23,6 +23,7 @@ impl Error for TooLarge {}
 
 /// Why a blob is no calibration. Offsets count bytes from the start of the blob.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum BlobError {
     /// Fewer bytes than the blob has.
     TooShort {

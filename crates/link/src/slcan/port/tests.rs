@@ -1,9 +1,9 @@
 //! The port before a program that speaks SLCAN.
 
 use super::*;
-use crate::slcan::MAX_FRAME_LINE;
+use crate::slcan::{MAX_FRAME_LINE, encode_line};
 use proptest::prelude::*;
-use std::vec::Vec;
+use std::{vec, vec::Vec};
 
 fn drain(port: &mut Port) -> Vec<u8> {
     core::iter::from_fn(|| port.pop()).collect()
@@ -238,5 +238,24 @@ proptest! {
         prop_assert!(port.send(&sent));
         let line = drain(&mut port);
         prop_assert_eq!(talk(&mut port, &line).0, [sent]);
+    }
+}
+
+#[test]
+fn pieces_of_any_size_are_the_same_bytes_in_their_order() {
+    let frames: Vec<Frame> = (0..8).map(frame).collect();
+    let lines: Vec<u8> = frames.iter().flat_map(|it| encode_line(it).into_bytes()).collect();
+    for size in 1..=lines.len() + 1 {
+        let mut port = opened();
+        assert!(port.send_all(&frames));
+        let (mut heard, mut piece) = (Vec::new(), vec![0; size]);
+        loop {
+            let count = port.take(&mut piece);
+            heard.extend_from_slice(&piece[..count]);
+            if count < size {
+                break;
+            }
+        }
+        assert_eq!(heard, lines, "pieces of {size}");
     }
 }
