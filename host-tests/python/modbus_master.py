@@ -85,8 +85,6 @@ def exception(answer):
     return answer.exception_code if answer.isError() else None
 
 
-
-
 def main():
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("host")
@@ -166,7 +164,8 @@ def main():
     print(json.dumps(saw))
 
 
-try:
-    main()
-except ModbusException as error:
-    raise SystemExit(f"pymodbus: {error}")
+if __name__ == "__main__":
+    try:
+        main()
+    except ModbusException as error:
+        raise SystemExit(f"pymodbus: {error}")

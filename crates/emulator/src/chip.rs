@@ -132,10 +132,10 @@ pub fn show<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Resul
     Ok(status.success())
 }
 
-/// A running model, ended with its owner, and the port of its serial line.
+/// A running model, ended with its owner, and the port of one of its lines.
 pub struct Line {
     child: Child,
-    /// Where the serial line listens on this machine.
+    /// Where the line listens on this machine.
     pub port: u16,
 }
 
@@ -145,8 +145,25 @@ impl Line {
     /// # Errors
     /// The model cannot be started, or ends at once.
     pub fn start<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result<Self> {
+        Self::start_at("--serial", model, image, options)
+    }
+
+    /// The same, of the RS-485 line for a PLC.
+    ///
+    /// # Errors
+    /// As [`Self::start`].
+    pub fn start_plc<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result<Self> {
+        Self::start_at("--modbus", model, image, options)
+    }
+
+    fn start_at<S: AsRef<OsStr>>(
+        line: &str,
+        model: &Path,
+        image: &Path,
+        options: &[S],
+    ) -> Result<Self> {
         let mut command = Command::new(model);
-        command.arg(image).args(["--serial", "0"]).args(options);
+        command.arg(image).args([line, "0"]).args(options);
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::inherit());
         let mut child = command.spawn().context("cannot start the model of the chip")?;
         let mut source = child.stdout.take().context("its output was asked for")?;

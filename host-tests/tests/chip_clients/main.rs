@@ -7,6 +7,7 @@ mod support;
 mod blocks;
 mod command;
 mod modbus;
+mod modbus_faults;
 
 use std::{
     ffi::OsStr,

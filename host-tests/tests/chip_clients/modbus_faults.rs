@@ -1,0 +1,275 @@
+//! What a master can do wrong on the RS-485 line of the flashable image, and a master beside it: the exception that
+//! the standard names or no answer at all, and nothing moves. All times are the board's.
+
+use anyhow::{Context as _, Result, ensure};
+use trueup_core::cnc::{Control, Quality};
+use trueup_emulator::{
+    chip::Report,
+    plc::{UNIT, frame, hex, read, read_pdu, write, write_pdu},
+};
+use trueup_link::status::StateBits;
+use trueup_modbus::input::Input;
+
+use super::{
+    blocks::offset,
+    modbus::{FAST, said},
+    support::{FAST_MACHINE, chip::Chip},
+};
+
+/// The offset stands from here on.
+const SETTLED_MS: u32 = 620;
+/// From a sign of life to the fault behind it: 43 bytes, the silence, 8 bytes.
+const BEHIND_MS: u32 = 8;
+/// The noise of the samples, and the rounding of the wire.
+const STANDS: u32 = 10;
+
+/// Something that a PLC should not send.
+struct Fault {
+    name: &'static str,
+    bytes: Vec<u8>,
+    /// What the UART makes of its first byte, by the model's name for it; empty: what it is.
+    line: &'static str,
+    /// Here the line pauses, within what is to be one frame.
+    pause_at: Option<usize>,
+    /// What it is to be told; `None`: nothing.
+    answer: Option<Vec<u8>>,
+}
+
+impl Fault {
+    fn told(name: &'static str, pdu: &[u8], exception: u8) -> Self {
+        let answer = frame(UNIT, &[pdu[0] | 0x80, exception]);
+        Self { answer: Some(answer), ..Self::silent(name, frame(UNIT, pdu)) }
+    }
+
+    fn silent(name: &'static str, bytes: Vec<u8>) -> Self {
+        Self { name, bytes, line: "", pause_at: None, answer: None }
+    }
+}
+
+/// All of them; wherever a block is written it would release the offset, and its counter is the next one.
+fn faults(counter: u16) -> Vec<Fault> {
+    let release = write_pdu(Control::REFERENCED, counter);
+    let changed = |place: usize, value: u8| {
+        let mut pdu = release.clone();
+        pdu[place] = value;
+        pdu
+    };
+    let whole = frame(UNIT, &release);
+    let damaged = [&whole[..42], &[whole[42] ^ 1]].concat();
+    let mut random = 1_u32;
+    let mut noise = |length: usize| -> Vec<u8> {
+        let byte = |_| {
+            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            random.to_be_bytes()[0]
+        };
+        (0..length).map(byte).collect()
+    };
+    vec![
+        Fault::told("read coils", &[1, 0, 0, 0, 8], 1),
+        Fault::told("read discrete inputs", &[2, 0, 0, 0, 8], 1),
+        Fault::told("write a coil", &[5, 0, 0, 0xFF, 0], 1),
+        Fault::told("write one register", &[6, 0, 1, 0, 2], 1),
+        Fault::told("diagnostics", &[8, 0, 0, 0, 0], 1),
+        Fault::told("read and write", &[23, 0, 0, 0, 1, 0, 1, 0, 1, 2, 0, 2], 1),
+        Fault::told("read behind the end", &[4, 0, 27, 0, 2], 2),
+        Fault::told("read elsewhere", &[4, 0xFF, 0xFF, 0, 1], 2),
+        Fault::told("read holding behind the end", &[3, 0, 17, 0, 1], 2),
+        Fault::told("read nothing", &[4, 0, 0, 0, 0], 3),
+        Fault::told("read more than may be", &[4, 0, 0, 0, 126], 3),
+        Fault::told("a byte is missing", &[4, 0, 0, 0], 3),
+        Fault::told("a byte too many", &[&release[..], &[0]].concat(), 3),
+        Fault::told("write a part", &[&[16, 0, 0, 0, 5, 10], &release[6..16]].concat(), 2),
+        Fault::told("write elsewhere", &changed(2, 1), 2),
+        Fault::told("write nothing", &[16, 0, 0, 0, 0, 0], 3),
+        Fault::told("another length than is said", &changed(5, 32), 3),
+        Fault::silent("to everybody", frame(0, &release)),
+        Fault::silent("to another unit", frame(7, &release)),
+        Fault::silent("to unit 255", frame(255, &release)),
+        Fault::silent("a wrong checksum", damaged),
+        Fault::silent("half a request", whole[..20].to_vec()),
+        Fault::silent("noise", noise(37)),
+        Fault::silent("more than a frame holds", [&whole[..], &noise(257)].concat()),
+        Fault { pause_at: Some(20), ..Fault::silent("a pause within", whole.clone()) },
+        Fault { line: "parity", ..Fault::silent("a wrong parity", whole.clone()) },
+        Fault { line: "framing", ..Fault::silent("no stop bit", whole.clone()) },
+        Fault { line: "break", ..Fault::silent("a break", whole.clone()) },
+    ]
+}
+
+/// A master that has this to say, and knows what it has been told.
+struct Master {
+    script: String,
+    counter: u16,
+}
+
+impl Master {
+    /// It lets go for five blocks, then engages, 20 ms each, up to this time.
+    fn engaging(until_ms: u32) -> Self {
+        let mut script = "0 control 0\n0 spindle 0\n0 positions 0\n".to_string();
+        let times = (300..until_ms).step_by(20);
+        let mut counter = 0;
+        for at in times {
+            let control = if counter < 5 { Control::REFERENCED } else { Control::ENGAGED };
+            script += &format!("{at} modbus {}\n", write(control, counter));
+            counter += 1;
+        }
+        Self { script, counter }
+    }
+
+    fn lives(&mut self, at: u32) {
+        self.script += &format!("{at} modbus {}\n", write(Control::ENGAGED, self.counter));
+        self.counter += 1;
+    }
+}
+
+/// What the board has answered.
+struct Answers(Vec<(f64, Vec<u8>)>);
+
+impl Answers {
+    fn of(report: &Report) -> Self {
+        Self(report.events.iter().filter_map(|event| said(event, "modbus")).collect())
+    }
+
+    fn between(&self, from: u32, to: u32) -> Vec<&[u8]> {
+        let is_within = |at: f64| (f64::from(from)..f64::from(to)).contains(&at);
+        self.0.iter().filter(|(at, _)| is_within(*at)).map(|(_, bytes)| &bytes[..]).collect()
+    }
+
+    /// The input block that was read in this time.
+    fn input(&self, from: u32, to: u32) -> Result<Input> {
+        let [answer] = self.between(from, to)[..] else { anyhow::bail!("no answer, or several") };
+        let (words, _) = answer.get(3..59).context("the whole block")?.as_chunks::<2>();
+        let words: Vec<u16> = words.iter().map(|it| u16::from_be_bytes(*it)).collect();
+        Input::decode(&words.try_into().ok().context("28 registers")?).context("half old")
+    }
+}
+
+/// Offsets in Z on CAN with their quality, in this time.
+fn course(report: &Report, from: u32, to: u32) -> Vec<(i32, u8)> {
+    let frames = report.events.iter().filter_map(|event| said(event, "can 281"));
+    let within = frames.filter(|(at, _)| (f64::from(from)..f64::from(to)).contains(at));
+    let value = |(_, data): (f64, Vec<u8>)| {
+        let data: [u8; 8] = data.try_into().expect("eight bytes");
+        (offset(&data), data[5] >> 4)
+    };
+    within.map(value).collect()
+}
+
+/// Live and where it was in all this time.
+fn stands(report: &Report, from: u32, to: u32) -> Result<()> {
+    let course = course(report, from, to);
+    let (first, _) = *course.first().context("offsets on CAN")?;
+    ensure!(course.len() > 100 && first.abs() > 1_000, "{} offsets of {first}", course.len());
+    let moved = course
+        .iter()
+        .find(|(z, quality)| z.abs_diff(first) > STANDS || *quality != Quality::Live as u8);
+    ensure!(moved.is_none(), "{moved:?} where {first} stood, × 10 nm");
+    Ok(())
+}
+
+#[test]
+fn what_a_master_does_wrong_gets_the_exception_of_the_standard_or_silence_and_moves_nothing()
+-> Result<()> {
+    let Some(chip) = Chip::of_machine(FAST_MACHINE)? else { return Ok(()) };
+    let mut master = Master::engaging(SETTLED_MS);
+    let written = frame(UNIT, &[16, 0, 0, 0, 17]);
+    let mut slots = Vec::new();
+    let mut at = SETTLED_MS;
+    for number in 0..faults(0).len() {
+        master.lives(at);
+        let fault = faults(master.counter).swap_remove(number);
+        let from = at + BEHIND_MS;
+        if !fault.line.is_empty() {
+            master.script += &format!("{from} modbus_error {} 1\n", fault.line);
+        }
+        let (before, behind) = fault.bytes.split_at(fault.pause_at.unwrap_or(fault.bytes.len()));
+        master.script += &format!("{from} modbus {}\n", hex(before));
+        if !behind.is_empty() {
+            // 20 bytes take 1.9 ms; the pause is over 750 µs and below 1.75 ms.
+            master.script += &format!("{} modbus {}\n", from + 3, hex(behind));
+        }
+        let next = from + 10 + fault.bytes.len() as u32 / 10;
+        slots.push((at, from, next, fault));
+        at = next;
+    }
+    // Two that are acknowledged, and not used: its registers are wrong, and its counter stands still.
+    let mut block = write_pdu(Control::REFERENCED, master.counter);
+    block[7] ^= 4;
+    let not_used = [block, write_pdu(Control::REFERENCED, master.counter - 1)];
+    let acknowledged = at;
+    for pdu in &not_used {
+        master.script += &format!("{at} modbus {}\n", hex(&frame(UNIT, pdu)));
+        at += 10;
+    }
+    master.lives(at);
+    let read_at = at + 10;
+    master.script += &format!("{read_at} modbus {}\n", read());
+    // And the proof that it would have been seen.
+    let released = read_at + 12;
+    master.script += &format!("{released} modbus {}\n", write(Control::REFERENCED, master.counter));
+    let report = chip.live(released + 60, &master.script, &FAST)?;
+
+    ensure!(report.clean, "a violation:\n{}", report.said);
+    let answers = Answers::of(&report);
+    for (lives, from, next, fault) in &slots {
+        let alive = answers.between(*lives, *from);
+        ensure!(alive == [&written[..]], "before {}: {alive:02x?}", fault.name);
+        let told = answers.between(*from, *next);
+        let expected: Vec<&[u8]> = fault.answer.iter().map(|it| &it[..]).collect();
+        ensure!(told == expected, "{}: {told:02x?} for {expected:02x?}", fault.name);
+    }
+    for at in [acknowledged, acknowledged + 10] {
+        ensure!(answers.between(at, at + 10) == [&written[..]], "it is acknowledged");
+    }
+    let input = answers.input(read_at, released)?;
+    ensure!((input.refused, input.last_refused) == (2, 3), "{input:?}");
+    stands(&report, SETTLED_MS, released)?;
+    let last = *course(&report, released, released + 60).last().context("offsets")?;
+    ensure!(last == (0, Quality::Off as u8), "a block that is whole does move it: {last:?}");
+    println!("{} faults, {} of them without an answer", slots.len() + 2, {
+        slots.iter().filter(|(.., fault)| fault.answer.is_none()).count()
+    });
+    Ok(())
+}
+
+#[test]
+fn a_cnc_on_can_beside_a_plc_and_a_plc_beside_a_cnc_are_told_and_move_nothing() -> Result<()> {
+    let Some(chip) = Chip::of_machine(FAST_MACHINE)? else { return Ok(()) };
+    let end = SETTLED_MS + 200;
+    // A CNC that lets the offset go, beside a PLC that has it.
+    let mut master = Master::engaging(SETTLED_MS);
+    master.script += &format!("{} flags 2\n{} control 20\n", SETTLED_MS + 40, SETTLED_MS + 41);
+    for at in (SETTLED_MS..end).step_by(20) {
+        master.lives(at);
+    }
+    master.script += &format!("{} modbus {}\n", end + 1, read());
+    let report = chip.live(end + 20, &master.script, &FAST)?;
+    ensure!(report.clean, "a violation:\n{}", report.said);
+    let is_told = |input: &Input| StateBits(input.state).contains(StateBits::SECOND_MASTER);
+    let input = Answers::of(&report).input(end, end + 20)?;
+    ensure!(is_told(&input) && input.refused == 0, "{input:?}");
+    stands(&report, SETTLED_MS, end + 20)?;
+
+    // A PLC that does, beside a CNC; then the CNC falls silent.
+    let mut script = "0 flags 2\n0 spindle 0\n0 positions 0\n380 flags 3\n".to_string();
+    let busy = frame(UNIT, &[0x90, 6]);
+    let asked: Vec<u32> = (SETTLED_MS + 5..end).step_by(20).collect();
+    for (counter, at) in (0..).zip(&asked) {
+        script += &format!("{at} modbus {}\n", write(Control::REFERENCED, counter));
+    }
+    let (silent, free) = (end + 20, end + 560);
+    script +=
+        &format!("{} modbus {}\n{silent} control 0\n", end + 1, hex(&frame(UNIT, &read_pdu())));
+    script += &format!("{free} modbus {}\n", write(Control::REFERENCED, 900));
+    let report = chip.live(free + 20, &script, &FAST)?;
+    ensure!(report.clean, "a violation:\n{}", report.said);
+    let answers = Answers::of(&report);
+    for at in asked {
+        ensure!(answers.between(at, at + 15) == [&busy[..]], "at {at} ms");
+    }
+    ensure!(is_told(&answers.input(end, silent)?), "it is told");
+    stands(&report, SETTLED_MS, silent)?;
+    let admitted = answers.between(free, free + 20);
+    ensure!(admitted == [&frame(UNIT, &[16, 0, 0, 0, 17])[..]], "{admitted:02x?}");
+    Ok(())
+}
