@@ -40,6 +40,7 @@ def block(counter, offset, quality):
     return body + struct.pack(">H", crc(body, 0x0181))
 
 
+LINES = ["plc line", "bridge line"]
 KINDS = ["plc line", "plc line", "bridge line", "bridge line", "bridge line", "damage", "swap", "replay", "half",
          "stop", "slow", "refuse", "never", "disable", "bridge restart"]
 
@@ -91,7 +92,9 @@ def main():
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--cuts", type=int, default=20)
     arguments.add_argument("--seed", type=int, default=1)
+    arguments.add_argument("--lines", action="store_true", help="nothing but cuts of the two lines")
     arguments = arguments.parse_args()
+    drawn = LINES if arguments.lines else KINDS
     random.seed(arguments.seed)
     plc, bridge = Cpu(), Bridge()
     plc.set_bit("enable", True)
@@ -116,7 +119,7 @@ def main():
             cuts += kind == "none"
             if kind == "none":
                 if not deck:
-                    deck = random.sample(KINDS, len(KINDS))
+                    deck = random.sample(drawn, len(drawn))
                 kind = deck.pop()
             else:
                 kind = "none"

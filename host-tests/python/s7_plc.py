@@ -12,7 +12,6 @@ import argparse
 import json
 import queue
 import random
-import socket
 import struct
 import sys
 import threading
@@ -23,12 +22,10 @@ from pathlib import Path
 from awlsim.core.cpu import S7CPU
 from awlsim.core.memory import AwlMemoryObject_asScalar
 from awlsim.awlcompiler.tokenizer import AwlParser
-from snap7.server import Server
-from snap7.type import SrvArea
 
-INPUT_BYTES, HOLDING_AT, BLOCK_BYTES = 56, 64, 98
+from s7_server import BLOCK_BYTES, HOLDING_AT, INPUT_BYTES, free_port, serve
+
 INSTANCE_DB = 901
-CLOCK_MS = 500_000
 BITS = {"enable": 0, "ready": 1, "restart": 2, "zero": 3, "service": 4, "confirm": 5}
 HERE = Path(__file__).parent
 PROGRAM = HERE.parents[1] / "integrations/siemens-840d"
@@ -83,45 +80,18 @@ def listen(lines):
     lines.put(None)
 
 
-def watch(shared):
-    """How old each new block is when it comes: OffsetZ is the bridge's clock, in ms."""
-    lines = queue.Queue()
-    threading.Thread(target=listen, args=[lines], daemon=True).start()
-    last, ages = None, []
-    while lines.empty():
-        now = time.time() * 1000
-        block = bytes(shared[:INPUT_BYTES])
-        counter, z = struct.unpack_from(">H8xi", block, 2)
-        if counter != last and z >= 0:
-            last = counter
-            ages.append((now - z) % CLOCK_MS)
-        time.sleep(0.0005)
-    ages.sort()
-    at = lambda share: ages[min(len(ages) - 1, int(share * len(ages)))]
-    print(json.dumps({"blocks": len(ages), "p50": at(0.5), "p99": at(0.99), "max": ages[-1]}), flush=True)
-
-
 def main():
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--cycle-ms", type=int, default=50)
-    arguments.add_argument("--latency", action="store_true", help="no program: when did which block come?")
+    arguments.add_argument("--block-alone", action="store_true", help="no program: the data block alone")
     arguments = arguments.parse_args()
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_port()
     shared = bytearray(BLOCK_BYTES)
     random.seed(1)
-
-    def serve():
-        server = Server(log=False)
-        server.register_area(SrvArea.DB, 900, shared)
-        server.start_to("127.0.0.1", port)
-        return server
-
-    server = serve()
+    server = serve(port, shared)
     print(json.dumps({"port": port}), flush=True)
-    if arguments.latency:
-        watch(shared)
+    if arguments.block_alone:
+        sys.stdin.read()
         return
     plc = Cpu()
     orders = queue.Queue()
@@ -160,7 +130,7 @@ def main():
             if "cut" in order:
                 server.stop()
             if "join" in order:
-                server = serve()
+                server = serve(port, shared)
         now = time.monotonic()
         if runs:
             block = bytearray(frozen or shared[:INPUT_BYTES])
