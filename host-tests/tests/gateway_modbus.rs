@@ -4,6 +4,7 @@
 mod support;
 
 use std::{
+    path::Path,
     process::{Command, Stdio},
     thread,
     time::{Duration, Instant},
@@ -19,7 +20,7 @@ const TOLERANCE_UM: f64 = 0.3;
 
 /// A bridge that has grown, and a gateway before it.
 struct World {
-    bridge: Bridge,
+    _bridge: Bridge,
     gateway: Running,
     port: String,
 }
@@ -33,7 +34,7 @@ impl World {
         let mut gateway = Running::start(&mut command)?;
         let address = gateway.wait_for("reach the bridge at tcp:", ",")?;
         let (_, port) = address.rsplit_once(':').context("an address has a port")?;
-        Ok(Self { bridge, gateway, port: port.into() })
+        Ok(Self { _bridge: bridge, gateway, port: port.into() })
     }
 }
 
@@ -155,10 +156,43 @@ fn mb2hal_reads_the_block_with_the_sample_that_is_delivered() -> Result<()> {
     Ok(())
 }
 
+/// Whether the bridge is heard, as the lines on standard output tell it, one value for each change.
+fn heard(lines: &Path) -> Result<Vec<bool>> {
+    let text = std::fs::read_to_string(lines)?;
+    // The last one may only be half written.
+    let whole = text.rsplit_once('\n').map_or("", |(whole, _)| whole);
+    let mut heard = Vec::new();
+    for line in whole.lines() {
+        let said: Value = serde_json::from_str(line).with_context(|| line.to_owned())?;
+        heard.push(said["bridge"]["heard"].as_bool().context("it tells of the bridge")?);
+    }
+    heard.dedup();
+    Ok(heard)
+}
+
 #[test]
-fn a_gateway_outlives_its_bridge_and_tells_it_and_once_says_how_both_ends_are() -> Result<()> {
-    let mut world = World::start()?;
-    let address = world.bridge.address().to_owned();
+fn a_gateway_outlives_its_bridge_tells_it_line_by_line_and_once_says_how_both_ends_are()
+-> Result<()> {
+    let mut bridge = Bridge::start_grown()?;
+    let address = bridge.address().to_owned();
+    let folder = tempfile::tempdir()?;
+    let lines = folder.path().join("lines");
+    let mut command = trueup()?;
+    command.args(["gateway", "modbus", "--listen", "127.0.0.1:0"]);
+    command.args(["--port", &format!("tcp:{address}")]);
+    let output = std::fs::File::create(&lines)?;
+    let mut gateway = Running::start_into(&mut command, output.into())?;
+    let until = |wanted: &[bool]| -> Result<()> {
+        let end = Instant::now() + Duration::from_secs(20);
+        loop {
+            let heard = heard(&lines)?;
+            if heard.ends_with(wanted) {
+                return Ok(());
+            }
+            ensure!(Instant::now() < end, "{heard:?} for {wanted:?}");
+            thread::sleep(Duration::from_millis(50));
+        }
+    };
     let once = |expected: i32| -> Result<Value> {
         let mut command = trueup()?;
         command.args(["gateway", "modbus", "--listen", "127.0.0.1:0", "--once"]);
@@ -167,15 +201,70 @@ fn a_gateway_outlives_its_bridge_and_tells_it_and_once_says_how_both_ends_are() 
         ensure!(output.status.code() == Some(expected), "{:?} {said}", output.status);
         Ok(serde_json::from_slice(&output.stdout)?)
     };
-    world.bridge.command.signal("TERM")?;
-    world.bridge.command.end()?;
+    until(&[true])?;
+    bridge.command.signal("TERM")?;
+    bridge.command.end()?;
+    until(&[true, false])?;
     let alone = once(3)?;
     assert_eq!(
         (&alone["bridge"]["line"], &alone["bridge"]["heard"]),
         (&json!("down"), &json!(false))
     );
-    assert!(world.gateway.said().contains("reach the bridge"), "it serves on");
-    world.gateway.signal("TERM")?;
-    assert!(world.gateway.end()?.status.success());
+    let _bridge = Bridge::start_grown_at_address(&address)?;
+    until(&[true, false, true])?;
+    gateway.signal("TERM")?;
+    assert!(gateway.end()?.status.success());
+    // The bridge has one client at a time.
+    let both = once(0)?;
+    assert_eq!(both["bridge"]["heard"], true);
+    Ok(())
+}
+
+#[test]
+fn without_an_address_only_this_computer_reaches_it() -> Result<()> {
+    let mut command = trueup()?;
+    let output =
+        command.args(["gateway", "modbus", "--once", "--port", "tcp:127.0.0.1:1"]).output()?;
+    let said = String::from_utf8_lossy(&output.stderr);
+    // Whoever may not open a port below 1024, or finds another there, is told which it was.
+    let is_told = said.contains("tcp:127.0.0.1:502,") || said.contains("listen at [127.0.0.1:502]");
+    ensure!(is_told && !said.contains("every computer"), "{said}");
+    Ok(())
+}
+
+#[test]
+fn systemd_takes_the_service_and_its_commands_are_this_tools() -> Result<()> {
+    let text =
+        std::fs::read_to_string(setup::root().join("integrations/modbus/trueup-gateway.service"))?;
+    let program = trueup()?.get_program().to_owned();
+    let commands: Vec<&str> =
+        text.lines().filter_map(|line| Some(line.split_once("ExecStart=")?.1)).collect();
+    // The one that runs, and the one for an S7 in a comment.
+    ensure!(commands.len() == 2, "{commands:?}");
+    for command in commands {
+        let words = command.split(' ').skip(1).map(|word| match word {
+            "/dev/trueup" => "tcp:127.0.0.1:1",
+            "192.168.214.10:502" => "127.0.0.1:0",
+            "192.168.214.1" => "127.0.0.1:1",
+            word => word,
+        });
+        let output = Command::new(&program).args(words).arg("--once").output()?;
+        let said = String::from_utf8_lossy(&output.stderr);
+        // Nobody is there; 2 would be a command that it does not know.
+        ensure!(matches!(output.status.code(), Some(1 | 3)), "{command}: {said}");
+    }
+    let Some(systemd) = trueup_emulator::process::find("systemd-analyze") else {
+        println!("skipped: this computer has no systemd-analyze");
+        return Ok(());
+    };
+    let folder = tempfile::tempdir()?;
+    // The program need not be installed here.
+    let here = text.replace("/usr/local/bin/trueup", &program.to_string_lossy());
+    let unit = support::file(&folder, "trueup-gateway.service", &here)?;
+    let output = Command::new(systemd).args(["verify", &unit]).output()?;
+    // A key that it does not know is a warning alone, and ends with 0.
+    let said = String::from_utf8_lossy(&output.stderr);
+    let ours: Vec<&str> = said.lines().filter(|line| line.contains("trueup-gateway")).collect();
+    ensure!(output.status.success() && ours.is_empty(), "{said}");
     Ok(())
 }

@@ -110,6 +110,11 @@ pub fn trueup() -> Result<Command> {
 impl Running {
     /// Starts a command.
     pub fn start(command: &mut Command) -> Result<Self> {
+        Self::start_into(command, Stdio::null())
+    }
+
+    /// The same, with its standard output to somewhere.
+    pub fn start_into(command: &mut Command, output: Stdio) -> Result<Self> {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
         let mark = format!("{}-{number}", std::process::id());
@@ -118,7 +123,7 @@ impl Running {
             .env(MARK, &mark)
             .env("TMPDIR", temporary.path())
             .stdin(Stdio::null())
-            .stdout(Stdio::null())
+            .stdout(output)
             .stderr(Stdio::piped())
             .spawn()?;
         let told = Arc::new(Mutex::new(Vec::new()));
@@ -258,8 +263,12 @@ pub struct Bridge {
 impl Bridge {
     /// Starts `virtual` with these arguments on a free port and waits until it serves.
     pub fn start(arguments: &[&str]) -> Result<Self> {
+        Self::start_at("127.0.0.1:0", arguments)
+    }
+
+    fn start_at(address: &str, arguments: &[&str]) -> Result<Self> {
         let mut xtask = xtask()?;
-        xtask.args(["virtual", "--cnc", "tcp:127.0.0.1:0"]).args(arguments);
+        xtask.args(["virtual", "--cnc", &format!("tcp:{address}")]).args(arguments);
         let mut command = Running::start(&mut xtask)?;
         let address = command.wait_for("the CNC's line is at tcp:", " ")?;
         let qemu = command.wait_for("the bridge is up in QEMU (process ", ")")?.parse()?;
@@ -269,10 +278,19 @@ impl Bridge {
     /// The same with [`FAST_MACHINE`] and [`GROWN_RUN`], at this speed. The files are read before
     /// it serves.
     pub fn start_grown_at(speed: &str) -> Result<Self> {
+        Self::start_grown_there("127.0.0.1:0", speed)
+    }
+
+    /// The same in real time, where another one was.
+    pub fn start_grown_at_address(address: &str) -> Result<Self> {
+        Self::start_grown_there(address, "1")
+    }
+
+    fn start_grown_there(address: &str, speed: &str) -> Result<Self> {
         let folder = tempfile::tempdir()?;
         let machine = file(&folder, "machine.toml", FAST_MACHINE)?;
         let run = file(&folder, "run.csv", GROWN_RUN)?;
-        Self::start(&["--machine", &machine, "--run", &run, "--speed", speed])
+        Self::start_at(address, &["--machine", &machine, "--run", &run, "--speed", speed])
     }
 
     /// The same in real time.
