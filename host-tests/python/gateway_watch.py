@@ -4,7 +4,8 @@ of one millisecond, is half old.
 
 `s7`: the data block in python-snap7's server, looked at all the time; prints its port first. `modbus PORT`: pymodbus
 over TCP, a hundred reads a second. `rtu BAUD`: pymodbus on a pseudo terminal, as often as the line permits; prints the
-gateway's end of it first. Bytes are handed on when they would have come at that speed.
+gateway's end of it first. Bytes are handed on when they would have come at that speed, by a process of their own (`wire`):
+pymodbus looks for bytes without a pause, and a thread beside it would wait for the interpreter.
 
 At the end of its input it prints one line of JSON, but not before --polls have been.
 """
@@ -15,6 +16,7 @@ import json
 import os
 import pty
 import struct
+import subprocess
 import sys
 import threading
 import time
@@ -75,15 +77,25 @@ def hand_on(one, other, baud):
         os.write(other, data)
 
 
-def serial_line(baud):
-    """The master's end of a line; prints the other."""
+def wire(baud):
+    """Two pseudo terminals with a wire between them, until the end of the input; prints their names."""
     (ours, gateway_end), (theirs, master_end) = pty.openpty(), pty.openpty()
     for end in (ours, gateway_end, theirs, master_end):
         tty.setraw(end)
     for pair in ((ours, theirs), (theirs, ours)):
         threading.Thread(target=hand_on, args=(*pair, baud), daemon=True).start()
-    print(json.dumps({"device": os.ttyname(gateway_end)}), flush=True)
-    return os.ttyname(master_end)
+    print(json.dumps({"gateway": os.ttyname(gateway_end), "master": os.ttyname(master_end)}), flush=True)
+    sys.stdin.read()
+
+
+def serial_line(baud):
+    """The master's end of a line; prints the other. Its process ends with this one, whose end of the pipe is closed."""
+    process = subprocess.Popen(
+        [sys.executable, __file__, "wire", str(baud)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    ends = json.loads(process.stdout.readline())
+    print(json.dumps({"device": ends["gateway"]}), flush=True)
+    return process, ends["master"]
 
 
 def look(kind, number):
@@ -103,7 +115,10 @@ def look(kind, number):
         client = ModbusTcpClient("127.0.0.1", port=number, timeout=PATIENCE_S, retries=0)
         print(json.dumps({"connected": client.connect()}), flush=True)
     else:
-        client = ModbusSerialClient(serial_line(number), baudrate=number, stopbits=2, timeout=PATIENCE_S, retries=3)
+        process, device = serial_line(number)
+        client = ModbusSerialClient(device, baudrate=number, stopbits=2, timeout=PATIENCE_S, retries=3)
+        # As long as it asks.
+        client.wire = process
         sys.stdin.readline()
         client.connect()
     return lambda seen: by_modbus(client, seen)
@@ -111,10 +126,13 @@ def look(kind, number):
 
 def main():
     arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("kind", choices=["s7", "modbus", "rtu"])
+    arguments.add_argument("kind", choices=["s7", "modbus", "rtu", "wire"])
     arguments.add_argument("number", type=int, nargs="?", default=0)
     arguments.add_argument("--polls", type=int, default=0)
     arguments = arguments.parse_args()
+    if arguments.kind == "wire":
+        wire(arguments.number)
+        return
     once, seen = look(arguments.kind, arguments.number), Seen()
     ended = threading.Event()
     threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
