@@ -43,6 +43,8 @@ fn the_papers_sensor_has_a_gain_and_an_offset() {
     println!("{causes:?}: left out {left:.3} µm RMS");
     assert!(left <= 0.95, "{left}");
     let page = desk.text("d/report.html");
+    // The speed is the same in every row: nothing can be seen against it.
+    assert!(!page.contains("against everything that has changed"), "{page}");
     assert!(page.contains("<svg") && !page.contains("http://") | page.contains("www.w3.org"));
 }
 
@@ -103,6 +105,7 @@ fn a_report_says_what_it_was_made_from_and_is_small_however_long_the_run() {
     desk.said("diagnose --machine m.toml --run run.csv --out d", 0);
     let page = desk.text("d/report.html");
     assert!(page.len() < 200_000, "{} bytes", page.len());
+    assert!(page.contains("What is left against temp_"), "{page}");
     let foot = format!("Made by trueup {} on 20", env!("CARGO_PKG_VERSION"));
     assert!(page.contains(&foot) && page.contains("from m.toml (CRC-32 "), "{page}");
 }

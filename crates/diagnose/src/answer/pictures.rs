@@ -115,7 +115,7 @@ impl Over {
     }
 }
 
-/// What is left against every column, small.
+/// What is left against every column that changes, small.
 pub(super) fn against_inputs(diagnosis: &Diagnosis, out: &mut String) {
     let data = &diagnosis.data;
     let rows: Vec<usize> =
@@ -129,6 +129,11 @@ pub(super) fn against_inputs(diagnosis: &Diagnosis, out: &mut String) {
     names.extend(data.others.iter().map(|(name, _)| name.clone()));
     let mut all = String::new();
     let mut draw = |name: &str, x: &[f64]| {
+        // Against what stays the same nothing can be seen.
+        let Some(first) = x.iter().find(|it| !it.is_nan()) else { return };
+        if x.iter().all(|it| it.is_nan() || it == first) {
+            return;
+        }
         let lists =
             [Points::dots(x, &before, Colour::Before), Points::dots(x, &after, Colour::After)];
         all.push_str(&picture(&format!("What is left against {name}"), name, "left, µm", &lists));
@@ -143,9 +148,12 @@ pub(super) fn against_inputs(diagnosis: &Diagnosis, out: &mut String) {
         let x: Vec<f64> = rows.iter().map(|&row| direction[row]).collect();
         draw("direction", &x);
     }
+    if all.is_empty() {
+        return;
+    }
     let _ = write!(
         out,
-        "<h2>What is left, against everything that was recorded</h2>\n<div class=\"grid\">{all}\
+        "<h2>What is left, against everything that has changed</h2>\n<div class=\"grid\">{all}\
          </div>\n"
     );
 }
