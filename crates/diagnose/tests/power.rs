@@ -111,6 +111,48 @@ fn one_row_two_rows_and_a_single_pass_are_too_little_and_it_is_said_what_would_d
     }
 }
 
+/// 80 positions 0.5 mm apart, each pass over them from the same side: 20 µm RMS that go on from one to the next,
+/// e^(−1/13) of each, and 0.5 µm of noise.
+fn passes(count: usize, seed: u64) -> String {
+    let mut noise = Generator::new(seed);
+    let decay = f64::exp(-1.0 / 13.0);
+    let mut um = noise.normal();
+    let error: Vec<f64> = (0..80)
+        .map(|_| {
+            um = decay * um + (1.0 - decay * decay).sqrt() * noise.normal();
+            20.0 * um
+        })
+        .collect();
+    let mut text = String::from("run,x_mm,dir_x,measured_dx_um\n");
+    for run in 1..=count {
+        for (place, um) in error.iter().enumerate() {
+            let um = um + 0.5 * noise.normal();
+            let _ = writeln!(text, "{run},{},1,{um:.3}", 0.5 * place as f64);
+        }
+    }
+    text
+}
+
+#[test]
+fn a_curve_that_was_measured_once_is_not_called_noise() {
+    for seed in 0..6 {
+        let report = diagnosed(MACHINE, &passes(1, seed)).report;
+        println!("{:?} {:?}", report.verdict, report.reasons);
+        assert!(!report.verdict.is_met() || report.after.rms_um < 0.5 * report.before.rms_um);
+        assert_ne!(report.verdict, Verdict::Clean);
+        // The second pass shows that it repeats.
+        let report = diagnosed(MACHINE, &passes(2, seed)).report;
+        assert!(report.findings.iter().any(|it| it.cause == "pitch-error" && it.compensated));
+    }
+    // Noise that does not go on is noise after one pass as well.
+    let mut noise = Generator::new(9);
+    let mut text = String::from("x_mm,dir_x,measured_dx_um\n");
+    for place in 0..80 {
+        let _ = writeln!(text, "{},1,{:.3}", 0.5 * f64::from(place), 20.0 * noise.normal());
+    }
+    assert_eq!(diagnosed(MACHINE, &text).report.verdict, Verdict::Clean);
+}
+
 #[test]
 fn what_matters_less_than_could_be_told_asks_for_more() {
     let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("the test's own file");

@@ -8,6 +8,9 @@
 //! - Which error would have been found? Two constants, at the level that the search leaves to each of
 //!   its candidates, in as many rows as are independent: an error as slow as the noise, which shows
 //!   worst.
+//!
+//! An axis that was measured once, without a clock, and whose error goes on from position to position, is
+//! neither: that is what an uneven screw looks like, and noise with a memory. A second pass tells.
 
 use std::{collections::BTreeSet, fmt};
 
@@ -18,6 +21,7 @@ use trueup_numerics::{
 };
 
 use crate::{
+    answer::wandering::wanders,
     candidates::possible,
     data::Data,
     fit::Problem,
@@ -106,10 +110,15 @@ impl Power {
         // What takes away less than that is not worth a term.
         let least = ((1.0 - RELEVANT).powi(-2) - 1.0).sqrt();
         let found_um = noise_um * (lambda / independent).sqrt().max(least);
+        let is_promised = found_um <= left_um;
+        let is_of_position = problem.data.time_s.is_none() && problem.data.own_position().is_some();
+        let may_be_a_curve =
+            is_of_position && !is_promised && !is_of_instrument && wanders(problem, found);
+        let is_told = is_found(if known_um.is_some() { rows as f64 } else { count });
         Self {
-            found_um: if found_um <= left_um { found_um } else { f64::INFINITY },
+            found_um: if is_promised { found_um } else { f64::INFINITY },
             matters_um,
-            is_enough: is_found(if known_um.is_some() { rows as f64 } else { count }),
+            is_enough: is_told && !may_be_a_curve,
             is_of_instrument,
             rows,
             needed: Needed::new(&problem.data, ratio(matters_um, left_um), &is_found),

@@ -26,8 +26,9 @@ const PAIR: f64 = 0.953_872_6;
 const OF_STEP: f64 = 0.6;
 /// Neighbours in a cycle on each side.
 const NEIGHBOURS: usize = 3;
-/// More than this share of the rows is not a few bad readings but another law. Source: Hampel and others
-/// (Robust Statistics, 1986, section 1.2c) found 1–10 % of gross errors in routine data.
+/// More than this share of the rows, in whole readings (two of eleven to twenty), is not a few bad readings
+/// but another law. Source: Hampel and others (Robust Statistics, 1986, section 1.2c) found 1–10 % of gross
+/// errors in routine data.
 const LARGEST_SHARE: f64 = 0.1;
 
 /// Whether each reading is gross; `readings` in the order in which they were taken.
@@ -51,7 +52,7 @@ pub fn gross(readings: &[Reading]) -> Vec<bool> {
             own.abs() > limit && around(readings, &deviation, row).into_iter().all(is_alone);
     }
     let count = found.iter().filter(|found| **found).count();
-    if count as f64 > (LARGEST_SHARE * readings.len() as f64).max(1.0) { none } else { found }
+    if count as f64 > (LARGEST_SHARE * readings.len() as f64).ceil() { none } else { found }
 }
 
 /// The rows of each place and side.

@@ -44,6 +44,19 @@ fn two_bad_readings_of_thirty_are_found_in_three_cycles_also_beside_each_other()
 }
 
 #[test]
+fn two_bad_readings_of_fifteen_are_found_where_three_cycles_went_one_way() {
+    let mut noise = noise(4);
+    for at in 0..14 {
+        let mut readings = cycles_of(5, 3, |place, _, _| 10.0 * place as f64 + noise());
+        readings.retain(|it| it.side == 0);
+        readings[at].value += 40.0;
+        readings[at + 1].value += 90.0;
+        let found: Vec<usize> = (0..15).filter(|&row| gross(&readings)[row]).collect();
+        assert_eq!(found, [at, at + 1]);
+    }
+}
+
+#[test]
 fn a_sound_table_loses_a_reading_in_at_most_one_of_a_hundred() {
     let mut noise = noise(2);
     for cycles in [3, 5] {
