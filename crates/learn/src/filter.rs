@@ -1,16 +1,22 @@
-//! Recursive least squares with forgetting, one reading at a time.
+//! Recursive least squares with forgetting, one reading at a time, under an error with a memory.
 //!
 //! ```text
+//! y = gᵀ·x + w + e                            x what lasts; w what wanders; e the probe's own, variance R
 //! P ← P + prior·Δt/horizon, at most prior     it forgets: what was known long ago is known less well
-//! S = gᵀ·P·g + R                              what a reading may differ by: what is not known, and the reading
-//! ν = y − gᵀ·x                                what it differs by; beyond 4·√S it is refused
-//! K = P·g/S,  x ← x + K·ν,  P ← P − K·Kᵀ·S    ν held to ±2·√S, as Huber has it
+//! w ← w·e^(−Δt/memory), to the variance R     what wanders is another after a while
+//! S = g̃ᵀ·P·g̃ + R                              what a reading may differ by: what is not known, and the reading
+//! ν = y − g̃ᵀ·(x, w)                           what it differs by; beyond 4·√S it is refused
+//! K = P·g̃/S,  x ← x + K·ν,  P ← P − K·Kᵀ·S    ν held to ±2·√S, as Huber has it; g̃ = (g, 1)
 //! ```
 //!
 //! x are shares of constants (and the zero, in µm). To forget by adding, and not by a factor, leaves what
 //! no reading has looked at where it was; its interval grows with its age up to what was believed before
 //! the first reading, and never beyond. R, the square of what a reading repeats to, is taken from the
 //! readings themselves by their median.
+//!
+//! Readings of one morning are off alike: the machine was homed a little elsewhere, it bends a little with the
+//! hall. To whom that is a constant follows every morning, and is wrong on the next. So w is kept beside
+//! the constants and never applied, and the intervals of these hold although the readings are not independent.
 //!
 //! One reading far from the rest is a chip or a drop of coolant. Four of six on the same side are a
 //! machine that has changed: a new bearing, a thermometer that sits elsewhere. Then all is as uncertain
@@ -33,17 +39,23 @@ const SCATTER: usize = 64;
 const ENOUGH: usize = 8;
 /// No probe repeats better, in µm.
 const FINEST_UM: f64 = 0.1;
+/// So many readings in a hundred are bad, and may be off by anything up to this, in µm, either way: then no single
+/// reading says much for or against anything.
+const BAD: f64 = 0.05;
+const ANYTHING_UM: f64 = 100.0;
 
 /// What the readings have said so far.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Filter {
     /// The time in which it forgets all, in s.
     horizon_s: f64,
-    /// The zero in µm, then shares.
-    pub x: Vec<f64>,
+    /// For how long what wanders is remembered, in s.
+    memory_s: f64,
+    /// The zero in µm, then shares, then what wanders, in µm.
+    x: Vec<f64>,
     /// The covariance of `x`, row by row.
     p: Vec<f64>,
-    /// Variances before the first reading.
+    /// Variances of what lasts, before the first reading.
     prior: Vec<f64>,
     /// What one reading repeats to, in µm, as far as known.
     noise_um: f64,
@@ -65,12 +77,14 @@ pub(crate) enum Fate {
 }
 
 impl Filter {
-    /// Nothing is known but that each value is 0 within `prior` (standard deviations).
-    pub fn new(horizon_s: f64, prior: &[f64], noise_um: f64) -> Self {
+    /// Nothing is known but that each value is 0 within `prior` (standard deviations). Where these are 0
+    /// nothing lasts, and the readings only wander. It forgets all in the first time, and what wanders in the second.
+    pub fn new([horizon_s, memory_s]: [f64; 2], prior: &[f64], noise_um: f64) -> Self {
         let prior: Vec<f64> = prior.iter().map(|deviation| deviation * deviation).collect();
         let mut it = Self {
             horizon_s,
-            x: vec![0.0; prior.len()],
+            memory_s,
+            x: vec![0.0; prior.len() + 1],
             p: Vec::new(),
             prior,
             noise_um,
@@ -81,30 +95,34 @@ impl Filter {
         it
     }
 
-    /// What one reading repeats to, in µm.
-    pub fn noise_um(&self) -> f64 {
-        self.noise_um
+    /// The zero in µm, then shares.
+    pub fn lasting(&self) -> &[f64] {
+        &self.x[..self.prior.len()]
     }
 
-    /// Half the 95 % interval of each value.
+    /// Half the 95 % interval of each value that lasts.
     pub fn half_widths(&self) -> Vec<f64> {
         let n = self.x.len();
-        (0..n).map(|i| 1.96 * self.p[i * n + i].max(0.0).sqrt()).collect()
+        (0..self.prior.len()).map(|i| 1.96 * self.p[i * n + i].max(0.0).sqrt()).collect()
     }
 
-    /// What it foresees where the sensitivities are `g`.
-    pub fn foresees(&self, g: &[f64]) -> f64 {
-        g.iter().zip(&self.x).map(|(g, x)| g * x).sum()
+    /// How likely it thought `y_um` to be where the sensitivities are `g`: the density, by the micrometre.
+    pub fn likelihood(&self, g: &[f64], y_um: f64) -> f64 {
+        let g = with_wander(g);
+        let s = self.unknown(&g) + self.noise_um.powi(2);
+        let off_um = y_um - self.foresees(&g);
+        let good = (-0.5 * off_um * off_um / s).exp() / (std::f64::consts::TAU * s).sqrt();
+        (1.0 - BAD) * good + BAD / (2.0 * ANYTHING_UM)
     }
 
     /// `dt_s` have passed without a reading.
     pub fn age(&mut self, dt_s: f64) {
-        let n = self.x.len();
+        let (n, wander) = (self.x.len(), self.prior.len());
         let share = (dt_s.max(0.0) / self.horizon_s).min(1.0);
-        for i in 0..n {
+        for i in 0..wander {
             self.p[i * n + i] += self.prior[i] * share;
         }
-        for i in 0..n {
+        for i in 0..wander {
             let too_wide = self.p[i * n + i] / self.prior[i];
             if too_wide > 1.0 {
                 for j in 0..n {
@@ -113,15 +131,23 @@ impl Filter {
                 }
             }
         }
+        let kept = (-dt_s.max(0.0) / self.memory_s).exp();
+        self.x[wander] *= kept;
+        for i in 0..n {
+            self.p[i * n + wander] *= kept;
+            self.p[wander * n + i] *= kept;
+        }
+        self.p[wander * n + wander] += self.noise_um.powi(2) * (1.0 - kept * kept);
     }
 
     /// Takes `y_um` where the sensitivities are `g`, or refuses it.
     pub fn take(&mut self, g: &[f64], y_um: f64) -> Fate {
+        let g = &with_wander(g);
         let off_um = y_um - self.foresees(g);
-        let deviations = off_um / self.deviation(g);
+        let deviations = off_um / (self.unknown(g) + self.noise_um.powi(2)).sqrt();
         let is_refused = deviations.abs() > REFUSED;
         let side = if is_refused { deviations.signum() as i8 } else { 0 };
-        self.last.push((side, g.to_vec(), y_um));
+        self.last.push((side, g.clone(), y_um));
         if self.last.len() > LAST {
             self.last.remove(0);
         }
@@ -139,8 +165,9 @@ impl Filter {
         Fate::Changed
     }
 
-    fn deviation(&self, g: &[f64]) -> f64 {
-        (self.unknown(g) + self.noise_um.powi(2)).sqrt()
+    /// What it foresees, what wanders included.
+    fn foresees(&self, g: &[f64]) -> f64 {
+        g.iter().zip(&self.x).map(|(g, x)| g * x).sum()
     }
 
     /// gᵀ·P·g.
@@ -182,12 +209,18 @@ impl Filter {
     }
 
     fn forget_all(&mut self) {
-        let n = self.prior.len();
+        let n = self.x.len();
         self.p = vec![0.0; n * n];
-        for i in 0..n {
-            self.p[i * n + i] = self.prior[i];
+        let wander = self.noise_um.powi(2);
+        for (i, variance) in self.prior.iter().chain([&wander]).enumerate() {
+            self.p[i * n + i] = *variance;
         }
     }
+}
+
+/// What wanders is in every reading as it is.
+fn with_wander(g: &[f64]) -> Vec<f64> {
+    [g, &[1.0]].concat()
 }
 
 #[cfg(test)]
@@ -197,7 +230,7 @@ mod tests {
     const HOUR: f64 = 3600.0;
 
     fn settled() -> Filter {
-        let mut filter = Filter::new(1e7, &[5.0, 0.25], 1.0);
+        let mut filter = Filter::new([1e7, 3e4], &[5.0, 0.25], 1.0);
         for n in 0..40 {
             filter.age(HOUR);
             let g = [1.0, 20.0 + 10.0 * f64::from(n % 5)];

@@ -6,11 +6,11 @@ use serde::Serialize;
 use trueup_machine::{BadInput, Location, MachineFile, RunFile, applied::Unaided, file::Quantity};
 
 use crate::{
-    bank::Bank,
+    bank::{Bank, ENOUGH},
     constants::{self, Constant, Sensitivity},
     filter::Fate,
     limits::{Limits, times},
-    memory::{Before, Change, Memory, hash},
+    memory::{Before, Change, Memory, SCHEMA, hash},
     readings::{self, Reading},
 };
 
@@ -102,7 +102,7 @@ pub fn learn(
             }
             let noise_um = machine.instrument_um.map_or(NOISE_UM, |um| um / 2.0);
             Memory {
-                schema: 1,
+                schema: SCHEMA,
                 base,
                 quantity: quantity.name().into(),
                 applied: vec![0.0; all.len() + 1],
@@ -152,7 +152,7 @@ pub fn learn(
         ));
     }
     log(&mut memory, &before, &after, &run, quantity, known);
-    let half = memory.bank.best().half_widths();
+    let half = memory.bank.half_widths();
     let half_widths = memory.constants.iter().zip(&half[1..]);
     let half_widths = half_widths.map(|(it, half)| (it.believed * half).abs()).collect();
     Ok(Learned { machine: after, memory, readings, half_widths, is_held, notes })
@@ -204,9 +204,8 @@ fn one(
             );
         }
     }
-    let nothing = vec![0.0; g.len()];
-    let wanted = memory.bank.chosen().map_or(&nothing, |filter| &filter.x);
-    let (wanted, is_held) = limits.held(wanted, &sensitivity.um);
+    let wanted = memory.bank.believed().unwrap_or_else(|| vec![0.0; g.len()]);
+    let (wanted, is_held) = limits.held(&wanted, &sensitivity.um);
     memory.applied = limits.step(&memory.applied, &wanted, g);
     (taken, is_held)
 }
@@ -218,9 +217,13 @@ fn believed(memory: &Memory) -> String {
         "of the last {count} readings the file as it is missed each by {file_um:.2} µm on average, what was \
          learned by {own_um:.2} µm, before they were used"
     );
-    match memory.bank.chosen() {
+    let odds = memory.bank.odds();
+    match memory.bank.believed() {
         Some(_) => format!("What was learned is applied: {figures}."),
-        None => format!("The file as it is stays: {figures}, which is no clear gain yet."),
+        None => format!(
+            "The file as it is stays: {figures}; they are {odds:.0} times likelier by what was learned, and \
+             {ENOUGH:.0} times would be enough."
+        ),
     }
 }
 

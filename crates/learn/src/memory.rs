@@ -7,10 +7,13 @@ use crate::{bank::Bank, constants::Constant};
 /// Records that are remembered so that none is learned from twice.
 const RECORDS: usize = 1000;
 
+/// The form that is written.
+pub(crate) const SCHEMA: u32 = 2;
+
 /// What a learner knows. It is written as JSON.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Memory {
-    /// Of this form; 1.
+    /// Of this form; 2.
     pub schema: u32,
     /// The user's own machine file that it is counted from, hashed.
     pub(crate) base: u64,
@@ -55,12 +58,17 @@ impl Memory {
     /// # Errors
     /// It is not what a learner wrote; with the place.
     pub fn read(text: &str) -> Result<Self, String> {
-        let memory: Self = serde_json::from_str(text).map_err(|error| error.to_string())?;
-        if memory.schema == 1 {
-            Ok(memory)
-        } else {
-            Err(format!("schema is {}, and this version reads 1", memory.schema))
+        #[derive(Deserialize)]
+        struct Form {
+            schema: u32,
         }
+        let Form { schema } = serde_json::from_str(text).map_err(|error| error.to_string())?;
+        if schema != SCHEMA {
+            return Err(format!(
+                "schema is {schema}, and this version reads {SCHEMA}: move it away, and learning begins anew"
+            ));
+        }
+        serde_json::from_str(text).map_err(|error| error.to_string())
     }
 
     /// As JSON.
