@@ -46,7 +46,7 @@ pub struct Diagnose {
     /// What the measuring instrument is worth, in µm (95 %), in the place of the machine file's.
     #[arg(long, value_name = "UM", value_parser = above_zero)]
     instrument_um: Option<f64>,
-    /// Also plan the shortest run of the spindle that tells open causes apart: next.csv to be filled in, next.json, and
+    /// Also plan the shortest run, of the spindle or of the axis, that tells open causes apart: next.csv to be filled in, next.json, and
     /// the program for this control.
     #[arg(long, value_name = "CONTROL")]
     next: Option<crate::program::For>,

@@ -67,7 +67,7 @@ pub use answer::{
     report::{self, AtTool, Report, Verdict},
 };
 pub use diagnose::{Options, Progress, diagnose, diagnose_for};
-pub use next::{Next, NoNext, Stretch, Told};
+pub use next::{AxisRun, Next, NoNext, Stretch, Told};
 use trueup_machine::{BadInput, RunFile};
 pub use trueup_page::Origin;
 
@@ -105,7 +105,7 @@ impl Diagnosis {
         self.promise.on(&self.data, std::slice::from_ref(day))
     }
 
-    /// The shortest run of the spindle that tells what is open apart.
+    /// The shortest run, of the spindle or of the axis, that tells what is open apart.
     ///
     /// # Errors
     /// Nothing is open, or no run that was thought of answers it: why.

@@ -1,16 +1,17 @@
-//! The shortest run of the spindle that tells open causes apart: design of experiments by the models that were
-//! fitted.
+//! The shortest run, of the spindle or of an axis, that tells open causes apart: design of experiments by the models
+//! that were fitted.
 //!
 //! ```text
 //! open causes ─► Question    two fitted models, how far each may be off, the noise
-//! runs        ─► Foresight   what thermometers and sensors will show at speeds that were not run
+//! runs        ─► Foresight   what thermometers and sensors will show in runs that nobody has made
 //! candidates  ─► gap         expected −2·ln of the likelihood ratio on each; the shortest that suffices
 //! ```
 //!
-//! Only speeds up to the fastest that the runs have, from cold, are thought of: there the fitted laws have been
-//! seen. A run that was not measured is no proof: the gap is expected under the smaller of the two, and what the
+//! Only speeds up to the fastest that the runs have, from cold, and positions between those of the runs are thought
+//! of: there the fitted laws have been seen. A run that was not measured is no proof: the gap is expected under the smaller of the two, and what the
 //! run then shows decides.
 
+pub(crate) mod axis;
 pub(crate) mod candidates;
 pub(crate) mod foresight;
 pub(crate) mod question;
@@ -21,6 +22,8 @@ use serde::Serialize;
 use trueup_machine::{BadInput, RunFile};
 
 use crate::{data::Data, search::criterion::STRONG_EVIDENCE};
+use axis::AxisForesight;
+pub use axis::AxisRun;
 use candidates::candidates;
 use foresight::Foresight;
 use question::{Question, Separation};
@@ -28,6 +31,9 @@ use question::{Question, Separation};
 /// The expected gap with which the measured one is strong evidence in 19 of 20 cases: a log likelihood ratio that
 /// is expected to be G scatters by 2√G, so that G − 1.645·2√G ≥ 6.
 const SUFFICES: f64 = 21.0;
+
+/// A gap below this is nothing: what chance alone would make of one value.
+const ALIKE: f64 = 1.0;
 
 /// A part of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -56,13 +62,16 @@ pub struct Told {
 /// The next run.
 #[derive(Clone, Debug, Serialize)]
 pub struct Next {
-    /// What the spindle does, from cold.
+    /// What the spindle does, from cold; none where an axis is measured.
     pub stretches: Vec<Stretch>,
+    /// What the axis does, where one is measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub axis: Option<AxisRun>,
     /// How long all of it lasts.
     pub minutes: f64,
-    /// From reading to reading, in s.
+    /// From reading to reading of a spindle, in s; 0: an axis is read at its targets.
     pub every_s: f64,
-    /// What is to be read beside the growth: the columns of the runs.
+    /// What is to be read beside what is measured: the columns of the runs.
     pub inputs: Vec<String>,
     /// What it tells, the question first that it was chosen for.
     pub told: Vec<Told>,
@@ -73,7 +82,7 @@ pub struct Next {
 pub enum NoNext {
     /// Every name is claimed.
     NothingOpen,
-    /// The runs have no time, no speed, or measure an axis: only runs of a spindle are foreseen.
+    /// The runs lack what a run is described by: time and speed of a spindle, position and direction of an axis.
     NotForeseen(&'static str),
     /// None of the runs that were thought of tells them apart: the causes, and the largest gap.
     NotApart([String; 2], f64),
@@ -85,22 +94,45 @@ impl fmt::Display for NoNext {
             Self::NothingOpen => f.write_str("no cause is open: there is nothing to be told apart"),
             Self::NotForeseen(why) => write!(
                 f,
-                "{why}: the next run is worked out for the growth of a spindle alone; the sentences after \
-                 \"next:\" say what to measure, and trueup program writes it"
+                "{why}: no run can be worked out; the sentences after \"next:\" say what to measure, and trueup \
+                 program writes it"
+            ),
+            Self::NotApart([one, other], gap) if *gap < ALIKE => write!(
+                f,
+                "{one} and {other} foresee the same in every run up to an hour and a half that was thought of: no \
+                 measurement of this kind tells them apart, and none is needed, for either is corrected alike"
             ),
             Self::NotApart([one, other], gap) => write!(
                 f,
-                "no run of the spindle up to an hour and a half tells {one} from {other}: the best would bring a \
-                 score gap of {gap:.1}, and {STRONG_EVIDENCE} is strong evidence"
+                "no run up to an hour and a half tells {one} from {other}: the best would bring a score gap of \
+                 {gap:.1}, and {STRONG_EVIDENCE} is strong evidence"
             ),
         }
     }
 }
 
 impl Next {
+    /// Nothing yet, with these columns beside it.
+    fn of(inputs: Vec<String>) -> Self {
+        let (stretches, told) = (Vec::new(), Vec::new());
+        Self { stretches, axis: None, minutes: 0.0, every_s: 0.0, inputs, told }
+    }
+
     /// The run and what it brings, in a machinist's words.
     #[must_use]
     pub fn sentence(&self) -> String {
+        let mut text = self.axis.as_ref().map_or_else(|| self.of_spindle(), AxisRun::sentence);
+        for Told { causes: [one, other], difference_um, noise_um, score_gap } in &self.told {
+            text += &format!(
+                ": then {one} and {other} differ by up to {difference_um:.1} µm, {:.0} times the noise of a reading \
+                 (expected score gap {score_gap:.0}; {STRONG_EVIDENCE} is strong evidence)",
+                difference_um / noise_um
+            );
+        }
+        text
+    }
+
+    fn of_spindle(&self) -> String {
         let stretch = |it: &Stretch| {
             let minutes = format!("{:.0} minutes", it.minutes);
             match (it.rpm > 0.0, it.load_n > 0.0) {
@@ -126,16 +158,7 @@ impl Next {
                 rest = &rest[1..];
             }
         }
-        let mut text =
-            format!("from cold, {}; read every {:.0} s", done.join(", then "), self.every_s);
-        for Told { causes: [one, other], difference_um, noise_um, score_gap } in &self.told {
-            text += &format!(
-                ": then {one} and {other} differ by up to {difference_um:.1} µm, {:.0} times the noise of a reading \
-                 (expected score gap {score_gap:.0}; {STRONG_EVIDENCE} is strong evidence)",
-                difference_um / noise_um
-            );
-        }
-        text
+        format!("from cold, {}; read every {:.0} s", done.join(", then "), self.every_s)
     }
 }
 
@@ -144,23 +167,13 @@ pub(crate) fn next(questions: &[Question], data: &Data, runs: &[RunFile]) -> Res
     if questions.is_empty() {
         return Err(NoNext::NothingOpen);
     }
-    if data.quantity.axis().is_some() {
-        return Err(NoNext::NotForeseen("the runs measure an axis"));
-    }
-    let foresight = Foresight::of(runs).map_err(NoNext::NotForeseen)?;
-    let foreseen: Vec<(Vec<Stretch>, Data)> = candidates(&foresight)
-        .into_iter()
-        .filter_map(|run| {
-            let table = foresight.table(&run, data)?;
-            Some((run, table))
-        })
-        .collect();
+    let foreseen = foreseen(data, runs)?;
     let mut refused = None;
     for (number, question) in questions.iter().enumerate() {
         let gaps: Vec<Separation> =
-            foreseen.iter().map(|(_, table)| question.separation(table)).collect();
+            foreseen.iter().map(|it| question.separation(&it.table)).collect();
         let shorter = |a: &usize, b: &usize| {
-            let [one, other] = [a, b].map(|n| length_min(&foreseen[*n].0));
+            let [one, other] = [a, b].map(|n| foreseen[*n].next.minutes);
             one.total_cmp(&other).then(gaps[*b].gap.total_cmp(&gaps[*a].gap))
         };
         let enough = (0..gaps.len()).filter(|n| gaps[*n].gap >= SUFFICES).min_by(shorter);
@@ -170,22 +183,49 @@ pub(crate) fn next(questions: &[Question], data: &Data, runs: &[RunFile]) -> Res
             refused.get_or_insert(NoNext::NotApart(question.causes.clone(), gaps[most].gap));
             continue;
         }
-        let (stretches, table) = &foreseen[enough.unwrap_or(most)];
+        let Foreseen { next, table } = &foreseen[enough.unwrap_or(most)];
         let mut told = vec![question.told(table)];
         let others = questions.iter().enumerate().filter(|(other, _)| *other != number);
         let others = others.map(|(_, question)| question.told(table));
         told.extend(others.filter(|told| told.score_gap >= STRONG_EVIDENCE));
-        let minutes = length_min(stretches);
-        return Ok(Next {
-            stretches: stretches.clone(),
-            minutes,
-            every_s: foresight.every_s,
-            inputs: foresight.inputs(),
-            told,
-        });
+        return Ok(Next { told, ..next.clone() });
     }
     Err(refused
         .unwrap_or(NoNext::NotForeseen("the machine file needs a column that only positions have")))
+}
+
+/// A run that nobody has made.
+struct Foreseen {
+    /// What is done; what it tells is not known yet.
+    next: Next,
+    /// What it will read.
+    table: Data,
+}
+
+/// All that are thought of.
+fn foreseen(data: &Data, runs: &[RunFile]) -> Result<Vec<Foreseen>, NoNext> {
+    if let Some(axis) = data.quantity.axis() {
+        let foresight =
+            AxisForesight::of(runs, &data.machine, axis).map_err(NoNext::NotForeseen)?;
+        let inputs = foresight.inputs();
+        let all = foresight.candidates().into_iter().filter_map(|run| {
+            let table = foresight.table(&run, data)?;
+            let minutes = run.minutes();
+            let next = Next { minutes, axis: Some(run), ..Next::of(inputs.clone()) };
+            Some(Foreseen { next, table })
+        });
+        return Ok(all.collect());
+    }
+    let foresight = Foresight::of(runs).map_err(NoNext::NotForeseen)?;
+    let inputs = foresight.inputs();
+    let all = candidates(&foresight).into_iter().filter_map(|stretches| {
+        let table = foresight.table(&stretches, data)?;
+        let minutes = stretches.iter().map(|stretch| stretch.minutes).sum();
+        let every_s = foresight.every_s;
+        let next = Next { stretches, minutes, every_s, ..Next::of(inputs.clone()) };
+        Some(Foreseen { next, table })
+    });
+    Ok(all.collect())
 }
 
 /// What `run` has measured for the first of `questions`.
@@ -198,10 +238,6 @@ pub(crate) fn told_apart_by(
     let mut table = Data::new(&data.machine, std::slice::from_ref(run), data.quantity)?;
     table.refer_to(data);
     Ok(Some(question.score(&table)))
-}
-
-fn length_min(stretches: &[Stretch]) -> f64 {
-    stretches.iter().map(|stretch| stretch.minutes).sum()
 }
 
 #[cfg(test)]
@@ -219,6 +255,7 @@ mod tests {
         };
         let mut next = Next {
             stretches: vec![stretch(6000.0, 12.0, 0.0), stretch(0.0, 8.0, 0.0)],
+            axis: None,
             minutes: 20.0,
             every_s: 60.0,
             inputs: Vec::new(),

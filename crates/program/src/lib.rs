@@ -31,6 +31,7 @@ use trueup_machine::Machine;
 
 pub use control::Control;
 pub use kind::speeds::{Stretch, speeds};
+pub use kind::targets::{Targets, targets};
 pub use options::{Gauge, Options};
 pub use plan::Plan;
 pub use refused::Refused;

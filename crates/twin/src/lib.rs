@@ -17,6 +17,7 @@
 //! | [`machine`] | all of it as one machine, stepped by its drives |
 //! | [`month`] | a month of a machine that ages, with a probe now and then |
 //! | [`trial`] | a spindle that may be run as one likes, with one thing wrong in its file |
+//! | [`trial_axis`] | an axis of the same kind |
 //! | [`path`] | speeds, loads, ways, position runs |
 //! | [`scenario`] | all of these in one file |
 //! | [`run`] | a scenario that is run: `trueup simulate` |
@@ -62,6 +63,7 @@ pub mod sensors;
 pub mod spindle;
 pub mod table;
 pub mod trial;
+pub mod trial_axis;
 
 pub use run::simulate;
 pub use scenario::{BadScenario, Scenario};

@@ -3,10 +3,39 @@
 use std::path::Path;
 
 use anyhow::Result;
-use trueup_diagnose::{Diagnosis, NoNext};
-use trueup_program::{Stretch, control, speeds, template};
+use trueup_diagnose::{Diagnosis, Next, NoNext};
+use trueup_machine::file::LinearAxis;
+use trueup_program::{Plan, Stretch, Targets, control, speeds, targets, template};
 
 use crate::{output, program::For, report};
+
+/// The run as a control is to do it.
+fn plan(next: &Next) -> Plan {
+    let told = &next.told[0];
+    let why = format!("To tell {} from {}.", told.causes[0], told.causes[1]);
+    if let Some(it) = &next.axis {
+        let run = Targets {
+            axis: LinearAxis::ALL[it.axis],
+            targets_mm: it.targets_mm.clone(),
+            over_mm: it.over_mm,
+            times: it.times,
+            feeds_mm_per_min: it.feeds_mm_per_min.clone(),
+            dwell_s: it.dwell_s,
+            heat_min: it.heat_min,
+            heat_feed_mm_per_min: it.heat_feed_mm_per_min,
+            cold: it.cold,
+            warm: it.warm,
+        };
+        return targets(&run, &next.inputs, &why);
+    }
+    let stretch = |it: &trueup_diagnose::Stretch| Stretch {
+        rpm: it.rpm,
+        minutes: it.minutes,
+        load_n: it.load_n,
+    };
+    let stretches: Vec<Stretch> = next.stretches.iter().map(stretch).collect();
+    speeds(&stretches, next.every_s, &next.inputs, &why)
+}
 
 /// Writes it into the folder `out`, or says why there is none.
 pub fn write(diagnosis: &Diagnosis, control: For, out: &Path, as_json: bool) -> Result<()> {
@@ -20,14 +49,7 @@ pub fn write(diagnosis: &Diagnosis, control: For, out: &Path, as_json: bool) -> 
             return Ok(());
         }
     };
-    let stretches: Vec<Stretch> = next
-        .stretches
-        .iter()
-        .map(|it| Stretch { rpm: it.rpm, minutes: it.minutes, load_n: it.load_n })
-        .collect();
-    let told = &next.told[0];
-    let why = format!("To tell {} from {}.", told.causes[0], told.causes[1]);
-    let plan = speeds(&stretches, next.every_s, &next.inputs, &why);
+    let plan = plan(&next);
     let (name, text) = control::program(&plan, control.control());
     let mut texts = vec![
         (name.clone(), text),

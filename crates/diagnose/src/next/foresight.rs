@@ -74,6 +74,11 @@ const NO_INPUTS: [&str; 10] = [
     "dir_",
 ];
 
+/// Whether a column is what a model goes by.
+pub(super) fn is_input(name: &str) -> bool {
+    !NO_INPUTS.iter().any(|start| name.starts_with(start))
+}
+
 impl Foresight {
     /// # Errors
     /// The runs lack what a run of a spindle is described by.
@@ -110,10 +115,8 @@ impl Foresight {
         let named = runs.iter().flat_map(|run| run.columns()).map(|column| column.name.clone());
         let mut names: Vec<String> = Vec::new();
         for name in named {
-            let is_input = !NO_INPUTS.iter().any(|start| name.starts_with(start))
-                && name != "spindle_rpm"
-                && name != "load_n";
-            if is_input && !names.contains(&name) {
+            let is_own = name == "spindle_rpm" || name == "load_n";
+            if is_input(&name) && !is_own && !names.contains(&name) {
                 names.push(name);
             }
         }

@@ -6,6 +6,7 @@ pub(crate) mod diagonal;
 pub(crate) mod pitch;
 pub(crate) mod speeds;
 pub(crate) mod straightness;
+pub(crate) mod targets;
 pub(crate) mod warmup;
 
 use trueup_machine::{Machine, file::LinearAxis};

@@ -1,0 +1,101 @@
+//! What the planned runs, and two fixed cycles, need over many machines.
+
+use trueup_diagnose::{Diagnosis, Next, NoNext};
+use trueup_machine::RunFile;
+
+/// The score gap that is strong evidence.
+const STRONG: f64 = 6.0;
+
+/// A machine that is tried.
+pub trait Tried {
+    /// What is wrong with it.
+    fn wrong(&self) -> String;
+    /// What its cause may be called at the beginning of its name.
+    fn truth(&self) -> &'static [&'static str];
+    /// What is known after a short run.
+    fn begun(&self) -> Diagnosis;
+    /// The planned run, as it is recorded, and the two fixed cycles on the same morning, so that chance is the same.
+    fn planned(&self, next: &Next) -> RunFile;
+    fn fixed(&self) -> [RunFile; 2];
+}
+
+/// Over many machines.
+#[derive(Debug, Default)]
+pub struct Needed {
+    /// Machines of which something is open.
+    pub open: usize,
+    /// Of them: those whose open causes foresee the same in every run.
+    pub alike: usize,
+    /// Of all that are open: those for which a run is planned.
+    pub planned: usize,
+    /// Of them: those whose planned run told.
+    pub told: usize,
+    /// Of them: those of which one cause is what the machine really has, and those that told so.
+    pub has_truth: usize,
+    pub right: usize,
+    /// Minutes until told in all: by the plans (and the first cycle after a plan that did not tell), by the first
+    /// cycle, by the second.
+    pub minutes: [f64; 3],
+}
+
+/// After how many minutes what was recorded is strong evidence, and stays so to its end; none: it never is.
+fn minutes_until_told(diagnosis: &Diagnosis, run: &RunFile) -> Option<f64> {
+    let score = |rows: usize| {
+        let part = run.altered(rows, |_, _| {});
+        diagnosis.told_apart_by(&part).expect("all columns").expect("open")
+    };
+    let whole = score(run.rows());
+    let is_told = |rows: &usize| score(*rows) * whole.signum() >= STRONG;
+    let first = (3..=run.rows()).rev().take_while(is_told).last()?;
+    Some(run.column("time_s").expect("there")[first - 1] / 60.0)
+}
+
+fn lasts_min(run: &RunFile) -> f64 {
+    run.column("time_s").and_then(|times| times.last()).map_or(0.0, |last_s| last_s / 60.0)
+}
+
+pub fn needed<T: Tried>(seeds: impl Iterator<Item = u64>, drawn: impl Fn(u64) -> T) -> Needed {
+    let mut all = Needed::default();
+    for seed in seeds {
+        let tried = drawn(seed);
+        let diagnosis = tried.begun();
+        let next = match diagnosis.next() {
+            Ok(next) => next,
+            Err(NoNext::NothingOpen) => continue,
+            Err(why) => {
+                all.open += 1;
+                all.alike += usize::from(why.to_string().contains("foresee the same"));
+                println!("seed {seed} ({}): {why}", tried.wrong());
+                continue;
+            }
+        };
+        all.open += 1;
+        all.planned += 1;
+        let planned = tried.planned(&next);
+        let own = minutes_until_told(&diagnosis, &planned);
+        let cycles = tried.fixed().map(|cycle| {
+            minutes_until_told(&diagnosis, &cycle).unwrap_or_else(|| lasts_min(&cycle))
+        });
+        let measured = diagnosis.told_apart_by(&planned).expect("all columns").expect("open");
+        println!(
+            "seed {seed} ({}): {}; measured {measured:.0}, told after {own:.1?} of {:.1} min, by the fixed cycles after \
+             {cycles:.1?}",
+            tried.wrong(),
+            next.sentence(),
+            next.minutes
+        );
+        all.told += usize::from(own.is_some());
+        let begins = |cause: &String| tried.truth().iter().any(|truth| cause.starts_with(truth));
+        let is_true = next.told[0].causes.each_ref().map(begins);
+        if own.is_some() && is_true[0] != is_true[1] {
+            all.has_truth += 1;
+            all.right += usize::from((measured > 0.0) == is_true[0]);
+        }
+        let own = own.unwrap_or(next.minutes + cycles[0]);
+        let each = [own, cycles[0], cycles[1]];
+        all.minutes.iter_mut().zip(each).for_each(|(sum, minutes)| *sum += minutes);
+    }
+    let [own, first, second] = all.minutes;
+    println!("{all:.0?}: {:.2} of the first cycle, {:.2} of the second", own / first, own / second);
+    all
+}
