@@ -23,7 +23,7 @@ const TARGETS: [usize; 5] = [2, 3, 5, 9, 17];
 /// How often there and back.
 const TIMES: [u32; 5] = [1, 2, 3, 5, 7];
 /// For how long the axis is run warm, in minutes.
-const HEAT_MIN: [f64; 4] = [5.0, 10.0, 20.0, 40.0];
+const HEAT_MIN: [f64; 7] = [1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 40.0];
 /// How fast: as `trueup program axis-heat` does.
 const HEAT_FEED_MM_PER_MIN: f64 = 10_000.0;
 /// The feed of a measurement where the runs do not say it, and how long a reading takes: as `trueup program`.
