@@ -150,7 +150,7 @@ impl AxisForesight {
         let places = whole(&position);
         let low = places.iter().copied().fold(f64::INFINITY, f64::min);
         let high = places.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        if !(high > low) {
+        if high <= low {
             return Err("the axis stands in all runs");
         }
         let mut feeds = whole("feed_mm_per_min");
