@@ -456,3 +456,71 @@ fn a_probed_point_contains_the_offset_and_a_touched_off_one_does_not() -> Result
         Ok(())
     })
 }
+
+/// A surface at this height, in mm of the machine, which the tool touches when it has not grown.
+const SURFACE_MM: f64 = -30.0;
+
+#[test]
+#[ignore = "long: the real LinuxCNC"]
+fn it_probes_by_itself_and_what_it_finds_reaches_the_learner() -> Result<()> {
+    scenario(GROWN_UM, |rig| {
+        // The probe closes where the tip, which is below the joint by the growth, reaches the surface.
+        for words in
+            ["loadrt comp names=touch", "addf touch servo-thread", "net z-pos => touch.in0"]
+        {
+            rig.cnc.halcmd(words).ok();
+        }
+        rig.cnc.halcmd("net touched touch.out => motion.probe-input").ok();
+        let grown = |rig: &mut Rig, um: f64| {
+            let touches_mm = SURFACE_MM + um * 1e-3;
+            rig.cnc.halcmd(&format!("setp touch.in1 {touches_mm}")).map(drop)
+        };
+        let log = |rig: &Rig| {
+            fs::read_to_string(rig.cnc.folder().join("trueup_learn.log")).unwrap_or_default()
+        };
+        let probe = |rig: &mut Rig, um: f64| -> Result<String> {
+            let before = log(rig).len();
+            grown(rig, um)?;
+            // The record has a row of now.
+            rest(2_500);
+            let call = format!("o<trueup_probe> call [{SURFACE_MM}] [0.5] [60]");
+            rig.cnc.act("mdi", "text", call)?;
+            let said = log(rig)[before..].to_string();
+            println!("probed at {um} um: {said}");
+            Ok(said)
+        };
+        for file in ["trueup_learn.log", "trueup_learned.toml", "trueup_learned.learn.json"] {
+            fs::remove_file(rig.cnc.folder().join(file)).ok();
+        }
+        rig.cnc.act("mdi", "text", "G10 L2 P1 X0 Y0 Z0")?;
+        rig.cnc.act("mdi", "text", "G53 G0 Z-20")?;
+        let taken = probe(rig, GROWN_UM)?;
+        ensure!(taken.contains("1 of 1 readings used"), "what agrees is taken: {taken}");
+        let learned = rig.cnc.folder().join("trueup_learned.toml");
+        ensure!(learned.exists(), "what was learned is written");
+        let refused = probe(rig, GROWN_UM + 150.0)?;
+        let reason = refused.contains("0 of 1 readings used") && refused.contains("refused: +1");
+        ensure!(reason, "what cannot be is refused, with the reason: {refused}");
+        // A record that nobody can write: the reading is not taken, the job goes on, and both logs say why.
+        let here = rig.cnc.folder().to_path_buf();
+        let record = here.join("trueup_record.csv");
+        let known = fs::read_to_string(here.join("trueup_learned.learn.json"))?;
+        fs::remove_file(&record)?;
+        fs::create_dir(&record)?;
+        let missed = probe(rig, GROWN_UM)?;
+        let told = fs::read_to_string(here.join("trueup.log"))?;
+        let still = fs::read_to_string(here.join("trueup_learned.learn.json"))?;
+        fs::remove_dir(&record)?;
+        ensure!(missed.contains("trueup_record.csv: cannot be read"), "{missed}");
+        ensure!(told.contains("the record cannot be written"), "{told}");
+        ensure!(known == still, "nothing was learned from it");
+        // The next component writes one again.
+        kill_component(rig)?;
+        restart(rig)?;
+        ensure!(fs::read_to_string(&record)?.starts_with("time_s,"), "it is written again");
+        rig.cnc.halcmd("unlinkp motion.probe-input").ok();
+        rig.cnc.act("mdi", "text", "G53 G0 X0 Y0 Z0")?;
+        rig.cnc.act("teleop", "on", true)?;
+        Ok(())
+    })
+}

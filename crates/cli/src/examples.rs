@@ -21,9 +21,9 @@ macro_rules! files {
 const EXAMPLES: &[&[(&str, &[u8])]] = &[
     files!("data/" => "": "README.md" "gantry.toml" "paper_spindle.toml" "scenario-axis.toml"
         "scenario-warmup.toml" "spindle_paper_table1.csv"),
-    files!("integrations/linuxcnc/" => "linuxcnc/": "README.md" "simulated_gantry.hal" "trueup.hal"
+    files!("integrations/linuxcnc/" => "linuxcnc/": "M110" "README.md" "simulated_gantry.hal" "trueup.hal"
         "trueup_gantry.toml" "trueup_machine.inc" "trueup_message.hal" "trueup_panel.hal"
-        "trueup_panel.xml" "trueup_serial.ini" "trueup_sim.ini" "trueup_sim.tbl" "trueup_warmup.csv"
+        "trueup_panel.xml" "trueup_probe.ngc" "trueup_serial.ini" "trueup_sim.ini" "trueup_sim.tbl" "trueup_warmup.csv"
         "trueup_watchdog.hal"),
     files!("integrations/siemens-840d/" => "siemens-840d/": "README.md" "trueup_crc.awl"
         "trueup_db.awl" "trueup_fb.awl" "trueup_ob1.awl" "trueup_step.awl"),
@@ -59,10 +59,25 @@ pub fn run(args: &Examples, as_json: bool) -> Result<Outcome> {
         let folder = path.parent().unwrap_or(&args.folder);
         fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
         fs::write(&path, bytes).with_context(|| path.display().to_string())?;
+        if bytes.starts_with(b"#!") {
+            make_executable(&path).with_context(|| path.display().to_string())?;
+        }
     }
     let names: Vec<String> = files().map(|(name, _)| (*name).to_string()).collect();
     output::list(&args.folder, &names, as_json)?;
     Ok(Outcome::Done)
+}
+
+/// LinuxCNC runs an M-code only if everybody may.
+#[cfg(unix)]
+fn make_executable(path: &Path) -> std::io::Result<()> {
+    use std::os::unix::fs::PermissionsExt as _;
+    fs::set_permissions(path, fs::Permissions::from_mode(0o755))
+}
+
+#[cfg(not(unix))]
+fn make_executable(_: &Path) -> std::io::Result<()> {
+    Ok(())
 }
 
 #[cfg(test)]

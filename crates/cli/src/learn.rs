@@ -1,9 +1,12 @@
 //! `trueup learn`: constants that follow the machine, from readings that it takes itself.
 
+mod probed;
+
 use std::{
     fs,
     io::{self, BufReader},
     path::{Path, PathBuf},
+    time::SystemTime,
 };
 
 use anyhow::Result;
@@ -33,6 +36,9 @@ pub struct Learn {
     /// A record with readings, in the order in which they were taken; - is standard input.
     #[arg(long, value_name = "RUN.csv", required_unless_present = "undo")]
     run: Vec<PathBuf>,
+    /// What was probed just now, in µm: a reading beside the last row of the record, which is not older than a minute.
+    #[arg(long, value_name = "UM", requires = "run", allow_negative_numbers = true, value_parser = finite)]
+    reading_um: Option<f64>,
     /// The machine file with what was learned.
     #[arg(long, value_name = "LEARNED.toml")]
     output: PathBuf,
@@ -53,6 +59,11 @@ pub struct Learn {
     undo: bool,
 }
 
+fn finite(text: &str) -> Result<f64, String> {
+    let value = text.parse().ok().filter(|value: &f64| value.is_finite());
+    value.ok_or_else(|| "must be a number".into())
+}
+
 /// A constant as it is now.
 struct Now<'a> {
     key: &'a str,
@@ -69,6 +80,9 @@ pub fn run(args: &Learn, as_json: bool) -> Result<Outcome> {
     if args.undo {
         return undo(args, &source, &known, memory);
     }
+    if args.reading_um.is_some() && args.run.len() > 1 {
+        return Err(UserError("--reading-um: give one --run, that of this moment".into()).into());
+    }
     let machine = files::parsed(&source, &args.machine)?;
     let limits = Limits {
         share: args.limit_percent / 100.0,
@@ -78,7 +92,10 @@ pub fn run(args: &Learn, as_json: bool) -> Result<Outcome> {
     let quantity: Option<file::Quantity> = args.quantity.map(Quantity::of_machine);
     let mut outcome = Outcome::Done;
     for path in &args.run {
-        let run = read(path, &machine)?;
+        let run = match args.reading_um {
+            Some(um) => probed::with_reading(path, quantity, um, SystemTime::now())?,
+            None => read(path, &machine)?,
+        };
         let learned = learn(&source, &args.machine, &run, quantity, memory.take(), &limits)?;
         let mut inputs: Vec<&Path> = vec![&args.machine];
         inputs.extend(args.run.iter().map(PathBuf::as_path));

@@ -16,6 +16,7 @@ use clap::Args;
 use trueup_client::port::Port;
 use trueup_core::units::NANOMETRES_PER_MICROMETRE;
 use trueup_linuxcnc::{
+    Record,
     component::TEMPERATURES,
     ini::Ini,
     offsets,
@@ -68,6 +69,9 @@ pub struct LinuxCnc {
     /// Writes what it has to say to this file too: LinuxCNC keeps it from the screen.
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
+    /// Writes the last hours of speeds and temperatures to this file, which trueup learn needs beside what is probed.
+    #[arg(long, value_name = "RUN.csv", requires = "machine")]
+    record: Option<PathBuf>,
     /// How many temp-NN pins there are.
     #[arg(long, value_name = "N", default_value_t = TEMPERATURES as u8, value_parser = clap::value_parser!(u8).range(0..=TEMPERATURES as i64))]
     temperatures: u8,
@@ -112,6 +116,11 @@ pub fn run(args: &LinuxCnc) -> Result<Outcome> {
     let machine = args.machine.as_ref().map(|path| files::machine(path)).transpose()?;
     let against_um = LinearAxis::ALL
         .map(|axis| machine.as_ref().map(|machine| over_compensation_um(machine, axis)));
+    // A machine is corrected although nothing can be learned.
+    let record = args.record.as_ref().zip(machine.as_ref()).and_then(|(path, machine)| {
+        let opened = Record::open(path, machine);
+        opened.map_err(|why| log.tell(&format!("no record: {}: {why}", path.display()))).ok()
+    });
     let compiled = machine.as_ref().map(compile).transpose();
     // What does not compile is told by `compile`; without --strict it only cannot be compared.
     let compiled = if args.strict { compiled? } else { compiled.unwrap_or_default() };
@@ -153,7 +162,7 @@ pub fn run(args: &LinuxCnc) -> Result<Outcome> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
-    run::run(&settings, move || port.open(), &stop, |text| log.tell(text))?;
+    run::run(&settings, move || port.open(), &stop, record, |text| log.tell(text))?;
     Ok(Outcome::Done)
 }
 

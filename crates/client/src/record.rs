@@ -212,12 +212,19 @@ impl Recorder {
     }
 }
 
+/// The channel and the name of each temperature of a machine file, by channel.
+#[must_use]
+pub fn temperature_columns(machine: &Machine) -> Vec<(u8, String)> {
+    let inputs = machine.inputs.iter().flat_map(|inputs| &inputs.temperatures);
+    let mut temperatures: Vec<_> =
+        inputs.map(|(name, input)| (input.channel, name.clone())).collect();
+    temperatures.sort();
+    temperatures
+}
+
 impl Columns {
     fn of(machine: &Machine) -> Self {
-        let inputs = machine.inputs.iter().flat_map(|inputs| &inputs.temperatures);
-        let mut temperatures: Vec<_> =
-            inputs.map(|(name, input)| (input.channel, name.clone())).collect();
-        temperatures.sort();
+        let temperatures = temperature_columns(machine);
         let mut angles = Self::numbered();
         for (name, axis) in angles.iter_mut().zip(&machine.head_axes) {
             *name = format!("{}_deg", axis.name());

@@ -4,7 +4,7 @@ use std::{
     io,
     sync::atomic::{AtomicBool, Ordering},
     thread,
-    time::{Duration, Instant},
+    time::{Duration, Instant, SystemTime},
 };
 
 use trueup_client::{
@@ -19,6 +19,7 @@ use crate::{
     component::{Component, Options, Outputs},
     hal::{Hal, HalError},
     pins::{Pins, pid_pin},
+    record::Record,
 };
 
 /// How often adopted pins, and the wires, are looked after.
@@ -44,7 +45,7 @@ pub struct Settings {
 }
 
 /// Runs the component until `stop` is set. `tell` gets a sentence whenever something has changed
-/// that an operator wants to know.
+/// that an operator wants to know; `record` gets its rows.
 ///
 /// # Errors
 /// The HAL refuses the component or a pin.
@@ -52,6 +53,7 @@ pub fn run(
     settings: &Settings,
     open: impl FnMut() -> io::Result<Ends> + Send + 'static,
     stop: &AtomicBool,
+    mut record: Option<Record>,
     mut tell: impl FnMut(&str),
 ) -> Result<(), HalError> {
     let Settings { name, mm_per_unit, temperatures, calibration, is_strict, turn, options } =
@@ -89,6 +91,12 @@ pub fn run(
         // What watches the heartbeat holds the feed, as if the component were gone.
         outputs.heartbeat &= cut.is_none();
         pins.write(&outputs);
+        let recorded = record.as_mut().map(|it| it.step(SystemTime::now(), &inputs, &outputs));
+        if let Some(Err(why)) = recorded {
+            // Whoever learns finds it too old, and says so.
+            tell(&format!("the record cannot be written, and is given up: {why}"));
+            record = None;
+        }
         for frame in frames {
             line.send(frame);
         }
