@@ -70,7 +70,7 @@ fn of_bcd(bcd: u32) -> u32 {
 }
 
 fn to_bcd(number: u32) -> u32 {
-    number / 10 << 4 | number % 10
+    ((number / 10) << 4) | (number % 10)
 }
 
 fn days_of(month: u32, year: u32) -> u32 {

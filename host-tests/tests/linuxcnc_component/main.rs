@@ -3,7 +3,9 @@
 //! more than the slew limit allows in one servo cycle, and afterwards the offset that LinuxCNC
 //! applies equals its target again. Every servo cycle is recorded by LinuxCNC's own sampler.
 
+#[path = "../linuxcnc_rig/mod.rs"]
 mod linuxcnc_rig;
+mod probe;
 
 use std::{
     fs, thread,
@@ -416,110 +418,6 @@ fn moving_axes_are_corrected_by_their_tables_while_they_move() -> Result<()> {
             ensure!(off < 2.0 * CLOSE_UM, "{text}: {seen:?}, not {x_um} and {y_um} um");
         }
         rig.cnc.act("mdi", "text", "G53 G0 X0 Y0")?;
-        rig.cnc.act("teleop", "on", true)?;
-        Ok(())
-    })
-}
-
-#[test]
-#[ignore = "long: the real LinuxCNC"]
-fn a_probed_point_contains_the_offset_and_a_touched_off_one_does_not() -> Result<()> {
-    scenario(GROWN_UM, |rig| {
-        rig.cnc.act("mdi", "text", "G10 L2 P1 Z0")?;
-        rig.cnc.act("mdi", "text", "G53 G0 Z0")?;
-        rig.cnc.act("begin_mdi", "text", "G38.2 Z-20 F120")?;
-        rig.cnc.wait("on its way", 10, &["axis.z.pos-cmd"], |seen| seen[0] < -1.0)?;
-        rig.cnc.ask(&json!({"do": "setp", "name": "motion.probe-input", "value": 1}))?;
-        rest(300);
-        rig.cnc.ask(&json!({"do": "setp", "name": "motion.probe-input", "value": 0}))?;
-        let z_of = |rig: &mut Rig, what: &str| -> Result<f64> {
-            let stat = rig.cnc.ask(&json!({"do": "stat"}))?;
-            stat[what][2].as_f64().with_context(|| format!("no {what} in {stat}"))
-        };
-        // As the README has it: the offset is taken off the point.
-        rig.cnc.act("mdi", "text", "G10 L2 P1 Z[#5063 + #5223 - #<_hal[axis.z.eoffset]>]")?;
-        let (probed, zero) = (z_of(rig, "probed")?, z_of(rig, "g5x")?);
-        let offset_um = rig.z_um()?;
-        println!("probed {probed:.5} mm, set as zero {zero:.5} mm, offset {offset_um:.2} um");
-        ensure!(((probed - zero) * 1e3 - offset_um).abs() < 0.1, "the offset is in #5063");
-        // What the axis was commanded, not where the joint is, is what touching off takes.
-        rig.cnc.act("mdi", "text", "G10 L20 P1 Z0")?;
-        let (zero, command) = (z_of(rig, "g5x")?, rig.cnc.pin("axis.z.pos-cmd")?);
-        ensure!((zero - command).abs() < 1e-6, "zero at {zero}, command {command} mm");
-        // The position that LinuxCNC reports contains the offset.
-        let (reported, joint) = (z_of(rig, "position")?, rig.cnc.pin("joint.2.pos-cmd")?);
-        ensure!((reported - joint).abs() < 1e-6, "reported {reported}, joint {joint} mm");
-        ensure!((reported - command) * 1e3 > GROWN_UM - CLOSE_UM);
-        rig.cnc.act("mdi", "text", "G10 L2 P1 Z0")?;
-        rig.cnc.act("mdi", "text", "G53 G0 Z0")?;
-        rig.cnc.act("teleop", "on", true)?;
-        Ok(())
-    })
-}
-
-/// A surface at this height, in mm of the machine, which the tool touches when it has not grown.
-const SURFACE_MM: f64 = -30.0;
-
-#[test]
-#[ignore = "long: the real LinuxCNC"]
-fn it_probes_by_itself_and_what_it_finds_reaches_the_learner() -> Result<()> {
-    scenario(GROWN_UM, |rig| {
-        // The probe closes where the tip, which is below the joint by the growth, reaches the surface.
-        for words in
-            ["loadrt comp names=touch", "addf touch servo-thread", "net z-pos => touch.in0"]
-        {
-            rig.cnc.halcmd(words).ok();
-        }
-        rig.cnc.halcmd("net touched touch.out => motion.probe-input").ok();
-        let grown = |rig: &mut Rig, um: f64| {
-            let touches_mm = SURFACE_MM + um * 1e-3;
-            rig.cnc.halcmd(&format!("setp touch.in1 {touches_mm}")).map(drop)
-        };
-        let log = |rig: &Rig| {
-            fs::read_to_string(rig.cnc.folder().join("trueup_learn.log")).unwrap_or_default()
-        };
-        let probe = |rig: &mut Rig, um: f64| -> Result<String> {
-            let before = log(rig).len();
-            grown(rig, um)?;
-            // The record has a row of now.
-            rest(2_500);
-            let call = format!("o<trueup_probe> call [{SURFACE_MM}] [0.5] [60]");
-            rig.cnc.act("mdi", "text", call)?;
-            let said = log(rig)[before..].to_string();
-            println!("probed at {um} um: {said}");
-            Ok(said)
-        };
-        for file in ["trueup_learn.log", "trueup_learned.toml", "trueup_learned.learn.json"] {
-            fs::remove_file(rig.cnc.folder().join(file)).ok();
-        }
-        rig.cnc.act("mdi", "text", "G10 L2 P1 X0 Y0 Z0")?;
-        rig.cnc.act("mdi", "text", "G53 G0 Z-20")?;
-        let taken = probe(rig, GROWN_UM)?;
-        ensure!(taken.contains("1 of 1 readings used"), "what agrees is taken: {taken}");
-        let learned = rig.cnc.folder().join("trueup_learned.toml");
-        ensure!(learned.exists(), "what was learned is written");
-        let refused = probe(rig, GROWN_UM + 150.0)?;
-        let reason = refused.contains("0 of 1 readings used") && refused.contains("refused: +1");
-        ensure!(reason, "what cannot be is refused, with the reason: {refused}");
-        // A record that nobody can write: the reading is not taken, the job goes on, and both logs say why.
-        let here = rig.cnc.folder().to_path_buf();
-        let record = here.join("trueup_record.csv");
-        let known = fs::read_to_string(here.join("trueup_learned.learn.json"))?;
-        fs::remove_file(&record)?;
-        fs::create_dir(&record)?;
-        let missed = probe(rig, GROWN_UM)?;
-        let told = fs::read_to_string(here.join("trueup.log"))?;
-        let still = fs::read_to_string(here.join("trueup_learned.learn.json"))?;
-        fs::remove_dir(&record)?;
-        ensure!(missed.contains("trueup_record.csv: cannot be read"), "{missed}");
-        ensure!(told.contains("the record cannot be written"), "{told}");
-        ensure!(known == still, "nothing was learned from it");
-        // The next component writes one again.
-        kill_component(rig)?;
-        restart(rig)?;
-        ensure!(fs::read_to_string(&record)?.starts_with("time_s,"), "it is written again");
-        rig.cnc.halcmd("unlinkp motion.probe-input").ok();
-        rig.cnc.act("mdi", "text", "G53 G0 X0 Y0 Z0")?;
         rig.cnc.act("teleop", "on", true)?;
         Ok(())
     })
