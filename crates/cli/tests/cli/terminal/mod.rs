@@ -5,7 +5,7 @@ use std::{
     io::{Read as _, Write as _},
     process::{Child, Command, ExitStatus},
     sync::{Arc, Mutex},
-    thread,
+    thread::{self, JoinHandle},
     time::{Duration, Instant},
 };
 
@@ -22,6 +22,7 @@ pub struct Terminal {
     keys: File,
     pub screen: Arc<Mutex<vt100::Parser>>,
     pub bytes: Arc<Mutex<Vec<u8>>>,
+    reader: JoinHandle<()>,
 }
 
 impl Terminal {
@@ -53,17 +54,17 @@ impl Terminal {
         let screen = Arc::new(Mutex::new(vt100::Parser::new(rows, columns, 0)));
         let bytes = Arc::new(Mutex::new(Vec::new()));
         let keys = File::from(ours);
-        let mut reader = keys.try_clone().expect("a file");
+        let mut end = keys.try_clone().expect("a file");
         let (drawn, all) = (screen.clone(), bytes.clone());
-        thread::spawn(move || {
+        let reader = thread::spawn(move || {
             let mut buffer = [0; 4096];
             // At the end of the other side a read fails.
-            while let Ok(length @ 1..) = reader.read(&mut buffer) {
+            while let Ok(length @ 1..) = end.read(&mut buffer) {
                 drawn.lock().expect("nobody panics with it").process(&buffer[..length]);
                 all.lock().expect("nobody panics with it").extend_from_slice(&buffer[..length]);
             }
         });
-        Self { child, keys, screen, bytes }
+        Self { child, keys, screen, bytes, reader }
     }
 
     pub fn text(&self) -> String {
@@ -89,10 +90,12 @@ impl Terminal {
         self.keys.write_all(keys.as_bytes()).expect("the terminal is open");
     }
 
+    /// How it ended, once all that it had drawn is on the screen.
     pub fn ended(&mut self) -> ExitStatus {
         let start = Instant::now();
         loop {
-            if let Some(status) = self.child.try_wait().expect("it is ours") {
+            let status = self.child.try_wait().expect("it is ours");
+            if let Some(status) = status.filter(|_| self.reader.is_finished()) {
                 return status;
             }
             assert!(start.elapsed() < Duration::from_secs(10), "it does not end:\n{}", self.text());
