@@ -47,7 +47,10 @@ fn xtask_chip_shows_the_log_and_serves_any_slcan_client_with_a_dead_crystal() ->
     trueup()?;
     let python = setup::python()?;
     let mut terminal = Terminal(
-        xtask()?
+        // Whoever started these tests may have had Ctrl-C ignored, which is inherited.
+        Command::new("env")
+            .arg("--default-signal=INT")
+            .arg(xtask()?.get_program())
             .args(["chip", "--bor", "--hse-dead", "--serial", "0"])
             .process_group(0)
             .stdin(Stdio::null())
