@@ -34,10 +34,12 @@ impl Terminal {
         let theirs = File::options().read(true).write(true).open(name).expect("unlocked");
         let size = Winsize { ws_row: rows, ws_col: columns, ws_xpixel: 0, ws_ypixel: 0 };
         tcsetwinsize(&theirs, size).expect("a terminal");
-        let mut command = Command::new("setsid");
+        let mut command = Command::new("env");
         command
+            // Whoever started the tests may have had Ctrl-C ignored, which is inherited.
+            .arg("--default-signal=INT")
             // The terminal is its own, whatever terminal the tests run in.
-            .args(["--ctty", env!("CARGO_BIN_EXE_trueup")])
+            .args(["setsid", "--ctty", env!("CARGO_BIN_EXE_trueup")])
             .args(line.split(' '))
             .current_dir(desk.path("."))
             .env("TERM", "xterm-256color")
@@ -48,7 +50,7 @@ impl Terminal {
         if no_colour {
             command.env("NO_COLOR", "1");
         }
-        let child = command.spawn().expect("util-linux has setsid");
+        let child = command.spawn().expect("coreutils has env, util-linux setsid");
         // The command holds the other end, and would keep it open.
         drop(command);
         let screen = Arc::new(Mutex::new(vt100::Parser::new(rows, columns, 0)));
