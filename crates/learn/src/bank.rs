@@ -41,7 +41,7 @@ pub(crate) struct Bank {
     /// E.
     evidence: f64,
     is_applied: bool,
-    /// By reading: the magnitude of what the file as it is, and what was learned, have missed it by.
+    /// By reading that was used: the magnitude of what the file as it is, and what was learned, have missed it by.
     missed_um: Vec<[f64; 2]>,
 }
 
@@ -79,7 +79,7 @@ impl Bank {
         self.learned.filters[self.learned.first()].half_widths()
     }
 
-    /// How many readings they are compared by, and by how much the file as it is and what was learned have missed
+    /// How many used readings they are compared by, and by how much the file as it is and what was learned have missed
     /// them, mean magnitude in µm.
     pub fn compared(&self) -> (usize, f64, f64) {
         let count = self.missed_um.len();
@@ -104,12 +104,15 @@ impl Bank {
     /// A reading, where the file as it is misses by `y_um`. What became of it is said by the filter that counts most.
     pub fn take(&mut self, g: &[f64], y_um: f64) -> Fate {
         let learned_um: f64 = g.iter().zip(self.learned.lasting()).map(|(g, x)| g * x).sum();
-        self.missed_um.push([y_um.abs(), (y_um - learned_um).abs()]);
+        let (by_file, _) = self.file.take(g, y_um);
+        let (by_learned, fate) = self.learned.take(g, y_um);
+        // One bad reading would be all that a mean tells.
+        if !matches!(fate, Fate::Refused { .. }) {
+            self.missed_um.push([y_um.abs(), (y_um - learned_um).abs()]);
+        }
         if self.missed_um.len() > COMPARED {
             self.missed_um.remove(0);
         }
-        let (by_file, _) = self.file.take(g, y_um);
-        let (by_learned, fate) = self.learned.take(g, y_um);
         let enough = ENOUGH.ln();
         self.evidence = (self.evidence + (by_learned / by_file).ln()).clamp(0.0, enough);
         if self.evidence >= enough {

@@ -213,10 +213,13 @@ fn one(
 /// Which of the two is believed, in a sentence.
 fn believed(memory: &Memory) -> String {
     let (count, file_um, own_um) = memory.bank.compared();
-    let figures = format!(
-        "of the last {count} readings the file as it is missed each by {file_um:.2} µm on average, what was \
-         learned by {own_um:.2} µm, before they were used"
-    );
+    let figures = match count {
+        0 => "no reading has been used yet".into(),
+        _ => format!(
+            "of the last {count} readings that were used the file as it is missed each by {file_um:.2} µm on \
+             average, what was learned by {own_um:.2} µm, before they were used"
+        ),
+    };
     let odds = memory.bank.odds();
     match memory.bank.believed() {
         Some(_) => format!("What was learned is applied: {figures}."),
