@@ -99,8 +99,9 @@ impl fmt::Display for NoNext {
             ),
             Self::NotApart([one, other], gap) if *gap < ALIKE => write!(
                 f,
-                "{one} and {other} foresee the same in every run up to an hour and a half that was thought of: no \
-                 measurement of this kind tells them apart, and none is needed, for either is corrected alike"
+                "within what is known of their values {one} and {other} foresee the same in every run up to an hour \
+                 and a half that was thought of: no measurement of this kind tells them apart; whether their \
+                 corrections agree elsewhere is not known"
             ),
             Self::NotApart([one, other], gap) => write!(
                 f,

@@ -34,7 +34,7 @@ fn panic(info: &PanicInfo) -> ! {
     // A panic inside the logger would panic again here, for ever.
     if !PANICKED.swap(true, Ordering::Relaxed) {
         last_words::leave(Why::Panic, Core::default(), info.location());
-        // The place and not the words: these would bring the formatting of `core` into the image, 10 KB.
+        // The place and not the words: these would bring the formatting of `core` into the image.
         if let Some(place) = info.location() {
             defmt::error!("panic at {=str}:{=u32}", place.file(), place.line());
         }

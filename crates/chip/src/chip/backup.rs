@@ -1,5 +1,5 @@
 //! The backup domain (RM0090 section 5.1.2): what goes on from VBAT when the supply is gone. RCC_BDCR (7.3.20) with the
-//! 32 kHz oscillator, the backup SRAM and its regulator (5.4.4), and the write protection of all of it (5.4.1, DBP).
+//! 32 kHz oscillator, the backup SRAM and its regulator (5.4.2), and the write protection of all of it (5.4.1, DBP).
 
 use super::{Chip, rtc::Rtc};
 use crate::{

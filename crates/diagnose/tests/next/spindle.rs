@@ -62,7 +62,7 @@ fn a_planned_run_tells_what_a_short_one_left_open() {
 
 /// Seeds that nothing was chosen by.
 #[test]
-#[ignore = "long: half a minute of diagnoses, each with three runs that are looked at minute by minute"]
+#[ignore = "long: twenty seconds of diagnoses, each with three runs that are looked at minute by minute"]
 fn half_the_minutes_of_the_cycles_of_iso_230_3_tell_causes_apart() {
     let it = needed(1000..1100, Trial::drawn);
     let [own, one_speed, spectrum] = it.minutes;
