@@ -18,6 +18,9 @@ use crate::{
     laws::Laws,
 };
 
+/// What settles so many times as fast, or as slowly, is another law.
+const ANOTHER_LAW: f64 = 2.0;
+
 /// Terms and a constant, on top of what the machine file says.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Model {
@@ -43,9 +46,7 @@ impl Model {
         let is_start = |part: &&Part| part.kind.is_from_the_start();
         let start = self.parts.iter().find(is_start)?;
         let late = |part: &&Part| {
-            // Twice as fast or half as fast is another law.
-            let is_alike =
-                || (part.values[0] / start.values[0]).ln().abs() < std::f64::consts::LN_2;
+            let is_alike = || (part.values[0] / start.values[0]).ln().abs() < ANOTHER_LAW.ln();
             part.kind.has_time_constant() && !is_start(part) && is_alike()
         };
         self.parts.iter().find(late).map(|late| [start, late])

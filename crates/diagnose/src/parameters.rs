@@ -144,9 +144,8 @@ pub(crate) fn estimates(
         let bound = problem.bounds.time_constant_s;
         if part.kind.has_time_constant() && part.kind.is_logarithmic(value) {
             let at_bound = part.values[value] > 0.95 * bound[1];
-            // Known within a factor of two either way, or short beside the record: else it is not
-            // known how the next hours will be.
-            let is_known = high < 4.0 * low || problem.is_short(high);
+            // Else it is not known how the next hours will be.
+            let is_known = high < KNOWN * low || problem.is_short(high);
             is_determined &= is_known && !at_bound;
         }
     }
@@ -190,6 +189,8 @@ fn reaches_nothing(part: &Part, intervals: &[[f64; 2]]) -> bool {
 /// Level of the region in which the values of a list are, all together: that of the intervals of single
 /// values.
 const REGION: f64 = 0.95;
+/// The ends of a time constant's interval lie within this factor: known to a factor of two either way.
+const KNOWN: f64 = 4.0;
 
 /// Whether a list (a table, a spline) may be nothing: whether 0 for all of its values is in their common
 /// region of 95 %, everything else of the model fitted with them.

@@ -11,6 +11,10 @@ const FEWEST: usize = 8;
 pub const MOST: usize = 40;
 /// Correlation times in a block, at least: then blocks are as good as independent.
 const CORRELATION_TIMES: f64 = 5.0;
+/// Standard errors by which one of two foresees better: the rule of one (Breiman 1984).
+const BETTER: f64 = 1.0;
+/// Standard errors that are beyond doubt, as 95 % go.
+const CERTAIN: f64 = 2.0;
 
 /// The number, from 0, of the stretch of each of `rows` rows that are cut into `stretches` of equal length.
 ///
@@ -56,13 +60,13 @@ impl Paired {
     /// difference: else both foresee equally well.
     #[must_use]
     pub fn is_better(&self) -> bool {
-        self.gain > self.standard_error
+        self.gain > BETTER * self.standard_error
     }
 
     /// Whether it is less by more than two standard errors: beyond doubt, as 95 % go.
     #[must_use]
     pub fn is_certain(&self) -> bool {
-        self.gain > 2.0 * self.standard_error
+        self.gain > CERTAIN * self.standard_error
     }
 }
 

@@ -41,11 +41,16 @@ impl Noise {
     }
 }
 
+/// The longest memory in roots of the rows.
+const ROOTS: f64 = 2.0;
+/// Memories in a record, at least.
+const IN_RECORD: f64 = 6.0;
+
 /// The longest correlation time in steps that `rows` rows can show: 2·√n, as the bandwidth of
 /// consistent covariance estimates grows, and never more than a sixth of the record.
 pub fn longest_memory(rows: usize) -> f64 {
     let rows = rows as f64;
-    (2.0 * rows.sqrt()).min(rows / 6.0).max(1.0)
+    (ROOTS * rows.sqrt()).min(rows / IN_RECORD).max(1.0)
 }
 
 /// The steps between rows: each row's distance from the one before in median steps, at least 0;

@@ -150,10 +150,9 @@ impl Problem {
         }
     }
 
-    /// Whether a time constant is so short that the record shows all of it: three of them pass at
-    /// least five times over.
+    /// Whether a time constant is so short that the record shows all of it.
     pub(crate) fn is_short(&self, time_constant_s: f64) -> bool {
-        15.0 * time_constant_s < self.bounds.longest_s
+        SHORT * time_constant_s < self.bounds.longest_s
     }
 
     /// Whether a value of a part is where its search ends, so that the best may lie beyond: a time
@@ -208,10 +207,8 @@ impl Problem {
                 match what {
                     Nonlinear::TimeConstant => held(value, self.bounds.time_constant_s),
                     Nonlinear::FallingTimeConstant => {
-                        // What cools more than five times faster or slower than it warms is not the
-                        // same heat.
                         if let Some(rise_s) = rise_s {
-                            held(value, [0.2 * rise_s, 5.0 * rise_s]);
+                            held(value, [rise_s / ALIKE, ALIKE * rise_s]);
                         }
                         held(value, self.bounds.time_constant_s);
                     }
@@ -237,6 +234,16 @@ const LATEST_THERMOMETER_S: f64 = 900.0;
 /// The share of the longest series by which the prediction, or a thermometer, may be late. What is shifted out of a record
 /// cannot be compared any more: nine tenths of it still are.
 const MOST_SHIFT: f64 = 0.1;
+/// The shortest time constant, in rows: of less than a hundredth is left after a row.
+const SHORTEST_ROWS: f64 = 0.2;
+/// The longest, in records: of one that is longer less than a third is in the record.
+const LONGEST_RECORDS: f64 = 3.0;
+/// The longest period, in travels: a wave that turns less than one and a half times is a curve.
+const LONGEST_PERIOD: f64 = 0.7;
+/// What cools so many times faster or slower than it warms is not the same heat.
+const ALIKE: f64 = 5.0;
+/// Time constants in a record that shows all of one: three of them pass five times over.
+const SHORT: f64 = 15.0;
 
 fn bounds(data: &Data, groups: &Groups) -> Bounds {
     let extent = |values: &mut dyn Iterator<Item = f64>| {
@@ -271,11 +278,11 @@ fn bounds(data: &Data, groups: &Groups) -> Bounds {
     let prediction = Model::default().predict(data);
     let prediction_um = finite(extent(&mut prediction.iter().copied()), [0.0, 1.0]);
     Bounds {
-        time_constant_s: [0.2 * step_s, 3.0 * longest_s],
+        time_constant_s: [SHORTEST_ROWS * step_s, LONGEST_RECORDS * longest_s],
         longest_s,
         time_s,
         step_s,
-        late_s: [0.2 * step_s, (MOST_SHIFT * longest_s).min(LATEST_THERMOMETER_S)],
+        late_s: [SHORTEST_ROWS * step_s, (MOST_SHIFT * longest_s).min(LATEST_THERMOMETER_S)],
         shift_s: {
             let states_early = data.stated.iter().any(|stated| stated.effect.shift_s() < 0.0);
             let has_early = data.gauge_time_s.is_some() || states_early;
@@ -285,7 +292,7 @@ fn bounds(data: &Data, groups: &Groups) -> Bounds {
         travel_mm: range[1] - range[0],
         period_mm: [
             (range[1] - range[0]) / groups.len().max(2) as f64,
-            0.7 * (range[1] - range[0]),
+            LONGEST_PERIOD * (range[1] - range[0]),
         ],
         prediction_um,
     }

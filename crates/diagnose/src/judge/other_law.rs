@@ -20,6 +20,8 @@ use crate::{
 const LEAST_R_SQUARED: f64 = 0.9;
 /// The share of what a term explains that is left to it beside a better law: below.
 const LEFT_TO_IT: f64 = 0.5;
+/// The correlation from which a column is another's: 0.2 % of the squares are its own.
+const SAME_COLUMN: f64 = 0.999;
 
 /// The curves that would be another law than a term's.
 pub(crate) struct Curves {
@@ -91,7 +93,7 @@ fn beside(curve: &Model, answer: &Model, cause: &Kind) -> Model {
 /// Whether a column is what the instrument reads.
 fn is_reading(data: &Data, column: &str) -> bool {
     let reading = data.own_position().unwrap_or(&data.elongation);
-    named(data, column).is_some_and(|column| correlation(column, reading).abs() > 0.999)
+    named(data, column).is_some_and(|column| correlation(column, reading).abs() > SAME_COLUMN)
 }
 
 /// The correlation of two columns, over the rows that both have.

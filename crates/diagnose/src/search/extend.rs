@@ -15,6 +15,9 @@ use crate::{
     },
 };
 
+/// What is left of the lesser of two effects that take each other back.
+const TAKEN_BACK: f64 = 0.5;
+
 /// A model that was extended by a cause, fitted with everything else.
 #[derive(Clone)]
 pub(crate) struct Extension {
@@ -132,7 +135,7 @@ pub(crate) fn centred_effect(problem: &Problem, fitted: &Fitted, cause: &Kind) -
 /// Whether of two effects the one takes back more of the other than it leaves.
 pub(crate) fn take_back(one: &[f64], other: &[f64]) -> bool {
     let sum: Vec<f64> = one.iter().zip(other).map(|(a, b)| a + b).collect();
-    rms(&sum) < 0.5 * rms(one).min(rms(other))
+    rms(&sum) < TAKEN_BACK * rms(one).min(rms(other))
 }
 
 fn with(model: &Model, hit: &Hit) -> Model {

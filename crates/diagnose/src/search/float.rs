@@ -33,6 +33,8 @@ const MOST_AHEAD: usize = 3;
 /// Several terms at once must be identified: where they were not fitted they leave at most so many times the
 /// squares that they leave where they were.
 const MOST_LEFT_OUT: f64 = 2.0;
+/// What a term pays for the choice among n causes, in ln n: EBIC with γ = 1.
+const CHOICE: f64 = 2.0;
 /// Candidates that are fitted for each term.
 const MOST_FITTED: usize = 8;
 
@@ -152,7 +154,7 @@ impl Search<'_> {
     fn price(&self) -> f64 {
         let fitted = &self.fitted;
         let causes = possible(self.problem, &fitted.model, &fitted.residual);
-        2.0 * (causes.len().max(1) as f64).ln()
+        CHOICE * (causes.len().max(1) as f64).ln()
     }
 
     /// `base` with the cause of the best BIC, whatever it is. What is looked for at many periods or instants

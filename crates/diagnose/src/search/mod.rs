@@ -57,6 +57,8 @@ use state::{Search, Stage, WhyNot};
 
 /// Most terms of one diagnosis.
 const MOST_TERMS: usize = 8;
+/// A lack of fit that is told would be so many terms' worth.
+const LACK_OF_FIT: f64 = 2.0;
 /// Most rounds: one for each term, and as many as find nothing.
 const MOST_ROUNDS: usize = MOST_TERMS + 7;
 /// How often the search begins again after a term was given up.
@@ -277,7 +279,8 @@ impl Search<'_> {
         let (problem, fitted) = (self.problem, self.fitted);
         let scanned = scan(problem, &fitted, &structure(problem), self.limits);
         let share_um = |hit: &Hit| (hit.explained * fitted.rms().powi(2)).sqrt();
-        let counts = |hit: &&Hit| hit.is_significant && share_um(hit) > 2.0 * self.relevant_um;
+        let counts =
+            |hit: &&Hit| hit.is_significant && share_um(hit) > LACK_OF_FIT * self.relevant_um;
         let inputs =
             scanned.hits.iter().filter(counts).filter_map(|hit| Inputs::of(&hit.part.kind));
         lack_of_fit.extend(inputs.map(LackOfFit::GoesWith));
