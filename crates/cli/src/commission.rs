@@ -316,7 +316,8 @@ impl Work<'_> {
         let direction = sign::direction(&self.machine, axis);
         watch::until(&port, |output| sign::is_given(output, direction))?;
         let Some(answer) = self.answers.ask(&sign::question(axis))? else { return Ok(false) };
-        let Ok(moved_um) = answer.trim().parse::<f64>() else {
+        // In half of Europe the point is a comma.
+        let Ok(moved_um) = answer.trim().replace(',', ".").parse::<f64>() else {
             self.journal.log(&format!("  \"{answer}\" is not a reading in µm"))?;
             return Ok(false);
         };

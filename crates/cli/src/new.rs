@@ -2,7 +2,7 @@
 
 use std::{
     io::{IsTerminal as _, stdin, stdout},
-    path::PathBuf,
+    path::{Path, PathBuf},
 };
 
 use anyhow::Result;
@@ -45,16 +45,16 @@ pub struct New {
     #[arg(long, value_enum)]
     feedback: Option<FeedbackName>,
     /// The rapid traverse in mm/min.
-    #[arg(long, value_name = "MM_PER_MIN", value_parser = above_zero)]
+    #[arg(long, value_name = "MM_PER_MIN", value_parser = questions::above_zero)]
     rapid: Option<f64>,
     /// The displacement sensor's µm for one volt, from its data sheet; without it there is none.
-    #[arg(long, value_name = "UM", value_parser = not_zero, allow_hyphen_values = true)]
+    #[arg(long, value_name = "UM", value_parser = questions::not_zero, allow_hyphen_values = true)]
     sensor_um_per_v: Option<f64>,
     /// What a voltmeter shows at the sensor when the machine is cold, in V; by default half of its range.
     #[arg(long, value_name = "V", value_parser = questions::finite)]
     sensor_zero_v: Option<f64>,
     /// The sensor's output at the end of its range, in V; by default 10.
-    #[arg(long, value_name = "V", value_parser = above_zero)]
+    #[arg(long, value_name = "V", value_parser = questions::above_zero)]
     sensor_volts: Option<f64>,
     /// A PT100 and where it is, once for each: screw.
     #[arg(long, value_name = "WHERE", value_parser = questions::word)]
@@ -109,16 +109,6 @@ pub enum ControlName {
     Heidenhain,
 }
 
-fn above_zero(text: &str) -> Result<f64, String> {
-    questions::finite(text)
-        .and_then(|value| if value > 0.0 { Ok(value) } else { Err("must be above 0".into()) })
-}
-
-fn not_zero(text: &str) -> Result<f64, String> {
-    questions::finite(text)
-        .and_then(|value| if value != 0.0 { Ok(value) } else { Err("must not be 0".into()) })
-}
-
 fn travel(text: &str) -> Result<(LinearAxis, [f64; 2]), String> {
     let (axis, range) = text.split_once('=').ok_or("must be an axis and its ends: x=0:600")?;
     let axis = LinearAxis::ALL.into_iter().find(|it| it.name() == axis.trim().to_lowercase());
@@ -127,23 +117,19 @@ fn travel(text: &str) -> Result<(LinearAxis, [f64; 2]), String> {
 
 /// Writes the file.
 pub fn run(args: &New, as_json: bool) -> Result<Outcome> {
+    let is_stdout = output::is_standard_output(&args.output);
+    if !is_stdout {
+        is_free(&args.output)?;
+    }
     let asks = !args.yes && !as_json && stdin().is_terminal() && stdout().is_terminal();
     let template = match (by_flags(args)?, asks) {
         (template, true) => questions::ask(template, &said(args))?,
         (template, false) => template,
     };
-    let is_stdout = output::is_standard_output(&args.output);
     let name = if is_stdout { "machine.toml".into() } else { args.output.to_string_lossy() };
     let text = template.to_toml(&name);
     // What cannot be, and no flag alone could tell: a head with three axes, two thermometers of a name.
     MachineFile::parse(&text, &args.output).map_err(|BadInput { rule, .. }| UserError(rule))?;
-    if !is_stdout && args.output.exists() {
-        return Err(UserError(format!(
-            "{}: is there already, and is left alone",
-            args.output.display()
-        ))
-        .into());
-    }
     output::write_whole(&args.output, &[], |out| out.write_all(text.as_bytes()))?;
     if as_json {
         output::print(json!({"output": name, "machine": template.name}))?;
@@ -156,11 +142,23 @@ pub fn run(args: &New, as_json: bool) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
+/// Before anything is asked: answers are not to be lost.
+fn is_free(path: &Path) -> Result<(), UserError> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let rule = match folder {
+        _ if path.exists() => "is there already, and is left alone",
+        Some(folder) if !folder.is_dir() => "its folder is not there",
+        _ => return Ok(()),
+    };
+    Err(UserError(format!("{}: {rule}", path.display())))
+}
+
 /// What needs no question.
 fn said(args: &New) -> questions::Said {
     questions::Said {
         name: args.name.is_some(),
         kind: args.kind.is_some(),
+        head_axes: args.head_axes.is_some(),
         axes: !args.travel.is_empty(),
         feedback: args.feedback.is_some(),
         rapid: args.rapid.is_some(),

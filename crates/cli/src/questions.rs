@@ -1,16 +1,21 @@
 //! The questions of `trueup new`, for what its flags have not said.
 
-use anyhow::Result;
+use anyhow::{Error, Result};
 use dialoguer::{Confirm, Input, Select};
 use trueup_machine::{
     file::{Feedback, Kind, LinearAxis, RotaryAxis},
+    inputs::LAST_CHANNEL,
     template::{Control, Sheet, Template},
 };
+
+/// As many channels has the board.
+const MOST_THERMOMETERS: usize = LAST_CHANNEL as usize + 1;
 
 /// What the flags have said: it is not asked for.
 pub struct Said {
     pub name: bool,
     pub kind: bool,
+    pub head_axes: bool,
     pub axes: bool,
     pub feedback: bool,
     pub rapid: bool,
@@ -23,6 +28,18 @@ pub struct Said {
 pub fn finite(text: &str) -> Result<f64, String> {
     let value = text.parse().ok().filter(|value: &f64| value.is_finite());
     value.ok_or_else(|| "must be a number, with a point for decimals".into())
+}
+
+/// A number of a user's that must be above 0.
+pub fn above_zero(text: &str) -> Result<f64, String> {
+    let value = finite(text)?;
+    if value > 0.0 { Ok(value) } else { Err("must be above 0".into()) }
+}
+
+/// A number of a user's that must not be 0.
+pub fn not_zero(text: &str) -> Result<f64, String> {
+    let value = finite(text)?;
+    if value != 0.0 { Ok(value) } else { Err("must not be 0".into()) }
 }
 
 /// The ends of a travel, `0:600`.
@@ -39,6 +56,26 @@ pub fn word(text: &str) -> Result<String, String> {
     if is_word { Ok(text) } else { Err("must be a word of letters and digits: screw".into()) }
 }
 
+/// The rotary axes of a head, `c,a`: as many as the kind has.
+fn head(text: &str, kind: Kind) -> Result<Vec<RotaryAxis>, String> {
+    let axis = |name: &str| {
+        let name = name.trim().to_lowercase();
+        RotaryAxis::ALL.into_iter().find(|axis| axis.name() == name)
+    };
+    let axes: Option<Vec<RotaryAxis>> = text.split(',').map(axis).collect();
+    let usual = usual_head(kind);
+    let is_whole = |axes: &Vec<RotaryAxis>| {
+        axes.len() == usual.len()
+            && axes.iter().enumerate().all(|(at, axis)| !axes[..at].contains(axis))
+    };
+    let rule = if usual.len() == 2 {
+        "must be two of a, b and c, from the frame to the tool: c,a"
+    } else {
+        "must be a, b or c"
+    };
+    axes.filter(is_whole).ok_or_else(|| rule.into())
+}
+
 /// The axes of the head of the usual machine of its kind.
 pub fn usual_head(kind: Kind) -> Vec<RotaryAxis> {
     match kind {
@@ -48,7 +85,8 @@ pub fn usual_head(kind: Kind) -> Vec<RotaryAxis> {
     }
 }
 
-/// The template with the answers in it; an empty answer keeps what is offered.
+/// The template with the answers in it; an empty answer keeps what is offered. What cannot be is asked for
+/// again at once: nobody is to answer ten questions twice.
 pub fn ask(mut template: Template, said: &Said) -> Result<Template> {
     if !said.name {
         template.name = Input::new()
@@ -66,21 +104,24 @@ pub fn ask(mut template: Template, said: &Said) -> Result<Template> {
                 ("two carry the workpiece", Kind::TableTable),
             ],
         )?;
-        template.head_axes = usual_head(template.kind);
+    }
+    if !said.head_axes {
+        let kind = template.kind;
+        let usual: Vec<&str> = usual_head(kind).iter().map(|axis| axis.name()).collect();
+        template.head_axes = match usual.len() {
+            0 => Vec::new(),
+            1 => needed("Which one carries the spindle", &usual[0], |text| head(text, kind))?,
+            _ => needed(
+                "Which ones carry the spindle, from the frame to the tool",
+                &usual.join(","),
+                |text| head(text, kind),
+            )?,
+        };
     }
     if !said.axes {
         for axis in LinearAxis::ALL {
-            let text: String = Input::new()
-                .with_prompt(format!(
-                    "Travel of {} in mm, as 0:600 (empty: leave it out)",
-                    axis.name().to_uppercase()
-                ))
-                .allow_empty(true)
-                .validate_with(
-                    |text: &String| if text.is_empty() { Ok(()) } else { ends(text).map(drop) },
-                )
-                .interact_text()?;
-            template.axes.extend(ends(&text).ok().map(|ends| (axis, ends)));
+            let prompt = format!("Travel of {} in mm, as 0:600", axis.name().to_uppercase());
+            template.axes.extend(wanted(&prompt, "leave it out", ends)?.map(|ends| (axis, ends)));
         }
     }
     if !said.feedback {
@@ -91,24 +132,23 @@ pub fn ask(mut template: Template, said: &Said) -> Result<Template> {
         template.feedback = choose("Where are positions measured?", &places)?;
     }
     if !said.rapid {
-        template.rapid_mm_per_min =
-            number("Rapid traverse in mm/min (empty: not known)")?.filter(|it| *it > 0.0);
+        template.rapid_mm_per_min = wanted("Rapid traverse in mm/min", "not known", above_zero)?;
     }
     let prompt = "Is there a displacement sensor at the spindle?";
     if !said.sensor && Confirm::new().with_prompt(prompt).default(true).interact()? {
         template.sensor = Some(sensor()?);
     }
-    while !said.thermometers && template.thermometers.len() < 8 {
-        let text: String = Input::new()
-            .with_prompt("A PT100 and where it is, as screw (empty: no more)")
-            .allow_empty(true)
-            .validate_with(
-                |text: &String| if text.is_empty() { Ok(()) } else { word(text).map(drop) },
-            )
-            .interact_text()?;
-        match word(&text) {
-            Ok(word) => template.thermometers.push(word),
-            Err(_) => break,
+    while !said.thermometers && template.thermometers.len() < MOST_THERMOMETERS {
+        let before = template.thermometers.clone();
+        let new = |text: &str| {
+            word(text).and_then(|word| match before.contains(&word) {
+                true => Err(format!("there is a {word} already")),
+                false => Ok(word),
+            })
+        };
+        match wanted("A PT100 and where it is, as screw", "no more", new)? {
+            Some(word) => template.thermometers.push(word),
+            None => break,
         }
     }
     if !said.control {
@@ -124,25 +164,47 @@ pub fn ask(mut template: Template, said: &Said) -> Result<Template> {
 }
 
 fn sensor() -> Result<Sheet> {
-    let number = |prompt: &str, default: f64| -> Result<f64> {
-        Ok(Input::new().with_prompt(prompt).default(default).interact_text()?)
+    let volts_full_scale = needed("Its output at the end of its range, in V", &"10", above_zero)?;
+    let um_per_v = needed("µm for one volt (data sheet: range in µm / volts)", &"50", not_zero)?;
+    let within = |text: &str| match finite(text)? {
+        volts if (0.0..=volts_full_scale).contains(&volts) => Ok(volts),
+        _ => Err(format!("must be from 0 to {volts_full_scale} V")),
     };
-    let volts_full_scale = number("Its output at the end of its range, in V", 10.0)?;
-    let um_per_v = number("µm for one volt (data sheet: range in µm / volts)", 50.0)?;
-    let zero_v =
-        number("What a voltmeter shows when the machine is cold, in V", volts_full_scale / 2.0)?;
+    let half = volts_full_scale / 2.0;
+    let zero_v = needed("What a voltmeter shows when the machine is cold, in V", &half, within)?;
     Ok(Sheet { volts_full_scale, um_per_v, zero_v })
 }
 
-fn number(prompt: &str) -> Result<Option<f64>> {
+/// An answer that is read by `read`; nothing is `usual`.
+fn needed<T>(
+    prompt: &str,
+    usual: &impl ToString,
+    read: impl Fn(&str) -> Result<T, String>,
+) -> Result<T> {
     let text: String = Input::new()
         .with_prompt(prompt)
-        .allow_empty(true)
-        .validate_with(
-            |text: &String| if text.is_empty() { Ok(()) } else { finite(text).map(drop) },
-        )
+        .default(usual.to_string())
+        .validate_with(|text: &String| read(text.trim()).map(drop))
         .interact_text()?;
-    Ok(finite(&text).ok())
+    read(text.trim()).map_err(Error::msg)
+}
+
+/// An answer that is read by `read`; nothing is `None`, which means `what`.
+fn wanted<T>(
+    prompt: &str,
+    what: &str,
+    read: impl Fn(&str) -> Result<T, String>,
+) -> Result<Option<T>> {
+    let read = |text: &str| match text.trim() {
+        "" => Ok(None),
+        text => read(text).map(Some),
+    };
+    let text: String = Input::new()
+        .with_prompt(format!("{prompt} (empty: {what})"))
+        .allow_empty(true)
+        .validate_with(|text: &String| read(text).map(drop))
+        .interact_text()?;
+    read(&text).map_err(Error::msg)
 }
 
 fn choose<T: Copy>(prompt: &str, choices: &[(&str, T)]) -> Result<T> {

@@ -12,6 +12,7 @@
 //! | [`line`](mod@line) | a line that is opened again whenever it breaks, for who stays on it |
 //! | [`session`] | one client's time on the line: open, hear, ask, close |
 //! | [`object`] | the objects of the bridge, by SDO |
+//! | `patience` | how long an answer is waited for |
 //! | [`load`] | a calibration, sent, read back and put to use |
 //! | [`words`] | offsets, flags, faults and states for people and as JSON |
 //! | [`status`] | what the bridge says of itself, put together |
@@ -33,6 +34,7 @@ pub mod ends;
 pub mod line;
 pub mod load;
 pub mod object;
+mod patience;
 pub mod poll;
 pub mod port;
 pub mod record;

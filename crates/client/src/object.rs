@@ -10,9 +10,12 @@ use anyhow::{Context as _, Result};
 pub use trueup_canopen::dictionary::{NOT_AVAILABLE, TASKS};
 pub use trueup_canopen::sdo::client::At;
 use trueup_canopen::sdo::client::{ClientError, Download, Progress, Upload, give_up};
-use trueup_link::{frame::Frame, slcan::Event};
+use trueup_link::{frame::Frame, frames, slcan::Event};
 
-use crate::session::Session;
+use crate::{
+    patience::{LOOK, Patience},
+    session::Session,
+};
 
 /// What kind of device it is.
 pub const NAME: At = (0x1008, 0);
@@ -39,6 +42,10 @@ pub const STOP_TASK: At = (0x2002, 7);
 pub const RESETS: At = (0x2003, 1);
 /// Who may write: a number of [`Authority`](trueup_canopen::dictionary::Authority).
 pub const AUTHORITY: At = (0x2001, 8);
+/// The reference in force, in nm: the elongation, X, Y, Z. Written, they wait for [`KEY`].
+pub const REFERENCE: [At; 4] = [(0x2010, 1), (0x2010, 2), (0x2010, 3), (0x2010, 4)];
+/// Forgets the reference, or takes the one that was written.
+pub const KEY: At = (0x2010, 6);
 /// Whether a reference is in force.
 pub const HAS_REFERENCE: At = (0x2010, 5);
 /// The elongation in thousandths of a µm, as of this moment.
@@ -61,17 +68,14 @@ pub const WRITES: At = (0x2110, 1);
 /// Seconds since 1970 (UTC).
 pub const UTC: At = (0x2110, 2);
 
-/// How long an answer may take: a calibration is stored before its last segment is answered.
-const PATIENCE: Duration = Duration::from_secs(2);
-
-/// No answer has come.
+/// No answer has come, and for how long it was waited for.
 #[derive(Debug)]
-struct NoAnswer(At);
+struct NoAnswer(At, Duration);
 
 impl fmt::Display for NoAnswer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self((index, subindex)) = self;
-        write!(f, "object {index:04X}:{subindex}: no answer in {} s", PATIENCE.as_secs())
+        let Self((index, subindex), listened) = self;
+        write!(f, "object {index:04X}:{subindex}: no answer in {:.0} s", listened.as_secs_f64())
     }
 }
 
@@ -161,17 +165,23 @@ fn transfer(
     mut hear: impl FnMut(&Frame) -> Result<Progress>,
 ) -> Result<()> {
     session.send(&first).context("while asking for an object")?;
-    let mut deadline = Instant::now() + PATIENCE;
+    let mut patience = Patience::from(Instant::now());
     loop {
-        let Some(event) = session.next_event(deadline)? else {
-            return Err(NoAnswer(at).into());
+        let event = session.next_event(Instant::now() + LOOK)?;
+        let frame = match &event {
+            Some(Event::Frame(frame)) => Some(frame),
+            _ => None,
         };
-        let Event::Frame(frame) = event else { continue };
-        match hear(&frame)? {
+        let is_beat = frame.is_some_and(|frame| frames::decode_heartbeat(frame).is_ok());
+        patience.look(Instant::now(), is_beat);
+        match frame.map_or(Ok(Progress::Unchanged), &mut hear)? {
+            Progress::Unchanged if patience.is_over() => {
+                return Err(NoAnswer(at, patience.listened()).into());
+            }
             Progress::Unchanged => {}
             Progress::Ask(request) => {
                 session.send(&request)?;
-                deadline = Instant::now() + PATIENCE;
+                patience = Patience::from(Instant::now());
             }
             Progress::Done => return Ok(()),
         }

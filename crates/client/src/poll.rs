@@ -49,6 +49,8 @@ impl Poll {
     pub fn due(&mut self, now: Instant) -> Option<Frame> {
         if self.running.as_ref().is_some_and(|(_, _, last)| now.duration_since(*last) > PATIENCE) {
             self.running = None;
+            // What is asked for once an hour is not to be missed for the hour.
+            self.due = self.due.min(now);
         }
         if self.running.is_some() || now < self.due {
             return None;
@@ -132,6 +134,19 @@ mod tests {
         assert!(poll.due(start + 6 * period).is_some());
         let abort = answer([0x80, 0x30, 0x91, 9, 0, 0, 2, 6]);
         assert_eq!(poll.hear(&abort, start + 6 * period), Heard::Refused);
+    }
+
+    #[test]
+    fn what_is_asked_for_once_is_asked_for_again_where_no_answer_comes() {
+        let start = Instant::now();
+        let mut poll = Poll::new(AT, Duration::from_secs(3_600), start);
+        assert!(poll.due(start).is_some());
+        assert_eq!(poll.due(start + PATIENCE), None);
+        let late = start + 2 * PATIENCE;
+        assert!(poll.due(late).is_some(), "a bridge that is slow to answer is asked again");
+        let value = answer([0x43, 0x30, 0x91, 9, 1, 2, 3, 4]);
+        assert_eq!(poll.hear(&value, late), Heard::Bytes(vec![1, 2, 3, 4]));
+        assert_eq!(poll.due(late + 4 * PATIENCE), None, "it has come");
     }
 
     #[test]

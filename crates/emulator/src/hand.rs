@@ -6,8 +6,8 @@
 use std::{
     io::{self, IsTerminal as _},
     sync::{
-        Arc, Mutex, PoisonError,
-        atomic::{AtomicBool, Ordering},
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicBool, AtomicU32, Ordering},
     },
     thread,
     time::Duration,
@@ -22,11 +22,15 @@ use trueup_core::cnc::Control;
 
 /// How often it is looked whether this command has the terminal.
 const LOOK: Duration = Duration::from_millis(200);
+/// A CNC that comes up does not engage at once: a bridge wants to have seen it without, as after a restart.
+const COMES_UP_MS: u32 = 300;
 
 /// What has been typed.
 #[derive(Clone, Debug, Default)]
 pub struct Hand {
     control: Arc<Mutex<Option<Control>>>,
+    /// So many milliseconds of the board are left in which the CNC is up and has not engaged yet.
+    comes_up_ms: Arc<AtomicU32>,
     again: Arc<AtomicBool>,
 }
 
@@ -53,7 +57,9 @@ impl Hand {
     fn take(&self, word: &str) -> &'static str {
         let control = |engage| {
             let control = Control { engage, service: !engage, ..Control::REFERENCED };
-            *self.control.lock().unwrap_or_else(PoisonError::into_inner) = Some(control);
+            let before = self.set().replace(control);
+            let comes_up_ms = if before.is_none() { COMES_UP_MS } else { 0 };
+            self.comes_up_ms.store(comes_up_ms, Ordering::Relaxed);
         };
         match word {
             "engage" => {
@@ -72,10 +78,17 @@ impl Hand {
         }
     }
 
-    /// What the CNC says; `None`: there is none on the bus.
+    fn set(&self) -> MutexGuard<'_, Option<Control>> {
+        self.control.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What the CNC says in the next millisecond of the board; `None`: there is none on the bus.
     #[must_use]
     pub fn control(&self) -> Option<Control> {
-        *self.control.lock().unwrap_or_else(PoisonError::into_inner)
+        let control = *self.set();
+        let left = self.comes_up_ms.load(Ordering::Relaxed);
+        self.comes_up_ms.store(left.saturating_sub(1), Ordering::Relaxed);
+        if left > 0 { control.map(|_| Control::REFERENCED) } else { control }
     }
 
     /// Whether the run is to begin again, once.
@@ -117,11 +130,16 @@ mod tests {
         let hand = Hand::default();
         assert_eq!((hand.control(), hand.take_again()), (None, false));
         hand.take("engage");
+        for _ in 0..COMES_UP_MS {
+            assert_eq!(hand.control(), Some(Control::REFERENCED), "it has just come up");
+        }
         assert_eq!(hand.control(), Some(Control::ENGAGED));
         assert!(hand.take("on").contains("disengage"));
         assert_eq!(hand.control(), Some(Control::ENGAGED));
         hand.take("disengage");
         assert_eq!(hand.control(), Some(Control { service: true, ..Control::REFERENCED }));
+        hand.take("engage");
+        assert_eq!(hand.control(), Some(Control::ENGAGED), "it was up");
         hand.take("again");
         assert_eq!((hand.take_again(), hand.take_again()), (true, false));
     }

@@ -123,10 +123,10 @@ fn play(
         while left > 0 {
             let batch = left.min(LARGEST_BATCH);
             left -= batch;
-            let control = hand.control();
             let blocks: Vec<Block> = (0..batch)
                 .map(|_| {
-                    let now = Situation { control, ..situation(front_end.time_s()) };
+                    let now =
+                        Situation { control: hand.control(), ..situation(front_end.time_s()) };
                     Block {
                         codes: front_end.block(|_| now.sensor_volts),
                         speed: now.speed,

@@ -236,7 +236,6 @@ impl State {
         let is_helping = std::mem::take(&mut self.is_helping);
         match key {
             Key::Char('q' | 'Q') => return Some(Action::Quit),
-            Key::Escape if !is_helping => return Some(Action::Quit),
             Key::Char('r' | 'R') => {
                 let is_recording = self.recording.is_some();
                 return Some(if is_recording { Action::EndRecording } else { Action::Record });
@@ -269,7 +268,8 @@ impl State {
         let text = self.prompt.as_mut()?;
         match key {
             Key::Char(it @ ('0'..='9' | '+' | '-' | '.')) => text.push(it),
-            Key::Char(',') => self.say("a decimal point, not a comma"),
+            // Where numbers are written with a comma: left out, 1,5 would be 15.
+            Key::Char(',') => text.push('.'),
             Key::Backspace => _ = text.pop(),
             Key::Enter => match text.parse::<f64>() {
                 Ok(um) => {

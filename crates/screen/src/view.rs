@@ -104,10 +104,9 @@ fn message(state: &State, theme: Theme) -> Line<'static> {
     let quantity = state.gauge.quantity.name();
     if let Some(typed) = &state.prompt {
         let or_live = if state.gauge.is_live { " (or press its button)" } else { "" };
-        return Line::styled(
-            format!("measured {quantity} in µm{or_live}: {typed}_"),
-            theme.heading(),
-        );
+        let asked = format!("measured {quantity} in µm{or_live}: {typed}_");
+        let said = state.message().map(|it| format!("   {it}")).unwrap_or_default();
+        return Line::styled(asked + &said, theme.heading());
     }
     if let Some(message) = state.message() {
         return Line::styled(message.to_owned(), theme.heading());

@@ -243,7 +243,7 @@ fn what_must_not_or_cannot_be_loaded_is_told_and_nothing_changes() {
             &["error: the calibration is not loaded: object 2100:2: the board cannot store it \
                (abort code 08000020)"],
         ),
-        (Fault::NoFrames, false, &["error: object 2001:1: no answer in 2 s"]),
+        (Fault::NoFrames, false, &["error: object 2001:1: no answer in 5 s"]),
     ] {
         let (port, _) = bridge_with(fault, engage);
         let (out, err) = desk.said(&format!("bridge load cal.bin --yes --port {port}"), 1);

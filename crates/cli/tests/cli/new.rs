@@ -1,6 +1,8 @@
 //! `trueup new` and `trueup schema`, and a result on standard output.
 
 use crate::desk::Desk;
+#[cfg(target_os = "linux")]
+use crate::terminal::Terminal;
 
 #[test]
 fn a_new_file_compiles_and_nothing_in_it_is_doubted() {
@@ -80,4 +82,74 @@ fn the_schema_and_the_columns_are_json_and_markdown() {
         page.contains(table.trim_end()),
         "put what `trueup schema scenario --markdown` prints into docs/reference.md"
     );
+}
+
+/// An answer that cannot be is asked for again at once: who has answered ten questions is not to lose them to
+/// the eleventh.
+#[cfg(target_os = "linux")]
+#[test]
+fn on_a_terminal_it_asks_and_what_cannot_be_is_asked_for_again() {
+    let desk = Desk::new(&[]);
+    let mut terminal = Terminal::start(&desk, "new -o m.toml", (80, 24), true);
+    let down = "\u{1b}[B";
+    // What stands on the screen, and what is typed then.
+    for (asked, answer) in [
+        ("Name of the machine [machine]", "mill\r"),
+        ("Rotary axes", down),
+        ("> two carry the spindle", "\r"),
+        ("from the frame to the tool [c,a]", "c\r"),
+        ("must be two of a, b and c", "b,c\r"),
+        ("Travel of X", "600\r"),
+        ("must be the two ends", "600:0\r"),
+        ("the lower end stands first", "0:600\r"),
+        ("Travel of Y", "\r"),
+        ("Travel of Z", "-300:0\r"),
+        ("Where are positions measured?", "\r"),
+        ("Rapid traverse in mm/min (empty: not known)", "0\r"),
+        ("must be above 0", "15000\r"),
+        ("displacement sensor", "y"),
+        ("the end of its range, in V [10]", "-10\r"),
+        ("must be above 0", "5\r"),
+        ("for one volt", "0\r"),
+        ("must not be 0", "ten\r"),
+        ("must be a number", "100\r"),
+        ("when the machine is cold, in V [2.5]", "7\r"),
+        ("must be from 0 to 5 V", "\r"),
+        ("A PT100", "on the screw\r"),
+        ("must be a word", "screw\r"),
+        ("screw (empty: no more): screw", "screw\r"),
+        ("there is a screw already", "\r"),
+        ("> LinuxCNC", down),
+        ("> Siemens", "\r"),
+    ] {
+        terminal.shows(&[asked]);
+        terminal.press(answer);
+    }
+    assert_eq!(terminal.ended().code(), Some(0), "{}", terminal.text());
+    let text = desk.text("m.toml");
+    for phrase in [
+        "name = \"mill\"",
+        "kind = \"head-head\"",
+        "head_axes = [\"b\", \"c\"]",
+        "travel_mm = [-300.0, 0.0]",
+        "rapid_mm_per_min = 15000.0",
+        "volts_full_scale = 5.0, counts_full_scale = 27648",
+        "um_per_v = 100.0",
+        "zero_v = 2.5",
+        "temp_screw_c = { channel = 0",
+    ] {
+        assert!(text.contains(phrase), "{phrase}: {text}");
+    }
+    assert!(!text.contains("[axis.y]"), "{text}");
+    assert_eq!(desk.said("check m.toml", 0).1, "");
+
+    // Refused before the first question.
+    for (line, rule) in [
+        ("new -o m.toml", "m.toml: is there already"),
+        ("new -o nowhere/m.toml", "its folder is not there"),
+    ] {
+        let mut terminal = Terminal::start(&desk, line, (80, 24), true);
+        assert_eq!(terminal.ended().code(), Some(2));
+        assert!(terminal.text().contains(rule), "{}", terminal.text());
+    }
 }

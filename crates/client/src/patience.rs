@@ -1,0 +1,97 @@
+//! How long an answer of the bridge is waited for.
+//!
+//! A bridge is asked while it works, and it may live slower than we do: one that is emulated on a busy PC gets
+//! a part of the time of a real one, and one that writes its flash stands still for a second. So what counts is
+//! *its* time, which its heartbeats tell, ten a second, and the time for which *we* have listened: a program
+//! that was not let run for five seconds has heard nothing in them, and knows nothing.
+//!
+//! | given up after | where |
+//! |---|---|
+//! | [`LEAST`], and [`BEATS`] heartbeats | the bridge lives, and has not answered: the frame is lost |
+//! | [`SILENCE`] without a heartbeat | nobody is there, or it hangs, or its heartbeat is turned off |
+
+use std::time::{Duration, Instant};
+
+/// How long each look at the line may take. A look that took longer was one at which we slept.
+pub const LOOK: Duration = Duration::from_millis(100);
+/// Heartbeats of a bridge that has had its time: 2 s of it.
+const BEATS: u32 = 20;
+/// The same by the clock, for heartbeats that have waited in a buffer all at once.
+const LEAST: Duration = Duration::from_secs(2);
+/// Without any heartbeat nobody is waited for longer than this.
+const SILENCE: Duration = Duration::from_secs(5);
+
+/// The patience of one question.
+pub struct Patience {
+    looked: Instant,
+    listened: Duration,
+    /// How much of it since the last heartbeat.
+    silent: Duration,
+    beats: u32,
+}
+
+impl Patience {
+    /// From `now` on an answer is waited for.
+    pub fn from(now: Instant) -> Self {
+        Self { looked: now, listened: Duration::ZERO, silent: Duration::ZERO, beats: 0 }
+    }
+
+    /// A look at the line ends now; whether it has brought a heartbeat.
+    pub fn look(&mut self, now: Instant, is_beat: bool) {
+        let look = now.saturating_duration_since(self.looked).min(LOOK);
+        self.looked = now;
+        self.listened += look;
+        self.silent = if is_beat { Duration::ZERO } else { self.silent + look };
+        self.beats = self.beats.saturating_add(is_beat.into());
+    }
+
+    /// Whether no answer is to be expected any more.
+    pub fn is_over(&self) -> bool {
+        self.silent >= SILENCE || self.listened >= LEAST && self.beats >= BEATS
+    }
+
+    /// How long has been listened.
+    pub fn listened(&self) -> Duration {
+        self.listened
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: Duration = Duration::from_millis(1);
+
+    /// Looks that each take `look`, every `per_beat`th of which brings a heartbeat; when it is over.
+    fn over_after(look: Duration, per_beat: u32) -> Duration {
+        let start = Instant::now();
+        let (mut patience, mut now) = (Patience::from(start), start);
+        for number in 1..100_000 {
+            now += look;
+            patience.look(now, per_beat > 0 && number % per_beat == 0);
+            if patience.is_over() {
+                return now - start;
+            }
+        }
+        panic!("never over");
+    }
+
+    #[test]
+    fn a_live_bridge_has_two_seconds_and_a_slow_one_as_much_of_its_own_time() {
+        // A frame a millisecond, a heartbeat each 100 ms.
+        assert_eq!(over_after(MS, 100), 2_000 * MS);
+        // A bridge that lives at a fifth of our speed.
+        assert_eq!(over_after(5 * MS, 100), 10_000 * MS);
+        // Heartbeats that had waited in a buffer.
+        assert_eq!(over_after(MS, 1), 2_000 * MS);
+    }
+
+    #[test]
+    fn silence_is_five_seconds_of_listening_and_time_in_which_we_slept_is_not() {
+        assert_eq!(over_after(LOOK, 0), 5_000 * MS);
+        // Frames without heartbeats.
+        assert_eq!(over_after(MS, 0), 5_000 * MS);
+        // Each look took ten times what it may: we were not let run.
+        assert_eq!(over_after(10 * LOOK, 0), 50_000 * MS);
+    }
+}
