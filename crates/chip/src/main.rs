@@ -4,7 +4,12 @@ mod options;
 
 use options::{Options, options, usage};
 use std::{
-    collections::BTreeMap, fs, fs::File, io::Write as _, net::TcpListener, process::ExitCode,
+    collections::BTreeMap,
+    fs,
+    fs::File,
+    io::{Write as _, stdin},
+    net::TcpListener,
+    process::ExitCode,
     time::Instant,
 };
 use trueup_chip::{
@@ -30,12 +35,19 @@ fn main() -> ExitCode {
     let mut board = board(&options, &image);
     let start = Instant::now();
     let mut log = options.rtt.as_ref().map(|file| File::create(file).expect("writable"));
-    while board.now() < options.run {
-        board.run_until((board.now() + LOG_PERIOD).min(options.run));
-        let said = std::mem::take(&mut board.log);
-        if let Some(file) = &mut log {
-            file.write_all(&said).expect("writable");
+    let mut live_until = |board: &mut Board, end: u64| {
+        while board.now() < end {
+            board.run_until((board.now() + LOG_PERIOD).min(end));
+            let said = std::mem::take(&mut board.log);
+            if let Some(file) = &mut log {
+                file.write_all(&said).expect("writable");
+            }
         }
+    };
+    if options.live {
+        play(&mut board, &mut live_until);
+    } else {
+        live_until(&mut board, options.run);
     }
     let wall = start.elapsed().as_secs_f64();
     save(&options, &board);
@@ -63,6 +75,21 @@ fn main() -> ExitCode {
     ExitCode::from(u8::from(violations > 0))
 }
 
+/// Lets another program play the world as it goes: the lines of a script, in the order of their times, and between
+/// them a time alone. The board then lives until that millisecond, and says so.
+fn play(board: &mut Board, live_until: &mut impl FnMut(&mut Board, u64)) {
+    for line in stdin().lines().map_while(Result::ok) {
+        if let Ok(at) = line.trim().parse() {
+            live_until(board, ms(at));
+            println!("{at}");
+        } else {
+            board.with_chip(|chip| {
+                chip.world.script.as_mut().expect("it is played").add(&line);
+            });
+        }
+    }
+}
+
 /// The board that the options ask for, before its first instruction.
 fn board(options: &Options, image: &[u8]) -> Board {
     let memories = Memories::new();
@@ -70,8 +97,9 @@ fn board(options: &Options, image: &[u8]) -> Board {
         memories.flash.write_at(0, &flash).expect("a megabyte of flash");
     }
     let mut world = World::new(options.plan.clone());
-    if let Some(file) = &options.script {
-        world.script = Some(Script::read(&fs::read_to_string(file).expect("a script")));
+    let script = options.script.as_ref().map(|file| fs::read_to_string(file).expect("a script"));
+    if let Some(text) = script.or(options.live.then(String::new)) {
+        world.script = Some(Script::read(&text));
         world.rtds.iter_mut().for_each(|rtd| rtd.celsius = Some(20.0));
     }
     world.lsi_hz = options.lsi;

@@ -39,6 +39,7 @@ pub struct Options {
     pub flash: Option<String>,
     pub serial_out: Option<String>,
     pub script: Option<String>,
+    pub live: bool,
     pub log: Option<String>,
 }
 
@@ -70,6 +71,7 @@ pub fn options() -> Options {
         flash: None,
         serial_out: None,
         script: None,
+        live: false,
         log: None,
         plan: Plan {
             code: 1000.0,
@@ -174,6 +176,7 @@ pub fn options() -> Options {
             "--low" => o.low.push(pin(&args.next().unwrap_or_else(|| usage(&a)))),
             "--serial-out" => o.serial_out = args.next(),
             "--script" => o.script = args.next(),
+            "--live" => o.live = true,
             "--log" => o.log = args.next(),
             "--rtt" => o.rtt = args.next(),
             "--flash" => o.flash = args.next(),

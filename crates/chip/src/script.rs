@@ -38,17 +38,20 @@ pub struct Script {
     pub(crate) rng: u64,
 }
 
+/// A line: when, and its words.
+fn parse(line: &str) -> (u64, Vec<String>) {
+    let mut words = line.split_whitespace();
+    let at: f64 =
+        words.next().and_then(|t| t.parse().ok()).unwrap_or_else(|| panic!("script: {line}"));
+    ((at * ms(1) as f64) as u64, words.map(str::to_owned).collect())
+}
+
 impl Script {
     pub fn read(text: &str) -> Script {
         let mut lines: Vec<(u64, Vec<String>)> = text
             .lines()
             .filter(|l| !l.trim().is_empty() && !l.starts_with('#'))
-            .map(|l| {
-                let mut w = l.split_whitespace();
-                let at: f64 =
-                    w.next().and_then(|t| t.parse().ok()).unwrap_or_else(|| panic!("script: {l}"));
-                ((at * ms(1) as f64) as u64, w.map(str::to_owned).collect())
-            })
+            .map(parse)
             .collect();
         lines.sort_by_key(|l| l.0);
         Script {
@@ -64,6 +67,13 @@ impl Script {
             rng: 0x9e37_79b9_7f4a_7c15,
             ..Script::default()
         }
+    }
+    /// One more line, not before those that are there.
+    ///
+    /// # Panics
+    /// It does not begin with a time.
+    pub fn add(&mut self, line: &str) {
+        self.lines.push_back(parse(line));
     }
     pub fn random(&mut self) -> u64 {
         self.rng ^= self.rng << 13;

@@ -29,7 +29,12 @@ pub struct Wire {
     /// Where a client may be the host.
     pub port: Option<TcpListener>,
     client: Option<TcpStream>,
+    /// What the client has still to be given.
+    owed: Vec<u8>,
 }
+
+/// A client is given what the board has said when the line falls silent, and after so many bytes at the latest.
+const MOST_AT_ONCE: usize = 256;
 
 impl Wire {
     /// One that is driven all the time, with ten bits to a character.
@@ -44,6 +49,7 @@ impl Wire {
             to_board: VecDeque::new(),
             port: None,
             client: None,
+            owed: Vec::new(),
         }
     }
 
@@ -56,8 +62,19 @@ impl Wire {
 
     pub(crate) fn hear(&mut self, now: u64, byte: u8) {
         self.heard.push((now, byte));
+        if self.client.is_some() {
+            self.owed.push(byte);
+        }
+        if self.owed.len() >= MOST_AT_ONCE {
+            self.give();
+        }
+    }
+
+    /// Gives the client what it is owed: nothing follows the last byte for now.
+    pub(crate) fn give(&mut self) {
+        let owed = std::mem::take(&mut self.owed);
         if let Some(client) = &mut self.client
-            && client.write_all(&[byte]).is_err()
+            && client.write_all(&owed).is_err()
         {
             self.client = None;
         }
@@ -75,6 +92,7 @@ impl Wire {
     pub(crate) fn hear_client(&mut self, now: u64) {
         let Some(port) = &self.port else { return };
         if self.client.is_none() {
+            self.owed.clear();
             self.client = port.accept().ok().map(|(client, _)| {
                 client.set_nonblocking(true).expect("a socket");
                 client.set_nodelay(true).expect("a socket");

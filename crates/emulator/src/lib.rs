@@ -13,6 +13,7 @@ pub mod binary;
 pub mod board;
 pub mod call_graph;
 pub mod chip;
+pub mod chip_live;
 pub mod cnc;
 pub mod firmware;
 mod frames;

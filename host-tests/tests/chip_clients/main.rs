@@ -6,6 +6,7 @@ mod support;
 
 mod blocks;
 mod command;
+mod live;
 mod modbus;
 mod modbus_faults;
 

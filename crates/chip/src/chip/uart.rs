@@ -241,6 +241,7 @@ impl Chip {
             }
         } else {
             self.uart[n].sr |= 0x40;
+            self.world.wires[n].give();
         }
     }
 
