@@ -90,11 +90,13 @@ pub enum Fault {
     Stopped,
     /// The board has found its image or its RAM damaged, and gives no offset.
     SelfTest,
+    /// A position is where its axis cannot have come so fast, and is not believed.
+    PositionJump,
 }
 
 impl Fault {
     /// Every fault, by its number.
-    pub const ALL: [Self; 29] = [
+    pub const ALL: [Self; 30] = [
         Self::NoCalibration,
         Self::Sensor,
         Self::SamplesMissing,
@@ -124,6 +126,7 @@ impl Fault {
         Self::ZeroRefused,
         Self::Stopped,
         Self::SelfTest,
+        Self::PositionJump,
     ];
 
     /// Its error code. The upper byte is the class of CiA 301: 31 the supply, 50 hardware of the device, 61 its
@@ -161,6 +164,7 @@ impl Fault {
             Self::ZeroRefused => 0xFF05,
             Self::Stopped => 0x6103,
             Self::SelfTest => 0x5005,
+            Self::PositionJump => 0xFF06,
         }
     }
 
@@ -196,7 +200,8 @@ impl Fault {
             | Self::HeatUnknown
             | Self::SourceDead
             | Self::CalibrationUnfit
-            | Self::ZeroRefused => 0,
+            | Self::ZeroRefused
+            | Self::PositionJump => 0,
         }
     }
 }
@@ -206,7 +211,7 @@ impl Fault {
 pub struct Faults(u32);
 
 impl Faults {
-    /// A bit each, 0…0x1FFF_FFFF: bit n is set for [`Fault::ALL`]`[n]`.
+    /// A bit each, 0…0x3FFF_FFFF: bit n is set for [`Fault::ALL`]`[n]`.
     #[must_use]
     pub const fn bits(self) -> u32 {
         self.0
@@ -240,6 +245,7 @@ impl Faults {
             (Fault::SourceDead, StateBits::SOURCE_DEAD),
             (Fault::CalibrationUnfit, StateBits::CALIBRATION_UNFIT),
             (Fault::SelfTest, StateBits::SELF_TEST),
+            (Fault::PositionJump, StateBits::POSITION_JUMP),
         ]
         .into_iter()
         .fold(StateBits::default(), bit)

@@ -1,7 +1,7 @@
 //! What nobody waits for: the soak, the fuzzing, the mutants. A command each, niced by whoever likes;
 //! `docs/robustness.md` has what they have printed.
 
-use std::{fmt::Write as _, fs, process::Command};
+use std::{fmt::Write as _, fs, path::Path, process::Command};
 
 use anyhow::{Context as _, Result, ensure};
 use serde_json::Value;
@@ -86,7 +86,8 @@ pub fn fuzz(minutes: u64) -> Result<()> {
 
 /// Draws mutants of the crates that a board runs, and counts how many their own tests catch: the unit tests of
 /// the crate first, which take seconds, and what those miss goes through all tests of the four crates. Built and
-/// tested in a copy of the source; `target/mutants` has the lists.
+/// tested in a copy of the source; `target/mutants` has the lists. Stopped and called again it goes on where it was: a
+/// mutant that has been tried, by its place and what it changes, is not tried again.
 ///
 /// # Errors
 /// cargo-mutants cannot be had, or the tests fail without a mutant. A mutant that is missed is no error.
@@ -104,7 +105,7 @@ pub fn mutants(draw: usize, seed: u64) -> Result<()> {
     names.sort_unstable();
     let drawn = drawn(names, draw, seed);
     let by_unit = try_mutants(call(), "unit-tests", &drawn, &["--cargo-test-arg=--lib"])?;
-    let missed: Vec<&str> = by_unit.missed.lines().collect();
+    let missed: Vec<&str> = by_unit.missed.iter().map(String::as_str).collect();
     let all_tests = PACKAGES.map(|name| format!("--test-package={name}"));
     let by_all = match missed[..] {
         [] => Outcome::default(),
@@ -113,52 +114,112 @@ pub fn mutants(draw: usize, seed: u64) -> Result<()> {
     println!(
         "{} drawn: {} caught, {} by the time limit, {} do not compile, {} missed\n{}",
         drawn.len(),
-        by_unit.caught + by_all.caught,
-        by_unit.timed_out + by_all.timed_out,
-        by_unit.unviable,
-        by_all.missed.lines().count(),
-        by_all.missed
+        by_unit.caught.len() + by_all.caught.len(),
+        by_unit.timeout.len() + by_all.timeout.len(),
+        by_unit.unviable.len(),
+        by_all.missed.len(),
+        by_all.missed.join("\n")
     );
     Ok(())
 }
 
-/// What became of some mutants; `missed` has a line for each that nothing caught.
+/// What became of some mutants, by their names; `missed` has those that nothing caught.
 #[derive(Default)]
 struct Outcome {
-    caught: usize,
-    timed_out: usize,
-    unviable: usize,
-    missed: String,
+    caught: Vec<String>,
+    timeout: Vec<String>,
+    unviable: Vec<String>,
+    missed: Vec<String>,
 }
 
-/// Tries these mutants with these options, and leaves the lists in `target/mutants/<folder>`.
+impl Outcome {
+    /// The lists that cargo-mutants and [`keep`](Self::keep) write into a folder; empty where there is none.
+    fn read(folder: &Path) -> Self {
+        let list = |name: &str| {
+            let text = fs::read_to_string(folder.join(name)).unwrap_or_default();
+            text.lines().map(String::from).collect()
+        };
+        Self {
+            caught: list("caught.txt"),
+            timeout: list("timeout.txt"),
+            unviable: list("unviable.txt"),
+            missed: list("missed.txt"),
+        }
+    }
+
+    /// Its lists, with their names.
+    fn lists(&mut self) -> [(&'static str, &mut Vec<String>); 4] {
+        [
+            ("caught.txt", &mut self.caught),
+            ("timeout.txt", &mut self.timeout),
+            ("unviable.txt", &mut self.unviable),
+            ("missed.txt", &mut self.missed),
+        ]
+    }
+
+    /// Takes these, of `names` alone, each once.
+    fn take(&mut self, mut more: Self, names: &[&str]) {
+        let mut known: Vec<String> =
+            self.lists().into_iter().flat_map(|(_, list)| list.clone()).collect();
+        for ((_, list), (_, more)) in self.lists().into_iter().zip(more.lists()) {
+            for name in more.drain(..) {
+                if names.contains(&name.as_str()) && !known.contains(&name) {
+                    known.push(name.clone());
+                    list.push(name);
+                }
+            }
+        }
+    }
+
+    fn keep(&mut self, folder: &Path) -> Result<()> {
+        for (name, list) in self.lists() {
+            fs::write(
+                folder.join(name),
+                list.iter().map(|it| format!("{it}\n")).collect::<String>(),
+            )?;
+        }
+        Ok(())
+    }
+}
+
+/// Tries these mutants with these options, but for those that were tried before, and leaves the lists in
+/// `target/mutants/<folder>`.
 fn try_mutants(
     mut run: Command,
     folder: &str,
     names: &[&str],
     options: &[&str],
 ) -> Result<Outcome> {
+    let folder = setup::root().join("target/mutants").join(folder);
+    let of_run = folder.join("mutants.out");
+    fs::create_dir_all(&folder)?;
+    // What is kept, and what a run that was stopped has come to.
+    let mut outcome = Outcome::default();
+    outcome.take(Outcome::read(&folder), names);
+    outcome.take(Outcome::read(&of_run), names);
+    outcome.keep(&folder)?;
+    let tried: Vec<String> =
+        outcome.lists().into_iter().flat_map(|(_, list)| list.clone()).collect();
     let mut config = String::from("examine_re = [\n");
-    for name in names {
+    let mut left = 0;
+    for name in names.iter().filter(|name| !tried.iter().any(|it| it == *name)) {
         let escaped: String = name.chars().flat_map(escaped).collect();
         writeln!(config, "  '''^{escaped}$''',")?;
+        left += 1;
     }
     config.push_str("]\n");
-    let folder = setup::root().join("target/mutants").join(folder);
-    fs::create_dir_all(&folder)?;
+    eprintln!("{} of {} tried before, {left} left", tried.len(), names.len());
+    if left == 0 {
+        return Ok(outcome);
+    }
     fs::write(folder.join("drawn.toml"), config)?;
     run.args(["--no-shuffle", "--timeout", "120", "--config"]).arg(folder.join("drawn.toml"));
     let status = run.args(options).arg("-o").arg(&folder).status()?;
     // 2: some were missed, 3: some ran into the time limit, which is as good as caught.
     ensure!(matches!(status.code(), Some(0 | 2 | 3)), "cargo-mutants: {status}");
-    let list = |name: &str| fs::read_to_string(folder.join("mutants.out").join(name));
-    let count = |name: &str| list(name).map(|text| text.lines().count());
-    Ok(Outcome {
-        caught: count("caught.txt")?,
-        timed_out: count("timeout.txt")?,
-        unviable: count("unviable.txt")?,
-        missed: list("missed.txt")?,
-    })
+    outcome.take(Outcome::read(&of_run), names);
+    outcome.keep(&folder)?;
+    Ok(outcome)
 }
 
 /// As many of these as are asked for, the same for the same seed.
@@ -184,6 +245,18 @@ fn escaped(character: char) -> impl Iterator<Item = char> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_was_tried_counts_once_and_only_where_it_is_asked_for() {
+        let names = |all: &[&str]| all.iter().map(|it| (*it).to_string()).collect::<Vec<_>>();
+        let mut outcome = Outcome::default();
+        let first = Outcome { caught: names(&["a", "of another draw"]), ..Outcome::default() };
+        outcome.take(first, &["a", "b", "c"]);
+        let again =
+            Outcome { caught: names(&["a"]), missed: names(&["a", "b"]), ..Outcome::default() };
+        outcome.take(again, &["a", "b", "c"]);
+        assert_eq!((outcome.caught, outcome.missed), (names(&["a"]), names(&["b"])));
+    }
 
     #[test]
     fn a_seed_draws_each_once_and_the_same_again() {

@@ -114,6 +114,7 @@ fn in_numbers(machine: &Machine, summary: &Summary) -> Value {
         "axes": summary.axes.iter().map(axis).collect::<Vec<Value>>(),
         "slew_um_per_s": summary.slew_um_per_s,
         "slowest_rapid_mm_per_min": summary.slowest_rapid_mm_per_min,
+        "jumps_pass": summary.jumps_pass.iter().map(|axis| axis.name()).collect::<Vec<_>>(),
         "um_per_count": summary.sensor.map(|sensor| sensor.um_per_count),
         "um_per_code": summary.sensor.map(|sensor| sensor.um_per_code),
         "sensor_range_um": summary.sensor.map(|sensor| sensor.range_um),

@@ -13,6 +13,14 @@ pub fn in_words(machine: &Machine, summary: &Summary) -> String {
         "changes by at most {} µm/s: 1 % of the rapid traverse of axes from {:.0} mm/min on",
         summary.slew_um_per_s, summary.slowest_rapid_mm_per_min
     ));
+    if !summary.jumps_pass.is_empty() {
+        let names: Vec<String> =
+            summary.jumps_pass.iter().map(|axis| axis.name().to_uppercase()).collect();
+        lines.push(format!(
+            "a position of {} that jumps is believed: no rapid_mm_per_min says how far it can have come",
+            names.join(", ")
+        ));
+    }
     if let Some(sensor) = &summary.sensor {
         lines.push(format!(
             "sensor: {:.1} µm from 0 to {} V ({} counts); {:.4} µm a count, {:.4} µm a code of the board's \

@@ -7,7 +7,7 @@ pub fn remedies(words: &[&str]) -> Vec<(&'static str, &'static str)> {
 }
 
 /// Every word, with what it means and what to do.
-pub const REMEDIES: [(&str, &str); 37] = [
+pub const REMEDIES: [(&str, &str); 38] = [
     ("self-test", "the board found itself damaged: flash it again; if it stays, replace the board"),
     ("no-calibration", "load one: trueup bridge load CAL.bin --port …"),
     ("example-constants", "it runs on the example: compile your machine file and load it"),
@@ -26,6 +26,10 @@ pub const REMEDIES: [(&str, &str); 37] = [
     ("source-dead", "a spare source is dead: look for the temperature that is not available"),
     ("calibration-unfit", "what is measured no longer fits: measure the machine again and fit"),
     ("cnc-lost", "no frames from the CNC: check cable, bit rate, and that its program runs"),
+    (
+        "position-jump",
+        "the CNC sends a position out of reach: check what it sends, and rapid_mm_per_min",
+    ),
     ("heartbeat-lost", "the node of object 1016 is silent: check it, or set 1016 to 0"),
     ("second-master", "two controls send Control: switch one off"),
     ("speed-unknown", "the CNC sends no spindle speed: send Spindle at least every 500 ms"),

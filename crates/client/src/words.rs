@@ -77,6 +77,7 @@ fn fault_word(fault: Fault) -> &'static str {
         Fault::ZeroRefused => "zero-refused",
         Fault::Stopped => "stopped",
         Fault::SelfTest => "self-test",
+        Fault::PositionJump => "position-jump",
     }
 }
 

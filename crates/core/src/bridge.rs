@@ -55,7 +55,10 @@ use self::joint::SelectedSource;
 use self::needs::RequiredInputs;
 pub use self::sources::RETURN_MS;
 use self::state::{Age, Mode};
-pub use self::state::{Reference, SAMPLES_TIMEOUT_MS, STARVED_MS, State, TEMPERATURE_TIMEOUT_MS};
+pub use self::state::{
+    JUMP_TOLD_MS, POSITION_JITTER_MS, Reference, SAMPLES_TIMEOUT_MS, STARVED_MS, State,
+    TEMPERATURE_TIMEOUT_MS,
+};
 use crate::{
     calibration::{Calibration, ElongationSource},
     channels::RawTemperatures,
@@ -138,7 +141,7 @@ impl<'a> Bridge<'a> {
             }
             Command::Position(heard) => {
                 if let Some(axis) = self.calibration.axes.get(heard.axis as usize)
-                    && state.hear_position(heard, &axis.travel)
+                    && state.hear_position(heard, axis)
                 {
                     self.moved(state, heard.axis);
                 }

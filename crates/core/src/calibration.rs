@@ -152,6 +152,8 @@ pub struct AxisModel<'a> {
     pub backlash: Fine,
     /// How a reversal is told from dither, and over which travel backlash comes in.
     pub travel: travel::Config,
+    /// Its rapid traverse in 10 nm a millisecond: what it cannot have come to faster is a jump. 0: not judged.
+    pub rapid: u32,
 }
 
 /// The expansion of an axis: ΔK = K₀(T) + tanβ(T)·(P − P₀).

@@ -59,6 +59,20 @@ impl Random {
     fn normal(&mut self) -> f64 {
         self.normal[(self.bits() >> 48) as usize].into()
     }
+
+    /// Those of a block, four of a draw.
+    fn normals(&mut self) -> [f32; CODES_PER_TICK] {
+        let mut normals = [0.0; CODES_PER_TICK];
+        for four in normals.chunks_mut(4) {
+            // The low bits of the state alone are poor.
+            let mut bits = self.bits().wrapping_mul(0x2545_F491_4F6C_DD1D);
+            for normal in four {
+                *normal = self.normal[usize::from(bits as u16)];
+                bits >>= 16;
+            }
+        }
+        normals
+    }
 }
 
 /// A sensor in codes before a spindle that runs, stands, and grows.
@@ -70,6 +84,8 @@ struct Sensor {
     tau_ms: f64,
     run_out: f64,
     hz: f64,
+    /// Cosine and sine of how far the spindle turns from the start of a block to each of its codes.
+    within: [(f32, f32); CODES_PER_TICK],
     turns: bool,
     next_change: u64,
     ms: u64,
@@ -86,6 +102,7 @@ impl Sensor {
             tau_ms: 1.0,
             run_out: 0.0,
             hz: 0.0,
+            within: [(1.0, 0.0); CODES_PER_TICK],
             turns: false,
             next_change: 0,
             ms: 0,
@@ -97,6 +114,10 @@ impl Sensor {
         self.turns = !self.turns || self.random.uniform() < 0.3;
         // 5 to 400 turns a second, run-out of 0.2 to 5 µm; growth of up to 80 µm with a time constant of 1 to 30 minutes.
         self.hz = self.random.between(5.5, 400.0);
+        self.within = core::array::from_fn(|n| {
+            let (sine, cosine) = (TAU * self.hz * n as f64 / 20e3).sin_cos();
+            (cosine as f32, sine as f32)
+        });
         self.run_out = if self.turns { self.random.between(1.6, 41.0) } else { 0.0 };
         self.target = if self.turns { self.random.between(700.0, 1_350.0) } else { 700.0 };
         self.tau_ms = self.random.between(60_000.0, 1_800_000.0);
@@ -110,14 +131,18 @@ impl Sensor {
         }
         self.ms += 1;
         self.level += (self.target - self.level) / self.tau_ms;
+        let (mut sine, mut cosine) = (0.0, 0.0);
+        if self.turns {
+            let angle = TAU * (self.hz * self.ms as f64 / 1e3).fract();
+            (sine, cosine) = (angle.sin() as f32, angle.cos() as f32);
+        }
+        let (level, run_out, noise) = (self.level as f32, self.run_out as f32, self.noise as f32);
+        let normals = self.random.normals();
         core::array::from_fn(|n| {
-            let t_s = (self.ms as f64 + n as f64 / 20.0) / 1e3;
-            let run_out = match self.turns {
-                true => self.run_out * (TAU * (self.hz * t_s).fract()).sin(),
-                false => 0.0,
-            };
-            let code = self.level + run_out + self.noise * self.random.normal();
-            Code(code.round().clamp(0.0, 4_095.0) as u16)
+            let (further_cosine, further_sine) = self.within[n];
+            let run_out = run_out * (sine * further_cosine + cosine * further_sine);
+            let code = level + run_out + noise * normals[n];
+            Code((code + 0.5).clamp(0.0, 4_095.0) as u16)
         })
     }
 }

@@ -153,8 +153,10 @@ impl StateBits {
     pub const CALIBRATION_UNFIT: Self = Self(1 << 13);
     /// The board has found itself damaged: its image or its RAM. It gives no offset.
     pub const SELF_TEST: Self = Self(1 << 14);
+    /// A position is where its axis cannot have come so fast, and is not believed.
+    pub const POSITION_JUMP: Self = Self(1 << 15);
     /// Every bit that has a meaning, with its word.
-    pub const WORDS: [(Self, &'static str); 15] = [
+    pub const WORDS: [(Self, &'static str); 16] = [
         (Self::RESTARTED, "restarted"),
         (Self::HEAT_UNKNOWN, "heat-unknown"),
         (Self::OLDER_CALIBRATION, "older-calibration"),
@@ -170,6 +172,7 @@ impl StateBits {
         (Self::SOURCE_DEAD, "source-dead"),
         (Self::CALIBRATION_UNFIT, "calibration-unfit"),
         (Self::SELF_TEST, "self-test"),
+        (Self::POSITION_JUMP, "position-jump"),
     ];
 
     /// These bits, and `other` if `condition` holds.

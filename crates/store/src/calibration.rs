@@ -30,7 +30,7 @@
 //! A linear axis: `u32` channel (255: none), `u32` smoothing factor, `i32` origin, law; pitch: `i32` start,
 //! `u32` step, forward, reverse; second drive: `u32` axis across (255: none), `i32` first, `i32`
 //! second, `i32` start, `u32` step, forward, reverse; `i32` backlash, `u32` hysteresis, `u32` ramp;
-//! `u32` smoothing factor while it falls; 4 bytes of 0. A curve: segments, index, `i32` first knot, `u32` bucket shift. A law is a reference to
+//! `u32` smoothing factor while it falls; `u32` rapid traverse, 10 nm/ms (0: none). A curve: segments, index, `i32` first knot, `u32` bucket shift. A law is a reference to
 //! [pieces](trueup_core::thermal), a pitch table one to `i32` in 1/256 nm.
 //!
 //! A term: `u8` kind, `u8` target (0 elongation, 1, 2, 3: X, Y, Z), `u8` channel or axis, `u8` binary

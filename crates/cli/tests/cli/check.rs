@@ -33,6 +33,7 @@ fn a_right_file_and_a_right_run_are_described_and_nothing_is_wrong() {
         "m.toml: \"paper\", 3-axis\n  X: not corrected\n",
         "Z: up to 423.0 µm, held to 500 µm: spindle.sensor 423.0",
         "changes by at most 20 µm/s: 1 % of the rapid traverse of axes from 120 mm/min on",
+        "a position of X, Y, Z that jumps is believed: no rapid_mm_per_min says how far it can have come",
         "sensor: 500.0 µm from 0 to 10 V (32768 counts)",
         "on the board: 613 of 16384 bytes (4 %)",
         "run.csv: 3 rows of sensor_counts, measured_elongation_um",

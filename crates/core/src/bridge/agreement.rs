@@ -56,3 +56,86 @@ impl Agreement {
         self.off_steps >= LASTS_STEPS
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::random;
+    extern crate std;
+
+    const STEPS_PER_HOUR: u32 = 36_000;
+    /// A spindle that warms up grows by up to so much, in nm.
+    const MOST_NM: f64 = 80_000.0;
+    /// How slowly what a model leaves wanders, in steps: ten minutes.
+    const WANDER_STEPS: f64 = 6_000.0;
+
+    /// How often a model behind the sensor is said not to fit in so many hours of a machine that starts, stops,
+    /// and is switched on anew; the model is off by this share of the growth and wanders by so much RMS beside.
+    fn told(hours: u32, share: f64, wander_nm: f64, seed: u64) -> u32 {
+        let mut seed = seed;
+        let mut uniform = || f64::from(random(&mut seed)) / 2_f64.powi(32);
+        // Uniform steps of this size add up to a normal number of this RMS.
+        let kick_nm = wander_nm * (2.0 / WANDER_STEPS).sqrt() * 12_f64.sqrt();
+        let (mut agreement, mut was_off, mut told) = (Agreement::default(), false, 0);
+        let (mut grown_nm, mut target_nm, mut steps_of_growth, mut left_nm) = (0.0, 0.0, 1.0, 0.0);
+        for step in 0..hours * STEPS_PER_HOUR {
+            // Every few minutes another speed, every few hours another start.
+            if uniform() < 1.0 / 9_000.0 {
+                target_nm = if uniform() < 0.4 { 0.0 } else { MOST_NM * uniform() };
+                steps_of_growth = 10.0 * (300.0 + 1_500.0 * uniform());
+            }
+            if step == 0 || uniform() < 1.0 / 72_000.0 {
+                (agreement, was_off) = (Agreement::default(), false);
+            }
+            grown_nm += (target_nm - grown_nm) / steps_of_growth;
+            left_nm += kick_nm * (uniform() - 0.5) - left_nm / WANDER_STEPS;
+            let model_nm = grown_nm * (1.0 + share) + left_nm;
+            let [sensor, model] = [grown_nm, model_nm].map(|nm| Some(Nanometres(nm as i32)));
+            let past = Past { elongation: Nanometres::ZERO, raw: [sensor, model, None] };
+            agreement.step(Some(ElongationSource::Sensor), &past);
+            told += u32::from(agreement.is_off() && !was_off);
+            was_off = agreement.is_off();
+        }
+        told
+    }
+
+    /// At most so many an hour: each takes a minute in which the model, less what it was off by at the start, is off
+    /// by more than is said nothing of; the growth's share lets it come nearer by that of 30 µm.
+    fn most_an_hour(share: f64, wander_nm: f64) -> f64 {
+        let rest_nm = f64::from(LEAST_NM) * (1.0 - 2.0 * share.abs());
+        let sigmas = rest_nm / (2_f64.sqrt() * wander_nm);
+        // Mills: both tails of a normal number lie below this.
+        let tails = (2.0 / core::f64::consts::PI).sqrt() * (-sigmas * sigmas / 2.0).exp() / sigmas;
+        60.0 * tails
+    }
+
+    #[test]
+    fn a_model_that_fits_is_not_doubted_in_300_hours_and_the_rate_beyond_is_that_of_the_tail() {
+        for share in [-0.1, 0.1] {
+            for wander_nm in [500.0, 1_000.0, 1_500.0] {
+                let most = most_an_hour(share, wander_nm);
+                let told = told(300, share, wander_nm, 11);
+                std::println!(
+                    "{share} of the growth, {wander_nm} nm RMS: {told} in 300 h; at most {most:.1e} an hour"
+                );
+                assert!(told == 0 && most < 1e-5);
+            }
+        }
+        // Where there are some, they are no more than that.
+        for wander_nm in [4_000.0, 6_000.0] {
+            let most = most_an_hour(0.1, wander_nm);
+            let told = told(300, 0.1, wander_nm, 12);
+            std::println!(
+                "0.1 of the growth, {wander_nm} nm RMS: {told} in 300 h; at most {most:.1e} an hour"
+            );
+            assert!(told > 0 && f64::from(told) <= 300.0 * most);
+        }
+    }
+
+    #[test]
+    fn a_model_that_is_off_by_most_of_the_growth_is_doubted_each_time() {
+        for share in [-0.9, 1.5] {
+            assert!(told(30, share, 1_000.0, 13) >= 3, "{share}");
+        }
+    }
+}

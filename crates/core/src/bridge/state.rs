@@ -2,6 +2,7 @@
 
 use super::joint::Joint;
 use crate::{
+    calibration::AxisModel,
     channels::{Channels, RawTemperatures},
     cnc::{AxisPosition, Control, Spindle},
     filter::Filter,
@@ -12,8 +13,7 @@ use crate::{
     place::Place,
     supply::Scale,
     tool::Direction,
-    travel,
-    units::{Fine, MicroDegrees, Millis, Nanometres, Temperature},
+    units::{Fine, MicroDegrees, Millis, Nanometres, Position, Temperature},
 };
 
 /// Without samples for so long the converter counts as stopped, and a reading as stale.
@@ -23,6 +23,14 @@ pub const SAMPLES_TIMEOUT_MS: u32 = 20;
 pub const STARVED_MS: u32 = 100;
 /// Without a temperature for so long its channel counts as bad.
 pub const TEMPERATURE_TIMEOUT_MS: u32 = 1_000;
+
+/// By so much may two positions lie nearer together in time than they were sent: a serial adapter hands on what
+/// it has every 16 ms.
+pub const POSITION_JITTER_MS: u32 = 20;
+/// After a jump so many more have to follow from it before they are believed.
+const FOLLOWING: u8 = 3;
+/// A jump is told for so long: many turns of what looks for it, so that it does not flicker.
+pub const JUMP_TOLD_MS: u32 = 100;
 
 /// Where the offset is to go.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -46,6 +54,9 @@ pub struct State {
     pub(super) position_age: [Age; 3],
     /// Axes, and as the fourth the angles, that were somewhere else in the frame before.
     moving: [bool; 4],
+    said: [Said; 3],
+    /// Since a position came that was not believed.
+    jump_age: Age,
     pub(super) joint: Joint,
     /// Whether the CNC was ever heard: silence is a loss only after that.
     pub(super) cnc_known: bool,
@@ -141,6 +152,28 @@ impl<T: Copy> Heard<T> {
     }
 }
 
+/// Where an axis was last said to be, believed or not.
+#[derive(Clone, Copy, Debug, Default)]
+struct Said {
+    position: Position,
+    age: Age,
+    /// So many more have to follow.
+    doubt: u8,
+}
+
+impl Said {
+    /// Takes the next position; whether it is believed. A jump is one that the axis cannot have reached since the
+    /// last, by its rapid traverse (10 nm a millisecond; 0: nobody knows it). After one the next few have to follow
+    /// from each other: then the CNC means it.
+    fn follows(&mut self, position: Position, rapid: u32) -> bool {
+        let reach = rapid.saturating_mul(self.age.0.saturating_add(POSITION_JITTER_MS));
+        let jumps = rapid != 0 && self.position.0.abs_diff(position.0) > reach;
+        let doubt = if jumps { FOLLOWING } else { self.doubt.saturating_sub(1) };
+        *self = Self { position, age: Age::NEW, doubt };
+        doubt == 0
+    }
+}
+
 impl State {
     /// The time of the last tick.
     #[must_use]
@@ -198,26 +231,35 @@ impl State {
         self.health.take_noise()
     }
 
-    /// Takes a position; whether the axis has moved or turned round.
-    pub(super) fn hear_position(&mut self, heard: AxisPosition, config: &travel::Config) -> bool {
+    /// Takes a position; whether the axis has moved or turned round. One that is not believed moves nothing, and the
+    /// last that was grows old.
+    pub(super) fn hear_position(&mut self, heard: AxisPosition, axis: &AxisModel<'_>) -> bool {
         let number = heard.axis as usize;
-        let (Some(position), Some(travel), Some(age)) = (
+        let (Some(position), Some(travel), Some(age), Some(moving), Some(said)) = (
             self.place.position.get_mut(number),
             self.place.travel.get_mut(number),
             self.position_age.get_mut(number),
+            self.moving.get_mut(number),
+            self.said.get_mut(number),
         ) else {
             return false;
         };
-        *age = Age::NEW;
         let before = (*position, travel.reversal());
-        *position = heard.position;
-        travel.update(config, heard.position, heard.direction as i8);
-        let has_moved = before.0 != *position;
-        let changed = before != (*position, travel.reversal());
-        if let Some(moving) = self.moving.get_mut(number) {
-            *moving = has_moved;
+        *moving = before.0 != heard.position;
+        if !said.follows(heard.position, axis.rapid) {
+            self.jump_age = Age::NEW;
+            return false;
         }
-        changed
+        *age = Age::NEW;
+        *position = heard.position;
+        travel.update(&axis.travel, heard.position, heard.direction as i8);
+        before != (*position, travel.reversal())
+    }
+
+    /// Whether a position has come of late that is not believed: its axis could not have reached it.
+    #[must_use]
+    pub fn position_has_jumped(&self) -> bool {
+        !self.jump_age.is_above(JUMP_TOLD_MS)
     }
 
     /// Takes the angles of the head, and where they point the tool.
@@ -243,6 +285,10 @@ impl State {
         for age in &mut self.position_age {
             age.grow(elapsed_ms);
         }
+        for said in &mut self.said {
+            said.age.grow(elapsed_ms);
+        }
+        self.jump_age.grow(elapsed_ms);
         self.codes_age.grow(elapsed_ms);
         self.starved_age.grow(elapsed_ms);
         self.elongation_age.grow(elapsed_ms);

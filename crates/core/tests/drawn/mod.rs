@@ -172,6 +172,8 @@ impl OwnedAxis {
             }),
             backlash: Fine(backlash),
             travel: Config { hysteresis: self.sizes[0], ramp: Interval::new(self.sizes[1]) },
+            // From none to any.
+            rapid: self.sizes[0].rotate_left(16),
         }
     }
 }

@@ -22,6 +22,8 @@ pub struct Summary {
     pub slew_um_per_s: f64,
     /// The slowest rapid traverse, in mm/min, of which the slew is 1 %.
     pub slowest_rapid_mm_per_min: f64,
+    /// The axes on which the board cannot tell a jump of the CNC's position: their rapid traverse is not stated.
+    pub jumps_pass: Vec<LinearAxis>,
     /// How finely the displacement sensor is read; `None` where none is connected.
     pub sensor: Option<SensorSummary>,
     /// Bytes of the calibration, or why the board cannot have it.
@@ -79,6 +81,10 @@ impl Summary {
             }),
             slew_um_per_s,
             slowest_rapid_mm_per_min: slew_um_per_s / unnoticed_um_per_s(1.0),
+            jumps_pass: LinearAxis::ALL
+                .into_iter()
+                .filter(|axis| machine.axes[axis.index()].rapid_mm_per_min.is_none())
+                .collect(),
             sensor: sensor(machine),
             bytes: compiled.map(|compiled| compiled.blob().len()),
             most_bytes: MAX_SIZE,

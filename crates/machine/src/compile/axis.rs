@@ -23,6 +23,9 @@ use crate::{
     stored::{FINE_PER_UM, UNITS_PER_MM, rounded, rounded_unsigned, written},
 };
 
+/// The board's units of a speed (10 nm a millisecond) in one mm a minute.
+const UNITS_PER_MS: f64 = UNITS_PER_MM / 60_000.0;
+
 /// The tables of one axis.
 pub(super) struct AxisTables {
     law: Pieces,
@@ -112,17 +115,24 @@ pub(super) fn view<'t>(
         };
     }
     let pitch = tables.pitch.as_ref().map(PitchTables::view);
-    Ok(calibration::AxisModel { thermal, pitch, dual, backlash, travel })
+    let mm_per_min = axis.rapid_mm_per_min.unwrap_or(0.0);
+    let rapid =
+        rounded_unsigned(mm_per_min * UNITS_PER_MS).filter(|it| (*it > 0) == (mm_per_min > 0.0));
+    let rapid = rapid.ok_or_else(|| {
+        let rule = format!("{mm_per_min} mm/min is not within the board's 0.6 to 2·10⁹");
+        bad(format!("{key}.rapid_mm_per_min"), rule)
+    })?;
+    Ok(calibration::AxisModel { thermal, pitch, dual, backlash, travel, rapid })
 }
 
 /// The axis as a user writes it.
 pub(super) fn inverse(axis: &calibration::AxisModel<'_>) -> file::AxisModel {
-    let calibration::AxisModel { thermal, pitch, dual, backlash, travel } = axis;
+    let calibration::AxisModel { thermal, pitch, dual, backlash, travel, rapid } = axis;
     let has_backlash = *backlash != Fine::ZERO || *travel != travel::Config::default();
     file::AxisModel {
         feedback: Feedback::Screw,
         travel_mm: None,
-        rapid_mm_per_min: None,
+        rapid_mm_per_min: (*rapid != 0).then(|| written(*rapid, UNITS_PER_MS)),
         thermal: thermal.as_ref().map(heat::inverse_of_axis),
         pitch: pitch.as_ref().map(pitch::inverse),
         backlash: has_backlash.then(|| Backlash {

@@ -216,6 +216,7 @@ fn what_does_not_fit_is_refused_with_its_key_and_place() {
 fn every_section_reaches_the_board_and_is_accounted_for() {
     let added = "hold_ms = 2000\n\
         [axis.x]\nfeedback = \"scale\"\n\
+        [axis.y]\nrapid_mm_per_min = 15000\n\
         [axis.y.backlash]\nwidth_um = 4\nramp_mm = 0.05\nhysteresis_um = 1\n\
         [axis.z.pitch]\nstart_mm = 0\nstep_mm = 100\nforward_um = [0, 1]\n\
         [squareness]\nx_of_y_um_per_m = 1\n\
@@ -226,6 +227,8 @@ fn every_section_reaches_the_board_and_is_accounted_for() {
     assert_eq!(x, calibration::AxisModel::default());
     assert_eq!(y.backlash, Nanometres(4_000).fine());
     assert_eq!((y.travel.hysteresis, y.travel.ramp.length()), (100, 5_000));
+    // 250 µm in a millisecond.
+    assert_eq!((y.rapid, z.rapid), (25_000, 0));
     let points = [0, 256_000].map(i32::to_le_bytes);
     assert_eq!(z.pitch.map(|pitch| (pitch.start, pitch.forward)), Some((Position(0), &points[..])));
     let places = AXIS_PAIRS.map(|(error, along)| (error as usize, along as usize));

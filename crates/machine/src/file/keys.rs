@@ -239,7 +239,7 @@ const AXIS: &[Key] = &[
     key("feedback", Choice(&["screw", "scale"]), "", "where the position is measured; backlash belongs to a screw").or("\"screw\""),
     key("travel_mm", Numbers, "mm", "the two ends of the travel, the lower one first; for `trueup program` and `check`, no correction depends on it")
         .as_in("[0.0, 1000.0]"),
-    key("rapid_mm_per_min", Positive, "mm/min", "the rapid traverse; `trueup check` holds the slew limit against 1 % of it").as_in("15000.0"),
+    key("rapid_mm_per_min", Positive, "mm/min", "the rapid traverse: `trueup check` holds the slew limit against 1 % of it, and the board does not believe a position that the axis cannot have reached by it").as_in("15000.0"),
     section("thermal", THERMAL, "how the axis grows with a temperature"),
     section("pitch", PITCH, "position errors at points of equal distance, linear between them; of the first of two drives where there is `dual`"),
     section("backlash", BACKLASH, "what a reversal leaves behind; not beside `reverse_um`"),

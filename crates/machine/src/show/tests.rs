@@ -97,6 +97,8 @@ fn a_laws_numbers_are_shown_as_the_user_wrote_them() {
         slope_um_per_m_per_c = 14.21
         origin_mm = 120.5
         lag_s = 0.5
+        [axis.y]
+        rapid_mm_per_min = 10000
         [axis.y.backlash]
         width_um = -4.3
         ramp_mm = 0.05
@@ -126,6 +128,7 @@ fn a_laws_numbers_are_shown_as_the_user_wrote_them() {
             "slope_um_per_m_per_c = 14.21",
             "origin_mm = 120.5",
             "lag_s = 0.5",
+            "rapid_mm_per_min = 10000.0",
             "width_um = -4.3",
             "ramp_mm = 0.05",
             "hysteresis_um = 1.7",

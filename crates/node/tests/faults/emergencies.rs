@@ -49,6 +49,7 @@ fn provoke(fault: Fault, rig: &mut Rig) {
         // 4 µm of heat and 15 to 19 µm of the table.
         Fault::Clamped => rig.offset_mm = 350.0,
         Fault::OutsideTable => breaks(Part::Position, Kind::Drift),
+        Fault::PositionJump => breaks(Part::Position, Kind::Bias),
         Fault::HeatUnknown => {
             rig.node = Node::new(Some(crate::rig::calibration()), false);
             rig.node.resume(None);
@@ -84,7 +85,9 @@ fn provoke(fault: Fault, rig: &mut Rig) {
 /// Milliseconds from the moment at which the objects tell of a fault to its emergency.
 fn told_after(fault: Fault) -> u32 {
     let mut rig = match fault {
+        // Both are sent elsewhere at once.
         Fault::Clamped => Rig::engaged_within(20_000, 7),
+        Fault::OutsideTable => Rig::engaged_within(200_000, 7),
         _ => Rig::engaged(7),
     };
     if fault == Fault::OutsideTable {

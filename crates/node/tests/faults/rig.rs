@@ -1,6 +1,8 @@
 //! A machine, its CNC and the bridge between them, of which any input may fail: the hand that breaks one thing
 //! at a time. The growth, the temperatures and the positions are made here, not by the bridge's laws.
 
+use std::{f64::consts::TAU, sync::OnceLock};
+
 use trueup_canopen::emergency::{Fault, decode};
 use trueup_core::{
     bridge::Input,
@@ -36,6 +38,8 @@ const RAW_PER_K: f64 = 4_096.0;
 const SPINDLE_NM_PER_K: f64 = 4_000.0;
 const AXIS_NM_PER_K: f64 = 2_000.0;
 const SPEED: u16 = 12_000;
+/// The rapid traverse of X in 10 nm a millisecond: 6 m/min.
+const RAPID: u32 = 10_000;
 
 /// 20 µm a metre over 1 m.
 fn table() -> Pitch<'static> {
@@ -72,6 +76,7 @@ pub fn calibration() -> Calibration<'static> {
             law: law(AXIS_NM_PER_K),
         }),
         pitch: Some(table()),
+        rapid: RAPID,
         ..AxisModel::default()
     };
     Calibration {
@@ -244,9 +249,27 @@ impl Rig {
         (self.bits() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// A normal number of variance 1, to 6 (the sum of twelve).
-    fn normal(&mut self) -> f64 {
-        (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
+    /// Normal numbers of variance 1, a block of them, from a table: a hundred million blocks are asked for.
+    fn normals(&mut self) -> [f64; CODES_PER_TICK] {
+        static TABLE: OnceLock<Vec<f64>> = OnceLock::new();
+        let table = TABLE.get_or_init(|| {
+            // Box and Muller, over as many places as there are.
+            let normal = |n: u64| {
+                let [a, b] = [n, n * 40_503].map(|n| ((n % 65_536) as f64 + 0.5) / 65_536.0);
+                (-2.0 * a.ln()).sqrt() * (b * TAU).cos()
+            };
+            (0..65_536).map(normal).collect()
+        });
+        let mut normals = [0.0; CODES_PER_TICK];
+        for four in normals.chunks_mut(4) {
+            // The low bits of the state alone are poor.
+            let mut bits = self.bits().wrapping_mul(0x2545_F491_4F6C_DD1D);
+            for normal in four {
+                *normal = table[usize::from(bits as u16)];
+                bits >>= 16;
+            }
+        }
+        normals
     }
 
     /// The fault of this part, and how long it has been there.
@@ -269,10 +292,15 @@ impl Rig {
             kind.bend(grown, &self.growth, 10_000.0 / NM_PER_CODE, lasts)
         });
         let blocks = self.fault_of(Part::Blocks);
+        let normals = self.normals();
+        let turns = f64::from(self.speed) / 60_000.0;
+        // From code to code it turns by the same angle.
+        let (sine_step, cosine_step) = (turns / 20.0 * TAU).sin_cos();
+        let (mut sine, mut cosine) = (f64::from(self.ms) * turns * TAU).sin_cos();
         let codes = core::array::from_fn(|n| {
-            let turns = f64::from(self.speed) / 60_000.0;
-            let angle = (f64::from(self.ms) + n as f64 / 20.0) * turns * std::f64::consts::TAU;
-            let alive = level + turn * angle.sin() + self.noise_codes * self.normal();
+            let alive = level + turn * sine + self.noise_codes * normals[n];
+            (sine, cosine) =
+                (sine * cosine_step + cosine * sine_step, cosine * cosine_step - sine * sine_step);
             let alive = alive.round().clamp(0.0, 4_095.0);
             let code = match fault {
                 _ if self.blind => 0.0,
@@ -368,7 +396,7 @@ impl Rig {
         }
         // ±100 mm about 500 mm, once in 10 s.
         let t_s = f64::from(self.ms) / 1_000.0;
-        let place_mm = 500.0 + self.offset_mm + 100.0 * (t_s * std::f64::consts::TAU / 10.0).sin();
+        let place_mm = 500.0 + self.offset_mm + 100.0 * (t_s * TAU / 10.0).sin();
         let fault = self.fault_of(Part::Position);
         self.place.live(place_mm, fault.is_some());
         if self.sends(Part::Position, 4) {
@@ -435,10 +463,11 @@ impl Rig {
         Self { line, ..Self::new(seed) }.into_engaged()
     }
 
-    /// The same, with this as the largest offset of X.
+    /// The same, with this as the largest offset of X, whose rapid traverse nobody has stated.
     pub fn engaged_within(x_nm: i32, seed: u64) -> Self {
         let mut narrow = calibration();
         narrow.limits.max[0] = Nanometres(x_nm);
+        narrow.axes[0].rapid = 0;
         Self { node: Node::new(Some(narrow), false), ..Self::new(seed) }.into_engaged()
     }
 

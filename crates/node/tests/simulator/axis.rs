@@ -17,8 +17,8 @@ const STEP: i32 = 10_000_000;
 /// The axis travels from 0 to the last knot.
 const END: i32 = STEP * (KNOTS as i32 - 1);
 const KNOTS: usize = 6;
-/// 6 m/min in 10 nm a millisecond.
-const SPEED: i32 = 10_000;
+/// 6 m/min in 10 nm a millisecond, its rapid traverse.
+pub const SPEED: i32 = 10_000;
 
 /// What the screw does at the knots, in nm: one table for each calibration that is loaded.
 const TABLES_NM: [[i32; KNOTS]; 2] =

@@ -14,7 +14,7 @@ use trueup_core::{
 use trueup_link::{frame::Frame, frames, receiver::OffsetReceiver};
 
 use crate::{
-    axis::pitch,
+    axis::{SPEED, pitch},
     spindle_model::{KnownSpindle, per_step},
 };
 
@@ -52,7 +52,11 @@ pub fn calibration(table: usize) -> Calibration<'static> {
         spindle: spindle.model(),
         kinematics: Kinematics { zero: Direction::DOWN, axes: [None; 2] },
         axes: [
-            AxisModel { pitch: Some(pitch(table)), ..AxisModel::default() },
+            AxisModel {
+                pitch: Some(pitch(table)),
+                rapid: SPEED.unsigned_abs(),
+                ..AxisModel::default()
+            },
             AxisModel::default(),
             AxisModel::default(),
         ],

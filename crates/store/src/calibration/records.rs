@@ -79,7 +79,8 @@ record! {
         hysteresis: u32,
         ramp: Interval,
         smoothing_falling: SmoothingFactor,
-        reserved: u32,
+        /// 0 in a blob from before it was known: not judged.
+        rapid: u32,
     }
 }
 const _: () = assert!(AxisRecord::SIZE == 80);
@@ -175,7 +176,7 @@ impl<'b> FixedPart<'b> {
 
 impl<'b> AxisRecord<'b> {
     fn of(axis: AxisModel<'b>) -> Self {
-        let AxisModel { thermal, pitch, dual, backlash, travel } = axis;
+        let AxisModel { thermal, pitch, dual, backlash, travel, rapid } = axis;
         let none = SmoothingFactor(0);
         Self {
             channel: Channel(thermal.map(|it| it.channel)),
@@ -190,7 +191,7 @@ impl<'b> AxisRecord<'b> {
             hysteresis: travel.hysteresis,
             ramp: travel.ramp,
             smoothing_falling: thermal.map_or(none, |it| it.smoothing_falling),
-            reserved: 0,
+            rapid,
         }
     }
 
@@ -212,6 +213,7 @@ impl<'b> AxisRecord<'b> {
             }),
             backlash: self.backlash,
             travel: travel::Config { hysteresis: self.hysteresis, ramp: self.ramp },
+            rapid: self.rapid,
         }
     }
 }

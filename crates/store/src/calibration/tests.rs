@@ -69,6 +69,7 @@ pub(crate) fn with_sample<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
         }),
         backlash: Fine(-77),
         travel: travel::Config { hysteresis: 100, ramp: Interval::new(5_000) },
+        rapid: 0,
     };
     let law = warmup::Warmup {
         lag_ms: 60_000,
@@ -265,6 +266,22 @@ fn the_fields_lie_where_the_table_says() {
     // The fifth: heat of channel 7 on Y.
     assert_eq!(blob[terms + 4 * 24..][..4], [4, 2, 7, 11]);
     assert_eq!(word(terms + 4 * 24 + 12), 21);
+}
+
+#[test]
+fn a_rapid_traverse_stands_where_older_blobs_have_a_0_that_nobody_read() {
+    let older = sample();
+    let mut calibration = decode(&older).expect("of the first writer");
+    assert_eq!(calibration.axes.map(|axis| axis.rapid), [0; 3]);
+    calibration.axes[1].rapid = 25_000;
+    let mut buffer = [0; MAX_SIZE];
+    let newer = encode(&calibration, &mut buffer).expect("it fits");
+    assert_eq!(decode(newer), Ok(calibration));
+    // 80 bytes an axis, its last word.
+    let at = 208 + 2 * 80 - 4;
+    let is_other = |n: &usize| older[*n] != newer[*n];
+    assert!((0..older.len() - 4).filter(is_other).all(|n| (at..at + 4).contains(&n)));
+    assert_eq!(newer[at..at + 4], 25_000_u32.to_le_bytes());
 }
 
 #[test]
