@@ -152,24 +152,24 @@ impl<T: Copy> Heard<T> {
     }
 }
 
-/// Where an axis was last said to be, believed or not.
+/// Where and when an axis was last said to be, believed or not.
 #[derive(Clone, Copy, Debug, Default)]
 struct Said {
     position: Position,
-    age: Age,
+    at: Millis,
     /// So many more have to follow.
     doubt: u8,
 }
 
 impl Said {
     /// Takes the next position; whether it is believed. A jump is one that the axis cannot have reached since the
-    /// last, by its rapid traverse (10 nm a millisecond; 0: nobody knows it). After one the next few have to follow
+    /// last, by its rapid traverse (10 nm a millisecond); the first is none. After one the next few have to follow
     /// from each other: then the CNC means it.
-    fn follows(&mut self, position: Position, rapid: u32) -> bool {
-        let reach = rapid.saturating_mul(self.age.0.saturating_add(POSITION_JITTER_MS));
-        let jumps = rapid != 0 && self.position.0.abs_diff(position.0) > reach;
+    fn follows(&mut self, position: Position, now: Millis, is_first: bool, rapid: u32) -> bool {
+        let reach = rapid.saturating_mul(now.since(self.at).saturating_add(POSITION_JITTER_MS));
+        let jumps = !is_first && self.position.0.abs_diff(position.0) > reach;
         let doubt = if jumps { FOLLOWING } else { self.doubt.saturating_sub(1) };
-        *self = Self { position, age: Age::NEW, doubt };
+        *self = Self { position, at: now, doubt };
         doubt == 0
     }
 }
@@ -246,7 +246,8 @@ impl State {
         };
         let before = (*position, travel.reversal());
         *moving = before.0 != heard.position;
-        if !said.follows(heard.position, axis.rapid) {
+        let is_first = *age == Age::default();
+        if axis.rapid != 0 && !said.follows(heard.position, self.now, is_first, axis.rapid) {
             self.jump_age = Age::NEW;
             return false;
         }
@@ -284,9 +285,6 @@ impl State {
         self.tool.age.grow(elapsed_ms);
         for age in &mut self.position_age {
             age.grow(elapsed_ms);
-        }
-        for said in &mut self.said {
-            said.age.grow(elapsed_ms);
         }
         self.jump_age.grow(elapsed_ms);
         self.codes_age.grow(elapsed_ms);

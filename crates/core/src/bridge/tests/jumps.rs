@@ -170,7 +170,7 @@ fn an_axis_at_its_rapid_traverse_never_jumps_however_its_messages_are_lost_and_l
             let late_ms = random(&mut seed) % 21;
             let sent = ms.saturating_sub(late_ms) / period_ms * period_ms;
             // Half of them are lost, and now and then all for 300 ms.
-            let is_lost = random(&mut seed) % 2 == 0 || ms / 300 % 5 == 4;
+            let is_lost = random(&mut seed).is_multiple_of(2) || ms / 300 % 5 == 4;
             if sent > last && ms - sent <= 20 && !is_lost {
                 last = sent;
                 rig.position(at(sent));
