@@ -122,7 +122,7 @@ mod app {
                     bytes_heard: Queue<Heard, HEARD> = Queue::new(), bytes_said: Queue<u8, ANSWER> = Queue::new(),
                     place: MaybeUninit<Node<'static>> = MaybeUninit::uninit()])]
     fn init(cx: init::Context) -> (Shared, Local) {
-        let parts = board::start(cx.core, cx.device, cx.local.buffer);
+        let mut parts = board::start(cx.core, cx.device, cx.local.buffer);
         let faults = parts.faults;
         if let Err(error) = &parts.calibration {
             defmt::error!("calibration refused: {}", error);
@@ -155,10 +155,22 @@ mod app {
         if !parts.is_example {
             node.belong(kept.named, parts.chip);
         }
+        let off_s = parts.backup.restore(parts.retained);
         match retained::load(parts.retained) {
             None if board::COLD_AT_START => {}
-            kept => node.resume(kept.as_ref()),
+            kept => node.resume(kept.as_ref(), off_s),
         }
+        let mut supervision = Supervision::new(
+            parts.watchdog,
+            parts.brown_out,
+            parts.lamp,
+            references,
+            store,
+            parts.retained,
+            parts.backup,
+        );
+        // The time without power counts once: the next reset goes on from here.
+        supervision.retain(&node.kept());
         let (to_listen, from_serial) = cx.local.queue.split();
         let (to_modbus, heard) = cx.local.bytes_heard.split();
         let (answer, from_modbus) = cx.local.bytes_said.split();
@@ -188,14 +200,7 @@ mod app {
             thermometers: parts.thermometers,
             to_listen,
             from_serial,
-            supervision: Supervision::new(
-                parts.watchdog,
-                parts.brown_out,
-                parts.lamp,
-                references,
-                store,
-                parts.retained,
-            ),
+            supervision,
             self_test: parts.self_test,
             idle: parts.idle,
         };

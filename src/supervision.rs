@@ -14,7 +14,7 @@ use trueup_store::{
 
 use crate::{
     alive::{Roll, Turn},
-    board::{BrownOut, Flash, Lamp, Store, Watchdog, references},
+    board::{Backup, BrownOut, Flash, Lamp, Store, Watchdog, references},
 };
 
 /// Milliseconds between two turns.
@@ -31,6 +31,8 @@ pub struct Supervision {
     store: Option<Store>,
     /// What outlasts a reset.
     retained: &'static mut retained::Copies,
+    /// And a power cut.
+    backup: Backup,
     roll: Roll,
     /// A task does: from then on the watchdog is not fed.
     hangs: bool,
@@ -47,6 +49,7 @@ impl Supervision {
         references: References<Flash>,
         store: Option<Store>,
         retained: &'static mut retained::Copies,
+        backup: Backup,
     ) -> Self {
         Self {
             watchdog,
@@ -55,6 +58,7 @@ impl Supervision {
             references,
             store,
             retained,
+            backup,
             roll: Roll::default(),
             hangs: false,
             blocks: 0,
@@ -63,9 +67,10 @@ impl Supervision {
         }
     }
 
-    /// Keeps what is to outlast a reset. Once a second is often enough: no heat changes faster.
+    /// Keeps what is to outlast a reset, and a power cut. Once a second is often enough: no heat changes faster.
     pub fn retain(&mut self, kept: &retained::Kept) {
-        retained::save(self.retained, kept);
+        retained::save(self.retained, kept, self.backup.now_s());
+        self.backup.keep(self.retained);
     }
 
     /// Looks at a calibration that has come whole, and stores it for the next start.

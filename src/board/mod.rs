@@ -15,6 +15,7 @@
 //! | [`Lamp`] | LED | none |
 //! | calibration | linked into the image, or loaded over it | a file of the host, or loaded over it |
 //! | RAM that outlasts a reset | `.uninit` | the same |
+//! | [`Backup`], what outlasts a power cut | backup SRAM and RTC behind VBAT | none |
 //! | [`restart`] | reset | reset of the emulator at the end of a batch |
 //!
 //! Both boards raise the same interrupts, so the tasks cannot tell them apart:
@@ -180,6 +181,8 @@ pub struct Parts {
     pub is_example: bool,
     /// What outlasts a reset, unless the power was gone.
     pub retained: &'static mut retained::Copies,
+    /// What outlasts a power cut as well.
+    pub backup: Backup,
     /// Where a new calibration is gathered and stored; `None` on a board that cannot store one.
     pub loading: Option<(&'static mut [u8], Store)>,
 }

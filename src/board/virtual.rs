@@ -56,7 +56,7 @@ use super::{
     BLOCK, Block, CanState, Faults, Parts, Plc, Sent, TEMPERATURES, references, reset_ram,
 };
 
-pub use absent::{BrownOut, Lamp, Rs485, SelfTest, Silence, Watchdog};
+pub use absent::{Backup, BrownOut, Lamp, Rs485, SelfTest, Silence, Watchdog};
 use defmt_semihosting as _;
 
 /// Blocks that the host has announced and the board has not read.
@@ -156,6 +156,7 @@ pub fn start(
         is_older,
         is_example: false,
         retained: reset_ram::take(),
+        backup: Backup,
         loading: Some((buffer_of_load, Store)),
     }
 }

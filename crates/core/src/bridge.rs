@@ -310,10 +310,10 @@ impl<'a> Bridge<'a> {
         state.heat.memory(&self.calibration)
     }
 
-    /// Goes on with the heat from before a reset; without one it is not known, where something has
-    /// to know it.
-    pub fn resume_heat(&self, state: &mut State, memory: &HeatMemory) {
-        state.heat.resume(&self.calibration, memory);
+    /// Goes on with the heat from before a reset, or from so many steps of 100 ms without power ago; without
+    /// one it is not known, where something has to know it.
+    pub fn resume_heat(&self, state: &mut State, memory: &HeatMemory, steps: u32) {
+        state.heat.resume(&self.calibration, memory, steps);
     }
 
     /// Reads a temperature channel, if something is connected to it.

@@ -170,9 +170,9 @@ impl Heat {
         memory
     }
 
-    /// Goes on from before a reset. Where a law that remembers finds nothing, the heat is not known
-    /// until what can be left of the error is `LEFT_NM`.
-    pub fn resume(&mut self, calibration: &Calibration<'_>, memory: &HeatMemory) {
+    /// Goes on from before a reset, or so many steps of 100 ms later. Where a law that remembers finds nothing,
+    /// the heat is not known until what can be left of the error is `LEFT_NM`.
+    pub fn resume(&mut self, calibration: &Calibration<'_>, memory: &HeatMemory, steps: u32) {
         let mut slowest = 0;
         let mut find = |key: Option<Key>, largest: Nanometres| {
             let key = key?;
@@ -180,7 +180,7 @@ impl Heat {
             if found.is_none() {
                 slowest = slowest.max(steps_until_known(key, largest));
             }
-            found
+            found.map(|kept| kept.after(steps))
         };
         let max = calibration.limits.max;
         for ((axis, key), max) in self.axes.iter_mut().zip(axis_keys(calibration)).zip(max) {

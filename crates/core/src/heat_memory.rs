@@ -3,6 +3,10 @@
 //! A machine does not cool because its board restarts. A lag is known again by the channel that it
 //! follows and its time constants, not by the calibration that it stood in: another one may be
 //! loaded meanwhile, and a part is as warm as it was.
+//!
+//! Nor does it stop cooling because the power is gone. Where a clock says for how long it was, each lag goes on
+//! over that time ([`KeptLag::after`]). All of this is done once a second at most, so its size counts and not its
+//! time: nothing is inlined.
 
 use crate::{
     dimensions::MAX_TERMS,
@@ -48,6 +52,25 @@ pub struct HeatMemory {
     pub lags: [Option<KeptLag>; MOST_LAGS],
 }
 
+impl KeptLag {
+    /// The same after so many steps of [`STEP_MS`](crate::dimensions::STEP_MS) without power: the spindle stood,
+    /// and what had grown since the start went back as fast. What follows a temperature makes up for them with
+    /// the first that it sees. The same at once after none: a reset is no stop.
+    #[must_use]
+    #[inline(never)]
+    pub fn after(mut self, steps: u32) -> Self {
+        match self.key.input {
+            _ if steps == 0 => {}
+            Key::RUNNING | Key::TIME => {
+                self.lag.follow(0, self.key.falling, steps);
+                self.running_ms = 0;
+            }
+            _ => self.lag.miss(steps),
+        }
+        self
+    }
+}
+
 impl Default for HeatMemory {
     fn default() -> Self {
         Self { lags: [None; MOST_LAGS] }
@@ -56,6 +79,7 @@ impl Default for HeatMemory {
 
 impl HeatMemory {
     /// Takes in one more; the same one again is no more.
+    #[inline(never)]
     pub fn keep(&mut self, kept: KeptLag) {
         let is_its = |place: &&mut Option<KeptLag>| place.is_none_or(|there| there.key == kept.key);
         if let Some(place) = self.lags.iter_mut().find(is_its) {
@@ -65,7 +89,57 @@ impl HeatMemory {
 
     /// What the lag with this key had reached.
     #[must_use]
+    #[inline(never)]
     pub fn find(&self, key: Key) -> Option<KeptLag> {
         self.lags.into_iter().flatten().find(|kept| kept.key == key)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::warmup::{State, Warmup};
+
+    /// 1 − e^(−0.1/20) in Q32.
+    const SLOW: SmoothingFactor = SmoothingFactor(21_421_336);
+    /// Twice as fast.
+    const FAST: SmoothingFactor = SmoothingFactor(42_735_832);
+
+    fn kept(input: u8) -> KeptLag {
+        let key = Key { input, rising: SLOW, falling: FAST };
+        KeptLag { key, lag: Lag::settled(200_000_000), running_ms: 90_000 }
+    }
+
+    #[test]
+    fn a_spindle_that_stood_has_cooled_and_begins_its_lag_anew() {
+        let law = Warmup {
+            lag_ms: 0,
+            max: crate::units::Fine(1),
+            smoothing_heating: SLOW,
+            smoothing_cooling: FAST,
+            full: 0,
+        };
+        let KeptLag { lag, running_ms, .. } = kept(Key::RUNNING);
+        let mut state = State { running_ms, heat: lag };
+        for steps in 1..2_000 {
+            law.step(&mut state, 0);
+            let after = kept(Key::RUNNING).after(steps);
+            assert_eq!(after.running_ms, 0);
+            let apart = after.lag.value().abs_diff(state.heat.value());
+            assert!(apart <= 20, "{steps}: {apart} of 200 000 000");
+        }
+        assert!(state.heat.value() < 20_000);
+    }
+
+    #[test]
+    fn what_grows_with_time_goes_back_a_lag_of_a_temperature_waits_for_it_and_a_reset_is_no_time() {
+        let time = kept(Key::TIME).after(200);
+        let expected = 200_000_000.0 * (-20.0_f64 / 10.0).exp();
+        assert!((f64::from(time.lag.value()) - expected).abs() < 20_000.0, "{time:?}");
+        let channel = kept(7).after(200).after(50);
+        assert_eq!((channel.lag.value(), channel.lag.missed()), (200_000_000, 250));
+        for input in [Key::RUNNING, Key::TIME, 7] {
+            assert_eq!(kept(input).after(0), kept(input));
+        }
     }
 }

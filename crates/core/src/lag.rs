@@ -11,6 +11,11 @@
 //! the value. The rounding of the smoothing factor makes τ wrong by at most 1.2·10⁻⁹/s of itself: with the
 //! exact smoothing factor the reference is 0.009 mK away at 1630 s, 0.13 mK at 10⁴ s and 0.24 mK at 10⁶ s,
 //! where days would make it at most 9 mK (0.12 % of τ).
+//!
+//! Steps that were missed count as if the first input that is seen again had held all the time: from n of them
+//! remains (1 − α)ⁿ of the difference, by squaring, as α of two steps is 2α − α². That is Newton's law of cooling
+//! (`docs/physics.md` section 7) and exact for a temperature that was constant. If it was up to D away from the
+//! one seen again, the value is wrong by at most D·(1 − e^(−t/τ)).
 
 use crate::fixed::{rounded_shift, saturated, scaled_by_q32};
 
@@ -41,6 +46,8 @@ impl SmoothingFactor {
 pub struct Lag {
     /// The value with [`Lag::FRACTION_BITS`] binary places below those of the input.
     state: i64,
+    /// Steps that it has not followed yet.
+    missed: u32,
 }
 
 impl Lag {
@@ -50,7 +57,7 @@ impl Lag {
     /// A lag that has followed `x` for ever.
     #[must_use]
     pub const fn settled(x: i32) -> Self {
-        Self { state: (x as i64) << Self::FRACTION_BITS }
+        Self { state: (x as i64) << Self::FRACTION_BITS, missed: 0 }
     }
 
     /// Its state, for keeping.
@@ -71,7 +78,29 @@ impl Lag {
             } else {
                 bits
             },
+            missed: 0,
         }
+    }
+
+    /// So many steps pass in which its input is not seen. What it sees next counts for them.
+    ///
+    /// ```
+    /// use trueup_core::lag::{Lag, SmoothingFactor};
+    /// let mut lag = Lag::settled(0);
+    /// lag.miss(3);
+    /// assert_eq!(lag.value(), 0);
+    /// // As four steps to 1000: 1000·(1 − 0.75⁴).
+    /// lag.step(1000, SmoothingFactor(1 << 30));
+    /// assert_eq!((lag.value(), lag.missed()), (684, 0));
+    /// ```
+    pub const fn miss(&mut self, steps: u32) {
+        self.missed = self.missed.saturating_add(steps);
+    }
+
+    /// Steps that it has not followed yet.
+    #[must_use]
+    pub const fn missed(self) -> u32 {
+        self.missed
     }
 
     /// Follows `x`, which has held over the step that ends now.
@@ -89,6 +118,10 @@ impl Lag {
     /// assert_eq!(lag.value(), 1000);
     /// ```
     pub fn step(&mut self, x: i32, smoothing: SmoothingFactor) {
+        if self.missed != 0 {
+            let missed = core::mem::take(&mut self.missed);
+            self.follow(x, smoothing, missed);
+        }
         let target = Self::settled(x).state;
         if smoothing == SmoothingFactor::NO_LAG {
             self.state = target;
@@ -99,11 +132,33 @@ impl Lag {
         self.state = self.state.wrapping_add(scaled_by_q32(difference, smoothing.0));
     }
 
+    /// Follows `x`, which has held over so many steps.
+    #[cold]
+    #[inline(never)]
+    pub fn follow(&mut self, x: i32, smoothing: SmoothingFactor, steps: u32) {
+        let (mut several, mut left) = (smoothing.0, steps);
+        while left > 0 {
+            if left & 1 == 1 {
+                self.step(x, SmoothingFactor(several));
+            }
+            several = of_twice_as_many(several);
+            left >>= 1;
+        }
+    }
+
     /// The value, rounded to the nearest.
     #[must_use]
     pub fn value(&self) -> i32 {
         saturated(rounded_shift(self.state, Self::FRACTION_BITS))
     }
+}
+
+/// 2α − α², rounded to the nearest.
+fn of_twice_as_many(smoothing: u32) -> u32 {
+    let twice = u64::from(smoothing).wrapping_mul(2);
+    // α² is below 2⁶⁴ − 2³³, so the half of a unit does not wrap, and below 2α.
+    let square = u64::from(smoothing).wrapping_mul(smoothing.into()).wrapping_add(1 << 31) >> 32;
+    u32::try_from(twice.wrapping_sub(square)).unwrap_or(u32::MAX)
 }
 
 #[cfg(test)]
@@ -167,6 +222,90 @@ mod tests {
             assert!(with_given < 1.5e-4);
             // 1.2e-9/s of τ in the time constant, of which 1/e of 20 K can show.
             assert!(with_exact < 1.5e-4 + tau_s * 1.2e-9 * 20_000.0, "τ {tau_s} s");
+        }
+    }
+
+    #[test]
+    fn steps_that_were_missed_are_made_up_for_as_well_as_the_smoothing_factor_is_rounded() {
+        // Of what the room has changed by: with the smoothing factor as it is rounded, and by the time constant.
+        let (mut worst, mut worst_by_tau) = (0.0_f64, 0.0_f64);
+        for tau_s in [0.2, 10.0, 163.0, 1_630.0, 1e4, 1e5, 1e6] {
+            let smoothing = rounded(smoothing(tau_s));
+            let given = f64::from(smoothing.0) / 4_294_967_296.0;
+            for steps in [1, 2, 3, 599, 36_000, 864_000, 6_048_000, 25_920_000, 316_224_000] {
+                for (from_k, to_k) in [(60.0, 20.0), (20.0, 60.0), (-40.0, 80.0)] {
+                    let [from, to] =
+                        [from_k, to_k].map(|kelvin| (kelvin * 1e3 * PER_MILLIKELVIN) as i32);
+                    let mut lag = Lag::settled(from);
+                    lag.miss(steps);
+                    lag.step(to, smoothing);
+                    let got = f64::from(lag.value()) / PER_MILLIKELVIN / 1e3;
+                    let steps = f64::from(steps) + 1.0;
+                    let left = (got - to_k) / (from_k - to_k);
+                    let error = (left - (steps * (-given).ln_1p()).exp()).abs();
+                    let time_s = steps * f64::from(STEP_MS) / 1e3;
+                    let by_tau = (left - (-time_s / tau_s).exp()).abs();
+                    (worst, worst_by_tau) = (worst.max(error), worst_by_tau.max(by_tau));
+                    assert!(error < 5e-5, "τ {tau_s} s, {steps} steps: {error}");
+                    // 1.2e-9/s of τ in the time constant, of which 1/e shows.
+                    assert!(by_tau < 5e-5 + tau_s * 1.2e-9 / 2.7, "τ {tau_s} s, {steps} steps");
+                }
+            }
+        }
+        std::println!(
+            "worst error {worst:.2e} of the change, by the time constant {worst_by_tau:.2e}"
+        );
+    }
+
+    /// The thermometer falls by 20 K with 1200 s while nobody sees it, the part lags by 1630 s.
+    #[test]
+    fn what_an_unseen_temperature_did_is_missed_by_as_much_as_the_page_says_and_never_by_more() {
+        let (fall_k, tau_s, source_s, time_s) = (20.0, 1_630.0, 1_200.0, 3_600.0_f64);
+        let smoothing = rounded(smoothing(tau_s));
+        let counts = |kelvin: f64| (kelvin * 1e3 * PER_MILLIKELVIN) as i32;
+        let mut seen = Lag::settled(counts(fall_k));
+        let mut unseen = seen;
+        let steps = (time_s * 1e3) as u32 / STEP_MS;
+        for step in 0..steps {
+            // In the middle of the step.
+            let at_s = (f64::from(step) + 0.5) * f64::from(STEP_MS) / 1e3;
+            seen.step(counts(fall_k * (-at_s / source_s).exp()), smoothing);
+        }
+        let last = fall_k * (-time_s / source_s).exp();
+        unseen.follow(counts(last), smoothing, steps);
+        let kelvin = |lag: Lag| f64::from(lag.value()) / PER_MILLIKELVIN / 1e3;
+        let missed = kelvin(seen) - kelvin(unseen);
+        let [part, source] = [tau_s, source_s].map(|tau| (-time_s / tau).exp());
+        // `docs/physics.md` section 7.
+        let expected =
+            fall_k * (source_s / (tau_s - source_s) * (part - source) - source * (1.0 - part));
+        let bound = (fall_k - last) * (1.0 - part);
+        std::println!("missed {missed:.2} K of {fall_k} K, at most {bound:.1} K");
+        assert!((missed - expected).abs() < 1e-3, "{missed} for {expected}");
+        assert!(missed > 0.0 && missed < bound);
+    }
+
+    #[test]
+    fn many_steps_at_once_are_as_many_steps() {
+        let smoothing = rounded(smoothing(30.0));
+        for steps in 0..2_000 {
+            let mut one_by_one = Lag::settled(-9_000_000);
+            let mut at_once = one_by_one;
+            for _ in 0..=steps {
+                one_by_one.step(7_000_000, smoothing);
+            }
+            at_once.miss(steps / 3);
+            at_once.miss(steps - steps / 3);
+            at_once.step(7_000_000, smoothing);
+            let apart = one_by_one.value().abs_diff(at_once.value());
+            assert!(apart <= 8, "{steps} steps: {apart} apart");
+        }
+        // However long, it arrives and goes no further.
+        for smoothing in [1, 429, u32::MAX - 1, u32::MAX] {
+            let mut lag = Lag::settled(i32::MIN);
+            lag.miss(u32::MAX);
+            lag.step(i32::MAX, SmoothingFactor(smoothing));
+            assert!(lag.value() > i32::MIN && lag.missed() == 0);
         }
     }
 

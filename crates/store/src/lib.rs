@@ -3,8 +3,9 @@
 //!
 //! `calibration` is the layout of what the host compiles for the board, `load` the way of a new one
 //! to the board, `slots` where a board keeps it, `reference` what the board stores of itself,
-//! `writes` who has written to it, and
-//! `retained` what outlasts a reset in RAM.
+//! `writes` who has written to it,
+//! `retained` what outlasts a reset in RAM and a power cut behind a battery, and `calendar` the time of a
+//! clock there.
 //! Nothing here touches hardware, allocates, reads a clock, or panics on any input.
 #![no_std]
 #![forbid(unsafe_code)]
@@ -14,6 +15,7 @@
 #[cfg(test)]
 extern crate std;
 
+pub mod calendar;
 pub mod calibration;
 mod crc;
 pub mod load;

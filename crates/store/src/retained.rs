@@ -1,14 +1,16 @@
-//! What outlasts a reset in RAM that is not cleared: the heat, and how the sources join.
+//! What outlasts a reset in RAM that is not cleared, and a power cut where a battery holds it: the heat, and how
+//! the sources join.
 //!
 //! | offset | a copy, little-endian | unit |
 //! |---|---|---|
-//! | 0 | `u32` layout, 1; `u32` number of the copy, rising | |
-//! | 8 | `u8` source of the elongation that was used last (0 none), 0, 0, 0; `i32` its shift | nm |
-//! | 16 | 21 lags, 24 bytes each: `u8` input, `u8` 1 if there is one, 0, 0; 2 × `u32` smoothing factor; `i64` state; `u32` running time | ms |
-//! | 520 | CRC-32/AUTOSAR of all before it | |
+//! | 0 | `u32` layout, 2; `u32` number of the copy, rising | |
+//! | 8 | `u32` when it was written, by a clock that goes on without power; 0: there is none | s |
+//! | 12 | `u8` source of the elongation that was used last (0 none), 0, 0, 0; `i32` its shift | nm |
+//! | 20 | 21 lags, 28 bytes each: `u8` input, `u8` 1 if there is one, 0, 0; 2 × `u32` smoothing factor; `i64` state; `u32` running time; `u32` steps missed | ms; 100 ms |
+//! | 608 | CRC-32/AUTOSAR of all before it | |
 //!
-//! There are two copies, written in turn: a reset while one is written leaves the other. After a
-//! power cut neither has its CRC, but for one case in 2³².
+//! There are two copies, written in turn: a reset while one is written leaves the other. After a power cut that
+//! nothing has outlasted neither has its CRC, but for one case in 2³².
 
 use trueup_core::{
     bridge::KeptJoint,
@@ -18,14 +20,16 @@ use trueup_core::{
     units::Nanometres,
 };
 
-use crate::crc;
+use crate::{calendar::DAY_S, crc};
 
-const LAYOUT: u32 = 1;
-const HEAD: usize = 16;
-const LAG_SIZE: usize = 24;
+const LAYOUT: u32 = 2;
+const HEAD: usize = 20;
+const LAG_SIZE: usize = 28;
 /// Bytes of a copy.
 pub const SIZE: usize = HEAD + MOST_LAGS * LAG_SIZE + 4;
-const _: () = assert!(SIZE == 524);
+const _: () = assert!(SIZE == 612);
+/// A machine that was off for longer has not stood there: its clock is wrong.
+pub const LONGEST_OFF_S: u32 = 366 * DAY_S;
 
 /// The two copies.
 pub type Copies = [[u8; SIZE]; 2];
@@ -42,18 +46,33 @@ pub struct Kept {
 /// What the newer whole copy says; `None`: there is none, the power was gone.
 #[must_use]
 pub fn load(copies: &Copies) -> Option<Kept> {
+    newest(copies).map(|(_, kept)| kept)
+}
+
+/// For how many seconds the power was gone, by the clock that now says `now_s`. `None`: nobody knows. There is no
+/// whole copy, or no clock, or the clock was not there when it was written, has been set back, or says that it was
+/// longer than [`LONGEST_OFF_S`].
+#[must_use]
+pub fn off_s(copies: &Copies, now_s: Option<u32>) -> Option<u32> {
+    let (written_s, _) = newest(copies)?;
+    let off_s = now_s?.checked_sub(written_s).filter(|_| written_s != 0)?;
+    (off_s <= LONGEST_OFF_S).then_some(off_s)
+}
+
+/// When the newer whole copy was written, and what it says.
+fn newest(copies: &Copies) -> Option<(u32, Kept)> {
     let [first, second] = copies.each_ref().map(decode);
     let newest = match (first, second) {
         (Some(first), Some(second)) if is_newer(first.0, second.0) => first,
         (Some(first), None) => first,
         (_, second) => second?,
     };
-    Some(newest.1)
+    Some((newest.1, newest.2))
 }
 
-/// Writes it into the older copy.
-pub fn save(copies: &mut Copies, kept: &Kept) {
-    let [first, second] = copies.each_ref().map(|copy| decode(copy).map(|(number, _)| number));
+/// Writes it into the older copy, at this time of a clock that goes on without power, if there is one.
+pub fn save(copies: &mut Copies, kept: &Kept, now_s: Option<u32>) {
+    let [first, second] = copies.each_ref().map(|copy| decode(copy).map(|(number, ..)| number));
     let (number, older) = match (first, second) {
         (Some(first), Some(second)) if is_newer(first, second) => (first, 1),
         (Some(first), None) => (first, 1),
@@ -62,7 +81,7 @@ pub fn save(copies: &mut Copies, kept: &Kept) {
     if let Some(copy) = copies.get_mut(older) {
         // Not whole from its first changed byte to its last.
         copy.fill(0);
-        encode(kept, number.wrapping_add(1), copy);
+        encode(kept, number.wrapping_add(1), now_s.unwrap_or(0), copy);
     }
 }
 
@@ -70,12 +89,12 @@ fn is_newer(number: u32, other: u32) -> bool {
     number.wrapping_sub(other).cast_signed() > 0
 }
 
-fn encode(kept: &Kept, number: u32, copy: &mut [u8; SIZE]) {
+fn encode(kept: &Kept, number: u32, written_s: u32, copy: &mut [u8; SIZE]) {
     let (source, shift) = match kept.joint {
         None => (0, 0),
         Some(KeptJoint { source, shift }) => (source_number(source), shift.0),
     };
-    let head = [LAYOUT, number, source, shift.cast_unsigned()];
+    let head = [LAYOUT, number, written_s, source, shift.cast_unsigned()];
     let words = copy.as_chunks_mut::<4>().0;
     words.iter_mut().zip(head).for_each(|(place, word)| *place = word.to_le_bytes());
     let places = words.get_mut(HEAD / 4..).unwrap_or_default().chunks_mut(LAG_SIZE / 4);
@@ -84,32 +103,34 @@ fn encode(kept: &Kept, number: u32, copy: &mut [u8; SIZE]) {
         let [a, b, c, d, e, f, g, h] = lag.to_bits().to_le_bytes();
         let (low, high) = (u32::from_le_bytes([a, b, c, d]), u32::from_le_bytes([e, f, g, h]));
         let here = u32::from(input) | 1 << 8;
-        let fields = [here, rising.0, falling.0, low, high, running_ms];
+        let fields = [here, rising.0, falling.0, low, high, running_ms, lag.missed()];
         place.iter_mut().zip(fields).for_each(|(place, word)| *place = word.to_le_bytes());
     }
     crc::seal(copy);
 }
 
-/// The number of the copy, and what it says; `None`: it is not whole.
-fn decode(copy: &[u8; SIZE]) -> Option<(u32, Kept)> {
+/// The number of the copy, when it was written, and what it says; `None`: it is not whole.
+fn decode(copy: &[u8; SIZE]) -> Option<(u32, u32, Kept)> {
     let words = crc::unseal(copy)?.as_chunks::<4>().0;
-    let &[layout, number, source, shift, ref lags @ ..] = words else { return None };
+    let &[layout, number, written_s, source, shift, ref lags @ ..] = words else { return None };
     if u32::from_le_bytes(layout) != LAYOUT {
         return None;
     }
     let mut kept = Kept::default();
     for (place, lag) in kept.heat.lags.iter_mut().zip(lags.chunks(LAG_SIZE / 4)) {
-        let &[here, rising, falling, low, high, running_ms] = lag else { return None };
+        let &[here, rising, falling, low, high, running_ms, missed] = lag else { return None };
         let [input, 1, ..] = here else { continue };
-        let [rising, falling, running_ms] = [rising, falling, running_ms].map(u32::from_le_bytes);
+        let [rising, falling, running_ms, missed] =
+            [rising, falling, running_ms, missed].map(u32::from_le_bytes);
         let key = Key { input, rising: SmoothingFactor(rising), falling: SmoothingFactor(falling) };
         let ([a, b, c, d], [e, f, g, h]) = (low, high);
-        let lag = Lag::from_bits(i64::from_le_bytes([a, b, c, d, e, f, g, h]));
+        let mut lag = Lag::from_bits(i64::from_le_bytes([a, b, c, d, e, f, g, h]));
+        lag.miss(missed);
         *place = Some(KeptLag { key, lag, running_ms });
     }
     let shift = Nanometres(i32::from_le_bytes(shift));
     kept.joint = source_of(u32::from_le_bytes(source)).map(|source| KeptJoint { source, shift });
-    Some((u32::from_le_bytes(number), kept))
+    Some((u32::from_le_bytes(number), u32::from_le_bytes(written_s), kept))
 }
 
 /// As the calibration numbers them.
@@ -135,7 +156,11 @@ mod tests {
         for input in [3, 7, Key::RUNNING] {
             heat.keep(KeptLag {
                 key: Key { input, rising: SmoothingFactor(9), falling: SmoothingFactor(8) },
-                lag: Lag::settled(number - i32::from(input)),
+                lag: {
+                    let mut lag = Lag::settled(number - i32::from(input));
+                    lag.miss(u32::from(input) + 500);
+                    lag
+                },
                 running_ms: 77,
             });
         }
@@ -147,29 +172,29 @@ mod tests {
     fn the_newest_counts_and_the_numbers_may_wrap() {
         let mut copies = [[0; SIZE]; 2];
         assert_eq!(load(&copies), None);
-        encode(&kept(1), u32::MAX - 2, &mut copies[0]);
+        encode(&kept(1), u32::MAX - 2, 0, &mut copies[0]);
         for number in 2..20 {
-            save(&mut copies, &kept(number));
+            save(&mut copies, &kept(number), None);
             assert_eq!(load(&copies), Some(kept(number)));
         }
-        save(&mut copies, &Kept::default());
+        save(&mut copies, &Kept::default(), None);
         assert_eq!(load(&copies), Some(Kept::default()));
     }
 
     #[test]
     fn a_reset_at_any_byte_leaves_the_one_before() {
         let mut copies = [[0; SIZE]; 2];
-        save(&mut copies, &kept(1));
-        save(&mut copies, &kept(2));
+        save(&mut copies, &kept(1), Some(1));
+        save(&mut copies, &kept(2), Some(2));
         let (before, mut after) = (copies, copies);
-        save(&mut after, &kept(3));
+        save(&mut after, &kept(3), Some(3));
         let written = usize::from(after[0] == before[0]);
         for at in 0..SIZE {
             let mut torn = after;
             // What was not written yet is 0, as `save` leaves it, or as it was.
             torn[written][at..].fill(0);
-            let found = load(&torn).expect("one is whole");
-            assert!(found == kept(2) || found == kept(3), "cut at {at}");
+            let found = newest(&torn).expect("one is whole");
+            assert!(found == (2, kept(2)) || found == (3, kept(3)), "cut at {at}");
             torn[written][at..].copy_from_slice(&before[written][at..]);
             assert!([Some(kept(2)), Some(kept(3))].contains(&load(&torn)), "cut at {at}");
         }
@@ -188,12 +213,35 @@ mod tests {
             assert_eq!(load(&copies), None);
         }
         let mut copies = [[0; SIZE]; 2];
-        save(&mut copies, &kept(1));
+        save(&mut copies, &kept(1), Some(7));
         let one = usize::from(copies[0][0] == 0);
         for bit in 0..SIZE * 8 {
             let mut flipped = copies;
             flipped[one][bit / 8] ^= 1 << (bit % 8);
             assert_eq!(load(&flipped), None, "bit {bit}");
+            assert_eq!(off_s(&flipped, Some(8)), None, "bit {bit}");
         }
+    }
+
+    #[test]
+    fn for_how_long_the_power_was_gone_is_known_by_a_clock_that_has_gone_on_and_by_no_other() {
+        const WRITTEN_S: u32 = 40_000_000;
+        let mut copies = [[0; SIZE]; 2];
+        assert_eq!(off_s(&copies, Some(WRITTEN_S)), None, "nothing is kept");
+        save(&mut copies, &kept(1), Some(WRITTEN_S));
+        for off in [0, 1, 3_600, LONGEST_OFF_S] {
+            assert_eq!(off_s(&copies, Some(WRITTEN_S + off)), Some(off));
+        }
+        assert_eq!(off_s(&copies, None), None, "no clock");
+        assert_eq!(off_s(&copies, Some(WRITTEN_S - 1)), None, "set back");
+        assert_eq!(off_s(&copies, Some(0)), None, "begun anew");
+        assert_eq!(off_s(&copies, Some(WRITTEN_S + LONGEST_OFF_S + 1)), None, "absurd");
+        assert_eq!(off_s(&copies, Some(u32::MAX)), None, "absurd");
+        // The newest counts, whichever time it has.
+        save(&mut copies, &kept(2), Some(WRITTEN_S - 500));
+        assert_eq!(off_s(&copies, Some(WRITTEN_S)), Some(500));
+        save(&mut copies, &kept(3), None);
+        assert_eq!(off_s(&copies, Some(WRITTEN_S)), None, "no clock when it was written");
+        assert_eq!(load(&copies), Some(kept(3)), "but for a reset it is whole");
     }
 }

@@ -1,7 +1,10 @@
 //! The flashable image, unmodified, on the model of its chip (`crates/chip`): healthy, and with each part
 //! dead that has a fall-back. The model knows the manuals and not the firmware, so what it finds counts.
 
+mod power_cuts;
 mod starts;
+#[path = "../support/mod.rs"]
+mod support;
 mod waits;
 
 use std::{path::PathBuf, sync::OnceLock};

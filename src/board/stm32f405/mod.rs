@@ -11,11 +11,13 @@
 //! | PB13, PB14, PB15 | SCK, MISO, MOSI of the temperature converters |
 //! | PC0 … PC7 | select the converter of channel 0 … 7: low |
 //! | PC12 | lamp, from the supply through a resistor: lit when low |
+//! | PC14, PC15, VBAT | crystal of 32.768 kHz, and a battery: what the machine's heat outlasts a power cut by |
 //!
 //! A dead part must not hold up the others: every wait in this folder has a bound, and a part
 //! that does not answer is logged by name and reported in [`Faults`]. Section numbers are those
 //! of the reference manual RM0090, where nothing else is said.
 
+mod backup;
 mod brown_out;
 mod can;
 mod clocks;
@@ -53,6 +55,7 @@ use stm32f4xx_hal::{
 
 use super::{Buffer, Faults, Parts, references, reset_ram};
 use crate::alive::{self, Task};
+pub use backup::Backup;
 pub use brown_out::BrownOut;
 pub use can::{CanIn, CanOut};
 use clocks::Source;
@@ -210,6 +213,7 @@ pub fn start(
         is_older,
         is_example,
         retained: reset_ram::take(),
+        backup: Backup::start(device.PWR, device.RTC, reset, &mut rcc),
         loading: Some((buffer, store)),
         watchdog,
         brown_out,

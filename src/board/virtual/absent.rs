@@ -1,12 +1,28 @@
 //! What an emulated board has no need of.
 
 use trueup_modbus::rtu::Heard;
+use trueup_store::retained::Copies;
 
 /// The host watches over its emulator.
 pub struct Watchdog;
 
 impl Watchdog {
     pub fn feed(&mut self) {}
+}
+
+/// An emulator has no battery: it is cold when its process starts.
+pub struct Backup;
+
+impl Backup {
+    pub fn restore(&mut self, _copies: &mut Copies) -> u32 {
+        0
+    }
+
+    pub fn now_s(&mut self) -> Option<u32> {
+        None
+    }
+
+    pub fn keep(&mut self, _copies: &mut Copies) {}
 }
 
 /// An emulator has no supply.

@@ -25,8 +25,10 @@ const BRE: u32 = 1 << 9;
 #[derive(Debug)]
 pub struct Backup {
     pub(crate) bdcr: u32,
-    /// When the 32 kHz oscillator swings; NEVER: it is off, or dead.
+    /// When the 32 kHz oscillator says that it swings; NEVER: it is off, or dead.
     lse_at: u64,
+    /// When a crystal that had stopped swings again.
+    again_at: u64,
     /// Since when the regulator holds the SRAM; NEVER: it is off.
     regulator_at: u64,
     sram: Vec<u32>,
@@ -38,7 +40,8 @@ impl Default for Backup {
     fn default() -> Backup {
         let mut seed = 0x9e37_79b9_u32;
         let sram = (0..WORDS).map(|_| noise(&mut seed)).collect();
-        Backup { bdcr: 0, lse_at: NEVER, regulator_at: NEVER, sram, rtc: Rtc::default() }
+        let (lse_at, regulator_at) = (NEVER, NEVER);
+        Backup { bdcr: 0, lse_at, again_at: 0, regulator_at, sram, rtc: Rtc::default() }
     }
 }
 
@@ -59,7 +62,7 @@ impl Chip {
 
     /// Whether the 32 kHz oscillator swings now.
     fn lse_runs(&self) -> bool {
-        !self.faults.lse_dead && self.backup.lse_at <= self.now
+        !self.faults.lse_dead && self.backup.lse_at.max(self.backup.again_at) <= self.now
     }
 
     /// Ticks in a cycle of RTCCLK; `None`: it stands.
@@ -159,9 +162,18 @@ impl Chip {
         }
     }
 
-    /// The 32 kHz crystal stops, or is there again. Its flag stays: what would clear it needs its own cycles (7.3.20, LSERDY).
+    /// Bits of a word of the backup SRAM flip.
+    pub(crate) fn backup_sram_flip(&mut self, address: u32, bits: u32) {
+        self.backup.sram[address as usize / 4 % WORDS] ^= bits;
+    }
+
+    /// The 32 kHz crystal stops, or is there again and has to start. Its flag stays: what would clear it needs its own
+    /// cycles (7.3.20, LSERDY).
     pub fn lse(&mut self, runs: bool) {
         self.rtc_settle();
+        if runs && self.faults.lse_dead {
+            self.backup.again_at = self.now + LSE_START;
+        }
         self.faults.lse_dead = !runs;
         if runs && self.backup.bdcr & LSEON != 0 && self.backup.lse_at == NEVER {
             self.backup.lse_at = self.now + LSE_START;

@@ -123,6 +123,12 @@ impl Rtc {
 }
 
 impl Chip {
+    /// The calendar is set from outside.
+    pub(crate) fn rtc_upset(&mut self, time: u32, date: u32) {
+        self.rtc_settle();
+        (self.backup.rtc.time, self.backup.rtc.date, self.backup.rtc.counted) = (time, date, 0);
+    }
+
     /// Counts what has passed until now.
     pub(crate) fn rtc_settle(&mut self) {
         let now = self.now;
@@ -213,7 +219,7 @@ impl Chip {
         }
         self.rtc_settle();
         let now = self.now;
-        // 26.3.5: the backup registers and the clear bits of ISR are not behind the keys.
+        // 26.3.5: of ISR only bits 13:8 are not behind the keys, and they are not modelled; nor are the backup registers.
         let is_open = self.backup.rtc.key == Key::Open;
         if !is_open && !matches!(off, 0x0c | 0x24 | 0x50..=0x9c) {
             return self
@@ -236,7 +242,7 @@ impl Chip {
                 }
             }
             0x0c => {
-                if v & RSF == 0 {
+                if is_open && v & RSF == 0 {
                     rtc.shadow_at = now;
                 }
                 if is_open && v & INIT != 0 && !rtc.init {

@@ -1,5 +1,5 @@
 //! Faults from outside that no program asks for: a bit that flips, a converter or a stream that fails, a line that is
-//! disturbed, a bus whose wire is stuck. What the chip makes of them is the manual's.
+//! disturbed, a bus whose wire is stuck, a battery that is flat, a calendar that somebody has set. What the chip makes of them is the manual's.
 
 use super::Chip;
 use crate::report::Grade;
@@ -24,7 +24,7 @@ impl Chip {
                 .unwrap_or_else(|| panic!("script: {words:?}"))
         };
         match words[0].as_str() {
-            // Bits of a word of the SRAM or of a register flip.
+            // Bits of a word of the SRAMs, of the flash or of a register flip.
             "poke" => {
                 let (address, bits) = (hex(1), hex(2));
                 if (0x2000_0000..0x2002_0000).contains(&address) {
@@ -39,6 +39,8 @@ impl Chip {
                     self.rom.read_at(at, &mut word).expect("in the flash");
                     let flipped = u32::from_le_bytes(word) ^ bits;
                     self.rom.write_at(at, &flipped.to_le_bytes()).expect("in the flash");
+                } else if (0x4002_4000..0x4002_5000).contains(&address) {
+                    self.backup_sram_flip(address & 0xfff, bits);
                 } else {
                     let flipped = self.read(address) ^ bits;
                     self.write(address, flipped);
@@ -64,6 +66,8 @@ impl Chip {
                 let unit = usize::from(words[0] == "modbus_error");
                 self.uart[unit].disturbed = Disturbance { count: hex(2), flags, byte };
             }
+            "calendar" => self.rtc_upset(hex(1), hex(2)),
+            "battery" => self.world.battery = hex(1) != 0,
             "miso" => self.spi.stuck = Some(if hex(1) != 0 { 0xff } else { 0 }),
             _ => return false,
         }

@@ -119,6 +119,7 @@ fn without_keys_or_initialisation_nothing_is_set() {
     bench.write(RTC + 0x0c, 1 << 7);
     bench.pass(4 * CYCLE);
     assert_eq!(bench.read(RTC + 0x0c) & 0xc0, 0, "INIT is behind the keys");
+    assert_eq!(bench.read(RTC + 0x0c) & 0x20, 0x20, "and so is RSF: only bits 13:8 are not");
     bench.write(RTC + 0x10, 0);
     assert_eq!(bench.violations("while the keys are not"), 1);
 }
@@ -185,6 +186,9 @@ fn a_dead_crystal_never_gets_ready_and_one_that_stops_stops_the_time() {
     bench.at_once(|chip| chip.lse(false));
     cut(&mut bench, 3_600);
     bench.at_once(|chip| chip.lse(true));
-    bench.pass(ms(1));
+    assert_eq!(bench.read(BDCR) & 2, 2, "LSERDY stays");
+    bench.pass(ms(1_990));
+    assert_eq!(bench.read(RTC + 0x0c) & 0x20, 0, "DS8626: a crystal takes 2 s to start, also anew");
+    bench.pass(ms(20));
     assert_eq!(bench.read(RTC), 0x23_5958);
 }

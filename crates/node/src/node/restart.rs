@@ -1,6 +1,6 @@
 //! What outlasts a reset, and time that samples do not count.
 
-use trueup_core::units::Millis;
+use trueup_core::{dimensions::STEP_MS, units::Millis};
 use trueup_store::retained::Kept;
 
 use super::Node;
@@ -17,12 +17,12 @@ impl Node<'_> {
         Kept { heat: heat.unwrap_or_default(), joint: self.state.kept_joint() }
     }
 
-    /// Goes on from before a reset; with nothing kept, the power was gone, and what heat the machine
-    /// has is not known. A board that is cold at its start does not call this.
-    pub fn resume(&mut self, kept: Option<&Kept>) {
+    /// Goes on from before a reset, or from so many seconds without power ago; with nothing kept, the power was
+    /// gone, and what heat the machine has is not known. A board that is cold at its start does not call this.
+    pub fn resume(&mut self, kept: Option<&Kept>, off_s: u32) {
         let Some(bridge) = &self.bridge else { return };
         let Kept { heat, joint } = kept.copied().unwrap_or_default();
-        bridge.resume_heat(&mut self.state, &heat);
+        bridge.resume_heat(&mut self.state, &heat, off_s.saturating_mul(1_000 / STEP_MS));
         if let Some(joint) = joint {
             self.state.resume_joint(joint);
         }

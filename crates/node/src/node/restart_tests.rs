@@ -78,7 +78,7 @@ fn a_reset_keeps_the_warm_up_and_the_reference_and_the_offset_comes_back_as_it_w
     let kept = before.node.kept();
 
     let mut after = Life::begins(warming_up());
-    after.node.resume(Some(&kept));
+    after.node.resume(Some(&kept), 0);
     assert_eq!(after.goes_on(60, Control::ENGAGED).offset, None, "engaged by level is not enough");
     after.goes_on(60, Control::REFERENCED);
     after.goes_on(8_000, Control::ENGAGED);
@@ -88,9 +88,42 @@ fn a_reset_keeps_the_warm_up_and_the_reference_and_the_offset_comes_back_as_it_w
 }
 
 #[test]
+fn over_a_power_cut_of_known_length_the_spindle_cools_and_the_reference_stays() {
+    let mut before = Life::begins(warming_up());
+    before.goes_on(60, Control::REFERENCED);
+    before.goes_on(20_000, Control::ENGAGED);
+    let grown = z_nm(before.node.last());
+    let kept = before.node.kept();
+    let mut after = Life::begins(warming_up());
+    after.node.resume(Some(&kept), 20);
+    // The spindle stands: what is left after 20 s without power, and 8 s with.
+    let standing = |life: &mut Life, ms: u32| {
+        for n in 0..ms {
+            if n % 20 == 0 {
+                let control = if n < 60 { Control::REFERENCED } else { Control::ENGAGED };
+                let spindle = Spindle { speed: Rpm(0), load_n: 0 };
+                for frame in
+                    [frames::control(control, life.counter), frames::spindle(spindle, life.counter)]
+                {
+                    life.node.hear(Line::Can, &frame).expect("in order");
+                }
+                life.counter = life.counter.wrapping_add(1);
+            }
+            life.node.tick(1, Input::default());
+            life.node.service();
+        }
+        *life.node.last()
+    };
+    let output = standing(&mut after, 8_000);
+    assert_eq!((output.quality, after.node.faults(&output).state().0), (Quality::Live, 0));
+    let expected = f64::from(grown) * (-28.0_f64 / 20.0).exp();
+    assert!((f64::from(z_nm(&output)) - expected).abs() < 200.0, "{output:?} for {expected}");
+}
+
+#[test]
 fn after_a_power_cut_the_heat_is_not_known_and_confirm_says_that_it_is_cold() {
     let mut life = Life::begins(warming_up());
-    life.node.resume(None);
+    life.node.resume(None, 0);
     life.goes_on(60, Control::REFERENCED);
     let output = life.goes_on(1_000, Control::ENGAGED);
     assert_eq!((output.quality, output.offset), (Quality::Fault, None));
@@ -105,7 +138,7 @@ fn after_a_power_cut_the_heat_is_not_known_and_confirm_says_that_it_is_cold() {
 #[test]
 fn heat_that_is_not_known_is_waited_for_until_it_no_longer_matters() {
     let mut life = Life::begins(warming_up());
-    life.node.resume(None);
+    life.node.resume(None, 0);
     life.goes_on(60, Control::REFERENCED);
     // 1 mm to 1 µm are ten half-lives of 13.9 s.
     assert_eq!(life.goes_on(137_000, Control::ENGAGED).offset, None);

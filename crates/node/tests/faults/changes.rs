@@ -57,7 +57,7 @@ fn resets(count: u32, seed: u64) {
         if until == 0 {
             let mut next = Node::new(Some(calibration()), false);
             next.set_reference(rig.node.reference());
-            next.resume(Some(&kept));
+            next.resume(Some(&kept), 0);
             rig.node = next;
             rig.last.offset = None;
             // Long enough to arrive after most of them.

@@ -52,7 +52,7 @@ fn provoke(fault: Fault, rig: &mut Rig) {
         Fault::PositionJump => breaks(Part::Position, Kind::Bias),
         Fault::HeatUnknown => {
             rig.node = Node::new(Some(crate::rig::calibration()), false);
-            rig.node.resume(None);
+            rig.node.resume(None, 0);
         }
         Fault::OlderCalibration | Fault::ForeignMachine => rig.node.ask(fault),
         Fault::ExampleConstants => rig.node.bar_example(),

@@ -243,7 +243,7 @@ impl World {
         // Nothing has been kept since the last cut, or all of it is lost.
         self.has_kept &= !cut;
         assert_eq!(kept.is_some(), self.has_kept, "{}", self.place());
-        self.node.resume(kept.as_ref());
+        self.node.resume(kept.as_ref(), 0);
         (self.before, self.since_start_ms, self.released) = (None, 0, 0);
         (self.engaged_after_release, self.well_ms) = (false, 0);
     }
@@ -388,7 +388,7 @@ impl World {
             self.one(behind_ms, Input { temperatures: Some(&raw), ..Input::default() });
         }
         if self.seen.ticks.is_multiple_of(1_000) {
-            retained::save(&mut self.ram, &self.node.kept());
+            retained::save(&mut self.ram, &self.node.kept(), None);
             self.has_kept = true;
         }
         let was = self.cnc.applied_nm;

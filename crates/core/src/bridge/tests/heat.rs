@@ -53,7 +53,7 @@ fn a_reset_keeps_the_heat_and_the_offset_is_as_without_it() {
     let mut without = warming();
     let memory = without.bridge.heat_memory(&without.state);
     let mut with = Rig::new(lagging());
-    with.bridge.resume_heat(&mut with.state, &memory);
+    with.bridge.resume_heat(&mut with.state, &memory, 0);
     assert!(!with.state.heat_is_unknown());
     for seconds in [1, 10, 30] {
         let (a, b) = (
@@ -66,9 +66,44 @@ fn a_reset_keeps_the_heat_and_the_offset_is_as_without_it() {
 }
 
 #[test]
+fn over_a_power_cut_the_heat_goes_on_as_at_the_temperature_that_is_seen_again() {
+    for off_s in [1, 20, 90, 3_600] {
+        let mut without = warming();
+        let memory = without.bridge.heat_memory(&without.state);
+        // The screw stays at 21 °C, and the machine is seen again at once.
+        let mut with = Rig::new(lagging());
+        with.bridge.resume_heat(&mut with.state, &memory, off_s * 10);
+        assert!(!with.state.heat_is_unknown());
+        // A cut before any thermometer is heard: what was missed stays missed.
+        let memory = with.bridge.heat_memory(&with.state);
+        let mut again = Rig::new(lagging());
+        again.bridge.resume_heat(&mut again.state, &memory, 0);
+        live(&mut without, off_s.min(300) * 1_000, 21, 20);
+        let expected = x_nm(&live(&mut without, 1_000, 21, 20));
+        for rig in [&mut with, &mut again] {
+            let got = x_nm(&live(rig, 1_000, 21, 20));
+            // Up to 0.3 s until both thermometers are known, of a lag of 40 s.
+            assert!((got - expected).abs() <= 400, "{off_s} s: {got} for {expected}");
+        }
+    }
+}
+
+#[test]
+fn after_a_power_cut_a_machine_that_has_cooled_is_as_a_lag_of_what_is_seen_makes_it() {
+    let rig = warming();
+    let memory = rig.bridge.heat_memory(&rig.state);
+    let mut rig = Rig::new(lagging());
+    rig.bridge.resume_heat(&mut rig.state, &memory, 400);
+    let output = live(&mut rig, 1_000, 20, 20);
+    // 100 µm/K · (1 − e^(−20/40)) · e^(−41/40): a second is seen.
+    let expected = -100_000.0 * -(-20.0_f64 / 40.0).exp_m1() * (-41.0_f64 / 40.0).exp();
+    assert!((f64::from(x_nm(&output)) - expected).abs() < 400.0, "{output:?} for {expected}");
+}
+
+#[test]
 fn without_its_heat_a_machine_whose_thermometers_differ_gives_nothing_until_it_no_longer_matters() {
     let mut rig = Rig::new(lagging());
-    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default());
+    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
     let output = live(&mut rig, 1_000, 21, 20);
     assert_eq!((output.quality, output.offset), (Quality::Fault, None));
     assert!(rig.state.heat_is_unknown());
@@ -82,12 +117,12 @@ fn without_its_heat_a_machine_whose_thermometers_differ_gives_nothing_until_it_n
 #[test]
 fn a_machine_whose_thermometers_agree_is_cold_and_so_is_one_that_the_operator_calls_so() {
     let mut rig = Rig::new(lagging());
-    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default());
+    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
     let output = live(&mut rig, 1_000, 21, 21);
     assert_eq!(output.quality, Quality::Live);
 
     let mut rig = Rig::new(lagging());
-    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default());
+    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
     live(&mut rig, 1_000, 21, 20);
     assert!(rig.state.heat_is_unknown());
     rig.bridge.confirm_cold(&mut rig.state);
@@ -99,12 +134,12 @@ fn a_lone_thermometer_never_agrees_with_itself_and_one_that_is_broken_with_none(
     let mut machine = lagging();
     machine.thermometers[5] = None;
     let mut rig = Rig::new(machine);
-    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default());
+    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
     live(&mut rig, 2_000, 21, 21);
     assert!(rig.state.heat_is_unknown());
 
     let mut rig = Rig::new(lagging());
-    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default());
+    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
     warm(&mut rig, 2_000, Some(21), 1_000);
     assert!(rig.state.heat_is_unknown(), "channel 5 says nothing");
 }
@@ -113,7 +148,7 @@ fn a_lone_thermometer_never_agrees_with_itself_and_one_that_is_broken_with_none(
 fn a_machine_without_a_law_that_remembers_needs_no_heat() {
     for machine in [expanding(), calibration()] {
         let mut rig = Rig::new(machine);
-        rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default());
+        rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
         assert!(!rig.state.heat_is_unknown());
     }
 }
@@ -132,7 +167,7 @@ fn heat_is_known_again_by_channel_and_time_constant_alone() {
             _ => thermal.smoothing.0 += 1,
         }
         let mut rig = Rig::new(other);
-        rig.bridge.resume_heat(&mut rig.state, &memory);
+        rig.bridge.resume_heat(&mut rig.state, &memory, 0);
         assert_eq!(!rig.state.heat_is_unknown(), is_known, "{change}");
     }
 }
@@ -181,7 +216,7 @@ fn a_term_of_a_temperature_is_known_where_the_heat_is() {
     let output = live(&mut rig, 1_000, 21, 20);
     assert_eq!((output.quality, x_nm(&output)), (Quality::Live, -1_000));
     let mut rig = Rig::new(machine);
-    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default());
+    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
     let output = live(&mut rig, 1_000, 21, 20);
     assert_eq!((output.quality, output.offset), (Quality::Fault, None));
 }
