@@ -25,6 +25,9 @@ pub const NOT_AVAILABLE: i32 = i32::MIN;
 /// What has to be written to drop the reference: the bytes `zero`, low byte first, so that no stray
 /// write does it.
 pub const FORGET: u32 = u32::from_le_bytes(*b"zero");
+/// What has to be written there to take up the reference that was written to the sub-indices before it, of a
+/// board that this one takes the place of: the bytes `back`.
+pub const BACK: u32 = u32::from_le_bytes(*b"back");
 /// Sub-index of the elongation among the analogue inputs.
 pub const ELONGATION_INPUT: u8 = 9;
 const _: () = assert!(CHANNELS == 8 && HISTORY == 8, "the table has eight lines of each");

@@ -26,9 +26,9 @@ pub enum Command {
     Load(load::Load),
     /// Writes all that a board holds to a file, so that a dead board is replaced by another one.
     Save(backup::Save),
-    /// Loads what `save` has kept into a board, as `load` does, and says what cannot be written back.
+    /// Loads what `save` has kept into a board, as `load` does, with the reference that Zero took.
     ///
-    /// Exit 3: it is stored, but the board does not run on it.
+    /// Exit 3: it is stored, but the board does not run on it, or counts from another zero.
     Restore(backup::Restore),
     /// Shows a bridge live: sensor, growth, offsets by cause, temperatures, faults with what to do.
     ///

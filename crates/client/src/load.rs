@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context as _, Result, bail};
-use trueup_canopen::dictionary::Authority;
+use trueup_canopen::dictionary::{Authority, BACK};
 use trueup_link::{
     frame::Frame,
     frames::{self, State},
@@ -56,6 +56,27 @@ pub fn store(
     let stored_crc = object::number(session, NEW_CRC)?;
     if back != blob || stored_crc != crc {
         bail!("what the bridge has stored is not what was sent; load it again");
+    }
+    Ok(())
+}
+
+/// Gives the bridge the reference of the board whose place it takes, in nm: the elongation, X, Y, Z.
+///
+/// # Errors
+/// The bridge refuses, as one of an older version does; the line breaks; or another one is in force then.
+pub fn put_reference(session: &mut Session, nm: [i32; 4]) -> Result<()> {
+    ask_leave(session)?;
+    for (at, nm) in object::REFERENCE.into_iter().zip(nm) {
+        object::write(session, at, &nm.to_le_bytes(), |_| ())?;
+    }
+    object::write(session, object::KEY, &BACK.to_le_bytes(), |_| ())?;
+    session.end_service();
+    let mut in_force = [0; 4];
+    for (at, nm) in object::REFERENCE.into_iter().zip(&mut in_force) {
+        *nm = object::number(session, at)?.cast_signed();
+    }
+    if in_force != nm {
+        bail!("the reference in force is not what was written");
     }
     Ok(())
 }

@@ -113,6 +113,8 @@ pub struct Node<'a> {
     degraded: bool,
     last: Output,
     zero: Option<Zero>,
+    /// A reference of another board, as far as it was written.
+    offered: Reference,
     /// A `Zero` was refused since [`Node::service`] last ran.
     zero_refused: bool,
     supply: Supply,
@@ -172,6 +174,7 @@ impl<'a> Node<'a> {
             degraded,
             last: Output::default(),
             zero: None,
+            offered: Reference::default(),
             zero_refused: false,
             supply: Supply::default(),
         };

@@ -1,21 +1,16 @@
 //! `trueup bridge save` and `restore`: all that a board holds, in one file, and back into another board.
 //!
-//! The file is JSON. The calibration goes back whole, with its names. What a board learns on its machine and
-//! does not let anybody write (the reference that `Zero` has taken, its log of writes) is kept in the file to
-//! be read: of a reference `restore` warns, and ends with 3, because offsets would count from another zero.
+//! The file is JSON. The calibration goes back whole, with its names, and so does the reference that `Zero` has
+//! taken. The log of writes is a board's own and stays in the file to be read. Where a reference cannot go back
+//! (`--keep-running`; a firmware before 0.2) `restore` warns, and ends with 3, because offsets would count from
+//! another zero.
 
 use std::{fs, path::PathBuf};
 
 use anyhow::{Result, bail};
 use clap::Args;
 use serde_json::{Value, json};
-use trueup_client::{
-    load,
-    object::{self, At},
-    port::Port as Line,
-    session::Session,
-    writes,
-};
+use trueup_client::{load, object, port::Port as Line, session::Session, writes};
 use trueup_store::calibration::{decode, identity};
 
 use super::{
@@ -26,13 +21,8 @@ use crate::{Outcome, UserError, output, report};
 
 /// What the file says that it is.
 const FORMAT: &str = "trueup-bridge-1";
-/// The reference: the elongation, X, Y, Z.
-const REFERENCE: [(At, &str); 4] = [
-    ((0x2010, 1), "elongation_nm"),
-    ((0x2010, 2), "x_nm"),
-    ((0x2010, 3), "y_nm"),
-    ((0x2010, 4), "z_nm"),
-];
+/// What the file calls the parts of the reference.
+const REFERENCE: [&str; 4] = ["elongation_nm", "x_nm", "y_nm", "z_nm"];
 
 #[derive(Args)]
 pub struct Save {
@@ -77,7 +67,7 @@ pub fn save(args: &Save, as_json: bool) -> Result<Outcome> {
     let mut reference = Value::Null;
     if object::number(&mut session, object::HAS_REFERENCE)? != 0 {
         reference = json!({});
-        for (at, name) in REFERENCE {
+        for (at, name) in object::REFERENCE.into_iter().zip(REFERENCE) {
             reference[name] = json!(object::number(&mut session, at)?.cast_signed());
         }
     }
@@ -130,11 +120,27 @@ pub fn restore(args: &Restore, as_json: bool) -> Result<Outcome> {
     if all["calibration_crc"] != format!("{crc:08x}") {
         return Err(bad("the calibration is not the one of its CRC".into()).into());
     }
+    let reference = match &all["reference"] {
+        Value::Null => None,
+        parts => Some(
+            reference_of(parts)
+                .ok_or_else(|| bad("the reference is not four lengths in nm".into()))?,
+        ),
+    };
     let is_bound = calibration.names.board != [0; 3];
 
     args.how.can_ask(as_json)?;
     let mut session = Session::open(&Line::parse(&args.port.port)?)?;
     let loaded = put(&mut session, &blob, args.how);
+    let runs = loaded.as_ref().is_ok_and(|loaded| !args.how.keep_running && loaded.running == crc);
+    // It belongs to the calibration that it was taken with.
+    let taken = match reference {
+        Some(nm) if runs => {
+            load::put_reference(&mut session, nm).map_err(|error| format!("{error:#}"))
+        }
+        Some(_) => Err("the board does not run on this calibration yet".into()),
+        None => Ok(()),
+    };
     session.close();
     let loaded = loaded?;
     let mut notes = Vec::new();
@@ -143,36 +149,49 @@ pub fn restore(args: &Restore, as_json: bool) -> Result<Outcome> {
             "the calibration names a board: another one asks for Confirm (foreign-machine)".into(),
         );
     }
-    let reference = all["reference"].as_object().map(|reference| {
-        let told = reference.iter().filter_map(|(name, nm)| {
-            let axis = name.trim_end_matches("_nm");
-            Some(format!("{axis} {:+.2}", nm.as_f64()? / 1_000.0))
-        });
-        format!(
-            "the reference that Zero had taken is NOT on this board ({} µm): its offsets count from the \
+    match (reference, &taken) {
+        (Some(nm), Ok(())) => notes.push(format!(
+            "the reference that Zero had taken is in force ({}); this board's converter is another one: touch off \
+             a tool before anything is cut",
+            in_micrometres(nm)
+        )),
+        (Some(nm), Err(why)) => report::warn(format_args!(
+            "the reference that Zero had taken is NOT on this board ({}): {why}. Its offsets count from the \
              calibration's own zero. Before anything is cut: bring the machine into the state in which tools \
              are touched off, home it, and let the CNC set Zero again (LinuxCNC: pin trueup.zero)",
-            told.collect::<Vec<_>>().join(", ")
-        )
-    });
-    if let Some(reference) = &reference {
-        report::warn(reference);
-        notes.push(reference.clone());
+            in_micrometres(nm)
+        )),
+        (None, _) => {}
     }
     let is_used = args.how.keep_running || loaded.running == loaded.crc;
-    let is_met = is_used && reference.is_none();
+    let is_met = is_used && taken.is_ok();
     if as_json {
         output::print(json!({
             "crc": format!("{crc:08x}"),
             "running_crc": format!("{:08x}", loaded.running),
+            "reference": reference.map(|_| taken.is_ok()),
             "notes": notes,
         }))?;
     } else {
         output::print(format_args!("calibration {crc:08x}, {} bytes, restored", blob.len()))?;
-        let mut others = notes.iter().filter(|note| reference.as_ref() != Some(*note));
-        others.try_for_each(output::print)?;
+        notes.iter().try_for_each(output::print)?;
     }
     Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
+}
+
+/// The parts of a reference, as the file has them.
+fn reference_of(parts: &Value) -> Option<[i32; 4]> {
+    let mut nm = [0; 4];
+    for (place, name) in nm.iter_mut().zip(REFERENCE) {
+        *place = parts[name].as_i64().and_then(|nm| i32::try_from(nm).ok())?;
+    }
+    Some(nm)
+}
+
+fn in_micrometres(reference: [i32; 4]) -> String {
+    let parts = ["elongation", "X", "Y", "Z"].into_iter().zip(reference);
+    let parts = parts.map(|(name, nm)| format!("{name} {:+.2} µm", f64::from(nm) / 1_000.0));
+    parts.collect::<Vec<_>>().join(", ")
 }
 
 fn hex(bytes: &[u8]) -> String {

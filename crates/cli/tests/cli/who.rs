@@ -129,21 +129,35 @@ fn a_board_is_saved_and_another_one_takes_its_place() {
 }
 
 #[test]
-fn a_reference_that_zero_had_taken_is_told_and_a_restore_without_it_ends_with_3() {
+fn the_reference_that_zero_had_taken_goes_with_it_and_where_it_cannot_that_is_told() {
     let desk = desk();
     let (port, _) = bridge_many(Fault::Zeroed, false);
     desk.said(&format!("bridge save board.json --port {port}"), 0);
     let saved: serde_json::Value = serde_json::from_str(&desk.text("board.json")).expect("JSON");
     assert_eq!(saved["reference"]["elongation_nm"], 2_500, "{saved}");
 
+    // Another board, which has none.
     let (port, _) = bridge_many(Fault::None, false);
     let line = format!("bridge restore board.json --yes --port {port}");
-    let (out, err) = desk.said(&line, 3);
+    let (out, err) = desk.said(&format!("{line} --keep-running"), 3);
     assert!(out.ends_with("restored\n"), "all else is there: {out}");
-    let told = "the reference that Zero had taken is NOT on this board (elongation +2.50, x +0.00";
+    let told =
+        "the reference that Zero had taken is NOT on this board (elongation +2.50 µm, X +0.00";
     assert!(err.contains(told) && err.contains("let the CNC set Zero again"), "{err}");
+    let (out, err) = desk.said(&line, 0);
+    assert!(out.contains("is in force (elongation +2.50 µm, X +0.00"), "{out}");
+    assert!(!err.contains("NOT"), "{err}");
+    desk.said(&format!("bridge save again.json --port {port}"), 0);
+    let again: serde_json::Value = serde_json::from_str(&desk.text("again.json")).expect("JSON");
+    assert_eq!(again["reference"], saved["reference"]);
+
+    // A firmware that does not let it be written.
+    let (port, _) = bridge_many(Fault::Older, false);
+    let line = format!("bridge restore board.json --yes --port {port}");
+    let (_, err) = desk.said(&line, 3);
+    assert!(err.contains(told) && err.contains("object 2010:1"), "{err}");
     let (out, _) = desk.said(&format!("{line} --json"), 3);
-    assert!(out.contains("Zero had taken"), "{out}");
+    assert!(out.contains("\"reference\":false"), "{out}");
 }
 
 #[test]
@@ -158,6 +172,7 @@ fn a_saved_file_that_is_damaged_is_refused_before_anything_is_sent() {
         (whole.replace("trueup-bridge-1", "else"), "is not what bridge save writes"),
         (whole.replace(&crc, "00000000"), "the calibration is not the one of its CRC"),
         (whole.replacen("\"calibration\": \"", "\"calibration\": \"zz", 1), "hexadecimal"),
+        (whole.replace("\"reference\": null", "\"reference\": 3"), "is not four lengths in nm"),
         (whole.replacen("\"calibration\": \"", "\"calibration\": \"00", 1), "damaged.json: "),
         (whole[..whole.len() / 2].to_owned(), "is not what bridge save writes"),
     ] {

@@ -1,13 +1,15 @@
 //! What stands behind the object dictionary: the node's own values.
 
 use trueup_canopen::{
-    dictionary::{Authority, Counter, ELONGATION_INPUT, FORGET, NOT_AVAILABLE, ObjectKind, Stop},
+    dictionary::{
+        Authority, BACK, Counter, ELONGATION_INPUT, FORGET, NOT_AVAILABLE, ObjectKind, Stop,
+    },
     sdo::{Abort, ObjectValue, Objects},
 };
 use trueup_core::{
     bridge::Reference,
     cnc::Quality,
-    units::{Nanometres, Temperature},
+    units::{Fine, Nanometres, Temperature},
 };
 use trueup_link::{layout::NO_TEMPERATURE_RAW, status::Item};
 use trueup_store::{calibration::identity, load::LoadError, writes::What};
@@ -201,6 +203,21 @@ impl Objects for Node<'_> {
                 self.since_heartbeat_ms = 0;
             }
             ObjectKind::Utc => self.set_utc_s(number),
+            ObjectKind::ReferenceElongation => {
+                self.offered.elongation = Nanometres(number.cast_signed());
+            }
+            ObjectKind::Reference(axis) => {
+                let axis = self.offered.axes.get_mut(usize::from(axis));
+                let fine =
+                    i64::from(number.cast_signed()).saturating_mul(Fine::PER_NANOMETRE.into());
+                *axis.ok_or(Abort::NoSubindex)? = Fine::saturating(fine);
+            }
+            ObjectKind::Forget if number == BACK => {
+                let back = core::mem::take(&mut self.offered);
+                self.state.set_reference(back);
+                self.zero = Some(Zero::Taken(back));
+                self.log(What::Zeroed, back.elongation.0.cast_unsigned(), self.log.speaker());
+            }
             ObjectKind::Forget if number != FORGET => return Err(Abort::Value),
             // Again and again it would only fill the flash.
             ObjectKind::Forget if self.state.reference() == Reference::default() => {}

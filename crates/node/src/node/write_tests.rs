@@ -3,10 +3,13 @@
 use super::*;
 use std::{vec, vec::Vec};
 use trueup_canopen::{
-    dictionary::FORGET,
+    dictionary::{BACK, FORGET},
     sdo::{Abort, ObjectValue, Objects as _},
 };
-use trueup_core::{calibration::Names, units::Nanometres};
+use trueup_core::{
+    calibration::Names,
+    units::{Fine, Nanometres},
+};
 use trueup_link::status::StateBits;
 use trueup_store::{
     calibration::{MAX_SIZE, encode, identity},
@@ -174,12 +177,42 @@ fn nothing_is_written_while_an_offset_is_followed_or_without_service() {
             (O::ConsumerHeartbeat, 0x0002_0064),
             (O::ProducerHeartbeat, 0),
             (O::Utc, 1),
+            (O::ReferenceElongation, 9),
+            (O::Reference(0), 9),
+            (O::Forget, BACK),
             (O::Forget, FORGET),
         ] {
             let expected = if may { Ok(()) } else { Err(Abort::DeviceState) };
             assert_eq!(node.write(what, number), expected, "{what:?} {control:?} {quality:?}");
         }
     }
+}
+
+#[test]
+fn the_reference_of_the_board_before_is_taken_when_all_of_it_is_there_and_is_stored() {
+    use trueup_canopen::dictionary::ObjectKind as O;
+    let mut node = named("gantry", [0; 3]);
+    let mut counter = 0;
+    controls(&mut node, Control { service: true, ..Control::REFERENCED }, 5, &mut counter);
+    node.log.speaks(Line::Serial);
+    let offered = [
+        (O::ReferenceElongation, -1_000),
+        (O::Reference(0), 2_000),
+        (O::Reference(1), i32::MAX),
+        (O::Reference(2), -3),
+    ];
+    for (what, nm) in offered {
+        node.write(what, nm.cast_unsigned()).expect("allowed");
+    }
+    assert_eq!((node.reference(), node.take_zero()), (Reference::default(), None), "it waits");
+    node.write(O::Forget, BACK).expect("allowed");
+    // What no board can count stays at the end of its range.
+    let axes = [Fine(2_000 * Fine::PER_NANOMETRE), Fine(i32::MAX), Fine(-3 * Fine::PER_NANOMETRE)];
+    let back = Reference { elongation: Nanometres(-1_000), axes };
+    assert_eq!((node.reference(), node.take_zero()), (back, Some(Zero::Taken(back))));
+    let write = node.take_write().map(|it| (it.what, it.about, it.origin));
+    assert_eq!(write, Some((What::Zeroed, (-1_000_i32).cast_unsigned(), Origin::Serial)));
+    assert_eq!(node.write(O::Forget, BACK + 1), Err(Abort::Value));
 }
 
 #[test]

@@ -15,7 +15,7 @@ use trueup_core::{
     dimensions::CODES_PER_TICK,
     units::{Code, Nanometres, Position, Rpm},
 };
-use trueup_link::{frames, layout::SDO_ANSWER_ID, slcan::Port};
+use trueup_link::{frame::Frame, frames, layout::SDO_ANSWER_ID, slcan::Port};
 use trueup_machine::{Compiled, Machine, MachineFile, compile};
 use trueup_node::node::{Line, Node};
 use trueup_store::{
@@ -50,6 +50,8 @@ pub enum Fault {
     OtherSource,
     /// Its CNC has set `Zero` where the spindle had grown by 2.5 µm.
     Zeroed,
+    /// Its firmware lets nobody write a reference.
+    Older,
 }
 
 /// A bridge at a port of this machine, engaged by a CNC that it has elsewhere.
@@ -146,8 +148,16 @@ pub fn live(
             Ok(length) => {
                 let mut heard = heard.lock().expect("nobody panics with it");
                 heard.bytes.extend(&bytes[..length]);
-                for frame in bytes[..length].iter().filter_map(|&b| port.receive(b)) {
+                let frames = bytes[..length].iter().filter_map(|&byte| port.receive(byte));
+                for frame in frames.collect::<Vec<_>>() {
                     heard.frames += 1;
+                    let is_new = matches!(frame.data(), [0x23, 0x10, 0x20, ..]);
+                    if fault == Fault::Older && is_new {
+                        let read_only = [0x80, 0x10, 0x20, frame.data()[3], 2, 0, 1, 6];
+                        let answer = Frame::new(SDO_ANSWER_ID, &read_only).expect("eight bytes");
+                        port.send(&answer);
+                        continue;
+                    }
                     if fault == Fault::Loses(heard.frames - 1) {
                         continue;
                     }
