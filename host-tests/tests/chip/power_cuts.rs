@@ -76,7 +76,7 @@ fn end(report: &Report) -> (f64, u8) {
 
 /// Whether the last state that the board told says that its heat is not known.
 fn heat_is_unknown(report: &Report) -> bool {
-    let states = report.events.iter().filter_map(|event| {
+    let mut states = report.events.iter().filter_map(|event| {
         let data = event.split(" can 381 ").nth(1)?;
         let bytes: [u8; 8] =
             std::array::from_fn(|n| u8::from_str_radix(&data[2 * n..2 * n + 2], 16).expect("hex"));
@@ -86,7 +86,7 @@ fn heat_is_unknown(report: &Report) -> bool {
             _ => None,
         }
     });
-    states.last().expect("a state").0 & StateBits::HEAT_UNKNOWN.0 != 0
+    states.next_back().expect("a state").0 & StateBits::HEAT_UNKNOWN.0 != 0
 }
 
 /// What the lag makes of the cut: the front at `COOL_C` for all of it, and a second since.
