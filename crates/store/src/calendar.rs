@@ -46,7 +46,7 @@ mod tests {
     use super::*;
 
     fn bcd(number: u32) -> u32 {
-        number / 10 << 4 | number % 10
+        ((number / 10) << 4) | (number % 10)
     }
 
     #[test]
