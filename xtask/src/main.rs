@@ -65,7 +65,11 @@ enum Command {
     Chip(ChipOptions),
     /// Lets the real LinuxCNC cut on a virtual machine that the bridge corrects.
     #[command(name = "linuxcnc")]
-    LinuxCnc,
+    LinuxCnc {
+        /// What the bridge's firmware runs on.
+        #[arg(long, value_enum, default_value_t)]
+        on: linuxcnc::On,
+    },
     /// Prints the size of the firmware images.
     Size,
     /// Builds the firmware images that an installed `trueup` carries, in target/carried.
@@ -177,7 +181,7 @@ fn main() -> ExitCode {
         Command::Verify(_) => verify::run(Tier::Quick),
         Command::Virtual(options) => run_virtual(options),
         Command::Chip(ChipOptions { options }) => run_chip(options),
-        Command::LinuxCnc => linuxcnc::run_and_publish().map(drop),
+        Command::LinuxCnc { on } => linuxcnc::run_and_publish(on).map(drop),
         Command::Size => size::report().map(|report| print!("{report}")),
         Command::Images => firmware::carried().map(|folder| println!("{}", folder.display())),
         Command::Measure => measure::run(measure::VECTORS).and_then(|measured| measured.publish()),

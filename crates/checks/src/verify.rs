@@ -14,7 +14,8 @@ use anyhow::{Result, bail};
 use trueup_emulator::{
     chip,
     firmware::{self, Board},
-    linuxcnc, process,
+    linuxcnc::{self, On},
+    process,
     setup::{self, TOOLCHAIN_VARIABLE},
     size,
 };
@@ -160,11 +161,11 @@ fn long_checks(checks: &mut Verification, programs: &[Program]) {
     });
     checks.step("LinuxCNC in the loop", || {
         // Without a real-time kernel LinuxCNC starves on a busy computer, and the run is worth nothing.
-        let first = linuxcnc::run_and_publish();
+        let first = linuxcnc::run_and_publish(On::Qemu);
         if let Err(error) = &first {
             eprintln!("error: {error:#}; trying again");
         }
-        Ok(match first.or_else(|_| linuxcnc::run_and_publish())? {
+        Ok(match first.or_else(|_| linuxcnc::run_and_publish(On::Qemu))? {
             Some(passed) => Tally::passed(passed),
             None => Tally::lack("this distribution has no package of LinuxCNC"),
         })

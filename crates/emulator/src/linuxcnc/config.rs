@@ -5,6 +5,10 @@
 //! `OFFSET_AV_RATIO` gives external offsets their share a of the axis' acceleration, and at a steady
 //! speed v they are v/(2a) late. 0.0025 of 2000 mm/s² are 5 mm/s²: 7 ms at the diagonal's 70 µm/s. Its
 //! share of the speed, 2.5 mm/s, is then above the slew limit, which the component keeps by itself.
+//!
+//! Where a second of the board takes `slower` seconds of the wall, LinuxCNC's time is as much slower: its
+//! feeds are divided by it, its accelerations by its square, its dwells and the period of the positions are
+//! as much longer. What it expects of the bridge, it expects in its own time: no limit is loosened.
 
 use std::fmt::Write as _;
 
@@ -20,6 +24,12 @@ pub const DIAGONAL_FEED: f64 = 58_000.0;
 pub const ARC: ([f64; 2], f64, f64) = ([13_000.0, 1_500.0], 700.0, 20_000.0);
 /// The heights of the staircase in mm; off the multiples of the screw's pitch.
 pub const STAIRS_MM: [f64; 6] = [101.3, 509.9, 901.2, 1_309.1, 1_717.5, 2_126.8];
+/// The feed between them in mm/min.
+const STAIRS_FEED: f64 = 30_000.0;
+/// The feed of the move with five axes in mm/min.
+const FIVE_AXES_FEED: f64 = 4_000.0;
+/// How long a program waits until an offset has settled.
+const DWELL_S: f64 = 0.3;
 /// The spindle's speed in r/min.
 pub const SPINDLE_RPM: f64 = 24_000.0;
 
@@ -37,9 +47,14 @@ pub mod phase {
     pub const FIVE_AXES: u32 = 5;
 }
 
-/// The .ini. `port` is where the bridge is; `here` is the session's folder.
+/// How often the position of a moving axis is sent, in ms of the board.
+const POSITION_PERIOD_MS: u32 = 2;
+
+/// The .ini. `port` is where the bridge is; `here` is the session's folder. A busy computer answers late, so
+/// LinuxCNC's parts wait for each other.
 #[must_use]
-pub fn ini(port: &str, here: &str) -> String {
+pub fn ini(port: &str, here: &str, slower: u32) -> String {
+    let slow = f64::from(slower);
     let mut text = format!(
         "\
 [EMC]
@@ -49,14 +64,14 @@ DEBUG = 0
 [TRUEUP]
 PORT = {port}
 MACHINE = {here}/machine.toml
-POSITION_PERIOD_MS = 2
+POSITION_PERIOD_MS = {period_ms}
 [DISPLAY]
 DISPLAY = {here}/screen.sh
 [RS274NGC]
 PARAMETER_FILE = {here}/loop.var
 [EMCMOT]
 EMCMOT = motmod
-COMM_TIMEOUT = 1.0
+COMM_TIMEOUT = 30.0
 SERVO_PERIOD = 1000000
 [TASK]
 TASK = milltask
@@ -70,8 +85,8 @@ HALFILE = {here}/loop.hal
 COORDINATES = XYZAC
 LINEAR_UNITS = mm
 ANGULAR_UNITS = degree
-DEFAULT_LINEAR_VELOCITY = 500
-MAX_LINEAR_VELOCITY = 1100
+DEFAULT_LINEAR_VELOCITY = {}
+MAX_LINEAR_VELOCITY = {}
 [EMCIO]
 EMCIO = io
 CYCLE_TIME = 0.1
@@ -81,11 +96,18 @@ KINEMATICS = trivkins coordinates=XYZAC
 JOINTS = 5
 [SPINDLE_0]
 MAX_FORWARD_VELOCITY = 24000
-"
+",
+        500.0 / slow,
+        1_100.0 / slow,
+        period_ms = POSITION_PERIOD_MS * slower,
     );
+    let motion = |velocity: f64, acceleration: f64| {
+        let (velocity, acceleration) = (velocity / slow, acceleration / (slow * slow));
+        format!("MAX_VELOCITY = {velocity}\nMAX_ACCELERATION = {acceleration}\n")
+    };
     let speeds = [1_000.0, 1_000.0, 600.0];
     for (joint, (axis, travel_mm)) in ["X", "Y", "Z"].iter().zip(TRAVEL_MM).enumerate() {
-        let motion = format!("MAX_VELOCITY = {}\nMAX_ACCELERATION = 2000\n", speeds[joint]);
+        let motion = motion(speeds[joint], 2_000.0);
         // An offset moves the joint beyond what was commanded: its limits leave room for it.
         let _ = write!(
             text,
@@ -97,8 +119,7 @@ MAX_FORWARD_VELOCITY = 24000
         );
     }
     for (joint, axis) in [(3, "A"), (4, "C")] {
-        let motion =
-            "MIN_LIMIT = -200\nMAX_LIMIT = 200\nMAX_VELOCITY = 40\nMAX_ACCELERATION = 300\n";
+        let motion = format!("MIN_LIMIT = -200\nMAX_LIMIT = 200\n{}", motion(40.0, 300.0));
         let _ =
             write!(text, "[AXIS_{axis}]\n{motion}[JOINT_{joint}]\nTYPE = ANGULAR\n{motion}{JOINT}");
     }
@@ -138,11 +159,15 @@ setp spindle.0.at-speed 1
     text
 }
 
-/// The bridge's wires, with the angles of the head.
+/// The bridge's wires, with the angles of the head; a slow bridge's slew limit is as slow.
 #[must_use]
-pub fn trueup_hal(shipped: &str) -> String {
+pub fn trueup_hal(shipped: &str, slew_um_per_s: f64, slower: u32) -> String {
     let period = "--position-period-ms";
-    shipped.replacen(period, &format!("--rotary {period}"), 1)
+    let slew = match slower {
+        1 => String::new(),
+        _ => format!("--slew-um-per-s {} ", slew_um_per_s / f64::from(slower)),
+    };
+    shipped.replacen(period, &format!("--rotary {slew}{period}"), 1)
 }
 
 /// The angles and the load for the bridge, and the writer of the servo cycles.
@@ -182,7 +207,8 @@ addf sampler.0 servo-thread
 
 /// The diagonal, the arc and the staircase.
 #[must_use]
-pub fn path(pass: u32) -> String {
+pub fn path(pass: u32, slower: u32) -> String {
+    let slow = f64::from(slower);
     let [x_mm, y_mm, _] = TRAVEL_MM;
     let ([cx, cy], radius, arc_feed) = ARC;
     let mut text = format!(
@@ -193,16 +219,16 @@ M68 E1 Q0
 M68 E2 Q{pass}
 G53 G0 Z1210
 G53 G0 X0 Y0
-G4 P0.6
+G4 P{long_s}
 M68 E1 Q{diagonal}
-G1 X{x_mm} Y{y_mm} F{DIAGONAL_FEED}
-G4 P0.3
+G1 X{x_mm} Y{y_mm} F{diagonal_feed}
+G4 P{dwell_s}
 M68 E1 Q0
 G0 X{start} Y{cy}
-G4 P0.3
+G4 P{dwell_s}
 M68 E1 Q{arc}
 G3 X{end} Y{cy} I-{radius} J0 F{arc_feed}
-G4 P0.3
+G4 P{dwell_s}
 M68 E1 Q0
 G0 Z60
 M68 E1 Q{stairs}
@@ -212,11 +238,15 @@ M68 E1 Q{stairs}
         stairs = phase::STAIRS,
         start = cx + radius,
         end = cx - radius,
+        diagonal_feed = DIAGONAL_FEED / slow,
+        arc_feed = arc_feed / slow,
+        dwell_s = DWELL_S * slow,
+        long_s = 2.0 * DWELL_S * slow,
     );
     let down = STAIRS_MM.iter().rev();
     let turn = [STAIRS_MM[STAIRS_MM.len() - 1] + 40.0];
     for z_mm in STAIRS_MM.iter().chain(&turn).chain(down) {
-        let _ = write!(text, "G1 Z{z_mm} F30000\nG4 P0.3\n");
+        let _ = write!(text, "G1 Z{z_mm} F{}\nG4 P{}\n", STAIRS_FEED / slow, DWELL_S * slow);
     }
     text + "M68 E1 Q0\nM2\n"
 }
@@ -224,32 +254,38 @@ M68 E1 Q{stairs}
 /// The warm-up, which lasts until the machine's clock says that it is over, and the rotary axes with
 /// the warm spindle.
 #[must_use]
-pub fn warm(pass: u32) -> String {
+pub fn warm(pass: u32, slower: u32) -> String {
+    let slow = f64::from(slower);
     format!(
         "\
 G21 G90 G94 G17 G64 P0.001
 M68 E1 Q0
 M68 E2 Q{pass}
 G53 G0 X7000 Y1400 Z20
-G4 P0.6
+G4 P{long_s}
 M68 E1 Q{warm_up}
-G4 P0.1
+G4 P{short_s}
 M3 S{SPINDLE_RPM}
-M66 P0 L3 Q1800
+M66 P0 L3 Q{longest_s}
 M68 E1 Q{five_axes}
-G4 P0.3
+G4 P{dwell_s}
 G0 A40
 G0 C120
-G1 X7300 Y1600 A-35 C-60 F4000
+G1 X7300 Y1600 A-35 C-60 F{five_axes_feed}
 G0 A25 C30
 G0 A0 C0
-G4 P0.3
+G4 P{dwell_s}
 M68 E1 Q0
 M5
 M2
 ",
         warm_up = phase::WARM_UP,
         five_axes = phase::FIVE_AXES,
+        longest_s = 1_800 * slower,
+        five_axes_feed = FIVE_AXES_FEED / slow,
+        long_s = 2.0 * DWELL_S * slow,
+        dwell_s = DWELL_S * slow,
+        short_s = DWELL_S * slow / 3.0,
     )
 }
 
@@ -269,6 +305,9 @@ mod tests {
     #[test]
     fn the_angles_are_asked_for() {
         let shipped = "loadusr -W trueup linuxcnc --position-period-ms 2\n";
-        assert!(trueup_hal(shipped).contains("linuxcnc --rotary --position-period-ms 2"));
+        let real = trueup_hal(shipped, 500.0, 1);
+        assert!(real.contains("linuxcnc --rotary --position-period-ms 2"));
+        let slow = trueup_hal(shipped, 500.0, 4);
+        assert!(slow.contains("--rotary --slew-um-per-s 125 --position-period-ms 2"));
     }
 }

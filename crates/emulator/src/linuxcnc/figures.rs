@@ -28,13 +28,17 @@ use measure::{
 };
 
 use super::{
-    COMPRESSION, PASSES, WARM_UP_S, adapter,
+    COMPRESSION, On, PASSES, WARM_UP_S, adapter,
     config::{OFFSET_AV_RATIO, phase},
     plant::{Account, Cycle},
 };
 
 /// What the run has left.
 pub struct Run {
+    /// What the firmware ran on.
+    pub on: On,
+    /// A second of the board in motion, in seconds of the wall.
+    pub slower: u32,
     /// All servo cycles.
     pub cycles: Vec<Cycle>,
     /// What the loop has done.
@@ -110,21 +114,25 @@ pub struct Across {
 /// What was compressed, and what was not.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Time {
-    /// Seconds of board and machine in the warm-up.
+    /// In motion a second of the board was so many of the wall, for LinuxCNC as well.
+    pub slower: u32,
+    /// Seconds of the machine in the warm-up.
     pub warm_up_s: u32,
     /// Seconds of the wall that it took, in which LinuxCNC lived in real time.
     pub warm_up_wall_s: f64,
-    /// The factor that was asked for.
+    /// The factor that was asked for: over the wall in QEMU, over the chip on its model.
     pub compression: u32,
     /// The board's `link_timeout_ms` and `hold_ms` were so many times longer in the warm-up and after
     /// it, because they count its own time.
     pub limits_longer_by: u32,
+    /// The time constants of the machine file were so many times shorter there.
+    pub constants_shorter_by: u32,
     /// In the warm-up LinuxCNC got one pair of offsets in so many.
     pub pairs_passed_one_in: u32,
     /// Milliseconds that the boards lived through.
     pub board_ms: u64,
-    /// Milliseconds by which their clock fell behind for good at real time: this computer was too
-    /// slow.
+    /// Milliseconds by which their clock fell behind for good while nothing was compressed: this computer
+    /// was too slow.
     pub slipped_ms: u64,
     /// Seconds that everything took.
     pub wall_s: f64,
@@ -133,8 +141,8 @@ pub struct Time {
 /// All of it.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Figures {
-    /// Always `virtual`: the firmware ran on the emulated board.
-    pub board: &'static str,
+    /// What the firmware ran on.
+    pub board: On,
     /// What is claimed.
     pub checks: Vec<Check>,
     /// Across the diagonal.
@@ -162,8 +170,8 @@ pub struct Figures {
     pub largest_step_um: f64,
     /// Servo cycles that were looked at, and those that `sampler` lost.
     pub cycles: [u64; 2],
-    /// Pairs that LinuxCNC got, frames that the board got.
-    pub frames: [u64; 2],
+    /// Pairs that LinuxCNC got, frames that the board got; counted by the adapter, where there is one.
+    pub frames: Option<[u64; 2]>,
     /// The component's counters at the end, by their pins.
     pub component: Vec<(String, f64)>,
     /// What the diagnosis has found in the measured run.
@@ -271,9 +279,13 @@ impl Figures {
                 run.slew_um_per_s * 1e-3 + 0.01,
             ),
         ];
+        let [limits_longer_by, constants_shorter_by, pairs_passed_one_in] = match run.on {
+            On::Qemu => [COMPRESSION, 1, adapter::COMPRESSED_STRIDE],
+            On::Chip => [1, COMPRESSION, 1],
+        };
         let Account { board_ms, slipped_ms, lost_samples, traffic } = run.account;
         Ok(Self {
-            board: "virtual",
+            board: run.on,
             checks,
             arc_radial_um: [radial(&arc_before), radial(&arc_after)],
             arc_z_um: [&arc_before, &arc_after]
@@ -282,11 +294,13 @@ impl Figures {
             growth_um,
             ignored_against_cut_um: ignored_against_cut_um(&before, &after),
             time: Time {
+                slower: run.slower,
                 warm_up_s: WARM_UP_S,
                 warm_up_wall_s: run.warm_up_wall_s,
                 compression: COMPRESSION,
-                limits_longer_by: COMPRESSION,
-                pairs_passed_one_in: adapter::COMPRESSED_STRIDE,
+                limits_longer_by,
+                constants_shorter_by,
+                pairs_passed_one_in,
                 board_ms,
                 slipped_ms,
                 wall_s: run.wall_s,
@@ -295,7 +309,7 @@ impl Figures {
             offset_av_ratio: OFFSET_AV_RATIO,
             largest_step_um: largest_step_um(&run.cycles),
             cycles: [run.cycles.len() as u64, lost_samples],
-            frames: [traffic.0, traffic.1],
+            frames: traffic.map(|(pairs, frames)| [pairs, frames]),
             component: run.errors.clone(),
             findings: run.findings.clone(),
             machine_file: run.machine_file.clone(),
@@ -357,14 +371,17 @@ impl Figures {
             "\nThe lag is {:.1} ms over the diagonal, {worst_ms:.1} ms in its worst two seconds. Where the \
              error is steepest\n({steepest_um_per_mm:.3} um/mm) it costs {costs_um_at_10_m_per_min:.2} um at \
              10 m/min.\nThe arc: {:.1} -> {:.1} um radially, {:.1} -> {:.1} um on Z.\n\
-             Two hours of warm-up took {:.0} s, {:.0} times as fast; the whole took {:.0} s.",
+             A second in motion took {} of the wall. Two hours of warm-up took {:.0} s, {:.0} times as fast;\n\
+             {} ms of the board were lost by a slow computer. The whole took {:.0} s.",
             self.lag.mean_ms,
             self.arc_radial_um[0],
             self.arc_radial_um[1],
             self.arc_z_um[0],
             self.arc_z_um[1],
+            self.time.slower,
             self.time.warm_up_wall_s,
             f64::from(self.time.warm_up_s) / self.time.warm_up_wall_s,
+            self.time.slipped_ms,
             self.time.wall_s,
         )
     }

@@ -12,20 +12,26 @@
 //! |---|---|---|
 //! | CNC | Debian's `linuxcnc-uspace`, no screen, no privileges, real time | [`headless`], [`config`] |
 //! | component | `trueup linuxcnc`, wired by `integrations/linuxcnc/trueup.hal` | |
-//! | bridge | the firmware in QEMU, fed through the analogue front end | [`plant`] |
-//! | its link | CAN through the pipes of the samples, SLCAN before it | [`adapter`] |
+//! | bridge | the firmware in QEMU, or the image that is flashed on the model of its chip | [`bridge`] |
+//! | its link in QEMU | CAN through the pipes of the samples, SLCAN before it | [`adapter`] |
 //! | machine | the twin: heat, guides, screws, spindle, sensors | [`plant`], `machine.toml` |
 //! | machine file | measured on the twin, fitted, diagnosed | [`measured`] |
 //! | figures | from every servo cycle | [`figures`], [`page`] |
 //!
 //! Tests that need a control and no bridge start the LinuxCNC of [`three_joints`].
 //!
-//! What is compressed, and how: in the warm-up a second of the wall is up to [`COMPRESSION`] seconds of
-//! board and machine; LinuxCNC stays in real time and its G-code waits for the machine's clock. The
-//! board counts silence of the CNC in its own time, so it gets `[limits]` that are as many times
+//! What is compressed, and how. In QEMU: in the warm-up a second of the wall is up to [`COMPRESSION`]
+//! seconds of board and machine; LinuxCNC stays in real time and its G-code waits for the machine's clock.
+//! The board counts silence of the CNC in its own time, so it gets `[limits]` that are as many times
 //! longer, and LinuxCNC gets every 257th pair of offsets. All motion is cut at real time.
+//!
+//! On the model of the chip a second of the board is some of the wall, by a factor that is measured first.
+//! The motion is slower by it (see [`config`]) and every figure is taken in the board's time. The board
+//! itself cannot be hurried, so in the warm-up the machine is: it lives [`COMPRESSION`] seconds in one
+//! of the board, whose machine file has time constants as many times shorter. No limit of anybody is other.
 
 pub mod adapter;
+pub mod bridge;
 pub mod config;
 pub mod figures;
 pub mod headless;
@@ -36,30 +42,56 @@ pub mod three_joints;
 
 use std::{
     fs,
-    path::Path,
+    path::{Path, PathBuf},
     thread,
     time::{Duration, Instant},
 };
 
 use anyhow::{Context as _, Result, ensure};
+use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
 use trueup_machine::{Machine, MachineFile, compile};
 use trueup_twin::machine::Machine as Twin;
 
 use self::{
+    bridge::{Bridge, Images, Wiring},
     figures::{Figures, Run},
     headless::Headless,
     measured::{LOOP_SEED, Measured},
-    plant::{Parts, Plant},
+    plant::Plant,
 };
 use crate::{
+    chip,
     firmware::{self, Board},
     programs, setup,
 };
 
-/// How many times faster than the wall the board and the machine live through the warm-up, if this
-/// computer is fast enough; else they take longer.
+/// How many times faster the machine lives through the warm-up: in QEMU than the wall, with the board, if
+/// this computer is fast enough; on the model of the chip than the board.
 pub const COMPRESSION: u32 = 72;
+
+/// What the firmware runs on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum On {
+    /// The image for the emulator, in QEMU.
+    #[default]
+    Qemu,
+    /// The image that is flashed, on the model of its chip: several times slower.
+    Chip,
+}
+
+impl On {
+    /// Where the page and the figures go.
+    fn folder(self) -> &'static str {
+        match self {
+            Self::Qemu => "target/linuxcnc",
+            Self::Chip => "target/linuxcnc-chip",
+        }
+    }
+}
+
 /// The warm-up in seconds of the machine.
 pub const WARM_UP_S: u32 = 7_200;
 /// The first pass of the path, without compensation, and the second, with it; then the warm-up.
@@ -70,11 +102,12 @@ const PATIENCE: Duration = Duration::from_secs(180);
 const SLOWEST: u32 = 6;
 const SEED: u64 = 77;
 
-/// Runs the whole; `None` where the distribution has no package of LinuxCNC.
+/// Runs the whole; `None` where the distribution has no package of LinuxCNC, or the compiler is too old for
+/// the model of the chip.
 ///
 /// # Errors
 /// Something does not run. What is not reached is not an error here: [`Figures::check`] says it.
-pub fn run() -> Result<Option<Figures>> {
+pub fn run(on: On) -> Result<Option<Figures>> {
     let started = Instant::now();
     let Some(control) = setup::linuxcnc()? else { return Ok(None) };
     let bar = ProgressBar::new_spinner();
@@ -87,27 +120,38 @@ pub fn run() -> Result<Option<Figures>> {
     };
 
     tell("building the firmware and the host tool");
-    let image = firmware::build(Board::Virtual)?;
     let trueup = programs::trueup()?;
+    let firmware = match on {
+        On::Qemu => Some(firmware::build(Board::Virtual)?),
+        On::Chip => chip::build()?,
+    };
+    // The image, or the program that is the chip.
+    let Some(firmware) = firmware else { return Ok(None) };
     tell("measuring the machine, fitting its machine file");
     let measured = {
         let work = tempfile::tempdir()?;
         measured::measure(&trueup, work.path())?
     };
-    let blobs = blobs(&measured)?;
+    let images = match on {
+        On::Qemu => Images::Qemu(firmware, blobs(&measured)?),
+        On::Chip => {
+            tell("building the images of this machine");
+            Images::Chip(firmware, images(&measured)?)
+        }
+    };
 
     tell("starting the bridge and LinuxCNC");
     let twin = measured::twin()?;
     let inputs = measured.machine.inputs.as_ref().context("the machine file has its inputs")?;
     let sensor = inputs.sensor.as_ref().context("the machine file has a sensor")?;
-    let mut plant = Plant::start(Parts {
-        image,
-        calibration: blobs[0].clone(),
-        twin: Twin::new(&twin, LOOP_SEED),
-        temperatures: inputs.temperatures.clone(),
-        divider: sensor.divider,
-        seed: SEED,
-    })?;
+    let temperatures = inputs.temperatures.clone();
+    let wiring = Wiring { temperatures, divider: sensor.divider, seed: SEED };
+    let bridge = Bridge::start(images, wiring)?;
+    let slower = bridge.slower();
+    if slower > 1 {
+        tell(&format!("a second of the board is given {slower} of the wall, and so is the CNC's"));
+    }
+    let mut plant = Plant::start(bridge, Twin::new(&twin, LOOP_SEED));
     let mut cnc = start(&trueup, &plant, &measured, control)?;
     let (sampler, cycles) = cnc.sample()?;
     plant.listen(cycles);
@@ -122,8 +166,8 @@ pub fn run() -> Result<Option<Figures>> {
     cut(&mut cnc, &mut plant, "path-2.ngc")?;
 
     tell(&format!("two hours of warm-up, {COMPRESSION} times as fast"));
-    plant.swap(blobs[1].clone());
-    thread::sleep(Duration::from_secs(2));
+    plant.swap();
+    thread::sleep(Duration::from_secs(2) * slower);
     engaged(&mut cnc, &mut plant)?;
     let warm_up = Instant::now();
     warm_up_phase(&mut cnc, &mut plant)?;
@@ -131,7 +175,7 @@ pub fn run() -> Result<Option<Figures>> {
     tell("five axes, at real time");
     while cnc.is_busy()? {
         plant.check()?;
-        ensure!(warm_up.elapsed() < PATIENCE * SLOWEST, "the program does not end");
+        ensure!(warm_up.elapsed() < PATIENCE * SLOWEST * slower, "the program does not end");
         thread::sleep(Duration::from_millis(50));
     }
     let names = ["crc-errors", "seq-errors", "lost", "malformed", "fault"];
@@ -144,6 +188,8 @@ pub fn run() -> Result<Option<Figures>> {
     let (cycles, account) = plant.finish()?;
     bar.finish_and_clear();
     let run = Run {
+        on,
+        slower,
         cycles,
         account,
         warm_up_wall_s,
@@ -157,23 +203,24 @@ pub fn run() -> Result<Option<Figures>> {
     Figures::of(&run).map(Some)
 }
 
-/// Runs it, writes `target/linuxcnc/` and prints the figures.
+/// Runs it, writes `target/linuxcnc/` or `target/linuxcnc-chip/`, and prints the figures.
 ///
 /// # Errors
 /// It does not run, or a figure is not reached; with the figure.
-pub fn run_and_publish() -> Result<Option<u32>> {
-    let Some(figures) = run()? else {
-        println!("skipped: this distribution has no package of LinuxCNC");
+pub fn run_and_publish(on: On) -> Result<Option<u32>> {
+    let Some(figures) = run(on)? else {
+        println!(
+            "skipped: there is no package of LinuxCNC, or the compiler is too old for the chip"
+        );
         return Ok(None);
     };
-    let folder = setup::root().join("target/linuxcnc");
+    let folder = setup::root().join(on.folder());
     fs::create_dir_all(&folder)?;
     fs::write(folder.join("summary.json"), serde_json::to_string_pretty(&figures)? + "\n")?;
     fs::write(folder.join("report.html"), page::page(&figures))?;
     println!("{}", figures.table());
-    println!(
-        "\nThe picture: target/linuxcnc/report.html   The figures: target/linuxcnc/summary.json"
-    );
+    let shown = on.folder();
+    println!("\nThe picture: {shown}/report.html   The figures: {shown}/summary.json");
     figures.check().map(Some)
 }
 
@@ -187,28 +234,45 @@ fn blobs(measured: &Measured) -> Result<[Vec<u8>; 2]> {
     Ok([blob(&measured.machine)?, blob(&slow)?])
 }
 
+/// The images for the machine, and for the same machine that lives faster, which differ in the time constants.
+fn images(measured: &Measured) -> Result<[PathBuf; 2]> {
+    let folder = setup::root().join(On::Chip.folder());
+    fs::create_dir_all(&folder)?;
+    let image = |name: &str, text: &str| -> Result<PathBuf> {
+        let machine = folder.join(name).with_extension("toml");
+        fs::write(&machine, text)?;
+        // Somebody else may build another machine's under the same name.
+        let image = folder.join(name).with_extension("elf");
+        fs::copy(firmware::build_for(&machine)?, &image)?;
+        Ok(image)
+    };
+    let hurried = measured.hurried(COMPRESSION)?;
+    Ok([image("machine", &measured.text)?, image("hurried", &hurried)?])
+}
+
 fn start(
     trueup: &Path,
     plant: &Plant,
     measured: &Measured,
     control: setup::LinuxCnc,
 ) -> Result<Headless> {
+    let (slower, slew_um_per_s) = (plant.slower(), measured.machine.limits.slew_um_per_s);
     let folder = Headless::new_folder()?;
     fs::copy(trueup, folder.path().join("trueup"))?;
     let here = folder.path().to_str().context("a temporary folder has a plain name")?.to_owned();
     let sample =
         |name: &str| fs::read_to_string(setup::root().join("integrations/linuxcnc").join(name));
     let texts = [
-        ("loop.ini", config::ini(plant.address(), &here)),
+        ("loop.ini", config::ini(plant.address(), &here, slower)),
         ("machine.hal", config::machine_hal()),
         ("trueup_watchdog.hal", sample("trueup_watchdog.hal")?),
-        ("trueup.hal", config::trueup_hal(&sample("trueup.hal")?)),
+        ("trueup.hal", config::trueup_hal(&sample("trueup.hal")?, slew_um_per_s, slower)),
         ("loop.hal", config::loop_hal()),
         ("machine.toml", measured.text.clone()),
         ("loop.tbl", String::new()),
-        ("path-1.ngc", config::path(PASSES[0])),
-        ("path-2.ngc", config::path(PASSES[1])),
-        ("warm.ngc", config::warm(PASSES[2])),
+        ("path-1.ngc", config::path(PASSES[0], slower)),
+        ("path-2.ngc", config::path(PASSES[1], slower)),
+        ("warm.ngc", config::warm(PASSES[2], slower)),
     ];
     for (name, text) in texts {
         fs::write(folder.path().join(name), text)?;
@@ -222,7 +286,8 @@ fn cut(cnc: &mut Headless, plant: &mut Plant, program: &str) -> Result<()> {
     let begun = Instant::now();
     while cnc.is_busy()? {
         plant.check()?;
-        ensure!(begun.elapsed() < PATIENCE, "{program} is not done after {PATIENCE:?}");
+        let patience = PATIENCE * plant.slower();
+        ensure!(begun.elapsed() < patience, "{program} is not done after {patience:?}");
         thread::sleep(Duration::from_millis(50));
     }
     Ok(())
@@ -250,6 +315,7 @@ fn engaged(cnc: &mut Headless, plant: &mut Plant) -> Result<()> {
 
 /// Two hours of the machine.
 fn warm_up_phase(cnc: &mut Headless, plant: &mut Plant) -> Result<()> {
+    let lived_s = |plant: &Plant| plant.latest().map_or(0.0, |cycle| cycle.time_s);
     cnc.begin("warm.ngc")?;
     let begun = Instant::now();
     while plant.latest().is_none_or(|cycle| cycle.phase != config::phase::WARM_UP) {
@@ -257,7 +323,7 @@ fn warm_up_phase(cnc: &mut Headless, plant: &mut Plant) -> Result<()> {
         ensure!(begun.elapsed() < PATIENCE, "the warm-up does not begin");
         thread::sleep(Duration::from_millis(5));
     }
-    let from_ms = plant.board_ms();
+    let from_s = lived_s(plant);
     // It runs up at real time: growth by speed comes within seconds.
     while plant.latest().is_none_or(|cycle| cycle.spindle_rpm < config::SPINDLE_RPM) {
         plant.check()?;
@@ -265,14 +331,14 @@ fn warm_up_phase(cnc: &mut Headless, plant: &mut Plant) -> Result<()> {
         thread::sleep(Duration::from_millis(5));
     }
     plant.set_factor(COMPRESSION);
-    while plant.board_ms() - from_ms < u64::from(WARM_UP_S) * 1_000 {
+    while lived_s(plant) - from_s < f64::from(WARM_UP_S) {
         plant.check()?;
         cnc.is_busy()?;
-        ensure!(begun.elapsed() < PATIENCE * SLOWEST, "the warm-up does not end");
+        ensure!(begun.elapsed() < PATIENCE * SLOWEST * plant.slower(), "the warm-up does not end");
         thread::sleep(Duration::from_millis(20));
     }
     plant.set_factor(1);
     // At real time again before the axes move.
-    thread::sleep(Duration::from_millis(300));
+    thread::sleep(Duration::from_millis(300) * plant.slower());
     cnc.set("motion.digital-in-00", 1)
 }

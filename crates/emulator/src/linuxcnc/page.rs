@@ -2,7 +2,10 @@
 
 use trueup_page::{Chart, Colour, Page, Series, Table, micrometres};
 
-use super::figures::{Check, ErrorCurve, Figures, Stair};
+use super::{
+    On,
+    figures::{Check, ErrorCurve, Figures, Stair},
+};
 
 /// The page.
 #[must_use]
@@ -10,9 +13,12 @@ pub fn page(figures: &Figures) -> String {
     let mut page = Page::new("Where the tool tip really was, without and with the bridge");
     verdict(&mut page, &figures.checks);
     page.text(&format!(
-        "A real LinuxCNC drives a virtual gantry of 14.3 × 3 × 2.5 m; the bridge's real firmware, on an \
-         emulated board, corrects it through LinuxCNC's external offsets. The machine file was made by \
+        "A real LinuxCNC drives a virtual gantry of 14.3 × 3 × 2.5 m; the bridge's real firmware, {}, corrects it through LinuxCNC's external offsets. The machine file was made by \
          measuring the virtual machine and fitting, as on a real one. {} servo cycles were looked at.",
+        match figures.board {
+            On::Qemu => "on an emulated board",
+            On::Chip => "as it is flashed, on the model of its chip",
+        },
         figures.cycles[0]
     ));
     let mut table = Table::new(&["", "without", "with", "", "wanted"]);
@@ -119,17 +125,29 @@ fn lag(figures: &Figures) -> String {
 
 fn compressed(figures: &Figures) -> String {
     let time = &figures.time;
+    let hours = f64::from(time.warm_up_s) / 3_600.0;
+    let times = f64::from(time.warm_up_s) / time.warm_up_wall_s;
+    let how = match figures.board {
+        On::Qemu => format!(
+            "All motion was cut at real time. In the warm-up board and machine lived {hours:.0} h in {:.0} s, \
+             {times:.0} times as fast as the wall clock, while LinuxCNC stayed in real time and its program \
+             waited for the machine's clock. Because the board counts the CNC's silence in its own time, its \
+             link_timeout_ms and hold_ms were {} times longer in this part; LinuxCNC got one pair of offsets \
+             in {}, each as the board sent it.",
+            time.warm_up_wall_s, time.limits_longer_by, time.pairs_passed_one_in,
+        ),
+        On::Chip => format!(
+            "On this computer a second of the chip was given {} of the wall, and so was LinuxCNC's: feeds \
+             divided by it, accelerations by its square, dwells and the period of positions as much longer; \
+             all times here are the chip's. In the warm-up the machine lived {} times faster than the chip, \
+             whose machine file had time constants as many times shorter: {hours:.0} h took {:.0} s, \
+             {times:.0} times as fast as the wall clock. No limit of board or component was longer, and \
+             LinuxCNC got every pair of offsets.",
+            time.slower, time.compression, time.warm_up_wall_s,
+        ),
+    };
     format!(
-        "All motion was cut at real time. In the warm-up board and machine lived {:.0} h in {:.0} s, {:.0} \
-         times as fast as the wall clock, while LinuxCNC stayed in real time and its program waited for the \
-         machine's clock. Because the board counts the CNC's silence in its own time, its link_timeout_ms \
-         and hold_ms were {} times longer in this part; LinuxCNC got one pair of offsets in {}, each as the \
-         board sent it. Board time lost in the motion because this computer was too slow: {} ms.",
-        f64::from(time.warm_up_s) / 3_600.0,
-        time.warm_up_wall_s,
-        f64::from(time.warm_up_s) / time.warm_up_wall_s,
-        time.limits_longer_by,
-        time.pairs_passed_one_in,
+        "{how} Board time lost in the motion because this computer was too slow: {} ms.",
         time.slipped_ms
     )
 }

@@ -2,20 +2,20 @@
 //! bridge.
 //!
 //! ```text
-//!  LinuxCNC ─ sampler, every servo cycle ─► twin ─► volts, temperatures ─► front end ─► board (QEMU)
-//!     ▲                                      └► true tool-tip error ─► record              │ CAN
-//!     └─ external offset ◄─ trueup linuxcnc ◄───────── SLCAN ◄─ adapter ◄──────────────────┘
+//!  LinuxCNC ─ sampler, every servo cycle ─► twin ─► volts, temperatures ─► bridge (QEMU or chip)
+//!     ▲                                      └► true tool-tip error ─► record   │ SLCAN
+//!     └─ external offset ◄─ trueup linuxcnc ◄───────────────────────────────────┘
 //! ```
 //!
-//! The board's clock is the machine's: a second of the wall is `factor` seconds of both. LinuxCNC
-//! lives in real time throughout. Two machines of the same make and seed are stepped: one hears
+//! In QEMU the board's clock is the machine's: a second of the wall is `factor` seconds of both. On the
+//! model of the chip a second of the board is some of the wall, and `factor` seconds of the machine; the
+//! record then has one servo cycle in so many, so that a cycle is a millisecond of the machine on both.
+//! LinuxCNC lives in real time throughout. Two machines of the same make and seed are stepped: one hears
 //! what LinuxCNC really commands its motors, with the offsets; the other hears the same less the
 //! external offset that LinuxCNC reports, and so is the machine without compensation.
 
 use std::{
-    collections::BTreeMap,
     io::{BufRead as _, BufReader},
-    path::PathBuf,
     process::ChildStdout,
     sync::{
         Arc, Mutex, MutexGuard, PoisonError,
@@ -27,20 +27,16 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, anyhow, bail};
-use trueup_machine::inputs::TemperatureInput;
-use trueup_pipe::Block;
 use trueup_twin::machine::{Command, Machine};
 
-use super::adapter::{Adapter, COMPRESSED_STRIDE};
-use crate::{
-    board::{LARGEST_BATCH, VirtualBoard},
-    front_end::FrontEnd,
-    replay,
-};
+use super::bridge::Bridge;
+use crate::board::LARGEST_BATCH;
 
 /// At real time the board may fall behind the clock by so much before its time slips. Compressed time
-/// goes as fast as it can, and nothing waits.
+/// goes as fast as it can, and nothing waits. The model of the chip takes long to catch up, and its offsets
+/// would be late until then: there a slow computer makes the board's time slower instead.
 const LARGEST_BACKLOG_MS: f64 = 500.0;
+const LARGEST_BACKLOG_OF_A_CHIP_MS: f64 = 10.0;
 /// While time is compressed, board and machine wait for a CNC that has been silent for so long: a
 /// stall of this computer would count for a minute.
 const HESITATION: Duration = Duration::from_millis(60);
@@ -113,7 +109,7 @@ struct Shared {
     lost_samples: AtomicU64,
     cycles: Mutex<Vec<Cycle>>,
     log: Mutex<Vec<String>>,
-    swap: Mutex<Option<Vec<u8>>>,
+    swap: AtomicBool,
 }
 
 /// What the loop has done.
@@ -126,54 +122,44 @@ pub struct Account {
     pub slipped_ms: u64,
     /// Servo cycles that `sampler` could not keep.
     pub lost_samples: u64,
-    /// Pairs of offsets passed on to LinuxCNC, and frames heard from it.
-    pub traffic: (u64, u64),
+    /// Pairs of offsets passed on to LinuxCNC, and frames heard from it, where they are counted.
+    pub traffic: Option<(u64, u64)>,
 }
+
+/// What the loop's thread leaves.
+type Traffic = Option<(u64, u64)>;
 
 /// The running machine.
 pub struct Plant {
     shared: Arc<Shared>,
     to_loop: Sender<Sample>,
-    thread: Option<JoinHandle<Result<(u64, u64)>>>,
+    thread: Option<JoinHandle<Result<Traffic>>>,
+    slower: u32,
     address: String,
 }
 
-/// What the loop is made of.
-pub struct Parts {
-    /// The board's image.
-    pub image: PathBuf,
-    /// The calibration that it starts with.
-    pub calibration: Vec<u8>,
-    /// The virtual machine tool.
-    pub twin: Machine,
-    /// The channels of the board, by the names under which the machine states its temperatures.
-    pub temperatures: BTreeMap<String, TemperatureInput>,
-    /// The divider before the converter.
-    pub divider: f64,
-    /// Seed of the front end's noise.
-    pub seed: u64,
-}
-
 impl Plant {
-    /// Boots the board and lets the machine live, in real time.
-    ///
-    /// # Errors
-    /// The board does not come up.
-    pub fn start(parts: Parts) -> Result<Self> {
-        let adapter = Adapter::listen()?;
-        let address = adapter.address();
+    /// Lets a machine live at a running bridge.
+    #[must_use]
+    pub fn start(bridge: Bridge, twin: Machine) -> Self {
+        let (address, slower) = (bridge.address(), bridge.slower());
         let shared = Arc::new(Shared { factor: AtomicU32::new(1), ..Shared::default() });
-        let board = VirtualBoard::boot(&parts.image, &parts.calibration)?;
         let (to_loop, samples) = mpsc::channel();
         let theirs = shared.clone();
-        let thread = thread::spawn(move || Loop::new(parts, board, adapter, samples, theirs).run());
-        Ok(Self { shared, to_loop, thread: Some(thread), address })
+        let thread = thread::spawn(move || Loop::new(twin, samples, theirs).run(bridge));
+        Self { shared, to_loop, thread: Some(thread), slower, address }
     }
 
     /// Where the bridge is to be found by the CNC.
     #[must_use]
     pub fn address(&self) -> &str {
         &self.address
+    }
+
+    /// A second of the machine in motion, in seconds of the wall.
+    #[must_use]
+    pub fn slower(&self) -> u32 {
+        self.slower
     }
 
     /// Takes in LinuxCNC's servo cycles from now on.
@@ -191,20 +177,14 @@ impl Plant {
         });
     }
 
-    /// Lets time pass so many times as fast for board and machine.
+    /// Lets time pass so many times as fast for the machine.
     pub fn set_factor(&self, factor: u32) {
         self.shared.factor.store(factor, Ordering::Relaxed);
     }
 
-    /// Takes the board's power and gives it another calibration.
-    pub fn swap(&self, calibration: Vec<u8>) {
-        *lock(&self.shared.swap) = Some(calibration);
-    }
-
-    /// Milliseconds that the boards have lived through.
-    #[must_use]
-    pub fn board_ms(&self) -> u64 {
-        self.shared.board_ms.load(Ordering::Relaxed)
+    /// Takes the board's power and gives it the machine file of the warm-up.
+    pub fn swap(&self) {
+        self.shared.swap.store(true, Ordering::Relaxed);
     }
 
     /// The newest servo cycle.
@@ -247,7 +227,7 @@ impl Plant {
         Ok((std::mem::take(&mut lock(&self.shared.cycles)), account))
     }
 
-    fn join(&mut self) -> Result<(u64, u64)> {
+    fn join(&mut self) -> Result<Traffic> {
         self.shared.stop.store(true, Ordering::Relaxed);
         let thread = self.thread.take().context("the loop has ended before")?;
         thread.join().map_err(|_| anyhow!("the loop has panicked"))?
@@ -312,15 +292,11 @@ fn whole(value: f64) -> u32 {
 
 /// The loop itself.
 struct Loop {
-    parts: Parts,
-    board: VirtualBoard,
-    front_end: FrontEnd,
-    adapter: Adapter,
     with: Machine,
     without: Machine,
     samples: Receiver<Sample>,
     shared: Arc<Shared>,
-    /// Milliseconds that the board has lived through and the machine has not.
+    /// Milliseconds of the machine that the board has lived through and the machine has not.
     ahead_ms: f64,
     heard: Option<Instant>,
     /// What the spindle's drive has reached, in r/min.
@@ -328,20 +304,10 @@ struct Loop {
 }
 
 impl Loop {
-    fn new(
-        parts: Parts,
-        board: VirtualBoard,
-        adapter: Adapter,
-        samples: Receiver<Sample>,
-        shared: Arc<Shared>,
-    ) -> Self {
+    fn new(twin: Machine, samples: Receiver<Sample>, shared: Arc<Shared>) -> Self {
         Self {
-            front_end: FrontEnd::new(parts.divider, parts.seed),
-            with: parts.twin.clone(),
-            without: parts.twin.clone(),
-            parts,
-            board,
-            adapter,
+            with: twin.clone(),
+            without: twin,
             samples,
             shared,
             ahead_ms: 0.0,
@@ -350,78 +316,63 @@ impl Loop {
         }
     }
 
-    fn run(mut self) -> Result<(u64, u64)> {
+    fn run(mut self, mut bridge: Bridge) -> Result<Traffic> {
         let mut owed_ms = 0.0;
         let mut last = Instant::now();
         while !self.shared.stop.load(Ordering::Relaxed) {
-            if let Some(calibration) = lock(&self.shared.swap).take() {
+            if self.shared.swap.swap(false, Ordering::Relaxed) {
                 // A power cut, and another machine file behind it.
-                let image = self.parts.image.clone();
-                self.board = VirtualBoard::boot(&image, &calibration)?;
+                bridge = bridge.swap()?;
                 last = Instant::now();
                 self.heard = self.heard.map(|_| last);
             }
             let factor = self.shared.factor.load(Ordering::Relaxed);
-            self.adapter.set_stride(if factor > 1 { COMPRESSED_STRIDE } else { 1 });
+            let [of_board, of_machine] = bridge.paces(factor);
             let now = Instant::now();
-            owed_ms += now.duration_since(last).as_secs_f64() * 1e3 * f64::from(factor);
+            owed_ms += now.duration_since(last).as_secs_f64() * 1e3 * of_board;
             last = now;
-            let is_real = factor <= 1;
-            let most_ms = if is_real { LARGEST_BACKLOG_MS } else { f64::from(LARGEST_BATCH) };
+            let is_compressed = of_board > 1.0;
+            let most_ms = match of_board {
+                more if more > 1.0 => f64::from(LARGEST_BATCH),
+                1.0 => LARGEST_BACKLOG_MS,
+                _ => LARGEST_BACKLOG_OF_A_CHIP_MS,
+            };
             if owed_ms > most_ms {
-                if is_real {
+                if !is_compressed {
                     let slipped = (owed_ms - most_ms).round();
                     self.shared.slipped_ms.fetch_add(count(slipped), Ordering::Relaxed);
                 }
                 owed_ms = most_ms;
             }
-            if !is_real && !self.cnc_is_there() {
+            if is_compressed && !self.cnc_is_there(&bridge) {
                 owed_ms = 0.0;
             }
             let due = owed_ms.floor().min(f64::from(LARGEST_BATCH));
-            self.hear()?;
+            self.hear(bridge.slower())?;
             if due < 1.0 {
                 thread::sleep(NAP);
                 continue;
             }
             owed_ms -= due;
-            self.live(count(due))?;
+            self.live(&mut bridge, count(due), factor)?;
+            self.ahead_ms += due * of_machine;
         }
-        Ok(self.adapter.traffic())
+        bridge.end()
     }
 
     /// Whether both halves of the CNC, its real-time part and the component, have just been heard.
-    fn cnc_is_there(&self) -> bool {
+    fn cnc_is_there(&self, bridge: &Bridge) -> bool {
         let moves = self.heard.is_some_and(|heard| heard.elapsed() < HESITATION);
-        moves && self.adapter.has_heard_within(HESITATION)
+        moves && bridge.has_heard_within(HESITATION)
     }
 
     /// Lets the board live through so many milliseconds of the machine as it stands.
-    fn live(&mut self, ms: u64) -> Result<()> {
-        let celsius: BTreeMap<String, f64> = self
-            .with
-            .temperatures_c()
-            .into_iter()
-            .map(|(column, shown_c)| (column.to_owned(), shown_c))
-            .collect();
-        let temperatures = replay::raw_temperatures(&self.parts.temperatures, &celsius);
-        let blocks: Vec<Block> = (0..ms)
-            .map(|_| {
-                let volts = self.with.sensor_volts().unwrap_or(0.0);
-                Block {
-                    codes: self.front_end.block(|_| volts),
-                    // The speed comes from the CNC, as everything else that it knows.
-                    speed: None,
-                    temperatures,
-                    frames: self.adapter.take(),
-                }
-            })
-            .collect();
-        let sent = self.board.step(&blocks)?;
-        self.adapter.pass(&sent);
-        self.ahead_ms += ms as f64;
+    fn live(&mut self, bridge: &mut Bridge, ms: u64, factor: u32) -> Result<()> {
+        let shown = self.with.temperatures_c().into_iter();
+        let celsius = shown.map(|(column, shown_c)| (column.to_owned(), shown_c)).collect();
+        bridge.live(ms, factor, || self.with.sensor_volts().unwrap_or(0.0), &celsius)?;
         self.shared.board_ms.fetch_add(ms, Ordering::Relaxed);
-        let said = self.board.take_log();
+        let said = bridge.take_log();
         if !said.is_empty() {
             lock(&self.shared.log).extend(said);
         }
@@ -430,7 +381,11 @@ impl Loop {
 
     /// Lets the machine do what LinuxCNC has commanded meanwhile. Its time is the board's, spread
     /// evenly over the servo cycles that have come.
-    fn hear(&mut self) -> Result<()> {
+    fn hear(&mut self, slower: u32) -> Result<()> {
+        if slower > 1 && self.ahead_ms <= 0.0 {
+            // What comes within a millisecond of the board belongs to it.
+            return Ok(());
+        }
         let samples: Vec<Sample> = self.samples.try_iter().collect();
         if samples.is_empty() {
             if self.heard.is_some_and(|heard| heard.elapsed() > SILENCE) {
@@ -465,7 +420,10 @@ impl Loop {
             cycle.without_um = self.without.tip_error_um();
             cycle.growth_um = self.without.elongation_um();
             cycle.time_s = self.with.time_s();
-            cycles.push(cycle);
+            if sample.number.is_multiple_of(slower.into()) {
+                cycle.number /= u64::from(slower);
+                cycles.push(cycle);
+            }
         }
         lock(&self.shared.cycles).append(&mut cycles);
         Ok(())

@@ -1,0 +1,269 @@
+//! The bridge in the loop: the same firmware, as the image for the emulator or as the one that is flashed.
+//!
+//! | | QEMU | model of the chip |
+//! |---|---|---|
+//! | image | `virtual`, told a calibration | `stm32f405`, with its machine file linked in |
+//! | sensor | blocks of 20 codes through the front end | volts at the converter's pin, TIM3, ADC1, DMA |
+//! | temperatures | the converters' words | ohms behind MAX31865 on SPI |
+//! | the CNC's line | CAN through pipes, [`Adapter`] | the image's own SLCAN on USART1 |
+//! | its second is | a second of the wall, or less | [`Bridge::slower`] seconds of the wall |
+//! | two hours | are lived through by the board | are the machine's: it lives faster than the board |
+//!
+//! The model cannot outrun the wall, so what is slow there is the time of everything: LinuxCNC's feeds are
+//! divided by its factor, its accelerations by the square, its dwells are as much longer.
+
+use std::{
+    collections::BTreeMap,
+    io::{Read as _, Write as _},
+    net::{Shutdown, TcpStream},
+    path::PathBuf,
+    thread,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context as _, Result, ensure};
+use trueup_core::units::Code;
+use trueup_machine::inputs::{TemperatureInput, TemperatureKind};
+use trueup_pipe::Block;
+
+use super::adapter::{Adapter, COMPRESSED_STRIDE};
+use crate::{
+    board::VirtualBoard,
+    chip_live::LiveChip,
+    front_end::{FrontEnd, NOISE_CODES_RMS, REFERENCE_VOLTS},
+    replay,
+};
+
+/// How long the model's speed is measured, in ms of the board, once it is up.
+const UP_MS: u64 = 1_000;
+const MEASURED_MS: u64 = 2_000;
+/// What LinuxCNC and its frames may take of this computer: the model is given so many times longer than it
+/// took without them.
+const MARGIN: f64 = 1.5;
+
+/// What the bridge is made of: the machine file as it is, and the one for the warm-up.
+pub enum Images {
+    /// In QEMU: the image, and both calibrations.
+    Qemu(PathBuf, [Vec<u8>; 2]),
+    /// On the model of the chip: its program, and both images.
+    Chip(PathBuf, [PathBuf; 2]),
+}
+
+/// How it is wired to the machine.
+pub struct Wiring {
+    /// The channels of the board, by the names under which the machine states its temperatures.
+    pub temperatures: BTreeMap<String, TemperatureInput>,
+    /// The divider before the converter.
+    pub divider: f64,
+    /// Seed of the front end's noise.
+    pub seed: u64,
+}
+
+enum Board {
+    Qemu {
+        image: PathBuf,
+        later: Vec<u8>,
+        board: VirtualBoard,
+        adapter: Adapter,
+        front_end: Box<FrontEnd>,
+    },
+    Chip {
+        model: PathBuf,
+        later: PathBuf,
+        board: LiveChip,
+        slower: u32,
+    },
+}
+
+/// A running bridge.
+pub struct Bridge {
+    board: Board,
+    wiring: Wiring,
+}
+
+impl Bridge {
+    /// Switches it on.
+    ///
+    /// # Errors
+    /// It does not come up.
+    pub fn start(images: Images, wiring: Wiring) -> Result<Self> {
+        let board = match images {
+            Images::Qemu(image, [first, later]) => Board::Qemu {
+                board: VirtualBoard::boot(&image, &first)?,
+                adapter: Adapter::listen()?,
+                front_end: Box::new(FrontEnd::new(wiring.divider, wiring.seed)),
+                image,
+                later,
+            },
+            Images::Chip(model, [first, later]) => {
+                let mut board = begin(LiveChip::start(&model, &first, 0)?)?;
+                let slower = measure(&mut board)?;
+                Board::Chip { model, later, board, slower }
+            }
+        };
+        Ok(Self { board, wiring })
+    }
+
+    /// Where the CNC finds it.
+    #[must_use]
+    pub fn address(&self) -> String {
+        match &self.board {
+            Board::Qemu { adapter, .. } => adapter.address(),
+            Board::Chip { board, .. } => format!("tcp:127.0.0.1:{}", board.port()),
+        }
+    }
+
+    /// A second of the board, in seconds of the wall, while the axes move.
+    #[must_use]
+    pub fn slower(&self) -> u32 {
+        match self.board {
+            Board::Qemu { .. } => 1,
+            Board::Chip { slower, .. } => slower,
+        }
+    }
+
+    /// While machine time is compressed by `factor`: seconds of the board in one of the wall, and of the
+    /// machine in one of the board.
+    #[must_use]
+    pub fn paces(&self, factor: u32) -> [f64; 2] {
+        match self.board {
+            Board::Qemu { .. } => [f64::from(factor), 1.0],
+            Board::Chip { slower, .. } => [1.0 / f64::from(slower), f64::from(factor)],
+        }
+    }
+
+    /// Lets the board live for so many milliseconds, with these volts of the sensor and these temperatures
+    /// by the names of their columns.
+    ///
+    /// # Errors
+    /// It has ended.
+    pub fn live(
+        &mut self,
+        ms: u64,
+        factor: u32,
+        mut volts: impl FnMut() -> f64,
+        celsius: &BTreeMap<String, f64>,
+    ) -> Result<()> {
+        match &mut self.board {
+            Board::Qemu { board, adapter, front_end, .. } => {
+                let temperatures = replay::raw_temperatures(&self.wiring.temperatures, celsius);
+                let blocks: Vec<Block> = (0..ms)
+                    .map(|_| {
+                        let volts = volts();
+                        Block {
+                            codes: front_end.block(|_| volts),
+                            // The speed comes from the CNC, as everything else that it knows.
+                            speed: None,
+                            temperatures,
+                            frames: adapter.take(),
+                        }
+                    })
+                    .collect();
+                let sent = board.step(&blocks)?;
+                adapter.set_stride(if factor > 1 { COMPRESSED_STRIDE } else { 1 });
+                adapter.pass(&sent);
+                Ok(())
+            }
+            Board::Chip { board, .. } => {
+                for (name, input) in &self.wiring.temperatures {
+                    let Some(celsius) = celsius.get(name) else { continue };
+                    ensure!(input.kind == TemperatureKind::Pt100, "{name} is no PT100");
+                    board.set(&format!("rtd {} {celsius}", input.channel))?;
+                }
+                for _ in 0..ms {
+                    let share = volts() * self.wiring.divider / REFERENCE_VOLTS;
+                    board.set(&format!("code {}", share * f64::from(Code::FULL_SCALE)))?;
+                    board.live(1)?;
+                }
+                Ok(())
+            }
+        }
+    }
+
+    /// Whether the CNC has sent something within `time`, where that is known.
+    #[must_use]
+    pub fn has_heard_within(&self, time: Duration) -> bool {
+        match &self.board {
+            Board::Qemu { adapter, .. } => adapter.has_heard_within(time),
+            Board::Chip { .. } => true,
+        }
+    }
+
+    /// Takes the board's power, and gives it the machine file of the warm-up.
+    ///
+    /// # Errors
+    /// It does not come up again, or the model of the chip objects to what was done so far.
+    pub fn swap(self) -> Result<Self> {
+        let board = match self.board {
+            Board::Qemu { image, later, adapter, front_end, board } => {
+                drop(board);
+                let board = VirtualBoard::boot(&image, &later)?;
+                Board::Qemu { image, later, adapter, front_end, board }
+            }
+            Board::Chip { model, later, board, slower } => {
+                let port = board.port();
+                board.end()?;
+                let board = begin(LiveChip::start(&model, &later, port)?)?;
+                Board::Chip { model, later, board, slower }
+            }
+        };
+        Ok(Self { board, ..self })
+    }
+
+    /// What the board has logged since it was last asked.
+    #[must_use]
+    pub fn take_log(&self) -> Vec<String> {
+        match &self.board {
+            Board::Qemu { board, .. } => board.take_log(),
+            Board::Chip { board, .. } => board.take_log(),
+        }
+    }
+
+    /// Ends it. Pairs of offsets that the CNC got and frames that the board got, where they are counted on
+    /// the way.
+    ///
+    /// # Errors
+    /// The model of the chip objects to what was done.
+    pub fn end(self) -> Result<Option<(u64, u64)>> {
+        match self.board {
+            Board::Qemu { adapter, .. } => Ok(Some(adapter.traffic())),
+            Board::Chip { board, .. } => board.end().map(|()| None),
+        }
+    }
+}
+
+/// Its converter has the front end's noise: the sum of two even draws, which is 1/√6 of its peak.
+fn begin(mut board: LiveChip) -> Result<LiveChip> {
+    board.set(&format!("noise {}", 6.0_f64.sqrt() * NOISE_CODES_RMS))?;
+    Ok(board)
+}
+
+/// By how much the model is slower than life on this computer, with a client at its line, and with room for
+/// LinuxCNC.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a cast saturates")]
+fn measure(board: &mut LiveChip) -> Result<u32> {
+    board.live(UP_MS)?;
+    let mut client = TcpStream::connect(("127.0.0.1", board.port()))?;
+    client.write_all(b"S8\rO\r")?;
+    let mut line = client.try_clone()?;
+    let reader = thread::spawn(move || {
+        let (mut bytes, mut heard) = ([0; 4096], 0);
+        while let Ok(length @ 1..) = line.read(&mut bytes) {
+            heard += length;
+        }
+        heard
+    });
+    let began = Instant::now();
+    for _ in 0..MEASURED_MS {
+        board.live(1)?;
+    }
+    let took_ms = began.elapsed().as_secs_f64() * 1e3;
+    client.write_all(b"C\r")?;
+    board.live(100)?;
+    client.shutdown(Shutdown::Both)?;
+    // The model sees that its client has gone.
+    board.live(10)?;
+    let heard = reader.join().ok().context("the reader does not panic")?;
+    ensure!(heard as u64 > 40 * MEASURED_MS, "the board says too little: {heard} bytes");
+    Ok((took_ms / MEASURED_MS as f64 * MARGIN).ceil() as u32)
+}
