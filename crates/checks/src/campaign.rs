@@ -22,7 +22,7 @@ const PLC_S_PER_TICK: f64 = 600.0 / 1e9;
 
 /// Lets the simulator run for so many ticks, from this seed on, on all cores, tries a hostile calibration for each
 /// hundred of them, changes its source ten thousand times, draws faults for the detectors, lets sound sensors live for 300 hours of each noise in a thousand
-/// million ticks, and PLCs of three languages at their gateways for ten minutes; a failure prints the seed that repeats it.
+/// million ticks, ten minutes of the board on the model of its chip, and PLCs of three languages at their gateways for as long; a failure prints the seed that repeats it.
 ///
 /// # Errors
 /// It does not build, or something did not hold.
@@ -48,19 +48,20 @@ pub fn soak(ticks: u64, seed: u32) -> Result<()> {
     run("trueup-core", "detectors", "campaign_every_detector_finds_3000_faults_in_time")?;
     run("trueup-core", "detectors", "campaign_a_sound_sensor_is_believed_for_hundreds_of_hours")?;
     // What is tried is a program of its own, so the profile of the tests is all the same: that of all other tests.
-    let mut plc = cargo::locked("test");
-    plc.args([
+    let mut programs = cargo::locked("test");
+    programs.args([
         "-p",
         "trueup-host-tests",
         "--features",
         "emulator",
         "--test",
-        "gateway_latency",
-        "--",
-    ])
-    .args(["--ignored", "--nocapture", "campaign_"])
-    .env("TRUEUP_SOAK_PLC_S", ((ticks as f64 * PLC_S_PER_TICK).ceil() as u64).to_string());
-    process::run(&mut plc)
+        "chip",
+        "--test",
+    ]);
+    programs
+        .args(["gateway_latency", "--", "--ignored", "--nocapture", "campaign_"])
+        .env("TRUEUP_SOAK_PLC_S", ((ticks as f64 * PLC_S_PER_TICK).ceil() as u64).to_string());
+    process::run(&mut programs)
 }
 
 /// Lets each of the fuzz targets run for so many minutes, one on each core at a time; prints how many inputs

@@ -379,8 +379,18 @@ fn a_linear_input_is_read_and_the_sensor_does_not_notice() {
 #[test]
 #[ignore = "long: a minute of the board"]
 fn a_healthy_minute_with_everything_on_has_no_violation_and_no_remark() {
+    is_healthy_for("60000");
+}
+
+#[test]
+#[ignore = "campaign: cargo xtask soak, ten minutes of the board"]
+fn campaign_ten_healthy_minutes_with_everything_on_have_no_violation_and_no_remark() {
+    is_healthy_for("600000");
+}
+
+fn is_healthy_for(ms: &str) {
     // Both lines, positions as often as there can be, thermometers, a `Zero`.
-    let options = ["--bor", "--ms", "60000", "--say", "100", "S8\\rO\\r", "--engage-ms", "400"];
+    let options = ["--bor", "--ms", ms, "--say", "100", "S8\\rO\\r", "--engage-ms", "400"];
     let more = ["--zero-ms", "2000", "--positions", "500", "--noise", "2", "--quiet"];
     let Some(report) = run(&[&options[..], &more].concat()) else { return };
     is_clean(&report);

@@ -26,6 +26,12 @@ use super::super::Plc;
 /// Core cycles after which a pull-up of 40 kΩ has lifted its pin and the wire to its switch, of some 50 pF.
 const SETTLE_CYCLES: u32 = 1_680;
 
+/// CR2: STOP; CR1: UE, RXNEIE, TE, RE; M; PCE.
+const TWO_STOP_BITS: u32 = 0b10 << 12;
+const RUNS: u32 = (1 << 13) | (1 << 5) | (1 << 3) | (1 << 2);
+const NINE_BITS: u32 = 1 << 12;
+const PARITY: u32 = 1 << 10;
+
 /// The pins; the switches' are pulled up.
 pub struct Pins {
     pub transmit: PB10,
@@ -51,16 +57,16 @@ pub fn start(usart: USART3, timer: TIM5, pins: Pins, rcc: &mut Rcc) -> Plc {
     USART3::enable(rcc);
     USART3::reset(rcc);
     // In sixteenths, of which the register has the whole ones above the rest (section 30.3.4).
-    let divider = ((rcc.clocks.pclk1().raw() + baud / 2) / baud) as u16;
-    usart
-        .brr()
-        .write(|w| w.div_mantissa().set(divider >> 4).div_fraction().set((divider & 15) as u8));
-    usart.cr2().write(|w| if has_parity { w.stop().stop1() } else { w.stop().stop2() });
-    usart.cr1().write(|w| {
-        // The parity is the ninth bit of the word.
-        w.m().bit(has_parity).pce().bit(has_parity).rxneie().enabled();
-        w.te().enabled().re().enabled().ue().enabled()
-    });
+    let divider = (rcc.clocks.pclk1().raw() + baud / 2) / baud;
+    // In whole words: of half a one the bus makes two, and the other half is reserved (section 30.6).
+    // SAFETY: registers of a line that is only being set up, as wide as a word.
+    #[allow(unsafe_code, reason = "registers of the line")]
+    let set =
+        |register: *mut u16, bits: u32| unsafe { register.cast::<u32>().write_volatile(bits) };
+    set(usart.brr().as_ptr(), divider);
+    set(usart.cr2().as_ptr(), if has_parity { 0 } else { TWO_STOP_BITS });
+    // The parity is the ninth bit of the word.
+    set(usart.cr1().as_ptr(), RUNS | if has_parity { NINE_BITS | PARITY } else { 0 });
 
     TIM5::enable(rcc);
     TIM5::reset(rcc);
