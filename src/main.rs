@@ -170,7 +170,9 @@ mod app {
             parts.backup,
         );
         // The time without power counts once: the next reset goes on from here.
-        supervision.retain(&node.kept());
+        if off_s > 0 {
+            supervision.retain(&node.kept());
+        }
         let (to_listen, from_serial) = cx.local.queue.split();
         let (to_modbus, heard) = cx.local.bytes_heard.split();
         let (answer, from_modbus) = cx.local.bytes_said.split();
