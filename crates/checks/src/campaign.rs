@@ -21,8 +21,9 @@ const HOURS_PER_TICK: f64 = 300.0 / 1e9;
 const PLC_S_PER_TICK: f64 = 600.0 / 1e9;
 
 /// Lets the simulator run for so many ticks, from this seed on, on all cores, tries a hostile calibration for each
-/// hundred of them, changes its source ten thousand times, draws faults for the detectors, lets sound sensors live for 300 hours of each noise in a thousand
-/// million ticks, ten minutes of the board on the model of its chip, and PLCs of three languages at their gateways for as long; a failure prints the seed that repeats it.
+/// hundred of them, changes its source ten thousand times, and draws faults for the detectors. For a thousand
+/// million ticks sound sensors live for 300 hours of each noise, and PLCs of three languages are at their gateways
+/// for ten minutes; so is the board on the model of its chip. A failure prints the seed that repeats it.
 ///
 /// # Errors
 /// It does not build, or something did not hold.
@@ -49,17 +50,10 @@ pub fn soak(ticks: u64, seed: u32) -> Result<()> {
     run("trueup-core", "detectors", "campaign_a_sound_sensor_is_believed_for_hundreds_of_hours")?;
     // What is tried is a program of its own, so the profile of the tests is all the same: that of all other tests.
     let mut programs = cargo::locked("test");
-    programs.args([
-        "-p",
-        "trueup-host-tests",
-        "--features",
-        "emulator",
-        "--test",
-        "chip",
-        "--test",
-    ]);
     programs
-        .args(["gateway_latency", "--", "--ignored", "--nocapture", "campaign_"])
+        .args(["-p", "trueup-host-tests", "--features", "emulator"])
+        .args(["--test", "chip", "--test", "gateway_latency"])
+        .args(["--", "--ignored", "--nocapture", "campaign_"])
         .env("TRUEUP_SOAK_PLC_S", ((ticks as f64 * PLC_S_PER_TICK).ceil() as u64).to_string());
     process::run(&mut programs)
 }
@@ -88,7 +82,8 @@ pub fn fuzz(minutes: u64) -> Result<()> {
 /// Draws mutants of the crates that a board runs, and counts how many their own tests catch: the unit tests of
 /// the crate first, which take seconds, and what those miss goes through all tests of the four crates. Built and
 /// tested in a copy of the source; `target/mutants` has the lists. Stopped and called again it goes on where it was: a
-/// mutant that has been tried, by its place and what it changes, is not tried again.
+/// mutant that has been tried, by its place and what it changes, is not tried again, though there be new tests: whoever
+/// has written some begins anew, without `target/mutants`.
 ///
 /// # Errors
 /// cargo-mutants cannot be had, or the tests fail without a mutant. A mutant that is missed is no error.

@@ -28,12 +28,13 @@ use trueup_machine::{
     Machine, MachineFile, RunFile,
     file::{ElongationSource, LinearAxis, Quantity, Spindle},
 };
+use trueup_program::{Kind, Options, plans};
 
 use self::{
     answers::Answers,
     journal::{Journal, Step},
 };
-use crate::{Cli, Outcome, UserError, files, output};
+use crate::{Cli, Outcome, UserError, files, output, program::For, report};
 
 /// Commissions a spindle or an axis: sign test, programs, measuring, fit, load, acceptance, as often as is
 /// needed.
@@ -54,9 +55,9 @@ pub struct Commission {
     /// Where the bridge is: tcp:HOST:PORT, a serial device, or a CAN interface (can0).
     #[arg(long, value_name = "PORT")]
     port: String,
-    /// The control that runs the programs: linuxcnc, fanuc, siemens or heidenhain.
+    /// The control that runs the programs.
     #[arg(long = "for", value_name = "CONTROL")]
-    control: String,
+    control: For,
     /// The folder for everything; made if it is not there.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -122,6 +123,23 @@ impl Subject {
         }
     }
 
+    /// What would be found out only after the sign test: that its program cannot be made.
+    fn has_program(self, args: &Commission, machine: &Machine) -> Result<(), UserError> {
+        let kind = match self {
+            Self::Spindle => Kind::Warmup,
+            Self::Pitch(_) => Kind::Pitch,
+            Self::Backlash(_) => Kind::Backlash,
+        };
+        let options = Options {
+            axes: self.axis().into_iter().collect(),
+            spindle_rpm: args.rpm,
+            heat_s: args.heat_s,
+            ..Options::default()
+        };
+        let refused = |rule| UserError(format!("{}: {rule}", args.machine.display()));
+        plans(kind, machine, &options).map(drop).map_err(refused)
+    }
+
     /// The program that measures it.
     fn program(self) -> &'static str {
         match self {
@@ -157,6 +175,7 @@ pub fn run(args: &Commission, as_json: bool) -> Result<Outcome> {
     let text = MachineFile::read_text(&args.machine)?;
     let machine = files::parsed(&text, &args.machine)?;
     let subject = Subject::of(args, &machine)?;
+    subject.has_program(args, &machine)?;
     fs::create_dir_all(&args.out)
         .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
     let kept = args.out.join("machine.toml");
@@ -286,14 +305,18 @@ impl Work<'_> {
         let json = self.as_json.then_some("--json");
         let all = ["trueup"].into_iter().chain(json).chain(words.iter().copied());
         let cli = Cli::read(all).context("a command of this tool")?;
-        match crate::run(&cli) {
+        // A file of the sign test's pretends on purpose.
+        let is_pretended = self.journal.next == Step::Sign;
+        let done = report::with_warnings(!is_pretended, || crate::run(&cli));
+        match done {
             Ok(Outcome::Done) => Ok(true),
             Ok(Outcome::NotMet) => {
                 self.journal.log("  not all of it is met")?;
                 Ok(false)
             }
             Err(error) => {
-                self.journal.log(&format!("  {error:#}"))?;
+                // It is shown at the end, as every command's.
+                self.journal.write(&format!("  {error:#}"))?;
                 Err(error)
             }
         }
@@ -330,9 +353,9 @@ impl Work<'_> {
         let (machine, out) = (self.path("machine.toml"), self.path("program"));
         let rpm = self.args.rpm.map(|rpm| rpm.to_string());
         let heat_s = self.args.heat_s.map(|heat_s| heat_s.to_string());
-        let control = self.args.control.clone();
+        let control = self.args.control.name();
         let mut words =
-            vec!["program", self.subject.program(), "--machine", &machine, "--for", &control];
+            vec!["program", self.subject.program(), "--machine", &machine, "--for", control];
         words.extend(["--out", &out]);
         words.extend(self.subject.axis().iter().flat_map(|axis| ["--axis", axis.name()]));
         words.extend(rpm.iter().flat_map(|rpm| ["--rpm", rpm.as_str()]));

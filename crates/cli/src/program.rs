@@ -95,6 +95,16 @@ pub enum For {
 }
 
 impl For {
+    /// As `--for` takes it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::LinuxCnc => "linuxcnc",
+            Self::Fanuc => "fanuc",
+            Self::Siemens => "siemens",
+            Self::Heidenhain => "heidenhain",
+        }
+    }
+
     pub fn control(self) -> control::Control {
         match self {
             Self::LinuxCnc => control::Control::LinuxCnc,

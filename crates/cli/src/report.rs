@@ -18,7 +18,10 @@ use std::{
     fs::File,
     io::{BufRead as _, BufReader, IsTerminal as _, Read as _, stderr},
     path::Path,
-    sync::OnceLock,
+    sync::{
+        OnceLock,
+        atomic::{AtomicBool, Ordering},
+    },
 };
 
 use annotate_snippets::{AnnotationKind, Group, Level, Origin, Renderer, Snippet};
@@ -47,6 +50,17 @@ pub fn set(manner: Manner) {
 /// How the user wants to be told.
 pub fn manner() -> Manner {
     MANNER.get().copied().unwrap_or_default()
+}
+
+/// What is doubted in a file is of no use to the user just now.
+static NO_DOUBTS: AtomicBool = AtomicBool::new(false);
+
+/// What `command` comes to; what it doubts in its files is said only if it is `of_use`.
+pub fn with_warnings<T>(of_use: bool, command: impl FnOnce() -> T) -> T {
+    NO_DOUBTS.store(!of_use, Ordering::Relaxed);
+    let done = command();
+    NO_DOUBTS.store(false, Ordering::Relaxed);
+    done
 }
 
 /// Each error of a file, and how many there are where there is more than one, or more than are listed.
@@ -83,7 +97,7 @@ pub fn warning(Warning { place, what, help }: &Warning) {
 
 /// What is doubted in `file`, each on one line, and where there is more to read about it.
 pub fn in_short(file: &Path, warnings: &[Warning]) {
-    if manner().quiet {
+    if manner().quiet || NO_DOUBTS.load(Ordering::Relaxed) {
         return;
     }
     for Warning { place, what, help } in warnings {

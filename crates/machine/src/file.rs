@@ -73,6 +73,13 @@ impl MachineFile {
     pub fn parse(source: &str, path: &Path) -> Result<Machine, BadInput> {
         let document = Document::parse(without_byte_order_mark(source), path)?;
         let root = document.root();
+        // Each of its keys would be a fault otherwise.
+        if root.keys().contains(&"measure") {
+            let what = "is a key of a scenario, and this is read as a machine file";
+            let help =
+                "`trueup simulate --scenario` reads scenarios; the machine file is another one";
+            return Err(root.bad("measure", what).with_help(help));
+        }
         // Each section can be read by itself once its keys are right.
         let mut faults = structure::faults(&root, keys::FILE);
         let terms = || root.sections("term").into_iter().flatten();

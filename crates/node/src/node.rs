@@ -18,7 +18,7 @@ use trueup_core::{
     cnc::{Command, Control, Flags, Output, Quality},
     health::Noise,
     supply::Supply,
-    units::Millis,
+    units::{Millis, Nanometres},
 };
 use trueup_link::{
     e2e,
@@ -113,8 +113,8 @@ pub struct Node<'a> {
     degraded: bool,
     last: Output,
     zero: Option<Zero>,
-    /// A reference of another board, as far as it was written.
-    offered: Reference,
+    /// A reference of another board in nm, as far as it was written: the elongation, X, Y and Z.
+    offered: [Option<Nanometres>; 4],
     /// A `Zero` was refused since [`Node::service`] last ran.
     zero_refused: bool,
     supply: Supply,
@@ -174,7 +174,7 @@ impl<'a> Node<'a> {
             degraded,
             last: Output::default(),
             zero: None,
-            offered: Reference::default(),
+            offered: [None; 4],
             zero_refused: false,
             supply: Supply::default(),
         };

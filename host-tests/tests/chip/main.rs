@@ -1,6 +1,7 @@
 //! The flashable image, unmodified, on the model of its chip (`crates/chip`): healthy, and with each part
 //! dead that has a fall-back. The model knows the manuals and not the firmware, so what it finds counts.
 
+mod other_model;
 mod power_cuts;
 mod starts;
 #[path = "../support/mod.rs"]

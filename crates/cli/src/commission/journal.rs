@@ -124,15 +124,20 @@ impl Journal {
 
     /// Writes a line down, with the time, and shows it.
     pub fn log(&self, line: &str) -> Result<()> {
+        self.write(line)?;
+        eprintln!("{line}");
+        Ok(())
+    }
+
+    /// Writes a line down, with the time.
+    pub fn write(&self, line: &str) -> Result<()> {
         let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let now = utc_text(u32::try_from(since.as_secs()).unwrap_or(u32::MAX));
         let path = self.folder.join("log.txt");
         let during = || format!("while writing {}", path.display());
         let mut log =
             OpenOptions::new().create(true).append(true).open(&path).with_context(during)?;
-        writeln!(log, "{now} {line}").with_context(during)?;
-        eprintln!("{line}");
-        Ok(())
+        writeln!(log, "{now} {line}").with_context(during)
     }
 }
 

@@ -52,7 +52,8 @@ fn with_compensation(desk: &Desk, machine: &str, quantity: &str, kept: &[&str]) 
 fn a_machine_is_commissioned_in_two_sittings() {
     let (desk, line) = begun();
     desk.write("first.txt", "# the tip went back by\n-9.5\noff.csv\n");
-    let (out, _) = desk.said(&format!("{line} first.txt"), 3);
+    let (out, err) = desk.said(&format!("{line} first.txt"), 3);
+    assert!(!err.contains("all/sign.toml:"), "what pretends on purpose is not doubted: {err}");
     assert!(
         out.ends_with(
             "stopped at \"measure with compensation\"; the same command goes on from here\n"
@@ -111,6 +112,17 @@ fn a_wrong_sign_stops_it_before_anything_is_measured() {
 }
 
 #[test]
+fn a_run_that_nothing_can_be_fitted_to_is_told_once_and_written_down() {
+    let (desk, line) = begun();
+    desk.write("one.csv", "time_s,sensor_counts,measured_elongation_um\n0,5048,0\n");
+    desk.write("answers.txt", "-10\none.csv\n");
+    let (_, err) = desk.said(&format!("{line} answers.txt"), 2);
+    let told = "1 of 1 rows are complete";
+    assert_eq!(err.matches(told).count(), 1, "{err}");
+    assert!(desk.text("all/log.txt").contains(told), "{told}");
+}
+
+#[test]
 fn what_is_not_enough_is_not_accepted_and_the_next_round_begins() {
     let (desk, line) = begun();
     // Nothing is gone: the same readings again.
@@ -164,16 +176,19 @@ fn what_is_to_be_commissioned_is_asked_where_the_file_does_not_say_it() {
     let machine =
         "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n[axis.x]\ntravel_mm = [0.0, 100.0]\n";
     let desk = Desk::new(&[("m.toml", machine)]);
+    desk.write("spindle.toml", PAPER);
     for (words, phrase) in [
+        ("--machine spindle.toml", "spindle.toml: the speed is not known: give --rpm"),
+        ("-m m.toml pitch --axis y", "the travel of y is not known"),
         (
-            "",
+            "-m m.toml",
             "m.toml has no [spindle]: say what is to be commissioned: trueup commission warmup, or pitch",
         ),
-        ("pitch", "say which, --axis x, --axis y or --axis z"),
-        ("warmup -a x", "an axis is commissioned by its pitch or its backlash"),
-        ("backlash --axis q", "must be x, y or z"),
+        ("-m m.toml pitch", "say which, --axis x, --axis y or --axis z"),
+        ("-m m.toml warmup -a x", "an axis is commissioned by its pitch or its backlash"),
+        ("-m m.toml backlash --axis q", "must be x, y or z"),
     ] {
-        let line = format!("commission -m m.toml -p tcp:127.0.0.1:1 -f fanuc -o all {words}");
+        let line = format!("commission -p tcp:127.0.0.1:1 -f fanuc -o all {words}");
         let (_, err) = desk.said(line.trim(), 2);
         assert!(err.contains(phrase), "{words}: {err}");
         assert!(!desk.path("all").exists(), "nothing is begun");

@@ -63,7 +63,8 @@ impl AxisSummary {
     /// one sign. `None` where one of them grows with a travel that is not known.
     #[must_use]
     pub fn largest_um(&self) -> Option<f64> {
-        self.parts.iter().map(|part| part.largest_um).sum()
+        // Not `sum`, for which nothing at all is −0.
+        self.parts.iter().try_fold(0.0, |sum, part| Some(sum + part.largest_um?))
     }
 }
 

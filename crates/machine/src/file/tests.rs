@@ -22,6 +22,18 @@ fn what_is_left_out_has_the_documented_defaults() {
 }
 
 #[test]
+fn a_scenario_is_told_in_one_sentence() {
+    let source = "name = \"warm-up\"\nmeasure = [\"dx\"]\ninterval_s = 20.0\n[sensor]\n";
+    let error = MachineFile::parse(source, Path::new("s.toml")).expect_err("another kind of file");
+    let said = error.to_string();
+    assert_eq!(
+        said,
+        "s.toml:2:11: measure is a key of a scenario, and this is read as a machine file"
+    );
+    assert!(error.help.is_some_and(|help| help.contains("trueup simulate")));
+}
+
+#[test]
 fn every_key_that_is_run_arrives_in_its_field() {
     let machine = parse(
         r#"

@@ -9,7 +9,7 @@ use trueup_canopen::{
 use trueup_core::{
     bridge::Reference,
     cnc::Quality,
-    units::{Fine, Nanometres, Temperature},
+    units::{Nanometres, Temperature},
 };
 use trueup_link::{layout::NO_TEMPERATURE_RAW, status::Item};
 use trueup_store::{calibration::identity, load::LoadError, writes::What};
@@ -58,6 +58,13 @@ impl Node<'_> {
         let squares = u64::from(self.noise.squares).saturating_mul(1_000_000);
         let mean = squares.checked_div(u64::from(self.noise.count).saturating_mul(6));
         u32::try_from(mean.unwrap_or(0).isqrt()).unwrap_or(u32::MAX)
+    }
+
+    /// Keeps a part of another board's reference until the rest of it is there.
+    fn offer(&mut self, part: u8, number: u32) -> Result<(), Abort> {
+        let part = self.offered.get_mut(usize::from(part)).ok_or(Abort::NoSubindex)?;
+        *part = Some(Nanometres(number.cast_signed()));
+        Ok(())
     }
 
     // Not a part of its caller, which has dealt with some of these: the compiler would put a trap
@@ -203,17 +210,15 @@ impl Objects for Node<'_> {
                 self.since_heartbeat_ms = 0;
             }
             ObjectKind::Utc => self.set_utc_s(number),
-            ObjectKind::ReferenceElongation => {
-                self.offered.elongation = Nanometres(number.cast_signed());
-            }
-            ObjectKind::Reference(axis) => {
-                let axis = self.offered.axes.get_mut(usize::from(axis));
-                let fine =
-                    i64::from(number.cast_signed()).saturating_mul(Fine::PER_NANOMETRE.into());
-                *axis.ok_or(Abort::NoSubindex)? = Fine::saturating(fine);
-            }
+            ObjectKind::ReferenceElongation => self.offer(0, number)?,
+            ObjectKind::Reference(axis) => self.offer(axis.saturating_add(1), number)?,
             ObjectKind::Forget if number == BACK => {
-                let back = core::mem::take(&mut self.offered);
+                // A reference without one of its parts is nobody's.
+                let [Some(elongation), Some(x), Some(y), Some(z)] = self.offered else {
+                    return Err(Abort::DeviceState);
+                };
+                self.offered = [None; 4];
+                let back = Reference { elongation, axes: [x, y, z].map(Nanometres::fine) };
                 self.state.set_reference(back);
                 self.zero = Some(Zero::Taken(back));
                 self.log(What::Zeroed, back.elongation.0.cast_unsigned(), self.log.speaker());

@@ -179,6 +179,8 @@ fn nothing_is_written_while_an_offset_is_followed_or_without_service() {
             (O::Utc, 1),
             (O::ReferenceElongation, 9),
             (O::Reference(0), 9),
+            (O::Reference(1), 9),
+            (O::Reference(2), 9),
             (O::Forget, BACK),
             (O::Forget, FORGET),
         ] {
@@ -201,10 +203,20 @@ fn the_reference_of_the_board_before_is_taken_when_all_of_it_is_there_and_is_sto
         (O::Reference(1), i32::MAX),
         (O::Reference(2), -3),
     ];
-    for (what, nm) in offered {
+    // Whichever part is missing: nothing is taken, and what was offered still waits.
+    for missing in 0..4 {
+        node.offered = [None; 4];
+        for (what, nm) in
+            offered.into_iter().skip(missing + 1).chain(offered.into_iter().take(missing))
+        {
+            node.write(what, nm.cast_unsigned()).expect("allowed");
+        }
+        assert_eq!(node.write(O::Forget, BACK), Err(Abort::DeviceState), "without {missing}");
+        assert_eq!((node.reference(), node.take_zero()), (Reference::default(), None));
+        let (what, nm) = offered[missing];
         node.write(what, nm.cast_unsigned()).expect("allowed");
+        assert_eq!((node.reference(), node.take_zero()), (Reference::default(), None), "it waits");
     }
-    assert_eq!((node.reference(), node.take_zero()), (Reference::default(), None), "it waits");
     node.write(O::Forget, BACK).expect("allowed");
     // What no board can count stays at the end of its range.
     let axes = [Fine(2_000 * Fine::PER_NANOMETRE), Fine(i32::MAX), Fine(-3 * Fine::PER_NANOMETRE)];
@@ -213,6 +225,8 @@ fn the_reference_of_the_board_before_is_taken_when_all_of_it_is_there_and_is_sto
     let write = node.take_write().map(|it| (it.what, it.about, it.origin));
     assert_eq!(write, Some((What::Zeroed, (-1_000_i32).cast_unsigned(), Origin::Serial)));
     assert_eq!(node.write(O::Forget, BACK + 1), Err(Abort::Value));
+    assert_eq!(node.write(O::Forget, BACK), Err(Abort::DeviceState), "once");
+    assert_eq!(node.write(O::Reference(3), 1), Err(Abort::NoSubindex));
 }
 
 #[test]
