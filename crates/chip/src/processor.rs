@@ -26,7 +26,7 @@ const PERIPHERALS: [(u32, u64); 3] =
     [(0x4000_0000, 0x8_0000), (0x5000_0000, 0x6_1000), (0xe004_2000, 0x400)];
 
 /// Exceptions that no unit of the chip raises while its lines are not used, but its program does: name and number (Armv7-M,
-/// B1.5.2; RM0090 table 61).
+/// B1.5.2; RM0090 table 62).
 pub const PENDED: [(&str, u16); 6] =
     [("SysTick", 15), ("EXTI0", 22), ("EXTI1", 23), ("EXTI2", 24), ("EXTI3", 25), ("EXTI4", 26)];
 
@@ -165,7 +165,7 @@ impl Default for Memories {
 }
 
 /// The system memory: the identity of this chip (RM0090 section 39.1), the size of its flash, and the
-/// factory's calibration of the converter (DS8626 section 5.3.23, VREFINT at 3.3 V).
+/// factory's calibration of the converter (DS8626, internal reference voltage calibration values: VREFINT at 3.3 V).
 fn system_memory() -> Memory {
     const IDENTITY: [u8; 12] = [0x31, 0, 0x2a, 0, 0x0b, 0x47, 0x33, 0x32, 0x36, 0x35, 0x39, 0x35];
     const VREFINT_CAL: u16 = 1502;

@@ -295,7 +295,7 @@ impl Board {
         }
     }
 
-    /// The flash gives no instruction while it is programmed or erased (RM0090 section 3.5).
+    /// The flash gives no instruction while it is programmed or erased (RM0090 section 3.6).
     fn stand_still_for_flash(&mut self) {
         let until = self.shared.stall.load(Relaxed);
         if until > self.now && (0x0800_0000..0x0810_0000).contains(&self.processor.pc()) {

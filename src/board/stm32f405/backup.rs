@@ -1,5 +1,5 @@
 //! What outlasts a power cut, where VBAT has a battery: the backup SRAM, and the clock that says how long it was
-//! (sections 5.1.2, 5.4, 7.3.20 and 26).
+//! (sections 5.1.2, 5.4, 7.1.3, 7.3.20 and 26).
 //!
 //! | step | when |
 //! |---|---|
@@ -55,12 +55,13 @@ impl Backup {
         let _clocked = rcc.ahb1enr().read();
         let backup = Self { power, clock, was_cut: reset == Reset::PowerOn };
         backup.open(|| {
-            backup.power.csr().modify(|_, w| w.bre().set_bit());
             if !backup.is_ours() {
-                // What drives the clock can be chosen once after this. The SRAM stays.
+                // What drives the clock can be chosen once after this. The SRAM stays, its regulator goes off
+                // (section 7.1.3).
                 rcc.bdcr().write(|w| w.bdrst().enabled());
                 rcc.bdcr().write(|w| w.bdrst().disabled());
             }
+            backup.power.csr().modify(|_, w| w.bre().set_bit());
             rcc.bdcr().modify(|_, w| w.lseon().on());
         });
         backup

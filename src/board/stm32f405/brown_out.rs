@@ -2,7 +2,7 @@
 //!
 //! Out of the factory a chip runs down to 1.8 V, where 168 MHz are out of its specification. Level
 //! 3 resets it below about 2.8 V (data sheet, embedded reset and power control block). The level
-//! is an option byte (section 3.6.1), kept without power, so it is written once in a board's life: by the
+//! is an option byte (section 3.7.1), kept without power, so it is written once in a board's life: by the
 //! first start of a new board. That takes a quarter of a second in which the core stands still, so a board
 //! that a machine relies on already, whose option bytes somebody else has changed, comes up first, and does it
 //! when it has given no offset for a while.
@@ -15,7 +15,7 @@ use stm32f4xx_hal::pac::FLASH;
 
 /// BOR_LEV for level 3; 0b11 is "off". The register crate has its names the wrong way round.
 const LEVEL_3: u8 = 0b00;
-/// The two keys that unlock the option bytes (section 3.6.2).
+/// The two keys that unlock the option bytes (section 3.7.2).
 const UNLOCK: [u32; 2] = [0x0819_2A3B, 0x4C5D_6E7F];
 /// Milliseconds that an option byte may take at the most: the figure for a sector is 0.8 s.
 const WRITE_MS: u32 = 2_000;

@@ -62,7 +62,7 @@ fn captured_khz(rcc: &RCC, timer: &TIM11) -> Option<u32> {
     rcc.apb2rstr().modify(|_, w| w.tim11rst().clear_bit());
     // SAFETY: 31 is a divisor that section 7.3.3 allows.
     rcc.cfgr().modify(|_, w| unsafe { w.rtcpre().bits(DIVISION) });
-    // SAFETY: TI1_RMP 2 is the divided crystal (section 19.5.12); CC1S 1 and IC1PSC 3 (section 19.5.7) are
+    // SAFETY: TI1_RMP 2 is the divided crystal (section 19.5.11); CC1S 1 and IC1PSC 3 (section 19.5.5) are
     // the input itself, every eighth period.
     unsafe {
         timer.or().write(|w| w.rmp().bits(2));

@@ -1,4 +1,4 @@
-//! The last four sectors of the flash, for what has to outlast the power (section 3.6): 8 and 9 for
+//! The last four sectors of the flash, for what has to outlast the power (section 3.3): 8 and 9 for
 //! calibrations that were loaded, 10 and 11 for what `Zero` has taken.
 //!
 //! They are the linker's no more (`memory.x`), and a new image leaves them alone. The HAL's driver
@@ -96,7 +96,7 @@ impl Flash {
     }
 }
 
-/// A flag is cleared by writing 1 to it (section 3.9.4). Not by `modify`, which spares such bits: one error
+/// A flag is cleared by writing 1 to it (section 3.9.5). Not by `modify`, which spares such bits: one error
 /// would hold up every later write.
 #[allow(unsafe_code, reason = "registers and words of the flash")]
 fn clear_errors(flash: &FLASH) {
@@ -160,7 +160,7 @@ impl NorFlash for Flash {
                 // constant is overwritten. A bus fault cannot follow: a locked or busy controller
                 // ignores the write and says so in its flags.
                 unsafe { ptr::write_volatile(words.add(n), u32::from_le_bytes(*word)) };
-                // The word has left the core before its end is waited for (section 3.6.3).
+                // The word has left the core before its end is waited for (section 3.6.4).
                 cortex_m::asm::dsb();
                 within(WRITE_POLLS, || is_idle(flash))
             })

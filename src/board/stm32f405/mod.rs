@@ -15,7 +15,7 @@
 //!
 //! A dead part must not hold up the others: every wait in this folder has a bound, and a part
 //! that does not answer is logged by name and reported in [`Faults`]. Section numbers are those
-//! of the reference manual RM0090, where nothing else is said.
+//! of the reference manual RM0090 (Rev 21), where nothing else is said.
 
 mod backup;
 mod brown_out;

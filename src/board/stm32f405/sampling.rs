@@ -49,7 +49,7 @@ use super::{
 const SAMPLES_PER_SECOND: u32 = 20_000;
 /// [`BLOCK`] as the DMA counts it.
 const BLOCK_LENGTH: u16 = BLOCK as u16;
-/// The channel of the internal reference, VREFINT (section 13.10).
+/// The channel of the internal reference, VREFINT (section 13.3.3).
 const INTERNAL_REFERENCE: u8 = 17;
 /// Between the end of the sensor's conversion and the next one, in microseconds.
 const PAUSE_US: u32 = 1;

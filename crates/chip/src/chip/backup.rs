@@ -87,8 +87,9 @@ impl Chip {
         self.rtc_settle();
         let old = self.backup.bdcr;
         if v & BDRST != 0 {
-            // 7.3.20: the registers of the RTC and this one; the SRAM stays.
+            // 7.1.3: the registers of the RTC, this one, and BRE of PWR_CSR; the SRAM stays.
             self.backup.rtc = Rtc::default();
+            self.backup.regulator_at = NEVER;
             self.backup.lse_at = NEVER;
             self.backup.bdcr = BDRST;
             return;

@@ -110,7 +110,7 @@ impl Chip {
             return self.write(word, v);
         }
         match addr {
-            // RM0090 2.2: an APB bridge repeats a narrow write in all lanes.
+            // RM0090 2.1.11: an APB bridge repeats a narrow write in all lanes.
             0x4000_0000..=0x4001_ffff => {
                 let v = if size == 1 { v * 0x0101_0101 } else { v * 0x0001_0001 };
                 // Half-words are allowed in the SPI, the USART, the timers and the watchdog.
@@ -204,10 +204,9 @@ impl Chip {
             0x4002_3000 => self.crc_write(off, v),
             0x4000_7000 => match off {
                 0 => {
-                    if (v ^ self.pwr_cr) & 0x4000 != 0 && self.rcc.cr & 1 << 24 != 0 {
-                        self.violation("PWR_CR: VOS changed while the PLL is on".into());
-                    }
+                    // 5.1.3: VOS may be changed on the fly; what it must be depends on the clock.
                     self.pwr_cr = self.set("PWR_CR", self.pwr_cr, v & !0xc, 0x43ff);
+                    self.scale_check();
                 }
                 4 => self.pwr_csr_write(v),
                 _ => self.violation(format!("PWR: write at {off:#x}")),

@@ -1,5 +1,5 @@
 //! What the converters do: triggers, sampling times, regular and injected sequences, overrun, requests to
-//! the DMA (RM0090 sections 13.3 to 13.9), and what the channels see.
+//! the DMA (RM0090 sections 13.3 to 13.8), and what the channels see.
 
 use super::{Chip, adc::Adc};
 use crate::{
@@ -229,7 +229,7 @@ impl Chip {
         }
         adc.unread = true;
         if dma && !adc.dma_over {
-            // RM0090 table 43: who of DMA2 listens to which converter, as (stream, channel).
+            // RM0090 10.3.3, table 44: who of DMA2 listens to which converter, as (stream, channel).
             let streams = [[(0, 0), (4, 0)], [(2, 1), (3, 1)], [(0, 2), (1, 2)]][n];
             let done = streams
                 .into_iter()

@@ -118,7 +118,7 @@ impl Chip {
                             self.uart_dma_tx();
                             self.uart_dma_rx();
                         } else if v & 1 == 0 && on {
-                            // RM0090 10.3.7: switching a stream off ends it, and says so.
+                            // RM0090 10.3.14: switching a stream off ends it, and says so.
                             self.dma[d].isr[n / 4] |= 32 << SHIFT[n % 4];
                         }
                     }
@@ -220,7 +220,7 @@ impl Chip {
         let reachable = (0x2000_0000..0x2002_0000).contains(&memory)
             || (s.cr >> 6 & 3 == 1 && (0x0800_0000..0x0810_0000).contains(&memory));
         if !reachable {
-            // A transfer error: RM0090 10.3.16.
+            // A transfer error: RM0090 10.3.18.
             self.violation(format!("DMA{} stream {n}: transfer error at {memory:#010x}", d + 1));
             self.dma_fails(d, n);
             return Some(true);

@@ -241,7 +241,7 @@ impl Chip {
                 self.flash.before = (at, old);
                 self.rom.fill(u64::from(at), u64::from(len), 0xff).expect("in the flash");
                 self.flash.stats.erases[n as usize] += 1;
-                // DS8626 table 39, typical by width x8, x16, x32: 16, 64 and 128 KB.
+                // DS8626, flash memory programming, typical by width x8, x16, x32: 16, 64 and 128 KB.
                 let (small, middle, large) = (
                     [400, 300, 250, 250][size],
                     [1200, 700, 550, 550][size],
@@ -253,7 +253,7 @@ impl Chip {
                     _ => large,
                 };
                 let t = ms(typical) * if self.world.slow_flash { 2 } else { 1 };
-                // RM0090 on cache and erase: what a cache holds of an erased sector stays until the cache is reset.
+                // RM0090 3.6.4: what a cache holds of an erased sector stays until the cache is reset.
                 self.flash.stale |= self.flash.acr >> 9 & 2;
                 self.say(
                     Grade::Fact,
@@ -327,12 +327,12 @@ impl Chip {
         }
         self.rom.write_at(u64::from(at), &new[..bytes.len()]).expect("in the flash");
         self.flash.stats.words += 1;
-        // DS8626 table 39, word programming time: 16 µs typical, 100 at most.
+        // DS8626, flash memory programming, a word: 16 µs typical, 100 at most.
         self.flash_busy(us(if self.world.slow_flash { 100 } else { 16 }));
         self.script_word();
     }
 
-    /// A write to the array that nothing was set up for: RM0090 3.9.4, PGSERR. The firmware did not ask for
+    /// A write to the array that nothing was set up for: RM0090 3.9.5, PGSERR. The firmware did not ask for
     /// it, so it is no violation of its own.
     pub(crate) fn flash_stray_write(&mut self) {
         self.flash.sr |= 0x80;

@@ -10,6 +10,8 @@ use crate::{
 pub struct Iwdg {
     pub(crate) pr: u32,
     pub(crate) rlr: u32,
+    /// What the counter begins at: its reset value, until a reload.
+    pub(crate) count: u32,
     pub(crate) unlocked: bool,
     pub running: bool,
     pub expire: u64,
@@ -23,7 +25,7 @@ pub struct Iwdg {
 impl Chip {
     pub(crate) fn iwdg_reload(&mut self) {
         let lsi = TPS / self.world.lsi_hz;
-        let period = lsi * (4 << self.iwdg.pr.min(6)) * u64::from(self.iwdg.rlr + 1);
+        let period = lsi * (4 << self.iwdg.pr.min(6)) * u64::from(self.iwdg.count + 1);
         self.iwdg.expire = self.now + period;
         if self.iwdg.feeds > 0 {
             self.iwdg.longest = self.iwdg.longest.max(self.now - self.iwdg.fed_at);
@@ -54,6 +56,8 @@ impl Chip {
             }
             (0, 0xaaaa) => {
                 self.iwdg.unlocked = false;
+                // 21.3: only this loads it; a start alone counts from 0xfff.
+                self.iwdg.count = self.iwdg.rlr;
                 if self.iwdg.running {
                     self.iwdg_reload();
                 }

@@ -237,7 +237,12 @@ impl Chip {
         self.pwr_cr = 0x4000;
         self.backup.rtc.system_reset(self.now);
         self.gpio = Default::default();
-        self.gpio[0] = Gpio { moder: 0xa800_0000, pupdr: 0x6400_0000, ..Gpio::default() };
+        self.gpio[0] = Gpio {
+            moder: 0xa800_0000,
+            ospeedr: 0x0c00_0000,
+            pupdr: 0x6400_0000,
+            ..Gpio::default()
+        };
         self.gpio[1] = Gpio { moder: 0x280, ospeedr: 0xc0, pupdr: 0x100, ..Gpio::default() };
         let options = self.flash.optcr | 1;
         self.flash = Flash::reset(self.flash.stats);
@@ -250,8 +255,13 @@ impl Chip {
         self.can = Can::reset();
         self.uart = [Uart::reset(), Uart::reset()];
         self.spi = Spi::reset();
-        self.iwdg =
-            Iwdg { rlr: 0xfff, expire: NEVER, longest: self.iwdg.longest, ..Iwdg::default() };
+        self.iwdg = Iwdg {
+            rlr: 0xfff,
+            count: 0xfff,
+            expire: NEVER,
+            longest: self.iwdg.longest,
+            ..Iwdg::default()
+        };
         self.exti = Exti::default();
         self.syscfg = [0; 9];
         for n in 0..82 {

@@ -107,11 +107,7 @@ impl Chip {
                 hz(self.pclk2)
             ));
         }
-        if hz(self.hclk) > 144_000_000 && self.pwr_cr & 0x4000 == 0 {
-            self.violation(
-                "HCLK above 144 MHz with the regulator at scale 2 (PWR_CR.VOS 0)".into(),
-            );
-        }
+        self.scale_check();
         self.flash_check();
         self.say(
             Grade::Fact,
@@ -125,6 +121,15 @@ impl Chip {
                 self.flash.acr & 7
             ),
         );
+    }
+
+    /// 3.5.1: above 144 MHz the regulator is at scale 1.
+    pub(crate) fn scale_check(&mut self) {
+        if TPS / self.hclk > 144_000_000 && self.pwr_cr & 0x4000 == 0 {
+            self.violation(
+                "HCLK above 144 MHz with the regulator at scale 2 (PWR_CR.VOS 0)".into(),
+            );
+        }
     }
 
     /// The clock tree, and the lock of the flash, as the loader leaves them: 60 MHz from HSI by the PLL.

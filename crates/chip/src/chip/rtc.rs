@@ -83,7 +83,7 @@ fn days_of(month: u32, year: u32) -> u32 {
 }
 
 impl Rtc {
-    /// 26.6.4: what a reset of the system leaves, and what it does not.
+    /// 26.3.7: what a reset of the system leaves, and what it does not.
     pub(crate) fn system_reset(&mut self, now: u64) {
         self.init = false;
         (self.locked_time, self.locked_date) = (None, None);
@@ -166,7 +166,7 @@ impl Chip {
     pub(crate) fn rtc_read(&mut self, off: u32) -> u32 {
         let (seconds, cycles) = self.rtc_count();
         let (time, date) = self.backup.rtc.calendar(seconds);
-        // 26.6.4: two cycles until the shadows are the calendar's.
+        // 26.3.2: two cycles until the shadows are the calendar's.
         let is_in_step = self.after_cycles(self.backup.rtc.shadow_at, 2) && !self.backup.rtc.init;
         let rtc = &mut self.backup.rtc;
         let shadows = rtc.control & BYPSHAD == 0;

@@ -180,7 +180,7 @@ impl Chip {
     pub(crate) fn trgo(&mut self, i: usize) {
         let name = self.tims[i].name;
         for j in 0..self.tims.len() {
-            // RM0090 tables 93 and 97: who is behind the internal triggers.
+            // RM0090 17.4.3 and 18.4.3, tables 94 and 98: who is behind the internal triggers.
             let from = match self.tims[j].name {
                 "TIM1" => ["TIM5", "TIM2", "TIM3", "TIM4"],
                 "TIM8" => ["TIM1", "TIM2", "TIM4", "TIM5"],

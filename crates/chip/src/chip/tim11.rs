@@ -1,5 +1,5 @@
 //! TIM11 as a meter of the crystal: its input is HSE_RTC, the crystal divided by RTCPRE (RM0090 7.2.11 and
-//! 19.5.12, TI1_RMP). Only what that needs: up-counting over 16 bits, captures of channel 1 with its
+//! 19.5.11, TI1_RMP). Only what that needs: up-counting over 16 bits, captures of channel 1 with its
 //! prescaler, the flags. Captures are worked out when somebody looks, because nothing else sees them.
 
 use super::Chip;
@@ -55,7 +55,7 @@ impl Chip {
         self.tim11.captured = captures;
         let last = self.tim11.captures_since + captures * period;
         self.tim11.ccr1 = self.tim11_count(last);
-        // 19.5.5: CC1OF if one comes while CC1IF is still set.
+        // 19.5.3: CC1OF if one comes while CC1IF is still set.
         if fresh > 1 || self.tim11.sr & 2 != 0 {
             self.tim11.sr |= 1 << 9;
         }
@@ -75,7 +75,7 @@ impl Chip {
             0x28 => self.tim11.psc,
             0x2c => 0xffff,
             0x34 => {
-                // 19.5.5: reading the capture clears its flag.
+                // 19.5.3: reading the capture clears its flag.
                 self.tim11.sr &= !2;
                 self.tim11.ccr1
             }

@@ -7,7 +7,7 @@ use crate::{
     wire::Parity,
 };
 
-/// A unit as RM0090 (table 1, section 12.2) and DS8626 (alternate functions, AF7) place it.
+/// A unit as RM0090 (tables 1 and 62) and DS8626 (alternate functions, AF7) place it.
 pub(crate) struct Unit {
     name: &'static str,
     transmit: &'static [(usize, u32)],
@@ -294,7 +294,7 @@ impl Chip {
                 }
             }
         }
-        // RM0090 30.3.3: idle is a whole frame of ones, unless the next start bit comes before.
+        // RM0090 30.3.1: idle is a whole frame of ones, unless the next start bit comes before.
         self.uart[n].idle_at = self.now + self.world.wires[n].character();
         self.uart_listen(n);
     }

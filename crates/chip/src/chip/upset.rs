@@ -55,7 +55,7 @@ impl Chip {
             }
             // 10.3.18: a transfer error switches the stream off and raises TEIF.
             "dma_error" => self.dma_fails(1, hex(1) as usize),
-            // 30.3.10 and 30.6.1: a break is a frame of zeros with a framing error.
+            // 30.3.3 and 30.6.1: a break is a frame of zeros with a framing error.
             "serial_error" | "modbus_error" => {
                 let (flags, byte) = match words[1].as_str() {
                     "break" => (2, Some(0)),

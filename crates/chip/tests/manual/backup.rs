@@ -76,9 +76,12 @@ fn the_clock_of_the_rtc_is_chosen_once_and_the_sram_outlasts_a_reset_of_the_doma
     assert_eq!(bench.read(BDCR) & 0x300, 0x100);
     bench.write(BKPSRAM, 5);
     bench.write(RTC + 0x50, 5);
+    bench.write(PWR + 4, 1 << 9);
+    bench.pass(ms(1));
     bench.write(BDCR, 1 << 16);
     bench.write(BDCR, 0);
     assert_eq!((bench.read(BDCR), bench.read(RTC + 0x50), bench.read(BKPSRAM)), (0, 0, 5));
+    assert_eq!(bench.read(PWR + 4) & 0x208, 0, "7.1.3: the regulator of the SRAM is off");
     assert_eq!(bench.read(RTC + 0x10), 0x007f_00ff, "26.6.5");
     bench.write(BDCR, 1 | 2 << 8);
     assert_eq!(bench.read(BDCR) & 0x300, 0x200, "it can be chosen anew");

@@ -59,7 +59,7 @@ fn the_second_converter_reads_its_own_pin_while_the_first_reads_another() {
 
 #[test]
 fn the_internal_reference_needs_its_switch_its_time_and_10_microseconds() {
-    // 13.11 and DS8626, embedded reference voltage.
+    // 13.3.3, 13.13.16 (TSVREFE) and DS8626, embedded reference voltage.
     let mut bench = ready();
     bench.write(ADC1 + 0x38, 17 << 15);
     let inject = |bench: &mut Bench| {
@@ -133,7 +133,7 @@ fn an_injected_conversion_breaks_off_a_regular_one_which_is_then_done_again() {
 
 #[test]
 fn a_discontinuous_sequence_goes_on_by_one_at_each_trigger() {
-    // 13.3.10, with the DMA in circles: table 43, DMA2 stream 3 channel 1.
+    // 13.3.10, with the DMA in circles: table 44, DMA2 stream 3 channel 1.
     let mut bench = ready();
     bench.at_once(|chip| chip.world.inputs[1..4].copy_from_slice(&[0.33, 0.66, 0.99]));
     let stream = DMA2 + 0x10 + 0x18 * 3;
