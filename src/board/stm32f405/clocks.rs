@@ -10,8 +10,9 @@
 //! | dead | locks | 144 MHz from the internal oscillator | silent: 1 % is out of its tolerance |
 //! | | dead | 16 MHz from the internal oscillator | silent |
 //!
-//! The internal oscillator is up to 4 % fast (data sheet, HSI oscillator characteristics): 168 MHz from it
-//! might be 175, above what the chip is made for. 144 MHz is not, and is a whole multiple of 20 kHz.
+//! The internal oscillator is up to 4 % fast between −10 and 85 °C (data sheet, HSI oscillator characteristics;
+//! 4.5 % beyond): 168 MHz from it might be 175, above what the chip is made for. 144 MHz is not, and is a whole
+//! multiple of 20 kHz.
 //!
 //! At 16 MHz the serial line is 2.1 % fast, at the edge of what a receiver takes.
 //!

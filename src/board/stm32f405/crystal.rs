@@ -28,8 +28,9 @@ const CAPTURES: u32 = 4;
 /// A capture takes 31 µs at 8 MHz: some fifty polls. A crystal below 0.5 MHz is none.
 const POLLS: u32 = 1_000;
 
-/// Updates of the watchdog's prescaler that are measured over, each of 5 periods of its oscillator (section
-/// 21.4.4): at least 6 800 core cycles, where one poll is 0.2 %.
+/// Updates of the watchdog's prescaler that are measured over, each of up to 5 periods of its oscillator
+/// (section 21.4.4), of as many each time: only the ratio counts. With 5 they are at least 6 800 core cycles,
+/// where one poll is 0.2 %.
 const UPDATES: u32 = 8;
 /// An update takes at most 294 µs (17 kHz, data sheet, LSI oscillator characteristics), 7 400 cycles of a
 /// crystal of 25 MHz; a poll takes more than one.
