@@ -215,13 +215,14 @@ impl Chip {
                 let old = self.can.mcr;
                 self.can.mcr = self.set("CAN_MCR", old, v, 0x0001_80ff);
                 if (self.can.mcr ^ old) & 3 != 0 {
-                    // Into a mode at once if the bus is quiet; out of it after 11 recessive bits.
+                    // Into a mode at once if the bus is quiet; out of it after 11 recessive bits, off the bus
+                    // after 128 times as many.
                     let wait = if v & 1 != 0 && old & 1 == 0 {
                         let frame_ends =
                             if self.can.end_at == NEVER { now } else { self.can.end_at };
                         frame_ends.max(now) - now
                     } else {
-                        11 * self.can_bit()
+                        self.can_recessive()
                     };
                     self.can.mode_at = now + wait.max(self.pclk1 * 4);
                 }

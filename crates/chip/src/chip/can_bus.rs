@@ -21,7 +21,8 @@ impl Chip {
         }
         if self.can.boff && !init {
             (self.can.boff, self.can.tec, self.can.rec) = (false, 0, 0);
-            self.say(Grade::Fact, "CAN: back from bus-off by itself (ABOM)".into());
+            let by = if self.can.inak { "through initialization" } else { "by itself (ABOM)" };
+            self.say(Grade::Fact, format!("CAN: back from bus-off {by}"));
         }
         if !init && self.can.inak && !listening {
             self.violation("CAN: leaves initialization without a receive pin on AF9: it never sees 11 recessive bits".into());
@@ -29,10 +30,6 @@ impl Chip {
         }
         self.can.inak = init;
         self.can.slak = sleep && !init;
-        if init {
-            // Bus-off is left by passing through initialization as well, after 128 × 11 recessive bits.
-            (self.can.boff, self.can.tec, self.can.rec) = (false, 0, 0);
-        }
         if !init && !sleep {
             self.say(
                 Grade::Fact,
@@ -46,9 +43,13 @@ impl Chip {
     pub(crate) fn can_quiet(&mut self) {
         let waits = self.can.boff || self.can.inak != (self.can.mcr & 1 != 0);
         if waits && self.can.mode_at == NEVER {
-            self.can.mode_at =
-                self.now + if self.can.boff { 128 * 11 } else { 11 } * self.can_bit();
+            self.can.mode_at = self.now + self.can_recessive();
         }
+    }
+
+    /// How long the bus must be recessive before the controller takes part in it.
+    pub(crate) fn can_recessive(&self) -> u64 {
+        if self.can.boff { 128 * 11 * self.can_bit() } else { 11 * self.can_bit() }
     }
 
     /// Puts the next frame on the bus, if it is free and there is one.
@@ -93,7 +94,7 @@ impl Chip {
             self.can.tec = 255;
             if self.can.mcr & 0x40 != 0 {
                 // ABOM: back after 128 × 11 recessive bits.
-                self.can.mode_at = self.now + 128 * 11 * self.can_bit();
+                self.can.mode_at = self.now + self.can_recessive();
             }
         }
         let after = self.can.esr();

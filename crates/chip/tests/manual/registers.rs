@@ -218,6 +218,34 @@ fn can_leaves_initialisation_after_11_recessive_bits_and_never_on_a_dominant_bus
 }
 
 #[test]
+fn bus_off_is_left_after_128_times_11_recessive_bits_initialisation_or_not() {
+    let mut bench = Bench::with(Faults { can_short: true, ..Faults::default() });
+    bench.set(RCC + 0x30, 2);
+    bench.set(RCC + 0x40, 1 << 25);
+    bench.write(GPIOB, 0x280 | 2 << 16 | 2 << 18);
+    bench.write(GPIOB + 0x24, 0x99);
+    bench.write(CAN1, 1);
+    bench.pass(us(10));
+    // 16 MHz by 2 and 8 quanta: 1 Mbit/s.
+    bench.write(CAN1 + 0x1c, 0x0014_0001);
+    bench.write(CAN1, 0);
+    bench.pass(us(40));
+    // A frame that nobody hears whole is sent 32 times, 8 errors each: 256.
+    bench.write(CAN1 + 0x180, 0x100 << 21 | 1);
+    bench.pass(us(32 * 80));
+    assert_eq!(bench.read(CAN1 + 0x18) & 4, 4, "BOFF");
+    bench.write(CAN1, 1);
+    bench.pass(us(40));
+    assert_eq!(bench.read(CAN1 + 4) & 1, 1, "INAK");
+    assert_eq!(bench.read(CAN1 + 0x18) & 4, 4, "no pin is watched there: 32.7.6");
+    bench.write(CAN1, 0);
+    bench.pass(us(1_400));
+    assert_eq!(bench.read(CAN1 + 0x18) & 4, 4, "1,408 bits");
+    bench.pass(us(20));
+    assert_eq!(bench.read(CAN1 + 0x18) >> 16 & 0xff | bench.read(CAN1 + 0x18) & 4, 0, "TEC, BOFF");
+}
+
+#[test]
 fn the_filter_and_the_timing_of_can_are_locked_outside_initialisation() {
     let bench = clocked();
     bench.write(CAN1 + 0x1c, 2);
