@@ -81,7 +81,7 @@ pub fn diagnose_for(
     notes.extend(seen_before(runs, holdout));
     // Repeats say before any cause is known which readings stand alone.
     let mut aside = outliers::among_repeats(&data, &Model::default().predict(&data));
-    let (mut problem, mut found) = searched(&data, &aside, progress);
+    let (mut problem, mut found) = searched(&data, &aside, None, progress);
     // Gross errors are seen once the rest is explained; then the rest is searched without them. Once
     // more, where fewer or others are seen then.
     for _ in 0..2 {
@@ -90,7 +90,8 @@ pub fn diagnose_for(
             break;
         }
         aside = gross;
-        (problem, found) = searched(&data, &aside, progress);
+        let known = found.fitted.model;
+        (problem, found) = searched(&data, &aside, Some(&known), progress);
     }
     progress("comparing with rivals", 0.92);
     let judged = judge(&problem, &found);
@@ -115,7 +116,12 @@ fn gross_errors(data: &Data, problem: &Problem, found: &Found) -> Vec<bool> {
 
 /// The search on the rows that count and are not set aside: on all of them, on means of neighbours, or
 /// on as many as tell enough. The last fit is to all of them.
-fn searched(data: &Arc<Data>, aside: &[bool], progress: &mut Progress<'_>) -> (Problem, Found) {
+fn searched(
+    data: &Arc<Data>,
+    aside: &[bool],
+    known: Option<&Model>,
+    progress: &mut Progress<'_>,
+) -> (Problem, Found) {
     let used: Vec<bool> =
         data.used.iter().zip(aside).map(|(used, aside)| *used && !aside).collect();
     let rows = used.iter().filter(|used| **used).count();
@@ -138,11 +144,11 @@ fn searched(data: &Arc<Data>, aside: &[bool], progress: &mut Progress<'_>) -> (P
     };
     let Some((few, of_few)) = fewer else {
         let problem = Problem::new(data.clone(), groups);
-        let found = search(&problem, &start(data), progress);
+        let found = search(&problem, &start(data), known, progress);
         return (problem, found);
     };
     let problem = Problem::new(few, of_few);
-    let mut found = search(&problem, &start(data), progress);
+    let mut found = search(&problem, &start(data), known, progress);
     let whole = Problem::new(data.clone(), groups);
     let model = fit(&whole, &found.fitted.model, None).model;
     let residual = problem.residual(&model);

@@ -182,6 +182,9 @@ fn doubted(doubt: &Doubt, gain: &Gain, left_out: Unit) -> String {
             named(law)
         ),
         Doubt::GainsOnce => "It gains on one part of the record alone: it was seen once.".into(),
+        Doubt::MayGainNothing => format!(
+            "It may as well gain nothing on left-out {left_out}: the interval of its gain holds that."
+        ),
         Doubt::DoesNotGoOn => {
             "It does not foresee the end of the record: something else may wander."
                 .into()

@@ -22,6 +22,8 @@ pub(crate) enum Doubt {
     FormOf(Kind),
     /// It gains on one block of the record alone, and nothing on the others together.
     GainsOnce,
+    /// The 95 % interval of what it gains on left-out blocks holds nothing.
+    MayGainNothing,
     /// A drift or a jump that does not foresee the end of the record.
     DoesNotGoOn,
     /// A lag that only averages the noise of its thermometer.

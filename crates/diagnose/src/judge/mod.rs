@@ -17,6 +17,7 @@
 //! needed with a second lag there, and without the start         that law
 //! it gains on left-out blocks, also without the one on which    else: seen once
 //! it gains most
+//! the interval of that gain does not hold nothing               else: it may gain nothing
 //! a drift or a jump foresees the end of the record              else: it does not go on
 //! a lag foresees better than smoothing that is not late         else: it smooths a thermometer
 //! it gains without each other term, and no other term takes     else: only certain together
@@ -74,7 +75,7 @@ use case::Case;
 pub(crate) use doubt::Doubt;
 use form::{form_of, start_of};
 use identified::is_identified;
-use needed::{Alone, gains_again, goes_on, only_together};
+use needed::{Alone, gains_again, goes_on, may_gain_nothing, only_together};
 use other_law::Curves;
 use rivals::{Rival, predict_alike, rivals};
 use table::{BetweenPoints, repeated};
@@ -143,6 +144,7 @@ pub(crate) fn judge(problem: &Problem, found: &Found) -> Vec<Judgement> {
     doubt_what_stands_beside_an_open_end(&mut judged);
     doubt_what_stands_beside_another_law(&case, &mut judged);
     doubt_what_may_be_the_rest_of_an_open_term(&mut judged);
+    leave_what_only_this_record_holds_up(&mut judged);
     judged
 }
 
@@ -156,6 +158,7 @@ fn judge_term(case: &Case<'_>, added: &Added) -> Option<Judgement> {
     let rivals = rivals(case, cause, places);
     let estimates = estimates(problem, &found.fitted, part, found.noise);
     let left_out_without = case.left_out_of(&without);
+    let gain = case.gain(&without, &left_out_without);
     let open: Vec<&Rival> = rivals.iter().filter(|rival| rival.is_open(cause)).collect();
     let mut doubts = Vec::new();
     doubts.extend(open.first().map(|rival| Doubt::Rival(rival.cause.clone())));
@@ -166,6 +169,7 @@ fn judge_term(case: &Case<'_>, added: &Added) -> Option<Judgement> {
         Some(_) => doubts.push(Doubt::NotRepeated),
         None => {
             doubts.extend(doubts_of_values(case, part, &without, &estimates, &left_out_without));
+            doubts.extend(may_gain_nothing(part, &gain).then_some(Doubt::MayGainNothing));
             let is_known = estimates.is_determined;
             doubts.extend(doubts_by_residual(case, cause, &without, is_known));
         }
@@ -181,7 +185,7 @@ fn judge_term(case: &Case<'_>, added: &Added) -> Option<Judgement> {
     Some(Judgement {
         part: part.clone(),
         parameters: estimates.named,
-        gain: case.gain(&without, &left_out_without),
+        gain,
         first_gain: added.gain,
         is_kept,
         rivals,
@@ -301,6 +305,18 @@ fn doubt_what_may_be_the_rest_of_an_open_term(judged: &mut [Judgement]) {
     }
 }
 
+/// Beside what is of this record alone, and is left out, the others are right as they are; but of one whose
+/// interval holds nothing the size is not known there either. The two may be large and take each other back, so
+/// that what is left of them on another day is neither: it is not handed out alone.
+fn leave_what_only_this_record_holds_up(judged: &mut [Judgement]) {
+    if judged.iter().any(|it| !it.is_kept && it.is_of_this_record()) {
+        let is_unsure = |it: &&mut Judgement| {
+            it.cause().is_compensated() && it.doubts.contains(&Doubt::MayBeNothing)
+        };
+        judged.iter_mut().filter(is_unsure).for_each(|it| it.is_kept = false);
+    }
+}
+
 /// Takes back the claims that hold only if an open question is answered one way: each must still be needed
 /// with each of the rivals in the place of a term that cannot be told from them.
 fn doubt_what_hangs_on_an_open_question(case: &Case<'_>, judged: &mut [Judgement]) {
@@ -345,5 +361,45 @@ fn doubt_what_stands_beside_another_law(case: &Case<'_>, judged: &mut [Judgement
         if bic(&without) <= bic(&sound) + STRONG_EVIDENCE {
             it.doubts.push(Doubt::BesideOtherLaw);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn judgement(doubts: Vec<Doubt>, is_kept: bool) -> Judgement {
+        let gain = Gain {
+            rms_before_um: 2.0,
+            rms_after_um: 1.0,
+            left_out_before_um: 2.0,
+            left_out_after_um: 1.0,
+            reduction: 0.5,
+            ci95: [0.4, 0.6],
+        };
+        Judgement {
+            part: Part { kind: Kind::heat_of("temp_a_c", true), values: vec![600.0, 1.0] },
+            parameters: Map::new(),
+            gain,
+            first_gain: gain,
+            rivals: Vec::new(),
+            doubts,
+            is_kept,
+            between: None,
+            left_out_without: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn what_may_be_nothing_is_not_handed_out_without_what_held_it_up() {
+        let kept = |slow_is_kept: bool| {
+            let slow = judgement(vec![Doubt::SlowerThanRecord], slow_is_kept);
+            let unsure = judgement(vec![Doubt::MayBeNothing, Doubt::NotIdentified], true);
+            let mut all = vec![slow, unsure, judgement(Vec::new(), true)];
+            leave_what_only_this_record_holds_up(&mut all);
+            all.iter().map(|it| it.is_kept).collect::<Vec<_>>()
+        };
+        assert_eq!(kept(false), [false, false, true]);
+        assert_eq!(kept(true), [true, true, true]);
     }
 }

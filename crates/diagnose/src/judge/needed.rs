@@ -2,8 +2,9 @@
 
 use crate::{
     fit::fit,
+    gain::Gain,
     judge::case::Case,
-    kind::Kind,
+    kind::{Kind, Part},
     search::extend::{centred_effect, take_back, without},
 };
 use trueup_machine::effect::Effect;
@@ -14,6 +15,12 @@ pub(crate) fn gains_again(case: &Case<'_>, cause: &Kind, left_out_without: &[f64
     cause.list_length().is_some()
         || case.paired(left_out_without).without_best > 0.0
             && !(cause.is_from_the_start() && hangs_on_one_reading(case, left_out_without))
+}
+
+/// Whether the interval of what a term gains on left-out blocks holds nothing, as that of its size must not.
+/// Tables and curves answer for themselves.
+pub(crate) fn may_gain_nothing(part: &Part, gain: &Gain) -> bool {
+    part.kind.list_length().is_none() && gain.ci95[0] <= 0.0
 }
 
 /// Whether most of what a term gains is gained at a single reading.

@@ -19,6 +19,7 @@ use crate::{
     fit::{Fitted, fit},
     gain::Gain,
     kind::Kind,
+    model::Model,
     search::{
         MOST_TERMS,
         criterion::{STRONG_EVIDENCE, bic, degrees, noise_of},
@@ -101,6 +102,18 @@ impl Search<'_> {
         let Some(found) = found else { return false };
         self.adopt(found, &own);
         true
+    }
+
+    /// Takes `known` for the model in work if it is better by the same measure; whether it is.
+    pub(crate) fn recall(&mut self, known: &Model) -> bool {
+        let price = self.price();
+        let own = self.assessed(self.fitted.clone(), price);
+        let known = self.assessed(fit(self.problem, known, None), price);
+        let is_better = self.is_better(&known, &own);
+        if is_better {
+            self.adopt(known, &own);
+        }
+        is_better
     }
 
     /// The best model on a way from `start` that is better than the `own`.

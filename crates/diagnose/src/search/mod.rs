@@ -86,15 +86,22 @@ pub(crate) fn start(data: &Data) -> Model {
     Model { parts: Vec::<Part>::new(), constant_um: data.quantity.axis().map(|_| 0.0) }
 }
 
-/// The search on `problem`, from the model as it is. `progress` hears what is being tried, and how
+/// The search on `problem`, from the model as it is; `known` was found before some rows were set aside, and
+/// is the answer to go on from where it is better than what is found now. `progress` hears what is being tried, and how
 /// far the search has come (0…1).
 pub(crate) fn search(
     problem: &Problem,
     start: &Model,
+    known: Option<&Model>,
     progress: &mut dyn FnMut(&str, f64),
 ) -> Found {
     let mut search = Search::new(problem, start);
     let mut no_gain = search.add_terms(progress);
+    // A few rows more or less may let a search stop short of what another one has found.
+    if known.is_some_and(|known| search.recall(known)) {
+        search.try_all_again();
+        no_gain = search.add_terms(progress);
+    }
     // What foresees nothing may have stood in the way of what does.
     let mut returns = 0;
     while search.simplify() && returns < MOST_RETURNS {
@@ -214,8 +221,7 @@ impl Search<'_> {
             return Round::Widened;
         }
         let work = self.problem.groups.len() * degrees(&self.fitted.model);
-        if !self.has_looked_ahead && !is_empty && work < MOST_WORK_AHEAD {
-            self.has_looked_ahead = true;
+        if !is_empty && work < MOST_WORK_AHEAD && self.is_new_to_look_ahead() {
             progress("looking several terms ahead", f64::NAN);
             if self.float() || self.look_two_ahead() {
                 self.revise();

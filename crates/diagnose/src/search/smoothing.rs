@@ -2,6 +2,7 @@
 //! comes late; what smooths as much and is not late, which no part can, does as well for the noise.
 
 use trueup_machine::effect::Effect;
+use trueup_numerics::blocks::Paired;
 
 use crate::{
     blocks::Folds,
@@ -29,7 +30,8 @@ pub(crate) fn only_smooths(
     without: &Model,
     left_out: &[f64],
 ) -> bool {
-    smoothed_for(problem, part).any(|smooth| foresees(folds, &smooth, without, left_out))
+    smoothed_for(problem, part)
+        .any(|smooth| !against(folds, &smooth, without, left_out).is_better())
 }
 
 /// The data with thermometers that are smoothed as much as `part` does it; none where it has no lag.
@@ -44,8 +46,9 @@ fn smoothed_for(problem: &Problem, part: &Part) -> impl Iterator<Item = Problem>
     })
 }
 
-fn foresees(folds: &Folds, smooth: &Problem, without: &Model, left_out: &[f64]) -> bool {
-    !folds.paired(&folds.left_out(smooth, without), left_out).is_better()
+/// What the lag leaves less than the model `without` it, where the thermometers are smooth.
+fn against(folds: &Folds, smooth: &Problem, without: &Model, left_out: &[f64]) -> Paired {
+    folds.paired(&folds.left_out(smooth, without), left_out)
 }
 
 /// Whether the first value of a term is how late a thermometer, or what it shows, is.
@@ -65,7 +68,9 @@ impl Search<'_> {
         }
     }
 
-    /// The first term that only smooths, also by all that is known of these rows, and the model without it.
+    /// The first term that only smooths, also by all that is known of these rows, and the model without it. What
+    /// these do not tell from smoothing must foresee better beyond doubt: noise that is smoothed in one way or in
+    /// another makes a small difference by chance.
     fn smoothing(&self) -> Option<(usize, Fitted)> {
         let parts = &self.fitted.model.parts;
         let own = self.bic();
@@ -77,7 +82,7 @@ impl Search<'_> {
             let is_as_good = |smooth: Problem| {
                 let fitted = fit(&smooth, &without.model, None);
                 bic(&smooth, &fitted) < own + STRONG_EVIDENCE
-                    && foresees(&self.folds, &smooth, &without.model, left_out)
+                    && !against(&self.folds, &smooth, &without.model, left_out).is_certain()
             };
             let only_smooths = smoothed_for(self.problem, part).any(is_as_good);
             only_smooths.then_some((index, without))

@@ -33,8 +33,8 @@ pub(crate) struct Search<'p> {
     pub given_up: Vec<Kind>,
     /// Terms that only the statistic of squares called for.
     pub by_squares: Vec<Kind>,
-    /// Whether several terms ahead have been looked at.
-    pub has_looked_ahead: bool,
+    /// The causes beside which several terms ahead have been looked at.
+    looked_ahead: Vec<Vec<Kind>>,
     /// Whether a table was judged by its repeats.
     pub has_judged_repeats: bool,
     /// What takes away less of the RMS is not worth a term, in µm.
@@ -135,7 +135,7 @@ impl<'p> Search<'p> {
             rejected: Vec::new(),
             given_up: Vec::new(),
             by_squares: Vec::new(),
-            has_looked_ahead: false,
+            looked_ahead: Vec::new(),
             has_judged_repeats: false,
         }
     }
@@ -175,6 +175,20 @@ impl<'p> Search<'p> {
     pub(crate) fn remove(&mut self, index: usize, without: Fitted) {
         self.fitted = without;
         self.added.remove(index);
+    }
+
+    /// Whether several terms ahead have never been looked at from these causes; they have now. What another
+    /// model could not be made better by says nothing of this one.
+    pub(crate) fn is_new_to_look_ahead(&mut self) -> bool {
+        let here: Vec<Kind> = self.fitted.model.parts.iter().map(|it| it.kind.clone()).collect();
+        let is_same = |there: &Vec<Kind>| {
+            there.len() == here.len() && here.iter().all(|kind| there.contains(kind))
+        };
+        let is_new = !self.looked_ahead.iter().any(is_same);
+        if is_new {
+            self.looked_ahead.push(here);
+        }
+        is_new
     }
 
     /// Begins anew with all causes: nothing counts as tried.
