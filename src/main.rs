@@ -20,7 +20,8 @@
 //! | `supervise` | `SysTick`, 10 ms | 2 | 100 ms, the watchdog | node, image, registers, stack | samples, watchdog, lamp, flash |
 //! | `service` | 2 ms since its last turn | 2 | 10 ms | node | node, port, CAN |
 //! | `modbus` | TIM5, 3.5 characters of silence; bytes in the queue | 2 | 6 ms, 64 bytes | byte queue, node | node, byte queue |
-//! | `transmit` | lines in the port, room on the line | 1 | 5 ms of frames in the port | port | USART1, DMA |
+//! | `transmit` | lines in the port, room on the line | 3 | 5 ms of frames in the port | port | USART1, DMA |
+//! | `poll` | `transmit`, where its DMA is dead | 1 | the same | port | USART1 |
 //! | `thermometers` | `supervise` | 1 | 1 s, then the channels count as bad | SPI2 | temperatures |
 //! | `idle` | nothing else to do | 0 | | | |
 //!
@@ -75,6 +76,7 @@ mod app {
     /// The tasks that other tasks start have an interrupt that no pin uses. A pended interrupt cannot
     /// be lost: raised while its task runs, it makes it run again.
     const LISTEN: Interrupt = Interrupt::EXTI0;
+    const POLL: Interrupt = Interrupt::EXTI1;
     /// The DMA raises this one too, when there is room for more.
     const TRANSMIT: Interrupt = Interrupt::DMA2_STREAM7;
     const THERMOMETERS: Interrupt = Interrupt::EXTI2;
@@ -91,6 +93,7 @@ mod app {
         /// Where it lies for good: it is large, and moving it would cost the stack its size each time.
         node: &'static mut Node<'static>,
         port: Port,
+        serial_out: SerialOut,
         can_out: CanOut,
         samples: Samples,
         /// What the thermometers say, until a tick takes it.
@@ -100,7 +103,6 @@ mod app {
     #[local]
     struct Local {
         serial_in: SerialIn,
-        serial_out: SerialOut,
         rs485: Rs485,
         to_modbus: Producer<'static, Heard>,
         from_modbus: Consumer<'static, u8>,
@@ -182,6 +184,7 @@ mod app {
         let shared = Shared {
             node,
             port: Port::new(board::short(parts.serial_number)),
+            serial_out: parts.serial_out,
             can_out: parts.can_out,
             samples: parts.samples,
             temperatures: None,
@@ -189,7 +192,6 @@ mod app {
         let [can_in_0, can_in_1] = parts.can_in;
         let local = Local {
             serial_in: parts.serial_in,
-            serial_out: parts.serial_out,
             rs485: parts.plc.line,
             to_modbus,
             from_modbus,
@@ -391,15 +393,26 @@ mod app {
         }
     }
 
-    /// Lines to the serial line, as much as it takes at once.
-    #[task(binds = DMA2_STREAM7, priority = 1, local = [serial_out], shared = [port])]
-    fn transmit(mut cx: transmit::Context) {
+    /// Lines to the serial line, as much as its DMA takes at once.
+    #[task(binds = DMA2_STREAM7, priority = 3, shared = [serial_out, port])]
+    fn transmit(cx: transmit::Context) {
         let _turn = alive::enter(Task::Transmit);
         let now = NOW_MS.load(Ordering::Relaxed);
-        let sent =
-            cx.local.serial_out.send(now, |piece| cx.shared.port.lock(|port| port.take(piece)));
+        let (mut out, mut port) = (cx.shared.serial_out, cx.shared.port);
+        let sent = out.lock(|out| out.send(now, |piece| port.lock(|port| port.take(piece))));
         if sent == Sent::More {
-            rtic::pend(TRANSMIT);
+            rtic::pend(POLL);
+        }
+    }
+
+    /// The same where the DMA is dead: a few bytes are polled out, as long as nothing else waits.
+    #[task(binds = EXTI1, priority = 1, shared = [serial_out, port])]
+    fn poll(cx: poll::Context) {
+        let _turn = alive::enter(Task::Transmit);
+        let (mut out, mut port) = (cx.shared.serial_out, cx.shared.port);
+        let sent = out.lock(|out| out.poll_out(|piece| port.lock(|port| port.take(piece))));
+        if sent == Sent::More {
+            rtic::pend(POLL);
         }
     }
 

@@ -15,11 +15,11 @@ const STACK: u64 = 80 * 1024;
 const EXCEPTION: u64 = 4 * 27;
 /// The tasks, by their interrupts (`src/main.rs`), from the lowest priority on: at most one of each runs.
 const PRIORITIES: [&[&str]; 5] = [
-    &["DMA2_STREAM7", "EXTI2"],
-    &["SysTick", "EXTI3"],
-    &["CAN1_RX0", "CAN1_RX1", "EXTI0"],
+    &["EXTI1", "EXTI2"],
+    &["SysTick", "EXTI3", "TIM5"],
+    &["CAN1_RX0", "CAN1_RX1", "EXTI0", "DMA2_STREAM7"],
     &["DMA2_STREAM0"],
-    &["USART1", "DMA2_STREAM2"],
+    &["USART1", "DMA2_STREAM2", "USART3"],
 ];
 /// Counted apart. Formatting calls through pointers, and a text within a text formats again. Whoever panics ends:
 /// the handler's own panic, which its bounds would allow it, is counted as one more.

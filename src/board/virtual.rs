@@ -217,7 +217,12 @@ pub struct SerialOut(#[expect(dead_code, reason = "holds that half of the USART"
 
 impl SerialOut {
     /// Sends all that waits, which `fill` gives a piece at a time, byte by byte.
-    pub fn send(&mut self, _now_ms: u32, mut fill: impl FnMut(&mut [u8]) -> usize) -> Sent {
+    pub fn send(&mut self, _now_ms: u32, fill: impl FnMut(&mut [u8]) -> usize) -> Sent {
+        self.poll_out(fill)
+    }
+
+    /// The same.
+    pub fn poll_out(&mut self, mut fill: impl FnMut(&mut [u8]) -> usize) -> Sent {
         let mut piece = [0; 16];
         loop {
             let count = fill(&mut piece);

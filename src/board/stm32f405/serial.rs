@@ -26,10 +26,8 @@ use super::{
 const SEND_POLLS: u32 = 4_096;
 /// Milliseconds after which a DMA that has not moved is dead: a byte takes 11 µs.
 const DMA_PATIENCE_MS: u32 = 10;
-/// Bytes taken from the port at a time, to be polled out.
-const TAKEN_AT_ONCE: usize = 16;
-/// Bytes that are polled out in one turn, 1.4 ms of the line.
-const POLLED_AT_ONCE: usize = 128;
+/// Bytes that are polled out in one turn, 0.17 ms of the line: `transmit` and what it holds up wait for that.
+const POLLED_AT_ONCE: usize = 16;
 
 /// Sets up both directions. The clock of DMA2 is on.
 pub fn start(usart: USART1, tx: PA9, rx: PA10, rcc: &mut Rcc) -> (SerialIn, SerialOut) {
@@ -133,9 +131,9 @@ pub struct SerialOut {
 
 impl SerialOut {
     /// Hands over what waits, which `fill` gives a piece at a time; an interrupt comes when there is room
-    /// for more.
+    /// for more. Where the DMA is dead nothing is taken: it is for [`Self::poll_out`].
     pub fn send(&mut self, now_ms: u32, fill: impl FnMut(&mut [u8]) -> usize) -> Sent {
-        let Some(outgoing) = &mut self.outgoing else { return self.poll_out(fill) };
+        let Some(outgoing) = &mut self.outgoing else { return Sent::More };
         if outgoing.is_moving() {
             self.moved_ms = now_ms;
             return Sent::Busy;
@@ -158,15 +156,11 @@ impl SerialOut {
         let _sent = within(SEND_POLLS, || Write::write(&mut self.tx, byte).is_ok());
     }
 
-    fn poll_out(&mut self, mut fill: impl FnMut(&mut [u8]) -> usize) -> Sent {
-        for _ in 0..POLLED_AT_ONCE / TAKEN_AT_ONCE {
-            let mut piece = [0; TAKEN_AT_ONCE];
-            let count = fill(&mut piece);
-            piece[..count].iter().for_each(|byte| self.poll(*byte));
-            if count < TAKEN_AT_ONCE {
-                return Sent::All;
-            }
-        }
-        Sent::More
+    /// A few of the bytes that wait, each polled out; where the DMA is dead.
+    pub fn poll_out(&mut self, mut fill: impl FnMut(&mut [u8]) -> usize) -> Sent {
+        let mut piece = [0; POLLED_AT_ONCE];
+        let count = fill(&mut piece);
+        piece[..count].iter().for_each(|byte| self.poll(*byte));
+        if count < POLLED_AT_ONCE { Sent::All } else { Sent::More }
     }
 }
