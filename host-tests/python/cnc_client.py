@@ -165,6 +165,7 @@ def session(bus, database, board_time):
         seen[name] = summary(cycles)
 
     want = {"Engage": 1, "Referenced": 1, "Zero": 0, "Service": 0, "Confirm": 0}
+    want |= {"LearnedPart": 0, "Learned": 0, "LearnedCrc": 0}
     refuse = {**want, "Engage": 0}
 
     def damaged(_sent):

@@ -186,6 +186,9 @@ fn ours(frame: &Frame) -> Result<(Frame, Values), DecodeError> {
                 one("Zero", bit(read.zero)),
                 one("Service", bit(read.service)),
                 one("Confirm", bit(read.confirm)),
+                one("LearnedPart", read.learned.part.into()),
+                one("Learned", f64::from(read.learned.amount) / 1_000.0),
+                one("LearnedCrc", read.learned.calibration.into()),
             ];
             (frames::control(read, counter), values)
         }

@@ -141,6 +141,8 @@ pub enum ObjectKind {
     HasReference,
     /// Writing [`FORGET`] drops the reference.
     Forget,
+    /// How far a part, 0…4, differs from what the calibration says.
+    Learned(u8),
     /// RMS noise of the raw codes in thousandths of a code.
     Noise,
     /// Counters of the frames from the CNC.

@@ -92,11 +92,13 @@ pub enum Fault {
     SelfTest,
     /// A position is where its axis cannot have come so fast, and is not believed.
     PositionJump,
+    /// A learned change was not taken: of another calibration, of no part, or beyond its cap.
+    LearnedRefused,
 }
 
 impl Fault {
     /// Every fault, by its number.
-    pub const ALL: [Self; 30] = [
+    pub const ALL: [Self; 31] = [
         Self::NoCalibration,
         Self::Sensor,
         Self::SamplesMissing,
@@ -127,6 +129,7 @@ impl Fault {
         Self::Stopped,
         Self::SelfTest,
         Self::PositionJump,
+        Self::LearnedRefused,
     ];
 
     /// Its error code. The upper byte is the class of CiA 301: 31 the supply, 50 hardware of the device, 61 its
@@ -165,6 +168,7 @@ impl Fault {
             Self::Stopped => 0x6103,
             Self::SelfTest => 0x5005,
             Self::PositionJump => 0xFF06,
+            Self::LearnedRefused => 0xFF07,
         }
     }
 
@@ -201,7 +205,8 @@ impl Fault {
             | Self::SourceDead
             | Self::CalibrationUnfit
             | Self::ZeroRefused
-            | Self::PositionJump => 0,
+            | Self::PositionJump
+            | Self::LearnedRefused => 0,
         }
     }
 }
@@ -211,7 +216,7 @@ impl Fault {
 pub struct Faults(u32);
 
 impl Faults {
-    /// A bit each, 0…0x3FFF_FFFF: bit n is set for [`Fault::ALL`]`[n]`.
+    /// A bit each, 0…0x7FFF_FFFF: bit n is set for [`Fault::ALL`]`[n]`.
     #[must_use]
     pub const fn bits(self) -> u32 {
         self.0

@@ -12,7 +12,7 @@ use std::{
 use anyhow::Result;
 use clap::Args;
 use serde_json::{Value, json};
-use trueup_learn::{Constant, Learned, Limits, Memory, learn};
+use trueup_learn::{Constant, Learned, Limits, Live, Memory, learn, live};
 use trueup_machine::{Machine, MachineFile, RunFile, file};
 
 use crate::{
@@ -25,7 +25,8 @@ use crate::{
 ///
 /// The readings are the rows of a record in which measured_…_um has a value: of a probe on a ball or a block, a
 /// tool setter, a laser barrier. Your machine file stays as it is; what was learned is written to another one,
-/// and what is known to a .learn.json beside that. Load the new file when the machine is at rest.
+/// and what is known to a .learn.json beside that. Load the new file when the machine is at rest; what [limits.learned] permits
+/// trueup linuxcnc --learned tells the bridge while it runs.
 ///
 /// Exit 3: no reading of the record was used, or a bound was reached.
 #[derive(Args)]
@@ -100,10 +101,12 @@ pub fn run(args: &Learn, as_json: bool) -> Result<Outcome> {
         let mut inputs: Vec<&Path> = vec![&args.machine];
         inputs.extend(args.run.iter().map(PathBuf::as_path));
         save(args, &inputs, &known, &learned.machine, &learned.memory)?;
+        let live = Live::between(&machine, &files::parsed(&learned.machine, &args.output)?);
         if as_json {
-            output::print(serde_json::to_string_pretty(&said(&learned))?)?;
+            output::print(serde_json::to_string_pretty(&said(&learned, live.as_ref().ok()))?)?;
         } else {
             print(path, &learned)?;
+            print_live(live.ok())?;
         }
         if !learned.readings.iter().any(|it| it.used) || learned.is_held {
             outcome = Outcome::NotMet;
@@ -180,7 +183,7 @@ fn now(learned: &Learned) -> Vec<Now<'_>> {
         .collect()
 }
 
-fn said(learned: &Learned) -> Value {
+fn said(learned: &Learned, live: Option<&Live>) -> Value {
     let constants: Vec<Value> = now(learned)
         .iter()
         .map(|it| json!({"key": it.key, "file": it.file, "learned": it.learned, "half_width": it.half_width}))
@@ -198,7 +201,17 @@ fn said(learned: &Learned) -> Value {
         "constants": constants,
         "changes": changes,
         "notes": learned.notes,
+        "live": live.map(|it| json!({"told": live::text(&it.amounts.map(i32::from)), "by_new_file": it.rest})),
     })
+}
+
+/// What of it a bridge that runs on the user's file can be told; a file that is not for a board says nothing.
+fn print_live(live: Option<Live>) -> Result<()> {
+    let Some(Live { amounts, rest }) = live else { return Ok(()) };
+    if let Some(text) = live::text(&amounts.map(i32::from)) {
+        output::print(format_args!("  trueup linuxcnc --learned tells the bridge: {text}"))?;
+    }
+    rest.iter().try_for_each(|it| output::print(format_args!("  {it}")))
 }
 
 fn print(path: &Path, learned: &Learned) -> Result<()> {

@@ -1,12 +1,13 @@
 //! `trueup linuxcnc`: the bridge as a component of LinuxCNC's HAL.
 
 use std::{
-    fs::{File, OpenOptions},
+    fs::{self, File, OpenOptions},
     io::Write as _,
     path::{Path, PathBuf},
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
+        mpsc::{self, Receiver},
     },
     time::Duration,
 };
@@ -15,19 +16,24 @@ use anyhow::{Context as _, Result};
 use clap::Args;
 use trueup_client::port::Port;
 use trueup_core::units::NANOMETRES_PER_MICROMETRE;
+use trueup_learn::{Live, live};
 use trueup_linuxcnc::{
     Record,
     component::TEMPERATURES,
     ini::Ini,
     offsets,
-    run::{self, Settings},
+    run::{self, Learned, Settings},
 };
-use trueup_machine::{compile, file::LinearAxis, model::over_compensation_um};
+use trueup_machine::{
+    Machine, MachineFile, compile, file::LinearAxis, model::over_compensation_um,
+};
 
 use crate::{Outcome, UserError, files};
 
 /// Turns of the loop in a servo cycle: a step is seen to be taken soon after it was.
 const TURNS_PER_CYCLE: f64 = 2.5;
+/// How often the learned file is looked at: it changes once in half an hour.
+const LOOK: Duration = Duration::from_secs(5);
 
 /// Runs as a component of LinuxCNC's HAL: sends commanded positions to a bridge and turns its offsets
 /// into external offsets. LinuxCNC starts it: `loadusr -W trueup linuxcnc --port ...`.
@@ -72,6 +78,10 @@ pub struct LinuxCnc {
     /// Writes the last hours of speeds and temperatures to this file, which trueup learn needs beside what is probed.
     #[arg(long, value_name = "RUN.csv", requires = "machine")]
     record: Option<PathBuf>,
+    /// What trueup learn has written beside the machine file: as far as [limits.learned] permits, the bridge is told
+    /// of it while it runs, and again after each change of this file. What it cannot be told needs the file loaded, at rest.
+    #[arg(long, value_name = "LEARNED.toml", requires = "machine")]
+    learned: Option<PathBuf>,
     /// How many temp-NN pins there are.
     #[arg(long, value_name = "N", default_value_t = TEMPERATURES as u8, value_parser = clap::value_parser!(u8).range(0..=TEMPERATURES as i64))]
     temperatures: u8,
@@ -125,7 +135,7 @@ pub fn run(args: &LinuxCnc) -> Result<Outcome> {
     // What does not compile is told by `compile`; without --strict it only cannot be compared.
     let compiled = if args.strict { compiled? } else { compiled.unwrap_or_default() };
     let calibration = compiled.map(|it| it.crc());
-    let limits = machine.map(|machine| machine.limits).unwrap_or_default();
+    let limits = machine.as_ref().map(|machine| machine.limits).unwrap_or_default();
     let slew_um_per_s = args.slew_um_per_s.unwrap_or(limits.slew_um_per_s);
     let ini = match &args.ini {
         Some(path) => {
@@ -162,8 +172,54 @@ pub fn run(args: &LinuxCnc) -> Result<Outcome> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
-    run::run(&settings, move || port.open(), &stop, record, |text| log.tell(text))?;
+    let learned = args.learned.clone().zip(machine).map(|(path, machine)| watch(path, machine));
+    let news = || learned.as_ref().and_then(|it| it.try_recv().ok());
+    run::run(&settings, move || port.open(), &stop, record, news, |text| log.tell(text))?;
     Ok(Outcome::Done)
+}
+
+/// Looks after the learned file beside the loop, which has no time to read files.
+fn watch(path: PathBuf, machine: Machine) -> Receiver<Learned> {
+    let (sender, receiver) = mpsc::channel();
+    std::thread::spawn(move || {
+        let mut before = None;
+        loop {
+            let now = fs::read_to_string(&path).map_err(|error| error.to_string());
+            if before.as_ref() != Some(&now) {
+                if sender.send(learned(&machine, &path, &now)).is_err() {
+                    return;
+                }
+                before = Some(now);
+            }
+            std::thread::sleep(LOOK);
+        }
+    });
+    receiver
+}
+
+/// What a learned file comes to for a bridge that runs on `machine`. One that cannot be read or is wrong changes
+/// nothing.
+fn learned(machine: &Machine, path: &Path, text: &Result<String, String>) -> Learned {
+    let name = path.display();
+    let live = match text {
+        Err(why) => Err(format!("{name}: {why}")),
+        Ok(text) => MachineFile::parse(text, path)
+            .and_then(|learned| Live::between(machine, &learned))
+            .map_err(|error| error.to_string()),
+    };
+    match live {
+        Err(why) => {
+            Learned { amounts: None, said: vec![format!("nothing new was learned: {why}")] }
+        }
+        Ok(Live { amounts, rest }) => {
+            let text = live::text(&amounts.map(i32::from));
+            let text =
+                text.unwrap_or_else(|| "nothing, so what it was told before is taken back".into());
+            let mut said = vec![format!("the bridge is told what was learned: {text}")];
+            said.extend(rest);
+            Learned { amounts: Some(amounts), said }
+        }
+    }
 }
 
 #[allow(clippy::cast_possible_truncation, reason = "a cast of a float saturates")]

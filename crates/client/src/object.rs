@@ -10,6 +10,7 @@ use anyhow::{Context as _, Result};
 pub use trueup_canopen::dictionary::{NOT_AVAILABLE, TASKS};
 pub use trueup_canopen::sdo::client::At;
 use trueup_canopen::sdo::client::{ClientError, Download, Progress, Upload, give_up};
+use trueup_core::learned::PARTS;
 use trueup_link::{frame::Frame, frames, slcan::Event};
 
 use crate::{
@@ -48,6 +49,8 @@ pub const REFERENCE: [At; 4] = [(0x2010, 1), (0x2010, 2), (0x2010, 3), (0x2010, 
 pub const KEY: At = (0x2010, 6);
 /// Whether a reference is in force.
 pub const HAS_REFERENCE: At = (0x2010, 5);
+/// What was learned, as it is applied: shares of growth, X, Y, Z in 10⁻⁵, the zero of the growth in nm.
+pub const LEARNED: [At; PARTS] = [(0x2011, 1), (0x2011, 2), (0x2011, 3), (0x2011, 4), (0x2011, 5)];
 /// The elongation in thousandths of a µm, as of this moment.
 pub const ELONGATION: At = (0x9130, trueup_canopen::dictionary::ELONGATION_INPUT);
 /// The calibration that the bridge runs on.

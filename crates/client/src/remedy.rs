@@ -7,7 +7,7 @@ pub fn remedies(words: &[&str]) -> Vec<(&'static str, &'static str)> {
 }
 
 /// Every word, with what it means and what to do.
-pub const REMEDIES: [(&str, &str); 38] = [
+pub const REMEDIES: [(&str, &str); 39] = [
     ("self-test", "the board found itself damaged: flash it again; if it stays, replace the board"),
     ("no-calibration", "load one: trueup bridge load CAL.bin --port …"),
     ("example-constants", "it runs on the example: compile your machine file and load it"),
@@ -34,6 +34,10 @@ pub const REMEDIES: [(&str, &str); 38] = [
     ("second-master", "two controls send Control: switch one off"),
     ("speed-unknown", "the CNC sends no spindle speed: send Spindle at least every 500 ms"),
     ("heat-unknown", "heat kept from before is not known: let it cool, or Confirm"),
+    (
+        "learned-refused",
+        "what was learned is of another calibration or beyond [limits.learned]: load its file at rest",
+    ),
     ("zero-refused", "Zero was not taken: reference the axes and look for missing inputs"),
     (
         "outside-table",

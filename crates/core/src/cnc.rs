@@ -1,6 +1,9 @@
 //! What the bridge and the CNC say to each other, apart from how it looks on the wire.
 
-use crate::units::{MicroDegrees, Nanometres, Position, Rpm};
+use crate::{
+    learned::Change,
+    units::{MicroDegrees, Nanometres, Position, Rpm},
+};
 
 /// A valid message from the CNC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,12 +32,20 @@ pub struct Control {
     /// The operator answers the question that the bridge asks, at the moment this turns from false
     /// to true.
     pub confirm: bool,
+    /// What was learned of a part of the correction.
+    pub learned: Change,
 }
 
 impl Control {
     /// The operator wants offsets, and the axes are referenced.
-    pub const ENGAGED: Self =
-        Self { engage: true, referenced: true, zero: false, service: false, confirm: false };
+    pub const ENGAGED: Self = Self {
+        engage: true,
+        referenced: true,
+        zero: false,
+        service: false,
+        confirm: false,
+        learned: Change { part: 0, amount: 0, calibration: 0 },
+    };
     /// The axes are referenced, and nothing else.
     pub const REFERENCED: Self = Self { engage: false, ..Self::ENGAGED };
 }

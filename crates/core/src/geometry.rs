@@ -200,7 +200,8 @@ impl CachedErrors {
             && let Some(thermal) = &axis.thermal
         {
             let (constant, gradient) = heat.axis(number);
-            error.thermal = constant.plus(gradient.over(thermal.origin, place.of(warmed)));
+            let plain = constant.plus(gradient.over(thermal.origin, place.of(warmed)));
+            error.thermal = heat.learned.expansion(number, plain);
         }
     }
 }

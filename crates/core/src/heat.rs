@@ -13,6 +13,7 @@ use crate::{
     gradient::Gradient,
     heat_memory::{HeatMemory, KeptLag, Key},
     lag::{Lag, SmoothingFactor},
+    learned::Learned,
     set::IndexSet,
     term::TermStates,
     units::{Fine, Nanometres, Rpm, Temperature},
@@ -50,6 +51,8 @@ pub struct Heat {
     known: IndexSet,
     /// Steps until what was before the start no longer matters; 0: it is known.
     unknown_steps: u32,
+    /// How the parts differ from what the calibration says.
+    pub learned: Learned,
 }
 
 /// What may be left of an error of heat that is not known: 1 µm.
@@ -143,7 +146,7 @@ impl Heat {
     /// the thermometers.
     pub fn wait(&mut self, is_cold: bool) {
         if is_cold && self.is_unknown() {
-            *self = Self::default();
+            *self = Self { learned: self.learned, ..Self::default() };
         } else {
             self.unknown_steps = self.unknown_steps.saturating_sub(1);
         }

@@ -63,6 +63,7 @@ pub mod heat;
 pub mod heat_memory;
 pub mod kinematics;
 pub mod lag;
+pub mod learned;
 pub mod limits;
 pub mod pitch;
 pub mod place;

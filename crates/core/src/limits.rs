@@ -1,6 +1,6 @@
 //! Clamp and slew limit: how far and how fast an offset may go.
 
-use crate::units::Nanometres;
+use crate::{learned::Caps, units::Nanometres};
 
 /// How far and how fast an offset may go, and how long silence is tolerated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -15,6 +15,8 @@ pub struct Limits {
     pub hold_ms: u32,
     /// How fast the difference between two sources of the elongation is taken back, in nanometres a second.
     pub rejoin_nm_per_s: u32,
+    /// How far what was learned may change the parts of the correction.
+    pub learned: Caps,
 }
 
 /// Picometres in a nanometre; also (nanometres a second)·milliseconds in one.
@@ -61,6 +63,7 @@ impl Applied {
     ///     link_timeout_ms: 500,
     ///     hold_ms: 2_000,
     ///     rejoin_nm_per_s: 10,
+    ///     learned: Default::default(),
     /// };
     /// let mut applied = Applied::default();
     /// // 20 µm/s are 20 nm in a millisecond.
@@ -182,6 +185,7 @@ mod tests {
         link_timeout_ms: 500,
         hold_ms: 2_000,
         rejoin_nm_per_s: 10,
+        learned: Caps { growth: 0, axes: 0, zero: 0 },
     };
 
     #[test]

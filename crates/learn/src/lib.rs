@@ -13,6 +13,8 @@
 //!                         Limits         a bound for each constant, for all together, for one reading
 //!                              ▼
 //!                         Memory         what was learned, every change, and the way back
+//!                              ▼
+//!                         Live           what of it a bridge may be told while it runs
 //! ```
 //!
 //! The user's own machine file stays as it is; what was learned is a second file with the same sections and
@@ -27,6 +29,7 @@ mod constants;
 mod filter;
 mod learn;
 mod limits;
+pub mod live;
 mod memory;
 mod readings;
 pub mod trust;
@@ -34,4 +37,5 @@ pub mod trust;
 pub use constants::Constant;
 pub use learn::{Learned, Taken, learn};
 pub use limits::Limits;
+pub use live::Live;
 pub use memory::{Change, Memory};

@@ -8,6 +8,7 @@ use core::{error::Error, fmt};
 
 use trueup_core::{
     cnc::{AxisPosition, Control, Flags, Heading, LinearAxis, Output, Quality, Rotary, Spindle},
+    learned::Change,
     units::{MicroDegrees, Nanometres, Position, Rpm},
 };
 
@@ -21,9 +22,10 @@ use crate::{
     e2e,
     frame::Frame,
     layout::{
-        AGE, ANGLE_1, ANGLE_2, CONFIRM, DIRECTION, ENGAGE, FLAGS, LOAD, MICRO_DEGREES_PER_BIT,
-        NANOMETRES_PER_BIT, NOT_AVAILABLE_RAW, OFFSET_MAX_RAW, OFFSET_X, OFFSET_Y, OFFSET_Z,
-        POSITION, QUALITY, REFERENCED, SERVICE, SPEED, STATE, ZERO,
+        AGE, ANGLE_1, ANGLE_2, CONFIRM, DIRECTION, ENGAGE, FLAGS, LEARNED, LEARNED_CRC,
+        LEARNED_PART, LOAD, MICRO_DEGREES_PER_BIT, NANOMETRES_PER_BIT, NOT_AVAILABLE_RAW,
+        OFFSET_MAX_RAW, OFFSET_X, OFFSET_Y, OFFSET_Z, POSITION, QUALITY, REFERENCED, SERVICE,
+        SPEED, STATE, ZERO,
     },
 };
 
@@ -143,6 +145,10 @@ pub fn control(control: Control, counter: u8) -> Frame {
     ZERO.insert(&mut data, control.zero.into());
     SERVICE.insert(&mut data, control.service.into());
     CONFIRM.insert(&mut data, control.confirm.into());
+    let Change { part, amount, calibration } = control.learned;
+    LEARNED_PART.insert(&mut data, part.into());
+    LEARNED.insert(&mut data, amount.into());
+    LEARNED_CRC.insert(&mut data, calibration.into());
     protected(CONTROL_ID, counter, data)
 }
 
@@ -254,12 +260,19 @@ pub fn decode_spindle(frame: &Frame) -> Result<Spindle, DecodeError> {
 /// [`DecodeError`] for another identifier or length.
 pub fn decode_control(frame: &Frame) -> Result<Control, DecodeError> {
     let data = data_of(frame, CONTROL_ID, 8)?;
+    // Both lie in whole bytes.
+    let [_, _, _, _, amount_low, amount_high, crc_low, crc_high] = *data;
     Ok(Control {
         engage: ENGAGE.extract(data) != 0,
         referenced: REFERENCED.extract(data) != 0,
         zero: ZERO.extract(data) != 0,
         service: SERVICE.extract(data) != 0,
         confirm: CONFIRM.extract(data) != 0,
+        learned: Change {
+            part: byte(LEARNED_PART, data),
+            amount: i16::from_le_bytes([amount_low, amount_high]),
+            calibration: u16::from_le_bytes([crc_low, crc_high]),
+        },
     })
 }
 

@@ -159,6 +159,12 @@ pub const ZERO: Signal = Signal::unsigned(26, 1);
 pub const SERVICE: Signal = Signal::unsigned(27, 1);
 /// The operator answers the question that the state bits ask.
 pub const CONFIRM: Signal = Signal::unsigned(28, 1);
+/// Which part of the correction what was learned is about, 1…5; 0: nothing was.
+pub const LEARNED_PART: Signal = Signal::unsigned(29, 3);
+/// By so much that part is more than the calibration says, in 10⁻⁵ of itself; its zero in nm.
+pub const LEARNED: Signal = Signal::signed(32, 16);
+/// The lower half of the CRC of that calibration.
+pub const LEARNED_CRC: Signal = Signal::unsigned(48, 16);
 
 #[cfg(test)]
 mod tests;

@@ -5,6 +5,7 @@ use std::time::Duration;
 use trueup_core::{
     cnc::{Control, Flags, Quality},
     dimensions::CHANNELS,
+    learned::PARTS,
 };
 use trueup_link::{
     frame::Frame,
@@ -176,6 +177,13 @@ impl Component {
         }
     }
 
+    /// Says from now on what was learned, in the bridge's units, to a bridge that runs on the calibration with this
+    /// CRC; `None`: nothing.
+    pub fn learn(&mut self, learned: Option<([i16; PARTS], u32)>) {
+        let running = self.status.calibration;
+        self.sender.learn(learned.filter(|(_, calibration)| running == Some(*calibration)));
+    }
+
     /// Takes what came over the line.
     pub fn hear(&mut self, now: Duration, event: &Event) {
         match event {
@@ -247,6 +255,7 @@ impl Component {
             zero: inputs.zero,
             service: inputs.service,
             confirm: inputs.confirm,
+            ..Control::default()
         };
         let command = Command {
             control,

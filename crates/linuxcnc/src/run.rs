@@ -12,7 +12,7 @@ use trueup_client::{
     line::{Line, LineEvent},
     words::state_words,
 };
-use trueup_core::cnc::Quality;
+use trueup_core::{cnc::Quality, learned::PARTS};
 use trueup_link::status::StateBits;
 
 use crate::{
@@ -44,8 +44,17 @@ pub struct Settings {
     pub options: Options,
 }
 
+/// What was learned since the bridge's calibration was made.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Learned {
+    /// Each part in the bridge's units; `None`: as before.
+    pub amounts: Option<[i16; PARTS]>,
+    /// What to tell of it.
+    pub said: Vec<String>,
+}
+
 /// Runs the component until `stop` is set. `tell` gets a sentence whenever something has changed
-/// that an operator wants to know; `record` gets its rows.
+/// that an operator wants to know; `record` gets its rows; `learned` says what has changed of what was learned.
 ///
 /// # Errors
 /// The HAL refuses the component or a pin.
@@ -54,6 +63,7 @@ pub fn run(
     open: impl FnMut() -> io::Result<Ends> + Send + 'static,
     stop: &AtomicBool,
     mut record: Option<Record>,
+    learned: impl Fn() -> Option<Learned>,
     mut tell: impl FnMut(&str),
 ) -> Result<(), HalError> {
     let Settings { name, mm_per_unit, temperatures, calibration, is_strict, turn, options } =
@@ -70,6 +80,7 @@ pub fn run(
     }
     let mut refreshed = Duration::ZERO;
     let mut cut = None;
+    let mut amounts = None;
     while !stop.load(Ordering::Relaxed) {
         let now = start.elapsed();
         if now.saturating_sub(refreshed) >= REFRESH {
@@ -85,6 +96,11 @@ pub fn run(
                 LineEvent::Received(event) => component.hear(now, &event),
             }
         }
+        if let Some(news) = learned() {
+            news.said.iter().for_each(|said| tell(said));
+            amounts = news.amounts.or(amounts);
+        }
+        component.learn(amounts.zip(*calibration));
         let mut inputs = pins.read();
         inputs.enable &= news.lets_engage();
         let (mut outputs, frames) = component.step(now, &inputs);

@@ -2,7 +2,7 @@
 //!
 //! | frame | from | when |
 //! |---|---|---|
-//! | `Control` | enable, machine on, homed, zero, service, confirm | every 20 ms, and at once when it changes |
+//! | `Control` | enable, machine on, homed, zero, service, confirm; in turn a part of what was learned | every 20 ms, and at once when it changes |
 //! | `PositionX/Y/Z` | the commanded position without the external offset | every period while it changes, else every 50 ms |
 //! | `Rotary` | the angles, where there are any | as the positions |
 //! | `Spindle` | speed and load | every 20 ms while they change, else every 50 ms |
@@ -21,6 +21,7 @@ use std::time::Duration;
 
 use trueup_core::{
     cnc::{AxisPosition, Control, Heading, LinearAxis, Rotary, Spindle},
+    learned::{Change, PARTS, named},
     units::{MicroDegrees, Position, Rpm},
 };
 use trueup_link::{
@@ -135,6 +136,8 @@ pub struct Sender {
     spindle: Changing<Spindle>,
     zero_until: Option<Duration>,
     zero_was: bool,
+    /// What was learned, and the calibration that it is a change of; `None`: nothing is said of it.
+    learned: Option<([i16; PARTS], u32)>,
 }
 
 impl Sender {
@@ -157,6 +160,24 @@ impl Sender {
             spindle: Changing::default(),
             zero_until: None,
             zero_was: false,
+            learned: None,
+        }
+    }
+
+    /// What was learned is from now on said again and again, a part in each `Control`: a bridge that has
+    /// restarted has forgotten it.
+    pub fn learn(&mut self, learned: Option<([i16; PARTS], u32)>) {
+        self.learned = learned;
+    }
+
+    /// The part of what was learned that this frame is to say.
+    fn learned(&self, counter: u8) -> Change {
+        let Some((amounts, calibration)) = self.learned else { return Change::default() };
+        let part = counter % PARTS as u8;
+        Change {
+            part: part + 1,
+            amount: amounts[usize::from(part)],
+            calibration: named(calibration),
         }
     }
 
@@ -166,7 +187,8 @@ impl Sender {
         let control = Control { zero: self.zero(now, command.control.zero), ..command.control };
         let often = Duration::from_millis(CONTROL_PERIOD_MS.into());
         if let Some(counter) = self.control.due(now, control, Duration::ZERO, often) {
-            due.push(frames::control(control, counter));
+            let learned = self.learned(counter);
+            due.push(frames::control(Control { learned, ..control }, counter));
         }
         for (place, axis) in LinearAxis::ALL.into_iter().enumerate() {
             if !command.position_mm[place].is_finite() || !command.offset_mm[place].is_finite() {
@@ -338,6 +360,28 @@ mod tests {
         assert_eq!(zero(said(&mut sender, ms(2), &command)), None);
         assert_eq!(zero(said(&mut sender, ms(50), &command)), Some(true));
         assert_eq!(zero(said(&mut sender, ms(101), &command)), Some(false));
+    }
+
+    #[test]
+    fn each_part_of_what_was_learned_comes_once_in_five_frames_and_nothing_while_there_is_none() {
+        let mut sender = Sender::new(ms(2), false, [Some(0.0); 3]);
+        let learned = |sender: &mut Sender, now| {
+            let said = said(sender, ms(now), &Command::default());
+            said.into_iter().find_map(|heard| match heard {
+                Received::Control(control) => Some(control.learned),
+                _ => None,
+            })
+        };
+        assert_eq!(learned(&mut sender, 0), Some(Change::default()));
+        sender.learn(Some(([10, 20, 30, 40, -50], 0x1234_ABCD)));
+        assert_eq!(learned(&mut sender, 1), None, "no frame is sent for its sake");
+        let all: Vec<Change> =
+            (1..=5).map(|n| learned(&mut sender, 20 * n).expect("one every 20 ms")).collect();
+        for (part, amount) in (1..).zip([10, 20, 30, 40, -50]) {
+            assert!(all.contains(&Change { part, amount, calibration: 0xABCD }), "{all:?}");
+        }
+        sender.learn(None);
+        assert_eq!(learned(&mut sender, 200), Some(Change::default()));
     }
 
     #[test]

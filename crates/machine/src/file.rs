@@ -25,7 +25,7 @@ pub use axis::{
     ThermalRow,
 };
 pub use inputs::is_temperature_column;
-pub use limits::Limits;
+pub use limits::{LearnedCaps, Limits};
 pub use machine::{Kind, Machine, board_text};
 pub use spindle::{ElongationSource, SensorModel, Spindle, TemperatureModel, Warmup};
 pub use straightness::{BSpline, SplineFault, Squareness, Straightness};

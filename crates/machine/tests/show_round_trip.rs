@@ -5,6 +5,7 @@ use std::path::Path;
 
 use trueup_core::{
     calibration::{Calibration, ElongationSource},
+    learned::Caps,
     limits::Limits,
     sensor::{SensorLaw, Slope},
     tool::Direction,
@@ -12,7 +13,7 @@ use trueup_core::{
 };
 use trueup_machine::{Compiled, MachineFile, compile, show};
 use trueup_store::calibration::{
-    MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_OFFSET_NM, MAX_REJOIN_NM_PER_S, MAX_SIZE,
+    MAX_HOLD_MS, MAX_LEARNED, MAX_LINK_TIMEOUT_MS, MAX_OFFSET_NM, MAX_REJOIN_NM_PER_S, MAX_SIZE,
     MAX_SLEW_NM_PER_S, decode, encode,
 };
 
@@ -65,6 +66,11 @@ impl Random {
             link_timeout_ms: (self.integer() as u32 % (MAX_LINK_TIMEOUT_MS + 1)).max(1),
             hold_ms: self.integer() as u32 % (MAX_HOLD_MS + 1),
             rejoin_nm_per_s: (self.integer() as u32 % (MAX_REJOIN_NM_PER_S + 1)).max(1),
+            learned: Caps {
+                growth: (self.integer() as u8).min(MAX_LEARNED.growth),
+                axes: (self.integer() as u8).min(MAX_LEARNED.axes),
+                zero: (self.integer() as u8).min(MAX_LEARNED.zero),
+            },
         };
         calibration.cold_within = Temperature(self.integer() & 0x0F_FFFF);
         calibration.names.board = [(); 3].map(|()| self.integer().unsigned_abs());

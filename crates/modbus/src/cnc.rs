@@ -42,7 +42,8 @@ impl Cnc {
     #[must_use]
     pub fn encode(&self, counter: u16) -> Registers {
         let mut block = [0; HOLDING_LEN];
-        let Control { engage, referenced, zero, service, confirm } = self.control;
+        // What was learned is a matter of frames: a PLC loads a new calibration, at rest.
+        let Control { engage, referenced, zero, service, confirm, learned: _ } = self.control;
         let flags = [engage, referenced, zero, service, confirm];
         let bits = |flags: &[bool]| {
             flags.iter().rev().fold(0_u16, |bits, flag| bits << 1 | u16::from(*flag))
@@ -115,6 +116,7 @@ impl Cnc {
                 zero: bit(2),
                 service: bit(3),
                 confirm: bit(4),
+                ..Control::default()
             },
             positions,
             rotary,

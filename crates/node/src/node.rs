@@ -39,6 +39,7 @@ use trueup_store::{
 
 use crate::start::Start;
 
+mod learned;
 mod master;
 mod network;
 mod objects;
@@ -117,6 +118,8 @@ pub struct Node<'a> {
     offered: [Option<Nanometres>; 4],
     /// A `Zero` was refused since [`Node::service`] last ran.
     zero_refused: bool,
+    /// So was a learned change, and `Control` was not heard without one since.
+    learned_refused: bool,
     supply: Supply,
 }
 
@@ -176,6 +179,7 @@ impl<'a> Node<'a> {
             zero: None,
             offered: [None; 4],
             zero_refused: false,
+            learned_refused: false,
             supply: Supply::default(),
         };
         node.bar();
@@ -295,6 +299,7 @@ impl<'a> Node<'a> {
             self.confirm(line);
         }
         self.bar();
+        self.hear_learned(heard.control.learned);
         let Some(bridge) = &self.bridge else { return };
         let before = self.state.reference();
         bridge.hear(&mut self.state, Command::Control(heard.control));
@@ -428,6 +433,7 @@ impl<'a> Node<'a> {
             .with_if(!self.master.is_started(), Fault::Restarted)
             .with_if(self.master.is_second(), Fault::SecondMaster)
             .with_if(self.zero_refused, Fault::ZeroRefused)
+            .with_if(self.learned_refused, Fault::LearnedRefused)
             .with_if(self.state.position_has_jumped(), Fault::PositionJump)
             .with_if(
                 self.bridge.as_ref().is_some_and(|it| it.fall_back_is_dead(&self.state)),
@@ -482,6 +488,8 @@ mod tests;
 mod example;
 #[cfg(test)]
 pub(crate) use example::tests_calibration;
+#[cfg(test)]
+mod learned_tests;
 #[cfg(test)]
 mod register_tests;
 #[cfg(test)]

@@ -10,8 +10,8 @@
 //! | 8 | 3 × `i32` largest offset on X, Y, Z | nm, 0…4 000 000 |
 //! | 20 | `u32` slew limit; `u32` link timeout; `u32` hold | nm/s, up to 10⁷; ms, up to 60 000 and 600 000 |
 //! | 32 | 3 × `i32` tool direction at angles 0 | 2⁻³⁰, together a unit vector |
-//! | 44 | 4 × `u8`: first and second axis that turn the tool (1, 2, 3: A, B, C), 0, 0 | |
-//! | 48 | 4 × `u8`: sources of the elongation in their order (1 sensor, 2 temperature, 3 warm-up), 0 | |
+//! | 44 | 2 × `u8`: first and second axis that turn the tool (1, 2, 3: A, B, C); 2 × `u8`: caps of what was learned of the growth, of each axis | 0.1 %, 0…250 |
+//! | 48 | 3 × `u8`: sources of the elongation in their order (1 sensor, 2 temperature, 3 warm-up); `u8` cap of what was learned of its zero | 0.1 µm, 0…200 |
 //! | 52 | `i32` K₀, V₀, tanβ of the sensor | nm; 1/1024 code; 2⁻²⁸ nm per 1/1024 code |
 //! | 64 | `u32` channel, `u32` smoothing factor, law of the spindle's temperature | |
 //! | 76 | `u32` lag, `i32` largest (1/256 nm), 2 × `u32` smoothing factors, `i32` 1/(1 − e⁻ᵏ) of the warm-up; its power curve | |
@@ -74,8 +74,8 @@ mod wire;
 pub use error::{BlobError, TooLarge};
 use format::{CRC_SIZE, HEAD_SIZE};
 pub use format::{
-    FIXED_SIZE, MAGIC, MAX_COLD_WITHIN, MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_OFFSET_NM,
-    MAX_REJOIN_NM_PER_S, MAX_SIZE, MAX_SLEW_NM_PER_S, SCHEMA,
+    FIXED_SIZE, MAGIC, MAX_COLD_WITHIN, MAX_HOLD_MS, MAX_LEARNED, MAX_LINK_TIMEOUT_MS,
+    MAX_OFFSET_NM, MAX_REJOIN_NM_PER_S, MAX_SIZE, MAX_SLEW_NM_PER_S, SCHEMA,
 };
 use records::FixedPart;
 use wire::{Field as _, Reader, Writer};

@@ -249,6 +249,18 @@ pub const OBJECTS: &[Object] = &[
             },
         ],
     ),
+    array(
+        0x2011,
+        "Learned, as it is applied",
+        &[
+            count(5),
+            read(1, "Growth in 0.001 %", Type::I32, ObjectKind::Learned(0)),
+            read(2, "X in 0.001 %", Type::I32, ObjectKind::Learned(1)),
+            read(3, "Y in 0.001 %", Type::I32, ObjectKind::Learned(2)),
+            read(4, "Z in 0.001 %", Type::I32, ObjectKind::Learned(3)),
+            read(5, "Zero of the growth in nm", Type::I32, ObjectKind::Learned(4)),
+        ],
+    ),
     var(
         0x2020,
         "RMS noise in thousandths of a code",

@@ -18,6 +18,7 @@ use trueup_client::{
     writes,
 };
 use trueup_core::cnc::Output;
+use trueup_learn::live;
 use trueup_link::{
     frames::{self, State},
     receiver::OffsetReceiver,
@@ -98,6 +99,8 @@ struct Objects {
     /// Who has written to the board, the last at the end.
     writes: Vec<Write>,
     has_reference: bool,
+    /// What was learned, as it is applied, in words; `None`: nothing.
+    learned: Option<String>,
     faults: Vec<&'static str>,
     state: Vec<&'static str>,
     reset: ResetReason,
@@ -122,6 +125,7 @@ impl Objects {
                 &object::read(session, object::WRITES, |_, _| ()).unwrap_or_default(),
             ),
             has_reference: object::number(session, object::HAS_REFERENCE)? != 0,
+            learned: learned(session),
             faults: fault_words(object::number(session, object::FAULTS)?),
             state: state_words(StateBits(object::number(session, object::STATE_BITS)?)),
             reset: u16::try_from(object::number(session, object::RESET_REASON)?)
@@ -152,6 +156,13 @@ impl Objects {
             crc => format!("CRC {crc:08x}{new}"),
         }
     }
+}
+
+/// What was learned, in words. A bridge from before it could be told knows nothing of it.
+fn learned(session: &mut Session) -> Option<String> {
+    let amounts =
+        object::LEARNED.map(|at| object::number(session, at).unwrap_or_default().cast_signed());
+    live::text(&amounts)
 }
 
 /// Where the last start stopped, in words that follow its reason; empty: nothing is known of it.
@@ -290,6 +301,7 @@ impl Info {
         all["writes"] =
             json!(objects.map(|it| it.writes.iter().map(writes::json).collect::<Vec<_>>()));
         all["has_reference"] = json!(objects.map(|it| it.has_reference));
+        all["learned"] = json!(objects.and_then(|it| it.learned.as_ref()));
         all["faults"] = json!(objects.map(|it| &it.faults));
         all["state"] = json!(objects.map(|it| &it.state));
         all["reset_reason"] = json!(objects.map(|it| it.reset.word()));
@@ -317,6 +329,8 @@ impl Info {
         let reference =
             if it.has_reference { "taken by Zero" } else { "the calibration's own zero" };
         output::print(format_args!("reference    {reference}"))?;
+        let learned = it.learned.as_deref().unwrap_or("nothing beside the calibration");
+        output::print(format_args!("learned      {learned}"))?;
         let faults = if it.faults.is_empty() { "none".into() } else { it.faults.join(" ") };
         output::print(format_args!("faults       {faults}"))?;
         let state = if it.state.is_empty() { "all well".into() } else { it.state.join(" ") };

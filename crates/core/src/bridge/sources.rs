@@ -268,17 +268,17 @@ impl Bridge<'_> {
         Nanometres::saturating(sum)
     }
 
-    /// What a source says, with the terms of a diagnosis. They were fitted to the first source, and
-    /// say nothing of another.
+    /// What a source says, with what was learned and the terms of a diagnosis. Both were fitted to the first
+    /// source, and say nothing of another.
     #[inline]
     fn raw(&self, state: &State, source: ElongationSource) -> Nanometres {
         let by_sensor = state.elongation.unwrap_or_default();
         let plain = tip::elongation_by(Some(source), by_sensor, &state.heat);
-        if self.needs.terms && self.needs.first == Some(source) {
-            self.with_terms(state, plain)
-        } else {
-            plain
+        if self.needs.first != Some(source) {
+            return plain;
         }
+        let plain = state.heat.learned.growth(plain);
+        if self.needs.terms { self.with_terms(state, plain) } else { plain }
     }
 
     /// Terms of an elongation that has no source.

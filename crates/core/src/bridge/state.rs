@@ -9,6 +9,7 @@ use crate::{
     geometry::{CachedErrors, ErrorSums},
     health::{Health, Noise},
     heat::Heat,
+    learned::Learned,
     limits::Applied,
     place::Place,
     supply::Scale,
@@ -201,6 +202,17 @@ impl State {
     #[must_use]
     pub fn temperature(&self, channel: u8) -> Option<Temperature> {
         self.channels.temperature(channel)
+    }
+
+    /// How the parts differ from what the calibration says.
+    #[must_use]
+    pub const fn learned(&self) -> &Learned {
+        &self.heat.learned
+    }
+
+    /// They no longer do, from one tick to the next: for a bridge at rest.
+    pub fn forget_learned(&mut self) {
+        self.heat.learned = Learned::default();
     }
 
     /// Whether it is not known how warm the machine was before the start.

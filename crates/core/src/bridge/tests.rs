@@ -2,6 +2,7 @@
 
 mod heat;
 mod jumps;
+mod learned;
 mod sources;
 mod timeouts;
 
@@ -34,6 +35,7 @@ fn plain() -> Calibration<'static> {
             link_timeout_ms: 500,
             hold_ms: 2_000,
             rejoin_nm_per_s: 10,
+            learned: Default::default(),
         },
         cold_within: Temperature(Temperature::PER_KELVIN / 2),
         names: Names::default(),

@@ -252,6 +252,7 @@ impl Machine {
                 link_timeout_ms: link,
                 hold_ms: hold,
                 rejoin_nm_per_s: hold.rotate_left(9),
+                learned: Default::default(),
             });
         let usual = (1..1_000_000_u32).prop_map(|slew_nm_per_s| Limits {
             max: [200_000, 300_000, 500_000].map(Nanometres),
@@ -259,6 +260,7 @@ impl Machine {
             link_timeout_ms: 500,
             hold_ms: 2_000,
             rejoin_nm_per_s: 10,
+            learned: Default::default(),
         });
         let spindle = (
             prop::array::uniform(prop::option::of(source)),

@@ -193,7 +193,7 @@ proptest! {
     }
 
     #[test]
-    fn commands_come_back_whole(speed: u16, load_n: i16, bits in 0_u8..32, count: u8) {
+    fn commands_come_back_whole(speed: u16, load_n: i16, bits in 0_u8..32, part in 0_u8..8, count: u8) {
         let sent = Spindle { speed: Rpm(speed), load_n };
         prop_assert_eq!(decode_spindle(&spindle(sent, count)), Ok(sent));
         let sent = Control {
@@ -202,6 +202,7 @@ proptest! {
             zero: bits & 4 != 0,
             service: bits & 8 != 0,
             confirm: bits & 16 != 0,
+            learned: Change { part, amount: load_n, calibration: speed },
         };
         prop_assert_eq!(decode_control(&control(sent, count)), Ok(sent));
     }

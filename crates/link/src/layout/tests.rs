@@ -176,6 +176,9 @@ const CONTRACT: [Expected; 11] = [
             ("Zero", ZERO, 1.0, ""),
             ("Service", SERVICE, 1.0, ""),
             ("Confirm", CONFIRM, 1.0, ""),
+            ("LearnedPart", LEARNED_PART, 1.0, ""),
+            ("Learned", LEARNED, 0.001, ""),
+            ("LearnedCrc", LEARNED_CRC, 1.0, ""),
         ],
     },
 ];

@@ -1,8 +1,9 @@
 //! How far and how fast an offset may go, and how long silence is tolerated.
 
-use trueup_core::{limits::Limits, units::Nanometres};
+use trueup_core::{learned::Caps, limits::Limits, units::Nanometres};
 use trueup_store::calibration::{
-    MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_OFFSET_NM, MAX_REJOIN_NM_PER_S, MAX_SLEW_NM_PER_S,
+    MAX_HOLD_MS, MAX_LEARNED, MAX_LINK_TIMEOUT_MS, MAX_OFFSET_NM, MAX_REJOIN_NM_PER_S,
+    MAX_SLEW_NM_PER_S,
 };
 
 use crate::{
@@ -11,7 +12,11 @@ use crate::{
     stored::{NM_PER_UM, rounded, rounded_unsigned},
 };
 
+/// Caps of what was learned have one decimal.
+const CAPS_PER_UNIT: f64 = 10.0;
+
 /// The limits on the board.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "held to 0…255 first")]
 pub(super) fn compile(machine: &Machine) -> Result<Limits, BadInput> {
     let limits = &machine.limits;
     let mut max = [Nanometres::ZERO; 3];
@@ -51,12 +56,31 @@ pub(super) fn compile(machine: &Machine) -> Result<Limits, BadInput> {
             return Err(machine.places.bad(&format!("limits.{key}"), rule));
         }
     }
+    let cap = |key: &str, value: f64, most: u8| {
+        let stored = (value * CAPS_PER_UNIT).round();
+        let most_value = f64::from(most) / CAPS_PER_UNIT;
+        if !(0.0..=f64::from(most)).contains(&stored)
+            || (stored / CAPS_PER_UNIT - value).abs() > 1e-9
+        {
+            let rule = format!(
+                "{value} is not one of 0, 0.1, … {most_value}, the most that the board allows"
+            );
+            return Err(machine.places.bad(&format!("limits.learned.{key}"), rule));
+        }
+        Ok(stored as u8)
+    };
+    let learned = Caps {
+        growth: cap("growth_percent", limits.learned.growth_percent, MAX_LEARNED.growth)?,
+        axes: cap("axes_percent", limits.learned.axes_percent, MAX_LEARNED.axes)?,
+        zero: cap("zero_um", limits.learned.zero_um, MAX_LEARNED.zero)?,
+    };
     Ok(Limits {
         max,
         slew_nm_per_s,
         link_timeout_ms: limits.link_timeout_ms,
         hold_ms: limits.hold_ms,
         rejoin_nm_per_s,
+        learned,
     })
 }
 
@@ -68,5 +92,10 @@ pub(super) fn inverse(limits: &Limits) -> file::Limits {
         link_timeout_ms: limits.link_timeout_ms,
         hold_ms: limits.hold_ms,
         rejoin_um_per_s: f64::from(limits.rejoin_nm_per_s) / NM_PER_UM,
+        learned: file::LearnedCaps {
+            growth_percent: f64::from(limits.learned.growth) / CAPS_PER_UNIT,
+            axes_percent: f64::from(limits.learned.axes) / CAPS_PER_UNIT,
+            zero_um: f64::from(limits.learned.zero) / CAPS_PER_UNIT,
+        },
     }
 }

@@ -3,6 +3,7 @@ use std::path::Path;
 use trueup_core::{
     calibration::{self, AXIS_PAIRS},
     kinematics::RotaryAxis,
+    learned::Caps,
     sensor::{SensorLaw, Slope},
     tool::Direction,
     units::{Nanometres, Position, Reading, Temperature},
@@ -195,6 +196,21 @@ fn what_does_not_fit_is_refused_with_its_key_and_place() {
         ("[limits]", "[limits]\nrejoin_um_per_s = 1.1", "limits.rejoin_um_per_s 1.1 is not within"),
         (
             "[limits]",
+            "[limits]\nlearned = { growth_percent = 25.1 }",
+            "limits.learned.growth_percent 25.1 is not one of 0, 0.1, … 25",
+        ),
+        (
+            "[limits]",
+            "[limits]\nlearned = { axes_percent = 0.25 }",
+            "axes_percent 0.25 is not one of",
+        ),
+        (
+            "[limits]",
+            "[limits]\nlearned = { zero_um = 20.1 }",
+            "zero_um 20.1 is not one of 0, 0.1, … 20",
+        ),
+        (
+            "[limits]",
             "[thermal_state]\ncold_within_c = 5.1\n[limits]",
             "thermal_state.cold_within_c 5.1 is not within 0 to 5 °C",
         ),
@@ -288,12 +304,16 @@ fn counts_of_a_linear_thermometer_are_read_to_a_tenth_of_a_millikelvin() {
 fn the_widest_limits_of_the_board_fit() {
     let compiled = compile(&paper_but(
         "[limits]\nmax_um = { x = 200.0,",
-        "[thermal_state]\ncold_within_c = 5\n[limits]\nrejoin_um_per_s = 1\nmax_um = { x = 4000.0,",
+        "[thermal_state]\ncold_within_c = 5\n[limits]\nrejoin_um_per_s = 1\n\
+         learned = { growth_percent = 25, axes_percent = 7.3, zero_um = 20 }\nmax_um = { x = 4000.0,",
     ));
     let compiled = compiled.expect("fits");
     let calibration = compiled.calibration();
     assert_eq!(calibration.limits.max[0], Nanometres(4_000_000));
     assert_eq!(calibration.limits.rejoin_nm_per_s, 1_000);
+    assert_eq!(calibration.limits.learned, Caps { growth: 250, axes: 73, zero: 200 });
+    let without = compile(&paper_but("", "")).expect("fits").calibration().limits.learned;
+    assert_eq!(without, Caps::default(), "who writes nothing lets nothing be changed");
     assert_eq!(calibration.cold_within, Temperature(5 * Temperature::PER_KELVIN));
 }
 

@@ -295,7 +295,38 @@ const LIMITS: &[Key] = &[
     key("hold_ms", Whole(0, u32::MAX), "ms", "the last offset is held for so long, then taken back; a board takes at most 600000").or("2000"),
     key("rejoin_um_per_s", Positive, "µm/s", "how fast the difference between two sources of the growth is taken back when the better one has returned; a board takes 0.001 to 1")
         .or("0.01"),
+    section("learned", LEARNED, "how far what `trueup learn` has learned may change the correction while the bridge runs, either way; without it nothing may"),
 ];
+
+const LEARNED: &[Key] = &[
+    cap(
+        "growth_percent",
+        "%",
+        "of the growth of the spindle; a board takes at most 25, in steps of 0.1",
+        "5.0",
+    ),
+    cap(
+        "axes_percent",
+        "%",
+        "of the expansion of each axis; a board takes at most 25, in steps of 0.1",
+        "5.0",
+    ),
+    cap(
+        "zero_um",
+        "µm",
+        "the zero of the growth; a board takes at most 20, in steps of 0.1",
+        "10.0",
+    ),
+];
+
+const fn cap(
+    name: &'static str,
+    unit: &'static str,
+    meaning: &'static str,
+    example: &'static str,
+) -> Key {
+    key(name, NotNegative, unit, meaning).or("0.0").as_in(example)
+}
 
 const THERMAL_STATE: &[Key] = &[
     key("cold_within_c", NotNegative, "K", "after a power cut the machine counts as cold if at least two thermometers agree within this; a board takes at most 5")

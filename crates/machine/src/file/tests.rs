@@ -85,6 +85,7 @@ fn every_key_that_is_run_arrives_in_its_field() {
         link_timeout_ms: 250,
         hold_ms: 0,
         rejoin_um_per_s: 0.01,
+        learned: super::LearnedCaps::default(),
     };
     assert_eq!(machine.limits, limits);
 }

@@ -141,6 +141,8 @@ fn limit_changes(old: &Calibration<'_>, new: &Calibration<'_>, all: &mut Vec<Str
         }
     }
     let per_s = |nm_per_s: u32| f64::from(nm_per_s) / NM_PER_UM;
+    let (a, b) = (old.limits.learned, new.limits.learned);
+    let cap = |tenths: u8| f64::from(tenths) / 10.0;
     for (what, a, b, unit) in [
         ("slew limit", per_s(old.limits.slew_nm_per_s), per_s(new.limits.slew_nm_per_s), "µm/s"),
         (
@@ -156,6 +158,9 @@ fn limit_changes(old: &Calibration<'_>, new: &Calibration<'_>, all: &mut Vec<Str
             "ms",
         ),
         ("hold", old.limits.hold_ms.into(), new.limits.hold_ms.into(), "ms"),
+        ("learned growth", cap(a.growth), cap(b.growth), "%"),
+        ("learned expansion", cap(a.axes), cap(b.axes), "%"),
+        ("learned zero", cap(a.zero), cap(b.zero), "µm"),
     ] {
         if a != b {
             all.push(format!("{what}: {a} becomes {b} {unit}"));

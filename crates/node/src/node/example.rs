@@ -29,6 +29,7 @@ pub(crate) fn tests_calibration() -> Calibration<'static> {
             link_timeout_ms: 500,
             hold_ms: 2_000,
             rejoin_nm_per_s: 10,
+            learned: Default::default(),
         },
         cold_within: Temperature(Temperature::PER_KELVIN / 2),
         names: Names::default(),

@@ -67,6 +67,18 @@ impl Node<'_> {
         Ok(())
     }
 
+    /// The machine is at rest: what was learned goes at once, and the reference.
+    fn forget(&mut self) {
+        self.state.forget_learned();
+        // Again and again it would only fill the flash.
+        if self.state.reference() != Reference::default() {
+            self.state.set_reference(Reference::default());
+            self.supply.forget_basis();
+            self.zero = Some(Zero::Taken(Reference::default()));
+            self.log(What::Forgotten, 0, self.log.speaker());
+        }
+    }
+
     // Not a part of its caller, which has dealt with some of these: the compiler would put a trap
     // where they cannot come, and no trap may be reachable from a frame (host-tests, no_panic).
     #[inline(never)]
@@ -105,6 +117,10 @@ impl Node<'_> {
                 nanometres(axis.rounded())
             }
             ObjectKind::HasReference => (reference != Reference::default()).into(),
+            ObjectKind::Learned(part) => {
+                let part = self.state.learned().now().get(usize::from(part)).copied();
+                signed(part.ok_or(Abort::NoSubindex)?.into())
+            }
             ObjectKind::Noise => self.noise_thousandths(),
             ObjectKind::Counter(counter) => self.counter(counter),
             ObjectKind::RunningCrc if self.blob.is_empty() => 0,
@@ -224,14 +240,7 @@ impl Objects for Node<'_> {
                 self.log(What::Zeroed, back.elongation.0.cast_unsigned(), self.log.speaker());
             }
             ObjectKind::Forget if number != FORGET => return Err(Abort::Value),
-            // Again and again it would only fill the flash.
-            ObjectKind::Forget if self.state.reference() == Reference::default() => {}
-            ObjectKind::Forget => {
-                self.state.set_reference(Reference::default());
-                self.supply.forget_basis();
-                self.zero = Some(Zero::Taken(Reference::default()));
-                self.log(What::Forgotten, 0, self.log.speaker());
-            }
+            ObjectKind::Forget => self.forget(),
             _ => return Err(Abort::Value),
         }
         Ok(())

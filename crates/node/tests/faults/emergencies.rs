@@ -8,7 +8,7 @@ use trueup_canopen::{
     emergency::Fault,
     sdo::{ObjectValue, Objects as _},
 };
-use trueup_core::cnc::Control;
+use trueup_core::{cnc::Control, learned::Change};
 use trueup_link::{frame::Frame, frames};
 use trueup_node::node::{Line, Node};
 
@@ -77,6 +77,13 @@ fn provoke(fault: Fault, rig: &mut Rig) {
             controls(rig, Line::Can, control, 200, 5);
             rig.run(20);
             controls(rig, Line::Can, Control { zero: true, ..control }, 205, 5);
+        }
+        Fault::LearnedRefused => {
+            // Of no cap, and of another calibration.
+            let learned = Change { part: 1, amount: 1, calibration: 0 };
+            breaks(Part::Control, Kind::Off);
+            rig.run(6_000);
+            controls(rig, Line::Can, Control { learned, ..Control::REFERENCED }, 200, 5);
         }
         other => rig.node.note(other),
     }

@@ -93,6 +93,7 @@ pub fn calibration() -> Calibration<'static> {
             link_timeout_ms: 500,
             hold_ms: 2_000,
             rejoin_nm_per_s: 10,
+            learned: Default::default(),
         },
         cold_within: Temperature(Temperature::PER_KELVIN / 2),
         names: Names::default(),

@@ -8,6 +8,7 @@ use trueup_core::{
     bridge::Input,
     cnc::{AxisPosition, Control, Heading, LinearAxis, Quality, Rotary, Spindle},
     dimensions::CODES_PER_TICK,
+    learned::{Caps, Change, named},
     thermometer::Raw,
     units::{Code, MicroDegrees, Position, Rpm},
 };
@@ -17,7 +18,8 @@ use trueup_node::{
     vectors::Random,
 };
 use trueup_store::calibration::{
-    MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_OFFSET_NM, MAX_SIZE, MAX_SLEW_NM_PER_S, decode, encode,
+    MAX_HOLD_MS, MAX_LEARNED, MAX_LINK_TIMEOUT_MS, MAX_OFFSET_NM, MAX_SIZE, MAX_SLEW_NM_PER_S,
+    decode, encode, identity,
 };
 
 use crate::machine;
@@ -69,7 +71,11 @@ fn lives_within_the_caps(random: &mut Random, blob: &[u8], number: u64) -> bool 
     assert!(limits.slew_nm_per_s <= MAX_SLEW_NM_PER_S, "blob {number}: {limits:?}");
     assert!(limits.link_timeout_ms <= MAX_LINK_TIMEOUT_MS, "blob {number}: {limits:?}");
     assert!(limits.hold_ms <= MAX_HOLD_MS, "blob {number}: {limits:?}");
+    let Caps { growth, axes, zero } = limits.learned;
+    let within = growth <= MAX_LEARNED.growth && axes <= MAX_LEARNED.axes;
+    assert!(within && zero <= MAX_LEARNED.zero, "blob {number}: {limits:?}");
     let mut node = Node::new(Some(calibration), false);
+    node.set_blob(blob);
     let mut before = [0; 3];
     let mut was_on = false;
     let level = random.below(4_096) as i32;
@@ -77,7 +83,9 @@ fn lives_within_the_caps(random: &mut Random, blob: &[u8], number: u64) -> bool 
         if ms % 10 == 0 {
             let counter = ms / 10;
             let any = random.next() as i32;
-            let control = Control { engage: counter >= 4, ..Control::REFERENCED };
+            let calibration = named(identity(blob));
+            let learned = Change { part: any as u8 % 8, amount: (any >> 16) as i16, calibration };
+            let control = Control { engage: counter >= 4, learned, ..Control::REFERENCED };
             let _ = node.hear(Line::Can, &frames::control(control, counter));
             let spindle = Spindle { speed: Rpm(any as u16), load_n: any as i16 };
             let _ = node.hear(Line::Can, &frames::spindle(spindle, counter));

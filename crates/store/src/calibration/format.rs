@@ -1,6 +1,6 @@
 //! The sizes and marks of a blob.
 
-use trueup_core::units::Temperature;
+use trueup_core::{learned::Caps, units::Temperature};
 use trueup_link::layout::{NANOMETRES_PER_BIT, OFFSET_MAX_RAW};
 
 /// Bytes of the fixed part.
@@ -29,6 +29,9 @@ pub const MAX_REJOIN_NM_PER_S: u32 = 1_000;
 /// Within how much thermometers of a cold machine may agree at the most: 5 K, as the air of a hall differs
 /// over 5 m of height (1 K/m).
 pub const MAX_COLD_WITHIN: Temperature = Temperature(5 * Temperature::PER_KELVIN);
+/// The most that any calibration lets what was learned change: a quarter of the growth and of an expansion,
+/// to which a maker knows them, and 20 µm of the zero. What is farther off is another machine, and is to be measured.
+pub const MAX_LEARNED: Caps = Caps { growth: 250, axes: 250, zero: 200 };
 /// Bytes of the mark, the schema and the length, at the start.
 pub(super) const HEAD_SIZE: usize = 8;
 /// Bytes of the CRC, at the end.

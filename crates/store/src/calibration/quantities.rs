@@ -20,7 +20,7 @@ use trueup_core::{
 
 use super::{
     error::BlobError,
-    format::{MAX_COLD_WITHIN, MAX_OFFSET_NM, NONE},
+    format::{MAX_COLD_WITHIN, MAX_LEARNED, MAX_OFFSET_NM, NONE},
     wire::{Field, Reader, Writer, fields, numbers},
 };
 
@@ -145,8 +145,9 @@ impl<'b> Field<'b> for Direction {
     }
 }
 
-/// The first and the second axis that turn the tool: two bytes, and two that are 0.
-pub(super) struct HeadAxes(pub [Option<RotaryAxis>; 2]);
+/// The first and the second axis that turn the tool, and the caps of what was learned of the growth and of
+/// the axes: four bytes. The caps are 0 in a blob from before they were known: nothing may be changed.
+pub(super) struct HeadAxes(pub [Option<RotaryAxis>; 2], pub [u8; 2]);
 
 impl<'b> Field<'b> for HeadAxes {
     const SIZE: usize = 4;
@@ -158,24 +159,27 @@ impl<'b> Field<'b> for HeadAxes {
             Some(RotaryAxis::B) => 2,
             Some(RotaryAxis::C) => 3,
         });
-        to.bytes(&[first, second, 0, 0]);
+        let [growth, axes] = self.1;
+        to.bytes(&[first, second, growth, axes]);
     }
 
     fn get(from: &mut Reader<'b>) -> Self {
         let offset = from.at;
-        let [first, second, ..] = from.bytes();
-        Self([first, second].map(|number| match number {
+        let [first, second, growth, axes] = from.bytes();
+        let caps = [from.cap(growth, MAX_LEARNED.growth), from.cap(axes, MAX_LEARNED.axes)];
+        let turning = [first, second].map(|number| match number {
             0 => None,
             1 => Some(RotaryAxis::A),
             2 => Some(RotaryAxis::B),
             3 => Some(RotaryAxis::C),
             found => from.refuse_value(offset, found),
-        }))
+        });
+        Self(turning, caps)
     }
 }
 
-/// The sources of the elongation in their order: three bytes, and one that is 0.
-pub(super) struct Chain(pub [Option<ElongationSource>; 3]);
+/// The sources of the elongation in their order, and the cap of what was learned of its zero: four bytes.
+pub(super) struct Chain(pub [Option<ElongationSource>; 3], pub u8);
 
 impl<'b> Field<'b> for Chain {
     const SIZE: usize = 4;
@@ -187,19 +191,21 @@ impl<'b> Field<'b> for Chain {
             Some(ElongationSource::Temperature) => 2,
             Some(ElongationSource::Warmup) => 3,
         });
-        to.bytes(&[first, second, third, 0]);
+        to.bytes(&[first, second, third, self.1]);
     }
 
     fn get(from: &mut Reader<'b>) -> Self {
         let offset = from.at;
-        let [first, second, third, _] = from.bytes();
-        Self([first, second, third].map(|number| match number {
+        let [first, second, third, zero] = from.bytes();
+        let zero = from.cap(zero, MAX_LEARNED.zero);
+        let sources = [first, second, third].map(|number| match number {
             0 => None,
             1 => Some(ElongationSource::Sensor),
             2 => Some(ElongationSource::Temperature),
             3 => Some(ElongationSource::Warmup),
             found => from.refuse_value(offset, found),
-        }))
+        });
+        Self(sources, zero)
     }
 }
 

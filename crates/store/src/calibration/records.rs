@@ -11,6 +11,7 @@ use trueup_core::{
     gradient::Gradient,
     kinematics::Kinematics,
     lag::SmoothingFactor,
+    learned::Caps,
     limits::Limits,
     pitch::{Beam, Pitch},
     sensor::SensorLaw,
@@ -95,7 +96,8 @@ impl<'b> FixedPart<'b> {
             straightness,
             squareness,
             terms,
-            limits: Limits { max, slew_nm_per_s, link_timeout_ms, hold_ms, rejoin_nm_per_s },
+            limits:
+                Limits { max, slew_nm_per_s, link_timeout_ms, hold_ms, rejoin_nm_per_s, learned },
             cold_within,
             names: Names { machine, serial, board },
         } = *calibration;
@@ -113,8 +115,8 @@ impl<'b> FixedPart<'b> {
             link_timeout_ms: Limit(link_timeout_ms),
             hold_ms: Limit(hold_ms),
             tool_direction: zero,
-            head_axes: HeadAxes(head_axes),
-            chain: Chain(chain),
+            head_axes: HeadAxes(head_axes, [learned.growth, learned.axes]),
+            chain: Chain(chain, learned.zero),
             sensor,
             spindle_channel: Channel(temperature.map(|it| it.channel)),
             spindle_smoothing: temperature.map_or(none, |it| it.smoothing),
@@ -136,7 +138,8 @@ impl<'b> FixedPart<'b> {
     }
 
     pub fn calibration(self) -> Calibration<'b> {
-        let Self { chain: Chain(chain), warmup: law, power, .. } = self;
+        let Self { chain: Chain(chain, zero), warmup: law, power, .. } = self;
+        let HeadAxes(head_axes, [growth, axes]) = self.head_axes;
         let has_warmup = law.max != Fine::ZERO || chain.contains(&Some(ElongationSource::Warmup));
         let temperature = self.spindle_channel.0.map(|channel| SpindleTemperature {
             channel,
@@ -152,7 +155,7 @@ impl<'b> FixedPart<'b> {
                 temperature,
                 warmup: has_warmup.then_some(SpindleWarmup { law, power }),
             },
-            kinematics: Kinematics { zero: self.tool_direction, axes: self.head_axes.0 },
+            kinematics: Kinematics { zero: self.tool_direction, axes: head_axes },
             axes: self.axes.map(AxisRecord::axis),
             straightness: self.straightness,
             squareness: self.squareness,
@@ -163,6 +166,7 @@ impl<'b> FixedPart<'b> {
                 link_timeout_ms: self.link_timeout_ms.0,
                 hold_ms: self.hold_ms.0,
                 rejoin_nm_per_s: self.rejoin_nm_per_s.0,
+                learned: Caps { growth, axes, zero },
             },
             cold_within: self.cold_within.0,
             names: Names {

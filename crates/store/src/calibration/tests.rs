@@ -18,6 +18,7 @@ use trueup_core::{
     gradient::Gradient,
     kinematics::{Kinematics, RotaryAxis},
     lag::SmoothingFactor,
+    learned::Caps,
     limits::Limits,
     pitch::{Beam, Pitch},
     sensor::{SensorLaw, Slope},
@@ -147,6 +148,7 @@ pub(crate) fn with_sample<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
             link_timeout_ms: 500,
             hold_ms: 2_000,
             rejoin_nm_per_s: 11,
+            learned: Caps::default(),
         },
         cold_within: Temperature(Temperature::PER_KELVIN / 2),
         names: Names { machine: b"gantry", serial: b"17/4", board: [1, 2, 3] },
@@ -318,6 +320,22 @@ fn every_cut_is_refused_and_what_follows_is_not_looked_at() {
 }
 
 #[test]
+fn caps_lie_where_a_blob_from_before_has_0_and_lets_nothing_be_changed() {
+    let before = sample();
+    let calibration = decode(&before).expect("one");
+    assert_eq!(calibration.limits.learned, Caps::default());
+    let mut room = [0; MAX_SIZE];
+    let caps = Caps { growth: 250, axes: 30, zero: 200 };
+    let mut permits = calibration;
+    permits.limits.learned = caps;
+    let blob = encode(&permits, &mut room).expect("as large");
+    assert_eq!((blob[46], blob[47], blob[51]), (250, 30, 200));
+    assert_eq!(decode(blob), Ok(permits));
+    let differs = before.iter().zip(blob).filter(|(a, b)| a != b).count();
+    assert!(blob.len() == before.len() && differs <= 3 + CRC_SIZE, "{differs}");
+}
+
+#[test]
 fn erased_flash_is_no_calibration() {
     let found = [0xFF; 4];
     assert_eq!(decode(&[0xFF; 1_000]), Err(BlobError::Magic { found }));
@@ -330,6 +348,9 @@ fn values_without_a_meaning_are_refused_with_their_place() {
         (16, 5_242_871_i32.to_le_bytes(), BlobError::MaxOffset { offset: 16, found: 5_242_871 }),
         (40, [0; 4], BlobError::NotUnit { offset: 32, found: [0; 3] }),
         (44, [4, 0, 0, 0], BlobError::Value { offset: 44, found: 4 }),
+        (44, [0, 0, 251, 0], BlobError::Limit { offset: 44, found: 251, most: 250 }),
+        (44, [0, 0, 0, 251], BlobError::Limit { offset: 44, found: 251, most: 250 }),
+        (48, [0, 0, 0, 201], BlobError::Limit { offset: 48, found: 201, most: 200 }),
         (48, [0, 9, 0, 0], BlobError::Value { offset: 48, found: 9 }),
         (64, [8, 0, 0, 0], BlobError::Value { offset: 64, found: 8 }),
         (112, [3, 0, 0, 0], BlobError::Value { offset: 112, found: 3 }),

@@ -154,6 +154,16 @@ impl<'b> Reader<'b> {
         None
     }
 
+    /// A cap in the four bytes that were read last, at most `most`.
+    #[inline(never)]
+    pub fn cap(&mut self, found: u8, most: u8) -> u8 {
+        if found > most {
+            let offset = self.at.saturating_sub(4);
+            self.refuse(BlobError::Limit { offset, found: found.into(), most: most.into() });
+        }
+        found
+    }
+
     /// Gives what was read, if nothing was refused.
     pub fn finish<T>(self, read: T) -> Result<T, BlobError> {
         self.fault.map_or(Ok(read), Err)

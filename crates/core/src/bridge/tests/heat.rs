@@ -5,7 +5,7 @@ use super::*;
 use crate::heat_memory::HeatMemory;
 
 /// As `expanding`, with a lag of 40 s, and a second thermometer.
-fn lagging() -> Calibration<'static> {
+pub(super) fn lagging() -> Calibration<'static> {
     let mut machine = expanding();
     machine.thermometers[5] = machine.thermometers[3];
     // 1 − e^(−0.1/40) in Q32.

@@ -17,7 +17,7 @@ pub(super) const TEN_UM_PER_K: [[u8; 20]; 1] = [{
 }];
 
 /// The sensor of `calibration`, then a temperature on channel 3, then a warm-up of 30 µm at once.
-fn chain() -> Calibration<'static> {
+pub(super) fn chain() -> Calibration<'static> {
     let mut machine = calibration();
     machine.spindle.chain =
         [ElongationSource::Sensor, ElongationSource::Temperature, ElongationSource::Warmup]
@@ -43,7 +43,7 @@ fn chain() -> Calibration<'static> {
 }
 
 /// Engaged for so long; `code`: what the sensor reads; `kelvin`: above 0 °C, `None` for broken.
-fn hold(rig: &mut Rig, ms: u32, code: u16, kelvin: Option<i32>) -> Output {
+pub(super) fn hold(rig: &mut Rig, ms: u32, code: u16, kelvin: Option<i32>) -> Output {
     for n in 0..ms {
         rig.control(ENGAGED);
         let codes = core::array::from_fn(|n| Code((code + (n % 4) as u16).saturating_sub(1)));

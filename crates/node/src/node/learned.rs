@@ -1,0 +1,24 @@
+//! What was learned since the calibration was made: the one thing that may be changed while an offset is
+//! followed.
+//!
+//! It comes in `Control`, and in nothing else. So who may say it is settled already: the CNC whose `Control` counts,
+//! on its own line, protected and in sequence ([`master`](super::master)); nobody by SDO, and no PLC, which
+//! loads a new calibration at rest. What is of another calibration or beyond the caps is not taken,
+//! and told until `Control` comes without any; the frame is a sign of life all the same.
+
+use trueup_core::learned::{Change, named};
+use trueup_store::calibration::identity;
+
+use super::Node;
+
+impl Node<'_> {
+    /// Takes what a believed `Control` says of it.
+    // Of 50 frames a second none, or one part: not in what hears the others.
+    #[inline(never)]
+    pub(super) fn hear_learned(&mut self, change: Change) {
+        let is_ours = change.calibration == named(identity(self.blob));
+        let bridge = self.bridge.as_ref().filter(|_| is_ours);
+        let is_taken = bridge.is_some_and(|it| it.learn(&mut self.state, change));
+        self.learned_refused = change.part != 0 && (self.learned_refused || !is_taken);
+    }
+}

@@ -1,0 +1,217 @@
+//! What was learned, as it comes over the line: who may say it, when, and how far it goes.
+
+use super::*;
+use std::{vec, vec::Vec};
+use trueup_canopen::{
+    dictionary::{FORGET, ObjectKind},
+    sdo::{ObjectValue, Objects as _},
+};
+use trueup_core::{
+    cnc::Control,
+    dimensions::CODES_PER_TICK,
+    learned::{Caps, Change, PARTS, named},
+    units::Code,
+};
+use trueup_store::calibration::{MAX_SIZE, encode};
+
+/// 700.5 codes of 1024 nm.
+const GROWN_NM: i32 = 717_312;
+const CAPS: Caps = Caps { growth: 20, axes: 0, zero: 50 };
+
+/// A bridge that permits a little, with the blob that says so, and its CNC on CAN.
+struct Rig {
+    node: Node<'static>,
+    calibration: u16,
+    counter: u8,
+}
+
+impl Rig {
+    fn new() -> Self {
+        let mut calibration = tests_calibration();
+        calibration.limits.learned = CAPS;
+        calibration.limits.slew_nm_per_s = 1_000_000;
+        calibration.limits.max = [trueup_core::units::Nanometres(2_000_000); 3];
+        let mut room = vec![0; MAX_SIZE];
+        let blob = encode(&calibration, &mut room).expect("small").to_vec().leak();
+        let mut node = Node::new(Some(calibration), false);
+        node.set_blob(blob);
+        Self { node, calibration: named(identity(blob)), counter: 0 }
+    }
+
+    /// Engaged, and grown.
+    fn live() -> Self {
+        let mut rig = Self::new();
+        rig.says(Control::REFERENCED, 3);
+        rig.says(Control::ENGAGED, 100);
+        assert_eq!(rig.node.last().quality, Quality::Live);
+        assert_eq!(rig.z_nm(), GROWN_NM);
+        rig
+    }
+
+    fn change(&self, part: u8, amount: i16) -> Change {
+        Change { part, amount, calibration: self.calibration }
+    }
+
+    /// `Control` so often, 20 ms apart, over CAN; gives the offset of Z in every tick.
+    fn says(&mut self, control: Control, count: usize) -> Vec<i32> {
+        let mut all = Vec::new();
+        for _ in 0..count {
+            self.node.hear(Line::Can, &frames::control(control, self.counter)).expect("in order");
+            self.counter = self.counter.wrapping_add(1);
+            all.extend(self.ticks(20));
+        }
+        all
+    }
+
+    fn ticks(&mut self, ms: u32) -> Vec<i32> {
+        let codes: [Code; CODES_PER_TICK] =
+            core::array::from_fn(|n| Code(700 + u16::from(n % 2 == 1)));
+        let mut all = Vec::new();
+        for _ in 0..ms {
+            self.node.tick(1, Input { codes: Some(&codes), ..Input::default() });
+            self.node.service();
+            all.push(self.z_nm());
+        }
+        all
+    }
+
+    fn learns(&mut self, change: Change, count: usize) -> Vec<i32> {
+        self.says(Control { learned: change, ..Control::ENGAGED }, count)
+    }
+
+    fn z_nm(&self) -> i32 {
+        self.node.last().offset.map_or(i32::MIN, |[_, _, z]| z.0)
+    }
+
+    fn now(&self) -> [i16; PARTS] {
+        self.node.state.learned().now()
+    }
+
+    fn is_refused(&self) -> bool {
+        self.node.faults(self.node.last()).has(Fault::LearnedRefused)
+    }
+}
+
+#[test]
+fn its_own_master_says_it_while_engaged_and_the_offset_gets_there_without_a_step() {
+    let mut rig = Rig::live();
+    // 0.1 % of 717.312 µm are 717 nm; and 500 nm of zero. A hundred units are 10 s.
+    let mut all = Vec::new();
+    for part in [rig.change(1, 100), rig.change(5, 500)] {
+        all.extend(rig.learns(part, 1));
+    }
+    all.extend(rig.says(Control::ENGAGED, 600));
+    assert_eq!((rig.now(), rig.is_refused()), ([100, 0, 0, 0, 120], false));
+    assert_eq!(rig.z_nm(), GROWN_NM + 717 + 120, "what grows is lifted");
+    let largest = all.windows(2).map(|pair| (pair[1] - pair[0]).abs()).max();
+    assert!(largest <= Some(8), "a unit of 717 µm is 7.2 nm: {largest:?}");
+    // Taken back in the same way.
+    rig.learns(rig.change(1, 0), 1);
+    rig.learns(rig.change(5, 0), 1);
+    rig.says(Control::ENGAGED, 700);
+    assert_eq!((rig.now(), rig.z_nm()), ([0; PARTS], GROWN_NM));
+}
+
+#[test]
+fn beyond_its_cap_of_no_part_or_of_another_calibration_it_is_refused_and_told() {
+    let good = Rig::new().change(1, 100);
+    for bad in [
+        Change { amount: 2_001, ..good },
+        Change { amount: -2_001, ..good },
+        Change { part: 2, amount: 1, ..good },
+        Change { part: 5, amount: 5_001, ..good },
+        Change { part: 6, ..good },
+        Change { part: 7, ..good },
+        Change { calibration: good.calibration ^ 1, ..good },
+        Change { calibration: good.calibration ^ 0x8000, ..good },
+    ] {
+        let mut rig = Rig::live();
+        rig.learns(bad, 50);
+        assert_eq!((rig.now(), rig.z_nm()), ([0; PARTS], GROWN_NM), "{bad:?}");
+        assert!(rig.is_refused(), "{bad:?}");
+        assert_eq!(rig.node.last().quality, Quality::Live, "it is a sign of life all the same");
+        // Told until nothing of the kind is asked for, and good ones count meanwhile.
+        rig.learns(good, 10);
+        assert!(rig.is_refused() && rig.now()[0] > 0);
+        rig.says(Control::ENGAGED, 1);
+        assert!(!rig.is_refused());
+    }
+}
+
+#[test]
+fn a_calibration_that_states_no_cap_lets_nothing_be_changed() {
+    let mut node = Node::new(Some(tests_calibration()), false);
+    // Without a blob its CRC is 0.
+    let learned = Change { part: 1, amount: 1, calibration: named(identity(&[])) };
+    for counter in 0..10 {
+        let control = Control { learned, ..Control::REFERENCED };
+        node.hear(Line::Can, &frames::control(control, counter)).expect("in order");
+        node.tick(1, Input::default());
+    }
+    assert!(node.faults(node.last()).has(Fault::LearnedRefused));
+    assert_eq!(node.state.learned().now(), [0; PARTS]);
+}
+
+#[test]
+fn what_is_damaged_repeated_or_from_another_line_moves_nothing() {
+    let mut rig = Rig::live();
+    let control = Control { learned: rig.change(1, 100), ..Control::ENGAGED };
+    let mut damaged = *frames::control(control, rig.counter).data();
+    damaged[4] ^= 1;
+    let damaged = Frame::new(CONTROL_ID, &damaged).expect("8 bytes");
+    assert!(rig.node.hear(Line::Can, &damaged).is_err());
+    let repeated = frames::control(control, rig.counter.wrapping_sub(1));
+    assert!(rig.node.hear(Line::Can, &repeated).is_err());
+    let late = frames::control(control, rig.counter.wrapping_add(100));
+    assert!(rig.node.hear(Line::Can, &late).is_err());
+    let strange = frames::control(control, 0);
+    assert_eq!(rig.node.hear(Line::Serial, &strange), Ok(None));
+    rig.ticks(400);
+    assert_eq!((rig.now(), rig.z_nm()), ([0; PARTS], GROWN_NM));
+    assert!(rig.node.master.is_second(), "who speaks on another line is told");
+}
+
+#[test]
+fn of_two_masters_on_one_line_neither_is_believed() {
+    let mut rig = Rig::live();
+    let learned = rig.change(1, 100);
+    for _ in 0..3 {
+        let late = frames::control(Control::ENGAGED, rig.counter.wrapping_add(100));
+        assert!(rig.node.hear(Line::Can, &late).is_err());
+        rig.counter = rig.counter.wrapping_add(101);
+    }
+    rig.says(Control { learned, ..Control::ENGAGED }, 5);
+    assert!(rig.node.master.is_second());
+    assert_eq!(rig.now(), [0; PARTS]);
+}
+
+#[test]
+fn one_frame_of_a_stranger_moves_a_unit_and_the_masters_next_takes_it_back() {
+    let mut rig = Rig::live();
+    rig.learns(rig.change(1, 1_000), 1);
+    rig.learns(rig.change(1, 0), 1);
+    rig.says(Control::ENGAGED, 50);
+    assert_eq!((rig.now(), rig.z_nm()), ([0; PARTS], GROWN_NM));
+}
+
+#[test]
+fn it_may_be_said_at_rest_and_forget_and_a_restart_forget_it() {
+    let mut rig = Rig::new();
+    rig.says(Control::REFERENCED, 3);
+    let at_rest = Control { learned: rig.change(5, 30), ..Control::REFERENCED };
+    rig.says(at_rest, 200);
+    assert_eq!(rig.now(), [0, 0, 0, 0, 30]);
+    let told = rig.node.read(ObjectKind::Learned(4));
+    assert_eq!(told, Ok(ObjectValue::Number(30)));
+    rig.says(Control { service: true, ..Control::REFERENCED }, 1);
+    rig.node.write(ObjectKind::Forget, FORGET).expect("at rest, and allowed");
+    assert_eq!(rig.now(), [0; PARTS]);
+
+    rig.says(at_rest, 200);
+    let kept = rig.node.kept();
+    let mut again = Rig::new();
+    again.node.resume(Some(&kept), 0);
+    again.says(Control::REFERENCED, 3);
+    again.says(Control::ENGAGED, 100);
+    assert_eq!((again.now(), again.z_nm()), ([0; PARTS], GROWN_NM));
+}
