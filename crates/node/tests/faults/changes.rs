@@ -186,8 +186,12 @@ fn changes(count: u32, seed: u64) -> f64 {
         let ms = 5_000 + (rig.bits() % 300_000) as u32;
         rig.run(ms);
         let until = done + CHANGES_A_TIME;
+        let mut in_vain = 0;
         while done < until.min(count) {
-            done += changes_by_a_fault(&mut rig, &mut worst_nm);
+            let more = changes_by_a_fault(&mut rig, &mut worst_nm);
+            in_vain = if more == 0 { in_vain + 1 } else { 0 };
+            assert!(in_vain < 50, "after {done} changes it is {:?} for good", rig.last.quality);
+            done += more;
         }
     }
     println!(

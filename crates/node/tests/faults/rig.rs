@@ -422,7 +422,9 @@ impl Rig {
         self.speak();
         let codes = self.codes();
         let spindle_c = 20.0 + self.grown_nm() / SPINDLE_NM_PER_K;
-        let axis_c = 22.0 + f64::from(self.ms) / 60_000.0;
+        // A kelvin a minute, for half an hour up and then down: what rose for eight hours was no thermometer.
+        let minutes = f64::from(self.ms) / 60_000.0 % 60.0;
+        let axis_c = 22.0 + minutes.min(60.0 - minutes);
         let mut raw = [Raw::NONE; CHANNELS];
         raw[SPINDLE_CHANNEL] = self.raw(Part::SpindleThermometer, spindle_c);
         raw[AXIS_CHANNEL] = self.raw(Part::AxisThermometer, axis_c);
