@@ -142,6 +142,10 @@ impl Outgoing {
     pub fn give_up(self) -> impl Iterator<Item = u8> {
         let left = usize::from(self.dma.st(7).ndtr().read().ndt().bits());
         stop(self.dma.st(7));
+        // A stream that is switched off says that it is complete (section 10.3.14), and nobody is left who would clear
+        // that: its interrupt would come for ever.
+        self.dma.st(7).cr().reset();
+        self.clear_flags();
         let bytes = OUT.iter().flat_map(|word| word.load(Ordering::Relaxed).to_le_bytes());
         bytes.take(self.count).skip(self.count.saturating_sub(left))
     }
