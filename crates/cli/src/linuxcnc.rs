@@ -80,6 +80,7 @@ pub struct LinuxCnc {
     record: Option<PathBuf>,
     /// What trueup learn has written beside the machine file: as far as [limits.learned] permits, the bridge is told
     /// of it while it runs, and again after each change of this file. What it cannot be told needs the file loaded, at rest.
+    /// Without this the bridge is told that nothing was learned.
     #[arg(long, value_name = "LEARNED.toml", requires = "machine")]
     learned: Option<PathBuf>,
     /// How many temp-NN pins there are.
@@ -173,7 +174,7 @@ pub fn run(args: &LinuxCnc) -> Result<Outcome> {
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
     let learned = args.learned.clone().zip(machine).map(|(path, machine)| watch(path, machine));
-    let news = || learned.as_ref().and_then(|it| it.try_recv().ok());
+    let news = learned.map(|it| move || it.try_recv().ok());
     run::run(&settings, move || port.open(), &stop, record, news, |text| log.tell(text))?;
     Ok(Outcome::Done)
 }

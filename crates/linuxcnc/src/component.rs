@@ -184,6 +184,12 @@ impl Component {
         self.sender.learn(learned.filter(|(_, calibration)| running == Some(*calibration)));
     }
 
+    /// Says from now on that nothing was learned, to whatever calibration the bridge runs on: what it was told before
+    /// this component began stays in force until it is taken back.
+    pub fn unlearn(&mut self) {
+        self.sender.learn(self.status.calibration.map(|running| ([0; PARTS], running)));
+    }
+
     /// Takes what came over the line.
     pub fn hear(&mut self, now: Duration, event: &Event) {
         match event {
@@ -272,7 +278,7 @@ impl Component {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use trueup_core::{
         cnc::{Command as Received, Output},
@@ -286,7 +292,7 @@ mod tests {
 
     const SLEW: f64 = 500e3;
 
-    fn component() -> Component {
+    pub(crate) fn component() -> Component {
         let pace = Pace {
             slew_nm_per_s: SLEW,
             cycle_s: 1e-3,

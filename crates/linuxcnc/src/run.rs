@@ -54,7 +54,8 @@ pub struct Learned {
 }
 
 /// Runs the component until `stop` is set. `tell` gets a sentence whenever something has changed
-/// that an operator wants to know; `record` gets its rows; `learned` says what has changed of what was learned.
+/// that an operator wants to know; `record` gets its rows; `learned` says what has changed of what was learned, and
+/// without it nothing was.
 ///
 /// # Errors
 /// The HAL refuses the component or a pin.
@@ -63,7 +64,7 @@ pub fn run(
     open: impl FnMut() -> io::Result<Ends> + Send + 'static,
     stop: &AtomicBool,
     mut record: Option<Record>,
-    learned: impl Fn() -> Option<Learned>,
+    learned: Option<impl Fn() -> Option<Learned>>,
     mut tell: impl FnMut(&str),
 ) -> Result<(), HalError> {
     let Settings { name, mm_per_unit, temperatures, calibration, is_strict, turn, options } =
@@ -80,7 +81,7 @@ pub fn run(
     }
     let mut refreshed = Duration::ZERO;
     let mut cut = None;
-    let mut amounts = None;
+    let mut lessons = Lessons { news: learned, of: *calibration, amounts: None };
     while !stop.load(Ordering::Relaxed) {
         let now = start.elapsed();
         if now.saturating_sub(refreshed) >= REFRESH {
@@ -96,11 +97,7 @@ pub fn run(
                 LineEvent::Received(event) => component.hear(now, &event),
             }
         }
-        if let Some(news) = learned() {
-            news.said.iter().for_each(|said| tell(said));
-            amounts = news.amounts.or(amounts);
-        }
-        component.learn(amounts.zip(*calibration));
+        lessons.teach(&mut component, &mut tell);
         let mut inputs = pins.read();
         inputs.enable &= news.lets_engage();
         let (mut outputs, frames) = component.step(now, &inputs);
@@ -120,6 +117,28 @@ pub fn run(
         thread::sleep(*turn);
     }
     Ok(())
+}
+
+/// What the bridge is told of what was learned.
+struct Lessons<F> {
+    /// What has changed of it; `None`: nothing is learned here.
+    news: Option<F>,
+    /// CRC of the calibration that it is a change of.
+    of: Option<u32>,
+    /// As it was said last; `None`: it is not known yet.
+    amounts: Option<[i16; PARTS]>,
+}
+
+impl<F: Fn() -> Option<Learned>> Lessons<F> {
+    /// Without a source, a bridge is told to forget what a component before this one has told it.
+    fn teach(&mut self, component: &mut Component, tell: &mut impl FnMut(&str)) {
+        let Some(news) = &self.news else { return component.unlearn() };
+        if let Some(news) = news() {
+            news.said.iter().for_each(|said| tell(said));
+            self.amounts = news.amounts.or(self.amounts);
+        }
+        component.learn(self.amounts.zip(self.of));
+    }
 }
 
 /// What was told last.
@@ -228,6 +247,61 @@ impl News {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::component::{Inputs, tests::component};
+    use trueup_core::{
+        cnc::Command,
+        learned::{Change, named},
+    };
+    use trueup_link::{
+        receiver::Receiver,
+        slcan::Event,
+        status::{self, Item, Status},
+    };
+
+    const RUNNING: u32 = 0x1234_ABCD;
+
+    /// What a component says of what was learned in five frames of `Control`, to a bridge that runs on `RUNNING`.
+    fn taught(news: Option<impl Fn() -> Option<Learned>>, of: Option<u32>) -> Vec<(u8, i16)> {
+        let (mut component, mut receiver) = (component(), Receiver::new());
+        let item = Item::Calibration(RUNNING);
+        let said = status::encode(&Status { last_refused: status::Reason::None, item }, 0);
+        component.hear(Duration::ZERO, &Event::Frame(said));
+        let mut lessons = Lessons { news, of, amounts: None };
+        let mut all = Vec::new();
+        for turn in 0..5 {
+            lessons.teach(&mut component, &mut |_: &str| ());
+            let (_, frames) = component.step(Duration::from_millis(20 * turn), &Inputs::default());
+            for frame in &frames {
+                if let Some(Command::Control(it)) = receiver.accept(frame).expect("in order") {
+                    let Change { part, amount, calibration } = it.learned;
+                    assert!(part == 0 || calibration == named(RUNNING), "{:?}", it.learned);
+                    all.push((part, amount));
+                }
+            }
+        }
+        all.sort_unstable();
+        all
+    }
+
+    #[test]
+    fn without_a_learned_file_any_bridge_is_told_that_nothing_was_learned() {
+        let none = None::<fn() -> Option<Learned>>;
+        for of in [None, Some(RUNNING), Some(RUNNING ^ 1)] {
+            assert_eq!(taught(none, of), [(1, 0), (2, 0), (3, 0), (4, 0), (5, 0)], "{of:?}");
+        }
+    }
+
+    #[test]
+    fn of_a_learned_file_nothing_is_said_until_it_is_read_and_then_only_to_its_own_calibration() {
+        let nothing = [(0, 0); 5];
+        let (ours, other) = (Some(RUNNING), Some(RUNNING ^ 1));
+        assert_eq!(taught(Some(|| None), ours), nothing, "not looked at yet");
+        assert_eq!(taught(Some(|| Some(Learned::default())), ours), nothing, "not readable");
+        let read = || Some(Learned { amounts: Some([10, 20, 30, 40, -50]), said: Vec::new() });
+        assert_eq!(taught(Some(read), ours), [(1, 10), (2, 20), (3, 30), (4, 40), (5, -50)]);
+        assert_eq!(taught(Some(read), other), nothing, "another calibration");
+        assert_eq!(taught(Some(read), None), nothing, "the machine file does not compile");
+    }
 
     #[test]
     fn another_calibration_than_the_machine_files_is_told_once_and_so_is_each_state() {

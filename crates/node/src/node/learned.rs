@@ -4,7 +4,8 @@
 //! It comes in `Control`, and in nothing else. So who may say it is settled already: the CNC whose `Control` counts,
 //! on its own line, protected and in sequence ([`master`](super::master)); nobody by SDO, and no PLC, which
 //! loads a new calibration at rest. What is of another calibration or beyond the caps is not taken,
-//! and told until `Control` comes without any; the frame is a sign of life all the same.
+//! and told until `Control` comes without any; the frame is a sign of life all the same. A zero is always right:
+//! of another calibration nothing is in force, because a new one begins with a start.
 
 use trueup_core::learned::{Change, named};
 use trueup_store::calibration::identity;
@@ -17,8 +18,10 @@ impl Node<'_> {
     #[inline(never)]
     pub(super) fn hear_learned(&mut self, change: Change) {
         let is_ours = change.calibration == named(identity(self.blob));
-        let bridge = self.bridge.as_ref().filter(|_| is_ours);
-        let is_taken = bridge.is_some_and(|it| it.learn(&mut self.state, change));
+        let is_taken = match &self.bridge {
+            Some(bridge) if is_ours => bridge.learn(&mut self.state, change),
+            _ => change.amount == 0,
+        };
         self.learned_refused = change.part != 0 && (self.learned_refused || !is_taken);
     }
 }

@@ -139,6 +139,31 @@ fn beyond_its_cap_of_no_part_or_of_another_calibration_it_is_refused_and_told() 
 }
 
 #[test]
+fn that_nothing_was_learned_is_never_refused_and_of_another_calibration_takes_nothing_back() {
+    let mut rig = Rig::live();
+    rig.learns(rig.change(1, 100), 1);
+    let ours = rig.calibration;
+    for (part, calibration) in (1..=5).map(|part| (part, ours ^ 1)) {
+        rig.learns(Change { part, amount: 0, calibration }, 100);
+    }
+    assert_eq!((rig.now(), rig.is_refused()), ([100, 0, 0, 0, 0], false));
+    for part in 1..=5 {
+        rig.learns(rig.change(part, 0), 100);
+    }
+    assert_eq!((rig.now(), rig.is_refused()), ([0; PARTS], false), "no cap is below 0");
+
+    // Nor by a board without a calibration.
+    let mut bare = Node::new(None, false);
+    let learned = Change { part: 1, amount: 0, calibration: named(0) };
+    for counter in 0..10 {
+        let control = Control { learned, ..Control::REFERENCED };
+        bare.hear(Line::Can, &frames::control(control, counter)).expect("in order");
+        bare.tick(1, Input::default());
+    }
+    assert!(!bare.faults(bare.last()).has(Fault::LearnedRefused));
+}
+
+#[test]
 fn a_calibration_that_states_no_cap_lets_nothing_be_changed() {
     let mut node = Node::new(Some(tests_calibration()), false);
     // Without a blob its CRC is 0.
