@@ -355,7 +355,7 @@ impl Work<'_> {
         let heat_s = self.args.heat_s.map(|heat_s| heat_s.to_string());
         let control = self.args.control.name();
         let mut words =
-            vec!["program", self.subject.program(), "--machine", &machine, "--for", control];
+            vec!["program", self.subject.program(), "--machine", &machine, "--for", &control];
         words.extend(["--out", &out]);
         words.extend(self.subject.axis().iter().flat_map(|axis| ["--axis", axis.name()]));
         words.extend(rpm.iter().flat_map(|rpm| ["--rpm", rpm.as_str()]));

@@ -96,13 +96,8 @@ pub enum For {
 
 impl For {
     /// As `--for` takes it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::LinuxCnc => "linuxcnc",
-            Self::Fanuc => "fanuc",
-            Self::Siemens => "siemens",
-            Self::Heidenhain => "heidenhain",
-        }
+    pub fn name(self) -> String {
+        self.to_possible_value().expect("none is hidden").get_name().to_owned()
     }
 
     pub fn control(self) -> control::Control {
