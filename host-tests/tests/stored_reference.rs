@@ -1,97 +1,24 @@
 //! `Zero` outlasts the power: runs of the emulated board that is switched off and on again, with the
 //! same calibration, with another one, and with a store that is damaged.
 
-use std::{
-    fs,
-    path::PathBuf,
-    time::{Duration, Instant},
-};
+mod support;
 
-use trueup_core::{
-    cnc::{Control, Output, Quality},
-    units::Rpm,
-};
-use trueup_emulator::{
-    board::{LARGEST_BATCH, VirtualBoard},
-    firmware::{self, Board},
-    front_end::FrontEnd,
-    setup,
-};
-use trueup_link::{frames, receiver::OffsetReceiver};
-use trueup_machine::{Compiled, MachineFile, compile};
-use trueup_pipe::{Block, FRAMES};
+use std::fs;
+
+use support::bench::{Bench, paper};
+use trueup_core::cnc::{Control, Output, Quality};
+use trueup_machine::{Compiled, compile};
 use trueup_store::reference::RECORD_SIZE;
 
-/// The paper's spindle, with a slew limit that fits a test, and growth times `gain`.
+/// The CNC goes on, or takes the error of now as the reference.
+const ON: Control = Control::REFERENCED;
+const ZERO: Control = Control { zero: true, ..Control::REFERENCED };
+
+/// The paper's spindle, and growth times `gain`.
 fn compiled(gain: f64) -> Compiled {
-    let path = setup::root().join("data/paper_spindle.toml");
-    let mut machine = MachineFile::read(&path).expect("the project's own machine file");
-    machine.limits.slew_um_per_s = 100.0;
+    let mut machine = paper();
     machine.spindle.sensor.as_mut().expect("it has one").um_per_count *= gain;
     compile(&machine).expect("it compiles")
-}
-
-/// A board with what is around it.
-struct Bench {
-    image: PathBuf,
-    board: VirtualBoard,
-    front_end: FrontEnd,
-    offsets: OffsetReceiver,
-    counter: u8,
-    ms: u32,
-}
-
-impl Bench {
-    fn boot(calibration: &Compiled) -> Self {
-        let image = firmware::build(Board::Virtual).expect("the image builds");
-        let board = VirtualBoard::boot(&image, calibration.blob()).expect("the board boots");
-        Self::around(image, board)
-    }
-
-    fn restart(self, calibration: &Compiled) -> Self {
-        let board = self.board.restart(&self.image, calibration.blob()).expect("the board boots");
-        Self::around(self.image, board)
-    }
-
-    fn around(image: PathBuf, board: VirtualBoard) -> Self {
-        let front_end = FrontEnd::new(0.328, 3);
-        Self { image, board, front_end, offsets: OffsetReceiver::new(), counter: 0, ms: 0 }
-    }
-
-    /// Engaged for so long, the spindle grown by the paper's law; gives every offset.
-    fn live(&mut self, ms: u32, growth_um: f64, zero: bool) -> Vec<Output> {
-        let volts = (5_048.0 + growth_um / (500.0 / 32_768.0)) * 10.0 / 32_768.0;
-        let blocks: Vec<Block> = (0..ms)
-            .map(|_| {
-                let mut sent = [None; FRAMES];
-                if self.ms.is_multiple_of(20) {
-                    let engage = self.ms >= 60;
-                    let control = Control { engage, zero, ..Control::REFERENCED };
-                    sent[0] = Some(frames::control(control, self.counter));
-                    self.counter = self.counter.wrapping_add(1);
-                }
-                self.ms += 1;
-                let codes = self.front_end.block(|_| volts);
-                Block { codes, speed: Some(Rpm(12_000)), frames: sent, ..Block::default() }
-            })
-            .collect();
-        let batches = blocks.chunks(LARGEST_BATCH as usize);
-        let sent = batches.flat_map(|batch| self.board.step(batch).expect("the board lives"));
-        sent.filter_map(|(_, frame)| self.offsets.accept(&frame).expect("whole frames")).collect()
-    }
-
-    /// The line of the log that has these words in it. The log has its own way to the host.
-    fn logged(&self, words: &str) -> String {
-        let end = Instant::now() + Duration::from_secs(10);
-        loop {
-            let log = self.board.log();
-            if let Some(line) = log.iter().find(|line| line.contains(words)) {
-                return line.clone();
-            }
-            assert!(Instant::now() < end, "the log does not say \"{words}\": {log:#?}");
-            std::thread::sleep(Duration::from_millis(5));
-        }
-    }
 }
 
 fn z_um(output: &Output) -> f64 {
@@ -108,8 +35,8 @@ fn last_z_um(outputs: &[Output]) -> f64 {
 fn zeroed(calibration: &Compiled) -> Bench {
     let mut bench = Bench::boot(calibration);
     bench.logged("no reference is stored");
-    assert!((last_z_um(&bench.live(800, 40.0, false)) - 40.0).abs() < 0.1);
-    let ramp = bench.live(800, 40.0, true);
+    assert!((last_z_um(&bench.live(800, 40.0, |_| ON)) - 40.0).abs() < 0.1);
+    let ramp = bench.live(800, 40.0, |_| ZERO);
     // No jump: 100 µm/s are 0.1 µm a tick.
     let steps = ramp.windows(2).map(|pair| (z_um(&pair[1]) - z_um(&pair[0])).abs());
     assert!(steps.fold(0.0, f64::max) < 0.111, "the way to zero is ramped");
@@ -131,26 +58,26 @@ fn a_restarted_board_goes_on_from_the_stored_reference_and_another_calibration_d
     // Grown by 12 µm more while it was off.
     let mut bench = bench.restart(&ours);
     println!("{}", bench.logged("reference 2 taken up"));
-    assert!((last_z_um(&bench.live(800, 52.0, false)) - 12.0).abs() < 0.1);
+    assert!((last_z_um(&bench.live(800, 52.0, |_| ON)) - 12.0).abs() < 0.1);
 
     // The other law makes 44 µm of 40 µm, and knows nothing of the reference.
     let mut bench = bench.restart(&other);
     println!("{}", bench.logged("no reference is stored for this calibration"));
     println!("{}", bench.logged("of other calibrations, not used: 1"));
-    assert!((last_z_um(&bench.live(800, 40.0, false)) - 44.0).abs() < 0.1);
+    assert!((last_z_um(&bench.live(800, 40.0, |_| ON)) - 44.0).abs() < 0.1);
 
     // The first calibration again, and with it its reference. All this has written nothing.
     let mut bench = bench.restart(&ours);
-    assert!((last_z_um(&bench.live(800, 30.0, false)) + 10.0).abs() < 0.1);
+    assert!((last_z_um(&bench.live(800, 30.0, |_| ON)) + 10.0).abs() < 0.1);
     let now = fs::metadata(bench.board.flash()).expect("still there").modified().ok();
     assert_eq!(now, stored, "the file is written on Zero only");
 
     // A second Zero is the one that counts from then on.
-    bench.live(400, 30.0, true);
+    bench.live(400, 30.0, |_| ZERO);
     println!("{}", bench.logged("reference 4 stored"));
     let mut bench = bench.restart(&ours);
     println!("{}", bench.logged("reference 4 taken up"));
-    assert!(last_z_um(&bench.live(400, 30.0, false)).abs() < 0.1);
+    assert!(last_z_um(&bench.live(400, 30.0, |_| ON)).abs() < 0.1);
 }
 
 #[test]
@@ -168,12 +95,12 @@ fn a_record_with_any_byte_flipped_is_refused_and_logged() {
         bench.logged("damaged, refused: 1");
     }
     // What is refused has no effect, and the next Zero is stored behind it.
-    assert!((last_z_um(&bench.live(800, 40.0, false)) - 40.0).abs() < 0.1);
-    bench.live(400, 40.0, true);
+    assert!((last_z_um(&bench.live(800, 40.0, |_| ON)) - 40.0).abs() < 0.1);
+    bench.live(400, 40.0, |_| ZERO);
     bench.logged("reference 5 stored");
     let mut bench = bench.restart(&ours);
     bench.logged("reference 5 taken up");
-    assert!(last_z_um(&bench.live(400, 40.0, false)).abs() < 0.1);
+    assert!(last_z_um(&bench.live(400, 40.0, |_| ON)).abs() < 0.1);
 }
 
 #[test]
@@ -181,20 +108,20 @@ fn a_store_that_cannot_be_written_is_logged_and_the_offsets_go_on() {
     let mut bench = Bench::boot(&compiled(1.0));
     // A folder in its place: no file can be opened there.
     fs::create_dir(bench.board.flash()).expect("a folder");
-    bench.live(800, 40.0, false);
-    assert!(last_z_um(&bench.live(800, 40.0, true)).abs() < 0.1, "zeroed all the same");
+    bench.live(800, 40.0, |_| ON);
+    assert!(last_z_um(&bench.live(800, 40.0, |_| ZERO)).abs() < 0.1, "zeroed all the same");
     bench.logged("NOT stored");
     println!("{}", bench.logged("lost with the power"));
-    assert!((last_z_um(&bench.live(400, 45.0, true)) - 5.0).abs() < 0.1);
+    assert!((last_z_um(&bench.live(400, 45.0, |_| ZERO)) - 5.0).abs() < 0.1);
 }
 
 #[test]
 fn a_zero_that_finds_no_samples_is_refused_and_logged() {
     let mut bench = Bench::boot(&compiled(1.0));
     // A sensor at its rail gives no reading.
-    let dead = |bench: &mut Bench, zero| bench.live(200, 1e4, zero);
-    dead(&mut bench, false);
-    dead(&mut bench, true);
+    let dead = |bench: &mut Bench, control| bench.live(200, 1e4, |_| control);
+    dead(&mut bench, ON);
+    dead(&mut bench, ZERO);
     println!("{}", bench.logged("zero: the reference stays"));
     // The board has named its machine, and stored nothing else.
     let stored = fs::read(bench.board.flash()).expect("the name");

@@ -2,6 +2,7 @@
 //! whatever it starts in turn. Nothing of it outlives the test.
 #![allow(dead_code, reason = "each test uses its share")]
 
+pub mod bench;
 pub mod chip;
 
 use std::{
