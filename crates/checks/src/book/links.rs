@@ -71,7 +71,7 @@ pub fn split(target: &str) -> (&str, &str) {
     target.split_at(target.find('#').unwrap_or(target.len()))
 }
 
-/// The file that a page includes as a whole.
+/// The file that a page, or a line of it, includes as a whole.
 pub fn included(page: &Path, text: &str) -> Option<PathBuf> {
     let path = text.trim().strip_prefix("{{#include ")?.strip_suffix("}}")?;
     Some(normal(&page.parent()?.join(path)))

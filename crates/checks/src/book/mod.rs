@@ -1,6 +1,7 @@
 //! The book, `docs/book`: its pages, and `cargo xtask book`, which makes web pages of it.
 //!
-//! Some pages are documents of their own that the book includes (`docs/reference.md`). Every link is
+//! Some pages are documents of their own that the book includes (`docs/reference.md`), and some include a file that a
+//! test needs as well (`tutorial.md`). Every link is
 //! written as a reader of the source tree follows it; for the web a link to a page of the book stays
 //! one, and a link to another file of the project goes to the project's repository.
 
@@ -43,12 +44,23 @@ fn pages(root: &Path) -> Result<Vec<Page>> {
         }
         let own = fs::read_to_string(&path)?;
         let origin = included(&path, &own).unwrap_or(path);
-        let text = fs::read_to_string(&origin)
-            .with_context(|| format!("{name}: {} is missing", origin.display()))?;
+        let text = whole(&origin).with_context(|| name.clone())?;
         pages.push(Page { name, origin, text });
     }
     pages.sort_by(|a, b| a.name.cmp(&b.name));
     Ok(pages)
+}
+
+/// The text of a page, with the files that it includes between its own lines.
+fn whole(page: &Path) -> Result<String> {
+    let read = |file: &Path| {
+        fs::read_to_string(file).with_context(|| format!("{} is missing", file.display()))
+    };
+    let mut whole = String::new();
+    for line in read(page)?.split_inclusive('\n') {
+        whole += &included(page, line).map_or_else(|| Ok(line.into()), |file| read(&file))?;
+    }
+    Ok(whole)
 }
 
 /// What is wrong with the book and the links of all documents, a line each; empty: nothing.
