@@ -234,3 +234,27 @@ fn read_ini(path: &PathBuf) -> Result<Ini> {
         std::fs::read_to_string(path).map_err(|error| UserError(format!("{name}: {error}")))?;
     Ok(Ini::parse(&text).map_err(|error| UserError(format!("{name}:{error}")))?)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FILE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"warmup\"\n[spindle.warmup]\n\
+        lag_s = 60.0\nwarm_s = 5400.0\nmax_um = 80.0\nexponent = 4.0\n[limits]\nlearned = { growth_percent = 5 }\n";
+
+    #[test]
+    fn a_learned_file_says_its_change_and_one_that_cannot_be_read_nothing() {
+        let machine = MachineFile::parse(FILE, Path::new("m.toml")).expect("right");
+        let of = |text: Result<String, String>| learned(&machine, Path::new("l.toml"), &text);
+        let read = of(Ok(FILE.replace("80.0", "81.6")));
+        assert_eq!(read.amounts, Some([2_000, 0, 0, 0, 0]));
+        assert!(read.said[0].ends_with("growth of the spindle +2.000 %"), "{:?}", read.said);
+        let same = of(Ok(FILE.into()));
+        assert_eq!((same.amounts, same.said.len()), (Some([0; 5]), 1));
+        for bad in [Err("it is not there".into()), Ok(FILE.replace("80.0", "much"))] {
+            let bad = of(bad);
+            assert_eq!((bad.amounts, bad.said.len()), (None, 1));
+            assert!(bad.said[0].starts_with("nothing new was learned: l.toml"), "{:?}", bad.said);
+        }
+    }
+}

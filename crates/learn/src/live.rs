@@ -221,6 +221,32 @@ mod tests {
     }
 
     #[test]
+    fn caps_that_differ_are_no_difference_and_another_source_is_all_of_it() {
+        assert_eq!(live(&[("growth_percent = 5", "growth_percent = 6")]), Live::default());
+        let it = live(&[
+            ("0.015", "0.0153"),
+            ("[spindle]\nsource = \"sensor\"", "[spindle]\nsource = \"temperature\""),
+            (
+                "[axis.x]",
+                "[spindle.temperature]\nsensor = \"temp_screw_c\"\nreference_c = 20.0\nk_um_per_c = 2.0\n\
+                lag_s = 0.0\n[axis.x]",
+            ),
+        ]);
+        assert_eq!(it.amounts, [0; PARTS]);
+        assert!(!it.rest.is_empty());
+    }
+
+    #[test]
+    fn a_constant_that_its_mode_does_not_use_says_nothing_of_the_share() {
+        let base = SENSOR
+            .replace("\"both\"", "\"position\"")
+            .replace("constant_um_per_c = 2.0", "constant_um_per_c = 20.0");
+        let after = base.replace("14.21", "14.9205");
+        let it = Live::between(&of(&base), &of(&after)).expect("right");
+        assert_eq!((it.amounts, it.rest), ([0, 5_000, 0, 0, 0], vec![]));
+    }
+
+    #[test]
     fn a_temperature_and_a_warm_up_have_theirs() {
         let base = SENSOR.replace("source = \"sensor\"", "source = \"temperature\"")
             + "[spindle.temperature]\nsensor = \"temp_screw_c\"\nreference_c = 20.0\nk_um_per_c = 2.0\nlag_s = 0.0\n";

@@ -248,6 +248,7 @@ impl News {
 mod tests {
     use super::*;
     use crate::component::{Inputs, tests::component};
+    use std::cell::Cell;
     use trueup_core::{
         cnc::Command,
         learned::{Change, named},
@@ -299,6 +300,12 @@ mod tests {
         assert_eq!(taught(Some(|| Some(Learned::default())), ours), nothing, "not readable");
         let read = || Some(Learned { amounts: Some([10, 20, 30, 40, -50]), said: Vec::new() });
         assert_eq!(taught(Some(read), ours), [(1, 10), (2, 20), (3, 30), (4, 40), (5, -50)]);
+        let looks = Cell::new(0);
+        let gone = || match looks.replace(looks.get() + 1) {
+            0 => read(),
+            _ => Some(Learned::default()),
+        };
+        assert_eq!(taught(Some(gone), ours), taught(Some(read), ours), "a file that is gone");
         assert_eq!(taught(Some(read), other), nothing, "another calibration");
         assert_eq!(taught(Some(read), None), nothing, "the machine file does not compile");
     }

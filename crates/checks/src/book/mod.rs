@@ -42,9 +42,9 @@ fn pages(root: &Path) -> Result<Vec<Page>> {
         if name == "SUMMARY.md" || !name.ends_with(".md") {
             continue;
         }
-        let own = fs::read_to_string(&path)?;
+        let own = read(&path)?;
         let origin = included(&path, &own).unwrap_or(path);
-        let text = whole(&origin).with_context(|| name.clone())?;
+        let text = read(&origin).and_then(|text| whole(&origin, &text)).context(name.clone())?;
         pages.push(Page { name, origin, text });
     }
     pages.sort_by(|a, b| a.name.cmp(&b.name));
@@ -52,15 +52,16 @@ fn pages(root: &Path) -> Result<Vec<Page>> {
 }
 
 /// The text of a page, with the files that it includes between its own lines.
-fn whole(page: &Path) -> Result<String> {
-    let read = |file: &Path| {
-        fs::read_to_string(file).with_context(|| format!("{} is missing", file.display()))
-    };
+fn whole(page: &Path, text: &str) -> Result<String> {
     let mut whole = String::new();
-    for line in read(page)?.split_inclusive('\n') {
+    for line in text.split_inclusive('\n') {
         whole += &included(page, line).map_or_else(|| Ok(line.into()), |file| read(&file))?;
     }
     Ok(whole)
+}
+
+fn read(file: &Path) -> Result<String> {
+    fs::read_to_string(file).with_context(|| format!("{} is missing", file.display()))
 }
 
 /// What is wrong with the book and the links of all documents, a line each; empty: nothing.
@@ -166,6 +167,19 @@ mod tests {
         // Not because nothing was looked at.
         assert!(pages(&root()).expect("as above").len() > 20);
         assert!(links::documents(&root()).expect("as above").len() > 40);
+    }
+
+    #[test]
+    fn a_page_has_what_it_includes_between_its_own_lines() {
+        for page in pages(&root()).expect("the pages can be read") {
+            assert!(!page.text.contains("{{#include"), "{}", page.name);
+        }
+        let page = root().join(SOURCE).join("tutorial.md");
+        let text = whole(&page, "before\n{{#include tutorial.in/on.csv}}\nbehind\n");
+        let text = text.expect("the file is there");
+        assert!(text.starts_with("before\ntime_s,") && text.ends_with("\nbehind\n"), "{text}");
+        let missing = whole(&page, "{{#include tutorial.in/off.txt}}\n").expect_err("no such file");
+        assert!(missing.to_string().ends_with("tutorial.in/off.txt is missing"), "{missing}");
     }
 
     #[test]

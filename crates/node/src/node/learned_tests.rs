@@ -3,7 +3,7 @@
 use super::*;
 use std::{vec, vec::Vec};
 use trueup_canopen::{
-    dictionary::{FORGET, ObjectKind},
+    dictionary::{FORGET, ObjectKind, object},
     sdo::{ObjectValue, Objects as _},
 };
 use trueup_core::{
@@ -27,8 +27,12 @@ struct Rig {
 
 impl Rig {
     fn new() -> Self {
+        Self::with(CAPS)
+    }
+
+    fn with(caps: Caps) -> Self {
         let mut calibration = tests_calibration();
-        calibration.limits.learned = CAPS;
+        calibration.limits.learned = caps;
         calibration.limits.slew_nm_per_s = 1_000_000;
         calibration.limits.max = [trueup_core::units::Nanometres(2_000_000); 3];
         let mut room = vec![0; MAX_SIZE];
@@ -217,6 +221,19 @@ fn one_frame_of_a_stranger_moves_a_unit_and_the_masters_next_takes_it_back() {
     rig.learns(rig.change(1, 0), 1);
     rig.says(Control::ENGAGED, 50);
     assert_eq!((rig.now(), rig.z_nm()), ([0; PARTS], GROWN_NM));
+}
+
+#[test]
+fn a_master_reads_each_part_at_its_place_in_the_dictionary() {
+    let mut rig = Rig::with(Caps { axes: 20, ..CAPS });
+    rig.says(Control::REFERENCED, 3);
+    for (part, amount) in [(1, -1), (2, 2), (3, -3), (4, 4), (5, -5)] {
+        rig.says(Control { learned: rig.change(part, amount), ..Control::REFERENCED }, 30);
+    }
+    let places = object(0x2011).expect("it is there");
+    let told = [1, 2, 3, 4, 5]
+        .map(|place| rig.node.read(places.entry(place).expect("a part").what).expect("readable"));
+    assert_eq!(told, [-1, 2, -3, 4, -5].map(|it: i32| ObjectValue::Number(it.cast_unsigned())));
 }
 
 #[test]
