@@ -287,7 +287,7 @@ fn axis_laws(record: &Record<'_>) -> Vec<Law> {
 
 fn temperatures(run: &RunFile) -> impl Iterator<Item = (&str, &[f64])> {
     let columns = run.columns().iter().filter(|column| is_temperature_column(&column.name));
-    columns.map(|column| (column.name.as_str(), column.values.as_slice()))
+    columns.map(|column| (column.name.as_str(), &column.values[..]))
 }
 
 /// y += (x − y)·(1 − e^(−Δt/τ)), settled in the first row.

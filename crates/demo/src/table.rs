@@ -12,7 +12,7 @@ use trueup_machine::RunFile;
 pub fn with_columns(run: &RunFile, more: &[(String, Vec<f64>)]) -> Result<RunFile> {
     let is_replaced = |name: &str| more.iter().any(|(other, _)| other == name);
     let own = run.columns().iter().filter(|column| !is_replaced(&column.name));
-    let own = own.map(|column| (column.name.as_str(), column.values.as_slice()));
+    let own = own.map(|column| (column.name.as_str(), &column.values[..]));
     let more = more.iter().map(|(name, values)| (name.as_str(), values.as_slice()));
     let columns: Vec<(&str, &[f64])> = own.chain(more).collect();
     let names: Vec<&str> = columns.iter().map(|(name, _)| *name).collect();

@@ -65,7 +65,8 @@ impl Folds {
         let runs = numbered(&groups.first_row, data.run.as_deref());
         let run_count = runs.iter().max().map_or(0, |most| most + 1);
         let (of_group, count_folds, unit) = if data.files > 1 {
-            (groups.file.clone(), data.files, Unit::Files)
+            let file_of = |&row: &usize| data.file[row] as usize;
+            (groups.first_row.iter().map(file_of).collect(), data.files, Unit::Files)
         } else if run_count >= 3 {
             // Of many runs, several at once.
             let folds = if run_count > 10 { STRETCHES } else { run_count };

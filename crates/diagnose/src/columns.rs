@@ -23,6 +23,20 @@ pub(crate) fn basis(kind: &Kind, nonlinear: &[f64], data: &Data, p: &[f64]) -> V
     }
 }
 
+/// What a part with these values adds to each row, to a prediction `p` so far.
+pub(crate) fn sum(kind: &Kind, values: &[f64], data: &Data, p: &[f64]) -> Vec<f64> {
+    match kind {
+        Kind::Cause(effect) | Kind::Stated(Stated { effect, .. }) => {
+            effect.sum(values, &Table { data, p })
+        }
+        Kind::Curve(curve) => {
+            let mut sum = vec![0.0; data.rows];
+            at_rows(curve, data, |row, knot, share| sum[row] += values[knot] * share);
+            sum
+        }
+    }
+}
+
 /// What a law reads: the table's columns without gaps.
 struct Table<'a> {
     data: &'a Data,
@@ -36,8 +50,8 @@ impl Columns for Table<'_> {
 
     fn column(&self, input: &Input<'_>) -> Cow<'_, [f64]> {
         let data = self.data;
-        let whole = |values: Option<&[f64]>| {
-            Cow::Owned(values.map_or_else(|| vec![0.0; data.rows], filled))
+        let whole = |values: Option<_>| {
+            values.map_or_else(|| Cow::Owned(vec![0.0; data.rows]), without_gaps)
         };
         match *input {
             Input::Predicted => Cow::Borrowed(self.p),
@@ -46,17 +60,17 @@ impl Columns for Table<'_> {
             // What is of no run is no run's number either.
             Input::Run => {
                 let run = data.run.as_deref();
-                Cow::Owned(run.map_or_else(|| vec![f64::NAN; data.rows], filled))
+                run.map_or_else(|| Cow::Owned(vec![f64::NAN; data.rows]), without_gaps)
             }
             Input::Temperature { column, lag_s: 0.0 } => whole(data.temperature(column)),
             Input::Temperature { column, lag_s } => Cow::Owned(data.lagged(column, lag_s, lag_s)),
             Input::Speed => whole(data.spindle_rpm.as_deref()),
             Input::Load => whole(data.load_n.as_deref()),
             // Where it is missing it is not that of the row before.
-            Input::Feed => Cow::Owned(match named(data, "feed_mm_per_min") {
-                Some(feeds) => feeds.to_vec(),
-                None => vec![f64::NAN; data.rows],
-            }),
+            Input::Feed => match named(data, "feed_mm_per_min") {
+                Some(feeds) => Cow::Borrowed(feeds),
+                None => Cow::Owned(vec![f64::NAN; data.rows]),
+            },
             Input::OwnPosition => whole(data.own_position()),
             Input::OwnDirection => match data.own_direction() {
                 Some(direction) => Cow::Borrowed(direction),
@@ -68,28 +82,42 @@ impl Columns for Table<'_> {
     }
 }
 
+/// The column itself, or filled where a value is missing.
+fn without_gaps(values: &[f64]) -> Cow<'_, [f64]> {
+    if values.iter().any(|value| value.is_nan()) {
+        Cow::Owned(filled(values))
+    } else {
+        Cow::Borrowed(values)
+    }
+}
+
 fn position(data: &Data, axis: LinearAxis) -> Option<&[f64]> {
     data.position_mm[axis.index()].as_deref()
 }
 
 /// What a curve adds at each of its knots.
 fn over(curve: &Curve, data: &Data) -> Vec<Vec<f64>> {
+    let knots = curve.knots.len() * if curve.by_direction { 2 } else { 1 };
+    let mut columns = vec![vec![0.0; data.rows]; knots];
+    at_rows(curve, data, |row, knot, share| columns[knot][row] = share);
+    columns
+}
+
+/// Calls `add` with each row, the two knots around it, and what a knot of 1 adds there.
+fn at_rows(curve: &Curve, data: &Data, mut add: impl FnMut(usize, usize, f64)) {
     let Curve { column, knots, by_direction, times } = curve;
-    let rows = data.rows;
     let reverse = |row: usize| data.own_direction().is_some_and(|d| d[row] < 0.0);
-    let values = filled(named(data, column).unwrap_or(&[]));
-    let factor = times.as_ref().and_then(|column| named(data, column)).map(filled);
+    let values = without_gaps(named(data, column).unwrap_or(&[]));
+    let factor = times.as_ref().and_then(|column| named(data, column)).map(without_gaps);
     let factor = |row: usize| factor.as_ref().map_or(1.0, |factor| factor[row]);
-    let mut columns = vec![vec![0.0; rows]; knots.len() * if *by_direction { 2 } else { 1 }];
     for (row, &value) in values.iter().enumerate() {
         let above = knots.partition_point(|&knot| knot <= value).clamp(1, knots.len() - 1);
         let (low, high) = (knots[above - 1], knots[above]);
         let share = ((value - low) / (high - low)).clamp(0.0, 1.0);
         let offset = if *by_direction && reverse(row) { knots.len() } else { 0 };
-        columns[offset + above - 1][row] = (1.0 - share) * factor(row);
-        columns[offset + above][row] = share * factor(row);
+        add(row, offset + above - 1, (1.0 - share) * factor(row));
+        add(row, offset + above, share * factor(row));
     }
-    columns
 }
 
 /// What the model says of the elongation, as a column.
@@ -109,7 +137,7 @@ pub(crate) fn named<'d>(data: &'d Data, name: &str) -> Option<&'d [f64]> {
         SAID => (data.quantity == Quantity::Elongation).then_some(data.elongation.as_slice()),
         _ => data.temperature(name).or_else(|| {
             let mut columns = data.others.iter().chain(&data.reversal_decay);
-            columns.find(|(there, _)| there == name).map(|(_, values)| values.as_slice())
+            columns.find(|(there, _)| there == name).map(|(_, values)| &values[..])
         }),
     }
 }

@@ -11,7 +11,9 @@
 //! | `drawn` | some of the rows, or means of neighbours, as a table |
 //! | `row_blocks` | means over rows that follow each other |
 //! | `groups` | neighbouring rows put together |
+//! | `whole` | the table that rows were drawn from |
 //! | `lag`, `lag_series` | gaps filled, values behind a lag; the same for means of many rows |
+//! | `stretches` | lags that are slow beside the rows of a long record |
 
 mod channel;
 mod channels;
@@ -25,7 +27,9 @@ mod read;
 mod reversal;
 mod row_blocks;
 mod stated;
+mod stretches;
 mod table;
+mod whole;
 
 pub(crate) use groups::Groups;
 pub(crate) use lag::{filled, first_of};

@@ -131,7 +131,7 @@ fn searched(
             mm.iter().any(|mm| !mm.is_nan() && *mm != first)
         });
     let size = if moves { 1 } else { rows.div_ceil(MOST_GROUPS).max(1) };
-    let groups = Groups::new(data, &used, size);
+    let groups = || Groups::new(data, &used, size);
     let fewer = if moves && rows > MOST_ROWS_MOVING {
         let mut generator = Generator::new(rows as u64);
         let is_drawn = |used: &bool| *used && generator.below(rows) < MOST_ROWS_MOVING;
@@ -140,16 +140,17 @@ fn searched(
         let groups = Groups::new(&few, &few.used.clone(), 1);
         Some((few, groups))
     } else {
-        data.condensed(&groups)
+        data.condensed(&groups())
     };
     let Some((few, of_few)) = fewer else {
-        let problem = Problem::new(data.clone(), groups);
+        let problem = Problem::new(data.clone(), groups());
         let found = search(&problem, &start(data), known, progress);
         return (problem, found);
     };
     let problem = Problem::new(few, of_few);
     let mut found = search(&problem, &start(data), known, progress);
-    let whole = Problem::new(data.clone(), groups);
+    problem.forget();
+    let whole = Problem::new(data.clone(), groups());
     let model = fit(&whole, &found.fitted.model, None).model;
     let residual = problem.residual(&model);
     let sum = residual.iter().map(|r| r * r).sum();

@@ -1,6 +1,8 @@
 //! The machine's own laws with the constants that the parts of a model correct, in columns: what
 //! `trueup predict` steps row by row.
 
+use std::borrow::Cow;
+
 use trueup_machine::{
     effect::{Constants, Late},
     file::{ElongationSource, Spindle, Thermal, Warmup},
@@ -108,7 +110,8 @@ impl Laws {
         columns.iter().for_each(|column| change(&mut changed, column));
         let laws = Self::own(data);
         if laws.columns().any(|own| columns.contains(&own)) {
-            let (axis, law) = (laws.axis(&changed), laws.elongation(&changed));
+            let axis = laws.axis(&changed).into_owned();
+            let law = laws.elongation(&changed).into_owned();
             for row in 0..data.rows {
                 changed.thermal[row] += axis[row] - data.axis[row];
                 changed.elongation[row] += law[row] - data.law[row];
@@ -135,8 +138,8 @@ impl Laws {
     }
 
     /// The elongation of each row.
-    pub(crate) fn elongation(&self, data: &Data) -> Vec<f64> {
-        let Some(spindle) = &self.spindle else { return data.law.clone() };
+    pub(crate) fn elongation<'d>(&self, data: &'d Data) -> Cow<'d, [f64]> {
+        let Some(spindle) = &self.spindle else { return Cow::Borrowed(&data.law) };
         match (spindle.source, &spindle.temperature, &spindle.warmup) {
             (Some(ElongationSource::Temperature), Some(model), _)
                 if data.temperature(&model.sensor).is_some() =>
@@ -148,9 +151,9 @@ impl Laws {
             }
             (Some(ElongationSource::Warmup), _, Some(model)) => {
                 if let Some(whole) = &data.whole {
-                    return whole.pick(&self.elongation(&whole.data));
+                    return whole.pick(&self.elongation(&whole.data)).into();
                 }
-                let Some(time_s) = data.time_s.as_deref() else { return data.law.clone() };
+                let Some(time_s) = data.time_s.as_deref() else { return Cow::Borrowed(&data.law) };
                 let rated_rpm = model.rated_rpm.unwrap_or(1.0);
                 let mut state = WarmupState::default();
                 let grown: Vec<f64> = (0..data.rows)
@@ -162,17 +165,17 @@ impl Laws {
                         state.step(model, time_s[row], rpm)
                     })
                     .collect();
-                filled(&grown)
+                filled(&grown).into()
             }
-            _ => data.law.clone(),
+            _ => Cow::Borrowed(&data.law),
         }
     }
 
     /// The axis's error of each row.
-    pub(crate) fn axis(&self, data: &Data) -> Vec<f64> {
+    pub(crate) fn axis<'d>(&self, data: &'d Data) -> Cow<'d, [f64]> {
         let thermal = self.thermal.as_ref();
         let Some(thermal) = thermal.filter(|it| data.temperature(&it.sensor).is_some()) else {
-            return data.axis.clone();
+            return Cow::Borrowed(&data.axis);
         };
         let fall_s = self.thermal_falling_s.unwrap_or(thermal.lag_s);
         let lags_s = [thermal.lag_s, fall_s];

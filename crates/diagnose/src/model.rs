@@ -12,7 +12,7 @@ use std::borrow::Cow;
 use trueup_machine::{effect::Stage, model::shifted};
 
 use crate::{
-    columns::basis,
+    columns::sum,
     data::Data,
     kind::{Kind, Part},
     laws::Laws,
@@ -95,27 +95,18 @@ impl Model {
         {
             let is_of_elongation = part.kind.is_of_elongation(data);
             let p = if is_of_elongation { &mut elongation } else { &mut axis };
-            let (nonlinear, amplitudes) = part.values.split_at(part.kind.nonlinear().len());
-            let columns = basis(&part.kind, nonlinear, data, p);
-            // What has no amplitude is added as it is.
-            let amplitudes = if amplitudes.is_empty() { &[1.0] } else { amplitudes };
-            for (column, amplitude) in columns.iter().zip(amplitudes) {
-                if *amplitude != 0.0 {
-                    p.iter_mut().zip(column).for_each(|(p, c)| *p += amplitude * c);
-                }
-            }
+            let added = sum(&part.kind, &part.values, data, p);
+            p.to_mut().iter_mut().zip(&added).for_each(|(p, added)| *p += added);
         }
         let [of_elongation_um, of_axis_um] = data.constants_um;
         let constant_um = self.constant_um.unwrap_or(0.0) + of_axis_um;
-        elongation
-            .iter()
-            .zip(&data.along)
-            .zip(&axis)
-            .map(|((e, along), a)| {
-                let grown = if *along == 0.0 { 0.0 } else { (e + of_elongation_um) * along };
-                grown + a + constant_um
-            })
-            .collect()
+        let mut predicted = axis.into_owned();
+        let grown = elongation.iter().zip(data.along.iter());
+        for (p, (e, along)) in predicted.iter_mut().zip(grown) {
+            let grown_um = if *along == 0.0 { 0.0 } else { (e + of_elongation_um) * along };
+            *p = grown_um + *p + constant_um;
+        }
+        predicted
     }
 }
 
@@ -138,7 +129,7 @@ fn shifted_all(data: &Data, time_s: &[f64], sum: &[f64], shift_s: f64) -> Vec<f6
     let mut out = Vec::with_capacity(sum.len());
     let mut start = 0;
     for file in 0..data.files {
-        let end = data.file.partition_point(|&there| there <= file);
+        let end = data.file.partition_point(|&there| there as usize <= file);
         out.extend(shifted(&time_s[start..end], &sum[start..end], shift_s));
         start = end;
     }

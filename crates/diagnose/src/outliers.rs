@@ -42,10 +42,10 @@ pub(crate) fn are_of_readings(data: &Data, aside: &[bool]) -> bool {
     let inputs = [&data.spindle_rpm, &data.load_n];
     let is_same = |input: &[f64], row: usize| input[row] == input[row - 1] || input[row].is_nan();
     // What is another value in most rows is measured and not commanded: no row is at a change of it.
-    let is_held = |input: &&Vec<f64>| {
-        2 * (1..data.rows).filter(|&row| is_same(input, row)).count() > data.rows
-    };
-    let held: Vec<&Vec<f64>> = inputs.into_iter().flatten().filter(is_held).collect();
+    let is_held =
+        |input: &&[f64]| 2 * (1..data.rows).filter(|&row| is_same(input, row)).count() > data.rows;
+    let inputs = inputs.into_iter().filter_map(|input| input.as_deref());
+    let held: Vec<&[f64]> = inputs.filter(is_held).collect();
     let inside: Vec<usize> = (1..data.rows).filter(|&row| !data.restart[row]).collect();
     let elapsed_s = |row: usize| time_s[row] - time_s[row - 1];
     let typical_s = median(&mut inside.iter().map(|&row| elapsed_s(row)).collect::<Vec<f64>>());

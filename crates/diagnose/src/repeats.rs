@@ -41,7 +41,7 @@ impl Targets {
         let position = data.own_position()?;
         let rows: Vec<usize> = rows.filter(|&row| !position[row].is_nan()).collect();
         let others = data.position_mm.iter().enumerate().filter(|(axis, _)| *axis != own.index());
-        let stands = |mm: &Vec<f64>| {
+        let stands = |mm: &[f64]| {
             let here = rows.iter().map(|&row| mm[row]).filter(|mm| !mm.is_nan());
             let (low, high) = here.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), mm| {
                 (low.min(mm), high.max(mm))
@@ -49,7 +49,7 @@ impl Targets {
             // Of nothing that was recorded as well.
             high - low <= SAME_MM
         };
-        if !others.filter_map(|(_, mm)| mm.as_ref()).all(stands) {
+        if !others.filter_map(|(_, mm)| mm.as_deref()).all(stands) {
             return None;
         }
         let direction = data.own_direction();

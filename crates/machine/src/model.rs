@@ -37,7 +37,7 @@ pub use elongation::{
 };
 pub use kinematics::{error_um, offset_um, rotated, tool_direction};
 pub use lag::Lag;
-pub use late::{part_temperature, part_temperatures};
+pub use late::{part_of_means, part_temperature, part_temperatures};
 pub use pitch::{backlash_um, dual_pitch_um, is_reverse, pitch_um};
 pub use reversal::over_compensation_um;
 pub use straightness::{spline_um, spline_weights, squareness_um};

@@ -26,7 +26,6 @@ use std::{
     fs::File,
     io::{BufRead, BufReader},
     path::{Path, PathBuf},
-    sync::Arc,
 };
 
 use crate::{
@@ -167,7 +166,7 @@ impl RunFile {
     /// Other values in the place of those of the column `name`, one for each row.
     pub(crate) fn replace(&mut self, name: &str, values: Vec<f64>) {
         if let Some(column) = self.columns.iter_mut().find(|column| column.name == name) {
-            column.values = Arc::new(values);
+            column.values = values.into();
         }
     }
 
@@ -180,7 +179,7 @@ impl RunFile {
             change(&column.name, &mut values);
             Column {
                 name: column.name.clone(),
-                values: Arc::new(values),
+                values: values.into(),
                 starts: column.starts.clone(),
             }
         });

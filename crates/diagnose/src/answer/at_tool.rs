@@ -140,7 +140,7 @@ fn difference(one: &[f64], other: &[f64]) -> Vec<f64> {
 
 /// Of the rows that count; about zero, where that is arbitrary.
 fn mean_square(data: &Data, um: &[f64]) -> f64 {
-    let rows = um.iter().zip(&data.used).filter(|(um, used)| **used && um.is_finite());
+    let rows = um.iter().zip(data.used.iter()).filter(|(um, used)| **used && um.is_finite());
     let rows = about_zero(data, rows.map(|(um, _)| *um).collect());
     rows.iter().map(|um| um * um).sum::<f64>() / rows.len().max(1) as f64
 }

@@ -1,6 +1,8 @@
 //! What the model says between the places where the axis was measured: evaluated densely, so that a wave
 //! between them shows.
 
+use std::sync::Arc;
+
 use trueup_machine::{
     Machine,
     file::LinearAxis,
@@ -27,7 +29,7 @@ pub(super) struct Curve {
 /// The axis that the readings are over: the own one if it moves, else the one that moves farthest.
 pub(super) fn moving_axis(data: &Data) -> Option<LinearAxis> {
     let travel_mm = |axis: LinearAxis| {
-        let at_mm = data.position_mm[axis.index()].iter().flatten();
+        let at_mm = data.position_mm[axis.index()].iter().flat_map(|mm| mm.iter());
         let [low, high] = extent(at_mm.copied());
         high - low
     };
@@ -57,7 +59,7 @@ fn of_machine(data: &Data, machine: &Machine, axis: LinearAxis) -> Vec<Curve> {
     }
     let temperatures: Vec<(&str, f64)> =
         data.temperatures.iter().map(|(name, of)| (name.as_str(), middle(of))).collect();
-    let at = |column: &Option<Vec<f64>>| column.as_deref().map(middle);
+    let at = |column: &Option<Arc<[f64]>>| column.as_deref().map(middle);
     let mut model = ReferenceModel::new(machine);
     let mut all = Vec::new();
     for side in sides {

@@ -58,7 +58,7 @@ pub(crate) fn seen_before(runs: &[RunFile], files: &[RunFile]) -> Vec<String> {
 fn has_all_rows(run: &RunFile, file: &RunFile) -> bool {
     let columns = file.columns().iter();
     let both: Vec<(&[f64], &[f64])> = columns
-        .filter_map(|column| Some((run.column(&column.name)?, column.values.as_slice())))
+        .filter_map(|column| Some((run.column(&column.name)?, &column.values[..])))
         .collect();
     if file.rows() == 0 || both.len() < 2 {
         return false;

@@ -98,8 +98,8 @@ impl Over {
         let rows = || (0..data.rows).map(|row| row as f64 + 1.0).collect();
         match self {
             Self::Position(axis) => {
-                let at_mm = data.position_mm[axis.index()].clone();
-                (format!("{}, mm", axis.name()), at_mm.unwrap_or_else(rows))
+                let at_mm = data.position_mm[axis.index()].as_deref();
+                (format!("{}, mm", axis.name()), at_mm.map_or_else(rows, <[f64]>::to_vec))
             }
             Self::Time => {
                 let times = data.time_s.as_deref().unwrap_or_default();

@@ -51,7 +51,7 @@ fn stretch(test: &Data, hold_out: &HoldOut<'_>, first: usize, last: usize) -> St
     let file = test.file[first];
     let start = test.file.partition_point(|&there| there < file);
     let end = test.file.partition_point(|&there| there <= file);
-    let path = hold_out.files[file].path();
+    let path = hold_out.files[file as usize].path();
     let name = path.file_name().unwrap_or(path.as_os_str()).display();
     if last + 1 >= end {
         format!("from row {} of {name} on,", first - start + 1)

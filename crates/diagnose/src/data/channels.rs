@@ -131,7 +131,7 @@ pub(super) fn set_aside(data: &mut Data) {
         data.notes
             .push(format!("{file}{count} rows do not count: a temperature in them is not true"));
     }
-    data.measured.iter_mut().zip(&lost).for_each(|(um, lost)| {
+    Arc::make_mut(&mut data.measured).iter_mut().zip(&lost).for_each(|(um, lost)| {
         if *lost {
             *um = f64::NAN;
         }
@@ -202,7 +202,7 @@ fn is_copy(values: &[f64], others: &[f64]) -> bool {
 
 /// The name of the file of a row, for a note.
 fn place(data: &Data, row: usize) -> String {
-    let name = data.file.get(row).and_then(|&file| data.names.get(file));
+    let name = data.file.get(row).and_then(|&file| data.names.get(file as usize));
     name.map_or(String::new(), |name| format!("{name}: "))
 }
 
@@ -210,7 +210,7 @@ fn place(data: &Data, row: usize) -> String {
 fn files(data: &Data) -> Vec<Range<usize>> {
     let mut files: Vec<Range<usize>> = vec![0..0; data.files];
     for (row, &file) in data.file.iter().enumerate() {
-        let rows = &mut files[file];
+        let rows = &mut files[file as usize];
         if rows.start == rows.end {
             rows.start = row;
         }
@@ -241,8 +241,8 @@ fn follows(data: &Data) -> Vec<bool> {
 /// happened, happened to the machine.
 fn turns_with_another(data: &Data, column: usize, row: usize, rows: &Range<usize>) -> bool {
     let others = data.temperatures.iter().enumerate().filter(|(at, _)| *at != column);
-    let columns = others.map(|(_, (_, values))| values.as_ref());
-    let drives = data.spindle_rpm.iter().chain(&data.load_n);
+    let columns = others.map(|(_, (_, values))| &values[..]);
+    let drives = [&data.spindle_rpm, &data.load_n].into_iter().filter_map(|it| it.as_deref());
     columns.chain(drives).any(|values| turns_at(&values[rows.clone()], row - rows.start))
 }
 

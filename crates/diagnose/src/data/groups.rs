@@ -15,8 +15,6 @@ pub(crate) struct Groups {
     pub size: usize,
     /// Mean row number of each group.
     pub steps: Steps,
-    /// The file of each group.
-    pub file: Vec<usize>,
     /// The first row of each group.
     pub first_row: Vec<usize>,
 }
@@ -42,14 +40,7 @@ impl Groups {
             if time.is_nan() { row as f64 } else { time }
         };
         let clock = rows.means(&(0..data.rows).map(time).collect::<Vec<f64>>());
-        Self {
-            count: rows.counts(),
-            size,
-            steps: steps(&clock, &series),
-            file: first_row.iter().map(|&row| data.file[row]).collect(),
-            first_row,
-            rows,
-        }
+        Self { count: rows.counts(), size, steps: steps(&clock, &series), first_row, rows }
     }
 
     /// The same groups of a table whose rows `rows` puts together.

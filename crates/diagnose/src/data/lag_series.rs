@@ -108,6 +108,11 @@ pub(super) struct LagSeries {
 }
 
 impl LagSeries {
+    /// The pieces that it is of.
+    pub(super) fn clock(&self) -> &Arc<Clock> {
+        &self.clock
+    }
+
     /// None where a value is missing.
     pub(super) fn new(clock: &Arc<Clock>, values: &[f64], blocks: &RowBlocks) -> Option<Self> {
         if values.iter().any(|value| value.is_nan()) {

@@ -1,5 +1,7 @@
 //! What the machine file says of each row.
 
+use std::sync::Arc;
+
 use trueup_machine::{
     Machine,
     applied::Unaided,
@@ -32,7 +34,7 @@ pub(super) fn predict(data: &mut Data, runs: &[Unaided<'_>]) {
             data.measured[row].is_finite() && p.is_finite()
         })
         .collect();
-    (data.elongation, data.along) = (said.elongation, said.along);
+    (data.elongation, data.along) = (said.elongation, said.along.into());
     (data.law, data.axis, data.thermal) = (laws.elongation, laws.axis, laws.thermal);
 }
 
@@ -46,7 +48,7 @@ struct Stepped {
 }
 
 fn stepped(data: &Data, runs: &[Unaided<'_>], machine: &Machine) -> Stepped {
-    let at = |column: &Option<Vec<f64>>, row: usize| {
+    let at = |column: &Option<Arc<[f64]>>, row: usize| {
         column.as_ref().map_or(f64::NAN, |values| values[row])
     };
     let angles: Vec<[Option<&[f64]>; 3]> =

@@ -22,9 +22,13 @@ impl Data {
     ) -> Result<Self, BadInput> {
         let (runs, notes) = without_bridge(machine, runs, quantity)?;
         let rows: usize = runs.iter().map(|run| run.rows()).sum();
-        let joined = |name: &str| -> Option<Vec<f64>> {
+        let joined = |name: &str| -> Option<Arc<[f64]>> {
             if !runs.iter().any(|run| run.column(name).is_some()) {
                 return None;
+            }
+            // Of one run it is the run's own.
+            if let [run] = &runs[..] {
+                return run.columns().iter().find(|it| it.name == name).map(|it| it.values.clone());
             }
             let mut all = Vec::with_capacity(rows);
             for run in &runs {
@@ -33,7 +37,7 @@ impl Data {
                     None => all.resize(all.len() + run.rows(), f64::NAN),
                 }
             }
-            Some(all)
+            Some(all.into())
         };
         let measured = joined(&format!("measured_{}_um", quantity.name())).unwrap_or_default();
         let time_s = joined("time_s");
@@ -50,7 +54,7 @@ impl Data {
                 if !now_s.is_nan() {
                     last_s = now_s;
                 }
-                file.push(number);
+                file.push(number as u32);
             }
         }
         let mut series = Vec::with_capacity(rows);
@@ -82,21 +86,17 @@ impl Data {
             } else {
                 &mut others
             };
-            let values = match &runs[..] {
-                [_] => Arc::clone(&column.values),
-                _ => Arc::new(joined(name).unwrap_or_default()),
-            };
-            target.push((column.name.clone(), values));
+            target.push((column.name.clone(), joined(name).unwrap_or_default()));
         }
         let mut data = Self {
             machine: machine.clone(),
             quantity,
             rows,
-            file,
+            file: file.into(),
             files: runs.len(),
             names: runs.iter().map(|run| run.path().display().to_string()).collect(),
-            restart,
-            series,
+            restart: restart.into(),
+            series: series.into(),
             time_s,
             gauge_time_s,
             run,
@@ -113,11 +113,11 @@ impl Data {
             constants_um: Stated::constants_um(machine, quantity),
             elongation: Vec::new(),
             law: Vec::new(),
-            along: Vec::new(),
+            along: Arc::default(),
             has_elongation: quantity == Quantity::Elongation || machine.has_elongation(),
             axis: Vec::new(),
             thermal: Vec::new(),
-            used: Vec::new(),
+            used: Arc::default(),
             references_c: Vec::new(),
             start_s: 0.0,
             notes,

@@ -1,7 +1,5 @@
 //! Columns that follow from where the axis turned.
 
-use std::sync::Arc;
-
 use super::table::{Column, Data};
 
 /// For ways in equal ratios between the shortest and the longest steps: u ← (u + Δd)·e^(−|ΔP|/way),
@@ -38,7 +36,7 @@ pub(super) fn reversal_decay(data: &Data) -> Vec<Column> {
                     left
                 })
                 .collect();
-            (format!("the last reversal, taken up over {way_mm:.3} mm"), Arc::new(values))
+            (format!("the last reversal, taken up over {way_mm:.3} mm"), values)
         })
         .collect()
 }

@@ -77,7 +77,8 @@ impl Problem {
             .into_iter()
             .map(|mut column| {
                 if is_of_elongation {
-                    column.iter_mut().zip(&self.data.along).for_each(|(c, along)| *c *= along);
+                    let along = self.data.along.iter();
+                    column.iter_mut().zip(along).for_each(|(c, along)| *c *= along);
                 }
                 self.groups.means(&column)
             })
@@ -85,6 +86,11 @@ impl Problem {
         let columns = Arc::new(columns);
         self.cache().put(key, columns.clone(), keep);
         columns
+    }
+
+    /// Gives the room of what was worked out before to something larger.
+    pub(crate) fn forget(&self) {
+        *self.cache() = Cache::default();
     }
 
     fn cache(&self) -> MutexGuard<'_, Cache> {
@@ -273,16 +279,17 @@ fn bounds(data: &Data, groups: &Groups) -> Bounds {
         if longest > 0.0 { longest } else { 1.0 }
     });
     let step_s = longest_s * data.files as f64 / (data.recorded_rows() as f64).max(2.0);
+    let fastest_s = (SHORTEST_ROWS * step_s).max(data.fastest_lag_s());
     let own = data.own_position();
     let range = own.map_or([0.0, 1.0], |mm| finite(extent(&mut mm.iter().copied()), [0.0, 1.0]));
     let prediction = Model::default().predict(data);
     let prediction_um = finite(extent(&mut prediction.iter().copied()), [0.0, 1.0]);
     Bounds {
-        time_constant_s: [SHORTEST_ROWS * step_s, LONGEST_RECORDS * longest_s],
+        time_constant_s: [fastest_s, LONGEST_RECORDS * longest_s],
         longest_s,
         time_s,
         step_s,
-        late_s: [SHORTEST_ROWS * step_s, (MOST_SHIFT * longest_s).min(LATEST_THERMOMETER_S)],
+        late_s: [fastest_s, (MOST_SHIFT * longest_s).min(LATEST_THERMOMETER_S)],
         shift_s: {
             let states_early = data.stated.iter().any(|stated| stated.effect.shift_s() < 0.0);
             let has_early = data.gauge_time_s.is_some() || states_early;

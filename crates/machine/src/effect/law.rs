@@ -1,4 +1,4 @@
-//! A page's law over whole columns, and at one row: the same function.
+//! A page's law over whole columns, apart for each amplitude or summed up, and at one row: the same function.
 
 use std::borrow::Cow;
 
@@ -22,17 +22,41 @@ pub(super) fn columns<P: Definition>(
     nonlinear: &[f64],
     source: &dyn Columns,
 ) -> Vec<Vec<f64>> {
+    let mut columns = vec![vec![0.0; source.rows()]; page.amplitudes().max(1)];
+    at_rows(page, nonlinear, source, |row, number, um| columns[number][row] += um);
+    columns
+}
+
+/// What the cause of these values adds, in µm, row by row. An amplitude of 0 adds nothing, whatever its inputs are.
+pub(super) fn sum<P: Definition>(page: &P, values: &[f64], source: &dyn Columns) -> Vec<f64> {
+    let (nonlinear, amplitudes) = values.split_at(page.nonlinear().len().min(values.len()));
+    let mut sum_um = vec![0.0; source.rows()];
+    at_rows(page, nonlinear, source, |row, number, um| {
+        // What has no amplitude is added as it is.
+        let amplitude = amplitudes.get(number).copied().unwrap_or(1.0);
+        if amplitude != 0.0 {
+            sum_um[row] += amplitude * um;
+        }
+    });
+    sum_um
+}
+
+/// Calls `add` with each row, the number of each amplitude, and what that adds there at 1.
+fn at_rows<P: Definition>(
+    page: &P,
+    nonlinear: &[f64],
+    source: &dyn Columns,
+    mut add: impl FnMut(usize, usize, f64),
+) {
     let inputs = page.inputs(nonlinear);
     let read: Vec<Cow<'_, [f64]>> = inputs.iter().map(|input| source.column(input)).collect();
-    let mut columns = vec![vec![0.0; source.rows()]; page.amplitudes().max(1)];
     let mut x = [0.0; MOST_INPUTS];
     for row in 0..source.rows() {
         for (x, column) in x.iter_mut().zip(&read) {
             *x = column[row];
         }
-        page.law(nonlinear, &x[..read.len()], &mut |number, um| columns[number][row] += um);
+        page.law(nonlinear, &x[..read.len()], &mut |number, um| add(row, number, um));
     }
-    columns
 }
 
 /// What the cause of these values adds where its inputs are `x`, in µm.

@@ -116,6 +116,13 @@ macro_rules! causes {
                 match self { $(Self::$Page(page) => law::columns(page, nonlinear, source),)* }
             }
 
+            /// What it adds with these values, in µm, row by row; an amplitude of 0 adds nothing, whatever its
+            /// inputs are.
+            #[must_use]
+            pub fn sum(&self, values: &[f64], source: &dyn Columns) -> Vec<f64> {
+                match self { $(Self::$Page(page) => law::sum(page, values, source),)* }
+            }
+
             /// What it adds with these values where its inputs are `x`, in µm.
             #[must_use]
             pub fn at_row(&self, values: &[f64], x: &[f64]) -> f64 {

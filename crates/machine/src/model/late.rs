@@ -13,6 +13,8 @@
 //! Both look ahead, so that they are made of the recorded run before it is stepped through. A model that
 //! steps without them takes the thermometer's word.
 
+use std::borrow::Cow;
+
 use super::Situation;
 use crate::{
     effect::{Late, LateForm, Quantity},
@@ -35,44 +37,75 @@ use crate::{
 /// ```
 #[must_use]
 pub fn part_temperature(late: Late, time_s: &[f64], shown_c: &[f64]) -> Vec<f64> {
-    let mut shown = Shown::new(time_s, shown_c);
-    let rows = time_s.iter().zip(shown_c);
-    let mut before_s = None;
-    rows.map(|(&now_s, &now_c)| {
+    let mut before_s = f64::NAN;
+    let apart_s = |row: usize| {
+        let now_s: f64 = time_s[row];
+        let before_s = std::mem::replace(&mut before_s, now_s);
+        if before_s.is_nan() { 0.0 } else { now_s - before_s }
+    };
+    parts(late, time_s, shown_c, apart_s)
+}
+
+/// The same where a thermometer's values are means over several rows each, at the mean of their times: what its lag
+/// did to them goes by how far those rows were `apart_s`.
+#[must_use]
+pub fn part_of_means(late: Late, time_s: &[f64], apart_s: &[f64], mean_c: &[f64]) -> Vec<f64> {
+    parts(late, time_s, mean_c, |row| apart_s[row])
+}
+
+/// `apart_s`: since the reading before that of a row, of those that have both; asked for in their order.
+fn parts(
+    late: Late,
+    time_s: &[f64],
+    shown_c: &[f64],
+    mut apart_s: impl FnMut(usize) -> f64,
+) -> Vec<f64> {
+    let (known_s, known_c) = known(time_s, shown_c);
+    let mut shown = Shown { time_s: &known_s, shown_c: &known_c, begin: 0, end: 0 };
+    // Most rows are as far apart as the rows before them, but for the rounding of their times.
+    let (mut before_s, mut share) = (0.0, 1.0);
+    let of = |(row, (&now_s, &now_c)): (usize, (&f64, &f64))| {
         if now_s.is_nan() || now_c.is_nan() {
             return f64::NAN;
         }
         let LateForm::Lag { slope_over } = late.form else {
             return shown.end_c(now_s + late.by_s);
         };
-        let elapsed_s = now_s - before_s.replace(now_s).unwrap_or(now_s);
-        let ratio = elapsed_s / late.by_s;
-        // The limit for rows at the same time.
-        let share = if ratio == 0.0 { 1.0 } else { ratio / ratio.exp_m1() };
+        let elapsed_s = apart_s(row);
+        if (elapsed_s - before_s).abs() > 1e-9 * elapsed_s {
+            before_s = elapsed_s;
+            let ratio = elapsed_s / late.by_s;
+            // The limit for rows at the same time.
+            share = if ratio == 0.0 { 1.0 } else { ratio / ratio.exp_m1() };
+        }
         let middle_s = now_s - elapsed_s / 2.0;
         let width_s = (slope_over * late.by_s).max(elapsed_s);
         now_c + share * late.by_s * shown.slope(middle_s, width_s)
-    })
-    .collect()
+    };
+    time_s.iter().zip(shown_c).enumerate().map(of).collect()
+}
+
+/// The rows that have both.
+fn known<'a>(time_s: &'a [f64], shown_c: &'a [f64]) -> (Cow<'a, [f64]>, Cow<'a, [f64]>) {
+    let rows = || time_s.iter().zip(shown_c);
+    let is_known = |(t, c): &(&f64, &f64)| !(**t + **c).is_nan();
+    if rows().all(|row| is_known(&row)) {
+        return (Cow::Borrowed(time_s), Cow::Borrowed(shown_c));
+    }
+    let (time_s, shown_c): (Vec<f64>, Vec<f64>) = rows().filter(is_known).unzip();
+    (time_s.into(), shown_c.into())
 }
 
 /// What a thermometer shows at any time. Whoever asks goes forward in time, so that each of two ends has a
 /// row of its own from which it looks on.
-struct Shown {
-    /// Of the rows that have both.
-    time_s: Vec<f64>,
-    shown_c: Vec<f64>,
+struct Shown<'a> {
+    time_s: &'a [f64],
+    shown_c: &'a [f64],
     begin: usize,
     end: usize,
 }
 
-impl Shown {
-    fn new(time_s: &[f64], shown_c: &[f64]) -> Self {
-        let known = time_s.iter().zip(shown_c).filter(|(t, c)| !(**t + **c).is_nan());
-        let (time_s, shown_c) = known.unzip();
-        Self { time_s, shown_c, begin: 0, end: 0 }
-    }
-
+impl Shown<'_> {
     /// The slope in K/s over `width_s` around a time, of which what is in the record counts.
     fn slope(&mut self, middle_s: f64, width_s: f64) -> f64 {
         let last = self.time_s.len() - 1;

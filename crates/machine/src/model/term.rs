@@ -139,20 +139,19 @@ pub fn shifted(time_s: &[f64], values: &[f64], shift_s: f64) -> Vec<f64> {
             last_s = last_s.max(time_s[end]);
             end += 1;
         }
-        let known: Vec<usize> =
-            (start..end).filter(|&row| !(time_s[row] + values[row]).is_nan()).collect();
-        let mut after = 0;
+        let known = |from: usize| (from..end).find(|&row| !(time_s[row] + values[row]).is_nan());
+        let (mut before, mut after) = (None, known(start));
         for row in (start..end).filter(|&row| !time_s[row].is_nan()) {
             let at_s = time_s[row] - shift_s;
-            while after < known.len() && time_s[known[after]] <= at_s {
-                after += 1;
+            while let Some(next) = after.filter(|&next| time_s[next] <= at_s) {
+                (before, after) = (Some(next), known(next + 1));
             }
-            out[row] = match (after.checked_sub(1).map(|n| known[n]), known.get(after)) {
-                (Some(a), Some(&b)) => {
+            out[row] = match (before, after) {
+                (Some(a), Some(b)) => {
                     let share = (at_s - time_s[a]) / (time_s[b] - time_s[a]);
                     values[a] + share * (values[b] - values[a])
                 }
-                (Some(only), None) | (None, Some(&only)) => values[only],
+                (Some(only), None) | (None, Some(only)) => values[only],
                 (None, None) => f64::NAN,
             };
         }

@@ -35,7 +35,7 @@ impl<'a> Columns<'a> {
             load_n: run.column("load_n"),
             feed_mm_per_min: run.column("feed_mm_per_min"),
             temperatures_c: temperatures
-                .map(|column| (column.name.as_str(), column.values.as_slice()))
+                .map(|column| (column.name.as_str(), &column.values[..]))
                 .collect(),
             position_mm: linear(|axis| format!("{axis}_mm")),
             angle_deg: RotaryAxis::ALL.map(|axis| run.column(&format!("{}_deg", axis.name()))),

@@ -245,8 +245,8 @@ impl<'p> Reading<'p> {
         }
         let columns = self.columns.into_iter().map(|column| Column {
             name: column.name,
-            values: Arc::new(column.values),
-            starts: column.starts,
+            values: column.values.into(),
+            starts: Arc::new(column.starts),
         });
         let mut table = Table {
             columns: columns.collect(),

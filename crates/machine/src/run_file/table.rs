@@ -19,9 +19,9 @@ pub struct Column {
     /// Its name in the header, without surrounding blanks.
     pub name: String,
     /// Its value in each row; NaN where it is missing. Shared with who goes on with it: a run may be large.
-    pub values: Arc<Vec<f64>>,
-    /// The character column at which each value stands in its line, from 1.
-    pub(super) starts: Places,
+    pub values: Arc<[f64]>,
+    /// The character column at which each value stands in its line, from 1; shared too.
+    pub(super) starts: Arc<Places>,
 }
 
 /// A column that is not known, and the known one that was probably meant.
