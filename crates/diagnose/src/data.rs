@@ -11,9 +11,9 @@
 //! | `drawn` | some of the rows, or means of neighbours, as a table |
 //! | `row_blocks` | means over rows that follow each other |
 //! | `groups` | neighbouring rows put together |
-//! | `whole` | the table that rows were drawn from |
-//! | `lag`, `lag_series` | gaps filled, values behind a lag; the same for means of many rows |
-//! | `stretches` | lags that are slow beside the rows of a long record |
+//! | `lag`, `lag_series` | gaps filled, values behind a lag; the same for means of some rows |
+//! | `stretches` | the same of a long record |
+//! | `lags` | temperatures behind lags, by whichever of these is enough |
 
 mod channel;
 mod channels;
@@ -21,6 +21,7 @@ mod drawn;
 mod groups;
 mod lag;
 mod lag_series;
+mod lags;
 mod prediction;
 mod quantity;
 mod read;
@@ -29,7 +30,6 @@ mod row_blocks;
 mod stated;
 mod stretches;
 mod table;
-mod whole;
 
 pub(crate) use groups::Groups;
 pub(crate) use lag::{filled, first_of};

@@ -6,8 +6,7 @@ use super::{
     groups::Groups,
     lag::filled,
     row_blocks::RowBlocks,
-    table::{Column, Data},
-    whole::DrawnFrom,
+    table::{Column, Data, DrawnFrom},
 };
 
 /// Pieces of a group that a search works on in the place of its rows. The mean of what bends over a

@@ -6,9 +6,12 @@ use trueup_machine::{Machine, effect::Late, file::Quantity, model::part_temperat
 
 use super::{
     lag::{filled, lag, smoothed},
+    lags::{Lags, Rows},
+    row_blocks::RowBlocks,
     stated::Stated,
-    whole::DrawnFrom,
 };
+
+pub(super) use super::lags::Column;
 
 /// A run's columns, all files one after the other. A list has one value a row; NaN where missing. What stays as it was
 /// read is shared by the copies of a table.
@@ -75,8 +78,46 @@ pub(crate) struct Data {
     pub whole: Option<DrawnFrom>,
 }
 
-/// A column's name and values; shared, since most copies of a table change one column or none.
-pub(super) type Column = (String, Arc<[f64]>);
+/// The table that rows were drawn from, or are means of.
+#[derive(Clone, Debug)]
+pub(crate) struct DrawnFrom {
+    pub data: Arc<Data>,
+    /// Which of its rows each row is, or is the mean of.
+    blocks: RowBlocks,
+    /// Its temperatures behind lags, in these rows.
+    lags: Lags,
+}
+
+impl DrawnFrom {
+    pub(super) fn new(data: Arc<Data>, blocks: RowBlocks) -> Self {
+        let lags = Lags::new(data.among(&blocks), &data.temperatures);
+        Self { data, blocks, lags }
+    }
+
+    /// The same rows of `data`: another table than before in the temperatures of `changed`.
+    pub(super) fn of(&self, data: Arc<Data>, changed: &[Column]) -> Self {
+        let lags = self.lags.changed(data.among(&self.blocks), changed);
+        Self { data, blocks: self.blocks.clone(), lags }
+    }
+
+    /// A column of the whole behind a lag, in the drawn rows.
+    fn lagged(&self, column: &str, lags_s @ [rise_s, fall_s]: [f64; 2]) -> Vec<f64> {
+        let values = (column, self.data.temperature(column));
+        self.lags.lagged(&self.blocks, values, lags_s, || self.data.lagged(column, rise_s, fall_s))
+    }
+
+    /// The same for the temperature of the part whose thermometer is late.
+    fn followed(&self, column: &str, late: Late, lags_s: [f64; 2]) -> Vec<f64> {
+        let lagged = || self.lagged(column, lags_s);
+        let stepped = || self.data.followed(column, Some(late), lags_s);
+        self.lags.followed(&self.blocks, column, late, lags_s, lagged, stepped)
+    }
+
+    /// Of values for all rows, those of the drawn ones, or their means.
+    pub(crate) fn pick(&self, all: &[f64]) -> Vec<f64> {
+        self.blocks.means(all)
+    }
+}
 
 impl Data {
     /// The position of the quantity's own axis.
@@ -109,7 +150,7 @@ impl Data {
 
     /// The table that these rows were drawn from, where others are missing between them.
     pub(crate) fn drawn(&self) -> Option<&DrawnFrom> {
-        self.whole.as_ref().filter(|whole| !whole.has_means())
+        self.whole.as_ref().filter(|whole| !whole.blocks.has_means())
     }
 
     /// The table that these rows were drawn from, or this one: no row is missing between its rows.
@@ -119,20 +160,25 @@ impl Data {
 
     /// The rows that were written down for these: where they are means, there were more.
     pub(crate) fn recorded_rows(&self) -> usize {
-        let means = self.whole.as_ref().filter(|whole| whole.has_means());
+        let means = self.whole.as_ref().filter(|whole| whole.blocks.has_means());
         means.map_or(self.rows, |whole| whole.data.rows)
+    }
+
+    /// Its rows, of which those in `blocks` are asked for.
+    fn among<'t>(&'t self, blocks: &'t RowBlocks) -> Rows<'t> {
+        Rows { time_s: self.time_s.as_deref(), restart: &self.restart, blocks }
     }
 
     /// The fastest lag that is looked for in so many rows, in s; 0 where any is.
     pub(crate) fn fastest_lag_s(&self) -> f64 {
-        self.whole.as_ref().map_or(0.0, DrawnFrom::fastest_lag_s)
+        self.whole.as_ref().map_or(0.0, |whole| whole.lags.fastest_s())
     }
 
     /// A temperature behind a first-order lag with one time constant while it rises and one while it
     /// falls, both in s; missing values hold.
     pub(crate) fn lagged(&self, column: &str, rise_s: f64, fall_s: f64) -> Vec<f64> {
         if let Some(whole) = &self.whole {
-            return whole.lagged(column, rise_s, fall_s);
+            return whole.lagged(column, [rise_s, fall_s]);
         }
         match (self.temperature(column), self.time_s.as_deref()) {
             (None, _) => vec![0.0; self.rows],

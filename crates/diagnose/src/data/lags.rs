@@ -1,0 +1,168 @@
+//! Temperatures behind lags, in drawn rows or in means of rows: what was asked for before, what follows from means, and
+//! else what all rows give.
+
+use std::{
+    collections::VecDeque,
+    sync::{Arc, Mutex, PoisonError},
+};
+
+use trueup_machine::effect::Late;
+use trueup_numerics::parallel::on_all_cores;
+
+use super::{
+    lag_series::{Clock, LagSeries},
+    row_blocks::RowBlocks,
+    stretches::Stretches,
+};
+
+/// A column's name and values; shared, since most copies of a table change one column or none.
+pub(super) type Column = (String, Arc<[f64]>);
+
+/// The rows that temperatures are asked for behind lags, of all rows of a table.
+#[derive(Clone, Copy)]
+pub(super) struct Rows<'t> {
+    pub time_s: Option<&'t [f64]>,
+    /// Where a lag begins anew.
+    pub restart: &'t [bool],
+    pub blocks: &'t RowBlocks,
+}
+
+/// What is known of some temperatures behind lags.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Lags {
+    /// Where rows are means of a few rows: the temperatures that have no gap, for any lag.
+    series: Vec<(String, Arc<LagSeries>)>,
+    /// Where there are many rows: the stretches that they are cut into, and the means over them of the
+    /// temperatures that have no gap.
+    stretches: Option<(Arc<Stretches>, Vec<Column>)>,
+    /// Columns behind a lag that were asked for, the newest last.
+    known: Arc<Mutex<VecDeque<Known>>>,
+}
+
+/// A column, how late its thermometer is, and the time constants of its rise and fall, in s.
+type Asked = (String, Option<Late>, [f64; 2]);
+/// The rows of what was asked for.
+type Known = (Asked, Vec<f64>);
+
+impl Lags {
+    /// Numbers in the columns that are kept, 8 bytes each: of a few thousand rows enough for a grid of
+    /// time constants on each thermometer.
+    const MOST_NUMBERS: usize = 2_000_000;
+
+    /// Of these columns.
+    pub(super) fn new(rows: Rows<'_>, columns: &[Column]) -> Self {
+        let mut new = Self::default();
+        let Some(time_s) = rows.time_s else { return new };
+        let stretches = Stretches::new(time_s, rows.restart, rows.blocks);
+        new.stretches = stretches.map(|it| (Arc::new(it), Vec::new()));
+        let of_means = new.stretches.is_none() && rows.blocks.has_means();
+        let clock = if of_means { Clock::new(time_s, rows.restart, rows.blocks) } else { None };
+        new.learn(rows, clock.map(Arc::new).as_ref(), columns);
+        new
+    }
+
+    /// The same where these columns are others.
+    pub(super) fn changed(&self, rows: Rows<'_>, columns: &[Column]) -> Self {
+        let is_kept = |name: &str| !columns.iter().any(|(there, _)| there == name);
+        let mut changed = Self { known: Arc::default(), ..self.clone() };
+        changed.series.retain(|(name, _)| is_kept(name));
+        if let Some((_, means)) = &mut changed.stretches {
+            means.retain(|(name, _)| is_kept(name));
+        }
+        changed.learn(rows, self.series.first().map(|(_, series)| series.clock()), columns);
+        changed
+    }
+
+    /// Takes up those of `columns` that have no gap.
+    fn learn(&mut self, rows: Rows<'_>, clock: Option<&Arc<Clock>>, columns: &[Column]) {
+        if let Some(clock) = clock {
+            let of = |(name, values): &Column| {
+                Some((name.clone(), Arc::new(LagSeries::new(clock, values, rows.blocks)?)))
+            };
+            self.series.extend(on_all_cores(columns, true, of).into_iter().flatten());
+        }
+        if let (Some((stretches, means)), Some(time_s)) = (&mut self.stretches, rows.time_s) {
+            let of = |(name, values): &Column| {
+                Some((name.clone(), stretches.means(values, time_s, rows.restart)?.into()))
+            };
+            means.extend(columns.iter().filter_map(of));
+        }
+    }
+
+    /// A column, given by its `values` in all rows, behind a lag; `stepped` gives it stepped through all of them.
+    pub(super) fn lagged(
+        &self,
+        blocks: &RowBlocks,
+        (column, values): (&str, Option<&[f64]>),
+        lags_s @ [rise_s, fall_s]: [f64; 2],
+        stepped: impl FnOnce() -> Vec<f64>,
+    ) -> Vec<f64> {
+        let series = self.series.iter().find(|(name, _)| name == column && rise_s == fall_s);
+        if let (Some((_, series)), Some(values)) = (series, values)
+            && rise_s > 0.0
+        {
+            return series.means(values, blocks, rise_s);
+        }
+        self.known(blocks, (column.into(), None, lags_s), || {
+            let is_late = lags_s != [0.0; 2];
+            let by_means = if is_late { self.by_means(column, lags_s) } else { None };
+            let by_means = by_means.map(|(it, mean_c)| it.lagged(mean_c, lags_s));
+            by_means.unwrap_or_else(|| blocks.means(&stepped()))
+        })
+    }
+
+    /// The same for the temperature of the part whose thermometer is late; `lagged` gives what the thermometer
+    /// shows behind the same lag.
+    pub(super) fn followed(
+        &self,
+        blocks: &RowBlocks,
+        column: &str,
+        late: Late,
+        lags_s: [f64; 2],
+        lagged: impl FnOnce() -> Vec<f64>,
+        stepped: impl FnOnce() -> Vec<f64>,
+    ) -> Vec<f64> {
+        self.known(blocks, (column.into(), Some(late), lags_s), || {
+            let is_told = |(it, _): &(&Stretches, _)| it.fastest_s() <= late.by_s;
+            let by_means = self.by_means(column, lags_s).filter(is_told);
+            let Some((stretches, mean_c)) = by_means else { return blocks.means(&stepped()) };
+            let mut part_c = stretches.part_c(late, mean_c);
+            if lags_s[0] != lags_s[1] {
+                return stretches.lagged(&part_c, lags_s);
+            }
+            // By how much the part is warmer is told by the means; what a thermometer shows, by each row.
+            part_c.iter_mut().zip(mean_c).for_each(|(part_c, mean_c)| *part_c -= mean_c);
+            let ahead_c = stretches.lagged(&part_c, lags_s);
+            lagged().iter().zip(ahead_c).map(|(shown_c, ahead_c)| shown_c + ahead_c).collect()
+        })
+    }
+
+    /// The fastest lag that is told of so many rows, in s; 0 where all are.
+    pub(super) fn fastest_s(&self) -> f64 {
+        self.stretches.as_ref().map_or(0.0, |(stretches, _)| stretches.fastest_s())
+    }
+
+    /// The stretches, and the means of `column` over them, if they tell what is behind such lags, or behind none.
+    fn by_means(&self, column: &str, lags_s: [f64; 2]) -> Option<(&Stretches, &[f64])> {
+        let (stretches, means) = self.stretches.as_ref()?;
+        let (_, mean_c) = means.iter().find(|(name, _)| name == column)?;
+        let is_told = |lag_s: f64| stretches.fastest_s() <= lag_s;
+        let are_told = lags_s == [0.0; 2] || lags_s.into_iter().all(is_told);
+        are_told.then_some((stretches, mean_c))
+    }
+
+    /// The rows of what may have been asked for before.
+    fn known(&self, blocks: &RowBlocks, asked: Asked, make: impl FnOnce() -> Vec<f64>) -> Vec<f64> {
+        let known = || self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, values)) = known().iter().find(|(there, _)| *there == asked) {
+            return values.clone();
+        }
+        let values = make();
+        let mut known = known();
+        known.push_back((asked, values.clone()));
+        if known.len() * blocks.len() > Self::MOST_NUMBERS {
+            known.pop_front();
+        }
+        values
+    }
+}
