@@ -247,4 +247,11 @@ mod tests {
         identities.dedup();
         assert_eq!(identities.len(), all.len());
     }
+
+    #[test]
+    fn a_program_reads_what_was_written_and_over_which_line_by_these_words() {
+        let words = ["loaded", "zeroed", "forgotten", "confirmed", "named"];
+        assert_eq!(What::ALL.map(What::word), words);
+        assert_eq!(Origin::ALL.map(Origin::word), ["board", "can", "serial", "modbus"]);
+    }
 }

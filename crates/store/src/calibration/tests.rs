@@ -379,7 +379,28 @@ fn what_does_not_fit_is_refused_with_its_size() {
         let mut small = [0; 700];
         let error = encode(&calibration, &mut small).expect_err("it is larger");
         assert_eq!(error.bytes, sample().len());
+        let said = std::format!("{error}");
+        assert_eq!(said, std::format!("{} bytes do not fit the board's {MAX_SIZE}", error.bytes));
     });
+}
+
+#[test]
+fn as_many_terms_as_the_board_has_come_back_and_one_more_is_refused() {
+    let blob = with_sample(|mut calibration| {
+        let [first, ..] = calibration.terms;
+        calibration.terms = [first; MAX_TERMS];
+        let mut bytes = [0; MAX_SIZE];
+        let blob = encode(&calibration, &mut bytes).expect("it is small").to_vec();
+        assert_eq!(decode(&blob), Ok(calibration));
+        blob
+    });
+    assert_eq!(usize::from(blob[574]), MAX_TERMS);
+    // The table begins earlier by a term, so that it lies within the blob.
+    let mut more = blob;
+    let start = u16::from_le_bytes([more[572], more[573]]) - 24;
+    more[572..574].copy_from_slice(&start.to_le_bytes());
+    more[574] += 1;
+    assert_eq!(decode(&mended(more)), Err(BlobError::Table { offset: 572 }));
 }
 
 proptest! {

@@ -63,3 +63,21 @@ fn names_and_reference_outlast_erases_with_power_cuts_at_any_byte() {
         log.make_room().unwrap();
     }
 }
+
+#[test]
+fn writes_are_told_the_oldest_first_whichever_half_holds_them() {
+    let mut log = open(&Flash::erased(), OURS).0;
+    for number in 1..=5 * SLOTS {
+        let entry = write(What::Confirmed, number);
+        if log.append_write(&entry) == Err(StoreError::Full) {
+            log.make_room().unwrap();
+            log.append_write(&entry).unwrap();
+        }
+        log = open(&log.log.flash, OURS).0;
+        // Once the first half was emptied, the newest lie before what the second still holds.
+        let numbers: Vec<_> = told(&log).iter().map(|(_, _, about)| *about).collect();
+        let first = number + 1 - numbers.len() as u32;
+        assert_eq!(numbers, (first..=number).collect::<Vec<_>>());
+        assert!(numbers.len() as u32 >= number.min(SLOTS));
+    }
+}
