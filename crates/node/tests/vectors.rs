@@ -1,5 +1,6 @@
 //! The random inputs of a node are what they are for: each fault is among them, each for long enough to be
 //! seen, and between them all is well.
+#![allow(clippy::arithmetic_side_effects)]
 
 mod sensor_bridge;
 
