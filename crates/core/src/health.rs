@@ -387,4 +387,18 @@ mod tests {
         assert_eq!((noise.squares, noise.count), (20 * 16, 20));
         assert_eq!(health.take_noise(), Noise::default());
     }
+
+    #[test]
+    fn the_codes_next_to_the_rails_are_a_measurement() {
+        for edge in [9, 4086] {
+            let mut health = Health::default();
+            assert!(health.check(&lively(700), false).is_some());
+            // Alive, and at the edge in every other code.
+            let inside = if edge == 9 { 10 } else { 4085 };
+            let codes = core::array::from_fn(|n| Code(if n % 2 == 0 { edge } else { inside }));
+            for _ in 0..100 {
+                assert_eq!(health.check(&codes, false), Some(&codes), "{edge}");
+            }
+        }
+    }
 }

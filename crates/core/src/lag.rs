@@ -356,4 +356,17 @@ mod tests {
             assert_eq!(lag.value(), x);
         }
     }
+
+    #[test]
+    fn a_kept_state_that_no_lag_can_have_is_held_to_the_nearest_that_one_can() {
+        for x in [i32::MIN, -1, 0, i32::MAX] {
+            assert_eq!(Lag::from_bits(Lag::settled(x).to_bits()), Lag::settled(x));
+        }
+        for (bits, x) in [(i64::MIN, i32::MIN), (i64::MAX, i32::MAX)] {
+            assert_eq!(Lag::from_bits(bits), Lag::settled(x));
+        }
+        let [least, most] = [i32::MIN, i32::MAX].map(|x| Lag::settled(x).to_bits());
+        assert_eq!(Lag::from_bits(least - 1), Lag::settled(i32::MIN));
+        assert_eq!(Lag::from_bits(most + 1), Lag::settled(i32::MAX));
+    }
 }

@@ -276,4 +276,11 @@ mod tests {
         let one = resistance(Temperature(Temperature::PER_KELVIN)).0 - AT_ZERO.0;
         assert_eq!(one, 390_772);
     }
+
+    #[test]
+    fn the_tables_are_rounded_alike_on_either_side_of_zero() {
+        for (value, integer) in [(2.4, 2), (2.6, 3), (0.4, 0)] {
+            assert_eq!((nearest(value), nearest(-value)), (integer, -integer));
+        }
+    }
 }

@@ -72,4 +72,14 @@ mod tests {
         last.insert(15);
         assert_eq!(set, last);
     }
+
+    #[test]
+    fn what_is_in_both_sets_is_in_the_two_together() {
+        let of = |numbers: &[usize]| {
+            let mut set = IndexSet::default();
+            numbers.iter().for_each(|number| set.insert(*number));
+            set
+        };
+        assert_eq!(of(&[0, 3, 15]).and(of(&[3, 4])), of(&[0, 3, 4, 15]));
+    }
 }

@@ -3,6 +3,7 @@
 mod heat;
 mod jumps;
 mod learned;
+mod needs;
 mod sources;
 mod timeouts;
 
@@ -450,4 +451,14 @@ fn a_tilted_head_takes_growth_to_both_axes() {
     // 102.4 µm along (0, 0.5, −0.866): error (0, 51.2, −88.681), offset its opposite.
     let expected = [Nanometres(0), Nanometres(-51_200), Nanometres(88_681)];
     assert_eq!(rig.last.offset, Some(expected));
+}
+
+#[test]
+fn it_tells_the_time_of_its_last_tick_and_the_noise_since_it_was_last_asked() {
+    let mut rig = Rig::new(calibration());
+    rig.run(5, 1050);
+    assert_eq!(rig.state.now(), Millis(5));
+    // −1, 0, 1, 0: every other second difference is 2. The first block has two fewer.
+    assert_eq!(rig.state.take_noise(), crate::health::Noise { squares: 4 * 49, count: 98 });
+    assert_eq!(rig.state.take_noise(), crate::health::Noise::default());
 }

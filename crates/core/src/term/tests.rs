@@ -247,3 +247,20 @@ fn nothing_extreme_panics() {
         }
     }
 }
+
+#[test]
+fn curvature_bends_a_shrinking_spindle_as_it_does_a_growing_one_and_is_held_at_a_millimetre() {
+    // As above: 0.001·p² µm.
+    let curvature = Effect::Curvature(scaled(0.001 / 256_000.0 * 2_f64.powi(24)));
+    let terms = with(&[(Target::Elongation, 0, curvature)]);
+    let (states, operating) = (TermStates::default(), OperatingPoint::default());
+    let added = |p: i32| um(elongation(&terms, Fine(p), &states, operating)) - um(Fine(p));
+    let held = 2_f64.powi(28) / 256_000.0;
+    for sign in [1, -1] {
+        assert!((added(sign * 50 * 256_000) - 2.5).abs() < 1e-5);
+        // 1.05 mm, and what is beyond adds as much.
+        let at_end = added(sign * (1 << 28));
+        assert!((at_end - 0.001 * held * held).abs() < 1e-3, "{at_end}");
+        assert_eq!(added(sign * (1 << 29)), at_end);
+    }
+}

@@ -1,6 +1,6 @@
 //! Heat over a restart: resumed, cold, or not known.
 
-use super::sources::TEN_UM_PER_K;
+use super::sources::{TEN_UM_PER_K, chain, hold};
 use super::*;
 use crate::heat_memory::HeatMemory;
 
@@ -219,4 +219,71 @@ fn a_term_of_a_temperature_is_known_where_the_heat_is() {
     rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
     let output = live(&mut rig, 1_000, 21, 20);
     assert_eq!((output.quality, output.offset), (Quality::Fault, None));
+}
+
+#[test]
+fn the_growth_of_a_spindle_that_lags_is_not_known_where_its_heat_is_not() {
+    let mut rig = Rig::new(lagging_spindle());
+    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
+    let output = live(&mut rig, 1_000, 21, 20);
+    assert_eq!((output.quality, output.offset), (Quality::Fault, None));
+    // One that does not lag grows with its thermometer, whatever was before.
+    let mut machine = lagging_spindle();
+    let growth = machine.spindle.temperature.as_mut().expect("it has one");
+    (growth.smoothing, growth.smoothing_falling) =
+        (SmoothingFactor::NO_LAG, SmoothingFactor::NO_LAG);
+    let mut rig = Rig::new(machine);
+    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
+    assert_eq!(live(&mut rig, 1_000, 21, 20).quality, Quality::Live);
+}
+
+#[test]
+fn a_fall_back_that_remembers_is_dead_as_long_as_its_heat_is_not_known() {
+    let slow = SmoothingFactor(10_724_000);
+    let mut by_temperature = chain();
+    (by_temperature.spindle.chain[2], by_temperature.spindle.warmup) = (None, None);
+    let growth = by_temperature.spindle.temperature.as_mut().expect("it has one");
+    (growth.smoothing, growth.smoothing_falling) = (slow, slow);
+    let mut by_time = chain();
+    (by_time.spindle.chain[1], by_time.spindle.temperature) = (None, None);
+    let law = &mut by_time.spindle.warmup.as_mut().expect("it has one").law;
+    (law.smoothing_heating, law.smoothing_cooling) = (slow, slow);
+    for machine in [by_temperature, by_time] {
+        let mut rig = Rig::new(machine);
+        hold(&mut rig, 1_300, 1_050, Some(22));
+        assert!(!rig.bridge.fall_back_is_dead(&rig.state), "known from the start");
+        let mut rig = Rig::new(machine);
+        rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
+        hold(&mut rig, 1_300, 1_050, Some(22));
+        assert!(rig.state.heat_is_unknown() && rig.bridge.fall_back_is_dead(&rig.state));
+        rig.bridge.confirm_cold(&mut rig.state);
+        hold(&mut rig, 500, 1_050, Some(22));
+        assert!(!rig.bridge.fall_back_is_dead(&rig.state), "called cold");
+    }
+}
+
+#[test]
+fn a_term_over_time_that_has_run_ahead_is_where_waiting_would_have_brought_it() {
+    use crate::{
+        fixed::Scaled,
+        term::{Effect, Target, Term},
+    };
+    let mut machine = lagging();
+    machine.axes[0].thermal = None;
+    machine.terms[0] = Some(Term {
+        target: Target::Axis(LinearAxis::X),
+        constant: Fine::ZERO,
+        // 10 µm with 40 s.
+        effect: Effect::Time {
+            smoothing: SmoothingFactor(10_724_000),
+            amplitude: Scaled { mantissa: 2_560_000, shift: 30 },
+        },
+    });
+    let [mut waits, mut ahead] = [machine; 2].map(Rig::new);
+    live(&mut waits, 30_000, 21, 20);
+    ahead.state.heat.run_ahead(&machine, 0, 300);
+    let [waits, ahead] = [&mut waits, &mut ahead].map(|rig| x_nm(&live(rig, 10_000, 21, 20)));
+    // 10 µm·(1 − 1/e), to a step of the heat.
+    assert!((waits + 6_321).abs() <= 10, "{waits}");
+    assert_eq!(ahead, waits);
 }

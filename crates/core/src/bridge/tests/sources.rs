@@ -220,3 +220,17 @@ fn a_thermometer_that_returns_as_the_sensor_is_lost_tells_nothing_of_before() {
         assert_eq!((rig.last.quality, rig.z_nm()), (Quality::TemperatureModel, grown), "{lead_ms}");
     }
 }
+
+#[test]
+fn a_source_that_returns_tells_what_grew_while_the_thermometer_in_use_said_nothing() {
+    let mut rig = Rig::new(chain());
+    hold(&mut rig, 1_300, 1_050, Some(22));
+    hold(&mut rig, 1_000, 0, Some(22));
+    let grown = rig.z_nm();
+    // The sensor is about to be used again. The thermometer falls silent, too short to be given up, and the
+    // spindle grows by 10 codes.
+    hold(&mut rig, 850, 1_050, Some(22));
+    hold(&mut rig, 300, 1_060, None);
+    assert_eq!(rig.last.quality, Quality::Live);
+    assert!((rig.z_nm() - grown - 10_240).abs() <= 10, "{} after {grown}", rig.z_nm());
+}
