@@ -119,4 +119,19 @@ mod tests {
             prop_assert_eq!(data, before);
         }
     }
+
+    #[test]
+    fn a_signal_without_bits_or_beyond_the_frame_is_no_signal() {
+        for (start, length, is_one) in [
+            (0, 1, true),
+            (63, 1, true),
+            (32, 32, true),
+            (0, 0, false),
+            (63, 2, false),
+            (33, 32, false),
+            (64, 1, false),
+        ] {
+            assert_eq!(Signal::is_in_frame(start, length), is_one, "{length} from {start}");
+        }
+    }
 }

@@ -411,4 +411,12 @@ mod tests {
             }
         }
     }
+
+    #[test]
+    fn every_condition_of_the_state_has_a_bit_of_its_own_in_their_order() {
+        for (n, (bit, word)) in StateBits::WORDS.into_iter().enumerate() {
+            assert_eq!(bit, StateBits(1 << n), "{word}");
+            assert!(!StateBits::default().contains(bit), "{word}");
+        }
+    }
 }

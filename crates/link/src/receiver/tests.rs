@@ -114,6 +114,23 @@ fn every_kind_of_fault_is_refused_and_counted_once() {
 }
 
 #[test]
+fn only_a_frame_that_is_whole_and_out_of_sequence_speaks_of_a_second_sender() {
+    let mut receiver = Receiver::new();
+    let mut is_sound =
+        |frame: Frame| receiver.accept(&frame).err().map(|refused| refused.is_sound());
+    let sent = control(ENGAGED, 7);
+    assert_eq!(is_sound(sent), None);
+    assert_eq!(is_sound(sent), Some(true), "repeated");
+    assert_eq!(is_sound(control(ENGAGED, 207)), Some(true), "out of sequence");
+    assert_eq!(is_sound(Frame::new(CONTROL_ID, &sent.payload()[..7]).unwrap()), Some(false));
+    // Noise, until nothing is trusted: then a whole frame in order says no more than that it is late.
+    for _ in 0..8 {
+        assert_eq!(is_sound(damaged(sent)), Some(false), "damaged");
+    }
+    assert_eq!(is_sound(control(ENGAGED, 208)), Some(false), "not trusted yet");
+}
+
+#[test]
 fn a_restarted_cnc_is_heard_again_with_its_second_frame() {
     let mut receiver = Receiver::new();
     receiver.accept(&control(ENGAGED, 100)).unwrap();

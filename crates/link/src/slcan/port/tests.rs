@@ -259,3 +259,16 @@ fn pieces_of_any_size_are_the_same_bytes_in_their_order() {
         assert_eq!(heard, lines, "pieces of {size}");
     }
 }
+
+#[test]
+fn frames_may_take_all_but_the_room_for_answers_to_the_last_byte() {
+    let all_but_answers = TX_CAPACITY - ANSWER_RESERVE;
+    let mut frames = vec![frame(8); 9];
+    frames.extend([frame(7), frame(0)]);
+    let bytes: usize = frames.iter().map(len_of_line).sum();
+    assert_eq!(bytes, all_but_answers);
+    let mut port = opened();
+    assert!(port.send_all(&frames));
+    assert!(!port.send(&frame(0)));
+    assert_eq!((port.counters().dropped, drain(&mut port).len()), (1, all_but_answers));
+}
