@@ -175,6 +175,9 @@ impl<F: NorFlash> Log<F> {
                 self.note_record(slot, sequence);
                 return Ok((sequence, slot));
             }
+            // Only the reading of it may have been wrong.
+            let content = self.content(slot.half);
+            content.unread = content.unread.saturating_add(1);
         }
         Err(StoreError::NotTaken)
     }

@@ -302,3 +302,16 @@ fn two_power_cuts_drawn_on_the_largest_leave_the_old_or_a_new_one() {
 fn two_power_cuts_drawn_a_hundred_thousand_times_leave_the_old_or_a_new_one() {
     drawn_pairs(100_000);
 }
+
+#[test]
+fn a_slot_that_was_refused_and_is_read_later_does_not_win() {
+    let (mut slots, _) = open(&Flash::erased(), IMAGE);
+    let mut refused = 0;
+    let is_refused = |_: &mut Flash, _, sequence| {
+        refused = sequence;
+        false
+    };
+    assert_eq!(slots.log.append(1, is_refused), Err(StoreError::NotTaken));
+    let (next, _) = slots.log.append(1, |_, _, _| true).expect("there is room");
+    assert!(next > refused, "{next} after {refused}");
+}
