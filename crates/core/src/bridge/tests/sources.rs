@@ -234,3 +234,28 @@ fn a_source_that_returns_tells_what_grew_while_the_thermometer_in_use_said_nothi
     assert_eq!(rig.last.quality, Quality::Live);
     assert!((rig.z_nm() - grown - 10_240).abs() <= 10, "{} after {grown}", rig.z_nm());
 }
+
+/// Whether a quiet sensor that has stopped changing is believed after half a second, with the spindle at this speed.
+fn is_believed_frozen_at(speed: Option<Rpm>) -> bool {
+    let mut rig = Rig::new(calibration());
+    for ms in 0..1_200 {
+        let mut codes = [Code(1050); CODES_PER_TICK];
+        // Too few changes to tell it lively.
+        if ms < 700 {
+            codes[0] = Code(1049);
+        }
+        rig.now = rig.now.after(1);
+        let input = Input { codes: Some(&codes), speed, temperatures: None };
+        rig.bridge.tick(&mut rig.state, rig.now, input);
+        assert!(rig.state.believable || ms >= 700, "{speed:?} at {ms} ms");
+    }
+    rig.state.believable
+}
+
+#[test]
+fn a_quiet_sensor_that_stands_still_is_a_fault_where_run_out_must_show_and_only_there() {
+    assert!(!is_believed_frozen_at(Some(Rpm(24_000))));
+    assert!(!is_believed_frozen_at(Some(Rpm(301))));
+    assert!(is_believed_frozen_at(Some(Rpm(300))));
+    assert!(is_believed_frozen_at(None));
+}
