@@ -131,6 +131,7 @@ fn searched(
             mm.iter().any(|mm| !mm.is_nan() && *mm != first)
         });
     let size = if moves { 1 } else { rows.div_ceil(MOST_GROUPS).max(1) };
+    // Made when they are needed: of a million rows one by one they take 40 MB.
     let groups = || Groups::new(data, &used, size);
     let fewer = if moves && rows > MOST_ROWS_MOVING {
         let mut generator = Generator::new(rows as u64);

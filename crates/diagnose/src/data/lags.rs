@@ -166,3 +166,66 @@ impl Lags {
         values
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::{cell::Cell, f64::consts::TAU};
+
+    use trueup_machine::{effect::LateForm, model::part_temperature};
+
+    use super::{super::lag::lag, *};
+
+    /// Ten hours.
+    const ROWS: usize = 120_000;
+
+    #[test]
+    fn in_a_long_record_only_what_is_too_fast_for_its_means_is_stepped_through_its_rows() {
+        let time_s: Vec<f64> = (0..ROWS).map(|row| 0.3 * row as f64).collect();
+        let restart: Vec<bool> = (0..ROWS).map(|row| row == 0).collect();
+        let shown = time_s.iter().map(|t| 20.0 + 5.0 * (TAU * t / 9000.0).sin());
+        let values: Vec<f64> = shown.collect();
+        // From where no slope is cut short, and the start has passed.
+        let blocks = RowBlocks::new((60_000..110_000).filter(|row| row % 41 == 3), |_| true);
+        let rows = Rows { time_s: Some(&time_s), restart: &restart, blocks: &blocks };
+        let lags = Lags::new(rows, &[("t".into(), values.clone().into())]);
+        let fastest_s = lags.fastest_s();
+        assert!((1.0..2.0).contains(&fastest_s), "{fastest_s} s");
+        let stepped = Cell::new(0);
+        let count = |all: Vec<f64>| {
+            stepped.set(stepped.get() + 1);
+            all
+        };
+        let late = |by_s| Late { by_s, form: LateForm::Lag { slope_over: 1.0 } };
+        let [fast_s, slow_s] = [0.5 * fastest_s, 2.0 * fastest_s];
+        for (late, lags_s, is_stepped) in [
+            (None, [slow_s; 2], false),
+            (None, [600.0, 900.0], false),
+            (None, [fast_s; 2], true),
+            (None, [600.0, fast_s], true),
+            (None, [600.0, 0.0], true),
+            (Some(late(60.0)), [0.0; 2], false),
+            (Some(late(60.0)), [600.0; 2], false),
+            (Some(late(60.0)), [600.0, 900.0], false),
+            (Some(late(fast_s)), [600.0; 2], true),
+            (Some(late(60.0)), [fast_s; 2], true),
+        ] {
+            let behind = |late: Option<Late>| {
+                let part_c = late.map(|late| part_temperature(late, &time_s, &values));
+                lag(part_c.as_ref().unwrap_or(&values), &time_s, &restart, lags_s)
+            };
+            stepped.set(0);
+            let found = match late {
+                None => lags.lagged(&blocks, ("t", Some(&values)), lags_s, || count(behind(None))),
+                Some(late) => {
+                    let lagged = || blocks.means(&behind(None));
+                    let all = || count(behind(Some(late)));
+                    lags.followed(&blocks, "t", late, lags_s, lagged, all)
+                }
+            };
+            assert_eq!(stepped.get(), i32::from(is_stepped), "{late:?} {lags_s:?}");
+            let exact = blocks.means(&behind(late));
+            let off = found.iter().zip(&exact).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            assert!(off < 3e-4, "{late:?} {lags_s:?}: {off} K");
+        }
+    }
+}

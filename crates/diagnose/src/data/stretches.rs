@@ -75,10 +75,13 @@ impl Stretches {
             it.apart_s.push(span_s.max(0.0) / (end - first) as f64);
             first = end;
         }
+        if 2 * it.ends.len() > rows {
+            return None;
+        }
         it.mean_s = it.means(time_s, time_s, restart)?;
         it.of_ends = Weights::new(blocks, it.along_ends(time_s));
         it.of_means = Weights::new(blocks, it.along_means(time_s));
-        (2 * it.ends.len() <= rows).then_some(it)
+        Some(it)
     }
 
     /// The mean of a column over each; none where a value is missing.

@@ -73,8 +73,8 @@ impl Cache {
     /// Numbers that are kept at most, 8 bytes each: 80 MB and 16 MB.
     const LIMIT: usize = 10_000_000;
     const RECENT_LIMIT: usize = 2_000_000;
-    /// The most of one part: those of all rows of a long record are worked out as fast as they are read again.
-    const PART_LIMIT: usize = 500_000;
+    /// The longest column: of all rows of a long record a few would fill the room, and only the last fit asks for them.
+    const LONGEST: usize = 100_000;
 
     pub(super) fn get(&self, key: &Key) -> Option<Columns> {
         let recent = || self.recent.iter().rev().find(|(there, _)| there == key).map(|(_, it)| it);
@@ -83,10 +83,10 @@ impl Cache {
 
     /// `keep`: they will be asked for again and again.
     pub(super) fn put(&mut self, key: Key, columns: Columns, keep: bool) {
-        let size = columns.iter().map(Vec::len).sum::<usize>();
-        if size > Self::PART_LIMIT {
+        if columns.iter().any(|column| column.len() > Self::LONGEST) {
             return;
         }
+        let size = columns.iter().map(Vec::len).sum::<usize>();
         if keep && self.numbers + size < Self::LIMIT {
             self.numbers += size;
             self.kept.insert(key, columns);

@@ -2,7 +2,10 @@
 
 use super::sources::{TEN_UM_PER_K, chain, hold};
 use super::*;
-use crate::heat_memory::HeatMemory;
+use crate::{
+    heat_memory::HeatMemory,
+    term::{Effect, Target, Term},
+};
 
 /// As `expanding`, with a lag of 40 s, and a second thermometer.
 pub(super) fn lagging() -> Calibration<'static> {
@@ -12,6 +15,25 @@ pub(super) fn lagging() -> Calibration<'static> {
     let smoothing = SmoothingFactor(10_724_000);
     let thermal = machine.axes[0].thermal.as_mut().expect("it has one");
     (thermal.smoothing, thermal.smoothing_falling) = (smoothing, smoothing);
+    machine
+}
+
+/// The same with a term of its screw's temperature in the place of the law: 1 µm, whatever the temperature is.
+pub(super) fn by_term(
+    mut machine: Calibration<'static>,
+    smoothing: SmoothingFactor,
+) -> Calibration<'static> {
+    machine.axes[0].thermal = None;
+    machine.terms[0] = Some(Term {
+        target: Target::Axis(LinearAxis::X),
+        constant: Fine(256_000),
+        effect: Effect::Heat {
+            channel: 3,
+            smoothing,
+            reference: Temperature(20 * Temperature::PER_KELVIN),
+            per_temperature: Default::default(),
+        },
+    });
     machine
 }
 
@@ -199,19 +221,7 @@ fn a_spindle_follows_its_thermometer_once_in_a_step() {
 
 #[test]
 fn a_term_of_a_temperature_is_known_where_the_heat_is() {
-    use crate::term::{Effect, Target, Term};
-    let mut machine = lagging();
-    machine.axes[0].thermal = None;
-    machine.terms[0] = Some(Term {
-        target: Target::Axis(LinearAxis::X),
-        constant: Fine(256_000),
-        effect: Effect::Heat {
-            channel: 3,
-            smoothing: SmoothingFactor(10_724_000),
-            reference: Temperature(20 * Temperature::PER_KELVIN),
-            per_temperature: Default::default(),
-        },
-    });
+    let machine = by_term(lagging(), SmoothingFactor(10_724_000));
     let mut rig = Rig::new(machine);
     let output = live(&mut rig, 1_000, 21, 20);
     assert_eq!((output.quality, x_nm(&output)), (Quality::Live, -1_000));
@@ -264,10 +274,7 @@ fn a_fall_back_that_remembers_is_dead_as_long_as_its_heat_is_not_known() {
 
 #[test]
 fn a_term_over_time_that_has_run_ahead_is_where_waiting_would_have_brought_it() {
-    use crate::{
-        fixed::Scaled,
-        term::{Effect, Target, Term},
-    };
+    use crate::fixed::Scaled;
     let mut machine = lagging();
     machine.axes[0].thermal = None;
     machine.terms[0] = Some(Term {

@@ -5,7 +5,6 @@ use crate::{
     calibration::AXIS_PAIRS,
     curve::{Curve, SEGMENT_SIZE, Segment},
     gradient::Gradient,
-    term::{Effect, Target, Term},
 };
 extern crate std;
 
@@ -42,19 +41,7 @@ fn a_guide_needs_the_position_of_the_axis_that_it_guides_whether_it_is_bent_or_n
 
 #[test]
 fn a_term_of_a_temperature_is_held_and_given_up_with_its_thermometer() {
-    let mut machine = expanding();
-    machine.axes[0].thermal = None;
-    machine.terms[0] = Some(Term {
-        target: Target::Axis(LinearAxis::X),
-        constant: Fine(256_000),
-        effect: Effect::Heat {
-            channel: 3,
-            smoothing: SmoothingFactor::NO_LAG,
-            reference: Temperature(0),
-            per_temperature: Default::default(),
-        },
-    });
-    let mut rig = Rig::new(machine);
+    let mut rig = Rig::new(heat::by_term(expanding(), SmoothingFactor::NO_LAG));
     let output = warm(&mut rig, 300, Some(21), 0);
     assert_eq!((output.quality, output.flags), (Quality::Live, Flags::NONE));
     let output = warm(&mut rig, 500, None, 0);
