@@ -356,6 +356,8 @@ mod app {
         if shared.node.lock(|node| node.take_restart()) {
             defmt::info!("restart, as a CANopen master asks");
             it.retain(&shared.node.lock(|node| node.kept()));
+            // No more lines; those that wait go out meanwhile, for half a line is none that a client expects.
+            shared.port.lock(Port::close);
             board::restart();
         }
         it.show(now, quality);

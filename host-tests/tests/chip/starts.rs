@@ -192,3 +192,21 @@ fn after_a_power_cut_in_the_first_zero_the_board_is_heard_within_200_ms() {
         assert!(heard - cut < 200.0, "word {word}: silent for {} ms", heard - cut);
     }
 }
+
+#[test]
+fn a_restart_that_a_master_asks_for_ends_the_line_that_is_going_out() {
+    // Referenced and in service; node 1 is reset over the serial line.
+    let script = "0 flags 10\n250 say S8\\rO\\r\n350 say t00028101\\r\n500 say V\\r\n";
+    let Some(report) = run_script(script, &["--ms", "600"]) else { return };
+    is_clean(&report);
+    says(&report, &["resets [\"software at"]);
+    let serial = report.events.iter().filter_map(|event| event.split(" serial ").nth(1));
+    let (frames, others): (Vec<_>, Vec<_>) = serial.partition(|line| line.starts_with('t'));
+    assert!(frames.len() > 150, "{} lines", frames.len());
+    for line in frames {
+        let digits = line[4..5].parse::<usize>().map(|bytes| 5 + 2 * bytes);
+        assert_eq!(Ok(line.len()), digits, "a piece of a line: {line:?}");
+    }
+    // Half a line before the answer would stand here.
+    assert_eq!(others.last().copied(), Some("V1013"), "{others:?}");
+}

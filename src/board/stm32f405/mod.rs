@@ -270,8 +270,9 @@ fn within(polls: u32, mut ready: impl FnMut() -> bool) -> bool {
     (0..polls).any(|_| ready())
 }
 
-/// Starts the board anew.
+/// Starts the board anew, as soon as the serial line is silent.
 pub fn restart() {
+    serial::wait_until_sent();
     SCB::sys_reset()
 }
 

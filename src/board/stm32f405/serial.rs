@@ -6,6 +6,7 @@
 //! move, as in an emulator, the board says so and falls back: bytes come in by interrupt and go out by
 //! polling, in the lowest task.
 
+use cortex_m::asm;
 use embedded_hal_nb::serial::{Read, Write};
 use stm32f4xx_hal::{
     gpio::{PA9, PA10, Pull},
@@ -28,6 +29,20 @@ const SEND_POLLS: u32 = 4_096;
 const DMA_PATIENCE_MS: u32 = 10;
 /// Bytes that are polled out in one turn, 0.17 ms of the line: `transmit` and what it holds up wait for that.
 const POLLED_AT_ONCE: usize = 16;
+
+/// Polls until what waits has left: 4.2 ms for all that a port and a piece of the DMA hold, less than the watchdog's
+/// patience at 16 MHz.
+const END_POLLS: u32 = 100_000;
+/// Clocks that two bytes need, the one that leaves and the one behind it, at 168 MHz.
+const TWO_BYTES: u32 = 4_000;
+
+/// Waits until the DMA has no more bytes, from a task below those that give it some, and the last have left.
+pub fn wait_until_sent() {
+    let outgoing = Outgoing::new();
+    within(END_POLLS, || !outgoing.is_busy());
+    // Not by the flag that says so: it stays from an earlier piece (section 30.3.13).
+    asm::delay(TWO_BYTES);
+}
 
 /// Sets up both directions. The clock of DMA2 is on.
 pub fn start(usart: USART1, tx: PA9, rx: PA10, rcc: &mut Rcc) -> (SerialIn, SerialOut) {

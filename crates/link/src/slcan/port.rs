@@ -138,6 +138,11 @@ impl Port {
         count
     }
 
+    /// Closes the channel, as the client's `C` does: nothing is queued any more, what waits still goes out.
+    pub fn close(&mut self) {
+        self.channel = Channel::Closed;
+    }
+
     /// Whether a client listens.
     #[must_use]
     pub fn is_open(&self) -> bool {
