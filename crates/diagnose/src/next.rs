@@ -106,7 +106,8 @@ impl fmt::Display for NoNext {
             Self::NotApart([one, other], gap) => write!(
                 f,
                 "no run up to an hour and a half tells {one} from {other}: the best would bring a score gap of \
-                 {gap:.1}, and {STRONG_EVIDENCE} is strong evidence"
+                 {gap:.1}, and {} is strong evidence",
+                STRONG_EVIDENCE
             ),
         }
     }
@@ -126,8 +127,9 @@ impl Next {
         for Told { causes: [one, other], difference_um, noise_um, score_gap } in &self.told {
             text += &format!(
                 ": then {one} and {other} differ by up to {difference_um:.1} µm, {:.0} times the noise of a reading \
-                 (expected score gap {score_gap:.0}; {STRONG_EVIDENCE} is strong evidence)",
-                difference_um / noise_um
+                 (expected score gap {score_gap:.0}; {} is strong evidence)",
+                difference_um / noise_um,
+                STRONG_EVIDENCE
             );
         }
         text

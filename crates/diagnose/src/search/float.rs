@@ -152,12 +152,11 @@ impl Search<'_> {
         let gap = other.score - one.score;
         let paired = self.folds.paired(&other.left_out, &one.left_out);
         let [own, others] = [one, other].map(|it| degrees(&it.fitted.model));
-        let is_better = match gap {
-            STRONG_EVIDENCE.. if own < others => {
-                paired.is_better() || self.foresees_as_well(&one.fitted, &other.left_out)
-            }
-            STRONG_EVIDENCE.. => paired.is_better(),
-            _ => gap > -STRONG_EVIDENCE && own <= others && paired.is_certain(),
+        let is_better = if gap >= STRONG_EVIDENCE {
+            let fewer = own < others;
+            paired.is_better() || fewer && self.foresees_as_well(&one.fitted, &other.left_out)
+        } else {
+            gap > -STRONG_EVIDENCE && own <= others && paired.is_certain()
         };
         let is_identified = rms(&one.left_out).powi(2) <= MOST_LEFT_OUT * one.fitted.rms().powi(2);
         is_better && is_identified && !self.has_terms_that_cancel(&one.fitted)
