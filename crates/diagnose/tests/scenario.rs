@@ -23,3 +23,10 @@ fn an_axis_that_warms_up_is_named_along_and_across() {
     let told_across = told(across, 10);
     assert!(told_across.is_right(), "{told_across}");
 }
+
+#[test]
+fn a_wave_beside_an_uneven_screw_is_not_the_instruments() {
+    let [along, ..] = &shipped::ALL;
+    let told = told(along, 41);
+    assert!(told.is_right(), "{told}");
+}

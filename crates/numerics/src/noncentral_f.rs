@@ -36,7 +36,8 @@ pub fn power(significance: f64, constants: f64, freedom: f64, noncentrality: f64
         return significance;
     }
     let limit = central.inverse_cdf(1.0 - significance);
-    let x = constants * limit / (constants * limit + freedom);
+    // Of a small part of a degree of freedom the limit is beyond all numbers, and x is 1.
+    let x = 1.0 / (1.0 + freedom / (constants * limit));
     let half = 0.5 * noncentrality.min(MOST);
     let weight = |j: f64| (j * half.ln() - half - ln_gamma(j + 1.0)).exp();
     let missed = |j: f64| beta_reg(0.5 * constants + j, 0.5 * freedom, x);
@@ -93,6 +94,18 @@ mod tests {
             assert!((here - scipy).abs() < 1e-9, "{k} {freedom} {lambda}: {here} and {scipy}");
         }
         assert_eq!(power(0.01, 1.0, 0.0, 100.0), 0.0);
+    }
+
+    #[test]
+    fn a_part_of_a_degree_of_freedom_finds_next_to_nothing() {
+        for constants in [1.0, 2.0, 2.4] {
+            for freedom in [1e-9, 1e-3, 0.01, 0.02, 0.05, 0.1, 0.3] {
+                let found = power(1e-5, constants, freedom, 1e4);
+                assert!((0.0..0.2).contains(&found), "{constants} {freedom}: {found}");
+                let lambda = noncentrality(0.95, 1e-5, constants, freedom);
+                assert_eq!(lambda, f64::INFINITY, "{constants} {freedom}");
+            }
+        }
     }
 
     #[test]

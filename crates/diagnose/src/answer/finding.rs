@@ -194,6 +194,10 @@ fn doubted(doubt: &Doubt, gain: &Gain, left_out: Unit) -> String {
              noise of the thermometer."
                 .into()
         }
+        Doubt::BesideTable(table) => format!(
+            "It goes with the position, as {} does: the machine may be as uneven between the points of that table.",
+            named(table)
+        ),
         Doubt::OnlyTogether(other) => format!(
             "It is only certain together with {}: neither of the two stands alone.",
             named(other)

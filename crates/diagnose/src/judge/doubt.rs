@@ -44,6 +44,9 @@ pub(crate) enum Doubt {
     NotNeeded,
     /// It is only needed beside a term that stands for another law.
     BesideOtherLaw,
+    /// A wave of what the instrument reads, beside this table over the same position: a table of more points would
+    /// take it.
+    BesideTable(Kind),
     /// A table that its own repeats do not bear out.
     NotRepeated,
 }

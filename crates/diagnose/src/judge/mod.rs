@@ -25,6 +25,8 @@
 //! it is needed whichever rival of another term is right         else: it hangs on that question
 //! it has an input of its own (a jump, a drift, an offset and a     else: it may be what an open term lacks
 //! curvature have none), or no other term is open
+//! a wave of the instrument's own is resolved, and turns more    else: the machine may be so between
+//! often than a table over the position beside it has points     the table's points
 //! its values are the same in both halves of the record          else: both are told
 //! no other period or time constant of its own does as well      else: aliases
 //! no curve in its place explains clearly more                   else: something goes with its inputs,
@@ -48,6 +50,7 @@ mod case;
 mod doubt;
 mod form;
 mod identified;
+mod instrument;
 mod needed;
 mod other_law;
 mod rivals;
@@ -75,6 +78,7 @@ use case::Case;
 pub(crate) use doubt::Doubt;
 use form::{form_of, start_of};
 use identified::is_identified;
+use instrument::table_beside;
 use needed::{Alone, gains_again, goes_on, may_gain_nothing, only_together};
 use other_law::Curves;
 use rivals::{Rival, predict_alike, rivals};
@@ -162,6 +166,7 @@ fn judge_term(case: &Case<'_>, added: &Added) -> Option<Judgement> {
     let open: Vec<&Rival> = rivals.iter().filter(|rival| rival.is_open(cause)).collect();
     let mut doubts = Vec::new();
     doubts.extend(open.first().map(|rival| Doubt::Rival(rival.cause.clone())));
+    doubts.extend(table_beside(case, part).map(Doubt::BesideTable));
     let repeated = repeated(case, cause);
     match &repeated {
         // Its repeats are the judge of a table, not what it leaves.
