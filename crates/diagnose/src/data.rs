@@ -13,6 +13,7 @@
 //! | `groups` | neighbouring rows put together |
 //! | `lag`, `lag_series` | gaps filled, values behind a lag; the same for means of some rows |
 //! | `stretches` | the same of a long record |
+//! | `stepped` | what was stepped through all rows before |
 //! | `lags` | temperatures behind lags, by whichever of these is enough |
 
 mod channel;
@@ -28,6 +29,7 @@ mod read;
 mod reversal;
 mod row_blocks;
 mod stated;
+mod stepped;
 mod stretches;
 mod table;
 

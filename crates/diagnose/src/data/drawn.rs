@@ -6,6 +6,7 @@ use super::{
     groups::Groups,
     lag::filled,
     row_blocks::RowBlocks,
+    stepped::Stepped,
     table::{Column, Data, DrawnFrom},
 };
 
@@ -85,6 +86,7 @@ impl Data {
             start_s: self.start_s,
             notes: Vec::new(),
             whole: Some(DrawnFrom::new(self.clone(), blocks)),
+            stepped: Stepped::default(),
         }
     }
 

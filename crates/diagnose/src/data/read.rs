@@ -10,7 +10,7 @@ use trueup_machine::{
 
 use super::{
     channels, lag::first_of, prediction::predict, reversal::reversal_decay, stated::Stated,
-    table::Data,
+    stepped::Stepped, table::Data,
 };
 
 impl Data {
@@ -122,6 +122,7 @@ impl Data {
             start_s: 0.0,
             notes,
             whole: None,
+            stepped: Stepped::default(),
         };
         channels::set_aside(&mut data);
         data.references_c = data

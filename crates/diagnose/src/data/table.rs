@@ -9,6 +9,7 @@ use super::{
     lags::{Lags, Rows},
     row_blocks::RowBlocks,
     stated::Stated,
+    stepped::{Source, Stepped},
 };
 
 pub(super) use super::lags::Column;
@@ -76,6 +77,8 @@ pub(crate) struct Data {
     /// Where these are drawn rows, or means of rows: all of them, for what a row has from the rows
     /// before it.
     pub whole: Option<DrawnFrom>,
+    /// Its temperatures that were stepped through all rows.
+    pub(super) stepped: Stepped,
 }
 
 /// The table that rows were drawn from, or are means of.
@@ -180,11 +183,41 @@ impl Data {
         if let Some(whole) = &self.whole {
             return whole.lagged(column, [rise_s, fall_s]);
         }
-        match (self.temperature(column), self.time_s.as_deref()) {
+        match (self.temperature(column), self.source(column)) {
             (None, _) => vec![0.0; self.rows],
             (Some(values), None) => filled(values),
-            (Some(values), Some(time_s)) => lag(values, time_s, &self.restart, [rise_s, fall_s]),
+            (Some(_), Some(source)) => self.stepped(&source, None, [rise_s, fall_s]).to_vec(),
         }
+    }
+
+    /// What a temperature is stepped through, where there is time.
+    fn source(&self, column: &str) -> Option<Source> {
+        let (_, values) = self.temperatures.iter().find(|(there, _)| there == column)?;
+        let time_s = self.time_s.clone()?;
+        Some(Source { values: values.clone(), time_s, restart: self.restart.clone() })
+    }
+
+    /// A temperature, or that of the part whose thermometer is late, behind a lag, stepped through all rows.
+    fn stepped(&self, source: &Source, late: Option<Late>, lags_s: [f64; 2]) -> Arc<Vec<f64>> {
+        let behind = |values: &[f64]| lag(values, &source.time_s, &source.restart, lags_s);
+        self.stepped.known(source, (late, Some(lags_s)), || match late {
+            None => behind(&source.values),
+            Some(late) => behind(&self.part_c(source, late)),
+        })
+    }
+
+    /// The temperature of the part whose thermometer is late, series by series.
+    fn part_c(&self, source: &Source, late: Late) -> Arc<Vec<f64>> {
+        let Source { values, time_s, restart } = source;
+        self.stepped.known(source, (Some(late), None), || {
+            let mut part_c = Vec::with_capacity(self.rows);
+            let mut start = 0;
+            for end in (1..=self.rows).filter(|&row| row == self.rows || restart[row]) {
+                part_c.extend(part_temperature(late, &time_s[start..end], &values[start..end]));
+                start = end;
+            }
+            part_c
+        })
     }
 
     /// Smooths a temperature over `width_s`, without making it late.
@@ -213,23 +246,12 @@ impl Data {
         late: Option<Late>,
         [rise_s, fall_s]: [f64; 2],
     ) -> Vec<f64> {
-        let known = |data: &'_ Self| data.temperature(column).is_some() && data.time_s.is_some();
-        let Some(late) = late.filter(|_| known(self)) else {
+        let (Some(late), Some(source)) = (late, self.source(column)) else {
             return self.lagged(column, rise_s, fall_s);
         };
-        if let Some(whole) = &self.whole {
-            return whole.followed(column, late, [rise_s, fall_s]);
+        match &self.whole {
+            Some(whole) => whole.followed(column, late, [rise_s, fall_s]),
+            None => self.stepped(&source, Some(late), [rise_s, fall_s]).to_vec(),
         }
-        let shown_c = self.temperature(column).unwrap_or_default();
-        let time_s = self.time_s.as_deref().unwrap_or_default();
-        let starts = (0..self.rows).filter(|&row| self.restart[row]);
-        let ends = (1..self.rows).filter(|&row| self.restart[row]).chain([self.rows]);
-        let part_c: Vec<f64> = starts
-            .zip(ends)
-            .flat_map(|(start, end)| {
-                part_temperature(late, &time_s[start..end], &shown_c[start..end])
-            })
-            .collect();
-        lag(&part_c, time_s, &self.restart, [rise_s, fall_s])
     }
 }
