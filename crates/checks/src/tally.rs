@@ -20,6 +20,8 @@ pub struct Tally {
     pub long: u32,
     /// Campaigns, which have a command of their own.
     pub campaigns: u32,
+    /// The tests that failed, by program and name.
+    pub failures: Vec<String>,
     /// How long each test took.
     pub times: Vec<(String, Duration)>,
     /// Tests that said why they cannot run, of which the result line has not come yet.
@@ -55,6 +57,7 @@ impl Tally {
         self.lacking += other.lacking;
         self.long += other.long;
         self.campaigns += other.campaigns;
+        self.failures.extend(other.failures);
         self.times.extend(other.times);
     }
 
@@ -89,11 +92,18 @@ impl Tally {
                 // A block of a documentation that is shown and not run.
                 _ if test.contains(" (line ") => {}
                 _ => {
-                    println!("{test} is ignored, but neither \"long: …\" nor \"campaign: …\"");
+                    self.failures.push(format!(
+                        "{program}: {test} is ignored, but neither \"long: …\" nor \"campaign: …\""
+                    ));
                     self.failed += 1;
                 }
             },
-            None => self.times.push((format!("{program}: {test}"), took)),
+            None => {
+                if result == "FAILED" {
+                    self.failures.push(format!("{program}: {test}"));
+                }
+                self.times.push((format!("{program}: {test}"), took));
+            }
         }
         true
     }
@@ -123,6 +133,15 @@ mod tests {
             Tally { passed: 3, lacking: 1, long: 1, campaigns: 1, times, ..Tally::default() };
         assert_eq!(tally, expected);
         assert_eq!(tally.skipped(), 3);
+    }
+
+    #[test]
+    fn a_test_that_failed_is_named_with_its_program() {
+        let mut tally = Tally::default();
+        for line in ["test a ... FAILED", "test result: FAILED. 0 passed; 1 failed; 0 ignored"] {
+            tally.hear("x", line, Duration::ZERO);
+        }
+        assert_eq!((tally.failed, tally.failures), (1, vec!["x: a".to_owned()]));
     }
 
     #[test]

@@ -3,8 +3,12 @@
 //! Every tier takes the same programs, of one profile and with the same features, so that nothing is
 //! compiled for a second tier. A program runs its tests one after the other: so the time between two
 //! results is that of the second test.
+//!
+//! What a program says, figures of tests that pass included, goes into a file of its own in
+//! `target/verify`. Here stands a line for each program, and whole what the tests said that failed.
 
 use std::{
+    fs,
     io::{BufRead as _, BufReader},
     path::PathBuf,
     process::{Command, Stdio},
@@ -14,6 +18,7 @@ use std::{
 
 use anyhow::{Context as _, Result, bail};
 use serde_json::Value;
+use trueup_emulator::setup;
 
 use crate::{cargo, tally::Tally};
 
@@ -21,6 +26,8 @@ use crate::{cargo, tally::Tally};
 const SELECTION: [&str; 2] = ["--features", "trueup-host-tests/emulator"];
 /// How many run at a time.
 const AT_A_TIME: usize = 2;
+/// How many of the last lines are printed of a program that ended before its tests had.
+const LAST_LINES: usize = 50;
 
 /// A test program.
 #[derive(Clone, Debug)]
@@ -58,13 +65,19 @@ pub fn build() -> Result<Vec<Program>> {
 }
 
 /// The examples in the documentation.
+///
+/// # Errors
+/// cargo cannot be started.
 pub fn documentation() -> Result<Tally> {
     let mut command = cargo::locked("test");
     command.arg("--doc").args(SELECTION);
-    hear("documentation", &mut command, &mut |line| println!("{line}"))
+    hear("documentation", &mut command)
 }
 
-/// Runs programs, each with the given arguments and environment. What one prints comes in one piece.
+/// Runs programs, each with the given arguments and environment.
+///
+/// # Errors
+/// One cannot be started.
 pub fn run(programs: &[Program], arguments: &[&str], variables: &[(&str, &str)]) -> Result<Tally> {
     let open = Mutex::new(programs.iter());
     let total = Mutex::new(Tally::default());
@@ -73,10 +86,8 @@ pub fn run(programs: &[Program], arguments: &[&str], variables: &[(&str, &str)])
             loop {
                 let next = open.lock().expect("no worker panics").next();
                 let Some(program) = next else { return Ok(()) };
-                let (tally, said) = run_one(program, arguments, variables)?;
-                let mut total = total.lock().expect("no worker panics");
-                println!("\n--- {}\n{said}", program.name);
-                total.add(tally);
+                let tally = run_one(program, arguments, variables)?;
+                total.lock().expect("no worker panics").add(tally);
             }
         };
         let workers: Vec<_> = (0..AT_A_TIME).map(|_| scope.spawn(work)).collect();
@@ -85,47 +96,75 @@ pub fn run(programs: &[Program], arguments: &[&str], variables: &[(&str, &str)])
     Ok(total.into_inner().expect("no worker panics"))
 }
 
-fn run_one(
-    program: &Program,
-    arguments: &[&str],
-    variables: &[(&str, &str)],
-) -> Result<(Tally, String)> {
+fn run_one(program: &Program, arguments: &[&str], variables: &[(&str, &str)]) -> Result<Tally> {
     let mut command = Command::new(&program.executable);
     command.current_dir(&program.folder).env("CARGO_MANIFEST_DIR", &program.folder);
     command.args(["--test-threads=1", "--show-output"]).args(arguments);
     command.envs(variables.iter().copied());
-    let mut said = String::new();
-    let tally = hear(&program.name, &mut command, &mut |line| {
-        said.push_str(line);
-        said.push('\n');
-    })?;
-    Ok((tally, said))
+    hear(&program.name, &mut command)
 }
 
-/// Runs a command and counts by what it prints, which also goes to `say`.
+/// Runs a command that tests, counts by what it prints, and says in a line what came of it.
 ///
 /// # Errors
-/// It cannot be started.
-pub fn hear(name: &str, command: &mut Command, say: &mut dyn FnMut(&str)) -> Result<Tally> {
+/// It cannot be started, or what it says cannot be kept.
+pub fn hear(name: &str, command: &mut Command) -> Result<Tally> {
+    let started = Instant::now();
+    let (tally, said) = listen(name, command)?;
+    let folder = setup::root().join("target/verify");
+    fs::create_dir_all(&folder)?;
+    let file = folder.join(format!("{}.txt", name.replace('/', "-")));
+    fs::write(&file, &said).with_context(|| format!("cannot write {}", file.display()))?;
+    if tally.passed + tally.failed + tally.lacking == 0 {
+        // None of its tests is of this tier.
+        return Ok(tally);
+    }
+    let took = started.elapsed().as_secs_f64();
+    let mut piece = format!("{took:7.1} s  {name}: {} passed", tally.passed);
+    if tally.failed > 0 {
+        piece += &format!(", {} FAILED\n{}", tally.failed, of_the_failed(&said));
+    }
+    for line in said.lines().filter(|line| line.starts_with("skipped:")) {
+        piece += &format!("\n           {line}");
+    }
+    // In one piece: two programs run at a time.
+    println!("{piece}");
+    Ok(tally)
+}
+
+/// What a program of tests said of those that failed, or its last lines if it did not come to that.
+fn of_the_failed(said: &str) -> String {
+    if let Some(start) = said.find("\nfailures:\n") {
+        return said[start..].into();
+    }
+    let lines: Vec<_> = said.lines().collect();
+    lines[lines.len().saturating_sub(LAST_LINES)..].join("\n")
+}
+
+fn listen(name: &str, command: &mut Command) -> Result<(Tally, String)> {
     command.stdin(Stdio::null()).stdout(Stdio::piped());
     let mut child = command.spawn().with_context(|| format!("cannot start {name}"))?;
     let output = child.stdout.take().context("the output was asked for")?;
     let mut tally = Tally::default();
+    let mut said = String::new();
     let mut last = Instant::now();
     for line in BufReader::new(output).split(b'\n') {
         let line = line?;
         let line = String::from_utf8_lossy(&line);
-        say(&line);
+        said.push_str(&line);
+        said.push('\n');
         if tally.hear(name, &line, last.elapsed()) {
             last = Instant::now();
         }
     }
     // A program that dies, or does not even compile, prints no failure.
     if !child.wait()?.success() && tally.failed == 0 {
-        say(&format!("{name} ended before its tests had"));
+        let ended = format!("{name} ended before its tests had");
+        said.push_str(&ended);
         tally.failed = 1;
+        tally.failures.push(ended);
     }
-    Ok(tally)
+    Ok((tally, said))
 }
 
 #[cfg(test)]
@@ -134,13 +173,20 @@ mod tests {
 
     #[test]
     fn a_program_that_dies_has_failed_whatever_it_said() -> Result<()> {
-        let mut said = String::new();
-        let mut say = |line: &str| said.push_str(line);
         let mut command = Command::new("sh");
         command.args(["-c", "echo 'test a ... ok'; exit 101"]);
-        let tally = hear("x", &mut command, &mut say)?;
+        let (tally, said) = listen("x", &mut command)?;
         assert_eq!((tally.failed, tally.times.len()), (1, 1));
-        assert!(said.contains("ended before"), "{said}");
+        assert_eq!(tally.failures, ["x ended before its tests had"]);
+        assert!(of_the_failed(&said).contains("ended before"), "{said}");
         Ok(())
+    }
+
+    #[test]
+    fn what_the_failed_said_is_printed_without_the_rest() {
+        let said = "test a ... ok\ntest b ... FAILED\n\nsuccesses:\n\n---- a stdout ----\nfine\n\n\
+                    failures:\n\n---- b stdout ----\nassertion failed\n";
+        let printed = of_the_failed(said);
+        assert!(printed.contains("assertion failed") && !printed.contains("fine"), "{printed}");
     }
 }

@@ -46,7 +46,7 @@ const LONGEST: usize = 10;
 #[derive(Default)]
 struct Verification {
     total: Tally,
-    failed: Vec<&'static str>,
+    failed: Vec<String>,
     steps: Vec<(String, Duration)>,
 }
 
@@ -56,11 +56,10 @@ impl Verification {
         let started = Instant::now();
         let tally = work().unwrap_or_else(|error| {
             eprintln!("error: {error:#}");
+            self.failed.push(format!("{name}: {error:#}"));
             Tally::fail()
         });
-        if tally.failed > 0 {
-            self.failed.push(name);
-        }
+        self.failed.extend(tally.failures.iter().map(|failure| format!("{name}: {failure}")));
         self.total.add(tally);
         self.steps.push((name.into(), started.elapsed()));
     }
@@ -130,9 +129,7 @@ fn quick_checks(checks: &mut Verification) {
         }
         check(chip::cargo("fmt").arg("--check"))?;
         check(chip::cargo("clippy").args(["--locked", "--all-targets", "--", "-D", "warnings"]))?;
-        test_run::hear("chip", chip::cargo("test").arg("--locked"), &mut |line| {
-            println!("{line}");
-        })
+        test_run::hear("chip", chip::cargo("test").arg("--locked"))
     });
     checks.step("images", || {
         print!("{}", size::report()?);
