@@ -2,6 +2,7 @@
 
 use std::{
     fs::{self, File},
+    hash::{DefaultHasher, Hash as _, Hasher as _},
     path::{Path, PathBuf},
     process::Command,
 };
@@ -131,17 +132,8 @@ pub fn build(board: Board) -> Result<PathBuf> {
 /// # Errors
 /// As [`build`]; the machine file cannot be used.
 pub fn build_for(machine: &Path) -> Result<PathBuf> {
-    let board = Board::Stm32f405;
-    build_as(board, board.feature(), "stm32f405-for-a-machine", Linked::File(machine))
-}
-
-/// As [`build_for`], beside it: for one who compares two machines.
-///
-/// # Errors
-/// As [`build_for`].
-pub fn build_for_another(machine: &Path) -> Result<PathBuf> {
-    let board = Board::Stm32f405;
-    build_as(board, board.feature(), "stm32f405-for-another-machine", Linked::File(machine))
+    let name = format!("stm32f405-for-{}", mark(machine)?);
+    build_as(Board::Stm32f405, "stm32f405", &name, Linked::File(machine))
 }
 
 /// The same with the feature `faults`: it breaks when it is told to, and is never for a machine.
@@ -149,7 +141,17 @@ pub fn build_for_another(machine: &Path) -> Result<PathBuf> {
 /// # Errors
 /// As [`build_for`].
 pub fn build_that_breaks(machine: &Path) -> Result<PathBuf> {
-    build_as(Board::Stm32f405, "faults", "stm32f405-faults", Linked::File(machine))
+    let name = format!("stm32f405-faults-for-{}", mark(machine)?);
+    build_as(Board::Stm32f405, "faults", &name, Linked::File(machine))
+}
+
+/// Part of the name of an image for this machine file: two programs that build for two machines at once do not
+/// overwrite each other's, and for one machine there is one image.
+fn mark(machine: &Path) -> Result<String> {
+    let text = fs::read(machine).with_context(|| machine.display().to_string())?;
+    let mut hasher = DefaultHasher::new();
+    text.hash(&mut hasher);
+    Ok(format!("{:016x}", hasher.finish()))
 }
 
 /// The images that an installed tool carries, without a machine of anybody's: their folder.

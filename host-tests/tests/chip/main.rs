@@ -356,7 +356,7 @@ fn a_linear_input_is_read_and_the_sensor_does_not_notice() {
     let runs = [plain.clone(), plain.replace("[inputs]\n", input)].map(|text| {
         let file = folder.path().join("machine.toml");
         std::fs::write(&file, text).expect("it is written");
-        let image = firmware::build_for_another(&file).expect("the image builds");
+        let image = firmware::build_for(&file).expect("the image builds");
         let options = ["--bor", "--ms", "1500", "--code", "1700", "--input", "4", "1.3"];
         let report = chip::run(model, &image, &options).expect("the model runs");
         is_clean(&report);

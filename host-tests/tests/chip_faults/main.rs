@@ -40,18 +40,15 @@ fn parts() -> Option<&'static Parts> {
             let machine = setup::root().join("host-tests/tests/chip_faults/machine.toml");
             let flashed = firmware::build_for(&machine).expect("the image builds");
             let folder = tempfile::tempdir().expect("a folder");
-            // Another machine's image may be built under the same name.
-            let own = folder.path().join("flashed.elf");
-            fs::copy(&flashed, &own).expect("it is copied");
             let breaking = firmware::build_that_breaks(&machine).expect("the image builds");
-            let unusable = [0, 1].map(|kind| spoil(&own, &machine, kind));
-            Some(Parts { model, flashed: own, breaking, _folder: folder, unusable })
+            let unusable = [0, 1].map(|kind| spoil(&flashed, &machine, folder.path(), kind));
+            Some(Parts { model, flashed, breaking, _folder: folder, unusable })
         })
         .as_ref()
 }
 
-/// A copy of the image whose calibration is damaged (0) or of another schema (1), sealed again.
-fn spoil(image: &Path, machine: &Path, kind: usize) -> PathBuf {
+/// A copy of the image in this folder whose calibration is damaged (0) or of another schema (1), sealed again.
+fn spoil(image: &Path, machine: &Path, folder: &Path, kind: usize) -> PathBuf {
     let machine = trueup_machine::file::MachineFile::read(machine).expect("a machine file");
     let compiled = trueup_machine::compile::compile(&machine).expect("it compiles");
     let blob = compiled.blob();
@@ -63,7 +60,7 @@ fn spoil(image: &Path, machine: &Path, kind: usize) -> PathBuf {
         let other = other_schema(blob);
         bytes[at..at + other.len()].copy_from_slice(&other);
     }
-    let copy = image.with_file_name(format!("unusable-{kind}.elf"));
+    let copy = folder.join(format!("unusable-{kind}.elf"));
     fs::write(&copy, bytes).expect("it is written");
     seal::seal(&copy).expect("it has a place for it");
     copy

@@ -1,4 +1,4 @@
-//! A flashable image of a test's own on the model of its chip.
+//! A flashable image for a machine of the test's on the model of its chip.
 
 use std::{
     fs,
@@ -12,7 +12,7 @@ use trueup_emulator::{
     firmware,
 };
 
-/// The model, an image that is nobody else's, and a folder for what they need.
+/// The model, the image of a machine, and a folder for what they need.
 pub struct Chip {
     /// The model's program.
     pub model: PathBuf,
@@ -25,7 +25,7 @@ pub struct Chip {
 impl Chip {
     /// The image of this machine; `None`: the compiler is too old for the model.
     pub fn of_machine(text: &str) -> Result<Option<Self>> {
-        Self::built(text, firmware::build_for_another)
+        Self::built(text, firmware::build_for)
     }
 
     /// The same that breaks when it is told to.
@@ -41,9 +41,7 @@ impl Chip {
         let folder = tempfile::tempdir()?;
         let machine = folder.path().join("machine.toml");
         fs::write(&machine, text)?;
-        let image = folder.path().join("image.elf");
-        // Another test may build another machine's under the same name.
-        fs::copy(build(&machine)?, &image)?;
+        let image = build(&machine)?;
         Ok(Some(Self { model, image, folder }))
     }
 

@@ -241,10 +241,7 @@ fn images(measured: &Measured) -> Result<[PathBuf; 2]> {
     let image = |name: &str, text: &str| -> Result<PathBuf> {
         let machine = folder.join(name).with_extension("toml");
         fs::write(&machine, text)?;
-        // Somebody else may build another machine's under the same name.
-        let image = folder.join(name).with_extension("elf");
-        fs::copy(firmware::build_for(&machine)?, &image)?;
-        Ok(image)
+        firmware::build_for(&machine)
     };
     let hurried = measured.hurried(COMPRESSION)?;
     Ok([image("machine", &measured.text)?, image("hurried", &hurried)?])
