@@ -94,11 +94,13 @@ pub enum Fault {
     PositionJump,
     /// A learned change was not taken: of another calibration, of no part, or beyond its cap.
     LearnedRefused,
+    /// The sensor tells of something that no spindle does: a jump, or another run-out at the same speed.
+    SensorOdd,
 }
 
 impl Fault {
     /// Every fault, by its number.
-    pub const ALL: [Self; 31] = [
+    pub const ALL: [Self; 32] = [
         Self::NoCalibration,
         Self::Sensor,
         Self::SamplesMissing,
@@ -130,6 +132,7 @@ impl Fault {
         Self::SelfTest,
         Self::PositionJump,
         Self::LearnedRefused,
+        Self::SensorOdd,
     ];
 
     /// Its error code. The upper byte is the class of CiA 301: 31 the supply, 50 hardware of the device, 61 its
@@ -169,6 +172,7 @@ impl Fault {
             Self::SelfTest => 0x5005,
             Self::PositionJump => 0xFF06,
             Self::LearnedRefused => 0xFF07,
+            Self::SensorOdd => 0x7004,
         }
     }
 
@@ -206,7 +210,8 @@ impl Fault {
             | Self::CalibrationUnfit
             | Self::ZeroRefused
             | Self::PositionJump
-            | Self::LearnedRefused => 0,
+            | Self::LearnedRefused
+            | Self::SensorOdd => 0,
         }
     }
 }
@@ -216,7 +221,7 @@ impl Fault {
 pub struct Faults(u32);
 
 impl Faults {
-    /// A bit each, 0…0x7FFF_FFFF: bit n is set for [`Fault::ALL`]`[n]`.
+    /// A bit each: bit n is set for [`Fault::ALL`]`[n]`.
     #[must_use]
     pub const fn bits(self) -> u32 {
         self.0
@@ -251,6 +256,7 @@ impl Faults {
             (Fault::CalibrationUnfit, StateBits::CALIBRATION_UNFIT),
             (Fault::SelfTest, StateBits::SELF_TEST),
             (Fault::PositionJump, StateBits::POSITION_JUMP),
+            (Fault::SensorOdd, StateBits::SENSOR_ODD),
         ]
         .into_iter()
         .fold(StateBits::default(), bit)

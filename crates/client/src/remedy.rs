@@ -7,7 +7,7 @@ pub fn remedies(words: &[&str]) -> Vec<(&'static str, &'static str)> {
 }
 
 /// Every word, with what it means and what to do.
-pub const REMEDIES: [(&str, &str); 39] = [
+pub const REMEDIES: [(&str, &str); 40] = [
     ("self-test", "the board found itself damaged: flash it again; if it stays, replace the board"),
     ("no-calibration", "load one: trueup bridge load CAL.bin --port …"),
     ("example-constants", "it runs on the example: compile your machine file and load it"),
@@ -21,6 +21,10 @@ pub const REMEDIES: [(&str, &str); 39] = [
     (
         "samples-missing",
         "the converter stopped: it restarts by itself; if it stays, switch off and on",
+    ),
+    (
+        "sensor-odd",
+        "the sensor jumped, or its run-out changed at one speed: check its cable, mounting and ring",
     ),
     ("supply-off", "the sensor's supply is out of range: measure it at the board"),
     ("source-dead", "a spare source is dead: look for the temperature that is not available"),

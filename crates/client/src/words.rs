@@ -79,6 +79,7 @@ fn fault_word(fault: Fault) -> &'static str {
         Fault::Stopped => "stopped",
         Fault::SelfTest => "self-test",
         Fault::PositionJump => "position-jump",
+        Fault::SensorOdd => "sensor-odd",
     }
 }
 
@@ -152,7 +153,7 @@ mod tests {
     fn every_bit_of_the_flags_has_a_word() {
         assert_eq!(flag_words(Flags(0xFF)).len(), 8);
         assert_eq!(fault_words(0x2001), ["no-calibration", "store"]);
-        assert_eq!(fault_words(0x7FFF_FFFF).len(), Fault::ALL.len());
+        assert_eq!(fault_words(u32::MAX).len(), Fault::ALL.len());
         assert_eq!(flag_words(Flags::NONE), [""; 0]);
         assert_eq!(flag_words(Flags::SLEWING.with(Flags::CNC_LOST)), ["slewing", "cnc-lost"]);
     }

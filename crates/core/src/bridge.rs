@@ -242,6 +242,9 @@ impl<'a> Bridge<'a> {
 
     /// Codes to elongation.
     fn sense(&self, state: &mut State, codes: &[Code; CODES_PER_TICK], speed: Option<Rpm>) {
+        if state.codes_age.is_above(1) {
+            state.health.interrupt();
+        }
         state.codes_age = Age::NEW;
         let supply = state.supply();
         let turns = speed.is_some_and(|speed| speed.0 > window::SLOWEST.0);
@@ -251,6 +254,7 @@ impl<'a> Bridge<'a> {
             None => state.filter.clear(),
             Some((clean, scale)) => {
                 if let Some(reading) = state.filter.tick(clean, speed) {
+                    state.run_out.hear(clean, reading, speed.filter(|_| turns));
                     let reading = scale.of(reading);
                     state.elongation = Some(self.calibration.spindle.sensor.elongation(reading));
                     state.elongation_age = Age::NEW;

@@ -1,6 +1,8 @@
 //! The temperature channels of a board: the last good reading of each, until it is given up.
 
-use crate::{dimensions::CHANNELS, set::IndexSet, thermometer::Raw, units::Temperature};
+use crate::{
+    dimensions::CHANNELS, set::IndexSet, stillness::Stillness, thermometer::Raw, units::Temperature,
+};
 
 /// What every channel of a board delivers at one time.
 pub type RawTemperatures = [Raw; CHANNELS];
@@ -80,18 +82,26 @@ impl Channel {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Channels {
     channels: [Channel; CHANNELS],
+    stillness: [Stillness; CHANNELS],
     known: IndexSet,
     faulty: IndexSet,
+    going: IndexSet,
 }
 
 impl Channels {
-    /// Takes what the thermometer of a channel reads, as [`Channel::hear`].
+    /// Takes what the thermometer of a channel reads, as [`Channel::hear`]. One that has stopped beside one that has not
+    /// reads nothing that could be believed ([`Stillness`]).
     pub fn hear(&mut self, number: usize, reading: Option<Temperature>) {
+        let Some(stillness) = self.stillness.get_mut(number) else { return };
+        stillness.hear(reading);
+        let is_going = stillness.is_going();
+        let is_stuck = stillness.is_still() && self.going != IndexSet::default();
         let Some(channel) = self.channels.get_mut(number) else { return };
-        channel.hear(reading);
+        channel.hear(reading.filter(|_| !is_stuck));
         for (set, is_in) in [
             (&mut self.known, channel.temperature().is_some()),
             (&mut self.faulty, channel.is_faulty()),
+            (&mut self.going, is_going),
         ] {
             if is_in { set.insert(number) } else { set.remove(number) }
         }

@@ -1,6 +1,6 @@
 //! Is the sensor alive? A look at the raw codes before they reach the filter.
 //!
-//! Three ways in which a sensor lies, each from its own sign:
+//! Four ways in which a sensor lies, each from its own sign:
 //! - **At a rail**: a broken wire pulls the divider to 0 V, a short or a dead supply to full scale.
 //!   A single code at a rail is a spike: the last good code stands in for it. Four in a row are a
 //!   fault, and so is more than a fifth of all codes; it clears after 10 ms of good codes.
@@ -12,11 +12,17 @@
 //!   outweighed the others for a second. When the spindle stops, that has to be shown anew, unless noise alone is
 //!   beyond what run-out without any could leave: a smooth curve in whole codes has second differences of 20
 //!   codes² a block, noise of half a code has 40.
+//! - **Wild**: a code farther from the last good one than anything on a machine moves in 50 µs ([`REACH`]). Up to three are a
+//!   spike, and the last good code stands in for them. Four that follow from each other are another level: that is
+//!   believed, because it may be true, and told for 100 ms ([`Health::has_jumped`]). Codes that follow from nothing
+//!   are no sensor's: twenty of them, and more than a fifth of all, are a fault until 10 ms are good.
+//!   It is looked for only in a block whose second differences stand out of those before; a step before the analogue
+//!   low-pass of 2 kHz does from some 30 µm on, and one below is as smooth as a machine that shakes.
 //!
 //! The noise is measured on the way, from second differences, because they pass over growth and
 //! run-out and keep the noise: their variance is six times that of the codes.
 //!
-//! All of it is asked a block at a time. An ordinary block, no code of which is at a rail, needs no
+//! All of it is asked a block at a time. An ordinary block, no code of which is at a rail and none wild, needs no
 //! counter for single codes and goes to the filter where it lies: 309 instructions (`cargo
 //! measure`), where counters for each code took 1,023.
 
@@ -34,6 +40,27 @@ const GOOD_PER_RAIL: u16 = 4;
 const RAILED: u16 = FAULT_AFTER_CODES * GOOD_PER_RAIL;
 /// So many good codes in a row end a fault: 10 ms.
 pub const GOOD_AFTER_CODES: u16 = 200;
+/// Within it a code follows from the one before, 50 µs ago: 32 codes are 3.9 µm, or 78 mm/s. Run-out of 5 µm at 24,000
+/// r/min makes 5, and two readings with a noise of three codes RMS are 27 apart once in 10¹⁰.
+pub const REACH: u16 = 32;
+/// A level is another one, and no spike, once so many codes have followed from its first.
+const FOLLOWING: u8 = 3;
+/// So many wild codes, less a fourth of the good ones, are a fault: a step of the whole range has ten, in which the
+/// analogue low-pass takes it there.
+const WILD_CODES: u16 = 20;
+const WILD: u16 = WILD_CODES * GOOD_PER_RAIL;
+/// A jump is told until so many codes have been good: 100 ms, many turns of what looks for it.
+const JUMP_TOLD_CODES: u16 = 2_000;
+
+/// The squared second differences of a block stand out above so many times their mean. By noise alone with a
+/// probability below e^(4.7 − 12·120/40) = 10⁻¹³ (Chernoff, over the eigenvalues of the squares' form, 16 at the most).
+const OUTSTANDING: u32 = 12;
+/// And above those of a machine that shakes by 10 µm at 1 kHz, twice: 82 codes·(2π·50 µs·1 kHz)² are 8 codes each way.
+const SHAKING: u32 = 1_280;
+/// More than this counts as this in the mean: twice what noise of three codes RMS has, so that a wild sensor does not
+/// become the measure of itself.
+const NOISIEST: u32 = 2_400;
+
 /// So many equal codes in a row are a frozen converter: 200 ms.
 pub const FROZEN_AFTER_CODES: u16 = 4_000;
 
@@ -43,8 +70,10 @@ const NOT_LIVELY: u16 = 1_000;
 /// noise of 0.3 codes reach by chance (a walk that steps up with 14 %: (0.14/0.86)⁴⁰ = 10⁻³²).
 const LIVELY: u16 = FROZEN_AFTER_CODES / BLOCK + 40;
 
+/// Blocks over which the squared second differences are averaged, as a power of two.
+const MEAN_BITS: u32 = 6;
 /// Twice what any run-out without noise leaves, as [`Health::liveliness`] has it.
-const LIVELY_BY_NOISE: u32 = 40 << 6;
+const LIVELY_BY_NOISE: u32 = 40 << MEAN_BITS;
 
 /// What is remembered from block to block.
 #[derive(Clone, Debug)]
@@ -52,8 +81,15 @@ pub struct Health {
     good: Code,
     /// Codes at a rail, [`GOOD_PER_RAIL`] each, less the good ones.
     at_rail: u16,
-    not_at_rail: u16,
-    railed: bool,
+    /// Wild codes, the same way.
+    wild: u16,
+    /// Good codes since one was not, or since a jump.
+    good_since: u16,
+    /// Too many at a rail, or wild.
+    lost: bool,
+    /// Wild codes that have followed from each other so far.
+    following: u8,
+    jumped: bool,
     /// How often in a row the last code has come again.
     equal: u16,
     /// Blocks without a change less those with one; stands while it is frozen.
@@ -67,8 +103,10 @@ pub struct Health {
     before: [Code; 2],
     /// Whether there has been a block yet.
     begun: bool,
+    /// Whether the next block begins where that one ended.
+    continues: bool,
     noise: Noise,
-    /// The last block with a code at a rail, mended.
+    /// The last block with a code at a rail or a wild one, mended.
     mended: [Code; CODES_PER_TICK],
 }
 
@@ -86,15 +124,20 @@ impl Default for Health {
         Self {
             good: Code::default(),
             at_rail: 0,
-            not_at_rail: 0,
-            railed: false,
+            wild: 0,
+            good_since: 0,
+            lost: false,
+            following: 0,
+            jumped: false,
             equal: 0,
             still: NOT_LIVELY,
             frozen: false,
             turned: false,
-            liveliness: 0,
+            // Nothing stands out before the mean is known.
+            liveliness: NOISIEST << MEAN_BITS,
             before: [Code::default(); 2],
             begun: false,
+            continues: false,
             noise: Noise::default(),
             mended: [Code::default(); CODES_PER_TICK],
         }
@@ -119,17 +162,31 @@ impl Health {
         }
         self.turned = turns;
         self.count_equal(codes);
-        let squares = ordinary_squares(codes);
-        if squares.is_some() {
+        let (squares, is_railed) = look(self.before, codes);
+        // After a gap the first two say nothing.
+        let squares = if self.continues { squares } else { 0 };
+        let is_ordinary = !is_railed && squares <= self.outstanding();
+        if is_ordinary {
             self.take_ordinary(codes);
         } else {
             self.mend(codes);
         }
-        self.measure_noise(codes, squares.unwrap_or_else(|| all_squares(codes)));
+        self.measure_noise(codes, squares);
         // Before the first good code there is nothing that could stand in for a spike.
         let blind = self.good == Code(0);
-        let believable = !self.railed && !blind && !self.frozen;
-        believable.then_some(if squares.is_some() { codes } else { &self.mended })
+        let believable = !self.lost && !blind && !self.frozen;
+        believable.then_some(if is_ordinary { codes } else { &self.mended })
+    }
+
+    /// The codes that come next do not begin where the last ones ended: some are missing.
+    pub fn interrupt(&mut self) {
+        self.continues = false;
+    }
+
+    /// Whether the sensor was somewhere else of late than anything on a machine gets in so short a time, and stayed.
+    #[must_use]
+    pub const fn has_jumped(&self) -> bool {
+        self.jumped && self.good_since < JUMP_TOLD_CODES
     }
 
     /// The noise since the last call.
@@ -137,36 +194,78 @@ impl Health {
         core::mem::take(&mut self.noise)
     }
 
-    /// A block without a code at a rail.
+    /// Squares of a block above this stand out.
+    #[inline]
+    fn outstanding(&self) -> u32 {
+        const SHARE: u32 = (1 << MEAN_BITS) / 4;
+        // The mean is below 2²¹.
+        (self.liveliness / SHARE).wrapping_mul(OUTSTANDING / 4).wrapping_add(SHAKING)
+    }
+
+    /// A block without a code at a rail, and without a wild one.
     fn take_ordinary(&mut self, codes: &[Code; CODES_PER_TICK]) {
         let [.., last] = codes;
         self.good = *last;
         self.at_rail = self.at_rail.saturating_sub(BLOCK);
-        self.not_at_rail = self.not_at_rail.saturating_add(BLOCK);
-        self.railed &= self.not_at_rail < GOOD_AFTER_CODES;
+        self.wild = self.wild.saturating_sub(BLOCK);
+        self.good_since = self.good_since.saturating_add(BLOCK);
+        self.lost &= self.good_since < GOOD_AFTER_CODES;
     }
 
-    /// Code by code, for a block with a code at a rail.
+    /// Code by code, for a block with a code at a rail, or with one that may be wild.
     #[cold]
     #[inline(never)]
     fn mend(&mut self, codes: &[Code; CODES_PER_TICK]) {
-        self.mended = *codes;
-        for code in &mut self.mended {
-            if is_at_rail(*code) {
-                self.not_at_rail = 0;
-                self.at_rail = self.at_rail.saturating_add(GOOD_PER_RAIL).min(RAILED);
-                *code = self.good;
-            } else {
+        self.jumped = self.has_jumped();
+        let mut mended = *codes;
+        let [_, mut before] = self.before;
+        for code in &mut mended {
+            let now = *code;
+            let follows = is_near(before, now);
+            let is_sought = self.lost || self.good == Code(0);
+            let is_good = !is_at_rail(now)
+                && if is_sought {
+                    follows || is_at_rail(before)
+                } else {
+                    self.is_good(now, follows)
+                };
+            before = now;
+            if is_good {
+                self.good = now;
+                self.following = 0;
                 self.at_rail = self.at_rail.saturating_sub(1);
-                self.not_at_rail = self.not_at_rail.saturating_add(1);
-                self.good = *code;
+                self.wild = self.wild.saturating_sub(1);
+                self.good_since = self.good_since.saturating_add(1);
+            } else {
+                let (count, most) = if is_at_rail(now) {
+                    (&mut self.at_rail, RAILED)
+                } else {
+                    (&mut self.wild, WILD)
+                };
+                *count = count.saturating_add(GOOD_PER_RAIL).min(most);
+                self.good_since = 0;
+                *code = self.good;
             }
-            if self.at_rail >= RAILED {
-                self.railed = true;
-            } else if self.not_at_rail >= GOOD_AFTER_CODES {
-                self.railed = false;
+            if self.at_rail >= RAILED || self.wild >= WILD {
+                self.lost = true;
+            } else if self.good_since >= GOOD_AFTER_CODES {
+                self.lost = false;
             }
         }
+        self.mended = mended;
+    }
+
+    /// Whether a code goes on from the last good one, or is the last that another level needs.
+    fn is_good(&mut self, now: Code, follows: bool) -> bool {
+        if is_near(self.good, now) {
+            return true;
+        }
+        self.following = if follows { self.following.saturating_add(1) } else { 0 };
+        let is_level = self.following >= FOLLOWING;
+        if is_level {
+            (self.jumped, self.good_since) = (true, 0);
+        }
+        is_level
     }
 
     /// Counts from the end: of a live converter the first pair or two differ.
@@ -196,53 +295,30 @@ impl Health {
         }
     }
 
-    /// Adds the second differences of a block: the first two, which begin in the block before, and
-    /// the squares of the others.
-    fn measure_noise(&mut self, codes: &[Code; CODES_PER_TICK], mut squares: u64) {
-        let [first, second, .., last_but_one, last] = codes;
-        let mut count = BLOCK.saturating_sub(2);
-        if self.begun {
-            let [_, before] = self.before;
-            squares = squares
-                .wrapping_add(square(self.before, *first))
-                .wrapping_add(square([before, *first], *second));
-            count = BLOCK;
-        }
-        let squares = u32::try_from(squares).unwrap_or(u32::MAX);
-        let newest = squares.min(u16::MAX.into());
-        self.liveliness = self.liveliness.wrapping_sub(self.liveliness >> 6).wrapping_add(newest);
+    /// Adds the squared second differences of a block.
+    fn measure_noise(&mut self, codes: &[Code; CODES_PER_TICK], squares: u32) {
+        let [.., last_but_one, last] = codes;
+        let count = if self.continues { BLOCK } else { 0 };
+        let newest = squares.min(NOISIEST);
+        self.liveliness =
+            self.liveliness.wrapping_sub(self.liveliness >> MEAN_BITS).wrapping_add(newest);
         self.noise.squares = self.noise.squares.saturating_add(squares);
         self.noise.count = self.noise.count.saturating_add(count.into());
         self.before = [*last_but_one, *last];
-        self.begun = true;
+        (self.begun, self.continues) = (true, true);
     }
 }
 
-/// The sum of the squared second differences inside a block; `None` if a code is at a rail. One
-/// pass answers both. A square takes 34 bits, so that the sum cannot wrap.
+/// The sum of the squared second differences of a block, the first two of which begin in the block `before`, and whether a
+/// code is at a rail: one pass answers both.
 #[inline]
-fn ordinary_squares(codes: &[Code; CODES_PER_TICK]) -> Option<u64> {
-    let [first, second, rest @ ..] = codes;
-    if is_at_rail(*first) || is_at_rail(*second) {
-        return None;
-    }
-    let mut window = [*first, *second];
-    rest.iter().try_fold(0_u64, |squares, code| {
-        let sum = squares.wrapping_add(square(window, *code));
-        window = [window[1], *code];
-        (!is_at_rail(*code)).then_some(sum)
-    })
-}
-
-/// The same sum, whatever the codes.
-#[cold]
-fn all_squares(codes: &[Code; CODES_PER_TICK]) -> u64 {
-    let [first, second, rest @ ..] = codes;
-    let mut window = [*first, *second];
-    rest.iter().fold(0, |squares, code| {
+fn look(before: [Code; 2], codes: &[Code; CODES_PER_TICK]) -> (u32, bool) {
+    let mut window = before;
+    codes.iter().fold((0, false), |(squares, is_railed), code| {
+        // 20·2²⁶ at the most.
         let sum = square(window, *code).wrapping_add(squares);
         window = [window[1], *code];
-        sum
+        (sum, is_railed | is_at_rail(*code))
     })
 }
 
@@ -258,147 +334,20 @@ fn is_at_rail(code: Code) -> bool {
     u32::from(code.0).wrapping_sub(LOWEST) > HIGHEST - LOWEST
 }
 
-/// The squared second difference of three codes.
+/// Whether one code can follow from another.
 #[inline]
-fn square([older, old]: [Code; 2], new: Code) -> u64 {
+fn is_near(a: Code, b: Code) -> bool {
+    a.0.abs_diff(b.0) <= REACH
+}
+
+/// The squared second difference of three codes; 2¹³ is more than 12 bits can make.
+#[inline]
+fn square([older, old]: [Code; 2], new: Code) -> u32 {
+    const MOST: i32 = 1 << 13;
     let [older, old, new] = [older, old, new].map(|code| i32::from(code.0));
-    let curve = i64::from(new.wrapping_sub(old).wrapping_sub(old.wrapping_sub(older)));
+    let curve = new.wrapping_sub(old).wrapping_sub(old.wrapping_sub(older)).clamp(-MOST, MOST - 1);
     curve.wrapping_mul(curve).cast_unsigned()
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    extern crate std;
-
-    /// Codes that never repeat, around `level`.
-    fn lively(level: u16) -> [Code; CODES_PER_TICK] {
-        core::array::from_fn(|n| Code(level + (n % 2) as u16))
-    }
-
-    #[test]
-    fn a_spike_is_replaced_by_the_last_good_code() {
-        let mut health = Health::default();
-        let mut codes = lively(700);
-        codes[5] = Code(4095);
-        codes[6] = Code(0);
-        let clean = health.check(&codes, false).expect("two codes are a spike");
-        assert_eq!(clean[5], codes[4]);
-        assert_eq!(clean[6], codes[4]);
-        assert_eq!(clean[7], codes[7]);
-    }
-
-    #[test]
-    fn four_codes_at_a_rail_are_a_fault_until_10_ms_are_good() {
-        for rail in [Code(0), Code(8), Code(4087), Code(4095)] {
-            let mut health = Health::default();
-            assert!(health.check(&lively(700), false).is_some());
-            let mut codes = lively(700);
-            codes[..3].fill(rail);
-            assert!(health.check(&codes, false).is_some(), "three are not yet a fault");
-            codes[..4].fill(rail);
-            assert!(health.check(&codes, false).is_none(), "four are");
-            let blind = (0..).take_while(|_| health.check(&lively(700), false).is_none()).count();
-            // 16 good codes came with the fault.
-            assert_eq!(blind * CODES_PER_TICK, 180);
-        }
-    }
-
-    #[test]
-    fn a_sensor_at_the_rail_that_noise_takes_off_at_times_is_a_fault() {
-        for pattern in [&[0, 0, 0, 20][..], &[0, 20], &[0, 0, 20, 20], &[4095, 4000, 4095]] {
-            let mut health = Health::default();
-            assert!(health.check(&lively(700), false).is_some());
-            let codes = core::array::from_fn(|n| Code(pattern[n % pattern.len()]));
-            let blind = (0..20)
-                .map(|_| health.check(&codes, false).is_none())
-                .collect::<std::vec::Vec<_>>();
-            assert!(blind[2..].iter().all(|it| *it), "{pattern:?}: {blind:?}");
-        }
-        // A spike in twenty codes is none.
-        let mut health = Health::default();
-        let mut codes = lively(700);
-        codes[7] = Code(0);
-        assert!((0..1_000).all(|_| health.check(&codes, false).is_some()));
-    }
-
-    #[test]
-    fn a_board_that_starts_with_a_broken_wire_is_blind() {
-        let mut health = Health::default();
-        for _ in 0..100 {
-            assert!(health.check(&[Code(0); CODES_PER_TICK], false).is_none());
-        }
-    }
-
-    #[test]
-    fn a_frozen_converter_is_found_after_200_ms_and_a_lively_one_never() {
-        let mut health = Health::default();
-        assert!(
-            (0..300).all(|_| health.check(&[Code(700); CODES_PER_TICK], false).is_none()),
-            "from the start"
-        );
-        let before = (0..1_000).take_while(|_| health.check(&lively(700), false).is_some());
-        assert_eq!(before.count(), 1_000);
-        let alive =
-            (0..).take_while(|_| health.check(&[Code(701); CODES_PER_TICK], false).is_some());
-        assert_eq!(alive.count(), 199, "the last code of the block before is the same");
-        assert!(health.check(&lively(700), false).is_some(), "one change ends it");
-        for _ in 0..1000 {
-            assert!(health.check(&lively(700), false).is_some());
-        }
-    }
-
-    #[test]
-    fn a_quiet_sensor_is_not_frozen_and_neither_is_one_whose_spindle_has_stopped() {
-        let mut health = Health::default();
-        // A change in ten blocks: noise far below 0.3 codes, and then none for seconds.
-        for n in 0..10_000 {
-            let code = if n % 10 == 0 { lively(700) } else { [Code(701); CODES_PER_TICK] };
-            assert!(health.check(&code, false).is_some(), "at {n}");
-        }
-        assert!((0..10_000).all(|_| health.check(&[Code(701); CODES_PER_TICK], false).is_some()));
-        // Run-out of ±10 codes without any noise, and then a spindle that stands.
-        let mut health = Health::default();
-        for ms in 0..5_000_u32 {
-            let codes = core::array::from_fn(|n| {
-                let angle = (f64::from(ms) + n as f64 / 20.0) * 0.2 * core::f64::consts::TAU;
-                Code((700.0 + 10.0 * angle.sin()).round() as u16)
-            });
-            assert!(health.check(&codes, true).is_some());
-        }
-        assert!((0..10_000).all(|_| health.check(&[Code(701); CODES_PER_TICK], false).is_some()));
-        // And turns again, without a change: that is no spindle, once run-out must have shown.
-        let starts = (0..)
-            .take_while(|_| health.check(&[Code(701); CODES_PER_TICK], true).is_some())
-            .count();
-        assert_eq!(starts, 199, "the last code before is the same");
-    }
-
-    #[test]
-    fn noise_is_measured_through_growth_and_run_out() {
-        // ±1 code alternating has an RMS of 1 and second differences of ±4, where white noise of
-        // the same RMS has √6: so the estimate of this stream is 4/√6.
-        let mut health = Health::default();
-        let codes = core::array::from_fn(|n| Code(if n % 2 == 0 { 999 } else { 1001 }));
-        health.check(&codes, false);
-        health.take_noise();
-        health.check(&codes, false);
-        let noise = health.take_noise();
-        assert_eq!((noise.squares, noise.count), (20 * 16, 20));
-        assert_eq!(health.take_noise(), Noise::default());
-    }
-
-    #[test]
-    fn the_codes_next_to_the_rails_are_a_measurement() {
-        for edge in [9, 4086] {
-            let mut health = Health::default();
-            assert!(health.check(&lively(700), false).is_some());
-            // Alive, and at the edge in every other code.
-            let inside = if edge == 9 { 10 } else { 4085 };
-            let codes = core::array::from_fn(|n| Code(if n % 2 == 0 { edge } else { inside }));
-            for _ in 0..100 {
-                assert_eq!(health.check(&codes, false), Some(&codes), "{edge}");
-            }
-        }
-    }
-}
+mod tests;

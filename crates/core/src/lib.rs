@@ -69,8 +69,10 @@ pub mod pitch;
 pub mod place;
 pub mod pt100;
 pub mod revolution_mean;
+pub mod run_out;
 pub mod sensor;
 pub mod set;
+pub mod stillness;
 pub mod supply;
 pub mod term;
 #[cfg(test)]

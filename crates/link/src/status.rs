@@ -155,8 +155,10 @@ impl StateBits {
     pub const SELF_TEST: Self = Self(1 << 14);
     /// A position is where its axis cannot have come so fast, and is not believed.
     pub const POSITION_JUMP: Self = Self(1 << 15);
+    /// The sensor tells of something that no spindle does: a jump, or another run-out at the same speed.
+    pub const SENSOR_ODD: Self = Self(1 << 16);
     /// Every bit that has a meaning, with its word.
-    pub const WORDS: [(Self, &'static str); 16] = [
+    pub const WORDS: [(Self, &'static str); 17] = [
         (Self::RESTARTED, "restarted"),
         (Self::HEAT_UNKNOWN, "heat-unknown"),
         (Self::OLDER_CALIBRATION, "older-calibration"),
@@ -173,6 +175,7 @@ impl StateBits {
         (Self::CALIBRATION_UNFIT, "calibration-unfit"),
         (Self::SELF_TEST, "self-test"),
         (Self::POSITION_JUMP, "position-jump"),
+        (Self::SENSOR_ODD, "sensor-odd"),
     ];
 
     /// These bits, and `other` if `condition` holds.

@@ -94,7 +94,8 @@ impl LinearInputs {
             let sum: u32 = codes.map(|code| u32::from(code.load(Ordering::Relaxed))).sum();
             // In 1/256 counts: at most 4095 · 256.
             let mean = (sum * 256 + CODES as u32 / 2) / CODES as u32;
-            Raw(i32::try_from(mean).expect("20 bits"))
+            // 20 bits.
+            Raw(mean.cast_signed())
         })
     }
 

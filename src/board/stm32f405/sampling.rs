@@ -120,7 +120,8 @@ impl Plan {
     fn pause_begins(&self, bus_hz: u32, timer_hz: u32) -> u16 {
         let counts_per_cycle = self.divided_by * (timer_hz / bus_hz);
         let count = (self.sensor_cycles + 12) * counts_per_cycle + timer_hz / 1_000_000 * PAUSE_US;
-        u16::try_from(count).expect("less than a period of the timer")
+        let Ok(count) = u16::try_from(count) else { panic!("less than a period of the timer") };
+        count
     }
 }
 
@@ -128,8 +129,9 @@ impl Plan {
 fn set_up_timers(chain: &Chain, timer_hz: u32, pause: u16, rcc: &mut Rcc) {
     TIM3::enable(rcc);
     TIM3::reset(rcc);
-    let period = u16::try_from(timer_hz / SAMPLES_PER_SECOND - 1)
-        .expect("84 MHz / 20 kHz = 4200 fits 16 bits");
+    let Ok(period) = u16::try_from(timer_hz / SAMPLES_PER_SECOND - 1) else {
+        panic!("84 MHz / 20 kHz = 4200 fits 16 bits")
+    };
     chain.tim3.arr().write(|w| w.arr().set(period));
     chain.tim3.cr2().write(|w| w.mms().update());
     // PWM mode 2: the output rises at the compare value, once in a period, and that is the event.

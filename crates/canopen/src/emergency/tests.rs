@@ -96,7 +96,7 @@ fn the_history_keeps_the_newest() {
         told(&mut all, Faults::default().with_if(true, fault), 20);
     }
     assert_eq!(all.count(), HISTORY);
-    assert_eq!(all.error(0), Some(0x001E_FF07));
+    assert_eq!(all.error(0), Some(0x001F_7004));
     assert_eq!(all.error(8), None);
     all.clear();
     assert_eq!((all.count(), all.error(0)), (0, None));
@@ -114,7 +114,7 @@ fn what_is_encoded_is_decoded_and_what_has_no_meaning_is_named() {
     let frame = encode(&emergency);
     assert_eq!(frame.data(), &[0x30, 0x81, 0x11, 4, 0xA5, 4, 0, 0]);
     assert_eq!(decode(&frame), Ok(emergency));
-    for (byte, raw, signal) in [(3, 31, "Fault"), (5, 7, "Quality")] {
+    for (byte, raw, signal) in [(3, 32, "Fault"), (5, 7, "Quality")] {
         let mut data = *frame.data();
         data[byte] = raw;
         let wrong = Frame::full(EMERGENCY_ID, data);

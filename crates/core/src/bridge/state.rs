@@ -12,6 +12,7 @@ use crate::{
     learned::Learned,
     limits::Applied,
     place::Place,
+    run_out::RunOut,
     supply::Scale,
     tool::Direction,
     units::{Fine, MicroDegrees, Millis, Nanometres, Position, Temperature},
@@ -47,6 +48,7 @@ pub struct State {
     pub(super) now: Millis,
     pub(super) health: Health,
     pub(super) filter: Filter,
+    pub(super) run_out: RunOut,
     pub(super) control: Heard<Control>,
     pub(super) spindle: Heard<Spindle>,
     /// The angles of the head, and where they point the tool.
@@ -243,6 +245,12 @@ impl State {
         self.health.take_noise()
     }
 
+    /// Whether the sensor tells of something that no spindle does: a jump, or another run-out at the same speed.
+    #[must_use]
+    pub fn sensor_is_odd(&self) -> bool {
+        self.health.has_jumped() || self.run_out.is_odd()
+    }
+
     /// Takes a position; whether the axis has moved or turned round. One that is not believed moves nothing, and the
     /// last that was grows old.
     pub(super) fn hear_position(&mut self, heard: AxisPosition, axis: &AxisModel<'_>) -> bool {
@@ -319,6 +327,7 @@ impl State {
     /// not what it takes it for.
     pub fn starve(&mut self) {
         self.filter.clear();
+        self.health.interrupt();
         self.starved_age = Age::NEW;
     }
 

@@ -53,11 +53,12 @@ impl Node<'_> {
         }
     }
 
-    /// RMS noise in thousandths of a code: the second differences have six times its variance.
+    /// RMS noise in thousandths of a code, 65,535 at the most: the second differences have six times its variance.
     fn noise_thousandths(&self) -> u32 {
         let squares = u64::from(self.noise.squares).saturating_mul(1_000_000);
         let mean = squares.checked_div(u64::from(self.noise.count).saturating_mul(6));
-        u32::try_from(mean.unwrap_or(0).isqrt()).unwrap_or(u32::MAX)
+        // The root of 64 bits would take 400 bytes more.
+        u32::try_from(mean.unwrap_or(0)).unwrap_or(u32::MAX).isqrt()
     }
 
     /// Keeps a part of another board's reference until the rest of it is there.

@@ -178,7 +178,9 @@ fn of_100_000_polls_of_values_that_change_every_millisecond_none_is_half_old() {
         assert_eq!(said.counter, (node.now().0 & 0xFFFF) as u16);
         assert_eq!((said.output.quality, said.state), (Quality::Live, 0), "poll {n}");
         changed += u32::from(last.replace(said.elongation) != Some(said.elongation));
-        pass(&mut node, 1, 700 + (n / 8 % 1_000) as u16);
+        // Up and down again, not from one end to the other: that would be a jump, and told.
+        let step = n / 8 % 2_000;
+        pass(&mut node, 1, 700 + step.min(2_000 - step) as u16);
         if n % 20 == 0 {
             node.hear_block(&block(Control::ENGAGED, counter)).expect("nobody else is there");
             counter = counter.wrapping_add(1);

@@ -50,6 +50,7 @@ fn provoke(fault: Fault, rig: &mut Rig) {
         Fault::Clamped => rig.offset_mm = 350.0,
         Fault::OutsideTable => breaks(Part::Position, Kind::Drift),
         Fault::PositionJump => breaks(Part::Position, Kind::Bias),
+        Fault::SensorOdd => breaks(Part::Sensor, Kind::Bias),
         Fault::HeatUnknown => {
             rig.node = Node::new(Some(crate::rig::calibration()), false);
             rig.node.resume(None, 0);

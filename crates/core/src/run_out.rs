@@ -1,0 +1,174 @@
+//! Run-out out of family: how much of what the filter takes out there is, against what it was since this speed was reached.
+//!
+//! ```text
+//! d = code − reading                 of one code of each millisecond, drawn, so that no speed is in step with it
+//! v = Σ d²/1024                      over 1.024 s: half the square of the amplitude, and the noise
+//! family = the least of the first 16 v at a speed
+//! odd: v < family/4, or v > 16·family and the amplitude is above 5 µm; twice in a row
+//! ```
+//!
+//! Run-out is the ring's and the bearing's, and at one speed it stays as it is. It vanishes only if the sensor no longer sees
+//! its ring (a gain that is lost, a ring under chips, a broken wire that brings in noise), and grows fourfold where a
+//! bearing breaks up or the sensor has come loose; cutting adds a micrometre or two. From speed to speed, or after a
+//! stop with another tool, it may be anything, and is not compared.
+//!
+//! Not judged: a spindle that stands or turns at up to 300 r/min, the first 16 s at a speed, and run-out that does not
+//! stand out of the noise. A mean of 1,024 drawn squares of a sine is 2.2 % off (RMS), so a quarter is 34 of its
+//! deviations away.
+
+use crate::{
+    dimensions::CODES_PER_TICK,
+    units::{Code, READINGS_PER_CODE, Reading, Rpm},
+};
+
+/// Milliseconds of a mean.
+pub const WINDOW_MS: u16 = 1_024;
+/// So many means are asked for the least: a spindle may need as long to reach its speed.
+pub const FAMILY_WINDOWS: u8 = 16;
+/// An amplitude of half the family's or less is a quarter of its square.
+const LEAST_SHARE: u32 = 4;
+/// One of four times the family's is 16 times its square.
+const MOST_SHARE: u32 = 16;
+/// Half the square of an amplitude of 41 codes (5 µm), in 1/256 codes².
+const CUTTING: u32 = 41 * 41 / 2 * 256;
+/// So many means in a row have to be odd.
+const ODD_WINDOWS: u8 = 2;
+
+/// What was seen of the run-out at the present speed.
+#[derive(Clone, Debug, Default)]
+pub struct RunOut {
+    speed: Option<Rpm>,
+    /// Which code is looked at, drawn anew each time.
+    drawn: u32,
+    /// Of d in 1/16 codes.
+    squares: u64,
+    count: u16,
+    /// Means at this speed.
+    windows: u8,
+    /// The least of the first ones, in 1/256 codes².
+    family: u32,
+    odd: u8,
+}
+
+impl RunOut {
+    /// Takes a millisecond of codes and the reading at its end; `None`: the spindle does not turn.
+    #[inline]
+    pub fn hear(&mut self, codes: &[Code; CODES_PER_TICK], reading: Reading, speed: Option<Rpm>) {
+        if speed != self.speed {
+            *self = Self { speed, drawn: self.drawn, ..Self::default() };
+        }
+        if speed.is_none() {
+            return;
+        }
+        // Knuth's constants; the upper half is the random one.
+        self.drawn = self.drawn.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        let number = (self.drawn >> 16).wrapping_mul(CODES_PER_TICK as u32) >> 16;
+        let Some(code) = codes.get(number as usize) else { return };
+        let level = i32::from(code.0).wrapping_mul(READINGS_PER_CODE);
+        // In 1/16 codes: below 2¹⁶.
+        let deviation = level.wrapping_sub(reading.0).unsigned_abs() >> 6;
+        let square = u64::from(deviation).wrapping_mul(u64::from(deviation));
+        self.squares = self.squares.wrapping_add(square);
+        self.count = self.count.wrapping_add(1);
+        if self.count >= WINDOW_MS {
+            self.judge();
+        }
+    }
+
+    /// Whether it is another one than it was.
+    #[must_use]
+    pub const fn is_odd(&self) -> bool {
+        self.odd >= ODD_WINDOWS
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn judge(&mut self) {
+        let mean = u32::try_from(self.squares / u64::from(WINDOW_MS)).unwrap_or(u32::MAX);
+        (self.squares, self.count) = (0, 0);
+        if self.windows < FAMILY_WINDOWS {
+            self.windows = self.windows.saturating_add(1);
+            self.family = if self.windows == 1 { mean } else { self.family.min(mean) };
+            return;
+        }
+        let is_less = mean < self.family / LEAST_SHARE;
+        let is_more = mean > CUTTING && mean / MOST_SHARE > self.family;
+        self.odd = if is_less || is_more { self.odd.saturating_add(1) } else { 0 };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    extern crate std;
+
+    const SPEED: Option<Rpm> = Some(Rpm(12_000));
+
+    /// Seconds of a spindle with this run-out, in codes.
+    fn turn(it: &mut RunOut, seconds: u32, amplitude: f64, hz: f64, speed: Option<Rpm>) -> bool {
+        for ms in 0..seconds * 1_024 {
+            let codes = core::array::from_fn(|n| {
+                let s = (f64::from(ms) + n as f64 / 20.0) / 1e3;
+                let run_out = amplitude * (hz * s * core::f64::consts::TAU).sin();
+                Code((700.0 + run_out).round() as u16)
+            });
+            it.hear(&codes, Reading(700 * READINGS_PER_CODE), speed);
+        }
+        it.is_odd()
+    }
+
+    #[test]
+    fn run_out_that_vanishes_or_grows_fourfold_is_told_in_the_third_second_and_what_cutting_adds_is_not()
+     {
+        // Whole multiples of the tick among them.
+        for hz in [200.0, 500.0, 1_000.0] {
+            for (then, is_odd) in [
+                (4.0, true),
+                (5.5, false),
+                (10.0, false),
+                (26.0, false),
+                (39.0, false),
+                (44.0, true),
+            ] {
+                let mut it = RunOut::default();
+                assert!(!turn(&mut it, 20, 10.0, hz, SPEED));
+                assert!(!turn(&mut it, 1, then, hz, SPEED), "not by one mean");
+                assert_eq!(
+                    turn(&mut it, 1, then, hz, SPEED),
+                    is_odd,
+                    "10 codes, then {then}; {hz} Hz"
+                );
+                turn(&mut it, 1, 10.0, hz, SPEED);
+                assert!(!it.is_odd(), "what has come back is told no more");
+            }
+        }
+    }
+
+    #[test]
+    fn another_speed_or_a_stop_has_another_run_out() {
+        for next in [Some(Rpm(12_001)), None] {
+            let mut it = RunOut::default();
+            turn(&mut it, 20, 10.0, 200.0, SPEED);
+            assert!(!turn(&mut it, 5, 1.0, 200.0, next));
+            assert!(!turn(&mut it, 20, 80.0, 200.0, SPEED), "after it");
+        }
+    }
+
+    #[test]
+    fn a_spindle_that_passes_a_resonance_on_its_way_up_has_the_run_out_of_its_end() {
+        let mut it = RunOut::default();
+        turn(&mut it, 12, 30.0, 200.0, SPEED);
+        assert!(!turn(&mut it, 60, 10.0, 200.0, SPEED));
+        assert!(turn(&mut it, 2, 4.0, 200.0, SPEED), "and 30 codes do not count");
+    }
+
+    #[test]
+    fn the_whole_range_of_codes_does_not_wrap() {
+        let mut it = RunOut::default();
+        turn(&mut it, 20, 10.0, 200.0, SPEED);
+        for _ in 0..2 * WINDOW_MS {
+            it.hear(&[Code(4095); CODES_PER_TICK], Reading(0), SPEED);
+        }
+        assert!(it.is_odd());
+    }
+}
