@@ -30,13 +30,13 @@
 //! Work is done when its input changes. A tick does what comes every millisecond: samples, the
 //! errors added up, limits. What a position moves is computed when the position is heard, the tool
 //! direction when the angles are, expansion once in 100 ms. On the gantry of `data/`, all axes on
-//! their way at the slew limit, `cargo measure` counts for a whole tick of the node 1,651
-//! instructions (median; 2,180 where the spindle speed has changed and a part of the heat is
+//! their way at the slew limit, `cargo measure` counts for a whole tick of the node 1,669
+//! instructions (median; 2,192 where the spindle speed has changed and a part of the heat is
 //! stepped; the sources are asked what they would say in a millisecond of their own):
 //!
 //! | in the tick | | when heard | |
 //! |---|---|---|---|
-//! | [`Health::check`](crate::health::Health::check) | 309 | position: [`CachedErrors::moved`] | 554 |
+//! | [`Health::check`](crate::health::Health::check) | 304 | position: [`CachedErrors::moved`] | 554 |
 //! | [`Filter::tick`](crate::filter::Filter::tick) | 300 | angles: [`Kinematics::direction`](crate::kinematics::Kinematics::direction) | 221 |
 //! | [`SensorLaw::elongation`](crate::sensor::SensorLaw::elongation) | 33 | speed, in the next tick: [`Window::for_speed`](crate::window::Window::for_speed) | 49 |
 //! | [`Applied::step`](crate::limits::Applied::step) | 180 | | |
@@ -254,7 +254,7 @@ impl<'a> Bridge<'a> {
             None => state.filter.clear(),
             Some((clean, scale)) => {
                 if let Some(reading) = state.filter.tick(clean, speed) {
-                    state.run_out.hear(clean, reading, speed.filter(|_| turns));
+                    state.run_out.hear(clean, reading, speed.filter(|_| turns).unwrap_or_default());
                     let reading = scale.of(reading);
                     state.elongation = Some(self.calibration.spindle.sensor.elongation(reading));
                     state.elongation_age = Age::NEW;

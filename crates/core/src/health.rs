@@ -23,7 +23,7 @@
 //! run-out and keep the noise: their variance is six times that of the codes.
 //!
 //! All of it is asked a block at a time. An ordinary block, no code of which is at a rail and none wild, needs no
-//! counter for single codes and goes to the filter where it lies: 309 instructions (`cargo
+//! counter for single codes and goes to the filter where it lies: 304 instructions (`cargo
 //! measure`), where counters for each code took 1,023.
 
 use crate::{dimensions::CODES_PER_TICK, units::Code};
@@ -162,10 +162,10 @@ impl Health {
         }
         self.turned = turns;
         self.count_equal(codes);
-        let (squares, is_railed) = look(self.before, codes);
+        let squares = ordinary_squares(self.before, codes);
         // After a gap the first two say nothing.
-        let squares = if self.continues { squares } else { 0 };
-        let is_ordinary = !is_railed && squares <= self.outstanding();
+        let squares = if self.continues { squares } else { squares.and(Some(0)) };
+        let is_ordinary = squares.is_some_and(|squares| squares <= self.outstanding());
         if is_ordinary {
             self.take_ordinary(codes);
         } else {
@@ -295,31 +295,33 @@ impl Health {
         }
     }
 
-    /// Adds the squared second differences of a block.
-    fn measure_noise(&mut self, codes: &[Code; CODES_PER_TICK], squares: u32) {
+    /// Adds the squared second differences of a block; `None`: a code is at a rail, which is no noise.
+    fn measure_noise(&mut self, codes: &[Code; CODES_PER_TICK], squares: Option<u32>) {
         let [.., last_but_one, last] = codes;
-        let count = if self.continues { BLOCK } else { 0 };
-        let newest = squares.min(NOISIEST);
-        self.liveliness =
-            self.liveliness.wrapping_sub(self.liveliness >> MEAN_BITS).wrapping_add(newest);
-        self.noise.squares = self.noise.squares.saturating_add(squares);
-        self.noise.count = self.noise.count.saturating_add(count.into());
+        if let Some(squares) = squares.filter(|_| self.continues) {
+            let newest = squares.min(NOISIEST);
+            self.liveliness =
+                self.liveliness.wrapping_sub(self.liveliness >> MEAN_BITS).wrapping_add(newest);
+            self.noise.squares = self.noise.squares.saturating_add(squares);
+            self.noise.count = self.noise.count.saturating_add(BLOCK.into());
+        }
         self.before = [*last_but_one, *last];
         (self.begun, self.continues) = (true, true);
     }
 }
 
-/// The sum of the squared second differences of a block, the first two of which begin in the block `before`, and whether a
+/// The sum of the squared second differences of a block, the first two of which begin in the block `before`; `None` if a
 /// code is at a rail: one pass answers both.
 #[inline]
-fn look(before: [Code; 2], codes: &[Code; CODES_PER_TICK]) -> (u32, bool) {
+fn ordinary_squares(before: [Code; 2], codes: &[Code; CODES_PER_TICK]) -> Option<u32> {
     let mut window = before;
-    codes.iter().fold((0, false), |(squares, is_railed), code| {
-        // 20·2²⁶ at the most.
+    let sum = codes.iter().try_fold(0_u64, |squares, code| {
+        // 34 bits each.
         let sum = square(window, *code).wrapping_add(squares);
         window = [window[1], *code];
-        (sum, is_railed | is_at_rail(*code))
-    })
+        (!is_at_rail(*code)).then_some(sum)
+    });
+    sum.map(|sum| u32::try_from(sum).unwrap_or(u32::MAX))
 }
 
 /// Codes in a block.
@@ -340,12 +342,11 @@ fn is_near(a: Code, b: Code) -> bool {
     a.0.abs_diff(b.0) <= REACH
 }
 
-/// The squared second difference of three codes; 2¹³ is more than 12 bits can make.
+/// The squared second difference of three codes.
 #[inline]
-fn square([older, old]: [Code; 2], new: Code) -> u32 {
-    const MOST: i32 = 1 << 13;
+fn square([older, old]: [Code; 2], new: Code) -> u64 {
     let [older, old, new] = [older, old, new].map(|code| i32::from(code.0));
-    let curve = new.wrapping_sub(old).wrapping_sub(old.wrapping_sub(older)).clamp(-MOST, MOST - 1);
+    let curve = i64::from(new.wrapping_sub(old).wrapping_sub(old.wrapping_sub(older)));
     curve.wrapping_mul(curve).cast_unsigned()
 }
 

@@ -144,6 +144,8 @@ impl Heat {
 
     /// A step of 100 ms in which it is not known; `is_cold`: it is, and there is no heat but that of
     /// the thermometers.
+    // Once in the image.
+    #[inline(never)]
     pub fn wait(&mut self, is_cold: bool) {
         if is_cold && self.is_unknown() {
             *self = Self { learned: self.learned, ..Self::default() };

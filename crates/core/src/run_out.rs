@@ -1,7 +1,7 @@
 //! Run-out out of family: how much of what the filter takes out there is, against what it was since this speed was reached.
 //!
 //! ```text
-//! d = code − reading                 of one code of each millisecond, drawn, so that no speed is in step with it
+//! d = code − reading                 of the 1st code of a millisecond, the 8th of the next, … so that no speed is in step with it
 //! v = Σ d²/1024                      over 1.024 s: half the square of the amplitude, and the noise
 //! family = the least of the first 16 v at a speed
 //! odd: v < family/4, or v > 16·family and the amplitude is above 5 µm; twice in a row
@@ -13,16 +13,22 @@
 //! stop with another tool, it may be anything, and is not compared.
 //!
 //! Not judged: a spindle that stands or turns at up to 300 r/min, the first 16 s at a speed, and run-out that does not
-//! stand out of the noise. A mean of 1,024 drawn squares of a sine is 2.2 % off (RMS), so a quarter is 34 of its
-//! deviations away.
+//! stand out of the noise. The mean of 1,024 squares of a sine is 2.2 % off (RMS) if they are drawn, and hardly more
+//! here; a quarter is 34 such deviations away.
 
 use crate::{
     dimensions::CODES_PER_TICK,
     units::{Code, READINGS_PER_CODE, Reading, Rpm},
 };
 
+#[allow(clippy::cast_possible_truncation, reason = "20")]
+const CODES: u8 = CODES_PER_TICK as u8;
+/// From one code that is looked at to the next, less a millisecond; it and 20 have no divisor in common.
+const STRIDE: u8 = 7;
+
+const WINDOW_BITS: u32 = 10;
 /// Milliseconds of a mean.
-pub const WINDOW_MS: u16 = 1_024;
+pub const WINDOW_MS: u16 = 1 << WINDOW_BITS;
 /// So many means are asked for the least: a spindle may need as long to reach its speed.
 pub const FAMILY_WINDOWS: u8 = 16;
 /// An amplitude of half the family's or less is a quarter of its square.
@@ -37,9 +43,10 @@ const ODD_WINDOWS: u8 = 2;
 /// What was seen of the run-out at the present speed.
 #[derive(Clone, Debug, Default)]
 pub struct RunOut {
-    speed: Option<Rpm>,
-    /// Which code is looked at, drawn anew each time.
-    drawn: u32,
+    /// 0: it does not turn.
+    speed: Rpm,
+    /// Which code is looked at.
+    number: u8,
     /// Of d in 1/16 codes.
     squares: u64,
     count: u16,
@@ -51,19 +58,18 @@ pub struct RunOut {
 }
 
 impl RunOut {
-    /// Takes a millisecond of codes and the reading at its end; `None`: the spindle does not turn.
+    /// Takes a millisecond of codes and the reading at its end; a speed of 0: the spindle does not turn.
     #[inline]
-    pub fn hear(&mut self, codes: &[Code; CODES_PER_TICK], reading: Reading, speed: Option<Rpm>) {
+    pub fn hear(&mut self, codes: &[Code; CODES_PER_TICK], reading: Reading, speed: Rpm) {
         if speed != self.speed {
-            *self = Self { speed, drawn: self.drawn, ..Self::default() };
+            *self = Self { speed, ..Self::default() };
         }
-        if speed.is_none() {
+        if speed == Rpm(0) {
             return;
         }
-        // Knuth's constants; the upper half is the random one.
-        self.drawn = self.drawn.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        let number = (self.drawn >> 16).wrapping_mul(CODES_PER_TICK as u32) >> 16;
-        let Some(code) = codes.get(number as usize) else { return };
+        let Some(code) = codes.get(usize::from(self.number)) else { return };
+        let next = self.number.wrapping_add(STRIDE);
+        self.number = if next < CODES { next } else { next.wrapping_sub(CODES) };
         let level = i32::from(code.0).wrapping_mul(READINGS_PER_CODE);
         // In 1/16 codes: below 2¹⁶.
         let deviation = level.wrapping_sub(reading.0).unsigned_abs() >> 6;
@@ -84,7 +90,7 @@ impl RunOut {
     #[cold]
     #[inline(never)]
     fn judge(&mut self) {
-        let mean = u32::try_from(self.squares / u64::from(WINDOW_MS)).unwrap_or(u32::MAX);
+        let mean = u32::try_from(self.squares >> WINDOW_BITS).unwrap_or(u32::MAX);
         (self.squares, self.count) = (0, 0);
         if self.windows < FAMILY_WINDOWS {
             self.windows = self.windows.saturating_add(1);
@@ -102,10 +108,10 @@ mod tests {
     use super::*;
     extern crate std;
 
-    const SPEED: Option<Rpm> = Some(Rpm(12_000));
+    const SPEED: Rpm = Rpm(12_000);
 
     /// Seconds of a spindle with this run-out, in codes.
-    fn turn(it: &mut RunOut, seconds: u32, amplitude: f64, hz: f64, speed: Option<Rpm>) -> bool {
+    fn turn(it: &mut RunOut, seconds: u32, amplitude: f64, hz: f64, speed: Rpm) -> bool {
         for ms in 0..seconds * 1_024 {
             let codes = core::array::from_fn(|n| {
                 let s = (f64::from(ms) + n as f64 / 20.0) / 1e3;
@@ -121,7 +127,7 @@ mod tests {
     fn run_out_that_vanishes_or_grows_fourfold_is_told_in_the_third_second_and_what_cutting_adds_is_not()
      {
         // Whole multiples of the tick among them.
-        for hz in [200.0, 500.0, 1_000.0] {
+        for hz in [200.0, 370.37, 500.0, 740.74, 1_000.0] {
             for (then, is_odd) in [
                 (4.0, true),
                 (5.5, false),
@@ -146,7 +152,7 @@ mod tests {
 
     #[test]
     fn another_speed_or_a_stop_has_another_run_out() {
-        for next in [Some(Rpm(12_001)), None] {
+        for next in [Rpm(12_001), Rpm(0)] {
             let mut it = RunOut::default();
             turn(&mut it, 20, 10.0, 200.0, SPEED);
             assert!(!turn(&mut it, 5, 1.0, 200.0, next));

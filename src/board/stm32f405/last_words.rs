@@ -95,10 +95,11 @@ pub fn leave(why: Why, core: Core, place: Option<&core::panic::Location<'_>>) {
     words[1..5].copy_from_slice(&[core.pc, core.lr, core.status, core.address]);
     if let Some(place) = place {
         words[5] = place.line();
-        let name = place.file().as_bytes();
-        let kept = &name[name.len().saturating_sub(FILE)..];
+        // Its end.
         let mut file = [0; FILE];
-        file[FILE - kept.len()..].copy_from_slice(kept);
+        for (kept, byte) in file.iter_mut().rev().zip(place.file().bytes().rev()) {
+            *kept = byte;
+        }
         for (word, bytes) in words[6..].iter_mut().zip(file.as_chunks().0) {
             *word = u32::from_le_bytes(*bytes);
         }

@@ -458,7 +458,7 @@ fn it_tells_the_time_of_its_last_tick_and_the_noise_since_it_was_last_asked() {
     let mut rig = Rig::new(calibration());
     rig.run(5, 1050);
     assert_eq!(rig.state.now(), Millis(5));
-    // −1, 0, 1, 0: every other second difference is 2. The first block has two fewer.
-    assert_eq!(rig.state.take_noise(), crate::health::Noise { squares: 4 * 49, count: 98 });
+    // −1, 0, 1, 0: every other second difference is 2. The first block goes on from nothing.
+    assert_eq!(rig.state.take_noise(), crate::health::Noise { squares: 4 * 40, count: 80 });
     assert_eq!(rig.state.take_noise(), crate::health::Noise::default());
 }

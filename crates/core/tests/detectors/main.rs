@@ -72,8 +72,8 @@ impl Sensor {
         self.next_change = self.ms + (2_000.0 * 450.0_f64.powf(self.random.uniform())) as u64;
     }
 
-    fn speed(&self) -> Option<Rpm> {
-        self.turns.then_some(Rpm((60.0 * self.hz) as u16))
+    fn speed(&self) -> Rpm {
+        Rpm(if self.turns { (60.0 * self.hz) as u16 } else { 0 })
     }
 
     /// Without run-out and noise.
@@ -202,7 +202,7 @@ const DETECTORS: [Detector; 6] = [
         found_within_ms: 2,
         bend: |_, it| {
             it.number = it.number.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            Code(9 + ((it.number >> 16) * 4_078 >> 16) as u16)
+            Code(9 + (((it.number >> 16) * 4_078) >> 16) as u16)
         },
         needs_life: false,
         is_told: BY_ITS_CODES,
@@ -241,7 +241,8 @@ fn found(detector: &Detector, draws: u32, seed: u64) -> u32 {
         let lived = random.between(1_800.0, 4_000.0) as u64;
         sensor.next_change = u64::MAX;
         // More than twelve times what noise of three codes makes of second differences, by either way.
-        let by = if random.bits() % 2 == 0 { 100.0 } else { -100.0 } * random.between(1.0, 5.0);
+        let by =
+            if random.bits().is_multiple_of(2) { 100.0 } else { -100.0 } * random.between(1.0, 5.0);
         let mut fault = Fault { stuck: Code(0), number: draw, by: by as i16 };
         // Not beyond a rail.
         sensor.level = sensor.level.clamp(650.0, 3_400.0);
@@ -277,7 +278,8 @@ fn found_spikes(draws: u32, seed: u64) -> u32 {
         let mut block = sensor.block();
         let whole = block;
         let (first, length) = (1 + random.bits() as usize % 16, 1 + random.bits() as usize % 3);
-        let by = if random.bits() % 2 == 0 { 80.0 } else { -80.0 } * random.between(1.0, 7.0);
+        let by =
+            if random.bits().is_multiple_of(2) { 80.0 } else { -80.0 } * random.between(1.0, 7.0);
         for code in &mut block[first..first + length] {
             *code = Code(code.0.saturating_add_signed(by as i16));
         }

@@ -123,7 +123,7 @@ impl Thermometers {
 
     /// The next readings, a tenth of a second later; those before `from` are as they were.
     fn read(&mut self, channels: &mut Channels, last: &mut [f64; 3], from: usize) {
-        for number in 0..3 {
+        for (number, last) in last.iter_mut().enumerate() {
             if self.random.uniform() < 1e-4 {
                 let far =
                     if self.random.uniform() < 0.5 { 0.0 } else { self.random.between(0.0, 25.0) };
@@ -132,9 +132,9 @@ impl Thermometers {
             self.celsius[number] += (self.target[number] - self.celsius[number]) / 6_000.0;
             let exact = self.celsius[number] / STEP_C + self.noise * self.random.normal();
             if number >= from {
-                last[number] = exact.round() * STEP_C;
+                *last = exact.round() * STEP_C;
             }
-            let reading = last[number] * f64::from(Temperature::PER_KELVIN);
+            let reading = *last * f64::from(Temperature::PER_KELVIN);
             channels.hear(number, Some(Temperature(reading as i32)));
         }
     }

@@ -112,7 +112,9 @@ thermometer (2 µm/K) and a table (20 µm/m), on its way at up to 3.8 m/min. *Of
 
 **Not detectable.** A bias or a slow drift of an input that nothing else watches looks like the machine itself. Its whole size is
 the error: the sensor's 1 : 1, a thermometer's times its law (µm/K), a position's times the slope of its tables. Who needs
-more watches with a second source. A thermometer that jumps by more than 10 K from one reading to the next is not believed. A position that its axis
+more watches with a second source. A thermometer that jumps by more than 10 K from one reading to the next is not believed; one that stops is found after 40 s, longer than here, if
+its noise is half a step or more and another one goes on. A sensor that jumps by more than 3.9 µm in 50 µs (before its low-pass: by some 30 µm)
+is told, and believed. A position that its axis
 cannot have reached since the last (by its rapid traverse, here 6 m/min) is not believed until three more have followed from it; one that a CNC
 sends wrong but within reach is the CNC's word: the offset follows it at the slew limit and within the largest offset.
 
