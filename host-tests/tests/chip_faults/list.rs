@@ -73,6 +73,7 @@ pub fn runs() -> Vec<Run> {
         ram(),
         sampling(),
         cable(),
+        codes(),
         thermometers(),
         spi(),
         no_thermometer(),
@@ -237,6 +238,19 @@ fn cable() -> Run {
     run("cable", "700 pattern 0\n900 pattern\n2300 pattern 4095\n", 2_600)
         .case("the input at 0 V", off("the sensor's cable is off", 700))
         .case("the input at its end", off("the sensor's cable is short to the supply", 2_300))
+}
+
+fn codes() -> Run {
+    let garbage = Case::new("the sensor's codes are garbage", 1_300, 100)
+        .quality(Quality::TemperatureModel)
+        .flag(Flags::SENSOR_FAULT, "sensor")
+        .emergency(Fault::Sensor);
+    let jumps = Case::new("the sensor jumps", 700, 100)
+        .state(StateBits::SENSOR_ODD)
+        .emergency(Fault::SensorOdd);
+    run("codes", "700 code 1000\n1300 noise 1500\n", 1_700)
+        .case("another level from one code to the next, and it stays", jumps)
+        .case("anything from one code to the next", garbage)
 }
 
 /// The sensor goes on; what would take its place has gone.

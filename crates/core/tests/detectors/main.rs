@@ -29,8 +29,12 @@ struct Sensor {
     level: f64,
     target: f64,
     tau_ms: f64,
+    /// Amplitude, and where it goes: no spindle is at another speed in a moment.
     run_out: f64,
+    run_out_then: f64,
     hz: f64,
+    /// In turns.
+    angle: f64,
     /// Cosine and sine of how far the spindle turns from the start of a block to each of its codes.
     within: [(f32, f32); CODES_PER_TICK],
     turns: bool,
@@ -48,7 +52,9 @@ impl Sensor {
             target: 700.0,
             tau_ms: 1.0,
             run_out: 0.0,
+            run_out_then: 0.0,
             hz: 0.0,
+            angle: 0.0,
             within: [(1.0, 0.0); CODES_PER_TICK],
             turns: false,
             next_change: 0,
@@ -65,7 +71,7 @@ impl Sensor {
             let (sine, cosine) = (TAU * self.hz * n as f64 / 20e3).sin_cos();
             (cosine as f32, sine as f32)
         });
-        self.run_out = if self.turns { self.random.between(1.6, 41.0) } else { 0.0 };
+        self.run_out_then = if self.turns { self.random.between(1.6, 41.0) } else { 0.0 };
         self.target = if self.turns { self.random.between(700.0, 1_350.0) } else { 700.0 };
         self.tau_ms = self.random.between(60_000.0, 1_800_000.0);
         // For 2 s to a quarter of an hour, short ones as often as long ones.
@@ -87,11 +93,10 @@ impl Sensor {
         }
         self.ms += 1;
         self.level += (self.target - self.level) / self.tau_ms;
-        let (mut sine, mut cosine) = (0.0, 0.0);
-        if self.turns {
-            let angle = TAU * (self.hz * self.ms as f64 / 1e3).fract();
-            (sine, cosine) = (angle.sin() as f32, angle.cos() as f32);
-        }
+        self.run_out += (self.run_out_then - self.run_out) / 50.0;
+        self.angle = (self.angle + self.hz / 1e3).fract();
+        let (sine, cosine) = (TAU * self.angle).sin_cos();
+        let (sine, cosine) = (sine as f32, cosine as f32);
         let (level, run_out, noise) = (self.level as f32, self.run_out as f32, self.noise as f32);
         let normals = self.random.normals();
         core::array::from_fn(|n| {
@@ -107,7 +112,7 @@ impl Sensor {
 fn false_alarms(noise: f64, hours: f64, seed: u64) -> u64 {
     let (mut sensor, mut health) = (Sensor::new(noise, seed), Health::default());
     let mut run_out = RunOut::default();
-    let mut was_well = false;
+    let (mut was_well, mut was_odd) = (false, false);
     let mut alarms = 0;
     for ms in 0..(hours * 3.6e6) as u64 {
         let block = sensor.block();
@@ -115,10 +120,11 @@ fn false_alarms(noise: f64, hours: f64, seed: u64) -> u64 {
         run_out.hear(&block, sensor.reading(), sensor.speed());
         let is_odd = health.has_jumped() || run_out.is_odd();
         // A quiet sensor is not believed until its first change, which is no alarm.
-        if was_well && !is_well || is_odd {
+        if was_well && !is_well || is_odd && !was_odd {
             println!("noise {noise}, seed {seed}: an alarm at {ms} ms");
             alarms += 1;
         }
+        was_odd = is_odd;
         was_well |= is_well;
         if !is_well && was_well {
             was_well = false;
@@ -305,7 +311,8 @@ fn found_run_outs(draws: u32, seed: u64) -> u32 {
             sensor.change();
         }
         (sensor.next_change, sensor.target) = (u64::MAX, sensor.level);
-        sensor.run_out = sensor.run_out.max(2.0);
+        sensor.run_out_then = sensor.run_out_then.max(2.0);
+        sensor.run_out = sensor.run_out_then;
         let mut run_out = RunOut::default();
         let mut lives = |sensor: &mut Sensor, windows: u32, until_odd: bool| {
             (0..windows * u32::from(WINDOW_MS)).any(|_| {
@@ -316,7 +323,7 @@ fn found_run_outs(draws: u32, seed: u64) -> u32 {
         };
         lives(&mut sensor, u32::from(FAMILY_WINDOWS) + 1, false);
         let grown = (5.0 * sensor.run_out).max(55.0);
-        sensor.run_out = if draw % 2 == 0 { 0.4 * sensor.run_out } else { grown };
+        sensor.run_out_then = if draw % 2 == 0 { 0.4 * sensor.run_out } else { grown };
         found += u32::from(lives(&mut sensor, 3, true));
     }
     println!("run-out: {found} of {draws} found within 3 s");
