@@ -94,9 +94,9 @@ impl Sensor {
         self.ms += 1;
         self.level += (self.target - self.level) / self.tau_ms;
         self.run_out += (self.run_out_then - self.run_out) / 50.0;
-        self.angle = (self.angle + self.hz / 1e3).fract();
         let (sine, cosine) = (TAU * self.angle).sin_cos();
         let (sine, cosine) = (sine as f32, cosine as f32);
+        self.angle = (self.angle + self.hz / 1e3).fract();
         let (level, run_out, noise) = (self.level as f32, self.run_out as f32, self.noise as f32);
         let normals = self.random.normals();
         core::array::from_fn(|n| {
