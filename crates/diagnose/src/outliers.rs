@@ -66,7 +66,12 @@ pub(crate) fn judged(
     aside: &[bool],
     predicted: impl FnOnce() -> [Vec<f64>; 2],
 ) -> Aside {
-    let of_readings = of_readings(data, aside);
+    let mut of_readings = of_readings(data, aside);
+    if !of_readings.contains(&true) {
+        return Aside::AtChanges;
+    }
+    let [with_curves, plain] = predicted();
+    (0..data.rows).for_each(|row| of_readings[row] &= !is_of_a_neighbour(data, row, &plain));
     if !of_readings.contains(&true) {
         return Aside::AtChanges;
     }
@@ -80,12 +85,25 @@ pub(crate) fn judged(
         };
         chance_of_noise(&of(false), &of(true), step_um)
     };
-    let [with_curves, plain] = predicted();
     let left_um = left(data, &with_curves);
     let by_level = chance(&from_level(data, &rows, aside, &left_um)).max(chance(&left_um));
     let targets = Targets::of(data, rows.iter().copied());
     let by_place = targets.map_or(1.0, |it| chance(&it.from_place(&left(data, &plain), aside)));
     if by_level.min(by_place) < CLAIM { Aside::Wrong } else { Aside::MayBeNoise }
+}
+
+/// Whether a reading is nearer to what is predicted of a neighbour in time than to half of its way: it was
+/// read before what happens there, or after.
+fn is_of_a_neighbour(data: &Data, row: usize, predicted: &[f64]) -> bool {
+    // Of an axis the neighbours stand elsewhere.
+    if data.quantity.axis().is_some() {
+        return false;
+    }
+    let away_um = |other: usize| (data.measured[row] - predicted[other]).abs();
+    let is_nearer = |other: usize| away_um(other) < 0.5 * away_um(row);
+    let before = row.checked_sub(1).filter(|_| !data.restart[row]);
+    let after = Some(row + 1).filter(|&it| it < data.rows && !data.restart[it]);
+    before.into_iter().chain(after).any(is_nearer)
 }
 
 /// What `predicted` leaves of each row.
