@@ -15,7 +15,7 @@ use crate::{
     fit::{Fitted, Problem, fit},
     judge::judge,
     model::Model,
-    outliers,
+    outliers::{self, SetAside},
     search::{Found, lack_of_fit::with_curves, search, start},
 };
 
@@ -95,22 +95,29 @@ pub fn diagnose_for(
     }
     progress("comparing with rivals", 0.92);
     let judged = judge(&problem, &found);
+    let known = outliers::judged(&data, &aside, || predictions(&data, &problem, &found));
     conclude(
         data,
         &problem,
         found,
         &judged,
-        aside,
+        SetAside { rows: aside, known },
         Asked { runs, hold_out: test.as_ref(), matters_um, notes },
     )
 }
 
-/// Rows that stand alone, far from what the answer and curves over what is left predict: a law that no
-/// cause has is no gross error.
-fn gross_errors(data: &Data, problem: &Problem, found: &Found) -> Vec<bool> {
+/// What the answer predicts of each row, with curves over what it leaves and without: a law that no cause
+/// has is no gross error.
+fn predictions(data: &Data, problem: &Problem, found: &Found) -> [Vec<f64>; 2] {
     let rest = with_curves(problem, &found.fitted, &structure(problem));
-    let alone = outliers::gross(data, &rest.model.predict(data));
-    let among_repeats = outliers::among_repeats(data, &found.fitted.model.predict(data));
+    [rest.model.predict(data), found.fitted.model.predict(data)]
+}
+
+/// Rows that stand alone, far from what is predicted.
+fn gross_errors(data: &Data, problem: &Problem, found: &Found) -> Vec<bool> {
+    let [with_curves, plain] = predictions(data, problem, found);
+    let alone = outliers::gross(data, &with_curves);
+    let among_repeats = outliers::among_repeats(data, &plain);
     alone.iter().zip(among_repeats).map(|(alone, there)| *alone || there).collect()
 }
 

@@ -4,7 +4,7 @@
 
 use std::collections::HashMap;
 
-use trueup_numerics::robust::{in_residual, median};
+use trueup_numerics::robust::{chance_of_as_many, chance_of_noise, in_residual, median};
 
 use crate::{data::Data, repeats::Targets};
 
@@ -34,11 +34,103 @@ pub(crate) fn gross(data: &Data, predicted: &[f64]) -> Vec<bool> {
 /// Neighbours farther away in time than so many times the median say nothing of a reading.
 const NEAR: f64 = 2.0;
 
-/// Whether one of the rows `aside` is surely an error of the reading: of a record in time, one that has near
+/// The rows that are set aside.
+pub(crate) struct SetAside {
+    pub rows: Vec<bool>,
+    pub known: Aside,
+}
+
+/// What is known of the rows that are set aside.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Aside {
+    /// There are none, or they stand at a start, a pause or a change, where the reading may be right and what
+    /// happened is not known.
+    AtChanges,
+    /// Noise alone may have such a reading.
+    MayBeNoise,
+    /// Readings are wrong.
+    Wrong,
+}
+
+/// Rows that noise would have by chance are set aside, which costs nothing; that readings are wrong is claimed
+/// at one in a thousand records of noise whose tails are exponential, heavier than normal ones.
+const CLAIM: f64 = 1e-3;
+/// Readings on each side of one that tell its level.
+const ASIDE: usize = 3;
+
+/// What is known of the rows `aside`. Noise is what is left of the others by the answer with curves over its
+/// rest, both as it is and from the neighbours' level; or, where an axis comes back, about its places (by the
+/// answer alone).
+pub(crate) fn judged(
+    data: &Data,
+    aside: &[bool],
+    predicted: impl FnOnce() -> [Vec<f64>; 2],
+) -> Aside {
+    let mut of_readings = of_readings(data, aside);
+    if !of_readings.contains(&true) {
+        return Aside::AtChanges;
+    }
+    let [with_curves, plain] = predicted();
+    (0..data.rows).for_each(|row| of_readings[row] &= !is_of_a_neighbour(data, row, &plain));
+    if !of_readings.contains(&true) {
+        return Aside::AtChanges;
+    }
+    let rows: Vec<usize> = (0..data.rows).filter(|&row| data.used[row]).collect();
+    let step_um = last_digit(data, &rows);
+    let chance = |distance_um: &[f64]| {
+        let known = || rows.iter().copied().filter(|&row| !distance_um[row].is_nan());
+        let of = |is_far: bool| -> Vec<f64> {
+            let wanted = known().filter(|&row| if is_far { of_readings[row] } else { !aside[row] });
+            wanted.map(|row| distance_um[row].abs()).collect()
+        };
+        chance_of_noise(&of(false), &of(true), step_um)
+    };
+    let left_um = left(data, &with_curves);
+    let by_level = chance(&from_level(data, &rows, aside, &left_um)).max(chance(&left_um));
+    let targets = Targets::of(data, rows.iter().copied());
+    let by_place = targets.map_or(1.0, |it| chance(&it.from_place(&left(data, &plain), aside)));
+    if by_level.min(by_place) < CLAIM { Aside::Wrong } else { Aside::MayBeNoise }
+}
+
+/// Whether a reading is nearer to what is predicted of a neighbour in time than to half of its way: it was
+/// read before what happens there, or after.
+fn is_of_a_neighbour(data: &Data, row: usize, predicted: &[f64]) -> bool {
+    // Of an axis the neighbours stand elsewhere.
+    if data.quantity.axis().is_some() {
+        return false;
+    }
+    let away_um = |other: usize| (data.measured[row] - predicted[other]).abs();
+    let is_nearer = |other: usize| away_um(other) < 0.5 * away_um(row);
+    let before = row.checked_sub(1).filter(|_| !data.restart[row]);
+    let after = Some(row + 1).filter(|&it| it < data.rows && !data.restart[it]);
+    before.into_iter().chain(after).any(is_nearer)
+}
+
+/// What `predicted` leaves of each row.
+fn left(data: &Data, predicted: &[f64]) -> Vec<f64> {
+    data.measured.iter().zip(predicted).map(|(measured, predicted)| measured - predicted).collect()
+}
+
+/// How far each of `rows` is from the median of those around it that are not set aside; NaN of the others.
+fn from_level(data: &Data, rows: &[usize], aside: &[bool], left_um: &[f64]) -> Vec<f64> {
+    let mut distance_um = vec![f64::NAN; data.rows];
+    for (at, &row) in rows.iter().enumerate() {
+        let near = &rows[at.saturating_sub(ASIDE)..(at + ASIDE + 1).min(rows.len())];
+        let counts = |other: &&usize| {
+            **other != row && !aside[**other] && data.series[**other] == data.series[row]
+        };
+        let mut around: Vec<f64> =
+            near.iter().filter(counts).map(|&other| left_um[other]).collect();
+        distance_um[row] = left_um[row] - median(&mut around);
+    }
+    distance_um
+}
+
+/// Which of the rows `aside` are surely no moment of the machine: of a record in time, those that have near
 /// rows on both sides at the same speed and load. At a start, a pause or a change the reading may be right,
 /// and what happened there is not known.
-pub(crate) fn are_of_readings(data: &Data, aside: &[bool]) -> bool {
-    let Some(time_s) = data.time_s.as_deref() else { return aside.contains(&true) };
+fn of_readings(data: &Data, aside: &[bool]) -> Vec<bool> {
+    let Some(time_s) = data.time_s.as_deref() else { return aside.to_vec() };
     let inputs = [&data.spindle_rpm, &data.load_n];
     let is_same = |input: &[f64], row: usize| input[row] == input[row - 1] || input[row].is_nan();
     // What is another value in most rows is measured and not commanded: no row is at a change of it.
@@ -54,7 +146,7 @@ pub(crate) fn are_of_readings(data: &Data, aside: &[bool]) -> bool {
             && elapsed_s(row) <= NEAR * typical_s
             && held.iter().all(|input| is_same(input, row))
     };
-    (0..data.rows).any(|row| aside[row] && follows(row) && follows(row + 1))
+    (0..data.rows).map(|row| aside[row] && follows(row) && follows(row + 1)).collect()
 }
 
 /// Those of the rows `found` that are gross errors: they come one by one, and do not come back.
@@ -135,17 +227,6 @@ fn same_side(far: &[usize], residual: &[f64]) -> f64 {
 /// Neighbours are told from chance at 1 %.
 const CHANCE: f64 = 0.01;
 
-/// The chance of at least `count` where `mean` are expected (Poisson).
-fn chance_of_as_many(count: usize, mean: f64) -> f64 {
-    let mut term = (-mean).exp();
-    let mut below = 0.0;
-    for n in 0..count {
-        below += term;
-        term *= mean / (n + 1) as f64;
-    }
-    1.0 - below
-}
-
 /// The instrument's last digit: the smallest step between readings, but for the rarest.
 fn last_digit(data: &Data, rows: &[usize]) -> f64 {
     let mut values: Vec<f64> = rows.iter().map(|&row| data.measured[row]).collect();
@@ -191,12 +272,5 @@ mod tests {
         };
         assert_eq!(kept(&[20, 147, 300, 341]), [20, 147, 300, 341]);
         assert_eq!(kept(&[30, 60, 120, 210, 300, 341]), [341]);
-    }
-
-    #[test]
-    fn the_chance_of_as_many_is_that_of_poisson() {
-        assert!((chance_of_as_many(1, 0.5) - 0.393_469).abs() < 1e-6);
-        assert!((chance_of_as_many(3, 1.0) - 0.080_301).abs() < 1e-6);
-        assert_eq!(chance_of_as_many(0, 2.0), 1.0);
     }
 }

@@ -4,12 +4,17 @@
 //! repeats. What repeats is looked for in the readings themselves: a machine that does what its model
 //! says repeats, also where nothing else is left but noise.
 
+use std::collections::HashMap;
+
 use trueup_machine::{
     effect::OnBoard,
     file::{Feedback, LinearAxis, Pitch},
     model::is_reverse,
 };
-use trueup_numerics::repeats::{Law, Reading, arrivals, gross, largest_variance, places};
+use trueup_numerics::{
+    repeats::{Law, Reading, arrivals, gross, largest_variance, places},
+    robust::median,
+};
 
 use crate::{
     data::Data,
@@ -95,6 +100,24 @@ impl Targets {
         let found = gross(&self.readings(residual));
         self.rows.iter().zip(found).for_each(|(&row, found)| aside[row] = found);
         aside
+    }
+
+    /// How far what is `left_um` of each row is from the median of its place's others that are not set
+    /// aside; NaN of rows that are at none.
+    pub(crate) fn from_place(&self, left_um: &[f64], aside: &[bool]) -> Vec<f64> {
+        let mut at: HashMap<(usize, usize), Vec<usize>> = HashMap::new();
+        for (reading, &row) in self.readings.iter().zip(&self.rows) {
+            at.entry((reading.place, reading.side)).or_default().push(row);
+        }
+        let mut distance_um = vec![f64::NAN; left_um.len()];
+        for rows in at.values() {
+            for &row in rows {
+                let others = rows.iter().filter(|other| **other != row && !aside[**other]);
+                let mut others: Vec<f64> = others.map(|&other| left_um[other]).collect();
+                distance_um[row] = left_um[row] - median(&mut others);
+            }
+        }
+        distance_um
     }
 
     /// The tables that may be tried, as [`Law`]s: a step is the screw's, so that a scale has none.

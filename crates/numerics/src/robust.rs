@@ -34,6 +34,7 @@
 //! scales; the median knows the scale as well as 0.37·n values would with squares, so short runs need
 //! more.
 
+mod chance;
 mod relation;
 mod residual;
 mod series;
@@ -41,6 +42,7 @@ mod statistics;
 #[cfg(test)]
 mod tests;
 
+pub use chance::{chance_of_as_many, chance_of_noise};
 pub use relation::{ROWS_A_COLUMN, in_relation};
 pub use residual::in_residual;
 pub use series::{FEWEST_IN_SERIES, in_series};

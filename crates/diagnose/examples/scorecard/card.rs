@@ -22,8 +22,12 @@ impl Card {
              structure is reported. *wrong*: a cause is claimed that was not hidden. *interval*: \
              share of the hidden values inside their 95 % interval, of so many. *gain*: reduction on \
              the hold-out over the possible one, median and worst of the answers that claim every \
-             hidden cause.\n",
+             hidden cause. *harm*: draws whose hold-out is left more than 5 % worse than before by what \
+             the answer compensates.\n",
         );
+        if !self.rows.is_empty() {
+            text += &format!("\n{}\n", self.totals());
+        }
         let mut ratios: Vec<f64> = self.rows.iter().map(|(ratio, ..)| *ratio).collect();
         ratios.sort_by(f64::total_cmp);
         ratios.dedup();
@@ -52,7 +56,7 @@ impl Card {
                 }
                 text += &format!(
                     "\n## Ratio {ratio}, {title}\n\n| hidden | draws | right | wrong | interval | \
-                     gain | worst |\n|---|---|---|---|---|---|---|\n"
+                     gain | worst | harm |\n|---|---|---|---|---|---|---|---|\n"
                 );
                 let mut all = Row::default();
                 for (_, name, row) in rows {
@@ -64,6 +68,22 @@ impl Card {
             text += &confusion(ratio, &rows);
         }
         text
+    }
+
+    /// All draws of all rows, in a sentence.
+    pub fn totals(&self) -> String {
+        let scores = || self.rows.iter().flat_map(|(.., row)| &row.scores);
+        let draws = scores().count();
+        let right = scores().filter(|score| score.is_right).count();
+        let wrong = scores().filter(|score| score.is_wrong).count();
+        let harmed = scores().filter(|score| score.is_harmed).count();
+        let percent = |count: usize| 100.0 * count as f64 / draws.max(1) as f64;
+        format!(
+            "Of all {draws} draws {right} are right ({:.1} %), {wrong} have a false name ({:.2} %), {harmed} \
+             do harm.",
+            percent(right),
+            percent(wrong)
+        )
     }
 }
 
@@ -109,11 +129,12 @@ fn table_line(row: &Row, name: &str) -> String {
     let within =
         if count == 0 { "–".to_string() } else { format!("{:.0} % of {count}", 100.0 * within) };
     format!(
-        "| {name} | {} | {:.0} % | {:.0} % | {within} | {} | {} |\n",
+        "| {name} | {} | {:.0} % | {:.0} % | {within} | {} | {} | {} |\n",
         row.scores.len(),
         100.0 * row.right(),
         100.0 * row.wrong(),
         number(median),
-        number(worst)
+        number(worst),
+        row.harmed()
     )
 }

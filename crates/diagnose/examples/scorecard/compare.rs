@@ -9,8 +9,8 @@
 //! p = min(1, 2·Σ_{k ≤ min(b, c)} C(b + c, k)/2^(b + c))
 //! ```
 //!
-//! and likewise of the draws with a wrong name. A cell with more losses than gains and p below 1 % is
-//! worse, and the command ends with 1. The limit holds for each cell by itself, without Bonferroni's
+//! and likewise of the draws with a wrong name, and of those with harm where both cards tell it. A cell
+//! with more losses than gains and p below 1 % is worse, and the command ends with 1. The limit holds for each cell by itself, without Bonferroni's
 //! correction: of 200 cells whose answers change by chance alone about one is called worse too often
 //! rather than one overlooked.
 
@@ -32,12 +32,14 @@ pub struct Draw {
     within: (usize, usize),
     /// Share of the possible gain on the hold-out; NaN: none to be had, or not all claimed.
     gain: f64,
+    /// None: a card that does not tell.
+    is_harmed: Option<bool>,
 }
 
 impl Draw {
     /// Right or not, with a wrong name or not, and its gain; no intervals.
     pub fn without_intervals(is_right: bool, is_wrong: bool, gain: f64) -> Self {
-        Self { is_right, is_wrong, within: (0, 0), gain }
+        Self { is_right, is_wrong, within: (0, 0), gain, is_harmed: None }
     }
 }
 
@@ -47,7 +49,9 @@ pub struct Draws {
     cells: BTreeMap<(String, String), BTreeMap<u64, Draw>>,
 }
 
-const HEADER: &str = "ratio\thidden\tseed\tright\twrong\tinside\tintervals\tgain";
+const HEADER: &str = "ratio\thidden\tseed\tright\twrong\tinside\tintervals\tgain\tharm";
+/// What a card began with that does not tell of harm.
+const WITHOUT_HARM: &str = "ratio\thidden\tseed\tright\twrong\tinside\tintervals\tgain";
 
 impl Draws {
     /// Adds `row`, whose seeds begin at `first`.
@@ -60,6 +64,7 @@ impl Draws {
                 is_wrong: score.is_wrong,
                 within: (inside, score.intervals.len()),
                 gain: score.share_of_gain,
+                is_harmed: Some(score.is_harmed),
             };
             cell.insert(seed, draw);
         }
@@ -75,10 +80,12 @@ impl Draws {
         let mut text = format!("{HEADER}\n");
         for ((ratio, hidden), cell) in &self.cells {
             for (seed, draw) in cell {
-                let Draw { is_right, is_wrong, within: (inside, intervals), gain } = draw;
+                let Draw { is_right, is_wrong, within: (inside, intervals), gain, is_harmed } =
+                    draw;
                 let (right, wrong) = (u8::from(*is_right), u8::from(*is_wrong));
+                let harm = is_harmed.map_or("-", |it| if it { "1" } else { "0" });
                 text += &format!(
-                    "{ratio}\t{hidden}\t{seed}\t{right}\t{wrong}\t{inside}\t{intervals}\t{gain:.4}\n"
+                    "{ratio}\t{hidden}\t{seed}\t{right}\t{wrong}\t{inside}\t{intervals}\t{gain:.4}\t{harm}\n"
                 );
             }
         }
@@ -87,7 +94,7 @@ impl Draws {
 
     /// Reads what [`Self::to_tsv`] writes, or what `--each` prints.
     fn read(text: &str) -> Option<Self> {
-        let is_tsv = text.starts_with(HEADER);
+        let is_tsv = text.starts_with(WITHOUT_HARM);
         let mut draws = Self::default();
         let mut ratio = "";
         for line in text.lines().skip(usize::from(is_tsv)) {
@@ -114,7 +121,9 @@ type Line<'t> = ((&'t str, &'t str), (u64, Draw));
 
 fn from_tsv(line: &str) -> Option<Line<'_>> {
     let cells: Vec<&str> = line.split('\t').collect();
-    let &[ratio, hidden, seed, right, wrong, inside, intervals, gain] = &cells[..] else {
+    let (&[ratio, hidden, seed, right, wrong, inside, intervals, gain]
+    | &[ratio, hidden, seed, right, wrong, inside, intervals, gain, _]) = &cells[..]
+    else {
         return None;
     };
     let draw = Draw {
@@ -122,6 +131,7 @@ fn from_tsv(line: &str) -> Option<Line<'_>> {
         is_wrong: wrong == "1",
         within: (inside.parse().ok()?, intervals.parse().ok()?),
         gain: gain.parse().ok()?,
+        is_harmed: cells.get(8).and_then(|&harm| (harm != "-").then_some(harm == "1")),
     };
     Some(((ratio, hidden), (seed.parse().ok()?, draw)))
 }
@@ -150,6 +160,8 @@ fn from_text(line: &str) -> Option<(u64, &str, Draw)> {
         is_wrong: answer.ends_with("wrong"),
         within: (inside, inside + ends(" OUTSIDE")),
         gain: gain.map_or(Some(f64::NAN), |gain| gain.parse().ok())?,
+        // What was printed without this word may be of before it was there.
+        is_harmed: None,
     };
     Some((seed.parse().ok()?, hidden, draw))
 }
@@ -177,12 +189,14 @@ impl Change {
     fn of(
         before: &BTreeMap<u64, Draw>,
         after: &BTreeMap<u64, Draw>,
-        is_good: fn(&Draw) -> bool,
+        is_good: fn(&Draw) -> Option<bool>,
     ) -> Self {
         let seeds = |was: bool| {
-            let both = before.iter().filter_map(|(seed, one)| Some((*seed, one, after.get(seed)?)));
-            let changed = both.filter(|(_, one, other)| is_good(one) != is_good(other));
-            changed.filter(|(_, one, _)| is_good(one) == was).map(|(seed, ..)| seed).collect()
+            let both = before
+                .iter()
+                .filter_map(|(seed, one)| Some((*seed, is_good(one)?, is_good(after.get(seed)?)?)));
+            let changed = both.filter(|(_, one, other)| one != other);
+            changed.filter(|(_, one, _)| *one == was).map(|(seed, ..)| seed).collect()
         };
         Self { lost: seeds(true), gained: seeds(false) }
     }
@@ -219,8 +233,9 @@ pub fn run(words: &[String]) -> ExitCode {
         cells += 1;
         pairs += old.keys().filter(|seed| new.contains_key(seed)).count();
         let changes = [
-            ("right", Change::of(old, new, |draw| draw.is_right)),
-            ("without a wrong name", Change::of(old, new, |draw| !draw.is_wrong)),
+            ("right", Change::of(old, new, |draw| Some(draw.is_right))),
+            ("without a wrong name", Change::of(old, new, |draw| Some(!draw.is_wrong))),
+            ("without harm", Change::of(old, new, |draw| draw.is_harmed.map(|it| !it))),
         ];
         for (what, change) in changes {
             if change.lost.is_empty() && change.gained.is_empty() {

@@ -190,5 +190,6 @@ fn main() -> ExitCode {
             }
         }
     }
+    println!("{}", card.totals());
     ExitCode::SUCCESS
 }

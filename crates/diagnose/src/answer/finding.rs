@@ -19,6 +19,7 @@ use crate::{
     gain::Gain,
     judge::{Doubt, Judgement, table::BetweenPoints},
     kind::{Kind, Part},
+    outliers::Aside,
 };
 
 /// The finding of a term of what was found on `problem`; `left_out`: what was left out in turn.
@@ -241,16 +242,18 @@ fn rows_aside(aside: &[bool]) -> String {
     format!("{} {}", if rows.len() == 1 { "row" } else { "rows" }, rows.join(", "))
 }
 
-/// What is told of rows that were set aside where a record begins, or where speed or load change; none
-/// where there are none.
-pub(crate) fn at_changes(aside: &[bool]) -> Option<String> {
-    aside.contains(&true).then(|| {
-        format!(
-            "Set aside: {}, at a start or a change of speed or load. What was read there may be of a moment \
-             before it.",
-            rows_aside(aside)
-        )
-    })
+/// What is told of rows that were set aside and are not claimed to be wrong; none where there are none.
+pub(crate) fn not_claimed(aside: &[bool], known: Aside) -> Option<String> {
+    let why = match known {
+        Aside::Wrong => return None,
+        Aside::AtChanges => {
+            "at a start or a change of speed or load. What was read there may be of a moment before it."
+        }
+        Aside::MayBeNoise => {
+            "far from the rest. Noise as that of the others may have a reading as far away in so long a record."
+        }
+    };
+    aside.contains(&true).then(|| format!("Set aside: {}, {why}", rows_aside(aside)))
 }
 
 /// The finding of rows that were set aside.

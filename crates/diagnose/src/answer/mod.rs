@@ -34,14 +34,14 @@ use crate::{
     kind::{Kind, Part},
     model::Model,
     next::question::{Question, questions},
-    outliers::are_of_readings,
+    outliers::{Aside, SetAside},
     parameters::step_s,
     repeats::{self, Repeats},
     search::{Found, Tried, extend::without},
     terms::Extended,
 };
 use errors::{about_zero, errors, largest, within_groups};
-use finding::{at_changes, finding, merged, outliers};
+use finding::{finding, merged, not_claimed, outliers};
 use hold_out::HoldOut;
 use power::Power;
 use report::{After, Before, Finding, LeftOut, Rejected, Report};
@@ -95,7 +95,7 @@ pub(crate) fn conclude(
     problem: &Problem,
     found: Found,
     judged: &[Judgement],
-    aside: Vec<bool>,
+    SetAside { rows: aside, known }: SetAside,
     asked: Asked<'_>,
 ) -> Result<Diagnosis, BadInput> {
     let mut model = kept(problem, &found, judged);
@@ -124,11 +124,9 @@ pub(crate) fn conclude(
 
     let promise = at_tool::Grounds::new(problem, &found, &compensated);
     let questions = questions(problem, &found, judged);
-    let has_outliers = are_of_readings(&data, &aside);
+    let has_outliers = known == Aside::Wrong;
     let mut notes = asked.notes;
-    if !has_outliers {
-        notes.extend(at_changes(&aside));
-    }
+    notes.extend(not_claimed(&aside, known));
     let repeats = repeats::analyse(&data, &after, &aside);
     let left_um = rms(&after_rows);
     let power = Power::new(problem, &found, left_um, after_rows.len(), asked.matters_um);

@@ -50,7 +50,12 @@ pub struct Score {
     pub share_of_gain: f64,
     /// RMS of all that is hidden over that of the noise.
     pub visible: f64,
+    /// What the answer compensates leaves the hold-out worse, by more than [`HARM`].
+    pub is_harmed: bool,
 }
+
+/// Harm on a hold-out: so many times what the machine file as it is leaves (RMS), by the fixed form of the answer.
+const HARM: f64 = 1.05;
 
 impl fmt::Display for Score {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -68,6 +73,9 @@ impl fmt::Display for Score {
         )?;
         if !self.share_of_gain.is_nan() {
             write!(f, ", {:.3} of the possible gain", self.share_of_gain)?;
+        }
+        if self.is_harmed {
+            write!(f, ", HARM")?;
         }
         for it in &self.intervals {
             write!(f, ", {} {}", it.name, if it.is_inside(1.0) { "inside" } else { "OUTSIDE" })?;
@@ -192,6 +200,7 @@ pub fn score(challenge: &Challenge, diagnosis: &Diagnosis) -> Score {
         intervals,
         share_of_gain,
         visible: rms(&truth.effect_um) / truth.noise_rms_um,
+        is_harmed: report.after.compensated_holdout_rms_um > HARM * report.before.holdout_rms_um,
     }
 }
 
@@ -217,6 +226,11 @@ impl Row {
 
     pub fn wrong(&self) -> f64 {
         self.share(|score| score.is_wrong)
+    }
+
+    /// Draws whose hold-out is left worse.
+    pub fn harmed(&self) -> usize {
+        self.scores.iter().filter(|score| score.is_harmed).count()
     }
 
     /// Median and worst share of the possible gain, over the right answers.
@@ -259,11 +273,12 @@ impl Row {
             confused.into_iter().map(|(key, count)| format!("{count}x {key}")).collect();
         format!(
             "{name:<48} n {:>3} right {:>4.0} % wrong {:>4.0} % in {:>4.0} % of {count:<3} gain \
-             {median:.3} worst {worst:.3}  {}",
+             {median:.3} worst {worst:.3} harm {}  {}",
             self.scores.len(),
             100.0 * self.right(),
             100.0 * self.wrong(),
             100.0 * within,
+            self.harmed(),
             confused.join("; ")
         )
     }

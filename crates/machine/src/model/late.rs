@@ -8,7 +8,10 @@
 //! Δ is the time since the row before. A row's value holds over the interval that ends with it
 //! ([`Lag`](super::Lag)), so that of what rises steadily the lag is not τ behind but d, about τ − Δ/2; the
 //! step from the row before undoes it exactly, whose slope is that of the middle between the two. Over a
-//! longer time w, or what of that is in the record, the slope is less noisy. After a gap that is much longer than τ the thermometer has arrived, and d is 0.
+//! longer time w, or what of that is in the record, the slope is less noisy. A record begins at the first row
+//! with a thermometer that has settled, and mostly with a start: there w reaches no farther ahead than back,
+//! for what comes has not yet come. After a gap that is much longer than τ the thermometer has arrived, and d
+//! is 0.
 //!
 //! Both look ahead, so that they are made of the recorded run before it is stepped through. A model that
 //! steps without them takes the thermometer's word.
@@ -79,7 +82,8 @@ fn parts(
             share = if ratio == 0.0 { 1.0 } else { ratio / ratio.exp_m1() };
         }
         let middle_s = now_s - elapsed_s / 2.0;
-        let width_s = (slope_over * late.by_s).max(elapsed_s);
+        let back_s = middle_s - known_s[0];
+        let width_s = (slope_over * late.by_s).min(2.0 * back_s).max(elapsed_s);
         now_c + share * late.by_s * shown.slope(middle_s, width_s)
     };
     time_s.iter().zip(shown_c).enumerate().map(of).collect()
@@ -256,6 +260,21 @@ mod tests {
                 off(&shown_c),
                 off(&found_c)
             );
+        }
+    }
+
+    /// A start right after the first row: a slope that looked ahead of it would have it before it came.
+    #[test]
+    fn what_a_part_does_after_the_first_row_is_not_seen_in_it() {
+        let time_s: Vec<f64> = (0..200).map(|n| f64::from(n) * 5.0).collect();
+        let part_c: Vec<f64> = time_s.iter().map(|t| if *t > 0.0 { 25.0 } else { 20.0 }).collect();
+        let mut lag = Lag::default();
+        let shown_c: Vec<f64> =
+            time_s.iter().zip(&part_c).map(|(&t, &c)| lag.step(60.0, t, c)).collect();
+        for over in [0.0, 0.3, 1.0] {
+            let found_c = part_temperature(behind(60.0, over), &time_s, &shown_c);
+            let off = found_c.iter().zip(&part_c).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            assert!(off < 0.25, "{over}: {off} of 5 K");
         }
     }
 
