@@ -3,7 +3,7 @@
 //! Whole files where there are several, whole runs where there are at least three, else stretches of
 //! the record; single rows only where there is no time and few rows, as in a table of readings.
 
-use std::fmt;
+use std::{fmt, sync::Arc};
 
 use trueup_numerics::{
     blocks::{Blocks, Paired, Reduction, stretches},
@@ -100,16 +100,17 @@ impl Folds {
 
     /// What `model`, fitted to the others, leaves in each group, each fold left out in turn.
     pub(crate) fn left_out(&self, problem: &Problem, model: &Model) -> Vec<f64> {
-        self.left_out_with_models(problem, model).0
+        let first = left_out_of(problem, model, &self.of_group, self.count);
+        self.averaged(problem, model, &first.0)
     }
 
     /// The squares that are left in each group, on the average of both ways to cut a record; with the sign
     /// of the first.
-    fn averaged(&self, problem: &Problem, model: &Model, first: Vec<f64>) -> Vec<f64> {
-        let Some((of_group, count)) = &self.otherwise else { return first };
-        let (second, _) = left_out_of(problem, model, of_group, *count);
-        let mean = |(a, b): (f64, f64)| (0.5 * (a * a + b * b)).sqrt().copysign(a);
-        first.into_iter().zip(second).map(mean).collect()
+    fn averaged(&self, problem: &Problem, model: &Model, first: &[f64]) -> Vec<f64> {
+        let Some((of_group, count)) = &self.otherwise else { return first.to_vec() };
+        let second = left_out_of(problem, model, of_group, *count);
+        let mean = |(a, b): (&f64, &f64)| (0.5 * (a * a + b * b)).sqrt().copysign(*a);
+        first.iter().zip(&second.0).map(mean).collect()
     }
 
     /// The same, with the model that was fitted without each fold.
@@ -118,8 +119,8 @@ impl Folds {
         problem: &Problem,
         model: &Model,
     ) -> (Vec<f64>, Vec<Model>) {
-        let (residual, models) = left_out_of(problem, model, &self.of_group, self.count);
-        (self.averaged(problem, model, residual), models)
+        let first = left_out_of(problem, model, &self.of_group, self.count);
+        (self.averaged(problem, model, &first.0), first.1.clone())
     }
 
     /// What `after` leaves less of the squares than `before` in the last stretch of a record; none where
@@ -173,6 +174,17 @@ fn eventful(measured: &[f64], count: usize) -> Vec<usize> {
 
 /// What `model`, fitted to the others, leaves in each group, each fold left out in turn; with the models.
 fn left_out_of(
+    problem: &Problem,
+    model: &Model,
+    of_group: &[usize],
+    count: usize,
+) -> Arc<(Vec<f64>, Vec<Model>)> {
+    // So many folds are the same ones in one problem.
+    let what = format!("{count} folds left out");
+    problem.known(&what, model, || each_left_out(problem, model, of_group, count))
+}
+
+fn each_left_out(
     problem: &Problem,
     model: &Model,
     of_group: &[usize],

@@ -27,6 +27,10 @@ pub(crate) struct Candidate {
 
 /// All that may be added to `model`, and the terms of the machine file that may have become wrong.
 pub(crate) fn possible(problem: &Problem, model: &Model, residual: &[f64]) -> Vec<Candidate> {
+    (*problem.known("causes", model, || proposed(problem, model, residual))).clone()
+}
+
+fn proposed(problem: &Problem, model: &Model, residual: &[f64]) -> Vec<Candidate> {
     let stated = problem.data.stated.iter();
     // A time that is searched, not fitted, is what happened once: that does not change.
     let held = stated.map(Part::stated).filter(|Part { kind, .. }| {

@@ -1,6 +1,6 @@
 //! Columns: those of the file by name, those that follow from them, and what a part adds to each row.
 
-use std::borrow::Cow;
+use std::{borrow::Cow, sync::Arc};
 
 use trueup_machine::{
     effect::{Columns, Input},
@@ -63,7 +63,9 @@ impl Columns for Table<'_> {
                 run.map_or_else(|| Cow::Owned(vec![f64::NAN; data.rows]), without_gaps)
             }
             Input::Temperature { column, lag_s: 0.0 } => whole(data.temperature(column)),
-            Input::Temperature { column, lag_s } => Cow::Owned(data.lagged(column, lag_s, lag_s)),
+            Input::Temperature { column, lag_s } => {
+                Cow::Owned(Arc::unwrap_or_clone(data.lagged(column, lag_s, lag_s)))
+            }
             Input::Speed => whole(data.spindle_rpm.as_deref()),
             Input::Load => whole(data.load_n.as_deref()),
             // Where it is missing it is not that of the row before.

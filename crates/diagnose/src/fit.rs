@@ -9,15 +9,18 @@
 //! | module | does |
 //! |---|---|
 //! | `problem` | what is fitted to |
-//! | `cache` | columns that were worked out before |
+//! | `cache`, `memo` | columns that were worked out before; what was found for whole models |
+//! | `growth` | the machine's own law in groups |
 //! | `jacobian` | the change of the prediction with each value |
 //! | `undetermined` | values that the data do not determine |
 //! | `solve` | the fit |
 //! | `spread` | how far the values may be off |
 
 mod cache;
+mod growth;
 mod halves;
 mod jacobian;
+mod memo;
 mod problem;
 mod solve;
 mod spread;

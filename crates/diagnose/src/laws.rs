@@ -1,11 +1,11 @@
 //! The machine's own laws with the constants that the parts of a model correct, in columns: what
 //! `trueup predict` steps row by row.
 
-use std::borrow::Cow;
+use std::{borrow::Cow, sync::Arc};
 
 use trueup_machine::{
     effect::{Constants, Late},
-    file::{ElongationSource, Spindle, Thermal, Warmup},
+    file::{ElongationSource, Spindle, TemperatureModel, Thermal, Warmup},
     model::{WarmupState, thermal_um},
 };
 
@@ -23,6 +23,21 @@ pub(crate) struct Laws {
     thermal: Option<Thermal>,
     thermal_falling_s: Option<f64>,
     thermal_late: Option<Late>,
+}
+
+/// A growth that is a factor times a temperature.
+pub(crate) struct Growth<'l> {
+    pub model: &'l TemperatureModel,
+    /// How late its thermometer is, and the lags behind the part's temperature, in s.
+    pub late: Option<Late>,
+    pub lags_s: [f64; 2],
+}
+
+impl Growth<'_> {
+    /// The temperature behind the lags, in each row.
+    pub(crate) fn behind_c(&self, data: &Data) -> Arc<Vec<f64>> {
+        data.followed(&self.model.sensor, self.late, self.lags_s)
+    }
 }
 
 impl Laws {
@@ -137,19 +152,31 @@ impl Laws {
         rise_s.filter(|rise_s| *rise_s > 0.0)
     }
 
+    /// The law of the elongation, where it is corrected and the axis's is not, and it is a factor times a
+    /// temperature.
+    pub(crate) fn growth(&self, data: &Data) -> Option<Growth<'_>> {
+        let spindle = self.spindle.as_ref().filter(|_| self.thermal.is_none())?;
+        self.growth_of(spindle, data)
+    }
+
+    fn growth_of<'l>(&self, spindle: &'l Spindle, data: &Data) -> Option<Growth<'l>> {
+        let is_thermal = spindle.source == Some(ElongationSource::Temperature);
+        let model = spindle.temperature.as_ref().filter(|_| is_thermal)?;
+        data.temperature(&model.sensor)?;
+        let fall_s = self.spindle_falling_s.unwrap_or(model.lag_s);
+        Some(Growth { model, late: self.spindle_late, lags_s: [model.lag_s, fall_s] })
+    }
+
     /// The elongation of each row.
     pub(crate) fn elongation<'d>(&self, data: &'d Data) -> Cow<'d, [f64]> {
         let Some(spindle) = &self.spindle else { return Cow::Borrowed(&data.law) };
-        match (spindle.source, &spindle.temperature, &spindle.warmup) {
-            (Some(ElongationSource::Temperature), Some(model), _)
-                if data.temperature(&model.sensor).is_some() =>
-            {
-                let fall_s = self.spindle_falling_s.unwrap_or(model.lag_s);
-                let lags_s = [model.lag_s, fall_s];
-                let lagged = data.followed(&model.sensor, self.spindle_late, lags_s);
-                lagged.iter().map(|c| model.k_um_per_c * (c - model.reference_c)).collect()
-            }
-            (Some(ElongationSource::Warmup), _, Some(model)) => {
+        if let Some(growth) = self.growth_of(spindle, data) {
+            let Growth { model, .. } = growth;
+            let grown = |c: &f64| model.k_um_per_c * (c - model.reference_c);
+            return growth.behind_c(data).iter().map(grown).collect();
+        }
+        match (spindle.source, &spindle.warmup) {
+            (Some(ElongationSource::Warmup), Some(model)) => {
                 if let Some(whole) = &data.whole {
                     return whole.pick(&self.elongation(&whole.data)).into();
                 }

@@ -42,7 +42,7 @@ pub(super) struct Lags {
 /// A column, how late its thermometer is, and the time constants of its rise and fall, in s.
 type Asked = (String, Option<Late>, [f64; 2]);
 /// The rows of what was asked for.
-type Known = (Asked, Vec<f64>);
+type Known = (Asked, Arc<Vec<f64>>);
 
 impl Lags {
     /// Numbers in the columns that are kept, 8 bytes each: of a few thousand rows enough for a grid of
@@ -95,13 +95,13 @@ impl Lags {
         blocks: &RowBlocks,
         (column, values): (&str, Option<&[f64]>),
         lags_s @ [rise_s, fall_s]: [f64; 2],
-        stepped: impl FnOnce() -> Vec<f64>,
-    ) -> Vec<f64> {
+        stepped: impl FnOnce() -> Arc<Vec<f64>>,
+    ) -> Arc<Vec<f64>> {
         let series = self.series.iter().find(|(name, _)| name == column && rise_s == fall_s);
         if let (Some((_, series)), Some(values)) = (series, values)
             && rise_s > 0.0
         {
-            return series.means(values, blocks, rise_s);
+            return series.means(values, blocks, rise_s).into();
         }
         self.known(blocks, (column.into(), None, lags_s), || {
             let is_late = lags_s != [0.0; 2];
@@ -119,9 +119,9 @@ impl Lags {
         column: &str,
         late: Late,
         lags_s: [f64; 2],
-        lagged: impl FnOnce() -> Vec<f64>,
-        stepped: impl FnOnce() -> Vec<f64>,
-    ) -> Vec<f64> {
+        lagged: impl FnOnce() -> Arc<Vec<f64>>,
+        stepped: impl FnOnce() -> Arc<Vec<f64>>,
+    ) -> Arc<Vec<f64>> {
         self.known(blocks, (column.into(), Some(late), lags_s), || {
             let is_told = |(it, _): &(&Stretches, _)| it.fastest_s() <= late.by_s;
             let by_means = self.by_means(column, lags_s).filter(is_told);
@@ -152,12 +152,17 @@ impl Lags {
     }
 
     /// The rows of what may have been asked for before.
-    fn known(&self, blocks: &RowBlocks, asked: Asked, make: impl FnOnce() -> Vec<f64>) -> Vec<f64> {
+    fn known(
+        &self,
+        blocks: &RowBlocks,
+        asked: Asked,
+        make: impl FnOnce() -> Vec<f64>,
+    ) -> Arc<Vec<f64>> {
         let known = || self.known.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, values)) = known().iter().find(|(there, _)| *there == asked) {
             return values.clone();
         }
-        let values = make();
+        let values = Arc::new(make());
         let mut known = known();
         known.push_back((asked, values.clone()));
         if known.len() * blocks.len() > Self::MOST_NUMBERS {
@@ -215,10 +220,11 @@ mod tests {
             };
             stepped.set(0);
             let found = match late {
-                None => lags.lagged(&blocks, ("t", Some(&values)), lags_s, || count(behind(None))),
+                None => lags
+                    .lagged(&blocks, ("t", Some(&values)), lags_s, || count(behind(None)).into()),
                 Some(late) => {
-                    let lagged = || blocks.means(&behind(None));
-                    let all = || count(behind(Some(late)));
+                    let lagged = || blocks.means(&behind(None)).into();
+                    let all = || count(behind(Some(late))).into();
                     lags.followed(&blocks, "t", late, lags_s, lagged, all)
                 }
             };

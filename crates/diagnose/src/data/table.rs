@@ -104,13 +104,13 @@ impl DrawnFrom {
     }
 
     /// A column of the whole behind a lag, in the drawn rows.
-    fn lagged(&self, column: &str, lags_s @ [rise_s, fall_s]: [f64; 2]) -> Vec<f64> {
+    fn lagged(&self, column: &str, lags_s @ [rise_s, fall_s]: [f64; 2]) -> Arc<Vec<f64>> {
         let values = (column, self.data.temperature(column));
         self.lags.lagged(&self.blocks, values, lags_s, || self.data.lagged(column, rise_s, fall_s))
     }
 
     /// The same for the temperature of the part whose thermometer is late.
-    fn followed(&self, column: &str, late: Late, lags_s: [f64; 2]) -> Vec<f64> {
+    fn followed(&self, column: &str, late: Late, lags_s: [f64; 2]) -> Arc<Vec<f64>> {
         let lagged = || self.lagged(column, lags_s);
         let stepped = || self.data.followed(column, Some(late), lags_s);
         self.lags.followed(&self.blocks, column, late, lags_s, lagged, stepped)
@@ -179,14 +179,14 @@ impl Data {
 
     /// A temperature behind a first-order lag with one time constant while it rises and one while it
     /// falls, both in s; missing values hold.
-    pub(crate) fn lagged(&self, column: &str, rise_s: f64, fall_s: f64) -> Vec<f64> {
+    pub(crate) fn lagged(&self, column: &str, rise_s: f64, fall_s: f64) -> Arc<Vec<f64>> {
         if let Some(whole) = &self.whole {
             return whole.lagged(column, [rise_s, fall_s]);
         }
         match (self.temperature(column), self.source(column)) {
-            (None, _) => vec![0.0; self.rows],
-            (Some(values), None) => filled(values),
-            (Some(_), Some(source)) => self.stepped(&source, None, [rise_s, fall_s]).to_vec(),
+            (None, _) => vec![0.0; self.rows].into(),
+            (Some(values), None) => filled(values).into(),
+            (Some(_), Some(source)) => self.stepped(&source, None, [rise_s, fall_s]),
         }
     }
 
@@ -245,13 +245,13 @@ impl Data {
         column: &str,
         late: Option<Late>,
         [rise_s, fall_s]: [f64; 2],
-    ) -> Vec<f64> {
+    ) -> Arc<Vec<f64>> {
         let (Some(late), Some(source)) = (late, self.source(column)) else {
             return self.lagged(column, rise_s, fall_s);
         };
         match &self.whole {
             Some(whole) => whole.followed(column, late, [rise_s, fall_s]),
-            None => self.stepped(&source, Some(late), [rise_s, fall_s]).to_vec(),
+            None => self.stepped(&source, Some(late), [rise_s, fall_s]),
         }
     }
 }

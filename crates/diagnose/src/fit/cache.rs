@@ -7,6 +7,7 @@ use std::{
     sync::Arc,
 };
 
+use super::growth::Grown;
 use crate::{
     kind::{Kind, Part},
     model::Model,
@@ -17,17 +18,27 @@ pub(crate) type Columns = Arc<Vec<Vec<f64>>>;
 
 /// The parts that columns are of: equal if all values are, to the bit.
 #[derive(Clone, Debug)]
-pub(super) struct Key(Vec<Part>);
+pub(super) struct Key {
+    parts: Vec<Part>,
+    /// The constant of a whole model, in bits.
+    constant: Option<u64>,
+}
 
 impl Key {
     /// Of one part, by its nonlinear values.
     pub(super) fn of(kind: &Kind, nonlinear: &[f64]) -> Self {
-        Self(vec![Part { kind: kind.clone(), values: nonlinear.to_vec() }])
+        let parts = vec![Part { kind: kind.clone(), values: nonlinear.to_vec() }];
+        Self { parts, constant: None }
     }
 
     /// Of several parts together.
     pub(super) fn of_all(parts: &[&Part]) -> Self {
-        Self(parts.iter().copied().cloned().collect())
+        Self { parts: parts.iter().copied().cloned().collect(), constant: None }
+    }
+
+    /// Of a model.
+    pub(super) fn of_model(model: &Model) -> Self {
+        Self { parts: model.parts.clone(), constant: model.constant_um.map(f64::to_bits) }
     }
 }
 
@@ -37,7 +48,10 @@ impl PartialEq for Key {
             part.values.iter().map(|value| value.to_bits())
         }
         let is_equal = |(a, b): (&Part, &Part)| bits(a).eq(bits(b)) && a.kind == b.kind;
-        self.0.len() == other.0.len() && self.0.iter().zip(&other.0).all(is_equal)
+        let (own, others) = (&self.parts, &other.parts);
+        self.constant == other.constant
+            && own.len() == others.len()
+            && own.iter().zip(others).all(is_equal)
     }
 }
 
@@ -47,7 +61,8 @@ impl Eq for Key {}
 impl Hash for Key {
     /// Kinds that differ only in what is fixed about them meet, and are told apart by `eq`.
     fn hash<H: Hasher>(&self, state: &mut H) {
-        for part in &self.0 {
+        self.constant.hash(state);
+        for part in &self.parts {
             part.kind.name().hash(state);
             part.kind.column().hash(state);
             part.values.iter().for_each(|value| value.to_bits().hash(state));
@@ -62,9 +77,12 @@ pub(super) struct Cache {
     kept: HashMap<Key, Columns>,
     /// Numbers in them.
     numbers: usize,
-    /// Of values on the way of a fit, the newest last.
-    recent: VecDeque<(Key, Columns)>,
+    /// Of values on the way of a fit.
+    recent: HashMap<Arc<Key>, Columns>,
+    /// Their order, the newest last.
+    order: VecDeque<Arc<Key>>,
     recent_numbers: usize,
+    pub grown: Grown,
     /// A model that is late, and what it would predict of each row if it were not.
     pub unshifted: Option<(Model, Arc<Vec<f64>>)>,
 }
@@ -77,8 +95,7 @@ impl Cache {
     const LONGEST: usize = 100_000;
 
     pub(super) fn get(&self, key: &Key) -> Option<Columns> {
-        let recent = || self.recent.iter().rev().find(|(there, _)| there == key).map(|(_, it)| it);
-        self.kept.get(key).or_else(recent).cloned()
+        self.kept.get(key).or_else(|| self.recent.get(key)).cloned()
     }
 
     /// `keep`: they will be asked for again and again.
@@ -92,10 +109,16 @@ impl Cache {
             self.kept.insert(key, columns);
             return;
         }
+        let key = Arc::new(key);
+        // Two at once may have made the same.
+        if self.recent.insert(key.clone(), columns).is_some() {
+            return;
+        }
         self.recent_numbers += size;
-        self.recent.push_back((key, columns));
+        self.order.push_back(key);
         while self.recent_numbers > Self::RECENT_LIMIT {
-            let Some((_, oldest)) = self.recent.pop_front() else { break };
+            let oldest = self.order.pop_front().and_then(|key| self.recent.remove(&key));
+            let Some(oldest) = oldest else { break };
             self.recent_numbers -= oldest.iter().map(Vec::len).sum::<usize>();
         }
     }

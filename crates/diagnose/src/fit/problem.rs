@@ -1,10 +1,17 @@
 //! What is fitted to: the table, its groups of rows, and how far each value may go.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::{
+    any::Any,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+};
 
 use trueup_machine::effect::Nonlinear;
 
-use super::cache::{Cache, Columns, Key};
+use super::{
+    cache::{Cache, Columns, Key},
+    growth,
+    memo::Memo,
+};
 use crate::{
     columns::basis,
     data::{Data, Groups},
@@ -22,6 +29,7 @@ pub(crate) struct Problem {
     /// Bounds that a value must keep, from the extent of the data.
     pub bounds: Bounds,
     cache: Mutex<Cache>,
+    memo: Memo,
 }
 
 /// What nonlinear values may be.
@@ -62,7 +70,7 @@ impl Problem {
         let data = data.into();
         let measured = groups.means(&data.measured);
         let bounds = bounds(&data, &groups);
-        Self { data, groups, measured, bounds, cache: Mutex::default() }
+        Self { data, groups, measured, bounds, cache: Mutex::default(), memo: Memo::default() }
     }
 
     /// What an added part of these nonlinear values adds at each amplitude of 1, in groups. `keep`:
@@ -91,6 +99,21 @@ impl Problem {
     /// Gives the room of what was worked out before to something larger.
     pub(crate) fn forget(&self) {
         *self.cache() = Cache::default();
+        self.memo.clear();
+    }
+
+    /// `what` was found for `model` before, else made now; it follows from both and from these data alone, and is no
+    /// longer than a column.
+    pub(crate) fn known<T: Any + Send + Sync>(
+        &self,
+        what: &str,
+        model: &Model,
+        make: impl FnOnce() -> T,
+    ) -> Arc<T> {
+        /// Numbers that are kept, 8 bytes each: 16 MB.
+        const MOST_NUMBERS: usize = 2_000_000;
+        let many = MOST_NUMBERS / self.groups.len().max(1);
+        if many == 0 { Arc::new(make()) } else { self.memo.known(what, model, many, make) }
     }
 
     fn cache(&self) -> MutexGuard<'_, Cache> {
@@ -126,9 +149,27 @@ impl Problem {
             return known;
         }
         let model = Model { parts: law.iter().copied().cloned().collect(), constant_um: None };
-        let predicted = Arc::new(vec![self.groups.means(&model.unshifted(&self.data))]);
+        let predicted = self.grown(&model);
+        let predicted =
+            predicted.unwrap_or_else(|| self.groups.means(&model.unshifted(&self.data)));
+        let predicted = Arc::new(vec![predicted]);
         self.cache().put(key, predicted.clone(), false);
         predicted
+    }
+
+    /// The same where the parts only correct the law of a growth that is a factor times a temperature.
+    fn grown(&self, law: &Model) -> Option<Vec<f64>> {
+        let corrects = law.parts.iter().all(|part| part.kind.corrects());
+        let laws = corrects.then(|| Laws::corrected(&self.data, &law.parts))?;
+        let growth = laws.growth(&self.data)?;
+        let known = self.cache().grown.known(&growth);
+        let warm = known.unwrap_or_else(|| {
+            let warm = Arc::new(growth::warm(&growth, &self.data, &self.groups));
+            self.cache().grown.put(&growth, &warm);
+            warm
+        });
+        let still = self.cache().grown.still(&self.data, &self.groups);
+        Some(growth::predicted(&growth, &warm, &still, self.data.constants_um))
     }
 
     /// What the model would predict if nothing were late, in the rows of the whole.
@@ -153,6 +194,7 @@ impl Problem {
             measured,
             bounds: self.bounds,
             cache: Mutex::default(),
+            memo: Memo::default(),
         }
     }
 

@@ -44,6 +44,12 @@ pub(crate) fn longest_memory(problem: &Problem) -> f64 {
 
 /// The BIC; smaller is better.
 pub(crate) fn bic(problem: &Problem, fitted: &Fitted) -> f64 {
+    // What is left may be another fit's than the model's.
+    let what = format!("BIC of {:x}", fitted.sum.to_bits());
+    *problem.known(&what, &fitted.model, || bic_of(problem, fitted))
+}
+
+fn bic_of(problem: &Problem, fitted: &Fitted) -> f64 {
     let noise = noise_of(problem, &fitted.residual, 0);
     let memory = if noise == Noise::WHITE { 0.0 } else { 2.0 };
     let rows = fitted.residual.len() as f64;

@@ -52,7 +52,10 @@ pub(crate) fn extensions(
     candidates: &[Candidate],
     most: usize,
 ) -> Vec<Extension> {
-    fit_hits(problem, base, &scan(problem, base, candidates, Draw::Not).hits, most)
+    // The names, the settings and the base are all that such a scan follows from.
+    let what = format!("scan {candidates:?}");
+    let scanned = problem.known(&what, &base.model, || scan(problem, base, candidates, Draw::Not));
+    fit_hits(problem, base, &scanned.hits, most)
 }
 
 /// `base` with each of the causes that the data allow and that `admits` lets in, of those the ones that

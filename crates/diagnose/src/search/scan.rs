@@ -122,8 +122,10 @@ pub(crate) fn scan(problem: &Problem, base: &Fitted, candidates: &[Candidate], d
     let noises = noises(problem, own, draw);
     let price: Vec<f64> =
         trials.iter().map(|trial| 2.0 * candidates[trial.candidate].searched).collect();
-    let of = |lists: &[Vec<f64>]| {
-        let mut all = statistics(&trials, &nuisance, lists, problem, &noises, independent);
+    let mut of_trials = Vec::new();
+    let mut of = |lists: &[Vec<f64>]| {
+        let mut all =
+            statistics(&trials, &nuisance, lists, problem, &noises, independent, &mut of_trials);
         for (values, price) in all.iter_mut().zip(&price) {
             values.iter_mut().flatten().for_each(|value| *value -= price);
         }

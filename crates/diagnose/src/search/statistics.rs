@@ -1,6 +1,6 @@
 //! T and U of the scan: what columns take away from what a model leaves, for each noise.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DMatrixView};
 use trueup_numerics::{
     least_squares::normal::{cholesky, dot, forward, orthonormal},
     noise::{Noise, Whitener},
@@ -11,6 +11,9 @@ use crate::fit::Problem;
 
 /// Columns of one trial's matrix at a time, so that they stay in the cache.
 const COLUMNS_AT_ONCE: usize = 16;
+
+/// Rows up to which a product of matrices is quicker row by row: for more there is a routine in blocks.
+const FEW: usize = 5;
 
 /// A candidate at one setting, in columns.
 pub(crate) struct Trial {
@@ -28,7 +31,14 @@ pub(crate) struct Trial {
     pub degrees: f64,
 }
 
-/// T and U of each trial on each of `lists`, beside the columns of the model's own values.
+/// What of a trial does not depend on the lists: G, and the squares of its columns.
+pub(crate) struct Own {
+    beside: DMatrix<f64>,
+    whole: Vec<f64>,
+}
+
+/// T and U of each trial on each of `lists`, beside the columns of the model's own values. `own` is empty, or what
+/// other lists have left there for the same trials and noises.
 pub(crate) fn statistics(
     trials: &[Trial],
     nuisance: &[Vec<f64>],
@@ -36,6 +46,7 @@ pub(crate) fn statistics(
     problem: &Problem,
     noises: &[Noise],
     independent: f64,
+    own: &mut Vec<Vec<Own>>,
 ) -> Vec<Vec<[f64; 2]>> {
     let steps = &problem.groups.steps;
     let rows = problem.groups.len() as f64;
@@ -45,14 +56,22 @@ pub(crate) fn statistics(
     let chunks = chunks(trials);
     for (which, &noise) in noises.iter().enumerate() {
         let whitener = Whitener::new(noise, steps);
-        let projector = Projector::new(&whitener, nuisance, lists);
+        let known = own.get(which).map(Vec::as_slice);
+        let projector = Projector::new(&whitener, nuisance, lists, known.is_some());
         let deviance = |sum: f64| rows * (sum / rows).max(1e-300).ln() + whitener.log_det;
         for (base, sum) in base.iter_mut().zip(&projector.sums) {
             *base = base.min(deviance(*sum));
         }
-        let of = |chunk: &&[Trial]| projector.gains(&whitener, chunk);
+        let of = |&(start, chunk): &(usize, &[Trial])| {
+            let known = known.map(|known| &known[start..start + chunk.len()]);
+            projector.gains(&whitener, chunk, known)
+        };
         let is_worth = trials.len() * rows as usize * lists.len() > 2_000_000;
         let all = on_all_cores(&chunks, is_worth, of);
+        let (all, new): (Vec<_>, Vec<_>) = all.into_iter().unzip();
+        if known.is_none() {
+            own.push(new.into_iter().flatten().collect());
+        }
         for (trial, gains) in all.iter().flatten().enumerate() {
             for (list, gain) in gains.iter().enumerate() {
                 let sum = projector.sums[list];
@@ -82,19 +101,19 @@ pub(crate) fn statistics(
         .collect()
 }
 
-/// Trials side by side, about [`COLUMNS_AT_ONCE`] columns each.
-fn chunks(trials: &[Trial]) -> Vec<&[Trial]> {
+/// Trials side by side, about [`COLUMNS_AT_ONCE`] columns each, with the number of the first.
+fn chunks(trials: &[Trial]) -> Vec<(usize, &[Trial])> {
     let mut chunks = Vec::new();
     let (mut start, mut columns) = (0, 0);
     for (index, trial) in trials.iter().enumerate() {
         columns += trial.columns.len();
         if columns >= COLUMNS_AT_ONCE {
-            chunks.push(&trials[start..=index]);
+            chunks.push((start, &trials[start..=index]));
             (start, columns) = (index + 1, 0);
         }
     }
     if start < trials.len() {
-        chunks.push(&trials[start..]);
+        chunks.push((start, &trials[start..]));
     }
     chunks
 }
@@ -108,18 +127,20 @@ fn chunks(trials: &[Trial]) -> Vec<&[Trial]> {
 ///                                            and what the others explain of the rest
 /// ```
 struct Projector {
-    /// Q and the lists, a row each.
+    /// Q, unless all G are known, and the lists, a row each.
     left: DMatrix<f64>,
-    /// How many columns Q has.
+    /// The same as they were, where they are few.
+    rows: Vec<Vec<f64>>,
+    /// How many of them are Q's.
     basis: usize,
     /// Squares of the lists.
     sums: Vec<f64>,
 }
 
 impl Projector {
-    fn new(whitener: &Whitener, nuisance: &[Vec<f64>], lists: &[Vec<f64>]) -> Self {
+    fn new(whitener: &Whitener, nuisance: &[Vec<f64>], lists: &[Vec<f64>], is_known: bool) -> Self {
         let mut columns = orthonormal(whitener.apply_all(nuisance));
-        let basis = columns.len();
+        let mut basis = columns.len();
         let mut sums = Vec::with_capacity(lists.len());
         for mut list in whitener.apply_all(lists) {
             for column in &columns[..basis] {
@@ -129,45 +150,74 @@ impl Projector {
             sums.push(dot(&list, &list));
             columns.push(list);
         }
-        Self { left: matrix(&columns).transpose(), basis, sums }
+        if is_known {
+            columns.drain(..basis);
+            basis = 0;
+        }
+        let left = matrix(&columns).transpose();
+        let rows = if columns.len() > FEW { Vec::new() } else { columns };
+        Self { left, rows, basis, sums }
     }
 
-    /// The gain of each trial on each list.
-    fn gains(&self, whitener: &Whitener, trials: &[Trial]) -> Vec<Vec<f64>> {
+    /// Q and the lists times columns, a column each.
+    fn products(&self, white: &DMatrix<f64>) -> DMatrix<f64> {
+        if self.left.nrows() > FEW {
+            return &self.left * white;
+        }
+        let rows = self.rows.as_slice();
+        let of = |i: usize, j: usize| dot(&rows[i], white.column(j).as_slice());
+        DMatrix::from_fn(self.left.nrows(), white.ncols(), of)
+    }
+
+    /// The gain of each trial on each list, and what of it does not depend on them where it is not `known`.
+    fn gains(
+        &self,
+        whitener: &Whitener,
+        trials: &[Trial],
+        known: Option<&[Own]>,
+    ) -> (Vec<Vec<f64>>, Vec<Own>) {
         let columns: Vec<&Vec<f64>> = trials.iter().flat_map(|trial| &trial.columns).collect();
         let rows = self.left.ncols();
         let mut white = DMatrix::zeros(rows, columns.len());
         whitener.apply_into(&columns, white.as_mut_slice());
-        let products = &self.left * &white;
-        let white: Vec<&[f64]> = white.as_slice().chunks_exact(rows).collect();
+        let products = self.products(&white);
         let lists = self.sums.len();
         let mut first = 0;
-        trials
-            .iter()
-            .map(|trial| {
-                let count = trial.columns.len();
-                let own = &white[first..first + count];
-                let in_basis = products.view((0, first), (self.basis, count));
-                let on_lists = products.view((self.basis, first), (lists, count)).transpose();
-                first += count;
-                // The lower half is all that is read.
-                let squares =
-                    DMatrix::from_fn(
-                        count,
-                        count,
-                        |i, j| {
-                            if j <= i { dot(own[i], own[j]) } else { 0.0 }
-                        },
-                    );
-                let whole = squares.diagonal();
-                let beside = squares - in_basis.transpose() * in_basis;
-                if trial.is_fixed {
-                    return explained_by_fixed(&beside, whole.as_slice(), &on_lists);
+        let mut new = Vec::new();
+        let gain = |(number, trial): (usize, &Trial)| {
+            let count = trial.columns.len();
+            let on_lists = products.view((self.basis, first), (lists, count)).transpose();
+            let white = &white.as_slice()[first * rows..(first + count) * rows];
+            let own = match known {
+                Some(known) => &known[number],
+                None => {
+                    let in_basis = products.view((0, first), (self.basis, count));
+                    let squares = squares(white, count);
+                    let whole = squares.diagonal().as_slice().to_vec();
+                    let beside = squares - in_basis.transpose() * in_basis;
+                    new.push(Own { beside, whole });
+                    &new[number]
                 }
-                explained(beside, whole.as_slice(), on_lists)
-            })
-            .collect()
+            };
+            first += count;
+            if trial.is_fixed {
+                return explained_by_fixed(&own.beside, &own.whole, &on_lists);
+            }
+            explained(own.beside.clone(), &own.whole, on_lists)
+        };
+        (trials.iter().enumerate().map(gain).collect(), new)
     }
+}
+
+/// XᵀX; of a few columns the lower half, which is all that is read.
+fn squares(columns: &[f64], count: usize) -> DMatrix<f64> {
+    let rows = columns.len() / count.max(1);
+    if count > FEW {
+        let columns = DMatrixView::from_slice(columns, rows, count);
+        return columns.transpose() * columns;
+    }
+    let of = |i: usize| &columns[i * rows..(i + 1) * rows];
+    DMatrix::from_fn(count, count, |i, j| if j <= i { dot(of(i), of(j)) } else { 0.0 })
 }
 
 fn matrix(columns: &[Vec<f64>]) -> DMatrix<f64> {

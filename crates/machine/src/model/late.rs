@@ -16,7 +16,7 @@
 //! Both look ahead, so that they are made of the recorded run before it is stepped through. A model that
 //! steps without them takes the thermometer's word.
 
-use std::borrow::Cow;
+use std::{borrow::Cow, cmp::Ordering, ops::Range};
 
 use super::Situation;
 use crate::{
@@ -40,34 +40,98 @@ use crate::{
 /// ```
 #[must_use]
 pub fn part_temperature(late: Late, time_s: &[f64], shown_c: &[f64]) -> Vec<f64> {
+    if let Some(inner) = Inner::of(late, time_s, shown_c) {
+        let apart_s = |row: usize| if row == 0 { 0.0 } else { time_s[row] - time_s[row - 1] };
+        return parts(late, time_s, shown_c, &inner, apart_s);
+    }
     let mut before_s = f64::NAN;
     let apart_s = |row: usize| {
         let now_s: f64 = time_s[row];
         let before_s = std::mem::replace(&mut before_s, now_s);
         if before_s.is_nan() { 0.0 } else { now_s - before_s }
     };
-    parts(late, time_s, shown_c, apart_s)
+    parts(late, time_s, shown_c, &Inner::default(), apart_s)
 }
 
 /// The same where a thermometer's values are means over several rows each, at the mean of their times: what its lag
 /// did to them goes by how far those rows were `apart_s`.
 #[must_use]
 pub fn part_of_means(late: Late, time_s: &[f64], apart_s: &[f64], mean_c: &[f64]) -> Vec<f64> {
-    parts(late, time_s, mean_c, |row| apart_s[row])
+    parts(late, time_s, mean_c, &Inner::default(), |row| apart_s[row])
 }
 
-/// `apart_s`: since the reading before that of a row, of those that have both; asked for in their order.
+/// Of those rows in the middle of a series that are equally far apart, what the part's temperature is made of:
+/// both ends of a slope lie equally far from each.
+#[derive(Default)]
+struct Inner {
+    rows: Range<usize>,
+    /// The value of a row, that at the first end and that at the second one are taken so many times.
+    times: [f64; 3],
+    /// How far the ends are from a row: whole rows, and the rest.
+    ends: [(isize, f64); 2],
+}
+
+impl Inner {
+    /// None where rows are not equally far apart, or a value is missing.
+    fn of(late: Late, time_s: &[f64], shown_c: &[f64]) -> Option<Self> {
+        let last = time_s.len().checked_sub(1).filter(|last| *last > 0)?;
+        let apart_s = (time_s[last] - time_s[0]) / last as f64;
+        let off = |(row, now_s): (usize, &f64)| (now_s - (time_s[0] + apart_s * row as f64)).abs();
+        // But for the rounding of their times.
+        let are_even = time_s.iter().enumerate().all(|row| off(row) <= 1e-9 * apart_s);
+        if apart_s.partial_cmp(&0.0) != Some(Ordering::Greater)
+            || late.by_s.partial_cmp(&0.0) != Some(Ordering::Greater)
+            || !are_even
+            || shown_c.iter().any(|c| c.is_nan())
+        {
+            return None;
+        }
+        let (times, ends) = match late.form {
+            LateForm::Delay => ([0.0, 0.0, 1.0], [late.by_s / apart_s; 2]),
+            LateForm::Lag { slope_over } => {
+                let width_s = (slope_over * late.by_s).max(apart_s);
+                let ratio = apart_s / late.by_s;
+                let times = apart_s / ratio.exp_m1() / width_s;
+                let half = 0.5 * width_s / apart_s;
+                ([1.0, -times, times], [-0.5 - half, -0.5 + half])
+            }
+        };
+        let ends = ends.map(|end| (end.floor() as isize, end - end.floor()));
+        let first = (-ends[0].0).max(1);
+        let end = last as isize - ends[1].0.max(0);
+        let rows = (first < end).then_some(first as usize..end as usize)?;
+        Some(Self { rows, times, ends })
+    }
+
+    /// The part's temperature in its rows.
+    fn extend(&self, shown_c: &[f64], out: &mut Vec<f64>) {
+        let Self { rows, times: [own, first, second], ends } = self;
+        let shown = |whole: isize| &shown_c[rows.start.wrapping_add_signed(whole)..][..rows.len()];
+        let [begin, end] = ends.map(|(whole, rest)| (shown(whole), shown(whole + 1), rest));
+        let here = &shown_c[rows.clone()];
+        out.extend((0..rows.len()).map(|n| {
+            let along =
+                |(low, high, rest): (&[f64], &[f64], f64)| low[n] + (high[n] - low[n]) * rest;
+            own * here[n] + first * along(begin) + second * along(end)
+        }));
+    }
+}
+
+/// `apart_s`: since the reading before that of a row, of those that have both; asked for in their order, but for
+/// the `inner` rows.
 fn parts(
     late: Late,
     time_s: &[f64],
     shown_c: &[f64],
+    inner: &Inner,
     mut apart_s: impl FnMut(usize) -> f64,
 ) -> Vec<f64> {
     let (known_s, known_c) = known(time_s, shown_c);
     let mut shown = Shown { time_s: &known_s, shown_c: &known_c, begin: 0, end: 0 };
     // Most rows are as far apart as the rows before them, but for the rounding of their times.
     let (mut before_s, mut share) = (0.0, 1.0);
-    let of = |(row, (&now_s, &now_c)): (usize, (&f64, &f64))| {
+    let mut of = |row: usize| {
+        let (now_s, now_c) = (time_s[row], shown_c[row]);
         if now_s.is_nan() || now_c.is_nan() {
             return f64::NAN;
         }
@@ -86,7 +150,11 @@ fn parts(
         let width_s = (slope_over * late.by_s).min(2.0 * back_s).max(elapsed_s);
         now_c + share * late.by_s * shown.slope(middle_s, width_s)
     };
-    time_s.iter().zip(shown_c).enumerate().map(of).collect()
+    let mut out = Vec::with_capacity(shown_c.len());
+    out.extend((0..inner.rows.start).map(&mut of));
+    inner.extend(shown_c, &mut out);
+    out.extend((inner.rows.end..shown_c.len()).map(of));
+    out
 }
 
 /// The rows that have both.
@@ -275,6 +343,25 @@ mod tests {
             let found_c = part_temperature(behind(60.0, over), &time_s, &shown_c);
             let off = found_c.iter().zip(&part_c).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
             assert!(off < 0.25, "{over}: {off} of 5 K");
+        }
+    }
+
+    #[test]
+    fn rows_that_are_equally_far_apart_have_the_temperature_that_each_has_alone() {
+        let time_s: Vec<f64> = (0..500).map(|n| f64::from(n) * 0.7).collect();
+        let shown_c: Vec<f64> = time_s.iter().map(|t| 20.0 + (t / 9.0).sin()).collect();
+        // The last one comes late by more than rounding.
+        let uneven_s = [&time_s[..499], &[349.3 + 1e-6]].concat();
+        let forms = [LateForm::Delay, LateForm::Lag { slope_over: 0.3 }];
+        for form in [forms[0], forms[1], LateForm::Lag { slope_over: 1.0 }] {
+            for by_s in [0.05, 0.7, 13.3, 100.0, 400.0] {
+                let late = Late { by_s, form };
+                let even_c = part_temperature(late, &time_s, &shown_c);
+                let uneven_c = part_temperature(late, &uneven_s, &shown_c);
+                for (row, (a, b)) in even_c.iter().zip(&uneven_c).enumerate().take(499) {
+                    assert!((a - b).abs() < 1e-6, "{late:?}, row {row}: {a} {b}");
+                }
+            }
         }
     }
 

@@ -80,25 +80,20 @@ pub fn solve(
         let counted = |column: &[f64]| {
             column.iter().zip(mask).map(|(value, &used)| if used { *value } else { 0.0 }).collect()
         };
-        columns.iter().map(Vec::as_slice).chain([target]).map(counted).collect()
+        columns.iter().map(Vec::as_slice).map(counted).collect()
     });
-    let (columns, target) = match masked.as_deref().and_then(<[_]>::split_last) {
-        Some((target, columns)) => (columns, target.as_slice()),
-        None => (columns, target),
-    };
-    let scale: Vec<f64> = columns
-        .iter()
-        .map(|column| {
-            let norm = dot(column, column).sqrt();
+    let columns = masked.as_deref().unwrap_or(columns);
+    let mut normal = squares(columns);
+    let scale: Vec<f64> = (0..count)
+        .map(|i| {
+            let norm = normal[(i, i)].sqrt();
             if norm > 0.0 { norm.recip() } else { 0.0 }
         })
         .collect();
-    let mut normal = DMatrix::zeros(count, count);
     let mut right = vec![0.0; count];
     for i in 0..count {
         for j in 0..=i {
-            let value = dot(&columns[i], &columns[j]) * scale[i] * scale[j];
-            normal[(i, j)] = value;
+            normal[(i, j)] *= scale[i] * scale[j];
         }
         right[i] = dot(&columns[i], target) * scale[i];
     }
@@ -110,6 +105,29 @@ pub fn solve(
     back(&lower, &mut right);
     let coefficients = right.iter().zip(&scale).map(|(b, scale)| b * scale).collect();
     NormalSolution { coefficients, lower, scale }
+}
+
+/// Columns up to which their products are quicker one by one: for more there is a routine in blocks.
+const FEW: usize = 5;
+/// Rows of such a block.
+const ROWS: usize = 4096;
+
+/// XᵀX, of which the lower half is read.
+fn squares(columns: &[Vec<f64>]) -> DMatrix<f64> {
+    let count = columns.len();
+    if count > FEW {
+        // Not more rows at once than stay in the cache.
+        let mut sum = DMatrix::zeros(count, count);
+        for start in (0..columns[0].len()).step_by(ROWS) {
+            let end = (start + ROWS).min(columns[0].len());
+            let rows = columns.iter().flat_map(|column| &column[start..end]).copied();
+            let rows = DMatrix::from_iterator(end - start, count, rows);
+            sum += rows.transpose() * rows;
+        }
+        return sum;
+    }
+    let of = |i: usize, j: usize| if j <= i { dot(&columns[i], &columns[j]) } else { 0.0 };
+    DMatrix::from_fn(count, count, of)
 }
 
 /// (L·Lᵀ)⁻¹·b in the place of b.
