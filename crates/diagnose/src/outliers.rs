@@ -88,7 +88,8 @@ pub(crate) fn judged(
     let left_um = left(data, &with_curves);
     let by_level = chance(&from_level(data, &rows, aside, &left_um)).max(chance(&left_um));
     let targets = Targets::of(data, rows.iter().copied());
-    let by_place = targets.map_or(1.0, |it| chance(&it.from_place(&left(data, &plain), aside)));
+    let by_place =
+        targets.map_or(1.0, |it| chance(&it.away_from_place(&left(data, &plain), aside)));
     if by_level.min(by_place) < CLAIM { Aside::Wrong } else { Aside::MayBeNoise }
 }
 

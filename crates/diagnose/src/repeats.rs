@@ -104,7 +104,7 @@ impl Targets {
 
     /// How far what is `left_um` of each row is from the median of its place's others that are not set
     /// aside; NaN of rows that are at none.
-    pub(crate) fn from_place(&self, left_um: &[f64], aside: &[bool]) -> Vec<f64> {
+    pub(crate) fn away_from_place(&self, left_um: &[f64], aside: &[bool]) -> Vec<f64> {
         let mut at: HashMap<(usize, usize), Vec<usize>> = HashMap::new();
         for (reading, &row) in self.readings.iter().zip(&self.rows) {
             at.entry((reading.place, reading.side)).or_default().push(row);

@@ -147,7 +147,9 @@ fn parts(
         }
         let middle_s = now_s - elapsed_s / 2.0;
         let back_s = middle_s - known_s[0];
-        let width_s = (slope_over * late.by_s).min(2.0 * back_s).max(elapsed_s);
+        // The first mean stands for rows that have others before them.
+        let reach_s = if back_s < 0.0 { f64::INFINITY } else { 2.0 * back_s };
+        let width_s = (slope_over * late.by_s).min(reach_s).max(elapsed_s);
         now_c + share * late.by_s * shown.slope(middle_s, width_s)
     };
     let mut out = Vec::with_capacity(shown_c.len());
