@@ -247,4 +247,19 @@ mod tests {
         }
         assert_eq!(load(&copies), Some(kept(3)), "but for a reset it is whole");
     }
+
+    #[test]
+    fn a_save_leaves_the_newest_copy_as_it_is() {
+        let mut copies = [[0; SIZE]; 2];
+        for number in 0..20 {
+            let before = copies;
+            save(&mut copies, &kept(number), None);
+            let is_same = [0, 1].map(|n| copies[n] == before[n]);
+            assert_eq!(is_same.iter().filter(|it| **it).count(), 1, "number {number}");
+            if number > 0 {
+                let left = [0, 1].into_iter().find(|n| is_same[*n]).expect("one is as it was");
+                assert_eq!(decode(&copies[left]).map(|it| it.2), Some(kept(number - 1)));
+            }
+        }
+    }
 }
