@@ -294,3 +294,18 @@ fn step_lag(
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lag_rises_by_one_time_constant_and_falls_by_the_other() {
+        let (fast, slow) = (SmoothingFactor(1 << 31), SmoothingFactor(1 << 30));
+        let degrees = |kelvin: i32| Temperature(kelvin * Temperature::PER_KELVIN);
+        let mut lag = None;
+        assert_eq!(step_lag(&mut lag, degrees(20), [fast, slow]), degrees(20), "settled at first");
+        assert_eq!(step_lag(&mut lag, degrees(24), [fast, slow]), degrees(22));
+        assert_eq!(step_lag(&mut lag, degrees(14), [fast, slow]), degrees(20));
+    }
+}
