@@ -417,3 +417,9 @@ proptest! {
         let _ = decode(&blob[..cut.min(blob.len())]);
     }
 }
+
+#[test]
+fn a_calibration_is_told_by_its_last_four_bytes_and_none_by_0() {
+    assert_eq!(identity(&[1, 2, 0x44, 0x33, 0x22, 0x11]), 0x1122_3344);
+    assert_eq!(identity(&[]), 0);
+}
