@@ -2,9 +2,13 @@
 
 use super::*;
 use crate::{
-    calibration::AXIS_PAIRS,
+    calibration::{AXIS_PAIRS, Dual},
     curve::{Curve, SEGMENT_SIZE, Segment},
+    fixed::Scaled,
     gradient::Gradient,
+    pitch::{Beam, Pitch},
+    term::{Effect, Target, Term, Tilt},
+    travel::Interval,
 };
 extern crate std;
 
@@ -135,11 +139,86 @@ fn the_offset_follows_the_head_from_angle_to_angle() {
     for (degrees, y_nm, z_nm) in
         [(0, 0, 102_400), (30, -51_200, 88_681), (30, -51_200, 88_681), (-30, 51_200, 88_681)]
     {
-        for _ in 0..300 {
-            let angles = [MicroDegrees(degrees * 1_000_000), MicroDegrees(0)];
-            rig.bridge.hear(&mut rig.state, Command::Rotary(Rotary { angles }));
-            rig.run_engaged(1, 1_100);
-        }
+        // Said once, which is enough.
+        let angles = [MicroDegrees(degrees * 1_000_000), MicroDegrees(0)];
+        rig.bridge.hear(&mut rig.state, Command::Rotary(Rotary { angles }));
+        rig.run_engaged(300, 1_100);
         assert_eq!(rig.last.offset, Some([0, y_nm, z_nm].map(Nanometres)), "{degrees} degrees");
+    }
+}
+
+/// X with a term of this effect.
+fn with_term(target: Target, effect: Effect<'static>) -> Calibration<'static> {
+    let mut machine = plain();
+    machine.terms[0] = Some(Term { target, constant: Fine(0), effect });
+    machine
+}
+
+#[test]
+fn each_table_and_term_needs_the_positions_that_it_is_over_and_no_other() {
+    use LinearAxis::{X, Y, Z};
+    let points: &'static [[u8; 4]] = &[[0; 4]; 2];
+    let pitch =
+        Pitch { start: Position(0), step: Interval::new(100), forward: points, reverse: None };
+    let gradient = Gradient(6_871_948);
+    let curve = Curve::default();
+    let (of, origin) = (Target::Axis(X), Position(0));
+    let tilted = Tilt { along: X, lever: Z, origin, angle: gradient };
+    let bent = Tilt { along: Y, lever: Z, origin, angle: curve };
+    let [mut screw, mut gantry, mut backlash] = [plain(); 3];
+    screw.axes[1].pitch = Some(pitch);
+    gantry.axes[0].dual = Some(Dual { across: Y, beam: Beam::default(), pitch });
+    backlash.axes[2].backlash = Fine(256);
+    let wave = Effect::Wave { turns: 1, phase: 0, amplitude: Fine(256) };
+    let machines: [(Calibration<'static>, &[LinearAxis]); 13] = [
+        (plain(), &[]),
+        (screw, &[Y]),
+        (gantry, &[X, Y]),
+        (backlash, &[Z]),
+        (with_term(of, Effect::Offset), &[]),
+        (with_term(of, Effect::Position { axis: Y, gradient }), &[Y]),
+        (with_term(of, Effect::Curve { axis: Z, curve }), &[Z]),
+        (with_term(of, Effect::Reversed { width: Fine(256), gradient }), &[X]),
+        (with_term(Target::Axis(Y), Effect::Table(pitch)), &[Y]),
+        (with_term(Target::Axis(Z), wave), &[Z]),
+        (with_term(of, Effect::TiltLine(tilted)), &[X, Z]),
+        (with_term(of, Effect::TiltCurve(bent)), &[Y, Z]),
+        (with_term(Target::Elongation, Effect::Position { axis: Y, gradient }), &[Y]),
+    ];
+    for (number, (machine, needed)) in machines.into_iter().enumerate() {
+        for bits in 0..8_u8 {
+            let said = || LinearAxis::ALL.into_iter().filter(|axis| bits & 1 << *axis as u8 != 0);
+            let is_enough = needed.iter().all(|axis| said().any(|it| it == *axis));
+            let output = at(&mut Rig::new(machine), said());
+            assert_eq!(output.quality == Quality::Live, is_enough, "machine {number}, {bits:03b}");
+            assert_eq!(output.flags.contains(Flags::CNC_LOST), !is_enough, "machine {number}");
+        }
+    }
+}
+
+#[test]
+fn speed_and_load_are_needed_where_a_term_is_over_them_and_the_angles_where_a_head_turns_growth() {
+    let scaled = Scaled { mantissa: 1, shift: 0 };
+    let spindle = Command::Spindle(Spindle { speed: Rpm(1_000), load_n: 0 });
+    let angles = Command::Rotary(Rotary { angles: [MicroDegrees(0); 2] });
+    let elongation = Target::Elongation;
+    let [mut head, mut growing] = [plain(), with_term(elongation, Effect::Offset)];
+    head.kinematics.axes[1] = Some(kinematics::RotaryAxis::C);
+    growing.kinematics = head.kinematics;
+    for (machine, needed) in [
+        (plain(), None),
+        (with_term(elongation, Effect::Offset), None),
+        (with_term(elongation, Effect::Speed(scaled)), Some(spindle)),
+        (with_term(elongation, Effect::Load(scaled)), Some(spindle)),
+        (head, None),
+        (growing, Some(angles)),
+    ] {
+        let is_live = |heard: Option<Command>| {
+            let mut rig = Rig::new(machine);
+            heard.into_iter().for_each(|command| rig.bridge.hear(&mut rig.state, command));
+            at(&mut rig, [].into_iter()).quality == Quality::Live
+        };
+        assert_eq!(is_live(None), needed.is_none(), "{:?}", machine.terms[0]);
+        assert!(is_live(needed), "{:?}", machine.terms[0]);
     }
 }
