@@ -222,3 +222,21 @@ fn speed_and_load_are_needed_where_a_term_is_over_them_and_the_angles_where_a_he
         assert!(is_live(needed), "{:?}", machine.terms[0]);
     }
 }
+
+#[test]
+fn a_single_message_of_a_position_moves_the_offset() {
+    let mut rig = Rig::new(expanding());
+    warm(&mut rig, 300, Some(21), 1_000);
+    let position = Position(1_500 * Position::PER_MILLIMETRE);
+    let heard = AxisPosition { axis: LinearAxis::X, position, direction: Heading::Positive };
+    rig.bridge.hear(&mut rig.state, Command::Position(heard));
+    let mut raw = [Raw::NONE; CHANNELS];
+    raw[3] = Raw(21 * 256);
+    for _ in 0..60 {
+        rig.control(ENGAGED);
+        rig.now = rig.now.after(1);
+        let input = Input { temperatures: Some(&raw), speed: Some(Rpm(0)), codes: None };
+        rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
+    }
+    assert_eq!(rig.last.offset, Some([-150_000, 0, 0].map(Nanometres)));
+}
