@@ -287,3 +287,30 @@ fn a_tilt_that_bends_is_its_curve_at_the_lever() {
         assert_eq!((errors[0], errors[2], is_outside), (Fine(0), Fine(0), outside));
     }
 }
+
+#[test]
+fn a_table_of_a_term_is_that_of_its_own_axis_by_direction() {
+    use crate::{pitch::Pitch, travel::Interval};
+    let table =
+        |um: [i32; 2]| std::vec![(um[0] * 256_000).to_le_bytes(), (um[1] * 256_000).to_le_bytes()];
+    let pitch = Pitch {
+        start: Position(0),
+        step: Interval::new(1_000),
+        forward: table([1, 3]).leak(),
+        reverse: Some(table([5, 9]).leak()),
+    };
+    let terms = with(&[(Target::Axis(LinearAxis::Z), 0, Effect::Table(pitch))]);
+    let config = crate::travel::Config::default();
+    for (direction, z, wanted_um, outside) in [
+        (1, 1_000, 3.0, false),
+        (-1, 0, 5.0, false),
+        (-1, 1_000, 9.0, false),
+        (1, 1_001, 3.0, true),
+    ] {
+        let mut place = Place { position: [0, 77, z].map(Position), ..Place::default() };
+        place.travel[2].update(&config, Position(z), direction);
+        let (errors, is_outside) = axis_errors(&terms, &TermStates::default(), &place);
+        assert!((um(errors[2]) - wanted_um).abs() < 1e-5, "{direction} at {z}: {errors:?}");
+        assert_eq!((errors[0], errors[1], is_outside), (Fine(0), Fine(0), outside));
+    }
+}

@@ -310,3 +310,19 @@ fn a_term_without_a_lag_has_nothing_to_keep_and_needs_nothing_that_was_kept() {
         assert_eq!(rig.state.heat_is_unknown(), is_kept);
     }
 }
+
+#[test]
+fn a_term_over_time_is_kept_over_a_reset() {
+    use crate::fixed::Scaled;
+    let amplitude = Scaled { mantissa: 2_560_000, shift: 30 };
+    let mut machine = by_term(expanding(), SmoothingFactor::NO_LAG);
+    let term = machine.terms[0].as_mut().expect("it has one");
+    term.effect = Effect::Time { smoothing: SmoothingFactor(10_724_000), amplitude };
+    let mut rig = Rig::new(machine);
+    let before = x_nm(&live(&mut rig, 20_000, 21, 21));
+    let memory = rig.bridge.heat_memory(&rig.state);
+    let mut rig = Rig::new(machine);
+    rig.bridge.resume_heat(&mut rig.state, &memory, 0);
+    let after = x_nm(&live(&mut rig, 200, 21, 21));
+    assert!((after - before).abs() <= 50 && before < -4_000, "{before}, then {after}");
+}

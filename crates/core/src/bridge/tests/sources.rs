@@ -298,20 +298,25 @@ fn of_two_sources_that_are_lost_one_after_the_other_the_third_goes_on_from_the_s
 }
 
 #[test]
-fn a_fall_back_that_was_never_followed_leaves_nothing_for_after_a_reset_and_the_first_source_does()
-{
-    for (code, is_kept) in [(0, false), (1_050, true)] {
+fn what_was_never_followed_leaves_nothing_for_after_a_reset_unless_the_first_source_was_there() {
+    use ElongationSource::{Sensor, Temperature};
+    // What the sensor reads in each second; 0: its wire is broken.
+    for (seconds, kept) in
+        [([0, 0], None), ([1_050, 1_050], Some(Sensor)), ([1_050, 0], Some(Temperature))]
+    {
         let mut rig = Rig::new(chain());
-        let codes = core::array::from_fn(|n| Code(if code == 0 { 0 } else { code + n as u16 % 3 }));
         let mut raw = [Raw::NONE; CHANNELS];
         raw[3] = Raw(22 * 256);
-        for _ in 0..1_000 {
+        for ms in 0..2_000 {
+            let code = seconds[ms / 1_000];
+            let codes =
+                core::array::from_fn(|n| Code(if code == 0 { 0 } else { code + n as u16 % 3 }));
             rig.now = rig.now.after(1);
             let (speed, temperatures) = (Some(Rpm(24_000)), Some(&raw));
             let input = Input { temperatures, speed, codes: Some(&codes) };
             rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
         }
-        assert_eq!(rig.state.kept_joint().is_some(), is_kept);
+        assert_eq!(rig.state.kept_joint().map(|kept| kept.source), kept);
     }
 }
 
@@ -342,4 +347,50 @@ fn a_term_of_the_elongation_is_there_without_a_source_as_well() {
         rig.tick(None);
     }
     assert_eq!((rig.last.quality, rig.z_nm()), (Quality::Live, 7_000));
+}
+
+#[test]
+fn zero_on_a_source_that_is_on_its_way_back_leaves_nothing_to_take_back() {
+    let mut rig = Rig::new(chain());
+    hold(&mut rig, 1_300, 1_050, Some(22));
+    hold(&mut rig, 1_000, 0, Some(22));
+    hold(&mut rig, 1_000, 0, Some(23));
+    hold(&mut rig, 3_000, 1_050, Some(23));
+    assert!(rig.last.flags.contains(Flags::SLEWING), "on its way back");
+    rig.control(Control { zero: true, ..ENGAGED });
+    hold(&mut rig, 5_000, 1_050, Some(23));
+    assert_eq!((rig.z_nm(), rig.last.flags), (0, Flags::NONE));
+}
+
+#[test]
+fn in_the_first_second_of_a_source_nothing_but_growth_moves_the_offset_and_then_it_is_taken_back() {
+    let mut rig = Rig::new(chain());
+    hold(&mut rig, 1_300, 1_050, Some(22));
+    hold(&mut rig, 1_000, 0, Some(22));
+    hold(&mut rig, 1_000, 0, Some(23));
+    while rig.last.quality != Quality::Live {
+        hold(&mut rig, 1, 1_050, Some(23));
+    }
+    let before = rig.z_nm();
+    hold(&mut rig, 1_000, 1_050, Some(23));
+    assert_eq!(rig.z_nm(), before);
+    hold(&mut rig, 100, 1_050, Some(23));
+    assert_eq!(rig.z_nm(), before - 1);
+}
+
+#[test]
+fn the_age_is_that_of_the_angles_while_the_head_turns() {
+    let mut machine = calibration();
+    machine.kinematics.axes = [Some(kinematics::RotaryAxis::A), None];
+    let mut rig = Rig::new(machine);
+    for (degrees, is_turning) in [(10, false), (20, true), (30, true), (30, false)] {
+        let angles = [MicroDegrees(degrees * 1_000_000), MicroDegrees(0)];
+        rig.bridge.hear(&mut rig.state, Command::Rotary(Rotary { angles }));
+        for ms in 1..=100_u8 {
+            let age_ms = rig.run_engaged(1, 1_100).age_ms;
+            if rig.now.0 > 100 {
+                assert_eq!(age_ms, if is_turning { ms } else { 0 }, "{degrees}, {ms} ms");
+            }
+        }
+    }
 }
