@@ -105,3 +105,15 @@ fn a_second_master_is_told_for_two_to_four_seconds_after_the_last_frame_out_of_s
     (0..100).for_each(|_| master.refuse(false));
     assert!(!master.is_second());
 }
+
+#[test]
+fn another_line_is_told_for_two_and_four_tenths_of_a_second_after_it_was_last_heard() {
+    let mut master = steady();
+    master.hear_other();
+    (0..2_000).for_each(|_| master.tick(1, TIMEOUT_MS));
+    master.hear_other();
+    for ms in 0..3_000 {
+        assert_eq!(master.is_second(), ms < 2_400, "after {ms} ms");
+        master.tick(1, TIMEOUT_MS);
+    }
+}
