@@ -164,3 +164,15 @@ fn thermometers_warm_by_a_tenth_of_a_kelvin_at_most_within_their_range() {
         before = Some(run.temperatures);
     }
 }
+
+#[test]
+fn the_checksum_of_a_run_is_of_every_frame_that_the_node_sends_with_faults_among_its_inputs() {
+    let mut run = Vectors::new(tests_calibration(), 0x7275_6574, true);
+    for number in 0..300 {
+        assert_eq!(checksum(tests_calibration(), number), run.checksum(), "{number}");
+        run.prepare();
+        run.hear();
+        let frames = run.tick();
+        run.take(&frames);
+    }
+}

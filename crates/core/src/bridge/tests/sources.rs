@@ -394,3 +394,17 @@ fn the_age_is_that_of_the_angles_while_the_head_turns() {
         }
     }
 }
+
+#[test]
+fn a_source_whose_zero_is_not_known_is_not_used_in_the_place_of_the_one_before_the_reset() {
+    let reference = Reference { elongation: Nanometres(60_000), ..Reference::default() };
+    let mut machine = chain();
+    // The one that was used before the reset is no longer there.
+    (machine.spindle.chain[2], machine.spindle.warmup) = (None, None);
+    let mut rig = Rig::new(machine);
+    rig.state.set_reference(reference);
+    let kept = KeptJoint { source: ElongationSource::Warmup, shift: Nanometres(41_000) };
+    rig.state.resume_joint(kept);
+    hold(&mut rig, 2_000, 0, Some(22));
+    assert_eq!((rig.last.quality, rig.last.offset), (Quality::Fault, None));
+}
