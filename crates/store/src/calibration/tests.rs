@@ -429,7 +429,8 @@ fn a_calibration_is_told_by_its_last_four_bytes_and_none_by_0() {
 
 #[test]
 fn each_limit_comes_back_up_to_its_largest_and_one_more_is_refused() {
-    let set: [(fn(&mut Limits, u32), u32); 4] = [
+    type Set = fn(&mut Limits, u32);
+    let set: [(Set, u32); 4] = [
         (|limits, it| limits.slew_nm_per_s = it, MAX_SLEW_NM_PER_S),
         (|limits, it| limits.link_timeout_ms = it, MAX_LINK_TIMEOUT_MS),
         (|limits, it| limits.hold_ms = it, MAX_HOLD_MS),
