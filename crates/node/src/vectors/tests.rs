@@ -29,6 +29,7 @@ fn the_numbers_are_marsaglias_and_the_checksum_is_that_of_fowler_noll_and_vo() {
 
 #[test]
 fn each_fault_has_every_other_phase_of_four_seconds_in_turn() {
+    assert_eq!(ALL_FAULTS, 6 * 2 * 4_096, "six, with a phase before each");
     for phase in 0..2 * FAULT_COUNT {
         let expected = if phase % 2 == 0 { Fault::None } else { FAULTS[phase as usize / 2] };
         for ms in [0, 1, PHASE_MS / 2, PHASE_MS - 1] {
