@@ -242,4 +242,21 @@ mod tests {
         assert!(both.contains(both) && both.contains(Flags::CLAMPED));
         assert!(!Flags::CLAMPED.contains(both));
     }
+
+    #[test]
+    fn each_flag_has_a_bit_of_its_own_in_their_order() {
+        let all = [
+            Flags::CLAMPED,
+            Flags::SLEWING,
+            Flags::SENSOR_FAULT,
+            Flags::SAMPLES_MISSING,
+            Flags::CNC_LOST,
+            Flags::SPEED_UNKNOWN,
+            Flags::OUTSIDE_TABLE,
+            Flags::BOARD_DEGRADED,
+        ];
+        for (number, flag) in all.into_iter().enumerate() {
+            assert_eq!(flag, Flags(1 << number));
+        }
+    }
 }
