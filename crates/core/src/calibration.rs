@@ -181,3 +181,50 @@ pub struct Dual<'a> {
     /// The second drive's own table.
     pub pitch: Pitch<'a>,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{curve::Segment, units::Fine};
+
+    #[test]
+    fn a_spindle_heats_by_its_speed_and_one_that_stands_or_is_not_known_does_not() {
+        const FULL: i32 = 1 << 28;
+        // A quarter of full up to 1000 r/min, less than nothing from there to 2000, full beyond.
+        let segments = [(1_000, FULL / 4), (2_000, -FULL), (3_000, FULL)]
+            .map(|(end, drive)| Segment::new(Position(end), 16, [drive, 0, 0, 0]).to_bytes());
+        let power = Curve::new(Position(0), &segments, &[[0, 0]], 16);
+        let law = warmup::Warmup {
+            lag_ms: 0,
+            max: Fine(1),
+            smoothing_heating: SmoothingFactor::NO_LAG,
+            smoothing_cooling: SmoothingFactor::NO_LAG,
+            full: 0,
+        };
+        let by_speed = SpindleWarmup { law, power };
+        let fully = SpindleWarmup { power: Curve::default(), ..by_speed };
+        for (rpm, drive) in [(1, FULL / 4), (1_000, FULL / 4), (3_000, FULL), (60_000, FULL)] {
+            let apart = by_speed.drive(Some(Rpm(rpm))).abs_diff(drive);
+            assert!(apart <= 8, "{rpm} r/min: {apart} places of a curve");
+            assert_eq!(fully.drive(Some(Rpm(rpm))), FULL, "{rpm} r/min");
+        }
+        assert_eq!(by_speed.drive(Some(Rpm(1_500))), 1, "it turns, which is not to stand");
+        for warmup in [by_speed, fully] {
+            assert_eq!([warmup.drive(None), warmup.drive(Some(Rpm(0)))], [0, 0]);
+        }
+    }
+
+    #[test]
+    fn a_temperature_that_lags_either_way_has_a_memory() {
+        let lag = SmoothingFactor(1 << 30);
+        let law = SpindleTemperature {
+            channel: 0,
+            smoothing: SmoothingFactor::NO_LAG,
+            smoothing_falling: SmoothingFactor::NO_LAG,
+            law: Law { pieces: &[] },
+        };
+        assert!(!law.has_memory());
+        assert!(SpindleTemperature { smoothing: lag, ..law }.has_memory());
+        assert!(SpindleTemperature { smoothing_falling: lag, ..law }.has_memory());
+    }
+}

@@ -215,3 +215,48 @@ pub struct Output {
     /// Milliseconds since the newest sample that the offset rests on; 255 stands for all beyond.
     pub age_ms: u8,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_number_of_a_heading_and_a_quality_on_the_wire_is_its_own_and_no_other_is_one() {
+        for number in i8::MIN..=i8::MAX {
+            let heading = Heading::from_wire(number);
+            assert_eq!(heading.is_some(), (-1..=1).contains(&number), "{number}");
+            assert!(heading.is_none_or(|heading| heading as i8 == number), "{number}");
+        }
+        for number in 0..=u8::MAX {
+            let quality = Quality::from_wire(number);
+            assert_eq!(quality.is_some(), number <= 6, "{number}");
+            assert!(quality.is_none_or(|quality| quality as u8 == number), "{number}");
+        }
+    }
+
+    #[test]
+    fn a_flag_that_is_set_again_stays_and_several_are_there_when_each_is() {
+        let both = Flags::CLAMPED.with(Flags::CNC_LOST);
+        assert_eq!(both.with(Flags::CLAMPED), both);
+        assert_eq!(both.with_if(true, Flags::CNC_LOST).with_if(false, Flags::SLEWING), both);
+        assert!(both.contains(both) && both.contains(Flags::CLAMPED));
+        assert!(!Flags::CLAMPED.contains(both));
+    }
+
+    #[test]
+    fn each_flag_has_a_bit_of_its_own_in_their_order() {
+        let all = [
+            Flags::CLAMPED,
+            Flags::SLEWING,
+            Flags::SENSOR_FAULT,
+            Flags::SAMPLES_MISSING,
+            Flags::CNC_LOST,
+            Flags::SPEED_UNKNOWN,
+            Flags::OUTSIDE_TABLE,
+            Flags::BOARD_DEGRADED,
+        ];
+        for (number, flag) in all.into_iter().enumerate() {
+            assert_eq!(flag, Flags(1 << number));
+        }
+    }
+}

@@ -228,6 +228,13 @@ fn positioning(axis: &AxisModel<'_>, name: LinearAxis, place: &Place) -> (Fine, 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{
+        calibration::Dual,
+        curve::{Curve, Segment},
+        pitch::{Beam, Pitch},
+        term::{Effect, Target, Term},
+        travel::Interval,
+    };
 
     #[test]
     fn each_part_is_held_to_its_limit_and_any_that_is_held_is_told() {
@@ -242,6 +249,87 @@ mod tests {
             let held = i32::try_from(bits.count_ones()).expect("4 at the most");
             let sum = Fine(10 * (4 - held) - 100 * held);
             assert_eq!(error.sum(Fine(100)), (sum, held > 0), "{error:?}");
+        }
+    }
+
+    /// A gantry: X on two drives along Y, Y with backlash, a bent and not square guide, a term on Z.
+    fn gantry<'a>(calibration: &mut Calibration<'a>, [first, second]: [&'a [[u8; 4]]; 2]) {
+        let pitch = |forward| Pitch {
+            start: Position(0),
+            step: Interval::new(100),
+            forward,
+            reverse: None,
+        };
+        calibration.axes[0].pitch = Some(pitch(first));
+        calibration.axes[0].dual = Some(Dual {
+            across: LinearAxis::Y,
+            beam: Beam::new(Position(0), Position(1_000)),
+            pitch: pitch(second),
+        });
+        calibration.axes[1].backlash = Fine(-500);
+    }
+
+    fn at(positions: [i32; 3]) -> Place {
+        Place { position: positions.map(Position), ..Place::default() }
+    }
+
+    #[test]
+    fn a_gantry_errs_by_both_drives_where_it_is_crossed_and_another_axis_by_its_backlash() {
+        let [first, second] =
+            [[100, 300], [1_100, 1_700]].map(|it: [i32; 2]| it.map(i32::to_le_bytes));
+        let mut calibration: Calibration<'_> = crate::testing::plain();
+        gantry(&mut calibration, [&first, &second]);
+        let heat = Heat::default();
+        let mut place = at([0, 0, 0]);
+        let mut cached = CachedErrors::at(&calibration, &heat, &place);
+        let (x, y) = (LinearAxis::X, LinearAxis::Y);
+        // To where, which axis, and the error of X in 1/256 nm, whether it is outside.
+        for (positions, moved, error, outside) in [
+            ([100, 0, 0], x, 300, false),
+            ([100, 1_000, 0], y, 1_700, false),
+            ([100, 500, 0], y, 1_000, false),
+            ([0, 500, 0], x, 600, false),
+            ([101, 500, 0], x, 1_000, true),
+            ([101, 500, 7], LinearAxis::Z, 1_000, true),
+            ([50, 500, 7], x, 800, false),
+        ] {
+            place.position = positions.map(Position);
+            cached.moved(&calibration, &heat, &place, moved);
+            let errors = cached.errors();
+            assert!((errors.axes[0].positioning.0 - error).abs() <= 1, "{positions:?}: {errors:?}");
+            assert_eq!((errors.outside, errors.axes[1].positioning), (outside, Fine(0)));
+            assert_eq!(*errors, calibration.errors(&heat, &place));
+        }
+        // Y turns round.
+        let config = calibration.axes[1].travel;
+        place.travel[1].update(&config, place.position[1], -1);
+        cached.moved(&calibration, &heat, &place, y);
+        assert_eq!(cached.errors().axes[1].positioning, Fine(-500));
+    }
+
+    #[test]
+    fn each_table_that_a_position_is_outside_of_is_told_alone() {
+        let point = [256_i32.to_le_bytes(); 2];
+        let segments = [Segment::new(Position(100), 16, [256, 0, 0, 0]).to_bytes()];
+        let curve = Curve::new(Position(0), &segments, &[[0, 0]], 16);
+        let pitch =
+            Pitch { start: Position(0), step: Interval::new(100), forward: &point, reverse: None };
+        let mut all: [Calibration<'_>; 4] = [crate::testing::plain(); 4];
+        all[0].axes[2].pitch = Some(pitch);
+        all[1].straightness[1] = curve;
+        let beam = Beam::new(Position(0), Position(1_000));
+        all[2].axes[2].dual = Some(Dual { across: LinearAxis::X, beam, pitch });
+        all[3].terms[0] = Some(Term {
+            target: Target::Axis(LinearAxis::X),
+            constant: Fine(0),
+            effect: Effect::Curve { axis: LinearAxis::Z, curve },
+        });
+        for (number, machine) in all.iter().enumerate() {
+            // The second guide is X over Z.
+            for (z, outside) in [(0, false), (100, false), (101, true), (-1, true)] {
+                let errors = machine.errors(&Heat::default(), &at([0, 0, z]));
+                assert_eq!(errors.outside, outside, "machine {number} at {z}");
+            }
         }
     }
 }

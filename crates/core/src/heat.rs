@@ -296,3 +296,38 @@ fn step_lag(
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lag_rises_by_one_time_constant_and_falls_by_the_other() {
+        let (fast, slow) = (SmoothingFactor(1 << 31), SmoothingFactor(1 << 30));
+        let degrees = |kelvin: i32| Temperature(kelvin * Temperature::PER_KELVIN);
+        let mut lag = None;
+        assert_eq!(step_lag(&mut lag, degrees(20), [fast, slow]), degrees(20), "settled at first");
+        assert_eq!(step_lag(&mut lag, degrees(24), [fast, slow]), degrees(22));
+        assert_eq!(step_lag(&mut lag, degrees(14), [fast, slow]), degrees(20));
+    }
+
+    #[test]
+    fn a_step_of_the_heat_steps_each_of_its_parts() {
+        let mut calibration: Calibration<'_> = crate::testing::plain();
+        calibration.spindle.warmup = Some(crate::calibration::SpindleWarmup {
+            law: warmup::Warmup {
+                lag_ms: 0,
+                max: Nanometres(30_000).fine(),
+                smoothing_heating: SmoothingFactor::NO_LAG,
+                smoothing_cooling: SmoothingFactor::NO_LAG,
+                full: 1 << warmup::Warmup::FULL_FRACTION_BITS,
+            },
+            power: Default::default(),
+        });
+        let mut heat = Heat::default();
+        heat.step(&calibration, &[None; CHANNELS], Some(Rpm(1_000)));
+        assert_eq!(heat.by_running_time(), Nanometres(30_000));
+        heat.step(&calibration, &[None; CHANNELS], Some(Rpm(0)));
+        assert_eq!(heat.by_running_time(), Nanometres(0));
+    }
+}

@@ -142,4 +142,19 @@ mod tests {
             assert_eq!(kept(input).after(0), kept(input));
         }
     }
+
+    #[test]
+    fn what_is_kept_again_takes_its_own_place_and_no_other() {
+        let mut memory = HeatMemory::default();
+        let later = |input| KeptLag { running_ms: 5, ..kept(input) };
+        for one in [kept(1), kept(2), kept(3), later(2), later(3)] {
+            memory.keep(one);
+        }
+        assert_eq!(memory.lags.iter().flatten().count(), 3);
+        assert_eq!(
+            [1, 2, 3].map(|input| memory.find(kept(input).key)),
+            [Some(kept(1)), Some(later(2)), Some(later(3))]
+        );
+        assert_eq!(memory.find(kept(4).key), None);
+    }
 }

@@ -369,4 +369,17 @@ mod tests {
         assert_eq!(Lag::from_bits(least - 1), Lag::settled(i32::MIN));
         assert_eq!(Lag::from_bits(most + 1), Lag::settled(i32::MAX));
     }
+
+    #[test]
+    fn two_steps_at_once_are_those_of_the_factor_that_is_nearest() {
+        let mut seed = 3;
+        for _ in 0..100_000 {
+            let smoothing = crate::testing::random(&mut seed);
+            let one = u128::from(smoothing);
+            // 2α − α², in Q64, to the nearest of Q32.
+            let exact = ((one << 33) - one * one).min(u128::from(u32::MAX) << 32);
+            let apart = (u128::from(of_twice_as_many(smoothing)) << 32).abs_diff(exact);
+            assert!(apart <= 1 << 31, "{smoothing}: off by {apart} of 2³²");
+        }
+    }
 }

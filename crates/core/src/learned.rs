@@ -218,4 +218,9 @@ mod tests {
         assert_eq!(expansion.rounded(), Nanometres(275_390));
         assert_eq!(learned.expansion(1, Fine(1)), Fine(1), "the other axes stay");
     }
+
+    #[test]
+    fn a_change_names_its_calibration_by_the_lower_half_of_the_crc() {
+        assert_eq!(named(0x1234_ABCD), 0xABCD);
+    }
 }

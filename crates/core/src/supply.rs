@@ -221,4 +221,16 @@ mod tests {
             }
         }
     }
+
+    #[test]
+    fn a_basis_that_is_forgotten_is_taken_anew() {
+        let mut supply = settled(1500, 1400);
+        supply.forget_basis();
+        assert_eq!(
+            (supply.basis(), supply.scale(), supply.is_off()),
+            (Level(0), Scale::ONE, false)
+        );
+        (0..TO_BASIS).for_each(|_| supply.hear(Code(1400)));
+        assert_eq!((supply.basis(), supply.is_off()), (Level(1400 * 16), false));
+    }
 }

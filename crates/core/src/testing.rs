@@ -1,7 +1,39 @@
-//! Numbers for the tests that look drawn, always the same for a seed.
+//! What tests share: numbers that look drawn, always the same for a seed, and a machine to begin with.
+
+use crate::{
+    calibration::{Calibration, Names},
+    dimensions::CHANNELS,
+    kinematics::Kinematics,
+    limits::Limits,
+    tool::Direction,
+    units::{Nanometres, Temperature},
+};
 
 /// A linear congruential generator; its high half.
 pub fn random(seed: &mut u64) -> u32 {
     *seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
     (*seed >> 32) as u32
+}
+
+/// A machine with nothing but limits.
+pub fn plain() -> Calibration<'static> {
+    Calibration {
+        thermometers: [None; CHANNELS],
+        spindle: Default::default(),
+        kinematics: Kinematics { zero: Direction::DOWN, axes: [None; 2] },
+        axes: Default::default(),
+        straightness: Default::default(),
+        squareness: Default::default(),
+        terms: Default::default(),
+        limits: Limits {
+            max: [Nanometres(200_000), Nanometres(200_000), Nanometres(500_000)],
+            slew_nm_per_s: 1_000_000,
+            link_timeout_ms: 500,
+            hold_ms: 2_000,
+            rejoin_nm_per_s: 10,
+            learned: Default::default(),
+        },
+        cold_within: Temperature(Temperature::PER_KELVIN / 2),
+        names: Names::default(),
+    }
 }

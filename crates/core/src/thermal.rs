@@ -353,4 +353,20 @@ mod tests {
         );
         assert_eq!(Piece::from_bytes(&bytes), piece);
     }
+
+    #[test]
+    fn a_law_depends_on_the_position_where_a_gradient_or_its_slope_is_not_0() {
+        for (gradient, gradient_slope, depends) in [(0, 0, false), (1, 0, true), (0, -1, true)] {
+            let piece = Piece {
+                start: Temperature(0),
+                constant: Fine(5),
+                constant_slope: 5,
+                gradient: Gradient(gradient),
+                gradient_slope,
+            };
+            let pieces = [Piece { gradient: Gradient(0), gradient_slope: 0, ..piece }, piece];
+            let pieces = pieces.map(|piece| piece.to_bytes());
+            assert_eq!(Law { pieces: &pieces }.depends_on_position(), depends);
+        }
+    }
 }

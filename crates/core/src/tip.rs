@@ -68,3 +68,24 @@ fn on_axis(along: Fine, own: Fine, largest: Fine) -> (Fine, bool) {
     let (along, clamped) = along.clamped(largest);
     (along.plus(own), clamped)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_clamp_of_any_axis_and_of_several_at_once_is_told() {
+        // Growth of 100 nm along (0.48, 0.64, −0.6): every part is above 40 nm.
+        let share = |share: f64| (share * f64::from(Direction::ONE)) as i32;
+        let direction = Direction([0.48, 0.64, -0.6].map(share));
+        for bits in 0..8_u8 {
+            let largest =
+                [0, 1, 2].map(|axis| Fine(if bits & 1 << axis == 0 { 25_600 } else { 256 }));
+            let (error, clamped) = error_at_tip(Nanometres(100), direction, [Fine(0); 3], largest);
+            assert_eq!(clamped, bits != 0, "{bits:03b}");
+            for (axis, error) in error.into_iter().enumerate() {
+                assert_eq!(error.0.abs() == 256, bits & 1 << axis != 0, "{bits:03b}");
+            }
+        }
+    }
+}

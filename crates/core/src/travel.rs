@@ -436,4 +436,13 @@ mod tests {
             }
         }
     }
+
+    #[test]
+    fn an_interval_that_was_kept_with_its_reciprocal_is_the_same() {
+        for length in [0, 1, 77, 100_000, u32::MAX] {
+            let interval = Interval::new(length);
+            let again = Interval::from_parts(interval.length(), interval.reciprocal());
+            assert_eq!(again, interval);
+        }
+    }
 }

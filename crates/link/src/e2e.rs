@@ -160,6 +160,7 @@ impl Error for E2eError {}
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::string::ToString;
 
     const ID: u16 = 0x302;
 
@@ -240,6 +241,35 @@ mod tests {
                 Checker::new(ID).accept(&short),
                 Err(E2eError::TooShort { len: short.len() })
             );
+        }
+    }
+
+    #[test]
+    fn a_frame_is_whole_under_its_own_identifier_alone_and_whatever_its_counter() {
+        for counter in [0, 7, u8::MAX] {
+            let good = frame(counter);
+            assert!(is_whole(&good));
+            let elsewhere = Frame::new(ID + 1, good.data()).unwrap();
+            let mut data = *good.data();
+            data[7] ^= 1;
+            let damaged = Frame::new(ID, &data).unwrap();
+            let short = Frame::new(ID, &good.data()[..1]).unwrap();
+            assert!([elsewhere, damaged, short].iter().all(|frame| !is_whole(frame)));
+        }
+    }
+
+    #[test]
+    fn a_refused_frame_is_told_by_what_was_found_in_it() {
+        for (error, told) in [
+            (E2eError::TooShort { len: 2 }, "2 bytes are too short for CRC and counter (3)"),
+            (E2eError::Crc { received: 0xAB, computed: 0x1234 }, "CRC is 0x00AB, should be 0x1234"),
+            (E2eError::Repeated { counter: 9 }, "counter 9 is repeated"),
+            (
+                E2eError::WrongSequence { last: 3, counter: 77 },
+                "counter 77 after 3 is out of sequence",
+            ),
+        ] {
+            assert_eq!(error.to_string(), told);
         }
     }
 }

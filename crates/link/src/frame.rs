@@ -117,6 +117,7 @@ impl Error for FrameError {}
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::string::ToString;
 
     #[test]
     fn a_frame_holds_its_payload_at_every_length() {
@@ -135,5 +136,12 @@ mod tests {
         assert_eq!(Frame::new(0x800, &[]), Err(FrameError::Identifier(0x800)));
         assert_eq!(Frame::new(0, &[0; 9]), Err(FrameError::Length(9)));
         assert_eq!(Frame::new(0, &[0; 300]), Err(FrameError::Length(300)));
+    }
+
+    #[test]
+    fn why_there_is_no_such_frame_is_told_with_its_limit() {
+        let told = |id, bytes: &[u8]| Frame::new(id, bytes).unwrap_err().to_string();
+        assert_eq!(told(0x800, &[]), "identifier 0x800 is above 0x7FF");
+        assert_eq!(told(0, &[0; 9]), "9 bytes are more than the 8 of a frame");
     }
 }

@@ -361,6 +361,7 @@ mod tests {
     use super::*;
     use crate::{e2e::Checker, layout::COUNTER};
     use proptest::prelude::*;
+    use std::{format, string::String, vec::Vec};
 
     #[test]
     fn the_ends_and_what_is_missing_keep_apart() {
@@ -420,6 +421,30 @@ mod tests {
         for (n, (bit, word)) in StateBits::WORDS.into_iter().enumerate() {
             assert_eq!(bit, StateBits(1 << n), "{word}");
             assert!(!StateBits::default().contains(bit), "{word}");
+        }
+    }
+
+    #[test]
+    fn a_condition_that_holds_is_added_to_the_others_and_adding_it_again_changes_nothing() {
+        let (first, second) = (StateBits::SECOND_MASTER, StateBits::SELF_TEST);
+        let both = StateBits::default().with_if(true, first).with_if(true, second);
+        assert_eq!(both.with_if(true, first).with_if(false, StateBits::CAN_OFF), both);
+        assert!(both.contains(first) && both.contains(second) && both.contains(both));
+        assert!(!first.contains(both), "of several each has to be set");
+    }
+
+    #[test]
+    fn every_reason_of_a_start_has_its_own_number_and_word() {
+        let reasons: Vec<_> = (0..).map_while(ResetReason::from_wire).collect();
+        assert_eq!(reasons.len(), ResetReason::COUNT);
+        for (number, reason) in reasons.iter().enumerate() {
+            assert_eq!(*reason as usize, number);
+            // As the variants are called: HardFault is hard-fault.
+            let name = format!("{reason:?}");
+            let apart =
+                |(n, c): (usize, char)| [(n > 0 && c.is_uppercase()).then_some('-'), Some(c)];
+            let words: String = name.chars().enumerate().flat_map(apart).flatten().collect();
+            assert_eq!(reason.word(), words.to_lowercase());
         }
     }
 }

@@ -293,3 +293,6 @@ pub fn checksum(calibration: Calibration<'_>, vectors: u32) -> u64 {
     }
     run.checksum()
 }
+
+#[cfg(test)]
+mod tests;

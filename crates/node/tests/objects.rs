@@ -4,15 +4,25 @@ mod sensor_bridge;
 
 use sensor_bridge::calibration;
 use trueup_canopen::{
-    dictionary::{ELONGATION_INPUT, NOT_AVAILABLE, ObjectKind},
+    dictionary::{Counter, ELONGATION_INPUT, NOT_AVAILABLE, ObjectKind},
     sdo::{Abort, ObjectValue, Objects},
 };
 use trueup_core::{
-    bridge::Input, cnc::Control, dimensions::CODES_PER_TICK, supply::Level, thermometer::Raw,
-    units::Code,
+    bridge::{Input, Reference},
+    cnc::Control,
+    dimensions::CODES_PER_TICK,
+    supply::Level,
+    thermometer::Raw,
+    units::{Code, Nanometres},
 };
-use trueup_link::frames;
+use trueup_link::{
+    frame::Frame,
+    frames,
+    layout::CONTROL_ID,
+    status::{self, Item},
+};
 use trueup_node::node::{Line, Node};
+use trueup_store::calibration::identity;
 
 fn node() -> Node<'static> {
     Node::new(Some(calibration()), false)
@@ -20,10 +30,14 @@ fn node() -> Node<'static> {
 
 /// Milliseconds in which the sensor reads 700.5 codes, one up and one down, and the PT100 20 °C.
 fn run(node: &mut Node<'_>, ms: u32) {
+    run_at(node, ms, Raw(107_793_500));
+}
+
+fn run_at(node: &mut Node<'_>, ms: u32, thermometer: Raw) {
     let codes: [Code; CODES_PER_TICK] =
         core::array::from_fn(|n| Code(if n % 2 == 0 { 700 } else { 701 }));
     let mut temperatures = [Raw::NONE; 8];
-    temperatures[2] = Raw(107_793_500);
+    temperatures[2] = thermometer;
     for _ in 0..ms {
         let temperatures = Some(&temperatures);
         node.tick(1, Input { codes: Some(&codes), speed: None, temperatures });
@@ -114,4 +128,75 @@ fn a_time_that_was_told_goes_on_and_one_of_0_is_none() {
         run(&mut node, 3_000);
         assert_eq!(number(&node, ObjectKind::Utc), after_3_s);
     }
+}
+
+#[test]
+fn a_board_that_runs_and_was_written_nothing_has_no_calibration_and_no_writes_to_read() {
+    let mut node = node();
+    for what in [ObjectKind::Running, ObjectKind::WriteLog] {
+        assert_eq!(node.read(what), Err(Abort::NoData), "{what:?}");
+    }
+    assert_eq!(number(&node, ObjectKind::RunningCrc), 0);
+    let blob = [7; 100];
+    node.set_blob(&blob);
+    assert_eq!(node.read(ObjectKind::Running), Ok(ObjectValue::Bytes(&blob)));
+    assert_eq!(number(&node, ObjectKind::RunningCrc), identity(&blob));
+}
+
+#[test]
+fn a_board_tells_its_number_the_commit_of_its_image_and_whether_a_reference_is_in_force() {
+    let mut node = node();
+    node.set_serial_number(0xFEDC_BA98);
+    node.note_commit(0x1234_ABCD);
+    assert_eq!(number(&node, ObjectKind::SerialNumber), 0xFEDC_BA98);
+    assert_eq!(number(&node, ObjectKind::Commit), 0x1234_ABCD);
+    assert_eq!(number(&node, ObjectKind::HasReference), 0);
+    node.set_reference(Reference { elongation: Nanometres(-5), ..Reference::default() });
+    assert_eq!(number(&node, ObjectKind::HasReference), 1);
+    assert_eq!(number(&node, ObjectKind::ReferenceElongation).cast_signed(), -5);
+}
+
+#[test]
+fn every_kind_of_frame_that_was_received_has_a_count_of_its_own() {
+    let mut node = node();
+    let frame = |counter| frames::control(Control::REFERENCED, counter);
+    let mut damaged = *frame(0).data();
+    damaged[5] ^= 1;
+    let damaged = Frame::full(CONTROL_ID, damaged);
+    let short = Frame::new(CONTROL_ID, &[0; 7]).expect("7 bytes");
+    // Two lost before the second; three damaged, two repeated, four too short.
+    let sent = [frame(0), frame(3), damaged, damaged, damaged, frame(3), frame(3), short, short];
+    for frame in sent.into_iter().chain([short, short]) {
+        node.hear(Line::Can, &frame).ok();
+    }
+    let counted = [
+        (Counter::Accepted, 2),
+        (Counter::Malformed, 4),
+        (Counter::Crc, 3),
+        (Counter::Sequence, 2),
+        (Counter::Lost, 2),
+    ];
+    for (counter, count) in counted {
+        assert_eq!(number(&node, ObjectKind::Counter(counter)), count, "{counter:?}");
+    }
+}
+
+#[test]
+fn the_status_tells_temperatures_to_the_nearest_hundredth_of_a_degree() {
+    // 6 mK above 20 °C: 0.39 mΩ each.
+    const THERE: Raw = Raw(107_795_838);
+    let mut node = node();
+    run_at(&mut node, 1_000, THERE);
+    let mut told = [None; 8];
+    for _ in 0..2_000 {
+        run_at(&mut node, 1, THERE);
+        let status = node.service().and_then(|frame| status::decode(&frame).ok());
+        if let Some(Item::Temperatures { pair, centi_c }) = status.map(|it| it.item) {
+            let first = 2 * usize::from(pair);
+            told[first..first + 2].copy_from_slice(&centi_c);
+        }
+    }
+    let mut expected = [None; 8];
+    expected[2] = Some(2_001);
+    assert_eq!(told, expected);
 }

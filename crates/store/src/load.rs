@@ -181,3 +181,88 @@ impl<'a> Slot<'a> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::string::ToString;
+
+    #[test]
+    fn a_calibration_comes_in_pieces_is_looked_at_once_and_is_read_back_when_it_is_stored() {
+        let mut buffer = [0; 10];
+        let mut slot = Slot::new(&mut buffer);
+        assert_eq!(slot.open(Some(5)), Ok(()));
+        assert_eq!((slot.append(b"abc"), slot.append(b"de")), (Ok(()), Ok(())));
+        assert!(slot.take().is_none(), "it may not be all");
+        assert_eq!(slot.close(), Ok(()));
+        let load = slot.take().expect("all has come");
+        assert_eq!(load.bytes(), b"abcde");
+        assert_eq!((slot.take().is_none(), slot.stored()), (true, None));
+        assert_eq!(slot.give_back(load, Outcome::Stored), Ok(()));
+        assert_eq!(slot.stored(), Some(&b"abcde"[..]));
+        // The next begins anew.
+        assert_eq!((slot.open(None), slot.stored()), (Ok(()), None));
+        assert_eq!((slot.append(b"fg"), slot.close()), (Ok(()), Ok(())));
+        assert_eq!(slot.take().expect("all has come").bytes(), b"fg");
+    }
+
+    #[test]
+    fn none_is_taken_that_is_longer_than_the_buffer_and_the_buffer_may_be_filled() {
+        let mut buffer = [0; 10];
+        let mut slot = Slot::new(&mut buffer);
+        assert_eq!([9, 10, 11].map(|size| slot.open(Some(size)).is_ok()), [true, true, false]);
+        assert_eq!(slot.open(Some(11)), Err(LoadError::TooLong));
+        assert_eq!(slot.open(None), Ok(()));
+        assert_eq!(slot.append(&[1; 6]), Ok(()));
+        assert_eq!(slot.append(&[2; 5]), Err(LoadError::TooLong));
+        assert_eq!((slot.append(&[2; 4]), slot.close()), (Ok(()), Ok(())));
+        assert_eq!(slot.take().expect("all has come").bytes(), [1, 1, 1, 1, 1, 1, 2, 2, 2, 2]);
+    }
+
+    #[test]
+    fn while_the_supervisor_has_it_nothing_else_is_taken_and_without_a_buffer_nothing_ever() {
+        let mut buffer = [0; 10];
+        let mut slot = Slot::new(&mut buffer);
+        slot.append(b"abc").unwrap();
+        slot.close().unwrap();
+        let is_busy = |slot: &mut Slot<'_>| {
+            let all = [slot.open(None), slot.append(b"x"), slot.close()];
+            assert_eq!(all, [Err(LoadError::Busy); 3]);
+        };
+        is_busy(&mut slot);
+        let load = slot.take().expect("all has come");
+        is_busy(&mut slot);
+        assert_eq!(load.bytes(), b"abc");
+        let mut none = Slot::default();
+        assert_eq!(none.open(None), Err(LoadError::NotStored));
+        assert_eq!([none.append(b"x"), none.close()], [Err(LoadError::Busy); 2]);
+        assert!(none.take().is_none() && none.stored().is_none());
+    }
+
+    #[test]
+    fn what_is_not_stored_is_said_and_the_next_may_come() {
+        for (outcome, error) in
+            [(Outcome::Refused, LoadError::Refused), (Outcome::NotStored, LoadError::NotStored)]
+        {
+            let mut buffer = [0; 10];
+            let mut slot = Slot::new(&mut buffer);
+            slot.close().unwrap();
+            let load = slot.take().expect("all has come");
+            assert_eq!(slot.give_back(load, outcome), Err(error));
+            assert_eq!(slot.stored(), None);
+            assert_eq!(slot.open(Some(10)), Ok(()));
+        }
+    }
+
+    #[test]
+    fn each_reason_has_words_of_its_own() {
+        for (error, words) in [
+            (LoadError::TooLong, "longer than the board takes"),
+            (LoadError::Busy, "expected now"),
+            (LoadError::Refused, "damaged or makes no sense"),
+            (LoadError::NotStored, "cannot store"),
+        ] {
+            assert!(error.to_string().contains(words), "{error}");
+        }
+    }
+}

@@ -325,3 +325,59 @@ impl fmt::Display for StoreError {
 }
 
 impl Error for StoreError {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::strict_flash::StrictFlash;
+    use std::string::ToString;
+
+    const SLOTS: u32 = 4;
+    const SLOT_SIZE: u32 = 8;
+    const HALF: usize = (SLOTS * SLOT_SIZE) as usize;
+    type Flash = StrictFlash<HALF>;
+
+    /// Slots that hold something, but no record: so many in each half.
+    fn of_junk(first: u32, second: u32) -> Log<Flash> {
+        let mut flash = Flash::erased();
+        for (half, slots) in [first, second].into_iter().enumerate() {
+            flash.bytes[half * HALF..][..(slots * SLOT_SIZE) as usize].fill(0);
+        }
+        Log::open(flash, SLOT_SIZE, |_, _| None)
+    }
+
+    #[test]
+    fn without_a_record_the_first_half_is_taken_and_the_second_if_only_that_has_room() {
+        for first in 0..=SLOTS {
+            for second in 0..=SLOTS {
+                let mut log = of_junk(first, second);
+                let is_full = first == SLOTS && second == SLOTS;
+                let taken = log.append(1, |_, _, _| true).map(|(_, slot)| slot.address);
+                let expected = match (first, second) {
+                    _ if is_full => Err(StoreError::Full),
+                    (SLOTS, second) => Ok((SLOTS + second) * SLOT_SIZE),
+                    (first, _) => Ok(first * SLOT_SIZE),
+                };
+                assert_eq!(taken, expected, "{first} and {second} of {SLOTS} hold junk");
+            }
+        }
+    }
+
+    #[test]
+    fn a_flash_without_room_for_a_slot_is_full() {
+        let mut log = Log::open(Flash::erased(), HALF as u32 + 1, |_, _| None);
+        assert_eq!(log.append(1, |_, _, _| true), Err(StoreError::Full));
+        assert_eq!(log.make_room(), Ok(false));
+    }
+
+    #[test]
+    fn each_reason_has_words_of_its_own() {
+        for (error, words) in [
+            (StoreError::Full, "full until the next start"),
+            (StoreError::NotTaken, "does not take it"),
+            (StoreError::NotErased, "not emptied"),
+        ] {
+            assert!(error.to_string().contains(words), "{error}");
+        }
+    }
+}

@@ -229,7 +229,8 @@ mod tests {
         let mut copies = [[0; SIZE]; 2];
         assert_eq!(off_s(&copies, Some(WRITTEN_S)), None, "nothing is kept");
         save(&mut copies, &kept(1), Some(WRITTEN_S));
-        for off in [0, 1, 3_600, LONGEST_OFF_S] {
+        // Up to a year.
+        for off in [0, 1, 3_600, 365 * 86_400, LONGEST_OFF_S] {
             assert_eq!(off_s(&copies, Some(WRITTEN_S + off)), Some(off));
         }
         assert_eq!(off_s(&copies, None), None, "no clock");
@@ -246,5 +247,20 @@ mod tests {
             assert_eq!(off_s(&copies, Some(now_s)), None, "no clock when it was written");
         }
         assert_eq!(load(&copies), Some(kept(3)), "but for a reset it is whole");
+    }
+
+    #[test]
+    fn a_save_leaves_the_newest_copy_as_it_is() {
+        let mut copies = [[0; SIZE]; 2];
+        for number in 0..20 {
+            let before = copies;
+            save(&mut copies, &kept(number), None);
+            let is_same = [0, 1].map(|n| copies[n] == before[n]);
+            assert_eq!(is_same.iter().filter(|it| **it).count(), 1, "number {number}");
+            if number > 0 {
+                let left = [0, 1].into_iter().find(|n| is_same[*n]).expect("one is as it was");
+                assert_eq!(decode(&copies[left]).map(|it| it.2), Some(kept(number - 1)));
+            }
+        }
     }
 }

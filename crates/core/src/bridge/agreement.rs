@@ -138,4 +138,39 @@ mod tests {
             assert!(told(30, share, 1_000.0, 13) >= 3, "{share}");
         }
     }
+
+    #[test]
+    fn beyond_15_micrometres_and_half_of_the_growth_for_a_minute_they_do_not_fit_and_else_they_do()
+    {
+        // The first has grown by so much, the other one by so much.
+        for (grown, other_grown, fits) in [
+            (15_000, 0, true),
+            (15_001, 0, false),
+            (40_000, 20_000, true),
+            (40_000, 19_999, false),
+            (-40_000, -20_000, true),
+            (-40_000, -19_999, false),
+            (20_000, 40_000, true),
+            (19_999, 40_000, false),
+            (100_000, 51_000, true),
+        ] {
+            let mut agreement = Agreement::default();
+            let mut step = |first: i32, other: i32| {
+                let raw = [Some(Nanometres(first)), None, Some(Nanometres(other))];
+                let past = Past { elongation: Nanometres(first), raw };
+                agreement.step(Some(ElongationSource::Sensor), &past);
+                agreement.is_off()
+            };
+            // Wherever they began.
+            step(7_000, -3_000);
+            for steps in 1..=LASTS_STEPS {
+                let is_off = step(7_000 + grown, other_grown - 3_000);
+                assert_eq!(
+                    is_off,
+                    !fits && steps == LASTS_STEPS,
+                    "{grown}, {other_grown}, {steps}"
+                );
+            }
+        }
+    }
 }

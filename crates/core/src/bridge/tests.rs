@@ -9,39 +9,16 @@ mod timeouts;
 
 use super::*;
 use crate::{
-    calibration::{AxisThermal, Names},
+    calibration::AxisThermal,
     cnc::{AxisPosition, Control, Heading, LinearAxis, Spindle},
-    kinematics::{self, Kinematics},
+    kinematics,
     lag::SmoothingFactor,
-    limits::Limits,
     sensor::{SensorLaw, Slope},
+    testing::plain,
     thermal::Law,
     thermometer::{Raw, Thermometer},
     units::{MicroDegrees, Position, Reading, Temperature},
 };
-
-/// A machine with nothing but limits.
-fn plain() -> Calibration<'static> {
-    Calibration {
-        thermometers: [None; CHANNELS],
-        spindle: Default::default(),
-        kinematics: Kinematics { zero: Direction::DOWN, axes: [None; 2] },
-        axes: Default::default(),
-        straightness: Default::default(),
-        squareness: Default::default(),
-        terms: Default::default(),
-        limits: Limits {
-            max: [Nanometres(200_000), Nanometres(200_000), Nanometres(500_000)],
-            slew_nm_per_s: 1_000_000,
-            link_timeout_ms: 500,
-            hold_ms: 2_000,
-            rejoin_nm_per_s: 10,
-            learned: Default::default(),
-        },
-        cold_within: Temperature(Temperature::PER_KELVIN / 2),
-        names: Names::default(),
-    }
-}
 
 /// 1024 nm a code exactly, zero at code 1000, 1 µm in a millisecond.
 fn calibration() -> Calibration<'static> {

@@ -315,3 +315,22 @@ fn any_bytes_may_come() {
         }
     }
 }
+
+#[test]
+fn a_bucket_that_begins_at_a_knot_names_the_segment_that_ends_there() {
+    // Buckets of 2¹⁵: the knot between the segments is the first position of the second.
+    let segments = [32_768, 65_000].map(|end| Segment::new(Position(end), 16, [0; 4]).to_bytes());
+    for (index, is_right) in [([[0, 0], [0, 0]], true), ([[0, 0], [1, 0]], false)] {
+        let curve = Curve::new(Position(0), &segments, &index, 15);
+        assert_eq!(curve.is_consistent(), is_right, "{index:?}");
+    }
+}
+
+#[test]
+fn a_curve_tells_the_width_of_its_buckets_as_it_was_given() {
+    let segments = [Segment::new(Position(100), 16, [0; 4]).to_bytes()];
+    for shift in 1..=32 {
+        assert_eq!(Curve::new(Position(0), &segments, &[[0, 0]], shift).bucket_shift(), shift);
+    }
+    assert_eq!(Curve::default().bucket_shift(), 32);
+}

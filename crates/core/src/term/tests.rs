@@ -264,3 +264,53 @@ fn curvature_bends_a_shrinking_spindle_as_it_does_a_growing_one_and_is_held_at_a
         assert_eq!(added(sign * (1 << 29)), at_end);
     }
 }
+
+#[test]
+fn a_tilt_that_bends_is_its_curve_at_the_lever() {
+    use crate::curve::{Curve, Segment};
+    // 4 µm at a lever of 2²⁷ positions, whatever the position; outside beyond 1 mm.
+    let segments =
+        std::vec![Segment::new(Position(100_000), 15, [4 * 256_000, 0, 0, 0]).to_bytes()];
+    let curve = Curve::new(Position(0), segments.leak(), &[[0, 0]], 17);
+    let origin = Position(1_000);
+    let tilt = Tilt { along: LinearAxis::X, lever: LinearAxis::Z, origin, angle: curve };
+    let terms = with(&[(Target::Axis(LinearAxis::Y), 256_000, Effect::TiltCurve(tilt))]);
+    for (x, lever, y_um, outside) in [
+        (50_000, LEVER.0, 5.0, false),
+        (50_000, -LEVER.0 / 2, -1.0, false),
+        (100_001, 0, 1.0, true),
+    ] {
+        let position = [Position(x), Position(0), Position(origin.0 + lever)];
+        let place = Place { position, ..Place::default() };
+        let (errors, is_outside) = axis_errors(&terms, &TermStates::default(), &place);
+        assert!((um(errors[1]) - y_um).abs() < 1e-4, "{x}, {lever}: {errors:?}");
+        assert_eq!((errors[0], errors[2], is_outside), (Fine(0), Fine(0), outside));
+    }
+}
+
+#[test]
+fn a_table_of_a_term_is_that_of_its_own_axis_by_direction() {
+    use crate::{pitch::Pitch, travel::Interval};
+    let table =
+        |um: [i32; 2]| std::vec![(um[0] * 256_000).to_le_bytes(), (um[1] * 256_000).to_le_bytes()];
+    let pitch = Pitch {
+        start: Position(0),
+        step: Interval::new(1_000),
+        forward: table([1, 3]).leak(),
+        reverse: Some(table([5, 9]).leak()),
+    };
+    let terms = with(&[(Target::Axis(LinearAxis::Z), 0, Effect::Table(pitch))]);
+    let config = crate::travel::Config::default();
+    for (direction, z, wanted_um, outside) in [
+        (1, 1_000, 3.0, false),
+        (-1, 0, 5.0, false),
+        (-1, 1_000, 9.0, false),
+        (1, 1_001, 3.0, true),
+    ] {
+        let mut place = Place { position: [0, 77, z].map(Position), ..Place::default() };
+        place.travel[2].update(&config, Position(z), direction);
+        let (errors, is_outside) = axis_errors(&terms, &TermStates::default(), &place);
+        assert!((um(errors[2]) - wanted_um).abs() < 1e-5, "{direction} at {z}: {errors:?}");
+        assert_eq!((errors[0], errors[1], is_outside), (Fine(0), Fine(0), outside));
+    }
+}

@@ -2,6 +2,7 @@
 
 use super::*;
 use proptest::prelude::*;
+use std::string::ToString;
 
 fn output(offset_nm: Option<[i32; 3]>, quality: Quality, flags: u8, age_ms: u8) -> Output {
     Output { offset: offset_nm.map(|nm| nm.map(Nanometres)), quality, flags: Flags(flags), age_ms }
@@ -242,5 +243,19 @@ proptest! {
                 let _ = decode_position(axis, &frame);
             }
         }
+    }
+}
+
+#[test]
+fn why_a_frame_cannot_be_read_is_told_with_what_was_found_and_what_should_be() {
+    for (error, told) in [
+        (
+            DecodeError::Identifier { expected: 0x81, found: 0x302 },
+            "identifier is 0x302, should be 0x081",
+        ),
+        (DecodeError::Length { expected: 8, found: 5 }, "frame has 5 bytes, should have 8"),
+        (DecodeError::Value { signal: "Direction", raw: -2 }, "Direction -2 has no meaning"),
+    ] {
+        assert_eq!(error.to_string(), told);
     }
 }

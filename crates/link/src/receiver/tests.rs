@@ -7,6 +7,7 @@ use crate::{
     layout::{DIRECTION, QUALITY},
 };
 use proptest::prelude::*;
+use std::string::ToString;
 use trueup_core::{
     cnc::{AxisPosition, Control, Flags, Heading, Quality, Rotary, Spindle},
     units::{MicroDegrees, Nanometres, Position, Rpm},
@@ -14,6 +15,9 @@ use trueup_core::{
 
 const TURNING: Spindle = Spindle { speed: Rpm(18_000), load_n: 120 };
 const ENGAGED: Control = Control::ENGAGED;
+/// What a CNC sends.
+const CNC: [u16; 6] =
+    [POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID, SPINDLE_ID, CONTROL_ID];
 
 fn output(cycle: u8) -> Output {
     let nm = i32::from(cycle) * 10;
@@ -236,4 +240,24 @@ proptest! {
             }
         }
     }
+}
+
+#[test]
+fn what_a_cnc_sends_is_what_the_bridge_takes_as_a_command() {
+    for id in 0..=Frame::MAX_ID {
+        let mut receiver = Receiver::new();
+        let is_taken = receiver.accept(&Frame::new(id, &[0; 8]).unwrap()) != Ok(None);
+        assert_eq!(Receiver::is_from_cnc(id), is_taken, "0x{id:03X}");
+        assert_eq!(is_taken, CNC.contains(&id), "0x{id:03X}");
+    }
+}
+
+#[test]
+fn a_frame_that_is_not_trusted_yet_is_told_apart_from_one_that_is_wrong() {
+    let error = E2eError::Repeated { counter: 4 };
+    let length = DecodeError::Length { expected: 8, found: 7 };
+    assert_eq!(Refused::E2e(error).to_string(), error.to_string());
+    assert_eq!(Refused::Decode(length).to_string(), length.to_string());
+    let told = "not trusted yet: before it, counter 4 is repeated";
+    assert_eq!(Refused::Untrusted(error).to_string(), told);
 }

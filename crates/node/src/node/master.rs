@@ -198,3 +198,6 @@ impl Master {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -124,7 +124,6 @@ impl Node<'_> {
             }
             ObjectKind::Noise => self.noise_thousandths(),
             ObjectKind::Counter(counter) => self.counter(counter),
-            ObjectKind::RunningCrc if self.blob.is_empty() => 0,
             ObjectKind::RunningCrc => identity(self.blob),
             ObjectKind::NewCrc => self.new_crc,
             ObjectKind::Utc => self.utc_s(),
@@ -172,7 +171,7 @@ impl Node<'_> {
             },
             8 => Item::State(self.faults(&self.last).state()),
             9 => Item::Reset { reason: self.start.reason, free_stack: self.free_stack },
-            _ => Item::Calibration(if self.blob.is_empty() { 0 } else { identity(self.blob) }),
+            _ => Item::Calibration(identity(self.blob)),
         }
     }
 

@@ -194,3 +194,14 @@ fn a_millisecond_that_is_lost_now_and_then_is_no_missing_block() {
         assert_eq!(node.catch_up(10), None, "at turn {turn}");
     }
 }
+
+#[test]
+fn a_turn_without_any_block_is_told_with_its_length_and_one_with_a_block_is_not() {
+    for (blocks, missing_ms) in [(0, Some(10)), (1, None), (10, None)] {
+        let mut node = Node::new(Some(tests_calibration()), false);
+        for _ in 0..blocks {
+            node.tick(1, Input::default());
+        }
+        assert_eq!(node.catch_up(10), missing_ms, "{blocks} blocks in 10 ms");
+    }
+}

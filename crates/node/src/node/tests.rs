@@ -391,6 +391,17 @@ fn reset_communication_sets_back_what_cia_301_says_and_the_offsets_go_on() {
 }
 
 #[test]
+fn reset_communication_is_passed_over_while_an_offset_is_followed() {
+    for (quality, period_ms) in [(Quality::Live, 20), (Quality::Hold, 20), (Quality::Off, 100)] {
+        let mut node = Node::new(Some(tests_calibration()), false);
+        node.heartbeat_period_ms = 20;
+        node.last.quality = quality;
+        command(&mut node, &[0x82, 0]);
+        assert_eq!(node.heartbeat_period_ms, period_ms, "{quality:?}");
+    }
+}
+
+#[test]
 fn the_status_tells_each_item_in_turn_and_why_a_frame_was_refused() {
     use trueup_link::layout::STATUS_ID;
     use trueup_link::status::{Item, Reason, decode};

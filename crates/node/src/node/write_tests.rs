@@ -244,3 +244,22 @@ fn a_write_that_is_not_stored_is_told_and_so_is_the_store() {
     let waiting = core::iter::from_fn(|| node.take_write()).count();
     assert_eq!(waiting + told(&node).len(), 11);
 }
+
+#[test]
+fn writes_from_before_the_start_are_told_before_those_since() {
+    let mut node = named("gantry", [0; 3]);
+    let write = |sequence| Write {
+        sequence,
+        calibration: 7,
+        about: 9,
+        at_ms: 5,
+        utc_s: 0,
+        what: What::Confirmed,
+        origin: Origin::Can,
+    };
+    let mut stored = writes::Writes::default();
+    [1, 2].map(write).iter().for_each(|it| stored.push(it));
+    node.set_writes(stored);
+    node.end_write(&write(0), Some(write(3)));
+    assert_eq!(told(&node), [1, 2, 3].map(write));
+}

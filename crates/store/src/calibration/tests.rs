@@ -1,7 +1,10 @@
 //! Blobs written, damaged, and read again.
 
 use super::{
-    format::{CRC_SIZE, FIXED_SIZE, MAX_SIZE},
+    format::{
+        CRC_SIZE, FIXED_SIZE, MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_REJOIN_NM_PER_S, MAX_SIZE,
+        MAX_SLEW_NM_PER_S,
+    },
     *,
 };
 use proptest::prelude::*;
@@ -415,5 +418,69 @@ proptest! {
         let blob = mended(blob);
         let _ = decode(&blob);
         let _ = decode(&blob[..cut.min(blob.len())]);
+    }
+}
+
+#[test]
+fn a_calibration_is_told_by_its_last_four_bytes_and_none_by_0() {
+    assert_eq!(identity(&[1, 2, 0x44, 0x33, 0x22, 0x11]), 0x1122_3344);
+    assert_eq!(identity(&[]), 0);
+}
+
+#[test]
+fn each_limit_comes_back_up_to_its_largest_and_one_more_is_refused() {
+    type Set = fn(&mut Limits, u32);
+    let set: [(Set, u32); 4] = [
+        (|limits, it| limits.slew_nm_per_s = it, MAX_SLEW_NM_PER_S),
+        (|limits, it| limits.link_timeout_ms = it, MAX_LINK_TIMEOUT_MS),
+        (|limits, it| limits.hold_ms = it, MAX_HOLD_MS),
+        (|limits, it| limits.rejoin_nm_per_s = it, MAX_REJOIN_NM_PER_S),
+    ];
+    for (set, most) in set {
+        for (value, is_taken) in [(most, true), (most + 1, false)] {
+            with_sample(|mut calibration| {
+                set(&mut calibration.limits, value);
+                let mut bytes = [0; MAX_SIZE];
+                let decoded = decode(encode(&calibration, &mut bytes).expect("it is small"));
+                let is_refused = matches!(decoded, Err(BlobError::Limit { found, most: limit, .. })
+                    if found == value && limit == most);
+                assert_eq!((decoded == Ok(calibration), is_refused), (is_taken, !is_taken));
+            });
+        }
+    }
+}
+
+#[test]
+fn a_warm_up_is_there_where_it_grows_or_is_a_source_and_else_there_is_none() {
+    with_sample(|sample| {
+        let warmup = sample.spindle.warmup.expect("it has one");
+        let law = warmup.law;
+        let still = SpindleWarmup { law: warmup::Warmup { max: Fine::ZERO, ..law }, ..warmup };
+        let sources = [Some(ElongationSource::Warmup), None, None];
+        for (chain, stored, expected) in [
+            ([None; 3], Some(warmup), Some(warmup)),
+            ([None; 3], Some(still), None),
+            ([None; 3], None, None),
+            (sources, Some(warmup), Some(warmup)),
+            (sources, Some(still), Some(still)),
+        ] {
+            let spindle = SpindleModel { chain, warmup: stored, ..sample.spindle };
+            let mut bytes = [0; MAX_SIZE];
+            let blob = encode(&Calibration { spindle, ..sample }, &mut bytes).expect("small");
+            let decoded = decode(blob).map(|it| it.spindle.warmup);
+            assert_eq!(decoded, Ok(expected), "{chain:?}");
+        }
+    });
+}
+
+#[test]
+fn a_coefficient_is_shifted_by_62_at_most() {
+    let blob = sample();
+    let terms = usize::from(u16::from_le_bytes([blob[572], blob[573]]));
+    for shift in 0..=u8::MAX {
+        let mut shifted = blob.clone();
+        shifted[terms + 3] = shift;
+        let refused = Err(BlobError::Value { offset: terms, found: shift.into() });
+        assert_eq!(decode(&mended(shifted)) == refused, shift > 62, "{shift}");
     }
 }

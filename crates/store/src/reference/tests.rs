@@ -269,3 +269,26 @@ fn two_power_cuts_in_a_row_at_any_words_with_bits_that_waver_leave_an_old_or_a_n
         }
     }
 }
+
+#[test]
+fn what_a_start_has_found_alone_in_its_half_is_there_twice_before_the_other_half_goes() {
+    // Its words may have been cut, and be read as none the next time.
+    let mut log = open(&Flash::erased(), OURS).0;
+    (1..=SLOTS + 1).for_each(|n| assert_eq!(log.append(reference(n)), Ok(n)));
+    log = open(&log.log.flash, OURS).0;
+    assert_eq!(log.make_room(), Ok(true));
+    let mut lost = log.log.flash.clone();
+    lost.bytes[HALF as usize] = 0;
+    assert_eq!(loaded(&lost), Some(reference(SLOTS + 1)));
+    // Where there are two of them, or nothing goes with the other half, it is not written again.
+    for (ours_before, ours) in [(1, 2), (0, 1)] {
+        let mut log = open(&Flash::erased(), OTHER).0;
+        (ours_before..SLOTS).for_each(|n| assert!(log.append(reference(n)).is_ok()));
+        log = open(&log.log.flash, OURS).0;
+        (0..ours_before + ours).for_each(|n| assert!(log.append(reference(n)).is_ok()));
+        log = open(&log.log.flash, OURS).0;
+        assert_eq!(log.make_room(), Ok(true));
+        let used = log.log.flash.bytes.iter().filter(|byte| **byte != 0xFF).count();
+        assert!(used <= ours as usize * RECORD_SIZE, "{used} bytes");
+    }
+}

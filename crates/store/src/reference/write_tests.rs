@@ -81,3 +81,29 @@ fn writes_are_told_the_oldest_first_whichever_half_holds_them() {
         assert!(numbers.len() as u32 >= number.min(SLOTS));
     }
 }
+
+#[test]
+fn a_name_that_a_start_has_found_alone_in_its_half_is_there_twice_before_the_other_half_goes() {
+    let mut log = open(&Flash::erased(), OURS).0;
+    log.append_write(&write(What::Named, 77)).unwrap();
+    for number in 1..SLOTS {
+        log.append_write(&write(What::Confirmed, number)).unwrap();
+    }
+    log.append_write(&write(What::Named, 88)).unwrap();
+    log = open(&log.log.flash, OURS).0;
+    assert_eq!(log.make_room(), Ok(true));
+    let mut lost = log.log.flash.clone();
+    lost.bytes[HALF as usize] = 0;
+    assert_eq!(open(&lost, OURS).1.named, Some(88));
+}
+
+#[test]
+fn a_name_outlasts_the_erase_of_its_half_without_a_start_between() {
+    let mut log = open(&Flash::erased(), OURS).0;
+    log.append_write(&write(What::Named, 77)).unwrap();
+    for number in 0..5 * SLOTS {
+        log.append_write(&write(What::Confirmed, number)).unwrap();
+        log.make_room().unwrap();
+        assert_eq!(open(&log.log.flash, OURS).1.named, Some(77), "after {number}");
+    }
+}

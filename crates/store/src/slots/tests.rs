@@ -315,3 +315,38 @@ fn a_slot_that_was_refused_and_is_read_later_does_not_win() {
     let (next, _) = slots.log.append(1, |_, _, _| true).expect("there is room");
     assert!(next > refused, "{next} after {refused}");
 }
+
+#[test]
+fn what_a_start_has_found_alone_in_its_half_is_there_twice_before_the_other_half_goes() {
+    let flash = store(store(store(Flash::erased(), 1).0, 2).0, 3).0;
+    let (mut slots, found) = open(&flash, IMAGE);
+    assert_eq!(found.newest.map(|it| (it.sequence, it.address)), Some((3, SECTOR as u32 + HEAD)));
+    assert_eq!(slots.make_room(), Ok(true));
+    // Its head may have been cut, and be read as none the next time; the copy is newer.
+    let mut flash = slots.log.flash;
+    assert_eq!(open(&flash, IMAGE).1.newest.map(|it| it.sequence), Some(4));
+    flash.bytes[SECTOR] ^= 1;
+    assert_eq!(newest(&flash), Some(blob(3)));
+}
+
+#[test]
+fn loads_over_another_image_never_take_the_room_of_the_one_that_counts() {
+    let mut flash = store(Flash::erased(), 1).0;
+    let (mut others, _) = open(&flash, IMAGE + 1);
+    for number in 2..4 {
+        others.store(&blob(number), || ()).expect("there is room");
+    }
+    flash = others.log.flash;
+    let (mut slots, _) = open(&flash, IMAGE);
+    slots.make_room().expect("powered");
+    assert_eq!(newest(&slots.log.flash), Some(blob(1)));
+}
+
+#[test]
+fn a_sound_blob_behind_the_head_of_another_is_damage() {
+    let mut flash = store(Flash::erased(), 1).0;
+    let other = blob(2);
+    flash.bytes[HEAD as usize..][..other.len()].copy_from_slice(&other);
+    let found = open(&flash, IMAGE).1;
+    assert_eq!((found.newest, found.damaged), (None, 1));
+}

@@ -294,3 +294,35 @@ fn a_term_over_time_that_has_run_ahead_is_where_waiting_would_have_brought_it() 
     assert!((waits + 6_321).abs() <= 10, "{waits}");
     assert_eq!(ahead, waits);
 }
+
+#[test]
+fn a_term_without_a_lag_has_nothing_to_keep_and_needs_nothing_that_was_kept() {
+    for (smoothing, is_kept) in [(SmoothingFactor::NO_LAG, false), (SmoothingFactor(1 << 22), true)]
+    {
+        let mut machine = by_term(expanding(), smoothing);
+        machine.thermometers[5] = machine.thermometers[3];
+        let mut rig = Rig::new(machine);
+        live(&mut rig, 1_000, 21, 21);
+        let memory = rig.bridge.heat_memory(&rig.state);
+        assert_eq!(memory.lags.iter().any(Option::is_some), is_kept);
+        let mut rig = Rig::new(machine);
+        rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
+        assert_eq!(rig.state.heat_is_unknown(), is_kept);
+    }
+}
+
+#[test]
+fn a_term_over_time_is_kept_over_a_reset() {
+    use crate::fixed::Scaled;
+    let amplitude = Scaled { mantissa: 2_560_000, shift: 30 };
+    let mut machine = by_term(expanding(), SmoothingFactor::NO_LAG);
+    let term = machine.terms[0].as_mut().expect("it has one");
+    term.effect = Effect::Time { smoothing: SmoothingFactor(10_724_000), amplitude };
+    let mut rig = Rig::new(machine);
+    let before = x_nm(&live(&mut rig, 20_000, 21, 21));
+    let memory = rig.bridge.heat_memory(&rig.state);
+    let mut rig = Rig::new(machine);
+    rig.bridge.resume_heat(&mut rig.state, &memory, 0);
+    let after = x_nm(&live(&mut rig, 200, 21, 21));
+    assert!((after - before).abs() <= 50 && before < -4_000, "{before}, then {after}");
+}

@@ -2,9 +2,13 @@
 
 use super::*;
 use crate::{
-    calibration::AXIS_PAIRS,
+    calibration::{AXIS_PAIRS, Dual},
     curve::{Curve, SEGMENT_SIZE, Segment},
+    fixed::Scaled,
     gradient::Gradient,
+    pitch::{Beam, Pitch},
+    term::{Effect, Target, Term, Tilt},
+    travel::Interval,
 };
 extern crate std;
 
@@ -49,4 +53,190 @@ fn a_term_of_a_temperature_is_held_and_given_up_with_its_thermometer() {
     assert!(output.flags.contains(Flags::SENSOR_FAULT));
     let output = warm(&mut rig, 2_500, None, 0);
     assert_eq!((output.quality, output.offset), (Quality::Fault, None));
+}
+
+/// A sensor that reads 50 codes of growth, a thermometer at 21 °C, X at 1 m; each if it is there.
+fn lives(rig: &mut Rig, ms: u32, zero: bool, [sensor, thermometer, position]: [bool; 3]) {
+    for _ in 0..ms {
+        rig.control(Control { zero, ..ENGAGED });
+        if position {
+            let position = Position(1_000 * Position::PER_MILLIMETRE);
+            let axis = LinearAxis::X;
+            let heard = AxisPosition { axis, position, direction: Heading::Positive };
+            rig.bridge.hear(&mut rig.state, Command::Position(heard));
+        }
+        let codes = core::array::from_fn(|n| Code(if sensor { 1_049 + n as u16 % 3 } else { 0 }));
+        let mut raw = [Raw::NONE; CHANNELS];
+        raw[3] = if thermometer { Raw(21 * 256) } else { Raw::NONE };
+        rig.now = rig.now.after(1);
+        let speed = Some(Rpm(24_000));
+        let input = Input { temperatures: Some(&raw), speed, codes: Some(&codes) };
+        rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
+    }
+}
+
+fn sensor_and_expansion() -> Calibration<'static> {
+    Calibration { spindle: calibration().spindle, ..expanding() }
+}
+
+#[test]
+fn zero_is_taken_only_while_the_sensor_the_thermometer_and_the_position_are_all_there() {
+    for missing in [None, Some(0), Some(1), Some(2)] {
+        let mut rig = Rig::new(sensor_and_expansion());
+        lives(&mut rig, 1_000, false, [true; 3]);
+        let there = core::array::from_fn(|input| Some(input) != missing);
+        // Long enough for each to be missed, too short for the offset to be given up.
+        lives(&mut rig, 800, false, there);
+        let before = rig.last.quality;
+        lives(&mut rig, 100, true, there);
+        let is_taken = rig.state.reference() != Reference::default();
+        assert_eq!(is_taken, missing.is_none(), "without {missing:?}");
+        assert_eq!(before, if is_taken { Quality::Live } else { Quality::Hold });
+    }
+}
+
+#[test]
+fn growth_and_an_axis_that_are_both_held_at_their_limits_are_told_as_one_is() {
+    for (max, is_told) in [([200_000, 500_000], false), ([50_000, 50_000], true)] {
+        let mut machine = sensor_and_expansion();
+        // 100 µm of X, 51.2 µm of growth.
+        (machine.limits.max[0], machine.limits.max[2]) = (Nanometres(max[0]), Nanometres(max[1]));
+        let mut rig = Rig::new(machine);
+        lives(&mut rig, 1_000, false, [true; 3]);
+        assert_eq!(rig.last.flags.contains(Flags::CLAMPED), is_told, "{max:?}");
+    }
+}
+
+#[test]
+fn an_input_that_has_only_not_come_yet_is_off_and_no_fault() {
+    let mut rig = Rig::new(expanding());
+    // Channel 3 is read in the fourth millisecond.
+    for _ in 0..3 {
+        rig.tick(None);
+        assert_eq!((rig.last.quality, rig.last.offset), (Quality::Off, Some([Nanometres(0); 3])));
+    }
+}
+
+#[test]
+fn heat_that_only_a_fall_back_needs_is_no_fault_while_the_sensor_is_there() {
+    let mut machine = sources::chain();
+    let warmup = machine.spindle.warmup.as_mut().expect("it has one");
+    warmup.law.smoothing_cooling = SmoothingFactor(10_724_000);
+    let mut rig = Rig::new(machine);
+    let memory = crate::heat_memory::HeatMemory::default();
+    rig.bridge.resume_heat(&mut rig.state, &memory, 0);
+    let output = rig.run(1_000, 1_050);
+    assert!(rig.state.heat_is_unknown());
+    assert_eq!((output.quality, output.offset), (Quality::Off, Some([Nanometres(0); 3])));
+}
+
+#[test]
+fn the_offset_follows_the_head_from_angle_to_angle() {
+    let mut machine = calibration();
+    machine.kinematics.axes = [Some(kinematics::RotaryAxis::A), None];
+    let mut rig = Rig::new(machine);
+    // 102.4 µm of growth along (0, sin A, −cos A).
+    for (degrees, y_nm, z_nm) in
+        [(0, 0, 102_400), (30, -51_200, 88_681), (30, -51_200, 88_681), (-30, 51_200, 88_681)]
+    {
+        // Said once, which is enough.
+        let angles = [MicroDegrees(degrees * 1_000_000), MicroDegrees(0)];
+        rig.bridge.hear(&mut rig.state, Command::Rotary(Rotary { angles }));
+        rig.run_engaged(300, 1_100);
+        assert_eq!(rig.last.offset, Some([0, y_nm, z_nm].map(Nanometres)), "{degrees} degrees");
+    }
+}
+
+/// X with a term of this effect.
+fn with_term(target: Target, effect: Effect<'static>) -> Calibration<'static> {
+    let mut machine = plain();
+    machine.terms[0] = Some(Term { target, constant: Fine(0), effect });
+    machine
+}
+
+#[test]
+fn each_table_and_term_needs_the_positions_that_it_is_over_and_no_other() {
+    use LinearAxis::{X, Y, Z};
+    let points: &'static [[u8; 4]] = &[[0; 4]; 2];
+    let pitch =
+        Pitch { start: Position(0), step: Interval::new(100), forward: points, reverse: None };
+    let gradient = Gradient(6_871_948);
+    let curve = Curve::default();
+    let (of, origin) = (Target::Axis(X), Position(0));
+    let tilted = Tilt { along: X, lever: Z, origin, angle: gradient };
+    let bent = Tilt { along: Y, lever: Z, origin, angle: curve };
+    let [mut screw, mut gantry, mut backlash] = [plain(); 3];
+    screw.axes[1].pitch = Some(pitch);
+    gantry.axes[0].dual = Some(Dual { across: Y, beam: Beam::default(), pitch });
+    backlash.axes[2].backlash = Fine(256);
+    let wave = Effect::Wave { turns: 1, phase: 0, amplitude: Fine(256) };
+    let machines: [(Calibration<'static>, &[LinearAxis]); 13] = [
+        (plain(), &[]),
+        (screw, &[Y]),
+        (gantry, &[X, Y]),
+        (backlash, &[Z]),
+        (with_term(of, Effect::Offset), &[]),
+        (with_term(of, Effect::Position { axis: Y, gradient }), &[Y]),
+        (with_term(of, Effect::Curve { axis: Z, curve }), &[Z]),
+        (with_term(of, Effect::Reversed { width: Fine(256), gradient }), &[X]),
+        (with_term(Target::Axis(Y), Effect::Table(pitch)), &[Y]),
+        (with_term(Target::Axis(Z), wave), &[Z]),
+        (with_term(of, Effect::TiltLine(tilted)), &[X, Z]),
+        (with_term(of, Effect::TiltCurve(bent)), &[Y, Z]),
+        (with_term(Target::Elongation, Effect::Position { axis: Y, gradient }), &[Y]),
+    ];
+    for (number, (machine, needed)) in machines.into_iter().enumerate() {
+        for bits in 0..8_u8 {
+            let said = || LinearAxis::ALL.into_iter().filter(|axis| bits & 1 << *axis as u8 != 0);
+            let is_enough = needed.iter().all(|axis| said().any(|it| it == *axis));
+            let output = at(&mut Rig::new(machine), said());
+            assert_eq!(output.quality == Quality::Live, is_enough, "machine {number}, {bits:03b}");
+            assert_eq!(output.flags.contains(Flags::CNC_LOST), !is_enough, "machine {number}");
+        }
+    }
+}
+
+#[test]
+fn speed_and_load_are_needed_where_a_term_is_over_them_and_the_angles_where_a_head_turns_growth() {
+    let scaled = Scaled { mantissa: 1, shift: 0 };
+    let spindle = Command::Spindle(Spindle { speed: Rpm(1_000), load_n: 0 });
+    let angles = Command::Rotary(Rotary { angles: [MicroDegrees(0); 2] });
+    let elongation = Target::Elongation;
+    let [mut head, mut growing] = [plain(), with_term(elongation, Effect::Offset)];
+    head.kinematics.axes[1] = Some(kinematics::RotaryAxis::C);
+    growing.kinematics = head.kinematics;
+    for (machine, needed) in [
+        (plain(), None),
+        (with_term(elongation, Effect::Offset), None),
+        (with_term(elongation, Effect::Speed(scaled)), Some(spindle)),
+        (with_term(elongation, Effect::Load(scaled)), Some(spindle)),
+        (head, None),
+        (growing, Some(angles)),
+    ] {
+        let is_live = |heard: Option<Command>| {
+            let mut rig = Rig::new(machine);
+            heard.into_iter().for_each(|command| rig.bridge.hear(&mut rig.state, command));
+            at(&mut rig, [].into_iter()).quality == Quality::Live
+        };
+        assert_eq!(is_live(None), needed.is_none(), "{:?}", machine.terms[0]);
+        assert!(is_live(needed), "{:?}", machine.terms[0]);
+    }
+}
+
+#[test]
+fn a_single_message_of_a_position_moves_the_offset() {
+    let mut rig = Rig::new(expanding());
+    warm(&mut rig, 300, Some(21), 1_000);
+    let position = Position(1_500 * Position::PER_MILLIMETRE);
+    let heard = AxisPosition { axis: LinearAxis::X, position, direction: Heading::Positive };
+    rig.bridge.hear(&mut rig.state, Command::Position(heard));
+    let mut raw = [Raw::NONE; CHANNELS];
+    raw[3] = Raw(21 * 256);
+    for _ in 0..60 {
+        rig.control(ENGAGED);
+        rig.now = rig.now.after(1);
+        let input = Input { temperatures: Some(&raw), speed: Some(Rpm(0)), codes: None };
+        rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
+    }
+    assert_eq!(rig.last.offset, Some([-150_000, 0, 0].map(Nanometres)));
 }

@@ -259,3 +259,152 @@ fn a_quiet_sensor_that_stands_still_is_a_fault_where_run_out_must_show_and_only_
     assert!(is_believed_frozen_at(Some(Rpm(300))));
     assert!(is_believed_frozen_at(None));
 }
+
+#[test]
+fn the_first_source_counts_from_its_own_zero_where_another_one_was_used_before_the_reset() {
+    let mut rig = Rig::new(chain());
+    let kept = KeptJoint { source: ElongationSource::Temperature, shift: Nanometres(41_000) };
+    rig.state.resume_joint(kept);
+    hold(&mut rig, 1_000, 1_050, Some(22));
+    assert_eq!(rig.last.quality, Quality::Live);
+    assert!((rig.z_nm() - 51_700).abs() < 600, "{}", rig.z_nm());
+}
+
+#[test]
+fn a_first_source_that_is_a_thermometer_is_gone_back_to_from_the_sensor() {
+    let mut machine = chain();
+    machine.spindle.chain.swap(0, 1);
+    let mut rig = Rig::new(machine);
+    hold(&mut rig, 1_000, 1_050, Some(22));
+    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::Live, 20_000));
+    hold(&mut rig, 1_000, 1_050, None);
+    hold(&mut rig, 1_000, 1_060, None);
+    assert!((rig.z_nm() - 20_000 - 10_240).abs() < 600, "by the sensor's growth: {}", rig.z_nm());
+    // Back for a second, and then taken back by 10 nm in each.
+    hold(&mut rig, 5_000, 1_060, Some(22));
+    assert!(rig.last.flags.contains(Flags::SLEWING), "on its way back");
+}
+
+#[test]
+fn of_two_sources_that_are_lost_one_after_the_other_the_third_goes_on_from_the_second() {
+    let mut rig = Rig::new(chain());
+    // Lost in the middle of a step, behind what is noted in it.
+    hold(&mut rig, 1_350, 1_050, Some(22));
+    let grown = rig.z_nm();
+    // 10 µm by the thermometer, which is lost then.
+    hold(&mut rig, 150, 0, Some(23));
+    hold(&mut rig, 1_000, 0, None);
+    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::WarmUpModel, grown + 10_000));
+}
+
+#[test]
+fn what_was_never_followed_leaves_nothing_for_after_a_reset_unless_the_first_source_was_there() {
+    use ElongationSource::{Sensor, Temperature};
+    // What the sensor reads in each second; 0: its wire is broken.
+    for (seconds, kept) in
+        [([0, 0], None), ([1_050, 1_050], Some(Sensor)), ([1_050, 0], Some(Temperature))]
+    {
+        let mut rig = Rig::new(chain());
+        let mut raw = [Raw::NONE; CHANNELS];
+        raw[3] = Raw(22 * 256);
+        for ms in 0..2_000 {
+            let code = seconds[ms / 1_000];
+            let codes =
+                core::array::from_fn(|n| Code(if code == 0 { 0 } else { code + n as u16 % 3 }));
+            rig.now = rig.now.after(1);
+            let (speed, temperatures) = (Some(Rpm(24_000)), Some(&raw));
+            let input = Input { temperatures, speed, codes: Some(&codes) };
+            rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
+        }
+        assert_eq!(rig.state.kept_joint().map(|kept| kept.source), kept);
+    }
+}
+
+#[test]
+fn what_is_taken_back_is_as_the_rate_says_to_the_nanometre() {
+    let mut machine = chain();
+    machine.limits.rejoin_nm_per_s = 15;
+    let mut rig = Rig::new(machine);
+    hold(&mut rig, 1_300, 1_050, Some(22));
+    hold(&mut rig, 1_000, 0, Some(22));
+    // 1.5 nm in each step: the thermometer has told of 10 µm that the sensor has not seen.
+    hold(&mut rig, 1_000, 0, Some(23));
+    hold(&mut rig, 3_000, 1_050, Some(23));
+    let before = rig.z_nm();
+    hold(&mut rig, 10_000, 1_050, Some(23));
+    assert_eq!(before - rig.z_nm(), 150);
+}
+
+#[test]
+fn a_term_of_the_elongation_is_there_without_a_source_as_well() {
+    use crate::term::{Effect, Target, Term};
+    let mut machine = plain();
+    let (target, effect) = (Target::Elongation, Effect::Offset);
+    machine.terms[0] = Some(Term { target, constant: Nanometres(7_000).fine(), effect });
+    let mut rig = Rig::new(machine);
+    for _ in 0..100 {
+        rig.control(ENGAGED);
+        rig.tick(None);
+    }
+    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::Live, 7_000));
+}
+
+#[test]
+fn zero_on_a_source_that_is_on_its_way_back_leaves_nothing_to_take_back() {
+    let mut rig = Rig::new(chain());
+    hold(&mut rig, 1_300, 1_050, Some(22));
+    hold(&mut rig, 1_000, 0, Some(22));
+    hold(&mut rig, 1_000, 0, Some(23));
+    hold(&mut rig, 3_000, 1_050, Some(23));
+    assert!(rig.last.flags.contains(Flags::SLEWING), "on its way back");
+    rig.control(Control { zero: true, ..ENGAGED });
+    hold(&mut rig, 5_000, 1_050, Some(23));
+    assert_eq!((rig.z_nm(), rig.last.flags), (0, Flags::NONE));
+}
+
+#[test]
+fn in_the_first_second_of_a_source_nothing_but_growth_moves_the_offset_and_then_it_is_taken_back() {
+    let mut rig = Rig::new(chain());
+    hold(&mut rig, 1_300, 1_050, Some(22));
+    hold(&mut rig, 1_000, 0, Some(22));
+    hold(&mut rig, 1_000, 0, Some(23));
+    while rig.last.quality != Quality::Live {
+        hold(&mut rig, 1, 1_050, Some(23));
+    }
+    let before = rig.z_nm();
+    hold(&mut rig, 1_000, 1_050, Some(23));
+    assert_eq!(rig.z_nm(), before);
+    hold(&mut rig, 100, 1_050, Some(23));
+    assert_eq!(rig.z_nm(), before - 1);
+}
+
+#[test]
+fn the_age_is_that_of_the_angles_while_the_head_turns() {
+    let mut machine = calibration();
+    machine.kinematics.axes = [Some(kinematics::RotaryAxis::A), None];
+    let mut rig = Rig::new(machine);
+    for (degrees, is_turning) in [(10, false), (20, true), (30, true), (30, false)] {
+        let angles = [MicroDegrees(degrees * 1_000_000), MicroDegrees(0)];
+        rig.bridge.hear(&mut rig.state, Command::Rotary(Rotary { angles }));
+        for ms in 1..=100_u8 {
+            let age_ms = rig.run_engaged(1, 1_100).age_ms;
+            if rig.now.0 > 100 {
+                assert_eq!(age_ms, if is_turning { ms } else { 0 }, "{degrees}, {ms} ms");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_source_whose_zero_is_not_known_is_not_used_in_the_place_of_the_one_before_the_reset() {
+    let reference = Reference { elongation: Nanometres(60_000), ..Reference::default() };
+    let mut machine = chain();
+    // The one that was used before the reset is no longer there.
+    (machine.spindle.chain[2], machine.spindle.warmup) = (None, None);
+    let mut rig = Rig::new(machine);
+    rig.state.set_reference(reference);
+    let kept = KeptJoint { source: ElongationSource::Warmup, shift: Nanometres(41_000) };
+    rig.state.resume_joint(kept);
+    hold(&mut rig, 2_000, 0, Some(22));
+    assert_eq!((rig.last.quality, rig.last.offset), (Quality::Fault, None));
+}

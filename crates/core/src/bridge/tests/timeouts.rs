@@ -59,3 +59,49 @@ fn a_second_without_a_temperature_is_put_up_with_and_little_more() {
     // A second, then each channel is asked once in 100 ms, and its debounce takes some of these.
     assert!((1_001..=1_000 + 400).contains(&ms), "followed for {ms} ms");
 }
+
+#[test]
+fn what_is_barred_goes_to_0_and_is_not_available_from_then_on() {
+    let mut rig = Rig::new(calibration());
+    rig.run_engaged(200, 1_050);
+    rig.state.bar(true);
+    assert_eq!(rig.run_engaged(1, 1_050).quality, Quality::RampingOut);
+    let output = rig.run_engaged(60, 1_050);
+    assert_eq!((output.quality, output.offset), (Quality::Fault, None));
+    rig.state.bar(false);
+    rig.run_engaged(60, 1_050);
+    assert_eq!((rig.last.quality, rig.z_nm()), (Quality::Live, 51_200));
+}
+
+#[test]
+fn after_missing_blocks_the_sensor_is_believed_again_in_a_tenth_of_a_second() {
+    let mut rig = Rig::new(calibration());
+    rig.run_engaged(200, 1_050);
+    rig.state.starve();
+    for ms in 1..=STARVED_MS {
+        let output = rig.run_engaged(1, 1_050);
+        assert_eq!(output.quality, Quality::Hold, "after {ms} ms");
+        assert!(output.flags.contains(Flags::SAMPLES_MISSING), "after {ms} ms");
+    }
+    let output = rig.run_engaged(1, 1_050);
+    assert_eq!((output.quality, output.flags), (Quality::Live, Flags::NONE));
+}
+
+#[test]
+fn what_is_measured_by_a_supply_that_is_not_believed_is_not_and_one_that_has_moved_is_corrected() {
+    use crate::supply::{Level, Supply};
+    let mut rig = Rig::new(calibration());
+    rig.run_engaged(200, 1_050);
+    rig.state.set_supply(None);
+    let output = rig.run_engaged(30, 1_050);
+    assert!(output.flags.contains(Flags::SENSOR_FAULT));
+    assert_eq!(rig.state.elongation(), None);
+    // All codes are 2 % too high by it: 1 071 are 1 050.
+    let mut supply = Supply::default();
+    supply.set_basis(Level(1_500 * 16));
+    (0..2_000).for_each(|_| supply.hear(Code(1_530)));
+    rig.state.set_supply(Some(supply.scale()));
+    rig.run_engaged(200, 1_071);
+    assert_eq!(rig.last.quality, Quality::Live);
+    assert!((rig.z_nm() - 51_200).abs() <= 100, "{}", rig.z_nm());
+}

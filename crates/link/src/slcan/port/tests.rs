@@ -272,3 +272,27 @@ fn frames_may_take_all_but_the_room_for_answers_to_the_last_byte() {
     assert!(!port.send(&frame(0)));
     assert_eq!((port.counters().dropped, drain(&mut port).len()), (1, all_but_answers));
 }
+
+#[test]
+fn a_closed_port_takes_no_frame_more_and_what_waits_still_goes_out() {
+    let mut port = opened();
+    assert!(port.send(&frame(1)));
+    port.close();
+    assert!(!port.is_open() && !port.send(&frame(1)));
+    assert_eq!(drain(&mut port), b"t1811AB\r");
+}
+
+#[test]
+fn the_serial_number_is_told_in_four_digits_the_highest_first() {
+    let mut port = Port::new(0x1A2F);
+    assert_eq!(talk(&mut port, b"N\r").1, b"N1A2F\r");
+}
+
+#[test]
+fn an_answer_may_take_the_last_byte_of_the_room() {
+    let mut port = opened();
+    for byte in b"\r".repeat(TX_CAPACITY + 1) {
+        port.receive(byte);
+    }
+    assert_eq!((port.counters().dropped, drain(&mut port).len()), (1, TX_CAPACITY));
+}

@@ -1,0 +1,119 @@
+//! Who is the master, for how long, and which of his edges are believed.
+
+use super::*;
+use std::vec::Vec;
+
+const TIMEOUT_MS: u32 = 500;
+const ZERO: Control = Control { zero: true, ..Control::REFERENCED };
+const CONFIRM: Control = Control { confirm: true, ..Control::REFERENCED };
+
+/// A master that has sent so many frames without a bit that means something.
+fn steady() -> Master {
+    let mut master = Master::default();
+    for _ in 0..STEADY {
+        let heard = master.take(Line::Can, Control::REFERENCED).expect("it is alone");
+        assert!(!heard.zero && !heard.confirm);
+    }
+    master
+}
+
+/// What comes of each of so many frames: `Zero` believed, `Zero` asked for, `Confirm`.
+fn says(master: &mut Master, control: Control, count: usize) -> Vec<(bool, bool, bool)> {
+    let mut one = || master.take(Line::Can, control).expect("it is alone");
+    let three = |heard: Heard| (heard.control.zero, heard.zero, heard.confirm);
+    (0..count).map(|_| three(one())).collect()
+}
+
+const NO: (bool, bool, bool) = (false, false, false);
+const TAKEN: (bool, bool, bool) = (true, true, false);
+const TOO_SHORT: (bool, bool, bool) = (false, true, false);
+const CONFIRMED: (bool, bool, bool) = (false, false, true);
+
+#[test]
+fn the_third_frame_of_a_bit_is_its_edge_and_there_is_none_while_it_stays() {
+    assert_eq!(says(&mut steady(), ZERO, 6), [NO, NO, TAKEN, NO, NO, NO]);
+    assert_eq!(says(&mut steady(), CONFIRM, 6), [NO, NO, CONFIRMED, NO, NO, NO]);
+}
+
+#[test]
+fn a_bit_that_was_never_seen_as_0_by_a_steady_master_has_no_edge() {
+    assert_eq!(says(&mut Master::default(), ZERO, 10), [NO; 10]);
+    let mut unsteady = steady();
+    unsteady.refuse(false);
+    assert_eq!(says(&mut unsteady, Control::REFERENCED, 1), [NO]);
+    assert_eq!(says(&mut unsteady, CONFIRM, 10), [NO; 10], "0 in one frame alone");
+}
+
+#[test]
+fn a_zero_that_a_refused_frame_cuts_short_is_told_once_and_what_was_not_begun_is_not() {
+    for (frames, told) in [(0, NO), (1, TOO_SHORT), (2, TOO_SHORT), (3, NO)] {
+        let mut master = steady();
+        says(&mut master, ZERO, frames);
+        master.refuse(false);
+        master.refuse(false);
+        assert_eq!(says(&mut master, Control::REFERENCED, 2), [told, NO], "{frames} frames");
+    }
+    let mut master = steady();
+    says(&mut master, CONFIRM, 2);
+    master.refuse(false);
+    assert_eq!(says(&mut master, CONFIRM, 5), [NO; 5], "its first two frames count no more");
+}
+
+#[test]
+fn confirm_answers_a_question_and_is_nothing_that_the_bridge_hears() {
+    let mut master = steady();
+    for _ in 0..5 {
+        let heard = master.take(Line::Can, CONFIRM).expect("it is alone");
+        assert_eq!(heard.control, Control::REFERENCED);
+    }
+}
+
+#[test]
+fn a_line_is_the_masters_up_to_the_timeout_of_the_link_and_anybodys_after_it() {
+    for (step_ms, steps) in [(1, TIMEOUT_MS), (TIMEOUT_MS, 1)] {
+        let mut master = steady();
+        (0..steps).for_each(|_| master.tick(step_ms, TIMEOUT_MS));
+        assert!(master.admits(Line::Can) && !master.admits(Line::Serial));
+        assert_eq!(master.authority(), Authority::NoService);
+        master.tick(step_ms, TIMEOUT_MS);
+        assert!(master.admits(Line::Serial));
+        assert_eq!(master.authority(), Authority::NoMaster);
+    }
+}
+
+#[test]
+fn a_second_master_is_told_for_two_to_four_seconds_after_the_last_frame_out_of_sequence() {
+    // Three are one, however many follow; each of the sum goes in 200 ms.
+    for (strange, is_doubtful, at_least_ms, at_most_ms) in
+        [(2, false, 0, 0), (3, true, 2_200, 2_400), (100, true, 3_000, 3_200)]
+    {
+        let mut master = steady();
+        (0..strange).for_each(|_| master.refuse(true));
+        assert_eq!(master.is_second(), is_doubtful, "{strange} frames");
+        let believed = master.take(Line::Can, Control::REFERENCED).is_some();
+        assert_eq!(believed, !is_doubtful, "{strange} frames");
+        let told_ms = (0..100_000).take_while(|_| {
+            let is_told = master.is_second();
+            master.tick(1, TIMEOUT_MS);
+            is_told
+        });
+        let told_ms = told_ms.count();
+        assert!((at_least_ms..=at_most_ms).contains(&told_ms), "{strange} frames: {told_ms} ms");
+    }
+    // What came damaged is noise.
+    let mut master = steady();
+    (0..100).for_each(|_| master.refuse(false));
+    assert!(!master.is_second());
+}
+
+#[test]
+fn another_line_is_told_for_two_and_four_tenths_of_a_second_after_it_was_last_heard() {
+    let mut master = steady();
+    master.hear_other();
+    (0..2_000).for_each(|_| master.tick(1, TIMEOUT_MS));
+    master.hear_other();
+    for ms in 0..3_000 {
+        assert_eq!(master.is_second(), ms < 2_400, "after {ms} ms");
+        master.tick(1, TIMEOUT_MS);
+    }
+}
