@@ -30,8 +30,8 @@
 //! Work is done when its input changes. A tick does what comes every millisecond: samples, the
 //! errors added up, limits. What a position moves is computed when the position is heard, the tool
 //! direction when the angles are, expansion once in 100 ms. On the gantry of `data/`, all axes on
-//! their way at the slew limit, `cargo measure` counts for a whole tick of the node 1,669
-//! instructions (median; 2,192 where the spindle speed has changed and a part of the heat is
+//! their way at the slew limit, `cargo measure` counts for a whole tick of the node 1,665
+//! instructions (median; 2,198 where the spindle speed has changed and a part of the heat is
 //! stepped; the sources are asked what they would say in a millisecond of their own):
 //!
 //! | in the tick | | when heard | |
@@ -254,7 +254,10 @@ impl<'a> Bridge<'a> {
             None => state.filter.clear(),
             Some((clean, scale)) => {
                 if let Some(reading) = state.filter.tick(clean, speed) {
-                    state.run_out.hear(clean, reading, speed.filter(|_| turns).unwrap_or_default());
+                    match speed.filter(|_| turns) {
+                        Some(speed) => state.run_out.hear(clean, reading, speed),
+                        None => state.run_out.stop(),
+                    }
                     let reading = scale.of(reading);
                     state.elongation = Some(self.calibration.spindle.sensor.elongation(reading));
                     state.elongation_age = Age::NEW;

@@ -58,14 +58,17 @@ pub struct RunOut {
 }
 
 impl RunOut {
-    /// Takes a millisecond of codes and the reading at its end; a speed of 0: the spindle does not turn.
+    /// The spindle does not turn.
+    #[inline]
+    pub fn stop(&mut self) {
+        self.speed = Rpm(0);
+    }
+
+    /// Takes a millisecond of codes of a spindle that turns, and the reading at its end.
     #[inline]
     pub fn hear(&mut self, codes: &[Code; CODES_PER_TICK], reading: Reading, speed: Rpm) {
         if speed != self.speed {
-            *self = Self { speed, ..Self::default() };
-        }
-        if speed == Rpm(0) {
-            return;
+            self.begin(speed);
         }
         let Some(code) = codes.get(usize::from(self.number)) else { return };
         let next = self.number.wrapping_add(STRIDE);
@@ -83,8 +86,14 @@ impl RunOut {
 
     /// Whether it is another one than it was.
     #[must_use]
-    pub const fn is_odd(&self) -> bool {
-        self.odd >= ODD_WINDOWS
+    pub fn is_odd(&self) -> bool {
+        self.speed != Rpm(0) && self.odd >= ODD_WINDOWS
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn begin(&mut self, speed: Rpm) {
+        *self = Self { speed, ..Self::default() };
     }
 
     #[cold]
@@ -118,7 +127,11 @@ mod tests {
                 let run_out = amplitude * (hz * s * core::f64::consts::TAU).sin();
                 Code((700.0 + run_out).round() as u16)
             });
-            it.hear(&codes, Reading(700 * READINGS_PER_CODE), speed);
+            if speed == Rpm(0) {
+                it.stop();
+            } else {
+                it.hear(&codes, Reading(700 * READINGS_PER_CODE), speed);
+            }
         }
         it.is_odd()
     }
@@ -155,6 +168,8 @@ mod tests {
         for next in [Rpm(12_001), Rpm(0)] {
             let mut it = RunOut::default();
             turn(&mut it, 20, 10.0, 200.0, SPEED);
+            turn(&mut it, 3, 1.0, 200.0, SPEED);
+            assert!(it.is_odd());
             assert!(!turn(&mut it, 5, 1.0, 200.0, next));
             assert!(!turn(&mut it, 20, 80.0, 200.0, SPEED), "after it");
         }

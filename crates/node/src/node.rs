@@ -483,10 +483,9 @@ fn default_heartbeat_ms() -> u16 {
 }
 
 #[cfg(test)]
-mod tests;
-
-#[cfg(test)]
 mod example;
+#[cfg(test)]
+mod tests;
 #[cfg(test)]
 pub(crate) use example::tests_calibration;
 #[cfg(test)]

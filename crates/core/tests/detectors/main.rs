@@ -117,7 +117,10 @@ fn false_alarms(noise: f64, hours: f64, seed: u64) -> u64 {
     for ms in 0..(hours * 3.6e6) as u64 {
         let block = sensor.block();
         let is_well = health.check(&block, sensor.turns).is_some();
-        run_out.hear(&block, sensor.reading(), sensor.speed());
+        match sensor.speed() {
+            Rpm(0) => run_out.stop(),
+            speed => run_out.hear(&block, sensor.reading(), speed),
+        }
         let is_odd = health.has_jumped() || run_out.is_odd();
         // A quiet sensor is not believed until its first change, which is no alarm.
         if was_well && !is_well || is_odd && !was_odd {
@@ -311,7 +314,7 @@ fn found_run_outs(draws: u32, seed: u64) -> u32 {
             sensor.change();
         }
         (sensor.next_change, sensor.target) = (u64::MAX, sensor.level);
-        sensor.run_out_then = sensor.run_out_then.max(2.0);
+        sensor.run_out_then = sensor.run_out_then.max(3.0);
         sensor.run_out = sensor.run_out_then;
         let mut run_out = RunOut::default();
         let mut lives = |sensor: &mut Sensor, windows: u32, until_odd: bool| {

@@ -171,7 +171,7 @@ impl Node<'_> {
             },
             8 => Item::State(self.faults(&self.last).state()),
             9 => Item::Reset { reason: self.start.reason, free_stack: self.free_stack },
-            _ => Item::Calibration(identity(self.blob)),
+            _ => Item::Calibration(if self.blob.is_empty() { 0 } else { identity(self.blob) }),
         }
     }
 

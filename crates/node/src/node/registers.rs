@@ -36,7 +36,7 @@ impl Node<'_> {
             last_refused: self.registers.last_refused,
             refused: self.registers.refused,
             state: self.faults(&self.last).state().0,
-            calibration: identity(self.blob),
+            calibration: if self.blob.is_empty() { 0 } else { identity(self.blob) },
             elongation: self.state.elongation(),
             centi_c: [0, 1, 2, 3, 4, 5, 6, 7].map(|channel| self.centi_c(channel)),
         }

@@ -113,7 +113,7 @@ impl Node<'_> {
             Some(Line::Serial) => Origin::Serial,
             Some(Line::Modbus) => Origin::Modbus,
         };
-        let running = calibration::identity(self.blob);
+        let running = if self.blob.is_empty() { 0 } else { calibration::identity(self.blob) };
         let (at_ms, utc_s) = (self.now.0, self.utc_s());
         let write = Write { sequence: 0, calibration: running, about, at_ms, utc_s, what, origin };
         if self.log.waiting.push_back(write).is_err() {
