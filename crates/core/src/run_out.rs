@@ -164,6 +164,14 @@ mod tests {
     }
 
     #[test]
+    fn what_cutting_adds_to_a_small_run_out_is_not_told() {
+        let mut it = RunOut::default();
+        turn(&mut it, 20, 3.0, 200.0, SPEED);
+        assert!(!turn(&mut it, 5, 38.0, 200.0, SPEED), "4.6 µm");
+        assert!(turn(&mut it, 2, 44.0, 200.0, SPEED), "5.4 µm");
+    }
+
+    #[test]
     fn another_speed_or_a_stop_has_another_run_out() {
         for next in [Rpm(12_001), Rpm(0)] {
             let mut it = RunOut::default();

@@ -141,11 +141,12 @@ mod tests {
         let both = |n: i32| n / 40 * 200 + 100 * (n % 2);
         let seldom =
             |n: i32| if n % 30 == 0 { 20_200 } else { 20_000 + 100 * i32::from(n % 30 == 1) };
-        for reading in [edge, steps, both, seldom] {
+        let quick = |n: i32| if n < 2 { 100 * n } else { 200 * n };
+        for reading in [edge, steps, both, seldom, quick] {
             let mut it = Stillness::default();
             (0..20_000).for_each(|n| it.hear(Some(Temperature(reading(n)))));
             assert!(!it.is_going());
-            (0..1_000).for_each(|_| it.hear(Some(Temperature(1_000_000))));
+            (0..1_000).for_each(|_| it.hear(Some(Temperature(5_000_000))));
             assert!(!it.is_still());
         }
     }

@@ -110,8 +110,8 @@ impl Problem {
         model: &Model,
         make: impl FnOnce() -> T,
     ) -> Arc<T> {
-        /// Numbers that are kept, 8 bytes each: 16 MB.
-        const MOST_NUMBERS: usize = 2_000_000;
+        /// Numbers that are kept, 8 bytes each: 8 MB.
+        const MOST_NUMBERS: usize = 1_000_000;
         let many = MOST_NUMBERS / self.groups.len().max(1);
         if many == 0 { Arc::new(make()) } else { self.memo.known(what, model, many, make) }
     }
