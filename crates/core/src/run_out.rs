@@ -1,7 +1,7 @@
 //! Run-out out of family: how much of what the filter takes out there is, against what it was since this speed was reached.
 //!
 //! ```text
-//! d = code − reading                 of the 1st code of a millisecond, the 8th of the next, … so that no speed is in step with it
+//! d = code − reading                 of one code of each millisecond, drawn: a fixed pattern would be in step with some speed
 //! v = Σ d²/1024                      over 1.024 s: half the square of the amplitude, and the noise
 //! family = the least of the first 16 v at a speed
 //! odd: v < family/4, or v > 16·family and the amplitude is above 5 µm; twice in a row
@@ -13,18 +13,13 @@
 //! stop with another tool, it may be anything, and is not compared.
 //!
 //! Not judged: a spindle that stands or turns at up to 300 r/min, the first 16 s at a speed, and run-out that does not
-//! stand out of the noise. The mean of 1,024 squares of a sine is 2.2 % off (RMS) if they are drawn, and hardly more
-//! here; a quarter is 34 such deviations away.
+//! stand out of the noise. The mean of 1,024 squares of a sine is 2.2 % off (RMS); a quarter is 34 such
+//! deviations away.
 
 use crate::{
     dimensions::CODES_PER_TICK,
     units::{Code, READINGS_PER_CODE, Reading, Rpm},
 };
-
-#[allow(clippy::cast_possible_truncation, reason = "20")]
-const CODES: u8 = CODES_PER_TICK as u8;
-/// From one code that is looked at to the next, less a millisecond; it and 20 have no divisor in common.
-const STRIDE: u8 = 7;
 
 const WINDOW_BITS: u32 = 10;
 /// Milliseconds of a mean.
@@ -45,8 +40,8 @@ const ODD_WINDOWS: u8 = 2;
 pub struct RunOut {
     /// 0: it does not turn.
     speed: Rpm,
-    /// Which code is looked at.
-    number: u8,
+    /// What says which code is looked at, drawn anew each time.
+    drawn: u32,
     /// Of d in 1/16 codes.
     squares: u64,
     count: u16,
@@ -70,9 +65,10 @@ impl RunOut {
         if speed != self.speed {
             self.begin(speed);
         }
-        let Some(code) = codes.get(usize::from(self.number)) else { return };
-        let next = self.number.wrapping_add(STRIDE);
-        self.number = if next < CODES { next } else { next.wrapping_sub(CODES) };
+        // Knuth's constants; the upper half is the random one.
+        self.drawn = self.drawn.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        let number = (self.drawn >> 16).wrapping_mul(CODES_PER_TICK as u32) >> 16;
+        let Some(code) = codes.get(number as usize) else { return };
         let level = i32::from(code.0).wrapping_mul(READINGS_PER_CODE);
         // In 1/16 codes: below 2¹⁶.
         let deviation = level.wrapping_sub(reading.0).unsigned_abs() >> 6;
@@ -140,7 +136,7 @@ mod tests {
     fn run_out_that_vanishes_or_grows_fourfold_is_told_in_the_third_second_and_what_cutting_adds_is_not()
      {
         // Whole multiples of the tick among them.
-        for hz in [200.0, 370.37, 500.0, 740.74, 1_000.0] {
+        for hz in [200.0, 325.0, 370.37, 500.0, 740.74, 1_000.0] {
             for (then, is_odd) in [
                 (4.0, true),
                 (5.5, false),
@@ -169,6 +165,15 @@ mod tests {
         turn(&mut it, 20, 3.0, 200.0, SPEED);
         assert!(!turn(&mut it, 5, 38.0, 200.0, SPEED), "4.6 µm");
         assert!(turn(&mut it, 2, 44.0, 200.0, SPEED), "5.4 µm");
+    }
+
+    #[test]
+    fn no_whole_speed_is_in_step_with_what_is_looked_at() {
+        // A beat in a minute: whatever phase is met, it is met.
+        for hz in (1..=80).map(|n| f64::from(n) * 12.5 + 1.0 / 120.0) {
+            let mut it = RunOut::default();
+            assert!(!turn(&mut it, 80, 10.0, hz, SPEED), "{hz} Hz");
+        }
     }
 
     #[test]

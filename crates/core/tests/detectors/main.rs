@@ -314,7 +314,7 @@ fn found_run_outs(draws: u32, seed: u64) -> u32 {
             sensor.change();
         }
         (sensor.next_change, sensor.target) = (u64::MAX, sensor.level);
-        sensor.run_out_then = sensor.run_out_then.max(3.0);
+        sensor.run_out_then = sensor.run_out_then.max(4.0);
         sensor.run_out = sensor.run_out_then;
         let mut run_out = RunOut::default();
         let mut lives = |sensor: &mut Sensor, windows: u32, until_odd: bool| {
