@@ -30,8 +30,8 @@
 //! Work is done when its input changes. A tick does what comes every millisecond: samples, the
 //! errors added up, limits. What a position moves is computed when the position is heard, the tool
 //! direction when the angles are, expansion once in 100 ms. On the gantry of `data/`, all axes on
-//! their way at the slew limit, `cargo measure` counts for a whole tick of the node 1,665
-//! instructions (median; 2,198 where the spindle speed has changed and a part of the heat is
+//! their way at the slew limit, `cargo measure` counts for a whole tick of the node 1,667
+//! instructions (median; 2,200 where the spindle speed has changed and a part of the heat is
 //! stepped; the sources are asked what they would say in a millisecond of their own):
 //!
 //! | in the tick | | when heard | |

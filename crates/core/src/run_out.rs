@@ -21,6 +21,8 @@ use crate::{
     units::{Code, READINGS_PER_CODE, Reading, Rpm},
 };
 
+#[allow(clippy::cast_possible_truncation, reason = "20")]
+const CODES: u32 = CODES_PER_TICK as u32;
 const WINDOW_BITS: u32 = 10;
 /// Milliseconds of a mean.
 pub const WINDOW_MS: u16 = 1 << WINDOW_BITS;
@@ -67,7 +69,7 @@ impl RunOut {
         }
         // Knuth's constants; the upper half is the random one.
         self.drawn = self.drawn.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        let number = (self.drawn >> 16).wrapping_mul(CODES_PER_TICK as u32) >> 16;
+        let number = (self.drawn >> 16).wrapping_mul(CODES) >> 16;
         let Some(code) = codes.get(number as usize) else { return };
         let level = i32::from(code.0).wrapping_mul(READINGS_PER_CODE);
         // In 1/16 codes: below 2¹⁶.
