@@ -170,11 +170,21 @@ mod tests {
     }
 
     #[test]
-    fn no_whole_speed_is_in_step_with_what_is_looked_at() {
-        // A beat in a minute: whatever phase is met, it is met.
-        for hz in (1..=80).map(|n| f64::from(n) * 12.5 + 1.0 / 120.0) {
-            let mut it = RunOut::default();
-            assert!(!turn(&mut it, 80, 10.0, hz, SPEED), "{hz} Hz");
+    fn no_speed_is_in_step_with_what_is_looked_at() {
+        // Every seventh code of each millisecond is, at 325 Hz; and a beat in five minutes shows it at its most and at its least.
+        for hz in [163.934, 200.0, 325.0, 400.0].map(|hz| hz + 1.0 / 600.0) {
+            for eighth in 0..8 {
+                let mut it = RunOut::default();
+                for ms in 0..200 * u32::from(WINDOW_MS) {
+                    let at = |n: usize| hz * (f64::from(ms) + n as f64 / 20.0) / 1e3;
+                    let turns = |n| at(n) + f64::from(eighth) / 16.0;
+                    let codes = core::array::from_fn(|n| {
+                        Code((700.0 + 10.0 * (turns(n) * core::f64::consts::TAU).sin()) as u16)
+                    });
+                    it.hear(&codes, Reading(700 * READINGS_PER_CODE), SPEED);
+                    assert!(!it.is_odd(), "{hz} Hz, {eighth}/8, {ms} ms");
+                }
+            }
         }
     }
 
