@@ -4,7 +4,7 @@
 //! just that one. So what counts are swings: a change of two of the converter's steps or more, against the direction
 //! of the change before. They are weighed against the readings without one: noise of half a step RMS has more than
 //! one in 24 wherever it lies between two steps, 0.4 steps have one in 45 at the most and are not judged. A thermometer is lively
-//! once its swings have outweighed the rest by [`LIVELY`]; if it then gives the same reading [`STILL_READINGS`] times in a
+//! once its swings have outweighed the rest by `LIVELY`; if it then gives the same reading [`STILL_READINGS`] times in a
 //! row (by noise of half a step alone 0.52⁴⁰⁰), it is still.
 //!
 //! Noise that comes from outside, a drive's, ends with the drive, and for all thermometers at once. So one that is
