@@ -15,6 +15,9 @@ use crate::{
     waves,
 };
 
+/// Most speeds at which a curve over them may bend.
+const SPEEDS: usize = 10;
+
 /// A cause to try.
 #[derive(Clone, Debug)]
 pub(crate) struct Candidate {
@@ -292,7 +295,7 @@ pub(crate) fn structure(problem: &Problem) -> Vec<Candidate> {
         let most = match column {
             _ if by_direction => 9,
             "x_mm" | "y_mm" | "z_mm" => 16,
-            "spindle_rpm" => 10,
+            "spindle_rpm" => SPEEDS,
             _ if data.reversal_decay.iter().any(|(reversal, _)| reversal == column) => 2,
             _ => 6,
         };
@@ -324,7 +327,25 @@ pub(crate) fn structure(problem: &Problem) -> Vec<Candidate> {
             add(column, false, Some(arm));
         }
     }
+    all.extend(from_a_speed_on(data));
     all
+}
+
+/// Another scale of what the model says from a speed on. A curve of a value for each speed says that too, but costs
+/// more than it gains.
+fn from_a_speed_on(data: &Data) -> Vec<Candidate> {
+    let Some(speed_rpm) = data.spindle_rpm.as_deref().filter(|_| varying(data, SAID)) else {
+        return Vec::new();
+    };
+    let knots = curve_knots(speed_rpm, SPEEDS);
+    let searched = (knots.len() as f64).ln();
+    let from = |between: &[f64]| {
+        let (column, times) = ("spindle_rpm".to_string(), Some(SAID.to_string()));
+        let knots = between.to_vec();
+        let kind = Kind::Curve(Curve { column, knots, by_direction: false, times });
+        Candidate { kind, settings: vec![Vec::new()], searched }
+    };
+    knots.windows(2).map(from).collect()
 }
 
 /// Knots at quantiles, no two alike.
