@@ -10,7 +10,7 @@ use crate::{
     kind::{Curve, Kind},
     model::Model,
     search::{
-        criterion::{STRONG_EVIDENCE, bic},
+        criterion::{STRONG_EVIDENCE, bic, degrees},
         extend::Extension,
         lack_of_fit::{Inputs, with_curves, with_each_curve},
     },
@@ -68,9 +68,15 @@ impl Curves {
         let explained = without.sum - answer.sum;
         let curves = with_each_curve(case.problem, without, &self.candidates);
         let better = curves.into_iter().find(|Extension { fitted: in_place, bic, .. }| {
-            let is_better = *bic < own_bic - STRONG_EVIDENCE;
+            // Many values take a little of whatever there is; a curve of two is a rival like any cause.
+            let is_law = degrees(&in_place.model) <= degrees(&answer.model) + 1;
             let by_curve = without.sum - in_place.sum;
-            if !is_better || explained > LEAST_R_SQUARED * by_curve {
+            let explains_as_well = if is_law {
+                *bic < own_bic + STRONG_EVIDENCE
+            } else {
+                *bic < own_bic - STRONG_EVIDENCE && explained <= LEAST_R_SQUARED * by_curve
+            };
+            if !explains_as_well {
                 return false;
             }
             let beside = beside(&in_place.model, &answer.model, cause);
