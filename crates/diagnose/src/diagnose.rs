@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use trueup_machine::{BadInput, Machine, RunFile, file::Quantity};
+use trueup_machine::{BadInput, Machine, RunFile, effect::{Late, LateForm}, file::Quantity};
 use trueup_numerics::random::Generator;
 
 use crate::{
@@ -14,6 +14,7 @@ use crate::{
     data::{Data, Groups, first_of, quantity_of},
     fit::{Fitted, Problem, fit},
     judge::judge,
+    kind::Part,
     model::Model,
     outliers::{self, SetAside},
     search::{Found, lack_of_fit::with_curves, search, start},
@@ -21,6 +22,8 @@ use crate::{
 
 /// Groups that the search works on where there is time alone; rows beyond are averaged.
 const MOST_GROUPS: usize = 1000;
+/// Groups that are left where rows are put together for a late thermometer.
+const FEWEST_GROUPS: usize = 100;
 /// Rows that the search works on where an axis moves: an average would blur its errors, so that of
 /// more rows so many are drawn by chance. The last fit is to all of them.
 const MOST_ROWS_MOVING: usize = 3000;
@@ -153,7 +156,12 @@ fn searched(
     let Some((few, of_few)) = fewer else {
         let problem = Problem::new(data.clone(), groups());
         let found = search(&problem, &start(data), known, progress);
-        return (problem, found);
+        let wider = rows_of_a_slope(&problem, &found).filter(|_| !moves).and_then(|size| {
+            let problem = Problem::new(data.clone(), Groups::new(data, &used, size));
+            let found = search(&problem, &start(data), Some(&found.fitted.model), progress);
+            found.fitted.model.parts.iter().any(is_late).then_some((problem, found))
+        });
+        return wider.unwrap_or((problem, found));
     };
     let problem = Problem::new(few, of_few);
     let mut found = search(&problem, &start(data), known, progress);
@@ -164,4 +172,22 @@ fn searched(
     let sum = residual.iter().map(|r| r * r).sum();
     found.fitted = Fitted { model, residual, sum, degrees: found.fitted.degrees };
     (problem, found)
+}
+
+/// Rows over which the slope of a late thermometer was taken, where they are several.
+///
+/// What a mean of rows grows by is the mean of their slopes, noise and bends and all: in groups of so many rows the
+/// lag is undone from row to row, exactly, with as little noise as by a slope over all of them, which blurs what
+/// happens in that time.
+fn rows_of_a_slope(problem: &Problem, found: &Found) -> Option<usize> {
+    let late = found.fitted.model.parts.iter().find(|part| is_late(part))?;
+    let Some(Late { form: LateForm::Lag { slope_over }, .. }) = late.kind.cause()?.late() else { return None };
+    let rows = slope_over * late.values[0] / problem.bounds.step_s;
+    let most = problem.groups.len() / FEWEST_GROUPS;
+    let size = (rows as usize).min(most);
+    (size > 1).then_some(size)
+}
+
+fn is_late(part: &Part) -> bool {
+    part.kind.cause().is_some_and(|cause| cause.late().is_some())
 }

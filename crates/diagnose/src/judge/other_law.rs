@@ -6,7 +6,7 @@ use crate::{
     columns::named,
     data::Data,
     fit::{Fitted, fit},
-    judge::case::Case,
+    judge::{case::Case, rivals::imitates},
     kind::{Curve, Kind},
     model::Model,
     search::{
@@ -68,13 +68,15 @@ impl Curves {
         let explained = without.sum - answer.sum;
         let curves = with_each_curve(case.problem, without, &self.candidates);
         let better = curves.into_iter().find(|Extension { fitted: in_place, bic, .. }| {
+            let is_better = *bic < own_bic - STRONG_EVIDENCE;
+            let by_curve = without.sum - in_place.sum;
             // Many values take a little of whatever there is; a curve of two is a rival like any cause.
             let is_law = degrees(&in_place.model) <= degrees(&answer.model) + 1;
-            let by_curve = without.sum - in_place.sum;
             let explains_as_well = if is_law {
-                *bic < own_bic + STRONG_EVIDENCE
+                is_better
+                    || *bic < own_bic + STRONG_EVIDENCE && !imitates(case, without, in_place)
             } else {
-                *bic < own_bic - STRONG_EVIDENCE && explained <= LEAST_R_SQUARED * by_curve
+                is_better && explained <= LEAST_R_SQUARED * by_curve
             };
             if !explains_as_well {
                 return false;

@@ -83,7 +83,7 @@ pub(crate) fn rivals(case: &Case<'_>, cause: &Kind, places: Replacements) -> Vec
 
 /// Whether `rival` needs more values and can do, but for a twentieth, what the term does that
 /// `without` lacks.
-fn imitates(case: &Case<'_>, without: &Fitted, rival: &Fitted) -> bool {
+pub(super) fn imitates(case: &Case<'_>, without: &Fitted, rival: &Fitted) -> bool {
     let answer = &case.found.fitted.model;
     if degrees(&rival.model) <= degrees(answer) {
         return false;
