@@ -221,6 +221,9 @@ fn doubted(doubt: &Doubt, gain: &Gain, left_out: Unit) -> String {
             "Something that goes with {inputs} explains clearly more in its place: the cause is \
              near it, but another one."
         ),
+        Doubt::LawAsWell(inputs) => {
+            format!("Something that goes with {inputs} explains these data as well.")
+        }
         Doubt::NotNeeded => {
             "What has no name yet, and is still left, explains this part as well.".into()
         }

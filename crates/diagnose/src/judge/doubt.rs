@@ -40,6 +40,8 @@ pub(crate) enum Doubt {
     Alias(Vec<f64>),
     /// A curve over these explains clearly more in its place.
     OtherLaw(Inputs),
+    /// A curve of two values over these does as well.
+    LawAsWell(Inputs),
     /// Curves explain its part as well, and there is something that only they explain.
     NotNeeded,
     /// It is only needed beside a term that stands for another law.

@@ -29,8 +29,8 @@
 //! often than a table over the position beside it has points     the table's points
 //! its values are the same in both halves of the record          else: both are told
 //! no other period or time constant of its own does as well      else: aliases
-//! no curve in its place explains clearly more                   else: something goes with its inputs,
-//!                                                               but by another law
+//! no curve in its place explains clearly more, nor does         else: something goes with its inputs,
+//! another scale of the model from a speed on do as well         but by another law
 //! it is still needed with a curve in the place of such a term   else: it makes up for that term
 //! ```
 //!
@@ -250,7 +250,7 @@ fn doubts_by_residual(
     if !is_identified(case, cause, is_known) {
         doubts.push(Doubt::NotIdentified);
     }
-    doubts.extend(curves.better_law(case, cause, without).map(Doubt::OtherLaw));
+    doubts.extend(curves.another_law(case, cause, without));
     // Where a law without a name is left, it may be what the term stands for.
     if !case.found.lack_of_fit.is_empty() && !curves.leave_a_need(case, without) {
         doubts.push(Doubt::NotNeeded);

@@ -6,11 +6,11 @@ use crate::{
     columns::named,
     data::Data,
     fit::{Fitted, fit},
-    judge::{case::Case, rivals::imitates},
+    judge::{case::Case, doubt::Doubt, rivals::imitates},
     kind::{Curve, Kind},
     model::Model,
     search::{
-        criterion::{STRONG_EVIDENCE, bic, degrees},
+        criterion::{STRONG_EVIDENCE, bic},
         extend::Extension,
         lack_of_fit::{Inputs, with_curves, with_each_curve},
     },
@@ -55,38 +55,42 @@ impl Curves {
         in_place > with + STRONG_EVIDENCE
     }
 
-    /// The inputs of a curve that explains clearly more in the place of a term; `without` lacks the
+    /// A curve that explains clearly more in the place of a term, or, of two values, as well; `without` lacks the
     /// term.
-    pub(crate) fn better_law(
+    pub(crate) fn another_law(
         &self,
         case: &Case<'_>,
         cause: &Kind,
         without: &Fitted,
-    ) -> Option<Inputs> {
-        let answer = &case.found.fitted;
-        let own_bic = case.bic();
-        let explained = without.sum - answer.sum;
+    ) -> Option<Doubt> {
         let curves = with_each_curve(case.problem, without, &self.candidates);
-        let better = curves.into_iter().find(|Extension { fitted: in_place, bic, .. }| {
-            let is_better = *bic < own_bic - STRONG_EVIDENCE;
-            let by_curve = without.sum - in_place.sum;
-            // Many values take a little of whatever there is; a curve of two is a rival like any cause.
-            let is_law = degrees(&in_place.model) <= degrees(&answer.model) + 1;
-            let explains_as_well = if is_law {
-                is_better
-                    || *bic < own_bic + STRONG_EVIDENCE && !imitates(case, without, in_place)
-            } else {
-                is_better && explained <= LEAST_R_SQUARED * by_curve
-            };
-            if !explains_as_well {
-                return false;
-            }
-            let beside = beside(&in_place.model, &answer.model, cause);
-            let is_left = in_place.sum - fit(case.problem, &beside, None).sum;
-            is_left < LEFT_TO_IT * explained && case.left_out_um_of(in_place) < case.left_out_um
-        });
-        Inputs::of(&better?.cause)
+        curves.into_iter().find_map(|curve| {
+            let doubt = doubt_by(case, &curve, without)?;
+            let beside = beside(&curve.fitted.model, &case.found.fitted.model, cause);
+            let is_left = curve.fitted.sum - fit(case.problem, &beside, None).sum;
+            let explained = without.sum - case.found.fitted.sum;
+            (is_left < LEFT_TO_IT * explained
+                && case.left_out_um_of(&curve.fitted) < case.left_out_um)
+                .then_some(doubt)
+        })
     }
+}
+
+/// What the score of `curve` in the place of the term that `without` lacks says against that term.
+fn doubt_by(case: &Case<'_>, curve: &Extension, without: &Fitted) -> Option<Doubt> {
+    let answer = &case.found.fitted;
+    let inputs = Inputs::of(&curve.cause)?;
+    let is_better = curve.bic < case.bic() - STRONG_EVIDENCE;
+    let explained = without.sum - answer.sum;
+    let by_curve = without.sum - curve.fitted.sum;
+    // Many values take a little of whatever there is; two scales of the model are a rival like any cause.
+    let is_rival = curve.cause.is_of_two_scales();
+    if is_better && (is_rival || explained <= LEAST_R_SQUARED * by_curve) {
+        return Some(Doubt::OtherLaw(inputs));
+    }
+    let is_near = curve.bic < case.bic() + STRONG_EVIDENCE;
+    (is_rival && is_near && !imitates(case, without, &curve.fitted))
+        .then_some(Doubt::LawAsWell(inputs))
 }
 
 /// `curve` with the term of `answer` beside it.
