@@ -78,7 +78,8 @@ impl fmt::Display for Score {
             write!(f, ", HARM")?;
         }
         for it in &self.intervals {
-            write!(f, ", {} {}", it.name, if it.is_inside(1.0) { "inside" } else { "OUTSIDE" })?;
+            let place = if it.is_inside(1.0) { "inside" } else { "OUTSIDE" };
+            write!(f, ", {} {:.4} of {:.4} {place}", it.name, it.found, it.hidden)?;
         }
         for open in &self.open {
             write!(f, ", open: {open}")?;
