@@ -2,7 +2,11 @@
 
 use std::sync::Arc;
 
-use trueup_machine::{BadInput, Machine, RunFile, effect::{Late, LateForm}, file::Quantity};
+use trueup_machine::{
+    BadInput, Machine, RunFile,
+    effect::{Late, LateForm},
+    file::Quantity,
+};
 use trueup_numerics::random::Generator;
 
 use crate::{
@@ -181,7 +185,9 @@ fn searched(
 /// happens in that time.
 fn rows_of_a_slope(problem: &Problem, found: &Found) -> Option<usize> {
     let late = found.fitted.model.parts.iter().find(|part| is_late(part))?;
-    let Some(Late { form: LateForm::Lag { slope_over }, .. }) = late.kind.cause()?.late() else { return None };
+    let Some(Late { form: LateForm::Lag { slope_over }, .. }) = late.kind.cause()?.late() else {
+        return None;
+    };
     let rows = slope_over * late.values[0] / problem.bounds.step_s;
     let most = problem.groups.len() / FEWEST_GROUPS;
     let size = (rows as usize).min(most);

@@ -104,6 +104,43 @@ impl Search<'_> {
         true
     }
 
+    /// Takes plain terms, waves too, in the place of all lists and waves, if they are better together: a list of many
+    /// values has followed several of them at once before one of them alone was worth as much, and a wave beside
+    /// it is what it could not follow. Whether that has changed the model.
+    pub(crate) fn plain_in_place_of_lists(&mut self) -> bool {
+        let is_list = |kind: &Kind| kind.list_length().is_some();
+        let mut plain = self.fitted.model.clone();
+        plain.parts.retain(|part| !is_list(&part.kind));
+        if plain.parts.len() == self.fitted.model.parts.len() {
+            return false;
+        }
+        plain.parts.retain(|part| !part.kind.is_wave() && !part.kind.is_of_instrument());
+        let price = self.price();
+        let is_plain = |kind: &Kind| {
+            let is_once = kind.has_instant() || kind.is_of_instrument() || kind.is_shift();
+            kind.tier() < 3 && !is_once && !is_list(kind)
+        };
+        let mut here = fit(self.problem, &plain, None);
+        for _ in 0..MOST_AHEAD {
+            let all = with_each_cause(self.problem, &here, MOST_FITTED, is_plain);
+            let Some(best) = Extension::best(all) else { break };
+            if best.bic + price >= bic(self.problem, &here) {
+                break;
+            }
+            here = best.fitted;
+        }
+        let own = self.assessed(self.fitted.clone(), price);
+        if self.score(&here, price) > own.score - STRONG_EVIDENCE {
+            return false;
+        }
+        let here = self.assessed(here, price);
+        let is_better = self.is_better(&here, &own);
+        if is_better {
+            self.adopt(here, &own);
+        }
+        is_better
+    }
+
     /// Takes `known` for the model in work if it is better by the same measure; whether it is.
     pub(crate) fn recall(&mut self, known: &Model) -> bool {
         let price = self.price();

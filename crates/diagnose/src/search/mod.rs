@@ -221,9 +221,11 @@ impl Search<'_> {
             return Round::Widened;
         }
         let work = self.problem.groups.len() * degrees(&self.fitted.model);
-        if !is_empty && work < MOST_WORK_AHEAD && self.is_new_to_look_ahead() {
+        if !is_empty && self.is_new_to_look_ahead() {
             progress("looking several terms ahead", f64::NAN);
-            if self.float() || self.look_two_ahead() {
+            let is_cheap = work < MOST_WORK_AHEAD;
+            if self.plain_in_place_of_lists() || is_cheap && (self.float() || self.look_two_ahead())
+            {
                 self.revise();
                 return Round::Widened;
             }
