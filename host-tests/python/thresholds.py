@@ -7,7 +7,8 @@ file is asked of the environment; it is built once. The tests of measured sets t
 and up, and a line of a table is printed for each: which tests are red. Nothing of this is in a usual build.
 
 A share near 1 is moved by a fifth of what it lacks of 1 (0.95: 0.94 to 0.96), a factor near 1 by a fifth of its
-excess (1.05: 1.04 to 1.06). What is no number of its own (a whole number, a rule) is not moved.
+excess (1.05: 1.04 to 1.06), a whole number to the nearest one, by 1 at least, all numbers of a list at once. A whole
+number that is the length of an array, or part of another constant, is told and not moved.
 """
 
 import json
@@ -22,20 +23,52 @@ ROOT = Path(__file__).resolve().parents[2]
 COPY = ROOT / "target" / "thresholds"
 TESTS = ["measured", "tables", "hold_out", "claims"]
 SKIPPED = re.compile(r"^skipped: ", re.M)
-DEFINED = r"^([ \t]*)(pub(?:\([a-z]+\))? )?const {name}: f64 = ([^;]+);"
+CRATES = ("diagnose", "machine", "numerics")
+DEFINED = r"^([ \t]*)(pub(?:\([a-z]+\))? )?const {name}: (f64|usize|\[f64; \d+\]) = ([^;]+);"
+NUMBER = r"[0-9_.e+-]+"
 HOOK = """
-/// `value`, or what TRUEUP_THRESHOLD (name=value) says in its place.
+/// `value`, or by how much TRUEUP_THRESHOLD (name=number in its place,number…) says.
 #[must_use]
-pub fn moved(name: &str, value: f64) -> f64 {
+pub fn moved<const N: usize>(name: &str, value: [f64; N]) -> [f64; N] {
     let asked = std::env::var("TRUEUP_THRESHOLD").unwrap_or_default();
-    let asked = asked.split_once('=').filter(|(there, _)| *there == name);
-    asked.and_then(|(_, value)| value.parse().ok()).unwrap_or(value)
+    let Some((_, asked)) = asked.split_once('=').filter(|(there, _)| *there == name) else { return value };
+    let mut asked = asked.split(',').filter_map(|number| number.parse().ok());
+    value.map(|value| asked.next().unwrap_or(value))
 }
 """
 
 
+class Threshold:
+    """A number, or a list, of the table that has a name."""
+
+    def __init__(self, name, path, kind, value):
+        self.name, self.path, self.kind = name, path, kind
+        self.values = [float(number.replace("_", "")) for number in re.findall(NUMBER, value)]
+        self.key = f"{path.stem}::{name}"
+
+    def moved(self, share):
+        values = [moved_by(value, share) for value in self.values]
+        if self.kind == "usize":
+            step = 1 if share > 0 else -1
+            values = [max(round(new), old + 1) if step > 0 else min(round(new), old - 1)
+                      for new, old in zip(values, self.values)]
+        return values
+
+    def body(self):
+        """The function that stands in the place of the constant."""
+        hook = f'crate::moved("{self.key}", {self.values!r})'
+        kind, found = {"f64": ("f64", f"{hook}[0]"), "usize": ("usize", f"{hook}[0] as usize")}.get(
+            self.kind, (f"&'static {self.kind}", hook))
+        return (
+            r"\1#[allow(non_snake_case, missing_docs, clippy::must_use_candidate)]" + "\n"
+            r"\1\2fn " + self.name + f"() -> {kind} {{\n"
+            rf"\1    static VALUE: std::sync::LazyLock<{kind.removeprefix("&'static ")}> = std::sync::LazyLock::new(|| {found});" + "\n"
+            r"\1    " + ("&*VALUE" if kind.startswith("&") else "*VALUE") + "\n" + r"\1}"
+        )
+
+
 def listed():
-    """Names and files of the table, those that are a number of their own."""
+    """Those of the table that are a number or a list of their own."""
     for row in (ROOT / "docs" / "thresholds.md").read_text().splitlines():
         where = row.split("|")[3] if row.count("|") > 4 else ""
         words = re.findall(r"`([^`]+)`", where)
@@ -47,23 +80,31 @@ def listed():
                     path = Path("crates/numerics/src") / file
                 text = (ROOT / path).read_text() if (ROOT / path).is_file() else ""
                 there = re.search(DEFINED.format(name=name), text, re.M)
-                is_number = there and re.fullmatch(r"[0-9_.e+-]+", there[3])
-                if is_number and path.parts[1:3] in (("diagnose", "src"), ("numerics", "src")):
-                    yield name, path, float(there[3].replace("_", ""))
+                is_number = there and re.fullmatch(rf"\[?({NUMBER}(, )?)+\]?", there[4])
+                of_the_finder = path.parts[1] in CRATES and (path.parts[1] != "machine" or "effect" in path.parts)
+                if is_number and of_the_finder:
+                    if is_part_of_a_type(name, path):
+                        print(f"not moved: {name} of {path}", file=sys.stderr)
+                    else:
+                        yield Threshold(name, path, there[3], there[4])
 
 
-def ask_the_environment(name, path, is_alone):
+def is_part_of_a_type(name, path):
+    """Whether the compiler has to know this number: the length of an array, part of a constant or of a text."""
+    word = rf"(?<![\w`]){name}(?![\w`(])"
+    of_type = re.compile(rf"; [^\]]*{word}[^\]]*\]|const (?!{name}\b).*{word}|{{{name}}}")
+    for file in (ROOT / "crates" / path.parts[1] / "src").rglob("*.rs"):
+        text = file.read_text()
+        is_here = file == ROOT / path or re.search(rf"use [^;]*\b{path.stem}\b[^;]*{word}", text)
+        if is_here and any(of_type.search(re.sub(r"vec!\[[^\]]*\]", "", line)) for line in text.splitlines()):
+            return True
+    return False
+
+
+def ask_the_environment(threshold, is_alone):
     """The constant of this name is a function in the copy, and is called wherever it was read; `is_alone`: no
     other has its name."""
-    crate = "crate" if path.parts[1] == "numerics" else "trueup_numerics"
-    key = f"{path.stem}::{name}"
-    body = (
-        r"\1#[allow(non_snake_case, missing_docs, clippy::must_use_candidate)]" + "\n"
-        r"\1\2fn " + name + "() -> f64 {\n"
-        r"\1    static VALUE: std::sync::LazyLock<f64> =" + "\n"
-        r"\1        std::sync::LazyLock::new(|| " + crate + f'::moved("{key}", ' + r"\3));" + "\n"
-        r"\1    *VALUE" + "\n" + r"\1}"
-    )
+    name, path = threshold.name, threshold.path
     word = re.compile(rf"(?<![\w`]){name}(?![\w`(])")
     for file in sorted((COPY / "crates" / path.parts[1] / "src").rglob("*.rs")):
         text = file.read_text()
@@ -71,15 +112,16 @@ def ask_the_environment(name, path, is_alone):
         imports = re.findall(r"^\s*(?:pub(?:\([a-z]+\))? )?use [^;]+;", text, re.M)
         if not is_own and not any((is_alone or path.stem in it) and word.search(it) for it in imports):
             continue
-        text = re.sub(DEFINED.format(name=name), body, text, flags=re.M) if is_own else text
+        text = re.sub(DEFINED.format(name=name), threshold.body(), text, flags=re.M) if is_own else text
         used, in_use = [], False
         for line in text.splitlines(keepends=True):
             in_use = in_use or bool(re.match(r"\s*(pub(\([a-z]+\))? )?use ", line))
             is_code = not in_use and not re.match(r"\s*//|.*fn " + name + r"\(\)", line)
-            used.append(word.sub(name + "()", line) if is_code and f'::{name}"' not in line else line)
+            # In a text no name can be called.
+            is_code = is_code and f'::{name}"' not in line and f"{{{name}}}" not in line
+            used.append(word.sub(name + "()", line) if is_code else line)
             in_use = in_use and ";" not in line
         file.write_text("".join(used))
-    return key
 
 
 def build(thresholds):
@@ -90,17 +132,19 @@ def build(thresholds):
         there.parent.mkdir(parents=True, exist_ok=True)
         if (ROOT / file).is_file():
             shutil.copy2(ROOT / file, there)
-    names = [name for name, _, _ in thresholds]
-    keys = [ask_the_environment(name, path, names.count(name) == 1) for name, path, _ in thresholds]
-    hook = COPY / "crates/numerics/src/lib.rs"
-    hook.write_text(hook.read_text() + HOOK)
+    names = [it.name for it in thresholds]
+    for it in thresholds:
+        ask_the_environment(it, names.count(it.name) == 1)
+    for crate in CRATES:
+        hook = COPY / "crates" / crate / "src/lib.rs"
+        hook.write_text(hook.read_text() + HOOK)
     command = ["cargo", "test", "--release", "--no-run", "--message-format=json-render-diagnostics", "-p", "trueup-diagnose"]
     for test in TESTS:
         command += ["--test", test]
     built = subprocess.run(command, cwd=COPY, check=True, stdout=subprocess.PIPE, text=True)
     lines = [json.loads(line) for line in built.stdout.splitlines()]
     programs = [line["executable"] for line in lines if line.get("executable") and line["target"]["kind"] == ["test"]]
-    return keys, programs
+    return programs
 
 
 def red(programs, moved=""):
@@ -124,19 +168,25 @@ def moved_by(value, share):
     return value * (1.0 + share)
 
 
+def written(values):
+    return ", ".join(f"{value:.4g}" for value in values)
+
+
 def main():
-    thresholds = list(dict.fromkeys(it for it in listed() if len(sys.argv) == 1 or it[0] in sys.argv))
-    keys, programs = build(thresholds)
+    named = {it.key: it for it in listed() if len(sys.argv) == 1 or it.name in sys.argv}
+    thresholds = list(named.values())
+    programs = build(thresholds)
     before = red(programs)
     print(f"{len(thresholds)} thresholds; red as they are: {', '.join(before) or 'none'}\n")
     print("| threshold | −20 % | +20 % |\n|---|---|---|")
-    for key, (_, _, value) in zip(keys, thresholds):
+    for it in thresholds:
         told = []
         for share in (-0.2, 0.2):
-            number = moved_by(value, share)
-            changed = sorted(set(red(programs, f"{key}={number!r}")) ^ set(before))
-            told.append(f"{number:.4g}: {', '.join(changed) or 'nothing'}")
-        print(f"| `{key}` {value:.4g} | {told[0]} | {told[1]} |", flush=True)
+            values = it.moved(share)
+            asked = f"{it.key}={','.join(repr(float(value)) for value in values)}"
+            changed = sorted(set(red(programs, asked)) ^ set(before))
+            told.append(f"{written(values)}: {', '.join(changed) or 'nothing'}")
+        print(f"| `{it.key}` {written(it.values)} | {told[0]} | {told[1]} |", flush=True)
 
 
 if __name__ == "__main__":

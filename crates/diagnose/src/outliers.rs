@@ -55,6 +55,9 @@ pub(crate) enum Aside {
 /// Rows that noise would have by chance are set aside, which costs nothing; that readings are wrong is claimed
 /// at one in a thousand records of noise whose tails are exponential, heavier than normal ones.
 const CLAIM: f64 = 1e-3;
+/// A reading is of another moment if it is nearer to that one's prediction than this share of what it is away from
+/// its own: most of the way is then what happened between the two.
+const NEARER: f64 = 0.5;
 /// Readings on each side of one that tell its level.
 const ASIDE: usize = 3;
 
@@ -101,7 +104,7 @@ fn is_of_a_neighbour(data: &Data, row: usize, predicted: &[f64]) -> bool {
         return false;
     }
     let away_um = |other: usize| (data.measured[row] - predicted[other]).abs();
-    let is_nearer = |other: usize| away_um(other) < 0.5 * away_um(row);
+    let is_nearer = |other: usize| away_um(other) < NEARER * away_um(row);
     let before = row.checked_sub(1).filter(|_| !data.restart[row]);
     let after = Some(row + 1).filter(|&it| it < data.rows && !data.restart[it]);
     before.into_iter().chain(after).any(is_nearer)

@@ -7,6 +7,8 @@ use crate::random::Generator;
 const DRAWS: usize = 400;
 /// Blocks for an interval: fewer draw too coarse a distribution, more are shorter than they need be.
 const FEWEST: usize = 8;
+/// Parts of a record: what is gained in one of them alone was seen once.
+const PARTS: usize = 6;
 /// Most blocks that a record is cut into.
 pub const MOST: usize = 40;
 /// Correlation times in a block, at least: then blocks are as good as independent.
@@ -137,9 +139,8 @@ impl Blocks {
 
 /// The most that one of six parts gains, cut as they come or half a part later; at least 0.
 fn best_part(before: &[f64], after: &[f64]) -> f64 {
-    const PARTS: usize = 6;
     let rows = before.len();
-    let mut gains = [[0.0; PARTS + 1]; 2];
+    let mut gains = [vec![0.0; PARTS + 1], vec![0.0; PARTS + 1]];
     for (row, (before, after)) in before.iter().zip(after).enumerate() {
         let gain = before * before - after * after;
         gains[0][row * PARTS / rows] += gain;

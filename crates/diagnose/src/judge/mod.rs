@@ -41,6 +41,7 @@
 //! and growing with another one, over the way since a reversal) explains clearly more if its score is
 //! better, the term explains less than nine tenths of the squares that it does (R² below 0.9), beside
 //! it less than half of what the term explains is left to it, and it predicts left-out blocks better.
+//! Where it is shown that what the answer leaves goes with the same inputs, the score and the half are enough.
 //!
 //! Of causes that cannot be told apart a term is kept if all give the same correction, within the
 //! error that remains anyway.

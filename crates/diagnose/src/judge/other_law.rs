@@ -65,27 +65,35 @@ impl Curves {
     ) -> Option<Doubt> {
         let curves = with_each_curve(case.problem, without, &self.candidates);
         curves.into_iter().find_map(|curve| {
-            let doubt = doubt_by(case, &curve, without)?;
+            let inputs = Inputs::of(&curve.cause)?;
+            // That what is left goes with them is shown. Blocks that have a speed alone foretell nothing of it.
+            let is_shown = case.found.lack_of_fit.iter().any(|it| it.goes_with(&inputs));
+            let doubt = doubt_by(case, &curve, inputs, without, is_shown)?;
             let beside = beside(&curve.fitted.model, &case.found.fitted.model, cause);
             let is_left = curve.fitted.sum - fit(case.problem, &beside, None).sum;
             let explained = without.sum - case.found.fitted.sum;
             (is_left < LEFT_TO_IT * explained
-                && case.left_out_um_of(&curve.fitted) < case.left_out_um)
+                && (is_shown || case.left_out_um_of(&curve.fitted) < case.left_out_um))
                 .then_some(doubt)
         })
     }
 }
 
 /// What the score of `curve` in the place of the term that `without` lacks says against that term.
-fn doubt_by(case: &Case<'_>, curve: &Extension, without: &Fitted) -> Option<Doubt> {
+fn doubt_by(
+    case: &Case<'_>,
+    curve: &Extension,
+    inputs: Inputs,
+    without: &Fitted,
+    is_shown: bool,
+) -> Option<Doubt> {
     let answer = &case.found.fitted;
-    let inputs = Inputs::of(&curve.cause)?;
     let is_better = curve.bic < case.bic() - STRONG_EVIDENCE;
     let explained = without.sum - answer.sum;
     let by_curve = without.sum - curve.fitted.sum;
     // Many values take a little of whatever there is; two scales of the model are a rival like any cause.
     let is_rival = curve.cause.is_of_two_scales();
-    if is_better && (is_rival || explained <= LEAST_R_SQUARED * by_curve) {
+    if is_better && (is_rival || is_shown || explained <= LEAST_R_SQUARED * by_curve) {
         return Some(Doubt::OtherLaw(inputs));
     }
     let is_near = curve.bic < case.bic() + STRONG_EVIDENCE;

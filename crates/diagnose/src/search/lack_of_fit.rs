@@ -26,6 +26,13 @@ pub(crate) enum LackOfFit {
     GoesWith(Inputs),
 }
 
+impl LackOfFit {
+    /// Whether what is left goes with these.
+    pub(crate) fn goes_with(&self, inputs: &Inputs) -> bool {
+        matches!(self, Self::GoesWith(left) if left == inputs)
+    }
+}
+
 impl fmt::Display for LackOfFit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

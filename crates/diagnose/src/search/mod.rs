@@ -291,7 +291,11 @@ impl Search<'_> {
             |hit: &&Hit| hit.is_significant && share_um(hit) > LACK_OF_FIT * self.relevant_um;
         let inputs =
             scanned.hits.iter().filter(counts).filter_map(|hit| Inputs::of(&hit.part.kind));
-        lack_of_fit.extend(inputs.map(LackOfFit::GoesWith));
+        for inputs in inputs {
+            if !lack_of_fit.iter().any(|there| there.goes_with(&inputs)) {
+                lack_of_fit.push(LackOfFit::GoesWith(inputs));
+            }
+        }
         let noise = noise_of(problem, &fitted.residual, degrees(&fitted.model));
         let folds = Folds::new(problem, noise.memory);
         let (added, rejected) = (self.added, self.rejected);
