@@ -58,12 +58,12 @@ class Threshold:
         """The function that stands in the place of the constant."""
         hook = f'crate::moved("{self.key}", {self.values!r})'
         kind, found = {"f64": ("f64", f"{hook}[0]"), "usize": ("usize", f"{hook}[0] as usize")}.get(
-            self.kind, (f"&'static {self.kind}", hook))
+            self.kind, (self.kind, hook))
         return (
             r"\1#[allow(non_snake_case, missing_docs, clippy::must_use_candidate)]" + "\n"
             r"\1\2fn " + self.name + f"() -> {kind} {{\n"
-            rf"\1    static VALUE: std::sync::LazyLock<{kind.removeprefix("&'static ")}> = std::sync::LazyLock::new(|| {found});" + "\n"
-            r"\1    " + ("&*VALUE" if kind.startswith("&") else "*VALUE") + "\n" + r"\1}"
+            rf"\1    static VALUE: std::sync::LazyLock<{kind}> = std::sync::LazyLock::new(|| {found});" + "\n"
+            r"\1    *VALUE" + "\n" + r"\1}"
         )
 
 

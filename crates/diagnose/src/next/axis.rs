@@ -214,7 +214,7 @@ impl AxisForesight {
         let mut feeds = vec![self.feeds_mm_per_min.clone()];
         feeds.extend((self.feeds_mm_per_min.len() > 1).then(|| vec![self.feeds_mm_per_min[1]]));
         let cold = [(0.0, true, false)];
-        let heated = HEAT_MIN.iter().flat_map(|min| [(*min, false, true), (*min, true, true)]);
+        let heated = HEAT_MIN.into_iter().flat_map(|min| [(min, false, true), (min, true, true)]);
         let heats: Vec<(f64, bool, bool)> = if self.warms.is_empty() {
             cold.into()
         } else {
