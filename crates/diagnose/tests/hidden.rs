@@ -65,6 +65,36 @@ fn what_has_no_name_is_reported_and_no_name_is_claimed_for_it() {
     assert!(all.right() == 1.0 && all.wrong() == 0.0, "{}", all.line("unnamed"));
 }
 
+/// Ten times the noise, where what is nearly right leaves much: a growth that is another one above a speed is no
+/// square of the speed, nor is a resonance.
+#[test]
+fn a_law_without_a_name_is_not_taken_for_the_square_of_the_speed() {
+    for (cause, seeds) in [(Hidden::PreloadChange, [106, 107]), (Hidden::CriticalSpeed, [103, 109])] {
+        for seed in seeds {
+            let all = row(&[cause], 10.0, seed..seed + 1);
+            assert!(all.right() == 1.0 && all.wrong() == 0.0, "{}", all.scores[0]);
+        }
+    }
+}
+
+/// A slope over a time would blur what happens in it, by more than the noise.
+#[test]
+fn a_late_thermometer_is_named_where_the_gauge_is_ten_times_as_good() {
+    for seed in [100, 103] {
+        let all = row(&[Hidden::ThermometerLag], 10.0, seed..seed + 1);
+        assert!(all.right() == 1.0 && all.wrong() == 0.0, "{}", all.scores[0]);
+    }
+}
+
+/// A table of each way follows both at once, before one of them alone is worth as much.
+#[test]
+fn a_wave_and_a_play_are_not_taken_for_a_table() {
+    let challenge = draw_pair(Hidden::PitchPeriodic, Hidden::Backlash, 10.0, 102);
+    let challenge = challenge.expect("one machine shows both");
+    let score = scored(&challenge, &answer(&challenge));
+    assert!(score.is_right && !score.is_wrong, "{score}");
+}
+
 #[test]
 fn nothing_is_found_in_noise_with_and_without_a_memory() {
     let all = row(&[Hidden::CleanWhite, Hidden::CleanCorrelated], 3.0, 0..3);
