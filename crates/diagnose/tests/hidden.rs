@@ -69,7 +69,8 @@ fn what_has_no_name_is_reported_and_no_name_is_claimed_for_it() {
 /// square of the speed, nor is a resonance.
 #[test]
 fn a_law_without_a_name_is_not_taken_for_the_square_of_the_speed() {
-    for (cause, seeds) in [(Hidden::PreloadChange, [106, 107]), (Hidden::CriticalSpeed, [103, 109])] {
+    for (cause, seeds) in [(Hidden::PreloadChange, [106, 107]), (Hidden::CriticalSpeed, [103, 109])]
+    {
         for seed in seeds {
             let all = row(&[cause], 10.0, seed..seed + 1);
             assert!(all.right() == 1.0 && all.wrong() == 0.0, "{}", all.scores[0]);
