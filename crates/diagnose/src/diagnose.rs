@@ -190,7 +190,7 @@ fn rows_of_a_slope(problem: &Problem, found: &Found) -> Option<usize> {
     };
     let rows = slope_over * late.values[0] / problem.bounds.step_s;
     let most = problem.groups.len() / FEWEST_GROUPS;
-    let size = (rows as usize).min(most);
+    let size = (rows.ceil() as usize).min(most);
     (size > 1).then_some(size)
 }
 
