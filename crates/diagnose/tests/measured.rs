@@ -27,7 +27,16 @@ fn part(path: &Path, rows: std::ops::Range<usize>) -> RunFile {
 
 fn diagnosed(machine: &str, runs: &[RunFile], holdout: &[RunFile]) -> Diagnosis {
     let machine = MachineFile::parse(machine, Path::new("m.toml")).expect("the test's own file");
-    diagnose(&machine, runs, holdout, None, &mut |_, _| {}).expect("comparable")
+    let diagnosis = diagnose(&machine, runs, holdout, None, &mut |_, _| {}).expect("comparable");
+    let report = &diagnosis.report;
+    println!(
+        "{:?}: not fitted to {:.3} -> {:.3} µm, handed out {:.3}",
+        causes(&diagnosis),
+        report.before.holdout_rms_um,
+        report.after.holdout_rms_um,
+        report.after.compensated_holdout_rms_um
+    );
+    diagnosis
 }
 
 fn causes(diagnosis: &Diagnosis) -> Vec<&str> {
@@ -43,12 +52,6 @@ fn the_sjtu_spindle_lags_behind_its_bearing_and_the_table_moves_it() {
     );
     let diagnosis = diagnosed(&machine, &[part(&path, 0..3000)], &[part(&path, 3000..5000)]);
     let report = &diagnosis.report;
-    println!(
-        "{:?}: hold-out {:.3} before, {:.3} after",
-        causes(&diagnosis),
-        report.before.holdout_rms_um,
-        report.after.holdout_rms_um
-    );
     assert!(causes(&diagnosis).contains(&"thermal-lag"));
     // By itself, or together with another that it cannot be told from.
     let named = report.findings.iter().flat_map(|finding| {
@@ -67,11 +70,6 @@ fn axes_that_repeat_get_a_table_and_one_that_does_not_is_refused() {
         let diagnosis = diagnosed(HEAD, &[read(&path)], &[]);
         let report = &diagnosis.report;
         let left = report.after.holdout_rms_um;
-        println!(
-            "{name}: {:?}, left out {:.2} before, {left:.2} after",
-            causes(&diagnosis),
-            report.before.holdout_rms_um
-        );
         assert!(causes(&diagnosis).contains(&"pitch-error"));
         assert!(left <= most_um, "{left}");
     }
