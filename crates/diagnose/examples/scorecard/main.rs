@@ -9,6 +9,7 @@
 //! … scorecard -- scenarios [--seeds 50] [--first 0] [--each] [--tsv FILE] [name…]
 //! … scorecard -- physical [--seeds 300] [--first 0] [--each] [--tsv FILE] [faults|healthy]
 //! … scorecard -- pairs [--seeds 1] [--first 0] [--each] [--tsv FILE] [a+b…]
+//! … scorecard -- program TRUEUP [--ratios 3] [--seeds 20] [--first 0] [--tsv FILE] [cause…|first+second]
 //! … scorecard -- compare BEFORE AFTER
 //! ```
 //!
@@ -16,8 +17,9 @@
 //! answer, `--tsv` writes a line for each. The files are written anew after each row. `second` asks
 //! what is named where the machine file has a cause already ([`mod@second`]), `scenarios` what is said of
 //! the shipped ones ([`scenarios`]), `physical` of machines with physical faults
-//! ([`mod@physical`]), `pairs` of every two causes that one machine can have ([`mod@pairs`]), `compare` what
-//! has become better or worse between two cards, draw by draw ([`compare`]).
+//! ([`mod@physical`]), `pairs` of every two causes that one machine can have ([`mod@pairs`]), `program` what another
+//! version's program makes of the same files ([`program`]), `compare` what has become better or worse between two
+//! cards, draw by draw ([`compare`]).
 
 #[path = "../../tests/score/pairs.rs"]
 mod all_pairs;
@@ -34,6 +36,7 @@ mod options;
 mod own;
 mod pairs;
 mod physical;
+mod program;
 mod scenarios;
 #[path = "../../tests/score/mod.rs"]
 mod score;
@@ -49,7 +52,7 @@ use score::{Row, Score, answer, score};
 use trueup_twin::hidden::{Expected, Hidden, PAIRS, draw, draw_pair};
 
 /// What is asked for.
-struct Asked {
+pub(crate) struct Asked {
     ratios: Vec<f64>,
     seeds: u64,
     few: u64,
@@ -61,7 +64,7 @@ struct Asked {
     wanted: Vec<String>,
 }
 
-fn asked(words: &[String]) -> Option<Asked> {
+pub(crate) fn asked(words: &[String]) -> Option<Asked> {
     let mut it = Asked {
         ratios: vec![3.0, 1.0, 10.0],
         seeds: 20,
@@ -95,7 +98,7 @@ fn asked(words: &[String]) -> Option<Asked> {
 }
 
 /// What `of` makes of each of `seeds`, in their order, on all cores.
-fn spread_over_cores<T: Send>(
+pub(crate) fn spread_over_cores<T: Send>(
     seeds: std::ops::Range<u64>,
     of: &(dyn Fn(u64) -> T + Sync),
 ) -> Vec<T> {
@@ -128,6 +131,7 @@ fn main() -> ExitCode {
         Some("physical") => return physical::run(&words[1..]),
         Some("scenarios") => return scenarios::run(&words[1..]),
         Some("pairs") => return pairs::run(&words[1..]),
+        Some("program") => return program::run(&words[1..]),
         Some("compare") => return compare::run(&words[1..]),
         _ => {}
     }

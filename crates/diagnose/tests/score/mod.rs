@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, fmt, path::Path};
 
 use trueup_diagnose::{Diagnosis, Verdict, diagnose};
 use trueup_machine::{MachineFile, RunFile};
-use trueup_twin::hidden::{Challenge, Expected, Hidden};
+use trueup_twin::hidden::{Challenge, Expected, Hidden, Truth};
 
 /// A parameter as it was hidden, and as it was found.
 #[derive(Clone, Debug)]
@@ -103,6 +103,74 @@ pub fn answer(challenge: &Challenge) -> Diagnosis {
     diagnose(&machine, &runs, &holdout, None, &mut |_, _| {}).expect("the runs can be compared")
 }
 
+/// What an answer names, by whichever version of the finder.
+pub struct Told {
+    /// By its name in the fixed form of the answer.
+    pub verdict: String,
+    pub findings: Vec<Named>,
+}
+
+/// A finding of it.
+pub struct Named {
+    pub cause: String,
+    pub is_claimed: bool,
+    /// Causes that are only certain together with it.
+    pub partners: Vec<String>,
+}
+
+impl Told {
+    fn of(diagnosis: &Diagnosis) -> Self {
+        let findings = diagnosis.report.findings.iter().map(|finding| Named {
+            cause: finding.cause.clone(),
+            is_claimed: finding.claimed,
+            partners: finding.together_with.iter().map(|partner| partner.cause.clone()).collect(),
+        });
+        Self { verdict: diagnosis.report.verdict.name().into(), findings: findings.collect() }
+    }
+
+    /// Whether every hidden cause is named as it may be.
+    pub fn is_right(&self, truth: &Truth) -> bool {
+        let answers: Vec<&str> = truth.effects.iter().map(|effect| effect.cause.answer()).collect();
+        let is_claimed =
+            |name: &str| self.findings.iter().any(|it| it.is_claimed && it.cause == name);
+        // Causes that explain the same data are as right, if they are not claimed.
+        let rivals = |name: &str| {
+            let effect = truth.effects.iter().find(|effect| effect.cause.answer() == name);
+            let is_open = |it: &&Named| !it.is_claimed;
+            effect.is_some_and(|effect| {
+                effect.rivals.iter().any(|rival| {
+                    let open = self.findings.iter().filter(is_open);
+                    open.into_iter().any(|it| it.cause == rival.name() || it.cause == name)
+                })
+            })
+        };
+        // Two that are only certain together are one finding, not claimed; both of them were hidden.
+        let together = |name: &str| {
+            self.findings.iter().any(|finding| {
+                let partners = finding.partners.iter().map(String::as_str);
+                let both: Vec<&str> = partners.chain([finding.cause.as_str()]).collect();
+                both.len() > 1 && both.contains(&name) && both.iter().all(|it| answers.contains(it))
+            })
+        };
+        match truth.expected {
+            Expected::Clean => self.verdict == Verdict::Clean.name(),
+            Expected::Unnamed => [Verdict::Unexplained, Verdict::PartlyExplained]
+                .iter()
+                .any(|it| it.name() == self.verdict),
+            Expected::Compensated | Expected::Reported => {
+                answers.iter().all(|name| is_claimed(name) || rivals(name) || together(name))
+            }
+        }
+    }
+
+    /// Whether a cause is claimed that was not hidden.
+    pub fn is_wrong(&self, truth: &Truth) -> bool {
+        let is_hidden =
+            |name: &str| truth.effects.iter().any(|effect| effect.cause.answer() == name);
+        self.findings.iter().any(|it| it.is_claimed && !is_hidden(&it.cause))
+    }
+}
+
 /// What `diagnosis` is worth, by the truth of `challenge`.
 pub fn score(challenge: &Challenge, diagnosis: &Diagnosis) -> Score {
     let truth = &challenge.truth;
@@ -116,35 +184,8 @@ pub fn score(challenge: &Challenge, diagnosis: &Diagnosis) -> Score {
         findings.map(|finding| finding.cause.clone()).collect()
     };
     let (named, unclaimed) = (of(true), of(false));
-    // Causes that explain the same data are as right, if they are not claimed.
-    let rivals = |name: &str| {
-        let effect = truth.effects.iter().find(|effect| effect.cause.answer() == name);
-        effect.is_some_and(|effect| {
-            effect
-                .rivals
-                .iter()
-                .any(|rival| unclaimed.iter().any(|there| there == rival.name() || there == name))
-        })
-    };
-    // Two that are only certain together are one finding, not claimed; both of them were hidden.
-    let together = |name: &str| {
-        report.findings.iter().any(|finding| {
-            let partners = finding.together_with.iter().map(|partner| partner.cause.as_str());
-            let both: Vec<&str> = partners.chain([finding.cause.as_str()]).collect();
-            both.len() > 1 && both.contains(&name) && both.iter().all(|it| answers.contains(it))
-        })
-    };
-    let is_right = match truth.expected {
-        Expected::Clean => report.verdict == Verdict::Clean,
-        Expected::Unnamed => {
-            matches!(report.verdict, Verdict::Unexplained | Verdict::PartlyExplained)
-        }
-        Expected::Compensated | Expected::Reported => {
-            let is_named = |name: &str| named.iter().any(|there| there == name);
-            answers.iter().all(|name| is_named(name) || rivals(name) || together(name))
-        }
-    };
-    let is_wrong = named.iter().any(|name| !answers.contains(&name.as_str()));
+    let told = Told::of(diagnosis);
+    let (is_right, is_wrong) = (told.is_right(truth), told.is_wrong(truth));
     let open = report
         .findings
         .iter()

@@ -1,0 +1,103 @@
+//! The draws of the card, answered by a program: `trueup` of another version, which gets the same files and is
+//! judged by the same rule. With `--tsv` the answers can be compared with those of a card, draw by draw.
+
+use std::{fs, path::Path, process::Command, process::ExitCode};
+
+use serde_json::Value;
+use trueup_twin::hidden::{Challenge, Expected, Hidden, PAIRS, draw, draw_pair};
+
+use crate::{
+    asked,
+    compare::{Draw, Draws},
+    score::{Named, Told},
+    spread_over_cores,
+};
+
+/// `program TRUEUP` and the words of the card.
+pub fn run(words: &[String]) -> ExitCode {
+    let Some((program, asked)) =
+        words.split_first().and_then(|(program, rest)| Some((program, asked(rest)?)))
+    else {
+        eprintln!(
+            "error: program TRUEUP [--ratios 3] [--seeds 20] [--first 0] [--tsv FILE] [cause…]"
+        );
+        return ExitCode::from(2);
+    };
+    let is_wanted =
+        |name: &str| asked.wanted.is_empty() || asked.wanted.iter().any(|it| it == name);
+    let seeds = asked.first..asked.first + asked.seeds;
+    let mut draws = Draws::default();
+    let mut of_cell = |ratio: f64, name: &str, drawn: &(dyn Fn(u64) -> Challenge + Sync)| {
+        if !is_wanted(name) {
+            return;
+        }
+        let told = spread_over_cores(seeds.clone(), &|seed| {
+            let challenge = drawn(seed);
+            let told = answered(Path::new(program), &challenge);
+            told.map(|told| (told.is_right(&challenge.truth), told.is_wrong(&challenge.truth)))
+        });
+        let (mut right, mut wrong) = (0, 0);
+        for (seed, told) in seeds.clone().zip(told) {
+            // No answer names nothing.
+            let (is_right, is_wrong) = told.unwrap_or_else(|complaint| {
+                eprintln!("{name}, seed {seed}: {complaint}");
+                (false, false)
+            });
+            right += u32::from(is_right);
+            wrong += u32::from(is_wrong);
+            draws.insert(
+                &ratio.to_string(),
+                name,
+                seed,
+                Draw::without_intervals(is_right, is_wrong, f64::NAN),
+            );
+        }
+        println!(
+            "ratio {ratio}: {name:<40} n {:>3} right {right:>3} wrong {wrong:>3}",
+            asked.seeds
+        );
+        if let Some(path) = &asked.tsv
+            && let Err(error) = fs::write(path, draws.to_tsv())
+        {
+            eprintln!("error: {}: {error}", path.display());
+        }
+    };
+    for &ratio in &asked.ratios {
+        for &cause in Hidden::ALL.iter().filter(|cause| cause.expected() != Expected::Clean) {
+            of_cell(ratio, cause.name(), &|seed| draw(cause, ratio, seed));
+        }
+        for &(a, b) in PAIRS {
+            of_cell(ratio, &format!("{}+{}", a.name(), b.name()), &|seed| {
+                draw_pair(a, b, ratio, seed).expect("the twin's own pairs can be drawn")
+            });
+        }
+    }
+    ExitCode::SUCCESS
+}
+
+/// What `program` says of the files of `challenge`.
+fn answered(program: &Path, challenge: &Challenge) -> Result<Told, String> {
+    let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
+    let put = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        fs::write(&path, text).map(|()| path).map_err(|error| error.to_string())
+    };
+    let mut command = Command::new(program);
+    command.args(["diagnose", "--json", "--machine"]).arg(put("machine.toml", &challenge.machine)?);
+    for (number, run) in challenge.runs.iter().enumerate() {
+        command.arg("--run").arg(put(&format!("run{number}.csv"), run)?);
+    }
+    command.arg("--holdout").arg(put("holdout.csv", &challenge.holdout)?);
+    command.arg("--out").arg(folder.path().join("out"));
+    let output = command.output().map_err(|error| format!("{}: {error}", program.display()))?;
+    let said: Value = serde_json::from_slice(&output.stdout)
+        .map_err(|_| String::from_utf8_lossy(&output.stderr).into_owned())?;
+    let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
+    let each = |value: &Value| value.as_array().cloned().unwrap_or_default();
+    let findings = each(&said["findings"]).into_iter().map(|finding| Named {
+        cause: text(&finding["cause"]),
+        is_claimed: finding["claimed"] == true,
+        partners: each(&finding["together_with"]).iter().map(|it| text(&it["cause"])).collect(),
+    });
+    Ok(Told { verdict: text(&said["verdict"]), findings: findings.collect() })
+}
