@@ -12,10 +12,7 @@ use trueup_machine::{
 #[cfg(test)]
 use trueup_machine::effect::Heat;
 
-use crate::{
-    columns::SAID,
-    data::{Data, Stated},
-};
+use crate::data::{Data, Stated};
 
 /// A cause, neutral, with what is fixed about it; or one of the machine file; or a test of structure.
 #[derive(Clone, Debug, PartialEq)]
@@ -64,11 +61,6 @@ impl Kind {
             Self::Cause(effect) | Self::Stated(Stated { effect, .. }) => Some(effect),
             Self::Curve(_) => None,
         }
-    }
-
-    /// Whether it is another scale of what the model says from somewhere on.
-    pub(crate) fn is_of_two_scales(&self) -> bool {
-        matches!(self, Self::Curve(curve) if curve.knots.len() == 2 && curve.times.as_deref() == Some(SAID))
     }
 
     /// The name of the cause.

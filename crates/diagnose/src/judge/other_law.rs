@@ -3,7 +3,7 @@
 
 use crate::{
     candidates::{Candidate, structure},
-    columns::named,
+    columns::{SAID, named},
     data::Data,
     fit::{Fitted, fit},
     judge::{case::Case, doubt::Doubt, rivals::imitates},
@@ -92,13 +92,18 @@ fn doubt_by(
     let explained = without.sum - answer.sum;
     let by_curve = without.sum - curve.fitted.sum;
     // Many values take a little of whatever there is; two scales of the model are a rival like any cause.
-    let is_rival = curve.cause.is_of_two_scales();
+    let is_rival = is_of_two_scales(&curve.cause);
     if is_better && (is_rival || is_shown || explained <= LEAST_R_SQUARED * by_curve) {
         return Some(Doubt::OtherLaw(inputs));
     }
     let is_near = curve.bic < case.bic() + STRONG_EVIDENCE;
     (is_rival && is_near && !imitates(case, without, &curve.fitted))
         .then_some(Doubt::LawAsWell(inputs))
+}
+
+/// Whether it is another scale of what the model says from somewhere on.
+fn is_of_two_scales(kind: &Kind) -> bool {
+    matches!(kind, Kind::Curve(curve) if curve.knots.len() == 2 && curve.times.as_deref() == Some(SAID))
 }
 
 /// `curve` with the term of `answer` beside it.
