@@ -178,7 +178,7 @@ fn searched(
     (problem, found)
 }
 
-/// Rows over which the slope of a late thermometer was taken, where they are several.
+/// Rows over which the slope of a late thermometer was taken, where they are more than are together already.
 ///
 /// What a mean of rows grows by is the mean of their slopes, noise and bends and all: in groups of so many rows the
 /// lag is undone from row to row, exactly, with as little noise as by a slope over all of them, which blurs what
@@ -189,9 +189,9 @@ fn rows_of_a_slope(problem: &Problem, found: &Found) -> Option<usize> {
         return None;
     };
     let rows = slope_over * late.values[0] / problem.bounds.step_s;
-    let most = problem.groups.len() / FEWEST_GROUPS;
+    let most = problem.groups.rows() as usize / FEWEST_GROUPS;
     let size = (rows.ceil() as usize).min(most);
-    (size > 1).then_some(size)
+    (size > problem.groups.size).then_some(size)
 }
 
 fn is_late(part: &Part) -> bool {

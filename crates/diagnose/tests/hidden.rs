@@ -76,6 +76,9 @@ fn a_law_without_a_name_is_not_taken_for_the_square_of_the_speed() {
             assert!(all.right() == 1.0 && all.wrong() == 0.0, "{}", all.scores[0]);
         }
     }
+    // As large as the noise both do as well, and neither is claimed.
+    let as_well = row(&[Hidden::PreloadChange], 1.0, 103..104);
+    assert!(as_well.wrong() == 0.0, "{}", as_well.scores[0]);
 }
 
 /// A slope over a time would blur what happens in it, by more than the noise.

@@ -9,7 +9,7 @@
 //! … scorecard -- scenarios [--seeds 50] [--first 0] [--each] [--tsv FILE] [name…]
 //! … scorecard -- physical [--seeds 300] [--first 0] [--each] [--tsv FILE] [faults|healthy]
 //! … scorecard -- pairs [--seeds 1] [--first 0] [--each] [--tsv FILE] [a+b…]
-//! … scorecard -- program TRUEUP [--ratios 3] [--seeds 20] [--first 0] [--tsv FILE] [cause…|first+second]
+//! … scorecard -- program TRUEUP [--ratios 3,1,10] [--seeds 20] [--first 0] [--tsv FILE] [cause…|first+second]
 //! … scorecard -- compare BEFORE AFTER
 //! ```
 //!

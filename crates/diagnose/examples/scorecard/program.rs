@@ -1,5 +1,6 @@
 //! The draws of the card, answered by a program: `trueup` of another version, which gets the same files and is
-//! judged by the same rule. With `--tsv` the answers can be compared with those of a card, draw by draw.
+//! judged by the same rule. With `--tsv` the answers can be compared with those of a card, draw by draw; a draw without
+//! an answer is in no line, and the command ends with 1.
 
 use std::{fs, path::Path, process::Command, process::ExitCode};
 
@@ -19,14 +20,14 @@ pub fn run(words: &[String]) -> ExitCode {
         words.split_first().and_then(|(program, rest)| Some((program, asked(rest)?)))
     else {
         eprintln!(
-            "error: program TRUEUP [--ratios 3] [--seeds 20] [--first 0] [--tsv FILE] [cause…]"
+            "error: program TRUEUP [--ratios 3,1,10] [--seeds 20] [--first 0] [--tsv FILE] [cause…]"
         );
         return ExitCode::from(2);
     };
     let is_wanted =
         |name: &str| asked.wanted.is_empty() || asked.wanted.iter().any(|it| it == name);
     let seeds = asked.first..asked.first + asked.seeds;
-    let mut draws = Draws::default();
+    let (mut draws, mut are_all_answered) = (Draws::default(), true);
     let mut of_cell = |ratio: f64, name: &str, drawn: &(dyn Fn(u64) -> Challenge + Sync)| {
         if !is_wanted(name) {
             return;
@@ -38,11 +39,14 @@ pub fn run(words: &[String]) -> ExitCode {
         });
         let (mut right, mut wrong) = (0, 0);
         for (seed, told) in seeds.clone().zip(told) {
-            // No answer names nothing.
-            let (is_right, is_wrong) = told.unwrap_or_else(|complaint| {
-                eprintln!("{name}, seed {seed}: {complaint}");
-                (false, false)
-            });
+            let (is_right, is_wrong) = match told {
+                Ok(told) => told,
+                Err(complaint) => {
+                    eprintln!("error: {name}, seed {seed}, no answer: {complaint}");
+                    are_all_answered = false;
+                    continue;
+                }
+            };
             right += u32::from(is_right);
             wrong += u32::from(is_wrong);
             draws.insert(
@@ -72,7 +76,7 @@ pub fn run(words: &[String]) -> ExitCode {
             });
         }
     }
-    ExitCode::SUCCESS
+    ExitCode::from(u8::from(!are_all_answered))
 }
 
 /// What `program` says of the files of `challenge`.

@@ -136,11 +136,10 @@ impl Told {
         // Causes that explain the same data are as right, if they are not claimed.
         let rivals = |name: &str| {
             let effect = truth.effects.iter().find(|effect| effect.cause.answer() == name);
-            let is_open = |it: &&Named| !it.is_claimed;
             effect.is_some_and(|effect| {
                 effect.rivals.iter().any(|rival| {
-                    let open = self.findings.iter().filter(is_open);
-                    open.into_iter().any(|it| it.cause == rival.name() || it.cause == name)
+                    let mut open = self.findings.iter().filter(|it| !it.is_claimed);
+                    open.any(|it| it.cause == rival.name() || it.cause == name)
                 })
             })
         };
