@@ -2,11 +2,13 @@
 //!
 //! ```text
 //! cargo run --release -p trueup-diagnose --example speed
+//! cargo run --release -p trueup-diagnose --example speed -- beside OTHER
 //! ```
 //!
 //! A spindle whose growth lags behind its thermometer; the same with a gain, the speed, the load and another part's
-//! heat besides; and an axis with a wrong slope, a screw's wave and a backlash; each in a process of its own, from reading the file to the answer. Times are those
-//! of this computer: the ratio from line to line is what counts.
+//! heat besides; and an axis with a wrong slope, a screw's wave and a backlash; each in a process of its own, from
+//! reading the file to the answer. Times are those of this computer: the ratio from line to line is what counts; or
+//! `beside` this example of another version, built before, on the same files, in turn, the least of five times each.
 
 use std::{
     env, fs,
@@ -20,6 +22,8 @@ use trueup_diagnose::diagnose;
 use trueup_machine::{MachineFile, RunFile};
 
 const ROWS: [usize; 3] = [10_000, 100_000, 1_000_000];
+/// Times that each version is timed beside another one.
+const TURNS: usize = 5;
 /// Thermometers that have nothing to do with anything.
 const IDLE: usize = 13;
 const HEAD: &str = "[machine]\nname = \"speed\"\nkind = \"3-axis\"\n";
@@ -121,23 +125,59 @@ fn one(path: &Path, is_axis: bool) -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
+/// Seconds, megabytes and causes, of a process of its own of `program`.
+fn of_process(
+    program: &Path,
+    name: &str,
+    path: &Path,
+) -> Result<(f64, f64, String), Box<dyn std::error::Error>> {
+    let child = Command::new(program).arg(name).arg(path).output()?;
+    if !child.status.success() {
+        return Err(String::from_utf8_lossy(&child.stderr).into_owned().into());
+    }
+    let text = String::from_utf8(child.stdout)?;
+    let mut words = text.trim().splitn(3, ' ');
+    let mut next = || words.next().unwrap_or_default();
+    Ok((next().parse()?, next().parse()?, next().into()))
+}
+
+/// Times beside those of the same example of another version.
+fn beside(other: &Path) -> Result<(), Box<dyn std::error::Error>> {
+    let path = scratch();
+    let here = env::current_exe()?;
+    println!("                rows   seconds   other s   ratio");
+    for name in ["elongation", "five-causes", "axis"] {
+        for rows in ROWS {
+            write(&path, name, rows)?;
+            let mut least = [f64::INFINITY; 2];
+            for _ in 0..TURNS {
+                for (least, program) in least.iter_mut().zip([&*here, other]) {
+                    *least = least.min(of_process(program, name, &path)?.0);
+                }
+            }
+            let [own, other] = least;
+            println!("{name:<11} {rows:>8} {own:>7.2} {other:>9.2} {:>7.2}", own / other);
+        }
+    }
+    fs::remove_file(&path)?;
+    Ok(())
+}
+
+/// A file that nobody else writes.
+fn scratch() -> PathBuf {
+    env::temp_dir().join(format!("trueup-speed-{}.csv", std::process::id()))
+}
+
 fn all() -> Result<(), Box<dyn std::error::Error>> {
-    let path: PathBuf = env::temp_dir().join(format!("trueup-speed-{}.csv", std::process::id()));
+    let (path, here) = (scratch(), env::current_exe()?);
     println!("                rows   seconds   ratio   memory MB   found");
     for name in ["elongation", "five-causes", "axis"] {
         let mut before = f64::NAN;
         for rows in ROWS {
             write(&path, name, rows)?;
-            let child = Command::new(env::current_exe()?).arg(name).arg(&path).output()?;
-            if !child.status.success() {
-                return Err(String::from_utf8_lossy(&child.stderr).into_owned().into());
-            }
-            let text = String::from_utf8(child.stdout)?;
-            let mut words = text.trim().splitn(3, ' ');
-            let mut next = || words.next().unwrap_or_default();
-            let (seconds, memory): (f64, f64) = (next().parse()?, next().parse()?);
+            let (seconds, memory, found) = of_process(&here, name, &path)?;
             let ratio = seconds / before;
-            println!("{name:<11} {rows:>8} {seconds:>7.2} {ratio:>7.1} {memory:>9.0}   {}", next());
+            println!("{name:<11} {rows:>8} {seconds:>7.2} {ratio:>7.1} {memory:>9.0}   {found}");
             before = seconds;
         }
     }
@@ -149,8 +189,9 @@ fn main() -> ExitCode {
     let words: Vec<String> = env::args().skip(1).collect();
     let done = match &words[..] {
         [] => all(),
+        [word, other] if word == "beside" => beside(Path::new(other)),
         [kind, path] => one(Path::new(path), kind == "axis"),
-        _ => Err("speed takes no argument".into()),
+        _ => Err("speed takes nothing, or `beside` and this example of another version".into()),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
