@@ -18,6 +18,7 @@ mod line;
 mod meant;
 mod order;
 mod places;
+mod plain;
 mod reading;
 mod table;
 

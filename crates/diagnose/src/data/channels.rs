@@ -23,8 +23,8 @@ const SHARED_CHANGES: usize = 30;
 const PAUSE_ROWS: f64 = 2.0;
 /// Rows before and after an instant by which it is asked whether a neighbour turned there.
 const TURN_ROWS: usize = 10;
-/// Below so many rows threads cost more than they bring: a channel takes a millisecond.
-const WORTH_CORES: usize = 10_000;
+/// Below so many rows threads cost more than they bring: a channel of 10,000 takes a millisecond.
+const WORTH_CORES: usize = 1_000;
 /// A jump back is one to the level before if what is left is less than this share of it: by a tenth its
 /// own size is known, which is several times the noise.
 const SAME_LEVEL: f64 = 0.1;

@@ -1,20 +1,33 @@
 //! The change of the prediction with each value of a model.
 
-use super::problem::Problem;
 use trueup_machine::effect::Nonlinear;
+use trueup_numerics::parallel::on_all_cores;
 
-use crate::model::Model;
+use super::problem::Problem;
+use crate::{kind::Part, model::Model};
 
 /// Which value of which part a column of the Jacobian belongs to; none: the constant.
 pub(crate) type Parameter = Option<(usize, usize)>;
 
 /// The change of the prediction with each value (in groups); logarithmic values by their logarithm.
 pub(crate) fn jacobian(problem: &Problem, model: &Model) -> (Vec<Parameter>, Vec<Vec<f64>>) {
+    let has_shift = model.has_shift(&problem.data);
+    let is_linear = |part: &Part| part.kind.is_added() && !has_shift;
+    let here =
+        if model.parts.iter().all(is_linear) { Vec::new() } else { problem.predicted(model) };
+    let parts: Vec<usize> = (0..model.parts.len()).collect();
+    let of = |&index: &usize| {
+        if is_linear(&model.parts[index]) {
+            of_added(problem, &model.parts[index])
+        } else {
+            of_any(problem, model, index, &here)
+        }
+    };
+    let all = on_all_cores(&parts, problem.is_large(), of);
     let mut parameters: Vec<Parameter> = Vec::new();
     let mut columns = Vec::new();
-    let mut here: Option<Vec<f64>> = None;
-    for index in 0..model.parts.len() {
-        for (number, column) in of_part(problem, model, index, &mut here) {
+    for (index, of_part) in all.into_iter().enumerate() {
+        for (number, column) in of_part {
             parameters.push(Some((index, number)));
             columns.push(column);
         }
@@ -26,54 +39,60 @@ pub(crate) fn jacobian(problem: &Problem, model: &Model) -> (Vec<Parameter>, Vec
     (parameters, columns)
 }
 
-/// The change of the prediction with each value of one part of `model`, whose prediction is worked out
-/// into `here` if it is needed.
-pub(crate) fn of_part(
-    problem: &Problem,
-    model: &Model,
-    index: usize,
-    here: &mut Option<Vec<f64>>,
-) -> Vec<(usize, Vec<f64>)> {
+/// The change of the prediction with each value of one part of `model`.
+pub(crate) fn of_part(problem: &Problem, model: &Model, index: usize) -> Vec<(usize, Vec<f64>)> {
     let part = &model.parts[index];
-    let (kind, nonlinear) = (&part.kind, part.kind.nonlinear());
-    let step = |number: usize| {
-        let value = part.values[number];
-        let step = derivative_step(problem, nonlinear.get(number), value);
-        (step, if kind.is_logarithmic(number) { value * step.exp() } else { value + step })
-    };
-    let mut columns = Vec::new();
-    // What is only added is its own derivative.
-    if kind.is_added() && !model.has_shift(&problem.data) {
-        let (values, amplitudes) = part.values.split_at(nonlinear.len());
-        let unit = problem.columns(kind, values, nonlinear.is_empty());
-        for (number, column) in unit.iter().enumerate() {
-            columns.push((nonlinear.len() + number, column.clone()));
-        }
-        for number in 0..nonlinear.len() {
-            let (step, there) = step(number);
-            let mut moved = values.to_vec();
-            moved[number] = there;
-            let moved = problem.columns(kind, &moved, false);
-            let mut column = vec![0.0; problem.groups.len()];
-            for ((unit, moved), amplitude) in unit.iter().zip(&*moved).zip(amplitudes) {
-                for ((sum, u), m) in column.iter_mut().zip(unit).zip(moved) {
-                    *sum += amplitude * (m - u) / step;
-                }
-            }
-            columns.push((number, column));
-        }
-        return columns;
+    if part.kind.is_added() && !model.has_shift(&problem.data) {
+        of_added(problem, part)
+    } else {
+        of_any(problem, model, index, &problem.predicted(model))
     }
-    for number in 0..part.values.len() {
-        let (step, there) = step(number);
-        let mut moved = model.clone();
-        moved.parts[index].values[number] = there;
-        let base = here.get_or_insert_with(|| problem.predicted(model));
-        let there = problem.predicted(&moved);
-        let column = there.iter().zip(base.iter()).map(|(t, b)| (t - b) / step).collect();
+}
+
+/// The step of the difference for a value, as the fit counts it, and the value at the step's end.
+fn moved(problem: &Problem, part: &Part, number: usize) -> (f64, f64) {
+    let value = part.values[number];
+    let step = derivative_step(problem, part.kind.nonlinear().get(number), value);
+    (step, if part.kind.is_logarithmic(number) { value * step.exp() } else { value + step })
+}
+
+/// The same of what is only added: it is its own derivative.
+fn of_added(problem: &Problem, part: &Part) -> Vec<(usize, Vec<f64>)> {
+    let kind = &part.kind;
+    let nonlinear = kind.nonlinear().len();
+    let (values, amplitudes) = part.values.split_at(nonlinear);
+    let unit = problem.columns(kind, values, nonlinear == 0);
+    let mut columns: Vec<(usize, Vec<f64>)> = unit
+        .iter()
+        .enumerate()
+        .map(|(number, column)| (nonlinear + number, column.clone()))
+        .collect();
+    for number in 0..nonlinear {
+        let (step, there) = moved(problem, part, number);
+        let mut values = values.to_vec();
+        values[number] = there;
+        let moved = problem.columns(kind, &values, false);
+        let mut column = vec![0.0; problem.groups.len()];
+        for ((unit, moved), amplitude) in unit.iter().zip(&*moved).zip(amplitudes) {
+            for ((sum, u), m) in column.iter_mut().zip(unit).zip(moved) {
+                *sum += amplitude * (m - u) / step;
+            }
+        }
         columns.push((number, column));
     }
     columns
+}
+
+/// The same of any part of `model`, which predicts `here`.
+fn of_any(problem: &Problem, model: &Model, index: usize, here: &[f64]) -> Vec<(usize, Vec<f64>)> {
+    let values: Vec<usize> = (0..model.parts[index].values.len()).collect();
+    on_all_cores(&values, problem.is_large(), |&number| {
+        let (step, there) = moved(problem, &model.parts[index], number);
+        let mut model = model.clone();
+        model.parts[index].values[number] = there;
+        let there = problem.predicted(&model);
+        (number, there.iter().zip(here).map(|(there, here)| (there - here) / step).collect())
+    })
 }
 
 fn derivative_step(problem: &Problem, what: Option<&Nonlinear>, value: f64) -> f64 {

@@ -81,7 +81,7 @@ fn effect(
         // It is there already: what it may add is how it changes with its values.
         let mut with = model.clone();
         with.parts.push(Part { kind: kind.clone(), values: setting.to_vec() });
-        let columns = of_part(problem, &with, model.parts.len(), &mut None);
+        let columns = of_part(problem, &with, model.parts.len());
         return (columns.into_iter().map(|(_, column)| column).collect(), false);
     }
     if kind.is_added() {

@@ -11,6 +11,8 @@ use crate::fit::Problem;
 
 /// Columns of one trial's matrix at a time, so that they stay in the cache.
 const COLUMNS_AT_ONCE: usize = 16;
+/// Values of all trials' columns below which threads cost more than they bring.
+const WORTH_CORES: usize = 50_000;
 
 /// Rows up to which a product of matrices is quicker row by row: for more there is a routine in blocks.
 const FEW: usize = 5;
@@ -66,7 +68,7 @@ pub(crate) fn statistics(
             let known = known.map(|known| &known[start..start + chunk.len()]);
             projector.gains(&whitener, chunk, known)
         };
-        let is_worth = trials.len() * rows as usize * lists.len() > 2_000_000;
+        let is_worth = trials.len() * rows as usize > WORTH_CORES;
         let all = on_all_cores(&chunks, is_worth, of);
         let (all, new): (Vec<_>, Vec<_>) = all.into_iter().unzip();
         if known.is_none() {

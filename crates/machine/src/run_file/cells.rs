@@ -26,6 +26,14 @@ impl Cells {
         self.form.get(column) == Some(&Some(Form::Time))
     }
 
+    /// Takes note of a row of numbers, NaN where one is missing; false if a column has held times of day: one
+    /// of its fields breaks a rule.
+    pub(super) fn take_numbers(&mut self, row: &[(f64, usize)]) -> bool {
+        self.form.iter_mut().zip(row).all(|(form, (value, _))| {
+            value.is_nan() || *form.get_or_insert(Form::Number) == Form::Number
+        })
+    }
+
     /// The value of a field of this column, NaN if it is missing; else the rule it breaks. A time of
     /// day is in seconds from the first one of the file.
     pub(super) fn read(&mut self, column: usize, name: &str, text: &str) -> Result<f64, String> {

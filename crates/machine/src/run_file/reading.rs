@@ -13,6 +13,7 @@ use super::{
     meant,
     order::TimeOrder,
     places::Places,
+    plain,
     table::{Bounds, Column, MOST_COLUMNS, Slip, Table},
 };
 use crate::location::{BadInput, Location, shortened};
@@ -175,6 +176,13 @@ impl<'p> Reading<'p> {
     /// Splits the row on `line`; as many values as the header has names, unless that is its fault.
     fn read_fields(&mut self, line: &Line) {
         let wanted = self.columns.len();
+        if plain::read(&line.text, self.separator, wanted, &mut self.row)
+            && self.cells.take_numbers(&self.row)
+            && !self.has_bad_direction()
+        {
+            return;
+        }
+        self.row.clear();
         for field in Fields::of(&line.text, self.separator) {
             let field = match field {
                 Ok(field) => field,
@@ -211,6 +219,11 @@ impl<'p> Reading<'p> {
                 "every row has a field for each column; one without a value is left empty",
             ));
         }
+    }
+
+    fn has_bad_direction(&self) -> bool {
+        let mut fields = self.columns.iter().zip(&self.row);
+        fields.any(|(column, (value, _))| column.is_direction && check_direction(*value).is_err())
     }
 
     fn too_many(&self, line: &Line, column: usize) -> BadInput {
