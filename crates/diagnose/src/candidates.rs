@@ -351,7 +351,7 @@ fn from_a_speed_on(data: &Data) -> Vec<Candidate> {
 /// Knots at quantiles, no two alike.
 fn curve_knots(values: &[f64], most: usize) -> Vec<f64> {
     let mut sorted: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
-    sorted.sort_by(f64::total_cmp);
+    sorted.sort_unstable_by(f64::total_cmp);
     if sorted.is_empty() {
         return Vec::new();
     }

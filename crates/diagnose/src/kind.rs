@@ -170,6 +170,11 @@ impl Kind {
         matches!(self.stage(), Stage::Constant | Stage::Falling)
     }
 
+    /// Whether it multiplies the prediction.
+    pub(crate) fn is_factor(&self) -> bool {
+        self.stage() == Stage::Factor
+    }
+
     /// Whether it only adds its columns, whatever the rest of the model is.
     pub(crate) fn is_added(&self) -> bool {
         self.stage() == Stage::Sum

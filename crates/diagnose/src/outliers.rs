@@ -234,10 +234,10 @@ const CHANCE: f64 = 0.01;
 /// The instrument's last digit: the smallest step between readings, but for the rarest.
 fn last_digit(data: &Data, rows: &[usize]) -> f64 {
     let mut values: Vec<f64> = rows.iter().map(|&row| data.measured[row]).collect();
-    values.sort_by(f64::total_cmp);
+    values.sort_unstable_by(f64::total_cmp);
     let mut steps: Vec<f64> =
         values.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 1e-9).collect();
-    steps.sort_by(f64::total_cmp);
+    steps.sort_unstable_by(f64::total_cmp);
     steps.get(steps.len() / 50).copied().unwrap_or(0.0)
 }
 

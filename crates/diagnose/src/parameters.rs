@@ -225,7 +225,7 @@ fn list_may_be_nothing(part: &Part, index: usize, spread: &Spread) -> bool {
 }
 
 fn put(map: &mut Map<String, Value>, name: &str, value: f64, mut ci95: [f64; 2]) {
-    ci95.sort_by(f64::total_cmp);
+    ci95.sort_unstable_by(f64::total_cmp);
     map.insert(name.into(), json!({"value": value, "ci95": ci95}));
 }
 

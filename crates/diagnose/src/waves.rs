@@ -67,11 +67,11 @@ impl Grid {
             return None;
         }
         let mut sorted = at.to_vec();
-        sorted.sort_by(f64::total_cmp);
+        sorted.sort_unstable_by(f64::total_cmp);
         let least = 1e-4 * range;
         let mut gaps: Vec<f64> =
             sorted.windows(2).map(|pair| pair[1] - pair[0]).filter(|gap| *gap > least).collect();
-        gaps.sort_by(f64::total_cmp);
+        gaps.sort_unstable_by(f64::total_cmp);
         let spacing = gaps.get(gaps.len() / 2).copied()?;
         Some(Self { low, range, spacing })
     }

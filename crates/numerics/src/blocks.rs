@@ -127,7 +127,7 @@ impl Blocks {
                 of(drawn.fold([0.0; 2], add))
             })
             .collect();
-        draws.sort_by(f64::total_cmp);
+        draws.sort_unstable_by(f64::total_cmp);
         let [low, high, fifth] = [DRAWS / 40 - 1, DRAWS - DRAWS / 40 - 1, DRAWS / 5 - 1];
         Reduction {
             value,

@@ -44,7 +44,7 @@ fn at_positions(own_mm: f64, others_mm: &[f64], [low, high]: [f64; 2]) -> String
 fn at_times(own_s: f64, others_s: &[f64]) -> String {
     let most = |other_s: &f64| (other_s / own_s).ln() * own_s * other_s / (other_s - own_s);
     let mut times: Vec<f64> = others_s.iter().map(most).filter(|it| it.is_finite()).collect();
-    times.sort_by(f64::total_cmp);
+    times.sort_unstable_by(f64::total_cmp);
     format!(
         "Change what it goes with at once, hold it, and read {} s later, and once nothing moves any more: \
          there these time constants differ most.",

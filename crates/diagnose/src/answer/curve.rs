@@ -98,7 +98,7 @@ fn of_machine(data: &Data, machine: &Machine, axis: LinearAxis) -> Vec<Curve> {
 /// The places of the readings, rising, with points between them.
 fn places(position_mm: &[f64]) -> Vec<f64> {
     let mut places: Vec<f64> = position_mm.iter().copied().filter(|mm| mm.is_finite()).collect();
-    places.sort_by(f64::total_cmp);
+    places.sort_unstable_by(f64::total_cmp);
     places.dedup_by(|a, b| *a - *b < 1e-3);
     let between = (MOST_POINTS / places.len().max(1)).clamp(1, BETWEEN);
     let mut all: Vec<f64> = places

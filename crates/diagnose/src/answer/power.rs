@@ -152,7 +152,7 @@ impl Needed {
         let seconds = data.time_s.as_ref().and_then(|times| {
             let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
             steps.retain(|step| *step > 0.0);
-            steps.sort_by(f64::total_cmp);
+            steps.sort_unstable_by(f64::total_cmp);
             steps.get(steps.len() / 2).map(|step| step * rows as f64)
         });
         Self::Record { rows, seconds }

@@ -308,7 +308,7 @@ fn usual_hold(runs: &[Range<usize>]) -> usize {
 fn flickering(values: &[f64]) -> f64 {
     let differs = |window: &&[f64]| {
         let mut sorted = window.to_vec();
-        sorted.sort_by(f64::total_cmp);
+        sorted.sort_unstable_by(f64::total_cmp);
         sorted[ASIDE] != window[ASIDE]
     };
     let windows = values.windows(2 * ASIDE + 1);

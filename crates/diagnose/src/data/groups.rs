@@ -69,7 +69,7 @@ fn steps(clock: &[f64], series: &[u32]) -> Steps {
     let is_next = |group: usize| group > 0 && series[group] == series[group - 1];
     let mut gaps: Vec<f64> =
         (1..clock.len()).filter(|&n| is_next(n)).map(gap).filter(|&gap| gap > 0.0).collect();
-    gaps.sort_by(f64::total_cmp);
+    gaps.sort_unstable_by(f64::total_cmp);
     let step = gaps.get(gaps.len() / 2).copied().unwrap_or(1.0);
     let steps = (0..clock.len()).map(|group| {
         if is_next(group) {

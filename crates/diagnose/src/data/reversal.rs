@@ -13,7 +13,7 @@ pub(super) fn reversal_decay(data: &Data) -> Vec<Column> {
     let step = |row: usize| (own[row] - own[row - 1]).abs();
     let mut steps: Vec<f64> =
         (0..data.rows).filter(|&row| is_next(row)).map(step).filter(|mm| *mm > 0.0).collect();
-    steps.sort_by(f64::total_cmp);
+    steps.sort_unstable_by(f64::total_cmp);
     let turns = |row: usize| is_next(row) && direction[row] * direction[row - 1] < 0.0;
     let (Some(&short), true) = (steps.get(steps.len() / 20), (0..data.rows).any(turns)) else {
         return Vec::new();

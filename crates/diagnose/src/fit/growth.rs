@@ -1,5 +1,5 @@
-//! The machine's own law of its growth in groups, where it is a factor times a temperature: the mean of what it says is
-//! what it says of the mean. Only another lag is a reason to go through all rows again.
+//! The machine's own law of its growth in groups, where it is a factor times a temperature, and what multiplies it: the
+//! mean of what they say is what they say of the mean. Only another lag is a reason to go through all rows again.
 
 use std::{collections::VecDeque, sync::Arc};
 
@@ -16,18 +16,43 @@ type Asked = (Option<Late>, [f64; 2]);
 /// What was worked out before, in groups.
 #[derive(Debug, Default)]
 pub(super) struct Grown {
-    /// How much of the elongation is in the quantity, and the axis's error, in µm.
-    still: Option<Arc<[Vec<f64>; 2]>>,
+    still: Option<Arc<Still>>,
     /// The temperature, as much of it as of the elongation is in the quantity, the newest last.
     warm: VecDeque<(Asked, Arc<Vec<f64>>)>,
+}
+
+/// What no value of a model changes, in groups.
+#[derive(Debug)]
+pub(super) struct Still {
+    /// How much of the elongation is in the quantity.
+    pub along: Vec<f64>,
+    /// The growth by the law of the machine file, as much of it as is in the quantity, and the axis's error, in µm.
+    pub law_um: Vec<f64>,
+    axis_um: Vec<f64>,
+}
+
+impl Still {
+    /// This growth, as much of it as is in the quantity, with all that stands.
+    pub(super) fn and(&self, grown_um: impl Iterator<Item = f64>, data: &Data) -> Vec<f64> {
+        let [of_elongation_um, of_axis_um] = data.constants_um;
+        let rows = grown_um.zip(&self.along).zip(&self.axis_um);
+        rows.map(|((grown, along), axis)| grown + of_elongation_um * along + axis + of_axis_um)
+            .collect()
+    }
 }
 
 impl Grown {
     /// Numbers that are kept at most, 8 bytes each: 4 MB.
     const MOST_NUMBERS: usize = 500_000;
 
-    pub(super) fn still(&mut self, data: &Data, groups: &Groups) -> Arc<[Vec<f64>; 2]> {
-        let make = || [groups.means(&data.along), groups.means(&data.axis)].into();
+    pub(super) fn still(&mut self, data: &Data, groups: &Groups) -> Arc<Still> {
+        let make = || {
+            Arc::new(Still {
+                along: groups.means(&data.along),
+                law_um: in_quantity(&data.law, data, groups),
+                axis_um: groups.means(&data.axis),
+            })
+        };
         self.still.get_or_insert_with(make).clone()
     }
 
@@ -47,25 +72,14 @@ impl Grown {
 
 /// The temperature of `growth` in groups, as much of it as of the elongation is in the quantity.
 pub(super) fn warm(growth: &Growth<'_>, data: &Data, groups: &Groups) -> Vec<f64> {
-    let behind_c = growth.behind_c(data);
-    if data.along.iter().all(|&along| along == 1.0) {
-        return groups.means(&behind_c);
-    }
-    let of = |(c, &along): (&f64, &f64)| if along == 0.0 { 0.0 } else { c * along };
-    groups.means(&behind_c.iter().zip(data.along.iter()).map(of).collect::<Vec<f64>>())
+    in_quantity(&growth.behind_c(data), data, groups)
 }
 
-/// What the law says, and the constants of the machine file's terms.
-pub(super) fn predicted(
-    growth: &Growth<'_>,
-    warm: &[f64],
-    [along, axis]: &[Vec<f64>; 2],
-    [of_elongation_um, of_axis_um]: [f64; 2],
-) -> Vec<f64> {
-    let (factor, reference_c) = (growth.model.k_um_per_c, growth.model.reference_c);
-    let rows = warm.iter().zip(along).zip(axis);
-    rows.map(|((warm, along), axis)| {
-        factor * (warm - reference_c * along) + of_elongation_um * along + axis + of_axis_um
-    })
-    .collect()
+/// As much of a column of the elongation as is in the quantity, in groups.
+fn in_quantity(values: &[f64], data: &Data, groups: &Groups) -> Vec<f64> {
+    if data.along.iter().all(|&along| along == 1.0) {
+        return groups.means(values);
+    }
+    let of = |(value, &along): (&f64, &f64)| if along == 0.0 { 0.0 } else { value * along };
+    groups.means(&values.iter().zip(data.along.iter()).map(of).collect::<Vec<f64>>())
 }

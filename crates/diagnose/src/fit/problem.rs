@@ -157,10 +157,23 @@ impl Problem {
         predicted
     }
 
-    /// The same where the parts only correct the law of a growth that is a factor times a temperature.
+    /// The same where the parts multiply the growth, and at most correct its law where that is a factor times a
+    /// temperature.
     fn grown(&self, law: &Model) -> Option<Vec<f64>> {
-        let corrects = law.parts.iter().all(|part| part.kind.corrects());
-        let laws = corrects.then(|| Laws::corrected(&self.data, &law.parts))?;
+        let (corrects, multiplies): (Vec<&Part>, Vec<&Part>) =
+            law.parts.iter().partition(|part| part.kind.corrects());
+        let factor = |part: &&Part| {
+            let is_of_growth = part.kind.is_factor() && part.kind.is_of_elongation(&self.data);
+            let cause = part.kind.cause().filter(|_| is_of_growth)?;
+            Some(1.0 + cause.at_row(&part.values, &[1.0]))
+        };
+        let factor = multiplies.iter().map(factor).product::<Option<f64>>()?;
+        let still = || self.cache().grown.still(&self.data, &self.groups);
+        if corrects.is_empty() {
+            let still = (!multiplies.is_empty()).then(still)?;
+            return Some(still.and(still.law_um.iter().map(|um| factor * um), &self.data));
+        }
+        let laws = Laws::corrected(&self.data, &law.parts);
         let growth = laws.growth(&self.data)?;
         let known = self.cache().grown.known(&growth);
         let warm = known.unwrap_or_else(|| {
@@ -168,8 +181,10 @@ impl Problem {
             self.cache().grown.put(&growth, &warm);
             warm
         });
-        let still = self.cache().grown.still(&self.data, &self.groups);
-        Some(growth::predicted(&growth, &warm, &still, self.data.constants_um))
+        let (factor, reference_c) = (factor * growth.model.k_um_per_c, growth.model.reference_c);
+        let still = still();
+        let rows = warm.iter().zip(&still.along);
+        Some(still.and(rows.map(|(warm, along)| factor * (warm - reference_c * along)), &self.data))
     }
 
     /// What the model would predict if nothing were late, in the rows of the whole.

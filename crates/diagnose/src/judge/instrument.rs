@@ -22,7 +22,7 @@ pub(super) fn table_beside(case: &Case<'_>, part: &Part) -> Option<Kind> {
     let rows = (0..data.rows).filter(|&row| data.used[row]);
     let mut turns: Vec<f64> = rows.map(|row| constant_mm / (position[row] + origin_mm)).collect();
     turns.retain(|turn| turn.is_finite());
-    turns.sort_by(f64::total_cmp);
+    turns.sort_unstable_by(f64::total_cmp);
     let all = turns.last()? - turns.first()?;
     let apart = turns.windows(2).map(|pair| pair[1] - pair[0]);
     let looked_at: f64 = apart.filter(|apart| *apart < 0.5).sum();

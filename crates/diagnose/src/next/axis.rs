@@ -154,7 +154,7 @@ impl AxisForesight {
             return Err("the axis stands in all runs");
         }
         let mut feeds = whole("feed_mm_per_min");
-        feeds.sort_by(f64::total_cmp);
+        feeds.sort_unstable_by(f64::total_cmp);
         let has_feed = is_there("feed_mm_per_min");
         let feeds_mm_per_min = match (feeds.first(), feeds.last()) {
             (Some(slow), Some(fast)) if slow < fast => vec![*slow, *fast],

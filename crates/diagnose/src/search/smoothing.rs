@@ -2,7 +2,7 @@
 //! comes late; what smooths as much and is not late, which no part can, does as well for the noise.
 
 use trueup_machine::effect::Effect;
-use trueup_numerics::blocks::Paired;
+use trueup_numerics::{blocks::Paired, parallel::on_all_cores};
 
 use crate::{
     blocks::Folds,
@@ -30,20 +30,20 @@ pub(crate) fn only_smooths(
     without: &Model,
     left_out: &[f64],
 ) -> bool {
-    smoothed_for(problem, part)
-        .any(|smooth| !against(folds, &smooth, without, left_out).is_better())
+    smoothed_for(problem, part, |smooth| !against(folds, smooth, without, left_out).is_better())
 }
 
-/// The data with thermometers that are smoothed as much as `part` does it; none where it has no lag.
-fn smoothed_for(problem: &Problem, part: &Part) -> impl Iterator<Item = Problem> {
-    let widths = has_memory(part).then_some(WIDTHS);
+/// Whether it holds for the data with thermometers that are smoothed as much as `part` does it, at any width; not
+/// where it has no lag.
+fn smoothed_for(problem: &Problem, part: &Part, holds: impl Fn(&Problem) -> bool + Sync) -> bool {
     // A lag within a step smooths neighbours.
     let lag_s = part.values.first().map_or(0.0, |lag_s| lag_s.max(step_s(problem)));
     let column = part.kind.column();
-    widths.into_iter().flatten().map(move |times| {
+    let of = |times: &f64| {
         let smooth = Laws::smoothed(&problem.data, column.as_deref(), times * lag_s);
-        Problem::new(smooth, problem.groups.clone())
-    })
+        holds(&Problem::new(smooth, problem.groups.clone()))
+    };
+    has_memory(part) && on_all_cores(&WIDTHS, problem.is_large(), of).contains(&true)
 }
 
 /// What the lag leaves less than the model `without` it, where the thermometers are smooth.
@@ -79,12 +79,12 @@ impl Search<'_> {
             let part = parts.iter().find(|part| part.kind == it.cause && has_memory(part))?;
             let without = self.without(&it.cause);
             let left_out = left_out.get_or_insert_with(|| self.foresight(&self.fitted));
-            let is_as_good = |smooth: Problem| {
-                let fitted = fit(&smooth, &without.model, None);
-                bic(&smooth, &fitted) < own + STRONG_EVIDENCE
-                    && !against(&self.folds, &smooth, &without.model, left_out).is_certain()
+            let is_as_good = |smooth: &Problem| {
+                let fitted = fit(smooth, &without.model, None);
+                bic(smooth, &fitted) < own + STRONG_EVIDENCE
+                    && !against(&self.folds, smooth, &without.model, left_out).is_certain()
             };
-            let only_smooths = smoothed_for(self.problem, part).any(is_as_good);
+            let only_smooths = smoothed_for(self.problem, part, is_as_good);
             only_smooths.then_some((index, without))
         })
     }
