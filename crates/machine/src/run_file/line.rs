@@ -29,44 +29,64 @@ impl Unread {
     }
 }
 
-/// The line that is being read.
+/// A line of a file.
 pub(super) struct Line {
-    bytes: Vec<u8>,
     /// Without byte order mark and line end.
     pub(super) text: String,
     /// Its number in the file, the first is 1.
     pub(super) number: usize,
-    /// How much of the file has been read, with this line.
+}
+
+impl Line {
+    /// Whether there is anything to be read in it: it is neither empty nor a comment.
+    pub(super) fn is_content(&self) -> bool {
+        let text = self.text.trim_start();
+        !text.is_empty() && !text.starts_with('#')
+    }
+
+    pub(super) fn place(&self, path: &Path, column: usize) -> Location {
+        Location { file: path.to_path_buf(), line: self.number, column }
+    }
+}
+
+/// The lines of a file that is being read.
+pub(super) struct Lines<'p, S> {
+    source: S,
+    path: &'p Path,
+    bytes: Vec<u8>,
+    /// How many have been read.
+    number: usize,
+    /// How much of the file has been read.
     file_bytes: u64,
     /// How much of it may be.
     most_bytes: u64,
 }
 
-impl Line {
-    /// Before the first line of a file that may have `most_bytes`.
-    pub(super) fn new(most_bytes: u64) -> Self {
-        Self { bytes: Vec::new(), text: String::new(), number: 0, file_bytes: 0, most_bytes }
+impl<'p, S: BufRead> Lines<'p, S> {
+    /// Of a file that may have `most_bytes`.
+    pub(super) fn new(source: S, path: &'p Path, most_bytes: u64) -> Self {
+        Self { source, path, bytes: Vec::new(), number: 0, file_bytes: 0, most_bytes }
     }
 
-    /// The next line of `source`; false at its end.
-    pub(super) fn read(&mut self, source: &mut impl BufRead, path: &Path) -> Result<bool, Unread> {
+    /// The next line; none at the end.
+    pub(super) fn read(&mut self) -> Result<Option<Line>, Unread> {
         self.bytes.clear();
         self.number += 1;
         let most = MOST_BYTES_OF_A_LINE as u64 + 1;
-        let read = source.take(most).read_until(b'\n', &mut self.bytes).map_err(|error| {
-            Unread::Rest(BadInput::new(self.place(path, 1), format!("cannot be read: {error}")))
-        })?;
+        let read = self.source.by_ref().take(most).read_until(b'\n', &mut self.bytes).map_err(
+            |error| Unread::Rest(BadInput::new(self.place(1), format!("cannot be read: {error}"))),
+        )?;
         if read > MOST_BYTES_OF_A_LINE {
             let rule = format!(
                 "the line is longer than {MOST_BYTES_OF_A_LINE} bytes: a run file has one \
                  observation a line"
             );
-            return Err(Unread::Rest(BadInput::new(self.place(path, 1), rule)));
+            return Err(Unread::Rest(BadInput::new(self.place(1), rule)));
         }
         self.file_bytes += read as u64;
         if self.file_bytes > self.most_bytes {
             let rule = format!("the file goes on here, {}", at_most(self.most_bytes));
-            return Err(Unread::Rest(BadInput::new(self.place(path, 1), rule)));
+            return Err(Unread::Rest(BadInput::new(self.place(1), rule)));
         }
         let mut bytes = self.bytes.strip_suffix(b"\n").unwrap_or(&self.bytes);
         bytes = bytes.strip_suffix(b"\r").unwrap_or(bytes);
@@ -76,27 +96,19 @@ impl Line {
         let text = str::from_utf8(bytes).map_err(|error| {
             let column = String::from_utf8_lossy(&bytes[..error.valid_up_to()]).chars().count() + 1;
             Unread::Line(
-                BadInput::new(self.place(path, column), "is not UTF-8 text")
+                BadInput::new(self.place(column), "is not UTF-8 text")
                     .with_help("save the file as UTF-8; µ and ° of another encoding are not read"),
             )
         })?;
         if let Some(at) = text.find('\r') {
             let column = text[..at].chars().count() + 1;
             let rule = "a carriage return alone does not end a line: use LF or CRLF";
-            return Err(Unread::Line(BadInput::new(self.place(path, column), rule)));
+            return Err(Unread::Line(BadInput::new(self.place(column), rule)));
         }
-        self.text.clear();
-        self.text.push_str(text);
-        Ok(read > 0)
+        Ok((read > 0).then(|| Line { text: text.into(), number: self.number }))
     }
 
-    /// Whether there is anything to be read in it: it is neither empty nor a comment.
-    pub(super) fn is_content(&self) -> bool {
-        let text = self.text.trim_start();
-        !text.is_empty() && !text.starts_with('#')
-    }
-
-    pub(super) fn place(&self, path: &Path, column: usize) -> Location {
-        Location { file: path.to_path_buf(), line: self.number, column }
+    fn place(&self, column: usize) -> Location {
+        Location { file: self.path.to_path_buf(), line: self.number, column }
     }
 }

@@ -3,13 +3,15 @@
 
 use std::{collections::HashMap, io::BufRead, path::Path, sync::Arc};
 
+use rayon::prelude::*;
+
 use super::{
     cells::Cells,
     clock,
     faults::Faults,
     fields::{BadQuote, Fields, separator_of},
     known,
-    line::{Line, Unread},
+    line::{Line, Lines, Unread},
     meant,
     order::TimeOrder,
     places::Places,
@@ -41,40 +43,39 @@ struct Filling {
     starts: Places,
 }
 
+/// Lines that are looked at at once, on all cores.
+const LINES_AT_ONCE: usize = 4096;
+
 /// Reads all of `source`.
-pub(super) fn read(
-    bounds: Bounds,
-    mut source: impl BufRead,
-    path: &Path,
-) -> Result<Table, BadInput> {
-    let mut line = Line::new(bounds.bytes);
-    loop {
-        if !line.read(&mut source, path).map_err(Unread::into_error)? {
-            let rule = "is empty: a run file needs a header row with the names of its columns";
-            return Err(BadInput::new(Location::start_of(path), rule));
+pub(super) fn read(bounds: Bounds, source: impl BufRead, path: &Path) -> Result<Table, BadInput> {
+    let mut lines = Lines::new(source, path, bounds.bytes);
+    let header = loop {
+        match lines.read().map_err(Unread::into_error)? {
+            Some(line) if line.is_content() => break line,
+            Some(_) => {}
+            None => {
+                let rule = "is empty: a run file needs a header row with the names of its columns";
+                return Err(BadInput::new(Location::start_of(path), rule));
+            }
         }
-        if line.is_content() {
-            break;
-        }
-    }
-    let mut reading = Reading::of_header(&line, path)?;
-    loop {
-        match line.read(&mut source, path) {
-            Ok(false) => break,
-            Ok(true) if !line.is_content() => {}
-            Ok(true) => {
-                if let Err(error) = reading.check_room(&line, bounds.values) {
-                    reading.faults.note(error);
-                    break;
+    };
+    let mut reading = Reading::of_header(&header, path)?;
+    let mut goes_on = true;
+    while goes_on {
+        let mut batch = Vec::new();
+        while goes_on && batch.len() < LINES_AT_ONCE {
+            match lines.read() {
+                Ok(None) => goes_on = false,
+                Ok(Some(line)) if !line.is_content() => {}
+                Ok(Some(line)) => batch.push(Ok(line)),
+                Err(Unread::Line(error)) => batch.push(Err(error)),
+                Err(Unread::Rest(error)) => {
+                    batch.push(Err(error));
+                    goes_on = false;
                 }
-                reading.row(&line);
-            }
-            Err(Unread::Line(error)) => reading.faults.note(error),
-            Err(Unread::Rest(error)) => {
-                reading.faults.note(error);
-                break;
             }
         }
+        goes_on &= reading.rows(&batch, bounds.values);
     }
     reading.end()
 }
@@ -151,11 +152,38 @@ impl<'p> Reading<'p> {
         Err(BadInput::new(line.place(self.path, 1), rule))
     }
 
-    /// Takes the row on `line`, or notes what is wrong with it.
-    fn row(&mut self, line: &Line) {
+    /// Takes the rows on `lines`, or notes what is wrong with them; false where there is no room for more values
+    /// than `most`.
+    fn rows(&mut self, lines: &[Result<Line, BadInput>], most: usize) -> bool {
+        let (columns, separator) = (self.columns.len(), self.separator);
+        let plain = |line: &Result<Line, BadInput>| {
+            let line = line.as_ref().ok()?;
+            plain::fields(&line.text, separator, columns)
+        };
+        let plain: Vec<_> = lines.par_iter().map(plain).collect();
+        for (line, plain) in lines.iter().zip(plain) {
+            match line {
+                Err(error) => self.faults.note(error.clone()),
+                Ok(line) => {
+                    if let Err(error) = self.check_room(line, most) {
+                        self.faults.note(error);
+                        return false;
+                    }
+                    self.row(line, plain);
+                }
+            }
+        }
+        true
+    }
+
+    /// Takes the row on `line`, or notes what is wrong with it; `plain`: its fields, if it is a row of plain numbers.
+    fn row(&mut self, line: &Line, plain: Option<Vec<(f64, usize)>>) {
         let faults_before = self.faults.count();
-        self.row.clear();
-        self.read_fields(line);
+        self.row = plain.unwrap_or_default();
+        if self.row.is_empty() || !self.cells.take_numbers(&self.row) || self.has_bad_direction() {
+            self.row.clear();
+            self.read_fields(line);
+        }
         if self.row.len() != self.columns.len() {
             return;
         }
@@ -176,13 +204,6 @@ impl<'p> Reading<'p> {
     /// Splits the row on `line`; as many values as the header has names, unless that is its fault.
     fn read_fields(&mut self, line: &Line) {
         let wanted = self.columns.len();
-        if plain::read(&line.text, self.separator, wanted, &mut self.row)
-            && self.cells.take_numbers(&self.row)
-            && !self.has_bad_direction()
-        {
-            return;
-        }
-        self.row.clear();
         for field in Fields::of(&line.text, self.separator) {
             let field = match field {
                 Ok(field) => field,
