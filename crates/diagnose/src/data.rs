@@ -37,4 +37,4 @@ pub(crate) use groups::Groups;
 pub(crate) use lag::{filled, first_of};
 pub(crate) use quantity::quantity_of;
 pub(crate) use stated::Stated;
-pub(crate) use table::Data;
+pub(crate) use table::{Data, DrawnFrom};

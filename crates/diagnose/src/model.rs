@@ -9,11 +9,14 @@
 
 use std::borrow::Cow;
 
-use trueup_machine::{effect::Stage, model::shifted};
+use trueup_machine::{
+    effect::Stage,
+    model::{shifted, shifted_at},
+};
 
 use crate::{
     columns::sum,
-    data::Data,
+    data::{Data, DrawnFrom},
     kind::{Kind, Part},
     laws::Laws,
 };
@@ -114,23 +117,24 @@ impl Model {
 /// predicted at another time may be of a row that was not drawn.
 pub(crate) fn shifted_rows(data: &Data, whole_um: &[f64], shift_s: f64) -> Vec<f64> {
     let whole = data.without_holes();
-    let shifted = match &whole.time_s {
-        Some(time_s) => shifted_all(whole, time_s, whole_um, shift_s),
-        None => whole_um.to_vec(),
+    let drawn = data.drawn().map(DrawnFrom::rows);
+    let Some(time_s) = &whole.time_s else {
+        return data.drawn().map_or_else(|| whole_um.to_vec(), |drawn| drawn.pick(whole_um));
     };
-    match data.drawn() {
-        Some(drawn) => drawn.pick(&shifted),
-        None => shifted,
-    }
-}
-
-fn shifted_all(data: &Data, time_s: &[f64], sum: &[f64], shift_s: f64) -> Vec<f64> {
     // Files may overlap in time without running back; each is shifted for itself.
-    let mut out = Vec::with_capacity(sum.len());
+    let mut out = Vec::with_capacity(data.rows);
     let mut start = 0;
-    for file in 0..data.files {
-        let end = data.file.partition_point(|&there| there as usize <= file);
-        out.extend(shifted(&time_s[start..end], &sum[start..end], shift_s));
+    for file in 0..whole.files {
+        let end = whole.file.partition_point(|&there| there as usize <= file);
+        let (time_s, um) = (&time_s[start..end], &whole_um[start..end]);
+        out.extend(match &drawn {
+            None => shifted(time_s, um, shift_s),
+            Some(rows) => {
+                let [from, to] = [start, end].map(|end| rows.partition_point(|&row| row < end));
+                let rows: Vec<usize> = rows[from..to].iter().map(|row| row - start).collect();
+                shifted_at(time_s, um, shift_s, &rows)
+            }
+        });
         start = end;
     }
     out

@@ -41,7 +41,7 @@ pub use late::{part_of_means, part_temperature, part_temperatures};
 pub use pitch::{backlash_um, dual_pitch_um, is_reverse, pitch_um};
 pub use reversal::over_compensation_um;
 pub use straightness::{spline_um, spline_weights, squareness_um};
-pub use term::{Falling, corrected, shifted, time_shift_s};
+pub use term::{Falling, corrected, shifted, shifted_at, time_shift_s};
 pub use thermal::{thermal_law, thermal_um};
 
 use std::borrow::Cow;

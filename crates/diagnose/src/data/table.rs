@@ -116,6 +116,11 @@ impl DrawnFrom {
         self.lags.followed(&self.blocks, column, late, lags_s, lagged, stepped)
     }
 
+    /// Which of its rows each row is, or begins with.
+    pub(crate) fn rows(&self) -> Vec<usize> {
+        self.blocks.first_rows()
+    }
+
     /// Of values for all rows, those of the drawn ones, or their means.
     pub(crate) fn pick(&self, all: &[f64]) -> Vec<f64> {
         self.blocks.means(all)

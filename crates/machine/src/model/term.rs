@@ -160,7 +160,63 @@ pub fn shifted(time_s: &[f64], values: &[f64], shift_s: f64) -> Vec<f64> {
     out
 }
 
+/// The same in these `rows` alone, which rise. Where times rise and nothing is missing only what is around them
+/// is looked at.
+///
+/// ```
+/// use trueup_machine::model::shifted_at;
+/// assert_eq!(shifted_at(&[0.0, 10.0, 20.0], &[1.0, 2.0, 4.0], 5.0, &[0, 2]), [1.0, 3.0]);
+/// ```
+#[must_use]
+pub fn shifted_at(time_s: &[f64], values: &[f64], shift_s: f64, rows: &[usize]) -> Vec<f64> {
+    let is_whole = !(time_s.iter().sum::<f64>() + values.iter().sum::<f64>()).is_nan();
+    if shift_s == 0.0 || !is_whole || !time_s.is_sorted() {
+        let all = shifted(time_s, values, shift_s);
+        return rows.iter().map(|&row| all[row]).collect();
+    }
+    let of = |&row: &usize| {
+        let at_s = time_s[row] - shift_s;
+        let after = time_s.partition_point(|time_s| *time_s <= at_s);
+        if after == 0 || after == time_s.len() {
+            return values[after.saturating_sub(1)];
+        }
+        let [(start_s, a), (end_s, b)] = [after - 1, after].map(|row| (time_s[row], values[row]));
+        a + (at_s - start_s) / (end_s - start_s) * (b - a)
+    };
+    rows.iter().map(of).collect()
+}
+
 /// The columns that the terms need and that may be missing in a run.
 pub(super) fn columns(terms: &[Term]) -> Vec<String> {
     terms.iter().flat_map(|term| term.effect.needed_columns(term.quantity)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn some_rows_are_shifted_as_all_rows_are() {
+        let time_s: Vec<f64> = (0..200).map(|n| f64::from(n) + 0.4 * f64::from(n).sin()).collect();
+        let values: Vec<f64> = time_s.iter().map(|t| (0.1 * t).sin()).collect();
+        let mut late = time_s.clone();
+        // Two rows at one time, and a time that runs back.
+        late[50] = late[49];
+        let mut twice = late.clone();
+        twice[120..].iter_mut().for_each(|t| *t -= 300.0);
+        let mut missing = values.clone();
+        missing[70] = f64::NAN;
+        let rows: Vec<usize> = (0..200).step_by(3).chain([199]).collect();
+        for (time_s, values) in [(&late, &values), (&twice, &values), (&late, &missing)] {
+            for shift_s in [0.0, 0.3, 17.0, -5.5, 1e4, -1e4] {
+                let all = shifted(time_s, values, shift_s);
+                let some = shifted_at(time_s, values, shift_s, &rows);
+                for (row, some) in rows.iter().zip(&some) {
+                    let is_same =
+                        (some - all[*row]).abs() < 1e-12 || some.is_nan() && all[*row].is_nan();
+                    assert!(is_same, "{shift_s} s, row {row}: {some} {}", all[*row]);
+                }
+            }
+        }
+    }
 }
