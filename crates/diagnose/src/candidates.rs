@@ -5,6 +5,7 @@ use trueup_machine::{
     effect::{Effect, OnBoard, Quantity, Reading, Settings, Survey, spread},
     file::{AxisModel, ElongationSource, Spindle},
 };
+use trueup_numerics::parallel::on_all_cores;
 
 use crate::{
     columns::{SAID, named},
@@ -283,13 +284,12 @@ fn varying(data: &Data, column: &str) -> bool {
 /// growth that is another one at other speeds, what comes and goes after a reversal.
 pub(crate) fn structure(problem: &Problem) -> Vec<Candidate> {
     let data = &problem.data;
-    let mut all = Vec::new();
     let own = data.quantity.axis().map(|axis| format!("{}_mm", axis.name()));
     let turns = data.own_direction().is_some_and(|d| d.contains(&1.0) && d.contains(&-1.0));
-    let mut add = |column: &str, by_direction: bool, times: Option<&str>| {
-        let Some(values) = named(data, column).filter(|_| varying(data, column)) else { return };
+    let over = |&(column, by_direction, times): &(&str, bool, Option<&str>)| {
+        let values = named(data, column).filter(|_| varying(data, column))?;
         if times.is_some_and(|times| !varying(data, times)) {
-            return;
+            return None;
         }
         // A guide's form has more bends than a characteristic.
         let most = match column {
@@ -302,31 +302,32 @@ pub(crate) fn structure(problem: &Problem) -> Vec<Candidate> {
         let knots = curve_knots(values, most);
         // Over one of the file's columns a curve with two knots is a straight line, which is a cause.
         let least = if times.is_some() || most == 2 { 2 } else { 3 };
-        if knots.len() >= least {
+        (knots.len() >= least).then(|| {
             let (column, times) = (column.to_string(), times.map(String::from));
             let kind = Kind::Curve(Curve { column, knots, by_direction, times });
-            all.push(Candidate { kind, settings: vec![Vec::new()], searched: 0.0 });
-        }
+            Candidate { kind, settings: vec![Vec::new()], searched: 0.0 }
+        })
     };
     const POSITIONS: [&str; 3] = ["x_mm", "y_mm", "z_mm"];
+    let mut curves = Vec::new();
     let temperatures = data.temperatures.iter().map(|(name, _)| name.as_str());
     let others = data.others.iter().map(|(name, _)| name.as_str());
     for column in temperatures.chain(others).chain(["spindle_rpm", "load_n", SAID]).chain(POSITIONS)
     {
-        add(column, false, None);
+        curves.push((column, false, None));
         if turns && own.as_deref() == Some(column) {
-            add(column, true, None);
+            curves.push((column, true, None));
         }
     }
-    add("spindle_rpm", false, Some(SAID));
-    for (reversal, _) in &data.reversal_decay {
-        add(reversal, false, None);
-    }
+    curves.push(("spindle_rpm", false, Some(SAID)));
+    curves.extend(data.reversal_decay.iter().map(|(reversal, _)| (reversal.as_str(), false, None)));
     for (column, arm) in POSITIONS.iter().flat_map(|a| POSITIONS.map(|b| (*a, b))) {
         if column != arm {
-            add(column, false, Some(arm));
+            curves.push((column, false, Some(arm)));
         }
     }
+    let mut all: Vec<Candidate> =
+        on_all_cores(&curves, problem.is_large(), over).into_iter().flatten().collect();
     all.extend(from_a_speed_on(data));
     all
 }

@@ -1,4 +1,4 @@
-//! Equal pieces of work on all cores of the computer, their results in order.
+//! Pieces of work on all cores of the computer, their results in order.
 
 use rayon::prelude::*;
 
@@ -10,4 +10,12 @@ pub fn on_all_cores<T: Sync, R: Send>(
     of: impl Fn(&T) -> R + Send + Sync,
 ) -> Vec<R> {
     if is_worth { items.par_iter().map(of).collect() } else { items.iter().map(of).collect() }
+}
+
+/// Two pieces of work at once.
+pub fn both<A: Send, B: Send>(
+    one: impl FnOnce() -> A + Send,
+    other: impl FnOnce() -> B + Send,
+) -> (A, B) {
+    rayon::join(one, other)
 }

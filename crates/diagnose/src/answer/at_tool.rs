@@ -19,7 +19,7 @@ use std::sync::Arc;
 
 use nalgebra::DMatrix;
 use trueup_machine::{BadInput, RunFile, file::is_temperature_column};
-use trueup_numerics::{random::Generator, robust::median};
+use trueup_numerics::{parallel::both, random::Generator, robust::median};
 
 use crate::{
     answer::{errors::about_zero, report::AtTool, wandering::wanders},
@@ -89,10 +89,13 @@ impl Grounds {
         };
         let [believed, extended] = [&Model::default(), &self.model].map(|it| it.predict(&data));
         let corrected = mean_square(&data, &difference(&extended, &believed));
-        let noise = self.noise(table, runs)?;
-        let groups = Groups::new(&data, &data.used, 1);
         let is_axis = data.quantity.axis().is_some();
-        let values = self.spread.on(&Problem::new(data, groups), &self.model, is_axis);
+        let values = || {
+            let groups = Groups::new(&data, &data.used, 1);
+            self.spread.on(&Problem::new(data.clone(), groups), &self.model, is_axis)
+        };
+        let (values, noise) = both(values, || self.noise(table, runs));
+        let noise = noise?;
         let left = values + noise[1] + self.wanders;
         let before = corrected + values + noise[0] + self.wanders;
         Ok(AtTool::new(before.sqrt(), left.sqrt()))
