@@ -369,6 +369,7 @@ mod tests {
     use trueup_machine::{MachineFile, RunFile, file::Quantity};
 
     use super::*;
+    use crate::candidates::possible;
 
     /// The shifts that are admitted for ten minutes at 20 Hz.
     fn shifts_s(clock: &str, terms: &str) -> [f64; 2] {
@@ -401,5 +402,41 @@ mod tests {
         let stated =
             "[[term]]\nquantity = \"elongation\"\ncause = \"time-shift\"\nshift_s = -3.0\n";
         assert_eq!(shifts_s("", stated), [-60.0, 60.0]);
+    }
+
+    #[test]
+    fn what_multiplies_the_growth_is_of_groups_what_it_is_of_their_rows() {
+        let mut text = String::from("time_s,temp_a_c,measured_elongation_um,measured_dz_um\n");
+        for row in 0..240 {
+            let time_s = f64::from(row) * 7.0;
+            text += &format!("{time_s},{},0.0,0.0\n", 20.0 + 5.0 * (time_s / 200.0).sin());
+        }
+        let file = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"temperature\"\n\
+                    [spindle.temperature]\nsensor = \"temp_a_c\"\nreference_c = 20.0\nk_um_per_c = \
+                    2.0\n[[term]]\nquantity = \"elongation\"\ncause = \"extra-heat-path\"\ncolumn = \
+                    \"temp_a_c\"\num_per_c = 0.5\nreference_c = 21.0\n";
+        let machine = MachineFile::parse(file, Path::new("m.toml")).expect("a machine file");
+        let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
+        for quantity in [Quantity::Elongation, Quantity::Dz] {
+            let data = Data::new(&machine, &[run.clone()], quantity).expect("comparable");
+            let groups = Groups::new(&data, &data.used.clone(), 6);
+            let problem = Problem::new(data, groups);
+            let possible = possible(&problem, &Model::default(), &problem.measured);
+            let part = |name: &str, value: f64| {
+                let candidate = possible.iter().find(|it| it.kind.name() == name);
+                let kind = candidate.expect("the machine grows").kind.clone();
+                Part { kind, values: vec![value] }
+            };
+            let (factor, lag) = (part("growth-amplitude", 0.3), part("thermal-lag", 90.0));
+            for parts in [vec![factor.clone()], vec![lag.clone()], vec![lag, factor]] {
+                let model = Model { parts, constant_um: Some(1.5) };
+                let of_rows = problem.groups.means(&model.predict(&problem.data));
+                let of_groups = problem.predicted(&model);
+                assert_ne!(of_groups, problem.predicted(&Model::default()));
+                for (groups, rows) in of_groups.iter().zip(&of_rows) {
+                    assert!((groups - rows).abs() < 1e-9, "{quantity:?}: {groups} {rows}");
+                }
+            }
+        }
     }
 }

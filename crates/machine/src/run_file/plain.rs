@@ -28,3 +28,39 @@ pub(super) fn fields(text: &str, separator: char, columns: usize) -> Option<Vec<
     }
     None
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{super::fields::Fields, *};
+
+    #[test]
+    fn a_plain_row_is_what_its_fields_are_one_by_one() {
+        for (text, is_plain) in [
+            ("1,2.5,-3e-2", true),
+            (" 1 , 2.5 ,+3.", true),
+            (",,", true),
+            ("  ,nan,  ", true),
+            ("1,  ,3  ", true),
+            ("1,2", false),
+            ("1,2,3,4", false),
+            ("1,2,3,", false),
+            ("1,\"2\",3", false),
+            ("1,inf,3", false),
+            ("1,2 µm,3", false),
+            ("1,2;3", false),
+            ("2026-11-22T23:59:59Z,2,3", false),
+            ("", false),
+        ] {
+            let plain = fields(text, ',', 3);
+            assert_eq!(plain.is_some(), is_plain, "{text}");
+            let one_by_one = Fields::of(text, ',').map(|field| {
+                let field = field.ok().expect("no quote is left open");
+                let text = if field.text.is_empty() { "nan" } else { &*field.text };
+                (text.parse::<f64>().map(f64::to_bits).ok(), field.column)
+            });
+            for (plain, field) in plain.iter().flatten().zip(one_by_one) {
+                assert_eq!((Some(plain.0.to_bits()), plain.1), field, "{text}");
+            }
+        }
+    }
+}
