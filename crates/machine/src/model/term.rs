@@ -207,8 +207,12 @@ mod tests {
         let mut missing = values.clone();
         missing[70] = f64::NAN;
         let rows: Vec<usize> = (0..200).step_by(3).chain([199]).collect();
-        for (time_s, values) in [(&late, &values), (&twice, &values), (&late, &missing)] {
-            for shift_s in [0.0, 0.3, 17.0, -5.5, 1e4, -1e4] {
+        // Shifts that end right at a row, and at two of one time.
+        let pairs: Vec<f64> = (0..200).map(|n| f64::from(n / 2)).collect();
+        for (time_s, values) in
+            [(&late, &values), (&twice, &values), (&late, &missing), (&pairs, &values)]
+        {
+            for shift_s in [0.0, 0.3, 3.0, 17.0, -5.5, 1e4, -1e4] {
                 let all = shifted(time_s, values, shift_s);
                 let some = shifted_at(time_s, values, shift_s, &rows);
                 for (row, some) in rows.iter().zip(&some) {
