@@ -418,7 +418,8 @@ mod tests {
         let machine = MachineFile::parse(file, Path::new("m.toml")).expect("a machine file");
         let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
         for quantity in [Quantity::Elongation, Quantity::Dz] {
-            let data = Data::new(&machine, &[run.clone()], quantity).expect("comparable");
+            let data =
+                Data::new(&machine, std::slice::from_ref(&run), quantity).expect("comparable");
             let groups = Groups::new(&data, &data.used.clone(), 6);
             let problem = Problem::new(data, groups);
             let possible = possible(&problem, &Model::default(), &problem.measured);
