@@ -43,8 +43,9 @@ struct Filling {
     starts: Places,
 }
 
-/// Lines that are looked at at once, on all cores.
+/// Lines that are looked at at once, on all cores, and their bytes, but for those of the last one: a line may be long.
 const LINES_AT_ONCE: usize = 4096;
+const BYTES_AT_ONCE: usize = 1 << 20;
 
 /// Reads all of `source`.
 pub(super) fn read(bounds: Bounds, source: impl BufRead, path: &Path) -> Result<Table, BadInput> {
@@ -63,11 +64,15 @@ pub(super) fn read(bounds: Bounds, source: impl BufRead, path: &Path) -> Result<
     let mut goes_on = true;
     while goes_on {
         let mut batch = Vec::new();
-        while goes_on && batch.len() < LINES_AT_ONCE {
+        let mut bytes = 0;
+        while goes_on && batch.len() < LINES_AT_ONCE && bytes < BYTES_AT_ONCE {
             match lines.read() {
                 Ok(None) => goes_on = false,
                 Ok(Some(line)) if !line.is_content() => {}
-                Ok(Some(line)) => batch.push(Ok(line)),
+                Ok(Some(line)) => {
+                    bytes += line.text.len();
+                    batch.push(Ok(line));
+                }
                 Err(Unread::Line(error)) => batch.push(Err(error)),
                 Err(Unread::Rest(error)) => {
                     batch.push(Err(error));
