@@ -23,8 +23,8 @@ const EXAMPLES: &[&[(&str, &[u8])]] = &[
         "scenario-warmup.toml" "spindle_paper_table1.csv"),
     files!("integrations/linuxcnc/" => "linuxcnc/": "M110" "README.md" "simulated_gantry.hal" "trueup.hal"
         "trueup_gantry.toml" "trueup_machine.inc" "trueup_message.hal" "trueup_panel.hal"
-        "trueup_panel.xml" "trueup_probe.ngc" "trueup_serial.ini" "trueup_sim.ini" "trueup_sim.tbl" "trueup_warmup.csv"
-        "trueup_watchdog.hal"),
+        "trueup_panel.xml" "trueup_probe.ngc" "trueup_serial.ini" "trueup_sim.ini" "trueup_sim.tbl"
+        "trueup_touch_off.ngc" "trueup_warmup.csv" "trueup_watchdog.hal"),
     files!("integrations/siemens-840d/" => "siemens-840d/": "README.md" "trueup_crc.awl"
         "trueup_db.awl" "trueup_fb.awl" "trueup_ob1.awl" "trueup_step.awl"),
     files!("integrations/fanuc/" => "fanuc/": "README.md"),

@@ -179,6 +179,8 @@ def stat():
         "motion_mode": status.motion_mode,
         "position": status.position[:3],
         "g5x": status.g5x_offset[:3],
+        "gcodes": status.gcodes[1:],
+        "settings": status.settings[1:3],
         "probed": status.probed_position[:3],
         "said": said(),
     }

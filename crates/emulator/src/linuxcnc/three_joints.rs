@@ -1,7 +1,10 @@
 //! A LinuxCNC of three simulated joints, which are where they are told to be: for tests that need a control and
 //! no bridge.
 
-use std::fs;
+use std::{
+    fs::{self, Permissions},
+    os::unix::fs::PermissionsExt as _,
+};
 
 use anyhow::{Context as _, Result};
 
@@ -21,7 +24,7 @@ DEBUG = 0
 DISPLAY = FOLDER/SCREEN
 [RS274NGC]
 PARAMETER_FILE = FOLDER/sim.var
-[EMCMOT]
+MORE_RS274NGC[EMCMOT]
 EMCMOT = motmod
 COMM_TIMEOUT = 30.0
 SERVO_PERIOD = 1000000
@@ -32,7 +35,7 @@ CYCLE_TIME = 0.001
 HALFILE = FOLDER/sim.hal
 [TRAJ]
 COORDINATES = XYZ
-LINEAR_UNITS = mm
+LINEAR_UNITS = UNITS
 ANGULAR_UNITS = degree
 DEFAULT_LINEAR_VELOCITY = 5000
 MAX_LINEAR_VELOCITY = 5000
@@ -64,6 +67,21 @@ pub struct Axis {
     pub joint: String,
 }
 
+/// Settings of the whole control.
+#[derive(Clone, Copy, Debug)]
+pub struct Settings<'a> {
+    /// Unit of the machine: `mm` or `inch`.
+    pub units: &'a str,
+    /// More lines of `[RS274NGC]`; `FOLDER` is where the files are.
+    pub rs274ngc: &'a str,
+}
+
+impl Default for Settings<'_> {
+    fn default() -> Self {
+        Self { units: "mm", rs274ngc: "" }
+    }
+}
+
 /// Starts it with X, Y and Z, more HAL lines, and more files of its folder, and switches it on. The signals `x`,
 /// `y` and `z` are the joints' positions in mm.
 ///
@@ -71,6 +89,20 @@ pub struct Axis {
 /// It does not start; with what it said.
 pub fn start(
     control: LinuxCnc,
+    axes: &[Axis; 3],
+    hal: &str,
+    files: &[(String, String)],
+) -> Result<Headless> {
+    start_with(control, Settings::default(), axes, hal, files)
+}
+
+/// [`start`] with settings. A file that begins with `#!` is executable.
+///
+/// # Errors
+/// As [`start`].
+pub fn start_with(
+    control: LinuxCnc,
+    settings: Settings<'_>,
     axes: &[Axis; 3],
     hal: &str,
     files: &[(String, String)],
@@ -83,12 +115,19 @@ pub fn start(
             "[AXIS_{name}]\n{limits}[JOINT_{number}]\nTYPE = LINEAR\n{JOINT}{joint}{limits}"
         );
     }
-    let text = text.replace("FOLDER", here).replace("SCREEN", DISPLAY);
+    let text = text
+        .replace("MORE_RS274NGC", settings.rs274ngc)
+        .replace("UNITS = UNITS", &format!("UNITS = {}", settings.units))
+        .replace("FOLDER", here)
+        .replace("SCREEN", DISPLAY);
     let wires = [WIRES, hal].concat();
     let own = [("sim.ini", text.as_str()), ("sim.hal", &wires), ("sim.tbl", "")];
     let files = files.iter().map(|(name, text)| (name.as_str(), text.as_str()));
     for (name, text) in own.into_iter().chain(files) {
         fs::write(folder.path().join(name), text)?;
+        if text.starts_with("#!") {
+            fs::set_permissions(folder.path().join(name), Permissions::from_mode(0o755))?;
+        }
     }
     let mut cnc = Headless::start(folder, "sim.ini", control)?;
     cnc.switch_on()?;
