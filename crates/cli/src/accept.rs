@@ -57,6 +57,10 @@ pub fn run(args: &Accept, as_json: bool) -> Result<Outcome> {
     let believed = believed.as_ref().map(|(source, machine)| (*source, machine));
     let acceptance = accept(&off, &on, quantity, believed, limits)?;
     acceptance.notes.iter().for_each(report::warn);
+    if let Some(text) = acceptance.adjusted() {
+        let before = believed.map(|(_, machine)| machine);
+        files::to_be_written(text, &args.out.join("adjusted.toml"), before)?;
+    }
     let name = believed.map_or("the compensation", |(_, machine)| machine.name.as_str());
     write(args, &acceptance, name)?;
     if as_json {

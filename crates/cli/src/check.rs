@@ -6,18 +6,18 @@ use anyhow::Result;
 use clap::Args;
 use serde_json::{Value, json};
 use trueup_machine::{
-    Machine, MachineFile, RunFile,
+    BadInput, Machine, MachineFile, RunFile,
     check::{self, AxisSummary, Summary, Warning},
     run_file::is_known_column,
 };
 
-use crate::{Outcome, output, report, runs, summary};
+use crate::{Outcome, files, output, report, runs, summary};
 
 /// Says what machine files and run files will do, and what in them looks wrong.
 ///
 /// A run is held against the machine file that is given with it.
 ///
-/// Exit 3: something looks wrong.
+/// Exit 3: something looks wrong. Exit 2: a value is impossible.
 #[derive(Args)]
 #[command(after_help = "Examples:
   trueup check machine.toml
@@ -45,13 +45,20 @@ pub fn run(args: &Check, as_json: bool) -> Result<Outcome> {
         _ => None,
     };
     let mut told = Vec::new();
+    let mut refused = Vec::new();
     let mut doubts = 0;
     for path in &args.files {
-        let (warnings, summary) = if is_machine(&path) {
-            of_machine(path, &MachineFile::read(path)?, as_json)?
+        let (mut warnings, summary) = if is_machine(&path) {
+            let machine = MachineFile::read(path)?;
+            refused.extend(check::refusal(&check::ranges(&machine), files::accepted()));
+            of_machine(path, &machine, as_json)?
         } else {
             of_run(path, &runs::read(path)?, beside.as_ref(), as_json)?
         };
+        // Said once, as an error.
+        let listed: Vec<BadInput> =
+            refused.iter().cloned().flat_map(BadInput::one_by_one).collect();
+        warnings.retain(|it| listed.iter().all(|error| error.place != it.place));
         doubts += warnings.len();
         if as_json {
             let object =
@@ -66,7 +73,11 @@ pub fn run(args: &Check, as_json: bool) -> Result<Outcome> {
     }
     if as_json {
         output::print(Value::from(told))?;
-    } else {
+    }
+    if let Some(refused) = BadInput::gathered(refused) {
+        return Err(refused.into());
+    }
+    if !as_json {
         output::print(match doubts {
             0 => "nothing looks wrong".to_string(),
             1 => "1 thing looks wrong".to_string(),

@@ -127,8 +127,10 @@ fn write(args: &Diagnose, diagnosis: &Diagnosis, name: &str, source: &str) -> Re
     inputs.extend(args.runs.iter().chain(&args.holdout).map(PathBuf::as_path));
     let extended = diagnosis.extended(source, &args.machine)?;
     let path = args.out.join("extended.toml");
+    let written =
+        files::to_be_written(&extended, &path, Some(&MachineFile::parse(source, &args.machine)?))?;
     if let Some(BadInput { rule, .. }) =
-        refused(&MachineFile::parse(source, &args.machine)?, &MachineFile::parse(&extended, &path)?)
+        refused(&MachineFile::parse(source, &args.machine)?, &written)
     {
         report::warn(format_args!("trueup compile will refuse {}: {rule}", path.display()));
     }

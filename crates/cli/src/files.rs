@@ -1,13 +1,27 @@
-//! Machine files and runs as every command reads them: what is unlikely to be meant in them is said.
+//! Machine files and runs as every command reads them: what is unlikely in them is said, what is impossible
+//! is refused unless the user accepts it (`--accept KEY`).
 
-use std::path::Path;
+use std::{path::Path, sync::OnceLock};
 
 use trueup_machine::{
     BadInput, Machine, MachineFile, RunFile,
-    check::{self, Summary},
+    check::{self, Finding, Grade, Summary},
 };
 
-use crate::{report, runs, summary};
+use crate::{UserError, report, runs, summary};
+
+static ACCEPTED: OnceLock<Vec<String>> = OnceLock::new();
+
+/// Sets, once at the start, the keys and columns whose impossible values the user accepts.
+pub fn accept(keys: &[String]) {
+    // A second time cannot be: there is one command line.
+    _ = ACCEPTED.set(keys.to_vec());
+}
+
+/// Returns the keys and columns whose impossible values the user accepts.
+pub fn accepted() -> &'static [String] {
+    ACCEPTED.get().map_or(&[], Vec::as_slice)
+}
 
 /// Reads the machine file at `path`, and says in short what is unlikely in it.
 pub fn machine(path: &Path) -> Result<Machine, BadInput> {
@@ -17,12 +31,48 @@ pub fn machine(path: &Path) -> Result<Machine, BadInput> {
 /// The same of a text that is there already.
 pub fn parsed(source: &str, path: &Path) -> Result<Machine, BadInput> {
     let machine = MachineFile::parse(source, path)?;
+    if let Some(refused) = check::refusal(&check::ranges(&machine), accepted()) {
+        return Err(refused);
+    }
     report::in_short(path, &check::machine(&machine));
     report::in_detail(|| summary::in_words(&machine, &Summary::of(&machine)));
     Ok(machine)
 }
 
-/// Reads the run at `path`, and says in short what is unlikely in it, by itself and beside `machine`.
+/// Holds a machine file that is about to be written against the ranges of machines: warns of what is unlikely
+/// and was not in `before` already.
+///
+/// # Errors
+/// `text` is no machine file, or has an impossible value that is not accepted.
+pub fn to_be_written(text: &str, path: &Path, before: Option<&Machine>) -> anyhow::Result<Machine> {
+    let machine = MachineFile::parse(text, path)?;
+    let known = before.map(check::ranges).unwrap_or_default();
+    let is_new = |it: &Finding| {
+        known.iter().all(|old| old.key != it.key || old.warning.what != it.warning.what)
+    };
+    let found: Vec<Finding> = check::ranges(&machine).into_iter().filter(is_new).collect();
+    refuse_or_warn(&path.display().to_string(), &found)?;
+    Ok(machine)
+}
+
+/// The same for values without a line of a file: of a calibration, or of a file that is not there yet.
+pub fn refuse_or_warn(name: &str, found: &[Finding]) -> Result<(), UserError> {
+    if let Some(refused) = check::refusal(found, accepted()) {
+        let each = refused.one_by_one().map(|BadInput { rule, help, .. }| match help {
+            Some(help) => format!("{rule}. {help}"),
+            None => rule,
+        });
+        let all = each.collect::<Vec<_>>().join("; ");
+        return Err(UserError(format!("{name}: not written or used: {all}")));
+    }
+    for Finding { warning, grade, .. } in found {
+        let accepted = if *grade == Grade::Impossible { " (accepted)" } else { "" };
+        report::warn(format_args!("{name}: {}{accepted}. {}", warning.what, warning.help));
+    }
+    Ok(())
+}
+
+/// Reads the run at `path`, and says in short what is unlikely in it, by itself and compared with `machine`.
 pub fn run(path: &Path, machine: Option<&Machine>) -> Result<RunFile, BadInput> {
     let run = runs::read(path)?;
     report::in_short(path, &check::run(&run, machine));

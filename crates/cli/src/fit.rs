@@ -236,20 +236,20 @@ fn write(input: &Input, common: &Common, report: &Report) -> Result<bool> {
         Some((path, source, _)) => report.edit.apply(source, path)?,
         None => report.edit.to_toml(),
     };
-    warn_of_slopes(input, &text, &common.output)?;
+    warn_of_text(input, &text, &common.output)?;
     // The machine file itself may be written over: that is what a user means who names it twice.
     let inputs: Vec<&Path> = common.measured.run.iter().map(PathBuf::as_path).collect();
     output::write_whole(&common.output, &inputs, |out| out.write_all(text.as_bytes()))?;
     Ok(true)
 }
 
-/// Says, before it is written, that `compile` will refuse `text` for a slope: a machine file, or sections
-/// of one.
-fn warn_of_slopes(input: &Input, text: &str, path: &Path) -> Result<()> {
+/// Says, before `text` is written, what in it is unlikely, and that `compile` will refuse it for a slope;
+/// refuses what is impossible. `text` is a machine file, or sections of one.
+fn warn_of_text(input: &Input, text: &str, path: &Path) -> Result<()> {
     const HEAD: &str = "[machine]\nname = \"sections\"\nkind = \"3-axis\"\n";
-    let machine = match input.machine {
-        Some(_) => MachineFile::parse(text, path)?,
-        None => MachineFile::parse(&format!("{HEAD}{text}"), path)?,
+    let machine = match input.machine() {
+        Some(before) => files::to_be_written(text, path, Some(before))?,
+        None => files::to_be_written(&format!("{HEAD}{text}"), path, None)?,
     };
     if let Err(BadInput { rule, .. }) = check_slopes(&machine) {
         crate::report::warn(format_args!("trueup compile will refuse {}: {rule}", path.display()));

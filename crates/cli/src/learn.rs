@@ -100,8 +100,9 @@ pub fn run(args: &Learn, as_json: bool) -> Result<Outcome> {
         let learned = learn(&source, &args.machine, &run, quantity, memory.take(), &limits)?;
         let mut inputs: Vec<&Path> = vec![&args.machine];
         inputs.extend(args.run.iter().map(PathBuf::as_path));
+        let new = files::to_be_written(&learned.machine, &args.output, Some(&machine))?;
         save(args, &inputs, &known, &learned.machine, &learned.memory)?;
-        let live = Live::between(&machine, &files::parsed(&learned.machine, &args.output)?);
+        let live = Live::between(&machine, &new);
         if as_json {
             output::print(serde_json::to_string_pretty(&said(&learned, live.as_ref().ok()))?)?;
         } else {

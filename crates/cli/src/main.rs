@@ -72,6 +72,10 @@ struct Cli {
     /// Say more: what a machine file will do, before it is used.
     #[arg(short, long, global = true, conflicts_with = "quiet")]
     verbose: bool,
+    /// Take the value of this key of the machine file, or this column of a run, although no machine has it;
+    /// may be given several times.
+    #[arg(long, global = true, value_name = "KEY")]
+    accept: Vec<String>,
     #[command(subcommand)]
     command: Command,
 }
@@ -153,6 +157,7 @@ impl std::error::Error for UserError {}
 fn main() -> ExitCode {
     let cli = Cli::read(env::args_os()).unwrap_or_else(|error| error.exit());
     report::set(Manner { json: cli.json, quiet: cli.quiet, verbose: cli.verbose });
+    files::accept(&cli.accept);
     match run(&cli) {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::NotMet) => ExitCode::from(3),

@@ -14,7 +14,7 @@ use trueup_machine::{
     template::{Control, Sheet, Template},
 };
 
-use crate::{Outcome, UserError, output, questions, report};
+use crate::{Outcome, UserError, files, output, questions, report};
 
 /// Writes a machine file to begin with: commented, and it compiles as it is.
 ///
@@ -130,6 +130,7 @@ pub fn run(args: &New, as_json: bool) -> Result<Outcome> {
     let text = template.to_toml(&name);
     // What cannot be, and no flag alone could tell: a head with three axes, two thermometers of a name.
     MachineFile::parse(&text, &args.output).map_err(|BadInput { rule, .. }| UserError(rule))?;
+    files::to_be_written(&text, &args.output, None)?;
     output::write_whole(&args.output, &[], |out| out.write_all(text.as_bytes()))?;
     if as_json {
         output::print(json!({"output": name, "machine": template.name}))?;

@@ -4,7 +4,7 @@ use std::{fs, path::Path};
 
 use anyhow::Result;
 use serde_json::json;
-use trueup_machine::show;
+use trueup_machine::{check::ranges, compile::inverse, show};
 use trueup_store::calibration::{decode, whole};
 
 use crate::{Outcome, UserError, output, report};
@@ -20,6 +20,10 @@ pub fn run(from: &Path, as_json: bool) -> Result<Outcome> {
             "{}: {more} bytes after the calibration are ignored",
             from.display()
         ));
+    }
+    // What is shown is not used: the impossible is said as well, and `compile` refuses it.
+    for finding in ranges(&inverse(&calibration)) {
+        report::warn(format_args!("{}: {}", from.display(), finding.warning.what));
     }
     let shown = show::show(&calibration);
     let not_met = shown.largest_difference_nm.as_ref().err();

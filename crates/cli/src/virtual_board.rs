@@ -11,9 +11,8 @@ use std::{
 use anyhow::{Context as _, Result};
 use clap::Args;
 use trueup_emulator::{process, setup::QEMU, virtual_bridge};
-use trueup_machine::MachineFile;
 
-use crate::{Outcome, UserError, carried};
+use crate::{Outcome, UserError, carried, files};
 
 /// Runs a virtual bridge for any client, until Ctrl-C: the real firmware in QEMU, its line on a TCP port.
 ///
@@ -42,7 +41,7 @@ pub fn run(args: &Virtual) -> Result<Outcome> {
             format!("{QEMU} is not on PATH; on Debian and Ubuntu: sudo apt install {QEMU}");
         return Err(UserError(reason).into());
     }
-    let machine = MachineFile::read(&args.machine)?;
+    let machine = files::machine(&args.machine)?;
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;

@@ -9,7 +9,8 @@
 //! | page | asks |
 //! |---|---|
 //! | `sensor` | can the sensor read that, and in these units |
-//! | `heat` | is that a temperature in °C, and an expansion of any material |
+//! | `range` | can a machine have that value, and which slip makes it; the table of all ranges |
+//! | `heat` | is that a temperature in °C, and does a constant do anything |
 //! | `limits` | is the slew limit slow enough for the axes, does a limit leave room for what it limits |
 //! | `place` | do the tool, the tables and the curves lie where the machine is |
 //! | `twice` | is one thing corrected by two entries |
@@ -23,6 +24,7 @@ mod heat;
 mod limits;
 mod nothing;
 mod place;
+mod range;
 mod run;
 mod sensor;
 mod summary;
@@ -32,15 +34,32 @@ mod warning;
 use crate::{file::Machine, run_file::RunFile};
 
 pub use nothing::corrects_nothing;
+pub use range::{Finding, Grade, RANGES, Range, refusal};
 pub use summary::{AxisSummary, Summary};
 pub use warning::Warning;
 
-/// Everything in the machine file that is unlikely to be meant, in the order of its lines.
+/// The values of the machine file that are outside the ranges of machines, in the order of its lines.
+#[must_use]
+pub fn ranges(machine: &Machine) -> Vec<Finding> {
+    let mut findings = range::of_machine(machine);
+    findings.sort_by_key(|it| (it.warning.place.line, it.warning.place.column));
+    findings
+}
+
+/// Everything in the machine file that is unlikely to be meant, in the order of its lines; what is
+/// impossible as well.
 #[must_use]
 pub fn machine(machine: &Machine) -> Vec<Warning> {
     let rules: [fn(&Machine) -> Vec<Warning>; 5] =
         [sensor::warnings, heat::warnings, limits::warnings, place::warnings, twice::warnings];
-    in_order(rules.iter().flat_map(|rule| rule(machine)))
+    let mut warnings: Vec<Warning> = rules.iter().flat_map(|rule| rule(machine)).collect();
+    // A rule knows more of its key than the table does.
+    let of_table = range::of_machine(machine).into_iter().map(|finding| finding.warning);
+    let is_new =
+        |warnings: &[Warning], it: &Warning| warnings.iter().all(|other| other.place != it.place);
+    let new: Vec<Warning> = of_table.filter(|it| is_new(&warnings, it)).collect();
+    warnings.extend(new);
+    in_order(warnings.into_iter())
 }
 
 /// Everything in the run that is unlikely to be meant, in the order of its places; held against the

@@ -153,6 +153,11 @@ impl Locations {
         self.line_and_column.insert(key, line_and_column);
     }
 
+    /// Whether `key` stands in the file.
+    pub(crate) fn has(&self, key: &str) -> bool {
+        self.line_and_column.contains_key(key)
+    }
+
     /// The place of `key`, else of the nearest section around it, else the start of the file: a
     /// value that came by default has no place of its own.
     #[must_use]

@@ -19,11 +19,14 @@ use trueup_client::{
     words::quality_word,
 };
 use trueup_core::cnc::Quality;
-use trueup_machine::{check::corrects_nothing, compile::inverse};
+use trueup_machine::{
+    check::{corrects_nothing, ranges},
+    compile::inverse,
+};
 use trueup_store::calibration::{decode, identity, whole};
 
 use super::{Port, who};
-use crate::{Outcome, UserError, output, report};
+use crate::{Outcome, UserError, files, output, report};
 
 #[derive(Args)]
 pub struct Load {
@@ -107,7 +110,9 @@ fn read(path: &Path) -> Result<Vec<u8>> {
     let bad = |rule: String| UserError(format!("{}: {rule}", path.display()));
     let bytes = fs::read(path).map_err(|error| bad(format!("cannot be read: {error}")))?;
     let calibration = decode(&bytes).map_err(|error| bad(error.to_string()))?;
-    if corrects_nothing(&inverse(&calibration)).is_some() {
+    let machine = inverse(&calibration);
+    files::refuse_or_warn(&path.display().to_string(), &ranges(&machine))?;
+    if corrects_nothing(&machine).is_some() {
         report::warn(format_args!(
             "{}: corrects nothing: a board with it leaves every offset at 0",
             path.display()

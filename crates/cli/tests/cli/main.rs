@@ -18,6 +18,7 @@ mod linuxcnc;
 mod new;
 mod papers;
 mod pretended;
+mod ranges;
 mod records;
 mod screen;
 mod simulate;

@@ -14,10 +14,6 @@ pub(super) const OF_A_MACHINE_C: [f64; 2] = [-5.0, 70.0];
 /// corrects nothing: its number is in another unit.
 const SMALLEST_STEP_UM: f64 = 0.01;
 
-/// More than this in µm/(m·K) is no metal: aluminium has 23.8, zinc 30, and a thermometer that sees a
-/// third of what the part does makes three times as much of it.
-const MOST_UM_PER_M_PER_C: f64 = 100.0;
-
 pub(super) fn warnings(machine: &Machine) -> Vec<Warning> {
     let mut warnings = Vec::new();
     for (axis, name) in machine.axes.iter().zip(LinearAxis::ALL) {
@@ -32,10 +28,6 @@ pub(super) fn warnings(machine: &Machine) -> Vec<Warning> {
         let key = "spindle.temperature";
         warnings.extend(kelvin(machine, &format!("{key}.reference_c"), model.reference_c));
         warnings.extend(too_small(machine, &format!("{key}.k_um_per_c"), model.k_um_per_c, "µm"));
-        warnings.extend(shrinking(machine, &format!("{key}.k_um_per_c"), model.k_um_per_c));
-    }
-    if let Some(model) = &machine.spindle.warmup {
-        warnings.extend(shrinking(machine, "spindle.warmup.max_um", model.max_um));
     }
     for (index, term) in machine.terms.iter().enumerate() {
         for (entry, value) in term.effect.entries() {
@@ -83,13 +75,6 @@ fn slope_in_another_unit(machine: &Machine, thermal: &Thermal, key: &str) -> Opt
     }
     let key = format!("{key}.slope_um_per_m_per_c");
     let slope = thermal.slope_um_per_m_per_c;
-    if slope.abs() > MOST_UM_PER_M_PER_C {
-        let what = format!(
-            "{slope} µm/(m·K) is more than any metal expands by (steel 11.5, aluminium 23.8)"
-        );
-        let help = "write µm for one metre and one kelvin";
-        return Some(Warning::at(machine, &key, &what, help));
-    }
     too_small(machine, &key, slope, "µm for each metre")
 }
 
@@ -122,16 +107,4 @@ fn too_small(machine: &Machine, key: &str, value: f64, of: &str) -> Option<Warni
 /// A coefficient in 1/K as µm/(m·K), in the digits that it has.
 fn per_million(value: f64) -> f64 {
     format!("{:.6e}", value * 1e6).parse().unwrap_or(value * 1e6)
-}
-
-fn shrinking(machine: &Machine, key: &str, value: f64) -> Option<Warning> {
-    (value < 0.0).then(|| {
-        let what = format!("{value} is negative: the spindle would shrink as it becomes warm");
-        Warning::at(
-            machine,
-            key,
-            &what,
-            "an elongation is positive where the tool comes out of the spindle",
-        )
-    })
 }

@@ -128,6 +128,11 @@ impl NewSection {
         }
     }
 
+    /// Its keys with their values, in their order.
+    pub(crate) fn values(&self) -> impl Iterator<Item = (&str, &Value)> {
+        self.entries.iter().map(|entry| (entry.key.as_str(), &entry.value))
+    }
+
     /// The value of `key`, if it is one of its own.
     pub(super) fn value_of(&self, key: &str) -> Option<&Value> {
         self.entries.iter().find(|entry| entry.key == key).map(|entry| &entry.value)

@@ -1,0 +1,140 @@
+use std::path::Path;
+
+use super::*;
+use crate::{
+    MachineFile,
+    file::keys::{FILE, Form, Key, TERM, TERM_KEYS},
+};
+
+const HEAD: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
+const HEAT: &str =
+    "[axis.x.thermal]\nmode = \"position\"\nsensor = \"temp_a_c\"\nreference_c = 20.0\n";
+
+fn findings(text: &str) -> Vec<(String, Grade, String)> {
+    let text = format!("{HEAD}{text}");
+    let machine = MachineFile::parse(&text, Path::new("m.toml")).expect("the test's own file");
+    let found = of_machine(&machine).into_iter();
+    found.map(|it| (it.key, it.grade, it.warning.what)).collect()
+}
+
+/// The only finding: its key, grade, and what it says.
+fn only(text: &str) -> (String, Grade, String) {
+    let mut found = findings(text);
+    assert_eq!(found.len(), 1, "{text}: {found:?}");
+    found.remove(0)
+}
+
+fn numeric<'k>(keys: &'k [Key], path: &str, with: &mut dyn FnMut(String, &'k Key)) {
+    for key in keys {
+        let name = format!("{path}{}", key.name);
+        match key.form {
+            Form::Table(inner) => numeric(inner, &format!("{name}."), with),
+            Form::Text | Form::Choice(_) | Form::Column | Form::Choices(_) | Form::Terms => {}
+            _ => with(name, key),
+        }
+    }
+}
+
+#[test]
+fn every_number_of_a_machine_file_has_a_range_that_its_example_keeps() {
+    let mut asked = 0;
+    let mut ask = |name: String, key: &Key| {
+        let range = range_of(&name).unwrap_or_else(|| panic!("no range for {name}"));
+        let nested = |[inner, outer]: [[f64; 2]; 2]| outer[0] <= inner[0] && inner[1] <= outer[1];
+        assert!(
+            nested([range.usual, range.likely]) && nested([range.likely, range.hard]),
+            "{name}"
+        );
+        assert!(!range.source.is_empty() && !range.below.is_empty() && !range.above.is_empty());
+        let numbers = key.example.split(['[', ']', ',', ' ']).filter_map(|it| it.parse().ok());
+        assert_eq!(worst(range, &numbers.collect::<Vec<f64>>()), None, "{name} = {}", key.example);
+        asked += 1;
+    };
+    numeric(FILE, "", &mut ask);
+    for keys in [TERM, TERM_KEYS] {
+        numeric(keys, "term.any.", &mut ask);
+    }
+    assert!(asked > 80, "{asked}");
+}
+
+#[test]
+fn a_reversed_error_is_unlikely_and_says_so() {
+    for (text, key) in [
+        ("[axis.x.backlash]\nwidth_um = -5.9\n".into(), "axis.x.backlash.width_um"),
+        (format!("{HEAT}slope_um_per_m_per_c = -11.49\n"), "axis.x.thermal.slope_um_per_m_per_c"),
+        (
+            "[spindle]\nsource = \"temperature\"\n[spindle.temperature]\nsensor = \"temp_a_c\"\n\
+             reference_c = 20.0\nk_um_per_c = -2.4\n"
+                .into(),
+            "spindle.temperature.k_um_per_c",
+        ),
+        (
+            format!(
+                "{HEAT}slope_um_per_m_per_c = 11.5\n[[term]]\ncause = \"expansion-slope\"\n\
+                 quantity = \"dx\"\num_per_m_per_c = -11.5\n"
+            ),
+            "term[0].um_per_m_per_c",
+        ),
+        (
+            "[axis.x.pitch]\nstart_mm = 0.0\nstep_mm = 100.0\nforward_um = [0.0, 1.0]\n\
+             reverse_um = [-6.0, -5.0]\n"
+                .into(),
+            "axis.x.pitch.reverse_um",
+        ),
+        (
+            "[axis.x.backlash]\nwidth_um = 6.0\n[[term]]\ncause = \"backlash\"\nquantity = \"dx\"\n\
+             width_um = -12.0\n"
+                .into(),
+            "term[0].width_um",
+        ),
+        (
+            "[axis.x.thermal]\nmode = \"position\"\nsensor = \"temp_a_c\"\n\
+             table = [[20.0, 0.0, 0.0], [40.0, 0.0, -230.0]]\n"
+                .into(),
+            "axis.x.thermal.table",
+        ),
+    ] {
+        let (found, grade, what) = only(&text);
+        assert_eq!((found.as_str(), grade), (key, Grade::Unlikely), "{text}");
+        assert!(what.contains("the sign is that of an error measured the other way round"), "{what}");
+    }
+    // A correction that makes a backlash smaller is none of a reversed error; nor is noise about 0.
+    assert_eq!(
+        findings(
+            "[axis.x.backlash]\nwidth_um = 6.0\n[[term]]\ncause = \"backlash\"\nquantity = \"dx\"\n\
+             width_um = -2.0\n"
+        ),
+        []
+    );
+    assert_eq!(findings("[axis.x.backlash]\nwidth_um = -0.3\n"), []);
+}
+
+#[test]
+fn what_no_machine_has_is_refused_until_its_key_is_accepted() {
+    let text = format!("{HEAD}{HEAT}slope_um_per_m_per_c = 11500.0\n");
+    let machine = MachineFile::parse(&text, Path::new("m.toml")).expect("the test's own file");
+    let found = of_machine(&machine);
+    let bad = refusal(&found, &[]).expect("refused");
+    assert_eq!((bad.place.line, bad.place.column), (8, 24), "{bad}");
+    assert!(
+        bad.rule.starts_with("axis.x.thermal.slope_um_per_m_per_c 11500 µm/(m·K) is impossible")
+    );
+    let help = bad.help.expect("what to do");
+    assert!(help.ends_with("add --accept axis.x.thermal.slope_um_per_m_per_c"), "{help}");
+    assert_eq!(refusal(&found, &["axis.x.thermal.slope_um_per_m_per_c".into()]), None);
+    assert!(refusal(&found, &["axis.y.thermal.slope_um_per_m_per_c".into()]).is_some());
+}
+
+#[test]
+fn a_pattern_stands_for_any_text() {
+    for (pattern, key, is_one) in [
+        ("axis.*.backlash.width_um", "axis.x.backlash.width_um", true),
+        ("axis.*.backlash.width_um", "axis.x.backlash.ramp_mm", false),
+        ("*_um", "straightness.z_of_x.control_um", true),
+        ("*_um", "axis.x.backlash.width_um_2", false),
+        ("spindle.sensor.*", "spindle.sensor.µ", true),
+        ("*.table", "axis.x.thermal.table", true),
+    ] {
+        assert_eq!(matches(pattern, key), is_one, "{pattern} {key}");
+    }
+}

@@ -1,0 +1,50 @@
+//! Every number of a machine by its key, from the writers of its sections.
+
+use crate::file::{Machine, write::NewSection, write::Value};
+
+/// A number of a machine file, or several of one key.
+pub(super) struct Entry {
+    /// Its key as `Locations` has it: `term[0].um_per_c`.
+    pub(super) key: String,
+    /// Its key in the table of ranges: `term.slow-mode.um_per_c`.
+    pub(super) row: String,
+    pub(super) values: Vec<f64>,
+}
+
+/// The numbers of `machine`, those that came by default included.
+pub(super) fn entries(machine: &Machine) -> Vec<Entry> {
+    let mut entries = Vec::new();
+    for section in machine.sections() {
+        let name = section.name().to_string();
+        of_section(&section, &name, &name, &mut entries);
+    }
+    for (index, term) in machine.terms.iter().enumerate() {
+        let row = format!("term.{}", term.effect.name());
+        of_section(&term.section(), &format!("term[{index}]"), &row, &mut entries);
+    }
+    entries
+}
+
+fn of_section(section: &NewSection, name: &str, row: &str, entries: &mut Vec<Entry>) {
+    for (key, value) in section.values() {
+        of_value(&format!("{name}.{key}"), format!("{row}.{key}"), value, entries);
+    }
+}
+
+fn of_value(key: &str, row: String, value: &Value, entries: &mut Vec<Entry>) {
+    let values: Vec<f64> = match value {
+        Value::Number(number) => vec![*number],
+        Value::Whole(number) => vec![f64::from(*number)],
+        Value::Numbers(numbers) => numbers.clone(),
+        Value::Wholes(numbers) => numbers.iter().copied().map(f64::from).collect(),
+        Value::Rows(rows) => rows.iter().flatten().copied().collect(),
+        Value::Inline(inner) => {
+            for (name, value) in inner {
+                of_value(&format!("{key}.{name}"), format!("{row}.{name}"), value, entries);
+            }
+            return;
+        }
+        Value::Text(_) | Value::Texts(_) => return,
+    };
+    entries.push(Entry { key: key.to_string(), row, values });
+}
