@@ -2,6 +2,7 @@
 //!
 //! The link arguments stand here and not in `.cargo/config.toml`, because `RUSTFLAGS` in the
 //! environment would replace those in silence and the image would come out empty.
+#![allow(clippy::print_stdout, reason = "cargo reads this")]
 
 use std::{env, fs, path::Path, path::PathBuf, process::exit};
 

@@ -4,6 +4,7 @@
 //!
 //! `TRUEUP_FIRMWARE=0` leaves them out. A build for tests carries nothing, unless `TRUEUP_FIRMWARE=1` says
 //! that it takes what `cargo xtask images` has built before.
+#![allow(clippy::print_stdout, reason = "cargo reads this")]
 
 use std::{
     env, fs,

@@ -5,6 +5,7 @@
 //! The board's application runs in this process, on its calibration and through its frames. None of
 //! its laws here has a memory, so a row that stands for half a minute of the machine is held only until
 //! filter and slew have come to rest.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use std::{borrow::Cow, fmt::Write as _, path::Path};
 

@@ -1,5 +1,6 @@
 //! `trueup bridge` against the running virtual bridge: a calibration loaded into the real firmware, and
 //! a recording that other people's tools read.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 mod support;
 

@@ -5,6 +5,7 @@
 //!
 //! Where nothing of the model has a memory, the rows of a run may follow each other faster than they
 //! were measured; where something lags, time passes as it did.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use std::{fmt::Write as _, path::Path};
 

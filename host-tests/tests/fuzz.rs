@@ -3,6 +3,7 @@
 //!
 //! Among the tests each runs for a thousand inputs; `cargo xtask fuzz --minutes 15` gives each that long
 //! and prints its count. The seeds are `corpus/` and what is compiled from `data/`.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use std::{
     env, fs,

@@ -1,6 +1,7 @@
 //! `trueup gateway s7` between the real firmware and a PLC that this project did not write: python-snap7's server has
 //! the data block, awlsim runs the PLC program of `integrations/siemens-840d` against a stub of the NCK. What is
 //! proved ends at the parameters of the call that writes the setting data.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 mod support;
 

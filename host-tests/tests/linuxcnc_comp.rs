@@ -2,6 +2,7 @@
 //! not as root, with three simulated joints. What it adds to a joint's command, read from its HAL
 //! pins over the travel and in both directions, is the opposite of the model's error, within the
 //! difference that the export states.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use std::{
     path::Path,

@@ -7,6 +7,7 @@
 //! ```
 //!
 //! Travel and soft limits are the same: a program that goes too far stops with LinuxCNC's error.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use std::{
     borrow::Cow,

@@ -1,5 +1,6 @@
 //! `Zero` outlasts the power: runs of the emulated board that is switched off and on again, with the
 //! same calibration, with another one, and with a store that is damaged.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 mod support;
 

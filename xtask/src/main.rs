@@ -182,22 +182,24 @@ fn main() -> ExitCode {
         Command::Virtual(options) => run_virtual(options),
         Command::Chip(ChipOptions { options }) => run_chip(options),
         Command::LinuxCnc { on } => linuxcnc::run_and_publish(on).map(drop),
-        Command::Size => size::report().map(|report| print!("{report}")),
-        Command::Images => firmware::carried().map(|folder| println!("{}", folder.display())),
+        Command::Size => size::report().map(|report| trueup_output::line(report.trim_end())),
+        Command::Images => firmware::carried().map(|folder| trueup_output::line(folder.display())),
         Command::Measure => measure::run(measure::VECTORS).and_then(|measured| measured.publish()),
         Command::Scorecard { seeds } => verify::scorecard(seeds),
         Command::Fuzz { minutes } => campaign::fuzz(minutes),
         Command::Mutants { draw, seed } => campaign::mutants(draw, seed),
         Command::Soak { ticks, seed } => campaign::soak(ticks, seed),
-        Command::Structure => structure::check(&setup::root()).map(|report| print!("{report}")),
+        Command::Structure => {
+            structure::check(&setup::root()).map(|report| trueup_output::line(report.trim_end()))
+        }
         Command::Deb { is_tried } => deb(is_tried),
-        Command::Book => book::render().map(|page| println!("{}", page.display())),
+        Command::Book => book::render().map(|page| trueup_output::line(page.display())),
         Command::Setup => setup::everything(),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            trueup_output::diagnostic(format_args!("error: {error:#}"));
             // What the user can mend in a file is told apart from everything else.
             ExitCode::from(if error.is::<BadInput>() { 2 } else { 1 })
         }
@@ -209,7 +211,7 @@ fn deb(is_tried: bool) -> Result<()> {
     if is_tried {
         debian::try_out(&package)?;
     }
-    println!("{}", package.display());
+    trueup_output::line(package.display());
     Ok(())
 }
 
@@ -228,19 +230,19 @@ fn run_demo(options: &Demo) -> Result<()> {
     let asked = Asked { source: &source, path: &path, run: &run, quantity: None };
     let one = act_one(&boards, &asked, &mut |what, share| tell(&bar, what, share))?;
     bar.finish_and_clear();
-    println!("{}", one.text());
+    trueup_output::line(one.text());
 
     // One's own data are played alone, unless a seed is asked for.
     let seed = options.seed.or_else(|| options.machine.is_none().then(any_seed));
     let two = match seed {
         None => None,
         Some(seed) => {
-            println!("A machine is drawn and broken by seed {seed}.");
+            trueup_output::line(format_args!("A machine is drawn and broken by seed {seed}."));
             let bar = shown()?;
             let hidden = Hidden::draw(seed)?;
             let two = act_two(&boards, &hidden, &mut |what, share| tell(&bar, what, share))?;
             bar.finish_and_clear();
-            println!("{}", two.text());
+            trueup_output::line(two.text());
             Some(two)
         }
     };
@@ -255,13 +257,13 @@ fn run_demo(options: &Demo) -> Result<()> {
     fs::write(folder.join("report.html"), page::page(&one, two.as_ref()))?;
     fs::write(folder.join("extended.toml"), &one.extended)?;
     let shown_at = folder.strip_prefix(&root).unwrap_or(&folder);
-    println!(
+    trueup_output::line(format_args!(
         "{} frames read as a CNC reads them, {} damaged or lost.\nThe page: {}   The figures: {}",
         summary.frames,
         summary.e2e_errors,
         shown_at.join("report.html").display(),
         shown_at.join("summary.json").display()
-    );
+    ));
     Ok(())
 }
 
@@ -320,9 +322,9 @@ fn run_hidden(seeds: u64, first: u64, on_board: bool) -> Result<()> {
     };
     let mut campaign = Campaign::default();
     for seed in first..first + seeds {
-        println!("{}", campaign.play(&boards, seed)?);
+        trueup_output::line(campaign.play(&boards, seed)?);
     }
-    println!("{}", campaign.text());
+    trueup_output::line(campaign.text());
     Ok(())
 }
 

@@ -107,7 +107,7 @@ pub fn mutants(draw: usize, seed: u64) -> Result<()> {
         [] => Outcome::default(),
         _ => try_mutants(call(), "all-tests", &missed, &all_tests.each_ref().map(String::as_str))?,
     };
-    println!(
+    trueup_output::line(format_args!(
         "{} drawn: {} caught, {} by the time limit, {} do not compile, {} missed\n{}",
         drawn.len(),
         by_unit.caught.len() + by_all.caught.len(),
@@ -115,7 +115,7 @@ pub fn mutants(draw: usize, seed: u64) -> Result<()> {
         by_unit.unviable.len(),
         by_all.missed.len(),
         by_all.missed.join("\n")
-    );
+    ));
     Ok(())
 }
 
@@ -204,7 +204,11 @@ fn try_mutants(
         left += 1;
     }
     config.push_str("]\n");
-    eprintln!("{} of {} tried before, {left} left", tried.len(), names.len());
+    trueup_output::diagnostic(format_args!(
+        "{} of {} tried before, {left} left",
+        tried.len(),
+        names.len()
+    ));
     if left == 0 {
         return Ok(outcome);
     }

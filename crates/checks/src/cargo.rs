@@ -30,7 +30,7 @@ pub fn tool(name: &str, version: &str) -> Result<PathBuf> {
     let folder = setup::root().join("target/tools");
     let program = folder.join("bin").join(name);
     if !is_wanted(&program, name, version) {
-        eprintln!("building {name} {version} into target/tools");
+        trueup_output::diagnostic(format_args!("building {name} {version} into target/tools"));
         let mut install = locked("install");
         // It runs for a second: what counts is how long it takes to build.
         install.args(["--debug", "--force", name, "--version", version, "--root"]).arg(&folder);

@@ -20,7 +20,7 @@ pub fn compiler() -> Result<Tally> {
         .find_map(|line| line.strip_prefix("rust-version = "))
         .context("Cargo.toml states no rust-version")?
         .trim_matches('"');
-    println!("{} ({oldest} or newer is needed)", said.trim());
+    trueup_output::line(format_args!("{} ({oldest} or newer is needed)", said.trim()));
     let version = said.split_whitespace().nth(1).unwrap_or_default();
     ensure!(numbers(version) >= numbers(oldest), "this compiler is older than {oldest}");
     Ok(Tally::passed(1))

@@ -41,7 +41,7 @@ impl Tally {
 
     /// One thing that cannot be had here.
     pub fn lack(why: &str) -> Self {
-        println!("skipped: {why}");
+        trueup_output::line(format_args!("skipped: {why}"));
         Self { lacking: 1, ..Self::default() }
     }
 

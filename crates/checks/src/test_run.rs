@@ -128,7 +128,7 @@ pub fn hear(name: &str, command: &mut Command) -> Result<Tally> {
         piece += &format!("\n           {line}");
     }
     // In one piece: two programs run at a time.
-    println!("{piece}");
+    trueup_output::line(piece);
     Ok(tally)
 }
 

@@ -54,10 +54,10 @@ struct Verification {
 
 impl Verification {
     fn step(&mut self, name: &'static str, work: impl FnOnce() -> Result<Tally>) {
-        eprintln!("\n=== {name}");
+        trueup_output::diagnostic(format_args!("\n=== {name}"));
         let started = Instant::now();
         let tally = work().unwrap_or_else(|error| {
-            eprintln!("error: {error:#}");
+            trueup_output::diagnostic(format_args!("error: {error:#}"));
             self.failed.push(format!("{name}: {error:#}"));
             Tally::fail()
         });
@@ -104,7 +104,7 @@ pub fn run(tier: Tier) -> Result<()> {
 fn quick_checks(checks: &mut Verification) {
     checks.step("set-up", || setup::quick().map(|()| Tally::default()));
     checks.step("structure", || {
-        print!("{}", structure::check(&setup::root())?);
+        trueup_output::line(structure::check(&setup::root())?.trim_end());
         Ok(Tally::passed(1))
     });
     checks.step("format", || check(cargo::plain("fmt").args(["--all", "--check"])));
@@ -134,7 +134,7 @@ fn quick_checks(checks: &mut Verification) {
         test_run::hear("chip", chip::cargo("test").arg("--locked"))
     });
     checks.step("images", || {
-        print!("{}", size::report()?);
+        trueup_output::line(size::report()?.trim_end());
         Ok(Tally::passed(2))
     });
 }
@@ -163,7 +163,7 @@ fn long_checks(checks: &mut Verification, programs: &[Program]) {
         let mut looped = linuxcnc::run_and_publish(On::Qemu);
         for _ in 1..LINUXCNC_RUNS {
             let Err(error) = &looped else { break };
-            eprintln!("error: {error:#}; trying again");
+            trueup_output::diagnostic(format_args!("error: {error:#}; trying again"));
             looped = linuxcnc::run_and_publish(On::Qemu);
         }
         Ok(match looped? {
@@ -184,28 +184,33 @@ fn report(checks: &Verification, tier: Tier, took: Duration) {
     let total = &checks.total;
     let mut times = [checks.steps.clone(), total.times.clone()].concat();
     times.sort_by_key(|(_, time)| std::cmp::Reverse(*time));
-    println!("\nthe {LONGEST} longest, steps and tests:");
+    trueup_output::line(format_args!("\nthe {LONGEST} longest, steps and tests:"));
     for (name, time) in times.iter().take(LONGEST) {
-        println!("{:7.1} s  {name}", time.as_secs_f64());
+        trueup_output::line(format_args!("{:7.1} s  {name}", time.as_secs_f64()));
     }
     if tier == Tier::Quick {
         for (name, time) in total.times.iter().filter(|(_, time)| *time > QUICK) {
-            println!(
+            trueup_output::line(format_args!(
                 "{:7.1} s  {name}: on a quiet computer this would be a long test",
                 time.as_secs_f64()
-            );
+            ));
         }
     }
-    println!("after {:.0} s", took.as_secs_f64());
+    trueup_output::line(format_args!("after {:.0} s", took.as_secs_f64()));
     for name in &checks.failed {
-        println!("failed: {name}");
+        trueup_output::line(format_args!("failed: {name}"));
     }
-    println!(
+    trueup_output::line(format_args!(
         "skipped: {} long ones (cargo verify --long), {} campaigns (commands of their own), {} that lack \
          something here",
         total.long, total.campaigns, total.lacking
-    );
-    println!("{} passed, {} failed, {} skipped", total.passed, total.failed, total.skipped());
+    ));
+    trueup_output::line(format_args!(
+        "{} passed, {} failed, {} skipped",
+        total.passed,
+        total.failed,
+        total.skipped()
+    ));
 }
 
 /// The diagnosis tried on `seeds` draws of each hidden effect, at three ratios of effect to noise.

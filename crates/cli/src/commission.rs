@@ -172,6 +172,8 @@ impl Subject {
 
 /// Goes on from step to step.
 pub fn run(args: &Commission, as_json: bool) -> Result<Outcome> {
+    // Its product is the folder, and the board.
+    trueup_output::best_effort();
     let text = MachineFile::read_text(&args.machine)?;
     let machine = files::parsed(&text, &args.machine)?;
     let subject = Subject::of(args, &machine)?;
@@ -413,7 +415,9 @@ impl Work<'_> {
 
     fn disengaged(&mut self) -> Result<()> {
         watch::disengaged(&self.args.port, || {
-            eprintln!("disengage at the CNC: nothing is loaded while offsets are followed");
+            trueup_output::diagnostic(
+                "disengage at the CNC: nothing is loaded while offsets are followed",
+            );
         })
     }
 }

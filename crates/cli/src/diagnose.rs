@@ -4,7 +4,6 @@ mod next;
 
 use std::{
     env, fs,
-    io::{self, IsTerminal as _},
     path::{Path, PathBuf},
     time::Duration,
 };
@@ -136,7 +135,7 @@ fn write(args: &Diagnose, diagnosis: &Diagnosis, name: &str, source: &str) -> Re
     }
     let lines = &diagnosis.report.missing_inputs;
     if !lines.is_empty() {
-        eprintln!("help: {MISSING_INPUTS}\n{}", lines.join("\n"));
+        trueup_output::diagnostic(format_args!("help: {MISSING_INPUTS}\n{}", lines.join("\n")));
     }
     let texts = [
         ("diagnosis.json", diagnosis.json()? + "\n"),
@@ -161,7 +160,7 @@ fn refused(believed: &Machine, extended: &Machine) -> Option<BadInput> {
 /// `text` in red, where it is read on a screen.
 fn red(text: &str) -> String {
     let is_plain = env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
-    if is_plain || !io::stdout().is_terminal() {
+    if is_plain || !trueup_output::is_output_terminal() {
         return text.into();
     }
     format!("\u{1b}[31m{text}\u{1b}[0m")

@@ -6,7 +6,6 @@ mod table1;
 
 use std::{
     borrow::Cow,
-    io::IsTerminal as _,
     path::{Path, PathBuf},
 };
 
@@ -259,7 +258,7 @@ fn warn_of_text(input: &Input, text: &str, path: &Path) -> Result<()> {
 
 /// A fit does not know how far it is: the time that has passed, where somebody watches.
 fn spinner(what: &'static str, bytes: u64) -> ProgressBar {
-    if bytes < runs::LONG_RUN_BYTES / 8 || !std::io::stderr().is_terminal() {
+    if bytes < runs::LONG_RUN_BYTES / 8 || !trueup_output::is_error_terminal() {
         return ProgressBar::hidden();
     }
     let style = ProgressStyle::with_template("{spinner} {msg} {elapsed}");

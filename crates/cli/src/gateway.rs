@@ -101,6 +101,7 @@ pub fn run(command: &Command) -> Result<Outcome> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
+    trueup_output::detach();
     let shared = Shared::new(stop.clone());
     let ended = match command {
         Command::Modbus { bridge, serial: Some(device), baud, parity, unit, .. } => {
@@ -150,9 +151,13 @@ fn run_modbus(
         )
     })?;
     let address = listener.local_addr()?;
-    eprintln!("Modbus masters reach the bridge at tcp:{address}, unit {unit} or 255");
+    trueup_output::diagnostic(format_args!(
+        "Modbus masters reach the bridge at tcp:{address}, unit {unit} or 255"
+    ));
     if !address.ip().is_loopback() {
-        eprintln!("warning: every computer that reaches {address} can engage the bridge");
+        trueup_output::diagnostic(format_args!(
+            "warning: every computer that reaches {address} can engage the bridge"
+        ));
     }
     let masters = modbus::serve(shared.clone(), listener, unit)?;
     let end =

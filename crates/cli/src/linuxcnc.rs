@@ -1,15 +1,14 @@
 //! `trueup linuxcnc`: the bridge as a component of LinuxCNC's HAL.
 
 use std::{
-    fs::{self, File, OpenOptions},
-    io::Write as _,
+    fs::{self, OpenOptions},
     path::{Path, PathBuf},
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
         mpsc::{self, Receiver},
     },
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use anyhow::{Context as _, Result};
@@ -27,6 +26,7 @@ use trueup_linuxcnc::{
 use trueup_machine::{
     Machine, MachineFile, compile, file::LinearAxis, model::over_compensation_um,
 };
+use trueup_output::{escape::one_line, queue::Queue};
 
 use crate::{Outcome, UserError, files};
 
@@ -34,6 +34,8 @@ use crate::{Outcome, UserError, files};
 const TURNS_PER_CYCLE: f64 = 2.5;
 /// How often the learned file is looked at: it changes once in half an hour.
 const LOOK: Duration = Duration::from_secs(5);
+/// Longest wait at the end for the log.
+const LOG_END: Duration = Duration::from_millis(500);
 
 /// Runs as a component of LinuxCNC's HAL: sends commanded positions to a bridge and turns its offsets
 /// into external offsets. LinuxCNC starts it: `loadusr -W trueup linuxcnc --port ...`.
@@ -99,8 +101,8 @@ fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Where the component tells what happens: standard error, and a file.
-struct Log(Option<File>);
+/// Where the component reports what happens: standard error, and a file. Neither delays the servo cycle.
+struct Log(Option<Queue>);
 
 impl Log {
     fn open(path: Option<&Path>) -> Result<Self> {
@@ -108,21 +110,29 @@ impl Log {
             let file = OpenOptions::new().append(true).create(true).open(path);
             file.with_context(|| format!("the log {} cannot be written", path.display()))
         };
-        Ok(Self(path.map(append).transpose()?))
+        let file = path.map(append).transpose()?;
+        Ok(Self(file.map(|file| Queue::new("the log", file))))
     }
 
-    fn tell(&mut self, text: &str) {
-        eprintln!("trueup: {text}");
-        if let Some(file) = &mut self.0 {
-            // A full disk must not end the component.
-            writeln!(file, "trueup: {text}").ok();
+    fn tell(&self, text: &str) {
+        trueup_output::diagnostic(format_args!("trueup: {text}"));
+        if let Some(file) = &self.0 {
+            file.push(format!("trueup: {}\n", one_line(text)));
+        }
+    }
+
+    /// Waits a short time until the file has all of it.
+    fn finish(&self) {
+        if let Some(file) = &self.0 {
+            file.finish(Instant::now() + LOG_END);
         }
     }
 }
 
 /// Runs until LinuxCNC ends it.
 pub fn run(args: &LinuxCnc) -> Result<Outcome> {
-    let mut log = Log::open(args.log.as_deref())?;
+    trueup_output::detach();
+    let log = Log::open(args.log.as_deref())?;
     let port = Port::parse(&args.port)?;
     let machine = args.machine.as_ref().map(|path| files::machine(path)).transpose()?;
     let against_um = LinearAxis::ALL
@@ -175,7 +185,10 @@ pub fn run(args: &LinuxCnc) -> Result<Outcome> {
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
     let learned = args.learned.clone().zip(machine).map(|(path, machine)| watch(path, machine));
     let news = learned.map(|it| move || it.try_recv().ok());
-    run::run(&settings, move || port.open(), &stop, record, news, |text| log.tell(text))?;
+    let ended =
+        run::run(&settings, move || port.open(), &stop, record, news, |text| log.tell(text));
+    log.finish();
+    ended?;
     Ok(Outcome::Done)
 }
 

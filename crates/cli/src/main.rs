@@ -53,6 +53,7 @@ use anyhow::Result;
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use trueup_client::Unusable;
 use trueup_machine::BadInput;
+use trueup_output::escape::is_unsafe;
 
 use report::Manner;
 
@@ -155,10 +156,48 @@ impl std::fmt::Display for UserError {
 impl std::error::Error for UserError {}
 
 fn main() -> ExitCode {
-    let cli = Cli::read(env::args_os()).unwrap_or_else(|error| error.exit());
+    let cli = match Cli::read(env::args_os()) {
+        Ok(cli) => cli,
+        Err(error) => return usage(&error),
+    };
     report::set(Manner { json: cli.json, quiet: cli.quiet, verbose: cli.verbose });
     files::accept(&cli.accept);
-    match run(&cli) {
+    let code = exit_code(run(&cli));
+    trueup_output::finish();
+    code
+}
+
+/// Prints help, or what is wrong with the command line.
+fn usage(error: &clap::Error) -> ExitCode {
+    let text = error.render();
+    let is_help = !error.use_stderr();
+    let is_terminal = match is_help {
+        true => trueup_output::is_output_terminal(),
+        false => trueup_output::is_error_terminal(),
+    };
+    // A terminal gets clap's colours, unless the command line could bring some of its own.
+    let is_plain = !text.to_string().chars().any(|c| c != '\n' && is_unsafe(c));
+    let text = text.to_string();
+    let printed = match (is_help, is_terminal && is_plain) {
+        (_, true) => error.print(),
+        (true, false) => trueup_output::result(text.trim_end()),
+        (false, false) => {
+            trueup_output::diagnostic(text.trim_end());
+            Ok(())
+        }
+    };
+    match (printed, u8::try_from(error.exit_code())) {
+        (Err(why), _) if is_help => {
+            report::error(format_args!("standard output cannot be written: {why}"));
+            ExitCode::FAILURE
+        }
+        (_, code) => code.map_or(ExitCode::FAILURE, ExitCode::from),
+    }
+}
+
+/// Reports why a command has failed, and gives its exit status.
+fn exit_code(ended: Result<Outcome>) -> ExitCode {
+    match ended {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::NotMet) => ExitCode::from(3),
         Err(error) => match error.downcast::<BadInput>() {

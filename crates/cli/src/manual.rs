@@ -1,11 +1,7 @@
 //! `trueup completions` and `trueup man`: what a shell and `man` know of this tool, out of its own
 //! description of its commands.
 
-use std::{
-    fs,
-    io::{self, Write as _},
-    path::PathBuf,
-};
+use std::{fs, io::Write as _, path::PathBuf};
 
 use anyhow::{Context as _, Result};
 use clap::{Args, Command};
@@ -34,7 +30,10 @@ pub struct Man {
 pub fn completions(args: &Completions, mut tool: Command) -> Result<Outcome> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut tool, "trueup", &mut script);
-    io::stdout().write_all(&script)?;
+    let mut out = trueup_output::Output;
+    out.write_all(&script)
+        .and_then(|()| out.flush())
+        .context("standard output cannot be written")?;
     Ok(Outcome::Done)
 }
 

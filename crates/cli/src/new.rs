@@ -1,7 +1,7 @@
 //! `trueup new`: a machine file to begin with, from flags or, on a terminal, from questions.
 
 use std::{
-    io::{IsTerminal as _, stdin, stdout},
+    io::{IsTerminal as _, stdin},
     path::{Path, PathBuf},
 };
 
@@ -121,7 +121,8 @@ pub fn run(args: &New, as_json: bool) -> Result<Outcome> {
     if !is_stdout {
         is_free(&args.output)?;
     }
-    let asks = !args.yes && !as_json && stdin().is_terminal() && stdout().is_terminal();
+    let asks =
+        !args.yes && !as_json && stdin().is_terminal() && trueup_output::is_output_terminal();
     let template = match (by_flags(args)?, asks) {
         (template, true) => questions::ask(template, &said(args))?,
         (template, false) => template,

@@ -1,10 +1,10 @@
-//! What the tool leaves behind: files that are whole or untouched, and lines on standard output.
+//! What the tool leaves behind: files that are whole or untouched, and results on standard output.
+//! Diagnostics go through `trueup_output::diagnostic` or `report`.
 
 use std::{
     fs::{self, OpenOptions},
     io::{self, BufWriter, Write},
     path::{Path, PathBuf},
-    process,
     sync::atomic::{AtomicBool, Ordering},
 };
 
@@ -27,11 +27,9 @@ pub fn write_whole<T>(
 ) -> Result<T> {
     if is_standard_output(path) {
         IS_TAKEN.store(true, Ordering::Relaxed);
-        let mut out = BufWriter::new(io::stdout().lock());
-        return match write(&mut out).and_then(|result| out.flush().map(|()| result)) {
-            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => process::exit(0),
-            other => other.context("standard output cannot be written"),
-        };
+        let mut out = BufWriter::new(trueup_output::Output);
+        let written = write(&mut out).and_then(|result| out.flush().map(|()| result));
+        return written.context("standard output cannot be written");
     }
     // A link is followed, so that the file it leads to is written and not the link.
     let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
@@ -102,18 +100,14 @@ fn beside(target: &Path) -> io::Result<tempfile::NamedTempFile> {
     builder.tempfile_in(folder)
 }
 
-/// Prints a result on a line of its own. A reader that has seen enough (`| head`) ends the program
-/// in peace.
+/// Prints a result on a line of its own. A reader that has seen enough (`| head`) gets no more, and the command
+/// goes on: its exit status stands.
 pub fn print(result: impl std::fmt::Display) -> Result<()> {
     if IS_TAKEN.load(Ordering::Relaxed) {
-        eprintln!("{result}");
+        trueup_output::diagnostic(result);
         return Ok(());
     }
-    let mut out = io::stdout().lock();
-    match writeln!(out, "{result}").and_then(|()| out.flush()) {
-        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => process::exit(0),
-        other => other.context("standard output cannot be written"),
-    }
+    trueup_output::result(result).context("standard output cannot be written")
 }
 
 /// Prints which files were written into a folder.

@@ -14,9 +14,9 @@
 
 use std::{
     env,
-    fmt::{self, Display},
+    fmt::Display,
     fs::File,
-    io::{BufRead as _, BufReader, IsTerminal as _, Read as _, stderr},
+    io::{BufRead as _, BufReader, Read as _},
     path::Path,
     sync::{
         OnceLock,
@@ -27,6 +27,7 @@ use std::{
 use annotate_snippets::{AnnotationKind, Group, Level, Origin, Renderer, Snippet};
 use serde_json::json;
 use trueup_machine::{BadInput, Location, check::Warning};
+use trueup_output::escape::{is_unsafe, one_line};
 
 /// How the user wants to be told.
 #[derive(Clone, Copy, Debug, Default)]
@@ -73,7 +74,7 @@ pub fn bad_input(error: BadInput) {
     if unlisted > 0 {
         self::error(format_args!("and {unlisted} more in this file"));
     } else if errors.len() > 1 && !manner().json {
-        eprintln!("{} errors", errors.len());
+        trueup_output::diagnostic(format_args!("{} errors", errors.len()));
     }
 }
 
@@ -104,25 +105,29 @@ pub fn in_short(file: &Path, warnings: &[Warning]) {
         if manner().json {
             say(Level::WARNING, what, Some(place), Some(help));
         } else {
-            eprintln!("{}: {place}: {}", painted("warning"), one_line(what));
+            let text = one_line(&format!("{place}: {what}"));
+            trueup_output::styled(format_args!("{}: {text}", painted("warning")));
         }
     }
     if !warnings.is_empty() && !manner().json {
-        eprintln!("  `trueup check {}` says what to do about it", file.display());
+        trueup_output::diagnostic(format_args!(
+            "  `trueup check {}` says what to do about it",
+            one_line(&file.to_string_lossy())
+        ));
     }
 }
 
 /// What the user asked to be told beyond the result, by `-v`.
 pub fn in_detail(words: impl FnOnce() -> String) {
     if manner().verbose && !manner().json {
-        eprintln!("{}", words());
+        trueup_output::diagnostic(words());
     }
 }
 
 fn say(level: Level<'_>, text: &str, place: Option<&Location>, help: Option<&str>) {
     if manner().json {
         let word = if level == Level::ERROR { "error" } else { "warning" };
-        eprintln!("{}", object(word, text, place, help));
+        trueup_output::diagnostic(object(word, text, place, help));
         return;
     }
     let text = one_line(text);
@@ -130,7 +135,7 @@ fn say(level: Level<'_>, text: &str, place: Option<&Location>, help: Option<&str
     let title = level.primary_title(text.as_str());
     let mut group = Group::with_title(title);
     if let Some(place) = place {
-        let path = place.file.to_string_lossy().into_owned();
+        let path = one_line(&place.file.to_string_lossy());
         group = match source {
             Some((line, span)) => group.element(
                 Snippet::source(line)
@@ -146,7 +151,7 @@ fn say(level: Level<'_>, text: &str, place: Option<&Location>, help: Option<&str
         group = group.element(Level::HELP.message(help.as_str()));
     }
     let renderer = if is_coloured() { Renderer::styled() } else { Renderer::plain() };
-    eprintln!("{}", renderer.render(&[group]));
+    trueup_output::styled(renderer.render(&[group]));
 }
 
 /// A message as `--json` prints it.
@@ -169,25 +174,11 @@ pub fn object(
 /// Whether standard error shows colours, and may.
 fn is_coloured() -> bool {
     let is_forbidden = env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
-    stderr().is_terminal() && !is_forbidden
+    trueup_output::is_error_terminal() && !is_forbidden
 }
 
 fn painted(word: &str) -> String {
     if is_coloured() { format!("\u{1b}[1m\u{1b}[33m{word}\u{1b}[0m") } else { word.into() }
-}
-
-/// `text` without the control characters that a user's file may have brought into it.
-fn one_line(text: impl AsRef<str>) -> String {
-    struct Escaped<'t>(&'t str);
-    impl Display for Escaped<'_> {
-        fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-            self.0.chars().try_for_each(|c| match c.is_control() {
-                true => write!(f, "{}", c.escape_default()),
-                false => write!(f, "{c}"),
-            })
-        }
-    }
-    Escaped(text.as_ref()).to_string()
 }
 
 /// The longest line that is shown, in bytes.
@@ -211,7 +202,7 @@ fn line_at(place: &Location) -> Option<(String, std::ops::Range<usize>)> {
     let text = String::from_utf8(line).ok()?;
     let text = text.trim_start_matches('\u{feff}').trim_end_matches(['\n', '\r']);
     // What would move the caret from its place, or the terminal's cursor.
-    if text.is_empty() || text.chars().any(char::is_control) {
+    if text.is_empty() || text.chars().any(is_unsafe) {
         return None;
     }
     let start = text.char_indices().nth(place.column.checked_sub(1)?);
@@ -255,10 +246,5 @@ mod tests {
             assert_eq!(token(text, None), length, "{text}");
         }
         assert_eq!(token("2,5;x", Some(';')), 3);
-    }
-
-    #[test]
-    fn a_users_line_breaks_stay_on_the_line() {
-        assert_eq!(one_line("a\nb\u{1b}[31m"), "a\\nb\\u{1b}[31m");
     }
 }

@@ -42,6 +42,8 @@ pub fn run(args: &Virtual) -> Result<Outcome> {
         return Err(UserError(reason).into());
     }
     let machine = files::machine(&args.machine)?;
+    // Clients wait for the board's time, which must not wait for a terminal.
+    trueup_output::detach();
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;

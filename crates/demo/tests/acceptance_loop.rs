@@ -2,6 +2,7 @@
 //! what the acceptance says; from constants that are 40 % wrong it passes in at most three turns.
 //!
 //! The board's application runs in this process; it sends what the board sends, to the bit.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use std::path::Path;
 

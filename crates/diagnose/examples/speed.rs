@@ -9,6 +9,7 @@
 //! heat besides; and an axis with a wrong slope, a screw's wave and a backlash; each in a process of its own, from
 //! reading the file to the answer. Times are those of this computer: the ratio from line to line is what counts; or
 //! `beside` this example of another version, built before, on the same files, in turn, the least of five times each, of the longest once.
+#![allow(clippy::print_stdout, clippy::print_stderr, reason = "an example prints its result")]
 
 use std::{
     env, fs,

@@ -1,5 +1,6 @@
 //! Every cause is hidden at least once, and every pair that one machine can have: each is named, its
 //! values are inside their intervals, and an unseen run gains.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 #[path = "score/own.rs"]
 mod own;

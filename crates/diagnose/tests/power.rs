@@ -1,5 +1,6 @@
 //! Too little data is an answer, and a clean one says what would have been seen: tried by hiding an error of
 //! that size.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use std::{fmt::Write as _, path::Path};
 

@@ -2,6 +2,7 @@
 //! Where the data are missing a test says so and does nothing.
 //!
 //! `cargo test -p trueup-diagnose --test tables -- --show-output` prints the figures.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use std::{borrow::Cow, path::Path};
 

@@ -107,7 +107,7 @@ impl VirtualBoard {
         thread::spawn(move || {
             let keep = |line| lines.lock().unwrap_or_else(PoisonError::into_inner).push(line);
             if let Err(error) = decoder.follow(source, keep) {
-                eprintln!("the board's log ends: {error:#}");
+                trueup_output::diagnostic(format_args!("the board's log ends: {error:#}"));
             }
         });
 

@@ -122,8 +122,8 @@ pub fn show<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Resul
     let source = File::open(&pipe)?;
     let decoder = Decoder::of(image)?;
     let follower = std::thread::spawn(move || {
-        decoder.follow(source, |line| println!("{line}")).err().inspect(|error| {
-            eprintln!("the log ends: {error:#}");
+        decoder.follow(source, trueup_output::line).err().inspect(|error| {
+            trueup_output::diagnostic(format_args!("the log ends: {error:#}"));
         })
     });
     let status = child.wait()?;

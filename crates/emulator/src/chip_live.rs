@@ -57,7 +57,7 @@ impl LiveChip {
         thread::spawn(move || {
             let keep = |line| lines.lock().unwrap_or_else(PoisonError::into_inner).push(line);
             if let Err(error) = decoder.follow(source, keep) {
-                eprintln!("the board's log ends: {error:#}");
+                trueup_output::diagnostic(format_args!("the board's log ends: {error:#}"));
             }
         });
         let world = child.stdin.take();

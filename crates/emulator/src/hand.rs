@@ -45,7 +45,7 @@ impl Hand {
             while has_line() {
                 line.clear();
                 match io::stdin().read_line(&mut line) {
-                    Ok(1..) => eprintln!("{}", typed.take(line.trim())),
+                    Ok(1..) => trueup_output::diagnostic(typed.take(line.trim())),
                     _ => return,
                 }
             }

@@ -48,8 +48,8 @@ impl Measured {
         fs::create_dir_all(&folder)?;
         let text = serde_json::to_string_pretty(&self.json)? + "\n";
         fs::write(folder.join("measure.json"), text)?;
-        println!("{}", self.table);
-        println!("The figures: target/measure/measure.json");
+        trueup_output::line(&self.table);
+        trueup_output::line("The figures: target/measure/measure.json");
         ensure!(self.identical, "the board does not send what the host sends");
         Ok(())
     }

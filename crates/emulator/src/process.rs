@@ -15,7 +15,7 @@ pub fn run(command: &mut Command) -> Result<()> {
     let line = line(command);
     let status = command
         .stdin(Stdio::null())
-        .stdout(std::io::stderr())
+        .stdout(trueup_output::error_stream())
         .status()
         .with_context(|| format!("cannot start `{line}`"))?;
     if !status.success() {

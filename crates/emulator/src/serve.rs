@@ -72,7 +72,10 @@ pub fn serve(
     stop: Arc<AtomicBool>,
 ) -> Result<()> {
     let mut board = VirtualBoard::boot(image, calibration)?;
-    eprintln!("the bridge is up in QEMU (process {})", board.qemu().id());
+    trueup_output::diagnostic(format_args!(
+        "the bridge is up in QEMU (process {})",
+        board.qemu().id()
+    ));
     end_with(stop.clone(), board.qemu().id());
     let result = play(&mut board, front_end, listener, source, hand, &stop);
     // Whatever broke because it was stopped is not an error.
@@ -144,7 +147,7 @@ fn play(
     };
     match source {
         SampleSource::Run { replay, speed } => {
-            eprintln!("the replay starts when a client opens the channel");
+            trueup_output::diagnostic("the replay starts when a client opens the channel");
             while !opened.load(Ordering::Relaxed) {
                 if is_over(board)? {
                     return Ok(());
@@ -177,7 +180,7 @@ fn play(
                     break;
                 }
             }
-            eprintln!("the plant has closed its line");
+            trueup_output::diagnostic("the plant has closed its line");
         }
     }
     Ok(())
@@ -219,7 +222,9 @@ impl Pace {
         let largest = LARGEST_BACKLOG_MS * speed.max(1.0);
         if self.owed_ms > largest {
             if !self.slipped {
-                eprintln!("this machine is too slow for {speed} times real time: time slips");
+                trueup_output::diagnostic(format_args!(
+                    "this machine is too slow for {speed} times real time: time slips"
+                ));
                 self.slipped = true;
             }
             self.owed_ms = largest;
@@ -233,7 +238,7 @@ impl Pace {
 /// Shows what the board has logged.
 fn tell(board: &VirtualBoard) {
     for line in board.take_log() {
-        eprintln!("board: {line}");
+        trueup_output::diagnostic(format_args!("board: {line}"));
     }
 }
 
@@ -281,7 +286,7 @@ fn share_line(
     thread::spawn(move || {
         for stream in listener.incoming().flatten() {
             if let Err(error) = serve_client(stream, &client, &line, &opened, &heard) {
-                eprintln!("a client is gone: {error}");
+                trueup_output::diagnostic(format_args!("a client is gone: {error}"));
             }
             lock(&client).take();
         }
@@ -304,14 +309,14 @@ fn serve_client(
     stream.set_nodelay(true)?;
     set_socket_send_buffer_size(&stream, CLIENT_QUEUE)?;
     let peer = stream.peer_addr()?;
-    eprintln!("client {peer} is connected");
+    trueup_output::diagnostic(format_args!("client {peer} is connected"));
     *lock(client) = Some(Client { stream: stream.try_clone()?, is_new: true });
     let mut bytes = [0; 4096];
     let mut command: Vec<u8> = Vec::new();
     loop {
         let length = stream.read(&mut bytes)?;
         if length == 0 {
-            eprintln!("client {peer} has closed its connection");
+            trueup_output::diagnostic(format_args!("client {peer} has closed its connection"));
             return Ok(());
         }
         let mut opens = false;

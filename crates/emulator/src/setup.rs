@@ -64,7 +64,9 @@ pub fn toolchain() -> Result<Toolchain> {
     match rustup() {
         Ok(()) => Ok(Toolchain::Rustup),
         Err(first) if forced.is_empty() => {
-            eprintln!("{first:#}; trying the distribution's compiler");
+            trueup_output::diagnostic(format_args!(
+                "{first:#}; trying the distribution's compiler"
+            ));
             distribution().map_err(|second| {
                 second.context(format!(
                     "the target {TARGET} cannot be installed; the first way failed: {first:#}"
@@ -92,7 +94,10 @@ fn rustup() -> Result<()> {
     }
     let mut add = Command::new("rustup");
     add.args(["target", "add", TARGET]);
-    eprintln!("the compiler lacks {TARGET}; running `{}`", process::line(&add));
+    trueup_output::diagnostic(format_args!(
+        "the compiler lacks {TARGET}; running `{}`",
+        process::line(&add)
+    ));
     process::run(&mut add)?;
     if !target_is_there() {
         bail!("rustup added {TARGET}, but not to the compiler in use");
@@ -171,7 +176,7 @@ pub fn python() -> Result<PathBuf> {
     if process::find("python3").is_none() {
         install(&["python3", "python3-venv"], "Python, for the CAN clients of the tests")?;
     }
-    eprintln!("installing the Python CAN clients into target/python");
+    trueup_output::diagnostic("installing the Python CAN clients into target/python");
     let make = |python: &str| {
         process::run(Command::new(python).args(["-m", "venv", "--clear"]).arg(&folder))
     };
@@ -316,7 +321,10 @@ fn install(packages: &[&str], what: &str) -> Result<()> {
         command.args(["-qq", "-o", "DPkg::Lock::Timeout=300"]).args(arguments);
         process::run(command.env("DEBIAN_FRONTEND", "noninteractive"))
     };
-    eprintln!("{what} is missing; installing: {}", packages.join(" "));
+    trueup_output::diagnostic(format_args!(
+        "{what} is missing; installing: {}",
+        packages.join(" ")
+    ));
     apt(&["update"])
         .and_then(|()| apt(&[&["install", "-y", "--no-install-recommends"], packages].concat()))
         .with_context(|| format!("{what} could not be installed; by hand:\n    {by_hand}"))

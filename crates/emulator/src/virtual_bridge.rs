@@ -74,7 +74,9 @@ pub fn run(
             let unused: Vec<_> = names.filter(|name| !Replay::uses(machine, name)).collect();
             if !unused.is_empty() {
                 let unused = unused.join(", ");
-                eprintln!("not replayed, this machine has no input for them: {unused}");
+                trueup_output::diagnostic(format_args!(
+                    "not replayed, this machine has no input for them: {unused}"
+                ));
             }
             let replay = Replay::new(&run, machine, options.row_s)?;
             Ok(SampleSource::Run { replay, speed: options.speed.0 })
@@ -93,7 +95,10 @@ pub fn run(
         }
     };
     // Port 0 asks for any free one, so this is what was got, not what was asked for.
-    eprintln!("the CNC's line is at tcp:{} (SLCAN)", listener.local_addr()?);
+    trueup_output::diagnostic(format_args!(
+        "the CNC's line is at tcp:{} (SLCAN)",
+        listener.local_addr()?
+    ));
     let divider = inputs.and_then(|inputs| inputs.sensor.as_ref()).map_or(0.0, |it| it.divider);
     let front_end = FrontEnd::new(divider, options.seed);
     let hand = Hand::at_standard_input();

@@ -3,6 +3,7 @@
 //!
 //! The folder is what `TRUEUP_DATA` names, else `../shared/data` beside the project. Whoever has
 //! neither loses the tests on them, and is told so for each: nothing is left out in silence.
+#![allow(clippy::print_stdout, clippy::disallowed_methods, reason = "only tests use it")]
 #![forbid(unsafe_code)]
 
 use std::{

@@ -3,6 +3,7 @@
 //! `cargo test -p trueup-numerics --test nist -- --show-output` prints the digits that agree with the
 //! certified values, −log₁₀ of the relative difference, for each parameter and its standard
 //! deviation.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use std::{fs, path::Path};
 

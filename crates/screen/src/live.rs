@@ -96,10 +96,11 @@ pub fn run(options: Options) -> Result<bool> {
     }
     let terminal = ratatui::try_init().context("the terminal cannot be used; try --plain")?;
     let ended = live.turn(terminal, theme, &line, indicator.as_ref());
-    ratatui::restore();
+    // `restore` prints its failure to a standard error that may be gone.
+    _ = ratatui::try_restore();
     ended?;
     if let Some(recorder) = &live.recorder {
-        eprintln!("{}", recorder.summary());
+        trueup_output::diagnostic(recorder.summary());
     }
     Ok(live.state.is_sound())
 }

@@ -1,5 +1,6 @@
 //! The flashable image, unmodified, on the model of its chip (`crates/chip`): healthy, and with each part
 //! dead that has a fall-back. The model knows the manuals and not the firmware, so what it finds counts.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 mod other_model;
 mod power_cuts;

@@ -1,5 +1,6 @@
 //! The RS-485 line of the flashable image: masters of other people read and engage it, and what is polled is of one
 //! cycle.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use std::{
     ffi::OsStr,

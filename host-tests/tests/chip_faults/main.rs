@@ -1,5 +1,6 @@
 //! Every fault of the flashable image that the list names, provoked on the model of its chip: what becomes of it, within
 //! what time, and what the board says after it. The page `docs/faults.md` is printed from the same list.
+#![allow(clippy::print_stdout, clippy::print_stderr, reason = "a test prints its figures")]
 
 mod case;
 mod list;

@@ -2,6 +2,7 @@
 //! real firmware on the virtual board: faults of every kind. In none of them does a joint step by
 //! more than the slew limit allows in one servo cycle, and afterwards the offset that LinuxCNC
 //! applies equals its target again. Every servo cycle is recorded by LinuxCNC's own sampler.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 #[path = "../linuxcnc_rig/mod.rs"]
 mod linuxcnc_rig;

@@ -3,6 +3,7 @@
 //! ```text
 //!  growth ─► front end ─► VirtualBoard ─► serial ─► (damage) ─► TCP ─► the component
 //! ```
+#![allow(clippy::print_stderr, reason = "a test prints its figures")]
 
 use std::{
     io::{ErrorKind, Read, Write},

@@ -1,4 +1,5 @@
 //! A bridge and a LinuxCNC with the sample configuration, shared by the tests that run at a time.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 pub mod bridge;
 pub mod control;

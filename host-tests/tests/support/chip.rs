@@ -1,4 +1,5 @@
 //! A flashable image for a machine of the test's on the model of its chip.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use std::{
     fs,

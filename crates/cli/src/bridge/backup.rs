@@ -105,6 +105,8 @@ pub fn save(args: &Save, as_json: bool) -> Result<Outcome> {
 
 /// Gives a bridge what `save` has kept of another one.
 pub fn restore(args: &Restore, as_json: bool) -> Result<Outcome> {
+    // What counts is what becomes of the board.
+    trueup_output::best_effort();
     let bad = |rule: String| UserError(format!("{}: {rule}", args.file.display()));
     let text =
         fs::read_to_string(&args.file).map_err(|error| bad(format!("cannot be read: {error}")))?;

@@ -3,7 +3,7 @@
 
 use std::{
     fs,
-    io::{IsTerminal as _, Write as _, stderr, stdin},
+    io::{IsTerminal as _, stdin},
     path::{Path, PathBuf},
 };
 
@@ -74,6 +74,8 @@ pub struct Loaded {
 
 /// Loads the calibration of a file.
 pub fn run(args: &Load, as_json: bool) -> Result<Outcome> {
+    // What counts is what becomes of the board.
+    trueup_output::best_effort();
     let blob = read(&args.calibration)?;
     args.how.can_ask(as_json)?;
     let mut session = Session::open(&Line::parse(&args.port.port)?)?;
@@ -143,11 +145,13 @@ pub fn put(session: &mut Session, blob: &[u8], how: How) -> Result<Loaded> {
     }
     let differences = who::differences(session, blob)?;
     match &differences {
-        None => eprintln!("the bridge has no calibration to compare with"),
-        Some(all) if all.is_empty() => eprintln!("the bridge runs on the same laws already"),
+        None => trueup_output::diagnostic("the bridge has no calibration to compare with"),
+        Some(all) if all.is_empty() => {
+            trueup_output::diagnostic("the bridge runs on the same laws already")
+        }
         Some(all) => {
-            eprintln!("what changes:");
-            all.iter().for_each(|change| eprintln!("  {change}"));
+            trueup_output::diagnostic("what changes:");
+            all.iter().for_each(|change| trueup_output::diagnostic(format_args!("  {change}")));
         }
     }
     if !how.yes && !agreed()? {
@@ -162,8 +166,7 @@ pub fn put(session: &mut Session, blob: &[u8], how: How) -> Result<Loaded> {
 }
 
 fn agreed() -> Result<bool> {
-    eprint!("Load it? [y/N] ");
-    stderr().flush()?;
+    trueup_output::prompt("Load it? [y/N] ");
     let mut answer = String::new();
     stdin().read_line(&mut answer)?;
     Ok(matches!(answer.trim().to_ascii_lowercase().as_str(), "y" | "yes"))

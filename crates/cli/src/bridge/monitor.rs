@@ -1,7 +1,7 @@
 //! `trueup bridge monitor`: the live screen on a terminal, lines everywhere else.
 
 use std::{
-    io::{IsTerminal as _, stdin, stdout},
+    io::{IsTerminal as _, stdin},
     path::PathBuf,
 };
 
@@ -69,7 +69,7 @@ enum IndicatorUnit {
 
 /// Shows the bridge, or prints a line a second.
 pub fn run(args: &Monitor, as_json: bool) -> Result<Outcome> {
-    let is_screen = stdout().is_terminal() && stdin().is_terminal();
+    let is_screen = trueup_output::is_output_terminal() && stdin().is_terminal();
     if as_json || args.plain || args.count.is_some() || !is_screen {
         let record = args.record.as_deref().map(|record| (record, args.machine.as_deref()));
         return plain::run(&args.port.port, args.count, record, args.strict, as_json);

@@ -53,7 +53,7 @@ pub fn run(
     let mut recorder = record
         .map(|(path, machine)| Recorder::begin(path, machine, port.interface(), None))
         .transpose()?;
-    eprintln!("listening only: this command engages nothing");
+    trueup_output::diagnostic("listening only: this command engages nothing");
     if let (Some(recorder), Some(running)) = (&mut recorder, running) {
         recorder.runs(running);
     }
@@ -98,10 +98,14 @@ pub fn run(
         if !second.is_sound() {
             outcome = Outcome::NotMet;
         }
+        // A recording is what is wanted then, and goes on.
+        if !trueup_output::has_reader() && recorder.is_none() {
+            break;
+        }
     }
     session.close();
     if let Some(recorder) = &recorder {
-        eprintln!("{}", recorder.summary());
+        trueup_output::diagnostic(recorder.summary());
     }
     Ok(outcome)
 }
@@ -132,7 +136,7 @@ impl Calibration {
         if self.is_strict {
             bail!(UserError(sentence));
         }
-        eprintln!("warning: {sentence}");
+        trueup_output::diagnostic(format_args!("warning: {sentence}"));
         Ok(told.ok())
     }
 }

@@ -3,7 +3,7 @@
 use std::{
     collections::VecDeque,
     fs,
-    io::{IsTerminal as _, Write as _, stderr, stdin},
+    io::{IsTerminal as _, stdin},
     path::Path,
 };
 
@@ -30,15 +30,14 @@ impl Answers {
 
     /// The answer to a question; `None`: there is none yet.
     pub fn ask(&mut self, question: &str) -> Result<Option<String>> {
-        eprint!("{question}: ");
-        stderr().flush()?;
+        trueup_output::prompt(format_args!("{question}: "));
         if let Some(written) = &mut self.written {
             let answer = written.pop_front();
-            eprintln!("{}", answer.as_deref().unwrap_or("no answer is written"));
+            trueup_output::diagnostic(answer.as_deref().unwrap_or("no answer is written"));
             return Ok(answer);
         }
         if !stdin().is_terminal() {
-            eprintln!("nobody is at the terminal; --readings FILE answers");
+            trueup_output::diagnostic("nobody is at the terminal; --readings FILE answers");
             return Ok(None);
         }
         let mut answer = String::new();

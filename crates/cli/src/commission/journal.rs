@@ -125,7 +125,7 @@ impl Journal {
     /// Writes a line down, with the time, and shows it.
     pub fn log(&self, line: &str) -> Result<()> {
         self.write(line)?;
-        eprintln!("{line}");
+        trueup_output::diagnostic(line);
         Ok(())
     }
 

@@ -22,6 +22,7 @@ mod ranges;
 mod records;
 mod screen;
 mod simulate;
+mod streams;
 #[cfg(target_os = "linux")]
 mod terminal;
 mod tutorial;

@@ -2,7 +2,7 @@
 //! often it cries where nothing is wrong. `docs/detectors.md` has the times and what the statistics promise.
 //!
 //! The sensor that is made here shares nothing with the twin: growth, run-out, noise, in codes.
-
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 // A test may count and round as it likes: what overflows panics.
 #![allow(clippy::arithmetic_side_effects, clippy::cast_possible_truncation, clippy::cast_sign_loss)]
 

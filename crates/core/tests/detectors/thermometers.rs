@@ -1,4 +1,5 @@
 //! Thermometers: dead ones, ones that jump, ones that stop, and sound ones.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use trueup_core::{
     channels::{Channel, Channels},

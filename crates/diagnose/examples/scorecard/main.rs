@@ -20,6 +20,7 @@
 //! ([`mod@physical`]), `pairs` of every two causes that one machine can have ([`mod@pairs`]), `program` what another
 //! version's program makes of the same files ([`program`]), `compare` what has become better or worse between two
 //! cards, draw by draw ([`compare`]).
+#![allow(clippy::print_stdout, clippy::print_stderr, reason = "an example prints its result")]
 
 #[path = "../../tests/score/pairs.rs"]
 mod all_pairs;

@@ -1,4 +1,5 @@
 //! What the planned runs, and two fixed cycles, need over many machines.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use trueup_diagnose::{Diagnosis, Next, NoNext};
 use trueup_machine::RunFile;

@@ -8,11 +8,11 @@ use std::process::ExitCode;
 fn main() -> ExitCode {
     match trueup_emulator::firmware::carried() {
         Ok(folder) => {
-            println!("{}", folder.display());
+            trueup_output::line(folder.display());
             ExitCode::SUCCESS
         }
         Err(error) => {
-            eprintln!("error: {error:#}");
+            trueup_output::diagnostic(format_args!("error: {error:#}"));
             ExitCode::FAILURE
         }
     }

@@ -277,7 +277,7 @@ impl Headless {
 impl Drop for Headless {
     fn drop(&mut self) {
         if let Err(error) = self.end() {
-            eprintln!("{error:#}");
+            trueup_output::diagnostic(format_args!("{error:#}"));
         }
     }
 }

@@ -115,7 +115,12 @@ pub fn run(on: On) -> Result<Option<Figures>> {
     bar.enable_steady_tick(Duration::from_millis(200));
     let tell = |what: &str| {
         // Also where nobody watches a bar.
-        bar.suspend(|| eprintln!("{:>4.0} s  {what}", started.elapsed().as_secs_f64()));
+        bar.suspend(|| {
+            trueup_output::diagnostic(format_args!(
+                "{:>4.0} s  {what}",
+                started.elapsed().as_secs_f64()
+            ))
+        });
         bar.set_message(what.to_owned());
     };
 
@@ -209,8 +214,8 @@ pub fn run(on: On) -> Result<Option<Figures>> {
 /// It does not run, or a figure is not reached; with the figure.
 pub fn run_and_publish(on: On) -> Result<Option<u32>> {
     let Some(figures) = run(on)? else {
-        println!(
-            "skipped: there is no package of LinuxCNC, or the compiler is too old for the chip"
+        trueup_output::line(
+            "skipped: there is no package of LinuxCNC, or the compiler is too old for the chip",
         );
         return Ok(None);
     };
@@ -218,9 +223,11 @@ pub fn run_and_publish(on: On) -> Result<Option<u32>> {
     fs::create_dir_all(&folder)?;
     fs::write(folder.join("summary.json"), serde_json::to_string_pretty(&figures)? + "\n")?;
     fs::write(folder.join("report.html"), page::page(&figures))?;
-    println!("{}", figures.table());
+    trueup_output::line(figures.table());
     let shown = on.folder();
-    println!("\nThe picture: {shown}/report.html   The figures: {shown}/summary.json");
+    trueup_output::line(format_args!(
+        "\nThe picture: {shown}/report.html   The figures: {shown}/summary.json"
+    ));
     figures.check().map(Some)
 }
 

@@ -1,4 +1,5 @@
 //! The pitch and backlash fits on axes whose true errors are known.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use crate::pitch_support::{machine_of, rms, run_of, sweeps};
 use rand::{Rng as _, SeedableRng as _};

@@ -2,6 +2,7 @@
 //! on some runs and tested on the others as `trueup predict` would correct them.
 //!
 //! `cargo test -p trueup-fit --test fit pitch_real -- --show-output` prints the figures.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use crate::pitch_support::{left_by_model, rms, unaided};
 use trueup_fit::{

@@ -2,6 +2,7 @@
 //! two-axis diagonal cut.
 //!
 //! The paper prints no data, so the curves are seeded (`support/guideway.rs`). Figures: `cargo test -p trueup-fit --test fit straightness_paper -- --show-output`.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use crate::support::guideway::{CURVES, Guideway};
 use trueup_fit::straightness::{Compared, Fit, Method, Options, Stop, fit};

@@ -1,4 +1,5 @@
 //! `fit warmup`: known truth, the way through a machine file, bad input.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use crate::support::{
     MACHINE, Noise, applied, assert_holds, assert_round_trip, machine, parse, predicted_rms, run,

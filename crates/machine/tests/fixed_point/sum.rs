@@ -1,4 +1,5 @@
 //! The sum of all parts, at knots, at pitch points and at random.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use trueup_core::curve::SEGMENT_SIZE;
 use trueup_machine::Machine;

@@ -1,4 +1,5 @@
 //! Resets and changes of source, drawn: the offset that a CNC applies goes on.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use std::collections::VecDeque;
 

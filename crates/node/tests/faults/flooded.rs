@@ -1,4 +1,5 @@
 //! One wire is flooded while the CNC is on the other: its offsets arrive as if nothing were.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use trueup_core::cnc::Quality;
 use trueup_link::{

@@ -4,7 +4,7 @@
 //!
 //! `cargo test -p trueup-node --test simulator` runs a million ticks, the long test ten million,
 //! `cargo xtask soak` a thousand million.
-
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 // A test may count and round as it likes: what overflows panics.
 #![allow(clippy::arithmetic_side_effects, clippy::cast_possible_truncation, clippy::cast_sign_loss)]
 

@@ -1,0 +1,61 @@
+//! Text from outside (file names, columns, machine files, devices on a line) as it may be shown: what would move a
+//! terminal's cursor, colour it, or reorder a line is written out, as `\u{1b}`. Letters of every script stay.
+
+use std::fmt::{self, Display, Write as _};
+
+/// Returns true for a character that is shown escaped: a control character (C0, DEL, C1), a line or paragraph
+/// separator, and what changes the direction of a line.
+#[must_use]
+pub fn is_unsafe(c: char) -> bool {
+    c.is_control()
+        || matches!(c,
+            '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+}
+
+/// Returns the text with every unsafe character escaped, line breaks included: for a value inside a line.
+#[must_use]
+pub fn one_line(text: &str) -> String {
+    Escaped { text, keep: &[] }.to_string()
+}
+
+/// Returns the text with every unsafe character escaped except line breaks and tabs: for a text of several lines.
+#[must_use]
+pub fn lines(text: &str) -> String {
+    Escaped { text, keep: &['\n', '\t'] }.to_string()
+}
+
+struct Escaped<'t> {
+    text: &'t str,
+    keep: &'t [char],
+}
+
+impl Display for Escaped<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for c in self.text.chars() {
+            match is_unsafe(c) && !self.keep.contains(&c) {
+                true => write!(f, "{}", c.escape_default())?,
+                false => f.write_char(c)?,
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_moves_a_cursor_or_turns_a_line_is_written_out_and_letters_stay() {
+        for (text, shown) in [
+            ("a\nb\u{1b}[31m", r"a\nb\u{1b}[31m"),
+            ("\u{9b}2J\u{7f}\u{85}", r"\u{9b}2J\u{7f}\u{85}"),
+            ("a\u{202e}b\u{2066}c\u{200f}\u{61c}", r"a\u{202e}b\u{2066}c\u{200f}\u{61c}"),
+            ("\u{2028}\u{200e}\u{2069}\u{202a}", r"\u{2028}\u{200e}\u{2069}\u{202a}"),
+            ("µm äöü 測定 Ω ±\u{200d}", "µm äöü 測定 Ω ±\u{200d}"),
+        ] {
+            assert_eq!(one_line(text), shown);
+        }
+        assert_eq!(lines("a\n\tb\r\u{7}"), "a\n\tb\\r\\u{7}");
+    }
+}

@@ -1,0 +1,223 @@
+//! The one way to standard output and standard error. [`result`] prints what a command was asked for,
+//! [`diagnostic`] everything else; both show control and bidirectional characters escaped. `print!`,
+//! `eprintln!`, `stdout()` and `stderr()` are denied by clippy everywhere else.
+//!
+//! | stream cannot be written | `diagnostic` | `result` |
+//! |---|---|---|
+//! | reader gone (`EPIPE`) | dropped | dropped; the command goes on, its exit status stands |
+//! | full disk, I/O error | dropped | an error; after [`detach`] or [`best_effort`] a diagnostic |
+//! | busy (`EAGAIN`) | waits one second, then dropped | waits |
+//! | reader stopped, pipe full | waits; after [`detach`] dropped and counted | waits; after [`detach`] dropped and counted |
+//!
+//! A control path (the LinuxCNC component, a gateway, a virtual bridge) calls [`detach`] before it starts: from then
+//! on a thread of its own writes each stream from a bounded queue ([`queue`]), and no call here waits.
+
+pub mod escape;
+pub mod queue;
+
+use std::{
+    fmt::Display,
+    io::{self, ErrorKind, IsTerminal as _, Write},
+    sync::{
+        OnceLock,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread,
+    time::{Duration, Instant},
+};
+
+use escape::lines;
+use queue::Queue;
+
+/// Longest wait for a standard error that is busy (`EAGAIN`).
+const DIAGNOSTIC_WAIT: Duration = Duration::from_secs(1);
+/// From one try to the next on a stream that is busy.
+const RETRY: Duration = Duration::from_millis(2);
+/// Longest wait at the end for queued lines.
+const FINISH: Duration = Duration::from_millis(500);
+
+/// The reader of standard output is gone.
+static HAS_READER_LEFT: AtomicBool = AtomicBool::new(false);
+/// A result that cannot be written is reported as a diagnostic.
+static IS_BEST_EFFORT: AtomicBool = AtomicBool::new(false);
+/// That has been reported.
+static IS_REPORTED: AtomicBool = AtomicBool::new(false);
+static DETACHED: OnceLock<Detached> = OnceLock::new();
+
+/// The queues of a control path.
+struct Detached {
+    output: Queue,
+    error: Queue,
+}
+
+/// Writes both streams from threads of their own from now on: no call waits, lines that a stream does not take are
+/// dropped and counted, and no failure to write is an error.
+pub fn detach() {
+    best_effort();
+    DETACHED.get_or_init(|| Detached {
+        output: Queue::new("standard output", io::stdout()),
+        error: Queue::new("standard error", io::stderr()),
+    });
+}
+
+/// Reports a result that cannot be written as a diagnostic from now on: for a command whose product is not what it
+/// prints, such as one that changes a bridge.
+pub fn best_effort() {
+    IS_BEST_EFFORT.store(true, Ordering::Relaxed);
+}
+
+/// Waits a short time until queued lines are written; at the end of a program.
+pub fn finish() {
+    if let Some(Detached { output, error }) = DETACHED.get() {
+        let deadline = Instant::now() + FINISH;
+        output.finish(deadline);
+        error.finish(deadline);
+    }
+}
+
+/// Writes a line of diagnostics to standard error, escaped except for its line breaks. Never fails.
+pub fn diagnostic(text: impl Display) {
+    to_error(format!("{}\n", lines(&text.to_string())));
+}
+
+/// Writes text to standard error as it is, colours and cursor movements included: what a user's file has brought
+/// into it is escaped already. Never fails.
+pub fn styled(text: impl Display) {
+    to_error(format!("{text}\n"));
+}
+
+/// Writes a question to standard error, without a line break at its end. Never fails.
+pub fn prompt(question: impl Display) {
+    to_error(lines(&question.to_string()));
+}
+
+/// Writes a result on a line of its own to standard output, escaped except for its line breaks.
+///
+/// # Errors
+/// Standard output cannot be written, and its reader has not just left. Never after [`detach`] or [`best_effort`].
+pub fn result(text: impl Display) -> io::Result<()> {
+    let text = format!("{}\n", lines(&text.to_string()));
+    if let Some(Detached { output, .. }) = DETACHED.get() {
+        output.push(text);
+        return Ok(());
+    }
+    tolerated(Output.write_all(text.as_bytes()).and_then(|()| Output.flush()))
+}
+
+/// Writes a line to standard output as [`result`] does; a failure is a diagnostic. For tools of the workshop, and for
+/// what a control path reports.
+pub fn line(text: impl Display) {
+    best_effort();
+    // A best effort has reported its failure.
+    _ = result(text);
+}
+
+/// Reports the failure of a best effort once, as a diagnostic.
+fn tolerated(written: io::Result<()>) -> io::Result<()> {
+    match written {
+        Err(error) if IS_BEST_EFFORT.load(Ordering::Relaxed) => {
+            if !IS_REPORTED.swap(true, Ordering::Relaxed) {
+                diagnostic(format_args!("warning: standard output cannot be written: {error}"));
+            }
+            Ok(())
+        }
+        other => other,
+    }
+}
+
+/// Standard output as a writer of bytes, for a file's content: unescaped. A reader that has left is no error.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Output;
+
+impl Write for Output {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match has_reader() {
+            false => Ok(bytes.len()),
+            true => unless_reader_left(
+                patiently(None, || io::stdout().lock().write(bytes)),
+                bytes.len(),
+            ),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        match has_reader() {
+            false => Ok(()),
+            true => unless_reader_left(patiently(None, || io::stdout().lock().flush()), ()),
+        }
+    }
+}
+
+/// Returns `done` where the reader has left, and remembers it.
+fn unless_reader_left<T>(written: io::Result<T>, done: T) -> io::Result<T> {
+    match written {
+        Err(error) if is_gone(&error) => {
+            HAS_READER_LEFT.store(true, Ordering::Relaxed);
+            Ok(done)
+        }
+        other => other,
+    }
+}
+
+/// Returns false once the reader of standard output has left (`| head`): a command that prints without end ends then.
+#[must_use]
+pub fn has_reader() -> bool {
+    !HAS_READER_LEFT.load(Ordering::Relaxed)
+}
+
+/// Returns true if standard output is a terminal.
+#[must_use]
+pub fn is_output_terminal() -> bool {
+    io::stdout().is_terminal()
+}
+
+/// Returns true if standard error is a terminal.
+#[must_use]
+pub fn is_error_terminal() -> bool {
+    io::stderr().is_terminal()
+}
+
+/// Returns standard error for a program that is started, as its standard output.
+#[must_use]
+pub fn error_stream() -> std::process::Stdio {
+    io::stderr().into()
+}
+
+fn to_error(text: String) {
+    if let Some(Detached { error, .. }) = DETACHED.get() {
+        error.push(text);
+        return;
+    }
+    let deadline = Instant::now() + DIAGNOSTIC_WAIT;
+    let mut left = text.as_bytes();
+    while !left.is_empty() {
+        // Nothing is left to report this failure to.
+        match patiently(Some(deadline), || io::stderr().lock().write(left)) {
+            Ok(written @ 1..) => left = left.get(written..).unwrap_or_default(),
+            _ => return,
+        }
+    }
+}
+
+/// Tries again, until the deadline, while a stream is busy or a signal interrupts.
+fn patiently<T>(
+    deadline: Option<Instant>,
+    mut write: impl FnMut() -> io::Result<T>,
+) -> io::Result<T> {
+    loop {
+        match write() {
+            Err(error) if error.kind() == ErrorKind::Interrupted => {}
+            Err(error)
+                if error.kind() == ErrorKind::WouldBlock
+                    && deadline.is_none_or(|deadline| Instant::now() < deadline) =>
+            {
+                thread::sleep(RETRY);
+            }
+            other => return other,
+        }
+    }
+}
+
+fn is_gone(error: &io::Error) -> bool {
+    matches!(error.kind(), ErrorKind::BrokenPipe | ErrorKind::ConnectionReset)
+}
