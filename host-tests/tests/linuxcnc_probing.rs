@@ -1,6 +1,7 @@
 //! The macros that probe, in the real LinuxCNC: three joints, a surface at a fixed height of the machine, an external
 //! offset that acts. Whatever coordinates, units and modes the job has, the surface is the same; nothing
 //! moves towards it faster than a probing move may, and the job's modes are as they were.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use std::{fs, path::Path};
 
