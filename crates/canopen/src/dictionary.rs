@@ -129,8 +129,10 @@ pub enum ObjectKind {
     Authority,
     /// The first 32 bits of the hash of the commit that the image was built from; 0: it is not known.
     Commit,
-    /// Every fault, a bit each, as [`crate::emergency::Faults::bits`] has them.
+    /// The faults 0 to 31, a bit each, as [`crate::emergency::Faults::low_word`] has them.
     AllFaults,
+    /// The faults from 32 on, a bit each, as [`crate::emergency::Faults::high_word`] has them.
+    HighFaults,
     /// Milliseconds of the sample clock.
     Clock,
     /// The elongation that counts as none, in nanometres.

@@ -9,7 +9,7 @@
 //! ```
 //!
 //! `dictionary` is what a master can read and write, `sdo` how, `network` what it can command,
-//! `emergency` what the bridge tells of its faults, `heartbeat` whose silence it tells of.
+//! `emergency` how the bridge reports its faults, `fault` which there are, `heartbeat` whose silence it tells of.
 //! Nothing here touches hardware, allocates, reads a clock, or panics on any input.
 #![no_std]
 #![forbid(unsafe_code)]
@@ -21,6 +21,7 @@ extern crate std;
 
 pub mod dictionary;
 pub mod emergency;
+mod fault;
 pub mod heartbeat;
 pub mod network;
 pub mod sdo;

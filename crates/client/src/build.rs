@@ -10,7 +10,9 @@ use crate::{
 };
 
 /// The commit of the image's source: the first 32 bits of its hash; 0: the image does not know.
-pub const COMMIT: At = (0x2001, 10);
+pub const COMMIT: At = (0x2001, 11);
+/// The same of a firmware up to 0.2.0.
+const FORMER_COMMIT: At = (0x2001, 10);
 
 /// A version and, where it is known, the commit that it is of.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -27,13 +29,16 @@ impl Build {
         Self { version: version.into(), commit: u32::from_str_radix(commit, 16).ok() }
     }
 
-    /// What the bridge says of itself. A firmware from before 0x2001:0A was there says no commit.
+    /// Returns what the bridge says of itself. A firmware up to 0.2.0 has its commit at 0x2001:0A; an older one says none.
     ///
     /// # Errors
     /// It does not say its version, or the line is broken.
     pub fn ask(session: &mut Session) -> Result<Self> {
         let version = object::text(session, SOFTWARE)?;
-        let commit = object::number(session, COMMIT).ok().filter(|commit| *commit != 0);
+        let commit = object::number(session, COMMIT)
+            .or_else(|_| object::number(session, FORMER_COMMIT))
+            .ok()
+            .filter(|commit| *commit != 0);
         Ok(Self { version, commit })
     }
 

@@ -8,6 +8,7 @@ use std::{
 
 use anyhow::{Context as _, Result};
 pub use trueup_canopen::dictionary::{NOT_AVAILABLE, TASKS};
+use trueup_canopen::emergency::Faults;
 pub use trueup_canopen::sdo::client::At;
 use trueup_canopen::sdo::client::{ClientError, Download, Progress, Upload, give_up};
 use trueup_core::learned::PARTS;
@@ -26,8 +27,11 @@ pub const HARDWARE: At = (0x1009, 0);
 pub const SOFTWARE: At = (0x100A, 0);
 /// The quality, as in `OffsetZ`.
 pub const QUALITY: At = (0x2001, 1);
-/// The faults, a bit each.
-pub const FAULTS: At = (0x2001, 4);
+/// The faults 0 to 31, a bit each, and those from 32 on.
+const FAULTS: [At; 2] = [(0x2001, 9), (0x2001, 10)];
+/// How many values the state has, and how many since the faults from 32 on are one of them: a firmware up to 0.2.0 has
+/// its commit there.
+const STATE_VALUES: (At, u32) = ((0x2001, 0), 11);
 /// What a CNC must know beside the offsets, a bit each.
 pub const STATE_BITS: At = (0x2001, 6);
 /// Why the board last started.
@@ -133,6 +137,18 @@ pub fn number(session: &mut Session, at: At) -> Result<u32> {
     let mut number = [0; 4];
     number.iter_mut().zip(bytes).for_each(|(place, byte)| *place = byte);
     Ok(u32::from_le_bytes(number))
+}
+
+/// Returns the faults of the bridge.
+///
+/// # Errors
+/// As [`number`].
+pub fn faults(session: &mut Session) -> Result<Faults> {
+    let [low, high] = FAULTS;
+    let (values, with_high) = STATE_VALUES;
+    let has_high = number(session, values)? >= with_high;
+    let high = if has_high { number(session, high)? } else { 0 };
+    Ok(Faults::from_words(number(session, low)?, high))
 }
 
 /// Reads a text.

@@ -7,7 +7,7 @@ pub fn remedies(words: &[&str]) -> Vec<(&'static str, &'static str)> {
 }
 
 /// Every word, with what it means and what to do.
-pub const REMEDIES: [(&str, &str); 40] = [
+pub const REMEDIES: [(&str, &str); 58] = [
     ("self-test", "the board found itself damaged: flash it again; if it stays, replace the board"),
     ("no-calibration", "load one: trueup bridge load CAL.bin --port …"),
     ("example-constants", "it runs on the example: compile your machine file and load it"),
@@ -16,8 +16,28 @@ pub const REMEDIES: [(&str, &str); 40] = [
     ("stopped", "the last start ended in a fault: trueup bridge info says where; report it"),
     ("watchdog-reset", "a task hung: trueup bridge info says which; report it"),
     ("restarted", "engage anew: Engage off, then on"),
-    ("sensor-fault", "see sensor"),
-    ("sensor", "sensor or thermometer out of range or stuck: check cable, supply and gap"),
+    ("sensor-fault", "the sensor or a thermometer is lost: see the faults of trueup bridge info"),
+    ("sensor", "out of range or stuck: check its cable, supply and gap"),
+    ("thermometer-0", "channel 0: open, short, at a rail or stuck: check its cable and converter"),
+    ("thermometer-1", "channel 1: open, short, at a rail or stuck: check its cable and converter"),
+    ("thermometer-2", "channel 2: open, short, at a rail or stuck: check its cable and converter"),
+    ("thermometer-3", "channel 3: open, short, at a rail or stuck: check its cable and converter"),
+    ("thermometer-4", "channel 4: open, short, at a rail or stuck: check its cable and converter"),
+    ("thermometer-5", "channel 5: open, short, at a rail or stuck: check its cable and converter"),
+    ("thermometer-6", "channel 6: open, short, at a rail or stuck: check its cable and converter"),
+    ("thermometer-7", "channel 7: open, short, at a rail or stuck: check its cable and converter"),
+    (
+        "temperature-rate",
+        "a thermometer is not believed: its channel is not available; check its contact",
+    ),
+    ("temperature-rate-0", "channel 0 changes too fast: check its contact, or max_c_per_min"),
+    ("temperature-rate-1", "channel 1 changes too fast: check its contact, or max_c_per_min"),
+    ("temperature-rate-2", "channel 2 changes too fast: check its contact, or max_c_per_min"),
+    ("temperature-rate-3", "channel 3 changes too fast: check its contact, or max_c_per_min"),
+    ("temperature-rate-4", "channel 4 changes too fast: check its contact, or max_c_per_min"),
+    ("temperature-rate-5", "channel 5 changes too fast: check its contact, or max_c_per_min"),
+    ("temperature-rate-6", "channel 6 changes too fast: check its contact, or max_c_per_min"),
+    ("temperature-rate-7", "channel 7 changes too fast: check its contact, or max_c_per_min"),
     (
         "samples-missing",
         "the converter stopped: it restarts by itself; if it stays, switch off and on",
@@ -29,6 +49,7 @@ pub const REMEDIES: [(&str, &str); 40] = [
     ("supply-off", "the sensor's supply is out of range: measure it at the board"),
     ("source-dead", "a spare source is dead: look for the temperature that is not available"),
     ("calibration-unfit", "what is measured no longer fits: measure the machine again and fit"),
+    ("place-lost", "the CNC sends no position or angle that is needed: check what it sends"),
     ("cnc-lost", "no frames from the CNC: check cable, bit rate, and that its program runs"),
     (
         "position-jump",
@@ -72,13 +93,18 @@ pub const REMEDIES: [(&str, &str); 40] = [
 mod tests {
     use super::*;
     use crate::words::{fault_words, flag_words};
+    use trueup_canopen::emergency::Faults;
     use trueup_core::cnc::Flags;
     use trueup_link::status::StateBits;
 
     #[test]
     fn every_word_has_its_remedy() {
         let states = StateBits::WORDS.map(|(_, word)| word);
-        for word in flag_words(Flags(0xFF)).into_iter().chain(fault_words(u32::MAX)).chain(states) {
+        for word in flag_words(Flags(0xFF))
+            .into_iter()
+            .chain(fault_words(Faults::from_words(u32::MAX, u32::MAX)))
+            .chain(states)
+        {
             assert_eq!(remedies(&[word]).len(), 1, "{word}");
         }
     }

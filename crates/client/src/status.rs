@@ -1,6 +1,7 @@
 //! What the bridge says of itself ten times a second, put together.
 
 use serde_json::{Value, json};
+use trueup_canopen::emergency::Faults;
 use trueup_core::{dimensions::CHANNELS, units::Nanometres};
 use trueup_link::{
     frame::Frame,
@@ -66,7 +67,7 @@ impl Board {
     /// What is wrong with the board and what a CNC must know of it, in words.
     #[must_use]
     pub fn words(&self) -> Vec<&'static str> {
-        let mut words = fault_words(self.faults.into());
+        let mut words = fault_words(Faults::from_words(self.faults.into(), 0));
         words.extend(state_words(self.state));
         words
     }
@@ -117,7 +118,7 @@ impl Board {
                 text += &format!("  from the CNC {what} {count}");
             }
         }
-        let faults = fault_words(self.faults.into());
+        let faults = fault_words(Faults::from_words(self.faults.into(), 0));
         if !faults.is_empty() {
             text += &format!("  faults {}", faults.join(" "));
         }
@@ -135,7 +136,7 @@ impl Board {
             "temps_c": self.centi_c.map(|it| it.map(|centi_c| f64::from(centi_c) / 100.0)),
             "elongation_um": self.elongation_um(),
             "noise_codes": self.noise_codes(),
-            "faults": fault_words(self.faults.into()),
+            "faults": fault_words(Faults::from_words(self.faults.into(), 0)),
             "state": state_words(self.state),
             "reset_reason": self.reset_reason.word(),
             "free_stack_bytes": self.free_stack,

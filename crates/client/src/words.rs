@@ -1,7 +1,7 @@
 //! What the bridge says, in words: the same ones in text and in JSON.
 
 use serde_json::{Value, json};
-use trueup_canopen::emergency::Fault;
+use trueup_canopen::emergency::{Fault, Faults};
 use trueup_core::{
     cnc::{Flags, Output, Quality},
     units::{NANOMETRES_PER_MICROMETRE, Nanometres},
@@ -38,49 +38,11 @@ pub fn flag_words(flags: Flags) -> Vec<&'static str> {
     WORDS.into_iter().filter(|(flag, _)| flags.contains(*flag)).map(|(_, word)| word).collect()
 }
 
-/// The faults whose bits are set, in words. The number of a bit is that of its [`Fault`].
+/// Returns the words of these faults, by rising number.
 #[must_use]
-pub fn fault_words(bits: u32) -> Vec<&'static str> {
-    let is_set = |fault: &Fault| bits >> *fault as u8 & 1 != 0;
-    Fault::ALL.into_iter().filter(is_set).map(fault_word).collect()
-}
-
-/// A fault in a word.
-fn fault_word(fault: Fault) -> &'static str {
-    match fault {
-        Fault::NoCalibration => "no-calibration",
-        Fault::Sensor => "sensor",
-        Fault::SamplesMissing => "samples-missing",
-        Fault::CncLost => "cnc-lost",
-        Fault::HeartbeatLost => "heartbeat-lost",
-        Fault::SpeedUnknown => "speed-unknown",
-        Fault::OutsideTable => "outside-table",
-        Fault::Clamped => "clamped",
-        Fault::Degraded => "degraded",
-        Fault::Crystal => "crystal",
-        Fault::Pll => "pll",
-        Fault::Can => "can",
-        Fault::WatchdogReset => "watchdog-reset",
-        Fault::Store => "store",
-        Fault::Restarted => "restarted",
-        Fault::HeatUnknown => "heat-unknown",
-        Fault::OlderCalibration => "older-calibration",
-        Fault::ExampleConstants => "example-constants",
-        Fault::ForeignMachine => "foreign-machine",
-        Fault::SecondMaster => "second-master",
-        Fault::CanWarning => "can-warning",
-        Fault::CanPassive => "can-passive",
-        Fault::CanOff => "can-off",
-        Fault::SupplyOff => "supply-off",
-        Fault::SourceDead => "source-dead",
-        Fault::CalibrationUnfit => "calibration-unfit",
-        Fault::ZeroRefused => "zero-refused",
-        Fault::LearnedRefused => "learned-refused",
-        Fault::Stopped => "stopped",
-        Fault::SelfTest => "self-test",
-        Fault::PositionJump => "position-jump",
-        Fault::SensorOdd => "sensor-odd",
-    }
+pub fn fault_words(faults: Faults) -> Vec<&'static str> {
+    let is_set = |fault: &Fault| faults.has(*fault);
+    Fault::ALL.into_iter().filter(is_set).map(Fault::word).collect()
 }
 
 /// The bits of the state that are set, in words.
@@ -152,8 +114,8 @@ mod tests {
     #[test]
     fn every_bit_of_the_flags_has_a_word() {
         assert_eq!(flag_words(Flags(0xFF)).len(), 8);
-        assert_eq!(fault_words(0x2001), ["no-calibration", "store"]);
-        assert_eq!(fault_words(u32::MAX).len(), Fault::ALL.len());
+        assert_eq!(fault_words(Faults::from_words(0x2001, 0)), ["no-calibration", "store"]);
+        assert_eq!(fault_words(Faults::from_words(u32::MAX, u32::MAX)).len(), Fault::ALL.len());
         assert_eq!(flag_words(Flags::NONE), [""; 0]);
         assert_eq!(flag_words(Flags::SLEWING.with(Flags::CNC_LOST)), ["slewing", "cnc-lost"]);
     }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use trueup_canopen::emergency::Faults;
 use trueup_client::{
     remedy::REMEDIES,
     words::{fault_words, flag_words, quality_word, state_words},
@@ -29,7 +30,9 @@ fn every_word_on_the_screen_is_on_the_page_and_no_other() {
     let qualities = [Off, Live, TemperatureModel, WarmUpModel, Hold, RampingOut, Fault];
     assert_eq!(words("## Quality"), qualities.map(quality_word).into());
     assert_eq!(words("## Flags"), flag_words(Flags(u8::MAX)).into_iter().collect());
-    let conditions = fault_words(u32::MAX).into_iter().chain(state_words(StateBits(u32::MAX)));
+    let conditions = fault_words(Faults::from_words(u32::MAX, u32::MAX))
+        .into_iter()
+        .chain(state_words(StateBits(u32::MAX)));
     assert_eq!(words("## Faults and state"), conditions.collect());
     let reasons = (0..).map_while(ResetReason::from_wire).map(ResetReason::word);
     assert_eq!(words("## Why it last started"), reasons.collect());

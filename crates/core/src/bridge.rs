@@ -17,6 +17,7 @@
 //! |---|---|---|---|
 //! | engages | all fresh | −(error − reference), at the slew limit | live |
 //! | engages | the sensor is lost, another source is configured | the same | temperature or warm-up model |
+//! | engages | a temperature changed too fast, no other source | the same, by the last believed temperature | hold |
 //! | engages, or was lost while engaged | any is lost | as it is, for `hold_ms` | hold |
 //! | the same, after `hold_ms` | | to 0, at the slew limit | ramping out |
 //! | does not engage, or is not referenced | | to 0, at the slew limit | ramping out |
@@ -45,6 +46,7 @@
 
 mod agreement;
 mod joint;
+mod lost;
 mod needs;
 mod sources;
 mod state;
@@ -52,6 +54,7 @@ mod state;
 pub use self::agreement::{LASTS_STEPS, LEAST_NM};
 pub use self::joint::KeptJoint;
 use self::joint::SelectedSource;
+pub use self::lost::LostInputs;
 use self::needs::RequiredInputs;
 pub use self::sources::RETURN_MS;
 use self::state::{Age, Mode};
@@ -69,6 +72,8 @@ use crate::{
     heat_memory::HeatMemory,
     learned::Change,
     limits::LimitStatus,
+    set::IndexSet,
+    thermometer::Raw,
     tip,
     tool::Direction,
     units::{Code, Fine, Millis, Nanometres, Rpm},
@@ -154,6 +159,7 @@ impl<'a> Bridge<'a> {
     fn zero(&self, state: &mut State) {
         if state.joint.selected != SelectedSource::Missing
             && self.knows_temperatures(state)
+            && !self.holds_temperature(state, state.joint.selected)
             && self.knows_place(state)
         {
             self.join(state);
@@ -212,12 +218,11 @@ impl<'a> Bridge<'a> {
             }
         }
 
-        let missing = self.needs.sensor
-            && (state.codes_age.is_above(SAMPLES_TIMEOUT_MS)
-                || !state.starved_age.is_above(STARVED_MS));
-        let unbelievable = (self.needs.sensor && !missing && !state.believable)
-            || state.channels.any_faulty(self.needs.watched);
+        let missing = self.samples_are_missing(state);
+        let unbelievable =
+            self.sensor_is_lost(state, missing) || state.channels.any_faulty(self.needs.watched);
         let quality = match mode {
+            Mode::Follow if self.holds_temperature(state, chosen) => Quality::Hold,
             Mode::Follow => self.quality(chosen),
             Mode::Hold => Quality::Hold,
             Mode::RampOut if !state.applied.is_zero() => Quality::RampingOut,
@@ -238,6 +243,18 @@ impl<'a> Bridge<'a> {
             flags,
             age_ms: age(state, chosen).byte(),
         }
+    }
+
+    #[inline]
+    fn samples_are_missing(&self, state: &State) -> bool {
+        self.needs.sensor
+            && (state.codes_age.is_above(SAMPLES_TIMEOUT_MS)
+                || !state.starved_age.is_above(STARVED_MS))
+    }
+
+    #[inline]
+    fn sensor_is_lost(&self, state: &State, missing: bool) -> bool {
+        self.needs.sensor && !missing && !state.believable
     }
 
     /// Codes to elongation.
@@ -337,10 +354,19 @@ impl<'a> Bridge<'a> {
             (self.calibration.thermometers.get(number), state.raw.get(number))
         {
             let fresh = !state.raw_age.is_above(TEMPERATURE_TIMEOUT_MS);
-            let raw =
-                fresh.then_some(*raw).and_then(|raw| thermometer.at_basis(raw, state.supply()));
-            state.channels.hear(number, raw.and_then(|raw| thermometer.read(raw).ok()));
+            let raw = if fresh { *raw } else { Raw::NONE };
+            let reading = thermometer.measure(raw, state.supply());
+            let limit = self.needs.rates.get(number).copied().unwrap_or_default();
+            state.channels.hear_within(number, reading, &limit);
         }
+    }
+
+    /// Returns whether a temperature that the offset rests on changed too fast, and is held.
+    #[inline]
+    fn holds_temperature(&self, state: &State, chosen: SelectedSource) -> bool {
+        let doubtful = state.channels.doubtful();
+        doubtful != IndexSet::default()
+            && (doubtful.has_any(self.needs.temperatures) || self.holds_source(state, chosen))
     }
 
     /// Whether the temperatures of the axes are there.

@@ -41,8 +41,19 @@ pub struct Calibration<'a> {
     pub limits: Limits,
     /// Thermometers that agree within this belong to a machine that has no heat of its own.
     pub cold_within: Temperature,
+    /// What its inputs are guarded by.
+    pub guards: Guards,
     /// The machine and the board that it is for.
     pub names: Names<'a>,
+}
+
+/// What the inputs of a calibration, and the calibration itself, are guarded by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Guards {
+    /// How fast each temperature channel may change, in tenths of a kelvin a minute, up to
+    /// [`MAX_TENTHS`](crate::thermal_rate::MAX_TENTHS). 0: by [`DEFAULT_TENTHS`](crate::thermal_rate::DEFAULT_TENTHS) where a law
+    /// uses the channel, else not judged.
+    pub max_rates: [u16; CHANNELS],
 }
 
 /// The machine and the board that a calibration is for, as the user names them.

@@ -1,7 +1,12 @@
 //! The temperature channels of a board: the last good reading of each, until it is given up.
 
 use crate::{
-    dimensions::CHANNELS, set::IndexSet, stillness::Stillness, thermometer::Raw, units::Temperature,
+    dimensions::CHANNELS,
+    set::IndexSet,
+    stillness::Stillness,
+    thermal_rate::{AGREES_WITHIN, RateLimit, RateMonitor},
+    thermometer::{Fault, Raw},
+    units::Temperature,
 };
 
 /// What every channel of a board delivers at one time.
@@ -25,16 +30,30 @@ pub struct Channel {
     /// How many have agreed with the one before since the start, up to [`FAULT_AFTER_READINGS`]; a channel that was
     /// given up counts as one of which all have.
     agreed: u8,
+    rate: RateMonitor,
 }
 
 impl Channel {
-    /// Takes what the channel's thermometer reads. None is bad, and so is a jump by more than
-    /// [`MOST_PER_READING`].
+    /// Takes a reading of a channel that no law uses, as [`Self::hear_within`].
+    pub fn hear(&mut self, reading: Option<Temperature>) {
+        self.hear_within(reading.ok_or(Fault::Missing), &RateLimit::default(), false);
+    }
+
+    /// Takes what the channel's thermometer reads. None is bad, and so is a change that is faster than the limit, or
+    /// without one a jump by more than [`MOST_PER_READING`]; `agrees`: another one of the same law does.
     ///
     /// A single bad reading changes nothing, because a spark from the drives can cause one. After
     /// [`FAULT_AFTER_READINGS`] in a row the channel is given up, until as many agree among themselves. After a start
     /// any is taken until so many have agreed: a converter's first results are none, or not yet settled.
-    pub fn hear(&mut self, reading: Option<Temperature>) {
+    pub fn hear_within(
+        &mut self,
+        reading: Result<Temperature, Fault>,
+        limit: &RateLimit,
+        agrees: bool,
+    ) {
+        // The mean of 20 ms at a rail is no spark.
+        let weight = if reading == Err(Fault::AtRail) { FAULT_AFTER_READINGS / 2 } else { 1 };
+        let reading = reading.ok();
         /// So many still count as bad when the last of those that have to agree is heard.
         const LAST: u8 = 2;
         let before = core::mem::replace(&mut self.before, reading);
@@ -42,10 +61,21 @@ impl Channel {
         let near = |it: Temperature, now: Temperature| {
             it.0.abs_diff(now.0) <= MOST_PER_READING.0.unsigned_abs()
         };
-        let follows = |now: &Temperature| {
-            is_new || self.temperature.or(before).is_some_and(|it| near(it, *now))
+        let follows = match reading {
+            None => {
+                self.rate.miss();
+                false
+            }
+            Some(now) if is_new => {
+                self.rate.restart(now);
+                true
+            }
+            Some(now) if limit.is_set() => self.rate.judge(now, limit, agrees),
+            Some(now) => self.temperature.or(before).is_some_and(|it| near(it, now)),
         };
-        match reading.filter(follows) {
+        // A doubt holds the last believed value, where a loss gives it up.
+        let is_held = reading.is_some() && limit.is_set() && !self.rate.is_given_up();
+        match reading.filter(|_| follows) {
             Some(_) if !is_new && self.temperature.is_none() && self.bad > LAST => {
                 self.bad = self.bad.saturating_sub(1);
             }
@@ -57,8 +87,9 @@ impl Channel {
                 (self.temperature, self.bad) = (reading, 0);
             }
             None => {
-                self.bad = self.bad.saturating_add(1).min(FAULT_AFTER_READINGS);
-                if self.bad == FAULT_AFTER_READINGS && self.temperature.take().is_some() {
+                self.bad = self.bad.saturating_add(weight).min(FAULT_AFTER_READINGS);
+                if self.bad == FAULT_AFTER_READINGS && !is_held && self.temperature.take().is_some()
+                {
                     self.agreed = FAULT_AFTER_READINGS;
                 }
             }
@@ -71,7 +102,13 @@ impl Channel {
         self.temperature.is_none() && self.bad > 0
     }
 
-    /// The temperature, `None` before the first reading and after a fault.
+    /// Returns whether its last readings came too fast and are not believed.
+    #[must_use]
+    pub const fn is_in_doubt(&self) -> bool {
+        self.rate.is_in_doubt()
+    }
+
+    /// Returns the temperature: the last one that was believed. `None` before the first reading and after a fault.
     #[must_use]
     pub fn temperature(&self) -> Option<Temperature> {
         self.temperature
@@ -85,26 +122,49 @@ pub struct Channels {
     stillness: [Stillness; CHANNELS],
     known: IndexSet,
     faulty: IndexSet,
+    doubtful: IndexSet,
     going: IndexSet,
 }
 
 impl Channels {
-    /// Takes what the thermometer of a channel reads, as [`Channel::hear`]. One that has stopped beside one that has not
-    /// reads nothing that could be believed ([`Stillness`]).
+    /// Takes a reading of a channel that no law uses, as [`Self::hear_within`].
     pub fn hear(&mut self, number: usize, reading: Option<Temperature>) {
+        self.hear_within(number, reading.ok_or(Fault::Missing), &RateLimit::default());
+    }
+
+    /// Takes what the thermometer of a channel reads, as [`Channel::hear_within`]. One that has stopped while another has not
+    /// reads nothing that could be believed ([`Stillness`]).
+    pub fn hear_within(
+        &mut self,
+        number: usize,
+        reading: Result<Temperature, Fault>,
+        limit: &RateLimit,
+    ) {
         let Some(stillness) = self.stillness.get_mut(number) else { return };
-        stillness.hear(reading);
+        stillness.hear(reading.ok());
         let is_going = stillness.is_going();
         let is_stuck = stillness.is_still() && self.going != IndexSet::default();
+        let agrees = reading.is_ok_and(|now| self.agrees(limit.partners, now));
+        let reading = if is_stuck { Err(Fault::Missing) } else { reading };
         let Some(channel) = self.channels.get_mut(number) else { return };
-        channel.hear(reading.filter(|_| !is_stuck));
+        channel.hear_within(reading, limit, agrees);
         for (set, is_in) in [
             (&mut self.known, channel.temperature().is_some()),
             (&mut self.faulty, channel.is_faulty()),
+            (&mut self.doubtful, channel.is_in_doubt()),
             (&mut self.going, is_going),
         ] {
             if is_in { set.insert(number) } else { set.remove(number) }
         }
+    }
+
+    /// Returns whether the last reading of one of these agrees with a reading.
+    fn agrees(&self, partners: IndexSet, now: Temperature) -> bool {
+        partners != IndexSet::default()
+            && self.channels.iter().enumerate().any(|(number, partner)| {
+                let near = |it: Temperature| it.0.abs_diff(now.0) <= AGREES_WITHIN.0.unsigned_abs();
+                partners.has(number) && partner.before.is_some_and(near)
+            })
     }
 
     /// The temperature of a channel, where there is one.
@@ -129,6 +189,18 @@ impl Channels {
     #[must_use]
     pub fn any_faulty(&self, channels: IndexSet) -> bool {
         self.faulty.has_any(channels)
+    }
+
+    /// Returns the channels that are lost.
+    #[must_use]
+    pub const fn faulty(&self) -> IndexSet {
+        self.faulty
+    }
+
+    /// Returns the channels whose last readings came too fast and are not believed.
+    #[must_use]
+    pub const fn doubtful(&self) -> IndexSet {
+        self.doubtful
     }
 
     /// Whether the last reading of a channel was a good one; of one that does not exist none is.

@@ -78,6 +78,7 @@ pub mod term;
 #[cfg(test)]
 mod testing;
 pub mod thermal;
+pub mod thermal_rate;
 pub mod thermometer;
 pub mod tip;
 pub mod tool;

@@ -37,6 +37,18 @@ impl IndexSet {
         Self(self.0 | other.0)
     }
 
+    /// Returns the numbers that are in both.
+    #[must_use]
+    pub const fn common(self, other: Self) -> Self {
+        Self(self.0 & other.0)
+    }
+
+    /// Returns whether a number is in it.
+    #[must_use]
+    pub fn has(self, number: usize) -> bool {
+        self.0 & Self::bit(number) != 0
+    }
+
     /// Whether every number of `others` is in it.
     #[must_use]
     pub const fn has_all(self, others: Self) -> bool {

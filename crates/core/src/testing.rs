@@ -34,6 +34,7 @@ pub fn plain() -> Calibration<'static> {
             learned: Default::default(),
         },
         cold_within: Temperature(Temperature::PER_KELVIN / 2),
+        guards: Default::default(),
         names: Names::default(),
     }
 }

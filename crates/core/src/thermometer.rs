@@ -11,9 +11,10 @@
 
 use crate::{
     fixed::rounded_shift,
+    health::{HIGH_RAIL, LOW_RAIL},
     pt100,
     supply::Scale,
-    units::{MicroOhms, Temperature},
+    units::{Code, MicroOhms, Temperature},
 };
 
 /// What a temperature channel delivers: micro-ohms of a PT100, 1/256 counts of a linear chain.
@@ -42,6 +43,10 @@ pub enum Fault {
     Short,
     /// A linear chain is beyond ±500 °C.
     OutOfRange,
+    /// The converter of a linear chain reads at an end of its range: a broken wire or a short circuit.
+    AtRail,
+    /// The supply that a linear chain is measured by is not believed.
+    NoSupply,
 }
 
 impl From<pt100::Fault> for Fault {
@@ -76,13 +81,36 @@ impl Thermometer {
     /// The most binary places of a slope.
     pub const MAX_SHIFT: u8 = 31;
 
-    /// A delivery as it would be with the converter's supply as it was: a linear chain is measured by it, a
-    /// PT100's resistance is not. `None`: it is measured by a supply that is not believed.
-    #[must_use]
-    pub fn at_basis(&self, raw: Raw, supply: Option<Scale>) -> Option<Raw> {
+    /// Returns the temperature that a delivery of the board means. A linear chain is measured by the supply of the converter
+    /// (`None`: it is not believed), a PT100's resistance is not; and at an end of the converter's range, where
+    /// [`health`](crate::health) has its rails, it measures nothing.
+    ///
+    /// # Errors
+    /// As [`Self::read`], and [`Fault::AtRail`] and [`Fault::NoSupply`].
+    pub fn measure(&self, raw: Raw, supply: Option<Scale>) -> Result<Temperature, Fault> {
         match self {
-            Self::Linear { .. } if raw != Raw::NONE => Some(Raw(supply?.of_raw(raw.0))),
-            _ => Some(raw),
+            Self::Linear { .. } if raw != Raw::NONE => {
+                if is_at_rail(raw) {
+                    return Err(Fault::AtRail);
+                }
+                let supply = supply.ok_or(Fault::NoSupply)?;
+                self.read(Raw(supply.of_raw(raw.0)))
+            }
+            _ => self.read(raw),
+        }
+    }
+
+    /// Returns a step of its converter, as a temperature: 1/32 K of a MAX31865, a count of a linear chain.
+    #[must_use]
+    pub fn step(&self) -> Temperature {
+        match *self {
+            Self::Pt100 => Temperature(Temperature::PER_KELVIN / 32),
+            Self::Linear { slope, shift, .. } => {
+                let count =
+                    i64::from(slope.unsigned_abs()).wrapping_mul(DELIVERED_PER_COUNT.into());
+                let step = rounded_shift(count, shift.min(Self::MAX_SHIFT).into());
+                Temperature(i32::try_from(step).unwrap_or(i32::MAX))
+            }
         }
     }
 
@@ -117,6 +145,18 @@ impl Thermometer {
             }
         }
     }
+}
+
+/// Parts of a count that a linear chain delivers.
+const DELIVERED_PER_COUNT: i32 = 256;
+
+/// Returns whether a linear chain's delivery is at an end of the 12-bit converter. Beyond the upper end is no board's
+/// converter, but a run of another one's counts that is played.
+fn is_at_rail(Raw(raw): Raw) -> bool {
+    const LOW: i32 = LOW_RAIL.0 as i32 * DELIVERED_PER_COUNT;
+    const HIGH: i32 = HIGH_RAIL.0 as i32 * DELIVERED_PER_COUNT;
+    const END: i32 = Code::FULL_SCALE as i32 * DELIVERED_PER_COUNT;
+    raw <= LOW || (HIGH..END).contains(&raw)
 }
 
 #[cfg(test)]
@@ -261,11 +301,37 @@ mod tests {
         supply.set_basis(Level(1_500 * 16));
         (0..500).for_each(|_| supply.hear(Code(1_515)));
         let scale = Some(supply.scale());
-        assert_eq!(PAPER.at_basis(Raw(1_010_000), scale), Some(Raw(1_000_000)));
-        assert_eq!(PAPER.at_basis(Raw(1_010_000), None), None);
-        assert_eq!(PAPER.at_basis(Raw::NONE, None), Some(Raw::NONE));
+        let at = |raw: i32, scale| PAPER.measure(Raw(raw), scale);
+        assert_eq!(at(1_010_000, scale), PAPER.read(Raw(1_000_000)));
+        assert_eq!(at(1_010_000, None), Err(Fault::NoSupply));
+        assert_eq!(PAPER.measure(Raw::NONE, None), Err(Fault::Missing));
         let pt100 = Thermometer::Pt100;
-        assert_eq!(pt100.at_basis(Raw(110_000_000), None), Some(Raw(110_000_000)));
+        assert_eq!(pt100.measure(Raw(110_000_000), None), pt100.read(Raw(110_000_000)));
+    }
+
+    #[test]
+    fn a_linear_chain_at_an_end_of_the_converter_measures_nothing() {
+        // The wiring page's sensor: 0 °C is 0 V, which a broken wire reads as well.
+        let wiring = linear(0.0, 4.07);
+        let scale = Some(Scale::default());
+        for (counts, is_rail) in [(0, true), (8, true), (9, false), (2_000, false)] {
+            let got = wiring.measure(Raw(counts * 256), scale);
+            assert_eq!(got == Err(Fault::AtRail), is_rail, "{counts}");
+            let got = PAPER.measure(Raw(counts * 256), scale);
+            assert_eq!(got == Err(Fault::AtRail), is_rail, "{counts}: {got:?}");
+        }
+        for (raw, is_rail) in [(4_086, false), (4_087, true), (4_095, true), (4_376, false)] {
+            let got = PAPER.measure(Raw(raw * 256), scale);
+            assert_eq!(got == Err(Fault::AtRail), is_rail, "{raw}: {got:?}");
+        }
+    }
+
+    #[test]
+    fn the_step_of_a_chain_is_its_count() {
+        assert_eq!(PAPER.step(), Temperature(Temperature::PER_KELVIN / 16));
+        assert_eq!(linear(0.0, -4.0).step(), Temperature(Temperature::PER_KELVIN / 4));
+        let steepest = Thermometer::Linear { zero: 0, slope: i32::MIN, shift: 0 };
+        assert_eq!(steepest.step(), Temperature(i32::MAX));
     }
 
     #[test]

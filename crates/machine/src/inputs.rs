@@ -38,7 +38,12 @@ pub struct TemperatureInput {
     pub channel: u8,
     /// What its counts mean.
     pub kind: TemperatureKind,
+    /// How fast it may change in K/min, within [`RATES_C_PER_MIN`]; `None`: the board's default where a law uses it.
+    pub max_c_per_min: Option<f64>,
 }
+
+/// What a thermometer's mass can do, from the slowest to the fastest limit that may be stated, in K/min.
+pub const RATES_C_PER_MIN: [f64; 2] = [0.1, 600.0];
 
 /// What the counts of a temperature channel mean.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -197,7 +197,7 @@ fn random_laws_lags_and_backlash_come_back_bit_for_bit() {
         let k = number(0.05, 25.0);
         let (lag_s, warm_s) = (number(0.0, 100.0), number(2_000.0, 20_000.0));
         let compiled = machine(&format!(
-            "[inputs]\ntemp_a_c = {{ channel = 7, kind = \"pt100\" }}\ntemp_b_c = {{ channel = 2, \
+            "[inputs]\ntemp_a_c = {{ channel = 7, kind = \"pt100\", max_c_per_min = 599.9 }}\ntemp_b_c = {{ channel = 2, \
              kind = \"linear\", zero_counts = {}, counts_per_c = {} }}\n\
              [spindle]\nsource = \"temperature\"\n\
              [spindle.temperature]\nsensor = \"temp_b_c\"\nreference_c = {}\nk_um_per_c = {}\n\
@@ -351,7 +351,7 @@ tool_direction = [0.0, 0.0, -1.0]
 [inputs]
 sensor = { volts_full_scale = 10.0, counts_full_scale = 32768, divider = 0.33 }
 temp_screw_c = { channel = 0, kind = "pt100" }
-temp_front_c = { channel = 1, kind = "linear", zero_counts = 4000, counts_per_c = 16 }
+temp_front_c = { channel = 1, kind = "linear", zero_counts = 4000, counts_per_c = 16, max_c_per_min = 0.1 }
 
 [spindle]
 source = "sensor"

@@ -8,7 +8,7 @@
 //! a tick interrupts.
 
 use trueup_canopen::{
-    emergency::{Emergencies, Fault, Faults},
+    emergency::{Emergencies, Fault, Faults, faults_of},
     heartbeat::Consumer,
     sdo,
 };
@@ -40,6 +40,7 @@ use trueup_store::{
 use crate::start::Start;
 
 mod learned;
+mod lost;
 mod master;
 mod network;
 mod objects;
@@ -425,8 +426,9 @@ impl<'a> Node<'a> {
     fn faults(&self, output: &Output) -> Faults {
         let board = self.board_faults;
         let known = [Fault::Crystal, Fault::Pll, Fault::Can].iter().any(|fault| board.has(*fault));
-        Faults::of(output)
+        faults_of(output)
             .and(board)
+            .and(self.lost_inputs(output.flags))
             .with_if(self.bridge.is_none(), Fault::NoCalibration)
             .with_if(self.consumer.is_lost(), Fault::HeartbeatLost)
             .with_if(self.degraded && !known, Fault::Degraded)

@@ -15,7 +15,7 @@
 //! | 52 | `i32` K₀, V₀, tanβ of the sensor | nm; 1/1024 code; 2⁻²⁸ nm per 1/1024 code |
 //! | 64 | `u32` channel, `u32` smoothing factor, law of the spindle's temperature | |
 //! | 76 | `u32` lag, `i32` largest (1/256 nm), 2 × `u32` smoothing factors, `i32` 1/(1 − e⁻ᵏ) of the warm-up; its power curve | |
-//! | 112 | 8 × temperature channel: `u8` kind (1 PT100, 2 linear), `u8` shift, 0, 0; `i32` zero, `i32` slope | |
+//! | 112 | 8 × temperature channel: `u8` kind (1 PT100, 2 linear), `u8` shift, `u16` fastest change (0.1 K/min, up to 6000; 0: the default); `i32` zero, `i32` slope | |
 //! | 208 | 3 × linear axis, 80 bytes each | |
 //! | 448 | 6 × straightness curve, 16 bytes each, in the order of [`AXIS_PAIRS`](trueup_core::calibration::AXIS_PAIRS) | |
 //! | 544 | 6 × `i32` squareness, in the same order | 2⁻³⁶ nm per 10 nm |

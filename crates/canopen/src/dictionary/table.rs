@@ -184,7 +184,7 @@ pub const OBJECTS: &[Object] = &[
         0x2001,
         "State of the bridge",
         &[
-            count(10),
+            count(11),
             read(1, "Quality", Type::U8, ObjectKind::Quality),
             read(2, "Flags", Type::U8, ObjectKind::Flags),
             read(3, "Age of the newest sample in ms", Type::U8, ObjectKind::Age),
@@ -193,8 +193,9 @@ pub const OBJECTS: &[Object] = &[
             read(6, "State bits", Type::U32, ObjectKind::StateBits),
             read(7, "Reason of the last reset", Type::U8, ObjectKind::ResetReason),
             read(8, "Who may write", Type::U8, ObjectKind::Authority),
-            read(9, "All faults", Type::U32, ObjectKind::AllFaults),
-            read(10, "Commit of the source of the image", Type::U32, ObjectKind::Commit),
+            read(9, "Faults 0 to 31", Type::U32, ObjectKind::AllFaults),
+            read(10, "Faults from 32 on", Type::U32, ObjectKind::HighFaults),
+            read(11, "Commit of the source of the image", Type::U32, ObjectKind::Commit),
         ],
     ),
     record(

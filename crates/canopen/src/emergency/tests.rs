@@ -7,6 +7,7 @@ use std::{
     format,
     vec::Vec,
 };
+use trueup_link::status::StateBits;
 
 /// Code, register and number of whatever is told in so many milliseconds of these faults.
 fn told(all: &mut Emergencies, now: Faults, ms: u32) -> Vec<(u16, u8, u8)> {
@@ -90,13 +91,36 @@ fn every_bit_of_the_state_is_an_emergency_too() {
 }
 
 #[test]
+fn a_second_source_that_is_lost_while_the_first_is_missing_is_told() {
+    let thermometers = Fault::THERMOMETERS.into_iter().chain(Fault::TEMPERATURE_RATES);
+    let sources: Vec<Fault> =
+        thermometers.chain([Fault::Sensor, Fault::SamplesMissing, Fault::PlaceLost]).collect();
+    let (mut all, mut now) = (Emergencies::default(), Faults::default());
+    for fault in sources {
+        now = now.with_if(true, fault);
+        let told: Vec<u16> = told(&mut all, now, 100).into_iter().map(|(code, ..)| code).collect();
+        assert_eq!(told, [fault.code()], "{fault:?}");
+    }
+}
+
+#[test]
+fn both_words_of_the_objects_hold_every_fault_at_its_number() {
+    for fault in Fault::ALL {
+        let only = Faults::default().with_if(true, fault);
+        let (low, high) = (only.low_word(), only.high_word());
+        assert_eq!(u64::from(high) << 32 | u64::from(low), 1 << fault as u8, "{fault:?}");
+        assert_eq!(Faults::from_words(low, high), only);
+    }
+}
+
+#[test]
 fn the_history_keeps_the_newest() {
     let mut all = Emergencies::default();
     for fault in Fault::ALL {
         told(&mut all, Faults::default().with_if(true, fault), 20);
     }
     assert_eq!(all.count(), HISTORY);
-    assert_eq!(all.error(0), Some(0x001F_7004));
+    assert_eq!(all.error(0), Some(0x0030_7027));
     assert_eq!(all.error(8), None);
     all.clear();
     assert_eq!((all.count(), all.error(0)), (0, None));
@@ -114,7 +138,7 @@ fn what_is_encoded_is_decoded_and_what_has_no_meaning_is_named() {
     let frame = encode(&emergency);
     assert_eq!(frame.data(), &[0x30, 0x81, 0x11, 4, 0xA5, 4, 0, 0]);
     assert_eq!(decode(&frame), Ok(emergency));
-    for (byte, raw, signal) in [(3, 32, "Fault"), (5, 7, "Quality")] {
+    for (byte, raw, signal) in [(3, 200, "Fault"), (5, 7, "Quality")] {
         let mut data = *frame.data();
         data[byte] = raw;
         let wrong = Frame::full(EMERGENCY_ID, data);

@@ -126,7 +126,7 @@ impl Objects {
             ),
             has_reference: object::number(session, object::HAS_REFERENCE)? != 0,
             learned: learned(session),
-            faults: fault_words(object::number(session, object::FAULTS)?),
+            faults: fault_words(object::faults(session)?),
             state: state_words(StateBits(object::number(session, object::STATE_BITS)?)),
             reset: u16::try_from(object::number(session, object::RESET_REASON)?)
                 .ok()

@@ -3,8 +3,10 @@
 use crate::{
     calibration::{AXIS_PAIRS, Calibration, ElongationSource},
     cnc::LinearAxis,
+    dimensions::CHANNELS,
     set::IndexSet,
     term::{self, Effect, Target, Tilt},
+    thermal_rate::{DEFAULT_TENTHS, RateLimit},
     units::Fine,
 };
 
@@ -20,6 +22,8 @@ pub(super) struct RequiredInputs {
     pub temperatures: IndexSet,
     /// Every channel that something depends on, in use or not.
     pub watched: IndexSet,
+    /// How fast each channel may change.
+    pub rates: [RateLimit; CHANNELS],
     /// Axes with a law over temperature.
     pub laws: IndexSet,
     /// Whether the sensor is one of the sources of the elongation.
@@ -100,6 +104,52 @@ impl RequiredInputs {
             }
         }
         needs.watched = needs.watched.and(needs.temperatures);
+        needs.rates = core::array::from_fn(|channel| needs.rate(calibration, channel));
         needs
     }
+
+    /// Returns how fast a channel may change.
+    fn rate(&self, calibration: &Calibration<'_>, channel: usize) -> RateLimit {
+        let stated = calibration.guards.max_rates.get(channel).copied().unwrap_or_default();
+        let tenths = match stated {
+            0 if self.watched.has(channel) => DEFAULT_TENTHS,
+            stated => stated,
+        };
+        let connected = calibration.thermometers.get(channel).copied().flatten();
+        connected.map_or_else(RateLimit::default, |thermometer| {
+            RateLimit::new(tenths, thermometer.step(), partners(calibration, channel))
+        })
+    }
+}
+
+/// Returns the other channels of the laws that use a channel: those of the same target.
+fn partners(calibration: &Calibration<'_>, channel: usize) -> IndexSet {
+    let chain = calibration.spindle.chain;
+    let spindle = calibration.spindle.temperature.as_ref();
+    let spindle = spindle.filter(|_| chain.contains(&Some(ElongationSource::Temperature)));
+    let laws = [
+        (Target::Elongation, spindle.map(|law| law.channel)),
+        (Target::Axis(LinearAxis::X), None),
+        (Target::Axis(LinearAxis::Y), None),
+        (Target::Axis(LinearAxis::Z), None),
+    ];
+    let mut partners = IndexSet::default();
+    for (target, first) in laws {
+        let axis = match target {
+            Target::Axis(axis) => calibration.axes.get(axis as usize),
+            Target::Elongation => None,
+        };
+        let of_axis = axis.and_then(|axis| axis.thermal.as_ref()).map(|law| law.channel);
+        let of_terms = calibration.terms.iter().flatten().filter_map(|term| match term.effect {
+            Effect::Heat { channel, .. } if term.target == target => Some(channel),
+            _ => None,
+        });
+        let mut all = IndexSet::default();
+        first.into_iter().chain(of_axis).chain(of_terms).for_each(|it| all.insert(it.into()));
+        if all.has(channel) {
+            partners = partners.and(all);
+        }
+    }
+    partners.remove(channel);
+    partners
 }

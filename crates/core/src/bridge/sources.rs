@@ -178,8 +178,44 @@ impl Bridge<'_> {
         selected.source().is_some_and(|source| self.needs.first == Some(source))
     }
 
+    /// Returns whether the source is the spindle's temperature, which changed too fast and is held.
+    #[inline(never)]
+    pub(super) fn holds_source(&self, state: &State, chosen: SelectedSource) -> bool {
+        const TEMPERATURE: SelectedSource = SelectedSource::Source(ElongationSource::Temperature);
+        chosen == TEMPERATURE && self.temperature_is_held(state)
+    }
+
+    /// Returns whether the spindle's temperature is held: it was believed, and changed too fast since.
+    fn temperature_is_held(&self, state: &State) -> bool {
+        let law = self.calibration.spindle.temperature.as_ref();
+        law.is_some_and(|law| {
+            state.channels.doubtful().has(law.channel.into())
+                && state.channels.temperature(law.channel).is_some()
+                && state.heat.knows_spindle()
+                && (!state.heat.is_unknown() || !law.has_memory())
+        })
+    }
+
+    /// Returns the first source that is fresh; without one the spindle's temperature, if it is held.
     #[inline(never)]
     fn first_fresh(&self, state: &State) -> SelectedSource {
+        match self.first_that_is_told(state) {
+            SelectedSource::Missing
+                if self.temperature_is_held(state)
+                    && self
+                        .calibration
+                        .spindle
+                        .chain
+                        .contains(&Some(ElongationSource::Temperature))
+                    && self.has_zero(state, ElongationSource::Temperature) =>
+            {
+                SelectedSource::Source(ElongationSource::Temperature)
+            }
+            first => first,
+        }
+    }
+
+    fn first_that_is_told(&self, state: &State) -> SelectedSource {
         let mut chosen = SelectedSource::Unneeded;
         for source in self.calibration.spindle.chain.into_iter().flatten() {
             if self.is_fresh(state, source) && self.has_zero(state, source) {
@@ -206,7 +242,9 @@ impl Bridge<'_> {
         match source {
             ElongationSource::Sensor => state.sensor_is_fresh(),
             ElongationSource::Temperature => spindle.temperature.is_some_and(|temperature| {
-                state.temperature(temperature.channel).is_some()
+                let channel = temperature.channel;
+                state.channels.temperature(channel).is_some()
+                    && !state.channels.doubtful().has(channel.into())
                     && state.heat.knows_spindle()
                     && (!state.heat.is_unknown() || !temperature.has_memory())
             }),

@@ -200,10 +200,12 @@ impl State {
         (!self.supply_is_off).then_some(self.scale)
     }
 
-    /// The temperature of a channel, where one is connected and believable.
+    /// Returns the temperature of a channel, where one is connected and believable: not what is held of one that changed
+    /// too fast.
     #[must_use]
     pub fn temperature(&self, channel: u8) -> Option<Temperature> {
-        self.channels.temperature(channel)
+        let is_held = self.channels.doubtful().has(channel.into());
+        self.channels.temperature(channel).filter(|_| !is_held)
     }
 
     /// How the parts differ from what the calibration says.

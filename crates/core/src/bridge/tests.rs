@@ -4,6 +4,7 @@ mod heat;
 mod jumps;
 mod learned;
 mod needs;
+mod rates;
 mod sources;
 mod timeouts;
 

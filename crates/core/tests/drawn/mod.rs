@@ -335,6 +335,7 @@ impl Machine {
             terms: std::array::from_fn(|index| self.terms.get(index).copied()),
             limits: self.limits,
             cold_within: Temperature(Temperature::PER_KELVIN / 2),
+            guards: Default::default(),
             names: Names::default(),
         }
     }

@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use trueup_core::{dimensions::CHANNELS, thermometer::Thermometer};
+use trueup_core::{
+    calibration::Guards, dimensions::CHANNELS, thermal_rate::MAX_TENTHS, thermometer::Thermometer,
+};
 
 use crate::{
     file::{Machine, is_temperature_column},
@@ -11,6 +13,9 @@ use crate::{
     model::required_columns,
     stored::{PER_KELVIN, fewest_decimals, rounded, written},
 };
+
+/// The board stores a rate in tenths of a kelvin a minute.
+const TENTHS: f64 = 10.0;
 
 /// A linear chain delivers so many parts of a count.
 const DELIVERED_PER_COUNT: f64 = 256.0;
@@ -79,6 +84,24 @@ pub(super) fn thermometers(machine: &Machine) -> Result<[Option<Thermometer>; CH
     Ok(thermometers)
 }
 
+/// Returns the fastest changes of the channels, in tenths of a kelvin a minute.
+pub(super) fn guards(machine: &Machine) -> Result<Guards, BadInput> {
+    let mut guards = Guards::default();
+    for (name, input) in machine.inputs.iter().flat_map(|inputs| &inputs.temperatures) {
+        let Some(rate) = input.max_c_per_min else { continue };
+        let tenths = rounded(rate * TENTHS).and_then(|tenths| u16::try_from(tenths).ok());
+        let tenths =
+            tenths.filter(|tenths| (1..=MAX_TENTHS).contains(tenths)).ok_or_else(|| {
+                let rule = format!("{rate} K/min is not within 0.1 to 600");
+                machine.places.bad(&format!("inputs.{name}.max_c_per_min"), rule)
+            })?;
+        if let Some(place) = guards.max_rates.get_mut(usize::from(input.channel)) {
+            *place = tenths;
+        }
+    }
+    Ok(guards)
+}
+
 /// Counts are delivered in 1/256; the slope has as many binary places as fit. `None` outside the
 /// range that the rule names: what would still fit beyond it is a slip of the pen.
 pub(super) fn linear_thermometer(zero_counts: f64, counts_per_c: f64) -> Option<Thermometer> {
@@ -97,9 +120,10 @@ pub(super) fn linear_thermometer(zero_counts: f64, counts_per_c: f64) -> Option<
 pub(super) fn inverse(
     has_sensor: bool,
     thermometers: &[Option<Thermometer>; CHANNELS],
+    guards: &Guards,
 ) -> Option<Inputs> {
     let mut temperatures = BTreeMap::new();
-    for (channel, &thermometer) in (0..).zip(thermometers) {
+    for ((channel, &thermometer), &tenths) in (0..).zip(thermometers).zip(&guards.max_rates) {
         let kind = match thermometer {
             None => continue,
             Some(Thermometer::Pt100) => TemperatureKind::Pt100,
@@ -108,7 +132,8 @@ pub(super) fn inverse(
                 counts_per_c: written_counts_per_c(slope, shift),
             },
         };
-        temperatures.insert(column(channel), TemperatureInput { channel, kind });
+        let max_c_per_min = (tenths > 0).then(|| f64::from(tenths) / TENTHS);
+        temperatures.insert(column(channel), TemperatureInput { channel, kind, max_c_per_min });
     }
     let sensor = has_sensor.then_some(SHOWN_INPUT);
     (has_sensor || !temperatures.is_empty()).then_some(Inputs { sensor, temperatures })

@@ -8,7 +8,8 @@ use super::{
 };
 use crate::{
     inputs::{
-        Inputs, LAST_CHANNEL, REFERENCE_VOLTS, SensorInput, TemperatureInput, TemperatureKind,
+        Inputs, LAST_CHANNEL, RATES_C_PER_MIN, REFERENCE_VOLTS, SensorInput, TemperatureInput,
+        TemperatureKind,
     },
     location::{BadInput, shortened},
 };
@@ -95,7 +96,16 @@ fn read_temperature_input(section: &Section<'_>) -> Result<TemperatureInput, Bad
         }
         TemperatureKind::Pt100
     };
-    Ok(TemperatureInput { channel, kind })
+    let max_c_per_min = section.number("max_c_per_min")?;
+    let [slowest, fastest] = RATES_C_PER_MIN;
+    if let Some(rate) = max_c_per_min.filter(|rate| !(slowest..=fastest).contains(rate)) {
+        let rule = format!(
+            "must be from {slowest} to {fastest} K/min: the fastest change that the \
+             thermometer's mass can make, not {rate}"
+        );
+        return Err(section.bad("max_c_per_min", rule));
+    }
+    Ok(TemperatureInput { channel, kind, max_c_per_min })
 }
 
 pub(super) fn write(inputs: &Inputs) -> NewSection {
@@ -109,7 +119,7 @@ pub(super) fn write(inputs: &Inputs) -> NewSection {
         ];
         section = section.with("sensor", Value::Inline(entries));
     }
-    for (column, TemperatureInput { channel, kind }) in &inputs.temperatures {
+    for (column, TemperatureInput { channel, kind, max_c_per_min }) in &inputs.temperatures {
         let kind_name = match kind {
             TemperatureKind::Pt100 => "pt100",
             TemperatureKind::Linear { .. } => "linear",
@@ -122,6 +132,7 @@ pub(super) fn write(inputs: &Inputs) -> NewSection {
             entries.push(number("zero_counts", zero_counts));
             entries.push(number("counts_per_c", counts_per_c));
         }
+        entries.extend(max_c_per_min.map(|rate| number("max_c_per_min", rate)));
         section = section.with(column, Value::Inline(entries));
     }
     section

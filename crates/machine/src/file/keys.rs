@@ -125,6 +125,8 @@ const THERMOMETER: &[Key] = &[
     key("zero_counts", Number, "counts", "of a line: the counts at 0 °C; on the flashed board codes of 12 bits (4095 at 3.3 V on the pin)")
         .as_in("4000"),
     key("counts_per_c", Number, "counts/K", "of a line: counts for one kelvin; not 0").as_in("16"),
+    key("max_c_per_min", Positive, "K/min", "the fastest change that the mass at the thermometer can make, from 0.1 to 600; a faster reading is not believed until it has stayed within it for 60 s. Without it 10 where a law uses the thermometer; coolant, oil and air need more")
+        .as_in("60.0"),
 ];
 
 const INPUTS: &[Key] = &[

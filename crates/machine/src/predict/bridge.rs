@@ -68,7 +68,8 @@ fn with_all_temperatures(machine: &Machine) -> Machine {
         if !inputs.temperatures.contains_key(&name)
             && let Some(channel) = (0..=LAST_CHANNEL).find(|channel| !taken(channel))
         {
-            let input = TemperatureInput { channel, kind: TemperatureKind::Pt100 };
+            let input =
+                TemperatureInput { channel, kind: TemperatureKind::Pt100, max_c_per_min: None };
             inputs.temperatures.insert(name, input);
         }
     }

@@ -75,6 +75,9 @@ pub fn changes(old: &Calibration<'_>, new: &Calibration<'_>) -> Vec<String> {
     if old.thermometers != new.thermometers || old.cold_within != new.cold_within {
         all.push("thermometers: their channels or kinds".into());
     }
+    if old.guards != new.guards {
+        all.push("how fast thermometers may change".into());
+    }
     limit_changes(old, new, &mut all);
     all
 }

@@ -33,6 +33,7 @@ pub(super) fn difference_nm(a: &Calibration<'_>, b: &Calibration<'_>) -> Option<
         && a.kinematics.axes == b.kinematics.axes
         && a.limits == b.limits
         && a.cold_within == b.cold_within
+        && a.guards == b.guards
         && a.names == b.names;
     if !is_alike {
         return None;

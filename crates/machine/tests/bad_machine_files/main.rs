@@ -160,6 +160,18 @@ fn the_inputs_are_checked() {
                 "zero_counts belongs to kind = \"linear\"",
             ),
             (
+                "temp_a_c = { channel = 0, kind = \"pt100\", max_c_per_min = 0.09 }\n",
+                "5:59",
+                "max_c_per_min must be from 0.1 to 600 K/min: the fastest change that the \
+                 thermometer's mass can make, not 0.09",
+            ),
+            (
+                "temp_a_c = { channel = 0, kind = \"pt100\", max_c_per_min = 601 }\n",
+                "5:59",
+                "max_c_per_min must be from 0.1 to 600 K/min: the fastest change that the \
+                 thermometer's mass can make, not 601",
+            ),
+            (
                 "temp_b_c = { channel = 1, kind = \"pt100\" }\n\
                  temp_a_c = { channel = 1, kind = \"pt100\" }\n",
                 "6:24",

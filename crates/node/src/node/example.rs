@@ -32,6 +32,7 @@ pub(crate) fn tests_calibration() -> Calibration<'static> {
             learned: Default::default(),
         },
         cold_within: Temperature(Temperature::PER_KELVIN / 2),
+        guards: Default::default(),
         names: Names::default(),
     }
 }

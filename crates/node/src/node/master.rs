@@ -9,7 +9,9 @@
 //! silent for the link timeout: what a CNC would send is not heard from another line meanwhile, and
 //! that it came is told. On the same line a second master shows in the counters: each time the two change over, one frame is
 //! repeated or out of sequence. A sound link has none of these and a CNC that restarts has one, so
-//! three within 2.4 s are a second master. Neither is believed then, as if both were silent.
+//! three within 2.4 s are a second master. Neither is believed then, as if both were silent. After the stranger's
+//! last frame the master is the sender whose next two counters follow on, with none out of sequence for a quarter of
+//! the link timeout: a sender that is there interrupts any other one sooner. Without such a sender the doubt ends after 2.4 to 3.2 s.
 //!
 //! **Edges** of `Zero` and `Confirm` count once the bit was 0 after three accepted frames in a row and
 //! then 1 in three more: two masters that disagree on a bit make no edge of it, and neither does a
@@ -37,6 +39,11 @@ const WEIGHT: u8 = 4;
 const SECOND_MASTER: u8 = 3 * WEIGHT;
 /// The sum goes down by one in this time: 2.4 s for three frames.
 const LEAK_MS: u32 = 200;
+/// After a frame out of sequence so many have to follow on for its sender to be the master.
+const FOLLOWING: u8 = 2;
+/// And none may come out of sequence for this share of the link timeout. A CNC sends more often: else one lost frame
+/// or two would be its silence.
+const QUIET_SHARE: u32 = 4;
 /// Another line is told for so long after it was heard.
 const TOLD_MS: u32 = LEAK_MS * SECOND_MASTER as u32;
 
@@ -100,6 +107,8 @@ pub(super) struct Master {
     /// Frames out of sequence, weighed.
     strange: u8,
     leak_ms: u32,
+    /// Since the last of them.
+    quiet_ms: u32,
     /// Two share the line, and neither is believed.
     is_doubtful: bool,
     /// For so long it is still told that another line was heard.
@@ -156,6 +165,7 @@ impl Master {
         self.zero_was_cut |= self.zero.cut();
         self.confirm.cut();
         if is_sound {
+            self.quiet_ms = 0;
             // So much more that it lasts for a while after the last of them.
             self.strange = self.strange.saturating_add(WEIGHT).min(SECOND_MASTER + WEIGHT);
             self.is_doubtful |= self.strange >= SECOND_MASTER;
@@ -172,8 +182,12 @@ impl Master {
         if self.leak_ms >= LEAK_MS {
             self.leak_ms = 0;
             self.strange = self.strange.saturating_sub(1);
-            self.is_doubtful &= self.strange > 0;
         }
+        self.quiet_ms = self.quiet_ms.saturating_add(elapsed_ms);
+        if self.steady >= FOLLOWING && self.quiet_ms > link_timeout_ms / QUIET_SHARE {
+            self.strange = if self.is_doubtful { 0 } else { self.strange };
+        }
+        self.is_doubtful &= self.strange > 0;
         self.other_line_ms = self.other_line_ms.saturating_sub(elapsed_ms);
     }
 

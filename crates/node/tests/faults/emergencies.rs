@@ -23,8 +23,8 @@ fn number(rig: &Rig, what: ObjectKind) -> u32 {
 }
 
 /// Whether anything that the objects tell has changed.
-fn bits(rig: &Rig) -> (u32, u32) {
-    (number(rig, ObjectKind::AllFaults), number(rig, ObjectKind::StateBits))
+fn bits(rig: &Rig) -> [u32; 3] {
+    [ObjectKind::AllFaults, ObjectKind::HighFaults, ObjectKind::StateBits].map(|it| number(rig, it))
 }
 
 /// `Control` from a master of its own line, as often as given.
@@ -49,6 +49,7 @@ fn provoke(fault: Fault, rig: &mut Rig) {
         // 4 µm of heat and 15 to 19 µm of the table.
         Fault::Clamped => rig.offset_mm = 350.0,
         Fault::OutsideTable => breaks(Part::Position, Kind::Drift),
+        Fault::PlaceLost => breaks(Part::Position, Kind::Off),
         Fault::PositionJump => breaks(Part::Position, Kind::Bias),
         Fault::SensorOdd => breaks(Part::Sensor, Kind::Bias),
         Fault::HeatUnknown => {
@@ -86,8 +87,19 @@ fn provoke(fault: Fault, rig: &mut Rig) {
             rig.run(6_000);
             controls(rig, Line::Can, Control { learned, ..Control::REFERENCED }, 200, 5);
         }
-        other => rig.node.note(other),
+        other => match channel_of(other) {
+            Some((_, kind)) => rig.fault = Some((Part::SpindleThermometer, kind, since)),
+            None => rig.node.note(other),
+        },
     }
+}
+
+/// Returns the channel of a thermometer's fault, and what breaks there.
+fn channel_of(fault: Fault) -> Option<(usize, Kind)> {
+    let of = |faults: [Fault; 8]| faults.into_iter().position(|it| it == fault);
+    of(Fault::THERMOMETERS)
+        .map(|channel| (channel, Kind::Off))
+        .or(of(Fault::TEMPERATURE_RATES).map(|channel| (channel, Kind::Bias)))
 }
 
 /// Milliseconds from the moment at which the objects tell of a fault to its emergency.
@@ -96,7 +108,8 @@ fn told_after(fault: Fault) -> u32 {
         // Both are sent elsewhere at once.
         Fault::Clamped => Rig::engaged_within(20_000, 7),
         Fault::OutsideTable => Rig::engaged_within(200_000, 7),
-        _ => Rig::engaged(7),
+        _ => channel_of(fault)
+            .map_or_else(|| Rig::engaged(7), |(channel, _)| Rig::engaged_on(channel, 7)),
     };
     if fault == Fault::OutsideTable {
         // 10 mm a minute from 590 mm need long to leave the table: begin far out.

@@ -110,9 +110,9 @@ thermometer (2 µm/K) and a table (20 µm/m), on its way at up to 3.8 m/min. *Of
 (of the speed 10 r/min a second), *slow* a lag of 5 s or a frame every 400 ms, *delayed* 1 s, *intermittent* gone for 30 of 200 ms,
 300 of 1000 ms, or every second frame.
 
-**Not detectable.** A bias or a slow drift of an input that nothing else watches looks like the machine itself. Its whole size is
+**Not detectable.** A bias of a sensor, or a slow drift of an input that nothing else watches, looks like the machine itself. Its whole size is
 the error: the sensor's 1 : 1, a thermometer's times its law (µm/K), a position's times the slope of its tables. Who needs
-more watches with a second source. A thermometer that jumps by more than 10 K from one reading to the next is not believed; one that stops is found after 40 s, longer than here, if
+more watches with a second source. A thermometer that changes faster than its mass can (here by more than 10 K/min) is not believed until it has stayed within that for 60 s; one that stops is found after 40 s, longer than here, if
 its noise is half a step or more and another one goes on. A sensor that jumps by more than 3.9 µm in 50 µs (before its low-pass: by some 30 µm)
 is told, and believed. A position that its axis
 cannot have reached since the last (by its rapid traverse, here 6 m/min) is not believed until three more have followed from it; one that a CNC
@@ -163,7 +163,9 @@ fn a_dead_input_is_told_and_moves_little_while_a_bias_is_followed_and_said_to_be
     let silent = seen(Part::Control, Kind::Off, State::Live);
     assert!(silent.contains("`CncLost`") || silent.contains("quality"), "{silent}");
     let bias = seen(Part::AxisThermometer, Kind::Bias, State::Live);
-    assert_eq!(bias, "not detected; 1; 10.0 µm");
+    assert!(bias.contains("`TemperatureRate4`; 4; 0."), "{bias}");
+    let drift = seen(Part::AxisThermometer, Kind::Drift, State::Live);
+    assert_eq!(drift, "not detected; 1; 1.7 µm");
     let gone = seen(Part::AxisThermometer, Kind::Open, State::Live);
-    assert!(gone.contains("`Sensor`"), "{gone}");
+    assert!(gone.contains("`Thermometer4`"), "{gone}");
 }

@@ -96,6 +96,7 @@ pub fn calibration() -> Calibration<'static> {
             learned: Default::default(),
         },
         cold_within: Temperature(Temperature::PER_KELVIN / 2),
+        guards: Default::default(),
         names: Names::default(),
     }
 }
@@ -199,6 +200,8 @@ pub struct Rig {
     /// Emergencies of faults that have come, with their time.
     pub told: Vec<(u32, Fault)>,
     pub last: Output,
+    /// Channels of the two thermometers.
+    channels: [usize; 2],
     /// Where the CNC is.
     pub line: Line,
     seed: u64,
@@ -226,6 +229,7 @@ impl Rig {
             offset_mm: 0.0,
             told: Vec::new(),
             last: Output::default(),
+            channels: [SPINDLE_CHANNEL, AXIS_CHANNEL],
             line: Line::Can,
             seed: seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1,
             counters: [0; 3],
@@ -426,8 +430,9 @@ impl Rig {
         let minutes = f64::from(self.ms) / 60_000.0 % 60.0;
         let axis_c = 22.0 + minutes.min(60.0 - minutes);
         let mut raw = [Raw::NONE; CHANNELS];
-        raw[SPINDLE_CHANNEL] = self.raw(Part::SpindleThermometer, spindle_c);
-        raw[AXIS_CHANNEL] = self.raw(Part::AxisThermometer, axis_c);
+        let [spindle, axis] = self.channels;
+        raw[spindle] = self.raw(Part::SpindleThermometer, spindle_c);
+        raw[axis] = self.raw(Part::AxisThermometer, axis_c);
         if codes.is_some() {
             let input =
                 Input { codes: codes.as_ref(), temperatures: Some(&raw), ..Input::default() };
@@ -472,6 +477,17 @@ impl Rig {
         narrow.limits.max[0] = Nanometres(x_nm);
         narrow.axes[0].rapid = 0;
         Self { node: Node::new(Some(narrow), false), ..Self::new(seed) }.into_engaged()
+    }
+
+    /// The same, with the spindle's thermometer on this channel; the axis's goes to the next.
+    pub fn engaged_on(channel: usize, seed: u64) -> Self {
+        let channels = [channel, (channel + 1) % CHANNELS];
+        let mut wired = calibration();
+        let [spindle, axis] = channels.map(|channel| channel as u8);
+        wired.thermometers = [wired.thermometers[SPINDLE_CHANNEL]; CHANNELS];
+        wired.spindle.temperature.as_mut().expect("its model").channel = spindle;
+        wired.axes[0].thermal.as_mut().expect("its law").channel = axis;
+        Self { node: Node::new(Some(wired), false), channels, ..Self::new(seed) }.into_engaged()
     }
 
     fn into_engaged(mut self) -> Self {

@@ -14,6 +14,7 @@ pub fn calibration() -> Calibration<'static> {
     thermometers[2] = Some(Thermometer::Pt100);
     Calibration {
         thermometers,
+        guards: Default::default(),
         names: Names { machine: b"gantry", serial: b"17/4", board: [1, 2, 3] },
         ..example::tests_calibration()
     }

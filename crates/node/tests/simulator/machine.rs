@@ -72,6 +72,7 @@ pub fn calibration(table: usize) -> Calibration<'static> {
             learned: Default::default(),
         },
         cold_within: Temperature(Temperature::PER_KELVIN / 2),
+        guards: Default::default(),
         names: Names::default(),
     }
 }

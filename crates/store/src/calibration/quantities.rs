@@ -11,6 +11,7 @@ use trueup_core::{
     pitch::Pitch,
     sensor::{SensorLaw, Slope},
     thermal::Law,
+    thermal_rate::MAX_TENTHS,
     thermometer::Thermometer,
     tool::Direction,
     travel::Interval,
@@ -258,30 +259,39 @@ pub(super) const fn linear_axis(number: u32) -> Option<LinearAxis> {
     }
 }
 
-/// What is connected to a temperature channel: kind, shift, 0, 0, zero, slope.
-impl<'b> Field<'b> for Option<Thermometer> {
+/// What is connected to a temperature channel, and how fast it may change: kind, shift, two bytes of the rate, zero,
+/// slope. The rate is 0 in a blob from before it was known: the default.
+pub(super) struct Connected(pub Option<Thermometer>, pub u16);
+
+impl<'b> Field<'b> for Connected {
     const SIZE: usize = 12;
 
     fn put(&self, to: &mut Writer<'_>) {
-        let (kind, shift, zero, slope) = match *self {
+        let (kind, shift, zero, slope) = match self.0 {
             None => (0, 0, 0, 0),
             Some(Thermometer::Pt100) => (1, 0, 0, 0),
             Some(Thermometer::Linear { zero, slope, shift }) => (2, shift, zero, slope),
         };
-        to.bytes(&[kind, shift, 0, 0]);
+        let [low, high] = self.1.to_le_bytes();
+        to.bytes(&[kind, shift, low, high]);
         [zero, slope].put(to);
     }
 
     fn get(from: &mut Reader<'b>) -> Self {
         let offset = from.at;
-        let [kind, shift, ..] = from.bytes();
+        let [kind, shift, low, high] = from.bytes();
+        let rate = u16::from_le_bytes([low, high]);
+        if rate > MAX_TENTHS {
+            from.refuse(BlobError::Limit { offset, found: rate.into(), most: MAX_TENTHS.into() });
+        }
         let (zero, slope) = (i32::get(from), i32::get(from));
-        match kind {
+        let thermometer = match kind {
             0 => None,
             1 => Some(Thermometer::Pt100),
             2 => Some(Thermometer::Linear { zero, slope, shift }),
             found => from.refuse_value(offset, found),
-        }
+        };
+        Self(thermometer, rate)
     }
 }
 

@@ -2,7 +2,7 @@
 
 use trueup_core::{
     calibration::{
-        AxisModel, AxisThermal, Calibration, Dual, ElongationSource, Names, SpindleModel,
+        AxisModel, AxisThermal, Calibration, Dual, ElongationSource, Guards, Names, SpindleModel,
         SpindleTemperature, SpindleWarmup,
     },
     cnc::LinearAxis,
@@ -16,7 +16,6 @@ use trueup_core::{
     pitch::{Beam, Pitch},
     sensor::SensorLaw,
     thermal::Law,
-    thermometer::Thermometer,
     tool::Direction,
     travel::{self, Interval},
     units::{Fine, Position},
@@ -28,7 +27,7 @@ use super::{
         FIXED_SIZE, HEAD_SIZE, MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_REJOIN_NM_PER_S,
         MAX_SLEW_NM_PER_S,
     },
-    quantities::{Chain, Channel, ColdWithin, HeadAxes, Limit, MaxOffset, Text},
+    quantities::{Chain, Channel, ColdWithin, Connected, HeadAxes, Limit, MaxOffset, Text},
     terms::Terms,
     wire::{Field, record},
 };
@@ -49,7 +48,7 @@ record! {
         spindle_law: Law<'b>,
         warmup: Warmup,
         power: Curve<'b>,
-        thermometers: [Option<Thermometer>; CHANNELS],
+        thermometers: [Connected; CHANNELS],
         axes: [AxisRecord<'b>; 3],
         straightness: [Curve<'b>; 6],
         squareness: [Gradient; 6],
@@ -99,6 +98,7 @@ impl<'b> FixedPart<'b> {
             limits:
                 Limits { max, slew_nm_per_s, link_timeout_ms, hold_ms, rejoin_nm_per_s, learned },
             cold_within,
+            guards: Guards { max_rates },
             names: Names { machine, serial, board },
         } = *calibration;
         let none = SmoothingFactor(0);
@@ -123,7 +123,10 @@ impl<'b> FixedPart<'b> {
             spindle_law: temperature.map(|it| it.law).unwrap_or_default(),
             warmup: warmup.map_or(never, |it| it.law),
             power: warmup.map(|it| it.power).unwrap_or_default(),
-            thermometers,
+            thermometers: core::array::from_fn(|channel| {
+                let connected = thermometers.get(channel).copied().flatten();
+                Connected(connected, max_rates.get(channel).copied().unwrap_or_default())
+            }),
             axes: axes.map(AxisRecord::of),
             straightness,
             squareness,
@@ -148,7 +151,7 @@ impl<'b> FixedPart<'b> {
             law: self.spindle_law,
         });
         Calibration {
-            thermometers: self.thermometers,
+            thermometers: self.thermometers.each_ref().map(|it| it.0),
             spindle: SpindleModel {
                 chain,
                 sensor: self.sensor,
@@ -169,6 +172,7 @@ impl<'b> FixedPart<'b> {
                 learned: Caps { growth, axes, zero },
             },
             cold_within: self.cold_within.0,
+            guards: Guards { max_rates: self.thermometers.map(|it| it.1) },
             names: Names {
                 machine: self.machine_name.0,
                 serial: self.machine_serial.0,

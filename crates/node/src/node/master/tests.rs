@@ -92,6 +92,7 @@ fn a_second_master_is_told_for_two_to_four_seconds_after_the_last_frame_out_of_s
         assert_eq!(master.is_second(), is_doubtful, "{strange} frames");
         let believed = master.take(Line::Can, Control::REFERENCED).is_some();
         assert_eq!(believed, !is_doubtful, "{strange} frames");
+        // Nobody else sends: one frame follows from nothing.
         let told_ms = (0..100_000).take_while(|_| {
             let is_told = master.is_second();
             master.tick(1, TIMEOUT_MS);
@@ -104,6 +105,53 @@ fn a_second_master_is_told_for_two_to_four_seconds_after_the_last_frame_out_of_s
     let mut master = steady();
     (0..100).for_each(|_| master.refuse(false));
     assert!(!master.is_second());
+}
+
+/// A CNC that sends every so many milliseconds from `phase_ms` on, and a stranger with counters of its own that sends bursts.
+/// Returns in how many of `ms` milliseconds after the stranger's last frame the CNC is not believed, and how many of
+/// the stranger's frames were.
+fn contest(period_ms: u32, burst: u32, every_ms: u32, bursts: u32, ms: u32) -> (u32, u32) {
+    let mut master = steady();
+    let (mut last_is_cnc, mut waits_ms, mut strangers) = (true, 0, 0);
+    let mut believed = |master: &mut Master, is_cnc: bool| {
+        let follows = is_cnc == core::mem::replace(&mut last_is_cnc, is_cnc);
+        if !follows {
+            master.refuse(true);
+        }
+        follows && master.take(Line::Can, Control::REFERENCED).is_some()
+    };
+    let mut is_back = false;
+    let last = every_ms * bursts;
+    for now in 1..=last + ms {
+        if now <= last && now.is_multiple_of(every_ms) {
+            strangers += (0..burst).filter(|_| believed(&mut master, false)).count() as u32;
+        }
+        if now % period_ms == 7 {
+            is_back = believed(&mut master, true);
+        }
+        waits_ms += u32::from(now > last && !is_back);
+        master.tick(1, TIMEOUT_MS);
+    }
+    (waits_ms, strangers)
+}
+
+#[test]
+fn after_a_strangers_frames_the_cnc_is_the_master_again_within_a_quarter_of_the_timeout() {
+    // Ten frames, as fast as the CNC's; bursts of six; one.
+    for (burst, every_ms, bursts) in [(1, 20, 10), (6, 30, 10), (1, 3, 200), (1, 20, 1)] {
+        let (waits_ms, _) = contest(20, burst, every_ms, bursts, 1_000);
+        assert!(waits_ms <= TIMEOUT_MS / 4 + 60, "{bursts} of {burst}: {waits_ms} ms");
+    }
+}
+
+#[test]
+fn a_stranger_does_not_become_the_master_of_a_cnc_that_sends_four_times_in_its_timeout() {
+    for period_ms in [20, 50, 100, 124] {
+        // Before it is noticed its bursts pass; for the next minute nothing of it does.
+        let (_, few) = contest(period_ms, 4, 10, 20, 0);
+        let (_, many) = contest(period_ms, 4, 10, 6_000, 0);
+        assert_eq!(few, many, "{period_ms} ms");
+    }
 }
 
 #[test]
