@@ -155,7 +155,7 @@ const DELIVERED_PER_COUNT: i32 = 256;
 fn is_at_rail(Raw(raw): Raw) -> bool {
     const LOW: i32 = LOW_RAIL.0 as i32 * DELIVERED_PER_COUNT;
     const HIGH: i32 = HIGH_RAIL.0 as i32 * DELIVERED_PER_COUNT;
-    const END: i32 = Code::FULL_SCALE as i32 * DELIVERED_PER_COUNT;
+    const END: i32 = Code::FULL_SCALE * DELIVERED_PER_COUNT;
     raw <= LOW || (HIGH..END).contains(&raw)
 }
 

@@ -110,9 +110,9 @@ fn a_second_master_is_told_for_two_to_four_seconds_after_the_last_frame_out_of_s
 /// A CNC that sends every so many milliseconds from `phase_ms` on, and a stranger with counters of its own that sends bursts.
 /// Returns in how many of `ms` milliseconds after the stranger's last frame the CNC is not believed, and how many of
 /// the stranger's frames were.
-fn contest(period_ms: u32, burst: u32, every_ms: u32, bursts: u32, ms: u32) -> (u32, u32) {
+fn contest(period_ms: u32, burst: u32, every_ms: u32, bursts: u32, ms: u32) -> (u32, usize) {
     let mut master = steady();
-    let (mut last_is_cnc, mut waits_ms, mut strangers) = (true, 0, 0);
+    let (mut last_is_cnc, mut waits_ms, mut strangers) = (true, 0, 0_usize);
     let mut believed = |master: &mut Master, is_cnc: bool| {
         let follows = is_cnc == core::mem::replace(&mut last_is_cnc, is_cnc);
         if !follows {
@@ -124,7 +124,7 @@ fn contest(period_ms: u32, burst: u32, every_ms: u32, bursts: u32, ms: u32) -> (
     let last = every_ms * bursts;
     for now in 1..=last + ms {
         if now <= last && now.is_multiple_of(every_ms) {
-            strangers += (0..burst).filter(|_| believed(&mut master, false)).count() as u32;
+            strangers += (0..burst).filter(|_| believed(&mut master, false)).count();
         }
         if now % period_ms == 7 {
             is_back = believed(&mut master, true);
