@@ -55,6 +55,7 @@ impl Columns for Table<'_> {
         };
         match *input {
             Input::Predicted => Cow::Borrowed(self.p),
+            Input::Law => whole(Some(&data.law)),
             Input::Believed => whole(Some(&data.elongation)),
             Input::Time => whole(data.time_s.as_deref()),
             // What is of no run is no run's number either.

@@ -5,6 +5,7 @@
 //! | `quantity` | which error the runs are compared in |
 //! | `read` | from runs to the table |
 //! | `channels`, `channel` | thermometers that lie and columns that are copies, set aside; one by one |
+//! | `inputs` | which of the other columns an error may depend on |
 //! | `prediction`, `reversal` | what the machine file says of each row; what follows from turning |
 //! | `stated` | the terms that the machine file has already |
 //! | `table` | the columns, by name |
@@ -20,6 +21,7 @@ mod channel;
 mod channels;
 mod drawn;
 mod groups;
+mod inputs;
 mod lag;
 mod lag_series;
 mod lags;

@@ -69,6 +69,8 @@ pub struct Situation<'a> {
     pub feed_mm_per_min: f64,
     /// Temperatures in °C by the name of their column.
     pub temperatures_c: &'a [(&'a str, f64)],
+    /// Other columns that a term reads, by their names.
+    pub others: &'a [(&'a str, f64)],
     /// X, Y and Z.
     pub position_mm: [f64; 3],
     /// A, B and C.
@@ -87,6 +89,7 @@ impl Situation<'_> {
         load_n: None,
         feed_mm_per_min: f64::NAN,
         temperatures_c: &[],
+        others: &[],
         position_mm: [f64::NAN; 3],
         angle_deg: [f64::NAN; 3],
         direction: [f64::NAN; 3],
@@ -97,6 +100,13 @@ impl Situation<'_> {
     pub fn temperature_c(&self, column: &str) -> f64 {
         let found = self.temperatures_c.iter().find(|(name, _)| *name == column);
         found.map_or(f64::NAN, |&(_, temperature_c)| temperature_c)
+    }
+
+    /// The value of another `column`; NaN if it is missing.
+    #[must_use]
+    pub fn other(&self, column: &str) -> f64 {
+        let found = self.others.iter().find(|(name, _)| *name == column);
+        found.map_or(f64::NAN, |&(_, value)| value)
     }
 }
 

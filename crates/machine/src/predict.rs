@@ -129,7 +129,7 @@ impl<'a> Predictor<'a> {
             .into_iter()
             .filter(|name| run.column(name).is_none())
             .collect();
-        let columns = Columns::of(run);
+        let columns = Columns::of(machine, run);
         if let Some(first) = missing.first()
             && nothing_is_known(machine, &columns)
         {
@@ -171,7 +171,8 @@ impl<'a> Predictor<'a> {
             self.bridge.as_ref().ok().map(|bridge| BridgeRun::new(self.machine, bridge));
         (0..self.run.rows()).map(move |row| {
             let temperatures = self.columns.temperatures(row);
-            let situation = self.columns.situation(row, &temperatures);
+            let others = self.columns.others(row);
+            let situation = self.columns.situation(row, &temperatures, &others);
             let model = model.next().expect("one for each row");
             let compensated = compensated.as_mut().map_or(model, |it| it.step(&situation).values());
             let bridge = bridge.as_mut().map(|bridge| {
@@ -196,7 +197,8 @@ impl<'a> Predictor<'a> {
         let in_time = (0..self.run.rows()).map(move |row| {
             let mut temperatures: Vec<(&str, f64)> = self.columns.temperatures(row);
             temperatures.extend(parts.iter().map(|(name, part_c)| (name.as_str(), part_c[row])));
-            reference.step(&self.columns.situation(row, &temperatures)).values()
+            let others = self.columns.others(row);
+            reference.step(&self.columns.situation(row, &temperatures, &others)).values()
         });
         let shifts_s = Quantity::ALL.map(|it| time_shift_s(&self.machine.terms, it));
         if shifts_s == [0.0; 4] {
@@ -312,6 +314,7 @@ fn nothing_is_known(machine: &Machine, columns: &Columns<'_>) -> bool {
     let there = |column: &Option<&[f64]>| column.map_or(f64::NAN, |_| 1.0);
     let temperatures: Vec<_> =
         columns.temperatures_c.iter().map(|(name, _)| (*name, 20.0)).collect();
+    let others: Vec<_> = columns.others.iter().map(|(name, _)| (*name, 1.0)).collect();
     let situation = Situation {
         time_s: columns.time_s.map(|_| 0.0),
         run: columns.run.map(|_| 1.0),
@@ -320,6 +323,7 @@ fn nothing_is_known(machine: &Machine, columns: &Columns<'_>) -> bool {
         load_n: columns.load_n.map(|_| 1.0),
         feed_mm_per_min: there(&columns.feed_mm_per_min),
         temperatures_c: &temperatures,
+        others: &others,
         position_mm: columns.position_mm.each_ref().map(there),
         angle_deg: columns.angle_deg.each_ref().map(there),
         direction: [1.0; 3],

@@ -1,9 +1,13 @@
 //! `[[term]]`: read, applied to the prediction, written back. Each cause's formula by hand.
 
+#[path = "terms/dependence.rs"]
+mod dependence;
 #[path = "terms/feed.rs"]
 mod feed;
 #[path = "terms/late.rs"]
 mod late;
+#[path = "terms/lively.rs"]
+mod lively;
 #[path = "terms/refused.rs"]
 mod refused;
 
@@ -362,6 +366,10 @@ fn one_of_each() -> Vec<(&'static str, String)> {
         (AXIS, "dx", "cross-axis", "axis = \"z\"\num_per_m = 3.0"),
         (AXIS, "dx", "angular-error", "lever = \"z\"\norigin_mm = -40.0\nurad_per_m = 30.0"),
         (AXIS, "dx", "angular-error", tilt),
+        (SENSOR, "elongation", "dependence", dependence::HINGE),
+        (SENSOR, "elongation", "dependence", dependence::LEVEL_BY_SPEED),
+        (SENSOR, "elongation", "dependence", dependence::LEVEL_BY_GROWTH),
+        (AXIS, "dx", "dependence", dependence::LINE_BY_POSITION),
         (AXIS, "dx", "step", "at_s = 4.0\nsize_um = 3.0"),
         (AXIS, "dx", "drift", "um_per_h = 3.0"),
         (AXIS, "dx", "drift", "um_per_run = -0.5"),
@@ -394,31 +402,6 @@ fn every_cause_is_read_and_written_back_to_the_same_numbers() {
     }
 }
 
-/// Temperatures swing, the spindle turns and is cut against, the axis goes there and back.
-fn lively_run() -> String {
-    let mut csv = "time_s,sensor_counts,temp_a_c,temp_b_c,temp_coil_c,spindle_rpm,load_n,\
-                   x_mm,y_mm,z_mm,dir_x\n"
-        .to_string();
-    for row in 0..400 {
-        let t = f64::from(row) * 7.3;
-        let wave = |period: f64| (t / period * std::f64::consts::TAU).sin();
-        csv += &format!(
-            "{t},{},{},{},{},{},{},{},{},{},{}\n",
-            (90.0 + 80.0 * wave(900.0)).round(),
-            24.0 + 6.0 * wave(700.0),
-            26.0 - 5.0 * wave(430.0),
-            30.0 + 4.0 * wave(1_200.0),
-            if row % 50 < 30 { 18_000 } else { 0 },
-            (200.0 * wave(77.0)).round(),
-            3.0 + 2.5 * wave(310.0),
-            4.0 + 4.0 * wave(610.0),
-            1_000.0 * wave(800.0),
-            if row % 7 < 4 { 1 } else { -1 },
-        );
-    }
-    csv
-}
-
 const INPUTS: &str = "[inputs]\nsensor = { volts_full_scale = 10.0, counts_full_scale = 4096, \
                       divider = 0.33 }\ntemp_a_c = { channel = 3, kind = \"pt100\" }\n\
                       temp_b_c = { channel = 1, kind = \"pt100\" }\n\
@@ -426,7 +409,7 @@ const INPUTS: &str = "[inputs]\nsensor = { volts_full_scale = 10.0, counts_full_
 
 #[test]
 fn the_board_runs_every_term_that_compensates_as_the_model_says() {
-    let csv = lively_run();
+    let csv = lively::lively_run();
     let run = RunFile::from_reader(csv.as_bytes(), Path::new("r.csv")).expect("a run");
     let mut worst: f64 = 0.0;
     for (sections, text) in one_of_each() {

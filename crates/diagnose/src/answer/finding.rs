@@ -2,7 +2,7 @@
 
 use serde_json::{Map, json};
 
-use trueup_machine::effect::Value;
+use trueup_machine::effect::{Dependence, Effect, Value};
 use trueup_numerics::blocks::rms;
 use trueup_page::micrometres;
 
@@ -61,11 +61,14 @@ pub(crate) fn finding(problem: &Problem, it: &Judgement, left_out: Unit) -> Find
     let rivals = it.rivals.iter().map(|rival| Rival {
         cause: rival.cause.name().into(),
         column: rival.cause.column(),
+        form: dependence(&rival.cause).map(Dependence::form_name),
         score_gap: rival.bic_gap,
     });
     Finding {
         cause: cause.name().into(),
         column: cause.column(),
+        form: dependence(cause).map(Dependence::form_name),
+        times: dependence(cause).and_then(|it| it.times.name()),
         claimed: it.doubts.is_empty(),
         compensated: cause.is_compensated() && it.is_kept,
         confidence: (it.confidence() * 1e4).round() / 1e4,
@@ -76,6 +79,14 @@ pub(crate) fn finding(problem: &Problem, it: &Judgement, left_out: Unit) -> Find
         together_with: Vec::new(),
         rivals: rivals.collect(),
         next_test,
+    }
+}
+
+/// The page of a dependence on a column, where the cause is one.
+fn dependence(cause: &Kind) -> Option<&Dependence> {
+    match cause.cause() {
+        Some(Effect::Dependence(page)) => Some(page),
+        _ => None,
     }
 }
 
@@ -280,6 +291,8 @@ pub(crate) fn outliers(data: &Data, after: &[f64], aside: &[bool]) -> Finding {
     Finding {
         cause: "outliers".into(),
         column: None,
+        form: None,
+        times: None,
         claimed: true,
         compensated: false,
         confidence: 0.999,

@@ -170,6 +170,12 @@ pub struct Finding {
     /// The column that it hangs on, where there is a choice.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub column: Option<String>,
+    /// Of a `dependence`: `level`, `line` or `hinge`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub form: Option<&'static str>,
+    /// Of a `dependence`: what it is multiplied by.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub times: Option<&'static str>,
     /// Whether the data tell it from all other causes.
     pub claimed: bool,
     /// Whether the board corrects it.
@@ -215,6 +221,9 @@ pub struct Rival {
     /// Its column.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub column: Option<String>,
+    /// Of a `dependence`: `level`, `line` or `hinge`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub form: Option<&'static str>,
     /// How much worse its score is (a difference of BIC).
     pub score_gap: f64,
 }

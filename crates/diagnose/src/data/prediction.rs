@@ -6,10 +6,12 @@ use trueup_machine::{
     Machine,
     applied::Unaided,
     file::LinearAxis,
-    model::{ReferenceModel, Situation, part_temperatures, shifted, time_shift_s},
+    model::{
+        ReferenceModel, Situation, part_temperatures, required_columns, shifted, time_shift_s,
+    },
 };
 
-use super::table::Data;
+use super::table::{Column, Data};
 
 /// Steps the reference model through the runs: as the machine file says, and by the machine's own laws,
 /// without its terms.
@@ -58,6 +60,7 @@ fn stepped(data: &Data, runs: &[Unaided<'_>], machine: &Machine) -> Stepped {
     let axis = data.quantity.axis().map(LinearAxis::index);
     let list = || Vec::with_capacity(data.rows);
     let mut stepped = Stepped { elongation: list(), along: list(), axis: list(), thermal: list() };
+    let needed = required_columns(machine);
     let mut row = 0;
     for (number, run) in runs.iter().enumerate() {
         let [has_time, has_run, has_speed, has_load] =
@@ -68,7 +71,14 @@ fn stepped(data: &Data, runs: &[Unaided<'_>], machine: &Machine) -> Stepped {
         let columns = columns.chain(parts_c.iter().map(|(name, _)| name));
         let mut temperatures: Vec<(&str, f64)> =
             columns.map(|name| (name.as_str(), f64::NAN)).collect();
+        let is_read = |name: &str| needed.iter().any(|needed| needed == name);
+        let read: Vec<&Column> = data.others.iter().filter(|(name, _)| is_read(name)).collect();
+        let mut others: Vec<(&str, f64)> =
+            read.iter().map(|(name, _)| (name.as_str(), f64::NAN)).collect();
         for own in 0..run.rows() {
+            for ((_, now), (_, values)) in others.iter_mut().zip(&read) {
+                *now = values[row];
+            }
             for ((_, now_c), (_, values)) in temperatures.iter_mut().zip(&data.temperatures) {
                 *now_c = values[row];
             }
@@ -83,6 +93,7 @@ fn stepped(data: &Data, runs: &[Unaided<'_>], machine: &Machine) -> Stepped {
                 load_n: has_load.then(|| at(&data.load_n, row)),
                 feed_mm_per_min: of(feeds[number]),
                 temperatures_c: &temperatures,
+                others: &others,
                 position_mm: [0, 1, 2].map(|n| at(&data.position_mm[n], row)),
                 angle_deg: angles[number].map(of),
                 direction: [0, 1, 2].map(|n| at(&data.direction[n], row)),

@@ -9,7 +9,7 @@ use trueup_machine::{
 };
 
 use super::{
-    channels, lag::first_of, prediction::predict, reversal::reversal_decay, stated::Stated,
+    channels, inputs, lag::first_of, prediction::predict, reversal::reversal_decay, stated::Stated,
     stepped::Stepped, table::Data,
 };
 
@@ -125,6 +125,7 @@ impl Data {
             stepped: Stepped::default(),
         };
         channels::set_aside(&mut data);
+        inputs::retain(&mut data);
         data.references_c = data
             .temperatures
             .iter()
@@ -187,4 +188,5 @@ fn is_known(name: &str) -> bool {
     ];
     KNOWN.contains(&name)
         || ["measured_", "predicted_", "bridge_"].iter().any(|start| name.starts_with(start))
+        || inputs::is_of_record(name)
 }

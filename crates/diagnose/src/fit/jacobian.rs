@@ -113,6 +113,8 @@ fn derivative_step(problem: &Problem, what: Option<&Nonlinear>, value: f64) -> f
         Some(Nonlinear::Limit) => {
             1e-4 * (problem.bounds.prediction_um[1] - problem.bounds.prediction_um[0])
         }
-        Some(Nonlinear::Origin | Nonlinear::Instant) | None => 1e-6 * value.abs().max(1e-3),
+        Some(Nonlinear::Origin | Nonlinear::Instant | Nonlinear::Bend) | None => {
+            1e-6 * value.abs().max(1e-3)
+        }
     }
 }

@@ -240,6 +240,10 @@ impl Problem {
             Nonlinear::Late => *value > (1.0 - NEAR) * self.bounds.late_s[1],
             Nonlinear::Shift => value.abs() > (1.0 - NEAR) * self.bounds.shift_s[1],
             Nonlinear::ReadingPeriod | Nonlinear::Origin | Nonlinear::Instant => false,
+            Nonlinear::Bend => {
+                let limits = part.kind.cause().and_then(|cause| cause.nonlinear_limits());
+                limits.is_some_and(|limits| is_near(*value, limits))
+            }
         };
         let limits = part.kind.cause().and_then(|cause| cause.amplitude_limits());
         part.values.iter().zip(nonlinear).any(is_at_end)
@@ -279,6 +283,10 @@ impl Problem {
                     Nonlinear::Late => held(value, self.bounds.late_s),
                     Nonlinear::Limit => held(value, self.bounds.prediction_um),
                     Nonlinear::Period => held(value, self.bounds.period_mm),
+                    Nonlinear::Bend => {
+                        let limits = part.kind.cause().and_then(|cause| cause.nonlinear_limits());
+                        limits.into_iter().for_each(|limits| held(value, limits));
+                    }
                     Nonlinear::ReadingPeriod | Nonlinear::Origin | Nonlinear::Instant => {}
                 }
             }

@@ -37,6 +37,7 @@ mod wave;
 
 use std::ops::{Deref, DerefMut};
 
+pub use dependence::{Form, Times};
 pub use law::Columns;
 pub use page::{
     Angle, Constants, Entry, Heat, HeatPath, Home, Host, Input, Late, LateForm, Nonlinear, OnBoard,
@@ -189,6 +190,7 @@ causes! {
     straightness::Straightness "The guide is not straight.",
     cross_axis::CrossAxis "Another axis, as it moves, tilts or shifts this one.",
     angular_error::AngularError "An axis tilts as it goes, and the tool is off by its lever.",
+    dependence::Dependence "Something depends on a recorded input, by no law with a name.",
     step::Step "Something has slipped, once.",
     drift::Drift "It wanders with time.",
     outliers::Outliers "Some readings stand alone, far from the rest.",
@@ -244,6 +246,7 @@ impl Effect {
             Input::Load => Some("load_n".into()),
             Input::Feed => Some(feed_dependent_backlash::FEED.into()),
             Input::Position(axis) => Some(format!("{}_mm", axis.name())),
+            Input::Column(column) => Some(column.into()),
             _ => None,
         }
     }
@@ -267,7 +270,7 @@ impl Effect {
                 Input::OwnPosition => columns.extend(quantity.axis().map(position)),
                 Input::Position(axis) => columns.push(position(axis)),
                 Input::Column(column) => columns.push(column.into()),
-                Input::Predicted | Input::Believed | Input::OwnDirection => {}
+                Input::Predicted | Input::Law | Input::Believed | Input::OwnDirection => {}
             }
         }
         columns

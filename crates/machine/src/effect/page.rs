@@ -33,6 +33,8 @@ pub enum Input<'a> {
     Predicted,
     /// The elongation by the machine file alone, in µm.
     Believed,
+    /// The elongation by the source's own law, without terms, in µm.
+    Law,
     /// The run's clock, in s.
     Time,
     /// The number of the repeat.
@@ -115,6 +117,8 @@ pub enum Nonlinear {
     Limit,
     /// A time in s. It is searched, not fitted.
     Instant,
+    /// The value of a column from which a line begins, within [`Page::nonlinear_limits`].
+    Bend,
 }
 
 impl Nonlinear {
@@ -311,6 +315,11 @@ pub trait Page {
     /// Its nonlinear values.
     fn nonlinear(&self) -> &'static [Nonlinear] {
         &[]
+    }
+
+    /// Range of its only nonlinear value, where the page itself knows it.
+    fn nonlinear_limits(&self) -> Option<[f64; 2]> {
+        None
     }
 
     /// How many amplitudes it has. A law without one adds its column as it is.

@@ -401,14 +401,29 @@ pub const TERM_KEYS: &[Key] = &[
     key("control_um", Numbers, "µm", "control points of a curve").as_in("[0.0, 3.0]"),
     key("control_urad", Numbers, "µrad", "control points of a curve of angles").as_in("[0.0, 3.0]"),
     key("description", Text, "", "in words").as_in("\"sweeps\""),
+    key("factor_per_unit", Number, "", "times the growth, for one unit of the column")
+        .as_in("0.01"),
     key("feeds_mm_per_min", Numbers, "mm/min", "feeds, rising").as_in("[100.0, 1000.0]"),
-    key("form", Choice(&["lag", "delay"]), "", "in which way a thermometer is late")
-        .as_in("\"lag\""),
+    key(
+        "form",
+        Choice(&["lag", "delay", "level", "line", "hinge"]),
+        "",
+        "in which way a thermometer is late, or an error depends on a column",
+    )
+    .as_in("\"lag\""),
     key("forward_um", Numbers, "µm", "errors at points of equal distance").as_in("[0.0, 1.5]"),
     key("fraction", NotNegative, "", "share of the rows").as_in("0.01"),
+    key("from", Number, "", "the value of the column above which it acts").as_in("35.0"),
     key("gain", Number, "", "the sensor's law times this").as_in("1.2"),
     key("harmonic", Form::NumberOrNumbers, "", "whole numbers from 1 to 1000").as_in("1"),
     key("knots_mm", Numbers, "mm", "knots of a curve").as_in("[0.0, 0.0, 100.0, 100.0]"),
+    key("level_factor", Numbers, "", "times the growth, at each of `levels`").as_in("[0.0, 0.1]"),
+    key("level_um", Numbers, "µm", "what is added at each of `levels`").as_in("[0.0, 5.0]"),
+    key("level_um_per_krpm2", Numbers, "µm", "at each of `levels`, for (1000 r/min)²")
+        .as_in("[0.0, 0.01]"),
+    key("level_um_per_m", Numbers, "µm/m", "at each of `levels`, for one metre")
+        .as_in("[0.0, 3.0]"),
+    key("levels", Numbers, "", "values of the column, the first adds nothing").as_in("[0.0, 1.0]"),
     key("lever", Choice(AXES), "", "the axis along which the lever is").as_in("\"z\""),
     key("limit_um", Number, "µm", "where the sensor's range ends").as_in("90.0"),
     key("offset_um", Number, "µm", "what is added").as_in("1.0"),
@@ -417,6 +432,7 @@ pub const TERM_KEYS: &[Key] = &[
     key("per_um", Number, "1/µm", "c of p + c·p²").as_in("0.001"),
     key("period_mm", Positive, "mm", "the length of a wave").as_in("10.0"),
     key("phase_deg", Form::NumberOrNumbers, "°", "of a wave at 0 mm").as_in("0.0"),
+    key("reference", Number, "", "the value of the column at which it is 0").as_in("20.0"),
     key("reference_c", Number, "°C", "where it is 0").as_in("20.0"),
     key("reference_run", Number, "", "the run at which it is 0").as_in("1.0"),
     key("reverse_um", Numbers, "µm", "errors approached in the negative direction")
@@ -436,6 +452,8 @@ pub const TERM_KEYS: &[Key] = &[
     key("start_s", Number, "s", "when it begins, in the run's `time_s`").as_in("0.0"),
     key("step_mm", Positive, "mm", "from point to point").as_in("100.0"),
     key("time_constant_s", NotNegative, "s", "of the first-order lag").as_in("600.0"),
+    key("times", Choice(&["speed2", "growth", "position"]), "", "what it is multiplied by")
+        .as_in("\"speed2\""),
     key("um_per_c", Number, "µm/K", "for one kelvin").as_in("1.0"),
     key("um_per_h", Number, "µm/h", "for one hour").as_in("0.5"),
     key("um_per_krpm2", Number, "µm", "for (1000 r/min)²").as_in("0.01"),
@@ -443,6 +461,10 @@ pub const TERM_KEYS: &[Key] = &[
     key("um_per_m_per_c", Number, "µm/(m·K)", "for one metre and kelvin").as_in("11.5"),
     key("um_per_n", Number, "µm/N", "for one newton").as_in("0.01"),
     key("um_per_run", Number, "µm", "from run to run").as_in("0.5"),
+    key("um_per_unit", Number, "µm", "for one unit of the column").as_in("0.2"),
+    key("um_per_unit_per_krpm2", Number, "µm", "for one unit of the column and (1000 r/min)²")
+        .as_in("0.001"),
+    key("um_per_unit_per_m", Number, "µm/m", "for one unit of the column and metre").as_in("0.1"),
     key("urad_per_m", Number, "µrad/m", "angle for one metre").as_in("5.0"),
     key(
         "width_um",

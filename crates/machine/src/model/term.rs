@@ -69,10 +69,11 @@ impl TermLags {
         mut p_um: f64,
     ) -> f64 {
         self.0.resize_with(terms.len(), Lag::default);
+        let law_um = p_um;
         let mut constant_um = 0.0;
         for (term, lag) in terms.iter().zip(&mut self.0) {
             if term.quantity == quantity {
-                p_um = changed(term, lag, time_s, situation, p_um);
+                p_um = changed(term, lag, time_s, situation, [law_um, p_um]);
                 constant_um += term.constant_um;
             }
         }
@@ -80,7 +81,14 @@ impl TermLags {
     }
 }
 
-fn changed(term: &Term, lag: &mut Lag, time_s: f64, situation: &Situation<'_>, p_um: f64) -> f64 {
+/// The prediction with `term`, from that of the law alone and that so far.
+fn changed(
+    term: &Term,
+    lag: &mut Lag,
+    time_s: f64,
+    situation: &Situation<'_>,
+    [law_um, p_um]: [f64; 2],
+) -> f64 {
     let Term { effect, quantity, .. } = term;
     if matches!(effect.stage(), Stage::Constant | Stage::Falling | Stage::Shift) {
         return p_um;
@@ -89,6 +97,7 @@ fn changed(term: &Term, lag: &mut Lag, time_s: f64, situation: &Situation<'_>, p
     let values = effect.values();
     let mut read = |input: &Input<'_>| match *input {
         Input::Predicted => p_um,
+        Input::Law => law_um,
         Input::Time => time_s,
         Input::Run => situation.run.unwrap_or(f64::NAN),
         Input::Temperature { column, lag_s } => {
@@ -102,8 +111,9 @@ fn changed(term: &Term, lag: &mut Lag, time_s: f64, situation: &Situation<'_>, p
             quantity.axis().map_or(1.0, |axis| situation.direction[axis.index()])
         }
         Input::Position(axis) => of(axis),
-        // Of what a diagnosis reads to find the error of an instrument no prediction is made.
-        Input::Believed | Input::Column(_) => f64::NAN,
+        Input::Column(column) => situation.other(column),
+        // Only a diagnosis reads it, to find the error of an instrument.
+        Input::Believed => f64::NAN,
     };
     let x: Vec<f64> = effect.reads().iter().map(&mut read).collect();
     p_um + effect.at_row(&values, &x)

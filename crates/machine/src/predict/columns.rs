@@ -1,7 +1,8 @@
 //! The columns of a run that the model knows, and one row of them.
 
 use crate::{
-    file::{LinearAxis, RotaryAxis, is_temperature_column},
+    effect::Input,
+    file::{LinearAxis, Machine, RotaryAxis, is_temperature_column},
     model::Situation,
     run_file::RunFile,
 };
@@ -16,17 +17,27 @@ pub(super) struct Columns<'a> {
     pub(super) load_n: Option<&'a [f64]>,
     pub(super) feed_mm_per_min: Option<&'a [f64]>,
     pub(super) temperatures_c: Vec<(&'a str, &'a [f64])>,
+    /// Those that a term reads and no law of the machine.
+    pub(super) others: Vec<(&'a str, &'a [f64])>,
     pub(super) position_mm: [Option<&'a [f64]>; 3],
     pub(super) angle_deg: [Option<&'a [f64]>; 3],
     pub(super) direction: [Option<&'a [f64]>; 3],
 }
 
 impl<'a> Columns<'a> {
-    pub(super) fn of(run: &'a RunFile) -> Self {
+    pub(super) fn of(machine: &Machine, run: &'a RunFile) -> Self {
         let linear =
             |name: fn(&str) -> String| LinearAxis::ALL.map(|axis| run.column(&name(axis.name())));
         let temperatures =
             run.columns().iter().filter(|column| is_temperature_column(&column.name));
+        let reads = machine.terms.iter().flat_map(|term| term.effect.reads());
+        let names: Vec<&str> = reads
+            .filter_map(|input| match input {
+                Input::Column(column) => Some(column),
+                _ => None,
+            })
+            .collect();
+        let others = run.columns().iter().filter(|column| names.contains(&column.name.as_str()));
         Self {
             time_s: run.column("time_s"),
             run: run.column("run"),
@@ -37,6 +48,7 @@ impl<'a> Columns<'a> {
             temperatures_c: temperatures
                 .map(|column| (column.name.as_str(), &column.values[..]))
                 .collect(),
+            others: others.map(|column| (column.name.as_str(), &column.values[..])).collect(),
             position_mm: linear(|axis| format!("{axis}_mm")),
             angle_deg: RotaryAxis::ALL.map(|axis| run.column(&format!("{}_deg", axis.name()))),
             direction: linear(|axis| format!("dir_{axis}")),
@@ -44,13 +56,18 @@ impl<'a> Columns<'a> {
     }
 
     pub(super) fn temperatures(&self, row: usize) -> Vec<(&'a str, f64)> {
-        self.temperatures_c.iter().map(|(name, values)| (*name, at(Some(values), row))).collect()
+        in_row(&self.temperatures_c, row)
+    }
+
+    pub(super) fn others(&self, row: usize) -> Vec<(&'a str, f64)> {
+        in_row(&self.others, row)
     }
 
     pub(super) fn situation<'t>(
         &self,
         row: usize,
         temperatures_c: &'t [(&'a str, f64)],
+        others: &'t [(&'a str, f64)],
     ) -> Situation<'t> {
         Situation {
             time_s: self.time_s.map(|times| at(Some(times), row)),
@@ -60,11 +77,16 @@ impl<'a> Columns<'a> {
             load_n: self.load_n.map(|loads| at(Some(loads), row)),
             feed_mm_per_min: at(self.feed_mm_per_min, row),
             temperatures_c,
+            others,
             position_mm: self.position_mm.map(|values| at(values, row)),
             angle_deg: self.angle_deg.map(|values| at(values, row)),
             direction: self.direction.map(|values| at(values, row)),
         }
     }
+}
+
+fn in_row<'a>(columns: &[(&'a str, &'a [f64])], row: usize) -> Vec<(&'a str, f64)> {
+    columns.iter().map(|(name, values)| (*name, at(Some(values), row))).collect()
 }
 
 pub(super) fn at(column: Option<&[f64]>, row: usize) -> f64 {

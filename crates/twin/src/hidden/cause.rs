@@ -124,6 +124,8 @@ causes! {
     Straightness = "straightness", Compensated, [AxisGeometry];
     /// p + c·P_other/1000: the position of another axis in mm, c in µm/m.
     CrossAxis = "cross-axis", Compensated, [AxisGeometry];
+    /// p + c·x of a pressure x, or p + a while a switch is closed: a column that no law reads.
+    Dependence = "dependence", Reported, [Sensor, Temperature];
     /// p + s from an instant on, s in µm.
     Step = "step", Reported, [Sensor, Temperature, AxisGeometry];
     /// p + c·t/3600: the time t in s, c in µm/h.

@@ -103,6 +103,9 @@ impl Bench {
         }
         let late =
             has(Hidden::ThermometerLag).then(|| late_thermometer(&mut tables, interval_s, stream));
+        if has(Hidden::Dependence) {
+            coolant(&mut tables, stream);
+        }
         let runs = tables.into_iter().map(|table| believe(&source, table)).collect();
         Self { source, max_rpm, late, runs }
     }
@@ -312,6 +315,29 @@ fn late_thermometer(
         parts.push(part_c);
     }
     (lag_s, parts)
+}
+
+/// The column of the coolant's pressure, in bar.
+pub(super) const COOLANT_PRESSURE: &str = "coolant_bar";
+/// The column of the coolant's valve, 0 or 1.
+pub(super) const COOLANT_SWITCH: &str = "coolant_on";
+
+/// Coolant by its pressure, which wanders between 5 and 70 bar, or by its valve, switched every 25 rows or so.
+fn coolant(tables: &mut [RunTable], stream: &mut Stream) {
+    let has_pressure = stream.chance(0.5);
+    for table in tables {
+        let rows = table.rows();
+        let (mut bar, mut is_on) = (stream.uniform(10.0, 50.0), false);
+        let mut values = Vec::with_capacity(rows);
+        for _ in 0..rows {
+            bar = (bar + 3.0 * stream.normal()).clamp(5.0, 70.0);
+            is_on ^= stream.chance(0.04);
+            values.push(if has_pressure { bar } else { f64::from(u8::from(is_on)) });
+        }
+        let (name, decimals) =
+            if has_pressure { (COOLANT_PRESSURE, 1) } else { (COOLANT_SWITCH, 0) };
+        table.set(name, decimals, values);
+    }
 }
 
 /// The rows `from..to` as a table of their own.

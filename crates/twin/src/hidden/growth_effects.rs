@@ -2,7 +2,7 @@
 
 use super::{
     cause::Hidden,
-    elongation::{Bench, ElongationSource},
+    elongation::{Bench, COOLANT_PRESSURE, COOLANT_SWITCH, ElongationSource},
     laws::{lagged, warmup_heat, wave},
     shape::{Named, Run, Shape, fixed, linear, on_each},
 };
@@ -109,6 +109,7 @@ pub(super) fn shape(cause: Hidden, bench: &Bench, stream: &mut Stream) -> Option
                 on_each(runs, |run| run.column("load_n").iter().map(|load_n| -load_n).collect()),
             )
         },
+        Hidden::Dependence => return Some(on_coolant(runs)),
         Hidden::ReferenceInstrument => {
             let (low, high) = training
                 .iter()
@@ -180,6 +181,26 @@ fn critical_speed(bench: &Bench, stream: &mut Stream) -> Shape {
             ])
         }),
         ..linear(Hidden::CriticalSpeed, "", um)
+    }
+}
+
+/// What the coolant does by its pressure, or while it is on.
+fn on_coolant(runs: &[Run]) -> Shape {
+    let has_pressure = !runs[0].column(COOLANT_PRESSURE).is_empty();
+    let column = if has_pressure { COOLANT_PRESSURE } else { COOLANT_SWITCH };
+    let reference = runs[0].column(column).first().copied().unwrap_or(0.0);
+    let zero = if has_pressure { reference } else { 0.0 };
+    let um = on_each(runs, |run| run.column(column).iter().map(|x| x - zero).collect());
+    Shape {
+        column: Some(column.to_string()),
+        at: Box::new(move |factor| {
+            if has_pressure {
+                return Named::of(&[("um_per_unit", factor)]);
+            }
+            let tables = vec![("levels", vec![0.0, 1.0]), ("level_um", vec![0.0, factor])];
+            Named { parameters: Vec::new(), tables }
+        }),
+        ..linear(Hidden::Dependence, "", um)
     }
 }
 

@@ -1,0 +1,63 @@
+//! Which of the columns that the project does not know are inputs that an error may depend on.
+//!
+//! Not clocks, which only grow with the rows, nor columns that reproduce what was measured: either would
+//! explain an error that it has no part in. What a bridge or a gauge writes about the record is no input either.
+
+use super::table::Data;
+
+/// Correlation with the measured value from which a column is that value.
+const SAME_VALUE: f64 = 0.999;
+
+/// Whether a column is about the record, not about the machine.
+pub(super) fn is_of_record(name: &str) -> bool {
+    let is_offset = name.starts_with("offset_") && name.ends_with("_um");
+    is_offset || ["quality", "calibration_crc", "check_um"].contains(&name)
+}
+
+/// Keeps the inputs among the other columns, and notes what is none. What a term of the machine file reads stays.
+pub(super) fn retain(data: &mut Data) {
+    let needed = trueup_machine::model::required_columns(&data.machine);
+    let others = std::mem::take(&mut data.others);
+    for column in others {
+        let name = &column.0;
+        if needed.contains(name) || is_length(name) {
+            data.others.push(column);
+        } else if is_clock(data, &column.1) {
+            data.notes
+                .push(format!("{name} only grows with the rows: it is a clock, and no input"));
+        } else if correlation(&column.1, &data.measured).abs() > SAME_VALUE {
+            data.notes.push(format!("{name} reproduces the measured value, and is no input"));
+        } else {
+            data.others.push(column);
+        }
+    }
+}
+
+/// Whether it is a position: an axis may go one way all the time.
+fn is_length(name: &str) -> bool {
+    name.ends_with("_mm") || name.ends_with("_deg")
+}
+
+/// Whether the values never fall within a series, and grow in most rows: a switch that was closed once only grows too.
+fn is_clock(data: &Data, values: &[f64]) -> bool {
+    let pairs = || {
+        let is_pair = |row: &usize| data.series[*row] == data.series[row - 1];
+        (1..values.len()).filter(is_pair).map(|row| values[row] - values[row - 1])
+    };
+    let grown = pairs().filter(|change| *change > 0.0).count();
+    pairs().all(|change| change >= 0.0 || change.is_nan()) && 2 * grown > pairs().count()
+}
+
+/// Pearson's coefficient over the rows that have both.
+fn correlation(a: &[f64], b: &[f64]) -> f64 {
+    let pairs = || a.iter().zip(b).filter(|(a, b)| a.is_finite() && b.is_finite());
+    let count = pairs().count() as f64;
+    if count < 3.0 {
+        return 0.0;
+    }
+    let mean = |of: fn((&f64, &f64)) -> f64| pairs().map(of).sum::<f64>() / count;
+    let (a0, b0) = (mean(|(a, _)| *a), mean(|(_, b)| *b));
+    let sum = |of: &dyn Fn(f64, f64) -> f64| pairs().map(|(a, b)| of(a - a0, b - b0)).sum::<f64>();
+    let spread = (sum(&|a, _| a * a) * sum(&|_, b| b * b)).sqrt();
+    if spread > 0.0 { sum(&|a, b| a * b) / spread } else { 0.0 }
+}

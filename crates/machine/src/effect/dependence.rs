@@ -1,0 +1,457 @@
+//! `dependence`: an error that depends on a recorded input by no law that has a physical name.
+//!
+//! ```text
+//! level   p + aₖ·f where the column is level k           an unseen level adds 0
+//! line    p + c·(x − x₀)·f                                goes on outside the fitted range
+//! hinge   p + c·max(0, x − from)·f                        goes on outside the fitted range
+//! f       1, (n/1000)², P/1000 of the own axis, or the growth by the sensor's own law (elongation only)
+//! ```
+//!
+//! x is the value of a column that no other cause reads: a pressure, a flow, a switch, a tool number. No
+//! board reads it, so the term explains and is not compensated.
+
+use super::{
+    page::{
+        Definition, Entry, Home, Input, Nonlinear, Page, Parameter, Value, number,
+    },
+    survey::{Settings, Survey, spread},
+};
+use crate::{
+    file::{read::Section, spindle::ElongationSource},
+    location::BadInput,
+};
+
+/// Largest number of levels of a column that counts as a category.
+const MAX_LEVELS: usize = 12;
+/// Smallest number of rows of a level, but of a column that is only 0 and 1.
+const MIN_LEVEL_ROWS: usize = 8;
+/// Starts of the search for the value from which a hinge bends, at equal shares of the sorted rows.
+const HINGES: usize = 8;
+
+/// The levels of a column that is off and on.
+const SWITCH: [f64; 2] = [0.0, 1.0];
+
+/// How the error depends on the column.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Form {
+    /// A value for each level; where f is 1 the first level adds nothing.
+    Level {
+        /// Values of the column.
+        levels: Vec<f64>,
+        /// a of each level.
+        added: Vec<f64>,
+    },
+    /// Proportional to the column.
+    Line {
+        /// c.
+        slope: f64,
+        /// x₀, in the column's unit.
+        reference: f64,
+    },
+    /// Proportional to the column from a value on.
+    Hinge {
+        /// c.
+        slope: f64,
+        /// In the column's unit.
+        from: f64,
+        /// Range of `from` in a search.
+        range: [f64; 2],
+    },
+}
+
+/// The factor f.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Times {
+    /// 1.
+    One,
+    /// (n/1000)², n the speed of the spindle in r/min.
+    Speed2,
+    /// The growth by the sensor's own law.
+    Growth,
+    /// P/1000, P the position of the own axis in mm.
+    Position,
+}
+
+impl Times {
+    const ALL: [(&'static str, Self); 3] =
+        [("speed2", Self::Speed2), ("growth", Self::Growth), ("position", Self::Position)];
+
+    /// Its name in files; none of 1.
+    #[must_use]
+    pub fn name(self) -> Option<&'static str> {
+        Self::ALL.iter().find(|(_, times)| *times == self).map(|(name, _)| *name)
+    }
+
+    /// The keys of a slope and of the levels, which carry the unit.
+    fn keys(self) -> [&'static str; 2] {
+        match self {
+            Self::One => ["um_per_unit", "level_um"],
+            Self::Speed2 => ["um_per_unit_per_krpm2", "level_um_per_krpm2"],
+            Self::Growth => ["factor_per_unit", "level_factor"],
+            Self::Position => ["um_per_unit_per_m", "level_um_per_m"],
+        }
+    }
+
+    /// The unit of what a level adds.
+    fn unit(self) -> &'static str {
+        match self {
+            Self::One => " µm",
+            Self::Speed2 => " µm per (1000 r/min)²",
+            Self::Growth => " times the growth",
+            Self::Position => " µm/m",
+        }
+    }
+}
+
+/// A dependence on a column.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Dependence {
+    /// The column.
+    pub column: String,
+    /// How the error depends on it.
+    pub form: Form,
+    /// What the dependence is multiplied by.
+    pub times: Times,
+}
+
+impl Dependence {
+    /// The name of the form in files.
+    #[must_use]
+    pub fn form_name(&self) -> &'static str {
+        match self.form {
+            Form::Level { .. } => "level",
+            Form::Line { .. } => "line",
+            Form::Hinge { .. } => "hinge",
+        }
+    }
+
+    /// How many levels, from the first on, have no amplitude: a constant could not be told from theirs.
+    fn without_amplitude(&self) -> usize {
+        usize::from(self.times == Times::One)
+    }
+
+    fn factor(&self, x: &[f64]) -> f64 {
+        match (self.times, x.get(1)) {
+            (Times::Speed2, Some(rpm)) => (rpm / 1000.0).powi(2),
+            (Times::Position, Some(mm)) => mm / 1000.0,
+            (Times::Growth, Some(um)) => *um,
+            _ => 1.0,
+        }
+    }
+}
+
+impl Page for Dependence {
+    fn entries(&self) -> Vec<Entry> {
+        let [slope_key, level_key] = self.times.keys();
+        let mut entries = vec![
+            ("column", Value::Text(self.column.clone())),
+            ("form", Value::Text(self.form_name().into())),
+        ];
+        entries.extend(self.times.name().map(|name| ("times", Value::Text(name.into()))));
+        match &self.form {
+            Form::Level { levels, added } => {
+                entries.push(("levels", Value::Numbers(levels.clone())));
+                entries.push((level_key, Value::Numbers(added.clone())));
+            }
+            Form::Line { slope, reference } => {
+                entries.push((slope_key, Value::Number(*slope)));
+                entries.push(("reference", Value::Number(*reference)));
+            }
+            Form::Hinge { slope, from, .. } => {
+                entries.push((slope_key, Value::Number(*slope)));
+                entries.push(("from", Value::Number(*from)));
+            }
+        }
+        entries
+    }
+
+    fn home(&self) -> Home {
+        match self.times {
+            Times::Growth => Home::Elongation,
+            Times::Position => Home::Axis,
+            Times::One | Times::Speed2 => Home::Any,
+        }
+    }
+
+    /// No board reads the column.
+    fn is_compensated(&self) -> bool {
+        false
+    }
+
+    fn tier(&self) -> u8 {
+        1
+    }
+
+    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
+        let mut inputs = vec![Input::Column(&self.column)];
+        inputs.extend(match self.times {
+            Times::One => None,
+            Times::Speed2 => Some(Input::Speed),
+            Times::Growth => Some(Input::Law),
+            Times::Position => Some(Input::OwnPosition),
+        });
+        inputs
+    }
+
+    fn nonlinear(&self) -> &'static [Nonlinear] {
+        if matches!(self.form, Form::Hinge { .. }) { &[Nonlinear::Bend] } else { &[] }
+    }
+
+    fn nonlinear_limits(&self) -> Option<[f64; 2]> {
+        match self.form {
+            Form::Hinge { range, .. } => Some(range),
+            _ => None,
+        }
+    }
+
+    fn amplitudes(&self) -> usize {
+        match &self.form {
+            Form::Level { levels, .. } => levels.len() - self.without_amplitude(),
+            Form::Line { .. } | Form::Hinge { .. } => 1,
+        }
+    }
+
+    fn values(&self) -> Vec<f64> {
+        match &self.form {
+            Form::Level { added, .. } => added[self.without_amplitude()..].to_vec(),
+            Form::Line { slope, .. } => vec![*slope],
+            Form::Hinge { slope, from, .. } => vec![*from, *slope],
+        }
+    }
+
+    fn set(&mut self, values: &[f64]) {
+        let first = self.without_amplitude();
+        match &mut self.form {
+            Form::Level { added, .. } => {
+                added.iter_mut().skip(first).zip(values).for_each(|(added, value)| *added = *value);
+            }
+            Form::Line { slope, .. } => *slope = values[0],
+            Form::Hinge { slope, from, .. } => {
+                if let [at, value] = *values {
+                    (*from, *slope) = (at, value);
+                } else {
+                    *slope = values[values.len() - 1];
+                }
+            }
+        }
+    }
+
+    /// The zero of a line, or of a category, is arbitrary: of a pressure or of a tool it is not known where it
+    /// adds nothing. A switch that is off adds nothing, and a hinge nothing below its bend.
+    fn has_reference(&self) -> bool {
+        let is_arbitrary = match &self.form {
+            Form::Level { levels, .. } => *levels != SWITCH,
+            Form::Line { .. } => true,
+            Form::Hinge { .. } => false,
+        };
+        is_arbitrary && self.times == Times::One
+    }
+
+    fn sentence(&self, values: &[f64]) -> String {
+        let mut found = self.clone();
+        found.set(values);
+        let (column, unit) = (&self.column, self.times.unit());
+        let how = match &found.form {
+            Form::Level { levels, added } => {
+                let each = levels.iter().zip(added).skip(self.without_amplitude());
+                let each: Vec<String> = each
+                    .map(|(level, added)| format!("{added:+.3}{unit} at {column} = {level}"))
+                    .collect();
+                let against = match self.times {
+                    Times::One => format!(", compared with {}", levels[0]),
+                    _ => String::new(),
+                };
+                each.join(", ") + &against
+            }
+            Form::Line { slope, .. } => format!("{slope:+.4}{unit} for each unit of {column}"),
+            Form::Hinge { slope, from, .. } => {
+                format!("{slope:+.4}{unit} for each unit of {column} above {from:.4}")
+            }
+        };
+        format!("The error depends on {column}: {how}. No physical law with a name fits.")
+    }
+
+    fn next_test(&self) -> &'static str {
+        "Change this column alone, twice, with all else at rest, and read before and after each change."
+    }
+
+    fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
+        let [slope_key, level_key] = self.times.keys();
+        match &self.form {
+            Form::Level { levels, .. } => {
+                let mut added = vec![0.0; self.without_amplitude()];
+                added.extend_from_slice(values);
+                let record = vec![
+                    ("levels", Some(Value::Numbers(levels.clone()))),
+                    (level_key, Some(Value::Numbers(added))),
+                ];
+                vec![Parameter::Record(level_key, record)]
+            }
+            Form::Line { reference, .. } => vec![
+                Parameter::Fitted(slope_key, 0, 0.0),
+                Parameter::Fixed("reference", *reference),
+            ],
+            Form::Hinge { .. } => {
+                vec![Parameter::Fitted(slope_key, 1, 0.0), Parameter::Fitted("from", 0, 0.0)]
+            }
+        }
+    }
+}
+
+impl Definition for Dependence {
+    const NAME: &'static str = "dependence";
+
+    fn keys(_: &Section<'_>) -> &'static [&'static str] {
+        &[
+            "column",
+            "form",
+            "times",
+            "levels",
+            "level_um",
+            "level_um_per_krpm2",
+            "level_factor",
+            "level_um_per_m",
+            "um_per_unit",
+            "um_per_unit_per_krpm2",
+            "factor_per_unit",
+            "um_per_unit_per_m",
+            "reference",
+            "from",
+        ]
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        let column = section.required("column", section.text("column")?)?.to_string();
+        let times = section.choice("times", &Times::ALL)?.unwrap_or(Times::One);
+        let [slope_key, level_key] = times.keys();
+        const FORMS: [(&str, u8); 3] = [("level", 0), ("line", 1), ("hinge", 2)];
+        let form = match section.required("form", section.choice("form", &FORMS)?)? {
+            0 => {
+                let levels = section.required("levels", section.numbers("levels")?)?;
+                let added = section.required(level_key, section.numbers(level_key)?)?;
+                let is_repeated = |n: usize| levels[..n].contains(&levels[n]);
+                if levels.len() < 2 || (0..levels.len()).any(is_repeated) {
+                    return Err(section.bad("levels", "takes at least two different values"));
+                }
+                if added.len() != levels.len() {
+                    return Err(section.bad(level_key, "takes a value for each of levels"));
+                }
+                if times == Times::One && added[0] != 0.0 {
+                    let rule = "begins with 0: the first of levels adds nothing";
+                    return Err(section.bad(level_key, rule));
+                }
+                Form::Level { levels, added }
+            }
+            1 => Form::Line {
+                slope: number(section, slope_key)?,
+                reference: section.number("reference")?.unwrap_or(0.0),
+            },
+            _ => {
+                let from = number(section, "from")?;
+                Form::Hinge { slope: number(section, slope_key)?, from, range: [from; 2] }
+            }
+        };
+        Ok(Self { column, form, times })
+    }
+
+    fn law(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
+        let factor = self.factor(x);
+        match &self.form {
+            Form::Level { levels, .. } => {
+                // Which level a missing value is, is not known.
+                if x[0].is_nan() {
+                    add(0, f64::NAN);
+                }
+                let level = levels.iter().position(|level| *level == x[0]);
+                if let Some(number) = level.and_then(|it| it.checked_sub(self.without_amplitude())) {
+                    add(number, factor);
+                }
+            }
+            Form::Line { reference, .. } => add(0, (x[0] - reference) * factor),
+            Form::Hinge { from, .. } => {
+                let from = nonlinear.first().copied().unwrap_or(*from);
+                let above = x[0] - from;
+                // A missing value stays one.
+                add(0, if above < 0.0 { 0.0 } else { above } * factor);
+            }
+        }
+    }
+
+    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+        let mut times = vec![Times::One];
+        if survey.varies("spindle_rpm") {
+            times.push(Times::Speed2);
+        }
+        let is_sensed = survey.source() == Some(ElongationSource::Sensor);
+        if is_sensed && survey.quantity().axis().is_none() && spread(survey.law()) > 0.0 {
+            times.push(Times::Growth);
+        }
+        if survey.moves() {
+            times.push(Times::Position);
+        }
+        for column in survey.others() {
+            let Some(values) = survey.column(column).filter(|values| spread(values) > 0.0) else {
+                continue;
+            };
+            for times in times.iter().copied() {
+                let mut propose = |form, settings| {
+                    with(Self { column: column.into(), form, times }, settings);
+                };
+                if let Some(levels) = levels(values) {
+                    let added = vec![0.0; levels.len()];
+                    propose(Form::Level { levels, added }, Settings::none());
+                    continue;
+                }
+                let reference = if times == Times::One { first(values) } else { 0.0 };
+                propose(Form::Line { slope: 0.0, reference }, Settings::none());
+                let bends = bends(values);
+                if let [low, .., high] = bends[..] {
+                    let hinge = Form::Hinge { slope: 0.0, from: low, range: [low, high] };
+                    propose(hinge, Settings::at(bends));
+                }
+            }
+        }
+    }
+}
+
+/// The first value that is there.
+fn first(values: &[f64]) -> f64 {
+    values.iter().copied().find(|value| value.is_finite()).unwrap_or(0.0)
+}
+
+/// The levels of a column that is a category, the most frequent one first; none of any other column.
+fn levels(values: &[f64]) -> Option<Vec<f64>> {
+    let mut found: Vec<(f64, usize)> = Vec::new();
+    for &value in values.iter().filter(|value| value.is_finite()) {
+        if let Some((_, rows)) = found.iter_mut().find(|(level, _)| *level == value) {
+            *rows += 1;
+        } else if found.len() < MAX_LEVELS {
+            found.push((value, 1));
+        } else {
+            return None;
+        }
+    }
+    let is_switch = found.len() == 2 && found.iter().all(|(level, _)| SWITCH.contains(level));
+    if !is_switch && found.iter().any(|(_, rows)| *rows < MIN_LEVEL_ROWS) {
+        return None;
+    }
+    // The level that adds nothing comes first: off, else the one that was there most of the time.
+    found.sort_by(|a, b| b.1.cmp(&a.1).then(a.0.total_cmp(&b.0)));
+    if is_switch {
+        found.sort_by(|a, b| a.0.total_cmp(&b.0));
+    }
+    Some(found.into_iter().map(|(level, _)| level).collect())
+}
+
+/// Values from which a line may begin: inside, at equal shares of the sorted rows, no two alike.
+fn bends(values: &[f64]) -> Vec<f64> {
+    let mut sorted: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let at = |n: usize| sorted[n * (sorted.len() - 1) / (HINGES + 1)];
+    let mut bends: Vec<f64> = (1..=HINGES).map(at).collect();
+    bends.dedup();
+    bends
+}
+
+#[cfg(test)]
+mod tests;

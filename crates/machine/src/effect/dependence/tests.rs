@@ -1,0 +1,50 @@
+//! The page at rows worked out by hand.
+
+use super::*;
+
+fn added(page: &Dependence, x: &[f64]) -> f64 {
+    crate::effect::law::at_row(page, &page.values(), x)
+}
+
+fn page(form: Form, times: Times) -> Dependence {
+    Dependence { column: "coolant_bar".into(), form, times }
+}
+
+#[test]
+fn a_level_adds_its_own_value_and_an_unseen_one_nothing() {
+    let levels = Form::Level { levels: vec![2.0, 1.0, 3.0], added: vec![0.0, 4.0, -3.0] };
+    let page_of_levels = page(levels, Times::One);
+    let at = |level: f64| added(&page_of_levels, &[level]);
+    assert_eq!([at(2.0), at(1.0), at(3.0), at(7.0)], [0.0, 4.0, -3.0, 0.0]);
+    assert!(at(f64::NAN).is_nan(), "which level it was is not known");
+    // 12,000 r/min: 144 · 0.01 µm and 144 · 0.03 µm.
+    let levels = Form::Level { levels: vec![2.0, 1.0], added: vec![0.01, 0.03] };
+    let by_speed = page(levels, Times::Speed2);
+    assert!((added(&by_speed, &[2.0, 12_000.0]) - 1.44).abs() < 1e-12);
+    assert!((added(&by_speed, &[1.0, 12_000.0]) - 4.32).abs() < 1e-12);
+}
+
+#[test]
+fn a_line_counts_from_its_reference_and_a_hinge_from_its_bend() {
+    let line = page(Form::Line { slope: 0.2, reference: 20.0 }, Times::One);
+    assert_eq!([added(&line, &[20.0]), added(&line, &[70.0])], [0.0, 10.0]);
+    let hinge = Form::Hinge { slope: 0.4, from: 35.0, range: [35.0; 2] };
+    let hinge = page(hinge, Times::One);
+    assert_eq!([added(&hinge, &[10.0]), added(&hinge, &[45.0])], [0.0, 4.0]);
+    assert!(added(&hinge, &[f64::NAN]).is_nan());
+    // 500 mm of travel: half of what a metre adds.
+    let along = page(Form::Line { slope: 2.0, reference: 0.0 }, Times::Position);
+    assert_eq!(added(&along, &[3.0, 500.0]), 3.0);
+}
+
+#[test]
+fn a_category_has_few_levels_each_seen_often() {
+    let switch = [1.0, 0.0, 1.0];
+    assert_eq!(levels(&switch), Some(vec![0.0, 1.0]), "a switch is one, off first");
+    let tools: Vec<f64> = (0..30).map(|n| f64::from(n % 3 + 1)).chain([2.0]).collect();
+    assert_eq!(levels(&tools), Some(vec![2.0, 1.0, 3.0]), "the most frequent first");
+    let rare: Vec<f64> = (0..30).map(|n| f64::from(n % 2)).chain([5.0]).collect();
+    assert_eq!(levels(&rare), None, "5 was seen once");
+    let many: Vec<f64> = (0..200).map(f64::from).collect();
+    assert_eq!(levels(&many), None);
+}
