@@ -38,14 +38,14 @@ fn is_length(name: &str) -> bool {
     name.ends_with("_mm") || name.ends_with("_deg")
 }
 
-/// Whether the values never fall within a series, and grow in most rows: a switch that was closed once only grows too.
+/// Whether the values never fall within a series, and grow more than once: a switch that was closed once only grows too.
 fn is_clock(data: &Data, values: &[f64]) -> bool {
-    let pairs = || {
+    let changes = || {
         let is_pair = |row: &usize| data.series[*row] == data.series[row - 1];
         (1..values.len()).filter(is_pair).map(|row| values[row] - values[row - 1])
     };
-    let grown = pairs().filter(|change| *change > 0.0).count();
-    pairs().all(|change| change >= 0.0 || change.is_nan()) && 2 * grown > pairs().count()
+    changes().filter(|change| *change > 0.0).nth(1).is_some()
+        && !changes().any(|change| change < 0.0)
 }
 
 /// Pearson's coefficient over the rows that have both.

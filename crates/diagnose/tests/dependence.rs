@@ -1,0 +1,120 @@
+//! An error that depends on a recorded column is named by that column, and a column that is no input is not.
+
+use std::{fmt::Write as _, path::Path};
+
+use trueup_diagnose::{Diagnosis, Verdict, diagnose, report::Finding};
+use trueup_machine::{MachineFile, RunFile, file::Quantity, predict::Predictor};
+use trueup_twin::{
+    hidden::{Hidden, draw},
+    noise::Stream,
+};
+
+const MACHINE: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n[spindle]\nsource = \"sensor\"\n\
+                       [spindle.sensor]\nk0_um = 0.0\nzero_counts = 5000.0\num_per_count = 0.02\n";
+
+fn read(text: &str) -> RunFile {
+    RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file")
+}
+
+fn answer(machine: &str, runs: &[&str], holdout: &[&str]) -> Diagnosis {
+    let machine = MachineFile::parse(machine, Path::new("m.toml")).expect("a machine file");
+    let read = |texts: &[&str]| texts.iter().map(|text| read(text)).collect::<Vec<_>>();
+    diagnose(&machine, &read(runs), &read(holdout), None, &mut |_, _| {}).expect("comparable")
+}
+
+fn claimed(diagnosis: &Diagnosis) -> Vec<&Finding> {
+    diagnosis.report.findings.iter().filter(|finding| finding.claimed).collect()
+}
+
+/// A day at a mill whose error is right but for `hidden` of the tool's number, the speed and the door.
+fn day(seed: u64, hidden: impl Fn(f64, f64, f64) -> f64) -> String {
+    let mut stream = Stream::new(seed, "mill");
+    let mut csv =
+        "time_s,sensor_counts,spindle_rpm,tool,door_open,part,twin_um,measured_elongation_um\n"
+            .to_string();
+    let (mut grown_um, mut rpm, mut tool, mut door) = (0.0, 0.0, 1.0, 0.0);
+    for row in 0..240 {
+        if stream.chance(0.06) {
+            rpm = 6000.0 * f64::from(stream.whole(0, 4) as u32);
+        }
+        if stream.chance(0.06) {
+            tool = f64::from(stream.whole(1, 3) as u32);
+        }
+        if stream.chance(0.05) {
+            door = 1.0 - door;
+        }
+        grown_um += (rpm / 400.0 - grown_um) / 30.0;
+        let counts = (5000.0 + grown_um / 0.02).round();
+        let measured_um =
+            (counts - 5000.0) * 0.02 + hidden(tool, rpm, door) + 0.4 * stream.normal();
+        let cells = [f64::from(row) * 60.0, counts, rpm, tool, door, f64::from(row / 3)];
+        cells.iter().for_each(|cell| write!(csv, "{cell},").expect("text"));
+        writeln!(csv, "{:.3},{measured_um:.3}", measured_um + 0.001).expect("text");
+    }
+    csv
+}
+
+#[test]
+fn a_switch_is_named_with_its_size_and_what_is_no_input_is_not() {
+    let by_door = |_: f64, _: f64, door: f64| 5.0 * door;
+    let diagnosis = answer(MACHINE, &[&day(1, by_door)], &[&day(2, by_door)]);
+    assert_eq!(diagnosis.report.verdict, Verdict::Explained);
+    let [found] = claimed(&diagnosis)[..] else { panic!("{:?}", diagnosis.report.findings) };
+    assert_eq!((found.cause.as_str(), found.column.as_deref()), ("dependence", Some("door_open")));
+    assert_eq!((found.form, found.times, found.compensated), (Some("level"), None, false));
+    let ci95 = &found.parameters["level_um"]["ci95"][0];
+    let [low, high] = [0, 1].map(|end| ci95[end].as_f64().expect("a number"));
+    assert!(low <= 5.0 && 5.0 <= high && high - low < 1.0, "{low} to {high}");
+    // The column of the gauge's other channel, and the number of the part, explain nothing.
+    let notes = diagnosis.report.notes.join(" ");
+    assert!(notes.contains("twin_um reproduces the measured value"), "{notes}");
+    assert!(notes.contains("part only grows with the rows"), "{notes}");
+    let after = &diagnosis.report.after;
+    assert!(after.holdout_rms_um < 0.5, "{after:?}");
+}
+
+#[test]
+fn each_tool_has_its_own_centrifugal_growth() {
+    let by_tool = |tool: f64, rpm: f64, _: f64| 0.015 * (tool - 1.0) * (rpm / 1000.0).powi(2);
+    let diagnosis = answer(MACHINE, &[&day(3, by_tool)], &[&day(4, by_tool)]);
+    let named: Vec<_> =
+        claimed(&diagnosis).iter().map(|it| (it.column.clone(), it.times)).collect();
+    assert_eq!(
+        named,
+        [(Some("tool".to_string()), Some("speed2"))],
+        "{:?}",
+        diagnosis.report.findings
+    );
+    assert!(diagnosis.report.after.holdout_rms_um < 0.6, "{:?}", diagnosis.report.after);
+}
+
+#[test]
+fn where_nothing_depends_on_a_column_none_is_named() {
+    for seed in 10..16 {
+        let diagnosis = answer(MACHINE, &[&day(seed, |_, _, _| 0.0)], &[]);
+        assert!(claimed(&diagnosis).is_empty(), "{seed}: {:?}", diagnosis.report.findings);
+    }
+}
+
+#[test]
+fn the_extended_file_predicts_what_the_diagnosis_says() {
+    let challenge = draw(Hidden::Dependence, 10.0, 1);
+    let runs: Vec<&str> = challenge.runs.iter().map(String::as_str).collect();
+    let diagnosis = answer(&challenge.machine, &runs, &[&challenge.holdout]);
+    let text = diagnosis.extended(&challenge.machine, Path::new("m.toml")).expect("a machine file");
+    assert!(text.contains("cause = \"dependence\""), "{text}");
+    let extended = MachineFile::parse(&text, Path::new("extended.toml")).expect("a machine file");
+    let run = read(&challenge.holdout);
+    let index = Quantity::ALL.iter().position(|it| it.name() == challenge.quantity).expect("one");
+    let measured = run.column(&format!("measured_{}_um", challenge.quantity)).expect("measured");
+    let left: Vec<f64> = Predictor::new(&extended, &run)
+        .expect("a prediction")
+        .model()
+        .zip(measured)
+        .map(|(model, measured)| measured - model.all()[index])
+        .filter(|left| !left.is_nan())
+        .collect();
+    let rms_um = (left.iter().map(|um| um * um).sum::<f64>() / left.len() as f64).sqrt();
+    let said_um = diagnosis.report.after.holdout_rms_um;
+    assert!((rms_um - said_um).abs() < 1e-3 * said_um, "{rms_um} and {said_um}");
+}
