@@ -139,6 +139,7 @@ impl<'m> Bench<'m> {
             load_n: None,
             feed_mm_per_min: f64::NAN,
             temperatures_c: &temperatures,
+            others: &[],
             position_mm: position.map(|units| f64::from(units) / UNITS_PER_MM),
             angle_deg: [a, f64::NAN, c],
             direction: reverse.map(|reverse| if reverse { -1.0 } else { 1.0 }),
