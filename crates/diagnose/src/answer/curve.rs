@@ -59,6 +59,8 @@ fn of_machine(data: &Data, machine: &Machine, axis: LinearAxis) -> Vec<Curve> {
     }
     let temperatures: Vec<(&str, f64)> =
         data.temperatures.iter().map(|(name, of)| (name.as_str(), middle(of))).collect();
+    let others: Vec<(&str, f64)> =
+        data.others.iter().map(|(name, of)| (name.as_str(), middle(of))).collect();
     let at = |column: &Option<Arc<[f64]>>| column.as_deref().map(middle);
     let mut model = ReferenceModel::new(machine);
     let mut all = Vec::new();
@@ -75,6 +77,7 @@ fn of_machine(data: &Data, machine: &Machine, axis: LinearAxis) -> Vec<Curve> {
                     spindle_rpm: at(&data.spindle_rpm),
                     load_n: at(&data.load_n),
                     temperatures_c: &temperatures,
+                    others: &others,
                     position_mm: data.position_mm.each_ref().map(|of| at(of).unwrap_or(f64::NAN)),
                     direction: [1.0; 3],
                     ..Situation::UNKNOWN
