@@ -66,7 +66,7 @@ impl Laws {
     pub fn of(machine: Machine) -> Self {
         let crc = compile(&machine).ok().map(|compiled| compiled.crc());
         let machine = machine.compensated().into_owned();
-        let model = ReferenceModel::owning(machine.compensated().into_owned());
+        let model = ReferenceModel::owning(machine.clone());
         let machine = corrected(Cow::Owned(machine)).0.into_owned();
         Self { machine, model, crc, has_counts: true }
     }
