@@ -34,7 +34,11 @@ use self::{
     answers::Answers,
     journal::{Journal, Step},
 };
-use crate::{Cli, Outcome, UserError, files, output, program::For, report};
+use crate::{
+    Cli, Outcome, UserError, files, output,
+    program::{For, Motion},
+    report,
+};
 
 /// Commissions a spindle or an axis: sign test, programs, measuring, fit, load, acceptance, as often as is
 /// needed.
@@ -70,6 +74,8 @@ pub struct Commission {
     /// How long the warm-up takes, in s; left out, 7200.
     #[arg(long, value_name = "S")]
     heat_s: Option<f64>,
+    #[command(flatten)]
+    motion: Motion,
     /// The answers from here on, a line each, for whoever is not at the terminal.
     #[arg(long, value_name = "FILE")]
     readings: Option<PathBuf>,
@@ -134,7 +140,7 @@ impl Subject {
             axes: self.axis().into_iter().collect(),
             spindle_rpm: args.rpm,
             heat_s: args.heat_s,
-            ..Options::default()
+            ..args.motion.options()?
         };
         let refused = |rule| UserError(format!("{}: {rule}", args.machine.display()));
         plans(kind, machine, &options).map(drop).map_err(refused)
@@ -362,6 +368,8 @@ impl Work<'_> {
         words.extend(self.subject.axis().iter().flat_map(|axis| ["--axis", axis.name()]));
         words.extend(rpm.iter().flat_map(|rpm| ["--rpm", rpm.as_str()]));
         words.extend(heat_s.iter().flat_map(|heat_s| ["--heat-s", heat_s.as_str()]));
+        let motion = self.args.motion.words();
+        words.extend(motion.iter().map(String::as_str));
         self.command(&words)
     }
 

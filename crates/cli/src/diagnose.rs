@@ -49,6 +49,8 @@ pub struct Diagnose {
     /// the program for this control.
     #[arg(long, value_name = "CONTROL")]
     next: Option<crate::program::For>,
+    #[command(flatten)]
+    motion: crate::program::Motion,
     /// The folder for diagnosis.json, report.html, extended.toml and residuals.csv.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -106,7 +108,7 @@ pub fn run(args: &Diagnose, as_json: bool) -> Result<Outcome> {
     write(args, &diagnosis, &machine.name, &source)?;
     print(args, &diagnosis, as_json)?;
     if let Some(control) = args.next {
-        next::write(&diagnosis, control, &args.out, as_json)?;
+        next::write(&diagnosis, &machine, control, &args.motion, &args.out, as_json)?;
     }
     Ok(if diagnosis.report.verdict.is_met() { Outcome::Done } else { Outcome::NotMet })
 }

@@ -1,19 +1,24 @@
 //! `trueup program`: the motion programs that measure a machine, and the run files to be filled in.
 
+mod motion;
+
 use std::{fs, path::PathBuf};
 
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use serde_json::json;
-use trueup_machine::file::LinearAxis;
+use trueup_machine::{Machine, file::LinearAxis};
 use trueup_program::{Gauge, Kind, Options, control, plans, template};
 
+pub use self::motion::Motion;
 use crate::{Outcome, UserError, files, output, report};
 
 /// Writes the program that measures a machine, for your control, and the run file to be filled in.
 ///
-/// The program stays inside travel_mm of the machine file and moves only the axes that it names. Run it
-/// in the air, with a hand on the feed override, before you trust it with a gauge.
+/// Each program stops before anything moves, and says which axis will move, where to, how far and what must be
+/// clear. It never moves at rapid, stays inside travel_mm of the machine file less --margin, and moves only the
+/// axes that its name and --clearance name. A vertical or tool axis (Z always) moves only in a --range that you
+/// give. Run it in the air, with a hand on the feed override, before you trust it with a gauge.
 #[derive(Args)]
 pub struct Program {
     /// What is to be measured.
@@ -30,9 +35,8 @@ pub struct Program {
     /// These axes only; left out, all whose travel is known.
     #[arg(long, value_name = "x,y,z", value_delimiter = ',')]
     axis: Vec<Axis>,
-    /// The travel of an axis, in mm, where the machine file does not say it, or less of it.
-    #[arg(long, value_name = "x=0:1000", value_delimiter = ',', allow_hyphen_values = true)]
-    travel: Vec<String>,
+    #[command(flatten)]
+    motion: Motion,
     /// The feed of the moves before a reading, in mm/min; backlash is measured at each of several. 1000.
     #[arg(long, value_name = "MM/MIN", value_delimiter = ',')]
     feed: Vec<f64>,
@@ -45,23 +49,24 @@ pub struct Program {
     /// From target to target, in mm.
     #[arg(long, value_name = "MM")]
     step_mm: Option<f64>,
-    /// backlash: by what it is measured. A dial needs room and a stop at each place, a laser neither.
-    #[arg(long, default_value = "dial")]
-    gauge: By,
+    /// What it is measured with. backlash: a dial (the default) needs a stop at each place, a laser none. warmup:
+    /// left out, a gauge that does not touch; with a dial the spindle stops for each reading.
+    #[arg(long)]
+    gauge: Option<By>,
     /// warmup: the speed; left out, rated_rpm of the machine file.
     #[arg(long, value_name = "R/MIN")]
     rpm: Option<f64>,
-    /// warmup: from reading to reading, in s.
-    #[arg(long, value_name = "S", default_value_t = Options::default().every_s)]
-    every_s: f64,
+    /// warmup: from reading to reading, in s (60; 600 where the spindle stops for each).
+    #[arg(long, value_name = "S")]
+    every_s: Option<f64>,
     /// warmup: for how long, in s (7200); axis-heat: how long in each round (1200).
     #[arg(long, value_name = "S")]
     heat_s: Option<f64>,
     /// axis-heat: how fast the axis is run warm, in mm/min.
     #[arg(long, value_name = "MM/MIN", default_value_t = Options::default().heat_feed_mm_per_min)]
     heat_feed: f64,
-    /// axis-heat: where it is run warm and measured, in mm; left out, 500:1500 as far as the travel has it.
-    #[arg(long, value_name = "500:1500", allow_hyphen_values = true)]
+    /// As --range, of each axis asked for.
+    #[arg(long, hide = true, value_name = "500:1500", allow_hyphen_values = true)]
     range_mm: Option<String>,
 }
 
@@ -137,7 +142,7 @@ pub fn run(args: &Program, as_json: bool) -> Result<Outcome> {
         What::Diagonal => Kind::Diagonal,
     };
     let control = args.control.control();
-    let (plans, notes) = plans(kind, &machine, &options(args)?)
+    let (plans, notes) = plans(kind, &machine, &options(args, &machine)?)
         .map_err(|refused| UserError(format!("{}: {refused}", args.machine.display())))?;
     notes.iter().for_each(report::warn);
     fs::create_dir_all(&args.out)
@@ -175,50 +180,40 @@ pub fn run(args: &Program, as_json: bool) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-fn options(args: &Program) -> Result<Options, UserError> {
-    let mut travel_mm = [None; 3];
-    for entry in &args.travel {
-        let named = entry.split_once('=').and_then(|(name, range)| {
-            let axis = ["x", "y", "z"].iter().position(|axis| *axis == name.trim())?;
-            Some((axis, ends(range)?))
-        });
-        let (axis, ends) = named.ok_or_else(|| {
-            UserError(format!("--travel {entry}: must be like x=0:1000, the smaller first"))
-        })?;
-        travel_mm[axis] = Some(ends);
-    }
-    let range = args.range_mm.as_deref().map(|text| {
-        let wrong =
-            || UserError(format!("--range-mm {text}: must be like 500:1500, the smaller first"));
-        ends(text).ok_or_else(wrong)
-    });
+fn options(args: &Program, machine: &Machine) -> Result<Options, UserError> {
     let axis = |axis: &Axis| match axis {
         Axis::X => LinearAxis::X,
         Axis::Y => LinearAxis::Y,
         Axis::Z => LinearAxis::Z,
     };
-    Ok(Options {
+    let mut options = Options {
         axes: args.axis.iter().map(axis).collect(),
-        travel_mm,
         feeds_mm_per_min: args.feed.clone(),
         dwell_s: args.dwell_s,
         repeats: args.repeats,
         step_mm: args.step_mm,
-        gauge: match args.gauge {
+        gauge: args.gauge.map(|gauge| match gauge {
             By::Dial => Gauge::Dial,
             By::Laser => Gauge::Laser,
-        },
+        }),
         spindle_rpm: args.rpm,
         every_s: args.every_s,
         heat_s: args.heat_s,
-        heat_range_mm: range.transpose()?,
         heat_feed_mm_per_min: args.heat_feed,
-    })
-}
-
-/// `0:1000`, the smaller first.
-fn ends(text: &str) -> Option<[f64; 2]> {
-    let (low, high) = text.split_once(':')?;
-    let ends: [f64; 2] = [low.trim().parse().ok()?, high.trim().parse().ok()?];
-    (ends.iter().all(|end| end.is_finite()) && ends[0] < ends[1]).then_some(ends)
+        ..args.motion.options()?
+    };
+    if let Some(text) = &args.range_mm {
+        let ends = motion::ends(text).ok_or_else(|| {
+            UserError(format!("--range-mm {text}: must be like 500:1500, the smaller first"))
+        })?;
+        // It names no axis: Z, which may plunge, has to be asked for by name.
+        let is_meant = |axis: LinearAxis| match options.axes.is_empty() {
+            true => axis != LinearAxis::Z && machine.axes[axis.index()].travel_mm.is_some(),
+            false => options.axes.contains(&axis),
+        };
+        for axis in LinearAxis::ALL.into_iter().filter(|axis| is_meant(*axis)) {
+            options.range_mm[axis.index()].get_or_insert(ends);
+        }
+    }
+    Ok(options)
 }

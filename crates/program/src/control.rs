@@ -3,11 +3,12 @@
 //! | control | machine coordinates | repeats | dwell |
 //! |---|---|---|---|
 //! | LinuxCNC | `G53` in each block | `o101 repeat [7]` | `G4 P5` |
-//! | FANUC | `G53` for rapid moves only, so what is measured is in increments (`G91`) from there | `M98 P7101 L7` | `G04 X5.` |
+//! | FANUC | the way from `#5021` to `#5023`, as `G53` moves at rapid only; then increments (`G91`) | `M98 P7101 L7` | `G04 X5.` |
 //! | Siemens 840D sl | `SUPA` in each block | `FOR R1=1 TO 7` | `G4 F5` |
 //! | HEIDENHAIN | `M91` in each block | `LBL 1` … `CALL LBL 1 REP 6` | cycle 9 |
 //!
-//! No form depends on a work offset. Positions are whole micrometres, so that increments add up to
+//! Every program begins with a stop ([`Plan::first_stop`]), then sets the modes that it needs; no block moves at
+//! rapid, and none by a way from a place that the program does not know. No form depends on a work offset. Positions are whole micrometres, so that increments add up to
 //! exactly where they began.
 
 mod dialect;
@@ -38,8 +39,10 @@ pub fn program(plan: &Plan, control: Control) -> (String, String) {
     let name = plan.name.replace('-', "_");
     let text = |mut dialect: Box<dyn Dialect>| {
         dialect.head(plan);
+        dialect.stop(&plan.first_stop());
+        dialect.modes();
         let mut at_um = [None; 3];
-        write(&plan.steps, dialect.as_mut(), &mut at_um);
+        write(plan, &plan.steps, dialect.as_mut(), &mut at_um);
         dialect.end()
     };
     match control {
@@ -50,26 +53,29 @@ pub fn program(plan: &Plan, control: Control) -> (String, String) {
     }
 }
 
-fn write(steps: &[Step], dialect: &mut dyn Dialect, at_um: &mut [Option<i64>; 3]) {
+fn write(plan: &Plan, steps: &[Step], dialect: &mut dyn Dialect, at_um: &mut [Option<i64>; 3]) {
     for step in steps {
         match step {
             Step::Note(text) => dialect.note(text),
-            Step::Stop(text) => dialect.stop(text),
-            Step::Rapid(to_mm) => dialect.rapid(&ends(to_mm, at_um)),
+            Step::Stop(text) => {
+                dialect.stop(text);
+                // The operator may have jogged.
+                *at_um = [None; 3];
+            }
+            Step::Approach { axis, to_mm } => {
+                let mut to = [None; 3];
+                to[*axis] = Some(*to_mm);
+                dialect.line(&ends(&to, at_um), plan.approach_mm_per_min);
+            }
             Step::Move { to_mm, feed_mm_per_min } => {
                 dialect.line(&ends(to_mm, at_um), *feed_mm_per_min);
-            }
-            Step::By { axis, mm, feed_mm_per_min } => {
-                let um = micrometres(*mm);
-                at_um[*axis] = at_um[*axis].map(|at| at + um);
-                dialect.by(*axis, um, *feed_mm_per_min);
             }
             Step::Spindle(rpm) => dialect.spindle(*rpm),
             Step::Dwell(s) => dialect.dwell(*s, false),
             Step::Read(s) => dialect.dwell(*s, true),
             Step::Repeat { times, steps } => {
                 dialect.repeat(*times);
-                write(steps, dialect, at_um);
+                write(plan, steps, dialect, at_um);
                 dialect.repeated();
             }
         }

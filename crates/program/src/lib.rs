@@ -11,7 +11,8 @@
 //! | module | does |
 //! |---|---|
 //! | [`plan`] | moves, dwells and readings, and the walk through them |
-//! | `travel` | what an axis may be sent to |
+//! | `travel` | where an axis may move, and from which end |
+//! | `first_stop` | what the operator reads before anything moves |
 //! | `refused` | what does not fit |
 //! | [`options`] | feeds, repeats, places |
 //! | `kind` | one page for each kind of measurement |
@@ -20,6 +21,7 @@
 #![forbid(unsafe_code)]
 
 pub mod control;
+mod first_stop;
 mod kind;
 pub mod options;
 pub mod plan;

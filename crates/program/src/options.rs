@@ -19,8 +19,15 @@ pub enum Gauge {
 pub struct Options {
     /// These axes only; empty: all whose travel is known.
     pub axes: Vec<LinearAxis>,
-    /// The travel in mm where it is not the machine file's.
-    pub travel_mm: [Option<[f64; 2]>; 3],
+    /// The range in mm in which an axis may move; `None`: its whole travel. A vertical or tool axis without a
+    /// range does not move.
+    pub range_mm: [Option<[f64; 2]>; 3],
+    /// Another axis that makes room for an indicator, and by how far in mm, with its sign.
+    pub clearance_mm: Option<(LinearAxis, f64)>,
+    /// The feed of every move before the measurement, in mm/min.
+    pub approach_mm_per_min: f64,
+    /// How far each axis stays away from the ends of its travel, in mm.
+    pub margin_mm: f64,
     /// Each feed is measured in turn, in mm/min; none: 1000, as in the paper.
     pub feeds_mm_per_min: Vec<f64>,
     /// How long the axes stand for a reading, in s.
@@ -30,16 +37,14 @@ pub struct Options {
     pub repeats: Option<u32>,
     /// From target to target in mm; `None`: each kind has its own.
     pub step_mm: Option<f64>,
-    /// By what backlash is measured.
-    pub gauge: Gauge,
+    /// The instrument; `None`: a dial for backlash, a gauge that does not touch for the warm-up.
+    pub gauge: Option<Gauge>,
     /// The spindle's speed in r/min; `None`: the machine file's `rated_rpm`.
     pub spindle_rpm: Option<f64>,
-    /// From reading to reading of a warm-up, in s.
-    pub every_s: f64,
+    /// From reading to reading of a warm-up, in s; `None`: 60, and 600 where the spindle stops for each.
+    pub every_s: Option<f64>,
     /// How long the spindle warms up, or the axis in each round, in s; `None`: 2 h, and 20 minutes.
     pub heat_s: Option<f64>,
-    /// Where an axis is run warm, in mm; `None`: 500 to 1500, as far as the travel has it.
-    pub heat_range_mm: Option<[f64; 2]>,
     /// How fast it is run warm, in mm/min.
     pub heat_feed_mm_per_min: f64,
 }
@@ -48,20 +53,29 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             axes: Vec::new(),
-            travel_mm: [None; 3],
+            range_mm: [None; 3],
+            clearance_mm: None,
+            approach_mm_per_min: APPROACH_MM_PER_MIN,
+            margin_mm: MARGIN_MM,
             feeds_mm_per_min: Vec::new(),
             dwell_s: 5.0,
             repeats: None,
             step_mm: None,
-            gauge: Gauge::Dial,
+            gauge: None,
             spindle_rpm: None,
-            every_s: 60.0,
+            every_s: None,
             heat_s: None,
-            heat_range_mm: None,
             heat_feed_mm_per_min: 10_000.0,
         }
     }
 }
+
+/// The feed of an approach, in mm/min: the operator has a second for each 8 mm.
+pub const APPROACH_MM_PER_MIN: f64 = 500.0;
+/// The distance to the ends of travel, in mm: wider than a limit switch repeats.
+pub const MARGIN_MM: f64 = 2.0;
+/// No number of a measurement is larger; beyond it a control would not read it.
+const MAX_NUMBER: f64 = 1e6;
 
 /// The feed of the paper's own program (N10 … F1000), in mm/min.
 const FEED_MM_PER_MIN: f64 = 1000.0;
@@ -88,27 +102,41 @@ impl Options {
             ("--dwell-s", Some(self.dwell_s)),
             ("--step-mm", self.step_mm),
             ("--rpm", self.spindle_rpm),
-            ("--every-s", Some(self.every_s)),
+            ("--every-s", self.every_s),
+            ("--approach", Some(self.approach_mm_per_min)),
             ("--heat-s", self.heat_s),
             ("--heat-feed", Some(self.heat_feed_mm_per_min)),
         ];
         let feeds = self.feeds_mm_per_min.iter().map(|feed| ("--feed", Some(*feed)));
         for (name, value) in above_zero.into_iter().chain(feeds) {
             if let Some(value) = value
-                && !(value > 0.0 && value.is_finite())
+                && !(value > 0.0 && value <= MAX_NUMBER)
             {
-                return Err(Refused(format!("{name} must be above 0, not {value}")));
+                return Err(Refused(format!(
+                    "{name} must be above 0 and at most {MAX_NUMBER}, not {value}"
+                )));
             }
         }
         if self.repeats == Some(0) {
             return Err(Refused("--repeats must be at least 1".into()));
         }
-        if self.every_s <= self.dwell_s {
-            return Err(Refused(format!(
-                "--every-s {} must be above --dwell-s {}: a reading lasts so long",
-                self.every_s, self.dwell_s
-            )));
+        if !(0.0..=MAX_NUMBER).contains(&self.margin_mm) {
+            return Err(Refused(format!("--margin must be 0 or more, not {}", self.margin_mm)));
         }
-        Ok(())
+        if let Some((axis, mm)) = self.clearance_mm
+            && !(mm != 0.0 && mm.abs() <= MAX_NUMBER)
+        {
+            let name = axis.name();
+            return Err(Refused(format!("--clearance {name}={mm}: must be a way in mm, not 0")));
+        }
+        self.range_mm.iter().zip(LinearAxis::ALL).try_for_each(|(range, axis)| match *range {
+            Some([low, high]) if !(-MAX_NUMBER <= low && low < high && high <= MAX_NUMBER) => {
+                Err(Refused(format!(
+                    "--range {}={low}:{high}: must be like {0}=-120:-20, the smaller first",
+                    axis.name()
+                )))
+            }
+            _ => Ok(()),
+        })
     }
 }

@@ -8,24 +8,20 @@
 pub enum Step {
     /// A line for the reader.
     Note(String),
-    /// The control waits for the operator, who does this.
-    Stop(String),
-    /// As fast as the machine goes to a position, in mm; `None`: that axis stays.
-    Rapid([Option<f64>; 3]),
-    /// In a straight line at a feed.
+    /// The control waits for the operator, who reads and does this: a sentence each.
+    Stop(Vec<String>),
+    /// One axis to a position at the approach feed of the plan: nothing is measured on the way.
+    Approach {
+        /// X, Y or Z: 0, 1, 2.
+        axis: usize,
+        /// The end in mm.
+        to_mm: f64,
+    },
+    /// In a straight line at the feed of the measurement.
     Move {
         /// The end in mm; `None`: that axis stays.
         to_mm: [Option<f64>; 3],
         /// Along the line, above 0.
-        feed_mm_per_min: f64,
-    },
-    /// One axis by a way from where it stands, wherever that is: the program knows no more of it.
-    By {
-        /// X, Y or Z: 0, 1, 2.
-        axis: usize,
-        /// The way in mm.
-        mm: f64,
-        /// Above 0.
         feed_mm_per_min: f64,
     },
     /// The spindle turns to the right; 0: it stops. In r/min.
@@ -52,7 +48,7 @@ pub struct Reading {
     pub position_mm: [Option<f64>; 3],
     /// The direction of each axis's last move: 1, −1; 0: none yet.
     pub direction: [i8; 3],
-    /// The feed of the last move in mm/min.
+    /// The feed of the last measuring move in mm/min.
     pub feed_mm_per_min: Option<f64>,
     /// The spindle's speed in r/min.
     pub spindle_rpm: f64,
@@ -75,6 +71,8 @@ pub enum Column {
     Feed,
     /// `spindle_rpm`.
     Speed,
+    /// `spindle_rpm` of the time between the readings, where the spindle stands for each.
+    SpeedBetween(f64),
     /// To be filled in.
     Empty(String),
 }
@@ -86,6 +84,10 @@ pub struct Plan {
     pub name: String,
     /// What the operator has to know before it runs, a sentence each.
     pub notes: Vec<String>,
+    /// Precautions of this measurement, a sentence each: part of the first stop.
+    pub precautions: Vec<String>,
+    /// The feed of each approach, in mm/min.
+    pub approach_mm_per_min: f64,
     /// What is done.
     pub steps: Vec<Step>,
     /// The columns of the run file.
@@ -100,26 +102,33 @@ impl Plan {
     /// The readings in their order.
     #[must_use]
     pub fn readings(&self) -> Vec<Reading> {
-        let mut walk = Walk::new();
-        walk.all(&self.steps);
-        walk.readings
+        self.walk().readings
     }
 
-    /// Seconds for moves at their feeds and for dwells; rapid moves, stops and accelerations are not
-    /// counted.
+    /// Returns the seconds of moves at their feeds and of dwells, without the way to the first position,
+    /// stops and accelerations.
     #[must_use]
     pub fn least_seconds(&self) -> f64 {
-        let mut walk = Walk::new();
-        walk.all(&self.steps);
+        let walk = self.walk();
         walk.dwelt_s + walk.moved_s
     }
 
     /// The lowest and highest position of each axis in mm; `None` where it is not sent anywhere.
     #[must_use]
     pub fn extent_mm(&self) -> [Option<[f64; 2]>; 3] {
-        let mut walk = Walk::new();
+        self.walk().extent_mm
+    }
+
+    /// Returns the highest speed of the spindle in r/min; 0 if it never turns.
+    #[must_use]
+    pub fn highest_rpm(&self) -> f64 {
+        self.walk().highest_rpm
+    }
+
+    fn walk(&self) -> Walk {
+        let mut walk = Walk::new(self.approach_mm_per_min);
         walk.all(&self.steps);
-        walk.extent_mm
+        walk
     }
 }
 
@@ -129,12 +138,14 @@ struct Walk {
     dwelt_s: f64,
     moved_s: f64,
     is_in_repeat: bool,
+    approach_mm_per_min: f64,
+    highest_rpm: f64,
     extent_mm: [Option<[f64; 2]>; 3],
     readings: Vec<Reading>,
 }
 
 impl Walk {
-    fn new() -> Self {
+    fn new(approach_mm_per_min: f64) -> Self {
         let now = Reading {
             run: 1,
             position_mm: [None; 3],
@@ -144,7 +155,16 @@ impl Walk {
             dwelt_s: 0.0,
         };
         let (readings, extent_mm) = (Vec::new(), [None; 3]);
-        Self { now, dwelt_s: 0.0, moved_s: 0.0, is_in_repeat: false, extent_mm, readings }
+        Self {
+            now,
+            dwelt_s: 0.0,
+            moved_s: 0.0,
+            is_in_repeat: false,
+            approach_mm_per_min,
+            highest_rpm: 0.0,
+            extent_mm,
+            readings,
+        }
     }
 
     fn all(&mut self, steps: &[Step]) {
@@ -154,21 +174,20 @@ impl Walk {
     fn one(&mut self, step: &Step) {
         match step {
             Step::Note(_) | Step::Stop(_) => {}
-            Step::Rapid(to_mm) => {
-                self.go(to_mm);
+            Step::Approach { axis, to_mm } => {
+                let mut to = [None; 3];
+                to[*axis] = Some(*to_mm);
+                self.moved_s += 60.0 * self.go(&to) / self.approach_mm_per_min;
             }
             Step::Move { to_mm, feed_mm_per_min } => {
                 let way_mm = self.go(to_mm);
                 self.now.feed_mm_per_min = Some(*feed_mm_per_min);
                 self.moved_s += 60.0 * way_mm / feed_mm_per_min;
             }
-            Step::By { axis, mm, feed_mm_per_min } => {
-                let to_mm = self.now.position_mm[*axis].map(|at| at + mm);
-                self.turn(*axis, *mm);
-                self.now.position_mm[*axis] = to_mm;
-                self.moved_s += 60.0 * mm.abs() / feed_mm_per_min;
+            Step::Spindle(rpm) => {
+                self.now.spindle_rpm = *rpm;
+                self.highest_rpm = self.highest_rpm.max(*rpm);
             }
-            Step::Spindle(rpm) => self.now.spindle_rpm = *rpm,
             Step::Dwell(s) => self.dwelt_s += s,
             Step::Read(s) => {
                 self.dwelt_s += s;

@@ -1,4 +1,5 @@
-//! The run file to be filled in: a row for each reading, in the order of the program.
+//! The run file to be filled in: a row for each reading, in the order of the program. Its first lines repeat
+//! what moves and what must be clear, for the page that is printed of it.
 
 use crate::plan::{Column, Plan, Reading};
 
@@ -25,6 +26,9 @@ fn text(plan: &Plan) -> String {
         empty.join(", "),
         plan.then
     );
+    for sentence in plan.first_stop().iter().chain(&plan.notes) {
+        text += &format!("# {sentence}\n");
+    }
     let names: Vec<String> = plan.columns.iter().map(name).collect();
     text += &names.join(",");
     text.push('\n');
@@ -50,7 +54,7 @@ fn name(column: &Column) -> String {
         Column::Position(axis) => format!("{}_mm", AXES[*axis]),
         Column::Direction(axis) => format!("dir_{}", AXES[*axis]),
         Column::Feed => "feed_mm_per_min".into(),
-        Column::Speed => "spindle_rpm".into(),
+        Column::Speed | Column::SpeedBetween(_) => "spindle_rpm".into(),
         Column::Empty(name) => name.clone(),
     }
 }
@@ -68,6 +72,7 @@ fn cell(column: &Column, reading: &Reading) -> String {
         },
         Column::Feed => reading.feed_mm_per_min.map_or(String::new(), |feed| feed.to_string()),
         Column::Speed => reading.spindle_rpm.to_string(),
+        Column::SpeedBetween(rpm) => rpm.to_string(),
         Column::Empty(_) => String::new(),
     }
 }

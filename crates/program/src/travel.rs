@@ -1,15 +1,27 @@
-//! How far an axis may be sent.
+//! How far an axis may be sent, and from which end.
+//!
+//! ```text
+//!   travel_mm   |<----------------------------------------------->|
+//!   --margin     |<--------------------------------------------->|
+//!   --range               |<------------------->|
+//!   over-travel            |<-->|  targets |<-->|
+//! ```
+//!
+//! A vertical axis, or one along which the tool points, moves only in a range that the user gave, and begins at
+//! the end at which the tool is retracted.
 
 use trueup_machine::{Machine, file::LinearAxis};
 
-use crate::{options::Options, refused::Refused};
+use crate::{options::Options, plan::Step, refused::Refused};
 
-/// An axis and its travel in mm.
+/// An axis and where it may move, in mm, whole micrometres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Travel {
     pub axis: LinearAxis,
     pub low_mm: f64,
     pub high_mm: f64,
+    /// Which way retracts the tool: +1, −1; `None`: the axis is neither vertical nor along the tool.
+    pub retract: Option<f64>,
 }
 
 /// The over-travel of the paper's own program (N10 … X50), in mm: so far an axis goes before it comes
@@ -17,24 +29,54 @@ pub(crate) struct Travel {
 const OVER_TRAVEL_MM: f64 = 50.0;
 /// A short axis has less: this share of it.
 const OVER_TRAVEL_SHARE: f64 = 0.05;
+/// The shortest range, in mm: its over-travel of 0.1 mm still takes up the play of a worn axis.
+const MIN_RANGE_MM: f64 = 2.0;
+/// An axis that turns more than this share of its way into a way along the tool is a tool axis; 1 % is the tilt of
+/// a spindle that is out of square by far.
+const ALONG_TOOL: f64 = 0.01;
+/// No axis is longer, in mm.
+const MAX_POSITION_MM: f64 = 100_000.0;
 
 impl Travel {
     pub fn length_mm(&self) -> f64 {
         self.high_mm - self.low_mm
     }
 
-    /// How far the axis goes beyond a target before it approaches it, in mm.
+    /// Returns how far the axis goes beyond a target before it approaches it, in mm.
     pub fn over_travel_mm(&self) -> f64 {
         micrometres(OVER_TRAVEL_MM.min(OVER_TRAVEL_SHARE * self.length_mm()))
     }
 
-    /// The ends between which targets may be, in mm.
+    /// Returns the ends between which targets may be, in mm.
     pub fn inside_mm(&self) -> [f64; 2] {
         let over_mm = self.over_travel_mm();
         [micrometres(self.low_mm + over_mm), micrometres(self.high_mm - over_mm)]
     }
 
-    /// Targets about `step_mm` apart over the inside, both ends included.
+    /// Returns true if the axis begins at its upper end.
+    pub fn starts_high(&self) -> bool {
+        self.retract == Some(1.0)
+    }
+
+    /// Returns the ends in the order in which the axis goes to them: the retracted one first.
+    pub fn start_and_far_mm(&self) -> [f64; 2] {
+        self.ordered([self.low_mm, self.high_mm])
+    }
+
+    /// Returns rising places in the order in which the axis goes to them.
+    pub fn ordered<T: AsMut<[f64]>>(&self, mut rising_mm: T) -> T {
+        if self.starts_high() {
+            rising_mm.as_mut().reverse();
+        }
+        rising_mm
+    }
+
+    /// Returns an approach of this axis.
+    pub fn approach(&self, mm: f64) -> Step {
+        Step::Approach { axis: self.axis.index(), to_mm: micrometres(mm) }
+    }
+
+    /// Returns targets about `step_mm` apart over the inside, both ends included, rising.
     pub fn even_targets_mm(&self, step_mm: f64) -> Result<Vec<f64>, Refused> {
         let [low, high] = self.inside_mm();
         even(low, high, step_mm).ok_or_else(|| {
@@ -46,7 +88,7 @@ impl Travel {
         })
     }
 
-    /// A place of this axis alone.
+    /// Returns a place of this axis alone.
     pub fn at(&self, mm: f64) -> [Option<f64>; 3] {
         let mut to = [None; 3];
         to[self.axis.index()] = Some(micrometres(mm));
@@ -74,44 +116,97 @@ pub(crate) fn micrometres(mm: f64) -> f64 {
     (mm * 1000.0).round() / 1000.0
 }
 
-/// The wanted axes that have a travel, and a note for each that has none.
+/// Returns which way of `axis` retracts the tool (+1, −1), if it is a vertical or tool axis. Z counts as vertical
+/// on every machine.
+pub(crate) fn retract(machine: &Machine, axis: LinearAxis) -> Option<f64> {
+    let along = machine.tool_direction[axis.index()];
+    if along.abs() > ALONG_TOOL {
+        return Some(-along.signum());
+    }
+    (axis == LinearAxis::Z).then_some(1.0)
+}
+
+/// Returns where an axis may move, or a sentence that says why it may not.
+///
+/// # Errors
+/// A range leaves the travel of the machine file.
+pub(crate) fn travel(
+    machine: &Machine,
+    options: &Options,
+    axis: LinearAxis,
+) -> Result<Result<Travel, String>, Refused> {
+    let name = axis.name();
+    let known = machine.axes[axis.index()].travel_mm;
+    let range = options.range_mm[axis.index()];
+    let retract = retract(machine, axis);
+    if let (Some([low_mm, high_mm]), Some([low, high])) = (range, known)
+        && (low_mm < low || high_mm > high)
+    {
+        return Err(Refused(format!(
+            "--range {name}={low_mm}:{high_mm} is outside the machine file's travel_mm of {low} to \
+             {high} mm"
+        )));
+    }
+    let Some([low, high]) = range.or(known) else { return Ok(Err(no_travel(name, retract))) };
+    if retract.is_some() && range.is_none() {
+        return Ok(Err(format!(
+            "{name} is vertical or along the tool, and moves only where you say: give --range \
+             {name}=LOW:HIGH in mm, inside travel_mm of {low} to {high}"
+        )));
+    }
+    // Where no travel is known, its ends may be those of the range.
+    let [first, last] = known.unwrap_or([low, high]);
+    let margin_mm = options.margin_mm;
+    // A hundredth of a micrometre is rounding.
+    let low_mm = (low.max(first + margin_mm) * 1000.0 - 0.01).ceil() / 1000.0;
+    let high_mm = (high.min(last - margin_mm) * 1000.0 + 0.01).floor() / 1000.0;
+    if first.abs().max(last.abs()) > MAX_POSITION_MM {
+        return Ok(Err(format!("{name} would be sent beyond {MAX_POSITION_MM} mm")));
+    }
+    if high_mm - low_mm < MIN_RANGE_MM {
+        return Ok(Err(format!(
+            "{name} from {low} to {high} mm leaves less than {MIN_RANGE_MM} mm within the margin of \
+             {margin_mm} mm to the ends of travel: give a longer --range {name}=LOW:HIGH or a smaller \
+             --margin"
+        )));
+    }
+    Ok(Ok(Travel { axis, low_mm, high_mm, retract }))
+}
+
+/// Returns the axes asked for that may move, and a note for each that may not.
+///
+/// # Errors
+/// A range leaves the travel of the machine file, or no axis is left.
 pub(crate) fn travels(
     machine: &Machine,
     options: &Options,
 ) -> Result<(Vec<Travel>, Vec<String>), Refused> {
-    let (mut travels, mut notes) = (Vec::new(), Vec::new());
+    let (mut travels, mut reasons) = (Vec::new(), Vec::new());
     for axis in LinearAxis::ALL {
-        let is_named = options.axes.contains(&axis);
-        if !options.axes.is_empty() && !is_named {
-            continue;
-        }
-        let name = axis.name();
-        let known = machine.axes[axis.index()].travel_mm;
-        match options.travel_mm[axis.index()].or(known) {
-            Some([low_mm, high_mm]) => {
-                if let Some([low, high]) = known
-                    && (low_mm < low || high_mm > high)
-                {
-                    return Err(Refused(format!(
-                        "--travel {name}={low_mm}:{high_mm} is more than the machine file's \
-                         travel_mm of {low} to {high} mm"
-                    )));
-                }
-                travels.push(Travel { axis, low_mm, high_mm });
+        if options.axes.is_empty() || options.axes.contains(&axis) {
+            match travel(machine, options, axis)? {
+                Ok(travel) => travels.push(travel),
+                Err(why) => reasons.push((axis, why)),
             }
-            None if is_named => return Err(Refused(no_travel(name))),
-            None => notes.push(format!("no program for {name}: {}", no_travel(name))),
         }
     }
     if travels.is_empty() {
-        return Err(Refused(no_travel("x")));
+        let reasons: Vec<String> = reasons.into_iter().map(|(_, why)| why).collect();
+        return Err(Refused(reasons.join("; ")));
     }
-    Ok((travels, notes))
+    let note = |(axis, why): (LinearAxis, String)| format!("no program for {}: {why}", axis.name());
+    Ok((travels, reasons.into_iter().map(note).collect()))
 }
 
-fn no_travel(axis: &str) -> String {
+fn no_travel(axis: &str, retract: Option<f64>) -> String {
+    if retract.is_some() {
+        return format!(
+            "the travel of {axis} is not known: write travel_mm under [axis.{axis}] of the machine file, \
+             and give --range {axis}=LOW:HIGH, as it is vertical or along the tool"
+        );
+    }
     format!(
         "the travel of {axis} is not known: write travel_mm = [0.0, 1000.0] under [axis.{axis}] of the \
-         machine file, or give --travel {axis}=0:1000"
+         machine file, or give --range {axis}=0:1000"
     )
 }

@@ -2,7 +2,7 @@
 
 mod support;
 
-use support::{machine, parse};
+use support::{machine, parse, with_z};
 use trueup_machine::file::LinearAxis;
 use trueup_program::{Control, Gauge, Kind, Options, Plan, control, plan::Step, plans, template};
 
@@ -17,26 +17,32 @@ fn only_x() -> Options {
     Options { axes: vec![LinearAxis::X], ..Options::default() }
 }
 
+/// Z makes room for the dial, as in the paper.
+fn x_with_room() -> Options {
+    Options { axes: vec![LinearAxis::X], clearance_mm: Some((LinearAxis::Z, 50.0)), ..with_z() }
+}
+
 #[test]
 fn fanuc_backlash_is_the_papers_own_program() {
-    let text = control::program(&of(Kind::Backlash, &only_x())[0], Control::Fanuc).1;
-    // Seed 004, N10 to N90, for X: 50 mm of over-travel, 5 s to read, Z out of the way and back.
+    let text = control::program(&of(Kind::Backlash, &x_with_room())[0], Control::Fanuc).1;
+    // Seed 004, N10 to N90, for X: 50 mm of over-travel, 5 s to read, Z out of the way and back, at the feed of an
+    // approach.
     let paper = "\
 O7101(BACKLASH-X)
 N10 G91 G01 X50. F1000
 N20 X-50.
 N30 G04 X5.
-N40 Z50.
-N50 X-50.
+N40 Z50. F500
+N50 X-50. F1000
 N60 X50.
-N70 Z-50.
+N70 Z-50. F500
 N80 G04 X5.
 N90 M99
 ";
     assert!(text.contains(paper), "{text}");
     // At the middle and near both ends, seven times each, by one subprogram.
-    for place in ["X50.", "X500.", "X950."] {
-        assert!(text.contains(&format!("G90 G53 G00 {place}\n")), "{place}: {text}");
+    for place in ["X[50.-#5021]", "X[500.-#5021]", "X[950.-#5021]"] {
+        assert!(text.contains(&format!("{place}\n")), "{place}: {text}");
     }
     assert_eq!(text.matches("M98 P7101 L7").count(), 3, "{text}");
     assert_eq!(text.matches("\nO").count(), 2, "{text}");
@@ -44,18 +50,16 @@ N90 M99
 
 #[test]
 fn the_other_controls_say_the_same() {
-    let plan = &of(Kind::Backlash, &only_x())[0];
+    let plan = &of(Kind::Backlash, &x_with_room())[0];
     let linuxcnc = "\
 o101 repeat [7]
   G53 G1 X100 F1000
   G53 G1 X50 F1000
   G4 P5 (read)
-  G91 G1 Z50 F1000
-  G90
+  G53 G1 Z0 F500
   G53 G1 X0 F1000
   G53 G1 X50 F1000
-  G91 G1 Z-50 F1000
-  G90
+  G53 G1 Z-50 F500
   G4 P5 (read)
 o101 endrepeat
 ";
@@ -64,35 +68,39 @@ FOR R1=1 TO 7
   SUPA G1 X100 F1000
   SUPA G1 X50 F1000
   G4 F5 ; read
-  G1 Z=IC(50) F1000
+  SUPA G1 Z0 F500
   SUPA G1 X0 F1000
   SUPA G1 X50 F1000
-  G1 Z=IC(-50) F1000
+  SUPA G1 Z-50 F500
   G4 F5 ; read
 ENDFOR
 ";
     let heidenhain = "\
-8 LBL 1
-9 L X+100 R0 F1000 M91
-10 L X+50 R0 F1000 M91
-11 ; read
-12 CYCL DEF 9.0 DWELL TIME
-13 CYCL DEF 9.1 DWELL 5
-14 L IZ+50 R0 F1000
-15 L X+0 R0 F1000 M91
-16 L X+50 R0 F1000 M91
-17 L IZ-50 R0 F1000
-18 ; read
-19 CYCL DEF 9.0 DWELL TIME
-20 CYCL DEF 9.1 DWELL 5
-21 CALL LBL 1 REP 6
+LBL 1
+L X+100 R0 F1000 M91
+L X+50 R0 F1000 M91
+; read
+CYCL DEF 9.0 DWELL TIME
+CYCL DEF 9.1 DWELL 5
+L Z+0 R0 F500 M91
+L X+0 R0 F1000 M91
+L X+50 R0 F1000 M91
+L Z-50 R0 F500 M91
+; read
+CYCL DEF 9.0 DWELL TIME
+CYCL DEF 9.1 DWELL 5
+CALL LBL 1 REP 6
 ";
     for (control, cycle) in [
         (Control::LinuxCnc, linuxcnc),
         (Control::Siemens, siemens),
         (Control::Heidenhain, heidenhain),
     ] {
-        let text = control::program(plan, control).1;
+        let mut text = control::program(plan, control).1;
+        if control == Control::Heidenhain {
+            let blocks = text.lines().filter_map(|line| line.split_once(' '));
+            text = blocks.map(|(_, block)| block.to_string() + "\n").collect();
+        }
         assert!(text.contains(cycle), "{control:?}: {text}");
     }
 }
@@ -108,7 +116,7 @@ fn backlash_has_seven_pairs_at_three_places() {
         assert_eq!(pair[0].run, pair[1].run);
     }
     let text = &template::templates(plan)[0].1;
-    let rows: Vec<&str> = text.lines().skip(2).take(3).collect();
+    let rows: Vec<&str> = text.lines().filter(|line| !line.starts_with('#')).take(3).collect();
     assert_eq!(
         rows,
         ["run,x_mm,dir_x,feed_mm_per_min,measured_dx_um", "1,50,-1,1000,", "1,50,1,1000,"]
@@ -118,12 +126,16 @@ fn backlash_has_seven_pairs_at_three_places() {
 #[test]
 fn a_dial_asks_for_a_hand_and_a_laser_does_not() {
     let stops = |gauge| {
-        let options = Options { gauge, ..only_x() };
+        let options = Options { gauge: Some(gauge), ..only_x() };
         control::program(&of(Kind::Backlash, &options)[0], Control::LinuxCnc).1
     };
-    assert_eq!(stops(Gauge::Dial).matches("\nM0\n").count(), 3);
+    // The first, one to set it at each place, and one to take it away before each way to the next.
+    assert_eq!(stops(Gauge::Dial).matches("\nM0\n").count(), 1 + 3 + 2);
     let laser = stops(Gauge::Laser);
-    assert!(!laser.contains("\nM0\n") && !laser.contains('Z'), "{laser}");
+    assert_eq!(laser.matches("\nM0\n").count(), 1, "{laser}");
+    let moves = laser.lines().filter(|line| line.contains("G53"));
+    assert!(moves.clone().count() > 12, "{laser}");
+    moves.for_each(|line| assert!(!line.contains(['Y', 'Z']), "{line}"));
 }
 
 #[test]
@@ -174,7 +186,7 @@ fn a_long_axis_has_targets_at_most_a_quarter_of_a_metre_apart() {
 
 #[test]
 fn an_axis_is_heated_between_500_and_1500_mm_for_twenty_minutes() {
-    let text = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[axis.x]\ntravel_mm = [0.0, 2000.0]\n\
+    let text = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[axis.x]\ntravel_mm = [-2.0, 2002.0]\n\
                 [axis.x.thermal]\nmode = \"position\"\nsensor = \"temp_nut_c\"\nreference_c = 22.0\n";
     let (made, _) = plans(Kind::AxisHeat, &parse(text), &only_x()).expect("it fits");
     let plan = &made[0];
@@ -193,7 +205,7 @@ fn an_axis_is_heated_between_500_and_1500_mm_for_twenty_minutes() {
     // 2 m there and back at 10 m/min are 12 s: 100 in 20 minutes.
     assert_eq!(strokes, Some(100));
     let text = &template::templates(plan)[0].1;
-    assert_eq!(text.lines().nth(2), Some("time_s,x_mm,dir_x,temp_nut_c,measured_dx_um"));
+    assert!(text.contains("\ntime_s,x_mm,dir_x,temp_nut_c,measured_dx_um\n"), "{text}");
 }
 
 #[test]
@@ -205,13 +217,29 @@ fn a_warm_up_is_read_once_a_minute_for_two_hours_off_and_on() {
     assert_eq!(readings.len(), 120);
     assert_eq!((readings[0].dwelt_s, readings[119].dwelt_s), (60.0, 7200.0));
     let text = control::program(plan, Control::Fanuc).1;
-    assert!(text.contains("M03 S24000\nN70 M98 P7101 L120\nN80 M05"), "{text}");
+    for block in ["M00\n", "M03 S24000\n", "M98 P7101 L120\n", "M05\n"] {
+        assert!(text.contains(block), "{block}: {text}");
+    }
+    assert!(text.contains("NON-CONTACT GAUGE ONLY") && !text.contains("#3000"), "{text}");
     assert!(text.contains("N10 G04 X55.\nN20 G04 X5.\nN30 M99"), "{text}");
 }
 
 #[test]
+fn a_dial_touches_the_bar_only_while_the_spindle_stands() {
+    let plan = &of(Kind::Warmup, &Options { gauge: Some(Gauge::Dial), ..Options::default() })[0];
+    assert!(plan.readings().iter().all(|reading| reading.spindle_rpm == 0.0));
+    // Two hours, every ten minutes.
+    assert_eq!(plan.readings().len(), 12);
+    let text = control::program(plan, Control::LinuxCnc).1;
+    assert!(text.contains("M5\n  G4 P20 (read)\n  (MSG, Wait until the spindle stands."), "{text}");
+    let text = &template::templates(plan)[0].1;
+    // The speed of the time between the readings.
+    assert!(text.contains("\ntime_s,spindle_rpm,measured_elongation_um\n,24000,\n"), "{text}");
+}
+
+#[test]
 fn a_diagonal_ends_at_the_corners() {
-    let made = of(Kind::Diagonal, &Options::default());
+    let made = of(Kind::Diagonal, &with_z());
     let names: Vec<&str> = made.iter().map(|plan| plan.name.as_str()).collect();
     assert_eq!(names, ["diagonal-xy", "diagonal-xz", "diagonal-yz"]);
     let readings = made[0].readings();
@@ -226,9 +254,10 @@ fn a_diagonal_ends_at_the_corners() {
 
 #[test]
 fn no_program_leaves_the_travel_and_every_cycle_ends_where_it_began() {
-    for (kind, gauge) in KINDS.into_iter().flat_map(|it| [(it, Gauge::Dial), (it, Gauge::Laser)]) {
-        for plan in of(kind, &Options { gauge, ..Options::default() }) {
-            let travel = [[0.0, 1000.0], [-300.0, 300.0], [-400.0, 0.0]];
+    let gauges = [None, Some(Gauge::Dial), Some(Gauge::Laser)];
+    for (kind, gauge) in KINDS.into_iter().flat_map(|it| gauges.map(|gauge| (it, gauge))) {
+        for plan in of(kind, &Options { gauge, ..with_z() }) {
+            let travel = [[0.0, 1000.0], [-300.0, 300.0], [-400.0, 0.0]]; // The margins are out of it.
             for (extent, [low, high]) in plan.extent_mm().into_iter().zip(travel) {
                 if let Some([from, to]) = extent {
                     assert!(low <= from && to <= high, "{}: {from} to {to}", plan.name);
@@ -243,12 +272,12 @@ fn no_program_leaves_the_travel_and_every_cycle_ends_where_it_began() {
 fn closes(steps: &[Step], at: &mut [Option<f64>; 3], name: &str) {
     for step in steps {
         match step {
-            Step::Rapid(to) | Step::Move { to_mm: to, .. } => {
+            Step::Move { to_mm: to, .. } => {
                 for (at, to) in at.iter_mut().zip(to) {
                     *at = to.or(*at);
                 }
             }
-            Step::By { axis, mm, .. } => at[*axis] = at[*axis].map(|at| at + mm),
+            Step::Approach { axis, to_mm } => at[*axis] = Some(*to_mm),
             Step::Repeat { steps, .. } => {
                 let before = *at;
                 closes(steps, at, name);
@@ -272,10 +301,11 @@ fn what_does_not_fit_is_refused_with_its_reason() {
     let why = says(Kind::Warmup, &bare, Options::default());
     assert!(why.contains("--rpm"), "{why}");
     let here = machine();
-    let beyond = Options { travel_mm: [Some([0.0, 1200.0]), None, None], ..only_x() };
-    assert!(says(Kind::Pitch, &here, beyond).contains("travel_mm of 0 to 1000 mm"));
-    let heat = Options { heat_range_mm: Some([500.0, 1500.0]), ..only_x() };
-    assert!(says(Kind::AxisHeat, &here, heat).contains("from 50 to 950 mm"));
+    let beyond = Options { range_mm: [Some([0.0, 1200.0]), None, None], ..only_x() };
+    for kind in [Kind::Pitch, Kind::AxisHeat, Kind::Backlash] {
+        let why = says(kind, &here, beyond.clone());
+        assert!(why.contains("--range x=0:1200") && why.contains("-2 to 1002 mm"), "{why}");
+    }
     assert!(says(Kind::Diagonal, &here, only_x()).contains("two axes"));
     let fine = Options { step_mm: Some(0.01), ..only_x() };
     assert!(says(Kind::Pitch, &here, fine).contains("--step-mm"));
@@ -283,8 +313,20 @@ fn what_does_not_fit_is_refused_with_its_reason() {
         Options { dwell_s: 0.0, ..only_x() },
         Options { feeds_mm_per_min: vec![1000.0, f64::NAN], ..only_x() },
         Options { repeats: Some(0), ..only_x() },
-        Options { every_s: 4.0, ..only_x() },
+        Options { margin_mm: f64::NAN, ..only_x() },
+        Options { margin_mm: -1.0, ..only_x() },
+        Options { margin_mm: 501.5, ..only_x() },
+        Options { approach_mm_per_min: 0.0, ..only_x() },
+        Options { range_mm: [Some([9.0, 9.0]), None, None], ..only_x() },
+        Options { range_mm: [Some([9.0, f64::NAN]), None, None], ..only_x() },
+        Options { range_mm: [Some([9.0, 10.9]), None, None], ..only_x() },
+        Options { clearance_mm: Some((LinearAxis::Y, f64::NAN)), ..only_x() },
+        Options { clearance_mm: Some((LinearAxis::Y, 700.0)), ..only_x() },
+        Options { clearance_mm: Some((LinearAxis::Z, 50.0)), ..only_x() },
+        Options { clearance_mm: Some((LinearAxis::Z, -50.0)), ..x_with_room() },
     ] {
         says(Kind::Backlash, &here, options);
     }
+    let often = Options { every_s: Some(4.0), ..Options::default() };
+    assert!(says(Kind::Warmup, &here, often).contains("--every-s 4"));
 }

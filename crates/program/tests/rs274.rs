@@ -5,7 +5,7 @@ mod support;
 
 use std::{fs, process::Command};
 
-use support::machine;
+use support::{machine, with_z};
 use trueup_program::{
     Control, Gauge, Kind, Options, Plan, Stretch, control, plan::Reading, plans, speeds,
 };
@@ -69,7 +69,6 @@ fn check(plan: &Plan) -> bool {
             assert!((stand.mm[axis] - mm).abs() < 1e-4, "{} {n}: {reading:?}", plan.name);
             assert_eq!(stand.direction[axis], direction[axis], "{} {n}: {reading:?}", plan.name);
         }
-        // A dial's other axis has made the last move.
         if let Some(feed) = feed_mm_per_min {
             assert_eq!(stand.feed, feed, "{} {n}", plan.name);
         }
@@ -93,9 +92,8 @@ fn linuxcncs_interpreter_stands_where_the_run_file_says() {
     assert_eq!(planned.readings().len(), 37);
     check(&planned);
     for kind in kinds {
-        for gauge in [Gauge::Dial, Gauge::Laser] {
-            let options =
-                Options { gauge, feeds_mm_per_min: vec![1000.0, 200.0], ..Options::default() };
+        for gauge in [None, Some(Gauge::Dial), Some(Gauge::Laser)] {
+            let options = Options { gauge, feeds_mm_per_min: vec![1000.0, 200.0], ..with_z() };
             for plan in plans(kind, &machine(), &options).expect("it fits").0 {
                 if !check(&plan) {
                     println!("skipped: LinuxCNC's interpreter (rs274) is not here");

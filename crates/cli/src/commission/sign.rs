@@ -23,8 +23,8 @@ const NO_SLOPE_UM_PER_COUNT: f64 = 1e-6;
 /// What is to be done at the machine.
 pub fn how(axis: Option<LinearAxis>) -> String {
     match axis.map(letter) {
-        None => "  set all angles to 0 and a gauge at the tool's tip to zero, disengaged; start the spindle if \
-                 it has no sensor; then engage at the CNC"
+        None => "  set all angles to 0, and a gauge at the spindle's housing, along the tool, to zero, disengaged \
+                 (nothing may touch what turns); start the spindle if it has no sensor; then engage at the CNC"
             .into(),
         Some(axis) => format!(
             "  home the machine, let {axis} stand, and set a gauge along {axis} to zero, disengaged; then \
@@ -36,9 +36,8 @@ pub fn how(axis: Option<LinearAxis>) -> String {
 /// What is asked for then.
 pub fn question(axis: Option<LinearAxis>) -> String {
     match axis.map(letter) {
-        None => {
-            "how far has the tip moved, in µm (+ further out of the spindle, - back into it)".into()
-        }
+        None => "how far has the housing moved, in µm (+ the way the tool points, - the other way)"
+            .into(),
         Some(axis) => format!("how far has {axis} moved, in µm (+ in its positive direction)"),
     }
 }

@@ -4,13 +4,19 @@ use std::path::Path;
 
 use anyhow::Result;
 use trueup_diagnose::{Diagnosis, Next, NoNext};
-use trueup_machine::file::LinearAxis;
-use trueup_program::{Plan, Stretch, Targets, control, speeds, targets, template};
+use trueup_machine::{Machine, file::LinearAxis};
+use trueup_program::{
+    Options, Plan, Refused, Stretch, Targets, control, speeds, targets, template,
+};
 
-use crate::{output, program::For, report};
+use crate::{
+    output,
+    program::{For, Motion},
+    report,
+};
 
 /// The run as a control is to do it.
-fn plan(next: &Next) -> Plan {
+fn plan(next: &Next, machine: &Machine, options: &Options) -> Result<Plan, Refused> {
     let told = &next.told[0];
     let why = format!("To tell {} from {}.", told.causes[0], told.causes[1]);
     if let Some(it) = &next.axis {
@@ -26,7 +32,7 @@ fn plan(next: &Next) -> Plan {
             cold: it.cold,
             warm: it.warm,
         };
-        return targets(&run, &next.inputs, &why);
+        return targets(&run, machine, options, &next.inputs, &why);
     }
     let stretch = |it: &trueup_diagnose::Stretch| Stretch {
         rpm: it.rpm,
@@ -34,11 +40,19 @@ fn plan(next: &Next) -> Plan {
         load_n: it.load_n,
     };
     let stretches: Vec<Stretch> = next.stretches.iter().map(stretch).collect();
-    speeds(&stretches, next.every_s, &next.inputs, &why)
+    Ok(speeds(&stretches, next.every_s, &next.inputs, &why))
 }
 
 /// Writes it into the folder `out`, or says why there is none.
-pub fn write(diagnosis: &Diagnosis, control: For, out: &Path, as_json: bool) -> Result<()> {
+pub fn write(
+    diagnosis: &Diagnosis,
+    machine: &Machine,
+    control: For,
+    motion: &Motion,
+    out: &Path,
+    as_json: bool,
+) -> Result<()> {
+    let options = motion.options()?;
     let next = match diagnosis.next() {
         Ok(next) => next,
         Err(why @ NoNext::NothingOpen) => {
@@ -49,7 +63,16 @@ pub fn write(diagnosis: &Diagnosis, control: For, out: &Path, as_json: bool) -> 
             return Ok(());
         }
     };
-    let plan = plan(&next);
+    let plan = match plan(&next, machine, &options) {
+        Ok(plan) => plan,
+        Err(refused) => {
+            report::warn(format_args!(
+                "no program of the next run ({}): {refused}",
+                next.sentence()
+            ));
+            return Ok(());
+        }
+    };
     let (name, text) = control::program(&plan, control.control());
     let mut texts = vec![
         (name.clone(), text),

@@ -207,7 +207,7 @@ fn somebody_commissions_the_real_firmware_in_three_sittings() {
     shop.live(500);
     let before_um = shop.gauge_um();
     shop.at_the_cnc("engage");
-    terminal.shows(&["how far has the tip moved, in µm"]);
+    terminal.shows(&["how far has the housing moved, in µm"]);
     let moved_um = shop.gauge_um() - before_um;
     terminal.press(&format!("{moved_um:.1}\r"));
     terminal.shows(&["the sign is right", "disengage at the CNC"]);

@@ -26,7 +26,7 @@ fn a_program_its_filled_run_file_and_the_fit_go_together() {
     let line = "program backlash --machine m.toml --for fanuc -o out";
     let (out, err) = desk.said(line, 0);
     assert!(
-        out.starts_with("backlash_x.nc: 42 readings") && out.contains("x 0 to 1000 mm"),
+        out.starts_with("backlash_x.nc: 42 readings") && out.contains("x 51.3 to 998 mm"),
         "{out}"
     );
     assert!(err.contains("no program for y: the travel of y is not known"), "{err}");
@@ -40,7 +40,19 @@ fn a_program_its_filled_run_file_and_the_fit_go_together() {
     assert!(out.contains("width_um = 5."), "{out}");
     for (wrong, rule) in [
         ("--axis y", "travel of y is not known"),
-        ("--travel x=5:1", "the smaller first"),
+        ("--range x=5:1", "the smaller first"),
+        ("--range x=5:nan", "the smaller first"),
+        ("--travel x=0:1 --range x=0:2", "--range x is given twice"),
+        (
+            "--range x=0:1001",
+            "--range x=0:1001 is outside the machine file's travel_mm of 0 to 1000 mm",
+        ),
+        ("--range x=5:6", "leaves less than 2 mm"),
+        ("--margin 500", "within the margin of 500 mm"),
+        ("--margin -1", "--margin must be 0 or more"),
+        ("--approach 0", "--approach must be above 0"),
+        ("--clearance 50", "must be like y=50"),
+        ("--clearance y=50", "the travel of y is not known"),
         ("--feed 0", "--feed must be above 0"),
         ("--repeats 0", "at least 1"),
     ] {
@@ -50,6 +62,51 @@ fn a_program_its_filled_run_file_and_the_fit_go_together() {
     let (json, _) = desk.said("--json program pitch --machine m.toml --for siemens -o p", 0);
     let json: serde_json::Value = serde_json::from_str(&json).expect("JSON");
     assert_eq!(json["programs"][0]["program"], "pitch_x.mpf");
+}
+
+/// A mill whose Z would plunge.
+const MILL: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n[spindle.warmup]\nlag_s = 60.0\n\
+    warm_s = 5400.0\nmax_um = 80.0\nexponent = 4.0\nrated_rpm = 24000.0\n[axis.x]\ntravel_mm = [0.0, 800.0]\n\
+    [axis.y]\ntravel_mm = [-500.0, 0.0]\n[axis.z]\ntravel_mm = [-450.0, 0.0]\n";
+
+#[test]
+fn a_vertical_axis_moves_only_where_the_user_says() {
+    let desk = Desk::new(&[("m.toml", MILL)]);
+    for (kind, others) in [
+        ("backlash", &["backlash_x.nc", "backlash_y.nc"][..]),
+        ("pitch", &["pitch_x.nc", "pitch_y.nc"]),
+        ("straightness", &["straightness_x.nc", "straightness_y.nc"]),
+        ("axis-heat", &["axis_heat_x.nc", "axis_heat_y.nc"]),
+        ("diagonal", &["diagonal_xy.nc"]),
+    ] {
+        let line = format!("program {kind} --machine m.toml --for fanuc -o {kind}");
+        let (_, err) = desk.said(&line, 0);
+        assert!(err.contains("give --range z=LOW:HIGH"), "{kind}: {err}");
+        let mut written = desk.files(kind);
+        written.retain(|name| name.ends_with(".nc"));
+        assert_eq!(written, others, "{kind}");
+        // Without any other there is none: exit 2.
+        let (_, err) = desk.said(&format!("{line}-z --axis z"), 2);
+        assert!(err.contains("give --range z=LOW:HIGH"), "{kind}: {err}");
+        let (out, err) = desk.said(&format!("{line}-all --range z=-120:-20"), 0);
+        assert!(out.contains("z -120 to -20 mm") || out.contains("z -115"), "{kind}: {out}");
+        assert!(!err.contains("--range"), "{kind}: {err}");
+    }
+    // What stands in old scripts is a range as well.
+    let (out, _) =
+        desk.said("program pitch --machine m.toml --for fanuc -o t --axis z --travel z=-90:-20", 0);
+    assert!(out.contains("z -90 to -20 mm"), "{out}");
+    let line = "program axis-heat --machine m.toml --for fanuc -o h --axis x --range-mm 100:700";
+    let (out, _) = desk.said(line, 0);
+    assert!(out.contains("x 100 to "), "{out}");
+    // A dial that has to be gone round, by an axis that is named; a gauge at a spindle that turns.
+    desk.said("program backlash --machine m.toml --for linuxcnc -o c --axis x --clearance y=50", 0);
+    let text = desk.text("c/backlash_x.ngc");
+    assert!(text.contains("G53 G1 Y-225 F500\n") && !text.contains(" Z-"), "{text}");
+    desk.said("program warmup --machine m.toml --for linuxcnc -o w", 0);
+    for file in ["w/warmup.ngc", "w/warmup-off.csv"] {
+        assert!(desk.text(file).contains("nothing may touch what turns"), "{file}");
+    }
 }
 
 #[test]

@@ -156,6 +156,22 @@ impl Headless {
         Ok(self.ask(&json!({ "do": "busy" }))? == Value::Bool(true))
     }
 
+    /// Returns true if the program waits for the operator at a stop (`M0`).
+    ///
+    /// # Errors
+    /// As [`Headless::ask`].
+    pub fn is_stopped(&mut self) -> Result<bool> {
+        Ok(self.ask(&json!({ "do": "stopped" }))? == Value::Bool(true))
+    }
+
+    /// Goes on after a stop, as the operator does.
+    ///
+    /// # Errors
+    /// As [`Headless::ask`].
+    pub fn resume(&mut self) -> Result<()> {
+        self.ask(&json!({ "do": "resume" })).map(drop)
+    }
+
     /// Sets a pin that nothing drives.
     ///
     /// # Errors

@@ -134,6 +134,17 @@ def busy():
     return status.interp_state != linuxcnc.INTERP_IDLE or not status.inpos
 
 
+def stopped():
+    """Whether the program waits for the operator (M0)."""
+    status.poll()
+    return status.interp_state == linuxcnc.INTERP_PAUSED and status.inpos
+
+
+def resume():
+    command.auto(linuxcnc.AUTO_RESUME)
+    wait("resume", lambda: status.interp_state != linuxcnc.INTERP_PAUSED)
+
+
 def abort():
     command.abort()
     command.wait_complete()
@@ -190,7 +201,7 @@ VERBS = {
     function.__name__: function
     for function in (
         *(state, mode, home, unhome, teleop),
-        *(mdi, begin_mdi, begin, busy, abort),
+        *(mdi, begin_mdi, begin, busy, stopped, resume, abort),
         *(pins, setp, mark, zero, halcmd, stat),
     )
 }

@@ -7,18 +7,16 @@ pub(super) const AXES: [char; 3] = ['X', 'Y', 'Z'];
 
 /// How a control says it.
 pub(super) trait Dialect {
-    /// Everything up to the first step.
+    /// Writes everything up to the first stop: nothing that moves, and the spindle off.
     fn head(&mut self, plan: &Plan);
+    /// Sets the modes that the program relies on; after the first stop, as cancelling one may move an axis.
+    fn modes(&mut self);
     /// A line for the reader.
     fn note(&mut self, text: &str);
-    /// The control waits for the operator, who does this.
-    fn stop(&mut self, text: &str);
-    /// As fast as it goes.
-    fn rapid(&mut self, to: &Ends);
+    /// The control shows these sentences and waits for the operator.
+    fn stop(&mut self, text: &[String]);
     /// At a feed in mm/min.
     fn line(&mut self, to: &Ends, feed: f64);
-    /// By so many µm from where the axis stands.
-    fn by(&mut self, axis: usize, um: i64, feed: f64);
     /// Turns the spindle, or stops it.
     fn spindle(&mut self, rpm: f64);
     /// Stands for so many seconds; a reading is taken at the end.
@@ -41,6 +39,21 @@ pub(super) struct Ends {
 pub(super) fn number(um: i64) -> String {
     let text = format!("{:.3}", um as f64 / 1000.0);
     text.trim_end_matches('0').trim_end_matches('.').to_string()
+}
+
+/// `text` in lines of at most `width` characters, cut between words; a longer word stays whole.
+pub(super) fn wrapped(text: &str, width: usize) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in text.split_whitespace() {
+        match lines.last_mut() {
+            Some(line) if line.len() + 1 + word.len() <= width => {
+                line.push(' ');
+                line.push_str(word);
+            }
+            _ => lines.push(word.into()),
+        }
+    }
+    lines
 }
 
 /// As far as every control's characters go.

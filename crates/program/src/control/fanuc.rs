@@ -1,13 +1,29 @@
 //! FANUC, milling. What is repeated is a subprogram in the same file, its blocks numbered by ten.
 //!
-//! `G53` moves at rapid only. So a place is reached by it, and every move that counts is in increments
-//! from there, as in the paper: no work offset has a part in it.
+//! `G53` moves at rapid only. So the first move of an axis is the way from where it stands, which the control's
+//! variables `#5021` to `#5023` say in machine coordinates (custom macro B), at a feed; all others are in increments
+//! from there, as in the paper. No work offset and no tool length has a part in it: `G49` would move the tool.
+//! The variables are read while that axis stands, so reading ahead does no harm. Increments would be turned or
+//! scaled by a mode that an earlier program left: such a mode is an alarm before anything moves.
 
-use super::dialect::{AXES, Dialect, Ends, number, plain};
+use super::dialect::{AXES, Dialect, Ends, number, plain, wrapped};
 use crate::plan::Plan;
 
 /// The number of the main program; subprograms follow. From 8000 on programs are often locked.
 const MAIN: usize = 7100;
+
+/// A comment's width: the screen of the control.
+const WIDTH: usize = 60;
+/// The variable with the machine position of X; those of Y and Z follow.
+const MACHINE_POSITION: usize = 5021;
+/// Modes that turn or scale an increment: the variable of each group, and the alarm (26 characters at most).
+const ALARMS: [(&str, &str); 5] = [
+    ("#4007 NE 40", "CANCEL G41 G42 FIRST"),
+    ("FIX[#4011] EQ 51", "CANCEL SCALING G51 FIRST"),
+    ("FIX[#4016] EQ 68", "CANCEL ROTATION G68 FIRST"),
+    ("FIX[#4017] EQ 16", "CANCEL POLAR G16 FIRST"),
+    ("FIX[#4022] EQ 51", "CANCEL MIRROR G51.1 FIRST"),
+];
 
 /// A program on its way.
 #[derive(Default)]
@@ -23,6 +39,8 @@ struct Program {
 #[derive(Default)]
 pub(super) struct Text {
     name: String,
+    /// Whether an axis moves, and not the spindle alone.
+    moves: bool,
     open: Vec<Program>,
     closed: Vec<Program>,
 }
@@ -67,38 +85,42 @@ impl Dialect for Text {
         for note in &plan.notes {
             self.note(note);
         }
-        self.push("G17 G21 G40 G49 G80 G90 G94".into());
+        self.moves = plan.extent_mm() != [None; 3];
+        if self.moves {
+            self.note("For a machine in millimetres. Needs custom macro B.");
+        }
+        self.push("M05".into());
+    }
+
+    fn modes(&mut self) {
+        let alarms = if self.moves { &ALARMS[..] } else { &[] };
+        for (n, (test, what)) in alarms.iter().enumerate() {
+            self.push(format!("IF [{test}] THEN #3000={}({what})", n + 1));
+        }
+        self.push("G17 G21 G40 G80 G94".into());
     }
 
     fn note(&mut self, text: &str) {
-        self.push(format!("({})", plain(text).to_uppercase()));
+        for line in wrapped(&comment(text), WIDTH) {
+            self.push(format!("({line})"));
+        }
     }
 
-    fn stop(&mut self, text: &str) {
-        self.note(text);
+    fn stop(&mut self, text: &[String]) {
+        text.iter().for_each(|sentence| self.note(sentence));
         self.push("M00".into());
-    }
-
-    fn rapid(&mut self, to: &Ends) {
-        let words: String = to
-            .axes
-            .iter()
-            .map(|(axis, _, to)| format!(" {}{}", AXES[*axis], decimal(*to)))
-            .collect();
-        self.push(format!("G90 G53 G00{words}"));
-        self.forget();
     }
 
     fn line(&mut self, to: &Ends, feed: f64) {
         let word = |(axis, from, to): &(usize, Option<i64>, i64)| {
-            format!("{}{}", AXES[*axis], decimal(to - from.unwrap_or(0)))
+            let name = AXES[*axis];
+            match from {
+                Some(from) => format!("{name}{}", decimal(to - from)),
+                None => format!("{name}[{}-#{}]", decimal(*to), MACHINE_POSITION + axis),
+            }
         };
         let words: Vec<String> = to.axes.iter().map(word).collect();
         self.increments(&words.join(" "), feed);
-    }
-
-    fn by(&mut self, axis: usize, um: i64, feed: f64) {
-        self.increments(&format!("{}{}", AXES[axis], decimal(um)), feed);
     }
 
     fn spindle(&mut self, rpm: f64) {
@@ -131,6 +153,8 @@ impl Dialect for Text {
     }
 
     fn end(&mut self) -> String {
+        // A program after this one must not find increments.
+        self.push("G90".into());
         self.push("M30".into());
         self.closed.extend(self.open.pop());
         self.closed.sort_by_key(|program| program.number);
@@ -138,6 +162,12 @@ impl Dialect for Text {
             self.closed.iter().map(|program| Self::text_of(program, &self.name)).collect();
         format!("%\n{programs}%\n")
     }
+}
+
+/// The characters of a comment that every FANUC takes: a colon is another letter O, a semicolon ends the block.
+fn comment(text: &str) -> String {
+    let text = plain(text).to_uppercase().replace(':', " -").replace(';', ",");
+    text.chars().filter(|c| !"<>'\"%&!^`{}|~_".contains(*c)).collect()
 }
 
 /// `50.`: without its point a number may count in micrometres.

@@ -1,7 +1,10 @@
 //! HEIDENHAIN Klartext.
 
-use super::dialect::{AXES, Dialect, Ends, number, plain};
+use super::dialect::{AXES, Dialect, Ends, number, plain, wrapped};
 use crate::plan::Plan;
+
+/// A comment's width: the screen of the control.
+const WIDTH: usize = 70;
 
 #[derive(Default)]
 pub(super) struct Text {
@@ -24,27 +27,25 @@ impl Dialect for Text {
         self.push(format!("BEGIN PGM {} MM", self.name));
         plan.notes.iter().for_each(|note| self.note(note));
         self.note("In machine coordinates (M91).");
+        self.push("M5".into());
     }
+
+    // A program in MM and blocks with M91 and R0 rely on no mode.
+    fn modes(&mut self) {}
 
     fn note(&mut self, text: &str) {
-        self.push(format!("; {}", plain(text)));
+        for line in wrapped(&plain(text), WIDTH) {
+            self.push(format!("; {line}"));
+        }
     }
 
-    fn stop(&mut self, text: &str) {
-        self.note(text);
+    fn stop(&mut self, text: &[String]) {
+        text.iter().for_each(|sentence| self.note(sentence));
         self.push("STOP".into());
-    }
-
-    fn rapid(&mut self, to: &Ends) {
-        self.push(format!("L{} R0 FMAX M91", words(to)));
     }
 
     fn line(&mut self, to: &Ends, feed: f64) {
         self.push(format!("L{} R0 F{feed} M91", words(to)));
-    }
-
-    fn by(&mut self, axis: usize, um: i64, feed: f64) {
-        self.push(format!("L I{}{} R0 F{feed}", AXES[axis], signed(um)));
     }
 
     fn spindle(&mut self, rpm: f64) {

@@ -1,7 +1,10 @@
 //! LinuxCNC (RS-274/NGC).
 
-use super::dialect::{AXES, Dialect, Ends, number, plain};
+use super::dialect::{AXES, Dialect, Ends, number, plain, wrapped};
 use crate::plan::Plan;
+
+/// A comment's width: the interpreter takes 255 characters of a line.
+const WIDTH: usize = 120;
 
 #[derive(Default)]
 pub(super) struct Text {
@@ -21,29 +24,28 @@ impl Dialect for Text {
         self.note(&plan.name);
         plan.notes.iter().for_each(|note| self.note(note));
         self.note("In machine coordinates; no offset, no tool length.");
-        self.push("G17 G21 G40 G49 G80 G90 G94 G61".into());
+        self.push("M5".into());
+    }
+
+    fn modes(&mut self) {
+        self.push("G17 G21 G40 G49 G80 G90 G94 G97 G61".into());
     }
 
     fn note(&mut self, text: &str) {
-        self.push(format!("({})", plain(text)));
+        for line in wrapped(&plain(text), WIDTH) {
+            self.push(format!("({line})"));
+        }
     }
 
-    fn stop(&mut self, text: &str) {
-        self.push(format!("(MSG, {})", plain(text)));
+    fn stop(&mut self, text: &[String]) {
+        for sentence in text {
+            self.push(format!("(MSG, {})", plain(sentence)));
+        }
         self.push("M0".into());
-    }
-
-    fn rapid(&mut self, to: &Ends) {
-        self.push(format!("G53 G0{}", words(to)));
     }
 
     fn line(&mut self, to: &Ends, feed: f64) {
         self.push(format!("G53 G1{} F{feed}", words(to)));
-    }
-
-    fn by(&mut self, axis: usize, um: i64, feed: f64) {
-        self.push(format!("G91 G1 {}{} F{feed}", AXES[axis], number(um)));
-        self.push("G90".into());
     }
 
     fn spindle(&mut self, rpm: f64) {

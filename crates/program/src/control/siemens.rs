@@ -1,7 +1,12 @@
 //! Siemens SINUMERIK 840D sl and 828D.
 
-use super::dialect::{AXES, Dialect, Ends, number, plain};
+use super::dialect::{AXES, Dialect, Ends, number, plain, wrapped};
 use crate::plan::Plan;
+
+/// A comment's width: the screen of the editor.
+const WIDTH: usize = 100;
+/// The longest text of `MSG`: a control shows 124 characters.
+const MESSAGE: usize = 120;
 
 #[derive(Default)]
 pub(super) struct Text {
@@ -21,30 +26,43 @@ impl Dialect for Text {
         self.push(";$PATH=/_N_MPF_DIR".into());
         plan.notes.iter().for_each(|note| self.note(note));
         self.note("In machine coordinates; no frame, no tool length, no transformation.");
+        self.push("M5".into());
+    }
+
+    fn modes(&mut self) {
         self.push("TRAFOOF".into());
-        self.push("G17 G710 G40 G90 G94 G60 G500 D0".into());
+        self.push("G17 G710 G40 G90 G94 G97 G60 G500 D0".into());
     }
 
     fn note(&mut self, text: &str) {
-        self.push(format!("; {}", plain(text)));
+        for line in wrapped(&plain(text), WIDTH) {
+            self.push(format!("; {line}"));
+        }
     }
 
-    fn stop(&mut self, text: &str) {
-        self.push(format!("MSG(\"{}\")", plain(text).replace('"', "'")));
-        self.push("M0".into());
+    fn stop(&mut self, text: &[String]) {
+        text.iter().for_each(|sentence| self.note(sentence));
+        // A message that is too long is cut by the control: what does not fit gets a stop of its own.
+        let mut messages: Vec<String> = Vec::new();
+        for sentence in text {
+            for part in wrapped(&plain(sentence).replace('"', "'"), MESSAGE) {
+                match messages.last_mut() {
+                    Some(last) if last.len() + 1 + part.len() <= MESSAGE => {
+                        *last += &format!(" {part}")
+                    }
+                    _ => messages.push(part),
+                }
+            }
+        }
+        for message in messages {
+            self.push(format!("MSG(\"{message}\")"));
+            self.push("M0".into());
+        }
         self.push("MSG()".into());
-    }
-
-    fn rapid(&mut self, to: &Ends) {
-        self.push(format!("SUPA G0{}", words(to)));
     }
 
     fn line(&mut self, to: &Ends, feed: f64) {
         self.push(format!("SUPA G1{} F{feed}", words(to)));
-    }
-
-    fn by(&mut self, axis: usize, um: i64, feed: f64) {
-        self.push(format!("G1 {}=IC({}) F{feed}", AXES[axis], number(um)));
     }
 
     fn spindle(&mut self, rpm: f64) {

@@ -3,7 +3,7 @@
 
 use trueup_machine::Machine;
 
-use super::{Plans, go, measured, temperature};
+use super::{Plans, all_that_fit, go, head_at_zero, measured, temperature, without_clearance};
 use crate::{
     options::Options,
     plan::{Column, Plan, Step},
@@ -23,15 +23,14 @@ const ROUNDS: u32 = 6;
 const MOST_STROKES: f64 = 9999.0;
 
 pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refused> {
-    let (travels, notes) = travels(machine, options)?;
-    let plans =
-        travels.iter().map(|travel| plan(machine, travel, options)).collect::<Result<_, _>>()?;
-    Ok((plans, notes))
+    let (travels, mut notes) = travels(machine, options)?;
+    notes.extend(without_clearance(options));
+    all_that_fit(&travels, notes, |travel| plan(machine, travel, options))
 }
 
 fn plan(machine: &Machine, travel: &Travel, options: &Options) -> Result<Plan, Refused> {
     let axis = travel.axis;
-    let [low, high] = range(travel, options)?;
+    let [low, high] = range(travel, options);
     let step = options.step_mm.unwrap_or(STEP_MM.min((high - low) / 4.0));
     let targets = even(low, high, step).ok_or_else(|| {
         Refused(format!("--step-mm {step} does not fit into {low} to {high} mm of {}", axis.name()))
@@ -45,21 +44,27 @@ fn plan(machine: &Machine, travel: &Travel, options: &Options) -> Result<Plan, R
              --heat-feed"
         )));
     }
-    let before = micrometres(low - travel.over_travel_mm());
+    let [near, far] = travel.ordered([low, high]);
+    let over_mm = travel.over_travel_mm();
+    let before = micrometres(if travel.starts_high() { near + over_mm } else { near - over_mm });
+    let targets = travel.ordered(targets);
     let feed = options.feed();
     let measure = || {
         let read = |mm: &f64| [go(travel, *mm, feed), Step::Read(options.dwell_s)];
         let approach = [go(travel, before, feed)];
         approach.into_iter().chain(targets.iter().flat_map(read)).collect::<Vec<Step>>()
     };
-    let stroke = vec![go(travel, high, heat_feed), go(travel, low, heat_feed)];
+    let stroke = vec![go(travel, far, heat_feed), go(travel, near, heat_feed)];
     // A number of strokes is whole and in range.
     let heat = Step::Repeat { times: strokes as u32, steps: stroke };
     // Measured first, so that the first round is the cold one; the heat of the last would be wasted.
     let mut round = measure();
-    round.extend([go(travel, low, heat_feed), heat]);
+    round.extend([go(travel, near, heat_feed), heat]);
     let rounds = options.repeats.unwrap_or(ROUNDS);
-    let mut steps = vec![Step::Rapid(travel.at(low)), Step::Repeat { times: rounds, steps: round }];
+    let [start, _] = travel.start_and_far_mm();
+    // A tool axis is retracted before it goes to its first place.
+    let mut steps: Vec<Step> = travel.retract.map(|_| travel.approach(start)).into_iter().collect();
+    steps.extend([travel.approach(near), Step::Repeat { times: rounds, steps: round }]);
     steps.push(Step::Note("the last measurement".into()));
     steps.extend(measure());
     let mut columns = vec![Column::Empty("time_s".into()), Column::Position(axis.index())];
@@ -73,6 +78,8 @@ fn plan(machine: &Machine, travel: &Travel, options: &Options) -> Result<Plan, R
     Ok(Plan {
         name: format!("axis-heat-{}", axis.name()),
         notes: notes.map(String::from).into(),
+        precautions: head_at_zero(machine).into_iter().collect(),
+        approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,
         then: format!("trueup fit thermal --run axis-heat-{}.csv", axis.name()),
@@ -80,21 +87,12 @@ fn plan(machine: &Machine, travel: &Travel, options: &Options) -> Result<Plan, R
     })
 }
 
-/// The range that is asked for, else the paper's as far as the travel has it, else all of that.
-fn range(travel: &Travel, options: &Options) -> Result<[f64; 2], Refused> {
+/// Returns the range that is asked for, else the paper's as far as the travel has it, else all of that.
+fn range(travel: &Travel, options: &Options) -> [f64; 2] {
     let [inside_low, inside_high] = travel.inside_mm();
-    if let Some([low, high]) = options.heat_range_mm {
-        if !(inside_low <= low && low < high && high <= inside_high) {
-            return Err(Refused(format!(
-                "--range-mm {low}:{high} does not fit: {} may be run warm from {inside_low} to \
-                 {inside_high} mm",
-                travel.axis.name()
-            )));
-        }
-        return Ok([low, high].map(micrometres));
-    }
     let (low, high) = (inside_low.max(RANGE_MM[0]), inside_high.min(RANGE_MM[1]));
+    let is_asked_for = options.range_mm[travel.axis.index()].is_some();
     // Half of the paper's metre is worth more than places that it names.
     let is_enough = high - low >= 0.5 * (RANGE_MM[1] - RANGE_MM[0]);
-    Ok(if is_enough { [low, high] } else { [inside_low, inside_high] })
+    if is_enough && !is_asked_for { [low, high] } else { [inside_low, inside_high] }
 }

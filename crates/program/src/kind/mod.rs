@@ -21,21 +21,55 @@ use crate::{
 /// What a kind gives: its plans, and notes of what has none.
 type Plans = (Vec<Plan>, Vec<String>);
 
+/// Returns the plan of each axis, and a note for one that does not fit.
+///
+/// # Errors
+/// None fits.
+fn all_that_fit(
+    travels: &[Travel],
+    mut notes: Vec<String>,
+    plan: impl Fn(&Travel) -> Result<Plan, Refused>,
+) -> Result<Plans, Refused> {
+    let mut plans = Vec::new();
+    for travel in travels {
+        match plan(travel) {
+            Ok(plan) => plans.push(plan),
+            Err(why) => notes.push(format!("no program for {}: {why}", travel.axis.name())),
+        }
+    }
+    if plans.is_empty() { Err(Refused(notes.join("; "))) } else { Ok((plans, notes)) }
+}
+
 /// A move of one axis at a feed.
 fn go(travel: &Travel, mm: f64, feed_mm_per_min: f64) -> Step {
     Step::Move { to_mm: travel.at(mm), feed_mm_per_min }
 }
 
-/// From one end of the travel to the other and back, so often, with a reading at each target: each is come to
-/// from either side, and both over-travels lie beyond the last ones.
-fn there_and_back(travel: &Travel, targets: &[f64], times: u32, options: &Options) -> Vec<Step> {
+/// Returns the steps from one end of the range to the other and back, `times` times, with a reading at each of the
+/// rising `targets` from either side; the over-travels lie beyond the last ones. The retracted end comes first.
+fn there_and_back(travel: &Travel, targets: Vec<f64>, times: u32, options: &Options) -> Vec<Step> {
     let feed = options.feed();
+    let targets = travel.ordered(targets);
+    let [start, far] = travel.start_and_far_mm();
     let read = |mm: &f64| [go(travel, *mm, feed), Step::Read(options.dwell_s)];
     let mut run: Vec<Step> = targets.iter().flat_map(read).collect();
-    run.push(go(travel, travel.high_mm, feed));
+    run.push(go(travel, far, feed));
     run.extend(targets.iter().rev().flat_map(read));
-    run.push(go(travel, travel.low_mm, feed));
-    vec![Step::Rapid(travel.at(travel.low_mm)), Step::Repeat { times, steps: run }]
+    run.push(go(travel, start, feed));
+    vec![travel.approach(start), Step::Repeat { times, steps: run }]
+}
+
+/// Returns the note that a clearance was given in vain.
+fn without_clearance(options: &Options) -> Option<String> {
+    let (axis, _) = options.clearance_mm?;
+    Some(format!("--clearance {}: only backlash with a dial makes room; not used", axis.name()))
+}
+
+/// Precaution of a machine whose head turns: the directions hold with all angles at zero.
+fn head_at_zero(machine: &Machine) -> Option<String> {
+    let axes: Vec<String> =
+        machine.head_axes.iter().map(|axis| axis.name().to_uppercase()).collect();
+    (!axes.is_empty()).then(|| format!("Head axes {} must stand at 0.", axes.join(", ")))
 }
 
 /// Targets as far apart as asked for, else so many steps, but none longer than `longest_mm`.
@@ -65,6 +99,10 @@ fn temperature(machine: &Machine, axis: LinearAxis) -> String {
     thermal
         .map_or_else(|| format!("temp_screw_{}_c", axis.name()), |thermal| thermal.sensor.clone())
 }
+
+/// How a spindle is read while it turns.
+const NON_CONTACT: &str =
+    "Non-contact gauge only, eddy current, capacitive or laser: nothing may touch what turns.";
 
 /// That all corrections of the control must be off.
 const WITHOUT_CORRECTION: &str =

@@ -6,7 +6,10 @@
 
 use trueup_machine::Machine;
 
-use super::{Plans, WITHOUT_CORRECTION, even_targets_mm, measured, there_and_back};
+use super::{
+    Plans, WITHOUT_CORRECTION, all_that_fit, even_targets_mm, head_at_zero, measured,
+    there_and_back, without_clearance,
+};
 use crate::{
     options::Options,
     plan::{Column, Plan},
@@ -26,20 +29,22 @@ const UNEVEN: f64 = 0.25;
 const GOLDEN: f64 = 0.618_033_988_749_895;
 
 pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refused> {
-    let (travels, notes) = travels(machine, options)?;
-    let plans = travels.iter().map(|travel| plan(travel, options)).collect::<Result<_, _>>()?;
-    Ok((plans, notes))
+    let (travels, mut notes) = travels(machine, options)?;
+    notes.extend(without_clearance(options));
+    all_that_fit(&travels, notes, |travel| plan(machine, travel, options))
 }
 
-fn plan(travel: &Travel, options: &Options) -> Result<Plan, Refused> {
+fn plan(machine: &Machine, travel: &Travel, options: &Options) -> Result<Plan, Refused> {
     let axis = travel.axis;
     let times = options.repeats.unwrap_or(REPEATS);
-    let steps = there_and_back(travel, &targets(travel, options)?, times, options);
+    let steps = there_and_back(travel, targets(travel, options)?, times, options);
     let mut columns = vec![Column::Run, Column::Position(axis.index())];
     columns.extend([Column::Direction(axis.index()), Column::Empty(measured(axis))]);
     Ok(Plan {
         name: format!("pitch-{}", axis.name()),
         notes: vec![WITHOUT_CORRECTION.to_string()],
+        precautions: head_at_zero(machine).into_iter().collect(),
+        approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,
         then: format!("trueup fit pitch --run pitch-{}.csv", axis.name()),

@@ -1,6 +1,10 @@
 //! Speeds of the spindle one after the other, from cold, read all the while: a run that somebody has planned.
 
-use crate::plan::{Column, Plan, Step};
+use super::NON_CONTACT;
+use crate::{
+    options::APPROACH_MM_PER_MIN,
+    plan::{Column, Plan, Step},
+};
 
 /// A part of the run.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,6 +48,8 @@ pub fn speeds(stretches: &[Stretch], every_s: f64, inputs: &[String], why: &str)
     Plan {
         name: "next".into(),
         notes: notes.map(String::from).into(),
+        precautions: vec![NON_CONTACT.into()],
+        approach_mm_per_min: APPROACH_MM_PER_MIN,
         steps,
         columns,
         then: "trueup diagnose with the runs before and --run next.csv".into(),

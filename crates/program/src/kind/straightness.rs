@@ -2,7 +2,10 @@
 
 use trueup_machine::{Machine, file::LinearAxis};
 
-use super::{Plans, WITHOUT_CORRECTION, even_targets_mm, measured, there_and_back};
+use super::{
+    Plans, WITHOUT_CORRECTION, all_that_fit, even_targets_mm, head_at_zero, measured,
+    there_and_back, without_clearance,
+};
 use crate::{
     options::Options,
     plan::{Column, Plan},
@@ -19,16 +22,16 @@ const STEPS: f64 = 24.0;
 const LONGEST_STEP_MM: f64 = 240.0;
 
 pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refused> {
-    let (travels, notes) = travels(machine, options)?;
-    let plans = travels.iter().map(|travel| plan(travel, options)).collect::<Result<_, _>>()?;
-    Ok((plans, notes))
+    let (travels, mut notes) = travels(machine, options)?;
+    notes.extend(without_clearance(options));
+    all_that_fit(&travels, notes, |travel| plan(machine, travel, options))
 }
 
-fn plan(travel: &Travel, options: &Options) -> Result<Plan, Refused> {
+fn plan(machine: &Machine, travel: &Travel, options: &Options) -> Result<Plan, Refused> {
     let axis = travel.axis;
     let targets = even_targets_mm(travel, options, STEPS, LONGEST_STEP_MM)?;
     let times = options.repeats.unwrap_or(REPEATS);
-    let steps = there_and_back(travel, &targets, times, options);
+    let steps = there_and_back(travel, targets, times, options);
     let others: Vec<LinearAxis> =
         LinearAxis::ALL.into_iter().filter(|other| *other != axis).collect();
     let mut columns = vec![Column::Run, Column::Position(axis.index())];
@@ -39,6 +42,8 @@ fn plan(travel: &Travel, options: &Options) -> Result<Plan, Refused> {
     Ok(Plan {
         name: format!("straightness-{}", axis.name()),
         notes: vec![WITHOUT_CORRECTION.to_string(), note.to_string()],
+        precautions: head_at_zero(machine).into_iter().collect(),
+        approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,
         then: format!(

@@ -1,9 +1,14 @@
 //! An axis to targets there and back, cold, run warm, or both: a run that somebody has planned.
 
-use trueup_machine::file::LinearAxis;
+use trueup_machine::{Machine, file::LinearAxis};
 
-use super::{WITHOUT_CORRECTION, measured};
-use crate::plan::{Column, Plan, Step};
+use super::{WITHOUT_CORRECTION, go, head_at_zero, measured};
+use crate::{
+    options::Options,
+    plan::{Column, Plan, Step},
+    refused::Refused,
+    travel::{Travel, micrometres, retract, travel},
+};
 
 /// What is done.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,36 +38,73 @@ pub struct Targets {
 /// The most strokes in a row: FANUC repeats no more often.
 const MOST_STROKES: f64 = 9999.0;
 
-/// The plan; `inputs` are the columns to be filled in beside the error, and `why` is what it is run for, a sentence.
-#[must_use]
-pub fn targets(run: &Targets, inputs: &[String], why: &str) -> Plan {
-    let index = run.axis.index();
-    let at = |mm: f64| {
-        let mut to_mm = [None; 3];
-        to_mm[index] = Some(mm);
-        to_mm
-    };
-    let go = |mm: f64, feed_mm_per_min: f64| Step::Move { to_mm: at(mm), feed_mm_per_min };
+/// The shortest over-travel that is left beside the margin, in mm: it still takes up the play of a worn axis.
+const MIN_OVER_MM: f64 = 0.1;
+
+/// Returns the plan; `inputs` are the columns to be filled in with the error, and `why` is what it is run for, a
+/// sentence. Range, margin and approach are those of `options`; an axis that is neither vertical nor along the
+/// tool and has no range or travel moves where the runs have seen it.
+///
+/// # Errors
+/// The axis is vertical or along the tool and has no range, or the run does not fit.
+pub fn targets(
+    run: &Targets,
+    machine: &Machine,
+    options: &Options,
+    inputs: &[String],
+    why: &str,
+) -> Result<Plan, Refused> {
+    options.check()?;
+    let axis = run.axis;
+    let index = axis.index();
     let last = run.targets_mm.len() - 1;
-    let [low, high] = [run.targets_mm[0] - run.over_mm, run.targets_mm[last] + run.over_mm];
+    let ends_mm = [run.targets_mm[0], run.targets_mm[last]];
+    let [low_mm, high_mm] = [ends_mm[0] - run.over_mm, ends_mm[1] + run.over_mm].map(micrometres);
+    let is_limited = options.range_mm[index].is_some() || machine.axes[index].travel_mm.is_some();
+    let retract = retract(machine, axis);
+    let limits = if is_limited || retract.is_some() {
+        travel(machine, options, axis)?.map_err(Refused)?
+    } else {
+        Travel { axis, low_mm, high_mm, retract }
+    };
+    let way = Travel {
+        low_mm: low_mm.max(limits.low_mm),
+        high_mm: high_mm.min(limits.high_mm),
+        ..limits
+    };
+    let over_mm = run.over_mm.min(MIN_OVER_MM);
+    if ends_mm[0] - over_mm < way.low_mm || ends_mm[1] + over_mm > way.high_mm {
+        return Err(Refused(format!(
+            "the next run reads {name} from {} to {} mm, and {name} may move from {} to {} mm only: give a \
+             longer --range {name}=LOW:HIGH, or a smaller --margin",
+            ends_mm[0],
+            ends_mm[1],
+            limits.low_mm,
+            limits.high_mm,
+            name = axis.name()
+        )));
+    }
+    let [start, far] = way.start_and_far_mm();
+    let ordered = way.ordered(run.targets_mm.clone());
     let measure = |feed: f64| {
-        let read = |mm: &f64| [go(*mm, feed), Step::Read(run.dwell_s)];
-        let mut once: Vec<Step> = run.targets_mm.iter().flat_map(read).collect();
-        once.push(go(high, feed));
-        once.extend(run.targets_mm.iter().rev().flat_map(read));
-        once.push(go(low, feed));
+        let read = |mm: &f64| [go(&way, *mm, feed), Step::Read(run.dwell_s)];
+        let mut once: Vec<Step> = ordered.iter().flat_map(read).collect();
+        once.push(go(&way, far, feed));
+        once.extend(ordered.iter().rev().flat_map(read));
+        once.push(go(&way, start, feed));
         Step::Repeat { times: run.times, steps: once }
     };
     let all = || run.feeds_mm_per_min.iter().map(|feed| measure(*feed));
-    let mut steps = vec![Step::Rapid(at(low))];
+    let mut steps = vec![way.approach(start)];
     if run.cold {
         steps.extend(all());
     }
     if run.heat_min > 0.0 {
         let feed = run.heat_feed_mm_per_min;
-        let strokes = (run.heat_min * feed / (2.0 * (high - low))).ceil().clamp(1.0, MOST_STROKES);
+        let strokes = run.heat_min * feed / (2.0 * way.length_mm());
+        let strokes = strokes.ceil().clamp(1.0, MOST_STROKES);
         // A number of strokes is whole and in range.
-        let stroke = vec![go(high, feed), go(low, feed)];
+        let stroke = vec![go(&way, far, feed), go(&way, start, feed)];
         steps.push(Step::Note(format!("run warm for {:.0} minutes", run.heat_min)));
         steps.push(Step::Repeat { times: strokes as u32, steps: stroke });
     }
@@ -81,19 +123,30 @@ pub fn targets(run: &Targets, inputs: &[String], why: &str) -> Plan {
         "Begin with a machine that has stood still over night.",
         "Set the gauge and its zero as in the runs before; write the time down at each reading.",
     ];
-    Plan {
+    Ok(Plan {
         name: "next".into(),
         notes: notes.map(String::from).into(),
+        precautions: head_at_zero(machine).into_iter().collect(),
+        approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,
         then: "trueup diagnose with the runs before and --run next.csv".into(),
         records: Vec::new(),
-    }
+    })
 }
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
+    use trueup_machine::MachineFile;
+
     use super::*;
+
+    fn machine(travel: &str) -> Machine {
+        let text = format!("[machine]\nname = \"m\"\nkind = \"3-axis\"\n{travel}");
+        MachineFile::parse(&text, Path::new("m.toml")).expect("a machine file")
+    }
 
     #[test]
     fn an_axis_is_read_from_both_sides_cold_and_warm_and_warmed_for_as_long_as_is_asked() {
@@ -109,7 +162,9 @@ mod tests {
             cold: true,
             warm: true,
         };
-        let plan = targets(&run, &["temp_screw_c".into()], "To tell a from b.");
+        let inputs = ["temp_screw_c".into()];
+        let plan = targets(&run, &machine(""), &Options::default(), &inputs, "To tell a from b.")
+            .expect("the runs were there");
         let readings = plan.readings();
         let places: Vec<(Option<f64>, i8)> =
             readings[..6].iter().map(|it| (it.position_mm[1], it.direction[1])).collect();
@@ -124,5 +179,22 @@ mod tests {
         let text = &crate::template::templates(&plan)[0].1;
         let header = "y_mm,dir_y,feed_mm_per_min,time_s,temp_screw_c,measured_dy_um\n";
         assert!(text.contains(header), "{text}");
+        // A margin is kept to the ends of travel; Z moves only where it is said, its upper end first.
+        let said = |run: &Targets, travel: &str, options: &Options| {
+            targets(run, &machine(travel), options, &inputs, "")
+        };
+        let y = "[axis.y]\ntravel_mm = [0.0, 1000.0]\n";
+        let plan = said(&run, y, &Options::default()).expect("it fits");
+        assert_eq!(plan.extent_mm()[1], Some([2.0, 998.0]));
+        let short = said(&run, "[axis.y]\ntravel_mm = [0.0, 952.0]\n", &Options::default());
+        assert!(short.is_err_and(|why| why.0.contains("from 2 to 950 mm only")));
+        let z = Targets { axis: LinearAxis::Z, ..run };
+        let why = said(&z, "", &Options::default()).expect_err("it would plunge").0;
+        assert!(why.contains("--range z=LOW:HIGH"), "{why}");
+        let options =
+            Options { range_mm: [None, None, Some([-2.0, 1002.0])], ..Options::default() };
+        let plan = said(&z, "", &options).expect("it is said");
+        assert_eq!(plan.steps[0], Step::Approach { axis: 2, to_mm: 1000.0 });
+        assert_eq!(plan.readings()[0].position_mm[2], Some(950.0));
     }
 }

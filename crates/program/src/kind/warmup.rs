@@ -2,33 +2,54 @@
 //!
 //! Nothing moves but the spindle: where the gauge stands is the operator's choice. The same program
 //! runs twice, from cold each time: without compensation, and with it.
+//!
+//! A gauge that does not touch reads while the spindle turns. With a dial the spindle stops, and the program waits
+//! for the operator at each reading: nothing may touch what turns.
 
 use trueup_machine::{Machine, file::ElongationSource};
 
-use super::Plans;
+use super::{NON_CONTACT, Plans, without_clearance};
 use crate::{
-    options::Options,
+    options::{Gauge, Options},
     plan::{Column, Plan, Step},
     refused::Refused,
 };
 
 /// Two hours at full speed (seed 000).
 const HEAT_S: f64 = 7200.0;
+/// From reading to reading, in s.
+const EVERY_S: f64 = 60.0;
+/// The same where the spindle stops for each, in s: rarely enough that it hardly cools.
+const EVERY_TOUCH_S: f64 = 600.0;
+/// How long the spindle runs down before the operator is called, in s.
+const RUN_DOWN_S: f64 = 20.0;
 
 pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refused> {
     let rated = machine.spindle.warmup.as_ref().and_then(|warmup| warmup.rated_rpm);
     let rpm = options.spindle_rpm.or(rated).ok_or_else(|| {
         Refused("the speed is not known: give --rpm, or rated_rpm under [spindle.warmup]".into())
     })?;
-    let minutes = (options.heat_s.unwrap_or(HEAT_S) / options.every_s).round();
-    if !(1.0..=9999.0).contains(&minutes) {
+    let is_touching = options.gauge == Some(Gauge::Dial);
+    let every_s = options.every_s.unwrap_or(if is_touching { EVERY_TOUCH_S } else { EVERY_S });
+    if every_s <= options.dwell_s {
         return Err(Refused(format!(
-            "--heat-s must be 1 to 9999 times --every-s ({}), not {minutes}",
-            options.every_s
+            "--every-s {every_s} must be above --dwell-s {}: a reading takes that long",
+            options.dwell_s
         )));
     }
-    let minute = vec![Step::Dwell(options.every_s - options.dwell_s), Step::Read(options.dwell_s)];
-    let mut columns = vec![Column::Time, Column::Speed];
+    let times = (options.heat_s.unwrap_or(HEAT_S) / every_s).round();
+    if !(1.0..=9999.0).contains(&times) {
+        return Err(Refused(format!(
+            "--heat-s must be 1 to 9999 times --every-s ({every_s}), not {times}"
+        )));
+    }
+    // A number of readings is whole and in range.
+    let times = times as u32;
+    let mut columns = if is_touching {
+        vec![Column::Empty("time_s".into()), Column::SpeedBetween(rpm)]
+    } else {
+        vec![Column::Time, Column::Speed]
+    };
     let spindle = &machine.spindle;
     let mut temperatures: Vec<String> =
         spindle.temperature.iter().map(|law| law.sensor.clone()).collect();
@@ -39,9 +60,15 @@ pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refus
         columns.push(Column::Empty("sensor_counts".into()));
     }
     columns.push(Column::Empty("measured_elongation_um".into()));
+    let how = if is_touching {
+        "The spindle stops before each reading: touch nothing that turns."
+    } else {
+        NON_CONTACT
+    };
     let notes = [
         "Begin with a machine that has stood still over night.",
-        "Set a gauge with a ball under a test bar in the spindle, near where parts are cut, and to zero.",
+        "Set the gauge under a test bar that is rated for the speed, near where parts are cut, and to zero.",
+        "A gauge that touches: write the program with --gauge dial, which stops the spindle and waits for each reading.",
         "Growth out of the spindle is positive. Delete columns that you have no values for.",
         "First without compensation; then, cold again, the same with it.",
     ];
@@ -52,17 +79,36 @@ pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refus
     let plan = Plan {
         name: "warmup".into(),
         notes: notes.map(String::from).into(),
-        steps: vec![
-            Step::Spindle(rpm),
-            // A number of minutes is whole and in range.
-            Step::Repeat { times: minutes as u32, steps: minute },
-            Step::Spindle(0.0),
-        ],
+        precautions: vec![how.into()],
+        approach_mm_per_min: options.approach_mm_per_min,
+        steps: if is_touching {
+            touched(rpm, every_s, times)
+        } else {
+            let (wait_s, read_s) = (every_s - options.dwell_s, options.dwell_s);
+            let steps = vec![Step::Dwell(wait_s), Step::Read(read_s)];
+            vec![Step::Spindle(rpm), Step::Repeat { times, steps }, Step::Spindle(0.0)]
+        },
         columns,
         then: format!(
             "trueup fit {fit} --run warmup-off.csv; then trueup accept --off warmup-off.csv --on warmup-on.csv"
         ),
         records: vec!["off", "on"],
     };
-    Ok((vec![plan], Vec::new()))
+    Ok((vec![plan], without_clearance(options).into_iter().collect()))
+}
+
+/// Returns the steps of a gauge that touches: the spindle stands at each reading, and the operator is called.
+fn touched(rpm: f64, every_s: f64, times: u32) -> Vec<Step> {
+    let call = [
+        "Wait until the spindle stands. Then touch the bar, read, and write down the time.",
+        "Take the gauge away: the spindle turns again after this stop.",
+    ];
+    let steps = vec![
+        Step::Spindle(rpm),
+        Step::Dwell(every_s),
+        Step::Spindle(0.0),
+        Step::Read(RUN_DOWN_S),
+        Step::Stop(call.map(String::from).into()),
+    ];
+    vec![Step::Repeat { times, steps }]
 }

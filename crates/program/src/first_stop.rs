@@ -1,0 +1,70 @@
+//! The first stop of a program: what moves, where to, how far, and what must be clear.
+//!
+//! It is taken from the plan's own steps and written by [`crate::control`] in front of them, so that no kind of
+//! measurement can leave it out or say something else than what is done.
+
+use crate::plan::{Plan, Step};
+
+const AXES: [&str; 3] = ["X", "Y", "Z"];
+
+impl Plan {
+    /// Returns the sentences of the stop that comes before anything moves or turns.
+    #[must_use]
+    pub fn first_stop(&self) -> Vec<String> {
+        let mut sentences = Vec::new();
+        let approaches = self.first_approaches();
+        let extents: Vec<(&str, [f64; 2])> = AXES
+            .into_iter()
+            .zip(self.extent_mm())
+            .filter_map(|(axis, extent)| extent.map(|extent| (axis, extent)))
+            .collect();
+        if !extents.is_empty() {
+            let to = approaches.iter().map(|(axis, mm)| format!("{} goes to {mm} mm", AXES[*axis]));
+            let to: Vec<String> = to.collect();
+            let feed = self.approach_mm_per_min;
+            sentences.push(format!("{}, at {feed} mm/min.", to.join(", then ")));
+            let between = |(axis, [low, high]): &(&str, [f64; 2])| {
+                format!("{axis} moves {} mm, from {low} to {high} mm", whole_um(high - low))
+            };
+            let moves: Vec<String> = extents.iter().map(between).collect();
+            sentences.push(format!("Then {}.", moves.join(", ")));
+            let axes: Vec<&str> = extents.iter().map(|(axis, _)| *axis).collect();
+            let others: Vec<&str> = AXES.into_iter().filter(|axis| !axes.contains(axis)).collect();
+            sentences.push(format!(
+                "The whole way of {} must be clear of part, vice, tool, cables.",
+                axes.join(" and ")
+            ));
+            sentences.push(if others.is_empty() {
+                "Home all axes first.".into()
+            } else {
+                format!("Home all axes; jog {} clear: they stand.", others.join(" and "))
+            });
+        }
+        if self.highest_rpm() > 0.0 {
+            sentences.push(format!("The spindle turns at up to {} r/min.", self.highest_rpm()));
+            if extents.is_empty() {
+                sentences
+                    .push("No axis moves. All that turns must be clear, the door closed.".into());
+            }
+        }
+        sentences.extend(self.precautions.iter().cloned());
+        sentences
+    }
+
+    /// Returns the approaches before the first measuring move, reading or further stop.
+    fn first_approaches(&self) -> Vec<(usize, f64)> {
+        let is_before = |step: &&Step| {
+            !matches!(step, Step::Move { .. } | Step::Read(_) | Step::Stop(_) | Step::Repeat { .. })
+        };
+        let approach = |step: &Step| match step {
+            Step::Approach { axis, to_mm } => Some((*axis, *to_mm)),
+            _ => None,
+        };
+        self.steps.iter().take_while(is_before).filter_map(approach).collect()
+    }
+}
+
+/// A difference of two positions without the rounding of `f64`.
+fn whole_um(mm: f64) -> f64 {
+    (mm * 1000.0).round() / 1000.0
+}

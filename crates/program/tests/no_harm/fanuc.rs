@@ -1,0 +1,132 @@
+//! Reads what a FANUC control would run, as far as these programs go: a main program, its subprograms, and the
+//! one form of a variable that they use.
+
+use std::collections::HashMap;
+
+use crate::event::{Event, To, axis, is_legal, words};
+
+#[derive(Default)]
+struct State {
+    events: Vec<Event>,
+    said: String,
+    modes: Vec<f64>,
+    alarms: Vec<String>,
+    /// 90 or 91, 0 or 1; of an earlier program: none.
+    distance: Option<f64>,
+    motion: Option<f64>,
+    feed: Option<f64>,
+}
+
+/// What must be an alarm: the variable of each mode that turns or scales an increment.
+const ALARMS: [&str; 5] = ["#4007", "#4011", "#4016", "#4017", "#4022"];
+
+pub fn read(text: &str) -> Result<Vec<Event>, String> {
+    let inside = text.strip_prefix("%\n").and_then(|text| text.strip_suffix("%\n"));
+    let mut programs: HashMap<u32, Vec<&str>> = HashMap::new();
+    let (mut main, mut here) = (None, None);
+    for line in inside.ok_or("no % at both ends")?.lines() {
+        if let Some(name) = line.strip_prefix('O') {
+            let (number, comment) = name.split_once('(').ok_or("no name")?;
+            is_legal(comment.strip_suffix(')').ok_or("an open comment")?, 40, "")?;
+            here = number.parse().ok();
+            main = main.or(here);
+        } else {
+            let number = here.ok_or("a block before any program")?;
+            programs.entry(number).or_default().push(line);
+        }
+    }
+    let mut state = State::default();
+    run(main.ok_or("no program")?, &programs, &mut state)?;
+    Ok(state.events)
+}
+
+fn run(number: u32, programs: &HashMap<u32, Vec<&str>>, state: &mut State) -> Result<(), String> {
+    for line in programs.get(&number).ok_or(format!("no program {number}"))? {
+        if let Some(comment) = line.strip_prefix('(') {
+            let comment = comment.strip_suffix(')').ok_or(format!("an open comment: {line}"))?;
+            if comment.chars().any(|c| c.is_ascii_lowercase()) {
+                return Err(format!("small letters: {line}"));
+            }
+            is_legal(comment, 64, "?")?;
+            state.said = std::mem::take(&mut state.said) + comment + " ";
+            continue;
+        }
+        let (_, block) = line.split_once(' ').ok_or(format!("no block number: {line}"))?;
+        if let Some((test, alarm)) = block.split_once(" THEN #3000=") {
+            let message = alarm.split_once('(').and_then(|it| it.1.strip_suffix(')'));
+            is_legal(message.ok_or(format!("no message: {line}"))?, 26, "")?;
+            state.alarms.push(test.into());
+            continue;
+        }
+        one(block, programs, state).map_err(|why| format!("{why}: {line}"))?;
+    }
+    Ok(())
+}
+
+fn one(block: &str, programs: &HashMap<u32, Vec<&str>>, state: &mut State) -> Result<(), String> {
+    let (mut to, mut is_machine) = ([None; 3], false);
+    let (mut event, mut called, mut turns, mut speed, mut is_dwell) = (None, None, 1, None, false);
+    for word in block.split(' ') {
+        // X[2.-#5021]: the way from where the machine stands.
+        if let Some((letter, inside)) = word.split_once('[') {
+            let axis = letter.chars().next().and_then(axis).ok_or("no axis")?;
+            let (mm, variable) = inside.split_once("-#").ok_or("no variable")?;
+            if variable != format!("{}]", 5021 + axis) || state.distance != Some(91.0) {
+                return Err("not the way of this axis".into());
+            }
+            to[axis] = Some(To::Machine(mm.parse().map_err(|_| "no number")?));
+            continue;
+        }
+        let (letter, number) = words(word)?[0];
+        match (letter, number) {
+            ('G', 90.0 | 91.0) => state.distance = Some(number),
+            ('G', 0.0 | 1.0) => state.motion = Some(number),
+            ('G', 53.0) => is_machine = true,
+            ('G', 4.0) => is_dwell = true,
+            ('G', 17.0 | 21.0 | 40.0 | 80.0 | 94.0) => state.modes.push(number),
+            ('X', _) if is_dwell => event = Some(Event::Dwell(number)),
+            ('F', _) => state.feed = Some(number),
+            ('S', _) => speed = Some(number),
+            ('P', _) => called = Some(number as u32),
+            ('L', _) => turns = number as usize,
+            ('M', 0.0) => {
+                event = Some(Event::Stop(std::mem::take(&mut state.said)));
+            }
+            ('M', 30.0) => event = Some(Event::End(state.distance != Some(91.0))),
+            ('M', 5.0) => event = Some(Event::Spindle(0.0)),
+            ('M', 3.0) => event = Some(Event::Spindle(f64::NAN)),
+            ('M', 98.0 | 99.0) => {}
+            (letter, _) => {
+                let axis = axis(letter).ok_or("a word that no reader knows")?;
+                if !word.contains('.') {
+                    return Err("micrometres without a point".into());
+                }
+                to[axis] = Some(if is_machine {
+                    To::Machine(number)
+                } else if state.distance == Some(91.0) {
+                    To::By(number)
+                } else {
+                    return Err("a work offset has a part in it".into());
+                });
+            }
+        }
+    }
+    if let (Some(Event::Spindle(rpm)), Some(speed)) = (&mut event, speed) {
+        *rpm = speed;
+    }
+    if to != [None; 3] {
+        let has_alarms = ALARMS.iter().all(|it| state.alarms.iter().any(|test| test.contains(it)));
+        let is_set = [21.0, 94.0].iter().all(|mode| state.modes.contains(mode));
+        let feed = match (state.motion.ok_or("the mode of an earlier program")?, is_machine) {
+            (1.0, false) => state.feed,
+            // G53 moves at rapid, whatever holds.
+            _ => None,
+        };
+        event = Some(Event::Go { to, feed, has_modes: has_alarms && is_set });
+    }
+    state.events.extend(event);
+    if let Some(called) = called {
+        (0..turns).try_for_each(|_| run(called, programs, state))?;
+    }
+    Ok(())
+}
