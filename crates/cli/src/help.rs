@@ -59,7 +59,10 @@ const EXAMPLES: &[(&str, &str)] = &[
     ),
     ("linuxcnc", "trueup linuxcnc --port tcp:127.0.0.1:7700 --machine machine.toml"),
     ("show", "trueup show machine.bin > shown.toml"),
-    ("program", "trueup program backlash --machine machine.toml --for siemens -o measure"),
+    (
+        "program",
+        "trueup program backlash --machine machine.toml --for siemens --range z=-120:-20 -o measure",
+    ),
     ("simulate", "trueup simulate --scenario scenario.toml --seed 1 -o run.csv"),
     ("trend", "trueup trend measured --limit-um 2 --out trend"),
     ("firmware", "trueup firmware images"),

@@ -153,6 +153,10 @@ impl Template {
             )?;
             writeln!(
                 out,
+                "#   (Z and the tool's axis only in a range of yours: --range z=-120:-20)"
+            )?;
+            writeln!(
+                out,
                 "#   trueup fit backlash --run measured.csv --machine {file} -o fitted.toml"
             )?;
         }
