@@ -65,7 +65,7 @@ impl Page for SensorSaturation {
     }
 
     fn next_test(&self) -> &'static str {
-        "Read the sensor against a dial gauge just below and above the limit."
+        "Stop the spindle, then read the sensor against a dial gauge just below and above the limit."
     }
 
     fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
