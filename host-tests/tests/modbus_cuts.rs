@@ -20,7 +20,10 @@ use trueup_core::{
     units::Code,
 };
 use trueup_emulator::plc::{UNIT, frame, read_pdu, write_pdu};
-use trueup_gateway::hub::{Hub, Master};
+use trueup_gateway::{
+    hub::{Hub, Master},
+    pinned::{Pinned, Rule},
+};
 use trueup_link::slcan::{Client, Port, client::OPEN, encode_line};
 use trueup_machine::{MachineFile, compile};
 use trueup_modbus::{

@@ -1,7 +1,9 @@
 //! `trueup gateway`: the bridge for controls with a PLC. What it does is in `trueup-gateway`.
 
 use std::{
+    env,
     net::{SocketAddr, TcpListener, ToSocketAddrs as _},
+    path::PathBuf,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -12,7 +14,10 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use clap::{Args, Subcommand, ValueEnum};
-use trueup_client::port::Port;
+use trueup_client::{
+    pinned::{Pinned, Rule, default_state},
+    port::Port,
+};
 use trueup_gateway::{
     bridge::{self, Shared},
     health::{self, End, PlcEnd},
@@ -20,7 +25,9 @@ use trueup_gateway::{
     s7::{self, Target, client::Place},
 };
 
-use crate::{Outcome, UserError, output};
+use trueup_machine::compile;
+
+use crate::{Outcome, UserError, files, output};
 
 /// How often is looked whether there is something to tell.
 const LOOK: Duration = Duration::from_millis(50);
@@ -91,6 +98,17 @@ pub struct Bridge {
     /// Where the bridge is: tcp:HOST:PORT, a serial device, or a CAN interface (can0).
     #[arg(long, value_name = "PORT")]
     port: String,
+    /// Engages only a bridge that runs on what this machine file makes. Without it: only one that runs on what it
+    /// ran on at the first contact.
+    #[arg(long, value_name = "M.toml")]
+    machine: Option<PathBuf>,
+    /// Keeps the calibration of the first contact in this file. Without this: gateway-PORT.calibration in
+    /// $STATE_DIRECTORY, $XDG_STATE_HOME/trueup or ~/.local/state/trueup.
+    #[arg(long, value_name = "FILE", conflicts_with = "machine")]
+    state: Option<PathBuf>,
+    /// Engages a bridge on any calibration.
+    #[arg(long, conflicts_with_all = ["machine", "state"])]
+    any_calibration: bool,
     /// Try once whether both ends are there, say how they are, and end.
     #[arg(long)]
     once: bool,
@@ -101,8 +119,13 @@ pub fn run(command: &Command) -> Result<Outcome> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
+    let (Command::Modbus { bridge, .. } | Command::S7 { bridge, .. }) = command;
+    let pinned = pinned(bridge)?;
     trueup_output::detach();
-    let shared = Shared::new(stop.clone());
+    if let Some(why) = pinned.refusal() {
+        trueup_output::diagnostic(format_args!("warning: {why}"));
+    }
+    let shared = Shared::new(stop.clone(), pinned);
     let ended = match command {
         Command::Modbus { bridge, serial: Some(device), baud, parity, unit, .. } => {
             let parity = match parity {
@@ -124,6 +147,24 @@ pub fn run(command: &Command) -> Result<Outcome> {
     };
     stop.store(true, Ordering::Relaxed);
     ended
+}
+
+/// On which calibration the bridge has to run to be engaged.
+fn pinned(bridge: &Bridge) -> Result<Pinned> {
+    let state = || {
+        bridge
+            .state
+            .clone()
+            .unwrap_or_else(|| default_state(&bridge.port, |name| env::var_os(name)))
+    };
+    Ok(Pinned::new(match &bridge.machine {
+        _ if bridge.any_calibration => Rule::Any,
+        Some(path) => {
+            let crc = compile(&files::machine(path)?)?.crc();
+            Rule::Machine { crc, path: path.clone() }
+        }
+        None => Rule::FirstContact(state()),
+    }))
 }
 
 fn resolve(listen: &str) -> Result<Vec<SocketAddr>> {
@@ -226,6 +267,9 @@ fn tell(
 ) -> Result<Outcome> {
     let (mut news, mut due) = (None, Instant::now());
     while !shared.has_ended() && !line.is_finished() {
+        // Not with the hub held: whoever reads it may be slow.
+        let told = shared.hub().news();
+        told.iter().for_each(trueup_output::diagnostic);
         let now = health::line(shared, &look());
         let changed = news.replace(health::news(&now)) != Some(health::news(&now));
         if changed || Instant::now() >= due {

@@ -13,7 +13,10 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use clap::Args;
-use trueup_client::port::Port;
+use trueup_client::{
+    pinned::{Pinned, Rule},
+    port::Port,
+};
 use trueup_core::units::NANOMETRES_PER_MICROMETRE;
 use trueup_learn::{Live, live};
 use trueup_linuxcnc::{
@@ -49,8 +52,16 @@ pub struct LinuxCnc {
     /// Takes the limits from this machine file: the same that the bridge was loaded with.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
-    /// Engages no bridge that runs on another calibration than the machine file makes.
-    #[arg(long, requires = "machine")]
+    /// Engages a bridge on any calibration. Without this it has to run on what --machine makes; without --machine
+    /// on what it ran on at the first contact.
+    #[arg(long, conflicts_with_all = ["state", "strict"])]
+    any_calibration: bool,
+    /// Keeps the calibration of the first contact in this file. Without this: trueup.calibration (after --name), next to
+    /// the .ini.
+    #[arg(long, value_name = "FILE")]
+    state: Option<PathBuf>,
+    /// The rule since 0.3, and no longer an option of its own.
+    #[arg(long, requires = "machine", hide = true)]
     strict: bool,
     /// LinuxCNC's .ini: servo period, units, and what is left for offsets.
     #[arg(long, value_name = "FILE", env = "INI_FILE_NAME")]
@@ -143,9 +154,28 @@ pub fn run(args: &LinuxCnc) -> Result<Outcome> {
         opened.map_err(|why| log.tell(&format!("no record: {}: {why}", path.display()))).ok()
     });
     let compiled = machine.as_ref().map(compile).transpose();
-    // What does not compile is told by `compile`; without --strict it only cannot be compared.
-    let compiled = if args.strict { compiled? } else { compiled.unwrap_or_default() };
+    // What does not compile makes no calibration to be compared: then it is that of the first contact.
+    let compiled = if args.strict {
+        compiled?
+    } else {
+        compiled.unwrap_or_else(|why| {
+            log.tell(&format!("the machine file makes no calibration: {why}"));
+            None
+        })
+    };
     let calibration = compiled.map(|it| it.crc());
+    let state = || {
+        let folder = args.ini.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
+        args.state.clone().unwrap_or_else(|| folder.join(format!("{}.calibration", args.name)))
+    };
+    let pinned = Pinned::new(match calibration.zip(args.machine.clone()) {
+        _ if args.any_calibration => Rule::Any,
+        Some((crc, path)) => Rule::Machine { crc, path },
+        None => Rule::FirstContact(state()),
+    });
+    if let Some(why) = pinned.refusal() {
+        log.tell(&why);
+    }
     let limits = machine.as_ref().map(|machine| machine.limits).unwrap_or_default();
     let slew_um_per_s = args.slew_um_per_s.unwrap_or(limits.slew_um_per_s);
     let ini = match &args.ini {
@@ -166,7 +196,7 @@ pub fn run(args: &LinuxCnc) -> Result<Outcome> {
         mm_per_unit: ini.mm_per_unit,
         temperatures: args.temperatures,
         calibration,
-        is_strict: args.strict,
+        pinned,
         turn: Duration::from_secs_f64(ini.cycle_s / TURNS_PER_CYCLE),
         options: trueup_linuxcnc::Options {
             limits: offsets::Limits {

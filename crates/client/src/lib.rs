@@ -30,11 +30,13 @@
 
 pub mod build;
 pub mod cnc;
+mod dating;
 pub mod ends;
 pub mod line;
 pub mod load;
 pub mod object;
 mod patience;
+pub mod pinned;
 pub mod poll;
 pub mod port;
 pub mod record;

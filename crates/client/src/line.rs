@@ -2,7 +2,9 @@
 //! written in another, so that the loop never waits for either.
 //!
 //! What is to be sent waits in a short queue. While it is full, frames are left out: the receiver
-//! sees a gap in the counter, and the next frame says something newer anyway.
+//! sees a gap in the counter, and the next frame says something newer anyway. What has waited for too
+//! long, and what would wait in a line that stalls, is left out likewise; and what comes is passed on
+//! only while it cannot be old ([`crate::dating`]).
 
 use std::{
     io::{self, Read, Write},
@@ -20,7 +22,10 @@ use trueup_link::{
     slcan::{Client, Event, client, encode_line},
 };
 
-use crate::ends::{Ends, is_timeout};
+use crate::{
+    dating::{Dating, LATE},
+    ends::{Ends, is_timeout},
+};
 
 /// Frames that may wait: of a few milliseconds.
 const QUEUE: usize = 32;
@@ -29,6 +34,8 @@ const PAUSE: Duration = Duration::from_millis(250);
 /// A bridge that sends no frame for so long is asked to open its channel again: it may have
 /// restarted.
 const SILENT: Duration = Duration::from_secs(1);
+/// How often the writer looks whether there is a question to ask.
+const TURN: Duration = Duration::from_millis(10);
 /// A line without a frame for so long is closed and opened again.
 const DEAD: Duration = Duration::from_secs(3);
 
@@ -41,13 +48,18 @@ pub enum LineEvent {
     Down(String),
     /// A frame, a refusal or a malformed line came from the bridge.
     Received(Event),
+    /// The line has stalled, and delivers frames that are too old: they are left out.
+    Late,
 }
+
+/// What happens, and when.
+type Dated = (Instant, LineEvent);
 
 /// A connection to the bridge that is opened again whenever it breaks.
 #[derive(Debug)]
 pub struct Line {
-    heard: Receiver<LineEvent>,
-    to_send: Arc<Mutex<Option<SyncSender<Frame>>>>,
+    heard: Receiver<Dated>,
+    to_send: Arc<Mutex<Option<SyncSender<(Instant, Frame)>>>>,
     stop: Arc<AtomicBool>,
 }
 
@@ -62,15 +74,18 @@ impl Line {
         Self { heard, to_send, stop }
     }
 
-    /// What has happened since the last call.
+    /// What has happened since the last call; frames that have waited here for too long are left out.
     pub fn heard(&self) -> impl Iterator<Item = LineEvent> + '_ {
-        self.heard.try_iter()
+        let is_old = |at: Instant, event: &LineEvent| {
+            matches!(event, LineEvent::Received(Event::Frame(_))) && at.elapsed() > LATE
+        };
+        self.heard.try_iter().filter(move |(at, event)| !is_old(*at, event)).map(|(_, event)| event)
     }
 
     /// Sends a frame, unless the line is down or busy.
     pub fn send(&self, frame: Frame) {
         if let Some(queue) = lock(&self.to_send).as_ref() {
-            queue.try_send(frame).ok();
+            queue.try_send((Instant::now(), frame)).ok();
         }
     }
 }
@@ -88,30 +103,32 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 
 fn keep(
     mut open: impl FnMut() -> io::Result<Ends>,
-    heard: &Sender<LineEvent>,
-    slot: &Mutex<Option<SyncSender<Frame>>>,
+    heard: &Sender<Dated>,
+    slot: &Mutex<Option<SyncSender<(Instant, Frame)>>>,
     stop: &AtomicBool,
 ) {
+    let tell = |event| heard.send((Instant::now(), event));
     while !stop.load(Ordering::Relaxed) {
         let why = match open() {
             Err(error) => error.to_string(),
             Ok((reader, writer)) => {
-                if heard.send(LineEvent::Up).is_err() {
+                if tell(LineEvent::Up).is_err() {
                     return;
                 }
                 let (queue, frames) = mpsc::sync_channel(QUEUE);
                 let reopen = Arc::new(AtomicBool::new(true));
-                let asked = reopen.clone();
-                let writer = thread::spawn(move || write(writer, &frames, &asked));
+                let dating = Arc::new(Mutex::new(Dating::new()));
+                let (asked, dates) = (reopen.clone(), dating.clone());
+                let writer = thread::spawn(move || write(writer, &frames, &asked, &dates));
                 *lock(slot) = Some(queue);
-                let why = read(reader, heard, &reopen, &writer, stop);
+                let why = read(reader, heard, &reopen, &dating, &writer, stop);
                 // Without its queue the writer ends; if it is stuck in a dead line, it ends when
                 // that is given up.
                 lock(slot).take();
                 why
             }
         };
-        if heard.send(LineEvent::Down(why)).is_err() {
+        if tell(LineEvent::Down(why)).is_err() {
             return;
         }
         thread::sleep(PAUSE);
@@ -121,14 +138,16 @@ fn keep(
 /// Reads until the line breaks; why it does.
 fn read(
     mut reader: Box<dyn Read + Send>,
-    heard: &Sender<LineEvent>,
+    heard: &Sender<Dated>,
     reopen: &AtomicBool,
+    dating: &Mutex<Dating>,
     writer: &thread::JoinHandle<()>,
     stop: &AtomicBool,
 ) -> String {
     let mut bytes = [0; 4096];
     let mut client = Client::new();
     let (mut last, mut asked) = (Instant::now(), Instant::now());
+    let mut was_in_time = false;
     while !stop.load(Ordering::Relaxed) {
         if writer.is_finished() {
             return "the bridge accepts no frames".into();
@@ -136,12 +155,22 @@ fn read(
         match reader.read(&mut bytes) {
             Ok(0) => return "the bridge has closed the line".into(),
             Ok(length) => {
+                let now = Instant::now();
+                let mut dating = lock(dating);
+                dating.bytes(now);
                 for event in bytes[..length].iter().filter_map(|&byte| client.receive(byte)) {
                     // A bridge whose channel is closed answers every frame, with a refusal.
-                    if matches!(event, Event::Frame(_)) {
-                        last = Instant::now();
+                    let is_frame = matches!(event, Event::Frame(_));
+                    if is_frame {
+                        last = now;
                     }
-                    if heard.send(LineEvent::Received(event)).is_err() {
+                    let is_used = dating.accept(now, &event);
+                    let is_news = is_frame && was_in_time && !is_used;
+                    if is_frame {
+                        was_in_time = is_used;
+                    }
+                    let event = if is_used { LineEvent::Received(event) } else { LineEvent::Late };
+                    if (is_used || is_news) && heard.send((now, event)).is_err() {
                         return String::new();
                     }
                 }
@@ -160,24 +189,35 @@ fn read(
     String::new()
 }
 
-fn write(mut writer: Box<dyn Write + Send>, frames: &Receiver<Frame>, reopen: &AtomicBool) {
+fn write(
+    mut writer: Box<dyn Write + Send>,
+    frames: &Receiver<(Instant, Frame)>,
+    reopen: &AtomicBool,
+    dating: &Mutex<Dating>,
+) {
     // An end of the queue, or of the line: either way there is nothing more to write.
     loop {
         if reopen.swap(false, Ordering::Relaxed) && writer.write_all(client::OPEN).is_err() {
             return;
         }
-        let first = match frames.recv_timeout(SILENT) {
-            Ok(first) => first,
-            // One who only listens has nothing to send.
-            Err(RecvTimeoutError::Timeout) => continue,
-            Err(RecvTimeoutError::Disconnected) => return,
-        };
+        // The time of a question is that before it is written, however long that takes.
+        let question = lock(dating).question(Instant::now()).unwrap_or_default();
+        let first =
+            match frames.recv_timeout(if question.is_empty() { TURN } else { Duration::ZERO }) {
+                Ok(first) => Some(first),
+                // One who only listens has nothing to send.
+                Err(RecvTimeoutError::Timeout) => None,
+                Err(RecvTimeoutError::Disconnected) => return,
+            };
+        let mut bytes = question.to_vec();
+        let may_send = lock(dating).may_send(Instant::now());
         // What has come together goes out together.
-        let mut bytes = encode_line(&first).into_bytes().to_vec();
-        for frame in frames.try_iter() {
-            bytes.extend_from_slice(encode_line(&frame).as_bytes());
+        for (at, frame) in first.into_iter().chain(frames.try_iter()) {
+            if may_send && at.elapsed() <= LATE {
+                bytes.extend_from_slice(encode_line(&frame).as_bytes());
+            }
         }
-        if writer.write_all(&bytes).and_then(|()| writer.flush()).is_err() {
+        if !bytes.is_empty() && writer.write_all(&bytes).and_then(|()| writer.flush()).is_err() {
             return;
         }
     }

@@ -13,6 +13,7 @@ use std::{
 use trueup_client::{
     ends::Ends,
     line::{Line, LineEvent},
+    pinned::Pinned,
 };
 
 use crate::hub::Hub;
@@ -42,9 +43,9 @@ pub struct Shared {
 impl Shared {
     /// A hub whose clock starts now. Everything ends when `stop` is set.
     #[must_use]
-    pub fn new(stop: Arc<AtomicBool>) -> Self {
+    pub fn new(stop: Arc<AtomicBool>, pinned: Pinned) -> Self {
         Self {
-            hub: Arc::new(Mutex::new(Hub::new())),
+            hub: Arc::new(Mutex::new(Hub::new(pinned))),
             line: Arc::default(),
             stop,
             start: Instant::now(),
@@ -109,6 +110,7 @@ pub fn keep(
                             shared.line_is(LineState { is_up: false, why: Some(why) });
                         }
                         LineEvent::Received(event) => hub.hear(shared.now(), &event),
+                        LineEvent::Late => hub.stalled(),
                     }
                 }
                 hub.refresh(shared.now());

@@ -10,7 +10,10 @@ use trueup_client::words::{output_json, state_words};
 use trueup_link::status::StateBits;
 use trueup_modbus::cnc::Refused;
 
-use crate::bridge::Shared;
+use crate::{
+    bridge::Shared,
+    hub::{MAY_BE_OLD, OTHER_CALIBRATION},
+};
 
 /// How often it is told.
 pub const PERIOD: Duration = Duration::from_secs(1);
@@ -71,6 +74,11 @@ pub fn line(shared: &Shared, plc: &PlcEnd) -> Value {
         let wrong = counters.crc_errors + counters.sequence_errors + counters.malformed;
         bridge.insert("refused_frames".into(), wrong.into());
         bridge.insert("lost_frames".into(), counters.lost.into());
+        bridge.insert("stalls".into(), hub.stalls().into());
+        let pinned = hub.pinned();
+        let expected = pinned.expected().map(|crc| format!("{crc:08x}"));
+        bridge.insert("pinned_calibration".into(), expected.into());
+        bridge.insert("not_engaged".into(), pinned.refusal().into());
     }
     let control = hub.control(now);
     json!({
@@ -109,6 +117,13 @@ fn word(is_up: bool) -> &'static str {
 }
 
 fn refused_word(number: u16) -> Option<String> {
+    match number {
+        MAY_BE_OLD => return Some("it came after a silence and may be old".into()),
+        OTHER_CALIBRATION => {
+            return Some("Engage, but the bridge runs on another calibration".into());
+        }
+        _ => {}
+    }
     [Refused::Malformed, Refused::Damaged, Refused::Repeated, Refused::WrongSequence]
         .into_iter()
         .find(|it| *it as u16 == number)

@@ -6,18 +6,24 @@
 //! | no new pair | stands, counter and all |
 //! | none for [`STALE`] | "not available", quality 6; the counter goes on, since the gateway lives |
 //!
+//! | the PLC | the bridge |
+//! |---|---|
+//! | a block in step | its frames |
+//! | the first block after a silence of [`MASTER_LASTS`], and what comes on its heels | nothing: it may have waited in a line that stalled |
+//! | `Engage` while the bridge runs on another calibration than the pinned one | `Engage` and `Zero` 0 |
+//!
 //! A block is made whole and replaced whole, so whoever asks for it gets one moment's.
 
 use std::time::Duration;
 
-use trueup_client::status::Board;
+use trueup_client::{pinned::Pinned, status::Board};
 use trueup_core::cnc::{Control, Output, Quality};
 use trueup_link::{
     frame::Frame,
     layout::STATUS_ID,
     receiver::{Counters, OffsetReceiver},
     slcan::Event,
-    status::StateBits,
+    status::{Item, StateBits, Status, decode},
 };
 use trueup_modbus::{
     cnc::{self, Checker, Cnc, Refused},
@@ -39,6 +45,15 @@ pub const MASTER_LASTS: Duration = Duration::from_millis(500);
 /// How long a second master is told of.
 const TOLD: Duration = Duration::from_secs(2);
 
+/// Blocks that come so soon after one that may be old have waited with it: a line that goes on delivers them at once.
+const ON_ITS_HEELS: Duration = Duration::from_millis(30);
+/// `LastRefused` of a block that may be old: it came after a silence.
+pub const MAY_BE_OLD: u16 = 5;
+/// `LastRefused` of `Engage` to a bridge that runs on another calibration than the pinned one.
+pub const OTHER_CALIBRATION: u16 = 6;
+/// Without a valid pair for so long the bridge may have been exchanged: as long as a bridge holds by default.
+const GONE: Duration = Duration::from_secs(2);
+
 /// Who sends holding blocks: a connection.
 pub type Master = u64;
 
@@ -50,6 +65,12 @@ pub struct Hub {
     is_new: bool,
     board: Board,
     status_heard: Option<Duration>,
+    pinned: Pinned,
+    /// When the bridge last was not available, or gone: what it ran on before does not count.
+    was_away: Option<Duration>,
+    calibration_heard: Option<Duration>,
+    news: Vec<String>,
+    stalls: u32,
     input: Input,
     registers: input::Registers,
     master: Option<(Master, Duration)>,
@@ -57,6 +78,12 @@ pub struct Hub {
     holding: cnc::Registers,
     speaker: Speaker,
     control: Option<(Duration, Control)>,
+    /// The last whole block of the master, or its connection.
+    arrived: Option<(Master, Duration)>,
+    /// How long it had not come before that.
+    pace: Option<Duration>,
+    /// What comes before may be old.
+    doubted_until: Duration,
     second_master: Option<Duration>,
 }
 
@@ -67,18 +94,14 @@ pub enum Taken {
     Used,
     /// It is not, and why.
     Refused(Refused),
-}
-
-impl Default for Hub {
-    fn default() -> Self {
-        Self::new()
-    }
+    /// It is not, because it may have waited in a line that stalled.
+    MayBeOld,
 }
 
 impl Hub {
-    /// Nothing heard from anyone.
+    /// Nothing heard from anyone. Only a bridge that runs on the pinned calibration is engaged.
     #[must_use]
-    pub fn new() -> Self {
+    pub fn new(pinned: Pinned) -> Self {
         let input = Input {
             output: Output { quality: Quality::Fault, ..Output::default() },
             age_ms: u16::MAX,
@@ -91,6 +114,11 @@ impl Hub {
             is_new: false,
             board: Board::default(),
             status_heard: None,
+            pinned,
+            was_away: None,
+            calibration_heard: None,
+            news: Vec::new(),
+            stalls: 0,
             registers: input.encode(),
             input,
             master: None,
@@ -98,6 +126,9 @@ impl Hub {
             holding: [0; HOLDING_LEN],
             speaker: Speaker::default(),
             control: None,
+            arrived: None,
+            pace: None,
+            doubted_until: Duration::ZERO,
             second_master: None,
         }
     }
@@ -110,10 +141,19 @@ impl Hub {
                 self.board.hear(frame);
                 if self.board.refused() == refused {
                     self.status_heard = Some(now);
+                    if matches!(decode(frame), Ok(Status { item: Item::Calibration(_), .. })) {
+                        self.calibration_heard = Some(now);
+                    }
                 }
             }
             Event::Frame(frame) => {
                 if let Ok(Some(output)) = self.offsets.accept(frame) {
+                    let is_available = output.quality != Quality::Fault;
+                    let was_available =
+                        self.last.is_some_and(|(_, last)| last.quality != Quality::Fault);
+                    if was_available && !is_available {
+                        self.was_away = Some(now);
+                    }
                     self.last = Some((now, output));
                     self.is_new = true;
                 }
@@ -123,8 +163,43 @@ impl Hub {
         }
     }
 
+    /// Takes note that the line delivers frames that are too old to be used.
+    pub fn stalled(&mut self) {
+        self.stalls = self.stalls.saturating_add(1);
+    }
+
+    /// How often the line has stalled.
+    #[must_use]
+    pub fn stalls(&self) -> u32 {
+        self.stalls
+    }
+
+    /// What is to be told of the bridge's calibration since the last call.
+    pub fn news(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.news)
+    }
+
+    /// What may be engaged.
+    #[must_use]
+    pub fn pinned(&self) -> &Pinned {
+        &self.pinned
+    }
+
+    /// Looks on what calibration the bridge runs now, as far as it has said so since it was last away.
+    fn check_calibration(&mut self, now: Duration) {
+        if self.last.is_some_and(|(heard, _)| now.saturating_sub(heard) > GONE) {
+            self.was_away = Some(now);
+        }
+        let is_known = self.calibration_heard.is_some_and(|heard| {
+            now.saturating_sub(heard) <= STATUS_LASTS && self.was_away.is_none_or(|at| heard > at)
+        });
+        let running = self.board.calibration.filter(|_| is_known);
+        self.news.extend(self.pinned.runs_on(running));
+    }
+
     /// Makes the input block anew, if there is anything new to say.
     pub fn refresh(&mut self, now: Duration) {
+        self.check_calibration(now);
         let fresh = self.fresh(now).copied();
         if !self.is_new && fresh.is_some() {
             return;
@@ -220,7 +295,13 @@ impl Hub {
             Some(_) => {}
             None => self.checker = Checker::default(),
         }
-        match self.checker.accept(block) {
+        let checked = self.checker.accept(block);
+        match checked {
+            Ok(_) if self.may_be_old(now, master) => {
+                self.master = Some((master, now));
+                self.refuse(MAY_BE_OLD);
+                Ok(Taken::MayBeOld)
+            }
             Ok(said) => {
                 self.master = Some((master, now));
                 self.holding = *block;
@@ -228,14 +309,47 @@ impl Hub {
                 Ok(Taken::Used)
             }
             Err(refused) => {
-                self.input.last_refused = refused as u16;
-                self.input.refused = self.input.refused.saturating_add(1);
+                self.refuse(refused as u16);
                 Ok(Taken::Refused(refused))
             }
         }
     }
 
-    fn use_block(&mut self, now: Duration, said: Cnc) {
+    fn refuse(&mut self, why: u16) {
+        self.input.last_refused = why;
+        self.input.refused = self.input.refused.saturating_add(1);
+    }
+
+    /// A master has connected: what it sends has not waited for longer than since now.
+    pub fn join(&mut self, now: Duration, master: Master) {
+        if self.master.is_none() {
+            (self.arrived, self.pace, self.doubted_until) =
+                (Some((master, now)), None, Duration::ZERO);
+        }
+    }
+
+    /// Whether a whole block may have waited in the line since the one before it. A slow PLC has a slow pace.
+    fn may_be_old(&mut self, now: Duration, master: Master) -> bool {
+        let before = self.arrived.replace((master, now));
+        let Some((_, at)) = before.filter(|(of, _)| *of == master) else {
+            (self.pace, self.doubted_until) = (None, Duration::ZERO);
+            return false;
+        };
+        let waited = now.saturating_sub(at);
+        let pace = self.pace.replace(waited);
+        if waited > MASTER_LASTS && pace.is_none_or(|pace| waited > 2 * pace) {
+            self.doubted_until = now + ON_ITS_HEELS;
+        }
+        now < self.doubted_until
+    }
+
+    fn use_block(&mut self, now: Duration, mut said: Cnc) {
+        // A bridge that has yet to say what it runs on is no matter for the PLC.
+        if said.control.engage && self.pinned.refuses() {
+            self.refuse(OTHER_CALIBRATION);
+        }
+        said.control.engage &= self.pinned.lets_engage();
+        said.control.zero &= self.pinned.lets_engage();
         self.control = Some((now, said.control));
         self.speaker.say(now, &said);
     }

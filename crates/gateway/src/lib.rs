@@ -21,7 +21,9 @@
 //! | [`pause`] | how long is waited before something is opened again |
 //!
 //! A gateway invents no life: an old offset never gets a new counter, and `Control` goes to the bridge
-//! only when the PLC has sent a new block. Whichever end dies, the other finds out by itself.
+//! only when the PLC has sent a new block, and `Engage` only to a bridge on the pinned calibration. Whichever end dies, the other finds out by itself.
+
+pub use trueup_client::pinned;
 
 pub mod bridge;
 pub mod cnc;

@@ -99,6 +99,7 @@ pub fn serve(shared: Shared, listener: TcpListener, unit: u8) -> io::Result<Mast
             next += 1;
             let (shared, all, master) = (shared.clone(), all.clone(), next);
             thread::spawn(move || {
+                shared.hub().join(shared.now(), master);
                 // What breaks a connection concerns nobody but its master.
                 serve_one(&shared, stream, master, unit, &all.answers).ok();
                 shared.hub().leave(master);

@@ -110,6 +110,7 @@ mod tests {
         },
         thread,
     };
+    use trueup_client::pinned::{Pinned, Rule};
 
     /// Read input register 0 of unit 1, with its checksum.
     const ASK: [u8; 8] = [1, 4, 0, 0, 0, 1, 0x31, 0xCA];
@@ -131,7 +132,7 @@ mod tests {
         let (mut master, slave) = TTYPort::pair().expect("this machine has pseudo terminals");
         master.set_timeout(Duration::from_secs(2)).expect("a terminal");
         let stop = Arc::new(AtomicBool::new(false));
-        let shared = Shared::new(stop.clone());
+        let shared = Shared::new(stop.clone(), Pinned::new(Rule::Any));
         let end = End::default();
         let (theirs, ours) = (shared.clone(), end.clone());
         let mut tries = 0;

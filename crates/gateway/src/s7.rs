@@ -18,7 +18,7 @@ use trueup_modbus::{
     table::{HOLDING_LEN, INPUT_LEN},
 };
 
-use crate::{bridge::Shared, health::End, pause::Pause};
+use crate::{bridge::Shared, health::End, hub::MASTER_LASTS, pause::Pause};
 use client::{Client, Error, Place};
 
 /// Where the holding block begins in the data block, in bytes.
@@ -87,11 +87,13 @@ fn exchange(
             end.longest_ms = end.longest_ms.max(took);
         });
         let mut read = [0; HOLDING_BYTES];
+        let asked = Instant::now();
         if let Err(error) = client.read(target.db, HOLDING_AT, &mut read) {
             return (Some(error), has_written);
         }
         let block = registers(&read);
-        if seen.is_new(block) {
+        // An answer that took long may be as old as its question: it is seen, and not said.
+        if seen.is_new(block) && asked.elapsed() <= MASTER_LASTS {
             // There is no second master here, and what is refused is told in the block.
             shared.hub().take(shared.now(), PLC, &block).ok();
         }

@@ -112,6 +112,9 @@ pub struct Outputs {
     pub state: StateBits,
     /// CRC of the calibration that the bridge runs on, once it has said so; 0: none.
     pub calibration: Option<u32>,
+    /// Nothing is engaged, because the bridge runs on another calibration than the pinned one, or it is not known
+    /// which one that is.
+    pub other_calibration: bool,
     /// Turns round ten times a second as long as the component lives.
     pub heartbeat: bool,
 }
@@ -125,6 +128,7 @@ pub struct Component {
     sender: Sender,
     engage: Engage,
     status: Status,
+    was_away: bool,
     offset_nm: [i32; 3],
 }
 
@@ -173,6 +177,7 @@ impl Component {
             sender: Sender::new(options.position_period, options.sends_rotary, options.against_um),
             engage: Engage::default(),
             status: Status::default(),
+            was_away: false,
             offset_nm: [0; 3],
         }
     }
@@ -229,6 +234,13 @@ impl Component {
                 && (reading.request_nm - offset).abs() <= APPLIED_WITHIN_NM;
         }
         let fresh = self.offsets.fresh(now, limits);
+        // A bridge that was away may be another one, or have another calibration: until it says which.
+        let is_here = fresh.is_some_and(|output| output.quality != Quality::Fault);
+        let is_away = target == Target::RampOut && !is_here;
+        if is_away && !self.was_away {
+            self.status.calibration = None;
+        }
+        self.was_away = is_away;
         outputs.connected = fresh.is_some();
         outputs.flags = fresh.map_or(Flags::NONE, |output| output.flags);
         outputs.flags = outputs.flags.with_if(self.offsets.is_clamped(), Flags::CLAMPED);

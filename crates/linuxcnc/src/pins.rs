@@ -18,7 +18,7 @@
 //! | `enable-out` | bit out | to `axis.L.eoffset-enable` |
 //! | `L-offset-um`, `L-applied-um` | float out | what the bridge says; what LinuxCNC has applied |
 //! | `applied` | bit out | the two are the same on every axis, within 20 nm |
-//! | `connected`, `fault`, `limited` | bit out | see [`Outputs`] |
+//! | `connected`, `fault`, `limited`, `other-calibration` | bit out | see [`Outputs`] |
 //! | `quality` | s32 out | 0 off … 6 fault, as on the wire |
 //! | `flags`, `age-ms` | u32 out | as on the wire |
 //! | `crc-errors`, `seq-errors`, `malformed`, `lost` | u32 out | frames since the start |
@@ -75,6 +75,7 @@ pub struct Pins<'hal> {
     connected: Pin<'hal, bool>,
     fault: Pin<'hal, bool>,
     limited: Pin<'hal, bool>,
+    other_calibration: Pin<'hal, bool>,
     quality: Pin<'hal, i32>,
     flags: Pin<'hal, u32>,
     age_ms: Pin<'hal, u32>,
@@ -152,6 +153,7 @@ impl<'hal> Pins<'hal> {
             connected: hal.output(&full("connected"))?,
             fault: hal.output(&full("fault"))?,
             limited: hal.output(&full("limited"))?,
+            other_calibration: hal.output(&full("other-calibration"))?,
             quality: hal.output(&full("quality"))?,
             flags: hal.output(&full("flags"))?,
             age_ms: hal.output(&full("age-ms"))?,
@@ -215,6 +217,7 @@ impl<'hal> Pins<'hal> {
         self.connected.set(outputs.connected);
         self.fault.set(outputs.fault);
         self.limited.set(outputs.limited);
+        self.other_calibration.set(outputs.other_calibration);
         self.quality.set((outputs.quality as u8).into());
         self.flags.set(outputs.flags.0.into());
         self.age_ms.set(outputs.age_ms);

@@ -10,6 +10,7 @@ use std::{
 use trueup_client::{
     ends::Ends,
     line::{Line, LineEvent},
+    pinned::Pinned,
     words::state_words,
 };
 use trueup_core::{cnc::Quality, learned::PARTS};
@@ -36,8 +37,8 @@ pub struct Settings {
     pub temperatures: u8,
     /// CRC of what `compile` makes of the machine file; `None`: without one.
     pub calibration: Option<u32>,
-    /// Engages no bridge that runs on another calibration, or has not said on which.
-    pub is_strict: bool,
+    /// On which calibration the bridge has to run to be engaged.
+    pub pinned: Pinned,
     /// From one turn of the loop to the next.
     pub turn: Duration,
     /// How it decides.
@@ -67,14 +68,13 @@ pub fn run(
     learned: Option<impl Fn() -> Option<Learned>>,
     mut tell: impl FnMut(&str),
 ) -> Result<(), HalError> {
-    let Settings { name, mm_per_unit, temperatures, calibration, is_strict, turn, options } =
-        settings;
+    let Settings { name, mm_per_unit, temperatures, calibration, pinned, turn, options } = settings;
     let hal = Hal::new(name, &pid_pin(name))?;
     let pins = Pins::new(&hal, name, *mm_per_unit, *temperatures)?;
     let line = Line::keep(open);
     let start = Instant::now();
     let mut component = Component::new(start.elapsed(), *options);
-    let mut news = News { expected: *calibration, is_strict: *is_strict, ..News::default() };
+    let mut news = News::of(pinned.clone());
     hal.ready()?;
     if hal.adopts() {
         tell("takes over the pins of a component that was killed");
@@ -95,12 +95,17 @@ pub fn run(
                 LineEvent::Up => tell("the line is open"),
                 LineEvent::Down(why) => news.line_down(&why, &mut tell),
                 LineEvent::Received(event) => component.hear(now, &event),
+                LineEvent::Late => tell(
+                    "the line has stalled, and delivers what is old: not used until it is in time again",
+                ),
             }
         }
         lessons.teach(&mut component, &mut tell);
         let mut inputs = pins.read();
-        inputs.enable &= news.lets_engage();
+        inputs.enable &= news.pinned.lets_engage();
+        inputs.zero &= news.pinned.lets_engage();
         let (mut outputs, frames) = component.step(now, &inputs);
+        outputs.other_calibration = news.pinned.refuses();
         // What watches the heartbeat holds the feed, as if the component were gone.
         outputs.heartbeat &= cut.is_none();
         pins.write(&outputs);
@@ -113,7 +118,7 @@ pub fn run(
         for frame in frames {
             line.send(frame);
         }
-        news.of(&outputs, &mut tell);
+        news.of_turn(&outputs, &mut tell);
         thread::sleep(*turn);
     }
     Ok(())
@@ -142,19 +147,21 @@ impl<F: Fn() -> Option<Learned>> Lessons<F> {
 }
 
 /// What was told last.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct News {
     down: Option<String>,
     state: Option<(bool, bool, bool, bool, Quality)>,
-    /// CRC of the machine file, and what the bridge last ran on.
-    expected: Option<u32>,
-    running: Option<u32>,
-    is_strict: bool,
+    pinned: Pinned,
     bits: StateBits,
     cut: Option<String>,
 }
 
 impl News {
+    /// Nothing was told.
+    fn of(pinned: Pinned) -> Self {
+        Self { down: None, state: None, pinned, bits: StateBits::default(), cut: None }
+    }
+
     /// A wire that is cut is told once, and that it is whole again.
     fn wire(&mut self, cut: Option<&str>, tell: &mut impl FnMut(&str)) {
         if self.cut.as_deref() == cut {
@@ -177,24 +184,10 @@ impl News {
         }
     }
 
-    /// Whether the bridge may be engaged, by the calibration that it runs on.
-    fn lets_engage(&self) -> bool {
-        !self.is_strict || (self.expected.is_some() && self.running == self.expected)
-    }
-
     /// What the bridge says of itself, when it changes.
     fn of_bridge(&mut self, outputs: &Outputs, tell: &mut impl FnMut(&str)) {
-        if outputs.calibration != self.running {
-            self.running = outputs.calibration;
-            if let (Some(expected), Some(running)) = (self.expected, self.running)
-                && expected != running
-            {
-                tell(&format!(
-                    "the bridge runs on the calibration {running:08x}, the machine file makes \
-                     {expected:08x}: load it (trueup bridge load), or name the right file{}",
-                    if self.is_strict { "; until then nothing is engaged (--strict)" } else { "" }
-                ));
-            }
+        if let Some(told) = self.pinned.runs_on(outputs.calibration) {
+            tell(&told);
         }
         if outputs.state != self.bits {
             self.bits = outputs.state;
@@ -206,7 +199,7 @@ impl News {
         }
     }
 
-    fn of(&mut self, outputs: &Outputs, tell: &mut impl FnMut(&str)) {
+    fn of_turn(&mut self, outputs: &Outputs, tell: &mut impl FnMut(&str)) {
         self.of_bridge(outputs, tell);
         let Outputs { connected, fault, limited, not_taken, quality, .. } = *outputs;
         let state = (connected, fault, limited, not_taken, quality);
@@ -249,6 +242,7 @@ mod tests {
     use super::*;
     use crate::component::{Inputs, tests::component};
     use std::cell::Cell;
+    use trueup_client::pinned::Rule;
     use trueup_core::{
         cnc::Command,
         learned::{Change, named},
@@ -312,20 +306,21 @@ mod tests {
 
     #[test]
     fn another_calibration_than_the_machine_files_is_told_once_and_so_is_each_state() {
-        let mut news = News { expected: Some(0xABCD), ..News::default() };
+        let rule = Rule::Machine { crc: 0xABCD, path: "m.toml".into() };
+        let mut news = News::of(Pinned::new(rule));
         let mut told = Vec::new();
         let says = |calibration, state| Outputs { calibration, state, ..Outputs::default() };
-        for outputs in [
-            says(None, StateBits::default()),
-            says(Some(0xABCD), StateBits::default()),
-            says(Some(0x1234), StateBits::default()),
-            says(Some(0x1234), StateBits::OLDER_CALIBRATION),
-            says(Some(0x1234), StateBits::OLDER_CALIBRATION),
-            says(Some(0xABCD), StateBits::default()),
+        for (outputs, lets_engage) in [
+            (says(None, StateBits::default()), false),
+            (says(Some(0xABCD), StateBits::default()), true),
+            (says(Some(0x1234), StateBits::default()), false),
+            (says(Some(0x1234), StateBits::OLDER_CALIBRATION), false),
+            (says(Some(0x1234), StateBits::OLDER_CALIBRATION), false),
+            (says(Some(0xABCD), StateBits::default()), true),
         ] {
             news.of_bridge(&outputs, &mut |text: &str| told.push(text.to_owned()));
+            assert_eq!(news.pinned.lets_engage(), lets_engage, "{outputs:?}");
         }
-        assert!(news.lets_engage(), "without --strict it is told, and that is all");
         assert_eq!(told.len(), 3, "{told:#?}");
         assert!(told[0].contains("00001234") && told[0].contains("0000abcd"));
         assert_eq!(told[1], "the bridge says: older-calibration");
@@ -334,28 +329,12 @@ mod tests {
 
     #[test]
     fn a_wire_that_is_cut_is_told_once_and_so_is_its_mending() {
-        let mut news = News::default();
+        let mut news = News::of(Pinned::new(Rule::Any));
         let mut told = Vec::new();
         for cut in [None, Some("trueup.0.z-counts"), Some("trueup.0.z-counts"), None, None] {
             news.wire(cut, &mut |text: &str| told.push(text.to_owned()));
         }
         assert_eq!(told.len(), 2, "{told:#?}");
         assert!(told[0].contains("trueup.0.z-counts") && told[1].contains("again"));
-    }
-
-    #[test]
-    fn a_strict_component_engages_only_what_runs_on_its_machine_file() {
-        let says = |calibration| Outputs { calibration, ..Outputs::default() };
-        for (expected, running, lets) in [
-            (Some(0xABCD), None, false),
-            (Some(0xABCD), Some(0x1234), false),
-            (Some(0xABCD), Some(0xABCD), true),
-            (None, Some(0xABCD), false),
-            (None, None, false),
-        ] {
-            let mut news = News { expected, is_strict: true, ..News::default() };
-            news.of_bridge(&says(running), &mut |_: &str| ());
-            assert_eq!(news.lets_engage(), lets, "{expected:?} {running:?}");
-        }
     }
 }

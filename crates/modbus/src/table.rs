@@ -93,7 +93,7 @@ block! {
     QUALITY 8 Unsigned "Quality" "" "0 off, 1 live, 2 temperature model, 3 warm-up model, 4 hold, 5 ramping out, 6 fault: no offset.";
     FLAGS 9 Unsigned "Flags" "" "Bit 0 clamped, 1 slewing, 2 sensor fault, 3 samples missing, 4 CNC lost, 5 speed unknown, 6 outside a table, 7 board degraded.";
     AGE 10 Unsigned "Age" "ms" "Since the newest sample that the offsets rest on, the way up to here included. The bridge says no more than 255.";
-    LAST_REFUSED 11 Unsigned "LastRefused" "" "Why a holding block was last refused: 0 none was, 1 a value without meaning, 2 its CRC, 3 its counter stood still, 4 its counter jumped.";
+    LAST_REFUSED 11 Unsigned "LastRefused" "" "Why a holding block was last refused: 0 none was, 1 a value without meaning, 2 its CRC, 3 its counter stood still, 4 its counter jumped; of `trueup gateway` also 5 it came after a silence and may be old, 6 Engage, but the bridge runs on another calibration than the pinned one.";
     REFUSED 12 Unsigned "Refused" "" "Holding blocks that were refused; stops at 65535.";
     STATE 13 LongUnsigned "State" "" "State bits of the bridge as in Status item 8; 0: all is well.";
     CALIBRATION 15 LongUnsigned "Calibration" "" "CRC of the calibration that the bridge runs on; 0: none, or not yet known.";

@@ -93,9 +93,26 @@ pub fn xtask() -> Result<Command> {
         build().map_err(|error| format!("{error:#}"))
     });
     match program {
-        Ok(program) => Ok(Command::new(program)),
+        Ok(program) => {
+            let mut command = Command::new(program);
+            // Bridges that were met by an earlier run had other calibrations.
+            command.env("XDG_STATE_HOME", state_folder());
+            Ok(command)
+        }
         Err(error) => bail!("{error}"),
     }
+}
+
+/// Where the tool keeps what it knows of its bridges: anew in each run.
+fn state_folder() -> &'static Path {
+    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
+    FOLDER.get_or_init(|| {
+        let name = format!("state-{}", std::process::id());
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+        // Of an earlier process with the same number; mostly there is none.
+        std::fs::remove_dir_all(&folder).ok();
+        folder
+    })
 }
 
 /// The host tool, not yet started; built once as well.

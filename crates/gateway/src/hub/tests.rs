@@ -1,14 +1,21 @@
 //! The hub between a bridge and masters that say what the test says.
 
 use super::*;
-use trueup_core::units::Nanometres;
+use trueup_client::pinned::Rule;
+use trueup_core::{cnc::Command, units::Nanometres};
 use trueup_link::{
     frames::{offset_xy, offset_z},
-    status::{Item, Reason, Status, encode},
+    receiver::Receiver,
+    status::{Reason, encode},
 };
 
 fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
+}
+
+/// A hub that engages whatever calibration the bridge runs on.
+fn hub() -> Hub {
+    Hub::new(Pinned::new(Rule::Any))
 }
 
 fn say(hub: &mut Hub, now: u64, offset: Option<i32>) {
@@ -32,13 +39,13 @@ fn z_nm(input: &Input) -> Option<i32> {
 
 #[test]
 fn before_anything_was_heard_nothing_is_available() {
-    let hub = Hub::new();
+    let hub = hub();
     assert_eq!((z_nm(&read(&hub)), read(&hub).output.quality), (None, Quality::Fault));
 }
 
 #[test]
 fn the_counter_moves_with_each_pair_and_stands_without() {
-    let mut hub = Hub::new();
+    let mut hub = hub();
     say(&mut hub, 1, Some(1_000));
     let first = read(&hub);
     assert_eq!((z_nm(&first), first.age_ms), (Some(1_000), 2));
@@ -53,7 +60,7 @@ fn the_counter_moves_with_each_pair_and_stands_without() {
 
 #[test]
 fn a_silent_bridge_is_told_by_a_gateway_that_lives() {
-    let mut hub = Hub::new();
+    let mut hub = hub();
     say(&mut hub, 1, Some(1_000));
     let mut last = read(&hub).counter;
     for now in 102..110 {
@@ -68,7 +75,7 @@ fn a_silent_bridge_is_told_by_a_gateway_that_lives() {
 
 #[test]
 fn half_a_pair_changes_nothing_and_a_damaged_one_is_counted() {
-    let mut hub = Hub::new();
+    let mut hub = hub();
     say(&mut hub, 1, Some(1_000));
     let before = read(&hub);
     let output = Output { offset: Some([Nanometres(9); 3]), ..Output::default() };
@@ -85,7 +92,7 @@ fn half_a_pair_changes_nothing_and_a_damaged_one_is_counted() {
 
 #[test]
 fn status_is_told_until_it_is_too_old() {
-    let mut hub = Hub::new();
+    let mut hub = hub();
     let items = [
         Item::Temperatures { pair: 0, centi_c: [Some(2_345), None] },
         Item::State(StateBits::RESTARTED),
@@ -109,7 +116,7 @@ fn engaged() -> Cnc {
 
 #[test]
 fn only_a_new_block_of_the_one_master_becomes_a_frame() {
-    let mut hub = Hub::new();
+    let mut hub = hub();
     assert_eq!(hub.take(ms(0), 1, &engaged().encode(5)), Ok(Taken::Used));
     assert_eq!(hub.frames().len(), 1);
     let bad = {
@@ -144,4 +151,90 @@ fn only_a_new_block_of_the_one_master_becomes_a_frame() {
     assert_eq!(hub.take(ms(572), 1, &engaged().encode(3)), Ok(Taken::Used));
     hub.frames();
     assert!(hub.frames().is_empty(), "nothing is repeated by itself");
+}
+
+#[test]
+fn a_block_that_may_have_waited_in_a_stalled_line_is_not_used() {
+    // In step, 5 s of nothing, then all that had waited, then in step again.
+    let mut hub = hub();
+    hub.join(ms(0), 1);
+    let times = (20..=1_000).step_by(20).chain([6_000; 100]).chain((6_040..7_000).step_by(20));
+    let mut used = Vec::new();
+    for (counter, now) in (0..).zip(times) {
+        let taken = hub.take(ms(now), 1, &engaged().encode(counter));
+        if taken == Ok(Taken::Used) {
+            used.push(now);
+        }
+    }
+    hub.refresh(ms(7_000));
+    assert_eq!(used.iter().filter(|now| **now <= 1_000).count(), 50);
+    assert!(used.iter().all(|now| *now != 6_000), "nothing of the backlog");
+    assert_eq!(used.iter().find(|now| **now > 1_000), Some(&6_040));
+    assert_eq!((read(&hub).last_refused, read(&hub).refused), (MAY_BE_OLD, 100));
+    // What comes long after its connection was made, alike.
+    hub.leave(1);
+    hub.join(ms(8_000), 2);
+    assert_eq!(hub.take(ms(9_000), 2, &engaged().encode(0)), Ok(Taken::MayBeOld));
+    assert_eq!(hub.take(ms(9_100), 2, &engaged().encode(1)), Ok(Taken::Used));
+}
+
+#[test]
+fn a_slow_plc_and_a_fast_one_are_used_at_their_pace() {
+    for (period, unused) in [(1_000, 1), (1, 0), (499, 0)] {
+        let mut hub = hub();
+        hub.join(ms(0), 1);
+        let of = |counter: u16| ms(u64::from(counter + 1) * period);
+        let used = (0..50).filter(|counter| {
+            hub.take(of(*counter), 1, &engaged().encode(*counter)) == Ok(Taken::Used)
+        });
+        assert_eq!(used.count(), 50 - unused, "{period} ms");
+    }
+}
+
+/// What the bridge says of its calibration at this time.
+fn runs_on(hub: &mut Hub, now: u64, counter: u8, crc: u32) {
+    let status = Status { last_refused: Reason::None, item: Item::Calibration(crc) };
+    hub.hear(ms(now), &Event::Frame(encode(&status, counter)));
+}
+
+#[test]
+fn only_a_bridge_on_the_pinned_calibration_is_engaged() {
+    let mut hub = Hub::new(Pinned::new(Rule::Machine { crc: 7, path: "m.toml".into() }));
+    let mut receiver = Receiver::new();
+    let mut counter = 0;
+    let mut says = |hub: &mut Hub, now: u64| {
+        counter += 1;
+        let said = Cnc { control: Control { zero: true, ..Control::ENGAGED }, ..Cnc::default() };
+        assert_eq!(hub.take(ms(now), 1, &said.encode(counter)), Ok(Taken::Used));
+        let frames = hub.frames();
+        match receiver.accept(frames.first().expect("a Control")) {
+            Ok(Some(Command::Control(control))) => (control.engage, control.zero),
+            other => panic!("{other:?}"),
+        }
+    };
+    say(&mut hub, 0, Some(0));
+    assert_eq!(says(&mut hub, 10), (false, false), "it has not said what it runs on");
+    runs_on(&mut hub, 20, 0, 8);
+    say(&mut hub, 20, Some(0));
+    assert_eq!(says(&mut hub, 40), (false, false), "another");
+    say(&mut hub, 41, Some(0));
+    assert_eq!(read(&hub).last_refused, OTHER_CALIBRATION);
+    let told = hub.news();
+    assert!(told.len() == 1 && told[0].contains("00000008"), "{told:?}");
+    runs_on(&mut hub, 60, 1, 7);
+    say(&mut hub, 60, Some(0));
+    assert_eq!(says(&mut hub, 70), (true, true), "the pinned one");
+    // It restarts, with whatever: not engaged until it has said on what it runs.
+    say(&mut hub, 80, None);
+    say(&mut hub, 90, Some(0));
+    assert_eq!(says(&mut hub, 100), (false, false));
+    runs_on(&mut hub, 110, 2, 7);
+    say(&mut hub, 110, Some(0));
+    assert_eq!(says(&mut hub, 130), (true, true));
+    // It is away for long.
+    hub.refresh(ms(2_200));
+    say(&mut hub, 2_210, Some(0));
+    hub.leave(1);
+    hub.join(ms(2_211), 1);
+    assert_eq!(says(&mut hub, 2_220), (false, false));
 }

@@ -2,6 +2,7 @@
 
 use super::*;
 use std::sync::atomic::AtomicBool;
+use trueup_client::pinned::{Pinned, Rule};
 use trueup_core::{
     cnc::{Control, Output, Quality},
     units::Nanometres,
@@ -23,7 +24,7 @@ struct World {
 impl World {
     fn new() -> Self {
         let stop = Arc::new(AtomicBool::new(false));
-        let shared = Shared::new(stop.clone());
+        let shared = Shared::new(stop.clone(), Pinned::new(Rule::Any));
         let listener = TcpListener::bind("127.0.0.1:0").expect("loopback");
         let address = listener.local_addr().expect("bound");
         let masters = serve(shared.clone(), listener, 1).expect("serves");

@@ -1,0 +1,297 @@
+//! How old what comes over a line can be, and whether what is sent arrives in time.
+//!
+//! A line can stall without being cut: a network, a proxy, a computer that stands still. Later it delivers all that
+//! has waited, in order and whole, so protection and counters do not show it. Therefore the adapter is asked
+//! something all the time (its version and its number in turn). Let q be the instant of the question whose answer
+//! came last:
+//!
+//! ```text
+//! what comes behind the answer was sent after q      a frame that comes at t is used while t − q ≤ limit of 200 ms
+//! the question itself has arrived                    a frame is sent at t while t − q ≤ limit of 100 ms
+//! either limit is at least 3 · the fastest answer    a bridge that is emulated on a busy computer lives slower
+//! ```
+//!
+//! An answer that is lost is no proof; the next one is. Where no adapter answers (a CAN interface) only the pace
+//! is known: after a silence, what comes faster than the bridge sends has waited, and is not used until the pace
+//! is right for two windows in a row; nothing is sent during a silence.
+
+use std::{
+    collections::VecDeque,
+    time::{Duration, Instant},
+};
+
+use trueup_link::{
+    layout::{OFFSET_PERIOD_MS, OFFSET_Z_ID},
+    slcan::Event,
+};
+
+/// From one question to the next.
+const ASKED_EVERY: Duration = Duration::from_millis(20);
+/// What can be older than this is not used: twice the silence after which a bridge counts as lost.
+pub(crate) const LATE: Duration = Duration::from_millis(200);
+/// Nothing is sent into a line that has not answered for so long: what is on its way into a line that stalls is executed
+/// when it goes on, so it is to be little, five frames of `Control`.
+const UNHEARD: Duration = Duration::from_millis(100);
+/// Answers that may take longer than the fastest of a connection, times this.
+const SLOWER: u32 = 3;
+/// Questions without an answer after which the next one waits for [`LATE`]: a stalled line is not filled with them.
+const UNANSWERED: usize = 4;
+/// An adapter that has answered nothing for so long after its first byte never will.
+const ANSWERS_WITHIN: Duration = Duration::from_secs(1);
+/// Without an adapter: a silence after which what comes may have waited.
+const SILENCE: Duration = Duration::from_millis(100);
+/// Without an adapter: how long the pace is looked at, and how many windows have to be right.
+const WINDOW: Duration = Duration::from_millis(100);
+const WINDOWS: u32 = 2;
+/// Pairs of offset frames in a window that are still the bridge's own pace: a third more than it sends.
+const MAX_PER_WINDOW: u32 = 4 * WINDOW.as_millis() as u32 / OFFSET_PERIOD_MS / 3;
+/// The questions, and the first letter of their answers.
+const QUESTIONS: [(&[u8], u8); 2] = [(b"V\r", b'V'), (b"N\r", b'N')];
+
+/// What is known of the times of one connection.
+#[derive(Debug)]
+pub(crate) struct Dating {
+    /// Questions without an answer: when they were asked, and which.
+    asked: VecDeque<(Instant, usize)>,
+    last_asked: Option<Instant>,
+    next: usize,
+    /// When the question was asked whose answer came last.
+    proven: Option<Instant>,
+    fastest: Option<Duration>,
+    first_byte: Option<Instant>,
+    last_byte: Option<Instant>,
+    pace: Pace,
+}
+
+/// How many offset frames come.
+#[derive(Debug, Default)]
+struct Pace {
+    began: Option<Instant>,
+    frames: u32,
+    windows_in_step: u32,
+}
+
+impl Pace {
+    /// Takes an offset frame.
+    fn count(&mut self, now: Instant) {
+        let began = *self.began.get_or_insert(now);
+        if now.saturating_duration_since(began) >= WINDOW {
+            let is_in_step = self.frames <= MAX_PER_WINDOW;
+            self.windows_in_step = if is_in_step { self.windows_in_step + 1 } else { 0 };
+            (self.began, self.frames) = (Some(now), 0);
+        }
+        self.frames = self.frames.saturating_add(1);
+    }
+}
+
+impl Dating {
+    /// Returns what is known of a connection that has just been made: nothing.
+    pub fn new() -> Self {
+        Self {
+            asked: VecDeque::new(),
+            last_asked: None,
+            next: 0,
+            proven: None,
+            fastest: None,
+            first_byte: None,
+            last_byte: None,
+            pace: Pace::default(),
+        }
+    }
+
+    /// Returns the line to be written now, if a question is due.
+    pub fn question(&mut self, now: Instant) -> Option<&'static [u8]> {
+        let waits = if self.asked.len() < UNANSWERED { ASKED_EVERY } else { LATE };
+        if self.last_asked.is_some_and(|asked| now.saturating_duration_since(asked) < waits) {
+            return None;
+        }
+        self.last_asked = Some(now);
+        let (line, _) = QUESTIONS[self.next];
+        self.asked.push_back((now, self.next));
+        self.next = (self.next + 1) % QUESTIONS.len();
+        Some(line)
+    }
+
+    /// Takes note that bytes have come.
+    pub fn bytes(&mut self, now: Instant) {
+        self.first_byte.get_or_insert(now);
+        let before = self.last_byte.replace(now);
+        if before.is_none_or(|before| now.saturating_duration_since(before) > SILENCE) {
+            self.pace = Pace::default();
+        }
+    }
+
+    /// Takes what has come, and returns whether it is to be used.
+    pub fn accept(&mut self, now: Instant, event: &Event) -> bool {
+        match event {
+            Event::Other(line) => {
+                self.answer(now, line);
+                true
+            }
+            Event::Frame(frame) => {
+                if frame.id() == OFFSET_Z_ID {
+                    self.pace.count(now);
+                }
+                self.is_fresh(now)
+            }
+            _ => true,
+        }
+    }
+
+    fn answer(&mut self, now: Instant, line: &[u8]) {
+        let Some(letter) = line.first() else { return };
+        let place = self.asked.iter().position(|(_, which)| QUESTIONS[*which].1 == *letter);
+        // Answers come in the order of their questions: those before it are lost.
+        let Some((asked, _)) = place.and_then(|place| self.asked.drain(..=place).next_back())
+        else {
+            return;
+        };
+        let took = now.saturating_duration_since(asked);
+        self.proven = Some(asked);
+        self.fastest = Some(self.fastest.map_or(took, |fastest| fastest.min(took)));
+    }
+
+    /// Returns whether what comes now was sent a moment ago.
+    pub fn is_fresh(&self, now: Instant) -> bool {
+        if self.is_mute(now) {
+            self.pace.windows_in_step >= WINDOWS
+        } else {
+            self.is_proven(now, LATE)
+        }
+    }
+
+    /// Returns whether what is sent now arrives in a moment, as far as can be known.
+    pub fn may_send(&self, now: Instant) -> bool {
+        let is_heard =
+            self.last_byte.is_some_and(|last| now.saturating_duration_since(last) <= SILENCE);
+        if self.is_mute(now) { is_heard } else { self.is_proven(now, UNHEARD) }
+    }
+
+    fn is_proven(&self, now: Instant, limit: Duration) -> bool {
+        let limit = self.fastest.map_or(limit, |fastest| limit.max(SLOWER * fastest));
+        self.proven.is_some_and(|asked| now.saturating_duration_since(asked) <= limit)
+    }
+
+    /// Whether no adapter answers here.
+    fn is_mute(&self, now: Instant) -> bool {
+        let heard_for = self.first_byte.map(|first| now.saturating_duration_since(first));
+        self.fastest.is_none() && heard_for.is_some_and(|it| it > ANSWERS_WITHIN)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trueup_link::{
+        frame::Frame,
+        slcan::{Client, Port},
+    };
+
+    const MS: Duration = Duration::from_millis(1);
+
+    fn offset() -> Event {
+        Event::Frame(Frame::new(OFFSET_Z_ID, &[0; 8]).expect("a frame"))
+    }
+
+    /// A line on which each way takes `delay`, and which stands still from 1 s to `until`: how many of the offset
+    /// frames of each are used, by how old they are when they come, in ms; and the age of what is sent.
+    fn play(delay: Duration, until: Duration, answers: bool) -> (Vec<u128>, Vec<u128>, Dating) {
+        let start = Instant::now();
+        let at = |ms: u32| start + ms * MS;
+        let arrives = |sent: Instant| {
+            let is_stalled = sent + delay > at(1_000) && sent + delay < start + until;
+            if is_stalled { start + until } else { sent + delay }
+        };
+        let mut dating = Dating::new();
+        let (mut down, mut up) = (VecDeque::new(), VecDeque::new());
+        let (mut used, mut sent) = (Vec::new(), Vec::new());
+        let (mut port, mut client) = (Port::new(7), Client::new());
+        for ms in 0..8_000 {
+            let now = at(ms);
+            down.push_back((now, arrives(now), offset()));
+            if let Some(line) = dating.question(now) {
+                up.push_back((arrives(now), line));
+            }
+            while up.front().is_some_and(|(arrives, _)| *arrives <= now) {
+                let (_, line) = up.pop_front().expect("looked at");
+                for byte in line {
+                    port.receive(*byte);
+                }
+                let said: Vec<u8> = std::iter::from_fn(|| port.pop()).collect();
+                for event in said.iter().filter_map(|byte| client.receive(*byte)) {
+                    if answers {
+                        down.push_back((now, arrives(now), event));
+                    }
+                }
+            }
+            if down.front().is_some_and(|(_, arrives, _)| *arrives <= now) {
+                dating.bytes(now);
+            }
+            while down.front().is_some_and(|(_, arrives, _)| *arrives <= now) {
+                let (was_sent, _, event) = down.pop_front().expect("looked at");
+                if dating.accept(now, &event) && matches!(event, Event::Frame(_)) {
+                    used.push((now - was_sent).as_millis());
+                }
+            }
+            if dating.may_send(now) {
+                sent.push((arrives(now) - now).as_millis());
+            }
+        }
+        (used, sent, dating)
+    }
+
+    #[test]
+    fn of_a_line_that_stalled_nothing_old_is_used_and_it_is_used_again_at_once() {
+        for (delay, stall_ms) in [(MS, 5_000), (MS, 700), (20 * MS, 5_000), (MS, 250)] {
+            let (used, sent, _) = play(delay, 1_000 * MS + stall_ms * MS, true);
+            let oldest = used.iter().max().copied().unwrap_or_default();
+            assert!(oldest <= LATE.as_millis(), "{delay:?}, {stall_ms}: {oldest} ms");
+            // All that came in time, but for the stall and a few answers.
+            let least = 8_000 - stall_ms as usize - 400;
+            assert!(used.len() >= least, "{delay:?}, {stall_ms}: {} used", used.len());
+            // What was sent before the stall can be known is on its way; nothing is added to it.
+            let late = sent.iter().filter(|age| **age > LATE.as_millis()).count();
+            assert!(late <= UNHEARD.as_millis() as usize, "{delay:?}, {stall_ms}: {late} sent late");
+        }
+    }
+
+    #[test]
+    fn a_line_that_is_in_time_loses_nothing_however_slow_its_answers_are() {
+        for delay in [MS, 30 * MS, 300 * MS] {
+            let (used, sent, _) = play(delay, Duration::ZERO, true);
+            let most = 8_000 - 3 * delay.as_millis() as usize - 10;
+            assert!(used.len() >= most && sent.len() >= most, "{delay:?}: {}", used.len());
+        }
+    }
+
+    #[test]
+    fn without_an_adapter_a_burst_is_not_used() {
+        let (used, sent, _) = play(MS, 6_000 * MS, false);
+        let oldest = used.iter().max().copied().unwrap_or_default();
+        assert!(oldest <= SILENCE.as_millis(), "{oldest} ms");
+        assert!(used.len() > 1_500, "{} used", used.len());
+        let late = sent.iter().filter(|age| **age > SILENCE.as_millis()).count();
+        assert!(late <= SILENCE.as_millis() as usize, "{late} sent late");
+    }
+
+    #[test]
+    fn an_answer_that_is_lost_costs_no_more_than_itself() {
+        let start = Instant::now();
+        let mut dating = Dating::new();
+        let answer = |letter: u8| {
+            let mut client = Client::new();
+            client.receive(letter);
+            client.receive(b'\r').expect("a line")
+        };
+        for turn in 0..20_u32 {
+            let now = start + turn * ASKED_EVERY;
+            let question = dating.question(now).expect("due");
+            // Each third is lost.
+            if turn % 3 != 1 {
+                dating.accept(now + MS, &answer(question[0]));
+                assert!(dating.is_fresh(now + MS), "turn {turn}");
+            }
+        }
+        assert!(dating.asked.len() < UNANSWERED, "{:?}", dating.asked);
+    }
+}

@@ -1,0 +1,268 @@
+//! On which calibration a bridge may be engaged: the one that a machine file makes, or the one of the first contact,
+//! which a state file keeps. A calibration that somebody loaded while the control was away is not engaged.
+
+use std::{
+    ffi::OsString,
+    fs::{self, File},
+    io::{ErrorKind, Write as _},
+    path::{Path, PathBuf},
+};
+
+/// First word of a state file, which tells it from any other.
+const HEAD: &str = "trueup-calibration";
+
+/// What may be engaged.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Rule {
+    /// A bridge on any calibration.
+    Any,
+    /// A bridge that runs on what this machine file makes.
+    Machine {
+        /// CRC of what the file compiles to.
+        crc: u32,
+        /// The file.
+        path: PathBuf,
+    },
+    /// A bridge that runs on what it ran on when it was met for the first time.
+    FirstContact(PathBuf),
+}
+
+/// The rule, what is known of the bridge, and what follows from both.
+#[derive(Clone, Debug)]
+pub struct Pinned {
+    rule: Rule,
+    expected: Result<Option<u32>, String>,
+    running: Option<u32>,
+}
+
+impl Pinned {
+    /// Returns the rule with what its state file holds. A state file that is damaged or cannot be read is
+    /// no first contact: nothing is engaged then.
+    #[must_use]
+    pub fn new(rule: Rule) -> Self {
+        let expected = match &rule {
+            Rule::Any => Ok(None),
+            Rule::Machine { crc, .. } => Ok(Some(*crc)),
+            Rule::FirstContact(path) => read(path),
+        };
+        Self { rule, expected, running: None }
+    }
+
+    /// Takes the CRC that the bridge says it runs on (0: on none), and returns what is to be told, if this
+    /// is news. A first contact is written down, before anything is engaged.
+    pub fn runs_on(&mut self, running: Option<u32>) -> Option<String> {
+        if running == self.running {
+            return None;
+        }
+        self.running = running;
+        let running = running.filter(|crc| *crc != 0)?;
+        if let (Rule::FirstContact(path), Ok(None)) = (&self.rule, &self.expected) {
+            self.expected = write(path, running).map(|()| Some(running));
+            if self.expected.is_ok() {
+                return Some(format!(
+                    "first contact: the bridge runs on the calibration {running:08x}, which is noted in {}; no other is \
+                     engaged from now on",
+                    path.display()
+                ));
+            }
+        }
+        self.refusal()
+    }
+
+    /// Returns whether the bridge may be engaged.
+    #[must_use]
+    pub fn lets_engage(&self) -> bool {
+        self.rule == Rule::Any
+            || matches!(self.expected, Ok(Some(crc)) if self.running == Some(crc))
+    }
+
+    /// Returns whether it is known that the bridge may not be engaged: it runs on another calibration, or what it
+    /// should run on cannot be known.
+    #[must_use]
+    pub fn refuses(&self) -> bool {
+        self.refusal().is_some()
+    }
+
+    /// Returns the CRC that the bridge has to run on, as far as one is known.
+    #[must_use]
+    pub fn expected(&self) -> Option<u32> {
+        self.expected.clone().ok().flatten()
+    }
+
+    /// Returns why nothing is engaged and what to do, if that does not depend on what the bridge has yet to say.
+    #[must_use]
+    pub fn refusal(&self) -> Option<String> {
+        let expected = match &self.expected {
+            Err(why) => return Some(format!("nothing is engaged: {why}")),
+            Ok(expected) => (*expected)?,
+        };
+        let running = self.running.filter(|crc| *crc != expected)?;
+        let runs = match running {
+            0 => "the bridge runs on no calibration".into(),
+            crc => format!("the bridge runs on the calibration {crc:08x}"),
+        };
+        Some(match &self.rule {
+            Rule::Any => return None,
+            Rule::Machine { path, .. } => format!(
+                "nothing is engaged: {runs}, {} makes {expected:08x}: load it (trueup bridge load), or name the \
+                 right file, or give --any-calibration",
+                path.display()
+            ),
+            Rule::FirstContact(path) => format!(
+                "nothing is engaged: {runs}, at the first contact it was {expected:08x} ({}). If the change is yours, \
+                 delete that file and start again; if not, load the right one (trueup bridge load)",
+                path.display()
+            ),
+        })
+    }
+}
+
+/// Returns where a gateway keeps the calibration of the bridge on this port, if nothing else is said: in the
+/// folder that systemd, the desktop or the user's home has for states, else in the present one.
+#[must_use]
+pub fn default_state(port: &str, variable: impl Fn(&str) -> Option<OsString>) -> PathBuf {
+    let of = |name: &str, below: &str| {
+        variable(name).filter(|it| !it.is_empty()).map(|it| PathBuf::from(it).join(below))
+    };
+    let folder = of("STATE_DIRECTORY", "")
+        .or_else(|| of("XDG_STATE_HOME", "trueup"))
+        .or_else(|| of("HOME", ".local/state/trueup"))
+        .unwrap_or_default();
+    let plain = |letter: char| if letter.is_ascii_alphanumeric() { letter } else { '-' };
+    folder.join(format!("gateway-{}.calibration", port.chars().map(plain).collect::<String>()))
+}
+
+/// Returns the CRC in a state file; `None` where there is no file.
+fn read(path: &Path) -> Result<Option<u32>, String> {
+    let text = match fs::read_to_string(path) {
+        Ok(text) => text,
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+        Err(error) => {
+            return Err(format!("the state file {} cannot be read: {error}", path.display()));
+        }
+    };
+    let words: Vec<&str> = text.split_whitespace().collect();
+    match words[..] {
+        [HEAD, crc] if crc.len() == 8 => u32::from_str_radix(crc, 16).ok(),
+        _ => None,
+    }
+    .filter(|crc| *crc != 0)
+    .map(Some)
+    .ok_or_else(|| {
+        format!(
+            "the state file {} is damaged. Find out on which calibration the bridge runs (trueup bridge info); if it \
+             is yours, delete the file and start again",
+            path.display()
+        )
+    })
+}
+
+/// Writes a state file so that it is whole or not there, whenever the power goes.
+fn write(path: &Path, crc: u32) -> Result<(), String> {
+    let beside = path.with_extension("new");
+    let write = || {
+        if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+            fs::create_dir_all(folder)?;
+        }
+        let mut file = File::create(&beside)?;
+        writeln!(file, "{HEAD} {crc:08x}")?;
+        file.sync_all()?;
+        fs::rename(&beside, path)
+    };
+    write().map_err(|error| {
+        format!(
+            "the state file {} cannot be written: {error}. Name one that can by --state",
+            path.display()
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const OURS: u32 = 0x1234_ABCD;
+    const OTHER: u32 = 0x0000_4321;
+
+    #[test]
+    fn the_first_contact_is_pinned_and_the_next_start_remembers_it() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("deeper/calibration.state");
+        let start = || Pinned::new(Rule::FirstContact(path.clone()));
+        let mut first = start();
+        assert!(!first.lets_engage() && !first.refuses(), "nothing is known yet");
+        assert_eq!(first.runs_on(None), None);
+        assert_eq!(first.runs_on(Some(0)), None, "no calibration is none to be pinned");
+        assert!(!first.lets_engage() && !path.exists());
+        let told = first.runs_on(Some(OURS)).expect("news");
+        assert!(told.contains("first contact") && told.contains("1234abcd"), "{told}");
+        assert!(first.lets_engage() && first.runs_on(Some(OURS)).is_none());
+        // The bridge is away for a while, and back with another.
+        assert_eq!(first.runs_on(None), None);
+        assert!(!first.lets_engage() && !first.refuses());
+        for mut pinned in [first, start()] {
+            let told = pinned.runs_on(Some(OTHER)).expect("news");
+            assert!(told.contains("1234abcd") && told.contains("00004321"), "{told}");
+            assert!(told.contains("delete that file"), "{told}");
+            assert!(!pinned.lets_engage() && pinned.refuses());
+            assert_eq!(pinned.runs_on(Some(OURS)), None);
+            assert!(pinned.lets_engage() && !pinned.refuses());
+        }
+    }
+
+    #[test]
+    fn a_state_file_that_is_damaged_or_cannot_be_kept_engages_nothing() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("state");
+        for text in [
+            "",
+            "trueup-calibration",
+            "trueup-calibration 1234",
+            "1234abcd",
+            "trueup-calibration 00000000",
+        ] {
+            fs::write(&path, text).expect("a file");
+            let mut pinned = Pinned::new(Rule::FirstContact(path.clone()));
+            let told = pinned.runs_on(Some(OURS)).expect("news");
+            assert!(told.contains("damaged") && told.contains("bridge info"), "{text:?}: {told}");
+            assert!(!pinned.lets_engage(), "{text:?}");
+            assert_eq!(fs::read_to_string(&path).expect("it stays"), text);
+        }
+        // A folder in its place: neither readable nor writable.
+        let mut pinned = Pinned::new(Rule::FirstContact(folder.path().into()));
+        let told = pinned.runs_on(Some(OURS)).expect("news");
+        assert!(told.contains("cannot be read") && !pinned.lets_engage(), "{told}");
+        fs::write(&path, "x").expect("a file");
+        let mut pinned = Pinned::new(Rule::FirstContact(path.join("below-a-file")));
+        let told = pinned.runs_on(Some(OURS)).expect("news");
+        assert!(told.contains("cannot be") && !pinned.lets_engage(), "{told}");
+    }
+
+    #[test]
+    fn each_port_has_a_state_file_of_its_own_where_states_belong() {
+        let of = |known: &'static str| {
+            default_state("tcp:127.0.0.1:3333", move |name| (name == known).then(|| "/s".into()))
+        };
+        let name = "gateway-tcp-127-0-0-1-3333.calibration";
+        assert_eq!(of("STATE_DIRECTORY"), Path::new("/s").join(name));
+        assert_eq!(of("XDG_STATE_HOME"), Path::new("/s/trueup").join(name));
+        assert_eq!(of("HOME"), Path::new("/s/.local/state/trueup").join(name));
+        assert_eq!(of("none"), Path::new(name));
+    }
+
+    #[test]
+    fn a_machine_file_pins_what_it_makes_and_any_calibration_pins_none() {
+        let mut pinned = Pinned::new(Rule::Machine { crc: OURS, path: "m.toml".into() });
+        assert!(!pinned.lets_engage());
+        let told = pinned.runs_on(Some(OTHER)).expect("news");
+        assert!(told.contains("m.toml makes 1234abcd") && told.contains("00004321"), "{told}");
+        assert!(told.contains("bridge load"), "{told}");
+        assert!(!pinned.lets_engage());
+        assert_eq!(pinned.runs_on(Some(OURS)), None);
+        assert!(pinned.lets_engage());
+        let mut any = Pinned::new(Rule::Any);
+        assert!(any.lets_engage());
+        assert_eq!(any.runs_on(Some(OTHER)), None);
+        assert!(any.lets_engage() && !any.refuses());
+    }
+}

@@ -1,0 +1,189 @@
+//! A gateway whose line to the bridge stalls without being cut: a proxy stands still in both directions, and then
+//! delivers all that has waited. What the bridge says and what the PLC says carry the time at which they were said.
+#![allow(clippy::print_stdout, reason = "a test says what it measured")]
+
+use std::{
+    io::{ErrorKind, Read as _, Write as _},
+    net::{TcpListener, TcpStream},
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread,
+    time::{Duration, Instant},
+};
+
+use trueup_client::ends::Ends;
+use trueup_core::{
+    cnc::{AxisPosition, Command, Control, Heading, LinearAxis, Output, Quality},
+    units::{Nanometres, Position},
+};
+use trueup_gateway::{
+    bridge::{Shared, keep},
+    pinned::{Pinned, Rule},
+};
+use trueup_link::{frames, receiver::Receiver, slcan::Port};
+use trueup_modbus::{cnc::Cnc, input::Input};
+
+const MS: Duration = Duration::from_millis(1);
+/// The oldest that may be used, and the arithmetic of a busy computer.
+const OLDEST_MS: i64 = 350;
+/// What was on its way when the line began to stall cannot be called back: so long is said into it.
+const ON_ITS_WAY_MS: i64 = 250;
+
+fn ms(start: Instant) -> i32 {
+    i32::try_from(start.elapsed().as_millis()).expect("a short test")
+}
+
+fn listen() -> (TcpListener, u16) {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("loopback");
+    let port = listener.local_addr().expect("bound").port();
+    (listener, port)
+}
+
+/// The wire carries 5.24 mm at most: a minute.
+const NANOMETRES_PER_MS: i32 = 80;
+
+/// A bridge with one client at a time, whose offset on Z is its time; positions of X that come, in ms, with the
+/// time at which they do.
+fn bridge(start: Instant, heard: Arc<Mutex<Vec<(i32, i32)>>>) -> u16 {
+    let (listener, port) = listen();
+    thread::spawn(move || {
+        for stream in listener.incoming() {
+            let Ok(mut stream) = stream else { return };
+            stream.set_nonblocking(true).expect("a socket");
+            let (mut port, mut receiver, mut bytes) = (Port::new(1), Receiver::new(), [0; 512]);
+            let (mut counter, mut waiting) = (0_u8, Vec::new());
+            'client: loop {
+                match stream.read(&mut bytes) {
+                    Ok(0) => break,
+                    Ok(length) => {
+                        for byte in &bytes[..length] {
+                            let frame = port.receive(*byte);
+                            let command = frame.and_then(|it| receiver.accept(&it).ok().flatten());
+                            if let Some(Command::Position(at)) = command {
+                                heard.lock().expect("whole").push((at.position.0, ms(start)));
+                            }
+                        }
+                    }
+                    Err(error) if error.kind() == ErrorKind::WouldBlock => {}
+                    Err(_) => break,
+                }
+                if port.is_open() {
+                    let z = Nanometres(ms(start) * NANOMETRES_PER_MS);
+                    let offset = Some([Nanometres(0), Nanometres(0), z]);
+                    let output = Output { offset, quality: Quality::Live, ..Output::default() };
+                    port.send(&frames::offset_xy(&output, counter));
+                    port.send(&frames::offset_z(&output, counter));
+                    counter = counter.wrapping_add(1);
+                }
+                waiting.extend(std::iter::from_fn(|| port.pop()));
+                match stream.write(&waiting) {
+                    Ok(length) => drop(waiting.drain(..length)),
+                    Err(error) if error.kind() == ErrorKind::WouldBlock => {}
+                    Err(_) => break 'client,
+                }
+                thread::sleep(MS);
+            }
+        }
+    });
+    port
+}
+
+/// Hands on what comes, both ways, except while it stands still.
+fn proxy(to: u16, stands: Arc<AtomicBool>) -> u16 {
+    let (listener, port) = listen();
+    thread::spawn(move || {
+        for client in listener.incoming() {
+            let Ok(client) = client else { return };
+            let Ok(server) = TcpStream::connect(("127.0.0.1", to)) else { return };
+            let clone = |stream: &TcpStream| stream.try_clone().expect("a socket");
+            for (mut from, mut into) in [(clone(&client), clone(&server)), (server, client)] {
+                let stands = stands.clone();
+                thread::spawn(move || {
+                    let mut bytes = [0; 65_536];
+                    loop {
+                        while stands.load(Ordering::Relaxed) {
+                            thread::sleep(MS);
+                        }
+                        let length = from.read(&mut bytes).unwrap_or(0);
+                        while stands.load(Ordering::Relaxed) {
+                            thread::sleep(MS);
+                        }
+                        if length == 0 || into.write_all(&bytes[..length]).is_err() {
+                            into.shutdown(std::net::Shutdown::Both).ok();
+                            return;
+                        }
+                    }
+                });
+            }
+        }
+    });
+    port
+}
+
+/// What a PLC sees and says through a line that stalls for so long.
+fn stalls_for(stall: Duration) {
+    let (start, stop) = (Instant::now(), Arc::new(AtomicBool::new(false)));
+    let (heard, stands) = (Arc::default(), Arc::new(AtomicBool::new(false)));
+    let port = proxy(bridge(start, Arc::clone(&heard)), stands.clone());
+    let open = move || -> std::io::Result<Ends> {
+        let stream = TcpStream::connect(("127.0.0.1", port))?;
+        stream.set_nodelay(true)?;
+        stream.set_read_timeout(Some(20 * MS))?;
+        Ok((Box::new(stream.try_clone()?), Box::new(stream)))
+    };
+    let shared = Shared::new(stop.clone(), Pinned::new(Rule::Any));
+    let line = keep(shared.clone(), open);
+    let begins = 1_500 * MS;
+    let ends = begins + stall;
+    let (mut counter, mut seen) = (0, Vec::new());
+    while start.elapsed() < ends + 1_500 * MS {
+        let now = start.elapsed();
+        stands.store((begins..ends).contains(&now), Ordering::Relaxed);
+        let position = AxisPosition {
+            axis: LinearAxis::X,
+            position: Position(ms(start)),
+            direction: Heading::Positive,
+        };
+        let positions = [Some(position), None, None];
+        let said = Cnc { control: Control::ENGAGED, positions, ..Cnc::default() };
+        shared.hub().take(shared.now(), 1, &said.encode(counter)).expect("the only master");
+        counter = counter.wrapping_add(1);
+        let input = Input::decode(&shared.hub().input()).expect("whole");
+        if let Some([_, _, z]) = input.output.offset {
+            seen.push((z.0 / NANOMETRES_PER_MS, ms(start), input.age_ms));
+        }
+        thread::sleep(5 * MS);
+    }
+    stop.store(true, Ordering::Relaxed);
+    line.join().expect("it ends");
+
+    let age = |(said, came): (i32, i32)| i64::from(came - said);
+    let oldest = seen.iter().map(|&(said, came, _)| age((said, came))).max().expect("offsets");
+    println!("{stall:?}: the oldest offset served is {oldest} ms old");
+    assert!(oldest <= OLDEST_MS, "{stall:?}: an offset of {oldest} ms is served");
+    let again = seen.iter().filter(|(said, _, _)| Duration::from_millis(*said as u64) > ends);
+    assert!(again.count() > 50, "{stall:?}: it goes on afterwards");
+
+    let heard = heard.lock().expect("whole");
+    let begins = i64::try_from(begins.as_millis()).expect("short");
+    let late: Vec<_> = heard.iter().filter(|&&it| age(it) > OLDEST_MS).collect();
+    println!("{stall:?}: {} of {} positions came late", late.len(), heard.len());
+    for (said, came) in &late {
+        let after = i64::from(*said) - begins;
+        assert!(after <= ON_ITS_WAY_MS, "{stall:?}: said at {said} ms, executed at {came} ms");
+    }
+    let last = heard.last().expect("positions");
+    assert!(age(*last) <= OLDEST_MS, "{stall:?}: it goes on afterwards: {last:?}");
+}
+
+#[test]
+fn a_line_that_stalls_for_a_second_delivers_nothing_old() {
+    stalls_for(1_200 * MS);
+}
+
+#[test]
+fn a_line_that_stalls_for_so_long_that_it_is_opened_again_delivers_nothing_old() {
+    stalls_for(4_500 * MS);
+}
