@@ -401,7 +401,7 @@ fn cuts(path: Path, count: u32, seed: u64) -> Result<Told> {
 fn a_thousand_cuts_of_either_line_make_no_step_and_nothing_old_is_used() -> Result<()> {
     const COUNT: u32 = 1_000;
     let gateway = Path::Gateway {
-        hub: Box::default(),
+        hub: Box::new(Hub::new(Pinned::new(Rule::Any))),
         port: Box::new(Port::new(1)),
         client: Client::new(),
         master: 1,

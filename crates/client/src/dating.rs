@@ -251,7 +251,10 @@ mod tests {
             assert!(used.len() >= least, "{delay:?}, {stall_ms}: {} used", used.len());
             // What was sent before the stall can be known is on its way; nothing is added to it.
             let late = sent.iter().filter(|age| **age > LATE.as_millis()).count();
-            assert!(late <= UNHEARD.as_millis() as usize, "{delay:?}, {stall_ms}: {late} sent late");
+            assert!(
+                late <= UNHEARD.as_millis() as usize,
+                "{delay:?}, {stall_ms}: {late} sent late"
+            );
         }
     }
 

@@ -28,7 +28,7 @@ use crate::{
 };
 
 /// Frames that may wait: of a few milliseconds.
-const QUEUE: usize = 32;
+const MAX_WAITING: usize = 32;
 /// Before a line is opened again.
 const PAUSE: Duration = Duration::from_millis(250);
 /// A bridge that sends no frame for so long is asked to open its channel again: it may have
@@ -54,12 +54,14 @@ pub enum LineEvent {
 
 /// What happens, and when.
 type Dated = (Instant, LineEvent);
+/// Where frames wait to be sent, and since when; `None`: the line is down.
+type Queue = Mutex<Option<SyncSender<(Instant, Frame)>>>;
 
 /// A connection to the bridge that is opened again whenever it breaks.
 #[derive(Debug)]
 pub struct Line {
     heard: Receiver<Dated>,
-    to_send: Arc<Mutex<Option<SyncSender<(Instant, Frame)>>>>,
+    to_send: Arc<Queue>,
     stop: Arc<AtomicBool>,
 }
 
@@ -104,7 +106,7 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 fn keep(
     mut open: impl FnMut() -> io::Result<Ends>,
     heard: &Sender<Dated>,
-    slot: &Mutex<Option<SyncSender<(Instant, Frame)>>>,
+    slot: &Queue,
     stop: &AtomicBool,
 ) {
     let tell = |event| heard.send((Instant::now(), event));
@@ -115,7 +117,7 @@ fn keep(
                 if tell(LineEvent::Up).is_err() {
                     return;
                 }
-                let (queue, frames) = mpsc::sync_channel(QUEUE);
+                let (queue, frames) = mpsc::sync_channel(MAX_WAITING);
                 let reopen = Arc::new(AtomicBool::new(true));
                 let dating = Arc::new(Mutex::new(Dating::new()));
                 let (asked, dates) = (reopen.clone(), dating.clone());
