@@ -27,7 +27,8 @@ impl Plan {
                 format!("{axis} moves {} mm, from {low} to {high} mm", whole_um(high - low))
             };
             let moves: Vec<String> = extents.iter().map(between).collect();
-            sentences.push(format!("Then {}.", moves.join(", ")));
+            let highest = self.highest_feed_mm_per_min();
+            sentences.push(format!("Then {}, at up to {highest} mm/min.", moves.join(", ")));
             let axes: Vec<&str> = extents.iter().map(|(axis, _)| *axis).collect();
             let others: Vec<&str> = AXES.into_iter().filter(|axis| !axes.contains(axis)).collect();
             sentences.push(format!(

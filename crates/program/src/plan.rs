@@ -125,6 +125,12 @@ impl Plan {
         self.walk().highest_rpm
     }
 
+    /// Returns the highest feed of a move in mm/min.
+    #[must_use]
+    pub fn highest_feed_mm_per_min(&self) -> f64 {
+        self.walk().highest_feed_mm_per_min
+    }
+
     fn walk(&self) -> Walk {
         let mut walk = Walk::new(self.approach_mm_per_min);
         walk.all(&self.steps);
@@ -140,6 +146,7 @@ struct Walk {
     is_in_repeat: bool,
     approach_mm_per_min: f64,
     highest_rpm: f64,
+    highest_feed_mm_per_min: f64,
     extent_mm: [Option<[f64; 2]>; 3],
     readings: Vec<Reading>,
 }
@@ -162,6 +169,7 @@ impl Walk {
             is_in_repeat: false,
             approach_mm_per_min,
             highest_rpm: 0.0,
+            highest_feed_mm_per_min: approach_mm_per_min,
             extent_mm,
             readings,
         }
@@ -182,6 +190,7 @@ impl Walk {
             Step::Move { to_mm, feed_mm_per_min } => {
                 let way_mm = self.go(to_mm);
                 self.now.feed_mm_per_min = Some(*feed_mm_per_min);
+                self.highest_feed_mm_per_min = self.highest_feed_mm_per_min.max(*feed_mm_per_min);
                 self.moved_s += 60.0 * way_mm / feed_mm_per_min;
             }
             Step::Spindle(rpm) => {

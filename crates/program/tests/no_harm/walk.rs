@@ -47,6 +47,8 @@ struct State {
     seen: [Option<[f64; 2]>; 3],
     first_mm: [Option<f64>; 3],
     is_ended: bool,
+    /// The highest feed, in mm/min.
+    fastest: f64,
 }
 
 /// Returns the first danger.
@@ -108,6 +110,7 @@ impl State {
         if feed.is_nan() || feed <= 0.0 {
             return Err("no feed".into());
         }
+        self.fastest = self.fastest.max(feed);
         let is_unknown = |n: usize| to[n].is_some() && self.at[n].is_none();
         if (0..3).any(is_unknown) {
             if to.iter().flatten().count() > 1 {
@@ -156,6 +159,9 @@ impl State {
         let said = self.first_stop.as_ref().ok_or("no stop")?;
         if !said.contains("must be clear") {
             return Err(format!("the first stop does not say what must be clear: {said}"));
+        }
+        if self.fastest > 0.0 && !said.contains(&format!("at up to {} mm/min", self.fastest)) {
+            return Err(format!("the first stop does not say how fast: {said}"));
         }
         for n in 0..3 {
             let (Some([least, most]), Some(first)) = (self.seen[n], self.first_mm[n]) else {
