@@ -17,7 +17,7 @@ use trueup_core::{
     thermometer::Raw,
     units::Position,
 };
-use trueup_diagnose::diagnose;
+use trueup_diagnose::{Options, Report, diagnose, diagnose_for};
 use trueup_emulator::{front_end::FrontEnd, replay};
 use trueup_fit::{elongation, thermal};
 use trueup_link::{frames, receiver::OffsetReceiver};
@@ -144,6 +144,11 @@ impl<'a> Loop<'a> {
 /// The record of a machine that the bridge corrects with what is believed: what the monitor writes, and
 /// beside it what an instrument reads, 0.1 µm good.
 fn record(truth: &str, believed: &str, engaged: Engaged, is_axis: bool) -> RunFile {
+    record_of(truth, believed, engaged, is_axis, 1.0)
+}
+
+/// The same of a CNC that moves the tool by `factor` times what the bridge says.
+fn record_of(truth: &str, believed: &str, engaged: Engaged, is_axis: bool, factor: f64) -> RunFile {
     let compiled = compile(&machine(believed)).expect("it fits the board");
     let mut board = Loop::new(Node::new(Some(compiled.calibration()), false));
     let scenario = Scenario::parse(truth, Path::new("s.toml")).expect("right");
@@ -170,7 +175,7 @@ fn record(truth: &str, believed: &str, engaged: Engaged, is_axis: bool) -> RunFi
         let said = board.hold(volts, screw_c, x_mm, engaged.at(row));
         let offset_um = said.offset.map(|all| all.map(|nm| f64::from(nm.0) / 1000.0));
         // The CNC moves the tool by what the bridge says; without a word it stays where it is.
-        let moved_um = offset_um.unwrap_or_default();
+        let moved_um = offset_um.unwrap_or_default().map(|um| factor * um);
         let left_um = if is_axis {
             truth.tip_error_um()[0] + moved_um[0]
         } else {
@@ -215,7 +220,9 @@ fn agree(what: &str, truth: f64, all: &[(Engaged, Known)]) {
 
 fn found(believed: &str, run: &RunFile, cause: &str, parameter: &str) -> Known {
     let machine = machine(believed);
-    let report = diagnose(&machine, std::slice::from_ref(run), &[], None, &mut |_, _| {})
+    // With the bridge engaged all the time a CNC has to be known.
+    let options = Options { is_applied_once: true, ..Options::default() };
+    let report = diagnose_for(&machine, std::slice::from_ref(run), &[], options, &mut |_, _| {})
         .expect("comparable")
         .report;
     let all: Vec<_> = report.findings.iter().map(|it| (&it.cause, &it.column)).collect();
@@ -276,4 +283,66 @@ fn an_axiss_expansion_is_the_same_with_the_bridge_off_on_and_switched() {
         (*engaged, (it.value, it.ci95.expect("fitted")))
     });
     agree("fitted slope", 12.5, &fitted);
+}
+
+/// The answer to `records`, and whether the machine file stays as it is.
+fn answered(believed: &str, records: &[RunFile]) -> (Report, bool) {
+    let machine = machine(believed);
+    let answer =
+        diagnose(&machine, records, &[], None, &mut |_, _| {}).expect("the runs are comparable");
+    let stays = answer.extended(believed, Path::new("m.toml")).expect("a machine file") == believed;
+    let all: Vec<_> = answer.report.findings.iter().map(|it| (&it.cause, it.claimed)).collect();
+    println!("{:?} {all:?} stays {stays}", answer.report.verdict);
+    (answer.report, stays)
+}
+
+/// The machine file of each machine as it is: only the CNC is wrong.
+fn machines() -> [(String, String, bool); 2] {
+    let spindle = SPINDLE.replace("gain = 0.8", "gain = 1.0");
+    let axis = AXIS_BELIEVED.replace("_per_c = 10.0", "_per_c = 12.5");
+    [(spindle, SPINDLE_BELIEVED.into(), false), (AXIS.into(), axis, true)]
+}
+
+#[test]
+fn a_cnc_that_applies_the_offset_otherwise_is_named_and_no_constant_is_changed() {
+    for (truth, believed, is_axis) in machines() {
+        let of = |engaged, factor| record_of(&truth, &believed, engaged, is_axis, factor);
+        for factor in [-1.0, 0.0, 0.5, 2.0] {
+            let records = match factor == 0.5 {
+                true => vec![of(Engaged::Never, factor), of(Engaged::Always, factor)],
+                false => vec![of(Engaged::InTheMiddle, factor)],
+            };
+            let (report, stays) = answered(&believed, &records);
+            let first = &report.findings[0];
+            assert!(first.cause == "applied-factor" && first.claimed && stays, "{factor}");
+            assert!(!report.findings.iter().any(|it| it.compensated), "{factor}");
+            let ci95 = [0, 1].map(|end| first.parameters["factor"]["ci95"][end].as_f64());
+            let [low, high] = ci95.map(|end| end.expect("a number"));
+            assert!(low < factor && factor < high && high - low < 0.2, "{factor}: {ci95:?}");
+            for place in ["eoffset-scale", "SD43900", "FANUC", "HEIDENHAIN", "Modbus"] {
+                assert!(first.next_test.contains(place), "{place}");
+            }
+        }
+    }
+}
+
+#[test]
+fn an_engaged_record_alone_does_not_tell_a_cnc_from_a_constant() {
+    for (truth, believed, is_axis) in machines() {
+        for factor in [-1.0, 0.5] {
+            let record = record_of(&truth, &believed, Engaged::Always, is_axis, factor);
+            let (report, stays) = answered(&believed, &[record]);
+            assert!(stays && !report.verdict.is_met(), "{factor}: {:?}", report.verdict);
+            let rival = |it: &trueup_diagnose::report::Finding| {
+                it.rivals.iter().any(|rival| rival.cause == "applied-factor")
+            };
+            let open: Vec<_> = report.findings.iter().filter(|it| rival(it)).collect();
+            assert!(!open.is_empty(), "{factor}");
+            assert!(open.iter().all(|it| !it.claimed && it.next_test.contains("disengaged")));
+        }
+        // A machine and a CNC that are right stay so.
+        let record = record_of(&truth, &believed, Engaged::Always, is_axis, 1.0);
+        let (report, stays) = answered(&believed, &[record]);
+        assert!(stays && report.verdict.is_met(), "{:?}", report.verdict);
+    }
 }

@@ -7,9 +7,10 @@ use serde::Serialize;
 use trueup_fit::{Report, elongation, thermal, warmup};
 use trueup_machine::{
     BadInput, Machine, MachineFile, RunFile,
-    applied::Unaided,
+    applied::{Factor, Unaided},
     file::{ElongationSource, LinearAxis, ThermalMode},
 };
+use trueup_page::within;
 
 use crate::pair::Pair;
 
@@ -43,6 +44,11 @@ pub struct Change {
 impl Advice {
     pub(crate) fn nothing() -> Self {
         Self { sentences: vec!["Nothing is to be changed.".into()], changes: Vec::new() }
+    }
+
+    /// Where the CNC applies the offset otherwise than once: no constant makes up for that.
+    pub(crate) fn of_cnc() -> Self {
+        Self { sentences: Factor::where_to_look(), changes: Vec::new() }
     }
 }
 
@@ -132,16 +138,20 @@ fn share_sentence(pair: &Pair) -> String {
 }
 
 fn sentence(key: &str, from: f64, to: f64, ci95: Option<[f64; 2]>) -> String {
-    let interval = ci95.map_or(String::new(), |[low, high]| {
-        format!(" (95 %: {} … {})", digits(low), digits(high))
-    });
+    let (shown, interval) = match ci95 {
+        Some(ci95) => {
+            let [to, low, high] = within(to, ci95);
+            (to, format!(" (95 %: {low} … {high})"))
+        }
+        None => (digits(to), String::new()),
+    };
     let change =
         if from == 0.0 { String::new() } else { format!(", {:+.0} %", 100.0 * (to / from - 1.0)) };
-    format!("Change {key} from {} to {}{interval}{change}.", digits(from), digits(to))
+    format!("Change {key} from {} to {shown}{interval}{change}.", digits(from))
 }
 
 /// A number in its first four digits.
-fn digits(number: f64) -> String {
+pub(crate) fn digits(number: f64) -> String {
     format!("{number:.3e}").parse::<f64>().unwrap_or(number).to_string()
 }
 

@@ -12,7 +12,11 @@ mod page;
 mod pair;
 
 use serde::Serialize;
-use trueup_machine::{BadInput, Machine, RunFile, file::Quantity};
+use trueup_machine::{
+    BadInput, Machine, RunFile,
+    applied::{Applied, Factor},
+    file::Quantity,
+};
 use trueup_numerics::line::Summary;
 
 pub use advice::{Advice, Change};
@@ -51,6 +55,15 @@ impl Size {
     }
 }
 
+/// What the machine does for 1 µm of offset.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct AppliedFactor {
+    /// 1 is right, −1 the wrong sign, 0 not engaged.
+    pub value: f64,
+    /// Its 95 % interval.
+    pub ci95: [f64; 2],
+}
+
 /// What came out: `acceptance.json`.
 #[derive(Clone, Debug, Serialize)]
 pub struct Acceptance {
@@ -68,6 +81,10 @@ pub struct Acceptance {
     pub reduction: f64,
     /// What was asked for, in the same terms.
     pub required_reduction: f64,
+    /// What the machine does for 1 µm of offset: 1 is right; absent where the runs do not say what the bridge applied, or
+    /// not well enough for any figure.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub applied_factor: Option<AppliedFactor>,
     /// The largest error that is allowed, in µm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub limit_um: Option<f64>,
@@ -113,7 +130,7 @@ pub fn accept(
     believed: Option<(&str, &Machine)>,
     limits: Limits,
 ) -> Result<Acceptance, BadInput> {
-    let pair = Pair::of(off, on, quantity)?;
+    let mut pair = Pair::of(off, on, quantity, believed.map(|(_, machine)| machine))?;
     let (before, after) = (Size::of(&pair.off_um), Size::of(&pair.on_um));
     let reduction = 1.0 - after.rms_um / before.rms_um;
     let required_reduction = limits.require_percent / 100.0;
@@ -136,9 +153,19 @@ pub fn accept(
             after.max_um
         ));
     }
+    let applied = pair.applied();
+    let wrong = match applied {
+        Applied::Otherwise(factor) => Some(factor),
+        _ => None,
+    };
+    unmet.extend(wrong.as_ref().map(Factor::sentence));
+    pair.notes.extend(unsure(applied));
     let passed = unmet.is_empty();
-    let (advice, adjusted) =
-        if passed { (Advice::nothing(), None) } else { advice::advise(&pair, off, believed)? };
+    let (advice, adjusted) = match wrong {
+        Some(_) => (Advice::of_cnc(), None),
+        None if passed => (Advice::nothing(), None),
+        None => advice::advise(&pair, off, believed)?,
+    };
     Ok(Acceptance {
         passed,
         quantity: pair.quantity.name(),
@@ -147,6 +174,9 @@ pub fn accept(
         after,
         reduction,
         required_reduction,
+        applied_factor: applied
+            .factor()
+            .map(|Factor { value, ci95 }| AppliedFactor { value, ci95 }),
         limit_um: limits.limit_um,
         parts: pair.parts(),
         unmet,
@@ -155,4 +185,16 @@ pub fn accept(
         pair,
         adjusted,
     })
+}
+
+/// What is said where the runs have offsets and do not tell how the machine applies them.
+fn unsure(applied: Applied) -> Option<String> {
+    let Applied::Unknown(factor) = applied else { return None };
+    let interval = factor.map_or(String::new(), |Factor { ci95: [low, high], .. }| {
+        format!(" (95 %: {low:.2} … {high:.2})").replace('-', "−")
+    });
+    Some(format!(
+        "What the machine does for 1 µm of offset cannot be told from these runs{interval}: the offset has to change by \
+         several times the noise of the gauge, as it does from cold to warm."
+    ))
 }

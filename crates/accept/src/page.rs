@@ -1,8 +1,8 @@
 //! The printable page: passed or not, what to change, the two runs as a picture, part by part.
 
-use trueup_page::{Chart, Colour, Page, Series, Table, micrometres, time_unit};
+use trueup_page::{Chart, Colour, Page, Series, Table, micrometres, time_unit, within};
 
-use crate::Acceptance;
+use crate::{Acceptance, advice::digits};
 
 pub(crate) fn html(it: &Acceptance, name: &str) -> String {
     let mut page = Page::new(&format!("Acceptance of {name}"));
@@ -43,14 +43,15 @@ pub(crate) fn html(it: &Acceptance, name: &str) -> String {
         page.heading("Constants to change");
         let mut table = Table::new(&["constant", "from", "to", "95 %"]);
         for change in &it.advice.changes {
-            let interval =
-                change.ci95.map_or("–".into(), |[low, high]| format!("{low:.2} … {high:.2}"));
-            table.row(&[
-                change.key.clone(),
-                format!("{:.2}", change.from),
-                format!("{:.2}", change.to),
-                interval,
-            ]);
+            // As many digits as the interval has; what the file has, as it has it.
+            let (to, interval) = match change.ci95 {
+                Some(ci95) => {
+                    let [to, low, high] = within(change.to, ci95);
+                    (to, format!("{low} … {high}"))
+                }
+                None => (digits(change.to), "–".into()),
+            };
+            table.row(&[change.key.clone(), digits(change.from), to, interval]);
         }
         page.table(&table);
     }

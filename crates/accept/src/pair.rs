@@ -1,7 +1,14 @@
 //! The two runs side by side: the same time since the start, or the same positions in the same order.
 
+use std::borrow::Cow;
+
 use serde::Serialize;
-use trueup_machine::{BadInput, Location, RunFile, file::Quantity};
+
+use trueup_machine::{
+    BadInput, Location, Machine, RunFile,
+    applied::{Applied, Pairs, Unaided, predicted_um},
+    file::Quantity,
+};
 
 use crate::Size;
 
@@ -37,22 +44,66 @@ pub struct Pair {
     pub over: String,
     pub off_um: Vec<f64>,
     pub on_um: Vec<f64>,
+    /// What the bridge applied in `on` more than in `off`, in µm; NaN where that is not known.
+    pub offset_um: Vec<f64>,
+    /// What the machine file predicts for `on` more than for `off`, in µm; NaN where nothing is.
+    pub predicted_um: Vec<f64>,
     pub notes: Vec<String>,
+}
+
+/// One of the runs, row by row: what was measured, what the bridge applied, what the machine file predicts.
+struct Side<'r> {
+    measured_um: &'r [f64],
+    offset_um: Vec<f64>,
+    predicted_um: Vec<f64>,
+}
+
+impl<'r> Side<'r> {
+    fn of(
+        run: &'r RunFile,
+        quantity: Quantity,
+        machine: Option<&Machine>,
+    ) -> Result<Self, BadInput> {
+        let measured_um = run.require(&format!("measured_{}_um", quantity.name()))?;
+        let unaided = |machine| Unaided::of(Cow::Borrowed(run), machine, Some(quantity)).ok();
+        // Another calibration is compared all the same: without the file the tool points down.
+        let unaided = machine.and_then(|it| unaided(Some(it))).or_else(|| unaided(None));
+        let offset_um = match unaided {
+            Some((unaided, _)) => {
+                unaided.offset_um(quantity).map_or(vec![0.0; run.rows()], <[f64]>::to_vec)
+            }
+            None => vec![f64::NAN; run.rows()],
+        };
+        let predicted = machine.and_then(|machine| predicted_um(machine, run, quantity));
+        let predicted_um = predicted.unwrap_or_else(|| vec![f64::NAN; run.rows()]);
+        Ok(Self { measured_um, offset_um, predicted_um })
+    }
+
+    fn row(&self, row: usize) -> [f64; 3] {
+        [self.measured_um[row], self.offset_um[row], self.predicted_um[row]]
+    }
 }
 
 impl Pair {
     /// # Errors
     /// The runs do not measure the same, or have nothing in common.
-    pub fn of(off: &RunFile, on: &RunFile, asked: Option<Quantity>) -> Result<Self, BadInput> {
+    pub fn of(
+        off: &RunFile,
+        on: &RunFile,
+        asked: Option<Quantity>,
+        machine: Option<&Machine>,
+    ) -> Result<Self, BadInput> {
         let quantity = quantity_of(off, on, asked)?;
-        let column = format!("measured_{}_um", quantity.name());
-        let (off_um, on_um) = (off.require(&column)?, on.require(&column)?);
+        let side = |run| Side::of(run, quantity, machine);
+        let sides = &[side(off)?, side(on)?];
         let mut pair = Self {
             quantity,
             at: Vec::new(),
             over: String::new(),
             off_um: Vec::new(),
             on_um: Vec::new(),
+            offset_um: Vec::new(),
+            predicted_um: Vec::new(),
             notes: Vec::new(),
         };
         let times = |run: &RunFile| {
@@ -64,12 +115,12 @@ impl Pair {
         let axis = quantity.axis().map(|axis| format!("{}_mm", axis.name()));
         let place = axis.filter(|name| off.column(name).is_some() && on.column(name).is_some());
         match (place, times(off), times(on)) {
-            (Some(place), ..) => pair.by_rows(off, on, off_um, on_um, &place)?,
+            (Some(place), ..) => pair.by_rows([off, on], sides, &place)?,
             (None, Some(off_s), Some(on_s)) => {
-                pair.by_time([&off_s, &on_s], off_um, on_um);
+                pair.by_time([&off_s, &on_s], sides);
                 pair.compare_speeds([off, on], [&off_s, &on_s]);
             }
-            _ => pair.by_rows(off, on, off_um, on_um, "row")?,
+            _ => pair.by_rows([off, on], sides, "row")?,
         }
         if pair.at.len() < 2 * PARTS {
             let rule = format!(
@@ -93,32 +144,34 @@ impl Pair {
     }
 
     /// Readings of `off`, each with what `on` showed at that time since its start, linear between.
-    fn by_time(&mut self, [off_s, on_s]: [&[f64]; 2], off_um: &[f64], on_um: &[f64]) {
+    fn by_time(&mut self, [off_s, on_s]: [&[f64]; 2], [off, on]: &[Side<'_>; 2]) {
         self.over = "time_s".into();
-        let known: Vec<(f64, f64)> = on_s
+        let is_known = |time: f64, um: f64| time.is_finite() && um.is_finite();
+        let known: Vec<(f64, usize)> = on_s
             .iter()
-            .zip(on_um)
-            .filter(|(time, um)| time.is_finite() && um.is_finite())
-            .map(|(time, um)| (*time, *um))
+            .enumerate()
+            .filter(|(row, time)| is_known(**time, on.measured_um[*row]))
+            .map(|(row, time)| (*time, row))
             .collect();
-        for (time, um) in
-            off_s.iter().zip(off_um).filter(|(time, um)| time.is_finite() && um.is_finite())
-        {
+        for (row, time) in off_s.iter().enumerate() {
+            if !is_known(*time, off.measured_um[row]) {
+                continue;
+            }
             let next = known.partition_point(|(known_s, _)| known_s < time);
-            let on =
-                match (next.checked_sub(1).and_then(|before| known.get(before)), known.get(next)) {
-                    (_, Some((at, um))) if at == time => *um,
-                    (Some((a_s, a)), Some((b_s, b))) if b_s > a_s => {
-                        a + (b - a) * (time - a_s) / (b_s - a_s)
-                    }
-                    // Beyond the shorter of the two nothing is known.
-                    _ => continue,
-                };
-            self.at.push(*time);
-            self.off_um.push(*um);
-            self.on_um.push(on);
+            let before = next.checked_sub(1).and_then(|before| known.get(before));
+            let there = match (before, known.get(next)) {
+                (_, Some((at, there))) if at == time => on.row(*there),
+                (Some((a_s, a)), Some((b_s, b))) if b_s > a_s => {
+                    let share = (time - a_s) / (b_s - a_s);
+                    let (a, b) = (on.row(*a), on.row(*b));
+                    [0, 1, 2].map(|of| a[of] + (b[of] - a[of]) * share)
+                }
+                // Beyond the shorter of the two nothing is known.
+                _ => continue,
+            };
+            self.push(*time, off.row(row), there);
         }
-        let known = off_um.iter().filter(|um| um.is_finite()).count();
+        let known = off.measured_um.iter().filter(|um| um.is_finite()).count();
         if self.at.len() < known {
             self.notes.push(format!(
                 "{} readings without compensation lie outside the run with it, and do not count.",
@@ -127,13 +180,35 @@ impl Pair {
         }
     }
 
+    /// A reading of both.
+    fn push(&mut self, at: f64, off: [f64; 3], on: [f64; 3]) {
+        self.at.push(at);
+        self.off_um.push(off[0]);
+        self.on_um.push(on[0]);
+        self.offset_um.push(on[1] - off[1]);
+        self.predicted_um.push(on[2] - off[2]);
+    }
+
+    /// Returns the factor by which the machine applies the offsets of the bridge.
+    pub fn applied(&self) -> Applied {
+        let rows = self.on_um.iter().zip(&self.off_um);
+        let difference_um: Vec<f64> = rows.map(|(on, off)| on - off).collect();
+        // Places come in any order: their readings have no memory of each other that is known.
+        let numbers: Vec<f64> = (0..self.at.len()).map(|row| row as f64).collect();
+        Pairs {
+            at: if self.over == "time_s" { &self.at } else { &numbers },
+            difference_um: &difference_um,
+            offset_um: &self.offset_um,
+            predicted_um: &self.predicted_um,
+        }
+        .applied()
+    }
+
     /// Row by row: both runs went to the same places.
     fn by_rows(
         &mut self,
-        off: &RunFile,
-        on: &RunFile,
-        off_um: &[f64],
-        on_um: &[f64],
+        [off, on]: [&RunFile; 2],
+        sides: &[Side<'_>; 2],
         over: &str,
     ) -> Result<(), BadInput> {
         if off.rows() != on.rows() {
@@ -154,11 +229,13 @@ impl Pair {
                 format!("{} is not {}, where the run without compensation was", b[row], a[row]);
             return Err(on.bad(row, over, rule));
         }
-        for row in (0..off.rows()).filter(|row| off_um[*row].is_finite() && on_um[*row].is_finite())
-        {
-            self.at.push(off.column(over).map_or(row as f64, |all| all[row]));
-            self.off_um.push(off_um[row]);
-            self.on_um.push(on_um[row]);
+        let [is_off, is_on] = sides;
+        let is_known = |row: &usize| {
+            is_off.measured_um[*row].is_finite() && is_on.measured_um[*row].is_finite()
+        };
+        for row in (0..off.rows()).filter(is_known) {
+            let at = off.column(over).map_or(row as f64, |all| all[row]);
+            self.push(at, is_off.row(row), is_on.row(row));
         }
         Ok(())
     }

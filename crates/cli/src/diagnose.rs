@@ -33,6 +33,12 @@ pub struct Diagnose {
     /// A run file; more than one are compared with each other.
     #[arg(long = "run", value_name = "A.csv", required = true)]
     runs: Vec<PathBuf>,
+    /// A record of the same machine with the bridge disengaged: with one of an engaged bridge it shows how the CNC applies the offset.
+    #[arg(long, value_name = "OFF.csv")]
+    off: Vec<PathBuf>,
+    /// The CNC was seen to apply the offset once (accept: applied_factor 1): a record of an engaged bridge decides alone.
+    #[arg(long)]
+    applied_once: bool,
     /// A run that nothing is fitted to: it measures what the extension brings.
     #[arg(long, value_name = "H.csv")]
     holdout: Vec<PathBuf>,
@@ -87,13 +93,17 @@ pub fn run(args: &Diagnose, as_json: bool) -> Result<Outcome> {
     let read = |paths: &[PathBuf]| -> Result<Vec<RunFile>> {
         paths.iter().map(|path| Ok(files::run_of_known_names(path, &machine)?)).collect()
     };
-    let (runs, holdout) = (read(&args.runs)?, read(&args.holdout)?);
+    let (mut runs, holdout) = (read(&args.runs)?, read(&args.holdout)?);
+    runs.extend(read(&args.off)?);
     fs::create_dir_all(&args.out)
         .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
 
     let bar = progress();
-    let options =
-        Options { quantity: args.quantity.map(Quantity::of_machine), matters_um: args.matters_um };
+    let options = Options {
+        quantity: args.quantity.map(Quantity::of_machine),
+        matters_um: args.matters_um,
+        is_applied_once: args.applied_once,
+    };
     let diagnosis = diagnose_for(&machine, &runs, &holdout, options, &mut |what, share| {
         bar.set_message(what.to_string());
         if !share.is_nan() {
@@ -125,7 +135,7 @@ fn progress() -> ProgressBar {
 
 fn write(args: &Diagnose, diagnosis: &Diagnosis, name: &str, source: &str) -> Result<()> {
     let mut inputs: Vec<&Path> = vec![&args.machine];
-    inputs.extend(args.runs.iter().chain(&args.holdout).map(PathBuf::as_path));
+    inputs.extend(args.runs.iter().chain(&args.off).chain(&args.holdout).map(PathBuf::as_path));
     let extended = diagnosis.extended(source, &args.machine)?;
     let path = args.out.join("extended.toml");
     let written =

@@ -18,9 +18,9 @@ use trueup_fit::{
 };
 use trueup_machine::{
     BadInput, Location, Machine, MachineFile,
-    applied::Unaided,
+    applied::{Unaided, require_applied_once},
     compile::check_slopes,
-    file::{ElongationSource, LinearAxis, ThermalMode},
+    file::{ElongationSource, LinearAxis, Quantity, ThermalMode},
 };
 
 pub use args::Fit;
@@ -91,7 +91,11 @@ impl Input {
             notes.iter().for_each(crate::report::warn);
             Ok(run)
         };
-        let runs = runs.iter().map(read).collect::<Result<_, _>>()?;
+        let runs = runs.iter().map(read).collect::<Result<Vec<_>, _>>()?;
+        let of = machine.as_ref().map(|(_, _, machine)| machine);
+        for quantity in Quantity::ALL {
+            require_applied_once(&runs, of, quantity)?;
+        }
         Ok(Self { runs, machine })
     }
 

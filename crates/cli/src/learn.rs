@@ -77,6 +77,11 @@ struct Now<'a> {
 pub fn run(args: &Learn, as_json: bool) -> Result<Outcome> {
     let source = MachineFile::read_text(&args.machine)?;
     let known = args.output.with_extension("learn.json");
+    let mut inputs: Vec<&Path> = vec![&args.machine];
+    inputs.extend(args.run.iter().map(PathBuf::as_path));
+    for path in [&known, &args.output] {
+        output::check_target(path, &inputs)?;
+    }
     let mut memory = remembered(&known)?;
     if args.undo {
         return undo(args, &source, &known, memory);
@@ -92,27 +97,32 @@ pub fn run(args: &Learn, as_json: bool) -> Result<Outcome> {
     };
     let quantity: Option<file::Quantity> = args.quantity.map(Quantity::of_machine);
     let mut outcome = Outcome::Done;
+    // All records are learned from, or none: a command that is refused leaves the files as they were.
+    let mut all = Vec::new();
     for path in &args.run {
         let run = match args.reading_um {
             Some(um) => probed::with_reading(path, quantity, um, SystemTime::now())?,
             None => read(path, &machine)?,
         };
         let learned = learn(&source, &args.machine, &run, quantity, memory.take(), &limits)?;
-        let mut inputs: Vec<&Path> = vec![&args.machine];
-        inputs.extend(args.run.iter().map(PathBuf::as_path));
+        memory = Some(learned.memory.clone());
         let new = files::to_be_written(&learned.machine, &args.output, Some(&machine))?;
-        save(args, &inputs, &known, &learned.machine, &learned.memory)?;
-        let live = Live::between(&machine, &new);
+        all.push((path, learned, new));
+    }
+    if let Some((_, last, _)) = all.last() {
+        save(args, &inputs, &known, &last.machine, &last.memory)?;
+    }
+    for (path, learned, new) in &all {
+        let live = Live::between(&machine, new);
         if as_json {
-            output::print(serde_json::to_string_pretty(&said(&learned, live.as_ref().ok()))?)?;
+            output::print(serde_json::to_string_pretty(&said(learned, live.as_ref().ok()))?)?;
         } else {
-            print(path, &learned)?;
+            print(path, learned)?;
             print_live(live.ok())?;
         }
         if !learned.readings.iter().any(|it| it.used) || learned.is_held {
             outcome = Outcome::NotMet;
         }
-        memory = Some(learned.memory);
     }
     if !as_json {
         output::print(format_args!("{}", args.output.display()))?;

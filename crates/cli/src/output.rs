@@ -31,23 +31,14 @@ pub fn write_whole<T>(
         let written = write(&mut out).and_then(|result| out.flush().map(|()| result));
         return written.context("standard output cannot be written");
     }
+    check_target(path, inputs)?;
     // A link is followed, so that the file it leads to is written and not the link.
     let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
-    if inputs.iter().any(|input| fs::canonicalize(input).is_ok_and(|input| input == target)) {
-        return Err(UserError(format!(
-            "{}: is an input, and must not be overwritten",
-            path.display()
-        ))
-        .into());
-    }
     let cannot =
         |error: io::Error| UserError(format!("{}: cannot be written: {error}", path.display()));
     let during = || format!("while writing {}", path.display());
 
     match fs::metadata(&target) {
-        Ok(there) if there.is_dir() => {
-            return Err(UserError(format!("{}: is a folder", path.display())).into());
-        }
         // A device or a pipe has no content to keep, and its name must stay its own.
         Ok(there) if !there.is_file() => {
             let out = OpenOptions::new().write(true).open(&target).map_err(cannot)?;
@@ -65,6 +56,31 @@ pub fn write_whole<T>(
     beside.as_file().sync_all().with_context(during)?;
     beside.persist(&target).map_err(|error| cannot(error.error))?;
     Ok(result)
+}
+
+/// Refuses what [`write_whole`] would, before anything is written: for commands that write several files of which one
+/// alone would be wrong.
+///
+/// # Errors
+/// `path` is an input, or a folder, or lies in a folder that is not there.
+pub fn check_target(path: &Path, inputs: &[&Path]) -> Result<(), UserError> {
+    if is_standard_output(path) {
+        return Ok(());
+    }
+    let refused = |rule: &str| Err(UserError(format!("{}: {rule}", path.display())));
+    let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
+    if inputs.iter().any(|input| fs::canonicalize(input).is_ok_and(|input| input == target)) {
+        return refused("is an input, and must not be overwritten");
+    }
+    if target.is_dir() {
+        return refused("is a folder");
+    }
+    match path.parent().filter(|folder| *folder != Path::new("") && !folder.is_dir()) {
+        Some(folder) => {
+            refused(&format!("cannot be written: there is no folder {}", folder.display()))
+        }
+        None => Ok(()),
+    }
 }
 
 /// Writes a program, or the run file that is filled in beside it. A run file that is there with anything else

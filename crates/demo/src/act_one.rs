@@ -10,7 +10,11 @@ use anyhow::{Context as _, Result};
 use serde::Serialize;
 use trueup_diagnose::{Diagnosis, Options, diagnose_for};
 use trueup_machine::{
-    MachineFile, RunFile, applied::Unaided, compile, file::Quantity, predict::Predictor,
+    MachineFile, RunFile,
+    applied::{Unaided, require_applied_once},
+    compile,
+    file::Quantity,
+    predict::Predictor,
 };
 use trueup_numerics::line::{Summary, fit_line};
 
@@ -100,8 +104,11 @@ pub fn act_one(boards: &Boards, asked: &Asked<'_>, progress: &mut Progress<'_>) 
     let machine = MachineFile::parse(&source, asked.path)?;
     let (run, told) = Unaided::of(Cow::Borrowed(asked.run), Some(&machine), asked.quantity)?;
     notes.extend(told);
+    for quantity in Quantity::ALL {
+        require_applied_once(std::slice::from_ref(&run), Some(&machine), quantity)?;
+    }
     let run: &RunFile = &run;
-    let options = Options { quantity: asked.quantity, matters_um: None };
+    let options = Options { quantity: asked.quantity, ..Options::default() };
     let named = |run: &RunFile, progress: &mut Progress<'_>| {
         diagnose_for(&machine, std::slice::from_ref(run), &[], options, progress)
     };

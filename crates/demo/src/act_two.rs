@@ -10,7 +10,7 @@ use std::path::Path;
 
 use anyhow::{Context as _, Result};
 use serde::Serialize;
-use trueup_diagnose::{Diagnosis, diagnose, report::Finding};
+use trueup_diagnose::{Diagnosis, Options, diagnose_for, report::Finding};
 use trueup_machine::{MachineFile, RunFile, compile, file::Quantity, predict::Predictor};
 use trueup_twin::noise::rms;
 
@@ -119,10 +119,12 @@ pub fn act_two(boards: &Boards, hidden: &Hidden, progress: &mut Progress<'_>) ->
     let record = day.recorded(&source, &first, &played, &hidden.measured())?;
     progress("looking for what is wrong", 0.2);
     let machine = MachineFile::parse(&source, path)?;
-    let diagnosis =
-        diagnose(&machine, std::slice::from_ref(&record), &[], None, &mut |what, share| {
-            progress(what, 0.2 + 0.3 * share);
-        })?;
+    // This CNC adds what it is given.
+    let options = Options { is_applied_once: true, ..Options::default() };
+    let runs = std::slice::from_ref(&record);
+    let diagnosis = diagnose_for(&machine, runs, &[], options, &mut |what, share| {
+        progress(what, 0.2 + 0.3 * share);
+    })?;
     let mut extended = diagnosis.extended(&source, path)?;
     let new = bench::machine(&extended, faster).and_then(|machine| Ok(compile(&machine)?));
     let new = match new {

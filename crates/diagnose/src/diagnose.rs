@@ -11,7 +11,9 @@ use trueup_numerics::random::Generator;
 
 use crate::{
     answer::{
-        Asked, Diagnosis, conclude,
+        Asked, Diagnosis,
+        applied::Bridge,
+        conclude,
         hold_out::{HoldOut, seen_before},
     },
     candidates::structure,
@@ -42,6 +44,8 @@ pub struct Options {
     pub quantity: Option<Quantity>,
     /// The size of an error that matters: RMS, in µm, above 0; by default what is left.
     pub matters_um: Option<f64>,
+    /// The CNC is known to apply the offsets of a bridge once; else that is judged by the runs.
+    pub is_applied_once: bool,
 }
 
 /// Compares `machine` with what was measured in `runs`, names the causes of what it gets wrong, and
@@ -59,7 +63,7 @@ pub fn diagnose(
     quantity: Option<Quantity>,
     progress: &mut Progress<'_>,
 ) -> Result<Diagnosis, BadInput> {
-    diagnose_for(machine, runs, holdout, Options { quantity, matters_um: None }, progress)
+    diagnose_for(machine, runs, holdout, Options { quantity, ..Options::default() }, progress)
 }
 
 /// The same with more to say.
@@ -70,16 +74,18 @@ pub fn diagnose_for(
     machine: &Machine,
     runs: &[RunFile],
     holdout: &[RunFile],
-    Options { quantity, matters_um }: Options,
+    Options { quantity, matters_um, is_applied_once }: Options,
     progress: &mut Progress<'_>,
 ) -> Result<Diagnosis, BadInput> {
     let quantity = quantity_of(runs, quantity)?;
     quantity_of(if holdout.is_empty() { runs } else { holdout }, Some(quantity))?;
-    let data = Arc::new(Data::new(machine, runs, quantity)?.trusted());
+    let bridge = Bridge::of(machine, [runs, holdout], quantity, is_applied_once)?;
+    let factor = bridge.factor();
+    let data = Arc::new(Data::applied(machine, runs, quantity, factor)?.trusted());
     let test = if holdout.is_empty() {
         None
     } else {
-        let mut test = Data::new(machine, holdout, quantity)?;
+        let mut test = Data::applied(machine, holdout, quantity, factor)?;
         test.refer_to(&data);
         Some(HoldOut { files: holdout, data: test })
     };
@@ -109,7 +115,7 @@ pub fn diagnose_for(
         found,
         &judged,
         SetAside { rows: aside, known },
-        Asked { runs, hold_out: test.as_ref(), matters_um, notes },
+        Asked { runs, hold_out: test.as_ref(), matters_um, bridge: &bridge, notes },
     )
 }
 

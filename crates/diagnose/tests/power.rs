@@ -159,7 +159,7 @@ fn what_matters_less_than_could_be_told_asks_for_more() {
     let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("the test's own file");
     let run = read(&loaded(0.0, 0.0, 3));
     let asked = |um| {
-        let options = Options { quantity: None, matters_um: Some(um) };
+        let options = Options { matters_um: Some(um), ..Options::default() };
         let told = diagnose_for(&machine, std::slice::from_ref(&run), &[], options, &mut |_, _| {});
         told.expect("comparable").report.verdict
     };

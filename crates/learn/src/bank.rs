@@ -79,6 +79,11 @@ impl Bank {
         self.learned.filters[self.learned.first()].half_widths()
     }
 
+    /// What a reading repeats to, in µm, by the filter that counts most.
+    pub fn noise_um(&self) -> f64 {
+        self.learned.filters[self.learned.first()].noise_um()
+    }
+
     /// How many used readings they are compared by, and by how much the file as it is and what was learned have missed
     /// them, mean magnitude in µm.
     pub fn compared(&self) -> (usize, f64, f64) {

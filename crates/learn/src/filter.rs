@@ -95,6 +95,11 @@ impl Filter {
         it
     }
 
+    /// What one reading repeats to, in µm, as far as known.
+    pub fn noise_um(&self) -> f64 {
+        self.noise_um
+    }
+
     /// The zero in µm, then shares.
     pub fn lasting(&self) -> &[f64] {
         &self.x[..self.prior.len()]

@@ -3,7 +3,11 @@
 use std::borrow::Cow;
 
 use serde::Serialize;
-use trueup_machine::{BadInput, Location, MachineFile, RunFile, applied::Unaided, file::Quantity};
+use trueup_machine::{
+    BadInput, Location, MachineFile, RunFile,
+    applied::{Applied, Factor, Unaided, applied, decisive_record},
+    file::Quantity,
+};
 
 use crate::{
     bank::{Bank, ENOUGH},
@@ -11,7 +15,8 @@ use crate::{
     filter::Fate,
     limits::{Limits, times},
     memory::{Before, Change, Memory, SCHEMA, hash},
-    readings::{self, Reading},
+    readings::{self, Order, Reading},
+    step,
 };
 
 /// A constant that has moved by less than this share of itself is written as it was.
@@ -22,6 +27,9 @@ const SHARE: f64 = 0.25;
 const ZERO_UM: f64 = 5.0;
 /// What a probe repeats to where nobody says, in µm: the last digit of the papers' indicator.
 const NOISE_UM: f64 = 1.0;
+/// A change of a constant by this share, from readings of an engaged bridge alone, may as well be a CNC that applies the
+/// offsets by half, twice, not at all or with the wrong sign: these look like changes by 0.5, −1, 1 and 2.
+const AS_A_CNC: f64 = 0.4;
 
 /// What became of a reading.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -110,6 +118,9 @@ pub fn learn(
                 constants: all,
                 last_s: None,
                 records: Vec::new(),
+                readings: Vec::new(),
+                recent: Vec::new(),
+                is_applied_once: false,
                 changes: Vec::new(),
             }
         }
@@ -119,24 +130,50 @@ pub fn learn(
     let ran = MachineFile::parse(&before, path)?;
     let (run, told) = Unaided::of(Cow::Borrowed(run), Some(&ran), Some(quantity))?;
     notes.extend(told);
+    let is_factor_known = factor_of(&run, &ran, quantity, &mut memory)?;
     let record = readings::of(&run, quantity)?;
     let fingerprint = readings::fingerprint(&record);
-    if memory.knows(fingerprint) {
-        let name = format!("measured_{}_um", quantity.name());
-        return Err(run.bad(
-            record[0].row,
-            &name,
-            "was learned from before: each record counts once",
+    let is_new = |it: &&Reading| !memory.knows_reading(it.identity);
+    let new: Vec<Reading> = record.iter().filter(is_new).copied().collect();
+    let name = format!("measured_{}_um", quantity.name());
+    if memory.knows(fingerprint) || new.is_empty() {
+        let rule = "was learned from before: each record counts once";
+        return Err(run.bad(record[0].row, &name, rule));
+    }
+    if new.len() < record.len() {
+        notes.push(format!(
+            "{} of {} readings were learned from before and are not counted again",
+            record.len() - new.len(),
+            record.len()
         ));
+    }
+    match readings::order(memory.last_s, &new) {
+        Order::Later => {}
+        Order::Anew => notes.push(
+            "The clock of this record begins before the last reading that was learned from: it is taken as a later \
+             day. If it is an older one, take the change back (--undo)."
+                .into(),
+        ),
+        Order::Earlier => {
+            let rule = format!(
+                "{} is before the last reading that was learned from ({}): give the records in the order in which \
+                 they were taken",
+                new[0].time_s.unwrap_or(f64::NAN),
+                memory.last_s.unwrap_or(f64::NAN)
+            );
+            return Err(run.bad(new[0].row, "time_s", rule));
+        }
     }
     let sensitivity = Sensitivity::of(source, &memory.constants, &run, quantity)?;
     let known = Before { bank: memory.bank.clone(), applied: memory.applied.clone() };
     let mut readings = Vec::new();
-    let mut is_held = false;
-    for reading in &record {
-        let (taken, held) = one(reading, &sensitivity, &mut memory, limits);
+    let (mut is_held, mut forbids) = (false, None);
+    for reading in &new {
+        let (taken, held) = one(reading, &sensitivity, &mut memory, limits, is_factor_known);
         readings.push(taken);
-        is_held |= held;
+        is_held |= held.is_bound;
+        forbids = held.forbids;
+        memory.remember_reading(reading.identity);
     }
     memory.remember(fingerprint);
     let after = written(source, &machine, quantity, &memory)
@@ -151,6 +188,8 @@ pub fn learn(
             limits.total_um
         ));
     }
+    is_held |= forbids.is_some();
+    notes.extend(forbids);
     log(&mut memory, &before, &after, &run, quantity, known);
     let half = memory.bank.half_widths();
     let half_widths = memory.constants.iter().zip(&half[1..]);
@@ -163,13 +202,46 @@ fn prior(constants: usize) -> Vec<f64> {
     std::iter::once(ZERO_UM).chain(shares).collect()
 }
 
-/// What one reading does, and whether a bound held it.
+/// Whether the record, or one before it, has shown that the CNC applies the offsets of the bridge once; a record without a
+/// bridge needs not.
+///
+/// # Errors
+/// It applies them otherwise.
+fn factor_of(
+    run: &Unaided<'_>,
+    ran: &trueup_machine::Machine,
+    quantity: Quantity,
+    memory: &mut Memory,
+) -> Result<bool, BadInput> {
+    match applied(std::slice::from_ref(run), Some(ran), quantity) {
+        Applied::Nothing => return Ok(true),
+        Applied::Once(_) => memory.is_applied_once = true,
+        Applied::Unknown(_) => {}
+        Applied::Otherwise(factor) => {
+            let rule = format!("{} {}", factor.sentence(), Factor::where_to_look().join(" "));
+            return Err(BadInput::new(Location::start_of(run.path()), rule));
+        }
+    }
+    Ok(memory.is_applied_once)
+}
+
+/// What held a reading back.
+#[derive(Default)]
+struct Held {
+    /// A bound was reached.
+    is_bound: bool,
+    /// Why what was learned is not applied, a sentence.
+    forbids: Option<String>,
+}
+
+/// What one reading does, and what held it.
 fn one(
     reading: &Reading,
     sensitivity: &Sensitivity,
     memory: &mut Memory,
     limits: &Limits,
-) -> (Taken, bool) {
+    is_factor_known: bool,
+) -> (Taken, Held) {
     let (g, believed_um) = (&sensitivity.um[reading.row], sensitivity.believed_um[reading.row]);
     let mut taken = Taken {
         row: reading.row + 1,
@@ -182,7 +254,7 @@ fn one(
         taken.reason = Some(
             "refused: the row does not say enough for the model (a missing temperature?)".into(),
         );
-        return (taken, false);
+        return (taken, Held::default());
     }
     memory.bank.age(readings::between_s(memory.last_s, reading.time_s));
     memory.last_s = reading.time_s.or(memory.last_s);
@@ -205,9 +277,31 @@ fn one(
         }
     }
     let wanted = memory.bank.believed().unwrap_or_else(|| vec![0.0; g.len()]);
-    let (wanted, is_held) = limits.held(&wanted, &sensitivity.um);
-    memory.applied = limits.step(&memory.applied, &wanted, g);
-    (taken, is_held)
+    let (wanted, is_bound) = limits.held(&wanted, &sensitivity.um);
+    step::remember(&mut memory.recent, g, reading.um - believed_um);
+    let forbids = forbidden(memory, &wanted, is_factor_known);
+    if forbids.is_none() {
+        memory.applied = limits.step(&memory.applied, &wanted, g);
+    }
+    (taken, Held { is_bound, forbids })
+}
+
+/// Why `wanted` is not to be applied, in a sentence.
+fn forbidden(memory: &Memory, wanted: &[f64], is_factor_known: bool) -> Option<String> {
+    let moves = |(to, from): (&f64, &f64)| (to - from).abs() > SAME;
+    if !wanted.iter().zip(&memory.applied).any(moves) {
+        return None;
+    }
+    let noise_um = memory.bank.noise_um();
+    if let Some(um) = step::step_um(&memory.recent, &memory.applied, wanted, noise_um) {
+        return Some(format!(
+            "Nothing is applied: a step of the zero by {um:+.1} µm explains the readings as well. Was the reference touched \
+             off anew, or moved? Then set the reference (Zero), and move the .learn.json of the output away: learning \
+             begins anew."
+        ));
+    }
+    let is_as_a_cnc = wanted[1..].iter().any(|share| share.abs() > AS_A_CNC);
+    (is_as_a_cnc && !is_factor_known).then(|| format!("Nothing is applied. {}", decisive_record()))
 }
 
 /// Which of the two is believed, in a sentence.

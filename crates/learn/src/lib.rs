@@ -32,6 +32,7 @@ mod limits;
 pub mod live;
 mod memory;
 mod readings;
+mod step;
 pub mod trust;
 
 pub use constants::Constant;

@@ -2,10 +2,13 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{bank::Bank, constants::Constant};
+use crate::{bank::Bank, constants::Constant, step::Recent};
 
 /// Records that are remembered so that none is learned from twice.
 const RECORDS: usize = 1000;
+
+/// Readings that are remembered for the same: two years at thirty a day.
+const READINGS: usize = 20_000;
 
 /// The form that is written.
 pub(crate) const SCHEMA: u32 = 2;
@@ -28,6 +31,15 @@ pub struct Memory {
     pub(crate) last_s: Option<f64>,
     /// Hashes of the records that were learned from.
     pub(crate) records: Vec<u64>,
+    /// Hashes of the readings that were learned from: a record may grow.
+    #[serde(default)]
+    pub(crate) readings: Vec<u64>,
+    /// The readings of late, with what the file as it is misses them by.
+    #[serde(default)]
+    pub(crate) recent: Vec<Recent>,
+    /// Whether a record has shown that the CNC applies the offsets of the bridge once.
+    #[serde(default)]
+    pub(crate) is_applied_once: bool,
     /// Every change, the latest last.
     pub changes: Vec<Change>,
 }
@@ -100,6 +112,17 @@ impl Memory {
 
     pub(crate) fn knows(&self, record: u64) -> bool {
         self.records.contains(&record)
+    }
+
+    pub(crate) fn knows_reading(&self, reading: u64) -> bool {
+        self.readings.contains(&reading)
+    }
+
+    pub(crate) fn remember_reading(&mut self, reading: u64) {
+        self.readings.push(reading);
+        if self.readings.len() > READINGS {
+            self.readings.remove(0);
+        }
     }
 
     pub(crate) fn remember(&mut self, record: u64) {

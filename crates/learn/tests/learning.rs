@@ -117,3 +117,84 @@ fn a_row_without_a_temperature_teaches_nothing_and_says_so() {
     assert!(!learned.readings[1].used);
     assert!(learned.readings[1].reason.as_deref().is_some_and(|it| it.contains("temperature")));
 }
+
+#[test]
+fn a_reference_that_was_shifted_becomes_no_constant() {
+    // Right by the file for two days, then touched off 30 µm anew.
+    let right = |celsius: f64, _: usize| 2.0 * (celsius - 20.0);
+    let shifted = |celsius: f64, n: usize| right(celsius, n) + 30.0;
+    let mut memory = Some(taught(&record(0.0, 60, right), None, &Limits::default()).memory);
+    for (first_s, count) in [(2e5, 20), (3e5, 40), (5e5, 60)] {
+        let learned = taught(&record(first_s, count, shifted), memory.take(), &Limits::default());
+        assert_eq!(learned.machine, MACHINE, "{:?}", learned.notes);
+        memory = Some(learned.memory);
+    }
+    // Nor where there was no record before it; and it is said.
+    let learned = taught(&record(0.0, 60, shifted), None, &Limits::default());
+    assert_eq!(learned.machine, MACHINE);
+    assert!(
+        learned.is_held && learned.notes.iter().any(|it| it.contains("step of the zero by +30"))
+    );
+}
+
+#[test]
+fn a_record_that_grows_counts_each_reading_once() {
+    let whole = record(1e9, 40, grown);
+    let at_once = taught(&whole, None, &Limits::default());
+    let mut memory = None;
+    for rows in [5, 10, 25, 40] {
+        let learned = taught(&whole.altered(rows, |_, _| {}), memory.take(), &Limits::default());
+        let before = [5, 10, 25, 40].into_iter().filter(|it| *it < rows).max().unwrap_or(0);
+        assert_eq!(learned.readings.len(), rows - before);
+        memory = Some(learned.memory);
+    }
+    let memory = memory.expect("four records");
+    assert_eq!(memory.applied, at_once.memory.applied);
+    // Nothing new in it.
+    let again = learn(MACHINE, Path::new("m.toml"), &whole, None, Some(memory), &Limits::default());
+    assert!(again.expect_err("all of it is known").rule.contains("each record counts once"));
+}
+
+#[test]
+fn a_record_of_an_earlier_date_is_refused_and_a_clock_that_begins_anew_is_told() {
+    let late = taught(&record(2e9, 20, grown), None, &Limits::default()).memory;
+    let early = record(1.9e9, 20, grown);
+    let refused = learn(MACHINE, Path::new("m.toml"), &early, None, Some(late), &Limits::default());
+    let rule = refused.expect_err("it is older").rule;
+    assert!(rule.contains("in the order in which they were taken"), "{rule}");
+    let first = taught(&record(0.0, 20, grown), None, &Limits::default()).memory;
+    let other = record(60.0, 20, grown);
+    let learned = taught(&other, Some(first), &Limits::default());
+    assert!(learned.notes.iter().any(|it| it.contains("taken as a later day")));
+}
+
+/// Readings of a bridge that corrects 2 µm/K; `factor`: of the CNC, `on`: whether it is engaged.
+fn of_bridge(factor: f64, gain: f64, on: impl Fn(usize) -> bool) -> RunFile {
+    let mut text = "time_s,temp_a_c,offset_z_um,quality,measured_elongation_um\n".to_string();
+    for n in 0..80 {
+        let celsius = 25.0 + 10.0 * ((n % 7) as f64) / 6.0;
+        let scatter = [0.6, -0.6, 0.2, -0.2, -0.4, 0.4][n % 6];
+        let lift = if on(n) { 2.0 * (celsius - 20.0) } else { 0.0 };
+        let um = gain * 2.0 * (celsius - 20.0) - factor * lift + scatter;
+        text += &format!("{},{celsius:.3},{lift:.2},{},{um:.3}\n", 1800 * n, u8::from(on(n)));
+    }
+    RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file")
+}
+
+#[test]
+fn a_cnc_that_applies_the_offset_otherwise_teaches_nothing() {
+    let limits = Limits::default();
+    for factor in [-1.0, 0.0, 0.5, 2.0] {
+        let half = of_bridge(factor, 1.0, |n| n % 20 < 10);
+        let refused = learn(MACHINE, Path::new("m.toml"), &half, None, None, &limits);
+        let rule = refused.expect_err("the CNC is wrong").rule;
+        assert!(rule.starts_with("For 1 µm of offset") && rule.contains("eoffset-scale"), "{rule}");
+        let learned = taught(&of_bridge(factor, 1.0, |_| true), None, &limits);
+        assert_eq!(learned.machine, MACHINE, "{factor}: {:?}", learned.notes);
+    }
+    // A CNC that is right, and a machine that has changed.
+    let learned = taught(&of_bridge(1.0, 1.3, |n| n % 20 < 10), None, &limits);
+    assert!((k(&learned.machine) - 2.6).abs() < 0.1, "{:?}", learned.notes);
+    let learned = taught(&of_bridge(1.0, 1.3, |_| true), None, &limits);
+    assert!((k(&learned.machine) - 2.6).abs() < 0.1, "{:?}", learned.notes);
+}

@@ -16,6 +16,10 @@
 //! one, and the rest of the row stays, for what has a memory. What only says how the bridge was is no
 //! column of the run any more, so that it explains nothing.
 
+mod estimate;
+mod factor;
+mod places;
+
 use std::{borrow::Cow, ops::Deref};
 
 use crate::{
@@ -25,6 +29,11 @@ use crate::{
     model::tool_direction,
     run_file::RunFile,
 };
+
+pub use factor::{
+    Applied, Factor, Pairs, applied, leaves_nothing, predicted_um, require_applied_once,
+};
+pub use places::decisive_record;
 
 /// The quality of the offsets in a row, 0…6.
 const QUALITY: &str = "quality";
@@ -44,13 +53,17 @@ const LATE_S: f64 = 1.0;
 /// A run as it would have been measured without a bridge: the one kind of run that constants of a machine are
 /// made of.
 #[derive(Clone, Debug)]
-pub struct Unaided<'r>(Cow<'r, RunFile>);
+pub struct Unaided<'r> {
+    run: Cow<'r, RunFile>,
+    /// What was applied in each row, by quantity: see [`Unaided::offset_um`].
+    offset_um: Vec<(Quantity, Vec<f64>)>,
+}
 
 impl Deref for Unaided<'_> {
     type Target = RunFile;
 
     fn deref(&self) -> &RunFile {
-        &self.0
+        &self.run
     }
 }
 
@@ -71,9 +84,36 @@ impl<'r> Unaided<'r> {
         wanted: Option<Quantity>,
     ) -> Result<(Self, Vec<String>), BadInput> {
         let (without, notes) = taken_out(&run, machine, wanted)?;
-        Ok((Self(without.map_or(run, Cow::Owned)), notes))
+        let unaided = match without {
+            Some((without, offset_um)) => Self { run: Cow::Owned(without), offset_um },
+            None => Self { run, offset_um: Vec::new() },
+        };
+        Ok((unaided, notes))
+    }
+
+    /// Returns the offset along `quantity` that was taken out of each row, in µm: 0 where none was applied, NaN in
+    /// rows that are set aside; `None` where the run has no columns of a bridge.
+    #[must_use]
+    pub fn offset_um(&self, quantity: Quantity) -> Option<&[f64]> {
+        self.offset_um.iter().find(|(of, _)| *of == quantity).map(|(_, um)| &um[..])
+    }
+
+    /// Returns the same run where the machine applies `factor` times the offset: error = measured − factor·offset.
+    #[must_use]
+    pub fn with_factor(mut self, quantity: Quantity, factor: f64) -> Self {
+        let name = format!("measured_{}_um", quantity.name());
+        let offset_um = self.offset_um.iter().find(|(of, _)| *of == quantity);
+        if let (Some((_, offset_um)), Some(error)) = (offset_um, self.run.column(&name)) {
+            let rows = error.iter().zip(offset_um);
+            let values = rows.map(|(error, offset)| error + (1.0 - factor) * offset).collect();
+            self.run.to_mut().replace(&name, values);
+        }
+        self
     }
 }
+
+/// A run without what was applied, and what that was, by quantity.
+type Without = (RunFile, Vec<(Quantity, Vec<f64>)>);
 
 /// `run` without what was applied; `None` where nothing was. What is told, and the errors are those of
 /// [`Unaided::of`].
@@ -81,7 +121,7 @@ fn taken_out(
     run: &RunFile,
     machine: Option<&Machine>,
     wanted: Option<Quantity>,
-) -> Result<(Option<RunFile>, Vec<String>), BadInput> {
+) -> Result<(Option<Without>, Vec<String>), BadInput> {
     let offsets = LinearAxis::ALL.map(|axis| run.column(&offset_name(axis)));
     if run.column(QUALITY).is_none() && offsets.iter().all(Option::is_none) {
         return Ok((None, Vec::new()));
@@ -98,7 +138,7 @@ fn taken_out(
     let record = Record { run, machine, quality, offsets, taken_back };
     let mut cleaned = run.clone();
     let mut not_known = None;
-    let mut is_any = false;
+    let mut offset_um = Vec::new();
     for quantity in Quantity::ALL {
         let name = format!("measured_{}_um", quantity.name());
         let Some(measured) = run.column(&name) else { continue };
@@ -118,12 +158,14 @@ fn taken_out(
             None => {
                 let (values, account) = record.without(measured, quantity);
                 notes.extend(account.notes(&name).map(|note| format!("{file}: {note}")));
+                let rows = measured.iter().zip(&values);
+                offset_um
+                    .push((quantity, rows.map(|(measured, error)| measured - error).collect()));
                 cleaned.replace(&name, values);
-                is_any = true;
             }
         }
     }
-    if let (false, Some(bad)) = (is_any, not_known) {
+    if let (true, Some(bad)) = (offset_um.is_empty(), not_known) {
         return Err(bad);
     }
     let says_state = |name: &str| {
@@ -132,7 +174,7 @@ fn taken_out(
             || LinearAxis::ALL.iter().any(|axis| offset_name(*axis) == name)
     };
     cleaned.remove(says_state);
-    Ok((Some(cleaned), notes))
+    Ok((Some((cleaned, offset_um)), notes))
 }
 
 fn offset_name(axis: LinearAxis) -> String {

@@ -48,6 +48,40 @@ fn days_are_learned_from_and_the_last_change_is_taken_back() {
 }
 
 #[test]
+fn a_command_that_is_refused_leaves_state_and_inputs_as_they_were() {
+    let (one, two) = (day(1), day(2));
+    let desk =
+        Desk::new(&[("m.toml", MACHINE), ("1.csv", &one), ("2.csv", &two), ("bad.csv", "a\nx\n")]);
+    desk.said("learn --machine m.toml --run 1.csv -o learned.toml", 0);
+    let known = desk.text("learned.learn.json");
+    for line in [
+        "learn --machine m.toml --run 2.csv -o 2.csv",
+        "learn --machine m.toml --run 2.csv --run bad.csv -o learned.toml",
+        "learn --machine learned.toml --run 2.csv -o learned.toml",
+        "learn --machine m.toml --run learned.learn.json --run 2.csv -o learned.toml",
+        "learn --machine m.toml --run 2.csv -o no/learned.toml",
+        "learn --undo --machine learned.toml -o learned.toml",
+    ] {
+        desk.said(line, 2);
+        assert_eq!(desk.text("learned.learn.json"), known, "{line}");
+        assert!(!desk.path("2.learn.json").exists() && desk.text("2.csv") == two, "{line}");
+    }
+    // A day file that is fed as it grows.
+    let rows = |count: usize| two.lines().take(count + 1).collect::<Vec<_>>().join("\n") + "\n";
+    for (count, said) in [(10, "10 of 10 readings used"), (20, "10 of 10 readings used")] {
+        std::fs::write(desk.path("today.csv"), rows(count)).expect("written");
+        let (out, _) = desk.said("learn --machine m.toml --run today.csv -o learned.toml", 0);
+        assert!(out.contains(said), "{out}");
+    }
+    // An older record is no news.
+    let (_, err) = desk.said("learn --machine m.toml --run 1.csv -o learned.toml", 2);
+    assert!(err.contains("each record counts once"), "{err}");
+    std::fs::write(desk.path("older.csv"), day(1).replace(".600", ".700")).expect("written");
+    let (_, err) = desk.said("learn --machine m.toml --run older.csv -o learned.toml", 2);
+    assert!(err.contains("in the order in which they were taken"), "{err}");
+}
+
+#[test]
 fn a_bound_that_is_reached_is_told_and_ends_with_3() {
     let desk = Desk::new(&[("m.toml", MACHINE), ("1.csv", &day(1))]);
     let line = "learn --machine m.toml --run 1.csv -o learned.toml --limit-percent 5";

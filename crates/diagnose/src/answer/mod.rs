@@ -2,6 +2,7 @@
 //! the verdict.
 
 mod aliases;
+pub(crate) mod applied;
 pub(crate) mod at_tool;
 mod curve;
 mod errors;
@@ -40,6 +41,7 @@ use crate::{
     search::{Found, Tried, extend::without},
     terms::Extended,
 };
+use applied::Bridge;
 use errors::{about_zero, errors, largest, within_groups};
 use finding::{finding, merged, not_claimed, outliers};
 use hold_out::HoldOut;
@@ -82,6 +84,8 @@ pub(crate) struct Asked<'a> {
     pub hold_out: Option<&'a HoldOut<'a>>,
     /// The size of an error that matters: RMS, in µm; by default what is left.
     pub matters_um: Option<f64>,
+    /// What a bridge applied.
+    pub bridge: &'a Bridge,
     /// What must be told of the files, a sentence each.
     pub notes: Vec<String>,
 }
@@ -118,7 +122,9 @@ pub(crate) fn conclude(
     let test = asked.hold_out.map(|hold_out| &hold_out.data);
     let unseen = Unseen { problem, folds: &found.folds, within, test };
     let (holdout_before_um, holdout_after_um) = (unseen.before_um(), unseen.after_um(&model));
-    let compensated = compensated(&model);
+    let open = asked.bridge.open(problem, &found, judged);
+    let written = if open.forbids_writing() { Model::default() } else { model.clone() };
+    let compensated = compensated(&written);
     let holdout_compensated_um =
         if compensated == model { holdout_after_um } else { unseen.after_um(&compensated) };
 
@@ -141,6 +147,7 @@ pub(crate) fn conclude(
         instrument_um: data.machine.instrument_um,
         transfer: transfer.as_ref(),
     });
+    let (verdict, reasons) = open.judge(verdict, reasons);
     let is_disproved = transfer.as_ref().is_some_and(|it| it.is_disproved);
     let mut findings: Vec<Finding> = judged
         .iter()
@@ -156,7 +163,9 @@ pub(crate) fn conclude(
             finding
         })
         .collect();
+    open.mark(&mut findings);
     findings = merged(judged, findings);
+    findings.splice(0..0, open.finding(asked.bridge, &data, &after));
     if has_outliers {
         findings.push(outliers(&data, &after, &aside));
     }
@@ -197,7 +206,7 @@ pub(crate) fn conclude(
         at_tool: promise.on_table(&data, asked.runs)?,
         rejected: found.rejected.into_iter().map(rejected).collect(),
     };
-    let Extended { replaced: corrected, new: terms } = Extended::by(&data, &model);
+    let Extended { replaced: corrected, new: terms } = Extended::by(&data, &written);
     let noise_is_measured = repeats.is_some();
     let mut diagnosis = Diagnosis {
         report,

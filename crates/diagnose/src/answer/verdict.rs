@@ -38,6 +38,10 @@ pub(crate) enum Reason {
     /// No error of a size that matters could have been told from noise.
     TooLittle(Power),
     Wanders(Wandering),
+    /// The CNC applies the offsets otherwise than once.
+    Applied,
+    /// It may do so: the bridge was engaged in all rows.
+    Engaged,
     NothingFires,
     /// The hold-out is worse with the model as it was found: RMS before and after, in µm.
     Harm {
@@ -96,6 +100,13 @@ impl fmt::Display for Reason {
                 micrometres(*matters_um)
             ),
             Self::Wanders(wandering) => wandering.fmt(f),
+            Self::Applied => f.write_str(
+                "the CNC applies the offset otherwise than once: the machine file stays until that is put right",
+            ),
+            Self::Engaged => f.write_str(
+                "the bridge was engaged, and how the CNC applies the offset is not known: what is wrong may be the \
+                 CNC or the machine file, so nothing is written",
+            ),
             Self::NothingFires => f.write_str("no test of structure fires on what is left"),
         }
     }

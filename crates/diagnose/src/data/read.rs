@@ -20,7 +20,17 @@ impl Data {
         runs: &[RunFile],
         quantity: Quantity,
     ) -> Result<Self, BadInput> {
-        let (runs, notes) = without_bridge(machine, runs, quantity)?;
+        Self::applied(machine, runs, quantity, 1.0)
+    }
+
+    /// The same where the CNC has applied `factor` times the offsets of a bridge.
+    pub(crate) fn applied(
+        machine: &Machine,
+        runs: &[RunFile],
+        quantity: Quantity,
+        factor: f64,
+    ) -> Result<Self, BadInput> {
+        let (runs, notes) = without_bridge(machine, runs, quantity, factor)?;
         let rows: usize = runs.iter().map(|run| run.rows()).sum();
         let joined = |name: &str| -> Option<Arc<[f64]>> {
             if !runs.iter().any(|run| run.column(name).is_some()) {
@@ -156,13 +166,14 @@ fn without_bridge<'r>(
     machine: &Machine,
     runs: &'r [RunFile],
     quantity: Quantity,
+    factor: f64,
 ) -> Result<(Vec<Unaided<'r>>, Vec<String>), BadInput> {
     let mut notes = Vec::new();
     let mut taken_out = |run: &'r RunFile| {
         let (run, told) = Unaided::of(Cow::Borrowed(run), Some(machine), Some(quantity))?;
         notes.extend(run.slips().map(|slip| slip.to_string()));
         notes.extend(told);
-        Ok(run)
+        Ok(if factor == 1.0 { run } else { run.with_factor(quantity, factor) })
     };
     let runs = runs.iter().map(&mut taken_out).collect::<Result<_, _>>()?;
     Ok((runs, notes))
