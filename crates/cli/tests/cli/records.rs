@@ -1,5 +1,7 @@
 //! Records of a bridge, and run files as people have them, as a user hands them in.
 
+use std::ops::Range;
+
 use crate::desk::Desk;
 use serde_json::Value;
 use trueup_machine::{MachineFile, compile};
@@ -9,6 +11,11 @@ const PAPER: &str = include_str!("../../../../data/paper_spindle.toml");
 /// A spindle that warms up and cools while a bridge corrects what the machine file says, four fifths of
 /// it, from row 100 to row 300; it ramps out for 5 rows, and a logger has lost the quality of 2.
 fn record(calibration: u32) -> String {
+    record_of(calibration, 1.0, 100..300)
+}
+
+/// The same of a CNC that moves by `factor` times the offset, engaged in these rows.
+fn record_of(calibration: u32, factor: f64, engaged: Range<i32>) -> String {
     let mut text = String::from(
         "time_s,offset_x_um,offset_y_um,offset_z_um,quality,flags,age_ms,calibration_crc,\
          sensor_counts,measured_elongation_um\n",
@@ -19,7 +26,7 @@ fn record(calibration: u32) -> String {
         let believed_um = grown_um / 1.25;
         let (offset_um, quality) = match row {
             50 | 51 => (0.0, ""),
-            100..300 => (believed_um, "1"),
+            _ if engaged.contains(&row) => (believed_um, "1"),
             300..305 => (believed_um * f64::from(305 - row) / 5.0, "5"),
             _ => (0.0, "0"),
         };
@@ -28,7 +35,7 @@ fn record(calibration: u32) -> String {
             "{},0,0,{offset_um:.2},{quality},0,1,{calibration},{:.2},{:.3}\n",
             10 * row,
             5_048.0 + believed_um * 65.536,
-            grown_um - offset_um + gauge_um,
+            grown_um - factor * offset_um + gauge_um,
         );
     }
     text
@@ -67,6 +74,49 @@ fn the_record_of_a_bridge_is_diagnosed_and_fitted_without_what_it_applied() {
         assert!(err.contains(place), "{line}: {err}");
     }
     assert!(!desk.path("f2.toml").exists());
+}
+
+#[test]
+fn a_cnc_that_applies_the_offset_otherwise_is_named_and_nothing_is_made_of_its_record() {
+    let machine = MachineFile::parse(PAPER, "m.toml".as_ref()).expect("the project's own");
+    let own = compile(&machine).expect("it fits").crc();
+    let of = |factor: f64, engaged| record_of(own, factor, engaged);
+    let desk = Desk::new(&[
+        ("m.toml", PAPER),
+        ("middle.csv", &of(-1.0, 100..300)),
+        ("off.csv", &of(-1.0, 0..0)),
+        ("on.csv", &of(-1.0, 0..400)),
+        ("right.csv", &of(1.0, 0..400)),
+    ]);
+    let diagnosed = |line: &str, code: i32| {
+        let (out, _) = desk.said(&format!("diagnose --machine m.toml {line} --out d"), code);
+        assert_eq!(desk.text("d/extended.toml"), PAPER, "{line}");
+        let json: Value = serde_json::from_str(&desk.text("d/diagnosis.json")).expect("JSON");
+        (out, json)
+    };
+    for line in ["--run middle.csv", "--run on.csv --off off.csv"] {
+        let (out, json) = diagnosed(line, 0);
+        assert!(out.contains("applied-factor: For 1 µm of offset"), "{out}");
+        let first = &json["findings"][0];
+        assert!(first["cause"] == "applied-factor" && first["claimed"] == true, "{first}");
+        let factor = first["parameters"]["factor"]["value"].as_f64().expect("a number");
+        assert!((factor + 1.0).abs() < 0.05, "{factor}");
+    }
+    for line in ["--run on.csv", "--run right.csv"] {
+        let (_, json) = diagnosed(line, 3);
+        let first = &json["findings"][0];
+        assert!(first["claimed"] == false && first["compensated"] == false, "{first}");
+        assert_eq!(first["rivals"][0]["cause"], "applied-factor", "{first}");
+        assert!(first["next_test"].as_str().is_some_and(|it| it.contains("disengaged")), "{first}");
+    }
+    let known = "diagnose --machine m.toml --run right.csv --applied-once --out e";
+    desk.said(known, 0);
+    assert!(desk.text("e/extended.toml").contains("sensor-gain"));
+    for (run, why) in [("middle.csv", "For 1 µm of offset"), ("on.csv", "disengaged")] {
+        let line = format!("fit elongation --machine m.toml --run {run} -o f.toml");
+        let (_, err) = desk.said(&line, 2);
+        assert!(err.contains(why) && !desk.path("f.toml").exists(), "{err}");
+    }
 }
 
 #[test]
