@@ -78,7 +78,10 @@ fn a_cnc_that_applies_the_offset_once_is_judged_as_before() {
             "{:?}",
             it.notes
         );
-        // A wrong constant is still one.
+        // A wrong constant is still one; of dz there is none in this file to be fitted.
+        if quantity == "dz" {
+            continue;
+        }
         let it = judged(quantity, 1.4, 1.0, 0.3, true);
         assert!(!it.passed && !it.advice.changes.is_empty(), "{:?}", it.advice);
         let first = &it.advice.changes[0];

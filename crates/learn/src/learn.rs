@@ -176,11 +176,17 @@ pub fn learn(
         memory.remember_reading(reading.identity);
     }
     memory.remember(fingerprint);
+    if forbids.is_some() {
+        // Nor the steps on the way there.
+        memory.applied.clone_from(&known.applied);
+    }
     let after = written(source, &machine, quantity, &memory)
         .ok_or_else(|| bad("cannot be written with other constants".into()))?;
     MachineFile::parse(&after, path)?;
-    notes.push(believed(&memory));
-    if is_held {
+    let is_bound = is_held;
+    is_held |= forbids.is_some();
+    notes.push(forbids.unwrap_or_else(|| believed(&memory)));
+    if is_bound {
         notes.push(format!(
             "A bound was reached ({:.0} % of a constant, or {} µm together): the machine is no longer the one \
              that was measured. Measure it again: trueup fit, or trueup diagnose.",
@@ -188,8 +194,6 @@ pub fn learn(
             limits.total_um
         ));
     }
-    is_held |= forbids.is_some();
-    notes.extend(forbids);
     log(&mut memory, &before, &after, &run, quantity, known);
     let half = memory.bank.half_widths();
     let half_widths = memory.constants.iter().zip(&half[1..]);

@@ -59,8 +59,10 @@ pub(crate) fn step_um(
         let [before_um, after_um] = [level(before), level(after)];
         let before = before.iter().map(|um| cost(um - before_um));
         let after = after.iter().map(|um| cost(um - after_um));
-        // Before the first reading the reference was right.
-        (before.chain(after).sum::<f64>(), after_um - before_um)
+        // Before the first reading the reference was right: a level that is held is a step too.
+        let is_level = after_um.abs() >= STEP_UM;
+        let um = if is_level { after_um } else { after_um - before_um };
+        (before.chain(after).sum::<f64>(), um)
     });
     let (by_step, um) = steps.min_by(|a, b| a.0.total_cmp(&b.0))?;
     (um.abs() >= STEP_UM && by_step <= by_constants + STRONG_EVIDENCE).then_some(um)
