@@ -185,7 +185,10 @@ impl Open {
                  as well."
                     .into(),
             );
-            finding.rivals.insert(0, Rival { cause: CAUSE.into(), column: None, score_gap: *gap });
+            finding.rivals.insert(
+                0,
+                Rival { cause: CAUSE.into(), column: None, form: None, score_gap: *gap },
+            );
             finding.confidence = finding.confidence.min(0.5);
             finding.next_test = decisive_record().into();
         }
@@ -252,6 +255,8 @@ fn finding(factor: Factor, data: &Data, after: &[f64], offset_um: &[f64]) -> Fin
     Finding {
         cause: CAUSE.into(),
         column: None,
+        form: None,
+        times: None,
         claimed: true,
         compensated: false,
         confidence: 0.999,
