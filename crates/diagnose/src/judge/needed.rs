@@ -5,7 +5,10 @@ use crate::{
     gain::Gain,
     judge::case::Case,
     kind::{Kind, Part},
-    search::extend::{centred_effect, take_back, without},
+    search::{
+        extend::{centred_effect, take_back, without},
+        simplify::hangs_on_one_reading,
+    },
 };
 use trueup_machine::effect::Effect;
 
@@ -14,21 +17,13 @@ use trueup_machine::effect::Effect;
 pub(crate) fn gains_again(case: &Case<'_>, cause: &Kind, left_out_without: &[f64]) -> bool {
     cause.list_length().is_some()
         || case.paired(left_out_without).without_best > 0.0
-            && !(cause.is_from_the_start() && hangs_on_one_reading(case, left_out_without))
+            && !(cause.is_from_the_start() && hangs_on_one_reading(left_out_without, &case.left_out))
 }
 
 /// Whether the interval of what a term gains on left-out blocks holds nothing, as that of its size must not.
 /// Tables and curves answer for themselves.
 pub(crate) fn may_gain_nothing(part: &Part, gain: &Gain) -> bool {
     part.kind.list_length().is_none() && gain.ci95[0] <= 0.0
-}
-
-/// Whether most of what a term gains is gained at a single reading.
-fn hangs_on_one_reading(case: &Case<'_>, left_out_without: &[f64]) -> bool {
-    let rows = left_out_without.iter().zip(&case.left_out);
-    let gains: Vec<f64> = rows.map(|(before, after)| before * before - after * after).collect();
-    let largest = gains.iter().copied().fold(0.0, f64::max);
-    2.0 * largest > gains.iter().sum::<f64>()
 }
 
 /// Whether what only the clock tells, a drift or a jump, also foresees the end of the record, where

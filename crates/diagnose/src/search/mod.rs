@@ -31,7 +31,7 @@ mod float;
 pub(crate) mod lack_of_fit;
 mod revise;
 pub(crate) mod scan;
-mod simplify;
+pub(crate) mod simplify;
 pub(crate) mod smoothing;
 pub(crate) mod state;
 mod statistics;

@@ -28,6 +28,7 @@ impl Search<'_> {
         self.laws_for_a_table();
         self.unstack();
         self.drop_what_only_smooths();
+        self.drop_what_one_reading_holds_up();
         self.drop_what_does_not_gain();
         self.simplest_of_equals();
         self.name_paths();
@@ -247,6 +248,33 @@ impl Search<'_> {
         !self.folds.paired(&there, own).is_better() || rms(&there) <= EQUAL_PREDICTION * rms(own)
     }
 
+    /// What rises from the start on, or jumps once, and gains most of all at one reading is that reading: the first
+    /// of a day may be a bad one. It leaves, and the reading is judged as all others are.
+    fn drop_what_one_reading_holds_up(&mut self) {
+        if self.problem.groups.size > 1 {
+            return;
+        }
+        let with = self.foresight(&self.fitted);
+        // A constant in its place is no gain of it.
+        let zero = |cause: &Kind| {
+            let mut rest = self.fitted.model.clone();
+            rest.parts.retain(|part| part.kind != *cause);
+            if !rest.parts.iter().any(|part| part.kind.cause().is_some_and(Effect::is_constant)) {
+                rest.constant_um = Some(rest.constant_um.unwrap_or(0.0));
+            }
+            fit(self.problem, &rest, None)
+        };
+        let held_up = self.added.iter().position(|it| {
+            (it.cause.is_from_the_start() || it.cause.has_instant())
+                && hangs_on_one_reading(&self.foresight(&zero(&it.cause)), &with)
+        });
+        if let Some(index) = held_up {
+            let without = self.without(&self.added[index].cause);
+            self.given_up.push(self.added[index].cause.clone());
+            self.remove(index, without);
+        }
+    }
+
     /// Of models that foresee left-out blocks equally well the one with the fewest values is the answer:
     /// a term without which no more is left there, beyond the standard error of the difference, leaves.
     /// That which is needed least goes first.
@@ -298,6 +326,12 @@ impl Search<'_> {
             }
         }
     }
+}
+
+/// Whether most of what is gained between `before` and `after`, both in groups, is gained at a single reading.
+pub(crate) fn hangs_on_one_reading(before: &[f64], after: &[f64]) -> bool {
+    let gains = || before.iter().zip(after).map(|(before, after)| before * before - after * after);
+    2.0 * gains().fold(0.0, f64::max) > gains().sum::<f64>()
 }
 
 /// Laws in the place of a table.
