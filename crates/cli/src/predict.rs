@@ -56,7 +56,7 @@ pub fn run(args: &Predict, as_json: bool) -> Result<Outcome> {
         let row = written.broken_promise.map_or(0, |(row, _)| row);
         report::warn(format_args!("{}: {how}", run.place(row, "time_s")));
     }
-    print(&written, to, as_json)?;
+    print(&predictor, &written, to, as_json)?;
     Ok(if broken.is_some() { Outcome::NotMet } else { Outcome::Done })
 }
 
@@ -69,7 +69,7 @@ fn broken_promise(predictor: &Predictor<'_>, written: &Written) -> Option<String
     ))
 }
 
-fn print(written: &Written, to: &Path, as_json: bool) -> Result<()> {
+fn print(predictor: &Predictor<'_>, written: &Written, to: &Path, as_json: bool) -> Result<()> {
     if let Some(place) = &written.first_out_of_range {
         let rows = written.rows_out_of_range;
         report::warn(format_args!(
@@ -83,6 +83,8 @@ fn print(written: &Written, to: &Path, as_json: bool) -> Result<()> {
             "rows_without_counts": written.rows_without_counts,
             "rows_out_of_range": written.rows_out_of_range,
             "largest_difference_nm": written.largest_difference_nm,
+            "largest_arithmetic_nm": written.largest_arithmetic_nm,
+            "not_run": predictor.not_run(),
         }))?;
         return Ok(());
     }
@@ -93,6 +95,13 @@ fn print(written: &Written, to: &Path, as_json: bool) -> Result<()> {
     }
     if let Some(nm) = written.largest_difference_nm {
         output::print(format_args!("largest difference of the bridge from the model: {nm:.3} nm"))?;
+    }
+    let not_run = predictor.not_run();
+    if let (Some(nm), false) = (written.largest_arithmetic_nm, not_run.is_empty()) {
+        output::print(format_args!(
+            "of it by the board's arithmetic: {nm:.3} nm; the rest is of what it does not run: {}",
+            not_run.join(", ")
+        ))?;
     }
     Ok(())
 }

@@ -20,7 +20,7 @@
 //! | `run` | are the columns of a run in the units of their names |
 //! | `summary` | what the file will do |
 
-mod extent;
+pub(crate) mod extent;
 mod heat;
 mod limits;
 mod nothing;

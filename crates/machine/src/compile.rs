@@ -29,6 +29,7 @@ use trueup_core::{calibration::Calibration, gradient::Gradient};
 use trueup_store::calibration::{MAX_SIZE, TooLarge, decode, encode, identity};
 
 use crate::{
+    envelope,
     file::{LinearAxis, Machine, Straightness},
     location::{BadInput, Locations},
     model,
@@ -88,9 +89,10 @@ impl Compiled {
 /// # Errors
 /// Something that is in use is not described in `[inputs]`, a value does not fit the board's integer
 /// for it, a part would be further than [`LARGEST_DIFFERENCE_NM`] from the model, a slope is beyond
-/// what [`check_slopes`] lets pass, or all of it does not fit the board; with the key and, for a machine that
+/// what [`check_slopes`] lets pass, terms leave what is possible ([`envelope::refuse`]), or all of it does not fit the board; with the key and, for a machine that
 /// was read from a file, its place.
 pub fn compile(machine: &Machine) -> Result<Compiled, BadInput> {
+    let whole = machine;
     let (machine, falling) = model::corrected(machine.compensated());
     let machine = &*term::with_thermal_laws(machine)?;
     check_slopes(machine)?;
@@ -148,6 +150,8 @@ pub fn compile(machine: &Machine) -> Result<Compiled, BadInput> {
             return Err(machine.places.bad("machine", format!("the board would refuse: {error}")));
         }
     }
+    // Last: what else is wrong is said first.
+    envelope::refuse(whole)?;
     let parts = account.parts;
     let largest_difference_nm = parts.iter().fold(0.0, |worst: f64, (_, nm)| worst.max(*nm));
     Ok(Compiled { blob, parts, largest_difference_nm })

@@ -15,6 +15,7 @@
 //! | [`model`] | the reference: what the model says of a run, row by row, in `f64` |
 //! | [`compile`](mod@compile) | a [`Machine`] in the integers of the board, and back |
 //! | [`check`] | what a file will do, and what in it is unlikely to be meant |
+//! | [`envelope`] | how far its corrections may go from a start on, and which terms leave what is possible |
 //! | [`schema`] | every key and column, for editors and for the reference |
 //! | [`show`] | a calibration written as a machine file |
 //! | [`template`] | a machine file to begin with |
@@ -26,6 +27,7 @@ pub mod bounded;
 pub mod check;
 pub mod compile;
 pub mod effect;
+pub mod envelope;
 pub mod file;
 pub mod inputs;
 pub mod location;

@@ -70,13 +70,22 @@ pub struct Prediction {
 }
 
 impl Prediction {
-    /// The largest difference between the bridge and what it is to correct, in nm; `None` without a
-    /// bridge or a value.
+    /// The largest difference between the bridge and the model, in nm, of the columns that are written; `None`
+    /// without a bridge or a value.
     #[must_use]
     pub fn difference_nm(&self) -> Option<f64> {
+        self.apart_nm(self.model)
+    }
+
+    /// The same between the bridge and what it is to correct: what its arithmetic costs.
+    #[must_use]
+    pub fn arithmetic_nm(&self) -> Option<f64> {
+        self.apart_nm(self.compensated)
+    }
+
+    fn apart_nm(&self, model: Values) -> Option<f64> {
         let bridge = self.bridge?.all();
-        let apart =
-            self.compensated.all().into_iter().zip(bridge).map(|(model, bridge)| model - bridge);
+        let apart = model.all().into_iter().zip(bridge).map(|(model, bridge)| model - bridge);
         apart.filter(|um| !um.is_nan()).map(|um| um.abs() * NM_PER_UM).reduce(f64::max)
     }
 }
@@ -102,8 +111,11 @@ pub struct Written {
     pub rows_out_of_range: usize,
     /// Where the first of these stands.
     pub first_out_of_range: Option<Location>,
-    /// The largest difference between model and bridge, in nm; `None` without a bridge or rows.
+    /// The largest difference between model and bridge, in nm, of the columns that were written; `None` without a
+    /// bridge or rows.
     pub largest_difference_nm: Option<f64>,
+    /// What of it is the board's arithmetic, in nm; the rest is of terms that it does not run.
+    pub largest_arithmetic_nm: Option<f64>,
     /// Where the bridge is further from the model than [`Predictor::promised_nm`], the furthest: its row, from
     /// 0, and the difference in nm.
     pub broken_promise: Option<(usize, f64)>,
@@ -151,6 +163,13 @@ impl<'a> Predictor<'a> {
     pub fn promised_nm(&self) -> Option<f64> {
         let bridge = self.bridge.as_ref().ok()?;
         Some(bridge.compiled.parts.iter().map(|(_, nm)| nm).sum::<f64>() + WIRE_STEP_NM)
+    }
+
+    /// The terms that only explain, by their causes: the model has them, and the board does not run them.
+    #[must_use]
+    pub fn not_run(&self) -> Vec<&'static str> {
+        let terms = self.machine.terms.iter().filter(|term| !term.effect.is_compensated());
+        terms.map(|term| term.effect.name()).collect()
     }
 
     /// Columns that the machine's model needs and the run does not have: what depends on them is
@@ -238,6 +257,7 @@ impl<'a> Predictor<'a> {
             rows_out_of_range: 0,
             first_out_of_range: None,
             largest_difference_nm: None,
+            largest_arithmetic_nm: None,
             broken_promise: None,
         };
         for column in self.run.columns() {
@@ -286,6 +306,10 @@ impl<'a> Predictor<'a> {
         if let Some(difference_nm) = prediction.difference_nm() {
             let before = written.largest_difference_nm.unwrap_or(0.0);
             written.largest_difference_nm = Some(before.max(difference_nm));
+        }
+        if let Some(difference_nm) = prediction.arithmetic_nm() {
+            let before = written.largest_arithmetic_nm.unwrap_or(0.0);
+            written.largest_arithmetic_nm = Some(before.max(difference_nm));
             let worst = written.broken_promise.map_or(0.0, |(_, nm)| nm);
             if difference_nm > allowed_nm && difference_nm > worst {
                 written.broken_promise = Some((row, difference_nm));

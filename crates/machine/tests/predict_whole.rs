@@ -67,7 +67,7 @@ fn the_bridge_is_within_10_nm_of_the_model_on_a_day_of_the_gantry() {
     }
     let worst = predictions(GANTRY, &run)
         .iter()
-        .map(|prediction| prediction.difference_nm().expect("there is a bridge"))
+        .map(|prediction| prediction.arithmetic_nm().expect("there is a bridge"))
         .fold(0.0, f64::max);
     println!("largest difference of the bridge from the model: {worst:.3} nm");
     assert!(worst <= 10.0, "{worst} nm");

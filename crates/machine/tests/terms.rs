@@ -110,7 +110,7 @@ fn a_sensors_causes_act_on_its_law_alone_whatever_the_order_in_the_file() {
         let predictor = Predictor::new(&machine, &run).unwrap_or_else(|error| panic!("{error}"));
         assert_eq!(predictor.why_no_bridge(), None);
         let row = predictor.rows().next().expect("a row");
-        assert!(row.difference_nm().expect("a bridge") <= 1.0, "{row:?}");
+        assert!(row.arithmetic_nm().expect("a bridge") <= 1.0, "{row:?}");
     }
 }
 
@@ -421,7 +421,7 @@ fn the_board_runs_every_term_that_compensates_as_the_model_says() {
         let plain = Machine { terms: Vec::new(), ..machine.clone() };
         let plain = Predictor::new(&plain, &run).expect("it has the columns");
         for (row, plain) in predictor.rows().zip(plain.rows()) {
-            largest = largest.max(row.difference_nm().expect("there is a bridge"));
+            largest = largest.max(row.arithmetic_nm().expect("there is a bridge"));
             let board =
                 |of: &trueup_machine::predict::Prediction| of.bridge.expect("as above").all();
             for (with, without) in board(&row).into_iter().zip(board(&plain)) {
@@ -453,7 +453,7 @@ fn an_angle_at_a_long_lever_is_within_a_nanometre_of_the_model() {
         let machine = machine("", &term("dx", &keys));
         let predictor = Predictor::new(&machine, &run).unwrap_or_else(|error| panic!("{error}"));
         assert_eq!(predictor.why_no_bridge(), None, "{angle}");
-        let apart = predictor.rows().map(|row| row.difference_nm().expect("there is a bridge"));
+        let apart = predictor.rows().map(|row| row.arithmetic_nm().expect("there is a bridge"));
         let worst = apart.fold(0.0, f64::max);
         println!("an angle at levers of 20 m: {worst:.3} nm");
         assert!(worst < 1.0, "{worst} nm: {angle}");

@@ -20,8 +20,10 @@ use trueup_client::{
 };
 use trueup_core::cnc::Quality;
 use trueup_machine::{
+    BadInput,
     check::{corrects_nothing, ranges},
     compile::inverse,
+    envelope,
 };
 use trueup_store::calibration::{decode, identity, whole};
 
@@ -114,6 +116,7 @@ fn read(path: &Path) -> Result<Vec<u8>> {
     let calibration = decode(&bytes).map_err(|error| bad(error.to_string()))?;
     let machine = inverse(&calibration);
     files::refuse_or_warn(&path.display().to_string(), &ranges(&machine))?;
+    envelope::refuse(&machine).map_err(|BadInput { rule, .. }| bad(rule))?;
     if corrects_nothing(&machine).is_some() {
         report::warn(format_args!(
             "{}: corrects nothing: a board with it leaves every offset at 0",

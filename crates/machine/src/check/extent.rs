@@ -2,7 +2,7 @@
 
 use crate::{
     effect::OnBoard,
-    file::{BSpline, LinearAxis, Machine, Pitch, Thermal},
+    file::{BSpline, LinearAxis, Machine, Pitch, Quantity, Term, Thermal},
 };
 
 /// By how much a machine's temperature may differ from the one it is right at, in K: half of what lies
@@ -19,7 +19,7 @@ pub struct Part {
 }
 
 /// Both ends of an axis in mm: its travel, else where its tables and curves reach.
-pub(super) fn reach_mm(machine: &Machine, axis: LinearAxis) -> Option<[f64; 2]> {
+pub(crate) fn reach_mm(machine: &Machine, axis: LinearAxis) -> Option<[f64; 2]> {
     let model = &machine.axes[axis.index()];
     if model.travel_mm.is_some() {
         return model.travel_mm;
@@ -42,7 +42,8 @@ pub(super) fn knots_mm(spline: &BSpline) -> Option<[f64; 2]> {
     Some([*spline.knots_mm.first()?, *spline.knots_mm.last()?])
 }
 
-/// What the file can make on an axis by its position and its heat, without the elongation.
+/// What the file can make on an axis by its position and its heat, and by the terms of the elongation; without the
+/// elongation's source.
 pub(super) fn of_axis(machine: &Machine, axis: LinearAxis) -> Vec<Part> {
     let model = &machine.axes[axis.index()];
     let key = |name: &str| format!("axis.{}.{name}", axis.name());
@@ -73,7 +74,48 @@ pub(super) fn of_axis(machine: &Machine, axis: LinearAxis) -> Vec<Part> {
             add(format!("term[{index}]"), um.map(|um| um + term.constant_um.abs()));
         }
     }
+    let along = along(machine, axis);
+    let of_growth = |term: &Term| {
+        let is_of_growth = term.quantity == Quantity::Elongation && along > 0.0;
+        is_of_growth && term.effect.is_compensated() && machine.has_elongation()
+    };
+    for (index, term) in machine.terms.iter().enumerate().filter(|(_, term)| of_growth(term)) {
+        let forms = term.effect.on_board();
+        // What changes a law of the source is in that law's own part.
+        if !forms.is_empty() {
+            let um = forms.iter().map(|form| of_growth_by(machine, form)).sum::<f64>();
+            add(format!("term[{index}]"), Some(along * (um + term.constant_um.abs())));
+        }
+    }
     parts
+}
+
+/// The share of the growth that comes to lie along an axis: all of it where a head can turn the tool there.
+pub(super) fn along(machine: &Machine, axis: LinearAxis) -> f64 {
+    match machine.head_axes.is_empty() {
+        true => machine.tool_direction[axis.index()].abs(),
+        false => 1.0,
+    }
+}
+
+/// What a form can add to the elongation, in µm: by what its source can be, and the rated speed; of a load that
+/// the file does not say nothing.
+fn of_growth_by(machine: &Machine, form: &OnBoard) -> f64 {
+    let source = machine.spindle.source.map(|source| format!("spindle.{}", source.name()));
+    let grown = || {
+        let parts = of_elongation(machine);
+        let own = parts.into_iter().find(|part| Some(&part.key) == source.as_ref());
+        own.and_then(|part| part.largest_um).unwrap_or(0.0)
+    };
+    match *form {
+        OnBoard::Gain(gain) => (gain - 1.0).abs() * grown(),
+        OnBoard::Curvature(per_um) => per_um.abs() * grown().powi(2),
+        OnBoard::Speed(um_per_krpm2) => {
+            let rated = machine.spindle.warmup.as_ref().and_then(|warmup| warmup.rated_rpm);
+            um_per_krpm2.abs() * (rated.unwrap_or(0.0) / 1000.0).powi(2)
+        }
+        ref other => of_form(machine, other, None).unwrap_or(0.0),
+    }
 }
 
 fn of_heat(thermal: &Thermal, own_mm: Option<[f64; 2]>) -> Option<f64> {

@@ -4,7 +4,11 @@ use super::{
     extent::{self, Part, ROOM_C},
     warning::Warning,
 };
-use crate::file::{LinearAxis, Machine};
+use crate::{
+    envelope,
+    file::{LinearAxis, Machine},
+    location::BadInput,
+};
 
 /// The fastest change of an offset as a share of the axis's rapid traverse: the default of Siemens' MD32760
 /// (field notes), at which a following error does not show.
@@ -15,7 +19,32 @@ pub(super) const SLOW_RAPID_MM_PER_MIN: f64 = 10_000.0;
 
 pub(super) fn warnings(machine: &Machine) -> Vec<Warning> {
     let of_axes = LinearAxis::ALL.into_iter().flat_map(|axis| no_room(machine, axis));
-    too_fast(machine).into_iter().chain(of_axes).chain(no_room_for_growth(machine)).collect()
+    let mut all: Vec<Warning> =
+        too_fast(machine).into_iter().chain(of_axes).chain(no_room_for_growth(machine)).collect();
+    all.extend(taken_back(machine));
+    all
+}
+
+/// Terms that leave what is possible, which `compile` refuses, or take each other back.
+fn taken_back(machine: &Machine) -> Option<Warning> {
+    match envelope::refuse(machine) {
+        // Of a machine with [inputs] it is said that no board can run it.
+        Err(_) if machine.inputs.is_some() => None,
+        Err(BadInput { place, rule, help, .. }) => {
+            Some(Warning { place, what: rule, help: help.unwrap_or_default() })
+        }
+        Ok(()) => envelope::cancelling(machine).map(|pair| {
+            let [first, second] = pair.terms;
+            let [one, other] = pair.um;
+            let what = format!(
+                "and term[{second}] take each other back on {}: {one:+.0} and {other:+.0} µm once settled",
+                pair.axis.name()
+            );
+            let help = "right after a start, or with one of them a little off, what is left is anything: take \
+                        both out, or diagnose anew";
+            Warning::at(machine, &format!("term[{first}]"), &what, help)
+        }),
+    }
 }
 
 /// The fastest slew that an axis of this rapid traverse does not notice, in µm/s.

@@ -4,7 +4,7 @@
 use trueup_store::calibration::MAX_SIZE;
 
 use super::{
-    extent::{Part, of_axis, of_elongation},
+    extent::{Part, along, of_axis, of_elongation},
     limits::unnoticed_um_per_s,
 };
 use crate::{
@@ -96,10 +96,7 @@ impl Summary {
 /// The parts of an axis, and the share of the growth that comes to lie along it: all of it where a head
 /// can turn the tool there.
 fn parts(machine: &Machine, axis: LinearAxis) -> Vec<Part> {
-    let share = match machine.head_axes.is_empty() {
-        true => machine.tool_direction[axis.index()].abs(),
-        false => 1.0,
-    };
+    let share = along(machine, axis);
     let source = machine.spindle.source.map(|source| format!("spindle.{}", source.name()));
     let growth =
         of_elongation(machine).into_iter().filter(|part| Some(&part.key) == source.as_ref());
