@@ -17,7 +17,7 @@ use trueup_machine::{
     compile::{check_slopes, compile},
     file,
 };
-use trueup_page::micrometres;
+use trueup_page::{micrometres, significant};
 
 use crate::{Outcome, UserError, files, origin, output, report};
 
@@ -198,6 +198,11 @@ fn print(args: &Diagnose, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
         let column = finding.column.as_ref().map_or(String::new(), |column| format!(" {column}"));
         let state = if finding.claimed { "" } else { " (not settled)" };
         output::print(format_args!("  {}{column}{state}: {}", finding.cause, finding.sentence))?;
+        for (name, parameter) in &finding.parameters {
+            if let Some(written) = parameter.get("written").and_then(serde_json::Value::as_f64) {
+                output::print(format_args!("    written: {name} = {}", significant(written)))?;
+            }
+        }
         output::print(format_args!("    next: {}", finding.next_test))?;
     }
     output::print(format_args!(
@@ -213,6 +218,13 @@ fn print(args: &Diagnose, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
     ))?;
     if diagnosis.corrects() {
         let at_tool = &report.at_tool;
+        output::print(format_args!(
+            "corrected by the board: {} RMS before, {} after, at most {}; not fitted to: {}",
+            micrometres(report.before.rms_um),
+            micrometres(report.after.compensated_rms_um),
+            micrometres(report.after.compensated_max_um),
+            micrometres(report.after.compensated_holdout_rms_um)
+        ))?;
         output::print(format_args!(
             "promised at the tool, on days like these: {} RMS before, {} after",
             micrometres(at_tool.before_um),

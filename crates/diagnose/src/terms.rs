@@ -4,6 +4,10 @@ use trueup_machine::file::{Quantity, Term};
 
 use crate::{data::Data, kind::Part, model::Model};
 
+/// A reference that is a temperature, in °C: what a part may have. Beyond, the zero is a constant of the term.
+const COLDEST_C: f64 = -40.0;
+const HOTTEST_C: f64 = 150.0;
+
 /// The terms by which a machine file is extended.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Extended {
@@ -60,9 +64,9 @@ pub(crate) fn terms(data: &Data, model: &Model) -> Vec<Term> {
     for term in &mut terms {
         let factor = along(term.quantity);
         if let Some(heat) = term.effect.heat_mut() {
-            let shift_c = constant_um / (heat.um_per_c * factor);
-            if shift_c.abs() < 1000.0 {
-                heat.reference_c -= shift_c;
+            let reference_c = heat.reference_c - constant_um / (heat.um_per_c * factor);
+            if (COLDEST_C..=HOTTEST_C).contains(&reference_c) {
+                heat.reference_c = reference_c;
                 constant_um = 0.0;
                 break;
             }

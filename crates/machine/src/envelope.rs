@@ -136,6 +136,7 @@ pub fn states(machine: &Machine, ranges: &InputRanges) -> Vec<State> {
                             load_n: Some(ranges.load_n[end]),
                             feed_mm_per_min: 1000.0,
                             temperatures_c: &temperatures,
+                            others: &[],
                             position_mm: *position_mm,
                             angle_deg: [0.0; 3],
                             direction: [*direction; 3],

@@ -8,12 +8,13 @@
 //! ```text
 //! left²   = mean gᵀ·C·g      the values are not known better    (g: change by each value on that day, C: their covariance)
 //!         + mean δ²          the inputs are noisy, and the board passes that on (δ: what their noise changes)
-//!         + u²               what wanders slowly and goes with nothing, where the first record shows that
+//!         + u²               what wanders slowly and goes with nothing, where the first record shows that; what the
+//!                            machine does that is explained and the board does not run (a drift, a jump)
 //! before² = mean c² + left²  c: what the extended file corrects more than the file as it is
 //! ```
 //!
-//! The zero of an axis's measurement is arbitrary and does not count. What comes only once, or is not the
-//! machine's, is not foreseen: a promise is for what the board corrects.
+//! The zero of an axis's measurement is arbitrary and does not count. What is not the machine's is not foreseen: a
+//! promise is for what the board corrects.
 
 use std::sync::Arc;
 
@@ -43,13 +44,14 @@ pub(crate) struct Grounds {
     model: Model,
     /// How well its values are known.
     spread: Spread,
-    /// Mean square of what wanders, in µm².
-    wanders: f64,
+    /// Mean square of what stays whatever is corrected, in µm²: what wanders, and what is explained and not run.
+    stays: f64,
 }
 
 impl Grounds {
-    /// Of `compensated`, the model as the board runs it.
-    pub(super) fn new(problem: &Problem, found: &Found, compensated: &Model) -> Self {
+    /// Of `compensated`, the model as the board runs it on `problem`; `not_run`: the mean square of what the
+    /// machine does that is explained and the board does not run, in µm².
+    pub(super) fn new(problem: &Problem, found: &Found, compensated: &Model, not_run: f64) -> Self {
         let residual = problem.residual(compensated);
         let sum = residual.iter().map(|r| r * r).sum();
         let fitted =
@@ -59,11 +61,8 @@ impl Grounds {
         Self {
             model: compensated.clone(),
             spread: spread(problem, &fitted, found.noise),
-            wanders: if wanders(problem, found) {
-                (1.0 - found.noise.white) * variance
-            } else {
-                0.0
-            },
+            stays: not_run
+                + if wanders(problem, found) { (1.0 - found.noise.white) * variance } else { 0.0 },
         }
     }
 
@@ -96,8 +95,8 @@ impl Grounds {
         };
         let (values, noise) = both(values, || self.noise(table, runs));
         let noise = noise?;
-        let left = values + noise[1] + self.wanders;
-        let before = corrected + values + noise[0] + self.wanders;
+        let left = values + noise[1] + self.stays;
+        let before = corrected + values + noise[0] + self.stays;
         Ok(AtTool::new(before.sqrt(), left.sqrt()))
     }
 

@@ -9,6 +9,7 @@ use trueup_machine::{
 };
 
 use super::Diagnosis;
+use crate::{data::Data, model::Model, terms::Extended};
 
 /// The extended machine.
 pub(crate) fn machine(diagnosis: &Diagnosis) -> Machine {
@@ -17,6 +18,17 @@ pub(crate) fn machine(diagnosis: &Diagnosis) -> Machine {
         machine.terms[*number] = term.clone();
     }
     machine.terms.extend(diagnosis.terms.iter().cloned());
+    machine
+}
+
+/// The machine file of `data`, extended by the terms of `model`.
+pub(super) fn extended_by(data: &Data, model: &Model) -> Machine {
+    let Extended { replaced, new } = Extended::by(data, model);
+    let mut machine = data.machine.clone();
+    for (number, term) in replaced {
+        machine.terms[number] = term;
+    }
+    machine.terms.extend(new);
     machine
 }
 

@@ -1,8 +1,8 @@
 //! A judgement as a finding of the report: in sentences, with the measurement to make next.
 
-use serde_json::{Map, json};
+use serde_json::{Map, Value, json};
 
-use trueup_machine::effect::{Dependence, Effect, Value};
+use trueup_machine::effect::{Dependence, Effect, Value as Entry};
 use trueup_numerics::blocks::rms;
 use trueup_page::micrometres;
 
@@ -12,6 +12,7 @@ use crate::{
         errors::errors,
         next::next,
         report::{Finding, Partner, Rival},
+        written::NotWritten,
     },
     blocks::Unit,
     data::Data,
@@ -20,6 +21,7 @@ use crate::{
     judge::{Doubt, Judgement, table::BetweenPoints},
     kind::{Kind, Part},
     outliers::Aside,
+    parameters::Estimates,
 };
 
 /// The finding of a term of what was found on `problem`; `left_out`: what was left out in turn.
@@ -125,12 +127,81 @@ impl Finding {
     }
 }
 
+impl Finding {
+    /// Its term is not written for the board, and why.
+    pub(super) fn is_not_written(&mut self, why: &NotWritten) {
+        self.compensated = false;
+        self.evidence.push(why.sentence());
+        if why.is_inseparable() {
+            self.claimed = false;
+            self.next_test = NotWritten::NEXT_TEST.into();
+        }
+    }
+
+    /// Its term is written with these values: where they differ from the joint fit by more than a standard error
+    /// they stand beside it.
+    pub(super) fn is_written(&mut self, written: Option<Estimates>) {
+        let Some(written) = written else { return };
+        let mut differs = Vec::new();
+        for (name, there) in written.named {
+            let Some(own) = self.parameters.get_mut(&name).and_then(Value::as_object_mut) else {
+                continue;
+            };
+            let value = &there["value"];
+            if is_apart(&own["value"], value, own.get("ci95")) {
+                differs.push(match value.as_f64() {
+                    Some(number) => format!("{name} {}", five_digits(number)),
+                    None => name,
+                });
+                own.insert("written".into(), value.clone());
+            }
+        }
+        if !differs.is_empty() {
+            self.evidence.push(format!(
+                "Fitted without what the board does not run, and so in extended.toml: {}.",
+                differs.join(", ")
+            ));
+        }
+    }
+}
+
+/// Whether two values differ by more than the standard error of the first, of which `ci95` is the interval; without
+/// one, whether they differ. Lists do where one of their values does.
+fn is_apart(own: &Value, written: &Value, ci95: Option<&Value>) -> bool {
+    /// An interval of 95 % has so many standard errors (a normal distribution).
+    const STANDARD_ERRORS: f64 = 3.92;
+    match (own, written) {
+        (Value::Number(_), Value::Number(_)) => {
+            let [one, other] = [own, written].map(|it| it.as_f64().unwrap_or(f64::NAN));
+            let end = |n: usize| ci95.and_then(|it| it.get(n)).and_then(Value::as_f64);
+            let rounding = 1e-9 * one.abs().max(1.0);
+            let error = match (end(0), end(1)) {
+                (Some(low), Some(high)) => (high - low) / STANDARD_ERRORS,
+                _ => 0.0,
+            };
+            (one - other).abs() > error.max(rounding)
+        }
+        (Value::Array(one), Value::Array(other)) => {
+            one.len() != other.len()
+                || one
+                    .iter()
+                    .zip(other)
+                    .enumerate()
+                    .any(|(n, (one, other))| is_apart(one, other, ci95.and_then(|it| it.get(n))))
+        }
+        (Value::Object(one), Value::Object(other)) => one
+            .iter()
+            .any(|(key, one)| other.get(key).is_some_and(|other| is_apart(one, other, None))),
+        _ => own != written,
+    }
+}
+
 /// By how much a term of the machine file has changed, in a sentence; none of what the file has not.
 fn changed(part: &Part) -> Option<String> {
     let (before, after) = (&part.kind.stated()?.effect, part.cause()?);
     let (mut said, mut say) = (Vec::new(), Vec::new());
     for ((key, before), (_, after)) in before.entries().into_iter().zip(after.entries()) {
-        if let (Value::Number(before), Value::Number(after)) = (before, after)
+        if let (Entry::Number(before), Entry::Number(after)) = (before, after)
             && before != after
         {
             said.push(format!("{key} = {}", five_digits(before)));

@@ -54,6 +54,12 @@ pub(crate) fn html(diagnosis: &Diagnosis, machine_name: &str, origin: &Origin) -
         micrometres(report.after.compensated_holdout_rms_um)
     );
     if diagnosis.corrects() {
+        let _ = writeln!(
+            out,
+            "<p>Corrected by the board, by its own arithmetic on the rows above: {} RMS, at most {}.</p>",
+            micrometres(report.after.compensated_rms_um),
+            micrometres(report.after.compensated_max_um)
+        );
         let _ = writeln!(out, "<p>{}</p>", escaped(&promise(report)));
     }
     if !report.missing_inputs.is_empty() {
@@ -283,6 +289,14 @@ fn cause(finding: &Finding, out: &mut String) {
             _ => (readable(value), String::new()),
         };
         let _ = writeln!(out, "<tr><td>{name}</td><td>{value}</td><td>{interval}</td></tr>");
+        if let Some(written) = parameter.get("written") {
+            let written = readable(written);
+            let _ = writeln!(
+                out,
+                "<tr><td>{name}</td><td>{written}</td><td>written: fitted without what the board does not \
+                 run</td></tr>"
+            );
+        }
     }
     let gain = &finding.gain;
     let _ = writeln!(

@@ -13,15 +13,18 @@ mod hint;
 pub(crate) mod hold_out;
 pub(crate) mod html;
 mod next;
+mod on_board;
 mod pictures;
 mod power;
 mod range;
+mod ranges;
 pub mod report;
 mod transfer;
 mod unseen;
 mod verdict;
 mod wandering;
 mod worse;
+pub(crate) mod written;
 
 use std::sync::Arc;
 
@@ -45,12 +48,14 @@ use applied::Bridge;
 use errors::{about_zero, errors, largest, within_groups};
 use finding::{finding, merged, not_claimed, outliers};
 use hold_out::HoldOut;
+use on_board::left_on_board;
 use power::Power;
 use report::{After, Before, Finding, LeftOut, Rejected, Report};
 use transfer::Transfer;
 use unseen::Unseen;
 use verdict::{Grounds, verdict};
 use wandering::Wandering;
+use written::Written;
 
 /// The answer, with all that is needed to write it down.
 #[derive(Clone, Debug)]
@@ -110,6 +115,21 @@ pub(crate) fn conclude(
         model = on_hold_out.model.clone();
         transfer = Some(on_hold_out);
     }
+    let mut written = Written::new(problem, &found, judged, &model, asked.runs);
+    if let Some(hold_out) = asked.hold_out {
+        written.check_on(problem, hold_out);
+    }
+    // What no machine can do explains nothing either.
+    let impossible = written.left.iter().filter(|(_, why)| why.is_inseparable());
+    let impossible: Vec<Kind> = impossible.map(|(kind, _)| kind.clone()).collect();
+    if !impossible.is_empty() {
+        model = without_all(problem, &model, impossible.iter());
+        model = if model.parts.iter().all(|part| part.kind.is_compensated()) {
+            written.board.clone()
+        } else {
+            fit(problem, &model, None).model
+        };
+    }
     let dropped: &[Kind] = transfer.as_ref().map_or(&[], |it| &it.dropped);
     let before = Model::default().predict(&data);
     let after = model.predict(&data);
@@ -123,12 +143,22 @@ pub(crate) fn conclude(
     let unseen = Unseen { problem, folds: &found.folds, within, test };
     let (holdout_before_um, holdout_after_um) = (unseen.before_um(), unseen.after_um(&model));
     let open = asked.bridge.open(problem, &found, judged);
-    let written = if open.forbids_writing() { Model::default() } else { model.clone() };
-    let compensated = compensated(&written);
-    let holdout_compensated_um =
-        if compensated == model { holdout_after_um } else { unseen.after_um(&compensated) };
+    if open.forbids_writing() {
+        written.write_nothing();
+    }
+    let compensated = compensated(&written.board);
+    let holdout_compensated_um = if compensated == model {
+        holdout_after_um
+    } else {
+        written.unseen_um(&unseen, problem, &compensated)
+    };
+    let machine = extended::extended_by(&data, &written.board);
+    let on_board = left_on_board(&data, asked.runs, &machine, &compensated, &aside);
+    let on_board =
+        if compensated.parts.is_empty() { about_zero(&data, on_board) } else { on_board };
 
-    let promise = at_tool::Grounds::new(problem, &found, &compensated);
+    let not_run = written.not_run(&data, &model);
+    let promise = at_tool::Grounds::new(written.problem(problem), &found, &compensated, not_run);
     let questions = questions(problem, &found, judged);
     let has_outliers = known == Aside::Wrong;
     let mut notes = asked.notes;
@@ -159,6 +189,10 @@ pub(crate) fn conclude(
             }
             if is_disproved && finding.claimed {
                 finding.disclaim();
+            }
+            match written.left.iter().find(|(kind, _)| kind == it.cause()) {
+                Some((_, why)) => finding.is_not_written(why),
+                None => finding.is_written(written.estimates(problem, it.cause())),
             }
             finding
         })
@@ -191,6 +225,8 @@ pub(crate) fn conclude(
             max_um: largest(&after_rows),
             holdout_rms_um: holdout_after_um,
             compensated_holdout_rms_um: holdout_compensated_um,
+            compensated_rms_um: rms(&on_board),
+            compensated_max_um: largest(&on_board),
         },
         verdict,
         reasons: reasons.iter().map(ToString::to_string).collect(),
@@ -206,7 +242,10 @@ pub(crate) fn conclude(
         at_tool: promise.on_table(&data, asked.runs)?,
         rejected: found.rejected.into_iter().map(rejected).collect(),
     };
-    let Extended { replaced: corrected, new: terms } = Extended::by(&data, &written);
+    let Extended { replaced: mut corrected, new: mut terms } = Extended::by(&data, &written.board);
+    let explains = Extended::by(&data, &written.explains);
+    corrected.extend(explains.replaced);
+    terms.extend(explains.new);
     let noise_is_measured = repeats.is_some();
     let mut diagnosis = Diagnosis {
         report,
@@ -231,16 +270,18 @@ pub(crate) fn conclude(
 /// without them; but what is of this record alone is left out only then, for beside it the others are right.
 fn kept(problem: &Problem, found: &Found, judged: &[Judgement]) -> Model {
     let model = &found.fitted.model;
-    let left_out = || judged.iter().filter(|it| !it.is_kept);
-    let open = left_out().filter(|it| !it.is_of_this_record()).map(Judgement::cause);
-    let mut kept = without_all(problem, model, open);
+    let open = judged.iter().filter(|it| !it.is_kept && !it.is_of_this_record());
+    let mut kept = without_all(problem, model, open.map(Judgement::cause));
     if !kept.parts.is_empty() && kept.parts.len() < model.parts.len() {
         kept = fit(problem, &kept, None).model;
     }
-    for it in left_out().filter(|it| it.is_of_this_record()) {
-        kept = without_this_record(problem, &kept, it);
-    }
-    kept
+    kept_of(problem, kept, judged)
+}
+
+/// `model` without what is of this record alone.
+fn kept_of(problem: &Problem, model: Model, judged: &[Judgement]) -> Model {
+    let of_record = judged.iter().filter(|it| !it.is_kept && it.is_of_this_record());
+    of_record.fold(model, |model, it| without_this_record(problem, &model, it))
 }
 
 /// `model` without a term that another record would show otherwise, and with what of it lasts: where a start

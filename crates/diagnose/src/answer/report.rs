@@ -97,8 +97,13 @@ pub struct After {
     pub max_um: f64,
     /// On the hold-out; on left-out blocks where there is none.
     pub holdout_rms_um: f64,
-    /// The same with only the terms that a board may correct.
+    /// The same with only the terms that are written for the board.
     pub compensated_holdout_rms_um: f64,
+    /// What the board leaves of these rows with the extended file, by its own arithmetic: root mean square. It is
+    /// what is promised of a reading on a day like these.
+    pub compensated_rms_um: f64,
+    /// The largest of it.
+    pub compensated_max_um: f64,
 }
 
 /// The error at the tool as it is foreseen, RMS in µm: without the noise of the gauge, which the tool does not

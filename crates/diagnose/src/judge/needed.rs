@@ -17,7 +17,8 @@ use trueup_machine::effect::Effect;
 pub(crate) fn gains_again(case: &Case<'_>, cause: &Kind, left_out_without: &[f64]) -> bool {
     cause.list_length().is_some()
         || case.paired(left_out_without).without_best > 0.0
-            && !(cause.is_from_the_start() && hangs_on_one_reading(left_out_without, &case.left_out))
+            && !(cause.is_from_the_start()
+                && hangs_on_one_reading(left_out_without, &case.left_out))
 }
 
 /// Whether the interval of what a term gains on left-out blocks holds nothing, as that of its size must not.

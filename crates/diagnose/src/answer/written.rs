@@ -1,0 +1,468 @@
+//! What is written: the terms that the board runs, fitted as it runs them.
+//!
+//! A diagnosis explains a record with all that helps: a drift, a jump, an error of the instrument. The board
+//! runs none of these, so a term beside them may be anything that they take back. What is written is therefore
+//! fitted again without them, and held against what was measured:
+//!
+//! ```text
+//! joint fit ─► without what the board does not run, fitted again
+//!           ─► without a term whose size is then not known, or that gains nothing on left-out blocks
+//!           ─► without a term larger than twice what was measured, or which leaves its range in another state
+//! beside it  what only explains, fitted to the rest
+//! ```
+//!
+//! The states are those of [`envelope`]: after a start, after a stop, at the corners of the recorded inputs.
+
+use std::sync::Arc;
+
+use trueup_machine::{
+    Machine, RunFile,
+    check::{self, Finding, Grade},
+    envelope::{self, InputRanges, states},
+    file::Quantity,
+};
+use trueup_numerics::{blocks::rms, robust::median};
+use trueup_page::micrometres;
+
+use crate::{
+    answer::{
+        errors::about_zero, extended::extended_by, hold_out::HoldOut, kept_of, ranges::recorded,
+        transfer::Transfer, unseen::Unseen, without_all,
+    },
+    data::Data,
+    fit::{Fitted, Problem, fit},
+    judge::Judgement,
+    kind::Kind,
+    model::Model,
+    parameters::{Estimates, estimates},
+    search::{Found, criterion::noise_of},
+};
+
+/// A term does at most so many times what was measured: two terms of which each explains all and the other
+/// takes it back.
+const MOST_TIMES: f64 = 2.0;
+/// What is predicted in a state that was not measured leaves the measured range by at most so many times its
+/// width.
+const MARGIN: f64 = 1.0;
+/// Of so little nothing is known to be wrong, in µm: the resolution of a dial gauge.
+const LEAST_UM: f64 = 1.0;
+/// Readings farther from the rest, in standard deviations, do not count where a term has left that explained
+/// them.
+const FAR: f64 = 6.0;
+/// Most of the readings that may be so.
+const MOST_FAR: f64 = 0.05;
+
+/// What is written of an answer.
+pub(crate) struct Written {
+    /// The terms that the board runs.
+    pub board: Model,
+    /// What only explains, fitted beside them; with a constant of its own.
+    pub explains: Model,
+    /// The problem without what the file has and the board does not run, where there is such.
+    own: Option<Problem>,
+    /// What is not written though the board could run it, and why.
+    pub left: Vec<(Kind, NotWritten)>,
+}
+
+/// Why a term that the board could run is not written.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum NotWritten {
+    /// Without what the board does not run its size is not known, or it gains nothing.
+    HeldUp,
+    /// It does so much, and what was measured is so much.
+    TooLarge { um: f64, measured_um: f64 },
+    /// The sum of the terms is so much in a state that was not measured; the measured range.
+    LeavesRange { um: f64, range_um: [f64; 2], since_start_s: f64 },
+    /// `compile` would refuse the file.
+    Refused(String),
+}
+
+impl NotWritten {
+    /// Whether the record does not separate the term from what takes it back.
+    pub(crate) fn is_inseparable(&self) -> bool {
+        *self != Self::HeldUp
+    }
+
+    /// In a sentence.
+    pub(crate) fn sentence(&self) -> String {
+        match self {
+            Self::HeldUp => {
+                "Without what the board does not run its size is not known: it is not compensated."
+                    .into()
+            }
+            Self::TooLarge { um, measured_um } => format!(
+                "It would do {}, and no more than {} were measured: another term takes it back, so that it is not \
+                 compensated.",
+                micrometres(*um),
+                micrometres(*measured_um)
+            ),
+            Self::LeavesRange { um, range_um: [low, high], since_start_s } => format!(
+                "With it the prediction would be {um:+.0} µm {:.0} min after a start at a corner of the recorded \
+                 inputs, and {low:+.0} to {high:+.0} µm were measured: it is not compensated.",
+                since_start_s / 60.0
+            ),
+            Self::Refused(rule) => format!("It is not written: {rule}."),
+        }
+    }
+
+    /// The measurement that separates what takes each other back.
+    pub(crate) const NEXT_TEST: &'static str = "Record the first hour after a start from cold with a reading each minute, and once more on another day: \
+         only that separates a constant, a first rise and its time constant.";
+}
+
+impl Written {
+    /// Of the answer `found`, `judged`, of which `joint` is handed out; measured in `runs`.
+    pub(crate) fn new(
+        problem: &Problem,
+        found: &Found,
+        judged: &[Judgement],
+        joint: &Model,
+        runs: &[RunFile],
+    ) -> Self {
+        let own = without_what_is_not_run(problem);
+        let mut written =
+            Self { board: joint.clone(), explains: Model::default(), own, left: Vec::new() };
+        let only_explains: Vec<Kind> = kinds(joint, |kind| !kind.is_compensated());
+        if !only_explains.is_empty() || written.own.is_some() {
+            written.board = written.alone(problem, found, judged, joint);
+            written.drop_what_is_held_up(problem, found, judged);
+        }
+        written.drop_what_leaves_the_measured(problem, found, runs);
+        written.explains = written.explained(problem, joint);
+        written
+    }
+
+    /// Writes nothing: the machine file stays.
+    pub(super) fn write_nothing(&mut self) {
+        (self.board, self.explains) = (Model::default(), Model::default());
+    }
+
+    /// The problem that the board's terms are fitted to.
+    pub(crate) fn problem<'p>(&'p self, problem: &'p Problem) -> &'p Problem {
+        self.own.as_ref().unwrap_or(problem)
+    }
+
+    /// `joint` without what the board does not run, fitted again.
+    fn alone(
+        &self,
+        problem: &Problem,
+        found: &Found,
+        judged: &[Judgement],
+        joint: &Model,
+    ) -> Model {
+        let problem = self.problem(problem);
+        let is_handed_out = |kind: &Kind| joint.has(kind);
+        // What is of this record alone is fitted beside the others, and left out then.
+        let is_of_record = |kind: &Kind| {
+            judged.iter().any(|it| it.cause() == kind && !it.is_kept && it.is_of_this_record())
+        };
+        let leave = kinds(&found.fitted.model, |kind| {
+            !kind.is_compensated() || !is_handed_out(kind) && !is_of_record(kind)
+        });
+        let model = without_all(problem, &found.fitted.model, leave.iter());
+        if model.parts.is_empty() {
+            return Model::default();
+        }
+        kept_of(problem, fit(problem, &model, None).model, judged)
+    }
+
+    /// Leaves out what only held up a term that the board does not run, the one that gains least first.
+    fn drop_what_is_held_up(&mut self, problem: &Problem, found: &Found, judged: &[Judgement]) {
+        let is_claimed =
+            |kind: &Kind| judged.iter().any(|it| it.cause() == kind && it.doubts.is_empty());
+        loop {
+            let on = self.problem(problem);
+            let fitted = fitted(on, &self.board);
+            let noise = noise_of(on, &fitted.residual, fitted.degrees);
+            let with = found.folds.left_out(on, &self.board);
+            let held_up = self.board.parts.iter().filter_map(|part| {
+                let without = self.without(on, &part.kind);
+                let paired = found.folds.paired(&found.folds.left_out(on, &without), &with);
+                let is_unsettled = || estimates(on, &fitted, part, noise).reaches_nothing;
+                let is_held_up = paired.gain <= 0.0
+                    || is_unsettled() && !(is_claimed(&part.kind) && paired.is_better());
+                is_held_up.then(|| (paired.gain, part.kind.clone(), without))
+            });
+            let least = held_up.min_by(|a, b| a.0.total_cmp(&b.0));
+            let Some((_, kind, without)) = least else { return };
+            self.left.push((kind, NotWritten::HeldUp));
+            self.board = without;
+        }
+    }
+
+    /// The board's terms without one, fitted again.
+    fn without(&self, on: &Problem, kind: &Kind) -> Model {
+        let rest = without_all(on, &self.board, std::iter::once(kind));
+        if rest.parts.is_empty() { rest } else { fit(on, &rest, None).model }
+    }
+
+    /// Leaves out terms until each, and their sum in every state, is what a machine can do that was measured so.
+    fn drop_what_leaves_the_measured(
+        &mut self,
+        problem: &Problem,
+        found: &Found,
+        runs: &[RunFile],
+    ) {
+        let on = self.problem(problem);
+        let bounds = Measured::new(on, runs);
+        let (mut board, mut left) = (self.board.clone(), Vec::new());
+        while let Some((_, why)) = bounds.violated(on, &board) {
+            // Tables and curves answer for themselves, by their repeats and point by point.
+            let single = board.parts.iter().filter(|part| part.kind.list_length().is_none());
+            let tried = single.map(|part| {
+                let rest = without_all(on, &board, std::iter::once(&part.kind));
+                let rest = if rest.parts.is_empty() { rest } else { fit_of_most(on, &rest) };
+                let left_um = typical(&found.folds.left_out(on, &rest));
+                (bounds.violated(on, &rest).is_some(), left_um, part.kind.clone(), rest)
+            });
+            let best = tried.min_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+            let Some((_, _, dropped, rest)) = best else { break };
+            left.push((dropped, why));
+            board = rest;
+        }
+        self.board = board;
+        self.left.extend(left);
+    }
+
+    /// What of `joint` only explains, fitted to what the board's terms leave.
+    fn explained(&self, problem: &Problem, joint: &Model) -> Model {
+        let mut model = Model {
+            parts: joint.parts.iter().filter(|it| !it.kind.is_compensated()).cloned().collect(),
+            constant_um: Some(0.0),
+        };
+        if model.parts.is_empty() {
+            return Model::default();
+        }
+        let (added, others): (Vec<_>, Vec<_>) =
+            model.parts.into_iter().partition(|part| part.kind.is_added());
+        model = Model { parts: added, constant_um: Some(0.0) };
+        if model.parts.is_empty() {
+            model.constant_um = None;
+        } else {
+            let [own, believed] =
+                [&self.board, &Model::default()].map(|it| self.problem(problem).predicted(it));
+            let rows = problem.measured.iter().zip(own.iter().zip(&believed));
+            let rest = rows.map(|(um, (own, believed))| um - own + believed).collect();
+            model = fit(&problem.measuring(rest), &model, None).model;
+        }
+        model.parts.extend(others);
+        model.sort();
+        model
+    }
+
+    /// Leaves out what makes a hold-out worse now that the terms stand alone.
+    pub(super) fn check_on(&mut self, problem: &Problem, hold_out: &HoldOut<'_>) {
+        let data = hold_out.data.compensated();
+        let own = data.map(|data| HoldOut { files: hold_out.files, data });
+        let hold_out = own.as_ref().unwrap_or(hold_out);
+        let Transfer { model, dropped, .. } =
+            Transfer::new(self.problem(problem), self.board.clone(), hold_out);
+        self.board = model;
+        self.left.extend(dropped.into_iter().map(|kind| (kind, NotWritten::HeldUp)));
+    }
+
+    /// What `compensated`, as the board runs it, leaves on data that were not used for the fit.
+    pub(super) fn unseen_um(
+        &self,
+        unseen: &Unseen<'_>,
+        problem: &Problem,
+        compensated: &Model,
+    ) -> f64 {
+        let test = unseen.test.and_then(Data::compensated);
+        let unseen = Unseen {
+            problem: self.problem(problem),
+            folds: unseen.folds,
+            within: unseen.within,
+            test: test.as_ref().or(unseen.test),
+        };
+        unseen.after_um(compensated)
+    }
+
+    /// The mean square of what the machine does that `model` explains and the board does not run, in µm²: a drift and
+    /// a jump come again; an error of the instrument or of a clock is not at the tool.
+    pub(super) fn not_run(&self, data: &Data, model: &Model) -> f64 {
+        let is_of_machine = |kind: &Kind| !kind.is_of_instrument() && !kind.is_shift();
+        let of_machine = |kind: &Kind| kind.is_compensated() || is_of_machine(kind);
+        if kinds(model, |kind| !kind.is_compensated() && is_of_machine(kind)).is_empty() {
+            return 0.0;
+        }
+        let mut whole = model.clone();
+        whole.parts.retain(|part| of_machine(&part.kind));
+        let [whole, board] = [&whole, &self.board].map(|it| it.predict(data));
+        let rows = (0..data.rows).filter(|&row| data.used[row]);
+        let apart: Vec<f64> = rows.map(|row| whole[row] - board[row]).collect();
+        rms(&about_zero(data, apart)).powi(2)
+    }
+
+    /// The values in the file of a term, by name, with their intervals; `None`: it is not written.
+    pub(crate) fn estimates(&self, problem: &Problem, kind: &Kind) -> Option<Estimates> {
+        let (on, model) = if self.board.has(kind) {
+            (self.problem(problem), &self.board)
+        } else {
+            (problem, &self.explains)
+        };
+        let part = model.parts.iter().find(|part| part.kind == *kind)?;
+        let fitted = fitted(on, model);
+        Some(estimates(on, &fitted, part, noise_of(on, &fitted.residual, fitted.degrees)))
+    }
+}
+
+/// The kinds of the parts that are so.
+fn kinds(model: &Model, is_so: impl Fn(&Kind) -> bool) -> Vec<Kind> {
+    model.parts.iter().map(|part| &part.kind).filter(|kind| is_so(kind)).cloned().collect()
+}
+
+/// The problem without the terms of the machine file that the board does not run; `None`: there are none.
+fn without_what_is_not_run(problem: &Problem) -> Option<Problem> {
+    let data = problem.data.compensated()?;
+    Some(Problem::new(Arc::new(data), problem.groups.clone()))
+}
+
+/// What `model` leaves, as it stands.
+fn fitted(problem: &Problem, model: &Model) -> Fitted {
+    let residual = problem.residual(model);
+    let sum = residual.iter().map(|r| r * r).sum();
+    let degrees = crate::search::criterion::degrees(model);
+    Fitted { model: model.clone(), residual, sum, degrees }
+}
+
+/// The fit of a model to all readings but a few that are far from the rest: what explained them has left.
+fn fit_of_most(problem: &Problem, model: &Model) -> Model {
+    let first = fit(problem, model, None);
+    if problem.groups.size > 1 {
+        return first.model;
+    }
+    let mut sizes: Vec<f64> = first.residual.iter().map(|r| r.abs()).collect();
+    let most_um = FAR * deviation(&mut sizes);
+    let mask: Vec<bool> = first.residual.iter().map(|r| r.abs() <= most_um).collect();
+    let far = mask.iter().filter(|is_near| !**is_near).count() as f64;
+    if far == 0.0 || far > MOST_FAR * mask.len() as f64 {
+        return first.model;
+    }
+    fit(problem, &first.model, Some(&mask)).model
+}
+
+/// The standard deviation of sizes whose few largest do not count.
+fn deviation(sizes: &mut [f64]) -> f64 {
+    /// A normal distribution's median of sizes, in standard deviations.
+    const MEDIAN: f64 = 0.674_489_750_196_082;
+    median(sizes) / MEDIAN
+}
+
+/// How large residuals mostly are.
+fn typical(residual: &[f64]) -> f64 {
+    let mut sizes: Vec<f64> = residual.iter().map(|r| r.abs()).collect();
+    deviation(&mut sizes).min(rms(residual))
+}
+
+/// The values of a machine file that no machine can have.
+fn impossible(machine: &Machine) -> Vec<Finding> {
+    let findings = check::ranges(machine).into_iter();
+    findings.filter(|it| it.grade == Grade::Impossible).collect()
+}
+
+/// What was measured, and in which states of the inputs.
+struct Measured<'m> {
+    machine: &'m Machine,
+    quantity: Quantity,
+    ranges: InputRanges,
+    /// The largest error, and the largest of what the machine file leaves: a term does no more than twice that.
+    largest_um: f64,
+    /// Least and most of what was measured.
+    range_um: [f64; 2],
+    /// Whether `compile` refuses the machine file already.
+    is_refused: bool,
+    /// What of the machine file no machine can have.
+    impossible: Vec<String>,
+}
+
+impl<'m> Measured<'m> {
+    fn new(problem: &'m Problem, runs: &[RunFile]) -> Self {
+        let data: &Data = &problem.data;
+        let machine = &data.machine;
+        let left = problem.residual(&Model::default());
+        let about = |values: &[f64]| {
+            let is_axis = data.quantity.axis().is_some();
+            let zero =
+                if is_axis { values.iter().sum::<f64>() / values.len().max(1) as f64 } else { 0.0 };
+            values.iter().fold(0.0_f64, |most, um| most.max((um - zero).abs()))
+        };
+        let range_um =
+            problem.measured.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], um| {
+                [low.min(*um), high.max(*um)]
+            });
+        Self {
+            machine,
+            quantity: data.quantity,
+            ranges: recorded(data, runs),
+            largest_um: about(&problem.measured).max(about(&left)).max(LEAST_UM),
+            range_um,
+            is_refused: envelope::excess(machine).is_some(),
+            impossible: impossible(machine).into_iter().map(|it| it.key).collect(),
+        }
+    }
+
+    /// The first term that is more than what was measured lets it be, and why.
+    fn violated(&self, problem: &Problem, model: &Model) -> Option<(Kind, NotWritten)> {
+        let largest = model
+            .parts
+            .iter()
+            .filter(|part| part.kind.list_length().is_none())
+            .map(|part| (self.size_um(problem, model, &part.kind), &part.kind))
+            .max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let (um, kind) = (largest.0, largest.1.clone());
+        if um > MOST_TIMES * self.largest_um {
+            return Some((kind, NotWritten::TooLarge { um, measured_um: self.largest_um }));
+        }
+        let machine = extended_by(&problem.data, model);
+        if let Some(excess) = envelope::excess(&machine).filter(|_| !self.is_refused) {
+            return Some((kind, NotWritten::Refused(excess.rule)));
+        }
+        let beyond = impossible(&machine);
+        if let Some(finding) = beyond.into_iter().find(|it| !self.impossible.contains(&it.key)) {
+            return Some((kind, NotWritten::Refused(finding.warning.what)));
+        }
+        self.outside(&machine).map(|why| (kind, why))
+    }
+
+    /// What a term does in the rows, at the most; of one that rises from a start on all that it rises by.
+    fn size_um(&self, problem: &Problem, model: &Model, kind: &Kind) -> f64 {
+        let parts = model.parts.iter().filter(|part| part.kind != *kind).cloned().collect();
+        let without = Model { parts, ..model.clone() };
+        let [with, without] = [model, &without].map(|model| problem.predicted(model));
+        let mut effect: Vec<f64> = with.iter().zip(&without).map(|(a, b)| a - b).collect();
+        if self.quantity.axis().is_some() {
+            let mean = effect.iter().sum::<f64>() / effect.len().max(1) as f64;
+            effect.iter_mut().for_each(|um| *um -= mean);
+        }
+        let in_rows = effect.iter().fold(0.0_f64, |most, um| most.max(um.abs()));
+        let own = model.parts.iter().find(|part| part.kind == *kind);
+        let risen =
+            own.filter(|part| part.kind.is_from_the_start()).map_or(0.0, |it| it.values[1].abs());
+        in_rows.max(risen)
+    }
+
+    /// The state in which the machine is farthest outside what was measured, if beyond the margin, and farther than
+    /// the machine file is already.
+    fn outside(&self, extended: &Machine) -> Option<NotWritten> {
+        let number = Quantity::ALL.iter().position(|it| *it == self.quantity)?;
+        let believed = states(self.machine, &self.ranges);
+        let [low, high] = believed
+            .iter()
+            .map(|state| state.um[number])
+            .filter(|um| um.is_finite())
+            .fold(self.range_um, |[low, high], um| [low.min(um), high.max(um)]);
+        let margin_um = MARGIN * (self.range_um[1] - self.range_um[0]).max(LEAST_UM);
+        let outside = |um: f64| (low - margin_um - um).max(um - high - margin_um);
+        let worst = states(extended, &self.ranges)
+            .into_iter()
+            .filter(|state| state.um[number].is_finite())
+            .max_by(|a, b| outside(a.um[number]).total_cmp(&outside(b.um[number])))?;
+        let um = worst.um[number];
+        (outside(um) > 0.0).then_some(NotWritten::LeavesRange {
+            um,
+            range_um: self.range_um,
+            since_start_s: worst.since_start_s,
+        })
+    }
+}
