@@ -167,7 +167,8 @@ pub fn trueup_hal(shipped: &str, slew_um_per_s: f64, slower: u32) -> String {
         1 => String::new(),
         _ => format!("--slew-um-per-s {} ", slew_um_per_s / f64::from(slower)),
     };
-    shipped.replacen(period, &format!("--rotary {slew}{period}"), 1)
+    // The bridge of the warm-up has other time constants than the machine file.
+    shipped.replacen(period, &format!("--any-calibration --rotary {slew}{period}"), 1)
 }
 
 /// The angles and the load for the bridge, and the writer of the servo cycles.
@@ -306,7 +307,7 @@ mod tests {
     fn the_angles_are_asked_for() {
         let shipped = "loadusr -W trueup linuxcnc --position-period-ms 2\n";
         let real = trueup_hal(shipped, 500.0, 1);
-        assert!(real.contains("linuxcnc --rotary --position-period-ms 2"));
+        assert!(real.contains("linuxcnc --any-calibration --rotary --position-period-ms 2"));
         let slow = trueup_hal(shipped, 500.0, 4);
         assert!(slow.contains("--rotary --slew-um-per-s 125 --position-period-ms 2"));
     }
