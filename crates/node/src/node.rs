@@ -134,8 +134,7 @@ pub enum Zero {
 }
 
 impl<'a> Node<'a> {
-    /// A node that has just been switched on. `degraded` marks every frame of a board that runs on
-    /// a fall-back.
+    /// A node that has just been switched on. `degraded` marks every frame of a board that runs on a fall-back.
     #[must_use]
     pub fn new(calibration: Option<Calibration<'a>>, degraded: bool) -> Self {
         let mut node = Self {
@@ -198,8 +197,7 @@ impl<'a> Node<'a> {
         self.blob
     }
 
-    /// Lets a CANopen master load a calibration through this buffer; without one it is told that
-    /// nothing can be stored.
+    /// Lets a CANopen master load a calibration through this buffer; without one it is told that nothing can be stored.
     pub fn set_buffer(&mut self, buffer: &'a mut [u8]) {
         self.slot = Slot::new(buffer);
     }
@@ -224,8 +222,7 @@ impl<'a> Node<'a> {
         self.start = start;
     }
 
-    /// Notes from which commit of the source the image was built: the first 32 bits of its hash; 0: nobody
-    /// knows.
+    /// Notes from which commit of the source the image was built: the first 32 bits of its hash; 0: nobody knows.
     pub fn note_commit(&mut self, commit: u32) {
         self.commit = commit;
     }
@@ -408,8 +405,7 @@ impl<'a> Node<'a> {
         }))
     }
 
-    /// The status, if it is due: each time about the next item. One that had to wait puts off those
-    /// after it.
+    /// The status, if it is due: each time about the next item. One that had to wait puts off those after it.
     fn status(&mut self) -> Option<Frame> {
         if self.until_status_ms > 0 {
             return None;

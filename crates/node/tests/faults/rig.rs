@@ -102,16 +102,9 @@ pub fn calibration() -> Calibration<'static> {
 }
 
 /// What may fail.
+#[rustfmt::skip]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Part {
-    Sensor,
-    SpindleThermometer,
-    AxisThermometer,
-    Position,
-    Control,
-    Speed,
-    Blocks,
-}
+pub enum Part { Sensor, SpindleThermometer, AxisThermometer, Position, Control, Speed, Blocks }
 
 /// How.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

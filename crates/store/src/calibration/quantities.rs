@@ -390,6 +390,20 @@ mod tests {
     }
 
     #[test]
+    fn a_channel_changes_by_up_to_600_kelvin_a_minute_and_not_by_more() {
+        for (tenths, is_taken) in
+            [(0, true), (1, true), (MAX_TENTHS, true), (MAX_TENTHS + 1, false)]
+        {
+            with_sample(|mut calibration| {
+                calibration.guards.max_rates[3] = tenths;
+                let mut bytes = [0; MAX_SIZE];
+                let blob = encode(&calibration, &mut bytes).expect("it is small");
+                assert_eq!(decode(blob) == Ok(calibration), is_taken, "{tenths}");
+            });
+        }
+    }
+
+    #[test]
     fn a_direction_is_taken_whose_parts_are_rounded_and_not_one_that_is_longer() {
         // (0.48, 0.6, −0.64) has a length of 1, right to 10⁻⁶.
         for (off, is_taken) in [(0.0, true), (1e-7, true), (1e-2, false), (-1e-2, false)] {

@@ -154,7 +154,7 @@ pub(crate) fn with_sample<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
             learned: Caps::default(),
         },
         cold_within: Temperature(Temperature::PER_KELVIN / 2),
-        guards: Guards { max_rates: [0, 100, 6_000, 1, 0, 0, 0, 0] },
+        guards: Guards::default(),
         names: Names { machine: b"gantry", serial: b"17/4", board: [1, 2, 3] },
     })
 }
