@@ -149,8 +149,11 @@ mod app {
             node.set_buffer(buffer);
         }
         let (references, kept) = parts.references;
-        if let Some((reference, supply)) = kept.reference {
-            node.set_reference(reference);
+        // An example's is nobody's.
+        if let Some((standing, supply)) = kept.standing.filter(|_| !parts.is_example) {
+            if !node.set_standing(standing, kept.taken) {
+                defmt::error!("the stored reference is larger than a correction may be: not used");
+            }
             node.set_supply_basis(supply);
         }
         node.set_writes(references.writes().clone());
@@ -327,16 +330,20 @@ mod app {
             let frames = shared.node.lock(|node| tick(node, behind_ms, input));
             shared.can_out.lock(|can| shared.port.lock(|port| send(&frames, can, port)));
         }
-        let (now, quality, zero, supply) = shared.node.lock(|node| {
-            (node.now().0, node.last().quality, node.take_zero(), node.supply_basis())
-        });
-        if !it.keep(zero, supply) {
+        let (now, quality) = shared.node.lock(|node| (node.now().0, node.last().quality));
+        let (zero, standing, supply) =
+            shared.node.lock(|node| (node.take_zero(), node.take_standing(), node.supply_basis()));
+        if !it.keep(zero, standing, supply) {
             shared.node.lock(|node| node.note(Fault::Store));
         }
         // Looked at and stored outside the lock: neither holds up a tick.
         if let Some(mut load) = shared.node.lock(|node| node.take_load()) {
             let outcome = it.keep_calibration(&mut load);
             shared.node.lock(|node| node.end_load(load, outcome));
+        }
+        if let Some(blob) = shared.node.lock(|node| node.take_drop().then(|| node.blob())) {
+            let is_stored = it.keep_running(blob);
+            shared.node.lock(|node| node.end_drop(is_stored));
         }
         let bus = shared.can_out.lock(CanOut::state);
         shared.node.lock(|node| {

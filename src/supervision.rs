@@ -7,7 +7,7 @@ use trueup_link::slcan::Port;
 use trueup_node::node::{Node, Zero};
 use trueup_store::{
     load::{Load, Outcome},
-    reference::References,
+    reference::{References, Standing},
     retained,
     writes::Write,
 };
@@ -95,13 +95,8 @@ impl Supervision {
     /// next start.
     pub fn keep_answer(&mut self, question: Fault, blob: &[u8]) -> bool {
         defmt::info!("confirmed: fault {=u8}", question as u8);
-        let Self { store, watchdog, .. } = self;
-        match (question, store) {
-            // It is the newest again.
-            (Fault::OlderCalibration, Some(store)) => store.keep(blob, || watchdog.feed()),
-            (Fault::OlderCalibration, None) => false,
-            _ => true,
-        }
+        // It is the newest again.
+        question != Fault::OlderCalibration || self.keep_running(blob)
     }
 
     /// Whether no block came since the last turn; a change is logged.
@@ -119,9 +114,21 @@ impl Supervision {
         missing
     }
 
-    /// Stores what a `Zero` has taken; `false`: it was not stored.
-    pub fn keep(&mut self, zero: Option<Zero>, supply: Level) -> bool {
-        zero.is_none_or(|zero| references::keep(&mut self.references, zero, supply))
+    /// Stores what holds for the calibration, where that has changed; `false`: it was not stored.
+    pub fn keep(&mut self, zero: Option<Zero>, standing: Option<Standing>, supply: Level) -> bool {
+        if zero == Some(Zero::Unchanged) {
+            defmt::warn!(
+                "zero: the reference stays, an input is missing, the error is too large or the same"
+            );
+        }
+        standing.is_none_or(|standing| references::keep(&mut self.references, standing, supply))
+    }
+
+    /// Stores the running calibration once more, so that what was loaded after it is not used; `false`: it was not
+    /// stored.
+    pub fn keep_running(&mut self, blob: &[u8]) -> bool {
+        let Self { store, watchdog, .. } = self;
+        store.as_mut().is_some_and(|store| store.keep(blob, || watchdog.feed()))
     }
 
     /// Stores who has written what; gives it with its number, or `None`: it was not stored.

@@ -39,6 +39,8 @@ fn calibration(folder: &TempDir, name: &str, gain: f64) -> Result<(String, Strin
 /// What a CNC that engages gets once it is live and has arrived.
 fn live_z_um(bridge: &Bridge) -> Result<f64> {
     let mut cnc = Cnc::open(bridge.connect()?)?;
+    // The tool has loaded while this CNC was away.
+    cnc.confirm()?;
     let control = |engage| CncCommand::Control(Control { engage, ..Control::REFERENCED });
     let mut settled = 0;
     let next = |cnc: &mut Cnc<_>, engage| -> Result<Output> {

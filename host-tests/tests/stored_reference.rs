@@ -7,6 +7,7 @@ mod support;
 use std::fs;
 
 use support::bench::{Bench, paper};
+use trueup_canopen::emergency::Fault;
 use trueup_core::cnc::{Control, Output, Quality};
 use trueup_machine::{Compiled, compile};
 use trueup_store::reference::RECORD_SIZE;
@@ -50,8 +51,13 @@ fn zeroed(calibration: &Compiled) -> Bench {
     bench
 }
 
+/// Answers what the board asks: an edge of `Confirm` every 200 ms.
+fn confirming(number: u8) -> Control {
+    Control { confirm: number % 10 >= 5, ..Control::REFERENCED }
+}
+
 #[test]
-fn a_restarted_board_goes_on_from_the_stored_reference_and_another_calibration_does_not() {
+fn a_restarted_board_goes_on_from_the_stored_reference_and_an_old_one_is_offered() {
     let (ours, other) = (compiled(1.0), compiled(1.1));
     let bench = zeroed(&ours);
     let stored = fs::metadata(bench.board.flash()).expect("it was stored").modified().ok();
@@ -60,24 +66,43 @@ fn a_restarted_board_goes_on_from_the_stored_reference_and_another_calibration_d
     let mut bench = bench.restart(&ours);
     println!("{}", bench.logged("reference 2 taken up"));
     assert!((last_z_um(&bench.live(800, 52.0, |_| ON)) - 12.0).abs() < 0.1);
-
-    // The other law makes 44 µm of 40 µm, and knows nothing of the reference.
-    let mut bench = bench.restart(&other);
-    println!("{}", bench.logged("no reference is stored for this calibration"));
-    println!("{}", bench.logged("of other calibrations, not used: 1"));
-    assert!((last_z_um(&bench.live(800, 40.0, |_| ON)) - 44.0).abs() < 0.1);
-
-    // The first calibration again, and with it its reference. All this has written nothing.
-    let mut bench = bench.restart(&ours);
-    assert!((last_z_um(&bench.live(800, 30.0, |_| ON)) + 10.0).abs() < 0.1);
     let now = fs::metadata(bench.board.flash()).expect("still there").modified().ok();
     assert_eq!(now, stored, "the file is written on Zero only");
 
+    // The other law makes 44 µm of 40 µm, and knows nothing of the reference. It came while no CNC was there.
+    let mut bench = bench.restart(&other);
+    println!("{}", bench.logged("no reference is stored for this calibration"));
+    println!("{}", bench.logged("of other calibrations, not used: 1"));
+    let barred = bench.live(800, 40.0, |_| ON);
+    assert!(
+        barred.iter().all(|output| output.quality == Quality::Fault && output.offset.is_none())
+    );
+    assert!(bench.faults.contains(&Fault::CalibrationChanged), "{:?}", bench.faults);
+    bench.live(800, 40.0, confirming);
+    assert!((last_z_um(&bench.live(800, 40.0, |_| ON)) - 44.0).abs() < 0.1);
+    // Answered once, and zeroed under this one.
+    bench.live(400, 40.0, |_| ZERO);
+    let mut bench = bench.restart(&other);
+    assert!(last_z_um(&bench.live(800, 40.0, |_| ON)).abs() < 0.1);
+
+    // The first calibration again: its reference is offered, and nothing is engaged until it is confirmed.
+    let mut bench = bench.restart(&ours);
+    println!("{}", bench.logged("reference 2 offered"));
+    let barred = bench.live(800, 30.0, |_| ON);
+    assert!(
+        barred.iter().all(|output| output.quality == Quality::Fault && output.offset.is_none())
+    );
+    assert!(bench.faults.contains(&Fault::ReferenceOffered), "{:?}", bench.faults);
+    // Nor after the next start.
+    let mut bench = bench.restart(&ours);
+    assert_eq!(bench.live(400, 30.0, |_| ON).last().map(|it| it.quality), Some(Quality::Fault));
+    bench.live(800, 30.0, confirming);
+    assert!((last_z_um(&bench.live(800, 30.0, |_| ON)) + 10.0).abs() < 0.1);
+
     // A second Zero is the one that counts from then on.
     bench.live(400, 30.0, |_| ZERO);
-    println!("{}", bench.logged("reference 4 stored"));
     let mut bench = bench.restart(&ours);
-    println!("{}", bench.logged("reference 4 taken up"));
+    println!("{}", bench.logged("taken up"));
     assert!(last_z_um(&bench.live(400, 30.0, |_| ON)).abs() < 0.1);
 }
 

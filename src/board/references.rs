@@ -1,13 +1,12 @@
-//! The stored references and writes: opened at the start, added to by `Zero` and by whoever writes, and every
-//! step of it in the log.
+//! The stored references and writes: opened at the start, added to by `Zero`, `Confirm` and by whoever writes, and
+//! every step of it in the log.
 //!
 //! A store that fails costs the reference of the next start, never an offset of this one.
 
 use embedded_storage::nor_flash::NorFlash;
 use trueup_core::{bridge::Reference, supply::Level};
-use trueup_node::node::Zero;
 use trueup_store::{
-    reference::{Found, References},
+    reference::{Found, References, Standing},
     writes::Write,
 };
 
@@ -15,10 +14,18 @@ use trueup_store::{
 /// for that, so this is for the time before samples are taken and the watchdog runs.
 pub fn open<F: NorFlash>(flash: F, calibration: u32) -> (References<F>, Kept) {
     let (mut references, found) = References::open(flash, calibration);
-    let Found { reference, supply, named, foreign, damaged } = found;
-    match reference {
-        Some((number, reference)) => say(number, &reference, "taken up"),
-        None => defmt::info!("no reference is stored for this calibration"),
+    let Found { standing, is_new, taken, supply, named, foreign, damaged } = found;
+    match standing {
+        Some((number, Standing { reference, is_offered: true, .. })) => {
+            say(number, &reference, "offered");
+        }
+        Some((number, Standing { reference, .. })) if reference != Reference::default() => {
+            say(number, &reference, "taken up");
+        }
+        _ => defmt::info!("no reference is stored for this calibration"),
+    }
+    if is_new {
+        defmt::info!("this calibration is another one than ran before, or was loaded again");
     }
     if foreign > 0 {
         defmt::info!("stored references of other calibrations, not used: {}", foreign);
@@ -31,38 +38,42 @@ pub fn open<F: NorFlash>(flash: F, calibration: u32) -> (References<F>, Kept) {
         Ok(true) => defmt::info!("room made for references"),
         Err(error) => defmt::error!("dead: store of references, {}", error),
     }
-    let reference = reference.map(|(_, reference)| (reference, supply));
-    (references, Kept { reference, named })
+    let standing = standing.map(|(_, standing)| (standing, supply));
+    (references, Kept { standing, taken, named })
 }
 
 /// What the store holds for the start.
 #[derive(Clone, Copy, Default)]
 pub struct Kept {
-    /// The reference to start with, and the level of the supply that it counts from.
-    pub reference: Option<(Reference, Level)>,
+    /// What holds for the calibration, and the level of the supply that its reference counts from.
+    pub standing: Option<(Standing, Level)>,
+    /// The write that has taken the reference.
+    pub taken: Option<Write>,
     /// The machine that the board belongs to, as `trueup_store::writes::identity` has it.
     pub named: Option<u32>,
 }
 
-/// Stores what a `Zero` has taken; `false`: it is not stored.
-pub fn keep<F: NorFlash>(references: &mut References<F>, zero: Zero, supply: Level) -> bool {
+/// Stores what holds for the calibration from now on; `false`: it is not stored.
+pub fn keep<F: NorFlash>(
+    references: &mut References<F>,
+    standing: Standing,
+    supply: Level,
+) -> bool {
     references.set_supply(supply);
-    match zero {
-        Zero::Unchanged => {
-            defmt::warn!("zero: the reference stays, an input is missing or the error is the same");
+    match references.append(standing) {
+        Ok(number) => {
+            say(
+                number,
+                &standing.reference,
+                if standing.is_offered { "offered" } else { "stored" },
+            );
             true
         }
-        Zero::Taken(reference) => match references.append(reference) {
-            Ok(number) => {
-                say(number, &reference, "stored");
-                true
-            }
-            Err(error) => {
-                say(0, &reference, "NOT stored");
-                defmt::error!("the reference is lost with the power: {}", error);
-                false
-            }
-        },
+        Err(error) => {
+            say(0, &standing.reference, "NOT stored");
+            defmt::error!("the reference is lost with the power: {}", error);
+            false
+        }
     }
 }
 

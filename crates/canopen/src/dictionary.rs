@@ -25,9 +25,11 @@ pub const NOT_AVAILABLE: i32 = i32::MIN;
 /// What has to be written to drop the reference: the bytes `zero`, low byte first, so that no stray
 /// write does it.
 pub const FORGET: u32 = u32::from_le_bytes(*b"zero");
-/// What has to be written there to take up the reference that was written to the sub-indices before it, of a
-/// board that this one takes the place of: the bytes `back`.
+/// What has to be written there to offer the operator the reference that was written to the sub-indices before it,
+/// of a board that this one takes the place of: the bytes `back`.
 pub const BACK: u32 = u32::from_le_bytes(*b"back");
+/// What has to be written to 0x2100:05 to drop the calibration that was loaded for the next start: the bytes `drop`.
+pub const DROP: u32 = u32::from_le_bytes(*b"drop");
 /// Sub-index of the elongation among the analogue inputs.
 pub const ELONGATION_INPUT: u8 = 9;
 const _: () = assert!(CHANNELS == 8 && HISTORY == 8, "the table has eight lines of each");
@@ -141,8 +143,18 @@ pub enum ObjectKind {
     Reference(u8),
     /// 1: a reference is in force; 0: errors count from the calibration's own zero.
     HasReference,
-    /// Writing [`FORGET`] drops the reference.
+    /// Writing [`FORGET`] drops the reference, or declines the one that is offered.
     Forget,
+    /// The elongation of the reference that is offered, in nanometres; [`NOT_AVAILABLE`]: none is.
+    OfferedElongation,
+    /// The error of an axis of that reference, the same way.
+    Offered(u8),
+    /// When the reference was taken, in force or offered: seconds since 1970 (UTC); 0: it is not known.
+    ReferenceUtc,
+    /// How it was taken: kind and line of the write, as the log of writes has them; 0: it is not known.
+    ReferenceOrigin,
+    /// Seconds since then; the largest number: it is not known.
+    ReferenceAge,
     /// How far a part, 0…4, differs from what the calibration says.
     Learned(u8),
     /// RMS noise of the raw codes in thousandths of a code.
@@ -157,6 +169,8 @@ pub enum ObjectKind {
     RunningCrc,
     /// CRC of the blob for the next start, once it is stored; 0: none was loaded.
     NewCrc,
+    /// Writing [`DROP`] drops the blob for the next start.
+    DropNew,
     /// The last writes to the board.
     WriteLog,
     /// Seconds since 1970 (UTC); 0: nobody has told the time.

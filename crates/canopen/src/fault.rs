@@ -174,6 +174,10 @@ faults! {
     TemperatureRate6 0x7026 "temperature-rate-6" NONE TEMPERATURE_RATE;
     /// The same of channel 7.
     TemperatureRate7 0x7027 "temperature-rate-7" NONE TEMPERATURE_RATE;
+    /// An older reference is offered for the calibration, and waits for `Confirm` or `Zero`.
+    ReferenceOffered 0x6304 "reference-offered" BOARD REFERENCE_OFFERED;
+    /// The calibration was changed while no CNC was heard, and waits for `Confirm`.
+    CalibrationChanged 0x6305 "calibration-changed" BOARD CALIBRATION_CHANGED;
 }
 
 impl Fault {

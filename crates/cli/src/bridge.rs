@@ -1,9 +1,12 @@
 //! `trueup bridge`: what can be asked of a bridge. How it is spoken to is in `trueup-client`.
 
-mod backup;
+mod asks;
+pub mod backup;
+mod forget;
 pub mod info;
 pub mod load;
 pub mod monitor;
+mod pending;
 mod plain;
 mod who;
 
@@ -22,13 +25,24 @@ pub enum Command {
     ///
     /// Nothing is loaded while offsets are being followed: let the CNC disengage first, and set
     /// Service there. Where no CNC is heard, this says so itself.
-    /// Exit 3: it is stored, but the board does not run on it.
+    /// A calibration that is loaded starts without a reference. If the board has an older one for it, it offers
+    /// that one. Each question of the bridge is answered at the CNC, by Confirm.
+    /// Exit 3: it is stored, but the board does not run on it, or belongs to another machine.
     Load(load::Load),
-    /// Writes all that a board holds to a file, so that a dead board is replaced by another one.
-    Save(backup::Save),
-    /// Loads what `save` has kept into a board, as `load` does, with the reference that Zero took.
+    /// Shows the calibration that waits for the next start; puts it to use or drops it.
     ///
-    /// Exit 3: it is stored, but the board does not run on it, or counts from another zero.
+    /// Exit 3 (--use): the board does not run on it, or belongs to another machine.
+    Pending(pending::Pending),
+    /// Declines the reference that is offered, or drops the one in force, and what was learned.
+    ForgetReference(forget::Forget),
+    /// Writes all that a board holds to a file, so that a dead board is replaced by another one.
+    ///
+    /// Before it replaces another machine's backup it asks.
+    Save(backup::Save),
+    /// Loads what `save` has kept into a board, as `load` does, and offers it the reference that Zero took.
+    ///
+    /// The operator takes the reference by Confirm at the CNC.
+    /// Exit 3: it is stored, but the board does not run on it, is another machine's, or was not offered the reference.
     Restore(backup::Restore),
     /// Shows a bridge live: sensor, growth, offsets by cause, temperatures, faults with what to do.
     ///
@@ -50,6 +64,8 @@ pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
     match command {
         Command::Info(args) => info::run(args, as_json),
         Command::Load(args) => load::run(args, as_json),
+        Command::Pending(args) => pending::run(args, as_json),
+        Command::ForgetReference(args) => forget::run(args, as_json),
         Command::Save(args) => backup::save(args, as_json),
         Command::Restore(args) => backup::restore(args, as_json),
         Command::Monitor(args) => monitor::run(args, as_json),

@@ -9,10 +9,13 @@
 //!
 //! A spindle is commissioned by a warm-up, an axis by its pitch or its backlash: the steps are the same.
 //!
+//! What the board held before the sign test is saved first and put back after it (`before`).
+//!
 //! Each step is a command of this tool, which the log repeats word by word, so that a colleague can do it by
 //! hand. What was done stands in `commission.json`: the same command goes on where it stopped.
 
 mod answers;
+mod before;
 mod journal;
 mod sign;
 mod watch;
@@ -25,13 +28,14 @@ use std::{
 use anyhow::{Context as _, Result};
 use clap::{Args, ValueEnum};
 use trueup_machine::{
-    Machine, MachineFile, RunFile,
+    Machine, MachineFile, RunFile, compile,
     file::{ElongationSource, LinearAxis, Quantity, Spindle},
 };
 use trueup_program::{Kind, Options, plans};
 
 use self::{
     answers::Answers,
+    before::{Interrupted, catch_interrupts},
     journal::{Journal, Step},
 };
 use crate::{
@@ -198,6 +202,7 @@ pub fn run(args: &Commission, as_json: bool) -> Result<Outcome> {
         Ok(_) => {}
         Err(_) => output::write_whole(&kept, &[], |out| out.write_all(text.as_bytes()))?,
     }
+    catch_interrupts()?;
     let journal = Journal::open(&args.out, &subject.name())?;
     let answers = Answers::of(args.readings.as_deref())?;
     let mut work = Work { args, subject, machine, journal, answers, as_json };
@@ -208,7 +213,11 @@ pub fn run(args: &Commission, as_json: bool) -> Result<Outcome> {
             return Ok(Outcome::Done);
         }
         work.journal.log(&format!("round {}: {}", work.journal.round, step.title()))?;
-        match work.step(step)? {
+        let done = match work.step(step) {
+            Err(error) if error.is::<Interrupted>() => None,
+            done => done?,
+        };
+        match done {
             Some(next) => work.journal.proceed(next)?,
             None => {
                 output::print(format_args!(
@@ -257,6 +266,7 @@ impl Work<'_> {
             }
             Step::Load => {
                 let blob = self.file(round, "bin");
+                self.check_board()?;
                 self.disengaged()?;
                 let is_done = self.command(&["compile", &fitted, "-o", &blob])?
                     && self.command(&[
@@ -336,11 +346,25 @@ impl Work<'_> {
         let test = sign::machine(&self.machine, axis)?;
         let (file, blob) = (self.path("sign.toml"), self.path("sign.bin"));
         output::write_whole(Path::new(&file), &[], |out| out.write_all(test.to_toml().as_bytes()))?;
+        if !self.command(&["compile", &file, "-o", &blob])? {
+            return Ok(false);
+        }
         self.disengaged()?;
+        let Some(held) = self.hold_board(compile(&test)?.crc())? else { return Ok(false) };
+        let tested = self.sign_loaded(&blob);
+        // Also if it was interrupted, or has failed.
+        let back = self.put_back(&held);
+        match (tested, back) {
+            (Err(error), Err(left)) => Err(left.context(format!("{error:#}"))),
+            (tested, back) => back.and(tested),
+        }
+    }
+
+    /// The same, once what the board held is saved.
+    fn sign_loaded(&mut self, blob: &str) -> Result<bool> {
+        let axis = self.subject.axis();
         let port = self.args.port.clone();
-        let is_loaded = self.command(&["compile", &file, "-o", &blob])?
-            && self.command(&["bridge", "load", &blob, "--yes", "--port", &port])?;
-        if !is_loaded {
+        if !self.command(&["bridge", "load", blob, "--yes", "--port", &port])? {
             return Ok(false);
         }
         self.journal.log(&sign::how(axis))?;

@@ -14,6 +14,9 @@
 //! | [`object`] | the objects of the bridge, by SDO |
 //! | `patience` | how long an answer is waited for |
 //! | [`load`] | a calibration, sent, read back and put to use |
+//! | [`reference`] | what the errors count from: value, age, by whom, in force or offered |
+//! | [`questions`] | what a bridge asks its operator |
+//! | [`saved`] | all that a board holds, in one file |
 //! | [`words`] | offsets, flags, faults and states for people and as JSON |
 //! | [`status`] | what the bridge says of itself, put together |
 //! | [`writes`] | who has written to the bridge |
@@ -39,8 +42,11 @@ mod patience;
 pub mod pinned;
 pub mod poll;
 pub mod port;
+pub mod questions;
 pub mod record;
+pub mod reference;
 pub mod remedy;
+pub mod saved;
 pub mod session;
 #[cfg(all(feature = "socketcan", target_os = "linux"))]
 mod socket_can;

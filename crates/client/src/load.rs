@@ -1,9 +1,9 @@
 //! A calibration to the board: sent, read back, and put to use.
 
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
-use anyhow::{Context as _, Result, bail};
-use trueup_canopen::dictionary::{Authority, BACK};
+use anyhow::{Context as _, Error, Result, bail};
+use trueup_canopen::dictionary::{Authority, BACK, DROP, FORGET};
 use trueup_link::{
     frame::Frame,
     frames::{self, State},
@@ -11,13 +11,20 @@ use trueup_link::{
     slcan::Event,
 };
 
+use trueup_store::calibration::{MAX_LINK_TIMEOUT_MS, decode};
+
 use crate::{
-    object::{self, AUTHORITY, NEW, NEW_CRC, RUNNING, RUNNING_CRC, UTC},
+    object::{self, ACCEPTED, AUTHORITY, DROP_NEW, NEW, NEW_CRC, RUNNING, RUNNING_CRC, UTC},
+    reference::{BridgeReference, Nanometres, now_s},
     session::Session,
 };
 
 /// How long the bridge may take to hear that it may be written to.
 const LEAVE_TIMEOUT: Duration = Duration::from_secs(2);
+/// How much longer than the link timeout `Service` of somebody who has left may stand.
+const REMNANT_MARGIN: Duration = Duration::from_millis(500);
+/// How long the bridge may take to drop a calibration that it has stored.
+const DROP_TIMEOUT: Duration = Duration::from_secs(3);
 /// NMT: node 1 restarts.
 const RESET_NODE: [u8; 2] = [0x81, 1];
 /// How long the bridge may take to send its first heartbeat after that.
@@ -33,7 +40,7 @@ pub enum Step {
 }
 
 /// Stores the calibration `blob` of this CRC for the next start and reads it back. `progress` hears the
-/// bytes of each step.
+/// bytes of each step. What is not stored as it was sent is dropped again.
 ///
 /// # Errors
 /// The bridge refuses, the line breaks, or what is stored is not what was sent.
@@ -45,13 +52,22 @@ pub fn store(
 ) -> Result<()> {
     ask_leave(session)?;
     // For the log of writes; a board of an older version has no such object.
-    if let Ok(since) = SystemTime::now().duration_since(UNIX_EPOCH)
-        && let Ok(utc_s) = u32::try_from(since.as_secs())
-    {
+    if let Some(utc_s) = now_s() {
         object::write(session, UTC, &utc_s.to_le_bytes(), |_| ()).ok();
     }
     object::write(session, NEW, blob, |sent| progress(Step::Sending, sent))
-        .context("the calibration is not loaded")?;
+        .context("the calibration is not loaded")
+        .and_then(|()| is_stored(session, blob, crc, progress))
+        .map_err(|error| drop_after(session, error))
+}
+
+/// Whether the bridge has stored what was sent.
+fn is_stored(
+    session: &mut Session,
+    blob: &[u8],
+    crc: u32,
+    progress: &mut dyn FnMut(Step, usize),
+) -> Result<()> {
     let back = object::read(session, NEW, |got, _| progress(Step::ReadingBack, got))?;
     let stored_crc = object::number(session, NEW_CRC)?;
     if back != blob || stored_crc != crc {
@@ -60,23 +76,68 @@ pub fn store(
     Ok(())
 }
 
-/// Gives the bridge the reference of the board whose place it takes, in nm: the elongation, X, Y, Z.
+/// A load has failed: nothing of it is to be used from the next start. Returns the error, with what is left to do
+/// where it cannot be dropped.
+pub fn drop_after(session: &mut Session, error: Error) -> Error {
+    match drop_pending(session) {
+        Ok(_) => error,
+        Err(why) => error.context(format!(
+            "a calibration may be left for the next start ({why:#}): trueup bridge pending shows it, and with --cancel \
+             drops it"
+        )),
+    }
+}
+
+/// Drops the calibration that waits for the next start; its CRC, `None`: none waits.
 ///
 /// # Errors
-/// The bridge refuses, as one of an older version does; the line breaks; or another one is in force then.
-pub fn put_reference(session: &mut Session, nm: [i32; 4]) -> Result<()> {
+/// The bridge refuses or cannot, the line breaks, or nobody allows it.
+pub fn drop_pending(session: &mut Session) -> Result<Option<u32>> {
+    let pending = object::number(session, NEW_CRC)?;
+    if pending == 0 {
+        return Ok(None);
+    }
+    ask_leave(session)?;
+    object::write(session, DROP_NEW, &DROP.to_le_bytes(), |_| ())?;
+    let deadline = Instant::now() + DROP_TIMEOUT;
+    while object::number(session, NEW_CRC)? != 0 {
+        if Instant::now() > deadline {
+            bail!("the bridge does not drop it: its store takes nothing more");
+        }
+    }
+    Ok(Some(pending))
+}
+
+/// Offers the operator the reference of the board whose place this bridge takes, in nm. A bridge of version 0.2 takes it
+/// at once. Returns what holds then.
+///
+/// # Errors
+/// The bridge refuses, as one of an older version does, or one that is larger than its `max_um`; the line breaks; or
+/// another one is offered then.
+pub fn offer_reference(session: &mut Session, nm: Nanometres) -> Result<BridgeReference> {
     ask_leave(session)?;
     for (at, nm) in object::REFERENCE.into_iter().zip(nm) {
         object::write(session, at, &nm.to_le_bytes(), |_| ())?;
     }
     object::write(session, object::KEY, &BACK.to_le_bytes(), |_| ())?;
     session.end_service();
-    let mut in_force = [0; 4];
-    for (at, nm) in object::REFERENCE.into_iter().zip(&mut in_force) {
-        *nm = object::number(session, at)?.cast_signed();
+    let now = BridgeReference::ask(session)?;
+    if now.value() != Some(nm) {
+        bail!("the reference that the bridge offers is not the one that was written");
     }
-    if in_force != nm {
-        bail!("the reference in force is not what was written");
+    Ok(now)
+}
+
+/// Drops the reference of the bridge, or declines the one that is offered, and what was learned.
+///
+/// # Errors
+/// The bridge refuses, the line breaks, or it is still there.
+pub fn forget_reference(session: &mut Session) -> Result<()> {
+    ask_leave(session)?;
+    object::write(session, object::KEY, &FORGET.to_le_bytes(), |_| ())?;
+    session.end_service();
+    if BridgeReference::ask(session)?.value().is_some() {
+        bail!("the reference is still there");
     }
     Ok(())
 }
@@ -94,6 +155,15 @@ pub fn running(
         0 => Ok(None),
         _ => object::read(session, RUNNING, progress).map(Some),
     }
+}
+
+/// The same for a bridge that nothing was written to before: its CNC, or else the session, has to allow it.
+///
+/// # Errors
+/// As [`restart`], or nobody allows it.
+pub fn restart_allowed(session: &mut Session, wanted: u32) -> Result<u32> {
+    ask_leave(session)?;
+    restart(session, wanted)
 }
 
 /// Lets the bridge restart; the CRC of the calibration that it then runs on, which should be `wanted`. A
@@ -119,24 +189,53 @@ pub fn restart(session: &mut Session, wanted: u32) -> Result<u32> {
 
 /// Whatever changes a bridge needs `Service`. Where there is a CNC only its own counts: the operator
 /// is asked for it. Where there is none, or no longer, the session says it.
+///
+/// `Service` of a tool that has just left still stands for the link timeout. It is a CNC's only if frames of a CNC
+/// come.
 fn ask_leave(session: &mut Session) -> Result<()> {
-    let deadline = Instant::now() + LEAVE_TIMEOUT;
+    let begin = Instant::now();
     let (none, given) = (Authority::NoMaster as u32, Authority::Service as u32);
-    let mut asks = false;
+    // Its own, which an earlier step has begun.
+    let mut says = session.says_service();
+    let accepted = object::number(session, ACCEPTED)?;
+    let mut remnant_ends = None;
     loop {
-        match object::number(session, AUTHORITY)? {
-            authority if authority == given => return Ok(()),
-            authority if authority == none && !asks => {
-                asks = true;
-                session.allow_service();
+        let authority = object::number(session, AUTHORITY)?;
+        if authority == given {
+            if says || object::number(session, ACCEPTED)? != accepted {
+                return Ok(());
             }
-            _ if Instant::now() > deadline => bail!(
+            // A PLC's blocks are not among these frames: what lasts is no remnant.
+            let ends = match remnant_ends {
+                Some(ends) => ends,
+                None => begin + link_timeout(session)? + REMNANT_MARGIN,
+            };
+            if Instant::now() > ends {
+                return Ok(());
+            }
+            remnant_ends = Some(ends);
+            continue;
+        }
+        if authority == none && !says {
+            says = true;
+            session.allow_service();
+        }
+        let remnant = remnant_ends.map_or(Duration::ZERO, |ends| ends - begin);
+        if begin.elapsed() > LEAVE_TIMEOUT + remnant {
+            bail!(
                 "the CNC on this bridge's line does not allow it: set Service there (LinuxCNC: the pin \
                  trueup.0.service) with Engage off, and load again"
-            ),
-            _ => {}
+            );
         }
     }
+}
+
+/// The link timeout of the running calibration.
+fn link_timeout(session: &mut Session) -> Result<Duration> {
+    let blob = running(session, |_, _| ())?.unwrap_or_default();
+    // Without one that can be read: the largest.
+    let ms = decode(&blob).map_or(MAX_LINK_TIMEOUT_MS, |it| it.limits.link_timeout_ms);
+    Ok(Duration::from_millis(ms.into()))
 }
 
 /// Until the bridge is up again: an SLCAN channel has to be opened again.

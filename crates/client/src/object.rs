@@ -25,6 +25,8 @@ pub const NAME: At = (0x1008, 0);
 pub const HARDWARE: At = (0x1009, 0);
 /// The version of its firmware.
 pub const SOFTWARE: At = (0x100A, 0);
+/// A hash of the number that its chip has from its factory.
+pub const SERIAL_NUMBER: At = (0x1018, 4);
 /// The quality, as in `OffsetZ`.
 pub const QUALITY: At = (0x2001, 1);
 /// The faults 0 to 31, a bit each, and those from 32 on.
@@ -45,14 +47,24 @@ pub const STOP_FILE: At = (0x2002, 6);
 pub const STOP_TASK: At = (0x2002, 7);
 /// How often the board has started since power-on: the first of the reasons.
 pub const RESETS: At = (0x2003, 1);
+/// Frames of the CNC that were accepted.
+pub const ACCEPTED: At = (0x2030, 1);
 /// Who may write: a number of [`Authority`](trueup_canopen::dictionary::Authority).
 pub const AUTHORITY: At = (0x2001, 8);
 /// The reference in force, in nm: the elongation, X, Y, Z. Written, they wait for [`KEY`].
 pub const REFERENCE: [At; 4] = [(0x2010, 1), (0x2010, 2), (0x2010, 3), (0x2010, 4)];
-/// Forgets the reference, or takes the one that was written.
+/// Forgets the reference, or offers the operator the one that was written.
 pub const KEY: At = (0x2010, 6);
 /// Whether a reference is in force.
 pub const HAS_REFERENCE: At = (0x2010, 5);
+/// The reference that is offered to the operator, in nm: the elongation, X, Y, Z; [`NOT_AVAILABLE`] where none is.
+pub const OFFERED_REFERENCE: [At; 4] = [(0x2010, 7), (0x2010, 8), (0x2010, 9), (0x2010, 10)];
+/// When the reference was taken, in force or offered: seconds since 1970 (UTC); 0: it is not known.
+pub const REFERENCE_UTC: At = (0x2010, 11);
+/// By which kind of write and over which line: the lower byte and the one above it.
+pub const REFERENCE_ORIGIN: At = (0x2010, 12);
+/// How long ago, in s; the largest number: it is not known.
+pub const REFERENCE_AGE: At = (0x2010, 13);
 /// What was learned, as it is applied: shares of growth, X, Y, Z in 10⁻⁵, the zero of the growth in nm.
 pub const LEARNED: [At; PARTS] = [(0x2011, 1), (0x2011, 2), (0x2011, 3), (0x2011, 4), (0x2011, 5)];
 /// The elongation in thousandths of a µm, as of this moment.
@@ -66,6 +78,8 @@ pub const RUNNING_CRC: At = (0x2100, 3);
 /// The CRC of the calibration for the next start; 0: none was loaded.
 pub const NEW_CRC: At = (0x2100, 4);
 
+/// Drops the calibration for the next start.
+pub const DROP_NEW: At = (0x2100, 5);
 /// Name of the machine that the running calibration is for.
 pub const MACHINE_NAME: At = (0x2101, 1);
 /// Serial number of that machine.

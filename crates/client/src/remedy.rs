@@ -7,12 +7,20 @@ pub fn remedies(words: &[&str]) -> Vec<(&'static str, &'static str)> {
 }
 
 /// Every word, with what it means and what to do.
-pub const REMEDIES: [(&str, &str); 58] = [
+pub const REMEDIES: [(&str, &str); 60] = [
     ("self-test", "the board found itself damaged: flash it again; if it stays, replace the board"),
     ("no-calibration", "load one: trueup bridge load CAL.bin --port …"),
     ("example-constants", "it runs on the example: compile your machine file and load it"),
     ("older-calibration", "the newest is damaged: load it again, or Confirm the older one"),
     ("foreign-machine", "made for another machine or board: load the right one, or Confirm it"),
+    (
+        "calibration-changed",
+        "it was loaded while no CNC was heard: if it is the right one (its CRC is under calibration), Confirm it",
+    ),
+    (
+        "reference-offered",
+        "Confirm takes the older reference, Zero makes a new one, trueup bridge forget-reference declines it",
+    ),
     ("stopped", "the last start ended in a fault: trueup bridge info says where; report it"),
     ("watchdog-reset", "a task hung: trueup bridge info says which; report it"),
     ("restarted", "engage anew: Engage off, then on"),

@@ -134,6 +134,12 @@ impl Session {
         self.service = Some((0, Instant::now()));
     }
 
+    /// Whether it does.
+    #[must_use]
+    pub const fn says_service(&self) -> bool {
+        self.service.is_some()
+    }
+
     /// Ends that.
     pub fn end_service(&mut self) {
         self.service = None;

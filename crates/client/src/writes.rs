@@ -13,8 +13,13 @@ pub fn writes(bytes: &[u8]) -> Vec<Write> {
 #[must_use]
 pub fn text(write: &Write) -> String {
     let about = match write.what {
-        What::Loaded => format!(" calibration {:08x}", write.about),
-        What::Zeroed => format!(" at {:+.2} µm", f64::from(write.about.cast_signed()) / 1_000.0),
+        What::Loaded if write.is_unattended => {
+            format!(" calibration {:08x}, while no CNC was heard", write.about)
+        }
+        What::Loaded | What::Cancelled => format!(" calibration {:08x}", write.about),
+        What::Zeroed | What::Offered => {
+            format!(" at {:+.2} µm", f64::from(write.about.cast_signed()) / 1_000.0)
+        }
         What::Confirmed => format!(" fault {}", write.about),
         What::Named => format!(" as {:08x}", write.about),
         What::Forgotten => String::new(),
@@ -39,6 +44,7 @@ pub fn json(write: &Write) -> Value {
         "what": write.what.word(),
         "about": write.about,
         "line": write.origin.word(),
+        "unattended": write.is_unattended,
         "after_start_s": f64::from(write.at_ms) / 1_000.0,
         "utc": (write.utc_s > 0).then(|| utc_text(write.utc_s)),
         "calibration_crc":
@@ -91,6 +97,7 @@ mod tests {
             utc_s: 1_709_164_800,
             what: What::Loaded,
             origin: Origin::Can,
+            is_unattended: false,
         };
         assert_eq!(
             text(&write),

@@ -48,6 +48,7 @@ mod agreement;
 mod joint;
 mod lost;
 mod needs;
+mod reference;
 mod sources;
 mod state;
 
@@ -130,7 +131,7 @@ impl<'a> Bridge<'a> {
                 // already set has asked for nothing.
                 let was = state.control.value(timeout_ms);
                 if control.zero && control.referenced && was.is_some_and(|was| !was.zero) {
-                    self.zero(state);
+                    state.zeroed |= self.zero(state);
                 }
                 state.control.hear(control);
                 state.cnc_known = true;
@@ -152,19 +153,6 @@ impl<'a> Bridge<'a> {
                     self.moved(state, heard.axis);
                 }
             }
-        }
-    }
-
-    /// The present error becomes the reference, if it is known.
-    fn zero(&self, state: &mut State) {
-        if state.joint.selected != SelectedSource::Missing
-            && self.knows_temperatures(state)
-            && !self.holds_temperature(state, state.joint.selected)
-            && self.knows_place(state)
-        {
-            self.join(state);
-            let axes = self.axis_errors(state).sums;
-            state.reference = Reference { elongation: self.elongation(state), axes };
         }
     }
 

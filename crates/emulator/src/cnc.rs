@@ -118,6 +118,19 @@ impl<S: Read + Write> Cnc<S> {
         self.ask(encode_line(&frame).trim_end()).map(drop)
     }
 
+    /// Answers the question that the board asks first, by an edge of `Confirm`; without one it changes nothing.
+    ///
+    /// # Errors
+    /// The line breaks, or the board refuses.
+    pub fn confirm(&mut self) -> Result<()> {
+        for confirm in [false, true, false] {
+            for _ in 0..frames::released().len() {
+                self.send(Command::Control(Control { confirm, ..Control::REFERENCED }))?;
+            }
+        }
+        Ok(())
+    }
+
     /// The next offsets of which both frames have come and are valid.
     ///
     /// # Errors

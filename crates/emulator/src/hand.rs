@@ -1,6 +1,6 @@
 //! The hand at the CNC of a virtual bridge: what is typed where the bridge was started. From the first
 //! `engage` or `disengage` on the bridge hears a CNC on its bus, homed and with `Engage` or without, where it
-//! allows that it is written to; `again` plays the run from its start. So that a commissioning can be
+//! allows that it is written to; `confirm` answers a question of the bridge; `again` plays the run from its start. So that a commissioning can be
 //! rehearsed, whose tool has the only line.
 
 use std::{
@@ -24,6 +24,9 @@ use trueup_core::cnc::Control;
 const LOOK: Duration = Duration::from_millis(200);
 /// A CNC that comes up does not engage at once: a bridge wants to have seen it without, as after a restart.
 const COMES_UP_MS: u32 = 300;
+/// How long `Confirm` is pressed, and before that released: an edge is believed after three frames each.
+const CONFIRM_MS: u32 = 400;
+const PRESSED_MS: u32 = 200;
 
 /// What has been typed.
 #[derive(Clone, Debug, Default)]
@@ -31,6 +34,8 @@ pub struct Hand {
     control: Arc<Mutex<Option<Control>>>,
     /// So many milliseconds of the board are left in which the CNC is up and has not engaged yet.
     comes_up_ms: Arc<AtomicU32>,
+    /// So many are left of an edge of `Confirm`.
+    confirms_ms: Arc<AtomicU32>,
     again: Arc<AtomicBool>,
 }
 
@@ -70,11 +75,18 @@ impl Hand {
                 control(false);
                 "the CNC has disengaged"
             }
+            "confirm" => {
+                if self.set().is_none() {
+                    return "there is no CNC yet: engage or disengage first";
+                }
+                self.confirms_ms.store(CONFIRM_MS, Ordering::Relaxed);
+                "the operator confirms what the bridge asks first"
+            }
             "again" => {
                 self.again.store(true, Ordering::Relaxed);
                 "the run begins again"
             }
-            _ => "engage, disengage, or again (the run from its start)",
+            _ => "engage, disengage, confirm, or again (the run from its start)",
         }
     }
 
@@ -88,6 +100,10 @@ impl Hand {
         let control = *self.set();
         let left = self.comes_up_ms.load(Ordering::Relaxed);
         self.comes_up_ms.store(left.saturating_sub(1), Ordering::Relaxed);
+        let confirms = self.confirms_ms.load(Ordering::Relaxed);
+        self.confirms_ms.store(confirms.saturating_sub(1), Ordering::Relaxed);
+        let confirm = (1..=PRESSED_MS).contains(&confirms);
+        let control = control.map(|control| Control { confirm, ..control });
         if left > 0 { control.map(|_| Control::REFERENCED) } else { control }
     }
 
@@ -140,6 +156,9 @@ mod tests {
         assert_eq!(hand.control(), Some(Control { service: true, ..Control::REFERENCED }));
         hand.take("engage");
         assert_eq!(hand.control(), Some(Control::ENGAGED), "it was up");
+        hand.take("confirm");
+        let pressed = (0..=CONFIRM_MS).filter(|_| hand.control().is_some_and(|it| it.confirm));
+        assert_eq!(pressed.count() as u32, PRESSED_MS);
         hand.take("again");
         assert_eq!((hand.take_again(), hand.take_again()), (true, false));
     }

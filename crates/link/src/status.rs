@@ -157,10 +157,14 @@ impl StateBits {
     pub const POSITION_JUMP: Self = Self(1 << 15);
     /// The sensor tells of something that no spindle does: a jump, or another run-out at the same speed.
     pub const SENSOR_ODD: Self = Self(1 << 16);
+    /// An older reference of the calibration is offered, and waits for `Confirm` or `Zero`.
+    pub const REFERENCE_OFFERED: Self = Self(1 << 17);
+    /// The calibration was changed while no CNC was heard, and waits for `Confirm`.
+    pub const CALIBRATION_CHANGED: Self = Self(1 << 18);
     /// A thermometer changed faster than the mass that it measures can, and is not believed.
     pub const TEMPERATURE_RATE: Self = Self(1 << 19);
     /// Every bit that has a meaning, with its word.
-    pub const WORDS: [(Self, &'static str); 18] = [
+    pub const WORDS: [(Self, &'static str); 20] = [
         (Self::RESTARTED, "restarted"),
         (Self::HEAT_UNKNOWN, "heat-unknown"),
         (Self::OLDER_CALIBRATION, "older-calibration"),
@@ -178,6 +182,8 @@ impl StateBits {
         (Self::SELF_TEST, "self-test"),
         (Self::POSITION_JUMP, "position-jump"),
         (Self::SENSOR_ODD, "sensor-odd"),
+        (Self::REFERENCE_OFFERED, "reference-offered"),
+        (Self::CALIBRATION_CHANGED, "calibration-changed"),
         (Self::TEMPERATURE_RATE, "temperature-rate"),
     ];
 

@@ -13,12 +13,12 @@ use trueup_canopen::{
     sdo,
 };
 use trueup_core::{
-    bridge::{self, Bridge, Input, Reference},
+    bridge::{self, Bridge, Input},
     calibration::Calibration,
     cnc::{Command, Control, Flags, Output, Quality},
     health::Noise,
     supply::Supply,
-    units::{Millis, Nanometres},
+    units::Millis,
 };
 use trueup_link::{
     e2e,
@@ -47,12 +47,15 @@ mod objects;
 mod questions;
 mod registers;
 mod restart;
+mod standing;
 mod supply;
 mod writes;
 
 pub use master::Line;
 use master::Master;
 use registers::Registers;
+use standing::Offer;
+pub use standing::Zero;
 use writes::Log;
 
 /// The frames of one tick: both halves of a cycle's offsets.
@@ -97,6 +100,8 @@ pub struct Node<'a> {
     slot: Slot<'a>,
     /// CRC of the calibration that is stored for the next start; 0: none was loaded.
     new_crc: u32,
+    /// A master has asked to drop it.
+    drops_new: bool,
     /// Who has written.
     log: Log,
     noise: Noise,
@@ -115,22 +120,13 @@ pub struct Node<'a> {
     degraded: bool,
     last: Output,
     zero: Option<Zero>,
-    /// A reference of another board in nm, as far as it was written: the elongation, X, Y and Z.
-    offered: [Option<Nanometres>; 4],
+    /// The reference that is offered, and where the one comes from that is in force.
+    offer: Offer,
     /// A `Zero` was refused since [`Node::service`] last ran.
     zero_refused: bool,
     /// So was a learned change, and `Control` was not heard without one since.
     learned_refused: bool,
     supply: Supply,
-}
-
-/// What came of a `Zero`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Zero {
-    /// The reference is another one now.
-    Taken(Reference),
-    /// It is as it was: an input is missing, or the error has not changed.
-    Unchanged,
 }
 
 impl<'a> Node<'a> {
@@ -163,6 +159,7 @@ impl<'a> Node<'a> {
             blob: &[],
             slot: Slot::None,
             new_crc: 0,
+            drops_new: false,
             log: Log::default(),
             noise: Noise::default(),
             until_status_ms: 0,
@@ -177,7 +174,7 @@ impl<'a> Node<'a> {
             degraded,
             last: Output::default(),
             zero: None,
-            offered: [None; 4],
+            offer: Offer::default(),
             zero_refused: false,
             learned_refused: false,
             supply: Supply::default(),
@@ -302,29 +299,14 @@ impl<'a> Node<'a> {
         let before = self.state.reference();
         bridge.hear(&mut self.state, Command::Control(heard.control));
         let now = self.state.reference();
-        if now != before {
+        let zeroed = self.state.take_zeroed();
+        if now != before || zeroed && self.offer.is_open() {
             self.zero = Some(Zero::Taken(now));
-            self.log(What::Zeroed, now.elongation.0.cast_unsigned(), Some(line));
+            self.end_offer(now, What::Zeroed, Some(line));
         } else if heard.zero && self.zero.is_none() {
             self.zero = Some(Zero::Unchanged);
             self.zero_refused = true;
         }
-    }
-
-    /// What came of the last `Zero`, once.
-    pub fn take_zero(&mut self) -> Option<Zero> {
-        self.zero.take()
-    }
-
-    /// The error that counts as none.
-    #[must_use]
-    pub fn reference(&self) -> Reference {
-        self.state.reference()
-    }
-
-    /// Takes up a reference that was stored.
-    pub fn set_reference(&mut self, reference: Reference) {
-        self.state.set_reference(reference);
     }
 
     /// One tick that ends `elapsed_ms` after the last one. Gives the frames to send.
@@ -492,6 +474,8 @@ mod learned_tests;
 mod register_tests;
 #[cfg(test)]
 mod restart_tests;
+#[cfg(test)]
+mod standing_tests;
 #[cfg(test)]
 mod tick_tests;
 #[cfg(test)]

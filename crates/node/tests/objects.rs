@@ -22,7 +22,7 @@ use trueup_link::{
     status::{self, Item},
 };
 use trueup_node::node::{Line, Node};
-use trueup_store::calibration::identity;
+use trueup_store::{calibration::identity, reference::Standing};
 
 fn node() -> Node<'static> {
     Node::new(Some(calibration()), false)
@@ -151,7 +151,10 @@ fn a_board_tells_its_number_the_commit_of_its_image_and_whether_a_reference_is_i
     assert_eq!(number(&node, ObjectKind::SerialNumber), 0xFEDC_BA98);
     assert_eq!(number(&node, ObjectKind::Commit), 0x1234_ABCD);
     assert_eq!(number(&node, ObjectKind::HasReference), 0);
-    node.set_reference(Reference { elongation: Nanometres(-5), ..Reference::default() });
+    node.set_standing(
+        Standing::in_force(Reference { elongation: Nanometres(-5), ..Reference::default() }),
+        None,
+    );
     assert_eq!(number(&node, ObjectKind::HasReference), 1);
     assert_eq!(number(&node, ObjectKind::ReferenceElongation).cast_signed(), -5);
 }

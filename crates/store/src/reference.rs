@@ -1,4 +1,4 @@
-//! The reference that `Zero` has taken, kept in flash: a log of records, the newest counts.
+//! The reference of the running calibration, kept in flash: a log of records, the newest of a calibration counts.
 //!
 //! | offset | a record, 32 bytes, little-endian | unit |
 //! |---|---|---|
@@ -6,15 +6,19 @@
 //! | 4 | `u32` the calibration that it was taken with: the CRC of its blob | |
 //! | 8 | `i32` elongation | nm |
 //! | 12 | 3 × `i32` errors of X, Y, Z | 1/256 nm |
-//! | 24 | `u16` layout, 1 | |
+//! | 24 | `u8` layout, 1; `u8` marks: bit 0 offered, bit 1 the calibration was changed unattended | |
 //! | 26 | `u16` level of the converter's internal reference that it counts from; 0: not known | 1/16 code |
 //! | 28 | CRC-32/AUTOSAR of the 28 bytes before it | |
 //!
 //! Between them lie the [writes], with a layout of their own.
 //!
 //! A record is written from its first byte to its last, and its CRC comes last, as `log` demands.
-//! A reference belongs to the constants that it was computed with, so one of another calibration is
-//! not taken up; it counts again when that calibration is back, until its half is emptied.
+//!
+//! **In force or offered.** A reference is in force after a start if nothing newer says that its calibration was
+//! loaded again, or that another one ran meanwhile. Otherwise the calibration starts without a reference, and the
+//! older one is offered: tools may have been touched off with another one since. The first start after such a
+//! change stores what it has found ([`References::make_room`]), so that later starts find it in one record.
+//! Records of firmware before 0.3 have no marks: theirs are in force, or offered by the same rule.
 
 use embedded_storage::nor_flash::NorFlash;
 use trueup_core::{
@@ -34,26 +38,54 @@ const SLOT_SIZE: u32 = 32;
 /// Bytes of a record.
 pub const RECORD_SIZE: usize = SLOT_SIZE as usize;
 /// The layout described here.
-const LAYOUT: u16 = 1;
+const LAYOUT: u8 = 1;
+/// The marks.
+const OFFERED: u8 = 1 << 0;
+const CHANGED: u8 = 1 << 1;
 /// How many slots are tried for one record.
 const ATTEMPTS: u32 = 3;
 
 type Bytes = [u8; RECORD_SIZE];
+
+/// What holds for a calibration: its reference, and what the operator has not answered yet.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Standing {
+    /// The reference.
+    pub reference: Reference,
+    /// It is not in force: it waits for the operator's answer.
+    pub is_offered: bool,
+    /// The calibration was changed while no CNC was heard, and the operator has not confirmed it.
+    pub is_changed: bool,
+}
+
+impl Standing {
+    /// Returns a reference that is in force, with nothing open.
+    #[must_use]
+    pub const fn in_force(reference: Reference) -> Self {
+        Self { reference, is_offered: false, is_changed: false }
+    }
+}
 
 /// One record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Record {
     sequence: u32,
     calibration: u32,
-    reference: Reference,
+    standing: Standing,
     supply: Level,
 }
 
 impl Record {
     fn encode(&self) -> Bytes {
-        let Reference { elongation, axes: [x, y, z] } = self.reference;
+        let Standing { reference, is_offered, is_changed } = self.standing;
+        let Reference { elongation, axes: [x, y, z] } = reference;
         let [elongation, x, y, z] = [elongation.0, x.0, y.0, z.0].map(i32::cast_unsigned);
-        let layout = u32::from(LAYOUT) | u32::from(self.supply.0) << 16;
+        let mut marks = if is_offered { OFFERED } else { 0 };
+        if is_changed {
+            marks |= CHANGED;
+        }
+        let [low, high] = self.supply.0.to_le_bytes();
+        let layout = u32::from_le_bytes([LAYOUT, marks, low, high]);
         let words = [self.sequence, self.calibration, elongation, x, y, z, layout];
         let mut bytes = [0; RECORD_SIZE];
         for (place, word) in bytes.as_chunks_mut().0.iter_mut().zip(words) {
@@ -70,14 +102,16 @@ impl Record {
         else {
             return None;
         };
-        let [low, high, supply_low, supply_high] = layout;
-        (u16::from_le_bytes([low, high]) == LAYOUT).then(|| Self {
+        let [LAYOUT, marks, supply_low, supply_high] = layout else { return None };
+        let reference = Reference {
+            elongation: Nanometres(i32::from_le_bytes(elongation)),
+            axes: [x, y, z].map(|axis| Fine(i32::from_le_bytes(axis))),
+        };
+        let (is_offered, is_changed) = (marks & OFFERED != 0, marks & CHANGED != 0);
+        (marks & !(OFFERED | CHANGED) == 0).then(|| Self {
             sequence: u32::from_le_bytes(sequence),
             calibration: u32::from_le_bytes(calibration),
-            reference: Reference {
-                elongation: Nanometres(i32::from_le_bytes(elongation)),
-                axes: [x, y, z].map(|axis| Fine(i32::from_le_bytes(axis))),
-            },
+            standing: Standing { reference, is_offered, is_changed },
             supply: Level(u16::from_le_bytes([supply_low, supply_high])),
         })
     }
@@ -101,8 +135,13 @@ fn decode_write(bytes: &Bytes) -> Option<Write> {
 /// What the flash was found to hold.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Found {
-    /// The newest reference of this calibration, with its sequence number.
-    pub reference: Option<(u32, Reference)>,
+    /// The newest record of this calibration: its sequence number, and what holds now by it and by what came
+    /// after it.
+    pub standing: Option<(u32, Standing)>,
+    /// Something holds that no record says yet.
+    pub is_new: bool,
+    /// The write that has taken or offered the reference.
+    pub taken: Option<Write>,
     /// The machine and the board that the board belongs to: [`writes::identity`] of their names.
     pub named: Option<u32>,
     /// The level of the supply that it counts from.
@@ -118,36 +157,86 @@ pub struct Found {
 pub struct References<F> {
     log: Log<F>,
     calibration: u32,
-    /// The reference of this calibration that counts, and the half that its record is in.
-    current: Option<(Reference, Half)>,
+    /// What holds for this calibration, and the half that its record is in; `None`: it is not stored yet.
+    current: Option<(Standing, Option<Half>)>,
     /// The write that has named the board's machine, and the half that it is in.
     named: Option<(Write, Half)>,
+    /// The same of the one that has taken or offered the reference.
+    taken: Option<(Write, Half)>,
     writes: Writes,
     /// Goes into every record.
     supply: Level,
-    /// Of the references that were found at the start, and of the names.
+    /// Of the records that were found at the start, and of both writes.
     only: Only,
     only_named: Only,
+    only_taken: Only,
+}
+
+/// What has happened to a calibration, by the sequence numbers of the records that say so; 0: none does.
+#[derive(Default)]
+struct Events {
+    /// The newest time at which another calibration ran.
+    other: u32,
+    /// The newest load of this one, unless it was dropped again, and whether it was unattended.
+    loaded: (u32, bool),
+}
+
+impl Events {
+    fn ran(&mut self, calibration: u32, by: u32, sequence: u32) {
+        if by != 0 && by != calibration {
+            self.other = self.other.max(sequence);
+        }
+    }
+
+    fn note(&mut self, calibration: u32, write: &Write) {
+        // The names move on under whichever calibration runs then.
+        if write.what != What::Named {
+            self.ran(calibration, write.calibration, write.sequence);
+        }
+        let is_newer = write.about == calibration && write.sequence > self.loaded.0;
+        match write.what {
+            What::Loaded if is_newer => self.loaded = (write.sequence, write.is_unattended),
+            // A load that never came to run.
+            What::Cancelled if is_newer => self.loaded = (0, false),
+            _ => {}
+        }
+    }
+
+    /// What holds now, by the newest record of the calibration; `None`: nothing has changed since.
+    fn change(&self, own: Option<(u32, Standing)>) -> Option<Standing> {
+        let since = own.map_or(0, |(sequence, _)| sequence);
+        let (loaded, is_unattended) = self.loaded;
+        if self.other.max(loaded) <= since {
+            return None;
+        }
+        let reference = own.map_or(Reference::default(), |(_, standing)| standing.reference);
+        let is_offered = reference != Reference::default();
+        // Without a record of its load it came with an image, or the power went at that moment.
+        let is_changed = if loaded > since { is_unattended } else { true };
+        Some(Standing { reference, is_offered, is_changed })
+    }
 }
 
 impl<F: NorFlash> References<F> {
     /// Reads all of the flash. What cannot be read counts as damaged.
     pub fn open(flash: F, calibration: u32) -> (Self, Found) {
         let mut found = Found::default();
-        let (mut current, mut named, mut oldest_first) =
-            (None, None::<(Write, Half)>, [None; writes::KEPT]);
+        let (mut half, mut named, mut taken) = (None, None, None);
+        let mut oldest_first = [None; writes::KEPT];
         let (mut only, mut only_named) = (Only::default(), Only::default());
+        let (mut only_taken, mut events) = (Only::default(), Events::default());
         let log = Log::open(flash, SLOT_SIZE, |flash, slot| {
             let mut bytes = [0; RECORD_SIZE];
             let is_read = flash.read(slot.address, &mut bytes).is_ok();
             if let Some(write) = is_read.then(|| decode_write(&bytes)).flatten() {
-                let is_newer = named.is_none_or(|(other, _)| write.sequence > other.sequence);
                 if write.what == What::Named {
                     only_named.note(slot.half);
+                    note_newest(&mut named, write, slot.half);
+                } else if takes_reference(write.what) && write.calibration == calibration {
+                    only_taken.note(slot.half);
+                    note_newest(&mut taken, write, slot.half);
                 }
-                if write.what == What::Named && is_newer {
-                    named = Some((write, slot.half));
-                }
+                events.note(calibration, &write);
                 insert(&mut oldest_first, write);
                 return Some(write.sequence);
             }
@@ -155,23 +244,47 @@ impl<F: NorFlash> References<F> {
                 found.damaged = found.damaged.saturating_add(1);
                 return None;
             };
+            events.ran(calibration, record.calibration, record.sequence);
             if record.calibration != calibration {
                 found.foreign = found.foreign.saturating_add(1);
                 return Some(record.sequence);
             }
             only.note(slot.half);
-            if found.reference.is_none_or(|(newest, _)| record.sequence > newest) {
-                found.reference = Some((record.sequence, record.reference));
+            if found.standing.is_none_or(|(newest, _)| record.sequence > newest) {
+                found.standing = Some((record.sequence, record.standing));
                 found.supply = record.supply;
-                current = Some((record.reference, slot.half));
+                half = Some(slot.half);
             }
             Some(record.sequence)
         });
+        let mut current = found.standing.map(|(_, standing)| (standing, half));
+        // Without a calibration nothing holds.
+        if calibration != 0
+            && let Some(standing) = events.change(found.standing)
+        {
+            let sequence = found.standing.map_or(0, |(sequence, _)| sequence);
+            found.standing = Some((sequence, standing));
+            found.is_new = true;
+            current = Some((standing, None));
+        }
         found.named = named.map(|(write, _)| write.about);
+        found.taken = taken.map(|(write, _)| write);
         let mut writes = Writes::default();
         oldest_first.iter().flatten().for_each(|write| writes.push(write));
         let supply = found.supply;
-        (Self { log, calibration, current, named, only, only_named, writes, supply }, found)
+        let references = Self {
+            log,
+            calibration,
+            current,
+            named,
+            taken,
+            writes,
+            supply,
+            only,
+            only_named,
+            only_taken,
+        };
+        (references, found)
     }
 
     /// The last writes that were found at the start.
@@ -191,6 +304,9 @@ impl<F: NorFlash> References<F> {
         if stored.what == What::Named {
             self.named = Some((stored, slot.half));
             self.only_named = Only::default();
+        } else if takes_reference(stored.what) && stored.calibration == self.calibration {
+            self.taken = Some((stored, slot.half));
+            self.only_taken = Only::default();
         }
         Ok(stored)
     }
@@ -200,27 +316,27 @@ impl<F: NorFlash> References<F> {
         self.supply = supply;
     }
 
-    /// Appends a reference; gives the sequence number of its record.
+    /// Appends what holds for the calibration from now on; gives the sequence number of its record.
     ///
     /// # Errors
     /// [`StoreError`]; what was stored before still counts.
-    pub fn append(&mut self, reference: Reference) -> Result<u32, StoreError> {
+    pub fn append(&mut self, standing: Standing) -> Result<u32, StoreError> {
         let (calibration, supply) = (self.calibration, self.supply);
         let (sequence, slot) = self.log.append(ATTEMPTS, |flash, slot, sequence| {
             write_part(
                 flash,
                 slot.address,
-                &Record { sequence, calibration, reference, supply }.encode(),
+                &Record { sequence, calibration, standing, supply }.encode(),
             )
         })?;
-        self.current = Some((reference, slot.half));
+        self.current = Some((standing, Some(slot.half)));
         self.only = Only::default();
         Ok(sequence)
     }
 
-    /// Empties the half that is not written to, if it is not empty: records go on there when the
-    /// other one is full. Gives whether it had to. The erase may stall the core for seconds: this
-    /// is for a moment when nothing is followed.
+    /// Stores what the start has found and no record says yet, and empties the half that is not written to, if it
+    /// is not empty: records go on there when the other one is full. Gives whether it had to. The erase may stall
+    /// the core for seconds: this is for a moment when nothing is followed.
     ///
     /// # Errors
     /// [`StoreError`]; what is stored still counts.
@@ -229,26 +345,44 @@ impl<F: NorFlash> References<F> {
         // alone: a power cut may have torn it. Where there is no room for it, after.
         let (active, has_spare) = (self.log.active(), self.log.has_spare_content());
         let moves = |half: Half, only: Only| half != active || has_spare && only.is_in(active);
-        let mut reference = self.current.filter(|(_, half)| moves(*half, self.only));
-        let mut named = self.named.filter(|(_, half)| moves(*half, self.only_named));
+        let standing =
+            self.current.filter(|(_, half)| half.is_none_or(|half| moves(half, self.only)));
+        let mut standing = standing.map(|(standing, _)| standing);
+        let named = self.named.filter(|(_, half)| moves(*half, self.only_named));
+        let taken = self.taken.filter(|(_, half)| moves(*half, self.only_taken));
+        let mut writes = [named, taken].map(|write| write.map(|(write, _)| write));
         if self.log.has_room()
-            && let Some((reference, _)) = reference.take()
+            && let Some(standing) = standing.take()
         {
-            self.append(reference)?;
+            self.append(standing)?;
         }
-        if self.log.has_room()
-            && let Some((named, _)) = named.take()
-        {
-            self.append_write(&named)?;
+        for write in &mut writes {
+            if self.log.has_room()
+                && let Some(write) = write.take()
+            {
+                self.append_write(&write)?;
+            }
         }
         let emptied = self.log.make_room()?;
-        if let Some((reference, _)) = reference {
-            self.append(reference)?;
+        if let Some(standing) = standing {
+            self.append(standing)?;
         }
-        if let Some((named, _)) = named {
-            self.append_write(&named)?;
+        for write in writes.into_iter().flatten() {
+            self.append_write(&write)?;
         }
         Ok(emptied)
+    }
+}
+
+/// Whether a write says where the reference comes from.
+const fn takes_reference(what: What) -> bool {
+    matches!(what, What::Zeroed | What::Offered)
+}
+
+/// Keeps the newer one.
+fn note_newest(newest: &mut Option<(Write, Half)>, write: Write, half: Half) {
+    if newest.is_none_or(|(other, _)| write.sequence > other.sequence) {
+        *newest = Some((write, half));
     }
 }
 
@@ -266,6 +400,8 @@ fn insert(all: &mut [Option<Write>; writes::KEPT], mut write: Write) {
     }
 }
 
+#[cfg(test)]
+mod standing_tests;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]

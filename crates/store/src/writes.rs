@@ -10,7 +10,7 @@
 //! | 8 | `u32` what it was about, see [`What`] | |
 //! | 12 | `u32` time since the start of the board | ms |
 //! | 16 | `u32` time of day; 0: nobody has told it | s since 1970, UTC |
-//! | 20 | `u8` what, `u8` line (0 the board itself, 1 CAN, 2 serial, 3 Modbus), 0, 0 | |
+//! | 20 | `u8` what, `u8` line (0 the board itself, 1 CAN, 2 serial, 3 Modbus), `u8` 1: no CNC was heard, 0 | |
 //! | 24 | `u32` layout, 2 | |
 //! | 28 | CRC-32/AUTOSAR of the 28 bytes before it | |
 //!
@@ -41,12 +41,23 @@ pub enum What {
     Confirmed,
     /// The board belongs to another machine from now on; about: [`identity`] of its names.
     Named,
+    /// A reference from a saved file is offered to the operator; about: its elongation in nm, as `i32`.
+    Offered,
+    /// A calibration that was to be used from the next start is dropped; about: its CRC.
+    Cancelled,
 }
 
 impl What {
     /// All of them.
-    pub const ALL: [Self; 5] =
-        [Self::Loaded, Self::Zeroed, Self::Forgotten, Self::Confirmed, Self::Named];
+    pub const ALL: [Self; 7] = [
+        Self::Loaded,
+        Self::Zeroed,
+        Self::Forgotten,
+        Self::Confirmed,
+        Self::Named,
+        Self::Offered,
+        Self::Cancelled,
+    ];
 
     /// In a word.
     #[must_use]
@@ -57,6 +68,8 @@ impl What {
             Self::Forgotten => "forgotten",
             Self::Confirmed => "confirmed",
             Self::Named => "named",
+            Self::Offered => "offered",
+            Self::Cancelled => "cancelled",
         }
     }
 }
@@ -109,6 +122,8 @@ pub struct Write {
     pub what: What,
     /// Where it came from.
     pub origin: Origin,
+    /// It changes the calibration that will run, and no CNC was heard meanwhile.
+    pub is_unattended: bool,
 }
 
 impl Write {
@@ -116,7 +131,9 @@ impl Write {
     #[must_use]
     pub fn to_bytes(&self) -> [u8; SIZE] {
         let mut bytes = [0; SIZE];
-        let kind = u32::from(self.what as u8) | u32::from(self.origin as u8) << 8;
+        let kind = u32::from(self.what as u8)
+            | u32::from(self.origin as u8) << 8
+            | u32::from(self.is_unattended) << 16;
         let words = [self.sequence, self.calibration, self.about, self.at_ms, self.utc_s, kind];
         for (place, word) in bytes.as_chunks_mut().0.iter_mut().zip(words) {
             *place = word.to_le_bytes();
@@ -127,7 +144,7 @@ impl Write {
     /// The write in the bytes of the object; `None`: of another version.
     #[must_use]
     pub fn from_bytes(bytes: &[u8; SIZE]) -> Option<Self> {
-        let &[sequence, calibration, about, at_ms, utc_s, [what, origin, ..]] =
+        let &[sequence, calibration, about, at_ms, utc_s, [what, origin, unattended, ..]] =
             bytes.as_chunks::<4>().0
         else {
             return None;
@@ -136,7 +153,8 @@ impl Write {
             [sequence, calibration, about, at_ms, utc_s].map(u32::from_le_bytes);
         let what = What::ALL.into_iter().find(|it| *it as u8 == what)?;
         let origin = Origin::ALL.into_iter().find(|it| *it as u8 == origin)?;
-        Some(Self { sequence, calibration, about, at_ms, utc_s, what, origin })
+        let is_unattended = unattended & 1 != 0;
+        Some(Self { sequence, calibration, about, at_ms, utc_s, what, origin, is_unattended })
     }
 }
 
@@ -199,7 +217,16 @@ mod tests {
         let what = What::ALL[sequence as usize % What::ALL.len()];
         let origin = Origin::ALL[sequence as usize % Origin::ALL.len()];
         let about = sequence.wrapping_mul(0x0101_0101);
-        Write { sequence, calibration: 7, about, at_ms: 1_000, utc_s: 1_790_000_000, what, origin }
+        Write {
+            sequence,
+            calibration: 7,
+            about,
+            at_ms: 1_000,
+            utc_s: 1_790_000_000,
+            what,
+            origin,
+            is_unattended: sequence % 3 == 0,
+        }
     }
 
     #[test]
@@ -222,7 +249,7 @@ mod tests {
         bytes[21] = 4;
         assert_eq!(Write::from_bytes(&bytes), None);
         bytes[21] = 0;
-        bytes[20] = 6;
+        bytes[20] = 8;
         assert_eq!(Write::from_bytes(&bytes), None);
     }
 
@@ -250,7 +277,7 @@ mod tests {
 
     #[test]
     fn a_program_reads_what_was_written_and_over_which_line_by_these_words() {
-        let words = ["loaded", "zeroed", "forgotten", "confirmed", "named"];
+        let words = ["loaded", "zeroed", "forgotten", "confirmed", "named", "offered", "cancelled"];
         assert_eq!(What::ALL.map(What::word), words);
         assert_eq!(Origin::ALL.map(Origin::word), ["board", "can", "serial", "modbus"]);
     }

@@ -114,7 +114,7 @@ pub fn start(
     let identity = calibration.as_ref().map_or(0, |(identity, _)| *identity);
     let references = references::open(flash, identity);
     let kept = &references.1;
-    if loaded.is_none() && kept.reference.is_none() && kept.named.is_none() {
+    if loaded.is_none() && kept.standing.is_none() && kept.named.is_none() {
         // Nobody waits for a new board.
         brown_out.raise();
     }

@@ -234,7 +234,7 @@ pub const OBJECTS: &[Object] = &[
         0x2010,
         "Reference taken by Zero",
         &[
-            count(6),
+            count(13),
             set(1, "Elongation in nm", Type::I32, ObjectKind::ReferenceElongation, 0),
             set(2, "Error of X in nm", Type::I32, ObjectKind::Reference(0), 0),
             set(3, "Error of Y in nm", Type::I32, ObjectKind::Reference(1), 0),
@@ -242,12 +242,24 @@ pub const OBJECTS: &[Object] = &[
             read(5, "A reference is in force", Type::U8, ObjectKind::HasReference),
             Entry {
                 subindex: 6,
-                name: "Forget the reference (write zero as text), take what was written (back)",
+                name: "Forget the reference (write zero as text), offer what was written (back)",
                 kind: Type::U32,
                 access: Access::Write,
                 what: ObjectKind::Forget,
                 default: None,
             },
+            read(7, "Offered: elongation in nm", Type::I32, ObjectKind::OfferedElongation),
+            read(8, "Offered: error of X in nm", Type::I32, ObjectKind::Offered(0)),
+            read(9, "Offered: error of Y in nm", Type::I32, ObjectKind::Offered(1)),
+            read(10, "Offered: error of Z in nm", Type::I32, ObjectKind::Offered(2)),
+            read(11, "Taken at, in s since 1970 (UTC)", Type::U32, ObjectKind::ReferenceUtc),
+            read(
+                12,
+                "Taken by (kind and line of the write)",
+                Type::U16,
+                ObjectKind::ReferenceOrigin,
+            ),
+            read(13, "Age in s", Type::U32, ObjectKind::ReferenceAge),
         ],
     ),
     array(
@@ -283,7 +295,7 @@ pub const OBJECTS: &[Object] = &[
         0x2100,
         "Calibration",
         &[
-            count(4),
+            count(5),
             read(1, "Running calibration", Type::Domain, ObjectKind::Running),
             Entry {
                 subindex: 2,
@@ -295,6 +307,14 @@ pub const OBJECTS: &[Object] = &[
             },
             read(3, "CRC of the running calibration", Type::U32, ObjectKind::RunningCrc),
             read(4, "CRC of the new calibration", Type::U32, ObjectKind::NewCrc),
+            Entry {
+                subindex: 5,
+                name: "Drop the new calibration (write drop as text)",
+                kind: Type::U32,
+                access: Access::Write,
+                what: ObjectKind::DropNew,
+                default: None,
+            },
         ],
     ),
     record(

@@ -1,34 +1,43 @@
-//! `trueup bridge save` and `restore`: all that a board holds, in one file, and back into another board.
+//! `trueup bridge save` and `restore`: all that a board holds, in one file ([`SavedBoard`]), and back into another
+//! board.
 //!
-//! The file is JSON. The calibration goes back whole, with its names, and so does the reference that `Zero` has
-//! taken. The log of writes is a board's own and stays in the file to be read. Where a reference cannot go back
-//! (`--keep-running`; a firmware before 0.2) `restore` warns, and ends with 3, because offsets would count from
-//! another zero.
+//! The calibration goes back whole, with its names. The reference that `Zero` has taken is offered to the operator,
+//! who takes it by `Confirm`: the tools may have been touched off with another one since. The log of writes is a
+//! board's own and stays in the file to be read. Where a reference cannot be offered (`--keep-running`; a firmware
+//! that lets nobody write one) `restore` warns, and ends with 3, because offsets would count from another zero.
 
-use std::{fs, path::PathBuf};
+use std::{
+    fs,
+    io::{IsTerminal as _, stdin},
+    path::{Path, PathBuf},
+};
 
 use anyhow::{Result, bail};
 use clap::Args;
-use serde_json::{Value, json};
-use trueup_client::{load, object, port::Port as Line, session::Session, writes};
-use trueup_store::calibration::{decode, identity};
+use serde_json::json;
+use trueup_client::{
+    load,
+    port::Port as Line,
+    reference::{BridgeReference, micrometres_text},
+    saved::{Owner, SavedBoard},
+    session::Session,
+};
+use trueup_store::calibration::decode;
 
 use super::{
     Port,
-    load::{How, put},
+    load::{How, Loaded, agreed, put},
 };
 use crate::{Outcome, UserError, output, report};
-
-/// What the file says that it is.
-const FORMAT: &str = "trueup-bridge-1";
-/// What the file calls the parts of the reference.
-const REFERENCE: [&str; 4] = ["elongation_nm", "x_nm", "y_nm", "z_nm"];
 
 #[derive(Args)]
 pub struct Save {
     /// The file to write.
     #[arg(value_name = "FILE")]
     file: PathBuf,
+    /// Replace the file, also if it is another machine's backup or none at all.
+    #[arg(long)]
+    overwrite: bool,
     #[command(flatten)]
     port: Port,
 }
@@ -47,161 +56,171 @@ pub struct Restore {
 /// Writes all that the bridge holds to a file.
 pub fn save(args: &Save, as_json: bool) -> Result<Outcome> {
     let mut session = Session::open(&Line::parse(&args.port.port)?)?;
-    let text = |session: &mut Session, at| object::text(session, at).unwrap_or_default();
-    let bar = super::who::bar("reading the calibration", 0);
-    let calibration = load::running(&mut session, |got, of| {
-        bar.set_length(of.unwrap_or_default().into());
-        bar.set_position(got as u64);
-    });
-    bar.finish_and_clear();
-    let Some(calibration) = calibration? else {
-        bail!("the bridge has no valid calibration: there is nothing to save");
-    };
-    let crc = identity(&calibration);
-    let new_crc = object::number(&mut session, object::NEW_CRC)?;
-    let waiting = match new_crc {
-        0 => None,
-        it if it == crc => None,
-        _ => Some(hex(&object::read(&mut session, object::NEW, |_, _| ())?)),
-    };
-    let mut reference = Value::Null;
-    if object::number(&mut session, object::HAS_REFERENCE)? != 0 {
-        reference = json!({});
-        for (at, name) in object::REFERENCE.into_iter().zip(REFERENCE) {
-            reference[name] = json!(object::number(&mut session, at)?.cast_signed());
-        }
-    }
-    let log = object::read(&mut session, object::WRITES, |_, _| ()).unwrap_or_default();
-    let all = json!({
-        "format": FORMAT,
-        "device": text(&mut session, object::NAME),
-        "hardware": text(&mut session, object::HARDWARE),
-        "software": text(&mut session, object::SOFTWARE),
-        "machine": text(&mut session, object::MACHINE_NAME),
-        "machine_serial": text(&mut session, object::MACHINE_SERIAL),
-        "calibration_crc": format!("{crc:08x}"),
-        "calibration": hex(&calibration),
-        "calibration_for_the_next_start": waiting,
-        "reference": reference,
-        "writes": writes::writes(&log).iter().map(writes::json).collect::<Vec<_>>(),
-    });
+    let saved = saved(&mut session, &args.file, args.overwrite, as_json);
     session.close();
-    let written = serde_json::to_string_pretty(&all)? + "\n";
-    output::write_whole(&args.file, &[], |out| out.write_all(written.as_bytes()))?;
+    let saved = saved?;
+    let crc = saved.crc();
     if as_json {
         output::print(
             json!({ "output": args.file.to_string_lossy(), "crc": format!("{crc:08x}") }),
         )?;
     } else {
-        let name = all["machine"].as_str().filter(|it| !it.is_empty()).unwrap_or("no name");
+        let owner = saved.owner();
         output::print(format_args!(
-            "{}: calibration {crc:08x} of \"{name}\", {} bytes",
+            "{}: calibration {crc:08x} of {}, {} bytes",
             args.file.display(),
-            calibration.len()
+            owner.text(),
+            saved.calibration.len()
         ))?;
     }
     Ok(Outcome::Done)
+}
+
+/// Saves a bridge to a file. What the file holds of another machine is not replaced without a yes.
+pub fn saved(
+    session: &mut Session,
+    file: &Path,
+    overwrite: bool,
+    as_json: bool,
+) -> Result<SavedBoard> {
+    if !overwrite && let Some(there) = other_content(file, &Owner::ask(session)?) {
+        let rule = format!("{}: {there}", file.display());
+        if as_json || !stdin().is_terminal() {
+            bail!(UserError(format!("{rule}. Give another file, or --overwrite to replace it")));
+        }
+        if !agreed(&format!("{rule}. Replace it? [y/N] "))? {
+            bail!(UserError("not saved: you have not said yes".into()));
+        }
+    }
+    let bar = super::who::bar("reading the calibration", 0);
+    let saved = SavedBoard::ask(session, |got, of| {
+        bar.set_length(of.unwrap_or_default().into());
+        bar.set_position(got as u64);
+    });
+    bar.finish_and_clear();
+    let saved = saved?;
+    let text = saved.to_text()?;
+    output::write_whole(file, &[], |out| out.write_all(text.as_bytes()))?;
+    Ok(saved)
+}
+
+/// What the file holds, unless it is nothing, or a backup of the same owner.
+fn other_content(file: &Path, owner: &Owner) -> Option<String> {
+    if output::is_standard_output(file) || !fs::metadata(file).is_ok_and(|it| it.is_file()) {
+        return None;
+    }
+    let text = fs::read_to_string(file).unwrap_or_else(|_| "?".into());
+    if text.is_empty() {
+        return None;
+    }
+    match SavedBoard::parse(&text).map(|saved| saved.owner()) {
+        Ok(there) if there.is_same(owner) => None,
+        Ok(there) => {
+            Some(format!("is the backup of {}; this bridge is of {}", there.text(), owner.text()))
+        }
+        Err(_) => Some("is there already, and is no backup of a bridge that can be read".into()),
+    }
+}
+
+/// What came of a restore.
+pub struct Restored {
+    /// Of its calibration.
+    pub loaded: Loaded,
+    /// Of its reference; `None`: it has none.
+    pub reference: Option<Result<BridgeReference, String>>,
+}
+
+impl Restored {
+    fn is_met(&self, how: How) -> bool {
+        self.loaded.is_met(how) && !matches!(self.reference, Some(Err(_)))
+    }
+}
+
+/// Reads a file that `save` wrote.
+pub fn read(file: &Path) -> Result<SavedBoard, UserError> {
+    let bad = |rule: String| UserError(format!("{}: {rule}", file.display()));
+    let text = fs::read_to_string(file).map_err(|error| bad(format!("cannot be read: {error}")))?;
+    SavedBoard::parse(&text).map_err(bad)
+}
+
+/// Loads the calibration, and offers the reference.
+pub fn put_back(session: &mut Session, saved: &SavedBoard, how: How) -> Result<Restored> {
+    let mut loaded = put(session, &saved.calibration, how)?;
+    let runs = !how.keep_running && loaded.running == loaded.crc;
+    // It belongs to the calibration that it was taken with.
+    let reference = saved.reference.map(|nm| match runs {
+        true => load::offer_reference(session, nm).map_err(|error| format!("{error:#}")),
+        false => Err("the board does not run on this calibration yet".into()),
+    });
+    if runs {
+        loaded.asks = super::asks::Asks::of(session)?;
+    }
+    Ok(Restored { loaded, reference })
 }
 
 /// Gives a bridge what `save` has kept of another one.
 pub fn restore(args: &Restore, as_json: bool) -> Result<Outcome> {
     // What counts is what becomes of the board.
     trueup_output::best_effort();
-    let bad = |rule: String| UserError(format!("{}: {rule}", args.file.display()));
-    let text =
-        fs::read_to_string(&args.file).map_err(|error| bad(format!("cannot be read: {error}")))?;
-    let all: Value = serde_json::from_str(&text)
-        .map_err(|error| bad(format!("is not what bridge save writes: {error}")))?;
-    if all["format"] != FORMAT {
-        return Err(bad(format!("is not what bridge save writes: format is not {FORMAT}")).into());
+    let saved = read(&args.file)?;
+    let is_bound = decode(&saved.calibration).is_ok_and(|it| it.names.board != [0; 3]);
+    if !saved.is_protected() && saved.reference.is_some() {
+        report::warn(format_args!(
+            "{}: has no checksum (version 0.2 wrote it): look at the reference before you confirm it",
+            args.file.display()
+        ));
     }
-    let blob = all["calibration"].as_str().and_then(bytes_of);
-    let blob = blob.ok_or_else(|| bad("the calibration is not in hexadecimal digits".into()))?;
-    let calibration = decode(&blob).map_err(|error| bad(error.to_string()))?;
-    let crc = identity(&blob);
-    if all["calibration_crc"] != format!("{crc:08x}") {
-        return Err(bad("the calibration is not the one of its CRC".into()).into());
-    }
-    let reference = match &all["reference"] {
-        Value::Null => None,
-        parts => Some(
-            reference_of(parts)
-                .ok_or_else(|| bad("the reference is not four lengths in nm".into()))?,
-        ),
-    };
-    let is_bound = calibration.names.board != [0; 3];
-
     args.how.can_ask(as_json)?;
     let mut session = Session::open(&Line::parse(&args.port.port)?)?;
-    let loaded = put(&mut session, &blob, args.how);
-    let runs = loaded.as_ref().is_ok_and(|loaded| !args.how.keep_running && loaded.running == crc);
-    // It belongs to the calibration that it was taken with.
-    let taken = match reference {
-        Some(nm) if runs => {
-            load::put_reference(&mut session, nm).map_err(|error| format!("{error:#}"))
-        }
-        Some(_) => Err("the board does not run on this calibration yet".into()),
-        None => Ok(()),
-    };
+    let restored = put_back(&mut session, &saved, args.how);
     session.close();
-    let loaded = loaded?;
+    let restored = restored?;
+    let is_met = restored.is_met(args.how);
+    let Restored { loaded, reference } = restored;
     let mut notes = Vec::new();
     if is_bound {
         notes.push(
             "the calibration names a board: another one asks for Confirm (foreign-machine)".into(),
         );
     }
-    match (reference, &taken) {
-        (Some(nm), Ok(())) => notes.push(format!(
-            "the reference that Zero had taken is in force ({}); this board's converter is another one: touch off \
-             a tool before anything is cut",
-            in_micrometres(nm)
+    match (saved.reference, &reference) {
+        (Some(_), Some(Ok(now))) => notes.push(format!(
+            "the reference that Zero had taken: {}. This board's converter is another one: touch off a tool before \
+             anything is cut",
+            now.text()
         )),
-        (Some(nm), Err(why)) => report::warn(format_args!(
+        (Some(nm), Some(Err(why))) => report::warn(format_args!(
             "the reference that Zero had taken is NOT on this board ({}): {why}. Its offsets count from the \
              calibration's own zero. Before anything is cut: bring the machine into the state in which tools \
              are touched off, home it, and let the CNC set Zero again (LinuxCNC: pin trueup.zero)",
-            in_micrometres(nm)
+            micrometres_text(nm)
         )),
-        (None, _) => {}
+        _ => {}
     }
-    let is_used = args.how.keep_running || loaded.running == loaded.crc;
-    let is_met = is_used && taken.is_ok();
+    let crc = loaded.crc;
     if as_json {
         output::print(json!({
             "crc": format!("{crc:08x}"),
             "running_crc": format!("{:08x}", loaded.running),
-            "reference": reference.map(|_| taken.is_ok()),
+            "reference": reference.as_ref().map(Result::is_ok),
+            "asks": loaded.asks.words(),
             "notes": notes,
         }))?;
     } else {
-        output::print(format_args!("calibration {crc:08x}, {} bytes, restored", blob.len()))?;
+        let bytes = saved.calibration.len();
+        output::print(match (args.how.keep_running, loaded.running == crc) {
+            (true, _) => format!(
+                "calibration {crc:08x}, {bytes} bytes, stored for the next start; now the bridge runs on {:08x}",
+                loaded.running
+            ),
+            (false, true) => format!("calibration {crc:08x}, {bytes} bytes, restored"),
+            (false, false) => format!(
+                "calibration {crc:08x}, {bytes} bytes, stored, but the bridge runs on {:08x}",
+                loaded.running
+            ),
+        })?;
         notes.iter().try_for_each(output::print)?;
+        loaded.asks.print()?;
     }
     Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
-}
-
-/// The parts of a reference, as the file has them.
-fn reference_of(parts: &Value) -> Option<[i32; 4]> {
-    let mut nm = [0; 4];
-    for (place, name) in nm.iter_mut().zip(REFERENCE) {
-        *place = parts[name].as_i64().and_then(|nm| i32::try_from(nm).ok())?;
-    }
-    Some(nm)
-}
-
-fn in_micrometres(reference: [i32; 4]) -> String {
-    let parts = ["elongation", "X", "Y", "Z"].into_iter().zip(reference);
-    let parts = parts.map(|(name, nm)| format!("{name} {:+.2} µm", f64::from(nm) / 1_000.0));
-    parts.collect::<Vec<_>>().join(", ")
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
-fn bytes_of(hex: &str) -> Option<Vec<u8>> {
-    let (pairs, []) = hex.as_bytes().as_chunks::<2>() else { return None };
-    let byte = |pair: &[u8; 2]| u8::from_str_radix(std::str::from_utf8(pair).ok()?, 16).ok();
-    pairs.iter().map(byte).collect()
 }

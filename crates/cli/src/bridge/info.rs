@@ -13,6 +13,7 @@ use trueup_client::{
     build::Build,
     object,
     port::Port,
+    reference::BridgeReference,
     session::Session,
     words::{fault_words, output_json, output_text, state_word, state_words},
     writes,
@@ -28,7 +29,7 @@ use trueup_link::{
 use trueup_machine::compile;
 use trueup_store::writes::Write;
 
-use super::who;
+use super::{asks::Asks, who};
 use crate::{Outcome, files, output};
 
 #[derive(Args)]
@@ -98,11 +99,12 @@ struct Objects {
     serial: String,
     /// Who has written to the board, the last at the end.
     writes: Vec<Write>,
-    has_reference: bool,
+    reference: BridgeReference,
     /// What was learned, as it is applied, in words; `None`: nothing.
     learned: Option<String>,
     faults: Vec<&'static str>,
     state: Vec<&'static str>,
+    asks: Asks,
     reset: ResetReason,
     /// What it left behind, in words; empty: nothing.
     stop: String,
@@ -124,10 +126,11 @@ impl Objects {
             writes: writes::writes(
                 &object::read(session, object::WRITES, |_, _| ()).unwrap_or_default(),
             ),
-            has_reference: object::number(session, object::HAS_REFERENCE)? != 0,
+            reference: BridgeReference::ask(session)?,
             learned: learned(session),
             faults: fault_words(object::faults(session)?),
             state: state_words(StateBits(object::number(session, object::STATE_BITS)?)),
+            asks: Asks::of(session)?,
             reset: u16::try_from(object::number(session, object::RESET_REASON)?)
                 .ok()
                 .and_then(ResetReason::from_wire)
@@ -149,7 +152,9 @@ impl Objects {
         let new = match self.new_calibration {
             0 => String::new(),
             crc if crc == self.calibration => String::new(),
-            crc => format!("; {crc:08x} from the next start"),
+            crc => format!(
+                "; {crc:08x} WAITS for the next start: trueup bridge pending puts it to use or drops it"
+            ),
         };
         match self.calibration {
             0 => format!("none that is valid{new}"),
@@ -300,7 +305,9 @@ impl Info {
         all["machine_serial"] = json!(objects.and_then(|it| named(&it.serial)));
         all["writes"] =
             json!(objects.map(|it| it.writes.iter().map(writes::json).collect::<Vec<_>>()));
-        all["has_reference"] = json!(objects.map(|it| it.has_reference));
+        all["has_reference"] = json!(objects.map(|it| it.reference.in_force.is_some()));
+        all["reference"] = json!(objects.map(|it| it.reference.json()));
+        all["asks"] = json!(objects.map(|it| it.asks.words()));
         all["learned"] = json!(objects.and_then(|it| it.learned.as_ref()));
         all["faults"] = json!(objects.map(|it| &it.faults));
         all["state"] = json!(objects.map(|it| &it.state));
@@ -326,15 +333,14 @@ impl Info {
         output::print(format_args!("device       {device} {software} on {hardware}"))?;
         output::print(format_args!("calibration  {}", it.calibration_text()))?;
         output::print(format_args!("machine      {}", it.machine_text()))?;
-        let reference =
-            if it.has_reference { "taken by Zero" } else { "the calibration's own zero" };
-        output::print(format_args!("reference    {reference}"))?;
+        output::print(format_args!("reference    {}", it.reference.text()))?;
         let learned = it.learned.as_deref().unwrap_or("nothing beside the calibration");
         output::print(format_args!("learned      {learned}"))?;
         let faults = if it.faults.is_empty() { "none".into() } else { it.faults.join(" ") };
         output::print(format_args!("faults       {faults}"))?;
         let state = if it.state.is_empty() { "all well".into() } else { it.state.join(" ") };
         output::print(format_args!("state        {state}"))?;
+        it.asks.print()?;
         output::print(format_args!("last reset   {}{}", it.reset.word(), it.stop))?;
         let resets = it.resets.iter().map(|(word, count)| format!("{word} {count}"));
         output::print(format_args!("starts       {}", resets.collect::<Vec<_>>().join(", ")))?;

@@ -7,7 +7,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result, anyhow, bail};
 use clap::Args;
 use indicatif::ProgressBar;
 use serde_json::json;
@@ -15,6 +15,7 @@ use trueup_client::{
     load::{self, Step},
     object::{self, NEW_CRC, QUALITY, RUNNING_CRC},
     port::Port as Line,
+    reference::BridgeReference,
     session::Session,
     words::quality_word,
 };
@@ -27,7 +28,7 @@ use trueup_machine::{
 };
 use trueup_store::calibration::{decode, identity, whole};
 
-use super::{Port, who};
+use super::{Port, asks::Asks, who};
 use crate::{Outcome, UserError, files, output, report};
 
 #[derive(Args)]
@@ -72,6 +73,17 @@ pub struct Loaded {
     pub running: u32,
     /// What it has changed; `None`: the bridge ran on nothing that could be compared.
     pub differences: Option<Vec<String>>,
+    /// The reference before and after.
+    pub references: [BridgeReference; 2],
+    /// What the bridge asks its operator now.
+    pub asks: Asks,
+}
+
+impl Loaded {
+    /// The board runs on it, or is not to yet, and works for its machine.
+    pub fn is_met(&self, how: How) -> bool {
+        how.keep_running || self.running == self.crc && !self.asks.is_foreign()
+    }
 }
 
 /// Loads the calibration of a file.
@@ -83,9 +95,10 @@ pub fn run(args: &Load, as_json: bool) -> Result<Outcome> {
     let mut session = Session::open(&Line::parse(&args.port.port)?)?;
     let loaded = put(&mut session, &blob, args.how);
     session.close();
-    let Loaded { crc, running, differences } = loaded?;
+    let loaded = loaded?;
+    let is_met = loaded.is_met(args.how);
+    let Loaded { crc, running, differences, references: [before, after], asks } = loaded;
     let keep_running = args.how.keep_running;
-    let is_met = keep_running || running == crc;
     if as_json {
         output::print(json!({
             "bytes": blob.len(),
@@ -94,17 +107,29 @@ pub fn run(args: &Load, as_json: bool) -> Result<Outcome> {
             "read_back_is_equal": true,
             "restarted": !keep_running,
             "running_crc": format!("{running:08x}"),
+            "reference_before": before.json(),
+            "reference": after.json(),
+            "asks": asks.words(),
         }))?;
     } else {
         output::print(format_args!(
             "{} bytes stored and read back the same, CRC {crc:08x}",
             blob.len()
         ))?;
-        output::print(match (keep_running, is_met) {
-            (true, _) => format!("used from the next start; now the bridge runs on {running:08x}"),
-            (false, true) => "the bridge has restarted and uses it".into(),
+        output::print(match (keep_running, running == crc) {
+            (true, _) => format!(
+                "used from the next start (trueup bridge pending --cancel drops it); now the bridge runs on {running:08x}"
+            ),
+            (false, true) if asks.is_empty() => "the bridge has restarted and uses it".into(),
+            (false, true) => {
+                "the bridge has restarted on it, and engages nothing until it is confirmed".into()
+            }
             (false, false) => format!("the bridge has restarted, but uses {running:08x}"),
         })?;
+        if !keep_running {
+            output::print(format_args!("reference: {}", after.text()))?;
+            asks.print()?;
+        }
     }
     Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
 }
@@ -147,6 +172,7 @@ pub fn put(session: &mut Session, blob: &[u8], how: How) -> Result<Loaded> {
         ));
     }
     let differences = who::differences(session, blob)?;
+    let before = BridgeReference::ask(session)?;
     match &differences {
         None => trueup_output::diagnostic("the bridge has no calibration to compare with"),
         Some(all) if all.is_empty() => {
@@ -157,19 +183,47 @@ pub fn put(session: &mut Session, blob: &[u8], how: How) -> Result<Loaded> {
             all.iter().for_each(|change| trueup_output::diagnostic(format_args!("  {change}")));
         }
     }
-    if !how.yes && !agreed()? {
+    if let Some(nm) = before.value() {
+        let largest = nm.into_iter().map(i32::unsigned_abs).max().unwrap_or_default();
+        let moves = match before.offered {
+            None => format!(
+                "by this alone the offsets move by up to {:.2} µm",
+                f64::from(largest) / 1_000.0
+            ),
+            Some(_) => "it was offered, and is not any more".into(),
+        };
+        trueup_output::diagnostic(format_args!(
+            "the reference is dropped, for a calibration that is loaded starts without one:\n  {}\n  {moves}. If this \
+             calibration had one of its own, the bridge offers that one",
+            before.text()
+        ));
+    }
+    if !how.yes && !agreed("Load it? [y/N] ")? {
         bail!(UserError("not loaded: you have not said yes".into()));
     }
     store(session, blob, crc)?;
     let running = match how.keep_running {
         true => object::number(session, RUNNING_CRC)?,
-        false => load::restart(session, crc)?,
+        false => match load::restart(session, crc) {
+            Ok(running) if running != crc => {
+                let waits = object::number(session, NEW_CRC)? == crc;
+                if waits {
+                    let failed = anyhow!("the bridge has not restarted");
+                    return Err(load::drop_after(session, failed));
+                }
+                running
+            }
+            other => other.map_err(|error| load::drop_after(session, error))?,
+        },
     };
-    Ok(Loaded { crc, running, differences })
+    let after = BridgeReference::ask(session)?;
+    let asks = Asks::of(session)?;
+    Ok(Loaded { crc, running, differences, references: [before, after], asks })
 }
 
-fn agreed() -> Result<bool> {
-    trueup_output::prompt("Load it? [y/N] ");
+/// Asks for a yes.
+pub fn agreed(question: &str) -> Result<bool> {
+    trueup_output::prompt(question);
     let mut answer = String::new();
     stdin().read_line(&mut answer)?;
     Ok(matches!(answer.trim().to_ascii_lowercase().as_str(), "y" | "yes"))

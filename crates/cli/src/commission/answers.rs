@@ -5,11 +5,20 @@ use std::{
     fs,
     io::{IsTerminal as _, stdin},
     path::Path,
+    sync::mpsc::{self, RecvTimeoutError},
+    thread,
+    time::Duration,
 };
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 
+use super::before::{Interrupted, check_interrupt};
 use crate::UserError;
+
+/// How often Ctrl-C is looked for.
+const LOOK: Duration = Duration::from_millis(100);
+/// What the key Esc types.
+const ESCAPE: char = '\u{1b}';
 
 /// The answers.
 pub struct Answers {
@@ -40,8 +49,23 @@ impl Answers {
             trueup_output::diagnostic("nobody is at the terminal; --readings FILE answers");
             return Ok(None);
         }
-        let mut answer = String::new();
-        stdin().read_line(&mut answer)?;
+        // Of its own thread, so that Ctrl-C is seen meanwhile.
+        let (sender, receiver) = mpsc::channel();
+        thread::spawn(move || {
+            let mut answer = String::new();
+            sender.send(stdin().read_line(&mut answer).map(|_| answer)).ok();
+        });
+        let answer = loop {
+            check_interrupt()?;
+            match receiver.recv_timeout(LOOK) {
+                Ok(answer) => break answer?,
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => bail!("the terminal cannot be read"),
+            }
+        };
+        if answer.starts_with(ESCAPE) {
+            bail!(Interrupted);
+        }
         Ok(Some(answer.trim().to_owned()).filter(|answer| !answer.is_empty()))
     }
 }

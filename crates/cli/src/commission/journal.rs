@@ -73,6 +73,8 @@ pub struct Journal {
     subject: String,
     /// The step to be done.
     pub next: Step,
+    /// Where stands what the board held before a sign test that has not put it back.
+    pub before: Option<String>,
     /// 1 at first; one more each time that it was not accepted.
     pub round: u32,
 }
@@ -82,7 +84,8 @@ impl Journal {
     pub fn open(folder: &Path, subject: &str) -> Result<Self> {
         let path = folder.join("commission.json");
         let subject = subject.to_owned();
-        let mut journal = Self { folder: folder.into(), subject, next: Step::Sign, round: 1 };
+        let (next, before) = (Step::Sign, None);
+        let mut journal = Self { folder: folder.into(), subject, next, before, round: 1 };
         let Ok(text) = fs::read_to_string(&path) else {
             journal.keep()?;
             return Ok(journal);
@@ -97,6 +100,7 @@ impl Journal {
         }
         let round = all["round"].as_u64().and_then(|it| u32::try_from(it).ok());
         journal.round = round.filter(|round| *round > 0).ok_or_else(damaged)?;
+        journal.before = all["before"].as_str().map(str::to_owned);
         let step = Step::ALL.into_iter().find(|step| all["next"] == step.word());
         journal.next = step.ok_or_else(damaged)?;
         Ok(journal)
@@ -116,7 +120,12 @@ impl Journal {
     }
 
     fn keep(&self) -> Result<()> {
-        let all = json!({ "of": self.subject, "next": self.next.word(), "round": self.round });
+        let all = json!({
+            "of": self.subject,
+            "next": self.next.word(),
+            "round": self.round,
+            "before": self.before,
+        });
         let text = serde_json::to_string_pretty(&all)? + "\n";
         let path = self.folder.join("commission.json");
         output::write_whole(&path, &[], |out| out.write_all(text.as_bytes()))

@@ -7,16 +7,23 @@ use trueup_client::{port::Port, session::Session};
 use trueup_core::cnc::{Output, Quality};
 use trueup_link::{receiver::OffsetReceiver, slcan::Event};
 
+use super::before::check_interrupt;
+
 /// Somebody walks to the machine, sets a gauge and comes back.
 const PATIENCE: Duration = Duration::from_secs(600);
+
+/// How often Ctrl-C is looked for.
+const LOOK: Duration = Duration::from_millis(200);
 
 /// Until the bridge's offsets are as wanted.
 pub fn until(port: &str, is_wanted: impl Fn(&Output) -> bool) -> Result<()> {
     let mut session = Session::open(&Port::parse(port)?)?;
     let deadline = Instant::now() + PATIENCE;
     let mut offsets = OffsetReceiver::new();
-    while let Some(event) = session.next_event(deadline)? {
-        let Event::Frame(frame) = event else { continue };
+    while Instant::now() < deadline {
+        check_interrupt()?;
+        let event = session.next_event(Instant::now() + LOOK)?;
+        let Some(Event::Frame(frame)) = event else { continue };
         if let Ok(Some(output)) = offsets.accept(&frame)
             && is_wanted(&output)
         {

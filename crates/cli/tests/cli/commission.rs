@@ -31,6 +31,11 @@ fn begun() -> (Desk, String) {
     (desk, line)
 }
 
+/// Where the bridge is, in the tool's line.
+fn port(line: &str) -> &str {
+    line.split(' ').skip_while(|word| *word != "--port").nth(1).expect("it has one")
+}
+
 /// What the indicator shows with compensation: what the fitted file leaves of `quantity`, beside the columns
 /// that `accept` pairs rows by.
 fn with_compensation(desk: &Desk, machine: &str, quantity: &str, kept: &[&str]) {
@@ -108,7 +113,13 @@ fn a_wrong_sign_stops_it_before_anything_is_measured() {
         assert!(err.contains(phrase), "{answer}: {err}");
         assert!(out.contains("stopped at \"sign test at 10 µm\""), "{out}");
         assert!(!desk.path("all/off-1.csv").exists() && !desk.path("all/program").exists());
+        // What the board held is back, whatever became of the test.
+        let (out, _) =
+            desk.said(&format!("bridge info --machine m.toml --port {}", port(&line)), 0);
+        assert!(out.ends_with("m.toml: the bridge runs on it\n"), "{answer}: {out}");
     }
+    let saved = desk.files("all").into_iter().filter(|name| name.starts_with("before-"));
+    assert_eq!(saved.count(), 1);
 }
 
 #[test]
@@ -151,6 +162,18 @@ fn an_axis_is_commissioned_by_its_pitch() {
     let line = line.replace("commission", "commission pitch --axis x").replace("--rpm 24000 ", "");
     // The axis stands 10 µm too far for the board, and is brought back.
     desk.write("first.txt", "-10\noff.csv\n");
+    // Another machine's board is left alone.
+    let (_, err) = desk.said(&format!("{line} first.txt"), 2);
+    assert!(err.contains("is of \"mill\", and this bridge works for \"paper\""), "{err}");
+    std::fs::remove_dir_all(desk.path("all")).expect("it was begun");
+    desk.write("m.toml", machine.replace("mill", "paper"));
+    // What this one corrects stays without a yes.
+    let (out, err) = desk.said(&format!("{line} first.txt"), 3);
+    assert!(err.contains("May the sign test replace it") && out.contains("stopped at"), "{err}");
+    desk.write("p.toml", PAPER);
+    let (out, _) = desk.said(&format!("bridge info --machine p.toml --port {}", port(&line)), 0);
+    assert!(out.ends_with("p.toml: the bridge runs on it\n"), "{out}");
+    desk.write("first.txt", "y\n-10\noff.csv\n");
     let (out, err) = desk.said(&format!("{line} first.txt"), 3);
     assert!(out.contains("stopped at \"measure with compensation\""), "{out}{err}");
     with_compensation(&desk, "all/machine-1.toml", "dx", &["x_mm", "dir_x"]);
@@ -169,6 +192,24 @@ fn an_axis_is_commissioned_by_its_pitch() {
     let (_, err) =
         desk.said(&line.replace("pitch", "backlash").replace("--readings", "--rpm 1"), 2);
     assert!(err.contains("was begun for pitch x; give another folder"), "{err}");
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn ctrl_c_in_the_sign_test_puts_back_what_the_board_held() {
+    use crate::terminal::Terminal;
+    let (desk, line) = begun();
+    let line = line.trim_end_matches(" --readings").to_owned();
+    for key in ["\u{3}", "\u{1b}\r"] {
+        let mut terminal = Terminal::start(&desk, &line, (140, 50), true);
+        terminal.shows(&["how far has the tip moved, in µm"]);
+        terminal.press(key);
+        terminal.shows(&["what the bridge held before is put back"]);
+        assert_eq!(terminal.ended().code(), Some(3), "{}", terminal.text());
+        let (out, _) =
+            desk.said(&format!("bridge info --machine m.toml --port {}", port(&line)), 0);
+        assert!(out.ends_with("m.toml: the bridge runs on it\n"), "{out}");
+    }
 }
 
 #[test]

@@ -140,13 +140,17 @@ fn the_reference_that_zero_had_taken_goes_with_it_and_where_it_cannot_that_is_to
     let (port, _) = bridge_many(Fault::None, false);
     let line = format!("bridge restore board.json --yes --port {port}");
     let (out, err) = desk.said(&format!("{line} --keep-running"), 3);
-    assert!(out.ends_with("restored\n"), "all else is there: {out}");
+    assert!(out.contains("stored for the next start"), "all else is there: {out}");
     let told =
         "the reference that Zero had taken is NOT on this board (elongation +2.50 µm, X +0.00";
     assert!(err.contains(told) && err.contains("let the CNC set Zero again"), "{err}");
     let (out, err) = desk.said(&line, 0);
-    assert!(out.contains("is in force (elongation +2.50 µm, X +0.00"), "{out}");
+    // It is offered: until Confirm at the CNC nothing is engaged.
+    assert!(out.contains("elongation +2.50 µm, X +0.00"), "{out}");
+    assert!(out.contains("OFFERED, not in force") && out.contains("reference-offered"), "{out}");
     assert!(!err.contains("NOT"), "{err}");
+    let (out, _) = desk.said(&format!("bridge info --port {port}"), 0);
+    assert!(out.contains("restored from a file over serial") && out.contains("OFFERED"), "{out}");
     desk.said(&format!("bridge save again.json --port {port}"), 0);
     let again: serde_json::Value = serde_json::from_str(&desk.text("again.json")).expect("JSON");
     assert_eq!(again["reference"], saved["reference"]);
@@ -159,6 +163,10 @@ fn the_reference_that_zero_had_taken_goes_with_it_and_where_it_cannot_that_is_to
     let (out, _) = desk.said(&format!("{line} --json"), 3);
     assert!(out.contains("\"reference\":false"), "{out}");
 }
+
+/// A reference that somebody has edited in: by 2.1 m, and by 30 µm.
+const HUGE: &str = r#""reference": {"elongation_nm": 2100000000, "x_nm": 0, "y_nm": 0, "z_nm": 0}"#;
+const SMALL: &str = r#""reference": {"elongation_nm": 30000, "x_nm": 0, "y_nm": 0, "z_nm": 0}"#;
 
 #[test]
 fn a_saved_file_that_is_damaged_is_refused_before_anything_is_sent() {
@@ -175,12 +183,110 @@ fn a_saved_file_that_is_damaged_is_refused_before_anything_is_sent() {
         (whole.replace("\"reference\": null", "\"reference\": 3"), "is not four lengths in nm"),
         (whole.replacen("\"calibration\": \"", "\"calibration\": \"00", 1), "damaged.json: "),
         (whole[..whole.len() / 2].to_owned(), "is not what bridge save writes"),
+        (
+            whole.replace("\"machine_serial\": \"\"", "\"machine_serial\": \"7\""),
+            "its checksum differs",
+        ),
+        (whole.replace("\"reference\": null", HUGE), "larger than a correction may be: max_um"),
+        (whole.replace("\"reference\": null", SMALL), "its checksum differs"),
     ] {
         desk.write("damaged.json", damaged);
         let (out, err) = desk.said(&format!("bridge restore damaged.json --yes --port {port}"), 2);
         assert!(out.is_empty() && err.contains(phrase), "{phrase}: {err}");
     }
     assert_eq!(heard.lock().expect("nobody panics with it").frames, before);
+}
+
+#[test]
+fn another_machines_backup_is_not_replaced_without_a_yes() {
+    let desk = desk();
+    let (port, _) = bridge_many(Fault::None, false);
+    desk.said(&format!("bridge save board.json --port {port}"), 0);
+    let own = desk.text("board.json");
+    // Its own is, as often as you like.
+    desk.said(&format!("bridge save board.json --port {port}"), 0);
+    desk.write("lathe.toml", PAPER.replace("name = \"paper\"", "name = \"lathe\""));
+    desk.said("compile lathe.toml -o lathe.bin", 0);
+    let (port, _) = bridge_many(Fault::None, false);
+    desk.said(&format!("bridge load lathe.bin --yes --port {port}"), 0);
+    let (_, err) = desk.said(&format!("bridge save board.json --port {port}"), 2);
+    for phrase in ["is the backup of \"paper\"", "this bridge is of \"lathe\"", "--overwrite"] {
+        assert!(err.contains(phrase), "{phrase}: {err}");
+    }
+    assert_eq!(desk.text("board.json"), own);
+    desk.write("notes.txt", "not a backup");
+    let (_, err) = desk.said(&format!("bridge save notes.txt --port {port}"), 2);
+    assert!(err.contains("is no backup of a bridge"), "{err}");
+    for (answer, code) in [("n\r", 2), ("y\r", 0)] {
+        let line = format!("bridge save board.json --port {port}");
+        let mut terminal = Terminal::start(&desk, &line, (120, 24), true);
+        terminal.shows(&["Replace it? [y/N]"]);
+        terminal.press(answer);
+        assert_eq!(terminal.ended().code(), Some(code), "{}", terminal.text());
+        assert_eq!(desk.text("board.json") == own, code == 2);
+    }
+    desk.said(&format!("bridge save notes.txt --overwrite --port {port}"), 0);
+}
+
+#[test]
+fn a_load_says_what_becomes_of_the_reference_and_the_older_one_is_offered() {
+    let desk = desk();
+    let (port, _) = bridge_many(Fault::Zeroed, false);
+    let (out, _) = desk.said(&format!("bridge info --port {port}"), 0);
+    assert!(out.contains("reference    elongation +2.50 µm") && out.contains("in force"), "{out}");
+    // The law differs by a little, and the reference that goes by 2.5 µm.
+    let (out, err) = desk.said(&format!("bridge load other.bin --yes --port {port}"), 0);
+    for phrase in ["the reference is dropped", "elongation +2.50 µm", "move by up to 2.50 µm"] {
+        assert!(err.contains(phrase), "{phrase}: {err}");
+    }
+    assert!(out.contains("reference: the calibration's own zero"), "{out}");
+    let (out, _) = desk.said(&format!("bridge load same.bin --yes --port {port}"), 0);
+    for phrase in
+        ["engages nothing until it is confirmed", "+2.50 µm", "OFFERED", "trueup.0.confirm"]
+    {
+        assert!(out.contains(phrase), "{phrase}: {out}");
+    }
+    let (out, _) = desk.said(&format!("bridge info --json --port {port}"), 0);
+    let told: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+    assert_eq!(told["asks"], serde_json::json!(["reference-offered"]), "{told}");
+    assert_eq!(told["reference"]["offered"]["elongation_um"], 2.5);
+    assert_eq!(told["has_reference"], false);
+    let (out, _) = desk.said(&format!("bridge forget-reference --port {port}"), 0);
+    assert!(out.contains("dropped: elongation +2.50 µm"), "{out}");
+    let (out, _) = desk.said(&format!("bridge info --port {port}"), 0);
+    assert!(
+        out.contains("the calibration's own zero") && !out.contains("reference-offered"),
+        "{out}"
+    );
+}
+
+#[test]
+fn a_calibration_that_waits_for_the_next_start_is_shown_used_or_dropped() {
+    let desk = desk();
+    let (port, _) = bridge_many(Fault::None, false);
+    let pending = format!("bridge pending --port {port}");
+    let (out, _) = desk.said(&pending, 0);
+    assert_eq!(out, "no calibration waits for the next start\n");
+    let load = format!("bridge load other.bin --yes --keep-running --port {port}");
+    let (out, _) = desk.said(&load, 0);
+    assert!(out.contains("trueup bridge pending --cancel drops it"), "{out}");
+    let (out, _) = desk.said(&format!("bridge info --port {port}"), 0);
+    assert!(out.contains("WAITS for the next start"), "{out}");
+    let (out, _) = desk.said(&pending, 0);
+    assert!(
+        out.contains("waits for the next start") && out.contains("slew limit: 20 becomes 10"),
+        "{out}"
+    );
+    let (out, _) = desk.said(&format!("{pending} --cancel"), 0);
+    assert!(out.contains("is dropped: the bridge stays on"), "{out}");
+    desk.said(&format!("{pending} --use"), 0);
+    let (out, _) = desk.said(&format!("bridge info --machine m.toml --port {port}"), 0);
+    assert!(out.ends_with("m.toml: the bridge runs on it\n") && !out.contains("WAITS"), "{out}");
+    desk.said(&load, 0);
+    let (out, _) = desk.said(&format!("{pending} --use"), 0);
+    assert!(out.contains("the bridge has restarted, and runs on"), "{out}");
+    let (out, _) = desk.said(&format!("bridge info --machine other.toml --port {port}"), 0);
+    assert!(out.ends_with("other.toml: the bridge runs on it\n"), "{out}");
 }
 
 #[test]

@@ -79,6 +79,8 @@ pub struct State {
     /// The errors of the axes as they are now; `None` until they are first asked for.
     pub(super) axes: Option<(CachedErrors, ErrorSums)>,
     pub(super) reference: Reference,
+    /// A `Zero` has taken it, and [`Self::take_zeroed`] has not said so.
+    pub(super) zeroed: bool,
     /// How long ago the offset was last live; `None` if it is not to be held.
     live_age: Option<Age>,
     pub(super) applied: Applied,
@@ -229,6 +231,11 @@ impl State {
     #[must_use]
     pub fn reference(&self) -> Reference {
         self.reference
+    }
+
+    /// Whether a `Zero` has taken a reference since the last call, be it the same as before.
+    pub fn take_zeroed(&mut self) -> bool {
+        core::mem::take(&mut self.zeroed)
     }
 
     /// Takes up a reference that was stored.

@@ -17,6 +17,9 @@
 //! then 1 in three more: two masters that disagree on a bit make no edge of it, and neither does a
 //! single frame of a stranger that has guessed the counter. A `Zero` that was shorter is refused, and
 //! told.
+//!
+//! **Whether a CNC is there.** A tool says `Service` itself where no CNC is heard. What it changes then no operator at
+//! the machine has seen, so the board has to tell the two apart ([`Master::is_cnc`]).
 
 use trueup_canopen::dictionary::Authority;
 use trueup_core::cnc::Control;
@@ -113,6 +116,10 @@ pub(super) struct Master {
     is_doubtful: bool,
     /// For so long it is still told that another line was heard.
     other_line_ms: u32,
+    /// It has engaged since it began to speak.
+    has_engaged: bool,
+    /// A master has been silent, or somebody else went on in its place.
+    was_interrupted: bool,
 }
 
 /// What a `Control` frame comes to.
@@ -149,6 +156,7 @@ impl Master {
         let zero = was_cut || asked != Asked::No;
         self.last = control;
         if control.engage {
+            self.has_engaged = true;
             self.is_started |= self.released >= STEADY && !self.is_doubtful;
             self.released = 0;
         } else {
@@ -166,6 +174,8 @@ impl Master {
         self.confirm.cut();
         if is_sound {
             self.quiet_ms = 0;
+            // It may be somebody else.
+            (self.has_engaged, self.was_interrupted) = (false, true);
             // So much more that it lasts for a while after the last of them.
             self.strange = self.strange.saturating_add(WEIGHT).min(SECOND_MASTER + WEIGHT);
             self.is_doubtful |= self.strange >= SECOND_MASTER;
@@ -176,7 +186,9 @@ impl Master {
     pub fn tick(&mut self, elapsed_ms: u32, link_timeout_ms: u32) {
         self.silent_ms = self.silent_ms.saturating_add(elapsed_ms);
         if self.silent_ms > link_timeout_ms {
+            self.was_interrupted |= self.line.is_some();
             (self.line, self.steady, self.released) = (None, 0, 0);
+            self.has_engaged = false;
         }
         self.leak_ms = self.leak_ms.saturating_add(elapsed_ms);
         if self.leak_ms >= LEAK_MS {
@@ -199,6 +211,14 @@ impl Master {
     /// Whether more than one sends `Control`.
     pub const fn is_second(&self) -> bool {
         self.is_doubtful || self.other_line_ms > 0
+    }
+
+    /// Whether the master is the CNC: it has engaged since it began to speak, or it speaks since the start of the board
+    /// without a gap, and its axes are referenced. A tool that sends `Control` for want of a CNC has no axes. One that
+    /// comes after a silence may be anybody.
+    pub fn is_cnc(&self) -> bool {
+        let from_the_start = !self.was_interrupted && self.last.referenced;
+        self.line.is_some() && (self.has_engaged || from_the_start)
     }
 
     /// Who may write, as the dictionary has it.

@@ -2,7 +2,7 @@
 
 use trueup_canopen::{
     dictionary::{
-        Authority, BACK, Counter, ELONGATION_INPUT, FORGET, NOT_AVAILABLE, ObjectKind, Stop,
+        Authority, BACK, Counter, DROP, ELONGATION_INPUT, FORGET, NOT_AVAILABLE, ObjectKind, Stop,
     },
     sdo::{Abort, ObjectValue, Objects},
 };
@@ -12,9 +12,9 @@ use trueup_core::{
     units::{Nanometres, Temperature},
 };
 use trueup_link::{layout::NO_TEMPERATURE_RAW, status::Item};
-use trueup_store::{calibration::identity, load::LoadError, writes::What};
+use trueup_store::{calibration::identity, load::LoadError};
 
-use super::{Node, Zero};
+use super::Node;
 
 impl Node<'_> {
     /// Sets the serial number of the identity object (0x1018:04), 0…2³² − 1: a board of its own has its own.
@@ -59,25 +59,6 @@ impl Node<'_> {
         let mean = squares.checked_div(u64::from(self.noise.count).saturating_mul(6));
         // The root of 64 bits would take 400 bytes more.
         u32::try_from(mean.unwrap_or(0)).unwrap_or(u32::MAX).isqrt()
-    }
-
-    /// Keeps a part of another board's reference until the rest of it is there.
-    fn offer(&mut self, part: u8, number: u32) -> Result<(), Abort> {
-        let part = self.offered.get_mut(usize::from(part)).ok_or(Abort::NoSubindex)?;
-        *part = Some(Nanometres(number.cast_signed()));
-        Ok(())
-    }
-
-    /// The machine is at rest: what was learned goes at once, and the reference.
-    fn forget(&mut self) {
-        self.state.forget_learned();
-        // Again and again it would only fill the flash.
-        if self.state.reference() != Reference::default() {
-            self.state.set_reference(Reference::default());
-            self.supply.forget_basis();
-            self.zero = Some(Zero::Taken(Reference::default()));
-            self.log(What::Forgotten, 0, self.log.speaker());
-        }
     }
 
     // Not a part of its caller, which has dealt with some of these: the compiler would put a trap
@@ -134,7 +115,19 @@ impl Node<'_> {
             }
             ObjectKind::Input(number) => signed(self.input(number).unwrap_or(NOT_AVAILABLE)),
             ObjectKind::InputStatus(number) => self.input(number).is_none().into(),
-            ObjectKind::Forget => return Err(Abort::WriteOnly),
+            ObjectKind::OfferedElongation => {
+                let offered = self.offer.reference();
+                offered.map_or(signed(NOT_AVAILABLE), |it| nanometres(it.elongation))
+            }
+            ObjectKind::Offered(axis) => {
+                let axes = self.offer.reference().map(|it| it.axes);
+                let axis = axes.and_then(|axes| axes.get(usize::from(axis)).copied());
+                axis.map_or(signed(NOT_AVAILABLE), |axis| nanometres(axis.rounded()))
+            }
+            ObjectKind::ReferenceUtc => self.offer.taken().map_or(0, |write| write.utc_s),
+            ObjectKind::ReferenceOrigin => self.offer.origin().into(),
+            ObjectKind::ReferenceAge => self.reference_age_s().unwrap_or(u32::MAX),
+            ObjectKind::Forget | ObjectKind::DropNew => return Err(Abort::WriteOnly),
             ObjectKind::Text(_)
             | ObjectKind::Running
             | ObjectKind::New
@@ -172,7 +165,7 @@ impl Node<'_> {
             },
             8 => Item::State(self.faults(&self.last).state()),
             9 => Item::Reset { reason: self.start.reason, free_stack: self.free_stack },
-            _ => Item::Calibration(if self.blob.is_empty() { 0 } else { identity(self.blob) }),
+            _ => Item::Calibration(self.running_crc()),
         }
     }
 
@@ -227,21 +220,13 @@ impl Objects for Node<'_> {
                 self.since_heartbeat_ms = 0;
             }
             ObjectKind::Utc => self.set_utc_s(number),
-            ObjectKind::ReferenceElongation => self.offer(0, number)?,
-            ObjectKind::Reference(axis) => self.offer(axis.saturating_add(1), number)?,
-            ObjectKind::Forget if number == BACK => {
-                // A reference without one of its parts is nobody's.
-                let [Some(elongation), Some(x), Some(y), Some(z)] = self.offered else {
-                    return Err(Abort::DeviceState);
-                };
-                self.offered = [None; 4];
-                let back = Reference { elongation, axes: [x, y, z].map(Nanometres::fine) };
-                self.state.set_reference(back);
-                self.zero = Some(Zero::Taken(back));
-                self.log(What::Zeroed, back.elongation.0.cast_unsigned(), self.log.speaker());
-            }
+            ObjectKind::ReferenceElongation => self.write_part(0, number)?,
+            ObjectKind::Reference(axis) => self.write_part(axis.saturating_add(1), number)?,
+            ObjectKind::Forget if number == BACK => self.offer_written()?,
             ObjectKind::Forget if number != FORGET => return Err(Abort::Value),
             ObjectKind::Forget => self.forget(),
+            ObjectKind::DropNew if number != DROP => return Err(Abort::Value),
+            ObjectKind::DropNew => self.drop_new()?,
             _ => return Err(Abort::Value),
         }
         Ok(())
@@ -262,7 +247,7 @@ impl Objects for Node<'_> {
         if !self.may_be_changed() {
             return Err(Abort::DeviceState);
         }
-        self.log.loads();
+        self.log.loads(!self.master.is_cnc());
         self.slot.close().map_err(abort)
     }
 }

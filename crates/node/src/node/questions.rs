@@ -6,9 +6,17 @@ use trueup_store::writes::What;
 
 use super::{Line, Node};
 
+/// The questions that bar every offset, in the order in which `Confirm` answers them.
+const QUESTIONS: [Fault; 4] = [
+    Fault::ForeignMachine,
+    Fault::CalibrationChanged,
+    Fault::OlderCalibration,
+    Fault::ReferenceOffered,
+];
+
 impl Node<'_> {
-    /// Asks the operator something at the start: of these [`Fault::ForeignMachine`] and
-    /// [`Fault::OlderCalibration`], nothing is available until `Confirm` has answered it.
+    /// Asks the operator something. Until `Confirm` has answered it nothing is available; only
+    /// [`Fault::HeatUnknown`] leaves what does not rest on the heat.
     pub fn ask(&mut self, question: Fault) {
         self.questions = self.questions.with_if(true, question);
         self.bar();
@@ -18,6 +26,11 @@ impl Node<'_> {
     pub fn bar_example(&mut self) {
         self.note(Fault::ExampleConstants);
         self.bar();
+    }
+
+    /// Whether the running constants are those of the example.
+    pub(super) fn is_example(&self) -> bool {
+        self.board_faults.has(Fault::ExampleConstants)
     }
 
     /// The board has found itself damaged: nothing is available until it starts anew and is not.
@@ -34,9 +47,8 @@ impl Node<'_> {
     /// What is barred is not available: until the engage sequence is complete, the questions are
     /// answered, the constants are somebody's, and the board is not damaged.
     pub(super) fn bar(&mut self) {
-        let asks = [Fault::ForeignMachine, Fault::OlderCalibration];
         let barred = !self.master.is_started()
-            || asks.into_iter().any(|question| self.questions.has(question))
+            || QUESTIONS.into_iter().any(|question| self.questions.has(question))
             || self.board_faults.has(Fault::ExampleConstants)
             || self.board_faults.has(Fault::SelfTest);
         self.state.bar(barred);
@@ -44,12 +56,15 @@ impl Node<'_> {
 
     /// The first question that is open is answered.
     pub(super) fn confirm(&mut self, line: Line) {
-        let open = [Fault::ForeignMachine, Fault::OlderCalibration, Fault::HeatUnknown];
+        let open = QUESTIONS.into_iter().chain([Fault::HeatUnknown]);
         let first = open.into_iter().find(|question| self.questions.has(*question));
         if let Some(question) = first {
             self.questions = self.questions.without(question);
-            if let (Fault::HeatUnknown, Some(bridge)) = (question, &self.bridge) {
-                bridge.confirm_cold(&mut self.state);
+            match (question, &self.bridge) {
+                (Fault::HeatUnknown, Some(bridge)) => bridge.confirm_cold(&mut self.state),
+                (Fault::ReferenceOffered, _) => self.take_offer(),
+                (Fault::CalibrationChanged, _) => self.store_standing(),
+                _ => {}
             }
             self.confirmed = Some(question);
             self.log(What::Confirmed, u32::from(question as u8), Some(line));

@@ -9,7 +9,6 @@ use trueup_modbus::{
     server::Busy,
     table::HOLDING_DATA_ID,
 };
-use trueup_store::calibration::identity;
 
 use super::{Line, Node};
 
@@ -36,7 +35,7 @@ impl Node<'_> {
             last_refused: self.registers.last_refused,
             refused: self.registers.refused,
             state: self.faults(&self.last).state().0,
-            calibration: if self.blob.is_empty() { 0 } else { identity(self.blob) },
+            calibration: self.running_crc(),
             elongation: self.state.elongation(),
             centi_c: [0, 1, 2, 3, 4, 5, 6, 7].map(|channel| self.centi_c(channel)),
         }

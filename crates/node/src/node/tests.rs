@@ -7,9 +7,12 @@ use trueup_canopen::{
     dictionary::{Access, FORGET, OBJECTS, Type},
     sdo::Abort,
 };
-use trueup_core::{cnc::Control, units::Nanometres};
+use trueup_core::{bridge::Reference, cnc::Control, units::Nanometres};
 use trueup_link::layout::{CONTROL_ID, EMERGENCY_ID, HEARTBEAT_ID, SDO_ANSWER_ID};
-use trueup_store::calibration::{MAX_SIZE, encode, identity};
+use trueup_store::{
+    calibration::{MAX_SIZE, encode, identity},
+    reference::Standing,
+};
 
 fn blob() -> Vec<u8> {
     encode(&super::tests_calibration(), &mut [0; MAX_SIZE]).expect("it is small").to_vec()
@@ -218,7 +221,10 @@ fn nothing_is_loaded_or_forgotten_while_an_offset_is_followed_or_without_a_store
     assert_eq!(u32::from_le_bytes(*too_long.last_chunk().unwrap()), Abort::TooLong.code());
     assert_eq!(write(&mut node, 0x2010, 6, FORGET), Ok(()));
     assert_eq!(node.take_zero(), None, "there is none to forget");
-    node.set_reference(Reference { elongation: Nanometres(1), ..Reference::default() });
+    node.set_standing(
+        Standing::in_force(Reference { elongation: Nanometres(1), ..Reference::default() }),
+        None,
+    );
     assert_eq!(write(&mut node, 0x2010, 6, FORGET), Ok(()));
     assert!(matches!(node.take_zero(), Some(Zero::Taken(_))));
     assert_eq!(write(&mut node, 0x2010, 6, FORGET + 1), Err(Abort::Value.code()));

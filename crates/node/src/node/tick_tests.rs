@@ -3,6 +3,7 @@
 use super::*;
 use std::{vec, vec::Vec};
 use trueup_core::{
+    bridge::Reference,
     cnc::Control,
     dimensions::CODES_PER_TICK,
     units::{Code, Nanometres},
@@ -11,6 +12,7 @@ use trueup_link::{
     frames::{HEARTBEAT_ID, OFFSET_XY_ID, OFFSET_Z_ID},
     receiver::OffsetReceiver,
 };
+use trueup_store::reference::Standing;
 
 const BLIND: Input<'static> = Input { codes: None, speed: None, temperatures: None };
 
@@ -89,7 +91,7 @@ fn a_zero_is_told_once_and_what_it_took_can_be_given_back_to_another_node() {
     };
     let live = |node: &mut Node<'_>, ms| {
         for _ in 0..ms {
-            node.tick(1, Input { codes: Some(&alive(700)), ..Input::default() });
+            node.tick(1, Input { codes: Some(&alive(400)), ..Input::default() });
         }
     };
     let mut node = started();
@@ -108,7 +110,7 @@ fn a_zero_is_told_once_and_what_it_took_can_be_given_back_to_another_node() {
     assert_eq!(node.take_zero(), None);
 
     let mut again = started();
-    again.set_reference(reference);
+    again.set_standing(Standing::in_force(reference), None);
     live(&mut again, 400);
     send(&mut again, false, 3);
     live(&mut again, 10);

@@ -7,12 +7,14 @@ use trueup_canopen::{
     sdo::{Abort, ObjectValue, Objects as _},
 };
 use trueup_core::{
+    bridge::Reference,
     calibration::Names,
     units::{Fine, Nanometres},
 };
 use trueup_link::status::StateBits;
 use trueup_store::{
     calibration::{MAX_SIZE, encode, identity},
+    reference::Standing,
     writes::{self, Origin, SIZE, Write},
 };
 
@@ -132,7 +134,10 @@ fn every_write_is_told_with_what_when_and_over_which_line_and_a_second_load_hide
     node.close().expect("allowed");
     let load = node.take_load().expect("whole");
     node.end_load(load, Outcome::Stored);
-    node.set_reference(Reference { elongation: Nanometres(9), ..Reference::default() });
+    node.set_standing(
+        Standing::in_force(Reference { elongation: Nanometres(9), ..Reference::default() }),
+        None,
+    );
     node.log.speaks(Line::Serial);
     // Again and again it is nothing new, and fills no flash.
     for _ in 0..100 {
@@ -160,7 +165,10 @@ fn every_write_is_told_with_what_when_and_over_which_line_and_a_second_load_hide
 fn nothing_is_written_while_an_offset_is_followed_or_without_service() {
     use trueup_canopen::dictionary::ObjectKind as O;
     let mut node = Node::new(Some(tests_calibration()), false);
-    node.set_reference(Reference { elongation: Nanometres(9), ..Reference::default() });
+    node.set_standing(
+        Standing::in_force(Reference { elongation: Nanometres(9), ..Reference::default() }),
+        None,
+    );
     let mut counter = 0;
     let service = Control { service: true, ..Control::REFERENCED };
     for (control, quality, may) in [
@@ -198,14 +206,14 @@ fn the_reference_of_the_board_before_is_taken_when_all_of_it_is_there_and_is_sto
     controls(&mut node, Control { service: true, ..Control::REFERENCED }, 5, &mut counter);
     node.log.speaks(Line::Serial);
     let offered = [
-        (O::ReferenceElongation, -1_000),
+        (O::ReferenceElongation, -1_000_i32),
         (O::Reference(0), 2_000),
-        (O::Reference(1), i32::MAX),
+        (O::Reference(1), 500_000),
         (O::Reference(2), -3),
     ];
     // Whichever part is missing: nothing is taken, and what was offered still waits.
     for missing in 0..4 {
-        node.offered = [None; 4];
+        node.offer = Offer::default();
         for (what, nm) in
             offered.into_iter().skip(missing + 1).chain(offered.into_iter().take(missing))
         {
@@ -217,13 +225,21 @@ fn the_reference_of_the_board_before_is_taken_when_all_of_it_is_there_and_is_sto
         node.write(what, nm.cast_unsigned()).expect("allowed");
         assert_eq!((node.reference(), node.take_zero()), (Reference::default(), None), "it waits");
     }
+    node.set_standing(
+        Standing::in_force(Reference { elongation: Nanometres(7), ..Reference::default() }),
+        None,
+    );
     node.write(O::Forget, BACK).expect("allowed");
-    // What no board can count stays at the end of its range.
-    let axes = [Fine(2_000 * Fine::PER_NANOMETRE), Fine(i32::MAX), Fine(-3 * Fine::PER_NANOMETRE)];
+    // It is offered, and until it is confirmed none is in force.
+    let axes = [2_000, 500_000, -3].map(|nm| Fine(nm * Fine::PER_NANOMETRE));
     let back = Reference { elongation: Nanometres(-1_000), axes };
-    assert_eq!((node.reference(), node.take_zero()), (back, Some(Zero::Taken(back))));
+    assert_eq!((node.reference(), node.take_zero()), (Reference::default(), None));
+    let offered = Standing { is_offered: true, ..Standing::in_force(back) };
+    assert_eq!((node.take_standing(), node.take_standing()), (Some(offered), None));
+    assert!(node.questions.has(Fault::ReferenceOffered));
+    assert_eq!(node.read(O::Offered(1)), Ok(ObjectValue::Number(500_000)));
     let write = node.take_write().map(|it| (it.what, it.about, it.origin));
-    assert_eq!(write, Some((What::Zeroed, (-1_000_i32).cast_unsigned(), Origin::Serial)));
+    assert_eq!(write, Some((What::Offered, (-1_000_i32).cast_unsigned(), Origin::Serial)));
     assert_eq!(node.write(O::Forget, BACK + 1), Err(Abort::Value));
     assert_eq!(node.write(O::Forget, BACK), Err(Abort::DeviceState), "once");
     assert_eq!(node.write(O::Reference(3), 1), Err(Abort::NoSubindex));
@@ -256,6 +272,7 @@ fn writes_from_before_the_start_are_told_before_those_since() {
         utc_s: 0,
         what: What::Confirmed,
         origin: Origin::Can,
+        is_unattended: false,
     };
     let mut stored = writes::Writes::default();
     [1, 2].map(write).iter().for_each(|it| stored.push(it));

@@ -22,6 +22,8 @@ pub(super) struct Log {
     /// Where the last SDO request came from, and that which has ended a load.
     speaker: Option<Line>,
     loader: Option<Line>,
+    /// No CNC was heard at the end of that load.
+    is_unattended: bool,
     /// The time of day that was told, and when.
     utc: Option<(u32, Millis)>,
 }
@@ -35,8 +37,8 @@ impl Log {
         self.speaker
     }
 
-    pub fn loads(&mut self) {
-        self.loader = self.speaker;
+    pub fn loads(&mut self, is_unattended: bool) {
+        (self.loader, self.is_unattended) = (self.speaker, is_unattended);
     }
 
     pub fn bytes(&self) -> &[u8] {
@@ -100,22 +102,40 @@ impl Node<'_> {
         self.log.utc = (utc_s > 0).then_some((utc_s, self.now));
     }
 
-    /// A calibration is stored for the next start.
+    /// A calibration is stored for the next start. One that replaces somebody's while no CNC is heard asks the
+    /// operator then; the example's constants are nobody's.
     pub(super) fn log_load(&mut self, crc: u32) {
-        self.log(What::Loaded, crc, self.log.loader);
+        let running = self.running_crc();
+        let replaces = running != 0 && running != crc && !self.is_example();
+        let write = self.new_write(What::Loaded, crc, self.log.loader);
+        self.push(Write { is_unattended: replaces && self.log.is_unattended, ..write });
     }
 
     /// Notes a write over a line, or of the board itself.
     pub(super) fn log(&mut self, what: What, about: u32, line: Option<Line>) {
+        self.push(self.new_write(what, about, line));
+    }
+
+    /// A write of this moment.
+    pub(super) fn new_write(&self, what: What, about: u32, line: Option<Line>) -> Write {
         let origin = match line {
             None => Origin::Board,
             Some(Line::Can) => Origin::Can,
             Some(Line::Serial) => Origin::Serial,
             Some(Line::Modbus) => Origin::Modbus,
         };
-        let running = if self.blob.is_empty() { 0 } else { calibration::identity(self.blob) };
-        let (at_ms, utc_s) = (self.now.0, self.utc_s());
-        let write = Write { sequence: 0, calibration: running, about, at_ms, utc_s, what, origin };
+        let (calibration, at_ms, utc_s) = (self.running_crc(), self.now.0, self.utc_s());
+        let (sequence, is_unattended) = (0, false);
+        Write { sequence, calibration, about, at_ms, utc_s, what, origin, is_unattended }
+    }
+
+    /// The calibration that runs, by the CRC of its blob; 0: none.
+    pub(super) fn running_crc(&self) -> u32 {
+        if self.blob.is_empty() { 0 } else { calibration::identity(self.blob) }
+    }
+
+    /// Hands a write to the board, which stores it.
+    pub(super) fn push(&mut self, write: Write) {
         if self.log.waiting.push_back(write).is_err() {
             // The board does not store: it is told all the same.
             self.log.last.push(&write);

@@ -6,6 +6,7 @@ use std::collections::VecDeque;
 use crate::rig::{Kind, Part, Rig, calibration};
 use trueup_core::cnc::{Flags, Quality};
 use trueup_node::node::Node;
+use trueup_store::reference::Standing;
 
 /// The slew limit of the rig in nm a millisecond, and what rounding may add.
 const SLEW_NM: u32 = 20;
@@ -57,7 +58,7 @@ fn resets(count: u32, seed: u64) {
         until -= 1;
         if until == 0 {
             let mut next = Node::new(Some(calibration()), false);
-            next.set_reference(rig.node.reference());
+            next.set_standing(Standing::in_force(rig.node.reference()), None);
             next.resume(Some(&kept), 0);
             rig.node = next;
             rig.last.offset = None;

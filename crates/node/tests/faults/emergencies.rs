@@ -56,7 +56,10 @@ fn provoke(fault: Fault, rig: &mut Rig) {
             rig.node = Node::new(Some(crate::rig::calibration()), false);
             rig.node.resume(None, 0);
         }
-        Fault::OlderCalibration | Fault::ForeignMachine => rig.node.ask(fault),
+        Fault::OlderCalibration
+        | Fault::ForeignMachine
+        | Fault::ReferenceOffered
+        | Fault::CalibrationChanged => rig.node.ask(fault),
         Fault::ExampleConstants => rig.node.bar_example(),
         Fault::SecondMaster => {
             controls(rig, Line::Serial, Control::REFERENCED, 0, 1);

@@ -2,7 +2,9 @@
 
 use trueup_core::{
     calibration::{Calibration, Names},
+    limits::Limits,
     thermometer::Thermometer,
+    units::Nanometres,
 };
 
 #[path = "../../src/node/example.rs"]
@@ -12,10 +14,13 @@ mod example;
 pub fn calibration() -> Calibration<'static> {
     let mut thermometers = [None; 8];
     thermometers[2] = Some(Thermometer::Pt100);
+    let example = example::tests_calibration();
     Calibration {
+        // What its codes say may be zeroed.
+        limits: Limits { max: [Nanometres(4_000_000); 3], ..example.limits },
         thermometers,
         guards: Default::default(),
         names: Names { machine: b"gantry", serial: b"17/4", board: [1, 2, 3] },
-        ..example::tests_calibration()
+        ..example
     }
 }

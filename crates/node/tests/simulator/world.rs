@@ -17,7 +17,10 @@ use trueup_node::{
     node::{Line, Node},
     vectors::Random,
 };
-use trueup_store::retained::{self, Copies, SIZE};
+use trueup_store::{
+    reference::Standing,
+    retained::{self, Copies, SIZE},
+};
 
 mod judge;
 
@@ -237,7 +240,7 @@ impl World {
             self.table = 1 - self.table;
         }
         self.node = Node::new(Some(calibration(self.table)), false);
-        self.node.set_reference(self.zeroed[self.table].reference);
+        self.node.set_standing(Standing::in_force(self.zeroed[self.table].reference), None);
         self.axis.forget();
         let kept = retained::load(&self.ram);
         // Nothing has been kept since the last cut, or all of it is lost.

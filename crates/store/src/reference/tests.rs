@@ -19,12 +19,17 @@ pub(super) fn reference(n: u32) -> Reference {
     }
 }
 
+/// The same, in force.
+pub(super) fn held(n: u32) -> Standing {
+    Standing { reference: reference(n), ..Standing::default() }
+}
+
 pub(super) fn open(flash: &Flash, calibration: u32) -> (References<Flash>, Found) {
     References::open(flash.powered(), calibration)
 }
 
 fn loaded(flash: &Flash) -> Option<Reference> {
-    open(flash, OURS).1.reference.map(|(_, reference)| reference)
+    open(flash, OURS).1.standing.map(|(_, standing)| standing.reference)
 }
 
 #[test]
@@ -32,9 +37,13 @@ fn the_bytes_of_a_record_are_as_the_table_says() {
     let record = Record {
         sequence: 2,
         calibration: 0x1122_3344,
-        reference: Reference {
-            elongation: Nanometres(62_805),
-            axes: [Fine(-1), Fine(0), Fine(256)],
+        standing: Standing {
+            reference: Reference {
+                elongation: Nanometres(62_805),
+                axes: [Fine(-1), Fine(0), Fine(256)],
+            },
+            is_offered: false,
+            is_changed: true,
         },
         supply: Level(0x5DE0),
     };
@@ -43,7 +52,7 @@ fn the_bytes_of_a_record_are_as_the_table_says() {
         bytes[..28],
         [
             2, 0, 0, 0, 0x44, 0x33, 0x22, 0x11, 0x55, 0xF5, 0, 0, 0xFF, 0xFF, 0xFF, 0xFF, 0, 0, 0,
-            0, 0, 1, 0, 0, 1, 0, 0xE0, 0x5D
+            0, 0, 1, 0, 0, 1, 2, 0xE0, 0x5D
         ]
     );
     assert_eq!(Record::decode(&bytes), Some(record));
@@ -60,7 +69,7 @@ fn the_level_of_the_supply_goes_with_the_reference_through_every_move() {
     log.set_supply(Level(24_001));
     // More than the flash holds: records move, and after a start what was found goes on.
     for n in 1..=4 * SLOTS {
-        log.append(reference(n)).unwrap();
+        log.append(held(n)).unwrap();
         log.make_room().unwrap();
         let (reopened, found) = open(&log.log.flash, OURS);
         assert_eq!(found.supply, Level(24_001), "{n}");
@@ -74,7 +83,7 @@ fn the_newest_counts_through_more_records_than_the_flash_holds() {
     assert_eq!(found, Found::default());
     let mut erases = 0;
     for n in 1..=100 {
-        assert_eq!(log.append(reference(n)), Ok(n));
+        assert_eq!(log.append(held(n)), Ok(n));
         assert_eq!(loaded(&log.log.flash), Some(reference(n)));
         erases += u32::from(log.make_room() == Ok(true));
         assert_eq!(loaded(&log.log.flash), Some(reference(n)));
@@ -87,48 +96,52 @@ fn the_newest_counts_through_more_records_than_the_flash_holds() {
 fn without_room_a_reference_is_refused_and_the_next_start_makes_room() {
     let (mut log, _) = open(&Flash::erased(), OURS);
     for n in 1..=2 * SLOTS {
-        assert_eq!(log.append(reference(n)), Ok(n));
+        assert_eq!(log.append(held(n)), Ok(n));
     }
-    assert_eq!(log.append(reference(99)), Err(StoreError::Full));
+    assert_eq!(log.append(held(99)), Err(StoreError::Full));
     let (mut log, found) = open(&log.log.flash, OURS);
-    assert_eq!(found.reference, Some((2 * SLOTS, reference(2 * SLOTS))));
+    assert_eq!(found.standing, Some((2 * SLOTS, held(2 * SLOTS))));
     assert_eq!((log.make_room(), log.make_room()), (Ok(true), Ok(false)));
-    assert_eq!(log.append(reference(99)), Ok(2 * SLOTS + 1));
+    assert_eq!(log.append(held(99)), Ok(2 * SLOTS + 1));
     assert_eq!(loaded(&log.log.flash), Some(reference(99)));
 }
 
 #[test]
-fn a_reference_of_another_calibration_is_not_taken_up_and_not_lost() {
+fn a_reference_of_a_calibration_that_is_back_is_offered_and_not_lost() {
     let (mut log, _) = open(&Flash::erased(), OURS);
-    log.append(reference(1)).unwrap();
+    log.append(held(1)).unwrap();
     // Others fill both halves, and room is made again and again.
     let (mut others, found) = open(&log.log.flash, OTHER);
-    assert_eq!(found, Found { foreign: 1, ..Found::default() });
+    // It came with no load that a record tells of.
+    let standing = Some((0, Standing { is_changed: true, ..Standing::default() }));
+    assert_eq!(found, Found { standing, is_new: true, foreign: 1, ..Found::default() });
     for n in 2..SLOTS {
-        others.append(reference(n)).unwrap();
+        others.append(held(n)).unwrap();
     }
+    let offered = Standing { is_offered: true, is_changed: true, ..held(1) };
     let (mut log, found) = open(&others.log.flash, OURS);
-    assert_eq!((found.reference, found.foreign), (Some((1, reference(1))), SLOTS - 2));
-    // Ours moves on when its half goes.
+    assert_eq!((found.standing, found.foreign), (Some((1, offered)), SLOTS - 2));
+    // Ours moves on when its half goes, as it stands.
     let (mut others, _) = open(&log.log.flash, OTHER);
     for n in 0..3 {
-        others.append(reference(n)).unwrap();
+        others.append(held(n)).unwrap();
     }
     log = open(&others.log.flash, OURS).0;
     assert_eq!(log.make_room(), Ok(true));
-    assert_eq!(loaded(&log.log.flash), Some(reference(1)));
+    let found = open(&log.log.flash, OURS).1;
+    assert_eq!((found.standing.map(|it| it.1), found.is_new), (Some(offered), false));
 }
 
 #[test]
 fn a_power_cut_at_any_byte_of_a_record_loses_that_record_at_most() {
     for before in 0..2 * SLOTS {
         let (mut log, _) = open(&Flash::erased(), OURS);
-        (1..=before).for_each(|n| assert_eq!(log.append(reference(n)), Ok(n)));
+        (1..=before).for_each(|n| assert_eq!(log.append(held(n)), Ok(n)));
         let old = (before > 0).then(|| reference(before));
         for fuel in 0..=RECORD_SIZE {
             let mut cut = open(&log.log.flash, OURS).0;
             cut.log.flash.fuel = fuel;
-            let stored = cut.append(reference(77)).is_ok();
+            let stored = cut.append(held(77)).is_ok();
             assert_eq!(stored, fuel == RECORD_SIZE);
             let expected = if stored { Some(reference(77)) } else { old };
             assert_eq!(loaded(&cut.log.flash), expected, "{before} records, cut at byte {fuel}");
@@ -136,7 +149,7 @@ fn a_power_cut_at_any_byte_of_a_record_loses_that_record_at_most() {
             let (mut log, found) = open(&cut.log.flash, OURS);
             assert!(found.damaged <= 1);
             log.make_room().unwrap();
-            log.append(reference(88)).unwrap();
+            log.append(held(88)).unwrap();
             assert_eq!(loaded(&log.log.flash), Some(reference(88)));
         }
     }
@@ -147,10 +160,10 @@ fn a_first_record_that_is_cut_needs_no_erase_at_the_next_start() {
     for fuel in 1..RECORD_SIZE {
         let mut cut = open(&Flash::erased(), OURS).0;
         cut.log.flash.fuel = fuel;
-        assert!(cut.append(reference(1)).is_err());
+        assert!(cut.append(held(1)).is_err());
         let mut log = open(&cut.log.flash, OURS).0;
         assert_eq!(log.make_room(), Ok(false), "cut at byte {fuel}");
-        log.append(reference(2)).unwrap();
+        log.append(held(2)).unwrap();
         assert_eq!(loaded(&log.log.flash), Some(reference(2)));
     }
 }
@@ -160,10 +173,10 @@ fn a_power_cut_at_any_byte_of_making_room_loses_nothing() {
     // Ours is in the old half, alone or not: it has to move before the erase.
     for others in 0..SLOTS {
         let (mut log, _) = open(&Flash::erased(), OURS);
-        (1..=SLOTS).for_each(|n| assert_eq!(log.append(reference(n)), Ok(n)));
+        (1..=SLOTS).for_each(|n| assert_eq!(log.append(held(n)), Ok(n)));
         let (mut log, _) = open(&log.log.flash, if others == 0 { OURS } else { OTHER });
         for _ in 0..others.max(1) {
-            log.append(reference(9)).unwrap();
+            log.append(held(9)).unwrap();
         }
         let expected = loaded(&log.log.flash);
         assert!(expected.is_some());
@@ -174,7 +187,7 @@ fn a_power_cut_at_any_byte_of_making_room_loses_nothing() {
             assert_eq!(loaded(&cut.log.flash), expected, "{others} others, cut at byte {fuel}");
             let mut log = open(&cut.log.flash, OURS).0;
             assert_eq!(log.make_room(), Ok(!done));
-            log.append(reference(88)).unwrap();
+            log.append(held(88)).unwrap();
             assert_eq!(loaded(&log.log.flash), Some(reference(88)));
         }
     }
@@ -183,12 +196,12 @@ fn a_power_cut_at_any_byte_of_making_room_loses_nothing() {
 #[test]
 fn every_flipped_bit_of_a_record_is_found() {
     let (mut log, _) = open(&Flash::erased(), OURS);
-    (1..=2).for_each(|n| assert_eq!(log.append(reference(n)), Ok(n)));
+    (1..=2).for_each(|n| assert_eq!(log.append(held(n)), Ok(n)));
     for bit in 0..RECORD_SIZE * 8 {
         let mut flash = log.log.flash.clone();
         flash.bytes[RECORD_SIZE + bit / 8] ^= 1 << (bit % 8);
         let (_, found) = open(&flash, OURS);
-        let expected = Found { reference: Some((1, reference(1))), damaged: 1, ..Found::default() };
+        let expected = Found { standing: Some((1, held(1))), damaged: 1, ..Found::default() };
         assert_eq!(found, expected, "bit {bit}");
     }
 }
@@ -200,12 +213,12 @@ fn a_dead_flash_is_said_and_nothing_else_happens() {
         let flash = Flash { dead: true, ..Flash::holding(std::vec![fill; SIZE]) };
         let (mut log, found) = open(&flash, OURS);
         let is_blank = fill == 0xFF;
-        assert_eq!(found.reference, None);
+        assert_eq!(found.standing, None);
         assert_eq!(found.damaged, if is_blank { 0 } else { 2 * SLOTS });
         let room = if is_blank { Ok(false) } else { Err(StoreError::NotErased) };
         assert_eq!(log.make_room(), room);
         let refused = if is_blank { StoreError::NotTaken } else { StoreError::Full };
-        assert_eq!(log.append(reference(1)), Err(refused));
+        assert_eq!(log.append(held(1)), Err(refused));
     }
 }
 
@@ -219,12 +232,12 @@ fn any_bytes_at_all_can_be_opened_and_written_on() {
             *byte = (random >> 24) as u8 | if random & 0x300 == 0 { 0 } else { 0xFF };
         }
         let (mut log, found) = open(&flash, OURS);
-        assert_eq!((found.reference, found.foreign), (None, 0));
+        assert_eq!((found.standing, found.foreign), (None, 0));
         log.make_room().unwrap();
-        let stored = log.append(reference(5)).or_else(|_| {
+        let stored = log.append(held(5)).or_else(|_| {
             // Both halves were full of nothing: the next start makes the other room.
             log = open(&log.log.flash, OURS).0;
-            log.make_room().and_then(|_| log.append(reference(5)))
+            log.make_room().and_then(|_| log.append(held(5)))
         });
         assert_eq!((stored.is_ok(), loaded(&log.log.flash)), (true, Some(reference(5))));
     }
@@ -234,7 +247,7 @@ fn any_bytes_at_all_can_be_opened_and_written_on() {
 fn live(flash: &Flash, fuel: usize, n: u32) -> (Flash, bool) {
     let mut log = open(flash, OURS).0;
     log.log.flash.fuel = fuel;
-    let is_stored = log.make_room().is_ok() && log.append(reference(n)).is_ok();
+    let is_stored = log.make_room().is_ok() && log.append(held(n)).is_ok();
     (log.log.flash, is_stored)
 }
 
@@ -250,7 +263,7 @@ fn two_power_cuts_in_a_row_at_any_words_with_bits_that_waver_leave_an_old_or_a_n
         let burnt = |flash: &Flash| {
             let mut log = open(flash, OURS).0;
             log.log.flash.fuel = usize::MAX / 2;
-            assert!(log.make_room().is_ok() && log.append(reference(88)).is_ok());
+            assert!(log.make_room().is_ok() && log.append(held(88)).is_ok());
             usize::MAX / 2 - log.log.flash.fuel
         };
         for first in (0..=burnt(&flash)).step_by(4) {
@@ -274,7 +287,7 @@ fn two_power_cuts_in_a_row_at_any_words_with_bits_that_waver_leave_an_old_or_a_n
 fn what_a_start_has_found_alone_in_its_half_is_there_twice_before_the_other_half_goes() {
     // Its words may have been cut, and be read as none the next time.
     let mut log = open(&Flash::erased(), OURS).0;
-    (1..=SLOTS + 1).for_each(|n| assert_eq!(log.append(reference(n)), Ok(n)));
+    (1..=SLOTS + 1).for_each(|n| assert_eq!(log.append(held(n)), Ok(n)));
     log = open(&log.log.flash, OURS).0;
     assert_eq!(log.make_room(), Ok(true));
     let mut lost = log.log.flash.clone();
@@ -283,9 +296,9 @@ fn what_a_start_has_found_alone_in_its_half_is_there_twice_before_the_other_half
     // Where there are two of them, or nothing goes with the other half, it is not written again.
     for (ours_before, ours) in [(1, 2), (0, 1)] {
         let mut log = open(&Flash::erased(), OTHER).0;
-        (ours_before..SLOTS).for_each(|n| assert!(log.append(reference(n)).is_ok()));
+        (ours_before..SLOTS).for_each(|n| assert!(log.append(held(n)).is_ok()));
         log = open(&log.log.flash, OURS).0;
-        (0..ours_before + ours).for_each(|n| assert!(log.append(reference(n)).is_ok()));
+        (0..ours_before + ours).for_each(|n| assert!(log.append(held(n)).is_ok()));
         log = open(&log.log.flash, OURS).0;
         assert_eq!(log.make_room(), Ok(true));
         let used = log.log.flash.bytes.iter().filter(|byte| **byte != 0xFF).count();

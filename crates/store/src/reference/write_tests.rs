@@ -5,7 +5,16 @@ use crate::writes::Origin;
 use std::vec::Vec;
 
 fn write(what: What, about: u32) -> Write {
-    Write { sequence: 0, calibration: 9, about, at_ms: 5, utc_s: 0, what, origin: Origin::Can }
+    Write {
+        sequence: 0,
+        calibration: OURS,
+        about,
+        at_ms: 5,
+        utc_s: 0,
+        what,
+        origin: Origin::Can,
+        is_unattended: false,
+    }
 }
 
 fn told(log: &References<Flash>) -> Vec<(u32, What, u32)> {
@@ -17,11 +26,11 @@ fn told(log: &References<Flash>) -> Vec<(u32, What, u32)> {
 fn writes_are_told_after_a_power_cut_in_their_order_and_references_stay() {
     let (mut log, _) = open(&Flash::erased(), OURS);
     assert_eq!(log.append_write(&write(What::Loaded, 1)).map(|it| it.sequence), Ok(1));
-    log.append(reference(1)).unwrap();
+    log.append(held(1)).unwrap();
     log.append_write(&write(What::Zeroed, 2)).unwrap();
     log.append_write(&write(What::Confirmed, 3)).unwrap();
     let (log, found) = open(&log.log.flash, OURS);
-    assert_eq!((found.reference, found.damaged), (Some((2, reference(1))), 0));
+    assert_eq!((found.standing, found.damaged), (Some((2, held(1))), 0));
     let expected = [(1, What::Loaded, 1), (3, What::Zeroed, 2), (4, What::Confirmed, 3)];
     assert_eq!(told(&log), expected);
 }
@@ -29,7 +38,7 @@ fn writes_are_told_after_a_power_cut_in_their_order_and_references_stay() {
 #[test]
 fn a_power_cut_at_any_byte_of_a_write_loses_that_write_at_most() {
     let (mut log, _) = open(&Flash::erased(), OURS);
-    log.append(reference(1)).unwrap();
+    log.append(held(1)).unwrap();
     log.append_write(&write(What::Named, 77)).unwrap();
     for fuel in 0..=RECORD_SIZE {
         let mut cut = open(&log.log.flash, OURS).0;
@@ -37,7 +46,7 @@ fn a_power_cut_at_any_byte_of_a_write_loses_that_write_at_most() {
         let stored = cut.append_write(&write(What::Named, 88)).is_ok();
         assert_eq!(stored, fuel == RECORD_SIZE);
         let (_, found) = open(&cut.log.flash, OURS);
-        assert_eq!(found.reference, Some((1, reference(1))));
+        assert_eq!(found.standing, Some((1, held(1))));
         assert_eq!(found.named, Some(if stored { 88 } else { 77 }), "cut at byte {fuel}");
     }
 }
@@ -46,7 +55,7 @@ fn a_power_cut_at_any_byte_of_a_write_loses_that_write_at_most() {
 fn names_and_reference_outlast_erases_with_power_cuts_at_any_byte() {
     let (mut log, _) = open(&Flash::erased(), OURS);
     log.append_write(&write(What::Named, 77)).unwrap();
-    log.append(reference(1)).unwrap();
+    log.append(held(1)).unwrap();
     for number in 0..8 * SLOTS {
         log.append_write(&write(What::Confirmed, number)).unwrap();
         let before = open(&log.log.flash, OURS).1;
@@ -56,8 +65,8 @@ fn names_and_reference_outlast_erases_with_power_cuts_at_any_byte() {
             cut.make_room().ok();
             let found = open(&cut.log.flash, OURS).1;
             assert_eq!(found.named, Some(77), "{number}, cut at byte {fuel}");
-            let is_same = found.reference.map(|it| it.1) == before.reference.map(|it| it.1);
-            assert!(is_same && found.reference.is_some(), "{number}, cut at byte {fuel}");
+            let is_same = found.standing.map(|it| it.1) == before.standing.map(|it| it.1);
+            assert!(is_same && found.standing.is_some(), "{number}, cut at byte {fuel}");
         }
         log = open(&log.log.flash, OURS).0;
         log.make_room().unwrap();

@@ -1,6 +1,7 @@
 //! A bridge that runs in this process: the node and the SLCAN port of the firmware, without its hardware.
 
 use std::{
+    collections::BTreeMap,
     io::{ErrorKind, Read, Write},
     net::TcpListener,
     path::Path,
@@ -19,8 +20,9 @@ use trueup_link::{frame::Frame, frames, layout::SDO_ANSWER_ID, slcan::Port};
 use trueup_machine::{Compiled, Machine, MachineFile, compile};
 use trueup_node::node::{Line, Node};
 use trueup_store::{
-    calibration::{MAX_SIZE, decode},
+    calibration::{MAX_SIZE, decode, identity},
     load::Outcome,
+    reference::Standing,
 };
 
 use crate::wire::{ReceivedBytes, Tools, damaged, write_all};
@@ -126,11 +128,15 @@ pub fn live(
     if fault == Fault::OtherSource {
         node.note_commit(7);
     }
+    let mut stored: Option<Vec<u8>> = None;
+    // By the CRC of their calibrations.
+    let mut standings = BTreeMap::new();
     if fault == Fault::Zeroed {
         let elongation = Nanometres(2_500);
-        node.set_reference(Reference { elongation, ..Reference::default() });
+        let standing = Standing::in_force(Reference { elongation, ..Reference::default() });
+        node.set_standing(standing, None);
+        standings.insert(identity(node.blob()), standing);
     }
-    let mut stored: Option<Vec<u8>> = None;
     let mut control = 0_u32;
     // The paper's zero is 5048 of its 32768 counts at 10 V: 627.2 codes behind the divider. 100 codes
     // above it, 805.4 counts, are 12.3 µm, which the slew limit reaches in 0.6 s.
@@ -176,12 +182,25 @@ pub fn live(
             }
             node.end_load(load, outcome);
         }
+        if node.take_drop() {
+            stored = None;
+            node.end_drop(true);
+        }
+        if let Some(standing) = node.take_standing() {
+            standings.insert(identity(node.blob()), standing);
+        }
         while let Some(write) = node.take_write() {
             node.end_write(&write, Some(trueup_store::writes::Write { sequence: 7, ..write }));
         }
         if node.take_restart() {
-            let blob = stored.take().unwrap_or_else(|| compiled.blob().to_vec());
+            let loaded = stored.take();
+            let is_loaded = loaded.is_some();
+            let blob = loaded.unwrap_or_else(|| node.blob().to_vec());
             (node, port) = started(Box::leak(blob.into()));
+            if let Some(mut standing) = standings.get(&identity(node.blob())).copied() {
+                standing.is_offered |= is_loaded && standing.reference != Reference::default();
+                node.set_standing(standing, None);
+            }
             control = 0;
         }
         if ms % 20 == 0 {

@@ -1,0 +1,222 @@
+//! The reference of the calibration: in force, or offered to the operator. And a calibration for the next start
+//! that is dropped again.
+//!
+//! A reference is offered where tools may have been touched off with another one since it was taken: its calibration
+//! was loaded again ([`trueup_store::reference`]), or it comes from a saved file. Until the operator confirms it, declines
+//! it ([`FORGET`](trueup_canopen::dictionary::FORGET)) or sets `Zero`, none is in force, and nothing is available. A
+//! reference is never larger than a correction may be ([`trueup_core::bridge::Bridge::permits`]), wherever it comes from.
+
+use trueup_canopen::{emergency::Fault, sdo::Abort};
+use trueup_core::{
+    bridge::Reference,
+    units::{Fine, Millis, Nanometres},
+};
+use trueup_store::{
+    reference::Standing,
+    writes::{What, Write},
+};
+
+use super::{Line, Node};
+
+/// What came of a `Zero`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Zero {
+    /// The reference is another one now.
+    Taken(Reference),
+    /// It is as it was: an input is missing, the error is larger than a correction may be, or it has not changed.
+    Unchanged,
+}
+
+/// The reference that is offered, and where the one comes from that counts.
+#[derive(Debug, Default)]
+pub(super) struct Offer {
+    reference: Option<Reference>,
+    /// A reference of another board in nm, as far as it was written: the elongation, X, Y and Z.
+    written: [Option<Nanometres>; 4],
+    /// The write that has taken the reference, in force or offered; `None`: it is not known.
+    taken: Option<Write>,
+    /// It was in this start.
+    was_now: bool,
+    /// The board has to store what holds now.
+    is_new: bool,
+}
+
+impl Offer {
+    pub const fn is_open(&self) -> bool {
+        self.reference.is_some()
+    }
+
+    pub const fn reference(&self) -> Option<Reference> {
+        self.reference
+    }
+
+    pub const fn taken(&self) -> Option<Write> {
+        self.taken
+    }
+
+    /// Kind and line of that write, as the log has them; 0: it is not known.
+    pub fn origin(&self) -> u16 {
+        self.taken.map_or(0, |write| u16::from_le_bytes([write.what as u8, write.origin as u8]))
+    }
+}
+
+impl Node<'_> {
+    /// What came of the last `Zero`, once.
+    pub fn take_zero(&mut self) -> Option<Zero> {
+        self.zero.take()
+    }
+
+    /// The error that counts as none.
+    #[must_use]
+    pub fn reference(&self) -> Reference {
+        self.state.reference()
+    }
+
+    /// Takes up what the board has stored for the running calibration, and the write that has taken its reference.
+    /// Returns whether the reference is permitted; one that is not does not count, and is reported.
+    pub fn set_standing(&mut self, standing: Standing, taken: Option<Write>) -> bool {
+        let Standing { reference, is_offered, is_changed } = standing;
+        if is_changed {
+            self.ask(Fault::CalibrationChanged);
+        }
+        if !self.permits(&reference) {
+            self.note(Fault::Store);
+            return false;
+        }
+        let about = reference.elongation.0.cast_unsigned();
+        self.offer.taken = taken.filter(|write| write.about == about);
+        if is_offered {
+            self.offer.reference = Some(reference);
+            self.ask(Fault::ReferenceOffered);
+        } else {
+            self.state.set_reference(reference);
+        }
+        true
+    }
+
+    /// What the board is to store for the running calibration, once after each change.
+    pub fn take_standing(&mut self) -> Option<Standing> {
+        core::mem::take(&mut self.offer.is_new).then(|| Standing {
+            reference: self.offer.reference.unwrap_or_else(|| self.state.reference()),
+            is_offered: self.offer.is_open(),
+            is_changed: self.questions.has(Fault::CalibrationChanged),
+        })
+    }
+
+    pub(super) fn store_standing(&mut self) {
+        self.offer.is_new = true;
+    }
+
+    fn permits(&self, reference: &Reference) -> bool {
+        self.bridge.as_ref().is_none_or(|bridge| bridge.permits(reference))
+    }
+
+    /// Another reference is in force: what was offered is not any more.
+    pub(super) fn end_offer(&mut self, now: Reference, what: What, line: Option<Line>) {
+        let about = if what == What::Forgotten { 0 } else { now.elongation.0.cast_unsigned() };
+        let write = self.new_write(what, about, line);
+        self.push(write);
+        let taken = (what == What::Zeroed).then_some(write);
+        self.offer = Offer { taken, was_now: true, is_new: true, ..Offer::default() };
+        self.questions = self.questions.without(Fault::ReferenceOffered);
+        self.bar();
+    }
+
+    /// The operator takes the reference that is offered.
+    pub(super) fn take_offer(&mut self) {
+        if let Some(reference) = self.offer.reference.take() {
+            self.state.set_reference(reference);
+            self.offer.is_new = true;
+        }
+    }
+
+    /// The machine is at rest: what was learned goes at once, and the reference, in force or offered.
+    pub(super) fn forget(&mut self) {
+        self.state.forget_learned();
+        // Again and again it would only fill the flash.
+        if self.offer.is_open() || self.state.reference() != Reference::default() {
+            self.state.set_reference(Reference::default());
+            self.supply.forget_basis();
+            self.zero = Some(Zero::Taken(Reference::default()));
+            self.end_offer(Reference::default(), What::Forgotten, self.log.speaker());
+        }
+    }
+
+    /// Keeps a part of another board's reference until the rest of it is there.
+    pub(super) fn write_part(&mut self, part: u8, number: u32) -> Result<(), Abort> {
+        let nm = Nanometres(number.cast_signed());
+        let mut alone = Reference::default();
+        match part.checked_sub(1).and_then(|axis| alone.axes.get_mut(usize::from(axis))) {
+            None => alone.elongation = nm,
+            // Beyond 8 mm it is no such error, and more than any limit.
+            Some(axis) => *axis = fine(nm).ok_or(Abort::Value)?,
+        }
+        if !self.permits(&alone) {
+            return Err(Abort::Value);
+        }
+        *self.offer.written.get_mut(usize::from(part)).ok_or(Abort::NoSubindex)? = Some(nm);
+        Ok(())
+    }
+
+    /// Offers the operator the reference that was written. None is in force meanwhile.
+    pub(super) fn offer_written(&mut self) -> Result<(), Abort> {
+        // A reference without one of its parts is nobody's.
+        let [Some(elongation), Some(x), Some(y), Some(z)] = self.offer.written else {
+            return Err(Abort::DeviceState);
+        };
+        let back = Reference { elongation, axes: [x, y, z].map(Nanometres::fine) };
+        let write = self.new_write(What::Offered, elongation.0.cast_unsigned(), self.log.speaker());
+        self.push(write);
+        self.state.set_reference(Reference::default());
+        self.offer = Offer {
+            reference: Some(back),
+            taken: Some(write),
+            was_now: true,
+            is_new: true,
+            ..Offer::default()
+        };
+        self.ask(Fault::ReferenceOffered);
+        Ok(())
+    }
+
+    /// Seconds since the reference was taken; `None`: it is not known.
+    pub(super) fn reference_age_s(&self) -> Option<u32> {
+        let taken = self.offer.taken?;
+        match (taken.utc_s, self.utc_s()) {
+            (0, _) | (_, 0) => {}
+            (then, now) => return Some(now.saturating_sub(then)),
+        }
+        self.offer.was_now.then(|| self.now.since(Millis(taken.at_ms)) / 1_000)
+    }
+
+    /// Drops the calibration for the next start, once the board has stored the running one anew.
+    pub(super) fn drop_new(&mut self) -> Result<(), Abort> {
+        if self.new_crc == 0 || self.slot.stored().is_none() || self.blob.is_empty() {
+            return Err(Abort::DeviceState);
+        }
+        self.drops_new = true;
+        Ok(())
+    }
+
+    /// Whether the board is to store its running calibration anew, once; [`Self::end_drop`] is to follow.
+    pub fn take_drop(&mut self) -> bool {
+        core::mem::take(&mut self.drops_new)
+    }
+
+    /// Whether it has: then the calibration for the next start is the running one again.
+    pub fn end_drop(&mut self, is_stored: bool) {
+        if !is_stored {
+            self.note(Fault::Store);
+            return;
+        }
+        self.log(What::Cancelled, self.new_crc, self.log.speaker());
+        self.new_crc = 0;
+        // It is stored, so nothing looks at it.
+        self.slot.open(None).ok();
+    }
+}
+
+/// A length in fine units, if they hold it.
+fn fine(nm: Nanometres) -> Option<Fine> {
+    nm.0.checked_mul(Fine::PER_NANOMETRE).map(Fine)
+}
