@@ -9,6 +9,7 @@ use trueup_machine::{
     BadInput, Machine, MachineFile, RunFile,
     check::{self, AxisSummary, Summary, Warning},
     run_file::is_known_column,
+    trusted::trusted,
 };
 
 use crate::{Outcome, files, output, report, runs, summary};
@@ -53,7 +54,11 @@ pub fn run(args: &Check, as_json: bool) -> Result<Outcome> {
             refused.extend(check::refusal(&check::ranges(&machine), files::accepted()));
             of_machine(path, &machine, as_json)?
         } else {
-            of_run(path, &runs::read(path)?, beside.as_ref(), as_json)?
+            let (run, mut reported) = trusted(runs::read(path)?, beside.as_ref());
+            refused.extend(check::refusal(&check::units(&run, beside.as_ref()), files::accepted()));
+            let (warnings, summary) = of_run(path, &run, beside.as_ref(), as_json)?;
+            reported.extend(warnings);
+            (reported, summary)
         };
         // Said once, as an error.
         let listed: Vec<BadInput> =

@@ -6,6 +6,7 @@ use std::{path::Path, sync::OnceLock};
 use trueup_machine::{
     BadInput, Machine, MachineFile, RunFile,
     check::{self, Finding, Grade, Summary},
+    trusted::{trusted, with_directions, without_fault_values},
 };
 
 use crate::{UserError, report, runs, summary};
@@ -74,14 +75,33 @@ pub fn refuse_or_warn(name: &str, found: &[Finding]) -> Result<(), UserError> {
 
 /// Reads the run at `path`, and says in short what is unlikely in it, by itself and compared with `machine`.
 pub fn run(path: &Path, machine: Option<&Machine>) -> Result<RunFile, BadInput> {
-    let run = runs::read(path)?;
-    report::in_short(path, &check::run(&run, machine));
+    usable(runs::read(path)?, machine)
+}
+
+/// Says what is unlikely in `run`, and gives it without fault values of thermometers and with the directions
+/// that its positions imply.
+///
+/// # Errors
+/// A column is impossible in the unit of its name, and not accepted.
+pub fn usable(run: RunFile, machine: Option<&Machine>) -> Result<RunFile, BadInput> {
+    let path = run.path().to_path_buf();
+    let (run, reported) = trusted(run, machine);
+    report::in_short(&path, &reported);
+    refuse_units(&run, machine)?;
+    report::in_short(&path, &check::run(&run, machine));
     Ok(run)
 }
 
-/// The same for a command that looks after the names of the columns itself.
+fn refuse_units(run: &RunFile, machine: Option<&Machine>) -> Result<(), BadInput> {
+    check::refusal(&check::units(run, machine), accepted()).map_or(Ok(()), Err)
+}
+
+/// The same for a command that looks after the names of the columns and the faults of thermometers itself.
 pub fn run_of_known_names(path: &Path, machine: &Machine) -> Result<RunFile, BadInput> {
-    let run = runs::read(path)?;
-    report::in_short(path, &check::values(&run, Some(machine)));
+    let (run, reported) = with_directions(runs::read(path)?, Some(machine));
+    report::in_short(path, &reported);
+    let (sound, _) = without_fault_values(run.clone());
+    refuse_units(&sound, Some(machine))?;
+    report::in_short(path, &check::values(&sound, Some(machine)));
     Ok(run)
 }

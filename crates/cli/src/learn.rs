@@ -101,7 +101,10 @@ pub fn run(args: &Learn, as_json: bool) -> Result<Outcome> {
     let mut all = Vec::new();
     for path in &args.run {
         let run = match args.reading_um {
-            Some(um) => probed::with_reading(path, quantity, um, SystemTime::now())?,
+            Some(um) => {
+                let run = probed::with_reading(path, quantity, um, SystemTime::now())?;
+                files::usable(run, Some(&machine))?
+            }
             None => read(path, &machine)?,
         };
         let learned = learn(&source, &args.machine, &run, quantity, memory.take(), &limits)?;
@@ -132,7 +135,8 @@ pub fn run(args: &Learn, as_json: bool) -> Result<Outcome> {
 
 fn read(path: &Path, machine: &Machine) -> Result<RunFile> {
     if path == Path::new("-") {
-        return Ok(RunFile::from_reader(BufReader::new(io::stdin()), Path::new("standard input"))?);
+        let run = RunFile::from_reader(BufReader::new(io::stdin()), Path::new("standard input"))?;
+        return Ok(files::usable(run, Some(machine))?);
     }
     Ok(files::run(path, Some(machine))?)
 }

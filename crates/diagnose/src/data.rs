@@ -4,7 +4,7 @@
 //! |---|---|
 //! | `quantity` | which error the runs are compared in |
 //! | `read` | from runs to the table |
-//! | `channels`, `channel` | thermometers that lie and columns that are copies, set aside; one by one |
+//! | `channels` | thermometers that lie and columns that are copies, excluded |
 //! | `inputs` | which of the other columns an error may depend on |
 //! | `prediction`, `reversal` | what the machine file says of each row; what follows from turning |
 //! | `stated` | the terms that the machine file has already |
@@ -17,7 +17,6 @@
 //! | `stepped` | what was stepped through all rows before |
 //! | `lags` | temperatures behind lags, by whichever of these is enough |
 
-mod channel;
 mod channels;
 mod drawn;
 mod groups;

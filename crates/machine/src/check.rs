@@ -17,7 +17,8 @@
 //! | `twice` | is one thing corrected by two entries |
 //! | `nothing` | does the file correct anything at all |
 //! | `extent` | how large each correction may become |
-//! | `run` | are the columns of a run in the units of their names |
+//! | `run` | is what a run has what the machine file has: counts, travel, the size and the sign of an error |
+//! | `units` | are the columns of a run in the units of their names |
 //! | `summary` | what the file will do |
 
 pub(crate) mod extent;
@@ -31,6 +32,7 @@ mod run;
 mod sensor;
 mod summary;
 mod twice;
+mod units;
 mod warning;
 
 use crate::{file::Machine, run_file::RunFile};
@@ -85,7 +87,19 @@ pub fn run(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning> {
 /// The same without what the names of the columns say, for a command that says that itself.
 #[must_use]
 pub fn values(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning> {
-    run::warnings(run, machine)
+    // Where both know something, the machine file says in which unit it would be right.
+    let mut warnings = run::warnings(run, machine);
+    let of_units = units(run, machine).into_iter().map(|finding| finding.warning);
+    let is_new = |it: &Warning| warnings.iter().all(|other| other.place != it.place);
+    let new: Vec<Warning> = of_units.filter(is_new).collect();
+    warnings.extend(new);
+    warnings
+}
+
+/// The columns of the run that are unlikely or impossible in the units of their names.
+#[must_use]
+pub fn units(run: &RunFile, machine: Option<&Machine>) -> Vec<Finding> {
+    units::findings(run, machine)
 }
 
 fn in_order(warnings: impl Iterator<Item = Warning>) -> Vec<Warning> {

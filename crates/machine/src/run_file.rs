@@ -171,6 +171,15 @@ impl RunFile {
         }
     }
 
+    /// Adds a column of values that the file does not have; each has the place of the value of `beside`.
+    pub(crate) fn add(&mut self, name: &str, beside: &str, values: Vec<f64>) {
+        let starts =
+            self.columns.iter().find(|column| column.name == beside).map(|it| it.starts.clone());
+        if let Some(starts) = starts {
+            self.columns.push(Column { name: name.into(), values: values.into(), starts });
+        }
+    }
+
     /// The first `rows` rows, with what `change` makes of the values of each column: a run that was not measured.
     #[must_use]
     pub fn altered(&self, rows: usize, mut change: impl FnMut(&str, &mut [f64])) -> Self {

@@ -26,5 +26,6 @@ mod streams;
 #[cfg(target_os = "linux")]
 mod terminal;
 mod tutorial;
+mod units;
 mod who;
 mod wire;

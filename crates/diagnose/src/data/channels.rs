@@ -8,13 +8,14 @@
 
 use std::{ops::Range, sync::Arc};
 
-use trueup_machine::model::required_columns;
+use trueup_machine::{
+    RunFile,
+    model::required_columns,
+    thermometer::{FAST_S, Fault, faults},
+};
 use trueup_numerics::parallel::on_all_cores;
 
-use super::{
-    channel::{Fault, faults},
-    table::{Column, Data},
-};
+use super::table::{Column, Data};
 
 /// Changes of a value from row to row that two columns must share before they are called copies: each
 /// would be as likely as not in one of them alone, so that 2⁻³⁰ = 10⁻⁹ is the chance that they are not.
@@ -54,14 +55,17 @@ impl Data {
     }
 }
 
-/// Sets aside where a channel lies, and tells it.
-pub(super) fn set_aside(data: &mut Data) {
+/// Excludes where a channel lies, and says so; `runs` are the files of `data`.
+pub(super) fn set_aside(data: &mut Data, runs: &[&RunFile]) {
     let needed = required_columns(&data.machine);
     let follows = follows(data);
+    let near = near(data);
     let files = files(data);
     let mut lost = vec![false; data.rows];
     let found = on_all_cores(&data.temperatures, data.rows > WORTH_CORES, |(_, values)| {
-        let of_file = |rows: &Range<usize>| faults(&values[rows.clone()], &follows[rows.clone()]);
+        let of_file = |rows: &Range<usize>| {
+            faults(&values[rows.clone()], &follows[rows.clone()], &near[rows.clone()])
+        };
         files.iter().map(of_file).collect::<Vec<_>>()
     });
     for (column, found) in found.into_iter().enumerate() {
@@ -69,7 +73,8 @@ pub(super) fn set_aside(data: &mut Data) {
         let is_needed = needed.contains(&name);
         let mut own = vec![false; data.rows];
         let mut moved = vec![false; data.rows];
-        for (rows, faults) in files.iter().zip(found) {
+        for (number, (rows, faults)) in files.iter().zip(found).enumerate() {
+            let line = |row: usize| runs.get(number).map_or(0, |run| run.place(row, &name).line);
             let mut jumps = Vec::new();
             for fault in faults {
                 let at = |range: &Range<usize>| rows.start + range.start..rows.start + range.end;
@@ -77,7 +82,10 @@ pub(super) fn set_aside(data: &mut Data) {
                     Fault::Absent { shown, rows: all } => {
                         all.iter().for_each(|range| own[at(range)].fill(true));
                         let count: usize = all.iter().map(Range::len).sum();
-                        format!("shows {shown} in {count} rows, as one that is not connected does")
+                        let first = all.first().map_or(0, |range| line(range.start));
+                        format!(
+                            "shows {shown} in {count} rows (first in line {first}), as one that is not connected does"
+                        )
                     }
                     Fault::Frozen { shown, rows: range } => {
                         if turns_with_another(data, column, at(range).start, rows)
@@ -234,6 +242,14 @@ fn follows(data: &Data) -> Vec<bool> {
             let is_pause = |usual_s: f64| apart(row) > PAUSE_ROWS * usual_s;
             !usual_s.is_some_and(is_pause)
         })
+        .collect()
+}
+
+/// Whether a row is at most [`FAST_S`] after the one before; without time, nothing says that it is not.
+fn near(data: &Data) -> Vec<bool> {
+    let apart = |row: usize| data.time_s.as_ref().map_or(0.0, |it| it[row] - it[row - 1]);
+    (0..data.rows)
+        .map(|row| row > 0 && data.series[row] == data.series[row - 1] && apart(row) <= FAST_S)
         .collect()
 }
 

@@ -134,7 +134,7 @@ impl Data {
             whole: None,
             stepped: Stepped::default(),
         };
-        channels::set_aside(&mut data);
+        channels::set_aside(&mut data, &runs.iter().map(|run| &**run).collect::<Vec<&RunFile>>());
         inputs::retain(&mut data);
         data.references_c = data
             .temperatures

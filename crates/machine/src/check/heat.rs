@@ -4,7 +4,7 @@ use super::{extent::ROOM_C, warning::Warning};
 use crate::file::{LinearAxis, Machine, Thermal, write::Value};
 
 /// 0 °C in kelvin.
-pub(super) const ZERO_C_IN_K: f64 = 273.15;
+const ZERO_C_IN_K: f64 = 273.15;
 
 /// Temperatures of a machine, in °C: EN 60204-1 asks of one that it works at 5 to 40 °C, and what runs in
 /// it is warmer by 30 K at most. A number from 273.15 higher is such a temperature in kelvin.

@@ -1,13 +1,13 @@
-//! The columns of a run, held against the units of their names: kelvin, volts, millimetres.
+//! The columns of a run, held against the machine file: volts, the end of an input, the travel, the size and the
+//! sign of what was measured.
 
 use super::{
-    heat::is_kelvin,
     place,
     sensor::{FULL_COUNTS, S7_COUNTS},
     warning::Warning,
 };
 use crate::{
-    file::{LinearAxis, Machine, Quantity, is_temperature_column},
+    file::{LinearAxis, Machine, Quantity},
     predict::Predictor,
     run_file::{Column, RunFile},
 };
@@ -29,12 +29,7 @@ const LOOKED_AT: usize = 10_000;
 const MOST_VOLTS: f64 = 11.0;
 
 pub(super) fn warnings(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning> {
-    let mut warnings: Vec<Warning> = run
-        .columns()
-        .iter()
-        .filter(|column| is_temperature_column(&column.name))
-        .filter_map(|column| kelvin(run, column))
-        .collect();
+    let mut warnings = Vec::new();
     if let Some(column) = run.columns().iter().find(|column| column.name == "sensor_counts") {
         warnings.extend(volts(run, column));
         warnings.extend(machine.and_then(|machine| ends_at_s7(run, column, machine)));
@@ -64,14 +59,6 @@ fn at(run: &RunFile, column: &str, what: &str, help: impl Into<String>) -> Warni
     let row = run.column(column).and_then(|values| values.iter().position(|it| !it.is_nan()));
     let place = run.place(row.unwrap_or(0), column);
     Warning { place, what: format!("{column} {what}"), help: help.into() }
-}
-
-fn kelvin(run: &RunFile, column: &Column) -> Option<Warning> {
-    let [least, most] = range(column)?;
-    (is_kelvin(least) && is_kelvin(most)).then(|| {
-        let what = format!("is from {least} to {most}: that looks like kelvin, not °C");
-        at(run, &column.name, &what, "temperatures are in °C: take 273.15 away from each")
-    })
 }
 
 fn volts(run: &RunFile, column: &Column) -> Option<Warning> {
@@ -106,6 +93,12 @@ fn outside_travel(run: &RunFile, machine: &Machine) -> Vec<Warning> {
         let column = run.columns().iter().find(|column| column.name == name)?;
         let [least, most] = range(column)?;
         let spare_mm = place::OVERHANG * (high - low);
+        if let Some(unit) = unit_of_positions([least, most], [low, high]) {
+            let what = format!(
+                "is from {least} to {most}, and the travel_mm of the machine file {low} to {high}: it looks like {unit}, not mm"
+            );
+            return Some(at(run, &name, &what, "positions are in mm"));
+        }
         (least < low - spare_mm || most > high + spare_mm).then(|| {
             let what = format!(
                 "is from {least} to {most} mm, outside the travel_mm of the machine file, {low} to {high}"
@@ -116,7 +109,23 @@ fn outside_travel(run: &RunFile, machine: &Machine) -> Vec<Warning> {
     axes.collect()
 }
 
-/// What was measured beside what the model says: the same curve, a thousand times as large or as small.
+/// The unit in which positions go from one end of the travel to the other; `None` where that is mm, or they do
+/// not.
+fn unit_of_positions(range: [f64; 2], travel_mm: [f64; 2]) -> Option<&'static str> {
+    const WHOLE: std::ops::RangeInclusive<f64> = 0.8..=1.02;
+    let length = |[low, high]: [f64; 2]| high - low;
+    let share = |mm_per_unit: f64| length(range) * mm_per_unit / length(travel_mm);
+    let is_within = |mm_per_unit: f64| {
+        let spare_mm = place::OVERHANG * length(travel_mm);
+        range[0] * mm_per_unit >= travel_mm[0] - spare_mm
+            && range[1] * mm_per_unit <= travel_mm[1] + spare_mm
+    };
+    let units = [(1e3, "m"), (25.4, "inches"), (1e-3, "µm")].into_iter();
+    let mut whole = units.filter(|(mm, _)| WHOLE.contains(&share(*mm)) && is_within(*mm));
+    whole.next().map(|(_, unit)| unit)
+}
+
+/// What was measured compared with what the model says: the same curve, a thousand times as large or as small.
 fn in_another_unit(run: &RunFile, machine: &Machine) -> Vec<Warning> {
     let names = Quantity::ALL.map(|quantity| format!("measured_{}_um", quantity.name()));
     if names.iter().all(|name| run.column(name).is_none()) {
@@ -133,12 +142,21 @@ fn in_another_unit(run: &RunFile, machine: &Machine) -> Vec<Warning> {
         let measured = run.column(name)?;
         let pairs = predicted.iter().zip(measured).map(|(row, um)| (row[number], *um));
         let slope = shared_slope(pairs.filter(|(a, b)| !a.is_nan() && !b.is_nan()))?;
+        if (-FACTOR_OF_TWO..=-1.0 / FACTOR_OF_TWO).contains(&slope) {
+            let what = "is minus what the machine file predicts: the sign is that of an error measured the other \
+                        way round (errors are actual minus commanded)";
+            let help = "look at one reading: where the machine goes too far, the error must be positive; an \
+                        elongation is positive where the tool comes out of the spindle";
+            return Some(at(run, name, what, help));
+        }
         let is_near =
             |factor: f64| (factor / FACTOR_OF_TWO..=factor * FACTOR_OF_TWO).contains(&slope);
         let (unit, how) = [
             (1e-3, ("mm", "a thousandth")),
             (1e-6, ("m", "a millionth")),
             (1e3, ("nm", "a thousand times")),
+            (1.0 / 25_400.0, ("inches", "a 25 000th")),
+            (1.0 / 25.4, ("thousandths of an inch", "a 25th")),
         ]
         .into_iter()
         .find_map(|(factor, words)| is_near(factor).then_some(words))?;

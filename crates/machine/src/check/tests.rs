@@ -332,20 +332,24 @@ fn measured_in_another_unit() {
         let rows = (0..30).map(|row| {
             let celsius = 20.0 + f64::from(row) * 0.5;
             let um = scale * (2.0 * (celsius - 20.0) * 1.3 + 0.2 * f64::from(row % 3));
-            format!("{row},{celsius},20,{um}\n")
+            format!("{},{celsius},20,{um}\n", 60 * row)
         });
         format!("time_s,temp_a_c,temp_b_c,measured_elongation_um\n{}", rows.collect::<String>())
     };
     run_doubted(&run(1e-3), &run(1.0), Some(&machine), "looks like mm, not µm");
     run_doubted(&run(1e-6), &run(0.1), Some(&machine), "looks like m, not µm");
     run_doubted(&run(1e3), &run(10.0), Some(&machine), "looks like nm, not µm");
+    run_doubted(&run(1.0 / 25_400.0), &run(1.0), Some(&machine), "looks like inches, not µm");
+    run_doubted(&run(-1.0), &run(1.0), Some(&machine), "measured the other way round");
 }
 
 #[test]
 fn positions_outside_the_travel() {
     let machine = parse(RIGHT);
     let run = |scale: f64| format!("x_mm\n{}\n{}\n{}\n", 0.0, 500.0 * scale, 1000.0 * scale);
-    run_doubted(&run(1000.0), &run(1.01), Some(&machine), "outside the travel_mm");
+    run_doubted(&run(1000.0), &run(1.01), Some(&machine), "looks like µm, not mm");
+    run_doubted(&run(0.001), &run(0.1), Some(&machine), "looks like m, not mm");
+    run_doubted(&run(1.0 / 25.4), &run(0.1), Some(&machine), "looks like inches, not mm");
     run_doubted(&run(1.011), &run(1.0), Some(&machine), "outside the travel_mm");
 }
 

@@ -18,6 +18,19 @@ pub(super) fn is_of_logger(name: &str) -> bool {
     NAMES.contains(&name.to_lowercase().as_str())
 }
 
+/// Whether these can only be seconds of Unix: of the years 2001 to 2096, and never running back.
+pub(super) fn are_unix_seconds(values: &[f64]) -> bool {
+    const YEARS: std::ops::Range<f64> = 1e9..4e9;
+    let mut there = values.iter().copied().filter(|value| !value.is_nan()).peekable();
+    let mut before = f64::NEG_INFINITY;
+    there.peek().is_some()
+        && there.all(|value| {
+            let is_next = value >= before;
+            before = value;
+            is_next && YEARS.contains(&value)
+        })
+}
+
 /// Whether `text` begins as a date does.
 pub(super) fn looks_like_date(text: &str) -> bool {
     let bytes = text.as_bytes();

@@ -20,6 +20,15 @@ pub(super) fn separator_of(header: &str) -> char {
     if semicolons > commas { ';' } else { ',' }
 }
 
+/// The separator that a line `sep=;` before the header states, as Excel writes it.
+pub(super) fn separator_line(line: &str) -> Option<char> {
+    let stated = line.trim_start_matches('\u{feff}').trim().trim_matches('"');
+    match stated.strip_prefix("sep=")?.chars().collect::<Vec<char>>()[..] {
+        [separator @ (',' | ';')] => Some(separator),
+        _ => None,
+    }
+}
+
 /// One field of a line.
 pub(super) struct Field<'l> {
     /// Without quotes.

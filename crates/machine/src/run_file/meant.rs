@@ -1,7 +1,10 @@
-//! Names of columns that are not known and look like one that is: another unit, another writing.
+//! Names of columns that are not known and look like one that is: another unit, another writing, a slip of the
+//! keyboard.
 //!
 //! Such a column would be kept as a possible explanation, and the user would wait in vain for it to be
 //! used. So it is told, with the name that was probably meant.
+
+use super::{clock::is_of_logger, known::KNOWN_COLUMNS};
 
 /// Known columns without their unit, with it, and whether the name alone, without any unit, is told.
 const KNOWN: [(&str, &str, bool); 19] = [
@@ -41,9 +44,57 @@ const UNITS: [(&str, &[&str]); 8] = [
 /// The known column that `name` probably stands for; `None` for a known one and for all others.
 pub(super) fn meant(name: &str) -> Option<String> {
     let plain = plain(name);
-    let found = of_list(&plain).or_else(|| temperature(&plain))?;
+    let found = of_list(&plain).or_else(|| direction(&plain)).or_else(|| temperature(&plain));
+    let found = found.or_else(|| misspelt(&plain));
+    // A clock that was not read as one.
+    let found = found.or_else(|| is_of_logger(&plain).then(|| "time_s".into()))?;
     (found != name).then_some(found)
 }
+
+/// `direction_x`, `dirx`, `dir_X`.
+fn direction(plain: &str) -> Option<String> {
+    let rest = ["direction", "dir"].iter().find_map(|word| plain.strip_prefix(word))?;
+    let axis = rest.trim_start_matches('_');
+    ["x", "y", "z"].contains(&axis).then(|| format!("dir_{axis}"))
+}
+
+/// A known name with one of its words misspelt. A word with a digit, or a short one, is a name of its own:
+/// `measured_du_um` is of an axis U.
+fn misspelt(plain: &str) -> Option<String> {
+    let known = KNOWN_COLUMNS.iter().map(|known| known.name).filter(|name| !name.contains('<'));
+    let near = known.filter(|name| plain != *name && differs_by_a_slip(plain, name));
+    near.map(String::from).next()
+}
+
+fn differs_by_a_slip(plain: &str, known: &str) -> bool {
+    // Only the parting of the words is left out.
+    if known.len() < LONG_NAME || plain.replace('_', "") == known.replace('_', "") {
+        return known.len() >= LONG_NAME;
+    }
+    let (ours, theirs): (Vec<&str>, Vec<&str>) =
+        (plain.split('_').collect(), known.split('_').collect());
+    if ours.len() != theirs.len() {
+        return false;
+    }
+    let mut different = ours.iter().zip(&theirs).filter(|(ours, theirs)| ours != theirs);
+    let (Some((word, right)), None) = (different.next(), different.next()) else { return false };
+    let is_swap = word.len() == right.len()
+        && strsim::osa_distance(word, right) == 1
+        && strsim::levenshtein(word, right) == 2;
+    let most = match right.len() {
+        0..=2 => return false,
+        3 => return is_swap,
+        4..=5 => 1,
+        _ => 2,
+    };
+    let has_digit = word.contains(|c: char| c.is_ascii_digit());
+    // A plural is no slip, but a set of another kind.
+    let is_plural = word.strip_suffix('s') == Some(*right);
+    !has_digit && !is_plural && strsim::osa_distance(word, right) <= most
+}
+
+/// Names of fewer characters are near to too many others: `timer_s` is no slip of `time_s`.
+const LONG_NAME: usize = 9;
 
 /// `X (mm)` as `x_mm`, `Temp bed [°C]` as `temp_bed_c`.
 fn plain(name: &str) -> String {
@@ -120,6 +171,17 @@ mod tests {
             ("spindle_speed", "spindle_rpm"),
             ("load_kN", "load_n"),
             ("offset_z_mm", "offset_z_um"),
+            ("spindel_rpm", "spindle_rpm"),
+            ("spindle_rmp", "spindle_rpm"),
+            ("spindlerpm", "spindle_rpm"),
+            ("snesor_counts", "sensor_counts"),
+            ("sensor_cuonts", "sensor_counts"),
+            ("measurd_dx_um", "measured_dx_um"),
+            ("measured_elongaton_um", "measured_elongation_um"),
+            ("mesaured_dz_um", "measured_dz_um"),
+            ("feed_mm_per_mni", "feed_mm_per_min"),
+            ("direction_x", "dir_x"),
+            ("dirY", "dir_y"),
         ] {
             assert_eq!(meant(name).as_deref(), Some(known), "{name}");
         }
@@ -151,6 +213,19 @@ mod tests {
             "age_ms",
             "room_temp_sensor",
             "timer_s",
+            "spindle2_rpm",
+            "spindles_rpm",
+            "pump_rpm",
+            "measured_du_um",
+            "measured_da_um",
+            "offset_u_um",
+            "sensor2_counts",
+            "load_a",
+            "feed_rate",
+            "u_mm",
+            "qualities",
+            "dir_u",
+            "director",
         ] {
             assert_eq!(meant(name), None, "{name}");
         }

@@ -9,7 +9,7 @@ use super::{
     cells::Cells,
     clock,
     faults::Faults,
-    fields::{BadQuote, Fields, separator_of},
+    fields::{BadQuote, Fields, separator_line, separator_of},
     known,
     line::{Line, Lines, Unread},
     meant,
@@ -50,9 +50,13 @@ const BYTES_AT_ONCE: usize = 1 << 20;
 /// Reads all of `source`.
 pub(super) fn read(bounds: Bounds, source: impl BufRead, path: &Path) -> Result<Table, BadInput> {
     let mut lines = Lines::new(source, path, bounds.bytes);
+    let mut stated = None;
     let header = loop {
         match lines.read().map_err(Unread::into_error)? {
-            Some(line) if line.is_content() => break line,
+            Some(line) if line.is_content() => match separator_line(&line.text) {
+                Some(separator) => stated = Some(separator),
+                None => break line,
+            },
             Some(_) => {}
             None => {
                 let rule = "is empty: a run file needs a header row with the names of its columns";
@@ -60,7 +64,7 @@ pub(super) fn read(bounds: Bounds, source: impl BufRead, path: &Path) -> Result<
             }
         }
     };
-    let mut reading = Reading::of_header(&header, path)?;
+    let mut reading = Reading::of_header(&header, path, stated)?;
     let mut goes_on = true;
     while goes_on {
         let mut batch = Vec::new();
@@ -86,8 +90,8 @@ pub(super) fn read(bounds: Bounds, source: impl BufRead, path: &Path) -> Result<
 }
 
 impl<'p> Reading<'p> {
-    fn of_header(line: &Line, path: &'p Path) -> Result<Self, BadInput> {
-        let separator = separator_of(&line.text);
+    fn of_header(line: &Line, path: &'p Path, stated: Option<char>) -> Result<Self, BadInput> {
+        let separator = stated.unwrap_or_else(|| separator_of(&line.text));
         let mut columns = Vec::new();
         let mut slips = Vec::new();
         let mut faults = Faults::default();
@@ -321,13 +325,14 @@ fn help(name: &str) -> String {
     }
 }
 
-/// The time of a logger, if it was one, is `time_s`; where there is one already it is left out: it
-/// explains nothing that `time_s` does not. What is known by then is no slip any more.
+/// The time of a logger, if it was one, or seconds of Unix, is `time_s`; where there is one already it is
+/// left out: it explains nothing that `time_s` does not. What is known by then is no slip any more.
 fn name_clock(table: &mut Table, cells: &Cells) {
     let mut number = 0;
     let mut has_time_s = table.columns.iter().any(|column| column.name == "time_s");
     table.columns.retain_mut(|column| {
-        let is_clock = cells.holds_times(number) && clock::is_of_logger(&column.name);
+        let is_time = cells.holds_times(number) || clock::are_unix_seconds(&column.values);
+        let is_clock = is_time && clock::is_of_logger(&column.name);
         number += 1;
         if is_clock && !has_time_s {
             column.name = "time_s".into();

@@ -127,8 +127,8 @@ fn a_missing_column_is_reported_with_those_that_are_there() {
     let error = parse("time_s,sensor_conuts\n0,1\n").require("sensor_counts").expect_err("typo");
     assert_eq!(
         error.to_string(),
-        "r.csv:1:1: column sensor_counts is missing; there are time_s, sensor_conuts; \
-         did you mean sensor_conuts?"
+        "r.csv:1:8: column sensor_counts is missing; sensor_conuts is no column that is known: if it was \
+         meant, give it as sensor_counts"
     );
 }
 
@@ -163,4 +163,29 @@ fn a_file_that_goes_on_beyond_its_bounds_is_refused_there() {
     let bounds = Bounds { bytes: 40, values: 4 };
     let run = RunFile::within(bounds, most.as_bytes(), Path::new("r.csv"));
     assert_eq!(run.expect("just within").rows(), 2);
+}
+
+#[test]
+fn unix_seconds_of_a_logger_are_the_time_and_other_numbers_are_not() {
+    let run = parse("timestamp,x_mm\n1774000000,1\n1774000300,2\n");
+    assert_eq!(run.column("time_s").expect("it is the time"), [1_774_000_000.0, 1_774_000_300.0]);
+    assert_eq!(run.slips().count(), 0);
+    // Milliseconds, and hours of operation: nothing says that these are seconds.
+    for text in ["timestamp,x_mm\n1774000000000,1\n", "timestamp,x_mm\n12,1\n"] {
+        let run = parse(text);
+        assert!(run.column("time_s").is_none() && run.slips().count() == 1, "{text}");
+    }
+}
+
+#[test]
+fn a_line_that_states_the_separator_is_no_header() {
+    for text in [
+        "sep=;\na_um;b_um\n1;2\n",
+        "\u{feff}sep=,\r\na_um,b_um\r\n1,2\r\n",
+        "\"sep=;\"\na_um;b_um\n1;2\n",
+    ] {
+        let run = parse(text);
+        assert_eq!(run.column("b_um").expect("the second column"), [2.0], "{text}");
+        assert_eq!(run.place(0, "a_um").line, 3);
+    }
 }

@@ -2,11 +2,11 @@
 //!
 //! | fault | is told by |
 //! |---|---|
-//! | absent | a value beyond what a resistance thermometer can show; or always the same one, apart from all the others, entered and left in one step |
+//! | absent | a value beyond what a resistance thermometer can show; one that a converter sends for a fault; or always the same one, apart from all the others, entered and left in one step |
 //! | frozen | a run of equal values that is far longer than the noise on its last digit allows; or one that is entered or left by a step which no other is near |
 //! | jump | one step that no other is near, complete from one row to the next, as no thermal mass moves |
 //!
-//! No threshold is a temperature of a machine: each is a probability, or an end of IEC 60751.
+//! No threshold is a temperature of a machine: each is a probability, an end of IEC 60751, or from a data sheet.
 
 use std::{f64::consts::SQRT_2, ops::Range};
 
@@ -20,6 +20,15 @@ const CHANCE_RUN: f64 = 1e-9;
 /// IEC 60751: a platinum thermometer ends at −200 °C and at 850 °C, which is what an open or a shorted
 /// one shows.
 const ENDS_C: [f64; 2] = [-200.0, 850.0];
+/// What a DS18B20's driver sends where the sensor does not answer; no machine is as cold.
+const NO_ANSWER_C: f64 = -127.0;
+/// What a DS18B20 holds from its power-on until its first conversion (data sheet).
+const POWER_ON_C: f64 = 85.0;
+/// A step to or from the value of a power-on that no thermal mass of a machine makes within
+/// [`FAST_S`], in K: 4 K/min.
+const POWER_ON_STEP_C: f64 = 20.0;
+/// Rows nearer than this are near enough to tell such a step from heat, in s.
+pub const FAST_S: f64 = 300.0;
 /// The largest steps of a channel by which their tail is known: as many as make its scale known to a
 /// fifth (1/√20).
 const TAIL: usize = 20;
@@ -41,14 +50,28 @@ const LEVELS: usize = 5;
 
 /// What is wrong with a channel, in rows of its file.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Fault {
-    /// It shows always this, in these rows.
-    Absent { shown: f64, rows: Vec<Range<usize>> },
-    /// It stands still at this.
-    Frozen { shown: f64, rows: Range<usize> },
-    /// It is higher by this from this row on, which only a thermometer's own fault can do if none near it
-    /// moves.
-    Jump { by: f64, row: usize },
+pub enum Fault {
+    /// It shows no temperature.
+    Absent {
+        /// What it shows, in °C; of values beyond the ends of IEC 60751 the first.
+        shown: f64,
+        /// Where.
+        rows: Vec<Range<usize>>,
+    },
+    /// It stands still.
+    Frozen {
+        /// At this, in °C.
+        shown: f64,
+        /// Where.
+        rows: Range<usize>,
+    },
+    /// It is higher from a row on, which only a thermometer's own fault can do if none near it moves.
+    Jump {
+        /// By this, in K.
+        by: f64,
+        /// From this row on.
+        row: usize,
+    },
 }
 
 /// Values that are there, each with its row, and whether the next is one row's time away.
@@ -59,16 +82,21 @@ struct Channel {
     steps: Vec<f64>,
 }
 
-/// The faults of a channel of one file. `follows`: whether a row is an ordinary time after the one
-/// before.
-pub(super) fn faults(values: &[f64], follows: &[bool]) -> Vec<Fault> {
+/// Returns the faults of a channel of one file. `follows`: whether a row is an ordinary time after the one
+/// before; `near`: whether it is at most [`FAST_S`] after it.
+#[must_use]
+pub fn faults(values: &[f64], follows: &[bool], near: &[bool]) -> Vec<Fault> {
     let mut faults = Vec::new();
-    let beyond = |value: f64| value <= ENDS_C[0] || value >= ENDS_C[1];
+    let beyond = |value: f64| value <= ENDS_C[0] || value >= ENDS_C[1] || value == NO_ANSWER_C;
     let mut sound: Vec<f64> = values.to_vec();
     let mut ends = Vec::new();
     (0..values.len()).filter(|&row| beyond(values[row])).for_each(|row| push_row(&mut ends, row));
     if let Some(first) = ends.first() {
         let fault = Fault::Absent { shown: values[first.start], rows: ends };
+        fault.mask(&mut sound);
+        faults.push(fault);
+    }
+    if let Some(fault) = powered_on(&sound, near) {
         fault.mask(&mut sound);
         faults.push(fault);
     }
@@ -87,6 +115,28 @@ pub(super) fn faults(values: &[f64], follows: &[bool]) -> Vec<Fault> {
     // What stands still without a step is seen on what is left.
     faults.extend(Channel::of(&sound, follows).frozen());
     faults
+}
+
+/// Stretches at the value of a power-on that are entered and left by a step that heat does not make; one at
+/// the start of the file has nothing to be entered from. One that lasts to the end may be an oven.
+fn powered_on(values: &[f64], near: &[bool]) -> Option<Fault> {
+    let is_far = |a: f64, b: f64| (a - b).abs() >= POWER_ON_STEP_C;
+    let mut rows = Vec::new();
+    let mut start = 0;
+    while let Some(first) = (start..values.len()).find(|&row| values[row] == POWER_ON_C) {
+        let end =
+            (first..values.len()).find(|&row| values[row] != POWER_ON_C).unwrap_or(values.len());
+        let before = values[..first].iter().rposition(|value| !value.is_nan());
+        let is_entered = before
+            .is_none_or(|row| is_far(values[row], POWER_ON_C) && near.get(first) == Some(&true));
+        let is_left = values.get(end).is_some_and(|&after| is_far(after, POWER_ON_C))
+            && near.get(end) == Some(&true);
+        if is_entered && is_left {
+            rows.push(first..end);
+        }
+        start = end;
+    }
+    (!rows.is_empty()).then_some(Fault::Absent { shown: POWER_ON_C, rows })
 }
 
 impl Fault {

@@ -22,7 +22,7 @@ fn thermometer(rows: usize, noise_c: f64, digit_c: f64) -> Vec<f64> {
 fn found(values: &[f64]) -> Vec<Fault> {
     let mut follows = vec![true; values.len()];
     follows[0] = false;
-    faults(values, &follows)
+    faults(values, &follows, &follows)
 }
 
 #[test]
@@ -61,7 +61,7 @@ fn a_step_over_a_pause_is_none() {
     values[1_000..].iter_mut().for_each(|value| *value -= 15.0);
     let mut follows = vec![true; 2_000];
     (follows[0], follows[1_000]) = (false, false);
-    assert_eq!(faults(&values, &follows), []);
+    assert_eq!(faults(&values, &follows, &follows), []);
     assert_eq!(found(&values).len(), 1);
 }
 
@@ -115,4 +115,29 @@ fn what_is_between_absent_values_is_no_fault() {
     let faults = found(&values);
     let [Fault::Absent { shown, rows }] = &faults[..] else { panic!("{faults:?}") };
     assert_eq!((*shown, rows.len()), (-180.0, 83), "{rows:?}");
+}
+
+#[test]
+fn what_a_converter_sends_for_a_fault_is_absent_in_a_short_record_too() {
+    let sound = [20.1, 20.4, 20.9, 21.2, 21.8, 22.3, 22.5, 23.0];
+    for (row, shown) in [(0, 85.0), (3, 85.0), (3, -127.0), (7, -127.0), (5, -242.02), (2, 988.79)]
+    {
+        let mut values = sound.to_vec();
+        values[row] = shown;
+        assert_eq!(
+            found(&values),
+            [Fault::Absent { shown, rows: vec![row..row + 1] }],
+            "{row} {shown}"
+        );
+    }
+    // Reached as heat reaches it, or over a pause, it is a temperature; so it is to the end of a record.
+    for values in [
+        vec![70.0, 75.0, 80.0, 85.0, 85.0, 85.0, 82.0, 78.0],
+        vec![20.0, 20.0, 20.0, 85.0, 85.0, 85.0, 85.0, 85.0],
+    ] {
+        assert_eq!(found(&values), [], "{values:?}");
+    }
+    let values = [20.0, 20.1, 85.0, 85.0, 20.3, 20.2];
+    let slow = [false; 6];
+    assert_eq!(faults(&values, &slow, &slow), []);
 }

@@ -1,0 +1,91 @@
+use std::path::Path;
+
+use super::*;
+use crate::MachineFile;
+
+const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"temperature\"\n\
+                       [spindle.temperature]\nsensor = \"temp_nose_c\"\nreference_c = 20.0\nk_um_per_c = 2.0\n";
+
+/// A spindle that is driven for two hours in each three, a row each `every_s`: time, temperature, speed, growth.
+fn spindle(every_s: f64, rows: usize) -> Vec<[f64; 4]> {
+    let (mut nose, mut growth) = (0.0, 0.0);
+    let row = |number: usize| {
+        let time_s = every_s * number as f64;
+        let rpm = if time_s % 10_800.0 < 7_200.0 { 9000.0 } else { 0.0 };
+        nose += (rpm / 600.0 - nose) * (1.0 - (-every_s / 1_500.0).exp());
+        growth += (2.2 * nose - growth) * (1.0 - (-every_s / 700.0).exp());
+        [time_s, 19.0 + nose, rpm, growth]
+    };
+    (0..rows).map(row).collect()
+}
+
+/// What is found in these rows once `change` has written them in another unit.
+fn found(rows: &[[f64; 4]], change: impl Fn([f64; 4]) -> [f64; 4]) -> Vec<(String, Grade, String)> {
+    let mut text = String::from("time_s,temp_nose_c,spindle_rpm,measured_elongation_um\n");
+    for row in rows {
+        let [time_s, nose, rpm, um] = change(*row);
+        text += &format!("{time_s:.4},{nose:.2},{rpm},{um:.7}\n");
+    }
+    let run =
+        RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own run");
+    let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("the test's own file");
+    let findings = findings(&run, Some(&machine)).into_iter();
+    findings.map(|it| (it.key, it.grade, it.warning.what)).collect()
+}
+
+#[test]
+fn each_slip_of_a_unit_is_told_with_the_unit() {
+    use Grade::{Impossible, Unlikely};
+    let rows = spindle(30.0, 400);
+    assert_eq!(found(&rows, |row| row), []);
+    type Slip = fn([f64; 4]) -> [f64; 4];
+    let slips: [(&str, Grade, &str, Slip); 9] = [
+        ("temp_nose_c", Unlikely, "°F", |[s, c, n, um]| [s, 32.0 + 1.8 * c, n, um]),
+        ("temp_nose_c", Impossible, "kelvin", |[s, c, n, um]| [s, c + 273.15, n, um]),
+        ("temp_nose_c", Impossible, "tenths", |[s, c, n, um]| [s, (10.0 * c).round(), n, um]),
+        ("temp_nose_c", Impossible, "no thermometer", |[s, c, n, um]| [s, 100.0 * c, n, um]),
+        ("time_s", Unlikely, "ms, not s", |[s, c, n, um]| [1e3 * s, c, n, um]),
+        ("time_s", Impossible, "milliseconds of Unix", |[s, c, n, um]| {
+            [1.78e12 + 1e3 * s, c, n, um]
+        }),
+        ("time_s", Unlikely, "minutes", |[s, c, n, um]| [s / 60.0, c, n, um]),
+        ("measured_elongation_um", Unlikely, "mm or inches", |[s, c, n, um]| [s, c, n, um / 1e3]),
+        ("spindle_rpm", Unlikely, "1000 r/min", |[s, c, n, um]| [s, c, n / 1e3, um]),
+    ];
+    for (column, grade, unit, slip) in slips {
+        let found = found(&rows, slip);
+        let is_it =
+            |it: &&(String, Grade, String)| it.0 == column && it.1 == grade && it.2.contains(unit);
+        assert_eq!(found.iter().filter(is_it).count(), 1, "{column} {unit}: {found:?}");
+        assert_eq!(found.len(), 1, "and nothing else: {found:?}");
+    }
+}
+
+#[test]
+fn what_is_rare_and_right_is_not_refused() {
+    let is_refused = |text: &str| {
+        let run =
+            RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own run");
+        let machine =
+            MachineFile::parse(MACHINE, Path::new("m.toml")).expect("the test's own file");
+        findings(&run, Some(&machine)).iter().any(|it| it.grade == Grade::Impossible)
+    };
+    let rows = |row: &dyn Fn(usize) -> String| (0..300).map(row).collect::<String>();
+    // A furnace beside the machine.
+    let furnace = rows(&|it| format!("{},{},{}\n", 20 * it, 21.0 + it as f64 * 0.01, 640 + it % 3));
+    assert!(!is_refused(&format!("time_s,temp_nose_c,temp_furnace_c\n{furnace}")));
+    // A spindle that was hot already, and a record of 300 days.
+    let hot = rows(&|it| format!("{},{}\n", 86_400 * it, 74.0 + (it % 7) as f64));
+    assert!(!is_refused(&format!("time_s,temp_nose_c\n{hot}")));
+    // A gauge that was not set to zero.
+    let gauge = rows(&|it| format!("{},21.5,{}\n", 20 * it, 45_000 + it % 9));
+    assert!(!is_refused(&format!("time_s,temp_nose_c,measured_elongation_um\n{gauge}")));
+    // The same day after day for weeks, a row an hour: nothing is even doubted.
+    let day = |it: usize| (it as f64 / 24.0 * std::f64::consts::TAU).sin();
+    let weeks =
+        rows(&|it| format!("{},{:.2},{:.2}\n", 3600 * it, 22.0 + 3.0 * day(it), 6.0 * day(it)));
+    let text = format!("time_s,temp_nose_c,measured_elongation_um\n{weeks}");
+    let run =
+        RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own run");
+    assert_eq!(findings(&run, None), []);
+}
