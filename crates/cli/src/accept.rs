@@ -10,7 +10,13 @@ use clap::Args;
 use trueup_accept::{Acceptance, Limits, accept};
 use trueup_machine::{MachineFile, file};
 
-use crate::{Outcome, UserError, diagnose::Quantity, files, output, report};
+use crate::{
+    Outcome, UserError,
+    diagnose::Quantity,
+    files,
+    output::{self, FileSet},
+    report,
+};
 
 /// Compares a run without compensation with one with it, and says which constant to change by how much.
 ///
@@ -80,11 +86,16 @@ fn write(args: &Accept, acceptance: &Acceptance, name: &str) -> Result<()> {
         ("acceptance.json", serde_json::to_string_pretty(acceptance)? + "\n"),
         ("report.html", acceptance.html(name)),
     ];
-    texts.extend(acceptance.adjusted().map(|text| ("adjusted.toml", text.to_string())));
-    for (file, text) in texts {
-        output::write_whole(&args.out.join(file), &inputs, |out| out.write_all(text.as_bytes()))?;
+    let mut set = FileSet::new(&inputs);
+    match acceptance.adjusted() {
+        Some(text) => texts.push(("adjusted.toml", text.to_string())),
+        // That of an earlier acceptance would change a machine that has passed.
+        None => set.remove(&args.out.join("adjusted.toml"))?,
     }
-    Ok(())
+    for (file, text) in texts {
+        set.text(&args.out.join(file), &text)?;
+    }
+    set.commit()
 }
 
 fn print(args: &Accept, it: &Acceptance) -> Result<()> {

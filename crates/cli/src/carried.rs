@@ -1,10 +1,10 @@
 //! The firmware images that this tool carries, and where else they may be.
 
-use std::{fs, path::Path};
+use std::{fs, io, path::Path};
 
 use anyhow::{Context as _, Result};
 
-use crate::UserError;
+use crate::{UserError, output::FileSet};
 
 /// The image for QEMU.
 pub const VIRTUAL: &str = "trueup-virtual.elf";
@@ -21,18 +21,19 @@ const BUILT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../target/carried")
 /// This tool has none, or they cannot be written.
 pub fn write(folder: &Path, wanted: Option<&str>) -> Result<Vec<String>> {
     let mut written = Vec::new();
+    let mut set = FileSet::new(&[]);
     let is_wanted = |name: &str| wanted.is_none_or(|wanted| wanted == name);
     for (name, bytes) in CARRIED.iter().filter(|(name, _)| is_wanted(name)) {
-        let path = folder.join(name);
-        fs::write(&path, bytes).with_context(|| path.display().to_string())?;
+        set.add(&folder.join(name), |out| out.write_all(bytes))?;
         written.push((*name).to_string());
     }
     if CARRIED.is_empty() {
         for entry in fs::read_dir(BUILT).into_iter().flatten().flatten() {
             let name = entry.file_name().to_string_lossy().into_owned();
             if is_wanted(&name) {
-                let path = folder.join(&name);
-                fs::copy(entry.path(), &path).with_context(|| path.display().to_string())?;
+                let mut from = fs::File::open(entry.path())
+                    .with_context(|| entry.path().display().to_string())?;
+                set.add(&folder.join(&name), |mut out| io::copy(&mut from, &mut out))?;
                 written.push(name);
             }
         }
@@ -43,6 +44,7 @@ pub fn write(folder: &Path, wanted: Option<&str>) -> Result<Vec<String>> {
                       says what is missing; then install again: cargo install --path crates/cli";
         return Err(UserError(reason.into()).into());
     }
+    set.commit()?;
     written.sort();
     Ok(written)
 }

@@ -13,7 +13,8 @@ use trueup_machine::file;
 use crate::{
     Outcome, UserError,
     diagnose::{Quantity, above_zero},
-    files, output,
+    files,
+    output::{self, FileSet},
 };
 
 /// Compares two runs of one program place by place: unloaded against cut, this year against last.
@@ -52,10 +53,12 @@ pub fn run(args: &Compare, as_json: bool) -> Result<Outcome> {
             .map_err(|error| UserError(format!("{}: cannot be made: {error}", folder.display())))?;
         let names = [&args.a, &args.b].map(|path| path.display().to_string());
         let html = page::of_comparison(&it, [&names[0], &names[1]]);
+        let inputs = [args.a.as_path(), args.b.as_path()];
+        let mut set = FileSet::new(&inputs);
         for (name, text) in [("comparison.json", format!("{json}\n")), ("report.html", html)] {
-            let inputs = [args.a.as_path(), args.b.as_path()];
-            output::write_whole(&folder.join(name), &inputs, |out| out.write_all(text.as_bytes()))?;
+            set.text(&folder.join(name), &text)?;
         }
+        set.commit()?;
     }
     if as_json {
         output::print(json)?;

@@ -19,7 +19,11 @@ use trueup_machine::{
 };
 use trueup_page::{micrometres, significant};
 
-use crate::{Outcome, UserError, files, origin, output, report};
+use crate::{
+    Outcome, UserError, files, origin,
+    output::{self, FileSet},
+    report,
+};
 
 /// Shows what the machine file gets wrong, names the cause, and writes the machine file with it.
 ///
@@ -154,12 +158,12 @@ fn write(args: &Diagnose, diagnosis: &Diagnosis, name: &str, source: &str) -> Re
         ("report.html", diagnosis.html(name, &origin::of(&inputs)?)),
         ("extended.toml", extended),
     ];
+    let mut set = FileSet::new(&inputs);
     for (file, text) in texts {
-        output::write_whole(&args.out.join(file), &inputs, |out| out.write_all(text.as_bytes()))?;
+        set.text(&args.out.join(file), &text)?;
     }
-    output::write_whole(&args.out.join("residuals.csv"), &inputs, |out| {
-        diagnosis.write_residuals(out)
-    })
+    set.add(&args.out.join("residuals.csv"), |out| diagnosis.write_residuals(out))?;
+    set.commit()
 }
 
 /// Why `compile` will refuse `extended`: a correction is too steep, or something else that is not in

@@ -58,7 +58,7 @@ pub fn run(args: &Examples, as_json: bool) -> Result<Outcome> {
         let path = args.folder.join(name);
         let folder = path.parent().unwrap_or(&args.folder);
         fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
-        fs::write(&path, bytes).with_context(|| path.display().to_string())?;
+        output::write_whole(&path, &[], |out| out.write_all(bytes))?;
         if bytes.starts_with(b"#!") {
             make_executable(&path).with_context(|| path.display().to_string())?;
         }

@@ -13,7 +13,11 @@ use trueup_export::{
     ExportedTable, Format, LeftOut, Options, Report, Units, export, fanuc::Series,
 };
 
-use crate::{Outcome, UserError, files, machine_arg::MachineArg, output};
+use crate::{
+    Outcome, UserError, files,
+    machine_arg::MachineArg,
+    output::{self, FileSet},
+};
 
 /// Turns a machine file into what another control loads, reads it back, and says how well it fits.
 ///
@@ -102,9 +106,12 @@ pub fn run(args: &Export, as_json: bool) -> Result<Outcome> {
     let text = format!("{}\n", export.report);
     let companions = [("report.txt", text), ("report.json", format!("{report:#}\n"))];
     let files = export.files.iter().map(|file| (file.name.as_str(), &file.text));
+    let inputs = [file];
+    let mut set = FileSet::new(&inputs);
     for (name, text) in files.chain(companions.iter().map(|(name, text)| (*name, text))) {
-        output::write_whole(&folder.join(name), &[file], |out| out.write_all(text.as_bytes()))?;
+        set.text(&folder.join(name), text)?;
     }
+    set.commit()?;
     if as_json {
         output::print(report)?;
     } else {

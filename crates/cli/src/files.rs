@@ -4,7 +4,7 @@
 use std::{path::Path, sync::OnceLock};
 
 use trueup_machine::{
-    BadInput, Machine, MachineFile, RunFile,
+    BadInput, Machine, MachineFile, RunFile, bounded,
     check::{self, Finding, Grade, Summary},
     trusted::{trusted, with_directions, without_fault_values},
 };
@@ -104,4 +104,16 @@ pub fn run_of_known_names(path: &Path, machine: &Machine) -> Result<RunFile, Bad
     refuse_units(&sound, Some(machine))?;
     report::in_short(path, &check::values(&sound, Some(machine)));
     Ok(run)
+}
+
+/// Reads a file of at most so many bytes: a device named by mistake has no end.
+pub fn bytes(path: &Path, most: u64) -> Result<Vec<u8>, UserError> {
+    bounded::read(path, most)
+        .map_err(|error| UserError(format!("{}: {}", path.display(), error.rule)))
+}
+
+/// The same of a text.
+pub fn text(path: &Path, most: u64) -> Result<String, UserError> {
+    let rule = |_| UserError(format!("{}: is not UTF-8 text", path.display()));
+    String::from_utf8(bytes(path, most)?).map_err(rule)
 }

@@ -18,8 +18,12 @@ use trueup_machine::{Machine, MachineFile, RunFile, file};
 use crate::{
     Outcome, UserError,
     diagnose::{Quantity, above_zero},
-    files, output,
+    files,
+    output::{self, FileSet},
 };
+
+/// What is known grows by some kilobytes with each change; what is larger is another file.
+const MOST_BYTES: u64 = 256 << 20;
 
 /// Lets the constants of a machine file follow the machine: slowly, within bounds, never by one reading.
 ///
@@ -144,14 +148,12 @@ fn read(path: &Path, machine: &Machine) -> Result<RunFile> {
 /// What is known from before; `None` where there is no such file yet.
 fn remembered(path: &Path) -> Result<Option<Memory>> {
     let bad = |rule: String| UserError(format!("{}: {rule}", path.display()));
-    match fs::read_to_string(path) {
-        Ok(text) => Ok(Some(
-            Memory::read(&text)
-                .map_err(|rule| bad(format!("is not what trueup learn has written: {rule}")))?,
-        )),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(bad(format!("cannot be read: {error}")).into()),
+    if fs::metadata(path).is_err_and(|error| error.kind() == io::ErrorKind::NotFound) {
+        return Ok(None);
     }
+    let text = files::text(path, MOST_BYTES)?;
+    let memory = Memory::read(&text);
+    Ok(Some(memory.map_err(|rule| bad(format!("is not what trueup learn has written: {rule}")))?))
 }
 
 /// Both files; what is known first, for with it the other can be made again.
@@ -163,8 +165,10 @@ fn save(
     memory: &Memory,
 ) -> Result<()> {
     let json = memory.write()?;
-    output::write_whole(known, inputs, |out| out.write_all(json.as_bytes()))?;
-    output::write_whole(&args.output, inputs, |out| out.write_all(machine.as_bytes()))
+    let mut set = FileSet::new(inputs);
+    set.text(known, &json)?;
+    set.text(&args.output, machine)?;
+    set.commit()
 }
 
 fn undo(args: &Learn, source: &str, known: &Path, memory: Option<Memory>) -> Result<Outcome> {

@@ -1,7 +1,7 @@
 //! `trueup linuxcnc`: the bridge as a component of LinuxCNC's HAL.
 
 use std::{
-    fs::{self, OpenOptions},
+    fs::OpenOptions,
     path::{Path, PathBuf},
     sync::{
         Arc,
@@ -27,7 +27,9 @@ use trueup_linuxcnc::{
     run::{self, Learned, Settings},
 };
 use trueup_machine::{
-    Machine, MachineFile, compile, file::LinearAxis, model::over_compensation_um,
+    Machine, MachineFile, bounded, compile,
+    file::{LinearAxis, MOST_BYTES},
+    model::over_compensation_um,
 };
 use trueup_output::{escape::one_line, queue::Queue};
 
@@ -228,7 +230,7 @@ fn watch(path: PathBuf, machine: Machine) -> Receiver<Learned> {
     std::thread::spawn(move || {
         let mut before = None;
         loop {
-            let now = fs::read_to_string(&path).map_err(|error| error.to_string());
+            let now = bounded::read_text(&path, MOST_BYTES).map_err(|error| error.rule);
             if before.as_ref() != Some(&now) {
                 if sender.send(learned(&machine, &path, &now)).is_err() {
                     return;
@@ -273,8 +275,7 @@ fn nanometres(um: f64) -> i32 {
 
 fn read_ini(path: &PathBuf) -> Result<Ini> {
     let name = path.display();
-    let text =
-        std::fs::read_to_string(path).map_err(|error| UserError(format!("{name}: {error}")))?;
+    let text = files::text(path, MOST_BYTES)?;
     Ok(Ini::parse(&text).map_err(|error| UserError(format!("{name}:{error}")))?)
 }
 

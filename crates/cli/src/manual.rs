@@ -7,7 +7,10 @@ use anyhow::{Context as _, Result};
 use clap::{Args, Command};
 use clap_complete::Shell;
 
-use crate::{Outcome, output};
+use crate::{
+    Outcome,
+    output::{self, FileSet},
+};
 
 /// Prints what a shell completes this tool's commands and options with.
 ///
@@ -40,12 +43,18 @@ pub fn completions(args: &Completions, mut tool: Command) -> Result<Outcome> {
 /// Writes the pages.
 pub fn man(args: &Man, tool: Command, as_json: bool) -> Result<Outcome> {
     fs::create_dir_all(&args.folder).with_context(|| args.folder.display().to_string())?;
-    clap_mangen::generate_to(tool.disable_help_subcommand(true), &args.folder)?;
-    let entries = fs::read_dir(&args.folder)?;
-    let names = entries.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned()));
+    let made = tempfile::Builder::new().prefix("trueup-man-").tempdir()?;
+    clap_mangen::generate_to(tool.disable_help_subcommand(true), made.path())?;
+    let names =
+        fs::read_dir(&made)?.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned()));
     let mut pages: Vec<String> = names.collect::<Result<_>>()?;
-    pages.retain(|name| name.starts_with("trueup") && name.ends_with(".1"));
     pages.sort();
+    let mut set = FileSet::new(&[]);
+    for page in &pages {
+        let bytes = fs::read(made.path().join(page))?;
+        set.add(&args.folder.join(page), |out| out.write_all(&bytes))?;
+    }
+    set.commit()?;
     output::list(&args.folder, &pages, as_json)?;
     Ok(Outcome::Done)
 }

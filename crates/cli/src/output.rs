@@ -9,6 +9,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
+use tempfile::{NamedTempFile, TempPath};
 
 use crate::UserError;
 
@@ -25,37 +26,119 @@ pub fn write_whole<T>(
     inputs: &[&Path],
     write: impl FnOnce(&mut dyn Write) -> io::Result<T>,
 ) -> Result<T> {
-    if is_standard_output(path) {
-        IS_TAKEN.store(true, Ordering::Relaxed);
-        let mut out = BufWriter::new(trueup_output::Output);
-        let written = write(&mut out).and_then(|result| out.flush().map(|()| result));
-        return written.context("standard output cannot be written");
-    }
-    check_target(path, inputs)?;
-    // A link is followed, so that the file it leads to is written and not the link.
-    let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
-    let cannot =
-        |error: io::Error| UserError(format!("{}: cannot be written: {error}", path.display()));
-    let during = || format!("while writing {}", path.display());
-
-    match fs::metadata(&target) {
-        // A device or a pipe has no content to keep, and its name must stay its own.
-        Ok(there) if !there.is_file() => {
-            let out = OpenOptions::new().write(true).open(&target).map_err(cannot)?;
-            let mut out = BufWriter::new(out);
-            return write(&mut out)
-                .and_then(|result| out.flush().map(|()| result))
-                .with_context(during);
-        }
-        _ => {}
-    }
-    let beside = beside(&target).map_err(cannot)?;
-    let mut out = BufWriter::new(beside);
-    let result = write(&mut out).with_context(during)?;
-    let beside = out.into_inner().map_err(io::IntoInnerError::into_error).with_context(during)?;
-    beside.as_file().sync_all().with_context(during)?;
-    beside.persist(&target).map_err(|error| cannot(error.error))?;
+    let mut set = FileSet::new(inputs);
+    let result = set.add(path, write)?;
+    set.commit()?;
     Ok(result)
+}
+
+/// Files that take their places together: none of them is changed until all are written, and if one cannot take its
+/// place, those before it are put back.
+pub struct FileSet<'i> {
+    inputs: &'i [&'i Path],
+    staged: Vec<Staged>,
+}
+
+/// A file that is written, and waits for its place.
+struct Staged {
+    /// `None`: what stands there goes.
+    new: Option<NamedTempFile>,
+    target: PathBuf,
+    /// As the user names it.
+    path: PathBuf,
+}
+
+impl<'i> FileSet<'i> {
+    /// An empty set; `inputs` are never written over.
+    pub fn new(inputs: &'i [&'i Path]) -> Self {
+        Self { inputs, staged: Vec::new() }
+    }
+
+    /// Writes a file by `write`, in the folder of its place. A device or a pipe gets it at once.
+    pub fn add<T>(
+        &mut self,
+        path: &Path,
+        write: impl FnOnce(&mut dyn Write) -> io::Result<T>,
+    ) -> Result<T> {
+        if is_standard_output(path) {
+            IS_TAKEN.store(true, Ordering::Relaxed);
+            let mut out = BufWriter::new(trueup_output::Output);
+            let written = write(&mut out).and_then(|result| out.flush().map(|()| result));
+            return written.context("standard output cannot be written");
+        }
+        let during = || format!("while writing {}", path.display());
+        let target = self.target(path)?;
+        match fs::metadata(&target) {
+            // A device or a pipe has no content to keep, and its name must stay its own.
+            Ok(there) if !there.is_file() => {
+                let out = OpenOptions::new().write(true).open(&target);
+                let mut out = BufWriter::new(out.map_err(|error| cannot(path, &error))?);
+                return write(&mut out)
+                    .and_then(|result| out.flush().map(|()| result))
+                    .with_context(during);
+            }
+            _ => {}
+        }
+        let new = beside(&target).map_err(|error| cannot(path, &error))?;
+        let mut out = BufWriter::new(new);
+        let result = write(&mut out).with_context(during)?;
+        let new = out.into_inner().map_err(io::IntoInnerError::into_error).with_context(during)?;
+        new.as_file().sync_all().with_context(during)?;
+        self.staged.push(Staged { new: Some(new), target, path: path.into() });
+        Ok(result)
+    }
+
+    /// Adds a file by its text.
+    pub fn text(&mut self, path: &Path, text: &str) -> Result<()> {
+        self.add(path, |out| out.write_all(text.as_bytes()))
+    }
+
+    /// Lets a file of an earlier set go, which this one has none of.
+    pub fn remove(&mut self, path: &Path) -> Result<()> {
+        let target = self.target(path)?;
+        if target.is_file() {
+            self.staged.push(Staged { new: None, target, path: path.into() });
+        }
+        Ok(())
+    }
+
+    /// Gives every file its place.
+    pub fn commit(self) -> Result<()> {
+        // What stood there, for the case that a later one fails; a set of one needs none.
+        let mut done: Vec<(PathBuf, Option<TempPath>)> = Vec::new();
+        let is_set = self.staged.len() > 1;
+        for Staged { new, target, path } in self.staged {
+            let placed = kept(&target, is_set).and_then(|old| {
+                match new {
+                    Some(new) => drop(new.persist(&target).map_err(|error| error.error)?),
+                    None => fs::remove_file(&target)?,
+                }
+                Ok(old)
+            });
+            match placed {
+                Ok(old) => done.push((target, old)),
+                Err(error) => {
+                    for (target, old) in done.into_iter().rev() {
+                        // The first failure is what is reported.
+                        _ = match old {
+                            Some(old) => old.persist(&target).map_err(|error| error.error),
+                            None => fs::remove_file(&target),
+                        };
+                    }
+                    return Err(cannot(&path, &error).into());
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The file that a path leads to, which is no input.
+    fn target(&self, path: &Path) -> Result<PathBuf> {
+        check_target(path, self.inputs)?;
+        // A link is followed, so that the file it leads to is written and not the link.
+        let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
+        Ok(target)
+    }
 }
 
 /// Refuses what [`write_whole`] would, before anything is written: for commands that write several files of which one
@@ -83,15 +166,31 @@ pub fn check_target(path: &Path, inputs: &[&Path]) -> Result<(), UserError> {
     }
 }
 
-/// Writes a program, or the run file that is filled in beside it. A run file that is there with anything else
-/// in it stays: somebody has filled it in, and that is hours of work.
-pub fn write_measurement(path: &Path, inputs: &[&Path], text: &str) -> Result<()> {
+fn cannot(path: &Path, error: &io::Error) -> UserError {
+    UserError(format!("{}: cannot be written: {error}", path.display()))
+}
+
+/// The file at `target` under a second name, if there is one and it is wanted.
+fn kept(target: &Path, is_wanted: bool) -> io::Result<Option<TempPath>> {
+    if !is_wanted || !target.exists() {
+        return Ok(None);
+    }
+    let name = beside(target)?.into_temp_path();
+    fs::remove_file(&name)?;
+    // A file system without hard links has a copy.
+    fs::hard_link(target, &name).or_else(|_| fs::copy(target, &name).map(drop))?;
+    Ok(Some(name))
+}
+
+/// Refuses to write over a run file that is there with anything else in it than `text`: somebody has filled it in, and
+/// that is hours of work.
+pub fn check_measurement(path: &Path, text: &str) -> Result<(), UserError> {
     let is_run = path.extension().is_some_and(|kind| kind == "csv");
     if is_run && fs::read_to_string(path).is_ok_and(|there| there != text) {
         let rule = "is there already, and not empty: move it away first";
-        return Err(UserError(format!("{}: {rule}", path.display())).into());
+        return Err(UserError(format!("{}: {rule}", path.display())));
     }
-    write_whole(path, inputs, |out| out.write_all(text.as_bytes()))
+    Ok(())
 }
 
 /// Whether a path stands for standard output.
@@ -100,7 +199,7 @@ pub fn is_standard_output(path: &Path) -> bool {
 }
 
 /// An empty file in the folder of `target`, removed unless it is given a name.
-fn beside(target: &Path) -> io::Result<tempfile::NamedTempFile> {
+fn beside(target: &Path) -> io::Result<NamedTempFile> {
     let folder = match target.parent() {
         Some(folder) if folder != Path::new("") => folder.to_path_buf(),
         _ => PathBuf::from("."),

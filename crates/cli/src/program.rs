@@ -11,7 +11,11 @@ use trueup_machine::{Machine, file::LinearAxis};
 use trueup_program::{Gauge, Kind, Options, control, plans, template};
 
 pub use self::motion::Motion;
-use crate::{Outcome, UserError, files, output, report};
+use crate::{
+    Outcome, UserError, files,
+    output::{self, FileSet},
+    report,
+};
 
 /// Writes the program that measures a machine, for your control, and the run file to be filled in.
 ///
@@ -148,6 +152,9 @@ pub fn run(args: &Program, as_json: bool) -> Result<Outcome> {
     fs::create_dir_all(&args.out)
         .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
     let mut written = Vec::new();
+    let inputs = [args.machine.as_path()];
+    let mut set = FileSet::new(&inputs);
+    let mut lines = Vec::new();
     for plan in &plans {
         let (name, text) = control::program(plan, control);
         let templates = template::templates(plan);
@@ -164,16 +171,19 @@ pub fn run(args: &Program, as_json: bool) -> Result<Outcome> {
                 extent.map(|[low, high]| format!(", {axis} {low} to {high} mm"))
             });
             let ways: String = ways.collect();
-            output::print(format_args!(
+            lines.push(format!(
                 "{name}: {readings} readings, at least {minutes:.0} min{ways}; fill in {}\n  then: {}",
                 runs.join(", "),
                 plan.then
-            ))?;
+            ));
         }
         for (name, text) in [(name, text)].into_iter().chain(templates.iter().cloned()) {
-            output::write_measurement(&args.out.join(name), &[&args.machine], &text)?;
+            output::check_measurement(&args.out.join(&name), &text)?;
+            set.text(&args.out.join(name), &text)?;
         }
     }
+    set.commit()?;
+    lines.iter().try_for_each(output::print)?;
     if as_json {
         output::print(json!({ "output": args.out.to_string_lossy(), "programs": written }))?;
     }

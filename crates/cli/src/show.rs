@@ -1,18 +1,21 @@
 //! `trueup show`: a blob back into a machine file.
 
-use std::{fs, path::Path};
+use std::path::Path;
 
 use anyhow::Result;
 use serde_json::json;
 use trueup_machine::{check::ranges, compile::inverse, show};
 use trueup_store::calibration::{decode, whole};
 
-use crate::{Outcome, UserError, output, report};
+use crate::{Outcome, UserError, files, output, report};
+
+/// Above any calibration, and what may follow it in its file.
+pub const MOST_BYTES: u64 = 1 << 20;
 
 /// Prints the calibration in the file `from`.
 pub fn run(from: &Path, as_json: bool) -> Result<Outcome> {
     let bad = |rule: String| UserError(format!("{}: {rule}", from.display()));
-    let bytes = fs::read(from).map_err(|error| bad(format!("cannot be read: {error}")))?;
+    let bytes = files::bytes(from, MOST_BYTES)?;
     let calibration = decode(&bytes).map_err(|error| bad(error.to_string()))?;
     let more = bytes.len() - whole(&bytes).map_or(bytes.len(), <[u8]>::len);
     if more > 0 {

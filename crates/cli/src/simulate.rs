@@ -1,12 +1,12 @@
 //! `trueup simulate`: what the virtual machine tool measures in a scenario.
 
-use std::{fs, path::PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde_json::json;
-use trueup_machine::{BadInput, Location};
+use trueup_machine::{BadInput, Location, bounded, file::MOST_BYTES};
 use trueup_twin::{Scenario, simulate};
 
 use crate::{Outcome, output};
@@ -34,7 +34,7 @@ pub fn run(args: &Simulate, as_json: bool) -> Result<Outcome> {
     let bad = |line, column, rule: &str| {
         BadInput::new(Location { file: path.clone(), line, column }, rule)
     };
-    let bytes = fs::read(path).map_err(|error| bad(1, 1, &format!("cannot be read: {error}")))?;
+    let bytes = bounded::read(path, MOST_BYTES)?;
     let text = String::from_utf8(bytes).map_err(|error| {
         let valid = String::from_utf8_lossy(&error.as_bytes()[..error.utf8_error().valid_up_to()]);
         let place = Location::at_byte(path, &valid, valid.len());

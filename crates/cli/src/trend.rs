@@ -6,7 +6,13 @@ use anyhow::Result;
 use clap::Args;
 use trueup_compare::{dated, page, trend::trends};
 
-use crate::{Outcome, UserError, diagnose::above_zero, files, output, report};
+use crate::{
+    Outcome, UserError,
+    diagnose::above_zero,
+    files,
+    output::{self, FileSet},
+    report,
+};
 
 /// Shows how backlash, pitch and other constants change over dated run files or machine files, and when to
 /// measure again.
@@ -63,9 +69,11 @@ pub fn run(args: &Trend, as_json: bool) -> Result<Outcome> {
         fs::create_dir_all(folder)
             .map_err(|error| UserError(format!("{}: cannot be made: {error}", folder.display())))?;
         let html = page::of_trends(&found, &args.folder.display().to_string());
+        let mut set = FileSet::new(&[]);
         for (name, text) in [("trend.json", format!("{json}\n")), ("report.html", html)] {
-            output::write_whole(&folder.join(name), &[], |out| out.write_all(text.as_bytes()))?;
+            set.text(&folder.join(name), &text)?;
         }
+        set.commit()?;
     }
     if as_json {
         output::print(json)?;

@@ -11,7 +11,7 @@ use trueup_link::{
     slcan::Event,
 };
 
-use trueup_store::calibration::{MAX_LINK_TIMEOUT_MS, decode};
+use trueup_store::calibration::{MAX_LINK_TIMEOUT_MS, decode, identity};
 
 use crate::{
     object::{self, ACCEPTED, AUTHORITY, DROP_NEW, NEW, NEW_CRC, RUNNING, RUNNING_CRC, UTC},
@@ -153,7 +153,13 @@ pub fn running(
 ) -> Result<Option<Vec<u8>>> {
     match object::number(session, RUNNING_CRC)? {
         0 => Ok(None),
-        _ => object::read(session, RUNNING, progress).map(Some),
+        crc => {
+            let blob = object::read(session, RUNNING, progress)?;
+            if identity(&blob) != crc {
+                bail!("the calibration that the bridge has sent is not the one of its CRC {crc:08x}: try again");
+            }
+            Ok(Some(blob))
+        }
     }
 }
 

@@ -10,9 +10,10 @@ use anyhow::{Context as _, Result};
 pub use trueup_canopen::dictionary::{NOT_AVAILABLE, TASKS};
 use trueup_canopen::emergency::Faults;
 pub use trueup_canopen::sdo::client::At;
-use trueup_canopen::sdo::client::{ClientError, Download, Progress, Upload, give_up};
+use trueup_canopen::sdo::client::{ClientError, Download, MAX_UPLOAD, Progress, Upload, give_up};
 use trueup_core::learned::PARTS;
 use trueup_link::{frame::Frame, frames, slcan::Event};
+use trueup_output::escape::one_line;
 
 use crate::{
     patience::{LOOK, Patience},
@@ -102,24 +103,67 @@ impl fmt::Display for NoAnswer {
 
 impl Error for NoAnswer {}
 
+/// An object comes more slowly than any bridge sends; after this many bytes.
+#[derive(Debug)]
+struct TooSlow(At, u32);
+
+impl fmt::Display for TooSlow {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self((index, subindex), bytes) = self;
+        write!(
+            f,
+            "object {index:04X}:{subindex}: {bytes} bytes have come, too slowly; is it a bridge?"
+        )
+    }
+}
+
+impl Error for TooSlow {}
+
+/// The most bytes of a text: names and versions have at most 64.
+const MAX_TEXT: u32 = 256;
+/// A transfer may last so long, and this for each byte more: a bridge that is emulated on a busy computer sends a segment of
+/// seven bytes in less than 0.35 s.
+const TRANSFER_TIME: Duration = Duration::from_secs(30);
+const TIME_PER_BYTE: Duration = Duration::from_millis(50);
+
 /// Reads an object. `progress` hears how many bytes have come, and of how many.
 ///
-/// A frame may be lost on the line, and reading changes nothing: it is tried twice.
+/// A frame may be lost on the line, and reading changes nothing: it is tried twice. No object is read beyond
+/// [`MAX_UPLOAD`] bytes, nor slower than a bridge can be.
 ///
 /// # Errors
 /// The bridge refuses or does not answer, or the line is broken.
 pub fn read(
     session: &mut Session,
     at: At,
+    progress: impl FnMut(usize, Option<u32>),
+) -> Result<Vec<u8>> {
+    read_at_most(session, at, MAX_UPLOAD, progress)
+}
+
+fn read_at_most(
+    session: &mut Session,
+    at: At,
+    most: u32,
     mut progress: impl FnMut(usize, Option<u32>),
 ) -> Result<Vec<u8>> {
-    match read_once(session, at, &mut progress) {
-        Err(error) if may_be_the_line(&error) => {
-            session.send(&give_up(at))?;
-            read_once(session, at, &mut progress)
-        }
-        read => read,
+    let mut read = read_once(session, at, most, &mut progress);
+    if read.as_ref().is_err_and(may_be_the_line) {
+        session.send(&give_up(at))?;
+        read = read_once(session, at, most, &mut progress);
     }
+    if read.as_ref().is_err_and(is_endless) {
+        session.send(&give_up(at))?;
+    }
+    read
+}
+
+fn is_endless(error: &anyhow::Error) -> bool {
+    error.is::<TooSlow>()
+        || matches!(
+            error.downcast_ref(),
+            Some(ClientError::TooLong { .. } | ClientError::TooShort { .. })
+        )
 }
 
 fn may_be_the_line(error: &anyhow::Error) -> bool {
@@ -130,12 +174,18 @@ fn may_be_the_line(error: &anyhow::Error) -> bool {
 fn read_once(
     session: &mut Session,
     at: At,
+    most: u32,
     progress: &mut impl FnMut(usize, Option<u32>),
 ) -> Result<Vec<u8>> {
-    let (mut upload, first) = Upload::start(at);
+    let (mut upload, first) = Upload::start_at_most(at, most);
     let mut bytes = Vec::new();
+    let start = Instant::now();
     transfer(session, at, first, |frame| {
         let next = upload.hear(frame, &mut bytes)?;
+        let count = u32::try_from(bytes.len()).unwrap_or(u32::MAX);
+        if start.elapsed() > TRANSFER_TIME + TIME_PER_BYTE * count {
+            return Err(TooSlow(at, count).into());
+        }
         progress(bytes.len(), upload.announced());
         Ok(next)
     })?;
@@ -145,9 +195,12 @@ fn read_once(
 /// Reads a number of up to 32 bits.
 ///
 /// # Errors
-/// As [`read`].
+/// As [`read`]; it has no byte, or more than four.
 pub fn number(session: &mut Session, at: At) -> Result<u32> {
-    let bytes = read(session, at, |_, _| ())?;
+    let bytes = read_at_most(session, at, 4, |_, _| ())?;
+    if bytes.is_empty() {
+        return Err(ClientError::TooShort { at }.into());
+    }
     let mut number = [0; 4];
     number.iter_mut().zip(bytes).for_each(|(place, byte)| *place = byte);
     Ok(u32::from_le_bytes(number))
@@ -165,12 +218,13 @@ pub fn faults(session: &mut Session) -> Result<Faults> {
     Ok(Faults::from_words(number(session, low)?, high))
 }
 
-/// Reads a text.
+/// Reads a text, control and bidirectional characters escaped: who answers may be no bridge.
 ///
 /// # Errors
 /// As [`read`].
 pub fn text(session: &mut Session, at: At) -> Result<String> {
-    Ok(String::from_utf8_lossy(&read(session, at, |_, _| ())?).into_owned())
+    let bytes = read_at_most(session, at, MAX_TEXT, |_, _| ())?;
+    Ok(one_line(&String::from_utf8_lossy(&bytes)))
 }
 
 /// Writes an object. `progress` hears how many bytes were sent.

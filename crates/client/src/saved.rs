@@ -106,6 +106,9 @@ impl SavedBoard {
         let Some(calibration) = load::running(session, progress)? else {
             bail!("the bridge has no valid calibration: there is nothing to save");
         };
+        if let Err(rule) = decode(&calibration) {
+            bail!("the calibration that the bridge has sent is damaged ({rule}): nothing is saved; try again");
+        }
         let crc = identity(&calibration);
         let waiting = match object::number(session, object::NEW_CRC)? {
             0 => None,

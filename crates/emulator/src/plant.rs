@@ -6,7 +6,7 @@
 
 use std::{
     collections::BTreeMap,
-    io::{BufRead, BufReader, ErrorKind, Write},
+    io::{BufRead, BufReader, ErrorKind, Read as _, Write},
     net::TcpStream,
     time::Duration,
 };
@@ -44,7 +44,8 @@ pub struct Answer {
 /// A connected plant.
 pub struct Plant {
     lines: BufReader<TcpStream>,
-    line: String,
+    /// The line that is being read.
+    bytes: Vec<u8>,
     number: usize,
     peer: String,
     last_s: Option<f64>,
@@ -53,6 +54,8 @@ pub struct Plant {
     pub last_answer: Answer,
 }
 
+/// A step has a few numbers; what is longer has no end.
+const MOST_BYTES: u64 = 1 << 16;
 /// How often a plant that thinks is looked after.
 const PATIENCE: Duration = Duration::from_millis(200);
 
@@ -74,7 +77,7 @@ impl Plant {
         let peer = format!("plant at tcp:{address}");
         Ok(Self {
             lines: BufReader::new(stream),
-            line: String::new(),
+            bytes: Vec::new(),
             number: 0,
             peer,
             last_s: None,
@@ -93,10 +96,16 @@ impl Plant {
         &mut self,
         mut is_over: impl FnMut() -> Result<bool>,
     ) -> Result<Option<(Situation, u32)>> {
-        self.line.clear();
+        self.bytes.clear();
         loop {
-            match self.lines.read_line(&mut self.line) {
-                Ok(0) => return Ok(None),
+            let room = MOST_BYTES.saturating_sub(self.bytes.len() as u64);
+            match (&mut self.lines).take(room).read_until(b'\n', &mut self.bytes) {
+                Ok(_) if self.bytes.len() as u64 >= MOST_BYTES => bail!(
+                    "{}, line {}: is longer than {MOST_BYTES} bytes",
+                    self.peer,
+                    self.number.saturating_add(1)
+                ),
+                Ok(0) if self.bytes.is_empty() => return Ok(None),
                 Ok(_) => break,
                 Err(error)
                     if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) =>
@@ -105,19 +114,15 @@ impl Plant {
                         return Ok(None);
                     }
                 }
-                Err(error) if error.kind() == ErrorKind::InvalidData => {
-                    bail!(
-                        "{}, line {}: this is not UTF-8",
-                        self.peer,
-                        self.number.saturating_add(1)
-                    );
-                }
                 Err(error) => return Err(error).context("the line to the plant is broken"),
             }
         }
         self.number += 1;
         let place = format!("{}, line {}", self.peer, self.number);
-        let step: Step = serde_json::from_str(&self.line)
+        let Ok(line) = std::str::from_utf8(&self.bytes) else {
+            bail!("{place}: this is not UTF-8")
+        };
+        let step: Step = serde_json::from_str(line)
             .map_err(|error| anyhow!("{place}, column {}: {error}", error.column()))?;
         let last_s = self.last_s.unwrap_or(step.t_s - 0.001);
         let ms = ((step.t_s - last_s) * 1_000.0).round();

@@ -69,6 +69,19 @@ impl Bank {
         }
     }
 
+    /// Returns true if its parts fit together, for so many values that last.
+    pub fn is_whole(&self, values: usize) -> bool {
+        let of = |side: &Side, filters: usize| {
+            side.filters.len() == filters
+                && side.weights.len() == filters
+                && side.weights.iter().all(|weight| (0.0..=1.0).contains(weight))
+                && side.filters.iter().all(|filter| filter.is_whole(values))
+        };
+        of(&self.file, MEMORIES_S.len())
+            && of(&self.learned, MEMORIES_S.len() * HORIZONS_S.len())
+            && (0.0..=ENOUGH.ln()).contains(&self.evidence)
+    }
+
     /// What is believed of the zero (in µm) and of the shares of the constants; `None`: the file as it is.
     pub fn believed(&self) -> Option<Vec<f64>> {
         self.is_applied.then(|| self.learned.lasting())

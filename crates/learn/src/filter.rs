@@ -100,6 +100,17 @@ impl Filter {
         self.noise_um
     }
 
+    /// Returns true if its parts fit together, for so many values that last.
+    pub fn is_whole(&self, values: usize) -> bool {
+        let all = values + 1;
+        self.prior.len() == values
+            && self.x.len() == all
+            && self.p.len() == all * all
+            && self.last.iter().all(|(_, g, _)| (values..=all).contains(&g.len()))
+            && self.noise_um > 0.0
+            && [self.horizon_s, self.memory_s].iter().all(|time_s| *time_s > 0.0)
+    }
+
     /// The zero in µm, then shares.
     pub fn lasting(&self) -> &[f64] {
         &self.x[..self.prior.len()]

@@ -80,7 +80,17 @@ impl Memory {
                 "schema is {schema}, and this version reads {SCHEMA}: move it away, and learning begins anew"
             ));
         }
-        serde_json::from_str(text).map_err(|error| error.to_string())
+        let memory: Self = serde_json::from_str(text).map_err(|error| error.to_string())?;
+        let values = memory.constants.len() + 1;
+        let is_whole =
+            |bank: &Bank, applied: &[f64]| applied.len() == values && bank.is_whole(values);
+        let before = memory.changes.iter().filter_map(|change| change.before.as_ref());
+        if !is_whole(&memory.bank, &memory.applied)
+            || !before.into_iter().all(|before| is_whole(&before.bank, &before.applied))
+        {
+            return Err("its parts do not fit together, so it is damaged: move it away, and learning begins anew".into());
+        }
+        Ok(memory)
     }
 
     /// As JSON.

@@ -6,9 +6,11 @@
 use std::{
     collections::BTreeMap,
     error::Error,
-    fmt::{self, Display, Write},
+    fmt::{self, Display},
     path::{Path, PathBuf},
 };
+
+use trueup_output::escape::one_line;
 
 /// A place in a text file.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -118,15 +120,7 @@ impl BadInput {
 impl Display for BadInput {
     /// One line, whatever the user's text in the rule contains; without help and others.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: ", self.place)?;
-        for c in self.rule.chars() {
-            if c.is_control() {
-                write!(f, "{}", c.escape_default())?;
-            } else {
-                f.write_char(c)?;
-            }
-        }
-        Ok(())
+        f.write_str(&one_line(&format!("{}: {}", self.place, self.rule)))
     }
 }
 

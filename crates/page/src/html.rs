@@ -2,6 +2,8 @@
 
 use std::fmt::{Display, Write as _};
 
+use trueup_output::escape;
+
 /// One style for all pages. Colours are variables, so that a picture turns dark with its page; on paper
 /// everything is dark on white, and no picture or table is cut by the end of a sheet.
 const STYLE: &str = "\
@@ -182,9 +184,10 @@ impl Table {
     }
 }
 
-/// `text` with what HTML takes for its own written out.
+/// `text` with what HTML takes for its own, and what turns the direction of a line, written out.
 #[must_use]
 pub fn escaped(text: &str) -> String {
+    let text = escape::lines(text);
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 

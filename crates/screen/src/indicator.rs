@@ -118,6 +118,9 @@ impl Indicator {
     }
 }
 
+/// A reading has a few digits.
+const MOST_BYTES: usize = 4_096;
+
 /// A line, which CR or LF ends; how many bytes were taken.
 fn until_end(reader: &mut impl io::BufRead, line: &mut Vec<u8>) -> io::Result<usize> {
     let mut taken = 0;
@@ -125,6 +128,11 @@ fn until_end(reader: &mut impl io::BufRead, line: &mut Vec<u8>) -> io::Result<us
         let buffer = reader.fill_buf()?;
         if buffer.is_empty() {
             return Ok(taken);
+        }
+        if line.len() > MOST_BYTES {
+            return Err(io::Error::other(
+                "it sends no end of a line; is this the gauge, at this speed?",
+            ));
         }
         let end = buffer.iter().position(|byte| matches!(byte, b'\r' | b'\n'));
         let length = end.map_or(buffer.len(), |end| end + 1);

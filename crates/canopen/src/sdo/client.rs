@@ -33,6 +33,18 @@ pub enum ClientError {
         /// The eight bytes that came.
         answer: [u8; 8],
     },
+    /// The server sends or announces more bytes than the object may have, or a segment without any.
+    TooLong {
+        /// Of this object.
+        at: At,
+        /// It may have so many.
+        most: u32,
+    },
+    /// The object ends before the length that the server has announced.
+    TooShort {
+        /// Of this object.
+        at: At,
+    },
 }
 
 impl fmt::Display for ClientError {
@@ -52,6 +64,12 @@ impl fmt::Display for ClientError {
                     "object {index:04X}:{subindex}: {answer:02X?} does not answer this request"
                 )
             }
+            Self::TooLong { at: (index, subindex), most } => {
+                write!(f, "object {index:04X}:{subindex}: does not end within its {most} bytes")
+            }
+            Self::TooShort { at: (index, subindex) } => {
+                write!(f, "object {index:04X}:{subindex}: ends before its announced length")
+            }
         }
     }
 }
@@ -65,7 +83,8 @@ impl ClientError {
     pub const fn may_be_the_line(&self) -> bool {
         match *self {
             Self::Aborted { code, .. } => code == Abort::Timeout.code(),
-            Self::Unexpected { .. } => true,
+            Self::Unexpected { .. } | Self::TooShort { .. } => true,
+            Self::TooLong { .. } => false,
         }
     }
 }
@@ -77,14 +96,35 @@ pub struct Upload {
     /// `None` before the answer to the start.
     toggle: Option<bool>,
     announced: Option<u32>,
+    received: u32,
+    most: u32,
 }
+
+/// The most bytes of an object for which nothing else is known: above any calibration.
+pub const MAX_UPLOAD: u32 = 1 << 16;
 
 impl Upload {
     /// Starts it, with the first request.
     #[must_use]
     pub fn start(at: At) -> (Self, Frame) {
-        let this = Self { at, toggle: None, announced: None };
+        Self::start_at_most(at, MAX_UPLOAD)
+    }
+
+    /// The same of an object that has at most so many bytes.
+    #[must_use]
+    pub fn start_at_most(at: At, most: u32) -> (Self, Frame) {
+        let this = Self { at, toggle: None, announced: None, received: 0, most };
         (this, request(initiated(0x40, at, 0)))
+    }
+
+    /// Counts bytes that have come.
+    fn count(&mut self, length: usize) -> Result<(), ClientError> {
+        self.received = self.received.saturating_add(u32::try_from(length).unwrap_or(u32::MAX));
+        let most = self.announced.unwrap_or(self.most).min(self.most);
+        if self.received > most {
+            return Err(ClientError::TooLong { at: self.at, most });
+        }
+        Ok(())
     }
 
     /// Bytes that the server has announced; `None` before it has.
@@ -114,10 +154,15 @@ impl Upload {
                 if command & 2 == 0 {
                     self.announced = (command & 1 != 0).then(|| u32::from_le_bytes([a, b, c, d]));
                     self.toggle = Some(false);
+                    if self.announced.is_some_and(|announced| announced > self.most) {
+                        return Err(ClientError::TooLong { at: self.at, most: self.most });
+                    }
                     return Ok(Progress::Ask(request([0x60, 0, 0, 0, 0, 0, 0, 0])));
                 }
                 let unused = if command & 1 != 0 { usize::from(command >> 2 & 3) } else { 0 };
-                bytes.extend([a, b, c, d].into_iter().take(4_usize.saturating_sub(unused)));
+                let length = 4_usize.saturating_sub(unused);
+                self.count(length)?;
+                bytes.extend([a, b, c, d].into_iter().take(length));
                 Ok(Progress::Done)
             }
             // The answer to an earlier start of the same, which was given up.
@@ -125,9 +170,20 @@ impl Upload {
             (0, Some(toggle)) if is_toggled(command) == toggle => {
                 let [_, data @ ..] = answer;
                 let length = SEGMENT.saturating_sub(usize::from(command >> 1 & 7));
+                let is_last = command & 1 != 0;
+                self.count(length)?;
+                // Segments without a byte would have no end.
+                if length == 0 && !is_last {
+                    return Err(ClientError::TooLong { at: self.at, most: self.most });
+                }
                 bytes.extend(data.iter().copied().take(length));
-                if command & 1 != 0 {
-                    return Ok(Progress::Done);
+                if is_last {
+                    return match self.announced {
+                        Some(announced) if announced > self.received => {
+                            Err(ClientError::TooShort { at: self.at })
+                        }
+                        _ => Ok(Progress::Done),
+                    };
                 }
                 self.toggle = Some(!toggle);
                 Ok(Progress::Ask(request([0x60 | u8::from(!toggle) << 4, 0, 0, 0, 0, 0, 0, 0])))
@@ -301,6 +357,46 @@ mod tests {
         let all = frame([0x01, 1, 2, 3, 4, 5, 6, 7]);
         assert_eq!(upload.hear(&all, &mut bytes), Ok(Progress::Done));
         assert_eq!(bytes, [1, 2, 3, 4, 5, 6, 7]);
+    }
+
+    #[test]
+    fn an_object_that_has_no_end_or_another_length_than_announced_is_refused() {
+        let at = (0x1008, 0);
+        let frame = |data| Frame::full(SDO_ANSWER_ID, data);
+        // Announced and most bytes, how many of which length come in each segment, and how it ends.
+        for (announced, most, length, segments, ends) in [
+            (0, 21, 7, 3, "done"),
+            (0, 20, 7, 3, "long"),
+            (14, 100, 7, 2, "done"),
+            (14, 100, 7, 3, "long"),
+            (22, 100, 7, 3, "short"),
+            (101, 100, 7, 1, "long"),
+            (u32::MAX, MAX_UPLOAD, 7, 1, "long"),
+            (0, 100, 0, 2, "long"),
+            (0, 100, 0, 1, "done"),
+        ] {
+            let (mut upload, _) = Upload::start_at_most(at, most);
+            let mut bytes = Vec::new();
+            let command = if announced == 0 { 0x40 } else { 0x41 };
+            let mut last = upload.hear(&frame(initiated(command, at, announced)), &mut bytes);
+            for number in 0..segments {
+                if last.is_err() {
+                    break;
+                }
+                let is_last = number + 1 == segments;
+                let toggle = u8::from(number % 2 == 1) << 4;
+                let head = toggle | (7 - length) << 1 | u8::from(is_last);
+                last = upload.hear(&frame([head, 1, 2, 3, 4, 5, 6, 7]), &mut bytes);
+            }
+            let what = match last {
+                Ok(Progress::Done) => "done",
+                Err(ClientError::TooLong { .. }) => "long",
+                Err(ClientError::TooShort { .. }) => "short",
+                _ => "neither",
+            };
+            assert_eq!(what, ends, "{announced} {most} {length} {segments}: {last:?}");
+            assert!(bytes.len() <= usize::try_from(most).expect("small"));
+        }
     }
 
     proptest! {

@@ -28,7 +28,10 @@ use super::{
     Port,
     load::{How, Loaded, agreed, put},
 };
-use crate::{Outcome, UserError, output, report};
+use crate::{Outcome, UserError, files, output, report};
+
+/// No save file has more: a calibration of 16 KiB, twice in hexadecimal digits, and a log.
+const MOST_BYTES: u64 = 1 << 20;
 
 #[derive(Args)]
 pub struct Save {
@@ -109,7 +112,7 @@ fn other_content(file: &Path, owner: &Owner) -> Option<String> {
     if output::is_standard_output(file) || !fs::metadata(file).is_ok_and(|it| it.is_file()) {
         return None;
     }
-    let text = fs::read_to_string(file).unwrap_or_else(|_| "?".into());
+    let text = files::text(file, MOST_BYTES).unwrap_or_else(|_| "?".into());
     if text.is_empty() {
         return None;
     }
@@ -139,7 +142,7 @@ impl Restored {
 /// Reads a file that `save` wrote.
 pub fn read(file: &Path) -> Result<SavedBoard, UserError> {
     let bad = |rule: String| UserError(format!("{}: {rule}", file.display()));
-    let text = fs::read_to_string(file).map_err(|error| bad(format!("cannot be read: {error}")))?;
+    let text = files::text(file, MOST_BYTES)?;
     SavedBoard::parse(&text).map_err(bad)
 }
 

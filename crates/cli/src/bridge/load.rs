@@ -2,7 +2,6 @@
 //! put to use.
 
 use std::{
-    fs,
     io::{IsTerminal as _, stdin},
     path::{Path, PathBuf},
 };
@@ -29,7 +28,7 @@ use trueup_machine::{
 use trueup_store::calibration::{decode, identity, whole};
 
 use super::{Port, asks::Asks, who};
-use crate::{Outcome, UserError, files, output, report};
+use crate::{Outcome, UserError, files, output, report, show::MOST_BYTES};
 
 #[derive(Args)]
 pub struct Load {
@@ -137,7 +136,7 @@ pub fn run(args: &Load, as_json: bool) -> Result<Outcome> {
 /// The calibration in a file, without what follows it.
 fn read(path: &Path) -> Result<Vec<u8>> {
     let bad = |rule: String| UserError(format!("{}: {rule}", path.display()));
-    let bytes = fs::read(path).map_err(|error| bad(format!("cannot be read: {error}")))?;
+    let bytes = files::bytes(path, MOST_BYTES)?;
     let calibration = decode(&bytes).map_err(|error| bad(error.to_string()))?;
     let machine = inverse(&calibration);
     files::refuse_or_warn(&path.display().to_string(), &ranges(&machine))?;

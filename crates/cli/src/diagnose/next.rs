@@ -10,7 +10,7 @@ use trueup_program::{
 };
 
 use crate::{
-    output,
+    output::{self, FileSet},
     program::{For, Motion},
     report,
 };
@@ -79,9 +79,12 @@ pub fn write(
         ("next.json".into(), serde_json::to_string_pretty(&next)? + "\n"),
     ];
     texts.extend(template::templates(&plan));
+    let mut set = FileSet::new(&[]);
     for (file, text) in texts {
-        output::write_measurement(&out.join(file), &[], &text)?;
+        output::check_measurement(&out.join(&file), &text)?;
+        set.text(&out.join(file), &text)?;
     }
+    set.commit()?;
     if as_json {
         return Ok(());
     }

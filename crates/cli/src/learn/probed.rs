@@ -1,7 +1,6 @@
 //! A reading of this moment beside the record of the hours before it.
 
 use std::{
-    fs,
     path::Path,
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
@@ -9,7 +8,10 @@ use std::{
 use anyhow::Result;
 use trueup_machine::{RunFile, file::Quantity};
 
-use crate::UserError;
+use crate::{UserError, files};
+
+/// The record has the last hours: some megabytes.
+const MOST_BYTES: u64 = 64 << 20;
 
 /// A record that is older belongs to another moment: `trueup linuxcnc --record` writes a row every two seconds.
 const OLDEST_S: f64 = 60.0;
@@ -25,7 +27,7 @@ pub fn with_reading(
     now: SystemTime,
 ) -> Result<RunFile> {
     let bad = |rule: String| UserError(format!("{}: {rule}", path.display()));
-    let text = fs::read_to_string(path).map_err(|error| bad(format!("cannot be read: {error}")))?;
+    let text = files::text(path, MOST_BYTES)?;
     let measured = quantity.unwrap_or(Quantity::Elongation).name();
     let mut lines = text.lines();
     let header = lines.next().unwrap_or_default();
@@ -53,6 +55,7 @@ pub fn with_reading(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs;
 
     #[test]
     fn a_reading_stands_in_the_last_row_and_an_old_record_takes_none() {

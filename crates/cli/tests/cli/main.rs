@@ -12,6 +12,7 @@ mod diagnose;
 mod export;
 mod files;
 mod fit;
+mod hostile;
 mod install;
 mod learn;
 mod linuxcnc;

@@ -4,6 +4,7 @@
 use std::{collections::HashMap, io::BufRead, path::Path, sync::Arc};
 
 use rayon::prelude::*;
+use trueup_output::escape::one_line;
 
 use super::{
     cells::Cells,
@@ -98,7 +99,9 @@ impl<'p> Reading<'p> {
         let mut first_of_name = HashMap::new();
         for field in Fields::of(&line.text, separator) {
             let field = field.map_err(|fault| bad_quote(line, path, fault))?;
-            let name = field.text.trim();
+            // What would move a terminal's cursor is written out from here on, in every report and file.
+            let shown = one_line(field.text.trim());
+            let name = shown.as_str();
             let bad = |rule: String| BadInput::new(line.place(path, field.column), rule);
             let number = columns.len() + 1;
             // Where these are wrong nobody knows what the rows should be.
@@ -111,7 +114,7 @@ impl<'p> Reading<'p> {
                     "write a row before it with a name for each column, as in time_s,sensor_counts",
                 ));
             }
-            if name.contains('\t') {
+            if field.text.trim().contains('\t') {
                 return Err(bad("columns must be separated by , or ; and not by tabs".into()));
             }
             if columns.len() == MOST_COLUMNS {

@@ -1,6 +1,7 @@
 //! How a value looks in a machine file, and where in a document its key stands.
 
 use toml_edit::{Array, InlineTable, Item, Table, TableLike};
+use trueup_output::escape::one_line;
 
 use super::section::Value;
 
@@ -65,7 +66,7 @@ pub(super) fn set(table: &mut dyn TableLike, key: &str, new: &Value, note: Optio
         }
         _ => {
             if let Some(note) = note {
-                new.decor_mut().set_suffix(format!(" # {note}"));
+                new.decor_mut().set_suffix(format!(" # {}", one_line(note)));
             }
             table.insert(key, Item::Value(new));
         }
@@ -75,7 +76,8 @@ pub(super) fn set(table: &mut dyn TableLike, key: &str, new: &Value, note: Optio
 /// A table under a header of its own, `remarks` above it.
 pub(super) fn table(remarks: &[String]) -> Table {
     let mut table = Table::new();
-    let remarks: String = remarks.iter().map(|remark| format!("# {remark}\n")).collect();
+    let remarks: String =
+        remarks.iter().map(|remark| format!("# {}\n", one_line(remark))).collect();
     table.decor_mut().set_prefix(format!("\n{remarks}"));
     table
 }
