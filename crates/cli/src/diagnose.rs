@@ -4,11 +4,12 @@ mod next;
 
 use std::{
     env, fs,
+    io::Write as _,
     path::{Path, PathBuf},
     time::Duration,
 };
 
-use anyhow::Result;
+use anyhow::{Context as _, Result};
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use trueup_diagnose::{Diagnosis, MISSING_INPUTS, Options, Verdict, diagnose_for};
@@ -17,6 +18,7 @@ use trueup_machine::{
     compile::{check_slopes, compile},
     file,
 };
+use trueup_output::escape::one_line;
 use trueup_page::{micrometres, significant};
 
 use crate::{
@@ -173,13 +175,15 @@ fn refused(believed: &Machine, extended: &Machine) -> Option<BadInput> {
     too_steep.or_else(|| compile(believed).ok().and_then(|_| compile(extended).err()))
 }
 
-/// `text` in red, where it is read on a screen.
-fn red(text: &str) -> String {
+/// Prints `text` in red, where it is read on a screen.
+fn print_in_red(text: &str) -> Result<()> {
     let is_plain = env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
     if is_plain || !trueup_output::is_output_terminal() {
-        return text.into();
+        return output::print(text);
     }
-    format!("\u{1b}[31m{text}\u{1b}[0m")
+    let mut out = trueup_output::Output;
+    let written = writeln!(out, "\u{1b}[31m{}\u{1b}[0m", one_line(text)).and_then(|()| out.flush());
+    written.context("standard output cannot be written")
 }
 
 fn print(args: &Diagnose, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
@@ -188,11 +192,11 @@ fn print(args: &Diagnose, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
     }
     let report = &diagnosis.report;
     let verdict = format!("{}: {}", report.verdict.name(), diagnosis.sentence());
-    output::print(if report.verdict == Verdict::DoesNotTransfer {
-        red(&verdict)
+    if report.verdict == Verdict::DoesNotTransfer {
+        print_in_red(&verdict)?;
     } else {
-        verdict
-    })?;
+        output::print(verdict)?;
+    }
     if !report.verdict.is_met() {
         for reason in &report.reasons {
             output::print(format_args!("  {reason}"))?;
