@@ -74,7 +74,7 @@ impl Bank {
         let of = |side: &Side, filters: usize| {
             side.filters.len() == filters
                 && side.weights.len() == filters
-                && side.weights.iter().all(|weight| (0.0..=1.0).contains(weight))
+                && side.weights.iter().all(|weight| (0.0..=1.0 + 1e-6).contains(weight))
                 && side.filters.iter().all(|filter| filter.is_whole(values))
         };
         of(&self.file, MEMORIES_S.len())
