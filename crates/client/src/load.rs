@@ -156,7 +156,9 @@ pub fn running(
         crc => {
             let blob = object::read(session, RUNNING, progress)?;
             if identity(&blob) != crc {
-                bail!("the calibration that the bridge has sent is not the one of its CRC {crc:08x}: try again");
+                bail!(
+                    "the calibration that the bridge has sent is not the one of its CRC {crc:08x}: try again"
+                );
             }
             Ok(Some(blob))
         }

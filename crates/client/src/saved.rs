@@ -107,7 +107,9 @@ impl SavedBoard {
             bail!("the bridge has no valid calibration: there is nothing to save");
         };
         if let Err(rule) = decode(&calibration) {
-            bail!("the calibration that the bridge has sent is damaged ({rule}): nothing is saved; try again");
+            bail!(
+                "the calibration that the bridge has sent is damaged ({rule}): nothing is saved; try again"
+            );
         }
         let crc = identity(&calibration);
         let waiting = match object::number(session, object::NEW_CRC)? {
