@@ -5,15 +5,12 @@ use crate::{
     set::IndexSet,
     stillness::Stillness,
     thermal_rate::{AGREES_WITHIN, RateLimit, RateMonitor},
-    thermometer::{Fault, Raw},
+    thermometer::{FAULT_AFTER_READINGS, Fault, Raw},
     units::Temperature,
 };
 
 /// What every channel of a board delivers at one time.
 pub type RawTemperatures = [Raw; CHANNELS];
-
-/// A channel is given up after so many bad readings in a row, 100 ms apart.
-pub const FAULT_AFTER_READINGS: u8 = 4;
 
 /// From one reading to the next no thermometer moves by more: its element follows what it touches with a
 /// time constant of a second or more (a sheathed PT100 in flowing water; on a machine's part it is slower), and what

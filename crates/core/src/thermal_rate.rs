@@ -15,7 +15,7 @@
 //! | a thermometer of the same law agrees within 3 K, four times in a row | believed |
 //! | none of these within [`GIVEN_UP_READINGS`] (5 min) | no thermometer: it is given up |
 
-use crate::{channels::FAULT_AFTER_READINGS, set::IndexSet, units::Temperature};
+use crate::{set::IndexSet, thermometer::FAULT_AFTER_READINGS, units::Temperature};
 
 /// The limit of a thermometer that a law uses, where the calibration states none: 10 K/min. A spindle of 24,000 r/min
 /// warms its front bearing by 6 K/min at the most, the parts of a machine are slower.

@@ -17,6 +17,9 @@ use crate::{
     units::{Code, MicroOhms, Temperature},
 };
 
+/// A channel is given up after so many bad readings in a row, 100 ms apart.
+pub const FAULT_AFTER_READINGS: u8 = 4;
+
 /// What a temperature channel delivers: micro-ohms of a PT100, 1/256 counts of a linear chain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Raw(pub i32);

@@ -18,6 +18,7 @@
 
 mod estimate;
 mod factor;
+mod interval;
 mod places;
 
 use std::{borrow::Cow, ops::Deref};
@@ -30,9 +31,8 @@ use crate::{
     run_file::RunFile,
 };
 
-pub use factor::{
-    Applied, Factor, Pairs, applied, leaves_nothing, predicted_um, require_applied_once,
-};
+pub use factor::{Applied, Pairs, applied, leaves_nothing, predicted_um, require_applied_once};
+pub use interval::Factor;
 pub use places::decisive_record;
 
 /// The quality of the offsets in a row, 0…6.

@@ -1,6 +1,5 @@
 //! The terms that the machine file has already: parts of the model that a diagnosis begins with.
 
-use super::table::Data;
 use trueup_machine::{
     Machine,
     effect::{Effect, Stage},
@@ -44,20 +43,6 @@ impl Stated {
             own.map(|term| term.constant_um).sum()
         };
         [sum(true), sum(false)]
-    }
-}
-
-impl Data {
-    /// The table without the terms of the machine file that the board does not run; `None`: there are none.
-    pub(crate) fn compensated(&self) -> Option<Self> {
-        let is_run = |stated: &Stated| stated.effect.is_compensated();
-        if self.stated.iter().all(is_run) {
-            return None;
-        }
-        let mut data = self.clone();
-        data.stated.retain(is_run);
-        data.constants_um = Stated::constants_um(&self.machine.compensated(), self.quantity);
-        Some(data)
     }
 }
 

@@ -128,6 +128,18 @@ impl DrawnFrom {
 }
 
 impl Data {
+    /// The table without the terms of the machine file that the board does not run; `None`: there are none.
+    pub(crate) fn compensated(&self) -> Option<Self> {
+        let is_run = |stated: &Stated| stated.effect.is_compensated();
+        if self.stated.iter().all(is_run) {
+            return None;
+        }
+        let mut data = self.clone();
+        data.stated.retain(is_run);
+        data.constants_um = Stated::constants_um(&self.machine.compensated(), self.quantity);
+        Some(data)
+    }
+
     /// The position of the quantity's own axis.
     pub(crate) fn own_position(&self) -> Option<&[f64]> {
         self.quantity.axis().and_then(|axis| self.position_mm[axis.index()].as_deref())

@@ -14,7 +14,7 @@ use trueup_numerics::{
     t_quantile,
 };
 
-use super::factor::Factor;
+use super::interval::Factor;
 
 /// The least F of the first stage. Below it an instrument is weak (Staiger & Stock 1997).
 const STRONG: f64 = 10.0;

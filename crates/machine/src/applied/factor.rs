@@ -17,6 +17,7 @@ use trueup_numerics::noise::Steps;
 use super::{
     Unaided,
     estimate::{Estimate, steps},
+    interval::{Factor, MARGIN},
     places::decisive_record,
 };
 use crate::{
@@ -26,11 +27,6 @@ use crate::{
     run_file::RunFile,
 };
 
-/// A factor within this of 1 is no fault of the CNC: the scale of a gauge, the slew limit and the days of two runs
-/// do as much.
-const MARGIN: f64 = 0.1;
-/// An interval of the factor that lies within these excludes the faults that there are: 0, 0.5 and 2.
-const RIGHT: [f64; 2] = [0.5, 2.0];
 /// A smaller offset is none, in µm: half a step of the wire.
 const NO_OFFSET_UM: f64 = 0.005;
 /// More rows than these make the estimate no better than the model is: of more, each n-th is used.
@@ -39,29 +35,6 @@ const MOST_ROWS: usize = 20_000;
 const LAGS: [f64; 3] = [0.01, 0.05, 0.2];
 /// Thermometers that the error may go with.
 const MOST_TEMPERATURES: usize = 8;
-
-/// A factor with its 95 % interval.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Factor {
-    /// What the machine does for 1 µm of offset, in µm.
-    pub value: f64,
-    /// Its 95 % interval.
-    pub ci95: [f64; 2],
-}
-
-impl Factor {
-    /// Returns whether the interval is clear of 1: the CNC applies the offset otherwise than once.
-    #[must_use]
-    pub fn is_wrong(&self) -> bool {
-        self.ci95[1] < 1.0 - MARGIN || self.ci95[0] > 1.0 + MARGIN
-    }
-
-    /// Returns whether the interval is narrow enough to exclude 0, 0.5 and 2.
-    #[must_use]
-    pub fn is_right(&self) -> bool {
-        !self.is_wrong() && self.ci95[0] > RIGHT[0] && self.ci95[1] < RIGHT[1]
-    }
-}
 
 /// What some runs say of the factor.
 #[derive(Clone, Copy, Debug, PartialEq)]

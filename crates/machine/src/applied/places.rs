@@ -1,6 +1,6 @@
 //! Where a CNC may apply an offset otherwise than once, control by control, and what the user is told.
 
-use super::factor::Factor;
+use super::interval::Factor;
 
 /// What may be wrong on each control.
 const PLACES: [&str; 5] = [
