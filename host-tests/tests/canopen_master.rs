@@ -230,7 +230,11 @@ fn a_loaded_calibration_is_used_from_the_next_start_and_a_dead_store_is_told() -
     let z = bus.live_z_um()?;
     assert!((z - GROWN_UM).abs() < 0.3, "{z} µm by the old one, until the next start");
 
+    // No CNC had engaged when it was loaded: the operator confirms it.
     let mut bus = Bus::new(bus.board.restart(&image, old.blob())?);
+    let refused = bus.live_z_um().expect_err("loaded while no CNC was there").to_string();
+    assert!(refused.contains("Fault"), "{refused}");
+    bus.confirm = true;
     let z = bus.live_z_um()?;
     assert!((z - 0.5 * GROWN_UM).abs() < 0.3, "{z} µm by the new one");
 

@@ -75,6 +75,7 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("bridge load", "trueup bridge load machine.bin --port /dev/ttyUSB0"),
     ("bridge monitor", "trueup bridge monitor --port /dev/ttyUSB0"),
     ("bridge save", "trueup bridge save board.json --port /dev/ttyUSB0"),
+    ("bridge pending", "trueup bridge pending --port /dev/ttyUSB0"),
     ("bridge restore", "trueup bridge restore board.json --port /dev/ttyUSB0"),
     ("learn", "trueup learn --machine machine.toml --run record.csv -o learned.toml"),
     ("trust", "trueup trust --machine machine.toml --calibrated then.csv --run now.csv"),

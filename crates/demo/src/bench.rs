@@ -5,6 +5,7 @@ use std::path::Path;
 
 use anyhow::{Context as _, Result};
 use toml_edit::{DocumentMut, InlineTable, Item, Table, TableLike, value};
+use trueup_core::thermal_rate;
 use trueup_machine::{Machine, MachineFile, RunFile, file::is_temperature_column};
 
 /// Rows follow each other on the bench much faster than a machine warms: the slew limit is
@@ -12,6 +13,10 @@ use trueup_machine::{Machine, MachineFile, RunFile, file::is_temperature_column}
 const SLEW_UM_PER_S: f64 = 10_000.0;
 /// The largest that a board takes.
 const LARGEST_UM: f64 = 4_000.0;
+/// The rate of a thermometer that the board believes where the file states none, in K/min.
+const DEFAULT_C_PER_MIN: f64 = thermal_rate::DEFAULT_TENTHS as f64 / 10.0;
+/// The largest rate that a file may state, in K/min.
+const MOST_C_PER_MIN: f64 = thermal_rate::MAX_TENTHS as f64 / 10.0;
 /// The board has so many temperature channels.
 const CHANNELS: i64 = 8;
 
@@ -67,6 +72,12 @@ pub fn machine(source: &str, faster: f64) -> Result<Machine> {
     let mut machine = MachineFile::parse(&document.to_string(), Path::new("machine.toml"))?;
     machine.limits.slew_um_per_s = SLEW_UM_PER_S;
     machine.limits.max_um = [LARGEST_UM; 3];
+    // What warms in an hour is played in seconds.
+    let inputs = machine.inputs.iter_mut().flat_map(|inputs| inputs.temperatures.values_mut());
+    for input in inputs {
+        let c_per_min = input.max_c_per_min.unwrap_or(DEFAULT_C_PER_MIN);
+        input.max_c_per_min = Some((faster * c_per_min).clamp(DEFAULT_C_PER_MIN, MOST_C_PER_MIN));
+    }
     Ok(machine)
 }
 

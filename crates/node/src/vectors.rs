@@ -235,7 +235,7 @@ impl<'a> Vectors<'a> {
         let channels = self.temperatures.iter_mut().zip(&mut self.warmth_mk);
         for (number, (temperature, warmth_mk)) in channels.enumerate() {
             // Slowly, as heat is: a thermometer that jumps is not believed.
-            let walked = warmth_mk.saturating_add_signed(random.around(100));
+            let walked = warmth_mk.saturating_add_signed(random.around(2));
             *warmth_mk = walked.min(WARMTH_MK);
             let [pt100, linear] = COLD;
             // 0.3851 Ω in a kelvin, 16 counts of 256.

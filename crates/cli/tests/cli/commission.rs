@@ -202,7 +202,7 @@ fn ctrl_c_in_the_sign_test_puts_back_what_the_board_held() {
     let line = line.trim_end_matches(" --readings").to_owned();
     for key in ["\u{3}", "\u{1b}\r"] {
         let mut terminal = Terminal::start(&desk, &line, (140, 50), true);
-        terminal.shows(&["how far has the tip moved, in µm"]);
+        terminal.shows(&["how far has the housing moved, in µm"]);
         terminal.press(key);
         terminal.shows(&["what the bridge held before is put back"]);
         assert_eq!(terminal.ended().code(), Some(3), "{}", terminal.text());

@@ -205,7 +205,7 @@ fn bad_input_ends_with_2_its_place_and_an_untouched_output() {
         ("compile typo.toml -o cal.bin", "typo.toml:15:1: unknown key"),
         (
             "compile steep.toml -o cal.bin",
-            "steep.toml:15:9: spindle.sensor.k0_um 3000000 is beyond",
+            "steep.toml:15:9: spindle.sensor.k0_um 3000000 µm is impossible",
         ),
         ("compile m.toml -o ./m.toml", "./m.toml: is an input, and must not be overwritten"),
         ("show m.toml", "m.toml: bytes "),
