@@ -17,6 +17,7 @@ use trueup_core::{
     heat::Heat,
     limits::Limits,
     place::Place,
+    set::IndexSet,
     thermometer::Raw,
     units::{Code, MicroDegrees, Millis, Position, Rpm, Temperature},
 };
