@@ -85,7 +85,7 @@ fn the_worked_axis_of_seed_002_in_its_sixteenths_of_a_kelvin() {
     // T = (counts − 4000)/16, tanβ = (T − 23 °C)·14.21 µm/m, P₀ = 0.
     let compiled = compile(&machine(
         "[machine]\nname = \"boring mill\"\nkind = \"3-axis\"\n[inputs]\n\
-         temp_screw_c = { channel = 0, kind = \"linear\", zero_counts = 4000, counts_per_c = 16 }\n\
+         temp_screw_c = { channel = 0, kind = \"linear\", zero_counts = 4000, counts_per_c = 16, max_c_per_min = 60 }\n\
          [axis.x.thermal]\nmode = \"position\"\nsensor = \"temp_screw_c\"\nreference_c = 23\n\
          slope_um_per_m_per_c = 14.21\n[limits]\nmax_um = { x = 400 }\nslew_um_per_s = 20\n",
     ))
