@@ -172,7 +172,10 @@ impl Live {
             LineEvent::Down(why) => self.state.link = Link::Down(why),
             LineEvent::Received(Event::Frame(frame)) => self.frame(&frame, line)?,
             LineEvent::Received(Event::Malformed(_)) => self.state.malformed_lines += 1,
-            LineEvent::Late => self.state.say("the line has stalled: what is old is left out"),
+            LineEvent::Late => {
+                self.state.left_out += 1;
+                self.state.say("the line has stalled: what is old is left out");
+            }
             LineEvent::Received(_) => {}
         }
         Ok(())

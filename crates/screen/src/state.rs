@@ -125,6 +125,8 @@ pub struct State {
     pub frames_per_s: f64,
     /// Lines that carry no frame that can be read.
     pub malformed_lines: u32,
+    /// Frames that were too old to be used: the line had stalled.
+    pub left_out: u32,
     offsets: OffsetReceiver,
     output: Option<(Output, f64)>,
     asked: Option<(Option<f64>, f64)>,
@@ -155,6 +157,7 @@ impl State {
             series: 0,
             frames_per_s: 0.0,
             malformed_lines: 0,
+            left_out: 0,
             offsets: OffsetReceiver::new(),
             output: None,
             asked: None,
@@ -366,6 +369,8 @@ impl State {
     pub fn is_sound(&self) -> bool {
         let Counters { malformed, crc_errors, sequence_errors, .. } = self.counters();
         let refused = self.board.refused() + self.malformed_lines;
+        // What was left out as too old is missing in the sequence, and is no error of a frame.
+        let sequence_errors = if self.left_out == 0 { sequence_errors } else { 0 };
         malformed + crc_errors + sequence_errors + refused == 0
     }
 }

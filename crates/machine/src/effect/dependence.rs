@@ -25,6 +25,8 @@ use crate::{
 const MAX_LEVELS: usize = 12;
 /// Smallest number of rows of a level, but of a column that is only 0 and 1.
 const MIN_LEVEL_ROWS: usize = 8;
+/// A column comes near 0 if its smallest value is at most this share of its largest.
+const NEAR_ZERO: f64 = 0.35;
 /// Starts of the search for the value from which a hinge bends, at equal shares of the sorted rows.
 const HINGES: usize = 8;
 
@@ -402,7 +404,7 @@ impl Definition for Dependence {
                     propose(Form::Level { levels, added }, Settings::none());
                     continue;
                 }
-                let reference = if times == Times::One { first(values) } else { 0.0 };
+                let reference = if times == Times::One { first(values) } else { zero_of(values) };
                 propose(Form::Line { slope: 0.0, reference }, Settings::none());
                 let bends = bends(values);
                 if let [low, .., high] = bends[..] {
@@ -417,6 +419,16 @@ impl Definition for Dependence {
 /// The first value that is there.
 fn first(values: &[f64]) -> f64 {
     values.iter().copied().find(|value| value.is_finite()).unwrap_or(0.0)
+}
+
+/// Where a column is 0 in a product: at its own 0 if it comes near it, else at its mean. Multiplied by a column that
+/// hardly varies, the other factor alone would be taken for a dependence on both.
+fn zero_of(values: &[f64]) -> f64 {
+    let finite = || values.iter().copied().filter(|value| value.is_finite());
+    let (low, high) = finite().fold((f64::INFINITY, 0.0_f64), |(low, high), value| {
+        (low.min(value.abs()), high.max(value.abs()))
+    });
+    if low <= NEAR_ZERO * high { 0.0 } else { finite().sum::<f64>() / finite().count().max(1) as f64 }
 }
 
 /// The levels of a column that is a category, the most frequent one first; none of any other column.

@@ -132,7 +132,7 @@ fn a_fault_stands_there_with_its_remedy_at_every_size_and_without_colour() {
     for size in [(80, 24), (120, 40), (60, 15)] {
         let (text, is_coloured) = screen(&state, size, false);
         assert!(!is_coloured, "no colour was allowed");
-        has(&text, &["gives no reading", "sensor: sensor or thermometer out of range"]);
+        has(&text, &["gives no reading", "sensor: out of range or stuck"]);
     }
     assert!(screen(&state, (80, 24), true).1, "with colours it has some");
 }
