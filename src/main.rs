@@ -55,7 +55,7 @@ mod app {
         alive::{self, Task},
         board::{
             self, Buffer, CanIn, CanOut, Idle, Rs485, Samples, SelfTest, Sent, SerialIn, SerialOut,
-            Silence, Thermometers,
+            ServiceSwitch, Silence, Thermometers,
         },
         plc::Registers,
         supervision::{self, PERIOD_MS, Supervision},
@@ -116,6 +116,7 @@ mod app {
         to_listen: Producer<'static, u8>,
         from_serial: Consumer<'static, u8>,
         supervision: Supervision,
+        service_switch: ServiceSwitch,
         self_test: SelfTest,
         idle: Idle,
     }
@@ -208,6 +209,7 @@ mod app {
             to_listen,
             from_serial,
             supervision,
+            service_switch: parts.service_switch,
             self_test: parts.self_test,
             idle: parts.idle,
         };
@@ -312,7 +314,7 @@ mod app {
 
     /// Every 10 ms: is all well? On a board whose converter is dead this is what keeps the CNC
     /// informed.
-    #[task(binds = SysTick, priority = 2, local = [supervision, self_test],
+    #[task(binds = SysTick, priority = 2, local = [supervision, service_switch, self_test],
            shared = [node, port, can_out, samples, temperatures])]
     fn supervise(cx: supervise::Context) {
         let turn = alive::enter(Task::Supervise);
@@ -320,6 +322,8 @@ mod app {
         if let Some(code) = shared.samples.lock(|samples| samples.internal_reference()) {
             shared.node.lock(|node| node.hear_supply(code));
         }
+        let is_closed = cx.local.service_switch.is_closed();
+        shared.node.lock(|node| node.read_service_switch(is_closed));
         if it.samples_are_missing(shared.node.lock(|node| node.blocks())) {
             shared.samples.lock(Samples::restart);
         }

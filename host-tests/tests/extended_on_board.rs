@@ -122,6 +122,7 @@ fn left_by_the_board(
                         speed: None,
                         temperatures: now.temperatures,
                         frames,
+                        ..Block::default()
                     }
                 })
                 .collect();

@@ -273,7 +273,7 @@ fn with_everything_on_the_offsets_along_a_diagonal_are_minus_the_prediction() {
             .map(|_| {
                 let codes = front_end.block(|_| counts * 10.0 / 32_768.0);
                 let frames = sender.frames(at);
-                Block { codes, speed: Some(Rpm(24_000)), temperatures, frames }
+                Block { codes, speed: Some(Rpm(24_000)), temperatures, frames, ..Block::default() }
             })
             .collect();
         let outputs = live(&mut board, &mut offsets, &blocks);

@@ -13,6 +13,7 @@
 //! | [`BrownOut`] | level 3, in the option bytes | none |
 //! | [`SelfTest`] | RAM, image, registers, stack | none |
 //! | [`Lamp`] | LED | none |
+//! | [`ServiceSwitch`] | PB7 to ground | comes with the samples |
 //! | calibration | linked into the image, or loaded over it | a file of the host, or loaded over it |
 //! | RAM that outlasts a reset | `.uninit` | the same |
 //! | [`Backup`], what outlasts a power cut | backup SRAM and RTC behind VBAT | none |
@@ -162,6 +163,7 @@ pub struct Parts {
     pub lamp: Lamp,
     pub idle: Idle,
     pub thermometers: Thermometers,
+    pub service_switch: ServiceSwitch,
     pub calibration: Result<Calibration<'static>, BlobError>,
     /// The store of references and writes, and what it holds for the start.
     pub references: (References<Flash>, references::Kept),

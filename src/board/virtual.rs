@@ -71,6 +71,8 @@ const _: () = assert!(pipe::FRAMES <= 8);
 /// Frames on their way to the host: what one batch of 255 blocks can send, and its end mark.
 static TO_BUS: Mutex<RefCell<Vec<Record, 1024>>> = Mutex::new(RefCell::new(Vec::new()));
 
+/// The service switch is closed, by the last block.
+static SWITCH_IS_CLOSED: AtomicBool = AtomicBool::new(false);
 /// The board is to start anew once the batch is done.
 static RESTART: AtomicBool = AtomicBool::new(false);
 
@@ -145,6 +147,7 @@ pub fn start(
         lamp: Lamp,
         idle: Idle { samples, frames, buffer },
         thermometers: Thermometers,
+        service_switch: ServiceSwitch,
         calibration: calibration.map(|(_, calibration)| calibration),
         references,
         faults: Faults::default(),
@@ -200,6 +203,15 @@ impl Samples {
     /// Nor one that has a supply.
     pub fn internal_reference(&mut self) -> Option<Code> {
         None
+    }
+}
+
+/// The service switch, which comes with the samples.
+pub struct ServiceSwitch;
+
+impl ServiceSwitch {
+    pub fn is_closed(&mut self) -> bool {
+        SWITCH_IS_CLOSED.load(Ordering::Relaxed)
     }
 }
 
@@ -429,6 +441,7 @@ impl Idle {
             for frame in block.frames.into_iter().flatten() {
                 heard |= from_bus.push_back(frame).is_ok();
             }
+            SWITCH_IS_CLOSED.store(block.service_switch, Ordering::Relaxed);
             let codes: [_; BLOCK] = block.codes;
             let temperatures: Option<[_; TEMPERATURES]> = Some(block.temperatures);
             ARRIVED.borrow(cs).replace(Some(Block { codes, speed: block.speed, temperatures }));

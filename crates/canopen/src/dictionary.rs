@@ -198,6 +198,8 @@ pub enum Authority {
     NoService = 1,
     /// It has.
     Service = 2,
+    /// The running calibration allows it with the service switch closed alone, and it is open.
+    SwitchOpen = 3,
 }
 
 /// The tasks of the board, in the order of their numbers, which begin at 1.

@@ -21,6 +21,8 @@ use crate::{
 
 /// How long the bridge may take to hear that it may be written to.
 const LEAVE_TIMEOUT: Duration = Duration::from_secs(2);
+/// How long the bridge may take to believe a service switch that is closed, after its start.
+const SWITCH_TIMEOUT: Duration = Duration::from_millis(300);
 /// How much longer than the link timeout `Service` of somebody who has left may stand.
 const REMNANT_MARGIN: Duration = Duration::from_millis(500);
 /// How long the bridge may take to drop a calibration that it has stored.
@@ -202,13 +204,20 @@ pub fn restart(session: &mut Session, wanted: u32) -> Result<u32> {
 /// come.
 fn ask_leave(session: &mut Session) -> Result<()> {
     let begin = Instant::now();
-    let (none, given) = (Authority::NoMaster as u32, Authority::Service as u32);
+    let [none, given, open] =
+        [Authority::NoMaster, Authority::Service, Authority::SwitchOpen].map(|it| it as u32);
     // Its own, which an earlier step has begun.
     let mut says = session.says_service();
     let accepted = object::number(session, ACCEPTED)?;
     let mut remnant_ends = None;
     loop {
         let authority = object::number(session, AUTHORITY)?;
+        if authority == open && begin.elapsed() > SWITCH_TIMEOUT {
+            bail!(
+                "close the service switch at the board (PB7 to ground): its calibration allows no write without \
+                 it; then try again"
+            );
+        }
         if authority == given {
             if says || object::number(session, ACCEPTED)? != accepted {
                 return Ok(());

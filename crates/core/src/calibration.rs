@@ -54,6 +54,8 @@ pub struct Guards {
     /// [`MAX_TENTHS`](crate::thermal_rate::MAX_TENTHS). 0: by [`DEFAULT_TENTHS`](crate::thermal_rate::DEFAULT_TENTHS) where a law
     /// uses the channel, else not judged.
     pub max_rates: [u16; CHANNELS],
+    /// Nothing is written to the board unless its service switch is closed.
+    pub service_switch: bool,
 }
 
 /// The machine and the board that a calibration is for, as the user names them.

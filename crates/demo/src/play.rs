@@ -250,7 +250,7 @@ impl Player {
         };
         let codes =
             if self.has_sensor { self.front_end.block(volts) } else { Block::default().codes };
-        Block { codes, speed: None, temperatures: now.temperatures, frames }
+        Block { codes, speed: None, temperatures: now.temperatures, frames, ..Block::default() }
     }
 }
 

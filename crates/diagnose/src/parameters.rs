@@ -233,6 +233,7 @@ fn as_json(value: &effect::Value) -> Value {
     match value {
         effect::Value::Number(number) => json!(number),
         effect::Value::Whole(number) => json!(number),
+        effect::Value::Boolean(value) => json!(value),
         effect::Value::Text(text) => json!(text),
         effect::Value::Numbers(numbers) => json!(numbers),
         effect::Value::Wholes(numbers) => json!(numbers),

@@ -1,6 +1,7 @@
 //! The hand at the CNC of a virtual bridge: what is typed where the bridge was started. From the first
 //! `engage` or `disengage` on the bridge hears a CNC on its bus, homed and with `Engage` or without, where it
-//! allows that it is written to; `confirm` answers a question of the bridge; `again` plays the run from its start. So that a commissioning can be
+//! allows that it is written to; `confirm` answers a question of the bridge; `close` and `open` move the service
+//! switch of the board; `again` plays the run from its start. So that a commissioning can be
 //! rehearsed, whose tool has the only line.
 
 use std::{
@@ -37,6 +38,7 @@ pub struct Hand {
     /// So many are left of an edge of `Confirm`.
     confirms_ms: Arc<AtomicU32>,
     again: Arc<AtomicBool>,
+    switch_is_closed: Arc<AtomicBool>,
 }
 
 impl Hand {
@@ -86,7 +88,17 @@ impl Hand {
                 self.again.store(true, Ordering::Relaxed);
                 "the run begins again"
             }
-            _ => "engage, disengage, confirm, or again (the run from its start)",
+            "close" => {
+                self.switch_is_closed.store(true, Ordering::Relaxed);
+                "the service switch is closed"
+            }
+            "open" => {
+                self.switch_is_closed.store(false, Ordering::Relaxed);
+                "the service switch is open"
+            }
+            _ => {
+                "engage, disengage, confirm, again (the run from its start), close or open (the service switch)"
+            }
         }
     }
 
@@ -105,6 +117,12 @@ impl Hand {
         let confirm = (1..=PRESSED_MS).contains(&confirms);
         let control = control.map(|control| Control { confirm, ..control });
         if left > 0 { control.map(|_| Control::REFERENCED) } else { control }
+    }
+
+    /// Returns whether the service switch of the board is closed; it begins open.
+    #[must_use]
+    pub fn switch_is_closed(&self) -> bool {
+        self.switch_is_closed.load(Ordering::Relaxed)
     }
 
     /// Whether the run is to begin again, once.

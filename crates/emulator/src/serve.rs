@@ -133,6 +133,7 @@ fn play(
                     Block {
                         codes: front_end.block(|_| now.sensor_volts),
                         speed: now.speed,
+                        service_switch: hand.switch_is_closed(),
                         temperatures: now.temperatures,
                         frames: stand_in.frames(&now, &heard),
                     }

@@ -29,6 +29,8 @@ pub struct Inputs {
     pub sensor: Option<SensorInput>,
     /// The temperature channels by the name of their run-file column, `temp_<name>_c`.
     pub temperatures: BTreeMap<String, TemperatureInput>,
+    /// The board is written to only with its service switch closed.
+    pub service_switch: bool,
 }
 
 /// How a temperature comes in.

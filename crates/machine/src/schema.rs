@@ -73,6 +73,7 @@ fn value(key: &Key) -> Value {
     let three = json!({"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3});
     let mut schema = match key.form {
         Form::Text => json!({"type": "string"}),
+        Form::Boolean => json!({"type": "boolean"}),
         Form::Choice(choices) => json!({"enum": choices}),
         Form::Choices(choices) => {
             json!({"type": "array", "items": {"enum": choices}, "maxItems": 2})
@@ -224,6 +225,7 @@ fn range(key: &Key) -> String {
         Form::Vector => "three numbers".into(),
         Form::Column => "`temp_<name>_c`".into(),
         Form::Text => "text".into(),
+        Form::Boolean => "`true`, `false`".into(),
         _ => String::new(),
     }
 }

@@ -3,7 +3,8 @@
 //! another machine.
 //!
 //! Those of the divider 0.328 are the bytes of the divider 0.33, known since the first version, with slope and
-//! zero worked out by hand (`compile/tests.rs`) and a CRC taken by another program.
+//! zero worked out by hand (`compile/tests.rs`) and a CRC taken by another program. Those of `gantry` differ from
+//! its first ones in the sign of a backlash, which its machine file has positive since; no board runs on an example.
 
 use std::path::Path;
 

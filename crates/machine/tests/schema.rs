@@ -65,6 +65,7 @@ fn check(schema: &Value, value: &Value, at: &str) -> Result<(), String> {
                     "string" => value.is_string(),
                     "integer" => value.is_i64(),
                     "number" => value.is_number(),
+                    "boolean" => value.is_boolean(),
                     other => panic!("{other}"),
                 };
                 if !is_right {

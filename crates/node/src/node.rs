@@ -8,7 +8,7 @@
 //! a tick interrupts.
 
 use trueup_canopen::{
-    emergency::{Emergencies, Fault, Faults, faults_of},
+    emergency::{Emergencies, Fault, Faults},
     heartbeat::Consumer,
     sdo,
 };
@@ -39,8 +39,8 @@ use trueup_store::{
 
 use crate::start::Start;
 
+mod faults;
 mod learned;
-mod lost;
 mod master;
 mod network;
 mod objects;
@@ -49,6 +49,7 @@ mod registers;
 mod restart;
 mod standing;
 mod supply;
+mod switch;
 mod writes;
 
 pub use master::Line;
@@ -56,6 +57,7 @@ use master::Master;
 use registers::Registers;
 use standing::Offer;
 pub use standing::Zero;
+use switch::ServiceSwitch;
 use writes::Log;
 
 /// The frames of one tick: both halves of a cycle's offsets.
@@ -127,6 +129,7 @@ pub struct Node<'a> {
     /// So was a learned change, and `Control` was not heard without one since.
     learned_refused: bool,
     supply: Supply,
+    switch: ServiceSwitch,
 }
 
 impl<'a> Node<'a> {
@@ -178,6 +181,7 @@ impl<'a> Node<'a> {
             zero_refused: false,
             learned_refused: false,
             supply: Supply::default(),
+            switch: ServiceSwitch::default(),
         };
         node.bar();
         node
@@ -398,33 +402,6 @@ impl<'a> Node<'a> {
         self.status_counter = counter.wrapping_add(1);
         let status = Status { last_refused: self.last_refused, item: self.item(item) };
         Some(status::encode(&status, counter))
-    }
-
-    /// What is wrong, with an output like this.
-    fn faults(&self, output: &Output) -> Faults {
-        let board = self.board_faults;
-        let known = [Fault::Crystal, Fault::Pll, Fault::Can].iter().any(|fault| board.has(*fault));
-        faults_of(output)
-            .and(board)
-            .and(self.lost_inputs(output.flags))
-            .with_if(self.bridge.is_none(), Fault::NoCalibration)
-            .with_if(self.consumer.is_lost(), Fault::HeartbeatLost)
-            .with_if(self.degraded && !known, Fault::Degraded)
-            .with_if(!self.master.is_started(), Fault::Restarted)
-            .with_if(self.master.is_second(), Fault::SecondMaster)
-            .with_if(self.zero_refused, Fault::ZeroRefused)
-            .with_if(self.learned_refused, Fault::LearnedRefused)
-            .with_if(self.state.position_has_jumped(), Fault::PositionJump)
-            .with_if(self.state.sensor_is_odd(), Fault::SensorOdd)
-            .with_if(
-                self.bridge.as_ref().is_some_and(|it| it.fall_back_is_dead(&self.state)),
-                Fault::SourceDead,
-            )
-            .with_if(
-                self.bridge.as_ref().is_some_and(|it| it.is_unfit(&self.state)),
-                Fault::CalibrationUnfit,
-            )
-            .and(self.questions)
     }
 
     /// The time of the last tick.

@@ -7,7 +7,7 @@
 //! |---|---|---|
 //! | 0 | 20 × `u16` | ADC codes, oldest first |
 //! | 40 | `u16` | spindle speed in r/min, 0xFFFF: none |
-//! | 42 | `u16` | 0 |
+//! | 42 | `u16` | switches: bit 0 the service switch is closed; the others 0 |
 //! | 44 | 8 × `i32` | temperature channels, raw (below); −2³¹: none |
 //! | 76, 86, 96, 106, 116 | `u16`, 8 bytes | CAN frame: identifier (0xFFFF: no frame), data |
 //! | 126 | `u16` | 0 |
@@ -75,6 +75,8 @@ pub struct Block {
     pub codes: [Code; SAMPLES],
     /// Spindle speed; 0xFFFF r/min is sent as 0xFFFE.
     pub speed: Option<Rpm>,
+    /// The service switch is closed.
+    pub service_switch: bool,
     /// Temperatures, as each channel delivers them.
     pub temperatures: [Raw; TEMPERATURES],
     /// Frames from the CNC, of 8 bytes.
@@ -87,6 +89,7 @@ impl Default for Block {
         Self {
             codes: [Code(0); SAMPLES],
             speed: None,
+            service_switch: false,
             temperatures: [Raw::NONE; TEMPERATURES],
             frames: [None; FRAMES],
         }
@@ -100,7 +103,7 @@ impl Block {
     /// [`BlockError::FrameLength`] for a frame that has not 8 bytes.
     pub fn encode(&self) -> Result<[u8; BLOCK_SIZE], BlockError> {
         let speed = self.speed.map_or(NONE, |Rpm(rpm)| rpm.min(NONE - 1));
-        let words = self.codes.iter().map(|code| code.0).chain([speed, 0]);
+        let words = self.codes.iter().map(|code| code.0).chain([speed, self.service_switch.into()]);
         let mut bytes = [0; BLOCK_SIZE];
         let (head, rest) = bytes.split_at_mut(HEAD_SIZE);
         let (temperatures, slots) = rest.split_at_mut(TEMPERATURES_SIZE);
@@ -130,10 +133,10 @@ impl Block {
         for (word, place) in words.iter_mut().zip(head.as_chunks().0) {
             *word = u16::from_le_bytes(*place);
         }
-        let [codes @ .., speed, reserved] = words;
+        let [codes @ .., speed, switches] = words;
         let (slots, end) = slots.as_chunks::<SLOT_SIZE>();
         let tail = end.first_chunk().map_or(0, |tail| u16::from_le_bytes(*tail));
-        for (at, found) in [(RESERVED_AT, reserved), (TAIL_AT, tail)] {
+        for (at, found) in [(SWITCHES_AT, switches & !1), (TAIL_AT, tail)] {
             if found != 0 {
                 return Err(BlockError::Reserved { at, found });
             }
@@ -141,6 +144,7 @@ impl Block {
         let mut block = Self {
             codes: codes.map(Code),
             speed: (speed != NONE).then_some(Rpm(speed)),
+            service_switch: switches & 1 != 0,
             ..Self::default()
         };
         for (raw, place) in block.temperatures.iter_mut().zip(temperatures.as_chunks().0) {
@@ -153,10 +157,10 @@ impl Block {
     }
 }
 
-/// Bytes of the codes, the speed, and what is reserved after them.
+/// Bytes of the codes, the speed, and the switches after them.
 const HEAD_SIZE: usize = 2 * SAMPLES + 4;
-/// Offset of what is reserved after the speed.
-const RESERVED_AT: usize = HEAD_SIZE - 2;
+/// Offset of the switches after the speed.
+const SWITCHES_AT: usize = HEAD_SIZE - 2;
 /// Bytes of the temperatures.
 const TEMPERATURES_SIZE: usize = 4 * TEMPERATURES;
 /// Bytes of a frame in a block.
@@ -382,7 +386,7 @@ mod tests {
     #[test]
     fn a_block_that_is_out_of_step_is_refused_with_what_was_found() {
         let good = Block::default().encode().unwrap();
-        for (byte, at, found) in [(42, 42, 1), (43, 42, 0x100), (126, 126, 1), (127, 126, 0x100)] {
+        for (byte, at, found) in [(43, 42, 0x100), (126, 126, 1), (127, 126, 0x100)] {
             let mut bad = good;
             bad[byte] = 1;
             assert_eq!(Block::decode(&bad), Err(BlockError::Reserved { at, found }));
@@ -419,12 +423,13 @@ mod tests {
         #[test]
         fn a_block_comes_back_whole(
             codes in prop::array::uniform20(any::<u16>()), speed in prop::option::of(0_u16..0xFFFF),
-            temperatures: [i32; TEMPERATURES],
+            service_switch: bool, temperatures: [i32; TEMPERATURES],
             frames in prop::array::uniform5(prop::option::of((0_u16..0x800, any::<[u8; 8]>()))),
         ) {
             let block = Block {
                 codes: codes.map(Code),
                 speed: speed.map(Rpm),
+                service_switch,
                 temperatures: temperatures.map(Raw),
                 frames: frames.map(|it| it.map(|(id, data)| frame(id, &data))),
             };

@@ -7,6 +7,7 @@
 //! | PA9, PA10 | serial transmit and receive, 921 600 Bd |
 //! | PB10, PB11, PB12 | RS-485 transmit, receive, and drive: high while the board sends |
 //! | PC8 … PC11, PB5, PB6 | switches of the RS-485 line to ground: address, speed, parity |
+//! | PB7 | service switch to ground: a calibration may ask that nothing is written unless it is closed |
 //! | PB9, PB8 | CAN transmit and receive, to a transceiver |
 //! | PB13, PB14, PB15 | SCK, MISO, MOSI of the temperature converters |
 //! | PC0 … PC7 | select the converter of channel 0 … 7: low |
@@ -38,6 +39,7 @@ mod sampling;
 mod self_test;
 mod serial;
 mod serial_dma;
+mod service_switch;
 mod stack;
 mod stopwatch;
 mod store;
@@ -65,6 +67,7 @@ pub use rs485::{Rs485, Silence};
 pub use sampling::Samples;
 pub use self_test::SelfTest;
 pub use serial::{SerialIn, SerialOut};
+pub use service_switch::ServiceSwitch;
 pub use store::Store;
 pub use thermometers::Thermometers;
 use trueup_core::thermometer::Thermometer;
@@ -206,6 +209,7 @@ pub fn start(
         lamp: Lamp::new(gpioc.pc12),
         idle: Idle,
         thermometers,
+        service_switch: ServiceSwitch::new(gpiob.pb7),
         calibration,
         references,
         faults,

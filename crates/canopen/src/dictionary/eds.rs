@@ -30,7 +30,7 @@ const HEAD: &str = concat!(
     "GroupMessaging=0\nNrOfRXPDO=0\nNrOfTXPDO=0\nLSS_Supported=0\n\n",
     "[DummyUsage]\nDummy0001=0\nDummy0002=0\nDummy0003=0\nDummy0004=0\nDummy0005=0\n",
     "Dummy0006=0\nDummy0007=0\n\n",
-    "[Comments]\nLines=9\n",
+    "[Comments]\nLines=10\n",
     "Line1=Offsets, status and frames of the CNC are described by trueup.dbc: they are protected.\n",
     "Line2=A new calibration is used from the next start of the board.\n",
     "Line3=NMT start, stop and pre-operational have no effect: a machine relies on the offsets while\n",
@@ -39,7 +39,8 @@ const HEAD: &str = concat!(
     "Line6=NMT reset node restarts the board if no offset is followed, else it has no effect.\n",
     "Line7=NMT reset communication sets 0x1015, 0x1016, 0x1017 back; the offsets go on.\n",
     "Line8=Whatever is written, and NMT reset node, needs Service in the Control that the bridge hears\n",
-    "Line9=and that nothing is engaged: else 0x08000022. 0x2001:8 says who may: 2 is yes.\n\n",
+    "Line9=and that nothing is engaged: else 0x08000022. 0x2001:8 says who may: 2 is yes.\n",
+    "Line10=A calibration may ask for the service switch as well: while it is open, 0x08000021 (0x2001:8: 3).\n\n",
 );
 
 fn list(out: &mut impl fmt::Write, name: &str, is_in: impl Fn(&Object) -> bool) -> fmt::Result {

@@ -28,6 +28,8 @@ pub enum Abort {
     Value = 0x0609_0030,
     /// The board has nowhere to keep it, or its store does not take it.
     CannotStore = 0x0800_0020,
+    /// The calibration allows a write only with the service switch closed.
+    LocalControl = 0x0800_0021,
     /// Not now: offsets are being followed.
     DeviceState = 0x0800_0022,
     /// There is nothing to read yet.
@@ -36,7 +38,7 @@ pub enum Abort {
 
 impl Abort {
     /// All of them.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::Toggle,
         Self::Timeout,
         Self::Command,
@@ -49,6 +51,7 @@ impl Abort {
         Self::NoSubindex,
         Self::Value,
         Self::CannotStore,
+        Self::LocalControl,
         Self::DeviceState,
         Self::NoData,
     ];
@@ -69,6 +72,9 @@ impl Abort {
             Self::NoSubindex => "there is no such sub-index",
             Self::Value => "a value out of its range, or a damaged calibration",
             Self::CannotStore => "the board cannot store it",
+            Self::LocalControl => {
+                "close the service switch: this calibration allows no write without it"
+            }
             Self::DeviceState => "not now: offsets are being followed",
             Self::NoData => "there is nothing to read",
         }

@@ -139,6 +139,11 @@ fn false_alarms(noise: f64, hours: f64, seed: u64) -> u64 {
 /// From the LSB in which a sensor's noise drowns to that of three codes RMS.
 const NOISES: [f64; 4] = [0.05, 0.3, 1.0, 3.0];
 
+/// Returns how many hours to try, by `TRUEUP_SOAK_HOURS` or else `default`.
+fn hours(default: f64) -> f64 {
+    env::var("TRUEUP_SOAK_HOURS").map_or(default, |it| it.parse().expect("a number"))
+}
+
 fn sound_sensors(hours: f64) {
     let tries = NOISES.map(|noise| {
         thread::spawn(move || {
@@ -158,8 +163,7 @@ fn a_sound_sensor_is_believed_at_every_noise() {
 #[test]
 #[ignore = "campaign: cargo xtask soak"]
 fn campaign_a_sound_sensor_is_believed_for_hundreds_of_hours() {
-    let hours = env::var("TRUEUP_SOAK_HOURS").map_or(300.0, |it| it.parse().expect("a number"));
-    sound_sensors(hours);
+    sound_sensors(hours(300.0));
 }
 
 /// A fault of the sensor: what a code becomes, after how many milliseconds it is found, and what is drawn.

@@ -10,7 +10,7 @@ use trueup_core::{
     units::Temperature,
 };
 
-use crate::{NOISES, random::Random};
+use crate::{NOISES, hours, random::Random};
 
 #[test]
 fn three_thousand_dead_thermometers_are_found_at_the_fourth_reading_and_none_before() {
@@ -211,5 +211,5 @@ fn sound_thermometers(hours: f64) {
 
 #[test]
 fn a_sound_thermometer_is_believed_at_every_noise() {
-    sound_thermometers(if cfg!(debug_assertions) { 30.0 } else { 300.0 });
+    sound_thermometers(hours(30.0));
 }

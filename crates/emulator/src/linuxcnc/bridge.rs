@@ -156,6 +156,7 @@ impl Bridge {
                             speed: None,
                             temperatures,
                             frames: adapter.take(),
+                            ..Block::default()
                         }
                     })
                     .collect();

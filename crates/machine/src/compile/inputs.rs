@@ -86,7 +86,8 @@ pub(super) fn thermometers(machine: &Machine) -> Result<[Option<Thermometer>; CH
 
 /// Returns the fastest changes of the channels, in tenths of a kelvin a minute.
 pub(super) fn guards(machine: &Machine) -> Result<Guards, BadInput> {
-    let mut guards = Guards::default();
+    let service_switch = machine.inputs.as_ref().is_some_and(|inputs| inputs.service_switch);
+    let mut guards = Guards { service_switch, ..Guards::default() };
     for (name, input) in machine.inputs.iter().flat_map(|inputs| &inputs.temperatures) {
         let Some(rate) = input.max_c_per_min else { continue };
         let tenths = rounded(rate * TENTHS).and_then(|tenths| u16::try_from(tenths).ok());
@@ -136,7 +137,9 @@ pub(super) fn inverse(
         temperatures.insert(column(channel), TemperatureInput { channel, kind, max_c_per_min });
     }
     let sensor = has_sensor.then_some(SHOWN_INPUT);
-    (has_sensor || !temperatures.is_empty()).then_some(Inputs { sensor, temperatures })
+    let service_switch = guards.service_switch;
+    let is_connected = has_sensor || !temperatures.is_empty() || service_switch;
+    is_connected.then_some(Inputs { sensor, temperatures, service_switch })
 }
 
 /// A calibration holds channels, not the names of columns.

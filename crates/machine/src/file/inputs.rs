@@ -21,6 +21,8 @@ pub(super) fn read(section: &Section<'_>) -> Result<Inputs, BadInput> {
         if key == "sensor" {
             inputs.sensor =
                 section.section(key)?.map(|sensor| read_sensor_input(&sensor)).transpose()?;
+        } else if key == "service_switch" {
+            inputs.service_switch = section.boolean(key)?.unwrap_or_default();
         } else if let Some(channel) = section.section(key)? {
             let input = read_temperature_input(&channel)?;
             if let Some(other) = column_of_channel.insert(input.channel, key) {
@@ -111,6 +113,9 @@ fn read_temperature_input(section: &Section<'_>) -> Result<TemperatureInput, Bad
 pub(super) fn write(inputs: &Inputs) -> NewSection {
     let number = |key: &str, value| (key.to_string(), Value::Number(value));
     let mut section = NewSection::new("inputs");
+    if inputs.service_switch {
+        section = section.with("service_switch", Value::Boolean(true));
+    }
     if let Some(SensorInput { volts_full_scale, counts_full_scale, divider }) = inputs.sensor {
         let entries = vec![
             number("volts_full_scale", volts_full_scale),

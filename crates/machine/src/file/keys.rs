@@ -28,6 +28,8 @@ pub struct Key {
 pub enum Form {
     /// Any string.
     Text,
+    /// `true` or `false`.
+    Boolean,
     /// One of these strings.
     Choice(&'static [&'static str]),
     /// The name of a temperature column, `temp_<name>_c`.
@@ -90,8 +92,8 @@ impl Key {
 }
 
 use Form::{
-    Choice, Choices, Column, NotNegative, Number, Numbers, Positive, Rows, Terms, Text, Vector,
-    Whole,
+    Boolean, Choice, Choices, Column, NotNegative, Number, Numbers, Positive, Rows, Terms, Text,
+    Vector, Whole,
 };
 
 const AXES: &[&str] = &["x", "y", "z"];
@@ -130,6 +132,8 @@ const THERMOMETER: &[Key] = &[
 ];
 
 const INPUTS: &[Key] = &[
+    key("service_switch", Boolean, "", "nothing is written to the board (calibration, reference, settings) unless the switch on its pin PB7 is closed to ground; it holds from this calibration's first start on, also against the next one")
+        .or("false"),
     section("sensor", SENSOR_INPUT, "how the displacement sensor reaches the board"),
     section(
         "temp_<name>_c",

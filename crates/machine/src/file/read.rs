@@ -204,6 +204,15 @@ impl<'d> Section<'d> {
         elements.iter().enumerate().map(table).collect()
     }
 
+    /// Returns the boolean `key`.
+    pub(crate) fn boolean(&self, key: &str) -> Result<Option<bool>, BadInput> {
+        match self.table.get(key).map(Spanned::get_ref) {
+            None => Ok(None),
+            Some(DeValue::Boolean(value)) => Ok(Some(*value)),
+            Some(other) => Err(self.wrong_type(key, "true or false", other)),
+        }
+    }
+
     /// The string `key`.
     pub(crate) fn text(&self, key: &str) -> Result<Option<&'d str>, BadInput> {
         match self.table.get(key).map(Spanned::get_ref) {

@@ -111,6 +111,7 @@ fn with_example(help: String, key: &Key) -> String {
 fn of_value(section: &Section<'_>, name: &str, key: &Key, faults: &mut Vec<BadInput>) {
     let result = match key.form {
         Form::Text => section.text(name).map(drop),
+        Form::Boolean => section.boolean(name).map(drop),
         Form::Column => read_temperature_column(section, name).map(drop),
         Form::Choice(choices) => {
             let choices: Vec<(&str, ())> = choices.iter().map(|choice| (*choice, ())).collect();

@@ -75,8 +75,13 @@ pub fn changes(old: &Calibration<'_>, new: &Calibration<'_>) -> Vec<String> {
     if old.thermometers != new.thermometers || old.cold_within != new.cold_within {
         all.push("thermometers: their channels or kinds".into());
     }
-    if old.guards != new.guards {
+    if old.guards.max_rates != new.guards.max_rates {
         all.push("how fast thermometers may change".into());
+    }
+    if old.guards.service_switch != new.guards.service_switch {
+        let asked =
+            if new.guards.service_switch { "asked for from now on" } else { "no longer asked for" };
+        all.push(format!("the service switch is {asked}"));
     }
     limit_changes(old, new, &mut all);
     all

@@ -9,7 +9,7 @@ use super::{Node, default_heartbeat_ms};
 impl Node<'_> {
     pub(super) fn network_command(&mut self, frame: &Frame) {
         match Command::decode(frame) {
-            Some(Command::ResetNode) if self.may_be_changed() => self.restart = true,
+            Some(Command::ResetNode) if self.allow_change().is_ok() => self.restart = true,
             Some(Command::ResetCommunication) if self.is_at_rest() => self.reset_communication(),
             _ => {}
         }

@@ -1,9 +1,7 @@
 //! What stands behind the object dictionary: the node's own values.
 
 use trueup_canopen::{
-    dictionary::{
-        Authority, BACK, Counter, DROP, ELONGATION_INPUT, FORGET, NOT_AVAILABLE, ObjectKind, Stop,
-    },
+    dictionary::{BACK, Counter, DROP, ELONGATION_INPUT, FORGET, NOT_AVAILABLE, ObjectKind, Stop},
     sdo::{Abort, ObjectValue, Objects},
 };
 use trueup_core::{
@@ -20,11 +18,6 @@ impl Node<'_> {
     /// Sets the serial number of the identity object (0x1018:04), 0…2³² − 1: a board of its own has its own.
     pub fn set_serial_number(&mut self, number: u32) {
         self.serial_number = number;
-    }
-
-    /// Whether the operator allows that a master changes the board, and no offset is followed.
-    pub(super) fn may_be_changed(&self) -> bool {
-        self.is_at_rest() && self.master.authority() == Authority::Service
     }
 
     /// Whether no offset is followed: only then may the board be changed under it.
@@ -92,7 +85,7 @@ impl Node<'_> {
             ObjectKind::Stop(what) => self.start.stop.number(what).ok_or(Abort::NoData)?,
             ObjectKind::Resets(reason) => self.start.resets(reason).into(),
             ObjectKind::Commit => self.commit,
-            ObjectKind::Authority => self.master.authority() as u32,
+            ObjectKind::Authority => self.authority() as u32,
             ObjectKind::Clock => self.now.0,
             ObjectKind::ReferenceElongation => nanometres(reference.elongation),
             ObjectKind::Reference(axis) => {
@@ -208,9 +201,7 @@ impl Objects for Node<'_> {
     fn write(&mut self, what: ObjectKind, number: u32) -> Result<(), Abort> {
         let short = || u16::try_from(number).map_err(|_| Abort::Value);
         // A stranger on the bus must not change it, nor anybody under a tool that cuts.
-        if !self.may_be_changed() {
-            return Err(Abort::DeviceState);
-        }
+        self.allow_change()?;
         match what {
             ObjectKind::ErrorCount if number == 0 => self.emergencies.clear(),
             ObjectKind::Inhibit => self.emergencies.set_inhibit(short()?),
@@ -233,9 +224,7 @@ impl Objects for Node<'_> {
     }
 
     fn open(&mut self, _: ObjectKind, size: Option<u32>) -> Result<(), Abort> {
-        if !self.may_be_changed() {
-            return Err(Abort::DeviceState);
-        }
+        self.allow_change()?;
         self.slot.open(size).map_err(abort)
     }
 
@@ -244,9 +233,7 @@ impl Objects for Node<'_> {
     }
 
     fn close(&mut self) -> Result<(), Abort> {
-        if !self.may_be_changed() {
-            return Err(Abort::DeviceState);
-        }
+        self.allow_change()?;
         self.log.loads(!self.master.is_cnc());
         self.slot.close().map_err(abort)
     }

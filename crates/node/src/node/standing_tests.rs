@@ -25,7 +25,8 @@ struct Cnc {
 
 impl Cnc {
     fn say(&mut self, node: &mut Node<'_>, control: Control, times: u32) {
-        let codes: [Code; CODES_PER_TICK] = core::array::from_fn(|n| Code(400 + n as u16 % 2));
+        let codes: [Code; CODES_PER_TICK] =
+            core::array::from_fn(|n| Code(400 + u16::from(n % 2 == 1)));
         for _ in 0..times {
             node.hear(Line::Serial, &frames::control(control, self.counter)).expect("in order");
             self.counter = self.counter.wrapping_add(1);
@@ -66,8 +67,7 @@ fn board(max_um: [i32; 3]) -> Node<'static> {
     let mut calibration = tests_calibration();
     calibration.limits.max = max_um.map(|um| Nanometres(um * 1_000));
     let mut blob = vec![0; MAX_SIZE];
-    let length =
-        encode(&calibration, (&mut blob[..]).try_into().expect("its size")).expect("small").len();
+    let length = encode(&calibration, &mut blob).expect("small").len();
     blob.truncate(length);
     let mut node = Node::new(Some(calibration), false);
     node.set_blob(Box::leak(blob.into()));

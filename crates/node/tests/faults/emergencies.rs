@@ -2,13 +2,13 @@
 
 use std::fmt::Write as _;
 
-use crate::rig::{Kind, Part, Rig};
+use crate::rig::{Kind, Part, Rig, SPINDLE_CHANNEL, calibration};
 use trueup_canopen::{
     dictionary::ObjectKind,
     emergency::Fault,
     sdo::{ObjectValue, Objects as _},
 };
-use trueup_core::{cnc::Control, learned::Change};
+use trueup_core::{cnc::Control, dimensions::CHANNELS, learned::Change};
 use trueup_link::{frame::Frame, frames};
 use trueup_node::node::{Line, Node};
 
@@ -40,7 +40,7 @@ fn provoke(fault: Fault, rig: &mut Rig) {
     let mut breaks = |part, kind| rig.fault = Some((part, kind, since));
     match fault {
         Fault::NoCalibration => rig.node = Node::new(None, false),
-        Fault::Restarted => rig.node = Node::new(Some(crate::rig::calibration()), false),
+        Fault::Restarted => rig.node = Node::new(Some(calibration()), false),
         Fault::Sensor => breaks(Part::Sensor, Kind::Short),
         Fault::SamplesMissing => breaks(Part::Blocks, Kind::Off),
         Fault::CncLost => breaks(Part::Control, Kind::Off),
@@ -53,7 +53,7 @@ fn provoke(fault: Fault, rig: &mut Rig) {
         Fault::PositionJump => breaks(Part::Position, Kind::Bias),
         Fault::SensorOdd => breaks(Part::Sensor, Kind::Bias),
         Fault::HeatUnknown => {
-            rig.node = Node::new(Some(crate::rig::calibration()), false);
+            rig.node = Node::new(Some(calibration()), false);
             rig.node.resume(None, 0);
         }
         Fault::OlderCalibration
@@ -97,6 +97,19 @@ fn provoke(fault: Fault, rig: &mut Rig) {
     }
 }
 
+/// Returns a rig with the spindle's thermometer on this channel, and the axis's on the next.
+fn engaged_on(channel: usize) -> Rig {
+    let channels = [channel, (channel + 1) % CHANNELS];
+    let mut wired = calibration();
+    let [spindle, axis] = channels.map(|channel| channel as u8);
+    wired.thermometers = [wired.thermometers[SPINDLE_CHANNEL]; CHANNELS];
+    wired.spindle.temperature.as_mut().expect("its model").channel = spindle;
+    wired.axes[0].thermal.as_mut().expect("its law").channel = axis;
+    let mut rig = Rig::new(7);
+    (rig.node, rig.channels) = (Node::new(Some(wired), false), channels);
+    rig.into_engaged()
+}
+
 /// Returns the channel of a thermometer's fault, and what breaks there.
 fn channel_of(fault: Fault) -> Option<(usize, Kind)> {
     let of = |faults: [Fault; 8]| faults.into_iter().position(|it| it == fault);
@@ -111,8 +124,7 @@ fn told_after(fault: Fault) -> u32 {
         // Both are sent elsewhere at once.
         Fault::Clamped => Rig::engaged_within(20_000, 7),
         Fault::OutsideTable => Rig::engaged_within(200_000, 7),
-        _ => channel_of(fault)
-            .map_or_else(|| Rig::engaged(7), |(channel, _)| Rig::engaged_on(channel, 7)),
+        _ => channel_of(fault).map_or_else(|| Rig::engaged(7), |(channel, _)| engaged_on(channel)),
     };
     if fault == Fault::OutsideTable {
         // 10 mm a minute from 590 mm need long to leave the table: begin far out.

@@ -194,7 +194,7 @@ pub struct Rig {
     pub told: Vec<(u32, Fault)>,
     pub last: Output,
     /// Channels of the two thermometers.
-    channels: [usize; 2],
+    pub channels: [usize; 2],
     /// Where the CNC is.
     pub line: Line,
     seed: u64,
@@ -472,18 +472,7 @@ impl Rig {
         Self { node: Node::new(Some(narrow), false), ..Self::new(seed) }.into_engaged()
     }
 
-    /// The same, with the spindle's thermometer on this channel; the axis's goes to the next.
-    pub fn engaged_on(channel: usize, seed: u64) -> Self {
-        let channels = [channel, (channel + 1) % CHANNELS];
-        let mut wired = calibration();
-        let [spindle, axis] = channels.map(|channel| channel as u8);
-        wired.thermometers = [wired.thermometers[SPINDLE_CHANNEL]; CHANNELS];
-        wired.spindle.temperature.as_mut().expect("its model").channel = spindle;
-        wired.axes[0].thermal.as_mut().expect("its law").channel = axis;
-        Self { node: Node::new(Some(wired), false), channels, ..Self::new(seed) }.into_engaged()
-    }
-
-    fn into_engaged(mut self) -> Self {
+    pub fn into_engaged(mut self) -> Self {
         self.run(500);
         self.engage = true;
         self.run(3_000);

@@ -21,7 +21,7 @@ use trueup_core::{
 
 use super::{
     error::BlobError,
-    format::{MAX_COLD_WITHIN, MAX_LEARNED, MAX_OFFSET_NM, NONE},
+    format::{MAX_COLD_WITHIN, MAX_LEARNED, MAX_OFFSET_NM, MAX_REJOIN_NM_PER_S, NONE},
     wire::{Field, Reader, Writer, fields, numbers},
 };
 
@@ -110,6 +110,32 @@ impl<'b> Field<'b> for ColdWithin {
         Self(within)
     }
 }
+
+/// The way back from one source to another, up to [`MAX_REJOIN_NM_PER_S`], and switches in the upper half: bit 0 is the
+/// service switch. They are 0 in a blob from before they were known, and a firmware from then refuses one that sets them.
+pub(super) struct RejoinAndSwitches(pub u32, pub bool);
+
+impl<'b> Field<'b> for RejoinAndSwitches {
+    const SIZE: usize = 4;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        let switches = if self.1 { SERVICE_SWITCH } else { 0 };
+        (self.0 | switches).put(to);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Self {
+        let offset = from.at;
+        let found = u32::get(from);
+        let rejoin = found & !SERVICE_SWITCH;
+        if rejoin > MAX_REJOIN_NM_PER_S {
+            from.refuse(BlobError::Limit { offset, found: rejoin, most: MAX_REJOIN_NM_PER_S });
+        }
+        Self(rejoin, found & SERVICE_SWITCH != 0)
+    }
+}
+
+/// The bit of the service switch.
+const SERVICE_SWITCH: u32 = 1 << 16;
 
 /// Bytes of a text: a reference to them.
 pub(super) struct Text<'b>(pub &'b [u8]);
@@ -401,6 +427,26 @@ mod tests {
                 assert_eq!(decode(blob) == Ok(calibration), is_taken, "{tenths}");
             });
         }
+    }
+
+    #[test]
+    fn the_service_switch_is_one_bit_that_is_0_in_a_blob_without_it_and_no_other_is_taken() {
+        with_sample(|mut calibration| {
+            let (mut before, mut after) = ([0; MAX_SIZE], [0; MAX_SIZE]);
+            let without = encode(&calibration, &mut before).expect("it is small");
+            calibration.guards.service_switch = true;
+            let with = encode(&calibration, &mut after).expect("it is small");
+            assert_eq!(decode(with), Ok(calibration));
+            // All but the CRC at the end.
+            let bytes = without.iter().zip(with).take(without.len() - 4);
+            let mut changed = bytes.enumerate().filter(|(_, (a, b))| a != b);
+            assert_eq!((changed.next(), changed.next()), (Some((578, (&0, &1))), None));
+        });
+        // Bit 1 of the switches.
+        let field = (11_u32 | 2 << 16).to_le_bytes();
+        let mut reader = Reader::new(&field, 0);
+        let read = RejoinAndSwitches::get(&mut reader);
+        assert!(matches!(reader.finish(read.0), Err(BlobError::Limit { .. })));
     }
 
     #[test]

@@ -23,11 +23,10 @@ use trueup_core::{
 };
 
 use super::{
-    format::{
-        FIXED_SIZE, HEAD_SIZE, MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_REJOIN_NM_PER_S,
-        MAX_SLEW_NM_PER_S,
+    format::{FIXED_SIZE, HEAD_SIZE, MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_SLEW_NM_PER_S},
+    quantities::{
+        Chain, Channel, ColdWithin, Connected, HeadAxes, Limit, MaxOffset, RejoinAndSwitches, Text,
     },
-    quantities::{Chain, Channel, ColdWithin, Connected, HeadAxes, Limit, MaxOffset, Text},
     terms::Terms,
     wire::{Field, record},
 };
@@ -54,7 +53,7 @@ record! {
         squareness: [Gradient; 6],
         spindle_smoothing_falling: SmoothingFactor,
         terms: Terms<'b>,
-        rejoin_nm_per_s: Limit<MAX_REJOIN_NM_PER_S>,
+        rejoin: RejoinAndSwitches,
         cold_within: ColdWithin,
         board: [u32; 3],
         machine_name: Text<'b>,
@@ -98,7 +97,7 @@ impl<'b> FixedPart<'b> {
             limits:
                 Limits { max, slew_nm_per_s, link_timeout_ms, hold_ms, rejoin_nm_per_s, learned },
             cold_within,
-            guards: Guards { max_rates },
+            guards: Guards { max_rates, service_switch },
             names: Names { machine, serial, board },
         } = *calibration;
         let none = SmoothingFactor(0);
@@ -132,7 +131,7 @@ impl<'b> FixedPart<'b> {
             squareness,
             spindle_smoothing_falling: temperature.map_or(none, |it| it.smoothing_falling),
             terms,
-            rejoin_nm_per_s: Limit(rejoin_nm_per_s),
+            rejoin: RejoinAndSwitches(rejoin_nm_per_s, service_switch),
             cold_within: ColdWithin(cold_within),
             board,
             machine_name: Text(machine),
@@ -168,11 +167,14 @@ impl<'b> FixedPart<'b> {
                 slew_nm_per_s: self.slew_nm_per_s.0,
                 link_timeout_ms: self.link_timeout_ms.0,
                 hold_ms: self.hold_ms.0,
-                rejoin_nm_per_s: self.rejoin_nm_per_s.0,
+                rejoin_nm_per_s: self.rejoin.0,
                 learned: Caps { growth, axes, zero },
             },
             cold_within: self.cold_within.0,
-            guards: Guards { max_rates: self.thermometers.map(|it| it.1) },
+            guards: Guards {
+                max_rates: self.thermometers.map(|it| it.1),
+                service_switch: self.rejoin.1,
+            },
             names: Names {
                 machine: self.machine_name.0,
                 serial: self.machine_serial.0,

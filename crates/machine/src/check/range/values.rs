@@ -44,7 +44,7 @@ fn of_value(key: &str, row: String, value: &Value, entries: &mut Vec<Entry>) {
             }
             return;
         }
-        Value::Text(_) | Value::Texts(_) => return,
+        Value::Boolean(_) | Value::Text(_) | Value::Texts(_) => return,
     };
     entries.push(Entry { key: key.to_string(), row, values });
 }

@@ -13,6 +13,7 @@ pub(super) fn value(value: &Value) -> toml_edit::Value {
     match value {
         Value::Number(value) => number(*value),
         Value::Whole(number) => i64::from(*number).into(),
+        Value::Boolean(value) => (*value).into(),
         Value::Text(text) => text.into(),
         Value::Numbers(numbers) => laid_out(numbers.iter().copied().map(number).collect()).into(),
         Value::Wholes(numbers) => laid_out(numbers.iter().copied().map(i64::from).collect()).into(),

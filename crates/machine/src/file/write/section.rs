@@ -29,6 +29,8 @@ pub enum Value {
     Number(f64),
     /// A whole number, written without a point.
     Whole(u32),
+    /// `true` or `false`.
+    Boolean(bool),
     /// A string of any characters.
     Text(String),
     /// An array of finite numbers.

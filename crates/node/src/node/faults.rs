@@ -1,0 +1,57 @@
+//! The faults of a node. Each lost input is one of its own: the second loss is reported while the first lasts.
+
+use trueup_canopen::emergency::{Fault, Faults, faults_of};
+use trueup_core::{
+    cnc::{Flags, Output},
+    set::IndexSet,
+};
+
+use super::Node;
+
+impl Node<'_> {
+    /// Returns the faults, with an output like this.
+    pub(super) fn faults(&self, output: &Output) -> Faults {
+        let board = self.board_faults;
+        let known = [Fault::Crystal, Fault::Pll, Fault::Can].iter().any(|fault| board.has(*fault));
+        faults_of(output)
+            .and(board)
+            .and(self.lost_inputs(output.flags))
+            .with_if(self.bridge.is_none(), Fault::NoCalibration)
+            .with_if(self.consumer.is_lost(), Fault::HeartbeatLost)
+            .with_if(self.degraded && !known, Fault::Degraded)
+            .with_if(!self.master.is_started(), Fault::Restarted)
+            .with_if(self.master.is_second(), Fault::SecondMaster)
+            .with_if(self.zero_refused, Fault::ZeroRefused)
+            .with_if(self.learned_refused, Fault::LearnedRefused)
+            .with_if(self.state.position_has_jumped(), Fault::PositionJump)
+            .with_if(self.state.sensor_is_odd(), Fault::SensorOdd)
+            .with_if(
+                self.bridge.as_ref().is_some_and(|it| it.fall_back_is_dead(&self.state)),
+                Fault::SourceDead,
+            )
+            .with_if(
+                self.bridge.as_ref().is_some_and(|it| it.is_unfit(&self.state)),
+                Fault::CalibrationUnfit,
+            )
+            .and(self.questions)
+    }
+
+    /// Returns the lost inputs, with the flags of an output. A flag without a source that is lost by now was a
+    /// short loss of the sensor or of `Control`, and is not overlooked.
+    fn lost_inputs(&self, flags: Flags) -> Faults {
+        let lost = self.bridge.as_ref().map(|it| it.lost_inputs(&self.state)).unwrap_or_default();
+        let has_thermometers = lost.thermometers != IndexSet::default();
+        let sensor = lost.sensor || (flags.contains(Flags::SENSOR_FAULT) && !has_thermometers);
+        let sources = Faults::default()
+            .with_if(sensor, Fault::Sensor)
+            .with_if(flags.contains(Flags::CNC_LOST) && !lost.place, Fault::CncLost)
+            .with_if(lost.place, Fault::PlaceLost);
+        let of = |sources: Faults, channels: IndexSet, faults: [Fault; 8]| {
+            let numbered = faults.into_iter().enumerate();
+            numbered
+                .fold(sources, |all, (channel, fault)| all.with_if(channels.has(channel), fault))
+        };
+        let sources = of(sources, lost.thermometers, Fault::THERMOMETERS);
+        of(sources, lost.too_fast, Fault::TEMPERATURE_RATES)
+    }
+}

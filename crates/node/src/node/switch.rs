@@ -1,0 +1,152 @@
+//! The service switch at the board: a calibration may ask that nothing is written unless it is closed.
+//!
+//! It holds for everything that a master writes by SDO (a calibration, a reference, settings, the time) and for NMT reset
+//! node. `Zero`, `Confirm` and what was learned come in `Control`, which is the CNC's own, and need no switch.
+
+use trueup_canopen::{dictionary::Authority, sdo::Abort};
+
+use super::Node;
+
+/// So many equal readings, one in 10 ms, are a position of the switch: contacts bounce for less than 20 ms.
+const STEADY: u8 = 5;
+
+/// The switch, debounced; open until it has been closed for its time.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct ServiceSwitch {
+    is_closed: bool,
+    /// Readings in a row that differ from it.
+    differs: u8,
+}
+
+impl ServiceSwitch {
+    /// Takes a reading.
+    fn read(&mut self, is_closed: bool) {
+        self.differs = if is_closed == self.is_closed { 0 } else { self.differs.saturating_add(1) };
+        if self.differs >= STEADY {
+            *self = Self { is_closed, differs: 0 };
+        }
+    }
+}
+
+impl Node<'_> {
+    /// Takes a reading of the service switch, one every 10 ms.
+    pub fn read_service_switch(&mut self, is_closed: bool) {
+        self.switch.read(is_closed);
+    }
+
+    /// Returns whether the running calibration asks for the switch, and it is open.
+    fn is_locked(&self) -> bool {
+        let asks = |it: &trueup_core::bridge::Bridge<'_>| it.calibration().guards.service_switch;
+        self.bridge.as_ref().is_some_and(asks) && !self.switch.is_closed
+    }
+
+    /// Returns who may write, as the dictionary has it.
+    pub(super) fn authority(&self) -> Authority {
+        if self.is_locked() { Authority::SwitchOpen } else { self.master.authority() }
+    }
+
+    /// Checks that the operator allows that a master changes the board, and that no offset is followed.
+    ///
+    /// # Errors
+    /// Why it must not be changed now.
+    pub(super) fn allow_change(&self) -> Result<(), Abort> {
+        match self.authority() {
+            Authority::SwitchOpen => Err(Abort::LocalControl),
+            Authority::Service if self.is_at_rest() => Ok(()),
+            _ => Err(Abort::DeviceState),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::node::{Line, tests_calibration};
+    use trueup_canopen::{
+        dictionary::{BACK, FORGET, ObjectKind},
+        sdo::{ObjectValue, Objects as _},
+    };
+    use trueup_core::cnc::Control;
+    use trueup_link::{frame::Frame, frames, layout::NMT_ID};
+
+    /// A node at rest whose CNC says `Service`.
+    fn in_service<'a>(asks: bool) -> Node<'a> {
+        let mut calibration = tests_calibration();
+        calibration.guards.service_switch = asks;
+        let mut node = Node::new(Some(calibration), false);
+        let service = Control { service: true, ..Control::REFERENCED };
+        for counter in 0..4 {
+            node.hear(Line::Can, &frames::control(service, counter)).expect("in order");
+        }
+        node
+    }
+
+    fn turn(node: &mut Node<'_>, is_closed: bool) {
+        (0..STEADY).for_each(|_| node.read_service_switch(is_closed));
+    }
+
+    #[test]
+    fn a_calibration_that_asks_for_the_switch_is_written_to_with_it_closed_and_only_then() {
+        let writes = [
+            (ObjectKind::Utc, 1_800_000_000),
+            (ObjectKind::ReferenceElongation, 5),
+            (ObjectKind::Forget, FORGET),
+            (ObjectKind::ProducerHeartbeat, 500),
+            (ObjectKind::ErrorCount, 0),
+        ];
+        for (what, number) in writes {
+            let mut node = in_service(true);
+            assert_eq!(node.write(what, number), Err(Abort::LocalControl), "{what:?}");
+            assert_eq!(node.open(ObjectKind::New, Some(4)), Err(Abort::LocalControl));
+            assert_eq!(node.close(), Err(Abort::LocalControl));
+            let authority = node.read(ObjectKind::Authority);
+            assert_eq!(authority, Ok(ObjectValue::Number(Authority::SwitchOpen as u32)));
+            turn(&mut node, true);
+            assert_eq!(node.write(what, number), Ok(()), "{what:?}");
+            turn(&mut node, false);
+            assert_eq!(node.write(what, number), Err(Abort::LocalControl), "{what:?}");
+            assert_eq!(in_service(false).write(what, number), Ok(()), "{what:?}");
+        }
+    }
+
+    #[test]
+    fn a_calibration_is_downloaded_and_a_reference_restored_with_the_switch_closed_and_only_then() {
+        let mut buffer = [0; 8];
+        let mut node = in_service(true);
+        node.set_buffer(&mut buffer);
+        let send = |node: &mut Node<'_>| {
+            node.open(ObjectKind::New, Some(4))?;
+            node.append(&[1, 2, 3, 4])
+        };
+        let restore = |node: &mut Node<'_>| -> Result<(), Abort> {
+            node.write(ObjectKind::ReferenceElongation, 5)?;
+            (0..3).try_for_each(|axis| node.write(ObjectKind::Reference(axis), 0))?;
+            node.write(ObjectKind::Forget, BACK)
+        };
+        // A download that begins while it is closed is not taken once it is open.
+        turn(&mut node, true);
+        assert_eq!(send(&mut node), Ok(()));
+        turn(&mut node, false);
+        assert_eq!((node.close(), node.take_load().is_some()), (Err(Abort::LocalControl), false));
+
+        let reset = Frame::new(NMT_ID, &[0x81, 1]).expect("short");
+        for is_closed in [false, true, false] {
+            turn(&mut node, is_closed);
+            let expected = if is_closed { Ok(()) } else { Err(Abort::LocalControl) };
+            assert_eq!(restore(&mut node), expected);
+            assert_eq!(send(&mut node).and_then(|()| node.close()), expected);
+            assert_eq!(node.take_load().is_some(), is_closed);
+            node.hear(Line::Can, &reset).expect("no request");
+            assert_eq!(node.take_restart(), is_closed);
+        }
+    }
+
+    #[test]
+    fn a_contact_that_bounces_is_no_switch_that_is_closed() {
+        let mut node = in_service(true);
+        for n in 0..100 {
+            node.read_service_switch(n % 5 != 0);
+            assert_eq!(node.authority(), Authority::SwitchOpen);
+        }
+    }
+}
