@@ -273,7 +273,7 @@ fn nanometres(um: f64) -> i32 {
     (um * f64::from(NANOMETRES_PER_MICROMETRE)).round() as i32
 }
 
-fn read_ini(path: &PathBuf) -> Result<Ini> {
+fn read_ini(path: &Path) -> Result<Ini> {
     let name = path.display();
     let text = files::text(path, MOST_BYTES)?;
     Ok(Ini::parse(&text).map_err(|error| UserError(format!("{name}:{error}")))?)
