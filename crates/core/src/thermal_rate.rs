@@ -140,7 +140,8 @@ impl RateMonitor {
 /// Returns `from`, moved by at most `most` toward a temperature.
 fn toward(from: i32, to: Temperature, most: i32) -> i32 {
     let most = most.max(0);
-    to.0.clamp(from.saturating_sub(most), from.saturating_add(most))
+    // `clamp` would check the order of its bounds, with a panic.
+    to.0.max(from.saturating_sub(most)).min(from.saturating_add(most))
 }
 
 #[cfg(test)]
