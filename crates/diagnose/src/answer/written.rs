@@ -160,9 +160,7 @@ impl Written {
         let is_of_record = |kind: &Kind| {
             judged.iter().any(|it| it.cause() == kind && !it.is_kept && it.is_of_this_record())
         };
-        let leave = kinds(&found.fitted.model, |kind| {
-            !is_handed_out(kind) && !is_of_record(kind)
-        });
+        let leave = kinds(&found.fitted.model, |kind| !is_handed_out(kind) && !is_of_record(kind));
         let model = without_all(problem, &found.fitted.model, leave.iter());
         if model.parts.is_empty() {
             return Model::default();
@@ -213,14 +211,18 @@ impl Written {
         let (mut board, mut left) = (self.board.clone(), Vec::new());
         while let Some((_, why)) = bounds.violated(on, &run_by_board(&board)) {
             // Tables and curves answer for themselves, by their repeats and point by point.
-            let is_single =
-                |kind: &Kind| kind.is_compensated() && kind.list_length().is_none();
+            let is_single = |kind: &Kind| kind.is_compensated() && kind.list_length().is_none();
             let single = board.parts.iter().filter(|part| is_single(&part.kind));
             let tried = single.map(|part| {
                 let rest = without_all(on, &board, std::iter::once(&part.kind));
                 let rest = if rest.parts.is_empty() { rest } else { fit_of_most(on, &rest) };
                 let left_um = typical(&found.folds.left_out(on, &rest));
-                (bounds.violated(on, &run_by_board(&rest)).is_some(), left_um, part.kind.clone(), rest)
+                (
+                    bounds.violated(on, &run_by_board(&rest)).is_some(),
+                    left_um,
+                    part.kind.clone(),
+                    rest,
+                )
             });
             let best = tried.min_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
             let Some((_, _, dropped, rest)) = best else { break };
