@@ -158,7 +158,7 @@ impl Finding {
         }
         if !differs.is_empty() {
             self.evidence.push(format!(
-                "Fitted without what the board does not run, and so in extended.toml: {}.",
+                "In extended.toml, fitted without the terms that are not written: {}.",
                 differs.join(", ")
             ));
         }

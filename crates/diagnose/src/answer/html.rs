@@ -293,8 +293,8 @@ fn cause(finding: &Finding, out: &mut String) {
             let written = readable(written);
             let _ = writeln!(
                 out,
-                "<tr><td>{name}</td><td>{written}</td><td>written: fitted without what the board does not \
-                 run</td></tr>"
+                "<tr><td>{name}</td><td>{written}</td><td>written: fitted without the terms that \
+                 are not written</td></tr>"
             );
         }
     }
