@@ -9,20 +9,20 @@
 //! Travel and soft limits are the same: a program that goes too far stops with LinuxCNC's error.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
+mod cycles;
 mod stops;
 
 use std::{
     borrow::Cow,
     collections::BTreeMap,
     fs,
-    io::{BufRead as _, BufReader, Lines},
     path::Path,
-    process::ChildStdout,
     thread,
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use anyhow::{Context as _, Result, bail, ensure};
+use cycles::Cycles;
 use stops::begin_and_pass_the_stop;
 use trueup_emulator::{
     linuxcnc::{
@@ -88,10 +88,12 @@ fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Resu
     let program = control::program(plan, Control::LinuxCnc);
     fs::write(cnc.folder().join(&program.0), program.1)?;
     let text = template::templates(plan).remove(0).1;
-    let header = text.lines().nth(2).context("a header")?;
+    // What stands before the columns is for the reader.
+    let mut table = text.lines().skip_while(|line| line.starts_with('#'));
+    let header = table.next().context("a header")?;
     let names: Vec<&str> = header.split(',').collect();
     let mut filled = format!("{header}\n");
-    let mut rows = text.lines().skip(3).zip(plan.readings());
+    let mut rows = table.zip(plan.readings());
 
     let mut machine = Machine::new(scenario, 1);
     let mut instruments: BTreeMap<&str, Instrument> = names
@@ -99,16 +101,12 @@ fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Resu
         .filter(|name| name.starts_with("measured_"))
         .map(|name| (*name, Instrument::new(&scenario.instrument, name, 1)))
         .collect();
-    begin_and_pass_the_stop(cnc, &program.0)?;
+    begin_and_pass_the_stop(cnc, cycles, &program.0)?;
     let (mut before, mut stood, mut began_s) = ([f64::NAN; 3], 0, None);
     let mut next = rows.next();
     let mut silent_s = 0.0;
-    for line in cycles {
-        let line = line?;
-        ensure!(!line.contains("overrun"), "the recorder was overrun");
-        let values: Vec<f64> =
-            line.split_whitespace().skip(1).filter_map(|word| word.parse().ok()).collect();
-        let &[x, y, z, speed] = &values[..] else { bail!("a line of the recorder is {line:?}") };
+    loop {
+        let [x, y, z, speed] = cycles.next()?;
         let position_mm = [x, y, z];
         let command = Command { position_mm, spindle_rpm: speed, ..Command::default() };
         machine.step(0.001 * factor, &command);
@@ -167,18 +165,24 @@ fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Resu
             );
         }
     }
-    cnc.wait("the program's end", PATIENCE_S, &["motion.program-line"], |_| true)?;
+    let read = Instant::now();
     while cnc.is_busy()? {
+        ensure!(
+            read.elapsed().as_secs() < PATIENCE_S,
+            "{} does not end: {}",
+            plan.name,
+            cnc.said()
+        );
         thread::sleep(Duration::from_millis(50));
     }
     println!("{}: {} readings by themselves", plan.name, plan.readings().len());
     Ok(filled)
 }
 
-/// LinuxCNC, and what its recorder says of each servo cycle: always read, or it is overrun.
+/// LinuxCNC, and what its recorder says of each servo cycle.
 struct Rig {
     cnc: Headless,
-    cycles: Lines<BufReader<ChildStdout>>,
+    cycles: Cycles,
     recorder: Sampler,
 }
 
@@ -199,7 +203,7 @@ fn start(linuxcnc: LinuxCnc) -> Result<Rig> {
     });
     let cnc = three_joints::start(linuxcnc, &axes, RECORDER, &[])?;
     let (recorder, cycles) = cnc.sample()?;
-    Ok(Rig { cnc, cycles: BufReader::new(cycles).lines(), recorder })
+    Ok(Rig { cnc, cycles: Cycles::of(cycles), recorder })
 }
 
 fn believed() -> Believed {

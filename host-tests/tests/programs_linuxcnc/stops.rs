@@ -6,11 +6,11 @@ use std::{
     time::{Duration, Instant},
 };
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Result, ensure};
 use trueup_emulator::{linuxcnc::headless::Headless, setup};
 use trueup_program::{Control, Kind, Options, Plan, control};
 
-use crate::{PATIENCE_S, Rig, Y, made, options, start};
+use crate::{PATIENCE_S, Rig, Y, cycles::Cycles, made, options, start};
 
 /// What LinuxCNC commands of X, Y, Z and the spindle.
 const COMMANDED: [&str; 4] = [
@@ -21,8 +21,13 @@ const COMMANDED: [&str; 4] = [
 ];
 
 /// Begins a program, sees that nothing has moved when it stops, and goes on.
-pub fn begin_and_pass_the_stop(cnc: &mut Headless, program: &str) -> Result<()> {
+pub fn begin_and_pass_the_stop(
+    cnc: &mut Headless,
+    cycles: &mut Cycles,
+    program: &str,
+) -> Result<()> {
     let before = cnc.pins(&COMMANDED)?;
+    cycles.wait_for_stand(&before)?;
     cnc.begin(program)?;
     let begun = Instant::now();
     while !cnc.is_stopped()? {
@@ -32,39 +37,44 @@ pub fn begin_and_pass_the_stop(cnc: &mut Headless, program: &str) -> Result<()> 
     thread::sleep(Duration::from_millis(200));
     let stood = cnc.pins(&COMMANDED)?;
     ensure!(stood == before && cnc.is_stopped()?, "{program} moved from {before:?} to {stood:?}");
+    let moved = cycles.first_elsewhere(&before)?;
+    ensure!(moved.is_none(), "{program} moved from {before:?} to {moved:?} before its stop");
     cnc.resume()
 }
 
 /// Where the programs of all kinds may move, in mm; Z is 2500 mm high.
 const RANGES_MM: [[f64; 2]; 3] = [[1000.0, 1400.0], [500.0, 800.0], [2200.0, 2400.0]];
 
+/// How many servo cycles are read before LinuxCNC is asked how it stands.
+const EACH: u32 = 100;
+/// How often [`EACH`] cycles are read after the end.
+const LATE: u32 = 5;
+/// A program of a few moves ends within so long on a busy computer.
+const PROGRAM: Duration = Duration::from_secs(60);
+
 /// Runs a program with all its stops; returns from where to where each axis was sent after the first of them.
-fn run_with_stops(rig: &mut Rig, plan: &Plan) -> Result<Vec<[f64; 2]>> {
+fn run_with_stops(rig: &mut Rig, plan: &Plan) -> Result<[[f64; 2]; 3]> {
     let Rig { cnc, cycles, .. } = rig;
     let (name, text) = control::program(plan, Control::LinuxCnc);
     fs::write(cnc.folder().join(&name), text)?;
-    begin_and_pass_the_stop(cnc, &name)?;
-    let mut seen: Option<Vec<[f64; 2]>> = None;
-    let mut is_busy = true;
-    for (n, line) in cycles.enumerate() {
-        let line = line?;
-        ensure!(!line.contains("overrun"), "the recorder was overrun");
-        let at = line.split_whitespace().skip(1).take(3).map(str::parse::<f64>);
-        let at: Vec<f64> = at.collect::<Result<_, _>>()?;
-        let seen = seen.get_or_insert_with(|| at.iter().map(|mm| [*mm; 2]).collect());
-        for ([low, high], mm) in seen.iter_mut().zip(at) {
-            (*low, *high) = (low.min(mm), high.max(mm));
-        }
-        if n % 100 == 99 {
-            if cnc.is_stopped()? {
-                cnc.resume()?;
-            } else if !is_busy {
-                break;
+    begin_and_pass_the_stop(cnc, cycles, &name)?;
+    let begun = Instant::now();
+    let mut seen = [[f64::INFINITY, f64::NEG_INFINITY]; 3];
+    // The recorder is a little late: so many more cycles hold the end of the program.
+    let mut more = LATE;
+    while more > 0 {
+        for _ in 0..EACH {
+            for ([low, high], mm) in seen.iter_mut().zip(cycles.next()?) {
+                (*low, *high) = (low.min(mm), high.max(mm));
             }
-            is_busy = cnc.is_busy()?;
         }
+        if cnc.is_stopped()? {
+            cnc.resume()?;
+        }
+        more = if cnc.is_busy()? { LATE } else { more - 1 };
+        ensure!(begun.elapsed() < PROGRAM, "{name} does not end: {}", cnc.said());
     }
-    seen.context("LinuxCNC commands nothing")
+    Ok(seen)
 }
 
 #[test]
