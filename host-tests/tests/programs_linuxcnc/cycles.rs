@@ -62,9 +62,9 @@ impl Cycles {
     }
 }
 
-/// The recorder writes six decimals.
+/// A tenth of a micrometre is what [`commanded`] keeps.
 fn is_at(cycle: &[f64; 4], at: &[f64]) -> bool {
-    cycle.iter().zip(at).all(|(is, at)| (is - at).abs() < 2e-6)
+    cycle.iter().zip(at).all(|(is, at)| (is - at).abs() < 2e-4)
 }
 
 fn commanded(line: &str) -> Result<[f64; 4]> {
@@ -72,5 +72,7 @@ fn commanded(line: &str) -> Result<[f64; 4]> {
     let values = line.split_whitespace().skip(1).map(str::parse::<f64>);
     let values: Vec<f64> = values.collect::<Result<_, _>>().with_context(|| line.to_string())?;
     let &[x, y, z, speed] = &values[..] else { bail!("a line of the recorder is {line:?}") };
+    // To a tenth of a micrometre: the last decimals of what is written are no reversal.
+    let [x, y, z] = [x, y, z].map(|mm| (mm * 1e4).round() / 1e4);
     Ok([x, y, z, speed])
 }

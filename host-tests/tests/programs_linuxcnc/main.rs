@@ -105,6 +105,7 @@ fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Resu
     let (mut before, mut stood, mut began_s) = ([f64::NAN; 3], 0, None);
     let mut next = rows.next();
     let mut silent_s = 0.0;
+    let mut stands = Vec::new();
     loop {
         let [x, y, z, speed] = cycles.next()?;
         let position_mm = [x, y, z];
@@ -115,6 +116,9 @@ fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Resu
         }
         stood = if position_mm == before { stood + 1 } else { 0 };
         before = position_mm;
+        if stood == SETTLED {
+            stands.push((position_mm, machine.axes().directions()));
+        }
         silent_s += 0.001;
         let Some((row, reading)) = next else { break };
         let is_there = if plan.extent_mm() == [None; 3] {
@@ -155,12 +159,14 @@ fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Resu
             filled += &(cells.context("a column that the machine does not have")?.join(",") + "\n");
             next = rows.next();
             silent_s = 0.0;
+            stands.clear();
         }
         // A loaded computer falls behind with what the recorder says: the program may have ended before.
         if silent_s > PATIENCE_S as f64 {
             let (is_busy, said) = (cnc.is_busy(), cnc.said());
             bail!(
-                "{}: no reading at {reading:?}; LinuxCNC stands at {position_mm:?}, busy {is_busy:?}\n{said}",
+                "{}: no reading at {reading:?}; LinuxCNC stands at {position_mm:?}, busy {is_busy:?}, stood \
+                 at {stands:?}\n{said}",
                 plan.name
             );
         }
