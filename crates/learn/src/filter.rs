@@ -38,7 +38,7 @@ const SCATTER: usize = 64;
 /// From so many readings on their own scatter is believed.
 const ENOUGH: usize = 8;
 /// No probe repeats better, in µm.
-const FINEST_UM: f64 = 0.1;
+pub(crate) const FINEST_UM: f64 = 0.1;
 /// So many readings in a hundred are bad, and may be off by anything up to this, in µm, either way: then no single
 /// reading says much for or against anything.
 const BAD: f64 = 0.05;

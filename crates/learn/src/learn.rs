@@ -296,8 +296,8 @@ fn forbidden(memory: &Memory, wanted: &[f64], is_factor_known: bool) -> Option<S
     if !wanted.iter().zip(&memory.applied).any(moves) {
         return None;
     }
-    let noise_um = memory.bank.noise_um();
-    if let Some(um) = step::step_um(&memory.recent, &memory.applied, wanted, noise_um) {
+    let (prior, noise_um) = (prior(memory.constants.len()), memory.bank.noise_um());
+    if let Some(um) = step::step_um(&memory.recent, &memory.applied, &prior, noise_um) {
         return Some(format!(
             "Nothing is applied: a step of the zero by {um:+.1} µm explains the readings as well. Was the reference touched \
              off anew, or moved? Then set the reference (Zero), and move the .learn.json of the output away: learning \
