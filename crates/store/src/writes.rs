@@ -225,7 +225,7 @@ mod tests {
             utc_s: 1_790_000_000,
             what,
             origin,
-            is_unattended: sequence % 3 == 0,
+            is_unattended: sequence.is_multiple_of(3),
         }
     }
 
