@@ -126,7 +126,7 @@ fn what_a_converter_sends_for_a_fault_is_absent_in_a_short_record_too() {
         values[row] = shown;
         assert_eq!(
             found(&values),
-            [Fault::Absent { shown, rows: vec![row..row + 1] }],
+            [Fault::Absent { shown, rows: std::iter::once(row..row + 1).collect() }],
             "{row} {shown}"
         );
     }
