@@ -14,7 +14,7 @@
 //! | [`object`] | the objects of the bridge, by SDO |
 //! | `patience` | how long an answer is waited for |
 //! | [`load`] | a calibration, sent, read back and put to use |
-//! | [`reference`] | what the errors count from: value, age, by whom, in force or offered |
+//! | [`mod@reference`] | what the errors count from: value, age, by whom, in force or offered |
 //! | [`questions`] | what a bridge asks its operator |
 //! | [`saved`] | all that a board holds, in one file |
 //! | [`words`] | offsets, flags, faults and states for people and as JSON |

@@ -4,7 +4,7 @@
 //! What is to be sent waits in a short queue. While it is full, frames are left out: the receiver
 //! sees a gap in the counter, and the next frame says something newer anyway. What has waited for too
 //! long, and what would wait in a line that stalls, is left out likewise; and what comes is passed on
-//! only while it cannot be old ([`crate::dating`]).
+//! only while it cannot be old (`dating`).
 
 use std::{
     io::{self, Read, Write},
