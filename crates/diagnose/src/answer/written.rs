@@ -316,10 +316,11 @@ impl Written {
     }
 }
 
-/// The parts that the board runs.
+/// The parts that the board runs. Without one the machine file stays, and with it its zero.
 fn run_by_board(model: &Model) -> Model {
-    let parts = model.parts.iter().filter(|part| part.kind.is_compensated()).cloned().collect();
-    Model { parts, ..model.clone() }
+    let parts: Vec<_> =
+        model.parts.iter().filter(|part| part.kind.is_compensated()).cloned().collect();
+    if parts.is_empty() { Model::default() } else { Model { parts, ..model.clone() } }
 }
 
 /// The kinds of the parts that are so.
