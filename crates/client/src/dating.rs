@@ -11,7 +11,9 @@
 //! either limit is at least 3 · the fastest answer    a bridge that is emulated on a busy computer lives slower
 //! ```
 //!
-//! An answer that is lost is no proof; the next one is. Where no adapter answers (a CAN interface) only the pace
+//! An answer that is lost is no proof; the next one is. Questions that a bridge lost while it restarted are never
+//! answered: an answer counts for the earliest question that it can belong to, and the letter changes only when no
+//! question with the other one is open, so after two answers it can belong to the newest alone. Where no adapter answers (a CAN interface) only the pace
 //! is known: after a silence, what comes faster than the bridge sends has waited, and is not used until the pace
 //! is right for two windows in a row; nothing is sent during a silence.
 
@@ -54,7 +56,8 @@ pub(crate) struct Dating {
     /// Questions without an answer: when they were asked, and which.
     asked: VecDeque<(Instant, usize)>,
     last_asked: Option<Instant>,
-    next: usize,
+    /// The question that was asked last.
+    last: usize,
     /// When the question was asked whose answer came last.
     proven: Option<Instant>,
     fastest: Option<Duration>,
@@ -90,7 +93,7 @@ impl Dating {
         Self {
             asked: VecDeque::new(),
             last_asked: None,
-            next: 0,
+            last: 0,
             proven: None,
             fastest: None,
             first_byte: None,
@@ -106,10 +109,12 @@ impl Dating {
             return None;
         }
         self.last_asked = Some(now);
-        let (line, _) = QUESTIONS[self.next];
-        self.asked.push_back((now, self.next));
-        self.next = (self.next + 1) % QUESTIONS.len();
-        Some(line)
+        let other = 1 - self.last;
+        if self.asked.iter().all(|(_, which)| *which != other) {
+            self.last = other;
+        }
+        self.asked.push_back((now, self.last));
+        Some(QUESTIONS[self.last].0)
     }
 
     /// Takes note that bytes have come.
@@ -264,6 +269,30 @@ mod tests {
             let (used, sent, _) = play(delay, Duration::ZERO, true);
             let most = 8_000 - 3 * delay.as_millis() as usize - 10;
             assert!(used.len() >= most && sent.len() >= most, "{delay:?}: {}", used.len());
+        }
+    }
+
+    /// A board that is reset behind a line that stays open.
+    #[test]
+    fn questions_that_were_lost_in_a_restart_do_not_age_the_answers_after_it() {
+        for lost_ms in [30, 90, 300, 3_000, 60_000] {
+            let start = Instant::now();
+            let (mut dating, mut client) = (Dating::new(), Client::new());
+            let mut stale_until = 0;
+            for ms in 0..lost_ms + 3_000 {
+                let now = start + ms * MS;
+                let Some(question) = dating.question(now) else { continue };
+                if !(1_000..1_000 + lost_ms).contains(&ms) {
+                    client.receive(question[0]);
+                    let answer = client.receive(b'\r').expect("a line");
+                    dating.accept(now + MS, &answer);
+                }
+                if ms > 1_000 + lost_ms && !dating.is_fresh(now + MS) {
+                    stale_until = ms - lost_ms - 1_000;
+                }
+            }
+            println!("{lost_ms} ms lost: in time again after {stale_until} ms");
+            assert!(stale_until <= 3 * LATE.as_millis() as u32, "{lost_ms}: {stale_until}");
         }
     }
 
