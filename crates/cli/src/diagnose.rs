@@ -192,7 +192,7 @@ fn print(args: &Diagnose, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
     }
     let report = &diagnosis.report;
     let verdict = format!("{}: {}", report.verdict.name(), diagnosis.sentence());
-    if report.verdict == Verdict::DoesNotTransfer {
+    if matches!(report.verdict, Verdict::DoesNotTransfer | Verdict::FallsShort) {
         print_in_red(&verdict)?;
     } else {
         output::print(verdict)?;
@@ -233,6 +233,12 @@ fn print(args: &Diagnose, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
             micrometres(report.after.compensated_max_um),
             micrometres(report.after.compensated_holdout_rms_um)
         ))?;
+        if let Some(held_out) = &report.held_out {
+            output::print(format_args!(
+                "promised of a reading, on days within these ranges: {}",
+                held_out.sentence()
+            ))?;
+        }
         output::print(format_args!(
             "promised at the tool, on days like these: {} RMS before, {} after",
             micrometres(at_tool.before_um),

@@ -155,7 +155,7 @@ pub(crate) fn verdict(page: &mut Page, diagnosis: &Diagnosis) {
     let state = match report.verdict {
         Verdict::Clean | Verdict::Explained => "good",
         Verdict::PartlyExplained | Verdict::Unexplained | Verdict::TooLittleData => "open",
-        Verdict::DoNotCompensate | Verdict::DoesNotTransfer => "bad",
+        Verdict::DoNotCompensate | Verdict::DoesNotTransfer | Verdict::FallsShort => "bad",
     };
     let mut sentences = vec![diagnosis.sentence()];
     sentences.extend(report.findings.iter().map(|it| it.sentence.clone()));

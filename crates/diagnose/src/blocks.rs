@@ -113,6 +113,38 @@ impl Folds {
         first.iter().zip(&second.0).map(mean).collect()
     }
 
+    /// What `model` leaves in each group of the first of both ways to cut a record, with its sign.
+    pub(crate) fn left_out_signed(&self, problem: &Problem, model: &Model) -> Vec<f64> {
+        if model.parts.is_empty() {
+            return problem.residual(model);
+        }
+        left_out_of(problem, model, &self.of_group, self.count).0.clone()
+    }
+
+    /// The part of each group, from 0, in the order of the rows: at least [`STRETCHES`] where there are as many
+    /// groups. Few files or runs are cut; of single readings neighbours are put together.
+    pub(crate) fn parts(&self) -> Vec<usize> {
+        let groups = self.of_group.len();
+        if self.unit == Unit::Readings {
+            return stretches(groups, STRETCHES.min(groups));
+        }
+        let pieces = STRETCHES.div_ceil(self.count.max(1));
+        let mut parts = vec![0; groups];
+        let (mut first, mut next) = (0, 0);
+        while first < groups {
+            let fold = self.of_group[first];
+            let length = self.of_group[first..].iter().take_while(|of| **of == fold).count();
+            let pieces = pieces.min(length);
+            for (part, piece) in
+                parts[first..first + length].iter_mut().zip(stretches(length, pieces))
+            {
+                *part = next + piece;
+            }
+            (first, next) = (first + length, next + pieces);
+        }
+        parts
+    }
+
     /// The same, with the model that was fitted without each fold.
     pub(crate) fn left_out_with_models(
         &self,

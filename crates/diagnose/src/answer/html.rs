@@ -9,7 +9,7 @@ use crate::{
     answer::{
         Diagnosis,
         pictures::{against_inputs, predicted_and_left},
-        report::{Finding, LeftOut, Report, Verdict},
+        report::{Finding, LeftOut, Report, Verdict, floor_and_expected},
     },
 };
 
@@ -107,12 +107,15 @@ fn sentence_case(text: &str) -> String {
 /// What the tool may expect, in a sentence: the noise of the gauge is none of it.
 fn promise(report: &Report) -> String {
     let at_tool = &report.at_tool;
+    let readings = report.held_out.as_ref().map_or(String::new(), |it| {
+        format!("A gauge on another day like these: {}. ", it.sentence())
+    });
     format!(
-        "At the tool, which has no noise of a gauge, days like these promise {} RMS with the extended file on \
-         the board, in the place of {}: {:.0} % less.",
+        "{readings}At the tool, which has no noise of a gauge: {} RMS with the extended file on the board, in the \
+         place of {} ({}).",
         micrometres(at_tool.after_um),
         micrometres(at_tool.before_um),
-        100.0 * at_tool.reduction
+        floor_and_expected(at_tool.reduction_floor95, at_tool.reduction)
     )
 }
 
@@ -171,6 +174,7 @@ fn headline(verdict: Verdict) -> &'static str {
         Verdict::Unexplained => "The machine file is wrong, and the cause is not known",
         Verdict::DoNotCompensate => "Do not correct this machine: mend it first",
         Verdict::DoesNotTransfer => "What explains these runs does not hold on another day",
+        Verdict::FallsShort => "The hold-out gains less than was promised",
         Verdict::TooLittleData => "There are too few readings for an answer",
     }
 }
@@ -180,7 +184,7 @@ fn colour(verdict: Verdict) -> &'static str {
     match verdict {
         Verdict::Clean | Verdict::Explained => "good",
         Verdict::PartlyExplained | Verdict::Unexplained | Verdict::TooLittleData => "open",
-        Verdict::DoNotCompensate | Verdict::DoesNotTransfer => "bad",
+        Verdict::DoNotCompensate | Verdict::DoesNotTransfer | Verdict::FallsShort => "bad",
     }
 }
 
@@ -221,6 +225,9 @@ pub(crate) fn verdict_sentence(diagnosis: &Diagnosis) -> String {
                 "What explains the runs makes the hold-out worse. Left out of extended.toml: {}.",
                 left_out.join(", ")
             )
+        }
+        Verdict::FallsShort => {
+            "The correction gains less on the hold-out than these runs promise: do not rely on it there.".into()
         }
         Verdict::DoNotCompensate => {
             "The machine does not repeat. A correction would make it worse: mend it first.".into()

@@ -9,6 +9,7 @@ mod errors;
 pub(crate) mod extended;
 mod figure;
 mod finding;
+mod held_out;
 mod hint;
 pub(crate) mod hold_out;
 pub(crate) mod html;
@@ -19,6 +20,7 @@ mod power;
 mod range;
 mod ranges;
 pub mod report;
+mod shortfall;
 mod transfer;
 mod unseen;
 mod verdict;
@@ -28,7 +30,12 @@ pub(crate) mod written;
 
 use std::sync::Arc;
 
-use trueup_machine::{BadInput, RunFile, compile::missing_inputs, effect::Effect, file::Term};
+use trueup_machine::{
+    BadInput, RunFile,
+    compile::missing_inputs,
+    effect::{Effect, spread},
+    file::Term,
+};
 use trueup_numerics::blocks::rms;
 
 use crate::{
@@ -47,10 +54,12 @@ use crate::{
 use applied::Bridge;
 use errors::{about_zero, errors, largest, within_groups};
 use finding::{finding, merged, not_claimed, outliers};
+use held_out::LeftOutParts;
 use hold_out::HoldOut;
 use on_board::left_on_board;
 use power::Power;
 use report::{After, Before, Finding, LeftOut, Rejected, Report};
+use shortfall::Shortfall;
 use transfer::Transfer;
 use unseen::Unseen;
 use verdict::{Grounds, verdict};
@@ -135,8 +144,7 @@ pub(crate) fn conclude(
     let after = model.predict(&data);
     let before_rows = about_zero(&data, errors(&data, &before, None));
     let after_rows = errors(&data, &after, Some(&aside));
-    let after_rows =
-        if model.parts.is_empty() { about_zero(&data, after_rows) } else { after_rows };
+    let after_rows = about_zero(&data, after_rows);
     // Groups are means of rows: what they average away is in each row again.
     let within = within_groups(&data, problem, &after, &aside);
     let test = asked.hold_out.map(|hold_out| &hold_out.data);
@@ -154,11 +162,22 @@ pub(crate) fn conclude(
     };
     let machine = extended::extended_by(&data, &written.board);
     let on_board = left_on_board(&data, asked.runs, &machine, &compensated, &aside);
-    let on_board =
-        if compensated.parts.is_empty() { about_zero(&data, on_board) } else { on_board };
+    // The zero of an axis's measurement counts neither before nor after.
+    let on_board = about_zero(&data, on_board);
 
     let not_run = written.not_run(&data, &model);
     let promise = at_tool::Grounds::new(written.problem(problem), &found, &compensated, not_run);
+    let own = written.problem(problem);
+    let is_corrected = !compensated.parts.is_empty();
+    let parts = LeftOutParts { problem: own, folds: &found.folds, model: &compensated, within };
+    let held_out = is_corrected.then(|| parts.held_out());
+    let memory = found.noise.memory * problem.groups.size as f64;
+    let shortfall = asked.hold_out.zip(held_out.as_ref()).and_then(|(hold_out, held_out)| {
+        let of_board = hold_out.data.compensated();
+        let test = of_board.as_ref().unwrap_or(&hold_out.data);
+        let floor = held_out.figures.reduction_floor95;
+        Shortfall::new(&data, hold_out, test, &compensated, floor, memory)
+    });
     let questions = questions(problem, &found, judged);
     let has_outliers = known == Aside::Wrong;
     let mut notes = asked.notes;
@@ -176,6 +195,7 @@ pub(crate) fn conclude(
         wandering: wandering.as_ref(),
         instrument_um: data.machine.instrument_um,
         transfer: transfer.as_ref(),
+        shortfall: shortfall.as_ref(),
     });
     let (verdict, reasons) = open.judge(verdict, reasons);
     let is_disproved = transfer.as_ref().is_some_and(|it| it.is_disproved);
@@ -204,12 +224,18 @@ pub(crate) fn conclude(
         findings.push(outliers(&data, &after, &aside));
     }
     let hints = hint::hints(&data.machine, &findings, &data.law);
+    let noise_um = noise_um(problem, &found, &after_rows, repeats.as_ref());
+    let mut at_tool = promise.on_table(&data, asked.runs)?;
+    if is_corrected {
+        let of_gauge_um = noise_of_gauge_um(&data, problem, noise_um, repeats.is_some());
+        at_tool.bounded_by(parts.at_tool(of_gauge_um));
+    }
     let report = Report {
         schema: 1,
         rows: data.rows,
         rows_used: after_rows.len(),
         quantity: data.quantity.name().into(),
-        noise_um: noise_um(problem, &found, &after_rows, repeats.as_ref()),
+        noise_um,
         noise_memory: found.noise.memory * problem.groups.size as f64 * step_s(problem),
         detectable_um: power.found_um,
         wandering: wandering
@@ -239,7 +265,8 @@ pub(crate) fn conclude(
         findings,
         hints,
         missing_inputs: Vec::new(),
-        at_tool: promise.on_table(&data, asked.runs)?,
+        at_tool,
+        held_out,
         rejected: found.rejected.into_iter().map(rejected).collect(),
     };
     let Extended { replaced: mut corrected, new: mut terms } = Extended::by(&data, &written.board);
@@ -335,6 +362,18 @@ fn noise_um(problem: &Problem, found: &Found, errors: &[f64], repeats: Option<&R
     let memory = found.noise.memory * problem.groups.size as f64;
     let next = if memory > 0.0 { (1.0 - found.noise.white) * (-1.0 / memory).exp() } else { 0.0 };
     (rms(&differences) / (2.0 * (1.0 - next)).sqrt()).min(rms(errors))
+}
+
+/// The part of `noise_um` that is surely the gauge's: it was seen at repeats, or from reading to reading while next to
+/// nothing changed. Where an axis moves from reading to reading and none comes again, nothing of it is known.
+fn noise_of_gauge_um(data: &Data, problem: &Problem, noise_um: f64, is_repeated: bool) -> f64 {
+    let moves = data.own_position().is_some_and(|mm| spread(mm) > 0.0);
+    let stated_um = data.machine.instrument_um.map(|um| 0.5 * um);
+    if is_repeated || !moves && problem.data.time_s.is_some() {
+        noise_um
+    } else {
+        stated_um.unwrap_or(0.0).min(noise_um)
+    }
 }
 
 fn rejected(tried: Tried) -> Rejected {

@@ -1,5 +1,7 @@
 //! The answer in the form that scripts read: `diagnosis.json` (`docs/reference.md`, Diagnosis).
 
+use std::collections::BTreeMap;
+
 use serde::Serialize;
 
 pub use crate::gain::Gain;
@@ -31,6 +33,9 @@ pub struct Report {
     pub after: After,
     /// What is promised of the error at the tool on days like those of the runs.
     pub at_tool: AtTool,
+    /// What is promised of a reading on such days; none where nothing is corrected.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub held_out: Option<HeldOut>,
     /// What came out.
     pub verdict: Verdict,
     /// Why, a sentence each.
@@ -116,13 +121,78 @@ pub struct AtTool {
     pub after_um: f64,
     /// 1 − after/before; 0 where there is nothing to be corrected.
     pub reduction: f64,
+    /// The reduction that 95 % of such days reach ([`HeldOut`]), at most `reduction`.
+    pub reduction_floor95: f64,
 }
 
 impl AtTool {
     pub(super) fn new(before_um: f64, after_um: f64) -> Self {
         let reduction = if before_um > 0.0 { 1.0 - after_um / before_um } else { 0.0 };
-        Self { before_um, after_um, reduction }
+        Self { before_um, after_um, reduction, reduction_floor95: reduction }
     }
+
+    /// With what left-out parts of the record gave: they know more than the intervals of what was found.
+    pub(super) fn bounded_by(&mut self, held_out: Figures) {
+        let after_um = held_out.after_um.max(self.after_um);
+        let before_um = held_out.before_um.max(after_um);
+        *self = Self::new(before_um, after_um);
+        self.reduction_floor95 = held_out.reduction_floor95.min(self.reduction);
+    }
+}
+
+/// What a gauge would read on another day like these, RMS in µm: from parts of the record that took no part in the fit.
+/// Present whenever the extended file corrects something.
+#[derive(Clone, Debug, Serialize)]
+pub struct HeldOut {
+    /// About the file's own zero.
+    #[serde(flatten)]
+    pub figures: Figures,
+    /// With the mean of the first three readings of the day taken off both.
+    pub zero_again: Figures,
+    /// The range of each recorded input: the promise is for days within it.
+    pub ranges: BTreeMap<String, [f64; 2]>,
+}
+
+impl HeldOut {
+    /// Returns the promise in words: the floor, what is expected, and both with the zero set again.
+    #[must_use]
+    pub fn sentence(&self) -> String {
+        let Figures { reduction, reduction_floor95, .. } = self.figures;
+        let again = &self.zero_again;
+        format!(
+            "{}; with the zero set again {}",
+            floor_and_expected(reduction_floor95, reduction),
+            floor_and_expected(again.reduction_floor95, again.reduction)
+        )
+    }
+}
+
+/// A floor below which nothing is promised in figures.
+const VACUOUS: f64 = 0.05;
+
+/// Returns a promise in words.
+pub(crate) fn floor_and_expected(floor: f64, expected: f64) -> String {
+    if floor < VACUOUS {
+        format!(
+            "{:.0} % less expected, and no floor: the parts of the record differ too much",
+            100.0 * expected
+        )
+    } else {
+        format!("at least {:.0} % less, {:.0} % expected", 100.0 * floor, 100.0 * expected)
+    }
+}
+
+/// Errors before and after, and what is gained.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct Figures {
+    /// With the machine file as it is.
+    pub before_um: f64,
+    /// With the extended one on the board.
+    pub after_um: f64,
+    /// 1 − after/before.
+    pub reduction: f64,
+    /// The reduction that 95 % of such days reach; negative where they may become worse, −1 where nothing is known.
+    pub reduction_floor95: f64,
 }
 
 /// What came out.
@@ -141,6 +211,8 @@ pub enum Verdict {
     DoNotCompensate,
     /// What explains the runs makes the hold-out worse.
     DoesNotTransfer,
+    /// A hold-out gains less than the floor of what was promised.
+    FallsShort,
     /// No error of a size that matters could have been told from noise.
     TooLittleData,
 }
@@ -156,6 +228,7 @@ impl Verdict {
             Self::Unexplained => "unexplained",
             Self::DoNotCompensate => "do-not-compensate",
             Self::DoesNotTransfer => "does-not-transfer",
+            Self::FallsShort => "falls-short",
             Self::TooLittleData => "too-little-data",
         }
     }

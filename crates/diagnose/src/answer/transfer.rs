@@ -8,7 +8,11 @@ use trueup_numerics::{blocks::rms, parallel::on_all_cores};
 
 use crate::{
     answer::{
-        compensated, hold_out::HoldOut, unseen::on_hold_out, without_all, worse::where_it_is_worse,
+        compensated,
+        hold_out::HoldOut,
+        unseen::on_hold_out,
+        without_all,
+        worse::{excess, where_it_is_worse},
     },
     fit::{Problem, fit},
     kind::Kind,
@@ -104,7 +108,8 @@ impl Transfer {
         // What happened once in the runs is not expected to happen again; what is of the machine is.
         let is_disproved = is_refitted || dropped.iter().any(Kind::is_compensated);
         let [before, after] = [&believed, &model].map(|model| model.predict(test));
-        let places = where_it_is_worse(&problem.data, hold_out, [&before, &after]);
+        let places =
+            where_it_is_worse(&problem.data, hold_out, &excess(test, [&before, &after], 1.0));
         Self { model: kept, dropped, is_disproved, before_um, found_um, places }
     }
 

@@ -5,7 +5,10 @@ use std::fmt;
 use trueup_page::micrometres;
 
 use crate::{
-    answer::{power::Power, report::Verdict, transfer::Transfer, wandering::Wandering},
+    answer::{
+        power::Power, report::Verdict, shortfall::Shortfall, transfer::Transfer,
+        wandering::Wandering,
+    },
     judge::Judgement,
     repeats::Repeats,
     search::{
@@ -50,6 +53,14 @@ pub(crate) enum Reason {
     },
     /// Where it is worse.
     WorseAt(String),
+    /// The hold-out gains less than was promised: the floor, and the most that it can have gained.
+    FallsShort {
+        floor: f64,
+        came: f64,
+        most: f64,
+    },
+    /// What is different there.
+    DiffersIn(String),
     /// The hold-out is a little worse.
     NoGainUnseen {
         before_um: f64,
@@ -84,7 +95,14 @@ impl fmt::Display for Reason {
                 micrometres(*before_um),
                 micrometres(*after_um)
             ),
-            Self::WorseAt(place) => f.write_str(place),
+            Self::WorseAt(place) | Self::DiffersIn(place) => f.write_str(place),
+            Self::FallsShort { floor, came, most } => write!(
+                f,
+                "at least {:.0} % less was promised; the hold-out has {:.0} % less, at most {:.0} %",
+                100.0 * floor,
+                100.0 * came,
+                100.0 * most
+            ),
             Self::NoGainUnseen { before_um, after_um } => write!(
                 f,
                 "the hold-out gains nothing: {} RMS before, {} after",
@@ -125,6 +143,8 @@ pub(super) struct Grounds<'g> {
     pub instrument_um: Option<f64>,
     /// What became of the answer on a hold-out.
     pub transfer: Option<&'g Transfer>,
+    /// How the hold-out falls short of the promise, if it does.
+    pub shortfall: Option<&'g Shortfall>,
 }
 
 /// The verdict on an answer, and why.
@@ -138,6 +158,15 @@ pub(super) fn verdict(grounds: &Grounds<'_>) -> (Verdict, Vec<Reason>) {
         harm.extend(transfer.places.iter().cloned().map(Reason::WorseAt));
         harm.extend(reasons.into_iter().filter(|it| !matches!(it, Reason::NothingFires)));
         return (Verdict::DoesNotTransfer, harm);
+    }
+    let comes_first = matches!(verdict, Verdict::TooLittleData | Verdict::DoNotCompensate);
+    if let Some(Shortfall { floor, came, most, places }) =
+        grounds.shortfall.filter(|_| !comes_first)
+    {
+        let mut short = vec![Reason::FallsShort { floor: *floor, came: *came, most: *most }];
+        short.extend(places.iter().cloned().map(Reason::DiffersIn));
+        short.extend(reasons.into_iter().filter(|it| !matches!(it, Reason::NothingFires)));
+        return (Verdict::FallsShort, short);
     }
     if transfer.is_worse() && verdict.is_met() {
         return (Verdict::PartlyExplained, vec![Reason::NoGainUnseen { before_um, after_um }]);

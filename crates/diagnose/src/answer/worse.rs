@@ -2,6 +2,7 @@
 
 use crate::{
     answer::{
+        held_out::inputs,
         hold_out::HoldOut,
         range::{extent, largest_rise},
     },
@@ -14,26 +15,17 @@ use crate::{
 /// by no more than a sixth (its variance is 4σ²/n at the end of n equal steps, 5.3σ²/n a tenth beyond).
 const BEYOND: f64 = 0.1;
 
-/// The stretch in which `after` is worst against `before` (predictions of each row), and the columns
-/// that do there what they never did in the runs: a sentence each.
+/// The stretch in which `worse` (µm² of each row) is the most, and the columns that do there what they never did in the
+/// runs: a sentence each.
 pub(super) fn where_it_is_worse(
     training: &Data,
     hold_out: &HoldOut<'_>,
-    [before, after]: [&[f64]; 2],
+    worse: &[f64],
 ) -> Vec<String> {
     let test = &hold_out.data;
-    let worse: Vec<f64> = (0..test.rows)
-        .map(|row| {
-            let [before, after] =
-                [before, after].map(|predicted| (test.measured[row] - predicted[row]).powi(2));
-            let is_known = test.used[row] && (after - before).is_finite();
-            if is_known { after - before } else { 0.0 }
-        })
-        .collect();
-    let Some((first, last)) = largest_sum(&worse) else { return Vec::new() };
+    let Some((first, last)) = largest_sum(worse) else { return Vec::new() };
     let stretch = stretch(test, hold_out, first, last);
-    let mut said: Vec<String> = columns(training)
-        .into_iter()
+    let mut said: Vec<String> = inputs(training)
         .filter_map(|column| {
             let [runs, here] = [training, test].map(|data| named(data, &column));
             different(&column, &filled(runs?), &filled(here?), first, last)
@@ -44,6 +36,18 @@ pub(super) fn where_it_is_worse(
         said.push(format!("{stretch} it is worst"));
     }
     said
+}
+
+/// What `after` leaves more of the squares than `share` of what `before` leaves, in each row of `test`, in µm².
+pub(super) fn excess(test: &Data, [before, after]: [&[f64]; 2], share: f64) -> Vec<f64> {
+    (0..test.rows)
+        .map(|row| {
+            let [before, after] =
+                [before, after].map(|predicted| (test.measured[row] - predicted[row]).powi(2));
+            let is_known = test.used[row] && (after - before).is_finite();
+            if is_known { after - share * before } else { 0.0 }
+        })
+        .collect()
 }
 
 /// The rows of the stretch, as the user counts them.
@@ -58,14 +62,6 @@ fn stretch(test: &Data, hold_out: &HoldOut<'_>, first: usize, last: usize) -> St
     } else {
         format!("in rows {} to {} of {name}", first - start + 1, last - start + 1)
     }
-}
-
-/// What may be different: everything that was recorded and is a state of the machine.
-fn columns(data: &Data) -> Vec<String> {
-    let known = ["spindle_rpm", "load_n", "x_mm", "y_mm", "z_mm"].map(String::from);
-    let temperatures = data.temperatures.iter().map(|(name, _)| name.clone());
-    let others = data.others.iter().map(|(name, _)| name.clone());
-    known.into_iter().chain(temperatures).chain(others).collect()
 }
 
 /// What `column` does `here`, in the rows `first` to `last`, and nowhere in the `runs`.

@@ -8,6 +8,7 @@
 //! joint fit ─► without a term whose size is not known next to the others, or that gains nothing on left-out blocks
 //!           ─► without a term larger than twice what was measured, or which leaves its range in another state
 //!           ─► without what the board does not run; that is fitted to the rest
+//!           ─► nothing, where the same rows or left-out blocks gain nothing by it
 //! ```
 //!
 //! What the board does not run stays in the fit: a gauge that drifts would otherwise be written as growth, which
@@ -38,7 +39,7 @@ use crate::{
     kind::Kind,
     model::Model,
     parameters::{Estimates, estimates},
-    search::{Found, criterion::noise_of},
+    search::{Found, criterion::noise_of, start},
 };
 
 /// A term does at most so many times what was measured: two terms of which each explains all and the other
@@ -49,6 +50,8 @@ const MOST_TIMES: f64 = 2.0;
 const MARGIN: f64 = 1.0;
 /// Of so little nothing is known to be wrong, in µm: the resolution of a dial gauge.
 const LEAST_UM: f64 = 1.0;
+/// The rows that were fitted are never left worse than this times what the machine file as it is leaves.
+const NEVER_WORSE: f64 = 1.01;
 /// Readings farther from the rest, in standard deviations, do not count where a term has left that explained
 /// them.
 const FAR: f64 = 6.0;
@@ -78,12 +81,14 @@ pub(crate) enum NotWritten {
     LeavesRange { um: f64, range_um: [f64; 2], since_start_s: f64 },
     /// `compile` would refuse the file.
     Refused(String),
+    /// Alone on the board the terms make the same readings worse, or foresee left-out blocks no better.
+    NoGain,
 }
 
 impl NotWritten {
     /// Whether the record does not separate the term from what takes it back.
     pub(crate) fn is_inseparable(&self) -> bool {
-        *self != Self::HeldUp
+        !matches!(self, Self::HeldUp | Self::NoGain)
     }
 
     /// In a sentence.
@@ -105,6 +110,10 @@ impl NotWritten {
                 since_start_s / 60.0
             ),
             Self::Refused(rule) => format!("It is not written: {rule}."),
+            Self::NoGain => {
+                "Alone on the board these terms gain nothing beyond doubt: it is not compensated."
+                    .into()
+            }
         }
     }
 
@@ -132,6 +141,7 @@ impl Written {
         }
         written.drop_what_leaves_the_measured(problem, found, runs);
         written.board = run_by_board(&written.board);
+        written.drop_what_gains_nothing(problem, found, judged);
         written.explains = written.explained(problem, joint);
         written
     }
@@ -231,6 +241,37 @@ impl Written {
         }
         self.board = board;
         self.left.extend(left);
+    }
+
+    /// Writes nothing where that is worse on the rows that it was fitted to, or, of terms of which none is claimed,
+    /// does not foresee left-out blocks better. What stood next to terms that have left is fitted once more before.
+    fn drop_what_gains_nothing(&mut self, problem: &Problem, found: &Found, judged: &[Judgement]) {
+        if self.board.parts.is_empty() {
+            return;
+        }
+        let on = self.problem(problem);
+        let left = |model: &Model| {
+            let um = on.residual(model);
+            [rms(&um), rms(&about_zero(&on.data, um))]
+        };
+        let is_worse = |model: &Model| {
+            let [before, after] = [&Model::default(), model].map(left);
+            after.iter().zip(before).any(|(after, before)| *after > NEVER_WORSE * before)
+        };
+        let foresees = |model: &Model| {
+            let [before, after] = [&start(&on.data), model].map(|it| found.folds.left_out(on, it));
+            found.folds.paired(&before, &after).is_better()
+        };
+        let is_claimed = |it: &Judgement| it.doubts.is_empty() && self.board.has(it.cause());
+        let is_certain = judged.iter().any(is_claimed);
+        let again = is_worse(&self.board).then(|| run_by_board(&fit(on, &self.board, None).model));
+        let board = again.as_ref().unwrap_or(&self.board);
+        if is_worse(board) || !is_certain && !foresees(board) {
+            let parts = std::mem::take(&mut self.board).parts;
+            self.left.extend(parts.into_iter().map(|part| (part.kind, NotWritten::NoGain)));
+        } else if let Some(again) = again {
+            self.board = again;
+        }
     }
 
     /// What of `joint` only explains, fitted to what the board's terms leave.
