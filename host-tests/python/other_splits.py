@@ -5,7 +5,8 @@
 TRUEUP is the tool's program. Every choice of cycles of the sets by ISO 230-2, one direction alone, every second target;
 beginnings of the rods, the spindle and the gantry machine; each of its runs against each other one, with four machine
 files. An answer is harmful where it ends with 0 and what the board would correct leaves the hold-out more than 5 %
-worse than the machine file alone. A line for each, tab-separated; then the counts. Ends with 1 if one was harmful.
+worse than the machine file alone. And is what `held_out` promises kept, where the inputs of the hold-out lie within
+`ranges`? A line for each, tab-separated; then the counts. Ends with 1 if one was harmful.
 """
 
 import collections
@@ -13,6 +14,7 @@ import csv
 import itertools
 import json
 import os
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -24,6 +26,7 @@ DATA = Path(os.environ.get("TRUEUP_DATA", ROOT.parent / "shared" / "data"))
 HEAD = '[machine]\nname = "m"\nkind = "3-axis"\n'
 FRAME = '[axis.z.thermal]\nmode = "constant"\nsensor = "temp_frame_c"\nreference_c = 21.905\nconstant_um_per_c = -16.5\n'
 HARM = 1.05
+TOO_GOOD = 0.10
 
 
 class Splits:
@@ -119,34 +122,63 @@ class Splits:
 
 
 def answer(trueup, folder, case):
-    """Name, how the tool ended, verdict, hold-out before and after in µm, and what was found."""
+    """Name, how the tool ended, verdict, hold-out before and after in µm, the promise, and what was found."""
     name, machine, run, holdout = case
     out = Path(folder) / name
     files = ["--machine", machine, "--run", run, "--holdout", holdout, "--out", out]
     ended = subprocess.run([trueup, "diagnose", *files], capture_output=True, text=True, timeout=1800)
     if ended.returncode not in (0, 3):
-        return name, ended.returncode, "error", 0.0, 0.0, ended.stderr.strip().splitlines()[0]
+        return name, ended.returncode, "error", 0.0, 0.0, None, ended.stderr.strip().splitlines()[0]
     told = json.loads((out / "diagnosis.json").read_text())
     before, after = told["before"]["holdout_rms_um"], told["after"]["compensated_holdout_rms_um"]
     claim = {True: "{}", False: "({})"}
     found = " ".join(claim[it["claimed"]].format(it["cause"]) for it in told["findings"])
-    return name, ended.returncode, told["verdict"], before, after, found
+    promise = told.get("held_out")
+    if promise:
+        promise["inside"] = is_inside(promise["ranges"], holdout)
+    return name, ended.returncode, told["verdict"], before, after, promise, found
+
+
+def is_inside(ranges, path):
+    """Whether the inputs of a hold-out lie within the ranges."""
+    with open(path, newline="") as file:
+        head, *rows = csv.reader(file)
+    for column, (low, high) in ranges.items():
+        if column in head:
+            at = head.index(column)
+            values = [float(row[at]) for row in rows if row[at] not in ("", "nan")]
+            if values and (min(values) < low or max(values) > high):
+                return False
+    return True
 
 
 def main():
     trueup, *part = sys.argv[1:]
-    counts, harmful, helped = collections.Counter(), [], 0
+    counts, harmful, helped, promised = collections.Counter(), [], 0, []
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(os.cpu_count()) as threads:
         cases = [case for case in Splits(folder).all() if not part or part[0] in case[0]]
         for it in threads.map(lambda case: answer(trueup, folder, case), cases):
-            name, code, verdict, before, after, found = it
-            print(f"{name}\t{code}\t{verdict}\t{before:.2f}\t{after:.2f}\t{found}", flush=True)
+            name, code, verdict, before, after, promise, found = it
+            said = "nothing written"
+            if promise:
+                came, place = 1 - after / before, "inside" if promise["inside"] else "outside"
+                floor, expected = promise["reduction_floor95"], promise["reduction"]
+                said = f"floor {floor:.2f}, expected {expected:.2f}, came {came:.2f}, {place}"
+                if promise["inside"]:
+                    promised.append((floor, expected, came))
+            print(f"{name}\t{code}\t{verdict}\t{before:.2f}\t{after:.2f}\t{said}\t{found}", flush=True)
             counts[verdict] += 1
             helped += verdict != "error" and after < 0.9 * before
             if code == 0 and after > HARM * before:
                 harmful.append(name)
     print(", ".join(f"{count} {verdict}" for verdict, count in counts.most_common()))
     print(f"{sum(counts.values())} answers, {helped} leave at least a tenth less, {len(harmful)} harmful {harmful or ''}")
+    if promised:
+        kept = sum(came >= floor for floor, _, came in promised)
+        below = statistics.median(came - max(floor, 0) for floor, _, came in promised)
+        too_good = sum(expected > came + TOO_GOOD for _, expected, came in promised)
+        print(f"promised inside the ranges: {len(promised)}; the floor kept in {kept}, at the median {below:.2f} below "
+              f"what came; expected more than {TOO_GOOD:.2f} too good in {too_good}")
     return int(bool(harmful))
 
 

@@ -52,6 +52,8 @@ impl fmt::Display for Unit {
 
 /// Stretches of a record: as many as a claim must gain on at least.
 const STRETCHES: usize = 6;
+/// Whole runs that are left out in turn, at least: of two, one would have to tell all that the other is judged by.
+const FEWEST_RUNS: usize = 3;
 /// Stretches of equal length, beside those: one cut through a record may fall well or badly for a term, two of
 /// different kinds seldom do alike.
 const PLAIN: usize = 5;
@@ -59,6 +61,16 @@ const PLAIN: usize = 5;
 impl Folds {
     /// The folds; blocks for intervals are at least five correlation times of `memory` steps long.
     pub(crate) fn new(problem: &Problem, memory: f64) -> Self {
+        Self::with_runs_from(problem, memory, FEWEST_RUNS)
+    }
+
+    /// The folds of a promise: two runs differ as two days do, so that each is left out as a whole.
+    pub(crate) fn of_promise(problem: &Problem) -> Self {
+        Self::with_runs_from(problem, 0.0, 2)
+    }
+
+    /// Whole runs are left out where there are at least so many.
+    fn with_runs_from(problem: &Problem, memory: f64, fewest_runs: usize) -> Self {
         let groups = &problem.groups;
         let count = groups.len();
         let data = &problem.data;
@@ -67,7 +79,7 @@ impl Folds {
         let (of_group, count_folds, unit) = if data.files > 1 {
             let file_of = |&row: &usize| data.file[row] as usize;
             (groups.first_row.iter().map(file_of).collect(), data.files, Unit::Files)
-        } else if run_count >= 3 {
+        } else if run_count >= fewest_runs {
             // Of many runs, several at once.
             let folds = if run_count > 10 { STRETCHES } else { run_count };
             let of = |run: usize| run * folds / run_count;
@@ -121,28 +133,13 @@ impl Folds {
         left_out_of(problem, model, &self.of_group, self.count).0.clone()
     }
 
-    /// The part of each group, from 0, in the order of the rows: at least [`STRETCHES`] where there are as many
-    /// groups. Few files or runs are cut; of single readings neighbours are put together.
+    /// The part of each group, from 0: the folds; of single readings neighbours are put together.
     pub(crate) fn parts(&self) -> Vec<usize> {
         let groups = self.of_group.len();
         if self.unit == Unit::Readings {
             return stretches(groups, STRETCHES.min(groups));
         }
-        let pieces = STRETCHES.div_ceil(self.count.max(1));
-        let mut parts = vec![0; groups];
-        let (mut first, mut next) = (0, 0);
-        while first < groups {
-            let fold = self.of_group[first];
-            let length = self.of_group[first..].iter().take_while(|of| **of == fold).count();
-            let pieces = pieces.min(length);
-            for (part, piece) in
-                parts[first..first + length].iter_mut().zip(stretches(length, pieces))
-            {
-                *part = next + piece;
-            }
-            (first, next) = (first + length, next + pieces);
-        }
-        parts
+        self.of_group.clone()
     }
 
     /// The same, with the model that was fitted without each fold.

@@ -1,20 +1,27 @@
 //! What the gauge would read on another day like these, and a floor of what is gained there.
 //!
-//! Nothing of it is a residual of the fit: each part of the record is foreseen by a fit to the others. With the mean
+//! Nothing of it is a residual of the fit: each part of the record (a file, a run, a sixth of one) is foreseen by a fit
+//! to the others. With the mean
 //! squares Aₚ (with the extended file) and Bₚ (as it is) of k parts:
 //!
 //! ```text
 //! ρ  = ΣA/ΣB                           reduction = 1 − √ρ
 //! s² = Σ(Aₚ − ρ·Bₚ)²/(k − 1)           the ratio estimator (Cochran, Sampling Techniques, 1977, 6.3)
-//! ρ₉₅ = ρ + t₉₅(k−1)·(s/B̄)·√(1/k + 1/m)  a new day of the size of m = k/3 parts
+//! ρ₉₅ = ρ + t₉₅(k−1)·(s/B̄)·√(1/k + 1/m)  a new day of the size of m = k/3 parts, at least one
 //! floor = 1 − √ρ₉₅
 //! ```
+//!
+//! Where the zero shifts from part to part (its variance is u²), a day may have any of these shifts, and a few parts say
+//! little of them: the floor allows for (Ā − mean mₚ² + u²·t₉₅²·(1 + 1/k))/B̄ too, mₚ the mean of what is left in a part.
+//! A machine also changes with the days, which parts in the middle do not show: the floor is at most what a fit to the
+//! first half, or to the first two thirds, foresaw of the rest, where the inputs of the rest lie within theirs; and what
+//! is expected is the median of the three.
 //!
 //! All are about the file's own zero; `zero_again` takes the mean of the first three readings of a part off both.
 
 use std::collections::BTreeMap;
 
-use trueup_numerics::t_quantile;
+use trueup_numerics::{robust::median, t_quantile};
 
 use crate::{
     answer::{
@@ -22,9 +29,9 @@ use crate::{
         report::{Figures, HeldOut},
     },
     blocks::Folds,
-    columns::named,
+    columns::{SAID, named},
     data::{Data, filled},
-    fit::Problem,
+    fit::{Problem, fit},
     model::Model,
 };
 
@@ -32,6 +39,8 @@ use crate::{
 const KEPT: f64 = 0.95;
 /// A new day is as long as this share of the record.
 const NEW_DAY: f64 = 1.0 / 3.0;
+/// The rest of a record lies within its beginning up to this share of the range ([`crate::answer::worse`]).
+const BEYOND: f64 = 0.1;
 /// Readings from which a day's zero is set.
 const ZERO_READINGS: usize = 3;
 
@@ -48,26 +57,68 @@ pub(super) struct LeftOutParts<'p> {
 impl LeftOutParts<'_> {
     /// Returns what is promised of a reading.
     pub(super) fn held_out(&self) -> HeldOut {
-        let before = self.problem.residual(&Model::default());
-        let after = self.folds.left_out_signed(self.problem, self.model);
-        let parts = self.folds.parts();
-        let own = Sums::of([&before, &after], &parts, self.within);
-        let [before, after] = [before, after].map(|um| with_zero_again(um, &parts));
-        let share = 1.0 + 1.0 / ZERO_READINGS as f64;
-        let again = Sums::of([&before, &after], &parts, share * self.within);
         HeldOut {
-            figures: own.figures(0.0),
-            zero_again: again.figures(0.0),
+            figures: self.figures(false, 0.0),
+            zero_again: self.figures(true, 0.0),
             ranges: ranges(&self.problem.data),
         }
     }
 
     /// Returns what is promised at the tool, where the noise of the gauge, `noise_um`, does not count.
     pub(super) fn at_tool(&self, noise_um: f64) -> Figures {
+        self.figures(false, noise_um * noise_um)
+    }
+
+    /// With the zero set `again` on each part or not; without `noise`, a mean square in µm² that before and after hold.
+    fn figures(&self, again: bool, noise: f64) -> Figures {
+        let parts = self.folds.parts();
         let before = self.problem.residual(&Model::default());
         let after = self.folds.left_out_signed(self.problem, self.model);
-        let sums = Sums::of([&before, &after], &self.folds.parts(), self.within);
-        sums.figures(noise_um * noise_um)
+        let within =
+            if again { (1.0 + 1.0 / ZERO_READINGS as f64) * self.within } else { self.within };
+        let sums = |um: [Vec<f64>; 2], parts: &[usize]| {
+            let um = if again { um.map(|um| with_zero_again(um, parts)) } else { um };
+            Sums::of([&um[0], &um[1]], parts, within)
+        };
+        let later: Vec<f64> = self
+            .later()
+            .iter()
+            .filter_map(|(first, after)| {
+                let one = vec![0; after.len()];
+                sums([before[*first..].to_vec(), after.clone()], &one).ratio(noise)
+            })
+            .collect();
+        sums([before, after], &parts).figures(noise, &later)
+    }
+
+    /// What fits to the beginning leave of the rest: from which group on, and in each.
+    fn later(&self) -> Vec<(usize, Vec<f64>)> {
+        if self.model.parts.is_empty() {
+            return Vec::new();
+        }
+        let groups = self.problem.groups.len();
+        let splits = [groups / 2, 2 * groups / 3].into_iter();
+        let splits = splits.filter(|first| *first > 0 && self.is_within(*first));
+        splits
+            .map(|first| {
+                let mask: Vec<bool> = (0..groups).map(|group| group < first).collect();
+                let fitted = fit(self.problem, self.model, Some(&mask));
+                (first, fitted.residual[first..].to_vec())
+            })
+            .collect()
+    }
+
+    /// Whether the inputs from a group on lie within those of the groups before.
+    fn is_within(&self, first: usize) -> bool {
+        inputs(&self.problem.data).chain([SAID.into()]).all(|name| {
+            named(&self.problem.data, &name).is_none_or(|values| {
+                let values = self.problem.groups.means(&filled(values));
+                let [of, rest] = [&values[..first], &values[first..]];
+                let [[low, high], [least, most]] = [of, rest].map(|it| extent(it.iter().copied()));
+                let margin = BEYOND * (high - low);
+                least >= low - margin && most <= high + margin
+            })
+        })
     }
 }
 
@@ -75,6 +126,8 @@ impl LeftOutParts<'_> {
 struct Sums {
     before: Vec<f64>,
     after: Vec<f64>,
+    /// The mean of what is left in each, in µm.
+    shifts: Vec<f64>,
 }
 
 impl Sums {
@@ -88,31 +141,58 @@ impl Sums {
             }
             sums
         });
-        Self { before, after }
+        let mut shifts = vec![[0.0; 2]; count];
+        for (um, &part) in um[1].iter().zip(parts) {
+            shifts[part][0] += um;
+            shifts[part][1] += 1.0;
+        }
+        let shifts = shifts.into_iter().map(|[sum, count]| sum / count).collect();
+        Self { before, after, shifts }
     }
 
-    /// Without `noise`, a mean square in µm² that both hold.
-    fn figures(&self, noise: f64) -> Figures {
+    /// The mean squares, without `noise` (of a mean square in µm² that both hold).
+    fn means(&self, noise: f64) -> [f64; 2] {
         let count = self.before.len() as f64;
-        let mean = |of: &[f64]| (of.iter().sum::<f64>() / count.max(1.0) - noise).max(0.0);
-        let [before, after] = [mean(&self.before), mean(&self.after)];
-        if before <= 0.0 {
-            return Figures::default();
-        }
-        let ratio = after / before;
+        [&self.before, &self.after]
+            .map(|of| (of.iter().sum::<f64>() / count.max(1.0) - noise).max(0.0))
+    }
+
+    /// ρ; none where there is nothing before.
+    fn ratio(&self, noise: f64) -> Option<f64> {
+        let [before, after] = self.means(noise);
+        (before > 0.0).then(|| after / before)
+    }
+
+    /// By how much shifts of the zero may make a new day's mean square larger than that of these parts, in µm².
+    fn of_shifts(&self) -> f64 {
+        let count = self.shifts.len() as f64;
+        let square = self.shifts.iter().map(|um| um * um).sum::<f64>() / count;
+        // Of a part that was left out the shift holds that of the others' mean.
+        let variance = square * (count - 1.0) / count;
+        variance * t_quantile(KEPT, count - 1.0).powi(2) * (1.0 + 1.0 / count) - square
+    }
+
+    /// `later`: ρ of the rests that were foreseen from the beginning.
+    fn figures(&self, noise: f64, later: &[f64]) -> Figures {
+        let count = self.before.len() as f64;
+        let Some(ratio) = self.ratio(noise) else { return Figures::default() };
+        let [before, _] = self.means(noise);
+        let expected = median(&mut [&[ratio], later].concat());
         let off = self.before.iter().zip(&self.after).map(|(b, a)| {
             let [b, a] = [b - noise, a - noise];
             (a - ratio * b).powi(2)
         });
         let scatter = (off.sum::<f64>() / (count - 1.0)).sqrt();
-        let new_day = (1.0 / count + 1.0 / (NEW_DAY * count)).sqrt();
+        let new_day = (1.0 / count + 1.0 / (NEW_DAY * count).max(1.0)).sqrt();
         let highest = ratio + t_quantile(KEPT, count - 1.0) * scatter / before * new_day;
+        let shifted = ratio + self.of_shifts() / before;
+        let highest = later.iter().copied().fold(highest.max(shifted), f64::max);
         // Of one part nothing is known.
         let floor = if highest.is_finite() { 1.0 - highest.sqrt() } else { -1.0 };
         Figures {
             before_um: before.sqrt(),
-            after_um: after.sqrt(),
-            reduction: 1.0 - ratio.sqrt(),
+            after_um: (expected * before).sqrt(),
+            reduction: 1.0 - expected.sqrt(),
             reduction_floor95: floor.max(-1.0),
         }
     }
@@ -194,8 +274,8 @@ mod tests {
     /// 6.314·√2/8·√2 = 1.828.
     #[test]
     fn a_floor_of_two_parts_is_that_of_the_hand() {
-        let sums = Sums { before: vec![8.0, 8.0], after: vec![1.0, 3.0] };
-        let figures = sums.figures(0.0);
+        let sums = Sums { before: vec![8.0, 8.0], after: vec![1.0, 3.0], shifts: vec![0.0; 2] };
+        let figures = sums.figures(0.0, &[]);
         assert!((figures.before_um - 8.0_f64.sqrt()).abs() < 1e-12);
         assert!((figures.after_um - 2.0_f64.sqrt()).abs() < 1e-12);
         assert!((figures.reduction - 0.5).abs() < 1e-12, "{figures:?}");
@@ -204,17 +284,40 @@ mod tests {
             "{figures:?}"
         );
         // Without 1 µm² of noise in both: A = 0, 2, B = 7, 7.
-        let at_tool = sums.figures(1.0);
+        let at_tool = sums.figures(1.0, &[]);
         assert!((at_tool.reduction - (1.0 - (1.0_f64 / 7.0).sqrt())).abs() < 1e-12, "{at_tool:?}");
+    }
+
+    /// By hand: shifts of +1 and −1 µm, so that u² = 1·½, t₉₅(1)² = 39.86, and a day may have ½·39.86·1.5 − 1 = 28.9 µm² more.
+    #[test]
+    fn a_zero_that_shifts_from_part_to_part_lowers_the_floor() {
+        let sums = Sums { before: vec![100.0; 2], after: vec![1.0; 2], shifts: vec![1.0, -1.0] };
+        assert!((sums.of_shifts() - 28.897).abs() < 1e-2, "{}", sums.of_shifts());
+        let floor = sums.figures(0.0, &[]).reduction_floor95;
+        assert!((floor - (1.0 - 0.298_97_f64.sqrt())).abs() < 1e-3, "{floor}");
+    }
+
+    /// ρ = ¼ of the parts, ½ and 1 of the rests: the median is ½, and no floor is above what the worst rest gave.
+    #[test]
+    fn what_the_beginning_foresaw_of_the_rest_bounds_the_promise() {
+        let sums = Sums { before: vec![4.0; 3], after: vec![1.0; 3], shifts: vec![0.0; 3] };
+        let figures = sums.figures(0.0, &[0.5, 0.81]);
+        assert!((figures.reduction - (1.0 - 0.5_f64.sqrt())).abs() < 1e-12, "{figures:?}");
+        assert!((figures.after_um - 2.0_f64.sqrt()).abs() < 1e-12, "{figures:?}");
+        assert!((figures.reduction_floor95 - 0.1).abs() < 1e-12, "{figures:?}");
     }
 
     #[test]
     fn what_is_left_alike_in_all_parts_is_promised_whole_and_one_part_promises_nothing() {
-        let alike = Sums { before: vec![4.0, 9.0, 16.0], after: vec![1.0, 2.25, 4.0] };
-        let figures = alike.figures(0.0);
+        let alike = Sums {
+            before: vec![4.0, 9.0, 16.0],
+            after: vec![1.0, 2.25, 4.0],
+            shifts: vec![0.0; 3],
+        };
+        let figures = alike.figures(0.0, &[]);
         assert!((figures.reduction_floor95 - 0.5).abs() < 1e-9, "{figures:?}");
-        let one = Sums { before: vec![4.0], after: vec![0.0] };
-        assert_eq!(one.figures(0.0).reduction_floor95, -1.0);
+        let one = Sums { before: vec![4.0], after: vec![0.0], shifts: vec![0.0] };
+        assert_eq!(one.figures(0.0, &[]).reduction_floor95, -1.0);
     }
 
     #[test]

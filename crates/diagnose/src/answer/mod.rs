@@ -39,6 +39,7 @@ use trueup_machine::{
 use trueup_numerics::blocks::rms;
 
 use crate::{
+    blocks::Folds,
     data::Data,
     fit::{Problem, fit},
     judge::Judgement,
@@ -169,7 +170,8 @@ pub(crate) fn conclude(
     let promise = at_tool::Grounds::new(written.problem(problem), &found, &compensated, not_run);
     let own = written.problem(problem);
     let is_corrected = !compensated.parts.is_empty();
-    let parts = LeftOutParts { problem: own, folds: &found.folds, model: &compensated, within };
+    let folds = Folds::of_promise(own);
+    let parts = LeftOutParts { problem: own, folds: &folds, model: &compensated, within };
     let held_out = is_corrected.then(|| parts.held_out());
     let memory = found.noise.memory * problem.groups.size as f64;
     let shortfall = asked.hold_out.zip(held_out.as_ref()).and_then(|(hold_out, held_out)| {
