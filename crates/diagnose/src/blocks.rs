@@ -125,12 +125,24 @@ impl Folds {
         first.iter().zip(&second.0).map(mean).collect()
     }
 
-    /// What `model` leaves in each group of the first of both ways to cut a record, with its sign.
-    pub(crate) fn left_out_signed(&self, problem: &Problem, model: &Model) -> Vec<f64> {
+    /// What `model` leaves in each group of the first of both ways to cut a record, with its sign; `run`: as it is run
+    /// once it is fitted.
+    pub(crate) fn left_out_signed(
+        &self,
+        problem: &Problem,
+        model: &Model,
+        run: impl Fn(&Model) -> Model,
+    ) -> Vec<f64> {
         if model.parts.is_empty() {
             return problem.residual(model);
         }
-        left_out_of(problem, model, &self.of_group, self.count).0.clone()
+        let left_out = left_out_of(problem, model, &self.of_group, self.count);
+        let (residual, models) = &*left_out;
+        if run(model) == *model {
+            return residual.clone();
+        }
+        let each: Vec<Vec<f64>> = models.iter().map(|it| problem.residual(&run(it))).collect();
+        self.of_group.iter().enumerate().map(|(group, &fold)| each[fold][group]).collect()
     }
 
     /// The part of each group, from 0: the folds; of single readings neighbours are put together.

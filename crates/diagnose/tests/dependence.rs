@@ -61,7 +61,10 @@ fn a_switch_is_named_with_its_size_and_what_is_no_input_is_not() {
     assert_eq!(diagnosis.report.verdict, Verdict::Explained);
     let [found] = claimed(&diagnosis)[..] else { panic!("{:?}", diagnosis.report.findings) };
     assert_eq!((found.cause.as_str(), found.column.as_deref()), ("dependence", Some("door_open")));
-    assert_eq!((found.form, found.times, found.compensated), (Some("level"), None, false));
+    assert_eq!(
+        (found.form, found.times.as_deref(), found.compensated),
+        (Some("level"), None, false)
+    );
     let ci95 = &found.parameters["level_um"]["ci95"][0];
     let [low, high] = [0, 1].map(|end| ci95[end].as_f64().expect("a number"));
     assert!(low <= 5.0 && 5.0 <= high && high - low < 1.0, "{low} to {high}");
@@ -78,13 +81,39 @@ fn each_tool_has_its_own_centrifugal_growth() {
     let by_tool = |tool: f64, rpm: f64, _: f64| 0.015 * (tool - 1.0) * (rpm / 1000.0).powi(2);
     let diagnosis = answer(MACHINE, &[&day(3, by_tool)], &[&day(4, by_tool)]);
     let named: Vec<_> =
-        claimed(&diagnosis).iter().map(|it| (it.column.clone(), it.times)).collect();
+        claimed(&diagnosis).iter().map(|it| (it.column.clone(), it.times.clone())).collect();
     assert_eq!(
         named,
-        [(Some("tool".to_string()), Some("speed2"))],
+        [(Some("tool".to_string()), Some("speed2".to_string()))],
         "{:?}",
         diagnosis.report.findings
     );
+    assert!(diagnosis.report.after.holdout_rms_um < 0.6, "{:?}", diagnosis.report.after);
+}
+
+/// Only with tools 2 and 3 does the force bend something: 0.1 and −0.2 µm for each unit.
+#[test]
+fn what_acts_only_with_some_tools_is_named_with_both_columns() {
+    let force = |row: usize| 40.0 + 35.0 * (row as f64 / 7.0).sin();
+    let with_force = |text: &str| {
+        let mut rows = text.lines();
+        let mut csv = format!("spray,{}\n", rows.next().expect("a header"));
+        for (row, line) in rows.enumerate() {
+            let mut cells: Vec<String> = line.split(',').map(String::from).collect();
+            let tool = cells[3].parse::<f64>().expect("a tool") as usize;
+            let last = cells.len() - 1;
+            let um: f64 = cells[last].parse().expect("measured");
+            cells[last] = format!("{:.3}", um + [0.0, 0.1, -0.2][tool - 1] * force(row));
+            writeln!(csv, "{:.3},{}", force(row), cells.join(",")).expect("text");
+        }
+        csv
+    };
+    let [first, second] = [5, 6].map(|seed| with_force(&day(seed, |_, _, _| 0.0)));
+    let diagnosis = answer(MACHINE, &[&first], &[&second]);
+    let both = claimed(&diagnosis).iter().any(|it| {
+        it.columns == Some(["tool".to_string(), "spray".to_string()]) && it.form == Some("level")
+    });
+    assert!(both, "{:?}", diagnosis.report.findings);
     assert!(diagnosis.report.after.holdout_rms_um < 0.6, "{:?}", diagnosis.report.after);
 }
 

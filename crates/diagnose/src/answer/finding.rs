@@ -70,7 +70,8 @@ pub(crate) fn finding(problem: &Problem, it: &Judgement, left_out: Unit) -> Find
         cause: cause.name().into(),
         column: cause.column(),
         form: dependence(cause).map(Dependence::form_name),
-        times: dependence(cause).and_then(|it| it.times.name()),
+        times: dependence(cause).and_then(|it| it.times.name()).map(String::from),
+        columns: dependence(cause).and_then(columns),
         claimed: it.doubts.is_empty(),
         compensated: cause.is_compensated() && it.is_kept,
         confidence: (it.confidence() * 1e4).round() / 1e4,
@@ -90,6 +91,11 @@ fn dependence(cause: &Kind) -> Option<&Dependence> {
         Some(Effect::Dependence(page)) => Some(page),
         _ => None,
     }
+}
+
+/// The two columns of a product.
+fn columns(page: &Dependence) -> Option<[String; 2]> {
+    page.times.column().map(|second| [page.column.clone(), second.to_string()])
 }
 
 /// Findings of the terms `judged`, in their order, as one where two are only certain together: under the
@@ -364,6 +370,7 @@ pub(crate) fn outliers(data: &Data, after: &[f64], aside: &[bool]) -> Finding {
         column: None,
         form: None,
         times: None,
+        columns: None,
         claimed: true,
         compensated: false,
         confidence: 0.999,

@@ -171,7 +171,7 @@ pub(crate) fn conclude(
     let own = written.problem(problem);
     let is_corrected = !compensated.parts.is_empty();
     let folds = Folds::of_promise(own);
-    let parts = LeftOutParts { problem: own, folds: &folds, model: &compensated, within };
+    let parts = LeftOutParts { problem: own, folds: &folds, model: &written.board, within };
     let held_out = is_corrected.then(|| parts.held_out());
     let memory = found.noise.memory * problem.groups.size as f64;
     let shortfall = asked.hold_out.zip(held_out.as_ref()).and_then(|(hold_out, held_out)| {

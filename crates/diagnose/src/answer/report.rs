@@ -253,7 +253,10 @@ pub struct Finding {
     pub form: Option<&'static str>,
     /// Of a `dependence`: what it is multiplied by.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub times: Option<&'static str>,
+    pub times: Option<String>,
+    /// Of a `dependence` on the product of two columns: both.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub columns: Option<[String; 2]>,
     /// Whether the data tell it from all other causes.
     pub claimed: bool,
     /// Whether the board corrects it.

@@ -4,7 +4,8 @@
 //! level   p + aₖ·f where the column is level k           an unseen level adds 0
 //! line    p + c·(x − x₀)·f                                goes on outside the fitted range
 //! hinge   p + c·max(0, x − from)·f                        goes on outside the fitted range
-//! f       1, (n/1000)², P/1000 of the own axis, or the growth by the sensor's own law (elongation only)
+//! f       1, (n/1000)², P/1000 of the own axis, the growth by the sensor's own law (elongation only), or y − y₀ of a
+//!         second column, a temperature or the load
 //! ```
 //!
 //! x is the value of a column that no other cause reads: a pressure, a flow, a switch, a tool number. No
@@ -17,7 +18,7 @@ use super::{
     survey::{Settings, Survey, spread},
 };
 use crate::{
-    file::{read::Section, spindle::ElongationSource},
+    file::{is_temperature_column, read::Section, spindle::ElongationSource},
     location::BadInput,
 };
 
@@ -29,6 +30,12 @@ const MIN_LEVEL_ROWS: usize = 8;
 const NEAR_ZERO: f64 = 0.35;
 /// Starts of the search for the value from which a hinge bends, at equal shares of the sorted rows.
 const HINGES: usize = 8;
+
+/// The column of the cutting force.
+const LOAD: &str = "load_n";
+
+/// The column of the tool's number.
+const TOOL: &str = "tool";
 
 /// The levels of a column that is off and on.
 const SWITCH: [f64; 2] = [0.0, 1.0];
@@ -62,7 +69,7 @@ pub enum Form {
 }
 
 /// The factor f.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Times {
     /// 1.
     One,
@@ -72,6 +79,13 @@ pub enum Times {
     Growth,
     /// P/1000, P the position of the own axis in mm.
     Position,
+    /// y − y₀.
+    Column {
+        /// The second column.
+        column: String,
+        /// y₀, in its unit.
+        reference: f64,
+    },
 }
 
 impl Times {
@@ -80,27 +94,53 @@ impl Times {
 
     /// Its name in files; none of 1.
     #[must_use]
-    pub fn name(self) -> Option<&'static str> {
-        Self::ALL.iter().find(|(_, times)| *times == self).map(|(name, _)| *name)
+    pub fn name(&self) -> Option<&str> {
+        match self {
+            Self::Column { column, .. } => Some(column),
+            _ => Self::ALL.iter().find(|(_, times)| times == self).map(|(name, _)| *name),
+        }
+    }
+
+    /// The second column, where there is one.
+    #[must_use]
+    pub fn column(&self) -> Option<&str> {
+        if let Self::Column { column, .. } = self { Some(column) } else { None }
+    }
+
+    /// What is read of a run for it.
+    fn input(&self) -> Option<Input<'_>> {
+        match self {
+            Self::One => None,
+            Self::Speed2 => Some(Input::Speed),
+            Self::Growth => Some(Input::Law),
+            Self::Position => Some(Input::OwnPosition),
+            Self::Column { column, .. } if column == LOAD => Some(Input::Load),
+            Self::Column { column, .. } if is_temperature_column(column) => {
+                Some(Input::Temperature { column, lag_s: 0.0 })
+            }
+            Self::Column { column, .. } => Some(Input::Column(column)),
+        }
     }
 
     /// The keys of a slope and of the levels, which carry the unit.
-    fn keys(self) -> [&'static str; 2] {
+    fn keys(&self) -> [&'static str; 2] {
         match self {
             Self::One => ["um_per_unit", "level_um"],
             Self::Speed2 => ["um_per_unit_per_krpm2", "level_um_per_krpm2"],
             Self::Growth => ["factor_per_unit", "level_factor"],
             Self::Position => ["um_per_unit_per_m", "level_um_per_m"],
+            Self::Column { .. } => ["um_per_unit_per_unit", "level_um_per_unit"],
         }
     }
 
     /// The unit of what a level adds.
-    fn unit(self) -> &'static str {
+    fn unit(&self) -> String {
         match self {
-            Self::One => " µm",
-            Self::Speed2 => " µm per (1000 r/min)²",
-            Self::Growth => " times the growth",
-            Self::Position => " µm/m",
+            Self::One => " µm".into(),
+            Self::Speed2 => " µm per (1000 r/min)²".into(),
+            Self::Growth => " times the growth".into(),
+            Self::Position => " µm/m".into(),
+            Self::Column { column, .. } => format!(" µm per unit of {column}"),
         }
     }
 }
@@ -133,10 +173,11 @@ impl Dependence {
     }
 
     fn factor(&self, x: &[f64]) -> f64 {
-        match (self.times, x.get(1)) {
+        match (&self.times, x.get(1)) {
             (Times::Speed2, Some(rpm)) => (rpm / 1000.0).powi(2),
             (Times::Position, Some(mm)) => mm / 1000.0,
             (Times::Growth, Some(um)) => *um,
+            (Times::Column { reference, .. }, Some(value)) => value - reference,
             _ => 1.0,
         }
     }
@@ -150,6 +191,9 @@ impl Page for Dependence {
             ("form", Value::Text(self.form_name().into())),
         ];
         entries.extend(self.times.name().map(|name| ("times", Value::Text(name.into()))));
+        if let Times::Column { reference, .. } = self.times {
+            entries.push(("times_reference", Value::Number(reference)));
+        }
         match &self.form {
             Form::Level { levels, added } => {
                 entries.push(("levels", Value::Numbers(levels.clone())));
@@ -171,7 +215,7 @@ impl Page for Dependence {
         match self.times {
             Times::Growth => Home::Elongation,
             Times::Position => Home::Axis,
-            Times::One | Times::Speed2 => Home::Any,
+            Times::One | Times::Speed2 | Times::Column { .. } => Home::Any,
         }
     }
 
@@ -186,12 +230,7 @@ impl Page for Dependence {
 
     fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
         let mut inputs = vec![Input::Column(&self.column)];
-        inputs.extend(match self.times {
-            Times::One => None,
-            Times::Speed2 => Some(Input::Speed),
-            Times::Growth => Some(Input::Law),
-            Times::Position => Some(Input::OwnPosition),
-        });
+        inputs.extend(self.times.input());
         inputs
     }
 
@@ -313,10 +352,13 @@ impl Definition for Dependence {
             "level_um_per_krpm2",
             "level_factor",
             "level_um_per_m",
+            "level_um_per_unit",
             "um_per_unit",
             "um_per_unit_per_krpm2",
             "factor_per_unit",
             "um_per_unit_per_m",
+            "um_per_unit_per_unit",
+            "times_reference",
             "reference",
             "from",
         ]
@@ -324,7 +366,16 @@ impl Definition for Dependence {
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
         let column = section.required("column", section.text("column")?)?.to_string();
-        let times = section.choice("times", &Times::ALL)?.unwrap_or(Times::One);
+        let times = match section.text("times")? {
+            None => Times::One,
+            Some(name) => match Times::ALL.into_iter().find(|(known, _)| *known == name) {
+                Some((_, times)) => times,
+                None => Times::Column {
+                    column: name.into(),
+                    reference: section.number("times_reference")?.unwrap_or(0.0),
+                },
+            },
+        };
         let [slope_key, level_key] = times.keys();
         const FORMS: [(&str, u8); 3] = [("level", 0), ("line", 1), ("hinge", 2)];
         let form = match section.required("form", section.choice("form", &FORMS)?)? {
@@ -391,29 +442,51 @@ impl Definition for Dependence {
         if survey.moves() {
             times.push(Times::Position);
         }
-        for column in survey.others() {
-            let Some(values) = survey.column(column).filter(|values| spread(values) > 0.0) else {
-                continue;
-            };
-            for times in times.iter().copied() {
+        let all: Vec<(&str, &[f64])> =
+            survey.others().into_iter().filter_map(|name| varying(survey, name)).collect();
+        let known = survey.temperatures().into_iter().chain([LOAD]);
+        let known: Vec<(&str, &[f64])> = known.filter_map(|name| varying(survey, name)).collect();
+        for (number, &(column, values)) in all.iter().enumerate() {
+            let levels = levels(values);
+            // A product is the same the other way round; a category is never the second factor.
+            let later = all.iter().enumerate().filter(|(n, (_, values))| {
+                (levels.is_some() && *n != number || *n > number) && self::levels(values).is_none()
+            });
+            let second = known.iter().chain(later.map(|(_, it)| it)).map(|(name, values)| {
+                Times::Column { column: (*name).into(), reference: zero_of(values) }
+            });
+            for times in times.iter().cloned().chain(second) {
+                let is_alone = times == Times::One;
+                let is_second = times.column().is_some();
                 let mut propose = |form, settings| {
-                    with(Self { column: column.into(), form, times }, settings);
+                    with(Self { column: column.into(), form, times: times.clone() }, settings);
                 };
-                if let Some(levels) = levels(values) {
+                if let Some(levels) = &levels {
                     let added = vec![0.0; levels.len()];
-                    propose(Form::Level { levels, added }, Settings::none());
+                    propose(Form::Level { levels: levels.clone(), added }, Settings::none());
                     continue;
                 }
-                let reference = if times == Times::One { first(values) } else { zero_of(values) };
+                // The number of a tool is no amount.
+                if column == TOOL {
+                    continue;
+                }
+                let reference = if is_alone { first(values) } else { zero_of(values) };
                 propose(Form::Line { slope: 0.0, reference }, Settings::none());
                 let bends = bends(values);
-                if let [low, .., high] = bends[..] {
+                if let [low, .., high] = bends[..]
+                    && !is_second
+                {
                     let hinge = Form::Hinge { slope: 0.0, from: low, range: [low, high] };
                     propose(hinge, Settings::at(bends));
                 }
             }
         }
     }
+}
+
+/// A column that has different values.
+fn varying<'s>(survey: &'s dyn Survey, name: &'s str) -> Option<(&'s str, &'s [f64])> {
+    survey.column(name).filter(|values| spread(values) > 0.0).map(|values| (name, values))
 }
 
 /// The first value that is there.

@@ -427,6 +427,13 @@ pub const TERM_KEYS: &[Key] = &[
         .as_in("[0.0, 0.01]"),
     key("level_um_per_m", Numbers, "µm/m", "at each of `levels`, for one metre")
         .as_in("[0.0, 3.0]"),
+    key(
+        "level_um_per_unit",
+        Numbers,
+        "µm",
+        "at each of `levels`, for one unit of the second column",
+    )
+    .as_in("[0.0, 0.2]"),
     key("levels", Numbers, "", "values of the column, the first adds nothing").as_in("[0.0, 1.0]"),
     key("lever", Choice(AXES), "", "the axis along which the lever is").as_in("\"z\""),
     key("limit_um", Number, "µm", "where the sensor's range ends").as_in("90.0"),
@@ -456,8 +463,15 @@ pub const TERM_KEYS: &[Key] = &[
     key("start_s", Number, "s", "when it begins, in the run's `time_s`").as_in("0.0"),
     key("step_mm", Positive, "mm", "from point to point").as_in("100.0"),
     key("time_constant_s", NotNegative, "s", "of the first-order lag").as_in("600.0"),
-    key("times", Choice(&["speed2", "growth", "position"]), "", "what it is multiplied by")
-        .as_in("\"speed2\""),
+    key(
+        "times",
+        Text,
+        "",
+        "what it is multiplied by: `speed2`, `growth`, `position`, or the name of a column",
+    )
+    .as_in("\"speed2\""),
+    key("times_reference", Number, "", "the value of the second column at which it is 0")
+        .as_in("20.0"),
     key("um_per_c", Number, "µm/K", "for one kelvin").as_in("1.0"),
     key("um_per_h", Number, "µm/h", "for one hour").as_in("0.5"),
     key("um_per_krpm2", Number, "µm", "for (1000 r/min)²").as_in("0.01"),
@@ -469,6 +483,7 @@ pub const TERM_KEYS: &[Key] = &[
     key("um_per_unit_per_krpm2", Number, "µm", "for one unit of the column and (1000 r/min)²")
         .as_in("0.001"),
     key("um_per_unit_per_m", Number, "µm/m", "for one unit of the column and metre").as_in("0.1"),
+    key("um_per_unit_per_unit", Number, "µm", "for one unit of either column").as_in("0.01"),
     key("urad_per_m", Number, "µrad/m", "angle for one metre").as_in("5.0"),
     key(
         "width_um",

@@ -37,6 +37,23 @@ fn a_line_counts_from_its_reference_and_a_hinge_from_its_bend() {
     assert_eq!(added(&along, &[3.0, 500.0]), 3.0);
 }
 
+/// 30 bar at 7 l/min less 5: 0.02 µm × 30 × 2.
+#[test]
+fn a_product_counts_from_the_zero_of_the_second_column() {
+    let flow = Times::Column { column: "flow_l".into(), reference: 5.0 };
+    let product = page(Form::Line { slope: 0.02, reference: 0.0 }, flow);
+    assert!((added(&product, &[30.0, 7.0]) - 1.2).abs() < 1e-12);
+    assert!(added(&product, &[30.0, f64::NAN]).is_nan());
+    assert_eq!(product.inputs(&[]), [Input::Column("coolant_bar"), Input::Column("flow_l")]);
+    // Open: −3 µm/K × 2 K. Closed: nothing.
+    let room = Times::Column { column: "temp_room_c".into(), reference: 20.0 };
+    let open = Form::Level { levels: vec![0.0, 1.0], added: vec![0.0, -3.0] };
+    let by_door = page(open, room);
+    assert_eq!([added(&by_door, &[0.0, 22.0]), added(&by_door, &[1.0, 22.0])], [0.0, -6.0]);
+    let inputs = by_door.inputs(&[]);
+    assert_eq!(inputs[1], Input::Temperature { column: "temp_room_c", lag_s: 0.0 });
+}
+
 #[test]
 fn a_category_has_few_levels_each_seen_often() {
     let switch = [1.0, 0.0, 1.0];
