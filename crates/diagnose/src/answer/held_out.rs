@@ -27,7 +27,6 @@ use trueup_numerics::{robust::median, t_quantile};
 
 use crate::{
     answer::{
-        compensated,
         range::extent,
         report::{Figures, HeldOut},
     },
@@ -35,6 +34,7 @@ use crate::{
     columns::{SAID, named},
     data::{Data, filled},
     fit::{Problem, fit},
+    kind::Part,
     model::Model,
 };
 
@@ -52,7 +52,7 @@ const ZERO_READINGS: usize = 3;
 pub(super) struct LeftOutParts<'p> {
     pub problem: &'p Problem,
     pub folds: &'p Folds,
-    /// The terms of the board, as they are fitted; a board runs them by [`compensated`].
+    /// The terms of the board, as they are fitted.
     pub model: &'p Model,
     /// Mean square that the groups of the problem average away, in µm².
     pub within: f64,
@@ -77,7 +77,7 @@ impl LeftOutParts<'_> {
     fn figures(&self, again: bool, noise: f64) -> Figures {
         let parts = self.folds.parts();
         let before = self.problem.residual(&Model::default());
-        let after = self.folds.left_out_signed(self.problem, self.model, compensated);
+        let after = self.folds.left_out_signed(self.problem, self.model, as_run);
         let within =
             if again { (1.0 + 1.0 / ZERO_READINGS as f64) * self.within } else { self.within };
         let sums = |um: [Vec<f64>; 2], parts: &[usize]| {
@@ -107,7 +107,7 @@ impl LeftOutParts<'_> {
             .map(|first| {
                 let mask: Vec<bool> = (0..groups).map(|group| group < first).collect();
                 let fitted = fit(self.problem, self.model, Some(&mask));
-                let left = self.problem.residual(&compensated(&fitted.model));
+                let left = self.problem.residual(&as_run(&fitted.model));
                 (first, left[first..].to_vec())
             })
             .collect()
@@ -125,6 +125,13 @@ impl LeftOutParts<'_> {
             })
         })
     }
+}
+
+/// `model` as it is predicted where nobody says the feed.
+fn as_run(model: &Model) -> Model {
+    let mut run = model.clone();
+    run.parts.iter_mut().for_each(Part::forget_feed);
+    run
 }
 
 /// The mean squares of the parts, in µm², each as a part of mean size: with the file as it is, and extended.

@@ -227,7 +227,7 @@ pub(crate) fn verdict_sentence(diagnosis: &Diagnosis) -> String {
             )
         }
         Verdict::FallsShort => {
-            "The correction gains less on the hold-out than these runs promise: do not rely on it there.".into()
+            "What was found gains less on the hold-out than these runs promise: do not rely on it there.".into()
         }
         Verdict::DoNotCompensate => {
             "The machine does not repeat. A correction would make it worse: mend it first.".into()

@@ -60,7 +60,7 @@ use hold_out::HoldOut;
 use on_board::left_on_board;
 use power::Power;
 use report::{After, Before, Finding, LeftOut, Rejected, Report};
-use shortfall::Shortfall;
+use shortfall::{Promised, Shortfall};
 use transfer::Transfer;
 use unseen::Unseen;
 use verdict::{Grounds, verdict};
@@ -174,11 +174,28 @@ pub(crate) fn conclude(
     let parts = LeftOutParts { problem: own, folds: &folds, model: &written.board, within };
     let held_out = is_corrected.then(|| parts.held_out());
     let memory = found.noise.memory * problem.groups.size as f64;
-    let shortfall = asked.hold_out.zip(held_out.as_ref()).and_then(|(hold_out, held_out)| {
+    let shortfall = asked.hold_out.and_then(|hold_out| {
         let of_board = hold_out.data.compensated();
         let test = of_board.as_ref().unwrap_or(&hold_out.data);
-        let floor = held_out.figures.reduction_floor95;
-        Shortfall::new(&data, hold_out, test, &compensated, floor, memory)
+        let on_board = held_out.as_ref().and_then(|held_out| {
+            let floor = held_out.figures.reduction_floor95;
+            let promised = Promised { floor, most_left_um: 0.0 };
+            Shortfall::new(&data, hold_out, test, &compensated, promised, memory)
+        });
+        // What only explains is to hold on another day as well.
+        on_board.or_else(|| {
+            let lasting = lasting(&model);
+            let parts = LeftOutParts { problem, folds: &folds, model: &lasting, within };
+            let promised = || {
+                let figures = parts.held_out().figures;
+                let most_left_um = MORE_LEFT * figures.after_um;
+                Promised { floor: figures.reduction_floor95, most_left_um }
+            };
+            let has_more = lasting.parts.len() > compensated.parts.len();
+            let short =
+                || Shortfall::new(&data, hold_out, &hold_out.data, &lasting, promised(), memory);
+            has_more.then(short).flatten()
+        })
     });
     let questions = questions(problem, &found, judged);
     let has_outliers = known == Aside::Wrong;
@@ -350,6 +367,19 @@ fn compensated(model: &Model) -> Model {
     compensated.parts.iter_mut().for_each(Part::forget_feed);
     if compensated.parts.is_empty() { Model::default() } else { compensated }
 }
+
+/// The model without what time alone or the instrument explains.
+fn lasting(model: &Model) -> Model {
+    let parts: Vec<Part> =
+        model.parts.iter().filter(|part| part.kind.tier() <= OF_THE_MACHINE).cloned().collect();
+    if parts.is_empty() { Model::default() } else { Model { parts, ..model.clone() } }
+}
+
+/// What only explains falls short of nothing where it leaves less than this times what left-out parts did.
+const MORE_LEFT: f64 = 1.5;
+
+/// The highest tier of what is of the machine, or of what else was recorded ([`Kind::tier`]).
+const OF_THE_MACHINE: u8 = 1;
 
 /// The noise of one reading, in µm: from repeats where there are any, else from what differs between
 /// neighbours in `errors`, with the memory of the noise taken into account.

@@ -24,17 +24,26 @@ pub(super) struct Shortfall {
     pub places: Vec<String>,
 }
 
+/// What a hold-out is held against.
+pub(super) struct Promised {
+    /// The floor of the reduction.
+    pub floor: f64,
+    /// Less than this left, in µm, is no shortfall: a day that asks for little.
+    pub most_left_um: f64,
+}
+
 impl Shortfall {
     /// Returns the shortfall of `model`, as the board runs it, on `hold_out` (`test`: its table as the board reads it)
-    /// below `floor`; `memory`: of the noise, in rows. None where the floor may have been kept.
+    /// below what was `promised`; `memory`: of the noise, in rows. None where the floor may have been kept.
     pub(super) fn new(
         training: &Data,
         hold_out: &HoldOut<'_>,
         test: &Data,
         model: &Model,
-        floor: f64,
+        promised: Promised,
         memory: f64,
     ) -> Option<Self> {
+        let Promised { floor, most_left_um } = promised;
         let predicted = [&Model::default(), model].map(|model| model.predict(test));
         let rows: Vec<[f64; 2]> = (0..test.rows)
             .filter(|&row| test.used[row])
@@ -42,7 +51,7 @@ impl Shortfall {
             .filter(|left| left.iter().all(|um| um.is_finite()))
             .collect();
         let [before, after] = [0, 1].map(|n| rows.iter().map(|left| left[n]).collect::<Vec<f64>>());
-        if rms(&before) <= 0.0 {
+        if rms(&before) <= 0.0 || rms(&after) <= most_left_um {
             return None;
         }
         let reduction = Blocks::new(rows.len(), memory).reduction(&before, &after);

@@ -447,7 +447,7 @@ impl Definition for Dependence {
         let known = survey.temperatures().into_iter().chain([LOAD]);
         let known: Vec<(&str, &[f64])> = known.filter_map(|name| varying(survey, name)).collect();
         for (number, &(column, values)) in all.iter().enumerate() {
-            let levels = levels(values);
+            let levels = if column == TOOL { tools(values) } else { levels(values) };
             // A product is the same the other way round; a category is never the second factor.
             let later = all.iter().enumerate().filter(|(n, (_, values))| {
                 (levels.is_some() && *n != number || *n > number) && self::levels(values).is_none()
@@ -461,9 +461,13 @@ impl Definition for Dependence {
                 let mut propose = |form, settings| {
                     with(Self { column: column.into(), form, times: times.clone() }, settings);
                 };
-                if let Some(levels) = &levels {
+                if levels.is_some() {
+                    // A tool that never turned says nothing of what it does at speed.
+                    let acting = acting(survey, values, &times);
+                    let levels = if column == TOOL { tools(&acting) } else { self::levels(&acting) };
+                    let Some(levels) = levels else { continue };
                     let added = vec![0.0; levels.len()];
-                    propose(Form::Level { levels: levels.clone(), added }, Settings::none());
+                    propose(Form::Level { levels, added }, Settings::none());
                     continue;
                 }
                 // The number of a tool is no amount.
@@ -482,6 +486,17 @@ impl Definition for Dependence {
             }
         }
     }
+}
+
+/// The values of a column in the rows in which what it is multiplied by is not 0.
+fn acting(survey: &dyn Survey, values: &[f64], times: &Times) -> Vec<f64> {
+    let factor = match times {
+        Times::Speed2 => survey.column("spindle_rpm"),
+        Times::Growth => Some(survey.law()),
+        _ => None,
+    };
+    let acts = |row: usize| factor.is_none_or(|factor| factor[row] != 0.0);
+    values.iter().enumerate().filter(|(row, _)| acts(*row)).map(|(_, value)| *value).collect()
 }
 
 /// A column that has different values.
@@ -526,6 +541,14 @@ fn levels(values: &[f64]) -> Option<Vec<f64>> {
         found.sort_by(|a, b| a.0.total_cmp(&b.0));
     }
     Some(found.into_iter().map(|(level, _)| level).collect())
+}
+
+/// The numbers of the tools that were used often; of the others nothing is known.
+fn tools(values: &[f64]) -> Option<Vec<f64>> {
+    let rows = |tool: f64| values.iter().filter(|it| **it == tool).count();
+    let often: Vec<f64> =
+        values.iter().copied().filter(|tool| rows(*tool) >= MIN_LEVEL_ROWS).collect();
+    levels(&often).filter(|levels| levels.len() > 1)
 }
 
 /// Values from which a line may begin: inside, at equal shares of the sorted rows, no two alike.
