@@ -142,7 +142,7 @@ fn read(path: &Path, machine: &Machine) -> Result<RunFile> {
         let run = RunFile::from_reader(BufReader::new(io::stdin()), Path::new("standard input"))?;
         return Ok(files::usable(run, Some(machine))?);
     }
-    Ok(files::run(path, Some(machine))?)
+    Ok(files::run_to_fit(path, Some(machine))?)
 }
 
 /// What is known from before; `None` where there is no such file yet.
