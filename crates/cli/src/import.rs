@@ -12,7 +12,7 @@ use dialoguer::{Input, Select};
 use serde_json::json;
 use trueup_import::{Answers, Imported, MAX_BYTES, Question, Refused, Topic, import, map};
 use trueup_machine::{BadInput, MachineFile, bounded};
-use trueup_output::escape::one_line;
+use trueup_output::escape::{one_line, shell_word};
 
 use crate::{
     Outcome, UserError, files,
@@ -301,5 +301,9 @@ fn print(args: &Import, imported: &Imported, as_json: bool) -> Result<()> {
             "no column is a measured error or growth: `fit` and `diagnose` need one (--column)",
         );
     }
-    output::print(format_args!("{}: written. Next: trueup check {0}", args.output.display()))
+    if output::is_standard_output(&args.output) {
+        return Ok(());
+    }
+    let next = shell_word(&args.output.to_string_lossy());
+    output::print(format_args!("{}: written. Next: trueup check {next}", args.output.display()))
 }

@@ -76,7 +76,8 @@ const SECOND_TABLE: usize = 3;
 /// # Errors
 /// There is no table of at least two columns, or there are two.
 pub(crate) fn find(grid: &Grid, path: &Path) -> Result<Layout, BadInput> {
-    let kinds: Vec<Kind> = grid.rows.iter().map(kind).collect();
+    let mut kinds: Vec<Kind> = grid.rows.iter().map(kind).collect();
+    numbered_header(grid, &mut kinds);
     let blocks = blocks(&grid.rows, &kinds);
     let longest =
         blocks.iter().max_by_key(|block| (block.rows.len(), std::cmp::Reverse(block.rows[0])));
@@ -136,6 +137,23 @@ pub(crate) fn find(grid: &Grid, path: &Path) -> Result<Layout, BadInput> {
             .with_help("a run needs at least two: where or when, and what was measured"));
     }
     Ok(layout)
+}
+
+/// A header with numbers in it, `Position; 1; 2; 3`, has a word where the row below has a number.
+fn numbered_header(grid: &Grid, kinds: &mut [Kind]) {
+    let Some(first) = kinds.iter().position(|kind| *kind == Kind::Data) else { return };
+    let Some(below) = grid.rows[first + 1..].iter().find(|row| kind(row) != Kind::Blank) else {
+        return;
+    };
+    let is_word = |(cell, below): (&Cell, &Cell)| {
+        !number::is_missing(&cell.text()) && !is_value(cell) && is_value(below)
+    };
+    let is_pass = |cell: &Cell| !is_value(cell) || cell.text().parse::<u8>().is_ok();
+    let cells = &grid.rows[first].cells;
+    let has_word = cells.iter().zip(&below.cells).any(is_word);
+    if has_word && cells.iter().all(is_pass) && kind(below) == Kind::Data {
+        kinds[first] = Kind::Text;
+    }
 }
 
 /// Rows of numbers one after the other.

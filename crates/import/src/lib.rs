@@ -114,10 +114,13 @@ pub fn import(bytes: &[u8], path: &Path, answers: &Answers) -> Result<Imported, 
             left_out.push((plan.header.clone(), why.into()));
         }
     }
-    if converted.columns.is_empty() {
-        let error =
-            BadInput::new(Location::start_of(path), "has no column that a run file may have");
-        return Err(error.with_help("name one: --column HEADER=measured_dx_um").into());
+    // A table of which nothing is understood is no run, whatever its numbers are.
+    if !converted.columns.iter().any(|column| is_known_column(&column.name)) {
+        let headers: Vec<&str> =
+            layout.columns.iter().take(5).map(|it| it.header.as_str()).collect();
+        let rule = format!("no column is one that a run file knows: {}", headers.join(", "));
+        let error = BadInput::new(layout.columns[0].place.clone(), rule);
+        return Err(error.with_help("Name one, by its header or number: --column 1=x_mm").into());
     }
     let run = written(&converted.columns, layout.rows.len());
     // What is written is a run file, whatever the rules above have missed.

@@ -84,6 +84,13 @@ pub(crate) fn split(header: &str) -> Header {
         name: name.trim().trim_end_matches(':').trim().to_string(),
         unit: unit.trim().to_string(),
     };
+    // `RPM`, `°C`: the unit is all that is said.
+    if let Some(unit) = unit::parse(header)
+        && matches!(unit.dimension, Dimension::Speed | Dimension::Temperature)
+        && header.chars().count() > 1
+    {
+        return of(header, header);
+    }
     for (open, close) in [('[', ']'), ('(', ')'), ('{', '}'), ('<', '>')] {
         if let (Some(start), Some(end)) = (header.rfind(open), header.rfind(close))
             && start < end
@@ -215,7 +222,7 @@ pub(crate) fn understand(header: &str, name: &str, unit: Option<Unit>) -> Meanin
         let place: Vec<&str> = words
             .iter()
             .map(String::as_str)
-            .filter(|word| !words::has(TEMPERATURE, word) && *word != "t")
+            .filter(|word| !words::has(TEMPERATURE, word) && !["t", "c"].contains(word))
             .collect();
         let place = if place.is_empty() { "1".to_string() } else { place.join("_") };
         return known(&format!("temp_{place}_c"));
@@ -296,6 +303,7 @@ pub(crate) fn repeat(name: &str) -> Option<(Option<f64>, Option<u32>)> {
         if !digits.is_empty() {
             run = Some(digits.parse().ok()?);
             if letters.is_empty() {
+                is_named = true;
                 continue;
             }
         }
@@ -347,6 +355,8 @@ mod tests {
             ("Temperature (bed) °F", "temp_bed_c"),
             ("T Öl in °C", "temp_oel_c"),
             ("Drehzahl [U/min]", "spindle_rpm"),
+            ("RPM", "spindle_rpm"),
+            ("°C", "temp_1_c"),
             ("n [1/min]", "spindle_rpm"),
             ("X [mm]", "x_mm"),
             ("Position X (inch)", "x_mm"),
@@ -395,6 +405,8 @@ mod tests {
         assert_eq!(repeat("hin 1"), Some((Some(1.0), Some(1))));
         assert_eq!(repeat("2↓"), Some((Some(-1.0), Some(2))));
         assert_eq!(repeat("Lauf 3 rück"), Some((Some(-1.0), Some(3))));
+        assert_eq!(repeat("3"), Some((None, Some(3))));
+        assert_eq!(repeat("Abw. ↑ 1"), Some((Some(1.0), Some(1))));
         assert_eq!(repeat("Rev2"), Some((Some(-1.0), Some(2))));
         assert_eq!(repeat("Temperatur 1"), None);
         assert_eq!(repeat("X"), None);

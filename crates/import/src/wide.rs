@@ -13,7 +13,9 @@ pub(crate) fn one_reading_a_row(layout: Layout) -> Layout {
     let passes: Vec<Option<(Option<f64>, Option<u32>)>> = layout
         .columns
         .iter()
-        .map(|column| meaning::repeat(&meaning::split(&column.header).name))
+        .map(|column| meaning::split(&column.header).name)
+        // `Pos.` alone is a position, and not the positive way.
+        .map(|name| meaning::repeat(&name).filter(|_| meaning::slug(&name) != "pos"))
         .collect();
     let is_position = |column: &Source| {
         let parts = meaning::split(&column.header);
@@ -44,7 +46,12 @@ pub(crate) fn one_reading_a_row(layout: Layout) -> Layout {
     if has_ways {
         sources.push(source("way", Meaning::Direction));
     }
-    sources.push(Source { meaning: Some(Meaning::Measured), ..first.clone() });
+    // A bare number would name a column by its place.
+    let header = match first.header.parse::<u32>() {
+        Ok(number) => format!("pass {number}"),
+        Err(_) => first.header.clone(),
+    };
+    sources.push(Source { header, meaning: Some(Meaning::Measured), ..first.clone() });
 
     let mut rows = Vec::new();
     let mut runs_of_way = [0_u32; 2];

@@ -109,8 +109,11 @@ fn a_run_in_another_unit_is_said_and_the_impossible_is_refused_until_it_is_accep
         assert!(!desk.path("d").exists() && !desk.path("f.toml").exists(), "{command}");
         let (code, err) = said("f.csv", " --accept temp_nose_c");
         assert_ne!(code, Some(2), "{command}: {err}");
-        _ = std::fs::remove_file(desk.path("f.toml"));
-        _ = std::fs::remove_dir_all(desk.path("d"));
+        let tidy = || {
+            _ = std::fs::remove_file(desk.path("f.toml"));
+            _ = std::fs::remove_dir_all(desk.path("d"));
+        };
+        tidy();
         let (code, err) = said("t.csv", "");
         assert!(
             err.contains("looks like tenths") && err.contains("--accept temp_nose_c"),
@@ -123,7 +126,7 @@ fn a_run_in_another_unit_is_said_and_the_impossible_is_refused_until_it_is_accep
         );
         let (code, err) = said("t.csv", " --accept temp_nose_c");
         assert_ne!(code, Some(2), "{command}: {err}");
-        _ = std::fs::remove_dir_all(desk.path("d"));
+        tidy();
     }
 }
 

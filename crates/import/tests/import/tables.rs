@@ -147,6 +147,29 @@ fn passes_side_by_side_are_one_reading_a_row_in_the_order_of_measuring() {
 }
 
 #[test]
+fn passes_that_have_numbers_for_names_are_repeats() {
+    let text = "Position [mm];1;2;3\n0;0,0;0,1;0,2\n100;1,0;1,1;1,2\n";
+    let given = [
+        (column("Position"), "x_mm"),
+        (column("pass 1"), "measured_dx_um"),
+        (unit("measured_dx_um"), "µm"),
+    ];
+    let imported = read(text, &given);
+    assert_eq!(
+        imported.run,
+        "x_mm,run,measured_dx_um\n0,1,0\n100,1,1\n0,2,0.1\n100,2,1.1\n0,3,0.2\n100,3,1.2\n"
+    );
+}
+
+#[test]
+fn an_abbreviated_position_is_no_pass() {
+    let text = "Pos.;Abw. ↑ 1;Abw. ↓ 1\nmm;µm;µm\n0;0,5;1\n100;1,5;2\n";
+    let given = [(column("Pos."), "y_mm"), (column("Abw. ↑ 1"), "measured_dy_um")];
+    let expected = "y_mm,run,dir_y,measured_dy_um\n0,1,1,0.5\n100,1,1,1.5\n100,1,-1,2\n0,1,-1,1\n";
+    assert_eq!(read(text, &given).run, expected);
+}
+
+#[test]
 fn an_actual_position_is_an_error_once_the_target_is_taken_off() {
     let text = "Soll X [mm],Ist X [mm]\n0,0.0001\n100,100.0023\n200,199.9991\n";
     let imported = read(text, &[]);
@@ -167,6 +190,7 @@ fn what_is_wrong_has_its_line_and_column() {
         ("Zeit [s];X [mm]\n0;1\n5;2\n3;2\n", "4:1: the time runs back to 3"),
         ("a;b\nc;d\n", "1:1: has no row of numbers"),
         ("", "1:1: has no row of numbers"),
+        ("0.1,0.2\n0.3,0.4\n", "1:1: no column is one that a run file knows: column 1, column 2"),
         ("X [mm]\n1\n2\n", "1:1: has only one column"),
         (
             "a;b;c\n1;2;3\n1;2;3\n1;2;3\nd;e;f\n4;5;6\n4;5;6\n4;5;6\n",
