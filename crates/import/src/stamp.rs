@@ -326,7 +326,7 @@ mod tests {
         let utc = both("2026-04-03T08:15:00Z");
         assert_eq!(both("2026-04-03T10:15:00+02:00"), utc);
         assert_eq!(both("2026-04-03 08:15").total_s(), utc.total_s());
-        assert_eq!(of_serial(46_115.34375).seconds, Some(29_700.0));
+        assert_eq!(of_serial(46_115.343_75).seconds, Some(29_700.0));
         assert_eq!(of_serial(0.34375).day, None);
     }
 }
