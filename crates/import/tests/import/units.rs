@@ -28,7 +28,7 @@ fn each_unit_of_a_header_becomes_the_run_files() {
         ("measured_dx_mm", "measured_dx_um", "0,0123", 12.3),
         ("temp_bed_f", "temp_bed_c", "68", 20.0),
     ] {
-        let text = format!("{header};flow\n{before};1\n{before};2\n");
+        let text = format!("{header};run\n{before};1\n{before};2\n");
         let imported = read(&text, &[]);
         assert_eq!(values(&imported, name), [after; 2], "{header}");
     }
