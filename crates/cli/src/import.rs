@@ -192,7 +192,11 @@ fn refused(error: BadInput, as_json: bool) -> Error {
         return error.into();
     }
     let stop = if error.rule.ends_with('?') { "" } else { "." };
-    let help = error.help.as_ref().map_or(String::new(), |help| format!("{stop} {help}"));
+    let help = error.help.as_ref().map_or(String::new(), |help| {
+        let mut letters = help.chars();
+        let first = letters.next().map(|c| c.to_uppercase().to_string()).unwrap_or_default();
+        format!("{stop} {first}{}", letters.as_str())
+    });
     UserError(format!("{error}{help}")).into()
 }
 

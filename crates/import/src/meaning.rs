@@ -151,6 +151,8 @@ pub(crate) fn slug(text: &str) -> String {
             'ç' => "c",
             'ñ' => "n",
             'µ' | 'μ' => "u",
+            // `Δz`
+            'δ' | '∆' => "d",
             '°' | '.' => "",
             c if c.is_alphanumeric() => {
                 out.push(c);
@@ -294,7 +296,7 @@ pub(crate) fn understand(header: &str, name: &str, unit: Option<Unit>) -> Meanin
 /// Returns direction and repeat of a column of a wide table: `hin 1`, `Lauf 2 ↓`, `Rev 3`; `None` for all others.
 pub(crate) fn repeat(name: &str) -> Option<(Option<f64>, Option<u32>)> {
     let (mut way, mut run) = (None, None);
-    let mut is_named = false;
+    let (mut is_named, mut has_axis, mut is_measured) = (false, false, false);
     for word in
         spaced_arrows(name).split([' ', '_', '.', ',', '-', '#']).filter(|word| !word.is_empty())
     {
@@ -313,11 +315,17 @@ pub(crate) fn repeat(name: &str) -> Option<(Option<f64>, Option<u32>)> {
             is_named = true;
         } else if words::has(RUN, &plain) {
             is_named = true;
-        } else if !words::has(MEASURED, &plain) {
+        } else if words::has(MEASURED, &plain) {
+            is_measured = true;
+        } else if ["x", "y", "z"].contains(&plain.as_str()) {
+            has_axis = true;
+        } else {
             return None;
         }
     }
-    (is_named && (way.is_some() || run.is_some())).then_some((way, run))
+    // `X 1` is a position.
+    let is_pass = is_named && (!has_axis || way.is_some() || is_measured);
+    (is_pass && (way.is_some() || run.is_some())).then_some((way, run))
 }
 
 fn spaced_arrows(name: &str) -> String {
@@ -364,6 +372,7 @@ mod tests {
             ("Abweichung X [µm]", "measured_dx_um"),
             ("Error Z (µin)", "measured_dz_um"),
             ("dx [mm]", "measured_dx_um"),
+            ("Δz [µm]", "measured_dz_um"),
             ("Spindellängung [µm]", "measured_elongation_um"),
             ("Messuhr [µm]", "Measured"),
             ("Position [mm]", "Position"),
@@ -410,5 +419,7 @@ mod tests {
         assert_eq!(repeat("Rev2"), Some((Some(-1.0), Some(2))));
         assert_eq!(repeat("Temperatur 1"), None);
         assert_eq!(repeat("X"), None);
+        assert_eq!(repeat("X 1"), None);
+        assert_eq!(repeat("Abw. X Rückfahrt"), Some((Some(-1.0), None)));
     }
 }

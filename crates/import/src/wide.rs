@@ -10,13 +10,6 @@ use crate::{
 /// Returns the table with one reading a row, in the order in which it was measured: there, then back. A table that
 /// has no columns of passes stays as it is.
 pub(crate) fn one_reading_a_row(layout: Layout) -> Layout {
-    let passes: Vec<Option<(Option<f64>, Option<u32>)>> = layout
-        .columns
-        .iter()
-        .map(|column| meaning::split(&column.header).name)
-        // `Pos.` alone is a position, and not the positive way.
-        .map(|name| meaning::repeat(&name).filter(|_| meaning::slug(&name) != "pos"))
-        .collect();
     let is_position = |column: &Source| {
         let parts = meaning::split(&column.header);
         let unit = unit::parse(if column.unit.is_empty() { &parts.unit } else { &column.unit });
@@ -26,6 +19,15 @@ pub(crate) fn one_reading_a_row(layout: Layout) -> Layout {
             _ => false,
         }
     };
+    let passes: Vec<Option<(Option<f64>, Option<u32>)>> = layout
+        .columns
+        .iter()
+        // `Pos.` is a position, and not the positive way.
+        .map(|column| {
+            let name = meaning::split(&column.header).name;
+            meaning::repeat(&name).filter(|_| !is_position(column))
+        })
+        .collect();
     let count = passes.iter().flatten().count();
     let positions = layout.columns.iter().filter(|column| is_position(column)).count();
     if count < 2 || positions != 1 {
@@ -51,7 +53,14 @@ pub(crate) fn one_reading_a_row(layout: Layout) -> Layout {
         Ok(number) => format!("pass {number}"),
         Err(_) => first.header.clone(),
     };
-    sources.push(Source { header, meaning: Some(Meaning::Measured), ..first.clone() });
+    // `Abw. X hin` says what is measured, `hin 1` does not.
+    let parts = meaning::split(&first.header);
+    let meant = meaning::understand(&first.header, &parts.name, unit::parse(&parts.unit));
+    let meaning = match meant {
+        Meaning::Known(target) if target.name.starts_with("measured_") => Meaning::Known(target),
+        _ => Meaning::Measured,
+    };
+    sources.push(Source { header, meaning: Some(meaning), ..first.clone() });
 
     let mut rows = Vec::new();
     let mut runs_of_way = [0_u32; 2];

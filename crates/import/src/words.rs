@@ -44,10 +44,10 @@ pub(crate) const NOTHING: &str = "nr no num number nummer lfd index idx bemerkun
 pub(crate) const FILLING: &str = "achse axis axe eje asse der die das of the de des in am an machine maschine wert value spindel \
     spindle broche messuhr gemessen measured";
 /// The way there.
-const FORWARD: &str = "+ +1 1 +x +y +z x+ y+ z+ hin vor vorwaerts auf forward fwd pos positiv positive up aller ida \
+const FORWARD: &str = "hinfahrt hinweg vorlauf hinlauf vorwaertslauf + +1 1 +x +y +z x+ y+ z+ hin vor vorwaerts auf forward fwd pos positiv positive up aller ida \
     andata ↑ → > +1.0 1.0 f steigend rechts";
 /// The way back.
-const REVERSE: &str = "- -1 -x -y -z x- y- z- her rueck zurueck rueckwaerts ab reverse rev backward back bwd neg \
+const REVERSE: &str = "rueckfahrt rueckweg ruecklauf rueckwaertslauf - -1 -x -y -z x- y- z- her rueck zurueck rueckwaerts ab reverse rev backward back bwd neg \
     negativ negative down retour vuelta ritorno ↓ ← < -1.0 r fallend links";
 
 /// Returns true if `list` has the word.

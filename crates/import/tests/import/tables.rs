@@ -162,6 +162,13 @@ fn passes_that_have_numbers_for_names_are_repeats() {
 }
 
 #[test]
+fn passes_that_say_what_they_measure_leave_no_question() {
+    let text = "Pos. X (mm);Abw. X (µm) Hinfahrt;Abw. X (µm) Rückfahrt\n0;0,5;1,5\n100;1,0;2\n";
+    let expected = "x_mm,run,dir_x,measured_dx_um\n0,1,1,0.5\n100,1,1,1\n100,1,-1,2\n0,1,-1,1.5\n";
+    assert_eq!(read(text, &[]).run, expected);
+}
+
+#[test]
 fn an_abbreviated_position_is_no_pass() {
     let text = "Pos.;Abw. ↑ 1;Abw. ↓ 1\nmm;µm;µm\n0;0,5;1\n100;1,5;2\n";
     let given = [(column("Pos."), "y_mm"), (column("Abw. ↑ 1"), "measured_dy_um")];
