@@ -28,6 +28,8 @@ pub struct Answers {
     pub summer_time: Option<bool>,
     /// Every second run of the file goes back.
     pub there_and_back: Option<bool>,
+    /// Columns that a map names: a file of its kind need not have them.
+    pub of_map: Vec<String>,
 }
 
 /// What a question is about.
@@ -189,6 +191,7 @@ impl Answers {
         self.units.extend(other.units);
         self.columns.extend(other.columns);
         self.negate.extend(other.negate);
+        self.of_map.extend(other.of_map);
         self.encoding = self.encoding.or(other.encoding);
         self.sheet = self.sheet.or(other.sheet);
         self.counts_per_v = self.counts_per_v.or(other.counts_per_v);

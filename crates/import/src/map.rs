@@ -79,6 +79,7 @@ pub fn read(text: &str, path: &Path) -> Result<Answers, BadInput> {
 
 fn column(header: &str, item: &Item, answers: &mut Answers) -> Result<(), String> {
     let table = item.as_table_like().ok_or("a column must be a table with name and unit")?;
+    answers.of_map.push(header.into());
     for (key, item) in table.iter() {
         let word = || item.as_str().ok_or_else(|| format!("{key} must be a text"));
         match key {
@@ -171,7 +172,9 @@ mod tests {
             answers.answer(&topic, value).expect("an answer");
         }
         let text = with("", &answers).expect("a map");
-        assert_eq!(read(&text, Path::new("m.toml")), Ok(answers.clone()), "{text}");
+        let of_map = vec!["Messuhr [µm]".into(), "Uhr".into()];
+        let expected = Answers { of_map, ..answers.clone() };
+        assert_eq!(read(&text, Path::new("m.toml")), Ok(expected), "{text}");
         let edited = format!("# mine\n{}", text.replace("measured_dx_um", "measured_dy_um"));
         let again = with(&edited, &answers).expect("a map");
         assert_eq!(again, edited);

@@ -199,7 +199,8 @@ fn check_answers(drafts: &[Draft<'_>], answers: &Answers, path: &Path) -> Result
         .chain(&answers.columns)
         .map(|(column, _)| column)
         .chain(&answers.negate);
-    match named.into_iter().find(|column| !is_there(column)) {
+    let mut needed = named.into_iter().filter(|column| !answers.of_map.contains(column));
+    match needed.find(|column| !is_there(column)) {
         None => Ok(()),
         Some(column) => {
             let there: Vec<&str> =

@@ -79,6 +79,10 @@ fn a_map_is_written_once_and_answers_from_then_on() {
     desk.said("import u.csv -o s.csv --map m.toml", 0);
     assert_eq!(desk.text("s.csv"), RUN.replace("2.5", "9.5"));
     assert_eq!(desk.text("m.toml"), map);
+    // A file of the kind that lacks a column of the map.
+    desk.write("w.csv", "Zeit [s];Position [mm];Temperatur Bett [°C]\n0;1;20,5\n1;2;20,6\n");
+    desk.said("import w.csv -o w.run.csv --map m.toml", 0);
+    assert!(desk.text("w.run.csv").starts_with("time_s,x_mm,temp_bett_c\n"));
     desk.write("m.toml", format!("{map}colour = \"red\"\n"));
     let (_, err) = desk.said("import u.csv -o v.csv --map m.toml", 2);
     assert!(err.contains("m.toml:") && err.contains("colour is no key"), "{err}");
