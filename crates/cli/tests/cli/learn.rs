@@ -236,3 +236,21 @@ fn a_crash_is_an_event_with_exit_3_and_the_constants_stay() {
     let (out, _) = learned_from(&desk, "m.toml", "5.csv", 0);
     assert!(!out.contains("event:"), "{out}");
 }
+
+#[test]
+fn equal_runs_compared_by_a_limit_below_their_scatter_end_with_0() {
+    let run = |seed: usize, more: f64| {
+        let noise = [1.9, -1.4, 0.3, 2.2, -2.4, 0.8, -1.1, 1.2, -0.2, 2.6, -1.8];
+        let mut text = "run,x_mm,dir_x,measured_dx_um\n".to_string();
+        for n in 0..50 {
+            let um = noise[(n * 7 + seed * 3) % 11] + more * (n % 10) as f64;
+            text += &format!("{},{},1,{um:.2}\n", n / 10 + 1, 100 * (n % 10));
+        }
+        text
+    };
+    let files = [("a.csv", &run(0, 0.0)[..]), ("b.csv", &run(1, 0.0)), ("c.csv", &run(1, 3.0))];
+    let desk = Desk::new(&files);
+    let (out, _) = desk.said("compare a.csv b.csv --limit-um 0.01", 0);
+    assert!(out.contains("no difference"), "{out}");
+    desk.said("compare a.csv c.csv --limit-um 5", 3);
+}
