@@ -78,6 +78,14 @@ pub fn run(path: &Path, machine: Option<&Machine>) -> Result<RunFile, BadInput> 
     usable(runs::read(path)?, machine)
 }
 
+/// The same for a command that finds constants from the run: a column that is unlikely in the unit of its name is refused
+/// too, since a constant found from it is wrong by the factor of the unit.
+pub fn run_to_fit(path: &Path, machine: Option<&Machine>) -> Result<RunFile, BadInput> {
+    let run = runs::read(path)?;
+    refuse_unlikely_units(&without_fault_values(run.clone()).0, machine)?;
+    usable(run, machine)
+}
+
 /// Says what is unlikely in `run`, and gives it without fault values of thermometers and with the directions
 /// that its positions imply.
 ///
@@ -96,12 +104,19 @@ fn refuse_units(run: &RunFile, machine: Option<&Machine>) -> Result<(), BadInput
     check::refusal(&check::units(run, machine), accepted()).map_or(Ok(()), Err)
 }
 
-/// The same for a command that looks after the names of the columns and the faults of thermometers itself.
+fn refuse_unlikely_units(run: &RunFile, machine: Option<&Machine>) -> Result<(), BadInput> {
+    let found = check::units(run, machine).into_iter();
+    let refused: Vec<Finding> =
+        found.map(|finding| Finding { grade: Grade::Impossible, ..finding }).collect();
+    check::refusal(&refused, accepted()).map_or(Ok(()), Err)
+}
+
+/// The same as [`run_to_fit`] for a command that looks after the names of the columns and the faults of thermometers itself.
 pub fn run_of_known_names(path: &Path, machine: &Machine) -> Result<RunFile, BadInput> {
     let (run, reported) = with_directions(runs::read(path)?, Some(machine));
     report::in_short(path, &reported);
     let (sound, _) = without_fault_values(run.clone());
-    refuse_units(&sound, Some(machine))?;
+    refuse_unlikely_units(&sound, Some(machine))?;
     report::in_short(path, &check::values(&sound, Some(machine)));
     Ok(run)
 }

@@ -86,7 +86,7 @@ impl Input {
         };
         let read = |path: &PathBuf| -> Result<Unaided<'static>> {
             let machine = machine.as_ref().map(|(_, _, machine)| machine);
-            let run = files::run(path, machine)?;
+            let run = files::run_to_fit(path, machine)?;
             let (run, notes) = Unaided::of(Cow::Owned(run), machine, None)?;
             notes.iter().for_each(crate::report::warn);
             Ok(run)

@@ -12,7 +12,7 @@ use std::{
 use anyhow::Result;
 use clap::Args;
 use serde_json::{Value, json};
-use trueup_learn::{Constant, Learned, Limits, Live, Memory, learn, live};
+use trueup_learn::{Change, Constant, Learned, Limits, Live, Memory, Owner, learn, live};
 use trueup_machine::{Machine, MachineFile, RunFile, file};
 
 use crate::{
@@ -20,6 +20,7 @@ use crate::{
     diagnose::{Quantity, above_zero},
     files,
     output::{self, FileSet},
+    report,
 };
 
 /// What is known grows by some kilobytes with each change; what is larger is another file.
@@ -32,7 +33,11 @@ const MOST_BYTES: u64 = 256 << 20;
 /// and what is known to a .learn.json beside that. Load the new file when the machine is at rest; what [limits.learned] permits
 /// trueup linuxcnc --learned tells the bridge while it runs.
 ///
-/// Exit 3: no reading of the record was used, or a bound was reached.
+/// The state belongs to one machine (its serial number, else its name) and one quantity. Comments, limits and other keys of
+/// your machine file change nothing in it; a constant that you change begins anew alone.
+///
+/// Exit 3: an event was reported (a crash, a changed part, a moved thermometer), no reading of the record was used, or a bound was
+/// reached.
 #[derive(Args)]
 pub struct Learn {
     /// Your machine file.
@@ -59,9 +64,12 @@ pub struct Learn {
     /// One reading changes it by no more, in µm.
     #[arg(long, value_name = "UM", default_value_t = Limits::default().step_um, value_parser = above_zero)]
     step_um: f64,
-    /// Takes the last change back.
+    /// Takes the last day's change back.
     #[arg(long, conflicts_with = "run")]
     undo: bool,
+    /// Begins anew: what was learned becomes a backup, LEARNED.learn.json.bak.
+    #[arg(long, conflicts_with = "undo")]
+    reset: bool,
 }
 
 fn finite(text: &str) -> Result<f64, String> {
@@ -86,14 +94,16 @@ pub fn run(args: &Learn, as_json: bool) -> Result<Outcome> {
     for path in [&known, &args.output] {
         output::check_target(path, &inputs)?;
     }
-    let mut memory = remembered(&known)?;
+    let machine = files::parsed(&source, &args.machine)?;
+    check_owner(&args.output, &machine)?;
+    let (mut memory, mut is_backup_due) =
+        if args.reset { (None, known.exists()) } else { remembered(&known)? };
     if args.undo {
         return undo(args, &source, &known, memory);
     }
     if args.reading_um.is_some() && args.run.len() > 1 {
         return Err(UserError("--reading-um: give one --run, that of this moment".into()).into());
     }
-    let machine = files::parsed(&source, &args.machine)?;
     let limits = Limits {
         share: args.limit_percent / 100.0,
         total_um: args.limit_um,
@@ -113,10 +123,15 @@ pub fn run(args: &Learn, as_json: bool) -> Result<Outcome> {
         };
         let learned = learn(&source, &args.machine, &run, quantity, memory.take(), &limits)?;
         memory = Some(learned.memory.clone());
+        is_backup_due |= learned.has_restarted;
         let new = files::to_be_written(&learned.machine, &args.output, Some(&machine))?;
         all.push((path, learned, new));
     }
     if let Some((_, last, _)) = all.last() {
+        if is_backup_due {
+            let backup = back_up(&known)?;
+            report::warn(format_args!("{}: what was known until now", backup.display()));
+        }
         save(args, &inputs, &known, &last.machine, &last.memory)?;
     }
     for (path, learned, new) in &all {
@@ -127,7 +142,8 @@ pub fn run(args: &Learn, as_json: bool) -> Result<Outcome> {
             print(path, learned)?;
             print_live(live.ok())?;
         }
-        if !learned.readings.iter().any(|it| it.used) || learned.is_held {
+        let is_refused = !learned.readings.iter().any(|it| it.used) && !learned.readings.is_empty();
+        if is_refused || learned.is_held || !learned.news.is_empty() {
             outcome = Outcome::NotMet;
         }
     }
@@ -142,18 +158,51 @@ fn read(path: &Path, machine: &Machine) -> Result<RunFile> {
         let run = RunFile::from_reader(BufReader::new(io::stdin()), Path::new("standard input"))?;
         return Ok(files::usable(run, Some(machine))?);
     }
-    Ok(files::run(path, Some(machine))?)
+    Ok(files::run_to_fit(path, Some(machine))?)
 }
 
-/// What is known from before; `None` where there is no such file yet.
-fn remembered(path: &Path) -> Result<Option<Memory>> {
+/// Refuses an output that is the machine file of another machine.
+fn check_owner(output: &Path, machine: &Machine) -> Result<()> {
+    let Ok(text) = fs::read_to_string(output) else { return Ok(()) };
+    let Ok(there) = MachineFile::parse(&text, output) else { return Ok(()) };
+    let (there, this) = (Owner::of(&there), Owner::of(machine));
+    if there.is(&this) {
+        return Ok(());
+    }
+    let rule = format!(
+        "{}: is of {}, and --machine is of {}: give each machine its own --output",
+        output.display(),
+        there.text(),
+        this.text()
+    );
+    Err(UserError(rule).into())
+}
+
+/// Returns what is known from before, `None` where there is no such file yet, and whether it is of an older form.
+fn remembered(path: &Path) -> Result<(Option<Memory>, bool)> {
     let bad = |rule: String| UserError(format!("{}: {rule}", path.display()));
     if fs::metadata(path).is_err_and(|error| error.kind() == io::ErrorKind::NotFound) {
-        return Ok(None);
+        return Ok((None, false));
     }
     let text = files::text(path, MOST_BYTES)?;
     let memory = Memory::read(&text);
-    Ok(Some(memory.map_err(|rule| bad(format!("is not what trueup learn has written: {rule}")))?))
+    let memory =
+        memory.map_err(|rule| bad(format!("is not what trueup learn has written: {rule}")))?;
+    Ok((Some(memory), Memory::is_of_older_form(&text)))
+}
+
+/// Copies the state to the first backup that is not there yet.
+fn back_up(known: &Path) -> Result<PathBuf> {
+    let named = |number: usize| {
+        let end = if number == 0 { "bak".into() } else { format!("bak{number}") };
+        let mut name = known.as_os_str().to_os_string();
+        name.push(format!(".{end}"));
+        PathBuf::from(name)
+    };
+    let free = (0..).map(named).find(|path| !path.exists()).unwrap_or_else(|| named(0));
+    fs::copy(known, &free)
+        .map_err(|error| UserError(format!("{}: cannot be written: {error}", free.display())))?;
+    Ok(free)
 }
 
 /// Both files; what is known first, for with it the other can be made again.
@@ -174,14 +223,13 @@ fn save(
 fn undo(args: &Learn, source: &str, known: &Path, memory: Option<Memory>) -> Result<Outcome> {
     let bad = |rule: &str| UserError(format!("{}: {rule}", known.display()));
     let mut memory = memory.ok_or_else(|| bad("is not there, so nothing was learned"))?;
-    let undone =
-        memory.undo().ok_or_else(|| bad("has no change that is not taken back already"))?;
+    let undone = memory.undo().map_err(|rule| bad(&rule))?;
     let machine = memory.applied_to(source, &args.machine).ok_or_else(|| {
         bad("was learned beside another machine file than this one, or than it was then")
     })?;
     save(args, &[&args.machine], known, &machine, &memory)?;
-    for (key, from, to) in &undone.constants {
-        output::print(format_args!("{key}: {to} is {from} again"))?;
+    for (place, from, to) in &undone.values {
+        output::print(format_args!("{}: {to} is {from} again", memory.key(*place)))?;
     }
     Ok(Outcome::Done)
 }
@@ -193,7 +241,7 @@ fn now(learned: &Learned) -> Vec<Now<'_>> {
         .constants
         .iter()
         .zip(shares)
-        .map(|(Constant { key, believed }, (share, half_width))| Now {
+        .map(|(Constant { key, believed, .. }, (share, half_width))| Now {
             key,
             file: *believed,
             learned: believed * (1.0 + share),
@@ -208,17 +256,22 @@ fn said(learned: &Learned, live: Option<&Live>) -> Value {
         .map(|it| json!({"key": it.key, "file": it.file, "learned": it.learned, "half_width": it.half_width}))
         .collect();
     // Not what was known before: that is for --undo.
-    let changes: Vec<Value> = learned
-        .memory
-        .changes
-        .iter()
-        .map(|it| json!({"record": it.record, "constants": it.constants, "reason": it.reason}))
-        .collect();
+    let memory = &learned.memory;
+    let listed = |change: &Change| {
+        let values = change.values.iter();
+        let values: Vec<Value> =
+            values.map(|(place, from, to)| json!([memory.key(*place), from, to])).collect();
+        json!({"at": change.at, "constants": values, "is_undo": change.is_undo})
+    };
+    let changes: Vec<Value> = memory.changes.iter().map(listed).collect();
     json!({
         "used": learned.readings.iter().filter(|it| it.used).count(),
         "readings": learned.readings,
         "constants": constants,
         "changes": changes,
+        "events": memory.events,
+        "new_events": learned.news,
+        "seen": learned.seen,
         "notes": learned.notes,
         "live": live.map(|it| json!({"told": live::text(&it.amounts.map(i32::from)), "by_new_file": it.rest})),
     })
@@ -246,6 +299,9 @@ fn print(path: &Path, learned: &Learned) -> Result<()> {
         output::print(format_args!(
             "  {key}: {file} in your file, {learned:.4} learned, ± {half_width:.2}"
         ))?;
+    }
+    for event in &learned.news {
+        output::print(format_args!("  event: {}", event.sentence()))?;
     }
     learned.notes.iter().try_for_each(|note| output::print(format_args!("  {note}")))
 }

@@ -26,6 +26,7 @@ mod firmware;
 mod fit;
 mod gateway;
 mod help;
+mod import;
 mod learn;
 mod linuxcnc;
 mod machine_arg;
@@ -100,6 +101,7 @@ enum Command {
     Diagnose(diagnose::Diagnose),
     Export(export::Export),
     Fit(fit::Fit),
+    Import(import::Import),
     Learn(learn::Learn),
     #[command(name = "linuxcnc")]
     LinuxCnc(linuxcnc::LinuxCnc),
@@ -228,6 +230,7 @@ fn run(cli: &Cli) -> Result<Outcome> {
         Command::Diagnose(args) => diagnose::run(args, cli.json),
         Command::Export(args) => export::run(args, cli.json),
         Command::Fit(args) => fit::run(args, cli.json),
+        Command::Import(args) => import::run(args, cli.json),
         Command::Learn(args) => learn::run(args, cli.json),
         Command::LinuxCnc(args) => linuxcnc::run(args),
         Command::Show { calibration } => show::run(calibration, cli.json),

@@ -1,15 +1,45 @@
-//! Run files read with a progress bar, where one is long and somebody watches.
+//! Run files read with a progress bar, where one is long and somebody watches; a table that is none, but that `import`
+//! reads, is refused with the line to type.
 
 use std::{io::BufReader, path::Path};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use trueup_machine::{BadInput, RunFile};
+use trueup_import::is_foreign;
+use trueup_machine::{BadInput, Location, RunFile, bounded, run_file::is_known_column};
+use trueup_output::escape::shell_word;
 
 /// A run above this is worth a progress bar: about a second of work.
 pub const LONG_RUN_BYTES: u64 = 16 << 20;
 
+/// A table above this is not tried as one that `import` could read.
+const MAX_TRIED_BYTES: u64 = 16 << 20;
+
 /// Reads the run file at `path`.
 pub fn read(path: &Path) -> Result<RunFile, BadInput> {
+    let read = read_run(path);
+    let is_run = |run: &RunFile| run.columns().iter().any(|column| is_known_column(&column.name));
+    match read {
+        Ok(run) if is_run(&run) => Ok(run),
+        // A pipe has been read.
+        other if !path.metadata().is_ok_and(|it| it.is_file() && it.len() <= MAX_TRIED_BYTES) => {
+            other
+        }
+        other => match bounded::read(path, MAX_TRIED_BYTES) {
+            Ok(bytes) if is_foreign(&bytes, path) => Err(to_import(path)),
+            _ => other,
+        },
+    }
+}
+
+/// The error for a table that `import` reads.
+fn to_import(path: &Path) -> BadInput {
+    let run = path.with_extension("run.csv");
+    let name = |path: &Path| shell_word(&path.to_string_lossy());
+    BadInput::new(Location::start_of(path), "is no run file, but a table that can be imported")
+        .with_help(format!("trueup import {} -o {}", name(path), name(&run)))
+}
+
+fn read_run(path: &Path) -> Result<RunFile, BadInput> {
     let file = RunFile::open(path)?;
     let bytes = bytes(path);
     let bar = progress("reading", bytes, bytes);

@@ -92,9 +92,46 @@ impl Bank {
         self.learned.filters[self.learned.first()].half_widths()
     }
 
-    /// What a reading repeats to, in µm, by the filter that counts most.
-    pub fn noise_um(&self) -> f64 {
-        self.learned.filters[self.learned.first()].noise_um()
+    /// Returns the zero in µm and the shares by the filters together, applied or not.
+    pub fn lasting(&self) -> Vec<f64> {
+        self.learned.lasting()
+    }
+
+    /// Returns the scatter of a reading about its prediction, in µm, by the filter that counts most.
+    pub fn scatter_um(&self) -> f64 {
+        self.learned.filters[self.learned.first()].scatter_um()
+    }
+
+    /// Returns the standard deviation of the prediction at `g` in µm: of each filter, and between them.
+    pub fn unknown_um(&self, g: &[f64]) -> f64 {
+        let by = |x: &[f64]| g.iter().zip(x).map(|(g, x)| g * x).sum::<f64>();
+        let mean_um = by(&self.learned.lasting());
+        let all = self.learned.filters.iter().zip(&self.learned.weights);
+        let each = all.map(|(filter, weight)| {
+            weight * (filter.unknown_um(g).powi(2) + (by(filter.lasting()) - mean_um).powi(2))
+        });
+        each.sum::<f64>().sqrt()
+    }
+
+    /// Changes a value (its place, by how much, known to a standard deviation). Something has happened to it, so what is
+    /// learned is applied.
+    pub fn shift(&mut self, change: (usize, f64, f64)) {
+        self.learned.filters.iter_mut().for_each(|filter| filter.shift(change));
+        self.evidence = ENOUGH.ln();
+        self.is_applied = true;
+    }
+
+    /// Readings scatter `times` as much from here on.
+    pub fn scale_noise(&mut self, times: f64) {
+        let both = self.file.filters.iter_mut().chain(&mut self.learned.filters);
+        both.for_each(|filter| filter.scale_noise(times));
+    }
+
+    /// Keeps the values that `from` names by their old places, in the new order; a value without one begins at 0 within
+    /// `prior`.
+    pub fn select(&mut self, from: &[Option<usize>], prior: &[f64]) {
+        let both = self.file.filters.iter_mut().chain(&mut self.learned.filters);
+        both.for_each(|filter| filter.select(from, prior));
     }
 
     /// How many used readings they are compared by, and by how much the file as it is and what was learned have missed

@@ -27,6 +27,20 @@ pub struct Constant {
     pub key: String,
     /// What the user's own file says, in the unit of the key; not 0.
     pub believed: f64,
+    /// Of a term its cause, quantity and columns: its number in the file may change. Else empty.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub(crate) term: String,
+}
+
+impl Constant {
+    /// Returns true if both are the same constant, whatever its number or value is.
+    pub(crate) fn is(&self, other: &Self) -> bool {
+        if self.term.is_empty() || other.term.is_empty() {
+            return self.key == other.key;
+        }
+        let name = |it: &Self| it.key.rsplit('.').next().map(str::to_string);
+        self.term == other.term && name(self) == name(other)
+    }
 }
 
 /// What can be learned of `quantity`, in the order of the file.
@@ -34,7 +48,7 @@ pub(crate) fn constants(machine: &Machine, quantity: Quantity) -> Vec<Constant> 
     let mut all = Vec::new();
     let mut add = |key: String, believed: f64| {
         if believed != 0.0 && believed.is_finite() {
-            all.push(Constant { key, believed });
+            all.push(Constant { key, believed, term: String::new() });
         }
     };
     let spindle = &machine.spindle;
@@ -74,9 +88,21 @@ pub(crate) fn constants(machine: &Machine, quantity: Quantity) -> Vec<Constant> 
     for (index, term) in machine.terms.iter().enumerate() {
         let is_of = term.quantity == quantity
             || term.quantity == Quantity::Elongation && quantity.axis().is_some();
-        if let Some((key, believed)) = amplitude(&term.effect).filter(|_| is_of) {
-            add(format!("term[{index}].{key}"), believed);
+        let Some((key, believed)) = amplitude(&term.effect).filter(|_| is_of) else { continue };
+        if believed == 0.0 || !believed.is_finite() {
+            continue;
         }
+        let texts = term.effect.entries().into_iter().filter_map(|(_, value)| match value {
+            write::Value::Number(_) => None,
+            other => Some(format!("{other:?}")),
+        });
+        let named = [term.effect.name().to_string(), term.quantity.name().to_string()];
+        let mut name = named.into_iter().chain(texts).collect::<Vec<_>>().join(" ");
+        let same = all.iter().filter(|it: &&Constant| it.term.split('#').next() == Some(&name));
+        if let count @ 1.. = same.count() {
+            name += &format!("#{count}");
+        }
+        all.push(Constant { key: format!("term[{index}].{key}"), believed, term: name });
     }
     all
 }
@@ -108,13 +134,6 @@ pub(crate) fn with(source: &str, changed: &[(String, f64)]) -> Option<String> {
         section.insert(name, new.into());
     }
     Some(document.to_string())
-}
-
-/// The number that stands at a place.
-pub(crate) fn number(source: &str, key: &str) -> Option<f64> {
-    let mut document: DocumentMut = source.parse().ok()?;
-    let item = find(document.as_item_mut(), key)?;
-    item.as_float().or_else(|| item.as_integer().map(|whole| whole as f64))
 }
 
 fn find<'d>(root: &'d mut Item, key: &str) -> Option<&'d mut Item> {
@@ -158,7 +177,17 @@ pub(crate) struct Sensitivity {
     pub believed_um: Vec<f64>,
     /// By row: 1 for the zero, then one for each constant.
     pub um: Vec<Vec<f64>>,
+    /// The temperature columns that the prediction depends on.
+    pub thermometers: Vec<String>,
+    /// By thermometer and row: by how much more the prediction changes where it shows all of its rise over the air once
+    /// more, in µm.
+    pub shares_um: Vec<Vec<f64>>,
 }
+
+/// Without a second thermometer the air has this temperature.
+const AIR_C: f64 = 20.0;
+/// The share by which a thermometer is altered to see what depends on it.
+const SHARE: f64 = 0.1;
 
 impl Sensitivity {
     /// Of `run` by the machine file `source`.
@@ -180,13 +209,42 @@ impl Sensitivity {
         };
         let believed_um = predicted(source)?;
         let mut um: Vec<Vec<f64>> = believed_um.iter().map(|_| vec![1.0]).collect();
-        for Constant { key, believed } in constants {
+        for Constant { key, believed, .. } in constants {
             let twice = with(source, &[(key.clone(), 2.0 * believed)]).unwrap_or_default();
             for ((row, twice), once) in um.iter_mut().zip(predicted(&twice)?).zip(&believed_um) {
                 row.push(twice - once);
             }
         }
-        Ok(Self { believed_um, um })
+        let (mut thermometers, mut shares_um) = (Vec::new(), Vec::new());
+        let is_one = |name: &str| name.starts_with("temp_") && name.ends_with("_c");
+        let names = run.columns().iter().map(|column| column.name.clone());
+        let machine = MachineFile::parse(source, run.path())?;
+        let index = Quantity::ALL.iter().position(|it| *it == quantity).unwrap_or(0);
+        // By the file and not by the rows: a record that grows has the same ones.
+        let is_used = |name: &String| is_one(name) && source.contains(&format!("\"{name}\""));
+        for name in names.filter(is_used) {
+            let air_c: Vec<f64> = (0..run.rows())
+                .map(|row| {
+                    let others =
+                        run.columns().iter().filter(|it| is_one(&it.name) && it.name != name);
+                    let there = others.map(|it| it.values[row]).filter(|c| c.is_finite());
+                    there.reduce(f64::min).unwrap_or(AIR_C)
+                })
+                .collect();
+            let altered = run.altered(run.rows(), |column, values| {
+                if column == name {
+                    let rows = values.iter_mut().zip(&air_c);
+                    rows.for_each(|(value, air_c)| *value += SHARE * (*value - air_c));
+                }
+            });
+            let rows = Predictor::new(&machine, &altered)?;
+            let all = rows.model().zip(&believed_um);
+            let um: Vec<f64> =
+                all.map(|(values, once)| (values.all()[index] - once) / SHARE).collect();
+            thermometers.push(name);
+            shares_um.push(um);
+        }
+        Ok(Self { believed_um, um, thermometers, shares_um })
     }
 }
 
@@ -230,7 +288,6 @@ mod tests {
             [("spindle.temperature.k_um_per_c".into(), 2.5), ("term[1].um_per_c".into(), 4.0)];
         let text = with(source, &changed).expect("both are there");
         assert_eq!(text, source.replace("2.0 #", "2.5 #").replace("3.0", "4.0"));
-        assert_eq!(number(&text, "term[1].um_per_c"), Some(4.0));
         // What was left to its default is written; a section that is not there is not made up.
         let zero = with(source, &[("spindle.temperature.lag_s".into(), 1.0)]).expect("a section");
         assert!(zero.contains("lag_s = 1.0"), "{zero}");

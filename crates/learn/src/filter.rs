@@ -37,6 +37,8 @@ const LAST: usize = 6;
 const SCATTER: usize = 64;
 /// From so many readings on their own scatter is believed.
 const ENOUGH: usize = 8;
+/// Before that a reading may scatter by so many times what the instrument is said to.
+const UNKNOWN_NOISE: f64 = 3.0;
 /// No probe repeats better, in µm.
 pub(crate) const FINEST_UM: f64 = 0.1;
 /// So many readings in a hundred are bad, and may be off by anything up to this, in µm, either way: then no single
@@ -95,11 +97,6 @@ impl Filter {
         it
     }
 
-    /// What one reading repeats to, in µm, as far as known.
-    pub fn noise_um(&self) -> f64 {
-        self.noise_um
-    }
-
     /// Returns true if its parts fit together, for so many values that last.
     pub fn is_whole(&self, values: usize) -> bool {
         let all = values + 1;
@@ -129,6 +126,65 @@ impl Filter {
         let off_um = y_um - self.foresees(&g);
         let good = (-0.5 * off_um * off_um / s).exp() / (std::f64::consts::TAU * s).sqrt();
         (1.0 - BAD) * good + BAD / (2.0 * ANYTHING_UM)
+    }
+
+    /// Returns the scatter of a reading about its prediction, in µm: its own noise and what wanders. It is the upper end of what
+    /// the readings so far allow: a median of n magnitudes is known to 1/√n.
+    pub fn scatter_um(&self) -> f64 {
+        if self.taken.len() < ENOUGH {
+            return UNKNOWN_NOISE * self.noise_um;
+        }
+        let mut all: Vec<f64> = self.taken.iter().map(|it| it[0]).collect();
+        let upper = 1.0 + 1.0 / (all.len() as f64).sqrt();
+        (1.4826 * median(&mut all) * upper).max(FINEST_UM)
+    }
+
+    /// Returns the standard deviation of what the values that last predict at `g`, in µm.
+    pub fn unknown_um(&self, g: &[f64]) -> f64 {
+        let mut all = g.to_vec();
+        all.push(0.0);
+        self.unknown(&all).sqrt()
+    }
+
+    /// Changes a value (its place, by how much, known to a standard deviation, at most as before the first reading).
+    pub fn shift(&mut self, (index, by, deviation): (usize, f64, f64)) {
+        let n = self.x.len();
+        for other in 0..n {
+            self.p[index * n + other] = 0.0;
+            self.p[other * n + index] = 0.0;
+        }
+        self.x[index] += by;
+        self.p[index * n + index] = self.prior[index].min(deviation * deviation);
+        self.last.clear();
+    }
+
+    /// Readings scatter `times` as much from here on.
+    pub fn scale_noise(&mut self, times: f64) {
+        self.noise_um *= times;
+        self.taken.clear();
+        self.last.clear();
+    }
+
+    /// Keeps the values that `from` names by their old places, in the new order; a value without one begins at 0.
+    /// `prior`: standard deviations of the new values.
+    pub fn select(&mut self, from: &[Option<usize>], prior: &[f64]) {
+        let (old_n, old_p) = (self.x.len(), std::mem::take(&mut self.p));
+        let mut places = from.to_vec();
+        places.push(Some(old_n - 1));
+        let x = places.iter().map(|place| place.map_or(0.0, |place| self.x[place])).collect();
+        self.x = x;
+        let is_fixed = self.prior.iter().all(|variance| *variance == 0.0);
+        self.prior = prior.iter().map(|sd| if is_fixed { 0.0 } else { sd * sd }).collect();
+        self.forget_all();
+        let n = places.len();
+        for (i, a) in places.iter().enumerate() {
+            for (j, b) in places.iter().enumerate() {
+                if let (Some(a), Some(b)) = (a, b) {
+                    self.p[i * n + j] = old_p[a * old_n + b];
+                }
+            }
+        }
+        self.last.clear();
     }
 
     /// `dt_s` have passed without a reading.

@@ -1,35 +1,35 @@
 //! The flow: a record with readings, what is known, and a machine file that follows.
 
-use std::borrow::Cow;
+use std::{borrow::Cow, collections::HashSet};
 
 use serde::Serialize;
 use trueup_machine::{
-    BadInput, Location, MachineFile, RunFile,
+    BadInput, Location, Machine, MachineFile, RunFile,
     applied::{Applied, Factor, Unaided, applied, decisive_record},
     file::Quantity,
 };
 
 use crate::{
-    bank::{Bank, ENOUGH},
+    bank::ENOUGH,
+    checks,
     constants::{self, Constant, Sensitivity},
+    event::Event,
     filter::Fate,
     limits::{Limits, times},
-    memory::{Before, Change, Memory, SCHEMA, hash},
-    readings::{self, Order, Reading},
-    step,
+    memory::{Change, Kept, Memory, Owner, digits as hash_digits},
+    readings::{self, FIRST_DAY_S, Reading},
+    reconcile::reconciled,
+    replay::Believed,
+    watch::watch,
 };
 
 /// A constant that has moved by less than this share of itself is written as it was.
 const SAME: f64 = 1e-3;
-/// What is believed before the first reading, one standard deviation: a constant is known to a quarter (what a
-/// maker says of growth is no better), the zero to 5 µm, which any tool setter keeps.
-const SHARE: f64 = 0.25;
-const ZERO_UM: f64 = 5.0;
-/// What a probe repeats to where nobody says, in µm: the last digit of the papers' indicator.
-const NOISE_UM: f64 = 1.0;
 /// A change of a constant by this share, from readings of an engaged bridge alone, may as well be a CNC that applies the
 /// offsets by half, twice, not at all or with the wrong sign: these look like changes by 0.5, −1, 1 and 2.
 const AS_A_CNC: f64 = 0.4;
+/// Digits behind the point that are kept of a reading, in µm: a hundredth of what any probe repeats to.
+const FINEST_UM: f64 = 1e-4;
 
 /// What became of a reading.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -38,36 +38,42 @@ pub struct Taken {
     pub row: usize,
     /// The reading in µm.
     pub measured_um: f64,
-    /// What was applied then foresaw, in µm; `None` where the row does not say enough.
+    /// The prediction by what was applied then, in µm; `None` where the row does not say enough.
     pub foreseen_um: Option<f64>,
     /// Whether it was used.
     pub used: bool,
-    /// Why not, or what else is to be told of it.
+    /// Why not, or what else there is to say of it.
     pub reason: Option<String>,
 }
 
-/// What a record has taught.
+/// The result of a record.
 #[derive(Clone, Debug)]
 pub struct Learned {
     /// The machine file with what was learned.
     pub machine: String,
     /// What is known now.
     pub memory: Memory,
-    /// Each reading, in its order.
+    /// Each new reading, in its order.
     pub readings: Vec<Taken>,
+    /// Readings of the record that were learned from before.
+    pub seen: usize,
     /// Half the 95 % interval of each constant, in its unit.
     pub half_widths: Vec<f64>,
-    /// Whether a bound was reached.
+    /// Whether a bound was reached, or what was learned may not be applied.
     pub is_held: bool,
+    /// Events that this record has made certain, or has named.
+    pub news: Vec<Event>,
+    /// Whether something that was known is no longer kept: a constant that was changed by hand.
+    pub has_restarted: bool,
     /// Sentences for the user.
     pub notes: Vec<String>,
 }
 
-/// Learns from `run`, beside the user's own machine file `source` (at `path`) and what is known from before.
+/// Learns from `run`, given the user's own machine file `source` (at `path`) and what is known from before.
 ///
 /// # Errors
-/// `source` is no machine file, or has no constant that can follow; the run measures nothing, or what it
-/// measures was learned from before; `memory` is of another quantity.
+/// `source` is no machine file, or has no constant that can follow; `memory` is of another machine or quantity; the run
+/// measures nothing, or has a reading at or before the last clock that was not learned from.
 pub fn learn(
     source: &str,
     path: &std::path::Path,
@@ -80,112 +86,57 @@ pub fn learn(
     let bad = |rule: String| BadInput::new(Location::start_of(path), rule);
     let mut notes = Vec::new();
     let quantity = constants::measured(run, wanted)?;
-    let base = hash(source.bytes());
-    let memory = memory.filter(|memory| {
-        let is_same = memory.base == base;
-        if !is_same {
-            let file = path.display();
-            notes.push(format!("{file} was changed by hand: learning begins anew from it"));
-        }
-        is_same
-    });
-    let mut memory = match memory {
-        Some(memory) if constants::named(&memory.quantity) == Some(quantity) => memory,
-        Some(memory) => {
-            let rule = format!(
-                "was learned for {}, and the record measures {}: keep a file for each",
-                memory.quantity,
-                quantity.name()
-            );
-            return Err(bad(rule));
-        }
-        None => {
-            let all = constants::constants(&machine, quantity);
-            if all.is_empty() {
-                let rule = format!(
-                    "has no constant other than 0 by which {} is multiplied, so nothing can follow",
-                    quantity.name()
-                );
-                return Err(bad(rule));
-            }
-            let noise_um = machine.instrument_um.map_or(NOISE_UM, |um| um / 2.0);
-            Memory {
-                schema: SCHEMA,
-                base,
-                quantity: quantity.name().into(),
-                applied: vec![0.0; all.len() + 1],
-                bank: Bank::new(&prior(all.len()), noise_um),
-                constants: all,
-                last_s: None,
-                records: Vec::new(),
-                readings: Vec::new(),
-                recent: Vec::new(),
-                is_applied_once: false,
-                changes: Vec::new(),
-            }
-        }
-    };
+    let (mut memory, has_restarted) =
+        reconciled(memory, &machine, quantity, &mut notes).map_err(bad)?;
     let before = written(source, &machine, quantity, &memory).unwrap_or_else(|| source.into());
     // What a bridge applied meanwhile came from the file as it was written before.
     let ran = MachineFile::parse(&before, path)?;
     let (run, told) = Unaided::of(Cow::Borrowed(run), Some(&ran), Some(quantity))?;
     notes.extend(told);
-    let is_factor_known = factor_of(&run, &ran, quantity, &mut memory)?;
+    let has_bridge = has_bridge(&run, &ran, quantity)?;
     let record = readings::of(&run, quantity)?;
-    let fingerprint = readings::fingerprint(&record);
-    let is_new = |it: &&Reading| !memory.knows_reading(it.identity);
-    let new: Vec<Reading> = record.iter().filter(is_new).copied().collect();
-    let name = format!("measured_{}_um", quantity.name());
-    if memory.knows(fingerprint) || new.is_empty() {
-        let rule = "was learned from before: each record counts once";
-        return Err(run.bad(record[0].row, &name, rule));
-    }
-    if new.len() < record.len() {
-        notes.push(format!(
-            "{} of {} readings were learned from before and are not counted again",
-            record.len() - new.len(),
-            record.len()
-        ));
-    }
-    match readings::order(memory.last_s, &new) {
-        Order::Later => {}
-        Order::Anew => notes.push(
-            "The clock of this record begins before the last reading that was learned from: it is taken as a later \
-             day. If it is an older one, take the change back (--undo)."
-                .into(),
-        ),
-        Order::Earlier => {
-            let rule = format!(
-                "{} is before the last reading that was learned from ({}): give the records in the order in which \
-                 they were taken",
-                new[0].time_s.unwrap_or(f64::NAN),
-                memory.last_s.unwrap_or(f64::NAN)
-            );
-            return Err(run.bad(new[0].row, "time_s", rule));
-        }
-    }
+    let (new, seen) = unseen(&record, &memory, &run, &mut notes)?;
     let sensitivity = Sensitivity::of(source, &memory.constants, &run, quantity)?;
-    let known = Before { bank: memory.bank.clone(), applied: memory.applied.clone() };
+    let old = memory.events.clone();
+    let mut learner = Learner {
+        believed: Believed::of(&memory),
+        columns: columns(&mut memory, &sensitivity),
+        memory,
+        machine: &machine,
+        quantity,
+        sensitivity: &sensitivity,
+        limits,
+        extremes: Vec::new(),
+        looked: 0,
+    };
     let mut readings = Vec::new();
     let (mut is_held, mut forbids) = (false, None);
     for reading in &new {
-        let (taken, held) = one(reading, &sensitivity, &mut memory, limits, is_factor_known);
-        readings.push(taken);
-        is_held |= held.is_bound;
-        forbids = held.forbids;
-        memory.remember_reading(reading.identity);
+        if !learner.memory.is_applied_once && has_bridge {
+            let rows = run.altered(reading.row + 1, |_, _| {});
+            let part = Unaided::of(Cow::Owned(rows), Some(&ran), Some(quantity));
+            learner.memory.is_applied_once = part.is_ok_and(|(part, _)| {
+                matches!(applied(&[part], Some(&ran), quantity), Applied::Once(_))
+            });
+        }
+        if let Some(um) = reading.check_um {
+            learner.check(reading.time_s, um);
+        }
+        if let Some(um) = reading.um {
+            let (taken, held) = learner.one(reading, um, !has_bridge);
+            readings.push(taken);
+            is_held |= held.is_bound;
+            forbids = held.forbids;
+        }
+        learner.memory.see(reading.identity);
     }
-    memory.remember(fingerprint);
-    if forbids.is_some() {
-        // Nor the steps on the way there.
-        memory.applied.clone_from(&known.applied);
-    }
+    let Learner { memory, believed, .. } = learner;
     let after = written(source, &machine, quantity, &memory)
         .ok_or_else(|| bad("cannot be written with other constants".into()))?;
     MachineFile::parse(&after, path)?;
     let is_bound = is_held;
     is_held |= forbids.is_some();
-    notes.push(forbids.unwrap_or_else(|| believed(&memory)));
+    notes.push(forbids.unwrap_or_else(|| sentence(&believed)));
     if is_bound {
         notes.push(format!(
             "A bound was reached ({:.0} % of a constant, or {} µm together): the machine is no longer the one \
@@ -194,39 +145,98 @@ pub fn learn(
             limits.total_um
         ));
     }
-    log(&mut memory, &before, &after, &run, quantity, known);
-    let half = memory.bank.half_widths();
+    notes.extend(checks::due(&memory));
+    let is_news = |event: &&Event| {
+        !old.iter().any(|it| it.sequence == event.sequence && it.event == event.event)
+    };
+    let news = memory.events.iter().filter(is_news).cloned().collect();
+    let half = believed.bank.half_widths();
     let half_widths = memory.constants.iter().zip(&half[1..]);
     let half_widths = half_widths.map(|(it, half)| (it.believed * half).abs()).collect();
-    Ok(Learned { machine: after, memory, readings, half_widths, is_held, notes })
+    Ok(Learned {
+        machine: after,
+        memory,
+        readings,
+        seen,
+        half_widths,
+        is_held,
+        news,
+        has_restarted,
+        notes,
+    })
 }
 
-fn prior(constants: usize) -> Vec<f64> {
-    let shares = std::iter::repeat_n(SHARE, constants);
-    std::iter::once(ZERO_UM).chain(shares).collect()
-}
-
-/// Whether the record, or one before it, has shown that the CNC applies the offsets of the bridge once; a record without a
-/// bridge needs not.
+/// Returns the readings that were not learned from before, and how many were.
 ///
 /// # Errors
-/// It applies them otherwise.
-fn factor_of(
-    run: &Unaided<'_>,
-    ran: &trueup_machine::Machine,
-    quantity: Quantity,
-    memory: &mut Memory,
-) -> Result<bool, BadInput> {
+/// One that was not lies at or before the last clock.
+fn unseen(
+    record: &[Reading],
+    memory: &Memory,
+    run: &RunFile,
+    notes: &mut Vec<String>,
+) -> Result<(Vec<Reading>, usize), BadInput> {
+    let (seen, before) = (memory.seen(), memory.seen_before());
+    let is_seen = |it: &Reading| {
+        let may_be = match (it.time_s, memory.last_s) {
+            (Some(time_s), Some(last_s)) => time_s <= last_s,
+            _ => true,
+        };
+        let is_in = |all: &HashSet<&str>, hash: u64| all.contains(hash_digits(hash).as_str());
+        may_be && (is_in(&seen, it.identity) || is_in(&before, it.identity_before))
+    };
+    let new: Vec<Reading> = record.iter().filter(|it| !is_seen(it)).copied().collect();
+    let known = record.len() - new.len();
+    if known > 0 {
+        let all = record.len();
+        notes.push(format!("{known} of {all} readings were learned from before and are skipped"));
+    }
+    let Some(last_s) = memory.last_s else { return Ok((new, known)) };
+    let early = new.iter().find(|it| it.time_s.is_some_and(|time_s| time_s <= last_s));
+    if let Some(early) = early {
+        // Clocks of two records that each begin with the record.
+        if known > 0 || last_s >= FIRST_DAY_S {
+            let rule = format!(
+                "{} is at or before the last reading that was learned from ({last_s}), and was not learned from: \
+                 give the records in the order in which they were taken",
+                early.time_s.unwrap_or(f64::NAN)
+            );
+            return Err(run.bad(early.row, "time_s", rule));
+        }
+        notes.push(
+            "The clock of this record begins before the last reading that was learned from: it is taken as a later \
+             day. If it is an older one, take the change back (--undo)."
+                .into(),
+        );
+    }
+    Ok((new, known))
+}
+
+/// Returns the place in the state's thermometers of each one of the record; new ones are added.
+fn columns(memory: &mut Memory, sensitivity: &Sensitivity) -> Vec<usize> {
+    let places = sensitivity.thermometers.iter().map(|name| {
+        let place = memory.thermometers.iter().position(|it| it == name);
+        place.unwrap_or_else(|| {
+            memory.thermometers.push(name.clone());
+            memory.thermometers.len() - 1
+        })
+    });
+    places.collect()
+}
+
+/// Returns true if the record has offsets of an engaged bridge.
+///
+/// # Errors
+/// The CNC applies them otherwise than once.
+fn has_bridge(run: &Unaided<'_>, ran: &Machine, quantity: Quantity) -> Result<bool, BadInput> {
     match applied(std::slice::from_ref(run), Some(ran), quantity) {
-        Applied::Nothing => return Ok(true),
-        Applied::Once(_) => memory.is_applied_once = true,
-        Applied::Unknown(_) => {}
+        Applied::Nothing => Ok(false),
+        Applied::Once(_) | Applied::Unknown(_) => Ok(true),
         Applied::Otherwise(factor) => {
             let rule = format!("{} {}", factor.sentence(), Factor::where_to_look().join(" "));
-            return Err(BadInput::new(Location::start_of(run.path()), rule));
+            Err(BadInput::new(Location::start_of(run.path()), rule))
         }
     }
-    Ok(memory.is_applied_once)
 }
 
 /// What held a reading back.
@@ -238,116 +248,199 @@ struct Held {
     forbids: Option<String>,
 }
 
-/// What one reading does, and what held it.
-fn one(
-    reading: &Reading,
-    sensitivity: &Sensitivity,
-    memory: &mut Memory,
-    limits: &Limits,
-    is_factor_known: bool,
-) -> (Taken, Held) {
-    let (g, believed_um) = (&sensitivity.um[reading.row], sensitivity.believed_um[reading.row]);
-    let mut taken = Taken {
-        row: reading.row + 1,
-        measured_um: reading.um,
-        foreseen_um: None,
-        used: false,
-        reason: None,
-    };
-    if !believed_um.is_finite() || g.iter().any(|g| !g.is_finite()) {
-        taken.reason = Some(
-            "refused: the row does not say enough for the model (a missing temperature?)".into(),
-        );
-        return (taken, Held::default());
+/// A record, while it is learned from.
+struct Learner<'a> {
+    memory: Memory,
+    believed: Believed,
+    machine: &'a Machine,
+    quantity: Quantity,
+    sensitivity: &'a Sensitivity,
+    /// The place in the state of each thermometer of the record.
+    columns: Vec<usize>,
+    limits: &'a Limits,
+    /// Rows so far in which a constant does most and least.
+    extremes: Vec<usize>,
+    /// Rows that were looked at for them.
+    looked: usize,
+}
+
+impl Learner<'_> {
+    /// Takes a check of the probe.
+    fn check(&mut self, time_s: Option<f64>, um: f64) {
+        checks::add(&mut self.memory, time_s, um, self.believed.bank.scatter_um());
+        self.believed = Believed::of(&self.memory);
     }
-    memory.bank.age(readings::between_s(memory.last_s, reading.time_s));
-    memory.last_s = reading.time_s.or(memory.last_s);
-    taken.foreseen_um = Some(believed_um + times(g, &memory.applied));
-    match memory.bank.take(g, reading.um - believed_um) {
-        Fate::Taken => taken.used = true,
-        Fate::Refused { off_um, deviations } => {
-            taken.reason = Some(format!(
-                "refused: {off_um:+.1} µm from what was foreseen, {deviations:.0} times what a reading may \
-                 differ by"
-            ));
-        }
-        Fate::Changed => {
-            taken.used = true;
+
+    /// Takes one reading: what became of it, and what held it.
+    fn one(&mut self, reading: &Reading, um: f64, is_factor_known: bool) -> (Taken, Held) {
+        let (g, file_um) =
+            (&self.sensitivity.um[reading.row], self.sensitivity.believed_um[reading.row]);
+        let mut taken = Taken {
+            row: reading.row + 1,
+            measured_um: um,
+            foreseen_um: None,
+            used: false,
+            reason: None,
+        };
+        if !file_um.is_finite() || g.iter().any(|g| !g.is_finite()) {
             taken.reason = Some(
-                "used, with those before it that were refused: four of six stand on one side, so the \
-                 machine has changed"
+                "refused: the row does not say enough for the model (a missing temperature?)"
                     .into(),
             );
+            return (taken, Held::default());
         }
+        let memory = &mut self.memory;
+        let mut h = vec![0.0; memory.thermometers.len()];
+        for (place, um) in self.columns.iter().zip(&self.sensitivity.shares_um) {
+            h[*place] = um[reading.row];
+        }
+        let rounded = |um: &f64| (um / FINEST_UM).round() * FINEST_UM;
+        let short = |um: &f64| {
+            let um = if um.is_finite() { rounded(um) } else { 0.0 };
+            format!("{um:.4}").parse().unwrap_or(um)
+        };
+        let kept = Kept {
+            t: reading.time_s,
+            y: short(&(um - file_um)),
+            g: g.iter().map(short).collect(),
+            h: h.iter().map(short).collect(),
+        };
+        let g = &kept.g.clone();
+        taken.foreseen_um = Some(file_um + times(g, &memory.applied));
+        let (sequence, values) = (memory.next(), figures(memory, self.machine, self.quantity));
+        let was_applied = memory.applied.clone();
+        memory.first_s = memory.first_s.or(reading.time_s);
+        memory.last_s = reading.time_s.or(memory.last_s);
+        memory.window.push(kept);
+        match self.believed.advance(memory, memory.window.len() - 1) {
+            Fate::Taken => taken.used = true,
+            Fate::Refused { off_um, deviations } => {
+                taken.reason = Some(format!(
+                    "refused: {off_um:+.1} µm from the prediction, {deviations:.0} times what a reading may \
+                     differ by"
+                ));
+            }
+            Fate::Changed => {
+                taken.used = true;
+                taken.reason = Some(
+                    "used, with those before it that were refused: four of six are on one side"
+                        .into(),
+                );
+            }
+        }
+        watch(memory, &mut self.believed);
+        let wanted = self.believed.bank.believed().unwrap_or_else(|| vec![0.0; g.len()]);
+        self.look(reading.row);
+        let rows = self.extremes.iter().map(|row| &self.sensitivity.um[*row]);
+        let (wanted, is_bound) = self.limits.held(&wanted, rows);
+        let memory = &mut self.memory;
+        let is_proven = is_factor_known || memory.is_applied_once;
+        let forbids = forbidden(memory, &wanted, is_proven);
+        if forbids.is_some() {
+            // Nor the steps on the way there.
+            memory.applied = memory.proven.take().unwrap_or(was_applied.clone());
+        } else {
+            if is_proven {
+                memory.proven = None;
+            } else {
+                memory.proven.get_or_insert_with(|| was_applied.clone());
+            }
+            memory.applied = self.limits.step(&memory.applied, &wanted, g);
+        }
+        self.believed.keep(memory);
+        list(memory, self.machine, self.quantity, &values, (sequence, was_applied));
+        (taken, Held { is_bound, forbids })
     }
-    let wanted = memory.bank.believed().unwrap_or_else(|| vec![0.0; g.len()]);
-    let (wanted, is_bound) = limits.held(&wanted, &sensitivity.um);
-    step::remember(&mut memory.recent, g, reading.um - believed_um);
-    let forbids = forbidden(memory, &wanted, is_factor_known);
-    if forbids.is_none() {
-        memory.applied = limits.step(&memory.applied, &wanted, g);
+
+    /// Looks at the rows until `row` for those in which a constant does most or least.
+    fn look(&mut self, row: usize) {
+        let all = &self.sensitivity.um;
+        for row in self.looked..=row {
+            if all[row].iter().any(|g| !g.is_finite()) {
+                continue;
+            }
+            let beats = |value: usize| {
+                let others = self.extremes.iter().map(|it| all[*it][value]);
+                let (low, high) = others
+                    .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), g| {
+                        (low.min(g), high.max(g))
+                    });
+                all[row][value] < low || all[row][value] > high
+            };
+            if (1..all[row].len()).any(beats) || self.extremes.is_empty() {
+                // Others that it beats in all stay: there are some tens at most in a record that warms slowly.
+                self.extremes.push(row);
+            }
+        }
+        self.looked = self.looked.max(row + 1);
     }
-    (taken, Held { is_bound, forbids })
 }
 
-/// Why `wanted` is not to be applied, in a sentence.
+/// Returns why `wanted` may not be applied, in a sentence.
 fn forbidden(memory: &Memory, wanted: &[f64], is_factor_known: bool) -> Option<String> {
     let moves = |(to, from): (&f64, &f64)| (to - from).abs() > SAME;
-    if !wanted.iter().zip(&memory.applied).any(moves) {
-        return None;
-    }
-    let (prior, noise_um) = (prior(memory.constants.len()), memory.bank.noise_um());
-    if let Some(um) = step::step_um(&memory.recent, &memory.applied, &prior, noise_um) {
-        return Some(format!(
-            "Nothing is applied: a step of the zero by {um:+.1} µm explains the readings as well. Was the reference touched \
-             off anew, or moved? Then set the reference (Zero), and move the .learn.json of the output away: learning \
-             begins anew."
-        ));
-    }
     let is_as_a_cnc = wanted[1..].iter().any(|share| share.abs() > AS_A_CNC);
-    (is_as_a_cnc && !is_factor_known).then(|| format!("Nothing is applied. {}", decisive_record()))
+    let is_moved = wanted.iter().zip(&memory.applied).any(moves);
+    (is_moved && is_as_a_cnc && !is_factor_known)
+        .then(|| format!("Nothing is applied. {}", decisive_record()))
 }
 
-/// Which of the two is believed, in a sentence.
-fn believed(memory: &Memory) -> String {
-    let (count, file_um, own_um) = memory.bank.compared();
+/// Returns which of the two is believed, in a sentence.
+fn sentence(believed: &Believed) -> String {
+    let bank = &believed.bank;
+    let (count, file_um, own_um) = bank.compared();
     let figures = match count {
         0 => "no reading has been used yet".into(),
         _ => format!(
-            "of the last {count} readings that were used the file as it is missed each by {file_um:.2} µm on \
+            "of the last {count} readings that were used the current machine file missed each by {file_um:.2} µm on \
              average, what was learned by {own_um:.2} µm, before they were used"
         ),
     };
-    let odds = memory.bank.odds();
-    match memory.bank.believed() {
+    let odds = bank.odds();
+    match bank.believed() {
         Some(_) => format!("What was learned is applied: {figures}."),
         None => format!(
-            "The file as it is stays: {figures}; they are {odds:.0} times likelier by what was learned, and \
+            "The current machine file stays: {figures}; they are {odds:.0} times likelier by what was learned, and \
              {ENOUGH:.0} times would be enough."
         ),
     }
 }
 
-/// The user's file with what is applied.
-fn written(
-    source: &str,
-    machine: &trueup_machine::Machine,
-    quantity: Quantity,
-    memory: &Memory,
-) -> Option<String> {
+/// Returns the numbers of the machine file with what is applied: of the zero, of each constant.
+fn figures(memory: &Memory, machine: &Machine, quantity: Quantity) -> Vec<f64> {
+    let zero = match constants::zero(machine, quantity) {
+        Some((_, from, per_um)) if memory.applied[0].abs() > 0.01 => {
+            // A growth of k·(1 + x) moves its reference by as much less.
+            let grown = memory.constants.iter().position(|it| it.key.ends_with("k_um_per_c"));
+            let grown = grown.map_or(1.0, |index| 1.0 + memory.applied[index + 1]);
+            let per_um = if per_um < 0.0 { per_um / grown } else { per_um };
+            digits(from + per_um * memory.applied[0])
+        }
+        Some((_, from, _)) => from,
+        None => 0.0,
+    };
     let shares = memory.constants.iter().zip(&memory.applied[1..]);
-    let mut changed: Vec<(String, f64)> = shares
-        .filter(|(_, share)| share.abs() > SAME)
-        .map(|(Constant { key, believed }, share)| (key.clone(), digits(believed * (1.0 + share))))
+    let constants =
+        shares.map(
+            |(Constant { believed, .. }, share)| {
+                if share.abs() > SAME { digits(believed * (1.0 + share)) } else { *believed }
+            },
+        );
+    std::iter::once(zero).chain(constants).collect()
+}
+
+/// Returns the user's file with what is applied.
+fn written(source: &str, machine: &Machine, quantity: Quantity, memory: &Memory) -> Option<String> {
+    let all = figures(memory, machine, quantity);
+    let constants = memory.constants.iter().zip(&all[1..]);
+    let mut changed: Vec<(String, f64)> = constants
+        .filter(|(constant, value)| constant.believed != **value)
+        .map(|(constant, value)| (constant.key.clone(), *value))
         .collect();
-    if let Some((key, from, per_um)) = constants::zero(machine, quantity)
-        && memory.applied[0].abs() > 0.01
+    if let Some((key, from, _)) = constants::zero(machine, quantity)
+        && all[0] != from
     {
-        // A growth of k·(1 + x) moves its reference by as much less.
-        let grown = memory.constants.iter().position(|it| it.key.ends_with("k_um_per_c"));
-        let grown = grown.map_or(1.0, |index| 1.0 + memory.applied[index + 1]);
-        let per_um = if per_um < 0.0 { per_um / grown } else { per_um };
-        changed.push((key.into(), digits(from + per_um * memory.applied[0])));
+        changed.push((key.into(), all[0]));
     }
     constants::with(source, &changed)
 }
@@ -357,45 +450,49 @@ fn digits(number: f64) -> f64 {
     format!("{number:.5e}").parse().unwrap_or(number)
 }
 
-/// Writes down what has changed.
-fn log(
+/// Lists the change that a reading made; those of one day are one.
+fn list(
     memory: &mut Memory,
-    before: &str,
-    after: &str,
-    run: &RunFile,
+    machine: &Machine,
     quantity: Quantity,
-    known: Before,
+    from: &[f64],
+    before: (u64, Vec<f64>),
 ) {
-    let zero = match quantity {
-        Quantity::Elongation => &["spindle.sensor.k0_um", "spindle.temperature.reference_c"][..],
-        _ => &[],
+    let to = figures(memory, machine, quantity);
+    if to == from {
+        return;
+    }
+    let day = |s: f64| (s / 86_400.0).floor();
+    let at = memory.last_s;
+    let is_today = |change: &Change| {
+        change.before.is_some() && change.at.zip(at).is_some_and(|(one, two)| day(one) == day(two))
     };
-    let keys = memory.constants.iter().map(|it| it.key.clone());
-    let keys = keys.chain(zero.iter().map(|key| (*key).to_string()));
-    let changed: Vec<(String, f64, f64)> = keys
-        .filter_map(|key| {
-            let to = constants::number(after, &key)?;
-            let from = constants::number(before, &key).unwrap_or(0.0);
-            (from != to).then_some((key, from, to))
-        })
+    let today = memory.changes.pop_if(|change| is_today(change));
+    let began = |place: usize| {
+        let values = today.as_ref().map(|change| &change.values);
+        let value = values.and_then(|values| values.iter().find(|(it, ..)| *it == place));
+        value.map_or(from[place], |(_, from, _)| *from)
+    };
+    let values: Vec<(usize, f64, f64)> = (0..to.len())
+        .map(|place| (place, began(place), to[place]))
+        .filter(|(_, from, to)| from != to)
         .collect();
-    if !changed.is_empty() {
-        memory.changes.push(Change {
-            record: run.path().display().to_string(),
-            constants: changed,
-            reason: believed(memory),
-            before: Some(Box::new(known)),
-        });
+    if !values.is_empty() {
+        let before = today.and_then(|change| change.before).or(Some(before));
+        memory.list(Change { at, values, is_undo: false, before });
     }
 }
 
 impl Memory {
-    /// The user's own machine file `source` with what is applied; `None` where it is another one.
+    /// Returns the user's own machine file `source` with what is applied; `None` where it is another machine's, or its
+    /// constants are others.
     #[must_use]
     pub fn applied_to(&self, source: &str, path: &std::path::Path) -> Option<String> {
         let machine = MachineFile::parse(source, path).ok()?;
         let quantity = constants::named(&self.quantity)?;
-        let is_same = self.base == hash(source.bytes());
+        let owner = Owner::of(&machine);
+        let is_same =
+            self.machine.is(&owner) && constants::constants(&machine, quantity) == self.constants;
         is_same.then(|| written(source, &machine, quantity, self))?
     }
 }

@@ -10,6 +10,8 @@
 //!                              ▼
 //!                         Bank           which of them has foreseen the readings best, or the file as it is
 //!                              ▼
+//!                         Watch          whether something happened: events, from which on it is done anew
+//!                              ▼
 //!                         Limits         a bound for each constant, for all together, for one reading
 //!                              ▼
 //!                         Memory         what was learned, every change, and the way back
@@ -25,18 +27,24 @@
 #![forbid(unsafe_code)]
 
 mod bank;
+mod checks;
 mod constants;
+mod detect;
+mod event;
 mod filter;
 mod learn;
 mod limits;
 pub mod live;
 mod memory;
 mod readings;
-mod step;
+mod reconcile;
+mod replay;
 pub mod trust;
+mod watch;
 
 pub use constants::Constant;
+pub use event::{Event, EventKind, clock};
 pub use learn::{Learned, Taken, learn};
 pub use limits::Limits;
 pub use live::Live;
-pub use memory::{Change, Memory};
+pub use memory::{Change, Memory, Owner};

@@ -24,7 +24,11 @@ impl Default for Limits {
 
 impl Limits {
     /// `wanted` within the bounds, where rows have the sensitivities `rows`; and whether it was held.
-    pub(crate) fn held(&self, wanted: &[f64], rows: &[Vec<f64>]) -> (Vec<f64>, bool) {
+    pub(crate) fn held<'a>(
+        &self,
+        wanted: &[f64],
+        rows: impl IntoIterator<Item = &'a Vec<f64>>,
+    ) -> (Vec<f64>, bool) {
         let mut held = wanted.to_vec();
         let mut is_held = false;
         for share in &mut held[1..] {
@@ -32,7 +36,7 @@ impl Limits {
             is_held |= within != *share;
             *share = within;
         }
-        let most_um = rows.iter().map(|g| times(g, &held).abs()).fold(0.0, f64::max);
+        let most_um = rows.into_iter().map(|g| times(g, &held).abs()).fold(0.0, f64::max);
         if most_um > self.total_um {
             held.iter_mut().for_each(|x| *x *= self.total_um / most_um);
             is_held = true;

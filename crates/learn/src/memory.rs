@@ -1,71 +1,151 @@
-//! What was learned, in a file beside the machine file: every change, and the way back.
+//! The state of a learner, in a file beside the learned machine file: everything that is known, every change, and the
+//! way back. It belongs to one machine (by its serial number, else its name) and one quantity.
+//!
+//! ```text
+//! checkpoint ──► window of readings ──► what is believed now
+//!   filters        the last 300, as they were read
+//! ```
+//!
+//! What is believed now is never stored: it is the checkpoint, advanced by the readings of the window and the events
+//! among them. So an event that is found late acts from the reading at which it happened, and a state that was read back
+//! is the same to the bit. A reading that leaves the window advances the checkpoint.
+
+use std::collections::HashSet;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{bank::Bank, constants::Constant, step::Recent};
+use trueup_machine::Machine;
 
-/// Records that are remembered so that none is learned from twice.
-const RECORDS: usize = 1000;
+use crate::{bank::Bank, constants::Constant, event::Event};
 
-/// Readings that are remembered for the same: two years at thirty a day.
-const READINGS: usize = 20_000;
+/// Readings that are known by their hash: a year at thirty a day, 8 bytes each.
+const SEEN: usize = 12_000;
+/// Digits of a hash.
+const DIGITS: usize = 8;
+/// Changes that are listed: one a day at most, a year and a half of days.
+const CHANGES: usize = 400;
 
 /// The form that is written.
-pub(crate) const SCHEMA: u32 = 2;
+pub(crate) const SCHEMA: u32 = 3;
+/// The form before it, which is read too.
+const OLDER: u32 = 2;
 
-/// What a learner knows. It is written as JSON.
+/// The machine that a state belongs to.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Owner {
+    /// Its name.
+    pub name: String,
+    /// Its serial number, where its file has one.
+    pub serial: Option<String>,
+}
+
+impl Owner {
+    /// Returns the machine that a machine file is of.
+    #[must_use]
+    pub fn of(machine: &Machine) -> Self {
+        Self { name: machine.name.clone(), serial: machine.serial.clone() }
+    }
+
+    /// Returns true if both are one machine: by the serial numbers where both have one, else by the names.
+    #[must_use]
+    pub fn is(&self, other: &Self) -> bool {
+        match (&self.serial, &other.serial) {
+            (Some(one), Some(two)) => one == two,
+            _ => self.name == other.name,
+        }
+    }
+
+    /// Returns the machine in words.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let serial = self.serial.as_ref().map_or(String::new(), |it| format!(" (serial {it})"));
+        format!("machine {}{serial}", self.name)
+    }
+}
+
+/// A reading as it is kept.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Kept {
+    /// The clock in s.
+    pub t: Option<f64>,
+    /// The reading less the prediction of the user's file, in µm.
+    pub y: f64,
+    /// Sensitivities: of the zero, of each constant.
+    pub g: Vec<f64>,
+    /// Effect of each thermometer per unit share, in µm.
+    pub h: Vec<f64>,
+}
+
+/// The state of a learner. It is written as JSON.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Memory {
-    /// Of this form; 2.
+    /// The form; 3.
     pub schema: u32,
-    /// The user's own machine file that it is counted from, hashed.
-    pub(crate) base: u64,
+    /// The machine.
+    pub machine: Owner,
     /// What is learned: `elongation`, `dx`, `dy` or `dz`.
     pub quantity: String,
     /// The constants, with what the user's own file says.
     pub constants: Vec<Constant>,
-    pub(crate) bank: Bank,
+    /// What the user's file says where the zero of the growth is written.
+    pub(crate) zero: Option<f64>,
     /// The zero in µm, then the share of each constant, as they are applied.
     pub applied: Vec<f64>,
-    /// The clock of the last reading, in s.
+    /// The clock of the first and of the last reading, in s.
+    pub(crate) first_s: Option<f64>,
     pub(crate) last_s: Option<f64>,
-    /// Hashes of the records that were learned from.
-    pub(crate) records: Vec<u64>,
-    /// Hashes of the readings that were learned from: a record may grow.
-    #[serde(default)]
-    pub(crate) readings: Vec<u64>,
-    /// The readings of late, with what the file as it is misses them by.
-    #[serde(default)]
-    pub(crate) recent: Vec<Recent>,
     /// Whether a record has shown that the CNC applies the offsets of the bridge once.
-    #[serde(default)]
     pub(crate) is_applied_once: bool,
+    /// What was applied before the readings of an engaged bridge whose factor is not known moved it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) proven: Option<Vec<f64>>,
+    /// The events, the latest last.
+    pub events: Vec<Event>,
     /// Every change, the latest last.
     pub changes: Vec<Change>,
+    /// Checks of the probe: the clock in s, and the reading of a certified reference less its value at 20 °C, in µm.
+    pub(crate) checks: Vec<[f64; 2]>,
+    /// The share of each constant and its standard deviation when it was first known: wear counts from there.
+    pub(crate) baselines: Vec<Option<[f64; 2]>>,
+    /// The temperature columns of `h`.
+    pub(crate) thermometers: Vec<String>,
+    /// The filters before the window.
+    pub(crate) checkpoint: Bank,
+    /// The clock of the last reading before the window, in s.
+    pub(crate) checkpoint_s: Option<f64>,
+    /// The number of the window's first reading.
+    pub(crate) first: u64,
+    /// The last readings.
+    pub(crate) window: Vec<Kept>,
+    /// Hashes of the readings that were learned from, in hexadecimal digits.
+    pub(crate) seen: String,
+    /// The same by the rule of the form before this one.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub(crate) seen_before: String,
 }
 
-/// A change of the constants.
+/// A change of the constants on one day.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Change {
-    /// The record that it comes from, or `undo`.
-    pub record: String,
-    /// The constants before and after, each with its key.
-    pub constants: Vec<(String, f64, f64)>,
-    /// Why.
-    pub reason: String,
-    /// What was known and applied before; none once it was undone, or another was undone after it.
-    pub(crate) before: Option<Box<Before>>,
+    /// The clock of the day's last change, in s.
+    pub at: Option<f64>,
+    /// The constants before and after, each with its place in [`Memory::keys`].
+    pub values: Vec<(usize, f64, f64)>,
+    /// Whether it takes another one back.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub is_undo: bool,
+    /// The number of the day's first reading, and what was applied before it; none once it is taken back.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) before: Option<(u64, Vec<f64>)>,
 }
 
-/// What was known before a change.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Before {
-    pub bank: Bank,
-    pub applied: Vec<f64>,
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks by reference")]
+fn is_false(it: &bool) -> bool {
+    !it
 }
 
 impl Memory {
-    /// From JSON.
+    /// Reads the state from JSON.
     ///
     /// # Errors
     /// It is not what a learner wrote; with the place.
@@ -75,25 +155,49 @@ impl Memory {
             schema: u32,
         }
         let Form { schema } = serde_json::from_str(text).map_err(|error| error.to_string())?;
-        if schema != SCHEMA {
-            return Err(format!(
-                "schema is {schema}, and this version reads {SCHEMA}: move it away, and learning begins anew"
-            ));
-        }
-        let memory: Self = serde_json::from_str(text).map_err(|error| error.to_string())?;
+        let memory: Self = match schema {
+            SCHEMA => serde_json::from_str(text).map_err(|error| error.to_string())?,
+            OLDER => read_older(text)?,
+            other => {
+                return Err(format!(
+                    "schema is {other}, and this version reads {SCHEMA}: --reset begins anew and keeps a backup"
+                ));
+            }
+        };
         let values = memory.constants.len() + 1;
-        let is_whole =
-            |bank: &Bank, applied: &[f64]| applied.len() == values && bank.is_whole(values);
-        let before = memory.changes.iter().filter_map(|change| change.before.as_ref());
-        if !is_whole(&memory.bank, &memory.applied)
-            || !before.into_iter().all(|before| is_whole(&before.bank, &before.applied))
-        {
-            return Err("its parts do not fit together, so it is damaged: move it away, and learning begins anew".into());
+        let is_whole = memory.applied.len() == values
+            && memory.proven.as_ref().is_none_or(|it| it.len() == values)
+            && memory.baselines.len() == values - 1
+            && memory.checkpoint.is_whole(values)
+            && memory.seen.is_ascii()
+            && memory.seen_before.is_ascii()
+            && memory.window.iter().all(|kept| kept.g.len() == values)
+            && memory.changes.iter().all(|change| {
+                change.before.as_ref().is_none_or(|(_, applied)| applied.len() == values)
+                    && change.values.iter().all(|(place, ..)| *place < values)
+            })
+            && memory.events.iter().all(|event| match &event.action {
+                crate::event::Action::Shift(all) => all.iter().all(|it| it.0 < values),
+                _ => true,
+            });
+        if is_whole {
+            Ok(memory)
+        } else {
+            Err("its parts do not fit together, so it is damaged: --reset begins anew and keeps a backup".into())
         }
-        Ok(memory)
     }
 
-    /// As JSON.
+    /// Returns true if `text` is of the form before this one.
+    #[must_use]
+    pub fn is_of_older_form(text: &str) -> bool {
+        #[derive(Deserialize)]
+        struct Form {
+            schema: u32,
+        }
+        serde_json::from_str(text).is_ok_and(|Form { schema }| schema == OLDER)
+    }
+
+    /// Writes the state as JSON.
     ///
     /// # Errors
     /// None that is known: all of it can be written.
@@ -101,46 +205,122 @@ impl Memory {
         serde_json::to_string(self)
     }
 
-    /// Takes the last change back that is not taken back yet: what is applied, and what was known, are as before
-    /// it. The record that it came from is not learned from again. Returns the change, or `None` where there
-    /// is none.
-    pub fn undo(&mut self) -> Option<Change> {
-        let index = self.changes.iter().rposition(|change| change.before.is_some())?;
-        let before = self.changes[index].before.take()?;
+    /// Returns the keys of a change's values by their place: of the zero, of each constant.
+    #[must_use]
+    pub fn key(&self, place: usize) -> &str {
+        match place.checked_sub(1) {
+            None => "zero",
+            Some(index) => self.constants.get(index).map_or("", |it| it.key.as_str()),
+        }
+    }
+
+    /// Takes the last change back that is not taken back yet: what is applied, and what was known, are as before it. Its
+    /// readings are not learned from again. Returns the change.
+    ///
+    /// # Errors
+    /// There is none, or its readings are no longer kept; the rule.
+    pub fn undo(&mut self) -> Result<Change, String> {
+        let index = self.changes.iter().rposition(|change| change.before.is_some());
+        let index = index.ok_or("has no change that is not taken back already")?;
+        let (sequence, applied) = self.changes[index].before.clone().unwrap_or_default();
+        let Some(kept) = sequence.checked_sub(self.first) else {
+            return Err(format!(
+                "keeps the last {} readings, and the change is older: --reset begins anew and keeps a backup",
+                self.window.len()
+            ));
+        };
+        self.changes[index].before = None;
+        self.window.truncate(kept as usize);
+        self.events.retain(|event| event.sequence < sequence);
+        self.applied = applied;
+        self.proven = None;
         let undone = self.changes[index].clone();
-        self.bank = before.bank;
-        self.applied = before.applied;
-        let back = undone.constants.iter().map(|(key, from, to)| (key.clone(), *to, *from));
-        self.changes.push(Change {
-            record: "undo".into(),
-            constants: back.collect(),
-            reason: format!("what came from {} is taken back", undone.record),
-            before: None,
-        });
-        Some(undone)
+        let back = undone.values.iter().map(|(key, from, to)| (*key, *to, *from)).collect();
+        self.list(Change { at: self.last_s, values: back, is_undo: true, before: None });
+        Ok(undone)
     }
 
-    pub(crate) fn knows(&self, record: u64) -> bool {
-        self.records.contains(&record)
-    }
-
-    pub(crate) fn knows_reading(&self, reading: u64) -> bool {
-        self.readings.contains(&reading)
-    }
-
-    pub(crate) fn remember_reading(&mut self, reading: u64) {
-        self.readings.push(reading);
-        if self.readings.len() > READINGS {
-            self.readings.remove(0);
+    /// Adds a change to the list.
+    pub(crate) fn list(&mut self, change: Change) {
+        self.changes.push(change);
+        if self.changes.len() > CHANGES {
+            self.changes.remove(0);
         }
     }
 
-    pub(crate) fn remember(&mut self, record: u64) {
-        self.records.push(record);
-        if self.records.len() > RECORDS {
-            self.records.remove(0);
+    /// The number of the next reading.
+    pub(crate) fn next(&self) -> u64 {
+        self.first + self.window.len() as u64
+    }
+
+    /// Returns the hashes of the readings that were learned from.
+    pub(crate) fn seen(&self) -> HashSet<&str> {
+        split(&self.seen)
+    }
+
+    /// Returns the same by the rule of the form before this one.
+    pub(crate) fn seen_before(&self) -> HashSet<&str> {
+        split(&self.seen_before)
+    }
+
+    /// Remembers that a reading was learned from.
+    pub(crate) fn see(&mut self, identity: u64) {
+        self.seen += &digits(identity);
+        if self.seen.len() > SEEN * DIGITS {
+            self.seen.drain(..DIGITS);
         }
     }
+}
+
+/// The form before this one.
+#[derive(Deserialize)]
+struct Older {
+    quantity: String,
+    constants: Vec<Constant>,
+    bank: Bank,
+    applied: Vec<f64>,
+    last_s: Option<f64>,
+    #[serde(default)]
+    readings: Vec<u64>,
+    #[serde(default)]
+    is_applied_once: bool,
+}
+
+/// Reads the form before this one; nothing of it is lost but the way back, which stays in the backup. Its owner has no name yet: the old form did not say whose it was.
+fn read_older(text: &str) -> Result<Memory, String> {
+    let old: Older = serde_json::from_str(text).map_err(|error| error.to_string())?;
+    Ok(Memory {
+        schema: SCHEMA,
+        machine: Owner { name: String::new(), serial: None },
+        quantity: old.quantity,
+        zero: None,
+        applied: old.applied,
+        first_s: None,
+        last_s: old.last_s,
+        is_applied_once: old.is_applied_once,
+        proven: None,
+        events: Vec::new(),
+        changes: Vec::new(),
+        checks: Vec::new(),
+        baselines: vec![None; old.constants.len()],
+        thermometers: Vec::new(),
+        constants: old.constants,
+        checkpoint: old.bank,
+        checkpoint_s: old.last_s,
+        first: old.readings.len() as u64,
+        window: Vec::new(),
+        seen: String::new(),
+        seen_before: old.readings.iter().map(|hash| digits(*hash)).collect(),
+    })
+}
+
+fn split(all: &str) -> HashSet<&str> {
+    (0..all.len() / DIGITS).map(|n| &all[n * DIGITS..(n + 1) * DIGITS]).collect()
+}
+
+/// The lower half of a hash, in hexadecimal digits.
+pub(crate) fn digits(hash: u64) -> String {
+    format!("{:08x}", hash & 0xffff_ffff)
 }
 
 /// FNV-1a over 64 bits: the same on every machine.

@@ -18,9 +18,11 @@
 //! | `nothing` | does the file correct anything at all |
 //! | `extent` | how large each correction may become |
 //! | `run` | is what a run has what the machine file has: counts, travel, the size and the sign of an error |
+//! | `clock` | does the clock of a run step by an hour, or has it a gap |
 //! | `units` | are the columns of a run in the units of their names |
 //! | `summary` | what the file will do |
 
+mod clock;
 pub(crate) mod extent;
 mod heat;
 mod limits;
@@ -93,6 +95,7 @@ pub fn values(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning> {
     let is_new = |it: &Warning| warnings.iter().all(|other| other.place != it.place);
     let new: Vec<Warning> = of_units.filter(is_new).collect();
     warnings.extend(new);
+    warnings.extend(clock::warnings(run));
     warnings
 }
 

@@ -24,6 +24,20 @@ pub fn lines(text: &str) -> String {
     Escaped { text, keep: &['\n', '\t'] }.to_string()
 }
 
+/// Returns the text as a shell takes it for one word: quoted where it has more than letters, digits and `=_-./:,+`.
+///
+/// ```
+/// use trueup_output::escape::shell_word;
+/// assert_eq!(shell_word("run.csv"), "run.csv");
+/// assert_eq!(shell_word("Messuhr [µm]=µm"), "'Messuhr [µm]=µm'");
+/// ```
+#[must_use]
+pub fn shell_word(text: &str) -> String {
+    let is_plain =
+        !text.is_empty() && text.chars().all(|c| c.is_alphanumeric() || "=_-./:,+".contains(c));
+    if is_plain { text.into() } else { format!("'{}'", text.replace('\'', "'\\''")) }
+}
+
 struct Escaped<'t> {
     text: &'t str,
     keep: &'t [char],

@@ -16,6 +16,7 @@
 //! | [`head`] | rotary axes that turn the tool |
 //! | [`machine`] | all of it as one machine, stepped by its drives |
 //! | [`month`] | a month of a machine that ages, with a probe now and then |
+//! | [`year`] | a year of a spindle or an axis in a small shop, with events and two probings a day |
 //! | [`trial`] | a spindle that may be run as one likes, with one thing wrong in its file |
 //! | [`trial_axis`] | an axis of the same kind |
 //! | [`path`] | speeds, loads, ways, position runs |
@@ -64,6 +65,7 @@ pub mod spindle;
 pub mod table;
 pub mod trial;
 pub mod trial_axis;
+pub mod year;
 
 pub use run::simulate;
 pub use scenario::{BadScenario, Scenario};

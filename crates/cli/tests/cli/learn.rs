@@ -43,8 +43,8 @@ fn days_are_learned_from_and_the_last_change_is_taken_back() {
     assert_eq!(desk.text("learned.toml"), MACHINE);
     let (_, err) = desk.said("learn --undo --machine m.toml -o learned.toml", 2);
     assert!(err.contains("no change that is not taken back already"), "{err}");
-    let (_, err) = desk.said("learn --machine m.toml --run 1.csv -o learned.toml", 2);
-    assert!(err.contains("each record counts once"), "{err}");
+    let (out, _) = desk.said("learn --machine m.toml --run 1.csv -o learned.toml", 0);
+    assert!(out.contains("30 of 30 readings were learned from before"), "{out}");
 }
 
 #[test]
@@ -73,12 +73,12 @@ fn a_command_that_is_refused_leaves_state_and_inputs_as_they_were() {
         let (out, _) = desk.said("learn --machine m.toml --run today.csv -o learned.toml", 0);
         assert!(out.contains(said), "{out}");
     }
-    // An older record is no news.
-    let (_, err) = desk.said("learn --machine m.toml --run 1.csv -o learned.toml", 2);
-    assert!(err.contains("each record counts once"), "{err}");
+    // An older record that is known is skipped.
+    let (out, _) = desk.said("learn --machine m.toml --run 1.csv -o learned.toml", 0);
+    assert!(out.contains("30 of 30 readings were learned from before"), "{out}");
     std::fs::write(desk.path("older.csv"), day(1).replace(".600", ".700")).expect("written");
     let (_, err) = desk.said("learn --machine m.toml --run older.csv -o learned.toml", 2);
-    assert!(err.contains("in the order in which they were taken"), "{err}");
+    assert!(err.contains("at or before the last reading"), "{err}");
 }
 
 #[test]
@@ -114,4 +114,143 @@ fn a_record_that_no_longer_fits_ends_with_3_and_says_what_to_measure() {
     let (out, _) = desk.said("trust --machine m.toml --calibrated then.csv --run now.csv", 3);
     assert!(out.contains("no longer fits: row 12"), "{out}");
     assert!(out.contains("touch off the tool"), "{out}");
+}
+
+/// The same readings for another time of the year and with another machine file.
+fn learned_from(desk: &Desk, machine: &str, record: &str, code: i32) -> (String, String) {
+    desk.said(&format!("learn --machine {machine} --run {record} -o learned.toml"), code)
+}
+
+#[test]
+fn comments_limits_and_other_keys_keep_what_was_learned_and_a_changed_constant_restarts_alone() {
+    let commented = format!("# a comment\n{MACHINE}\n[limits]\nslew_um_per_s = 12.0\n")
+        .replace("k_um_per_c", "lag_s = 5.0\nk_um_per_c")
+        + "learned = { growth_percent = 5 }\n";
+    let serial = MACHINE.replace("name = \"m\"", "name = \"m\"\nserial = \"4711\"");
+    let by_hand = MACHINE.replace("= 2.0 #", "= 2.5 #");
+    let files = [
+        ("m.toml", MACHINE),
+        ("commented.toml", &commented),
+        ("serial.toml", &serial),
+        ("by_hand.toml", &by_hand),
+        ("1.csv", &day(1)),
+        ("2.csv", &day(2)),
+        ("3.csv", &day(3)),
+        ("4.csv", &day(4)),
+    ];
+    let desk = Desk::new(&files);
+    learned_from(&desk, "m.toml", "1.csv", 0);
+    let first = desk.text("learned.learn.json");
+    for (machine, record) in [("commented.toml", "2.csv"), ("serial.toml", "3.csv")] {
+        let (out, _) = learned_from(&desk, machine, record, 0);
+        assert!(!out.contains("anew"), "{machine}: {out}");
+        let text = desk.text("learned.toml");
+        assert!(text.contains("k_um_per_c = 2.5") || text.contains("k_um_per_c = 2.6"), "{text}");
+    }
+    assert!(!desk.path("learned.learn.json.bak").exists());
+    let before = desk.text("learned.learn.json");
+    let (out, _) = learned_from(&desk, "by_hand.toml", "4.csv", 0);
+    assert!(out.contains("k_um_per_c was changed by hand (2 to 2.5): it begins anew"), "{out}");
+    assert_eq!(desk.text("learned.learn.json.bak"), before, "a backup is kept");
+    // Nothing is discarded without --reset, and then there is a backup too.
+    desk.said("learn --reset --machine m.toml --run 1.csv -o learned.toml", 0);
+    assert_eq!(desk.text("learned.learn.json"), first);
+    assert!(desk.path("learned.learn.json.bak1").exists());
+}
+
+#[test]
+fn the_output_of_another_machine_or_quantity_is_refused_and_stays() {
+    let other = MACHINE.replace("name = \"m\"", "name = \"n\"");
+    let one = MACHINE.replace("name = \"m\"", "name = \"m\"\nserial = \"1\"");
+    let two = MACHINE.replace("name = \"m\"", "name = \"m\"\nserial = \"2\"");
+    let axis = "[axis.z]\nfeedback = \"screw\"\n[axis.z.backlash]\nwidth_um = 4.0\n";
+    let with_axis = format!("{one}{axis}");
+    let dz = day(2).replace("measured_elongation_um", "measured_dz_um");
+    let files = [
+        ("m.toml", &one[..]),
+        ("n.toml", &other),
+        ("two.toml", &two),
+        ("axis.toml", &with_axis),
+        ("1.csv", &day(1)),
+        ("2.csv", &day(2)),
+        ("dz.csv", &dz),
+    ];
+    let desk = Desk::new(&files);
+    learned_from(&desk, "m.toml", "1.csv", 0);
+    let (state, learned) = (desk.text("learned.learn.json"), desk.text("learned.toml"));
+    for (machine, record) in [("n.toml", "2.csv"), ("two.toml", "2.csv"), ("axis.toml", "dz.csv")] {
+        let (_, err) = learned_from(&desk, machine, record, 2);
+        assert!(err.contains("--output"), "{machine}: {err}");
+        assert_eq!(desk.text("learned.learn.json"), state, "{machine}");
+        assert_eq!(desk.text("learned.toml"), learned, "{machine}");
+    }
+    // Nor without a state next to it.
+    std::fs::remove_file(desk.path("learned.learn.json")).expect("it was there");
+    let (_, err) = learned_from(&desk, "n.toml", "2.csv", 2);
+    assert!(err.contains("machine m (serial 1)"), "{err}");
+    assert_eq!(desk.text("learned.toml"), learned);
+}
+
+#[test]
+fn a_crash_is_an_event_with_exit_3_and_the_constants_stay() {
+    let calm = day(5);
+    let crashed = calm.lines().map(|line| {
+        let cells: Vec<&str> = line.split(',').collect();
+        match cells[2].parse::<f64>() {
+            Ok(um) => format!("{},{},{:.3}\n", cells[0], cells[1], um + 20.0),
+            Err(_) => format!("{line}\n"),
+        }
+    });
+    let crashed: String = crashed.collect();
+    let days: Vec<String> = (1..5).map(day).collect();
+    let files = [
+        ("m.toml", MACHINE),
+        ("1.csv", &days[0]),
+        ("2.csv", &days[1]),
+        ("3.csv", &days[2]),
+        ("4.csv", &days[3]),
+        ("5.csv", &crashed),
+    ];
+    let desk = Desk::new(&files);
+    for record in ["1.csv", "2.csv", "3.csv", "4.csv"] {
+        learned_from(&desk, "m.toml", record, 0);
+    }
+    let before = desk.text("learned.toml");
+    let (out, _) = learned_from(&desk, "m.toml", "5.csv", 3);
+    assert!(out.contains("event: zero-step") && out.contains("Was there a crash"), "{out}");
+    let number = |text: &str| -> f64 {
+        let line = text.lines().find_map(|line| line.strip_prefix("k_um_per_c = "));
+        line.and_then(|line| line.split('#').next())
+            .expect("there")
+            .trim()
+            .parse()
+            .expect("a number")
+    };
+    assert!((number(&before) - number(&desk.text("learned.toml"))).abs() < 0.05);
+    let state: Value = serde_json::from_str(&desk.text("learned.learn.json")).expect("JSON");
+    let event = &state["events"][0];
+    assert_eq!(event["event"], "zero-step", "{event}");
+    assert!((event["size"].as_f64().expect("a number") - 20.0).abs() < 1.5, "{event}");
+    assert!(event["at"] == 432_000.0 && event["unit"] == "µm" && event["ci95"][1].is_number());
+    // It is reported once.
+    let (out, _) = learned_from(&desk, "m.toml", "5.csv", 0);
+    assert!(!out.contains("event:"), "{out}");
+}
+
+#[test]
+fn equal_runs_compared_by_a_limit_below_their_scatter_end_with_0() {
+    let run = |seed: usize, more: f64| {
+        let noise = [1.9, -1.4, 0.3, 2.2, -2.4, 0.8, -1.1, 1.2, -0.2, 2.6, -1.8];
+        let mut text = "run,x_mm,dir_x,measured_dx_um\n".to_string();
+        for n in 0..50 {
+            let um = noise[(n * 7 + seed * 3) % 11] + more * (n % 10) as f64;
+            text += &format!("{},{},1,{um:.2}\n", n / 10 + 1, 100 * (n % 10));
+        }
+        text
+    };
+    let files = [("a.csv", &run(0, 0.0)[..]), ("b.csv", &run(1, 0.0)), ("c.csv", &run(1, 3.0))];
+    let desk = Desk::new(&files);
+    let (out, _) = desk.said("compare a.csv b.csv --limit-um 0.01", 0);
+    assert!(out.contains("no difference"), "{out}");
+    desk.said("compare a.csv c.csv --limit-um 5", 3);
 }

@@ -13,6 +13,7 @@ mod export;
 mod files;
 mod fit;
 mod hostile;
+mod import;
 mod install;
 mod learn;
 mod linuxcnc;

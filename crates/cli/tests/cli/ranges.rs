@@ -102,6 +102,9 @@ fn what_a_fit_makes_is_held_against_the_ranges_before_it_is_written() {
     desk.write("ms.csv", text);
     let line = "fit elongation --run ms.csv --machine m.toml --source temperature -o f.toml";
     let (_, err) = desk.said(line, 2);
+    assert!(err.contains("looks like ms, not s"), "{err}");
+    let line = &format!("{line} --accept time_s");
+    let (_, err) = desk.said(line, 2);
     assert!(err.contains("spindle.temperature.lag_s") && err.contains("ms instead of s"), "{err}");
     assert!(!desk.path("f.toml").exists());
     desk.said(&format!("{line} --accept spindle.temperature.lag_s"), 0);

@@ -62,6 +62,12 @@ pub const KNOWN_COLUMNS: &[KnownColumn] = &[
         "0…6",
         "of these offsets: 0 off, 1 to 3 on, 4 held, 5 ramping out, 6 not available",
     ),
+    known(
+        "check_um",
+        "µm",
+        "a check of the probe: the reading of a certified reference less its value at 20 °C; `learn` takes it off every \
+         reading, linear between checks",
+    ),
     known("calibration_crc", "", "the calibration that the bridge ran, as a decimal number"),
 ];
 

@@ -2,6 +2,11 @@
 
 use super::{cells::Cells, clock};
 
+/// A clock that is set back by an hour goes back by less, the time between two rows.
+const HOUR_BACK_S: std::ops::RangeInclusive<f64> = 2700.0..=3600.0;
+const SUMMER_TIME: &str =
+    " (by an hour: the end of summer time? `trueup import --summer-time yes` takes it out)";
+
 /// The time of the rows so far.
 pub(super) struct TimeOrder {
     time_column: Option<usize>,
@@ -40,7 +45,8 @@ impl TimeOrder {
         match self.newest.replace((time, number)) {
             Some((before, number_before)) if number == number_before && time < before => {
                 let rule = format!(
-                    "runs back from {before} to {time} within a run: rows are in time order"
+                    "runs back from {before} to {time} within a run: rows are in time order{}",
+                    if HOUR_BACK_S.contains(&(before - time)) { SUMMER_TIME } else { "" }
                 );
                 Err((column, rule))
             }

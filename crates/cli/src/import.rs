@@ -1,0 +1,313 @@
+//! `trueup import`: a table of a spreadsheet, a logger or an instrument as a run file. What was understood is printed;
+//! what only the user knows is asked on a terminal, and named as a flag elsewhere.
+
+use std::{
+    io::{IsTerminal as _, stdin},
+    path::{Path, PathBuf},
+};
+
+use anyhow::{Error, Result};
+use clap::Args;
+use dialoguer::{Input, Select};
+use serde_json::json;
+use trueup_import::{Answers, Imported, MAX_BYTES, Question, Refused, Topic, import, map};
+use trueup_machine::{BadInput, MachineFile, bounded};
+use trueup_output::escape::{one_line, shell_word};
+
+use crate::{
+    Outcome, UserError, files,
+    output::{self, FileSet},
+    report,
+};
+
+/// Reads a table of a spreadsheet, a logger or an instrument, and writes it as a run file.
+///
+/// csv, tsv, txt, xlsx, xls, ods; LinuxCNC .comp, Renishaw .rtl, height maps of RepRapFirmware and Klipper. On a terminal
+/// what can be read in two ways is asked; elsewhere it ends with 2 and names the flag. It prints what it has understood.
+#[derive(Args)]
+#[command(after_help = "Examples:
+  trueup import readings.xlsx -o run.csv
+  trueup import messung.csv -o run.csv --decimal comma --column Messuhr=measured_dx_um --unit Messuhr=mil
+  trueup import monday.csv -o run.csv --map logger.toml       writes logger.toml, and reuses it")]
+pub struct Import {
+    /// The table.
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+    /// Where to write the run file; `-` is standard output.
+    #[arg(long, value_name = "RUN.csv")]
+    output: PathBuf,
+    /// What was answered once for files of this kind: read if it is there, written or completed by the answers.
+    #[arg(long, value_name = "MAP.toml")]
+    map: Option<PathBuf>,
+    /// The sign before the decimals.
+    #[arg(long, value_parser = ["comma", "point"])]
+    decimal: Option<String>,
+    /// The order of the numbers of a date.
+    #[arg(long, value_parser = ["dmy", "mdy", "ymd"])]
+    date: Option<String>,
+    /// The unit of a column, by its header, its number or its name in the run file: 'Messuhr=µm', '3=inch', 'Zeit=h:mm'.
+    #[arg(long, value_name = "COLUMN=UNIT")]
+    unit: Vec<String>,
+    /// The name of a column in the run file: 'Messuhr=measured_dx_um'; '-' leaves it out.
+    #[arg(long, value_name = "COLUMN=NAME")]
+    column: Vec<String>,
+    /// Turn the sign of a column: a gauge that counts the other way round.
+    #[arg(long, value_name = "COLUMN")]
+    negate: Vec<String>,
+    /// The encoding, where it is told wrongly: utf-8, utf-16le, latin1, windows-1252, iso-8859-15.
+    #[arg(long)]
+    encoding: Option<String>,
+    /// The sheet of a workbook.
+    #[arg(long)]
+    sheet: Option<String>,
+    /// Counts of the sensor for one volt: sensor columns in V or mV become counts.
+    #[arg(long, value_name = "COUNTS")]
+    counts_per_v: Option<String>,
+    /// The machine file, whose [inputs] state the scale of the sensor.
+    #[arg(long, value_name = "M.toml")]
+    machine: Option<PathBuf>,
+    /// Whether a step of the clock by an hour is the change of summer time.
+    #[arg(long, value_parser = ["yes", "no"])]
+    summer_time: Option<String>,
+    /// Whether every second run of an instrument's file goes back, where the file does not say it.
+    #[arg(long, value_parser = ["there-and-back", "one-way"])]
+    runs: Option<String>,
+    /// Replace a file that is there with other content.
+    #[arg(long)]
+    overwrite: bool,
+}
+
+/// Imports the table.
+pub fn run(args: &Import, as_json: bool) -> Result<Outcome> {
+    let asks = !as_json && stdin().is_terminal() && trueup_output::is_output_terminal();
+    output::check_target(&args.output, &[&args.file])?;
+    if asks && !args.overwrite && args.output.is_file() {
+        return Err(is_there(&args.output).into());
+    }
+    let bytes = bounded::read(&args.file, MAX_BYTES).map_err(|error| refused(error, as_json))?;
+    let map_text = match &args.map {
+        Some(path) if path.exists() => Some(files::text(path, 1 << 20)?),
+        _ => None,
+    };
+    let known = match (&map_text, &args.map) {
+        (Some(text), Some(path)) => map::read(text, path)?,
+        _ => Answers::default(),
+    };
+    let mut answers = by_flags(args)?.or(known);
+    let imported = loop {
+        match import(&bytes, &args.file, &answers) {
+            Ok(imported) => break imported,
+            Err(Refused::Bad(error)) => return Err(refused(error, as_json)),
+            Err(Refused::Open(questions)) if asks => {
+                for question in questions {
+                    let value = ask(&question)?;
+                    answers.answer(&question.topic, &value).map_err(UserError)?;
+                }
+            }
+            Err(Refused::Open(questions)) => return Err(open(questions, as_json)),
+        }
+    };
+    write(args, &imported, &answers, map_text.as_deref())?;
+    print(args, &imported, as_json)?;
+    Ok(Outcome::Done)
+}
+
+/// The answers that the flags give.
+fn by_flags(args: &Import) -> Result<Answers> {
+    let mut answers = Answers {
+        negate: args.negate.clone(),
+        encoding: args.encoding.clone(),
+        sheet: args.sheet.clone(),
+        ..Answers::default()
+    };
+    let mut flag = |name: &str, topic: Topic, value: &str| {
+        answers.answer(&topic, value).map_err(|rule| UserError(format!("--{name} {value}: {rule}")))
+    };
+    let given = [
+        ("decimal", Topic::Decimal, &args.decimal),
+        ("date", Topic::Date, &args.date),
+        ("counts-per-v", Topic::CountsPerV, &args.counts_per_v),
+        ("summer-time", Topic::SummerTime, &args.summer_time),
+        ("runs", Topic::Runs, &args.runs),
+    ];
+    for (name, topic, value) in given {
+        value.as_ref().map_or(Ok(()), |value| flag(name, topic, value))?;
+    }
+    type OfColumn = fn(String) -> Topic;
+    let columns: [(&str, &Vec<String>, OfColumn); 2] =
+        [("unit", &args.unit, Topic::Unit), ("column", &args.column, Topic::Column)];
+    for (name, pairs, topic) in columns {
+        for pair in pairs {
+            let (column, value) = pair.rsplit_once('=').ok_or_else(|| {
+                UserError(format!(
+                    "--{name} {pair}: must be a column, = and its {name}: Messuhr=µm"
+                ))
+            })?;
+            flag(name, topic(column.trim().into()), value)?;
+        }
+    }
+    if let Some(path) = &args.machine {
+        let machine = MachineFile::read(path)?;
+        let sensor = machine.inputs.as_ref().and_then(|inputs| inputs.sensor.as_ref());
+        let per_v = sensor.map(|sensor| sensor.counts_full_scale / sensor.volts_full_scale);
+        answers.counts_per_v = answers.counts_per_v.or(per_v);
+    }
+    Ok(answers)
+}
+
+/// The value that the user chooses or types.
+fn ask(question: &Question) -> Result<String> {
+    const OTHER: &str = "another one";
+    let prompt = format!("line {}: {}", question.place.line, one_line(&question.text));
+    let is_column = matches!(question.topic, Topic::Column(_));
+    let mut items: Vec<String> = question.choices.iter().map(|it| one_line(it)).collect();
+    if is_column && !question.choices.iter().any(|choice| choice == "-") {
+        items.push("- (leave it out)".into());
+    }
+    if question.is_open {
+        items.push(OTHER.into());
+    }
+    if items.len() > 1 {
+        let chosen = Select::new().with_prompt(&prompt).items(&items).default(0).interact()?;
+        if let Some(choice) = question.choices.get(chosen) {
+            return Ok(choice.clone());
+        }
+        if items[chosen] != OTHER {
+            return Ok("-".into());
+        }
+    }
+    let prompt = match question.topic {
+        Topic::CountsPerV => format!("{prompt}. Counts for one volt"),
+        Topic::Column(_) => "Name in the run file".into(),
+        _ => "Unit".into(),
+    };
+    let topic = question.topic.clone();
+    let read = |text: &String| Answers::default().answer(&topic, text);
+    Input::new().with_prompt(prompt).validate_with(read).interact_text().map_err(Error::from)
+}
+
+/// An error of the table on one line, with what to do.
+fn refused(error: BadInput, as_json: bool) -> Error {
+    if as_json {
+        return error.into();
+    }
+    let stop = if error.rule.ends_with('?') { "" } else { "." };
+    let help = error.help.as_ref().map_or(String::new(), |help| {
+        let mut letters = help.chars();
+        let first = letters.next().map(|c| c.to_uppercase().to_string()).unwrap_or_default();
+        format!("{stop} {first}{}", letters.as_str())
+    });
+    UserError(format!("{error}{help}")).into()
+}
+
+/// The open questions, each on a line with its flag, at most three lines.
+fn open(questions: Vec<Question>, as_json: bool) -> Error {
+    const MAX_LINES: usize = 3;
+    let more = questions.len().saturating_sub(MAX_LINES);
+    let shown = if more > 0 { MAX_LINES - 1 } else { questions.len() };
+    let flags: Vec<String> = questions[shown..].iter().map(Question::flag).collect();
+    let mut errors: Vec<BadInput> =
+        questions.into_iter().take(shown).map(Question::into_error).collect();
+    if as_json {
+        return BadInput::gathered(errors)
+            .map_or_else(|| UserError(String::new()).into(), Error::from);
+    }
+    let last = match flags.is_empty() {
+        true => errors.pop().map(|error| refused(error, false)),
+        false => Some(UserError(format!("and {}", flags.join("; "))).into()),
+    };
+    errors.into_iter().for_each(|error| report::error(refused(error, false)));
+    last.unwrap_or_else(|| UserError("a question is open".into()).into())
+}
+
+fn is_there(path: &Path) -> UserError {
+    let rule = "is there already: give another name, or --overwrite to replace it";
+    UserError(format!("{}: {rule}", path.display()))
+}
+
+/// Writes the run file, and the map with what it lacks.
+fn write(
+    args: &Import,
+    imported: &Imported,
+    answers: &Answers,
+    map_text: Option<&str>,
+) -> Result<()> {
+    let there = std::fs::read_to_string(&args.output).ok();
+    let is_other = args.output.is_file() && there.as_deref() != Some(imported.run.as_str());
+    if is_other && !args.overwrite {
+        return Err(is_there(&args.output).into());
+    }
+    let inputs = [args.file.as_path()];
+    let mut set = FileSet::new(&inputs);
+    if let Some(path) = &args.map {
+        let text = map::with(map_text.unwrap_or_default(), answers).map_err(UserError)?;
+        set.text(path, &text)?;
+    }
+    set.text(&args.output, &imported.run)?;
+    set.commit()
+}
+
+/// Prints what was understood.
+fn print(args: &Import, imported: &Imported, as_json: bool) -> Result<()> {
+    let Imported { rows, form, columns, left_out, notes, .. } = imported;
+    if as_json {
+        let columns: Vec<_> = columns
+            .iter()
+            .map(|it| {
+                json!({
+                    "header": it.header, "name": it.name, "unit_before": it.unit_before,
+                    "unit_after": it.unit_after, "samples": it.samples,
+                })
+            })
+            .collect();
+        return output::print(json!({
+            "output": args.output, "rows": rows, "form": form, "columns": columns,
+            "left_out": left_out, "notes": notes,
+        }));
+    }
+    output::print(format_args!("{}: {}, {rows} rows", args.file.display(), form.join(", ")))?;
+    let unit =
+        |it: &trueup_import::ColumnPreview| match (it.unit_before.as_str(), it.unit_after.as_str())
+        {
+            ("", "") => "no unit".to_string(),
+            ("", after) => after.to_string(),
+            (before, after) if before == after => after.to_string(),
+            (before, after) => format!("{before} → {after}"),
+        };
+    let table: Vec<[String; 4]> = columns
+        .iter()
+        .map(|it| {
+            let samples = it.samples.iter().map(|[before, after]| match before == after {
+                true => before.clone(),
+                false => format!("{before} → {after}"),
+            });
+            [it.header.clone(), it.name.clone(), unit(it), samples.collect::<Vec<_>>().join("; ")]
+        })
+        .collect();
+    let head = ["in the file", "in the run file", "unit", "first values"].map(String::from);
+    let lines: Vec<&[String; 4]> = std::iter::once(&head).chain(&table).collect();
+    let width =
+        |column: usize| lines.iter().map(|line| line[column].chars().count()).max().unwrap_or(0);
+    let widths = [width(0), width(1), width(2)];
+    for line in lines {
+        let [a, b, c, d] = line;
+        let [wide_a, wide_b, wide_c] = widths;
+        output::print(format_args!("  {a:wide_a$}  {b:wide_b$}  {c:wide_c$}  {d}"))?;
+    }
+    for (header, why) in left_out {
+        output::print(format_args!("  left out: {header} ({why})"))?;
+    }
+    for note in notes {
+        output::print(format_args!("  {note}"))?;
+    }
+    if columns.iter().all(|column| !column.name.starts_with("measured_")) {
+        report::warn(
+            "no column is a measured error or growth: `fit` and `diagnose` need one (--column)",
+        );
+    }
+    if output::is_standard_output(&args.output) {
+        return Ok(());
+    }
+    let next = shell_word(&args.output.to_string_lossy());
+    output::print(format_args!("{}: written. Next: trueup check {next}", args.output.display()))
+}

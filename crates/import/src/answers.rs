@@ -1,0 +1,217 @@
+//! What only the user knows about a file: questions, and the answers that flags, a terminal or a map of headers give.
+
+use trueup_machine::{BadInput, Location};
+use trueup_output::escape::shell_word;
+
+use crate::{number::Decimal, stamp::DateOrder};
+
+/// What the user has said about a file.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Answers {
+    /// The sign before the decimals.
+    pub decimal: Option<Decimal>,
+    /// The order of the numbers of a date.
+    pub date: Option<DateOrder>,
+    /// Column and unit. A column is named by its header, its number from 1, or its name in the run file.
+    pub units: Vec<(String, String)>,
+    /// Column and name in the run file; `-` leaves it out.
+    pub columns: Vec<(String, String)>,
+    /// Columns whose sign is turned.
+    pub negate: Vec<String>,
+    /// The label of the encoding.
+    pub encoding: Option<String>,
+    /// The sheet of a workbook.
+    pub sheet: Option<String>,
+    /// Counts of the sensor for one volt.
+    pub counts_per_v: Option<f64>,
+    /// A step of an hour is a change to or from summer time.
+    pub summer_time: Option<bool>,
+    /// Every second run of the file goes back.
+    pub there_and_back: Option<bool>,
+    /// Columns that a map names: a file of its kind need not have them.
+    pub of_map: Vec<String>,
+}
+
+/// What a question is about.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Topic {
+    /// The sign before the decimals.
+    Decimal,
+    /// The order of the numbers of a date.
+    Date,
+    /// The unit of this column.
+    Unit(String),
+    /// The name of this column in the run file.
+    Column(String),
+    /// The sheet of a workbook.
+    Sheet,
+    /// Counts of the sensor for one volt.
+    CountsPerV,
+    /// Whether a step of an hour is summer time.
+    SummerTime,
+    /// Whether every second run goes back.
+    Runs,
+}
+
+/// A question that the file leaves open.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Question {
+    /// Where it arises.
+    pub place: Location,
+    /// What is open, a sentence without its stop.
+    pub text: String,
+    /// What it is about.
+    pub topic: Topic,
+    /// Values that may be given.
+    pub choices: Vec<String>,
+    /// Other values than the choices may be given.
+    pub is_open: bool,
+}
+
+impl Question {
+    /// Returns the flag that answers it, with its first choice and the others in brackets.
+    #[must_use]
+    pub fn flag(&self) -> String {
+        let first = self.choices.first().map_or("N", String::as_str);
+        let others = self.choices.get(1..).unwrap_or_default();
+        let others =
+            if others.is_empty() { String::new() } else { format!(" (or {})", others.join(", ")) };
+        let value = match &self.topic {
+            Topic::Decimal => format!("--decimal {first}"),
+            Topic::Date => format!("--date {first}"),
+            Topic::Unit(column) => format!("--unit {}", quoted(column, first)),
+            Topic::Column(column) => format!("--column {}", quoted(column, first)),
+            Topic::Sheet => format!("--sheet {}", shell_word(first)),
+            Topic::CountsPerV => {
+                "--counts-per-v N, or --machine M.toml, which has the input's scale".into()
+            }
+            Topic::SummerTime => format!("--summer-time {first}"),
+            Topic::Runs => format!("--runs {first}"),
+        };
+        value + &others
+    }
+
+    /// Returns the question as an error of the file.
+    #[must_use]
+    pub fn into_error(self) -> BadInput {
+        let help = format!("Add {}", self.flag());
+        BadInput::new(self.place, self.text).with_help(help)
+    }
+}
+
+fn quoted(column: &str, value: &str) -> String {
+    shell_word(&format!("{column}={value}"))
+}
+
+impl Decimal {
+    /// Returns the sign of this name.
+    #[must_use]
+    pub fn of(name: &str) -> Option<Self> {
+        match name {
+            "comma" | "," => Some(Self::Comma),
+            "point" | "." => Some(Self::Point),
+            _ => None,
+        }
+    }
+
+    /// Returns its name.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Comma => "comma",
+            Self::Point => "point",
+        }
+    }
+}
+
+impl DateOrder {
+    /// Returns the order of this name.
+    #[must_use]
+    pub fn of(name: &str) -> Option<Self> {
+        [Self::DayMonth, Self::MonthDay, Self::Year].into_iter().find(|order| order.name() == name)
+    }
+
+    /// Returns its name.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::DayMonth => "dmy",
+            Self::MonthDay => "mdy",
+            Self::Year => "ymd",
+        }
+    }
+}
+
+impl Answers {
+    /// Takes `value` as the answer to a question about `topic`.
+    ///
+    /// # Errors
+    /// The value is none that answers it.
+    pub fn answer(&mut self, topic: &Topic, value: &str) -> Result<(), String> {
+        let value = value.trim();
+        let wrong = |rule: &str| format!("must be {rule}, not {value}");
+        match topic {
+            Topic::Decimal => {
+                self.decimal = Some(Decimal::of(value).ok_or_else(|| wrong("comma or point"))?)
+            }
+            Topic::Date => {
+                self.date = Some(DateOrder::of(value).ok_or_else(|| wrong("dmy, mdy or ymd"))?)
+            }
+            Topic::Unit(column) => {
+                if crate::unit::parse(value).is_none() && !crate::meaning::is_clock_form(value) {
+                    return Err(wrong("a unit, such as mm, µm, inch, °C, °F, K, s, min"));
+                }
+                self.units.push((column.clone(), value.into()));
+            }
+            Topic::Column(column) => self.columns.push((column.clone(), value.into())),
+            Topic::Sheet => self.sheet = Some(value.into()),
+            Topic::CountsPerV => {
+                let number = value.parse().ok().filter(|it: &f64| it.is_finite() && *it > 0.0);
+                self.counts_per_v = Some(number.ok_or_else(|| wrong("a number above 0"))?);
+            }
+            Topic::SummerTime => match value {
+                "yes" => self.summer_time = Some(true),
+                "no" => self.summer_time = Some(false),
+                _ => return Err(wrong("yes or no")),
+            },
+            Topic::Runs => match value {
+                "one-way" => self.there_and_back = Some(false),
+                "there-and-back" => self.there_and_back = Some(true),
+                _ => return Err(wrong("one-way or there-and-back")),
+            },
+        }
+        Ok(())
+    }
+
+    /// Returns these answers, and for what they leave open those of `other`.
+    #[must_use]
+    pub fn or(mut self, other: Self) -> Self {
+        self.decimal = self.decimal.or(other.decimal);
+        self.date = self.date.or(other.date);
+        self.units.extend(other.units);
+        self.columns.extend(other.columns);
+        self.negate.extend(other.negate);
+        self.of_map.extend(other.of_map);
+        self.encoding = self.encoding.or(other.encoding);
+        self.sheet = self.sheet.or(other.sheet);
+        self.counts_per_v = self.counts_per_v.or(other.counts_per_v);
+        self.summer_time = self.summer_time.or(other.summer_time);
+        self.there_and_back = self.there_and_back.or(other.there_and_back);
+        self
+    }
+}
+
+/// Why a file was not read.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Refused {
+    /// It breaks a rule.
+    Bad(BadInput),
+    /// These questions are open, at least one.
+    Open(Vec<Question>),
+}
+
+impl From<BadInput> for Refused {
+    fn from(error: BadInput) -> Self {
+        Self::Bad(error)
+    }
+}

@@ -1,0 +1,294 @@
+//! The time column: dates, times of day, Unix time, and what a clock on a wall does at night.
+
+use std::path::Path;
+
+use trueup_machine::BadInput;
+
+use crate::{
+    answers::{Question, Refused, Topic},
+    grid::{Cell, Content, Row},
+    stamp::{self, DateOrder, Pair, Stamp},
+    unit::rounded,
+};
+
+/// How the cells of the time column are read.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Reading {
+    pub(crate) order: DateOrder,
+    pub(crate) pair: Pair,
+}
+
+/// Returns the moment that a cell says.
+pub(crate) fn moment(cell: &Cell, reading: Reading) -> Option<Stamp> {
+    match &cell.content {
+        Content::Text(text) => stamp::parse(text, reading.order, reading.pair),
+        Content::Number(days) | Content::Date(days) => Some(stamp::of_serial(*days)),
+    }
+}
+
+/// Returns the seconds of one count of Unix time if `values` can only be that: of the years 2001 to 2096.
+pub(crate) fn unix_factor(values: &[f64]) -> Option<(f64, &'static str)> {
+    [(1.0, "s"), (1e-3, "ms"), (1e-6, "µs")].into_iter().find(|(factor, _)| {
+        !values.is_empty() && values.iter().all(|value| (1e9..4e9).contains(&(value * factor)))
+    })
+}
+
+/// Returns the order of the numbers of the dates in `cells`.
+///
+/// # Errors
+/// Two orders make different times: a question.
+pub(crate) fn order(
+    rows: &[Row],
+    columns: &[usize],
+    stated: Option<DateOrder>,
+    path: &Path,
+) -> Result<Option<DateOrder>, Refused> {
+    use DateOrder::{DayMonth, MonthDay, Year};
+    let first = rows.iter().find_map(|row| {
+        let open = |at: &&usize| {
+            matches!(&row.cells[**at].content, Content::Text(text) if stamp::needs_order(text) && stamp::is_stamp(text))
+        };
+        columns.iter().find(open).map(|at| (row, *at))
+    });
+    let Some((row, at)) = first else { return Ok(None) };
+    if stated.is_some() {
+        return Ok(stated);
+    }
+    let days = |order| -> Option<Vec<i64>> {
+        let reading = Reading { order, pair: Pair::HoursMinutes };
+        let cells = rows.iter().map(|row| &row.cells[at]).filter(|cell| !cell.is_empty());
+        cells.map(|cell| moment(cell, reading).and_then(|stamp| stamp.day)).collect()
+    };
+    let from_first =
+        |days: Vec<i64>| -> Vec<i64> { days.iter().map(|day| day - days[0]).collect() };
+    let readings: Vec<(DateOrder, Vec<i64>)> = [DayMonth, MonthDay, Year]
+        .into_iter()
+        .filter_map(|order| Some((order, days(order).filter(|days| !days.is_empty())?)))
+        .map(|(order, days)| (order, from_first(days)))
+        .collect();
+    let rising: Vec<&(DateOrder, Vec<i64>)> = readings
+        .iter()
+        .filter(|(_, days)| days.windows(2).all(|pair| pair[0] <= pair[1]))
+        .collect();
+    let left: Vec<&(DateOrder, Vec<i64>)> =
+        if rising.is_empty() { readings.iter().collect() } else { rising };
+    match &left[..] {
+        [] => Err(BadInput::new(
+            row.place(path, at),
+            format!("{} is no date of the calendar", row.cells[at].text()),
+        )
+        .with_help("write 2026-04-03, or say the order: --date dmy")
+        .into()),
+        [(order, first), others @ ..] if others.iter().all(|(_, days)| days == first) => {
+            Ok(Some(*order))
+        }
+        [..] => Err(Refused::Open(vec![Question {
+            place: row.place(path, at),
+            text: format!("{} reads as more than one date", row.cells[at].text()),
+            topic: Topic::Date,
+            choices: left.iter().map(|(order, _)| order.name().into()).collect(),
+            is_open: false,
+        }])),
+    }
+}
+
+/// Returns how times of two numbers are read: `08:15`.
+///
+/// # Errors
+/// They may be of a stopwatch: a question.
+pub(crate) fn pair(
+    rows: &[Row],
+    at: usize,
+    header: &str,
+    form: &str,
+    path: &Path,
+) -> Result<Pair, Refused> {
+    const OF_DAY: [&str; 7] = ["uhr", "clock", "day", "heure", "hora", "ora", "tageszeit"];
+    if !form.is_empty() {
+        let is_minutes = form.to_lowercase().starts_with('m');
+        return Ok(if is_minutes { Pair::MinutesSeconds } else { Pair::HoursMinutes });
+    }
+    let texts: Vec<&str> = rows
+        .iter()
+        .filter_map(|row| match &row.cells[at].content {
+            Content::Text(text) if !text.trim().is_empty() => Some(text.trim()),
+            _ => None,
+        })
+        .collect();
+    let Some(first) = texts.iter().find(|text| stamp::is_pair(text)) else {
+        return Ok(Pair::HoursMinutes);
+    };
+    let parts = |text: &str| -> Option<(u32, u32)> {
+        let (first, second) = text.split_once(':')?;
+        Some((first.parse().ok()?, second.parse().ok()?))
+    };
+    let Some(start) = parts(first) else { return Ok(Pair::HoursMinutes) };
+    let numbers: Vec<(u32, u32)> = texts.iter().filter_map(|text| parts(text)).collect();
+    if numbers.iter().any(|(first, _)| *first >= 24) {
+        return Ok(Pair::MinutesSeconds);
+    }
+    if OF_DAY.iter().any(|word| header.to_lowercase().contains(word)) {
+        return Ok(Pair::HoursMinutes);
+    }
+    // A working day does not begin in the night, and a stopwatch begins near 0.
+    const EARLIEST: u32 = 5;
+    let is_whole = numbers.iter().all(|(_, second)| *second == 0);
+    if start.0 >= EARLIEST && !is_whole {
+        return Ok(Pair::HoursMinutes);
+    }
+    let row = rows.iter().find(|row| row.cells[at].text() == *first);
+    Err(Refused::Open(vec![Question {
+        place: row.unwrap_or(&rows[0]).place(path, at),
+        text: format!("{first} reads as hours and minutes, or as minutes and seconds"),
+        topic: Topic::Unit(header.into()),
+        choices: vec!["h:mm".into(), "mm:ss".into()],
+        is_open: false,
+    }]))
+}
+
+/// What was found on the way.
+pub(crate) struct Seconds {
+    pub(crate) values: Vec<f64>,
+    pub(crate) notes: Vec<String>,
+}
+
+/// An hour, and what a clock may be off by when it changes.
+const HOUR_S: f64 = 3600.0;
+
+/// Returns the seconds from the first moment, for each row; midnight passed by clocks without a date.
+///
+/// # Errors
+/// The clock steps by an hour, which may be summer time: a question. It runs back: an error.
+pub(crate) fn seconds(
+    stamps: &[Option<Stamp>],
+    rows: &[Row],
+    at: usize,
+    runs: Option<&[f64]>,
+    summer_time: Option<bool>,
+    path: &Path,
+) -> Result<Seconds, Refused> {
+    let has_date = stamps.iter().flatten().any(|stamp| stamp.day.is_some());
+    let has_zone = stamps.iter().flatten().any(|stamp| stamp.has_zone);
+    let zones = stamps.iter().flatten().filter(|stamp| stamp.has_zone).count();
+    if has_zone && zones != stamps.iter().flatten().count() {
+        let row =
+            stamps.iter().position(|stamp| stamp.is_some_and(|stamp| !stamp.has_zone)).unwrap_or(0);
+        let rule = "has no time zone, other times of the file have one";
+        return Err(BadInput::new(rows[row].place(path, at), rule)
+            .with_help("give all of them a zone, or none")
+            .into());
+    }
+    let start_s = stamps.iter().flatten().next().map_or(0.0, Stamp::total_s);
+    let raw: Vec<f64> = stamps
+        .iter()
+        .map(|stamp| stamp.map_or(f64::NAN, |stamp| stamp.total_s() - start_s))
+        .collect();
+    let is_wall_clock = has_date || stamps.iter().flatten().any(|stamp| stamp.seconds.is_some());
+    walk(
+        &raw,
+        rows,
+        at,
+        runs,
+        Wall { has_midnight: !has_date, has_hours: is_wall_clock && !has_zone },
+        summer_time,
+        path,
+    )
+}
+
+/// What a clock may do that time does not.
+#[derive(Clone, Copy)]
+pub(crate) struct Wall {
+    /// It begins again at midnight.
+    pub(crate) has_midnight: bool,
+    /// It may change to and from summer time.
+    pub(crate) has_hours: bool,
+}
+
+/// Follows a clock row by row.
+pub(crate) fn walk(
+    raw: &[f64],
+    rows: &[Row],
+    at: usize,
+    runs: Option<&[f64]>,
+    wall: Wall,
+    summer_time: Option<bool>,
+    path: &Path,
+) -> Result<Seconds, Refused> {
+    let mut steps: Vec<f64> = Vec::new();
+    let there: Vec<usize> = (0..raw.len()).filter(|row| !raw[*row].is_nan()).collect();
+    steps.extend(
+        there.windows(2).map(|pair| raw[pair[1]] - raw[pair[0]]).filter(|step| *step > 0.0),
+    );
+    steps.sort_by(f64::total_cmp);
+    let usual_s = steps.get(steps.len() / 2).copied().unwrap_or(f64::INFINITY);
+    let mut values = vec![f64::NAN; raw.len()];
+    let mut notes = Vec::new();
+    let mut added_s = 0.0;
+    let mut before: Option<usize> = None;
+    for row in there {
+        if let Some(last) = before {
+            let step_s = raw[row] - raw[last];
+            let is_new_run = runs.is_some_and(|runs| runs[row] != runs[last]);
+            let rest_s = |hours: f64| step_s - hours * HOUR_S;
+            let fits = |rest_s: f64| rest_s >= 0.0 && rest_s <= 2.0 * usual_s;
+            let is_regular = wall.has_hours && usual_s < HOUR_S / 2.0 && !is_new_run;
+            let back = is_regular && step_s < 0.0 && fits(rest_s(-1.0));
+            let ahead = is_regular && step_s > 0.0 && fits(rest_s(1.0)) && rest_s(1.0) > 0.0;
+            if wall.has_midnight && step_s < -12.0 * HOUR_S && !is_new_run {
+                added_s += 24.0 * HOUR_S;
+            } else if back || ahead {
+                match summer_time {
+                    Some(true) => added_s += if back { HOUR_S } else { -HOUR_S },
+                    Some(false) if ahead => {}
+                    Some(false) | None => {
+                        let rule = if back {
+                            "goes back by an hour"
+                        } else {
+                            "is an hour ahead of its step"
+                        };
+                        if summer_time.is_some() {
+                            return Err(runs_back(rows, row, at, path).into());
+                        }
+                        return Err(Refused::Open(vec![Question {
+                            place: rows[row].place(path, at),
+                            text: format!("the clock {rule} here: the change of summer time?"),
+                            topic: Topic::SummerTime,
+                            choices: vec!["yes".into(), "no".into()],
+                            is_open: false,
+                        }]));
+                    }
+                }
+            } else if step_s < 0.0 && !is_new_run {
+                return Err(runs_back(rows, row, at, path).into());
+            } else if step_s > 20.0 * usual_s && step_s > 60.0 {
+                notes.push(format!(
+                    "{} without a reading before line {}",
+                    duration(step_s),
+                    rows[row].line
+                ));
+            }
+        }
+        values[row] = rounded(raw[row] + added_s);
+        before = Some(row);
+    }
+    if notes.len() > 3 {
+        notes = vec![format!("{} gaps in the clock, the first one: {}", notes.len(), notes[0])];
+    }
+    Ok(Seconds { values, notes })
+}
+
+fn runs_back(rows: &[Row], row: usize, at: usize, path: &Path) -> BadInput {
+    BadInput::new(
+        rows[row].place(path, at),
+        format!("the time runs back to {}", rows[row].cells[at].text()),
+    )
+    .with_help("sort the rows by time, or number the repeats in a column run")
+}
+
+fn duration(seconds: f64) -> String {
+    if seconds < HOUR_S {
+        format!("{:.0} min", seconds / 60.0)
+    } else {
+        format!("{:.1} h", seconds / HOUR_S)
+    }
+}

@@ -1,0 +1,344 @@
+//! The values of a run file from the cells of a table.
+
+use std::path::Path;
+
+use trueup_machine::BadInput;
+
+use crate::{
+    answers::{Answers, Refused},
+    cells::number_in,
+    clock::{self, Reading, Wall},
+    grid::Cell,
+    layout::Layout,
+    number::{self, Decimal},
+    plan::{Plan, Role, target_of, unit_question},
+    stamp::{DateOrder, Pair, Stamp},
+    unit::{Dimension, Unit, rounded},
+    words,
+};
+
+/// A column of the run file.
+pub(crate) struct Column {
+    /// Its number in the table.
+    pub(crate) source: usize,
+    pub(crate) name: String,
+    /// The unit before, for people.
+    pub(crate) from: String,
+    /// The unit in the run file, for people.
+    pub(crate) to: String,
+    pub(crate) values: Vec<f64>,
+}
+
+/// The run file's columns and what is to be said about them.
+pub(crate) struct Converted {
+    pub(crate) columns: Vec<Column>,
+    pub(crate) notes: Vec<String>,
+    pub(crate) order: Option<DateOrder>,
+}
+
+/// Converts each column by its plan.
+///
+/// # Errors
+/// A cell is none of what its column holds; or a question is open.
+pub(crate) fn convert(
+    layout: &Layout,
+    plans: &[Plan],
+    decimal: Decimal,
+    answers: &Answers,
+    path: &Path,
+) -> Result<Converted, Refused> {
+    let table = Table { layout, plans, decimal, path };
+    let mut notes = Vec::new();
+    let mut columns = Vec::new();
+    let dates: Vec<usize> = (0..plans.len())
+        .filter(|at| matches!(plans[*at].role, Role::DateOf | Role::Moments { .. }))
+        .collect();
+    let order = clock::order(&layout.rows, &dates, answers.date, path)?;
+    let runs =
+        plans.iter().position(|plan| target_of(&plan.role).is_some_and(|it| it.name == "run"));
+    let runs = runs.map(|at| table.numbers(at, None)).transpose()?;
+    let mut open = Vec::new();
+    for (at, plan) in plans.iter().enumerate() {
+        let done = table.column(at, plan, order, runs.as_deref(), answers, &mut notes);
+        match done {
+            Ok(column) => columns.extend(column),
+            Err(Refused::Open(questions)) => open.extend(questions),
+            Err(bad) => return Err(bad),
+        }
+    }
+    if !open.is_empty() {
+        return Err(Refused::Open(open));
+    }
+    for column in &mut columns {
+        if plans[column.source].is_negated {
+            // A zero has no sign.
+            column.values.iter_mut().for_each(|value| *value = 0.0 - *value);
+            column.from.push_str(", sign turned");
+        }
+    }
+    Ok(Converted { columns, notes, order })
+}
+
+struct Table<'l> {
+    layout: &'l Layout,
+    plans: &'l [Plan],
+    decimal: Decimal,
+    path: &'l Path,
+}
+
+impl Table<'_> {
+    fn cells(&self, at: usize) -> impl Iterator<Item = &Cell> {
+        self.layout.rows.iter().map(move |row| &row.cells[at])
+    }
+
+    fn bad(&self, row: usize, at: usize, rule: &str, help: &str) -> Refused {
+        let cell = self.layout.rows[row].cells[at].text();
+        let short: String = cell.chars().take(40).collect();
+        let place = self.layout.rows[row].place(self.path, at);
+        BadInput::new(place, format!("\"{short}\" {rule} in {}", self.layout.columns[at].header))
+            .with_help(help)
+            .into()
+    }
+
+    /// The numbers of a column as they are written, NaN where one is missing; those with `unit` behind them, or none.
+    fn numbers(&self, at: usize, unit: Option<Unit>) -> Result<Vec<f64>, Refused> {
+        let of_cell = |(row, cell): (usize, &Cell)| {
+            if number::is_missing(&cell.text()) {
+                return Ok(f64::NAN);
+            }
+            let Some((value, behind)) = number_in(cell, self.decimal) else {
+                let help = "correct it in the file, or empty it: an empty cell is a missing value";
+                return Err(self.bad(row, at, "is no number", help));
+            };
+            let is_other = !behind.is_empty()
+                && crate::unit::parse(behind)
+                    .is_none_or(|found| unit.is_some_and(|unit| unit != found));
+            if is_other {
+                let help =
+                    "a column has one unit: convert these rows, or give them a column of their own";
+                return Err(self.bad(row, at, "has another unit than the column", help));
+            }
+            Ok(value)
+        };
+        self.cells(at).enumerate().map(of_cell).collect()
+    }
+
+    fn words(
+        &self,
+        at: usize,
+        word: impl Fn(&str) -> Option<f64>,
+        rule: &str,
+        help: &str,
+    ) -> Result<Vec<f64>, Refused> {
+        let of_cell = |(row, cell): (usize, &Cell)| {
+            let text = cell.text();
+            match word(&text) {
+                Some(value) => Ok(value),
+                None if number::is_missing(&text) => Ok(f64::NAN),
+                None => Err(self.bad(row, at, rule, help)),
+            }
+        };
+        self.cells(at).enumerate().map(of_cell).collect()
+    }
+
+    fn column(
+        &self,
+        at: usize,
+        plan: &Plan,
+        order: Option<DateOrder>,
+        runs: Option<&[f64]>,
+        answers: &Answers,
+        notes: &mut Vec<String>,
+    ) -> Result<Option<Column>, Refused> {
+        let column = |name: &str, from: &str, to: &str, values| {
+            Ok(Some(Column {
+                source: at,
+                name: name.into(),
+                from: from.into(),
+                to: to.into(),
+                values,
+            }))
+        };
+        match &plan.role {
+            Role::LeftOut(_) | Role::DateOf => Ok(None),
+            Role::Bare(target) => column(&target.name, "", target.unit(), self.numbers(at, None)?),
+            Role::Number { target, unit, per_base } => {
+                let values = self.numbers(at, Some(*unit))?;
+                let values =
+                    values.into_iter().map(|value| unit.convert(value, *per_base)).collect();
+                let to = match target.dimension {
+                    Some(_) => target.unit(),
+                    None => Unit::base(unit.dimension).name,
+                };
+                column(&target.name, unit.name, to, values)
+            }
+            Role::Direction(target) => {
+                let help = "a direction is +1 or -1, hin or rück, forward or reverse";
+                column(
+                    &target.name,
+                    "",
+                    "+1, −1",
+                    self.words(at, words::direction, "is no direction", help)?,
+                )
+            }
+            Role::Switch(target) => {
+                let help = "a switch is on or off, 1 or 0";
+                let word = |text: &str| {
+                    words::switch(text).or(match text {
+                        "1" => Some(1.0),
+                        "0" => Some(0.0),
+                        _ => None,
+                    })
+                };
+                column(&target.name, "", "0, 1", self.words(at, word, "is no switch", help)?)
+            }
+            Role::Actual { target, unit, position } => {
+                let commanded = self.position_mm(*position)?;
+                let actual = self.numbers(at, Some(*unit))?;
+                let error = |(actual, commanded): (&f64, &f64)| {
+                    // To a picometre: the difference of two large numbers has noise below that.
+                    let um = (unit.convert(*actual, 1.0) - commanded) * 1e3;
+                    if um.is_nan() { um } else { (um * 1e6).round() / 1e6 + 0.0 }
+                };
+                let values = actual.iter().zip(&commanded).map(error).collect();
+                notes.push(format!(
+                    "{} is {} minus {}",
+                    target.name, plan.header, self.layout.columns[*position].header
+                ));
+                column(&target.name, unit.name, "µm", values)
+            }
+            Role::Elapsed { target, unit } => {
+                self.elapsed(at, target.name.as_str(), *unit, runs, answers, notes)
+            }
+            Role::Moments { target, form } => {
+                let header = &self.layout.columns[at].header;
+                let pair = match self.date_column(at) {
+                    Some(_) => Pair::HoursMinutes,
+                    None => clock::pair(&self.layout.rows, at, header, form, self.path)?,
+                };
+                let reading = Reading { order: order.unwrap_or(DateOrder::Year), pair };
+                let stamps = self.stamps(at, reading)?;
+                let found = clock::seconds(
+                    &stamps,
+                    &self.layout.rows,
+                    at,
+                    runs,
+                    answers.summer_time,
+                    self.path,
+                )?;
+                notes.extend(found.notes);
+                let from = match (stamps.iter().flatten().next(), pair) {
+                    (Some(Stamp { day: None, .. }), Pair::MinutesSeconds) => "minutes:seconds",
+                    (Some(Stamp { day: None, .. }), _) => "time of day",
+                    (Some(Stamp { seconds: None, .. }), _) => "date",
+                    _ => "date and time",
+                };
+                column(&target.name, from, "s from the first", found.values)
+            }
+        }
+    }
+
+    fn position_mm(&self, at: usize) -> Result<Vec<f64>, Refused> {
+        match &self.plans[at].role {
+            Role::Number { unit, .. } => {
+                let values = self.numbers(at, Some(*unit))?;
+                Ok(values.into_iter().map(|value| unit.convert(value, 1.0)).collect())
+            }
+            _ => self.numbers(at, None),
+        }
+    }
+
+    /// The column of dates that belongs to the times in `at`.
+    fn date_column(&self, at: usize) -> Option<usize> {
+        let dates = (0..self.plans.len()).filter(|other| *other != at);
+        dates.into_iter().find(|other| matches!(self.plans[*other].role, Role::DateOf))
+    }
+
+    fn stamps(&self, at: usize, reading: Reading) -> Result<Vec<Option<Stamp>>, Refused> {
+        let dates = self.date_column(at);
+        let help = "write 2026-04-03 08:15:00, 08:15:00, or seconds";
+        let read = |row: usize, at: usize| {
+            let cell = &self.layout.rows[row].cells[at];
+            if number::is_missing(&cell.text()) {
+                return Ok(None);
+            }
+            let stamp = clock::moment(cell, reading);
+            stamp.map(Some).ok_or_else(|| self.bad(row, at, "is no time", help))
+        };
+        let mut first: Option<(bool, bool)> = None;
+        let mut stamps = Vec::new();
+        for row in 0..self.layout.rows.len() {
+            let mut stamp = read(row, at)?;
+            if let (Some(dates), Some(time)) = (dates, &mut stamp)
+                && time.day.is_none()
+            {
+                match read(row, dates)? {
+                    Some(date) => time.day = date.day,
+                    None => return Err(self.bad(row, dates, "is no date", help)),
+                }
+            }
+            if let Some(stamp) = stamp {
+                // A date alone is its midnight, as workbooks have it.
+                let form = (stamp.day.is_some(), stamp.day.is_some() || stamp.seconds.is_some());
+                if *first.get_or_insert(form) != form {
+                    return Err(self.bad(
+                        row,
+                        at,
+                        "is written otherwise than the first time",
+                        help,
+                    ));
+                }
+            }
+            stamps.push(stamp);
+        }
+        Ok(stamps)
+    }
+
+    fn elapsed(
+        &self,
+        at: usize,
+        name: &str,
+        unit: Option<Unit>,
+        runs: Option<&[f64]>,
+        answers: &Answers,
+        notes: &mut Vec<String>,
+    ) -> Result<Option<Column>, Refused> {
+        let header = &self.layout.columns[at].header;
+        let raw = self.numbers(at, unit)?;
+        let there: Vec<f64> = raw.iter().copied().filter(|value| !value.is_nan()).collect();
+        let is_own = header == name;
+        let unix = clock::unix_factor(&there).filter(|_| !is_own);
+        let (seconds, from): (Vec<f64>, String) = match (unix, unit) {
+            (Some((factor, unix)), None) => {
+                let start = there.first().copied().unwrap_or(0.0);
+                let seconds = raw.iter().map(|value| rounded((value - start) * factor)).collect();
+                (seconds, format!("Unix time in {unix}"))
+            }
+            (Some((factor, _)), Some(unit)) if (unit.factor - factor).abs() < 1e-12 => {
+                let start = there.first().copied().unwrap_or(0.0);
+                let seconds = raw.iter().map(|value| rounded((value - start) * factor)).collect();
+                (seconds, format!("Unix time in {}", unit.name))
+            }
+            (_, Some(unit)) => {
+                (raw.iter().map(|value| unit.convert(*value, 1.0)).collect(), unit.name.into())
+            }
+            (None, None) => {
+                let question = unit_question(&self.layout.columns[at], "", Dimension::Time);
+                return Err(Refused::Open(vec![question]));
+            }
+        };
+        let wall = Wall { has_midnight: false, has_hours: false };
+        let found = clock::walk(
+            &seconds,
+            &self.layout.rows,
+            at,
+            runs,
+            wall,
+            answers.summer_time,
+            self.path,
+        )?;
+        notes.extend(found.notes);
+        // As they were converted: the walk looks for faults only.
+        Ok(Some(Column { source: at, name: name.into(), from, to: "s".into(), values: seconds }))
+    }
+}

@@ -1,0 +1,56 @@
+//! Files of instruments and controls that are no plain table.
+
+mod comp;
+mod height_map;
+mod rtl;
+
+use std::path::Path;
+
+use crate::{
+    answers::{Answers, Refused},
+    grid::{Cell, Content},
+    layout::{Layout, Source},
+    meaning::{Meaning, Target},
+};
+use trueup_machine::Location;
+
+/// Returns the name of the form and its table, where `text` has one of these forms.
+///
+/// # Errors
+/// It has one, and breaks its rules or leaves a question open.
+pub(crate) fn recognise(
+    text: &str,
+    answers: &Answers,
+    path: &Path,
+) -> Result<Option<(&'static str, Layout)>, Refused> {
+    if height_map::is_reprap(text) {
+        return Ok(Some(("RepRapFirmware height map", height_map::reprap(text, path)?)));
+    }
+    if height_map::is_klipper(text) {
+        return Ok(Some(("Klipper bed mesh", height_map::klipper(text, path)?)));
+    }
+    if rtl::is_it(text) {
+        return Ok(Some(("Renishaw target data", rtl::read(text, answers, path)?)));
+    }
+    if comp::is_it(path) {
+        return Ok(Some(("LinuxCNC compensation file", comp::read(text, path)?)));
+    }
+    Ok(None)
+}
+
+fn source(header: &str, meaning: Meaning, unit: &str, place: &Location) -> Source {
+    Source {
+        header: header.into(),
+        unit: unit.into(),
+        meaning: Some(meaning),
+        place: place.clone(),
+    }
+}
+
+fn known(name: &str) -> Meaning {
+    Meaning::Known(Target::of(name))
+}
+
+fn number(value: f64) -> Cell {
+    Cell { content: Content::Number(value), column: 1 }
+}

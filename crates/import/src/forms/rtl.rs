@@ -1,0 +1,163 @@
+//! Renishaw's target data (`.rtl` linear, `.rta` angular), as its laser software saves them.
+//!
+//! Sources: public readers of the form (github.com, searched 2026-11 by the words "Run Target Data"): sections end in
+//! `::`; `TARGET DATA::` has `Target-count: N` and `Targets :`, whose numbers may go over several lines, up to
+//! `Flags:`; `RUNS::` has `Run-count: N`; `DEVIATIONS::` has `Run Target Data:`, and below it a line `run target
+//! deviation` for each reading, targets counted from 1. No unit stands in the file, and none is taken for granted.
+//! Not tried: a file of the instrument itself.
+
+use std::path::Path;
+
+use trueup_machine::{BadInput, Location};
+
+use super::{known, number, source};
+use crate::{
+    answers::{Answers, Question, Refused, Topic},
+    grid::Row,
+    layout::Layout,
+    meaning::Meaning,
+};
+
+pub(super) fn is_it(text: &str) -> bool {
+    text.contains("Run Target Data") && text.contains("Targets")
+}
+
+struct Reading {
+    line: usize,
+    run: u32,
+    target: usize,
+    deviation: f64,
+}
+
+/// Reads the runs of a file, in the order in which they stand there.
+pub(super) fn read(text: &str, answers: &Answers, path: &Path) -> Result<Layout, Refused> {
+    let place = |line: usize| Location { file: path.into(), line, column: 1 };
+    let bad = |line: usize, rule: String| Refused::from(BadInput::new(place(line), rule));
+    let (mut targets, mut readings) = (Vec::new(), Vec::new());
+    let mut stated = None;
+    let (mut first_target, mut first_reading) = (1, 1);
+    let mut part = "";
+    for (at, line) in text.lines().enumerate() {
+        let (at, line) = (at + 1, line.trim());
+        if line.ends_with("::") {
+            part = "";
+            continue;
+        }
+        if let Some((key, value)) = line.split_once(':') {
+            let key = key.trim().to_lowercase();
+            part = match key.as_str() {
+                "targets" => "targets",
+                "run target data" => "deviations",
+                _ => "",
+            };
+            if key == "target-count" {
+                stated = value.trim().parse::<usize>().ok();
+            }
+            if part == "targets" {
+                first_target = at;
+                targets.extend(
+                    numbers(value).ok_or_else(|| bad(at, format!("{value} are no targets")))?,
+                );
+            }
+            if part == "deviations" {
+                first_reading = at;
+            }
+            continue;
+        }
+        match part {
+            "targets" => targets
+                .extend(numbers(line).ok_or_else(|| bad(at, format!("{line} are no targets")))?),
+            "deviations" if !line.is_empty() => {
+                let parts = numbers(line).unwrap_or_default();
+                let &[run, target, deviation] = &parts[..] else {
+                    return Err(bad(at, format!("{line} is not run, target and deviation")));
+                };
+                let is_there =
+                    target >= 1.0 && target <= targets.len() as f64 && target.fract() == 0.0;
+                if !is_there || run < 1.0 || run.fract() != 0.0 {
+                    return Err(bad(at, format!("there is no target {target} in run {run}")));
+                }
+                readings.push(Reading {
+                    line: at,
+                    run: run as u32,
+                    target: target as usize - 1,
+                    deviation,
+                });
+            }
+            _ => {}
+        }
+    }
+    if let Some(stated) = stated
+        && stated != targets.len()
+    {
+        return Err(bad(
+            first_target,
+            format!("Target-count is {stated}, there are {} targets", targets.len()),
+        ));
+    }
+    if readings.len() < 2 {
+        return Err(bad(first_reading, "there are no deviations".into()));
+    }
+    let ways = ways(&readings, &targets, answers, &place(first_reading))?;
+    let has_ways = ways.iter().any(Option::is_some);
+    let rows = readings.iter().zip(&ways).map(|(reading, way)| {
+        let mut values = vec![f64::from(reading.run), targets[reading.target]];
+        values.extend(has_ways.then(|| way.unwrap_or(f64::NAN)));
+        values.push(reading.deviation);
+        Row { line: reading.line, cells: values.into_iter().map(number).collect() }
+    });
+    let mut columns = vec![
+        source("run", known("run"), "", &place(first_reading)),
+        source("target", Meaning::Position, "", &place(first_target)),
+    ];
+    if has_ways {
+        columns.push(source("way", Meaning::Direction, "", &place(first_reading)));
+    }
+    columns.push(source("deviation", Meaning::Measured, "", &place(first_reading)));
+    Ok(Layout { columns, rows: rows.collect(), notes: Vec::new() })
+}
+
+fn numbers(text: &str) -> Option<Vec<f64>> {
+    let number = |word: &str| word.parse::<f64>().ok().filter(|it| it.is_finite());
+    text.split_whitespace().map(number).collect()
+}
+
+/// The direction of each run: by the order of its targets. Where all runs are written in one order, only the user
+/// knows whether every second one went back.
+fn ways(
+    readings: &[Reading],
+    targets: &[f64],
+    answers: &Answers,
+    place: &Location,
+) -> Result<Vec<Option<f64>>, Refused> {
+    let mut runs: Vec<u32> = readings.iter().map(|reading| reading.run).collect();
+    runs.dedup();
+    let way_of = |run: u32| {
+        let places: Vec<f64> =
+            readings.iter().filter(|it| it.run == run).map(|it| targets[it.target]).collect();
+        match (places.first(), places.last()) {
+            (Some(first), Some(last)) if last > first => Some(1.0),
+            (Some(first), Some(last)) if last < first => Some(-1.0),
+            _ => None,
+        }
+    };
+    let by_order: Vec<Option<f64>> = runs.iter().map(|run| way_of(*run)).collect();
+    let is_one_order = by_order.windows(2).all(|pair| pair[0] == pair[1]);
+    let way = |run: u32| -> Option<f64> {
+        let at = runs.iter().position(|it| *it == run)?;
+        match answers.there_and_back.filter(|_| is_one_order) {
+            Some(true) if at % 2 == 1 => by_order[at].map(|way| -way),
+            _ => by_order[at],
+        }
+    };
+    if is_one_order && runs.len() > 1 && answers.there_and_back.is_none() {
+        return Err(Refused::Open(vec![Question {
+            place: place.clone(),
+            text: "all runs are written in one order: did every second one go back?".into(),
+            topic: Topic::Runs,
+            choices: vec!["there-and-back".into(), "one-way".into()],
+            is_open: false,
+        }]));
+    }
+    Ok(readings.iter().map(|reading| way(reading.run)).collect())
+}

@@ -1,0 +1,194 @@
+//! Numbers as people write them: decimal comma or point, thousands separators, a unit behind them.
+
+/// The sign before the decimals.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Decimal {
+    /// 1234.5
+    Point,
+    /// 1234,5
+    Comma,
+}
+
+/// What a number says about the decimal sign of its file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Evidence {
+    /// It has neither sign.
+    None,
+    /// It can only be read with this one.
+    Sure(Decimal),
+    /// It reads with this one as a decimal sign, or as a thousands separator: `1.234`.
+    Either(Decimal),
+}
+
+/// Returns the number without what groups its digits (blanks, apostrophes) and with an ASCII minus; `None` if it has
+/// other characters than a number.
+fn cleaned(text: &str) -> Option<String> {
+    const GROUPING: &str = " '\u{a0}\u{202f}\u{2009}\u{2019}";
+    let text = text.trim();
+    let mut out = String::with_capacity(text.len());
+    let chars: Vec<char> = text.chars().collect();
+    for (at, &c) in chars.iter().enumerate() {
+        if GROUPING.contains(c) {
+            // `1 234`: three digits follow, no more.
+            let digits = chars[at + 1..].iter().take_while(|c| c.is_ascii_digit()).count();
+            let is_after_digit = at > 0 && chars[at - 1].is_ascii_digit();
+            if digits != 3 || !is_after_digit || out.contains(['.', ',']) {
+                return None;
+            }
+        } else {
+            out.push(if c == '\u{2212}' { '-' } else { c });
+        }
+    }
+    let is_number = out.starts_with(|c: char| c.is_ascii_digit() || "+-.,".contains(c))
+        && out.contains(|c: char| c.is_ascii_digit())
+        && out.chars().all(|c| c.is_ascii_digit() || "+-.,eE".contains(c));
+    is_number.then_some(out)
+}
+
+/// Returns what `text` says about the decimal sign; `None` if it is no number.
+pub(crate) fn evidence(text: &str) -> Option<Evidence> {
+    let number = cleaned(text)?;
+    let reads = |decimal| plain(&number, decimal).is_some();
+    let of = |c| number.matches(c).count();
+    let (points, commas) = (of('.'), of(','));
+    let first = match (points, commas) {
+        (0, 0) => return reads(Decimal::Point).then_some(Evidence::None),
+        (_, 0) => Decimal::Point,
+        (0, _) => Decimal::Comma,
+        _ if number.rfind('.') > number.rfind(',') => Decimal::Point,
+        _ => Decimal::Comma,
+    };
+    let other = if first == Decimal::Point { Decimal::Comma } else { Decimal::Point };
+    match (reads(first), reads(other)) {
+        (true, true) => Some(Evidence::Either(first)),
+        (true, false) => Some(Evidence::Sure(first)),
+        (false, true) => Some(Evidence::Sure(other)),
+        (false, false) => None,
+    }
+}
+
+/// Returns the value of `text`; `None` if it is no number in this writing.
+pub(crate) fn parse(text: &str, decimal: Decimal) -> Option<f64> {
+    let value: f64 = plain(&cleaned(text)?, decimal)?.parse().ok()?;
+    value.is_finite().then_some(value)
+}
+
+/// Returns the number with a point for its decimals and without thousands separators.
+fn plain(number: &str, decimal: Decimal) -> Option<String> {
+    let (sign, group) = match decimal {
+        Decimal::Point => ('.', ','),
+        Decimal::Comma => (',', '.'),
+    };
+    let (mantissa, exponent) = match number.find(['e', 'E']) {
+        Some(at) => number.split_at(at),
+        None => (number, ""),
+    };
+    let (whole, decimals) = match mantissa.split_once(sign) {
+        Some((whole, decimals)) => (whole, Some(decimals)),
+        None => (mantissa, None),
+    };
+    if decimals.is_some_and(|decimals| !decimals.chars().all(|c| c.is_ascii_digit())) {
+        return None;
+    }
+    let digits = whole.trim_start_matches(['+', '-']);
+    let mut groups = digits.split(group);
+    let first = groups.next().unwrap_or_default();
+    let mut has_groups = false;
+    for group in groups {
+        has_groups = true;
+        if group.len() != 3 || !group.chars().all(|c| c.is_ascii_digit()) {
+            return None;
+        }
+    }
+    // `0.123` has no thousands.
+    if has_groups && (first.is_empty() || first.len() > 3 || first.starts_with('0')) {
+        return None;
+    }
+    let mut plain: String = whole.chars().filter(|c| *c != group).collect();
+    if let Some(decimals) = decimals {
+        plain.push('.');
+        plain.push_str(decimals);
+    }
+    plain.push_str(exponent);
+    plain.parse::<f64>().is_ok().then_some(plain)
+}
+
+/// Splits `12,5 µm` into its number and what stands behind it, which begins with no digit.
+pub(crate) fn split_unit(text: &str) -> (&str, &str) {
+    let text = text.trim();
+    let of_number =
+        |c: char| c.is_ascii_digit() || "+-.,' \u{a0}\u{202f}\u{2009}\u{2019}\u{2212}".contains(c);
+    let end = text.find(|c| !of_number(c)).unwrap_or(text.len());
+    // `1.5e-3 mm`: the exponent is of the number.
+    let tail = &text[end..];
+    let exponent = tail.strip_prefix(['e', 'E']).map_or(0, |rest| {
+        let digits = rest.trim_start_matches(['+', '-']);
+        let count = digits.chars().take_while(char::is_ascii_digit).count();
+        if count > 0 { tail.len() - digits.len() + count } else { 0 }
+    });
+    let (number, unit) = text.split_at(end + exponent);
+    (number.trim(), unit.trim())
+}
+
+/// Returns true for what stands where there is no value.
+pub(crate) fn is_missing(text: &str) -> bool {
+    const WORDS: [&str; 26] = [
+        "", "-", "--", "---", "–", "—", "n/a", "na", "#n/a", "#na", "nan", "null", "none", "k.a.",
+        "#nv", "#wert!", "#value!", "#div/0!", "#ref!", "#bezug!", "#num!", "#zahl!", "ol",
+        "overload", "overflow", "n.a.",
+    ];
+    WORDS.contains(&text.trim().to_lowercase().as_str())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use Decimal::{Comma, Point};
+
+    #[test]
+    fn a_number_reads_as_it_is_written_or_not_at_all() {
+        for (text, decimal, value) in [
+            ("1,5", Comma, Some(1.5)),
+            ("1.5", Comma, None),
+            ("1.234,5", Comma, Some(1234.5)),
+            ("1,234.5", Point, Some(1234.5)),
+            ("1.234", Comma, Some(1234.0)),
+            ("1.234", Point, Some(1.234)),
+            ("1'234.5", Point, Some(1234.5)),
+            ("1\u{a0}234,5", Comma, Some(1234.5)),
+            ("\u{2212}0,25", Comma, Some(-0.25)),
+            ("1,5E-03", Comma, Some(0.0015)),
+            ("+.5", Point, Some(0.5)),
+            ("12.34.56", Point, None),
+            ("12,34", Point, None),
+            ("1 2", Point, None),
+            ("inf", Point, None),
+            ("1e999", Point, None),
+            ("0.123", Comma, None),
+            ("-", Point, None),
+        ] {
+            assert_eq!(parse(text, decimal), value, "{text}");
+        }
+    }
+
+    #[test]
+    fn what_may_be_a_thousand_is_evidence_of_neither() {
+        for (text, expected) in [
+            ("12", Some(Evidence::None)),
+            ("1.234", Some(Evidence::Either(Point))),
+            ("1,234", Some(Evidence::Either(Comma))),
+            ("0.123", Some(Evidence::Sure(Point))),
+            ("1.23", Some(Evidence::Sure(Point))),
+            ("1234.567", Some(Evidence::Sure(Point))),
+            ("1.234.567", Some(Evidence::Sure(Comma))),
+            ("1.234,5", Some(Evidence::Sure(Comma))),
+            ("03.04.2026", None),
+            ("a", None),
+        ] {
+            assert_eq!(evidence(text), expected, "{text}");
+        }
+        assert_eq!(split_unit("12,5 µm"), ("12,5", "µm"));
+        assert_eq!(split_unit("1.5e-3mm"), ("1.5e-3", "mm"));
+        assert_eq!(split_unit("20 °C"), ("20", "°C"));
+    }
+}

@@ -1,0 +1,92 @@
+//! Tables with a column for each pass (`hin 1`, `rück 1`, `hin 2`), as one row for each reading.
+
+use crate::{
+    grid::{Cell, Content, Row},
+    layout::{Layout, Source},
+    meaning::{self, Meaning, Target},
+    unit,
+};
+
+/// Returns the table with one reading a row, in the order in which it was measured: there, then back. A table that
+/// has no columns of passes stays as it is.
+pub(crate) fn one_reading_a_row(layout: Layout) -> Layout {
+    let is_position = |column: &Source| {
+        let parts = meaning::split(&column.header);
+        let unit = unit::parse(if column.unit.is_empty() { &parts.unit } else { &column.unit });
+        match meaning::understand(&column.header, &parts.name, unit) {
+            Meaning::Position => true,
+            Meaning::Known(target) => ["x_mm", "y_mm", "z_mm"].contains(&target.name.as_str()),
+            _ => false,
+        }
+    };
+    let passes: Vec<Option<(Option<f64>, Option<u32>)>> = layout
+        .columns
+        .iter()
+        // `Pos.` is a position, and not the positive way.
+        .map(|column| {
+            let name = meaning::split(&column.header).name;
+            meaning::repeat(&name).filter(|_| !is_position(column))
+        })
+        .collect();
+    let count = passes.iter().flatten().count();
+    let positions = layout.columns.iter().filter(|column| is_position(column)).count();
+    if count < 2 || positions != 1 {
+        return layout;
+    }
+    let fixed: Vec<usize> = (0..passes.len()).filter(|at| passes[*at].is_none()).collect();
+    let columns: Vec<usize> = (0..passes.len()).filter(|at| passes[*at].is_some()).collect();
+    let has_ways = columns.iter().all(|at| passes[*at].is_some_and(|(way, _)| way.is_some()));
+    let first = &layout.columns[columns[0]];
+    let source = |header: &str, meaning| Source {
+        header: header.into(),
+        unit: String::new(),
+        meaning: Some(meaning),
+        place: first.place.clone(),
+    };
+    let mut sources: Vec<Source> = fixed.iter().map(|at| layout.columns[*at].clone()).collect();
+    sources.push(source("pass", Meaning::Known(Target::of("run"))));
+    if has_ways {
+        sources.push(source("way", Meaning::Direction));
+    }
+    // A bare number would name a column by its place.
+    let header = match first.header.parse::<u32>() {
+        Ok(number) => format!("pass {number}"),
+        Err(_) => first.header.clone(),
+    };
+    // `Abw. X hin` says what is measured, `hin 1` does not.
+    let parts = meaning::split(&first.header);
+    let meant = meaning::understand(&first.header, &parts.name, unit::parse(&parts.unit));
+    let meaning = match meant {
+        Meaning::Known(target) if target.name.starts_with("measured_") => Meaning::Known(target),
+        _ => Meaning::Measured,
+    };
+    sources.push(Source { header, meaning: Some(meaning), ..first.clone() });
+
+    let mut rows = Vec::new();
+    let mut runs_of_way = [0_u32; 2];
+    for at in columns.iter().copied() {
+        let (way, run) = passes[at].unwrap_or_default();
+        let counter = &mut runs_of_way[usize::from(way == Some(-1.0))];
+        *counter += 1;
+        let run = run.unwrap_or(*counter);
+        let pass = layout.rows.iter().filter(|row| !row.cells[at].is_empty()).map(|row| {
+            let number =
+                |value: f64| Cell { content: Content::Number(value), ..row.cells[at].clone() };
+            let mut cells: Vec<Cell> = fixed.iter().map(|at| row.cells[*at].clone()).collect();
+            cells.push(number(f64::from(run)));
+            cells.extend(way.filter(|_| has_ways).map(number));
+            cells.push(row.cells[at].clone());
+            Row { line: row.line, cells }
+        });
+        let mut pass: Vec<Row> = pass.collect();
+        if way == Some(-1.0) {
+            pass.reverse();
+        }
+        rows.extend(pass);
+    }
+    let mut notes = layout.notes;
+    notes.push(format!(
+        "{count} columns are passes: one reading a row, the way back from the last target"
+    ));
+    Layout { columns: sources, rows, notes }
+}

@@ -1,0 +1,129 @@
+//! Files of controls and instruments.
+
+use std::path::Path;
+
+use trueup_import::{Refused, import};
+
+use crate::{Topic, answers, column, read_as, unit, values};
+
+#[test]
+fn a_compensation_file_of_linuxcnc_is_errors_there_and_back() {
+    // 2 µm too far at 100 mm and a backlash of 5 µm, as `trueup export` writes it: trims are minus the error.
+    let trims = "0 0 -0.005\n100 -0.002 -0.007\n";
+    let actual = "0 0 0.005\n100 100.002 100.007\n";
+    let given = [
+        (column("nominal"), "x_mm"),
+        (column("error"), "measured_dx_um"),
+        (unit("nominal"), "mm"),
+        (unit("error"), "mm"),
+    ];
+    for text in [trims, actual] {
+        let imported = read_as("x.comp", text.as_bytes(), &given);
+        assert_eq!(
+            imported.run,
+            "run,x_mm,dir_x,measured_dx_um\n1,0,1,0\n1,100,1,2\n1,100,-1,7\n1,0,-1,5\n",
+            "{text}"
+        );
+    }
+    let inches =
+        [given[0].clone(), given[1].clone(), (unit("nominal"), "inch"), (unit("error"), "inch")];
+    let imported = read_as("x.comp", trims.as_bytes(), &inches);
+    assert_eq!(values(&imported, "measured_dx_um")[1], 50.8);
+    for text in ["0 0 0\nhead\n1 0 0\n", "0 0 0\n0 1 1\n", "1 2\n"] {
+        assert!(matches!(
+            import(text.as_bytes(), Path::new("x.comp"), &answers(&[])),
+            Err(Refused::Bad(_))
+        ));
+    }
+}
+
+#[test]
+fn height_maps_are_errors_of_z_and_points_without_a_probe_are_left_out() {
+    let reprap = "RepRapFirmware height map file v2 generated at 2026-04-03 08:15, mean error 0.01\n\
+                  axis0,axis1,min0,max0,min1,max1,radius,spacing0,spacing1,num0,num1\n\
+                  X,Y,5.00,25.00,5.00,15.00,-1.00,10.00,10.00,3,2\n\
+                  \x20 0.100, -0.050,  0.000\n      0,  0.020,  0.030\n";
+    let expected = "x_mm,y_mm,measured_dz_um\n5,5,-100\n15,5,50\n25,5,0\n15,15,-20\n25,15,-30\n";
+    let imported = read_as("heightmap.csv", reprap.as_bytes(), &[]);
+    assert_eq!(imported.run, expected);
+    assert!(imported.notes.iter().any(|it| it.contains("1 points were not probed")));
+    let old = reprap
+        .replace(
+            "axis0,axis1,min0,max0,min1,max1,radius,spacing0,spacing1,num0,num1",
+            "xmin,xmax,ymin,ymax,radius,xspacing,yspacing,xnum,ynum",
+        )
+        .replace("X,Y,", "");
+    assert_eq!(read_as("heightmap.csv", old.as_bytes(), &[]).run, expected);
+    let klipper = "[printer]\nkinematics = cartesian\n\n#*# <---- SAVE_CONFIG ---->\n#*# [bed_mesh default]\n\
+                   #*# version = 1\n#*# points =\n#*# \t0.100, -0.050, 0.000\n#*# \t0.010, 0.020, 0.030\n\
+                   #*# x_count = 3\n#*# y_count = 2\n#*# min_x = 5\n#*# max_x = 25\n#*# min_y = 5\n#*# max_y = 15\n";
+    let imported = read_as("printer.cfg", klipper.as_bytes(), &[]);
+    assert_eq!(
+        imported.run,
+        "x_mm,y_mm,measured_dz_um\n5,5,-100\n15,5,50\n25,5,0\n5,15,-10\n15,15,-20\n25,15,-30\n"
+    );
+    for (text, phrase) in [
+        (reprap.replace("3,2\n", "4,2\n"), "4:1: the grid has 4 points a line, this one 3"),
+        (reprap.replace("3,2\n", "3,3\n"), "the grid has 3 lines of points, the file 2"),
+        (reprap.replace("0.020", "x"), "5:1: \"x\" is no height"),
+        (reprap.replace("X,Y,", "X,Z,"), "3:1: the map is not over X and Y"),
+    ] {
+        let refused = import(text.as_bytes(), Path::new("heightmap.csv"), &answers(&[]));
+        let Err(Refused::Bad(error)) = refused else { panic!("{text}: {refused:?}") };
+        assert!(error.to_string().contains(phrase), "{error}");
+    }
+}
+
+/// Three targets, one run there and one back.
+fn target_data(back: [&str; 3]) -> String {
+    format!(
+        "HEADER::\r\nFile type: 41\r\nTARGET DATA::\r\nFiletype: 3\r\nTarget-count: 3\r\nTargets :\r\n  0.0000  \
+         50.0000\r\n  100.0000\r\nFlags: 1 0 4\r\nUSER-TEXT::\r\nMachine: mill\r\nDate: 08:15\r\nRUNS::\r\n\
+         Run-count: 2\r\nDEVIATIONS::\r\nRun Target Data:\r\n  1  1  0.1\r\n  1  2  0.5\r\n  1  3  1.5\r\n  2  {}\r\n  \
+         2  {}\r\n  2  {}\r\nENVIRONMENT::\r\nEOF::\r\n",
+        back[0], back[1], back[2]
+    )
+}
+
+#[test]
+fn target_data_of_a_laser_is_runs_with_directions_and_its_units_are_asked() {
+    let given = [
+        (column("target"), "x_mm"),
+        (column("deviation"), "measured_dx_um"),
+        (unit("target"), "mm"),
+        (unit("deviation"), "µm"),
+    ];
+    let expected = "run,x_mm,dir_x,measured_dx_um\n1,0,1,0.1\n1,50,1,0.5\n1,100,1,1.5\n";
+    let text = target_data(["3  2.5", "2  1.5", "1  1.1"]);
+    let imported = read_as("x.rtl", text.as_bytes(), &given);
+    assert_eq!(imported.run, format!("{expected}2,100,-1,2.5\n2,50,-1,1.5\n2,0,-1,1.1\n"));
+    let Err(Refused::Open(questions)) = import(text.as_bytes(), Path::new("x.rtl"), &answers(&[]))
+    else {
+        panic!("it has no units")
+    };
+    assert_eq!(questions.len(), 2, "{questions:?}");
+    // Runs that are all written in one order.
+    let text = target_data(["1  1.1", "2  1.5", "3  2.5"]);
+    let Err(Refused::Open(questions)) =
+        import(text.as_bytes(), Path::new("x.rtl"), &answers(&given))
+    else {
+        panic!("the way back is not said")
+    };
+    assert_eq!(questions[0].topic, Topic::Runs);
+    let with = |runs| {
+        let all = [&given[..], &[(Topic::Runs, runs)]].concat();
+        values(&read_as("x.rtl", text.as_bytes(), &all), "dir_x")
+    };
+    assert_eq!(with("there-and-back"), [1.0, 1.0, 1.0, -1.0, -1.0, -1.0]);
+    assert_eq!(with("one-way"), [1.0; 6]);
+    for (from, to, phrase) in [
+        ("Target-count: 3", "Target-count: 4", "6:1: Target-count is 4, there are 3 targets"),
+        ("2  3  2.5", "2  9  2.5", "there is no target 9"),
+        ("  1  2  0.5", "  1  2", "is not run, target and deviation"),
+    ] {
+        let text = target_data(["1  1.1", "2  1.5", "3  2.5"]).replace(from, to);
+        let refused = import(text.as_bytes(), Path::new("x.rtl"), &answers(&given));
+        let Err(Refused::Bad(error)) = refused else { panic!("{from}: {refused:?}") };
+        assert!(error.to_string().contains(phrase), "{error}");
+    }
+}

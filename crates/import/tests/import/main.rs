@@ -1,0 +1,63 @@
+//! Tables of our own making, as spreadsheets, loggers and instruments write them, read as run files.
+
+mod clocks;
+mod hostile;
+mod instruments;
+mod questions;
+mod tables;
+mod units;
+mod workbooks;
+
+use std::path::Path;
+
+use trueup_import::{Answers, Imported, Refused, Topic, import};
+use trueup_machine::RunFile;
+
+/// What the user has said.
+fn answers(given: &[(Topic, &str)]) -> Answers {
+    let mut answers = Answers::default();
+    for (topic, value) in given {
+        answers.answer(topic, value).expect("an answer");
+    }
+    answers
+}
+
+fn column(name: &str) -> Topic {
+    Topic::Column(name.into())
+}
+
+fn unit(name: &str) -> Topic {
+    Topic::Unit(name.into())
+}
+
+/// The file, read with what the user has said.
+fn read(text: impl AsRef<[u8]>, given: &[(Topic, &str)]) -> Imported {
+    read_as("table.csv", text.as_ref(), given)
+}
+
+fn read_as(name: &str, bytes: &[u8], given: &[(Topic, &str)]) -> Imported {
+    import(bytes, Path::new(name), &answers(given)).unwrap_or_else(|refused| panic!("{refused:?}"))
+}
+
+/// The topics that are open.
+fn open(text: impl AsRef<[u8]>, given: &[(Topic, &str)]) -> Vec<Topic> {
+    match import(text.as_ref(), Path::new("table.csv"), &answers(given)) {
+        Err(Refused::Open(questions)) => questions.into_iter().map(|it| it.topic).collect(),
+        other => panic!("{other:?}"),
+    }
+}
+
+/// What is wrong with the file: `line:column: rule`.
+fn bad(text: impl AsRef<[u8]>, given: &[(Topic, &str)]) -> String {
+    match import(text.as_ref(), Path::new("table.csv"), &answers(given)) {
+        Err(Refused::Bad(error)) => error.to_string().trim_start_matches("table.csv:").to_string(),
+        other => panic!("{other:?}"),
+    }
+}
+
+/// The values of a column of the run file.
+fn values(imported: &Imported, name: &str) -> Vec<f64> {
+    let run = RunFile::from_reader(imported.run.as_bytes(), Path::new("run.csv"));
+    let run = run.unwrap_or_else(|error| panic!("{error}: {}", imported.run));
+    run.column(name).unwrap_or_else(|| panic!("no {name}: {}", imported.run)).to_vec()
+}

@@ -1,0 +1,157 @@
+//! Years of a small shop, drawn: what learning leaves of a day's error, and which events it names.
+//!
+//! `cargo run --release -p trueup-learn --example year -- 20` prints the figures of twenty seeds; a second number is the first
+//! seed, and `-v` lists the events.
+#![allow(clippy::print_stdout, reason = "an example prints its figures")]
+
+use std::{env, path::Path};
+
+use trueup_learn::{EventKind, Limits, Memory, learn};
+use trueup_machine::{MachineFile, RunFile, predict::Predictor};
+use trueup_twin::year::{Happens, Kind, Year, year};
+
+/// The readings of two shifts and of ten.
+const TWO_SHIFTS: usize = 4;
+const TEN_SHIFTS: usize = 20;
+const DAY_S: f64 = 86_400.0;
+
+/// How a planted event was found.
+#[derive(Clone, Default)]
+struct Found {
+    /// Readings until it was reported.
+    reported: Option<usize>,
+    /// Readings until its name was among those that were given.
+    named: Option<usize>,
+    /// The names that were given last.
+    names: Vec<String>,
+}
+
+/// A year that was lived.
+struct Lived {
+    /// RMS of each day in µm: of the user's file, of the file in force at its start.
+    days: Vec<[f64; 2]>,
+    memory: Memory,
+    found: Vec<Found>,
+}
+
+fn rms(machine: &str, run: &RunFile, truth_um: &[f64], index: usize) -> f64 {
+    let machine = MachineFile::parse(machine, Path::new("m.toml")).expect("a machine file");
+    let rows = Predictor::new(&machine, run).expect("a prediction");
+    let all = rows.model().zip(truth_um);
+    let squares: f64 = all.map(|(values, um)| (values.all()[index] - um).powi(2)).sum();
+    (squares / truth_um.len() as f64).sqrt()
+}
+
+fn lived(year: &Year) -> Lived {
+    let index = usize::from(year.quantity == "dx");
+    let mut machine = year.machine.clone();
+    let mut memory: Option<Memory> = None;
+    let mut days = Vec::new();
+    let mut found = vec![Found::default(); year.events.len()];
+    let mut after = vec![0; year.events.len()];
+    for day in &year.days {
+        let run = RunFile::from_reader(day.csv.as_bytes(), Path::new("day.csv")).expect("a run");
+        days.push([&year.machine, &machine].map(|it| rms(it, &run, &day.truth_um, index)));
+        let (path, limits) = (Path::new("m.toml"), Limits::default());
+        let learned = learn(&year.machine, path, &run, None, memory.take(), &limits)
+            .unwrap_or_else(|error| panic!("{error}"));
+        let starts = run.column("time_s").map_or(0.0, |times| times[0]);
+        for (place, planted) in year.events.iter().enumerate() {
+            let end = year.events.get(place + 1).map_or(f64::INFINITY, |next| next.at_s);
+            if starts < planted.at_s || starts >= end {
+                continue;
+            }
+            after[place] += learned.readings.len();
+            for event in &learned.memory.events {
+                let at = event.at.unwrap_or(0.0);
+                let is_slow = matches!(event.event, EventKind::Wear | EventKind::ProbeDrift);
+                if is_slow || at < planted.at_s - 3.0 * DAY_S || at >= end {
+                    continue;
+                }
+                let it = &mut found[place];
+                it.reported.get_or_insert(after[place]);
+                it.names = match event.alternatives.is_empty() {
+                    true => vec![event.event.name().to_string()],
+                    false => event.alternatives.iter().map(|it| it.name().to_string()).collect(),
+                };
+                if it.names.iter().any(|name| name == planted.name) {
+                    it.named.get_or_insert(after[place]);
+                }
+            }
+        }
+        machine = learned.machine;
+        memory = Some(learned.memory);
+    }
+    Lived { days, memory: memory.expect("a year has days"), found }
+}
+
+fn quantile(mut all: Vec<f64>, share: f64) -> f64 {
+    all.sort_by(f64::total_cmp);
+    all[((all.len() - 1) as f64 * share) as usize]
+}
+
+fn main() {
+    let mut numbers = env::args().skip(1).filter_map(|it| it.parse::<u64>().ok());
+    let (count, first) = (numbers.next().unwrap_or(5), numbers.next().unwrap_or(0));
+    let is_loud = env::args().any(|it| it == "-v");
+    let (mut days, mut worse) = (Vec::new(), 0);
+    let (mut planted, mut reported, mut named, mut both) = (0, 0, 0, 0);
+    let (mut wear, mut wears, mut quiet, mut bytes) = (0, 0, 0, 0);
+    for seed in first..first + count {
+        for kind in [Kind::Spindle, Kind::Axis] {
+            let drift = seed % 2 == 1;
+            let drawn = year(seed, kind, Happens { events: true, drift, checks: drift });
+            let it = lived(&drawn);
+            for [file, own] in &it.days {
+                worse += usize::from(*own > 1.1 * file && *own > file + 1.0);
+                days.push([*file, *own]);
+            }
+            for (event, found) in drawn.events.iter().zip(&it.found) {
+                planted += 1;
+                reported += usize::from(found.reported.is_some_and(|n| n <= TWO_SHIFTS));
+                let is_named = found.named.is_some_and(|n| n <= TEN_SHIFTS);
+                named += usize::from(is_named && found.names.len() == 1);
+                both += usize::from(is_named && found.names.len() > 1);
+                if is_loud {
+                    let Found { reported, named, names } = found;
+                    let (name, size) = (event.name, event.size);
+                    println!("{seed} {kind:?} {name} {size:+.2}: {reported:?} {named:?} {names:?}");
+                }
+            }
+            if is_loud {
+                it.memory.events.iter().for_each(|event| println!("    {}", event.sentence()));
+                let parts = it.days.chunks(65).map(|part| {
+                    let own = part.iter().map(|day| day[1]).collect();
+                    format!("{:.1}", quantile(own, 0.95))
+                });
+                let parts: Vec<String> = parts.collect();
+                println!("    95 % of days by quarter: {}", parts.join(" "));
+            }
+            if kind == Kind::Axis {
+                wears += 1;
+                let worn = it.memory.events.iter().find(|event| event.event == EventKind::Wear);
+                wear += usize::from(worn.is_some_and(|event| (event.size - 5.0).abs() <= 1.0));
+            }
+            bytes = bytes.max(it.memory.write().expect("it can be written").len());
+            let calm = lived(&year(seed, kind, Happens::default()));
+            quiet += calm.memory.events.len();
+            if is_loud {
+                let events = calm.memory.events.iter();
+                events.for_each(|event| println!("    quiet year: {}", event.sentence()));
+            }
+        }
+    }
+    let of = |index: usize| quantile(days.iter().map(|day| day[index]).collect(), 0.95);
+    let (file_um, own_um) = (of(0), of(1));
+    println!(
+        "{count} years of two machines: 95 % of days within {file_um:.1} um by the file alone"
+    );
+    println!("learned: {own_um:.1} um (target: 3)");
+    let share = 100.0 * worse as f64 / days.len() as f64;
+    println!("days worse by more than 10 % and 1 um: {share:.2} % (target: 1)");
+    println!("events reported within two shifts: {reported} of {planted} (target: 90 %)");
+    println!("named right within ten shifts: {named} of {planted}, among several names: {both}");
+    println!("wear within 20 % in December: {wear} of {wears}");
+    println!("events in as many quiet years: {quiet} (target: 0)");
+    println!("largest state: {bytes} bytes (target: 200000)");
+}

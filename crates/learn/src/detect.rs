@@ -1,0 +1,289 @@
+//! Whether something happened, and what: a generalised likelihood ratio over alternatives and instants.
+//!
+//! ```text
+//! e   reading − prediction of what was believed before the instant τ     for the readings from τ on
+//! H₀  e noise; one reading in twenty is bad: ℓ(e) = ln(0.95·N(e; 0, σ²) + 0.05/200 µm)
+//! Hₐ  e = δ·h + noise       h  1                    a step of the zero
+//!                              ∂/∂c                 a constant
+//!                              share of T − Tₐᵢᵣ    a thermometer that shows another share of the heat
+//!     e noise of s·σ                                scatter
+//! G   max over τ, a, δ of Σ ℓ(e − δ·h) − ℓ(e) ≥ ln 10⁶
+//! ```
+//!
+//! The likelihood of a bad reading bounds the evidence of any single one (6.6 of the 13.8 that are needed, at 2 µm), so
+//! three that agree are the least. An event is reported from a size of [`MATERIAL`] times the scatter and [`MATERIAL_UM`] on, and of
+//! [`KNOWN`] times the uncertainty of the prediction: what was never known has not changed.
+//!
+//! Two alternatives are distinguished by these readings where the best explanation by one differs from the best by
+//! the other by four standard errors or more: √(Σ(δh − δ'h')²/σ²) ≥ 4. Else both are named.
+
+use trueup_numerics::robust::median;
+
+/// ln of the odds that make an event certain: one in a million by chance for each reading, before the search over
+/// instants and alternatives, of which the bounds on size take back more than the search gives.
+const CERTAIN: f64 = 13.8;
+/// And below which an event that was certain is taken back: a thousand to one.
+const DOUBTFUL: f64 = 6.9;
+/// Share of bad readings, and the range in µm over which they lie.
+const BAD: f64 = 0.05;
+const RANGE_UM: f64 = 200.0;
+/// The smallest event, RMS over the readings after it, in scatters of a reading.
+const MATERIAL: f64 = 3.0;
+/// And in µm: any tool setter keeps 5 µm, and what ages over a weekend is no event.
+const MATERIAL_UM: f64 = 5.0;
+/// A step of the zero, in µm: one and a half standard deviations of what is believed of it before the first reading.
+pub(crate) const ZERO_UM: f64 = 7.5;
+/// And in standard deviations of the prediction.
+const KNOWN: f64 = 4.0;
+/// Readings after an event: no fewer than three that agree can say anything; a scatter needs more.
+const FEWEST: usize = 3;
+/// A reading agrees with an event that makes it seven times as likely, in ln.
+const AGREES: f64 = 2.0;
+const FEWEST_SCATTER: usize = 12;
+/// By how much readings may scatter more, and the least that is reported.
+const SCATTERS: [f64; 4] = [2.5, 3.2, 4.0, 6.0];
+/// Standard errors between alternatives that are distinguished.
+const DISTINCT: f64 = 4.0;
+
+/// A reading, for the search.
+pub(crate) struct Row<'a> {
+    /// Sensitivities: of the zero, of each constant.
+    pub g: &'a [f64],
+    /// Effect of each thermometer per unit share, in µm.
+    pub h: &'a [f64],
+    /// The file's own error, in µm.
+    pub y_um: f64,
+}
+
+/// What was believed before an instant.
+pub(crate) struct Before {
+    /// The zero in µm, the shares.
+    pub x: Vec<f64>,
+    /// Scatter of a reading, in µm.
+    pub scatter_um: f64,
+    /// Standard deviation of the prediction at a row of sensitivities, in µm, by row from the instant on.
+    pub unknown_um: Vec<f64>,
+}
+
+/// An alternative to "nothing happened".
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Alternative {
+    Zero,
+    Constant(usize),
+    Thermometer(usize),
+    Scatter,
+}
+
+/// An alternative as fitted.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Fitted {
+    pub alternative: Alternative,
+    /// δ: µm, or a share; of scatter the factor.
+    pub size: f64,
+    /// Its standard error.
+    pub error: f64,
+    /// G.
+    pub gain: f64,
+}
+
+/// The best explanation of the readings from an instant on.
+#[derive(Clone, Debug)]
+pub(crate) struct Finding {
+    pub best: Fitted,
+    /// Others that these readings do not distinguish from it.
+    pub others: Vec<Fitted>,
+    /// All that were fitted.
+    pub all: Vec<Fitted>,
+}
+
+/// Returns the best explanation of `rows`, which begin at an instant; `None` where nothing is certain.
+pub(crate) fn explain(rows: &[Row<'_>], before: &Before, is_certain: bool) -> Option<Finding> {
+    if rows.len() < FEWEST {
+        return None;
+    }
+    let count = rows.len() as f64;
+    let unknown_um = (before.unknown_um.iter().map(|um| um * um).sum::<f64>() / count).sqrt();
+    let sigma = before.scatter_um.hypot(unknown_um);
+    let predicted = |row: &Row<'_>| row.g.iter().zip(&before.x).map(|(g, x)| g * x).sum::<f64>();
+    let e: Vec<f64> = rows.iter().map(|row| row.y_um - predicted(row)).collect();
+    // No alternative explains more than all of it.
+    let most: f64 = e.iter().map(|e| likelihood(0.0, sigma) - likelihood(*e, sigma)).sum();
+    if !is_certain && most < CERTAIN {
+        return None;
+    }
+    let (constants, thermometers) = (rows[0].g.len() - 1, rows[0].h.len());
+    let (mut all, mut fits) = (Vec::<(Fitted, Vec<f64>)>::new(), Vec::<Fitted>::new());
+    let every = std::iter::once(Alternative::Zero)
+        .chain((0..constants).map(Alternative::Constant))
+        .chain((0..thermometers).map(Alternative::Thermometer));
+    for alternative in every {
+        let h: Vec<f64> = rows
+            .iter()
+            .map(|row| match alternative {
+                Alternative::Constant(index) => row.g[index + 1],
+                Alternative::Thermometer(index) => row.h.get(index).copied().unwrap_or(0.0),
+                _ => 1.0,
+            })
+            .collect();
+        let Some(fitted) = fit(alternative, &e, &h, sigma) else { continue };
+        fits.push(fitted);
+        let effect = fitted.size.abs() * (h.iter().map(|h| h * h).sum::<f64>() / count).sqrt();
+        let least = (MATERIAL * before.scatter_um).max(KNOWN * unknown_um).max(MATERIAL_UM);
+        let least = if alternative == Alternative::Zero { least.max(ZERO_UM) } else { least };
+        if is_certain || effect >= least {
+            all.push((fitted, h));
+        }
+    }
+    // A change that a bad reading hides in looks like a scatter at first.
+    let is_hidden = fits.iter().any(|it| it.gain > DOUBTFUL);
+    if let Some(fitted) = scatter(&e, sigma).filter(|_| !is_hidden) {
+        all.push((fitted, Vec::new()));
+    }
+    let best = (0..all.len()).max_by(|a, b| all[*a].0.gain.total_cmp(&all[*b].0.gain))?;
+    let (best_fit, best_h) = &all[best];
+    if best_fit.gain < if is_certain { DOUBTFUL } else { CERTAIN } {
+        return None;
+    }
+    let others = all.iter().enumerate().filter(|(index, (other, h))| {
+        *index != best
+            && !best_h.is_empty()
+            && !h.is_empty()
+            && separation(best_fit, best_h, other, h, &e, sigma) < DISTINCT
+    });
+    let others = others.map(|(_, (fitted, _))| *fitted).collect();
+    Some(Finding { best: *best_fit, others, all: fits })
+}
+
+/// Returns ln of the density of an error `e` in µm, for a scatter of `sigma`.
+fn likelihood(e: f64, sigma: f64) -> f64 {
+    let good = (-0.5 * (e / sigma).powi(2)).exp() / (std::f64::consts::TAU.sqrt() * sigma);
+    ((1.0 - BAD) * good + BAD / RANGE_UM).ln()
+}
+
+/// Returns the share of an error that is a good reading's.
+fn weight(e: f64, sigma: f64) -> f64 {
+    let good = (-0.5 * (e / sigma).powi(2)).exp() / (std::f64::consts::TAU.sqrt() * sigma);
+    let good = (1.0 - BAD) * good;
+    good / (good + BAD / RANGE_UM)
+}
+
+/// Fits e = δ·h by maximum likelihood (EM from several starts); `None` where h says nothing.
+fn fit(alternative: Alternative, e: &[f64], h: &[f64], sigma: f64) -> Option<Fitted> {
+    const STARTS: usize = 6;
+    const STEPS: usize = 12;
+    let largest = h.iter().map(|h| h.abs()).fold(0.0, f64::max);
+    if largest < 1e-9 {
+        return None;
+    }
+    let gain = |size: f64| -> f64 {
+        let each = e.iter().zip(h);
+        each.map(|(e, h)| likelihood(e - size * h, sigma) - likelihood(*e, sigma)).sum()
+    };
+    let informative = (0..e.len()).rev().filter(|n| h[*n].abs() > 0.3 * largest);
+    let mut best: Option<(f64, f64)> = None;
+    for start in informative.take(STARTS) {
+        let mut size = e[start] / h[start];
+        for _ in 0..STEPS {
+            let (mut eh, mut hh) = (0.0, 0.0);
+            for (e, h) in e.iter().zip(h) {
+                let w = weight(e - size * h, sigma);
+                eh += w * e * h;
+                hh += w * h * h;
+            }
+            if hh <= 0.0 {
+                break;
+            }
+            size = eh / hh;
+        }
+        let gain = gain(size);
+        if best.is_none_or(|(_, most)| gain > most) {
+            best = Some((size, gain));
+        }
+    }
+    let (size, gain) = best?;
+    let agrees = |(e, h): (&f64, &f64)| {
+        let explained = likelihood(e - size * h, sigma) - likelihood(*e, sigma);
+        explained > AGREES && weight(e - size * h, sigma) > 0.5
+    };
+    if e.iter().zip(h).filter(|pair| agrees(*pair)).count() < FEWEST {
+        return None;
+    }
+    let known: f64 = e.iter().zip(h).map(|(e, h)| weight(e - size * h, sigma) * h * h).sum();
+    Some(Fitted { alternative, size, error: sigma / known.max(1e-12).sqrt(), gain })
+}
+
+/// Fits a larger scatter about a level; `None` where it explains nothing.
+fn scatter(e: &[f64], sigma: f64) -> Option<Fitted> {
+    if e.len() < FEWEST_SCATTER {
+        return None;
+    }
+    let level = median(&mut e.to_vec());
+    let e: Vec<f64> = e.iter().map(|e| e - level).collect();
+    let gain = |s: f64| -> f64 {
+        e.iter().map(|e| likelihood(*e, s * sigma) - likelihood(*e, sigma)).sum()
+    };
+    let all = SCATTERS.into_iter().map(|s| (s, gain(s)));
+    let (size, gain) = all.max_by(|a, b| a.1.total_cmp(&b.1))?;
+    let error = size / (2.0 * e.len() as f64).sqrt();
+    (gain > 0.0).then_some(Fitted { alternative: Alternative::Scatter, size, error, gain })
+}
+
+/// Returns by how many standard errors the best explanation differs from the best by another.
+fn separation(
+    best: &Fitted,
+    best_h: &[f64],
+    other: &Fitted,
+    h: &[f64],
+    e: &[f64],
+    sigma: f64,
+) -> f64 {
+    if other.gain <= 0.0 {
+        return f64::INFINITY;
+    }
+    let w: Vec<f64> = e.iter().zip(best_h).map(|(e, h)| weight(e - best.size * h, sigma)).collect();
+    let sum = |of: &dyn Fn(usize) -> f64| (0..e.len()).map(|n| w[n] * of(n)).sum::<f64>();
+    let hh = sum(&|n| h[n] * h[n]);
+    let size = if hh > 0.0 { sum(&|n| best.size * best_h[n] * h[n]) / hh } else { 0.0 };
+    (sum(&|n| (best.size * best_h[n] - size * h[n]).powi(2))).sqrt() / sigma
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn found(um: impl Fn(usize, f64) -> f64, levels: &[f64]) -> Option<Finding> {
+        let noise = [1.1, -0.7, 0.4, -1.3, 0.2, 0.9, -0.5];
+        let g: Vec<[f64; 2]> = levels.iter().map(|growth| [1.0, *growth]).collect();
+        let rows: Vec<Row<'_>> = g
+            .iter()
+            .enumerate()
+            .map(|(n, g)| Row { g, h: &[], y_um: um(n, g[1]) + noise[n % 7] })
+            .collect();
+        let before = Before { x: vec![0.0; 2], scatter_um: 1.0, unknown_um: vec![0.2; rows.len()] };
+        explain(&rows, &before, false)
+    }
+
+    #[test]
+    fn a_step_and_a_constant_are_named_where_the_levels_differ() {
+        let levels = [20.0, 50.0, 25.0, 60.0, 30.0];
+        let step = found(|_, _| 12.0, &levels).expect("a step");
+        assert_eq!(step.best.alternative, Alternative::Zero);
+        assert!(step.others.is_empty() && (step.best.size - 12.0).abs() < 2.0 * step.best.error);
+        let gain = found(|_, growth| 0.3 * growth, &levels).expect("a change");
+        assert_eq!(gain.best.alternative, Alternative::Constant(0));
+        assert!(gain.others.is_empty(), "{gain:?}");
+        // At one level nothing tells them apart, and both are named.
+        let both = found(|_, _| 12.0, &[40.0; 5]).expect("something");
+        assert_eq!(both.others.len(), 1, "{both:?}");
+    }
+
+    #[test]
+    fn two_bad_readings_are_no_event_and_a_scatter_is_one() {
+        let levels = [40.0; 12];
+        assert!(found(|n, _| if n < 2 { 30.0 } else { 0.0 }, &levels).is_none());
+        assert!(found(|n, _| if n > 9 { 30.0 } else { 0.0 }, &levels).is_none());
+        let wide = [5.0, -6.0, 4.0, -5.0, 6.0, -5.0, 5.0, -4.0, 5.0, -6.0, 6.0, -5.0];
+        let found = found(|n, _| wide[n], &levels).expect("it scatters");
+        assert_eq!(found.best.alternative, Alternative::Scatter);
+    }
+}

@@ -1,0 +1,191 @@
+//! The state and the machine file of today: whose it is, and which constants the user has changed since.
+//!
+//! A comment, a limit, another key changes nothing. A constant whose number was changed begins anew alone; so does the zero,
+//! and a constant that is new. One that is gone is dropped. Then the readings of the window advance the checkpoint, since
+//! they speak of the old number.
+
+use trueup_machine::{Machine, file::Quantity};
+
+use crate::{
+    bank::Bank,
+    constants::{self, Constant},
+    event::Action,
+    memory::{Memory, Owner, SCHEMA},
+    replay::Believed,
+};
+
+/// What is believed before the first reading, one standard deviation: a constant is known to a quarter (what a
+/// maker says of growth is no better), the zero to 5 µm, which any tool setter keeps.
+const SHARE: f64 = 0.25;
+const ZERO_UM: f64 = 5.0;
+/// A backlash may double in a year.
+const BACKLASH_SHARE: f64 = 1.0;
+/// What a probe repeats to where nothing says it, in µm: the last digit of the papers' indicator.
+const NOISE_UM: f64 = 1.0;
+
+/// Returns the standard deviations before the first reading: of the zero in µm, of the share of each constant.
+fn prior(constants: &[Constant]) -> Vec<f64> {
+    let share = |it: &Constant| if it.key.ends_with("width_um") { BACKLASH_SHARE } else { SHARE };
+    std::iter::once(ZERO_UM).chain(constants.iter().map(share)).collect()
+}
+
+/// Returns the state for `machine` as its file is today, and whether something of it began anew.
+///
+/// # Errors
+/// It is of another machine or quantity, or nothing of the file can follow; the rule.
+pub(crate) fn reconciled(
+    memory: Option<Memory>,
+    machine: &Machine,
+    quantity: Quantity,
+    notes: &mut Vec<String>,
+) -> Result<(Memory, bool), String> {
+    let all = constants::constants(machine, quantity);
+    let zero = constants::zero(machine, quantity).map(|(_, number, _)| number);
+    if all.is_empty() {
+        return Err(format!(
+            "has no constant other than 0 by which {} is multiplied, so nothing can follow",
+            quantity.name()
+        ));
+    }
+    let Some(mut memory) = memory else { return Ok((empty(machine, quantity, all, zero), false)) };
+    let owner = Owner::of(machine);
+    let is_migrated = memory.machine.name.is_empty();
+    if !is_migrated && !memory.machine.is(&owner) {
+        return Err(format!(
+            "is of {}, and the state next to the output was learned for {}: give each machine its own --output",
+            owner.text(),
+            memory.machine.text()
+        ));
+    }
+    if constants::named(&memory.quantity) != Some(quantity) {
+        return Err(format!(
+            "the state next to the output was learned for {}, and the record measures {}: give each quantity its own \
+             --output",
+            memory.quantity,
+            quantity.name()
+        ));
+    }
+    if is_migrated {
+        notes.push(
+            "The state was read from the form of an earlier version; a backup is kept.".into(),
+        );
+    }
+    // A serial number that the file says no longer is kept.
+    let serial = owner.serial.or(memory.machine.serial.take());
+    memory.machine = Owner { name: owner.name, serial };
+    memory.zero = memory.zero.or(zero);
+    let has_restarted = restart(&mut memory, all, zero, notes)?;
+    Ok((memory, has_restarted))
+}
+
+/// The state of a machine of which nothing was read yet.
+fn empty(
+    machine: &Machine,
+    quantity: Quantity,
+    constants: Vec<Constant>,
+    zero: Option<f64>,
+) -> Memory {
+    let noise_um = machine.instrument_um.map_or(NOISE_UM, |um| um / 2.0);
+    Memory {
+        schema: SCHEMA,
+        machine: Owner::of(machine),
+        quantity: quantity.name().into(),
+        zero,
+        applied: vec![0.0; constants.len() + 1],
+        first_s: None,
+        last_s: None,
+        is_applied_once: false,
+        proven: None,
+        events: Vec::new(),
+        changes: Vec::new(),
+        checks: Vec::new(),
+        baselines: vec![None; constants.len()],
+        thermometers: Vec::new(),
+        checkpoint: Bank::new(&prior(&constants), noise_um),
+        checkpoint_s: None,
+        first: 0,
+        window: Vec::new(),
+        seen: String::new(),
+        seen_before: String::new(),
+        constants,
+    }
+}
+
+/// Begins anew what the file says otherwise today; the rest stays. Returns true if anything did.
+fn restart(
+    memory: &mut Memory,
+    all: Vec<Constant>,
+    zero: Option<f64>,
+    notes: &mut Vec<String>,
+) -> Result<bool, String> {
+    let place = |constant: &Constant| memory.constants.iter().position(|it| it.is(constant));
+    let places: Vec<Option<usize>> = all.iter().map(place).collect();
+    if places.iter().all(Option::is_none) {
+        return Err(
+            "has none of the constants that were learned: give another --output, or --reset to begin anew (a backup is kept)"
+                .into(),
+        );
+    }
+    let mut from = vec![Some(0)];
+    let is_same = |one: f64, two: f64| (one - two).abs() <= 1e-12 * one.abs().max(two.abs());
+    if let (Some(old), Some(new)) = (memory.zero, zero)
+        && !is_same(old, new)
+    {
+        from[0] = None;
+        notes.push(format!(
+            "The zero was changed by hand ({old} to {new}): it begins anew from there, the constants stay."
+        ));
+    }
+    for (constant, place) in all.iter().zip(&places) {
+        let Some(place) = *place else {
+            notes.push(format!("{} is new: it is learned from here on.", constant.key));
+            from.push(None);
+            continue;
+        };
+        let old = memory.constants[place].believed;
+        let is_kept = is_same(old, constant.believed);
+        if !is_kept {
+            notes.push(format!(
+                "{} was changed by hand ({old} to {}): it begins anew from there, the rest stays.",
+                constant.key, constant.believed
+            ));
+        }
+        from.push(is_kept.then_some(place + 1));
+    }
+    for (index, old) in memory.constants.iter().enumerate() {
+        if !places.contains(&Some(index)) {
+            notes.push(format!("{} is no longer in the machine file: it is dropped.", old.key));
+        }
+    }
+    let is_all = from.len() == memory.constants.len() + 1
+        && from.iter().enumerate().all(|(index, it)| *it == Some(index));
+    if !is_all {
+        memory.checkpoint = Believed::of(memory).bank;
+        memory.checkpoint.select(&from, &prior(&all));
+        memory.checkpoint_s = memory.window.last().and_then(|kept| kept.t).or(memory.checkpoint_s);
+        memory.first = memory.next();
+        memory.window.clear();
+        let applied = from.iter().map(|it| it.map_or(0.0, |it| memory.applied[it]));
+        memory.applied = applied.collect();
+        memory.proven = None;
+        memory.baselines =
+            from[1..].iter().map(|it| it.and_then(|it| memory.baselines[it - 1])).collect();
+        for event in &mut memory.events {
+            event.is_open = false;
+            if matches!(event.action, Action::Shift(_)) {
+                event.action = Action::Nothing;
+            }
+        }
+        for change in &mut memory.changes {
+            change.before = None;
+            change.values.retain_mut(|(place, ..)| {
+                let new = from.iter().position(|it| *it == Some(*place));
+                *place = new.unwrap_or(*place);
+                new.is_some()
+            });
+        }
+    }
+    memory.constants = all;
+    memory.zero = zero;
+    Ok(!is_all)
+}

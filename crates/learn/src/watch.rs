@@ -1,0 +1,279 @@
+//! After each reading: whether something has happened, from the readings so far only.
+//!
+//! An event is searched for over the last [`BACK`] readings. It stays open until it is named and [`NAMED`] readings old, or
+//! [`OPEN`] readings old: as long its name and size follow the readings. What it does to the estimate is done anew
+//! from its first reading on whenever that changes.
+
+use crate::{
+    detect::{Alternative, Finding, Fitted, ZERO_UM},
+    event::{Action, Event, EventKind, digits},
+    memory::Memory,
+    replay::Believed,
+};
+
+/// Readings that are looked back at: twelve days at two a day.
+const BACK: usize = 24;
+/// No fewer are after an event.
+const FEWEST: usize = 3;
+/// Readings from which on constants are known better than before the first: ten for each of four.
+const SETTLED: u64 = 40;
+/// A step that the readings do not name acts from this size on, in µm: a smaller one is within what is believed of a zero before
+/// the first reading, twice its standard deviation, and the estimate follows it.
+const STEP_UM: f64 = 10.0;
+/// Readings after an event from which on its name and size stay: named, and in any case (more than ten shifts of two).
+const NAMED: usize = 12;
+const OPEN: usize = 24;
+/// A step of the zero is the simpler explanation: a constant that is not distinguished from it has to be as much likelier, in
+/// ln of the odds, for the constant to follow.
+const SIMPLER: f64 = 3.0;
+/// After a constant has changed the others are known no better, as a share: what is believed before the first reading.
+const OTHERS: f64 = 0.25;
+/// A zero of which nothing is known, in µm: the filters hold it to what they believe before the first reading.
+const ANYWHERE_UM: f64 = 100.0;
+/// A constant is known from so many readings on: from there wear counts.
+const KNOWN: usize = 60;
+/// Standard errors by which a backlash has grown when wear is certain: once in 10⁶ by chance.
+const WORN: f64 = 5.0;
+/// Two standard deviations within which the file's own backlash is where wear counts from.
+const AGREES: f64 = 2.0;
+
+/// Looks for events after the window's last reading; what is believed follows.
+pub(crate) fn watch(memory: &mut Memory, believed: &mut Believed) {
+    let open = memory.events.iter().rposition(|event| event.is_open);
+    let mut from = memory.first;
+    if let Some(place) = open {
+        follow(memory, believed, place);
+        wear(memory, believed);
+        return;
+    }
+    if let Some(last) = abrupt(memory).map(|event| event.sequence).max() {
+        from = from.max(last + 1);
+    }
+    search(memory, believed, from);
+    wear(memory, believed);
+}
+
+/// Returns the events that have an instant.
+fn abrupt(memory: &Memory) -> impl Iterator<Item = &Event> {
+    let is_slow = |event: &Event| matches!(event.event, EventKind::Wear | EventKind::ProbeDrift);
+    memory.events.iter().filter(move |event| !is_slow(event))
+}
+
+/// Names and sizes an open event by the readings until now.
+fn follow(memory: &mut Memory, believed: &mut Believed, place: usize) {
+    let sequence = memory.events[place].sequence;
+    let (index, end) = (sequence.saturating_sub(memory.first) as usize, memory.window.len());
+    if sequence < memory.first || end - index >= OPEN {
+        memory.events[place].is_open = false;
+        return;
+    }
+    let Some(finding) = believed.explain(memory, [index, end], Some(sequence)) else {
+        // Bad readings that agreed by chance: later ones do not.
+        memory.events.remove(place);
+        believed.again(memory, sequence);
+        return;
+    };
+    let mut event = described(memory, &finding, index);
+    let old = &memory.events[place];
+    event.certain_at = old.certain_at;
+    event.is_open = event.event == EventKind::Unknown || end - index < NAMED;
+    let is_same = event.action == old.action;
+    memory.events[place] = event;
+    if !is_same {
+        believed.again(memory, sequence);
+    }
+}
+
+/// Looks for an event at the reading `from` or later.
+fn search(memory: &mut Memory, believed: &mut Believed, from: u64) {
+    let end = memory.window.len();
+    let first = (from.saturating_sub(memory.first) as usize).max(end.saturating_sub(BACK));
+    let found = (first..=end.saturating_sub(FEWEST))
+        .filter(|index| is_settled(memory.first + *index as u64))
+        .filter_map(|index| Some((index, believed.explain(memory, [index, end], None)?)))
+        .max_by(|a, b| a.1.best.gain.total_cmp(&b.1.best.gain));
+    let Some((index, finding)) = found else { return };
+    let event = described(memory, &finding, index);
+    let sequence = event.sequence;
+    memory.events.push(event);
+    believed.again(memory, sequence);
+}
+
+/// Returns true for an instant before which enough was read, or nothing: then what is believed before the first reading holds.
+fn is_settled(sequence: u64) -> bool {
+    sequence == 0 || sequence >= SETTLED
+}
+
+/// Returns the event that a finding is.
+fn described(memory: &Memory, finding: &Finding, index: usize) -> Event {
+    let best = &finding.best;
+    let (event, constant, scale, unit) = words(memory, best);
+    let mut kinds = vec![event];
+    for other in &finding.others {
+        let kind = words(memory, other).0;
+        if !kinds.contains(&kind) {
+            kinds.push(kind);
+        }
+    }
+    let zero = std::iter::once(best).chain(&finding.others);
+    let zero = zero.clone().find(|it| it.alternative == Alternative::Zero);
+    let acting = zero.filter(|zero| zero.gain + SIMPLER > best.gain).unwrap_or(best);
+    let is_named = kinds.len() == 1;
+    let alternatives = if is_named { Vec::new() } else { kinds };
+    let acting = match action(memory, acting, finding) {
+        Action::Zero(um) if um.abs() < if is_named { ZERO_UM } else { STEP_UM } => Action::Nothing,
+        other => other,
+    };
+    let event = if is_named { event } else { EventKind::Unknown };
+    let half = 1.96 * best.error;
+    let [size, low, high] = [best.size, best.size - half, best.size + half].map(|it| {
+        // A thermometer that shows a share m of its rise misses 1/m − 1 of what it shows.
+        if matches!(best.alternative, Alternative::Thermometer(_)) {
+            100.0 * (1.0 / (1.0 + it) - 1.0)
+        } else {
+            it * scale
+        }
+    });
+    let (low, high) = (low.min(high), low.max(high));
+    Event {
+        event,
+        constant,
+        at: memory.window[index].t,
+        certain_at: memory.last_s,
+        size: digits(size),
+        unit,
+        ci95: [digits(low), digits(high)],
+        check: Event::advice(event, &alternatives),
+        alternatives,
+        sequence: memory.first + index as u64,
+        action: acting,
+        is_open: true,
+    }
+}
+
+/// Returns the kind of an alternative, what it belongs to, the factor to its unit, and the unit.
+fn words(memory: &Memory, it: &Fitted) -> (EventKind, Option<String>, f64, String) {
+    match it.alternative {
+        Alternative::Zero => (EventKind::ZeroStep, None, 1.0, "µm".into()),
+        Alternative::Constant(index) => {
+            let constant = &memory.constants[index];
+            let key = constant.key.clone();
+            let unit = unit(&key);
+            (EventKind::ConstantChanged, Some(key), constant.believed, unit)
+        }
+        Alternative::Thermometer(index) => {
+            (EventKind::ThermometerMoved, memory.thermometers.get(index).cloned(), 1.0, "%".into())
+        }
+        Alternative::Scatter => (EventKind::ScatterGrown, None, 1.0, "times".into()),
+    }
+}
+
+/// Returns what an alternative does to the estimate. A constant changes as it was fitted to all readings after the event,
+/// which bad ones among the first do not move; half of it the readings may still give to others.
+fn action(memory: &Memory, acting: &Fitted, finding: &Finding) -> Action {
+    let is_constant = |it: &&Fitted| matches!(it.alternative, Alternative::Constant(_));
+    let constants = finding.all.iter().filter(is_constant);
+    let best = constants.max_by(|a, b| a.gain.total_cmp(&b.gain));
+    match acting.alternative {
+        // A thousandth of a micrometre: so much is written.
+        Alternative::Zero => Action::Zero((acting.size * 1e3).round() / 1e3),
+        Alternative::Constant(index) => {
+            let deviation = (2.0 * acting.error).max(acting.size.abs() / 2.0).max(OTHERS);
+            let own = (index + 1, acting.size, deviation);
+            let others = (0..memory.constants.len()).filter(|other| *other != index);
+            let others = others.map(|other| (other + 1, 0.0, OTHERS));
+            Action::Shift(std::iter::once(own).chain(others).collect())
+        }
+        Alternative::Thermometer(_) => {
+            // The constant that stands in best for it, roughly; the air that it no longer shows is in the zero.
+            let stands_in = best.and_then(|it| match it.alternative {
+                Alternative::Constant(index) => Some((index + 1, it.size, it.size.abs() / 2.0)),
+                _ => None,
+            });
+            Action::Shift(std::iter::once((0, 0.0, ANYWHERE_UM)).chain(stands_in).collect())
+        }
+        Alternative::Scatter => Action::Scatter(acting.size),
+    }
+}
+
+/// Returns the unit of a constant, by its key.
+pub(crate) fn unit(key: &str) -> String {
+    let name = key.rsplit('.').next().unwrap_or(key);
+    if name.starts_with("width_") {
+        return "µm".into();
+    }
+    let per = name.split_once("um_per_").map_or("", |(_, per)| per);
+    match per {
+        "" => "µm".into(),
+        "c" => "µm/K".into(),
+        "m_per_c" => "µm/(m·K)".into(),
+        "m" => "µm/m".into(),
+        "krpm2" => "µm/(1000 r/min)²".into(),
+        other => format!("µm/{}", other.replace("_per_", "/")),
+    }
+}
+
+/// Looks at the backlashes: they grow slowly.
+fn wear(memory: &mut Memory, believed: &Believed) {
+    let taken = memory.next();
+    let (x, half) = (believed.bank.lasting(), believed.bank.half_widths());
+    for index in 0..memory.constants.len() {
+        let constant = &memory.constants[index];
+        if !constant.key.ends_with("backlash.width_um") {
+            continue;
+        }
+        let is_new = |event: &&Event| match &event.action {
+            Action::Shift(all) => all.iter().any(|it| it.0 == index + 1 && it.1 != 0.0),
+            _ => false,
+        };
+        let since = memory.events.iter().filter(is_new).map(|event| event.sequence).max();
+        if since.is_some_and(|sequence| taken < sequence + KNOWN as u64) {
+            memory.baselines[index] = None;
+            continue;
+        }
+        let (share, sd) = (x[index + 1], half[index + 1] / 1.96);
+        let baseline = match memory.baselines[index] {
+            Some(baseline) => baseline,
+            None if taken >= KNOWN as u64 => {
+                // A file that agrees with its first readings is right about them.
+                let is_right = since.is_none() && share.abs() < AGREES * sd;
+                let baseline = if is_right { [0.0; 2] } else { [share, sd] };
+                memory.baselines[index] = Some(baseline);
+                baseline
+            }
+            None => continue,
+        };
+        let error = sd.hypot(baseline[1]);
+        let grown_um = (share - baseline[0]) * constant.believed;
+        let key = constant.key.clone();
+        let known = memory.events.iter().rposition(|event| {
+            event.event == EventKind::Wear && event.constant.as_deref() == Some(&key)
+        });
+        let is_certain = (share - baseline[0]).abs() > WORN * error
+            && grown_um.abs() > believed.bank.scatter_um() / 2.0;
+        if known.is_none() && !is_certain {
+            continue;
+        }
+        let half = 1.96 * (error * constant.believed).abs();
+        let [size, low, high] = [grown_um, grown_um - half, grown_um + half].map(digits);
+        if let Some(place) = known {
+            let event = &mut memory.events[place];
+            (event.size, event.ci95) = (size, [low, high]);
+            continue;
+        }
+        memory.events.push(Event {
+            event: EventKind::Wear,
+            constant: Some(key),
+            at: memory.first_s,
+            certain_at: memory.last_s,
+            size,
+            unit: "µm".into(),
+            ci95: [low, high],
+            check: Event::advice(EventKind::Wear, &[]),
+            alternatives: Vec::new(),
+            sequence: taken - 1,
+            action: Action::Nothing,
+            is_open: false,
+        });
+    }
+}
