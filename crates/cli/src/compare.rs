@@ -5,7 +5,7 @@ use std::{fs, path::PathBuf};
 use anyhow::Result;
 use clap::Args;
 use trueup_compare::{
-    compare::{Comparison, compare},
+    compare::{Comparison, Place, compare},
     page,
 };
 use trueup_machine::file;
@@ -19,7 +19,7 @@ use crate::{
 
 /// Compares two runs of one program place by place: unloaded against cut, this year against last.
 ///
-/// Exit 3: with --limit-um, a place differs by more, and the runs differ beyond the scatter of their readings.
+/// Exit 3: with --limit-um, a place differs by more, beyond the scatter of the readings.
 #[derive(Args)]
 pub struct Compare {
     /// The earlier run.
@@ -39,6 +39,8 @@ pub struct Compare {
     out: Option<PathBuf>,
 }
 
+/// A place is beyond the limit by so many of its half widths (95 %): of some dozens none is so by chance.
+const SURE: f64 = 2.0;
 /// So many places are printed; all of them are in the JSON and on the page.
 const LISTED: usize = 12;
 
@@ -63,14 +65,19 @@ pub fn run(args: &Compare, as_json: bool) -> Result<Outcome> {
     if as_json {
         output::print(json)?;
     } else {
-        print(&it)?;
+        print(&it, args.limit_um)?;
     }
-    // Runs that do not differ beyond their scatter are equal, however far one reading of them stands out.
-    let is_met = args.limit_um.is_none_or(|limit| !it.differs || it.max_um <= limit);
+    // Runs that do not differ beyond their scatter are equal, unless a place is beyond the limit by more than its interval.
+    let is_met = args.limit_um.is_none_or(|limit| {
+        let is_beyond = |place: &Place| {
+            place.half_width_um.is_some_and(|half| place.difference_um.abs() - SURE * half > limit)
+        };
+        it.max_um <= limit || !it.differs && !it.places.iter().any(is_beyond)
+    });
     Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
 }
 
-fn print(it: &Comparison) -> Result<()> {
+fn print(it: &Comparison, limit_um: Option<f64>) -> Result<()> {
     output::print(match (it.differs, it.cause) {
         (true, Some(cause)) => format!("they differ: {cause}"),
         (true, None) => "they differ".into(),
@@ -88,6 +95,14 @@ fn print(it: &Comparison) -> Result<()> {
         it.rms_um,
         it.max_um
     ))?;
+    let halves = it.places.iter().filter_map(|place| place.half_width_um);
+    let widest_um = halves.fold(0.0, f64::max);
+    if let Some(limit_um) = limit_um.filter(|limit| !it.differs && widest_um > *limit) {
+        output::print(format_args!(
+            "  these readings know a place to ± {widest_um:.2} µm only: whether {limit_um} µm is kept they cannot show; \
+             read each place more often"
+        ))?;
+    }
     let mut places: Vec<_> = it.places.iter().collect();
     places.sort_by(|a, b| b.difference_um.abs().total_cmp(&a.difference_um.abs()));
     for place in places.iter().take(if it.differs { LISTED } else { 0 }) {
