@@ -159,6 +159,8 @@ fn numbered_header(grid: &Grid, kinds: &mut [Kind]) {
 /// Rows of numbers one after the other.
 struct Block {
     rows: Vec<usize>,
+    /// The most cells that one of its rows fills.
+    widest: usize,
 }
 
 fn blocks(rows: &[Row], kinds: &[Kind]) -> Vec<Block> {
@@ -168,14 +170,14 @@ fn blocks(rows: &[Row], kinds: &[Kind]) -> Vec<Block> {
         match kind {
             Kind::Data => {
                 // Two cells above a wider table are a title: `Datum;03.04.2026`.
-                let is_wider = blocks.last().filter(|_| is_open).is_some_and(|block| {
-                    let before =
-                        block.rows.iter().map(|row| rows[*row].filled()).max().unwrap_or(0);
-                    before <= 2 && rows[at].filled() > before + 1
-                });
-                match blocks.last_mut().filter(|_| is_open && !is_wider) {
-                    Some(block) => block.rows.push(at),
-                    None => blocks.push(Block { rows: vec![at] }),
+                let filled = rows[at].filled();
+                let is_wider = |block: &&mut Block| block.widest <= 2 && filled > block.widest + 1;
+                match blocks.last_mut().filter(|block| is_open && !is_wider(block)) {
+                    Some(block) => {
+                        block.rows.push(at);
+                        block.widest = block.widest.max(filled);
+                    }
+                    None => blocks.push(Block { rows: vec![at], widest: filled }),
                 }
                 is_open = true;
             }

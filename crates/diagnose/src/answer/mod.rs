@@ -13,6 +13,7 @@ mod held_out;
 mod hint;
 pub(crate) mod hold_out;
 pub(crate) mod html;
+mod measured;
 mod next;
 mod on_board;
 mod pictures;

@@ -244,3 +244,17 @@ fn a_header_in_a_comment_and_a_repeated_one_are_headers() {
     let text = "time_s;flow\n0;1,5\n1;2\n\ntime_s;flow\n2;3\n";
     assert_eq!(read(text, &[]).run, "time_s,flow\n0,1.5\n1,2\n2,3\n");
 }
+
+/// A logger's week: rows are counted once, not once for each row below.
+#[test]
+fn a_table_of_many_rows_takes_seconds_not_hours() {
+    let mut text = "Time (s);Temp front (°C);Growth (µm)\n".to_string();
+    for row in 0..100_000 {
+        text += &format!("{row};{},25;{},5\n", 20 + row % 7, row % 90);
+    }
+    let began = std::time::Instant::now();
+    let imported = read(&text, &[]);
+    assert_eq!(imported.run.lines().count(), 100_001);
+    let took = began.elapsed();
+    assert!(took.as_secs() < 20, "{took:?}");
+}

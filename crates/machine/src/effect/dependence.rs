@@ -18,27 +18,21 @@ use super::{
     survey::{Settings, Survey, spread},
 };
 use crate::{
-    file::{is_temperature_column, read::Section, spindle::ElongationSource},
+    file::{read::Section, spindle::ElongationSource},
     location::BadInput,
 };
+use times::LOAD;
+pub use times::Times;
+use values::{SWITCH, bends, first, levels, tools, zero_of};
 
-/// Largest number of levels of a column that counts as a category.
-const MAX_LEVELS: usize = 12;
-/// Smallest number of rows of a level, but of a column that is only 0 and 1.
-const MIN_LEVEL_ROWS: usize = 8;
-/// A column comes near 0 if its smallest value is at most this share of its largest.
-const NEAR_ZERO: f64 = 0.35;
-/// Starts of the search for the value from which a hinge bends, at equal shares of the sorted rows.
-const HINGES: usize = 8;
+mod times;
+mod values;
 
-/// The column of the cutting force.
-const LOAD: &str = "load_n";
+
 
 /// The column of the tool's number.
 const TOOL: &str = "tool";
 
-/// The levels of a column that is off and on.
-const SWITCH: [f64; 2] = [0.0, 1.0];
 
 /// How the error depends on the column.
 #[derive(Clone, Debug, PartialEq)]
@@ -66,83 +60,6 @@ pub enum Form {
         /// Range of `from` in a search.
         range: [f64; 2],
     },
-}
-
-/// The factor f.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Times {
-    /// 1.
-    One,
-    /// (n/1000)², n the speed of the spindle in r/min.
-    Speed2,
-    /// The growth by the sensor's own law.
-    Growth,
-    /// P/1000, P the position of the own axis in mm.
-    Position,
-    /// y − y₀.
-    Column {
-        /// The second column.
-        column: String,
-        /// y₀, in its unit.
-        reference: f64,
-    },
-}
-
-impl Times {
-    const ALL: [(&'static str, Self); 3] =
-        [("speed2", Self::Speed2), ("growth", Self::Growth), ("position", Self::Position)];
-
-    /// Its name in files; none of 1.
-    #[must_use]
-    pub fn name(&self) -> Option<&str> {
-        match self {
-            Self::Column { column, .. } => Some(column),
-            _ => Self::ALL.iter().find(|(_, times)| times == self).map(|(name, _)| *name),
-        }
-    }
-
-    /// The second column, where there is one.
-    #[must_use]
-    pub fn column(&self) -> Option<&str> {
-        if let Self::Column { column, .. } = self { Some(column) } else { None }
-    }
-
-    /// What is read of a run for it.
-    fn input(&self) -> Option<Input<'_>> {
-        match self {
-            Self::One => None,
-            Self::Speed2 => Some(Input::Speed),
-            Self::Growth => Some(Input::Law),
-            Self::Position => Some(Input::OwnPosition),
-            Self::Column { column, .. } if column == LOAD => Some(Input::Load),
-            Self::Column { column, .. } if is_temperature_column(column) => {
-                Some(Input::Temperature { column, lag_s: 0.0 })
-            }
-            Self::Column { column, .. } => Some(Input::Column(column)),
-        }
-    }
-
-    /// The keys of a slope and of the levels, which carry the unit.
-    fn keys(&self) -> [&'static str; 2] {
-        match self {
-            Self::One => ["um_per_unit", "level_um"],
-            Self::Speed2 => ["um_per_unit_per_krpm2", "level_um_per_krpm2"],
-            Self::Growth => ["factor_per_unit", "level_factor"],
-            Self::Position => ["um_per_unit_per_m", "level_um_per_m"],
-            Self::Column { .. } => ["um_per_unit_per_unit", "level_um_per_unit"],
-        }
-    }
-
-    /// The unit of what a level adds.
-    fn unit(&self) -> String {
-        match self {
-            Self::One => " µm".into(),
-            Self::Speed2 => " µm per (1000 r/min)²".into(),
-            Self::Growth => " times the growth".into(),
-            Self::Position => " µm/m".into(),
-            Self::Column { column, .. } => format!(" µm per unit of {column}"),
-        }
-    }
 }
 
 /// A dependence on a column.
@@ -502,63 +419,6 @@ fn acting(survey: &dyn Survey, values: &[f64], times: &Times) -> Vec<f64> {
 /// A column that has different values.
 fn varying<'s>(survey: &'s dyn Survey, name: &'s str) -> Option<(&'s str, &'s [f64])> {
     survey.column(name).filter(|values| spread(values) > 0.0).map(|values| (name, values))
-}
-
-/// The first value that is there.
-fn first(values: &[f64]) -> f64 {
-    values.iter().copied().find(|value| value.is_finite()).unwrap_or(0.0)
-}
-
-/// Where a column is 0 in a product: at its own 0 if it comes near it, else at its mean. Multiplied by a column that
-/// hardly varies, the other factor alone would be taken for a dependence on both.
-fn zero_of(values: &[f64]) -> f64 {
-    let finite = || values.iter().copied().filter(|value| value.is_finite());
-    let (low, high) = finite().fold((f64::INFINITY, 0.0_f64), |(low, high), value| {
-        (low.min(value.abs()), high.max(value.abs()))
-    });
-    if low <= NEAR_ZERO * high { 0.0 } else { finite().sum::<f64>() / finite().count().max(1) as f64 }
-}
-
-/// The levels of a column that is a category, the most frequent one first; none of any other column.
-fn levels(values: &[f64]) -> Option<Vec<f64>> {
-    let mut found: Vec<(f64, usize)> = Vec::new();
-    for &value in values.iter().filter(|value| value.is_finite()) {
-        if let Some((_, rows)) = found.iter_mut().find(|(level, _)| *level == value) {
-            *rows += 1;
-        } else if found.len() < MAX_LEVELS {
-            found.push((value, 1));
-        } else {
-            return None;
-        }
-    }
-    let is_switch = found.len() == 2 && found.iter().all(|(level, _)| SWITCH.contains(level));
-    if !is_switch && found.iter().any(|(_, rows)| *rows < MIN_LEVEL_ROWS) {
-        return None;
-    }
-    // The level that adds nothing comes first: off, else the one that was there most of the time.
-    found.sort_by(|a, b| b.1.cmp(&a.1).then(a.0.total_cmp(&b.0)));
-    if is_switch {
-        found.sort_by(|a, b| a.0.total_cmp(&b.0));
-    }
-    Some(found.into_iter().map(|(level, _)| level).collect())
-}
-
-/// The numbers of the tools that were used often; of the others nothing is known.
-fn tools(values: &[f64]) -> Option<Vec<f64>> {
-    let rows = |tool: f64| values.iter().filter(|it| **it == tool).count();
-    let often: Vec<f64> =
-        values.iter().copied().filter(|tool| rows(*tool) >= MIN_LEVEL_ROWS).collect();
-    levels(&often).filter(|levels| levels.len() > 1)
-}
-
-/// Values from which a line may begin: inside, at equal shares of the sorted rows, no two alike.
-fn bends(values: &[f64]) -> Vec<f64> {
-    let mut sorted: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
-    sorted.sort_unstable_by(f64::total_cmp);
-    let at = |n: usize| sorted[n * (sorted.len() - 1) / (HINGES + 1)];
-    let mut bends: Vec<f64> = (1..=HINGES).map(at).collect();
-    bends.dedup();
-    bends
 }
 
 #[cfg(test)]

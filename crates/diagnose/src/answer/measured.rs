@@ -1,0 +1,139 @@
+//! What was measured lets a term, and all of them in every state, be so much: more another term takes back.
+//!
+//! The states are those of [`envelope`]: after a start, after a stop, at the corners of the recorded inputs.
+
+use trueup_machine::{
+    Machine, RunFile,
+    check::{self, Finding, Grade},
+    envelope::{self, InputRanges, states},
+    file::Quantity,
+};
+
+use crate::{
+    answer::{extended::extended_by, ranges::recorded, written::NotWritten},
+    data::Data,
+    fit::Problem,
+    kind::Kind,
+    model::Model,
+};
+
+/// A term does at most so many times what was measured: two terms of which each explains all and the other
+/// takes it back.
+const MOST_TIMES: f64 = 2.0;
+/// What is predicted in a state that was not measured leaves the measured range by at most so many times its
+/// width.
+const MARGIN: f64 = 1.0;
+/// Of so little nothing is known to be wrong, in µm: the resolution of a dial gauge.
+const LEAST_UM: f64 = 1.0;
+
+/// The values of a machine file that no machine can have.
+fn impossible(machine: &Machine) -> Vec<Finding> {
+    let findings = check::ranges(machine).into_iter();
+    findings.filter(|it| it.grade == Grade::Impossible).collect()
+}
+
+/// What was measured, and in which states of the inputs.
+pub(super) struct Measured<'m> {
+    machine: &'m Machine,
+    quantity: Quantity,
+    ranges: InputRanges,
+    /// The largest error, and the largest of what the machine file leaves: a term does no more than twice that.
+    largest_um: f64,
+    /// Least and most of what was measured.
+    range_um: [f64; 2],
+    /// Whether `compile` refuses the machine file already.
+    is_refused: bool,
+    /// What of the machine file no machine can have.
+    impossible: Vec<String>,
+}
+
+impl<'m> Measured<'m> {
+    pub(super) fn new(problem: &'m Problem, runs: &[RunFile]) -> Self {
+        let data: &Data = &problem.data;
+        let machine = &data.machine;
+        let left = problem.residual(&Model::default());
+        let about = |values: &[f64]| {
+            let is_axis = data.quantity.axis().is_some();
+            let zero =
+                if is_axis { values.iter().sum::<f64>() / values.len().max(1) as f64 } else { 0.0 };
+            values.iter().fold(0.0_f64, |most, um| most.max((um - zero).abs()))
+        };
+        let range_um =
+            problem.measured.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], um| {
+                [low.min(*um), high.max(*um)]
+            });
+        Self {
+            machine,
+            quantity: data.quantity,
+            ranges: recorded(data, runs),
+            largest_um: about(&problem.measured).max(about(&left)).max(LEAST_UM),
+            range_um,
+            is_refused: envelope::excess(machine).is_some(),
+            impossible: impossible(machine).into_iter().map(|it| it.key).collect(),
+        }
+    }
+
+    /// The first term that is more than what was measured lets it be, and why.
+    pub(super) fn violated(&self, problem: &Problem, model: &Model) -> Option<(Kind, NotWritten)> {
+        let largest = model
+            .parts
+            .iter()
+            .filter(|part| part.kind.list_length().is_none())
+            .map(|part| (self.size_um(problem, model, &part.kind), &part.kind))
+            .max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let (um, kind) = (largest.0, largest.1.clone());
+        if um > MOST_TIMES * self.largest_um {
+            return Some((kind, NotWritten::TooLarge { um, measured_um: self.largest_um }));
+        }
+        let machine = extended_by(&problem.data, model);
+        if let Some(excess) = envelope::excess(&machine).filter(|_| !self.is_refused) {
+            return Some((kind, NotWritten::Refused(excess.rule)));
+        }
+        let beyond = impossible(&machine);
+        if let Some(finding) = beyond.into_iter().find(|it| !self.impossible.contains(&it.key)) {
+            return Some((kind, NotWritten::Refused(finding.warning.what)));
+        }
+        self.outside(&machine).map(|why| (kind, why))
+    }
+
+    /// What a term does in the rows, at the most; of one that rises from a start on all that it rises by.
+    fn size_um(&self, problem: &Problem, model: &Model, kind: &Kind) -> f64 {
+        let parts = model.parts.iter().filter(|part| part.kind != *kind).cloned().collect();
+        let without = Model { parts, ..model.clone() };
+        let [with, without] = [model, &without].map(|model| problem.predicted(model));
+        let mut effect: Vec<f64> = with.iter().zip(&without).map(|(a, b)| a - b).collect();
+        if self.quantity.axis().is_some() {
+            let mean = effect.iter().sum::<f64>() / effect.len().max(1) as f64;
+            effect.iter_mut().for_each(|um| *um -= mean);
+        }
+        let in_rows = effect.iter().fold(0.0_f64, |most, um| most.max(um.abs()));
+        let own = model.parts.iter().find(|part| part.kind == *kind);
+        let risen =
+            own.filter(|part| part.kind.is_from_the_start()).map_or(0.0, |it| it.values[1].abs());
+        in_rows.max(risen)
+    }
+
+    /// The state in which the machine is farthest outside what was measured, if beyond the margin, and farther than
+    /// the machine file is already.
+    fn outside(&self, extended: &Machine) -> Option<NotWritten> {
+        let number = Quantity::ALL.iter().position(|it| *it == self.quantity)?;
+        let believed = states(self.machine, &self.ranges);
+        let [low, high] = believed
+            .iter()
+            .map(|state| state.um[number])
+            .filter(|um| um.is_finite())
+            .fold(self.range_um, |[low, high], um| [low.min(um), high.max(um)]);
+        let margin_um = MARGIN * (self.range_um[1] - self.range_um[0]).max(LEAST_UM);
+        let outside = |um: f64| (low - margin_um - um).max(um - high - margin_um);
+        let worst = states(extended, &self.ranges)
+            .into_iter()
+            .filter(|state| state.um[number].is_finite())
+            .max_by(|a, b| outside(a.um[number]).total_cmp(&outside(b.um[number])))?;
+        let um = worst.um[number];
+        (outside(um) > 0.0).then_some(NotWritten::LeavesRange {
+            um,
+            range_um: self.range_um,
+            since_start_s: worst.since_start_s,
+        })
+    }
+}
