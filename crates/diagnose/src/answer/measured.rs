@@ -10,7 +10,7 @@ use trueup_machine::{
 };
 
 use crate::{
-    answer::{extended::extended_by, ranges::recorded, written::NotWritten},
+    answer::{extended::extended_by, not_written::NotWritten, ranges::recorded},
     data::Data,
     fit::Problem,
     kind::Kind,

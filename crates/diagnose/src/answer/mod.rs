@@ -15,6 +15,7 @@ pub(crate) mod hold_out;
 pub(crate) mod html;
 mod measured;
 mod next;
+mod not_written;
 mod on_board;
 mod pictures;
 mod power;
