@@ -102,13 +102,8 @@ pub(crate) fn explain(rows: &[Row<'_>], before: &Before, is_certain: bool) -> Op
         return None;
     }
     let count = rows.len() as f64;
-    let unknown_um = (before.unknown_um.iter().map(|um| um * um).sum::<f64>() / count).sqrt();
-    let sigma = before.scatter_um.hypot(unknown_um);
-    let predicted = |row: &Row<'_>| row.g.iter().zip(&before.x).map(|(g, x)| g * x).sum::<f64>();
-    let e: Vec<f64> = rows.iter().map(|row| row.y_um - predicted(row)).collect();
-    // No alternative explains more than all of it.
-    let most: f64 = e.iter().map(|e| likelihood(0.0, sigma) - likelihood(*e, sigma)).sum();
-    if !is_certain && most < CERTAIN {
+    let Left { e, unknown_um, sigma } = left(rows, before);
+    if !is_certain && most(&e, sigma) < CERTAIN {
         return None;
     }
     let (constants, thermometers) = (rows[0].g.len() - 1, rows[0].h.len());
@@ -152,6 +147,36 @@ pub(crate) fn explain(rows: &[Row<'_>], before: &Before, is_certain: bool) -> Op
     });
     let others = others.map(|(_, (fitted, _))| *fitted).collect();
     Some(Finding { best: *best_fit, others, all: fits })
+}
+
+/// Returns true if nothing has happened since an earlier instant than that of `rows`, whose belief `before` is.
+pub(crate) fn is_foreseen(rows: &[Row<'_>], before: &Before) -> bool {
+    let Left { e, sigma, .. } = left(rows, before);
+    most(&e, sigma) < CERTAIN
+}
+
+/// What a belief leaves of readings.
+struct Left {
+    /// Of each, in µm.
+    e: Vec<f64>,
+    /// Standard deviation of the prediction, RMS over the readings, in µm.
+    unknown_um: f64,
+    /// And with the scatter of a reading.
+    sigma: f64,
+}
+
+/// Computes what `before` leaves of `rows`.
+fn left(rows: &[Row<'_>], before: &Before) -> Left {
+    let squares: f64 = before.unknown_um.iter().map(|um| um * um).sum();
+    let unknown_um = (squares / rows.len() as f64).sqrt();
+    let predicted = |row: &Row<'_>| row.g.iter().zip(&before.x).map(|(g, x)| g * x).sum::<f64>();
+    let e = rows.iter().map(|row| row.y_um - predicted(row)).collect();
+    Left { e, unknown_um, sigma: before.scatter_um.hypot(unknown_um) }
+}
+
+/// Returns what explains all of `e`: no alternative gains more.
+fn most(e: &[f64], sigma: f64) -> f64 {
+    e.iter().map(|e| likelihood(0.0, sigma) - likelihood(*e, sigma)).sum()
 }
 
 /// Returns ln of the density of an error `e` in µm, for a scatter of `sigma`.

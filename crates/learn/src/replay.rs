@@ -13,6 +13,9 @@ use crate::{
 const WINDOW: usize = 300;
 /// Of so many of the last the filters before them are at hand: the longest look back, and an open event.
 const TAIL: usize = 80;
+/// Readings before an instant of which bad ones may have moved the estimate: where one in twenty is bad, more than two of so many
+/// are twice in a thousand times.
+const BEFORE: usize = 6;
 
 /// The filters now, and before each of the last readings.
 #[derive(Clone, Debug)]
@@ -82,23 +85,46 @@ impl Believed {
         own: Option<u64>,
     ) -> Option<Finding> {
         let place = (index + self.tail.len()).checked_sub(memory.window.len())?;
-        let bank = self.tail.get(place)?;
-        let kept = memory.window.get(index..end)?;
-        let rows: Vec<Row<'_>> = kept
-            .iter()
-            .enumerate()
-            .map(|(n, kept)| {
-                let sequence = memory.first + (index + n) as u64;
-                Row { g: &kept.g, h: &kept.h, y_um: level(memory, kept, sequence, own) }
-            })
-            .collect();
-        let before = Before {
-            x: bank.lasting(),
-            scatter_um: bank.scatter_um(),
-            unknown_um: kept.iter().map(|kept| bank.unknown_um(&kept.g)).collect(),
-        };
+        let (rows, before) = seen(memory, [index, end], own, self.tail.get(place)?)?;
         detect::explain(&rows, &before, own.is_some())
     }
+
+    /// Returns true if one of the [`BEFORE`] beliefs before that of reading `index` foresees the readings from `index` on: bad readings
+    /// have moved the estimate in between, and nothing has happened to the machine.
+    pub fn is_moved_back(&self, memory: &Memory, index: usize) -> bool {
+        let Some(place) = (index + self.tail.len()).checked_sub(memory.window.len()) else {
+            return false;
+        };
+        let earlier = &self.tail[place.saturating_sub(BEFORE)..place.min(self.tail.len())];
+        earlier.iter().any(|bank| {
+            seen(memory, [index, memory.window.len()], None, bank)
+                .is_some_and(|(rows, before)| detect::is_foreseen(&rows, &before))
+        })
+    }
+}
+
+/// Returns the readings from `index` of the window to the reading before `end`, and what `bank` believes of them.
+fn seen<'a>(
+    memory: &'a Memory,
+    [index, end]: [usize; 2],
+    own: Option<u64>,
+    bank: &Bank,
+) -> Option<(Vec<Row<'a>>, Before)> {
+    let kept = memory.window.get(index..end)?;
+    let rows = kept
+        .iter()
+        .enumerate()
+        .map(|(n, kept)| {
+            let sequence = memory.first + (index + n) as u64;
+            Row { g: &kept.g, h: &kept.h, y_um: level(memory, kept, sequence, own) }
+        })
+        .collect();
+    let before = Before {
+        x: bank.lasting(),
+        scatter_um: bank.scatter_um(),
+        unknown_um: kept.iter().map(|kept| bank.unknown_um(&kept.g)).collect(),
+    };
+    Some((rows, before))
 }
 
 /// Advances `bank` by reading `index` of the window.

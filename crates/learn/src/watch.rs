@@ -1,8 +1,9 @@
 //! After each reading: whether something has happened, from the readings so far only.
 //!
 //! An event is searched for over the last [`BACK`] readings. It stays open until it is named and [`NAMED`] readings old, or
-//! [`OPEN`] readings old: as long its name and size follow the readings. What it does to the estimate is done anew
-//! from its first reading on whenever that changes.
+//! [`OPEN`] readings old: as long its name and size follow the readings. Where bad readings have moved the estimate, the good ones
+//! after them look like an event: what is believed before them foresees these, and there is none. What an event does to the
+//! estimate is done anew from its first reading on whenever that changes.
 
 use crate::{
     detect::{Alternative, Finding, Fitted, ZERO_UM},
@@ -91,6 +92,7 @@ fn search(memory: &mut Memory, believed: &mut Believed, from: u64) {
     let found = (first..=end.saturating_sub(FEWEST))
         .filter(|index| is_settled(memory.first + *index as u64))
         .filter_map(|index| Some((index, believed.explain(memory, [index, end], None)?)))
+        .filter(|(index, _)| !believed.is_moved_back(memory, *index))
         .max_by(|a, b| a.1.best.gain.total_cmp(&b.1.best.gain));
     let Some((index, finding)) = found else { return };
     let event = described(memory, &finding, index);
