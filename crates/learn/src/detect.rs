@@ -130,8 +130,8 @@ pub(crate) fn explain(rows: &[Row<'_>], before: &Before, is_certain: bool) -> Op
         }
     }
     // A change that a bad reading hides in looks like a scatter at first.
-    let is_hidden = fits.iter().any(|it| it.gain > DOUBTFUL);
-    if let Some(fitted) = scatter(&e, sigma).filter(|_| !is_hidden) {
+    let is_hidden = |by: &Fitted| fits.iter().any(|it| it.gain > DOUBTFUL.max(by.gain));
+    if let Some(fitted) = scatter(&e, sigma).filter(|it| !is_hidden(it)) {
         all.push((fitted, Vec::new()));
     }
     let best = (0..all.len()).max_by(|a, b| all[*a].0.gain.total_cmp(&all[*b].0.gain))?;
