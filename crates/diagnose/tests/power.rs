@@ -177,9 +177,10 @@ fn nothing_is_promised_that_is_larger_than_all_that_is_left() {
         println!("{:?} {} of {}", report.verdict, report.detectable_um, report.after.rms_um);
         if report.detectable_um.is_finite() {
             assert!(report.detectable_um <= report.after.rms_um);
-        } else if report.verdict == Verdict::Clean {
+        } else {
+            // What wanders and could hide any error is not called clean.
             unpromised += 1;
-            assert!(diagnosis.sentence().contains("cannot be said"), "{}", diagnosis.sentence());
+            assert_ne!(report.verdict, Verdict::Clean, "{:?}", report.reasons);
         }
     }
     assert!(unpromised > 0);
@@ -216,7 +217,7 @@ fn a_door_that_nobody_recorded_is_told_as_slow_wandering() {
     let report = diagnosed(MACHINE, &text).report;
     println!("{:?} {:?}", report.verdict, report.reasons);
     let wandering = report.wandering.expect("it wanders");
-    assert_eq!(report.verdict, Verdict::Clean);
+    assert_eq!(report.verdict, Verdict::Unexplained);
     assert!((1.2..3.0).contains(&wandering.rms_um), "{wandering:?}");
     assert!((500.0..2000.0).contains(&wandering.memory_s), "{wandering:?}");
     let told = report.reasons.join(" ");

@@ -214,6 +214,7 @@ pub(crate) fn conclude(
         repeats: repeats.as_ref(),
         power: &power,
         wandering: wandering.as_ref(),
+        between_neighbours_um: between_neighbours_um(&after_rows),
         instrument_um: data.machine.instrument_um,
         transfer: transfer.as_ref(),
         shortfall: shortfall.as_ref(),
@@ -408,6 +409,12 @@ fn noise_of_gauge_um(data: &Data, problem: &Problem, noise_um: f64, is_repeated:
     } else {
         stated_um.unwrap_or(0.0).min(noise_um)
     }
+}
+
+/// What differs from one of `errors` to the next, as a standard deviation of each, in µm.
+fn between_neighbours_um(errors: &[f64]) -> f64 {
+    let differences: Vec<f64> = errors.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    rms(&differences) / 2.0_f64.sqrt()
 }
 
 fn rejected(tried: Tried) -> Rejected {

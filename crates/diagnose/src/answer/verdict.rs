@@ -6,7 +6,7 @@ use trueup_page::micrometres;
 
 use crate::{
     answer::{
-        power::Power, report::Verdict, shortfall::Shortfall, transfer::Transfer,
+        OF_THE_MACHINE, power::Power, report::Verdict, shortfall::Shortfall, transfer::Transfer,
         wandering::Wandering,
     },
     judge::Judgement,
@@ -139,6 +139,8 @@ pub(super) struct Grounds<'g> {
     pub repeats: Option<&'g Repeats>,
     pub power: &'g Power,
     pub wandering: Option<&'g Wandering>,
+    /// What differs from one reading to the next, as a standard deviation of each, in µm.
+    pub between_neighbours_um: f64,
     /// What the instrument is worth, in µm (95 %), where that is known.
     pub instrument_um: Option<f64>,
     /// What became of the answer on a hold-out.
@@ -195,7 +197,11 @@ fn of_runs(grounds: &Grounds<'_>) -> (Verdict, Vec<Reason>) {
     if judged.iter().any(|it| it.between.as_ref().is_some_and(|it| it.found.is_doubted())) {
         reasons.push(Reason::BetweenPoints);
     }
-    if reasons.is_empty() && !grounds.wanders_beyond_instrument() {
+    // A drift or a jump says of what wanders only that it does.
+    let is_of_time = judged.iter().all(|it| it.cause().tier() > OF_THE_MACHINE);
+    let wanders =
+        grounds.wanders_beyond_instrument() || is_of_time && grounds.wanders_beyond_neighbours();
+    if reasons.is_empty() && !wanders {
         (Verdict::Explained, vec![Reason::NothingFires])
     } else {
         (Verdict::PartlyExplained, reasons)
@@ -211,7 +217,10 @@ fn of_nothing_found(grounds: &Grounds<'_>, mut reasons: Vec<Reason>) -> (Verdict
         reasons.push(Reason::DoesNotRepeat(*repeats));
         return (Verdict::DoNotCompensate, reasons);
     }
-    if !reasons.is_empty() || grounds.wanders_beyond_instrument() {
+    if !reasons.is_empty()
+        || grounds.wanders_beyond_instrument()
+        || grounds.wanders_beyond_neighbours()
+    {
         return (Verdict::Unexplained, reasons);
     }
     if !power.is_enough {
@@ -222,6 +231,13 @@ fn of_nothing_found(grounds: &Grounds<'_>, mut reasons: Vec<Reason>) -> (Verdict
 }
 
 impl Grounds<'_> {
+    /// Whether what wanders is larger than what differs from reading to reading, where nobody says what the instrument is
+    /// worth: the noise of an instrument is that between neighbours, and what is slower is structure.
+    fn wanders_beyond_neighbours(&self) -> bool {
+        let wandering = self.wandering.map_or(0.0, |wandering| wandering.rms_um);
+        self.instrument_um.is_none() && wandering > self.between_neighbours_um
+    }
+
     /// Whether what wanders is larger than what the instrument is worth: then it is the machine that does.
     fn wanders_beyond_instrument(&self) -> bool {
         let wandering = self.wandering.map_or(0.0, |wandering| wandering.rms_um);
