@@ -23,6 +23,10 @@ use crate::{
 /// the instrument.
 const REPEATABLE_UM: f64 = 5.0;
 
+/// What wanders is structure where it is larger than what differs from reading to reading by more than this factor: it
+/// remembers more than three readings.
+const SLOWER: f64 = 2.0;
+
 /// Why a verdict is as it is.
 #[derive(Clone, Debug)]
 pub(crate) enum Reason {
@@ -235,7 +239,7 @@ impl Grounds<'_> {
     /// worth: the noise of an instrument is that between neighbours, and what is slower is structure.
     fn wanders_beyond_neighbours(&self) -> bool {
         let wandering = self.wandering.map_or(0.0, |wandering| wandering.rms_um);
-        self.instrument_um.is_none() && wandering > self.between_neighbours_um
+        self.instrument_um.is_none() && wandering > SLOWER * self.between_neighbours_um
     }
 
     /// Whether what wanders is larger than what the instrument is worth: then it is the machine that does.
