@@ -63,7 +63,7 @@ pub struct Import {
     /// Counts of the sensor for one volt: sensor columns in V or mV become counts.
     #[arg(long, value_name = "COUNTS")]
     counts_per_v: Option<String>,
-    /// The machine file, whose [inputs] state the scale of the sensor.
+    /// The machine file, whose `[inputs]` state the scale of the sensor.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
     /// Whether a step of the clock by an hour is the change of summer time.
