@@ -129,7 +129,7 @@ pub struct Memory {
 pub struct Change {
     /// The clock of the day's last change, in s.
     pub at: Option<f64>,
-    /// The constants before and after, each with its place in [`Memory::keys`].
+    /// The constants before and after, each with its place in the list of keys.
     pub values: Vec<(usize, f64, f64)>,
     /// Whether it takes another one back.
     #[serde(default, skip_serializing_if = "is_false")]
