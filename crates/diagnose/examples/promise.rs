@@ -70,7 +70,7 @@ fn promised(cause: Hidden, ratio: f64, seed: u64) -> Option<Kept> {
     })
 }
 
-/// What the hold-out gained.
+/// Returns the reduction on the hold-out.
 fn came(report: &Report) -> f64 {
     1.0 - report.after.compensated_holdout_rms_um / report.before.holdout_rms_um
 }

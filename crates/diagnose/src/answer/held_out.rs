@@ -1,4 +1,4 @@
-//! What the gauge would read on another day like these, and a floor of what is gained there.
+//! The promise of a reading on another day like these, and a floor of the gain there.
 //!
 //! Nothing of it is a residual of the fit: each part of the record (a file, a run, a sixth of one) is foreseen by a fit
 //! to the others. With the mean
@@ -48,7 +48,7 @@ const BEYOND: f64 = 0.1;
 /// Readings from which a day's zero is set.
 const ZERO_READINGS: usize = 3;
 
-/// What is known of a record that was foreseen part by part.
+/// A record that was foreseen part by part.
 pub(super) struct LeftOutParts<'p> {
     pub problem: &'p Problem,
     pub folds: &'p Folds,
@@ -95,7 +95,7 @@ impl LeftOutParts<'_> {
         sums([before, after], &parts).figures(noise, &later)
     }
 
-    /// What fits to the beginning leave of the rest: from which group on, and in each.
+    /// Returns the residuals that fits to the beginning leave of the rest: from which group on, and in each.
     fn later(&self) -> Vec<(usize, Vec<f64>)> {
         if self.model.parts.is_empty() {
             return Vec::new();
@@ -127,7 +127,7 @@ impl LeftOutParts<'_> {
     }
 }
 
-/// `model` as it is predicted where nobody says the feed.
+/// Returns `model` as it is predicted without a feed.
 fn as_run(model: &Model) -> Model {
     let mut run = model.clone();
     run.parts.iter_mut().for_each(Part::forget_feed);

@@ -1,4 +1,4 @@
-//! What was measured lets a term, and all of them in every state, be so much: more another term takes back.
+//! Limits that the measured range sets to a term, and to all of them in every state: more is taken back by another term.
 //!
 //! The states are those of [`envelope`]: after a start, after a stop, at the corners of the recorded inputs.
 
