@@ -39,7 +39,7 @@ pub struct Compare {
     out: Option<PathBuf>,
 }
 
-/// A place is beyond the limit by so many of its half widths (95 %): of some dozens none is so by chance.
+/// Half widths (95 %) by which a place is beyond the limit: of some dozens of places none is so by chance.
 const SURE: f64 = 2.0;
 /// So many places are printed; all of them are in the JSON and on the page.
 const LISTED: usize = 12;

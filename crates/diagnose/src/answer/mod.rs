@@ -378,7 +378,7 @@ fn lasting(model: &Model) -> Model {
     if parts.is_empty() { Model::default() } else { Model { parts, ..model.clone() } }
 }
 
-/// What only explains falls short of nothing where it leaves less than this times what left-out parts did.
+/// Terms that only explain fall short where they leave more than this times the residual of left-out parts.
 const MORE_LEFT: f64 = 1.5;
 
 /// The highest tier of what is of the machine, or of what else was recorded ([`Kind::tier`]).
@@ -411,7 +411,7 @@ fn noise_of_gauge_um(data: &Data, problem: &Problem, noise_um: f64, is_repeated:
     }
 }
 
-/// What differs from one of `errors` to the next, as a standard deviation of each, in µm.
+/// Returns the noise of neighbouring `errors`: the standard deviation of each by their differences, in µm.
 fn between_neighbours_um(errors: &[f64]) -> f64 {
     let differences: Vec<f64> = errors.windows(2).map(|pair| pair[1] - pair[0]).collect();
     rms(&differences) / 2.0_f64.sqrt()
