@@ -23,6 +23,7 @@ use anyhow::{Context as _, Result, bail, ensure};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
+use super::left_over;
 use crate::{process, setup::LinuxCnc};
 
 /// The user and group that own nothing.
@@ -35,6 +36,8 @@ const ANSWER: Duration = Duration::from_secs(150);
 const END: Duration = Duration::from_secs(30);
 const OBEY: Duration = Duration::from_secs(5);
 const STEP: Duration = Duration::from_millis(20);
+/// How often it is started when it loses its own race for shared memory; see [`left_over`].
+const ATTEMPTS: u32 = 3;
 const SCREEN: &str = include_str!("screen.py");
 /// What a configuration gives as its `DISPLAY`, in the folder.
 pub const DISPLAY: &str = "screen.sh";
@@ -81,21 +84,36 @@ impl Headless {
             }
             chown(&folder, Some(NOBODY), Some(NOBODY))?;
         }
-        let log = File::create(path("log.txt"))?;
-        let mut command = unprivileged(control.program(), folder.path())?;
-        command.arg(path(ini)).stdin(Stdio::null()).stdout(log.try_clone()?).stderr(log);
-        // A group of its own, so that it can be ended with all that it started.
-        command.process_group(0);
-        let (mut child, keeper) = spawn(command).context("LinuxCNC cannot be started")?;
-        let stream = match wait_for_screen(&listener, &mut child) {
-            Ok(stream) => stream,
-            Err(error) => {
-                end_group(&mut child);
-                bail!("LinuxCNC does not come up: {error:#}\n{}", said(folder.path()));
+        for attempt in 1.. {
+            let log = File::create(path("log.txt"))?;
+            let mut command = unprivileged(control.program(), folder.path())?;
+            command.arg(path(ini)).stdin(Stdio::null()).stdout(log.try_clone()?).stderr(log);
+            // A group of its own, so that it can be ended with all that it started.
+            command.process_group(0);
+            let (mut child, keeper) = spawn(command).context("LinuxCNC cannot be started")?;
+            match wait_for_screen(&listener, &mut child) {
+                Ok(stream) => {
+                    let screen = BufReader::new(stream);
+                    return Ok(Self {
+                        folder,
+                        child,
+                        screen,
+                        alone: Some(control),
+                        _keeper: keeper,
+                    });
+                }
+                Err(error) => {
+                    end_group(&mut child);
+                    let said = said(folder.path());
+                    let denied = left_over::denied(&said);
+                    if attempt == ATTEMPTS || denied.is_empty() {
+                        bail!("LinuxCNC does not come up: {error:#}\n{said}");
+                    }
+                    left_over::remove(&denied)?;
+                }
             }
-        };
-        let screen = BufReader::new(stream);
-        Ok(Self { folder, child, screen, alone: Some(control), _keeper: keeper })
+        }
+        unreachable!("the last attempt returns")
     }
 
     /// Lets the screen do something, and gives its result.

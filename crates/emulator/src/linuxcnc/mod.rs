@@ -35,6 +35,7 @@ pub mod bridge;
 pub mod config;
 pub mod figures;
 pub mod headless;
+mod left_over;
 pub mod measured;
 pub mod page;
 pub mod plant;
