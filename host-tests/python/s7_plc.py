@@ -29,15 +29,16 @@ INSTANCE_DB = 901
 BITS = {"enable": 0, "ready": 1, "restart": 2, "zero": 3, "service": 4, "confirm": 5}
 HERE = Path(__file__).parent
 PROGRAM = HERE.parents[1] / "integrations/siemens-840d"
-SOURCES = ["trueup_db", "trueup_crc", "trueup_step", "trueup_fb", "trueup_ob1"]
+SOURCES = ["trueup_db", "trueup_crc", "trueup_step", "trueup_fb"]
+CALLS = {False: "trueup_ob1", True: "trueup_ob1_slope"}
 
 
 class Cpu:
     """The program in awlsim, with its flags and its data blocks as bytes."""
 
-    def __init__(self):
+    def __init__(self, slopes=False):
         self.cpu = S7CPU()
-        for path in [*(PROGRAM / f"{name}.awl" for name in SOURCES), HERE / "nck_stub.awl"]:
+        for path in [*(PROGRAM / f"{name}.awl" for name in [*SOURCES, CALLS[slopes]]), HERE / "nck_stub.awl"]:
             parser = AwlParser()
             parser.parseText(path.read_text())
             self.cpu.load(parser.getParseTree())

@@ -22,8 +22,11 @@ use trueup_emulator::{front_end::FrontEnd, replay};
 use trueup_fit::{elongation, thermal};
 use trueup_link::{frames, receiver::OffsetReceiver};
 use trueup_machine::{
-    Machine, MachineFile, RunFile, applied::Unaided, compile, file::Quantity,
-    inputs::TemperatureKind,
+    Machine, MachineFile, RunFile,
+    applied::Unaided,
+    compile,
+    file::Quantity,
+    inputs::{CountScale, LinearInput, TemperatureKind},
 };
 use trueup_node::node::{Line, Node};
 use trueup_twin::{
@@ -38,8 +41,12 @@ const HELD_MS: u32 = 800;
 /// From one row to the next in the life of the machine, in s.
 const ROW_S: f64 = 30.0;
 const ROWS: usize = 240;
-const LINEAR: TemperatureKind =
-    TemperatureKind::Linear { zero_counts: 4000.0, counts_per_c: 256.0 };
+/// 2 V at 0 °C and 10 K/V, through the divider of the wiring.
+const LINEAR: TemperatureKind = TemperatureKind::Linear(LinearInput {
+    zero_counts: 2.0,
+    counts_per_c: 0.1,
+    scale: CountScale::Volt { full_scale_v: 10.0, divider: 0.328 },
+});
 
 /// When the CNC engages the bridge.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -77,7 +84,7 @@ const AXIS: &str = "name = \"axis\"\nmeasure = [\"dx\"]\nstart_mm = [100.0, 0.0,
     [axis.x]\nscrew_um_per_m_per_c = 12.5\nscrew_heating_c = 0.6\n\
     [[segment]]\nkind = \"positions\"\naxis = \"x\"\nrange_mm = [0.0, 900.0]\ntargets = 3\ncycles = 1\nfeed_mm_per_min = 6000.0\n";
 const AXIS_BELIEVED: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n\
-    [inputs]\ntemp_screw_c = { channel = 0, kind = \"linear\", zero_counts = 4000, counts_per_c = 256 }\n\
+    [inputs]\ntemp_screw_c = { channel = 0, kind = \"linear\", zero_v = 2.0, c_per_v = 10.0 }\n\
     [axis.x.thermal]\nmode = \"position\"\nsensor = \"temp_screw_c\"\nreference_c = 20.0\n\
     slope_um_per_m_per_c = 10.0\norigin_mm = 0.0\n\
     [limits]\nmax_um = { x = 4000, y = 4000, z = 4000 }\nslew_um_per_s = 10000\n";

@@ -145,6 +145,12 @@ fn ours(frame: &Frame) -> Result<(Frame, Values), DecodeError> {
                     ],
                 ),
                 Item::Calibration(crc) => (10, vec![one("CalibrationCrc", crc.into())]),
+                Item::Slope { axis, constant, slope } => {
+                    let name = ["X", "Y", "Z"][usize::from(axis)];
+                    let constant = constant.map(|it| f64::from(it) / 10.0);
+                    let slope = one(&format!("OffsetSlope{name}"), f64::from(slope) / 10.0);
+                    (11 + axis, vec![(format!("OffsetConstant{name}"), constant), slope])
+                }
             };
             values.push(one("Item", item.into()));
             values.push(one("LastRefused", f64::from(read.last_refused as u8)));

@@ -50,7 +50,7 @@ fn on_a_board(model: &str, run: &RunFile) -> String {
     let thermometers = run.columns().iter().map(|column| column.name.as_str());
     let thermometers = thermometers.filter(|name| name.starts_with("temp_"));
     for (channel, name) in thermometers.take(8).enumerate() {
-        write!(text, "{name} = {{ channel = {channel}, kind = \"linear\", zero_counts = 4000, ")
+        write!(text, "{name} = {{ channel = {channel}, kind = \"linear\", zero_counts = 1000, ")
             .and_then(|()| writeln!(text, "counts_per_c = {COUNTS_PER_C}, max_c_per_min = 600 }}"))
             .expect("a string grows");
     }

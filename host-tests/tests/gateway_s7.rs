@@ -287,6 +287,45 @@ fn the_setting_data_undo_the_growth_and_a_killed_gateway_is_held_and_taken_back(
 }
 
 #[test]
+fn constant_and_slope_reach_the_nck_with_sign_and_unit_and_go_together() -> Result<()> {
+    let _alone = alone();
+    let output = Command::new(setup::python()?)
+        .arg(setup::root().join("host-tests/python/s7_slope.py"))
+        .output()?;
+    ensure!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let saw: Value = serde_json::from_slice(&output.stdout)?;
+    let values = |place: &Value| -> [f64; 6] { std::array::from_fn(|n| number(&place[n])) };
+    // Offsets of -6.0 and 1.5 µm, slopes of -13.5 µm/m (0.95 K of the paper's 14.21) and 2.7 µm/m: positive moves
+    // negative, mm and mm of a mm.
+    let wanted = [0.006, -0.001_5, 0.0, 13.5e-6, 0.0, -2.7e-6];
+    let near = |got: [f64; 6], wanted: [f64; 6]| {
+        got.iter().zip(wanted).all(|(got, wanted)| (got - wanted).abs() <= 1e-6 * wanted.abs())
+    };
+    assert!(near(values(&saw["there"]), wanted), "{}", saw["there"]);
+    // Both parts of an axis go by the same share: at 15 m from P₀ the sum never leaves 0 and its goal.
+    for way in ["way", "back"] {
+        for at in saw[way].as_array().context("a way")? {
+            let [k0, _, z, slope, _, slope_z] = values(at);
+            assert!((k0 / 0.006 - slope / 13.5e-6).abs() < 0.02, "{way}: {at}");
+            assert!(z == 0.0 && (-2.7e-6..=0.0).contains(&slope_z), "{way}: {at}");
+        }
+    }
+    assert_eq!(saw["states"], json!([1, 5]), "a slope of another block is not whole");
+    let held = values(&saw["held"][0]);
+    assert!(near(held, wanted), "held first: {held:?}");
+    let (held, steep) = (values(&saw["held"][1]), values(&saw["steep"]));
+    assert!(steep[3] < held[3] && held[3] < 13.5e-6, "a slope beyond MAX_S is not used");
+    assert_eq!(values(&saw["end"]), [0.0; 6], "taken back");
+    // Without slopes, what stands in their place is not looked at.
+    let flat = values(&saw["flat"]);
+    assert!(flat[2] > 0.005 && flat[3..] == [0.0; 3], "{flat:?}");
+    // K₀ is not taken for the whole by a program without slopes.
+    assert_eq!(values(&saw["refused"]), [0.0; 6]);
+    assert!(number(&saw["rejected"]) > 20.0, "{}", saw["rejected"]);
+    Ok(())
+}
+
+#[test]
 fn once_says_how_both_ends_are() -> Result<()> {
     let _alone = alone();
     let plc = Plc::start(&["--block-alone"])?;

@@ -157,9 +157,17 @@ fn pitch_of(input: &Input, args: &Pitch) -> Result<Report> {
         Ways::One => pitch::Ways::One,
         Ways::Both => pitch::Ways::Both,
     };
+    let of = |options| pitch::Options { ways, step_mm: args.step_mm, ..options };
+    let axis = axis_of(&input.runs, args.positions.error.quantity.as_deref())?;
+    if let Some(dual) = input.machine().and_then(|machine| machine.axes[axis.index()].dual.clone())
+    {
+        let options = |run: &Unaided<'_>| -> Result<pitch::Options> {
+            Ok(of(position_options(input, &args.positions, run, axis)?))
+        };
+        return pitch::fit_both(&input.runs, axis, &dual, options);
+    }
     let (run, axis, options) = positions(input, &args.positions)?;
-    let options = pitch::Options { ways, step_mm: args.step_mm, ..options };
-    Ok(pitch::fit(run, axis, &options)?.report)
+    Ok(pitch::fit(run, axis, &of(options))?.report)
 }
 
 fn backlash_of(input: &Input, args: &Backlash) -> Result<Report> {
@@ -175,14 +183,23 @@ fn positions<'a>(
 ) -> Result<(&'a Unaided<'a>, LinearAxis, pitch::Options)> {
     let run = input.run()?;
     let axis = axis_of(&input.runs, args.error.quantity.as_deref())?;
+    Ok((run, axis, position_options(input, args, run, axis)?))
+}
+
+/// What a fit of positions is asked for, of one run.
+fn position_options(
+    input: &Input,
+    args: &Positions,
+    run: &Unaided<'_>,
+    axis: LinearAxis,
+) -> Result<pitch::Options> {
     let feedback = input.machine().map(|machine| machine.axes[axis.index()].feedback);
-    let options = pitch::Options {
+    Ok(pitch::Options {
         runs: args.repeats.clone(),
         feedback: feedback.unwrap_or_default(),
         known_um: input.known(run, Without::Position(axis))?,
         ..pitch::Options::default()
-    };
-    Ok((run, axis, options))
+    })
 }
 
 fn thermal_of(input: &Input, args: &Thermal) -> Result<Report> {

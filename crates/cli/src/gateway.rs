@@ -80,10 +80,20 @@ pub enum Command {
         /// The CPU's slot: 2 in a 300 and an 840D sl, 1 or 0 in a 1500.
         #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u8).range(0..=31))]
         slot: u8,
+        /// What is written: the offsets, or the constant and the slope of each axis, which the NCK multiplies by its own
+        /// position. For long axes that warm up; it needs a PLC program with slopes (trueup_ob1_slope.awl).
+        #[arg(long, value_enum, default_value_t = Mode::Offsets)]
+        mode: Mode,
         /// How often a second it is written.
         #[arg(long, value_name = "HZ", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=500))]
         rate: u32,
     },
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum Mode {
+    Offsets,
+    Slope,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -139,10 +149,14 @@ pub fn run(command: &Command) -> Result<Outcome> {
         Command::Modbus { bridge, listen, unit, .. } => {
             run_modbus(&shared, bridge, &resolve(listen)?, *unit)
         }
-        Command::S7 { bridge, plc, db, rack, slot, rate } => {
+        Command::S7 { bridge, plc, db, rack, slot, mode, rate } => {
             let place = Place { address: plc.clone(), rack: *rack, slot: *slot };
             let period = Duration::from_secs(1) / *rate;
-            run_s7(&shared, bridge, &Target { place, db: *db, period })
+            let mode = match mode {
+                Mode::Offsets => s7::Mode::Offsets,
+                Mode::Slope => s7::Mode::Slope,
+            };
+            run_s7(&shared, bridge, &Target { place, db: *db, period, mode })
         }
     };
     stop.store(true, Ordering::Relaxed);

@@ -33,6 +33,8 @@ pub struct Board {
     free_stack: Option<u16>,
     /// CRC of the calibration that the board runs on, once it has said so; 0: it has none.
     pub calibration: Option<u32>,
+    /// Of X, Y and Z the constant of the offset in 0.1 µm and its slope in 0.1 µm/m; `None`: not available, or not sent.
+    pub slopes: [Option<(i16, i16)>; 3],
 }
 
 impl Board {
@@ -61,6 +63,11 @@ impl Board {
                 (self.reset_reason, self.free_stack) = (reason, Some(free_stack));
             }
             Item::Calibration(crc) => self.calibration = Some(crc),
+            Item::Slope { axis, constant, slope } => {
+                if let Some(place) = self.slopes.get_mut(usize::from(axis)) {
+                    *place = constant.map(|constant| (constant, slope));
+                }
+            }
         }
     }
 

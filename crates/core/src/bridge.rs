@@ -49,6 +49,7 @@ mod joint;
 mod lost;
 mod needs;
 mod reference;
+mod slope;
 mod sources;
 mod state;
 
@@ -57,6 +58,7 @@ pub use self::joint::KeptJoint;
 use self::joint::SelectedSource;
 pub use self::lost::LostInputs;
 use self::needs::RequiredInputs;
+pub use self::slope::{ConstantAndSlope, UNIT_NM};
 pub use self::sources::RETURN_MS;
 use self::state::{Age, Mode};
 pub use self::state::{

@@ -305,10 +305,11 @@ pub fn raw(kind: TemperatureKind, celsius: f64) -> Raw {
             let t = Temperature((celsius * f64::from(Temperature::PER_KELVIN)).round() as i32);
             Raw(pt100::resistance(t).0)
         }
-        TemperatureKind::Linear { zero_counts, counts_per_c } => {
-            let counts = zero_counts + counts_per_c * celsius;
+        TemperatureKind::Linear(line) => {
+            let (zero_codes, codes_per_c) = line.in_codes();
+            let codes = zero_codes + codes_per_c * celsius;
             // The lowest number means that nothing was delivered.
-            Raw(((counts * 256.0).round() as i32).max(i32::MIN + 1))
+            Raw(((codes * 256.0).round() as i32).max(i32::MIN + 1))
         }
     }
 }

@@ -9,6 +9,7 @@
 //! | `scatter` | how far repeats lie apart, beside how far targets do |
 //! | `summary` | what was found, in a report |
 //! | `backlash` | backlash alone |
+//! | `gantry` | the tables of an axis with two drives |
 //! | `by_feed` | whether it depends on the feed, and which feed counts |
 //! | `test_points` | pitches that the targets cannot see |
 //!
@@ -32,6 +33,7 @@
 mod backlash;
 mod by_feed;
 mod difference;
+mod gantry;
 mod judge;
 mod readings;
 mod resample;
@@ -47,6 +49,7 @@ use trueup_machine::{
 };
 
 pub use backlash::{BacklashFit, WidthRule, fit_backlash};
+pub use gantry::{Drive, drive_of, fit_both};
 pub use test_points::hidden_pitches;
 
 use trueup_numerics::repeats::{self, Decision};

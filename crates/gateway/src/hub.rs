@@ -23,12 +23,13 @@ use trueup_link::{
     layout::STATUS_ID,
     receiver::{Counters, OffsetReceiver},
     slcan::Event,
-    status::{Item, StateBits, Status, decode},
+    status::{Item, StateBits, decode},
 };
 use trueup_modbus::{
     cnc::{self, Checker, Cnc, Refused},
     input::{self, Input},
     server::Busy,
+    slopes,
     table::HOLDING_LEN,
 };
 
@@ -39,6 +40,8 @@ use crate::cnc::Speaker;
 pub const STALE: Duration = Duration::from_millis(100);
 /// Each item of `Status` comes every 1.1 s; three missed, and it counts as unknown.
 const STATUS_LASTS: Duration = Duration::from_millis(3_400);
+/// With slopes each item comes every 1.5 s; three missed.
+const SLOPES_LAST: Duration = Duration::from_millis(4_600);
 /// A master that has sent no valid block for so long no longer keeps others out: the link timeout
 /// after which the bridge counts its CNC as lost, by default.
 pub const MASTER_LASTS: Duration = Duration::from_millis(500);
@@ -53,6 +56,10 @@ pub const MAY_BE_OLD: u16 = 5;
 pub const OTHER_CALIBRATION: u16 = 6;
 /// Without a valid pair for so long the bridge may have been exchanged: as long as a bridge holds by default.
 const GONE: Duration = Duration::from_secs(2);
+
+/// Reported where slopes are expected and none come.
+const NO_SLOPES: &str = "warning: the bridge sends no slopes, so nothing is handed over: its calibration has no \
+                         [axis.*.thermal] of mode \"position\" or \"both\", or its firmware is older. Take --mode offsets";
 
 /// Who sends holding blocks: a connection.
 pub type Master = u64;
@@ -69,10 +76,15 @@ pub struct Hub {
     /// When the bridge last was not available, or gone: what it ran on before does not count.
     was_away: Option<Duration>,
     calibration_heard: Option<Duration>,
+    /// When the slope of each axis was last sent.
+    slopes_heard: [Option<Duration>; 3],
+    /// Since when slopes are expected, and whether it was reported that none come.
+    expects_slopes: Option<(Duration, bool)>,
     news: Vec<String>,
     stalls: u32,
     input: Input,
     registers: input::Registers,
+    with_slopes: [u16; slopes::LEN],
     master: Option<(Master, Duration)>,
     checker: Checker,
     holding: cnc::Registers,
@@ -117,9 +129,12 @@ impl Hub {
             pinned,
             was_away: None,
             calibration_heard: None,
+            slopes_heard: [None; 3],
+            expects_slopes: None,
             news: Vec::new(),
             stalls: 0,
             registers: input.encode(),
+            with_slopes: slopes::encode(&input, None),
             input,
             master: None,
             checker: Checker::default(),
@@ -141,8 +156,14 @@ impl Hub {
                 self.board.hear(frame);
                 if self.board.refused() == refused {
                     self.status_heard = Some(now);
-                    if matches!(decode(frame), Ok(Status { item: Item::Calibration(_), .. })) {
-                        self.calibration_heard = Some(now);
+                    match decode(frame).map(|status| status.item) {
+                        Ok(Item::Calibration(_)) => self.calibration_heard = Some(now),
+                        Ok(Item::Slope { axis, .. }) => {
+                            if let Some(heard) = self.slopes_heard.get_mut(usize::from(axis)) {
+                                *heard = Some(now);
+                            }
+                        }
+                        _ => {}
                     }
                 }
             }
@@ -221,6 +242,40 @@ impl Hub {
         self.input.elongation = self.board.elongation.filter(|_| knows);
         self.input.centi_c = self.board.centi_c.map(|it| it.filter(|_| knows));
         self.registers = self.input.encode();
+        let slopes = self.slopes(now);
+        self.with_slopes = slopes::encode(&self.input, slopes);
+    }
+
+    /// Returns K₀ and slope of each axis, if all are fresh and of the bridge that is there now.
+    fn slopes(&mut self, now: Duration) -> Option<[slopes::Part; 3]> {
+        let is_fresh = |heard: &Option<Duration>| {
+            heard.is_some_and(|heard| {
+                now.saturating_sub(heard) <= SLOPES_LAST
+                    && self.was_away.is_none_or(|at| heard > at)
+            })
+        };
+        let are_fresh = self.slopes_heard.iter().all(is_fresh);
+        if let Some((since, is_reported)) = &mut self.expects_slopes {
+            if are_fresh || self.input.output.offset.is_none() {
+                (*since, *is_reported) = (now, false);
+            } else if !*is_reported && now.saturating_sub(*since) > SLOPES_LAST {
+                *is_reported = true;
+                self.news.push(NO_SLOPES.into());
+            }
+        }
+        let [Some(x), Some(y), Some(z)] = self.board.slopes else { return None };
+        are_fresh.then_some([x, y, z])
+    }
+
+    /// Reports from now on if the bridge sends no slopes.
+    pub fn expect_slopes(&mut self, now: Duration) {
+        self.expects_slopes = Some((now, false));
+    }
+
+    /// The input block with slopes.
+    #[must_use]
+    pub fn input_with_slopes(&self) -> [u16; slopes::LEN] {
+        self.with_slopes
     }
 
     /// The newest valid pair, unless it is stale.

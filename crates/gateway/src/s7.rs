@@ -2,7 +2,7 @@
 //! many times a second; after a fault the connection is made again.
 //!
 //! ```text
-//!  byte   0 … 55    input block, written by the gateway alone
+//!  byte   0 … 55    input block, written by the gateway alone; in mode slope 0 … 63
 //!        64 … 97    holding block, written by the PLC's program alone
 //! ```
 
@@ -13,18 +13,13 @@ use std::{
     time::{Duration, Instant},
 };
 
-use trueup_modbus::{
-    cnc,
-    table::{HOLDING_LEN, INPUT_LEN},
-};
+use trueup_modbus::{cnc, table::HOLDING_LEN};
 
 use crate::{bridge::Shared, health::End, hub::MASTER_LASTS, pause::Pause};
 use client::{Client, Error, Place};
 
 /// Where the holding block begins in the data block, in bytes.
 pub const HOLDING_AT: usize = 64;
-/// Bytes of the input block.
-const INPUT_BYTES: usize = 2 * INPUT_LEN;
 /// Bytes of the holding block.
 const HOLDING_BYTES: usize = 2 * HOLDING_LEN;
 /// The one master there is.
@@ -39,10 +34,25 @@ pub struct Target {
     pub db: u16,
     /// From one write to the next.
     pub period: Duration,
+    /// What is written.
+    pub mode: Mode,
+}
+
+/// What is written into the block.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Mode {
+    /// The offsets.
+    #[default]
+    Offsets,
+    /// The constant and the slope of each: the NCK multiplies by its own position.
+    Slope,
 }
 
 /// Writes and reads until the end.
 pub fn serve(shared: &Shared, target: &Target, end: &End) {
+    if target.mode == Mode::Slope {
+        shared.hub().expect_slopes(shared.now());
+    }
     let mut pause = Pause::default();
     while !shared.has_ended() {
         let why = match Client::connect(&target.place) {
@@ -76,8 +86,8 @@ fn exchange(
     let mut due = Instant::now();
     while !shared.has_ended() {
         let started = Instant::now();
-        let block = shared.hub().input();
-        if let Err(error) = client.write(target.db, 0, &bytes(&block)) {
+        let block = input(shared, target.mode);
+        if let Err(error) = client.write(target.db, 0, &block) {
             return (Some(error), has_written);
         }
         has_written = true;
@@ -125,19 +135,24 @@ impl Seen {
 /// The CPU cannot be reached, has no such data block, or has not kept what was written.
 pub fn once(shared: &Shared, target: &Target) -> Result<(), Error> {
     let mut client = Client::connect(&target.place)?;
-    let written = bytes(&shared.hub().input());
+    let written = input(shared, target.mode);
     client.write(target.db, 0, &written)?;
-    let mut read = [0; INPUT_BYTES];
+    let mut read = vec![0; written.len()];
     client.read(target.db, 0, &mut read)?;
     if read == written { Ok(()) } else { Err(Error::NotKept) }
 }
 
-fn bytes(block: &[u16; INPUT_LEN]) -> [u8; INPUT_BYTES] {
-    let mut bytes = [0; INPUT_BYTES];
-    for (place, word) in bytes.chunks_exact_mut(2).zip(block) {
-        place.copy_from_slice(&word.to_be_bytes());
+/// The present input block.
+fn input(shared: &Shared, mode: Mode) -> Vec<u8> {
+    let hub = shared.hub();
+    match mode {
+        Mode::Offsets => bytes(&hub.input()),
+        Mode::Slope => bytes(&hub.input_with_slopes()),
     }
-    bytes
+}
+
+fn bytes(block: &[u16]) -> Vec<u8> {
+    block.iter().flat_map(|word| word.to_be_bytes()).collect()
 }
 
 fn registers(bytes: &[u8; HOLDING_BYTES]) -> cnc::Registers {

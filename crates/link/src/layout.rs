@@ -103,7 +103,7 @@ pub const QUALITY: Signal = Signal::unsigned(44, 4);
 pub const FLAGS: Signal = Signal::unsigned(48, 8);
 /// Age of the newest sample in milliseconds.
 pub const AGE: Signal = Signal::unsigned(56, 8);
-/// What a status frame is about: 0…10, see [`crate::status::Item`].
+/// What a status frame is about: 0…13, see [`crate::status::Item`].
 pub const ITEM: Signal = Signal::unsigned(24, 4);
 /// Why a frame of the CNC was last refused.
 pub const LAST_REFUSED: Signal = Signal::unsigned(28, 4);
@@ -125,6 +125,12 @@ pub const COUNT_HIGH: Signal = Signal::unsigned(48, 16);
 pub const STATE_BITS: Signal = Signal::unsigned(32, 32);
 /// CRC of the running calibration.
 pub const CALIBRATION_CRC: Signal = Signal::unsigned(32, 32);
+/// The constant of an axis's offset, in 0.1 µm.
+pub const OFFSET_CONSTANT: Signal = Signal::signed(32, 16);
+/// The raw constant that means "not available".
+pub const NO_CONSTANT_RAW: i32 = -32_768;
+/// The slope of an axis's offset, in 0.1 µm/m.
+pub const OFFSET_SLOPE: Signal = Signal::signed(48, 16);
 /// CANopen state. Bit 7 of the byte is reserved.
 pub const STATE: Signal = Signal::unsigned(0, 7);
 /// Error code of an emergency; 0: a fault has gone.

@@ -1,5 +1,6 @@
 //! `Status`: what the bridge says of itself while it runs, one item a frame, ten frames a second, so
-//! that each item comes every 1.1 s.
+//! that each item comes every 1.1 s. Items 11 to 13 come from a bridge whose axes grow along their way alone, and then
+//! each item comes every 1.5 s and the state (8) at least every 0.9 s: [`ORDER`].
 //!
 //! | item | bits 32…47 | bits 48…63 |
 //! |---|---|---|
@@ -11,6 +12,7 @@
 //! | 8 | state, 32 bits: [`StateBits`] | |
 //! | 9 | reason of the last reset: [`ResetReason`] | bytes of the stack that were never used |
 //! | 10 | CRC of the running calibration, 32 bits; 0: there is none | |
+//! | 11…13 | constant of the offset of X, Y, Z in 0.1 µm | its slope in 0.1 µm/m |
 //!
 //! The most negative number of a temperature and of the elongation means "not available"; counts
 //! stop at 65 535. Every frame says in bits 28…31 why a frame of the CNC was last refused, and is
@@ -22,13 +24,21 @@ use crate::{
     frame::Frame,
     frames::{self, DecodeError},
     layout::{
-        CALIBRATION_CRC, COUNT_HIGH, COUNT_LOW, ELONGATION, ITEM, LAST_REFUSED, NO_ELONGATION_RAW,
-        NO_TEMPERATURE_RAW, STATE_BITS, STATUS_ID, TEMPERATURE_HIGH, TEMPERATURE_LOW,
+        CALIBRATION_CRC, COUNT_HIGH, COUNT_LOW, ELONGATION, ITEM, LAST_REFUSED, NO_CONSTANT_RAW,
+        NO_ELONGATION_RAW, NO_TEMPERATURE_RAW, OFFSET_CONSTANT, OFFSET_SLOPE, STATE_BITS,
+        STATUS_ID, TEMPERATURE_HIGH, TEMPERATURE_LOW,
     },
 };
 
 /// The largest number of an item.
-pub const LAST_ITEM: u8 = 10;
+pub const LAST_ITEM: u8 = 13;
+
+/// The items in the order in which they come; without a slope only the first [`WITHOUT_SLOPES`] of them.
+pub const ORDER: [u8; 15] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 8];
+/// How many of [`ORDER`] a bridge without a slope sends.
+pub const WITHOUT_SLOPES: u8 = 11;
+/// Axes that a slope is sent of.
+const AXES: u8 = 3;
 
 /// What a `Status` frame says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -116,6 +126,15 @@ pub enum Item {
     },
     /// CRC of the running calibration; 0: there is none.
     Calibration(u32),
+    /// The offset of an axis in two parts: constant + slope·(P − P₀), P₀ the `origin_mm` of its thermal law.
+    Slope {
+        /// X, Y, Z: 0…2. A larger number counts as 2.
+        axis: u8,
+        /// In 0.1 µm; `None`: not available.
+        constant: Option<i16>,
+        /// In 0.1 µm/m.
+        slope: i16,
+    },
 }
 
 /// What a CNC must know of the bridge beside its offsets: one bit a condition, 0 where all is well.
@@ -312,6 +331,11 @@ pub fn encode(status: &Status, counter: u8) -> Frame {
             CALIBRATION_CRC.insert(&mut data, crc.cast_signed());
             10
         }
+        Item::Slope { axis, constant, slope } => {
+            OFFSET_CONSTANT.insert(&mut data, constant.map_or(NO_CONSTANT_RAW, i32::from));
+            OFFSET_SLOPE.insert(&mut data, slope.into());
+            axis.min(AXES.saturating_sub(1)).saturating_add(WITHOUT_SLOPES)
+        }
     };
     ITEM.insert(&mut data, number.into());
     frames::protected(STATUS_ID, counter, data)
@@ -360,101 +384,20 @@ pub fn decode(frame: &Frame) -> Result<Status, DecodeError> {
             Item::Reset { reason, free_stack: count(COUNT_HIGH) }
         }
         10 => Item::Calibration(CALIBRATION_CRC.extract(data).cast_unsigned()),
+        number @ WITHOUT_SLOPES..=LAST_ITEM => {
+            let short = |signal: crate::bits::Signal| i16::try_from(signal.extract(data));
+            Item::Slope {
+                axis: number.saturating_sub(WITHOUT_SLOPES),
+                constant: short(OFFSET_CONSTANT)
+                    .ok()
+                    .filter(|raw| i32::from(*raw) != NO_CONSTANT_RAW),
+                slope: short(OFFSET_SLOPE).unwrap_or_default(),
+            }
+        }
         other => return Err(DecodeError::Value { signal: "Item", raw: other.into() }),
     };
     Ok(Status { last_refused, item })
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::{e2e::Checker, layout::COUNTER};
-    use proptest::prelude::*;
-    use std::{format, string::String, vec::Vec};
-
-    #[test]
-    fn the_ends_and_what_is_missing_keep_apart() {
-        for (item, tail) in [
-            (
-                Item::Temperatures { pair: 0, centi_c: [Some(i16::MAX), Some(-i16::MAX)] },
-                [0x10, 0xFF, 0x7F, 0x01, 0x80],
-            ),
-            (Item::Temperatures { pair: 3, centi_c: [None; 2] }, [0x13, 0, 0x80, 0, 0x80]),
-            (Item::Elongation(Some(Nanometres(-1))), [0x14, 0xFF, 0xFF, 0xFF, 0xFF]),
-            (Item::Elongation(None), [0x14, 0, 0, 0, 0x80]),
-            (Item::Refused { damaged: 1, out_of_sequence: 0xFFFF }, [0x15, 1, 0, 0xFF, 0xFF]),
-            (Item::Received { malformed: 0x1234, lost: 2 }, [0x16, 0x34, 0x12, 2, 0]),
-            (Item::Board { noise_thousandths: 1_041, faults: 1 << 13 }, [0x17, 0x11, 4, 0, 0x20]),
-            (Item::State(StateBits(0x8000_2001)), [0x18, 1, 0x20, 0, 0x80]),
-            (
-                Item::Reset { reason: ResetReason::HardFault, free_stack: 0x1234 },
-                [0x19, 7, 0, 0x34, 0x12],
-            ),
-            (Item::Calibration(0xF4AC_FB13), [0x1A, 0x13, 0xFB, 0xAC, 0xF4]),
-        ] {
-            let status = Status { last_refused: Reason::Malformed, item };
-            let frame = encode(&status, 9);
-            assert_eq!(frame.data()[3..], tail, "{item:?}");
-            assert_eq!(decode(&frame), Ok(status));
-        }
-    }
-
-    #[test]
-    fn an_item_or_a_reason_without_meaning_is_refused_by_name() {
-        for (signal, at, from) in [("Item", ITEM, 11), ("LastRefused", LAST_REFUSED, 5)] {
-            for raw in from..16 {
-                let status = Status { last_refused: Reason::None, item: Item::Elongation(None) };
-                let mut data = *encode(&status, 0).data();
-                at.insert(&mut data, raw);
-                let frame = Frame::new(STATUS_ID, &data).expect("8 bytes");
-                assert_eq!(decode(&frame), Err(DecodeError::Value { signal, raw }));
-            }
-        }
-    }
-
-    proptest! {
-        #[test]
-        fn whatever_is_read_is_written_again_and_protected(data in any::<[u8; 8]>(), counter: u8) {
-            let frame = Frame::new(STATUS_ID, &data).expect("8 bytes");
-            if let Ok(status) = decode(&frame) {
-                let again = encode(&status, counter);
-                prop_assert_eq!(&again.data()[3..], &data[3..]);
-                prop_assert_eq!(COUNTER.extract(again.data()), counter.into());
-                prop_assert!(Checker::new(STATUS_ID).accept(&again).is_ok());
-            }
-        }
-    }
-
-    #[test]
-    fn every_condition_of_the_state_has_a_bit_of_its_own_in_their_order() {
-        assert!(StateBits::WORDS.is_sorted_by(|(a, _), (b, _)| a.0 < b.0));
-        for (bit, word) in StateBits::WORDS {
-            assert_eq!(bit.0.count_ones(), 1, "{word}");
-            assert!(!StateBits::default().contains(bit), "{word}");
-        }
-    }
-
-    #[test]
-    fn a_condition_that_holds_is_added_to_the_others_and_adding_it_again_changes_nothing() {
-        let (first, second) = (StateBits::SECOND_MASTER, StateBits::SELF_TEST);
-        let both = StateBits::default().with_if(true, first).with_if(true, second);
-        assert_eq!(both.with_if(true, first).with_if(false, StateBits::CAN_OFF), both);
-        assert!(both.contains(first) && both.contains(second) && both.contains(both));
-        assert!(!first.contains(both), "of several each has to be set");
-    }
-
-    #[test]
-    fn every_reason_of_a_start_has_its_own_number_and_word() {
-        let reasons: Vec<_> = (0..).map_while(ResetReason::from_wire).collect();
-        assert_eq!(reasons.len(), ResetReason::COUNT);
-        for (number, reason) in reasons.iter().enumerate() {
-            assert_eq!(*reason as usize, number);
-            // As the variants are called: HardFault is hard-fault.
-            let name = format!("{reason:?}");
-            let apart =
-                |(n, c): (usize, char)| [(n > 0 && c.is_uppercase()).then_some('-'), Some(c)];
-            let words: String = name.chars().enumerate().flat_map(apart).flatten().collect();
-            assert_eq!(reason.word(), words.to_lowercase());
-        }
-    }
-}
+mod tests;

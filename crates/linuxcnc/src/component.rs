@@ -161,7 +161,8 @@ impl Status {
             Item::Refused { .. }
             | Item::Received { .. }
             | Item::Board { .. }
-            | Item::Reset { .. } => {}
+            | Item::Reset { .. }
+            | Item::Slope { .. } => {}
         }
     }
 }

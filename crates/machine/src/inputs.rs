@@ -14,7 +14,11 @@
 
 use std::collections::BTreeMap;
 
-use trueup_core::units::{Code, READINGS_PER_CODE, Reading};
+use trueup_core::{
+    health::{HIGH_RAIL, LOW_RAIL},
+    thermometer::Thermometer,
+    units::{Code, READINGS_PER_CODE, Reading, Temperature},
+};
 
 /// The ADC's reference: its full scale in volts.
 pub const REFERENCE_VOLTS: f64 = 3.3;
@@ -52,13 +56,112 @@ pub const RATES_C_PER_MIN: [f64; 2] = [0.1, 600.0];
 pub enum TemperatureKind {
     /// A PT100 by IEC 60751.
     Pt100,
-    /// T in °C = (counts − `zero_counts`) / `counts_per_c`.
-    Linear {
-        /// The counts at 0 °C.
-        zero_counts: f64,
-        /// Counts for one °C; not 0.
-        counts_per_c: f64,
+    /// A line.
+    Linear(LinearInput),
+}
+
+/// A linear temperature input: T in °C = (counts − `zero_counts`) / `counts_per_c`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LinearInput {
+    /// The counts at 0 °C.
+    pub zero_counts: f64,
+    /// Counts for one °C; not 0.
+    pub counts_per_c: f64,
+    /// What a count is.
+    pub scale: CountScale,
+}
+
+/// What a count of a linear temperature input is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum CountScale {
+    /// A code of the board's converter: [`Code::FULL_SCALE`] at [`REFERENCE_VOLTS`] on its pin.
+    Code,
+    /// A volt at the input, up to `full_scale_v`; at the pin `divider` of it.
+    Volt {
+        /// The largest voltage of the transmitter.
+        full_scale_v: f64,
+        /// Volts at the board's converter for one volt of the input.
+        divider: f64,
     },
+    /// A count of another converter, which gives `counts_full_scale` at `full_scale_v`.
+    Count {
+        /// The counts at `full_scale_v`.
+        counts_full_scale: f64,
+        /// The voltage of the input at `counts_full_scale`.
+        full_scale_v: f64,
+        /// Volts at the board's converter for one volt of the input.
+        divider: f64,
+    },
+}
+
+/// The divider of the wiring, 20.0 kΩ above 9.76 kΩ: the one of an input that states none.
+pub const WIRED_DIVIDER: f64 = 0.328;
+
+/// The full scale of a linear temperature input that states none, in volts.
+pub const USUAL_FULL_SCALE_V: f64 = 10.0;
+
+impl CountScale {
+    /// Returns the codes of the board's converter for one count.
+    #[must_use]
+    pub fn codes_per_count(self) -> f64 {
+        let codes_per_v = f64::from(Code::FULL_SCALE) / REFERENCE_VOLTS;
+        match self {
+            Self::Code => 1.0,
+            Self::Volt { divider, .. } => divider * codes_per_v,
+            Self::Count { counts_full_scale, full_scale_v, divider } => {
+                full_scale_v / counts_full_scale * divider * codes_per_v
+            }
+        }
+    }
+
+    /// Returns the largest count that the transmitter gives.
+    #[must_use]
+    pub fn largest_count(self) -> f64 {
+        match self {
+            Self::Code => f64::from(Code::FULL_SCALE),
+            Self::Volt { full_scale_v, .. } => full_scale_v,
+            Self::Count { counts_full_scale, .. } => counts_full_scale,
+        }
+    }
+}
+
+impl LinearInput {
+    /// Returns the same line in codes of the board's converter: the code at 0 °C, and codes for one °C.
+    #[must_use]
+    pub fn in_codes(&self) -> (f64, f64) {
+        let codes = self.scale.codes_per_count();
+        (self.zero_counts * codes, self.counts_per_c * codes)
+    }
+
+    /// Returns the temperature in °C of a code of the board's converter.
+    ///
+    /// ```
+    /// use trueup_machine::inputs::{CountScale, LinearInput};
+    /// // The paper's T = (counts − 4000)/16, with 32768 counts at 10 V: 1520 codes of 0.328 · 10 V / 3.3 V
+    /// // · 4096 = 4071.2 are 12 234 counts, or 514.6 °C.
+    /// let scale = CountScale::Count { counts_full_scale: 32_768.0, full_scale_v: 10.0, divider: 0.328 };
+    /// let paper = LinearInput { zero_counts: 4_000.0, counts_per_c: 16.0, scale };
+    /// assert!((paper.celsius(1_520.0) - 514.63).abs() < 0.01);
+    /// ```
+    #[must_use]
+    pub fn celsius(&self, code: f64) -> f64 {
+        let (zero, per_c) = self.in_codes();
+        (code - zero) / per_c
+    }
+
+    /// Returns the lowest and the highest temperature in °C that the input can give: between the codes at which the
+    /// board takes it for a broken wire or a short circuit, up to the transmitter's full scale, and within ±500 °C.
+    /// `None` where nothing is left.
+    #[must_use]
+    pub fn reach_c(&self) -> Option<[f64; 2]> {
+        let last = self.scale.largest_count() * self.scale.codes_per_count();
+        let lowest = f64::from(LOW_RAIL.0) + 1.0;
+        let highest = last.min(f64::from(HIGH_RAIL.0) - 1.0);
+        let ends = [self.celsius(lowest), self.celsius(highest)];
+        let limit = f64::from(Thermometer::LIMIT.0) / f64::from(Temperature::PER_KELVIN);
+        let [low, high] = [ends[0].min(ends[1]).max(-limit), ends[0].max(ends[1]).min(limit)];
+        (lowest < highest && low < high).then_some([low, high])
+    }
 }
 
 /// The chain from the displacement sensor's counts to the ADC.

@@ -87,6 +87,42 @@ fn the_worked_axis_of_the_paper() {
 }
 
 #[test]
+fn the_papers_three_kinds_are_a_constant_a_slope_and_both() {
+    // 19 K: 2 µm/K make 38 µm; 10 µm/m·K make 190 µm/m, and 2.5 m are 2 m from the reference position.
+    for (mode, um) in [("constant", 38.0), ("position", 380.0), ("both", 418.0)] {
+        let axis = mill(&format!(
+            "[axis.x.thermal]\nmode = \"{mode}\"\nsensor = \"temp_screw_c\"\nreference_c = 20\n\
+             constant_um_per_c = 2\nslope_um_per_m_per_c = 10\norigin_mm = 500\n"
+        ));
+        let rows = predictions(&axis, "temp_screw_c,x_mm\n39,2500\n20,2500\n");
+        assert_error(&rows[0], [um, 0.0, 0.0], 1.0);
+        assert_error(&rows[1], [0.0; 3], 1.0);
+    }
+}
+
+#[test]
+fn five_metres_of_axis_grow_by_fifty_micrometres_a_kelvin() {
+    let axis = mill(
+        "[axis.x.thermal]\nmode = \"position\"\nsensor = \"temp_screw_c\"\nreference_c = 20\n\
+         slope_um_per_m_per_c = 10\n",
+    );
+    let rows = predictions(&axis, "temp_screw_c,x_mm\n21,5000\n");
+    assert_error(&rows[0], [50.0, 0.0, 0.0], 1.0);
+}
+
+#[test]
+fn ten_volts_of_the_papers_sensor_are_500_micrometres() {
+    let text = include_str!("../../../data/paper_spindle.toml");
+    let machine = MachineFile::parse(text, Path::new("m.toml")).expect("ours");
+    let input = machine.inputs.and_then(|inputs| inputs.sensor).expect("a sensor");
+    assert_eq!([0.0, 32_768.0].map(|counts| input.volts_from_counts(counts)), [0.0, 10.0]);
+    // 5048 counts, 77.026 µm, are the zero; a tool that grows goes down.
+    let rows = predictions(text, "sensor_counts\n0\n32768\n");
+    assert_error(&rows[0], [0.0, 0.0, 77.026_367_187_5], 1.0);
+    assert_error(&rows[1], [0.0, 0.0, 77.026_367_187_5 - 500.0], 1.0);
+}
+
+#[test]
 fn pitch_by_direction_and_backlash_where_it_is_approached_from_above() {
     let axes = mill(
         "[axis.x.pitch]\nstart_mm = 0\nstep_mm = 10\nforward_um = [0, -1, 1]\n\

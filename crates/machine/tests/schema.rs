@@ -242,8 +242,14 @@ fn file_with(name: &str, keys: &[Key], more: &[(&str, &str)]) -> String {
     beside("spindle.sensor", "um_per_count", "1", &["um_per_v"]);
     beside("axis.x.thermal", "reference_c", "20.0", &["table"]);
     beside("inputs.temp_<name>_c", "kind", "\"linear\"", &[]);
-    beside("inputs.temp_<name>_c", "zero_counts", "1", &["kind"]);
-    beside("inputs.temp_<name>_c", "counts_per_c", "1", &["kind"]);
+    // The line in volts where a key of it is asked for, else in counts.
+    let in_volts = ["zero_v", "c_per_v"];
+    beside("inputs.temp_<name>_c", "zero_counts", "1", &["kind", "zero_v", "c_per_v"]);
+    beside("inputs.temp_<name>_c", "counts_per_c", "1", &["kind", "zero_v", "c_per_v"]);
+    beside("inputs.temp_<name>_c", "counts_full_scale", "1", &["kind", "zero_v", "c_per_v"]);
+    for key in in_volts.into_iter().filter(|_| in_volts.iter().any(|it| has(it))) {
+        beside("inputs.temp_<name>_c", key, "1", &["kind"]);
+    }
     if name == "spindle" {
         text.push_str("[spindle.sensor]\nk0_um = 0\nzero_counts = 1\num_per_count = 1\n");
     }

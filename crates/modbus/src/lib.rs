@@ -25,4 +25,5 @@ pub mod input;
 pub mod protect;
 pub mod rtu;
 pub mod server;
+pub mod slopes;
 pub mod table;

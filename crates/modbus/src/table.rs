@@ -178,9 +178,12 @@ mod tests {
         const FILE: &str =
             concat!(env!("CARGO_MANIFEST_DIR"), "/../../integrations/siemens-840d/trueup_db.awl");
         let wanted = format!(
-            "// trueup: what the gateway writes (byte 0 to 55), and what it reads (byte 64 to 97). Made from the table\n\
+            "// trueup: what the gateway writes (byte 0 to 55, in mode slope to 63), and what it reads (byte 64 to 97). Made from the table\n\
              // of registers in crates/modbus; what each means: docs/modbus.md. Not optimized, not write-protected.\n\
-             DATA_BLOCK DB 900\nTITLE = trueup\nVERSION : 1.0\nSTRUCT\n{}  Reserved : ARRAY [1..4] OF WORD;\n\
+             DATA_BLOCK DB 900\nTITLE = trueup\nVERSION : 1.0\nSTRUCT\n{}  SlopeX : INT;               // +56  0.1 um/m, mode slope\n\
+             \x20 SlopeY : INT;               // +58  0.1 um/m\n\
+             \x20 SlopeZ : INT;               // +60  0.1 um/m\n\
+             \x20 SlopeCrc : WORD;            // +62  over byte 0 to 61 and the data ID 16#381\n\
              // from byte 64\n{}END_STRUCT;\nBEGIN\nEND_DATA_BLOCK\n",
             awl(INPUT, ""),
             awl(HOLDING, "Cnc")

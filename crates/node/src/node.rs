@@ -47,6 +47,7 @@ mod objects;
 mod questions;
 mod registers;
 mod restart;
+mod slopes;
 mod standing;
 mod supply;
 mod switch;
@@ -108,8 +109,10 @@ pub struct Node<'a> {
     log: Log,
     noise: Noise,
     until_status_ms: u32,
-    /// Which item the next status frame is about, and its counter.
+    /// Which of the order of items the next status frame is about, and its counter.
     status_item: u8,
+    /// The slopes of X, Y and Z that were last sent, in 0.1 µm/m.
+    slopes: [i16; 3],
     status_counter: u8,
     last_refused: Reason,
     start: Start,
@@ -167,6 +170,7 @@ impl<'a> Node<'a> {
             noise: Noise::default(),
             until_status_ms: 0,
             status_item: 0,
+            slopes: [0; 3],
             status_counter: 0,
             last_refused: Reason::None,
             start: Start::default(),
@@ -397,10 +401,9 @@ impl<'a> Node<'a> {
             return None;
         }
         self.until_status_ms = STATUS_PERIOD_MS;
-        let (item, counter) = (self.status_item, self.status_counter);
-        self.status_item = if item < status::LAST_ITEM { item.wrapping_add(1) } else { 0 };
+        let counter = self.status_counter;
         self.status_counter = counter.wrapping_add(1);
-        let status = Status { last_refused: self.last_refused, item: self.item(item) };
+        let status = Status { last_refused: self.last_refused, item: self.next_item() };
         Some(status::encode(&status, counter))
     }
 
@@ -451,6 +454,8 @@ mod learned_tests;
 mod register_tests;
 #[cfg(test)]
 mod restart_tests;
+#[cfg(test)]
+mod slopes_tests;
 #[cfg(test)]
 mod standing_tests;
 #[cfg(test)]

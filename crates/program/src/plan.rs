@@ -65,6 +65,8 @@ pub enum Column {
     Time,
     /// `x_mm` of an axis.
     Position(usize),
+    /// `y_mm` of an axis that the program does not move: where the operator has put it.
+    Stands(usize, f64),
     /// `dir_x` of an axis.
     Direction(usize),
     /// `feed_mm_per_min`.

@@ -51,7 +51,7 @@ fn name(column: &Column) -> String {
     match column {
         Column::Run => "run".into(),
         Column::Time => "time_s".into(),
-        Column::Position(axis) => format!("{}_mm", AXES[*axis]),
+        Column::Position(axis) | Column::Stands(axis, _) => format!("{}_mm", AXES[*axis]),
         Column::Direction(axis) => format!("dir_{}", AXES[*axis]),
         Column::Feed => "feed_mm_per_min".into(),
         Column::Speed | Column::SpeedBetween(_) => "spindle_rpm".into(),
@@ -66,6 +66,7 @@ fn cell(column: &Column, reading: &Reading) -> String {
         Column::Position(axis) => {
             reading.position_mm[*axis].map_or(String::new(), |mm| mm.to_string())
         }
+        Column::Stands(_, mm) => mm.to_string(),
         Column::Direction(axis) => match reading.direction[*axis] {
             0 => String::new(),
             way => way.to_string(),

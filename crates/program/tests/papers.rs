@@ -330,3 +330,27 @@ fn what_does_not_fit_is_refused_with_its_reason() {
     let often = Options { every_s: Some(4.0), ..Options::default() };
     assert!(says(Kind::Warmup, &here, often).contains("--every-s 4"));
 }
+
+#[test]
+fn an_axis_with_two_drives_is_measured_at_both_ends_of_its_beam() {
+    let machine = parse(
+        "[machine]\nname = \"gantry\"\nkind = \"3-axis\"\n[axis.x]\ntravel_mm = [-2.0, 1002.0]\n\
+         [axis.x.pitch]\nstart_mm = 0.0\nstep_mm = 1000.0\nforward_um = [0.0, 0.0]\n\
+         [axis.x.dual]\nacross = \"y\"\nfirst_mm = 0.0\nsecond_mm = 3000.0\n\
+         pitch = { start_mm = 0.0, step_mm = 1000.0, forward_um = [0.0, 0.0] }\n",
+    );
+    let plans = plans(Kind::Pitch, &machine, &only_x()).expect("it fits").0;
+    let names: Vec<&str> = plans.iter().map(|plan| plan.name.as_str()).collect();
+    assert_eq!(names, ["pitch-x-drive1", "pitch-x-drive2"]);
+    for (plan, mm, which) in [(&plans[0], 0, "first"), (&plans[1], 3000, "second")] {
+        let sentence = format!("Y stands at {mm} mm, at the {which} drive.");
+        assert!(plan.first_stop().contains(&sentence), "{:?}", plan.first_stop());
+        // Y is where the operator has put it: no program that is named after X moves it.
+        assert_eq!(plan.extent_mm()[1], None);
+        let (_, text) = &template::templates(plan)[0];
+        let lines: Vec<&str> = text.lines().filter(|line| !line.starts_with('#')).collect();
+        assert_eq!(lines[0], "run,x_mm,dir_x,y_mm,measured_dx_um");
+        assert!(lines[1..].iter().all(|line| line.ends_with(&format!(",{mm},"))), "{text}");
+        assert!(plan.then.contains("--run pitch-x-drive1.csv --run pitch-x-drive2.csv"));
+    }
+}

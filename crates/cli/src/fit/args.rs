@@ -36,7 +36,7 @@ pub enum Kind {
 /// What was measured, and what is believed.
 #[derive(Args)]
 pub struct Measured {
-    /// A run file; warmup, thermal, elongation and table1 take several.
+    /// A run file; warmup, thermal, elongation and table1 take several, pitch one for each drive of a gantry axis.
     #[arg(long, value_name = "RUN.csv", required = true)]
     pub run: Vec<PathBuf>,
     /// The machine file: by it what a bridge in the runs had applied is taken off, and into it a section is

@@ -166,6 +166,67 @@ fn pitch_and_backlash_of_real_axes() {
     assert!(out.ends_with("nothing is written\n") && !desk.path("none.toml").exists(), "{out}");
 }
 
+/// Readings of X on a beam: `share` of the way to the second drive; errors of each drive, a backlash of 4 um, and noise.
+fn beam_run(share: f64, y_column: bool) -> String {
+    let mut text = String::from("run,x_mm,dir_x,measured_dx_um");
+    text += if y_column { ",y_mm\n" } else { "\n" };
+    for run in 1..=4 {
+        for way in [1, -1] {
+            for n in 0..=20 {
+                let x = if way == 1 { 50.0 * f64::from(n) } else { 1000.0 - 50.0 * f64::from(n) };
+                let first = 0.006 * x + 5.0 * (x / 160.0).sin();
+                let second = 0.030 * x - 4.0 * (x / 210.0).sin();
+                let noise = 0.3 * f64::from((run * 7 + n * 5 + way * 3) % 5 - 2) / 2.0;
+                let lash = if way == -1 { 4.0 } else { 0.0 };
+                let um = (1.0 - share) * first + share * second + lash + noise;
+                text += &format!("{run},{x},{way},{um:.3}");
+                text += &if y_column { format!(",{}\n", 3000.0 * share) } else { "\n".into() };
+            }
+        }
+    }
+    text
+}
+
+#[test]
+fn a_gantry_with_two_drives_gets_both_tables_and_one_run_says_which_stays() {
+    let desk = desk();
+    desk.write(
+        "gantry.toml",
+        "[machine]\nname = \"g\"\nkind = \"3-axis\"\n[axis.x.pitch]\nstart_mm = 0.0\nstep_mm = 1000.0\n\
+         forward_um = [0.0, 0.0]\n[axis.x.dual]\nacross = \"y\"\nfirst_mm = 0.0\nsecond_mm = 3000.0\n\
+         pitch = { start_mm = 0.0, step_mm = 1000.0, forward_um = [0.0, 0.0] }\n",
+    );
+    for (name, share) in [("one.csv", 0.0), ("two.csv", 1.0), ("between.csv", 0.3)] {
+        desk.write(name, beam_run(share, true));
+    }
+    desk.write("nowhere.csv", beam_run(0.0, false));
+    let both = "fit pitch --machine gantry.toml --run one.csv --run two.csv -o both.toml";
+    let (out, _) = desk.said(both, 0);
+    println!("{out}");
+    for run in ["one.csv", "two.csv", "between.csv"] {
+        let rms = desk.predicted_rms("both.toml", run, "dx");
+        assert!(rms < 0.6, "{run}: {rms} um");
+    }
+    let axis = &desk.machine("both.toml").axes[0];
+    assert!((axis.backlash.expect("written").width_um - 4.0).abs() < 0.3);
+    assert!(axis.dual.as_ref().expect("kept").pitch.forward_um.iter().any(|um| *um > 20.0));
+
+    // One run: the other table stays, and that is said with what it costs to leave it.
+    for run in ["one.csv", "nowhere.csv"] {
+        let (out, told) =
+            desk.said(&format!("fit pitch --machine gantry.toml --run {run} -o one.toml"), 0);
+        let said = format!("{out}{told}");
+        assert!(said.contains("[axis.x.dual] pitch, stays as it is, 0 everywhere"), "{said}");
+        assert!(said.contains("Y at 3000 mm, and --run twice"), "{said}");
+    }
+    assert!(desk.predicted_rms("one.toml", "two.csv", "dx") > 10.0);
+    let (_, told) = desk.said("fit pitch --machine gantry.toml --run between.csv -o no.toml", 2);
+    assert!(told.contains("y_mm is 900: the two drives are at 0 and 3000 mm"), "{told}");
+    let (_, told) =
+        desk.said("fit pitch --machine gantry.toml --run one.csv --run one.csv -o no.toml", 2);
+    assert!(told.contains("is of the same drive as another run"), "{told}");
+}
+
 #[test]
 fn straightness_of_a_real_bed() {
     let Some(path) = measured("bed_mesh_troodon/mesh_101x101_mm.csv") else { return };

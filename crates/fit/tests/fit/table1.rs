@@ -71,7 +71,7 @@ fn of(entry: &Entry, way: Way) -> &Row {
 
 #[test]
 fn the_papers_order_of_the_ways_where_its_reason_holds() {
-    let (mut cannot_follow, mut all) = (0, 0);
+    let (mut cannot_follow, mut all, mut lines_leave_more) = (0, 0, 0);
     for set in SETS {
         for (error, pair, [papers_without, papers_with]) in DIAGONALS {
             let (table, tolerance_um) = table(set, error, pair);
@@ -100,6 +100,10 @@ fn the_papers_order_of_the_ways_where_its_reason_holds() {
                     );
                 }
             }
+            // What the paper saw of lines is not there: 15.1 µm at least, and more than the spline's.
+            assert!(lines[2].left.residual.range_um < 2.5, "set {set} {error}");
+            lines_leave_more +=
+                u32::from(lines[2].left.residual.range_um > own[2].left.residual.range_um);
             let entry = table.entries.last().expect("the diagonal");
             println!(
                 "set {set} {}: {:.0} um (paper {papers_without}) -> B-spline {:.1} ({papers_with}), polynomial {:.1}, \
@@ -119,8 +123,9 @@ fn the_papers_order_of_the_ways_where_its_reason_holds() {
             );
         }
     }
-    println!("degree 7 cannot follow {cannot_follow} of {all}");
-    assert!(2 * cannot_follow > all, "{cannot_follow} of {all}");
+    // As docs/papers.md prints it.
+    assert_eq!((cannot_follow, all), (61, 72), "degree 7 cannot follow");
+    assert!(lines_leave_more <= 4, "lines leave more than the spline in {lines_leave_more} of 24");
 }
 
 #[test]
@@ -132,6 +137,37 @@ fn a_curve_within_half_of_5_um_keeps_5_um_in_any_metre() {
         assert!(own.left.over_a_metre_um <= 5.0, "{}", own.left.over_a_metre_um);
         assert!(table.entries[0].without.over_a_metre_um > 5.0);
     }
+}
+
+/// The delay of a control that leaves the paper's 27.5 µm (range) on a diagonal, at the paper's feed, in s.
+fn delay_s(set: u64) -> f64 {
+    let ways = [0, 2].map(|number| curve(set, number).0);
+    let length_mm = ways.iter().map(|way| way.travel_mm.powi(2)).sum::<f64>().sqrt();
+    let at = |mm: f64| {
+        let share = (mm / length_mm).clamp(0.0, 1.0);
+        ways.iter().map(|way| way.at(share * way.travel_mm)).sum::<f64>()
+    };
+    let left = |late_mm: f64| {
+        let places = (0..=60).map(|n| f64::from(n) * 240.0).filter(|mm| *mm <= length_mm);
+        let left: Vec<f64> = places.map(|mm| at(mm) - at(mm - late_mm)).collect();
+        let ends = left.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], um| {
+            [low.min(*um), high.max(*um)]
+        });
+        ends[1] - ends[0]
+    };
+    let mm_per_s = FEED_MM_PER_MIN / 60.0;
+    let tenths = (1..).map(|tenths| 0.1 * f64::from(tenths));
+    tenths.into_iter().find(|s| left(s * mm_per_s) >= 27.5).expect("at last")
+}
+
+#[test]
+fn no_control_is_as_late_as_the_papers_27_um_of_lines_would_need() {
+    let mut all: Vec<f64> = (0..200).map(delay_s).collect();
+    all.sort_by(f64::total_cmp);
+    let (least, middle) = (all[0], all[100]);
+    println!("a delay of {least:.1} s at least, {middle:.1} s in the middle of 200");
+    // As docs/papers.md prints it. A control is late by its cycles: milliseconds.
+    assert!((least - 3.4).abs() < 0.06 && (middle - 9.8).abs() < 0.06, "{least} {middle}");
 }
 
 #[test]

@@ -6,7 +6,7 @@ use trueup_core::{cnc::Command, units::Nanometres};
 use trueup_link::{
     frames::{offset_xy, offset_z},
     receiver::Receiver,
-    status::{Reason, encode},
+    status::{Reason, Status, encode},
 };
 
 fn ms(ms: u64) -> Duration {
@@ -108,6 +108,39 @@ fn status_is_told_until_it_is_too_old() {
     say(&mut hub, 3_401, Some(0));
     let input = read(&hub);
     assert_eq!((input.centi_c[0], input.state, input.calibration), (None, 0, 0));
+}
+
+#[test]
+fn constant_and_slope_are_said_while_all_three_are_fresh() {
+    let mut hub = hub();
+    hub.expect_slopes(ms(0));
+    let send = |hub: &mut Hub, at: u64, axes: std::ops::Range<u8>, counter: u8| {
+        for axis in axes {
+            let item = Item::Slope { axis, constant: Some(-120), slope: -270 };
+            let status = Status { last_refused: Reason::None, item };
+            hub.hear(ms(at), &Event::Frame(encode(&status, counter + axis)));
+        }
+    };
+    // Layout 2; K₀ of X in 0.01 µm; its slope in 0.1 µm/m.
+    let read = |hub: &Hub| {
+        let block = hub.input_with_slopes();
+        let k0 = i32::from(block[2].cast_signed()) << 16 | i32::from(block[3]);
+        (block[0], k0, block[28].cast_signed())
+    };
+    const NONE: (u16, i32, i16) = (2, i32::MIN, 0);
+    send(&mut hub, 0, 0..2, 0);
+    say(&mut hub, 0, Some(0));
+    assert_eq!(read(&hub), NONE, "Z is missing");
+    send(&mut hub, 0, 2..3, 0);
+    say(&mut hub, 1, Some(0));
+    assert_eq!(read(&hub), (2, -1_200, -270));
+    assert_eq!(hub.news(), [""; 0]);
+    say(&mut hub, 4_601, Some(0));
+    assert_eq!(read(&hub), NONE, "too old");
+    say(&mut hub, 9_300, Some(0));
+    assert!(hub.news()[0].contains("sends no slopes"));
+    say(&mut hub, 19_300, Some(0));
+    assert_eq!(hub.news(), [""; 0], "reported once");
 }
 
 fn engaged() -> Cnc {

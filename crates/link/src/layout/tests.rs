@@ -108,6 +108,12 @@ const CONTRACT: [Expected; 11] = [
             ("ResetReason", COUNT_LOW, 1.0, ""),
             ("FreeStack", COUNT_HIGH, 1.0, "byte"),
             ("CalibrationCrc", CALIBRATION_CRC, 1.0, ""),
+            ("OffsetConstantX", OFFSET_CONSTANT, 0.1, "um"),
+            ("OffsetSlopeX", OFFSET_SLOPE, 0.1, "um/m"),
+            ("OffsetConstantY", OFFSET_CONSTANT, 0.1, "um"),
+            ("OffsetSlopeY", OFFSET_SLOPE, 0.1, "um/m"),
+            ("OffsetConstantZ", OFFSET_CONSTANT, 0.1, "um"),
+            ("OffsetSlopeZ", OFFSET_SLOPE, 0.1, "um/m"),
         ],
     },
     Expected {
@@ -238,7 +244,9 @@ fn the_dbc_ranges_are_what_the_code_sends() {
                 "Quality" => (0, Quality::Fault as i32),
                 "Item" => (0, LAST_ITEM.into()),
                 "LastRefused" => (0, Reason::WrongSequence as i32),
-                name if name.starts_with("Temperature") => (-i32::from(i16::MAX), i16::MAX.into()),
+                name if name.starts_with("Temperature") || name.starts_with("OffsetConstant") => {
+                    (-i32::from(i16::MAX), i16::MAX.into())
+                }
                 "Elongation" => (-i32::MAX, i32::MAX),
                 "Direction" => (Heading::Negative as i32, Heading::Positive as i32),
                 _ => (place.min(), place.max()),

@@ -2,12 +2,14 @@
 //!
 //! | page | is |
 //! |---|---|
+//! | `reach` | whether a linear temperature input can give the temperatures of a machine |
 //! | `table` | the ranges, a row for a key or for a unit |
 //! | `values` | the numbers of a machine by their keys |
 //!
 //! A value that is impossible is refused by every command that would use it or write it, unless the user
 //! accepts its key; one that is unlikely is a warning that names the likely slip.
 
+mod reach;
 mod table;
 mod values;
 
@@ -75,6 +77,7 @@ pub fn of_machine(machine: &Machine) -> Vec<Finding> {
         findings.extend(negative_backlash(machine, axis));
         findings.extend(shrinking_table(machine, axis));
     }
+    findings.extend(reach::findings(machine));
     findings
 }
 

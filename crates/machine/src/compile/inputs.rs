@@ -8,7 +8,10 @@ use trueup_core::{
 
 use crate::{
     file::{Machine, is_temperature_column},
-    inputs::{Inputs, LAST_CHANNEL, SensorInput, TemperatureInput, TemperatureKind},
+    inputs::{
+        CountScale, Inputs, LAST_CHANNEL, LinearInput, SensorInput, TemperatureInput,
+        TemperatureKind,
+    },
     location::BadInput,
     model::required_columns,
     stored::{PER_KELVIN, fewest_decimals, rounded, written},
@@ -67,13 +70,14 @@ pub(super) fn thermometers(machine: &Machine) -> Result<[Option<Thermometer>; CH
         let key = format!("inputs.{name}");
         let thermometer = match input.kind {
             TemperatureKind::Pt100 => Some(Thermometer::Pt100),
-            TemperatureKind::Linear { zero_counts, counts_per_c } => {
-                linear_thermometer(zero_counts, counts_per_c)
+            TemperatureKind::Linear(line) => {
+                let (zero_codes, codes_per_c) = line.in_codes();
+                linear_thermometer(zero_codes, codes_per_c)
             }
         };
         let Some(thermometer) = thermometer else {
-            let rule = "has counts that the board cannot store: counts_per_c must be from 0.01 to \
-                        10000 either way, zero_counts within ±8388607";
+            let rule = "is a line that the board cannot store: one °C must be from 0.01 to 10000 codes either way \
+                        (a code is 2.46 mV at an input with the divider 0.328), 0 °C within ±8388607 codes";
             return Err(machine.places.bad(&key, rule));
         };
         let place = thermometers.get_mut(usize::from(input.channel));
@@ -128,10 +132,13 @@ pub(super) fn inverse(
         let kind = match thermometer {
             None => continue,
             Some(Thermometer::Pt100) => TemperatureKind::Pt100,
-            Some(Thermometer::Linear { zero, slope, shift }) => TemperatureKind::Linear {
-                zero_counts: written(zero, DELIVERED_PER_COUNT),
-                counts_per_c: written_counts_per_c(slope, shift),
-            },
+            Some(Thermometer::Linear { zero, slope, shift }) => {
+                TemperatureKind::Linear(LinearInput {
+                    zero_counts: written(zero, DELIVERED_PER_COUNT),
+                    counts_per_c: written_counts_per_c(slope, shift),
+                    scale: CountScale::Code,
+                })
+            }
         };
         let max_c_per_min = (tenths > 0).then(|| f64::from(tenths) / TENTHS);
         temperatures.insert(column(channel), TemperatureInput { channel, kind, max_c_per_min });

@@ -8,8 +8,8 @@ use super::{
 };
 use crate::{
     inputs::{
-        Inputs, LAST_CHANNEL, RATES_C_PER_MIN, REFERENCE_VOLTS, SensorInput, TemperatureInput,
-        TemperatureKind,
+        CountScale, Inputs, LAST_CHANNEL, LinearInput, RATES_C_PER_MIN, REFERENCE_VOLTS,
+        SensorInput, TemperatureInput, TemperatureKind, USUAL_FULL_SCALE_V, WIRED_DIVIDER,
     },
     location::{BadInput, shortened},
 };
@@ -64,35 +64,19 @@ fn read_sensor_input(section: &Section<'_>) -> Result<SensorInput, BadInput> {
         counts_full_scale: positive("counts_full_scale")?,
         divider: positive("divider")?,
     };
-    let volts_at_adc = sensor.volts_full_scale * sensor.divider;
-    // 10 V · 0.33 is 4·10⁻¹⁶ above 3.3 V in f64 and is meant to be equal.
-    if volts_at_adc > REFERENCE_VOLTS * (1.0 + 1e-9) {
-        let rule = format!(
-            "{} takes {} V to {volts_at_adc:.4} V at the ADC, above its reference of \
-             {REFERENCE_VOLTS} V",
-            sensor.divider, sensor.volts_full_scale
-        );
-        return Err(section.bad("divider", rule));
-    }
+    refuse_above_reference(section, "divider", sensor.volts_full_scale, sensor.divider)?;
     Ok(sensor)
 }
 
 fn read_temperature_input(section: &Section<'_>) -> Result<TemperatureInput, BadInput> {
     let channel = section.required("channel", section.whole("channel", 0, LAST_CHANNEL.into())?)?;
     let channel = u8::try_from(channel).expect("held to the range of u8 above");
-    let zero_counts = section.number("zero_counts")?;
-    let counts_per_c = section.number("counts_per_c")?;
     let is_linear = [("pt100", false), ("linear", true)];
     let kind = if section.required("kind", section.choice("kind", &is_linear)?)? {
-        let zero_counts = section.required("zero_counts", zero_counts)?;
-        let counts_per_c = section.required("counts_per_c", counts_per_c)?;
-        if counts_per_c == 0.0 {
-            return Err(section.bad("counts_per_c", "must not be 0"));
-        }
-        TemperatureKind::Linear { zero_counts, counts_per_c }
+        TemperatureKind::Linear(read_linear(section)?)
     } else {
-        for (key, value) in [("zero_counts", zero_counts), ("counts_per_c", counts_per_c)] {
-            if value.is_some() {
+        for key in IN_VOLTS.iter().chain(&IN_COUNTS).chain(&OF_SCALE) {
+            if section.number(key)?.is_some() {
                 return Err(section.bad(key, "belongs to kind = \"linear\""));
             }
         }
@@ -108,6 +92,92 @@ fn read_temperature_input(section: &Section<'_>) -> Result<TemperatureInput, Bad
         return Err(section.bad("max_c_per_min", rule));
     }
     Ok(TemperatureInput { channel, kind, max_c_per_min })
+}
+
+const IN_VOLTS: [&str; 2] = ["zero_v", "c_per_v"];
+const IN_COUNTS: [&str; 3] = ["zero_counts", "counts_per_c", "counts_full_scale"];
+const OF_SCALE: [&str; 2] = ["full_scale_v", "divider"];
+
+/// Reads a line in one of its two forms: volts and °C, or counts with what a count is.
+fn read_linear(section: &Section<'_>) -> Result<LinearInput, BadInput> {
+    let not_zero = |key| match section.required(key, section.number(key)?)? {
+        0.0 => Err(section.bad(key, "must not be 0")),
+        value => Ok(value),
+    };
+    let stated = |keys: &[&'static str]| -> Result<Option<&'static str>, BadInput> {
+        for key in keys {
+            if section.number(key)?.is_some() {
+                return Ok(Some(key));
+            }
+        }
+        Ok(None)
+    };
+    let (volts, counts) = (stated(&IN_VOLTS)?, stated(&IN_COUNTS)?);
+    if let (Some(volts), Some(counts)) = (volts, counts) {
+        let rule = format!(
+            "stands together with {counts}: state the line in volts (zero_v, c_per_v) or in counts (zero_counts, \
+             counts_per_c, counts_full_scale), not in both"
+        );
+        return Err(section.bad(volts, rule));
+    }
+    if volts.is_none() && counts.is_none() {
+        let rule = "is missing: a linear input needs zero_v and c_per_v, or zero_counts, counts_per_c and \
+                    counts_full_scale";
+        return Err(section.bad("zero_v", rule));
+    }
+    if volts.is_some() {
+        let zero_counts = section.required("zero_v", section.number("zero_v")?)?;
+        let counts_per_c = 1.0 / not_zero("c_per_v")?;
+        let (full_scale_v, divider) = read_scale(section)?;
+        let scale = CountScale::Volt { full_scale_v, divider };
+        return Ok(LinearInput { zero_counts, counts_per_c, scale });
+    }
+    let zero_counts = section.required("zero_counts", section.number("zero_counts")?)?;
+    let counts_per_c = not_zero("counts_per_c")?;
+    let scale = if let Some(counts_full_scale) = section.positive("counts_full_scale")? {
+        let (full_scale_v, divider) = read_scale(section)?;
+        CountScale::Count { counts_full_scale, full_scale_v, divider }
+    } else {
+        if let Some(key) = stated(&OF_SCALE)? {
+            let rule = "needs counts_full_scale: without it a count is a code of the board, 4096 at 3.3 V on the pin";
+            return Err(section.bad(key, rule));
+        }
+        CountScale::Code
+    };
+    Ok(LinearInput { zero_counts, counts_per_c, scale })
+}
+
+/// Reads the full scale of a linear input in volts, and its divider.
+fn read_scale(section: &Section<'_>) -> Result<(f64, f64), BadInput> {
+    let full_scale_v = section.positive("full_scale_v")?.unwrap_or(USUAL_FULL_SCALE_V);
+    let divider = section.positive("divider")?.unwrap_or(WIRED_DIVIDER);
+    let key = if section.number("divider")?.is_some() { "divider" } else { "full_scale_v" };
+    refuse_above_reference(section, key, full_scale_v, divider)?;
+    Ok((full_scale_v, divider))
+}
+
+/// Refuses a divider that takes the full scale above the reference of the board's converter.
+fn refuse_above_reference(
+    section: &Section<'_>,
+    key: &str,
+    full_scale_v: f64,
+    divider: f64,
+) -> Result<(), BadInput> {
+    let volts_at_adc = full_scale_v * divider;
+    // 10 V · 0.33 is 4·10⁻¹⁶ above 3.3 V in f64 and is meant to be equal.
+    if volts_at_adc > REFERENCE_VOLTS * (1.0 + 1e-9) {
+        let rule = format!(
+            "{divider} takes {full_scale_v} V to {volts_at_adc:.4} V at the ADC, above its reference of \
+             {REFERENCE_VOLTS} V"
+        );
+        let rule = if key == "divider" {
+            rule
+        } else {
+            format!("{full_scale_v} is too high: the divider {rule}")
+        };
+        return Err(section.bad(key, rule));
+    }
+    Ok(())
 }
 
 pub(super) fn write(inputs: &Inputs) -> NewSection {
@@ -127,15 +197,29 @@ pub(super) fn write(inputs: &Inputs) -> NewSection {
     for (column, TemperatureInput { channel, kind, max_c_per_min }) in &inputs.temperatures {
         let kind_name = match kind {
             TemperatureKind::Pt100 => "pt100",
-            TemperatureKind::Linear { .. } => "linear",
+            TemperatureKind::Linear(_) => "linear",
         };
         let mut entries = vec![
             ("channel".to_string(), Value::Whole((*channel).into())),
             ("kind".to_string(), Value::Text(kind_name.into())),
         ];
-        if let TemperatureKind::Linear { zero_counts, counts_per_c } = *kind {
-            entries.push(number("zero_counts", zero_counts));
-            entries.push(number("counts_per_c", counts_per_c));
+        if let TemperatureKind::Linear(LinearInput { zero_counts, counts_per_c, scale }) = *kind {
+            if let CountScale::Volt { .. } = scale {
+                entries.push(number("zero_v", zero_counts));
+                entries.push(number("c_per_v", 1.0 / counts_per_c));
+            } else {
+                entries.push(number("zero_counts", zero_counts));
+                entries.push(number("counts_per_c", counts_per_c));
+            }
+            if let CountScale::Count { counts_full_scale, .. } = scale {
+                entries.push(number("counts_full_scale", counts_full_scale));
+            }
+            if let CountScale::Volt { full_scale_v, divider }
+            | CountScale::Count { full_scale_v, divider, .. } = scale
+            {
+                entries.push(number("full_scale_v", full_scale_v));
+                entries.push(number("divider", divider));
+            }
         }
         entries.extend(max_c_per_min.map(|rate| number("max_c_per_min", rate)));
         section = section.with(column, Value::Inline(entries));

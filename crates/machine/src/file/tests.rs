@@ -1,5 +1,5 @@
 use super::*;
-use crate::inputs::{TemperatureInput, TemperatureKind};
+use crate::inputs::{CountScale, LinearInput, TemperatureInput, TemperatureKind};
 
 fn parse(source: &str) -> Machine {
     MachineFile::parse(source, Path::new("m.toml")).expect("the test's own text is right")
@@ -67,7 +67,11 @@ fn every_key_that_is_run_arrives_in_its_field() {
     assert_eq!(sensor.counts_full_scale, 27648.0);
     assert_eq!(sensor.divider, 0.66);
     let pt100 = TemperatureInput { channel: 0, kind: TemperatureKind::Pt100, max_c_per_min: None };
-    let kind = TemperatureKind::Linear { zero_counts: 4000.0, counts_per_c: 16.0 };
+    let kind = TemperatureKind::Linear(LinearInput {
+        zero_counts: 4000.0,
+        counts_per_c: 16.0,
+        scale: CountScale::Code,
+    });
     let linear = TemperatureInput { channel: 3, kind, max_c_per_min: None };
     assert_eq!(inputs.temperatures["temp_screw_c"], pt100);
     assert_eq!(inputs.temperatures["temp_coil_c"], linear);

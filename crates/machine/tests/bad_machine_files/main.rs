@@ -150,6 +150,31 @@ fn the_inputs_are_checked() {
                 "inputs.temp_a_c.counts_per_c is missing",
             ),
             (
+                "temp_a_c = { channel = 0, kind = \"linear\" }\n",
+                "5:1",
+                "inputs.temp_a_c.zero_v is missing: a linear input needs zero_v and c_per_v, or",
+            ),
+            (
+                "temp_a_c = { channel = 0, kind = \"linear\", zero_v = 1, counts_per_c = 16 }\n",
+                "5:53",
+                "zero_v stands together with counts_per_c",
+            ),
+            (
+                "temp_a_c = { channel = 0, kind = \"linear\", zero_v = 0, c_per_v = 0 }\n",
+                "5:66",
+                "c_per_v must not be 0",
+            ),
+            (
+                "temp_a_c = { channel = 0, kind = \"linear\", zero_v = 0, c_per_v = 4, full_scale_v = 24 }\n",
+                "5:84",
+                "full_scale_v 24 is too high: the divider 0.328 takes 24 V to 7.8720 V",
+            ),
+            (
+                "temp_a_c = { channel = 0, kind = \"linear\", zero_counts = 1, counts_per_c = 1, divider = 0.3 }\n",
+                "5:89",
+                "divider needs counts_full_scale: without it a count is a code of the board",
+            ),
+            (
                 "temp_a_c = { channel = 0, kind = \"linear\", zero_counts = 1, counts_per_c = 0 }\n",
                 "5:76",
                 "counts_per_c must not be 0",

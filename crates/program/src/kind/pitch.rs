@@ -31,7 +31,39 @@ const GOLDEN: f64 = 0.618_033_988_749_895;
 pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refused> {
     let (travels, mut notes) = travels(machine, options)?;
     notes.extend(without_clearance(options));
-    all_that_fit(&travels, notes, |travel| plan(machine, travel, options))
+    let (plans, notes) = all_that_fit(&travels, notes, |travel| plan(machine, travel, options))?;
+    Ok((plans.into_iter().flat_map(|plan| of_each_drive(machine, plan)).collect(), notes))
+}
+
+/// Returns the plan, or of an axis with two drives one for each: the beam's axis stands where the other drive does not
+/// count. The program does not move it; the operator jogs it there.
+fn of_each_drive(machine: &Machine, plan: Plan) -> Vec<Plan> {
+    let moved = plan.columns.iter().find_map(|column| match column {
+        Column::Position(axis) => Some(*axis),
+        _ => None,
+    });
+    let Some(dual) = moved.and_then(|axis| machine.axes[axis].dual.as_ref()) else {
+        return vec![plan];
+    };
+    let across = dual.across.index();
+    let both = [("drive1", "first", dual.first_mm), ("drive2", "second", dual.second_mm)];
+    let names = both.map(|(suffix, ..)| format!("{}-{suffix}", plan.name));
+    both.into_iter()
+        .zip(&names)
+        .map(|((_, which, mm), name)| {
+            let mut plan = plan.clone();
+            plan.name.clone_from(name);
+            let beam = dual.across.name().to_uppercase();
+            plan.precautions.insert(0, format!("{beam} stands at {mm} mm, at the {which} drive."));
+            let at = plan.columns.len() - 1;
+            plan.columns.insert(at, Column::Stands(across, mm));
+            plan.then = format!(
+                "trueup fit pitch --machine M.toml --run {}.csv --run {}.csv",
+                names[0], names[1]
+            );
+            plan
+        })
+        .collect()
 }
 
 fn plan(machine: &Machine, travel: &Travel, options: &Options) -> Result<Plan, Refused> {

@@ -115,6 +115,11 @@ impl NewSection {
         self
     }
 
+    /// Gives the section another dotted name.
+    pub fn rename(&mut self, name: impl Into<String>) {
+        self.name = name.into();
+    }
+
     /// Its dotted name.
     #[must_use]
     pub fn name(&self) -> &str {
