@@ -33,8 +33,11 @@ use crate::{
 /// The largest number of an item.
 pub const LAST_ITEM: u8 = 13;
 
+/// How many frames it takes until each item has come, with slopes.
+pub const PLACES: u8 = 15;
+
 /// The items in the order in which they come; without a slope only the first [`WITHOUT_SLOPES`] of them.
-pub const ORDER: [u8; 15] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 8];
+pub const ORDER: [u8; PLACES as usize] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 8];
 /// How many of [`ORDER`] a bridge without a slope sends.
 pub const WITHOUT_SLOPES: u8 = 11;
 /// Axes that a slope is sent of.

@@ -3,13 +3,13 @@
 use trueup_core::cnc::LinearAxis;
 use trueup_link::{
     layout::STATUS_PERIOD_MS,
-    status::{Item, ORDER, WITHOUT_SLOPES},
+    status::{Item, ORDER, PLACES, WITHOUT_SLOPES},
 };
 
 use super::Node;
 
 /// Milliseconds from one slope of an axis to the next.
-const PERIOD_MS: u32 = STATUS_PERIOD_MS.wrapping_mul(ORDER.len() as u32);
+const PERIOD_MS: u32 = STATUS_PERIOD_MS.wrapping_mul(PLACES as u32);
 
 impl Node<'_> {
     /// Returns the next item of the status. A bridge without a slope leaves out what follows the others.
@@ -17,11 +17,11 @@ impl Node<'_> {
     #[inline(never)]
     pub(super) fn next_item(&mut self) -> Item {
         let has_slope = self.bridge.as_ref().is_some_and(trueup_core::bridge::Bridge::has_slope);
-        let count = if has_slope { ORDER.len() } else { usize::from(WITHOUT_SLOPES) };
-        let place = usize::from(self.status_item);
+        let count = if has_slope { PLACES } else { WITHOUT_SLOPES };
+        let place = self.status_item;
         let next = place.saturating_add(1);
-        self.status_item = if next < count { self.status_item.saturating_add(1) } else { 0 };
-        let number = ORDER.get(place).copied().unwrap_or_default();
+        self.status_item = if next < count { next } else { 0 };
+        let number = ORDER.get(usize::from(place)).copied().unwrap_or_default();
         match number.checked_sub(WITHOUT_SLOPES) {
             Some(axis) => self.slope(axis),
             None => self.item(number),
