@@ -106,7 +106,8 @@ fn step(slew_nm_per_s: u32, elapsed_ms: u32, away: u32) -> i16 {
     // nm of the step · metres⁻¹ / 100: 32 bits by 32 fit in 64, and so does the product with 10⁵ of what is left.
     let nm = u64::from(slew_nm_per_s).wrapping_mul(elapsed_ms.into()) / 1_000;
     let per_metre = nm.saturating_mul(METRE.into()).checked_div(away.into()).unwrap_or(0);
-    i16::try_from(per_metre / u64::from(UNIT_NM.unsigned_abs())).unwrap_or(LARGEST).max(1)
+    let bits = per_metre.checked_div(UNIT_NM.unsigned_abs().into()).unwrap_or(0);
+    i16::try_from(bits).unwrap_or(LARGEST).max(1)
 }
 
 #[cfg(test)]
