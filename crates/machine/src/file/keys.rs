@@ -124,16 +124,13 @@ const THERMOMETER: &[Key] = &[
     key("channel", Whole(0, LAST_CHANNEL as u32), "", "the number of its converter on the board; no two share one")
         .required().as_in("0"),
     key("kind", Choice(&["pt100", "linear"]), "", "a PT100 by IEC 60751, or a line").required().as_in("\"pt100\""),
-    key("zero_v", Number, "V", "of a line: the voltage at 0 °C, by the line's own slope also where the transmitter does not reach it; with `c_per_v`, or `zero_counts` and `counts_per_c`")
-        .as_in("0.0"),
+    key("zero_v", Number, "V", "of a line: the voltage at 0 °C, by the line's own slope also where the transmitter does not reach it; with `c_per_v`, or `zero_counts` and `counts_per_c`").as_in("0.0"),
     key("c_per_v", Number, "K/V", "of a line: kelvin for one volt at the input; not 0").as_in("10.0"),
     key("zero_counts", Number, "counts", "of a line in counts: the counts at 0 °C, in the place of `zero_v`").as_in("4000"),
     key("counts_per_c", Number, "counts/K", "of a line in counts: counts for one kelvin, not 0; in the place of `c_per_v`").as_in("16"),
-    key("counts_full_scale", Positive, "counts", "of a line in counts: what the other converter gives at `full_scale_v` (27648 for a SIMATIC S7 input, 32768 for the paper's). Without it a count is a code of the board: 4096 at 3.3 V on the pin")
-        .as_in("27648"),
+    key("counts_full_scale", Positive, "counts", "of a line in counts: what the other converter gives at `full_scale_v` (27648 for a SIMATIC S7 input, 32768 for the paper's). Without it a count is a code of the board: 4096 at 3.3 V on the pin").as_in("27648"),
     key("full_scale_v", Positive, "V", "of a line: the largest voltage of the input").or("10.0"),
-    key("divider", Positive, "", "of a line: volts at the board's converter for one volt at the input; `full_scale_v` · `divider` must not be above 3.3 V")
-        .or("0.328"),
+    key("divider", Positive, "", "of a line: volts at the board's converter for one volt at the input; `full_scale_v` · `divider` must not be above 3.3 V").or("0.328"),
     key("max_c_per_min", Positive, "K/min", "the fastest change that the mass at the thermometer can make, from 0.1 to 600; a faster reading is not believed until it has stayed within it for 60 s. Without it 10 where a law uses the thermometer; coolant, oil and air need more")
         .as_in("60.0"),
 ];
