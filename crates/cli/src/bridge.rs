@@ -21,6 +21,8 @@ pub enum Command {
     ///
     /// Exit 3: it answers, but no heartbeat or no offsets came, or it does not run what --machine makes.
     Info(info::Ask),
+    /// Lists the ports of this computer behind which a bridge may be; nothing is sent to them.
+    List,
     /// Loads a calibration: says what it changes, asks, reads it back, and restarts the board with it.
     ///
     /// Nothing is loaded while offsets are being followed: let the CNC disengage first, and set
@@ -63,6 +65,15 @@ pub struct Port {
 pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
     match command {
         Command::Info(args) => info::run(args, as_json),
+        Command::List => {
+            let ports = trueup_client::found::ports();
+            if as_json {
+                crate::output::print(crate::doctor::ports_json(&ports))?;
+            } else {
+                crate::doctor::print_ports(&ports)?;
+            }
+            Ok(Outcome::Done)
+        }
         Command::Load(args) => load::run(args, as_json),
         Command::Pending(args) => pending::run(args, as_json),
         Command::ForgetReference(args) => forget::run(args, as_json),

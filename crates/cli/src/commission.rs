@@ -367,10 +367,12 @@ impl Work<'_> {
         if !self.command(&["bridge", "load", blob, "--yes", "--port", &port])? {
             return Ok(false);
         }
-        self.journal.log(&sign::how(axis))?;
+        self.journal.log(&sign::how(&self.machine, axis))?;
         let direction = sign::direction(&self.machine, axis);
         watch::until(&port, |output| sign::is_given(output, direction))?;
-        let Some(answer) = self.answers.ask(&sign::question(axis))? else { return Ok(false) };
+        let Some(answer) = self.answers.ask(&sign::question(&self.machine, axis))? else {
+            return Ok(false);
+        };
         // In half of Europe the point is a comma.
         let Ok(moved_um) = answer.trim().replace(',', ".").parse::<f64>() else {
             self.journal.log(&format!("  \"{answer}\" is not a reading in µm"))?;

@@ -21,7 +21,8 @@ macro_rules! files {
 const EXAMPLES: &[&[(&str, &[u8])]] = &[
     files!("data/" => "": "README.md" "gantry.toml" "paper_spindle.toml" "scenario-axis.toml"
         "scenario-warmup.toml" "spindle_paper_table1.csv"),
-    files!("integrations/linuxcnc/" => "linuxcnc/": "M110" "README.md" "simulated_gantry.hal" "trueup.hal"
+    files!("integrations/linuxcnc/" => "linuxcnc/": "M110" "README.md" "simulated_gantry.hal" "simulated_lathe.hal"
+        "trueup.hal" "trueup_lathe.hal" "trueup_lathe.ini" "trueup_lathe.toml"
         "trueup_gantry.toml" "trueup_machine.inc" "trueup_message.hal" "trueup_panel.hal"
         "trueup_panel.xml" "trueup_probe.ngc" "trueup_serial.ini" "trueup_sim.ini" "trueup_sim.tbl"
         "trueup_touch_off.ngc" "trueup_warmup.csv" "trueup_watchdog.hal"),

@@ -78,11 +78,11 @@ pub fn run(path: &Path, machine: Option<&Machine>) -> Result<RunFile, BadInput> 
     usable(runs::read(path)?, machine)
 }
 
-/// The same for a command that finds constants from the run: a column that is unlikely in the unit of its name is refused
-/// too, since a constant found from it is wrong by the factor of the unit.
+/// The same for a command that finds constants from the run: a column that is unlikely in the unit of its name, or a
+/// clock that was set, is refused too, since a constant found from it is wrong.
 pub fn run_to_fit(path: &Path, machine: Option<&Machine>) -> Result<RunFile, BadInput> {
     let run = runs::read(path)?;
-    refuse_unlikely_units(&without_fault_values(run.clone()).0, machine)?;
+    refuse_slips(&without_fault_values(run.clone()).0, machine)?;
     usable(run, machine)
 }
 
@@ -97,15 +97,16 @@ pub fn usable(run: RunFile, machine: Option<&Machine>) -> Result<RunFile, BadInp
     report::in_short(&path, &reported);
     refuse_units(&run, machine)?;
     report::in_short(&path, &check::run(&run, machine));
+    report::remarks(&check::remarks(&run));
     Ok(run)
 }
 
 fn refuse_units(run: &RunFile, machine: Option<&Machine>) -> Result<(), BadInput> {
-    check::refusal(&check::units(run, machine), accepted()).map_or(Ok(()), Err)
+    check::refusal(&check::slips(run, machine), accepted()).map_or(Ok(()), Err)
 }
 
-fn refuse_unlikely_units(run: &RunFile, machine: Option<&Machine>) -> Result<(), BadInput> {
-    let found = check::units(run, machine).into_iter();
+fn refuse_slips(run: &RunFile, machine: Option<&Machine>) -> Result<(), BadInput> {
+    let found = check::slips(run, machine).into_iter();
     let refused: Vec<Finding> =
         found.map(|finding| Finding { grade: Grade::Impossible, ..finding }).collect();
     check::refusal(&refused, accepted()).map_or(Ok(()), Err)
@@ -116,8 +117,9 @@ pub fn run_of_known_names(path: &Path, machine: &Machine) -> Result<RunFile, Bad
     let (run, reported) = with_directions(runs::read(path)?, Some(machine));
     report::in_short(path, &reported);
     let (sound, _) = without_fault_values(run.clone());
-    refuse_unlikely_units(&sound, Some(machine))?;
+    refuse_slips(&sound, Some(machine))?;
     report::in_short(path, &check::values(&sound, Some(machine)));
+    report::remarks(&check::remarks(&sound));
     Ok(run)
 }
 

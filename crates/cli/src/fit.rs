@@ -29,7 +29,7 @@ use self::args::{
     Backlash, By, Common, Elongation, Kind, Measured, Method, Mode, Pitch, Positions, Straightness,
     Thermal, Warmup, Ways,
 };
-use crate::{Outcome, UserError, files, output, runs};
+use crate::{Outcome, UserError, files, origin, output, runs};
 
 /// The files that were read.
 struct Input {
@@ -68,6 +68,10 @@ pub fn run(args: &Fit, as_json: bool) -> Result<Outcome> {
         Kind::Thermal(args) => thermal_of(&input, args)?,
     };
     spinner.finish_and_clear();
+    // Before the machine file may be written over: the page names what was read.
+    if let Some((what, positions)) = args.kind.positions() {
+        write_page(&input, common, what, positions, &report)?;
+    }
     let written = write(&input, common, &report)?;
     report::print(&report, common, written, as_json)?;
     let is_met = report.verdict.is_fitted() && report.unmet.is_empty();
@@ -176,13 +180,39 @@ fn backlash_of(input: &Input, args: &Backlash) -> Result<Report> {
     Ok(pitch::fit_backlash(run, axis, &options)?.report)
 }
 
+/// Writes the figures of ISO 230-2 as a page next to what was fitted, where the readings give any.
+fn write_page(
+    input: &Input,
+    common: &Common,
+    what: &str,
+    args: &Positions,
+    report: &Report,
+) -> Result<()> {
+    if output::is_standard_output(&common.output) {
+        return Ok(());
+    }
+    let (run, axis, options) = self::positions(input, args)?;
+    // Of readings without repeats at targets, or at several feeds, the standard knows no figures.
+    let Some(iso230) = pitch::fit(run, axis, &options).ok().and_then(|it| it.iso230) else {
+        return Ok(());
+    };
+    let measured = &common.measured;
+    let inputs: Vec<&Path> =
+        measured.run.iter().chain(&measured.machine).map(PathBuf::as_path).collect();
+    let page = pitch::page(axis, what, report, &iso230, &origin::of(&inputs)?);
+    let path = common.output.with_extension("html");
+    output::write_whole(&path, &inputs, |out| out.write_all(page.html().as_bytes()))?;
+    trueup_output::diagnostic(format_args!("figures of ISO 230-2: {}", path.display()));
+    Ok(())
+}
+
 /// The one run, whose error it is, and what both fits of positions are asked for.
 fn positions<'a>(
     input: &'a Input,
     args: &Positions,
 ) -> Result<(&'a Unaided<'a>, LinearAxis, pitch::Options)> {
     let run = input.run()?;
-    let axis = axis_of(&input.runs, args.error.quantity.as_deref())?;
+    let axis = axis_of(&input.runs, args.axis.quantity(&args.error).as_deref())?;
     Ok((run, axis, position_options(input, args, run, axis)?))
 }
 
@@ -203,7 +233,7 @@ fn position_options(
 }
 
 fn thermal_of(input: &Input, args: &Thermal) -> Result<Report> {
-    let axis = axis_of(&input.runs, args.error.quantity.as_deref())?;
+    let axis = axis_of(&input.runs, args.axis.quantity(&args.error).as_deref())?;
     let mut known_um = Vec::new();
     for run in &input.runs {
         match input.known(run, Without::Thermal(axis))? {
@@ -242,7 +272,10 @@ fn axis_of(runs: &[Unaided<'_>], quantity: Option<&str>) -> Result<LinearAxis, B
         _ => {
             let names: Vec<String> =
                 measured.iter().map(|axis| format!("d{}", axis.name())).collect();
-            let rule = format!("the run measures {}: choose one with --quantity", names.join(", "));
+            let rule = format!(
+                "the run measures {}: choose one with --axis or --quantity",
+                names.join(", ")
+            );
             Err(BadInput::new(start(), rule))
         }
     }

@@ -72,6 +72,7 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("gateway modbus", "trueup gateway modbus --port /dev/ttyUSB0 --listen 0.0.0.0:502"),
     ("gateway s7", "trueup gateway s7 --port /dev/ttyUSB0 --plc 192.168.0.1 --db 100"),
     ("bridge forget-reference", "trueup bridge forget-reference --port /dev/ttyUSB0"),
+    ("bridge list", "trueup bridge list"),
     ("bridge info", "trueup bridge info --port /dev/ttyUSB0"),
     ("bridge load", "trueup bridge load machine.bin --port /dev/ttyUSB0"),
     ("bridge monitor", "trueup bridge monitor --port /dev/ttyUSB0"),
@@ -92,9 +93,58 @@ pub fn lines() -> impl Iterator<Item = &'static str> {
     EXAMPLES.iter().map(|(_, line)| *line)
 }
 
-/// The tool with its examples and short forms.
+/// The commands by what they are for, in the order of the work.
+const GROUPS: &[(&str, &[&str])] = &[
+    ("Measure", &["new", "program", "import", "check", "simulate"]),
+    ("Understand", &["fit", "diagnose", "predict", "compare"]),
+    (
+        "Correct",
+        &[
+            "commission",
+            "compile",
+            "show",
+            "bridge",
+            "accept",
+            "export",
+            "gateway",
+            "linuxcnc",
+            "virtual",
+        ],
+    ),
+    ("Watch", &["learn", "trust", "trend"]),
+    ("This tool", &["doctor", "examples", "schema", "firmware", "completions", "man"]),
+];
+/// The heading of a command that is in no group.
+const OTHERS: &str = "More";
+
+/// The tool with its examples and short forms, its commands in groups.
 pub fn with_examples(tool: Command) -> Command {
-    named(tool, "")
+    let tool = named(tool, "");
+    let groups = in_groups(&tool);
+    tool.help_template(format!(
+        "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{groups}Options of every command:\n{{options}}{{after-help}}\n"
+    ))
+}
+
+/// The commands with their first sentence, by groups.
+fn in_groups(tool: &Command) -> String {
+    let line = |command: &Command| {
+        let about = command.get_about().map(ToString::to_string).unwrap_or_default();
+        let about = about.lines().next().unwrap_or_default().to_string();
+        format!("  {:<12} {about}\n", command.get_name())
+    };
+    let is_grouped = |name: &str| GROUPS.iter().any(|(_, names)| names.contains(&name));
+    let mut text = String::new();
+    for (group, names) in GROUPS {
+        let there = names.iter().filter_map(|name| tool.find_subcommand(name));
+        text += &format!("{group}:\n{}\n", there.map(line).collect::<String>());
+    }
+    let others = tool.get_subcommands().filter(|it| !is_grouped(it.get_name()));
+    let others: String = others.map(line).collect();
+    if !others.is_empty() {
+        text += &format!("{OTHERS}:\n{others}\n");
+    }
+    text
 }
 
 fn named(command: Command, path: &str) -> Command {
@@ -132,6 +182,20 @@ mod tests {
         for inner in command.get_subcommands() {
             each(inner, &format!("{path} {}", inner.get_name()), with);
         }
+    }
+
+    #[test]
+    fn every_command_is_in_a_group_of_the_help() {
+        let tool = with_examples(Cli::command());
+        let help = tool.clone().render_help().to_string();
+        for command in tool.get_subcommands() {
+            let name = command.get_name();
+            assert!(help.contains(&format!("\n  {name:<12} ")), "{name}: {help}");
+        }
+        let places: Vec<Option<usize>> =
+            GROUPS.iter().map(|(group, _)| help.find(&format!("\n{group}:"))).collect();
+        assert!(places.iter().all(Option::is_some) && places.is_sorted(), "{help}");
+        assert!(help.contains("Options of every command:"), "{help}");
     }
 
     #[test]

@@ -19,6 +19,7 @@ mod commission;
 mod compare;
 mod compile;
 mod diagnose;
+mod doctor;
 mod examples;
 mod export;
 mod files;
@@ -61,22 +62,25 @@ use report::Manner;
 /// The version and the commit that this tool was built from.
 const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("TRUEUP_COMMIT"), ")");
 
+/// The heading of the options that every command has.
+const EVERYWHERE: &str = "Options of every command";
+
 /// Errors of a machine tool: what the model predicts, and what the bridge compensates.
 #[derive(Parser)]
 #[command(name = "trueup", version = VERSION, propagate_version = true)]
 struct Cli {
     /// Print JSON instead of text.
-    #[arg(long, global = true)]
+    #[arg(long, global = true, help_heading = EVERYWHERE)]
     json: bool,
     /// Say errors alone, no warnings.
-    #[arg(short, long, global = true)]
+    #[arg(short, long, global = true, help_heading = EVERYWHERE)]
     quiet: bool,
     /// Say more: what a machine file will do, before it is used.
-    #[arg(short, long, global = true, conflicts_with = "quiet")]
+    #[arg(short, long, global = true, help_heading = EVERYWHERE, conflicts_with = "quiet")]
     verbose: bool,
     /// Take the value of this key of the machine file, or this column of a run, although no machine has it;
     /// may be given several times.
-    #[arg(long, global = true, value_name = "KEY")]
+    #[arg(long, global = true, help_heading = EVERYWHERE, value_name = "KEY")]
     accept: Vec<String>,
     #[command(subcommand)]
     command: Command,
@@ -99,6 +103,7 @@ enum Command {
     Compare(compare::Compare),
     Accept(accept::Accept),
     Diagnose(diagnose::Diagnose),
+    Doctor(doctor::Doctor),
     Export(export::Export),
     Fit(fit::Fit),
     Import(import::Import),
@@ -228,6 +233,7 @@ fn run(cli: &Cli) -> Result<Outcome> {
         Command::Compare(args) => compare::run(args, cli.json),
         Command::Accept(args) => accept::run(args, cli.json),
         Command::Diagnose(args) => diagnose::run(args, cli.json),
+        Command::Doctor(args) => doctor::run(args, cli.json),
         Command::Export(args) => export::run(args, cli.json),
         Command::Fit(args) => fit::run(args, cli.json),
         Command::Import(args) => import::run(args, cli.json),

@@ -24,6 +24,7 @@ use crate::{Outcome, UserError, files, output, questions, report};
   trueup new -o mill.toml
   trueup new -o mill.toml --yes --name mill --travel x=0:600 --travel y=0:400 --travel z=-300:0 \\
       --sensor-um-per-v 50 --sensor-zero-v 1.54 --thermometer screw --control siemens
+  trueup new -o lathe.toml --yes --kind lathe --travel x=0:150 --travel z=-400:0
   trueup new -o - --yes --kind head-head --head-axes c,a      on standard output")]
 pub struct New {
     /// Where to write the machine file; `-` is standard output. A file that is there is left alone.
@@ -32,13 +33,13 @@ pub struct New {
     /// The machine's name.
     #[arg(long)]
     name: Option<String>,
-    /// Which rotary axes carry the tool (head) and which the workpiece (table).
+    /// Which rotary axes carry the tool (head) and which the workpiece (table), or a lathe.
     #[arg(long, value_enum)]
     kind: Option<KindName>,
     /// The rotary axes that carry the spindle, from the frame to the tool: c,a.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "AXES")]
     head_axes: Option<Vec<RotaryName>>,
-    /// An axis and the ends of its travel in mm, once for each: x=0:600.
+    /// An axis and the ends of its travel in mm, once for each: x=0:600. X of a lathe is a radius.
     #[arg(long, value_name = "AXIS=FROM:TO", value_parser = travel, allow_hyphen_values = true)]
     travel: Vec<(LinearAxis, [f64; 2])>,
     /// Where the positions are measured.
@@ -74,6 +75,7 @@ pub enum KindName {
     HeadHead,
     HeadTable,
     TableTable,
+    Lathe,
 }
 
 impl KindName {
@@ -83,6 +85,7 @@ impl KindName {
             Self::HeadHead => Kind::HeadHead,
             Self::HeadTable => Kind::HeadTable,
             Self::TableTable => Kind::TableTable,
+            Self::Lathe => Kind::Lathe,
         }
     }
 }
@@ -176,6 +179,9 @@ fn by_flags(args: &New) -> Result<Template, UserError> {
     axes.sort_by_key(|(axis, _)| *axis);
     if let Some(pair) = axes.windows(2).find(|pair| pair[0].0 == pair[1].0) {
         return Err(UserError(format!("--travel {} is given twice", pair[0].0.name())));
+    }
+    if kind == Kind::Lathe && axes.iter().any(|(axis, _)| *axis == LinearAxis::Y) {
+        return Err(UserError("--travel y: a lathe is asked for X (radius) and Z; write [axis.y] yourself if it has one".into()));
     }
     let twice = |name: &&String| args.thermometer.iter().filter(|it| it == name).count() > 1;
     if let Some(name) = args.thermometer.iter().find(twice) {

@@ -2,12 +2,16 @@
 
 mod motion;
 
-use std::{fs, path::PathBuf};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
 
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use serde_json::json;
 use trueup_machine::{Machine, file::LinearAxis};
+use trueup_output::escape::shell_word;
 use trueup_program::{Gauge, Kind, Options, control, plans, template};
 
 pub use self::motion::Motion;
@@ -146,8 +150,9 @@ pub fn run(args: &Program, as_json: bool) -> Result<Outcome> {
         What::Diagonal => Kind::Diagonal,
     };
     let control = args.control.control();
-    let (plans, notes) = plans(kind, &machine, &options(args, &machine)?)
-        .map_err(|refused| UserError(format!("{}: {refused}", args.machine.display())))?;
+    let refused = |why| UserError(format!("{}: {why}", args.machine.display()));
+    control.check(&machine).map_err(refused)?;
+    let (mut plans, notes) = plans(kind, &machine, &options(args, &machine)?).map_err(refused)?;
     notes.iter().for_each(report::warn);
     fs::create_dir_all(&args.out)
         .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
@@ -155,7 +160,8 @@ pub fn run(args: &Program, as_json: bool) -> Result<Outcome> {
     let inputs = [args.machine.as_path()];
     let mut set = FileSet::new(&inputs);
     let mut lines = Vec::new();
-    for plan in &plans {
+    for plan in &mut plans {
+        plan.then = whole_lines(&plan.then, args);
         let (name, text) = control::program(plan, control);
         let templates = template::templates(plan);
         let runs: Vec<&str> = templates.iter().map(|(name, _)| name.as_str()).collect();
@@ -188,6 +194,31 @@ pub fn run(args: &Program, as_json: bool) -> Result<Outcome> {
         output::print(json!({ "output": args.out.to_string_lossy(), "programs": written }))?;
     }
     Ok(Outcome::Done)
+}
+
+/// The commands of a plan as they can be typed: with the folder of their files, the machine file, and where to write.
+fn whole_lines(then: &str, args: &Program) -> String {
+    let word = |path: &Path| shell_word(&path.to_string_lossy());
+    let machine = word(&args.machine);
+    let line = |line: &str| {
+        let words = line.split(' ').map(|it| match it.ends_with(".csv") {
+            true => word(&args.out.join(it)),
+            false => it.to_string(),
+        });
+        let words: Vec<String> = words.collect();
+        let ending = match words.get(1).map(String::as_str) {
+            Some("fit") => format!(
+                " --machine {machine} -o {}",
+                word(&args.machine.with_extension("fitted.toml"))
+            ),
+            Some("accept") => {
+                format!(" --machine {machine} --out {}", word(&args.out.join("acceptance")))
+            }
+            _ => String::new(),
+        };
+        words.join(" ") + &ending
+    };
+    then.split("; then ").map(line).collect::<Vec<_>>().join("; then ")
 }
 
 fn options(args: &Program, machine: &Machine) -> Result<Options, UserError> {

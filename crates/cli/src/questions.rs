@@ -1,4 +1,4 @@
-//! The questions of `trueup new`, for what its flags have not said.
+//! The questions of `trueup new`, for what its flags have not said. `<` goes back to the question before.
 
 use anyhow::{Error, Result};
 use dialoguer::{Confirm, Input, Select};
@@ -81,64 +81,171 @@ pub fn usual_head(kind: Kind) -> Vec<RotaryAxis> {
     match kind {
         Kind::HeadHead => vec![RotaryAxis::C, RotaryAxis::A],
         Kind::HeadTable => vec![RotaryAxis::A],
-        Kind::ThreeAxis | Kind::TableTable => Vec::new(),
+        Kind::ThreeAxis | Kind::TableTable | Kind::Lathe => Vec::new(),
     }
 }
 
+/// The questions, in their order.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Question {
+    Name,
+    Kind,
+    Head,
+    Travel(LinearAxis),
+    Feedback,
+    Rapid,
+    Sensor,
+    Thermometers,
+    Control,
+}
+
+/// An answer, or the wish to go back.
+enum Answer<T> {
+    Given(T),
+    Back,
+}
+
+/// What is typed, or chosen, to go back.
+const BACK: &str = "<";
+
 /// The template with the answers in it; an empty answer keeps what is offered. What cannot be is asked for
-/// again at once: nobody is to answer ten questions twice.
+/// again at once, and `<` goes back: nobody is to answer ten questions twice.
 pub fn ask(mut template: Template, said: &Said) -> Result<Template> {
-    if !said.name {
-        template.name = Input::new()
-            .with_prompt("Name of the machine")
-            .default(template.name)
-            .interact_text()?;
-    }
-    if !said.kind {
-        template.kind = choose(
-            "Rotary axes",
-            &[
-                ("none: X, Y and Z only", Kind::ThreeAxis),
-                ("two carry the spindle", Kind::HeadHead),
-                ("one carries the spindle, one the workpiece", Kind::HeadTable),
-                ("two carry the workpiece", Kind::TableTable),
-            ],
-        )?;
-    }
-    if !said.head_axes {
-        let kind = template.kind;
-        let usual: Vec<&str> = usual_head(kind).iter().map(|axis| axis.name()).collect();
-        template.head_axes = match usual.len() {
-            0 => Vec::new(),
-            1 => needed("Which one carries the spindle", &usual[0], |text| head(text, kind))?,
-            _ => needed(
-                "Which ones carry the spindle, from the frame to the tool",
-                &usual.join(","),
-                |text| head(text, kind),
-            )?,
-        };
-    }
-    if !said.axes {
-        for axis in LinearAxis::ALL {
-            let prompt = format!("Travel of {} in mm, as 0:600", axis.name().to_uppercase());
-            template.axes.extend(wanted(&prompt, "leave it out", ends)?.map(|ends| (axis, ends)));
+    use Question as Q;
+    let all = [
+        (Q::Name, said.name),
+        (Q::Kind, said.kind),
+        (Q::Head, said.head_axes),
+        (Q::Travel(LinearAxis::X), said.axes),
+        (Q::Travel(LinearAxis::Y), said.axes),
+        (Q::Travel(LinearAxis::Z), said.axes),
+        (Q::Feedback, said.feedback),
+        (Q::Rapid, said.rapid),
+        (Q::Sensor, said.sensor),
+        (Q::Thermometers, said.thermometers),
+        (Q::Control, said.control),
+    ];
+    let open: Vec<Question> =
+        all.into_iter().filter(|(_, is_said)| !is_said).map(|(question, _)| question).collect();
+    trueup_output::diagnostic("(< goes back to the question before)");
+    let mut asked = Vec::new();
+    let mut next = 0;
+    while let Some(question) = open.get(next) {
+        if !applies(*question, &template) {
+            next += 1;
+        } else if one(*question, &mut template)? {
+            asked.push(next);
+            next += 1;
+        } else {
+            next = asked.pop().unwrap_or(next);
         }
     }
-    if !said.feedback {
-        let places = [
-            ("on the motor or screw", Feedback::Screw),
-            ("by a scale on the axis", Feedback::Scale),
-        ];
-        template.feedback = choose("Where are positions measured?", &places)?;
+    Ok(template)
+}
+
+/// Whether a question makes sense after the answers so far.
+fn applies(question: Question, template: &Template) -> bool {
+    match question {
+        Question::Head => !usual_head(template.kind).is_empty(),
+        Question::Travel(axis) => template.kind != Kind::Lathe || axis != LinearAxis::Y,
+        _ => true,
     }
-    if !said.rapid {
-        template.rapid_mm_per_min = wanted("Rapid traverse in mm/min", "not known", above_zero)?;
+}
+
+/// Asks one question; false: back to the one before.
+fn one(question: Question, template: &mut Template) -> Result<bool> {
+    match question {
+        Question::Name => {
+            let name = template.name.clone();
+            let Answer::Given(name) =
+                needed("Name of the machine", &name, |text| Ok(text.to_string()))?
+            else {
+                return Ok(false);
+            };
+            template.name = name;
+        }
+        Question::Kind => {
+            let kinds = [
+                ("a mill with X, Y and Z only", Kind::ThreeAxis),
+                ("two rotary axes carry the spindle", Kind::HeadHead),
+                ("one rotary axis carries the spindle, one the workpiece", Kind::HeadTable),
+                ("two rotary axes carry the workpiece", Kind::TableTable),
+                ("a lathe: the spindle carries the workpiece", Kind::Lathe),
+            ];
+            let Answer::Given(kind) = choose("Kind of machine", &kinds)? else { return Ok(false) };
+            template.kind = kind;
+            template.head_axes = Vec::new();
+            template.axes.retain(|(axis, _)| kind != Kind::Lathe || *axis != LinearAxis::Y);
+        }
+        Question::Head => {
+            let kind = template.kind;
+            let usual: Vec<&str> = usual_head(kind).iter().map(|axis| axis.name()).collect();
+            let prompt = match usual.len() {
+                1 => "Which one carries the spindle",
+                _ => "Which ones carry the spindle, from the frame to the tool",
+            };
+            let Answer::Given(axes) = needed(prompt, &usual.join(","), |text| head(text, kind))?
+            else {
+                return Ok(false);
+            };
+            template.head_axes = axes;
+        }
+        Question::Travel(axis) => {
+            let is_radius = template.kind == Kind::Lathe && axis == LinearAxis::X;
+            let radius = if is_radius { " (radius)" } else { "" };
+            let prompt =
+                format!("Travel of {}{radius} in mm, as 0:600", axis.name().to_uppercase());
+            let Answer::Given(travel) = wanted(&prompt, "leave it out", ends)? else {
+                return Ok(false);
+            };
+            template.axes.retain(|(other, _)| *other != axis);
+            template.axes.extend(travel.map(|travel| (axis, travel)));
+        }
+        Question::Feedback => {
+            let places = [
+                ("on the motor or screw", Feedback::Screw),
+                ("by a scale on the axis", Feedback::Scale),
+            ];
+            let Answer::Given(feedback) = choose("Where are positions measured?", &places)? else {
+                return Ok(false);
+            };
+            template.feedback = feedback;
+        }
+        Question::Rapid => {
+            let Answer::Given(rapid) = wanted("Rapid traverse in mm/min", "not known", above_zero)?
+            else {
+                return Ok(false);
+            };
+            template.rapid_mm_per_min = rapid;
+        }
+        Question::Sensor => {
+            let prompt = "Is there a displacement sensor at the spindle?";
+            // The Enter behind y belongs to this question, not to the next one.
+            let confirm = Confirm::new().with_prompt(prompt).default(true).wait_for_newline(true);
+            template.sensor = None;
+            if confirm.interact()? {
+                let Answer::Given(sheet) = sensor()? else { return Ok(false) };
+                template.sensor = Some(sheet);
+            }
+        }
+        Question::Thermometers => return thermometers(template),
+        Question::Control => {
+            let controls = [
+                ("LinuxCNC", Control::LinuxCnc),
+                ("Siemens 840D", Control::Siemens),
+                ("FANUC", Control::Fanuc),
+                ("Heidenhain", Control::Heidenhain),
+            ];
+            let Answer::Given(control) = choose("Control", &controls)? else { return Ok(false) };
+            template.control = control;
+        }
     }
-    let prompt = "Is there a displacement sensor at the spindle?";
-    if !said.sensor && Confirm::new().with_prompt(prompt).default(true).interact()? {
-        template.sensor = Some(sensor()?);
-    }
-    while !said.thermometers && template.thermometers.len() < MOST_THERMOMETERS {
+    Ok(true)
+}
+
+/// Asks for one thermometer after the other; `<` takes back the last one, and then the question.
+fn thermometers(template: &mut Template) -> Result<bool> {
+    while template.thermometers.len() < MOST_THERMOMETERS {
         let before = template.thermometers.clone();
         let new = |text: &str| {
             word(text).and_then(|word| match before.contains(&word) {
@@ -147,32 +254,36 @@ pub fn ask(mut template: Template, said: &Said) -> Result<Template> {
             })
         };
         match wanted("A PT100 and where it is, as screw", "no more", new)? {
-            Some(word) => template.thermometers.push(word),
-            None => break,
+            Answer::Given(Some(word)) => template.thermometers.push(word),
+            Answer::Given(None) => break,
+            Answer::Back if template.thermometers.pop().is_none() => return Ok(false),
+            Answer::Back => {}
         }
     }
-    if !said.control {
-        let controls = [
-            ("LinuxCNC", Control::LinuxCnc),
-            ("Siemens 840D", Control::Siemens),
-            ("FANUC", Control::Fanuc),
-            ("Heidenhain", Control::Heidenhain),
-        ];
-        template.control = choose("Control", &controls)?;
-    }
-    Ok(template)
+    Ok(true)
 }
 
-fn sensor() -> Result<Sheet> {
-    let volts_full_scale = needed("Its output at the end of its range, in V", &"10", above_zero)?;
-    let um_per_v = needed("µm for one volt (data sheet: range in µm / volts)", &"50", not_zero)?;
+fn sensor() -> Result<Answer<Sheet>> {
+    let Answer::Given(volts_full_scale) =
+        needed("Its output at the end of its range, in V", &"10", above_zero)?
+    else {
+        return Ok(Answer::Back);
+    };
+    let Answer::Given(um_per_v) =
+        needed("µm for one volt (data sheet: range in µm / volts)", &"50", not_zero)?
+    else {
+        return Ok(Answer::Back);
+    };
     let within = |text: &str| match finite(text)? {
         volts if (0.0..=volts_full_scale).contains(&volts) => Ok(volts),
         _ => Err(format!("must be from 0 to {volts_full_scale} V")),
     };
     let half = volts_full_scale / 2.0;
-    let zero_v = needed("What a voltmeter shows when the machine is cold, in V", &half, within)?;
-    Ok(Sheet { volts_full_scale, um_per_v, zero_v })
+    let zero = needed("What a voltmeter shows when the machine is cold, in V", &half, within)?;
+    Ok(match zero {
+        Answer::Given(zero_v) => Answer::Given(Sheet { volts_full_scale, um_per_v, zero_v }),
+        Answer::Back => Answer::Back,
+    })
 }
 
 /// An answer that is read by `read`; nothing is `usual`.
@@ -180,13 +291,17 @@ fn needed<T>(
     prompt: &str,
     usual: &impl ToString,
     read: impl Fn(&str) -> Result<T, String>,
-) -> Result<T> {
+) -> Result<Answer<T>> {
+    let read = |text: &str| match text.trim() {
+        BACK => Ok(Answer::Back),
+        text => read(text).map(Answer::Given),
+    };
     let text: String = Input::new()
         .with_prompt(prompt)
         .default(usual.to_string())
-        .validate_with(|text: &String| read(text.trim()).map(drop))
+        .validate_with(|text: &String| read(text).map(drop))
         .interact_text()?;
-    read(text.trim()).map_err(Error::msg)
+    read(&text).map_err(Error::msg)
 }
 
 /// An answer that is read by `read`; nothing is `None`, which means `what`.
@@ -194,10 +309,11 @@ fn wanted<T>(
     prompt: &str,
     what: &str,
     read: impl Fn(&str) -> Result<T, String>,
-) -> Result<Option<T>> {
+) -> Result<Answer<Option<T>>> {
     let read = |text: &str| match text.trim() {
-        "" => Ok(None),
-        text => read(text).map(Some),
+        "" => Ok(Answer::Given(None)),
+        BACK => Ok(Answer::Back),
+        text => read(text).map(|it| Answer::Given(Some(it))),
     };
     let text: String = Input::new()
         .with_prompt(format!("{prompt} (empty: {what})"))
@@ -207,8 +323,8 @@ fn wanted<T>(
     read(&text).map_err(Error::msg)
 }
 
-fn choose<T: Copy>(prompt: &str, choices: &[(&str, T)]) -> Result<T> {
-    let names: Vec<&str> = choices.iter().map(|(name, _)| *name).collect();
+fn choose<T: Copy>(prompt: &str, choices: &[(&str, T)]) -> Result<Answer<T>> {
+    let names: Vec<&str> = choices.iter().map(|(name, _)| *name).chain(["< back"]).collect();
     let chosen = Select::new().with_prompt(prompt).items(&names).default(0).interact()?;
-    Ok(choices[chosen].1)
+    Ok(choices.get(chosen).map_or(Answer::Back, |(_, choice)| Answer::Given(*choice)))
 }

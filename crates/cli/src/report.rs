@@ -117,6 +117,20 @@ pub fn in_short(file: &Path, warnings: &[Warning]) {
     }
 }
 
+/// What is worth a remark in a file and needs nothing done, each on one line.
+pub fn remarks(remarks: &[Warning]) {
+    if manner().quiet || NO_DOUBTS.load(Ordering::Relaxed) {
+        return;
+    }
+    for Warning { place, what, help } in remarks {
+        if manner().json {
+            trueup_output::diagnostic(object("note", what, Some(place), Some(help)));
+        } else {
+            trueup_output::diagnostic(one_line(&format!("note: {place}: {what}. {help}")));
+        }
+    }
+}
+
 /// What the user asked to be told beyond the result, by `-v`.
 pub fn in_detail(words: impl FnOnce() -> String) {
     if manner().verbose && !manner().json {

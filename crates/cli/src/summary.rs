@@ -2,7 +2,8 @@
 
 use trueup_machine::{
     Machine,
-    check::{AxisSummary, Summary},
+    check::{AxisSummary, Summary, corrects_nothing},
+    model::required_columns,
 };
 
 /// A line for the machine, each axis, the limits, the sensor and the board.
@@ -32,6 +33,13 @@ pub fn in_words(machine: &Machine, summary: &Summary) -> String {
             sensor.um_per_code
         ));
     }
+    let unused = unused_inputs(machine);
+    if !unused.is_empty() {
+        lines.push(format!("inputs that no law uses: {}", unused.join(", ")));
+    }
+    if let Some(nothing) = corrects_nothing(machine) {
+        lines.push(format!("{}; {}", nothing.what.trim_start_matches("machine "), nothing.help));
+    }
     lines.push(match &summary.bytes {
         Ok(bytes) => {
             let share = 100.0 * *bytes as f64 / summary.most_bytes as f64;
@@ -40,6 +48,17 @@ pub fn in_words(machine: &Machine, summary: &Summary) -> String {
         Err(error) => format!("on the board: not as it is: {}", error.rule),
     });
     lines.join("\n  ")
+}
+
+/// The inputs that are described and that nothing on the board goes by.
+fn unused_inputs(machine: &Machine) -> Vec<String> {
+    let used = required_columns(&machine.compensated());
+    let Some(inputs) = &machine.inputs else { return Vec::new() };
+    let sensor = inputs.sensor.is_some().then_some(("sensor", "sensor_counts"));
+    let names = inputs.temperatures.keys().map(|name| (name.as_str(), name.as_str()));
+    let unused =
+        sensor.into_iter().chain(names).filter(|(_, column)| !used.iter().any(|it| it == column));
+    unused.map(|(name, _)| name.to_string()).collect()
 }
 
 fn axis_in_words(axis: &AxisSummary) -> String {

@@ -8,6 +8,7 @@
 //! | module | does |
 //! |---|---|
 //! | [`port`] | TCP, a serial device or a CAN interface, opened to lines of SLCAN both ways |
+//! | [`found`] | the ports of this computer |
 //! | [`ends`] | both directions of an open line |
 //! | [`line`](mod@line) | a line that is opened again whenever it breaks, for who stays on it |
 //! | [`session`] | one client's time on the line: open, hear, ask, close |
@@ -35,6 +36,7 @@ pub mod build;
 pub mod cnc;
 mod dating;
 pub mod ends;
+pub mod found;
 pub mod line;
 pub mod load;
 pub mod object;

@@ -7,6 +7,7 @@
 //! | `table` | a table of equal steps from errors at any targets |
 //! | `judge` | which correction holds on runs that it has not seen |
 //! | `scatter` | how far repeats lie apart, beside how far targets do |
+//! | `page` | the figures of ISO 230-2 as a page |
 //! | `summary` | what was found, in a report |
 //! | `backlash` | backlash alone |
 //! | `gantry` | the tables of an axis with two drives |
@@ -35,6 +36,7 @@ mod by_feed;
 mod difference;
 mod gantry;
 mod judge;
+mod page;
 mod readings;
 mod resample;
 mod scatter;
@@ -50,6 +52,7 @@ use trueup_machine::{
 
 pub use backlash::{BacklashFit, WidthRule, fit_backlash};
 pub use gantry::{Drive, drive_of, fit_both};
+pub use page::page;
 pub use test_points::hidden_pitches;
 
 use trueup_numerics::repeats::{self, Decision};

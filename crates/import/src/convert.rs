@@ -327,7 +327,9 @@ impl Table<'_> {
                 return Err(Refused::Open(vec![question]));
             }
         };
-        let wall = Wall { has_midnight: false, has_hours: false };
+        // A counter has no summer time, unless the user says that it has.
+        let has_hours = answers.summer_time.is_some();
+        let wall = Wall { has_midnight: false, has_hours };
         let found = clock::walk(
             &seconds,
             &self.layout.rows,
@@ -338,7 +340,8 @@ impl Table<'_> {
             self.path,
         )?;
         notes.extend(found.notes);
-        // As they were converted: the walk looks for faults only.
-        Ok(Some(Column { source: at, name: name.into(), from, to: "s".into(), values: seconds }))
+        // As they were converted, without an hour that is summer time.
+        let values = if answers.summer_time == Some(true) { found.values } else { seconds };
+        Ok(Some(Column { source: at, name: name.into(), from, to: "s".into(), values }))
     }
 }

@@ -26,8 +26,8 @@ pub use port::{Port, PortCounters};
 pub const CR: u8 = b'\r';
 /// The answer to a line that was refused.
 pub const BELL: u8 = 0x07;
-/// The longest line without its end: a frame with an extended identifier and 8 bytes.
-pub const MAX_LINE: usize = 26;
+/// The longest line without its end: a standard frame of 8 bytes that an adapter has stamped with 8 digits.
+pub const MAX_LINE: usize = 30;
 /// The longest line of a standard frame, with its end.
 pub const MAX_FRAME_LINE: usize = 22;
 

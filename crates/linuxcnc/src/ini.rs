@@ -2,7 +2,7 @@
 //!
 //! LinuxCNC exports the file's name as `INI_FILE_NAME` to everything it starts. What is read:
 //! `[EMCMOT]SERVO_PERIOD`, `[TRAJ]LINEAR_UNITS`, and `MAX_VELOCITY`, `MAX_ACCELERATION`,
-//! `OFFSET_AV_RATIO` of `[AXIS_X]`, `[AXIS_Y]`, `[AXIS_Z]`. As LinuxCNC does it, the first line with
+//! `OFFSET_AV_RATIO` of `[AXIS_X]`, `[AXIS_Y]`, `[AXIS_Z]`, and `[TRAJ]COORDINATES`: a lathe has no Y. As LinuxCNC does it, the first line with
 //! a name wins, `#` and `;` begin a comment, and what is not there has LinuxCNC's own default.
 
 use crate::{NANOMETRES_PER_MICROMETRE, NANOMETRES_PER_MILLIMETRE, follower::Pace};
@@ -45,13 +45,15 @@ pub struct Ini {
     pub mm_per_unit: f64,
     /// X, Y and Z.
     pub axes: [AxisMotion; 3],
+    /// Which of them the machine has.
+    pub has: [bool; 3],
 }
 
 /// What LinuxCNC takes where a file states nothing.
 impl Default for Ini {
     fn default() -> Self {
         let axes = [AxisMotion::default(); 3];
-        Self { cycle_s: SERVO_PERIOD_NS * 1e-9, mm_per_unit: 1.0, axes }
+        Self { cycle_s: SERVO_PERIOD_NS * 1e-9, mm_per_unit: 1.0, axes, has: [true; 3] }
     }
 }
 
@@ -96,7 +98,9 @@ impl Ini {
                 ratio: number(section, "OFFSET_AV_RATIO")?.unwrap_or(0.0),
             };
         }
-        Ok(Self { cycle_s: period_ns * 1e-9, mm_per_unit, axes })
+        let letters = found("TRAJ", "COORDINATES").map(|(_, letters)| letters.to_ascii_uppercase());
+        let has = ['X', 'Y', 'Z'].map(|axis| letters.as_ref().is_none_or(|it| it.contains(axis)));
+        Ok(Self { cycle_s: period_ns * 1e-9, mm_per_unit, axes, has })
     }
 
     /// How fast the offsets of X, Y and Z may change with this slew limit.
@@ -119,7 +123,10 @@ impl Ini {
     #[must_use]
     pub fn remarks(&self, slew_um_per_s: f64) -> Vec<String> {
         let mut remarks = Vec::new();
-        for (axis, name) in self.axes.iter().zip(["X", "Y", "Z"]) {
+        for ((axis, name), has) in self.axes.iter().zip(["X", "Y", "Z"]).zip(self.has) {
+            if !has {
+                continue;
+            }
             if axis.ratio == 0.0 {
                 remarks.push(format!(
                     "[AXIS_{name}]OFFSET_AV_RATIO is 0 or missing: LinuxCNC will not move this axis"
@@ -236,6 +243,17 @@ mod tests {
         ] {
             assert_eq!(with_x(x).remarks(20.0), [remark]);
         }
+    }
+
+    #[test]
+    fn an_axis_that_a_lathe_has_not_is_passed_over() {
+        let fits = "MAX_VELOCITY = 100\nOFFSET_AV_RATIO = 0.0002\n";
+        let of = |letters: &str| {
+            let text = format!("[TRAJ]\nCOORDINATES = {letters}\n[AXIS_X]\n{fits}[AXIS_Z]\n{fits}");
+            Ini::parse(&text).expect("reads").remarks(20.0)
+        };
+        assert!(of("XZ").is_empty() && of("x z").is_empty());
+        assert_eq!(of("XYZ").len(), 1);
     }
 
     #[test]

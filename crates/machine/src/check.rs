@@ -18,7 +18,7 @@
 //! | `nothing` | does the file correct anything at all |
 //! | `extent` | how large each correction may become |
 //! | `run` | is what a run has what the machine file has: counts, travel, the size and the sign of an error |
-//! | `clock` | does the clock of a run step by an hour, or has it a gap |
+//! | `clock` | does the clock of a run step by an hour, was it set, or has it a pause |
 //! | `units` | are the columns of a run in the units of their names |
 //! | `summary` | what the file will do |
 
@@ -89,20 +89,33 @@ pub fn run(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning> {
 /// The same without what the names of the columns say, for a command that says that itself.
 #[must_use]
 pub fn values(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning> {
-    // Where both know something, the machine file says in which unit it would be right.
-    let mut warnings = run::warnings(run, machine);
-    let of_units = units(run, machine).into_iter().map(|finding| finding.warning);
-    let is_new = |it: &Warning| warnings.iter().all(|other| other.place != it.place);
-    let new: Vec<Warning> = of_units.filter(is_new).collect();
-    warnings.extend(new);
-    warnings.extend(clock::warnings(run));
+    let mut warnings: Vec<Warning> =
+        slips(run, machine).into_iter().map(|finding| finding.warning).collect();
+    warnings.extend(run::warnings(run, machine));
+    warnings.extend(clock::look(run).warnings);
     warnings
 }
 
-/// The columns of the run that are unlikely or impossible in the units of their names.
+/// The columns of the run that are unlikely or impossible in the units of their names, or compared with the machine
+/// file, and a clock that was set: a constant that is found from them is wrong.
 #[must_use]
-pub fn units(run: &RunFile, machine: Option<&Machine>) -> Vec<Finding> {
-    units::findings(run, machine)
+pub fn slips(run: &RunFile, machine: Option<&Machine>) -> Vec<Finding> {
+    let mut slips = units::findings(run, machine);
+    // Where both know something, the machine file says in which unit it would be right.
+    for finding in run::slips(run, machine) {
+        match slips.iter_mut().find(|it| it.key == finding.key) {
+            Some(other) => other.warning = finding.warning,
+            None => slips.push(finding),
+        }
+    }
+    slips.extend(clock::look(run).slips);
+    slips
+}
+
+/// What is worth a remark in the run and needs nothing done: pauses.
+#[must_use]
+pub fn remarks(run: &RunFile) -> Vec<Warning> {
+    clock::look(run).remarks
 }
 
 fn in_order(warnings: impl Iterator<Item = Warning>) -> Vec<Warning> {

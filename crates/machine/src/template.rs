@@ -4,6 +4,8 @@
 
 use std::fmt::Write as _;
 
+use trueup_output::escape::shell_word;
+
 use crate::{
     file::{Feedback, Kind, LinearAxis, RotaryAxis},
     inputs::REFERENCE_VOLTS,
@@ -97,7 +99,6 @@ impl Template {
     }
 
     fn write(&self, out: &mut String, file: &str) -> std::fmt::Result {
-        let (program, export) = self.control.names();
         writeln!(out, "# What is known of this machine. What is missing here is not corrected.")?;
         writeln!(
             out,
@@ -115,10 +116,19 @@ impl Template {
                 names.join(", ")
             )?;
         }
-        writeln!(
-            out,
-            "tool_direction = [0.0, 0.0, -1.0] # from the spindle nose to the tip: it hangs down"
-        )?;
+        let direction = match self.kind {
+            Kind::Lathe => {
+                "from the turret to the chuck, Z+ leads away from it: work that grows by s is dz = -s, offset +s"
+            }
+            _ => "from the spindle nose to the tip: it hangs down",
+        };
+        writeln!(out, "tool_direction = [0.0, 0.0, -1.0] # {direction}")?;
+        if self.kind == Kind::Lathe {
+            writeln!(
+                out,
+                "# Every X of this file and of run files is a radius (a column x_dia_mm is halved)."
+            )?;
+        }
         self.write_inputs(out)?;
         self.write_spindle(out, file)?;
         for (axis, [low, high]) in &self.axes {
@@ -145,28 +155,75 @@ impl Template {
             "\n# What you measure with, 95 %: then `trueup diagnose` knows when nothing is left to find."
         )?;
         writeln!(out, "# [instrument]\n# uncertainty_um = 1.0")?;
-        writeln!(out, "\n# Next:")?;
+        self.write_next(out, file)
+    }
+
+    /// The commands that come next, each as it can be typed.
+    fn write_next(&self, out: &mut String, file: &str) -> std::fmt::Result {
+        let (program, export) = self.control.names();
+        // An ending of its own for each step: no command overwrites what it reads.
+        let stem = file.strip_suffix(".toml").unwrap_or(file);
+        let word = |text: &str| shell_word(text);
+        let mut now = word(file);
+        writeln!(
+            out,
+            "\n# Next, fill in the run files that a program comes with before you fit them:"
+        )?;
+        if let (Feedback::Screw, Some((axis, _))) = (self.feedback, self.axes.first()) {
+            let axis = axis.name();
+            let range = self.range_of_first();
+            let with = format!("{stem}-backlash.toml");
+            writeln!(
+                out,
+                "#   trueup program backlash --machine {now} --for {program} --axis {axis}{range} -o measure"
+            )?;
+            if !range.is_empty() {
+                writeln!(
+                    out,
+                    "#   (the half of the travel away from the chuck; an axis towards the work moves only in --range)"
+                )?;
+            }
+            let with = word(&with);
+            writeln!(
+                out,
+                "#   trueup fit backlash --run measure/backlash-{axis}.csv --machine {now} -o {with}"
+            )?;
+            now = with;
+        }
+        let rpm = if self.kind == Kind::Lathe { 1000 } else { 3000 };
+        writeln!(
+            out,
+            "#   trueup program warmup --machine {now} --for {program} --rpm {rpm} -o measure"
+        )?;
+        let fit = if self.sensor.is_some() { "elongation" } else { "warmup" };
+        let fitted = word(&format!("{stem}-fitted.toml"));
+        writeln!(
+            out,
+            "#   trueup fit {fit} --run measure/warmup-off.csv --machine {now} -o {fitted}"
+        )?;
+        writeln!(
+            out,
+            "#   trueup diagnose --machine {fitted} --run measure/warmup-off.csv --out diagnosis"
+        )?;
+        let blob = word(&format!("{stem}.bin"));
+        writeln!(out, "#   trueup compile {fitted} -o {blob}      the calibration of a board")?;
         if self.feedback == Feedback::Screw && !self.axes.is_empty() {
             writeln!(
                 out,
-                "#   trueup program backlash --machine {file} --for {program} -o measure"
-            )?;
-            writeln!(
-                out,
-                "#   (Z and the tool's axis only in a range of yours: --range z=-120:-20)"
-            )?;
-            writeln!(
-                out,
-                "#   trueup fit backlash --run measured.csv --machine {file} -o fitted.toml"
+                "#   trueup export {fitted} --format {export} -o tables      the control's own tables"
             )?;
         }
-        writeln!(out, "#   trueup program warmup --machine {file} --for {program} -o measure")?;
-        writeln!(out, "#   trueup diagnose --machine {file} --run measured.csv --out diagnosis")?;
-        writeln!(out, "#   trueup compile {file} -o machine.bin      the calibration of a board")?;
-        writeln!(
-            out,
-            "#   trueup export {file} --format {export} -o tables      the control's own tables"
-        )
+        Ok(())
+    }
+
+    /// The range of the first axis in a program of a lathe: the half that is away from the work.
+    fn range_of_first(&self) -> String {
+        match self.axes.first() {
+            Some((axis, [low, high])) if self.kind == Kind::Lathe || *axis == LinearAxis::Z => {
+                format!(" --range {}={}:{high}", axis.name(), (low + high) / 2.0)
+            }
+            _ => String::new(),
+        }
     }
 
     fn write_inputs(&self, out: &mut String) -> std::fmt::Result {
@@ -207,7 +264,9 @@ impl Template {
                 writeln!(out, "\n# How the spindle grows, from one run from cold:")?;
                 writeln!(
                     out,
-                    "#   trueup fit warmup --run measured.csv --machine {file} -o fitted.toml"
+                    "#   trueup fit warmup --run measure/warmup-off.csv --machine {} -o {}-fitted.toml",
+                    shell_word(file),
+                    file.strip_suffix(".toml").unwrap_or(file)
                 )?;
                 writeln!(out, "# [spindle]\n# source = \"warmup\"")?;
                 writeln!(
@@ -269,14 +328,22 @@ mod tests {
             Some(Sheet { volts_full_scale: 10.0, um_per_v: 50.0, zero_v: 1.54 }),
             Some(Sheet { volts_full_scale: 5.0, um_per_v: 100.0, zero_v: 0.5 }),
             Some(Sheet { volts_full_scale: 3.0, um_per_v: 100.0, zero_v: 0.5 }),
+            Some(Sheet { volts_full_scale: 10.0, um_per_v: 50.0, zero_v: 1.54 }),
         ];
-        let heads: [(Kind, &[RotaryAxis]); 4] = [
+        let heads: [(Kind, &[RotaryAxis]); 5] = [
             (Kind::ThreeAxis, &[]),
             (Kind::HeadHead, &[RotaryAxis::C, RotaryAxis::A]),
             (Kind::HeadTable, &[RotaryAxis::B]),
             (Kind::TableTable, &[]),
+            (Kind::Lathe, &[]),
         ];
-        let controls = [Control::LinuxCnc, Control::Siemens, Control::Fanuc, Control::Heidenhain];
+        let controls = [
+            Control::LinuxCnc,
+            Control::Siemens,
+            Control::Fanuc,
+            Control::Heidenhain,
+            Control::LinuxCnc,
+        ];
         for ((sheet, (kind, head_axes)), control) in sheets.into_iter().zip(heads).zip(controls) {
             let template = template(kind, head_axes, sheet, control);
             let text = template.to_toml("m.toml");

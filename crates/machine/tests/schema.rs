@@ -11,10 +11,11 @@ use trueup_machine::{
     schema,
 };
 
-const SHIPPED: [&str; 5] = [
+const SHIPPED: [&str; 6] = [
     "data/gantry.toml",
     "data/paper_spindle.toml",
     "integrations/linuxcnc/trueup_gantry.toml",
+    "integrations/linuxcnc/trueup_lathe.toml",
     "crates/emulator/src/linuxcnc/base.toml",
     "host-tests/corpus/toml/all.toml",
 ];

@@ -336,6 +336,21 @@ fn a_head_table_machine_swings_by_its_one_axis_and_a_table_table_by_none() {
 }
 
 #[test]
+fn work_that_grows_out_of_the_chuck_by_s_is_dz_minus_s() {
+    let text = "[machine]\nname = \"l\"\nkind = \"lathe\"\n[spindle]\nsource = \"sensor\"\n[spindle.sensor]\n\
+                k0_um = 18\nzero_counts = 0\num_per_count = 1\n[axis.x.pitch]\nstart_mm = 0\nstep_mm = 50\n\
+                forward_um = [0, 5]\n";
+    // A radius of 25 mm: half of the table's step.
+    let situation =
+        Situation { sensor_counts: 0.0, position_mm: [25.0, 0.0, -80.0], ..Situation::UNKNOWN };
+    let machine = parse(text);
+    assert_eq!(machine.kind, Kind::Lathe);
+    assert_eq!(parts(&machine, &situation).error_um(), [2.5, 0.0, -18.0]);
+    // What the CNC adds: the turret follows the face of the work, away from the chuck.
+    assert_eq!(trueup_machine::model::offset_um(18.0, machine.tool_direction), [0.0, 0.0, 18.0]);
+}
+
+#[test]
 fn a_warm_up_without_speeds_runs_from_the_first_row_and_anew_where_time_runs_back() {
     let machine = parse(&EXAMPLE.replacen("source = \"sensor\"", "source = \"warmup\"", 1));
     let model = machine.spindle.warmup.clone().expect("written above");

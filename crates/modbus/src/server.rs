@@ -13,9 +13,11 @@
 //! | 02 illegal data address | an address, or address and length together, outside the block; a write of a part of it |
 //! | 03 illegal data value | a length of 0 or beyond the standard's, or one that does not fit the request |
 //! | 06 server device busy | another master writes |
-//! | 0B gateway target device failed to respond | TCP: a unit that is not there |
+//! | 0B gateway target device failed to respond | TCP: a unit that is not there; a command to unit 0 |
 //!
-//! No answer: a broadcast (unit 0; a command that engages one bridge is addressed to one, so nothing
+//! Unit 0 over TCP reads as the one that listens: some masters send no other number.
+//!
+//! No answer: a serial broadcast (unit 0; a command that engages one bridge is addressed to one, so nothing
 //! moves), a serial frame for another unit or with a wrong checksum, bytes that are no request.
 //!
 //! The library builds and parses frames. What it would let pass is asked before it sees them: a byte
@@ -29,7 +31,10 @@ use rmodbus::{
     server::{ModbusFrame, Read, Write},
 };
 
-use crate::{cnc, input, table::HOLDING_LEN};
+use crate::{
+    cnc, input,
+    table::{HOLDING_LEN, WORD_ORDER, WORD_ORDER_ADDRESS},
+};
 
 /// The largest frame: 253 bytes of a request, the header of TCP before them.
 pub const MAX_FRAME: usize = 260;
@@ -106,11 +111,12 @@ pub fn answer(
     response.clear();
     let Some((addressed, pdu)) = opened(transport, request) else { return false };
     let &[function, ..] = pdu else { return false };
-    if addressed == BROADCAST {
+    if addressed == BROADCAST && transport == Transport::Rtu {
         return false;
     }
-    let is_ours =
-        addressed == unit || (transport == Transport::Tcp && addressed == WHOEVER_LISTENS);
+    let is_read = matches!(function, READ_HOLDING | READ_INPUT);
+    let is_whoever = addressed == WHOEVER_LISTENS || (addressed == BROADCAST && is_read);
+    let is_ours = addressed == unit || (transport == Transport::Tcp && is_whoever);
     let answered = if is_ours {
         admitted(pdu).and_then(|()| answered(transport, addressed, request, bridge, response))
     } else if transport == Transport::Rtu {
@@ -174,7 +180,7 @@ fn answered(
     };
     // What it may find wrong has been found before; nothing is read or written then.
     let odd = |_| Exception::Value;
-    let mut frame = ModbusFrame::new(unit, request, proto, response);
+    let mut frame = ModbusFrame::new(unit, request, proto, response).with_broadcast_units(&[]);
     frame.parse().map_err(odd)?;
     if frame.readonly {
         let holding = frame.func == rmodbus::consts::ModbusFunction::GetHoldings;
@@ -184,7 +190,9 @@ fn answered(
         let place = usize::from(words.address)..;
         let place = place.start..place.start.saturating_add(usize::from(words.count));
         let (read, written);
-        let block = if holding {
+        let block = if let Some(at) = place.start.checked_sub(WORD_ORDER_ADDRESS) {
+            WORD_ORDER.get(at..at.saturating_add(usize::from(words.count)))
+        } else if holding {
             written = bridge.holding();
             written.get(place)
         } else {

@@ -10,6 +10,8 @@
 //! Every program begins with a stop ([`Plan::first_stop`]), then sets the modes that it needs; no block moves at
 //! rapid, and none by a way from a place that the program does not know. No form depends on a work offset. Positions are whole micrometres, so that increments add up to
 //! exactly where they began.
+//!
+//! X of a lathe is a diameter in the text (`G7`, `DIAMON`), and a radius everywhere else.
 
 mod dialect;
 mod fanuc;
@@ -18,7 +20,12 @@ mod linuxcnc;
 mod siemens;
 
 use self::dialect::{Dialect, Ends};
-use crate::plan::{Plan, Step};
+use trueup_machine::{Machine, file::Kind};
+
+use crate::{
+    plan::{Plan, Step},
+    refused::Refused,
+};
 
 /// Whose program it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,6 +40,29 @@ pub enum Control {
     Heidenhain,
 }
 
+impl Control {
+    /// Whether programs for this machine can be written for this control.
+    ///
+    /// # Errors
+    /// A lathe of a control whose words mean something else there.
+    pub fn check(self, machine: &Machine) -> Result<(), Refused> {
+        let why = match self {
+            Self::LinuxCnc | Self::Siemens => return Ok(()),
+            Self::Fanuc => {
+                "G90 begins a turning cycle in G-code system A, and a parameter says whether X is a diameter"
+            }
+            Self::Heidenhain => "turning is a mode of its own, which has not been tried",
+        };
+        match machine.kind {
+            Kind::Lathe => Err(Refused(format!(
+                "no program of a lathe for this control: {why}. Move by hand to the positions of the program for siemens, \
+                 and fill in its run file"
+            ))),
+            _ => Ok(()),
+        }
+    }
+}
+
 /// The name and text of the program.
 #[must_use]
 pub fn program(plan: &Plan, control: Control) -> (String, String) {
@@ -40,7 +70,7 @@ pub fn program(plan: &Plan, control: Control) -> (String, String) {
     let text = |mut dialect: Box<dyn Dialect>| {
         dialect.head(plan);
         dialect.stop(&plan.first_stop());
-        dialect.modes();
+        dialect.modes(plan.is_lathe);
         let mut at_um = [None; 3];
         write(plan, &plan.steps, dialect.as_mut(), &mut at_um);
         dialect.end()
@@ -65,10 +95,10 @@ fn write(plan: &Plan, steps: &[Step], dialect: &mut dyn Dialect, at_um: &mut [Op
             Step::Approach { axis, to_mm } => {
                 let mut to = [None; 3];
                 to[*axis] = Some(*to_mm);
-                dialect.line(&ends(&to, at_um), plan.approach_mm_per_min);
+                dialect.line(&ends(plan, &to, at_um), plan.approach_mm_per_min);
             }
             Step::Move { to_mm, feed_mm_per_min } => {
-                dialect.line(&ends(to_mm, at_um), *feed_mm_per_min);
+                dialect.line(&ends(plan, to_mm, at_um), *feed_mm_per_min);
             }
             Step::Spindle(rpm) => dialect.spindle(*rpm),
             Step::Dwell(s) => dialect.dwell(*s, false),
@@ -82,11 +112,13 @@ fn write(plan: &Plan, steps: &[Step], dialect: &mut dyn Dialect, at_um: &mut [Op
     }
 }
 
-fn ends(to_mm: &[Option<f64>; 3], at_um: &mut [Option<i64>; 3]) -> Ends {
+fn ends(plan: &Plan, to_mm: &[Option<f64>; 3], at_um: &mut [Option<i64>; 3]) -> Ends {
     let mut axes = Vec::new();
     for (axis, to_mm) in to_mm.iter().enumerate() {
         let Some(to_mm) = to_mm else { continue };
-        let to = micrometres(*to_mm);
+        // X of a lathe is written as a diameter.
+        let times = if plan.is_lathe && axis == 0 { 2 } else { 1 };
+        let to = times * micrometres(*to_mm);
         axes.push((axis, at_um[axis].replace(to), to));
     }
     Ends { axes }

@@ -19,18 +19,35 @@ impl Plan {
             .filter_map(|(axis, extent)| extent.map(|extent| (axis, extent)))
             .collect();
         if !extents.is_empty() {
-            let to = approaches.iter().map(|(axis, mm)| format!("{} goes to {mm} mm", AXES[*axis]));
+            // A lathe's screen shows diameters.
+            let diameter = |axis: &str, mm: &[f64]| match (self.is_lathe && axis == "X", mm) {
+                (true, [mm]) => format!(" (diameter {})", whole_um(2.0 * mm)),
+                (true, [low, high]) => {
+                    format!(" (diameters {} to {})", whole_um(2.0 * low), whole_um(2.0 * high))
+                }
+                _ => String::new(),
+            };
+            let to = approaches.iter().map(|(axis, mm)| {
+                format!("{} goes to {mm} mm{}", AXES[*axis], diameter(AXES[*axis], &[*mm]))
+            });
             let to: Vec<String> = to.collect();
             let feed = self.approach_mm_per_min;
             sentences.push(format!("{}, at {feed} mm/min.", to.join(", then ")));
             let between = |(axis, [low, high]): &(&str, [f64; 2])| {
-                format!("{axis} moves {} mm, from {low} to {high} mm", whole_um(high - low))
+                format!(
+                    "{axis} moves {} mm, from {low} to {high} mm{}",
+                    whole_um(high - low),
+                    diameter(axis, &[*low, *high])
+                )
             };
             let moves: Vec<String> = extents.iter().map(between).collect();
             let highest = self.highest_feed_mm_per_min();
             sentences.push(format!("Then {}, at up to {highest} mm/min.", moves.join(", ")));
             let axes: Vec<&str> = extents.iter().map(|(axis, _)| *axis).collect();
-            let others: Vec<&str> = AXES.into_iter().filter(|axis| !axes.contains(axis)).collect();
+            let others: Vec<&str> = AXES
+                .into_iter()
+                .filter(|axis| !axes.contains(axis) && (!self.is_lathe || *axis != "Y"))
+                .collect();
             sentences.push(format!(
                 "The whole way of {} must be clear of part, vice, tool, cables.",
                 axes.join(" and ")

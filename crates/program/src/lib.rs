@@ -65,12 +65,16 @@ pub fn plans(
     options: &Options,
 ) -> Result<(Vec<Plan>, Vec<String>), Refused> {
     options.check()?;
-    match kind {
+    let (mut plans, notes) = match kind {
         Kind::Backlash => kind::backlash::plans(machine, options),
         Kind::Pitch => kind::pitch::plans(machine, options),
         Kind::Straightness => kind::straightness::plans(machine, options),
         Kind::Warmup => kind::warmup::plans(machine, options),
         Kind::AxisHeat => kind::axis_heat::plans(machine, options),
         Kind::Diagonal => kind::diagonal::plans(machine, options),
-    }
+    }?;
+    plans
+        .iter_mut()
+        .for_each(|plan| plan.is_lathe = machine.kind == trueup_machine::file::Kind::Lathe);
+    Ok((plans, notes))
 }

@@ -96,6 +96,8 @@ pub struct Plan {
     pub columns: Vec<Column>,
     /// What to do with the filled file.
     pub then: String,
+    /// X of the program is written as a diameter; every length of the plan is a radius.
+    pub is_lathe: bool,
     /// The parts that the run file is recorded in, where it is more than one: `off`, `on`.
     pub records: Vec<&'static str>,
 }

@@ -10,7 +10,10 @@
 //! A vertical axis, or one along which the tool points, moves only in a range that the user gave, and begins at
 //! the end at which the tool is retracted.
 
-use trueup_machine::{Machine, file::LinearAxis};
+use trueup_machine::{
+    Machine,
+    file::{Kind, LinearAxis},
+};
 
 use crate::{options::Options, plan::Step, refused::Refused};
 
@@ -117,13 +120,16 @@ pub(crate) fn micrometres(mm: f64) -> f64 {
 }
 
 /// Returns which way of `axis` retracts the tool (+1, −1), if it is a vertical or tool axis. Z counts as vertical
-/// on every machine.
+/// on every machine, X of a lathe as one that leads to the work.
 pub(crate) fn retract(machine: &Machine, axis: LinearAxis) -> Option<f64> {
     let along = machine.tool_direction[axis.index()];
     if along.abs() > ALONG_TOOL {
         return Some(-along.signum());
     }
-    (axis == LinearAxis::Z).then_some(1.0)
+    // On a lathe X+ leads away from the work.
+    let is_towards_work =
+        axis == LinearAxis::Z || machine.kind == Kind::Lathe && axis == LinearAxis::X;
+    is_towards_work.then_some(1.0)
 }
 
 /// Returns where an axis may move, or a sentence that says why it may not.
@@ -136,9 +142,16 @@ pub(crate) fn travel(
     axis: LinearAxis,
 ) -> Result<Result<Travel, String>, Refused> {
     let name = axis.name();
+    if machine.kind == Kind::Lathe && axis == LinearAxis::Y {
+        return Ok(Err("programs of a lathe move X and Z only".into()));
+    }
     let known = machine.axes[axis.index()].travel_mm;
     let range = options.range_mm[axis.index()];
     let retract = retract(machine, axis);
+    let leads = match machine.kind {
+        Kind::Lathe => "leads to the work",
+        _ => "is vertical or along the tool",
+    };
     if let (Some([low_mm, high_mm]), Some([low, high])) = (range, known)
         && (low_mm < low || high_mm > high)
     {
@@ -150,7 +163,7 @@ pub(crate) fn travel(
     let Some([low, high]) = range.or(known) else { return Ok(Err(no_travel(name, retract))) };
     if retract.is_some() && range.is_none() {
         return Ok(Err(format!(
-            "{name} is vertical or along the tool, and moves only where you say: give --range \
+            "{name} {leads}, and moves only where you say: give --range \
              {name}=LOW:HIGH in mm, inside travel_mm of {low} to {high}"
         )));
     }
@@ -183,7 +196,11 @@ pub(crate) fn travels(
 ) -> Result<(Vec<Travel>, Vec<String>), Refused> {
     let (mut travels, mut reasons) = (Vec::new(), Vec::new());
     for axis in LinearAxis::ALL {
-        if options.axes.is_empty() || options.axes.contains(&axis) {
+        let is_meant = match machine.kind {
+            Kind::Lathe if options.axes.is_empty() => axis != LinearAxis::Y,
+            _ => options.axes.is_empty() || options.axes.contains(&axis),
+        };
+        if is_meant {
             match travel(machine, options, axis)? {
                 Ok(travel) => travels.push(travel),
                 Err(why) => reasons.push((axis, why)),

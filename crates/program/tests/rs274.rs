@@ -3,9 +3,10 @@
 
 mod support;
 
-use std::{fs, process::Command};
+use std::{fs, path::Path, process::Command};
 
 use support::{machine, with_z};
+use trueup_machine::MachineFile;
 use trueup_program::{
     Control, Gauge, Kind, Options, Plan, Stretch, control, plan::Reading, plans, speeds,
 };
@@ -91,6 +92,17 @@ fn linuxcncs_interpreter_stands_where_the_run_file_says() {
     let planned = speeds(&stretches, 20.0, &["temp_front_c".into()], "to tell a from b");
     assert_eq!(planned.readings().len(), 37);
     check(&planned);
+    // X words are diameters, the interpreter's positions are radii.
+    let text = "[machine]\nname = \"l\"\nkind = \"lathe\"\n[axis.x]\ntravel_mm = [0.0, 140.0]\n[axis.z]\n\
+                travel_mm = [-500.0, 0.0]\n";
+    let lathe = MachineFile::parse(text, Path::new("l.toml")).expect("the test's own file");
+    let ranges = Options {
+        range_mm: [Some([60.0, 120.0]), None, Some([-300.0, -50.0])],
+        ..Options::default()
+    };
+    for kind in [Kind::Backlash, Kind::Pitch] {
+        plans(kind, &lathe, &ranges).expect("it fits").0.iter().for_each(|plan| _ = check(plan));
+    }
     for kind in kinds {
         for gauge in [None, Some(Gauge::Dial), Some(Gauge::Laser)] {
             let options = Options { gauge, feeds_mm_per_min: vec![1000.0, 200.0], ..with_z() };

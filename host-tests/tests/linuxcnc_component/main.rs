@@ -4,6 +4,7 @@
 //! applies equals its target again. Every servo cycle is recorded by LinuxCNC's own sampler.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
+mod lathe;
 #[path = "../linuxcnc_rig/mod.rs"]
 mod linuxcnc_rig;
 mod probe;

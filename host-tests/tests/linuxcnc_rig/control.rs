@@ -39,6 +39,22 @@ const LATE: [&str; 2] = ["net scenario screen.scenario", "net trueup-zero screen
 
 /// Starts it with the bridge at this address, and with these files beside the samples.
 pub fn start(linuxcnc: LinuxCnc, bridge: &str, files: &[(&str, &str)]) -> Result<Headless> {
+    let recorder = ("recorder.hal", RECORDER);
+    let mut cnc = start_with(linuxcnc, "trueup_sim.ini", bridge, &[&[recorder], files].concat())?;
+    for words in LATE {
+        cnc.halcmd(words)?;
+    }
+    Ok(cnc)
+}
+
+/// Starts this sample configuration, with these files beside the samples; `FOLDER` in them is where they are. A
+/// `recorder.hal` among them is loaded.
+pub fn start_with(
+    linuxcnc: LinuxCnc,
+    ini: &str,
+    bridge: &str,
+    files: &[(&str, &str)],
+) -> Result<Headless> {
     let folder = Headless::new_folder()?;
     let path = |name: &str| folder.path().join(name);
     let here = folder.path().to_str().context("a temporary folder has a plain name")?;
@@ -51,23 +67,19 @@ pub fn start(linuxcnc: LinuxCnc, bridge: &str, files: &[(&str, &str)]) -> Result
     }
     fs::copy(programs::trueup()?, path("trueup"))?;
     // LinuxCNC puts the two together itself.
-    for (sample, name) in [("trueup_sim.ini", "test.ini"), (INCLUDED, INCLUDED)] {
+    let records = files.iter().any(|(name, _)| *name == "recorder.hal");
+    for (sample, name) in [(ini, "test.ini"), (INCLUDED, INCLUDED)] {
         let text = fs::read_to_string(samples.join(sample))?;
-        fs::write(path(name), configuration(&text, folder.path(), bridge))?;
+        fs::write(path(name), configuration(&text, folder.path(), bridge, records))?;
     }
-    fs::write(path("recorder.hal"), RECORDER.replace("FOLDER", here))?;
     for (name, text) in files {
-        fs::write(path(name), text)?;
+        fs::write(path(name), text.replace("FOLDER", here))?;
     }
-    let mut cnc = Headless::start(folder, "test.ini", linuxcnc)?;
-    for words in LATE {
-        cnc.halcmd(words)?;
-    }
-    Ok(cnc)
+    Headless::start(folder, "test.ini", linuxcnc)
 }
 
 /// The sample configuration with another screen and the recorder.
-fn configuration(sample: &str, folder: &Path, bridge: &str) -> String {
+fn configuration(sample: &str, folder: &Path, bridge: &str, records: bool) -> String {
     let mut text = String::new();
     for line in sample.lines() {
         let key = line.split('=').next().unwrap_or_default().trim();
@@ -81,7 +93,7 @@ fn configuration(sample: &str, folder: &Path, bridge: &str) -> String {
             _ => {
                 text += line;
                 text += "\n";
-                if line.trim() == "HALFILE = trueup.hal" {
+                if records && line.trim() == "HALFILE = trueup.hal" {
                     text += "HALFILE = recorder.hal\n";
                 }
             }

@@ -232,8 +232,14 @@ pub fn run(args: &Ask, as_json: bool) -> Result<Outcome> {
         let Some(event) = session.next_event(deadline)? else { break };
         info.hear(&event);
     }
-    if has_adapter && (info.version.is_none() || info.serial.is_none()) {
-        bail!("the bridge does not tell its version and serial number; is it a bridge?");
+    // An adapter in between may say something else of itself, or nothing: what counts is that frames come.
+    let is_silent = info.heartbeat.is_none() && info.output.is_none();
+    if has_adapter && is_silent && (info.version.is_none() || info.serial.is_none()) {
+        bail!(
+            "no frame of a bridge came in {} s, and no version or serial number; is it a bridge, and has an adapter in \
+             between the right bit rate (1 Mbit/s)?",
+            PATIENCE.as_secs()
+        );
     }
     // A bridge that sends no frame answers none.
     let objects = match info.heartbeat {
@@ -265,7 +271,7 @@ pub fn run(args: &Ask, as_json: bool) -> Result<Outcome> {
         Comparison::Nothing => true,
         Comparison::Differences(all) => !all.is_empty(),
     };
-    let is_met = objects.is_some() && info.is_complete(has_adapter) && !is_other;
+    let is_met = objects.is_some() && info.is_complete(false) && !is_other;
     Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
 }
 
@@ -324,7 +330,12 @@ impl Info {
             output::print(format_args!("version      {version}"))?;
             output::print(format_args!("serial       {serial}"))?;
         }
-        let heartbeat = self.heartbeat.map(state_word).unwrap_or(&missing);
+        // Of CANopen's words: no sign of a fault, as long as a heartbeat comes.
+        let heartbeat = match self.heartbeat {
+            None => missing.clone(),
+            Some(State::Stopped) => "alive; no offsets are available (CANopen: stopped)".into(),
+            Some(state) => format!("alive (CANopen: {})", state_word(state)),
+        };
         output::print(format_args!("heartbeat    {heartbeat}"))?;
         let offsets = self.output.as_ref().map_or_else(|| missing.clone(), output_text);
         output::print(format_args!("offsets      {offsets}"))?;
@@ -342,8 +353,17 @@ impl Info {
         output::print(format_args!("state        {state}"))?;
         it.asks.print()?;
         output::print(format_args!("last reset   {}{}", it.reset.word(), it.stop))?;
-        let resets = it.resets.iter().map(|(word, count)| format!("{word} {count}"));
-        output::print(format_args!("starts       {}", resets.collect::<Vec<_>>().join(", ")))?;
+        let resets: Vec<String> =
+            it.resets.iter().map(|(word, count)| format!("{word} {count}")).collect();
+        let resets = if resets.is_empty() {
+            "none counted since power-on".into()
+        } else {
+            resets.join(", ")
+        };
+        output::print(format_args!("starts       {resets}"))?;
+        if !it.writes.is_empty() {
+            output::print("written      to the board, the last first, #number in its log:")?;
+        }
         it.writes.iter().rev().try_for_each(|write| {
             output::print(format_args!("written      {}", writes::text(write)))
         })

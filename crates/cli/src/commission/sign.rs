@@ -6,7 +6,7 @@ use trueup_client::words::offset_um;
 use trueup_core::cnc::{Output, Quality};
 use trueup_machine::{
     Machine,
-    file::{ElongationSource, LinearAxis, Pitch, Spindle, Warmup},
+    file::{ElongationSource, Kind, LinearAxis, Pitch, Spindle, Warmup},
 };
 
 use crate::UserError;
@@ -21,8 +21,13 @@ const HALF_UM: f64 = GROWTH_UM / 2.0;
 const NO_SLOPE_UM_PER_COUNT: f64 = 1e-6;
 
 /// What is to be done at the machine.
-pub fn how(axis: Option<LinearAxis>) -> String {
+pub fn how(machine: &Machine, axis: Option<LinearAxis>) -> String {
     match axis.map(letter) {
+        None if machine.kind == Kind::Lathe => {
+            "  set a gauge between turret and chuck, along Z, against a part that does not turn, to zero, disengaged \
+             (nothing may touch what turns); start the spindle if it has no sensor; then engage at the CNC"
+                .into()
+        }
         None => "  set all angles to 0, and a gauge at the spindle's housing, along the tool, to zero, disengaged \
                  (nothing may touch what turns); start the spindle if it has no sensor; then engage at the CNC"
             .into(),
@@ -34,8 +39,11 @@ pub fn how(axis: Option<LinearAxis>) -> String {
 }
 
 /// What is asked for then.
-pub fn question(axis: Option<LinearAxis>) -> String {
+pub fn question(machine: &Machine, axis: Option<LinearAxis>) -> String {
     match axis.map(letter) {
+        None if machine.kind == Kind::Lathe => {
+            "how far has the turret moved, in µm (+ towards the chuck, - away from it)".into()
+        }
         None => "how far has the housing moved, in µm (+ the way the tool points, - the other way)"
             .into(),
         Some(axis) => format!("how far has {axis} moved, in µm (+ in its positive direction)"),

@@ -63,7 +63,8 @@ pub fn write(
             return Ok(());
         }
     };
-    let plan = match plan(&next, machine, &options) {
+    let planned = control.control().check(machine).and_then(|()| plan(&next, machine, &options));
+    let plan = match planned {
         Ok(plan) => plan,
         Err(refused) => {
             report::warn(format_args!(

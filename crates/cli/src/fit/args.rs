@@ -19,9 +19,10 @@ pub struct Fit {
 pub enum Kind {
     /// [straightness.z_of_x]: how an axis errs while another moves.
     Straightness(Straightness),
-    /// [axis.x.pitch], and [axis.x.backlash] where it gains: an axis's position errors.
+    /// [axis.x.pitch], and [axis.x.backlash] where it gains: an axis's position errors. The figures of ISO 230-2
+    /// are written next to it as a page, OUT.html.
     Pitch(Pitch),
-    /// [axis.x.backlash] alone.
+    /// [axis.x.backlash] alone; the figures of ISO 230-2 as a page, OUT.html.
     Backlash(Backlash),
     /// [spindle.sensor] or [spindle.temperature]: the spindle's growth.
     Elongation(Elongation),
@@ -31,6 +32,17 @@ pub enum Kind {
     Thermal(Thermal),
     /// B-spline, polynomial and lines side by side on your straightness runs: nothing is fitted for the bridge.
     Table1(Table1),
+}
+
+impl Kind {
+    /// The fits of positions, whose figures are those of ISO 230-2: their name, and which readings.
+    pub fn positions(&self) -> Option<(&'static str, &Positions)> {
+        match self {
+            Self::Pitch(args) => Some(("pitch", &args.positions)),
+            Self::Backlash(args) => Some(("backlash", &args.positions)),
+            _ => None,
+        }
+    }
 }
 
 /// What was measured, and what is believed.
@@ -62,6 +74,21 @@ pub struct Error {
     pub quantity: Option<String>,
 }
 
+/// Which axis.
+#[derive(Args)]
+pub struct OfAxis {
+    /// The axis: x is the same as --quantity dx.
+    #[arg(long, value_name = "x|y|z", conflicts_with = "quantity", value_parser = ["x", "y", "z"])]
+    pub axis: Option<String>,
+}
+
+impl OfAxis {
+    /// The quantity of `error`, or of the axis.
+    pub fn quantity(&self, error: &Error) -> Option<String> {
+        self.axis.as_ref().map(|axis| format!("d{axis}")).or_else(|| error.quantity.clone())
+    }
+}
+
 /// What a curve of straightness is made by.
 #[derive(Args)]
 pub struct Curve {
@@ -91,6 +118,8 @@ impl Curve {
 pub struct Positions {
     #[command(flatten)]
     pub error: Error,
+    #[command(flatten)]
+    pub axis: OfAxis,
     /// Only the repeats with these numbers in the column run.
     #[arg(long, value_name = "1,2,3", value_delimiter = ',')]
     pub repeats: Option<Vec<f64>>,
@@ -225,6 +254,8 @@ pub struct Thermal {
     pub common: Common,
     #[command(flatten)]
     pub error: Error,
+    #[command(flatten)]
+    pub axis: OfAxis,
     /// Which terms; left out, the machine file's, else what the run shows.
     #[arg(long)]
     pub mode: Option<Mode>,

@@ -101,12 +101,19 @@ fn what_no_board_can_run_is_told_where_a_board_is_meant() {
 }
 
 #[test]
-fn a_file_that_corrects_nothing_is_told_by_compile_and_not_by_check() {
+fn a_file_that_corrects_nothing_is_a_warning_of_compile_and_a_line_of_check() {
     let desk = desk();
     desk.write("nothing.toml", "[machine]\nname = \"m\"\nkind = \"3-axis\"\n");
     let (_, err) = desk.said("compile nothing.toml -o c.bin", 0);
     assert!(err.contains("warning: nothing.toml:1:2: machine corrects nothing"), "{err}");
-    desk.said("check nothing.toml", 0);
+    let (out, _) = desk.said("check nothing.toml", 0);
+    assert!(out.contains("corrects nothing: a board with it leaves every offset at 0"), "{out}");
+    desk.write(
+        "unused.toml",
+        "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[inputs]\ntemp_bed_c = { channel = 0, kind = \"pt100\" }\n",
+    );
+    let (out, _) = desk.said("check unused.toml", 0);
+    assert!(out.contains("inputs that no law uses: temp_bed_c"), "{out}");
 }
 
 #[test]

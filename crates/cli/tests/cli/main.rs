@@ -20,6 +20,7 @@ mod linuxcnc;
 mod new;
 mod papers;
 mod pretended;
+mod printed;
 mod ranges;
 mod records;
 mod screen;

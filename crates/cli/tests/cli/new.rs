@@ -95,8 +95,8 @@ fn on_a_terminal_it_asks_and_what_cannot_be_is_asked_for_again() {
     // What stands on the screen, and what is typed then.
     for (asked, answer) in [
         ("Name of the machine [machine]", "mill\r"),
-        ("Rotary axes", down),
-        ("> two carry the spindle", "\r"),
+        ("Kind of machine", down),
+        ("> two rotary axes carry the spindle", "\r"),
         ("from the frame to the tool [c,a]", "c\r"),
         ("must be two of a, b and c", "b,c\r"),
         ("Travel of X", "600\r"),
@@ -106,8 +106,10 @@ fn on_a_terminal_it_asks_and_what_cannot_be_is_asked_for_again() {
         ("Travel of Z", "-300:0\r"),
         ("Where are positions measured?", "\r"),
         ("Rapid traverse in mm/min (empty: not known)", "0\r"),
-        ("must be above 0", "15000\r"),
-        ("displacement sensor", "y"),
+        ("must be above 0", "<\r"),
+        ("Where are positions measured?", "\r"),
+        ("Rapid traverse in mm/min (empty: not known)", "15000\r"),
+        ("displacement sensor", "y\r"),
         ("the end of its range, in V [10]", "-10\r"),
         ("must be above 0", "5\r"),
         ("for one volt", "0\r"),

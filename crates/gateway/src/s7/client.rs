@@ -76,13 +76,27 @@ impl fmt::Display for Error {
             Self::Io(error) => write!(f, "the PLC cannot be reached: {error}"),
             Self::Answer(what) => write!(f, "what answers is no S7: {what}"),
             Self::Refused(class, code) => {
-                write!(f, "the PLC refuses: error class 0x{class:02X}, code 0x{code:02X}")
+                let look = match (class, code) {
+                    (0x81, 0x04) => {
+                        "; permit access with PUT/GET (S7-1200, S7-1500: CPU properties, Protection) and switch off \
+                         \"Optimized block access\" of the data block"
+                    }
+                    _ => "",
+                };
+                write!(f, "the PLC refuses: error class 0x{class:02X}, code 0x{code:02X}{look}")
             }
-            Self::Item(0x0A) => f.write_str("the PLC has no such data block"),
-            Self::Item(0x05) => f.write_str(
-                "the data block is too short, or stored as optimized: see integrations/siemens-840d",
+            Self::Item(0x0A) => f.write_str(
+                "the PLC has no such data block, or it is stored as optimized: look at its number (--db) and at its \
+                 attribute \"Optimized block access\"",
             ),
-            Self::Item(0x03) => f.write_str("the PLC does not let others at this data block"),
+            Self::Item(0x05) => f.write_str(
+                "the data block is too short, or stored as optimized: compare its length with trueup_db.awl of \
+                 integrations/siemens-840d, and look at its attribute \"Optimized block access\"",
+            ),
+            Self::Item(0x03) => f.write_str(
+                "the PLC does not let others at this data block: permit access with PUT/GET (CPU properties, \
+                 Protection) and switch off its know-how and write protection",
+            ),
             Self::Item(code) => write!(f, "the PLC does not do it: return code 0x{code:02X}"),
             Self::NotKept => f.write_str(
                 "what is read back is not what was written: does another write to this data block?",

@@ -75,3 +75,10 @@ fn what_is_no_time_is_named() {
         bad(table(&["2026-04-03T08:15:00Z", "2026-04-03T08:16:00"]), &[]).contains("no time zone")
     );
 }
+
+#[test]
+fn summer_time_is_taken_out_of_plain_seconds_where_the_user_says_so() {
+    let text = "time_s,flow\n0,1\n60,2\n120,3\n-3420,4\n-3360,5\n";
+    let run = read(text, &[(Topic::SummerTime, "yes")]);
+    assert_eq!(values(&run, "time_s"), [0.0, 60.0, 120.0, 180.0, 240.0]);
+}

@@ -59,10 +59,25 @@ impl Client {
             // `z` is how adapters with automatic polling accept a frame.
             Ok(line) if line.is_empty() || line == b"z" => Event::Accepted,
             Ok(line) if line.first() == Some(&b't') => {
-                decode_line(&line).map_or_else(Event::Malformed, Event::Frame)
+                decode_line(unstamped(&line)).map_or_else(Event::Malformed, Event::Frame)
             }
             Ok(line) => Event::Other(line),
         })
+    }
+}
+
+/// A frame's line without the time that some adapters add to it (`Z1`): 4 digits of ms, or 8 of µs.
+fn unstamped(line: &[u8]) -> &[u8] {
+    let Some(length) = line.get(4).and_then(|digit| char::from(*digit).to_digit(16)) else {
+        return line;
+    };
+    let data = usize::try_from(length.min(8)).unwrap_or_default();
+    let whole = data.saturating_mul(2).saturating_add(5);
+    match line.get(whole..) {
+        Some(stamp) if matches!(stamp.len(), 4 | 8) && stamp.iter().all(u8::is_ascii_hexdigit) => {
+            line.get(..whole).unwrap_or(line)
+        }
+        _ => line,
     }
 }
 
@@ -72,6 +87,22 @@ mod tests {
     use crate::slcan::{CR, Port};
     use proptest::prelude::*;
     use std::vec::Vec;
+
+    #[test]
+    fn a_stamped_frame_is_the_frame_and_other_digits_are_malformed() {
+        let of = |line: &[u8]| {
+            let mut client = Client::new();
+            line.iter().chain(b"\r").find_map(|byte| client.receive(*byte))
+        };
+        let plain = of(b"t18121234");
+        assert!(matches!(plain, Some(Event::Frame(_))));
+        for stamp in [&b"EA5F"[..], b"0012ab9F"] {
+            assert_eq!(of(&[b"t18121234", stamp].concat()), plain);
+        }
+        for wrong in [&b"1"[..], b"12", b"123456", b"12G4"] {
+            assert!(matches!(of(&[b"t18121234", wrong].concat()), Some(Event::Malformed(_))));
+        }
+    }
 
     fn heard(client: &mut Client, port: &mut Port) -> Vec<Event> {
         let bytes = core::iter::from_fn(|| port.pop());

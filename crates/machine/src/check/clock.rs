@@ -1,60 +1,223 @@
-//! The clock of a run: an hour of summer time, and gaps in a record that is otherwise regular.
+//! The clock of a run: an hour of summer time, a clock that was set, and pauses in a record that is otherwise regular.
+//!
+//! A step of the clock is a pause where the values went on changing in the meantime, and a slip where they did not:
+//! straight lines through the rows before and after it say which. Values that do not move say neither.
+//!
+//! | step | values went on as in one row | they changed as in that time | they say neither |
+//! |---|---|---|---|
+//! | an hour more than a row | slip | remark | warning |
+//! | longer than 3 rows | slip | remark, from 20 rows on | the same |
+//!
+//! A clock that runs back within a run is refused where the run is read.
 
-use super::warning::Warning;
-use crate::run_file::RunFile;
+use super::{
+    range::{Finding, Grade},
+    warning::Warning,
+};
+use crate::{file::is_temperature_column, run_file::RunFile};
 
-/// Steps that make a record regular: so many, of which this share is within a tenth of the median.
-const FEWEST_STEPS: usize = 50;
+/// Steps that make a record regular: at least as many, of which this share is within a tenth of the median.
+const MIN_STEPS: usize = 50;
 const REGULAR: f64 = 0.95;
 const TENTH: f64 = 0.1;
-/// A step of so many medians is a gap.
-const GAP: f64 = 20.0;
+/// From this many medians on a step is a pause …
+const PAUSE: f64 = 20.0;
+/// … and from this many on it may be a clock that was set.
+const MIN_JUMP: f64 = 3.0;
 /// A change to summer time, in s.
 const HOUR_S: f64 = 3600.0;
-/// The longest step, in s, next to which an hour can be told from a pause of the logger.
-const LONGEST_STEP_S: f64 = 600.0;
+/// The longest step, in s, next to which an hour can be distinguished from a pause of the logger.
+const MAX_STEP_S: f64 = 600.0;
+/// Rows on each side of a step through which the lines are laid, and the fewest of them.
+const ROWS: usize = 12;
+const MIN_ROWS: usize = 5;
+/// A change is visible from this many standard errors on.
+const VISIBLE: f64 = 5.0;
+/// Lines before and after of which the steeper is at most this much steeper are one course.
+const ALIKE: f64 = 2.5;
 
-/// Returns a warning for the first step of an hour, and one for the first gap.
-pub(super) fn warnings(run: &RunFile) -> Vec<Warning> {
-    let Some(time_s) = run.column("time_s") else { return Vec::new() };
+/// What is found in the clock of a run.
+#[derive(Default)]
+pub(super) struct Clock {
+    /// Slips: constants that are fitted to this time are wrong.
+    pub(super) slips: Vec<Finding>,
+    /// An hour that may be a slip.
+    pub(super) warnings: Vec<Warning>,
+    /// Pauses.
+    pub(super) remarks: Vec<Warning>,
+}
+
+/// A step of the clock that is longer than the others.
+struct Step {
+    row: usize,
+    step_s: f64,
+    is_hour: bool,
+    /// What the values say; `None` where they do not move.
+    is_slip: Option<bool>,
+}
+
+/// Returns what the steps of the clock are.
+pub(super) fn look(run: &RunFile) -> Clock {
+    let Some((steps, median_s)) = steps(run) else { return Clock::default() };
+    let at = |step: &Step, what: String, help: String| Warning {
+        place: run.place(step.row, "time_s"),
+        what,
+        help,
+    };
+    let line = |step: &Step| run.place(step.row, "time_s").line;
+    let mut clock = Clock::default();
+    let slips: Vec<&Step> = steps.iter().filter(|step| step.is_slip == Some(true)).collect();
+    if let Some(step) = slips.first() {
+        let kind = if step.is_hour { "summer time begins" } else { "the clock was set" };
+        let others = match slips.len() - 1 {
+            0 => String::new(),
+            others => format!(" ({others} more such steps follow)"),
+        };
+        let what = format!(
+            "time_s steps by {} s here, the other rows are {} s apart, and the values went on as from one row to the \
+             next: {kind}{others}",
+            shown(step.step_s),
+            shown(median_s)
+        );
+        let help = format!(
+            "take {} s off from line {} on: lags and drifts are fitted to the time",
+            shown(step.step_s - median_s),
+            line(step)
+        );
+        let warning = at(step, what, help);
+        clock.slips.push(Finding { key: "time_s".into(), grade: Grade::Unlikely, warning });
+    }
+    let hour = steps.iter().find(|step| step.is_hour && step.is_slip.is_none());
+    clock.warnings.extend(hour.map(|step| {
+        let what = format!(
+            "time_s steps by {} s here, an hour more than between the other rows: the begin of summer time, or a pause",
+            shown(step.step_s)
+        );
+        let help = format!(
+            "if the clock was changed, take 3600 s off from line {} on: lags and drifts are fitted to the time",
+            line(step)
+        );
+        at(step, what, help)
+    }));
+    let is_pause = |step: &&Step| {
+        step.step_s > PAUSE * median_s
+            && step.is_slip != Some(true)
+            && !(step.is_hour && step.is_slip.is_none())
+    };
+    let pauses: Vec<&Step> = steps.iter().filter(is_pause).collect();
+    let longest = pauses.iter().max_by(|a, b| a.step_s.total_cmp(&b.step_s));
+    clock.remarks.extend(longest.map(|longest| {
+        let what = match pauses.len() {
+            1 => format!("time_s has a pause of {} s here", shown(longest.step_s)),
+            count => format!("time_s has {count} pauses, the longest of {} s here", shown(longest.step_s)),
+        };
+        let what = format!("{what}; the other rows are {} s apart", shown(median_s));
+        let help = "nothing to do if nothing was recorded then; number the parts in a column run if each shall start settled";
+        at(longest, what, help.into())
+    }));
+    clock
+}
+
+/// The steps that differ from the others, and the median step; `None` where the record is not regular.
+fn steps(run: &RunFile) -> Option<(Vec<Step>, f64)> {
+    let time_s = run.column("time_s")?;
     let runs = run.column("run");
     let rows: Vec<usize> = (0..time_s.len()).filter(|row| !time_s[*row].is_nan()).collect();
     let is_one_run = |pair: &[usize]| runs.is_none_or(|runs| runs[pair[0]] == runs[pair[1]]);
-    let steps: Vec<(usize, f64)> = rows
+    let pairs: Vec<(usize, f64)> = rows
         .windows(2)
-        .filter(|pair| is_one_run(pair))
-        .map(|pair| (pair[1], time_s[pair[1]] - time_s[pair[0]]))
+        .enumerate()
+        .filter(|(_, pair)| is_one_run(pair))
+        .map(|(index, pair)| (index, time_s[pair[1]] - time_s[pair[0]]))
         .collect();
-    let mut sorted: Vec<f64> = steps.iter().map(|(_, step_s)| *step_s).collect();
+    let mut sorted: Vec<f64> = pairs.iter().map(|(_, step_s)| *step_s).collect();
     sorted.sort_by(f64::total_cmp);
-    let Some(&median_s) = sorted.get(sorted.len() / 2) else { return Vec::new() };
+    let median_s = *sorted.get(sorted.len() / 2)?;
     let near =
         sorted.iter().filter(|step_s| (**step_s - median_s).abs() <= TENTH * median_s).count();
-    let is_regular = median_s > 0.0 && near as f64 >= REGULAR * sorted.len() as f64;
-    if sorted.len() < FEWEST_STEPS || !is_regular {
-        return Vec::new();
+    if sorted.len() < MIN_STEPS || median_s <= 0.0 || (near as f64) < REGULAR * sorted.len() as f64
+    {
+        return None;
     }
     let is_hour = |step_s: f64| {
-        let rest_s = step_s - HOUR_S;
-        median_s <= LONGEST_STEP_S && (0.5 * median_s..=1.5 * median_s).contains(&rest_s)
+        median_s <= MAX_STEP_S && (step_s - median_s - HOUR_S).abs() <= 0.5 * median_s.min(120.0)
     };
-    let at = |row: usize, what: String, help: &str| Warning {
-        place: run.place(row, "time_s"),
-        what,
-        help: help.into(),
-    };
-    let hour = steps.iter().find(|(_, step_s)| is_hour(*step_s)).map(|(row, step_s)| {
-        let what = format!(
-            "time_s steps by {step_s} s here, an hour more than between the other rows: the begin of summer time, or a pause"
-        );
-        at(*row, what, "if the clock was changed, take 3600 s off from here on: lags and drifts are fitted to the time")
+    let long = pairs.into_iter().filter(|(_, step_s)| *step_s > MIN_JUMP * median_s);
+    let steps = long.map(|(index, step_s)| {
+        let is_slip = is_slip(run, &rows, index, step_s, median_s);
+        Step { row: rows[index + 1], step_s, is_hour: is_hour(step_s), is_slip }
     });
-    let gap = steps.iter().find(|(_, step_s)| *step_s > GAP * median_s && !is_hour(*step_s));
-    let gap = gap.map(|(row, step_s)| {
-        let what = format!("time_s has a gap of {step_s} s here, the other rows are {median_s} s apart");
-        at(*row, what, "number the parts in a column run: each then starts settled; or look for a clock that was set")
+    Some((steps.collect(), median_s))
+}
+
+/// Whether the values went on over the step after `rows[index]` as from one row to the next; `None` where they do not
+/// move enough to say that.
+fn is_slip(
+    run: &RunFile,
+    rows: &[usize],
+    index: usize,
+    step_s: f64,
+    median_s: f64,
+) -> Option<bool> {
+    let is_value = |name: &str| is_temperature_column(name) || name.starts_with("measured_");
+    let votes = run.columns().iter().filter(|column| is_value(&column.name)).filter_map(|column| {
+        let side =
+            |rows: &[usize]| -> Vec<f64> { rows.iter().map(|row| column.values[*row]).collect() };
+        let before = side(&rows[(index + 1).saturating_sub(ROWS)..=index]);
+        let after = side(&rows[index + 1..rows.len().min(index + 1 + ROWS)]);
+        let [before, after] = [Line::through(&before)?, Line::through(&after)?];
+        let error = (before.end_error.powi(2) + after.end_error.powi(2)).sqrt();
+        // In one row, and in as many rows as the clock says.
+        let slope = 0.5 * (before.slope + after.slope);
+        let beyond = (after.first - before.last - slope).abs();
+        let [flat, steep] =
+            [before.slope.abs().min(after.slope.abs()), before.slope.abs().max(after.slope.abs())];
+        let rows_passed = ((step_s - median_s) / median_s).abs();
+        let expected = flat * rows_passed;
+        let is_course = before.slope * after.slope > 0.0 && steep <= ALIKE * flat;
+        let allowed = VISIBLE * error + steep;
+        if is_course && expected > 2.0 * allowed && beyond <= allowed {
+            return Some(true);
+        }
+        (beyond > allowed && beyond > 0.0).then_some(false)
     });
-    hour.into_iter().chain(gap).collect()
+    let votes: Vec<bool> = votes.collect();
+    (!votes.is_empty()).then(|| votes.iter().all(|vote| *vote))
+}
+
+/// The straight line through values at equal distances.
+struct Line {
+    first: f64,
+    last: f64,
+    /// The change from one value to the next.
+    slope: f64,
+    /// The standard error of the line's ends.
+    end_error: f64,
+}
+
+impl Line {
+    fn through(values: &[f64]) -> Option<Self> {
+        if values.len() < MIN_ROWS || values.iter().any(|value| !value.is_finite()) {
+            return None;
+        }
+        let count = values.len() as f64;
+        let mean = values.iter().sum::<f64>() / count;
+        let middle = 0.5 * (count - 1.0);
+        let offsets = (0..values.len()).map(|at| at as f64 - middle);
+        let square: f64 = offsets.clone().map(|at| at * at).sum();
+        let slope = offsets.clone().zip(values).map(|(at, value)| at * (value - mean)).sum::<f64>()
+            / square;
+        let rest =
+            offsets.zip(values).map(|(at, value)| (value - mean - slope * at).powi(2)).sum::<f64>();
+        let variance = rest / (count - 2.0);
+        let end_error = (variance * (1.0 / count + middle * middle / square)).sqrt();
+        Some(Self { first: mean - slope * middle, last: mean + slope * middle, slope, end_error })
+    }
+}
+
+/// Seconds to a thousandth, without trailing zeros.
+fn shown(seconds: f64) -> f64 {
+    (seconds * 1000.0).round() / 1000.0
 }
 
 #[cfg(test)]
@@ -63,36 +226,92 @@ mod tests {
 
     use super::*;
 
-    /// A row each 60 s, with these steps in the place of others; `run` changes at the rows of `parts`.
-    fn found(steps: &[(usize, f64)], parts: &[usize]) -> Vec<String> {
-        let (mut text, mut time_s, mut part) = (String::from("time_s,run,flow\n"), 0.0, 0);
-        for row in 0..120 {
-            let step = steps.iter().find(|(at, _)| *at == row).map_or(60.0, |(_, step_s)| *step_s);
-            time_s += step;
+    /// A row each 60 s for 120 rows, with these steps of the clock in the place of others. The temperature warms with
+    /// 100 minutes by its own clock, in which `passed` of each step is real; `run` changes at the rows of `parts`.
+    fn found(
+        steps: &[(usize, f64)],
+        parts: &[usize],
+        passed: f64,
+    ) -> (Vec<String>, Vec<String>, Vec<String>) {
+        let (mut text, mut time_s, mut own_s, mut part) =
+            (String::from("time_s,run,temp_a_c\n"), 100_000.0, 0.0, 0);
+        for row in 0..120_usize {
+            let step_s =
+                steps.iter().find(|(at, _)| *at == row).map_or(60.0, |(_, step_s)| *step_s);
+            time_s += step_s;
+            own_s += 60.0 + passed * (step_s - 60.0);
             part += usize::from(parts.contains(&row));
-            text += &format!("{time_s},{part},1\n");
+            let noise = (row * 7919 % 13) as f64 / 13.0 * 0.04;
+            let temp_c = 40.0 - 18.0 * f64::exp(-own_s / 6000.0) + noise;
+            text += &format!("{time_s},{part},{temp_c:.3}\n");
         }
         let run =
             RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own run");
         let line = |it: Warning| format!("{}: {}", it.place.line, it.what);
-        warnings(&run).into_iter().map(line).collect()
+        let Clock { slips, warnings, remarks } = look(&run);
+        (
+            slips.into_iter().map(|it| line(it.warning)).collect(),
+            warnings.into_iter().map(line).collect(),
+            remarks.into_iter().map(line).collect(),
+        )
     }
 
     #[test]
-    fn an_hour_and_a_gap_are_told_with_their_line_and_a_new_run_is_neither() {
-        assert!(found(&[], &[]).is_empty());
+    fn a_clock_that_was_set_is_a_slip_and_a_pause_is_a_remark() {
+        let (slips, warnings, remarks) = found(&[], &[], 0.0);
+        assert!(slips.is_empty() && warnings.is_empty() && remarks.is_empty());
+        for (step_s, says) in [
+            (3660.0, "summer time"),
+            (1500.0, "clock was set"),
+            (90_000.0, "clock was set"),
+            (1e9, "clock was set"),
+        ] {
+            let (slips, _, remarks) = found(&[(40, step_s)], &[], 0.0);
+            assert!(
+                slips.len() == 1 && slips[0].starts_with("42: ") && slips[0].contains(says),
+                "{step_s}: {slips:?}"
+            );
+            assert!(remarks.is_empty(), "{remarks:?}");
+            let (slips, warnings, remarks) = found(&[(40, step_s)], &[], 1.0);
+            assert!(slips.is_empty() && warnings.is_empty(), "{step_s}: {slips:?} {warnings:?}");
+            assert!(
+                remarks.len() == 1 && remarks[0].contains("a pause of"),
+                "{step_s}: {remarks:?}"
+            );
+            let (slips, warnings, remarks) = found(&[(40, step_s)], &[40], 0.0);
+            assert!(
+                slips.is_empty() && warnings.is_empty() && remarks.is_empty(),
+                "a new run is neither"
+            );
+        }
+    }
+
+    #[test]
+    fn nights_are_one_remark_and_rows_that_were_missed_are_none() {
+        let (slips, warnings, remarks) = found(&[(30, 57_600.0), (70, 60_000.0)], &[], 1.0);
+        assert!(slips.is_empty() && warnings.is_empty());
         assert!(
-            found(&[(40, 3660.0)], &[])
-                .iter()
-                .all(|it| it.starts_with("42: ") && it.contains("summer"))
+            remarks.len() == 1 && remarks[0].starts_with("72: time_s has 2 pauses"),
+            "{remarks:?}"
         );
-        assert_eq!(found(&[(40, 3660.0)], &[]).len(), 1);
-        let gap = found(&[(70, 5000.0)], &[]);
-        assert!(gap.len() == 1 && gap[0].starts_with("72: time_s has a gap of 5000 s"), "{gap:?}");
-        assert!(found(&[(40, 3660.0)], &[40]).is_empty());
-        // Pauses of a person who writes are none.
-        let by_hand: Vec<(usize, f64)> =
-            (0..120).map(|row| (row, 20.0 + (row * 7 % 50) as f64)).collect();
-        assert!(found(&[&by_hand[..60], &[(70, 9000.0)]].concat(), &[]).is_empty());
+        let (slips, warnings, remarks) = found(&[(30, 300.0), (70, 240.0)], &[], 1.0);
+        assert!(
+            slips.is_empty() && warnings.is_empty() && remarks.is_empty(),
+            "{slips:?} {remarks:?}"
+        );
+    }
+
+    #[test]
+    fn an_hour_in_values_that_do_not_move_is_a_warning() {
+        let mut text = String::from("time_s,temp_a_c\n");
+        let mut time_s = 20_000.0;
+        for row in 0..120 {
+            time_s += if row == 50 { 3660.0 } else { 60.0 };
+            text += &format!("{time_s},21.5\n");
+        }
+        let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
+        let clock = look(&run);
+        assert!(clock.slips.is_empty() && clock.remarks.is_empty());
+        assert!(clock.warnings.len() == 1 && clock.warnings[0].what.contains("an hour more"));
     }
 }

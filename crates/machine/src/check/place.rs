@@ -4,7 +4,7 @@ use super::{
     extent::{ends_mm, knots_mm},
     warning::Warning,
 };
-use crate::file::{LinearAxis, Machine};
+use crate::file::{Kind, LinearAxis, Machine};
 
 /// How far a curve may reach beyond the travel, as a share of it: ends are rounded up.
 pub(super) const OVERHANG: f64 = 0.01;
@@ -15,6 +15,17 @@ pub(super) fn warnings(machine: &Machine) -> Vec<Warning> {
 
 fn tool_up(machine: &Machine) -> Option<Warning> {
     let [_, _, z] = machine.tool_direction;
+    if z > 0.0 && machine.kind == Kind::Lathe {
+        return Some(Warning::at(
+            machine,
+            "machine.tool_direction",
+            &format!(
+                "points away from the chuck (Z {z:+.3}): on a lathe it is the way from the turret to the chuck"
+            ),
+            "where Z+ leads away from the chuck it is [0.0, 0.0, -1.0]; with the wrong sign the turret is moved \
+             into work that grows",
+        ));
+    }
     (z > 0.0).then(|| {
         Warning::at(
             machine,

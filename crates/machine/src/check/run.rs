@@ -3,6 +3,7 @@
 
 use super::{
     place,
+    range::{Finding, Grade},
     sensor::{FULL_COUNTS, S7_COUNTS},
     warning::Warning,
 };
@@ -31,14 +32,27 @@ const MOST_VOLTS: f64 = 11.0;
 pub(super) fn warnings(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning> {
     let mut warnings = Vec::new();
     if let Some(column) = run.columns().iter().find(|column| column.name == "sensor_counts") {
-        warnings.extend(volts(run, column));
         warnings.extend(machine.and_then(|machine| ends_at_s7(run, column, machine)));
     }
     if let Some(machine) = machine {
         warnings.extend(outside_travel(run, machine));
-        warnings.extend(in_another_unit(run, machine));
+        warnings.extend(
+            compared(run, machine).into_iter().filter(|it| !it.is_unit).map(|it| it.warning),
+        );
     }
     warnings
+}
+
+/// The columns that look like another unit next to the machine file.
+pub(super) fn slips(run: &RunFile, machine: Option<&Machine>) -> Vec<Finding> {
+    let of_sensor = run.columns().iter().find(|column| column.name == "sensor_counts");
+    let volts = of_sensor.and_then(|column| Some(("sensor_counts".into(), volts(run, column)?)));
+    let of_machine = machine.into_iter().flat_map(|machine| {
+        let units = compared(run, machine).into_iter().filter(|it| it.is_unit);
+        units.map(|it| (it.column, it.warning)).chain(positions(run, machine))
+    });
+    let finding = |(key, warning)| Finding { key, grade: Grade::Unlikely, warning };
+    volts.into_iter().chain(of_machine).map(finding).collect()
 }
 
 fn values(column: &Column) -> impl Iterator<Item = f64> {
@@ -85,19 +99,36 @@ fn ends_at_s7(run: &RunFile, column: &Column, machine: &Machine) -> Option<Warni
     })
 }
 
-/// Positions that the axis cannot have.
-fn outside_travel(run: &RunFile, machine: &Machine) -> Vec<Warning> {
+/// The positions of each axis that the machine file has a travel of: their column, range and travel.
+fn travels(run: &RunFile, machine: &Machine) -> Vec<(String, [f64; 2], [f64; 2])> {
     let axes = LinearAxis::ALL.into_iter().filter_map(|axis| {
-        let [low, high] = machine.axes[axis.index()].travel_mm?;
+        let travel_mm = machine.axes[axis.index()].travel_mm?;
         let name = format!("{}_mm", axis.name());
         let column = run.columns().iter().find(|column| column.name == name)?;
-        let [least, most] = range(column)?;
+        Some((name, range(column)?, travel_mm))
+    });
+    axes.collect()
+}
+
+/// Positions in another unit.
+fn positions(run: &RunFile, machine: &Machine) -> Vec<(String, Warning)> {
+    let axes = travels(run, machine).into_iter().filter_map(|(name, [least, most], [low, high])| {
+        let unit = unit_of_positions([least, most], [low, high])?;
+        let what = format!(
+            "is from {least} to {most}, and the travel_mm of the machine file {low} to {high}: it looks like {unit}, not mm"
+        );
+        let warning = at(run, &name, &what, "positions are in mm");
+        Some((name, warning))
+    });
+    axes.collect()
+}
+
+/// Positions that the axis cannot have.
+fn outside_travel(run: &RunFile, machine: &Machine) -> Vec<Warning> {
+    let axes = travels(run, machine).into_iter().filter_map(|(name, [least, most], [low, high])| {
         let spare_mm = place::OVERHANG * (high - low);
-        if let Some(unit) = unit_of_positions([least, most], [low, high]) {
-            let what = format!(
-                "is from {least} to {most}, and the travel_mm of the machine file {low} to {high}: it looks like {unit}, not mm"
-            );
-            return Some(at(run, &name, &what, "positions are in mm"));
+        if unit_of_positions([least, most], [low, high]).is_some() {
+            return None;
         }
         (least < low - spare_mm || most > high + spare_mm).then(|| {
             let what = format!(
@@ -125,8 +156,16 @@ fn unit_of_positions(range: [f64; 2], travel_mm: [f64; 2]) -> Option<&'static st
     whole.next().map(|(_, unit)| unit)
 }
 
-/// What was measured compared with what the model says: the same curve, a thousand times as large or as small.
-fn in_another_unit(run: &RunFile, machine: &Machine) -> Vec<Warning> {
+/// A column that is the predicted one times a factor.
+struct Compared {
+    column: String,
+    warning: Warning,
+    /// The factor is that of a unit, not of a sign.
+    is_unit: bool,
+}
+
+/// What was measured compared with what the model says: the same curve, a thousand times as large or as small, or minus it.
+fn compared(run: &RunFile, machine: &Machine) -> Vec<Compared> {
     let names = Quantity::ALL.map(|quantity| format!("measured_{}_um", quantity.name()));
     if names.iter().all(|name| run.column(name).is_none()) {
         return Vec::new();
@@ -147,7 +186,8 @@ fn in_another_unit(run: &RunFile, machine: &Machine) -> Vec<Warning> {
                         way round (errors are actual minus commanded)";
             let help = "look at one reading: where the machine goes too far, the error must be positive; an \
                         elongation is positive where the tool comes out of the spindle";
-            return Some(at(run, name, what, help));
+            let warning = at(run, name, what, help);
+            return Some(Compared { column: name.clone(), warning, is_unit: false });
         }
         let is_near =
             |factor: f64| (factor / FACTOR_OF_TWO..=factor * FACTOR_OF_TWO).contains(&slope);
@@ -162,7 +202,8 @@ fn in_another_unit(run: &RunFile, machine: &Machine) -> Vec<Warning> {
         .find_map(|(factor, words)| is_near(factor).then_some(words))?;
         let what =
             format!("is {how} of what the machine file predicts: it looks like {unit}, not µm");
-        Some(at(run, name, &what, "write it in µm, or look for the unit in the machine file"))
+        let help = "write it in µm, or look for the unit in the machine file";
+        Some(Compared { column: name.clone(), warning: at(run, name, &what, help), is_unit: true })
     });
     units.collect()
 }

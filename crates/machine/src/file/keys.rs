@@ -104,11 +104,11 @@ const MACHINE: &[Key] = &[
     key("serial", Text, "", "its serial number, which tells it from another one of that name").as_in("\"4711\""),
     key("board", Text, "", "the board that the calibration is for: the 24 hexadecimal digits of its chip's number, as `trueup bridge info` prints them")
         .as_in("\"003b00213032470e39363634\""),
-    key("kind", Choice(&["3-axis", "head-head", "table-table", "head-table"]), "", "which rotary axes carry the tool (head) and which the workpiece (table)")
+    key("kind", Choice(&["3-axis", "head-head", "table-table", "head-table", "lathe"]), "", "which rotary axes carry the tool (head) and which the workpiece (table); of a lathe the spindle carries the workpiece, and X is a radius")
         .required().as_in("\"3-axis\""),
     key("head_axes", Choices(&["a", "b", "c"]), "", "the rotary axes that carry the spindle, from the frame to the tool: two for head-head, one for head-table")
         .or("[]"),
-    key("tool_direction", Vector, "", "from the spindle nose to the tip with all angles at zero; of any length but 0")
+    key("tool_direction", Vector, "", "from the spindle nose to the tip with all angles at zero, of a lathe from the turret to the chuck; of any length but 0")
         .or("[0.0, 0.0, -1.0]"),
 ];
 

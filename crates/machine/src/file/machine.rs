@@ -60,9 +60,16 @@ pub enum Kind {
     TableTable,
     /// One rotary axis carries the spindle, the other the workpiece.
     HeadTable,
+    /// A lathe: the spindle carries the workpiece, the turret moves in X (a radius) and Z. Its tool direction is the way in
+    /// which the turret reaches for the chuck.
+    Lathe,
 }
 
 impl Kind {
+    /// All of them.
+    pub const ALL: [Self; 5] =
+        [Self::ThreeAxis, Self::HeadHead, Self::TableTable, Self::HeadTable, Self::Lathe];
+
     /// Its name in the machine file.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -71,6 +78,7 @@ impl Kind {
             Self::HeadHead => "head-head",
             Self::TableTable => "table-table",
             Self::HeadTable => "head-table",
+            Self::Lathe => "lathe",
         }
     }
 
@@ -78,7 +86,7 @@ impl Kind {
     #[must_use]
     pub fn head_axes(self) -> usize {
         match self {
-            Self::ThreeAxis | Self::TableTable => 0,
+            Self::ThreeAxis | Self::TableTable | Self::Lathe => 0,
             Self::HeadTable => 1,
             Self::HeadHead => 2,
         }
@@ -110,8 +118,7 @@ pub(super) fn read(section: &Section<'_>) -> Result<Identity, BadInput> {
         })?),
         None => None,
     };
-    let kinds = [Kind::ThreeAxis, Kind::HeadHead, Kind::TableTable, Kind::HeadTable]
-        .map(|kind| (kind.name(), kind));
+    let kinds = Kind::ALL.map(|kind| (kind.name(), kind));
     let kind = section.required("kind", section.choice("kind", &kinds)?)?;
     let head_axes = read_head_axes(section, kind)?;
     let tool_direction = match section.vector("tool_direction")? {
@@ -149,6 +156,7 @@ fn read_head_axes(section: &Section<'_>, kind: Kind) -> Result<Vec<RotaryAxis>, 
     }
     let wanted = match kind {
         Kind::ThreeAxis => "must be [], because no rotary axis carries the spindle",
+        Kind::Lathe => "must be [], because the spindle carries the workpiece",
         Kind::TableTable => "must be [], because both rotary axes carry the workpiece",
         Kind::HeadTable => "must name exactly one axis, the one that carries the spindle",
         Kind::HeadHead => "must name exactly two different axes, from the frame to the tool",

@@ -146,9 +146,11 @@ fn read_sensor(section: &Section<'_>, input: Option<SensorInput>) -> Result<Sens
             },
             (value, None) => Ok((section.required(counts, value)?, counts.to_string())),
         };
-    let (zero_counts, _) = either("zero_counts", "zero_v", |v, counts_per_v| v * counts_per_v)?;
-    let (um_per_count, key) =
-        either("um_per_count", "um_per_v", |um_per_v, counts_per_v| um_per_v / counts_per_v)?;
+    let (zero_counts, _) =
+        either("zero_counts", "zero_v", |v, counts_per_v| rounded(v * counts_per_v))?;
+    let (um_per_count, key) = either("um_per_count", "um_per_v", |um_per_v, counts_per_v| {
+        rounded(um_per_v / counts_per_v)
+    })?;
     if um_per_count == 0.0 {
         return Err(section.bad(&key, "must not be 0"));
     }
@@ -234,4 +236,8 @@ fn write_temperature(model: &TemperatureModel) -> NewSection {
         .number("reference_c", model.reference_c)
         .number("k_um_per_c", model.k_um_per_c)
         .number("lag_s", model.lag_s)
+}
+/// A converted number without the rounding of `f64` in its last digits: 2.1 V of 3276.8 counts are 6881.28.
+fn rounded(value: f64) -> f64 {
+    format!("{value:.13e}").parse().unwrap_or(value)
 }

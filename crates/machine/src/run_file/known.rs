@@ -37,6 +37,12 @@ pub const KNOWN_COLUMNS: &[KnownColumn] = &[
     known("load_n", "N", "axial cutting force; pushing the tool back is positive"),
     known("temp_<name>_c", "°C", "any number of temperatures"),
     known("x_mm", "mm", COMMANDED),
+    known(
+        "x_dia_mm",
+        "mm",
+        "in the place of `x_mm`, of a lathe: commanded diameter. It is read as `x_mm`, half of it; an error in X is of the \
+         radius",
+    ),
     known("y_mm", "mm", COMMANDED),
     known("z_mm", "mm", COMMANDED),
     known("a_deg", "°", ROTARY),

@@ -4,8 +4,6 @@ use super::{cells::Cells, clock};
 
 /// A clock that is set back by an hour goes back by less, the time between two rows.
 const HOUR_BACK_S: std::ops::RangeInclusive<f64> = 2700.0..=3600.0;
-const SUMMER_TIME: &str =
-    " (by an hour: the end of summer time? `trueup import --summer-time yes` takes it out)";
 
 /// The time of the rows so far.
 pub(super) struct TimeOrder {
@@ -29,13 +27,13 @@ impl TimeOrder {
         }
     }
 
-    /// Looks at the next row, a value and its place for each column; else the column at fault and the rule
-    /// that it breaks. The rows after it are held against it: a clock that was set back is told once.
+    /// Looks at the next row, a value and its place for each column; else the column at fault, the rule
+    /// that it breaks, and whether it may be summer time. The rows after it are held against it: a clock that was set back is told once.
     pub(super) fn check(
         &mut self,
         row: &[(f64, usize)],
         cells: &Cells,
-    ) -> Result<(), (usize, String)> {
+    ) -> Result<(), (usize, String, bool)> {
         let value = |column: usize| row.get(column).map(|(value, _)| *value);
         let clock = || self.clock_column.filter(|&column| cells.holds_times(column));
         let Some(column) = self.time_column.or_else(clock) else { return Ok(()) };
@@ -44,11 +42,12 @@ impl TimeOrder {
         let number = self.run_column.and_then(value).filter(|number| !number.is_nan());
         match self.newest.replace((time, number)) {
             Some((before, number_before)) if number == number_before && time < before => {
+                let is_hour = HOUR_BACK_S.contains(&(before - time));
+                let why = if is_hour { " (by an hour: the end of summer time?)" } else { "" };
                 let rule = format!(
-                    "runs back from {before} to {time} within a run: rows are in time order{}",
-                    if HOUR_BACK_S.contains(&(before - time)) { SUMMER_TIME } else { "" }
+                    "runs back from {before} to {time} within a run: rows are in time order{why}"
                 );
-                Err((column, rule))
+                Err((column, rule, is_hour))
             }
             _ => Ok(()),
         }

@@ -4,7 +4,7 @@
 use std::{collections::HashMap, io::BufRead, path::Path, sync::Arc};
 
 use rayon::prelude::*;
-use trueup_output::escape::one_line;
+use trueup_output::escape::{one_line, shell_word};
 
 use super::{
     cells::Cells,
@@ -36,9 +36,13 @@ pub(super) struct Reading<'p> {
     faults: Faults,
 }
 
+/// The column of a lathe's diameters.
+const DIAMETER: &str = "x_dia_mm";
+
 /// A column that is being filled.
 struct Filling {
     name: String,
+    is_diameter: bool,
     is_direction: bool,
     values: Vec<f64>,
     starts: Places,
@@ -93,7 +97,7 @@ pub(super) fn read(bounds: Bounds, source: impl BufRead, path: &Path) -> Result<
 impl<'p> Reading<'p> {
     fn of_header(line: &Line, path: &'p Path, stated: Option<char>) -> Result<Self, BadInput> {
         let separator = stated.unwrap_or_else(|| separator_of(&line.text));
-        let mut columns = Vec::new();
+        let mut columns: Vec<Filling> = Vec::new();
         let mut slips = Vec::new();
         let mut faults = Faults::default();
         let mut first_of_name = HashMap::new();
@@ -124,15 +128,27 @@ impl<'p> Reading<'p> {
                 faults.note(bad(format!("column {number} has no name")).with_help(
                     "give it one; a name that is not known is kept as a possible explanation",
                 ));
-            } else if let Some(first) = first_of_name.insert(name.to_string(), number) {
-                let rule = format!("column {name} is repeated: it is also column {first}");
+            }
+            // Diameters are read as radii: from here on the column is that of the axis.
+            let is_diameter = name == DIAMETER;
+            let axis = if is_diameter { "x_mm" } else { name };
+            if name.is_empty() {
+                // Said above.
+            } else if let Some(first) = first_of_name.insert(axis.to_string(), number) {
+                let rule = match is_diameter || columns[first - 1].is_diameter {
+                    true => {
+                        format!("{name}: {DIAMETER} and x_mm are the same axis, column {first}")
+                    }
+                    false => format!("column {name} is repeated: it is also column {first}"),
+                };
                 faults.note(bad(rule).with_help("leave one of them out, or give it another name"));
             }
             if let Some(meant) = meant::meant(name) {
                 slips.push(Slip { name: name.to_string(), meant, column: field.column });
             }
             columns.push(Filling {
-                name: name.to_string(),
+                name: axis.to_string(),
+                is_diameter,
                 is_direction: matches!(name, "dir_x" | "dir_y" | "dir_z"),
                 values: Vec::new(),
                 starts: Places::new(),
@@ -199,8 +215,8 @@ impl<'p> Reading<'p> {
         if self.row.len() != self.columns.len() {
             return;
         }
-        if let Err((column, rule)) = self.order.check(&self.row, &self.cells) {
-            self.fault(line, self.row[column].1, column, &rule);
+        if let Err((column, rule, is_hour)) = self.order.check(&self.row, &self.cells) {
+            self.runs_back(line, column, &rule, is_hour);
         }
         if self.faults.count() != faults_before {
             return;
@@ -280,6 +296,22 @@ impl<'p> Reading<'p> {
         self.faults.note(BadInput::new(place, format!("{name} {rule}")).with_help(help(name)));
     }
 
+    /// The time runs back within a run; by an hour it may be summer time, which `import` takes out.
+    fn runs_back(&mut self, line: &Line, column: usize, rule: &str, is_hour: bool) {
+        if !is_hour {
+            return self.fault(line, self.row[column].1, column, rule);
+        }
+        let word = |path: &Path| shell_word(&path.to_string_lossy());
+        let help = format!(
+            "if the clock was changed: trueup import {} --summer-time yes -o {}",
+            word(self.path),
+            word(&self.path.with_extension("run.csv"))
+        );
+        let place = line.place(self.path, self.row[column].1);
+        let rule = format!("{} {rule}", self.columns[column].name);
+        self.faults.note(BadInput::new(place, rule).with_help(help));
+    }
+
     /// The run, or all that is wrong with it.
     fn end(self) -> Result<Table, BadInput> {
         if let Some(error) = self.faults.into_error() {
@@ -289,10 +321,15 @@ impl<'p> Reading<'p> {
             let header = Location { file: self.path.into(), line: self.header_line, column: 1 };
             return Err(BadInput::new(header, "there is a header row, but no row of values"));
         }
-        let columns = self.columns.into_iter().map(|column| Column {
-            name: column.name,
-            values: column.values.into(),
-            starts: Arc::new(column.starts),
+        let columns = self.columns.into_iter().map(|mut column| {
+            if column.is_diameter {
+                column.values.iter_mut().for_each(|value| *value /= 2.0);
+            }
+            Column {
+                name: column.name,
+                values: column.values.into(),
+                starts: Arc::new(column.starts),
+            }
         });
         let mut table = Table {
             columns: columns.collect(),

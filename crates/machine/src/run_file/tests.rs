@@ -189,3 +189,25 @@ fn a_line_that_states_the_separator_is_no_header() {
         assert_eq!(run.place(0, "a_um").line, 3);
     }
 }
+
+#[test]
+fn diameters_are_read_as_radii_and_never_beside_radii() {
+    let run = parse("time_s,x_dia_mm\n0,80\n1,50.5\n");
+    assert_eq!(run.column("x_mm"), Some(&[40.0, 25.25][..]));
+    assert!(run.column("x_dia_mm").is_none());
+    assert_eq!(run.slips().count(), 0);
+    for header in ["x_mm,x_dia_mm", "x_dia_mm,x_mm", "x_dia_mm,x_dia_mm"] {
+        let text = format!("{header}\n1,2\n");
+        let error = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect_err(header);
+        assert!(error.rule.contains("the same axis"), "{error}");
+    }
+}
+
+#[test]
+fn an_hour_back_names_the_command_that_takes_it_out() {
+    let error =
+        RunFile::from_reader(&b"time_s,x_mm\n0,1\n3600,1\n60,1\n"[..], Path::new("a b.csv"))
+            .expect_err("back");
+    let help = error.help.expect("there is one");
+    assert!(help.ends_with("trueup import 'a b.csv' --summer-time yes -o 'a b.run.csv'"), "{help}");
+}

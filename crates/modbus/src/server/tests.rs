@@ -152,17 +152,36 @@ fn each_fault_gets_the_exception_that_the_standard_names_and_moves_nothing() {
 }
 
 #[test]
-fn a_broadcast_is_neither_answered_nor_followed_and_another_unit_is_not_us() {
+fn unit_0_moves_nothing_and_reads_over_tcp_alone_and_another_unit_is_not_us() {
     let mut bridge = Mock::new();
     let block = write(&Cnc::default().encode(0));
     for pdu in [&block[..], &[4, 0, 0, 0, 28], &[99]] {
-        assert_eq!(ask(&mut bridge, 0, pdu), [None, None]);
+        let [over_tcp, serial] = ask(&mut bridge, 0, pdu);
+        assert_eq!(serial, None);
+        let over_tcp = over_tcp.expect("a master that sends unit 0 is not left without an answer");
+        match pdu[0] {
+            4 => assert_eq!(over_tcp[..2], [4, 56]),
+            function => assert_eq!(over_tcp, [function | 0x80, 0x0B]),
+        }
         let no_target = Some(vec![pdu[0] | 0x80, 0x0B]);
         assert_eq!(ask(&mut bridge, 2, pdu), [no_target, None]);
     }
     assert!(bridge.taken.is_empty());
     let [Some(read), None] = ask(&mut bridge, 255, &[4, 0, 0, 0, 28]) else { panic!() };
     assert_eq!(read[..2], [4, 56]);
+}
+
+#[test]
+fn the_order_of_words_is_tried_at_address_100() {
+    let mut bridge = Mock::new();
+    for function in [3, 4] {
+        let said = Some(vec![function, 4, 1, 2, 3, 4]);
+        assert_eq!(ask(&mut bridge, 1, &[function, 0, 100, 0, 2]), [said.clone(), said]);
+        let one = Some(vec![function, 2, 3, 4]);
+        assert_eq!(ask(&mut bridge, 1, &[function, 0, 101, 0, 1]), [one.clone(), one]);
+        let behind = Some(vec![function | 0x80, 2]);
+        assert_eq!(ask(&mut bridge, 1, &[function, 0, 101, 0, 2]), [behind.clone(), behind]);
+    }
 }
 
 #[test]

@@ -10,7 +10,7 @@ pub(super) trait Dialect {
     /// Writes everything up to the first stop: nothing that moves, and the spindle off.
     fn head(&mut self, plan: &Plan);
     /// Sets the modes that the program relies on; after the first stop, as cancelling one may move an axis.
-    fn modes(&mut self);
+    fn modes(&mut self, is_lathe: bool);
     /// A line for the reader.
     fn note(&mut self, text: &str);
     /// The control shows these sentences and waits for the operator.

@@ -92,7 +92,7 @@ impl Dialect for Text {
         self.push("M05".into());
     }
 
-    fn modes(&mut self) {
+    fn modes(&mut self, _is_lathe: bool) {
         let alarms = if self.moves { &ALARMS[..] } else { &[] };
         for (n, (test, what)) in alarms.iter().enumerate() {
             self.push(format!("IF [{test}] THEN #3000={}({what})", n + 1));

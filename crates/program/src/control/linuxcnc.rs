@@ -23,12 +23,16 @@ impl Dialect for Text {
     fn head(&mut self, plan: &Plan) {
         self.note(&plan.name);
         plan.notes.iter().for_each(|note| self.note(note));
+        if plan.is_lathe {
+            self.note("X words are diameters, G7. Messages and the run file state the radius.");
+        }
         self.note("In machine coordinates; no offset, no tool length.");
         self.push("M5".into());
     }
 
-    fn modes(&mut self) {
-        self.push("G17 G21 G40 G49 G80 G90 G94 G97 G61".into());
+    fn modes(&mut self, is_lathe: bool) {
+        let plane = if is_lathe { "G18 G7" } else { "G17" };
+        self.push(format!("{plane} G21 G40 G49 G80 G90 G94 G97 G61"));
     }
 
     fn note(&mut self, text: &str) {

@@ -25,13 +25,17 @@ impl Dialect for Text {
         self.push(format!("%_N_{}_MPF", plan.name.replace('-', "_").to_uppercase()));
         self.push(";$PATH=/_N_MPF_DIR".into());
         plan.notes.iter().for_each(|note| self.note(note));
+        if plan.is_lathe {
+            self.note("X words are diameters, DIAMON. Messages and the run file state the radius.");
+        }
         self.note("In machine coordinates; no frame, no tool length, no transformation.");
         self.push("M5".into());
     }
 
-    fn modes(&mut self) {
+    fn modes(&mut self, is_lathe: bool) {
         self.push("TRAFOOF".into());
-        self.push("G17 G710 G40 G90 G94 G97 G60 G500 D0".into());
+        let plane = if is_lathe { "DIAMON G18" } else { "G17" };
+        self.push(format!("{plane} G710 G40 G90 G94 G97 G60 G500 D0"));
     }
 
     fn note(&mut self, text: &str) {

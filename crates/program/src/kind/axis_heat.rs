@@ -83,6 +83,7 @@ fn plan(machine: &Machine, travel: &Travel, options: &Options) -> Result<Plan, R
         steps,
         columns,
         then: format!("trueup fit thermal --run axis-heat-{}.csv", axis.name()),
+        is_lathe: false,
         records: Vec::new(),
     })
 }

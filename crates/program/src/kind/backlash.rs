@@ -11,7 +11,7 @@
 
 use trueup_machine::{
     Machine,
-    file::{Feedback, LinearAxis},
+    file::{Feedback, Kind, LinearAxis},
 };
 
 use super::{Plans, WITHOUT_CORRECTION, capital, go, head_at_zero, measured};
@@ -132,7 +132,7 @@ fn plan(machine: &Machine, travel: &Travel, room: Option<Room>, options: &Option
         steps.push(travel.approach(at));
         steps.extend(room.as_ref().map(Room::back));
         if is_dial {
-            steps.push(Step::Stop(set_dial(travel, room, options)));
+            steps.push(Step::Stop(set_dial(machine, travel, room, options)));
             // Should somebody have jogged, increments begin at the right place all the same.
             steps.extend(room.as_ref().map(Room::back));
             steps.push(travel.approach(at));
@@ -157,6 +157,7 @@ fn plan(machine: &Machine, travel: &Travel, room: Option<Room>, options: &Option
         steps,
         columns,
         then: format!("trueup fit backlash --run backlash-{}.csv", axis.name()),
+        is_lathe: false,
         records: Vec::new(),
     }
 }
@@ -174,13 +175,19 @@ fn beyond_mm(travel: &Travel, room: Option<Room>, options: &Options) -> f64 {
 }
 
 /// Where the dial stands, and what moves next.
-fn set_dial(travel: &Travel, room: Option<Room>, options: &Options) -> Vec<String> {
+fn set_dial(
+    machine: &Machine,
+    travel: &Travel,
+    room: Option<Room>,
+    options: &Options,
+) -> Vec<String> {
     let (name, over_mm) = (capital(travel.axis), travel.over_travel_mm());
     let sign = if away(travel) > 0.0 { '+' } else { '-' };
     let beyond_mm = beyond_mm(travel, room, options);
+    let place = if machine.kind == Kind::Lathe { " between turret and chuck," } else { "" };
     let mut text = vec![
         format!(
-            "Set a dial along {name}, on a short holder, so that {name}{sign} leaves it; zero it."
+            "Set a dial{place} along {name}, on a short holder, so that {name}{sign} leaves it; zero it."
         ),
         format!(
             "{name} moves {over_mm} mm to {sign} and back, then {beyond_mm} mm to the other side."

@@ -1,7 +1,10 @@
 //! Two axes at once, and the error of the third across them (seed 003): what the whole model leaves,
 //! which no measurement of one axis shows.
 
-use trueup_machine::{Machine, file::LinearAxis};
+use trueup_machine::{
+    Machine,
+    file::{Kind, LinearAxis},
+};
 
 use super::{Plans, capital, head_at_zero, measured, without_clearance};
 use crate::{
@@ -19,6 +22,11 @@ const STEP_MM: f64 = 240.0;
 const STEPS: f64 = 12.0;
 
 pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refused> {
+    if machine.kind == Kind::Lathe {
+        return Err(Refused(
+            "a diagonal is measured across a third axis, which a lathe has not".into(),
+        ));
+    }
     let (travels, mut notes) = travels(machine, options)?;
     let mut plans = Vec::new();
     for (n, first) in travels.iter().enumerate() {
@@ -114,6 +122,7 @@ fn plan(machine: &Machine, pair: [&Travel; 2], options: &Options) -> Result<Plan
         steps,
         columns,
         then: format!("trueup accept --off {name}-off.csv --on {name}-on.csv"),
+        is_lathe: false,
         records: vec!["off", "on"],
         name,
     })

@@ -80,6 +80,7 @@ fn plan(machine: &Machine, travel: &Travel, options: &Options) -> Result<Plan, R
         steps,
         columns,
         then: format!("trueup fit pitch --run pitch-{}.csv", axis.name()),
+        is_lathe: false,
         records: Vec::new(),
     })
 }

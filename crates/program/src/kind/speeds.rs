@@ -53,6 +53,7 @@ pub fn speeds(stretches: &[Stretch], every_s: f64, inputs: &[String], why: &str)
         steps,
         columns,
         then: "trueup diagnose with the runs before and --run next.csv".into(),
+        is_lathe: false,
         records: Vec::new(),
     }
 }

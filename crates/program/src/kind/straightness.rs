@@ -1,6 +1,9 @@
 //! How the other two axes err while one moves, there and back (seed 003).
 
-use trueup_machine::{Machine, file::LinearAxis};
+use trueup_machine::{
+    Machine,
+    file::{Kind, LinearAxis},
+};
 
 use super::{
     Plans, WITHOUT_CORRECTION, all_that_fit, even_targets_mm, head_at_zero, measured,
@@ -32,8 +35,10 @@ fn plan(machine: &Machine, travel: &Travel, options: &Options) -> Result<Plan, R
     let targets = even_targets_mm(travel, options, STEPS, LONGEST_STEP_MM)?;
     let times = options.repeats.unwrap_or(REPEATS);
     let steps = there_and_back(travel, targets, times, options);
-    let others: Vec<LinearAxis> =
-        LinearAxis::ALL.into_iter().filter(|other| *other != axis).collect();
+    let others: Vec<LinearAxis> = LinearAxis::ALL
+        .into_iter()
+        .filter(|other| *other != axis && (machine.kind != Kind::Lathe || *other != LinearAxis::Y))
+        .collect();
     let mut columns = vec![Column::Run, Column::Position(axis.index())];
     columns.push(Column::Direction(axis.index()));
     columns.extend(others.iter().map(|other| Column::Empty(measured(*other))));
@@ -51,6 +56,7 @@ fn plan(machine: &Machine, travel: &Travel, options: &Options) -> Result<Plan, R
             axis.name(),
             others[0].name()
         ),
+        is_lathe: false,
         records: Vec::new(),
     })
 }

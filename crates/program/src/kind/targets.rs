@@ -1,6 +1,9 @@
 //! An axis to targets there and back, cold, run warm, or both: a run that somebody has planned.
 
-use trueup_machine::{Machine, file::LinearAxis};
+use trueup_machine::{
+    Machine,
+    file::{Kind, LinearAxis},
+};
 
 use super::{WITHOUT_CORRECTION, go, head_at_zero, measured};
 use crate::{
@@ -62,7 +65,7 @@ pub fn targets(
     let [low_mm, high_mm] = [ends_mm[0] - run.over_mm, ends_mm[1] + run.over_mm].map(micrometres);
     let is_limited = options.range_mm[index].is_some() || machine.axes[index].travel_mm.is_some();
     let retract = retract(machine, axis);
-    let limits = if is_limited || retract.is_some() {
+    let limits = if is_limited || retract.is_some() || machine.kind == Kind::Lathe {
         travel(machine, options, axis)?.map_err(Refused)?
     } else {
         Travel { axis, low_mm, high_mm, retract }
@@ -131,6 +134,7 @@ pub fn targets(
         steps,
         columns,
         then: "trueup diagnose with the runs before and --run next.csv".into(),
+        is_lathe: machine.kind == Kind::Lathe,
         records: Vec::new(),
     })
 }

@@ -6,7 +6,10 @@
 //! A gauge that does not touch reads while the spindle turns. With a dial the spindle stops, and the program waits
 //! for the operator at each reading: nothing may touch what turns.
 
-use trueup_machine::{Machine, file::ElongationSource};
+use trueup_machine::{
+    Machine,
+    file::{ElongationSource, Kind},
+};
 
 use super::{NON_CONTACT, Plans, without_clearance};
 use crate::{
@@ -65,11 +68,25 @@ pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refus
     } else {
         NON_CONTACT
     };
+    let place = match machine.kind {
+        Kind::Lathe => {
+            "Set the gauge between turret and chuck: in the turret, along Z against the face of a bar in the chuck, to zero."
+        }
+        _ => {
+            "Set the gauge under a test bar that is rated for the speed, near where parts are cut, and to zero."
+        }
+    };
+    let sign = match machine.kind {
+        Kind::Lathe => {
+            "Growth of the bar out of the chuck is positive. Delete columns that you have no values for."
+        }
+        _ => "Growth out of the spindle is positive. Delete columns that you have no values for.",
+    };
     let notes = [
         "Begin with a machine that has stood still over night.",
-        "Set the gauge under a test bar that is rated for the speed, near where parts are cut, and to zero.",
+        place,
         "A gauge that touches: write the program with --gauge dial, which stops the spindle and waits for each reading.",
-        "Growth out of the spindle is positive. Delete columns that you have no values for.",
+        sign,
         "First without compensation; then, cold again, the same with it.",
     ];
     let fit = match spindle.source {
@@ -92,6 +109,7 @@ pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refus
         then: format!(
             "trueup fit {fit} --run warmup-off.csv; then trueup accept --off warmup-off.csv --on warmup-on.csv"
         ),
+        is_lathe: false,
         records: vec!["off", "on"],
     };
     Ok((vec![plan], without_clearance(options).into_iter().collect()))
