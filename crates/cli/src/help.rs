@@ -130,7 +130,8 @@ pub fn with_examples(tool: Command) -> Command {
 fn in_groups(tool: &Command) -> String {
     let line = |command: &Command| {
         let about = command.get_about().map(ToString::to_string).unwrap_or_default();
-        let about = about.lines().next().unwrap_or_default().to_string();
+        let about = about.lines().next().unwrap_or_default();
+        let about = about.split(". ").next().unwrap_or_default().trim_end_matches('.');
         format!("  {:<12} {about}\n", command.get_name())
     };
     let is_grouped = |name: &str| GROUPS.iter().any(|(_, names)| names.contains(&name));

@@ -106,6 +106,14 @@ pub fn render() -> Result<PathBuf> {
     fs::create_dir_all(&source)?;
     fs::copy(root.join("docs/book/book.toml"), folder.join("book.toml"))?;
     fs::copy(root.join(SOURCE).join("SUMMARY.md"), source.join("SUMMARY.md"))?;
+    for entry in fs::read_dir(root.join(SOURCE))? {
+        let path = entry?.path();
+        if let (Some("svg"), Some(name)) =
+            (path.extension().and_then(|it| it.to_str()), path.file_name())
+        {
+            fs::copy(&path, source.join(name))?;
+        }
+    }
     let pages = pages(&root)?;
     let place = |path: &Path| {
         let page = pages.iter().find(|page| page.origin == path);

@@ -102,7 +102,9 @@ fn info_tells_version_serial_number_and_state() {
     let (port, heard) = bridge(Fault::None);
     let (out, _) = said(&format!("bridge info --port {port}"), 0);
     assert!(
-        out.starts_with("version      V1013\nserial       N00A1\nheartbeat    operational\n"),
+        out.starts_with(
+            "version      V1013\nserial       N00A1\nheartbeat    alive (CANopen: operational)\n"
+        ),
         "{out}"
     );
     let crc = format!("{:08x}", identity(paper().blob()));

@@ -320,7 +320,7 @@ fn bad_input_ends_with_2_and_one_line_and_writes_nothing() {
     for (line, expected) in [
         (
             "fit thermal --run two.csv -o out.toml",
-            "two.csv:1:1: the run measures dx, dy: choose one with --quantity\n",
+            "two.csv:1:1: the run measures dx, dy: choose one with --axis or --quantity\n",
         ),
         (
             "fit pitch --run two.csv --quantity dw -o out.toml",

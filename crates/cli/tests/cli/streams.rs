@@ -34,10 +34,11 @@ fn run(more_um: f64) -> String {
 }
 
 /// A line of each command. `PORT` is a bridge, and `NONE` a port where nothing listens.
-const LINES: [&str; 38] = [
+const LINES: [&str; 39] = [
     "--help",
     "no-such-command",
     "accept --off run.csv --on small.csv --out o-accept",
+    "doctor --port NONE",
     "bridge info --port NONE",
     "bridge info --port PORT",
     "bridge load cal.bin --yes --port PORT",
@@ -161,8 +162,10 @@ fn no_command_dies_of_a_stream_that_cannot_be_written_and_its_verdict_stands() {
     assert!(verdicts.iter().all(|count| *count > 0), "of each exit code one: {verdicts:?}");
 
     let help = ended(&desk, "--help", Whole, Whole).1;
-    let commands = help.lines().skip_while(|line| *line != "Commands:").skip(1);
-    let names: Vec<_> = commands.map_while(|line| line.split_whitespace().next()).collect();
+    let commands = help.lines().skip_while(|line| *line != "Measure:");
+    let commands = commands.take_while(|line| *line != "Options of every command:");
+    let commands = commands.filter_map(|line| line.strip_prefix("  "));
+    let names: Vec<_> = commands.filter_map(|line| line.split_whitespace().next()).collect();
     assert!(names.len() > 20, "{help}");
     for name in names.iter().filter(|name| **name != "help") {
         assert!(LINES.iter().any(|line| line.split(' ').next() == Some(name)), "{name}");

@@ -3,7 +3,7 @@
 
 use super::{
     place,
-    range::{Finding, Grade},
+    range::{self, Finding, Grade},
     sensor::{FULL_COUNTS, S7_COUNTS},
     warning::Warning,
 };
@@ -47,7 +47,11 @@ pub(super) fn warnings(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning>
 pub(super) fn slips(run: &RunFile, machine: Option<&Machine>) -> Vec<Finding> {
     let of_sensor = run.columns().iter().find(|column| column.name == "sensor_counts");
     let volts = of_sensor.and_then(|column| Some(("sensor_counts".into(), volts(run, column)?)));
-    let of_machine = machine.into_iter().flat_map(|machine| {
+    // A file that no machine has says nothing of the run's units.
+    let is_sound = |machine: &&Machine| {
+        range::of_machine(machine).iter().all(|finding| finding.grade != Grade::Impossible)
+    };
+    let of_machine = machine.filter(is_sound).into_iter().flat_map(|machine| {
         let units = compared(run, machine).into_iter().filter(|it| it.is_unit);
         units.map(|it| (it.column, it.warning)).chain(positions(run, machine))
     });
