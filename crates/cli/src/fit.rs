@@ -162,7 +162,8 @@ fn pitch_of(input: &Input, args: &Pitch) -> Result<Report> {
         Ways::Both => pitch::Ways::Both,
     };
     let of = |options| pitch::Options { ways, step_mm: args.step_mm, ..options };
-    let axis = axis_of(&input.runs, args.positions.error.quantity.as_deref())?;
+    let axis =
+        axis_of(&input.runs, args.positions.axis.quantity(&args.positions.error).as_deref())?;
     if let Some(dual) = input.machine().and_then(|machine| machine.axes[axis.index()].dual.clone())
     {
         let options = |run: &Unaided<'_>| -> Result<pitch::Options> {
@@ -188,7 +189,8 @@ fn write_page(
     args: &Positions,
     report: &Report,
 ) -> Result<()> {
-    if output::is_standard_output(&common.output) {
+    // Two drives of an axis have a run each.
+    if output::is_standard_output(&common.output) || input.runs.len() != 1 {
         return Ok(());
     }
     let (run, axis, options) = self::positions(input, args)?;
