@@ -301,7 +301,7 @@ mod tests {
             (b"t181F", SlcanError::DataLength(b'F')),
             (b"t+810", SlcanError::NotHex { at: 1, found: b'+' }),
             (b"T000001810", SlcanError::NotData(b'T')),
-            (&[b't'; 27], SlcanError::TooLong),
+            (&[b't'; MAX_LINE + 1], SlcanError::TooLong),
         ] {
             assert_eq!(decode_line(line), Err(error), "{}", line.escape_ascii());
         }
