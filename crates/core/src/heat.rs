@@ -122,7 +122,7 @@ impl Heat {
             }
         } else if let Some(term) = item.checked_sub(FIRST_TERM) {
             let is_known = self.unknown_steps == 0;
-            self.terms.step(&calibration.terms, term, temperatures, is_known);
+            self.terms.step(&calibration.terms, term, temperatures, speed, is_known);
         } else if let Some(warmup) = &calibration.spindle.warmup {
             let drive = warmup.drive(speed);
             warmup.law.step(&mut self.running, drive);
@@ -212,7 +212,7 @@ impl Heat {
     /// The terms over time have begun so many steps ago.
     pub fn run_ahead(&mut self, calibration: &Calibration<'_>, term: usize, steps: u32) {
         for _ in 0..steps {
-            self.terms.step(&calibration.terms, term, &[None; CHANNELS], true);
+            self.terms.step(&calibration.terms, term, &[None; CHANNELS], None, true);
         }
     }
 

@@ -11,6 +11,7 @@
 use crate::{
     dimensions::MAX_TERMS,
     lag::{Lag, SmoothingFactor},
+    term::SpeedPower,
 };
 
 /// Lags of a calibration at most: three axes, the spindle, its running time, the terms.
@@ -32,6 +33,19 @@ impl Key {
     pub const RUNNING: u8 = 255;
     /// In place of a channel: time since the start.
     pub const TIME: u8 = 254;
+    /// In place of a channel: the spindle's speed.
+    pub const SPEED: u8 = 253;
+    /// In place of a channel: its square.
+    pub const SPEED_SQUARED: u8 = 252;
+
+    /// Returns the input of heat by this power of the spindle's speed.
+    #[must_use]
+    pub const fn of_speed(power: SpeedPower) -> u8 {
+        match power {
+            SpeedPower::First => Self::SPEED,
+            SpeedPower::Second => Self::SPEED_SQUARED,
+        }
+    }
 }
 
 /// One lag.
@@ -61,7 +75,7 @@ impl KeptLag {
     pub fn after(mut self, steps: u32) -> Self {
         match self.key.input {
             _ if steps == 0 => {}
-            Key::RUNNING | Key::TIME => {
+            Key::RUNNING | Key::TIME | Key::SPEED | Key::SPEED_SQUARED => {
                 self.lag.follow(0, self.key.falling, steps);
                 self.running_ms = 0;
             }

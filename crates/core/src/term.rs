@@ -8,6 +8,7 @@
 //! saturation  min(p, limit)              speed     + m·n²
 //! position    + gradient·P               load      + m·F
 //! reversed    + β·(w + gradient·P)       wave      + a·sin(2π·P/L + φ)
+//!                                        speed heat + m·lag_τ(n) or m·lag_τ(n²), from 0
 //! ```
 //!
 //! and a table or a curve of the position, and an angle, a gradient or a curve, times a [lever](Tilt).
@@ -26,7 +27,7 @@ mod sum;
 mod tests;
 mod tilt;
 
-pub use effect::{Effect, Target, Term, Terms, UNIT_STEP, heat_terms};
+pub use effect::{Effect, SpeedPower, Target, Term, Terms, UNIT_STEP, heat_terms};
 pub use states::TermStates;
 pub use sum::{OperatingPoint, axis_errors, elongation};
 pub use tilt::{LEVER, Tilt};

@@ -68,6 +68,9 @@ impl Columns for Table<'_> {
                 Cow::Owned(Arc::unwrap_or_clone(data.lagged(column, lag_s, lag_s)))
             }
             Input::Speed => whole(data.spindle_rpm.as_deref()),
+            Input::SpeedHeat { power, lag_s } => {
+                Cow::Owned(Arc::unwrap_or_clone(data.heated(power, lag_s)))
+            }
             Input::Load => whole(data.load_n.as_deref()),
             // Where it is missing it is not that of the row before.
             Input::Feed => match named(data, "feed_mm_per_min") {

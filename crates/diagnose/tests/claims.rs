@@ -199,3 +199,44 @@ fn a_jump_in_a_pause_may_have_come_at_any_time_of_it() {
         assert!((2010.0..2040.0).contains(&end(1)));
     }
 }
+
+/// Twenty hours of a spindle at six speeds with pauses, whose heat, by this power of the speed, moves `quantity` behind
+/// 40 min from cold; and two thermometers: of the room, and of a bed that follows the room.
+fn heated_by_speed(quantity: &str, power: i32, um_per_unit: f64) -> String {
+    let mut noise = Noise(19);
+    let mut run = format!("time_s,spindle_rpm,temp_room_c,temp_bed_c,measured_{quantity}_um\n");
+    let (mut warm, mut bed_c) = (0.0, 20.0);
+    for n in 0..600 {
+        let time_s = 120.0 * f64::from(n);
+        let speed = [2.0, 5.0, 1.0, 4.0, 3.0, 6.0][n as usize / 100];
+        let krpm: f64 = if n % 100 < 70 { speed } else { 0.0 };
+        if n > 0 {
+            warm += (krpm.powi(power) - warm) * -(-120.0_f64 / 2400.0).exp_m1();
+        }
+        let room_c = 20.0 + 1.5 * (TAU * time_s / 50_000.0).sin() + 0.05 * noise.next();
+        bed_c += (room_c - bed_c) * 0.05;
+        let um = um_per_unit * warm + 0.3 * noise.next();
+        run += &format!("{time_s},{},{room_c:.3},{bed_c:.3},{um:.3}\n", krpm * 1000.0);
+    }
+    run
+}
+
+#[test]
+fn heat_by_the_speed_is_claimed_with_its_power_and_time_constant_on_an_axis_and_in_the_growth() {
+    for (quantity, power, um_per_unit) in
+        [("dx", 2, 0.6), ("dy", 1, -2.5), ("dz", 2, -0.5), ("elongation", 1, 3.0)]
+    {
+        let diagnosis = diagnosed(HEAD, &heated_by_speed(quantity, power, um_per_unit));
+        let report = &diagnosis.report;
+        assert_eq!(claimed(&diagnosis), ["extra-heat-path"], "{quantity}: {:?}", report.findings);
+        let path = finding(&diagnosis, "extra-heat-path").expect("claimed");
+        assert!(path.compensated && path.column.as_deref() == Some("spindle_rpm"), "{path:?}");
+        let (input, key) =
+            [("speed", "um_per_krpm"), ("speed2", "um_per_krpm2")][power as usize - 1];
+        assert_eq!(path.parameters["input"]["value"], input);
+        let value = |key: &str| path.parameters[key]["value"].as_f64().expect("a number");
+        assert!((value(key) / um_per_unit - 1.0).abs() < 0.05, "{path:?}");
+        assert!((value("time_constant_s") / 2400.0 - 1.0).abs() < 0.1, "{path:?}");
+        assert_eq!(report.verdict.name(), "explained");
+    }
+}

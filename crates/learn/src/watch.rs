@@ -210,6 +210,7 @@ pub(crate) fn unit(key: &str) -> String {
         "c" => "µm/K".into(),
         "m_per_c" => "µm/(m·K)".into(),
         "m" => "µm/m".into(),
+        "krpm" => "µm/(1000 r/min)".into(),
         "krpm2" => "µm/(1000 r/min)²".into(),
         other => format!("µm/{}", other.replace("_per_", "/")),
     }

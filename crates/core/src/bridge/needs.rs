@@ -46,8 +46,9 @@ impl RequiredInputs {
         let mut needs = Self {
             rotary: calibration.kinematics.axes.iter().any(Option::is_some)
                 && (of_elongation || chain.iter().any(Option::is_some)),
-            operating_point: terms()
-                .any(|it| matches!(it.effect, Effect::Speed(_) | Effect::Load(_))),
+            operating_point: terms().any(|it| {
+                matches!(it.effect, Effect::Speed(_) | Effect::SpeedHeat { .. } | Effect::Load(_))
+            }),
             heat_terms: term::heat_terms(&calibration.terms),
             terms: of_elongation,
             sensor: chain.contains(&Some(ElongationSource::Sensor)),

@@ -14,7 +14,7 @@ use crate::{
     term::tilt::Tilt,
     tool::Direction,
     travel::backlash,
-    units::{Fine, MicroDegrees, Position, Temperature},
+    units::{Fine, MicroDegrees, Position, Rpm, Temperature},
 };
 
 /// The terms of a calibration; those that are there come first.
@@ -61,6 +61,15 @@ pub enum Effect<'a> {
         reference: Temperature,
         /// m, in 1/256 nm per temperature unit.
         per_temperature: Scaled,
+    },
+    /// + m·lag(x), x a power of the speed; cold (0) at the start.
+    SpeedHeat {
+        /// Which power.
+        power: SpeedPower,
+        /// α of the lag, per step of 100 ms.
+        smoothing: SmoothingFactor,
+        /// m, in 1/256 nm for each of [`SpeedPower::heating`]'s units.
+        per_unit: Scaled,
     },
     /// + m·(1 − e^(−t/τ)), t since the start of the board.
     Time {
@@ -114,12 +123,53 @@ pub enum Effect<'a> {
 /// 1 of what a term over time follows.
 pub const UNIT_STEP: i32 = 1 << 30;
 
-/// The terms of heat, which need a temperature.
+/// The power of the spindle's speed by which it heats.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SpeedPower {
+    /// n: friction of constant force.
+    First,
+    /// n²: friction that grows with the speed.
+    Second,
+}
+
+impl SpeedPower {
+    /// Returns how hard a spindle of this speed heats, in units of the lag's input. An unknown speed does not heat.
+    ///
+    /// ```
+    /// use trueup_core::{term::SpeedPower, units::Rpm};
+    /// assert_eq!(SpeedPower::First.heating(Some(Rpm(3))), 98_304);
+    /// assert_eq!(SpeedPower::Second.heating(Some(Rpm(4_000))), 8_000_000);
+    /// assert_eq!(SpeedPower::Second.heating(None), 0);
+    /// ```
+    #[must_use]
+    pub fn heating(self, speed: Option<Rpm>) -> i32 {
+        let rpm = u32::from(speed.unwrap_or_default().0);
+        // Below 2¹⁶, so that both are below 2³¹.
+        match self {
+            Self::First => rpm.wrapping_shl(15),
+            Self::Second => rpm.wrapping_mul(rpm) >> 1,
+        }
+        .cast_signed()
+    }
+
+    /// Returns the units of a (r/min)^power.
+    #[must_use]
+    pub const fn units(self) -> f64 {
+        match self {
+            Self::First => 32_768.0,
+            Self::Second => 0.5,
+        }
+    }
+}
+
+/// The terms of heat, which need a temperature or the heat that the speed has left.
 #[must_use]
 pub fn heat_terms(terms: &Terms<'_>) -> IndexSet {
     let mut set = IndexSet::default();
     for (index, term) in terms.iter().enumerate() {
-        if term.is_some_and(|term| matches!(term.effect, Effect::Heat { .. })) {
+        if term.is_some_and(|term| {
+            matches!(term.effect, Effect::Heat { .. } | Effect::SpeedHeat { .. })
+        }) {
             set.insert(index);
         }
     }
@@ -133,7 +183,7 @@ impl Effect<'_> {
         let reversal = || place.reversal(own);
         let inside = |part| (part, false);
         match self {
-            Self::Heat { .. } | Self::Time { .. } => inside(warmth),
+            Self::Heat { .. } | Self::SpeedHeat { .. } | Self::Time { .. } => inside(warmth),
             Self::Position { axis, gradient } => inside(gradient.over(Position(0), of(*axis))),
             Self::Reversed { width, gradient } => {
                 inside(backlash(width.plus(gradient.over(Position(0), of(own))), reversal()))

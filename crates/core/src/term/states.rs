@@ -6,7 +6,7 @@ use crate::{
     lag::{Lag, SmoothingFactor},
     set::IndexSet,
     term::effect::{Effect, Terms, UNIT_STEP},
-    units::{Fine, Temperature},
+    units::{Fine, Rpm, Temperature},
 };
 
 /// What each term's lag follows; `None` without one.
@@ -14,6 +14,9 @@ fn keys(terms: &Terms<'_>) -> impl Iterator<Item = Option<Key>> {
     terms.iter().map(|term| match term.as_ref()?.effect {
         Effect::Heat { channel, smoothing, .. } if smoothing != SmoothingFactor::NO_LAG => {
             Some(Key { input: channel, rising: smoothing, falling: smoothing })
+        }
+        Effect::SpeedHeat { power, smoothing, .. } if smoothing != SmoothingFactor::NO_LAG => {
+            Some(Key { input: Key::of_speed(power), rising: smoothing, falling: smoothing })
         }
         Effect::Time { smoothing, .. } => {
             Some(Key { input: Key::TIME, rising: smoothing, falling: smoothing })
@@ -27,18 +30,19 @@ fn keys(terms: &Terms<'_>) -> impl Iterator<Item = Option<Key>> {
 pub struct TermStates {
     lags: [Option<Lag>; MAX_TERMS],
     values: [Fine; MAX_TERMS],
-    /// Terms of heat that have had a temperature.
+    /// Terms of heat that have had a temperature, or whose heat by the speed is known.
     known: IndexSet,
 }
 
 impl TermStates {
     /// A step of 100 ms of term `index`, if it is one of heat or time. A temperature that is missing
-    /// leaves it as it is.
+    /// leaves it as it is; an unknown speed does not heat.
     pub fn step(
         &mut self,
         terms: &Terms<'_>,
         index: usize,
         temperatures: &[Option<Temperature>; CHANNELS],
+        speed: Option<Rpm>,
         is_heat_known: bool,
     ) {
         let (Some(Some(term)), Some(lag), Some(value)) =
@@ -58,6 +62,14 @@ impl TermStates {
                     let warmer = lag.value().saturating_sub(reference.0);
                     *value = Fine(per_temperature.times(warmer.into()));
                 }
+            }
+            Effect::SpeedHeat { power, smoothing, per_unit } => {
+                let lag = lag.get_or_insert(Lag::settled(0));
+                lag.step(power.heating(speed), smoothing);
+                if is_heat_known || smoothing == SmoothingFactor::NO_LAG {
+                    self.known.insert(index);
+                }
+                *value = Fine(per_unit.times(lag.value().into()));
             }
             Effect::Time { smoothing, amplitude } => {
                 let lag = lag.get_or_insert(Lag::settled(0));
@@ -84,7 +96,7 @@ impl TermStates {
         }
     }
 
-    /// Whether each of these has had a temperature.
+    /// Whether each of these has had a temperature, or knows its heat by the speed.
     #[must_use]
     pub fn knows(&self, terms: IndexSet) -> bool {
         self.known.has_all(terms)

@@ -38,7 +38,9 @@ pub fn elongation(
                     p.plus(Fine(m.times(product(held, held) >> 24)))
                 }
                 Effect::Saturation(limit) => p.min(limit),
-                Effect::Heat { .. } | Effect::Time { .. } => p.plus(states.value(index)),
+                Effect::Heat { .. } | Effect::SpeedHeat { .. } | Effect::Time { .. } => {
+                    p.plus(states.value(index))
+                }
                 Effect::Speed(m) => {
                     let rpm = i64::from(operating.speed.unwrap_or_default().0);
                     p.plus(Fine(m.times(rpm.wrapping_mul(rpm))))

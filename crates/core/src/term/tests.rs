@@ -83,8 +83,8 @@ fn heat_follows_its_lag_and_time_its_own() {
     assert!(!states.knows(heated));
     let mut temperatures = [None; CHANNELS];
     let mut heat_up = |temperatures: &_| {
-        states.step(&terms, 0, temperatures, true);
-        states.step(&terms, 1, temperatures, true);
+        states.step(&terms, 0, temperatures, None, true);
+        states.step(&terms, 1, temperatures, None, true);
         let (errors, _) = axis_errors(&terms, &states, &Place::default());
         let grown = elongation(&terms, Fine::ZERO, &states, OperatingPoint::default());
         (um(errors[0]), um(grown))
@@ -100,6 +100,44 @@ fn heat_follows_its_lag_and_time_its_own() {
     temperatures[2] = None;
     near(heat_up(&temperatures), (-9.0, 8.0 * (1.0 - 0.75_f64.powi(4))));
     assert!(states.knows(heated));
+}
+
+/// Ten hours of speeds from 0 to the largest, against the lag and its product in `f64`.
+#[test]
+fn heat_by_the_speed_starts_cold_and_is_right_over_all_speeds() {
+    let mut worst_nm: f64 = 0.0;
+    for (power, exponent) in [(SpeedPower::First, 1), (SpeedPower::Second, 2)] {
+        for tau_s in [1.0, 163.0, 2_400.0, 1e5] {
+            let exact = -(-0.1_f64 / tau_s).exp_m1();
+            let smoothing = SmoothingFactor((exact * 4_294_967_296.0).round() as u32);
+            let given = f64::from(smoothing.0) / 4_294_967_296.0;
+            // 100 µm at the largest speed.
+            let um_per_unit = -100.0 / f64::from(u16::MAX).powi(exponent);
+            let per_unit = scaled(um_per_unit * 256_000.0 / power.units());
+            let heat = Effect::SpeedHeat { power, smoothing, per_unit };
+            let terms = with(&[(Target::Axis(LinearAxis::Y), 0, heat)]);
+            let (mut states, mut lagged, mut seed) = (TermStates::default(), 0.0, 1);
+            let mut rpm = 0;
+            for step in 0..360_000 {
+                if step % 9_000 == 0 {
+                    rpm = [u16::MAX, crate::testing::random(&mut seed) as u16][step / 9_000 % 2];
+                }
+                // For a minute nobody knows it.
+                let speed = Some(Rpm(rpm)).filter(|_| !(50_000..50_600).contains(&step));
+                states.step(&terms, 0, &[None; CHANNELS], speed, true);
+                let heating = speed.map_or(0.0, |rpm| f64::from(rpm.0).powi(exponent));
+                lagged += (heating - lagged) * given;
+                let got = um(axis_errors(&terms, &states, &Place::default()).0[1]);
+                worst_nm = worst_nm.max((got - um_per_unit * lagged).abs() * 1e3);
+                if step == 0 {
+                    assert!((got + 100.0 * exact).abs() < 1e-4, "cold at the start: {got}");
+                }
+            }
+            assert!(states.knows(heat_terms(&terms)));
+        }
+    }
+    std::println!("heat by the speed, 100 µm: {worst_nm:.4} nm at most");
+    assert!(worst_nm < 0.01, "{worst_nm} nm");
 }
 
 #[test]
@@ -223,6 +261,11 @@ fn nothing_extreme_panics() {
                 per_temperature: scaled,
             },
             Effect::Time { smoothing: SmoothingFactor(m.unsigned_abs()), amplitude: scaled },
+            Effect::SpeedHeat {
+                power: if m < 0 { SpeedPower::First } else { SpeedPower::Second },
+                smoothing: SmoothingFactor(m.unsigned_abs()),
+                per_unit: scaled,
+            },
             Effect::TiltLine(Tilt {
                 along: LinearAxis::X,
                 lever: LinearAxis::Z,
@@ -237,7 +280,8 @@ fn nothing_extreme_panics() {
             for x in extremes {
                 let mut states = TermStates::default();
                 for index in 0..=MAX_TERMS {
-                    states.step(&terms, index, &[Some(Temperature(x)); CHANNELS], true);
+                    let temperatures = [Some(Temperature(x)); CHANNELS];
+                    states.step(&terms, index, &temperatures, Some(Rpm(u16::MAX)), true);
                 }
                 let place = Place { position: [Position(x); 3], ..Place::default() };
                 let _ = axis_errors(&terms, &states, &place);

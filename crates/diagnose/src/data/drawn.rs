@@ -70,6 +70,7 @@ impl Data {
             distrusted: Vec::new(),
             others: named(&self.others, if is_condensed { &hold } else { &pick }),
             spindle_rpm: held(&self.spindle_rpm),
+            drives: named(&self.drives, &hold),
             load_n: held(&self.load_n),
             position_mm: self.position_mm.each_ref().map(maybe),
             direction: self.direction.each_ref().map(maybe),

@@ -19,13 +19,33 @@ pub(crate) fn first_of(values: &[f64]) -> f64 {
     values.iter().copied().find(|value| !value.is_nan()).unwrap_or(0.0)
 }
 
+/// Where a lag begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Start {
+    /// At its first value: a temperature.
+    Settled,
+    /// At 0: heat of a spindle that was cold.
+    Cold,
+}
+
+impl Start {
+    /// Returns what the lag is at its first value.
+    pub(super) fn at(self, value: f64) -> f64 {
+        match self {
+            Self::Settled => value,
+            Self::Cold => 0.0,
+        }
+    }
+}
+
 /// `values` behind a first-order lag, whose time constants in s are for its rise and for its fall, as
-/// `trueup_machine::model::Lag` steps it; anew at each `restart`; missing values hold.
+/// `trueup_machine::model::Lag` steps it; anew at each `restart`, from `start` on; missing values hold.
 pub(super) fn lag(
     values: &[f64],
     time_s: &[f64],
     restart: &[bool],
     [rise_s, fall_s]: [f64; 2],
+    start: Start,
 ) -> Vec<f64> {
     let mut out = Vec::with_capacity(values.len());
     let mut settled: Option<f64> = None;
@@ -60,7 +80,7 @@ pub(super) fn lag(
         if !value.is_nan() && !now_s.is_nan() {
             let before = settled.unwrap_or_else(|| {
                 first = value;
-                value
+                start.at(value)
             });
             let elapsed = if before_s.is_nan() { 0.0 } else { (now_s - before_s).max(0.0) };
             before_s = now_s;
@@ -167,8 +187,9 @@ pub(super) fn smoothed(values: &[f64], time_s: &[f64], restart: &[bool], width_s
     let ends: Vec<bool> =
         (0..values.len()).rev().map(|row| restart.get(row + 1).copied().unwrap_or(true)).collect();
     let lags_s = [0.5 * width_s; 2];
-    let against = lag(&reversed(values), &against_s, &ends, lags_s);
-    lag(&reversed(&against), time_s, restart, lags_s)
+    let settled = Start::Settled;
+    let against = lag(&reversed(values), &against_s, &ends, lags_s, settled);
+    lag(&reversed(&against), time_s, restart, lags_s, settled)
 }
 
 #[cfg(test)]
@@ -185,23 +206,26 @@ mod tests {
         let restart: Vec<bool> = (0..rows).map(|row| row == 0 || row == 501).collect();
         let mut values: Vec<f64> = (0..rows).map(|row| 20.0 + (0.3 * row as f64).sin()).collect();
         values[90] = f64::NAN;
-        for lags_s in [[0.0; 2], [0.02; 2], [3.0; 2], [1e5; 2], [3.0, 9.0], [9.0, 3.0], [3.0, 0.0]]
-        {
-            let found = lag(&values, &time_s, &restart, lags_s);
+        let all = [[0.0; 2], [0.02; 2], [3.0; 2], [1e5; 2], [3.0, 9.0], [9.0, 3.0], [3.0, 0.0]];
+        let starts = [Start::Settled, Start::Cold];
+        for (lags_s, start) in all.into_iter().flat_map(|s| starts.map(|start| (s, start))) {
+            let found = lag(&values, &time_s, &restart, lags_s, start);
             let (mut here, mut before) = (f64::NAN, f64::NAN);
             for row in 0..rows {
                 if restart[row] {
-                    (here, before) = (values[row], time_s[row]);
+                    let is_late = lags_s != [0.0; 2];
+                    here = if is_late { start.at(values[row]) } else { values[row] };
+                    before = time_s[row];
                 } else if !values[row].is_nan() {
                     let lag_s = lags_s[usize::from(values[row] < here)];
                     let kept =
                         if lag_s > 0.0 { (-(time_s[row] - before) / lag_s).exp() } else { 0.0 };
                     (here, before) = (values[row] + (here - values[row]) * kept, time_s[row]);
                 }
-                assert!((found[row] - here).abs() < 1e-11, "{lags_s:?} s, row {row}");
+                assert!((found[row] - here).abs() < 1e-11, "{lags_s:?} s, {start:?}, row {row}");
             }
         }
-        let still = lag(&vec![21.7; rows], &time_s, &restart, [3.0; 2]);
+        let still = lag(&vec![21.7; rows], &time_s, &restart, [3.0; 2], Start::Settled);
         assert!(still.iter().all(|&value| value == 21.7));
     }
 
@@ -215,7 +239,7 @@ mod tests {
         let slope = |row: i32| 0.1 * f64::from(row % 200);
         let values: Vec<f64> = (0..rows).map(|row| slope(row) + noise(row)).collect();
         let smooth = smoothed(&values, &time_s, &restart, 20.0);
-        let late = lag(&values, &time_s, &restart, [20.0; 2]);
+        let late = lag(&values, &time_s, &restart, [20.0; 2], Start::Settled);
         for row in [100, 300] {
             let [smooth, late] = [&smooth, &late].map(|list| list[row as usize] - slope(row));
             assert!(smooth.abs() < 0.05, "{smooth}");

@@ -13,7 +13,7 @@
 
 use std::sync::Arc;
 
-use super::row_blocks::RowBlocks;
+use super::{lag::Start, row_blocks::RowBlocks};
 
 /// Coefficients of a series.
 const TERMS: usize = 8;
@@ -137,14 +137,20 @@ impl LagSeries {
     }
 
     /// The mean in each piece of `values`, those of [`new`](Self::new), behind a lag of `tau_s`, above 0.
-    pub(super) fn means(&self, values: &[f64], blocks: &RowBlocks, tau_s: f64) -> Vec<f64> {
+    pub(super) fn means(
+        &self,
+        values: &[f64],
+        blocks: &RowBlocks,
+        tau_s: f64,
+        start: Start,
+    ) -> Vec<f64> {
         let powers = powers(-1.0 / tau_s);
         let Clock { pieces, elapsed_s } = &*self.clock;
         let (mut known_s, mut share) = (f64::NAN, 0.0);
         // Most rows are as far apart as the rows before them, but for the rounding of their times.
         let mut settle = |before: f64, row: usize| {
             if elapsed_s[row].is_infinite() {
-                return values[row];
+                return start.at(values[row]);
             }
             if known_s.is_nan() || (elapsed_s[row] - known_s).abs() > 1e-9 * known_s {
                 known_s = elapsed_s[row];
@@ -214,10 +220,13 @@ mod tests {
         let blocks = RowBlocks::new((0..count).filter(counts), |row| row % 60 == 0 || row == 2111);
         let clock = Arc::new(Clock::new(&time_s, &restart, &blocks).expect("all times"));
         let series = LagSeries::new(&clock, &values, &blocks).expect("all values");
-        for tau_s in [0.3, 20.0, 600.0, 900.0, 1e5] {
-            let stepped = blocks.means(&lag(&values, &time_s, &restart, [tau_s; 2]));
+        let starts = [Start::Settled, Start::Cold];
+        for (tau_s, start) in
+            [0.3, 20.0, 600.0, 900.0, 1e5].into_iter().flat_map(|s| starts.map(|start| (s, start)))
+        {
+            let stepped = blocks.means(&lag(&values, &time_s, &restart, [tau_s; 2], start));
             let worst = series
-                .means(&values, &blocks, tau_s)
+                .means(&values, &blocks, tau_s, start)
                 .iter()
                 .zip(&stepped)
                 .map(|(a, b)| (a - b).abs())

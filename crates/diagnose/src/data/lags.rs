@@ -10,6 +10,7 @@ use trueup_machine::effect::Late;
 use trueup_numerics::parallel::on_all_cores;
 
 use super::{
+    lag::Start,
     lag_series::{Clock, LagSeries},
     row_blocks::RowBlocks,
     stretches::Stretches,
@@ -89,11 +90,11 @@ impl Lags {
         }
     }
 
-    /// A column, given by its `values` in all rows, behind a lag; `stepped` gives it stepped through all of them.
+    /// A column, given by its `values` in all rows, behind a lag from `start` on; `stepped` gives it stepped through all of them.
     pub(super) fn lagged(
         &self,
         blocks: &RowBlocks,
-        (column, values): (&str, Option<&[f64]>),
+        (column, values, start): (&str, Option<&[f64]>, Start),
         lags_s @ [rise_s, fall_s]: [f64; 2],
         stepped: impl FnOnce() -> Arc<Vec<f64>>,
     ) -> Arc<Vec<f64>> {
@@ -101,12 +102,12 @@ impl Lags {
         if let (Some((_, series)), Some(values)) = (series, values)
             && rise_s > 0.0
         {
-            return series.means(values, blocks, rise_s).into();
+            return series.means(values, blocks, rise_s, start).into();
         }
         self.known(blocks, (column.into(), None, lags_s), || {
             let is_late = lags_s != [0.0; 2];
             let by_means = if is_late { self.by_means(column, lags_s) } else { None };
-            let by_means = by_means.map(|(it, mean_c)| it.lagged(mean_c, lags_s));
+            let by_means = by_means.map(|(it, mean_c)| it.lagged(mean_c, lags_s, start));
             by_means.unwrap_or_else(|| blocks.means(&stepped()))
         })
     }
@@ -128,11 +129,11 @@ impl Lags {
             let Some((stretches, mean_c)) = by_means else { return blocks.means(&stepped()) };
             let mut part_c = stretches.part_c(late, mean_c);
             if lags_s[0] != lags_s[1] {
-                return stretches.lagged(&part_c, lags_s);
+                return stretches.lagged(&part_c, lags_s, Start::Settled);
             }
             // By how much the part is warmer is told by the means; what a thermometer shows, by each row.
             part_c.iter_mut().zip(mean_c).for_each(|(part_c, mean_c)| *part_c -= mean_c);
-            let ahead_c = stretches.lagged(&part_c, lags_s);
+            let ahead_c = stretches.lagged(&part_c, lags_s, Start::Settled);
             lagged().iter().zip(ahead_c).map(|(shown_c, ahead_c)| shown_c + ahead_c).collect()
         })
     }
@@ -216,12 +217,14 @@ mod tests {
         ] {
             let behind = |late: Option<Late>| {
                 let part_c = late.map(|late| part_temperature(late, &time_s, &values));
-                lag(part_c.as_ref().unwrap_or(&values), &time_s, &restart, lags_s)
+                let shown = part_c.as_ref().unwrap_or(&values);
+                lag(shown, &time_s, &restart, lags_s, Start::Settled)
             };
             stepped.set(0);
             let found = match late {
-                None => lags
-                    .lagged(&blocks, ("t", Some(&values)), lags_s, || count(behind(None)).into()),
+                None => lags.lagged(&blocks, ("t", Some(&values), Start::Settled), lags_s, || {
+                    count(behind(None)).into()
+                }),
                 Some(late) => {
                     let lagged = || blocks.means(&behind(None)).into();
                     let all = || count(behind(Some(late))).into();

@@ -5,12 +5,18 @@ use std::{borrow::Cow, sync::Arc};
 use trueup_machine::{
     BadInput, Machine, RunFile,
     applied::Unaided,
+    effect::{SpeedPower, heating},
     file::{Quantity, is_temperature_column},
 };
 
 use super::{
-    channels, inputs, lag::first_of, prediction::predict, reversal::reversal_decay, stated::Stated,
-    stepped::Stepped, table::Data,
+    channels, inputs,
+    lag::first_of,
+    prediction::predict,
+    reversal::reversal_decay,
+    stated::Stated,
+    stepped::Stepped,
+    table::{Column, Data, drive},
 };
 
 impl Data {
@@ -113,6 +119,7 @@ impl Data {
             temperatures,
             distrusted: Vec::new(),
             others,
+            drives: drives(joined("spindle_rpm").as_deref()),
             spindle_rpm: joined("spindle_rpm"),
             load_n: joined("load_n"),
             position_mm: ["x_mm", "y_mm", "z_mm"].map(joined),
@@ -177,6 +184,16 @@ fn without_bridge<'r>(
     };
     let runs = runs.iter().map(&mut taken_out).collect::<Result<_, _>>()?;
     Ok((runs, notes))
+}
+
+/// How hard the spindle heats in each row, by either power of its speed.
+fn drives(speed_rpm: Option<&[f64]>) -> Vec<Column> {
+    let of = |speed_rpm: &[f64], power| {
+        let heat = |&rpm: &f64| heating(power, rpm);
+        (drive(power).into(), speed_rpm.iter().map(heat).collect())
+    };
+    let powers = [SpeedPower::First, SpeedPower::Second];
+    speed_rpm.map_or_else(Vec::new, |speed_rpm| powers.map(|power| of(speed_rpm, power)).into())
 }
 
 fn is_known(name: &str) -> bool {

@@ -8,6 +8,8 @@ use std::{
 
 use trueup_machine::effect::Late;
 
+use super::lag::Start;
+
 /// The columns that something was stepped through. The same if they are the same ones: a column that is changed is a
 /// new one.
 #[derive(Clone, Debug)]
@@ -15,6 +17,7 @@ pub(super) struct Source {
     pub values: Arc<[f64]>,
     pub time_s: Arc<[f64]>,
     pub restart: Arc<[bool]>,
+    pub start: Start,
 }
 
 impl PartialEq for Source {
@@ -22,6 +25,7 @@ impl PartialEq for Source {
         Arc::ptr_eq(&self.values, &other.values)
             && Arc::ptr_eq(&self.time_s, &other.time_s)
             && Arc::ptr_eq(&self.restart, &other.restart)
+            && self.start == other.start
     }
 }
 
@@ -79,6 +83,7 @@ mod tests {
             values: [1.0, 2.0].into(),
             time_s: [0.0, 1.0].into(),
             restart: [true, false].into(),
+            start: Start::Settled,
         };
         let late = |by_s| Some(Late { by_s, form: LateForm::Delay });
         let (stepped, made) = (Stepped::default(), Cell::new(0.0));
@@ -94,7 +99,8 @@ mod tests {
             source.clone(),
             Source { values: [1.0, 2.0].into(), ..source.clone() },
             Source { time_s: [0.0, 1.0].into(), ..source.clone() },
-            Source { restart: [true, false].into(), ..source },
+            Source { restart: [true, false].into(), ..source.clone() },
+            Source { start: Start::Cold, ..source },
         ];
         for _ in 0..2 {
             let mut number = 0.0;

@@ -13,7 +13,10 @@
 
 use trueup_machine::{effect::Late, model::part_of_means};
 
-use super::{lag::lag, row_blocks::RowBlocks};
+use super::{
+    lag::{Start, lag},
+    row_blocks::RowBlocks,
+};
 
 /// Stretches in all of a record, or a few more; of no more rows than twice as many each is stepped through.
 const MOST: usize = 50_000;
@@ -130,11 +133,11 @@ impl Stretches {
     }
 
     /// The rows that are asked for of a column, given by its means, behind a lag.
-    pub(super) fn lagged(&self, means: &[f64], lags_s: [f64; 2]) -> Vec<f64> {
+    pub(super) fn lagged(&self, means: &[f64], lags_s: [f64; 2], start: Start) -> Vec<f64> {
         if lags_s == [0.0; 2] {
             return self.of_means.sum(means);
         }
-        self.of_ends.sum(&lag(means, &self.end_s, &self.begins, lags_s))
+        self.of_ends.sum(&lag(means, &self.end_s, &self.begins, lags_s, start))
     }
 
     /// Where each row lies among what is known at the ends: after which, and how far on the way to the next.
@@ -277,8 +280,9 @@ mod tests {
                 ([300.0, 30.0], 2e-4),
                 ([30.0, 300.0], 2e-4),
             ] {
-                let stepped = blocks.means(&lag(&values, &time_s, &restart, lags_s));
-                let lagged = it.lagged(&means, lags_s);
+                let stepped =
+                    blocks.means(&lag(&values, &time_s, &restart, lags_s, Start::Settled));
+                let lagged = it.lagged(&means, lags_s, Start::Settled);
                 assert_eq!(lagged.len(), stepped.len());
                 let has_begun = |row: usize| {
                     let start = if row < ROWS / 2 { 0 } else { ROWS / 2 };
@@ -312,8 +316,9 @@ mod tests {
             part_c.extend(part_temperature(late, &time_s[half..], &smooth[half..]));
             let of_means = it.part_c(late, &means);
             for lags_s in [[0.0; 2], [100.0; 2]] {
-                let stepped = blocks.means(&lag(&part_c, &time_s, &restart, lags_s));
-                let lagged = it.lagged(&of_means, lags_s);
+                let stepped =
+                    blocks.means(&lag(&part_c, &time_s, &restart, lags_s, Start::Settled));
+                let lagged = it.lagged(&of_means, lags_s, Start::Settled);
                 assert_eq!(lagged.len(), stepped.len());
                 // At an end and a pause a slope is over less; a row is not as far from the one before it as the
                 // rows around it are. This record begins in motion: its first row counts as settled, the first

@@ -2,10 +2,15 @@
 
 use std::sync::Arc;
 
-use trueup_machine::{Machine, effect::Late, file::Quantity, model::part_temperature};
+use trueup_machine::{
+    Machine,
+    effect::{Late, SpeedPower},
+    file::Quantity,
+    model::part_temperature,
+};
 
 use super::{
-    lag::{filled, lag, smoothed},
+    lag::{Start, filled, lag, smoothed},
     lags::{Lags, Rows},
     row_blocks::RowBlocks,
     stated::Stated,
@@ -42,6 +47,8 @@ pub(crate) struct Data {
     pub others: Vec<Column>,
     /// In 1/min.
     pub spindle_rpm: Option<Arc<[f64]>>,
+    /// How hard the spindle heats by each power of its speed, by [`drive`].
+    pub drives: Vec<Column>,
     /// The load along the tool, in N.
     pub load_n: Option<Arc<[f64]>>,
     pub position_mm: [Option<Arc<[f64]>>; 3],
@@ -91,9 +98,18 @@ pub(crate) struct DrawnFrom {
     lags: Lags,
 }
 
+/// Returns the name of the column of what the speed heats by this power.
+pub(super) fn drive(power: SpeedPower) -> &'static str {
+    match power {
+        SpeedPower::First => "heating by the speed",
+        SpeedPower::Second => "heating by the square of the speed",
+    }
+}
+
 impl DrawnFrom {
     pub(super) fn new(data: Arc<Data>, blocks: RowBlocks) -> Self {
-        let lags = Lags::new(data.among(&blocks), &data.temperatures);
+        let columns = [&data.temperatures[..], &data.drives].concat();
+        let lags = Lags::new(data.among(&blocks), &columns);
         Self { data, blocks, lags }
     }
 
@@ -105,7 +121,8 @@ impl DrawnFrom {
 
     /// A column of the whole behind a lag, in the drawn rows.
     fn lagged(&self, column: &str, lags_s @ [rise_s, fall_s]: [f64; 2]) -> Arc<Vec<f64>> {
-        let values = (column, self.data.temperature(column));
+        let (values, start) = self.data.heated_by(column).unzip();
+        let values = (column, values.map(|it| &it[..]), start.unwrap_or(Start::Settled));
         self.lags.lagged(&self.blocks, values, lags_s, || self.data.lagged(column, rise_s, fall_s))
     }
 
@@ -194,29 +211,44 @@ impl Data {
         self.whole.as_ref().map_or(0.0, |whole| whole.lags.fastest_s())
     }
 
+    /// A temperature, or a power of the speed that heats, and where a lag of it starts.
+    fn heated_by(&self, name: &str) -> Option<(&Arc<[f64]>, Start)> {
+        let starts = [(&self.temperatures, Start::Settled), (&self.drives, Start::Cold)];
+        starts.into_iter().find_map(|(columns, start)| {
+            let found = columns.iter().find(|(there, _)| there == name);
+            found.map(|(_, values)| (values, start))
+        })
+    }
+
+    /// What the spindle heats by this power of its speed, behind a first-order lag that starts cold.
+    pub(crate) fn heated(&self, power: SpeedPower, lag_s: f64) -> Arc<Vec<f64>> {
+        self.lagged(drive(power), lag_s, lag_s)
+    }
+
     /// A temperature behind a first-order lag with one time constant while it rises and one while it
     /// falls, both in s; missing values hold.
     pub(crate) fn lagged(&self, column: &str, rise_s: f64, fall_s: f64) -> Arc<Vec<f64>> {
         if let Some(whole) = &self.whole {
             return whole.lagged(column, [rise_s, fall_s]);
         }
-        match (self.temperature(column), self.source(column)) {
+        match (self.heated_by(column), self.source(column)) {
             (None, _) => vec![0.0; self.rows].into(),
-            (Some(values), None) => filled(values).into(),
+            (Some((values, _)), None) => filled(values).into(),
             (Some(_), Some(source)) => self.stepped(&source, None, [rise_s, fall_s]),
         }
     }
 
     /// What a temperature is stepped through, where there is time.
     fn source(&self, column: &str) -> Option<Source> {
-        let (_, values) = self.temperatures.iter().find(|(there, _)| there == column)?;
+        let (values, start) = self.heated_by(column)?;
         let time_s = self.time_s.clone()?;
-        Some(Source { values: values.clone(), time_s, restart: self.restart.clone() })
+        Some(Source { values: values.clone(), time_s, restart: self.restart.clone(), start })
     }
 
     /// A temperature, or that of the part whose thermometer is late, behind a lag, stepped through all rows.
     fn stepped(&self, source: &Source, late: Option<Late>, lags_s: [f64; 2]) -> Arc<Vec<f64>> {
-        let behind = |values: &[f64]| lag(values, &source.time_s, &source.restart, lags_s);
+        let behind =
+            |values: &[f64]| lag(values, &source.time_s, &source.restart, lags_s, source.start);
         self.stepped.known(source, (late, Some(lags_s)), || match late {
             None => behind(&source.values),
             Some(late) => behind(&self.part_c(source, late)),
@@ -225,7 +257,7 @@ impl Data {
 
     /// The temperature of the part whose thermometer is late, series by series.
     fn part_c(&self, source: &Source, late: Late) -> Arc<Vec<f64>> {
-        let Source { values, time_s, restart } = source;
+        let Source { values, time_s, restart, .. } = source;
         self.stepped.known(source, (Some(late), None), || {
             let mut part_c = Vec::with_capacity(self.rows);
             let mut start = 0;
@@ -251,7 +283,7 @@ impl Data {
         let Some(time_s) = self.time_s.as_deref() else { return };
         let found = self.temperatures.iter_mut().find(|(there, _)| there == column);
         if let Some((_, values)) = found {
-            *values = lag(values, time_s, &self.restart, [late_s; 2]).into();
+            *values = lag(values, time_s, &self.restart, [late_s; 2], Start::Settled).into();
         }
     }
 

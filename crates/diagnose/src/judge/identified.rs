@@ -2,7 +2,7 @@
 
 use trueup_machine::effect::Effect;
 
-use crate::{data::Data, judge::case::Case, kind::Kind};
+use crate::{columns::named, data::Data, judge::case::Case, kind::Kind};
 
 /// A model that is identified leaves about as much where it was not fitted as where it was: twice as
 /// much is four times the squares.
@@ -46,7 +46,7 @@ fn is_steady(case: &Case<'_>, cause: &Kind) -> bool {
 /// range, in all records together.
 fn is_seen_again(data: &Data, kind: &Kind) -> bool {
     let Some(path) = kind.heat_path().filter(|path| path.has_lag) else { return true };
-    let Some(values) = data.temperature(path.column) else { return true };
+    let Some(values) = named(data, path.column) else { return true };
     let (low, high) = values
         .iter()
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &c| (low.min(c), high.max(c)));

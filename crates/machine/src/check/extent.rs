@@ -1,7 +1,7 @@
 //! How large each correction may become: the largest error that an entry of the file can make.
 
 use crate::{
-    effect::OnBoard,
+    effect::{OnBoard, SpeedPower, heating},
     file::{BSpline, LinearAxis, Machine, Pitch, Quantity, Term, Thermal},
 };
 
@@ -111,11 +111,14 @@ fn of_growth_by(machine: &Machine, form: &OnBoard) -> f64 {
         OnBoard::Gain(gain) => (gain - 1.0).abs() * grown(),
         OnBoard::Curvature(per_um) => per_um.abs() * grown().powi(2),
         OnBoard::Speed(um_per_krpm2) => {
-            let rated = machine.spindle.warmup.as_ref().and_then(|warmup| warmup.rated_rpm);
-            um_per_krpm2.abs() * (rated.unwrap_or(0.0) / 1000.0).powi(2)
+            um_per_krpm2.abs() * heating(SpeedPower::Second, rated_rpm(machine).unwrap_or(0.0))
         }
         ref other => of_form(machine, other, None).unwrap_or(0.0),
     }
+}
+
+fn rated_rpm(machine: &Machine) -> Option<f64> {
+    machine.spindle.warmup.as_ref()?.rated_rpm
 }
 
 fn of_heat(thermal: &Thermal, own_mm: Option<[f64; 2]>) -> Option<f64> {
@@ -142,6 +145,7 @@ fn of_form(machine: &Machine, form: &OnBoard, own_mm: Option<[f64; 2]>) -> Optio
     Some(match form {
         &OnBoard::Offset(um) => um.abs(),
         OnBoard::Heat(heat) => (heat.um_per_c * ROOM_C).abs(),
+        OnBoard::SpeedHeat(it) => it.um_per_unit.abs() * heating(it.power, rated_rpm(machine)?),
         &OnBoard::OwnPosition(um_per_m) => of_line(um_per_m, own_mm?),
         &OnBoard::Position { axis, um_per_m } => of_line(um_per_m, reach_mm(machine, axis)?),
         &OnBoard::Reversed { width_um, um_per_m } => match um_per_m {

@@ -29,7 +29,7 @@ use super::{
     squareness::{compile_squareness, linear},
 };
 use crate::{
-    effect::{Angle, Heat, OnBoard, Stage, Tilt, Wave},
+    effect::{Angle, Heat, OnBoard, SpeedHeat, Stage, Tilt, Wave, heating},
     file::{self, BSpline, Machine, in_order},
     location::BadInput,
     stored::{FINE_PER_UM, NM_PER_UM, UNITS_PER_MM, rounded, rounded_unsigned},
@@ -175,6 +175,7 @@ fn effect(
             fine(*limit_um).map(|(limit, nm)| (Effect::Saturation(limit), nm))
         }
         OnBoard::Heat(it) => heat(channel(machine, key, &it.column)?, it),
+        OnBoard::SpeedHeat(it) => speed_heat(it),
         OnBoard::Time { amplitude_um, time_constant_s, .. } => {
             let one = f64::from(UNIT_STEP);
             scaled(amplitude_um * FINE_PER_UM / one, one).and_then(|(amplitude, nm)| {
@@ -231,6 +232,15 @@ fn heat(channel: u8, it: &Heat) -> Made<Effect<'static>> {
         .ok_or_else(|| format!("{reference_c} °C is beyond the board's ±524 °C"))?;
     let smoothing = lag::smoothing_factor(it.time_constant_s)?;
     Ok((Effect::Heat { channel, smoothing, reference, per_temperature }, nm))
+}
+
+fn speed_heat(it: &SpeedHeat) -> Made<Effect<'static>> {
+    let &SpeedHeat { power, um_per_unit, time_constant_s } = it;
+    let units_per_heating = power.units() / heating(power, 1.0);
+    let largest = heating(power, CHECKED_RPM) * units_per_heating;
+    let (per_unit, nm) = scaled(um_per_unit * FINE_PER_UM / units_per_heating, largest)?;
+    let smoothing = lag::smoothing_factor(time_constant_s)?;
+    Ok((Effect::SpeedHeat { power, smoothing, per_unit }, nm))
 }
 
 pub(crate) const TWO_24: f64 = (1_u64 << 24) as f64;

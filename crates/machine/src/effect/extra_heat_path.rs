@@ -1,36 +1,108 @@
-//! `extra-heat-path`: heat that the model does not know.
+//! `extra-heat-path`: heat that the model does not know, from a thermometer or from the spindle's speed.
 //!
 //! ```text
 //! p + c·(lag_τ(T) − T_ref)          T a column that the model does not use, τ may be 0
+//! p + c·lag_τ((n/1000)^a)           n the spindle's speed, a 1 or 2, cold (0) at the start
 //! ```
+
+use trueup_core::term::SpeedPower;
 
 use super::{
     heat,
     page::{
         Definition, Entry, Heat, HeatPath, Home, Input, Nonlinear, OnBoard, Page,
-        Parameter, minutes, number,
+        Parameter, SpeedHeat, Value, minutes, number,
     },
     survey::{Settings, Survey, TIME_CONSTANTS},
 };
 use crate::{
     file::axis::LinearAxis,
-    location::BadInput,
     file::read::Section,
+    location::BadInput,
 };
+
+/// The column of the spindle's speed.
+const SPEED: &str = "spindle_rpm";
+/// The powers of the speed: the value of `input`, and the key of c.
+const POWERS: [(SpeedPower, &str, &str); 2] = [
+    (SpeedPower::Second, "speed2", "um_per_krpm2"),
+    (SpeedPower::First, "speed", "um_per_krpm"),
+];
 
 /// Heat by a path of its own.
 #[derive(Clone, Debug, PartialEq)]
-pub struct ExtraHeatPath(pub Heat);
+pub enum ExtraHeatPath {
+    /// Of a thermometer.
+    OfTemperature(Heat),
+    /// Of the spindle's speed.
+    OfSpeed(SpeedHeat),
+}
 
 impl ExtraHeatPath {
-    fn has_lag(&self) -> bool {
-        self.0.time_constant_s != 0.0
+    fn time_constant_s(&self) -> f64 {
+        match self {
+            Self::OfTemperature(heat) => heat.time_constant_s,
+            Self::OfSpeed(heat) => heat.time_constant_s,
+        }
     }
+
+    fn has_lag(&self) -> bool {
+        self.time_constant_s() != 0.0
+    }
+
+    fn column(&self) -> &str {
+        match self {
+            Self::OfTemperature(heat) => &heat.column,
+            Self::OfSpeed(_) => SPEED,
+        }
+    }
+
+    fn amplitude_key(&self) -> &'static str {
+        match self {
+            Self::OfTemperature(_) => "um_per_c",
+            Self::OfSpeed(heat) => names(heat.power)[1],
+        }
+    }
+}
+
+/// The value of `input` and the key of c.
+fn names(power: SpeedPower) -> [&'static str; 2] {
+    let of_it = POWERS.into_iter().filter(|(there, ..)| *there == power);
+    of_it.fold([""; 2], |_, (_, input, key)| [input, key])
+}
+
+/// The power of the speed that `section` is about: by `input`, else by the key of c.
+fn power_of(section: &Section<'_>) -> SpeedPower {
+    let input = section.text("input").ok().flatten();
+    let keys = section.keys();
+    let is_it = |(_, name, key): &(SpeedPower, &str, &str)| match input {
+        Some(input) => input == *name,
+        None => keys.contains(key),
+    };
+    POWERS.into_iter().find(is_it).map_or(SpeedPower::Second, |(power, ..)| power)
+}
+
+/// Whether `section` is about the speed.
+fn is_of_speed(section: &Section<'_>) -> bool {
+    let keys = section.keys();
+    let is_own = |key: &&str| *key == "input" || POWERS.iter().any(|(.., amplitude)| key == amplitude);
+    keys.iter().any(is_own) || section.text("column").is_ok_and(|column| column == Some(SPEED))
 }
 
 impl Page for ExtraHeatPath {
     fn entries(&self) -> Vec<Entry> {
-        heat::entries(&self.0)
+        match self {
+            Self::OfTemperature(heat) => heat::entries(heat),
+            Self::OfSpeed(heat) => {
+                let [input, key] = names(heat.power);
+                vec![
+                    ("column", Value::Text(SPEED.into())),
+                    ("input", Value::Text(input.into())),
+                    (key, Value::Number(heat.um_per_unit)),
+                    ("time_constant_s", Value::Number(heat.time_constant_s)),
+                ]
+            }
+        }
     }
 
     fn home(&self) -> Home {
@@ -42,7 +114,11 @@ impl Page for ExtraHeatPath {
     }
 
     fn inputs(&self, nonlinear: &[f64]) -> Vec<Input<'_>> {
-        heat::inputs(&self.0, nonlinear.first().copied().unwrap_or(0.0))
+        let lag_s = nonlinear.first().copied().unwrap_or(0.0);
+        match self {
+            Self::OfTemperature(heat) => heat::inputs(heat, lag_s),
+            Self::OfSpeed(heat) => vec![Input::SpeedHeat { power: heat.power, lag_s }],
+        }
     }
 
     fn nonlinear(&self) -> &'static [Nonlinear] {
@@ -50,19 +126,30 @@ impl Page for ExtraHeatPath {
     }
 
     fn values(&self) -> Vec<f64> {
-        let lag_s = self.has_lag().then_some(self.0.time_constant_s);
-        lag_s.into_iter().chain([self.0.um_per_c]).collect()
+        let lag_s = self.has_lag().then_some(self.time_constant_s());
+        let amplitude = match self {
+            Self::OfTemperature(heat) => heat.um_per_c,
+            Self::OfSpeed(heat) => heat.um_per_unit,
+        };
+        lag_s.into_iter().chain([amplitude]).collect()
     }
 
     fn set(&mut self, values: &[f64]) {
-        if let [time_constant_s, _] = *values {
-            self.0.time_constant_s = time_constant_s;
+        let (time_constant_s, amplitude) = match self {
+            Self::OfTemperature(heat) => (&mut heat.time_constant_s, &mut heat.um_per_c),
+            Self::OfSpeed(heat) => (&mut heat.time_constant_s, &mut heat.um_per_unit),
+        };
+        if let [lag_s, _] = *values {
+            *time_constant_s = lag_s;
         }
-        self.0.um_per_c = values[values.len() - 1];
+        *amplitude = values[values.len() - 1];
     }
 
     fn on_board(&self) -> Vec<OnBoard> {
-        vec![OnBoard::Heat(self.0.clone())]
+        vec![match self {
+            Self::OfTemperature(heat) => OnBoard::Heat(heat.clone()),
+            Self::OfSpeed(heat) => OnBoard::SpeedHeat(*heat),
+        }]
     }
 
     fn has_reference(&self) -> bool {
@@ -70,79 +157,133 @@ impl Page for ExtraHeatPath {
     }
 
     fn heat_mut(&mut self) -> Option<&mut Heat> {
-        Some(&mut self.0)
+        match self {
+            Self::OfTemperature(heat) => Some(heat),
+            Self::OfSpeed(_) => None,
+        }
     }
 
     fn heat_path(&self) -> Option<HeatPath<'_>> {
-        let (column, has_lag) = (self.0.column.as_str(), self.has_lag());
+        let (column, has_lag) = (self.column(), self.has_lag());
         Some(HeatPath { column, is_second: false, has_lag })
     }
 
     fn sentence(&self, values: &[f64]) -> String {
-        let (um_per_c, column) = (values[values.len() - 1], &self.0.column);
+        let amplitude = values[values.len() - 1];
         let behind = if self.has_lag() {
             format!(", behind a time constant of {}", minutes(values[0]))
         } else {
             String::new()
         };
-        format!(
-            "Heat that the model does not know moves the tool: {um_per_c:+.3} µm for each kelvin of \
-             {column}{behind}."
-        )
+        let how = match self {
+            Self::OfTemperature(Heat { column, .. }) => {
+                format!("{amplitude:+.3} µm for each kelvin of {column}")
+            }
+            Self::OfSpeed(SpeedHeat { power: SpeedPower::First, .. }) => {
+                format!("{amplitude:+.3} µm for each 1000 r/min of the spindle")
+            }
+            Self::OfSpeed(SpeedHeat { power: SpeedPower::Second, .. }) => {
+                format!("{amplitude:+.3} µm for each (1000 r/min)² of the spindle")
+            }
+        };
+        format!("Heat that the model does not know moves the tool: {how}{behind}.")
     }
 
     fn next_test(&self) -> &'static str {
-        "Record a run at least three times as long as the slow time constant, with a cool-down, on \
-         another day: it must be predicted without a new fit."
+        match self {
+            Self::OfTemperature(_) => {
+                "Record a run at least three times as long as the slow time constant, with a \
+                 cool-down, on another day: it must be predicted without a new fit."
+            }
+            Self::OfSpeed(_) => {
+                "Record another day from cold: two speeds, each for three time constants, and a \
+                 cool-down after each: it must be predicted without a new fit."
+            }
+        }
     }
 
     fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
-        let um_per_c = Parameter::Fitted("um_per_c", values.len() - 1, 0.0);
+        let amplitude = Parameter::Fitted(self.amplitude_key(), values.len() - 1, 0.0);
         let time_constant = if self.has_lag() {
             Parameter::Fitted("time_constant_s", 0, 0.0)
         } else {
             Parameter::Fixed("time_constant_s", 0.0)
         };
-        vec![um_per_c, time_constant]
+        let mut all = vec![amplitude, time_constant];
+        if let Self::OfSpeed(heat) = self {
+            all.push(Parameter::Said("input", Value::Text(names(heat.power)[0].into())));
+        }
+        all
     }
 }
 
 impl Definition for ExtraHeatPath {
     const NAME: &'static str = "extra-heat-path";
 
-    fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        &["column", "um_per_c", "time_constant_s", "reference_c"]
+    fn keys(section: &Section<'_>) -> &'static [&'static str] {
+        match (is_of_speed(section), power_of(section)) {
+            (false, _) => &["column", "um_per_c", "time_constant_s", "reference_c"],
+            (_, SpeedPower::First) => &["column", "input", "um_per_krpm", "time_constant_s"],
+            (_, SpeedPower::Second) => &["column", "input", "um_per_krpm2", "time_constant_s"],
+        }
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        Ok(Self(Heat {
-            column: heat::column(section)?,
-            um_per_c: number(section, "um_per_c")?,
-            time_constant_s: section.not_negative("time_constant_s")?.unwrap_or(0.0),
-            reference_c: number(section, "reference_c")?,
+        let lag_s = section.not_negative("time_constant_s")?;
+        if !is_of_speed(section) {
+            return Ok(Self::OfTemperature(Heat {
+                column: heat::column(section)?,
+                um_per_c: number(section, "um_per_c")?,
+                time_constant_s: lag_s.unwrap_or(0.0),
+                reference_c: number(section, "reference_c")?,
+            }));
+        }
+        if section.required("column", section.text("column")?)? != SPEED {
+            return Err(section.bad("column", "must be \"spindle_rpm\" where the speed heats"));
+        }
+        let choices = POWERS.map(|(power, input, _)| (input, power));
+        let power = section.choice("input", &choices)?.unwrap_or(power_of(section));
+        Ok(Self::OfSpeed(SpeedHeat {
+            power,
+            um_per_unit: number(section, names(power)[1])?,
+            time_constant_s: section.required("time_constant_s", lag_s)?,
         }))
     }
 
     fn law(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
-        add(0, x[0] - self.0.reference_c);
+        add(0, match self {
+            Self::OfTemperature(heat) => x[0] - heat.reference_c,
+            Self::OfSpeed(_) => x[0],
+        });
     }
 
     fn from_board(_: Option<LinearAxis>, form: &OnBoard, _: &mut f64) -> Option<Self> {
         match form {
-            OnBoard::Heat(heat) => Some(Self(heat.clone())),
+            OnBoard::Heat(heat) => Some(Self::OfTemperature(heat.clone())),
+            OnBoard::SpeedHeat(heat) => Some(Self::OfSpeed(*heat)),
             _ => None,
         }
     }
 
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
         for (column, _) in heat::columns(survey).into_iter().filter(|(_, is_in_use)| !is_in_use) {
-            with(Self(heat::neutral(survey, column, false)), Settings::none());
-            let time_constants = survey.time_constants(TIME_CONSTANTS);
-            with(Self(heat::neutral(survey, column, true)), time_constants);
+            let of = |has_lag| Self::OfTemperature(heat::neutral(survey, column, has_lag));
+            with(of(false), Settings::none());
+            with(of(true), survey.time_constants(TIME_CONSTANTS));
+        }
+        // What comes at once is no heat.
+        if survey.varies(SPEED) && !survey.is_in_use(SPEED) {
+            for (power, ..) in POWERS {
+                let neutral = SpeedHeat { power, um_per_unit: 0.0, time_constant_s: 1.0 };
+                with(Self::OfSpeed(neutral), survey.time_constants(TIME_CONSTANTS));
+            }
         }
     }
 
     fn against(rival: &str) -> Option<&'static str> {
-        (rival == Self::NAME).then_some("Warm the two places one after the other, not together.")
+        (rival == Self::NAME).then_some(
+            "Warm the two places one after the other, not together; where one is the spindle's speed, \
+             warm the other one with the spindle at rest.",
+        )
     }
 }

@@ -1,6 +1,8 @@
 //! Parts of the forms that causes have on the board: an angle at a lever, heat behind a lag, a late
 //! thermometer.
 
+use trueup_core::term::SpeedPower;
+
 use crate::file::{axis::LinearAxis, straightness::BSpline};
 
 /// θ(P)·(L − L₀)/1000: what an axis that tilts does at a lever.
@@ -36,6 +38,27 @@ pub struct Heat {
     pub time_constant_s: f64,
     /// T_ref in °C.
     pub reference_c: f64,
+}
+
+/// c·lag_τ((n/1000)^power): what something adds that the spindle's speed heats, cold at the start.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SpeedHeat {
+    /// The power of n.
+    pub power: SpeedPower,
+    /// c, in µm at 1000 r/min.
+    pub um_per_unit: f64,
+    /// τ in s; 0: no lag.
+    pub time_constant_s: f64,
+}
+
+/// Returns how hard a spindle of this speed heats: (n/1000)^power.
+#[must_use]
+pub fn heating(power: SpeedPower, rpm: f64) -> f64 {
+    let krpm = rpm.abs() / 1000.0;
+    match power {
+        SpeedPower::First => krpm,
+        SpeedPower::Second => krpm * krpm,
+    }
 }
 
 /// How late a thermometer is.

@@ -38,14 +38,16 @@ mod wave;
 use std::ops::{Deref, DerefMut};
 
 pub use dependence::{Form, Times};
+pub use forms::heating;
 pub use law::Columns;
 pub use page::{
     Angle, Constants, Entry, Heat, HeatPath, Home, Host, Input, Late, LateForm, Nonlinear, OnBoard,
-    Page, Parameter, Stage, Tilt, Value,
+    Page, Parameter, SpeedHeat, Stage, Tilt, Value,
 };
 pub use quantity::Quantity;
 pub use reference_instrument::Read;
 pub use survey::{Reading, Settings, Survey, spread};
+pub use trueup_core::term::SpeedPower;
 pub use wave::Wave;
 
 use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
@@ -242,7 +244,7 @@ impl Effect {
         let first = self.reads().first().copied()?;
         match first {
             Input::Temperature { column, .. } => Some(column.into()),
-            Input::Speed => Some("spindle_rpm".into()),
+            Input::Speed | Input::SpeedHeat { .. } => Some("spindle_rpm".into()),
             Input::Load => Some("load_n".into()),
             Input::Feed => Some(feed_dependent_backlash::FEED.into()),
             Input::Position(axis) => Some(format!("{}_mm", axis.name())),
@@ -266,6 +268,10 @@ impl Effect {
                     columns.extend((lag_s != 0.0).then(|| "time_s".into()));
                 }
                 Input::Speed => columns.push("spindle_rpm".into()),
+                Input::SpeedHeat { lag_s, .. } => {
+                    columns.push("spindle_rpm".into());
+                    columns.extend((lag_s != 0.0).then(|| "time_s".into()));
+                }
                 Input::Load => columns.push("load_n".into()),
                 Input::OwnPosition => columns.extend(quantity.axis().map(position)),
                 Input::Position(axis) => columns.push(position(axis)),

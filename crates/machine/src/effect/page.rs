@@ -11,6 +11,8 @@
 //! numbers beside it: first the [nonlinear](Page::nonlinear) ones (a time constant, a period), then
 //! amplitudes, which are 0 where there is no effect. [`Page::set`] puts the two together.
 
+use trueup_core::term::SpeedPower;
+
 use super::survey::{Settings, Survey};
 use crate::{
     file::read::Section,
@@ -22,7 +24,7 @@ use crate::{
     location::BadInput,
 };
 
-pub use super::forms::{Angle, Heat, Late, LateForm, Tilt};
+pub use super::forms::{Angle, Heat, Late, LateForm, SpeedHeat, Tilt};
 pub use super::quantity::Quantity;
 pub use crate::file::write::section::Value;
 
@@ -48,6 +50,13 @@ pub enum Input<'a> {
     },
     /// The spindle's speed, in r/min.
     Speed,
+    /// A power of the spindle's speed in 1000 r/min, behind a first-order lag that starts at 0.
+    SpeedHeat {
+        /// Which power.
+        power: SpeedPower,
+        /// The lag's time constant, in s; at least 0.
+        lag_s: f64,
+    },
     /// The axial cutting force, in N; positive where it pushes the tool back.
     Load,
     /// The feed at which the position was approached, in mm/min; missing where the run does not say.
@@ -171,6 +180,8 @@ pub enum OnBoard {
     Saturation(f64),
     /// + c·(lag_τ(T) − T_ref).
     Heat(Heat),
+    /// + c·lag_τ((n/1000)^power).
+    SpeedHeat(SpeedHeat),
     /// + a·(1 − e^(−(t − start)/τ)); 0 before the start.
     Time {
         /// a.

@@ -424,6 +424,8 @@ pub const TERM_KEYS: &[Key] = &[
     key("from", Number, "", "the value of the column above which it acts").as_in("35.0"),
     key("gain", Number, "", "the sensor's law times this").as_in("1.2"),
     key("harmonic", Form::NumberOrNumbers, "", "whole numbers from 1 to 1000").as_in("1"),
+    key("input", Choice(&["speed", "speed2"]), "", "the power of the speed by which it heats")
+        .as_in("\"speed2\""),
     key("knots_mm", Numbers, "mm", "knots of a curve").as_in("[0.0, 0.0, 100.0, 100.0]"),
     key("level_factor", Numbers, "", "times the growth, at each of `levels`").as_in("[0.0, 0.1]"),
     key("level_um", Numbers, "µm", "what is added at each of `levels`").as_in("[0.0, 5.0]"),
@@ -478,6 +480,7 @@ pub const TERM_KEYS: &[Key] = &[
         .as_in("20.0"),
     key("um_per_c", Number, "µm/K", "for one kelvin").as_in("1.0"),
     key("um_per_h", Number, "µm/h", "for one hour").as_in("0.5"),
+    key("um_per_krpm", Number, "µm", "for 1000 r/min").as_in("0.5"),
     key("um_per_krpm2", Number, "µm", "for (1000 r/min)²").as_in("0.01"),
     key("um_per_m", Number, "µm/m", "for one metre").as_in("3.0"),
     key("um_per_m_per_c", Number, "µm/(m·K)", "for one metre and kelvin").as_in("11.5"),

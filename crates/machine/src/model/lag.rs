@@ -46,6 +46,19 @@ impl Lag {
         self.step_either_way([lag_s; 2], time_s, value)
     }
 
+    /// Steps a lag that starts at 0 in place of its first value: what was cold before it was heated.
+    ///
+    /// ```
+    /// use trueup_machine::model::Lag;
+    /// let mut lag = Lag::default();
+    /// assert_eq!(lag.step_from_zero(100.0, 0.0, 9.0), 0.0);
+    /// assert!((lag.step_from_zero(100.0, 100.0, 9.0) - 5.689_085_03).abs() < 1e-8);
+    /// ```
+    pub fn step_from_zero(&mut self, lag_s: f64, time_s: f64, value: f64) -> f64 {
+        self.settled.get_or_insert(0.0);
+        self.step(lag_s, time_s, value)
+    }
+
     /// The same with two time constants, in s: while y rises, and while it falls.
     pub fn step_either_way(&mut self, rise_fall_s: [f64; 2], time_s: f64, value: f64) -> f64 {
         if rise_fall_s == [0.0; 2] {

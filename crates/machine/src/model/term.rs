@@ -10,7 +10,7 @@ use std::borrow::Cow;
 
 use super::{Lag, Situation};
 use crate::{
-    effect::{Constants, Input, Quantity, Stage},
+    effect::{Constants, Input, Quantity, Stage, heating},
     file::{LinearAxis, Machine, Term, in_order},
 };
 
@@ -104,6 +104,10 @@ fn changed(
             lag.step(lag_s, time_s, situation.temperature_c(column))
         }
         Input::Speed => situation.spindle_rpm.unwrap_or(f64::NAN),
+        Input::SpeedHeat { power, lag_s } => {
+            let rpm = situation.spindle_rpm.unwrap_or(f64::NAN);
+            lag.step_from_zero(lag_s, time_s, heating(power, rpm))
+        }
         Input::Load => situation.load_n.unwrap_or(f64::NAN),
         Input::Feed => situation.feed_mm_per_min,
         Input::OwnPosition => quantity.axis().map_or(f64::NAN, of),

@@ -188,6 +188,10 @@ impl<'b> BridgeRun<'b> {
         let spindle = self.calibration.spindle.temperature.map(|it| it.smoothing);
         let terms = self.calibration.terms.iter().map(|term| match term.as_ref()?.effect {
             term::Effect::Heat { smoothing, .. } => Some(smoothing),
+            // It starts cold, not settled.
+            term::Effect::SpeedHeat { smoothing: SmoothingFactor::NO_LAG, .. } => {
+                Some(SmoothingFactor::NO_LAG)
+            }
             _ => None,
         });
         let factors = (0..).zip(axes.chain([spindle])).chain((FIRST_TERM..).zip(terms));

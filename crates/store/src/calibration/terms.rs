@@ -9,7 +9,7 @@ use trueup_core::{
     gradient::Gradient,
     lag::SmoothingFactor,
     pitch::Pitch,
-    term::{Effect, Target, Term, Tilt},
+    term::{Effect, SpeedPower, Target, Term, Tilt},
     travel::Interval,
     units::{Fine, Position, Temperature},
 };
@@ -148,6 +148,11 @@ effects! {
     12 Wave { amplitude amplitude: Fine, phase phase: u32, turns turns: u64 }
     13 TiltLine { 0 tilt: Tilt<Gradient> }
     14 TiltCurve { 0 tilt: Tilt<Curve<'b>> }
+    15 SpeedHeat {
+        per_unit coefficient: Scaled,
+        smoothing smoothing: SmoothingFactor,
+        power power: SpeedPower
+    }
 }
 
 /// A coefficient of a term: its binary places stand in the head.
@@ -193,6 +198,27 @@ impl<'b> Field<'b> for u8 {
             from.refuse(BlobError::Value { offset: from.term, found: channel.into() });
         }
         channel
+    }
+}
+
+/// The power of the speed stands in the head: 1 or 2.
+impl<'b> Field<'b> for SpeedPower {
+    const SIZE: usize = 0;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        let exponent = match self {
+            Self::First => 1,
+            Self::Second => 2,
+        };
+        to.term_byte(INPUT, exponent);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Self {
+        match from.term_byte(INPUT) {
+            1 => Self::First,
+            2 => Self::Second,
+            found => from.refuse_value(from.term, found).unwrap_or(Self::First),
+        }
     }
 }
 

@@ -25,7 +25,7 @@ use trueup_core::{
     limits::Limits,
     pitch::{Beam, Pitch},
     sensor::{SensorLaw, Slope},
-    term::{Effect, Target, Term, Tilt},
+    term::{Effect, SpeedPower, Target, Term, Tilt},
     thermal::{Law, Piece},
     thermometer::Thermometer,
     tool::Direction,
@@ -206,7 +206,7 @@ fn a_calibration_comes_back_whole_with_its_tables_in_place() {
 }
 
 #[test]
-fn a_tilt_comes_back_and_one_without_a_meaning_is_refused() {
+fn a_tilt_and_heat_by_the_speed_come_back_and_what_is_without_a_meaning_is_refused() {
     let blob = with_sample(|mut calibration| {
         let curve = calibration.straightness[0];
         let (along, lever, origin) = (LinearAxis::X, LinearAxis::Z, Position(-77_777));
@@ -216,7 +216,11 @@ fn a_tilt_comes_back_and_one_without_a_meaning_is_refused() {
         let target = Target::Axis(LinearAxis::Y);
         let term = |effect| Some(Term { target, constant: Fine(-6), effect });
         calibration.terms = Default::default();
-        (calibration.terms[0], calibration.terms[1]) = (term(line), term(curve));
+        let (smoothing, per_unit) = (SmoothingFactor(23), Scaled { mantissa: -7, shift: 11 });
+        let power = SpeedPower::Second;
+        let heat = Effect::SpeedHeat { power, smoothing, per_unit };
+        let terms = [line, curve, heat].map(term);
+        calibration.terms.iter_mut().zip(terms).for_each(|(place, term)| *place = term);
         let mut bytes = [0; MAX_SIZE];
         let blob = encode(&calibration, &mut bytes).expect("it is small").to_vec();
         assert_eq!(decode(&blob), Ok(calibration));
@@ -226,7 +230,10 @@ fn a_tilt_comes_back_and_one_without_a_meaning_is_refused() {
     // Kind, target, axes, and the bucket shift of the curve.
     assert_eq!(blob[terms..terms + 4], [13, 2, 0x20, 0]);
     assert_eq!(blob[terms + 24..terms + 28], [14, 2, 0x02, 15]);
-    for (at, byte) in [(2, 0x30), (2, 0x03), (24 + 2, 0x03), (24 + 3, 1), (24 + 18, 99)] {
+    assert_eq!(blob[terms + 48..terms + 52], [15, 2, 2, 11]);
+    let of_heat = [(48, 16), (48 + 2, 0), (48 + 2, 3), (48 + 3, 63)];
+    let of_tilts = [(2, 0x30), (2, 0x03), (24 + 2, 0x03), (24 + 3, 1), (24 + 18, 99)];
+    for (at, byte) in of_tilts.into_iter().chain(of_heat) {
         let mut bad = blob.clone();
         bad[terms + at] = byte;
         let bad = mended(bad);

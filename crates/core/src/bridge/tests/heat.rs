@@ -326,3 +326,57 @@ fn a_term_over_time_is_kept_over_a_reset() {
     let after = x_nm(&live(&mut rig, 200, 21, 21));
     assert!((after - before).abs() <= 50 && before < -4_000, "{before}, then {after}");
 }
+
+/// Heat by the speed alone, 40 s: known from the start, kept over a reset, cooled over a power cut, and not known
+/// without what was kept.
+#[test]
+fn heat_by_the_speed_is_kept_over_a_reset_and_cools_while_the_power_is_gone() {
+    use crate::{cnc::Spindle, fixed::Scaled, term::SpeedPower};
+    let mut machine = by_term(expanding(), SmoothingFactor::NO_LAG);
+    machine.axes[0].thermal = None;
+    machine.thermometers[5] = machine.thermometers[3];
+    let term = machine.terms[0].as_mut().expect("it has one");
+    // 10 µm at 10 000 r/min.
+    let per_unit = Scaled { mantissa: 3_435_974, shift: 26 };
+    let (power, smoothing) = (SpeedPower::Second, SmoothingFactor(10_724_000));
+    term.constant = Fine::ZERO;
+    term.effect = Effect::SpeedHeat { power, smoothing, per_unit };
+    let run = |rig: &mut Rig, rpm: u16, ms: u32| {
+        let mut last = None;
+        for _ in 0..ms {
+            let spindle = Spindle { speed: Rpm(rpm), load_n: 0 };
+            rig.bridge.hear(&mut rig.state, Command::Spindle(spindle));
+            last = Some(live(rig, 1, 21, 21));
+        }
+        last.expect("it ran")
+    };
+    let largest_nm = 1e4;
+    let near = |output: &Output, share: f64| {
+        let got = f64::from(x_nm(output));
+        assert_eq!(output.quality, Quality::Live);
+        assert!((got + share * largest_nm).abs() < 0.005 * largest_nm, "{got} nm, {share}");
+    };
+    let mut rig = Rig::new(machine);
+    run(&mut rig, 10_000, 20_000);
+    let warm = 1.0 - (-0.5_f64).exp();
+    near(&run(&mut rig, 10_000, 200), warm + 0.003);
+    let memory = rig.bridge.heat_memory(&rig.state);
+    // A reset; 40 s without power.
+    for (steps, share) in [(0, warm), (400, warm * (-1.0_f64).exp())] {
+        let mut rig = Rig::new(machine);
+        rig.bridge.resume_heat(&mut rig.state, &memory, steps);
+        assert!(!rig.state.heat_is_unknown());
+        near(&run(&mut rig, 0, 200), share);
+    }
+    // Nor is it followed once nobody says how fast the spindle turns.
+    assert_ne!(live(&mut rig, 2_000, 21, 21).quality, Quality::Live);
+    let mut rig = Rig::new(machine);
+    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
+    assert!(rig.state.heat_is_unknown());
+    // Another power is another heat.
+    let term = machine.terms[0].as_mut().expect("it has one");
+    term.effect = Effect::SpeedHeat { power: SpeedPower::First, smoothing, per_unit };
+    let mut rig = Rig::new(machine);
+    rig.bridge.resume_heat(&mut rig.state, &memory, 0);
+    assert!(rig.state.heat_is_unknown());
+}

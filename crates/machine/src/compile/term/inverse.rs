@@ -13,7 +13,7 @@ use trueup_core::{
 use super::{LEVER_M, PARTS_OF_N, TWO_24, scaled};
 use crate::{
     compile::{curve, inputs::column, lag, pitch, squareness::linear_inverse},
-    effect::{self, Angle, CoolingAsymmetry, Heat, OnBoard, Quantity},
+    effect::{self, Angle, CoolingAsymmetry, Heat, OnBoard, Quantity, SpeedHeat, heating},
     file,
     stored::{
         FINE_PER_UM, GRADIENT_PER_UM_PER_M, PER_KELVIN, UNITS_PER_MM, fewest_decimals, written,
@@ -66,6 +66,11 @@ fn term(term: &Term<'_>) -> Option<file::Term> {
             um_per_c: number(*per_temperature, FINE_PER_UM / PER_KELVIN),
             time_constant_s: lag::written_time_constant_s(*smoothing),
             reference_c: written(reference.0, PER_KELVIN),
+        }),
+        Effect::SpeedHeat { power, smoothing, per_unit } => OnBoard::SpeedHeat(SpeedHeat {
+            power: *power,
+            um_per_unit: number(*per_unit, FINE_PER_UM * heating(*power, 1.0) / power.units()),
+            time_constant_s: lag::written_time_constant_s(*smoothing),
         }),
         Effect::Time { smoothing, amplitude } => OnBoard::Time {
             amplitude_um: number(*amplitude, FINE_PER_UM / f64::from(UNIT_STEP)),
