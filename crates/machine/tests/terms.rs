@@ -1,5 +1,7 @@
 //! `[[term]]`: read, applied to the prediction, written back. Each cause's formula by hand.
 
+#[path = "terms/by_speed.rs"]
+mod by_speed;
 #[path = "terms/dependence.rs"]
 mod dependence;
 #[path = "terms/feed.rs"]
@@ -145,64 +147,6 @@ fn heat_beside_the_models_own() {
     let keys = "cause = \"slow-mode\"\namplitude_um = 8.0\ntime_constant_s = 50.0\nstart_s = 50.0";
     let timed = predicted(TEMPERATURE, &term("elongation", keys), Quantity::Elongation, csv);
     assert_near(&timed, &[0.0, 20.0 + 8.0 * (1.0 - e)]);
-}
-
-const BY_SPEED: &str = "column = \"spindle_rpm\"\ninput = \"speed\"\num_per_krpm = 0.7\n\
-                        time_constant_s = 1630.0";
-const BY_SQUARE: &str = "column = \"spindle_rpm\"\ninput = \"speed2\"\num_per_krpm2 = -0.04\n\
-                         time_constant_s = 900.0";
-
-/// From cold, at 4000 r/min the other way round, at rest, and started anew where time runs back. A row without a
-/// speed is passed over.
-#[test]
-fn the_speed_heats_an_axis_from_cold_by_itself_or_its_square() {
-    let csv =
-        "run,time_s,spindle_rpm\n1,50,-4000\n1,150,-4000\n1,200,\n1,250,0\n2,0,8000\n2,100,8000\n";
-    let e = (-1.0_f64).exp();
-    for (input, key, heating) in
-        [("speed", "um_per_krpm", [4.0, 8.0]), ("speed2", "um_per_krpm2", [16.0, 64.0])]
-    {
-        let [slow, fast] = heating.map(|heating| -3.0 * heating * (1.0 - e));
-        let wanted = [0.0, slow, slow * e, 0.0, fast];
-        let near = |mut got: Vec<f64>| {
-            assert!(got.remove(2).is_nan());
-            assert_near(&got, &wanted);
-        };
-        for input in [format!("input = \"{input}\"\n"), String::new()] {
-            let keys = format!(
-                "cause = \"extra-heat-path\"\ncolumn = \"spindle_rpm\"\n{input}{key} = -3.0\n\
-                 time_constant_s = 100.0"
-            );
-            for quantity in [Quantity::Dx, Quantity::Dy, Quantity::Dz] {
-                near(predicted("", &term(quantity.name(), &keys), quantity, csv));
-            }
-            let grown = term("elongation", &keys);
-            let csv = csv.replace('\n', ",0\n").replacen(",0", ",sensor_counts", 1);
-            near(predicted(SENSOR, &grown, Quantity::Elongation, &csv));
-        }
-    }
-}
-
-#[test]
-fn a_term_by_the_speed_says_what_it_lacks() {
-    let refused = |keys: &str| {
-        let text = term("dx", &format!("cause = \"extra-heat-path\"\n{keys}"));
-        let text = format!("[machine]\nname = \"m\"\nkind = \"3-axis\"\n{text}");
-        MachineFile::parse(&text, Path::new("m.toml")).expect_err(keys).to_string()
-    };
-    for (keys, said) in [
-        ("column = \"spindle_rpm\"\num_per_krpm2 = 1.0\n", "time_constant_s"),
-        ("column = \"spindle_rpm\"\ninput = \"speed\"\ntime_constant_s = 9.0\n", "um_per_krpm"),
-        ("column = \"temp_a_c\"\num_per_krpm = 1.0\ntime_constant_s = 9.0\n", "spindle_rpm"),
-        ("column = \"spindle_rpm\"\num_per_c = 1.0\nreference_c = 9.0\n", "um_per_c"),
-        (
-            "column = \"spindle_rpm\"\ninput = \"speed\"\num_per_krpm2 = 1.0\ntime_constant_s = 9.0\n",
-            "um_per_krpm2",
-        ),
-    ] {
-        let message = refused(keys);
-        assert!(message.contains(said), "{message}");
-    }
 }
 
 #[test]
@@ -400,8 +344,8 @@ fn one_of_each() -> Vec<(&'static str, String)> {
         (SENSOR, "elongation", "slow-mode", "amplitude_um = 3.0\ntime_constant_s = 900.0"),
         (TEMPERATURE, "elongation", "slow-mode", path),
         (TEMPERATURE, "elongation", "extra-heat-path", path),
-        (AXIS, "dx", "extra-heat-path", BY_SPEED),
-        (SENSOR, "elongation", "extra-heat-path", BY_SQUARE),
+        (AXIS, "dx", "extra-heat-path", by_speed::LINEAR),
+        (SENSOR, "elongation", "extra-heat-path", by_speed::SQUARE),
         (TEMPERATURE, "elongation", "growth-amplitude", "scale = 1.1"),
         (WARMUP, "elongation", "growth-rate", "time_constant_s = 90.0"),
         (WARMUP, "elongation", "cooling-asymmetry", "time_constant_s = 90.0"),

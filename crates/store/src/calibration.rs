@@ -50,6 +50,7 @@
 //! | 12 wave | `i32` amplitude, `u32` phase, `u64` turns |
 //! | 13 tilt | `i32` zero of the lever, `i32` gradient |
 //! | 14 tilt by a curve | `i32` zero of the lever; segments, index, `i32` first knot as of a curve |
+//! | 15 heat by the speed | `i32` coefficient, `u32` smoothing factor; in the place of a channel the power of the speed, 1 or 2 |
 //!
 //! A tilt has two axes: the one that tilts, and 16 times the one of the lever. The bucket shift of its
 //! curve stands where a coefficient has its binary places. Its angle is an error at a lever of 2²⁷·10 nm.
