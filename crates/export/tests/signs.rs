@@ -241,7 +241,9 @@ fn what_a_diagnosis_has_added_along_and_across_an_axis_is_exported_with_it() {
                   [[term]]\ncause = \"extra-heat-path\"\nquantity = \"dy\"\ncolumn = \"temp_room_c\"\n\
                   um_per_c = 1.0\ntime_constant_s = 60.0\nreference_c = 20.0\n\
                   [[term]]\ncause = \"axis-expansion\"\nquantity = \"dy\"\ncolumn = \"temp_screw_c\"\n\
-                  um_per_m_per_c = 11.0\nreference_c = 20.0\n";
+                  um_per_m_per_c = 11.0\nreference_c = 20.0\n\
+                  [[term]]\ncause = \"extra-heat-path\"\nquantity = \"dx\"\ncolumn = \"spindle_rpm\"\n\
+                  um_per_krpm2 = 0.1\ntime_constant_s = 60.0\n";
     let machine = MachineFile::parse(source, Path::new("extended.toml")).expect("it is correct");
     let mut options = Options::default();
     options.travel_mm[0] = Some((0.0, 1000.0));
@@ -259,6 +261,7 @@ fn what_a_diagnosis_has_added_along_and_across_an_axis_is_exported_with_it() {
             export.report.left_out.iter().map(|left| left.section.as_str()).collect();
         assert!(left.contains(&"term[3] (extra-heat-path)"), "{}", export.report);
         assert!(left.contains(&"term[4] (axis-expansion)"), "{}", export.report);
+        assert!(left.contains(&"term[5] (extra-heat-path)"), "{}", export.report);
         assert!(export.report.largest_um() < 1.0, "{}", export.report);
     }
     // Without the travel a scale cannot be a table, and that is said.
