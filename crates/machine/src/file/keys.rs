@@ -424,15 +424,13 @@ pub const TERM_KEYS: &[Key] = &[
     key("from", Number, "", "the value of the column above which it acts").as_in("35.0"),
     key("gain", Number, "", "the sensor's law times this").as_in("1.2"),
     key("harmonic", Form::NumberOrNumbers, "", "whole numbers from 1 to 1000").as_in("1"),
-    key("input", Choice(&["speed", "speed2"]), "", "the power of the speed by which it heats")
-        .as_in("\"speed2\""),
+    key("input", Choice(&["speed", "speed2"]), "", "the heating speed").as_in("\"speed2\""),
     key("knots_mm", Numbers, "mm", "knots of a curve").as_in("[0.0, 0.0, 100.0, 100.0]"),
     key("level_factor", Numbers, "", "times the growth, at each of `levels`").as_in("[0.0, 0.1]"),
     key("level_um", Numbers, "µm", "what is added at each of `levels`").as_in("[0.0, 5.0]"),
     key("level_um_per_krpm2", Numbers, "µm", "at each of `levels`, for (1000 r/min)²")
         .as_in("[0.0, 0.01]"),
-    key("level_um_per_m", Numbers, "µm/m", "at each of `levels`, for one metre")
-        .as_in("[0.0, 3.0]"),
+    key("level_um_per_m", Numbers, "µm/m", "at each of `levels`, a metre").as_in("[0.0, 3.0]"),
     key(
         "level_um_per_unit",
         Numbers,
