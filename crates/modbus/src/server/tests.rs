@@ -225,7 +225,7 @@ proptest! {
         if !bridge.taken.is_empty() {
             prop_assert!(pdu.starts_with(&[16, 0, 0, 0, 17, 34]) && pdu.len() == 40 && unit == 1);
         }
-        prop_assert!(unit != 0 || answers == [None, None]);
+        prop_assert!(unit != 0 || answers[1].is_none());
         let mut response = Response::new();
         for transport in [Transport::Tcp, Transport::Rtu] {
             answer(transport, 1, &rest, &mut bridge, &mut response);
