@@ -236,16 +236,13 @@ fn undo(args: &Learn, source: &str, known: &Path, memory: Option<Memory>) -> Res
 
 fn now(learned: &Learned) -> Vec<Now<'_>> {
     let memory = &learned.memory;
-    let shares = memory.applied[1..].iter().zip(&learned.half_widths);
+    let values = memory.values().into_iter().zip(&learned.half_widths);
     memory
         .constants
         .iter()
-        .zip(shares)
-        .map(|(Constant { key, believed, .. }, (share, half_width))| Now {
-            key,
-            file: *believed,
-            learned: believed * (1.0 + share),
-            half_width: *half_width,
+        .zip(values)
+        .filter_map(|(Constant { key, believed, .. }, (value, half_width))| {
+            Some(Now { key, file: *believed, learned: value?, half_width: *half_width })
         })
         .collect()
 }

@@ -15,9 +15,9 @@ use crate::{
 
 /// Watches whether a record still fits the machine file, and says which measurement to take where it does not.
 ///
-/// What is measured is held against the model; where nothing is, the displacement sensor against the model of
-/// temperature or of time that the file has beside it. What scatter is usual is taken from a record of the time
-/// when the calibration was right.
+/// What is measured is compared with the model; where nothing is, the displacement sensor with the model of temperature or
+/// of time that the file has too, whichever of them is the source. The usual scatter is taken from a record of the time when
+/// the calibration was right. Bad readings raise no alarm, there or here: they are listed.
 ///
 /// Exit 3: the calibration no longer fits.
 #[derive(Args)]
@@ -25,7 +25,7 @@ pub struct Watch {
     /// The machine file that was right then.
     #[arg(long, value_name = "M.toml")]
     machine: PathBuf,
-    /// A record from when it was right: at least 200 rows.
+    /// A record from when it was right: at least 40 readings.
     #[arg(long, value_name = "THEN.csv")]
     calibrated: PathBuf,
     /// The record to look at.
@@ -65,6 +65,10 @@ fn print(found: &Trust) -> Result<()> {
             ))?;
             output::print(format_args!("  {}", alarm.next))?;
         }
+    }
+    if !found.outliers.is_empty() {
+        let rows: Vec<String> = found.outliers.iter().map(ToString::to_string).collect();
+        output::print(format_args!("  excluded as outliers: rows {}", rows.join(", ")))?;
     }
     output::print(format_args!(
         "  {} rows; usual scatter {:.2} µm; a false alarm once in {:.0} hours",

@@ -97,8 +97,8 @@ impl Bank {
         self.learned.lasting()
     }
 
-    /// Returns the scatter of a reading about its prediction, in µm, by the filter that counts most.
-    pub fn scatter_um(&self) -> f64 {
+    /// Returns the scatter of a reading about its prediction, in µm, and its upper end, by the filter that counts most.
+    pub fn scatter_um(&self) -> [f64; 2] {
         self.learned.filters[self.learned.first()].scatter_um()
     }
 

@@ -33,6 +33,12 @@ pub struct Constant {
 }
 
 impl Constant {
+    /// Returns true for the temperature at which an axis has no error: it moves only with the thermometer, so it is held until
+    /// that has moved.
+    pub(crate) fn is_reference(&self) -> bool {
+        self.key.ends_with(".reference_c")
+    }
+
     /// Returns true if both are the same constant, whatever its number or value is.
     pub(crate) fn is(&self, other: &Self) -> bool {
         if self.term.is_empty() || other.term.is_empty() {
@@ -79,6 +85,9 @@ pub(crate) fn constants(machine: &Machine, quantity: Quantity) -> Vec<Constant> 
             if thermal.mode.has_position() {
                 let slope = thermal.slope_um_per_m_per_c;
                 add(format!("axis.{name}.thermal.slope_um_per_m_per_c"), slope);
+                if slope != 0.0 {
+                    add(format!("axis.{name}.thermal.reference_c"), thermal.reference_c);
+                }
             }
         }
         if let Some(backlash) = &model.backlash {

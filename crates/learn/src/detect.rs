@@ -11,7 +11,7 @@
 //! ```
 //!
 //! The likelihood of a bad reading bounds the evidence of any single one (6.6 of the 13.8 that are needed, at 2 µm), so
-//! three that agree are the least. An event is reported from a size of [`MATERIAL`] times the scatter and [`MATERIAL_UM`] on, and of
+//! three that agree are the least. An event is reported from a size of [`MATERIAL`] times the scatter on, and of
 //! [`KNOWN`] times the uncertainty of the prediction: what was never known has not changed.
 //!
 //! Two alternatives are distinguished by these readings where the best explanation by one differs from the best by
@@ -23,16 +23,25 @@ use trueup_numerics::robust::median;
 /// instants and alternatives, of which the bounds on size take back more than the search gives.
 const CERTAIN: f64 = 13.8;
 /// And below which an event that was certain is taken back: a thousand to one.
-const DOUBTFUL: f64 = 6.9;
+pub(crate) const DOUBTFUL: f64 = 6.9;
 /// Share of bad readings, and the range in µm over which they lie.
 const BAD: f64 = 0.05;
 const RANGE_UM: f64 = 200.0;
-/// The smallest event, RMS over the readings after it, in scatters of a reading.
+/// The smallest event, RMS over the readings after it, in scatters of a reading: what is smaller is followed as it ages.
 const MATERIAL: f64 = 3.0;
-/// And in µm: any tool setter keeps 5 µm, and what ages over a weekend is no event.
+/// And in µm: any tool setter keeps 5 µm, and what a machine ages by over a weekend is no event however well a probe repeats (with
+/// multiples of the scatter alone two of sixty months that age fast are followed worse than by 3.5 µm).
 const MATERIAL_UM: f64 = 5.0;
-/// A step of the zero, in µm: one and a half standard deviations of what is believed of it before the first reading.
-pub(crate) const ZERO_UM: f64 = 7.5;
+/// The smallest step of the zero, in scatters, and in µm: one and a half standard deviations of what is believed of it before the
+/// first reading.
+const ZERO: f64 = 3.5;
+const ZERO_UM: f64 = 7.5;
+
+/// Returns the smallest step of the zero, in µm, for a scatter of a reading in µm.
+pub(crate) fn smallest_step_um(scatter_um: f64) -> f64 {
+    (ZERO * scatter_um).max(ZERO_UM)
+}
+
 /// And in standard deviations of the prediction.
 const KNOWN: f64 = 4.0;
 /// Readings after an event: no fewer than three that agree can say anything; a scatter needs more.
@@ -59,8 +68,10 @@ pub(crate) struct Row<'a> {
 pub(crate) struct Before {
     /// The zero in µm, the shares.
     pub x: Vec<f64>,
-    /// Scatter of a reading, in µm.
-    pub scatter_um: f64,
+    /// The constants that may change by themselves.
+    pub constants: Vec<usize>,
+    /// Scatter of a reading, in µm, and the upper end of what it may be.
+    pub scatter_um: [f64; 2],
     /// Standard deviation of the prediction at a row of sensitivities, in µm, by row from the instant on.
     pub unknown_um: Vec<f64>,
 }
@@ -94,6 +105,8 @@ pub(crate) struct Finding {
     pub others: Vec<Fitted>,
     /// All that were fitted.
     pub all: Vec<Fitted>,
+    /// Scatter of a reading before it, in µm.
+    pub scatter_um: f64,
 }
 
 /// Returns the best explanation of `rows`, which begin at an instant; `None` where nothing is certain.
@@ -106,10 +119,10 @@ pub(crate) fn explain(rows: &[Row<'_>], before: &Before, is_certain: bool) -> Op
     if !is_certain && most(&e, sigma) < CERTAIN {
         return None;
     }
-    let (constants, thermometers) = (rows[0].g.len() - 1, rows[0].h.len());
+    let thermometers = rows[0].h.len();
     let (mut all, mut fits) = (Vec::<(Fitted, Vec<f64>)>::new(), Vec::<Fitted>::new());
     let every = std::iter::once(Alternative::Zero)
-        .chain((0..constants).map(Alternative::Constant))
+        .chain(before.constants.iter().copied().map(Alternative::Constant))
         .chain((0..thermometers).map(Alternative::Thermometer));
     for alternative in every {
         let h: Vec<f64> = rows
@@ -123,8 +136,12 @@ pub(crate) fn explain(rows: &[Row<'_>], before: &Before, is_certain: bool) -> Op
         let Some(fitted) = fit(alternative, &e, &h, sigma) else { continue };
         fits.push(fitted);
         let effect = fitted.size.abs() * (h.iter().map(|h| h * h).sum::<f64>() / count).sqrt();
-        let least = (MATERIAL * before.scatter_um).max(KNOWN * unknown_um).max(MATERIAL_UM);
-        let least = if alternative == Alternative::Zero { least.max(ZERO_UM) } else { least };
+        let least = if alternative == Alternative::Zero {
+            smallest_step_um(before.scatter_um[0])
+        } else {
+            (MATERIAL * before.scatter_um[0]).max(MATERIAL_UM)
+        };
+        let least = least.max(KNOWN * unknown_um);
         if is_certain || effect >= least {
             all.push((fitted, h));
         }
@@ -143,10 +160,10 @@ pub(crate) fn explain(rows: &[Row<'_>], before: &Before, is_certain: bool) -> Op
         *index != best
             && !best_h.is_empty()
             && !h.is_empty()
-            && separation(best_fit, best_h, other, h, &e, sigma) < DISTINCT
+            && separation(best_fit, best_h, other, h, &e, before.scatter_um[0]) < DISTINCT
     });
     let others = others.map(|(_, (fitted, _))| *fitted).collect();
-    Some(Finding { best: *best_fit, others, all: fits })
+    Some(Finding { best: *best_fit, others, all: fits, scatter_um: before.scatter_um[0] })
 }
 
 /// Returns true if nothing has happened since an earlier instant than that of `rows`, whose belief `before` is.
@@ -171,7 +188,7 @@ fn left(rows: &[Row<'_>], before: &Before) -> Left {
     let unknown_um = (squares / rows.len() as f64).sqrt();
     let predicted = |row: &Row<'_>| row.g.iter().zip(&before.x).map(|(g, x)| g * x).sum::<f64>();
     let e = rows.iter().map(|row| row.y_um - predicted(row)).collect();
-    Left { e, unknown_um, sigma: before.scatter_um.hypot(unknown_um) }
+    Left { e, unknown_um, sigma: before.scatter_um[1].hypot(unknown_um) }
 }
 
 /// Returns what explains all of `e`: no alternative gains more.
@@ -284,7 +301,12 @@ mod tests {
             .enumerate()
             .map(|(n, g)| Row { g, h: &[], y_um: um(n, g[1]) + noise[n % 7] })
             .collect();
-        let before = Before { x: vec![0.0; 2], scatter_um: 1.0, unknown_um: vec![0.2; rows.len()] };
+        let before = Before {
+            x: vec![0.0; 2],
+            constants: vec![0],
+            scatter_um: [1.0; 2],
+            unknown_um: vec![0.2; rows.len()],
+        };
         explain(&rows, &before, false)
     }
 

@@ -128,15 +128,16 @@ impl Filter {
         (1.0 - BAD) * good + BAD / (2.0 * ANYTHING_UM)
     }
 
-    /// Returns the scatter of a reading about its prediction, in µm: its own noise and what wanders. It is the upper end of what
+    /// Returns the scatter of a reading about its prediction, in µm: its own noise and what wanders; and the upper end of what
     /// the readings so far allow: a median of n magnitudes is known to 1/√n.
-    pub fn scatter_um(&self) -> f64 {
+    pub fn scatter_um(&self) -> [f64; 2] {
         if self.taken.len() < ENOUGH {
-            return UNKNOWN_NOISE * self.noise_um;
+            return [self.noise_um, UNKNOWN_NOISE * self.noise_um];
         }
         let mut all: Vec<f64> = self.taken.iter().map(|it| it[0]).collect();
         let upper = 1.0 + 1.0 / (all.len() as f64).sqrt();
-        (1.4826 * median(&mut all) * upper).max(FINEST_UM)
+        let um = (1.4826 * median(&mut all)).max(FINEST_UM);
+        [um, um * upper]
     }
 
     /// Returns the standard deviation of what the values that last predict at `g`, in µm.
@@ -154,7 +155,11 @@ impl Filter {
             self.p[other * n + index] = 0.0;
         }
         self.x[index] += by;
-        self.p[index * n + index] = self.prior[index].min(deviation * deviation);
+        let variance = deviation * deviation;
+        if self.prior[index] == 0.0 {
+            self.prior[index] = variance;
+        }
+        self.p[index * n + index] = self.prior[index].min(variance);
         self.last.clear();
     }
 
@@ -196,7 +201,8 @@ impl Filter {
         }
         for i in 0..wander {
             let too_wide = self.p[i * n + i] / self.prior[i];
-            if too_wide > 1.0 {
+            // What is held (prior 0) does not widen.
+            if self.prior[i] > 0.0 && too_wide > 1.0 {
                 for j in 0..n {
                     self.p[i * n + j] /= too_wide.sqrt();
                     self.p[j * n + i] /= too_wide.sqrt();

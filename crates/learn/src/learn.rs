@@ -12,19 +12,21 @@ use trueup_machine::{
 use crate::{
     bank::ENOUGH,
     checks,
-    constants::{self, Constant, Sensitivity},
+    constants::{self, Sensitivity},
     event::Event,
     filter::Fate,
     limits::{Limits, times},
-    memory::{Change, Kept, Memory, Owner, digits as hash_digits},
+    memory::{Change, Kept, Memory, digits as hash_digits},
     readings::{self, FIRST_DAY_S, Reading},
     reconcile::reconciled,
-    replay::Believed,
+    replay::{self, Believed},
     watch::watch,
+    wear,
+    written::{figures, written},
 };
 
 /// A constant that has moved by less than this share of itself is written as it was.
-const SAME: f64 = 1e-3;
+pub(crate) const SAME: f64 = 1e-3;
 /// A change of a constant by this share, from readings of an engaged bridge alone, may as well be a CNC that applies the
 /// offsets by half, twice, not at all or with the wrong sign: these look like changes by 0.5, −1, 1 and 2.
 const AS_A_CNC: f64 = 0.4;
@@ -267,7 +269,7 @@ struct Learner<'a> {
 impl Learner<'_> {
     /// Takes a check of the probe.
     fn check(&mut self, time_s: Option<f64>, um: f64) {
-        checks::add(&mut self.memory, time_s, um, self.believed.bank.scatter_um());
+        checks::add(&mut self.memory, time_s, um, self.believed.bank.scatter_um()[0]);
         self.believed = Believed::of(&self.memory);
     }
 
@@ -304,6 +306,7 @@ impl Learner<'_> {
             y: short(&(um - file_um)),
             g: g.iter().map(short).collect(),
             h: h.iter().map(short).collect(),
+            worn: Vec::new(),
         };
         let g = &kept.g.clone();
         taken.foreseen_um = Some(file_um + times(g, &memory.applied));
@@ -312,7 +315,10 @@ impl Learner<'_> {
         memory.first_s = memory.first_s.or(reading.time_s);
         memory.last_s = reading.time_s.or(memory.last_s);
         memory.window.push(kept);
-        match self.believed.advance(memory, memory.window.len() - 1) {
+        let (lasting, [scatter_um, _]) =
+            (self.believed.bank.lasting(), self.believed.bank.scatter_um());
+        let last = memory.window.len() - 1;
+        match self.believed.advance(memory, last) {
             Fate::Taken => taken.used = true,
             Fate::Refused { off_um, deviations } => {
                 taken.reason = Some(format!(
@@ -328,7 +334,14 @@ impl Learner<'_> {
                 );
             }
         }
+        if taken.used {
+            let missed_um =
+                replay::level(memory, &memory.window[last], sequence, None) - times(g, &lasting);
+            let said = wear::said(&memory.constants, g, &lasting, missed_um, scatter_um);
+            memory.window[last].worn = said.iter().map(short).collect();
+        }
         watch(memory, &mut self.believed);
+        wear::watch(memory, &self.believed);
         let wanted = self.believed.bank.believed().unwrap_or_else(|| vec![0.0; g.len()]);
         self.look(reading.row);
         let rows = self.extremes.iter().map(|row| &self.sensitivity.um[*row]);
@@ -406,50 +419,6 @@ fn sentence(believed: &Believed) -> String {
     }
 }
 
-/// Returns the numbers of the machine file with what is applied: of the zero, of each constant.
-fn figures(memory: &Memory, machine: &Machine, quantity: Quantity) -> Vec<f64> {
-    let zero = match constants::zero(machine, quantity) {
-        Some((_, from, per_um)) if memory.applied[0].abs() > 0.01 => {
-            // A growth of k·(1 + x) moves its reference by as much less.
-            let grown = memory.constants.iter().position(|it| it.key.ends_with("k_um_per_c"));
-            let grown = grown.map_or(1.0, |index| 1.0 + memory.applied[index + 1]);
-            let per_um = if per_um < 0.0 { per_um / grown } else { per_um };
-            digits(from + per_um * memory.applied[0])
-        }
-        Some((_, from, _)) => from,
-        None => 0.0,
-    };
-    let shares = memory.constants.iter().zip(&memory.applied[1..]);
-    let constants =
-        shares.map(
-            |(Constant { believed, .. }, share)| {
-                if share.abs() > SAME { digits(believed * (1.0 + share)) } else { *believed }
-            },
-        );
-    std::iter::once(zero).chain(constants).collect()
-}
-
-/// Returns the user's file with what is applied.
-fn written(source: &str, machine: &Machine, quantity: Quantity, memory: &Memory) -> Option<String> {
-    let all = figures(memory, machine, quantity);
-    let constants = memory.constants.iter().zip(&all[1..]);
-    let mut changed: Vec<(String, f64)> = constants
-        .filter(|(constant, value)| constant.believed != **value)
-        .map(|(constant, value)| (constant.key.clone(), *value))
-        .collect();
-    if let Some((key, from, _)) = constants::zero(machine, quantity)
-        && all[0] != from
-    {
-        changed.push((key.into(), all[0]));
-    }
-    constants::with(source, &changed)
-}
-
-/// Six digits: a hundredth of what any of them is known to.
-fn digits(number: f64) -> f64 {
-    format!("{number:.5e}").parse().unwrap_or(number)
-}
-
 /// Lists the change that a reading made; those of one day are one.
 fn list(
     memory: &mut Memory,
@@ -480,19 +449,5 @@ fn list(
     if !values.is_empty() {
         let before = today.and_then(|change| change.before).or(Some(before));
         memory.list(Change { at, values, is_undo: false, before });
-    }
-}
-
-impl Memory {
-    /// Returns the user's own machine file `source` with what is applied; `None` where it is another machine's, or its
-    /// constants are others.
-    #[must_use]
-    pub fn applied_to(&self, source: &str, path: &std::path::Path) -> Option<String> {
-        let machine = MachineFile::parse(source, path).ok()?;
-        let quantity = constants::named(&self.quantity)?;
-        let owner = Owner::of(&machine);
-        let is_same =
-            self.machine.is(&owner) && constants::constants(&machine, quantity) == self.constants;
-        is_same.then(|| written(source, &machine, quantity, self))?
     }
 }

@@ -41,6 +41,8 @@ mod reconcile;
 mod replay;
 pub mod trust;
 mod watch;
+mod wear;
+mod written;
 
 pub use constants::Constant;
 pub use event::{Event, EventKind, clock};

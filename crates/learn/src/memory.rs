@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use trueup_machine::Machine;
 
-use crate::{bank::Bank, constants::Constant, event::Event};
+use crate::{bank::Bank, constants::Constant, event::Event, wear::Sums};
 
 /// Readings that are known by their hash: a year at thirty a day, 8 bytes each.
 const SEEN: usize = 12_000;
@@ -74,6 +74,9 @@ pub(crate) struct Kept {
     pub g: Vec<f64>,
     /// Effect of each thermometer per unit share, in µm.
     pub h: Vec<f64>,
+    /// What it says of each backlash, in µm; empty where it was refused.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub worn: Vec<f64>,
 }
 
 /// The state of a learner. It is written as JSON.
@@ -105,8 +108,9 @@ pub struct Memory {
     pub changes: Vec<Change>,
     /// Checks of the probe: the clock in s, and the reading of a certified reference less its value at 20 °C, in µm.
     pub(crate) checks: Vec<[f64; 2]>,
-    /// The share of each constant and its standard deviation when it was first known: wear counts from there.
-    pub(crate) baselines: Vec<Option<[f64; 2]>>,
+    /// Of each backlash what the readings before the window say of its growth.
+    #[serde(default)]
+    pub(crate) worn: Vec<Sums>,
     /// The temperature columns of `h`.
     pub(crate) thermometers: Vec<String>,
     /// The filters before the window.
@@ -167,7 +171,6 @@ impl Memory {
         let values = memory.constants.len() + 1;
         let is_whole = memory.applied.len() == values
             && memory.proven.as_ref().is_none_or(|it| it.len() == values)
-            && memory.baselines.len() == values - 1
             && memory.checkpoint.is_whole(values)
             && memory.seen.is_ascii()
             && memory.seen_before.is_ascii()
@@ -302,7 +305,7 @@ fn read_older(text: &str) -> Result<Memory, String> {
         events: Vec::new(),
         changes: Vec::new(),
         checks: Vec::new(),
-        baselines: vec![None; old.constants.len()],
+        worn: Vec::new(),
         thermometers: Vec::new(),
         constants: old.constants,
         checkpoint: old.bank,

@@ -25,7 +25,11 @@ const NOISE_UM: f64 = 1.0;
 
 /// Returns the standard deviations before the first reading: of the zero in µm, of the share of each constant.
 fn prior(constants: &[Constant]) -> Vec<f64> {
-    let share = |it: &Constant| if it.key.ends_with("width_um") { BACKLASH_SHARE } else { SHARE };
+    let share = |it: &Constant| match it {
+        it if it.is_reference() => 0.0,
+        it if it.key.ends_with("width_um") => BACKLASH_SHARE,
+        _ => SHARE,
+    };
     std::iter::once(ZERO_UM).chain(constants.iter().map(share)).collect()
 }
 
@@ -99,7 +103,7 @@ fn empty(
         events: Vec::new(),
         changes: Vec::new(),
         checks: Vec::new(),
-        baselines: vec![None; constants.len()],
+        worn: Vec::new(),
         thermometers: Vec::new(),
         checkpoint: Bank::new(&prior(&constants), noise_um),
         checkpoint_s: None,
@@ -168,8 +172,8 @@ fn restart(
         let applied = from.iter().map(|it| it.map_or(0.0, |it| memory.applied[it]));
         memory.applied = applied.collect();
         memory.proven = None;
-        memory.baselines =
-            from[1..].iter().map(|it| it.and_then(|it| memory.baselines[it - 1])).collect();
+        // A width that was changed by hand wears from there on; with it the others.
+        memory.worn.clear();
         for event in &mut memory.events {
             event.is_open = false;
             if matches!(event.action, Action::Shift(_)) {

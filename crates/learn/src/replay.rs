@@ -6,7 +6,7 @@ use crate::{
     event::Action,
     filter::Fate,
     memory::{Kept, Memory},
-    readings,
+    readings, wear,
 };
 
 /// Readings that are kept as they were read: at two a day five months.
@@ -71,6 +71,7 @@ impl Believed {
             step(memory, 0, &mut checkpoint);
             memory.checkpoint = checkpoint;
             memory.checkpoint_s = memory.window[0].t.or(memory.checkpoint_s);
+            wear::leave(memory);
             memory.window.remove(0);
             memory.first += 1;
         }
@@ -119,8 +120,12 @@ fn seen<'a>(
             Row { g: &kept.g, h: &kept.h, y_um: level(memory, kept, sequence, own) }
         })
         .collect();
+    let constants = memory.constants.iter().enumerate();
+    let constants =
+        constants.filter(|(_, it)| !it.is_reference()).map(|(index, _)| index).collect();
     let before = Before {
         x: bank.lasting(),
+        constants,
         scatter_um: bank.scatter_um(),
         unknown_um: kept.iter().map(|kept| bank.unknown_um(&kept.g)).collect(),
     };
@@ -145,7 +150,7 @@ fn step(memory: &Memory, index: usize, bank: &mut Bank) -> Fate {
 
 /// Returns a reading less the prediction of the user's file, counted from the zero of its time and by the checks of the
 /// probe; without the event that begins at `own`.
-fn level(memory: &Memory, kept: &Kept, sequence: u64, own: Option<u64>) -> f64 {
+pub(crate) fn level(memory: &Memory, kept: &Kept, sequence: u64, own: Option<u64>) -> f64 {
     let steps =
         memory.events.iter().filter(|it| it.sequence <= sequence && Some(it.sequence) != own);
     let zero: f64 = steps.map(|it| if let Action::Zero(um) = it.action { um } else { 0.0 }).sum();

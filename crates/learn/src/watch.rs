@@ -6,7 +6,7 @@
 //! estimate is done anew from its first reading on whenever that changes.
 
 use crate::{
-    detect::{Alternative, Finding, Fitted, ZERO_UM},
+    detect::{Alternative, DOUBTFUL, Finding, Fitted, smallest_step_um},
     event::{Action, Event, EventKind, digits},
     memory::Memory,
     replay::Believed,
@@ -18,9 +18,8 @@ const BACK: usize = 24;
 const FEWEST: usize = 3;
 /// Readings from which on constants are known better than before the first: ten for each of four.
 const SETTLED: u64 = 40;
-/// A step that the readings do not name acts from this size on, in µm: a smaller one is within what is believed of a zero before
-/// the first reading, twice its standard deviation, and the estimate follows it.
-const STEP_UM: f64 = 10.0;
+/// A step that the readings do not name acts from so many times the smallest one on: the estimate follows a smaller one.
+const UNNAMED: f64 = 4.0 / 3.0;
 /// Readings after an event from which on its name and size stay: named, and in any case (more than ten shifts of two).
 const NAMED: usize = 12;
 const OPEN: usize = 24;
@@ -31,12 +30,9 @@ const SIMPLER: f64 = 3.0;
 const OTHERS: f64 = 0.25;
 /// A zero of which nothing is known, in µm: the filters hold it to what they believe before the first reading.
 const ANYWHERE_UM: f64 = 100.0;
-/// A constant is known from so many readings on: from there wear counts.
-const KNOWN: usize = 60;
-/// Standard errors by which a backlash has grown when wear is certain: once in 10⁶ by chance.
-const WORN: f64 = 5.0;
-/// Two standard deviations within which the file's own backlash is where wear counts from.
-const AGREES: f64 = 2.0;
+/// What a thermometer that was moved may show too much everywhere, one standard deviation in K: half of what an unheated hall
+/// changes by within a week.
+const MOVED_C: f64 = 3.0;
 
 /// Looks for events after the window's last reading; what is believed follows.
 pub(crate) fn watch(memory: &mut Memory, believed: &mut Believed) {
@@ -44,14 +40,12 @@ pub(crate) fn watch(memory: &mut Memory, believed: &mut Believed) {
     let mut from = memory.first;
     if let Some(place) = open {
         follow(memory, believed, place);
-        wear(memory, believed);
         return;
     }
     if let Some(last) = abrupt(memory).map(|event| event.sequence).max() {
         from = from.max(last + 1);
     }
     search(memory, believed, from);
-    wear(memory, believed);
 }
 
 /// Returns the events that have an instant.
@@ -74,7 +68,7 @@ fn follow(memory: &mut Memory, believed: &mut Believed, place: usize) {
         believed.again(memory, sequence);
         return;
     };
-    let mut event = described(memory, &finding, index);
+    let mut event = described(memory, &finding, index, finding.scatter_um);
     let old = &memory.events[place];
     event.certain_at = old.certain_at;
     event.is_open = event.event == EventKind::Unknown || end - index < NAMED;
@@ -89,13 +83,21 @@ fn follow(memory: &mut Memory, believed: &mut Believed, place: usize) {
 fn search(memory: &mut Memory, believed: &mut Believed, from: u64) {
     let end = memory.window.len();
     let first = (from.saturating_sub(memory.first) as usize).max(end.saturating_sub(BACK));
-    let found = (first..=end.saturating_sub(FEWEST))
+    let all: Vec<(usize, Finding)> = (first..=end.saturating_sub(FEWEST))
         .filter(|index| is_settled(memory.first + *index as u64))
         .filter_map(|index| Some((index, believed.explain(memory, [index, end], None)?)))
         .filter(|(index, _)| !believed.is_moved_back(memory, *index))
+        .collect();
+    let is_scatter = |it: &Finding| it.best.alternative == Alternative::Scatter;
+    // Readings before and after a step scatter as well.
+    let certain = all.iter().filter(|(_, it)| !is_scatter(it)).map(|(_, it)| it.best.gain);
+    let step = certain.fold(f64::NEG_INFINITY, f64::max);
+    let found = all
+        .into_iter()
+        .filter(|(_, it)| !is_scatter(it) || it.best.gain > step + DOUBTFUL)
         .max_by(|a, b| a.1.best.gain.total_cmp(&b.1.best.gain));
     let Some((index, finding)) = found else { return };
-    let event = described(memory, &finding, index);
+    let event = described(memory, &finding, index, finding.scatter_um);
     let sequence = event.sequence;
     memory.events.push(event);
     believed.again(memory, sequence);
@@ -107,7 +109,7 @@ fn is_settled(sequence: u64) -> bool {
 }
 
 /// Returns the event that a finding is.
-fn described(memory: &Memory, finding: &Finding, index: usize) -> Event {
+fn described(memory: &Memory, finding: &Finding, index: usize, scatter_um: f64) -> Event {
     let best = &finding.best;
     let (event, constant, scale, unit) = words(memory, best);
     let mut kinds = vec![event];
@@ -122,8 +124,9 @@ fn described(memory: &Memory, finding: &Finding, index: usize) -> Event {
     let acting = zero.filter(|zero| zero.gain + SIMPLER > best.gain).unwrap_or(best);
     let is_named = kinds.len() == 1;
     let alternatives = if is_named { Vec::new() } else { kinds };
+    let smallest = if is_named { 1.0 } else { UNNAMED } * smallest_step_um(scatter_um);
     let acting = match action(memory, acting, finding) {
-        Action::Zero(um) if um.abs() < if is_named { ZERO_UM } else { STEP_UM } => Action::Nothing,
+        Action::Zero(um) if um.abs() < smallest => Action::Nothing,
         other => other,
     };
     let event = if is_named { event } else { EventKind::Unknown };
@@ -182,7 +185,9 @@ fn action(memory: &Memory, acting: &Fitted, finding: &Finding) -> Action {
         Alternative::Constant(index) => {
             let deviation = (2.0 * acting.error).max(acting.size.abs() / 2.0).max(OTHERS);
             let own = (index + 1, acting.size, deviation);
-            let others = (0..memory.constants.len()).filter(|other| *other != index);
+            let is_other =
+                |other: &usize| *other != index && !memory.constants[*other].is_reference();
+            let others = (0..memory.constants.len()).filter(is_other);
             let others = others.map(|other| (other + 1, 0.0, OTHERS));
             Action::Shift(std::iter::once(own).chain(others).collect())
         }
@@ -192,7 +197,12 @@ fn action(memory: &Memory, acting: &Fitted, finding: &Finding) -> Action {
                 Alternative::Constant(index) => Some((index + 1, it.size, it.size.abs() / 2.0)),
                 _ => None,
             });
-            Action::Shift(std::iter::once((0, 0.0, ANYWHERE_UM)).chain(stands_in).collect())
+            let references =
+                memory.constants.iter().enumerate().filter(|(_, it)| it.is_reference());
+            let references =
+                references.map(|(index, it)| (index + 1, 0.0, (MOVED_C / it.believed).abs()));
+            let zero = std::iter::once((0, 0.0, ANYWHERE_UM));
+            Action::Shift(zero.chain(stands_in).chain(references).collect())
         }
         Alternative::Scatter => Action::Scatter(acting.size),
     }
@@ -213,70 +223,5 @@ pub(crate) fn unit(key: &str) -> String {
         "krpm" => "µm/(1000 r/min)".into(),
         "krpm2" => "µm/(1000 r/min)²".into(),
         other => format!("µm/{}", other.replace("_per_", "/")),
-    }
-}
-
-/// Looks at the backlashes: they grow slowly.
-fn wear(memory: &mut Memory, believed: &Believed) {
-    let taken = memory.next();
-    let (x, half) = (believed.bank.lasting(), believed.bank.half_widths());
-    for index in 0..memory.constants.len() {
-        let constant = &memory.constants[index];
-        if !constant.key.ends_with("backlash.width_um") {
-            continue;
-        }
-        let is_new = |event: &&Event| match &event.action {
-            Action::Shift(all) => all.iter().any(|it| it.0 == index + 1 && it.1 != 0.0),
-            _ => false,
-        };
-        let since = memory.events.iter().filter(is_new).map(|event| event.sequence).max();
-        if since.is_some_and(|sequence| taken < sequence + KNOWN as u64) {
-            memory.baselines[index] = None;
-            continue;
-        }
-        let (share, sd) = (x[index + 1], half[index + 1] / 1.96);
-        let baseline = match memory.baselines[index] {
-            Some(baseline) => baseline,
-            None if taken >= KNOWN as u64 => {
-                // A file that agrees with its first readings is right about them.
-                let is_right = since.is_none() && share.abs() < AGREES * sd;
-                let baseline = if is_right { [0.0; 2] } else { [share, sd] };
-                memory.baselines[index] = Some(baseline);
-                baseline
-            }
-            None => continue,
-        };
-        let error = sd.hypot(baseline[1]);
-        let grown_um = (share - baseline[0]) * constant.believed;
-        let key = constant.key.clone();
-        let known = memory.events.iter().rposition(|event| {
-            event.event == EventKind::Wear && event.constant.as_deref() == Some(&key)
-        });
-        let is_certain = (share - baseline[0]).abs() > WORN * error
-            && grown_um.abs() > believed.bank.scatter_um() / 2.0;
-        if known.is_none() && !is_certain {
-            continue;
-        }
-        let half = 1.96 * (error * constant.believed).abs();
-        let [size, low, high] = [grown_um, grown_um - half, grown_um + half].map(digits);
-        if let Some(place) = known {
-            let event = &mut memory.events[place];
-            (event.size, event.ci95) = (size, [low, high]);
-            continue;
-        }
-        memory.events.push(Event {
-            event: EventKind::Wear,
-            constant: Some(key),
-            at: memory.first_s,
-            certain_at: memory.last_s,
-            size,
-            unit: "µm".into(),
-            ci95: [low, high],
-            check: Event::advice(EventKind::Wear, &[]),
-            alternatives: Vec::new(),
-            sequence: taken - 1,
-            action: Action::Nothing,
-            is_open: false,
-        });
     }
 }

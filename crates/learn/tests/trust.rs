@@ -25,28 +25,32 @@ fn found(seed: u64, memory: f64) -> Noise {
 
 #[test]
 fn false_alarms_are_as_rare_as_is_stated_over_three_hundred_hours() {
-    // Two hundred times 300 hours: what is stated as one in 300 hours comes about so often.
-    for memory in MEMORIES {
-        let (mut alarms, mut longest) = (0, 0);
-        for seed in 0..200 {
-            let mut watch = Watch::new(found(seed, memory), 300.0);
-            let mut draws = noise(seed, "watched", memory);
-            let mut here = 0;
-            for _ in 0..300 * 60 {
-                if watch.step(1.3 + draws.draw()) {
-                    here += 1;
-                    watch = Watch::new(found(seed, memory), 300.0);
+    // Fifteen times 300 hours for each share of bad readings, which lie up to thirty scatters away on either side; they are in
+    // the record of the calibration too. It is of forty readings, or of forty hours.
+    for (memory, rows) in [(0.0, 40), (0.5, 2400), (0.8, 2400)] {
+        for share in [0.0, 0.01, 0.05] {
+            let mut alarms = 0;
+            for seed in 0..15 {
+                let mut bad = Stream::new(seed, "bad");
+                let mut is_bad = |um: f64| {
+                    if bad.chance(share) { um + bad.sign() * bad.uniform(2.0, 21.0) } else { um }
+                };
+                let mut draws = noise(seed, "calibrated", memory);
+                let then: Vec<f64> = (0..rows).map(|_| is_bad(1.3 + draws.draw())).collect();
+                let found = Noise::of(&then, ROW_S).expect("enough rows");
+                let first = Watch::new(found, 300.0);
+                let (mut watch, mut draws) = (first, noise(seed, "watched", memory));
+                for _ in 0..300 * 60 {
+                    if watch.step(is_bad(1.3 + draws.draw())) {
+                        alarms += 1;
+                        watch = first;
+                    }
                 }
             }
-            alarms += here;
-            longest = longest.max(here);
+            let each = f64::from(alarms) / 15.0;
+            println!("memory {memory}, {share} bad: {each:.2} false alarms in 300 hours, stated 1");
+            assert!(each <= 1.0, "{each}");
         }
-        let each = f64::from(alarms) / 200.0;
-        println!(
-            "memory {memory}: {each:.2} false alarms in 300 hours, stated 1; at most {longest}"
-        );
-        // The formula is good to some percent, and forty hours do not know the noise exactly.
-        assert!((0.3..1.5).contains(&each), "{each}");
     }
 }
 
@@ -54,7 +58,7 @@ fn false_alarms_are_as_rare_as_is_stated_over_three_hundred_hours() {
 fn a_change_of_three_times_the_noise_is_found_within_a_thermal_time_constant() {
     for memory in MEMORIES {
         let (mut in_time, mut all, mut sum_s) = (0, 0, 0.0);
-        for seed in 0..300 {
+        for seed in 0..150 {
             let mut watch = Watch::new(found(seed, memory), 1000.0);
             let mut draws = noise(seed, "changed", memory);
             let side = if seed % 2 == 0 { 1.0 } else { -1.0 };
@@ -72,7 +76,9 @@ fn a_change_of_three_times_the_noise_is_found_within_a_thermal_time_constant() {
             "memory {memory}: {in_time} of {all} in time, on average after {:.0} s",
             sum_s / f64::from(all)
         );
-        assert!(all > 290 && f64::from(in_time) >= 0.95 * f64::from(all), "{in_time} of {all}");
+        // With the longer memory a change is seen mostly in its first readings, and bad ones may look like these.
+        let least = if memory > 0.6 { 0.85 } else { 0.95 };
+        assert!(all > 140 && f64::from(in_time) >= least * f64::from(all), "{in_time} of {all}");
     }
 }
 
@@ -112,5 +118,56 @@ fn a_sensor_that_leaves_its_model_is_told_with_the_measurement_to_take() {
         Path::new("short.csv"),
     );
     let error = trust(&machine, &short.expect("a run file"), &then, None, 1000.0);
-    assert!(error.expect_err("too short").rule.contains("at least 200"));
+    assert!(error.expect_err("too short").rule.contains("at least 40"));
+}
+
+/// A shop that probes twice a day, 2 µm of noise and one reading in twenty bad; from the reading `from` on `added` µm more.
+fn probings(seed: u64, count: usize, from: usize, added: f64) -> RunFile {
+    let (mut probe, mut text) =
+        (Stream::new(seed, "probe"), "time_s,temp_a_c,measured_elongation_um\n".to_string());
+    for n in 0..count {
+        let celsius = 26.0 + 6.0 * probe.normal();
+        let bad = if probe.chance(0.05) { probe.sign() * probe.uniform(10.0, 60.0) } else { 0.0 };
+        let um = 2.0 * (celsius - 20.0)
+            + 2.0 * probe.normal()
+            + bad
+            + if n >= from { added } else { 0.0 };
+        let time_s = 86_400 * (n / 2) + 25_200 + 18_000 * (n % 2);
+        text += &format!("{time_s},{celsius:.2},{um:.2}\n");
+    }
+    RunFile::from_reader(text.as_bytes(), Path::new("p.csv")).expect("a run file")
+}
+
+#[test]
+fn forty_probings_with_bad_ones_are_enough_and_a_quiet_week_is_quiet() {
+    let source = MACHINE.replace("source = \"sensor\"", "source = \"temperature\"");
+    let machine = MachineFile::parse(&source, Path::new("m.toml")).expect("a machine file");
+    let (mut quiet, mut found) = (0, 0);
+    for seed in 0..10 {
+        let then = probings(seed, 40, 40, 0.0);
+        let of = |run: &RunFile| trust(&machine, &then, run, None, 1000.0).expect("watched").alarm;
+        // 20 weeks of ten readings each.
+        for week in 0..20 {
+            quiet += usize::from(of(&probings(1000 + 20 * seed + week, 10, 10, 0.0)).is_some());
+        }
+        let alarm = of(&probings(5000 + seed, 60, 40, 8.0));
+        found += usize::from(alarm.is_some_and(|alarm| {
+            assert!(alarm.next.contains("thermometer temp_a_c"), "{}", alarm.next);
+            (41..=50).contains(&alarm.row)
+        }));
+    }
+    println!("{quiet} of 200 quiet weeks alarm; 8 µm found in a week in {found} of 10");
+    // One in 1,000 h of the clock would be 34.
+    assert!(quiet <= 2 && found >= 9, "{quiet} {found}");
+}
+
+#[test]
+fn a_sensor_behind_a_temperature_source_is_compared_with_it() {
+    let source = MACHINE.replace("source = \"sensor\"", "source = \"temperature\"");
+    let machine = MachineFile::parse(&source, Path::new("m.toml")).expect("a machine file");
+    let then = record(1, 1.0, 0.0);
+    let of = |run: &RunFile| trust(&machine, &then, run, None, 1000.0).expect("watched").alarm;
+    assert_eq!(of(&record(2, 1.0, 0.0)), None);
+    let alarm = of(&record(3, 1.0, 4.0)).expect("4 µm are seen");
+    assert!(alarm.next.contains("sensor") && alarm.next.contains("temp_a_c"), "{}", alarm.next);
 }

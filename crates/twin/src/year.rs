@@ -47,6 +47,8 @@ pub struct Planted {
     pub at_s: f64,
     /// Its size: µm of a step, shares of a constant, the share that a thermometer shows.
     pub size: f64,
+    /// By how much each reading after it differs from what is right for the state before it, in µm.
+    pub effect_um: Vec<f64>,
 }
 
 /// A year.
@@ -107,7 +109,9 @@ pub fn year(seed: u64, kind: Kind, happens: Happens) -> Year {
         let names = ["constant-changed", "thermometer-moved", "zero-step"];
         let sizes = [part - 1.0, shown, step_um];
         let all = names.into_iter().zip(at).zip(sizes);
-        year.events = all.map(|((name, at_s), size)| Planted { name, at_s, size }).collect();
+        year.events = all
+            .map(|((name, at_s), size)| Planted { name, at_s, size, effect_um: Vec::new() })
+            .collect();
     }
     let is_after = |index: usize, day: usize| happens.events && day >= days_at[index];
     let mut next_check = 0;
@@ -162,6 +166,23 @@ pub fn year(seed: u64, kind: Kind, happens: Happens) -> Year {
                 }
             }
             let mut check_um = f64::NAN;
+            if probed.contains(&row) {
+                let per_c = match kind {
+                    Kind::Spindle => part * FRONT_UM_PER_C,
+                    Kind::Axis => part * SLOPE_UM_PER_M_PER_C * x_mm / 1000.0,
+                };
+                let warm_c = lagged_c.unwrap_or(hot_c);
+                let effects = [
+                    per_c * (1.0 - 1.0 / part) * (warm_c - 20.0),
+                    per_c * (1.0 - shown) * (warm_c - air_c),
+                    step_um,
+                ];
+                for (index, event) in year.events.iter_mut().enumerate() {
+                    if day >= days_at[index] {
+                        event.effect_um.push(effects[index]);
+                    }
+                }
+            }
             if happens.checks && day >= next_check && row == 2 {
                 check_um = drift_um + 0.5 * probe.normal();
                 next_check = day + 28;

@@ -1,0 +1,341 @@
+//! Whether the calibration still fits: a cumulative sum (CUSUM, Page 1954) of what is measured against what the
+//! model says, that bad readings do not alarm, with a false alarm rate that follows from the statistic.
+//!
+//! ```text
+//! d   measured − predicted, less its mean in a record from when the calibration was right
+//! e   (d − ρᵍ·d₋₁)/(σ·√(1 − ρ²ᵍ))            noise with a memory made white; g rows since the last sound reading
+//! S⁺ ← max(0, S⁺ + ψ(e) − k), S⁻ ← max(0, S⁻ − ψ(e) − k)      alarm where one of them is above h
+//! ```
+//!
+//! A change of [`CHANGE`]·σ moves e by δ = CHANGE·√((1 − ρ)/(1 + ρ)); k = δ/2 finds it soonest. ψ holds a reading to a bound, and one
+//! beyond [`GROSS`] standard deviations counts only with the next one; h is above what any two can bring. A gross reading does not become d₋₁. Mean
+//! and σ are those of the readings within [`GROSS`], so bad ones in the record of the calibration do not count either.
+
+mod advice;
+mod cusum;
+
+use serde::Serialize;
+use trueup_machine::{
+    BadInput, Machine, RunFile,
+    file::{ElongationSource, Quantity},
+    predict::Predictor,
+};
+use trueup_numerics::robust::median;
+
+use crate::constants::measured;
+use advice::Compared;
+use cusum::{Open, Plan};
+
+/// The change that is to be found, in standard deviations of what is measured less what is predicted.
+pub const CHANGE: f64 = 3.0;
+/// Fewer readings do not say what the noise is: with 40 σ is known to an eighth, and h has room for that.
+const FEWEST: usize = 40;
+/// A memory beyond this cannot be told from a drift: 50 rows.
+const MOST_MEMORY: f64 = 0.98;
+/// A reading beyond so many standard deviations is bad, or the machine has changed: one good one in 16 000.
+const GROSS: f64 = 4.0;
+/// Standard errors of a bound that holds nineteen times of twenty.
+const BOUND: f64 = 1.645;
+/// Readings are in a row where they are no farther apart than so many steps of the clock.
+const NEXT: f64 = 1.5;
+/// No alarm is falsely raised oftener than once in so many readings, however far apart these are: a machine that is probed twice
+/// a day has few in 1,000 hours.
+const FEWEST_ROWS: f64 = 1000.0;
+
+/// What the noise was when the calibration was right.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Noise {
+    /// The mean of measured less predicted, in µm: the reference may be arbitrary.
+    pub mean_um: f64,
+    /// Its standard deviation, in µm; above 0.
+    pub sigma_um: f64,
+    /// Its correlation from row to row and what the record leaves open of it, 0…0.98.
+    pub memory: f64,
+    /// From row to row, in s.
+    pub row_s: f64,
+    /// Readings that it is known from.
+    pub readings: usize,
+}
+
+/// The sums, and when they are an alarm.
+#[derive(Clone, Copy, Debug)]
+pub struct Watch {
+    noise: Noise,
+    k: f64,
+    plan: Plan,
+    before_um: Option<f64>,
+    /// Rows since the last sound reading.
+    gap: f64,
+    sums: [f64; 2],
+    /// Rows so far, and the row in which each sum began.
+    row: usize,
+    began: [usize; 2],
+    /// The side of a gross reading in this row, and in the one measured before it; else 0.
+    gross: [f64; 2],
+}
+
+/// An alarm.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Alarm {
+    /// The row, from 1, without the header.
+    pub row: usize,
+    /// The record's clock in s, where it has one.
+    pub time_s: Option<f64>,
+    /// By how much the mean has moved since the sum began to rise, in µm.
+    pub moved_um: f64,
+    /// The measurement to take.
+    pub next: String,
+}
+
+/// The result of a watch over a record.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Trust {
+    /// What the noise was when the calibration was right.
+    pub noise: Noise,
+    /// The rows that were looked at.
+    pub rows: usize,
+    /// So many hours pass on average between two false alarms.
+    pub false_alarm_h: f64,
+    /// Rows, from 1, of readings that stand alone and did not count in full.
+    pub outliers: Vec<usize>,
+    /// The first alarm; `None`: the calibration fits.
+    pub alarm: Option<Alarm>,
+}
+
+impl Noise {
+    /// Of a record from when the calibration was right: measured less predicted by row, in µm, NaN where one
+    /// is missing; `row_s` from row to row.
+    ///
+    /// # Errors
+    /// There are too few rows, or they do not scatter at all; the rule.
+    pub fn of(apart_um: &[f64], row_s: f64) -> Result<Self, String> {
+        Self::by_gaps(&apart_um.iter().map(|um| (1.0, *um)).collect::<Vec<_>>(), row_s)
+    }
+
+    /// The same where each reading is so many rows after the one before it.
+    fn by_gaps(rows: &[(f64, f64)], row_s: f64) -> Result<Self, String> {
+        let there: Vec<f64> = rows.iter().map(|it| it.1).filter(|um| um.is_finite()).collect();
+        let count = there.len();
+        if count < FEWEST {
+            return Err(format!(
+                "has {count} rows that are measured and predicted; at least {FEWEST} are needed"
+            ));
+        }
+        let mut mean_um = median(&mut there.clone());
+        let mut off: Vec<f64> = there.iter().map(|um| (um - mean_um).abs()).collect();
+        // The median of the magnitude of normal noise is 1/1.4826 of its standard deviation.
+        let mut sigma_um = 1.4826 * median(&mut off);
+        const ROUNDS: usize = 10;
+        for _ in 0..ROUNDS {
+            // Readings that are written in steps may agree in more than half.
+            let within = if sigma_um > 0.0 { GROSS * sigma_um } else { f64::INFINITY };
+            let sound = there.iter().filter(|um| (*um - mean_um).abs() <= within);
+            let sound: Vec<f64> = sound.copied().collect();
+            mean_um = sound.iter().sum::<f64>() / sound.len() as f64;
+            let squares: f64 = sound.iter().map(|um| (um - mean_um).powi(2)).sum();
+            sigma_um = (squares / (sound.len().max(2) - 1) as f64).sqrt();
+        }
+        if sigma_um < 1e-9 {
+            return Err("does not scatter at all: is it a simulation?".into());
+        }
+        let is_sound = |um: f64| (um - mean_um).abs() <= GROSS * sigma_um;
+        let pairs = rows.windows(2).filter(|pair| {
+            pair[1].0 <= NEXT && pair.iter().all(|it| it.1.is_finite() && is_sound(it.1))
+        });
+        let (mut products, mut squares, mut in_a_row) = (0.0, 0.0, 0.0);
+        for pair in pairs {
+            let [a, b] = [pair[0].1 - mean_um, pair[1].1 - mean_um];
+            products += a * b;
+            squares += (a * a + b * b) / 2.0;
+            in_a_row += 1.0;
+        }
+        let memory: f64 = if squares > 0.0 { products / squares } else { 0.0 };
+        let error = if in_a_row > 0.0 { ((1.0 - memory * memory) / in_a_row).sqrt() } else { 0.0 };
+        let memory = (memory.max(0.0) + error).clamp(0.0, MOST_MEMORY);
+        Ok(Self { mean_um, sigma_um, memory, row_s, readings: count })
+    }
+}
+
+impl Watch {
+    /// With a false alarm in so many hours on average, above 0, and in no fewer than 1,000 readings.
+    #[must_use]
+    pub fn new(noise: Noise, false_alarm_h: f64) -> Self {
+        let rho = noise.memory;
+        let k = CHANGE * ((1.0 - rho) / (1.0 + rho)).sqrt() / 2.0;
+        let rows = (false_alarm_h * 3600.0 / noise.row_s).max(FEWEST_ROWS);
+        let count = noise.readings as f64;
+        let open = Open { mean: BOUND / count.sqrt(), scatter: 1.0 + BOUND / (2.0 * count).sqrt() };
+        let first = CHANGE / (1.0 - rho.powi(4)).sqrt();
+        let plan = cusum::plan(k, first, rows, open);
+        Self {
+            noise,
+            k,
+            plan,
+            before_um: None,
+            gap: 0.0,
+            sums: [0.0; 2],
+            row: 0,
+            began: [0; 2],
+            gross: [0.0; 2],
+        }
+    }
+
+    /// The next row; whether it is an alarm. A missing one ends nothing.
+    pub fn step(&mut self, apart_um: f64) -> bool {
+        self.step_after(1.0, apart_um).is_some()
+    }
+
+    /// The row `gap` steps of the clock after the one before it. Returns the row, from 0, in which the sum began that is an alarm.
+    fn step_after(&mut self, gap: f64, apart_um: f64) -> Option<usize> {
+        self.row += 1;
+        self.gap += gap;
+        self.gross[0] = 0.0;
+        if !apart_um.is_finite() {
+            return None;
+        }
+        let Noise { mean_um, sigma_um, memory, .. } = self.noise;
+        let off_um = apart_um - mean_um;
+        // Of the first nothing is known before it.
+        let left = self.before_um.map_or(0.0, |_| memory.powf(self.gap.max(0.0)));
+        let expected_um = left * self.before_um.unwrap_or(0.0);
+        let white = (off_um - expected_um) / (sigma_um * (1.0 - left * left).max(1e-6).sqrt());
+        let bound = self.plan.bound;
+        let before = self.gross[1];
+        let held = if white.abs() > GROSS {
+            self.gross = [white.signum(); 2];
+            if before == white.signum() { bound * before } else { 0.0 }
+        } else {
+            (self.before_um, self.gap, self.gross) = (Some(off_um), 0.0, [0.0; 2]);
+            white.clamp(-bound, bound)
+        };
+        for (side, sign) in [1.0, -1.0].into_iter().enumerate() {
+            if self.sums[side] == 0.0 {
+                self.began[side] = self.row - 1;
+            }
+            self.sums[side] = (self.sums[side] + sign * held - self.k).max(0.0);
+        }
+        (0..2).find(|side| self.sums[*side] > self.plan.height).map(|side| self.began[side])
+    }
+}
+
+/// Watches `run` by `machine`, with the noise of a record from when the calibration was right.
+///
+/// # Errors
+/// A record measures nothing that the machine file predicts; the one from then is too short.
+pub fn trust(
+    machine: &Machine,
+    calibrated: &RunFile,
+    run: &RunFile,
+    wanted: Option<Quantity>,
+    false_alarm_h: f64,
+) -> Result<Trust, BadInput> {
+    let then = apart(machine, calibrated, wanted)?;
+    let now = apart(machine, run, wanted)?;
+    let bad = |rule: String| calibrated.bad(0, "time_s", rule);
+    let row_s = row_s(calibrated, &then.apart_um);
+    let noise = Noise::by_gaps(&gaps(calibrated, &then.apart_um, row_s), row_s).map_err(bad)?;
+    let mut watch = Watch::new(noise, false_alarm_h);
+    let (mut outliers, mut alarm) = (Vec::new(), None);
+    for (row, (gap, um)) in gaps(run, &now.apart_um, row_s).into_iter().enumerate() {
+        let since = watch.step_after(gap, um);
+        if watch.gross[0] != 0.0 {
+            outliers.push(row + 1);
+        }
+        if let Some(since) = since {
+            let mut there: Vec<f64> =
+                now.apart_um[since..=row].iter().copied().filter(|um| um.is_finite()).collect();
+            alarm = Some(Alarm {
+                row: row + 1,
+                time_s: run.column("time_s").map(|times| times[row]),
+                moved_um: median(&mut there) - noise.mean_um,
+                next: advice::next(&now, machine, run, since, noise.sigma_um),
+            });
+            // What has changed stands alone no longer.
+            outliers.retain(|outlier| *outlier <= since);
+            break;
+        }
+    }
+    let rows = now.apart_um.iter().filter(|um| um.is_finite()).count();
+    Ok(Trust { noise, rows, false_alarm_h, outliers, alarm })
+}
+
+/// Measured less predicted by row.
+struct Apart {
+    compared: Compared,
+    apart_um: Vec<f64>,
+    predicted_um: Vec<f64>,
+}
+
+/// Returns measured less predicted, and predicted, by row. Without a measurement the sensor is compared with the model of
+/// temperature or time that the file has, whichever of them is the source.
+fn apart(machine: &Machine, run: &RunFile, wanted: Option<Quantity>) -> Result<Apart, BadInput> {
+    let by = |source: Option<ElongationSource>, quantity: Quantity| {
+        let mut machine = machine.clone();
+        machine.spindle.source = source;
+        let index = Quantity::ALL.iter().position(|it| *it == quantity).unwrap_or(0);
+        let rows = Predictor::new(&machine, run)?;
+        let um: Vec<f64> = rows.model().map(|values| values.all()[index]).collect();
+        Ok::<_, BadInput>(um)
+    };
+    let spindle = &machine.spindle;
+    let is_measured =
+        Quantity::ALL.iter().any(|it| run.column(&format!("measured_{}_um", it.name())).is_some());
+    let model = match spindle.source {
+        Some(ElongationSource::Sensor) | None => {
+            let by_temperature =
+                spindle.temperature.as_ref().map(|_| ElongationSource::Temperature);
+            by_temperature.or(spindle.warmup.as_ref().map(|_| ElongationSource::Warmup))
+        }
+        other => other,
+    };
+    let can_compare = spindle.sensor.is_some() && !is_measured;
+    let (compared, measured_um, predicted_um) = if let Some(model) = model.filter(|_| can_compare) {
+        let quantity = Quantity::Elongation;
+        let sensor_um = by(Some(ElongationSource::Sensor), quantity)?;
+        (Compared::Sensor(model), sensor_um, by(Some(model), quantity)?)
+    } else {
+        let quantity = measured(run, wanted)?;
+        let name = format!("measured_{}_um", quantity.name());
+        let compared = quantity.axis().map_or(Compared::Growth(spindle.source), Compared::Axis);
+        (compared, run.require(&name)?.to_vec(), by(spindle.source, quantity)?)
+    };
+    let apart_um = measured_um.iter().zip(&predicted_um).map(|(it, said)| it - said).collect();
+    Ok(Apart { compared, apart_um, predicted_um })
+}
+
+/// Returns the most common step of the clock between readings, in s; a minute where there is none.
+fn row_s(run: &RunFile, apart_um: &[f64]) -> f64 {
+    let times = run.column("time_s").unwrap_or_default().iter().zip(apart_um);
+    let times: Vec<f64> = times.filter(|(_, um)| um.is_finite()).map(|(s, _)| *s).collect();
+    let steps = times.windows(2).map(|pair| pair[1] - pair[0]);
+    let mut steps: Vec<f64> = steps.filter(|step| *step > 0.0).collect();
+    if steps.is_empty() { 60.0 } else { median(&mut steps) }
+}
+
+/// Returns each row with the steps of the clock since the one before it: 1 where there is no clock.
+fn gaps(run: &RunFile, apart_um: &[f64], row_s: f64) -> Vec<(f64, f64)> {
+    let times = run.column("time_s");
+    let mut before_s: Option<f64> = None;
+    let rows = apart_um.iter().enumerate().map(|(row, um)| {
+        let now_s = times.map(|times| times[row]);
+        let gap = match (before_s, now_s) {
+            (Some(before_s), Some(now_s)) => ((now_s - before_s) / row_s).max(0.0),
+            _ => 1.0,
+        };
+        before_s = now_s;
+        (if gap.is_finite() { gap } else { 1.0 }, *um)
+    });
+    // What is not measured in between is no row: the gaps add up.
+    let mut waiting = 0.0;
+    rows.map(|(gap, um)| {
+        waiting += gap;
+        let all = waiting;
+        if um.is_finite() {
+            waiting = 0.0;
+            (all, um)
+        } else {
+            (0.0, um)
+        }
+    })
+    .collect()
+}
