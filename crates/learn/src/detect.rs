@@ -7,10 +7,10 @@
 //!                              ∂/∂c                 a constant
 //!                              share of T − Tₐᵢᵣ    a thermometer that shows another share of the heat
 //!     e noise of s·σ                                scatter
-//! G   max over τ, a, δ of Σ ℓ(e − δ·h) − ℓ(e) ≥ ln 10⁶
+//! G   max over τ, a, δ of Σ ℓ(e − δ·h) − ℓ(e) ≥ ln 10⁵
 //! ```
 //!
-//! The likelihood of a bad reading bounds the evidence of any single one (6.6 of the 13.8 that are needed, at 2 µm), so
+//! The likelihood of a bad reading bounds the evidence of any single one (6.6 of the 11.5 that are needed, at 2 µm), so
 //! three that agree are the least. An event is reported from a size of [`MATERIAL`] times the scatter on, and of
 //! [`KNOWN`] times the uncertainty of the prediction: what was never known has not changed.
 //!
@@ -19,9 +19,9 @@
 
 use trueup_numerics::robust::median;
 
-/// ln of the odds that make an event certain: one in a million by chance for each reading, before the search over
+/// ln of the odds that make an event certain: one in a hundred thousand by chance for each reading, before the search over
 /// instants and alternatives, of which the bounds on size take back more than the search gives.
-const CERTAIN: f64 = 13.8;
+const CERTAIN: f64 = 11.5;
 /// And below which an event that was certain is taken back: a thousand to one.
 pub(crate) const DOUBTFUL: f64 = 6.9;
 /// Share of bad readings, and the range in µm over which they lie.
@@ -30,7 +30,7 @@ const RANGE_UM: f64 = 200.0;
 /// The smallest event, RMS over the readings after it, in scatters of a reading: what is smaller is followed as it ages.
 const MATERIAL: f64 = 3.0;
 /// And in µm: any tool setter keeps 5 µm, and what a machine ages by over a weekend is no event however well a probe repeats (with
-/// multiples of the scatter alone two of sixty months that age fast are followed worse than by 3.5 µm).
+/// multiples of the scatter alone the worst of sixty months that age fast is followed worse than to 3.5 µm).
 const MATERIAL_UM: f64 = 5.0;
 /// The smallest step of the zero, in scatters, and in µm: one and a half standard deviations of what is believed of it before the
 /// first reading.
@@ -139,7 +139,7 @@ pub(crate) fn explain(rows: &[Row<'_>], before: &Before, is_certain: bool) -> Op
         let least = if alternative == Alternative::Zero {
             smallest_step_um(before.scatter_um[0])
         } else {
-            (MATERIAL * before.scatter_um[0]).max(MATERIAL_UM)
+            (MATERIAL * before.scatter_um[1]).max(MATERIAL_UM)
         };
         let least = least.max(KNOWN * unknown_um);
         if is_certain || effect >= least {

@@ -22,11 +22,9 @@ use crate::{
     replay::{self, Believed},
     watch::watch,
     wear,
-    written::{figures, written},
+    written::{SAME, figures, written},
 };
 
-/// A constant that has moved by less than this share of itself is written as it was.
-pub(crate) const SAME: f64 = 1e-3;
 /// A change of a constant by this share, from readings of an engaged bridge alone, may as well be a CNC that applies the
 /// offsets by half, twice, not at all or with the wrong sign: these look like changes by 0.5, −1, 1 and 2.
 const AS_A_CNC: f64 = 0.4;
@@ -341,7 +339,7 @@ impl Learner<'_> {
             memory.window[last].worn = said.iter().map(short).collect();
         }
         watch(memory, &mut self.believed);
-        wear::watch(memory, &self.believed);
+        wear::watch(memory, self.believed.bank.scatter_um()[0]);
         let wanted = self.believed.bank.believed().unwrap_or_else(|| vec![0.0; g.len()]);
         self.look(reading.row);
         let rows = self.extremes.iter().map(|row| &self.sensitivity.um[*row]);

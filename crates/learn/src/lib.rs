@@ -42,6 +42,7 @@ mod replay;
 pub mod trust;
 mod watch;
 mod wear;
+mod worn;
 mod written;
 
 pub use constants::Constant;

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use trueup_machine::Machine;
 
-use crate::{bank::Bank, constants::Constant, event::Event, wear::Sums};
+use crate::{bank::Bank, constants::Constant, event::Event, worn::Sums};
 
 /// Readings that are known by their hash: a year at thirty a day, 8 bytes each.
 const SEEN: usize = 12_000;

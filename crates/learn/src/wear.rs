@@ -9,61 +9,19 @@
 //! A line over all readings knows the growth far better than the estimate of today less that of the first weeks: that
 //! forgets, and lags behind. It is wear when s differs from 0 by [`CERTAIN`] standard errors.
 
-use serde::{Deserialize, Serialize};
-
 use crate::{
     constants::Constant,
     event::{Action, Event, EventKind, digits},
     memory::Memory,
-    replay::Believed,
+    worn::{CERTAIN, Sums},
 };
 
-/// Standard errors of the slope: once in 10⁶ by chance.
-const CERTAIN: f64 = 5.0;
-/// Standard errors from which s₀ is another one: as alternatives are distinguished.
-const AGREES: f64 = 4.0;
-/// Readings in the negative direction, and days, that a line needs: a month of two a day, and a month.
-const FEWEST: f64 = 30.0;
+/// Days that a line needs: a month.
 const SHORTEST_S: f64 = 30.0 * 86_400.0;
 /// Scatters by which one reading counts at most.
 const COUNTS: f64 = 2.0;
 /// The unit of t, in s.
 const YEAR_S: f64 = 365.25 * 86_400.0;
-
-/// Sums over the readings of one backlash, as far as they have left the window.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Sums {
-    /// Readings.
-    n: f64,
-    /// Σ g², Σ g²·t, Σ g²·t².
-    gg: [f64; 3],
-    /// Σ g·r, Σ g·r·t.
-    gr: [f64; 2],
-}
-
-impl Sums {
-    /// Adds a reading: its sensitivity to the width in µm, what it says of it in µm, its time in years.
-    fn add(&mut self, g: f64, r: f64, t: f64) {
-        self.n += 1.0;
-        (0..3).for_each(|power| self.gg[power] += g * g * t.powi(power as i32));
-        (0..2).for_each(|power| self.gr[power] += g * r * t.powi(power as i32));
-    }
-
-    /// Returns s and its standard error, for a scatter in µm; `None` where there is no line.
-    fn slope(&self, scatter_um: f64) -> Option<[f64; 2]> {
-        let ([one, t, tt], [r, rt]) = (self.gg, self.gr);
-        let determinant = one * tt - t * t;
-        // Readings at one time have no line.
-        if self.n < FEWEST || determinant <= 1e-9 * one * tt {
-            return None;
-        }
-        let start = (tt * r - t * rt) / determinant;
-        if start.abs() < AGREES * scatter_um * (tt / determinant).sqrt() {
-            return Some([rt / tt, scatter_um / tt.sqrt()]);
-        }
-        Some([(one * rt - t * r) / determinant, scatter_um * (one / determinant).sqrt()])
-    }
-}
 
 /// Returns true for a constant that wears.
 pub(crate) fn wears(constant: &Constant) -> bool {
@@ -118,8 +76,8 @@ fn add(memory: &Memory, rows: std::ops::Range<usize>, worn: &mut Vec<Sums>) {
     }
 }
 
-/// Looks at the backlashes after the window's last reading.
-pub(crate) fn watch(memory: &mut Memory, believed: &Believed) {
+/// Looks at the backlashes after the window's last reading; `scatter_um` of a reading.
+pub(crate) fn watch(memory: &mut Memory, scatter_um: f64) {
     let Some(t_s) = memory.first_s.zip(memory.last_s).map(|(first, last)| last - first) else {
         return;
     };
@@ -128,7 +86,6 @@ pub(crate) fn watch(memory: &mut Memory, believed: &Believed) {
     }
     let mut worn = memory.worn.clone();
     add(memory, 0..memory.window.len(), &mut worn);
-    let scatter_um = believed.bank.scatter_um()[0];
     let places = (0..memory.constants.len()).filter(|index| wears(&memory.constants[*index]));
     for (place, sums) in places.collect::<Vec<_>>().into_iter().zip(&worn) {
         let (key, width_um) =
@@ -162,28 +119,5 @@ pub(crate) fn watch(memory: &mut Memory, believed: &Believed) {
             action: Action::Nothing,
             is_open: false,
         });
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_width_that_grows_is_a_line_and_one_that_was_wrong_from_the_start_is_not() {
-        let noise = [1.5, -2.0, 0.5, -1.0, 2.0, -0.5, 0.0, -1.5, 1.0];
-        let sums = |start: f64, per_year: f64| {
-            let mut sums = Sums::default();
-            for n in 0..250 {
-                let t = f64::from(n) / 250.0;
-                let g = 4.0;
-                sums.add(g, g * (start + per_year * t) + noise[n as usize % 9], t);
-            }
-            sums.slope(1.3).expect("a line")
-        };
-        let [slope, error] = sums(0.0, 1.25);
-        assert!((slope - 1.25).abs() < 2.0 * error && error < 0.05, "{slope} {error}");
-        let [slope, error] = sums(1.0, 0.0);
-        assert!(slope.abs() < CERTAIN * error, "{slope} {error}");
     }
 }

@@ -4,9 +4,11 @@ use trueup_machine::{Machine, MachineFile, file::Quantity};
 
 use crate::{
     constants::{self, Constant},
-    learn::SAME,
     memory::{Memory, Owner},
 };
+
+/// A constant that has moved by less than this share of itself is written as it was.
+pub(crate) const SAME: f64 = 1e-3;
 
 /// Returns the numbers of the machine file with what is applied: of the zero, of each constant.
 pub(crate) fn figures(memory: &Memory, machine: &Machine, quantity: Quantity) -> Vec<f64> {
